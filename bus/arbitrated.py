@@ -1,5 +1,6 @@
 """The link to a bus of `skin bus`: packets of FRAME records on a local socket."""
 
+import contextlib
 import socket
 import time
 from collections.abc import Sequence
@@ -21,7 +22,7 @@ from bus.protocol import (
     Welcome,
     check_frames,
     pack,
-    pad_lengths,
+    padded,
     socket_path,
     unpack,
     unpack_frames,
@@ -29,7 +30,7 @@ from bus.protocol import (
 )
 from bus.reconnecting import ReconnectingLink
 from canskin.errors import BusError, Stopped
-from dbc.frame import ECHO, FD, Frames, frames
+from dbc.frame import ECHO, Frames, frames
 from skin.service import StopSignal, say
 
 #: Time limit for the answer of the bus process to HELLO.
@@ -117,9 +118,7 @@ class ArbitratedLink(ReconnectingLink):
             If no controller could send a frame.
         """
         check_frames(burst, fd=self.welcome.data_bitrate is not None)
-        if (burst["flags"] & FD).any():
-            burst = burst.copy()
-            pad_lengths(burst)
+        burst = padded(burst)
         with self._lock:
             connection = self._reopened()
             if connection is None:
@@ -170,9 +169,8 @@ class ArbitratedLink(ReconnectingLink):
         self._state = State(min(header.state, State.BUS_OFF))
         self._dropped = header.dropped
         own = arrived["flags"] & ECHO != 0
-        if not own.any():
-            return arrived
-        self._returned += np.bincount(arrived["port"][own] % MAX_PORTS, minlength=MAX_PORTS)
+        if own.any():
+            self._returned += np.bincount(arrived["port"][own] % MAX_PORTS, minlength=MAX_PORTS)
         return arrived
 
     def _connect_within(self, wait_s: float, stop: StopSignal) -> socket.socket:
@@ -207,8 +205,7 @@ class ArbitratedLink(ReconnectingLink):
         try:
             connection.settimeout(GREETING_S)
             connection.connect(fspath(self._path))
-            connection.send(pack(Kind.HELLO, msgspec.json.encode(self._hello)))
-            self.welcome = self._read_welcome(connection.recv(MAX_PACKET))
+            self.welcome = self._read_welcome(self._greet(connection))
             connection.setblocking(False)
         except ProtocolError as error:
             connection.close()
@@ -218,6 +215,13 @@ class ArbitratedLink(ReconnectingLink):
             raise
         self._sent[:] = self._returned[:] = 0
         return connection
+
+    def _greet(self, connection: socket.socket) -> bytes:
+        """Send HELLO and return the answer."""
+        with contextlib.suppress(BrokenPipeError, ConnectionResetError):  # a bus that is full refuses unasked
+            connection.send(pack(Kind.HELLO, msgspec.json.encode(self._hello)))
+            return connection.recv(MAX_PACKET)
+        return connection.recv(MAX_PACKET)
 
     def _read_welcome(self, packet: bytes) -> Welcome:
         header, payload = unpack(packet)

@@ -1,14 +1,14 @@
 """The clock of a CAN controller, followed by the kernel's time stamps of the same frames.
 
 A kernel stamps a frame in the interrupt after its end: late by the latency of the interrupt. A controller stamps by its
-own clock, without that latency, but where its clock began, how fast it runs and which bit of a frame it stamps is the
-device's affair. For frames of one kind
+own clock, without that latency. The start of that clock, its rate and the bit that is stamped depend on the device. For
+frames of one kind
 
     kernel stamp - device stamp = offset + drift + latency, latency >= least latency.
 
 The line below these differences is offset, drift and least latency. So a device stamp on this line is the end of the
-frame plus the least latency: the jitter is gone. No interface with such a clock was there to test this with: the tests
-use computed stamps.
+frame plus the least latency: the jitter is gone. The tests use computed stamps; no interface with such a clock was at
+hand.
 """
 
 from collections import deque

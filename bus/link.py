@@ -1,7 +1,7 @@
 """The common interface to all CAN interfaces: batches of FRAME records, with echoes of own frames."""
 
 from collections.abc import Callable, Sequence
-from typing import Protocol
+from typing import Final, Protocol
 
 from bus.error_frames import State
 from bus.outbox import DISCARDED
@@ -15,7 +15,7 @@ __all__ = ["DISCARDED", "Filter", "Link", "Send", "State", "open_link"]
 Send = Callable[[Frames], int]
 
 #: The interface name of `skin bus`.
-ARBITRATED = "canskin"
+ARBITRATED: Final = "canskin"
 
 
 class Link(Protocol):

@@ -7,7 +7,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from bus.link import Link, open_link
+from bus.link import ARBITRATED, Link, open_link
 from canskin.errors import InputError
 from skin.layout import Bus, Layout
 from skin.service import StopSignal
@@ -34,7 +34,7 @@ class BusOptions:
         ``-c can0`` means can0 to can3 for four buses. Default: the names of the buses.
     """
 
-    interface: Annotated[str, Parameter(alias="-i")] = "canskin"
+    interface: Annotated[str, Parameter(alias="-i")] = ARBITRATED
     channel: Channels = field(default_factory=list)
 
 

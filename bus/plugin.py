@@ -13,6 +13,7 @@ from can.typechecking import AutoDetectedConfig, CanFilters, Channel
 
 from bus.arbitrated import ArbitratedLink
 from bus.error_frames import State
+from bus.link import ARBITRATED
 from bus.messages import to_frame, to_message
 from bus.protocol import Hello, runtime_folder
 from canskin.errors import SkinError
@@ -179,4 +180,4 @@ class ArbitratedBus(can.BusABC):
     @staticmethod
     def _detect_available_configs() -> Sequence[AutoDetectedConfig]:
         """Return the buses with a socket in the runtime folder."""
-        return [{"interface": "canskin", "channel": path.stem} for path in sorted(runtime_folder().glob("*.can"))]
+        return [{"interface": ARBITRATED, "channel": path.stem} for path in sorted(runtime_folder().glob("*.can"))]

@@ -160,7 +160,7 @@ def check_frames(burst: Frames, *, fd: bool) -> None:
     is_fd = flags & FD != 0
     highest = np.where(flags & EXTENDED, 0x1FFFFFFF, _HIGHEST_BASE)
     longest = np.where(is_fd, 64, CLASSIC_BYTES)
-    faults = (
+    checks = (
         (flags & ~np.uint8(_SENDABLE) != 0, "flags that only a receiver sees"),
         (can_id > highest, "an identifier that does not fit its format"),
         (length > longest, "more than 8 bytes, or 64 with CAN FD"),
@@ -170,10 +170,10 @@ def check_frames(burst: Frames, *, fd: bool) -> None:
         (burst["port"] >= MAX_PORTS, f"a port above {MAX_PORTS - 1}"),
         (burst["time_ns"] > LATEST_NS, f"a start time above {LATEST_NS} ns"),
     )
-    for wrong, what in faults:
-        if wrong.any():
-            place = int(wrong.argmax())
-            raise InputError(f"frame {place} (identifier 0x{int(can_id[place]):X}) has {what}")
+    for is_wrong, words in checks:
+        if is_wrong.any():
+            place = int(is_wrong.argmax())
+            raise InputError(f"frame {place} (identifier 0x{int(can_id[place]):X}) has {words}")
 
 
 def _are_plain(burst: Frames) -> bool:
@@ -187,11 +187,12 @@ def _are_plain(burst: Frames) -> bool:
     )
 
 
-def pad_lengths(burst: Frames) -> None:
-    """Round the lengths of CAN FD frames up to lengths that have a DLC, in place; the data is padded already."""
-    is_fd = burst["flags"] & FD != 0
-    if is_fd.any():
-        burst["length"][is_fd] = padded_length(burst["length"][is_fd])
+def padded(burst: Frames) -> Frames:
+    """Return the frames with lengths rounded up to lengths that have a DLC; only CAN FD frames change."""
+    if (burst["length"] > CLASSIC_BYTES).any():
+        burst = burst.copy()
+        burst["length"] = padded_length(burst["length"])
+    return burst
 
 
 def runtime_folder() -> Path:

@@ -139,8 +139,8 @@ class BatchSocket:
 
 def _field(records: Any, record: Any, offset: int, dtype: np.dtype[Any]) -> npt.NDArray[Any]:
     """Return one field of an array of C structures as an array."""
-    columns = np.dtype({"names": ["it"], "formats": [dtype], "offsets": [offset], "itemsize": ctypes.sizeof(record)})
-    view: npt.NDArray[Any] = np.frombuffer(records, columns)["it"]
+    columns = np.dtype({"names": ["field"], "formats": [dtype], "offsets": [offset], "itemsize": ctypes.sizeof(record)})
+    view: npt.NDArray[Any] = np.frombuffer(records, columns)["field"]
     return view
 
 

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from bus.device_clock import DeviceClock
 from bus.error_frames import state_of_report
-from bus.protocol import Filter, check_frames, in_time, pad_lengths
+from bus.protocol import Filter, check_frames, in_time, padded
 from bus.reconnecting import ReconnectingLink
 from bus.recvmmsg import DEVICE_STAMPS, SO_RXQ_OVFL, SO_TIMESTAMPING, SO_TIMESTAMPNS, BatchSocket, Received
 from canskin.errors import BusError
@@ -173,9 +173,7 @@ class SocketCanLink(ReconnectingLink):
             If no controller could send a frame.
         """
         check_frames(burst, fd=self._fd)
-        burst = in_time(burst).copy()
-        pad_lengths(burst)
-        rows, lengths = encode(burst)
+        rows, lengths = encode(padded(in_time(burst)))
         sent = 0
         with self._lock:
             while sent < len(rows) and (connection := self._reopened()) is not None:
@@ -259,7 +257,7 @@ def _kernel_filters(filters: Sequence[Filter]) -> bytes:
 
 
 def _require(channel: str, *, fd: bool) -> None:
-    """Check what binding does not check: the interface is up, and carries CAN FD if needed."""
+    """Check that the interface is up, and carries CAN FD if needed: binding checks neither."""
     about = Path("/sys/class/net", channel)
     try:
         up = int((about / "flags").read_text(), 16) & _IFF_UP

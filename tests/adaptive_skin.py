@@ -14,23 +14,10 @@ from dbc.adaptive import coarse_step
 from dbc.contract import Contract
 from skin.layout import Layout, load_layout
 from skin.walsh import grouped_rows, walsh_matrix
+from tests.layouts import ADAPTIVE, buses, layout_toml
 from tests.processes import Processes, free_endpoint
 
-LAYOUT = """
-name = "rest"
-sending = "adaptive"
-[taxels]
-rows = 16
-columns = 32
-[measurement]
-wiring = "board"
-[[bus]]
-name = "left"
-nodes = 8
-[[bus]]
-name = "right"
-nodes = 8
-"""
+LAYOUT = layout_toml(16, 32, **ADAPTIVE, name="rest", bus=buses(8, 8, names=("left", "right")))
 #: Measurements in a row with the same sums, ten a second: longer than the longest refresh.
 AT_REST = 15
 #: Recorded value of the skin's full scale.

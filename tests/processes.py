@@ -8,7 +8,6 @@ import sys
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
-from importlib.resources import files
 from pathlib import Path
 from types import TracebackType
 from typing import Final
@@ -16,21 +15,6 @@ from typing import Final
 import pytest
 
 PATIENCE_S: Final = 240.0
-
-
-def slow_layout(folder: Path, rate_hz: float, identity: str = "window") -> Path:
-    """Write the default skin's layout at a rate that every machine keeps; return its path.
-
-    Nodes take one sample a SYNC, so that sums are exactly those of the sensor's counts.
-    """
-    text = files("skin.layouts").joinpath("default.toml").read_text()
-    for default_hz, slow_hz in ((100.0, rate_hz), (1000.0, rate_hz)):
-        assert f"rate_hz = {default_hz}" in text
-        text = text.replace(f"rate_hz = {default_hz}", f"rate_hz = {slow_hz:.1f}")
-    text = text.replace('identity = "window"', f'identity = "{identity}"')
-    path = folder / f"slow-{identity}.toml"
-    path.write_text(text)
-    return path
 
 
 class Processes:

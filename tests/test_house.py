@@ -103,6 +103,11 @@ def test_no_import_hides_from_the_import_rules() -> None:
     assert not {name: hidden for name, hidden in found.items() if hidden and name not in may}
 
 
+def test_no_test_imports_from_another_test() -> None:
+    among_tests = re.compile(r"^from tests\.[\w.]*\btest_", re.MULTILINE)
+    assert not [path for path in ROOT.glob("tests/**/*.py") if among_tests.search(path.read_text())]
+
+
 @pytest.mark.parametrize(
     "code",
     [

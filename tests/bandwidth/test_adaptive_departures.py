@@ -13,11 +13,10 @@ from dbc.adaptive import check_of, pack_fine
 from dbc.contract import Contract
 from dbc.frame import BRS, ERROR, EXTENDED, FD, REMOTE, Frames, frames
 from dbc.frame_bits import frame_time_ns
-from skin.layout import parse_layout
-from tests.small_layouts import ADAPTIVE_ARM
+from tests.layouts import ADAPTIVE, buses, small_layout
 
 MS = 1_000_000
-CONTRACT = Contract.from_layout(parse_layout(ADAPTIVE_ARM.encode(), "arm.toml"))
+CONTRACT = Contract.from_layout(small_layout(**ADAPTIVE, bus=buses(2, names=["arm"])))
 #: Of node 1: coarse frames of groups 0 and 1 at the highest level, and of group 0 at the lowest; a fine frame.
 COARSE, OTHER, LOWEST, FINE = 0x181, 0x1A1, 0x401, 0x481
 VALUES = bytes([200] * 8)
@@ -156,8 +155,7 @@ def test_sums_have_1024_identifiers_of_which_a_node_owns_every_32nd() -> None:
 
 
 def test_frames_of_sums_have_the_format_of_their_bus() -> None:
-    fast = ADAPTIVE_ARM.replace("nodes = 2", "nodes = 2, fd = true, data_bitrate = 2_000_000")
-    on_fd = Contract.from_layout(parse_layout(fast.encode(), "arm.toml"))
+    on_fd = Contract.from_layout(small_layout(**ADAPTIVE, bus=buses(2, fd=True, data_bitrate=2_000_000)))
     for contract, lengths, flags in ((CONTRACT, (8, 8), 0), (on_fd, (32, 64), FD | BRS)):
         # On CAN FD, coarse identifiers end at 480h, too.
         seen = np.concatenate([one(0, can_id, bytes(64)) for can_id in (0x181, 0x480, 0x481, 0x501)])

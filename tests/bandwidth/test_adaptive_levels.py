@@ -9,10 +9,9 @@ from bandwidth.measured import measure
 from dbc.contract import Contract
 from dbc.frame import Frames, one_frame
 from dbc.frame_bits import wire_bits
-from skin.layout import parse_layout
-from tests.small_layouts import ADAPTIVE_ARM
+from tests.layouts import ADAPTIVE, buses, small_layout
 
-CONTRACT = Contract.from_layout(parse_layout(ADAPTIVE_ARM.encode(), "arm.toml"))
+CONTRACT = Contract.from_layout(small_layout(**ADAPTIVE, bus=buses(2, names=["arm"])))
 ONE, OTHER = b"\x55" * 8, b"\x33" * 8
 
 

@@ -17,6 +17,7 @@ from dbc.frame import BRS, FD, FRAME, Frames, frame_bytes, frames
 from evaluation.schemes.adaptive_bus import ENDED, Record, line_of, run_bus
 from nodes.adaptive.sending import new_groups
 from skin.layout import load_layout
+from tests import layouts
 
 Run = Callable[..., tuple[int, str, str]]
 NODES, TICKS, MS = 32, 3000, 1_000_000
@@ -142,11 +143,7 @@ def test_wrong_input_is_one_line_and_status_2(skin: Run, arguments: list[str], s
 @pytest.mark.heavy
 def test_a_slow_bus_does_not_fit_and_says_how_many_nodes_would(skin: Run, tmp_path: Path) -> None:
     path = tmp_path / "slow.toml"
-    lines = "".join(f'[[bus]]\nname = "b{bus}"\nnodes = 32\nbitrate = 250000\n' for bus in range(4))
-    path.write_text(
-        'sending = "adaptive"\n[taxels]\nrows = 64\ncolumns = 64\npitch_m = 0.004\n[measurement]\nwiring = "board"\n'
-        + lines
-    )
+    path.write_text(layouts.layout_toml(64, 64, **layouts.ADAPTIVE, bus=layouts.buses(*4 * [32], bitrate=250_000)))
     status, out, _ = skin("plan", path)
     assert status == 1
     # 32 nodes x 4 groups x 135 bits of 4 µs.

@@ -15,11 +15,10 @@ from bandwidth.traffic import Disturbance
 from canskin.errors import InputError
 from dbc.contract import Contract
 from dbc.frame import Frames, frames
-from skin.layout import parse_layout
-from tests.small_layouts import ADAPTIVE_ARM
+from tests.layouts import ADAPTIVE, buses, small_layout
 
-LAYOUT = ADAPTIVE_ARM.replace("nodes = 2 }", 'nodes = 1 }, { name = "hand", nodes = 1, bitrate = 250_000 }')
-CONTRACT = Contract.from_layout(parse_layout(LAYOUT.encode(), "arm.toml"))
+BUSES = [{"name": "arm", "nodes": 1}, {"name": "hand", "nodes": 1, "bitrate": 250_000}]
+CONTRACT = Contract.from_layout(small_layout(**ADAPTIVE, bus=BUSES))
 
 
 def test_loads_are_those_of_idle_and_of_busy_groups() -> None:
@@ -80,10 +79,8 @@ def test_times_are_those_of_the_slowest_node() -> None:
 
 def test_a_full_bus_says_how_many_nodes_would_do() -> None:
     """Eight nodes of 4 frames of 5.4 ms on 25 kbit/s: 172.8 ms of frames in a patience of 24 ms."""
-    text = LAYOUT.replace("rows = 8, columns = 8", "rows = 16, columns = 16").partition("bus =")[0]
-    text += 'bus = [{ name = "leg", nodes = 8, bitrate = 25_000 }]\n'
     (full,) = plan_adaptive(
-        Contract.from_layout(parse_layout(text.encode(), "leg.toml")),
+        Contract.from_layout(small_layout(16, 16, **ADAPTIVE, bus=buses(8, names=["leg"], bitrate=25_000))),
         allowed=Disturbance(sdo_per_s=0.0),
         is_touched=False,
     )
@@ -119,8 +116,8 @@ def touch(monkeypatch: pytest.MonkeyPatch) -> Touch:
 
 
 def test_a_touch_of_16_seconds_is_simulated_once_for_buses_that_are_alike(touch: Touch) -> None:
-    text = LAYOUT.replace("columns = 8", "columns = 16").replace("}]", '}, { name = "foot", nodes = 2 }]')
-    contract = Contract.from_layout(parse_layout(text.encode(), "arm.toml"))
+    bus = [*BUSES, {"name": "foot", "nodes": 2}]
+    contract = Contract.from_layout(small_layout(8, 16, **ADAPTIVE, bus=bus))
     plans = plan_adaptive(contract)
     assert sorted(touch.asked) == [(0, 16.0), (1, 16.0)]
     # 34 + 8 bits, 13 of the end, and what stuff bits they have: the same in each of 1000 frames.

@@ -1,23 +1,19 @@
 """Which layouts are compared with a given one, and whose figures are told."""
 
+from typing import Any
+
 import msgspec
 import pytest
 
 from bandwidth.alternatives import Alternative, alternatives, planned, with_bits, with_buses, with_rate, with_sums
 from bandwidth.traffic import Disturbance
 from canskin.errors import LayoutError
-from skin.layout import Layout, load_layout, parse_layout
+from skin.layout import Layout, load_layout
+from tests.layouts import buses, small_layout
 
 #: Eight blocks, one to a node; the second bus has three times the nodes of the first.
-UNEVEN = """
-taxels = { rows = 16, columns = 16 }
-measurement = { sums = 64 }
-bus = [{ name = "left", nodes = 2 }, { name = "right", nodes = 6 }]
-"""
-
-
-def layout_of(text: str) -> Layout:
-    return parse_layout(text.encode(), "palm.toml")
+UNEVEN: dict[str, Any] = {"bus": buses(2, 6, names=("left", "right"))}
+LAYOUT = small_layout(16, 16, **UNEVEN)
 
 
 def changes(layout: Layout) -> list[str]:
@@ -28,30 +24,31 @@ FAST = [f"CAN FD {rate} Mbit/s, {blocks} per node" for blocks in (1, 4) for rate
 
 
 def test_a_layout_is_compared_with_those_that_differ_in_one_key() -> None:
-    assert changes(layout_of(UNEVEN)) == [
+    assert changes(LAYOUT) == [
         "as it is", "4 buses", "12-bit sums", "8-bit sums", "128 sums", "32 sums",
         "2 blocks per node", "4 blocks per node", "8 blocks per node", *FAST,
     ]  # fmt: skip
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "gone", "come"),
+    ("sums", "gone", "come"),
     [
-        ("sums = 64", "sums = 256", {"128 sums", "32 sums"}, {"128 sums"}),
-        ("sums = 64", "sums = 128", {"128 sums", "32 sums"}, {"256 sums", "64 sums"}),
-        ("sums = 64", "sums = 8", {"128 sums", "32 sums"}, {"16 sums"}),
-        ("sums = 64", "sums = 16", {"128 sums", "32 sums"}, {"32 sums", "8 sums"}),
-        ("[{", "[{ blocks_per_node = 1,", set(), set()),
+        (256, {"128 sums", "32 sums"}, {"128 sums"}),
+        (128, {"128 sums", "32 sums"}, {"256 sums", "64 sums"}),
+        (8, {"128 sums", "32 sums"}, {"16 sums"}),
+        (16, {"128 sums", "32 sums"}, {"32 sums", "8 sums"}),
     ],
 )
 def test_sums_are_doubled_up_to_the_taxels_and_halved_down_to_one_a_block(
-    old: str, new: str, gone: set[str], come: set[str]
+    sums: int, gone: set[str], come: set[str]
 ) -> None:
-    assert set(changes(layout_of(UNEVEN.replace(old, new)))) == set(changes(layout_of(UNEVEN))) - gone | come
+    assert (
+        set(changes(small_layout(16, 16, **UNEVEN, measurement={"sums": sums}))) == set(changes(LAYOUT)) - gone | come
+    )
 
 
 def test_narrower_sums_and_bigger_nodes_than_the_given_are_compared() -> None:
-    layout = layout_of(UNEVEN)
+    layout = LAYOUT
     assert {"12-bit sums", "8-bit sums"} & set(changes(with_bits(layout, 12))) == {"8-bit sums"}
     assert {"12-bit sums", "8-bit sums"} & set(changes(with_bits(layout, 8))) == set()
     like = msgspec.structs.replace(layout.bus[0], fd=True, data_bitrate=5_000_000, blocks_per_node=4)
@@ -65,8 +62,8 @@ def test_narrower_sums_and_bigger_nodes_than_the_given_are_compared() -> None:
 
 def test_the_figures_are_those_of_the_fullest_bus_and_the_frames_of_all() -> None:
     """Two TPDOs of 8 bytes a node: 55 + 12 * 135 bits at 100 Hz and six heartbeats of 65 bits on the right bus."""
-    first = next(alternatives(layout_of(UNEVEN)))
-    plans = planned(layout_of(UNEVEN), Disturbance())
+    first = next(alternatives(LAYOUT))
+    plans = planned(LAYOUT, Disturbance())
     assert first == Alternative(
         change="as it is",
         buses=2,
@@ -84,7 +81,7 @@ def test_the_figures_are_those_of_the_fullest_bus_and_the_frames_of_all() -> Non
 
 
 def test_figures_of_each_alternative_are_those_of_its_own_layout() -> None:
-    found = {each.change: each for each in alternatives(layout_of(UNEVEN))}
+    found = {each.change: each for each in alternatives(LAYOUT)}
     told = {name: (each.buses, each.nodes, each.sum_bits, each.frames_per_cycle) for name, each in found.items()}
     assert told["4 buses"] == (4, 8, 16, 4 + 16)
     assert told["12-bit sums"] == (2, 8, 12, 2 + 16)
@@ -101,7 +98,7 @@ def test_figures_of_each_alternative_are_those_of_its_own_layout() -> None:
 
 
 def test_problems_of_all_buses_are_told() -> None:
-    first = next(alternatives(with_rate(layout_of(UNEVEN), 2000.0)))
+    first = next(alternatives(with_rate(LAYOUT, 2000.0)))
     assert first.problem is not None
     left, _, right = first.problem.partition("; right: ")
     # 55 + 4 * 135 bits 2000 times a second, two heartbeats; then 12 TPDOs, six heartbeats.
@@ -112,7 +109,7 @@ def test_problems_of_all_buses_are_told() -> None:
 
 def test_disturbances_lengthen_the_window() -> None:
     calm, rough = (
-        next(alternatives(layout_of(UNEVEN), allowed)).window_needed_ms
+        next(alternatives(LAYOUT, allowed)).window_needed_ms
         for allowed in (Disturbance(jitter_s=0.0), Disturbance(jitter_s=0.5e-3))
     )
     assert calm is not None
@@ -126,7 +123,7 @@ def test_disturbances_lengthen_the_window() -> None:
 def test_nodes_are_divided_evenly_and_buses_without_nodes_are_left_out(
     blocks: int, buses: int, nodes: list[int]
 ) -> None:
-    layout = layout_of(UNEVEN)
+    layout = LAYOUT
     like = msgspec.structs.replace(layout.bus[0], blocks_per_node=blocks, bitrate=250_000)
     made = with_buses(layout, buses, like)
     assert [(bus.name, bus.nodes) for bus in made.bus] == [(f"bus{each}", count) for each, count in enumerate(nodes)]
@@ -135,14 +132,14 @@ def test_nodes_are_divided_evenly_and_buses_without_nodes_are_left_out(
 
 
 def test_a_block_that_is_left_over_has_a_node() -> None:
-    odd = msgspec.structs.replace(layout_of(UNEVEN), taxels=msgspec.structs.replace(load_layout().taxels, columns=10))
+    odd = msgspec.structs.replace(LAYOUT, taxels=msgspec.structs.replace(load_layout().taxels, columns=10))
     assert odd.blocks == 20
     made = with_buses(odd, 2, msgspec.structs.replace(odd.bus[0], blocks_per_node=8))
     assert [bus.nodes for bus in made.bus] == [2, 1]
 
 
 def test_one_key_is_changed_and_nothing_else() -> None:
-    layout = layout_of(UNEVEN)
+    layout = LAYOUT
     for made, table, key, value in (
         (with_bits(layout, 12), "encoding", "sum_bits", 12),
         (with_sums(layout, 32), "measurement", "sums", 32),
@@ -154,6 +151,6 @@ def test_one_key_is_changed_and_nothing_else() -> None:
 
 
 def test_a_layout_that_a_program_has_built_is_checked() -> None:
-    assert [each.name for each in planned(layout_of(UNEVEN), Disturbance())] == ["left", "right"]
+    assert [each.name for each in planned(LAYOUT, Disturbance())] == ["left", "right"]
     with pytest.raises(LayoutError, match="sums"):
-        planned(with_sums(layout_of(UNEVEN), 512), Disturbance())
+        planned(with_sums(LAYOUT, 512), Disturbance())

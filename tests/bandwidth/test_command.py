@@ -16,6 +16,7 @@ import pytest
 from bandwidth.scheme_rates import schemes
 from dbc.contract import Contract
 from skin.layout import load_layout, parse_layout
+from tests.layouts import buses, layout_toml
 
 # The arguments stand where the command finds them, in sys.argv.
 pytestmark = pytest.mark.filterwarnings("ignore:Cyclopts application invoked without tokens")
@@ -96,7 +97,7 @@ def test_both_states_of_nodes_have_a_table(skin: Skin) -> None:
 @pytest.mark.heavy
 def test_a_layout_that_does_not_fit_ends_with_1_and_says_why(skin: Skin, tmp_path: Path) -> None:
     path = tmp_path / "fast.toml"
-    path.write_text('[sync]\nrate_hz = 150.0\n[[bus]]\nname = "a"\nnodes = 64\n[[bus]]\nname = "b"\nnodes = 64\n')
+    path.write_text(layout_toml(64, 64, sync={"rate_hz": 150.0}, bus=buses(64, 64)))
     status, out, _ = skin("plan", path)
     assert status == 1
     assert "bits a second are missing" in " ".join(out.split())

@@ -10,7 +10,7 @@ from bandwidth.traffic import Disturbance
 from dbc.contract import Contract
 from dbc.frame import ERROR, EXTENDED, REMOTE, Frames, frames
 from skin.layout import load_layout
-from tests.identity import alternating
+from tests.layouts import alternating
 
 MS = 1_000_000
 WINDOW = Contract.from_layout(load_layout())

@@ -17,8 +17,8 @@ from bus.simulated_bus import SimulatedBus
 from canskin.errors import InputError
 from dbc.contract import Contract
 from dbc.frame import BRS, ERROR, EXTENDED, FD, REMOTE, Frames, frames
-from skin.layout import load_layout, parse_layout
-from tests.identity import alternating
+from skin.layout import Layout, load_layout
+from tests.layouts import alternating, buses, small_layout
 
 CYCLES = 200
 PERIOD_NS = 10_000_000
@@ -208,22 +208,23 @@ def test_any_frames_are_compared_or_refused(
 def test_can_fd_frames_on_a_classic_bus_are_refused(contract: Contract, planned: BusPlan, healthy: Frames) -> None:
     with pytest.raises(InputError, match=r"bus1: the layout has classic CAN there, but 1 of \d+ frames are CAN FD"):
         measure(contract, 1, put(700, 0x181, FD)(healthy), planned)
-    slow = Contract.from_layout(parse_layout(b'[[bus]]\nname = "a"\nnodes = 32\nblocks_per_node = 4\nfd = true', "x"))
+    slow = Contract.from_layout(small_layout(64, 64, bus=buses(32, names=["a"], blocks_per_node=4, fd=True)))
     with pytest.raises(InputError, match="a: the layout has CAN FD without a data bit rate there"):
         measure(slow, 0, put(700, 0x181, FD | BRS)(healthy), planned)
 
 
 def test_frames_of_another_layout_are_noticed(contract: Contract, planned: BusPlan, healthy: Frames) -> None:
-    def said(layout: str, seen: Frames) -> str:
-        other = Contract.from_layout(parse_layout(layout.encode(), "x"))
+    def said(layout: Layout, seen: Frames) -> str:
+        other = Contract.from_layout(layout)
         return " ".join(misfits(other, 0, seen, measure(other, 0, seen, planned)))
 
     assert misfits(contract, 1, healthy, measure(contract, 1, healthy, planned)) == []
-    few = '[taxels]\nrows = 16\ncolumns = 16\n[measurement]\nsums = 64\n[[bus]]\nname = "a"\nnodes = 8\n'
-    assert "identifiers that the layout does not plan; is 'skin' the layout of this skin?" in said(few, healthy)
-    narrow = "[encoding]\nsum_bits = 12\n" + "".join(f'[[bus]]\nname = "b{n}"\nnodes = 32\n' for n in range(4))
+    assert "identifiers that the layout does not plan; is 'skin' the layout of this skin?" in said(
+        small_layout(16, 16), healthy
+    )
+    narrow = small_layout(64, 64, encoding={"sum_bits": 12})
     assert "TPDOs have another length or format" in said(narrow, healthy)
-    slow = "".join(f'[[bus]]\nname = "b{n}"\nnodes = 32\nbitrate = 500000\n' for n in range(4))
+    slow = small_layout(64, 64, bus=buses(*4 * [32], bitrate=500_000))
     assert "more than a bus carries: its bit rate is not the layout's 500000" in said(slow, healthy)
 
 

@@ -1,5 +1,6 @@
 """Plans: published rates, the arbitrated bus as judge, and what is said when something does not fit."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import msgspec
@@ -18,7 +19,7 @@ from nodes.electronics import Electronics
 from skin.layout import SHIPPED, Layout, layout_text, load_layout, parse_layout
 from skin.sources import load_source
 from skin.sync_counter import SYNC_OVERFLOW
-from tests.identity import alternating
+from tests.layouts import alternating, buses, small_layout
 
 #: Shipped layouts whose nodes send in every cycle; `test_adaptive_logs` plans the other.
 IN_CYCLES = [name for name in SHIPPED if load_layout(Path(name), adaptive=True).sending == "synchronous"]
@@ -60,8 +61,7 @@ def test_a_plan_is_that_of_its_frames() -> None:
     From SYNC: 1 ms of jitter, a frame on its way, SYNC, TPDOs in their order. An SDO response waits for the request on
     its way, SYNC and TPDOs; a heartbeat for both SDO frames and the other heartbeat, too.
     """
-    layout = "taxels = { rows = 8, columns = 8 }\nmeasurement = { sums = 16 }\nbus = [{ name = 'arm', nodes = 2 }]\n"
-    contract = Contract.from_layout(parse_layout(layout.encode(), "arm.toml"))
+    contract = Contract.from_layout(small_layout(bus=buses(2, names=["arm"])))
     planned = plan_bus(contract, 0, np.array([500.0, 0.0]), Disturbance())
     assert (planned.name, planned.nodes, planned.bitrate, planned.data_bitrate) == ("arm", 2, 1_000_000, None)
     assert (planned.frames_per_cycle, planned.bits_per_cycle_worst, planned.bits_per_cycle_touched) == (5, 595, 551.0)
@@ -199,32 +199,20 @@ def test_an_impossible_alternative_names_the_key() -> None:
     assert "no identifiers left" in first.problem
 
 
-FEW = """
-name = "few"
-[taxels]
-rows = 16
-columns = 16
-adc_bits = 16
-[measurement]
-rows = [[0, 0], [1, 1]]
-[[bus]]
-name = "left"
-nodes = 4
-[[bus]]
-name = "right"
-nodes = 4
-"""
+def few(rows: Sequence[Sequence[int]] = ((0, 0), (1, 1)), **of_buses: int) -> Layout:
+    bus = buses(*2 * [4 // of_buses.get("blocks_per_node", 1)], names=("left", "right"), **of_buses)
+    return small_layout(16, 16, taxels={"adc_bits": 16}, measurement={"rows": rows}, bus=bus)
 
 
 def test_a_bus_whose_nodes_send_no_sums_has_heartbeats_alone_and_no_problem() -> None:
-    left, right = plan(Contract.from_layout(parse_layout(FEW.encode(), "few")))
+    left, right = plan(Contract.from_layout(few()))
     assert (left.problems, right.problems) == ([], [])
     assert [(each.node_id, each.frames_per_cycle) for each in left.node_plans] == [(1, 1), (2, 1)]
     assert (right.node_plans, right.frames_per_cycle) == ([], 1)  # SYNC
 
 
 def test_named_rows_have_no_alternative_with_other_sums() -> None:
-    layout = parse_layout(FEW.encode(), "few")
+    layout = few()
     assert {each.problem for each in alternatives(layout)} == {None}
 
 
@@ -235,19 +223,15 @@ def test_conversions_of_a_node_are_those_of_its_taxels_or_of_its_analogue_sums()
 
 def test_a_node_converts_the_taxels_of_blocks_that_send() -> None:
     """Nodes of two blocks of 32 taxels, and a SYNC rate of 100 Hz."""
-    pairs = FEW.replace("nodes = 4", "nodes = 2\nblocks_per_node = 2")
     rates = [
-        wiring(parse_layout(pairs.replace("[[0, 0], [1, 1]]", rows).encode(), "few")).conversions_per_s
-        for rows in ("[[0, 0]]", "[[0, 0], [2, 2]]", "[[0, 0], [1, 1]]")
+        wiring(few(rows, blocks_per_node=2)).conversions_per_s
+        for rows in ([[0, 0]], [[0, 0], [2, 2]], [[0, 0], [1, 1]])
     ]
     assert rates == [32 * 100, 32 * 100, 64 * 100]
 
 
 def test_blocks_that_send_no_sum_need_no_wires() -> None:
     """Rows of one block and of two: a chain each."""
-    one, two = (
-        wiring(parse_layout(FEW.replace("[[0, 0], [1, 1]]", rows).encode(), "few"))
-        for rows in ("[[0, 0], [0, 1]]", "[[0, 0], [1, 1]]")
-    )
+    one, two = (wiring(few(rows)) for rows in ([[0, 0], [0, 1]], [[0, 0], [1, 1]]))
     assert one.wires_m == one.longest_chain_m
     assert two.wires_m > two.longest_chain_m

@@ -10,16 +10,14 @@ from bus.simulated_bus import SimulatedBus
 from canskin.errors import InputError
 from dbc.contract import Contract
 from dbc.frame import frames
-from skin.layout import load_layout, parse_layout
+from skin.layout import Layout, load_layout
+from tests.layouts import buses, small_layout
 
 
-def skin(nodes: list[int], rate_hz: float, bits: int) -> bytes:
+def skin(nodes: list[int], rate_hz: float, bits: int = 16, identity: str = "alternating") -> Contract:
     """One block of 8 sums per node; what the first bus leaves of 128 blocks is on a second."""
-    buses = [f'[[bus]]\nname = "bus{i}"\nnodes = {each}\n' for i, each in enumerate(nodes)]
-    return (
-        f'[sync]\nrate_hz = {rate_hz}\nidentity = "alternating"\n[encoding]\nsum_bits = {bits}\n'.encode()
-        + "".join(buses).encode()
-    )
+    sync = {"rate_hz": rate_hz, "identity": identity}
+    return Contract.from_layout(small_layout(64, 64, sync=sync, encoding={"sum_bits": bits}, bus=buses(*nodes)))
 
 
 @pytest.mark.parametrize(
@@ -36,7 +34,7 @@ def skin(nodes: list[int], rate_hz: float, bits: int) -> bytes:
 def test_published_table(
     nodes: list[int], bits: int, period_ms: float, worst: float, plain_ms: float, error_ms: float, sdo_ms: float
 ) -> None:
-    contract = Contract.from_layout(parse_layout(skin(nodes, 1000 / period_ms, bits), "table"))
+    contract = skin(nodes, 1000 / period_ms, bits)
     streams = traffic(contract, 0)
     assert (streams.worst_ns / streams.period_s).sum() * 1e-9 == pytest.approx(worst, rel=0.01)
     plain, disturbed = streams.responses_ns() * 1e-6, streams.responses_ns(100.0) * 1e-6
@@ -95,16 +93,13 @@ def released(streams: Traffic, random: np.random.Generator, time_ns: int, *, fir
 
 
 #: Three nodes of two TPDOs with 8 bytes, TIME every minute.
-SMALL = b"""
-taxels = { rows = 8, columns = 16 }
-measurement = { sums = 32 }
-sync = { rate_hz = 20.0, time_s = 60.0 }
-bus = [{ name = "arm", nodes = 3 }, { name = "hand", nodes = 1 }]
-"""
+def small_layout_with_time(identity: str = "window") -> Layout:
+    sync = {"rate_hz": 20.0, "time_s": 60.0, "identity": identity}
+    return small_layout(8, 16, sync=sync, bus=buses(3, 1, names=("arm", "hand")))
 
 
 def small(allowed: Disturbance | None = None) -> Traffic:
-    return traffic(Contract.from_layout(parse_layout(SMALL, "small")), 0, allowed=allowed)
+    return traffic(Contract.from_layout(small_layout_with_time()), 0, allowed=allowed)
 
 
 def test_each_stream_has_its_sender_its_period_and_its_jitter() -> None:
@@ -138,8 +133,7 @@ def test_without_sdo_transfers_there_are_none() -> None:
 def test_the_response_to_the_last_node_id_is_an_sdo_response() -> None:
     """0x580 + 1 is the first of all nodes, 0x580 + 127 the last."""
     for nodes, can_id in ((1, 0x581), (127, 0x5FF)):
-        text = skin([nodes, 128 - nodes], 1.0, 16).decode().replace("alternating", "window")
-        streams = traffic(Contract.from_layout(parse_layout(text.encode(), "table")), 0)
+        streams = traffic(skin([nodes, 128 - nodes], 1.0, identity="window"), 0)
         assert streams.frames["can_id"][streams.is_sdo_response].tolist() == [can_id]
 
 
@@ -157,8 +151,7 @@ def test_a_response_waits_for_what_is_more_urgent_and_one_frame_on_its_way() -> 
 
 @pytest.mark.parametrize(("identity", "jitter_s"), [("window", 1e-3), ("alternating", 100e-6)])
 def test_stock_boards_answer_within_a_millisecond_and_others_at_once(identity: str, jitter_s: float) -> None:
-    text = SMALL.decode().replace("rate_hz", f"identity = '{identity}', rate_hz")
-    layout = parse_layout(text.encode(), "small")
+    layout = small_layout_with_time(identity)
     assert Disturbance().of(layout) == Disturbance(jitter_s=jitter_s, sdo_per_s=20.0, errors_per_s=0.0)
     given = Disturbance(jitter_s=0.0, errors_per_s=3.0)
     assert given.of(layout) is given

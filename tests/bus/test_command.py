@@ -4,10 +4,15 @@ import json
 import signal
 import subprocess
 import sys
+from typing import Any
 
 import pytest
 
-from tests.bus.harness import PATIENCE_S, burst, collect, linked
+from bus.arbitrated import ArbitratedLink
+from bus.command import bus
+from bus.protocol import Hello, Welcome
+from canskin.errors import InputError
+from tests.bus.harness import PATIENCE_S, burst, collect
 
 
 def start(*arguments: str) -> subprocess.Popen[str]:
@@ -18,13 +23,17 @@ def start(*arguments: str) -> subprocess.Popen[str]:
 @pytest.mark.heavy
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
 def test_it_says_that_it_is_ready_carries_frames_and_ends_quietly(how: int) -> None:
-    process = start("left", "right", "--fault", "controller=a:*,loss_ratio=1", "--json")
+    rates = "--bitrate", "500000", "--data-bitrate", "0", "--clock", "virtual", "--queue-size", "10"
+    process = start("left", "right", *rates, "--fault", "controller=a:*,loss_ratio=1", "--json")
     try:
         assert process.stderr is not None
-        assert process.stderr.readline() == "bus: ready: left, right at 1000000 bit/s\n"
-        with linked("a", "b", channel="right") as (a, _):
-            a.send(burst(range(10)))
-            collect(a, 10)
+        assert process.stderr.readline() == "bus: ready: left, right at 500000 bit/s\n"
+        a, b = (ArbitratedLink("right", Hello(name=name, bitrate=500_000)) for name in "ab")
+        assert a.welcome == Welcome(bitrate=500_000, data_bitrate=None, virtual_clock=True, queue_size=10)
+        a.send(burst(range(10)))
+        collect(a, 10)
+        a.close()
+        b.close()
         process.send_signal(how)
         out, said = process.communicate(timeout=PATIENCE_S)
     finally:
@@ -37,22 +46,30 @@ def test_it_says_that_it_is_ready_carries_frames_and_ends_quietly(how: int) -> N
 
 
 @pytest.mark.heavy
+def test_wrong_input_is_one_line_and_status_2() -> None:
+    process = start("--data-bitrate", "1000")
+    out, said = process.communicate(timeout=PATIENCE_S)
+    assert (process.returncode, out, said.count("\n")) == (2, "", 1)
+    assert "1000000 (the bit rate) to 8000000 bit/s, or 0 for no CAN FD" in said
+
+
 @pytest.mark.parametrize(
-    ("arguments", "what"),
+    ("options", "what"),
     [
-        (["--bitrate", "1"], "bit rate of 10000 to 1000000 bit/s"),
-        (["--data-bitrate", "1000"], "1000000 (the bit rate) to 8000000 bit/s, or 0 for no CAN FD"),
-        (["--fault", "lost=1"], "loss_ratio"),
-        (["--queue-size", "0"], "queue"),
-        (["--restart-s", "nan"], "restart after 0 to 3600 s"),
-        (["--restart-s", "inf"], "restart after 0 to 3600 s"),
-        (["a/b"], "cannot name a bus"),
+        ({"bitrate": 9_999}, "bit rate of 10000 to 1000000 bit/s"),
+        ({"bitrate": 1_000_001}, "bit rate of 10000 to 1000000 bit/s"),
+        ({"bitrate": 500_000, "data_bitrate": 499_999}, "a data bit rate of 500000"),
+        ({"data_bitrate": 8_000_001}, "to 8000000 bit/s, or 0"),
+        ({"data_bitrate": -1}, "to 8000000 bit/s, or 0"),
+        ({"queue_size": 0}, "a queue of 1 or more frames"),
+        ({"restart_s": -0.001}, "restart after 0 to 3600 s"),
+        ({"restart_s": 3600.001}, "restart after 0 to 3600 s"),
+        ({"restart_s": float("nan")}, "restart after 0 to 3600 s"),
+        ({"fault": ["lost=1"]}, "loss_ratio"),
+        ({"channels": ["a/b"]}, "cannot name a bus"),
     ],
 )
-def test_wrong_input_is_one_line_and_status_2(arguments: list[str], what: str) -> None:
-    process = start(*arguments)
-    out, said = process.communicate(timeout=PATIENCE_S)
-    assert process.returncode == 2
-    assert out == ""
-    assert what in said
-    assert said.count("\n") == 1
+def test_options_that_no_bus_can_have_are_refused(options: dict[str, Any], what: str) -> None:
+    with pytest.raises(InputError) as refused:
+        bus(**options)
+    assert what in str(refused.value)

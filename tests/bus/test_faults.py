@@ -9,7 +9,6 @@ from bus.faults import Fault, FaultSchedule, parse_fault
 from bus.outbox import DISCARDED, OTHERS, OWNER
 from bus.simulated_bus import SimulatedBus
 from canskin.errors import InputError
-from dbc.frame import ERROR
 from dbc.frame_bits import wire_bits
 from tests.bus.harness import burst, frame
 
@@ -69,24 +68,6 @@ def test_rules_aim_at_controllers_and_identifiers() -> None:
 def test_a_rule_of_a_mask_alone_aims_at_identifiers_without_these_bits() -> None:
     book = FaultSchedule([Fault(mask=0x780, loss_ratio=1.0)])
     assert [book.odds("a:0", can_id).loss for can_id in (0x000, 0x07F, 0x080, 0x181)] == [1, 1, 0, 0]
-
-
-def test_rules_that_are_replaced_no_longer_hold() -> None:
-    book = FaultSchedule([Fault(loss_ratio=1.0)])
-    assert book.odds("a:0", 0x100).loss == 1
-    book.replace([])
-    assert book.odds("a:0", 0x100).loss == 0
-
-
-def test_a_duplicate_costs_the_wire_and_is_echoed_once() -> None:
-    bus = SimulatedBus(faults=[Fault(duplicate_ratio=1.0)])
-    one, _ = bus.attach("one"), bus.attach("two")
-    bus.submit(one, burst([0x100]), 0)
-    events = bus.run_until()
-    plain = events.frames["flags"] & ERROR == 0
-    assert (events.audience[plain] & OTHERS != 0).sum() == 2
-    assert (events.audience[plain] & OWNER != 0).sum() == 1
-    assert bus.counts.transmitted == bus.counts.duplicated == 1
 
 
 def test_a_delayed_frame_is_overtaken() -> None:

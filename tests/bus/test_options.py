@@ -8,13 +8,12 @@ import pytest
 from bus import options
 from bus.options import BusOptions, channels, open_links
 from canskin.errors import InputError
-from skin.layout import Layout, parse_layout
+from skin.layout import Layout
+from tests.layouts import buses, small_layout
 
 
-def layout_of(*buses: str) -> Layout:
-    taxels = f"[taxels]\nrows = 8\ncolumns = {16 * len(buses)}\n[measurement]\nblock_size = 32\n"
-    taxels += f"sums = {16 * len(buses)}\n"
-    return parse_layout((taxels + "".join(f'[[bus]]\nname = "{bus}"\nnodes = 4\n' for bus in buses)).encode(), "palm")
+def layout_of(*names: str) -> Layout:
+    return small_layout(8, 16 * len(names), bus=buses(*[4] * len(names), names=names))
 
 
 @pytest.mark.parametrize(

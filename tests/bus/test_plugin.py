@@ -32,6 +32,7 @@ def test_python_can_finds_the_interface_by_its_name() -> None:
         {"arbitration_id": 0x700, "is_remote_frame": True, "dlc": 1, "is_extended_id": False},
         {"arbitration_id": 0x181, "data": bytes(range(64)), "is_fd": True, "bitrate_switch": True},
         {"arbitration_id": 0x181, "data": bytes(12), "is_fd": True, "error_state_indicator": True},
+        {"arbitration_id": 0x181, "timestamp": 1e10, "is_extended_id": False},  # is sent at once all the same
     ],
 )
 def test_messages_arrive_as_they_were_sent(options: dict[str, object]) -> None:
@@ -71,7 +72,8 @@ def test_own_messages_and_filters() -> None:
 
 
 def test_a_full_queue_raises_and_a_timeout_waits_for_room() -> None:
-    with serving("bus0", queue_size=4), open_bus() as one, open_bus():
+    with serving("bus0", queue_size=4, data_bitrate=None), open_bus() as one, open_bus() as two:
+        two.send(can.Message(arbitration_id=0x701, is_extended_id=False))
         message = can.Message(arbitration_id=0x181, is_extended_id=False, data=bytes(8))
         for _ in range(4):
             one.send(message)
@@ -79,6 +81,11 @@ def test_a_full_queue_raises_and_a_timeout_waits_for_room() -> None:
             one.send(message)
         for _ in range(50):
             one.send(message, timeout=PATIENCE_S)
+        got = one.recv(PATIENCE_S)  # what comes while a sender waits is kept
+        assert got is not None
+        assert got.arbitration_id == 0x701
+        with pytest.raises(can.CanOperationError, match="CAN FD on a classical link"):
+            one.send(can.Message(arbitration_id=1, is_extended_id=False, is_fd=True))
 
 
 def test_error_frames_and_states() -> None:
@@ -102,6 +109,8 @@ def test_error_frames_and_states() -> None:
 def test_a_bus_that_is_gone_raises_and_nothing_hangs() -> None:
     with serving("bus0"):
         one = open_bus()
+        with pytest.raises(can.CanInitializationError, match="it runs at 1000000 bit/s, not 500000"):
+            open_bus(bitrate=500_000)
     try:
         with pytest.raises(can.CanOperationError, match="gone"):
             one.recv(PATIENCE_S)
@@ -109,6 +118,7 @@ def test_a_bus_that_is_gone_raises_and_nothing_hangs() -> None:
             one.send(can.Message(arbitration_id=1, is_extended_id=False))
         assert one.state is can.BusState.ERROR
     finally:
+        one.shutdown()
         one.shutdown()
     with pytest.raises(can.CanOperationError, match="shut down"):
         one.recv(0.0)

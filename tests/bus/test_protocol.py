@@ -15,7 +15,7 @@ from bus.protocol import (
     check_frames,
     in_time,
     pack,
-    pad_lengths,
+    padded,
     socket_path,
     unpack,
     unpack_frames,
@@ -123,8 +123,9 @@ def test_lengths_of_can_fd_alone_are_rounded_up() -> None:
     sent = np.concatenate(
         [frame(1, bytes(n), FD) for n in (7, 8, 9, 13, 17, 21, 25, 33, 49, 64)] + [frame(1, bytes(5))]
     )
-    pad_lengths(sent)
-    assert sent["length"].tolist() == [7, 8, 12, 16, 20, 24, 32, 48, 64, 64, 5]
+    before = sent.tobytes()
+    assert padded(sent)["length"].tolist() == [7, 8, 12, 16, 20, 24, 32, 48, 64, 64, 5]
+    assert sent.tobytes() == before
 
 
 def test_frames_before_the_first_that_is_late_are_in_time(monkeypatch: pytest.MonkeyPatch) -> None:

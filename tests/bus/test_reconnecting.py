@@ -57,12 +57,3 @@ def test_a_lost_socket_is_opened_again_but_not_at_once(link: PairLink, monkeypat
     assert link._reopened() is not None
     link._dropped = 2
     assert (link.state, link.dropped) == (State.ACTIVE, 5)
-
-
-def test_a_closed_link_stays_closed(link: PairLink) -> None:
-    held = link._reopened()
-    assert held is not None
-    link.close()
-    link._lose(held)
-    assert link._reopened() is None
-    assert len(link.others) == 1

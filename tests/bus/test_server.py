@@ -173,6 +173,20 @@ def test_lost_frames_are_counted() -> None:
     assert len(arrived) == 200 - counts.lost
 
 
+def test_each_bus_has_faults_of_its_own() -> None:
+    with (
+        serving("bus0", "bus1", faults=[Fault(loss_ratio=1.0)]) as server,
+        linked("a", "b") as (a, b),
+        linked("c", "d", channel="bus1") as (c, _),
+    ):
+        a.set_faults([])  # type: ignore[attr-defined]
+        for link in (a, c):
+            link.send(burst(range(10)))
+            collect(link, 10)
+        assert len(collect(b, 10)) == 10
+        assert [bus.counts.lost for bus in server.buses.values()] == [0, 10]
+
+
 def test_a_virtual_clock_counts_time_without_spending_it() -> None:
     with serving("bus0", virtual_clock=True), linked("a", "b") as (a, b):
         a.send(np.concatenate([frame(0x080, b"\x01", time_ns=k * 3_600_000_000_000) for k in range(1, 25)]))
@@ -219,29 +233,38 @@ def test_garbage_disconnects_its_sender_alone(garbage: bytes) -> None:
         assert collect(other, 1)["can_id"][0] == 0x123
 
 
-@pytest.mark.parametrize(
-    ("bad", "what"),
-    [
-        (frame(0x800), "identifier"),
-        (frame(0x20000000, flags=EXTENDED), "identifier"),
-        (frame(1, flags=ERROR), "receiver"),
-        (frame(1, bytes(9)), "8 bytes"),
-        (frame(1, flags=BRS), "without FD"),
-        (frame(1, port=256), "a port above 255"),
-        (frame(1, time_ns=2**63 - 1), "start time"),
-    ],
-)
-def test_a_link_refuses_frames_that_cannot_be_sent(bad: np.ndarray, what: str) -> None:
-    with serving("bus0"), linked("a") as (a,), pytest.raises(InputError, match=what):
-        a.send(np.concatenate([frame(5), bad]))
+def test_a_client_that_breaks_the_protocol_is_named_in_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    with serving("bus0"), socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as bad:
+        bad.settimeout(PATIENCE_S)
+        bad.connect(str(socket_path("bus0")))
+        for packet in (pack(Kind.HELLO, b'{"name":"bad"}'), pack(Kind.WELCOME)):
+            bad.send(packet)
+        while bad.recv(1000):
+            pass
+    assert capsys.readouterr().err == "bus: bus0: client 'bad' disconnected: a packet of kind 2\n"
 
 
-def test_another_data_rate_is_refused() -> None:
-    with (
-        serving("bus0", data_bitrate=5_000_000),
-        pytest.raises(BusError, match="its data rate is 5000000 bit/s, not 2000000"),
-    ):
-        open_link("canskin", "bus0", 1_000_000, fd=True, data_bitrate=2_000_000)
+def test_the_number_of_clients_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("bus.server.MAX_CLIENTS", 2)
+    with serving("bus0"), linked("a") as (a,):
+        with linked("b"), pytest.raises(BusError, match="more than 2 clients"):
+            open_link("canskin", "bus0", 1_000_000)
+        with linked("c") as (c,):
+            a.send(frame(0x181))
+            assert collect(c, 1)["can_id"].tolist() == [0x181]
+
+
+def test_a_link_refuses_frames_that_cannot_be_sent() -> None:
+    with serving("bus0"), linked("a") as (a,), pytest.raises(InputError, match="identifier"):
+        a.send(np.concatenate([frame(5), frame(0x800)]))
+
+
+def test_another_data_rate_is_refused_where_can_fd_is_used() -> None:
+    with serving("bus0", data_bitrate=5_000_000):
+        with linked("classic", data_bitrate=2_000_000):
+            pass
+        with pytest.raises(BusError, match="its data rate is 5000000 bit/s, not 2000000"):
+            open_link("canskin", "bus0", 1_000_000, fd=True, data_bitrate=2_000_000)
 
 
 def test_wrong_rates_and_missing_buses_are_one_line() -> None:
@@ -299,6 +322,7 @@ def test_a_killed_process_is_noticed_and_a_new_one_is_found() -> None:
         with linked("a", "b") as (a, b):
             a.send(frame(0x181))
             collect(b, 1)
+            a.send(burst(range(200)))  # the new process knows nothing of them
             first.kill()
             first.wait()
             await_state(a, State.LOST)
@@ -309,8 +333,8 @@ def test_a_killed_process_is_noticed_and_a_new_one_is_found() -> None:
             try:
                 await_state(a, State.ACTIVE)
                 await_state(b, State.ACTIVE)
-                a.send(frame(0x182))
-                assert collect(b, 1)["can_id"][-1] == 0x182
+                assert a.send(burst(range(0x100, 0x200))) == 256
+                assert collect(b, 256)["can_id"][-1] == 0x1FF
             finally:
                 second.send_signal(signal.SIGTERM)
                 said = second.communicate(timeout=PATIENCE_S)[1]

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from bus.arbitration import clash_bits
 from bus.outbox import DISCARDED, OTHERS, OWNER
 from bus.simulated_bus import SimulatedBus
 from dbc.frame import BRS, EXTENDED, FD, FRAME, REMOTE, Frames
@@ -192,3 +193,19 @@ def test_records_keep_everything_but_time(count: int) -> None:
     got["time_ns"] = 0
     assert got.dtype == FRAME
     assert got.tobytes() == sent.tobytes()
+
+
+@pytest.mark.parametrize(
+    ("other", "bits"),
+    [
+        (frame(0x100, b"\x01\x02\x03"), None),
+        (frame(0x100, b"\x01\x02\x04"), 19 + 2 * 8),
+        (frame(0x100, b"\x00\x02\x03"), 19),
+        (frame(0x100, b"\x01\x02\x03\x00"), 19),  # another DLC
+        (frame(0x100, b"\x01\x02\x03", FD), 19),
+    ],
+)
+def test_equal_identifiers_clash_where_the_frames_differ(other: Frames, bits: int | None) -> None:
+    one = frame(0x100, b"\x01\x02\x03")
+    assert clash_bits(np.concatenate([one, other])) == bits
+    assert clash_bits(np.concatenate([one, one, other])) == bits

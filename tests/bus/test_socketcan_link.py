@@ -214,27 +214,26 @@ def test_socket_that_cannot_be_bound_is_closed_and_says_what_to_do(kernel: Kerne
 
 
 @pytest.mark.parametrize(
-    ("flags", "mtu", "fd", "number"),
+    ("flags", "mtu", "fd", "words"),
     [
-        ("0x40080", "16", False, errno.ENETDOWN),
-        ("0x40081", "16", True, errno.EMSGSIZE),
+        ("0x40080", "16", False, "it is down"),
+        ("0x40081", "16", True, "it carries no CAN FD"),
         ("0x40081", "16", False, None),
         ("0x40081", "72", True, None),
-        ("0x40080", "72", True, errno.ENETDOWN),
+        ("0x40080", "72", True, "it is down"),
     ],
 )
 def test_interface_that_is_down_or_without_fd_is_found(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, flags: str, mtu: str, fd: bool, number: int | None
+    kernel: Kernel, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, flags: str, mtu: str, fd: bool, words: str | None
 ) -> None:
     about = tmp_path / "can7"
     about.mkdir()
     (about / "flags").write_text(flags + "\n")
     (about / "mtu").write_text(mtu + "\n")
-    monkeypatch.setattr(socketcan, "Path", lambda folder, name: tmp_path / name if folder == "/sys/class/net" else None)
-    socketcan._require("none", fd=fd)  # binding will tell
-    if number is None:
-        socketcan._require("can7", fd=fd)
-        return
-    with pytest.raises(OSError, match=r"interface") as caught:
-        socketcan._require("can7", fd=fd)
-    assert caught.value.errno == number
+    monkeypatch.setattr(socketcan, "Path", lambda _folder, *names: tmp_path.joinpath(*names))
+    if words is not None:
+        with pytest.raises(BusError, match=words):
+            SocketCanLink("can7", fd=fd)
+    else:
+        SocketCanLink("can7", fd=fd).close()
+        assert kernel.bound == [("can7",)]

@@ -14,13 +14,15 @@ from canskin.sums import doubtful_taxels
 from dbc.contract import Contract
 from skin.frontend import sum_step_n
 from skin.measured_sums import decode_adaptive
-from tests.adaptive_messages import LAYOUT, PHI, adaptive_measurement
 from tests.calibration.skins import pressed
+from tests.layouts import ADAPTIVE_SKIN
+from tests.messages import adaptive_measurement
 
-LAW, IS_MEAN = Contract.from_layout(LAYOUT).law, PHI.row_of_sum == 0
+PHI = ADAPTIVE_SKIN.phi()
+LAW, IS_MEAN = Contract.from_layout(ADAPTIVE_SKIN).law, PHI.row_of_sum == 0
 KNEE_N = np.where(IS_MEAN, LAW.mean_knee_n, LAW.knee_n)
 SLOPE = np.where(IS_MEAN, LAW.mean_slope, LAW.slope)
-NEWTON_PER_COUNT = LAYOUT.taxels.newton_per_count
+NEWTON_PER_COUNT = ADAPTIVE_SKIN.taxels.newton_per_count
 Force = npt.NDArray[np.float64]
 NOTHING, WEIGHT, OTHER = np.zeros(PHI.shape[1]), pressed(20, 20, 9, 0.005), pressed(44, 40, 7, 0.008)
 
@@ -29,7 +31,7 @@ class Skin:
     """A skin that sends coarse codes, with noise where something touches."""
 
     def __init__(self, *, tares: bool = True) -> None:
-        self.made, self._time_s = Calibrator(LAYOUT, tares=tares), 0.0
+        self.made, self._time_s = Calibrator(ADAPTIVE_SKIN, tares=tares), 0.0
         self._random = np.random.default_rng(0)
 
     def run(self, seconds: float, force: Force | Callable[[float], Force], valid: bytes = b"") -> Measurement:
@@ -39,7 +41,7 @@ class Skin:
             sums_n = PHI.forward(force_n + np.where(force_n > 0, self._random.normal(0, 1e-4, force_n.size), 0))
             coded_n = KNEE_N * np.sinh(np.round(SLOPE * np.arcsinh(sums_n / KNEE_N)) / SLOPE)
             came = msgspec.structs.replace(
-                adaptive_measurement(NOTHING, layout=LAYOUT, sampled_mono_ns=round(1e9 * self._time_s)),
+                adaptive_measurement(NOTHING, layout=ADAPTIVE_SKIN, sampled_mono_ns=round(1e9 * self._time_s)),
                 sums=np.rint(coded_n / NEWTON_PER_COUNT).astype("<i4").tobytes(),
             )
             came = msgspec.structs.replace(came, valid=valid or came.valid)
@@ -55,7 +57,7 @@ def picture_n(measurement: Measurement) -> Force:
 
 
 def test_the_step_of_a_sum_is_that_of_coarse_codes() -> None:
-    assert sum_step_n(LAYOUT) == pytest.approx(0.5e-3) == pytest.approx(LAW.knee_n / LAW.slope)
+    assert sum_step_n(ADAPTIVE_SKIN) == pytest.approx(0.5e-3) == pytest.approx(LAW.knee_n / LAW.slope)
 
 
 def test_touches_that_come_and_go_leave_the_zero_and_are_not_doubtful() -> None:

@@ -9,13 +9,14 @@ import pytest
 from calibration.gain_files import stored_gains
 from calibration.gains import Gains, defects_of, find_gains
 from canskin.errors import InputError, RunError
-from canskin.messages import IMAGE, MEASUREMENT, Image, Measurement
+from canskin.messages import IMAGE, MEASUREMENT
 from skin.calibration_file import StoredCalibration, encoded, load_calibration, new_calibration
 from skin.defects import Defects, Stage, SumGains
 from skin.frontend import with_gains
 from skin.layout import parse_layout
 from skin.mcap_file import CALIBRATION_FILE, File, RecordingWriter
 from skin.measurement import fast_hadamard
+from tests import messages as make
 
 LAYOUT = parse_layout(b"[taxels]\nrows = 32\ncolumns = 32", "test")
 PHI = LAYOUT.phi()
@@ -129,7 +130,7 @@ def recording(
         stamps = {"cycle": cycle - restart if cycle > restart else cycle, "sync_counter": 1, "sampled_mono_ns": cycle}
         valid = b"\1" * PHI.blocks
         counts = np.rint(sums_n / newton_per_count).astype("<i4") + offsets
-        made = Measurement(
+        made = make.measurement(
             **stamps,
             sums=counts.tobytes(),
             valid=valid,
@@ -138,14 +139,7 @@ def recording(
         )
         writer.add_message(MEASUREMENT, cycle, msgspec.msgpack.encode(made))
         if images:
-            shown = Image(
-                **stamps,
-                published_mono_ns=1,
-                pixels=image.astype("<f4").tobytes(),
-                valid=valid,
-                valid_sums=1,
-                solve_s=0,
-            )
+            shown = make.image(**stamps, pixels=image.astype("<f4").tobytes(), valid=valid)
             writer.add_message(IMAGE, cycle, msgspec.msgpack.encode(shown))
     writer.close()
     return path

@@ -1,6 +1,6 @@
 """A small skin with two simple objects, so that nothing here needs the simulator."""
 
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -8,21 +8,11 @@ import pytest
 
 from classifier.model import Model
 from classifier.training import TrainingOptions, train
-from skin.layout import Layout, parse_layout
+from skin.layout import Layout
 from skin.measurement import Sbhe
+from tests.layouts import small_layout
 
-SMALL = b"""
-[taxels]
-rows = 32
-columns = 32
-[measurement]
-sums = 512
-[sync]
-rate_hz = 20.0
-[[bus]]
-name = "bus0"
-nodes = 32
-"""
+SMALL: Final = {"measurement": {"sums": 512}, "sync": {"rate_hz": 20.0}}
 
 
 class Touches(NamedTuple):
@@ -47,7 +37,7 @@ def draw(count: int, seed: int, least_n: float = 0.004) -> Touches:
 
 @pytest.fixture(scope="session")
 def layout() -> Layout:
-    return parse_layout(SMALL, "small")
+    return small_layout(32, 32, **SMALL)
 
 
 @pytest.fixture(scope="session")

@@ -15,24 +15,13 @@ from classifier.model import Model
 from classifier.modelfile import load_model, save_model
 from classifier.service import AdaptiveClassifierService
 from classifier.training import TrainingOptions, train
-from skin.layout import Layout, parse_layout
+from skin.layout import Layout
 from skin.measurement import places
-from tests.adaptive_messages import adaptive_measurement
 from tests.classifier.conftest import Touches
+from tests.layouts import ADAPTIVE, small_layout
+from tests.messages import adaptive_measurement
 
-ADAPTIVE = b"""
-name = "small"
-sending = "adaptive"
-[taxels]
-rows = 32
-columns = 32
-[measurement]
-wiring = "board"
-[[bus]]
-name = "bus0"
-nodes = 32
-"""
-LAYOUT = parse_layout(ADAPTIVE, "adaptive")
+LAYOUT = small_layout(32, 32, **ADAPTIVE)
 PHI, CLASSIFIED = LAYOUT.phi(), classified_phi(LAYOUT)
 
 

@@ -23,6 +23,7 @@ from skin.layout import Layout, load_layout
 from skin.measurement import Sbhe
 from skin.sources import load_touches
 from tests.classifier.conftest import SMALL
+from tests.layouts import layout_toml
 
 NAMES = ("dome", "plate")
 
@@ -69,7 +70,7 @@ def cache(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
 @pytest.fixture
 def small(tmp_path: Path) -> Path:
     file = tmp_path / "small.toml"
-    file.write_bytes(b'name = "small"' + SMALL)
+    file.write_text(layout_toml(32, 32, **SMALL, name="small"))
     return file
 
 

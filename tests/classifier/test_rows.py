@@ -8,6 +8,7 @@ from canskin.errors import InputError
 from classifier.rows import choose_rows, with_chosen_rows
 from skin.layout import layout_text, parse_layout
 from skin.measurement import sbhe
+from tests.layouts import small_layout
 
 PHI = sbhe(64, 64, block_size=8)
 LABELS = np.repeat(["a", "b", "c"], 50)
@@ -58,9 +59,7 @@ def test_what_cannot_be_used(sums: np.ndarray, labels: np.ndarray, count: int, s
 
 
 def test_layout_that_names_the_chosen_rows() -> None:
-    layout = parse_layout(
-        b"[taxels]\nrows = 16\ncolumns = 16\n[sync]\nrate_hz = 20.0\n[[bus]]\nname = 'a'\nnodes = 8\n", "small"
-    )
+    layout = small_layout(16, 16, sync={"rate_hz": 20.0})
     force_n = np.zeros((40, 16, 16), np.float32)
     force_n[:20, :8], force_n[20:, 8:] = 0.01, 0.01
     labels = np.repeat(["top", "bottom"], 20)
@@ -75,8 +74,7 @@ def test_layout_that_names_the_chosen_rows() -> None:
 
 
 def test_rows_of_recognition_are_chosen_among_those_of_images() -> None:
-    text = "[taxels]\nrows = 16\ncolumns = 16\n[measurement]\nsums = 64\n[[bus]]\nname = 'a'\nnodes = 8\n"
-    layout = parse_layout(f"{text}[recognition]\nsums = 16\nrate_hz = 200.0\n".encode(), "small")
+    layout = small_layout(16, 16, recognition={"sums": 16, "rate_hz": 200.0})
     force_n = np.zeros((40, 16, 16), np.float32)
     force_n[:20, :8], force_n[20:, 8:] = 0.01, 0.01
     chosen = with_chosen_rows(layout, force_n, np.repeat(["top", "bottom"], 20), 3, noise_n=1e-3)

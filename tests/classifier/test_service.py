@@ -18,6 +18,7 @@ from classifier.settling import Decision
 from skin.layout import Layout
 from skin.measurement import Sbhe
 from skin.service import StopSignal
+from tests import messages as make
 
 
 @pytest.fixture
@@ -38,8 +39,8 @@ def service(hub: Fabric, endpoint: str, model: Model, phi: Sbhe) -> Iterator[Cla
 def measurement(layout: Layout, phi: Sbhe, unseen: tuple[np.ndarray, np.ndarray]) -> Measurement:
     force_n, _ = unseen  # the second is a plate
     sums = simulate_sums(force_n[1:2], layout, phi, 0.001, np.random.default_rng(0))[0]
-    return Measurement(
-        cycle=7,
+    return make.measurement(
+        7,
         sync_counter=9,
         sampled_mono_ns=123,
         sampled_error_ns=4,

@@ -8,20 +8,8 @@ import numpy as np
 from canskin.calibration_messages import CALIBRATION, CalibrationReply, CalibrationRequest, Region
 from canskin.description import DESCRIPTION, Description, DescriptionRequest
 from canskin.fabric import Fabric, Reply
-from canskin.messages import (
-    CONTACTS,
-    GATEWAY,
-    IMAGE,
-    LABEL,
-    MEASUREMENT,
-    Contact,
-    Contacts,
-    FrameCounts,
-    GatewayStatus,
-    Image,
-    Label,
-    Measurement,
-)
+from canskin.messages import CONTACTS, GATEWAY, IMAGE, LABEL, MEASUREMENT, Contacts, Image, Label, Measurement
+from tests import messages as make
 
 ROWS, COLUMNS, BLOCKS = 4, 4, 2
 
@@ -51,8 +39,6 @@ def description(boot_id: str = "") -> Description:
 
 def measurement(cycle: int, valid: bytes = bytes((1, 1)), **changed: object) -> Measurement:
     about: dict[str, object] = {
-        "cycle": cycle,
-        "sync_counter": 1,
         "sampled_mono_ns": at_ns(cycle),
         "sampled_error_ns": 2000,
         "wall_offset_ns": 7_000_000_000,
@@ -60,13 +46,12 @@ def measurement(cycle: int, valid: bytes = bytes((1, 1)), **changed: object) -> 
         "valid": valid,
         "fingerprint": "0123456789abcdef",
     }
-    return Measurement(**{**about, **changed})
+    return make.measurement(cycle, **about | changed)
 
 
 def image(cycle: int, valid: bytes = bytes((1, 1))) -> Image:
-    return Image(
-        cycle=cycle,
-        sync_counter=1,
+    return make.image(
+        cycle,
         sampled_mono_ns=at_ns(cycle),
         sampled_error_ns=2000,
         published_mono_ns=at_ns(cycle) + 1,
@@ -78,40 +63,12 @@ def image(cycle: int, valid: bytes = bytes((1, 1))) -> Image:
 
 
 def contacts(cycle: int, force_n: float = 0.5, *, blind: bool = False) -> Contacts:
-    touch = Contact(
-        identity=1,
-        row=1.0,
-        column=2.0,
-        force_n=force_n,
-        peak_n=0.2,
-        taxels=4,
-        top=0,
-        bottom=1,
-        left=1,
-        right=2,
-        onset_mono_ns=5,
-    )
-    return Contacts(
-        cycle=cycle,
-        sync_counter=1,
-        sampled_mono_ns=at_ns(cycle),
-        contacts=[] if blind else [touch],
-        ended=[],
-        find_s=0.0,
-        blind=blind,
-    )
+    touch = make.contact(row=1.0, column=2.0, force_n=force_n)
+    return make.contacts(cycle, *[touch] * (not blind), sampled_mono_ns=at_ns(cycle), blind=blind)
 
 
 def label(cycle: int, name: str = "cup", *, blind: bool = False) -> Label:
-    return Label(
-        cycle=cycle,
-        sync_counter=1,
-        sampled_mono_ns=at_ns(cycle),
-        label=name,
-        confidence=0.9,
-        valid_sums=4,
-        blind=blind,
-    )
+    return make.label(cycle, name, sampled_mono_ns=at_ns(cycle), confidence=0.9, valid_sums=4, blind=blind)
 
 
 def at_ns(cycle: int) -> int:
@@ -149,12 +106,7 @@ class Chain:
         cycle = 0
         while not self._stop.wait(0.005):
             cycle += 1
-            self.gateway.publish(
-                GATEWAY,
-                GatewayStatus(
-                    time_ns=1, cycles=cycle, cycles_complete=cycle, frames=FrameCounts(), sync_rate_hz=100.0, buses=[]
-                ),
-            )
+            self.gateway.publish(GATEWAY, make.gateway_status(cycle))
             self.gateway.publish(MEASUREMENT, measurement(cycle, fingerprint=self.fingerprint))
             self.gateway.publish(LABEL, label(cycle))
             self.gateway.publish(IMAGE, image(cycle))

@@ -17,10 +17,7 @@ from canskin.fabric import Fabric, Mailbox, Origin, Reply
 from canskin.messages import LABEL, Label
 from canskin.peers import Peer, Roll, new_peer, peer_of_key
 from tests.client.conftest import Log
-
-
-def label(cycle: int) -> Label:
-    return Label(cycle=cycle, sync_counter=1, sampled_mono_ns=0, label="cup", confidence=0.5, valid_sums=1024)
+from tests.messages import label
 
 
 @pytest.fixture

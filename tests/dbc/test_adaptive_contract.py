@@ -18,6 +18,7 @@ from dbc.eds import eds, node_types
 from dbc.indices import OD_COARSE, OD_FINE
 from skin.layout import load_layout, parse_layout
 from skin.walsh import GROUPS, walsh_matrix
+from tests.layouts import ADAPTIVE, buses, small_layout
 
 TEXT = """
 sending = "adaptive"
@@ -37,9 +38,7 @@ def contract() -> Contract:
 @pytest.fixture(scope="module")
 def small() -> Contract:
     """Two nodes on each of two buses: cantools takes its time to read what is said of many."""
-    size = TEXT.replace("[taxels]", "[taxels]\nrows = 8\ncolumns = 16")
-    buses = "".join(f'[[bus]]\nname = "bus{bus}"\nnodes = 2\n' for bus in (0, 1))
-    return Contract.from_layout(parse_layout((size + buses).encode(), "adaptive.toml"))
+    return Contract.from_layout(small_layout(8, 16, **ADAPTIVE, bus=buses(2, 2)))
 
 
 def test_every_frame_of_a_bus_has_an_identifier_of_its_own(contract: Contract) -> None:

@@ -24,18 +24,9 @@ from dbc.database import database
 from dbc.dictionary import dictionary
 from dbc.eds import eds, node_types
 from nodes.adaptive.sending import make_payload, new_groups
-from skin.layout import load_layout, parse_layout
+from skin.layout import load_layout
 from skin.walsh import GROUPS
-
-LARGE = """
-sending = "adaptive"
-[taxels]
-rows = 64
-columns = 64
-pitch_m = 0.004
-[measurement]
-wiring = "board"
-"""
+from tests.layouts import ADAPTIVE, buses, small_layout
 
 
 @pytest.fixture(scope="module")
@@ -44,8 +35,7 @@ def contract() -> Contract:
 
 
 def test_every_frame_of_127_nodes_has_an_identifier_of_its_own() -> None:
-    lines = '[[bus]]\nname = "a"\nnodes = 127\nfd = true\n[[bus]]\nname = "b"\nnodes = 1\nfd = true\n'
-    nodes = Contract.from_layout(parse_layout((LARGE + lines).encode(), "large")).on_bus(0)
+    nodes = Contract.from_layout(small_layout(64, 64, **ADAPTIVE, bus=buses(127, 1, fd=True))).on_bus(0)
     tpdos = [(node, tpdo) for node in nodes for tpdo in node.adaptive_tpdos]
     assert len({tpdo.cob_id for _, tpdo in tpdos}) == 8 * 127
     assert all(0x181 <= tpdo.cob_id < 0x580 for _, tpdo in tpdos)
@@ -97,9 +87,7 @@ def test_a_fine_frame_alone_tells_all_sums(seed: int, size_n: float) -> None:
 
 @pytest.mark.heavy
 def test_cantools_decodes_all_groups() -> None:
-    lines = "".join(f'[[bus]]\nname = "{name}"\nnodes = 4\nfd = true\n' for name in "ab")
-    layout = parse_layout((LARGE.replace("= 64", "= 16") + lines).encode(), "small")
-    contract = Contract.from_layout(layout)
+    contract = Contract.from_layout(small_layout(16, 16, **ADAPTIVE, bus=buses(4, 4, fd=True)))
     described: Any = cantools.database.load_string(database(contract, 1), "dbc", strict=True)
     node, law = contract.on_bus(1)[3], contract.law
     coarse, fine = (next(each for each in node.adaptive_tpdos if each.is_fine is kind) for kind in (False, True))

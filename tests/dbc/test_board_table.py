@@ -5,67 +5,38 @@ import pytest
 
 from dbc.board import Board, MappedObject, board, board_text, json_text
 from dbc.contract import Contract
-from skin.layout import parse_layout
-from tests.small_layouts import ADAPTIVE_ARM
+from skin.layout import Layout
+from tests.layouts import ADAPTIVE, buses, small_layout
 
 #: Two sums from the second block of the second board: rows 1 and 31, an odd number of bits each.
-FEW = """
-name = "palm"
-[taxels]
-rows = 8
-columns = 16
-force_max_n = 0.1023
-[measurement]
-block_size = 32
-seed = 3
-rows = [[0, 0], [2, 1], [2, 31]]
-[sync]
-rate_hz = 50.0
-[sampling]
-rate_hz = 200.0
-[encoding]
-sum_bits = 12
-offset_binary = true
-[device]
-vendor_id = 42
-product_code = 7
-first_serial = 100
-[[bus]]
-name = "left"
-nodes = 1
-bitrate = 500_000
-[[bus]]
-name = "right"
-nodes = 1
-blocks_per_node = 2
-bitrate = 250_000
-[[bus]]
-name = "end"
-nodes = 1
-bitrate = 500_000
-"""
-FAST = """
-taxels = { rows = 8, columns = 8 }
-measurement = { sums = 16 }
-sync = { rate_hz = 25.0, identity = "alternating" }
-bus = [{ name = "arm", nodes = 1, blocks_per_node = 2, fd = true, data_bitrate = 2_000_000 }]
-"""
-ANALOGUE = """
-taxels = { rows = 8, columns = 8, frontend = "analogue" }
-measurement = { sums = 16 }
-bus = [{ name = "arm", nodes = 2 }]
-"""
-RECOGNITION = """
-taxels = { rows = 8, columns = 8 }
-measurement = { sums = 5, block_size = 64 }
-sync = { rate_hz = 25.0 }
-recognition = { sums = 2, rate_hz = 200.0 }
-bus = [{ name = "arm", nodes = 1 }]
-"""
+FEW = small_layout(
+    8,
+    16,
+    name="palm",
+    taxels={"force_max_n": 0.1023},
+    measurement={"seed": 3, "rows": [[0, 0], [2, 1], [2, 31]]},
+    sync={"rate_hz": 50.0},
+    sampling={"rate_hz": 200.0},
+    encoding={"sum_bits": 12, "offset_binary": True},
+    device={"vendor_id": 42, "product_code": 7, "first_serial": 100},
+    bus=[
+        {"name": "left", "nodes": 1, "bitrate": 500_000},
+        {"name": "right", "nodes": 1, "blocks_per_node": 2, "bitrate": 250_000},
+        {"name": "end", "nodes": 1, "bitrate": 500_000},
+    ],
+)
+FAST = small_layout(
+    sync={"rate_hz": 25.0, "identity": "alternating"},
+    bus=buses(1, names=["arm"], blocks_per_node=2, fd=True, data_bitrate=2_000_000),
+)
+ANALOGUE = small_layout(taxels={"frontend": "analogue"})
+RECOGNITION = small_layout(
+    measurement={"sums": 5, "block_size": 64}, sync={"rate_hz": 25.0}, recognition={"sums": 2, "rate_hz": 200.0}
+)
 
 
-def table_of(layout: str, place: int = -1) -> tuple[Contract, Board]:
-    contract = Contract.from_layout(parse_layout(layout.encode(), "palm.toml"))
+def table_of(layout: Layout, place: int = -1) -> tuple[Contract, Board]:
+    contract = Contract.from_layout(layout)
     return contract, board(contract, contract.nodes[place])
 
 
@@ -162,7 +133,7 @@ def test_boards_of_two_phases_have_a_start_value_for_each() -> None:
 
 def test_adaptive_boards_have_urgencies_a_code_and_no_packing() -> None:
     """32 node-IDs a TPDO: six levels of coarse frames of four groups, then two of fine ones."""
-    _, table = table_of(ADAPTIVE_ARM)
+    _, table = table_of(small_layout(**ADAPTIVE))
     assert (table.sending, table.packing, table.frontend, table.samples_per_sync) == ("adaptive", None, None, 100)
     assert [each.cob_id for each in table.tpdos] == [0x182 + 32 * place for place in range(32)]
     assert [each.number for each in table.tpdos] == list(range(1, 33))

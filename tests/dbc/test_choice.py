@@ -5,14 +5,9 @@ import pytest
 from canskin.errors import InputError
 from dbc.choice import choose_nodes
 from dbc.contract import Contract
-from skin.layout import parse_layout
+from tests.layouts import buses, small_layout
 
-LAYOUT = """
-taxels = { rows = 16, columns = 16 }
-measurement = { sums = 64 }
-bus = [{ name = "left", nodes = 3 }, { name = "right", nodes = 5 }]
-"""
-CONTRACT = Contract.from_layout(parse_layout(LAYOUT.encode(), "arm.toml"))
+CONTRACT = Contract.from_layout(small_layout(16, 16, bus=buses(3, 5, names=("left", "right"))))
 
 
 @pytest.mark.parametrize(

@@ -6,8 +6,8 @@ import pytest
 
 from dbc.configuration import Setting, configuration, expected_signature, proof_period_s, signature
 from dbc.contract import Contract
-from skin.layout import load_layout, parse_layout
-from tests.identity import with_identity
+from skin.layout import load_layout
+from tests.layouts import buses, small_layout, with_identity
 
 #: Objects of the whole node, as docs/bus.md lists them: index and sub-index.
 OF_THE_NODE = [
@@ -61,8 +61,5 @@ def test_values_are_shown_as_people_write_them() -> None:
 @pytest.mark.parametrize(("bitrate", "period_s"), [(1_000_000, 2.0), (500_000, 3.456), (250_000, 6.912)])
 def test_signatures_take_half_a_percent_of_a_bus_at_most(bitrate: int, period_s: float) -> None:
     """32 nodes, each a request and an answer of 135 bits."""
-    text = 'rate_hz = 20.0\n[[bus]]\nname = "slow"\nnodes = 32\nbitrate = '
-    layout = parse_layout(
-        f"[taxels]\nrows = 32\ncolumns = 32\n[measurement]\n[sync]\n{text}{bitrate}\n".encode(), "slow"
-    )
+    layout = small_layout(32, 32, sync={"rate_hz": 20.0}, bus=buses(32, bitrate=bitrate))
     assert proof_period_s(Contract.from_layout(layout), 0) == pytest.approx(period_s)

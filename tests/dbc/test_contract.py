@@ -18,7 +18,7 @@ from dbc.frame import BRS, FD, FD_LENGTHS
 from dbc.indices import OD_PHI_FINGERPRINT, OD_SUMS, of_block
 from skin.layout import Bus, Encoding, Layout, PhiParameters, Taxels, load_layout
 from skin.sync_counter import SYNC_OVERFLOW, next_counter
-from tests.identity import IDENTITIES, alternating, with_identity
+from tests.layouts import IDENTITIES, alternating, with_identity
 
 CONTRACT = Contract.from_layout(load_layout())
 ALTERNATING = Contract.from_layout(alternating(load_layout()))

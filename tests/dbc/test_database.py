@@ -12,8 +12,8 @@ from dbc.canopen import HEARTBEAT_BASE, SYNC_COB_ID
 from dbc.codec import encode
 from dbc.contract import Contract
 from dbc.database import database, signal_name
-from skin.layout import Encoding, load_layout, parse_layout
-from tests.identity import alternating
+from skin.layout import Encoding, load_layout
+from tests.layouts import alternating, buses, small_layout
 
 CASES = [
     ("default", {}),
@@ -111,27 +111,13 @@ def test_can_fd_frames_say_whether_they_switch_the_bit_rate(rate: int | None, sw
 
 
 #: One node on CAN FD, with every message that the gateway sends to all nodes.
-ARM = """
-name = "small"
-[taxels]
-rows = 8
-columns = 8
-[measurement]
-sums = 5
-block_size = 64
-[sync]
-rate_hz = 50.0
-identity = "alternating"
-time_s = 2.5
-[encoding]
-sum_bits = 12
-[[bus]]
-name = "arm"
-nodes = 1
-bitrate = 500000
-fd = true
-data_bitrate = 2000000
-"""
+ARM: dict[str, Any] = {
+    "name": "small",
+    "measurement": {"sums": 5, "block_size": 64},
+    "sync": {"rate_hz": 50.0, "identity": "alternating", "time_s": 2.5},
+    "encoding": {"sum_bits": 12},
+    "bus": buses(1, names=["arm"], bitrate=500_000, fd=True, data_bitrate=2_000_000),
+}
 
 #: Identifiers of CiA 301's predefined connection set, fields of its 7.2.
 SERVICES = """\
@@ -171,7 +157,7 @@ BO_ 1793 Node1_Heartbeat: 1 Node1
 
 
 def test_services_are_written_field_by_field() -> None:
-    text = database(Contract.from_layout(parse_layout(ARM.encode(), "arm.toml")), 0)
+    text = database(Contract.from_layout(small_layout(**ARM)), 0)
     assert SERVICES in text
     assert TRANSFERS in text
     lines = text.splitlines()
@@ -183,7 +169,7 @@ def test_services_are_written_field_by_field() -> None:
 
 def test_attributes_tell_rates_formats_and_periods() -> None:
     """VFrameFormat 14 is StandardCAN_FD; a TPDO of one of two phases comes every second cycle of 20 ms."""
-    text = database(Contract.from_layout(parse_layout(ARM.encode(), "arm.toml")), 0)
+    text = database(Contract.from_layout(small_layout(**ARM)), 0)
     kinds = "BA_DEF_ ", "BA_DEF_DEF_ ", "BA_ ", "VAL_ "
     lines = [line for line in text.splitlines() if line.startswith(kinds) and "PhiFingerprint" not in line]
     reserved = 10 * ["reserved"]
@@ -224,21 +210,21 @@ def test_attributes_tell_rates_formats_and_periods() -> None:
     ]
 
 
-def comments(layout: str) -> list[str]:
-    text = database(Contract.from_layout(parse_layout(layout.encode(), "arm.toml")), 0)
+def comments(**changed: Any) -> list[str]:
+    text = database(Contract.from_layout(small_layout(**ARM | changed)), 0)
     return [line for line in text.splitlines() if line.startswith("CM_")]
 
 
 def test_comments_say_what_a_frame_is() -> None:
     """A sum that is rounded to 32 counts is off by 16 of them at most: 16 * 19.55 µN = 313 µN."""
-    bus, *messages = comments(ARM)
+    bus, *messages = comments()
     assert bus.startswith('CM_ "Bus arm of skin small: blocks 0 to 0 of Phi ')
     exact = "Sums are in ADC counts, 1.95503e-05 N each; "
     assert bus.endswith(f'{exact}rounded to 32, which adds at most 0.000313 N to a sum.";')
-    wide = comments(ARM.replace("sum_bits = 12", "sum_bits = 16"))
+    wide = comments(encoding={})
     assert wide[0].endswith(f'{exact}rounded to 2, which adds at most 1.96e-05 N to a sum.";')
-    small = ARM.replace("sums = 5\nblock_size = 64", "sums = 4").replace("sum_bits = 12", "")
-    assert comments(small.replace("nodes = 1", "nodes = 2"))[0].endswith(f'{exact}they are exact.";')
+    small = {"measurement": {"sums": 4}, "bus": buses(2, names=["arm"], fd=True), "encoding": {}}
+    assert comments(**small)[0].endswith(f'{exact}they are exact.";')
     assert messages == [
         'CM_ BO_ 0 "NMT command; node-ID 0 is all nodes";',
         'CM_ BO_ 128 "All blocks measure now; the counter goes from 1 to 240";',
@@ -246,16 +232,13 @@ def test_comments_say_what_a_frame_is() -> None:
         'CM_ BO_ 385 "Sums 0 to 4 in phase 1 of 2: after SYNC counters 1, 3, 5, ...";',
         'CM_ BO_ 641 "Sums 0 to 4 in phase 2 of 2: after SYNC counters 2, 4, 6, ...";',
     ]
-    plain = comments(ARM.replace('"alternating"', '"window"').replace("time_s = 2.5", ""))[1:]
+    plain = comments(sync={"rate_hz": 50.0})[1:]
     assert plain[1:] == ['CM_ BO_ 128 "All blocks measure now";', 'CM_ BO_ 385 "Sums 0 to 4, after every SYNC";']
 
 
 def test_a_skin_that_recognises_has_frames_of_its_own_for_that() -> None:
-    window = (
-        ARM.replace("alternating", "window").replace("time_s = 2.5", "").replace("rate_hz = 50.0", "rate_hz = 25.0")
-    )
-    layout = parse_layout((window + "[recognition]\nsums = 2\nrate_hz = 200.0\n").encode(), "arm.toml")
-    text = database(Contract.from_layout(layout), 0)
+    recognises = {"sync": {"rate_hz": 25.0}, "recognition": {"sums": 2, "rate_hz": 200.0}}
+    text = database(Contract.from_layout(small_layout(**ARM | recognises)), 0)
     state = 'BO_ 255 State: 1 Gateway\n SG_ State : 0|8@1+ (1,0) [0|255] "" Vector__XXX\n\n'
     assert state in text
     lines = text.splitlines()

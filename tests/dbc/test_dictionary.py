@@ -1,27 +1,30 @@
 """Values of the object dictionary that differ from the default skin's, which test_generate compares as a whole."""
 
+from typing import Any
+
 import pytest
 
 from dbc.contract import Contract
 from dbc.dictionary import SkinState, dictionary
 from dbc.objects import Object
-from skin.layout import parse_layout
-from tests.small_layouts import ADAPTIVE_ARM
+from skin.layout import Layout
+from tests.layouts import ADAPTIVE, buses, small_layout
 
-RECOGNITION = """
-taxels = { rows = 8, columns = 8 }
-measurement = { sums = 5, block_size = 64 }
-sync = { rate_hz = 25.0 }
-encoding = { sum_bits = 12 }
-recognition = { sums = 2, rate_hz = 200.0 }
-bus = [{ name = "arm", nodes = 1, fd = true, data_bitrate = 2_000_000 }]
-"""
+ADAPTIVE_ARM = small_layout(**ADAPTIVE)
+RECOGNITION: dict[str, Any] = {
+    "measurement": {"sums": 5, "block_size": 64},
+    "sync": {"rate_hz": 25.0},
+    "encoding": {"sum_bits": 12},
+    "recognition": {"sums": 2, "rate_hz": 200.0},
+    "bus": buses(1, fd=True, data_bitrate=2_000_000),
+}
+RECOGNISING = small_layout(**RECOGNITION)
 #: Data types of CiA 301, 7.4.7.
 U8, U16, U32, REAL, U64 = 5, 6, 7, 8, 0x1B
 
 
-def objects(layout: str) -> dict[tuple[int, int | None], Object]:
-    contract = Contract.from_layout(parse_layout(layout.encode(), "arm.toml"))
+def objects(layout: Layout) -> dict[tuple[int, int | None], Object]:
+    contract = Contract.from_layout(layout)
     return {(each.index, each.subindex): each for each in dictionary(contract, contract.nodes[0])}
 
 
@@ -72,9 +75,9 @@ def test_names_count_from_one_and_taxels_from_zero() -> None:
 
 
 def test_a_board_with_a_thermometer_has_a_temperature() -> None:
-    assert (0x2036, None) not in objects(RECOGNITION)
-    for layout in (RECOGNITION, ADAPTIVE_ARM):
-        found = objects(layout.replace("columns = 8", "columns = 8, has_thermometers = true"))
+    assert (0x2036, None) not in objects(RECOGNISING)
+    for tables in (RECOGNITION, ADAPTIVE):
+        found = objects(small_layout(**tables, taxels={"has_thermometers": True}))
         assert told(found, 0x2036) == [(3, "ro", 0x7FFF)]
         manufacturer = [index for index, _ in found if index >= 0x2000]
         assert manufacturer == sorted(manufacturer)
@@ -82,7 +85,7 @@ def test_a_board_with_a_thermometer_has_a_temperature() -> None:
 
 def test_an_rpdo_switches_the_state_at_the_next_sync() -> None:
     """Windows are 99 % of 40 ms and of 5 ms. 2005h: 12 bits, steps of 32, form 0, one block."""
-    found = objects(RECOGNITION)
+    found = objects(RECOGNISING)
     assert [found[index, None].value for index in (0x1006, 0x1007, 0x1019, 0x2005)] == [
         40_000,
         39_600,
@@ -105,11 +108,11 @@ def test_an_rpdo_switches_the_state_at_the_next_sync() -> None:
 
 @pytest.mark.parametrize(
     ("bits", "offset", "kind"),
-    [(16, "false", 3), (16, "true", 6), (12, "false", 3), (12, "true", 6), (8, "false", 2), (8, "true", 5)],
+    [(16, False, 3), (16, True, 6), (12, False, 3), (12, True, 6), (8, False, 2), (8, True, 5)],
 )
-def test_sums_have_the_type_of_their_width_and_sign(bits: int, offset: str, kind: int) -> None:
-    encoding = f"encoding = {{ sum_bits = {bits}, offset_binary = {offset} }}"
-    found = objects(RECOGNITION.replace("encoding = { sum_bits = 12 }", encoding))
+def test_sums_have_the_type_of_their_width_and_sign(bits: int, offset: bool, kind: int) -> None:
+    encoding = {"sum_bits": bits, "offset_binary": offset}
+    found = objects(small_layout(**RECOGNITION | {"encoding": encoding}))
     assert [each[0] for each in told(found, 0x2100)] == [U8] + 5 * [kind]
 
 
@@ -119,5 +122,5 @@ def test_sums_have_the_type_of_their_width_and_sign(bits: int, offset: str, kind
 )
 def test_period_and_window_are_microseconds(rate_hz: float, period_us: int, window_us: int) -> None:
     """1006h and 1007h from the slowest to the fastest layout: the window is 99 % of the period."""
-    found = objects(f"taxels = {{ rows = 8, columns = 8 }}\nsync = {{ rate_hz = {rate_hz} }}\n")
+    found = objects(small_layout(sync={"rate_hz": rate_hz}))
     assert (found[0x1006, None].value, found[0x1007, None].value) == (period_us, window_us)

@@ -27,35 +27,23 @@ from dbc.indices import (
     split_block,
 )
 from dbc.objects import Object
-from skin.layout import Layout, load_layout, parse_layout
-from tests.identity import alternating
+from skin.layout import Layout, load_layout
+from tests.layouts import alternating, small_layout
 
-SMALL = """
-[taxels]
-rows = 16
-columns = 16
-has_thermometers = true
-[measurement]
-sums = 64
-selection = "uniform"
-seed = 3
-[encoding]
-sum_bits = 12
-[[bus]]
-name = "a"
-nodes = 2
-blocks_per_node = 2
-[[bus]]
-name = "b"
-nodes = 4
-fd = true
-"""
+MIXED = small_layout(
+    16,
+    16,
+    taxels={"has_thermometers": True},
+    measurement={"selection": "uniform", "seed": 3},
+    encoding={"sum_bits": 12},
+    bus=[{"name": "a", "nodes": 2, "blocks_per_node": 2}, {"name": "b", "nodes": 4, "fd": True}],
+)
 #: Serial number, and what a node measures: the values in which nodes of a type differ.
 DIFFERING = {OD_IDENTITY, OD_BLOCK, OD_ROWS, OD_TAXELS}
 SHIPPED = "default", "fd", "one-bus-12bit", "recognition", "recognise-first"
 LAYOUTS: dict[str, Layout] = {name: load_layout(Path(name)) for name in SHIPPED}
 LAYOUTS["alternating"] = alternating(load_layout())
-LAYOUTS["mixed"] = parse_layout(SMALL.encode(), "mixed.toml")
+LAYOUTS["mixed"] = MIXED
 
 
 def written(contract: Contract, kind: NodeType, folder: Path) -> str:

@@ -7,7 +7,8 @@ import pytest
 from canskin.errors import InputError
 from dbc.contract import Contract
 from dbc.generate import contract_files, drifted, node_files, write_files
-from skin.layout import load_layout, parse_layout
+from skin.layout import load_layout
+from tests.layouts import buses, small_layout
 
 FILES = Path(__file__).parents[2] / "dbc/files/default"
 
@@ -22,8 +23,7 @@ def test_the_default_skin_has_the_files_of_the_project() -> None:
 
 
 def test_every_node_has_a_table_and_a_dcf() -> None:
-    text = '[taxels]\nrows = 8\ncolumns = 8\n[[bus]]\nname = "arm"\nnodes = 2\n'
-    files = node_files(Contract.from_layout(parse_layout(text.encode(), "arm.toml")))
+    files = node_files(Contract.from_layout(small_layout(bus=buses(2, names=["arm"]))))
     assert sorted(files) == [f"nodes/arm-00{node}.{suffix}" for node in (1, 2) for suffix in ("dcf", "json")]
 
 

@@ -4,11 +4,12 @@ import msgspec
 import numpy as np
 import pytest
 
-from canskin.messages import BusState, FrameCounts, GatewayStatus, Image, Label, Truth
+from canskin.messages import FrameCounts, GatewayStatus, Image, Label, Truth
 from demo.processor_time import ProcessorTime, processor_time, ratios
 from demo.report import Percentiles
 from demo.score import Score
-from tests.adaptive_messages import LAYOUT
+from tests import messages as make
+from tests.layouts import ADAPTIVE_SKIN
 
 MS = 1_000_000
 
@@ -21,45 +22,33 @@ def pixels(force_n: float, error_n: float = 0.0) -> bytes:
 
 def truth(time_ms: int, force_n: float = 0.01, label: str = "cup") -> Truth:
     true, sensor = pixels(force_n), pixels(force_n, 0.002)
-    return Truth(
-        step=time_ms // 10, sync_counter=0, sampled_mono_ns=time_ms * MS, true=true, sensor=sensor, label=label
+    return make.truth(
+        time_ms // 10, sync_counter=0, sampled_mono_ns=time_ms * MS, true=true, sensor=sensor, label=label
     )
 
 
 def image(published_ms: int, error_n: float = 0.001, latency_ms: int = 3) -> Image:
-    return Image(
-        cycle=published_ms,
-        sync_counter=1,
+    return make.image(
+        published_ms,
         sampled_mono_ns=(published_ms - latency_ms) * MS,
         published_mono_ns=published_ms * MS,
         pixels=pixels(0.01, error_n),
         valid=bytes([1] * 128),
-        valid_sums=4096,
-        solve_s=1e-4,
     )
 
 
 def label(time_ms: int, name: str) -> Label:
-    return Label(
-        cycle=time_ms, sync_counter=1, sampled_mono_ns=time_ms * MS, label=name, confidence=1.0, valid_sums=4096
-    )
+    return make.label(time_ms, name, sampled_mono_ns=time_ms * MS, valid_sums=4096)
 
 
 def status(cycles: int, complete: int) -> GatewayStatus:
-    buses = [BusState(name=bus.name, load_ratio=0.1, mean_load_ratio=0.05, nodes=[], nmt=b"") for bus in LAYOUT.bus]
-    return GatewayStatus(
-        time_ns=0,
-        cycles=cycles,
-        cycles_complete=complete,
-        frames=FrameCounts(accepted=100),
-        sync_rate_hz=10.0,
-        buses=buses,
-    )
+    buses = [make.bus_state(bus.name, mean_load_ratio=0.05) for bus in ADAPTIVE_SKIN.bus]
+    return make.gateway_status(cycles, cycles_complete=complete, frames=FrameCounts(accepted=100), buses=buses)
 
 
 @pytest.fixture
 def score() -> Score:
-    return Score(LAYOUT)
+    return Score(ADAPTIVE_SKIN)
 
 
 def test_the_image_on_show_is_compared_at_each_truth(score: Score) -> None:

@@ -5,10 +5,11 @@ import numpy as np
 import pytest
 
 from canskin.calibration_messages import CalibrationState, CalibrationStatus
-from canskin.messages import BusState, FrameCounts, GatewayStatus, Image, Label, Measurement, NodesStatus, Truth
+from canskin.messages import FrameCounts, Image, Label, Truth
 from demo.report import Percentiles
 from demo.score import HISTORY, Score
 from skin.layout import load_layout
+from tests import messages as make
 
 LAYOUT = load_layout()
 SHAPE = (LAYOUT.taxels.rows, LAYOUT.taxels.columns)
@@ -22,9 +23,8 @@ def pixels(force_n: float, error_n: float = 0.0) -> bytes:
 
 
 def truth(cycle: int, force_n: float = 0.01, label: str = "cup") -> Truth:
-    return Truth(
-        step=cycle,
-        sync_counter=(cycle - 1) % 240 + 1,
+    return make.truth(
+        cycle,
         sampled_mono_ns=cycle * PERIOD_NS,
         true=pixels(force_n),
         sensor=pixels(force_n, 0.002),
@@ -33,28 +33,17 @@ def truth(cycle: int, force_n: float = 0.01, label: str = "cup") -> Truth:
 
 
 def image(cycle: int, force_n: float = 0.01, latency_ms: int = 9) -> Image:
-    return Image(
-        cycle=cycle,
-        sync_counter=(cycle - 1) % 240 + 1,
+    return make.image(
+        cycle,
         sampled_mono_ns=cycle * PERIOD_NS,
         published_mono_ns=cycle * PERIOD_NS + latency_ms * 1_000_000,
         pixels=pixels(force_n, 0.001),
         valid=bytes(128),
-        valid_sums=1024,
-        solve_s=1e-4,
     )
 
 
 def label(cycle: int, name: str) -> Label:
-    counter = (cycle - 1) % 240 + 1
-    return Label(
-        cycle=cycle,
-        sync_counter=counter,
-        sampled_mono_ns=cycle * PERIOD_NS,
-        label=name,
-        confidence=1.0,
-        valid_sums=1024,
-    )
+    return make.label(cycle, name, sampled_mono_ns=cycle * PERIOD_NS, valid_sums=1024)
 
 
 @pytest.fixture
@@ -104,9 +93,7 @@ def test_contact_cycles_without_a_label_count_as_not_right(score: Score) -> None
 
 
 def test_frames_balance_and_the_worst_nodes_are_named(score: Score) -> None:
-    bus = BusState(
-        name="bus0",
-        load_ratio=0.7,
+    bus = make.bus_state(
         mean_load_ratio=0.7,
         nodes=[1, 2, 3],
         nmt=b"\5\5\5",
@@ -115,18 +102,16 @@ def test_frames_balance_and_the_worst_nodes_are_named(score: Score) -> None:
         emcy=[0, 0, 65296],
     )
     score.take_gateway(
-        GatewayStatus(
-            time_ns=0,
-            cycles=10,
+        make.gateway_status(
+            10,
             cycles_complete=9,
             frames=FrameCounts(accepted=97, missing=13, late=1, foreign=3),
-            sync_rate_hz=100.0,
             buses=[bus],
         )
     )
     for process, sent in (("1", 60), ("2", 40)):
         score.take_nodes(
-            NodesStatus(time_ns=0, process=process, frames_sent=sent, frames_dropped=2, syncs_seen=10),
+            make.nodes_status(process, frames_sent=sent, frames_dropped=2),
         )
     report = score.report()
     assert report.frames_sent == report.frames_received + report.frames_lost == 100
@@ -140,15 +125,11 @@ def test_frames_balance_and_the_worst_nodes_are_named(score: Score) -> None:
 def test_the_sampling_instant_is_compared_with_that_of_the_nodes(score: Score) -> None:
     for cycle in range(1, 101):
         instant_ns = cycle * PERIOD_NS
-        measurement = Measurement(
-            cycle=cycle,
-            sync_counter=(cycle - 1) % 240 + 1,
+        measurement = make.measurement(
+            cycle,
             sampled_mono_ns=instant_ns + 7_000,
             sent_mono_ns=instant_ns - 300_000,
             bus_sampled_ns=np.array([0, instant_ns + 1_000, instant_ns + 13_000], "<i8").tobytes(),
-            sums=b"",
-            valid=b"",
-            fingerprint="",
         )
         for take, message in ((score.take_measurement, measurement), (score.take_truth, truth(cycle))):
             take(message)
@@ -201,11 +182,7 @@ def test_sensor_that_only_rounds_is_said_to_add_no_noise(score: Score) -> None:
 @pytest.mark.parametrize("taxels", [0, 144])
 def test_taxels_in_doubt_are_told(score: Score, taxels: int) -> None:
     zero = CalibrationStatus(state=CalibrationState.FOLLOWING, doubtful_taxels=taxels)
-    score.take_gateway(
-        GatewayStatus(
-            time_ns=0, cycles=1, cycles_complete=1, frames=FrameCounts(), sync_rate_hz=100.0, buses=[], calibration=zero
-        )
-    )
+    score.take_gateway(make.gateway_status(calibration=zero))
     assert score.report().doubtful_taxels == taxels
     assert [text.split()[0] for name, text in score.report().rows() if name == "in doubt"] == [str(taxels)][
         : bool(taxels)

@@ -2,31 +2,22 @@
 
 import pytest
 
-from canskin.messages import BusState, FrameCounts, GatewayStatus, Label, Truth
+from canskin.messages import GatewayStatus, Label, Truth
 from demo.state_score import REMEMBERED, StateScore
+from tests import messages as make
 
 
 def status(state: str, load: float, switches: int = 0, switch_s: float = 0.0) -> GatewayStatus:
-    bus = BusState(name="bus0", load_ratio=load, nodes=[], nmt=b"")
-    return GatewayStatus(
-        time_ns=0,
-        cycles=1,
-        cycles_complete=1,
-        frames=FrameCounts(),
-        sync_rate_hz=1.0,
-        buses=[bus],
-        state=state,
-        switches=switches,
-        switch_s=switch_s,
-    )
+    buses = [make.bus_state(load_ratio=load)]
+    return make.gateway_status(buses=buses, state=state, switches=switches, switch_s=switch_s)
 
 
 def label(cycle: int, name: str) -> Label:
-    return Label(cycle=cycle, sync_counter=1, sampled_mono_ns=0, label=name, confidence=1.0, valid_sums=64)
+    return make.label(cycle, name, valid_sums=64)
 
 
 def truth(cycle: int) -> Truth:
-    return Truth(step=cycle, sync_counter=1, sampled_mono_ns=cycle, true=b"", sensor=b"", label="ring")
+    return make.truth(cycle, sampled_mono_ns=cycle, label="ring")
 
 
 def test_loads_and_labels_count_in_their_state() -> None:

@@ -15,7 +15,8 @@ from ruamel.yaml import YAML
 
 from canskin.fabric import Fabric
 from canskin.messages import IMAGE, MEASUREMENT, Image, Measurement
-from tests.processes import Processes, free_endpoint, slow_layout
+from tests.layouts import slow_layout
+from tests.processes import Processes, free_endpoint
 
 ROOT = Path(__file__).parents[2]
 COMPOSE = ROOT / "docker-compose.yml"

@@ -16,7 +16,7 @@ from tests.firmware.twins import Twins, needs_compiler, small_contract
 
 pytestmark = needs_compiler
 
-AVERAGING = "[sampling]\nrate_hz = 1000.0"
+AVERAGING = {"sampling": {"rate_hz": 1000.0}}
 #: Two thirds of the force below which an average is taken for noise, in counts: what one taxel may differ by.
 EDGE_COUNTS = 16
 
@@ -52,7 +52,7 @@ def sums_of(twins: Twins) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]
 
 
 def test_sums_are_those_of_the_same_averages() -> None:
-    contract = small_contract(AVERAGING)
+    contract = small_contract(**AVERAGING)
     twins = Twins(contract, noise_n=NOISE_N, source=Sliding(contract))
     twins.put(NMT_COB_ID, b"\x01\x00")
     sums_of(twins)
@@ -70,7 +70,7 @@ def test_sums_are_those_of_the_same_averages() -> None:
 
 
 def test_gains_act_on_averages_patterns_replace_them_and_a_reset_begins_anew() -> None:
-    contract = small_contract(AVERAGING)
+    contract = small_contract(**AVERAGING)
     twins = Twins(contract, noise_n=NOISE_N, source=Sliding(contract))
     twins.put(NMT_COB_ID, b"\x01\x00")
     for turn, request in enumerate(

@@ -10,9 +10,9 @@ from dbc.canopen import NMT_COB_ID, SDO_REQUEST_BASE, SYNC_COB_ID, NmtCommand
 from dbc.contract import Contract
 from firmware.library import Firmware
 from nodes.firmware_segment import FirmwareSegment
-from tests.firmware.twins import CountWitness, needs_compiler
-from tests.gateway.world import World, small_contract
-from tests.identity import IDENTITIES, with_identity
+from tests.firmware.twins import CountWitness, needs_compiler, small_contract
+from tests.gateway.world import World
+from tests.layouts import IDENTITIES, with_identity
 
 pytestmark = needs_compiler
 

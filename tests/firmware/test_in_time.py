@@ -12,7 +12,6 @@ pytestmark = needs_compiler
 
 #: No multiple of a heartbeat, an inhibit time or an event timer.
 STEP_S = 0.007
-ALTERNATING = '[sync]\nidentity = "alternating"\n'
 
 
 @pytest.fixture
@@ -104,7 +103,7 @@ def test_event_driven_pdos_keep_timer_and_inhibit_time(twins: Twins) -> None:
 
 
 def test_what_the_controllers_refuse_is_counted() -> None:
-    twins = Twins(small_contract(ALTERNATING))
+    twins = Twins(small_contract("alternating"))
     twins.put(NMT_COB_ID, b"\x01\x00")
     for wire in twins.wires:
         wire.room = 3

@@ -2,6 +2,7 @@
 
 import os
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -17,6 +18,7 @@ from nodes.electronics import Calibration
 from skin.layout import Encoding, Sampling, load_layout, validated
 from tests.bus.harness import frame
 from tests.firmware.twins import Twins, needs_compiler, small_contract, windows
+from tests.layouts import buses
 
 pytestmark = needs_compiler
 
@@ -32,7 +34,7 @@ def eight_bits() -> Contract:
     return Contract.from_layout(msgspec.structs.replace(default, encoding=Encoding(sum_bits=8), sampling=Sampling()))
 
 
-def few_sums(bus: str) -> Contract:
+def few_sums(bus: list[dict[str, Any]]) -> Contract:
     """Three sums of four blocks: one block has none."""
     layout = small_contract(bus=bus).layout
     return Contract.from_layout(
@@ -40,16 +42,15 @@ def few_sums(bus: str) -> Contract:
     )
 
 
-ALTERNATING = '[sync]\nidentity = "alternating"\n'
-TWO_BLOCKS = "nodes = 1\nblocks_per_node = 2"
+TWO_BLOCKS = buses(1, 1, blocks_per_node=2)
 CONTRACTS = {
     "16 bits": small_contract,
-    "alternating": lambda: small_contract(ALTERNATING),
-    "one bit": lambda: small_contract(taxels="adc_bits = 1"),
-    "12 bits, offset binary": lambda: small_contract("[encoding]\nsum_bits = 12\noffset_binary = true", TWO_BLOCKS),
-    "12 bits, fd": lambda: small_contract("[encoding]\nsum_bits = 12", f"{TWO_BLOCKS}\nfd = true"),
-    "uniform": lambda: small_contract('selection = "uniform"\nseed = 4'),
-    "fewer sums than blocks": lambda: few_sums("nodes = 2"),
+    "alternating": lambda: small_contract("alternating"),
+    "one bit": lambda: small_contract(taxels={"adc_bits": 1}),
+    "12 bits, offset binary": lambda: small_contract(encoding={"sum_bits": 12, "offset_binary": True}, bus=TWO_BLOCKS),
+    "12 bits, fd": lambda: small_contract(encoding={"sum_bits": 12}, bus=buses(1, 1, blocks_per_node=2, fd=True)),
+    "uniform": lambda: small_contract(measurement={"selection": "uniform", "seed": 4}),
+    "fewer sums than blocks": lambda: few_sums(buses(2, 2)),
     "fewer sums than blocks, nodes of two": lambda: few_sums(TWO_BLOCKS),
     "8 bits, default skin": eight_bits,
 }
@@ -139,7 +140,7 @@ def random_request(random: np.random.Generator, indices: list[tuple[int, int]]) 
 @pytest.mark.heavy
 @pytest.mark.parametrize("seed", range(4))
 def test_random_requests_get_the_same_answers(seed: int) -> None:
-    contract = small_contract("[encoding]\nsum_bits = 12" if seed % 2 else ALTERNATING)
+    contract = small_contract(encoding={"sum_bits": 12}) if seed % 2 else small_contract("alternating")
     twins = Twins(contract)
     twins.answers()
     indices = [(each.index, each.subindex or 0) for each in dictionary(contract, contract.nodes[0])]
@@ -158,7 +159,7 @@ def test_random_requests_get_the_same_answers(seed: int) -> None:
 
 def test_boards_with_thermometers_answer_unknown_until_their_maker_reads_one() -> None:
     """The temperature of Python nodes is simulated."""
-    twins = Twins(small_contract(taxels="has_thermometers = true"))
+    twins = Twins(small_contract(taxels={"has_thermometers": True}))
     for wire in twins.wires:
         wire.take()
     twins.put(0x601, b"\x40\x36\x20\0\0\0\0\0")

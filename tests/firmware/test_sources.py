@@ -19,6 +19,7 @@ from firmware.tables import builds
 from skin.layout import load_layout
 from tests.firmware.stack import HERE, STACK, compile_adapter, exported
 from tests.firmware.twins import needs_compiler, small_contract
+from tests.layouts import buses
 
 NAMES = ("default", "fd", "one-bus-12bit", "adaptive", "adaptive-fd")
 #: Bursts of random frames, and seeds.
@@ -97,7 +98,7 @@ def test_a_cortex_m0_plus_holds_sums_and_slave(tmp_path: Path) -> None:
 
 FUZZED = {
     "classic": small_contract,
-    "fd": lambda: small_contract("[encoding]\nsum_bits = 12", "nodes = 1\nblocks_per_node = 2\nfd = true"),
+    "fd": lambda: small_contract(encoding={"sum_bits": 12}, bus=buses(1, 1, blocks_per_node=2, fd=True)),
     "adaptive": lambda: contract_of("adaptive"),
     "adaptive-fd": lambda: contract_of("adaptive-fd"),
 }

@@ -2,6 +2,7 @@
 
 import shutil
 from collections.abc import Iterator
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
@@ -14,34 +15,12 @@ from nodes.electronics import Electronics
 from nodes.firmware_segment import FirmwareSegment
 from nodes.sampler import CountSampler, Sampler
 from nodes.synchronous_segment import SynchronousSegment
-from skin.layout import parse_layout
 from skin.sources import Frame, TaxelSource
+from tests import layouts
 from tests.bus.harness import frame
 
 needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="NOT TESTED: no C compiler")
-
-#: Four blocks of 32 taxels, two sums in each of two frames per block, on two buses.
-SMALL = """
-name = "small"
-[taxels]
-rows = 8
-columns = 16
-{taxels}
-[measurement]
-sums = 32
-{more}
-[[bus]]
-name = "bus0"
-{bus}
-[[bus]]
-name = "bus1"
-{bus}
-"""
-
-
-def small_contract(more: str = "", bus: str = "nodes = 2", taxels: str = "") -> Contract:
-    """Return the contract of a small skin, with more lines for its layout or taxels, or other lines for each bus."""
-    return Contract.from_layout(parse_layout(SMALL.format(more=more, bus=bus, taxels=taxels).encode(), "small"))
+small_contract = partial(layouts.small_contract, rate_hz=100.0)
 
 
 class Rolling:

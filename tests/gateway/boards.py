@@ -2,6 +2,7 @@
 
 import struct
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -27,31 +28,11 @@ from nodes.adaptive.sending import (
     new_groups,
     note_sent,
 )
-from skin.layout import parse_layout
 from skin.walsh import GROUPS, grouped_rows
 from tests.bus.harness import frame
 from tests.gateway.world import Wire
+from tests.layouts import ADAPTIVE, buses, small_layout
 
-#: Four patches of 4 x 8 taxels on two buses.
-SMALL = """
-name = "small"
-sending = "adaptive"
-[taxels]
-rows = 8
-columns = 16
-[measurement]
-wiring = "board"
-[sync]
-rate_hz = 10.0
-[sampling]
-rate_hz = 1000.0
-[[bus]]
-name = "bus0"
-nodes = 2
-[[bus]]
-name = "bus1"
-nodes = 2
-"""
 STEP_S = 0.005
 HEARTBEAT_S = 1.0
 RULE, VARIANCE_N2, NOISE_N2 = SendingRule(), np.zeros(32, np.float32), 1e-9
@@ -64,10 +45,9 @@ STATES = {
 }
 
 
-def small_adaptive(top: str = "", *, fd: bool = False, taxels: str = "") -> Contract:
-    text = SMALL.replace("nodes = 2", "nodes = 2\nfd = true\ndata_bitrate = 5_000_000") if fd else SMALL
-    text = text.replace("[taxels]", f"[taxels]\n{taxels}")
-    return Contract.from_layout(parse_layout((top + text).encode(), "small"))
+def small_adaptive(**tables: Any) -> Contract:
+    """Return the contract of four patches of 4 x 8 taxels on two buses."""
+    return Contract.from_layout(small_layout(8, 16, **ADAPTIVE | {"bus": buses(2, 2)} | tables))
 
 
 def send(groups: Groups, group: int, now: int, sums_n: np.ndarray, law: Companding) -> np.ndarray:

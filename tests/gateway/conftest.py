@@ -4,7 +4,8 @@ import pytest
 
 from dbc.contract import Contract
 from tests.gateway.boards import BoardWorld, small_adaptive
-from tests.gateway.world import World, small_contract
+from tests.gateway.world import World
+from tests.layouts import small_contract
 
 
 @pytest.fixture(scope="session")

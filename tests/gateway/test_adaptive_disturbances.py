@@ -19,7 +19,7 @@ from nodes.adaptive.boards import AdaptiveBoards
 from nodes.adaptive.segment import AdaptiveSegment
 from skin.walsh import grouped_rows
 from tests.gateway.boards import small_adaptive, sums_of
-from tests.gateway.test_disturbances import DISTURBANCES, RANDOM, drive
+from tests.gateway.helpers import DISTURBANCES, RANDOM, drive
 from tests.gateway.world import Wire, World, valid
 from tests.nodes.adaptive_bus import Press
 

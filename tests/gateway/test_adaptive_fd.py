@@ -8,12 +8,13 @@ from dbc.adaptive import FIRST_COB_ID
 from dbc.frame import FD
 from tests.bus.harness import frame
 from tests.gateway.boards import BoardWorld, lose, small_adaptive, states, sums_of
+from tests.layouts import buses
 
 
 @pytest.fixture
 def boards() -> BoardWorld:
     """Return a skin on CAN FD all of whose blocks are valid, the second touched."""
-    built = BoardWorld(small_adaptive(fd=True))
+    built = BoardWorld(small_adaptive(bus=buses(2, 2, fd=True, data_bitrate=5_000_000)))
     built.touch(1)
     built.until_whole(1.0)
     return built

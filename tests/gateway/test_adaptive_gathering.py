@@ -15,9 +15,9 @@ from dbc.frame import ERROR
 from dbc.indices import OD_COMPANDING, OD_SIGNATURE, OD_TEST_PATTERN, OD_TPDO_COMMUNICATION
 from gateway.adaptive_gathering import publishing_rates
 from gateway.block_states import FRESH_NS, OVERDUE_NS
-from skin.layout import parse_layout
 from tests.bus.harness import frame
-from tests.gateway.boards import SMALL, STEP_S, BoardWorld, at_rest, known_of, lose, small_adaptive, states, sums_of
+from tests.gateway.boards import STEP_S, BoardWorld, at_rest, known_of, lose, small_adaptive, states, sums_of
+from tests.layouts import buses
 
 DEAD, STALE, QUIET, FRESH = BlockState
 #: The times that docs/adaptive.md promises.
@@ -96,19 +96,18 @@ def test_measurements_are_a_millisecond_apart_and_a_tenth_of_a_second_at_most(bo
 
 
 @pytest.mark.parametrize(
-    ("line", "stamp_error_ns", "error_ns"),
+    ("bitrate", "stamp_error_ns", "error_ns"),
     [
         # 135 bits, with all stuff bits, after a sample of 1 ms.
-        ("bitrate = 1_000_000", 0, 1_135_000),
-        ("bitrate = 500_000", 40_000, 1_310_000),
-        ("bitrate = 500_000", None, -1),
+        (1_000_000, 0, 1_135_000),
+        (500_000, 40_000, 1_310_000),
+        (500_000, None, -1),
     ],
 )
 def test_the_sample_of_the_newest_frame_is_older_by_a_sample_and_a_frame(
-    line: str, stamp_error_ns: int | None, error_ns: int
+    bitrate: int, stamp_error_ns: int | None, error_ns: int
 ) -> None:
-    layout = parse_layout(SMALL.replace("nodes = 2", f"nodes = 2\n{line}").encode(), "slow.toml")
-    boards = BoardWorld(Contract.from_layout(layout))
+    boards = BoardWorld(small_adaptive(bus=buses(2, 2, bitrate=bitrate)))
     assert boards.run(0.3)[0].sampled_error_ns == -1  # no frame has come
     boards.until_whole(1.0)
     now_s = boards.now_s + 1.0
@@ -278,7 +277,7 @@ def test_silent_node_is_dead(boards: BoardWorld) -> None:
 
 def test_frames_of_a_node_that_is_not_proven_are_not_used() -> None:
     """Its code of sums differs: the same bytes would mean other forces."""
-    world = BoardWorld(small_adaptive('configure = "refuse"\n'))
+    world = BoardWorld(small_adaptive(configure="refuse"))
     wrong = world.boards[2]
     wrong.objects[OD_COMPANDING, 1] = b"\0\0\0\x40"
     wrong.objects[OD_SIGNATURE, 0] = bytes(4)

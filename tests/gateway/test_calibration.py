@@ -12,11 +12,11 @@ from canskin.messages import Measurement
 from dbc.contract import Contract
 from gateway.calibration import GatewayCalibration
 from skin.calibration_file import StoredCalibration, encoded, new_calibration, parse_calibration
-from tests.adaptive_messages import LAYOUT as ADAPTIVE
-from tests.adaptive_messages import adaptive_measurement
 from tests.calibration.skins import LAYOUT, Skin, offsets_n, pressed
 from tests.gateway.boards import small_adaptive
-from tests.gateway.world import World, small_contract
+from tests.gateway.world import World
+from tests.layouts import ADAPTIVE_SKIN, small_contract
+from tests.messages import adaptive_measurement
 
 
 class Asked:
@@ -149,7 +149,7 @@ def test_what_cannot_be_used_is_refused(
 
 
 def test_nodes_that_make_sums_in_hardware_get_no_gains() -> None:
-    world = World(small_contract(taxels='frontend = "analogue"'))
+    world = World(small_contract(taxels={"frontend": "analogue"}))
     wanted = new_calibration(world.contract.layout, gains=np.full(world.contract.layout.taxels.count, 1.1))
     asked = Asked(world)
     asked.ask(CalibrationRequest(action="write", content=encoded(wanted)))
@@ -258,11 +258,11 @@ def test_adaptive_boards_look_after_their_zero() -> None:
 @pytest.mark.parametrize("rate_hz", [1000, 2])
 def test_adaptive_sums_are_looked_at_forty_times_a_second(rate_hz: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """However often they come: the newest hold, also when their newest frame is old."""
-    calibration, looks = GatewayCalibration(Contract.from_layout(ADAPTIVE)), list[int]()
+    calibration, looks = GatewayCalibration(Contract.from_layout(ADAPTIVE_SKIN)), list[int]()
     take = calibration._calibrator.take
     monkeypatch.setattr(calibration._calibrator, "take", lambda each: (looks.append(each.sampled_mono_ns), take(each)))
     force_n, replies = pressed(20, 20, 9, 0.005), list[CalibrationReply]()
-    came = adaptive_measurement(force_n, layout=ADAPTIVE, sampled_mono_ns=1)
+    came = adaptive_measurement(force_n, layout=ADAPTIVE_SKIN, sampled_mono_ns=1)
     for milliseconds in range(6000):
         if milliseconds % (1000 // rate_hz) == 0:
             last = calibration.apply(came)

@@ -13,7 +13,7 @@ from dbc.contract import Contract
 from gateway.calibration import GatewayCalibration, node_values
 from skin.calibration_file import encoded, new_calibration, parse_calibration
 from tests.gateway.boards import small_adaptive
-from tests.gateway.world import small_contract
+from tests.layouts import small_contract
 
 
 class Writing:

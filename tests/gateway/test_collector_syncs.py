@@ -4,7 +4,7 @@ import numpy as np
 
 from dbc.canopen import SYNC_COB_ID
 from tests.bus.harness import frame
-from tests.gateway.test_collector import burst, echo, new_collector, whole_cycle
+from tests.gateway.cycles import burst, echo, new_collector, whole_cycle
 
 
 def test_foreign_syncs_are_counted_from_the_last_question_on() -> None:

@@ -1,35 +1,20 @@
 """Whatever is written, commanded, stored and lost: no wrong sum is valid, and the skin becomes whole again."""
 
-import os
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-import numpy as np
 import pytest
-from hypothesis import HealthCheck, Phase, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dbc.canopen import NmtCommand
 from dbc.configuration import configuration
-from dbc.dictionary import SILENT_AFTER_S
-from dbc.frame import ECHO
-from dbc.indices import OD_GAIN, OD_HEARTBEAT_MS, OD_OFFSET, OD_RESTORE, OD_STORE, SIGNATURE_LOAD, SIGNATURE_SAVE
-from gateway.nmt_master import LATER_S, PAUSES_S
-from tests.gateway.test_proof import little, swap_mapping
-from tests.gateway.world import STEP_S, EndOfWire, Wire, World, small_contract
-from tests.identity import IDENTITIES
+from dbc.indices import OD_GAIN, OD_HEARTBEAT_MS, OD_OFFSET
+from tests.gateway.helpers import DISTURBANCES, RANDOM, drive
+from tests.gateway.world import World
+from tests.layouts import IDENTITIES, small_contract
 
-#: Disturbances in each of the four cases: the same ones in every run, or as many random ones as wanted.
-DISTURBANCES = int(os.environ.get("SKIN_DISTURBANCES", "2600"))
-RANDOM = settings(
-    derandomize="SKIN_DISTURBANCES" not in os.environ,
-    deadline=None,
-    suppress_health_check=list(HealthCheck),
-    phases=(Phase.explicit, Phase.generate),  # to shrink an example takes longer than all tests
-)
 STEPS = 200
-#: After the last disturbance and the pause of a node that is out: a heartbeat, another pause, a proof that runs out.
-BOUND_S = 1.0 + max(PAUSES_S) + 5.0
 
 SMALL = small_contract()
 CONTRACTS = {identity: small_contract(identity=identity) for identity in IDENTITIES}
@@ -65,76 +50,6 @@ action = st.one_of(
     st.tuples(st.just("sync"), st.integers(0, 1), st.integers(0, 255)),
     st.tuples(st.just("lose"), st.integers(0, 1), st.sampled_from([0.0, 0.05, 0.5, 1.0]), st.integers(0, 2**16)),
 )
-
-
-class Losing:
-    """Loses frames at random at one end of a wire; own frames always come back."""
-
-    def __init__(self, end: EndOfWire, ratio: float, seed: int) -> None:
-        self._end, self._ratio, self._random = end, ratio, np.random.default_rng(seed)
-
-    def __call__(self, end: EndOfWire, each: np.void) -> bool:
-        return end is self._end and not each["flags"] & ECHO and self._random.random() < self._ratio
-
-
-def disturb(world: World, what: tuple, *, gateway_loses: bool) -> list[int]:
-    """Do one thing to the skin; return the blocks it may have changed."""
-    match what:
-        case ("write" | "write in segments" as how, (bus, node_id), (index, subindex, size), data):
-            write = world.write if how == "write" else world.write_in_segments
-            write(bus, node_id, index, subindex, data.ljust(size, b"\0")[:size])
-        case ("request", (bus, node_id), command, (index, subindex, _), data):
-            world.request(bus, node_id, command, index, subindex, data)
-        case ("swap", (bus, node_id), tpdo):
-            swap_mapping(world, bus, node_id, tpdo % len(world.contract.nodes[0].tpdos))
-        case ("pattern", (bus, node_id), pattern):
-            world.write(bus, node_id, 0x2021, 0, bytes((pattern,)))
-        case ("nmt", bus, command, node_id):
-            world.nmt(bus, command, node_id)
-            return [bus * 2, bus * 2 + 1]
-        case ("store", (bus, node_id)):
-            world.write(bus, node_id, OD_STORE, 1, little(SIGNATURE_SAVE))
-        case ("restore", (bus, node_id)):
-            world.write(bus, node_id, OD_RESTORE, 1, little(SIGNATURE_LOAD))
-        case ("sync", bus, counter):
-            world.wires[bus].put(0x80, bytes((counter,)))
-            return [bus * 2, bus * 2 + 1]
-        case ("lose", bus, ratio, seed):
-            wire: Wire = world.wires[bus]
-            wire.loses = Losing(wire.gateway if gateway_loses else wire.nodes, ratio, seed)
-            return []
-        case _:
-            return []
-    return [bus * 2 + node_id - 1]
-
-
-def drive(world: World, actions: list[tuple], *, gateway_loses: bool, pause_s: float = STEP_S) -> None:
-    """Disturb a skin again and again, `pause_s` apart; then let it become whole."""
-    world.until_whole(2.0)
-    changed_s = np.full(world.contract.phi.blocks, -np.inf)
-    limit_s = max(master.proof_limit_s for master in world.gateway.masters.values())
-    for what in actions:
-        for block in disturb(world, what, gateway_loses=gateway_loses):
-            changed_s[block] = world.now_s
-        for each in world.run(pause_s):
-            for block in world.wrong_blocks(each):
-                ago_s = world.now_s - changed_s[block]
-                assert gateway_loses, f"block {block} is wrong"
-                assert ago_s < limit_s, f"block {block} is wrong, changed {ago_s:.2f} s ago"
-    for wire in world.wires:
-        wire.loses = None
-    world.run(SILENT_AFTER_S)  # the next heartbeat shows a command that the gateway has lost
-    skip_pauses(world)
-    world.until_whole(BOUND_S)
-
-
-def skip_pauses(world: World) -> None:
-    """Check that no node is left out for longer than the longest pause; go on as if that pause were over."""
-    for master in world.gateway.masters.values():
-        for each in master.nodes.values():
-            if not each.trusted:
-                assert each.prove_at_s <= world.now_s + LATER_S
-                each.prove_at_s, each.tries = min(each.prove_at_s, world.now_s), 0
 
 
 @pytest.mark.slow

@@ -13,14 +13,12 @@ from dbc.canopen import (
     NmtCommand,
     NmtState,
 )
-from dbc.configuration import configuration, expected_signature
 from dbc.contract import Contract
-from dbc.frame import ECHO
-from dbc.indices import OD_GAIN, OD_SIGNATURE, OD_TEST_PATTERN, OD_TPDO_MAPPING
+from dbc.indices import OD_GAIN, OD_TEST_PATTERN, OD_TPDO_MAPPING
 from gateway.foreign_sdo import BLOCK_DOWNLOAD_S
 from gateway.nmt_master import TICK_S, NmtMaster
 from skin.layout import load_layout
-from tests.bus.harness import frame
+from tests.gateway.helpers import Boards, request
 
 #: The times that docs/bus.md promises.
 PROOF_PERIOD_S = 2.0
@@ -33,60 +31,7 @@ EXPLAINS_S = 2.0
 #: After another master's SDO, before the gateway asks the same node.
 SDO_QUIET_S = 0.05
 
-NO_SUBINDEX = 0x0609_0011
 TOO_SOON_S = 1e-6
-
-
-class Boards:
-    """The boards of bus0, their master and its clock; every answer comes at once."""
-
-    def __init__(self, contract: Contract) -> None:
-        self.now_s = 100.0
-        self.lines: list[str] = []
-        #: Times of requests by node-ID.
-        self.asked_s: dict[int, list[float]] = {}
-        #: Boards that answer no SDO, and those whose configuration is not right.
-        self.mute: set[int] = set()
-        self.wrong: set[int] = set()
-        self._answers: list[tuple[int, bytes]] = []
-        self._signatures = {
-            node.node_id: expected_signature(configuration(contract, node)).to_bytes(4, "little")
-            for node in contract.on_bus(0)
-        }
-        self.master = NmtMaster(contract, 0, self._send, lambda *_: None, self.lines.append)
-        self._beat_s = self.now_s
-
-    def _send(self, can_id: int, data: bytes) -> None:
-        if can_id == NMT_COB_ID:
-            self.hear(can_id, data, ECHO)
-            return
-        node_id = can_id - SDO_REQUEST_BASE
-        self.asked_s.setdefault(node_id, []).append(self.now_s)
-        if node_id in self.mute or data[0] & 0xE0 == 0x80:
-            return
-        is_signature = int.from_bytes(data[1:3], "little") == OD_SIGNATURE
-        if not is_signature:
-            answer = b"\x80" + data[1:4] + NO_SUBINDEX.to_bytes(4, "little")
-        else:
-            answer = b"\x43" + data[1:4] + (b"\1\2\3\4" if node_id in self.wrong else self._signatures[node_id])
-        self._answers.append((SDO_RESPONSE_BASE + node_id, answer))
-
-    def hear(self, can_id: int, data: bytes, flags: int = 0) -> None:
-        self.master.take(frame(can_id, data, flags, time_ns=round(self.now_s * 1e9)), self.now_s)
-
-    def run(self, seconds: float, *, beating: bool = True) -> None:
-        for _ in range(round(seconds / TICK_S)):
-            self.now_s += TICK_S
-            if beating and self.now_s >= self._beat_s:
-                self._beat_s = self.now_s + 1.0
-                for node_id in self.master.node_ids:
-                    self.hear(HEARTBEAT_BASE + node_id, bytes((NmtState.OPERATIONAL,)))
-            self.master.tick(self.now_s)
-            while self._answers:
-                self.hear(*self._answers.pop())
-
-    def trusted(self) -> list[int]:
-        return [node_id for node_id, node in self.master.nodes.items() if node.trusted]
 
 
 @pytest.fixture
@@ -96,10 +41,6 @@ def boards(small: Contract) -> Boards:
     built.run(0.5)
     assert built.trusted() == [1, 2]
     return built
-
-
-def request(command: int, index: int, subindex: int = 0) -> bytes:
-    return bytes((command,)) + index.to_bytes(2, "little") + bytes((subindex, 0, 0, 0, 0))
 
 
 def test_every_node_is_proven_once_a_round(boards: Boards) -> None:

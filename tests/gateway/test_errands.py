@@ -10,8 +10,8 @@ from dbc.canopen import SDO_REQUEST_BASE, SDO_RESPONSE_BASE
 from dbc.contract import Contract
 from dbc.indices import OD_NODE_NOISE, OD_REFRESH
 from gateway.foreign_sdo import ForeignClient
-from skin.layout import parse_layout
 from tests.gateway.boards import BoardWorld, at_rest, lose, states
+from tests.layouts import ADAPTIVE, small_layout
 
 #: The times that docs/adaptive.md promises.
 PAUSES_S = (0.1, 0.2, 0.4, 0.8, 1.6, 2.0, 2.0)
@@ -45,7 +45,7 @@ def test_lost_answers_do_not_block_the_proof(boards: BoardWorld) -> None:
 
 
 def test_four_nodes_of_a_bus_are_asked_at_a_time() -> None:
-    contract = _one_bus(16)
+    contract = Contract.from_layout(small_layout(16, 32, **ADAPTIVE))
     world = BoardWorld(contract)
     world.until_whole(2.0)
     world.run(0.5)
@@ -60,26 +60,6 @@ def test_four_nodes_of_a_bus_are_asked_at_a_time() -> None:
     for board in world.boards:
         board.answers = True
     world.until_whole(1.0)
-
-
-def _one_bus(nodes: int) -> Contract:
-    text = f"""
-name = "many"
-sending = "adaptive"
-[taxels]
-rows = 16
-columns = {32 * nodes // 16}
-[measurement]
-wiring = "board"
-[sync]
-rate_hz = 10.0
-[sampling]
-rate_hz = 1000.0
-[[bus]]
-name = "bus0"
-nodes = {nodes}
-"""
-    return Contract.from_layout(parse_layout(text.encode(), "many"))
 
 
 def test_noise_is_read_again_every_ten_seconds(boards: BoardWorld) -> None:

@@ -13,9 +13,9 @@ from gateway.collector import Collector
 from gateway.command import require_order
 from gateway.cycle_gathering import CycleGathering
 from gateway.gathering import Health
-from tests.gateway.test_loop import until_sync
-from tests.gateway.world import PERIOD_S, World, small_contract, valid
-from tests.identity import IDENTITIES
+from tests.gateway.helpers import until_sync
+from tests.gateway.world import PERIOD_S, World, valid
+from tests.layouts import IDENTITIES, small_contract
 
 PERIOD_NS = round(PERIOD_S * 1e9)
 SYNC_NS = 50_000

@@ -11,7 +11,9 @@ from dbc.dictionary import SILENT_AFTER_S
 from dbc.frame import ECHO
 from dbc.indices import OD_SIGNATURE
 from gateway.loop import LOOK_PERIOD_S
-from tests.gateway.world import PERIOD_S, STEP_S, EndOfWire, World, small_contract, valid
+from tests.gateway.helpers import until_sync
+from tests.gateway.world import PERIOD_S, STEP_S, EndOfWire, World, valid
+from tests.layouts import buses, small_contract
 
 
 def is_sum(each: np.void) -> bool:
@@ -27,13 +29,6 @@ def cut(world: World, bus: int, node_id: int) -> None:
         and each["can_id"] & 0x7F == node_id
         and each["can_id"] != SYNC_COB_ID
     )
-
-
-def until_sync(world: World) -> None:
-    """Go on until a SYNC has been sent; the cycle stays open where a bus is held."""
-    sent = world.gateway.sync.sent
-    while world.gateway.sync.sent == sent:
-        world.step()
 
 
 def test_counter_comes_round_without_a_gap(world: World) -> None:
@@ -197,7 +192,7 @@ def test_node_that_sends_sums_is_awaited_though_its_heartbeat_is_lost(world: Wor
 
 
 def test_all_blocks_of_a_node_are_used_and_given_up_together() -> None:
-    world = World(small_contract(bus="nodes = 1\nblocks_per_node = 2"))
+    world = World(small_contract(bus=buses(1, 1, blocks_per_node=2)))
     world.until_whole(2.0)
     world.nmt(0, NmtCommand.STOP, 1)
     came = world.run(2 * PERIOD_S)
@@ -207,7 +202,7 @@ def test_all_blocks_of_a_node_are_used_and_given_up_together() -> None:
 
 
 def test_skin_of_can_fd_becomes_whole() -> None:
-    world = World(small_contract(bus="nodes = 1\nblocks_per_node = 2\nfd = true\ndata_bitrate = 4000000"))
+    world = World(small_contract(bus=buses(1, 1, blocks_per_node=2, fd=True, data_bitrate=4_000_000)))
     world.until_whole(2.0)
     came = world.run(1.0)
     assert all(valid(each).all() and not world.wrong_blocks(each) for each in came)
@@ -227,7 +222,7 @@ def test_bus_that_refuses_syncs_says_why_once_and_when_it_is_over(world: World) 
 
 
 def test_analogue_sums_at_the_end_of_their_converter_are_not_usable() -> None:
-    world = World(small_contract(taxels='frontend = "analogue"'))
+    world = World(small_contract(taxels={"frontend": "analogue"}))
     world.until_whole(2.0)
     found = set()
     for each in world.run(1.0):

@@ -15,11 +15,8 @@ from gateway.gathering import Gathering, Health, Sync
 from gateway.load import LoadMeter
 from gateway.loop import GatewayLoop
 from gateway.nmt_master import NmtMaster
+from tests import messages as make
 from tests.bus.harness import frame
-
-
-def measurement(cycle: int) -> Measurement:
-    return Measurement(cycle=cycle, sync_counter=1, sampled_mono_ns=0, sums=b"", valid=b"", fingerprint="")
 
 
 @dataclass
@@ -154,8 +151,8 @@ def test_a_sync_goes_to_every_bus_with_the_times_of_its_turn(alone: Alone) -> No
     alone.loop.sync.start(120.0)
     assert alone.loop.send_sync(119.999, 17) == []
     assert (alone.told.syncs, alone.taken()) == ([], [])
-    alone.told.made = [measurement(3)]
-    assert alone.loop.send_sync(120.02, 17) == [measurement(3)]
+    alone.told.made = [make.measurement(3)]
+    assert alone.loop.send_sync(120.02, 17) == [make.measurement(3)]
     (sync,) = alone.told.syncs
     assert (sync.number, sync.counter, sync.wall_offset_ns, sync.period_s) == (1, 1, 17, 0.05)
     assert (sync.due_ns, sync.sent_ns) == (120_000_000_000, 120_020_000_000)
@@ -305,7 +302,7 @@ def test_loads_are_added_up_in_turn_after_measurements(alone: Alone, monkeypatch
     added: list[tuple[int, str]] = []
     now_ms = [0]
     monkeypatch.setattr(LoadMeter, "account", lambda load: added.append((now_ms[0], load._wires.name)))
-    for made, times_ms in (([], (5, 50)), ([measurement(1)], (100, 115, 119, 121, 135, 141, 161, 300))):
+    for made, times_ms in (([], (5, 50)), ([make.measurement(1)], (100, 115, 119, 121, 135, 141, 161, 300))):
         alone.told.made = made
         for now_ms[0] in times_ms:
             assert alone.loop.measurements(100 + now_ms[0] / 1000, 9) == made

@@ -6,68 +6,24 @@ from canskin.messages import SILENT
 from dbc.canopen import NmtState
 from dbc.contract import Contract
 from dbc.frame import ECHO, ERROR
-from dbc.indices import OD_SIGNATURE
-from gateway.node_record import NodeRecord
-from tests.gateway.test_doubts import Boards
+from tests.gateway.helpers import (
+    BOOTED,
+    EMCY,
+    HEARTBEAT,
+    NMT,
+    OPERATIONAL,
+    PRE,
+    PRE_OPERATIONAL,
+    RESET_COMMUNICATION,
+    RESET_NODE,
+    START,
+    STOP,
+    STOPPED,
+    Listening,
+    skin,
+)
 
-NMT, EMCY, ANSWER, REQUEST, HEARTBEAT = 0x000, 0x080, 0x580, 0x600, 0x700
-START, STOP, PRE_OPERATIONAL, RESET_NODE, RESET_COMMUNICATION = 0x01, 0x02, 0x80, 0x81, 0x82
-BOOTED, STOPPED, OPERATIONAL, PRE = 0, 4, 5, 127
-
-
-class Listening(Boards):
-    """Boards that keep the NMT commands; those of `plain` compute no signature, and answer what the contract says."""
-
-    def __init__(self, contract: Contract) -> None:
-        self.commands: list[tuple[int, int]] = []
-        self.plain: set[int] = set()
-        self._rest = b""
-        super().__init__(contract)
-
-    def _send(self, can_id: int, data: bytes) -> None:
-        if can_id == NMT:
-            self.commands.append((data[0], data[1]))
-        node_id, before = can_id - REQUEST, len(self._answers)
-        super()._send(can_id, data)
-        if node_id in self.plain and len(self._answers) > before:
-            self._answers[-1] = (ANSWER + node_id, self._plain_answer(node_id, data))
-
-    def _plain_answer(self, node_id: int, asked: bytes) -> bytes:
-        if asked[0] & 0xE0 == 0x60:
-            part, self._rest = self._rest[:7], self._rest[7:]
-            return bytes((asked[0] & 0x10 | 7 - len(part) << 1 | (not self._rest),)) + part.ljust(7, b"\0")
-        index, subindex = int.from_bytes(asked[1:3], "little"), asked[3]
-        if index == OD_SIGNATURE:
-            return b"\x43" + asked[1:4] + bytes(4)
-        settings = self.master.nodes[node_id].settings
-        (value,) = {each.data for each in settings if (each.index, each.subindex) == (index, subindex)}
-        if len(value) > 4:
-            self._rest = value
-            return b"\x41" + asked[1:4] + len(value).to_bytes(4, "little")
-        return bytes((0x43 | 4 - len(value) << 2,)) + asked[1:4] + value.ljust(4, b"\0")
-
-    def node(self, node_id: int) -> NodeRecord:
-        return self.master.nodes[node_id]
-
-    def beat(self, node_id: int, state: int) -> None:
-        self.hear(HEARTBEAT + node_id, bytes((state,)))
-
-    def lines_now(self) -> list[str]:
-        """Return the lines since the last call, with those that wait for others."""
-        self.master.stop()
-        assert self.commands.pop() == (PRE_OPERATIONAL, 0)
-        lines = [*self.lines]
-        self.lines.clear()
-        return lines
-
-
-@pytest.fixture
-def skin(small: Contract) -> Listening:
-    """Return nodes 1 and 2 of bus0, proven and running, 0.5 s after their start."""
-    built = Listening(small)
-    built.run(0.5, beating=False)
-    assert built.trusted() == [1, 2]
-    return built
+__all__ = ["skin"]
 
 
 def ns(now_s: float) -> int:

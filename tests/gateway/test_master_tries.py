@@ -7,8 +7,7 @@ import pytest
 
 from dbc.contract import Contract
 from gateway.sdo import Read, SdoTimeoutError, Transfer
-from tests.gateway.test_doubts import request
-from tests.gateway.test_master_records import (
+from tests.gateway.helpers import (
     ANSWER,
     BOOTED,
     OPERATIONAL,
@@ -18,9 +17,10 @@ from tests.gateway.test_master_records import (
     START,
     STOPPED,
     Listening,
+    request,
     skin,
 )
-from tests.gateway.world import small_contract
+from tests.layouts import buses, small_contract
 
 __all__ = ["skin"]
 
@@ -138,7 +138,7 @@ def test_a_proof_holds_from_its_oldest_read(small: Contract) -> None:
 
 def alone() -> Listening:
     """Return the only node of a bus, proven, whose proofs begin every 2 s."""
-    built = Listening(small_contract(bus="nodes = 1\nblocks_per_node = 2"))
+    built = Listening(small_contract(bus=buses(1, 1, blocks_per_node=2)))
     built.run(0.5)
     assert built.trusted() == [1]
     return built

@@ -25,9 +25,9 @@ from gateway.collector import SWAPPED_CYCLES
 from gateway.loop import LOOK_PERIOD_S
 from gateway.nmt_master import DIALOGUES, LATER_S, PAUSES_S, STABLE_S, TICK_S, NmtMaster
 from gateway.sdo import TIMEOUT_S
-from skin.layout import parse_layout
 from tests.bus.harness import frame
-from tests.gateway.world import PERIOD_S, EndOfWire, World, small_contract, valid
+from tests.gateway.world import PERIOD_S, EndOfWire, World, valid
+from tests.layouts import buses, small_contract, small_layout
 
 HEARTBEAT_S = 1.0
 #: From the event that tells that a node is out to its first valid block: a pause, a proof, a cycle to start in.
@@ -323,8 +323,7 @@ def test_command_of_another_master_during_a_proof_is_not_forgotten(world: World)
 
 def wide_contract(*nodes: int) -> Contract:
     """Return the contract of a skin of 64 x 64 taxels with so many nodes on its buses."""
-    buses = "".join(f'[[bus]]\nname = "bus{bus}"\nnodes = {count}\n' for bus, count in enumerate(nodes))
-    return Contract.from_layout(parse_layout(f"[taxels]\nrows = 64\ncolumns = 64\n{buses}".encode(), "wide"))
+    return Contract.from_layout(small_layout(64, 64, bus=buses(*nodes)))
 
 
 def test_absent_nodes_do_not_take_the_turns_of_others() -> None:

@@ -3,6 +3,7 @@
 import itertools
 import re
 from collections.abc import Callable
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -20,8 +21,8 @@ from nodes.sampler import new_sampler
 from nodes.synchronous_segment import SynchronousSegment
 from tests.bus.harness import frame
 from tests.gateway.boards import Board
-from tests.gateway.world import Shaking, Wire, small_contract
-from tests.identity import IDENTITIES, with_identity
+from tests.gateway.world import Shaking, Wire
+from tests.layouts import IDENTITIES, buses, small_contract
 
 STEP_S = 0.005
 #: 1007h at 20 SYNCs a second: 99 % of the period.
@@ -63,10 +64,9 @@ def pattern_of(bench: Bench) -> int:
 
 
 @pytest.mark.parametrize("identity", IDENTITIES)
-@pytest.mark.parametrize("bus", ["nodes = 2", "nodes = 1\nblocks_per_node = 2", "nodes = 2\nfd = true"])
-def test_a_board_that_keeps_the_contract(bus: str, identity: str) -> None:
-    layout = with_identity(small_contract(bus=bus).layout, identity)
-    bench = Bench(Contract.from_layout(layout))
+@pytest.mark.parametrize("bus", [buses(2, 2), buses(1, 1, blocks_per_node=2), buses(2, 2, fd=True)])
+def test_a_board_that_keeps_the_contract(bus: list[dict[str, Any]], identity: str) -> None:
+    bench = Bench(small_contract(identity, bus=bus))
     report = bench.check()
     node = bench.contract.nodes[0]
     assert (report.bus, report.node_id, report.differences, report.notes) == ("bus0", 1, [], [])
@@ -82,7 +82,7 @@ def test_a_board_that_keeps_the_contract(bus: str, identity: str) -> None:
 
 
 def test_a_board_that_makes_its_sums_in_hardware() -> None:
-    report = Bench(small_contract(taxels='frontend = "analogue"')).check()
+    report = Bench(small_contract(taxels={"frontend": "analogue"})).check()
     assert (report.differences, report.notes) == ([], [])
 
 
@@ -96,21 +96,21 @@ def test_a_test_pattern_that_was_on_is_noted_and_on_again() -> None:
 
 
 @pytest.mark.parametrize(
-    ("top", "words"),
+    ("tables", "words"),
     [
-        ("[device]\nvendor_id = 7", ["1018h:1 (Identity, Vendor-ID) is 7h, expected 0h"]),
-        ("[encoding]\noffset_binary = true", ["2005h:0", "test pattern zero, SYNC 1: TPDO 1 (181h) is 55 55"]),
+        ({"device": {"vendor_id": 7}}, ["1018h:1 (Identity, Vendor-ID) is 7h, expected 0h"]),
+        ({"encoding": {"offset_binary": True}}, ["2005h:0", "test pattern zero, SYNC 1: TPDO 1 (181h) is 55 55"]),
     ],
 )
-def test_a_board_for_another_layout(top: str, words: list[str]) -> None:
-    report = Bench(small_contract(), small_contract(top=top)).check()
+def test_a_board_for_another_layout(tables: dict[str, Any], words: list[str]) -> None:
+    report = Bench(small_contract(), small_contract(**tables)).check()
     said = "\n".join(report.differences)
     for word in words:
         assert word in said
 
 
 def test_a_serial_number_of_the_maker_is_a_note() -> None:
-    report = Bench(small_contract(), small_contract(top="[device]\nfirst_serial = 1000")).check()
+    report = Bench(small_contract(), small_contract(device={"first_serial": 1000})).check()
     assert not report.differences
     assert "1018h:4" in report.notes[0]
 

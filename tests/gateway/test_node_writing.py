@@ -12,7 +12,7 @@ from gateway.nmt_master import NmtMaster
 from gateway.node_writing import NodeWriting
 from gateway.sdo import SdoDialogue, Write
 from skin.layout import load_layout
-from tests.gateway.world import small_contract
+from tests.layouts import buses, small_contract
 
 
 class Master:
@@ -124,7 +124,7 @@ def test_a_node_gets_the_values_of_its_taxels_in_the_order_of_its_chain_and_stor
 
 
 def test_the_second_block_of_a_node_has_objects_of_its_own() -> None:
-    contract = small_contract(bus="nodes = 1\nblocks_per_node = 2")
+    contract = small_contract(bus=buses(1, 1, blocks_per_node=2))
     master = Master([1])
     steps: list[Any] = []
     master.ask = lambda _node_id, each, _now_s: steps.append(each)  # type: ignore[assignment]

@@ -7,7 +7,7 @@ from dbc.contract import Contract
 from dbc.frame import Frames, frames
 from gateway.playback import Playback, play
 from tests.bus.harness import frame
-from tests.gateway.world import small_contract
+from tests.layouts import small_contract
 
 START_NS = 1_000_000_000_000
 MS = 1_000_000

@@ -1,5 +1,7 @@
 """What a node's PDOs carry is proven before it counts."""
 
+from typing import Any
+
 import pytest
 
 from dbc.canopen import HEARTBEAT_BASE, NMT_COB_ID, SDO_REQUEST_BASE, SDO_RESPONSE_BASE, NmtCommand
@@ -15,36 +17,14 @@ from dbc.indices import (
     OD_SYNC_OVERFLOW,
     OD_TEST_PATTERN,
     OD_TPDO_COMMUNICATION,
-    OD_TPDO_MAPPING,
     OD_WINDOW_US,
     SIGNATURE_SAVE,
 )
 from gateway.proof import prove
 from gateway.sdo import Read, SdoAbortedError
-from skin.layout import parse_layout
-from tests.gateway.world import PERIOD_S, SMALL, STEP_S, World, small_contract, valid
-
-
-def little(value: int, size: int = 4) -> bytes:
-    return value.to_bytes(size, "little")
-
-
-def swap_mapping(world: World, bus: int, node_id: int, tpdo: int = 0, *, back: bool = False) -> None:
-    """Swap the first two sums of a TPDO, or swap them back, as CiA 301, 7.5.2.38, wants it done."""
-    node = next(each for each in world.contract.on_bus(bus) if each.node_id == node_id)
-    cob_id = node.tpdos[tpdo].cob_id | 0x4000_0000
-    entries = [each.data for each in configuration(world.contract, node) if each.index == OD_TPDO_MAPPING + tpdo]
-    count, first, second = entries[0], *(entries[2:0:-1] if back else entries[1:3])
-    communication, mapping = OD_TPDO_COMMUNICATION + tpdo, OD_TPDO_MAPPING + tpdo
-    for index, subindex, data in (
-        (communication, 1, little(cob_id | 0x8000_0000)),
-        (mapping, 0, b"\0"),
-        (mapping, 1, second),
-        (mapping, 2, first),
-        (mapping, 0, count),
-        (communication, 1, little(cob_id)),
-    ):
-        world.write(bus, node_id, index, subindex, data)
+from tests.gateway.helpers import little, swap_mapping
+from tests.gateway.world import PERIOD_S, STEP_S, World, valid
+from tests.layouts import small_contract
 
 
 def deaf_to_writes(world: World, bus: int) -> None:
@@ -72,7 +52,7 @@ def test_swapped_mapping_that_was_saved_never_counts(world: World) -> None:
 
 
 def test_swapped_mapping_is_refused_where_the_layout_says_so() -> None:
-    world = World(small_contract('configure = "refuse"'))
+    world = World(small_contract(configure="refuse"))
     world.until_whole(2.0)
     swap_mapping(world, 0, 1)
     check(world, 3.0)
@@ -90,7 +70,7 @@ def test_swapped_mapping_is_refused_where_the_layout_says_so() -> None:
 @pytest.mark.parametrize("started", [False, True], ids=["doubted", "started by another master"])
 def test_refused_node_sends_nothing_under_identifiers_of_another_node(started: bool) -> None:
     """Else its sums would be those of a node that misses a SYNC."""
-    world = World(small_contract('configure = "refuse"'))
+    world = World(small_contract(configure="refuse"))
     world.until_whole(2.0)
     first, second = world.contract.on_bus(0)
     for place, (tpdo, other) in enumerate(zip(second.tpdos, first.tpdos, strict=True)):
@@ -233,19 +213,18 @@ def test_another_device_is_refused_by_name(small: Contract, index: int, answer: 
 
 
 @pytest.mark.parametrize(
-    ("change", "words"),
+    ("changed", "words"),
     [
-        (("[sync]", "[encoding]\noffset_binary = true\n[sync]"), "2005h:0 (Encoding"),
-        (("sums = 32", "sums = 32\nseed = 2"), "2002h:0 (Fingerprint"),
-        (("[taxels]", '[taxels]\nfrontend = "analogue"'), "2005h:0 (Encoding"),
+        ({"encoding": {"offset_binary": True}}, "2005h:0 (Encoding"),
+        ({"measurement": {"seed": 2}}, "2002h:0 (Fingerprint"),
+        ({"taxels": {"frontend": "analogue"}}, "2005h:0 (Encoding"),
     ],
     ids=["encoding", "seed of Φ", "front end"],
 )
 def test_board_that_was_built_for_another_skin_is_refused_until_it_is_replaced(
-    small: Contract, change: tuple[str, str], words: str
+    small: Contract, changed: dict[str, Any], words: str
 ) -> None:
-    text = SMALL.format(top="", bus="nodes = 2", identity="window", measurement="sums = 32", taxels="")
-    other = Contract.from_layout(parse_layout(text.replace(*change).encode(), "other"))
+    other = small_contract(**changed)
     world = World(small, built=other)
     world.segments[1] = world.new_segment(1, small)
     world.segments[1].boot(world.now_s)

@@ -8,9 +8,8 @@ from dbc.configuration import configuration, expected_signature
 from dbc.contract import Contract
 from dbc.frame import ECHO, Frames
 from gateway.nmt_master import NmtMaster
-from skin.layout import parse_layout
 from tests.bus.harness import frame
-from tests.gateway.world import small_contract
+from tests.layouts import buses, small_contract, small_layout
 
 #: The gateway looks at its nodes every 10 ms.
 TICK_S = 0.01
@@ -20,7 +19,7 @@ class Bench:
     """The gateway's NMT master, and node 1, which answers what it is asked at once; alone on its bus."""
 
     def __init__(self) -> None:
-        contract = small_contract(bus="nodes = 1\nblocks_per_node = 2")
+        contract = small_contract(bus=buses(1, 1, blocks_per_node=2))
         (node,) = contract.on_bus(0)
         self.signature = expected_signature(configuration(contract, node))
         self.now_s = 0.0
@@ -275,10 +274,8 @@ def test_a_node_that_was_started_before_is_not_under_way_after_a_new_start(bench
 
 
 def test_sixteen_nodes_are_asked_at_the_same_time() -> None:
-    buses = "".join(f'[[bus]]\nname = "bus{bus}"\nnodes = 64\n' for bus in range(2))
-    layout = parse_layout(f"[taxels]\nrows = 64\ncolumns = 64\n{buses}".encode(), "wide")
     asked: list[int] = []
-    contract = Contract.from_layout(layout)
+    contract = Contract.from_layout(small_layout(64, 64, bus=buses(64, 64)))
     master = NmtMaster(contract, 0, lambda can_id, _: asked.append(can_id), lambda *_: None, lambda _: None)
     master.tick(0.0)
     assert asked == [0x600 + node_id for node_id in range(1, 17)]

@@ -9,13 +9,14 @@ import pytest
 
 from bus.link import Link, State
 from canskin.calibration_messages import CalibrationState, CalibrationStatus
-from canskin.messages import GATEWAY, MEASUREMENT, FrameCounts, GatewayStatus, Measurement, Topic
+from canskin.messages import GATEWAY, MEASUREMENT, GatewayStatus, Measurement, Topic
 from canskin.state_messages import ImagesReply, ImagesRequest
 from dbc.contract import Contract
 from dbc.frame import Frames, frames
 from gateway.calibration import GatewayCalibration
 from gateway.loop import GatewayLoop
 from gateway.service import GatewayService
+from tests import messages as make
 from tests.bus.harness import frame
 
 NOW_S = 50.0
@@ -68,9 +69,7 @@ class Loop:
 
     def status(self, links: dict[int, tuple[State, int]], now_s: float) -> GatewayStatus:
         self.told.append(("status", links, now_s))
-        return GatewayStatus(
-            time_ns=0, cycles=4, cycles_complete=3, frames=FrameCounts(), sync_rate_hz=0.0, buses=[], syncs_skipped=0
-        )
+        return make.gateway_status(4, cycles_complete=3, sync_rate_hz=0.0)
 
 
 class Calibration:
@@ -156,10 +155,6 @@ def _patched(built: Turns, monkeypatch: pytest.MonkeyPatch) -> Turns:
     return built
 
 
-def measurement(cycle: int) -> Measurement:
-    return Measurement(cycle=cycle, sync_counter=1, sampled_mono_ns=0, sums=b"", valid=b"", fingerprint="")
-
-
 @pytest.mark.parametrize(
     ("due_s", "timeout_s"), [(-1.0, 0.0), (0.0, 0.0), (0.00390625, 0.00390625), (0.0625, 0.01), (NEVER_S, 0.01)]
 )
@@ -179,7 +174,7 @@ def test_frames_rest_as_long_as_they_may(turns: Turns, rests_s: float, slept_s: 
 def test_a_turn_reads_what_is_ready_looks_at_every_link_and_then_does_what_is_due(turns: Turns) -> None:
     turns.links[1].arrived = np.concatenate([frame(0x181)] * 3)
     turns.ready = [turns.links[1]]
-    turns.loop.made = {"sync": [measurement(8)], "due": [measurement(9)]}
+    turns.loop.made = {"sync": [make.measurement(8)], "due": [make.measurement(9)]}
     turns.service.turn()
     assert [link.reads for link in turns.links] == [0, 1]
     assert turns.loop.told[:5] == [
@@ -189,7 +184,7 @@ def test_a_turn_reads_what_is_ready_looks_at_every_link_and_then_does_what_is_du
         ("sync", NOW_S, WALL_OFFSET_NS),
         ("due", NOW_S, WALL_OFFSET_NS),
     ]
-    assert turns.published[:2] == [(MEASUREMENT, measurement(8)), (MEASUREMENT, measurement(9))]
+    assert turns.published[:2] == [(MEASUREMENT, make.measurement(8)), (MEASUREMENT, make.measurement(9))]
 
 
 def test_status_goes_out_with_the_first_turn_and_every_fifth_of_a_second(turns: Turns) -> None:
@@ -239,10 +234,10 @@ def test_images_are_asked_for_as_long_as_the_zero_needs_them(calibrated: Turns) 
 
 def test_measurements_have_their_offsets_and_teach_the_calibration(calibrated: Turns) -> None:
     assert calibrated.calibration is not None
-    calibrated.service.publish([measurement(1), measurement(2)])
+    calibrated.service.publish([make.measurement(1), make.measurement(2)])
     offsets = [(topic is MEASUREMENT, message.cycle, message.offsets) for topic, message in calibrated.published]
     assert offsets == [(True, 1, b"\1\0\0\0"), (True, 2, b"\1\0\0\0")]
-    assert calibrated.calibration.told == [("take", measurement(1)), ("take", measurement(2))]
+    assert calibrated.calibration.told == [("take", make.measurement(1)), ("take", make.measurement(2))]
 
 
 # Requests for images

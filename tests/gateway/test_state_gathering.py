@@ -15,7 +15,9 @@ from gateway.gathering import Health, Sync
 from gateway.nmt_master import NmtMaster
 from gateway.state_gathering import StateGathering
 from tests.bus.harness import frame
-from tests.gateway.test_states import CONTRACT
+from tests.gateway.helpers import two_states
+
+CONTRACT = two_states()
 
 #: Images: two frames of each of four blocks. Recognition: a frame of each of three blocks, the fourth has no sum.
 IMAGES, FEW = CONTRACT.states

@@ -9,8 +9,11 @@ from canskin.messages import Measurement
 from dbc.dictionary import SkinState
 from dbc.frame import ECHO, ERROR, Frames
 from gateway.state_switch import StateSwitch
+from tests import messages as make
 from tests.bus.harness import frame
-from tests.gateway.test_states import CONTRACT
+from tests.gateway.helpers import two_states
+
+CONTRACT = two_states()
 
 #: Far from the next SYNC.
 FAR_S = 1e9
@@ -177,9 +180,7 @@ def test_a_later_request_that_lasts_longer_counts(skin: Skin) -> None:
 
 def measured(*, whole: bool = True, images: bool = True) -> Measurement:
     phi = (CONTRACT.phi if images else CONTRACT.states[1].phi).fingerprint
-    return Measurement(
-        cycle=1, sync_counter=1, sampled_mono_ns=0, sums=b"", valid=b"\1\1\1" + bytes((whole,)), fingerprint=phi
-    )
+    return make.measurement(valid=b"\1\1\1" + bytes((whole,)), fingerprint=phi)
 
 
 def told(skin: Skin) -> tuple[int, float]:

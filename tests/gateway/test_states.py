@@ -14,7 +14,6 @@ from canskin.messages import RECOGNITION as RECOGNITION_TOPIC
 from canskin.state_messages import ImagesReply, ImagesRequest
 from dbc.board import board
 from dbc.canopen import STATE_COB_ID, SYNC_COB_ID, NmtCommand
-from dbc.contract import Contract
 from dbc.database import database
 from dbc.dictionary import SkinState
 from dbc.indices import OD_STATE
@@ -22,16 +21,12 @@ from gateway.calibration import GatewayCalibration
 from gateway.service import GatewayService
 from gateway.state_switch import REPEAT_S
 from skin.calibration_file import new_calibration
-from tests.gateway.world import EndOfWire, World, small_contract, valid
+from tests import messages as make
+from tests.gateway.helpers import two_states
+from tests.gateway.world import EndOfWire, World, valid
 
 #: Five SYNCs of recognition in the period of one of images; two nodes of one block on each bus, one has no sum in it.
-RECOGNISES = "sums = 32\n[recognition]\nrows = [[0, {0}], [1, {1}], [2, {2}]]\nrate_hz = 100.0"
 FAST_S = 0.01
-
-
-def two_states() -> Contract:
-    rows = [small_contract().phi.rows_of(block)[block] for block in range(3)]
-    return small_contract(measurement=RECOGNISES.format(*rows))
 
 
 CONTRACT = two_states()
@@ -288,9 +283,8 @@ def test_a_zero_is_followed_while_nothing_asks_for_images() -> None:
     for cycle in range(round(300 / period_s)):
         now_s = cycle * period_s
         sums = np.rint(drift_n_per_s * now_s / newton_per_count).astype("<i4")
-        each = Measurement(
-            cycle=cycle,
-            sync_counter=1,
+        each = make.measurement(
+            cycle,
             sampled_mono_ns=round((100 + now_s) * 1e9),
             sums=sums.tobytes(),
             valid=np.full(phi.blocks, came, np.uint8).tobytes(),  # not in the first cycle of images

@@ -12,7 +12,8 @@ from gateway.temperatures import PERIOD_S
 from skin.defects import Defects
 from skin.zero_drift import DRIFT_N_PER_K, REST_K, ZeroDrift
 from tests.gateway.boards import BoardWorld, small_adaptive
-from tests.gateway.world import World, small_contract
+from tests.gateway.world import World
+from tests.layouts import buses, small_contract
 
 READ = b"\x40" + OD_TEMPERATURE.to_bytes(2, "little")
 
@@ -36,8 +37,8 @@ class Warm:
 
 @pytest.mark.parametrize("blocks_per_node", [1, 2])
 def test_temperatures_follow_the_drift_of_each_board(blocks_per_node: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    bus = f"nodes = {2 // blocks_per_node}\nblocks_per_node = {blocks_per_node}"
-    world = World(small_contract(bus=bus, taxels="has_thermometers = true"))
+    bus = buses(*2 * [2 // blocks_per_node], blocks_per_node=blocks_per_node)
+    world = World(small_contract(bus=bus, taxels={"has_thermometers": True}))
     world.until_whole(2.0)
     warm = Warm(world, monkeypatch)
     assert warm.run(2 * PERIOD_S) == pytest.approx(REST_K, abs=0.051)
@@ -52,7 +53,7 @@ def test_temperatures_follow_the_drift_of_each_board(blocks_per_node: int, monke
 
 
 def test_a_board_that_is_not_in_use_or_knows_none_has_no_temperature(monkeypatch: pytest.MonkeyPatch) -> None:
-    contract = small_adaptive(taxels="has_thermometers = true")
+    contract = small_adaptive(taxels={"has_thermometers": True})
     world = BoardWorld(contract)
     for board, data in zip(world.boards, (b"\xff\x7f", b"\xa6\x0b", None, b"\0\0"), strict=True):
         if data is not None:

@@ -17,43 +17,14 @@ from gateway.loop import GatewayLoop
 from nodes.electronics import Electronics
 from nodes.sampler import Sampler
 from nodes.synchronous_segment import SynchronousSegment
-from skin.layout import parse_layout
 from skin.measurement import Sbhe
 from skin.sources import Frame
 from skin.taxel import to_counts
 from tests.bus.harness import frame
 
-#: Four blocks of 32 taxels, two sums in each of two frames per block, on two buses.
-SMALL = """
-name = "small"
-{top}
-[taxels]
-rows = 8
-columns = 16
-{taxels}
-[measurement]
-{measurement}
-[sync]
-rate_hz = 20.0
-identity = "{identity}"
-[[bus]]
-name = "bus0"
-{bus}
-[[bus]]
-name = "bus1"
-{bus}
-"""
 PERIOD_S = 0.05
 #: Nodes look at time between two SYNCs only.
 STEP_S = PERIOD_S / 2
-
-
-def small_contract(
-    top: str = "", bus: str = "nodes = 2", identity: str = "window", measurement: str = "sums = 32", taxels: str = ""
-) -> Contract:
-    """Return the contract of the small skin, with more lines at its `top` or in `taxels`, or others in its tables."""
-    text = SMALL.format(top=top, bus=bus, identity=identity, measurement=measurement, taxels=taxels)
-    return Contract.from_layout(parse_layout(text.encode(), "small"))
 
 
 class Shaking:

@@ -13,6 +13,7 @@ import can
 import pytest
 
 from skin.layout import load_layout
+from tests.layouts import layout_toml
 from tests.processes import PATIENCE_S, Processes, free_endpoint
 
 pytestmark = [
@@ -22,21 +23,7 @@ pytestmark = [
     ),
 ]
 
-LAYOUT = """
-name = "judged"
-[taxels]
-rows = 16
-columns = 16
-adc_bits = 10
-[measurement]
-sums = 64
-[sync]
-rate_hz = 10.0
-identity = "alternating"
-[[bus]]
-name = "bus0"
-nodes = 8
-"""
+LAYOUT = layout_toml(16, 16, name="judged", sync={"rate_hz": 10.0, "identity": "alternating"})
 NODES, TPDOS, CYCLES = 8, 4, 20
 #: Function codes as the dissector numbers them.
 NMT, SYNC_OR_EMCY, PDO1_TX, PDO2_TX, PDO3_TX, PDO4_TX, SDO_TX, SDO_RX, NMT_ERROR_CONTROL = 0, 1, 3, 5, 7, 9, 11, 12, 14

@@ -43,7 +43,7 @@ from skin.terminal import progress
 ROOT: Final = Path(__file__).parents[2]
 MARKS: Final = Path(__file__).with_name("equivalent.toml")
 FOLDER: Final = ROOT / "build" / "mutants"
-#: The tree that is changed. It stays where it is, so that no compiled file is made twice.
+#: The tree that is changed. It stays where it is, so that no file is compiled twice.
 COPY: Final = FOLDER / "tree"
 #: Compiled kernels, for mutants that change none; kept from run to run.
 KERNELS: Final = FOLDER / "kernels"
@@ -91,11 +91,10 @@ OPERATORS: Final = (
     "core/ZeroIterationForLoop",
     "canskin/RemoveStatement",
 )
-#: A mutant hangs when its tests take this many times what they take without a fault, and at least so long: some have to
-#: compile.
+#: A mutant hangs when its tests take PATIENCE times the time without a fault, and LEAST_PATIENCE_S: some compile.
 PATIENCE: Final = 5.0
 LEAST_PATIENCE_S: Final = 180.0
-#: Memory of one process, so that a loop without an end takes the machine's memory away from nobody.
+#: Memory of one process, so that an endless loop leaves memory to other processes.
 MEMORY_BYTES: Final = 4 << 30
 
 

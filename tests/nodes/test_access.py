@@ -12,8 +12,8 @@ from nodes.access import check_write, is_allowed
 from nodes.segment import Segment
 from skin.layout import load_layout
 from tests.nodes.conftest import new_segment
+from tests.nodes.helpers import write
 from tests.nodes.links import ArrayLink
-from tests.nodes.test_segment import write
 
 VALUE, STATE, PDO_LENGTH, NOT_MAPPABLE = 0x0609_0030, 0x0800_0022, 0x0604_0042, 0x0604_0041
 NOT_STORED, INCOMPATIBLE, NO_SUBINDEX = 0x0800_0020, 0x0604_0043, 0x0609_0011

@@ -7,27 +7,12 @@ from dbc.adaptive import frame_of
 from dbc.contract import Contract
 from gateway.adaptive_state import new_sums, take
 from nodes.adaptive.touch_frames import touched_frames
-from skin.layout import parse_layout
 from skin.sources import Frame
 from skin.walsh import walsh_matrix
+from tests.layouts import ADAPTIVE, buses, small_layout
 
 #: Four patches of 4 x 8 taxels on two buses.
-SMALL = b"""
-sending = "adaptive"
-[taxels]
-rows = 8
-columns = 16
-[measurement]
-wiring = "board"
-[sync]
-rate_hz = 10.0
-[[bus]]
-name = "bus0"
-nodes = 2
-[[bus]]
-name = "bus1"
-nodes = 2
-"""
+CONTRACT = Contract.from_layout(small_layout(8, 16, **ADAPTIVE, bus=buses(2, 2)))
 BEGIN_STEP = 5
 
 
@@ -38,7 +23,7 @@ class OnePatch:
 
     def __init__(self, contract: Contract, block: int) -> None:
         self.force_n = np.zeros(128, np.float32)
-        self.taxels = contract.phi.taxels_of_blocks[block]
+        self.taxels = CONTRACT.phi.taxels_of_blocks[block]
         self.force_n[self.taxels] = np.random.default_rng(1).uniform(0.004, 0.012, 32)
 
     def frame(self, step: int) -> Frame:
@@ -47,10 +32,9 @@ class OnePatch:
 
 
 def test_the_touched_node_of_the_bus_sends_what_a_receiver_needs() -> None:
-    contract = Contract.from_layout(parse_layout(SMALL, "small"))
-    touched = contract.on_bus(1)[0]
-    source = OnePatch(contract, touched.block)
-    sent = touched_frames(contract, 1, source, 0.6, seed=1)
+    touched = CONTRACT.on_bus(1)[0]
+    source = OnePatch(CONTRACT, touched.block)
+    sent = touched_frames(CONTRACT, 1, source, 0.6, seed=1)
     assert {frame_of(int(each["can_id"]))[0] for each in sent} == {touched.node_id}
     assert (np.diff(sent["time_ns"]) >= 0).all()
     assert not (sent["time_ns"] % 1_000_000).any()
@@ -60,19 +44,18 @@ def test_the_touched_node_of_the_bus_sends_what_a_receiver_needs() -> None:
     assert set(sent["length"].tolist()) == {8}
     received = new_sums(2)
     for each in sent:
-        assert take(int(each["can_id"]), 8, each["data"], 0, contract.law, received)
+        assert take(int(each["can_id"]), 8, each["data"], 0, CONTRACT.law, received)
     assert received.counts.tolist() == [len(sent), 0, 0, 0, 0, 0]
     true_n = walsh_matrix(32) @ source.force_n[source.taxels]
     place = touched.node_id - 1
     # Twelve samples' noise is left of 1 mN in each taxel.
-    assert np.abs(received.value_n[place] - true_n).max() < 4 * contract.law.fine_n + 32**0.5 * 0.3e-3
+    assert np.abs(received.value_n[place] - true_n).max() < 4 * CONTRACT.law.fine_n + 32**0.5 * 0.3e-3
     assert np.abs(received.value_n[place]).max() > 0.1
-    assert not len(touched_frames(contract, 0, source, 0.6, seed=1))
+    assert not len(touched_frames(CONTRACT, 0, source, 0.6, seed=1))
 
 
 def test_the_same_seed_sends_the_same_frames() -> None:
-    contract = Contract.from_layout(parse_layout(SMALL, "small"))
-    source = OnePatch(contract, contract.on_bus(0)[1].block)
-    one, same, other = (touched_frames(contract, 0, source, 0.1, seed=seed) for seed in (3, 3, 4))
+    source = OnePatch(CONTRACT, CONTRACT.on_bus(0)[1].block)
+    one, same, other = (touched_frames(CONTRACT, 0, source, 0.1, seed=seed) for seed in (3, 3, 4))
     assert one.tobytes() == same.tobytes() != other.tobytes()
     assert np.max(one["time_ns"]) == pytest.approx(75e6, abs=25e6)

@@ -26,16 +26,15 @@ from nodes.access import check_write
 from nodes.burst import Burst
 from nodes.objects import LocalNode, object_dictionary
 from nodes.tpdo import read_tpdos
-from skin.layout import Encoding, load_layout, parse_layout
+from skin.layout import Encoding, load_layout
 from tests.bus.harness import frame
+from tests.layouts import buses, small_layout
 
-#: Four nodes of one block on each of two buses of classic CAN.
-SMALL = b'[taxels]\nrows = 16\ncolumns = 16\n[[bus]]\nname = "bus0"\nnodes = 4\n[[bus]]\nname = "bus1"\nnodes = 4\n'
 SUMS = np.random.default_rng(3).integers(-16368, 16369, 1024).astype(np.int32)
 
 
 def made_of(name: str, **encoding: object) -> Contract:
-    layout = parse_layout(SMALL, name) if name == "small" else load_layout(Path(name))
+    layout = small_layout(16, 16, bus=buses(4, 4)) if name == "small" else load_layout(Path(name))
     return Contract.from_layout(msgspec.structs.replace(layout, encoding=Encoding(**encoding)) if encoding else layout)
 
 

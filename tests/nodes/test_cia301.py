@@ -7,8 +7,8 @@ import pytest
 from dbc.canopen import HEARTBEAT_BASE, Abort, NmtState
 from nodes.segment import Segment
 from tests.bus.harness import frame
+from tests.nodes.helpers import give, numbered_sync, read, sdo, write
 from tests.nodes.links import ArrayLink
-from tests.nodes.test_segment import give, numbered_sync, read, sdo, write
 
 START_1 = bytes((1, 1))
 

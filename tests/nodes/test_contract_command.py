@@ -9,17 +9,13 @@ import pytest
 import dbc
 from dbc.generate import DEFAULT_FOLDER
 from skin.command import main
+from tests.layouts import buses, layout_toml
 
 # The arguments stand where the command finds them, in sys.argv.
 pytestmark = pytest.mark.filterwarnings("ignore:Cyclopts application invoked without tokens")
 
 
-PALM = """
-taxels = { rows = 8, columns = 16 }
-measurement = { sums = 32 }
-encoding = { sum_bits = 12, offset_binary = true }
-bus = [{ name = "bus0", nodes = 4 }]
-"""
+PALM = layout_toml(8, 16, encoding={"sum_bits": 12, "offset_binary": True})
 
 
 def run(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
@@ -60,7 +56,7 @@ def test_contract_writes_the_files_of_each_node_and_check_compares_them(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     layout, folder = tmp_path / "palm.toml", tmp_path / "palm"
-    layout.write_text("[taxels]\nrows = 8\ncolumns = 16\n[[bus]]\nname = 'arm'\nnodes = 4\n")
+    layout.write_text(layout_toml(8, 16, bus=buses(4, names=["arm"])))
     assert run(monkeypatch, "contract", str(layout), "--out", str(folder)) == 0
     names = {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()}
     nodes = {f"nodes/arm-00{node}.{suffix}" for node in range(1, 5) for suffix in ("dcf", "json")}

@@ -17,8 +17,8 @@ from nodes.segment import Segment
 from skin.layout import load_layout
 from tests.bus.harness import frame
 from tests.nodes.conftest import new_segment
+from tests.nodes.helpers import PRE_OPERATIONAL, RESET_NODE, START, STOP, give, read, sync, write
 from tests.nodes.links import ArrayLink, Still
-from tests.nodes.test_segment import PRE_OPERATIONAL, RESET_NODE, START, STOP, give, read, sync, write
 
 WATCHED = 0x7F
 EMCY_1 = 0x81

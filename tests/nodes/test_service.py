@@ -24,8 +24,8 @@ from nodes.sampler import CountSampler, Sampler
 from nodes.service import STATUS_PERIOD_S, NodesService
 from skin.layout import load_layout
 from tests.bus.harness import frame
+from tests.nodes.helpers import START, sync
 from tests.nodes.links import ArrayLink, Still
-from tests.nodes.test_segment import START, sync
 
 
 class ReadyLink(ArrayLink):

@@ -10,8 +10,8 @@ from nodes.segment import Segment
 from skin.layout import load_layout
 from tests.bus.harness import frame
 from tests.nodes.conftest import new_segment
+from tests.nodes.helpers import give, numbered_sync, read, write
 from tests.nodes.links import ArrayLink
-from tests.nodes.test_segment import give, numbered_sync, read, write
 
 START, PRE_OPERATIONAL, RESET_NODE, RESET_COMMUNICATION = (frame(0, bytes((code, 0))) for code in (1, 128, 129, 130))
 TO_RECOGNITION, TO_IMAGES = frame(0xFF, b"\0"), frame(0xFF, b"\1")

@@ -15,8 +15,8 @@ from nodes.sampler import Sampler
 from nodes.storage import Storage
 from tests.bus.harness import frame
 from tests.nodes.conftest import new_segment
+from tests.nodes.helpers import RESET_COMMUNICATION, RESET_NODE, give, read, sync, write
 from tests.nodes.links import ArrayLink, Still
-from tests.nodes.test_segment import RESET_COMMUNICATION, RESET_NODE, give, read, sync, write
 
 SAVE, LOAD = 0x6576_6173, 0x6461_6F6C
 

@@ -5,8 +5,8 @@ import pytest
 from nodes.segment import Segment
 from nodes.tpdo import LiveTpdo, is_turn, read_tpdos
 from tests.bus.harness import frame
+from tests.nodes.helpers import START, give, numbered_sync, read, sync, write
 from tests.nodes.links import ArrayLink
-from tests.nodes.test_segment import START, give, numbered_sync, read, sync, write
 
 COB_ID = 0x181
 

@@ -1,6 +1,7 @@
 """A small skin on two buses, a touch that moves over it, and what its buses carry."""
 
 from pathlib import Path
+from typing import Any
 
 import can
 import numpy as np
@@ -10,38 +11,27 @@ from dbc.canopen import SYNC_COB_ID
 from dbc.codec import encode
 from dbc.contract import Contract
 from nodes.electronics import Electronics
-from skin.layout import parse_layout
+from tests.layouts import buses, layout_toml, small_layout
 
-LAYOUT = b"""
-name = "small"
-[taxels]
-rows = 16
-columns = 16
-[measurement]
-block_size = 16
-sums = 128
-[sync]
-identity = "alternating"
-[[bus]]
-name = "left"
-nodes = 8
-[[bus]]
-name = "right"
-nodes = 8
-"""
+SMALL: dict[str, Any] = {
+    "name": "small",
+    "measurement": {"block_size": 16, "sums": 128},
+    "sync": {"identity": "alternating"},
+    "bus": buses(8, 8, names=("left", "right")),
+}
 CYCLES = 12
 START_S = 1_700_000_000.0
 
 
 @pytest.fixture(scope="session")
 def contract() -> Contract:
-    return Contract.from_layout(parse_layout(LAYOUT, "small.toml"))
+    return Contract.from_layout(small_layout(16, 16, **SMALL))
 
 
 @pytest.fixture
 def layout_file(tmp_path: Path) -> Path:
     path = tmp_path / "small.toml"
-    path.write_bytes(LAYOUT)
+    path.write_text(layout_toml(16, 16, **SMALL))
     return path
 
 

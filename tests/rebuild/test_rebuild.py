@@ -17,9 +17,9 @@ from rebuild import command
 from rebuild.command import rebuild
 from reconstructor.engine import Reconstructor
 from reconstructor.options import SolverOptions
-from skin.layout import layout_text, parse_layout
-from tests.identity import with_identity
-from tests.rebuild.conftest import CYCLES, LAYOUT, START_S, message, messages, write_log
+from skin.layout import layout_text
+from tests.layouts import buses, layout_toml, small_layout, with_identity
+from tests.rebuild.conftest import CYCLES, SMALL, START_S, message, messages, write_log
 from touch.sources import recording
 
 
@@ -74,12 +74,11 @@ def test_a_recording_gives_the_images_of_live_nodes(
 
 
 def test_sums_of_a_recording_are_rounded_as_on_the_bus(force_n: np.ndarray, tmp_path: Path, out: Path) -> None:
-    content = LAYOUT.replace(b"[[bus]]", b"[encoding]\nsum_bits = 8\n[[bus]]", 1)
-    layout = parse_layout(content, "8bit.toml")
+    layout = small_layout(16, 16, **SMALL, encoding={"sum_bits": 8})
     assert packing(layout).scale > 1
     path, file = tmp_path / "mat.npy", tmp_path / "8bit.toml"
     np.save(path, force_n)
-    file.write_bytes(content)
+    file.write_text(layout_text(layout))
     rebuild(path, out=out, layout=file, full_scale=0.02)
     contract = Contract.from_layout(layout)
     electronics = Electronics(layout.taxels, noise_n=0.0)
@@ -92,10 +91,11 @@ def test_a_recording_of_a_skin_whose_sums_are_made_in_hardware(force_n: np.ndarr
     """The last frame is beyond the converters: blocks with the row of all ones are not valid."""
     path, file = tmp_path / "mat.npy", tmp_path / "analogue.toml"
     np.save(path, np.concatenate([force_n, np.full((1, 16, 16), 0.02, np.float32)]))
-    file.write_bytes(LAYOUT.replace(b"[taxels]", b'[taxels]\nfrontend = "analogue"', 1))
+    layout = small_layout(16, 16, **SMALL, taxels={"frontend": "analogue"})
+    file.write_text(layout_text(layout))
     rebuild(path, out=out, layout=file, full_scale=0.02)
     images, valid, _, _ = loaded(out)
-    phi = parse_layout(file.read_bytes(), "analogue").phi()
+    phi = layout.phi()
     assert valid[:-1].all()
     np.testing.assert_array_equal(valid[-1], ~phi.kept[:, 0])
     assert np.abs(images[CYCLES - 1] - force_n[-1]).max() < 2e-3
@@ -319,7 +319,7 @@ def test_a_log_of_another_layout_measures_nothing_and_fails(
     contract: Contract, sums: np.ndarray, tmp_path: Path, out: Path
 ) -> None:
     path, fd = write_log(tmp_path / "can.log", messages(contract, sums)), tmp_path / "fd.toml"
-    fd.write_bytes(LAYOUT.replace(b"nodes = 8", b"nodes = 8\nfd = true"))
+    fd.write_text(layout_toml(16, 16, **SMALL | {"bus": buses(8, 8, names=("left", "right"), fd=True)}))
     says = r"no block of any cycle is complete \(frames 0 accepted, .* is this the skin's layout\?"
     with pytest.raises(RunError, match=says):
         rebuild(path, out=out, layout=fd)

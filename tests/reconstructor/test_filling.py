@@ -13,10 +13,12 @@ from skin.measured_sums import AdaptiveSums, decode_adaptive
 from skin.psnr import decibels
 from skin.sources import DEFAULT_OBJECTS, load_touches
 from skin.walsh import grouped_rows
-from tests.adaptive_messages import LAYOUT, PHI, adaptive_measurement
+from tests.layouts import ADAPTIVE_SKIN
+from tests.messages import adaptive_measurement
 
+PHI = ADAPTIVE_SKIN.phi()
 BLOCKS, SIZE = PHI.kept.shape
-COUNT_N = LAYOUT.taxels.newton_per_count
+COUNT_N = ADAPTIVE_SKIN.taxels.newton_per_count
 #: Images until a new state of the skin is fully shown: at ten images a second, half a second.
 SETTLING = 5
 
@@ -24,12 +26,12 @@ SETTLING = 5
 @cache
 def touches() -> np.ndarray:
     """Forces of whole counts, (touches, n)."""
-    force_n = load_touches(DEFAULT_OBJECTS, 20, LAYOUT, seed=3).force_n.reshape(20, -1)
+    force_n = load_touches(DEFAULT_OBJECTS, 20, ADAPTIVE_SKIN, seed=3).force_n.reshape(20, -1)
     return np.rint(force_n / COUNT_N) * COUNT_N
 
 
 def sums_of(force_n: np.ndarray, known: np.ndarray | None = None) -> AdaptiveSums:
-    return decode_adaptive(adaptive_measurement(force_n, known), PHI)
+    return decode_adaptive(adaptive_measurement(force_n, known, layout=ADAPTIVE_SKIN), PHI)
 
 
 def dead(ratio: float, seed: int = 0) -> np.ndarray:
@@ -71,7 +73,7 @@ def test_filling_beats_zeros(
 
 
 def shown(sums: AdaptiveSums) -> np.ndarray:
-    solver = AdaptiveReconstructor(LAYOUT)
+    solver = AdaptiveReconstructor(ADAPTIVE_SKIN)
     for _ in range(SETTLING):
         image = solver.solve(sums)
     return image
@@ -79,7 +81,7 @@ def shown(sums: AdaptiveSums) -> np.ndarray:
 
 def test_with_every_sum_it_is_the_image_of_the_evaluation() -> None:
     sums = sums_of(touches()[0])
-    plain, service = WalshReconstructor(LAYOUT.patches(), 64, 64, 1e-3), AdaptiveReconstructor(LAYOUT)
+    plain, service = WalshReconstructor(ADAPTIVE_SKIN.patches(), 64, 64, 1e-3), AdaptiveReconstructor(ADAPTIVE_SKIN)
     sums_n = (sums.counts.astype(np.float32) * np.float32(COUNT_N)).reshape(BLOCKS, SIZE)
     grouped = np.ascontiguousarray(sums_n[:, grouped_rows(SIZE).ravel()])
     for _ in range(3):
@@ -88,7 +90,7 @@ def test_with_every_sum_it_is_the_image_of_the_evaluation() -> None:
 
 def test_known_sums_are_kept() -> None:
     known = coarse(0.5) & dead(0.05)
-    cells = np.concatenate(LAYOUT.patches())
+    cells = np.concatenate(ADAPTIVE_SKIN.patches())
     solver = WalshReconstructor([cells], 64, 64, 0.0)
     # Forces far from 0, so that none is clipped.
     force_n = 0.01 + 0.2 * touches()[1]
@@ -100,7 +102,7 @@ def test_known_sums_are_kept() -> None:
 
 
 def test_old_forces_vanish_within_a_few_images() -> None:
-    known, solver = dead(0.2), AdaptiveReconstructor(LAYOUT)
+    known, solver = dead(0.2), AdaptiveReconstructor(ADAPTIVE_SKIN)
     for _ in range(SETTLING):
         solver.solve(sums_of(np.full(4096, 0.015), known))
     for _ in range(SETTLING):
@@ -110,7 +112,7 @@ def test_old_forces_vanish_within_a_few_images() -> None:
 
 
 def test_a_dead_skin_shows_nothing() -> None:
-    solver = AdaptiveReconstructor(LAYOUT)
+    solver = AdaptiveReconstructor(ADAPTIVE_SKIN)
     solver.solve(sums_of(touches()[0]))
     nothing = np.zeros((BLOCKS, SIZE), np.bool_)
     assert not solver.solve(sums_of(touches()[0], nothing)).any()
@@ -129,6 +131,6 @@ def test_noise_that_is_not_known_is_the_sensors() -> None:
 
 
 def test_known_of_another_shape_is_refused() -> None:
-    solver = WalshReconstructor(LAYOUT.patches(), 64, 64, 0.0)
+    solver = WalshReconstructor(ADAPTIVE_SKIN.patches(), 64, 64, 0.0)
     with pytest.raises(InputError, match="known: expected booleans of shape"):
         solver.solve(np.zeros((BLOCKS, SIZE), np.float32), np.ones(4096, np.bool_))

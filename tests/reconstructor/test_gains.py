@@ -19,7 +19,7 @@ from skin.defects import Defects, Stage, SumGains
 from skin.frontend import with_gains
 from skin.layout import load_layout
 from skin.psnr import psnr_db
-from tests.reconstructor.test_service import LAYOUT, measurement
+from tests.reconstructor.helpers import LAYOUT, measurement
 
 SHAPE = (LAYOUT.taxels.rows, LAYOUT.taxels.columns)
 GAINS = np.random.default_rng(1).normal(1, 0.1, SHAPE).clip(0.5)

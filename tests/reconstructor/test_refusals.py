@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from canskin.errors import InputError
 from reconstructor.array_api import BatchSolver
 from reconstructor.bases import BASES, Contourlet, haar_tensor
 from reconstructor.batch import RecordingSolver
@@ -18,6 +17,7 @@ from reconstructor.kernels.fused import FusedSolver
 from reconstructor.kernels.lanes import LANES, LaneSolver
 from reconstructor.settings import SolverSettings
 from skin.measurement import sbhe
+from tests.reconstructor.helpers import INF, NAN, one_line, spoilt
 
 PHI = sbhe(256, 64, block_size=16, seed=3)
 #: A measurement operator of another kind.
@@ -25,19 +25,6 @@ OTHER: Any = SimpleNamespace(shape=(64, 256), dtype=np.dtype(np.int8))
 PSI = haar_tensor(16, 16)
 SUMS = np.random.default_rng(0).normal(0, 0.02, 64)
 ONES = np.ones(64)
-NAN, INF = float("nan"), float("inf")
-
-
-def spoilt(values: np.ndarray, value: float) -> np.ndarray:
-    made = np.array(values)
-    made.flat[3] = value
-    return made
-
-
-def one_line(call: Callable[[], Any], says: str) -> None:
-    with pytest.raises(InputError, match=says) as caught:
-        call()
-    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize(

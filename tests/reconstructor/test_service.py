@@ -22,28 +22,12 @@ from reconstructor.command import make_engine
 from reconstructor.engine import Reconstructor
 from reconstructor.options import SolverOptions
 from reconstructor.service import ReconstructorService
-from skin.layout import Layout, load_layout
+from skin.layout import load_layout
 from skin.service import StopSignal
-from tests import adaptive_messages
-from tests.adaptive_messages import adaptive_measurement
+from tests.layouts import ADAPTIVE_SKIN
+from tests.messages import adaptive_measurement
 from tests.reconstructor.conftest import Scene
-
-LAYOUT: Layout = load_layout()
-
-
-def measurement(cycle: int, force_n: np.ndarray, valid: np.ndarray | None = None) -> Measurement:
-    phi = LAYOUT.phi()
-    counts = np.round(force_n / LAYOUT.taxels.newton_per_count).astype(np.uint16)
-    valid = np.ones(phi.blocks, np.uint8) if valid is None else valid.astype(np.uint8)
-    sums = np.asarray(phi.forward(counts.reshape(-1)), "<i4") * phi.sums_of_blocks(valid != 0)
-    return Measurement(
-        cycle=cycle,
-        sync_counter=cycle % 240 + 1,
-        sampled_mono_ns=1000 * cycle,
-        sums=sums.astype("<i4").tobytes(),
-        valid=valid.tobytes(),
-        fingerprint=phi.fingerprint,
-    )
+from tests.reconstructor.helpers import LAYOUT, measurement
 
 
 @pytest.fixture
@@ -107,7 +91,7 @@ def test_images_of_fewer_sums_than_blocks_let_other_services_go_first(
 
 def test_image_of_a_measurement(hub: Fabric, service: ReconstructorService, golf: Scene) -> None:
     image = Exchange(hub).image_of(measurement(7, golf.sensor[30]))
-    assert (image.sync_counter, image.sampled_mono_ns, image.valid_sums) == (8, 7000, 1024)
+    assert (image.sync_counter, image.sampled_mono_ns, image.valid_sums) == (7, 7000, 1024)
     assert image.valid == bytes([1]) * 128
     assert image.solve_s > 0
     assert image.published_mono_ns <= time.monotonic_ns()
@@ -205,24 +189,27 @@ def test_adaptive_sums_give_an_image_of_what_is_known(hub: Fabric, endpoint: str
     fabric = Fabric(LAYOUT.name, "reconstructor", endpoint)
     images: queue.Queue[Image] = queue.Queue()
     fabric.publish = lambda topic, image: images.put(image) if topic is IMAGE else None  # type: ignore[method-assign]
-    layout = adaptive_messages.LAYOUT
+    layout = ADAPTIVE_SKIN
     service = ReconstructorService(layout, AdaptiveReconstructor(layout), fabric)
     try:
         known = np.ones((128, 32), np.bool_)
         known[40], known[50, 7] = False, False
-        service.take(adaptive_measurement(golf.true[30], known, cycle=7, sync_counter=3, sampled_mono_ns=5))
+        service.take(
+            adaptive_measurement(golf.true[30], known, layout=layout, cycle=7, sync_counter=3, sampled_mono_ns=5)
+        )
         image = images.get_nowait()
         assert (image.cycle, image.sync_counter, image.sampled_mono_ns, image.valid_sums) == (7, 3, 5, 4096 - 33)
         assert np.flatnonzero(np.frombuffer(image.valid, np.uint8) == 0).tolist() == [40, 50]
         error_n = np.frombuffer(image.pixels, "<f4").reshape(64, 64) - golf.true[30]
         assert np.sqrt(np.mean(error_n**2)) < 2e-4
         service.take(measurement(8, golf.sensor[30]))
-        service.take(msgspec.structs.replace(adaptive_measurement(golf.true[30]), known=b"", states=b"", since_ns=b""))
+        whole = adaptive_measurement(golf.true[30], layout=layout)
+        service.take(msgspec.structs.replace(whole, known=b"", states=b"", since_ns=b""))
         assert service.refused == 2
         assert images.empty()
         # Only the newest measurement counts.
         for cycle in (9, 10):
-            service._mailbox.put(adaptive_measurement(golf.true[30], cycle=cycle))
+            service._mailbox.put(adaptive_measurement(golf.true[30], layout=layout, cycle=cycle))
         assert service.overrun == 1
         assert service._mailbox.get().cycle == 10
     finally:

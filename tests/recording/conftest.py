@@ -8,10 +8,11 @@ import pytest
 
 from bus.link import State
 from bus.messages import to_logged_frames
-from canskin.messages import CONTACTS, IMAGE, LABEL, MEASUREMENT, Contact, Contacts, Image, Label, Measurement
+from canskin.messages import CONTACTS, IMAGE, LABEL, MEASUREMENT
 from dbc.contract import Contract
 from dbc.frame import Frames, frames
 from recording.sinks import McapSink
+from tests import messages as make
 from tests.rebuild.conftest import contract, force_n, layout_file, messages, sums
 from tests.recording.helpers import COUNT, SET_NS, pixels
 
@@ -70,23 +71,11 @@ def run(contract: Contract, out: Path) -> Path:
     for cycle in range(1, COUNT + 1):
         stamps = {"cycle": cycle, "sync_counter": cycle, "sampled_mono_ns": cycle * 10, "sampled_error_ns": cycle}
         valid = bytes([cycle > 1] * 16)
-        contact = Contact(
-            identity=3,
-            row=1.5,
-            column=2.5,
-            force_n=0.25,
-            peak_n=0.1,
-            taxels=4,
-            top=1,
-            bottom=2,
-            left=2,
-            right=3,
-            onset_mono_ns=10,
-        )
+        contact = make.contact(identity=3, row=1.5, column=2.5, force_n=0.25)
         for topic, message in (
             (
                 MEASUREMENT,
-                Measurement(
+                make.measurement(
                     **stamps,
                     usable=b"\1" * 5 + b"\0" + b"\1" * (128 - 6) if cycle == 2 else b"",
                     sums=np.full(128, cycle, "<i4").tobytes(),
@@ -97,17 +86,15 @@ def run(contract: Contract, out: Path) -> Path:
             ),
             (
                 IMAGE,
-                Image(
+                make.image(
                     **stamps,
-                    published_mono_ns=0,
                     pixels=pixels(cycle).tobytes(),
                     valid=valid,
                     valid_sums=7,
-                    solve_s=0.0,
                 ),
             ),
-            (CONTACTS, Contacts(**stamps, contacts=[contact] * (cycle == 2), ended=[], find_s=0.0)),
-            (LABEL, Label(**stamps, label="cup", confidence=0.5, valid_sums=7)),
+            (CONTACTS, make.contacts(**stamps, contacts=[contact] * (cycle == 2))),
+            (LABEL, make.label(**stamps, confidence=0.5, valid_sums=7)),
         ):
             sink.message(topic, cycle, msgspec.msgpack.encode(message))
     sink.close()

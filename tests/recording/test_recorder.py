@@ -16,7 +16,7 @@ from bus.link import State
 from canskin.calibration_messages import CalibrationReply, CalibrationRequest, CalibrationState, CalibrationStatus
 from canskin.errors import BusError, InputError, RunError
 from canskin.fabric import Fabric, Origin
-from canskin.messages import IMAGE, LABEL, FrameCounts, GatewayStatus, Topic
+from canskin.messages import IMAGE, LABEL, GatewayStatus, Topic
 from canskin.question import Question
 from dbc.contract import Contract
 from dbc.frame import Frames
@@ -28,6 +28,7 @@ from recording.sinks import check_log, open_sink
 from skin.layout import parse_layout
 from skin.mcap_file import CALIBRATION_FILE, EVENTS, RECORDER, File, newest_file, read_about, read_entries
 from skin.service import StopSignal
+from tests import messages as make
 from tests.processes import free_endpoint
 from tests.recording.conftest import OFFSET_NS, FakeLink
 
@@ -128,15 +129,7 @@ def test_a_calibration_is_attached_whenever_it_comes(contract: Contract, links: 
 
 
 def status(calibration: CalibrationStatus | None, cycles: int = 0) -> GatewayStatus:
-    return GatewayStatus(
-        time_ns=0,
-        cycles=cycles,
-        cycles_complete=0,
-        frames=FrameCounts(),
-        sync_rate_hz=0.0,
-        buses=[],
-        calibration=calibration,
-    )
+    return make.gateway_status(cycles, calibration=calibration)
 
 
 def test_the_calibration_is_asked_for_after_each_change() -> None:

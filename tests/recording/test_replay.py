@@ -25,9 +25,11 @@ from recording.sinks import McapSink, open_sink
 from recording.steps import steps_of
 from skin.mcap_file import File, RecordingWriter, read_about, read_entries
 from skin.service import StopSignal
-from tests.adaptive_messages import adaptive_measurement
+from tests import messages as make
 from tests.gateway.boards import small_adaptive
+from tests.messages import adaptive_measurement
 from tests.recording.conftest import OFFSET_NS, FakeLink
+from tests.recording.helpers import messages
 
 #: Of the live run: the number of its first cycle, a block whose node was not proven, a sum that was not used, and
 #: cycles without an image. Its offsets change every four cycles.
@@ -51,8 +53,8 @@ class Live:
 
 def label_of(measurement: Measurement) -> Label:
     """A classifier of the test: it names the number of valid blocks."""
-    return Label(
-        cycle=measurement.cycle,
+    return make.label(
+        measurement.cycle,
         sync_counter=measurement.sync_counter,
         sampled_mono_ns=measurement.sampled_mono_ns,
         sampled_error_ns=measurement.sampled_error_ns,
@@ -138,11 +140,6 @@ def replayed(contract: Contract, tmp_path: Path) -> Callable[..., tuple[Replay, 
         return replay, out
 
     return play_again
-
-
-def messages(path: Path, topic: Topic) -> list[Any]:
-    decode = msgspec.msgpack.Decoder(topic.message).decode
-    return [decode(entry.data) for entry in read_entries(path, pytest.fail) if entry.topic == topic.name]
 
 
 def test_all_is_as_live(run: Path, replayed: Callable[..., tuple[Replay, Path]], sums: np.ndarray) -> None:

@@ -18,10 +18,11 @@ from reconstructor.service import ReconstructorService
 from recording.sinks import open_sink
 from skin.layout import layout_text
 from tests.gateway.boards import BoardWorld, small_adaptive
-from tests.gateway.test_disturbances import Losing
-from tests.gateway.world import PERIOD_S, EndOfWire, World, small_contract
+from tests.gateway.helpers import Losing
+from tests.gateway.world import PERIOD_S, EndOfWire, World
+from tests.layouts import small_contract
 from tests.recording.conftest import OFFSET_NS
-from tests.recording.test_replay import messages
+from tests.recording.helpers import messages
 
 #: Frames of a bus follow each other by so much, on the clock of the recorder.
 FRAME_NS = 130_000

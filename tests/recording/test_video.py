@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 
 from canskin.errors import InputError, RunError
-from canskin.messages import CONTACTS, IMAGE, Contact, Contacts, Image
+from canskin.messages import CONTACTS, IMAGE
 from dbc.contract import Contract
 from recording.drawing import LINE, Drawing
 from recording.export_command import export
 from recording.sinks import McapSink
 from recording.video import TICK_S
+from tests import messages as make
 from tests.recording.conftest import OFFSET_NS
 from viewer.state import FRESH_S
 
@@ -22,10 +23,7 @@ TIMES_S = (0.0, 0.01, 0.05, 0.06, 2.06)
 PEAK_N = 0.08
 #: Largest mean difference of the codec, of 255.
 TOLERANCE = 4
-CONTACT = Contact(
-    identity=7, row=4.0, column=9.0, force_n=0.2, peak_n=0.1, taxels=4, top=3, bottom=5, left=8, right=10,
-    onset_mono_ns=1,
-)  # fmt: skip
+CONTACT = make.contact(identity=7, row=4.0, column=9.0, peak_n=0.1, top=3, bottom=5, left=8, right=10)
 
 
 def forces_n(number: int) -> np.ndarray:
@@ -42,15 +40,12 @@ def run(contract: Contract, out: Path) -> Path:
     sink = McapSink(out, contract, 1, OFFSET_NS)
     for number, time_s in enumerate(TIMES_S):
         stamps = {"cycle": number, "sync_counter": 1, "sampled_mono_ns": 5_000_000_000 + round(time_s * 1e9)}
-        image = Image(
+        image = make.image(
             **stamps,
-            published_mono_ns=0,
             pixels=forces_n(number).tobytes(),
             valid=valid(number).astype(np.uint8).tobytes(),
-            valid_sums=7,
-            solve_s=0.0,
         )
-        contacts = Contacts(**stamps, contacts=[CONTACT] * (number == 1), ended=[], find_s=0.0)
+        contacts = make.contacts(**stamps, contacts=[CONTACT] * (number == 1))
         sink.message(IMAGE, number, msgspec.msgpack.encode(image))
         sink.message(CONTACTS, number, msgspec.msgpack.encode(contacts))
     sink.close()

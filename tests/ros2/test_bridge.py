@@ -18,7 +18,7 @@ from zenoh_ros2_sdk.utils import ros2_to_dds_type
 
 from canskin.calibration_messages import CALIBRATION, CalibrationReply
 from canskin.fabric import Fabric
-from canskin.messages import CONTACTS, GATEWAY, IMAGE, LABEL, MEASUREMENT, Measurement
+from canskin.messages import CONTACTS, GATEWAY, IMAGE, LABEL, MEASUREMENT
 from canskin.messages import Topic as FabricTopic
 from ros2.bridge import Bridge
 from ros2.names import RELIABLE, SENSOR_DATA
@@ -26,6 +26,7 @@ from ros2.node import RosNode
 from ros2.topics import ROS_TOPICS, Translator
 from ros2.types import TRIGGER, key_type
 from skin.wall_times import Clocks, WallTimes
+from tests import messages as make
 from tests.ros2.reader import (
     PATIENCE_S,
     TYPE_HASHES,
@@ -77,15 +78,7 @@ class Setup:
     def clocks(self) -> None:
         self.publish(
             MEASUREMENT,
-            Measurement(
-                cycle=1,
-                sync_counter=1,
-                sampled_mono_ns=SAMPLED_NS,
-                sums=b"",
-                valid=b"",
-                fingerprint="",
-                wall_offset_ns=WALL_NS,
-            ),
+            make.measurement(sampled_mono_ns=SAMPLED_NS, wall_offset_ns=WALL_NS),
         )
 
     def close(self) -> None:

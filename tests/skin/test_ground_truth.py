@@ -22,29 +22,21 @@ from skin.ground_truth import (
 )
 from skin.layout import load_layout
 from skin.sync_counter import SYNC_OVERFLOW
+from tests import messages as make
 
 MS = 1_000_000
 
 
 def image(published_ms: float) -> Image:
-    return Image(
-        cycle=1,
-        sync_counter=1,
-        sampled_mono_ns=round((published_ms - 3) * MS),
-        published_mono_ns=round(published_ms * MS),
-        pixels=b"",
-        valid=b"",
-        valid_sums=0,
-        solve_s=0.0,
-    )
+    return make.image(sampled_mono_ns=round((published_ms - 3) * MS), published_mono_ns=round(published_ms * MS))
 
 
 def truth(time_ms: float) -> Truth:
-    return Truth(step=1, sync_counter=0, sampled_mono_ns=round(time_ms * MS), true=b"", sensor=b"", label="")
+    return make.truth(sync_counter=0, sampled_mono_ns=round(time_ms * MS))
 
 
 def label(time_ms: float) -> Label:
-    return Label(cycle=1, sync_counter=1, sampled_mono_ns=round(time_ms * MS), label="", confidence=1.0, valid_sums=0)
+    return make.label(sampled_mono_ns=round(time_ms * MS))
 
 
 def times_ms(found: list[tuple[Image, Truth]]) -> list[tuple[float, float]]:
@@ -142,10 +134,8 @@ def test_each_message_has_the_truth_of_its_own_cycle_though_the_counter_repeats(
     found: list[tuple[Label, Truth]] = []
     for cycle in range(2000):
         counter, time_ns = cycle % 240 + 1, cycle * 1_000_000_000 // rate_hz
-        said = Label(
-            cycle=cycle, sync_counter=counter, sampled_mono_ns=time_ns + 1000, label="", confidence=1.0, valid_sums=0
-        )
-        true = Truth(step=cycle, sync_counter=counter, sampled_mono_ns=time_ns, true=b"", sensor=b"", label="")
+        said = make.label(cycle, sync_counter=counter, sampled_mono_ns=time_ns + 1000)
+        true = make.truth(cycle, sync_counter=counter, sampled_mono_ns=time_ns)
         if cycle % 3:
             found += pairs.take(said)
         if cycle % 7:
@@ -163,17 +153,9 @@ def test_every_pair_is_handed_out_once_in_any_order(order: list[tuple[str, int]]
     for kind, cycle in order:
         common: dict[str, Any] = {"sync_counter": cycle, "sampled_mono_ns": cycle * 10_000_000}
         if kind == "image":
-            rest: dict[str, Any] = {
-                "cycle": cycle,
-                "published_mono_ns": 0,
-                "pixels": b"",
-                "valid": b"",
-                "valid_sums": 0,
-                "solve_s": 0.0,
-            }
-            pairs += [truth.sync_counter for _, truth in pairing.take(Image(**common, **rest))]
+            pairs += [truth.sync_counter for _, truth in pairing.take(make.image(cycle, **common))]
         else:
-            truth = Truth(step=cycle, true=b"", sensor=b"", label="", **common)
+            truth = make.truth(cycle, **common)
             pairs += [image.cycle for image, _ in pairing.take_truth(truth)]
     assert sorted(pairs) == list(range(1, 9))
 

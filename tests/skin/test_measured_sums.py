@@ -5,17 +5,16 @@ import numpy as np
 import pytest
 
 from canskin.errors import InputError
-from canskin.messages import BlockState, Measurement
+from canskin.messages import BlockState
 from canskin.sums import doubtful_taxels
 from skin import measured_sums
 from skin.measured_sums import MeasurementReader, decode_adaptive, decode_measurement, part_of_measurement
 from skin.measurement import part_of, places, sbhe
+from tests import messages as make
 
 PHI = sbhe(64, 16, block_size=8)
 SUMS = np.arange(-8, 8, dtype="<i4")
-GOOD = Measurement(
-    cycle=1,
-    sync_counter=1,
+GOOD = make.measurement(
     sampled_mono_ns=1,
     sums=SUMS.tobytes(),
     valid=bytes([1, 0, 1, 1, 1, 1, 1, 1]),
@@ -150,9 +149,7 @@ def test_part_of_a_measurement_has_its_sums_offsets_and_blocks() -> None:
     part = part_of(phi, 4, 3)
     sums, offsets = np.arange(32, dtype="<i4"), np.arange(100, 132, dtype="<i4")
     usable, valid = np.arange(32) % 3 > 0, np.arange(8) != part.block_of_sum[1]
-    whole = Measurement(
-        cycle=1,
-        sync_counter=1,
+    whole = make.measurement(
         sampled_mono_ns=5,
         sums=sums.tobytes(),
         valid=valid.tobytes(),

@@ -11,7 +11,7 @@ from canskin.fabric import Fabric
 from canskin.messages import GATEWAY, IMAGE, LABEL, MEASUREMENT, GatewayStatus, Image, Label, Measurement
 from demo.supervisor import Supervisor
 from skin.layout import load_layout
-from tests import processes
+from tests import layouts
 from tests.processes import free_endpoint
 
 PATIENCE_S = 240.0
@@ -20,7 +20,7 @@ PATIENCE_S = 240.0
 @pytest.fixture(scope="session")
 def slow_layout(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The default skin with 20 cycles a second."""
-    return processes.slow_layout(tmp_path_factory.mktemp("layout"), 20)
+    return layouts.slow_layout(tmp_path_factory.mktemp("layout"), 20)
 
 
 class Chain:

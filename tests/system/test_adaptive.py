@@ -7,28 +7,14 @@ import pytest
 
 from tests.adaptive_skin import resting_skin
 from tests.firmware.twins import needs_compiler
-from tests.system.test_demo import report, skin
-
-LAYOUT = """
-name = "small"
-sending = "adaptive"
-[taxels]
-rows = 16
-columns = 32
-[measurement]
-wiring = "board"
-[[bus]]
-name = "bus0"
-nodes = 16
-fd = true
-data_bitrate = 5_000_000
-"""
+from tests.layouts import ADAPTIVE, buses, layout_toml
+from tests.system.helpers import report, skin
 
 
 @pytest.mark.slow
 def test_golf_ball_on_can_fd(tmp_path: Path) -> None:
     path = tmp_path / "small.toml"
-    path.write_text(LAYOUT)
+    path.write_text(layout_toml(16, 32, **ADAPTIVE, name="small", bus=buses(16, fd=True, data_bitrate=5_000_000)))
     options = ("--layout", str(path), "--objects", "golf-ball", "--seconds", "5", "--json", "--no-view")
     figures = report(skin("demo", *options, cwd=tmp_path))
     assert figures["sending"] == "adaptive"

@@ -14,7 +14,8 @@ from canskin.fabric import Fabric
 from canskin.messages import GATEWAY, MEASUREMENT, TRUTH, GatewayStatus, Measurement, Truth
 from skin.ground_truth import of_one_cycle
 from skin.layout import Layout, load_layout
-from tests.processes import Processes, free_endpoint, slow_layout
+from tests.layouts import slow_layout
+from tests.processes import Processes, free_endpoint
 
 #: A rate that a guest kernel on one slow processor carries.
 RATE_HZ: Final = 5

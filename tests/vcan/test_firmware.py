@@ -5,7 +5,6 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-import msgspec
 import numpy as np
 import pytest
 
@@ -17,20 +16,10 @@ from dbc.frame import ECHO, Frames
 from firmware.library import Firmware
 from gateway.loop import GatewayLoop
 from nodes.firmware_segment import FirmwareSegment
-from skin.layout import parse_layout
 from tests.firmware.twins import CountWitness
-from tests.identity import IDENTITIES, with_identity
+from tests.layouts import IDENTITIES, small_layout
+from tests.vcan.chain import valid
 
-LAYOUT = """
-[taxels]
-rows = 32
-columns = 32
-[measurement]
-sums = 256
-[[bus]]
-name = "bus0"
-nodes = 32
-"""
 #: Rates, the highest first: a slow guest does not keep the first.
 RATES_HZ = (100.0, 50.0, 20.0, 5.0)
 #: Cycles of a look, and those that have to be complete at a rate that the machine keeps.
@@ -103,17 +92,12 @@ class Skin:
             self.turn()
 
 
-def valid(measurement: Measurement) -> np.ndarray:
-    return np.frombuffer(measurement.valid, np.uint8) == 1
-
-
 @contextmanager
 def running(identity: str, rate_hz: float) -> Iterator[Skin]:
-    layout = parse_layout(LAYOUT.encode(), "test")
-    layout = msgspec.structs.replace(layout, sync=msgspec.structs.replace(layout.sync, rate_hz=rate_hz))
+    layout = small_layout(32, 32, sync={"rate_hz": rate_hz, "identity": identity})
     links = open_link("socketcan", "vcan0", 1_000_000), open_link("socketcan", "vcan0", 1_000_000)
     try:
-        yield Skin(Contract.from_layout(with_identity(layout, identity)), links)
+        yield Skin(Contract.from_layout(layout), links)
     finally:
         for link in links:
             link.close()

@@ -25,7 +25,8 @@ from demo.score import Score
 from reconstructor.command import make_engine
 from reconstructor.service import ReconstructorService
 from skin.layout import load_layout
-from tests.processes import PATIENCE_S, Processes, free_endpoint, free_port, slow_layout
+from tests.layouts import slow_layout
+from tests.processes import PATIENCE_S, Processes, free_endpoint, free_port
 from tests.vcan.chain import Chain, complete
 
 #: Rates, the highest first, and the part of the cycles that has to be complete at a rate that the machine keeps.

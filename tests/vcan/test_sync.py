@@ -14,19 +14,13 @@ from dbc.canopen import HEARTBEAT_BASE, SYNC_COB_ID
 from dbc.contract import Contract
 from dbc.frame import ECHO, Frames, frames
 from skin.layout import load_layout
-from tests.identity import IDENTITIES
-from tests.processes import PATIENCE_S, Processes, slow_layout
+from tests.bus.harness import frame
+from tests.layouts import IDENTITIES, slow_layout
+from tests.processes import PATIENCE_S, Processes
 from tests.vcan.chain import RATE_HZ, complete, running_chain, valid
 
 CYCLES = 60
 TPDO_FIRST, TPDO_LAST = 0x181, 0x57F
-
-
-def one(can_id: int, data: bytes) -> Frames:
-    frame = frames(1)
-    frame["can_id"], frame["length"] = can_id, len(data)
-    frame["data"][0, : len(data)] = tuple(data)
-    return frame
 
 
 @pytest.fixture
@@ -86,7 +80,7 @@ def test_the_echo_of_a_sync_stands_before_its_answers(bus0: Contract, links: tup
     assert master.keeps_order
     table = bus0.table
     of_bus = table.bus == 0
-    master.send(one(0x000, bytes((1, 0))))  # start all nodes
+    master.send(frame(0x000, bytes((1, 0))))  # start all nodes
     stream = drive(master, bus0, int((of_bus & (table.phase == 0)).sum()))
 
     sent = stream["flags"] & ECHO != 0

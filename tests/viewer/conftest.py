@@ -9,27 +9,21 @@ import numpy.typing as npt
 import pytest
 
 from canskin.fabric import Fabric
-from canskin.messages import BusState, Contact, Contacts, FrameCounts, GatewayStatus, Image, Label, NodesStatus, Truth
-from skin.layout import Bus, Layout, PhiParameters, Taxels
+from canskin.messages import Contacts, FrameCounts, GatewayStatus, Image, Label, NodesStatus, Truth
+from skin.layout import Layout
+from tests import messages as make
+from tests.layouts import buses, small_layout
 
 SECOND_NS = 1_000_000_000
-
-
-def small_layout() -> Layout:
-    """16 x 16 taxels in 8 blocks on two buses."""
-    return Layout(
-        name="palm",
-        taxels=Taxels(rows=16, columns=16),
-        measurement=PhiParameters(block_size=32, sums=64),
-        bus=[Bus(name="left", nodes=4), Bus(name="right", nodes=4)],
-    )
 
 
 @dataclass
 class Messages:
     """Builds messages that fit the small skin; ``force_n`` is the peak of a round contact."""
 
-    layout: Layout = field(default_factory=small_layout)
+    layout: Layout = field(
+        default_factory=lambda: small_layout(16, 16, name="palm", bus=buses(4, 4, names=("left", "right")))
+    )
 
     def grid(self, force_n: float = 0.01) -> npt.NDArray[np.float32]:
         rows, columns = np.mgrid[0 : self.layout.taxels.rows, 0 : self.layout.taxels.columns]
@@ -49,9 +43,8 @@ class Messages:
         valid = np.ones(self.layout.blocks, np.uint8)
         valid[list(invalid)] = 0
         sync_ns = round(sync_s * SECOND_NS)
-        return Image(
-            cycle=cycle,
-            sync_counter=(cycle - 1) % 240 + 1,
+        return make.image(
+            cycle,
             sampled_mono_ns=sync_ns,
             published_mono_ns=sync_ns + round(latency_s * SECOND_NS),
             pixels=(self.grid() if pixels is None else pixels).tobytes(),
@@ -69,9 +62,8 @@ class Messages:
         sensor: npt.NDArray[np.float32] | None = None,
     ) -> Truth:
         real = self.grid() if true is None else true
-        return Truth(
-            step=cycle,
-            sync_counter=(cycle - 1) % 240 + 1,
+        return make.truth(
+            cycle,
             sampled_mono_ns=round(sync_s * SECOND_NS),
             true=real.tobytes(),
             sensor=(real if sensor is None else sensor).tobytes(),
@@ -82,19 +74,15 @@ class Messages:
         self, cycle: int = 1, *, blind: bool = False, row: float = 7.5, column: float = 6.0, doubtful: bool = False
     ) -> Contacts:
         force_n = float(self.grid().sum())
-        contact = Contact(
+        contact = make.contact(
             identity=7, row=row, column=column, force_n=force_n, peak_n=0.01, taxels=113,
             top=2, bottom=13, left=0, right=11, onset_mono_ns=0, invalid_taxels=4,
             doubtful_since_mono_ns=int(doubtful),
         )  # fmt: skip
-        return Contacts(
-            cycle=cycle, sync_counter=1, sampled_mono_ns=0, contacts=[contact], ended=[], find_s=1e-4, blind=blind
-        )
+        return make.contacts(cycle, contact, find_s=1e-4, blind=blind)
 
     def label(self, label: str = "golf-ball", confidence: float = 0.93, valid_sums: int = 64) -> Label:
-        return Label(
-            cycle=1, sync_counter=1, sampled_mono_ns=0, label=label, confidence=confidence, valid_sums=valid_sums
-        )
+        return make.label(1, label, confidence=confidence, valid_sums=valid_sums)
 
     def gateway(
         self,
@@ -108,8 +96,8 @@ class Messages:
         """``refused`` are nodes of the left bus."""
         states = nmt or ((5, 5, 5, 5), (5, 5, 5, 5))
         buses = [
-            BusState(
-                name=bus.name,
+            make.bus_state(
+                bus.name,
                 load_ratio=0.8,
                 mean_load_ratio=0.8,
                 nodes=list(range(1, bus.nodes + 1)),
@@ -119,17 +107,10 @@ class Messages:
             for bus, state, link in zip(self.layout.bus, states, links, strict=True)
         ]
         buses[0] = msgspec.structs.replace(buses[0], refused=list(refused))
-        return GatewayStatus(
-            time_ns=0,
-            cycles=cycles,
-            cycles_complete=cycles,
-            frames=FrameCounts(accepted=16 * cycles, missing=missing),
-            sync_rate_hz=100.0,
-            buses=buses,
-        )
+        return make.gateway_status(cycles, frames=FrameCounts(accepted=16 * cycles, missing=missing), buses=buses)
 
     def nodes(self, process: str = "nodes") -> NodesStatus:
-        return NodesStatus(time_ns=0, process=process, frames_sent=160, frames_dropped=0, syncs_seen=10)
+        return make.nodes_status(process, frames_sent=160)
 
 
 @pytest.fixture

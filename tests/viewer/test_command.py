@@ -15,14 +15,10 @@ import pytest
 
 from canskin.errors import InputError
 from canskin.fabric import Fabric
+from tests.layouts import layout_toml
 from viewer.command import view
 
-TOML = """
-name = "palm"
-taxels = { rows = 16, columns = 16 }
-measurement = { block_size = 32, sums = 64 }
-bus = [{ name = "left", nodes = 4 }, { name = "right", nodes = 4 }]
-"""
+TOML = layout_toml(16, 16, name="palm")
 
 
 @contextmanager

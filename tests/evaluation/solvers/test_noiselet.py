@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from evaluation.solvers.noiselet import fast_noiselet, noiselet
 from skin.measurement import sbhe
 from skin.operator import Operator
-from tests.reconstructor.test_refusals import INF, NAN, one_line, spoilt
+from tests.reconstructor.helpers import INF, NAN, one_line, spoilt
 
 MAKERS: dict[str, Callable[[int], Operator]] = {
     "sbhe": lambda seed: sbhe(256, 80, block_size=16, selection="uniform", seed=seed),

@@ -1,0 +1,72 @@
+"""Small layouts, and the two ways to know a frame's cycle (`sync.identity`)."""
+
+from collections.abc import Sequence
+from importlib.resources import files
+from pathlib import Path
+from typing import Any, Final
+
+import msgspec
+import tomli_w
+
+from dbc.contract import Contract
+from skin.layout import Layout, Sync, load_layout, parse_layout
+
+#: Tables of adaptive boards.
+ADAPTIVE: Final = {"sending": "adaptive", "measurement": {"wiring": "board"}}
+#: The adaptive skin of 64 x 64 taxels that comes with the project.
+ADAPTIVE_SKIN: Final = load_layout(Path("adaptive"), adaptive=True)
+IDENTITIES: Final = ("window", "alternating")
+
+
+def layout_toml(rows: int = 8, columns: int = 8, **tables: Any) -> str:
+    """Return the text of a layout of `rows` by `columns` taxels.
+
+    `tables` are those of the file. Without `bus` each block of 32 taxels is a node, up to 32 nodes are a bus, and the
+    buses are called bus0, bus1 and so on.
+    """
+    size = {"rows": rows, "columns": columns}
+    return tomli_w.dumps({**tables, "taxels": size | tables.get("taxels", {})})
+
+
+def small_layout(rows: int = 8, columns: int = 8, **tables: Any) -> Layout:
+    """Return the layout of `layout_toml`."""
+    return parse_layout(layout_toml(rows, columns, **tables).encode(), "small.toml")
+
+
+def small_contract(identity: str = "window", rate_hz: float = 20.0, **tables: Any) -> Contract:
+    """Return the contract of two buses of two nodes; each has 32 taxels, and eight sums in two frames."""
+    sync = {"rate_hz": rate_hz, "identity": identity}
+    return Contract.from_layout(small_layout(8, 16, **{"name": "small", "sync": sync, "bus": buses(2, 2)} | tables))
+
+
+def buses(*nodes: int, names: Sequence[str] = (), **keys: Any) -> list[dict[str, Any]]:
+    """Return buses with these numbers of nodes, called bus0, bus1 and so on, or `names`; all have the other `keys`."""
+    called = names or [f"bus{place}" for place in range(len(nodes))]
+    return [{"name": name, "nodes": count, **keys} for name, count in zip(called, nodes, strict=True)]
+
+
+def with_identity(layout: Layout, identity: str) -> Layout:
+    """Return the layout with another identity of cycles."""
+    return msgspec.structs.replace(
+        layout, sync=msgspec.convert({"rate_hz": layout.sync.rate_hz, "identity": identity}, Sync)
+    )
+
+
+def alternating(layout: Layout) -> Layout:
+    """Return the layout with one set of TPDOs for odd and one for even cycles."""
+    return with_identity(layout, "alternating")
+
+
+def slow_layout(folder: Path, rate_hz: float, identity: str = "window") -> Path:
+    """Write the default skin's layout at a rate that every machine keeps; return its path.
+
+    Nodes take one sample a SYNC, so that sums are exactly those of the sensor's counts.
+    """
+    text = files("skin.layouts").joinpath("default.toml").read_text()
+    for default_hz, slow_hz in ((100.0, rate_hz), (1000.0, rate_hz)):
+        assert f"rate_hz = {default_hz}" in text
+        text = text.replace(f"rate_hz = {default_hz}", f"rate_hz = {slow_hz:.1f}")
+    text = text.replace('identity = "window"', f'identity = "{identity}"')
+    path = folder / f"slow-{identity}.toml"
+    path.write_text(text)
+    return path
