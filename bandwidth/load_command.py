@@ -51,7 +51,7 @@ def load(
     """
     if not 0 < seconds < float("inf"):
         raise InputError(f"expected a finite number of seconds above 0, got {seconds:g}")
-    skin = load_layout(layout, adaptive=True)
+    skin = load_layout(layout)
     require_one_state(skin, "'skin load'")
     options = can or BusOptions()
     if log is None:

@@ -55,7 +55,7 @@ def plan(
     skin plan palm.toml --check candump-2026-11-20_120000.log
     skin plan adaptive --node-budget 24000
     """
-    contract = Contract.from_layout(load_layout(layout, adaptive=True))
+    contract = Contract.from_layout(load_layout(layout))
     allowed = (disturbance or Disturbance()).of(contract.layout)
     if contract.layout.sending == "adaptive":
         if plot is not None:

@@ -16,7 +16,8 @@ from canskin.errors import InputError, LayoutError
 from dbc.canopen import HIGHEST_NODE_ID
 from dbc.contract import Contract
 from dbc.dictionary import window_s
-from skin.layout import RATE_MAX_HZ, SUM_BITS, SUMS_PART, Bus, Layout, PhiParameters, Sync, Taxels, validated
+from skin.layout import RATE_MAX_HZ, SUM_BITS, Bus, Layout, PhiParameters, Sync, Taxels, validated
+from skin.sending import SUMS_PART
 
 CanKind = Literal["any", "classic", "fd"]
 

@@ -6,44 +6,39 @@ settles what stands on the skin, and when that has gone.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Final, Literal
 
 import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from calibration.defects import DefectFinder, Defects, subject_of
-from calibration.doubt import Doubt
-from calibration.drift import SHORTEST_MEMORY, DriftFollower
+from calibration.defects import DefectFinder
+from calibration.drift import SHORTEST_MEMORY
 from calibration.field import FieldFinder
-from calibration.support import Support
+from calibration.followed import FollowedZero, ZeroLog, least_noise_n
 from calibration.taring import Taring
 from calibration.temperature import TemperatureModel
 from calibration.windows import TARE_WINDOWS, Bools, Floats, Window, WindowMeans, rms, tare_s
-from calibration.zero import Zero
 from canskin.calibration_messages import CalibrationState, CalibrationStatus, Region, ZeroSupport
 from canskin.messages import Measurement
 from skin.clipping import IDLE_MEAN
 from skin.frontend import sum_step_n
 from skin.layout import Layout
 from skin.measured_sums import used_sums
+from skin.measurement import Sbhe
 from skin.taxel import NOISE_N
 
 #: When the zero is measured: as soon as the skin has been untouched for a while, or on request alone.
 Tare = Literal["at-start", "never"]
 #: Noise of sums that are not averaged, in units of what the paper's sensor has: below, the sensor adds none.
 LEAST_NOISE_RATIO: Final = 0.3
-#: No noise is taken to be less than this part of a count: sums are whole numbers of counts.
-LEAST_STEP: Final = 0.3
 #: From one look at the newest adaptive sums to the next, seconds: the period of their cycles here.
 LOOK_S: Final = 0.025
 #: Noise of a sum, counts, that is no defect: averages of an untouched taxel are 0 but for rare cycles.
 QUIET_COUNTS: Final = 3.0
 #: Windows without cycles of all sums after which they are asked for, where nodes have two states.
 LONGEST_GAP: Final = 60
-#: Least correction below zero that is logged, as part of the range, and least time between two such lines.
-LOGGED_RATIO: Final = 0.01
-LOGGED_NS: Final = 10_000_000_000
 
 
 @dataclass(frozen=True)
@@ -60,6 +55,92 @@ class TareResult:
 
     is_done: bool
     text: str
+
+
+class ClippedNoise:
+    """The noise of the sums, and what sums of an untouched skin read because taxels clip it at 0.
+
+    Parameters
+    ----------
+    phi : Sbhe
+    clips : bool
+        Nodes that average undo the clipping themselves; an analogue front end clips no taxel.
+
+    Attributes
+    ----------
+    noise_n : float
+        Standard deviation of a sum in the newest window, median of all sums, newtons.
+    bias_n : array, shape (m,), or float
+        What sums read without offsets and forces, as solvers and models expect it, newtons.
+    """
+
+    def __init__(self, phi: Sbhe, *, clips: bool) -> None:
+        size = phi.block_size
+        self._least_n = LEAST_NOISE_RATIO * NOISE_N * size**0.5 if clips else float("inf")
+        self._clipped_n = np.where(phi.row_of_sum == 0, size * IDLE_MEAN * NOISE_N, 0.0)
+        self.noise_n = 0.0
+        self.bias_n: Floats | float = 0.0
+
+    def take(self, window: Window) -> None:
+        """Look at the next window."""
+        self.noise_n = float(np.median(window.noise_n[window.known])) if window.known.any() else 0.0
+
+    def learn_bias(self) -> None:
+        """Set the bias to that of the present noise."""
+        self.bias_n = self._clipped_n if self.noise_n >= self._least_n else 0.0
+
+
+class Corrections:
+    """What measurements carry of the zero: offsets, which sums are usable, and which taxels are doubtful.
+
+    Parameters
+    ----------
+    layout : Layout
+    """
+
+    def __init__(self, layout: Layout) -> None:
+        self._is_own = not layout.sends.boards_keep_zero
+        self._newton_per_count = layout.taxels.newton_per_count
+        self._every_taxel = np.packbits(np.ones(layout.taxels.count, np.bool_)).tobytes()
+        #: Packed for measurements: doubtful taxels; offsets of adaptive sums, which change in some windows only.
+        self._doubtful = self._offsets = b""
+
+    def take(self, followed: FollowedZero | None, *, tares: bool) -> None:
+        """Pack what a window has changed; without a zero that is to be measured, all taxels are doubtful."""
+        if followed is None:
+            self._doubtful = self._every_taxel if tares else b""
+            return
+        doubtful = followed.doubt.taxels
+        self._doubtful = np.packbits(doubtful).tobytes() if doubtful.any() else b""
+        if not self._is_own:
+            offsets = self._counts(followed.zero.follower.level_n)
+            self._offsets = offsets.tobytes() if offsets.any() else b""
+
+    def apply(
+        self,
+        measurement: Measurement,
+        followed: FollowedZero | None,
+        usable: Bools,
+        sums: npt.NDArray[np.intp] | slice,
+    ) -> Measurement:
+        """Return a measurement with its corrections; `usable`, shape (m,), is False for defective sums."""
+        if followed is None or not self._is_own:
+            if not self._offsets and not self._doubtful:
+                return measurement
+            return msgspec.structs.replace(measurement, offsets=self._offsets, doubtful=self._doubtful)
+        offsets = self._counts(followed.offsets_at_n(measurement.sampled_mono_ns)[sums])
+        used = (usable & followed.zero.follower.known)[sums]
+        if measurement.usable:
+            used &= np.frombuffer(measurement.usable, np.uint8) != 0
+        return msgspec.structs.replace(
+            measurement,
+            offsets=offsets.tobytes(),
+            usable=b"" if used.all() else used.astype(np.uint8).tobytes(),
+            doubtful=self._doubtful,
+        )
+
+    def _counts(self, offsets_n: Floats) -> npt.NDArray[np.int32]:
+        return np.rint(offsets_n / self._newton_per_count).astype("<i4")
 
 
 class Calibrator:
@@ -95,50 +176,36 @@ class Calibrator:
         tares: bool = True,
         say: Callable[[str], None] = lambda _: None,
     ) -> None:
-        taxels, self._phi = layout.taxels, layout.phi()
-        self._shape = taxels.rows, taxels.columns
+        taxels, phi = layout.taxels, layout.phi()
+        self._layout, self._phi, self._tares, self._say = layout, phi, tares, say
         #: Whether offsets are measured and followed here, and not by the boards.
-        self._is_own = layout.sending == "synchronous"
-        self._tares = tares
-        self._say = say
-        self._newton_per_count, self._force_max_n = taxels.newton_per_count, taxels.force_max_n
+        self._is_own = not layout.sends.boards_keep_zero
         self._period_s = layout.sync.period_s if self._is_own else LOOK_S
-        self._clips = layout.samples_per_sync == 1 and not taxels.is_analogue
-        self._windows = WindowMeans(self._phi.shape[0], self._period_s, self._newton_per_count)
-        self._finder = FieldFinder(self._phi, *self._shape)
-        self._references = np.isin(np.arange(taxels.count), taxels.untouchable or ())
-        nothing = np.zeros(self._phi.shape[0])
-        self._finder.find(nothing, nothing == 0, 1.0)  # compiles: no gateway waits for that in a cycle
-        self._step_n = sum_step_n(layout)
-        self._defects = Defects(np.ones(self._phi.shape[0], np.bool_))
-        self._defect_finder = DefectFinder(self._phi, taxels.columns, QUIET_COUNTS * self._step_n)
-        self._doubt = self._new_doubt()
-        self._doubtful = b""
+        self._windows = WindowMeans(phi.shape[0], self._period_s, taxels.newton_per_count)
         self._waiting: Window | None = None
-        self._newest_ns = self._needs_until_ns = self._logged_ns = 0
-        self._taring = Taring(self._finder, LEAST_STEP * self._step_n)
-        self._zero: Zero | None = None
-        self._support = Support(self._phi)
-        self._temperature = TemperatureModel(self._phi.blocks)
-        self._centre_ns = self._tared_ns = 0
-        self._noise_n = 0.0
-        self._bias_n: Floats | float = 0.0
-        self._first_n = np.zeros(self._phi.shape[0])
-        self.state = CalibrationState.MEASURING if self._tares else CalibrationState.OFF
-        self._offsets = b""
-        self._begin_at_boards()
+        self._newest_ns = self._needs_until_ns = self._tared_ns = 0
+        self._noise = ClippedNoise(phi, clips=layout.samples_per_sync == 1 and not taxels.is_analogue)
+        self._finder = FieldFinder(phi, taxels.rows, taxels.columns)
+        nothing = np.zeros(phi.shape[0])
+        self._finder.find(nothing, nothing == 0, 1.0)  # compiles: no gateway waits for that in a cycle
+        self._defects = DefectFinder(phi, taxels.columns, QUIET_COUNTS * sum_step_n(layout), say)
+        self._taring = Taring(self._finder, least_noise_n(layout))
+        temperature = TemperatureModel(phi.blocks)
+        self._new_zero = partial(FollowedZero, layout, self._finder, temperature, self._windows.length_ns)
+        self._log = ZeroLog(say, taxels.columns, taxels.force_max_n)
+        self._corrections = Corrections(layout)
+        self._followed: FollowedZero | None = None
+        self.state = CalibrationState.MEASURING if tares else CalibrationState.OFF
         self.revision = 0
+        self._drop()
         if offsets_n is not None:
             self.load(offsets_n)
         self.result: TareResult | None = None
-        self._tell_doubt()
 
     @property
     def offsets_n(self) -> Floats | None:
         """Offsets of the sums in newtons, shape (m,), NaN for unknown ones; None without any."""
-        if self._zero is None:
-            return None
-        return np.where(self._zero.follower.known, self._zero.follower.level_n, np.nan)
+        return None if self._followed is None else self._followed.offsets_n
 
     @property
     def tare_s(self) -> float:
@@ -150,44 +217,24 @@ class Calibrator:
         """Whether a zero waits for valid sums."""
         return self._taring.has_few_sums
 
-    @property
-    def doubtful(self) -> Bools:
-        """Taxels whose force may be an error of the zero, shape (n,)."""
-        return self._doubt.taxels
-
     def load(self, offsets_n: Floats) -> None:
         """Take stored offsets, shape (m,), newtons; NaN for unknown ones."""
         known = np.isfinite(offsets_n)
         self._start_anew(TareResult(False, "other offsets were loaded meanwhile"))
-        self._begin(np.where(known, offsets_n, 0.0), np.zeros(known.size), known, 0, 0.0, ZeroSupport.STORED)
+        level_n = np.where(known, offsets_n, 0.0)
+        self._use(self._new_zero(level_n, np.zeros(known.size), known, ZeroSupport.STORED, self._newest_ns))
         if not self._tares:
             self.state = CalibrationState.LOADED
 
     def take_temperatures(self, kelvin: Floats) -> None:
         """Take the temperatures of the boards, kelvin, shape (blocks,); NaN where unknown. The zero follows them."""
-        zero, phi = self._zero, self._phi
-        if zero is None or not self._tares or not self._is_own:
-            return
-        level_n = np.where(zero.follower.known, zero.follower.level_n, np.nan)
-        self._first_n = np.where(np.isnan(self._first_n), level_n, self._first_n)  # blocks may come late
-        totals = (phi.row_of_sum == 0) & zero.follower.known
-        if not totals.any():
-            return
-        way_n = (level_n - self._first_n)[totals] / phi.block_size
-        of_blocks = np.full(phi.blocks, np.nan)
-        of_blocks[phi.block_of_sum[totals]] = way_n
-        change_n = self._temperature.take(kelvin, of_blocks)[phi.block_of_taxel]
-        if change_n.any():
-            zero.move(change_n)
-            self._doubt.move(change_n)
+        if self._followed is not None and self._tares and self._is_own:
+            self._followed.take_temperatures(kelvin)
 
     def forget(self) -> None:
         """Drop all offsets and measure the zero as at the start, after nodes have begun to correct otherwise."""
         self._start_anew(TareResult(False, "the nodes were written to meanwhile"))
-        self._zero = None
-        self._support = Support(self._phi)
-        self._doubt = self._new_doubt()
-        self._begin_at_boards()
+        self._drop()
 
     def _start_anew(self, result: TareResult) -> None:
         """Go back to the state of the start; `result` ends a measurement of the zero."""
@@ -195,7 +242,7 @@ class Calibrator:
         self._tare()
         self.revision += 1
         self.result = result if is_measuring else None
-        self._centre_ns = self._tared_ns = 0
+        self._tared_ns = 0
         if not self._tares:
             self.state = CalibrationState.OFF
 
@@ -217,7 +264,7 @@ class Calibrator:
         self.result, chosen = None, None
         if region is not None:
             top, left, bottom, right = region
-            chosen = np.zeros(self._shape, np.bool_)
+            chosen = np.zeros((self._layout.taxels.rows, self._layout.taxels.columns), np.bool_)
             chosen[top : bottom + 1, left : right + 1] = True
         self._taring.begin(asked=asked, forced=force, region=None if chosen is None else chosen.ravel())
         self._waiting = None
@@ -229,22 +276,7 @@ class Calibrator:
 
         `sums` are the places of its sums among those of Φ, if it has only some of them.
         """
-        if self._zero is None or not self._is_own:
-            if not self._offsets and not self._doubtful:
-                return measurement
-            return msgspec.structs.replace(measurement, offsets=self._offsets, doubtful=self._doubtful)
-        ahead = (measurement.sampled_mono_ns - self._centre_ns) / self._windows.length_ns if self._centre_ns else 0.0
-        follower = self._zero.follower
-        offsets = np.rint(follower.predicted_n(ahead)[sums] / self._newton_per_count).astype("<i4")
-        usable = (self._defects.usable & follower.known)[sums]
-        if measurement.usable:
-            usable &= np.frombuffer(measurement.usable, np.uint8) != 0
-        return msgspec.structs.replace(
-            measurement,
-            offsets=offsets.tobytes(),
-            usable=b"" if usable.all() else usable.astype(np.uint8).tobytes(),
-            doubtful=self._doubtful,
-        )
+        return self._corrections.apply(measurement, self._followed, self._defects.found.usable, sums)
 
     def take(self, measurement: Measurement) -> None:
         """Learn from a measurement as it came, without saturated sums; most of it is left to `work`."""
@@ -261,18 +293,18 @@ class Calibrator:
         """Learn from the newest window, or audit the zero."""
         window, self._waiting = self._waiting, None
         if window is None:
-            if self._zero is not None and self._zero.needs_audit:
-                self._doubt.move(self._zero.audit())
+            if self._followed is not None:
+                self._followed.audit()
             return
         self._newest_ns = window.centre_ns
-        self._noise_n = float(np.median(window.noise_n[window.known])) if window.known.any() else 0.0
+        self._noise.take(window)
         if not self._tared_ns:  # a stored zero has none
-            self._bias_n = self._clip_bias_n()
-        if self._zero is not None and self._tares:
-            self._follow(self._zero, window._replace(mean_n=window.mean_n - self._bias_n))
+            self._noise.learn_bias()
+        if self._followed is not None and self._tares:
+            self._follow(self._followed, window._replace(mean_n=window.mean_n - self._noise.bias_n))
         if self.state is not CalibrationState.FOLLOWING:
             self._measure(window)
-        self._tell_doubt()
+        self._corrections.take(self._followed, tares=self._tares)
 
     def needs_cycles(self, now_ns: int) -> bool:
         """Tell whether cycles of all sums should come now, where they do not come all the time.
@@ -286,133 +318,96 @@ class Calibrator:
         """
         if self.state not in {CalibrationState.TOUCHED, CalibrationState.FOLLOWING}:
             return self.state is CalibrationState.MEASURING
-        length_ns = self._windows.length_ns
+        length_ns, followed = self._windows.length_ns, self._followed
         if now_ns - self._newest_ns > LONGEST_GAP * length_ns:
             windows = TARE_WINDOWS
-            if self.state is CalibrationState.FOLLOWING and self._zero is not None:  # late blocks need a zero in a row
-                windows = SHORTEST_MEMORY if self._zero.follower.known.all() else TARE_WINDOWS + 2
+            if self.state is CalibrationState.FOLLOWING and followed is not None:  # late blocks need a zero in a row
+                windows = SHORTEST_MEMORY if followed.zero.follower.known.all() else TARE_WINDOWS + 2
             self._needs_until_ns = now_ns + windows * length_ns
         return now_ns < self._needs_until_ns
 
     def status(self) -> CalibrationStatus:
         """Return what is known for `canskin.messages.GatewayStatus`."""
-        offsets_n, zero, doubt = self.offsets_n, self._zero, self._doubt
-        known_n = np.zeros(0) if offsets_n is None else offsets_n[np.isfinite(offsets_n)]
-        per_s = 1e9 / self._windows.length_ns
-        return CalibrationStatus(
+        status = CalibrationStatus(
             state=self.state,
             tared_mono_ns=self._tared_ns,
+            noise_n=self._noise.noise_n,
+            defects=self._defects.found.words,
+            revision=self.revision,
+            zero_support=bytes(self._phi.blocks),
+            zero_mono_ns=bytes(8 * self._phi.blocks),
+        )
+        if self._followed is None:
+            return status
+        zero, doubt, support = self._followed.zero, self._followed.doubt, self._followed.support
+        known_n = zero.follower.level_n[zero.follower.known]
+        per_s = 1e9 / self._windows.length_ns
+        return msgspec.structs.replace(
+            status,
             known_sums=known_n.size,
             offset_rms_n=rms(known_n),
-            drift_rms_n_per_s=rms(zero.follower.slope_n) * per_s if zero is not None else 0.0,
-            noise_n=self._noise_n,
-            held_blocks=int(zero.held.sum()) if zero is not None else 0,
-            defects=self._defects.words,
-            revision=self.revision,
-            zero_support=self._support.of_blocks.tobytes(),
-            zero_mono_ns=self._support.since_ns.astype("<i8").tobytes(),
+            drift_rms_n_per_s=rms(zero.follower.slope_n) * per_s,
+            held_blocks=int(zero.held.sum()),
+            zero_support=support.of_blocks.tobytes(),
+            zero_mono_ns=support.since_ns.astype("<i8").tobytes(),
             doubtful_taxels=int(doubt.taxels.sum()),
             doubtful_force_n=doubt.force_n,
             doubtful_since_mono_ns=doubt.since_ns,
         )
 
-    def _follow(self, zero: Zero, window: Window) -> None:
-        """Follow the zero, and doubt what stands on the skin."""
-        length_ns = self._windows.length_ns
-        skipped = round((window.centre_ns - self._centre_ns) / length_ns) - 1 if self._centre_ns else 0
-        if skipped > 0:
-            zero.skip(skipped)
-        zero.take(window, self._defects.usable)
-        self._centre_ns = window.centre_ns
+    def _follow(self, followed: FollowedZero, window: Window) -> None:
+        """Follow the zero, and look for defects."""
+        followed.take(window, self._defects.found.usable)
         if self._is_own:  # adaptive sums rarely change
-            self._look_for_defects(window, zero.held)
-        self._doubt.move(zero.moved_n)
-        was_doubtful = self._doubt.since_ns
-        self._doubt.take(zero.force_n, window.centre_ns)
-        self._support.take(zero, window)
-        self._log(zero, was_doubtful)
-
-    def _log(self, zero: Zero, was_doubtful_ns: int) -> None:
-        """Log what was corrected, and what is doubtful."""
-        fall_n, doubt = -float(zero.moved_n.min()), self._doubt
-        if fall_n > LOGGED_RATIO * self._force_max_n and self._centre_ns > self._logged_ns + LOGGED_NS:
-            self._logged_ns = self._centre_ns
-            self._say(f"forces of up to {1e3 * fall_n:.2g} mN a taxel below zero: the zero is corrected there")
-        if doubt.since_ns and not was_doubtful_ns:
-            row, column = divmod(int(np.argmax(np.where(doubt.taxels, zero.force_n, 0))), self._shape[1])
-            self._say(
-                f"a force around row {row}, column {column} stands still: a still weight, or the zero has risen there;"
-                " marked as doubtful until it moves, ends, or 'skin tare --region' settles it"
-            )
-        elif was_doubtful_ns and not doubt.since_ns:
-            self._say("no force is doubtful any more")
-
-    def _tell_doubt(self) -> None:
-        """Pack the doubtful taxels for measurements: without a zero that is to be measured, all.
-
-        Also the offsets of adaptive sums, which change in some windows only.
-        """
-        if self._zero is not None and not self._is_own:
-            offsets = np.rint(self._zero.follower.level_n / self._newton_per_count).astype("<i4")
-            self._offsets = offsets.tobytes() if offsets.any() else b""
-        all_doubtful = self._tares and self._zero is None
-        taxels = np.ones_like(self._doubt.taxels) if all_doubtful else self._doubt.taxels
-        self._doubtful = np.packbits(taxels).tobytes() if taxels.any() else b""
-
-    def _look_for_defects(self, window: Window, held: Bools) -> None:
-        """Find defects; log those that are new."""
-        found = self._defect_finder.take(window, held)
-        told = {subject_of(each) for each in self._defects.words}
-        for text in found.words:
-            if subject_of(text) not in told:
-                self._say(text)
-        self._defects = found
+            self._defects.take(window, followed.zero.held)
+        self._log.tell(followed)
 
     def _measure(self, window: Window) -> None:
         """Measure the zero, when the skin has been untouched for long enough."""
-        zero, region, forced = self._zero, self._taring.region, self._taring.forced
-        before_n = None if zero is None else np.where(zero.follower.known, zero.follower.predicted_n(0.0), np.nan)
-        if before_n is not None:
-            before_n = before_n + self._bias_n
-        found = self._taring.take(window, before_n, self._doubt.taxels, has_common=not self._tared_ns)
+        region, followed, taxels = self._taring.region, self._followed, self._layout.taxels
+        before_n = None if followed is None else followed.offsets_n + self._noise.bias_n
+        settled = np.zeros(taxels.count, np.bool_) if followed is None else followed.doubt.taxels
+        found = self._taring.take(window, before_n, settled, has_common=not self._tared_ns)
         if found is None:
             return
         if found.touched is not None:
-            self._refuse(*divmod(found.touched, self._shape[1]))
+            self._refuse(*divmod(found.touched, taxels.columns))
             return
         if region is None and not self._is_own:
-            region = np.ones(self._doubt.taxels.size, np.bool_)
+            region = np.ones(taxels.count, np.bool_)
         if region is not None:
             self._settle(found.mean_n, found.known, region)
             return
-        self._bias_n = self._clip_bias_n()
-        known, level_n = found.known, found.level_n - self._bias_n
+        self._noise.learn_bias()
+        known, level_n = found.known, found.level_n - self._noise.bias_n
         slope_n = found.slope_n if self._tares else np.zeros_like(level_n)  # nothing follows the drift then
-        support = ZeroSupport.TOLD if forced else ZeroSupport.MEASURED
-        self._begin(np.where(known, level_n, 0.0), slope_n, known, TARE_WINDOWS, found.noise_n, support)
+        support = ZeroSupport.TOLD if self._taring.forced else ZeroSupport.MEASURED
+        level_n = np.where(known, level_n, 0.0)
+        begun = self._new_zero(
+            level_n, slope_n, known, support, self._newest_ns, age=TARE_WINDOWS, noise_n=found.noise_n
+        )
+        begun.centre_ns = self._newest_ns
+        self._use(begun)
         self._end(
             f"zero of {int(known.sum())} of {known.size} sums: offsets {1e3 * rms(level_n[known]):.2f} mN rms,"
-            f" up to {1e3 * float(np.abs(level_n[known]).max()):.2f} mN; noise {1e3 * self._noise_n:.2f} mN"
+            f" up to {1e3 * float(np.abs(level_n[known]).max()):.2f} mN; noise {1e3 * self._noise.noise_n:.2f} mN"
         )
 
     def _settle(self, mean_n: Floats, known: Bools, region: Bools) -> None:
         """Take what stands in a part of the skin for its zero."""
-        if self._zero is None:
+        if self._followed is None:
             self._taring.begin()
             self._tell(is_done=False, text="the skin has no zero yet: measure that of all of the skin first")
             return
-        moved_n = self._zero.settle(mean_n - self._bias_n, known & self._defects.usable, region)
-        self._doubt.move(moved_n)
-        self._support.tell(region, self._newest_ns)
-        self._end(f"zero of {int(region.sum())} taxels: moved by up to {1e3 * np.abs(moved_n).max():.2f} mN")
-
-    def _new_doubt(self) -> Doubt:
-        return Doubt(self._phi.shape[1], self._force_max_n, self._windows.length_ns * 1e-9)
+        known = known & self._defects.found.usable
+        way_n = self._followed.settle(mean_n - self._noise.bias_n, known, region, self._newest_ns)
+        self._followed.centre_ns = self._newest_ns
+        self._end(f"zero of {int(region.sum())} taxels: moved by up to {1e3 * way_n:.2f} mN")
 
     def _end(self, text: str) -> None:
         """End a measurement of the zero that has succeeded."""
         self._taring.begin()
-        self._centre_ns = self._tared_ns = self._newest_ns
+        self._tared_ns = self._newest_ns
         self.revision += 1
         self.state = CalibrationState.FOLLOWING if self._tares else CalibrationState.LOADED
         self._tell(is_done=True, text=text)
@@ -436,51 +431,17 @@ class Calibrator:
         self.result = TareResult(is_done, text)
         self._say(text)
 
-    def _clip_bias_n(self) -> Floats | float:
-        """Return what sums of an untouched skin read by clipped noise, as solvers and models expect it.
-
-        Nodes that average undo it themselves; an analogue front end clips no taxel.
-        """
-        size = self._phi.block_size
-        if not self._clips or self._noise_n < LEAST_NOISE_RATIO * NOISE_N * size**0.5:
-            return 0.0
-        return np.where(self._phi.row_of_sum == 0, size * IDLE_MEAN * NOISE_N, 0.0)
-
-    def _begin_at_boards(self) -> None:
-        """Begin with a zero of 0 where the boards take theirs off."""
+    def _drop(self) -> None:
+        """Go on without a zero; where the boards take theirs off, with a zero of 0."""
         if self._is_own:
+            self._use(None)
             return
-        self._offsets = b""
         zeros = np.zeros(self._phi.shape[0])
-        self._begin(zeros, zeros, np.ones(zeros.size, np.bool_), 1, 0.0, ZeroSupport.STORED)
+        self._use(self._new_zero(zeros, zeros, zeros == 0, ZeroSupport.STORED, self._newest_ns, age=1))
         if self._tares:
             self.state = CalibrationState.FOLLOWING
 
-    def _begin(  # noqa: PLR0917
-        self, level_n: Floats, slope_n: Floats, known: Bools, age: int, noise_n: float, support: ZeroSupport
-    ) -> None:
-        """Begin with a zero."""
-        phi = self._phi
-        follower = DriftFollower(
-            phi.block_of_sum,
-            phi.blocks,
-            level_n,
-            slope_n,
-            known,
-            age=age,
-            noise_n=noise_n,
-            least_noise_n=LEAST_STEP * self._step_n,
-        )
-        self._zero = Zero(
-            phi,
-            *self._shape,
-            self._finder,
-            follower,
-            support=support,
-            references=self._references,
-            follows=self._is_own,
-        )
-        self._support.begin(known, support, self._newest_ns)
-        self._doubt = self._new_doubt()
-        self._first_n = np.where(known, level_n, np.nan)
-        self._temperature.restart()
+    def _use(self, followed: FollowedZero | None) -> None:
+        """Go on with another zero."""
+        self._followed = followed
+        self._corrections.take(followed, tares=self._tares)

@@ -70,7 +70,7 @@ def tare(
     skin tare --force
     skin tare --region 12,20,19,31
     """
-    skin = load_layout(layout, adaptive=True)
+    skin = load_layout(layout)
     named = None if region is None else region.split(",")
     request = tare_request(skin.taxels.rows, skin.taxels.columns, force=force, region=named)
     reply = _ask(skin, connect, request, ANSWER_S)
@@ -126,7 +126,7 @@ def calibration(
     skin calibration gain rolled.mcap --force-n 0.4 --out gains.json
     skin calibration load gains.json --layout palm.toml --to-nodes
     """
-    skin = load_layout(layout, adaptive=True)
+    skin = load_layout(layout)
     if action != "show" and path is None:
         raise InputError(f"expected a file: skin calibration {action} FILE")
     if to_nodes and action != "load":

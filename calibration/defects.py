@@ -6,6 +6,7 @@ taxel in the sums, is largest for this taxel. A taxel that is stuck or dead has 
 others; `calibration.gains` finds it.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -57,17 +58,25 @@ class DefectFinder:
         Of the grid of taxels.
     least_n : float
         Noise of a sum that is no defect anyhow, newtons.
+    say : callable
+        Called with each defect that is new, in words.
+
+    Attributes
+    ----------
+    found : Defects
+        In the newest window.
     """
 
-    def __init__(self, phi: Sbhe, columns: int, least_n: float) -> None:
-        self._phi, self._columns, self._least_n = phi, columns, least_n
+    def __init__(self, phi: Sbhe, columns: int, least_n: float, say: Callable[[str], None]) -> None:
+        self._phi, self._columns, self._least_n, self._say = phi, columns, least_n, say
+        self.found = Defects(np.ones(phi.shape[0], np.bool_))
         self._unchanged, self._saturated = np.zeros((2, phi.shape[0]), np.intp)
         self._windows = np.zeros(phi.blocks, np.intp)
         self._was_held = np.zeros(phi.blocks, np.bool_)
         self._square, self._power = np.zeros(phi.shape[0]), np.zeros(phi.shape[1])
 
-    def take(self, window: Window, held: Bools) -> Defects:
-        """Look at the next window; return what is defective now.
+    def take(self, window: Window, held: Bools) -> None:
+        """Look at the next window.
 
         Parameters
         ----------
@@ -93,9 +102,13 @@ class DefectFinder:
         gains = np.empty(phi.shape[1])
         gains[phi.taxels_of_blocks] = (free / np.clip(self._windows, 1, MEMORY))[:, None]
         self._power += gains * (part - self._power)
-        return self._found()
+        told = {_subject(each) for each in self.found.words}
+        self.found = self._defects()
+        for text in self.found.words:
+            if _subject(text) not in told:
+                self._say(text)
 
-    def _found(self) -> Defects:
+    def _defects(self) -> Defects:
         phi = self._phi
         judged = self._windows >= MEMORY
         stuck = self._unchanged >= STUCK_WINDOWS
@@ -132,6 +145,6 @@ class DefectFinder:
         return f", most likely of the taxel at row {row}, column {column}"
 
 
-def subject_of(text: str) -> str:
+def _subject(text: str) -> str:
     """Return what a defect is of: its first two words."""
     return " ".join(text.split()[:2])

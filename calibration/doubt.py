@@ -12,7 +12,7 @@ import numpy as np
 
 from calibration.windows import Floats
 
-#: A force that stands still for so long is doubtful.
+#: Time after which a force that stands still is doubtful.
 STILL_S: Final = 6.0
 #: Least doubtful force, and the largest error of a zero, both as part of the range.
 LEAST_RATIO: Final = 0.015

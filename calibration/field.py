@@ -71,12 +71,16 @@ class FieldFinder:
     phi : Sbhe
     rows, columns : int
         Powers of two, 8 to 256.
+
+    Attributes
+    ----------
+    phi : Sbhe
     """
 
     def __init__(self, phi: Sbhe, rows: int, columns: int) -> None:
         settings = replace(VARIATION, iterations=ITERATIONS, penalty_n=1.0, nonnegative=False, scaled_start=False)
         self._solver = FusedSolver(phi, rows, columns, settings)
-        self._phi, self._shape = phi, (rows, columns)
+        self.phi, self._shape = phi, (rows, columns)
         self._taxels, self._places = taxels_in_block_order(phi), places_of_sums(phi)
         #: Standard deviation of Φᵀ noise over that of the noise.
         self._gain = float(np.sqrt(phi.shape[0] / phi.blocks))
@@ -91,7 +95,7 @@ class FieldFinder:
     def sums(self, force_n: Floats) -> Floats:
         """Return Φ x, shape (m,), of a field x, shape (n,)."""
         work = force_n[self._taxels]
-        hadamard(work, self._phi.blocks)
+        hadamard(work, self.phi.blocks)
         return work[self._places]
 
     def opened(self, taxels: Bools) -> Bools:
@@ -114,7 +118,7 @@ class FieldFinder:
         """
         solver, shifts = self._solver, self._shifts & known
         solver.reset()
-        estimate, force_n = solver.new_estimate(), np.zeros(self._phi.shape[1])
+        estimate, force_n = solver.new_estimate(), np.zeros(self.phi.shape[1])
         weights, left_n, shift_n = known.astype(np.float32), sums_n, np.zeros_like(sums_n)
         noise_n, ratio = rms(sums_n[known & ~shifts]) * STEEPEST, PENALTY_RATIO
         for turn in range(PASSES):
@@ -130,9 +134,9 @@ class FieldFinder:
             force_n = solver.image_of(estimate).ravel().astype(np.float64)
             left_n = sums_n - self.sums(force_n)
             if turn == 0 and shifts.any():
-                common_n = float(np.median(left_n[shifts])) / self._phi.block_size
+                common_n = float(np.median(left_n[shifts])) / self.phi.block_size
                 estimate += np.float32(common_n)
-                left_n -= np.where(self._phi.row_of_sum == 0, self._phi.block_size * common_n, 0.0)
+                left_n -= np.where(self.phi.row_of_sum == 0, self.phi.block_size * common_n, 0.0)
             dear_n = SHIFT_COST * PENALTY_RATIO * seen_n * self._gain
             shift_n = np.where(shifts, left_n - np.clip(left_n, -dear_n, dear_n), 0.0)
             left_n = left_n - shift_n

@@ -11,7 +11,7 @@ from canskin.errors import InputError, RunError
 from canskin.messages import IMAGE, MEASUREMENT
 from skin.calibration_file import LEAST_GAIN, MOST_GAIN, StoredCalibration, load_calibration, new_calibration
 from skin.frontend import LEAST_FELT
-from skin.layout import RECORDING_SUFFIX, Layout
+from skin.layout import RECORDING_SUFFIX, Layout, require_sending
 from skin.mcap_file import read_messages
 from skin.measured_sums import decode_measurement
 from skin.service import say
@@ -55,8 +55,7 @@ def stored_gains(skin: Layout, path: Path, force_n: float | None, before: Path |
         raise InputError("expected the force of the weight: --force-n NEWTONS")
     if taxels.is_analogue and before is not None:
         raise InputError("--before is for nodes that take off gains: boards that make sums in hardware take off none")
-    if skin.sending == "adaptive":
-        raise InputError("gains are found in the sums of synchronous layouts")
+    require_sending(skin, "synchronous", "a recording of a rolled weight is", "expected a table of gains (.csv)")
     sums_n, images_n = _rolled(skin, path)
     found = find_gains(skin.phi(), sums_n, images_n, force_n, is_analogue=taxels.is_analogue)
     known = found.gains[found.known]

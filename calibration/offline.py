@@ -9,10 +9,9 @@ import numpy.typing as npt
 
 from calibration.calibrator import Calibrator, Tare
 from calibration.windows import Bools
-from canskin.errors import InputError
-from canskin.messages import Measurement
+from canskin.messages import CycleMeasurement, Measurement
 from skin.calibration_file import load_calibration
-from skin.layout import Layout
+from skin.layout import Layout, require_sending
 from skin.measured_sums import decode_measurement
 from skin.measurement import Sbhe
 from skin.service import say
@@ -45,8 +44,7 @@ def make_calibrator(layout: Layout, path: Path | None, tare: Tare, service: str)
     """
     if path is None and tare == "never":
         return None
-    if layout.sending == "adaptive":
-        raise InputError("--calibration and --tare are for synchronous sending: adaptive boards have their own zero")
+    require_sending(layout, "synchronous", "--calibration and --tare are", "adaptive boards have their own zero")
     offsets_n = load_calibration(path, layout).required_offsets_n(str(path)) if path is not None else None
     return Calibrator(layout, offsets_n=offsets_n, tares=tare == "at-start", say=lambda text: say(service, text))
 
@@ -107,7 +105,7 @@ def measurement_of(
     if time_ns is None:
         time_ns = round((cycle + 1) * layout.sync.period_s * 1e9)
     whole = np.ones(layout.blocks, np.uint8) if valid is None else valid.astype(np.uint8)
-    return Measurement(
+    return CycleMeasurement(
         cycle=cycle + 1,
         sync_counter=next_counter(cycle),
         sampled_mono_ns=time_ns,

@@ -39,8 +39,7 @@ class RecordedOffsets:
         phi, offset_ns = layout.phi(), wall_offset_ns(path)
         early_ns = round(layout.sync.period_s * 1e9 / 2)
         for read in read_messages(path, [MEASUREMENT], lambda _: None):
-            recorded: Measurement = read.message
-            check_measurement(recorded, phi)
+            recorded = check_measurement(read.message, phi, Measurement)
             used = recorded.offsets, recorded.usable
             if used != (self._used[-1] if self._used else (b"", b"")):
                 self._from_ns.append(recorded.sampled_mono_ns + offset_ns - early_ns)

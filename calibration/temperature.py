@@ -14,8 +14,8 @@ from calibration.windows import Floats
 
 #: Readings over which means and κ are formed: an hour, of one in five seconds.
 MEMORY: Final = 720
-#: κ counts from so many readings on, a minute, when temperatures have changed by this deviation, and explain this part
-#: of the variance of the zeros.
+#: Least readings before κ counts (a minute), least deviation of the temperatures, and least part of the variance of the
+#: zeros that the temperatures explain.
 LEAST_READINGS: Final = 12
 LEAST_CHANGE_K: Final = 0.5
 LEAST_EXPLAINED: Final = 0.7

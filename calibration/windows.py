@@ -11,7 +11,7 @@ WINDOW_S: Final = 0.25
 LEAST_CYCLES: Final = 8
 #: Windows over which the zero is measured.
 TARE_WINDOWS: Final = 8
-#: A sum counts after it has been valid for so long: nodes that average learn their noise first.
+#: From the moment a sum is valid until it counts: nodes that average learn their noise first.
 SETTLE_S: Final = 0.5
 #: Part of a window's cycles in which a sum has to be valid to count.
 LEAST_PART: Final = 0.5
@@ -22,14 +22,14 @@ Floats = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
 
 
-def window_s(period_s: float) -> float:
+def mean_window_s(period_s: float) -> float:
     """Return the length of a window, seconds, of cycles `period_s` apart."""
     return max(WINDOW_S, LEAST_CYCLES * period_s)
 
 
 def tare_s(period_s: float) -> float:
     """Return for how long a skin must be untouched for its zero, seconds."""
-    return TARE_WINDOWS * window_s(period_s)
+    return TARE_WINDOWS * mean_window_s(period_s)
 
 
 def change(means_n: Floats) -> Floats:
@@ -88,7 +88,7 @@ class WindowMeans:
     """
 
     def __init__(self, sums: int, period_s: float, newton_per_count: float) -> None:
-        self.length_ns = round(1e9 * window_s(period_s))
+        self.length_ns = round(1e9 * mean_window_s(period_s))
         self._cycles = self.length_ns * 1e-9 / period_s
         self._newton_per_count = newton_per_count
         self._begin_ns = self._end_ns = 0

@@ -93,6 +93,8 @@ class Zero:
         Field by which the zero was moved in the newest window besides its drift, newtons.
     fallen : array of bool, shape (n,)
         Taxels whose zero was corrected in the newest window by forces below it.
+    calm_windows : int
+        Windows in a row in which sums came and nothing touched or fell.
     needs_audit : bool
         Whether `audit` is due.
     """
@@ -124,7 +126,7 @@ class Zero:
         self._anchor_n = follower.level_n.copy()
         #: What fell while something touches, and before that, newtons of each taxel.
         self._fallen_now_n, self._fallen_n = np.zeros((2, taxels))
-        self._windows = self._calm = 0
+        self._windows = self._untouched_windows = self.calm_windows = 0
         self.needs_audit = False
         self._recent: deque[Window] = deque(maxlen=TARE_WINDOWS)
         self._late_windows = np.zeros(phi.blocks, np.intp)
@@ -139,6 +141,12 @@ class Zero:
 
     def take(self, window: Window, usable: Bools) -> None:
         """Look at the next window; only `usable` sums, shape (m,), tell anything."""
+        self._take(window, usable)
+        came = self._phi.all_of_blocks(self.follower.known & window.known) & self._phi.has_sums
+        is_calm = came.any() and not self.touched.any() and not self.fallen.any()
+        self.calm_windows = self.calm_windows + 1 if is_calm else 0
+
+    def _take(self, window: Window, usable: Bools) -> None:
         follower = self.follower
         known = window.known & follower.known & usable
         self.moved_n, self.fallen = np.zeros_like(self.force_n), np.zeros_like(self.touched)
@@ -230,13 +238,13 @@ class Zero:
     def _take_off(self, left_n: Floats, known: Bools, least_n: float) -> None:
         """Correct the zero where forces are below it, and where they are those of a fall that has ended."""
         is_touched = bool(self.touched.any())
-        self._calm = 0 if is_touched else self._calm + 1
+        self._untouched_windows = 0 if is_touched else self._untouched_windows + 1
         proven_n = np.maximum(self._below_n.max(axis=0) if is_touched else self._below_n[0], -self._room_n)
         limit_n = max(least_n, LEAST_PART * float(self.force_n.max())) if is_touched else least_n
         fall_n = np.where(self._finder.opened(proven_n < -limit_n), proven_n, 0.0)
         if fall_n.any():
             self._fall(fall_n, left_n, known, is_touched=is_touched)
-        if self._calm == PROOF_WINDOWS:  # what fell meanwhile is right
+        if self._untouched_windows == PROOF_WINDOWS:  # what fell meanwhile is right
             self._fallen_n += self._fallen_now_n
             self._fallen_now_n[:] = 0
         for fallen_n, part in ((self._fallen_now_n, 1.0), (self._fallen_n, RETURN_PART)):

@@ -1,31 +1,27 @@
 """The verbs ``skin classify`` and ``skin train``."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import msgspec
 import numpy as np
 
 from canskin.errors import InputError, RunError
 from canskin.fabric import Fabric
-from canskin.messages import RECOGNITION
 from canskin.session import DEFAULT_ENDPOINT
 from canskin.state_messages import IMAGES, ImagesRequest
 from classifier.cache import FEATURES, TOUCHES_PER_OBJECT, cached_path, find_or_train, keep_model
-from classifier.coarse_sums import classified_phi
 from classifier.model import SIMULATED, Features, Metadata, Model
 from classifier.modelfile import load_model, save_model
+from classifier.used_sums import classified_phi
+from classifier.wake import Wake
 from skin.layout import Layout, Recognition, layout_text, load_layout
-from skin.measurement import Sbhe
 from skin.output import check_output_path, write_file
 from skin.service import StopSignal, say
 from skin.sources import DEFAULT_OBJECTS, StrokeKind, load_touches, object_names
 from skin.taxel import NOISE_N
 from skin.terminal import Json, print_json, print_table, progress
 from skin.touch_options import ObjectNames
-
-if TYPE_CHECKING:
-    from classifier.decide import Classifier
 
 #: Longest wait for the gateway's answer to a request for images.
 ASK_S: Final = 1.0
@@ -64,11 +60,11 @@ def classify(
     skin classify --layout palm.toml --model palm.npz
     """
     from classifier.decide import Classifier  # compiled parts take a moment to load
-    from classifier.service import AdaptiveClassifierService, ClassifierService, most_waiting
+    from classifier.service import make_service
 
     stop = StopSignal().install()
-    skin = load_layout(layout, adaptive=True)
-    phi, classified = skin.phi(), classified_phi(skin)
+    skin = load_layout(layout)
+    classified = classified_phi(skin)
     if model is not None and objects:
         raise InputError("--model contains its objects: leave --objects out")
     if model is not None and stroke is not None:
@@ -80,36 +76,27 @@ def classify(
     # A first decision compiles for a while: before the service is there, and not between two measurements.
     still = np.zeros(classified.shape[0], np.int32), np.ones(classified.blocks, np.bool_)
     Classifier(trained, classified).decide(*still)
-    fabric = Fabric(skin.name, "classifier", connect, stop=stop, fingerprint=phi.fingerprint)
+    fabric = Fabric(skin.name, "classifier", connect, stop=stop, fingerprint=skin.phi().fingerprint)
     say("classifier", f"knows {', '.join(trained.metadata.classes)}")
+    wake = None if skin.recognition is None else _wake(skin.recognition, fabric)
     try:
         decides = Classifier(trained, classified)
-        if skin.sending == "adaptive":
-            AdaptiveClassifierService(decides, phi, classified, fabric).run(stop)
-        elif skin.recognition is not None:
-            _recognise(skin.recognition, decides, classified, fabric, stop)
-        else:
-            ClassifierService(decides, phi, fabric, waiting=most_waiting(skin.sync.rate_hz)).run(stop)
+        make_service(decides, skin, fabric, (lambda _label: None) if wake is None else wake.take).run(stop)
     finally:
+        if wake is not None:
+            wake.close()
         fabric.close()
 
 
-def _recognise(state: Recognition, decides: "Classifier", classified: Sbhe, fabric: Fabric, stop: StopSignal) -> None:
-    """Label the sums of recognition, and ask for images as the layout says."""
-    from classifier.service import ClassifierService, most_waiting
-    from classifier.wake import Wake
+def _wake(state: Recognition, fabric: Fabric) -> Wake:
+    """Return what asks for images as the layout says."""
 
     def ask(hold_s: float) -> None:
         reply = fabric.ask(IMAGES, ImagesRequest(hold_s=hold_s), ASK_S)
         if not reply.is_done:
             raise RunError(reply.text)
 
-    wake = Wake(state, ask)
-    try:
-        waiting = most_waiting(state.rate_hz)
-        ClassifierService(decides, classified, fabric, topic=RECOGNITION, wake=wake.take, waiting=waiting).run(stop)
-    finally:
-        wake.close()
+    return Wake(state, ask)
 
 
 def train(
@@ -162,7 +149,7 @@ def train(
     skin train --layout palm.toml --touches 4000 --out palm.npz --json
     skin train --choose 16 --layout-out palm-16.toml --features sums
     """
-    skin = load_layout(layout, adaptive=True)
+    skin = load_layout(layout)
     names = _named(objects)
     if touches < 0 or seed < 0:
         raise InputError(f"expected whole numbers of 0 or more: got --touches {touches} --seed {seed}")

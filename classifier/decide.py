@@ -13,6 +13,7 @@ from classifier.newest_sums import NewestSums
 from classifier.novelty import Regions, novelty
 from classifier.observer import Observer
 from classifier.settling import SETTLING, Decision, Seen, Settling, logistic
+from classifier.used_sums import USED_SUMS
 from skin.measurement import Sbhe
 
 #: After a gap of more cycles than this, or than three times those that are averaged if these are more, the decision
@@ -36,7 +37,8 @@ class Classifier:
     def __init__(self, model: Model, phi: Sbhe, *, settling: float = SETTLING) -> None:
         about = model.metadata
         self._model = model
-        self._observer = Observer(phi, about.rows, about.columns, model.no_touch, means=about.sending == "adaptive")
+        means = USED_SUMS[about.sending].means
+        self._observer = Observer(phi, about.rows, about.columns, model.no_touch, means=means)
         self._newest = NewestSums(phi, about.cycles)
         self._features = np.zeros(model.offset.size)
         self._completion: Completion | None = None

@@ -7,10 +7,11 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
+from skin.sending import SendingName
+
 Float64 = npt.NDArray[np.float64]
 #: "energies" of the smoothed adjoint image (`classifier.features`), or "sums" as in the paper.
 Features = Literal["energies", "sums"]
-Sending = Literal["synchronous", "adaptive"]
 
 VERSION: Final = 2
 #: Text of the model card for touches of `skin.sources.load_touches`.
@@ -78,7 +79,7 @@ class Metadata(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     newton_per_count : float
         ADC step of the training.
     sending : {"synchronous", "adaptive"}
-        How the skin sends its sums. Of adaptive sums those of `classifier.coarse_sums` are used.
+        How the skin sends its sums. Of adaptive sums those of `classifier.used_sums` are used.
     contact_threshold : float
         Largest standardised peak that still counts as no contact.
     false_alarm_ratio : float
@@ -104,7 +105,7 @@ class Metadata(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     unknown_slack: float
     sum_noise: float
     card: TrainingCard
-    sending: Sending = "synchronous"
+    sending: SendingName = "synchronous"
     cycles: int = 1
 
 

@@ -54,7 +54,7 @@ def save_model(model: Model, path: Path) -> None:
 
 
 def load_model(path: Path, layout: Layout, phi: Sbhe) -> Model:
-    """Read a model for the skin of `layout`, whose classified Φ (`classifier.coarse_sums`) is `phi`.
+    """Read a model for the skin of `layout`, whose classified Φ (`classifier.used_sums`) is `phi`.
 
     Raises
     ------

@@ -19,7 +19,7 @@ AVERAGED_S: Final = 0.04
 
 def averaged_cycles(layout: Layout) -> int:
     """Return over how many cycles the classifier averages sums: 1 where nodes average, and where rates change."""
-    if layout.sending == "adaptive" or layout.samples_per_sync > 1 or layout.recognition is not None:
+    if layout.samples_per_sync > 1 or layout.recognition is not None:
         return 1
     return max(1, round(AVERAGED_S * layout.sync.rate_hz))
 

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from canskin.errors import InputError
 from classifier.dag import pairs
 from classifier.samples import simulate_means
-from skin.layout import Layout, validated
+from skin.layout import Layout, require_sending, validated
 from skin.measurement import Sbhe
 
 #: A row counts as noise if the selected rows leave less than this part of its variance unexplained, or if its variance
@@ -83,8 +83,7 @@ def with_chosen_rows(
     InputError
         If there are too few rows or touches, or the layout sends adaptively.
     """
-    if layout.sending == "adaptive":
-        raise InputError("adaptive nodes send every row: expected a layout with synchronous sending")
+    require_sending(layout, "synchronous", "a choice of rows is", "adaptive nodes send every row")
     drawn = layout.phi()
     every = Sbhe(drawn.order, np.ones_like(drawn.kept)) if layout.recognition is None else drawn
     sums = simulate_means(force_n, layout, every, noise_n, np.random.default_rng(seed))

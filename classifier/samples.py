@@ -9,6 +9,7 @@ from classifier.features import Float32, widths_for
 from classifier.model import Float64
 from classifier.newest_sums import averaged_cycles
 from classifier.observer import Observer
+from classifier.used_sums import USED_SUMS
 from skin.clipping import DEAD_RATIO, clipped_mean
 from skin.frontend import converter
 from skin.layout import Layout
@@ -22,12 +23,6 @@ FALSE_ALARM_RATIO: Final = 0.002
 _LOSS_EVERY: Final = 3
 _QUIET_EVERY: Final = 2
 MOST_LOST_RATIO: Final = 0.3
-#: What nodes that average leave of the noise: less where a touch rests, more where a touch moves.
-AVERAGED_NOISE_RATIO: Final = 0.2
-#: What adaptive nodes leave of it where they are touched, the rounding of their codes included: 0.21 to 0.27 on a ball
-#: at rest, a sliding box and five fingertips of `skin evaluate rivals`. Nodes that nothing touches
-#: show 0.
-ADAPTIVE_NOISE_RATIO: Final = 0.25
 _CHUNK: Final = 128
 
 
@@ -50,8 +45,7 @@ def simulate_sums(
     force_n : array of float32, shape (count, n) or (count, rows, columns)
         True forces in newtons.
     noise_n : float or array, shape (count,)
-        Standard deviation of the noise of each observation. Nodes that average leave `AVERAGED_NOISE_RATIO` of it,
-        adaptive nodes `ADAPTIVE_NOISE_RATIO`.
+        Standard deviation of the noise of each observation; boards leave a part of it (`classifier.used_sums`).
 
     Returns
     -------
@@ -59,8 +53,8 @@ def simulate_sums(
     """
     taxels = layout.taxels
     flat = force_n.reshape(len(force_n), -1)
-    is_adaptive = layout.sending == "adaptive"
-    left = ADAPTIVE_NOISE_RATIO if is_adaptive else 1.0 if layout.samples_per_sync == 1 else AVERAGED_NOISE_RATIO
+    used = USED_SUMS[layout.sending]
+    left = used.noise_ratio(layout)
     sd = np.broadcast_to(np.asarray(noise_n, np.float32) * np.float32(left), (len(flat),))
     of_sums = converter(layout)
     sums = np.empty((len(flat), phi.shape[0]), np.int32)
@@ -72,9 +66,7 @@ def simulate_sums(
             sums[part] = of_sums.counts(sums_n)
             continue
         signal_n = sense(flat[part], rng, sd[part, None], taxels.force_max_n)
-        if is_adaptive:
-            least_n = sd[part, None] * np.float32(DEAD_RATIO / ADAPTIVE_NOISE_RATIO)
-            signal_n[(signal_n < least_n) | _beside(flat[part] > least_n, phi)] = 0
+        used.silence(signal_n, flat[part], sd[part, None] * np.float32(DEAD_RATIO / left), phi)
         sums[part] = phi.forward(to_counts(signal_n, taxels))
     return sums
 
@@ -107,18 +99,6 @@ def _expected_counts(force_n: Float32, layout: Layout, phi: Sbhe, noise_n: float
     return expected
 
 
-def _beside(is_touched: npt.NDArray[np.bool_], phi: Sbhe) -> npt.NDArray[np.bool_]:
-    """Return which taxels are of a block that nothing touches, while something touches another block.
-
-    A skin that nothing touches has noise everywhere, so that a stray value of one node is no contact.
-    """
-    blocks = np.any(is_touched[:, phi.taxels_of_blocks], axis=2)
-    somewhere = np.any(blocks, axis=1, keepdims=True)
-    found = np.empty_like(is_touched)
-    found[:, phi.order] = np.repeat(~blocks & somewhere, phi.block_size, axis=1)
-    return found
-
-
 def observe_untouched(layout: Layout, phi: Sbhe, noise_n: float, count: int, rng: np.random.Generator) -> Untouched:
     """Measure `count` draws of the untouched skin.
 
@@ -127,7 +107,7 @@ def observe_untouched(layout: Layout, phi: Sbhe, noise_n: float, count: int, rng
     taxels = layout.taxels
     still = np.broadcast_to(np.float32(0), (count, taxels.count))
     ignorant = np.ones((4, len(widths_for(taxels.rows, taxels.columns))))
-    observer = Observer(phi, taxels.rows, taxels.columns, ignorant, means=layout.sending == "adaptive")
+    observer = Observer(phi, taxels.rows, taxels.columns, ignorant, means=USED_SUMS[layout.sending].means)
     whole = np.ones(phi.blocks, np.float32)
     seen = np.empty((count, 2, ignorant.shape[1]))
     for one, sums in zip(seen, simulate_means(still, layout, phi, noise_n, rng), strict=True):
@@ -151,7 +131,7 @@ class FeatureExtractor:
     """
 
     def __init__(self, layout: Layout, phi: Sbhe, no_touch: Float64) -> None:
-        taxels, means = layout.taxels, layout.sending == "adaptive"
+        taxels, means = layout.taxels, USED_SUMS[layout.sending].means
         self._observer = Observer(phi, taxels.rows, taxels.columns, no_touch, means=means)
         self._valid = np.ones(phi.blocks, np.float32)
         self._sending = np.flatnonzero(phi.has_sums)

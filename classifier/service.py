@@ -2,15 +2,17 @@
 
 import time
 from collections.abc import Callable
-from typing import Final
+from typing import Any, Final
 
-import msgspec
 import numpy as np
+import numpy.typing as npt
 
 from canskin.fabric import Exchange
 from canskin.messages import LABEL, MEASUREMENT, RECOGNITION, Label, Measurement, Topic
 from classifier.decide import FORGET_CYCLES, Classifier
 from classifier.settling import Decision
+from classifier.used_sums import classified_phi
+from skin.layout import Layout
 from skin.measured_sums import MeasurementReader, decode_adaptive, decode_measurement
 from skin.measurement import Sbhe, places
 from skin.service import StopSignal
@@ -25,51 +27,34 @@ _LEAST_WAITING: Final = 4
 PERIOD_S: Final = 0.01
 
 
+def make_service(
+    classifier: Classifier, layout: Layout, fabric: Exchange, wake: Callable[[str], None] = lambda _label: None
+) -> "ClassifierService | AdaptiveClassifierService":
+    """Return what labels the measurements of a skin; `wake` is called with each label of a cycle."""
+    if layout.sends.in_cycles:
+        return ClassifierService(classifier, layout, fabric, wake=wake)
+    return AdaptiveClassifierService(classifier, layout, fabric)
+
+
 def most_waiting(rate_hz: float) -> int:
     """Return how many measurements may wait, of `rate_hz` cycles a second."""
     return max(_LEAST_WAITING, round(_WAITING_S * rate_hz))
 
 
-class ClassifierService:
-    """Labels the measurements of one skin.
-
-    Parameters
-    ----------
-    classifier : Classifier
-    phi : Sbhe
-        The Φ of the model.
-    fabric : Exchange
-    topic : Topic
-        Of the measurements.
-    wake : callable
-        Called with each label.
-    keeps_time : bool
-        Whether measurements come as they are sampled; else labels settle over cycles, whatever their times.
-    waiting : int
-        Number of measurements that may wait, see `most_waiting`.
+class _Service:
+    """What both services share.
 
     Attributes
     ----------
     labelled : int
-        Number of labelled measurements.
+        Number of labels.
     """
 
-    def __init__(
-        self,
-        classifier: Classifier,
-        phi: Sbhe,
-        fabric: Exchange,
-        *,
-        topic: Topic = MEASUREMENT,
-        wake: Callable[[str], None] = lambda _label: None,
-        keeps_time: bool = True,
-        waiting: int = _LEAST_WAITING,
-    ) -> None:
+    _reader: MeasurementReader[Any]
+
+    def __init__(self, classifier: Classifier, phi: Sbhe, fabric: Exchange, topic: Topic, *, waiting: int) -> None:
         self.labelled = 0
-        self._keeps_time = keeps_time
-        self._wake = wake
         self._classifier = classifier
-        self._reader = MeasurementReader(phi, "classifier", decode_measurement)
         self._sums_of_block = np.diff(phi.starts)
         self._named_sums = phi.shape[0] if topic is RECOGNITION else 0
         self._fabric = fabric
@@ -79,6 +64,51 @@ class ClassifierService:
     def refused(self) -> int:
         """Number of measurements with another Φ or other sizes."""
         return self._reader.refused
+
+    def _labelled(self, measurement: Measurement, decision: Decision, valid: npt.NDArray[np.bool_]) -> Label:
+        self.labelled += 1
+        return Label(
+            cycle=measurement.cycle,
+            sync_counter=measurement.sync_counter,
+            sampled_mono_ns=measurement.sampled_mono_ns,
+            sampled_error_ns=measurement.sampled_error_ns,
+            label=decision.label,
+            confidence=decision.confidence,
+            valid_sums=int(self._sums_of_block[valid].sum()),
+            blind=decision.blind,
+            number=self.labelled,
+            sums=self._named_sums,
+        )
+
+
+class ClassifierService(_Service):
+    """Labels the measurements of one skin, cycle by cycle.
+
+    Parameters
+    ----------
+    classifier : Classifier
+    layout : Layout
+    fabric : Exchange
+    wake : callable
+        Called with each label.
+    keeps_time : bool
+        Whether measurements come as they are sampled; else labels settle over cycles, whatever their times.
+    """
+
+    def __init__(
+        self,
+        classifier: Classifier,
+        layout: Layout,
+        fabric: Exchange,
+        *,
+        wake: Callable[[str], None] = lambda _label: None,
+        keeps_time: bool = True,
+    ) -> None:
+        phi, topic = classified_phi(layout), MEASUREMENT if layout.recognition is None else RECOGNITION
+        super().__init__(classifier, phi, fabric, topic, waiting=most_waiting(1 / layout.shortest_period_s))
+        self._reader = MeasurementReader(phi, "classifier", decode_measurement)
+        self._keeps_time = keeps_time
+        self._wake = wake
 
     def run(self, stop: StopSignal) -> None:
         """Label measurements until `stop` is set."""
@@ -98,12 +128,15 @@ class ClassifierService:
             return None
         time_ns = measurement.sampled_mono_ns if self._keeps_time else None
         decision = self._classifier.decide(sums.counts, sums.valid, measurement.cycle, time_ns)
-        self.labelled += 1
-        label = _label_of(measurement, decision, int(self._sums_of_block[sums.valid].sum()), self.labelled)
-        return msgspec.structs.replace(label, sums=self._named_sums) if self._named_sums else label
+        return self._labelled(measurement, decision, sums.valid)
+
+    def replay(self, measurement: Measurement, _time_ns: int) -> list[Label]:
+        """Return the labels that a measurement gives in a replay."""
+        label = self.label(measurement)
+        return [] if label is None else [label]
 
 
-class AdaptiveClassifierService:
+class AdaptiveClassifierService(_Service):
     """Labels the newest sums of a skin with adaptive sending, every `PERIOD_S`.
 
     While no measurement comes, the newest stands, so a label settles as quickly on a skin that has nothing to send. The
@@ -112,33 +145,17 @@ class AdaptiveClassifierService:
     Parameters
     ----------
     classifier : Classifier
-    phi : Sbhe
-        The Φ of the skin.
-    classified : Sbhe
-        The Φ of the model, see `classifier.coarse_sums`.
+    layout : Layout
     fabric : Exchange
-
-    Attributes
-    ----------
-    labelled : int
-        Number of labels.
     """
 
-    def __init__(self, classifier: Classifier, phi: Sbhe, classified: Sbhe, fabric: Exchange) -> None:
-        self.labelled = 0
-        self._classifier = classifier
-        self._reader = MeasurementReader(phi, "classifier", decode_adaptive)
-        self._places = places(phi, classified)
-        self._sums_of_block = np.diff(phi.starts)
-        self._fabric = fabric
-        self._measurements = fabric.mailbox(MEASUREMENT, 1)
+    def __init__(self, classifier: Classifier, layout: Layout, fabric: Exchange) -> None:
+        super().__init__(classifier, layout.phi(), fabric, MEASUREMENT, waiting=1)
+        self._reader = MeasurementReader(layout.phi(), "classifier", decode_adaptive)
+        self._places = places(layout.phi(), classified_phi(layout))
         self._newest: Measurement | None = None
         self._cycle = self._repeated = 0
-
-    @property
-    def refused(self) -> int:
-        """Number of measurements with another Φ or other sizes."""
-        return self._reader.refused
+        self._due_ns: int | None = None
 
     def run(self, stop: StopSignal) -> None:
         """Label the newest sums until `stop` is set."""
@@ -168,19 +185,14 @@ class AdaptiveClassifierService:
             self._newest = None
             return None
         decision = self._classifier.decide(sums.counts[self._places], sums.valid, self._cycle)
-        self.labelled += 1
-        return _label_of(self._newest, decision, int(self._sums_of_block[sums.valid].sum()), self.labelled)
+        return self._labelled(self._newest, decision, sums.valid)
 
-
-def _label_of(measurement: Measurement, decision: Decision, valid_sums: int, number: int) -> Label:
-    return Label(
-        cycle=measurement.cycle,
-        sync_counter=measurement.sync_counter,
-        sampled_mono_ns=measurement.sampled_mono_ns,
-        sampled_error_ns=measurement.sampled_error_ns,
-        label=decision.label,
-        confidence=decision.confidence,
-        valid_sums=valid_sums,
-        blind=decision.blind,
-        number=number,
-    )
+    def replay(self, measurement: Measurement, time_ns: int) -> list[Label]:
+        """Return the labels of the periods of a replay that have ended at `time_ns`; the first measurement has one."""
+        if self._due_ns is None:
+            self._due_ns = time_ns
+        labels = []
+        while self._due_ns <= time_ns:
+            labels.append(self.label(measurement))
+            self._due_ns += round(PERIOD_S * 1e9)
+        return [label for label in labels if label is not None]

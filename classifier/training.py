@@ -10,7 +10,6 @@ import numpy.typing as npt
 
 from canskin.errors import InputError
 from canskin.messages import UNKNOWN_OBJECT
-from classifier.coarse_sums import classified_phi
 from classifier.confidence import confidence_slope
 from classifier.features import Float32
 from classifier.missing import Factors, fit_factors
@@ -25,6 +24,7 @@ from classifier.samples import (
     observe_untouched,
     simulate_means,
 )
+from classifier.used_sums import classified_phi
 from classifier.validation import Chosen, choose_C, global_scale
 from skin.layout import Layout
 from skin.measurement import Sbhe
@@ -118,7 +118,7 @@ def train(
     names = np.asarray(labels, np.str_)
     _check(force_n, names, layout, options)
     phi = classified_phi(layout)
-    if layout.sending != "adaptive" and not phi.row_of_sum.any():
+    if not phi.row_of_sum.any():
         raise InputError(
             f"all {phi.shape[0]} rows of this layout are row 0, the sum of a block, which shows no contact: "
             "choose more rows, or others"

@@ -25,9 +25,9 @@ from dbc.canopen import HIGHEST_NODE_ID, SYNC_COB_ID, TPDO_BASES
 from dbc.frame import BRS, CLASSIC_BYTES, FD, FD_BYTES, FD_LENGTHS, Frames, frames, one_frame
 from dbc.frame_bits import frame_time_ns, wire_bits
 from dbc.packing import Packing, packing
-from skin.frontend import COARSE_STEP_RATIO
 from skin.layout import Bus, Layout
 from skin.measurement import Sbhe, places
+from skin.sending import COARSE_STEP_RATIO
 from skin.sync_counter import SYNC_OVERFLOW
 from skin.walsh import GROUPS
 

@@ -35,7 +35,7 @@ def demo(*, options: DemoOptions = DEFAULTS, json: Json = False) -> int:
     from demo.run import Run
     from skin.layout import load_layout
 
-    skin = load_layout(options.layout, adaptive=True)
+    skin = load_layout(options.layout)
     options.check(skin)
     try:
         with run_folder() as folder:

@@ -1,12 +1,44 @@
 """The figures of a run, as a value for programs and as rows of a table."""
 
 import math
-from typing import Final
+from typing import Final, NamedTuple
 
 import msgspec
 
 #: Most nodes that the table names when frames are missing.
 NAMED: Final = 5
+
+
+class _Words(NamedTuple):
+    """How a run is told; the templates take `cycles`, `complete`, `rate_hz` and `because`."""
+
+    newest: str
+    nothing: str
+    incomplete: str
+    counts: tuple[str, str]
+    latency: str
+    moments: str
+
+
+#: By the way of sending.
+WORDS: Final = {
+    "synchronous": _Words(
+        "cycle {cycles}, {complete} complete",
+        "no cycle: SYNC never came",
+        "no cycle was complete{because}; 'skin plan' says what a layout does to its buses",
+        ("cycles", "{complete} of {cycles} complete, at {rate_hz:.1f} Hz"),
+        "SYNC to image",
+        "contact cycles",
+    ),
+    "adaptive": _Words(
+        "measurement {cycles}, {complete} with all blocks valid",
+        "no measurement: no sums came",
+        "no measurement had all blocks valid: the nodes' states are on the page and in the gateway's log",
+        ("measurements", "{cycles} published, {complete} with all blocks valid"),
+        "frame to image",
+        "moments of contact",
+    ),
+}
 
 
 class NodeMissing(msgspec.Struct, frozen=True, kw_only=True):
@@ -142,25 +174,19 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
     @property
     def failure(self) -> str:
         """Why the run measured nothing; empty if it did measure."""
-        is_adaptive = self.sending == "adaptive"
-        if not self.cycles:
-            return "no measurement: no sums came" if is_adaptive else "no cycle: SYNC never came"
-        if self.cycles_complete:
-            return ""
-        if is_adaptive:
-            return "no measurement had all blocks valid: the nodes' states are on the page and in the gateway's log"
-        because = ""
-        if self.frames_dropped:
-            because = f": nodes gave up {self.frames_dropped} TPDOs that did not get on the bus in time"
-        return f"no cycle was complete{because}; 'skin plan' says what a layout does to its buses"
+        words = WORDS[self.sending]
+        if not self.cycles or self.cycles_complete:
+            return "" if self.cycles else words.nothing
+        because = f": nodes gave up {self.frames_dropped} TPDOs that did not get on the bus in time"
+        return words.incomplete.format(because=because if self.frames_dropped else "")
 
     def rows(self) -> list[tuple[str, str]]:
         """Return the rows of the table: name and text of each figure."""
-        is_adaptive = self.sending == "adaptive"
-        complete = f"{self.cycles_complete} of {self.cycles} complete, at {self.sync_rate_hz:.1f} Hz"
-        measurements = f"{self.cycles} published, {self.cycles_complete} with all blocks valid"
+        words = WORDS[self.sending]
+        name, counts = words.counts
+        counted = counts.format(cycles=self.cycles, complete=self.cycles_complete, rate_hz=self.sync_rate_hz)
         frames = f"{self.frames_sent} sent, {self.frames_received} received, {self.frames_lost} lost"
-        rows = [("measurements", measurements) if is_adaptive else ("cycles", complete), ("frames", frames)]
+        rows = [(name, counted), ("frames", frames)]
         if self.frames_missing:
             late = f"{self.frames_dropped} given up by their nodes, {self.frames_late} late"
             rows.append(("missing", f"{self.frames_missing} frames missed their cycle: {late}"))
@@ -173,7 +199,7 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
             within = f"{latency.p50:.1f} ms, 99 % within {latency.p99:.1f} ms"
             if self.sample_age_ms is not None:
                 within += f"; samples are up to {math.ceil(self.sample_age_ms * 10) / 10:g} ms older than their frames"
-            rows.append(("frame to image" if is_adaptive else "SYNC to image", within))
+            rows.append((words.latency, within))
         if self.bus_sampling_error_us.p99 is not None:
             bus_us, mean_us, sent_us = (
                 self.bus_sampling_error_us.p99,
@@ -185,12 +211,11 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
         if self.psnr_image_db is not None:
             sensor = f"the sensor's {self.psnr_sensor_db:.1f} dB"
             against = sensor if self.sensor_adds_noise else "what was played, which has no noise"
-            over = f"over {self.contact_cycles} {'moments of contact' if is_adaptive else 'contact cycles'}"
+            over = f"over {self.contact_cycles} {words.moments}"
             rows.append(("image", f"{self.psnr_image_db:.1f} dB, against {against}, {over}"))
         if self.label_accuracy is not None:
-            counted = "moments of contact" if is_adaptive else "contact cycles"
             came = f"; {self.labelled_ratio:.1%} got a label" if self.labelled_ratio is not None else ""
-            rows.append(("label", f"right on {self.label_accuracy:.1%} of the {counted}{came}"))
+            rows.append(("label", f"right on {self.label_accuracy:.1%} of the {words.moments}{came}"))
         if self.doubtful_taxels:
             why = "a still force, or a zero that has risen: 'skin tare --region'"
             rows.append(("in doubt", f"{self.doubtful_taxels} taxels at the end: {why}"))

@@ -20,7 +20,7 @@ from canskin.state_messages import IMAGES, ImagesRequest
 from demo.options import DemoOptions
 from demo.picture import save_picture
 from demo.processor_time import ratios
-from demo.report import Report
+from demo.report import WORDS, Report
 from demo.score import Score
 from demo.supervisor import Supervisor
 from skin.layout import Layout
@@ -84,7 +84,7 @@ class Run:
                 self._supervisor.stop_at_once()
                 raise KeyboardInterrupt
             # In this order every sent frame is counted as received or lost: nodes send at SYNC, or by themselves.
-            for name in ("gateway", "nodes") if self._layout.sending == "synchronous" else ("nodes", "gateway"):
+            for name in ("gateway", "nodes") if self._layout.sends.in_cycles else ("nodes", "gateway"):
                 self._supervisor.stop(name)
                 time.sleep(TURN_S)  # wait for the last frames and counters
         return self._score.report()
@@ -204,9 +204,8 @@ class Run:
         gateway, score = self._score.gateway, self._score
         parts = [""]
         if gateway:
-            parts = [f"cycle {gateway.cycles}, {gateway.cycles_complete} complete"]
-        if gateway and self._layout.sending == "adaptive":
-            parts = [f"measurement {gateway.cycles}, {gateway.cycles_complete} with all blocks valid"]
+            newest = WORDS[self._layout.sending].newest
+            parts = [newest.format(cycles=gateway.cycles, complete=gateway.cycles_complete)]
         if score.psnr_image_db:
             sensor_db = score.psnr_sensor_db[-1]
             noisy = adds_noise(sensor_db, self._layout.taxels.adc_bits)

@@ -13,11 +13,11 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from canskin.messages import GatewayStatus, Image, Label, Measurement, NodesStatus, Truth
+from canskin.messages import CycleMeasurement, GatewayStatus, Image, Label, Measurement, NodesStatus, Truth
 from dbc.contract import sample_age_ns
 from demo.report import NodeMissing, Percentiles, Report
 from demo.state_score import StateScore
-from skin.ground_truth import Pairing, Pairs, image_pairs, in_contact, label_pairs
+from skin.ground_truth import ImagePairs, LabelPairs, Pairing, image_pairs, in_contact, label_pairs
 from skin.layout import Layout
 from skin.psnr import adds_noise, psnr_db
 
@@ -56,8 +56,8 @@ class Score:
     bus_sampling_error_us, sampling_error_us, sent_error_us : deque of float
         Distances from the SYNC that the nodes received: of the nearest of `Measurement.bus_sampled_ns`, because the
         virtual nodes of all buses sample at the SYNC that they receive first; of `Measurement.sampled_mono_ns`, the
-        mean over the buses; of `Measurement.sent_mono_ns`. One entry per measurement, of the last `HISTORY`; none with
-        adaptive sending.
+        mean over the buses; of `CycleMeasurement.sent_mono_ns`. One entry per `CycleMeasurement`, of the last
+        `HISTORY`.
     named_contacts : int
         Truths with contact and a named object.
     labelled, labelled_right : int
@@ -82,9 +82,9 @@ class Score:
     snapshot: Snapshot | None = None
     last_label: Label | None = None
     cpu_ratio: dict[str, float] = field(default_factory=dict)
-    _images: Pairs[Image] = field(init=False)
-    _labels: Pairs[Label] = field(init=False)
-    _measurements: Pairing[Measurement] = field(init=False)
+    _images: ImagePairs = field(init=False)
+    _labels: LabelPairs = field(init=False)
+    _measurements: Pairing[CycleMeasurement] = field(init=False)
     _states: StateScore = field(default_factory=StateScore)
     _peak_n: float = 0.0
     _newest_ns: int = -1
@@ -115,13 +115,15 @@ class Score:
                 self._compare(image, true)
             for label, true in self._labels.take_truth(truth):
                 self._count_label(label, true)
-            for measurement, true in self._measurements.take_truth(truth) if self._is_cyclic else ():
+            for measurement, true in self._measurements.take_truth(truth):
                 self._compare_times(measurement, true)
 
     def take_measurement(self, measurement: Measurement) -> None:
         """Compare the sampling instant of a cycle with that of the nodes."""
+        if not isinstance(measurement, CycleMeasurement):
+            return
         with self._lock:
-            for mine, truth in self._measurements.take(measurement) if self._is_cyclic else ():
+            for mine, truth in self._measurements.take(measurement):
                 self._compare_times(mine, truth)
 
     def take_image(self, image: Image) -> None:
@@ -142,10 +144,6 @@ class Score:
         with self._lock:
             for said, truth in self._labels.take(label):
                 self._count_label(said, truth)
-
-    @property
-    def _is_cyclic(self) -> bool:
-        return self.layout.sending == "synchronous"
 
     def label_text(self) -> str:
         """Return the newest label as text."""
@@ -172,7 +170,7 @@ class Score:
     def _is_named_contact(self, truth: Truth) -> bool:
         return bool(truth.label) and in_contact(self._grid(truth.true), self.layout.taxels.force_max_n)
 
-    def _compare_times(self, measurement: Measurement, truth: Truth) -> None:
+    def _compare_times(self, measurement: CycleMeasurement, truth: Truth) -> None:
         self._states.take_image_cycle(truth)
         bus_ns = np.frombuffer(measurement.bus_sampled_ns, "<i8")
         for errors_us, estimates_ns in (
@@ -208,7 +206,7 @@ class Score:
 
     def _sample_age_ms(self) -> float | None:
         """Return the bound of the age of an adaptive sample at the end of its frame."""
-        if self.layout.sending == "synchronous":
+        if self.layout.sends.in_cycles:
             return None
         return round(max(sample_age_ns(bus) for bus in self.layout.bus) * 1e-6, 3)
 

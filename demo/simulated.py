@@ -13,19 +13,18 @@ from canskin.calibration_messages import Region
 from canskin.errors import InputError
 from canskin.fabric import Mailbox
 from canskin.frame import Frame, FrameBuilder
-from canskin.messages import Measurement, Topic
+from canskin.messages import CycleMeasurement, Topic
 from canskin.skin import Frames, Health, Skin
 from classifier.cache import find_or_train
 from classifier.decide import Classifier
 from classifier.service import ClassifierService
 from dbc.packing import packing
 from nodes.sampler import new_sampler
-from reconstructor.command import make_engine
-from reconstructor.contacts import ContactTracker
-from reconstructor.service import ReconstructorService
+from reconstructor.imaging import make_imager
+from reconstructor.service import ReconstructorService, warm_up
 from skin.clock import wall_offset
 from skin.description import describe
-from skin.layout import Layout, load_layout
+from skin.layout import Layout, load_layout, require_sending
 from skin.sources import DEFAULT_OBJECTS, known_objects, load_objects, object_names, step_rate_hz
 from skin.sync_counter import next_counter
 
@@ -43,10 +42,9 @@ def simulate(layout: str | None = None, *, objects: Sequence[str] | None = None,
     """
     if isinstance(objects, str):
         raise InputError(f"objects: expected a list of names, such as ['{objects}'], got '{objects}'")
-    skin = load_layout(None if layout is None else Path(layout), adaptive=True)
+    skin = load_layout(None if layout is None else Path(layout))
     skin = msgspec.structs.replace(skin, recognition=None)  # every cycle is one of images
-    if skin.sending == "adaptive":
-        raise InputError(f"simulate() has synchronous sending only, and layout '{layout}' is adaptive: use 'skin demo'")
+    require_sending(skin, "synchronous", "simulate() is", "use 'skin demo'")
     if objects is not None and not objects:
         raise InputError("objects: expected a list of names, got an empty list")
     return SimulatedSkin(skin, list(object_names(objects or DEFAULT_OBJECTS)), seed)
@@ -72,16 +70,15 @@ class SimulatedSkin(Skin):
 
     def __init__(self, skin: Layout, objects: list[str], seed: int) -> None:
         super().__init__(describe(skin), float("inf"))
-        taxels, phi = skin.taxels, skin.phi()
-        engine, _ = make_engine(skin, None)
-        engine.warm_up()
-        ContactTracker(taxels.rows, taxels.columns).warm_up()
+        phi = skin.phi()
+        imager = make_imager(skin)
+        warm_up(skin, imager)
         self._boards = new_sampler(skin, phi, load_objects(skin, names=objects, seed=seed, rest_s=REST_S), seed=seed)
         self._packing = packing(skin)
         self._messages = _Messages()
-        self._reconstructor = ReconstructorService(skin, engine, self._messages)
+        self._reconstructor = ReconstructorService(skin, imager, self._messages)
         trained = find_or_train(skin, phi, known_objects(objects))
-        self._classifier = ClassifierService(Classifier(trained, phi), phi, self._messages, keeps_time=False)
+        self._classifier = ClassifierService(Classifier(trained, phi), skin, self._messages, keeps_time=False)
         self._builder = FrameBuilder(self.layout)
         self._counter = 0
         self._valid = phi.has_sums.tobytes()
@@ -109,7 +106,7 @@ class SimulatedSkin(Skin):
             self._counter = counter = next_counter(self._counter)
             now_ns = time.monotonic_ns()
             sums = self._boards.sample(counter, now_ns)
-            measurement = Measurement(
+            measurement = CycleMeasurement(
                 cycle=self._cycle,
                 sync_counter=counter,
                 sampled_mono_ns=now_ns,

@@ -43,7 +43,7 @@ def export(
     skin export firmware --out firmware
     skin export firmware --layout palm.toml --node bus0:5 --out palm-firmware
     """
-    skin = load_layout(layout, adaptive=True)
+    skin = load_layout(layout)
     require_one_state(skin, "the firmware in C")
     contract = Contract.from_layout(skin)
     chosen = choose_nodes(contract, node or [], [])

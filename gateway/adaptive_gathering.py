@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from canskin.errors import InputError
-from canskin.messages import UNKNOWN_ERROR_NS, FrameCounts, Measurement
+from canskin.messages import UNKNOWN_ERROR_NS, AdaptiveMeasurement, FrameCounts, Measurement
 from dbc.adaptive import PAUSE_MS
 from dbc.contract import Contract, NodeContract, sample_age_ns
 from dbc.frame import Frames, frame_bytes, frames
@@ -87,8 +87,9 @@ class AdaptiveGathering:
         Most measurements in a second, when there is news, and least, see `publishing_rates`.
     """
 
-    #: See `gateway.gathering.Gathering`.
+    #: See `gateway.cycle_gathering.CycleGathering`.
     in_flight = 0
+    replay_step_ns = 10_000_000
     disturbance = f"no sums start in the {PAUSE_MS} ms after each SYNC"
 
     def __init__(
@@ -195,7 +196,7 @@ class AdaptiveGathering:
         self.published += 1
         self.complete += bool(shown.valid.all())
         return [
-            Measurement(
+            AdaptiveMeasurement(
                 cycle=self.published,
                 sync_counter=self._counter,
                 sampled_mono_ns=self._newest_ns,

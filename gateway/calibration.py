@@ -13,7 +13,7 @@ from calibration.windows import Floats
 from canskin.calibration_messages import CalibrationReply, CalibrationRequest, CalibrationStatus, Region, tare_request
 from canskin.errors import InputError
 from canskin.fabric import Reply
-from canskin.messages import Measurement
+from canskin.messages import AdaptiveMeasurement, Measurement
 from dbc.contract import Contract
 from gateway.nmt_master import NmtMaster
 from gateway.node_writing import NodeWriting
@@ -78,7 +78,7 @@ class GatewayCalibration:
         submit: Callable[[Callable[[], None]], object] = lambda function: function(),
         keeps: Path | None = None,
     ) -> None:
-        self._contract, self._is_adaptive = contract, contract.layout.sending == "adaptive"
+        self._contract, self._boards_keep_zero = contract, contract.layout.sends.boards_keep_zero
         self._submit, self._tares = submit, tares
         self._stored = stored or new_calibration(contract.layout)
         self._keeps, self._keep_at_s, self._could_not_keep = keeps, float("-inf"), False
@@ -92,7 +92,7 @@ class GatewayCalibration:
         has_thermometers = contract.layout.taxels.has_thermometers
         self._temperatures = Temperatures(contract, self.take_temperatures) if has_thermometers else None
         #: Adaptive: the newest sums, which hold until others come, and when they are looked at next.
-        self._newest: Measurement | None = None
+        self._newest: AdaptiveMeasurement | None = None
         self._look_s = float("-inf")
         self._requests: deque[_Request] = deque()
         self._taring: list[Reply] = []
@@ -138,7 +138,7 @@ class GatewayCalibration:
 
     def take(self, measurement: Measurement) -> None:
         """Learn from a measurement of all sums, adaptive ones at the next `tick`; most of it is left to `work`."""
-        if self._is_adaptive:
+        if isinstance(measurement, AdaptiveMeasurement):
             self._newest = measurement
         elif measurement.fingerprint == self._contract.phi.fingerprint:
             self._calibrator.take(measurement)
@@ -246,7 +246,7 @@ class GatewayCalibration:
             If there is nothing to use, or boards have their own zero.
         """
         offsets_n = stored.required_offsets_n("calibration")
-        if self._is_adaptive:
+        if self._boards_keep_zero:
             raise InputError(_ADAPTIVE)
         self._calibrator.load(offsets_n)
         until = f"in use until the skin has been untouched for {self._calibrator.tare_s:.3g} s and has a new zero"
@@ -283,7 +283,7 @@ class GatewayCalibration:
             )
         had_offsets = self._calibrator.offsets_n is not None
         self._calibrator.forget()
-        if not self._is_adaptive:
+        if not self._boards_keep_zero:
             if self._tares:
                 text += "; the zero is measured anew"
             elif had_offsets:
@@ -314,7 +314,7 @@ class GatewayCalibration:
                 common_mode_gains=known.common_mode_gains,
                 version=known.version,
             )
-            text = _ADAPTIVE if self._is_adaptive else "the calibration in use"
+            text = _ADAPTIVE if self._boards_keep_zero else "the calibration in use"
             reply(CalibrationReply(is_done=True, text=text, status=status, content=encoded(whole)))
 
         self._submit(tell)

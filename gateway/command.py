@@ -19,7 +19,7 @@ from gateway.calibration import GatewayCalibration, kept_zero
 from gateway.service import GatewayService
 from skin.calibration_file import load_calibration
 from skin.description import Describing
-from skin.layout import Layout, load_layout
+from skin.layout import Layout, load_layout, require_sending
 from skin.service import StopSignal, say
 
 
@@ -71,14 +71,14 @@ def gateway(
     skin gateway --keep-zero /var/lib/canskin/palm.json
     """
     stop = StopSignal().install()
-    skin = load_layout(layout, adaptive=True)
+    skin = load_layout(layout)
     rates_hz = publishing_rates(max_rate, min_rate)
-    if skin.sending != "adaptive" and (max_rate, min_rate) != (None, None):
-        raise InputError("--max-rate and --min-rate are for adaptive sending: this layout has a measurement per cycle")
+    if (max_rate, min_rate) != (None, None):
+        require_sending(skin, "adaptive", "--max-rate and --min-rate are", "this layout has a measurement per cycle")
     contract = Contract.from_layout(skin)
-    if (calibration or keep_zero) is not None and skin.sending == "adaptive":
+    if (calibration or keep_zero) is not None:
         option = "--calibration" if calibration is not None else "--keep-zero"
-        raise InputError(f"{option} is for synchronous sending: adaptive boards measure their own offsets")
+        require_sending(skin, "synchronous", f"{option} is", "adaptive boards measure their own offsets")
     if keep_zero is not None and keep_zero.suffix != ".json":
         raise InputError(f"{keep_zero}: expected a file for the zero that ends in .json: it is written over")
     stored = None if calibration is None else load_calibration(calibration, skin)

@@ -7,13 +7,14 @@ from typing import Final
 import msgspec
 import numpy as np
 
-from canskin.messages import FrameCounts, Measurement
+from canskin.messages import CycleMeasurement, FrameCounts, Measurement
 from dbc.canopen import NmtState
 from dbc.contract import Contract, NodeContract
 from dbc.frame import Frames
-from gateway.collector import Collector, slot_of
+from gateway.collector import Collector
 from gateway.gathering import Health, Sync
 from gateway.nmt_master import NmtMaster
+from gateway.open_cycles import slot_of
 
 #: A cycle ends at the latest this part of a period after the next SYNC was due.
 GRACE: Final = 0.9
@@ -27,8 +28,11 @@ class CycleGathering:
     collector : Collector
     """
 
-    #: See `gateway.gathering.Gathering`.
+    #: Until when frames may wait unread: no measurement is made before.
     may_sleep_until_s = float("-inf")
+    #: Time between two looks at the measurements in a replay; None: they are due by frames and SYNCs alone.
+    replay_step_ns = None
+    #: What another SYNC producer does to the sums of its bus.
     disturbance = "its cycles are not valid"
 
     def __init__(self, contract: Contract) -> None:
@@ -121,7 +125,7 @@ class CycleGathering:
         times = gathered.times
         self.published += 1
         self.complete += gathered.complete
-        return Measurement(
+        return CycleMeasurement(
             cycle=sync.number,
             sync_counter=sync.counter,
             sampled_mono_ns=times.mono_ns,

@@ -1,4 +1,4 @@
-"""What SDO requests of another master to a node mean for the gateway: a doubt, a channel in use, or nothing."""
+"""SDO requests of another master to a node: a doubt for the gateway, a channel in use, or nothing."""
 
 from collections.abc import Collection
 from enum import Enum, auto
@@ -15,7 +15,7 @@ _BLOCK_DOWNLOAD_ENDED: Final = 0xA1
 
 
 class Effect(Enum):
-    """What one request means."""
+    """Meaning of one request."""
 
     #: The request asks for nothing: the end of a transfer.
     NONE = auto()

@@ -1,19 +1,15 @@
-"""What a way of gathering sums offers to the loop: cycles of synchronous sums, or adaptive sums as they come."""
+"""What the loop tells every gathering of sums: the SYNC that is to be sent, and whether a bus may have lost frames."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Final, Protocol
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
 from bus.error_frames import ErrorClass
 from bus.link import State
-from canskin.messages import FrameCounts, Measurement
-from dbc.contract import NodeContract
 from dbc.dictionary import SkinState
 from dbc.frame import ECHO, ERROR, Frames
-from gateway.nmt_master import NmtMaster
 
 #: Byte 1 of a report of the controller: its receive buffer has overflowed (SocketCAN: CAN_ERR_CRTL_RX_OVERFLOW).
 _OVERFLOW: Final = 0x01
@@ -52,77 +48,6 @@ class Sync:
     def due_s(self) -> float:
         """When it was due, seconds."""
         return self.due_ns * 1e-9
-
-
-class Gathering(Protocol):
-    """Makes measurements of frames. All times are arguments."""
-
-    @property
-    def published(self) -> int:
-        """Measurements so far."""
-        ...
-
-    @property
-    def complete(self) -> int:
-        """Measurements so far in which every block was valid."""
-        ...
-
-    @property
-    def counts(self) -> FrameCounts:
-        """What became of the frames."""
-        ...
-
-    @property
-    def in_flight(self) -> int:
-        """Number of open cycles."""
-        ...
-
-    @property
-    def due_s(self) -> float:
-        """When the next measurement is due, whatever comes."""
-        ...
-
-    @property
-    def may_sleep_until_s(self) -> float:
-        """Until when frames may wait unread: no measurement is made before."""
-        ...
-
-    @property
-    def disturbance(self) -> str:
-        """What another SYNC producer does to the sums of its bus."""
-        ...
-
-    def trust(self, node: NodeContract, *, proven: bool) -> None:
-        """Use the sums of a node from now on, or stop at once."""
-        ...
-
-    def take(self, bus: int, arrived: Frames, health: "Health", now_s: float) -> None:
-        """Use the frames that arrived on a bus, in bus order."""
-        ...
-
-    def begin(self, sync: Sync) -> list[Measurement]:
-        """Take note of a SYNC that is about to be sent; return the measurements that must be closed before."""
-        ...
-
-    def tick(self, now_s: float) -> None:
-        """Do what is due besides measurements."""
-        ...
-
-    def measurements(self, now_s: float, wall_offset_ns: int) -> list[Measurement]:
-        """Return the measurements that are due."""
-        ...
-
-    def look(self, masters: Mapping[int, NmtMaster], now_s: float) -> None:
-        """Compare what came with the states of the nodes; called a few times a second."""
-        ...
-
-    def take_foreign_syncs(self, bus: int) -> int:
-        """Return the number of foreign SYNCs on a bus since the last call."""
-        ...
-
-    def missing_and_late(self, place: int) -> tuple[int, int]:
-        """Return how many frames of the node at `place` in the contract did not come in time."""
-        ...
 
 
 class Health:

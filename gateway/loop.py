@@ -13,7 +13,7 @@ from dbc.time_of_day import time_frame
 from gateway.adaptive_gathering import RATES_HZ, AdaptiveGathering
 from gateway.cycle_gathering import CycleGathering
 from gateway.cycles import LATEST, SyncClock
-from gateway.gathering import Gathering, Health, Sync
+from gateway.gathering import Health, Sync
 from gateway.load import LoadMeter
 from gateway.nmt_master import NmtMaster
 from gateway.state_gathering import StateGathering
@@ -28,6 +28,10 @@ BOOT_PATIENCE_S: Final = 3.0
 SETTLE_S: Final = 0.1
 #: The load of one bus is added up after a measurement, at most this often.
 ACCOUNT_PERIOD_S: Final = 0.02
+
+
+#: Makes measurements of frames, as the nodes send them. All times are arguments.
+Gathering = CycleGathering | StateGathering | AdaptiveGathering
 
 
 @dataclass
@@ -89,7 +93,7 @@ class GatewayLoop:
         self._numbers = sorted(self._buses)
         self.masters = {number: bus.master for number, bus in self._buses.items()}
         self.gathering: Gathering
-        if contract.layout.sending == "adaptive":
+        if not contract.layout.sends.in_cycles:
             self.gathering = AdaptiveGathering(contract, self.masters, now_s, rates_hz)
         elif contract.recognition is not None:
             self.gathering = StateGathering(contract)

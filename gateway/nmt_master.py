@@ -1,10 +1,16 @@
 """The NMT master of one bus: proves each node's configuration, starts the node, and restarts lost nodes.
 
-After CiA 302-2, boot NMT slave and error control. Time and frames are arguments; no function waits.
+After CiA 302-2, boot NMT slave and error control, as a table: `NmtMaster.TRANSITIONS`, at the end of the file, has the
+action and the next state for each `NodeState` and `Event`. The sums of a node are used from `_start_using` to
+`_stop_using`, in the states `IN_USE` and `IN_USE_CHECKED`; in others the blocks of the node are not valid
+(`Gathering.trust`). The NMT state of CiA 301, which a node tells in its heartbeats, is `NodeRecord.nmt`. Time and
+frames are arguments; no function waits.
 """
 
-from collections.abc import Callable
-from typing import Final
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from enum import Enum, IntEnum, auto
+from typing import ClassVar, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -27,13 +33,12 @@ from dbc.canopen import (
     NmtState,
     is_of_node,
 )
-from dbc.configuration import PROOF_ROUNDS, configuration, expected_signature, proof_period_s
+from dbc.configuration import PROOF_ROUNDS, Setting, configuration, expected_signature, proof_period_s
 from dbc.contract import Contract, NodeContract
 from dbc.dictionary import SILENT_AFTER_S
 from dbc.frame import ECHO, ERROR, EXTENDED, REMOTE, Frames
 from gateway.foreign_sdo import Effect, ForeignClient
 from gateway.grouped_lines import GroupedLines
-from gateway.node_record import NodeRecord, state_text
 from gateway.proof import Proof, prove
 from gateway.sdo import ATTEMPTS, TIMEOUT_S, Dialogue, SdoDialogue
 
@@ -44,12 +49,133 @@ LATER_S: Final = 60.0
 STABLE_S: Final = 10.0
 #: On the bus, a heartbeat with the old state may come this much later than the NMT start.
 UNDER_WAY_NS: Final = 300_000_000
+#: An emergency at most this long before a node left is logged as the reason.
+EXPLAINS_S: Final = 2.0
 #: Most SDO dialogues at the same time. SDO frames have a lower priority than TPDOs.
 DIALOGUES: Final = 16
 #: How often `tick` looks at every node.
 TICK_S: Final = 0.01
 
 Send = Callable[[int, bytes], None]
+#: Of the table: called with a node, the time, and the reason for the log.
+_Action = Callable[["NmtMaster", "NodeRecord", float, str], None]
+
+
+class NodeState(IntEnum):
+    """How far a node has come; from `IN_USE` on, its sums are used."""
+
+    WAITING = auto()  #: Not in use: never heard, lost, or silent. The next proof begins after a pause.
+    CHECKED = auto()  #: Not in use, and a proof is under way.
+    REFUSED = auto()  #: Not in use: its configuration is not that of the layout. It is proven again after a minute.
+    REFUSED_CHECKED = auto()  #: Refused, and a proof is under way.
+    IN_USE = auto()  #: Proven and started.
+    IN_USE_CHECKED = auto()  #: In use, and proven again in its turn.
+
+
+#: States with an open proof, and of nodes whose sums must not be used.
+_CHECKED: Final = (NodeState.CHECKED, NodeState.REFUSED_CHECKED, NodeState.IN_USE_CHECKED)
+_REFUSED: Final = (NodeState.REFUSED, NodeState.REFUSED_CHECKED)
+
+
+class Event(Enum):
+    """What happens to a node."""
+
+    DUE = auto()  #: The time of its next proof has come.
+    DIFFERENT = auto()  #: The proof has found a difference, and goes on.
+    RIGHT = auto()  #: The proof has ended: the configuration is right.
+    WRONG = auto()  #: The proof has ended: the configuration is wrong, and stays so.
+    UNANSWERED = auto()  #: The proof has ended without an answer.
+    BOOTED = auto()  #: Boot-up message.
+    HEARD = auto()  #: First heartbeat after silence.
+    LEFT = auto()  #: A heartbeat, or a command of another master, says that the node has left OPERATIONAL.
+    RUNNING = auto()  #: A refused node is OPERATIONAL.
+    LOST = auto()  #: The heartbeat is overdue.
+    OUTDATED = auto()  #: The newest proof is too old.
+    SWAPPED = auto()  #: The node answers every SYNC with the PDOs of the other phase.
+    WRITTEN = auto()  #: Another master writes the configuration.
+    BUSY = auto()  #: Another master uses the SDO channel: a node answers one client at a time.
+
+
+@dataclass
+class NodeRecord:
+    """State of one node; times are monotonic seconds.
+
+    Attributes
+    ----------
+    signature : int
+        The configuration signature (2006h) that the contract asks for.
+    foreign : ForeignClient
+        The SDO requests of other masters to the node.
+    nmt : int
+        NMT state that the node told last, `SILENT` when its heartbeat is overdue.
+    state : NodeState
+    started_ns : int or None
+        When the newest NMT start of the gateway was on the bus; None while the start waits in the controller.
+    proven_s : float
+        When the newest successful proof read its oldest value.
+    prove_at_s : float
+        When the next proof of a node begins; infinite in use, where proofs come in turn.
+    tries : int
+        Dialogues since the node was last stable in OPERATIONAL.
+    asked : bool
+        The first dialogue has ended.
+    heard_s, emcy_s, used_since_s, began_s : float
+        Times of the newest heartbeat, the newest active emergency, the newest start of use, and the beginning of the
+        newest proof.
+    refusal : str
+        Why the node is refused; empty in the other states.
+    dialogue : SdoDialogue or None
+        The open proof, in the states `*CHECKED`.
+    errand : SdoDialogue or None
+        The open dialogue of a node in use about something else: `NmtMaster.ask`.
+    hint : str
+        The reason that the log gives for the next boot.
+    lost_s : float or None
+        When the node's sums were given up; None while they are used, or before their first use.
+    """
+
+    contract: NodeContract
+    settings: Sequence[Setting]
+    signature: int
+    foreign: ForeignClient
+    state: NodeState = NodeState.WAITING
+    nmt: int = SILENT
+    heard_s: float = -np.inf
+    emcy: int = 0
+    emcy_s: float = -np.inf
+    used_since_s: float = -np.inf
+    started_ns: int | None = 0
+    proven_s: float = -np.inf
+    refusal: str = ""
+    dialogue: SdoDialogue | None = None
+    errand: SdoDialogue | None = None
+    began_s: float = -np.inf
+    prove_at_s: float = 0.0
+    #: Transfers of the last proof.
+    cost: int = 1
+    tries: int = 0
+    asked: bool = False
+    lost_s: float | None = None
+    hint: str = ""
+
+    @property
+    def in_use(self) -> bool:
+        """Whether the node's sums are used."""
+        return self.state >= NodeState.IN_USE
+
+    @property
+    def is_free(self) -> bool:
+        """Whether no dialogue with the node is open: it answers one request at a time."""
+        return self.dialogue is None and self.errand is None
+
+    def explanation(self, now_s: float) -> str:
+        """Return the emergency that explains why the node leaves now, empty without one."""
+        return f" after EMCY {self.emcy:04X}h" if now_s - self.emcy_s < EXPLAINS_S else ""
+
+    def end_errand(self) -> None:
+        """Drop the errand if it is done."""
+        if self.errand is not None and self.errand.done:
+            self.errand = None
 
 
 class NmtMaster:
@@ -62,8 +188,8 @@ class NmtMaster:
         Number of the bus in the layout.
     send : callable
         Sends a classic frame: COB-ID and data.
-    trust : callable
-        Called with a node and whether its sums may be used.
+    use : callable
+        Called with a node and whether its sums are used from now on.
     say : callable
         Writes a line to the log.
 
@@ -80,13 +206,13 @@ class NmtMaster:
         contract: Contract,
         bus: int,
         send: Send,
-        trust: Callable[[NodeContract, bool], None],
+        use: Callable[[NodeContract, bool], None],
         say: Callable[[str], None],
     ) -> None:
         self._name = contract.layout.bus[bus].name
         self._write = contract.layout.configure == "write"
         self._send = send
-        self._trust = trust
+        self._use = use
         self.nodes = {
             node.node_id: NodeRecord(
                 node, settings, expected_signature(settings), ForeignClient({each.index for each in settings})
@@ -119,12 +245,12 @@ class NmtMaster:
     @property
     def refused(self) -> list[int]:
         """Node-IDs that answer, but whose sums must not be used."""
-        return [node_id for node_id, node in self.nodes.items() if node.refusal]
+        return [node_id for node_id, node in self.nodes.items() if node.state in _REFUSED]
 
     @property
     def awaited(self) -> list[int]:
         """Node-IDs neither proven nor refused; in most cases the node is absent."""
-        return [node_id for node_id, node in self.nodes.items() if not node.trusted and not node.refusal]
+        return [node_id for node_id, node in self.nodes.items() if node.state < NodeState.REFUSED]
 
     @property
     def proof_limit_s(self) -> float:
@@ -180,74 +306,49 @@ class NmtMaster:
         was_silent = node.nmt == SILENT
         node.heard_s = now_s
         if state == NmtState.INITIALISING:
-            if was_silent:
-                node.tries = 0
-            node.nmt = NmtState.PRE_OPERATIONAL
             self._booted(node, now_s)
             return
-        if state != NmtState.OPERATIONAL and node.trusted:
+        if state != NmtState.OPERATIONAL and node.in_use:
             is_under_way = node.started_ns is None or time_ns - node.started_ns < UNDER_WAY_NS
-            if is_under_way and now_s - node.trusted_s < SILENT_AFTER_S:
+            if is_under_way and now_s - node.used_since_s < SILENT_AFTER_S:
                 return
+            why = f"left OPERATIONAL: {_state_text(state)}{node.explanation(now_s)}"
             node.nmt = state
-            self._stop_using(node, f"left OPERATIONAL: {state_text(state)}{node.explanation(now_s)}", now_s)
+            self._happen(node, Event.LEFT, now_s, why)
             return
         node.nmt = state
-        if was_silent and not node.trusted:
-            node.tries = 0
-            node.prove_at_s = min(node.prove_at_s, now_s)
+        if was_silent:
+            self._happen(node, Event.HEARD, now_s)
 
     def _booted(self, node: NodeRecord, now_s: float) -> None:
-        """Use no sums of a node that has booted until the node is proven again."""
-        node.dialogue = node.errand = None
-        if node.refusal or node.hint:  # somebody has worked on the node
+        if node.nmt == SILENT or node.refusal or node.hint:  # somebody has worked on the node
             node.tries = 0
-        node.refusal = ""
-        if node.trusted:
-            self._stop_using(node, f"booted again{node.hint or node.explanation(now_s)}", now_s)
-        elif node.lost_s is None:
-            node.prove_at_s = now_s
-        else:
-            self._pause(node, now_s)
-        node.hint = ""
+        why = f"booted again{node.hint or node.explanation(now_s)}"
+        node.nmt, node.hint = NmtState.PRE_OPERATIONAL, ""
+        self._happen(node, Event.BOOTED, now_s, why)
 
     def _foreign_nmt(self, command: int, node_id: int, now_s: float) -> None:
         nodes = self.nodes.values() if node_id == 0 else filter(None, [self.nodes.get(node_id)])
         for node in nodes:
             if command in COMMANDED and command != NmtCommand.START and node.nmt != SILENT:
                 node.nmt = COMMANDED[NmtCommand(command)]
-                if node.trusted:
-                    state = state_text(node.nmt)
-                    self._stop_using(node, f"left OPERATIONAL: {state}, by another master's NMT command", now_s)
+                why = f"left OPERATIONAL: {_state_text(node.nmt)}, by another master's NMT command"
+                self._happen(node, Event.LEFT, now_s, why)
             elif command in (NmtCommand.RESET_NODE, NmtCommand.RESET_COMMUNICATION):
                 node.hint = ", reset by another master"
 
     def _foreign_sdo(self, node: NodeRecord, data: bytes, now_s: float) -> None:
-        """Use no sums of a node whose configuration somebody else writes until the node is proven again."""
         effect = node.foreign.take(data, now_s)
         if effect is Effect.DOUBT:
-            self._doubt_written(node, now_s)
+            self._happen(node, Event.WRITTEN, now_s, "doubted: another master writes its configuration")
         elif effect is Effect.BUSY:
             node.errand = None
-            if node.dialogue is not None:
-                node.dialogue, node.began_s = None, node.proven_s
-                node.prove_at_s = max(node.prove_at_s, node.foreign.free_s)
-
-    def _doubt_written(self, node: NodeRecord, now_s: float) -> None:
-        node.dialogue = None
-        if node.trusted:
-            self._stop_using(node, "doubted: another master writes its configuration", now_s)
-        elif node.refusal:
-            node.prove_at_s = now_s
-        node.prove_at_s = max(node.prove_at_s, node.foreign.free_s)
+            self._happen(node, Event.BUSY, now_s)
 
     def swapped(self, node_id: int, now_s: float) -> None:
         """Reset the communication of a node that answers every SYNC with the PDOs of the other phase."""
-        node = self.nodes[node_id]
-        if node.trusted:
-            why = "answers SYNC with the PDOs of the other phase, or a cycle late: communication reset"
-            self._stop_using(node, why, now_s)
-            self._command(NmtCommand.RESET_COMMUNICATION, node_id)
+        why = "answers SYNC with the PDOs of the other phase, or a cycle late: communication reset"
+        self._happen(self.nodes[node_id], Event.SWAPPED, now_s, why)
 
     # What time calls for
 
@@ -266,17 +367,16 @@ class NmtMaster:
                 node.errand.tick(now_s)
                 node.end_errand()
         free = DIALOGUES - sum(node.dialogue is not None for node in self.nodes.values())
-        out = [node for node in self.nodes.values() if not node.trusted and node.dialogue is None]
-        due = sorted((node for node in out if now_s >= node.prove_at_s), key=lambda node: node.prove_at_s)
-        for node in due[: max(0, free)]:
-            self._bring_back(node, now_s)
+        due = [node for node in self.nodes.values() if now_s >= node.prove_at_s and node.dialogue is None]
+        for node in sorted(due, key=lambda node: node.prove_at_s)[: max(0, free)]:
+            self._happen(node, Event.DUE, now_s)
         self._prove_in_turn(now_s)
         self._lines.tick(now_s)
 
     def ask(self, node_id: int, steps: Dialogue, now_s: float) -> SdoDialogue | None:
         """Begin a dialogue with a node in use, one attempt for each transfer; None while its SDO channel is busy."""
         node = self.nodes[node_id]
-        if not node.trusted or not node.is_free or now_s < node.foreign.free_s:
+        if not node.in_use or not node.is_free or now_s < node.foreign.free_s:
             return None
         node.errand = SdoDialogue(node_id, steps, self._send, now_s, attempts=1)
         return node.errand
@@ -289,25 +389,14 @@ class NmtMaster:
     def _check_times(self, node: NodeRecord, limit_s: float, now_s: float) -> None:
         """Find a heartbeat or a proof that is overdue, and a refused node that sends PDOs."""
         if node.nmt != SILENT and now_s - node.heard_s > SILENT_AFTER_S:
-            node.nmt, node.refusal = SILENT, ""
-            if node.trusted:
-                self._stop_using(node, f"silent: no heartbeat for {SILENT_AFTER_S:g} s", now_s)
+            node.nmt = SILENT
+            self._happen(node, Event.LOST, now_s, f"silent: no heartbeat for {SILENT_AFTER_S:g} s")
         if node.refusal and node.nmt == NmtState.OPERATIONAL:
-            # Its PDOs may have identifiers of other nodes.
-            self._command(NmtCommand.ENTER_PRE_OPERATIONAL, node.contract.node_id)
-            node.nmt = NmtState.PRE_OPERATIONAL
-        if node.trusted and now_s - node.trusted_s > STABLE_S:
+            self._happen(node, Event.RUNNING, now_s)
+        if node.tries and node.in_use and now_s - node.used_since_s > STABLE_S:
             node.tries = 0
-        if node.trusted and now_s - node.proven_s > limit_s:
-            self._stop_using(node, f"not proven for {now_s - node.proven_s:.0f} s", now_s)
-
-    def _bring_back(self, node: NodeRecord, now_s: float) -> None:
-        """Begin to prove a node that is not in use; the node is started when the proof succeeds."""
-        # A stopped node answers no SDO (CiA 301, 7.3.2.2.4), and a node without heartbeat may be stopped.
-        if node.nmt == NmtState.STOPPED or (node.nmt == SILENT and node.tries):
-            self._command(NmtCommand.ENTER_PRE_OPERATIONAL, node.contract.node_id)
-        node.tries += 1
-        self._begin(node, now_s)
+        if now_s - node.proven_s > limit_s and node.in_use:
+            self._happen(node, Event.OUTDATED, now_s, f"not proven for {now_s - node.proven_s:.0f} s")
 
     def _prove_in_turn(self, now_s: float) -> None:
         """Prove the node whose proof is oldest, as often as the share of the bus for proofs allows."""
@@ -315,54 +404,53 @@ class NmtMaster:
             return
         share_s = self._round_s / len(self.nodes)
         self._slot_s = max(self._slot_s, now_s - share_s) + share_s
-        waiting = [node for node in self.nodes.values() if node.trusted and node.is_free]
+        waiting = [node for node in self.nodes.values() if node.in_use and node.is_free]
         oldest = min(waiting, key=lambda node: node.began_s, default=None)
         if oldest is None:
             return
         if now_s < oldest.foreign.free_s and now_s - oldest.began_s < self._round_s * oldest.cost:
             return
         self._slot_s += (oldest.cost - 1) * share_s
-        self._begin(oldest, now_s)
-
-    def _begin(self, node: NodeRecord, now_s: float) -> None:
-        def doubt() -> None:
-            if node.trusted:
-                self._stop_using(node, "doubted: its configuration is not that of the layout", now_s)
-
-        node.began_s = now_s
-        steps = prove(node.settings, node.signature, write=self._write, doubt=doubt)
-        # One attempt for a silent node: the boot-up message or heartbeat tells when the node is there.
-        attempts = 1 if node.nmt == SILENT else ATTEMPTS
-        node.dialogue = SdoDialogue(node.contract.node_id, steps, self._send, now_s, attempts=attempts)
+        self._happen(oldest, Event.DUE, now_s)
 
     def _finish(self, node: NodeRecord, now_s: float) -> None:
-        """Act on the result of a dialogue that has ended."""
+        """Act on the result of a proof that has ended."""
         dialogue = node.dialogue
         if dialogue is None or not dialogue.done:
             return
-        node.dialogue, node.asked = None, True
+        node.asked = True
         proof = dialogue.result
         if not isinstance(proof, Proof):
-            if not node.trusted:
-                self._pause(node, now_s)
+            self._happen(node, Event.UNANSWERED, now_s)
             return
         node.cost = 1 if proof.has_signature else len(node.settings) + 1
         if proof.written:
             self._lines.add(node.contract.node_id, f"set right: {proof.written}", now_s)
         if proof.refusal:
-            if proof.refusal != node.refusal:
-                self._lines.add(node.contract.node_id, f"refused: {proof.refusal}", now_s)
-            node.refusal, node.prove_at_s = proof.refusal, now_s + LATER_S
+            self._happen(node, Event.WRONG, now_s, proof.refusal)
             return
         # A proof holds from its oldest read: with a signature the last transfer, without one the first.
-        node.refusal, node.proven_s = "", dialogue.asked_s if proof.has_signature else node.began_s
-        if not node.trusted:
-            self._start_using(node, now_s)
+        node.proven_s = dialogue.asked_s if proof.has_signature else node.began_s
+        self._happen(node, Event.RIGHT, now_s)
 
-    def _start_using(self, node: NodeRecord, now_s: float) -> None:
+    def _happen(self, node: NodeRecord, event: Event, now_s: float, why: str = "") -> None:
+        """Do what `TRANSITIONS` says; `why` is for the log."""
+        found = self.TRANSITIONS[node.state].get(event)
+        if found is None:
+            return
+        act, node.state = found
+        if node.state not in _CHECKED:
+            node.dialogue = None
+        if node.state not in _REFUSED:
+            node.refusal = ""
+        act(self, node, now_s, why)
+
+    # The actions of the table
+
+    def _start_using(self, node: NodeRecord, now_s: float, _why: str) -> None:
         """Use the sums of a proven node and start it; attempts before its first start are not counted."""
-        node.trusted, node.trusted_s, node.hint = True, now_s, ""
-        self._trust(node.contract, True)
+        node.used_since_s, node.prove_at_s, node.hint = now_s, np.inf, ""
+        self._use(node.contract, True)
         if node.nmt != NmtState.OPERATIONAL:
             node.started_ns = None
             self._command(NmtCommand.START, node.contract.node_id)
@@ -373,17 +461,52 @@ class NmtMaster:
         else:
             node.tries = 0  # the first start, not a restart
 
-    def _stop_using(self, node: NodeRecord, why: str, now_s: float) -> None:
+    def _stop_using(self, node: NodeRecord, now_s: float, why: str) -> None:
         """Use no more sums of a node; try to restart it after a pause."""
-        node.trusted, node.errand = False, None
-        self._trust(node.contract, False)
+        node.errand = None
+        self._use(node.contract, False)
         if node.lost_s is None:
             node.lost_s = now_s
         self._lines.add(node.contract.node_id, why, now_s)
-        self._pause(node, now_s)
+        self._pause(node, now_s, why)
 
-    def _pause(self, node: NodeRecord, now_s: float) -> None:
-        """Set the time of the next attempt for a node that is not in use."""
+    def _stop_using_and_reset(self, node: NodeRecord, now_s: float, why: str) -> None:
+        self._stop_using(node, now_s, why)
+        self._command(NmtCommand.RESET_COMMUNICATION, node.contract.node_id)
+
+    def _prove(self, node: NodeRecord, now_s: float, _why: str) -> None:
+        """Begin a proof."""
+
+        def differs() -> None:
+            self._happen(node, Event.DIFFERENT, now_s, "doubted: its configuration is not that of the layout")
+
+        node.began_s = now_s
+        steps = prove(node.settings, node.signature, write=self._write, doubt=differs)
+        # One attempt for a silent node: the boot-up message or heartbeat tells when the node is there.
+        attempts = 1 if node.nmt == SILENT else ATTEMPTS
+        node.dialogue = SdoDialogue(node.contract.node_id, steps, self._send, now_s, attempts=attempts)
+
+    def _try(self, node: NodeRecord, now_s: float, why: str) -> None:
+        """Begin to prove a node that is not in use."""
+        # A stopped node answers no SDO (CiA 301, 7.3.2.2.4), and a node without heartbeat may be stopped.
+        if node.nmt == NmtState.STOPPED or (node.nmt == SILENT and node.tries):
+            self._command(NmtCommand.ENTER_PRE_OPERATIONAL, node.contract.node_id)
+        node.tries += 1
+        self._prove(node, now_s, why)
+
+    def _refuse(self, node: NodeRecord, now_s: float, why: str) -> None:
+        """Tell why; try again later."""
+        if why != node.refusal:
+            self._lines.add(node.contract.node_id, f"refused: {why}", now_s)
+        node.refusal, node.prove_at_s = why, now_s + LATER_S
+
+    def _halt(self, node: NodeRecord, _now_s: float, _why: str) -> None:
+        """End the PDOs of a refused node: they may have identifiers of other nodes."""
+        self._command(NmtCommand.ENTER_PRE_OPERATIONAL, node.contract.node_id)
+        node.nmt = NmtState.PRE_OPERATIONAL
+
+    def _pause(self, node: NodeRecord, now_s: float, _why: str) -> None:
+        """Set the time of the next try."""
         is_over = node.tries >= len(PAUSES_S)
         node.prove_at_s = now_s + (LATER_S if is_over else PAUSES_S[node.tries])
         if node.tries == len(PAUSES_S) and node.nmt != SILENT:
@@ -391,5 +514,96 @@ class NmtMaster:
                 node.contract.node_id, f"given up after {len(PAUSES_S)} tries: tried again every {LATER_S:g} s", now_s
             )
 
+    def _pause_if_lost(self, node: NodeRecord, now_s: float, why: str) -> None:
+        """Set the time of the next try: now for a node that was never in use."""
+        if node.lost_s is None:
+            node.prove_at_s = now_s
+        else:
+            self._pause(node, now_s, why)
+
+    def _try_now(self, node: NodeRecord, now_s: float, _why: str) -> None:
+        """Begin the tries anew."""
+        node.tries = 0
+        node.prove_at_s = min(node.prove_at_s, now_s)
+
+    def _try_when_free(self, node: NodeRecord, _now_s: float, _why: str) -> None:
+        """Try again as soon as the other master leaves the SDO channel alone."""
+        node.prove_at_s = node.foreign.free_s
+
+    def _give_way(self, node: NodeRecord, _now_s: float, _why: str) -> None:
+        """Begin the proof again when the SDO channel is free; a node in use keeps its turn."""
+        node.began_s = node.proven_s
+        node.prove_at_s = max(node.prove_at_s, node.foreign.free_s)
+
+    def _go_on(self, node: NodeRecord, now_s: float, why: str) -> None:
+        """Do nothing."""
+
     def _command(self, command: NmtCommand, node_id: int) -> None:
         self._send(NMT_COB_ID, bytes((command, node_id)))
+
+    #: By state and event: the action, and the next state. In a state that does not list an event, it changes nothing.
+    TRANSITIONS: ClassVar[dict[NodeState, dict[Event, tuple[_Action, NodeState]]]] = {
+        NodeState.WAITING: {
+            Event.DUE: (_try, NodeState.CHECKED),
+            Event.BOOTED: (_pause_if_lost, NodeState.WAITING),
+            Event.HEARD: (_try_now, NodeState.WAITING),
+            Event.WRITTEN: (_give_way, NodeState.WAITING),
+        },
+        NodeState.CHECKED: {
+            Event.RIGHT: (_start_using, NodeState.IN_USE),
+            Event.WRONG: (_refuse, NodeState.REFUSED),
+            Event.UNANSWERED: (_pause, NodeState.WAITING),
+            Event.BOOTED: (_pause_if_lost, NodeState.WAITING),
+            Event.HEARD: (_try_now, NodeState.CHECKED),
+            Event.WRITTEN: (_give_way, NodeState.WAITING),
+            Event.BUSY: (_give_way, NodeState.WAITING),
+        },
+        NodeState.REFUSED: {
+            Event.DUE: (_try, NodeState.REFUSED_CHECKED),
+            Event.BOOTED: (_pause_if_lost, NodeState.WAITING),
+            Event.HEARD: (_try_now, NodeState.REFUSED),
+            Event.RUNNING: (_halt, NodeState.REFUSED),
+            Event.LOST: (_go_on, NodeState.WAITING),
+            Event.WRITTEN: (_try_when_free, NodeState.REFUSED),
+        },
+        NodeState.REFUSED_CHECKED: {
+            Event.RIGHT: (_start_using, NodeState.IN_USE),
+            Event.WRONG: (_refuse, NodeState.REFUSED),
+            Event.UNANSWERED: (_pause, NodeState.REFUSED),
+            Event.BOOTED: (_pause_if_lost, NodeState.WAITING),
+            Event.HEARD: (_try_now, NodeState.REFUSED_CHECKED),
+            Event.RUNNING: (_halt, NodeState.REFUSED_CHECKED),
+            Event.LOST: (_go_on, NodeState.CHECKED),
+            Event.WRITTEN: (_try_when_free, NodeState.REFUSED),
+            Event.BUSY: (_give_way, NodeState.REFUSED),
+        },
+        NodeState.IN_USE: {
+            Event.DUE: (_prove, NodeState.IN_USE_CHECKED),
+            Event.BOOTED: (_stop_using, NodeState.WAITING),
+            Event.LEFT: (_stop_using, NodeState.WAITING),
+            Event.LOST: (_stop_using, NodeState.WAITING),
+            Event.OUTDATED: (_stop_using, NodeState.WAITING),
+            Event.SWAPPED: (_stop_using_and_reset, NodeState.WAITING),
+            Event.WRITTEN: (_stop_using, NodeState.WAITING),
+        },
+        NodeState.IN_USE_CHECKED: {
+            Event.RIGHT: (_go_on, NodeState.IN_USE),
+            Event.DIFFERENT: (_stop_using, NodeState.CHECKED),
+            Event.UNANSWERED: (_go_on, NodeState.IN_USE),
+            Event.BOOTED: (_stop_using, NodeState.WAITING),
+            Event.LEFT: (_stop_using, NodeState.CHECKED),
+            Event.LOST: (_stop_using, NodeState.CHECKED),
+            Event.OUTDATED: (_stop_using, NodeState.CHECKED),
+            Event.SWAPPED: (_stop_using_and_reset, NodeState.CHECKED),
+            Event.WRITTEN: (_stop_using, NodeState.WAITING),
+            Event.BUSY: (_give_way, NodeState.IN_USE),
+        },
+    }
+
+
+def _state_text(state: int) -> str:
+    """Return an NMT state in words."""
+    try:
+        return NmtState(state).name.lower().replace("_", "-")
+    except ValueError:
+        return f"state {state}"

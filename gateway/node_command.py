@@ -58,7 +58,7 @@ def node(
     if action != "check":
         raise InputError(f"expected 'skin node check', got '{action}'")
     stop = StopSignal().install()
-    skin = load_layout(layout, adaptive=True)
+    skin = load_layout(layout)
     require_one_state(skin, "'skin node check'")
     number = _bus_number(skin, bus)
     contract = Contract.from_layout(skin)

@@ -16,7 +16,7 @@ import numpy as np
 from bus.link import State
 from calibration.calibrator import Calibrator
 from calibration.offline import calibrated
-from canskin.messages import GatewayStatus, Measurement
+from canskin.messages import AdaptiveMeasurement, GatewayStatus, Measurement
 from dbc.canopen import SYNC_COB_ID
 from dbc.contract import Contract, NodeContract
 from dbc.frame import ECHO, ERROR, EXTENDED, FD, REMOTE, Frames, frames
@@ -24,12 +24,11 @@ from gateway.cycle_gathering import GRACE, CycleGathering
 from gateway.gathering import Sync
 from gateway.inferred_proofs import Change, InferredProofs
 from gateway.loop import GatewayLoop
+from skin.measured_sums import check_measurement
 from skin.sync_counter import SYNC_OVERFLOW, next_counter
 
 #: A late SYNC of one bus may come after the next SYNC of another bus, but not later.
 _CYCLES_IN_FLIGHT: Final = 2
-#: Time between two measurements of adaptive sums.
-_ADAPTIVE_NS: Final = 10_000_000
 #: Between two adaptive measurements in a recording, on a clock of its own: longer than any period between two.
 _ADAPTIVE_TURN_S: Final = 10.0
 #: Time stamps of the gateway and of the recorder differ by less. The shortest frame takes longer.
@@ -79,7 +78,6 @@ class Playback:
         self._grace_ns = round((1 + GRACE) * contract.layout.sync.period_s * 1e9) + 1_000
         self._is_counted = contract.sync_overflow > 0
         self._near_ns = round(contract.layout.sync.period_s * 1e9 / 2)
-        self._is_adaptive = contract.layout.sending == "adaptive"
         sends = dict.fromkeys(sorted(buses), len)  # all is accepted, nothing is sent
         self._loop = GatewayLoop(contract, sends, start_ns * 1e-9, say=lambda _: None, complain=lambda _: None)
         for node in contract.nodes:
@@ -171,10 +169,11 @@ class Playback:
 
     def _go_to(self, time_ns: int, ends: Mapping[int, int] | None = None) -> None:
         """Use the frames before a time, of some buses those before a place, and make the measurements that are due."""
-        if self._is_adaptive:
-            for step_ns in range(self._now_ns + _ADAPTIVE_NS, time_ns, _ADAPTIVE_NS):
-                self._take_until(step_ns, {})
-                self._measure(step_ns)
+        step_ns = self._loop.gathering.replay_step_ns
+        if step_ns is not None:
+            for between_ns in range(self._now_ns + step_ns, time_ns, step_ns):
+                self._take_until(between_ns, {})
+                self._measure(between_ns)
         self._take_until(time_ns, ends or {})
         self._measure(time_ns)
 
@@ -228,7 +227,7 @@ class AdaptivePlayback:
         """Take frames of a bus, in bus order."""
         self._frames[bus] = np.concatenate((self._frames[bus], logged))
 
-    def measured(self, recorded: Measurement) -> Measurement:
+    def measured(self, recorded: AdaptiveMeasurement) -> AdaptiveMeasurement:
         """Return a recorded measurement with the sums that its frames give; all of these frames have been fed."""
         self._now_s += _ADAPTIVE_TURN_S
         newest_ns = np.frombuffer(recorded.bus_sampled_ns, "<i8")
@@ -237,7 +236,7 @@ class AdaptivePlayback:
             end = int(np.searchsorted(end_ns, newest_ns[bus] + _STAMP_NS, "right"))
             self._loop.take(bus, waiting[:end], self._now_s, stamp_error_ns=None)
             self._frames[bus] = waiting[end:]
-        (made,) = self._loop.measurements(self._now_s)
+        made = check_measurement(self._loop.measurements(self._now_s)[0], self._phi, AdaptiveMeasurement)
         is_known, is_held = (np.frombuffer(each.known, np.uint8) != 0 for each in (recorded, made))
         sums, live = (np.frombuffer(each.sums, "<i4") for each in (made, recorded))
         self._is_told |= ~is_known | (is_held & (sums == live))

@@ -25,7 +25,7 @@ STATUS_PERIOD_S: Final = 0.2
 TURN_S: Final = 0.01
 #: Calibration works when nothing is due for `SPARE_S`: a window of 4096 taxels takes 2 ms, of 65,536 some 30 ms.
 SPARE_S: Final = 0.004
-#: Images come for so long after the zero has been measured or followed.
+#: From the last need of images for the zero until they may end.
 ZERO_S: Final = 0.1
 _NOTHING: Final = frames(0)
 

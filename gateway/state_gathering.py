@@ -25,8 +25,9 @@ class StateGathering:
         With recognition.
     """
 
-    #: See `gateway.gathering.Gathering`.
+    #: See `gateway.cycle_gathering.CycleGathering`.
     may_sleep_until_s = float("-inf")
+    replay_step_ns = None
     disturbance = CycleGathering.disturbance
 
     def __init__(self, contract: Contract) -> None:

@@ -47,7 +47,7 @@ class Temperatures:
         if self._turn == 0:
             self._take(self._kelvin.copy())
         master = masters.get(node.bus)
-        if master is None or not master.nodes[node.node_id].trusted:
+        if master is None or not master.nodes[node.node_id].in_use:
             self._note(node, np.nan)
         else:
             master.ask(node.node_id, self._read(node), now_s)

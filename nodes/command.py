@@ -88,7 +88,7 @@ def nodes(
         except OSError as error:
             raise InputError(f"--store {store}: expected a folder that can be written: {error.strerror}") from error
     stop = StopSignal().install()
-    skin = load_layout(layout, adaptive=True)
+    skin = load_layout(layout)
     analogue = {"noise_n": noise_n, "seed": touch.seed, "defects": touch.defects(skin)}
     contract = Contract.from_layout(skin)
     chosen = choose_nodes(contract, only or [], without or [])

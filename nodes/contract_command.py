@@ -39,7 +39,7 @@ def dbc(layout: Path | None = None, *, out: Path, json: Json = False) -> None:
     skin dbc --out contract
     skin dbc palm.toml --out palm-files
     """
-    contract = Contract.from_layout(load_layout(layout, adaptive=True))
+    contract = Contract.from_layout(load_layout(layout))
     _show([str(path) for path in write_files(contract_files(contract), out)], as_json=json)
 
 
@@ -63,7 +63,7 @@ def contract(layout: Path | None = None, *, out: Path, json: Json = False) -> No
     skin contract --out contract
     skin contract palm.toml --out palm-files
     """
-    skin = Contract.from_layout(load_layout(layout, adaptive=True))
+    skin = Contract.from_layout(load_layout(layout))
     _show(
         [str(path) for path in write_files(contract_files(skin) | node_files(skin) | vector_files(skin), out)],
         as_json=json,
@@ -92,7 +92,7 @@ def dbc_check(layout: Path | None = None, *, files: Path | None = None, json: Js
     if files is None and layout is not None:
         raise InputError("expected --files FOLDER: the folder of the contract files")
     folder = files or DEFAULT_FOLDER
-    skin = Contract.from_layout(load_layout(layout, adaptive=True))
+    skin = Contract.from_layout(load_layout(layout))
     wanted = contract_files(skin)
     # Files of nodes and test vectors are compared where their folders exist.
     for inner, files_of in ((NODE_FOLDER, node_files), (VECTOR_FOLDER, vector_files)):

@@ -24,7 +24,7 @@ from rebuild.replay import replay
 from reconstructor.array_api import gpu_library
 from reconstructor.batch import RecordingSolver
 from reconstructor.options import SolverOptions
-from skin.layout import RECORDING_SUFFIX, load_layout, require_one_state
+from skin.layout import RECORDING_SUFFIX, load_layout, require_one_state, require_sending
 from skin.service import say
 from skin.terminal import progress
 from skin.touch_options import ArrayNames, FullScale
@@ -90,6 +90,7 @@ def rebuild(
         layout = source
     skin = load_layout(layout)
     require_one_state(skin, "'skin rebuild'")
+    require_sending(skin, "synchronous", "'skin rebuild' is", "'skin replay --out' makes the images of adaptive sums")
     contract = Contract.from_layout(skin)
     stored = None if calibration == NO_CALIBRATION else calibration
     calibrator = make_calibrator(contract.layout, stored, tare, "rebuild")

@@ -1,26 +1,30 @@
-"""`AdaptiveReconstructor`: an image of the newest sums of a skin with adaptive sending."""
+"""`AdaptiveImager`: an image of the newest sums of a skin with adaptive sending."""
 
 import numpy as np
 import numpy.typing as npt
 
-from canskin.messages import BlockState
 from reconstructor.walsh import WalshReconstructor
 from skin.layout import Layout
-from skin.measured_sums import AdaptiveSums
+from skin.measured_sums import AdaptiveSums, decode_adaptive
 from skin.taxel import NOISE_N
 from skin.walsh import grouped_rows
 
 
-class AdaptiveReconstructor:
-    """The solver of the service for adaptive sums, see `reconstructor.walsh`.
+class AdaptiveImager:
+    """Images of adaptive sums, see `reconstructor.walsh`; for the service as `reconstructor.imaging.CycleImager`.
 
-    Sums that are not known are filled in from the forces around: those of dead nodes, and groups that have not come.
+    Only the newest measurement counts: it holds all that those before held. Sums that are not known are filled in from
+    the forces around: those of dead nodes, and groups that have not come.
 
     Parameters
     ----------
     layout : Layout
         With adaptive sending.
     """
+
+    about = "adaptive sums"
+    depth = 1
+    decode = staticmethod(decode_adaptive)
 
     def __init__(self, layout: Layout) -> None:
         taxels = layout.taxels
@@ -30,18 +34,17 @@ class AdaptiveReconstructor:
         self._rows = grouped_rows(layout.measurement.block_size).ravel()
         self._newton_per_count = np.float32(taxels.newton_per_count)
 
-    def solve(self, sums: AdaptiveSums) -> npt.NDArray[np.float32]:
-        """Return the image, float32, shape (rows, columns), newtons; 0 while no sum is known."""
+    def solve(self, sums: AdaptiveSums) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.bool_]]:
+        """See `reconstructor.imaging.CycleImager.solve`; the image is 0 while no sum is known."""
         self._walsh.noise_n = sums.noise_n or NOISE_N
         sums_n = np.multiply(sums.counts, self._newton_per_count, dtype=np.float32)
         grouped = (np.take(each.reshape(self._shape), self._rows, axis=1) for each in (sums_n, sums.known))
-        return self._walsh.solve(*grouped)
+        return self._walsh.solve(*grouped), sums.known
 
     def warm_up(self) -> None:
         """Compile the solver, or load the compiled solver."""
         blocks, size = self._shape
         nothing = np.zeros(size * blocks, np.int32)
-        states, since_ns = np.full(blocks, BlockState.FRESH, np.uint8), np.zeros(blocks, np.int64)
         for known in (np.arange(nothing.size) > 0, np.ones(nothing.size, np.bool_)):
-            self.solve(AdaptiveSums(nothing, np.ones(blocks, np.bool_), known, states, since_ns, NOISE_N))
+            self.solve(AdaptiveSums(nothing, np.ones(blocks, np.bool_), known, NOISE_N))
         self._walsh.reset()

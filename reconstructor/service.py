@@ -1,11 +1,8 @@
-"""The reconstructor's loop: one measurement in, one image and its contacts out.
-
-With adaptive sending only the newest measurement counts: it holds everything that the ones before held.
-"""
+"""The reconstructor's loop: one measurement in, one image and its contacts out."""
 
 import time
 from collections.abc import Callable
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -13,20 +10,22 @@ import numpy.typing as npt
 from canskin.fabric import Exchange
 from canskin.messages import CONTACTS, IMAGE, MEASUREMENT, Contacts, Image, Measurement
 from canskin.sums import doubtful_taxels
-from reconstructor.adaptive import AdaptiveReconstructor
 from reconstructor.contacts import ContactTracker
-from reconstructor.engine import Reconstructor
-from reconstructor.gains import GainCorrection, KnownGains
+from reconstructor.imaging import Imager
 from skin.layout import Layout
-from skin.measured_sums import MeasurementReader, decode_adaptive, decode_measurement, used_blocks
+from skin.measured_sums import MeasurementReader, used_blocks
 from skin.service import StopSignal, request_real_time, yield_processor
 
-#: Measurements that wait during a solve; a longer queue would only make images older.
-MAILBOX_DEPTH: Final = 4
 #: Period of the check of the stop signal while no measurement comes.
 PATIENCE_S: Final = 0.1
 
 Image_n = npt.NDArray[np.float32]
+
+
+def warm_up(layout: Layout, imager: Imager) -> None:
+    """Compile what images and contacts need, or load what was compiled."""
+    imager.warm_up()
+    ContactTracker(layout.taxels.rows, layout.taxels.columns).warm_up()
 
 
 class ReconstructorService:
@@ -38,11 +37,9 @@ class ReconstructorService:
     Parameters
     ----------
     layout : Layout
-    solver : Reconstructor or AdaptiveReconstructor
-        For the layout's Φ and grid, and its way of sending.
+    imager : Imager
+        Of the layout.
     fabric : Exchange
-    gains : KnownGains, optional
-        Of taxels and sums; only with synchronous sending.
     clock_ns : callable, optional
         Monotonic time: when an image is published.
 
@@ -55,28 +52,24 @@ class ReconstructorService:
     def __init__(
         self,
         layout: Layout,
-        solver: Reconstructor | AdaptiveReconstructor,
+        imager: Imager,
         fabric: Exchange,
         *,
-        gains: KnownGains | None = None,
         clock_ns: Callable[[], int] = time.monotonic_ns,
     ) -> None:
         self.images = 0
         self._clock_ns = clock_ns
-        self._work: _Adaptive | _Cycles
-        if isinstance(solver, AdaptiveReconstructor):
-            self._work, depth = _Adaptive(layout, solver), 1
-        else:
-            self._work, depth = _Cycles(layout, solver, gains), MAILBOX_DEPTH
+        self._imager = imager
+        self._reader: MeasurementReader[Any] = MeasurementReader(layout.phi(), "reconstructor", imager.decode)
         self._tracker = ContactTracker(layout.taxels.rows, layout.taxels.columns)
         self._phi = layout.phi()
         self._fabric = fabric
-        self._mailbox = fabric.mailbox(MEASUREMENT, depth)
+        self._mailbox = fabric.mailbox(MEASUREMENT, imager.depth)
 
     @property
     def refused(self) -> int:
         """Number of measurements with another Φ or other sizes."""
-        return self._work.reader.refused
+        return self._reader.refused
 
     @property
     def overrun(self) -> int:
@@ -96,11 +89,12 @@ class ReconstructorService:
 
     def take(self, measurement: Measurement) -> None:
         """Solve and publish one measurement, or refuse it."""
-        solved = self._work.solve(measurement)
-        if solved is not None:
-            self._publish(measurement, *solved)
-
-    def _publish(self, measurement: Measurement, image: Image_n, valid_sums: int, solve_s: float) -> None:
+        sums = self._reader.read(measurement)
+        if sums is None:
+            return
+        started_s = time.perf_counter()
+        image, used_sums = self._imager.solve(sums)
+        solve_s = time.perf_counter() - started_s
         self.images += 1
         message = Image(
             cycle=measurement.cycle,
@@ -110,7 +104,7 @@ class ReconstructorService:
             published_mono_ns=self._clock_ns(),
             pixels=image.astype("<f4", copy=False).tobytes(),
             valid=used_blocks(measurement, self._phi).tobytes(),
-            valid_sums=valid_sums,
+            valid_sums=int(np.count_nonzero(used_sums)),
             solve_s=solve_s,
             number=self.images,
             doubtful=measurement.doubtful,
@@ -135,46 +129,3 @@ class ReconstructorService:
             find_s=time.perf_counter() - started_s,
             blind=is_blind,
         )
-
-
-class _Cycles:
-    """Images of cycles."""
-
-    def __init__(self, layout: Layout, solver: Reconstructor, gains: KnownGains | None) -> None:
-        self._newton_per_count = np.float32(layout.taxels.newton_per_count)
-        self._gains = None if gains is None else GainCorrection(layout.phi(), gains)
-        self._solver = solver
-        self.reader = MeasurementReader(layout.phi(), "reconstructor", decode_measurement)
-
-    def solve(self, measurement: Measurement) -> tuple[Image_n, int, float] | None:
-        """Return image, number of sums used, and time of the solver; None if the measurement is refused."""
-        sums = self.reader.read(measurement)
-        if sums is None:
-            return None
-        started_s = time.perf_counter()
-        sums_n = np.multiply(sums.counts, self._newton_per_count, dtype=np.float32)
-        valid_sums = sums.valid_sums
-        if self._gains is None:
-            image = self._solver.solve(sums_n, valid_sums)
-        else:
-            sums_n, valid_sums = self._gains.apply(sums_n, valid_sums)
-            image = self._solver.solve(sums_n, valid_sums)
-            self._gains.keep(image)
-        return image, int(np.count_nonzero(valid_sums)), time.perf_counter() - started_s
-
-
-class _Adaptive:
-    """Images of the newest sums."""
-
-    def __init__(self, layout: Layout, solver: AdaptiveReconstructor) -> None:
-        self._solver = solver
-        self.reader = MeasurementReader(layout.phi(), "reconstructor", decode_adaptive)
-
-    def solve(self, measurement: Measurement) -> tuple[Image_n, int, float] | None:
-        """Return image, number of sums used, and time of the solver; None if the measurement is refused."""
-        sums = self.reader.read(measurement)
-        if sums is None:
-            return None
-        started_s = time.perf_counter()
-        image = self._solver.solve(sums)
-        return image, int(np.count_nonzero(sums.known)), time.perf_counter() - started_s

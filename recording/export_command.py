@@ -129,7 +129,7 @@ def export_recording(source: Path, *, to: Format = "npz", out: Path | None = Non
         _h5py()
     check_new_path(path, "arrays")
     about = read_about(source)
-    layout = load_layout(source, adaptive=True)
+    layout = load_layout(source)
     tables = read_tables(source, layout, wall_offset_ns(source), lambda line: say("export", line))
     metadata = {"format": "canskin arrays 1", "source": source.name, **about.metadata, "layout": layout_text(layout)}
     try:
@@ -147,7 +147,7 @@ def _export_video(source: Path, path: Path) -> None:
     if path.suffix.lower() != _SUFFIXES["video"]:
         raise InputError(f"{path}: expected a video that ends in {_SUFFIXES['video']}, got '{path.suffix}'")
     check_new_path(path, "video")
-    layout = load_layout(source, adaptive=True)
+    layout = load_layout(source)
     try:
         made = save_video(path, source, layout, lambda line: say("export", line))
     except OSError as error:
@@ -162,7 +162,7 @@ def _export_video(source: Path, path: Path) -> None:
 def _save_view(source: Path, path: Path, to: Format) -> None:
     """Write a recording for other programs: a bag of ROS 2, or a file for Rerun or Foxglove."""
     check_new_path(path, "file" if path.suffix else "bag")
-    layout = load_layout(source, adaptive=True)
+    layout = load_layout(source)
 
     def warn(line: str) -> None:
         say("export", line)

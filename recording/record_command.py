@@ -58,7 +58,7 @@ def record(
     if seconds is not None and not 0 < seconds < float("inf"):
         raise InputError(f"expected a finite number of seconds above 0, got {seconds:g}")
     stop = StopSignal().install()
-    skin = load_layout(layout, adaptive=True)
+    skin = load_layout(layout)
     check_new_path(out, "recording")
     contract = Contract.from_layout(skin)
     names = {number: each.name for number, each in enumerate(skin.bus)}

@@ -1,7 +1,8 @@
 """``skin replay``: a recorded run through gateway, reconstructor and classifier."""
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 from bus.options import Channels
@@ -9,24 +10,22 @@ from calibration.calibrator import Tare
 from calibration.offline import make_calibrator
 from canskin.description import DESCRIPTION
 from canskin.errors import InputError, RunError
-from canskin.fabric import Exchange, Fabric
+from canskin.fabric import Fabric
 from canskin.session import DEFAULT_ENDPOINT
 from classifier.cache import find_or_train
-from classifier.coarse_sums import classified_phi
 from classifier.decide import Classifier
 from classifier.modelfile import load_model
-from classifier.service import AdaptiveClassifierService, ClassifierService
+from classifier.service import make_service
+from classifier.used_sums import classified_phi
 from dbc.contract import Contract
-from reconstructor.adaptive import AdaptiveReconstructor
-from reconstructor.command import load_gains, make_engine
-from reconstructor.contacts import ContactTracker
-from reconstructor.engine import Reconstructor
+from reconstructor.imaging import make_imager
 from reconstructor.options import SolverOptions
+from reconstructor.service import warm_up
 from recording.replaying import Replay, outputs_of
 from recording.sinks import McapSink
 from recording.steps import Step, steps_of
 from skin.description import Describing
-from skin.layout import RECORDING_SUFFIX, Layout, load_layout, require_one_state
+from skin.layout import RECORDING_SUFFIX, load_layout, require_one_state
 from skin.mcap_file import CALIBRATION_FILE, File, newest_file, wall_offset_ns
 from skin.output import check_new_path
 from skin.service import StopSignal, say
@@ -87,16 +86,17 @@ def replay(
     _check(source, speed, out)
     stop = StopSignal().install()
     is_recording = source.suffix.lower() == RECORDING_SUFFIX
-    skin = load_layout(source if is_recording and layout is None else layout, adaptive=True)
+    skin = load_layout(source if is_recording and layout is None else layout)
     require_one_state(skin, "'skin replay'")
     if channel and (is_recording or len(channel) > len(skin.bus)):
         raise InputError(f"--channel: expected up to {len(skin.bus)} channels of a log; a recording names its buses")
     contract = Contract.from_layout(skin)
     offset_ns = wall_offset_ns(source) if is_recording else 0
     calibrator = make_calibrator(skin, calibration, tare, "replay")
-    engine, about = _engine(skin, solver)
-    known = load_gains(gains, skin)
-    classifier = _classifier_maker(skin, model)
+    imager = make_imager(skin, solver, gains)
+    warm_up(skin, imager)
+    classified = classified_phi(skin)
+    trained = load_model(model, skin, classified) if model else find_or_train(skin, classified, DEFAULT_OBJECTS)
     names = channel or [bus.name for bus in skin.bus]
     steps = steps_of(
         source, contract, names, named_by_user=bool(channel), every=solver is not None, calibrator=calibrator
@@ -110,8 +110,9 @@ def replay(
         mark = contract.phi.fingerprint
         fabric = Fabric(skin.name, "replay", listen or DEFAULT_ENDPOINT, hub=True, fingerprint=mark)
         fabric.answer(DESCRIPTION, Describing(skin))
-    say("replay", f"{source.name}: {about}")
-    played = Replay(skin, engine, classifier, outputs_of(sink, fabric), sink=sink, offset_ns=offset_ns, gains=known)
+    say("replay", f"{source.name}: {imager.about}")
+    make_classifier, outputs = partial(make_service, Classifier(trained, classified), skin), outputs_of(sink, fabric)
+    played = Replay(skin, imager, make_classifier, outputs, sink=sink, offset_ns=offset_ns)
     _run(played, steps, stop, speed or (1.0 if fabric else float("inf")), sink, fabric, out)
     for line in played.report.lines():
         say("replay", line)
@@ -166,22 +167,3 @@ def _check(source: Path, speed: float | None, out: Path | None) -> None:
         check_new_path(out, "recording")
     if not source.is_file():
         raise InputError(f"no file '{source}': expected a recording of 'skin record', or a CAN log")
-
-
-def _engine(skin: Layout, solver: SolverOptions | None) -> tuple[Reconstructor | AdaptiveReconstructor, str]:
-    """Return the solver, compiled, and words for the log."""
-    engine, about = make_engine(skin, solver)
-    engine.warm_up()
-    ContactTracker(skin.taxels.rows, skin.taxels.columns).warm_up()
-    return engine, about
-
-
-def _classifier_maker(
-    skin: Layout, model: Path | None
-) -> Callable[[Exchange], ClassifierService | AdaptiveClassifierService]:
-    phi, classified = skin.phi(), classified_phi(skin)
-    trained = load_model(model, skin, classified) if model else find_or_train(skin, classified, DEFAULT_OBJECTS)
-    decides = Classifier(trained, classified)
-    if skin.sending == "adaptive":
-        return lambda exchange: AdaptiveClassifierService(decides, phi, classified, exchange)
-    return lambda exchange: ClassifierService(decides, phi, exchange)

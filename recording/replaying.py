@@ -3,24 +3,19 @@
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
-from typing import Any, Final, Protocol
+from typing import Any, Protocol
 
 import msgspec
 
 from canskin.fabric import Exchange, Fabric, Mailbox
-from canskin.messages import IMAGE, LABEL, MEASUREMENT, Image, Label, Measurement, Topic
+from canskin.messages import IMAGE, LABEL, MEASUREMENT, Image, Measurement, Topic
 from classifier.service import AdaptiveClassifierService, ClassifierService
-from reconstructor.adaptive import AdaptiveReconstructor
-from reconstructor.engine import Reconstructor
-from reconstructor.gains import KnownGains
+from reconstructor.imaging import Imager
 from reconstructor.service import ReconstructorService
 from recording.sinks import Sink
 from recording.steps import Step
 from skin.layout import Layout
 from skin.service import StopSignal
-
-#: Time between two labels of adaptive sums, on the clock of the run.
-_LABEL_NS: Final = round(1e9 / 100)
 
 
 class Output(Protocol):
@@ -114,33 +109,30 @@ class Replay:
     Parameters
     ----------
     layout : Layout
-    solver : Reconstructor or AdaptiveReconstructor
+    imager : Imager
     make_classifier : callable
         Returns the classifier's service on this exchange.
     outputs : iterable of Output
     sink : Sink, optional
         Receives the frames, whose clock is `offset_ns` behind the wall clock.
-    gains : KnownGains, optional
-        See `reconstructor.service.ReconstructorService`.
     """
 
     def __init__(
         self,
         layout: Layout,
-        solver: Reconstructor | AdaptiveReconstructor,
+        imager: Imager,
         make_classifier: Callable[[Exchange], ClassifierService | AdaptiveClassifierService],
         outputs: Iterable[Output],
         *,
         sink: Sink | None = None,
         offset_ns: int = 0,
-        gains: KnownGains | None = None,
     ) -> None:
         self.report = Report()
         self._outputs = list(outputs)
         self._sink, self._offset_ns = sink, offset_ns
-        self._reconstructor = ReconstructorService(layout, solver, self, gains=gains, clock_ns=self._published_ns)
+        self._reconstructor = ReconstructorService(layout, imager, self, clock_ns=self._published_ns)
         self._classifier = make_classifier(self)
-        self._now_ns = self._label_ns = 0
+        self._now_ns = 0
         self._step: Step | None = None
 
     def publish(self, topic: Topic, message: msgspec.Struct) -> None:
@@ -182,20 +174,8 @@ class Replay:
         self.report.measurements.add(is_equal)
         if step.makes_image:
             self._reconstructor.take(measurement)
-        self._label(step, measurement)
-
-    def _label(self, step: Step, measurement: Measurement) -> None:
-        if isinstance(self._classifier, AdaptiveClassifierService):
-            self._label_ns = self._label_ns or step.time_ns
-            while self._label_ns <= step.time_ns:
-                self._publish_label(self._classifier.label(measurement), None)
-                self._label_ns += _LABEL_NS
-        elif step.makes_label:
-            self._publish_label(self._classifier.label(measurement), step.label)
-
-    def _publish_label(self, label: Label | None, recorded: Label | None) -> None:
-        if label is not None:
-            self.report.labels.add(None if recorded is None else label == recorded)
+        for label in self._classifier.replay(measurement, step.time_ns) if step.makes_label else ():
+            self.report.labels.add(None if step.label is None else label == step.label)
             self.publish(LABEL, label)
 
     def _published_ns(self) -> int:

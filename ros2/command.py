@@ -56,7 +56,7 @@ def ros2(
     skin ros2 --router tcp/robot:7447 --domain 42 --namespace /arm/palm
     """
     store()
-    skin = load_layout(layout, adaptive=True)
+    skin = load_layout(layout)
     number, space = check_domain(domain), check_namespace(skin.name if namespace is None else namespace)
     stop = StopSignal().install()
     fabric = Fabric(skin.name, SERVICE, connect, stop=stop, fingerprint=skin.phi().fingerprint)

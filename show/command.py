@@ -56,7 +56,7 @@ def show(
     if rerun == foxglove:
         raise InputError(f"skin show: expected --rerun or --foxglove, got {'both' if rerun else 'neither'}")
     open_canvas = _opener(target, for_rerun=rerun)
-    skin = load_layout(layout, adaptive=True)
+    skin = load_layout(layout)
     stop = StopSignal().install()
     fabric = Fabric(skin.name, SERVICE, connect, stop=stop, fingerprint=skin.phi().fingerprint)
     try:

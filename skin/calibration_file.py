@@ -166,7 +166,7 @@ def _recorded(path: Path, layout: Layout, *, is_shown: bool) -> StoredCalibratio
         if attached is None:
             raise InputError(f"{path}: the recorded gateway had no calibration")
         return attached
-    check_measurement(newest, layout.phi())
+    check_measurement(newest, layout.phi(), Measurement)
     found = new_calibration(layout, offsets_n=np.frombuffer(newest.offsets, "<i4") * layout.taxels.newton_per_count)
     return found if attached is None else msgspec.structs.replace(attached, offsets_n=found.offsets_n)
 

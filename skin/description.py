@@ -8,7 +8,6 @@ from skin.layout import Layout
 def describe(layout: Layout) -> Description:
     """Return what a program has to know of a skin."""
     phi, taxels = layout.phi(), layout.taxels
-    is_adaptive = layout.sending == "adaptive"
     return Description(
         name=layout.name,
         rows=taxels.rows,
@@ -20,7 +19,7 @@ def describe(layout: Layout) -> Description:
         kept=phi.kept.astype("u1").tobytes(),
         newton_per_count=taxels.newton_per_count,
         force_max_n=taxels.force_max_n,
-        rate_hz=(layout.sampling.rate_hz or layout.sync.rate_hz) if is_adaptive else layout.sync.rate_hz,
+        rate_hz=layout.sync.rate_hz if layout.sends.in_cycles else layout.samples_per_sync * layout.sync.rate_hz,
         sending=layout.sending,
         fingerprint=phi.fingerprint,
         boot_id=boot_id(),

@@ -23,8 +23,6 @@ from skin.measurement import Sbhe
 
 #: A taxel or sum that feels less than this part is defective: no gain of the taxel is stored, and the sum is not used.
 LEAST_FELT: Final = 0.3
-#: Coarse step of adaptive sums near 0, in parts of a taxel's full scale: 0.5 mN of 20 mN.
-COARSE_STEP_RATIO: Final = 1 / 40
 
 
 @dataclass(frozen=True)
@@ -79,8 +77,8 @@ def sum_step_n(layout: Layout) -> float:
 
     Of adaptive sums the coarse step near 0.
     """
-    if layout.sending == "adaptive":
-        return COARSE_STEP_RATIO * layout.taxels.force_max_n
+    if layout.sends.coarse_step_ratio is not None:
+        return layout.sends.coarse_step_ratio * layout.taxels.force_max_n
     of_sums = converter(layout)
     return layout.taxels.newton_per_count * (1 if of_sums is None else of_sums.step_counts)
 

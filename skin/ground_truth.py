@@ -5,12 +5,12 @@ the image that was on show at its instant, a label to the truth nearest to its s
 """
 
 from collections import deque
-from typing import Final, Generic, Protocol, TypeVar
+from typing import Final, Generic, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
-from canskin.messages import Image, Label, Measurement, Truth
+from canskin.messages import CycleMeasurement, Image, Label, Truth
 from skin.layout import Layout
 from skin.sync_counter import SYNC_OVERFLOW
 
@@ -30,27 +30,13 @@ TRUTHS_KEPT: Final = 64
 #: Adaptive: a truth stands for this time to each side; one comes each 10 ms.
 NEAR_NS: Final = 10_000_000
 
-Made = TypeVar("Made", Measurement, Image, Label)
-
-
-class Pairs(Protocol[Made]):
-    """Finds pairs of truth and image or label; messages come in any order, each pair is returned once."""
-
-    def take(self, message: Made) -> list[tuple[Made, Truth]]:
-        """Take an image or label; return the pairs that it completes."""
-        ...
-
-    def take_truth(self, truth: Truth) -> list[tuple[Made, Truth]]:
-        """Take a truth; return the pairs that it completes."""
-        ...
-
-    def truth_of(self, message: Made) -> Truth | None:
-        """Return the truth to be shown beside a message, None if it has not come."""
-        ...
+Made = TypeVar("Made", CycleMeasurement, Image, Label)
 
 
 class Pairing(Generic[Made]):
     """Synchronous sending: pairs of truth and image or label of one cycle.
+
+    Messages come in any order; each pair is returned once.
 
     Parameters
     ----------
@@ -81,7 +67,7 @@ class Pairing(Generic[Made]):
         return [(message, truth)]
 
     def truth_of(self, message: Made) -> Truth | None:
-        """Return the truth of the message's cycle, None if it has not come."""
+        """Return the truth to be shown beside a message, that of its cycle; None if it has not come."""
         found = (truth for truth in reversed(self._truths) if of_one_cycle(message, truth, self._period_s))
         return next(found, None)
 
@@ -155,7 +141,7 @@ class NearestTruths:
         return found
 
 
-def of_one_cycle(message: Measurement | Image | Label, truth: Truth, period_s: float) -> bool:
+def of_one_cycle(message: CycleMeasurement | Image | Label, truth: Truth, period_s: float) -> bool:
     """Tell whether a message and a truth belong to the same SYNC: by its counter, or by its time if nodes read none."""
     later_s = (truth.sampled_mono_ns - message.sampled_mono_ns) * 1e-9
     if truth.sync_counter:
@@ -165,14 +151,18 @@ def of_one_cycle(message: Measurement | Image | Label, truth: Truth, period_s: f
     return -period_s / 2 <= later_s < period_s / 2
 
 
-def image_pairs(layout: Layout) -> Pairs[Image]:
+ImagePairs = Pairing[Image] | ShownImages
+LabelPairs = Pairing[Label] | NearestTruths
+
+
+def image_pairs(layout: Layout) -> ImagePairs:
     """Return what finds the pairs of images and truths of a skin."""
-    return ShownImages() if layout.sending == "adaptive" else Pairing(layout.shortest_period_s)
+    return Pairing(layout.shortest_period_s) if layout.sends.in_cycles else ShownImages()
 
 
-def label_pairs(layout: Layout) -> Pairs[Label]:
+def label_pairs(layout: Layout) -> LabelPairs:
     """Return what finds the pairs of labels and truths of a skin."""
-    return NearestTruths() if layout.sending == "adaptive" else Pairing(layout.shortest_period_s)
+    return Pairing(layout.shortest_period_s) if layout.sends.in_cycles else NearestTruths()
 
 
 def in_contact(true: npt.NDArray[np.float32], peak_n: float) -> bool:

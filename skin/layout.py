@@ -11,6 +11,7 @@ import tomli_w
 
 from canskin.errors import UNDECODABLE, InputError, LayoutError
 from skin.measurement import Sbhe, of_rows, part_of, sbhe
+from skin.sending import IN_CYCLES, SENDINGS, Sending, SendingName
 from skin.toml_errors import in_words
 from skin.walsh import Indices, patches
 from skin.wiring import check_patch, within_patches
@@ -38,18 +39,12 @@ DATA_BITRATE_MAX: Final = 8_000_000
 
 #: Product code of boards whose maker has no vendor number: the characters "SKIN".
 PRODUCT_CODE: Final = 0x534B_494E
-#: Default: one sum for this number of taxels; adaptive nodes send one sum for each taxel.
-SUMS_PART: Final = 4
 #: Default: the smallest number of buses with at most this number of nodes, each of one block.
 NODES_PER_BUS: Final = 32
 #: Of a recording of `skin record`, which holds its layout; `skin.mcap_file` reads and writes recordings.
 RECORDING_SUFFIX: Final = ".mcap"
-#: Adaptive sending: taxels of a block, SYNC and sampling rate, and nodes of a bus: each has 32 identifiers of its own,
-#: and on CAN FD 8.
-#: The times of `dbc.adaptive.SendingRule` and of the nodes' filter are those of 1000 samples a second.
+#: Adaptive sending: taxels of a block, and nodes of a bus: each has 32 identifiers of its own, and on CAN FD 8.
 ADAPTIVE_BLOCK: Final = 32
-ADAPTIVE_SYNC_HZ: Final = 10.0
-ADAPTIVE_SAMPLING_HZ: Final = 1000.0
 ADAPTIVE_NODES: Final = 32
 ADAPTIVE_FD_NODES: Final = 127
 #: Fewest bits of a converter of sums: its two end codes count as saturated.
@@ -217,7 +212,7 @@ class Layout(_Table, frozen=True, kw_only=True):
     name: Name = "skin"
     configure: Literal["write", "refuse"] = "write"
     # Sums at every SYNC, or whenever they carry news.
-    sending: Literal["synchronous", "adaptive"] = "synchronous"
+    sending: SendingName = "synchronous"
     taxels: Taxels = msgspec.field(default_factory=Taxels)
     measurement: PhiParameters = msgspec.field(default_factory=PhiParameters)
     sync: Sync = msgspec.field(default_factory=Sync)
@@ -227,6 +222,11 @@ class Layout(_Table, frozen=True, kw_only=True):
     recognition: Recognition | None = None
     device: Device = msgspec.field(default_factory=Device)
     bus: Annotated[list[Bus], msgspec.Meta(min_length=1)]
+
+    @property
+    def sends(self) -> Sending:
+        """What the way of sending means for the skin."""
+        return SENDINGS[self.sending]
 
     @property
     def blocks(self) -> int:
@@ -262,7 +262,7 @@ class Layout(_Table, frozen=True, kw_only=True):
     @property
     def is_stock(self) -> bool:
         """Whether boards with any CANopen stack can keep the bus protocol: sums in each cycle, one set of TPDOs."""
-        return self.sending == "synchronous" and self.sync.identity == "window"
+        return self.sends.in_cycles and self.sync.identity == "window"
 
     def phi(self) -> Sbhe:
         """Draw the skin's measurement operator; the same layout always gives the same Φ."""
@@ -288,14 +288,8 @@ class Layout(_Table, frozen=True, kw_only=True):
         return sum(self._held[:bus])
 
 
-def load_layout(path: Path | None = None, *, adaptive: bool = False) -> Layout:
+def load_layout(path: Path | None = None) -> Layout:
     """Read a layout: a file, that of a recording, or, by its bare name, one of `SHIPPED`; without a path, the default.
-
-    Parameters
-    ----------
-    path : Path, optional
-    adaptive : bool
-        The caller knows adaptive sending; all other callers refuse a layout that has it.
 
     Raises
     ------
@@ -303,12 +297,19 @@ def load_layout(path: Path | None = None, *, adaptive: bool = False) -> Layout:
         If the file cannot be read, or a key is wrong, missing or unknown; the message names the path of the key.
     """
     name = "default" if path is None else str(path)
-    layout = parse_layout(*_read(path, name))
-    if layout.sending == "adaptive" and not adaptive:
-        raise LayoutError(
-            f'{name}: this verb does not know adaptive sending: expected sending = "synchronous" - at `$.sending`'
-        )
-    return layout
+    return parse_layout(*_read(path, name))
+
+
+def require_sending(layout: Layout, sending: SendingName, what: str, why: str) -> None:
+    """Check that a layout has the way of sending that a verb or an option is for.
+
+    Raises
+    ------
+    InputError
+        If it has another; `what` names the verb or option, `why` gives the reason, or says what to do.
+    """
+    if layout.sending != sending:
+        raise InputError(f"{what} for {sending} sending: {why}")
 
 
 def require_one_state(layout: Layout, what: str) -> None:
@@ -367,19 +368,19 @@ def parse_layout(content: bytes, origin: str) -> Layout:
 
 def _with_sizes(tables: dict[str, Any]) -> dict[str, Any]:
     """Fill in the defaults that depend on other keys: rates of adaptive sending, sums, buses."""
-    if tables.get("sending") == "adaptive":
-        for name, rate_hz in (("sync", ADAPTIVE_SYNC_HZ), ("sampling", ADAPTIVE_SAMPLING_HZ)):
-            table = tables.setdefault(name, {})
-            if isinstance(table, dict):  # else the check of the whole layout names the path
-                table.setdefault("rate_hz", rate_hz)
+    sends = SENDINGS.get(str(tables.get("sending")), IN_CYCLES)
+    for name, rate_hz in sends.default_rates_hz.items():
+        table = tables.setdefault(name, {})
+        if isinstance(table, dict):  # else the check of the whole layout names the path
+            table.setdefault("rate_hz", rate_hz)
     try:
         taxels = msgspec.convert(tables.get("taxels", {}), Taxels)
         parameters = msgspec.convert(tables.get("measurement", {}), PhiParameters)
     except msgspec.ValidationError:  # the check of the whole layout names the path
         return tables
     blocks = max(1, taxels.count // parameters.block_size)
-    part = 1 if tables.get("sending") == "adaptive" else SUMS_PART
-    sums = blocks * max(1, parameters.block_size // part) if parameters.rows is None else len(parameters.rows)
+    of_block = max(1, parameters.block_size // sends.taxels_per_sum)
+    sums = blocks * of_block if parameters.rows is None else len(parameters.rows)
     tables.setdefault("measurement", {}).setdefault("sums", sums)
     buses = -(-blocks // NODES_PER_BUS)
     if "taxels" in tables:  # without taxels and buses the file is no layout
@@ -426,6 +427,8 @@ def _check(layout: Layout) -> None:
         If a value is not allowed beside the others; the message names the path of the key.
     """
     _check_measurement(layout)
+    if not layout.sends.in_cycles:
+        _check_adaptive(layout)
     sampled_hz = layout.sampling.rate_hz
     if sampled_hz is not None and sampled_hz < layout.sync.rate_hz:
         limit = f"expected {layout.sync.rate_hz:g} (`sync.rate_hz`) or more"
@@ -441,8 +444,6 @@ def _check(layout: Layout) -> None:
         )
     if layout.recognition is not None:
         _check_recognition(layout, layout.recognition)
-    if layout.sending == "adaptive":
-        _check_adaptive(layout)
 
 
 def _check_measurement(layout: Layout) -> None:
@@ -484,8 +485,6 @@ def _check_frontend(layout: Layout) -> None:
     """Check what an analogue front end needs: sums in each cycle, no averages of taxels, enough codes."""
     if not layout.taxels.is_analogue:
         return
-    if layout.sending == "adaptive":
-        raise LayoutError("adaptive sending expects 'digital', got 'analogue' - at `$.taxels.frontend`")
     if layout.samples_per_sync > 1:
         raise LayoutError(
             "an analogue front end has no taxels to average: leave the key out, or expected"
@@ -507,7 +506,7 @@ def _check_untouchable(layout: Layout) -> None:
 
 
 def _check_recognition(layout: Layout, state: Recognition) -> None:
-    if layout.sending != "synchronous" or layout.sync.identity != "window":
+    if not layout.is_stock:
         raise LayoutError('recognition needs `sending = "synchronous"` and `identity = "window"` - at `$.recognition`')
     if layout.sampling.rate_hz is not None:
         raise LayoutError("recognition and averages of samples exclude each other - at `$.sampling.rate_hz`")
@@ -535,11 +534,12 @@ def _check_adaptive(layout: Layout) -> None:
     """Check what adaptive sending needs: one patch of `ADAPTIVE_BLOCK` taxels on a node, its rates, identifiers."""
     measurement = layout.measurement
     wanted = {
+        "taxels.frontend": (layout.taxels.frontend, "digital"),
         "measurement.wiring": (measurement.wiring, "board"),
         "measurement.block_size": (measurement.block_size, ADAPTIVE_BLOCK),
         "measurement.sums": (measurement.sums, layout.taxels.count),
-        "sync.rate_hz": (layout.sync.rate_hz, ADAPTIVE_SYNC_HZ),
-        "sampling.rate_hz": (layout.sampling.rate_hz, ADAPTIVE_SAMPLING_HZ),
+        "sync.rate_hz": (layout.sync.rate_hz, layout.sends.default_rates_hz["sync"]),
+        "sampling.rate_hz": (layout.sampling.rate_hz, layout.sends.default_rates_hz["sampling"]),
     }
     for path, (got, expected) in wanted.items():
         if got != expected:

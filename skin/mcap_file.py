@@ -262,7 +262,7 @@ def read_messages(path: Path, topics: Iterable[Topic], warn: Callable[[str], Non
 
 def message_decoder(path: Path, topic: Topic) -> Callable[[bytes], Any]:
     """Return what decodes the messages of a topic of a recording; it raises InputError for one that does not fit."""
-    decode = msgspec.msgpack.Decoder(topic.message).decode
+    decode = topic.decoder()
 
     def decoded(data: bytes) -> Any:
         try:

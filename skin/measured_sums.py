@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from canskin.errors import InputError, tell
-from canskin.messages import BlockState, Measurement
+from canskin.messages import AdaptiveMeasurement, BlockState, CycleMeasurement, Measurement
 from canskin.sums import corrected_counts, doubtful_taxels
 from skin.measurement import Sbhe
 
@@ -47,10 +47,6 @@ class AdaptiveSums(NamedTuple):
         True if all sums of the block are known and current.
     known : array of bool, shape (m,)
         True if a value of the sum is held.
-    states : array of uint8, shape (blocks,)
-        `canskin.messages.BlockState`.
-    since_ns : array of int64, shape (blocks,)
-        Monotonic time since when the block is in its state.
     noise_n : float
         Median of the nodes' noise, newtons; 0 if it is not known.
     """
@@ -58,26 +54,22 @@ class AdaptiveSums(NamedTuple):
     counts: npt.NDArray[np.int32]
     valid: npt.NDArray[np.bool_]
     known: npt.NDArray[np.bool_]
-    states: npt.NDArray[np.uint8]
-    since_ns: npt.NDArray[np.int64]
     noise_n: float
 
 
 Sums = TypeVar("Sums", bound=MeasuredSums | AdaptiveSums)
+Kind = TypeVar("Kind", bound=Measurement)
 
 
 def decode_measurement(measurement: Measurement, phi: Sbhe) -> MeasuredSums:
-    """Return the sums of a synchronous measurement with Φ.
+    """Return the sums of the measurement of a cycle with Φ.
 
     Raises
     ------
     InputError
-        If the sums were measured with another Φ, or an array has another length, or sums less offsets do not fit int32,
-        or the measurement is one of adaptive sending.
+        If `check_measurement` does, or sums less offsets do not fit int32.
     """
-    check_measurement(measurement, phi)
-    if measurement.known or measurement.states or measurement.since_ns:
-        raise InputError("a measurement of adaptive sending, expected synchronous: give both ends the same --layout")
+    check_measurement(measurement, phi, CycleMeasurement)
     valid_sums = used_sums(measurement, phi)
     return MeasuredSums(corrected_counts(measurement, valid_sums), used_blocks(measurement, phi), valid_sums)
 
@@ -99,7 +91,7 @@ def used_blocks(measurement: Measurement, phi: Sbhe) -> npt.NDArray[np.bool_]:
 
 
 def part_of_measurement(measurement: Measurement, part: Sbhe, places: npt.NDArray[np.intp]) -> Measurement:
-    """Return a synchronous measurement with some of its sums alone.
+    """Return a measurement of a cycle with some of its sums alone.
 
     Parameters
     ----------
@@ -128,10 +120,9 @@ def decode_adaptive(measurement: Measurement, phi: Sbhe) -> AdaptiveSums:
     Raises
     ------
     InputError
-        If the sums were measured with another Φ, or an array has another length or values that it cannot have, or sums
-        less offsets do not fit int32, or the measurement is one of synchronous sending.
+        If `check_measurement` does, or a value is one that it cannot be, or sums less offsets do not fit int32.
     """
-    check_adaptive(measurement, phi)
+    measurement = check_measurement(measurement, phi, AdaptiveMeasurement)
     if not (math.isfinite(measurement.noise_n) and measurement.noise_n >= 0):
         raise InputError(f"noise_n of {measurement.noise_n}, expected a number of 0 or more")
     known, valid = (np.frombuffer(each, np.uint8) != 0 for each in (measurement.known, measurement.valid))
@@ -142,50 +133,41 @@ def decode_adaptive(measurement: Measurement, phi: Sbhe) -> AdaptiveSums:
         raise InputError("a block is valid, but not all its sums are known")
     if (states[valid] < BlockState.QUIET).any():
         raise InputError("a block is valid, but neither fresh nor quiet")
-    since_ns = np.frombuffer(measurement.since_ns, "<i8")
-    return AdaptiveSums(corrected_counts(measurement, known), valid, known, states, since_ns, measurement.noise_n)
+    return AdaptiveSums(corrected_counts(measurement, known), valid, known, measurement.noise_n)
 
 
-def check_adaptive(measurement: Measurement, phi: Sbhe) -> None:
-    """Check the lengths of an adaptive measurement.
+def check_measurement(measurement: Measurement, phi: Sbhe, kind: type[Kind]) -> Kind:
+    """Return a measurement that was checked: its kind, Φ and the lengths of its arrays.
 
-    Raises
-    ------
-    InputError
-        If the sums were measured with another Φ, or an array has another length, or the measurement is one of
-        synchronous sending.
-    """
-    check_measurement(measurement, phi)
-    if not (measurement.known or measurement.states or measurement.since_ns):
-        raise InputError("a measurement of synchronous sending, expected adaptive: give both ends the same --layout")
-    lengths = (len(measurement.known), len(measurement.states), len(measurement.since_ns))
-    expected = (phi.shape[0], phi.blocks, 8 * phi.blocks)
-    if lengths != expected:
-        raise InputError(f"known, states and since_ns of {lengths} bytes, expected {expected}")
-
-
-def check_measurement(measurement: Measurement, phi: Sbhe) -> None:
-    """Check what measurements of both ways of sending have.
+    Parameters
+    ----------
+    measurement : Measurement
+    phi : Sbhe
+        Φ of its sums.
+    kind : type
+        `CycleMeasurement`, `AdaptiveMeasurement`, or `Measurement` for both.
 
     Raises
     ------
     InputError
-        If the sums were measured with another Φ, or an array has another length.
+        If the sums were measured with another Φ, or the measurement is of another kind, or an array has another length.
     """
     check_fingerprint(measurement.fingerprint, phi)
-    lengths = (len(measurement.sums), len(measurement.valid))
-    expected = (4 * phi.shape[0], phi.blocks)
-    if lengths != expected:
-        raise InputError(
-            f"sums and validity of {lengths[0]} and {lengths[1]} bytes, expected {expected[0]} and {expected[1]}"
-        )
-    for name, found, wanted in (
-        ("offsets", measurement.offsets, 4 * phi.shape[0]),
-        ("usable", measurement.usable, phi.shape[0]),
-    ):
-        if found and len(found) != wanted:
-            raise InputError(f"{name} of {len(found)} bytes, expected {wanted}, or none")
+    if not isinstance(measurement, kind):
+        came, wanted = (each.__struct_config__.tag for each in (type(measurement), kind))
+        raise InputError(f"a measurement of {came} sending, expected {wanted}: give both ends the same --layout")
+    sums, blocks = phi.shape[0], phi.blocks
+    lengths = {"sums": 4 * sums, "valid": blocks}
+    if isinstance(measurement, AdaptiveMeasurement):
+        lengths |= {"known": sums, "states": blocks, "since_ns": 8 * blocks}
+    for name, expected in lengths.items():
+        if (length := len(getattr(measurement, name))) != expected:
+            raise InputError(f"{name} of {length} bytes, expected {expected}")
+    for name, expected in (("offsets", 4 * sums), ("usable", sums)):
+        if (length := len(getattr(measurement, name))) not in {0, expected}:
+            raise InputError(f"{name} of {length} bytes, expected {expected}, or none")
     doubtful_taxels(measurement, phi.shape[1])
+    return measurement
 
 
 def check_fingerprint(fingerprint: str, phi: Sbhe) -> None:

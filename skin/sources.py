@@ -28,8 +28,6 @@ TOUCHES: Final = "canskin.touches"
 SENDERS: Final = "canskin.senders"
 #: Name in `TOUCHES` of the touches for training: random places, depths and moments.
 RANDOM: Final = "random"
-#: Steps of a touch in a second where nodes send adaptively; between two steps they interpolate.
-ADAPTIVE_STEP_HZ: Final = 100.0
 #: Default objects of the simulated skin and of the classifier.
 DEFAULT_OBJECTS: Final = ("golf-ball", "granola-box", "tuna-can", "ring", "basketball")
 #: Objects that one name stands for, wherever names of objects are taken: those of the paper's classification.
@@ -77,8 +75,8 @@ class TaxelSource(Protocol):
 
 
 def step_rate_hz(layout: Layout) -> float:
-    """Return the steps of a touch in a second: one each SYNC at its highest rate, or `ADAPTIVE_STEP_HZ`."""
-    return ADAPTIVE_STEP_HZ if layout.sending == "adaptive" else 1 / layout.shortest_period_s
+    """Return the steps of a touch in a second: `skin.sending.Sending.step_hz`, or one each SYNC at its highest rate."""
+    return layout.sends.step_hz or 1 / layout.shortest_period_s
 
 
 def load_source(name: str, **options: Any) -> TaxelSource:

@@ -101,6 +101,6 @@ def resting_skin(folder: Path, *options: str) -> Iterator[RestingSkin]:
     try:
         with Processes(folder) as processes:
             arguments = (*options, "--layout", str(path), "--connect", endpoint)
-            yield RestingSkin(load_layout(path, adaptive=True), processes, fabric, arguments)
+            yield RestingSkin(load_layout(path), processes, fabric, arguments)
     finally:
         fabric.close()

@@ -14,7 +14,7 @@ from skin.layout import Layout, Sync, load_layout, parse_layout
 #: Tables of adaptive boards.
 ADAPTIVE: Final = {"sending": "adaptive", "measurement": {"wiring": "board"}}
 #: The adaptive skin of 64 x 64 taxels that comes with the project.
-ADAPTIVE_SKIN: Final = load_layout(Path("adaptive"), adaptive=True)
+ADAPTIVE_SKIN: Final = load_layout(Path("adaptive"))
 IDENTITIES: Final = ("window", "alternating")
 
 

@@ -8,15 +8,16 @@ import numpy as np
 from msgspec.structs import replace
 
 from canskin.messages import (
+    AdaptiveMeasurement,
     BlockState,
     BusState,
     Contact,
     Contacts,
+    CycleMeasurement,
     FrameCounts,
     GatewayStatus,
     Image,
     Label,
-    Measurement,
     NodesStatus,
     Truth,
 )
@@ -30,9 +31,9 @@ def counter_of(cycle: int) -> int:
     return (cycle - 1) % 240 + 1
 
 
-def measurement(cycle: int = 1, **changed: Any) -> Measurement:
+def measurement(cycle: int = 1, **changed: Any) -> CycleMeasurement:
     """Return the sums of a cycle: of none, unless `changed` has some."""
-    made = Measurement(
+    made = CycleMeasurement(
         cycle=cycle, sync_counter=counter_of(cycle), sampled_mono_ns=0, sums=b"", valid=b"", fingerprint=""
     )
     return replace(made, **changed)
@@ -40,7 +41,7 @@ def measurement(cycle: int = 1, **changed: Any) -> Measurement:
 
 def adaptive_measurement(
     force_n: np.ndarray, known: np.ndarray | None = None, *, layout: Layout, **changed: Any
-) -> Measurement:
+) -> AdaptiveMeasurement:
     """Return what the gateway would publish of these forces; `known`: bool, (blocks, block size)."""
     phi = layout.phi()
     counts = np.rint(force_n.reshape(-1) / layout.taxels.newton_per_count).astype(np.int32)
@@ -48,7 +49,7 @@ def adaptive_measurement(
     sums = np.asarray(phi.forward(counts)).reshape(known.shape) * known
     valid = known.all(axis=1)
     states = np.where(valid, BlockState.FRESH, np.where(known.any(axis=1), BlockState.STALE, BlockState.DEAD))
-    made = Measurement(
+    made = AdaptiveMeasurement(
         cycle=1,
         sync_counter=1,
         sampled_mono_ns=1_000_000,

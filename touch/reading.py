@@ -120,7 +120,7 @@ def _read_mcap(path: Path, name: str) -> Counts:
     if name not in offered:
         raise InputError(f"'{path}' has no array '{name}': expected one of {', '.join(offered)}")
     topic, attribute = IN_MCAP[name]
-    taxels = load_layout(path, adaptive=True).taxels
+    taxels = load_layout(path).taxels
     read = read_messages(path, [topic], lambda line: say("recording", line))
     try:
         content = b"".join(getattr(each.message, attribute) for each in read)

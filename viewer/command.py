@@ -48,7 +48,7 @@ def view(
     skin view --layout palm.toml --connect tcp/10.0.0.5:7447 --port 0
     """
     stop = StopSignal().install()
-    skin = load_layout(layout, adaptive=True)
+    skin = load_layout(layout)
     with listen(host, port) as listener:
         fabric = Fabric(skin.name, "viewer", connect, stop=stop, fingerprint=skin.phi().fingerprint)
         try:

@@ -20,7 +20,7 @@ from canskin.messages import (
     Truth,
 )
 from canskin.peers import Peer, new_peer
-from skin.ground_truth import Pairs, image_pairs, in_contact
+from skin.ground_truth import ImagePairs, image_pairs, in_contact
 from skin.layout import Layout
 from skin.psnr import adds_noise, psnr_db
 from viewer.checks import fits
@@ -97,7 +97,7 @@ class ViewState:
         self._services: dict[str, Service] = {}
         self._self = new_peer(layout.name, display_name(service), phi.fingerprint)
         self._peers: dict[str, Peer] = {}
-        self._pairing: Pairs[Image] = image_pairs(layout)
+        self._pairing: ImagePairs = image_pairs(layout)
         self._latency_s = Window(LATENCY_SPAN_S)
         self._valid, self._rate = Window(SPAN_S), Window(SPAN_S)
         self._psnr_image_db, self._psnr_sensor_db = Window(SPAN_S), Window(SPAN_S)

@@ -63,6 +63,11 @@ class Description(msgspec.Struct, frozen=True, kw_only=True):
     boot_id: str = ""
 
     @property
+    def in_cycles(self) -> bool:
+        """Whether all sums of an instant come together, `rate_hz` times a second."""
+        return self.sending == "synchronous"
+
+    @property
     def block_of_taxel(self) -> npt.NDArray[np.intp]:
         """The block of each taxel, shape (rows, columns); the taxels of a block are valid together."""
         order = np.frombuffer(self.order, "<u4")

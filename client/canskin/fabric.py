@@ -142,11 +142,11 @@ class Fabric:
 
     def subscribe(self, topic: Topic, handler: Callable[[Any], None]) -> None:
         """Call `handler` with every message of `topic`, in a thread of the fabric; the handler must be quick."""
-        decoder = msgspec.msgpack.Decoder(topic.message)
+        decode = topic.decoder()
 
         def receive(content: bytes, _origin: Origin | None) -> None:
             try:
-                message = decoder.decode(content)
+                message = decode(content)
             except UNDECODABLE:
                 self.malformed += 1
                 return

@@ -7,8 +7,9 @@ Times are nanoseconds: ``*_mono_ns`` of the machine's monotonic clock, ``time_ns
 on the bus. Messages that follow from a measurement carry its `sampled_mono_ns` and `sampled_error_ns`.
 """
 
+from collections.abc import Callable
 from enum import IntEnum
-from typing import Final
+from typing import Any, Final
 
 import msgspec
 
@@ -32,27 +33,22 @@ class BlockState(IntEnum):
 
 
 class Measurement(msgspec.Struct, frozen=True, kw_only=True):
-    """The newest sums of a skin.
+    """The newest sums of a skin: a `CycleMeasurement` or an `AdaptiveMeasurement`, with what both tell.
 
-    With synchronous sending: the sums of one SYNC cycle; the gateway publishes one measurement per cycle, complete or
-    not. With adaptive sending: the newest value of every sum; the gateway publishes when frames have come, and at a
-    least rate. `skin.measured_sums` checks and decodes a measurement.
+    `skin.measured_sums` checks and decodes a measurement.
 
     Attributes
     ----------
     cycle : int
         Number of the measurement since the gateway started, from 1.
     sync_counter : int
-        Counter of the SYNC, 1 to 240 (CiA 301, 7.2.5.1), also where SYNC has no counter on the bus; adaptive: of the
-        newest SYNC.
+        Counter of the newest SYNC, 1 to 240 (CiA 301, 7.2.5.1), also where SYNC has no counter on the bus.
     sampled_mono_ns : int
         Sampling instant: when the SYNC ended on the bus, a mean over the buses. Adaptive: when the newest frame ended
         that is in the sums; its sample is older, by at most `sampled_error_ns`.
     sampled_error_ns : int
         Bound of the difference between `sampled_mono_ns` and the sampling instant of any bus whose SYNC was seen, see
         `gateway.sync_times`; `UNKNOWN_ERROR_NS` if no bound is proven.
-    sent_mono_ns : int
-        The sampling instant without time stamps: time of the send call + time of SYNC; 0 if unknown, and adaptive.
     wall_offset_ns : int
         Wall clock minus monotonic clock.
     bus_sampled_ns : bytes
@@ -66,14 +62,6 @@ class Measurement(msgspec.Struct, frozen=True, kw_only=True):
         block is fresh or quiet, and all its sums are known. Always 0 for a block that sends no sums.
     fingerprint : str
         Fingerprint of the Φ of the sums (`skin.measurement.Sbhe.fingerprint`).
-    known : bytes
-        Adaptive: uint8, shape (m,), 1 if a value of the sum is held. This and the next two are otherwise empty.
-    states : bytes
-        uint8, shape (blocks,): `BlockState`.
-    since_ns : bytes
-        int64, shape (blocks,): monotonic time since when the block is in its state.
-    noise_n : float
-        Adaptive: median of the nodes' noise, newtons; 0 if it is not known.
     offsets : bytes
         int32, shape (m,), ADC counts: what an untouched skin reads. Empty if unknown; adaptive: if nothing is settled.
     usable : bytes
@@ -89,15 +77,10 @@ class Measurement(msgspec.Struct, frozen=True, kw_only=True):
     sums: bytes
     valid: bytes
     fingerprint: str
-    known: bytes = b""
-    states: bytes = b""
-    since_ns: bytes = b""
-    noise_n: float = 0.0
     offsets: bytes = b""
     usable: bytes = b""
     doubtful: bytes = b""
     sampled_error_ns: int = UNKNOWN_ERROR_NS
-    sent_mono_ns: int = 0
     wall_offset_ns: int = 0
     bus_sampled_ns: bytes = b""
 
@@ -105,6 +88,39 @@ class Measurement(msgspec.Struct, frozen=True, kw_only=True):
     def time_ns(self) -> int:
         """The sampling instant on the wall clock."""
         return self.sampled_mono_ns + self.wall_offset_ns
+
+
+class CycleMeasurement(Measurement, frozen=True, kw_only=True, tag_field="sending", tag="synchronous"):
+    """The sums of one SYNC cycle; the gateway publishes one measurement per cycle, complete or not.
+
+    Attributes
+    ----------
+    sent_mono_ns : int
+        The sampling instant without time stamps: time of the send call + time of SYNC; 0 if unknown.
+    """
+
+    sent_mono_ns: int = 0
+
+
+class AdaptiveMeasurement(Measurement, frozen=True, kw_only=True, tag_field="sending", tag="adaptive"):
+    """The newest value of every sum; the gateway publishes when frames have come, and at a least rate.
+
+    Attributes
+    ----------
+    known : bytes
+        uint8, shape (m,), 1 if a value of the sum is held.
+    states : bytes
+        uint8, shape (blocks,): `BlockState`.
+    since_ns : bytes
+        int64, shape (blocks,): monotonic time since when the block is in its state.
+    noise_n : float
+        Median of the nodes' noise, newtons; 0 if it is not known.
+    """
+
+    known: bytes
+    states: bytes
+    since_ns: bytes
+    noise_n: float = 0.0
 
 
 class Image(msgspec.Struct, frozen=True, kw_only=True):
@@ -428,6 +444,25 @@ class Topic(msgspec.Struct, frozen=True):
 
     name: str
     message: type[msgspec.Struct]
+
+    def decoder(self) -> Callable[[bytes], Any]:
+        """Return what decodes a message of the topic; it raises one of `canskin.errors.UNDECODABLE`."""
+        return _measurement_decoder() if self.message is Measurement else msgspec.msgpack.Decoder(self.message).decode
+
+
+def _measurement_decoder() -> Callable[[bytes], Measurement]:
+    decode_tagged = msgspec.msgpack.Decoder(CycleMeasurement | AdaptiveMeasurement).decode
+
+    def decode(content: bytes) -> Measurement:
+        measurement: Measurement
+        try:
+            measurement = decode_tagged(content)
+        except msgspec.ValidationError:  # of a version, or in a recording, from before there were tags
+            fields = msgspec.msgpack.decode(content, type=dict[str, Any])
+            measurement = msgspec.convert(fields, AdaptiveMeasurement if fields.get("known") else CycleMeasurement)
+        return measurement
+
+    return decode
 
 
 MEASUREMENT: Final = Topic("measurement", Measurement)

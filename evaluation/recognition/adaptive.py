@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from classifier.coarse_sums import classified_phi
 from classifier.samples import simulate_sums
+from classifier.used_sums import classified_phi
 from classifier.validation import part_of
 from evaluation.observations import LABELS, draw_split, true_force_n
 from evaluation.recognition.accuracy import trained
@@ -22,7 +22,7 @@ def measure_adaptive(*, splits: Sequence[int], meshes: str | None, seed: int) ->
     The sums are those that the classifier takes of the shipped layout ``adaptive``, with what the nodes leave of the
     noise, see `classifier.samples.simulate_sums`.
     """
-    layout = load_layout(Path("adaptive"), adaptive=True)
+    layout = load_layout(Path("adaptive"))
     rng = np.random.default_rng(seed)
     sums = simulate_sums(true_force_n(meshes), layout, classified_phi(layout), NOISE_N, rng).astype(np.float32)
     gram, accuracies = sums @ sums.T, []

@@ -23,8 +23,8 @@ from nodes.adaptive.noise import IdleStatistics, Noise
 from nodes.adaptive.sending import NEWS, new_groups, noise_threshold_n2
 from reconstructor.walsh import LIMIT_RATIO, VariationFilter, WalshReconstructor
 from skin.compiled import njit
-from skin.frontend import COARSE_STEP_RATIO
 from skin.layout import Bus
+from skin.sending import COARSE_STEP_RATIO
 from skin.taxel import FORCE_MAX_N
 from touch.contact import Force
 

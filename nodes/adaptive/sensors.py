@@ -17,7 +17,8 @@ from scipy.special import ndtri
 from dbc.adaptive_filter import SAMPLE_NS, Floats
 from nodes.electronics import Calibration
 from skin.compiled import njit
-from skin.sources import ADAPTIVE_STEP_HZ, Frame, TaxelSource
+from skin.sending import ADAPTIVE_STEP_HZ
+from skin.sources import Frame, TaxelSource
 from skin.taxel import Memory, TaxelModel
 
 #: Time between two steps of the touch.

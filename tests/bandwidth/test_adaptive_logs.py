@@ -35,7 +35,7 @@ def _brief(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def arbitrated(seed: int, layout: str = "adaptive") -> Frames:
     """Return three seconds of a bus: a touch moves under two nodes, then rests."""
-    contract, rng = Contract.from_layout(load_layout(Path(layout), adaptive=True)), np.random.default_rng(seed)
+    contract, rng = Contract.from_layout(load_layout(Path(layout))), np.random.default_rng(seed)
     line = contract.layout.bus[0]
     nodes = line.nodes
     sums_n = np.zeros((TICKS, nodes, 32), np.float32)
@@ -104,7 +104,7 @@ def broken(buses: list[Frames], tmp_path: Path, change: Callable[[Frames], Frame
 @pytest.mark.heavy
 def test_the_load_of_a_touch_is_simulated(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("bandwidth.adaptive_plan.TOUCHED_S", 2.0)
-    contract = Contract.from_layout(load_layout(Path("adaptive"), adaptive=True))
+    contract = Contract.from_layout(load_layout(Path("adaptive")))
     # The first object presses: a few percent of the bus, more than heartbeats and SYNC, and far from full.
     assert 0.0036 < touched_load(contract, 2) < 0.2
 
@@ -152,7 +152,7 @@ def test_a_slow_bus_does_not_fit_and_says_how_many_nodes_would(skin: Run, tmp_pa
 
 @pytest.mark.heavy
 def test_frames_say_what_they_are(buses: list[Frames]) -> None:
-    contract = Contract.from_layout(load_layout(Path("adaptive"), adaptive=True))
+    contract = Contract.from_layout(load_layout(Path("adaptive")))
     sums = sum_frames(contract, 0, buses[0])
     assert set(np.unique(sums.node_id)) == {4, 5}
     assert set(sums.says.tolist()) == {NEW, AGAIN, REFINING}

@@ -15,7 +15,7 @@ from skin.layout import SHIPPED, Layout, load_layout
 IN_CYCLES = [
     name
     for name in SHIPPED
-    for layout in [load_layout(Path(name), adaptive=True)]
+    for layout in [load_layout(Path(name))]
     if layout.sending == "synchronous" and layout.recognition is None
 ]
 

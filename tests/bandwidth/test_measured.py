@@ -250,7 +250,7 @@ def test_services_have_their_names(contract: Contract) -> None:
 
 
 def test_the_identifier_after_those_of_adaptive_sums_is_an_sdo_response() -> None:
-    contract = Contract.from_layout(load_layout(Path("adaptive"), adaptive=True))
+    contract = Contract.from_layout(load_layout(Path("adaptive")))
     assert kind_of(contract, 0, 0x580) == ("fine", 32)
     assert kind_of(contract, 0, 0x581) == ("SDO response", 1)
 

@@ -22,7 +22,7 @@ from skin.sync_counter import SYNC_OVERFLOW
 from tests.layouts import alternating, buses, small_layout
 
 #: Shipped layouts whose nodes send in every cycle; `test_adaptive_logs` plans the other.
-IN_CYCLES = [name for name in SHIPPED if load_layout(Path(name), adaptive=True).sending == "synchronous"]
+IN_CYCLES = [name for name in SHIPPED if load_layout(Path(name)).sending == "synchronous"]
 
 
 @pytest.mark.heavy
@@ -92,7 +92,7 @@ def test_heartbeats_that_fill_a_bus_leave_no_rate() -> None:
 
 
 def with_time(name: str, time_s: float | None) -> Contract:
-    layout = load_layout(Path(name), adaptive=True)
+    layout = load_layout(Path(name))
     return Contract.from_layout(
         msgspec.structs.replace(layout, sync=msgspec.structs.replace(layout.sync, time_s=time_s))
     )
@@ -178,7 +178,7 @@ def test_errors_and_sdo_lengthen_responses() -> None:
 
 @pytest.mark.parametrize("name", SHIPPED)
 def test_layout_text_is_read_back_as_the_same_layout(name: str) -> None:
-    layout = load_layout(Path(name), adaptive=True)
+    layout = load_layout(Path(name))
     assert parse_layout(layout_text(layout).encode(), "again") == layout
 
 

@@ -38,7 +38,7 @@ STUFFED = (0x0F, 0x1E, 0x3C, 0x78, 0xF0, 0xE1, 0xC3, 0x87)
 @cache
 def adaptive(*, fd: bool = False) -> Contract:
     """Return buses of 32 nodes; with `fd` slow ones, which 32 nodes can fill."""
-    layout = load_layout(Path("adaptive"), adaptive=True)
+    layout = load_layout(Path("adaptive"))
     if fd:
         rates = {"bitrate": 500_000, "data_bitrate": 600_000}
         lines = [msgspec.structs.replace(line, fd=True, **rates) for line in layout.bus]

@@ -14,7 +14,7 @@ from canskin.sums import doubtful_taxels
 from dbc.contract import Contract
 from skin.frontend import sum_step_n
 from skin.measured_sums import decode_adaptive
-from tests.calibration.skins import pressed
+from tests.calibration.helpers import pressed
 from tests.layouts import ADAPTIVE_SKIN
 from tests.messages import adaptive_measurement
 

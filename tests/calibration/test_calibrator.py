@@ -1,6 +1,6 @@
 """A skin with offsets that is tared at its start and followed."""
 
-from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -9,9 +9,8 @@ import pytest
 from calibration.calibrator import Calibrator
 from canskin.calibration_messages import CalibrationState, CalibrationStatus, ZeroSupport
 from skin.clipping import IDLE_MEAN
-from skin.layout import load_layout, parse_layout
 from skin.taxel import NOISE_N as SENSOR_NOISE_N
-from tests.calibration.skins import (
+from tests.calibration.helpers import (
     COUNTS,
     LAYOUT,
     NOISE_N,
@@ -19,7 +18,6 @@ from tests.calibration.skins import (
     SMALL,
     SMALL_COUNT_N,
     SMALL_PHI,
-    SMALL_SKIN,
     SMALL_SUMS,
     Cycles,
     Skin,
@@ -30,6 +28,7 @@ from tests.calibration.skins import (
     still,
     tared,
 )
+from tests.layouts import ADAPTIVE_SKIN, small_layout
 
 MS = 1_000_000
 MEASURING, TOUCHED = CalibrationState.MEASURING, CalibrationState.TOUCHED
@@ -149,7 +148,7 @@ def test_without_tare_stored_offsets_stay() -> None:
 
 def test_nodes_with_adaptive_sending_have_their_own_zero() -> None:
     """The zero here begins with 0: there is nothing to take off."""
-    layout = load_layout(Path("adaptive"), adaptive=True)
+    layout = ADAPTIVE_SKIN
     made = Calibrator(layout)
     assert made.state is FOLLOWING
     assert made.offsets_n is not None
@@ -159,7 +158,7 @@ def test_nodes_with_adaptive_sending_have_their_own_zero() -> None:
 
 
 def test_the_mean_of_clipped_noise_is_no_offset_where_nodes_do_not_average() -> None:
-    layout = parse_layout(b"[taxels]\nrows = 32\ncolumns = 32", "test")
+    layout = small_layout(32, 32)
     random = np.random.default_rng(0)
     skin = Skin(Calibrator(layout), layout=layout)
 
@@ -174,7 +173,7 @@ def test_the_mean_of_clipped_noise_is_no_offset_where_nodes_do_not_average() -> 
 
 
 def test_unclipped_noise_of_an_untouched_skin_has_no_mean() -> None:
-    layout = parse_layout(b'[taxels]\nrows = 32\ncolumns = 32\nfrontend = "analogue"', "test")
+    layout = small_layout(32, 32, taxels={"frontend": "analogue"})
     random = np.random.default_rng(0)
     skin = Skin(Calibrator(layout), layout=layout)
     last = skin.run(4.0, lambda _time_s: random.normal(0, SENSOR_NOISE_N, layout.taxels.count))
@@ -196,7 +195,7 @@ def test_cycles_are_asked_for_after_sixty_windows_without_any(
     skin = Skin(Calibrator(LAYOUT))
     last = skin.run(6.0, still(OFFSETS + force))
     assert skin.calibrator.state is state
-    window_ns, at_ns = skin.calibrator._windows.length_ns, last.sampled_mono_ns
+    window_ns, at_ns = 250 * MS, last.sampled_mono_ns
     gaps = [gap for gap in range(80) if skin.calibrator.needs_cycles(at_ns + gap * window_ns)]
     assert gaps[0] == pytest.approx(60, abs=2)
     asked_ns = at_ns + gaps[-1] * window_ns
@@ -214,16 +213,16 @@ def test_noise_is_0_while_no_sum_is_known() -> None:
 
 
 @pytest.mark.parametrize(
-    ("part", "sampling", "has_bias"),
-    [(1.05, b"", True), (0.95, b"", False), (1.05, b"[sampling]\nrate_hz = 80.0", False)],
+    ("part", "tables", "has_bias"),
+    [(1.05, {}, True), (0.95, {}, False), (1.05, {"sampling": {"rate_hz": 80.0}}, False)],
 )
 def test_the_mean_of_clipped_noise_is_left_in_sums_of_single_samples(
-    part: float, sampling: bytes, has_bias: bool
+    part: float, tables: dict[str, Any], has_bias: bool
 ) -> None:
     """The paper's sensor has 1 mN, a sum of 32 5.7 mN; below 0.3 times that the sensor adds none."""
     limit = 0.3 * 1e-3 * 32**0.5
     noise = round(part * limit / SMALL_COUNT_N / np.pi**0.5)
-    layout = parse_layout(SMALL_SKIN + sampling, "test")
+    layout = small_layout(32, 32, sync={"rate_hz": 40.0}, **tables)
     skin = Cycles(layout, noise=noise)
     skin.run(10.2)
     assert skin.made.state is FOLLOWING
@@ -243,36 +242,6 @@ def test_a_part_of_the_sums_gets_its_offsets() -> None:
     assert offsets_of(applied) == COUNTS[places].tolist()
     assert applied.usable == b"\1\0\1"
     assert skin.made.apply(msgspec.structs.replace(part, usable=b""), places).usable == b""
-
-
-def test_a_gap_of_whole_windows_is_skipped() -> None:
-    """A drift of ten counts a window goes on through five windows without cycles."""
-    skin = Cycles()
-    skin.run(14.1, drift=10.0)
-    skin.cycle += 50
-    applied = skin.run(0.1, drift=10.0)
-    expected = COUNTS + 10.0 * (skin.cycle - 1) / 10
-    assert np.abs(np.array(offsets_of(applied)) - expected).max() <= 3
-    skin.run(6, drift=10.0)
-    assert np.abs(np.array(offsets_of(skin.run(0.1, drift=10.0))) - (expected + 61)).max() <= 3
-
-
-def test_cycles_are_needed_while_a_zero_is_measured_and_after_sixty_windows() -> None:
-    skin = Cycles()
-    window_ns = 250 * MS
-    assert skin.made.needs_cycles(0)
-    skin.run(10.1)
-    newest_ns = 2400 * MS
-    assert not skin.made.needs_cycles(newest_ns + 60 * window_ns)
-    assert skin.made.needs_cycles(newest_ns + 60 * window_ns + 1)
-    asked_ns = newest_ns + 60 * window_ns + 1
-    # Without cycles they are asked for again and again; with a new window, for four in all.
-    skin.cycle = asked_ns // (25 * MS)
-    skin.run(1.1)
-    assert skin.made.needs_cycles(asked_ns + 4 * window_ns - 1)
-    assert not skin.made.needs_cycles(asked_ns + 4 * window_ns)
-    off = Cycles(tares=False)
-    assert not off.made.needs_cycles(10**12)
 
 
 def test_before_the_first_window_nothing_is_known() -> None:

@@ -5,10 +5,10 @@ import numpy.typing as npt
 import pytest
 
 from calibration.calibrator import Calibrator
-from calibration.defects import MEMORY, STUCK_WINDOWS, DefectFinder, Defects, subject_of
+from calibration.defects import DefectFinder, Defects
 from calibration.windows import Window
 from skin.measurement import sbhe
-from tests.calibration.skins import COLUMNS, LAYOUT, PHI, Skin, offsets_n
+from tests.calibration.helpers import COLUMNS, LAYOUT, PHI, Skin, offsets_n
 
 Floats = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
@@ -16,78 +16,6 @@ Bools = npt.NDArray[np.bool_]
 NOISE_N, LEAST_N = 1e-4, 1e-6
 NO_TOUCH = np.zeros(PHI.blocks, np.bool_)
 ALL = np.ones(PHI.shape[0], np.bool_)
-
-
-def window(seed: int, taxel_noise_n: np.ndarray, stuck: int | None = None) -> Window:
-    """Return the noise of 25 cycles of a skin."""
-    random = np.random.default_rng(seed)
-    sums = PHI.forward(random.normal(0, taxel_noise_n, (26, PHI.shape[1])))
-    differences = np.diff(sums, axis=0)
-    if stuck is not None:
-        differences[:, stuck] = 0
-    noise_n = np.abs(differences).mean(axis=0) * np.pi**0.5 / 2
-    return Window(0, np.zeros(PHI.shape[0]), noise_n, differences[-1], ALL)
-
-
-def looked_at(windows: int, taxel_noise_n: np.ndarray, stuck: int | None = None) -> Defects:
-    finder = DefectFinder(PHI, COLUMNS, 1e-6)
-    for seed in range(windows):
-        found = finder.take(window(seed, taxel_noise_n, stuck), NO_TOUCH)
-    return found
-
-
-@pytest.fixture
-def even() -> np.ndarray:
-    return np.full(PHI.shape[1], NOISE_N)
-
-
-def test_a_good_skin_has_no_defects(even: np.ndarray) -> None:
-    found = looked_at(MEMORY + 5, even)
-    assert found.usable.all()
-    assert found.words == []
-
-
-def test_a_stuck_sum_is_named_and_left_out(even: np.ndarray) -> None:
-    assert looked_at(STUCK_WINDOWS - 1, even, stuck=77).usable.all()
-    found = looked_at(STUCK_WINDOWS, even, stuck=77)
-    assert np.flatnonzero(~found.usable).tolist() == [77]
-    assert found.words == [f"sum 77 (block 9, row {PHI.row_of_sum[77]}) is stuck and left out"]
-
-
-@pytest.mark.parametrize("taxel", [1120, 2213, 3000])
-def test_a_noisy_taxel_is_named(even: np.ndarray, taxel: int) -> None:
-    even[taxel] *= 12
-    found = looked_at(MEMORY + 5, even)
-    row, column = divmod(taxel, COLUMNS)
-    assert len(found.words) == 1
-    assert f"most likely of the taxel at row {row}, column {column}" in found.words[0]
-    assert found.usable.all()
-
-
-def test_sums_with_too_much_noise_are_left_out_and_a_silent_block_is_named(even: np.ndarray) -> None:
-    even[PHI.taxels_of_blocks[3]] *= 6
-    even[PHI.taxels_of_blocks[5]] *= 0.1
-    found = looked_at(MEMORY + 5, even)
-    assert np.flatnonzero(~found.usable).tolist() == list(range(24, 32))
-    assert any(text.startswith("block 3 has 5.") for text in found.words)
-    assert any(text.startswith("block 5 has less than 1/3 of the noise") for text in found.words)
-
-
-def test_changes_under_a_touch_are_no_noise(even: np.ndarray) -> None:
-    finder = DefectFinder(PHI, COLUMNS, 1e-6)
-    held = np.arange(PHI.blocks) == 3
-    for seed in range(MEMORY + 5):
-        noise_n = even.copy()
-        noise_n[PHI.taxels_of_blocks[3]] *= 20 if seed % 2 else 1
-        found = finder.take(window(seed, noise_n), held if seed % 2 else NO_TOUCH)
-    assert found.words == []
-
-
-def test_an_untouched_skin_without_noise_has_no_stuck_sums() -> None:
-    finder = DefectFinder(PHI, COLUMNS, 1e-6)
-    for _ in range(2 * STUCK_WINDOWS):
-        found = finder.take(window(0, np.zeros(PHI.shape[1])), NO_TOUCH)
-    assert found.usable.all()
 
 
 def test_a_sum_that_gets_stuck_is_left_out_of_measurements() -> None:
@@ -112,8 +40,8 @@ def of_blocks(changed: dict[int, float]) -> Floats:
 class Finder:
     """A finder that gets windows of the same noise, sum by sum."""
 
-    def __init__(self, least_n: float = LEAST_N) -> None:
-        self._finder = DefectFinder(PHI, COLUMNS, least_n)
+    def __init__(self) -> None:
+        self._finder = DefectFinder(PHI, COLUMNS, LEAST_N, lambda _: None)
 
     def take(
         self,
@@ -128,8 +56,8 @@ class Finder:
         nothing = np.zeros(PHI.shape[0])
         made = Window(0, nothing, NOISE_N * times, nothing if difference_n is None else difference_n, known)
         for _ in range(windows):
-            found = self._finder.take(made, held)
-        return found
+            self._finder.take(made, held)
+        return self._finder.found
 
 
 def named(found: Defects) -> list[str]:
@@ -220,14 +148,6 @@ def test_a_sum_is_left_out_above_four_times_the_noise_of_all(times: float, told:
     assert found.words[: len(told)] == [words] * len(told)
 
 
-def test_noise_below_the_least_is_no_defect() -> None:
-    assert Finder(least_n=NOISE_N).take(40, of_blocks({5: 0.1})).words == []
-    assert named(Finder(least_n=0.99 * NOISE_N).take(40, of_blocks({5: 0.1}))) == ["block 5"]
-    assert Finder(least_n=2 * NOISE_N).take(40, of_blocks({5: 3.4})).words == []
-    (text,) = Finder(least_n=2 * NOISE_N).take(40, of_blocks({5: 3.6})).words
-    assert text.startswith("block 5 has 1.8 times the noise")
-
-
 def test_noise_is_the_mean_of_forty_windows_and_follows_later_ones_by_a_fortieth() -> None:
     """The mean square of half the windows with twice the noise is 2.5; √2.5 is 1.58."""
     finder = Finder()
@@ -280,25 +200,16 @@ def test_a_taxel_is_named_when_it_has_a_quarter_more_than_the_next(ratio: float,
 def test_blocks_without_or_with_a_single_sum_are_left_in_peace() -> None:
     """Three sums of four blocks: a block of one has no others, that may tell that it is stuck."""
     phi = sbhe(64, 3, block_size=16)
-    finder = DefectFinder(phi, 8, LEAST_N)
+    finder = DefectFinder(phi, 8, LEAST_N, lambda _: None)
     noise_n = np.array([NOISE_N, 0.0, NOISE_N])
     window = Window(0, np.zeros(3), noise_n, np.zeros(3), np.ones(3, np.bool_))
     for _ in range(39):
-        found = finder.take(window, np.zeros(4, np.bool_))
-    assert found.usable.all()
-    assert found.words == []
-    (text,) = finder.take(window, np.zeros(4, np.bool_)).words
-    assert subject_of(text) == f"block {phi.block_of_sum[1]}"
-
-
-def test_a_sum_whose_only_other_moves_is_stuck_too() -> None:
-    phi = sbhe(64, 8, block_size=16)
-    finder = DefectFinder(phi, 8, LEAST_N)
-    nothing, ones = np.zeros(8), np.ones(8, np.bool_)
-    window = Window(0, nothing, np.array([0.0, 1, 1, 1, 1, 1, 1, 1]), nothing, ones)
-    for _ in range(12):
-        found = finder.take(window, np.zeros(4, np.bool_))
-    assert np.flatnonzero(~found.usable).tolist() == [0]
+        finder.take(window, np.zeros(4, np.bool_))
+    assert finder.found.usable.all()
+    assert finder.found.words == []
+    finder.take(window, np.zeros(4, np.bool_))
+    (text,) = finder.found.words
+    assert text.startswith(f"block {phi.block_of_sum[1]} ")
 
 
 def test_noise_of_a_block_is_that_of_each_of_its_sums() -> None:
@@ -308,27 +219,13 @@ def test_noise_of_a_block_is_that_of_each_of_its_sums() -> None:
         for each in (sbhe(64, 9, block_size=16, selection="uniform", seed=seed) for seed in range(100))
         if sorted(np.diff(each.starts).tolist())[:2] == [1, 2]
     )
-    finder = DefectFinder(phi, 8, LEAST_N)
+    finder = DefectFinder(phi, 8, LEAST_N, lambda _: None)
     nothing, single = np.zeros(9), np.diff(phi.starts)[phi.block_of_sum] == 1
     window = Window(0, nothing, NOISE_N * np.where(single, 0.45, 1.0), nothing, np.ones(9, np.bool_))
     for _ in range(45):
-        found = finder.take(window, np.zeros(4, np.bool_))
+        finder.take(window, np.zeros(4, np.bool_))
     assert single.sum() == 1
-    assert found.words == []
-
-
-def test_at_the_very_limit_nothing_is_a_defect() -> None:
-    times = of_blocks({5: 1.75})
-    times[100] = 4.0
-    finder = DefectFinder(PHI, COLUMNS, LEAST_N)
-    nothing = np.zeros(PHI.shape[0])
-    window = Window(
-        0, nothing, times, nothing, np.ones(PHI.shape[0], np.bool_)
-    )  # of 1 N: squares are whole numbers of 1/16 N²
-    for _ in range(40):
-        found = finder.take(window, NO_TOUCH)
-    assert found.usable.all()
-    assert not any("block 5" in text for text in found.words)
+    assert finder.found.words == []
 
 
 def test_what_a_sum_that_is_not_known_shows_names_no_taxel() -> None:
@@ -342,8 +239,3 @@ def test_what_a_sum_that_is_not_known_shows_names_no_taxel() -> None:
     row, column = divmod(first, 64)
     (text,) = (each for each in found.words if each.startswith("block 5"))
     assert text.endswith(f"most likely of the taxel at row {row}, column {column}")
-
-
-def test_a_defect_is_told_once_by_its_first_two_words() -> None:
-    assert subject_of("sum 77 (block 9, row 3) is stuck and left out") == "sum 77"
-    assert subject_of("block 3 has 6.0 times the noise") == "block 3"

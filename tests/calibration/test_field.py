@@ -5,7 +5,7 @@ import numpy.typing as npt
 import pytest
 
 from calibration.field import SEEN_RATIO, Field, FieldFinder
-from tests.calibration.skins import COLUMNS, PHI, ROWS, pressed
+from tests.calibration.helpers import COLUMNS, PHI, ROWS, pressed
 
 #: Of a sum.
 NOISE_N = 1e-4

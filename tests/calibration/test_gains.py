@@ -13,12 +13,12 @@ from canskin.messages import IMAGE, MEASUREMENT
 from skin.calibration_file import StoredCalibration, encoded, load_calibration, new_calibration
 from skin.defects import Defects, Stage, SumGains
 from skin.frontend import with_gains
-from skin.layout import parse_layout
 from skin.mcap_file import CALIBRATION_FILE, File, RecordingWriter
 from skin.measurement import fast_hadamard
 from tests import messages as make
+from tests.layouts import small_layout
 
-LAYOUT = parse_layout(b"[taxels]\nrows = 32\ncolumns = 32", "test")
+LAYOUT = small_layout(32, 32)
 PHI = LAYOUT.phi()
 SIDE = 32
 FORCE_N = 0.3

@@ -12,9 +12,9 @@ from calibration.recorded import RecordedOffsets
 from canskin.errors import InputError
 from canskin.messages import MEASUREMENT
 from skin.calibration_file import encoded, load_calibration, new_calibration
-from skin.layout import load_layout
 from skin.mcap_file import CALIBRATION_FILE, File, RecordingWriter
-from tests.calibration.skins import LAYOUT, NEWTON_PER_COUNT, PHI, offsets_n, pressed
+from tests.calibration.helpers import LAYOUT, NEWTON_PER_COUNT, PHI, offsets_n, pressed
+from tests.layouts import ADAPTIVE_SKIN
 
 OFFSETS = PHI.forward(offsets_n())
 
@@ -113,4 +113,4 @@ def test_options_ask_for_nothing_a_file_or_a_tare(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"it\.json: has no offsets of sums"):
         make_calibrator(LAYOUT, path, "never", "test")
     with pytest.raises(InputError, match="adaptive boards"):
-        make_calibrator(load_layout(Path("adaptive"), adaptive=True), None, "at-start", "test")
+        make_calibrator(ADAPTIVE_SKIN, None, "at-start", "test")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from calibration import command
-from calibration.command import calibration, tare
+from calibration.command import calibration
 from canskin.calibration_messages import (
     CalibrationReply,
     CalibrationRequest,
@@ -20,7 +20,7 @@ from canskin.calibration_messages import (
 from canskin.errors import InputError, RunError
 from skin.calibration_file import StoredCalibration, encoded, new_calibration
 from skin.defects import SumGains
-from tests.calibration.skins import LAYOUT, PHI
+from tests.calibration.helpers import LAYOUT, PHI
 
 SUMS, TAXELS = PHI.shape
 
@@ -166,23 +166,6 @@ def test_json_holds_calibration_and_status(
     (tmp_path / "it.json").write_bytes(encoded(of_all()))
     calibration("show", tmp_path / "it.json", json=True)
     assert json.loads(capsys.readouterr().out)["status"] is None
-
-
-@pytest.mark.parametrize(("is_done", "code"), [(True, 0), (False, 1)])
-def test_tare_ends_with_1_without_a_new_zero(
-    gateway: Gateway, is_done: bool, code: int, capsys: pytest.CaptureFixture[str]
-) -> None:
-    gateway.is_done = is_done
-    assert tare() == code
-    assert tare(force=True, json=True) == code
-    assert [(request.action, request.force, timeout_s) for _, request, timeout_s in gateway.asked] == [
-        ("tare", False, 15.0),
-        ("tare", True, 15.0),
-    ]
-    text, document = capsys.readouterr().out.split("\n", 1)
-    assert text == "words"
-    found = json.loads(document)
-    assert (found["is_done"], found["text"], found["status"]["noise_n"]) == (is_done, "words", 0.00456)
 
 
 @pytest.mark.parametrize(

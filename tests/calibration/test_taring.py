@@ -10,7 +10,7 @@ from calibration.calibrator import Calibrator, TareResult
 from calibration.field import FieldFinder
 from canskin.calibration_messages import CalibrationState, ZeroSupport
 from canskin.messages import Measurement
-from tests.calibration.skins import (
+from tests.calibration.helpers import (
     COLUMNS,
     COUNTS,
     LAYOUT,
@@ -173,22 +173,6 @@ def test_a_zero_that_is_asked_for_anew_begins_anew() -> None:
     assert skin.made.state is FOLLOWING
     assert offsets_of(skin.run(0.1)) == COUNTS.tolist()
     assert skin.made.status().revision == 1
-
-
-def test_before_its_zero_is_measured_a_skin_has_no_offsets() -> None:
-    assert Skin(Calibrator(LAYOUT)).run(1.0, still(OFFSETS)).offsets == b""
-
-
-def test_a_hand_at_the_start_does_not_become_the_zero() -> None:
-    skin = Skin(Calibrator(LAYOUT))
-    hand = pressed(10, 20, 20, 0.005)
-    assert skin.run(6.0, still(OFFSETS + hand)).offsets == b""
-    assert skin.calibrator.state is CalibrationState.TOUCHED
-    assert skin.calibrator.result is not None
-    assert not skin.calibrator.result.is_done
-    last = skin.run(5.0, still(OFFSETS))
-    assert skin.calibrator.state is CalibrationState.FOLLOWING
-    assert error_n(last, ZERO) < 1.2 * SUM_NOISE_N
 
 
 def test_a_faint_hand_that_moves_at_the_start_does_not_become_the_zero() -> None:

@@ -8,7 +8,7 @@ import pytest
 
 from calibration.temperature import TemperatureModel
 from skin.zero_drift import REST_K
-from tests.calibration.skins import COUNTS, SMALL_COUNT_N, SMALL_PHI, Cycles, offsets_of, pressed_counts, tared
+from tests.calibration.helpers import COUNTS, SMALL_COUNT_N, SMALL_PHI, Cycles, offsets_of, pressed_counts, tared
 
 Floats = npt.NDArray[np.float64]
 BOARDS = 4

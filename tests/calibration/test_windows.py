@@ -1,10 +1,9 @@
 """Means and noise of the sums over windows."""
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
-from calibration.windows import SETTLE_S, Window, WindowMeans, change, rms, tare_s, typical, window_s
+from calibration.windows import SETTLE_S, Window, WindowMeans, mean_window_s, tare_s
 from skin.measurement import sbhe
 
 PHI = sbhe(64, 16, block_size=16)
@@ -121,25 +120,5 @@ def test_a_restart_drops_the_cycles_of_the_window() -> None:
 
 def test_windows_and_zeros_take_as_long_as_the_guide_says() -> None:
     """A quarter of a second, or 8 cycles; eight of them for a zero: 2 s, or 64 cycles."""
-    assert [window_s(period_s) for period_s in (0.001, 0.01, 0.05, 1.0)] == [0.25, 0.25, 0.4, 8.0]
+    assert [mean_window_s(period_s) for period_s in (0.001, 0.01, 0.05, 1.0)] == [0.25, 0.25, 0.4, 8.0]
     assert [tare_s(period_s) for period_s in (0.01, 0.05)] == [2.0, 3.2]
-
-
-def test_change_is_from_the_first_to_the_second_half() -> None:
-    means_n: npt.NDArray[np.float64] = np.array([[1.0, 0], [3, 0], [10, 1], [20, 2]])
-    assert change(means_n).tolist() == [13.0, 1.5]
-    assert change(np.array([[1.0], [3], [10], [20], [60]])).tolist() == [28.0]
-
-
-def test_a_typical_deviation_is_not_that_of_a_few_large_ones() -> None:
-    # At most nine times the median of the squares, ...
-    assert typical(np.array([1.0, 1, 1, 1, 5])) == pytest.approx(((4 + 9) / 5) ** 0.5)
-    # ... or their mean, where that is more.
-    assert typical(np.array([1.0] * 9 + [100.0])) == pytest.approx(((9 + 1000.9) / 10) ** 0.5)
-    assert typical(np.array([3.0, 4.0])) == pytest.approx(12.5**0.5)
-
-
-def test_root_mean_square() -> None:
-    assert rms(np.array([3.0, -4.0])) == pytest.approx(12.5**0.5)
-    assert rms(np.array([7.0])) == 7.0
-    assert rms(np.zeros(0)) == 0.0

@@ -11,7 +11,7 @@ from calibration.calibrator import Calibrator
 from calibration.doubt import Doubt
 from canskin.calibration_messages import ZeroSupport
 from skin.measured_sums import decode_measurement
-from tests.calibration.skins import (
+from tests.calibration.helpers import (
     COLUMNS,
     COUNTS,
     LAYOUT,
@@ -84,31 +84,6 @@ def test_a_late_block_begins_to_wait_anew_after_a_gap() -> None:
     assert skin.made.status().known_sums == SMALL_SUMS - 8
     skin.run(0.1)
     assert skin.made.status().known_sums == SMALL_SUMS
-
-
-def test_a_late_block_begins_to_wait_anew_after_it_was_missing() -> None:
-    skin = Cycles()
-    skin.missing = [4]
-    skin.run(10.1)
-    skin.missing = []
-    skin.run(7)
-    skin.missing = [4]
-    skin.run(1)
-    skin.missing = []
-    skin.run(9)
-    assert skin.made.status().known_sums == SMALL_SUMS - 8
-    skin.run(2)
-    assert skin.made.status().known_sums == SMALL_SUMS
-
-
-def test_a_block_that_comes_later_gets_its_zero_later() -> None:
-    skin = Skin(Calibrator(LAYOUT))
-    valid = np.arange(LAYOUT.blocks) > 0
-    skin.run(4.0, still(OFFSETS), valid=valid)
-    assert skin.calibrator.status().known_sums == PHI.shape[0] - 8
-    last = skin.run(4.0, still(OFFSETS))
-    assert skin.calibrator.status().known_sums == PHI.shape[0]
-    assert error_n(last, ZERO) < 1.2 * SUM_NOISE_N
 
 
 def test_a_block_that_comes_under_a_touch_is_left_out_until_the_touch_ends() -> None:

@@ -9,12 +9,12 @@ import pytest
 
 from canskin.errors import ModelError
 from canskin.fabric import Fabric
-from classifier.coarse_sums import classified_phi
 from classifier.decide import FORGET_CYCLES, Classifier
 from classifier.model import Model
 from classifier.modelfile import load_model, save_model
 from classifier.service import AdaptiveClassifierService
 from classifier.training import TrainingOptions, train
+from classifier.used_sums import classified_phi
 from skin.layout import Layout
 from skin.measurement import places
 from tests.classifier.conftest import Touches
@@ -33,7 +33,7 @@ def coarse_model(touches: Touches) -> Model:
 @pytest.fixture
 def service(endpoint: str, coarse_model: Model) -> Iterator[AdaptiveClassifierService]:
     fabric = Fabric("small", "classifier", endpoint, hub=True)
-    yield AdaptiveClassifierService(Classifier(coarse_model, CLASSIFIED), PHI, CLASSIFIED, fabric)
+    yield AdaptiveClassifierService(Classifier(coarse_model, CLASSIFIED), LAYOUT, fabric)
     fabric.close()
 
 

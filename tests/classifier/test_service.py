@@ -15,7 +15,7 @@ from classifier.model import Model
 from classifier.samples import simulate_sums
 from classifier.service import ClassifierService, most_waiting
 from classifier.settling import Decision
-from skin.layout import Layout
+from skin.layout import Layout, Sync
 from skin.measurement import Sbhe
 from skin.service import StopSignal
 from tests import messages as make
@@ -29,9 +29,9 @@ def hub(endpoint: str) -> Iterator[Fabric]:
 
 
 @pytest.fixture
-def service(hub: Fabric, endpoint: str, model: Model, phi: Sbhe) -> Iterator[ClassifierService]:
+def service(hub: Fabric, endpoint: str, model: Model, layout: Layout, phi: Sbhe) -> Iterator[ClassifierService]:
     fabric = Fabric("small", "classifier", endpoint)
-    yield ClassifierService(Classifier(model, phi), phi, fabric)
+    yield ClassifierService(Classifier(model, phi), layout, fabric)
     fabric.close()
 
 
@@ -111,10 +111,10 @@ class Timed:
 
 @pytest.mark.parametrize(("keeps_time", "expected"), [(True, [2_000_000, 4_000_000]), (False, [None, None])])
 def test_labels_settle_by_the_time_of_the_samples_where_it_is_that_of_the_skin(
-    hub: Fabric, measurement: Measurement, phi: Sbhe, keeps_time: bool, expected: list[int | None]
+    hub: Fabric, measurement: Measurement, layout: Layout, keeps_time: bool, expected: list[int | None]
 ) -> None:
     timed = Timed()
-    service = ClassifierService(timed, phi, hub, keeps_time=keeps_time)  # type: ignore[arg-type]
+    service = ClassifierService(timed, layout, hub, keeps_time=keeps_time)  # type: ignore[arg-type]
     for cycle in (1, 2):
         service.label(msgspec.structs.replace(measurement, cycle=cycle, sampled_mono_ns=2_000_000 * cycle))
     assert timed.times_ns == expected
@@ -135,14 +135,15 @@ class Waiting:
         return self.mailboxes[0]
 
 
-def test_after_a_pause_the_newest_measurements_that_waited_get_labels(measurement: Measurement, phi: Sbhe) -> None:
+def test_after_a_pause_the_newest_measurements_that_waited_get_labels(measurement: Measurement, layout: Layout) -> None:
     exchange, stop = Waiting(), StopSignal()
+    quick = msgspec.structs.replace(layout, sync=Sync(rate_hz=500.0))
 
     def wake(_label: str) -> None:
         if exchange.labelled[-1] == 29:
             stop.set()
 
-    service = ClassifierService(Timed(), phi, exchange, wake=wake, waiting=20)  # type: ignore[arg-type]
+    service = ClassifierService(Timed(), quick, exchange, wake=wake)  # type: ignore[arg-type]
     for cycle in range(30):
         exchange.mailboxes[0].put(msgspec.structs.replace(measurement, cycle=cycle))
     service.run(stop)

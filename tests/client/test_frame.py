@@ -72,14 +72,6 @@ def test_offsets_are_taken_off_and_defective_sums_are_not_valid(builder: FrameBu
     assert frame.valid_sums.tolist() == [True, False, True, True]
 
 
-def test_adaptive_sums_that_are_held_and_may_be_old_are_not_valid(builder: FrameBuilder) -> None:
-    builder.take(measurement(1, valid=bytes((0, 1)), known=bytes((1, 1, 1, 1))))
-    builder.take(image(1))
-    (frame,) = builder.take(contacts(1))
-    assert frame.valid_sums.tolist() == [False, False, True, True]
-    assert frame.sums.tolist() == [0, 0, 30, 40]
-
-
 def test_messages_come_in_any_order(builder: FrameBuilder) -> None:
     for messages in itertools.permutations((measurement(1), label(1), image(1), contacts(1))):
         builder = FrameBuilder(description())

@@ -1,7 +1,6 @@
 """The contract of adaptive nodes: identifiers by urgency, mapping, and a .dbc that other programs read."""
 
 import struct
-from pathlib import Path
 from typing import Any
 
 import cantools
@@ -16,7 +15,7 @@ from dbc.database import database
 from dbc.dictionary import dictionary
 from dbc.eds import eds, node_types
 from dbc.indices import OD_COARSE, OD_FINE
-from skin.layout import load_layout, parse_layout
+from skin.layout import parse_layout
 from skin.walsh import GROUPS, walsh_matrix
 from tests.layouts import ADAPTIVE, buses, small_layout
 
@@ -151,11 +150,3 @@ def test_layout_that_adaptive_sending_cannot_have_is_refused(change: tuple[str, 
     with pytest.raises(LayoutError) as refused:
         parse_layout(TEXT.replace(*change).encode(), "adaptive.toml")
     assert words in str(refused.value)
-
-
-def test_verbs_that_do_not_know_adaptive_sending_refuse_it(tmp_path: Path) -> None:
-    path = tmp_path / "adaptive.toml"
-    path.write_text(TEXT)
-    assert load_layout(path, adaptive=True).sending == "adaptive"
-    with pytest.raises(LayoutError, match=r"does not know adaptive sending.*\$\.sending"):
-        load_layout(path)

@@ -31,7 +31,7 @@ from tests.layouts import ADAPTIVE, buses, small_layout
 
 @pytest.fixture(scope="module")
 def contract() -> Contract:
-    return Contract.from_layout(load_layout(Path("adaptive-fd"), adaptive=True))
+    return Contract.from_layout(load_layout(Path("adaptive-fd")))
 
 
 def test_every_frame_of_127_nodes_has_an_identifier_of_its_own() -> None:
@@ -70,7 +70,7 @@ def test_a_frame_of_all_groups_takes_no_longer_than_a_classic_frame_of_one(contr
 @given(st.integers(0, 2**32), st.floats(0, 20e-3))
 @settings(deadline=None)
 def test_a_fine_frame_alone_tells_all_sums(seed: int, size_n: float) -> None:
-    law = Contract.from_layout(load_layout(Path("adaptive-fd"), adaptive=True)).law
+    law = Contract.from_layout(load_layout(Path("adaptive-fd"))).law
     sums_n = np.random.default_rng(seed).uniform(-16, 16, BLOCK_SUMS).astype(np.float32) * np.float32(size_n)
     sums_n[0] = 2 * abs(sums_n[0])
     groups, payload = new_groups(1, True), np.zeros(64, np.uint8)

@@ -17,7 +17,7 @@ NAMES = ("default", "fd", "one-bus-12bit", "adaptive")
 
 
 def contract_of(name: str) -> Contract:
-    return Contract.from_layout(load_layout(Path(name), adaptive=True))
+    return Contract.from_layout(load_layout(Path(name)))
 
 
 @pytest.mark.parametrize("name", NAMES)

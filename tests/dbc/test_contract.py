@@ -55,7 +55,7 @@ def test_stock_boards_need_no_counter_and_no_start_value(contract: Contract, kin
 
 
 def test_adaptive_nodes_have_a_counter_whatever_the_identity() -> None:
-    contract = Contract.from_layout(load_layout(Path("adaptive"), adaptive=True))
+    contract = Contract.from_layout(load_layout(Path("adaptive")))
     assert (contract.sync_overflow, contract.layout.is_stock) == (SYNC_OVERFLOW, False)
 
 
@@ -268,7 +268,7 @@ def test_a_node_with_many_frames_has_identifiers_of_unused_node_ids(
 
 
 def test_a_frame_of_adaptive_sums_takes_135_bits_and_tells_of_a_sample_a_millisecond_before() -> None:
-    line = load_layout(Path("adaptive"), adaptive=True).bus[0]
+    line = load_layout(Path("adaptive")).bus[0]
     assert [sum_frame_bits(line, is_fine=is_fine) for is_fine in (False, True)] == [135, 135]
     assert sample_age_ns(line) == 1_000_000 + 135_000
     slow = msgspec.structs.replace(line, bitrate=500_000)
@@ -276,7 +276,7 @@ def test_a_frame_of_adaptive_sums_takes_135_bits_and_tells_of_a_sample_a_millise
 
 
 def test_a_coarse_step_near_0_is_half_a_millinewton_of_twenty() -> None:
-    contract = Contract.from_layout(load_layout(Path("adaptive"), adaptive=True))
+    contract = Contract.from_layout(load_layout(Path("adaptive")))
     full_scale = contract.layout.taxels.force_max_n
     assert [coarse_value(code, False, contract.law) for code in (127, 128, 129)] == pytest.approx(
         [-full_scale / 40, 0.0, full_scale / 40], rel=1e-3

@@ -130,7 +130,7 @@ def test_the_dcf_of_a_node_has_its_own_values(name: str, tmp_path: Path) -> None
 def test_no_warning_of_any_reader_and_no_value_without_default(
     name: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    contract = Contract.from_layout(load_layout(Path(name), adaptive=True))
+    contract = Contract.from_layout(load_layout(Path(name)))
     (kind,) = node_types(contract)
     path = written(contract, kind, tmp_path)
     with warnings.catch_warnings():

@@ -38,7 +38,7 @@ START, STOP, RESET_NODE, RESET_COMMUNICATION = 1, 2, 129, 130
 
 
 def contract_of(name: str) -> Contract:
-    return Contract.from_layout(load_layout(Path(name), adaptive=True))
+    return Contract.from_layout(load_layout(Path(name)))
 
 
 @pytest.fixture(scope="module", params=["adaptive", "adaptive-fd"])

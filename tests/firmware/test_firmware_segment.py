@@ -221,7 +221,7 @@ class AdaptiveBus:
     def __init__(self) -> None:
         self.wire, self.patches = Wire(), Patches()
         self.boards = self.patches.recorder
-        contract = Contract.from_layout(load_layout(Path("adaptive"), adaptive=True))
+        contract = Contract.from_layout(load_layout(Path("adaptive")))
         self.cob_id = contract.on_bus(0)[0].adaptive_tpdos[0].cob_id
         self.segment = AdaptiveFirmwareSegment(contract, 0, self.wire.send, self.patches, complain=lambda _: None)  # type: ignore[arg-type]
 
@@ -311,7 +311,7 @@ class AdaptiveFirmware:
 @pytest.fixture
 def patches() -> tuple[FirmwarePatches, dict[int, Counted], list[int]]:
     """Two boards of the first bus and one of the second, which have learned, and their blocks."""
-    contract = Contract.from_layout(load_layout(Path("adaptive"), adaptive=True))
+    contract = Contract.from_layout(load_layout(Path("adaptive")))
     blocks = [contract.on_bus(0)[0].block, contract.on_bus(0)[2].block, contract.on_bus(1)[1].block]
     firmware = AdaptiveFirmware()
     made = FirmwarePatches(contract, blocks, Still(contract), firmware)  # type: ignore[arg-type]

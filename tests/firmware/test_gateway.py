@@ -11,7 +11,7 @@ from dbc.contract import Contract
 from firmware.library import Firmware
 from nodes.firmware_segment import FirmwareSegment
 from tests.firmware.twins import CountWitness, needs_compiler, small_contract
-from tests.gateway.world import World
+from tests.gateway.helpers import World
 from tests.layouts import IDENTITIES, with_identity
 
 pytestmark = needs_compiler

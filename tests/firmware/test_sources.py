@@ -36,7 +36,7 @@ SANITIZERS = ("-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recove
 
 
 def contract_of(name: str) -> Contract:
-    return Contract.from_layout(load_layout(Path(name), adaptive=True))
+    return Contract.from_layout(load_layout(Path(name)))
 
 
 @pytest.mark.heavy

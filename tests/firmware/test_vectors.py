@@ -31,7 +31,7 @@ SAMPLE_NS = 1_000_000
 
 @cache
 def vectors_of(name: str) -> tuple[Contract, dict[str, Any]]:
-    contract = Contract.from_layout(load_layout(Path(name), adaptive=True))
+    contract = Contract.from_layout(load_layout(Path(name)))
     (text,) = vector_files(contract).values()
     return contract, json.loads(text)
 

@@ -30,7 +30,7 @@ from nodes.adaptive.sending import (
 )
 from skin.walsh import GROUPS, grouped_rows
 from tests.bus.harness import frame
-from tests.gateway.world import Wire
+from tests.gateway.helpers import Wire
 from tests.layouts import ADAPTIVE, buses, small_layout
 
 STEP_S = 0.005

@@ -4,7 +4,7 @@ import pytest
 
 from dbc.contract import Contract
 from tests.gateway.boards import BoardWorld, small_adaptive
-from tests.gateway.world import World
+from tests.gateway.helpers import World
 from tests.layouts import small_contract
 
 

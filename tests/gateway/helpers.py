@@ -1,36 +1,335 @@
-"""What several tests of the gateway share: disturbances of a skin, and the boards of a bus as its master sees them."""
+"""A whole skin in one thread: real nodes and the real gateway on wires of arrays, with a clock that the test moves."""
 
 import os
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
-import pytest
+import numpy.typing as npt
 from hypothesis import HealthCheck, Phase, settings
 
-from dbc.canopen import (
-    HEARTBEAT_BASE,
-    NMT_COB_ID,
-    SDO_REQUEST_BASE,
-    SDO_RESPONSE_BASE,
-    NmtState,
-)
-from dbc.configuration import configuration, expected_signature
+from bus.link import State
+from canskin.messages import GatewayStatus, Measurement
+from dbc.canopen import NMT_COB_ID, SDO_REQUEST_BASE
+from dbc.configuration import configuration
 from dbc.contract import Contract
 from dbc.dictionary import SILENT_AFTER_S
-from dbc.frame import ECHO
-from dbc.indices import (
-    OD_RESTORE,
-    OD_SIGNATURE,
-    OD_STORE,
-    OD_TPDO_COMMUNICATION,
-    OD_TPDO_MAPPING,
-    SIGNATURE_LOAD,
-    SIGNATURE_SAVE,
-)
-from gateway.nmt_master import LATER_S, PAUSES_S, TICK_S, NmtMaster
-from gateway.node_record import NodeRecord
+from dbc.frame import ECHO, Frames, frames
+from dbc.indices import OD_RESTORE, OD_STORE, OD_TPDO_COMMUNICATION, OD_TPDO_MAPPING, SIGNATURE_LOAD, SIGNATURE_SAVE
+from gateway.loop import GatewayLoop
+from gateway.nmt_master import LATER_S, PAUSES_S
+from nodes.electronics import Electronics
+from nodes.sampler import Sampler
+from nodes.synchronous_segment import SynchronousSegment
+from skin.measurement import Sbhe
+from skin.sources import Frame
+from skin.taxel import to_counts
 from tests.bus.harness import frame
-from tests.gateway.world import STEP_S, EndOfWire, Wire, World
 from tests.layouts import small_contract
+
+PERIOD_S = 0.05
+#: Nodes look at time between two SYNCs only.
+STEP_S = PERIOD_S / 2
+
+
+class Shaking:
+    """A source in which no two frames have a taxel in common."""
+
+    has_noise = True
+
+    def frame(self, step: int) -> Frame:
+        force_n = np.random.default_rng(step).uniform(0.004, 0.016, (8, 16)).astype(np.float32)
+        return Frame(force_n, "")
+
+
+class Witness(Electronics):
+    """Electronics that remember the counts behind what a test pattern shows."""
+
+    counts: npt.NDArray[np.int32]
+    reads = 0
+
+    def read(self, force_n: npt.NDArray[np.float32], step: int = 0) -> npt.NDArray[np.int32]:
+        raw = to_counts(force_n.ravel(), self.taxels)
+        self.reads += 1
+        self.counts = np.clip(np.rint(self.gain * raw + self.offset), 0, self.taxels.count_max).astype(np.int32)
+        return super().read(force_n, step)
+
+
+class WitnessSampler(Sampler):
+    """A sampler that remembers the sums of these counts by SYNC counter and by the time of SYNC; newest wins."""
+
+    def __init__(self, phi: Sbhe, electronics: Witness, longest_period_s: float | None = None) -> None:
+        super().__init__(phi, Shaking(), electronics, longest_period_s)
+        self.truths: dict[int, npt.NDArray[np.int32]] = {}
+        self.truths_by_ns: dict[int, npt.NDArray[np.int32]] = {}
+        self._witness = electronics
+
+    def sample(self, counter: int, time_ns: int, bus: int = 0) -> npt.NDArray[np.int32]:
+        before = self._witness.reads
+        sums = super().sample(counter, time_ns, bus)
+        if self._witness.reads > before:
+            self.truths[counter] = self._phi.forward(self._witness.counts)
+            if not counter:  # with SYNCs that do not count, a SYNC that counts is another master's
+                self.truths_by_ns[time_ns] = self.truths[counter]
+        return sums
+
+    def truth_of(self, measurement: Measurement) -> npt.NDArray[np.int32] | None:
+        """Return the sums of the cycle of a measurement, None if no node has sampled in it."""
+        if 0 not in self.truths:
+            return self.truths.get(measurement.sync_counter)
+        later = {time_ns - measurement.sampled_mono_ns: sums for time_ns, sums in self.truths_by_ns.items()}
+        found = [each for each in later if -0.25 < each / self._period_ns < 0.75]
+        return later[max(found)] if found else None
+
+
+class EndOfWire:
+    """One of the two that are joined by a `Wire`."""
+
+    def __init__(self, wire: "Wire") -> None:
+        self.wire = wire
+        self.waiting: list[Frames] = []
+        #: Whether it has room for what is sent.
+        self.takes = True
+        #: Whether it is not read: what arrives waits.
+        self.is_held = False
+
+    @property
+    def has_news(self) -> bool:
+        return bool(self.waiting) and not self.is_held
+
+    def receive(self) -> Frames:
+        if self.is_held:
+            return frames(0)
+        # Not np.concatenate, which compares the fields of the records each time.
+        arrived, begin = frames(sum(map(len, self.waiting))), 0
+        for burst in self.waiting:
+            arrived[begin : begin + len(burst)] = burst
+            begin += len(burst)
+        self.waiting.clear()
+        return arrived
+
+    def send(self, burst: Frames) -> int:
+        if not self.takes:
+            return 0
+        self.wire.queue.append((self, burst.copy()))
+        return len(burst)
+
+
+class Wire:
+    """A bus of no length: frames arrive in the order in which they were sent, at once, at everybody."""
+
+    def __init__(self) -> None:
+        #: The time of what is sent without a time of its own.
+        self.now_ns = 0
+        self.queue: list[tuple[EndOfWire | None, Frames]] = []
+        self.gateway = EndOfWire(self)
+        self.nodes = EndOfWire(self)
+        self.log: list[tuple[int, bytes]] = []
+        #: Tells which frames an end loses: called with the end and a frame.
+        self.loses: Callable[[EndOfWire, np.void], bool] | None = None
+        #: Tells which frames of nodes have to wait: they go when `release` is called.
+        self.holds: Callable[[np.void], bool] | None = None
+        self._held: list[tuple[EndOfWire | None, Frames]] = []
+
+    def deliver(self) -> bool:
+        """Carry what was sent; tell whether there was anything."""
+        sent, self.queue = self.queue, []
+        for sender, given in sent:
+            burst = given
+            if self.holds is not None and sender is self.nodes:
+                waits = np.array([self.holds(each) for each in given], np.bool_)
+                self._held.append((sender, given[waits]))
+                burst = given[~waits]
+            self._carry(sender, burst)
+        return bool(sent)
+
+    def _carry(self, sender: EndOfWire | None, burst: Frames) -> None:
+        for each in burst:
+            self.log.append((int(each["can_id"]), each["data"][: each["length"]].tobytes()))
+        for end in (self.gateway, self.nodes):
+            copy = burst.copy()
+            copy["time_ns"][copy["time_ns"] == 0] = self.now_ns
+            if end is sender:
+                copy["flags"] |= ECHO
+            if self.loses is not None:
+                copy = copy[[not self.loses(end, each) for each in copy]]
+            end.waiting.append(copy)
+
+    @property
+    def waiting(self) -> int:
+        """Number of bursts that have to wait."""
+        return len(self._held)
+
+    def release(self, count: int) -> None:
+        """Let the oldest bursts go that had to wait."""
+        held, self._held = self._held[:count], self._held[count:]
+        for sender, burst in held:
+            late = burst.copy()
+            late["time_ns"] = self.now_ns
+            self._carry(sender, late)
+
+    def put(self, can_id: int, data: bytes) -> None:
+        """Send a frame of somebody else."""
+        self.queue.append((None, frame(can_id, data)))
+
+
+@dataclass
+class World:
+    """The skin, its gateway, and what they said.
+
+    Attributes
+    ----------
+    built : Contract or None
+        What the nodes were built for, where that is not the contract of the gateway.
+    """
+
+    contract: Contract
+    store: Path | None = None
+    built: Contract | None = None
+    now_s: float = 100.0
+    lines: list[str] = field(default_factory=list)
+    complaints: list[str] = field(default_factory=list)
+    measured: list[Measurement] = field(default_factory=list)
+    step_s: ClassVar[float] = STEP_S
+
+    def __post_init__(self) -> None:
+        layout = self.contract.layout
+        self.electronics = Witness(layout.taxels, noise_n=0.0, period_s=layout.shortest_period_s)
+        self.sampler = WitnessSampler(self.contract.phi, self.electronics, layout.sync.period_s)
+        self.wires = [Wire() for _ in self.contract.layout.bus]
+        self.segments = [self.new_segment(bus, self.built or self.contract) for bus in range(len(self.wires))]
+        self.power_up()
+        self.gateway = self.new_gateway()
+
+    def new_segment(self, bus: int, contract: Contract) -> SynchronousSegment:
+        return SynchronousSegment(
+            contract,
+            bus,
+            {node.node_id for node in contract.on_bus(bus)},
+            self.wires[bus].nodes.send,
+            self.sampler,
+            complain=self.complaints.append,
+            store=self.store,
+        )
+
+    def power_up(self) -> None:
+        for segment in self.segments:
+            segment.boot(self.now_s)
+
+    def new_gateway(self) -> GatewayLoop:
+        return GatewayLoop(
+            self.contract,
+            {bus: wire.gateway.send for bus, wire in enumerate(self.wires)},
+            self.now_s,
+            say=self.lines.append,
+            complain=self.complaints.append,
+        )
+
+    def step(self) -> list[Measurement]:
+        """Go on by `step_s`: everybody does what is due, until nobody says anything more."""
+        self.now_s += self.step_s
+        came: list[Measurement] = []
+        self.gateway.tick(self.now_s)
+        came += self.gateway.send_sync(self.now_s)
+        self.carry()
+        for segment in self.segments:
+            segment.tick(self.now_s)
+        self.carry()
+        came += self.gateway.measurements(self.now_s)
+        self.measured += came
+        return came
+
+    def carry(self) -> None:
+        """Carry what was sent, and let everybody answer, until nobody says anything more."""
+        for wire in self.wires:
+            wire.now_ns = round(self.now_s * 1e9)
+        while sum(wire.deliver() for wire in self.wires) or any(wire.gateway.has_news for wire in self.wires):
+            self._receive()
+
+    def _receive(self) -> None:
+        for bus, (wire, segment) in enumerate(zip(self.wires, self.segments, strict=True)):
+            segment.take(wire.nodes.receive(), self.now_s)
+            self.gateway.take(bus, wire.gateway.receive(), self.now_s, stamp_error_ns=0)
+
+    def run(self, seconds: float) -> list[Measurement]:
+        """Go on for some time; return the measurements of it."""
+        first = len(self.measured)
+        for _ in range(round(seconds / self.step_s)):
+            self.step()
+        return self.measured[first:]
+
+    def pass_time(self, seconds: float) -> None:
+        """Go on without SYNC: for what takes long and asks for no sums."""
+        self.gateway.sync.stop()
+        self.run(seconds)
+        self.gateway.sync.start(self.now_s + PERIOD_S)
+
+    def status(self) -> GatewayStatus:
+        """Return all counters."""
+        return self.gateway.status(dict.fromkeys(range(len(self.wires)), (State.ACTIVE, 0)), self.now_s)
+
+    def until_whole(self, at_most_s: float) -> float:
+        """Go on until every block that sends sums is valid; return how long that took."""
+        start_s, sending = self.now_s, self.contract.phi.has_sums
+        while self.now_s - start_s < at_most_s:
+            if any(valid(each)[sending].all() for each in self.step()):
+                return self.now_s - start_s
+        raise AssertionError(
+            f"blocks {np.flatnonzero(~valid(self.measured[-1]))} are still not valid: {self.lines[-5:]}"
+        )
+
+    def wrong_blocks(self, measurement: Measurement) -> list[int]:
+        """Return the blocks that are called valid and are not Φ of that cycle's counts."""
+        sums = np.frombuffer(measurement.sums, "<i4")
+        phi = next(each.phi for each in self.contract.states if each.phi.fingerprint == measurement.fingerprint)
+        differs = np.zeros(phi.blocks, np.bool_)
+        truth = self.sampler.truth_of(measurement)
+        if truth is None:  # no node has sampled in this cycle
+            return np.flatnonzero(valid(measurement)).tolist()
+        if phi is not self.contract.phi:
+            truth = truth[self.contract.recognised]
+        differs[phi.block_of_sum[sums != truth]] = True
+        return np.flatnonzero(differs & valid(measurement)).tolist()
+
+    # What another master does
+
+    def nmt(self, bus: int, command: int, node_id: int) -> None:
+        self.wires[bus].put(NMT_COB_ID, bytes((command, node_id)))
+
+    def write(self, bus: int, node_id: int, index: int, subindex: int, data: bytes) -> None:
+        """Write an object by an expedited SDO download."""
+        self.request(bus, node_id, 0x23 | 4 - len(data) << 2, index, subindex, data)
+
+    def write_in_segments(self, bus: int, node_id: int, index: int, subindex: int, data: bytes) -> None:
+        """Write an object of up to seven bytes by a segmented SDO download."""
+        self.request(bus, node_id, 0x21, index, subindex, len(data).to_bytes(4, "little"))
+        segment = bytes((1 | 7 - len(data) << 1,)) + data.ljust(7, b"\0")
+        self.wires[bus].put(SDO_REQUEST_BASE + node_id, segment)
+
+    def request(self, bus: int, node_id: int, command: int, index: int, subindex: int, data: bytes) -> None:
+        """Send an SDO request."""
+        place = index.to_bytes(2, "little") + bytes((subindex,))
+        self.wires[bus].put(SDO_REQUEST_BASE + node_id, bytes((command,)) + place + data.ljust(4, b"\0"))
+
+
+def valid(measurement: Measurement) -> npt.NDArray[np.bool_]:
+    return np.frombuffer(measurement.valid, np.uint8) == 1
+
+
+def until_sync(world: World) -> None:
+    """Go on until a SYNC has been sent; the cycle stays open where a bus is held."""
+    sent = world.gateway.sync.sent
+    while world.gateway.sync.sent == sent:
+        world.step()
+
+
+def two_states() -> Contract:
+    """Return a skin with five SYNCs of recognition in a period of images; one of its four nodes has no sum in it."""
+    phi = small_contract().phi
+    rows = [[block, int(phi.rows_of(block)[block])] for block in range(3)]
+    return small_contract(recognition={"rows": rows, "rate_hz": 100.0})
 
 
 def little(value: int, size: int = 4) -> bytes:
@@ -57,12 +356,16 @@ def swap_mapping(world: World, bus: int, node_id: int, tpdo: int = 0, *, back: b
 
 #: Disturbances in each of the four cases: the same ones in every run, or as many random ones as wanted.
 DISTURBANCES = int(os.environ.get("SKIN_DISTURBANCES", "2600"))
+
+
 RANDOM = settings(
     derandomize="SKIN_DISTURBANCES" not in os.environ,
     deadline=None,
     suppress_health_check=list(HealthCheck),
     phases=(Phase.explicit, Phase.generate),  # to shrink an example takes longer than all tests
 )
+
+
 #: After the last disturbance and the pause of a node that is out: a heartbeat, another pause, a proof that runs out.
 BOUND_S = 1.0 + max(PAUSES_S) + 5.0
 
@@ -132,138 +435,6 @@ def skip_pauses(world: World) -> None:
     """Check that no node is left out for longer than the longest pause; go on as if that pause were over."""
     for master in world.gateway.masters.values():
         for each in master.nodes.values():
-            if not each.trusted:
+            if not each.in_use:
                 assert each.prove_at_s <= world.now_s + LATER_S
                 each.prove_at_s, each.tries = min(each.prove_at_s, world.now_s), 0
-
-
-def until_sync(world: World) -> None:
-    """Go on until a SYNC has been sent; the cycle stays open where a bus is held."""
-    sent = world.gateway.sync.sent
-    while world.gateway.sync.sent == sent:
-        world.step()
-
-
-def two_states() -> Contract:
-    phi = small_contract().phi
-    rows = [[block, int(phi.rows_of(block)[block])] for block in range(3)]
-    return small_contract(recognition={"rows": rows, "rate_hz": 100.0})
-
-
-NO_SUBINDEX = 0x0609_0011
-
-
-class Boards:
-    """The boards of bus0, their master and its clock; every answer comes at once."""
-
-    def __init__(self, contract: Contract) -> None:
-        self.now_s = 100.0
-        self.lines: list[str] = []
-        #: Times of requests by node-ID.
-        self.asked_s: dict[int, list[float]] = {}
-        #: Boards that answer no SDO, and those whose configuration is not right.
-        self.mute: set[int] = set()
-        self.wrong: set[int] = set()
-        self._answers: list[tuple[int, bytes]] = []
-        self._signatures = {
-            node.node_id: expected_signature(configuration(contract, node)).to_bytes(4, "little")
-            for node in contract.on_bus(0)
-        }
-        self.master = NmtMaster(contract, 0, self._send, lambda *_: None, self.lines.append)
-        self._beat_s = self.now_s
-
-    def _send(self, can_id: int, data: bytes) -> None:
-        if can_id == NMT_COB_ID:
-            self.hear(can_id, data, ECHO)
-            return
-        node_id = can_id - SDO_REQUEST_BASE
-        self.asked_s.setdefault(node_id, []).append(self.now_s)
-        if node_id in self.mute or data[0] & 0xE0 == 0x80:
-            return
-        is_signature = int.from_bytes(data[1:3], "little") == OD_SIGNATURE
-        if not is_signature:
-            answer = b"\x80" + data[1:4] + NO_SUBINDEX.to_bytes(4, "little")
-        else:
-            answer = b"\x43" + data[1:4] + (b"\1\2\3\4" if node_id in self.wrong else self._signatures[node_id])
-        self._answers.append((SDO_RESPONSE_BASE + node_id, answer))
-
-    def hear(self, can_id: int, data: bytes, flags: int = 0) -> None:
-        self.master.take(frame(can_id, data, flags, time_ns=round(self.now_s * 1e9)), self.now_s)
-
-    def run(self, seconds: float, *, beating: bool = True) -> None:
-        for _ in range(round(seconds / TICK_S)):
-            self.now_s += TICK_S
-            if beating and self.now_s >= self._beat_s:
-                self._beat_s = self.now_s + 1.0
-                for node_id in self.master.node_ids:
-                    self.hear(HEARTBEAT_BASE + node_id, bytes((NmtState.OPERATIONAL,)))
-            self.master.tick(self.now_s)
-            while self._answers:
-                self.hear(*self._answers.pop())
-
-    def trusted(self) -> list[int]:
-        return [node_id for node_id, node in self.master.nodes.items() if node.trusted]
-
-
-def request(command: int, index: int, subindex: int = 0) -> bytes:
-    return bytes((command,)) + index.to_bytes(2, "little") + bytes((subindex, 0, 0, 0, 0))
-
-
-NMT, EMCY, ANSWER, REQUEST, HEARTBEAT = 0x000, 0x080, 0x580, 0x600, 0x700
-START, STOP, PRE_OPERATIONAL, RESET_NODE, RESET_COMMUNICATION = 0x01, 0x02, 0x80, 0x81, 0x82
-BOOTED, STOPPED, OPERATIONAL, PRE = 0, 4, 5, 127
-
-
-class Listening(Boards):
-    """Boards that keep the NMT commands; those of `plain` compute no signature, and answer what the contract says."""
-
-    def __init__(self, contract: Contract) -> None:
-        self.commands: list[tuple[int, int]] = []
-        self.plain: set[int] = set()
-        self._rest = b""
-        super().__init__(contract)
-
-    def _send(self, can_id: int, data: bytes) -> None:
-        if can_id == NMT:
-            self.commands.append((data[0], data[1]))
-        node_id, before = can_id - REQUEST, len(self._answers)
-        super()._send(can_id, data)
-        if node_id in self.plain and len(self._answers) > before:
-            self._answers[-1] = (ANSWER + node_id, self._plain_answer(node_id, data))
-
-    def _plain_answer(self, node_id: int, asked: bytes) -> bytes:
-        if asked[0] & 0xE0 == 0x60:
-            part, self._rest = self._rest[:7], self._rest[7:]
-            return bytes((asked[0] & 0x10 | 7 - len(part) << 1 | (not self._rest),)) + part.ljust(7, b"\0")
-        index, subindex = int.from_bytes(asked[1:3], "little"), asked[3]
-        if index == OD_SIGNATURE:
-            return b"\x43" + asked[1:4] + bytes(4)
-        settings = self.master.nodes[node_id].settings
-        (value,) = {each.data for each in settings if (each.index, each.subindex) == (index, subindex)}
-        if len(value) > 4:
-            self._rest = value
-            return b"\x41" + asked[1:4] + len(value).to_bytes(4, "little")
-        return bytes((0x43 | 4 - len(value) << 2,)) + asked[1:4] + value.ljust(4, b"\0")
-
-    def node(self, node_id: int) -> NodeRecord:
-        return self.master.nodes[node_id]
-
-    def beat(self, node_id: int, state: int) -> None:
-        self.hear(HEARTBEAT + node_id, bytes((state,)))
-
-    def lines_now(self) -> list[str]:
-        """Return the lines since the last call, with those that wait for others."""
-        self.master.stop()
-        assert self.commands.pop() == (PRE_OPERATIONAL, 0)
-        lines = [*self.lines]
-        self.lines.clear()
-        return lines
-
-
-@pytest.fixture
-def skin(small: Contract) -> Listening:
-    """Return nodes 1 and 2 of bus0, proven and running, 0.5 s after their start."""
-    built = Listening(small)
-    built.run(0.5, beating=False)
-    assert built.trusted() == [1, 2]
-    return built

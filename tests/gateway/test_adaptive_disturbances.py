@@ -19,8 +19,7 @@ from nodes.adaptive.boards import AdaptiveBoards
 from nodes.adaptive.segment import AdaptiveSegment
 from skin.walsh import grouped_rows
 from tests.gateway.boards import small_adaptive, sums_of
-from tests.gateway.helpers import DISTURBANCES, RANDOM, drive
-from tests.gateway.world import Wire, World, valid
+from tests.gateway.helpers import DISTURBANCES, RANDOM, Wire, World, drive, valid
 from tests.nodes.adaptive_bus import Press
 
 ACTIONS = 100

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from bus.error_frames import ErrorClass
 from bus.link import State
 from canskin.errors import InputError
 from canskin.messages import BlockState
@@ -11,10 +10,10 @@ from dbc.adaptive import GROUP_SUMS, cob_id
 from dbc.canopen import HEARTBEAT_BASE, SYNC_COB_ID, NmtCommand, NmtState
 from dbc.contract import Contract
 from dbc.dictionary import HEARTBEAT_MS, SILENT_AFTER_S
-from dbc.frame import ERROR
 from dbc.indices import OD_COMPANDING, OD_SIGNATURE, OD_TEST_PATTERN, OD_TPDO_COMMUNICATION
 from gateway.adaptive_gathering import publishing_rates
 from gateway.block_states import FRESH_NS, OVERDUE_NS
+from gateway.gathering import Health
 from tests.bus.harness import frame
 from tests.gateway.boards import STEP_S, BoardWorld, at_rest, known_of, lose, small_adaptive, states, sums_of
 from tests.layouts import buses
@@ -70,14 +69,26 @@ def test_measurements_come_at_the_rates_that_were_asked_for(adaptive: Contract) 
 
 
 @pytest.mark.parametrize(
-    ("rates_hz", "said"),
-    [((0.5, None), "--max-rate"), ((2000, None), "--max-rate"), ((100, 200), "--min-rate"), ((None, 0), "--min-rate")],
+    ("asked", "rates"),
+    [
+        ((None, None), (1000.0, 10.0)),
+        ((5.0, None), (5.0, 5.0)),
+        ((1.0, 1.0), (1.0, 1.0)),
+        ((1000.0, 1000.0), (1000.0, 1000.0)),
+        ((0.999, None), None),
+        ((1000.1, None), None),
+        ((None, 0.999), None),
+        ((20.0, 20.1), None),
+    ],
 )
-def test_rates_out_of_range_are_refused(rates_hz: tuple[float | None, float | None], said: str) -> None:
-    assert publishing_rates(None, None) == (1000, 10)
-    assert publishing_rates(5, None) == (5, 5)
-    with pytest.raises(InputError, match=said):
-        publishing_rates(*rates_hz)
+def test_rates_are_one_to_a_thousand_hertz(
+    asked: tuple[float | None, float | None], rates: tuple[float, float] | None
+) -> None:
+    if rates is None:
+        with pytest.raises(InputError):
+            publishing_rates(*asked)
+    else:
+        assert publishing_rates(*asked) == rates
 
 
 def test_measurements_are_a_millisecond_apart_and_a_tenth_of_a_second_at_most(boards: BoardWorld) -> None:
@@ -199,28 +210,6 @@ def test_controller_that_was_off_the_bus_makes_it_stale(boards: BoardWorld, why:
     assert holds_what_boards_hold(boards)
 
 
-@pytest.mark.parametrize(
-    ("why", "control"), [(ErrorClass.BUS_OFF, 0), (ErrorClass.RESTARTED, 0), (ErrorClass.CONTROLLER, 0x01)]
-)
-def test_controller_reports_a_gap_that_is_over(boards: BoardWorld, why: ErrorClass, control: int) -> None:
-    """Bus-off and return within one turn, or an overflow of the controller's own buffer."""
-    at_rest(boards)
-    report = frame(int(why), bytes((0, control, 0, 0, 0, 0, 0, 0)), ERROR)
-    boards.gateway.take(0, report, boards.now_s, stamp_error_ns=0)
-    (came,) = boards.gateway.measurements(boards.gateway.due_s)
-    assert states(came) == [STALE, STALE, QUIET, QUIET]
-    boards.until_whole(0.1)
-
-
-def test_other_reports_of_the_controller_change_nothing(boards: BoardWorld) -> None:
-    at_rest(boards)
-    boards.gateway.take(
-        0, frame(int(ErrorClass.CONTROLLER), bytes((0, 0x08, 0, 0, 0, 0, 0, 0)), ERROR), boards.now_s, stamp_error_ns=0
-    )
-    boards.run(0.2)
-    assert states(boards.measured[-1]) == [QUIET] * 4
-
-
 def test_fine_frame_that_does_not_fit_has_its_group_asked_for(boards: BoardWorld) -> None:
     """A coarse frame was lost that nobody knows of."""
     at_rest(boards)
@@ -308,7 +297,7 @@ def test_frames_that_came_with_the_end_of_the_proof_are_not_used(adaptive: Contr
     world.wires[0].gateway.is_held = False
     board.speaks = False
     world.run(2 * STEP_S)
-    assert world.gateway.masters[0].nodes[1].trusted
+    assert world.gateway.masters[0].nodes[1].in_use
     assert board.sent
     assert states(world.measured[-1])[0] == DEAD
     assert not known_of(world.measured[-1], 0).any()
@@ -366,3 +355,25 @@ def test_strange_frames_are_counted_and_complained_about(boards: BoardWorld) -> 
     assert after.foreign >= before.foreign + 3
     assert boards.complaints == ["another SYNC producer on bus0: no sums start in the 2 ms after each SYNC"]
     assert states(boards.measured[-1]) == [QUIET] * 4
+
+
+def test_the_newest_frame_of_each_bus_is_told(boards: BoardWorld) -> None:
+    first = boards.measured[0]
+    assert np.frombuffer(first.bus_sampled_ns, "<i8").tolist() == [0, 0]
+    boards.run(0.2)
+    before = np.frombuffer(boards.measured[-1].bus_sampled_ns, "<i8")
+    boards.touch(1, seed=5)
+    boards.run(0.2)
+    ended_ns = np.frombuffer(boards.measured[-1].bus_sampled_ns, "<i8")
+    assert ended_ns[0] > before[0]
+    assert ended_ns[1] == before[1]
+    assert boards.measured[-1].sampled_mono_ns == ended_ns.max()
+
+
+def test_frames_of_nobody_are_foreign(boards: BoardWorld) -> None:
+    before = boards.gateway.gathering.counts.foreign
+    strange = np.concatenate([frame(0x080, b"\1"), frame(0x7FF, b"\1")])
+    boards.gateway.gathering.take(0, strange, Health(), boards.now_s)
+    assert boards.gateway.gathering.counts.foreign == before + 2
+    assert boards.gateway.gathering.take_foreign_syncs(0) == 1
+    assert boards.gateway.gathering.take_foreign_syncs(0) == 0

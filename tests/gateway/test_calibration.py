@@ -1,5 +1,6 @@
 """What the gateway answers to those who ask for its calibration, and what it writes to nodes."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import msgspec
@@ -7,14 +8,16 @@ import numpy as np
 import pytest
 
 import gateway.calibration
+from calibration.calibrator import Calibrator
 from canskin.calibration_messages import CalibrationReply, CalibrationRequest, CalibrationState
+from canskin.errors import InputError
 from canskin.messages import Measurement
 from dbc.contract import Contract
-from gateway.calibration import GatewayCalibration
+from gateway.calibration import GatewayCalibration, node_values
 from skin.calibration_file import StoredCalibration, encoded, new_calibration, parse_calibration
-from tests.calibration.skins import LAYOUT, Skin, offsets_n, pressed
+from tests.calibration.helpers import pressed
 from tests.gateway.boards import small_adaptive
-from tests.gateway.world import World
+from tests.gateway.helpers import World
 from tests.layouts import ADAPTIVE_SKIN, small_contract
 from tests.messages import adaptive_measurement
 
@@ -67,38 +70,6 @@ def test_the_calibration_in_use_is_told(world: World, stored: StoredCalibration)
     told = parse_calibration(asked.replies[0].content, world.contract.layout, "test")
     assert told.offsets_n == pytest.approx(stored.offsets_n)
     assert told.gains == stored.gains
-
-
-def test_a_touched_skin_gets_no_zero_by_tare() -> None:
-    calibration = GatewayCalibration(Contract.from_layout(LAYOUT))
-    replies: list[CalibrationReply] = []
-    skin, force_n = Skin(calibration), offsets_n() + pressed(10, 20, 20, 0.005)
-    calibration.ask(CalibrationRequest(action="tare"), replies.append)  # type: ignore[arg-type]
-    calibration.tick({}, 0.0)
-    skin.run(4.0, lambda _time_s: force_n)
-    calibration.tick({}, 4.0)
-    assert [each.is_done for each in replies] == [False]
-    assert "something touches the skin" in replies[0].text
-
-
-@pytest.mark.parametrize("speed_per_s", [0.0, 6.0])
-def test_a_tare_under_a_touch_or_in_motion_leaves_the_offsets(speed_per_s: float) -> None:
-    lines: list[CalibrationReply] = []
-    calibration = GatewayCalibration(Contract.from_layout(LAYOUT))
-    skin = Skin(calibration)
-    before = skin.run(4.0, lambda _time_s: offsets_n())
-    calibration.ask(CalibrationRequest(action="tare"), lines.append)  # type: ignore[arg-type]
-    calibration.tick({}, 0.0)
-    after = skin.run(4.0, lambda time_s: offsets_n() + pressed(4 + round(speed_per_s * (time_s - 4.0)), 20, 9, 0.005))
-    calibration.tick({}, 4.0)
-    ((is_done, text),) = [(each.is_done, each.text) for each in lines]
-    assert not is_done
-    assert text.startswith("something touches the skin or moves on it, around row ")
-    assert text.endswith(": the zero stays as it was")
-    assert calibration.status().state is CalibrationState.FOLLOWING
-    counts = [np.frombuffer(each.offsets, "<i4") for each in (before, after)]
-    change_n = np.diff(counts, axis=0) * LAYOUT.taxels.newton_per_count
-    assert np.abs(change_n).max() < 2e-3  # a sum with a taxel under the touch changes by 5 mN
 
 
 def test_a_forced_tare_is_answered_when_it_is_done(world: World) -> None:
@@ -212,15 +183,6 @@ def test_loaded_offsets_are_those_until_a_zero_is_measured(world: World, stored:
     assert asked.replies[0].text == "in use until the skin has been untouched for 3.2 s and has a new zero"
 
 
-def test_requests_beyond_those_that_wait_are_refused(world: World) -> None:
-    asked = Asked(world)
-    for _ in range(9):
-        asked.ask(CalibrationRequest(action="show"))
-    assert "8 requests wait" in asked.replies[0].text
-    asked.run(0.5)
-    assert [each.is_done for each in asked.replies] == [False] + 8 * [True]
-
-
 def test_a_slow_skin_says_how_long_its_zero_takes(small: Contract) -> None:
     layout = msgspec.structs.replace(small.layout, sync=msgspec.structs.replace(small.layout.sync, rate_hz=1.0))
     calibration = GatewayCalibration(Contract.from_layout(layout))
@@ -259,8 +221,13 @@ def test_adaptive_boards_look_after_their_zero() -> None:
 def test_adaptive_sums_are_looked_at_forty_times_a_second(rate_hz: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """However often they come: the newest hold, also when their newest frame is old."""
     calibration, looks = GatewayCalibration(Contract.from_layout(ADAPTIVE_SKIN)), list[int]()
-    take = calibration._calibrator.take
-    monkeypatch.setattr(calibration._calibrator, "take", lambda each: (looks.append(each.sampled_mono_ns), take(each)))
+    take = Calibrator.take
+
+    def look(calibrator: Calibrator, each: Measurement) -> None:
+        looks.append(each.sampled_mono_ns)
+        take(calibrator, each)
+
+    monkeypatch.setattr(Calibrator, "take", look)
     force_n, replies = pressed(20, 20, 9, 0.005), list[CalibrationReply]()
     came = adaptive_measurement(force_n, layout=ADAPTIVE_SKIN, sampled_mono_ns=1)
     for milliseconds in range(6000):
@@ -279,10 +246,13 @@ def test_adaptive_sums_are_looked_at_forty_times_a_second(rate_hz: int, monkeypa
     assert np.abs(sums - offsets).max() < 0.02 * np.abs(sums).max()
 
 
-class Written:
-    """A writing to nodes that is done, and complete, at once."""
+# Requests that meet others, and what is told after a write
 
-    done = is_complete = True
+
+class Writing:
+    """A writing to nodes that ends when the test says so."""
+
+    done, is_complete = False, True
 
     def __init__(self, *_: object) -> None:
         """Write nothing."""
@@ -291,35 +261,167 @@ class Written:
         """Do nothing."""
 
     def text(self) -> str:
-        return "4 nodes have written and stored it"
+        return "written"
 
 
-@pytest.mark.parametrize("is_adaptive", [False, True])
-def test_the_revision_tells_of_every_load_and_write(
-    small: Contract, monkeypatch: pytest.MonkeyPatch, *, is_adaptive: bool
-) -> None:
-    monkeypatch.setattr(gateway.calibration, "NodeWriting", Written)
-    contract = small_adaptive() if is_adaptive else small
-    calibration = GatewayCalibration(contract, tares=False)
-    taxels, sums = contract.layout.taxels.count, contract.phi.shape[0]
-    stored = new_calibration(contract.layout, offsets_n=np.zeros(sums), gains=np.full(taxels, 1.1))
-    seen = [calibration.status().revision]
-    for action in ("write", "write", *(() if is_adaptive else ("load", "load"))):
-        request = CalibrationRequest(action=action, content=encoded(stored))  # type: ignore[arg-type]
-        replies: list[CalibrationReply] = []
-        calibration.ask(request, replies.append)  # type: ignore[arg-type]
-        calibration.tick({}, 0.0)
-        assert replies[0].is_done
-        seen.append(calibration.status().revision)
-    assert len(set(seen)) == len(seen)
-    assert calibration.status().state is (CalibrationState.OFF if is_adaptive else CalibrationState.LOADED)
+class Alone:
+    """A calibration without nodes, and the answers that came."""
+
+    def __init__(self, contract: Contract) -> None:
+        self.calibration, self.now_s = GatewayCalibration(contract, tares=False), 0.0
+        self.replies: list[CalibrationReply] = []
+
+    def ask(self, request: CalibrationRequest) -> None:
+        self.calibration.ask(request, self.replies.append)  # type: ignore[arg-type]
+        self.calibration.tick({}, self.now_s)
 
 
-def test_the_revision_tells_of_every_zero(world: World) -> None:
-    asked = Asked(world)
-    asked.run(4.0)
-    before = asked.calibration.status().revision
-    asked.ask(CalibrationRequest(action="tare", force=True))
-    asked.run(4.0)
+@pytest.fixture
+def writing(monkeypatch: pytest.MonkeyPatch) -> type[Writing]:
+    class Mine(Writing):
+        pass
+
+    monkeypatch.setattr(gateway.calibration, "NodeWriting", Mine)
+    return Mine
+
+
+def test_nodes_are_written_to_once_at_a_time(small: Contract, writing: type[Writing]) -> None:
+    asked = Alone(small)
+    content = encoded(new_calibration(small.layout, gains=np.full(128, 1.1)))
+    asked.ask(CalibrationRequest(action="write", content=content))
+    assert asked.replies == []
+    asked.ask(CalibrationRequest(action="write", content=content))
+    ((is_done, text),) = [(each.is_done, each.text) for each in asked.replies]
+    assert (is_done, text) == (False, "the nodes are being written to: wait for the end of that")
+    writing.done = True
+    asked.calibration.tick({}, 0.0)
+    assert [each.is_done for each in asked.replies] == [False, True]
+    asked.ask(CalibrationRequest(action="write", content=content))
+    assert [each.is_done for each in asked.replies] == [False, True, True]
+
+
+@pytest.mark.parametrize("is_complete", [True, False])
+def test_what_the_nodes_have_is_told(small: Contract, writing: type[Writing], *, is_complete: bool) -> None:
+    """A write of offsets alone leaves the gains."""
+    writing.done, writing.is_complete = True, is_complete
+    asked, empty = Alone(small), new_calibration(small.layout)
+    for values in ({"gains": [1.25] * 128}, {"taxel_offsets_n": [0.001] * 128}):
+        wanted = msgspec.structs.replace(empty, **values)
+        asked.ask(CalibrationRequest(action="write", content=encoded(wanted)))
+    asked.ask(CalibrationRequest(action="show"))
+    assert [each.is_done for each in asked.replies] == [is_complete, is_complete, True]
+    told = parse_calibration(asked.replies[-1].content, small.layout, "test")
+    assert told.gains == [1.25] * 128 * is_complete
+    assert told.taxel_offsets_n == [0.001] * 128 * is_complete
+
+
+def test_a_zero_that_is_awaited_counts_as_a_request_that_waits(small: Contract) -> None:
+    asked = Alone(small)
+    for _ in range(8):
+        asked.ask(CalibrationRequest(action="tare"))
+    assert asked.replies == []
+    asked.ask(CalibrationRequest(action="show"))
+    assert [each.text for each in asked.replies] == ["8 requests wait for an answer: ask again later"]
+    asked.now_s = 7.9
+    asked.calibration.tick({}, asked.now_s)
+    assert len(asked.replies) == 1
+    asked.calibration.tick({}, 8.1)
+    assert [each.is_done for each in asked.replies] == [False] * 9
+
+
+def test_show_tells_what_is_in_use(small: Contract) -> None:
+    asked = Alone(small)
+    asked.ask(CalibrationRequest(action="show"))
+    ((is_done, text),) = [(each.is_done, each.text) for each in asked.replies]
+    assert (is_done, text) == (True, "the calibration in use")
+    asked = Alone(small_adaptive())
+    asked.ask(CalibrationRequest(action="show"))
     assert asked.replies[0].is_done
-    assert asked.calibration.status().revision == before + 1
+    assert asked.replies[0].text.startswith("adaptive boards measure their offsets at power-up")
+
+
+def test_show_tells_all_that_was_stored(small: Contract) -> None:
+    known = msgspec.structs.replace(
+        new_calibration(small.layout, offsets_n=np.full(32, 0.0078125), gains=np.full(128, 1.25)),
+        taxel_offsets_n=[0.001] * 128,
+    )
+    replies: list[CalibrationReply] = []
+    calibration = GatewayCalibration(small, known, tares=False)
+    calibration.ask(CalibrationRequest(action="show"), replies.append)  # type: ignore[arg-type]
+    calibration.tick({}, 0.0)
+    told = parse_calibration(replies[0].content, small.layout, "test")
+    assert (told.gains, told.taxel_offsets_n, told.version) == ([1.25] * 128, [0.001] * 128, known.version)
+    assert told.offsets_n == pytest.approx([0.0078125] * 32)
+    assert replies[0].status is not None
+
+
+def test_a_tare_is_of_all_of_the_skin_or_of_a_region_on_it_and_one_at_a_time(small: Contract) -> None:
+    asked, taxels = Alone(small), small.layout.taxels
+    whole = (0, 0, taxels.rows - 1, taxels.columns - 1)
+    asked.ask(CalibrationRequest(action="tare", region=whole))
+    asked.ask(CalibrationRequest(action="tare", region=whole))
+    assert asked.replies == []
+    asked.ask(CalibrationRequest(action="tare", force=True))
+    assert asked.replies.pop().text == "another tare is under way: ask again when it has ended"
+    asked.ask(CalibrationRequest(action="tare", region=(0, 0, taxels.rows, 0)))
+    asked.ask(CalibrationRequest(action="tare", region=(0, 0, 1, 1), force=True))
+    assert [each.is_done for each in asked.replies] == [False, False]
+    assert asked.replies[0].text.startswith(f"region 0,0,{taxels.rows},0: expected first row, first column")
+    assert asked.replies[1].text == "a tare of a region, and by force: expected one of both"
+
+
+def test_answers_are_given_in_another_thread(small: Contract) -> None:
+    aside: list[Callable[[], None]] = []
+    replies: list[CalibrationReply] = []
+    calibration = GatewayCalibration(small, tares=False, submit=aside.append)
+    calibration.ask(CalibrationRequest(action="show"), replies.append)  # type: ignore[arg-type]
+    content = encoded(new_calibration(small.layout, offsets_n=np.zeros(32)))
+    calibration.ask(CalibrationRequest(action="load", content=content), replies.append)  # type: ignore[arg-type]
+    for _ in range(2):
+        calibration.tick({}, 0.0)
+    assert (len(aside), replies) == (2, [])
+    for each in aside:
+        each()
+    assert [each.text for each in replies] == ["the calibration in use", "in use"]
+
+
+# What nodes are given
+
+
+def test_nodes_undo_gain_and_offset_of_a_taxel() -> None:
+    """A taxel reads g f + o; the node takes x / g - o / g, in counts of 1 mN here."""
+    skin = small_contract()
+    known = msgspec.structs.replace(
+        new_calibration(skin.layout, gains=np.full(128, 0.5)), taxel_offsets_n=[0.010] * 64 + [-0.020] * 64
+    )
+    gains, offsets = node_values(known, 0.001)
+    assert gains is not None
+    assert offsets is not None
+    assert set(gains.tolist()) == {2.0}
+    assert offsets.tolist() == [-20.0] * 64 + [40.0] * 64
+    gains, offsets = node_values(msgspec.structs.replace(known, gains=[]), 0.001)
+    assert gains is None
+    assert offsets is not None
+    assert offsets.tolist() == [-10.0] * 64 + [20.0] * 64
+    gains, offsets = node_values(msgspec.structs.replace(known, taxel_offsets_n=[]), 0.001)
+    assert gains is not None
+    assert (gains.tolist(), offsets) == ([2.0] * 128, None)
+    assert node_values(new_calibration(skin.layout), 0.001) == (None, None)
+
+
+def test_a_node_holds_offsets_of_sixteen_bits(small: Contract) -> None:
+    known = new_calibration(small.layout)
+    held = msgspec.structs.replace(known, taxel_offsets_n=[-32767.0, 32768.0] * 64)
+    _, offsets = node_values(held, 1.0)
+    assert offsets is not None
+    assert offsets.tolist()[:2] == [32767.0, -32768.0]
+    for beyond_n, counts in ((-32768.0, "32768"), (32769.0, "-32769")):
+        values = [0.0] * 128
+        values[5] = values[9] = beyond_n
+        values[100] = 70_000.0
+        with pytest.raises(InputError) as refused:
+            node_values(msgspec.structs.replace(known, taxel_offsets_n=values), 1.0)
+        assert str(refused.value) == (
+            "taxel_offsets_n / gains of 3 taxels, first of taxel 5: nodes would add"
+            f" {counts} counts, and can hold -32768 to 32767"
+        )

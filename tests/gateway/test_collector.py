@@ -8,13 +8,44 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dbc.canopen import SYNC_COB_ID
+from dbc.codec import encode
 from dbc.contract import Contract
-from dbc.frame import ECHO, ERROR, EXTENDED, FD, FRAME, REMOTE, Frames
-from gateway.collector import Collector
+from dbc.frame import ECHO, ERROR, EXTENDED, FD, FRAME, REMOTE, Frames, frames
+from gateway.collector import Collector, Gathered
 from skin.layout import load_layout
 from skin.sync_counter import next_counter
 from tests.bus.harness import frame
-from tests.gateway.cycles import CONTRACT, SUMS, TABLE, burst, echo, new_collector, whole_cycle
+from tests.layouts import alternating
+
+CONTRACT = Contract.from_layout(alternating(load_layout()))
+TABLE = CONTRACT.table
+RANDOM = np.random.default_rng(7)
+SUMS = RANDOM.integers(-16368, 16369, 1024).astype(np.int16)
+
+
+def new_collector() -> Collector:
+    collector = Collector(CONTRACT)
+    collector.trust(slice(None), proven=True)
+    return collector
+
+
+def echo(counter: int) -> Frames:
+    return frame(SYNC_COB_ID, bytes((counter,)), ECHO)
+
+
+def burst(bus: int, counter: int, sums: np.ndarray = SUMS) -> Frames:
+    rows = np.flatnonzero((TABLE.bus == bus) & (TABLE.phase == CONTRACT.phase_of(counter)))
+    out = frames(len(rows))
+    out["can_id"], out["length"] = TABLE.cob_id[rows], TABLE.length[rows]
+    out["data"][:, :8] = encode(sums, TABLE.gather[rows], CONTRACT.packing)
+    return out
+
+
+def whole_cycle(collector: Collector, counter: int) -> Gathered:
+    collector.open(counter)
+    for bus in range(4):
+        collector.take(bus, np.concatenate((echo(counter), burst(bus, counter))), 0)
+    return collector.close(counter)
 
 
 def received(collector: Collector) -> int:
@@ -34,43 +65,6 @@ def test_a_whole_cycle() -> None:
     assert (collector.counts.accepted, collector.counts.missing, collector.counts.late) == (256, 0, 0)
 
 
-def test_frame_after_the_next_sync_never_counts() -> None:
-    collector = new_collector()
-    collector.open(1)
-    first = burst(0, 1)
-    collector.take(0, np.concatenate((echo(1), first[:60])), 0)
-    collector.open(2)
-    collector.take(0, np.concatenate((echo(2), first[60:], burst(0, 2, SUMS - 1))), 0)
-    old, new = collector.close(1), collector.close(2)
-    assert collector.counts.late == 4
-    assert not old.valid[30:32].any()
-    assert old.valid[:30].all()
-    assert new.valid[:32].all()
-    assert np.array_equal(new.sums[:256], SUMS[:256] - 1)
-
-
-def test_frame_on_the_wire_before_the_next_sync_counts_however_late_it_is_read() -> None:
-    collector = new_collector()
-    collector.open(1)
-    collector.open(2)
-    everything = [echo(1), burst(0, 1), echo(2), burst(0, 2)]
-    collector.take(0, np.concatenate(everything), 0)
-    assert collector.close(1).valid[:32].all()
-    assert collector.close(2).valid[:32].all()
-    assert collector.counts.late == 0
-
-
-def test_node_that_missed_a_sync_is_invalid_and_its_answer_to_the_old_one_is_late() -> None:
-    collector = new_collector()
-    for counter in (1, 2):
-        collector.open(counter)
-        collector.take(0, echo(counter), 0)
-    node = burst(0, 1)[:1]
-    collector.take(0, node, 0)
-    assert collector.counts.late == 1
-    assert not collector.close(2).valid[:32].any()
-
-
 def test_old_values_are_never_used_again() -> None:
     collector = new_collector()
     for counter in (1, 2, 3):
@@ -84,32 +78,6 @@ def test_old_values_are_never_used_again() -> None:
         assert not gathered.sums[CONTRACT.phi.block_of_sum == block].any()
 
 
-def test_second_copy_is_ignored_and_a_differing_one_spoils_the_block() -> None:
-    collector = new_collector()
-    collector.open(1)
-    sent = burst(0, 1)
-    other = sent[10:11].copy()
-    other["data"][0, 0] ^= 1
-    collector.take(0, np.concatenate((echo(1), sent, sent[:4], other)), 0)
-    gathered = collector.close(1)
-    assert collector.counts.duplicate == 5
-    assert collector.counts.accepted == 64
-    assert list(np.flatnonzero(~gathered.valid[:32])) == [
-        CONTRACT.phi.block_of_sum[TABLE.gather[TABLE.row_of[0, other["can_id"][0]], 0]]
-    ]
-
-
-def test_untrusted_block_is_never_valid() -> None:
-    collector = new_collector()
-    collector.trust(slice(3, 4), proven=False)
-    collector.open(1)
-    for bus in range(4):
-        collector.take(bus, np.concatenate((echo(1), burst(bus, 1))), 0)
-    gathered = collector.close(1)
-    assert list(np.flatnonzero(~gathered.valid)) == [3]
-    assert not gathered.sums[CONTRACT.phi.block_of_sum == 3].any()
-
-
 def test_proof_counts_from_the_next_sync_on_and_a_doubt_from_the_cycle_under_way() -> None:
     collector = new_collector()
     collector.trust(slice(3, 5), proven=False)
@@ -120,17 +88,6 @@ def test_proof_counts_from_the_next_sync_on_and_a_doubt_from_the_cycle_under_way
         collector.take(bus, np.concatenate((echo(1), burst(bus, 1))), 0)
     assert np.flatnonzero(~collector.close(1).valid).tolist() == [3, 4, 7]
     assert np.flatnonzero(~whole_cycle(collector, 2).valid).tolist() == [4, 7]
-
-
-@pytest.mark.parametrize("flags", [EXTENDED, REMOTE, EXTENDED | REMOTE, FD])
-def test_frames_of_another_kind_are_foreign(flags: int) -> None:
-    collector = new_collector()
-    collector.open(1)
-    sent = burst(0, 1)
-    sent["flags"] = flags
-    collector.take(0, np.concatenate((echo(1), sent)), 0)
-    assert collector.counts.foreign == 64
-    assert not collector.close(1).valid.any()
 
 
 @settings(max_examples=20, deadline=None)
@@ -168,31 +125,6 @@ def test_syncs_that_waited_in_the_controller_spoil_their_bus() -> None:
     late = collector.close(3)
     assert not late.valid[:32].any()
     assert late.valid[32:].all()
-
-
-@pytest.mark.parametrize(("gap_ns", "is_valid"), [(3_999_999, False), (4_000_000, True)])
-def test_syncs_closer_than_four_tenths_of_a_period_spoil_their_bus(gap_ns: int, is_valid: bool) -> None:
-    collector = new_collector()
-    for counter, end_ns in ((1, 50_000_000), (2, 50_000_000 + gap_ns)):
-        collector.open(counter)
-        start = echo(counter)
-        start["time_ns"] = end_ns
-        collector.take(0, np.concatenate((start, burst(0, counter))), 0)
-    assert collector.close(2).valid[:32].all() == is_valid
-
-
-def test_node_that_answers_with_the_other_phase_five_times_is_found_once() -> None:
-    collector, found = new_collector(), []
-    for counter in range(1, 12):
-        collector.open(counter)
-        sent, other = burst(0, counter), burst(0, next_counter(counter))
-        of_node_3 = TABLE.node[TABLE.row_of[0, sent["can_id"]]] == 2
-        collector.take(0, np.concatenate((echo(counter), sent[~of_node_3], other[of_node_3])), 0)
-        collector.close(counter)
-        found.append(collector.take_swapped())
-        assert collector.take_swapped() == []
-    assert [counter for counter, nodes in enumerate(found, 1) if nodes == [2]] == [5, 10]
-    assert sum(map(len, found)) == 2
 
 
 def changed(sent: Frames, **values: int) -> Frames:
@@ -238,13 +170,6 @@ def test_whatever_befalls_a_frame_its_block_alone_is_invalid_and_the_next_cycle_
     assert whole_cycle(collector, 3).complete
 
 
-def test_frames_of_more_bytes_than_their_pdo_are_malformed() -> None:
-    collector = new_collector()
-    collector.open(1)
-    collector.take(0, np.concatenate((echo(1), changed(burst(0, 1), length=12))), 0)
-    assert (collector.counts.malformed, collector.counts.accepted) == (1, 0)
-
-
 def test_frames_without_any_sync_are_late() -> None:
     collector = new_collector()
     collector.take(0, burst(0, 1), 0)
@@ -277,21 +202,6 @@ def test_frames_after_the_close_are_late() -> None:
     collector.close(1)
     collector.take(0, sent[60:], 0)
     assert (collector.counts.accepted, collector.counts.late, collector.counts.missing) == (60, 4, 196)
-
-
-def test_late_and_missing_are_counted_by_node() -> None:
-    collector = new_collector()
-    collector.open(1)
-    sent = burst(0, 1)
-    of_node_3 = TABLE.node[TABLE.row_of[0, sent["can_id"]]] == 2
-    collector.take(0, np.concatenate((echo(1), sent[~of_node_3])), 0)
-    for bus in range(1, 4):
-        collector.take(bus, np.concatenate((echo(1), burst(bus, 1))), 0)
-    collector.close(1)
-    collector.take(0, sent[of_node_3][:1], 0)
-    assert np.flatnonzero(collector.missing_of_node).tolist() == np.flatnonzero(collector.late_of_node).tolist() == [2]
-    assert (collector.missing_of_node[2], collector.late_of_node[2]) == (2, 1)
-    assert (collector.counts.missing, collector.counts.late) == (2, 1)
 
 
 def test_cycle_waits_for_expected_nodes_only() -> None:
@@ -329,12 +239,6 @@ def test_cycle_settles_where_the_next_sync_is_seen_also_when_the_counter_comes_r
     assert not collector.is_settled(1)
 
 
-def test_nodes_that_send_are_heard() -> None:
-    collector = new_collector()
-    collector.take(1, burst(1, 1)[:1], 0)
-    assert np.flatnonzero(collector.heard).tolist() == [32]
-
-
 def test_skin_of_can_fd_takes_frames_of_can_fd() -> None:
     contract = Contract.from_layout(load_layout(Path("fd")))
     collector = Collector(contract)
@@ -344,3 +248,39 @@ def test_skin_of_can_fd_takes_frames_of_can_fd() -> None:
         collector.take(bus, np.concatenate((echo(1), contract.cycle(bus, 0)[1:])), 0)
     assert collector.close(1).complete
     assert collector.counts.foreign == 0
+
+
+# SYNCs of others, SYNCs that ask for nothing, and what is known of the instant of a SYNC
+
+
+def test_foreign_syncs_are_counted_from_the_last_question_on() -> None:
+    collector = new_collector()
+    assert [collector.take_foreign_syncs(bus) for bus in range(4)] == [0, 0, 0, 0]
+    collector.take(2, np.concatenate([frame(SYNC_COB_ID, b"\1")] * 3), 0)
+    assert [collector.take_foreign_syncs(bus) for bus in (1, 2, 2)] == [0, 3, 0]
+
+
+def error_ns(stamp_error_ns: int | None) -> int:
+    """Return the bound of an echo 0.7 ms after the SYNC was sent, with answers 0.9 ms and 1 ms after that."""
+    collector = new_collector()
+    collector.open(1, 10_000_000, 10_000_000)
+    start, sent = echo(1), burst(0, 1)[:2]
+    start["time_ns"] = 10_700_000
+    sent["time_ns"] = 10_900_000, 11_000_000
+    collector.take(0, np.concatenate((start, sent)), stamp_error_ns)
+    return collector.close(1).times.error_ns
+
+
+def test_the_first_answer_bounds_the_instant_where_there_are_no_time_stamps() -> None:
+    assert 0 < error_ns(1_000) < 701_000
+    assert error_ns(None) - error_ns(1_000) == 900_000 - (700_000 + 1_000)
+
+
+def test_frames_after_a_sync_that_asks_for_none_are_late() -> None:
+    collector = new_collector()
+    whole_cycle(collector, 1)
+    whole_cycle(collector, 2)
+    collector.open(3)
+    collector.rest(3, 0, None)
+    collector.take(0, np.concatenate((echo(3), burst(0, 3))), 0)
+    assert (collector.counts.accepted, collector.counts.late) == (512, 64)

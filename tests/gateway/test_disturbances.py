@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 from dbc.canopen import NmtCommand
 from dbc.configuration import configuration
 from dbc.indices import OD_GAIN, OD_HEARTBEAT_MS, OD_OFFSET
-from tests.gateway.helpers import DISTURBANCES, RANDOM, drive
-from tests.gateway.world import World
+from tests.gateway.helpers import DISTURBANCES, RANDOM, World, drive
 from tests.layouts import IDENTITIES, small_contract
 
 STEPS = 200

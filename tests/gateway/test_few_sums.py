@@ -4,7 +4,7 @@ import pytest
 
 from canskin.messages import SILENT
 from dbc.canopen import HEARTBEAT_BASE, NmtCommand, NmtState
-from tests.gateway.world import World, valid
+from tests.gateway.helpers import World, valid
 from tests.layouts import IDENTITIES, small_contract
 
 

@@ -13,8 +13,7 @@ from gateway.collector import Collector
 from gateway.command import require_order
 from gateway.cycle_gathering import CycleGathering
 from gateway.gathering import Health
-from tests.gateway.helpers import until_sync
-from tests.gateway.world import PERIOD_S, World, valid
+from tests.gateway.helpers import PERIOD_S, World, until_sync, valid
 from tests.layouts import IDENTITIES, small_contract
 
 PERIOD_NS = round(PERIOD_S * 1e9)
@@ -236,7 +235,7 @@ def test_first_data_comes_with_the_first_sync_after_the_start_command(identity: 
     assert valid(until_measured(world)).all()
     world.segments[0].boot(world.now_s)
     world.run(0.02)
-    while not all(each.trusted for each in world.gateway.masters[0].nodes.values()):
+    while not all(each.in_use for each in world.gateway.masters[0].nodes.values()):
         world.step()  # the start commands go out with the last proof
     until_sync(world)
     first = until_measured(world)

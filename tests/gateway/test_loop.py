@@ -11,8 +11,7 @@ from dbc.dictionary import SILENT_AFTER_S
 from dbc.frame import ECHO
 from dbc.indices import OD_SIGNATURE
 from gateway.loop import LOOK_PERIOD_S
-from tests.gateway.helpers import until_sync
-from tests.gateway.world import PERIOD_S, STEP_S, EndOfWire, World, valid
+from tests.gateway.helpers import PERIOD_S, STEP_S, EndOfWire, World, until_sync, valid
 from tests.layouts import buses, small_contract
 
 
@@ -144,9 +143,9 @@ def test_node_is_awaited_from_its_start_on(small: Contract) -> None:
     assert world.gateway.gathering.collector.expected.tolist() == [True, True, True, False]
     world.wires[1].loses = None
     world.segments[1].nodes[1].boot(world.now_s)
-    while not world.gateway.masters[1].nodes[2].trusted:
+    while not world.gateway.masters[1].nodes[2].in_use:
         world.step()
-        awaited, trusted = world.gateway.gathering.collector.expected[3], world.gateway.masters[1].nodes[2].trusted
+        awaited, trusted = world.gateway.gathering.collector.expected[3], world.gateway.masters[1].nodes[2].in_use
         assert awaited or not trusted
 
 
@@ -208,17 +207,6 @@ def test_skin_of_can_fd_becomes_whole() -> None:
     assert all(valid(each).all() and not world.wrong_blocks(each) for each in came)
     counts = world.status().frames
     assert (counts.missing, counts.malformed, counts.late) == (0, 0, 0)
-
-
-def test_bus_that_refuses_syncs_says_why_once_and_when_it_is_over(world: World) -> None:
-    end: EndOfWire = world.wires[0].gateway
-    end.takes = False
-    world.run(3 * PERIOD_S)
-    assert not valid(world.measured[-1])[:2].any()
-    assert valid(world.measured[-1])[2:].all()
-    end.takes = True
-    world.run(PERIOD_S)
-    assert [line for line in world.lines if "SYNC" in line] == ["bus0 takes SYNC again, after 3 that it did not take"]
 
 
 def test_analogue_sums_at_the_end_of_their_converter_are_not_usable() -> None:

@@ -23,10 +23,10 @@ from dbc.frame import ECHO, ERROR, EXTENDED, REMOTE
 from dbc.indices import OD_CONSUMER_HEARTBEAT, OD_HEARTBEAT_MS, OD_SIGNATURE
 from gateway.collector import SWAPPED_CYCLES
 from gateway.loop import LOOK_PERIOD_S
-from gateway.nmt_master import DIALOGUES, LATER_S, PAUSES_S, STABLE_S, TICK_S, NmtMaster
+from gateway.nmt_master import DIALOGUES, PAUSES_S, TICK_S, NmtMaster
 from gateway.sdo import TIMEOUT_S
 from tests.bus.harness import frame
-from tests.gateway.world import PERIOD_S, EndOfWire, World, valid
+from tests.gateway.helpers import PERIOD_S, EndOfWire, World, valid
 from tests.layouts import buses, small_contract, small_layout
 
 HEARTBEAT_S = 1.0
@@ -108,76 +108,6 @@ def test_silent_node_is_said_once_and_comes_back(world: World) -> None:
     world.until_whole(HEARTBEAT_S + SOON_S)
     world.run(0.5)
     assert any("nodes 1-2 on bus0 back after" in line for line in world.lines)
-
-
-def test_node_that_will_not_stay_is_tried_ever_more_seldom(world: World) -> None:
-    """A node that obeys no start: every try fails, and the pauses grow to their bound."""
-    world.wires[0].loses = lambda end, each: bool(
-        end is world.wires[0].nodes and each["can_id"] == NMT_COB_ID and each["data"][0] == NmtCommand.START
-    )
-    world.nmt(0, NmtCommand.ENTER_PRE_OPERATIONAL, 1)
-    world.pass_time(100)
-    starts = [data for can_id, data in world.wires[0].log if can_id == NMT_COB_ID and data == b"\1\1"]
-    assert len(PAUSES_S) <= len(starts) <= len(PAUSES_S) + 100 / LATER_S + 1
-    given_up = [line for line in world.lines if "given up" in line]
-    assert given_up == ["node 1 on bus0 given up after 8 tries: tried again every 60 s"]
-    world.wires[0].loses = None
-    world.pass_time(LATER_S)
-    world.until_whole(HEARTBEAT_S + SOON_S)
-
-
-def test_every_try_is_a_fresh_one_after_a_stable_time(world: World) -> None:
-    for _ in range(len(PAUSES_S)):
-        world.nmt(0, NmtCommand.STOP, 1)
-        world.run(3 * PERIOD_S)
-        world.until_whole(SOON_S)
-        world.gateway.masters[0].nodes[1].trusted_s -= STABLE_S  # the time itself takes long
-        world.run(2 * PERIOD_S)
-
-
-class TestHeartbeatAfterStart:
-    """A heartbeat with the old state, read after the gateway sent NMT start to node 1."""
-
-    def started(self, small: Contract) -> World:
-        """Return a skin whose node 1 on bus0 was stopped by somebody, and is started now."""
-        world = World(small)
-        world.until_whole(2.0)
-        world.nmt(0, NmtCommand.ENTER_PRE_OPERATIONAL, 1)
-        world.run(2 * PERIOD_S)
-        world.until_whole(SOON_S)
-        world.lines.clear()
-        return world
-
-    def beat(self, world: World, after_s: float) -> None:
-        """Let a heartbeat arrive that was on the bus so long after the start."""
-        master = world.gateway.masters[0]
-        beat = frame(HEARTBEAT_BASE + 1, bytes((NmtState.PRE_OPERATIONAL,)))
-        started_ns = master.nodes[1].started_ns
-        beat["time_ns"] = (started_ns or 0) + round(after_s * 1e9)
-        master.take(beat, world.now_s + 1.0)
-
-    def test_no_news_where_it_was_under_way_however_late_it_is_read(self, small: Contract) -> None:
-        world = self.started(small)
-        self.beat(world, 0.2)
-        assert world.gateway.masters[0].nodes[1].trusted
-
-    def test_no_news_before_the_start_was_on_the_bus(self, small: Contract) -> None:
-        world = self.started(small)
-        world.gateway.masters[0].nodes[1].started_ns = None
-        self.beat(world, 0.0)
-        assert world.gateway.masters[0].nodes[1].trusted
-
-    def test_news_later_on_the_bus(self, small: Contract) -> None:
-        world = self.started(small)
-        self.beat(world, 0.4)
-        assert not world.gateway.masters[0].nodes[1].trusted
-
-    def test_news_when_the_start_is_never_on_the_bus(self, small: Contract) -> None:
-        world = self.started(small)
-        world.gateway.masters[0].nodes[1].started_ns = None
-        world.now_s += SILENT_AFTER_S
-        self.beat(world, 0.0)
-        assert not world.gateway.masters[0].nodes[1].trusted
 
 
 def test_gateway_that_starts_over_takes_running_nodes(world: World) -> None:
@@ -297,18 +227,6 @@ def test_node_that_was_without_power_for_long_comes_back_at_once(world: World) -
     wire.loses = None
     world.segments[0].boot(world.now_s)
     world.until_whole(SOON_S)
-
-
-def test_node_that_boots_after_every_start_is_given_up(world: World) -> None:
-    """As a board whose supply breaks down when it begins to measure."""
-    world.gateway.sync.stop()
-    for _ in range(2400):
-        world.step()
-        node = world.segments[0].nodes[0]
-        if node.state is NmtState.OPERATIONAL:
-            node.boot(world.now_s)
-    assert any("node 1 on bus0 given up after 8 tries" in line for line in world.lines)
-    assert len(world.lines) < 3 * (len(PAUSES_S) + 3)
 
 
 def test_command_of_another_master_during_a_proof_is_not_forgotten(world: World) -> None:

@@ -21,7 +21,7 @@ from nodes.sampler import new_sampler
 from nodes.synchronous_segment import SynchronousSegment
 from tests.bus.harness import frame
 from tests.gateway.boards import Board
-from tests.gateway.world import Shaking, Wire
+from tests.gateway.helpers import Shaking, Wire
 from tests.layouts import IDENTITIES, buses, small_contract
 
 STEP_S = 0.005
@@ -197,32 +197,6 @@ def test_the_bus_is_heard_before_anything_is_sent(rate_hz: float, listens_s: flo
     assert [(int(each["can_id"][0]), each["data"][0, :4].tobytes()) for each in sent] == [(0x601, b"\x40\x05\x10\0")]
 
 
-def sync_times(bench: Bench) -> tuple[NodeReport, list[float]]:
-    """Check node 1; return the report, and the times of SYNC."""
-    times_s: list[float] = []
-
-    def look() -> None:
-        if sum(can_id == 0x080 for can_id, _ in bench.wire.log) > len(times_s):
-            times_s.append(bench.now_s)
-
-    return bench.check(look), times_s
-
-
-def test_a_cycle_is_a_period_and_half_a_second_longer_without_its_frames() -> None:
-    bench = Bench(small_contract())
-    report, times_s = sync_times(bench)
-    within = [np.diff(times_s[first : first + 4]) for first in (0, 4, 8)]
-    np.testing.assert_allclose(within, 0.05, atol=0.0051)
-    bench = Bench(small_contract())
-    bench.wire.loses = lambda end, each: end is bench.wire.gateway and each["can_id"] == 0x281
-    report, times_s = sync_times(bench)
-    within = [np.diff(times_s[first : first + 4]) for first in (0, 4, 8)]
-    np.testing.assert_allclose(within, 0.55, atol=0.0051)
-    names = ("zero", "ramp", "full scale")
-    places = [f"test pattern {name}, SYNC {counter}" for name in names for counter in (1, 2, 3, 4)]
-    assert report.differences == [f"{place}: TPDO 2 (281h) came 0 times, expected 1" for place in places]
-
-
 def test_frames_that_are_read_late_are_used_when_they_were_in_time() -> None:
     bench, steps = Bench(small_contract()), itertools.count()
 
@@ -318,12 +292,6 @@ def test_an_object_that_the_board_lacks_differs_and_the_others_are_read() -> Non
     assert (report.objects, report.cycles) == (whole.objects - 1, 12)
 
 
-def test_a_board_without_test_pattern_shows_none() -> None:
-    report = answered(aborts, 0x2021)
-    assert len(report.differences) == 1
-    assert report.cycles == 0
-
-
 def test_objects_of_an_adaptive_board_are_compared_and_no_sync_is_sent(adaptive: Contract) -> None:
     node = adaptive.nodes[0]
     board, answers = Board(adaptive, node), list[Frames]()
@@ -356,14 +324,6 @@ def test_a_test_pattern_that_is_not_taken_differs_and_the_next_is_tried() -> Non
     assert len(report.differences) == 4  # three patterns, and the one that was there
     assert all("2021h:0" in said for said in report.differences)
     assert report.cycles == 0
-
-
-def test_wiring_is_read_from_its_first_element_on() -> None:
-    bench = Bench(small_contract())
-    bench.check()
-    asked = [(int.from_bytes(data[1:3], "little"), data[3]) for can_id, data in bench.wire.log if can_id == 0x601]
-    assert [subindex for index, subindex in asked if index == 0x2003] == list(range(1, 9))
-    assert [subindex for index, subindex in asked if index == 0x2004] == list(range(1, 33))
 
 
 def test_a_check_that_has_asked_nothing_leaves_nothing_to_undo() -> None:

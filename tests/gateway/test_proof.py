@@ -2,6 +2,7 @@
 
 from typing import Any
 
+import numpy as np
 import pytest
 
 from dbc.canopen import HEARTBEAT_BASE, NMT_COB_ID, SDO_REQUEST_BASE, SDO_RESPONSE_BASE, NmtCommand
@@ -22,8 +23,7 @@ from dbc.indices import (
 )
 from gateway.proof import prove
 from gateway.sdo import Read, SdoAbortedError
-from tests.gateway.helpers import little, swap_mapping
-from tests.gateway.world import PERIOD_S, STEP_S, World, valid
+from tests.gateway.helpers import PERIOD_S, STEP_S, World, little, swap_mapping, valid
 from tests.layouts import small_contract
 
 
@@ -144,18 +144,17 @@ def test_counter_overflow_is_set_right_by_way_of_1006h(world: World) -> None:
     assert node.local.unsigned(0x1006) == 50_000
 
 
-class OtherAnswers:
-    """Replaces answers of a node on their way to the gateway."""
+def other_answers(world: World, answers: dict[int, bytes]) -> None:
+    """Replace answers of node 1 of bus 0 on their way to the gateway, by index of the object."""
 
-    def __init__(self, world: World, bus: int, node_id: int, index: int, answer: bytes) -> None:
-        self._wire = world.wires[bus]
-        self._cob_id, self._place, self._answer = SDO_RESPONSE_BASE + node_id, index.to_bytes(2, "little"), answer
-        self._wire.loses = self
-
-    def __call__(self, end: object, each: object) -> bool:
-        if each["can_id"] == self._cob_id and bytes(each["data"][1:3]) == self._place:  # type: ignore[index]
-            each["data"][:8] = tuple(self._answer)  # type: ignore[index]
+    def loses(_end: object, each: np.void) -> bool:
+        if each["can_id"] == SDO_RESPONSE_BASE + 1:
+            answer = answers.get(int.from_bytes(each["data"][1:3].tobytes(), "little"))
+            if answer is not None:
+                each["data"][:8] = tuple(answer)
         return False
+
+    world.wires[0].loses = loses
 
 
 def read_answer(index: int, value: bytes, subindex: int = 0) -> bytes:
@@ -171,6 +170,9 @@ def abort(index: int, code: int, subindex: int = 0) -> bytes:
     return b"\x80" + index.to_bytes(2, "little") + bytes((subindex,)) + little(code)
 
 
+WRONG_SIGNATURE = read_answer(OD_SIGNATURE, little(1))
+
+
 @pytest.mark.parametrize(
     "answer",
     [read_answer(OD_SIGNATURE, little(0)), abort(OD_SIGNATURE, 0x0602_0000)],
@@ -178,7 +180,7 @@ def abort(index: int, code: int, subindex: int = 0) -> bytes:
 )
 def test_board_without_signature_is_read_object_by_object(small: Contract, answer: bytes) -> None:
     world = World(small)
-    OtherAnswers(world, 0, 1, OD_SIGNATURE, answer)
+    other_answers(world, {OD_SIGNATURE: answer})
     world.until_whole(3.0)
     swap_mapping(world, 0, 1)
     check(world, 1.0)
@@ -201,8 +203,7 @@ def test_board_without_signature_is_read_object_by_object(small: Contract, answe
 )
 def test_another_device_is_refused_by_name(small: Contract, index: int, answer: bytes, words: str) -> None:
     world = World(small)
-    world.segments[0].nodes[0]._settings = world.segments[0].nodes[0]._settings[1:]  # so that its signature differs
-    OtherAnswers(world, 0, 1, index, answer)
+    other_answers(world, {OD_SIGNATURE: WRONG_SIGNATURE, index: answer})
     world.run(2.0)
     assert not valid(world.measured[-1])[0]
     assert valid(world.measured[-1])[1:].all()
@@ -247,7 +248,7 @@ def test_board_that_was_built_for_another_skin_is_refused_until_it_is_replaced(
 def test_wrong_signature_of_right_objects_is_refused(small: Contract) -> None:
     """What the electronics do may differ from what the dictionary says."""
     world = World(small)
-    world.sampler._patterns[0] = 3
+    other_answers(world, {OD_SIGNATURE: WRONG_SIGNATURE})
     world.run(2.0)
     assert not valid(world.measured[-1])[0]
     assert "node 1 on bus0 refused: its objects are right, but not their signature (2006h)" in world.lines

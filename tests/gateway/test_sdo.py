@@ -168,18 +168,6 @@ def test_a_dialogue_of_one_attempt_ends_at_the_first_silence_and_at_the_first_ab
         assert isinstance(dialogue.error, SdoTimeoutError)
 
 
-def test_a_dialogue_without_transfers_is_done_at_once() -> None:
-    def steps() -> Generator[Transfer, bytes, int]:
-        return 3
-        yield Read(0x1017)
-
-    far = Far()
-    dialogue = SdoDialogue(5, steps(), far, 0.0)
-    assert (dialogue.done, dialogue.result, dialogue.error) == (True, 3, None)
-    dialogue.tick(9.0)
-    assert far.take() == []
-
-
 def test_transfer_without_end_is_left() -> None:
     dialogue, far = begin(Read(0x1008))
     answer(dialogue, "4108100000000000")

@@ -15,6 +15,7 @@ from canskin.messages import GATEWAY, GatewayStatus, Measurement, Topic
 from dbc.canopen import SYNC_COB_ID
 from dbc.contract import Contract
 from dbc.frame import ECHO, Frames, frames
+from gateway.calibration import GatewayCalibration
 from gateway.collector import Collector
 from gateway.service import GatewayService
 
@@ -217,5 +218,22 @@ def test_status_is_published_five_times_a_second(small: Contract) -> None:
         service.turn()
         clock.now_s += 0.002
     assert len(fabric.statuses) - first in {9, 10}
+    for link in links:
+        link.close()
+
+
+def test_the_calibration_works_when_nothing_is_due_for_four_milliseconds(
+    small: Contract, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clock, spares_s = Clock(), list[float]()
+    links = [Echoing(clock) for _ in small.layout.bus]
+    calibration = GatewayCalibration(small)
+    service = GatewayService(small, dict(enumerate(links)), Fabric(clock), calibration=calibration, clock=clock)
+    monkeypatch.setattr(calibration, "work", lambda: spares_s.append(service.loop.due_s - clock.now_s))
+    while service.loop.sync.sent < 20:
+        service.turn()
+        clock.now_s += 0.001
+    assert len(spares_s) > 200
+    assert min(spares_s) > 0.0039
     for link in links:
         link.close()

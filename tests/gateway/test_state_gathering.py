@@ -171,10 +171,3 @@ def test_missing_and_late_frames_of_a_node_are_those_of_both_states(skin: Skin) 
 def test_a_foreign_sync_is_counted_once_though_two_states_see_it(skin: Skin) -> None:
     skin.take(1, np.concatenate([frame(0x80)] * 3))
     assert [skin.gathering.take_foreign_syncs(bus) for bus in (0, 1, 1)] == [0, 3, 0]
-
-
-def test_measurements_do_not_wait_and_a_foreign_sync_costs_its_cycles(skin: Skin) -> None:
-    assert skin.gathering.may_sleep_until_s == float("-inf")
-    assert skin.gathering.disturbance == "its cycles are not valid"
-    skin.gathering.tick(1e9)
-    assert skin.gathering.measurements(1e9, 0) == []

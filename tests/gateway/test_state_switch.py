@@ -134,27 +134,11 @@ def test_only_the_gateways_own_rpdo_of_the_new_state_counts(skin: Skin, state: i
     assert skin.sync(1.11) == SkinState.RECOGNITION
 
 
-def test_the_rpdo_is_found_among_other_frames(skin: Skin) -> None:
-    skin.switch.ask_images(10.0)
-    skin.tick(1.1)
-    skin.echo(0, IMAGES)
-    old, new = (frame(0xFF, bytes((state,)), ECHO) for state in (RECOGNITION, IMAGES))
-    others = frame(0x181, b"\1\2"), old, new, frame(0x80, b"\1", ECHO)
-    for each in others:
-        skin.switch.take(1, each)
-    assert skin.sync(1.11) == SkinState.IMAGES
-
-
 def test_no_switch_begins_within_a_quarter_of_a_period_of_recognition_before_sync(skin: Skin) -> None:
     skin.switch.ask_images(10.0)
     assert skin.tick(1.1, 1.1024) == []
     assert skin.sync(1.1024) == SkinState.RECOGNITION
     assert skin.tick(1.1, 1.1026) == on_both(IMAGES)
-
-
-def test_a_switch_may_begin_a_quarter_of_a_period_of_recognition_before_sync(skin: Skin) -> None:
-    skin.switch.ask_images(10.0)
-    assert skin.tick(0.0, 0.0025) == on_both(IMAGES)
 
 
 def test_images_end_when_the_longest_request_has_ended(skin: Skin) -> None:
@@ -164,15 +148,6 @@ def test_images_end_when_the_longest_request_has_ended(skin: Skin) -> None:
     assert skin.tick(1.625) == []
     assert skin.tick(1.749) == on_both(IMAGES)
     assert skin.tick(1.75) == on_both(RECOGNITION)
-
-
-def test_a_later_request_that_lasts_longer_counts(skin: Skin) -> None:
-    skin.switch.ask_images(0.25)
-    skin.tick(1.25)
-    skin.switch.ask_images(0.5)
-    skin.tick(1.375)
-    skin.tick(1.874)
-    assert skin.tick(1.875) == on_both(RECOGNITION)
 
 
 # What is told of switches
@@ -199,14 +174,6 @@ def test_a_switch_lasts_from_the_request_to_the_first_complete_image_cycle(skin:
     assert told(skin) == (1, 0.125)
     skin.switch.take_measurement(measured(), 2.25)
     assert told(skin) == (1, 0.125)
-
-
-def test_each_switch_is_counted_and_the_newest_time_is_told(skin: Skin) -> None:
-    for begun_s, takes_s in ((2.0, 0.125), (3.0, 0.25)):
-        skin.to_images(begun_s, hold_s=0.5)
-        skin.switch.take_measurement(measured(), begun_s + takes_s)
-        skin.tick(begun_s + 0.5)
-    assert told(skin) == (2, 0.25)
 
 
 def test_a_switch_counts_from_the_first_of_its_requests(skin: Skin) -> None:

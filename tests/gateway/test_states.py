@@ -22,10 +22,8 @@ from gateway.service import GatewayService
 from gateway.state_switch import REPEAT_S
 from skin.calibration_file import new_calibration
 from tests import messages as make
-from tests.gateway.helpers import two_states
-from tests.gateway.world import EndOfWire, World, valid
+from tests.gateway.helpers import EndOfWire, World, two_states, valid
 
-#: Five SYNCs of recognition in the period of one of images; two nodes of one block on each bus, one has no sum in it.
 FAST_S = 0.01
 
 
@@ -301,32 +299,6 @@ def test_a_zero_is_followed_while_nothing_asks_for_images() -> None:
     assert calibration.status().state is CalibrationState.FOLLOWING
     assert images * period_s < 0.15 * 300
     assert max(errors_n) < 0.1 * 300 * float(np.abs(drift_n_per_s).max())
-
-
-@pytest.mark.heavy
-def test_a_request_that_ended_before_its_images_came_is_not_counted(skin: Skin) -> None:
-    states = skin.gateway.states
-    assert states is not None
-    skin.wires[1].loses = lambda _end, each: 0x180 < int(each["can_id"]) < 0x580
-    skin.ask(0.5)
-    skin.run(1.0)
-    skin.wires[1].loses = None
-    skin.run(2.0)
-    assert (states.switches, states.switch_s) == (0, 0.0)
-    skin.ask(0.5)
-    skin.run(1.0)
-    assert states.switches == 1
-    assert 0.05 < states.switch_s < 0.12
-
-
-def test_images_for_the_zero_are_not_counted_and_a_request_does_not_shorten_another(skin: Skin) -> None:
-    states = skin.gateway.states
-    assert states is not None
-    states.ask_images(0.8, is_counted=False)
-    skin.run(0.3)
-    skin.ask(0.1)
-    assert all(skin.is_image(each) for each in skin.run(0.3))
-    assert states.switches == 0
 
 
 def test_a_sync_that_is_too_late_to_be_sent_does_not_switch(skin: Skin) -> None:

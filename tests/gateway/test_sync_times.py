@@ -112,11 +112,3 @@ def test_the_mean_of_large_times_is_exact(stock_contract: Contract) -> None:
     for bus, later_ns in enumerate((0, 1, 3, 4)):
         times.echo(7, bus, now_ns + later_ns, 0)
     assert times.close(7).mono_ns == now_ns + 2
-
-
-def test_what_comes_of_a_cycle_that_is_not_open_is_passed_over(times: SyncTimes) -> None:
-    times.echo(8, 0, SENT_NS + FRAME_NS, 0)
-    times.answer(8, 0, SENT_NS + FRAME_NS)
-    assert closed(times).bus_ns.tolist() == [0] * BUSES
-    with pytest.raises(KeyError):
-        times.close(7)

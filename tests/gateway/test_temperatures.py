@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calibration.calibrator import Calibrator
 from dbc.canopen import SDO_REQUEST_BASE
 from dbc.indices import OD_TEMPERATURE
 from gateway.calibration import GatewayCalibration
@@ -12,7 +13,7 @@ from gateway.temperatures import PERIOD_S
 from skin.defects import Defects
 from skin.zero_drift import DRIFT_N_PER_K, REST_K, ZeroDrift
 from tests.gateway.boards import BoardWorld, small_adaptive
-from tests.gateway.world import World
+from tests.gateway.helpers import World
 from tests.layouts import buses, small_contract
 
 READ = b"\x40" + OD_TEMPERATURE.to_bytes(2, "little")
@@ -25,7 +26,7 @@ class Warm:
         self.world = world
         self.calibration = GatewayCalibration(world.contract, tares=False)
         self.taken: list[np.ndarray] = []
-        monkeypatch.setattr(self.calibration._calibrator, "take_temperatures", self.taken.append)
+        monkeypatch.setattr(Calibrator, "take_temperatures", lambda _, kelvin: self.taken.append(kelvin))
 
     def run(self, seconds: float) -> np.ndarray:
         until_s = self.world.now_s + seconds

@@ -50,7 +50,7 @@ class Source(Still):
 
 @pytest.fixture
 def boards() -> Ticks:
-    return Ticks(Contract.from_layout(load_layout(Path("adaptive"), adaptive=True)))
+    return Ticks(Contract.from_layout(load_layout(Path("adaptive"))))
 
 
 def test_the_first_turn_takes_a_sample_and_the_next_is_a_millisecond_later(boards: Ticks) -> None:

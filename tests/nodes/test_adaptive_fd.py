@@ -19,7 +19,7 @@ LAW, RULE, NOISE_N2 = companding(0.02, 0.5e-3), SendingRule(), 1e-9
 
 @pytest.fixture(scope="module")
 def contract() -> Contract:
-    return Contract.from_layout(load_layout(Path("adaptive-fd"), adaptive=True))
+    return Contract.from_layout(load_layout(Path("adaptive-fd")))
 
 
 def test_a_node_that_is_started_sends_one_frame_and_then_again_ever_more_rarely(bus: Bus) -> None:

@@ -27,7 +27,7 @@ LOAD = 0x6461_6F6C
 
 @pytest.fixture(scope="module")
 def contract() -> Contract:
-    return Contract.from_layout(load_layout(Path("adaptive"), adaptive=True))
+    return Contract.from_layout(load_layout(Path("adaptive")))
 
 
 def test_groups_that_are_asked_for_are_sent_again(bus: Bus) -> None:

@@ -31,7 +31,7 @@ from tests.nodes.adaptive_bus import (
 
 @pytest.fixture(scope="module")
 def contract() -> Contract:
-    return Contract.from_layout(load_layout(Path("adaptive"), adaptive=True))
+    return Contract.from_layout(load_layout(Path("adaptive")))
 
 
 def test_nodes_filter_before_they_are_started_and_send_nothing(bus: Bus) -> None:

@@ -12,13 +12,13 @@ MS, SECOND = 1_000_000, 1_000_000_000
 @pytest.fixture(scope="module")
 def times() -> SendingTimes:
     """Classic CAN at 1 Mbit/s: every frame of sums lasts 135 µs at most."""
-    made = SendingTimes(Contract.from_layout(load_layout(adaptive=True)), 0)
+    made = SendingTimes(Contract.from_layout(load_layout()), 0)
     made.sync_ns = 5 * SECOND
     return made
 
 
 def test_before_the_first_sync_a_bus_gets_what_fits_and_four_more() -> None:
-    times = SendingTimes(Contract.from_layout(load_layout(adaptive=True)), 0)
+    times = SendingTimes(Contract.from_layout(load_layout()), 0)
     assert times.next(0, 1e6) == (MS, 12)  # 7.4 frames a millisecond
     assert times.next(0, 8 * 135_000.0) == (1_080_000, 12)
     assert times.next(7, 8 * 135_000 + 1.0) == (1_080_008, 13)

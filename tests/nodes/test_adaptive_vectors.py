@@ -29,7 +29,7 @@ BUSES = ["adaptive", "adaptive-fd"]
 
 @cache
 def vectors_of(name: str) -> tuple[Contract, dict[str, Any]]:
-    contract = Contract.from_layout(load_layout(Path(name), adaptive=True))
+    contract = Contract.from_layout(load_layout(Path(name)))
     ((path, text),) = vector_files(contract).items()
     assert path == "vectors/bus0-001.json"
     return contract, json.loads(text)

@@ -104,7 +104,7 @@ def test_frames_of_every_bus_are_answered_and_counted(contract: Contract, links:
 
 
 def test_adaptive_nodes_turn_once_for_each_sample(links: dict[int, ReadyLink]) -> None:
-    contract = Contract.from_layout(load_layout(Path("adaptive"), adaptive=True))
+    contract = Contract.from_layout(load_layout(Path("adaptive")))
     now_s = 100.0
     published = Published()
     blocks = [contract.on_bus(bus)[0].block for bus in links]
@@ -153,7 +153,7 @@ class StopAfter:
 
 
 def test_last_echoes_are_read_before_the_last_status(links: dict[int, ReadyLink]) -> None:
-    contract = Contract.from_layout(load_layout(Path("adaptive"), adaptive=True))
+    contract = Contract.from_layout(load_layout(Path("adaptive")))
     now_s, published = 100.0, Published()
     block = contract.on_bus(0)[0].block
     boards = AdaptiveBoards(contract, [block], Still(contract))

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from canskin.errors import InputError
-from reconstructor.adaptive import AdaptiveReconstructor
+from reconstructor.adaptive import AdaptiveImager
 from reconstructor.walsh import WalshReconstructor
 from skin.measured_sums import AdaptiveSums, decode_adaptive
 from skin.psnr import decibels
@@ -73,19 +73,19 @@ def test_filling_beats_zeros(
 
 
 def shown(sums: AdaptiveSums) -> np.ndarray:
-    solver = AdaptiveReconstructor(ADAPTIVE_SKIN)
+    solver = AdaptiveImager(ADAPTIVE_SKIN)
     for _ in range(SETTLING):
-        image = solver.solve(sums)
+        image = solver.solve(sums)[0]
     return image
 
 
 def test_with_every_sum_it_is_the_image_of_the_evaluation() -> None:
     sums = sums_of(touches()[0])
-    plain, service = WalshReconstructor(ADAPTIVE_SKIN.patches(), 64, 64, 1e-3), AdaptiveReconstructor(ADAPTIVE_SKIN)
+    plain, service = WalshReconstructor(ADAPTIVE_SKIN.patches(), 64, 64, 1e-3), AdaptiveImager(ADAPTIVE_SKIN)
     sums_n = (sums.counts.astype(np.float32) * np.float32(COUNT_N)).reshape(BLOCKS, SIZE)
     grouped = np.ascontiguousarray(sums_n[:, grouped_rows(SIZE).ravel()])
     for _ in range(3):
-        np.testing.assert_array_equal(service.solve(sums), plain.solve(grouped))
+        np.testing.assert_array_equal(service.solve(sums)[0], plain.solve(grouped))
 
 
 def test_known_sums_are_kept() -> None:
@@ -102,23 +102,23 @@ def test_known_sums_are_kept() -> None:
 
 
 def test_old_forces_vanish_within_a_few_images() -> None:
-    known, solver = dead(0.2), AdaptiveReconstructor(ADAPTIVE_SKIN)
+    known, solver = dead(0.2), AdaptiveImager(ADAPTIVE_SKIN)
     for _ in range(SETTLING):
         solver.solve(sums_of(np.full(4096, 0.015), known))
     for _ in range(SETTLING):
-        image = solver.solve(sums_of(np.zeros(4096), known))
+        image = solver.solve(sums_of(np.zeros(4096), known))[0]
     # What is left is less than a tenth of the sensor's noise.
     assert image.max() < 1e-4
 
 
 def test_a_dead_skin_shows_nothing() -> None:
-    solver = AdaptiveReconstructor(ADAPTIVE_SKIN)
+    solver = AdaptiveImager(ADAPTIVE_SKIN)
     solver.solve(sums_of(touches()[0]))
     nothing = np.zeros((BLOCKS, SIZE), np.bool_)
-    assert not solver.solve(sums_of(touches()[0], nothing)).any()
+    assert not solver.solve(sums_of(touches()[0], nothing))[0].any()
     # One known patch says nothing of forces at the other end of the skin.
     nothing[0] = True
-    image = solver.solve(sums_of(np.full(4096, 0.01), nothing))
+    image = solver.solve(sums_of(np.full(4096, 0.01), nothing))[0]
     assert image[0, 0] > 0.005
     assert image[-16:, -16:].max() < 1e-3
 

@@ -10,17 +10,17 @@ import pytest
 from canskin.errors import InputError
 from canskin.fabric import Mailbox
 from canskin.messages import IMAGE, Image, Topic
-from reconstructor.command import load_gains
-from reconstructor.engine import Reconstructor
 from reconstructor.gains import GainCorrection, KnownGains
+from reconstructor.imaging import CycleImager, load_gains, make_imager
 from reconstructor.service import ReconstructorService
 from skin.calibration_file import encoded, new_calibration
 from skin.defects import Defects, Stage, SumGains
 from skin.frontend import with_gains
-from skin.layout import load_layout
+from skin.layout import Sampling, load_layout
 from skin.psnr import psnr_db
 from tests.reconstructor.helpers import LAYOUT, measurement
 
+SAMPLED_ONCE = msgspec.structs.replace(LAYOUT, sampling=Sampling())
 SHAPE = (LAYOUT.taxels.rows, LAYOUT.taxels.columns)
 GAINS = np.random.default_rng(1).normal(1, 0.1, SHAPE).clip(0.5)
 
@@ -44,7 +44,7 @@ class Images:
 def psnr_of_a_slide(gains: np.ndarray, known: np.ndarray | None) -> float:
     images = Images()
     taken_off = None if known is None else KnownGains(known)
-    service = ReconstructorService(LAYOUT, Reconstructor(LAYOUT.phi(), *SHAPE), images, gains=taken_off)
+    service = ReconstructorService(LAYOUT, CycleImager(SAMPLED_ONCE, gains=taken_off), images)
     i, j = np.indices(SHAPE)
     for cycle in range(20):
         true_n = (0.012 * np.exp(-((i - 30) ** 2 + (j - 20 - cycle / 2) ** 2) / 30)).astype(np.float32)
@@ -63,15 +63,13 @@ def test_gains_come_from_a_calibration(tmp_path: Path) -> None:
     path = tmp_path / "gains.json"
     path.write_bytes(encoded(new_calibration(LAYOUT, gains=GAINS.ravel())))
     loaded = load_gains(path, LAYOUT)
-    assert loaded is not None
     np.testing.assert_array_equal(loaded.taxels, GAINS.ravel())
     assert loaded.sums is None
-    assert load_gains(None, LAYOUT) is None
     path.write_bytes(encoded(new_calibration(LAYOUT, offsets_n=np.zeros(LAYOUT.measurement.sums))))
     with pytest.raises(InputError, match="has no gains of taxels"):
         load_gains(path, LAYOUT)
     with pytest.raises(InputError, match="synchronous"):
-        load_gains(path, load_layout(Path("adaptive"), adaptive=True))
+        make_imager(load_layout(Path("adaptive")), gains=path)
 
 
 def test_known_gains_of_analogue_sums_are_taken_off() -> None:
@@ -95,8 +93,8 @@ def test_dead_analogue_sums_have_no_part_in_the_image() -> None:
     of_sums.differential[[other, total]] = 0.01, 0.5  # as a roll finds them: of the row of all ones D + C alone
     of_sums.common_mode[total] = -0.5
     images = Images()
-    engine = Reconstructor(phi, *SHAPE)
-    service = ReconstructorService(LAYOUT, engine, images, gains=KnownGains(np.ones(phi.shape[1]), of_sums))
+    imager = CycleImager(SAMPLED_ONCE, gains=KnownGains(np.ones(phi.shape[1]), of_sums))
+    service = ReconstructorService(LAYOUT, imager, images)
     for cycle in range(20):
         counts = np.rint(random.normal(0, 1, phi.shape[0])).astype("<i4")
         made = measurement(cycle, np.zeros(SHAPE, np.float32))

@@ -17,9 +17,8 @@ from canskin.errors import InputError
 from canskin.fabric import Fabric
 from canskin.messages import CONTACTS, IMAGE, MEASUREMENT, Contacts, Image, Measurement
 from reconstructor import command
-from reconstructor.adaptive import AdaptiveReconstructor
-from reconstructor.command import make_engine
 from reconstructor.engine import Reconstructor
+from reconstructor.imaging import make_imager
 from reconstructor.options import SolverOptions
 from reconstructor.service import ReconstructorService
 from skin.layout import load_layout
@@ -40,9 +39,9 @@ def hub(endpoint: str) -> Iterator[Fabric]:
 @pytest.fixture
 def service(hub: Fabric, endpoint: str) -> Iterator[ReconstructorService]:
     fabric = Fabric(LAYOUT.name, "reconstructor", endpoint)
-    engine = Reconstructor(LAYOUT.phi(), LAYOUT.taxels.rows, LAYOUT.taxels.columns)
-    engine.warm_up()
-    made = ReconstructorService(LAYOUT, engine, fabric)
+    imager = make_imager(LAYOUT)
+    imager.warm_up()
+    made = ReconstructorService(LAYOUT, imager, fabric)
     stop = StopSignal()
     thread = threading.Thread(target=made.run, args=(stop,))
     thread.start()
@@ -84,8 +83,7 @@ def test_images_of_fewer_sums_than_blocks_let_other_services_go_first(
     layout = msgspec.structs.replace(LAYOUT, measurement=msgspec.structs.replace(LAYOUT.measurement, sums=sums))
     stop = StopSignal()
     stop.set()
-    engine = Reconstructor(layout.phi(), layout.taxels.rows, layout.taxels.columns)
-    ReconstructorService(layout, engine, hub).run(stop)
+    ReconstructorService(layout, make_imager(layout), hub).run(stop)
     assert asked == [goes_first]
 
 
@@ -190,7 +188,7 @@ def test_adaptive_sums_give_an_image_of_what_is_known(hub: Fabric, endpoint: str
     images: queue.Queue[Image] = queue.Queue()
     fabric.publish = lambda topic, image: images.put(image) if topic is IMAGE else None  # type: ignore[method-assign]
     layout = ADAPTIVE_SKIN
-    service = ReconstructorService(layout, AdaptiveReconstructor(layout), fabric)
+    service = ReconstructorService(layout, make_imager(layout), fabric)
     try:
         known = np.ones((128, 32), np.bool_)
         known[40], known[50, 7] = False, False
@@ -218,7 +216,7 @@ def test_adaptive_sums_give_an_image_of_what_is_known(hub: Fabric, endpoint: str
 
 def test_unclipped_noise_has_no_bias_to_correct() -> None:
     with pytest.raises(InputError, match="--noise-n is for taxels that are clipped"):
-        make_engine(load_layout(Path("analogue")), SolverOptions(noise_n=1e-3))
+        make_imager(load_layout(Path("analogue")), SolverOptions(noise_n=1e-3))
 
 
 @pytest.mark.heavy
@@ -259,7 +257,7 @@ def test_a_long_start_says_why(
     monkeypatch.setattr(command, "SILENT_S", 0.0)
     monkeypatch.setattr(command, "say", tell)
     monkeypatch.setattr(command.StopSignal, "install", lambda stop: stop)
-    monkeypatch.setattr(command.Reconstructor, "warm_up", lambda _: said.wait(10))
+    monkeypatch.setattr(Reconstructor, "warm_up", lambda _: said.wait(10))
     monkeypatch.setattr(command.ReconstructorService, "run", lambda *_: None)
     command.reconstruct(connect=endpoint)
     first, ready = capfd.readouterr().out.splitlines()

@@ -3,7 +3,6 @@
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import numpy as np
 import pytest
 
@@ -20,5 +19,5 @@ def pixels(cycle: int) -> np.ndarray:
 
 
 def messages(path: Path, topic: Topic) -> list[Any]:
-    decode = msgspec.msgpack.Decoder(topic.message).decode
+    decode = topic.decoder()
     return [decode(entry.data) for entry in read_entries(path, pytest.fail) if entry.topic == topic.name]

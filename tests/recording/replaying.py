@@ -7,7 +7,7 @@ from canskin.fabric import Exchange
 from canskin.messages import Label, Measurement
 from classifier.service import ClassifierService
 from dbc.contract import Contract
-from reconstructor.command import make_engine
+from reconstructor.imaging import make_imager
 from recording.replaying import Replay, SinkOutput
 from recording.sinks import McapSink
 from recording.steps import steps_of
@@ -27,9 +27,9 @@ class Silent(ClassifierService):
 
 def replay(source: Path, out: Path, offset_ns: int, layout: Path) -> Replay:
     """Replay a recording or a log into a new recording."""
-    skin = load_layout(layout, adaptive=True)
+    skin = load_layout(layout)
     contract = Contract.from_layout(skin)
-    solver = make_engine(skin, None)[0]
+    solver = make_imager(skin)
     sink = McapSink(out, contract, 1, offset_ns)
     replayed = Replay(skin, solver, Silent, [SinkOutput(sink)], sink=sink, offset_ns=offset_ns)
     names = [bus.name for bus in skin.bus]

@@ -18,7 +18,8 @@ def test_a_replay_that_made_no_measurement_leaves_no_file(
     contract: Contract, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # A model takes long to train, and nothing is classified here.
-    monkeypatch.setattr(replay_command, "_classifier_maker", lambda *_: lambda _exchange: None)
+    monkeypatch.setattr(replay_command, "find_or_train", lambda *_: None)
+    monkeypatch.setattr(replay_command, "Classifier", lambda *_: None)
     empty, out = tmp_path / "empty.mcap", tmp_path / "new.mcap"
     McapSink(empty, contract, 1, OFFSET_NS).close()
     with pytest.raises(InputError, match="nothing to play"):

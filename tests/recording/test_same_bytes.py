@@ -13,13 +13,12 @@ from canskin.fabric import Mailbox
 from canskin.messages import IMAGE, MEASUREMENT, Image, Measurement, Topic
 from dbc.canopen import NmtCommand
 from dbc.frame import ECHO, Frames
-from reconstructor.command import make_engine
+from reconstructor.imaging import make_imager
 from reconstructor.service import ReconstructorService
 from recording.sinks import open_sink
 from skin.layout import layout_text
 from tests.gateway.boards import BoardWorld, small_adaptive
-from tests.gateway.helpers import Losing
-from tests.gateway.world import PERIOD_S, EndOfWire, World
+from tests.gateway.helpers import PERIOD_S, EndOfWire, Losing, World
 from tests.layouts import small_contract
 from tests.recording.conftest import OFFSET_NS
 from tests.recording.helpers import messages
@@ -56,7 +55,7 @@ class Recorded:
         self._world, skin = world, world.contract.layout
         self.sinks = [open_sink(path, world.contract, 1, OFFSET_NS) for path in files]
         self._seen = [Seen(wire.gateway, frame_ns) for wire in world.wires]
-        self._service = ReconstructorService(skin, make_engine(skin, None)[0], self, clock_ns=lambda: 7)
+        self._service = ReconstructorService(skin, make_imager(skin), self, clock_ns=lambda: 7)
         self.is_on = True
 
     @property

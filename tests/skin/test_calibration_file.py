@@ -10,7 +10,7 @@ import pytest
 from canskin.errors import InputError
 from skin.calibration_file import encoded, load_calibration, new_calibration
 from skin.defects import SumGains
-from tests.calibration.skins import LAYOUT, PHI
+from tests.calibration.helpers import LAYOUT, PHI
 
 
 def test_a_file_holds_what_was_stored(tmp_path: Path) -> None:

@@ -46,7 +46,7 @@ def times_ms(found: list[tuple[Image, Truth]]) -> list[tuple[float, float]]:
 def test_each_way_of_sending_has_its_pairs() -> None:
     assert isinstance(image_pairs(load_layout()), Pairing)
     assert isinstance(label_pairs(load_layout()), Pairing)
-    adaptive = load_layout(Path("adaptive"), adaptive=True)
+    adaptive = load_layout(Path("adaptive"))
     assert isinstance(image_pairs(adaptive), ShownImages)
     assert isinstance(label_pairs(adaptive), NearestTruths)
 

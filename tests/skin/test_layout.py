@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import skin.layouts
-from canskin.errors import LayoutError
+from canskin.errors import InputError, LayoutError
 from skin.layout import (
     SHIPPED,
     Bus,
@@ -21,6 +21,7 @@ from skin.layout import (
     layout_text,
     load_layout,
     parse_layout,
+    require_sending,
     validated,
 )
 
@@ -179,9 +180,15 @@ def test_broken_files_are_layout_errors(content: bytes) -> None:
         parse_layout(content, "palm.toml")
 
 
+def test_what_is_for_one_way_of_sending_refuses_the_other() -> None:
+    require_sending(load_layout(), "synchronous", "a verb is", "no reason")
+    with pytest.raises(InputError, match="a verb is for synchronous sending: the reason"):
+        require_sending(load_layout(Path("adaptive")), "synchronous", "a verb is", "the reason")
+
+
 @pytest.mark.parametrize("name", SHIPPED)
 def test_shipped_layouts_are_known_by_their_names(name: str) -> None:
-    layout = load_layout(Path(name), adaptive=True)
+    layout = load_layout(Path(name))
     phi, default = layout.phi(), load_layout().phi()
     assert (phi.order == default.order).all() == (layout.sending == "synchronous")
     assert (phi.fingerprint == default.fingerprint) == (layout.measurement.sums == 1024)
@@ -281,7 +288,7 @@ def test_a_shipped_name_is_no_folder_of_that_name(tmp_path: Path, monkeypatch: p
 
 @pytest.mark.parametrize("name", SHIPPED)
 def test_the_text_of_a_layout_is_read_as_the_same_layout(name: str) -> None:
-    layout = load_layout(Path(name), adaptive=True)
+    layout = load_layout(Path(name))
     assert parse_layout(layout_text(layout).encode(), name) == validated(layout) == layout
 
 

@@ -27,7 +27,7 @@ LAST_S = 1.0
 
 
 def messages(path: Path, topic: Topic) -> list[Any]:
-    decode = msgspec.msgpack.Decoder(topic.message).decode
+    decode = topic.decoder()
     return [decode(entry.data) for entry in read_entries(path, lambda _: None) if entry.topic == topic.name]
 
 

@@ -22,7 +22,7 @@ from websockets.sync.client import connect
 from canskin.fabric import Fabric, Mailbox
 from canskin.messages import IMAGE, LABEL, TRUTH, Image, Label, Measurement, NmtState, Topic, Truth
 from demo.score import Score
-from reconstructor.command import make_engine
+from reconstructor.imaging import make_imager
 from reconstructor.service import ReconstructorService
 from skin.layout import load_layout
 from tests.layouts import slow_layout
@@ -199,7 +199,7 @@ def test_images_are_those_of_the_measurements_bit_for_bit(run: Run) -> None:
     """From the first image on: each depends on those before."""
     measurements = {each.sampled_mono_ns: each for each in run.chain.measurements}
     kept, layout = Kept(), run.chain.layout
-    service = ReconstructorService(layout, make_engine(layout, None)[0], kept)
+    service = ReconstructorService(layout, make_imager(layout), kept)
     assert [image.number for image in run.images] == list(range(1, len(run.images) + 1))
     for image in run.images:
         service.take(measurements[image.sampled_mono_ns])

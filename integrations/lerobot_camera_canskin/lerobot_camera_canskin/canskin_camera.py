@@ -198,7 +198,7 @@ class CanskinCamera(Camera):
             )
         self.height, self.width = height, width
         self._force_max_n = self.config.force_max_n or layout.force_max_n
-        if self.fps and layout.sending == "synchronous" and window * self.fps < layout.rate_hz:
+        if self.fps and layout.in_cycles and window * self.fps < layout.rate_hz:
             _log.warning(
                 "%s: %d images/s of %d frames hold less than the skin's %g cycles/s: window=%d holds all",
                 *(self, self.fps, window, layout.rate_hz, -(-layout.rate_hz // self.fps)),

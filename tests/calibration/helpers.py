@@ -15,7 +15,8 @@ from calibration.windows import Window
 from calibration.zero import Zero
 from canskin.calibration_messages import CalibrationState, ZeroSupport
 from canskin.messages import Measurement
-from skin.layout import Layout, Sync, load_layout, parse_layout
+from skin.layout import Layout, Sync, load_layout
+from tests.layouts import small_layout
 
 LAYOUT = msgspec.structs.replace(load_layout(), sync=Sync(rate_hz=40.0))
 PHI = LAYOUT.phi()
@@ -26,8 +27,7 @@ NOISE_N = 0.05e-3
 END_CODE = 16000
 Floats = npt.NDArray[np.float64]
 #: A small skin whose boards average, so they undo the bias of clipping; its offsets in counts, which are like no touch.
-SMALL_SKIN = b"[taxels]\nrows = 32\ncolumns = 32\n[sync]\nrate_hz = 40.0\n"
-SMALL = parse_layout(SMALL_SKIN + b"[sampling]\nrate_hz = 1000.0", "test")
+SMALL = small_layout(32, 32, sync={"rate_hz": 40.0}, sampling={"rate_hz": 1000.0})
 SMALL_PHI = SMALL.phi()
 SMALL_SUMS, SMALL_COUNT_N = SMALL_PHI.shape[0], SMALL.taxels.newton_per_count
 Counts = npt.NDArray[np.int32]

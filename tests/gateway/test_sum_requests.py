@@ -1,4 +1,4 @@
-"""Whom the gateway asks for what, and when; with a master that keeps the questions."""
+"""Requests to adaptive nodes: groups again at growing pauses, few nodes at a time, and their noise in turn."""
 
 from types import SimpleNamespace
 from typing import Any, cast
@@ -6,9 +6,12 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
+from canskin.messages import BlockState
+from dbc.canopen import SDO_RESPONSE_BASE
 from gateway.nmt_master import NmtMaster
 from gateway.sdo import Dialogue, Read, SdoDialogue, Transfer, Write
 from gateway.sum_requests import SumRequests
+from tests.gateway.boards import BoardWorld, at_rest, lose, states
 
 GROUPS = 0x2030
 NOISE = 0x2035
@@ -54,18 +57,20 @@ class Skin:
         )
         self.unknown, self.doubtful = np.zeros(6, np.uint8), np.zeros(6, np.uint8)
 
-    def tick(self, now_s: float, *, answered: bool = True) -> list[tuple[int, Transfer]]:
+    def tick(self, now_s: float, *, answered: bool = True, index: int = GROUPS) -> list[tuple[int, Transfer]]:
+        """Return what was asked for an object."""
         self.sum_requests.tick(now_s, self.unknown, self.doubtful)
         if answered:
             for node in self.master.nodes.values():
                 node.errand = None
-        return self.master.taken()
+        return [each for each in self.master.taken() if each[1].index == index]
+
+    def noise_asked(self, now_s: float) -> list[tuple[int, Transfer]]:
+        return self.tick(now_s, index=NOISE)
 
     def proven(self, *nodes: int, now_s: float = 0.0) -> None:
-        """Prove nodes, whose noise is known."""
         for node in nodes:
             self.sum_requests.proven(node, now_s)
-            self.sum_requests._noise_s[node] = np.inf
 
 
 def groups(node_id: int, bits: int) -> tuple[int, Write]:
@@ -182,18 +187,18 @@ def noise(node_id: int) -> tuple[int, Read]:
 def test_noise_is_read_after_the_proof_and_every_ten_seconds_one_node_in_a_tick(skin: Skin) -> None:
     skin.sum_requests.proven(1, 0.0)
     skin.sum_requests.proven(4, 0.0)
-    assert [skin.tick(now_s) for now_s in (0.0, 0.02, 0.04)] == [[noise(12)], [noise(15)], []]
-    assert skin.tick(9.99) == []
-    assert [skin.tick(now_s) for now_s in (10.0, 10.02, 10.04)] == [[noise(12)], [noise(15)], []]
+    assert [skin.noise_asked(now_s) for now_s in (0.0, 0.02, 0.04)] == [[noise(12)], [noise(15)], []]
+    assert skin.noise_asked(9.99) == []
+    assert [skin.noise_asked(now_s) for now_s in (10.0, 10.02, 10.04)] == [[noise(12)], [noise(15)], []]
 
 
 def test_noise_of_a_busy_node_is_tried_again_after_a_second(skin: Skin) -> None:
     skin.sum_requests.proven(1, 0.0)
     skin.master.busy = {12}
-    assert skin.tick(0.0) == []
+    assert skin.noise_asked(0.0) == []
     skin.master.busy.clear()
-    assert skin.tick(0.99) == []
-    assert skin.tick(1.0) == [noise(12)]
+    assert skin.noise_asked(0.99) == []
+    assert skin.noise_asked(1.0) == [noise(12)]
 
 
 @pytest.mark.parametrize(
@@ -220,4 +225,21 @@ def test_noise_is_a_number_above_zero(skin: Skin, data: str, noise_n: list[float
 def test_a_node_that_is_lost_is_not_asked_for_its_noise(skin: Skin) -> None:
     skin.sum_requests.proven(3, 0.0)
     skin.sum_requests.lost(3)
-    assert skin.tick(50.0) == []
+    assert skin.noise_asked(50.0) == []
+
+
+# In the company of boards
+
+
+def test_lost_answers_do_not_block_the_proof(boards: BoardWorld) -> None:
+    at_rest(boards)
+    wire, refresh = boards.wires[0], GROUPS.to_bytes(2, "little")
+    wire.loses = lambda end, each: bool(
+        end is wire.gateway and each["can_id"] == SDO_RESPONSE_BASE + 2 and each["data"][1:3].tobytes() == refresh
+    )
+    boards.boards[1].speaks = False
+    lose(boards, 0)
+    boards.run(8.0)
+    assert boards.gateway.masters[0].nodes[2].in_use
+    assert states(boards.measured[-1])[1] == BlockState.STALE
+    assert not boards.lines

@@ -1,0 +1,86 @@
+"""Which sums the classifier uses, and what noise is in them: sums of cycles, or the coarse ones of adaptive boards."""
+
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from classifier.features import Float32
+from skin.layout import Layout
+from skin.measurement import Sbhe
+from skin.walsh import grouped_rows
+
+#: What nodes that average leave of the noise: less where a touch rests, more where a touch moves.
+AVERAGED_NOISE_RATIO: Final = 0.2
+#: What adaptive nodes leave of it where they are touched, the rounding of their codes included: 0.21 to 0.27 on a ball
+#: at rest, a sliding box and five fingertips of `skin evaluate rivals`. Nodes that nothing touches
+#: show 0.
+ADAPTIVE_NOISE_RATIO: Final = 0.25
+
+
+class CycleSums:
+    """The sums of a cycle: all, or those of recognition."""
+
+    #: See `classifier.features.Smoothed`.
+    means = False
+
+    def phi(self, layout: Layout) -> Sbhe:
+        """Return the Φ of these sums."""
+        return layout.recognising().phi()
+
+    def noise_ratio(self, layout: Layout) -> float:
+        """Return which part of the noise the boards leave."""
+        return 1.0 if layout.samples_per_sync == 1 else AVERAGED_NOISE_RATIO
+
+    def silence(self, signal_n: Float32, true_n: Float32, least_n: Float32, phi: Sbhe) -> None:
+        """Do nothing: these boards send noise as it is."""
+
+
+class CoarseSums:
+    """Of adaptive sums group 0 of each block: the sums that show means of 2 x 2 taxels."""
+
+    means = True
+
+    def phi(self, layout: Layout) -> Sbhe:
+        """See `CycleSums`."""
+        phi = layout.phi()
+        kept = np.zeros_like(phi.kept)
+        kept[:, grouped_rows(phi.block_size)[0]] = True
+        return Sbhe(phi.order, kept)
+
+    def noise_ratio(self, _layout: Layout) -> float:
+        """See `CycleSums`."""
+        return ADAPTIVE_NOISE_RATIO
+
+    def silence(self, signal_n: Float32, true_n: Float32, least_n: Float32, phi: Sbhe) -> None:
+        """Set what boards do not send to 0: noise, and all of a block that nothing touches.
+
+        A skin that nothing touches has noise everywhere, so that a stray value of one node is no contact.
+
+        Parameters
+        ----------
+        signal_n, true_n : array of float32, shape (count, n)
+            Forces with and without noise, newtons.
+        least_n : array of float32, shape (count, 1)
+            What is below counts as noise.
+        phi : Sbhe
+        """
+        signal_n[(signal_n < least_n) | _beside(true_n > least_n, phi)] = 0
+
+
+#: By the way of sending.
+USED_SUMS: Final[dict[str, CycleSums | CoarseSums]] = {"synchronous": CycleSums(), "adaptive": CoarseSums()}
+
+
+def classified_phi(layout: Layout) -> Sbhe:
+    """Return the Φ of the sums that the classifier uses."""
+    return USED_SUMS[layout.sending].phi(layout)
+
+
+def _beside(is_touched: npt.NDArray[np.bool_], phi: Sbhe) -> npt.NDArray[np.bool_]:
+    """Return which taxels are of a block that nothing touches, while something touches another block."""
+    blocks = np.any(is_touched[:, phi.taxels_of_blocks], axis=2)
+    somewhere = np.any(blocks, axis=1, keepdims=True)
+    found = np.empty_like(is_touched)
+    found[:, phi.order] = np.repeat(~blocks & somewhere, phi.block_size, axis=1)
+    return found

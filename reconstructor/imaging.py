@@ -1,0 +1,114 @@
+"""Images of measurements: of one cycle after another, or of the newest adaptive sums."""
+
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from canskin.errors import InputError
+from reconstructor.adaptive import AdaptiveImager
+from reconstructor.engine import Reconstructor
+from reconstructor.gains import GainCorrection, KnownGains
+from reconstructor.options import SolverOptions
+from skin.calibration_file import load_calibration
+from skin.layout import Layout, require_sending
+from skin.measured_sums import MeasuredSums, decode_measurement
+
+
+class CycleImager:
+    """Images of cycles.
+
+    Parameters
+    ----------
+    layout : Layout
+    options : SolverOptions, optional
+    gains : KnownGains, optional
+        Of taxels and sums: they are taken off.
+
+    Raises
+    ------
+    InputError
+        If the options do not fit the skin.
+
+    Attributes
+    ----------
+    about : str
+        Words for the log.
+    depth : int
+        Most measurements that wait during a solve; a longer queue would only make images older.
+    decode : callable
+        Decodes a measurement.
+    """
+
+    depth = 4
+    decode = staticmethod(decode_measurement)
+
+    def __init__(self, layout: Layout, options: SolverOptions | None = None, gains: KnownGains | None = None) -> None:
+        chosen, phi, taxels = options or SolverOptions(), layout.phi(), layout.taxels
+        settings = chosen.settings()
+        basis = f", basis {settings.prior}" if chosen.basis else ""
+        self.about = f"{settings.iterations} iterations{basis}"
+        self._solver = Reconstructor(
+            phi,
+            taxels.rows,
+            taxels.columns,
+            settings,
+            noise_n=chosen.clipped_noise_n(layout),
+            samples=layout.samples_per_sync,
+        )
+        self.warm_up = self._solver.warm_up
+        self._newton_per_count = np.float32(taxels.newton_per_count)
+        self._gains = None if gains is None else GainCorrection(phi, gains)
+
+    def solve(self, sums: MeasuredSums) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.bool_]]:
+        """Return the image, float32, shape (rows, columns), newtons; and which sums it is made from, shape (m,)."""
+        sums_n = np.multiply(sums.counts, self._newton_per_count, dtype=np.float32)
+        if self._gains is None:
+            return self._solver.solve(sums_n, sums.valid_sums), sums.valid_sums
+        sums_n, valid_sums = self._gains.apply(sums_n, sums.valid_sums)
+        image = self._solver.solve(sums_n, valid_sums)
+        self._gains.keep(image)
+        return image, valid_sums
+
+
+#: What makes the images of a skin.
+Imager = CycleImager | AdaptiveImager
+
+
+def make_imager(layout: Layout, options: SolverOptions | None = None, gains: Path | None = None) -> Imager:
+    """Return what makes the images of a skin.
+
+    Parameters
+    ----------
+    layout : Layout
+    options : SolverOptions, optional
+    gains : pathlib.Path, optional
+        File of ``skin calibration gain``.
+
+    Raises
+    ------
+    InputError
+        If an option or the gains do not fit the skin.
+    """
+    if layout.sends.in_cycles:
+        return CycleImager(layout, options, None if gains is None else load_gains(gains, layout))
+    if options is not None:
+        flags = "--solver, --iterations, --basis, --penalty-n and --noise-n are"
+        require_sending(layout, "synchronous", flags, "adaptive sums have a solver of their own; leave them out")
+    if gains is not None:
+        require_sending(layout, "synchronous", "--gains is", "write gains to adaptive boards (2010h)")
+    return AdaptiveImager(layout)
+
+
+def load_gains(path: Path, layout: Layout) -> KnownGains:
+    """Return the gains in a file.
+
+    Raises
+    ------
+    InputError
+        If the file has none.
+    """
+    stored = load_calibration(path, layout)
+    if not stored.gains:
+        raise InputError(f"{path}: has no gains of taxels: expected a file of 'skin calibration gain'")
+    return KnownGains(np.array(stored.gains), stored.sum_gains())
