@@ -18,8 +18,7 @@ from canskin.errors import InputError
 from dbc.canopen import EXTENDED_ID_MASK
 from dbc.frame import Frames, frames
 from dbc.stored_frames import from_bytes
-from skin.layout import Layout
-from skin.output import RECORDING_SUFFIX
+from skin.layout import RECORDING_SUFFIX, Layout
 
 #: Largest time stamp, seconds since the epoch: in 2261, a year before nanoseconds end that 64 bits hold.
 _LATEST_S: Final = 9.2e9

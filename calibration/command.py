@@ -25,10 +25,9 @@ from skin.calibration_file import (
     load_calibration,
     most_offset_n,
     parse_calibration,
-    save_calibration,
 )
 from skin.layout import Layout, load_layout
-from skin.output import check_output_path
+from skin.output import check_output_path, write_file
 from skin.service import say
 from skin.terminal import Json, print_json, print_table
 
@@ -165,7 +164,7 @@ def _gateways(skin: Layout, connect: str) -> tuple[StoredCalibration, Calibratio
 
 
 def _save(skin: Layout, path: Path, stored: StoredCalibration) -> None:
-    save_calibration(path, stored)
+    write_file(path, encoded(stored))
     say("calibration", ": ".join(filter(None, (str(path), _words(stored), _beyond(skin, stored)))))
 
 

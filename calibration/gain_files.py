@@ -11,10 +11,9 @@ from canskin.errors import InputError, RunError
 from canskin.messages import IMAGE, MEASUREMENT
 from skin.calibration_file import LEAST_GAIN, MOST_GAIN, StoredCalibration, load_calibration, new_calibration
 from skin.frontend import LEAST_FELT
-from skin.layout import Layout, require_sending
-from skin.mcap_file import message_decoder, read_entries
+from skin.layout import RECORDING_SUFFIX, Layout, require_sending
+from skin.mcap_file import read_messages
 from skin.measured_sums import decode_measurement
-from skin.output import RECORDING_SUFFIX
 from skin.service import say
 
 
@@ -93,14 +92,10 @@ def _rolled(skin: Layout, path: Path) -> tuple[Floats, npt.NDArray[np.float32]]:
     phi, taxels = skin.phi(), skin.taxels
     measured: dict[tuple[int, int], npt.NDArray[np.int32]] = {}
     images: dict[tuple[int, int], bytes] = {}
-    decoders = {topic.name: message_decoder(path, topic) for topic in (MEASUREMENT, IMAGE)}
     has_zero = True
-    for entry in read_entries(path, lambda line: say("calibration", line)):
-        if entry.topic not in decoders:
-            continue
-        message = decoders[entry.topic](entry.data)
+    for topic, _, message in read_messages(path, (MEASUREMENT, IMAGE), lambda line: say("calibration", line)):
         key = message.cycle, message.sampled_mono_ns  # a gateway that starts again counts cycles from 1 again
-        if entry.topic == IMAGE.name:
+        if topic is IMAGE:
             images[key] = message.pixels
             continue
         sums = decode_measurement(message, phi)

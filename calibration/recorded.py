@@ -7,7 +7,7 @@ import msgspec
 
 from canskin.messages import MEASUREMENT, Measurement
 from skin.layout import Layout
-from skin.mcap_file import message_decoder, read_entries, wall_offset_ns
+from skin.mcap_file import read_messages, wall_offset_ns
 from skin.measured_sums import check_measurement
 
 
@@ -38,11 +38,8 @@ class RecordedOffsets:
         self._used: list[tuple[bytes, bytes]] = []
         phi, offset_ns = layout.phi(), wall_offset_ns(path)
         early_ns = round(layout.sync.period_s * 1e9 / 2)
-        decode = message_decoder(path, MEASUREMENT)
-        for entry in read_entries(path, lambda _: None):
-            if entry.topic != MEASUREMENT.name:
-                continue
-            recorded = check_measurement(decode(entry.data), phi, Measurement)
+        for read in read_messages(path, [MEASUREMENT], lambda _: None):
+            recorded = check_measurement(read.message, phi, Measurement)
             used = recorded.offsets, recorded.usable
             if used != (self._used[-1] if self._used else (b"", b"")):
                 self._from_ns.append(recorded.sampled_mono_ns + offset_ns - early_ns)

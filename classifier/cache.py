@@ -11,9 +11,9 @@ from canskin.errors import ModelError
 from classifier.model import SIMULATED, VERSION, Features, Model
 from classifier.modelfile import load_model, save_model
 from classifier.newest_sums import averaged_cycles
-from skin.cache import cache_folder
 from skin.layout import Layout
 from skin.measurement import Sbhe
+from skin.output import cache_folder
 from skin.service import say
 from skin.sources import DEFAULT_OBJECTS, StrokeKind, load_touches
 

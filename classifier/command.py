@@ -21,6 +21,7 @@ from skin.service import StopSignal, say
 from skin.sources import DEFAULT_OBJECTS, StrokeKind, load_touches, object_names
 from skin.taxel import NOISE_N
 from skin.terminal import Json, print_json, print_table, progress
+from skin.touch_options import ObjectNames
 
 #: Longest wait for the gateway's answer to a request for images.
 ASK_S: Final = 1.0
@@ -31,7 +32,7 @@ def classify(
     layout: Path | None = None,
     connect: str = DEFAULT_ENDPOINT,
     model: Path | None = None,
-    objects: str = "",
+    objects: ObjectNames | None = None,
     stroke: StrokeKind | None = None,
 ) -> None:
     """Name the object that touches the skin, once per measurement; of adaptive sums, a hundred times a second.
@@ -48,8 +49,7 @@ def classify(
     model
         Model file from ``skin train`` for this skin.
     objects
-        Comma-separated names of the objects to train on without ``--model``, ``paper`` for the paper's sixteen;
-        default: a series of five.
+        Objects to train on without ``--model``.
     stroke
         Touches to train on without ``--model``, see ``skin nodes``; default: slide.
 
@@ -102,7 +102,7 @@ def _wake(state: Recognition, fabric: Fabric) -> Wake:
 def train(
     *,
     layout: Path | None = None,
-    objects: str = "",
+    objects: ObjectNames | None = None,
     touches: int = 0,
     noise_n: float = NOISE_N,
     stroke: StrokeKind = "slide",
@@ -120,8 +120,7 @@ def train(
     layout
         TOML of the skin; without it the default skin.
     objects
-        Comma-separated names of the objects, see ``skin objects``; ``paper`` for the paper's sixteen; default: a series
-        of five.
+        Objects to train on.
     touches
         Total number of touches; default: 600 per object.
     noise_n
@@ -175,9 +174,9 @@ def train(
     _show(model.metadata, path, as_json=json)
 
 
-def _named(objects: str) -> list[str]:
-    """Return the objects of a comma-separated list, else the default objects."""
-    return list(object_names([objects]) or DEFAULT_OBJECTS)
+def _named(objects: list[str] | None) -> list[str]:
+    """Return the names of objects, else the default objects."""
+    return list(object_names(objects or ()) or DEFAULT_OBJECTS)
 
 
 def _train(

@@ -9,7 +9,8 @@ import numpy.typing as npt
 
 from canskin.fabric import Exchange
 from canskin.messages import LABEL, MEASUREMENT, RECOGNITION, Label, Measurement, Topic
-from classifier.decide import FORGET_CYCLES, Classifier, Decision
+from classifier.decide import FORGET_CYCLES, Classifier
+from classifier.settling import Decision
 from classifier.used_sums import classified_phi
 from skin.layout import Layout
 from skin.measured_sums import MeasurementReader, decode_adaptive, decode_measurement

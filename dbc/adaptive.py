@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from skin.compiled import njit
-from skin.layout_checks import ADAPTIVE_BLOCK, ADAPTIVE_NODES
+from skin.layout import ADAPTIVE_BLOCK, ADAPTIVE_NODES
 from skin.walsh import GROUPS
 
 #: Sums of a block, one for each taxel, and of a group, one byte each in a coarse frame.

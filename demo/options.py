@@ -1,50 +1,55 @@
 """The options of a run, checked before any process is started."""
 
-import errno
-import socket
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Annotated, Final
+
+from cyclopts import Parameter
 
 from canskin.errors import InputError
-from skin.defects import parse_defects
 from skin.layout import Layout, require_one_state
 from skin.output import check_picture_path
-from skin.recording_options import check_touch_options, load_recording
-from skin.sources import StrokeKind
-from skin.zero_drift import parse_drifts
-from touch.objects import checked_names
-
-#: Defects with which an untouched skin has sums.
-_ZERO_DEFECTS: Final = ("offset", "drift", "sum_offset")
+from skin.service import listen
+from skin.touch_options import NO_TOUCH_OPTIONS, TouchOptions
 
 
+@Parameter(name="*")
 @dataclass(frozen=True)
 class DemoOptions:
-    """The options of `demo.command.demo`, with the same names; empty `objects` for the default series."""
+    """The options of ``skin demo``.
 
-    layout_path: Path | None
-    seconds: float
-    recording: Path | None
-    full_scale: float | None
-    arrays: tuple[str, ...]
-    rate_hz: float | None
-    objects: tuple[str, ...]
-    defects: tuple[str, ...]
-    seed: int
-    view: bool
-    port: int | None
-    listen: str | None
-    picture: Path
-    firmware: bool = False
-    stroke: StrokeKind = "slide"
-    drifts: tuple[str, ...] = ()
+    Attributes
+    ----------
+    layout
+        TOML of the skin; without it the default skin of 64 x 64 taxels on four CAN buses.
+    seconds
+        Time that SYNC runs, seconds.
+    touch
+        What touches the skin. With defects that move the zero the touches begin when the zero has been measured.
+    view
+        ``--no-view`` runs without web page.
+    port
+        Port of the web page, 0 for a free port; default 8765, or a free port if 8765 is in use.
+    listen
+        Endpoint of the fabric's hub, to which other programs can connect; default: a free port of this machine.
+    picture
+        File for the picture of true force, sensor signal, rebuilt image and error.
+    firmware
+        Run the C firmware of the boards in place of nodes in Python, see ``skin nodes``.
+    """
 
-    @property
-    def has_zero_errors(self) -> bool:
-        """Whether taxels may read something without touch, apart from noise, so that the gateway has to tare."""
-        defects = parse_defects(self.defects, self.seed, is_analogue=True)
-        return self.recording is not None or bool(self.drifts) or not defects.keys().isdisjoint(_ZERO_DEFECTS)
+    layout: Path | None = None
+    seconds: float = 20.0
+    touch: TouchOptions = NO_TOUCH_OPTIONS
+    view: bool = True
+    port: int | None = None
+    listen: str | None = None
+    picture: Annotated[Path, Parameter(name=("--figure", "--picture"))] = Path("skin-demo.png")
+    firmware: Annotated[bool, Parameter(negative=())] = False
+
+    def has_zero_errors(self, layout: Layout) -> bool:
+        """Tell whether taxels may read something without touch, apart from noise, so that the gateway has to tare."""
+        return self.touch.input is not None or self.touch.defects(layout).moves_zero
 
     def check(self, layout: Layout) -> None:
         """Check that a run with these options is possible.
@@ -56,37 +61,21 @@ class DemoOptions:
         """
         if not 0 < self.seconds < float("inf"):
             raise InputError(f"expected a positive number of seconds, got {self.seconds:g}")
-        if self.seed < 0:
-            raise InputError(f"--seed: expected 0 or more, got {self.seed}")
         if self.firmware:
             require_one_state(layout, "the firmware in C")
         if len({(bus.bitrate, bus.data_bitrate or bus.bitrate) for bus in layout.bus}) > 1:
             raise InputError("the demo's virtual buses all have the same bit rates; this layout has several")
         if self.view and self.port is not None:
-            _check_port(self.port)
+            listen("127.0.0.1", self.port).close()
         check_picture_path(self.picture)
-        parse_defects(self.defects, self.seed, is_analogue=layout.taxels.is_analogue)
-        parse_drifts(self.drifts, self.seed, layout)
-        self._check_touch(layout)
+        self.touch.check()
+        self.touch.defects(layout)
+        if self.touch.input is not None:
+            self.touch.source(layout)  # the nodes will read the recording again
+        elif self.touch.names:
+            from touch.objects import checked_names  # compiled parts take a moment to load
 
-    def _check_touch(self, layout: Layout) -> None:
-        """Check the objects, or the recording, which the nodes will read again."""
-        values = self.full_scale, self.arrays, self.rate_hz
-        check_touch_options(self.recording, self.stroke, *values)
-        if self.recording is not None:
-            load_recording(layout, self.recording, *values)
-        elif self.objects:
-            checked_names(",".join(self.objects))
+            checked_names(self.touch.names)
 
 
-def _check_port(port: int) -> None:
-    if not 0 <= port <= 65535:
-        raise InputError(f"--port: expected 0 to 65535, got {port}")
-    with socket.socket() as probe:
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            probe.bind(("127.0.0.1", port))
-        except OSError as error:
-            if error.errno != errno.EADDRINUSE:
-                raise InputError(f"--port {port}: cannot listen there: {error.strerror or error}") from error
-            raise InputError(f"port {port} is in use: give another with --port, or --port 0 for a free one") from error
+DEFAULTS: Final = DemoOptions()

@@ -2,7 +2,6 @@
 
 import contextlib
 import shlex
-import socket
 import time
 from collections.abc import Collection
 from contextlib import ExitStack
@@ -14,7 +13,7 @@ import msgspec
 from rich.console import Console
 
 from calibration.windows import tare_s
-from canskin.errors import RunError, SkinError
+from canskin.errors import InputError, RunError, SkinError
 from canskin.fabric import Fabric
 from canskin.messages import GATEWAY, IMAGE, LABEL, MEASUREMENT, NODES, TRUTH
 from canskin.state_messages import IMAGES, ImagesRequest
@@ -26,7 +25,7 @@ from demo.score import Score
 from demo.supervisor import Supervisor
 from skin.layout import Layout
 from skin.psnr import adds_noise
-from skin.service import StopSignal, Talk, say, talks
+from skin.service import StopSignal, Talk, listen, say, talks
 from skin.sources import DEFAULT_OBJECTS, known_objects
 from skin.terminal import print_table, progress
 
@@ -78,7 +77,7 @@ class Run:
             self._start_services(endpoint)
             self._await_services(stop)
             if not stop.is_set():
-                tare = "at-start" if self._options.has_zero_errors else "never"
+                tare = "at-start" if self._options.has_zero_errors(self._layout) else "never"
                 self._supervisor.start("gateway", "gateway", *self._common(endpoint), "--tare", tare)
                 self._follow(stop, endpoint)
             if stop.is_set() and not self._has_started():
@@ -108,7 +107,7 @@ class Run:
         print_table((), report.rows())
 
     def _common(self, endpoint: str) -> list[str]:
-        layout = ["--layout", str(self._options.layout_path)] if self._options.layout_path else []
+        layout = ["--layout", str(self._options.layout)] if self._options.layout else []
         return [*layout, "--connect", endpoint]
 
     def _listen(self, fabric: Fabric) -> None:
@@ -129,21 +128,13 @@ class Run:
         bitrate, data_bitrate = bitrates.pop()
         names = [bus.name for bus in self._layout.bus]
         start("bus", "bus", *names, "--bitrate", str(bitrate), "--data-bitrate", str(data_bitrate))
-        stroke = ["--stroke", options.stroke] if options.stroke != "slide" else []
-        touch = [*stroke, "--objects", ",".join(options.objects)] if options.objects else [*stroke]
-        if options.recording is not None:
-            touch = ["--input", str(options.recording)]
-            touch += ["--full-scale", str(options.full_scale)] if options.full_scale is not None else []
-            touch += [part for name in options.arrays for part in ("--array", name)]
-            touch += ["--rate", str(options.rate_hz)] if options.rate_hz is not None else []
-        elif options.has_zero_errors:
-            touch += ["--rest", str(REST_S + tare_s(self._layout.sync.period_s))]
-        touch += [part for defect in options.defects for part in ("--defect", defect)]
-        touch += [f"--drift={drift}" for drift in options.drifts]
-        touch += ["--firmware"] * options.firmware
-        start("nodes", "nodes", *common, "--seed", str(options.seed), *touch)
+        touch = options.touch
+        rest = []
+        if touch.input is None and options.has_zero_errors(self._layout):
+            rest = ["--rest", str(REST_S + tare_s(self._layout.sync.period_s))]
+        start("nodes", "nodes", *common, *touch.arguments(), *rest, *["--firmware"] * options.firmware)
         start("reconstructor", "reconstruct", *common, restart=True)
-        start("classifier", "classify", *common, *_known_objects(options.objects), *stroke, restart=True)
+        start("classifier", "classify", *common, *_known_objects(touch.names), "--stroke", touch.stroke, restart=True)
         if self._port is not None:
             start("viewer", "view", *common, "--port", str(self._port), restart=True)
 
@@ -239,16 +230,13 @@ def _page_port(wanted: int | None) -> int:
     """Return the port of the page: the given port, else the default or a free port; 0 means a free port."""
     if wanted is not None:
         return wanted or _free_port()
-    with socket.socket() as probe:
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            probe.bind(("127.0.0.1", DEFAULT_PORT))
-        except OSError:
-            return _free_port()
+    try:
+        listen("127.0.0.1", DEFAULT_PORT).close()
+    except InputError:
+        return _free_port()
     return DEFAULT_PORT
 
 
 def _free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
+    with listen("127.0.0.1", 0) as free:
+        return int(free.getsockname()[1])

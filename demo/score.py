@@ -13,7 +13,6 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from canskin.labels import is_measured
 from canskin.messages import CycleMeasurement, GatewayStatus, Image, Label, Measurement, NodesStatus, Truth
 from dbc.contract import sample_age_ns
 from demo.report import NodeMissing, Percentiles, Report
@@ -148,7 +147,7 @@ class Score:
 
     def label_text(self) -> str:
         """Return the newest label as text."""
-        if self.last_label is None or not is_measured(self.last_label, self.layout.measurement.sums):
+        if self.last_label is None or not self.last_label.is_measured(self.layout.measurement.sums):
             return "not measured"
         return self.last_label.label or "no contact"
 

@@ -20,7 +20,7 @@ from dbc.frame import Frames, frames
 from dbc.generate import write_files
 from firmware.export import constants, sources
 from firmware.tables import builds
-from skin.cache import cache_folder
+from skin.output import cache_folder
 
 #: Every operation is rounded as it is written.
 STANDARD_FLAGS: Final = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-ffp-contract=off")

@@ -25,9 +25,9 @@ from skin.calibration_file import (
     most_offset_n,
     new_calibration,
     parse_calibration,
-    save_calibration,
 )
 from skin.layout import Layout
+from skin.output import write_file
 from skin.service import say
 
 #: Answer to what makes no sense for boards that look after themselves.
@@ -167,7 +167,7 @@ class GatewayCalibration:
 
         def write() -> None:
             try:
-                save_calibration(path, new_calibration(self._contract.layout, offsets_n=usable_n))
+                write_file(path, encoded(new_calibration(self._contract.layout, offsets_n=usable_n)))
                 self._could_not_keep = False
             except OSError as error:
                 if not self._could_not_keep:

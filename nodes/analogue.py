@@ -1,15 +1,12 @@
 """The electronics of boards that add currents before one converter for each sum."""
 
-from collections.abc import Mapping
-from typing import Any
-
 import numpy as np
 import numpy.typing as npt
 
 from canskin.errors import InputError
 from nodes.electronics import Electronics
-from skin.defects import Force, split_by_target
-from skin.frontend import SumConverter, SumModel, converter, row_times_s
+from skin.defects import NO_DEFECTS, Defects, Force
+from skin.frontend import SumConverter, SumModel, converter
 from skin.layout import Layout
 from skin.measurement import Sbhe
 from skin.taxel import NOISE_N
@@ -31,8 +28,7 @@ class AnalogueElectronics(Electronics):
         Standard deviation of the noise of a taxel, newtons.
     seed : int
         Same seed, same noise.
-    defects : mapping
-        Defects of taxels and of sums, as `skin.defects.parse_defects` and `skin.zero_drift.parse_drifts` return them.
+    defects : Defects
 
     Raises
     ------
@@ -47,24 +43,23 @@ class AnalogueElectronics(Electronics):
         *,
         noise_n: float = NOISE_N,
         seed: int = 0,
-        defects: Mapping[str, Any] | None = None,
+        defects: Defects = NO_DEFECTS,
     ) -> None:
-        of_taxels, made_of_sums = split_by_target(defects or {})
-        super().__init__(layout.taxels, noise_n=noise_n, seed=seed, defects=of_taxels, period_s=layout.sync.period_s)
+        super().__init__(layout.taxels, noise_n=noise_n, seed=seed, defects=defects, period_s=layout.sync.period_s)
         self._phi = phi
-        self._sum_model = SumModel(**made_of_sums)
+        self._sum_model = SumModel(phi, defects)
         self.converter = _converter(layout)
-        skew = self._sum_model.skew
-        if skew is not None and row_times_s(phi, skew).max() > self.period_s:
+        times_s = self._sum_model.row_times_s
+        if times_s is not None and times_s.max() > self.period_s:
             rows = int(np.diff(phi.starts).max())
-            raise InputError(f"skew {skew.row_s:g}: {rows} sums of a block take longer than a period")
+            raise InputError(f"skew: {rows} sums of a block take longer than a period")
         self._signal_n: Force = np.zeros(layout.taxels.count, np.float32)
         self._moment_n: Force = np.zeros((layout.taxels.rows, layout.taxels.columns), np.float32)
 
     @property
     def is_skewed(self) -> bool:
         """Whether the sums of a block are read one after the other."""
-        return self._sum_model.skew is not None
+        return self._sum_model.row_times_s is not None
 
     @property
     def signal_n(self) -> Force:
@@ -95,7 +90,7 @@ class AnalogueElectronics(Electronics):
         change_n_per_s = None if later_n is None else self._change_n_per_s(force_n, later_n, step)
         phi = self._phi
         sums_n = self._sum_model.sums_n(
-            phi, self._signal_n, self._random, change_n_per_s=change_n_per_s, time_s=self.period_s * step
+            self._signal_n, self._random, change_n_per_s=change_n_per_s, time_s=self.period_s * step
         )
         counts = self.converter.counts(sums_n)
         shown = self.pattern[phi.taxels_of_blocks]
@@ -107,10 +102,8 @@ class AnalogueElectronics(Electronics):
     def _change_n_per_s(self, force_n: Force, later_n: Force, step: int) -> Force:
         """Return how fast the currents of the taxels change after `step`, shape (n,): all defects, no noise."""
         model = self._model
-        if model.damper is not None:
-            later_n = model.damper(np.stack([force_n, later_n]), self.period_s)[1]
-        if model.creep is not None:
-            later_n = model.creep(later_n[None], self._memory_n, self.period_s)[0][0]
+        damped_n = model.damped_n(np.stack([force_n, later_n]), self.period_s)[1:]
+        later_n = model.remembered_n(damped_n, self._memory, self.period_s)[0][0]
         felt_n = model.felt_n(np.stack([self._moment_n, later_n]), self.period_s * np.array([step, step + 1]))
         change_n_per_s: Force = (felt_n[1] - felt_n[0]).ravel() / np.float32(self.period_s)
         fixed_n = model.fixed_n(force_n.shape)

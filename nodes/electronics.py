@@ -1,7 +1,6 @@
 """The nodes' taxel readings: the sensor signal in ADC counts, the calibration of each node, and test patterns."""
 
 from collections import deque
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -9,8 +8,9 @@ import numpy.typing as npt
 
 from dbc.board_sums import pattern_counts
 from nodes.averaging import SampleFilter
+from skin.defects import NO_DEFECTS, Defects
 from skin.layout import Taxels
-from skin.taxel import NOISE_N, TaxelModel, corrected, to_counts, to_newtons
+from skin.taxel import NOISE_N, Memory, TaxelModel, corrected, to_counts, to_newtons
 
 
 class Calibration:
@@ -53,8 +53,7 @@ class Electronics(Calibration):
         Standard deviation of the sensor noise in newtons.
     seed : int
         Same seed, same noise.
-    defects : mapping
-        Defects of the taxels, as `skin.defects.parse_defects` and `skin.zero_drift.parse_drifts` return them.
+    defects : Defects
     period_s : float
         Time between two steps of the touch, the period of SYNC; drift, damper, creep and SYNCs without counter need it.
     samples : int
@@ -79,19 +78,18 @@ class Electronics(Calibration):
         *,
         noise_n: float = NOISE_N,
         seed: int = 0,
-        defects: Mapping[str, Any] | None = None,
+        defects: Defects = NO_DEFECTS,
         period_s: float = 0.01,
         samples: int = 1,
         blocks: npt.NDArray[np.intp] | None = None,
     ) -> None:
         super().__init__(taxels)
         self.sampled = np.zeros(taxels.count, np.int32)
-        self._model = TaxelModel(noise_n, taxels.force_max_n, **(defects or {}))
+        self._model = TaxelModel(noise_n, taxels.force_max_n, defects)
         self._random = np.random.Generator(np.random.SFC64(seed))
         self.period_s = period_s
         self._last: tuple[int, npt.NDArray[np.float32]] | None = None
-        #: What `skin.zero_drift.Creep` keeps of the forces so far.
-        self._memory_n: npt.NDArray[np.float32] | float = 0.0
+        self._memory: Memory = {}
         self._samples = samples
         self._filter = SampleFilter(blocks) if blocks is not None and samples > 1 else None
         self._felt = np.zeros(taxels.count, np.int32)
@@ -158,9 +156,6 @@ class Electronics(Calibration):
         parts = (np.arange(1, self._samples, dtype=np.float32) / self._samples)[:, None, None]
         moments_n = np.concatenate([last_n[None], last_n + parts * (force_n - last_n), force_n[None]])
         period_s = (step - last_step) * self.period_s / self._samples
-        if self._model.damper is not None:
-            moments_n = self._model.damper(moments_n, period_s)
-        felt_n: npt.NDArray[np.float32] = moments_n[1:]
-        if self._model.creep is not None:
-            felt_n, self._memory_n = self._model.creep(felt_n, self._memory_n, period_s)
+        damped_n = self._model.damped_n(moments_n, period_s)[1:]
+        felt_n, self._memory = self._model.remembered_n(damped_n, self._memory, period_s)
         return felt_n

@@ -23,11 +23,10 @@ from reconstructor.array_api import BatchSolver, gpu_library
 from reconstructor.engine import Reconstructor
 from reconstructor.options import SolverOptions
 from recording.steps import frames_of_log
-from skin.layout import load_layout, require_one_state, require_sending
-from skin.output import RECORDING_SUFFIX
-from skin.recording_options import ArrayNames, FullScale
+from skin.layout import RECORDING_SUFFIX, load_layout, require_one_state, require_sending
 from skin.service import say
 from skin.terminal import progress
+from skin.touch_options import ArrayNames, FullScale
 
 #: ``--calibration none``: take nothing off.
 NO_CALIBRATION: Final = Path("none")

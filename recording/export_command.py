@@ -13,9 +13,9 @@ from cyclopts import Parameter
 from canskin.errors import InputError, RunError
 from firmware.export import write_firmware
 from skin.extras import not_installed
-from skin.layout import layout_text, load_layout
+from skin.layout import RECORDING_SUFFIX, layout_text, load_layout
 from skin.mcap_file import read_about, wall_offset_ns
-from skin.output import RECORDING_SUFFIX, check_new_path, replacing
+from skin.output import check_new_path, replacing
 from skin.service import say
 from skin.terminal import Json, print_json
 

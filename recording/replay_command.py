@@ -26,9 +26,9 @@ from recording.sinks import McapSink
 from recording.step_kinds import Step
 from recording.steps import steps_of
 from skin.description import Describing
-from skin.layout import load_layout, require_one_state
+from skin.layout import RECORDING_SUFFIX, load_layout, require_one_state
 from skin.mcap_file import CALIBRATION_FILE, File, newest_file, wall_offset_ns
-from skin.output import RECORDING_SUFFIX, check_new_path
+from skin.output import check_new_path
 from skin.service import StopSignal, say
 from skin.sources import DEFAULT_OBJECTS
 

@@ -18,9 +18,8 @@ from dbc.contract import Contract
 from dbc.frame import CLASSIC_BYTES, FD_BYTES, Frames, frames
 from dbc.generate import contract_files
 from dbc.stored_frames import RECORD_TEXT, to_bytes
-from skin.layout import Layout, layout_text
+from skin.layout import RECORDING_SUFFIX, Layout, layout_text
 from skin.mcap_file import FINGERPRINT, FRAMES, LAYOUT_FILE, WALL_OFFSET_NS, File, RecordingWriter
-from skin.output import RECORDING_SUFFIX
 
 #: Formats of python-can that do not keep the channel of a frame.
 WITHOUT_CHANNELS: Final = (".csv", ".db")

@@ -25,7 +25,7 @@ from recording.measurements import (
     StatusPace,
 )
 from recording.step_kinds import FramesStep, MeasurementStep, MessageStep, Step
-from skin.layout import Layout
+from skin.layout import RECORDING_SUFFIX, Layout
 from skin.mcap_file import (
     FINGERPRINT,
     FRAMES,
@@ -37,7 +37,6 @@ from skin.mcap_file import (
     wall_offset_ns,
 )
 from skin.measured_sums import check_fingerprint, check_measurement
-from skin.output import RECORDING_SUFFIX
 from skin.service import say
 
 #: Longest time from a measurement to its image and label: the first label waits for compiled code.

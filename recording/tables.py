@@ -12,7 +12,7 @@ import numpy.typing as npt
 from canskin.errors import InputError, RunError
 from canskin.messages import CONTACTS, IMAGE, LABEL, MEASUREMENT, TRUTH, Contact, Measurement
 from skin.layout import Layout
-from skin.mcap_file import message_decoder, read_entries
+from skin.mcap_file import read_messages
 from skin.wall_times import Clocks, WallTimes
 
 Table = dict[str, npt.NDArray[Any]]
@@ -77,12 +77,10 @@ def read_tables(path: Path, layout: Layout, offset_ns: int, warn: Callable[[str]
     RunError
         If there is nothing to read.
     """
-    topics = {topic.name: topic for topic in (IMAGE, MEASUREMENT, CONTACTS, LABEL, TRUTH)}
-    decoders = {name: message_decoder(path, topic) for name, topic in topics.items()}
-    read: dict[str, list[Any]] = {name: [] for name in topics}
-    for entry in read_entries(path, warn):
-        if entry.topic in read:
-            read[entry.topic].append(decoders[entry.topic](entry.data))
+    topics = IMAGE, MEASUREMENT, CONTACTS, LABEL, TRUTH
+    read: dict[str, list[Any]] = {topic.name: [] for topic in topics}
+    for topic, _, message in read_messages(path, topics, warn):
+        read[topic.name].append(message)
     if not any(read.values()):
         raise RunError(f"{path}: holds no messages of the services, frames at most: play it with 'skin replay --out'")
     shape = (layout.taxels.rows, layout.taxels.columns)

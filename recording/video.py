@@ -12,7 +12,7 @@ from canskin.messages import CONTACTS, IMAGE, LABEL, Contacts, Image, Label
 from recording.drawing import Drawing, Picture
 from skin.extras import not_installed
 from skin.layout import Layout
-from skin.mcap_file import message_decoder, read_entries
+from skin.mcap_file import read_messages
 from skin.output import replacing
 from viewer.state import FRESH_S
 
@@ -125,15 +125,12 @@ def _read(source: Path, layout: Layout, warn: Callable[[str], None]) -> _Read:
     RunError
         If there are no images.
     """
-    decoders = {topic.name: message_decoder(source, topic) for topic in (CONTACTS, LABEL, IMAGE)}
-    known: dict[str, dict[tuple[int, int], Any]] = {name: {} for name in decoders}
+    topics = CONTACTS, LABEL, IMAGE
+    known: dict[str, dict[tuple[int, int], Any]] = {topic.name: {} for topic in topics}
     peak_n, images = 0.0, 0
-    for entry in read_entries(source, warn):
-        if entry.topic not in decoders:
-            continue
-        message = decoders[entry.topic](entry.data)
-        if entry.topic != IMAGE.name:
-            known[entry.topic][message.cycle, message.sampled_mono_ns] = message
+    for topic, _, message in read_messages(source, topics, warn):
+        if topic is not IMAGE:
+            known[topic.name][message.cycle, message.sampled_mono_ns] = message
             continue
         if (len(message.pixels), len(message.valid)) != (4 * layout.taxels.count, layout.blocks):
             raise InputError(f"{source}: an image does not fit the layout '{layout.name}'")
@@ -146,14 +143,12 @@ def _read(source: Path, layout: Layout, warn: Callable[[str], None]) -> _Read:
 
 def _images(source: Path) -> Iterator[Image]:
     """Yield the images, each later than the image before."""
-    decode = message_decoder(source, IMAGE)
     newest_ns = -1
-    for entry in read_entries(source, lambda _: None):
-        if entry.topic == IMAGE.name:
-            image: Image = decode(entry.data)
-            if image.sampled_mono_ns > newest_ns:
-                newest_ns = image.sampled_mono_ns
-                yield image
+    for read in read_messages(source, [IMAGE], lambda _: None):
+        image: Image = read.message
+        if image.sampled_mono_ns > newest_ns:
+            newest_ns = image.sampled_mono_ns
+            yield image
 
 
 def _pictures(source: Path, drawing: Drawing, known: _Read) -> Iterator[tuple[Picture, float, bool]]:

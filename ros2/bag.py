@@ -12,7 +12,7 @@ from ros2.names import Node, Qos
 from ros2.topics import DIAGNOSTIC_ARRAY, SKIN_TOPICS, RosTopic, Translator
 from ros2.types import encoded, store
 from skin.layout import Layout
-from skin.mcap_file import message_decoder, read_entries, wall_offset_ns
+from skin.mcap_file import read_messages, wall_offset_ns
 from skin.wall_times import WallTimes
 from viewer.state import ViewState
 
@@ -64,7 +64,6 @@ def _write(source: Path, folder: Path, layout: Layout, warn: Callable[[str], Non
 
     node, offset_ns = Node(0, "", f"/{layout.name}", "canskin"), wall_offset_ns(source)
     translator = Translator(layout, layout.name, ViewState(layout), wall=WallTimes(offset_ns))
-    decoders = {topic.name: message_decoder(source, topic) for topic in SKIN_TOPICS}
     made: Counter[str] = Counter()
     connections: dict[RosTopic, Any] = {}
     bag = Writer(folder, version=_BAG_VERSION, storage_plugin=StoragePlugin.MCAP)
@@ -82,15 +81,13 @@ def _write(source: Path, folder: Path, layout: Layout, warn: Callable[[str], Non
 
     with bag:
         due_s = 0.0
-        for entry in read_entries(source, warn):
-            if entry.topic not in decoders:
-                continue
-            now_s = entry.time_ns * 1e-9
-            for topic, make in translator.take(decoders[entry.topic](entry.data), now_s):
-                write(topic, entry.time_ns, make())
+        for _, time_ns, message in read_messages(source, SKIN_TOPICS, warn):
+            now_s = time_ns * 1e-9
+            for topic, make in translator.take(message, now_s):
+                write(topic, time_ns, make())
             if now_s >= due_s:
                 due_s = now_s + DIAGNOSTICS_S
-                write(DIAGNOSTIC_ARRAY, entry.time_ns, translator.diagnostics(now_s, entry.time_ns))
+                write(DIAGNOSTIC_ARRAY, time_ns, translator.diagnostics(now_s, time_ns))
     if not made:
         raise RunError(f"{source}: holds no messages of the services, frames at most: play it with 'skin replay --out'")
     return dict(made)

@@ -9,8 +9,7 @@ import numpy.typing as npt
 from canskin.messages import Contact
 from ros2.types import IMAGE, MARKERS, POINT_CLOUD, TEXT, message
 from skin.layout import Taxels
-from skin.taxel_places import Forces, place_m, places_m, radius_m
-from skin.viridis import force_colours
+from skin.taxel_places import Forces, force_colours, place_m, places_m, radius_m
 from viewer.state import FRESH_S
 
 NS: Final = 1_000_000_000

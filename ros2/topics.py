@@ -6,7 +6,6 @@ from typing import Any, Final, NamedTuple
 
 import msgspec
 
-from canskin.labels import is_measured
 from canskin.messages import CONTACTS, GATEWAY, LABEL, Contacts, Image, Label
 from canskin.messages import IMAGE as SKIN_IMAGE
 from ros2 import content
@@ -77,21 +76,14 @@ class Translator:
             Contacts: self._contacts,
             Label: self._label,
         }
-        self._takes: Mapping[type, Callable[[Any, float], bool]] = {
-            Image: state.take_image,
-            Contacts: state.take_contacts,
-            Label: state.take_label,
-            GATEWAY.message: state.take_gateway,
-        }
 
     def take(self, message: msgspec.Struct, now_s: float) -> Iterator[Draft]:
         """Use a message of a topic of `SKIN_TOPICS` that came at `now_s`; return what goes out because of it."""
         if isinstance(message, Clocks):
             self._wall.take(message)
             return iter(())
-        fits = self._takes[type(message)](message, now_s)
         make = self._drafts.get(type(message))
-        return make(message) if make and fits else iter(())
+        return make(message) if self._state.take(message, now_s) and make else iter(())
 
     def diagnostics(self, now_s: float, time_ns: int, undecodable: int = 0) -> Any:
         """Return the state of the skin at `now_s`; `undecodable` messages count as ignored."""
@@ -120,5 +112,5 @@ class Translator:
         yield CONTACT_MARKERS, lambda: content.contact_markers(head, taxels, found)
 
     def _label(self, label: Label) -> Iterator[Draft]:
-        if is_measured(label, self._layout.measurement.sums):
+        if label.is_measured(self._layout.measurement.sums):
             yield LABEL_TEXT, lambda: content.text(label.label)

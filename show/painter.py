@@ -5,7 +5,6 @@ from typing import Final, Protocol
 
 import msgspec
 
-from canskin.labels import is_measured
 from canskin.messages import CONTACTS, GATEWAY, IMAGE, LABEL, Contact, Contacts, GatewayStatus, Image, Label
 from canskin.peers import Peer
 from skin.layout import Layout
@@ -77,16 +76,18 @@ class Painter:
 
     def take(self, message: msgspec.Struct, now_s: float, time_ns: int) -> None:
         """Draw a message of a topic of `TOPICS`; the clocks say when it came, and `time_ns` is of the wall."""
+        if not isinstance(message, Clocks) and not self._state.take(message, now_s):
+            return
         match message:
             case Clocks():
                 self._wall.take(message)
-            case Image() if self._state.take_image(message, now_s):
+            case Image():
                 self._image(message)
-            case Contacts() if self._state.take_contacts(message, now_s):
+            case Contacts():
                 self._contacts(message, now_s)
-            case Label() if self._state.take_label(message, now_s):
+            case Label():
                 self._name(message)
-            case GatewayStatus() if self._state.take_gateway(message, now_s):
+            case GatewayStatus():
                 for bus in message.buses:
                     self._canvas.figure(time_ns, f"load/{bus.name}", bus.load_ratio)
 
@@ -134,7 +135,7 @@ class Painter:
         time_ns = self._wall.time_ns(label.sampled_mono_ns)
         if time_ns is None:
             return
-        measured = is_measured(label, self._layout.measurement.sums)
+        measured = label.is_measured(self._layout.measurement.sums)
         self._canvas.figure(time_ns, "label_confidence", label.confidence if measured and label.label else 0.0)
         if measured and label.label != self._label:
             self._label = label.label

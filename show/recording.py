@@ -8,7 +8,7 @@ from show.foxglove_canvas import FoxgloveCanvas
 from show.painter import TOPICS, Canvas, Painter
 from show.rerun_canvas import RerunCanvas
 from skin.layout import Layout
-from skin.mcap_file import message_decoder, read_entries, wall_offset_ns
+from skin.mcap_file import read_messages, wall_offset_ns
 from skin.wall_times import WallTimes
 
 
@@ -65,13 +65,11 @@ def draw_recording(source: Path, layout: Layout, canvas: Canvas, warn: Callable[
     """
     offset_ns = wall_offset_ns(source)
     painter = Painter(layout, canvas, WallTimes(offset_ns))
-    decoders = {topic.name: message_decoder(source, topic) for topic in TOPICS}
     try:
-        for entry in read_entries(source, warn):
-            if entry.topic in decoders:
-                now_s = entry.time_ns * 1e-9
-                painter.look(now_s, entry.time_ns)  # before the message: it may end a gap
-                painter.take(decoders[entry.topic](entry.data), now_s, entry.time_ns)
+        for _, time_ns, message in read_messages(source, TOPICS, warn):
+            now_s = time_ns * 1e-9
+            painter.look(now_s, time_ns)  # before the message: it may end a gap
+            painter.take(message, now_s, time_ns)
     finally:
         canvas.close()
     if not painter.drawn:

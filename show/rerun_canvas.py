@@ -10,8 +10,7 @@ from canskin.errors import RunError
 from canskin.messages import Contact
 from skin.extras import not_installed
 from skin.layout import Layout
-from skin.taxel_places import Forces, place_m, places_m, radius_m
-from skin.viridis import force_colours
+from skin.taxel_places import Forces, force_colours, place_m, places_m, radius_m
 
 IMAGE: Final = "skin/image"
 #: The image in colours: on a tensor Rerun gives taxels without a value the colour of the largest force.

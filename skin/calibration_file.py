@@ -8,14 +8,12 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from canskin.errors import UNDECODABLE, InputError
+from canskin.errors import UNDECODABLE, InputError, tell
 from canskin.messages import MEASUREMENT, Measurement
 from skin.defects import SumGains
-from skin.layout import Layout
-from skin.mcap_file import CALIBRATION_FILE, message_decoder, newest_file, read_entries
+from skin.layout import RECORDING_SUFFIX, Layout
+from skin.mcap_file import CALIBRATION_FILE, newest_file, read_messages
 from skin.measured_sums import check_measurement
-from skin.output import RECORDING_SUFFIX, write_file
-from skin.service import say
 
 #: No gain is stored that is not between these.
 LEAST_GAIN, MOST_GAIN = 0.01, 100.0
@@ -129,17 +127,6 @@ def encoded(stored: StoredCalibration) -> bytes:
     return msgspec.json.encode(stored) + b"\n"
 
 
-def save_calibration(path: Path, stored: StoredCalibration) -> None:
-    """Write a file in one step.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be written.
-    """
-    write_file(path, encoded(stored))
-
-
 def most_offset_n(layout: Layout) -> float:
     """Return the largest offset that a sum can have, newtons."""
     return layout.phi().block_size * layout.taxels.force_max_n
@@ -173,10 +160,8 @@ def _recorded(path: Path, layout: Layout, *, is_shown: bool) -> StoredCalibratio
     content = newest_file(path, CALIBRATION_FILE)
     attached = None if content is None else parse_calibration(content, layout, str(path), is_shown=is_shown)
     newest: Measurement | None = None
-    decode = message_decoder(path, MEASUREMENT)
-    for entry in read_entries(path, lambda line: say("calibration", line)):
-        if entry.topic == MEASUREMENT.name:
-            newest = decode(entry.data)
+    for read in read_messages(path, [MEASUREMENT], lambda line: tell("calibration", line)):
+        newest = read.message
     if newest is None or not newest.offsets:
         if attached is None:
             raise InputError(f"{path}: the recorded gateway had no calibration")

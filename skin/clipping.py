@@ -51,11 +51,6 @@ class ClipCorrection:
         self._force = force * noise_n
         self._mean = clipped_mean(force) * noise_n
 
-    def mean_of(self, force_n: npt.ArrayLike) -> npt.NDArray[np.float64]:
-        """Return m(x), the mean reading of taxels under `force_n` newtons."""
-        force = np.asarray(force_n, np.float64)
-        return np.where(force < self._force[-1], np.interp(force, self._force, self._mean), force)
-
     def __call__(self, image: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
         """Return the corrected image, newtons."""
         made = np.where(image < self._mean[-1], np.interp(image, self._mean, self._force), image)

@@ -1,15 +1,19 @@
 """The ``skin`` command: a table of verbs; the code of a verb is loaded when the verb is called."""
 
+import ast
+import inspect
 import logging
 import signal
 import sys
+import textwrap
 from collections.abc import Sequence
 from importlib.metadata import version
+from importlib.util import find_spec
+from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Annotated, Final
 
 from canskin.errors import InputError, RunError, SkinError, Stopped
-from skin.explain import docstring, examples, summary
 from skin.service import Talk, set_talk
 
 if TYPE_CHECKING:
@@ -50,11 +54,6 @@ VERBS: Final = {
     "train": "classifier.command:train",
     "evaluate": "evaluation.command:evaluate",
     "bench": "evaluation.bench.command:bench",
-}
-#: Options that have become verbs: verb and option, and the verb that does the work now.
-MOVED: Final = {
-    ("dbc", "--check"): "dbc-check",
-    **{("plan", f"--{option}"): "design" for option in ("taxels", "rate", "buses", "budget", "can", "out")},
 }
 HELP_FLAGS: Final = ("--help", "-h")
 
@@ -113,18 +112,36 @@ def build_app(arguments: Sequence[str] = ()) -> "cyclopts.App":
         set_talk(Talk.VERBOSE if verbose else Talk.QUIET if quiet else Talk.NORMAL, as_json=log_json)
         if verbose:
             logging.basicConfig(level=logging.INFO, format="%(name)s: %(message)s")
-        _check_moved(tokens)
         return app(tokens)
 
     return app
 
 
-def _check_moved(tokens: Sequence[str]) -> None:
-    """Raise InputError for an option that has become a verb."""
-    verb, *rest = tokens or ("",)
-    for option in (token.partition("=")[0] for token in rest):
-        if (verb, option) in MOVED:
-            raise InputError(f"'skin {verb} {option}' is 'skin {MOVED[verb, option]}' now: see its --help")
+def docstring(where: str) -> str:
+    """Return the docstring of the function at ``module:function``, empty without docstring.
+
+    The source is read: importing every folder for a list of verbs would take seconds.
+    """
+    module, _, name = where.partition(":")
+    spec = find_spec(module)
+    if spec is None or spec.origin is None:
+        return ""
+    tree = ast.parse(Path(spec.origin).read_text(encoding="utf-8"))
+    found = [node for node in tree.body if isinstance(node, ast.FunctionDef) and node.name == name]
+    return ast.get_docstring(found[0]) or "" if found else ""
+
+
+def summary(text: str) -> str:
+    """Return the first line of a docstring."""
+    return text.partition("\n")[0]
+
+
+def examples(text: str) -> str:
+    """Return the Examples section of a NumPy docstring as Markdown, one line per example; empty without section."""
+    _, heading, section = inspect.cleandoc(text).partition("Examples\n--------\n")
+    lines = textwrap.dedent(section).strip().splitlines()
+    # No code block: empty lines would be shown around the block.
+    return "\\\n".join(["Examples:", *(f"`{line}`" for line in lines if line)]) if heading else ""
 
 
 def _default(value: object) -> str | None:

@@ -1,166 +1,71 @@
-"""Defects of taxels and of analogue sums, each a small value class.
+"""Defects of taxels and of analogue sums: `KINDS` has one row for each kind.
 
-`skin.taxel.TaxelModel` applies the defects of taxels, `skin.frontend.SumModel` those of sums.
+`skin.taxel.TaxelModel` applies the stages of taxels, `skin.frontend.SumModel` those of sums.
 
-Each defect has its own seed, which selects its taxels and their amounts: the same seed gives the same defective skin in
-every run. The paper's data have no defects; the paper names a damper, without a value.
+Each defect has a seed, which selects its taxels and their amounts: the same seed gives the same defective skin in every
+run. The paper's data have no defects; the paper names a damper, without a value.
 """
 
 import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from functools import lru_cache
+from enum import IntEnum, auto
+from functools import cached_property, lru_cache, partial
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from canskin.errors import InputError
+from skin.layout import Layout
 from skin.ranges import require_number
-from skin.zero_drift import Creep
+from skin.zero_drift import ZeroDrift, parse_drifts
 
 #: Spring of one taxel: force in newtons = STIFFNESS_N_PER_M x compression in metres (section V).
 STIFFNESS_N_PER_M: Final = 1.0
 #: Standard deviation of a noisy taxel's noise / range.
 NOISY_RATIO: Final = 0.25
-#: Streams of random numbers: defects of one seed select different taxels.
-_GAIN, _DRIFT, _STUCK, _DEAD, _SATURATED, _NOISY, _OFFSET, _MISMATCH, _SUM_OFFSET = range(9)
+#: Time constants of creep.
+RISE_S: Final = 60.0
+RECOVERY_S: Final = 30.0
 
 Force = npt.NDArray[np.float32]
 
 
-@dataclass(frozen=True)
-class Damper:
-    """A damper beside each spring: force grows with the speed of compression (section V, without a value).
+class Stage(IntEnum):
+    """Where a defect acts, in the order of the signal; in brackets the effect that `Kind.make` returns."""
 
-    The damper increases the force while the compression grows, and decreases the force, at most to 0, while the
-    compression falls.
-    """
+    #: Consecutive moments (called with forces (moments, ...) and the period in seconds, returns forces).
+    SPEED = auto()
+    #: Consecutive moments (called as `creep` without its ratio).
+    MEMORY = auto()
+    #: The force (called with forces (..., rows, columns), returns forces).
+    FORCE = auto()
+    #: The zero (offset of each taxel, newtons).
+    OFFSET = auto()
+    #: The zero (called with times (moments,) in seconds, returns offsets (moments, rows, columns)).
+    DRIFT = auto()
+    #: The noise (flat indices of taxels, and their standard deviation in newtons).
+    NOISE = auto()
+    #: The reading (flat indices of taxels, and what they always read in newtons).
+    READING = auto()
+    #: The two paths of an analogue sum (`SumGains`).
+    SUM_PATHS = auto()
+    #: The time between two analogue sums of a block (seconds).
+    SUM_TIME = auto()
+    #: The zero of an analogue sum (offset of each sum, newtons).
+    SUM_OFFSET = auto()
+    #: The noise behind the addition (standard deviation in newtons).
+    SUM_NOISE = auto()
 
-    damping_n_s_per_m: float
-
-    def __post_init__(self) -> None:
-        require_number("damping_n_s_per_m", self.damping_n_s_per_m)
-
-    def __call__(self, force_n: Force, period_s: float) -> Force:
-        """Return forces (steps, ...) plus the force of the damper; the speed at the first step is 0."""
-        compression_m = force_n / np.float32(STIFFNESS_N_PER_M)
-        speed = np.diff(compression_m, axis=0, prepend=compression_m[:1]) / np.float32(period_s)
-        return np.maximum(force_n + np.float32(self.damping_n_s_per_m) * speed, np.float32(0.0))
-
-
-@dataclass(frozen=True)
-class CrossTalk:
-    """Each taxel also reads `ratio` times the force of each of its four neighbours."""
-
-    ratio: float
-
-    def __post_init__(self) -> None:
-        require_number("ratio", self.ratio, 1.0)
-
-    def __call__(self, force_n: Force) -> Force:
-        """Return forces (..., rows, columns) with cross-talk."""
-        mixed = force_n.copy()
-        part = np.float32(self.ratio) * force_n
-        mixed[..., 1:, :] += part[..., :-1, :]
-        mixed[..., :-1, :] += part[..., 1:, :]
-        mixed[..., :, 1:] += part[..., :, :-1]
-        mixed[..., :, :-1] += part[..., :, 1:]
-        return mixed
+    @property
+    def is_of_sums(self) -> bool:
+        """Whether only boards with an analogue front end have this stage."""
+        return self >= Stage.SUM_PATHS
 
 
-@dataclass(frozen=True)
-class GainSpread:
-    """Each taxel reads gain x force; the gains are normal around 1 and never below 0."""
-
-    deviation: float
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        require_number("deviation", self.deviation, 1.0)
-
-    def gains(self, taxels: tuple[int, ...]) -> Force:
-        """Return the gain of each taxel of an array of shape `taxels`, read-only."""
-        return _gains(self, taxels)
-
-
-@dataclass(frozen=True)
-class Offset:
-    """Each taxel reads more than its force: offsets are uniform from 0 to `ratio` of the range."""
-
-    ratio: float
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        require_number("ratio", self.ratio, 1.0)
-
-    def offsets_n(self, taxels: tuple[int, ...], force_max_n: float) -> Force:
-        """Return the offset of each taxel of an array of shape `taxels`, newtons, read-only."""
-        return _offsets(self, taxels, force_max_n)
-
-
-@dataclass(frozen=True)
-class Drift:
-    """The zero point of each taxel drifts at a constant rate; the rates are normal around 0."""
-
-    deviation_n_per_s: float
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        require_number("deviation_n_per_s", self.deviation_n_per_s)
-
-    def offsets_n(self, taxels: tuple[int, ...], time_s: npt.NDArray[np.float64]) -> Force:
-        """Return offsets of shape (times, *taxels), newtons."""
-        return np.multiply.outer(time_s, _drift_rates(self, taxels)).astype(np.float32)
-
-
-@dataclass(frozen=True)
-class _PartOfTaxels:
-    """A defect of `ratio` of the taxels: of at least one taxel unless `ratio` is 0."""
-
-    ratio: float
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        require_number("ratio", self.ratio, 1.0)
-
-
-@dataclass(frozen=True)
-class Noisy(_PartOfTaxels):
-    """A fraction of the taxels has noise with a standard deviation of `NOISY_RATIO` x range."""
-
-    def noise_n(self, taxels: tuple[int, ...], noise_n: float, force_max_n: float) -> Force:
-        """Return the standard deviation of each taxel's noise, newtons; normal taxels have `noise_n`."""
-        noise = np.full(math.prod(taxels), noise_n, np.float32)
-        noise[_chosen(self, _NOISY, taxels)] = NOISY_RATIO * force_max_n
-        return noise.reshape(taxels)
-
-
-@dataclass(frozen=True)
-class Stuck(_PartOfTaxels):
-    """A fraction of the taxels always reads one value of the range."""
-
-    def values(self, taxels: tuple[int, ...], force_max_n: float) -> tuple[npt.NDArray[np.intp], Force]:
-        """Return flat indices of the stuck taxels and their readings, newtons."""
-        return _stuck_values(self, taxels, force_max_n)
-
-
-@dataclass(frozen=True)
-class Saturated(_PartOfTaxels):
-    """A fraction of the taxels always reads the end of the range."""
-
-    def taxels(self, taxels: tuple[int, ...]) -> npt.NDArray[np.intp]:
-        """Return flat indices of the saturated taxels."""
-        return _chosen(self, _SATURATED, taxels)
-
-
-@dataclass(frozen=True)
-class Dead(_PartOfTaxels):
-    """A fraction of the taxels always reads 0."""
-
-    def taxels(self, taxels: tuple[int, ...]) -> npt.NDArray[np.intp]:
-        """Return flat indices of the dead taxels."""
-        return _chosen(self, _DEAD, taxels)
+#: Stages at which a skin without touch no longer reads zero.
+ZERO_STAGES: Final = (Stage.OFFSET, Stage.DRIFT, Stage.SUM_OFFSET)
 
 
 class SumGains(NamedTuple):
@@ -180,212 +85,324 @@ class SumGains(NamedTuple):
     common_mode: npt.NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class Mismatch:
-    """The gains g⁺ and g⁻ of a sum's two paths are normal around 1, and never below 0."""
+class Case(NamedTuple):
+    """The array that a defect meets.
 
-    deviation: float
-    seed: int = 0
+    Attributes
+    ----------
+    amount : float
+    shape : tuple of int
+        (rows, columns) of the taxels, or (sums,).
+    force_max_n : float
+        End of the taxels' range.
+    random : numpy.random.Generator
+        Of the kind and the seed of the defect.
+    """
 
-    def __post_init__(self) -> None:
-        require_number("deviation", self.deviation, 1.0)
+    amount: float
+    shape: tuple[int, ...]
+    force_max_n: float
+    random: np.random.Generator
 
-    def gains(self, sums: int) -> SumGains:
-        """Return the gains of `sums` sums, read-only."""
-        return _sum_gains(self, sums)
+    def normal(self, mean: float, *shape: int) -> npt.NDArray[np.float64]:
+        """Return normal numbers around `mean`, their deviation is the amount; default shape: one for each element."""
+        return self.random.normal(mean, self.amount, shape or self.shape)
 
-
-@dataclass(frozen=True)
-class SumOffset:
-    """Each sum has an offset; the offsets are normal around 0."""
-
-    deviation_n: float
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        require_number("deviation_n", self.deviation_n)
-
-    def offsets_n(self, sums: int) -> Force:
-        """Return the offset of each of `sums` sums, newtons, read-only."""
-        return _sum_offsets(self, sums)
-
-
-@dataclass(frozen=True)
-class SumNoise:
-    """Amplifier and converter of each sum add normal noise to that of the taxels."""
-
-    deviation_n: float
-
-    def __post_init__(self) -> None:
-        require_number("deviation_n", self.deviation_n)
+    def chosen(self) -> npt.NDArray[np.intp]:
+        """Return flat indices of the part `amount` of the elements: of one at least, unless the amount is 0."""
+        count = math.prod(self.shape)
+        chosen = max(round(self.amount * count), 1 if self.amount > 0 else 0)
+        return np.sort(self.random.choice(count, chosen, replace=False))
 
 
-@dataclass(frozen=True)
-class Skew:
-    """The sums of a block are read one after the other, `row_s` apart, the first at SYNC, while the touch moves."""
+def creep(ratio: float, force_n: Force, memory_n: Force | float, period_s: float) -> tuple[Force, Force]:
+    """Return the readings of taxels that yield under force and need time to recover, and their memory at the end.
 
-    row_s: float
+    The memory w follows the force f, with the time constant `RISE_S` while f > w and `RECOVERY_S` while f < w::
 
-    def __post_init__(self) -> None:
-        require_number("row_s", self.row_s)
+        dw/dt = (f - w) / τ          reading = f + ratio (2 min(f, w) - w)
+
+    Under a constant force the reading creeps from f to (1 + ratio) f. After its release the reading is -ratio w: the
+    zero is low by up to ratio x force, and recovers. Ten minutes of 10 mN with a ratio of 0.05 leave -0.5 mN, of which
+    a third remains after 33 s.
+
+    Parameters
+    ----------
+    ratio : float
+    force_n : array of float32, shape (moments, ...)
+        Each force has acted since the moment before, `period_s` ago.
+    memory_n : array of float32, shape (...), or float
+        Memory one period before the first moment; 0 for a rested skin.
+    period_s : float
+    """
+    readings_n = np.empty_like(force_n)
+    rise, recovery = (np.float32(-math.expm1(-period_s / each)) for each in (RISE_S, RECOVERY_S))
+    memory = np.broadcast_to(np.asarray(memory_n, np.float32), force_n.shape[1:])
+    for moment, force in enumerate(force_n):
+        memory = memory + np.where(force > memory, rise, recovery) * (force - memory)
+        readings_n[moment] = force + np.float32(ratio) * (2 * np.minimum(force, memory) - memory)
+    return readings_n, memory
 
 
-class DefectKind(NamedTuple):
+def _damper(case: Case) -> Callable[[Force, float], Force]:
+    """Damping beside each spring, N s/m."""
+
+    def damped(force_n: Force, period_s: float) -> Force:
+        """Add damping x speed of compression, at most down to a force of 0; the speed at the first moment is 0."""
+        compression_m = force_n / np.float32(STIFFNESS_N_PER_M)
+        speed = np.diff(compression_m, axis=0, prepend=compression_m[:1]) / np.float32(period_s)
+        return np.maximum(force_n + np.float32(case.amount) * speed, np.float32(0.0))
+
+    return damped
+
+
+def _creep(case: Case) -> Callable[[Force, Force | float, float], tuple[Force, Force]]:
+    """Part of a force by which its reading creeps up, and by which the zero is low after it."""
+    return partial(creep, case.amount)
+
+
+def _cross_talk(case: Case) -> Callable[[Force], Force]:
+    """Fraction of the force of each of the four neighbours that a taxel reads in addition."""
+
+    def mixed(force_n: Force) -> Force:
+        mixed_n = force_n.copy()
+        part = np.float32(case.amount) * force_n
+        mixed_n[..., 1:, :] += part[..., :-1, :]
+        mixed_n[..., :-1, :] += part[..., 1:, :]
+        mixed_n[..., :, 1:] += part[..., :, :-1]
+        mixed_n[..., :, :-1] += part[..., :, 1:]
+        return mixed_n
+
+    return mixed
+
+
+def _gain_spread(case: Case) -> Callable[[Force], Force]:
+    """Standard deviation of the gains around 1."""
+    gains = np.maximum(case.normal(1.0), 0.0).astype(np.float32)
+    return lambda force_n: force_n * gains
+
+
+def _offset(case: Case) -> Force:
+    """Largest offset / range; the offsets are uniform from 0 to that."""
+    return case.random.uniform(0.0, case.amount * case.force_max_n, case.shape).astype(np.float32)
+
+
+def _drift(case: Case) -> Callable[[npt.NDArray[np.float64]], Force]:
+    """Standard deviation of the drift of the zero point, N/s."""
+    rates_n_per_s = case.normal(0.0)
+    return lambda time_s: np.multiply.outer(time_s, rates_n_per_s).astype(np.float32)
+
+
+def _noisy(case: Case) -> tuple[npt.NDArray[np.intp], float]:
+    """Fraction of the taxels whose noise has a standard deviation of a quarter of the range."""
+    return case.chosen(), NOISY_RATIO * case.force_max_n
+
+
+def _stuck(case: Case) -> tuple[npt.NDArray[np.intp], Force]:
+    """Fraction of the taxels that always read one value of the range."""
+    chosen = case.chosen()
+    return chosen, case.random.uniform(0.0, case.force_max_n, chosen.size).astype(np.float32)
+
+
+def _saturated(case: Case) -> tuple[npt.NDArray[np.intp], float]:
+    """Fraction of the taxels that always read the end of the range."""
+    return case.chosen(), case.force_max_n
+
+
+def _dead(case: Case) -> tuple[npt.NDArray[np.intp], float]:
+    """Fraction of the taxels that always read 0."""
+    return case.chosen(), 0.0
+
+
+def _mismatch(case: Case) -> SumGains:
+    """Standard deviation of the gains of the taxels that are added, and of those that are subtracted, around 1."""
+    plus, minus = np.maximum(case.normal(1.0, 2, *case.shape), 0.0)
+    return SumGains((plus + minus) / 2, (plus - minus) / 2)
+
+
+def _skew(case: Case) -> float:
+    """Time between two sums of a block, s; the first is read at SYNC."""
+    return case.amount
+
+
+def _sum_offset(case: Case) -> Force:
+    """Standard deviation of the offsets of sums, N."""
+    return case.normal(0.0).astype(np.float32)
+
+
+def _sum_noise(case: Case) -> float:
+    """Standard deviation of the noise behind the addition, N."""
+    return case.amount
+
+
+class Kind(NamedTuple):
     """A kind of defect.
 
     Attributes
     ----------
+    stage : Stage
     make : callable
-        Called with amount and seed.
-    amount : float
+        Returns the effect that the stage expects, of a `Case`; its docstring is the meaning of the amount.
+    amount : str
+        Name of the amount, with its unit.
+    default : float
         Default amount.
+    most : float
+        Largest amount; the smallest is 0.
+    stream : int or None
+        Stream of the random numbers: kinds of one seed select different taxels. None: nothing is drawn.
     """
 
-    make: Callable[[float, int], Any]
-    amount: float
+    stage: Stage
+    make: Callable[[Case], Any]
+    amount: str
+    default: float
+    most: float = 1.0
+    stream: int | None = None
+
+    @property
+    def help(self) -> str:
+        """The meaning of the amount."""
+        return (self.make.__doc__ or "").strip()
 
 
-#: Kind by attribute name of `skin.taxel.TaxelModel`; options write a hyphen for the underscore.
+#: Kind by name; options write a hyphen for the underscore. Defects of one stage act in this order.
 KINDS: Final = {
-    "damper": DefectKind(lambda amount, _seed: Damper(amount), 0.01),
-    "cross_talk": DefectKind(lambda amount, _seed: CrossTalk(amount), 0.1),
-    "gain_spread": DefectKind(GainSpread, 0.1),
-    "offset": DefectKind(Offset, 0.13),
-    "drift": DefectKind(Drift, 1e-4),
-    "noisy": DefectKind(Noisy, 0.01),
-    "stuck": DefectKind(Stuck, 0.01),
-    "saturated": DefectKind(Saturated, 0.01),
-    "dead": DefectKind(Dead, 0.01),
-    "creep": DefectKind(lambda amount, _seed: Creep(amount), 0.05),
+    "damper": Kind(Stage.SPEED, _damper, "damping_n_s_per_m", 0.01, math.inf),
+    "creep": Kind(Stage.MEMORY, _creep, "ratio", 0.05),
+    "cross_talk": Kind(Stage.FORCE, _cross_talk, "ratio", 0.1),
+    "gain_spread": Kind(Stage.FORCE, _gain_spread, "deviation", 0.1, stream=0),
+    "offset": Kind(Stage.OFFSET, _offset, "ratio", 0.13, stream=6),
+    "drift": Kind(Stage.DRIFT, _drift, "deviation_n_per_s", 1e-4, math.inf, stream=1),
+    "noisy": Kind(Stage.NOISE, _noisy, "ratio", 0.01, stream=5),
+    "stuck": Kind(Stage.READING, _stuck, "ratio", 0.01, stream=2),
+    "saturated": Kind(Stage.READING, _saturated, "ratio", 0.01, stream=4),
+    "dead": Kind(Stage.READING, _dead, "ratio", 0.01, stream=3),
+    "mismatch": Kind(Stage.SUM_PATHS, _mismatch, "deviation", 0.01, stream=7),
+    "skew": Kind(Stage.SUM_TIME, _skew, "row_s", 1e-4, math.inf),
+    "sum_offset": Kind(Stage.SUM_OFFSET, _sum_offset, "deviation_n", 0.01, math.inf, stream=8),
+    "sum_noise": Kind(Stage.SUM_NOISE, _sum_noise, "deviation_n", 0.001, math.inf),
 }
-#: Kind by attribute name of `skin.frontend.SumModel`: defects of the sums of an analogue front end.
-SUM_KINDS: Final = {
-    "mismatch": DefectKind(Mismatch, 0.01),
-    "sum_offset": DefectKind(SumOffset, 0.01),
-    "sum_noise": DefectKind(lambda amount, _seed: SumNoise(amount), 0.001),
-    "skew": DefectKind(lambda amount, _seed: Skew(amount), 1e-4),
-}
-_ALL_KINDS: Final = KINDS | SUM_KINDS
 
 
-def make_defects(amounts: dict[str, float], seed: int) -> dict[str, Any]:
-    """Return the defects of the named kinds, as keyword arguments of `skin.taxel.TaxelModel` or `SumModel`.
-
-    Parameters
-    ----------
-    amounts : dict
-        Amount by kind, one of `KINDS` or `SUM_KINDS`.
-    seed : int
-        Seed of the choice of taxels.
+@dataclass(frozen=True)
+class Defect:
+    """One defect: a kind of `KINDS`, its amount, and the seed of what it draws.
 
     Raises
     ------
     InputError
-        If an amount cannot be used.
+        If the amount cannot be used.
+    """
+
+    kind: str
+    amount: float
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        kind = KINDS[self.kind]
+        require_number(f"{option_name(self.kind)}: {kind.amount}", self.amount, kind.most)
+
+
+@dataclass(frozen=True)
+class Defects:
+    """All defects of a skin.
+
+    Attributes
+    ----------
+    of_kinds : tuple of Defect
+        Each kind once.
+    zero_drifts, sum_drifts : tuple of ZeroDrift
+        Drifts of the zero of taxels, and of analogue sums, at a place.
+    """
+
+    of_kinds: tuple[Defect, ...] = ()
+    zero_drifts: tuple[ZeroDrift, ...] = ()
+    sum_drifts: tuple[ZeroDrift, ...] = ()
+
+    @classmethod
+    def of(cls, amounts: Mapping[str, float | None], seed: int = 0) -> "Defects":
+        """Return the defects of these amounts by kind; None or 0: no defect.
+
+        Raises
+        ------
+        InputError
+            If an amount cannot be used.
+        """
+        return cls(tuple(Defect(kind, amount, seed) for kind, amount in amounts.items() if amount))
+
+    @cached_property
+    def stages(self) -> dict[Stage, tuple[Defect, ...]]:
+        """The defects of each stage that has any, in the order of `KINDS`."""
+        found: dict[Stage, tuple[Defect, ...]] = {}
+        for defect in sorted(self.of_kinds, key=lambda each: list(KINDS).index(each.kind)):
+            stage = KINDS[defect.kind].stage
+            found[stage] = (*found.get(stage, ()), defect)
+        return found
+
+    @property
+    def moves_zero(self) -> bool:
+        """Whether the skin may read something without touch, apart from noise."""
+        return bool(self.zero_drifts or self.sum_drifts) or not self.stages.keys().isdisjoint(ZERO_STAGES)
+
+    def effects(self, stage: Stage, shape: tuple[int, ...], force_max_n: float = math.nan) -> list[Any]:
+        """Return what the defects of a stage do to an array of `shape`, see `Stage`; arrays are read-only."""
+        return [_effect(defect, shape, force_max_n) for defect in self.stages.get(stage, ())]
+
+
+NO_DEFECTS: Final = Defects()
+
+
+# Made once per array, because live nodes need the effects in every cycle.
+@lru_cache(maxsize=64)
+def _effect(defect: Defect, shape: tuple[int, ...], force_max_n: float) -> Any:
+    kind = KINDS[defect.kind]
+    random = np.random.default_rng(np.random.SeedSequence(defect.seed, spawn_key=(kind.stream or 0,)))
+    effect = kind.make(Case(defect.amount, shape, force_max_n, random))
+    for array in effect if isinstance(effect, tuple) else (effect,):
+        if isinstance(array, np.ndarray):
+            array.flags.writeable = False
+    return effect
+
+
+def option_name(kind: str) -> str:
+    """Return the name of a kind in options."""
+    return kind.replace("_", "-")
+
+
+def parse_defects(kinds: Iterable[str], drifts: Iterable[str], seed: int, layout: Layout) -> Defects:
+    """Return the defects of the options ``--defect`` and ``--drift``.
+
+    Parameters
+    ----------
+    kinds : iterable of str
+        Each KIND or KIND=AMOUNT, for example ``dead`` or ``cross-talk=0.05``; the last amount of a kind counts.
+    drifts : iterable of str
+        As for `skin.zero_drift.parse_drifts`.
+    seed : int
+        Seed of the choice of taxels.
+    layout : Layout
+        Only an analogue front end has defects of sums.
+
+    Raises
+    ------
+    InputError
+        If a text cannot be used.
     """
     made = {}
-    for name, amount in amounts.items():
-        try:
-            made[name] = _ALL_KINDS[name].make(amount, seed)
-        except InputError as error:
-            raise InputError(f"{name.replace('_', '-')}: {error}") from error
-    return made
-
-
-def parse_defects(texts: Iterable[str], seed: int, *, is_analogue: bool = False) -> dict[str, Any]:
-    """Return the defects of an option, as keyword arguments of `skin.taxel.TaxelModel`.
-
-    Parameters
-    ----------
-    texts : iterable of str
-        Each KIND or KIND=AMOUNT, for example ``dead`` or ``cross-talk=0.05``; the last amount of a kind counts.
-    seed : int
-        Seed of the choice of taxels.
-    is_analogue : bool
-        The front end is analogue: defects of sums may be among them, see `split_by_target`.
-
-    Raises
-    ------
-    InputError
-        If a kind is unknown or an amount cannot be used.
-    """
-    kinds = _ALL_KINDS if is_analogue else KINDS
-    amounts = {}
-    for text in texts:
-        kind, given, amount = text.partition("=")
-        name = kind.strip().replace("-", "_")
-        if name not in kinds:
-            if name in SUM_KINDS:
-                raise InputError(f'--defect {text}: expected a layout with taxels.frontend = "analogue"')
-            known = ", ".join(each.replace("_", "-") for each in kinds)
+    for text in kinds:
+        name, given, amount = text.partition("=")
+        kind = name.strip().replace("-", "_")
+        if kind not in KINDS:
+            offered = [each for each in KINDS if layout.taxels.is_analogue or not KINDS[each].stage.is_of_sums]
+            known = ", ".join(map(option_name, offered))
             raise InputError(f"--defect {text}: expected KIND or KIND=AMOUNT with KIND of {known}")
+        if KINDS[kind].stage.is_of_sums and not layout.taxels.is_analogue:
+            raise InputError(f'--defect {text}: expected a layout with taxels.frontend = "analogue"')
         try:
-            amounts[name] = float(amount) if given else kinds[name].amount
+            made[kind] = Defect(kind, float(amount) if given else KINDS[kind].default, seed)
+        except InputError as error:
+            raise InputError(f"--defect {error}") from error
         except ValueError:
             raise InputError(f"--defect {text}: expected a number after '=', got '{amount}'") from None
-    try:
-        return make_defects(amounts, seed)
-    except InputError as error:
-        raise InputError(f"--defect {error}") from error
-
-
-def split_by_target(defects: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Divide defects, with the drifts of `skin.zero_drift.parse_drifts`, into those of taxels and those of sums."""
-    sums = {name: each for name, each in defects.items() if name in {*SUM_KINDS, "sum_drifts"}}
-    return {name: each for name, each in defects.items() if name not in sums}, sums
-
-
-def _stream(seed: int, defect: int) -> np.random.Generator:
-    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(defect,)))
-
-
-# Drawn once per array, because live nodes need them in every cycle.
-@lru_cache(maxsize=8)
-def _gains(spread: GainSpread, taxels: tuple[int, ...]) -> Force:
-    drawn = _stream(spread.seed, _GAIN).normal(1.0, spread.deviation, taxels)
-    return _fixed(np.maximum(drawn, 0.0).astype(np.float32))
-
-
-@lru_cache(maxsize=8)
-def _offsets(offset: Offset, taxels: tuple[int, ...], force_max_n: float) -> Force:
-    drawn = _stream(offset.seed, _OFFSET).uniform(0.0, offset.ratio * force_max_n, taxels)
-    return _fixed(drawn.astype(np.float32))
-
-
-@lru_cache(maxsize=8)
-def _drift_rates(drift: Drift, taxels: tuple[int, ...]) -> npt.NDArray[np.float64]:
-    return _fixed(_stream(drift.seed, _DRIFT).normal(0.0, drift.deviation_n_per_s, taxels))
-
-
-@lru_cache(maxsize=8)
-def _stuck_values(stuck: Stuck, taxels: tuple[int, ...], force_max_n: float) -> tuple[npt.NDArray[np.intp], Force]:
-    rng = _stream(stuck.seed, _STUCK)
-    chosen = _draw(stuck.ratio, taxels, rng)
-    return _fixed(chosen), _fixed(rng.uniform(0.0, force_max_n, chosen.size).astype(np.float32))
-
-
-@lru_cache(maxsize=8)
-def _sum_gains(mismatch: Mismatch, sums: int) -> SumGains:
-    plus, minus = np.maximum(_stream(mismatch.seed, _MISMATCH).normal(1.0, mismatch.deviation, (2, sums)), 0.0)
-    return SumGains(_fixed((plus + minus) / 2), _fixed((plus - minus) / 2))
-
-
-@lru_cache(maxsize=8)
-def _sum_offsets(offset: SumOffset, sums: int) -> Force:
-    return _fixed(_stream(offset.seed, _SUM_OFFSET).normal(0.0, offset.deviation_n, sums).astype(np.float32))
-
-
-@lru_cache(maxsize=32)
-def _chosen(defect: _PartOfTaxels, stream: int, taxels: tuple[int, ...]) -> npt.NDArray[np.intp]:
-    return _fixed(_draw(defect.ratio, taxels, _stream(defect.seed, stream)))
-
-
-def _draw(ratio: float, taxels: tuple[int, ...], rng: np.random.Generator) -> npt.NDArray[np.intp]:
-    count = math.prod(taxels)
-    chosen = max(round(ratio * count), 1 if ratio > 0 else 0)
-    return np.sort(rng.choice(count, chosen, replace=False))
-
-
-def _fixed(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    array.flags.writeable = False
-    return array
+    return Defects(tuple(made.values()), *parse_drifts(drifts, seed, layout))

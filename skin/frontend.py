@@ -4,7 +4,7 @@
 
 Σ⁺ and Σ⁻ add the taxels with the signs + and - in the Hadamard row H_k, and H_0 adds all taxels of the block. No taxel
 is clipped. The gains g differ between the paths (`skin.defects.SumGains`), o is an offset, n the noise behind the
-addition. The rows of a block are read one after the other: t_k is SYNC + the place of the row x `Skew.row_s`.
+addition. The rows of a block are read one after the other: t_k is SYNC + the place of the row x skew.
 
 The converter of a sum has `adc_bits` and two's complement. One step is B counts of a taxel, so the converter spans
 ± B / 2 times the largest force: a sum of signs + and - fits. The row of all ones saturates where the mean force of the
@@ -17,10 +17,9 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from skin.defects import Force, Mismatch, Skew, SumGains, SumNoise, SumOffset
+from skin.defects import Defects, Force, Stage, SumGains
 from skin.layout import Layout
 from skin.measurement import Sbhe
-from skin.zero_drift import ZeroDrift
 
 #: A taxel or sum that feels less than this part is defective: no gain of the taxel is stored, and the sum is not used.
 LEAST_FELT: Final = 0.3
@@ -84,19 +83,35 @@ def sum_step_n(layout: Layout) -> float:
     return layout.taxels.newton_per_count * (1 if of_sums is None else of_sums.step_counts)
 
 
-@dataclass(frozen=True)
 class SumModel:
-    """Gains, offset, noise, skew and drifts of the sums of one skin; without them a perfect front end."""
+    """The analogue front end of a skin with its defects, those of sums.
 
-    mismatch: Mismatch | None = None
-    sum_offset: SumOffset | None = None
-    sum_noise: SumNoise | None = None
-    skew: Skew | None = None
-    sum_drifts: tuple[ZeroDrift, ...] = ()
+    Parameters
+    ----------
+    phi : Sbhe
+    defects : Defects
+
+    Attributes
+    ----------
+    gains : SumGains or None
+        None: the gains of all paths are 1.
+    row_times_s : array of float32, shape (m,), or None
+        When each sum is read after SYNC; None: all at SYNC.
+    """
+
+    def __init__(self, phi: Sbhe, defects: Defects) -> None:
+        sums = phi.shape[:1]
+        gains, times_s, offsets_n, noises_n = (
+            defects.effects(stage, sums)
+            for stage in (Stage.SUM_PATHS, Stage.SUM_TIME, Stage.SUM_OFFSET, Stage.SUM_NOISE)
+        )
+        self.gains: SumGains | None = gains[0] if gains else None
+        place = np.arange(sums[0]) - phi.starts[phi.block_of_sum]
+        self.row_times_s: Force | None = (place * times_s[0]).astype(np.float32) if times_s else None
+        self._phi, self._offsets_n, self._noises_n, self._drifts = phi, offsets_n, noises_n, defects.sum_drifts
 
     def sums_n(
         self,
-        phi: Sbhe,
         signal_n: Force,
         rng: np.random.Generator,
         *,
@@ -107,13 +122,12 @@ class SumModel:
 
         Parameters
         ----------
-        phi : Sbhe
         signal_n : array of float32, shape (..., n)
             Forces of the taxels at SYNC, noise included, newtons.
         rng : numpy.random.Generator
             Source of the noise of sums.
         change_n_per_s : array of float32, shape (..., n), optional
-            How fast the forces change after SYNC; `skew` needs it.
+            How fast the forces change after SYNC; skew needs it.
         time_s : float
             Time of the SYNC; drifts need it.
 
@@ -121,23 +135,20 @@ class SumModel:
         -------
         array of float32, shape (..., m)
         """
-        sums_n = self._added(phi, signal_n)
-        if self.skew is not None and change_n_per_s is not None:
-            sums_n += self._added(phi, change_n_per_s) * row_times_s(phi, self.skew)
-        if self.sum_offset is not None:
-            sums_n += self.sum_offset.offsets_n(phi.shape[0])
-        for drift in self.sum_drifts:
-            sums_n += drift.offsets_n(phi.shape[:1], np.array([time_s]))[0]
-        if self.sum_noise is not None:
-            noise = rng.standard_normal(sums_n.shape, np.float32)
-            sums_n += np.float32(self.sum_noise.deviation_n) * noise
+        sums_n = self._added(signal_n)
+        if self.row_times_s is not None and change_n_per_s is not None:
+            sums_n += self._added(change_n_per_s) * self.row_times_s
+        for offset_n in self._offsets_n:
+            sums_n += offset_n
+        for drift in self._drifts:
+            sums_n += drift.offsets_n(sums_n.shape[-1:], np.array([time_s]))[0]
+        for noise_n in self._noises_n:
+            sums_n += np.float32(noise_n) * rng.standard_normal(sums_n.shape, np.float32)
         return sums_n
 
-    def _added(self, phi: Sbhe, force_n: Force) -> Force:
-        sums_n: Force = np.asarray(phi.forward(force_n), np.float32)
-        if self.mismatch is None:
-            return sums_n
-        return with_gains(phi, force_n, sums_n, self.mismatch.gains(phi.shape[0]))
+    def _added(self, force_n: Force) -> Force:
+        sums_n: Force = np.asarray(self._phi.forward(force_n), np.float32)
+        return sums_n if self.gains is None else with_gains(self._phi, force_n, sums_n, self.gains)
 
 
 def with_gains(phi: Sbhe, force_n: Force, sums_n: Force, gains: SumGains) -> Force:
@@ -146,12 +157,6 @@ def with_gains(phi: Sbhe, force_n: Force, sums_n: Force, gains: SumGains) -> For
     total_n = force_n[..., phi.taxels_of_blocks].sum(axis=-1, dtype=np.float32)[..., phi.block_of_sum]
     made: Force = differential * sums_n + common_mode * total_n
     return made
-
-
-def row_times_s(phi: Sbhe, skew: Skew) -> Force:
-    """Return when each sum is read after SYNC, float32, shape (m,)."""
-    place = np.arange(phi.shape[0]) - phi.starts[phi.block_of_sum]
-    return (place * skew.row_s).astype(np.float32)
 
 
 def felt_by_sums(phi: Sbhe, gains: SumGains) -> npt.NDArray[np.float64]:

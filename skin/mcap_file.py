@@ -8,7 +8,7 @@ topics of `canskin.messages`, whose messages are those of the fabric, byte for b
 import contextlib
 import os
 import struct
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, BinaryIO, Final, NamedTuple
@@ -177,11 +177,6 @@ class RecordingWriter:
         with contextlib.suppress(OSError):
             self._file.close()
 
-    @property
-    def size_bytes(self) -> int:
-        """Bytes in the file so far."""
-        return os.fstat(self._file.fileno()).st_size
-
 
 def read_about(path: Path) -> About:
     """Return what a recording says of itself.
@@ -243,6 +238,26 @@ def wall_offset_ns(path: Path) -> int:
         If the file is no recording of a skin, or cannot be read.
     """
     return int(read_about(path).metadata.get(WALL_OFFSET_NS, 0))
+
+
+class Read(NamedTuple):
+    """A decoded message of a recording: its topic, the recorder's wall clock, and the message."""
+
+    topic: Topic
+    time_ns: int
+    message: Any
+
+
+def read_messages(path: Path, topics: Iterable[Topic], warn: Callable[[str], None]) -> Iterator[Read]:
+    """Yield the messages of some topics of a recording in the order of the file.
+
+    Parameters and errors as for `read_entries`; a message that does not fit its topic is an InputError, too.
+    """
+    wanted = {topic.name: (topic, message_decoder(path, topic)) for topic in topics}
+    for entry in read_entries(path, warn):
+        if entry.topic in wanted:
+            topic, decode = wanted[entry.topic]
+            yield Read(topic, entry.time_ns, decode(entry.data))
 
 
 def message_decoder(path: Path, topic: Topic) -> Callable[[bytes], Any]:

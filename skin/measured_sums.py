@@ -9,11 +9,10 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from canskin.errors import InputError
+from canskin.errors import InputError, tell
 from canskin.messages import AdaptiveMeasurement, BlockState, CycleMeasurement, Measurement
 from canskin.sums import corrected_counts, doubtful_taxels
 from skin.measurement import Sbhe
-from skin.service import say
 
 #: Shortest time between two log lines about refused measurements.
 COMPLAINT_PERIOD_S: Final = 10.0
@@ -218,5 +217,5 @@ class MeasurementReader(Generic[Sums]):
             now_s = time.monotonic()
             if now_s >= self._quiet_until_s:
                 self._quiet_until_s = now_s + COMPLAINT_PERIOD_S
-                say(self._service, f"measurement refused ({self.refused} so far): {error}")
+                tell(self._service, f"measurement refused ({self.refused} so far): {error}")
             return None

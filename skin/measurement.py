@@ -181,20 +181,6 @@ class Sbhe:
         taxels[..., self.order] = scrambled
         return taxels
 
-    def block_sums(self, taxels: npt.NDArray[np.integer]) -> npt.NDArray[np.int16]:
-        """Return exact sums in int16, shape (..., m), of integer `taxels` of shape (..., n).
-
-        Raises
-        ------
-        OverflowError
-            If a sum does not fit 16 bits; the sums of 32 taxels of 10 bits fit.
-        """
-        sums = self.forward(taxels)
-        narrow = sums.astype(np.int16)
-        if not np.array_equal(narrow, sums):
-            raise OverflowError("a sum does not fit int16: fewer ADC bits or smaller blocks are needed")
-        return narrow
-
     def sums_of_blocks(self, valid: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
         """Spread one validity per block, shape (blocks,), to one per sum, shape (m,).
 

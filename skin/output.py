@@ -1,18 +1,25 @@
-"""Output files: paths are checked before the work, and files are written in one step."""
+"""Files that programs write: paths are checked before the work, files are written in one step, or kept in a cache."""
 
 import contextlib
 import io
 import os
 import secrets
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, BinaryIO, Final
 
 from canskin.errors import InputError
 
 PICTURE_SUFFIXES: Final = (".png", ".svg", ".pdf")
-#: Of a recording of `skin record`; `skin.mcap_file` reads and writes it.
-RECORDING_SUFFIX: Final = ".mcap"
+
+
+def cache_folder(environment: Mapping[str, str] = os.environ) -> Path:
+    """Return ``$SKIN_CACHE``, else ``$XDG_CACHE_HOME/canskin``, else ``~/.cache/canskin``."""
+    if chosen := environment.get("SKIN_CACHE"):
+        return Path(chosen)
+    if shared := environment.get("XDG_CACHE_HOME"):
+        return Path(shared) / "canskin"
+    return Path.home() / ".cache" / "canskin"
 
 
 def check_picture_path(path: Path) -> None:

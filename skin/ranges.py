@@ -14,6 +14,18 @@ def ranges_text(numbers: Iterable[int]) -> str:
     return ", ".join(f"{run[0]}-{run[-1]}" if len(run) > 1 else str(run[0]) for run in runs)
 
 
+def require_above_zero(name: str, value: float) -> None:
+    """Check a number above 0.
+
+    Raises
+    ------
+    InputError
+        If it is none.
+    """
+    if not (math.isfinite(value) and value > 0):
+        raise InputError(f"{name} needs a number above 0: got {value}")
+
+
 def require_number(name: str, value: float, most: float = math.inf) -> None:
     """Check a number from 0 to `most`.
 

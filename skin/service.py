@@ -3,17 +3,20 @@
 import contextlib
 import ctypes
 import enum
+import errno
 import gc
 import json
 import logging
 import os
 import signal
+import socket
 import sys
 import time
 from types import FrameType
 from typing import Final
 
-from canskin.session import LOG
+from canskin.errors import LOG, InputError
+from canskin.session import HIGHEST_PORT
 
 #: Lowest real-time priority, above all programs without real-time scheduling.
 REAL_TIME_PRIORITY: Final = 1
@@ -21,6 +24,8 @@ REAL_TIME_PRIORITY: Final = 1
 NICENESS: Final = 10
 #: A service that waits checks the stop signal this often.
 LOOK_S: Final = 0.02
+#: Connections that may wait at a socket.
+_BACKLOG: Final = 64
 #: prctl(2).
 PR_SET_PDEATHSIG: Final = 1
 
@@ -97,6 +102,35 @@ def _end_with_parent() -> None:
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
     if os.getppid() != int(parent):  # the supervisor died before this call
         os.kill(os.getpid(), signal.SIGTERM)
+
+
+def listen(host: str, port: int) -> socket.socket:
+    """Open a socket on which a page is served; port 0 is a free port.
+
+    Raises
+    ------
+    InputError
+        If the address cannot be used.
+    """
+    if not 0 <= port <= HIGHEST_PORT:
+        raise InputError(f"--port: expected 0 to {HIGHEST_PORT}, got {port}")
+    try:
+        family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+        listener = socket.socket(family, kind, protocol)
+    except OSError as error:
+        raise InputError(f"--host {host}: cannot listen there: {error.strerror or error}") from error
+    try:
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listener.bind(address)
+        listener.listen(_BACKLOG)
+    except OSError as error:
+        listener.close()
+        if error.errno == errno.EADDRINUSE:
+            raise InputError(
+                f"port {port} of {host} is in use: give another with --port, or --port 0 for a free one"
+            ) from error
+        raise InputError(f"--host {host} --port {port}: cannot listen there: {error.strerror or error}") from error
+    return listener
 
 
 def request_real_time() -> None:

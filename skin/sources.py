@@ -21,7 +21,6 @@ import numpy.typing as npt
 
 from canskin.errors import InputError
 from skin.layout import Layout
-from skin.names import split_names
 
 #: Groups of entry points.
 SOURCES: Final = "canskin.sources"
@@ -130,6 +129,17 @@ def _sheltered(force_n: npt.NDArray[np.float32], layout: Layout) -> npt.NDArray[
     force_n = np.array(force_n, np.float32)
     force_n.reshape(-1, layout.taxels.count)[:, list(layout.taxels.untouchable or ())] = 0
     return force_n
+
+
+def split_names(given: Iterable[str]) -> tuple[str, ...]:
+    """Return the names of a list option, without repetition; the user may separate them by spaces or commas.
+
+    Examples
+    --------
+    >>> split_names(["golf-ball,ring", "cup", "ring"])
+    ('golf-ball', 'ring', 'cup')
+    """
+    return tuple(dict.fromkeys(name.strip() for each in given for name in each.split(",") if name.strip()))
 
 
 def object_names(given: Iterable[str]) -> tuple[str, ...]:

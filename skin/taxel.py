@@ -2,8 +2,10 @@
 
 Nodes, simulators, training and comparisons use this model of noise, range, resolution and defects::
 
-    force ─▶ damper, creep, cross-talk, gain, zero ─▶ noise  ─▶ range ─▶ stuck, saturated, dead ─▶ ADC
-             └─────────────────────── TaxelModel.signal ──────────────────────────────────────┘  to_counts
+    force ─▶ speed, memory, force, zero ─▶ noise ─▶ range ─▶ readings ─▶ ADC
+             └──────────────── TaxelModel.signal ──────────────────┘  to_counts
+
+The words are stages of `skin.defects.Stage`.
 
 The paper adds normal noise of 1 mN and clips to 0 to 20 mN (section V): this is `sense`.
 """
@@ -16,14 +18,16 @@ import numpy as np
 import numpy.typing as npt
 
 from canskin.errors import InputError
-from skin.defects import CrossTalk, Damper, Dead, Drift, Force, GainSpread, Noisy, Offset, Saturated, Stuck
+from skin.defects import NO_DEFECTS, Defects, Force, Stage
 from skin.layout import Taxels
-from skin.zero_drift import Creep, ZeroDrift
+from skin.ranges import require_above_zero
 
 #: Standard deviation of the sensor noise, as in the paper.
 NOISE_N: Final = 1e-3
 #: End of the range of the default skin's taxels, as in the paper.
 FORCE_MAX_N: Final = Taxels().force_max_n
+#: What the defects of the stage `MEMORY` keep of the forces so far, by place among them.
+Memory = dict[int, Force]
 
 
 def sense(
@@ -112,18 +116,14 @@ def to_newtons(counts: npt.NDArray[np.integer], taxels: Taxels) -> Force:
 class TaxelModel:
     """Noise, range and defects of the taxels of one array.
 
-    Damper, creep, cross-talk, gain spread, offset, drift and the drifts of places act on the force, in this order.
-    Noise and clipping follow. Stuck, saturated and dead taxels come last, in this order: a taxel that is both stuck and
-    dead reads 0.
+    The defects act in the order of `skin.defects.Stage`; the drifts of places act last on the zero. A taxel that is
+    both stuck and dead reads 0.
 
     Attributes
     ----------
     noise_n, force_max_n : float
         As for `sense`.
-    damper, creep, cross_talk, gain_spread, offset, drift, noisy, stuck, saturated, dead
-        See `skin.defects`; None for no defect.
-    zero_drifts
-        See `skin.zero_drift`.
+    defects : Defects
 
     Raises
     ------
@@ -133,17 +133,7 @@ class TaxelModel:
 
     noise_n: float = NOISE_N
     force_max_n: float = FORCE_MAX_N
-    damper: Damper | None = None
-    creep: Creep | None = None
-    cross_talk: CrossTalk | None = None
-    gain_spread: GainSpread | None = None
-    offset: Offset | None = None
-    drift: Drift | None = None
-    noisy: Noisy | None = None
-    stuck: Stuck | None = None
-    saturated: Saturated | None = None
-    dead: Dead | None = None
-    zero_drifts: tuple[ZeroDrift, ...] = ()
+    defects: Defects = NO_DEFECTS
 
     def __post_init__(self) -> None:
         _check(self.noise_n, self.force_max_n)
@@ -174,18 +164,14 @@ class TaxelModel:
         """
         if force_n.ndim != 3:
             raise InputError(f"expected forces of shape (steps, rows, columns), got {force_n.shape}")
-        if not (math.isfinite(period_s) and period_s > 0):
-            raise InputError(f"period_s needs a number above 0: got {period_s}")
-        if self.damper is not None:
-            force_n = self.damper(force_n, period_s)
-        if self.creep is not None:
-            force_n, _ = self.creep(force_n, 0.0, period_s)
+        require_above_zero("period_s", period_s)
+        force_n, _ = self.remembered_n(self.damped_n(force_n, period_s), {}, period_s)
         return self.signal_of_moments(force_n, rng, start_s + period_s * np.arange(len(force_n), dtype=np.float64))
 
     def signal_of_moments(
         self, force_n: Force, rng: np.random.Generator, time_s: npt.NDArray[np.float64], *, clips: bool = True
     ) -> Force:
-        """Return the sensor signal of single moments, without damper and creep.
+        """Return the sensor signal of single moments, without the stages `SPEED` and `MEMORY`.
 
         Parameters
         ----------
@@ -212,54 +198,75 @@ class TaxelModel:
             np.copyto(signal, fixed_n, where=~np.isnan(fixed_n))
         return signal
 
+    def damped_n(self, force_n: Force, period_s: float) -> Force:
+        """Return forces of consecutive moments, shape (moments, rows, columns), after the stage `SPEED`."""
+        for effect in self._effects(Stage.SPEED, force_n.shape[1:]):
+            force_n = effect(force_n, period_s)
+        return force_n
+
+    def remembered_n(self, force_n: Force, memory: Memory, period_s: float) -> tuple[Force, Memory]:
+        """Return forces of consecutive moments, shape (moments, rows, columns), after the stage `MEMORY`.
+
+        Parameters
+        ----------
+        force_n : numpy.ndarray
+        memory : dict
+            What the call for the moments before has returned; empty for a skin that has rested.
+        period_s : float
+
+        Returns
+        -------
+        force_n : numpy.ndarray
+        memory : dict
+        """
+        kept: Memory = {}
+        for number, effect in enumerate(self._effects(Stage.MEMORY, force_n.shape[1:])):
+            force_n, kept[number] = effect(force_n, memory.get(number, 0.0), period_s)
+        return force_n, kept
+
     def felt_n(self, force_n: Force, time_s: npt.NDArray[np.float64]) -> Force:
-        """Return the forces of single moments after cross-talk, gain, offset and drift; as for `signal_of_moments`."""
+        """Return forces of moments, shape (moments, rows, columns), after the stages from `FORCE` to `DRIFT`."""
         taxels = force_n.shape[1:]
-        if self.cross_talk is not None:
-            force_n = self.cross_talk(force_n)
-        if self.gain_spread is not None:
-            force_n = force_n * self.gain_spread.gains(taxels)
-        if self.offset is not None:
-            force_n = np.add(force_n, self.offset.offsets_n(taxels, self.force_max_n))
-        drifts: tuple[Drift | ZeroDrift | None, ...] = (self.drift, *self.zero_drifts)
-        for drift in drifts:
-            if drift is not None:
-                force_n = np.add(force_n, drift.offsets_n(taxels, time_s))
+        for effect in self._effects(Stage.FORCE, taxels):
+            force_n = effect(force_n)
+        for offset_n in self._effects(Stage.OFFSET, taxels):
+            force_n = np.add(force_n, offset_n)
+        for drift in self._effects(Stage.DRIFT, taxels):
+            force_n = np.add(force_n, drift(time_s))
+        for place in self.defects.zero_drifts:
+            force_n = np.add(force_n, place.offsets_n(taxels, time_s))
         return force_n
 
     def drifted_n(self, taxels: tuple[int, ...], time_s: float) -> Force:
         """Return how far the zeros of an array of shape `taxels` have drifted by place at a time, newtons."""
-        at = np.array([time_s])
-        return sum((each.offsets_n(taxels, at)[0] for each in self.zero_drifts), np.zeros(taxels, np.float32))
+        drifts, at = self.defects.zero_drifts, np.array([time_s])
+        return sum((each.offsets_n(taxels, at)[0] for each in drifts), np.zeros(taxels, np.float32))
 
     def noise_of(self, taxels: tuple[int, ...]) -> float | Force:
         """Return the standard deviation of the noise of an array of shape `taxels`, newtons, for all or for each."""
-        if self.noisy is None:
-            return self.noise_n
-        return self.noisy.noise_n(taxels, self.noise_n, self.force_max_n)
+        effects = self._effects(Stage.NOISE, taxels)
+        return _with_chosen(np.full(taxels, self.noise_n, np.float32), effects) if effects else self.noise_n
 
     def fixed_n(self, taxels: tuple[int, ...]) -> Force | None:
-        """Return what taxels always read that are stuck, saturated or dead, newtons; NaN for others, None if all are.
+        """Return what the taxels always read that have a defect of the stage `READING`, newtons; None without any.
 
-        The array has the shape `taxels`.
+        The array has the shape `taxels` and is NaN for all other taxels.
         """
-        if self.stuck is None and self.saturated is None and self.dead is None:
-            return None
-        fixed_n = np.full(taxels, np.nan, np.float32)
-        flat = fixed_n.reshape(-1)
-        if self.stuck is not None:
-            indices, values = self.stuck.values(taxels, self.force_max_n)
-            flat[indices] = values
-        if self.saturated is not None:
-            flat[self.saturated.taxels(taxels)] = self.force_max_n
-        if self.dead is not None:
-            flat[self.dead.taxels(taxels)] = 0.0
-        return fixed_n
+        effects = self._effects(Stage.READING, taxels)
+        return _with_chosen(np.full(taxels, np.nan, np.float32), effects) if effects else None
+
+    def _effects(self, stage: Stage, taxels: tuple[int, ...]) -> list[Any]:
+        return self.defects.effects(stage, taxels, self.force_max_n)
+
+
+def _with_chosen(values_n: Force, effects: list[tuple[npt.NDArray[np.intp], Any]]) -> Force:
+    for chosen, value_n in effects:
+        values_n.reshape(-1)[chosen] = value_n
+    return values_n
 
 
 def _check(noise_n: float | Force, force_max_n: float) -> None:
     smallest, largest = (noise_n, noise_n) if isinstance(noise_n, float) else (np.min(noise_n), np.max(noise_n))
     if not (smallest >= 0 and math.isfinite(largest)):
         raise InputError(f"noise_n needs numbers of 0 or more: got {noise_n}")
-    if not (math.isfinite(force_max_n) and force_max_n > 0):
-        raise InputError(f"force_max_n needs a number above 0: got {force_max_n}")
+    require_above_zero("force_max_n", force_max_n)

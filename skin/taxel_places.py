@@ -1,10 +1,12 @@
-"""Where taxels lie, and which of them are measured, for programs that draw a skin or use it in space.
+"""Where taxels lie, which of them are measured, and colours, for programs that draw a skin or use it in space.
 
 The frame of a skin: its origin is the middle of the array, x runs along the columns, y down the rows, and z into the
 skin, so a touch presses along z. The taxels lie at z = 0.
 """
 
 import math
+from functools import cache
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -13,6 +15,8 @@ from canskin.messages import Image
 from skin.layout import Layout, Taxels
 
 Forces = npt.NDArray[np.float32]
+#: Colour of taxels without valid sums.
+GREY: Final = (128, 128, 128)
 
 
 def places_m(taxels: Taxels) -> npt.NDArray[np.float32]:
@@ -58,3 +62,20 @@ class Grid:
     def measured_n(self, image: Image) -> Forces:
         """Return the force on every taxel, shape (rows, columns), newtons; NaN where the block is not valid."""
         return np.where(self.valid(image), self.forces_n(image), np.float32(np.nan))
+
+
+def force_colours(measured_n: Forces, full_n: float) -> npt.NDArray[np.uint8]:
+    """Return red, green and blue of each force: viridis from 0 to `full_n`, grey for NaN; shape (..., 3)."""
+    share = np.nan_to_num(measured_n) * (255 / full_n)
+    found: npt.NDArray[np.uint8] = _viridis()[np.clip(share + 0.5, 0, 255).astype(np.uint8)]
+    found[np.isnan(measured_n)] = GREY
+    return found
+
+
+@cache
+def _viridis() -> npt.NDArray[np.uint8]:
+    """Return the colours of 256 steps, shape (256, 3)."""
+    from matplotlib import colormaps
+
+    found: npt.NDArray[np.uint8] = colormaps["viridis"](np.arange(256), bytes=True)[:, :3]
+    return found

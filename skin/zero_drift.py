@@ -1,4 +1,4 @@
-"""How the zero of the taxels moves: with time at a place of the skin (`ZeroDrift`), and after a press (`Creep`)."""
+"""How the zero of the taxels drifts with time at a place of the skin."""
 
 import math
 import re
@@ -32,9 +32,6 @@ _DURATIONS_S: Final = {"step": 0.0, "ramp": 60.0, "exponential": 60.0, "daily": 
 #: A simulated board's temperature explains its drift: kelvin without drift, and drift per kelvin.
 REST_K: Final = 298.15
 DRIFT_N_PER_K: Final = 5e-4
-#: Time constants of creep.
-RISE_S: Final = 60.0
-RECOVERY_S: Final = 30.0
 _FORM: Final = "PLACE:COURSE:AMOUNT_N[:START_S[:DURATION_S]]"
 _PLACE: Final = re.compile(
     r"(?P<name>whole|half|gradient)"
@@ -105,46 +102,10 @@ class ZeroDrift:
         return offsets_n
 
 
-@dataclass(frozen=True)
-class Creep:
-    """A taxel yields under force, and needs time to recover: its reading creeps up, and its zero is too low after.
-
-    The memory w follows the force f, with the time constant `RISE_S` while f > w and `RECOVERY_S` while f < w::
-
-        dw/dt = (f - w) / τ          reading = f + ratio (2 min(f, w) - w)
-
-    Under a constant force the reading creeps from f to (1 + ratio) f. After its release the reading is -ratio w: the
-    zero is low by up to ratio x force, and recovers. Ten minutes of 10 mN with a ratio of 0.05 leave -0.5 mN, of which
-    a third remains after 33 s.
-    """
-
-    ratio: float
-
-    def __post_init__(self) -> None:
-        require_number("ratio", self.ratio, 1.0)
-
-    def __call__(self, force_n: Force, memory_n: Force | float, period_s: float) -> tuple[Force, Force]:
-        """Return the readings of consecutive moments, shape (moments, ...), and the memory at the last.
-
-        Parameters
-        ----------
-        force_n : array of float32, shape (moments, ...)
-            Each force has acted since the moment before, `period_s` ago.
-        memory_n : array of float32, shape (...), or float
-            Memory one period before the first moment; 0 for a rested skin.
-        period_s : float
-        """
-        readings_n = np.empty_like(force_n)
-        rise, recovery = (np.float32(-math.expm1(-period_s / each)) for each in (RISE_S, RECOVERY_S))
-        memory = np.broadcast_to(np.asarray(memory_n, np.float32), force_n.shape[1:])
-        for moment, force in enumerate(force_n):
-            memory = memory + np.where(force > memory, rise, recovery) * (force - memory)
-            readings_n[moment] = force + np.float32(self.ratio) * (2 * np.minimum(force, memory) - memory)
-        return readings_n, memory
-
-
-def parse_drifts(texts: Iterable[str], seed: int, layout: Layout) -> dict[str, Any]:
-    """Return the drifts of an option, as keyword arguments beside those of `skin.defects.parse_defects`.
+def parse_drifts(
+    texts: Iterable[str], seed: int, layout: Layout
+) -> tuple[tuple[ZeroDrift, ...], tuple[ZeroDrift, ...]]:
+    """Return the drifts of an option: those of taxels, and those of analogue sums.
 
     The converter of a board is behind its taxels, or, with an analogue front end, behind its sums. So with a digital
     front end ``converterBLOCK`` is ``boardBLOCK``.
@@ -162,18 +123,19 @@ def parse_drifts(texts: Iterable[str], seed: int, layout: Layout) -> dict[str, A
     InputError
         If a text cannot be used.
     """
-    made: dict[str, list[ZeroDrift]] = {}
+    of_taxels: list[ZeroDrift] = []
+    of_sums: list[ZeroDrift] = []
     for number, text in enumerate(texts):
         try:
-            name, drift = _parsed(text, (seed, number), layout)
+            is_of_sums, drift = _parsed(text, (seed, number), layout)
         except InputError as error:
             raise InputError(f"--drift {text}: {error}") from error
-        made.setdefault(name, []).append(drift)
-    return {name: tuple(each) for name, each in made.items()}
+        (of_sums if is_of_sums else of_taxels).append(drift)
+    return tuple(of_taxels), tuple(of_sums)
 
 
-def _parsed(text: str, seed: tuple[int, int], layout: Layout) -> tuple[str, ZeroDrift]:
-    """Return a drift, and the name of what it belongs to: `zero_drifts` of taxels, or `sum_drifts`."""
+def _parsed(text: str, seed: tuple[int, int], layout: Layout) -> tuple[bool, ZeroDrift]:
+    """Return whether a drift is one of analogue sums, and the drift."""
     place, *rest = text.split(":")
     found = _PLACE.fullmatch(place)
     if found is None or not 2 <= len(rest) <= 4 or rest[0] not in _COURSES:
@@ -185,19 +147,19 @@ def _parsed(text: str, seed: tuple[int, int], layout: Layout) -> tuple[str, Zero
     when: dict[str, Any] = dict(zip(("start_s", "duration_s"), times_s, strict=False))
     when |= {"course": rest[0], "amount_n": amount_n}
     if found["name"]:
-        return "zero_drifts", ZeroDrift(**when | {"place": found["name"]})
+        return False, ZeroDrift(**when | {"place": found["name"]})
     if found["side"]:
         corner = (int(found["row"]), int(found["column"])) if found["row"] else None
         drift = ZeroDrift("patch", **when, side=int(found["side"]), corner=corner, seed=seed)
         _weights(drift, (layout.taxels.rows, layout.taxels.columns))
-        return "zero_drifts", drift
+        return False, drift
     block = int(found["block"])
     if block >= layout.blocks:
         raise InputError(f"expected a block from 0 to {layout.blocks - 1}, got {block}")
     phi = layout.phi()
     if found["of"] == "converter" and layout.taxels.is_analogue:
-        return "sum_drifts", ZeroDrift("cells", **when, cells=tuple(range(*phi.starts[block : block + 2].tolist())))
-    return "zero_drifts", ZeroDrift("cells", **when, cells=tuple(phi.taxels_of_blocks[block].tolist()))
+        return True, ZeroDrift("cells", **when, cells=tuple(range(*phi.starts[block : block + 2].tolist())))
+    return False, ZeroDrift("cells", **when, cells=tuple(phi.taxels_of_blocks[block].tolist()))
 
 
 # Made once per array, because live nodes need them in every cycle.

@@ -9,6 +9,7 @@ from typing import Final
 import numpy as np
 
 from canskin.errors import InputError
+from skin.ranges import require_number
 from skin.sources import OBJECT_GROUPS
 from touch.coarse_arrays import Kind, averaged, grid_of
 from touch.contact import Force, Pose, Spheres, press_along
@@ -42,8 +43,7 @@ def poses(perturbations: int = PERTURBATIONS, seed: int = 0) -> list[Pose]:
     """
     if not 1 <= perturbations <= PERTURBATIONS:
         raise InputError(f"expected 1 to {PERTURBATIONS} perturbations, got {perturbations}")
-    if seed < 0:
-        raise InputError(f"seed needs a whole number of 0 or more: got {seed}")
+    require_number("seed", seed)
     every = [
         # When the array moves one way, the object moves the other way relative to the array.
         Pose(0.0 - x_m, 0.0 - y_m, 0.0 - rotation_rad, PAPER_DEPTH_M)

@@ -89,9 +89,6 @@ _PAPER: Final = (
     _own("mustard-upright", (0.024, 0.024), shapes.mustard_upright, _MUSTARD_UPRIGHT),
 )
 
-#: The paper's 17 objects: the 16 of its classification and the golf ball.
-PAPER_OBJECTS: Final = tuple(item.name for item in _PAPER)
-
 #: The paper's objects and a ring with the diameter and the wall of the paper's cup.
 CATALOGUE: Final = {item.name: item for item in (*_PAPER, _ring("ring", 0.1004, 0.0043))}
 _KNOWN: Final = ", ".join((*OBJECT_GROUPS, *CATALOGUE))

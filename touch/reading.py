@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from canskin.errors import InputError
 from canskin.messages import IMAGE, TRUTH
-from skin.output import RECORDING_SUFFIX
+from skin.layout import RECORDING_SUFFIX
 from skin.service import say
 
 Counts = npt.NDArray[Any]
@@ -112,7 +112,7 @@ def array_names(path: Path) -> tuple[str, ...]:
 def _read_mcap(path: Path, name: str) -> Counts:
     """Return the images, or the true or measured forces, of a run; frames alone have none."""
     from skin.layout import load_layout
-    from skin.mcap_file import message_decoder, read_entries
+    from skin.mcap_file import read_messages
 
     offered = array_names(path)
     if not offered:
@@ -120,13 +120,10 @@ def _read_mcap(path: Path, name: str) -> Counts:
     if name not in offered:
         raise InputError(f"'{path}' has no array '{name}': expected one of {', '.join(offered)}")
     topic, attribute = IN_MCAP[name]
-    decode = message_decoder(path, topic)
     taxels = load_layout(path).taxels
-    entries = (
-        entry.data for entry in read_entries(path, lambda line: say("recording", line)) if entry.topic == topic.name
-    )
+    read = read_messages(path, [topic], lambda line: say("recording", line))
     try:
-        content = b"".join(getattr(decode(data), attribute) for data in entries)
+        content = b"".join(getattr(each.message, attribute) for each in read)
         return np.frombuffer(content, "<f4").reshape(-1, taxels.rows, taxels.columns)
     except ValueError as error:
         raise InputError(f"'{path}' array '{name}' cannot be read: {error}") from error

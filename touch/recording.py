@@ -7,6 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from canskin.errors import InputError
+from skin.ranges import require_above_zero
 from skin.sources import Frame
 from skin.taxel import FORCE_MAX_N
 from touch.contact import Force
@@ -66,8 +67,9 @@ class Recording:
     ) -> None:
         self._arrays = arrays
         self.frames = min(len(counts) for counts in arrays)
-        self.steps_per_frame = _above_zero("steps_per_frame", steps_per_frame)
-        self.force_max_n = _above_zero("force_max_n", force_max_n)
+        require_above_zero("steps_per_frame", steps_per_frame)
+        require_above_zero("force_max_n", force_max_n)
+        self.steps_per_frame, self.force_max_n = steps_per_frame, force_max_n
         self.full_scale = _scale_of(arrays, full_scale, self.force_max_n)
         self._is_whole = all(counts.dtype.kind in "ui" for counts in arrays)
         self._skin_shape = rows, columns
@@ -102,17 +104,12 @@ class Recording:
         return np.rint(values) if self._is_whole else values
 
 
-def _above_zero(name: str, value: float) -> float:
-    if not (math.isfinite(value) and value > 0):
-        raise InputError(f"{name} needs a number above 0: got {value}")
-    return float(value)
-
-
 def _scale_of(arrays: tuple[Counts, ...], full_scale: float | None, force_max_n: float) -> float:
     largest = max(float(counts.max()) for counts in arrays)
     if full_scale is None and largest == 0.0:
         raise InputError("the recording holds only zeros: give the value of the largest force with --full-scale")
-    scale = _above_zero("the full scale (--full-scale)", largest if full_scale is None else full_scale)
+    scale = float(largest if full_scale is None else full_scale)
+    require_above_zero("the full scale (--full-scale)", scale)
     # Comparing logarithms, because the quotient itself may overflow.
     if largest > 0.0 and math.log10(largest) - math.log10(scale) + math.log10(force_max_n) > _LARGEST_FORCE_LOG10:
         raise InputError(f"a full scale (--full-scale) of {scale} is too small for a recording that reaches {largest}")

@@ -7,7 +7,8 @@ from typing import Final
 import numpy as np
 
 from canskin.errors import InputError
-from skin.output import RECORDING_SUFFIX
+from skin.layout import RECORDING_SUFFIX
+from skin.ranges import require_above_zero, require_number
 from skin.service import say
 from skin.sources import DEFAULT_OBJECTS, Frame, StrokeKind
 from skin.taxel import FORCE_MAX_N
@@ -146,12 +147,9 @@ def objects(
     InputError
         If a name is unknown, or a number cannot be used.
     """
-    if not 0.0 <= rest_s < float("inf"):
-        raise InputError(f"rest_s needs a number of 0 or more: got {rest_s}")
-    if not 0.0 < rate_hz < float("inf"):
-        raise InputError(f"rate_hz needs a number above 0: got {rate_hz}")
-    if seed < 0:
-        raise InputError(f"seed needs a whole number of 0 or more: got {seed}")
+    require_number("rest_s", rest_s)
+    require_above_zero("rate_hz", rate_hz)
+    require_number("seed", seed)
     grid = Grid(rows, columns, pitch_m)
     listed = felt_objects(DEFAULT_OBJECTS, grid) if names is None else checked_names(names)
     source = ObjectSource(grid, rate_hz, listed, seed, rest_s=rest_s, stroke=stroke)

@@ -1,5 +1,6 @@
 """What comes on a skin's fabric, for programs with one thread: the newest message of each topic, and all peers."""
 
+import threading
 from collections import deque
 from collections.abc import Iterable, Iterator
 from functools import partial
@@ -9,7 +10,29 @@ import msgspec
 from canskin.fabric import Fabric
 from canskin.messages import Topic
 from canskin.peers import Peer
-from skin.newest import Newest
+
+
+class Newest:
+    """The newest message of each topic that nobody has taken; older messages are counted in `skipped`."""
+
+    def __init__(self) -> None:
+        self.skipped = 0
+        self._waiting: dict[str, msgspec.Struct] = {}
+        self._arrived = threading.Condition()
+
+    def put(self, topic: str, message: msgspec.Struct) -> None:
+        """Add a message in the place of an older one of its topic."""
+        with self._arrived:
+            self.skipped += topic in self._waiting
+            self._waiting[topic] = message
+            self._arrived.notify()
+
+    def take(self, timeout_s: float) -> list[msgspec.Struct]:
+        """Wait for messages, at most `timeout_s`, and return them in the order in which their topics came."""
+        with self._arrived:
+            self._arrived.wait_for(lambda: bool(self._waiting), timeout_s)
+            taken, self._waiting = self._waiting, {}
+        return list(taken.values())
 
 
 class Arrivals:

@@ -2,9 +2,10 @@
 
 import math
 
+import msgspec
 import numpy as np
 
-from canskin.messages import Contacts, GatewayStatus, Image, Label, Truth
+from canskin.messages import Contact, Contacts, GatewayStatus, Image, Label, Truth
 from skin.layout import Layout
 from skin.wall_times import END_NS
 
@@ -17,49 +18,49 @@ IDENTITY_END = 2**32
 CYCLE_END = 2**63
 
 
-def image_fits(image: Image, layout: Layout) -> bool:
-    """Tell whether an image has this skin's taxels and blocks, finite forces, and a time and a cycle in range."""
-    return (
-        len(image.valid) == layout.blocks
-        and _pixels_fit(image.pixels, layout)
-        and math.isfinite(image.solve_s)
-        and _moment_fits(image)
-    )
+def fits(message: msgspec.Struct, layout: Layout) -> bool:
+    """Tell whether a message has this skin's sizes, and only numbers that programs can show.
+
+    Images and truths: finite forces of this skin's taxels; times and cycles in range. Contacts: centres on this skin,
+    finite forces, numbers in range. Labels: a confidence of 0 to 1. Counters of the gateway: a state of each node.
+    """
+    match message:
+        case Image():
+            return (
+                len(message.valid) == layout.blocks
+                and _pixels_fit(message.pixels, layout)
+                and math.isfinite(message.solve_s)
+                and _moment_fits(message)
+            )
+        case Truth():
+            return _pixels_fit(message.true, layout) and _pixels_fit(message.sensor, layout)
+        case Contacts():
+            found = message.contacts
+            return (
+                len(found) <= MOST_CONTACTS
+                and _moment_fits(message)
+                and all(_contact_fits(each, layout) for each in found)
+            )
+        case Label():
+            return 0.0 <= message.confidence <= 1.0 and _moment_fits(message)
+        case GatewayStatus():
+            loads = (load for bus in message.buses for load in (bus.load_ratio, bus.mean_load_ratio))
+            has_states = all(len(bus.nmt) == len(bus.nodes) for bus in message.buses)
+            return has_states and all(map(math.isfinite, (message.sync_rate_hz, *loads)))
+    return True
 
 
-def truth_fits(truth: Truth, layout: Layout) -> bool:
-    """Tell whether a truth has this skin's taxels, and finite forces."""
-    return _pixels_fit(truth.true, layout) and _pixels_fit(truth.sensor, layout)
-
-
-def contacts_fit(contacts: Contacts, layout: Layout) -> bool:
-    """Tell whether every contact has its centre on this skin, finite forces, and numbers, time and cycle in range."""
+def _contact_fits(contact: Contact, layout: Layout) -> bool:
     taxels = layout.taxels
     return (
-        len(contacts.contacts) <= MOST_CONTACTS
-        and _moment_fits(contacts)
-        and all(
-            0 <= each.row < taxels.rows
-            and 0 <= each.column < taxels.columns
-            and math.isfinite(each.force_n)
-            and math.isfinite(each.peak_n)
-            and 0 <= each.identity < IDENTITY_END
-            and 0 <= each.taxels <= taxels.count
-            and 0 <= each.invalid_taxels <= taxels.count
-            for each in contacts.contacts
-        )
+        0 <= contact.row < taxels.rows
+        and 0 <= contact.column < taxels.columns
+        and math.isfinite(contact.force_n)
+        and math.isfinite(contact.peak_n)
+        and 0 <= contact.identity < IDENTITY_END
+        and 0 <= contact.taxels <= taxels.count
+        and 0 <= contact.invalid_taxels <= taxels.count
     )
-
-
-def label_fits(label: Label) -> bool:
-    """Tell whether a label's confidence is within 0 to 1, and its time and cycle are in range."""
-    return 0.0 <= label.confidence <= 1.0 and _moment_fits(label)
-
-
-def status_fits(status: GatewayStatus) -> bool:
-    """Tell whether every bus has a state for each of its nodes, and every figure is a number."""
-    numbers = [status.sync_rate_hz, *(load for bus in status.buses for load in (bus.load_ratio, bus.mean_load_ratio))]
-    return all(len(bus.nmt) == len(bus.nodes) for bus in status.buses) and all(map(math.isfinite, numbers))
 
 
 def _moment_fits(message: Image | Contacts | Label) -> bool:

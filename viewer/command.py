@@ -1,6 +1,5 @@
 """``skin view``: the web page of a skin."""
 
-import errno
 import socket
 from collections.abc import Collection
 from ipaddress import ip_address
@@ -9,16 +8,14 @@ from typing import Final
 
 import uvicorn
 
-from canskin.errors import InputError
 from canskin.fabric import Fabric
 from canskin.session import DEFAULT_ENDPOINT
 from skin.layout import load_layout
-from skin.service import StopSignal, say
+from skin.service import StopSignal, listen, say
 from viewer.app import build_app
 from viewer.feed import Feed
 from viewer.guard import LOOPBACK
 
-BACKLOG: Final = 64
 #: When the server ends, pages get this long to close their connections.
 FAREWELL_S: Final = 1
 #: Pages send acknowledgements only.
@@ -52,7 +49,7 @@ def view(
     """
     stop = StopSignal().install()
     skin = load_layout(layout)
-    with _listen(host, port) as listener:
+    with listen(host, port) as listener:
         fabric = Fabric(skin.name, "viewer", connect, stop=stop, fingerprint=skin.phi().fingerprint)
         try:
             if not stop.is_set():
@@ -97,32 +94,3 @@ def _hosts(host: str) -> Collection[str] | None:
     except ValueError:
         return (*LOOPBACK, host)
     return None if address.is_unspecified else (*LOOPBACK, host)
-
-
-def _listen(host: str, port: int) -> socket.socket:
-    """Open the socket on which the page is served.
-
-    Raises
-    ------
-    InputError
-        If the address cannot be used.
-    """
-    if not 0 <= port <= 65535:
-        raise InputError(f"--port: expected 0 to 65535, got {port}")
-    try:
-        family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
-        listener = socket.socket(family, kind, protocol)
-    except OSError as error:
-        raise InputError(f"--host {host}: cannot listen there: {error.strerror or error}") from error
-    try:
-        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        listener.bind(address)
-        listener.listen(BACKLOG)
-    except OSError as error:
-        listener.close()
-        if error.errno == errno.EADDRINUSE:
-            raise InputError(
-                f"port {port} of {host} is in use: give another with --port, or --port 0 for a free one"
-            ) from error
-        raise InputError(f"--host {host} --port {port}: cannot listen there: {error.strerror or error}") from error
-    return listener

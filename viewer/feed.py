@@ -2,15 +2,14 @@
 
 import threading
 import time
-from collections.abc import Callable
-from typing import Any
+
+import msgspec
 
 from canskin.fabric import Fabric
-from canskin.messages import CONTACTS, GATEWAY, IMAGE, LABEL, NODES, TRUTH, Topic
 from canskin.peers import Peer
 from skin.layout import Layout
 from viewer.snapshot import Pictures, Snapshot
-from viewer.state import ViewState
+from viewer.state import TOPICS, ViewState
 
 
 class Feed:
@@ -30,18 +29,9 @@ class Feed:
 
     def join(self, fabric: Fabric) -> None:
         """Subscribe to all topics that the page shows."""
-        state = self._state
-        handlers: tuple[tuple[Topic, Callable[[Any, float], object]], ...] = (
-            (IMAGE, state.take_image),
-            (CONTACTS, state.take_contacts),
-            (TRUTH, state.take_truth),
-            (LABEL, state.take_label),
-            (GATEWAY, state.take_gateway),
-            (NODES, state.take_nodes),
-        )
         self._fabric = fabric
-        for topic, take in handlers:
-            fabric.subscribe(topic, self._noting(take))
+        for topic in TOPICS:
+            fabric.subscribe(topic, self._note)
         fabric.watch_peers(self._changed)
 
     def snapshot(self) -> tuple[Snapshot, Pictures]:
@@ -50,12 +40,9 @@ class Feed:
         with self._lock:
             return self._state.snapshot(time.monotonic(), undecodable)
 
-    def _noting(self, take: Callable[[Any, float], object]) -> Callable[[Any], None]:
-        def note(message: Any) -> None:
-            with self._lock:
-                take(message, time.monotonic())
-
-        return note
+    def _note(self, message: msgspec.Struct) -> None:
+        with self._lock:
+            self._state.take(message, time.monotonic())
 
     def _changed(self, peer: Peer, alive: bool) -> None:
         with self._lock:

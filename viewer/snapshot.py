@@ -1,14 +1,17 @@
-"""Content of the page at one instant: the answer of ``/api/state`` and the header of every frame."""
+"""State of a skin at one instant: the answer of ``/api/state`` and the header of every frame of the page."""
 
 from dataclasses import dataclass
+from typing import Final
 
 import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from canskin.messages import BusState, Contact, GatewayStatus, NodesStatus
+from canskin.messages import SILENT, BusState, Contact, GatewayStatus, NodesStatus
 
 Pixels = npt.NDArray[np.float32]
+#: States of the gateway's controller in which it neither sends nor receives.
+DEAD_LINKS: Final = ("lost", "bus_off")
 
 
 class Notice(msgspec.Struct, frozen=True, kw_only=True):
@@ -110,7 +113,7 @@ class LabelState(msgspec.Struct, frozen=True, kw_only=True):
     Attributes
     ----------
     measured : bool
-        False when too few sums were valid for a label; see `canskin.labels.is_measured`.
+        False when too few sums were valid for a label; see `canskin.messages.Label.is_measured`.
     """
 
     label: str
@@ -220,3 +223,26 @@ class Pictures:
     image: Pixels | None
     true: Pixels | None
     sensor: Pixels | None
+
+
+def gateway_state(status: GatewayStatus, age_s: float, *, stale: bool) -> GatewayState:
+    """Return the gateway's counters as the page shows them."""
+    buses = list(map(_bus_view, status.buses))
+    zero = status.calibration.zero_words if status.calibration else ""
+    more = {"age_s": age_s, "stale": stale, "buses": buses, "zero": zero}
+    return GatewayState(**{**msgspec.structs.asdict(status), **more})
+
+
+def nodes_state(status: NodesStatus, age_s: float, *, stale: bool) -> NodesState:
+    """Return the counters of one process of nodes as the page shows them."""
+    return NodesState(**{**msgspec.structs.asdict(status), "age_s": age_s, "stale": stale})
+
+
+def _bus_view(bus: BusState) -> BusView:
+    is_dead = bus.link in DEAD_LINKS
+    more = {
+        "nmt": list(bus.nmt),
+        "dead": is_dead,
+        "synced": not is_dead and not (bus.link == "passive" and set(bus.nmt) == {SILENT}),
+    }
+    return BusView(**{**msgspec.structs.asdict(bus), **more})

@@ -1,18 +1,29 @@
-"""The page's model: messages in, snapshots out. Time is an argument; there is no thread and no connection here."""
+"""The state of a skin: messages in, snapshots out. Time is an argument; there is no thread and no connection here."""
 
 from typing import Final, Generic, NamedTuple, TypeVar
 
 import msgspec
 import numpy as np
 
-from canskin.labels import is_measured
-from canskin.messages import Contacts, GatewayStatus, Image, Label, NodesStatus, Truth
+from canskin.messages import (
+    CONTACTS,
+    GATEWAY,
+    IMAGE,
+    LABEL,
+    NODES,
+    TRUTH,
+    Contacts,
+    GatewayStatus,
+    Image,
+    Label,
+    NodesStatus,
+    Truth,
+)
 from canskin.peers import Peer, new_peer
 from skin.ground_truth import ImagePairs, image_pairs, in_contact
 from skin.layout import Layout
 from skin.psnr import adds_noise, psnr_db
-from viewer.buses import gateway_state, nodes_state
-from viewer.checks import contacts_fit, image_fits, label_fits, status_fits, truth_fits
+from viewer.checks import fits
 from viewer.notices import display_name, notices
 from viewer.snapshot import (
     ContactsState,
@@ -26,9 +37,13 @@ from viewer.snapshot import (
     Service,
     Snapshot,
     TruthState,
+    gateway_state,
+    nodes_state,
 )
 from viewer.window import Window
 
+#: What a `ViewState` takes.
+TOPICS: Final = (IMAGE, CONTACTS, TRUTH, LABEL, GATEWAY, NODES)
 #: Images, contacts, labels and truths older than this are stale.
 FRESH_S: Final = 0.5
 #: Counters older than this are stale; the gateway and the nodes publish theirs five times a second.
@@ -55,7 +70,7 @@ class Last(NamedTuple, Generic[Message]):
 
 
 class ViewState:
-    """State of one skin as the page shows it.
+    """State of one skin, as the page, ROS 2, Rerun and Foxglove show it.
 
     Parameters
     ----------
@@ -87,11 +102,32 @@ class ViewState:
         self._valid, self._rate = Window(SPAN_S), Window(SPAN_S)
         self._psnr_image_db, self._psnr_sensor_db = Window(SPAN_S), Window(SPAN_S)
 
-    def take_image(self, image: Image, now_s: float) -> bool:
-        """Use an image that came at `now_s`; return whether it fits the skin."""
-        if not image_fits(image, self._layout):
+    def take(self, message: msgspec.Struct, now_s: float) -> bool:
+        """Use a message of one of `TOPICS` that came at `now_s`; return whether it fits the skin."""
+        if not fits(message, self._layout):
             self.ignored += 1
             return False
+        match message:
+            case Image():
+                self._take_image(message, now_s)
+            case Contacts():
+                self._contacts = Last(message, now_s)
+            case Truth():
+                self._truth = Last(message, now_s)
+                for image, true in self._pairing.take_truth(message):
+                    self._compare(image, true, now_s)
+            case Label():
+                self._label = Last(message, now_s)
+            case GatewayStatus():
+                self._gateway = Last(message, now_s)
+            case NodesStatus():
+                self._nodes.pop(message.process, None)
+                self._nodes[message.process] = Last(message, now_s)
+                while len(self._nodes) > PROCESSES:
+                    del self._nodes[next(iter(self._nodes))]
+        return True
+
+    def _take_image(self, image: Image, now_s: float) -> None:
         # An image without any new sum, of a skin with nothing to send, has no latency.
         is_new = self._image is None or self._image.message.sampled_mono_ns != image.sampled_mono_ns
         self._image = Last(image, now_s)
@@ -102,47 +138,6 @@ class ViewState:
             self._latency_s.add(now_s, (image.published_mono_ns - image.sampled_mono_ns) * 1e-9)
         for shown, truth in self._pairing.take(image):
             self._compare(shown, truth, now_s)
-        return True
-
-    def take_contacts(self, contacts: Contacts, now_s: float) -> bool:
-        """Use the contacts of an image that came at `now_s`; return whether they fit the skin."""
-        if not contacts_fit(contacts, self._layout):
-            self.ignored += 1
-            return False
-        self._contacts = Last(contacts, now_s)
-        return True
-
-    def take_truth(self, truth: Truth, now_s: float) -> None:
-        """Use a truth that came at `now_s`."""
-        if not truth_fits(truth, self._layout):
-            self.ignored += 1
-            return
-        self._truth = Last(truth, now_s)
-        for image, true in self._pairing.take_truth(truth):
-            self._compare(image, true, now_s)
-
-    def take_label(self, label: Label, now_s: float) -> bool:
-        """Use a label that came at `now_s`; return whether it fits the skin."""
-        if not label_fits(label):
-            self.ignored += 1
-            return False
-        self._label = Last(label, now_s)
-        return True
-
-    def take_gateway(self, status: GatewayStatus, now_s: float) -> bool:
-        """Use the gateway's counters that came at `now_s`; return whether they fit the skin."""
-        if not status_fits(status):
-            self.ignored += 1
-            return False
-        self._gateway = Last(status, now_s)
-        return True
-
-    def take_nodes(self, status: NodesStatus, now_s: float) -> None:
-        """Use the counters of one process of nodes that came at `now_s`."""
-        self._nodes.pop(status.process, None)
-        self._nodes[status.process] = Last(status, now_s)
-        while len(self._nodes) > PROCESSES:
-            del self._nodes[next(iter(self._nodes))]
 
     def take_service(self, name: str, alive: bool, now_s: float) -> None:
         """Note that a service came or went at `now_s`."""
@@ -248,7 +243,7 @@ class ViewState:
         return LabelState(
             label=label.label,
             confidence=label.confidence,
-            measured=is_measured(label, self._layout.measurement.sums),
+            measured=label.is_measured(self._layout.measurement.sums),
             age_s=now_s - at_s,
             stale=self._is_stale("classifier", at_s, now_s, FRESH_S),
         )

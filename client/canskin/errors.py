@@ -1,4 +1,4 @@
-"""Errors that a user can correct.
+"""What a user is told: errors that a user can correct, and lines of the log.
 
 Every deliberate error derives from one class. The message is one line: what was expected, what came, what to do::
 
@@ -12,9 +12,13 @@ Every deliberate error derives from one class. The message is one line: what was
 The `skin` command prints the message and exits with code 2, after a `RunError` with 1, without a traceback.
 """
 
+import logging
 from typing import Final
 
 import msgspec
+
+#: Name of the logger. Records have the attribute `service`.
+LOG: Final = "canskin"
 
 #: What msgspec raises for content that it cannot decode, such as text that is no UTF-8, or lists in lists in lists.
 UNDECODABLE: Final = (msgspec.MsgspecError, UnicodeDecodeError, RecursionError)
@@ -46,3 +50,8 @@ class RunError(SkinError):
 
 class BusError(SkinError):
     """A CAN interface or the fabric cannot be opened or reached."""
+
+
+def tell(service: str, text: str, level: int = logging.WARNING) -> None:
+    """Log a line in the name of a service."""
+    logging.getLogger(LOG).log(level, text, extra={"service": service})

@@ -16,11 +16,11 @@ from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 import msgspec
 import zenoh
 
-from canskin.errors import UNDECODABLE, BusError
+from canskin.errors import UNDECODABLE, BusError, tell
 from canskin.messages import Topic
 from canskin.peers import EVERY_KEY, Peer, Roll, new_peer, peer_of_key
 from canskin.question import Question
-from canskin.session import DEFAULT_ENDPOINT, Stop, first_sentence, open_client, open_hub, tell
+from canskin.session import DEFAULT_ENDPOINT, Stop, first_sentence, open_client, open_hub
 
 Message = TypeVar("Message", bound=msgspec.Struct)
 #: Sends the answer to a request, once.

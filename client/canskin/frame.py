@@ -11,7 +11,6 @@ import numpy.typing as npt
 
 from canskin.description import Description, boot_id
 from canskin.errors import InputError
-from canskin.labels import is_measured
 from canskin.messages import UNKNOWN_ERROR_NS, Contact, Contacts, EndedContact, Image, Label, Measurement
 from canskin.sums import corrected_counts, doubtful_taxels
 
@@ -196,7 +195,7 @@ class FrameBuilder:
         label = max(before, key=lambda each: each.sampled_mono_ns, default=None)
         if label is None or image.sampled_mono_ns - label.sampled_mono_ns > LABEL_AGE_NS:
             return None
-        return label if is_measured(label, self._about.sums) else None
+        return label if label.is_measured(self._about.sums) else None
 
     def _sums(self, measurement: Measurement | None) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.bool_]]:
         """Return counts less offsets, and which of them are valid; empty if there is no measurement that fits."""

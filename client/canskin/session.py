@@ -1,7 +1,6 @@
 """Sessions of zenoh with explicit endpoints and no multicast."""
 
 import json
-import logging
 import math
 import re
 import threading
@@ -11,11 +10,9 @@ from typing import Any, Final, NamedTuple, Protocol
 
 import zenoh
 
-from canskin.errors import BusError, Stopped
+from canskin.errors import BusError, Stopped, tell
 from canskin.peers import EVERY_KEY, Peer, peer_of_key
 
-#: Name of the logger. Records have the attribute `service`.
-LOG: Final = "canskin"
 DEFAULT_ENDPOINT: Final = "tcp/127.0.0.1:7447"
 #: After this time without a hub a service logs that it waits.
 SILENT_S: Final = 3.0
@@ -27,7 +24,6 @@ LOOK_S: Final = 0.1
 PROTOCOLS: Final = ("tcp", "udp", "tls", "quic", "ws", "serial", "unixpipe", "unixsock-stream", "vsock")
 PROTOCOLS_WITH_PORT: Final = PROTOCOLS[:5]
 HIGHEST_PORT: Final = 65535
-_log: Final = logging.getLogger(LOG)
 
 
 class Stop(Protocol):
@@ -171,8 +167,3 @@ def peers_at(endpoint: str, patience_s: float, is_enough: Callable[[list[Peer]],
             time.sleep(LOOK_S)
     finally:
         session.close()
-
-
-def tell(service: str, text: str, level: int = logging.WARNING) -> None:
-    """Log a line in the name of a service."""
-    _log.log(level, text, extra={"service": service})

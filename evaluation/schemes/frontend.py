@@ -16,7 +16,7 @@ from reconstructor.engine import Reconstructor
 from reconstructor.gains import GainCorrection, KnownGains
 from reconstructor.settings import LIVE, VARIATION
 from skin.clipping import IDLE_DEVIATION
-from skin.defects import Mismatch, Skew, SumNoise, SumOffset
+from skin.defects import Defects
 from skin.frontend import SumConverter, SumModel, converter
 from skin.layout import Layout, parse_layout
 from skin.taxel import NOISE_N, sense, to_counts
@@ -161,12 +161,13 @@ class _Board:
         self._layout = _layout(size, effect.bits or 10)
         self._phi, taxels = self._layout.phi(), self._layout.taxels
         self._converter: SumConverter | None = converter(self._layout) if effect.bits else None
-        self._model = SumModel(
-            mismatch=Mismatch(effect.mismatch, seed) if effect.mismatch else None,
-            sum_offset=SumOffset(effect.offset_n, seed) if effect.offset_n else None,
-            sum_noise=SumNoise(effect.noise_n) if effect.noise_n else None,
-            skew=Skew(effect.row_s) if effect.row_s else None,
-        )
+        amounts = {
+            "mismatch": effect.mismatch,
+            "sum_offset": effect.offset_n,
+            "sum_noise": effect.noise_n,
+            "skew": effect.row_s,
+        }
+        self._model = SumModel(self._phi, Defects.of(amounts, seed))
         settings = LIVE if effect.is_live else VARIATION
         if not (effect.is_digital or effect.keeps_penalty or effect.is_live):
             settings = replace(settings, penalty_n=settings.penalty_n * (size / 32) ** 0.5 / IDLE_DEVIATION)
@@ -176,8 +177,8 @@ class _Board:
             still = np.zeros((TARE_CYCLES, taxels.count), np.float32)
             self._zero_n = self._sums_n(still, None, np.random.default_rng([seed, 1])).mean(axis=0)
         self._gains: KnownGains | None = None
-        if effect.knows_gains and self._model.mismatch is not None:
-            self._gains = KnownGains(np.ones(taxels.count), self._model.mismatch.gains(self._phi.shape[0]))
+        if effect.knows_gains and self._model.gains is not None:
+            self._gains = KnownGains(np.ones(taxels.count), self._model.gains)
         elif effect.is_calibrated:
             self._gains = self._rolled()
 
@@ -210,7 +211,7 @@ class _Board:
         """
         noise_n = np.float32(NOISE_N / averaged**0.5)
         read_n = force_n + noise_n * random.standard_normal(force_n.shape, np.float32)
-        sums_n = self._model.sums_n(self._phi, read_n, random, change_n_per_s=change_n_per_s)
+        sums_n = self._model.sums_n(read_n, random, change_n_per_s=change_n_per_s)
         if self._converter is None:
             return sums_n
         counts = self._converter.counts(sums_n)

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -19,7 +19,7 @@ from evaluation.result import Options, Result, Row
 from evaluation.result_cache import measure_cells
 from evaluation.schemes.scenes import SLIDES
 from nodes.averaging import SampleFilter
-from skin.defects import Drift, GainSpread, Offset
+from skin.defects import Defects
 from skin.layout import Layout, load_layout
 from skin.psnr import decibels
 from skin.taxel import TaxelModel, to_counts
@@ -196,14 +196,12 @@ def _truth(layout: Layout, case: Case, slide: Force) -> Iterator[Force]:
 def _sums(layout: Layout, case: Case, truth: list[Force], seed: int) -> Iterator[npt.NDArray[np.int32]]:
     """Yield the sums of each cycle, as nodes make them of what taxels read."""
     phi, taxels, random = layout.phi(), layout.taxels, np.random.default_rng(seed)
-    defects: dict[str, Any] = {}
-    if case.offset:
-        defects["offset"] = Offset(OFFSET_RATIO, seed)
-    if case.gain:
-        defects["gain_spread"] = GainSpread(GAIN_DEVIATION, seed)
-    if case.taxel_drift:
-        defects["drift"] = Drift(TAXEL_DRIFT_N_PER_S, seed)
-    model = TaxelModel(force_max_n=taxels.force_max_n, **defects)
+    amounts = {
+        "offset": OFFSET_RATIO * case.offset,
+        "gain_spread": GAIN_DEVIATION * case.gain,
+        "drift": TAXEL_DRIFT_N_PER_S * case.taxel_drift,
+    }
+    model = TaxelModel(force_max_n=taxels.force_max_n, defects=Defects.of(amounts, seed))
     average = SampleFilter(phi.taxels_of_blocks)
     period_s, samples = layout.sync.period_s, layout.samples_per_sync
     parts_s = period_s * np.arange(1 - samples, 1) / samples

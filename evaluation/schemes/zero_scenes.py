@@ -22,9 +22,9 @@ from canskin.sums import doubtful_taxels
 from demo.chain import Receivers
 from evaluation.result import Options, Result, Row
 from evaluation.result_cache import measure_cells
-from skin.defects import Offset
+from skin.defects import Defects, Stage, creep
 from skin.layout import Layout, load_layout
-from skin.zero_drift import DRIFT_N_PER_K, REST_K, Creep, Place, ZeroDrift
+from skin.zero_drift import DRIFT_N_PER_K, REST_K, Place, ZeroDrift
 
 #: What every taxel reads at least, and the offsets above that as part of the range.
 PEDESTAL_N: Final = 5e-3
@@ -102,7 +102,7 @@ class Scene:
     drifts : tuple of ZeroDrift
     presses : tuple of Press
     creep : float
-        Ratio of `skin.zero_drift.Creep`.
+        Ratio of `skin.defects.creep`.
     tares : tuple of (float, Region or None)
         Times of forced zeros, of all of the skin or of a part.
     away : tuple of float
@@ -214,7 +214,7 @@ def _cycles(layout: Layout, scene: Scene, rest_n: Floats, seed: int) -> Iterator
     memory_n = np.zeros(shape, np.float32)
     noise_n = sums_n = ideal_n = np.zeros(phi.shape[0])
     truth_n = zero_n = np.zeros(taxels.count)
-    valid, creep = np.ones(layout.blocks, np.bool_), Creep(scene.creep)
+    valid = np.ones(layout.blocks, np.bool_)
     for cycle in range(round(scene.seconds / period_s)):
         time_s = (cycle + 1) * period_s
         if cycle % STEP_CYCLES == 0:
@@ -223,7 +223,7 @@ def _cycles(layout: Layout, scene: Scene, rest_n: Floats, seed: int) -> Iterator
                 press.add_to(force_n, time_s)
             force_n.ravel()[list(taxels.untouchable or ())] = 0
             moment = force_n[None].astype(np.float32)
-            felt_n, memory_n = creep(moment, memory_n, STEP_CYCLES * period_s)
+            felt_n, memory_n = creep(scene.creep, moment, memory_n, STEP_CYCLES * period_s)
             drift_n = sum((each.offsets_n(shape, np.array([time_s]))[0] for each in scene.drifts), np.zeros(shape))
             truth_n = force_n.ravel()
             zero_n = rest_n + drift_n.ravel() + (felt_n[0] - moment[0]).ravel() * (truth_n == 0)
@@ -243,7 +243,8 @@ class _Judge:
     def __init__(self, layout: Layout, scene: Scene) -> None:
         taxels, self.phi = layout.taxels, layout.phi()
         self._shape = taxels.rows, taxels.columns
-        offsets_n = Offset(OFFSET_RATIO, 0).offsets_n(self._shape, taxels.force_max_n)
+        defects = Defects.of({"offset": OFFSET_RATIO})
+        (offsets_n,) = defects.effects(Stage.OFFSET, self._shape, taxels.force_max_n)
         self.rest_n: Floats = PEDESTAL_N + offsets_n.ravel().astype(np.float64)
         self._layout, self._scene = layout, scene
         self._shown, self._ideal = Receivers(layout), Receivers(layout)

@@ -14,6 +14,7 @@ from dbc.frame import Frames
 from nodes.adaptive.sensors import STEP_NS, PatchSensors
 from nodes.electronics import Calibration
 from nodes.hardware import Hardware
+from skin.defects import NO_DEFECTS, Defects
 from skin.sources import TaxelSource
 from skin.taxel import NOISE_N, TaxelModel
 
@@ -56,7 +57,7 @@ class PatchBoards(Hardware):
         *,
         noise_n: float = NOISE_N,
         seed: int = 0,
-        defects: dict[str, Any] | None = None,
+        defects: Defects = NO_DEFECTS,
     ) -> None:
         taxels = contract.layout.taxels
         super().__init__(contract.phi, Calibration(taxels))
@@ -70,7 +71,7 @@ class PatchBoards(Hardware):
             bus = contract.nodes[block].bus
             self._rows[bus] = slice(self._rows[bus].start if bus in self._rows else row, row + 1)
         self._cells = contract.phi.taxels_of_blocks[list(blocks)]
-        model = TaxelModel(0.0 if source.has_noise else noise_n, taxels.force_max_n, **(defects or {}))
+        model = TaxelModel(0.0 if source.has_noise else noise_n, taxels.force_max_n, defects)
         self._sensors = PatchSensors(self._calibration, self._cells, model, source, seed)
         self._now = 0  # number of the newest sample
         self._next_ns = self._decided_ns = 0

@@ -19,7 +19,7 @@ from nodes.electronics import Calibration
 from skin.compiled import njit
 from skin.sending import ADAPTIVE_STEP_HZ
 from skin.sources import Frame, TaxelSource
-from skin.taxel import TaxelModel
+from skin.taxel import Memory, TaxelModel
 
 #: Time between two steps of the touch.
 STEP_NS: Final = round(1e9 / ADAPTIVE_STEP_HZ)
@@ -85,8 +85,8 @@ class PatchSensors:
         self._drift = self._random.uniform(-DRIFT_PPM, DRIFT_PPM, len(cells)) * 1e-6
         # Forces at both ends of the intervals from step `_step` on and of the next: shape (2, 2, boards, taxels).
         self._step: int | None = None
-        # What creep keeps of the forces until the newest interval begins, and its step.
-        self._memory_n: Floats | float = 0.0
+        # What defects keep of the forces until the newest interval begins, and its step.
+        self._memory: Memory = {}
         self._memory_step: int | None = None
         self._ends_n = np.zeros((2, 2, *cells.shape), np.float32)
         self._ends_n[:] = self._of_taxels(model.felt_n(np.zeros((1, *self._shape), np.float32), np.zeros(1))[0])
@@ -133,16 +133,12 @@ class PatchSensors:
     def _interval(self, step: int) -> Floats:
         """Return the felt forces at both ends of an interval, shape (2, boards, taxels); before step 0 that of 0."""
         begin_n, end_n = (self.frame(max(0, each)).force_n for each in (step, step + 1))
-        moments_n = np.stack([begin_n, end_n])
-        if self._model.damper is not None:
-            # The speed in the interval is even; the damper takes that since the moment before.
-            moments_n = np.stack([2 * begin_n - end_n, begin_n, end_n])
-            moments_n = self._model.damper(moments_n, STEP_S)[1:]
-        if self._model.creep is not None:
-            since_s = 0.0 if self._memory_step is None else max(0, step - self._memory_step) * STEP_S
-            first_n, self._memory_n = self._model.creep(moments_n[:1], self._memory_n, since_s)
-            moments_n = np.concatenate([first_n, self._model.creep(moments_n[1:], self._memory_n, STEP_S)[0]])
-            self._memory_step = step
+        # The speed in the interval is even; a damper takes that since the moment before.
+        moments_n = self._model.damped_n(np.stack([2 * begin_n - end_n, begin_n, end_n]), STEP_S)[1:]
+        since_s = 0.0 if self._memory_step is None else max(0, step - self._memory_step) * STEP_S
+        first_n, self._memory = self._model.remembered_n(moments_n[:1], self._memory, since_s)
+        moments_n = np.concatenate([first_n, self._model.remembered_n(moments_n[1:], self._memory, STEP_S)[0]])
+        self._memory_step = step
         time_s = STEP_S * np.maximum(0, np.array([step, step + 1], np.float64))
         return self._of_taxels(self._model.felt_n(moments_n, time_s))
 

@@ -136,8 +136,6 @@ def test_pictures(skin: Skin, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["plan", "--taxels", "64"], "'skin plan --taxels' is 'skin design' now"),
-        (["plan", "palm.toml", "--rate=50", "--can", "fd"], "'skin plan --rate' is 'skin design' now"),
         (["design", "--taxels", "100"], "power of two"),
         (["design", "--rate", "50"], "taxels"),
         (["plan", "--jitter-s", "-1"], "jitter of 0 to 1 s"),

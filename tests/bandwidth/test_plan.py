@@ -118,7 +118,7 @@ def test_average_load_is_that_of_the_arbitrated_bus(name: str) -> None:
     cycles = 200
     for cycle in range(cycles):
         counter = cycle % SYNC_OVERFLOW + 1
-        sums = contract.phi.block_sums(electronics.read(source.frame(5 * cycle).force_n))
+        sums = np.asarray(contract.phi.forward(electronics.read(source.frame(5 * cycle).force_n)), np.int32)
         due = table.phase == contract.phase_of(counter)
         burst = frames(int(due.sum()))
         burst["can_id"], burst["length"], burst["flags"] = table.cob_id[due], table.length[due], table.flags[due]

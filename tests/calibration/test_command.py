@@ -19,7 +19,7 @@ from canskin.calibration_messages import (
 )
 from canskin.errors import BusError, RunError
 from canskin.fabric import Fabric, Reply
-from skin.calibration_file import encoded, load_calibration, new_calibration, parse_calibration, save_calibration
+from skin.calibration_file import encoded, load_calibration, new_calibration, parse_calibration
 from skin.command import main
 from tests.calibration.helpers import LAYOUT, PHI
 
@@ -80,7 +80,7 @@ def test_the_calibration_of_a_gateway_is_shown_saved_and_loaded(
 
 def test_a_gateway_that_refuses_or_has_nothing_fails_the_verb(gateway: Gateway, endpoint: str, tmp_path: Path) -> None:
     path = tmp_path / "it.json"
-    save_calibration(path, STORED)
+    path.write_bytes(encoded(STORED))
     gateway.is_done, gateway.stored = False, new_calibration(LAYOUT)
     with pytest.raises(RunError, match="words"):
         calibration("load", path, connect=endpoint)

@@ -10,8 +10,8 @@ from calibration.gain_files import stored_gains
 from calibration.gains import Gains, defects_of, find_gains
 from canskin.errors import InputError, RunError
 from canskin.messages import IMAGE, MEASUREMENT
-from skin.calibration_file import StoredCalibration, encoded, load_calibration, new_calibration, save_calibration
-from skin.defects import Mismatch, SumGains
+from skin.calibration_file import StoredCalibration, encoded, load_calibration, new_calibration
+from skin.defects import Defects, Stage, SumGains
 from skin.frontend import with_gains
 from skin.mcap_file import CALIBRATION_FILE, File, RecordingWriter
 from skin.measurement import fast_hadamard
@@ -63,7 +63,7 @@ def test_gains_are_found_within_a_few_percent(gains: np.ndarray) -> None:
 @pytest.mark.heavy
 def test_gains_of_analogue_sums_are_found_beside_those_of_taxels(gains: np.ndarray) -> None:
     """Gains of 5 % of the paths and of 10 % of the taxels: what is left is a small part of both."""
-    made = Mismatch(0.05, seed=3).gains(PHI.shape[0])
+    (made,) = Defects.of({"mismatch": 0.05}, 3).effects(Stage.SUM_PATHS, PHI.shape[:1])
     readings = (FORCES.reshape(len(FORCES), -1) * gains).astype(np.float32)
     noise = np.random.default_rng(2).normal(0, 2e-4, (len(readings), PHI.shape[0]))
     sums = with_gains(PHI, readings, PHI.forward(readings), made) + noise
@@ -157,7 +157,7 @@ def test_gains_of_a_second_roll_multiply_those_of_the_first(
     gains: np.ndarray, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     set_ = new_calibration(LAYOUT, gains=np.linspace(0.8, 1.2, PHI.shape[1]))
-    save_calibration(tmp_path / "first.json", set_)
+    (tmp_path / "first.json").write_bytes(encoded(set_))
     path = recording(tmp_path / "run.mcap", gains)
     once = np.array(stored_gains(LAYOUT, path, WHOLE_N).gains)
     assert "taken as 1" in capsys.readouterr().err
@@ -165,7 +165,7 @@ def test_gains_of_a_second_roll_multiply_those_of_the_first(
     np.testing.assert_allclose(twice.gains, once * set_.gains)
     attached = recording(tmp_path / "attached.mcap", gains, attached=set_)
     np.testing.assert_allclose(stored_gains(LAYOUT, attached, WHOLE_N).gains, twice.gains)
-    save_calibration(tmp_path / "none.json", new_calibration(LAYOUT, offsets_n=np.zeros(PHI.shape[0])))
+    (tmp_path / "none.json").write_bytes(encoded(new_calibration(LAYOUT, offsets_n=np.zeros(PHI.shape[0]))))
     with pytest.raises(InputError, match=r"none\.json: has no gains"):
         stored_gains(LAYOUT, path, WHOLE_N, tmp_path / "none.json")
 
@@ -184,7 +184,7 @@ def test_a_roll_over_an_analogue_skin_stores_the_gains_of_its_sums(gains: np.nda
     path = recording(tmp_path / "run.mcap", gains)
     stored = stored_gains(analogue, path, WHOLE_N)
     assert len(stored.differential_gains) == len(stored.common_mode_gains) == PHI.shape[0]
-    save_calibration(tmp_path / "gains.json", stored)
+    (tmp_path / "gains.json").write_bytes(encoded(stored))
     loaded = load_calibration(tmp_path / "gains.json", analogue)
     assert loaded == stored
     of_sums = loaded.sum_gains()

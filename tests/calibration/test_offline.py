@@ -11,7 +11,7 @@ from calibration.offline import calibrated_cycles, make_calibrator, measurement_
 from calibration.recorded import RecordedOffsets
 from canskin.errors import InputError
 from canskin.messages import MEASUREMENT
-from skin.calibration_file import encoded, load_calibration, new_calibration, save_calibration
+from skin.calibration_file import encoded, load_calibration, new_calibration
 from skin.mcap_file import CALIBRATION_FILE, File, RecordingWriter
 from tests.calibration.helpers import LAYOUT, NEWTON_PER_COUNT, PHI, offsets_n, pressed
 from tests.layouts import ADAPTIVE_SKIN
@@ -103,13 +103,13 @@ def test_the_attached_calibration_of_a_recording_has_its_newest_offsets(tmp_path
 
 def test_options_ask_for_nothing_a_file_or_a_tare(tmp_path: Path) -> None:
     path = tmp_path / "it.json"
-    save_calibration(path, new_calibration(LAYOUT, offsets_n=OFFSETS))
+    path.write_bytes(encoded(new_calibration(LAYOUT, offsets_n=OFFSETS)))
     assert make_calibrator(LAYOUT, None, "never", "test") is None
     assert make_calibrator(LAYOUT, None, "at-start", "test") is not None
     stored = make_calibrator(LAYOUT, path, "never", "test")
     assert stored is not None
     assert stored.offsets_n == pytest.approx(OFFSETS)
-    save_calibration(path, new_calibration(LAYOUT, gains=np.ones(PHI.shape[1])))
+    path.write_bytes(encoded(new_calibration(LAYOUT, gains=np.ones(PHI.shape[1]))))
     with pytest.raises(InputError, match=r"it\.json: has no offsets of sums"):
         make_calibrator(LAYOUT, path, "never", "test")
     with pytest.raises(InputError, match="adaptive boards"):

@@ -18,7 +18,7 @@ from canskin.calibration_messages import (
     ZeroSupport,
 )
 from canskin.errors import InputError, RunError
-from skin.calibration_file import StoredCalibration, encoded, new_calibration, save_calibration
+from skin.calibration_file import StoredCalibration, encoded, new_calibration
 from skin.defects import SumGains
 from tests.calibration.helpers import LAYOUT, PHI
 
@@ -77,7 +77,7 @@ def of_all() -> StoredCalibration:
 
 
 def test_a_file_is_shown_in_millinewtons(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    save_calibration(tmp_path / "it.json", of_all())
+    (tmp_path / "it.json").write_bytes(encoded(of_all()))
     calibration("show", tmp_path / "it.json")
     text = capsys.readouterr().out
     for name, value in (
@@ -95,7 +95,7 @@ def test_a_file_is_shown_in_millinewtons(tmp_path: Path, capsys: pytest.CaptureF
 
 
 def test_a_file_without_gains_or_offsets_shows_none(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    save_calibration(tmp_path / "it.json", new_calibration(LAYOUT))
+    (tmp_path / "it.json").write_bytes(encoded(new_calibration(LAYOUT)))
     calibration("show", tmp_path / "it.json")
     assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == ["skin", "saved"]
 
@@ -163,7 +163,7 @@ def test_json_holds_calibration_and_status(
     document = json.loads(capsys.readouterr().out)
     assert document["calibration"] == msgspec.to_builtins(gateway.stored)
     assert document["status"]["held_blocks"] == 7
-    save_calibration(tmp_path / "it.json", of_all())
+    (tmp_path / "it.json").write_bytes(encoded(of_all()))
     calibration("show", tmp_path / "it.json", json=True)
     assert json.loads(capsys.readouterr().out)["status"] is None
 
@@ -201,7 +201,7 @@ def test_writing_to_nodes_may_take_minutes(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     stored = of_all()
-    save_calibration(tmp_path / "it.json", stored)
+    (tmp_path / "it.json").write_bytes(encoded(stored))
     calibration("load", tmp_path / "it.json", to_nodes=to_nodes)
     assert capsys.readouterr().err == "calibration: words\n"
     ((_, request, timeout_s),) = gateway.asked

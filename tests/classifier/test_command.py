@@ -79,7 +79,7 @@ def test_train_writes_a_model_and_tells(
     offer: Offer, small: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "out.npz"
-    train(layout=small, objects="dome, plate,dome", touches=240, out=out, json=True)
+    train(layout=small, objects=["dome, plate", "dome"], touches=240, out=out, json=True)
     told = json.loads(capsys.readouterr().out)
     assert offer.calls == [(["dome", "plate"], 240)]
     assert told["model"] == str(out)
@@ -92,17 +92,17 @@ def test_train_writes_a_model_and_tells(
 @pytest.mark.usefixtures("offer")
 def test_train_writes_a_layout_with_the_rows_that_it_chose(small: Path, tmp_path: Path) -> None:
     out, chosen = tmp_path / "out.npz", tmp_path / "chosen.toml"
-    train(layout=small, objects="dome,plate", touches=240, out=out, choose=8, layout_out=chosen, features="sums")
+    train(layout=small, objects=["dome", "plate"], touches=240, out=out, choose=8, layout_out=chosen, features="sums")
     skin = load_layout(chosen)
     assert (skin.measurement.sums, skin.phi().shape[0]) == (8, 8)
     assert load_model(out, skin, skin.phi()).metadata.card.validation_accuracy > 0.9
     with pytest.raises(InputError, match="belong together"):
         train(layout=small, choose=8)
     with pytest.raises(InputError, match="another name"):
-        train(layout=small, objects="dome,plate", choose=8, layout_out=small)
+        train(layout=small, objects=["dome", "plate"], choose=8, layout_out=small)
     both = tmp_path / "both.npz"
     with pytest.raises(InputError, match="named for the model and for the layout"):
-        train(layout=small, objects="dome,plate", choose=8, layout_out=both, out=both)
+        train(layout=small, objects=["dome", "plate"], choose=8, layout_out=both, out=both)
     assert not both.exists()
 
 
@@ -110,7 +110,7 @@ def test_train_writes_a_layout_with_the_rows_that_it_chose(small: Path, tmp_path
 def test_train_prints_a_table_and_keeps_the_model_for_classify(
     offer: Offer, small: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    train(layout=small, objects="dome,plate", touches=240)
+    train(layout=small, objects=["dome", "plate"], touches=240)
     captured = capsys.readouterr()
     assert "dome" in captured.out
     assert "C = " in captured.err
@@ -164,7 +164,7 @@ def test_wrong_options(small: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="cannot write the model there"):
         train(layout=small, out=tmp_path)
     with pytest.raises(InputError, match="leave --objects out"):
-        classify(layout=small, model=tmp_path / "x.npz", objects="ring")
+        classify(layout=small, model=tmp_path / "x.npz", objects=["ring"])
     with pytest.raises(InputError, match="leave --stroke out"):
         classify(model=Path("palm.npz"), stroke="press")
     with pytest.raises(ModelError, match="cannot read the model"):

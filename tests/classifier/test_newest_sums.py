@@ -1,9 +1,13 @@
 """The newest sums of blocks, and means over cycles."""
 
+import math
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 
-from classifier.newest_sums import HOLD_CYCLES, NewestSums
+from classifier.newest_sums import HOLD_CYCLES, NewestSums, averaged_cycles
 from skin.measurement import Sbhe
 
 
@@ -21,7 +25,7 @@ def test_a_lost_block_keeps_its_sums_for_some_cycles(phi: Sbhe) -> None:
 
 
 @pytest.mark.parametrize("cycles", [4, 20])
-def test_the_noise_of_means_is_that_of_so_many_cycles(phi: Sbhe, cycles: int) -> None:
+def test_the_noise_of_means_is_that_of_their_cycles(phi: Sbhe, cycles: int) -> None:
     newest, came, rng = NewestSums(phi, cycles), np.ones(phi.blocks, np.bool_), np.random.default_rng(0)
     means = []
     for _ in range(40 * cycles):
@@ -96,3 +100,20 @@ def test_a_block_that_is_left_out_does_not_count_as_noise(phi: Sbhe) -> None:
     assert 1 < newest.noise_ratio**2 < 1 + 3 / phi.blocks
     assert np.all(newest.sums[phi.block_of_sum != 0] == 600)
     assert np.all(newest.sums[phi.block_of_sum == 0] < 100)
+
+
+@pytest.mark.parametrize(("rate_hz", "cycles"), [(500.0, 20), (100.0, 4), (40.0, 2), (20.0, 1), (10.0, 1), (1.0, 1)])
+def test_sums_are_averaged_over_about_forty_milliseconds(rate_hz: float, cycles: int) -> None:
+    layout: Any = SimpleNamespace(samples_per_sync=1, recognition=None, sync=SimpleNamespace(rate_hz=rate_hz))
+    assert averaged_cycles(layout) == cycles
+    for changed in ({"samples_per_sync": 2}, {"recognition": "some"}):
+        assert averaged_cycles(SimpleNamespace(**{**vars(layout), **changed})) == 1  # type: ignore[arg-type]
+
+
+def test_a_mean_of_two_cycles_has_more_noise_at_first(phi: Sbhe) -> None:
+    newest, came = NewestSums(phi, 2), np.ones(phi.blocks, np.bool_)
+    newest.take(np.zeros(phi.shape[0], np.int32), came, 1)
+    assert newest.noise_ratio == pytest.approx(math.sqrt(2))
+    single = NewestSums(phi)
+    single.take(np.zeros(phi.shape[0], np.int32), came, 1)
+    assert single.noise_ratio == 1.0

@@ -1,5 +1,8 @@
 """Features and peak of sums whose noise differs from that of the training."""
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -31,3 +34,22 @@ def test_an_untouched_skin_looks_the_same_whatever_its_noise_when_that_is_told(
     expected, found = seen(1.0), seen(noise_ratio)
     assert found[0] == pytest.approx(expected[0], rel=1e-3)
     assert found[1] == pytest.approx(expected[1], rel=1e-3)
+
+
+def test_features_and_peak_are_relative_to_the_untouched_skin(phi: Sbhe) -> None:
+    """A quarter of the blocks gives a quarter of the energy, and half the peak."""
+    energy_mean, energy_sd, peak_mean, peak_sd = np.array([[4.0, 1.0], [2.0, 4.0], [0.5, 8.0], [0.25, 2.0]])
+    observer = Observer(phi, 32, 32, np.array([energy_mean, energy_sd, peak_mean, peak_sd]))
+    seen: list[tuple[Any, ...]] = []
+    smoothed: Any = SimpleNamespace(
+        measure=lambda *given: seen.append(given), energies=np.array([40.0, 3.0]), peaks=np.array([6.0, 0.1])
+    )
+    observer.smoothed = smoothed
+    sums, valid = np.zeros(phi.shape[0]), np.ones(phi.blocks, np.float32)
+    peak = observer.look(sums, valid, 0.25, 2.0)
+    assert [given[2] for given in seen] == [0.25]
+    energies = [(40.0 - 4 * 4.0) / 2.0 / 0.25, (3.0 - 4 * 1.0) / 4.0 / 0.25]
+    peaks = [6.0 / 0.5 / 0.5, 0.05]  # the second is below a twentieth of its mean
+    assert observer.features.tolist() == pytest.approx([*np.arcsinh(energies), *np.log(peaks)])
+    assert peak == pytest.approx((6.0 / 2 - 0.5) / 0.25)
+    assert observer.look(sums, valid, 0.25) == pytest.approx((6.0 - 0.5) / 0.25)

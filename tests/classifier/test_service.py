@@ -10,10 +10,11 @@ import pytest
 
 from canskin.fabric import Fabric, Mailbox
 from canskin.messages import LABEL, MEASUREMENT, Label, Measurement, Topic
-from classifier.decide import Classifier, Decision
+from classifier.decide import Classifier
 from classifier.model import Model
 from classifier.samples import simulate_sums
 from classifier.service import ClassifierService, most_waiting
+from classifier.settling import Decision
 from skin.layout import Layout, Sync
 from skin.measurement import Sbhe
 from skin.service import StopSignal
@@ -67,14 +68,13 @@ def test_valid_sums_count_the_valid_blocks(service: ClassifierService, measureme
 
 
 def test_other_measurements_are_refused_and_said_once(
-    service: ClassifierService, measurement: Measurement, capsys: pytest.CaptureFixture[str]
+    service: ClassifierService, measurement: Measurement, caplog: pytest.LogCaptureFixture
 ) -> None:
     for odd in ({"fingerprint": "0" * 16}, {"sums": b"\0" * 12}, {"sums": b"\0"}, {"valid": b""}):
         assert service.label(msgspec.structs.replace(measurement, **odd)) is None
     assert service.refused == 4
-    said = capsys.readouterr().err.splitlines()
-    assert len(said) == 1
-    assert "0000000000000000" in said[0]
+    (said,) = caplog.messages
+    assert "0000000000000000" in said
     assert service.label(measurement) is not None
     assert service.labelled == 1
 

@@ -9,7 +9,7 @@ import pytest
 
 from canskin import description as description_module
 from canskin.frame import FrameBuilder
-from tests.client.conftest import contacts, description, image, label, measurement
+from tests.client.helpers import contacts, description, image, label, measurement
 
 EVEN = np.arange(16).reshape(4, 4) % 2 == 0
 

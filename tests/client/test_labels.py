@@ -2,7 +2,6 @@
 
 import pytest
 
-from canskin.labels import is_measured
 from tests.messages import label
 
 
@@ -10,4 +9,4 @@ from tests.messages import label
     ("valid_sums", "blind", "counts"), [(0, False, False), (255, False, False), (256, False, True), (1024, True, False)]
 )
 def test_label_counts_from_a_quarter_of_the_sums_on(valid_sums: int, blind: bool, counts: bool) -> None:
-    assert is_measured(label(valid_sums=valid_sums, blind=blind), 1024) is counts
+    assert label(valid_sums=valid_sums, blind=blind).is_measured(1024) is counts

@@ -9,7 +9,7 @@ import pytest
 from canskin.errors import BusError
 from canskin.frame import Frame, FrameBuilder
 from canskin.skin import FrameHub, Frames
-from tests.client.conftest import contacts, description, image
+from tests.client.helpers import contacts, description, image
 
 
 def frame(cycle: int) -> Frame:

@@ -22,9 +22,7 @@ LAYOUT = load_layout()
 
 
 def run_with_contact(picture: Path, folder: Path) -> Run:
-    options = DemoOptions(
-        None, 1.0, None, None, (), None, (), (), 0, view=False, port=None, listen=None, picture=picture
-    )
+    options = DemoOptions(view=False, picture=picture)
     run = Run(LAYOUT, options, folder)
     force_n = np.full((64, 64), 0.01, np.float32)
     run.score.snapshot = Snapshot(force_n, force_n, force_n)

@@ -58,7 +58,7 @@ def run(twins: AdaptiveTwins, samples: int) -> int:
 @pytest.mark.heavy
 @pytest.mark.parametrize("defects", [(), DEFECTS], ids=["sound", "defective"])
 def test_frames_of_touches_though_some_are_lost(contract: Contract, defects: tuple[str, ...]) -> None:
-    twins = AdaptiveTwins(contract, defects=parse_defects(defects, 3))
+    twins = AdaptiveTwins(contract, defects=parse_defects(defects, [], 3, contract.layout))
     twins.nmt(START)
     assert run(twins, SAMPLES) > SAMPLES / 20
     assert [segment.frames_sent for segment in twins.segments] == [twins.segments[0].frames_sent] * 2

@@ -11,7 +11,7 @@ from canskin.calibration_messages import CALIBRATION, Question
 from canskin.description import DESCRIPTION
 from canskin.errors import InputError
 from gateway import command
-from skin.calibration_file import new_calibration, save_calibration
+from skin.calibration_file import encoded, new_calibration
 from skin.layout import load_layout
 from skin.service import StopSignal
 from tests.layouts import ADAPTIVE_SKIN
@@ -98,10 +98,10 @@ def test_a_calibration_of_another_skin_or_for_adaptive_boards_is_refused(
 ) -> None:
     parts = Parts(monkeypatch)
     path = tmp_path / "it.json"
-    save_calibration(path, new_calibration(ADAPTIVE_SKIN))
+    path.write_bytes(encoded(new_calibration(ADAPTIVE_SKIN)))
     with pytest.raises(InputError, match="the calibration of another layout"):
         command.gateway(calibration=path)
-    save_calibration(path, new_calibration(load_layout(), gains=np.ones(4096)))
+    path.write_bytes(encoded(new_calibration(load_layout(), gains=np.ones(4096))))
     with pytest.raises(InputError, match="has no offsets of sums"):
         command.gateway(calibration=path)
     with pytest.raises(InputError, match="adaptive boards measure their own offsets"):
@@ -117,7 +117,7 @@ def test_the_zero_of_an_earlier_run_is_used_and_that_of_this_run_is_kept_at_the_
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     parts, path, skin = Parts(monkeypatch), tmp_path / "zero.json", load_layout()
-    save_calibration(path, new_calibration(skin, offsets_n=np.full(1024, 0.01)))
+    path.write_bytes(encoded(new_calibration(skin, offsets_n=np.full(1024, 0.01))))
     kept = path.stat().st_ino
     with pytest.raises(KeyboardInterrupt):
         command.gateway(keep_zero=path)

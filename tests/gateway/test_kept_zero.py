@@ -10,7 +10,7 @@ import pytest
 from canskin.calibration_messages import CalibrationRequest
 from dbc.contract import Contract
 from gateway.calibration import GatewayCalibration, kept_zero
-from skin.calibration_file import encoded, load_calibration, new_calibration, save_calibration
+from skin.calibration_file import encoded, load_calibration, new_calibration
 
 SUMS = 32
 
@@ -68,8 +68,8 @@ def test_a_new_run_begins_with_the_zero_of_the_run_before_and_does_not_date_it_a
     assert kept_zero(path, small.layout, None) is None
     assert capsys.readouterr().err == ""  # as before the first run
     offsets_n = np.linspace(-0.1, 0.1, SUMS)
-    save_calibration(
-        path, msgspec.structs.replace(new_calibration(small.layout, offsets_n=offsets_n), saved="some day")
+    path.write_bytes(
+        encoded(msgspec.structs.replace(new_calibration(small.layout, offsets_n=offsets_n), saved="some day"))
     )
     named = new_calibration(small.layout, gains=np.full(128, 1.25), offsets_n=np.zeros(SUMS))
     stored = kept_zero(path, small.layout, named)
@@ -98,12 +98,12 @@ def test_a_zero_of_another_skin_or_a_folder_is_one_line(
     small: Contract, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "zero.json"
-    save_calibration(path, msgspec.structs.replace(new_calibration(small.layout), fingerprint="0" * 16))
+    path.write_bytes(encoded(msgspec.structs.replace(new_calibration(small.layout), fingerprint="0" * 16)))
     for place, said in ((path, "the calibration of another layout"), (tmp_path, "cannot read the calibration")):
         assert kept_zero(place, small.layout, None) is None
         (line,) = capsys.readouterr().err.splitlines()
         assert said in line
-    save_calibration(path, new_calibration(small.layout))
+    path.write_bytes(encoded(new_calibration(small.layout)))
     assert kept_zero(path, small.layout, None) is None
     assert "has no offsets of sums" in capsys.readouterr().err
 

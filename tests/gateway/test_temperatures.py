@@ -10,6 +10,7 @@ from dbc.canopen import SDO_REQUEST_BASE
 from dbc.indices import OD_TEMPERATURE
 from gateway.calibration import GatewayCalibration
 from gateway.temperatures import PERIOD_S
+from skin.defects import Defects
 from skin.zero_drift import DRIFT_N_PER_K, REST_K, ZeroDrift
 from tests.gateway.boards import BoardWorld, small_adaptive
 from tests.gateway.helpers import World
@@ -44,7 +45,7 @@ def test_temperatures_follow_the_drift_of_each_board(blocks_per_node: int, monke
     assert warm.run(2 * PERIOD_S) == pytest.approx(REST_K, abs=0.051)
     cells = tuple(world.contract.phi.taxels_of_blocks[3].tolist())
     drift = ZeroDrift("cells", "step", 10 * DRIFT_N_PER_K, cells=cells)
-    world.electronics._model = replace(world.electronics._model, zero_drifts=(drift,))
+    world.electronics._model = replace(world.electronics._model, defects=Defects(zero_drifts=(drift,)))
     expected = REST_K + np.repeat(np.array([0, 0, 0, 10.0]).reshape(-1, blocks_per_node).mean(axis=1), blocks_per_node)
     assert warm.run(2 * PERIOD_S) == pytest.approx(expected, abs=0.051)
     assert world.measured[-1].valid == b"\1" * 4

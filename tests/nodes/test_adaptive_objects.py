@@ -10,6 +10,7 @@ import pytest
 from dbc.adaptive import FIRST_COB_ID, GROUP_SUMS, NODES
 from dbc.contract import Contract, sum_frame_bits
 from gateway.adaptive_state import new_sums, take
+from skin.defects import Defects
 from skin.layout import load_layout
 from skin.walsh import GROUPS
 from skin.zero_drift import ZeroDrift
@@ -41,7 +42,7 @@ def test_a_temperature_is_read_where_the_layout_has_thermometers(bus: Bus, contr
     taxels = msgspec.structs.replace(layout.taxels, has_thermometers=True)
     drift = ZeroDrift("cells", "ramp", 0.005, 1.0, 1.0, cells=tuple(contract.phi.taxels_of_blocks[1].tolist()))
     warm = Contract.from_layout(msgspec.structs.replace(layout, taxels=taxels))
-    drifting = Bus(warm, defects={"zero_drifts": (drift,)})
+    drifting = Bus(warm, defects=Defects(zero_drifts=(drift,)))
     drifting.start()
     drifting.sync()
     for after_ms, second_k in ((1, 298.2), (1500, 303.2), (600, 308.2)):

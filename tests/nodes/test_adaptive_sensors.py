@@ -1,7 +1,5 @@
 """What the taxels of adaptive boards read, and when."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -10,11 +8,11 @@ from dbc.board_sums import PATTERN_FULL, PATTERN_RAMP
 from nodes.adaptive.sensors import DRIFT_PPM, STEP_NS, PatchSensors
 from nodes.electronics import Calibration
 from skin.clipping import IDLE_DEVIATION, IDLE_MEAN
-from skin.defects import make_defects
+from skin.defects import NO_DEFECTS, Defects, creep
 from skin.layout import Taxels
 from skin.sources import Frame
 from skin.taxel import TaxelModel
-from skin.zero_drift import Creep, ZeroDrift
+from skin.zero_drift import ZeroDrift
 
 #: Fine enough to see times.
 TAXELS = Taxels(rows=16, columns=16, adc_bits=16)
@@ -33,9 +31,9 @@ class Ramp:
 
 
 def sensors(
-    noise_n: float = 0.0, seed: int = 1, calibration: Calibration | None = None, **defects: Any
+    noise_n: float = 0.0, seed: int = 1, calibration: Calibration | None = None, defects: Defects = NO_DEFECTS
 ) -> PatchSensors:
-    model = TaxelModel(noise_n, TAXELS.force_max_n, **defects)
+    model = TaxelModel(noise_n, TAXELS.force_max_n, defects)
     return PatchSensors(calibration or Calibration(TAXELS), CELLS, model, Ramp(), seed=1)
 
 
@@ -91,20 +89,20 @@ def test_the_touch_may_be_looked_at_anywhere() -> None:
 
 
 def test_defects_show_as_in_synchronous_nodes() -> None:
-    made = make_defects({"stuck": 0.02, "dead": 0.02, "saturated": 0.02, "gain_spread": 0.2, "drift": 1e-3}, 4)
-    board = sensors(**made)
+    made = Defects.of({"stuck": 0.02, "dead": 0.02, "saturated": 0.02, "gain_spread": 0.2, "drift": 1e-3}, 4)
+    board = sensors(defects=made)
     board.touch_from_ns = BEGIN_NS
     step = 90
     shown = np.zeros(256)
     shown[CELLS] = board.sample(BEGIN_NS + step * STEP_NS)
-    model = TaxelModel(0.0, TAXELS.force_max_n, **made)
+    model = TaxelModel(0.0, TAXELS.force_max_n, made)
     moments_n, time_s = Ramp().frame(step).force_n[None], np.array([step * 0.01])
     expected = model.signal_of_moments(moments_n, np.random.default_rng(0), time_s).ravel()
     assert shown == pytest.approx(expected, abs=3e-5)
 
 
 def test_a_damper_adds_the_force_of_the_interval() -> None:
-    board = sensors(**make_defects({"damper": 0.01}, 0))
+    board = sensors(defects=Defects.of({"damper": 0.01}, 0))
     board.touch_from_ns = BEGIN_NS
     # 10 mN/s, 1 N/m: 10 mm/s; times 0.01 N s/m.
     assert board.sample(BEGIN_NS + 50 * STEP_NS) == pytest.approx(0.005 + 1e-4, abs=2e-5)
@@ -113,18 +111,19 @@ def test_a_damper_adds_the_force_of_the_interval() -> None:
 
 @pytest.mark.parametrize("jump", [1, 7])
 def test_creep_follows_the_touch_whatever_is_left_out(jump: int) -> None:
-    creep = Creep(0.2)
-    board = sensors(creep=creep)
+    board = sensors(defects=Defects.of({"creep": 0.2}))
     board.touch_from_ns = BEGIN_NS
     for step in range(0, 3000, jump):
         shown = board.sample(BEGIN_NS + step * STEP_NS)
-    expected, _ = creep(np.stack([Ramp().frame(each).force_n[:1, 0] for each in range(step + 1)]), 0.0, 0.01)
+    expected, _ = creep(0.2, np.stack([Ramp().frame(each).force_n[:1, 0] for each in range(step + 1)]), 0.0, 0.01)
     assert expected[-1] > 0.0107
     assert shown == pytest.approx(expected[-1, 0], abs=2e-5)
 
 
 def test_drifts_of_places_follow_the_time_of_the_touch() -> None:
-    board = sensors(zero_drifts=(ZeroDrift("cells", "ramp", 0.004, 10.0, 10.0, cells=tuple(CELLS[3])),))
+    board = sensors(
+        defects=Defects(zero_drifts=(ZeroDrift("cells", "ramp", 0.004, 10.0, 10.0, cells=tuple(CELLS[3])),))
+    )
     assert not board.sample(0).any()
     board.touch_from_ns = BEGIN_NS
     for time_s, expected in ((10, 0.01), (15, 0.012), (30, 0.014)):
@@ -160,10 +159,10 @@ def test_steps_may_be_left_out(jump: int) -> None:
 
 
 def test_before_the_touch_begins_the_sensors_show_their_offsets() -> None:
-    made = make_defects({"stuck": 0.1}, 4)
-    model = TaxelModel(0.0, TAXELS.force_max_n, **made)
+    made = Defects.of({"stuck": 0.1}, 4)
+    model = TaxelModel(0.0, TAXELS.force_max_n, made)
     shown = np.zeros(256)
-    shown[CELLS] = sensors(**made).sample(BEGIN_NS)
+    shown[CELLS] = sensors(defects=made).sample(BEGIN_NS)
     expected = model.signal_of_moments(np.zeros((1, *SHAPE), np.float32), np.random.default_rng(0), np.zeros(1))
     assert np.count_nonzero(expected)
     assert shown == pytest.approx(expected.ravel(), abs=3e-5)

@@ -13,7 +13,6 @@ from nodes.sampler import Sampler, new_sampler
 from skin.defects import parse_defects
 from skin.layout import load_layout
 from skin.sources import Frame
-from skin.zero_drift import parse_drifts
 
 LAYOUT = load_layout(Path("analogue"))
 PHI = LAYOUT.phi()
@@ -33,7 +32,7 @@ class Rising:
 
 
 def boards(*defects: str, noise_n: float = 0.0) -> Sampler:
-    made = parse_defects(defects, 5, is_analogue=True)
+    made = parse_defects(defects, [], 5, LAYOUT)
     return new_sampler(LAYOUT, PHI, Rising(), noise_n=noise_n, seed=1, defects=made)
 
 
@@ -94,7 +93,7 @@ def test_no_taxel_is_read() -> None:
 
 
 def test_rows_that_are_read_for_longer_than_a_period_are_refused() -> None:
-    with pytest.raises(InputError, match=r"skew 0.005: 8 sums of a block take longer than a period"):
+    with pytest.raises(InputError, match=r"skew: 8 sums of a block take longer than a period"):
         boards("skew=0.005")
 
 
@@ -134,7 +133,7 @@ def test_rows_that_are_read_later_see_the_drift_of_their_taxels() -> None:
 
 
 def test_drifts_of_a_converter_reach_the_sums_of_its_block() -> None:
-    made = parse_drifts(["converter5:ramp:0.1:0.01:0.02", "board6:step:0.002"], 0, LAYOUT)
+    made = parse_defects([], ["converter5:ramp:0.1:0.01:0.02", "board6:step:0.002"], 0, LAYOUT)
     sampler = new_sampler(LAYOUT, PHI, Rising(), noise_n=0.0, seed=1, defects=made)
     for step, drifted_n in ((0, 0.0), (2, 0.05), (4, 0.1)):
         moved_n = error_n(sampler.sample(step + 1, step * PERIOD_NS), step)

@@ -1,5 +1,6 @@
 """``skin nodes``: which nodes it runs, what touches them, and that it closes what it opened."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,9 @@ from nodes import command, ways
 from nodes.adaptive.boards import AdaptiveBoards
 from nodes.command import choose_nodes
 from nodes.sampler import CountSampler, Sampler
+from skin.defects import Defects
 from skin.service import StopSignal
+from skin.touch_options import NO_TOUCH_OPTIONS, TouchOptions
 
 
 def test_all_nodes_run_unless_some_are_chosen(contract: Contract) -> None:
@@ -90,10 +93,10 @@ class Parts:
         monkeypatch.setattr(command, "Fabric", fabric)
         monkeypatch.setattr(command, "NodesService", Service)
 
-    def run(self, **options: Any) -> Any:
+    def run(self, touch: TouchOptions = NO_TOUCH_OPTIONS, **options: Any) -> Any:
         """Run the command; return the boards that it made."""
         with pytest.raises(KeyboardInterrupt):
-            command.nodes(**options)
+            command.nodes(touch=touch, **options)
         return self.service[3]
 
 
@@ -129,13 +132,13 @@ def test_without_the_fabric_only_the_bus_is_used(parts: Parts, capsys: pytest.Ca
 
 def test_simulated_touch_gets_noise_and_a_recording_none(parts: Parts, tmp_path: Path) -> None:
     np.save(tmp_path / "still.npy", np.full((4, 64, 64), 0.5))
-    still = parts.run(only=["bus0:1"], input=tmp_path / "still.npy", full_scale=1.0, noise_n=0.001)
+    still = parts.run(TouchOptions(input=tmp_path / "still.npy", full_scale=1.0), only=["bus0:1"], noise_n=0.001)
     sums = [still.sample(counter, counter).copy() for counter in (1, 2, 3)]
     assert sums[0].any()
     np.testing.assert_array_equal(sums[1], sums[2])
-    touched = parts.run(only=["bus0:1"], objects="golf-ball", noise_n=0.001)
+    touched = parts.run(TouchOptions(["golf-ball"]), only=["bus0:1"], noise_n=0.001)
     assert not np.array_equal(*(touched.sample(counter, counter).copy() for counter in (1, 2)))
-    calm = parts.run(only=["bus0:1"], objects="golf-ball, cup", noise_n=0.0)
+    calm = parts.run(TouchOptions(["golf-ball, cup"]), only=["bus0:1"], noise_n=0.0)
     assert not calm.sample(1, 1).any()  # the first touch has not begun
 
 
@@ -150,14 +153,14 @@ def test_adaptive_boards_are_those_of_the_chosen_nodes(parts: Parts) -> None:
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"seed": -1}, "expected 0 or more.*--seed -1"),
-        ({"noise_n": -0.1}, "expected 0 or more.*--noise-n -0.1"),
-        ({"noise_n": float("inf")}, "expected 0 or more.*--noise-n inf"),
-        ({"rate": 50.0}, "--rate is for a recording"),
-        ({"input": Path("mat.npz"), "rest": 1.0}, "--rest is for objects"),
-        ({"input": Path("mat.npz"), "stroke": "press"}, "--stroke is for objects"),
+        ({"touch": TouchOptions(seed=-1)}, "--seed: expected 0 or more, got -1"),
+        ({"noise_n": -0.1}, "--noise-n: expected 0 or more, got -0.1"),
+        ({"noise_n": float("inf")}, "--noise-n: expected 0 or more, got inf"),
+        ({"touch": TouchOptions(rate=50.0)}, "--rate is for a recording"),
+        ({"touch": TouchOptions(input=Path("mat.npz")), "rest": 1.0}, "--rest is for objects"),
+        ({"touch": TouchOptions(input=Path("mat.npz"), stroke="press")}, "--stroke is for objects"),
         ({"firmware": True, "store": Path("flash")}, "--store is for nodes in Python"),
-        ({"defect": ["mismatch=0.1"]}, "mismatch"),  # of boards that make sums in hardware
+        ({"touch": TouchOptions(defect=["mismatch=0.1"])}, "mismatch"),  # of boards that make sums in hardware
         ({"store": Path("/proc/none")}, "--store /proc/none: expected a folder that can be written"),
     ],
 )
@@ -167,7 +170,7 @@ def test_bad_options_are_one_clear_error(options: dict[str, Any], words: str) ->
 
 
 def test_the_first_seed_is_0_and_noise_may_be_none(parts: Parts) -> None:
-    parts.run(only=["bus0:1"], seed=0, noise_n=0.0, stroke="press", objects="cup")
+    parts.run(TouchOptions(["cup"], "press"), only=["bus0:1"], noise_n=0.0)
 
 
 def test_boards_in_c_are_those_of_the_chosen_nodes(parts: Parts, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -178,7 +181,7 @@ def test_boards_in_c_are_those_of_the_chosen_nodes(parts: Parts, monkeypatch: py
         return "compiled"
 
     monkeypatch.setattr(command, "Firmware", firmware)
-    boards = parts.run(only=["bus1:2-3", "bus3:1"], firmware=True, noise_n=0.0, objects="cup")
+    boards = parts.run(TouchOptions(["cup"]), only=["bus1:2-3", "bus3:1"], firmware=True, noise_n=0.0)
     assert isinstance(boards, CountSampler)
     assert compiled == [(parts.service[0], [(1, 2), (1, 3), (3, 1)])]
     assert parts.named == {"store": None, "firmware": "compiled"}
@@ -197,12 +200,13 @@ def test_adaptive_boards_in_c_get_the_same_options_as_those_in_python(
 
     monkeypatch.setattr(command, "Firmware", lambda *_: "compiled")
     monkeypatch.setattr(ways, "FirmwarePatches", patches)
-    options = {"layout": Path("adaptive"), "only": ["bus0:3"], "noise_n": 0.002, "seed": 4, "defect": ["dead=0.5"]}
-    assert parts.run(firmware=True, **options) == "patches"
+    touch = TouchOptions(seed=4, defect=["dead=0.5"])
+    options = {"layout": Path("adaptive"), "only": ["bus0:3"], "noise_n": 0.002}
+    assert parts.run(touch, firmware=True, **options) == "patches"
     ((contract, blocks, _, compiled), named) = given[0]
     assert blocks == [node.block for node in contract.nodes if (node.bus, node.node_id) == (0, 3)]
     assert compiled == "compiled"
-    assert (named["noise_n"], named["seed"], list(named["defects"])) == (0.002, 4, ["dead"])
+    assert named == {"noise_n": 0.002, "seed": 4, "defects": Defects.of({"dead": 0.5}, 4)}
 
 
 def test_boards_of_two_states_are_not_there_in_c(parts: Parts) -> None:
@@ -214,8 +218,8 @@ def test_a_recording_is_played_as_its_options_say(parts: Parts, tmp_path: Path) 
     played = np.zeros((5, 64, 64))
     played[1:] = np.arange(1, 5)[:, None, None]
     np.savez(tmp_path / "two.npz", other=np.zeros((5, 64, 64)), mine=played)
-    options = {"only": ["bus0:1"], "input": tmp_path / "two.npz", "array": ["mine"], "full_scale": 8.0}
-    each_cycle = parts.run(**options)
+    touch = TouchOptions(input=tmp_path / "two.npz", array=["mine"], full_scale=8.0)
+    each_cycle = parts.run(touch, only=["bus0:1"])
     # A step of the recording is an eighth of the largest force, 0.02 N.
     forces_n = []
     for counter in (1, 2, 3):
@@ -223,7 +227,7 @@ def test_a_recording_is_played_as_its_options_say(parts: Parts, tmp_path: Path) 
         truth = each_cycle.take_truth()
         forces_n.append(float(np.frombuffer(truth.true, "<f4").max()))
     assert forces_n == pytest.approx([0.0, 0.0025, 0.005])
-    slow = parts.run(**options, rate=50.0)  # frames of 20 ms, cycles of 10 ms
+    slow = parts.run(replace(touch, rate=50.0), only=["bus0:1"])  # frames of 20 ms, cycles of 10 ms
     for counter in (1, 2, 3):
         slow.sample(counter, counter * 10**7)
         truth = slow.take_truth()
@@ -232,7 +236,7 @@ def test_a_recording_is_played_as_its_options_say(parts: Parts, tmp_path: Path) 
 
 def test_defects_and_seed_reach_the_taxels(parts: Parts) -> None:
     np_sums = [
-        parts.run(only=["bus0:1"], objects="cup", seed=seed, **options).sample(1, 0)
+        parts.run(TouchOptions(["cup"], seed=seed, **options), only=["bus0:1"]).sample(1, 0)
         for seed, options in (
             (1, {}),
             (1, {}),

@@ -7,11 +7,11 @@ from dbc.board_sums import PATTERN_FULL, PATTERN_RAMP
 from dbc.indices import OD_GAIN, OD_OFFSET, OD_TEST_PATTERN
 from nodes.electronics import Electronics
 from nodes.sampler import CountSampler, Sampler
-from skin.defects import Damper, Dead, Drift, Offset, Saturated
+from skin.defects import Defects, Stage
 from skin.layout import load_layout
 from skin.sources import Frame, TaxelSource
 from skin.taxel import NOISE_N, to_newtons
-from skin.zero_drift import Creep, ZeroDrift
+from skin.zero_drift import ZeroDrift
 
 LAYOUT = load_layout()
 PHI = LAYOUT.phi()
@@ -210,13 +210,14 @@ def test_noise_is_seeded_and_clipped() -> None:
 
 
 def test_defects_reach_the_sums_and_the_truth_says_what_was_felt() -> None:
-    dead, full = Dead(0.1, 3), Saturated(0.05, 3)
-    electronics = Electronics(LAYOUT.taxels, noise_n=0.0, defects={"dead": dead, "saturated": full})
+    defects = Defects.of({"dead": 0.1, "saturated": 0.05}, 3)
+    (full, _), (dead, _) = defects.effects(Stage.READING, (64, 64))
+    electronics = Electronics(LAYOUT.taxels, noise_n=0.0, defects=defects)
     sampler = Sampler(PHI, Steps(), electronics)
     sums = sampler.sample(201, 0)
     expected = np.full(4096, 200)
-    expected[full.taxels((64, 64))] = 1023
-    expected[dead.taxels((64, 64))] = 0
+    expected[full] = 1023
+    expected[dead] = 0
     truth = sampler.take_truth()
     assert truth is not None
     counts = np.rint(np.frombuffer(truth.sensor, "<f4") / LAYOUT.taxels.newton_per_count)
@@ -227,18 +228,18 @@ def test_defects_reach_the_sums_and_the_truth_says_what_was_felt() -> None:
 
 def test_drift_and_damper_follow_the_steps_of_the_touch() -> None:
     force = np.full((64, 64), 0.005, np.float32)
-    drifting = Electronics(LAYOUT.taxels, noise_n=0.0, defects={"drift": Drift(1e-3)}, period_s=0.01)
+    drifting = Electronics(LAYOUT.taxels, noise_n=0.0, defects=Defects.of({"drift": 1e-3}), period_s=0.01)
     start, late, later = (drifting.read(force, step).astype(int) for step in (0, 100, 200))
     assert np.ptp(start) == 0
     inside = later > 0  # the zero of some falls below the range
     np.testing.assert_allclose((later - start)[inside], 2 * (late - start)[inside], atol=2)
     assert np.abs(late - start).max() > 100
-    damped = Electronics(LAYOUT.taxels, noise_n=0.0, defects={"damper": Damper(0.01)}, period_s=0.01)
+    damped = Electronics(LAYOUT.taxels, noise_n=0.0, defects=Defects.of({"damper": 0.01}), period_s=0.01)
     counts = [int(damped.read(force * part, step)[0]) for step, part in ((0, 1), (1, 2), (3, 1), (4, 1))]
     # 5 mN in 10 ms is 0.5 m/s on a spring of 1 N/m: 5 mN more; half the speed downwards takes 2.5 mN.
     assert [round(count * LAYOUT.taxels.newton_per_count, 4) for count in counts] == [0.005, 0.015, 0.0025, 0.005]
     # The speed is that between two samples, not between two steps.
-    often = Electronics(LAYOUT.taxels, noise_n=0.0, defects={"damper": Damper(0.01)}, period_s=0.01, samples=2)
+    often = Electronics(LAYOUT.taxels, noise_n=0.0, defects=Defects.of({"damper": 0.01}), period_s=0.01, samples=2)
     for step in (0, 1):
         often.read(force * (1 + step), step)
     felt_n = often.unread[-1][:, 0] * LAYOUT.taxels.newton_per_count
@@ -248,7 +249,7 @@ def test_drift_and_damper_follow_the_steps_of_the_touch() -> None:
 def test_creep_follows_the_steps_of_the_touch_whatever_is_left_out() -> None:
     force = np.full((64, 64), 0.01, np.float32)
     zero = np.zeros_like(force)
-    offset = {"offset": Offset(0.2), "creep": Creep(0.2)}  # the zero may fall below that of the start
+    offset = Defects.of({"offset": 0.2, "creep": 0.2})  # the zero may fall below that of the start
     boards = [Electronics(LAYOUT.taxels, noise_n=0.0, defects=offset, period_s=1.0, samples=each) for each in (1, 4)]
     for board in boards:
         start = board.read(zero, 0).astype(int)
@@ -264,7 +265,7 @@ def test_creep_follows_the_steps_of_the_touch_whatever_is_left_out() -> None:
 def test_the_temperature_of_a_board_explains_its_drift() -> None:
     cells = tuple(PHI.taxels_of_blocks[7].tolist())
     drifts = (ZeroDrift("cells", "ramp", 0.002, 1.0, 1.0, cells=cells), ZeroDrift("whole", "step", -0.001))
-    electronics = Electronics(LAYOUT.taxels, noise_n=0.0, defects={"zero_drifts": drifts}, period_s=0.01)
+    electronics = Electronics(LAYOUT.taxels, noise_n=0.0, defects=Defects(zero_drifts=drifts), period_s=0.01)
     sampler = Sampler(PHI, Steps(), electronics)
     seen = []
     for counter in (0, 1, 151, 231):

@@ -53,7 +53,7 @@ def measurement(cycle: int, force_n: np.ndarray, valid: np.ndarray | None = None
     phi = LAYOUT.phi()
     counts = np.round(force_n / LAYOUT.taxels.newton_per_count).astype(np.uint16)
     valid = np.ones(phi.blocks, np.uint8) if valid is None else valid.astype(np.uint8)
-    sums = phi.block_sums(counts.reshape(-1)).astype("<i4") * phi.sums_of_blocks(valid != 0)
+    sums = np.asarray(phi.forward(counts.reshape(-1)), "<i4") * phi.sums_of_blocks(valid != 0)
     return make.measurement(
         cycle,
         sampled_mono_ns=1000 * cycle,

@@ -10,8 +10,8 @@ from canskin.errors import InputError
 from reconstructor.gains import GainCorrection, KnownGains
 from reconstructor.imaging import CycleImager, load_gains, make_imager
 from reconstructor.service import ReconstructorService
-from skin.calibration_file import new_calibration, save_calibration
-from skin.defects import Mismatch, SumGains
+from skin.calibration_file import encoded, new_calibration
+from skin.defects import Defects, Stage, SumGains
 from skin.frontend import with_gains
 from skin.layout import Sampling, load_layout
 from skin.psnr import psnr_db
@@ -42,11 +42,11 @@ def test_gains_cost_little_when_they_are_known() -> None:
 
 def test_gains_come_from_a_calibration(tmp_path: Path) -> None:
     path = tmp_path / "gains.json"
-    save_calibration(path, new_calibration(LAYOUT, gains=GAINS.ravel()))
+    path.write_bytes(encoded(new_calibration(LAYOUT, gains=GAINS.ravel())))
     loaded = load_gains(path, LAYOUT)
     np.testing.assert_array_equal(loaded.taxels, GAINS.ravel())
     assert loaded.sums is None
-    save_calibration(path, new_calibration(LAYOUT, offsets_n=np.zeros(LAYOUT.measurement.sums)))
+    path.write_bytes(encoded(new_calibration(LAYOUT, offsets_n=np.zeros(LAYOUT.measurement.sums))))
     with pytest.raises(InputError, match="has no gains of taxels"):
         load_gains(path, LAYOUT)
     with pytest.raises(InputError, match="synchronous"):
@@ -57,7 +57,7 @@ def test_known_gains_of_analogue_sums_are_taken_off() -> None:
     """At rest what is left is the sums of Φ, as soon as the image is that of the forces."""
     phi, random = LAYOUT.phi(), np.random.default_rng(5)
     force_n = random.uniform(0, 0.02, phi.shape[1]).astype(np.float32)
-    of_sums = Mismatch(0.05, seed=2).gains(phi.shape[0])
+    (of_sums,) = Defects.of({"mismatch": 0.05}, 2).effects(Stage.SUM_PATHS, phi.shape[:1])
     read_n = (GAINS.ravel() * force_n).astype(np.float32)
     exact_n = np.asarray(phi.forward(force_n), np.float32)
     sums_n = with_gains(phi, read_n, np.asarray(phi.forward(read_n), np.float32), of_sums)

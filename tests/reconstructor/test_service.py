@@ -152,7 +152,7 @@ def test_doubtful_taxels_come_with_the_image_and_make_their_contact_doubtful(
 
 
 def test_what_does_not_fit_is_refused_and_told_once(
-    hub: Fabric, service: ReconstructorService, golf: Scene, capfd: pytest.CaptureFixture[str]
+    hub: Fabric, service: ReconstructorService, golf: Scene, caplog: pytest.LogCaptureFixture
 ) -> None:
     exchange = Exchange(hub)
     good = measurement(1, golf.sensor[30])
@@ -169,7 +169,7 @@ def test_what_does_not_fit_is_refused_and_told_once(
         service.take(each)
     assert service.refused == before + len(bad)
     exchange.image_of(msgspec.structs.replace(good, cycle=9))
-    said = capfd.readouterr().err
+    said = caplog.text
     assert said.count("measurement refused") == 1
     assert "expected " + good.fingerprint in said
 

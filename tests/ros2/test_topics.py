@@ -44,7 +44,7 @@ def test_diagnostics_tell_what_the_zero_rests_on_and_what_is_in_doubt(messages: 
         doubtful_force_n=0.5,
         told_mono_ns=5_000_000_000,
     )
-    state.take_gateway(msgspec.structs.replace(messages.gateway(), calibration=calibration), 1.0)
+    state.take(msgspec.structs.replace(messages.gateway(), calibration=calibration), 1.0)
     assert [told()[name] for name in names] == ["7 measured, 1 stored; oldest 3 s", "3.0", "12", "0.5"]
 
 

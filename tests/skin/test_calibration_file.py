@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from canskin.errors import InputError
-from skin.calibration_file import encoded, load_calibration, new_calibration, save_calibration
+from skin.calibration_file import encoded, load_calibration, new_calibration
 from skin.defects import SumGains
 from tests.calibration.helpers import LAYOUT, PHI
 
@@ -17,9 +17,8 @@ def test_a_file_holds_what_was_stored(tmp_path: Path) -> None:
     offsets_n = np.linspace(-0.1, 0.1, PHI.shape[0])
     offsets_n[5] = np.nan
     gains = np.linspace(0.9, 1.1, PHI.shape[1])
-    save_calibration(
-        tmp_path / "it.json", new_calibration(LAYOUT, offsets_n=offsets_n, gains=gains, defects=["sum 3 is stuck"])
-    )
+    stored = new_calibration(LAYOUT, offsets_n=offsets_n, gains=gains, defects=["sum 3 is stuck"])
+    (tmp_path / "it.json").write_bytes(encoded(stored))
     loaded = load_calibration(tmp_path / "it.json", LAYOUT)
     np.testing.assert_array_equal(loaded.sum_offsets_n(), offsets_n)
     np.testing.assert_array_equal(loaded.gains, gains)
@@ -29,7 +28,7 @@ def test_a_file_holds_what_was_stored(tmp_path: Path) -> None:
 def test_a_file_without_gains_of_sums_is_of_version_1_as_is_a_file_that_names_none(tmp_path: Path) -> None:
     """Programs from before the gains of sums read version 1."""
     path = tmp_path / "it.json"
-    save_calibration(path, new_calibration(LAYOUT, gains=np.ones(PHI.shape[1])))
+    path.write_bytes(encoded(new_calibration(LAYOUT, gains=np.ones(PHI.shape[1]))))
     written = msgspec.json.decode(path.read_bytes())
     assert written.pop("version", 1) == 1
     path.write_bytes(msgspec.json.encode(written))

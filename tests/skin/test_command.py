@@ -13,8 +13,7 @@ import pytest
 from rich.console import Console
 
 from canskin.errors import InputError
-from skin.command import VERBS, build_app
-from skin.explain import docstring, examples, summary
+from skin.command import VERBS, build_app, docstring, examples, summary
 from skin.service import RateLimitedLog, Talk, say, set_talk
 
 

@@ -2,8 +2,12 @@
 
 import random
 from pathlib import Path
+from typing import Any
 
+import msgspec
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from canskin.messages import Image, Label, Truth
 from skin.ground_truth import (
@@ -17,6 +21,7 @@ from skin.ground_truth import (
     label_pairs,
 )
 from skin.layout import load_layout
+from skin.sync_counter import SYNC_OVERFLOW
 from tests import messages as make
 
 MS = 1_000_000
@@ -85,12 +90,18 @@ def test_an_image_of_a_reconstructor_that_stopped_is_not_on_show() -> None:
     pairs.take_truth(truth(late_ms))
     assert pairs.take(image(late_ms + 1)) == []
     assert pairs.take_truth(truth(late_ms - 1000)) == []  # no image of that time is left
-    # Nothing piles up without the other topic.
+
+
+def test_nothing_piles_up_without_the_other_topic() -> None:
+    pairs = ShownImages()
+    for each in range(200):
+        pairs.take_truth(truth(1000 + each))
+    assert len(pairs.take(image(999)) + pairs.take(image(2000))) == TRUTHS_KEPT
     for each in range(2000):
         pairs.take(image(2000 + each))
-    for each in range(200):
-        pairs.take_truth(truth(10_000 + each))
-    assert (len(pairs._images), len(pairs._waiting)) == (IMAGES_KEPT, TRUTHS_KEPT)
+    forgotten_ms = 4000 - IMAGES_KEPT - 1
+    assert pairs.take_truth(truth(forgotten_ms + 0.5)) == []
+    assert len(pairs.take_truth(truth(forgotten_ms + 1.5))) == 1
 
 
 def test_the_truth_beside_an_image_is_the_nearest() -> None:
@@ -133,3 +144,26 @@ def test_each_message_has_the_truth_of_its_own_cycle_though_the_counter_repeats(
             found += pairs.take(said)
     assert [said.cycle for said, _ in found] == [true.step for _, true in found]
     assert [said.cycle for said, _ in found] == [cycle for cycle in range(2000) if cycle % 7]
+
+
+@given(order=st.permutations([(kind, cycle) for kind in ("image", "truth") for cycle in range(1, 9)]))
+def test_every_pair_is_handed_out_once_in_any_order(order: list[tuple[str, int]]) -> None:
+    pairing: Pairing[Image] = Pairing(0.01)
+    pairs: list[int] = []
+    for kind, cycle in order:
+        common: dict[str, Any] = {"sync_counter": cycle, "sampled_mono_ns": cycle * 10_000_000}
+        if kind == "image":
+            pairs += [truth.sync_counter for _, truth in pairing.take(make.image(cycle, **common))]
+        else:
+            truth = make.truth(cycle, **common)
+            pairs += [image.cycle for image, _ in pairing.take_truth(truth)]
+    assert sorted(pairs) == list(range(1, 9))
+
+
+def test_pairs_of_one_cycle_are_forgotten_after_a_round_of_the_counter() -> None:
+    pairs: Pairing[Image] = Pairing(0.01)
+    for step in range(SYNC_OVERFLOW + 1):
+        assert pairs.take(msgspec.structs.replace(image(10 * step), sync_counter=1000 + step)) == []
+    first, second = (msgspec.structs.replace(truth(10 * step), sync_counter=1000 + step) for step in (0, 1))
+    assert pairs.take_truth(first) == []
+    assert len(pairs.take_truth(second)) == 1

@@ -132,20 +132,19 @@ def test_a_measurement_of_the_other_kind_is_refused() -> None:
 
 
 def test_refusals_are_counted_and_named_once_in_a_while(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     reader = MeasurementReader(PHI, "classifier", decode_measurement)
     for changed, _ in BAD:
         assert reader.read(msgspec.structs.replace(GOOD, **changed)) is None
     assert reader.read(GOOD) is not None
     assert reader.refused == len(BAD)
-    said = capsys.readouterr().err.splitlines()
-    assert len(said) == 1
-    assert said[0].startswith("classifier: measurement refused (1 so far): measured with Φ")
+    assert [record.__dict__["service"] for record in caplog.records] == ["classifier"]
+    assert caplog.messages[0].startswith("measurement refused (1 so far): measured with Φ")
     now_s = measured_sums.time.monotonic() + measured_sums.COMPLAINT_PERIOD_S
     monkeypatch.setattr(measured_sums.time, "monotonic", lambda: now_s)
     reader.read(msgspec.structs.replace(GOOD, sums=b""))
-    assert f"({len(BAD) + 1} so far)" in capsys.readouterr().err
+    assert f"({len(BAD) + 1} so far)" in caplog.messages[1]
 
 
 def test_part_of_a_measurement_has_its_sums_offsets_and_blocks() -> None:

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from canskin.errors import InputError
-from skin.output import check_picture_path, write_file
+from skin.output import cache_folder, check_picture_path, write_file
 
 
 @pytest.mark.parametrize(
@@ -54,3 +54,9 @@ def test_device_is_written_and_not_replaced(tmp_path: Path) -> None:
     assert Path("/dev/null").is_char_device()
     with pytest.raises(OSError, match="Is a directory"):
         write_file(tmp_path, "anything")
+
+
+def test_cache_folder_follows_the_environment() -> None:
+    assert cache_folder({"SKIN_CACHE": "/a", "XDG_CACHE_HOME": "/b"}) == Path("/a")
+    assert cache_folder({"XDG_CACHE_HOME": "/b"}) == Path("/b/canskin")
+    assert cache_folder({}) == Path.home() / ".cache" / "canskin"

@@ -1,7 +1,16 @@
 import numpy as np
+import pytest
 
 from skin.layout import parse_layout
-from skin.sources import DEFAULT_OBJECTS, OBJECT_GROUPS, known_objects, load_objects, load_touches, object_names
+from skin.sources import (
+    DEFAULT_OBJECTS,
+    OBJECT_GROUPS,
+    known_objects,
+    load_objects,
+    load_touches,
+    object_names,
+    split_names,
+)
 
 
 def test_a_group_is_named_among_objects() -> None:
@@ -33,3 +42,9 @@ def test_taxels_that_nothing_can_touch_feel_nothing() -> None:
     assert load_objects(frame, seed=1).has_noise == load_objects(free, seed=1).has_noise
     learned, all_n = (load_touches(["basketball"], 20, each, seed=0).force_n for each in (frame, free))
     np.testing.assert_array_equal(learned.reshape(20, -1), np.where(untouchable, 0, all_n.reshape(20, -1)))
+
+
+@pytest.mark.parametrize("given", [["cup,ring"], ["cup", "ring"], ["cup, ring,", "cup"]])
+def test_names_with_spaces_or_commas_count_once(given: list[str]) -> None:
+    assert split_names(given) == ("cup", "ring")
+    assert split_names([]) == ()

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from canskin.errors import InputError
-from skin.defects import parse_defects
+from skin.defects import Defect, Defects, creep, parse_defects
 from skin.layout import load_layout
 from skin.taxel import TaxelModel
-from skin.zero_drift import Creep, ZeroDrift, parse_drifts
+from skin.zero_drift import ZeroDrift, parse_drifts
 
 LAYOUT, ANALOGUE = load_layout(), load_layout(Path("analogue"))
 TAXELS = (64, 64)
@@ -17,7 +17,7 @@ TAXELS = (64, 64)
 
 def weights(text: str, seed: int = 0) -> np.ndarray:
     """Return what a step of 1 N at a place adds to every taxel."""
-    (drift,) = parse_drifts([f"{text}:step:1"], seed, LAYOUT)["zero_drifts"]
+    (drift,), _ = parse_drifts([f"{text}:step:1"], seed, LAYOUT)
     return np.asarray(drift.offsets_n(TAXELS, np.zeros(1))[0])
 
 
@@ -43,7 +43,7 @@ def test_the_seed_and_the_place_in_the_list_place_a_patch() -> None:
     assert first.sum() == other.sum() == 144
     np.testing.assert_array_equal(first, same)
     assert (first != other).any()
-    one, two = parse_drifts(["patch12:step:1"] * 2, 1, LAYOUT)["zero_drifts"]
+    (one, two), _ = parse_drifts(["patch12:step:1"] * 2, 1, LAYOUT)
     assert (one.offsets_n(TAXELS, np.zeros(1)) != two.offsets_n(TAXELS, np.zeros(1))).any()
 
 
@@ -59,7 +59,7 @@ def test_the_seed_and_the_place_in_the_list_place_a_patch() -> None:
     ],
 )
 def test_a_drift_has_a_course(text: str, times_s: list[float], expected: list[float]) -> None:
-    (drift,) = parse_drifts([f"whole:{text}"], 0, LAYOUT)["zero_drifts"]
+    (drift,), _ = parse_drifts([f"whole:{text}"], 0, LAYOUT)
     offsets_n = drift.offsets_n(TAXELS, np.array(times_s, float))
     assert offsets_n.dtype == np.float32
     assert offsets_n.shape == (len(times_s), *TAXELS)
@@ -67,9 +67,8 @@ def test_a_drift_has_a_course(text: str, times_s: list[float], expected: list[fl
 
 
 def test_a_converter_behind_analogue_sums_shifts_its_sums() -> None:
-    made = parse_drifts(["converter5:step:1", "board5:step:1"], 0, ANALOGUE)
     phi = ANALOGUE.phi()
-    (sums,), (taxels,) = made["sum_drifts"], made["zero_drifts"]
+    (taxels,), (sums,) = parse_drifts(["converter5:step:1", "board5:step:1"], 0, ANALOGUE)
     assert (
         np.flatnonzero(sums.offsets_n(phi.shape[:1], np.zeros(1))[0]).tolist()
         == np.flatnonzero(phi.block_of_sum == 5).tolist()
@@ -110,41 +109,41 @@ def test_a_program_names_place_and_course(place: str, course: str) -> None:
 
 
 def test_drifts_are_added_to_the_force_before_the_range() -> None:
-    made = parse_drifts(["half:step:0.004", "whole:step:-0.001"], 0, LAYOUT)
-    signal = TaxelModel(0.0, **made).signal(np.zeros((1, *TAXELS), np.float32), np.random.default_rng(0), period_s=1.0)
+    defects = parse_defects([], ["half:step:0.004", "whole:step:-0.001"], 0, LAYOUT)
+    signal = TaxelModel(0.0, defects=defects).signal(
+        np.zeros((1, *TAXELS), np.float32), np.random.default_rng(0), period_s=1.0
+    )
     np.testing.assert_allclose(signal[0, :, :32], 0.003, atol=1e-8)
     assert not signal[0, :, 32:].any()
 
 
 @pytest.mark.parametrize("period_s", [0.01, 1.0])
 def test_a_press_of_ten_minutes_leaves_a_low_zero_that_recovers(period_s: float) -> None:
-    creep = Creep(0.05)
     force_n = np.full((round(600 / period_s), 1), 0.01, np.float32)
-    pressed, memory_n = creep(force_n, 0.0, period_s)
+    pressed, memory_n = creep(0.05, force_n, 0.0, period_s)
     assert pressed[0, 0] == pytest.approx(0.01, abs=1e-5)
     assert pressed[-1, 0] == pytest.approx(0.0105, abs=1e-6)
     assert (np.diff(pressed[:, 0]) >= -1e-9).all()
-    released, _ = creep(np.zeros((round(30 / period_s), 1), np.float32), memory_n, period_s)
+    released, _ = creep(0.05, np.zeros((round(30 / period_s), 1), np.float32), memory_n, period_s)
     assert released[0, 0] == pytest.approx(-0.0005 * np.exp(-period_s / 30), rel=0.01)
     assert released[-1, 0] == pytest.approx(-0.0005 * np.exp(-1), rel=0.01)
 
 
 def test_creep_has_no_jumps_and_none_without_force() -> None:
-    creep = Creep(0.1)
-    _, memory_n = creep(np.full((1000, 1), 0.01, np.float32), 0.0, 1.0)
+    _, memory_n = creep(0.1, np.full((1000, 1), 0.01, np.float32), 0.0, 1.0)
     falling = np.linspace(0.011, 0.009, 2001, dtype=np.float32)
-    readings_n = np.array([creep(force[None, None], memory_n, 1e-6)[0][0, 0] for force in falling])
+    readings_n = np.array([creep(0.1, force[None, None], memory_n, 1e-6)[0][0, 0] for force in falling])
     assert np.abs(np.diff(readings_n)).max() < 1.5e-6
-    rested, memory_n = creep(np.zeros((3, 2), np.float32), 0.0, 1.0)
+    rested, memory_n = creep(0.1, np.zeros((3, 2), np.float32), 0.0, 1.0)
     assert not rested.any()
     assert not memory_n.any()
 
 
 def test_creep_is_a_defect_of_one_amount() -> None:
-    assert parse_defects(["creep"], 0) == {"creep": Creep(0.05)}
+    assert parse_defects(["creep"], [], 0, LAYOUT) == Defects((Defect("creep", 0.05),))
     with pytest.raises(InputError, match="--defect creep: ratio needs a number from 0 to 1"):
-        parse_defects(["creep=2"], 0)
+        parse_defects(["creep=2"], [], 0, LAYOUT)
     force_n = np.full((120, 1, 1), 0.01, np.float32)
-    model = TaxelModel(0.0, creep=Creep(0.05))
+    model = TaxelModel(0.0, defects=Defects.of({"creep": 0.05}))
     signal = model.signal(force_n, np.random.default_rng(0), period_s=10.0)
-    np.testing.assert_array_equal(signal, Creep(0.05)(force_n, 0.0, 10.0)[0])
+    np.testing.assert_array_equal(signal, creep(0.05, force_n, 0.0, 10.0)[0])

@@ -6,7 +6,7 @@ import trimesh
 
 from canskin.errors import InputError
 from touch.command import objects
-from touch.objects import CATALOGUE, PAPER_OBJECTS
+from touch.objects import CATALOGUE
 
 
 def test_json_lists_the_catalogue(capsys: pytest.CaptureFixture[str]) -> None:
@@ -16,11 +16,6 @@ def test_json_lists_the_catalogue(capsys: pytest.CaptureFixture[str]) -> None:
     golf = rows[0]
     assert (golf["length_m"], golf["spheres"], golf["contact_taxels"]) == (0.04267, 1, 76)
     assert all(0.0095 < row["peak_force_n"] <= 0.00999 for row in rows)
-
-
-def test_the_paper_has_seventeen_objects() -> None:
-    assert len(set(PAPER_OBJECTS)) == 17
-    assert set(PAPER_OBJECTS) < set(CATALOGUE)
 
 
 def test_the_table_names_every_object_on_80_columns(capsys: pytest.CaptureFixture[str]) -> None:

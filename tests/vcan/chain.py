@@ -78,12 +78,13 @@ class Chain:
         blocks = np.arange(self.layout.blocks)
         return (blocks >= first) & (blocks < first + self.layout.bus[bus].nodes)
 
-    def true_sums(self, measurement: Measurement) -> npt.NDArray[np.int16]:
+    def true_sums(self, measurement: Measurement) -> npt.NDArray[np.int32]:
         """Return the sums of what the nodes say their taxels showed at the SYNC of a measurement."""
         truth = self.truth_of(measurement)
         assert truth is not None, f"no truth of cycle {measurement.cycle}"
         felt_n = np.frombuffer(truth.sensor, "<f4")
-        return self.phi.block_sums(np.rint(felt_n / self.layout.taxels.newton_per_count).astype(np.int32))
+        counts = np.rint(felt_n / self.layout.taxels.newton_per_count).astype(np.int32)
+        return np.asarray(self.phi.forward(counts), np.int32)
 
     def truth_of(self, measurement: Measurement) -> Truth | None:
         """Return the truth of the cycle of a measurement, None if it has not come."""

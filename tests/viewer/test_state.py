@@ -8,7 +8,6 @@ import pytest
 
 from canskin.calibration_messages import CalibrationState, CalibrationStatus
 from canskin.peers import Peer, new_peer
-from tests.viewer.helpers import texts
 from viewer.state import PEERS, PROCESSES, SERVICES, ViewState
 
 EPOCH_S = 1000.0
@@ -19,6 +18,10 @@ def state(messages: Any) -> ViewState:
     return ViewState(messages.layout, EPOCH_S)
 
 
+def texts(state: ViewState, now_s: float, level: str = "error") -> list[str]:
+    return [notice.text for notice in state.snapshot(now_s)[0].notices if notice.level == level]
+
+
 def test_nothing_is_shown_before_anything_came(state: ViewState) -> None:
     snapshot, pictures = state.snapshot(0.0)
     assert (snapshot.image, snapshot.truth, snapshot.label, snapshot.gateway) == (None, None, None, None)
@@ -27,7 +30,7 @@ def test_nothing_is_shown_before_anything_came(state: ViewState) -> None:
 
 
 def test_image_ages(state: ViewState, messages: Any) -> None:
-    state.take_image(messages.image(7), 1.0)
+    state.take(messages.image(7), 1.0)
     snapshot, pictures = state.snapshot(1.4)
     assert snapshot.image is not None
     assert (snapshot.image.cycle, snapshot.image.stale) == (7, False)
@@ -41,7 +44,7 @@ def test_image_ages(state: ViewState, messages: Any) -> None:
 def test_reconstructor_that_leaves_makes_the_image_stale_at_once(state: ViewState, messages: Any) -> None:
     state.take_service("gateway", True, 0.0)
     state.take_service("reconstructor", True, 0.0)
-    state.take_image(messages.image(), 1.0)
+    state.take(messages.image(), 1.0)
     state.take_service("reconstructor", False, 1.1)
     snapshot, _ = state.snapshot(1.2)
     assert snapshot.image is not None
@@ -50,14 +53,14 @@ def test_reconstructor_that_leaves_makes_the_image_stale_at_once(state: ViewStat
     assert notice.text == "images stopped: reconstructor is gone"
     assert notice.since_time_s == pytest.approx(EPOCH_S + 1.0)
     state.take_service("reconstructor", True, 2.0)
-    state.take_image(messages.image(), 2.1)
+    state.take(messages.image(), 2.1)
     assert texts(state, 2.2) == []
 
 
 def test_image_that_came_after_its_sender_was_missed_is_fresh(state: ViewState, messages: Any) -> None:
     state.take_service("reconstructor", True, 0.0)
     state.take_service("reconstructor", False, 1.0)
-    state.take_image(messages.image(), 1.1)
+    state.take(messages.image(), 1.1)
     snapshot, _ = state.snapshot(1.2)
     assert snapshot.image is not None
     assert not snapshot.image.stale
@@ -77,13 +80,13 @@ def test_notice_names_who_keeps_images_from_coming(
     for name, alive in (("gateway", gateway), ("reconstructor", reconstructor)):
         state.take_service(name, True, 0.0)
         state.take_service(name, alive, 1.0)
-    state.take_image(messages.image(), 0.5)
+    state.take(messages.image(), 0.5)
     assert expected in texts(state, 2.0)
 
 
 def test_gateway_that_leaves_or_falls_silent_is_told(state: ViewState, messages: Any) -> None:
     state.take_service("gateway", True, 0.0)
-    state.take_gateway(messages.gateway(), 1.0)
+    state.take(messages.gateway(), 1.0)
     assert texts(state, 1.2) == []
     assert texts(state, 3.0) == ["the state of the buses is unknown: gateway sends no status"]
     state.take_service("gateway", False, 3.5)
@@ -95,8 +98,8 @@ def test_gateway_that_leaves_or_falls_silent_is_told(state: ViewState, messages:
 
 def test_classifier_that_leaves_or_falls_silent_is_told(state: ViewState, messages: Any) -> None:
     state.take_service("classifier", True, 0.0)
-    state.take_label(messages.label(), 1.0)
-    state.take_gateway(messages.gateway(), 2.0)
+    state.take(messages.label(), 1.0)
+    state.take(messages.gateway(), 2.0)
     snapshot, _ = state.snapshot(2.0)
     assert snapshot.label is not None
     assert snapshot.label.stale
@@ -116,7 +119,7 @@ def test_virtual_nodes_that_leave_are_told(state: ViewState) -> None:
 
 
 def test_nodes_off_duty_are_named(state: ViewState, messages: Any) -> None:
-    state.take_gateway(messages.gateway(nmt=((5, 255, 127, 255), (4, 4, 4, 4))), 1.0)
+    state.take(messages.gateway(nmt=((5, 255, 127, 255), (4, 4, 4, 4))), 1.0)
     assert texts(state, 1.1, "warning") == [
         "left: node 3 pre-operational",
         "left: nodes 2, 4 silent",
@@ -125,14 +128,14 @@ def test_nodes_off_duty_are_named(state: ViewState, messages: Any) -> None:
 
 
 def test_sync_that_has_not_started_is_no_error(state: ViewState, messages: Any) -> None:
-    state.take_gateway(messages.gateway(cycles=0), 1.0)
+    state.take(messages.gateway(cycles=0), 1.0)
     assert texts(state, 1.1) == []
     assert "gateway is booting the nodes; SYNC has not started" in texts(state, 1.1, "info")
 
 
 def test_invalid_blocks_are_listed_and_counted(state: ViewState, messages: Any) -> None:
-    state.take_image(messages.image(1, invalid=(0, 5, 6)), 1.0)
-    state.take_image(messages.image(2, invalid=(5,)), 1.1)
+    state.take(messages.image(1, invalid=(0, 5, 6)), 1.0)
+    state.take(messages.image(2, invalid=(5,)), 1.1)
     snapshot, _ = state.snapshot(1.2)
     assert snapshot.image is not None
     assert snapshot.image.invalid_blocks == [5]
@@ -147,8 +150,8 @@ def test_invalid_blocks_are_listed_and_counted(state: ViewState, messages: Any) 
 def test_image_of_another_skin_is_counted_and_not_shown(
     state: ViewState, messages: Any, change: dict[str, bytes]
 ) -> None:
-    state.take_image(messages.image(1), 1.0)
-    state.take_image(msgspec.structs.replace(messages.image(2), **change), 1.1)
+    state.take(messages.image(1), 1.0)
+    state.take(msgspec.structs.replace(messages.image(2), **change), 1.1)
     snapshot, _ = state.snapshot(1.2, undecodable=2)
     assert snapshot.image is not None
     assert (snapshot.image.cycle, snapshot.ignored) == (1, 3)
@@ -158,20 +161,20 @@ def test_image_of_another_skin_is_counted_and_not_shown(
 def test_other_messages_that_do_not_fit_are_ignored(state: ViewState, messages: Any) -> None:
     status = messages.gateway()
     short = msgspec.structs.replace(status, buses=[msgspec.structs.replace(status.buses[0], nmt=b"\5")])
-    state.take_gateway(short, 1.0)
-    state.take_gateway(msgspec.structs.replace(status, sync_rate_hz=float("inf")), 1.0)
-    state.take_label(messages.label(confidence=float("nan")), 1.0)
-    state.take_truth(msgspec.structs.replace(messages.truth(), sensor=b""), 1.0)
-    state.take_contacts(messages.contacts(row=16.0), 1.0)
-    state.take_contacts(messages.contacts(column=float("nan")), 1.0)
+    state.take(short, 1.0)
+    state.take(msgspec.structs.replace(status, sync_rate_hz=float("inf")), 1.0)
+    state.take(messages.label(confidence=float("nan")), 1.0)
+    state.take(msgspec.structs.replace(messages.truth(), sensor=b""), 1.0)
+    state.take(messages.contacts(row=16.0), 1.0)
+    state.take(messages.contacts(column=float("nan")), 1.0)
     snapshot, _ = state.snapshot(1.0)
     assert (snapshot.gateway, snapshot.label, snapshot.truth, snapshot.contacts) == (None, None, None, None)
     assert snapshot.ignored == 6
 
 
 def test_contacts_are_those_of_the_newest_image_and_age(state: ViewState, messages: Any) -> None:
-    state.take_contacts(messages.contacts(3), 1.0)
-    state.take_contacts(messages.contacts(4, blind=True), 1.1)
+    state.take(messages.contacts(3), 1.0)
+    state.take(messages.contacts(4, blind=True), 1.1)
     shown = state.snapshot(1.2)[0].contacts
     assert shown is not None
     assert (shown.cycle, shown.blind, shown.stale, [each.identity for each in shown.contacts]) == (4, True, False, [7])
@@ -181,7 +184,7 @@ def test_contacts_are_those_of_the_newest_image_and_age(state: ViewState, messag
 
 
 def test_label_without_contact_is_empty(state: ViewState, messages: Any) -> None:
-    state.take_label(messages.label("", 0.0), 1.0)
+    state.take(messages.label("", 0.0), 1.0)
     snapshot, _ = state.snapshot(1.1)
     assert snapshot.label is not None
     assert (snapshot.label.label, snapshot.label.stale, snapshot.label.measured) == ("", False, True)
@@ -189,7 +192,7 @@ def test_label_without_contact_is_empty(state: ViewState, messages: Any) -> None
 
 def test_processes_of_nodes_do_not_pile_up(state: ViewState, messages: Any) -> None:
     for number in range(PROCESSES + 10):
-        state.take_nodes(messages.nodes(f"nodes-{number}"), 1.0)
+        state.take(messages.nodes(f"nodes-{number}"), 1.0)
     snapshot, _ = state.snapshot(3.0)
     assert len(snapshot.nodes) == PROCESSES
     assert all(each.stale for each in snapshot.nodes)
@@ -197,9 +200,9 @@ def test_processes_of_nodes_do_not_pile_up(state: ViewState, messages: Any) -> N
 
 def test_the_process_of_nodes_silent_for_longest_makes_room(state: ViewState, messages: Any) -> None:
     for number in range(PROCESSES):
-        state.take_nodes(messages.nodes(f"nodes-{number:03}"), 1.0)
-    state.take_nodes(messages.nodes("nodes-000"), 2.0)
-    state.take_nodes(messages.nodes("another"), 2.0)
+        state.take(messages.nodes(f"nodes-{number:03}"), 1.0)
+    state.take(messages.nodes("nodes-000"), 2.0)
+    state.take(messages.nodes("another"), 2.0)
     shown = {each.process for each in state.snapshot(2.1)[0].nodes}
     assert {"nodes-000", "another"} < shown
     assert "nodes-001" not in shown
@@ -208,7 +211,7 @@ def test_the_process_of_nodes_silent_for_longest_makes_room(state: ViewState, me
 def test_lost_hub_is_one_notice_and_blames_nobody_else(state: ViewState, messages: Any) -> None:
     for name in ("viewer", "gateway", "reconstructor", "nodes"):
         state.take_service(name, True, 0.0)
-    state.take_image(messages.image(), 1.0)
+    state.take(messages.image(), 1.0)
     for name in ("viewer", "gateway", "reconstructor", "nodes"):
         state.take_service(name, False, 2.0)
     snapshot, _ = state.snapshot(3.0)
@@ -221,7 +224,7 @@ def test_lost_hub_is_one_notice_and_blames_nobody_else(state: ViewState, message
 
 def test_lost_hub_is_told_at_once_however_fresh_the_last_message_is(state: ViewState, messages: Any) -> None:
     state.take_service("viewer", True, 0.0)
-    state.take_image(messages.image(), 1.9)
+    state.take(messages.image(), 1.9)
     state.take_service("viewer", False, 2.0)
     assert state.snapshot(2.1)[0].cut_off
 
@@ -229,7 +232,7 @@ def test_lost_hub_is_told_at_once_however_fresh_the_last_message_is(state: ViewS
 def test_hub_is_not_lost_while_messages_come(state: ViewState, messages: Any) -> None:
     for alive in (True, False):
         state.take_service("viewer", alive, 1.0)
-    state.take_gateway(messages.gateway(nmt=((5, 255, 5, 5), (5, 5, 5, 5))), 2.0)
+    state.take(messages.gateway(nmt=((5, 255, 5, 5), (5, 5, 5, 5))), 2.0)
     snapshot, _ = state.snapshot(2.1)
     assert not snapshot.cut_off
     assert texts(state, 2.1) == []
@@ -238,7 +241,7 @@ def test_hub_is_not_lost_while_messages_come(state: ViewState, messages: Any) ->
 
 
 def test_lost_hub_does_not_hide_messages_that_were_ignored(state: ViewState, messages: Any) -> None:
-    state.take_image(msgspec.structs.replace(messages.image(), valid=b""), 1.0)
+    state.take(msgspec.structs.replace(messages.image(), valid=b""), 1.0)
     state.take_service("viewer", True, 0.0)
     state.take_service("viewer", False, 2.0)
     assert [notice.level for notice in state.snapshot(3.0)[0].notices] == ["error", "warning"]
@@ -249,14 +252,14 @@ def test_lost_hub_does_not_hide_messages_that_were_ignored(state: ViewState, mes
 def test_label_of_too_few_sums_does_not_count(
     state: ViewState, messages: Any, label: str, valid_sums: int, measured: bool
 ) -> None:
-    state.take_label(messages.label(label, valid_sums=valid_sums), 1.0)
+    state.take(messages.label(label, valid_sums=valid_sums), 1.0)
     shown = state.snapshot(1.1)[0].label
     assert shown is not None
     assert shown.measured is measured
 
 
 def test_label_of_a_blind_classifier_does_not_count(state: ViewState, messages: Any) -> None:
-    state.take_label(msgspec.structs.replace(messages.label(""), blind=True), 1.0)
+    state.take(msgspec.structs.replace(messages.label(""), blind=True), 1.0)
     shown = state.snapshot(1.1)[0].label
     assert shown is not None
     assert not shown.measured
@@ -264,10 +267,10 @@ def test_label_of_a_blind_classifier_does_not_count(state: ViewState, messages: 
 
 def test_dead_buses_are_named_and_not_their_silent_nodes(state: ViewState, messages: Any) -> None:
     silent = (255, 255, 255, 255)
-    state.take_gateway(messages.gateway(nmt=(silent, silent), links=("lost", "lost")), 1.0)
+    state.take(messages.gateway(nmt=(silent, silent), links=("lost", "lost")), 1.0)
     assert texts(state, 1.1) == ["buses left, right dead: the gateway has lost its interface"]
     assert texts(state, 1.1, "warning") == []
-    state.take_gateway(messages.gateway(nmt=(silent, silent), links=("passive", "bus_off")), 1.2)
+    state.take(messages.gateway(nmt=(silent, silent), links=("passive", "bus_off")), 1.2)
     assert texts(state, 1.3) == ["bus right dead: the gateway's controller is bus-off"]
     assert texts(state, 1.3, "warning") == [
         "bus left troubled: the gateway's controller is error passive",
@@ -276,22 +279,22 @@ def test_dead_buses_are_named_and_not_their_silent_nodes(state: ViewState, messa
     gateway = state.snapshot(1.3)[0].gateway
     assert gateway is not None
     assert [(bus.dead, bus.synced) for bus in gateway.buses] == [(False, False), (True, False)]
-    state.take_gateway(messages.gateway(nmt=((5, 255, 255, 255), silent), links=("passive", "active")), 1.4)
+    state.take(messages.gateway(nmt=((5, 255, 255, 255), silent), links=("passive", "active")), 1.4)
     gateway = state.snapshot(1.5)[0].gateway
     assert gateway is not None
     assert [bus.synced for bus in gateway.buses] == [True, True]
 
 
 def test_skin_of_which_nothing_is_measured_is_told(state: ViewState, messages: Any) -> None:
-    state.take_gateway(messages.gateway(), 1.0)
-    state.take_image(messages.image(invalid=tuple(range(8))), 1.0)
+    state.take(messages.gateway(), 1.0)
+    state.take(messages.image(invalid=tuple(range(8))), 1.0)
     assert texts(state, 1.1) == ["nothing is measured: no block sent its sums"]
-    state.take_image(messages.image(2, invalid=tuple(range(7))), 1.1)
+    state.take(messages.image(2, invalid=tuple(range(7))), 1.1)
     assert texts(state, 1.2) == []
 
 
 def test_refused_node_is_named_unless_it_left(state: ViewState, messages: Any) -> None:
-    state.take_gateway(messages.gateway(nmt=((127, 127, 255, 5), (5, 5, 5, 5)), refused=(2, 3)), 1.0)
+    state.take(messages.gateway(nmt=((127, 127, 255, 5), (5, 5, 5, 5)), refused=(2, 3)), 1.0)
     assert texts(state, 1.1, "warning") == [
         "left: node 1 pre-operational",
         "left: node 3 silent",
@@ -363,12 +366,12 @@ def test_service_that_sends_nothing_is_silent(state: ViewState, messages: Any) -
         return [name for name, service in state.snapshot(now_s)[0].services.items() if service.silent]
 
     assert silent(0.1) == []
-    state.take_gateway(messages.gateway(cycles=10), 4.0)
+    state.take(messages.gateway(cycles=10), 4.0)
     assert silent(4.1) == []  # SYNC has just begun
-    state.take_gateway(messages.gateway(cycles=1000), 5.0)
-    state.take_label(messages.label(), 5.0)
+    state.take(messages.gateway(cycles=1000), 5.0)
+    state.take(messages.label(), 5.0)
     assert silent(5.1) == ["reconstructor"]
-    state.take_image(messages.image(), 5.2)
+    state.take(messages.image(), 5.2)
     assert silent(5.3) == []
     assert silent(5.9) == ["classifier", "reconstructor"]
     assert silent(9.0) == ["gateway"]
@@ -376,9 +379,36 @@ def test_service_that_sends_nothing_is_silent(state: ViewState, messages: Any) -
 
 def test_a_skin_without_zero_and_its_defects_are_told(state: ViewState, messages: Any) -> None:
     found = CalibrationStatus(state=CalibrationState.TOUCHED, defects=[f"sum {each} is stuck" for each in range(10)])
-    state.take_gateway(msgspec.structs.replace(messages.gateway(), calibration=found), 1.0)
+    state.take(msgspec.structs.replace(messages.gateway(), calibration=found), 1.0)
     assert any("has touched the skin since the start" in text for text in texts(state, 1.0, "info"))
     told = texts(state, 1.0, "warning")
     assert "sum 7 is stuck" in told
     assert "sum 8 is stuck" not in told
     assert "2 more defects: skin calibration show" in told
+
+
+def test_a_doubtful_contact_is_named_with_what_to_do(state: ViewState, messages: Any) -> None:
+    found = messages.contacts()
+    marked = msgspec.structs.replace(found.contacts[0], force_n=0.4321, doubtful_since_mono_ns=5_000_000_000)
+    doubtful = msgspec.structs.replace(found, sampled_mono_ns=50_000_000_000, contacts=[marked])
+    state.take(doubtful, 1.0)
+    (text,) = texts(state, 1.1, "warning")
+    assert text == (
+        "a force of 0.432 N around row 8, column 6 has been in doubt for 45 s: a still weight, or an error of the zero,"
+        " as of a warm patch; if nothing touches there: skin tare --region 2,0,13,11"
+    )
+    assert texts(state, 9.0, "warning") == []  # an old contact
+    state.take(msgspec.structs.replace(doubtful, contacts=[marked] * 10), 9.0)
+    assert len(texts(state, 9.1, "warning")) == 9
+    assert "2 more contacts are in doubt" in texts(state, 9.1, "warning")
+    state.take(found, 9.2)
+    assert texts(state, 9.3, "warning") == []
+
+
+def test_the_support_of_the_zero_is_shown(state: ViewState, messages: Any) -> None:
+    known = CalibrationStatus(state=CalibrationState.FOLLOWING, zero_support=bytes([4, 4, 1]))
+    for calibration, words in ((None, ""), (known, "2 measured, 1 stored")):
+        state.take(msgspec.structs.replace(messages.gateway(), calibration=calibration), 1.0)
+        gateway = state.snapshot(1.1)[0].gateway
+        assert gateway is not None
+        assert gateway.zero == words

@@ -14,8 +14,8 @@ from viewer.wire import frame, greeting
 
 def test_frame_can_be_taken_apart(messages: Any) -> None:
     state = ViewState(messages.layout)
-    state.take_image(messages.image(4, invalid=(2,)), 1.0)
-    state.take_truth(messages.truth(4, sensor=messages.grid(0.02)), 1.0)
+    state.take(messages.image(4, invalid=(2,)), 1.0)
+    state.take(messages.truth(4, sensor=messages.grid(0.02)), 1.0)
     content = frame(*state.snapshot(1.1))
     (length,) = struct.unpack_from("<I", content)
     header = msgspec.json.decode(content[4 : 4 + length])

@@ -1,16 +1,20 @@
 """Options of ``skin dataset``, in groups."""
 
-from dataclasses import dataclass
-from typing import Final
+from dataclasses import dataclass, make_dataclass
+from typing import Annotated, Final, TypeVar
 
 from cyclopts import Group, Parameter
 
-from skin.defects import KINDS, make_defects
+from skin.defects import KINDS, Defects, Stage
 from skin.taxel import FORCE_MAX_N, NOISE_N, TaxelModel
 from touch.classification_poses import PERTURBATIONS
 from touch.coarse_arrays import ARRAYS, Kind
 
 EVERY_ARRAY: Final = ",".join(map(str, ARRAYS))
+#: Kinds of defects that data sets have: those of taxels that show in a touch of seconds.
+DEFECTS: Final = {
+    name: kind for name, kind in KINDS.items() if kind.stage is not Stage.MEMORY and not kind.stage.is_of_sums
+}
 
 
 @Parameter(name="*", group=Group("Acquisition"))
@@ -51,10 +55,22 @@ class ClassificationOptions:
     perturbations: int = PERTURBATIONS
 
 
+T = TypeVar("T")
+
+
+def _with_defects(options: type[T]) -> type[T]:
+    """Return the class with an option for each kind of defect that data sets have."""
+    added = [(name, Annotated[float | None, Parameter(help=kind.help)], None) for name, kind in DEFECTS.items()]
+    made: type[T] = make_dataclass(options.__name__, added, bases=(options,), frozen=True)
+    made.__module__, made.__doc__ = options.__module__, options.__doc__
+    return made
+
+
 @Parameter(name="*", group=Group("Taxels, each defect off unless given"))
+@_with_defects
 @dataclass(frozen=True)
 class TaxelOptions:
-    """Model of the sensor; the defects are those of `skin.defects.KINDS`, but for creep, which takes minutes.
+    """Model of the sensor.
 
     Attributes
     ----------
@@ -62,37 +78,10 @@ class TaxelOptions:
         Standard deviation of the noise, newtons.
     force_max_n
         End of a taxel's range, newtons.
-    damper
-        Damping beside each spring, N s/m.
-    cross_talk
-        Fraction of each neighbour's force that a taxel reads in addition.
-    gain_spread
-        Standard deviation of the taxels' gains around 1.
-    offset
-        Largest offset of a taxel / range.
-    drift
-        Standard deviation of the drift of the zero point, N/s.
-    noisy
-        Fraction of the taxels whose noise has a standard deviation of a quarter of the range.
-    stuck
-        Fraction of the taxels that always read one value.
-    saturated
-        Fraction of the taxels that always read the end of the range.
-    dead
-        Fraction of the taxels that always read 0.
     """
 
     noise_n: float = NOISE_N
     force_max_n: float = FORCE_MAX_N
-    damper: float | None = None
-    cross_talk: float | None = None
-    gain_spread: float | None = None
-    offset: float | None = None
-    drift: float | None = None
-    noisy: float | None = None
-    stuck: float | None = None
-    saturated: float | None = None
-    dead: float | None = None
 
     def model(self, seed: int) -> TaxelModel:
         """Return the model of the taxels; `seed` selects the defective taxels.
@@ -102,5 +91,5 @@ class TaxelOptions:
         InputError
             If a number cannot be used.
         """
-        amounts = {kind: amount for kind in KINDS if (amount := getattr(self, kind, None)) is not None}
-        return TaxelModel(self.noise_n, self.force_max_n, **make_defects(amounts, seed))
+        amounts = {kind: getattr(self, kind) for kind in DEFECTS}
+        return TaxelModel(self.noise_n, self.force_max_n, Defects.of(amounts, seed))

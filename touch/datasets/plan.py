@@ -12,18 +12,21 @@ from typing import Any, Final
 import numpy as np
 
 from canskin.errors import InputError
+from skin.defects import KINDS, Stage, option_name
+from skin.ranges import require_number
 from skin.taxel import TaxelModel
 from touch.classification_poses import CLASSIFICATION_OBJECTS, PERTURBATIONS, observe, poses
 from touch.coarse_arrays import ARRAYS, FINE_SIDE, Kind, averaged, grid_of
 from touch.contact import Force, Grid, Pose, Spheres, press_along
+from touch.datasets.options import DEFECTS
 from touch.objects import checked_names, made_of, spheres_of
 from touch.trajectory import ACQUISITION_OBJECTS, PAPER_STEP_S, paper_pose, start_of, trajectory_range
 
 #: Steps of a trajectory in one chunk: 11 MB per signal.
 CHUNK_STEPS: Final = 700
 SIGNALS: Final = ("true", "sensor")
-#: Fields of the model that data sets do not have.
-_OF_NODES: Final = ("creep", "zero_drifts")
+#: Stages of defects that a single moment does not show.
+_IN_TIME: Final = (Stage.SPEED, Stage.DRIFT)
 
 
 @dataclass(frozen=True)
@@ -83,7 +86,7 @@ def plan_acquisition(
     InputError
         If a name or a number cannot be used.
     """
-    _check_seed(seed)
+    require_number("seed", seed)
     listed = tuple(ACQUISITION_OBJECTS) if names is None else checked_names(names)
     taken = range(*trajectory_range(speed, steps))
     tasks = []
@@ -132,9 +135,10 @@ def plan_classification(
     InputError
         If a name or a number cannot be used.
     """
-    _check_seed(seed)
-    if model.damper is not None or model.drift is not None:
-        raise InputError("observations are single moments: damper and drift need a trajectory, leave them out")
+    require_number("seed", seed)
+    if not model.defects.stages.keys().isdisjoint(_IN_TIME):
+        unseen = " and ".join(option_name(name) for name, kind in DEFECTS.items() if kind.stage in _IN_TIME)
+        raise InputError(f"observations are single moments: {unseen} need a trajectory, leave them out")
     listed = CLASSIFICATION_OBJECTS if names is None else checked_names(names)
     drawn = poses(perturbations, seed)
     if not sides:
@@ -217,9 +221,9 @@ def _about(
 
 
 def _settings(seed: int, model: TaxelModel) -> dict[str, Any]:
-    return {"seed": seed} | {name: each for name, each in asdict(model).items() if name not in _OF_NODES}
-
-
-def _check_seed(seed: int) -> None:
-    if seed < 0:
-        raise InputError(f"seed needs a whole number of 0 or more: got {seed}")
+    given = {each.kind: each for each in model.defects.of_kinds}
+    defects: dict[str, dict[str, float] | None] = dict.fromkeys(DEFECTS)
+    for name, defect in given.items():
+        is_drawn = KINDS[name].stream is not None
+        defects[name] = {KINDS[name].amount: defect.amount} | ({"seed": defect.seed} if is_drawn else {})
+    return {"seed": seed, "noise_n": model.noise_n, "force_max_n": model.force_max_n, **defects}

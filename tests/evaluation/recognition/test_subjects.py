@@ -8,7 +8,7 @@ import numpy.typing as npt
 import pytest
 
 from canskin.errors import InputError
-from classifier.decide import Decision
+from classifier.settling import Decision
 from evaluation.recognition import classification, methods_compared, sixteen
 from evaluation.recognition.accuracy import measure_accuracy, measure_adaptive
 from evaluation.recognition.live import measure_live

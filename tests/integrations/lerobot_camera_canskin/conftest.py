@@ -16,8 +16,7 @@ import canskin
 from canskin.frame import Frame
 from canskin.messages import CONTACTS, IMAGE, MEASUREMENT
 from canskin.skin import FrameHub, Frames, Health, Skin
-from tests.client.conftest import contacts, description, image, measurement
-from tests.client.helpers import Chain
+from tests.client.helpers import Chain, contacts, description, image, measurement
 
 ROOT = Path(__file__).parents[3]
 PACKAGE = ROOT / "integrations/lerobot_camera_canskin/lerobot_camera_canskin"

@@ -12,7 +12,7 @@ from lerobot.cameras import Camera, make_cameras_from_configs
 from canskin.description import DESCRIPTION
 from canskin.fabric import Fabric
 from lerobot_camera_canskin import CanskinCamera, CanskinCameraConfig, forces
-from tests.client.conftest import description
+from tests.client.helpers import description
 from tests.integrations.lerobot_camera_canskin.conftest import ClockedSkin, LiveChain, force_n, valid
 
 MS_NS = 1_000_000

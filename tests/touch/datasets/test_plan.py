@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from canskin.errors import InputError
-from skin.defects import Damper, Drift
+from skin.defects import Defects
 from skin.taxel import TaxelModel
 from touch.classification_poses import observations
 from touch.contact import Force
@@ -54,7 +54,7 @@ def test_trajectories_are_true_force_and_seeded_noise() -> None:
 
 @pytest.mark.heavy
 def test_damper_and_drift_do_not_see_where_chunks_begin() -> None:
-    worn = TaxelModel(noise_n=0.0, damper=Damper(0.01), drift=Drift(1e-3, seed=2))
+    worn = TaxelModel(noise_n=0.0, defects=Defects.of({"damper": 0.01, "drift": 1e-3}, 2))
     arrays = all_made(plan_acquisition(["golf-ball"], steps=1400, model=worn))
     sensor = np.concatenate([arrays["golf-ball/sensor-00.npy"], arrays["golf-ball/sensor-01.npy"]])
     whole = worn.signal(trajectory("golf-ball", steps=1400), np.random.default_rng(0), period_s=1e-3)
@@ -105,4 +105,4 @@ def test_wrong_wishes_are_refused(tmp_path: Path) -> None:
     with refused:
         plan_classification(seed=-1, model=PLAIN)
     with pytest.raises(InputError, match="damper and drift need a trajectory"):
-        plan_classification(model=TaxelModel(drift=Drift(0.1)))
+        plan_classification(model=TaxelModel(defects=Defects.of({"drift": 0.1})))
