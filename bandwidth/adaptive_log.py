@@ -22,7 +22,7 @@ from dbc.canopen import HEARTBEAT_BASE
 from dbc.contract import Contract
 from dbc.frame import Frames
 from dbc.frame_bits import frame_time_ns
-from skin.compiled import njit
+from shell.compiled import njit
 from skin.walsh import GROUPS
 
 #: What a frame of sums says: other values than before, the same bytes again (a refresh), details of the newest coarse

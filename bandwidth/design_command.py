@@ -6,9 +6,9 @@ from bandwidth.search import CanKind, Requirement, search
 from bandwidth.traffic import Disturbance
 from canskin.errors import InputError, RunError
 from skin.layout import layout_text
-from skin.output import write_file
-from skin.service import say
-from skin.terminal import Json, print_json
+from shell.output import write_file
+from shell.service import say
+from shell.terminal import Json, print_json
 
 
 def design(

@@ -10,8 +10,8 @@ from canskin.errors import InputError, RunError
 from dbc.contract import Contract
 from dbc.frame import Frames
 from skin.layout import Layout, load_layout, require_one_state
-from skin.service import StopSignal, say
-from skin.terminal import Json
+from shell.service import StopSignal, say
+from shell.terminal import Json
 
 
 def load(

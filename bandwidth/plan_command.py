@@ -11,8 +11,8 @@ from bandwidth.wiring import wiring
 from bus.options import BusOptions, Channels, channels
 from dbc.contract import Contract
 from skin.layout import load_layout, require_one_state
-from skin.service import say
-from skin.terminal import Json, print_json
+from shell.service import say
+from shell.terminal import Json, print_json
 
 
 def plan(

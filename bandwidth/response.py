@@ -12,7 +12,7 @@ import numpy.typing as npt
 from numba import int64, void
 
 from canskin.errors import InputError
-from skin.compiled import njit
+from shell.compiled import njit
 
 #: Longest error frame, with intermission (Davis et al., section 3.5).
 ERROR_BITS: Final = 31

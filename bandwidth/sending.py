@@ -15,7 +15,7 @@ from canskin.errors import InputError
 from dbc.contract import Contract
 from dbc.frame import Frames
 from dbc.packing import rounding_error_n
-from skin.terminal import print_json
+from shell.terminal import print_json
 
 
 class InCycles:

@@ -9,7 +9,7 @@ from bandwidth.adaptive_plan import AdaptiveBusPlan, BudgetPlan
 from bandwidth.alternatives import Alternative
 from bandwidth.measured import BusLoad
 from bandwidth.plan import BusPlan
-from skin.terminal import print_table
+from shell.terminal import print_table
 
 #: Columns of the lines that list the nodes of a bus.
 _WIDTH: Final = 120

@@ -31,7 +31,7 @@ from bus.protocol import (
 from bus.reconnecting import ReconnectingLink
 from canskin.errors import BusError, Stopped
 from dbc.frame import ECHO, Frames, frames
-from skin.service import StopSignal, say
+from shell.service import StopSignal, say
 
 #: Time limit for the answer of the bus process to HELLO.
 GREETING_S: Final = 5.0

@@ -7,7 +7,7 @@ from bus.error_frames import State
 from bus.outbox import DISCARDED
 from bus.protocol import Filter, Hello
 from dbc.frame import Frames
-from skin.service import StopSignal
+from shell.service import StopSignal
 
 __all__ = ["DISCARDED", "Filter", "Link", "Send", "State", "open_link"]
 

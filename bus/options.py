@@ -10,7 +10,7 @@ from cyclopts import Parameter
 from bus.link import ARBITRATED, Link, open_link
 from canskin.errors import InputError
 from skin.layout import Bus, Layout
-from skin.service import StopSignal
+from shell.service import StopSignal
 
 #: Longest wait of a service for a bus server that is still starting.
 OPEN_WAIT_S = 30.0

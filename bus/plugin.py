@@ -18,7 +18,7 @@ from bus.messages import to_frame, to_message
 from bus.protocol import Hello, runtime_folder
 from canskin.errors import SkinError
 from dbc.frame import ECHO, ERROR
-from skin.clock import wall_offset
+from shell.clock import wall_offset
 
 #: Period in which a waiting sender checks the transmit queue; `receive` in another thread makes space.
 _ROOM_POLL_S: Final = 0.001

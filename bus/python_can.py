@@ -17,7 +17,7 @@ from bus.messages import to_frame, to_message
 from bus.protocol import Filter, check_frames, in_time
 from canskin.errors import BusError
 from dbc.frame import ECHO, Frames, frames
-from skin.clock import wall_offset
+from shell.clock import wall_offset
 
 #: Most frames kept until `receive`; later frames are lost and counted.
 QUEUE_FRAMES: Final = 16384

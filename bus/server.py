@@ -33,7 +33,7 @@ from bus.simulated_bus import SimulatedBus
 from canskin.errors import BusError, InputError
 from dbc.frame import frames
 from dbc.frame_bits import frame_time_ns
-from skin.service import say
+from shell.service import say
 
 #: Period in which frames are delivered inside a burst; its first and last frames are delivered at once.
 TICK_NS: Final = 2_000_000

@@ -21,7 +21,7 @@ from bus.recvmmsg import DEVICE_STAMPS, SO_RXQ_OVFL, SO_TIMESTAMPING, SO_TIMESTA
 from canskin.errors import BusError
 from dbc.canopen import SYNC_COB_ID
 from dbc.frame import BRS, ECHO, ERROR, ESI, EXTENDED, FD, REMOTE, Frames, frames
-from skin.clock import WallOffset, wall_offset
+from shell.clock import WallOffset, wall_offset
 
 BATCH_FRAMES: Final = 256
 #: Requested receive buffer: about 5,000 frames; the default holds about 250.

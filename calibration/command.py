@@ -27,9 +27,9 @@ from skin.calibration_file import (
     parse_calibration,
 )
 from skin.layout import Layout, load_layout
-from skin.output import check_output_path, write_file
-from skin.service import say
-from skin.terminal import Json, print_json, print_table
+from shell.output import check_output_path, write_file
+from shell.service import say
+from shell.terminal import Json, print_json, print_table
 
 #: Longest wait for the hub, and for the answer to ``write``: writing to nodes takes up to a minute.
 PATIENCE_S: Final = 5.0

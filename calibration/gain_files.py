@@ -14,7 +14,7 @@ from skin.frontend import LEAST_FELT
 from skin.layout import RECORDING_SUFFIX, Layout, require_sending
 from skin.mcap_file import read_messages
 from skin.measured_sums import decode_measurement
-from skin.service import say
+from shell.service import say
 
 
 def stored_gains(skin: Layout, path: Path, force_n: float | None, before: Path | None = None) -> StoredCalibration:

@@ -14,7 +14,7 @@ from skin.calibration_file import load_calibration
 from skin.layout import Layout, require_sending
 from skin.measured_sums import decode_measurement
 from skin.measurement import Sbhe
-from skin.service import say
+from shell.service import say
 from skin.sync_counter import next_counter
 
 

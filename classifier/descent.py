@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable
 
 from classifier.dag import Float64
-from skin.compiled import njit
+from shell.compiled import njit
 
 
 def _descend(features: Float64, weights: Float64, biases: Float64, classes: int) -> tuple[int, float]:

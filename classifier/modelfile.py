@@ -20,7 +20,7 @@ from classifier.model import ARRAYS, VERSION, Metadata, Model
 from classifier.newest_sums import averaged_cycles
 from skin.layout import Layout
 from skin.measurement import Sbhe
-from skin.output import write_file
+from shell.output import write_file
 
 Arrays = dict[str, npt.NDArray[Any]]
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from skin.compiled import njit
+from shell.compiled import njit
 
 Float64 = npt.NDArray[np.float64]
 

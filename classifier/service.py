@@ -15,7 +15,7 @@ from classifier.used_sums import classified_phi
 from skin.layout import Layout
 from skin.measured_sums import MeasurementReader, decode_adaptive, decode_measurement
 from skin.measurement import Sbhe, places
-from skin.service import StopSignal
+from shell.service import StopSignal
 
 #: Period of the check of the stop signal.
 _TURN_S = 0.1

@@ -7,7 +7,7 @@ from typing import Final
 
 from canskin.messages import UNKNOWN_OBJECT
 from skin.layout import Recognition
-from skin.service import say
+from shell.service import say
 
 #: A request is renewed after this part of its time.
 RENEW: Final = 0.5

@@ -14,7 +14,7 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from skin.compiled import njit
+from shell.compiled import njit
 from skin.layout import ADAPTIVE_BLOCK, ADAPTIVE_NODES
 from skin.walsh import GROUPS
 

@@ -9,7 +9,7 @@ from dbc.board import board, board_text
 from dbc.contract import Contract
 from dbc.database import database
 from dbc.eds import dcfs, eds, node_name, node_types
-from skin.output import write_file
+from shell.output import write_file
 
 #: The files of the default skin that come with the project.
 DEFAULT_FOLDER: Final = Path(__file__).parent / "files" / "default"

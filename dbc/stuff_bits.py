@@ -5,7 +5,7 @@ from typing import Any, Final
 from numba import int32, types, uint8, void
 
 from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE
-from skin.compiled import njit
+from shell.compiled import njit
 
 #: x^15 + x^14 + x^10 + x^8 + x^7 + x^4 + x^3 + 1 (ISO 11898-1, CRC of classical frames).
 CRC_15: Final = 0x4599

@@ -4,8 +4,8 @@ import sys
 
 from canskin.errors import RunError
 from demo.options import DEFAULTS, DemoOptions
-from skin.service import StopSignal, say
-from skin.terminal import Json, print_json
+from shell.service import StopSignal, say
+from shell.terminal import Json, print_json
 
 
 def demo(*, options: DemoOptions = DEFAULTS, json: Json = False) -> int:

@@ -8,9 +8,9 @@ from cyclopts import Parameter
 
 from canskin.errors import InputError
 from skin.layout import Layout, require_one_state
-from skin.output import check_picture_path
-from skin.service import listen
-from skin.touch_options import NO_TOUCH_OPTIONS, TouchOptions
+from shell.output import check_picture_path
+from shell.service import listen
+from shell.touch_options import NO_TOUCH_OPTIONS, TouchOptions
 
 
 @Parameter(name="*")

@@ -5,7 +5,7 @@ from pathlib import Path
 import matplotlib as mpl
 
 from demo.score import Snapshot
-from skin.output import save_figure
+from shell.output import save_figure
 from skin.psnr import psnr_db
 
 mpl.use("Agg")
@@ -22,7 +22,7 @@ def save_picture(snapshot: Snapshot, peak_n: float, path: Path, *, noisy: bool =
     peak_n : float
         End of the taxels' range, the peak of the PSNR.
     path : pathlib.Path
-        File with one of `skin.output.PICTURE_SUFFIXES`.
+        File with one of `shell.output.PICTURE_SUFFIXES`.
     noisy : bool
         Whether the sensor adds noise; else its PSNR is not shown.
 

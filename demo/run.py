@@ -25,9 +25,9 @@ from demo.score import Score
 from demo.supervisor import Supervisor
 from skin.layout import Layout
 from skin.psnr import adds_noise
-from skin.service import StopSignal, Talk, listen, say, talks
+from shell.service import StopSignal, Talk, listen, say, talks
 from skin.sources import DEFAULT_OBJECTS, known_objects
-from skin.terminal import print_table, progress
+from shell.terminal import print_table, progress
 
 DEFAULT_PORT: Final = 8765
 #: Time without touch where there are offsets, beside that in which the zero is measured.

@@ -21,7 +21,7 @@ from classifier.service import ClassifierService
 from demo.chain import REST_S, Nodes
 from reconstructor.imaging import make_imager
 from reconstructor.service import ReconstructorService, warm_up
-from skin.clock import wall_offset
+from shell.clock import wall_offset
 from skin.description import describe
 from skin.layout import Layout, load_layout, require_sending
 from skin.sources import DEFAULT_OBJECTS, known_objects, load_objects, object_names, step_rate_hz

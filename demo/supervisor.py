@@ -10,7 +10,7 @@ from typing import Final
 
 from canskin.errors import InputError, RunError
 from demo.processor_time import ProcessorTime, processor_time
-from skin.command import WRONG_INPUT
+from shell.command import WRONG_INPUT
 
 #: A process that has ended is started again after this time; the page shows its absence until then.
 RESTART_AFTER_S: Final = 2.0

@@ -18,7 +18,7 @@ from typing import Final
 import httpx
 
 from docs.rerun_picture import rerun
-from skin.output import write_file
+from shell.output import write_file
 from tests.browser import CHROMIUM, chromium
 from tests.processes import Processes, free_port
 

@@ -10,8 +10,8 @@ import rerun_cli
 
 from canskin.messages import BusState, Contacts, FrameCounts, GatewayStatus, Image, Label, NmtState
 from reconstructor.contacts import ContactTracker
-from show.painter import Painter
-from show.rerun_canvas import RerunCanvas
+from views.show.painter import Painter
+from views.show.rerun_canvas import RerunCanvas
 from skin.layout import load_layout
 from skin.wall_times import Clocks
 from tests.browser import CHROMIUM, FLAGS, chromium

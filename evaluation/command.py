@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Final, Literal, NamedTuple, get_arg
 from cyclopts import Parameter
 
 from canskin.errors import InputError
-from skin.terminal import Json, print_json, print_table
+from shell.terminal import Json, print_json, print_table
 
 if TYPE_CHECKING:
     from evaluation.result import Result

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from canskin.errors import InputError
-from skin.output import write_file
+from shell.output import write_file
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -14,8 +14,8 @@ from threadpoolctl import threadpool_limits
 
 from canskin.errors import InputError
 from evaluation.result import Options, Row
-from skin.parallel import in_parallel
-from skin.terminal import progress
+from shell.parallel import in_parallel
+from shell.terminal import progress
 
 #: Folders and libraries that decide a result: a kept result counts only while they are as they were.
 _FOLDERS: Final = (

@@ -23,7 +23,7 @@ from dbc.adaptive import (
 )
 from dbc.canopen import SYNC_COB_ID
 from dbc.frame import ECHO, ERROR, EXTENDED, FD, FRAME, REMOTE
-from skin.compiled import njit
+from shell.compiled import njit
 from skin.walsh import GROUPS
 
 #: A time before all frames.

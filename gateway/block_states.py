@@ -8,7 +8,7 @@ import numpy.typing as npt
 from canskin.messages import BlockState
 from dbc.adaptive import BLOCK_SUMS, GROUP_SUMS, NO_CHECK, SendingRule
 from gateway.adaptive_state import NEVER_NS, BusSums, Flags, Integers
-from skin.compiled import njit
+from shell.compiled import njit
 from skin.walsh import GROUPS, grouped_rows
 
 #: Time for which a block is fresh after a frame that counted.

@@ -27,8 +27,8 @@ from skin.calibration_file import (
     parse_calibration,
 )
 from skin.layout import Layout
-from skin.output import write_file
-from skin.service import say
+from shell.output import write_file
+from shell.service import say
 
 #: Answer to what makes no sense for boards that look after themselves.
 _ADAPTIVE: Final = (

@@ -20,7 +20,7 @@ from gateway.service import GatewayService
 from skin.calibration_file import load_calibration
 from skin.description import Describing
 from skin.layout import Layout, load_layout, require_sending
-from skin.service import StopSignal, say
+from shell.service import StopSignal, say
 
 
 def gateway(

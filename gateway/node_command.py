@@ -14,8 +14,8 @@ from canskin.errors import InputError, RunError
 from dbc.contract import Contract
 from gateway.node_check import NodeCheck, NodeReport
 from skin.layout import Layout, load_layout, require_one_state
-from skin.service import StopSignal
-from skin.terminal import Json, print_json
+from shell.service import StopSignal
+from shell.terminal import Json, print_json
 
 #: Longest wait for frames in one turn.
 TURN_S: Final = 0.01

@@ -16,9 +16,9 @@ from dbc.frame import frames
 from gateway.adaptive_gathering import RATES_HZ
 from gateway.calibration import GatewayCalibration
 from gateway.loop import GatewayLoop
-from skin.clock import wall_offset
+from shell.clock import wall_offset
 from skin.measured_sums import part_of_measurement
-from skin.service import RateLimitedLog, StopSignal, request_real_time, say
+from shell.service import RateLimitedLog, StopSignal, request_real_time, say
 
 STATUS_PERIOD_S: Final = 0.2
 #: Longest wait for frames.

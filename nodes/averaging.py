@@ -28,7 +28,7 @@ from dbc.averaging import (
 )
 from nodes.adaptive.models import Tracks, new_tracks, step
 from skin.clipping import IDLE_DEVIATION, IDLE_MEAN, ClipCorrection
-from skin.compiled import njit
+from shell.compiled import njit
 
 
 class SampleFilter:

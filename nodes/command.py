@@ -12,13 +12,13 @@ from canskin.fabric import Fabric
 from canskin.session import DEFAULT_ENDPOINT
 from dbc.choice import choose_nodes
 from dbc.contract import Contract
-from firmware.library import Firmware
+from nodes.firmware.library import Firmware
 from nodes.service import NodesService
 from nodes.ways import new_hardware
 from skin.layout import load_layout, require_one_state
-from skin.service import StopSignal, say
+from shell.service import StopSignal, say
 from skin.taxel import NOISE_N
-from skin.touch_options import NO_TOUCH_OPTIONS, TouchOptions
+from shell.touch_options import NO_TOUCH_OPTIONS, TouchOptions
 
 
 def nodes(

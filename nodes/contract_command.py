@@ -16,8 +16,8 @@ from dbc.generate import (
 )
 from nodes.ways import vector_files
 from skin.layout import load_layout
-from skin.service import say
-from skin.terminal import Json, print_json
+from shell.service import say
+from shell.terminal import Json, print_json
 
 
 def dbc(layout: Path | None = None, *, out: Path, json: Json = False) -> None:

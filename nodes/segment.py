@@ -18,7 +18,7 @@ TICK_S: Final = 0.005
 
 
 class Boards(Protocol):
-    """The boards of one bus, in Python (`nodes.virtual_boards`) or in C (`firmware.library`).
+    """The boards of one bus, in Python (`nodes.virtual_boards`) or in C (`nodes.firmware.library`).
 
     Every method but `refuse` returns the frames that the boards send.
     """

@@ -11,11 +11,11 @@ from bus.link import Link
 from canskin.fabric import Fabric
 from canskin.messages import NODES, TRUTH, NodesStatus
 from dbc.contract import Contract
-from firmware.library import Firmware
+from nodes.firmware.library import Firmware
 from nodes.hardware import NEVER_S, Hardware
 from nodes.segment import Boards, Segment
 from nodes.virtual_boards import VirtualBoards
-from skin.service import RateLimitedLog, StopSignal, request_real_time
+from shell.service import RateLimitedLog, StopSignal, request_real_time
 
 #: Longest wait for frames.
 TURN_S: Final = 0.005

@@ -6,7 +6,7 @@ from typing import Annotated
 import msgspec
 
 from canskin.errors import UNDECODABLE, InputError
-from skin.output import write_file
+from shell.output import write_file
 
 #: Values by index and sub-index, in the bytes of an SDO transfer.
 Parameters = dict[int, dict[int, bytes]]

@@ -8,7 +8,7 @@ from dbc.contract import Contract, NodeContract
 from dbc.eds import node_name, node_types
 from dbc.generate import VECTOR_FOLDER
 from dbc.vectors import vectors_text
-from firmware.library import Firmware
+from nodes.firmware.library import Firmware
 from nodes.adaptive.boards import AdaptiveBoards
 from nodes.adaptive.firmware import FirmwarePatches
 from nodes.adaptive.news import WithNews

@@ -19,7 +19,7 @@ from reconstructor.checks import LARGEST_N, check_grid_of, float_kind
 from reconstructor.fista import momentum
 from reconstructor.settings import SolverSettings
 from skin.clipping import ClipCorrection
-from skin.extras import not_installed
+from shell.extras import not_installed
 from skin.measurement import Sbhe, fast_hadamard
 
 #: Cycles solved ahead of each part.

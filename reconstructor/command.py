@@ -10,7 +10,7 @@ from reconstructor.imaging import make_imager
 from reconstructor.options import SolverOptions
 from reconstructor.service import ReconstructorService, warm_up
 from skin.layout import load_layout
-from skin.service import StopSignal, say
+from shell.service import StopSignal, say
 
 #: A start that takes longer logs the reason.
 SILENT_S: Final = 4.0

@@ -14,7 +14,7 @@ from reconstructor.contacts import ContactTracker
 from reconstructor.imaging import Imager
 from skin.layout import Layout
 from skin.measured_sums import MeasurementReader, used_blocks
-from skin.service import StopSignal, request_real_time, yield_processor
+from shell.service import StopSignal, request_real_time, yield_processor
 
 #: Period of the check of the stop signal while no measurement comes.
 PATIENCE_S: Final = 0.1

@@ -9,7 +9,7 @@ from canskin.errors import BusError
 from canskin.fabric import Fabric
 from canskin.messages import GATEWAY, GatewayStatus
 from skin.mcap_file import CALIBRATION_FILE, File
-from skin.service import StopSignal
+from shell.service import StopSignal
 
 #: Longest wait for an answer, shorter than `ANSWER_S`: the gateway tells its calibration within milliseconds, and who
 #: stops the recorder waits as long.

@@ -1,4 +1,4 @@
-"""Tactile images as pictures: colours and marks of the page (``viewer/static/heatmap.js``), a line of text below."""
+"""Tactile images as pictures: colours and marks of the page (``views/page/static/heatmap.js``), a line of text below."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final
@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from canskin.messages import Contact
 from skin.layout import Layout
-from viewer.colours import coloured
+from views.colours import coloured
 
 if TYPE_CHECKING:
     from PIL.Image import Image

@@ -11,13 +11,13 @@ import numpy as np
 from cyclopts import Parameter
 
 from canskin.errors import InputError, RunError
-from firmware.export import write_firmware
-from skin.extras import not_installed
+from nodes.firmware.export import write_firmware
+from shell.extras import not_installed
 from skin.layout import RECORDING_SUFFIX, layout_text, load_layout
 from skin.mcap_file import read_about, wall_offset_ns
-from skin.output import check_new_path, replacing
-from skin.service import say
-from skin.terminal import Json, print_json
+from shell.output import check_new_path, replacing
+from shell.service import say
+from shell.terminal import Json, print_json
 
 if TYPE_CHECKING:
     from recording.tables import Table, Tables
@@ -162,11 +162,11 @@ def _save_view(source: Path, path: Path, to: Format) -> None:
 
     try:
         if to == "ros2":
-            from ros2.bag import write_bag
+            from views.ros2.bag import write_bag
 
             made = ", ".join(f"{count} {topic}" for topic, count in write_bag(source, path, layout, warn).items())
         else:
-            from show.recording import write_view
+            from views.show.recording import write_view
 
             made = f"{write_view(source, path, layout, to == 'rerun', warn)} images"
     except OSError as error:

@@ -17,8 +17,8 @@ from recording.calibration import follow_calibration
 from recording.recorder import Recorder
 from recording.sinks import open_sink
 from skin.layout import Layout, load_layout
-from skin.output import check_new_path
-from skin.service import StopSignal, request_real_time, say
+from shell.output import check_new_path
+from shell.service import StopSignal, request_real_time, say
 
 TOPICS: Final = (MEASUREMENT, IMAGE, CONTACTS, LABEL, GATEWAY, NODES, TRUTH)
 

@@ -10,7 +10,7 @@ from canskin.fabric import Origin
 from canskin.messages import Topic
 from recording.sinks import Sink
 from skin.mcap_file import EVENTS, RECORDER, File
-from skin.service import StopSignal, say
+from shell.service import StopSignal, say
 
 #: Time between two batches of frames that are read. Links keep some thousands of frames.
 TURN_S: Final = 0.05

@@ -28,8 +28,8 @@ from recording.steps import steps_of
 from skin.description import Describing
 from skin.layout import RECORDING_SUFFIX, load_layout, require_one_state
 from skin.mcap_file import CALIBRATION_FILE, File, newest_file, wall_offset_ns
-from skin.output import check_new_path
-from skin.service import StopSignal, say
+from shell.output import check_new_path
+from shell.service import StopSignal, say
 from skin.sources import DEFAULT_OBJECTS
 
 

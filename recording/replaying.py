@@ -15,7 +15,7 @@ from reconstructor.service import ReconstructorService
 from recording.sinks import Sink
 from recording.step_kinds import FramesStep, MeasurementStep, MessageStep, Step
 from skin.layout import Layout
-from skin.service import StopSignal
+from shell.service import StopSignal
 
 
 class Output(Protocol):

@@ -37,7 +37,7 @@ from skin.mcap_file import (
     wall_offset_ns,
 )
 from skin.measured_sums import check_fingerprint, check_measurement
-from skin.service import say
+from shell.service import say
 
 #: Longest time from a measurement to its image and label: the first label waits for compiled code.
 _ANSWERS_NS: Final = 15_000_000_000

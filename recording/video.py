@@ -10,11 +10,11 @@ import numpy as np
 from canskin.errors import InputError, RunError
 from canskin.messages import CONTACTS, IMAGE, LABEL, Contacts, Image, Label
 from recording.drawing import Drawing, Picture
-from skin.extras import not_installed
+from shell.extras import not_installed
 from skin.layout import Layout
 from skin.mcap_file import read_messages
-from skin.output import replacing
-from viewer.state import FRESH_S
+from shell.output import replacing
+from health.state import FRESH_S
 
 if TYPE_CHECKING:
     from av import VideoFrame

@@ -1,5 +1,5 @@
 """``python -m skin`` is the ``skin`` command."""
 
-from skin.command import main
+from shell.command import main
 
 main()

@@ -31,7 +31,7 @@ def test_every_folder_of_code_is_a_listed_package() -> None:
 
 def test_all_distributions_are_of_one_version() -> None:
     client = tomllib.loads((ROOT / "client/pyproject.toml").read_text())["project"]
-    for path in (ROOT / "pyproject.toml", *ROOT.glob("integrations/*/pyproject.toml")):
+    for path in (ROOT / "pyproject.toml", *ROOT.glob("client/*/pyproject.toml")):
         other = tomllib.loads(path.read_text())["project"]
         assert other["version"] == client["version"]
         assert f"canskin-client=={client['version']}" in other["dependencies"]
@@ -40,7 +40,7 @@ def test_all_distributions_are_of_one_version() -> None:
 def test_integrations_import_nothing_of_the_application() -> None:
     found = {
         name.split(".")[0]
-        for path in ROOT.glob("integrations/*/*/*.py")
+        for path in ROOT.glob("client/*/*/*.py")
         for node in ast.walk(ast.parse(path.read_text()))
         for name in (
             [node.module or ""]
@@ -56,11 +56,11 @@ def test_integrations_import_nothing_of_the_application() -> None:
 
 def test_command_is_installed() -> None:
     scripts = importlib.metadata.entry_points(group="console_scripts", name="skin")
-    assert [script.value for script in scripts] == ["skin.command:main"]
+    assert [script.value for script in scripts] == ["shell.command:main"]
 
 
 #: Where one package reaches another by name: entry points, and the verbs of the command line.
-BY_NAME = {"skin/sources.py", "skin/command.py"}
+BY_NAME = {"skin/sources.py", "shell/command.py"}
 #: What imports a module by its name.
 IMPORTERS = {
     "__import__",

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from skin.terminal import Json, print_json, print_table
+from shell.terminal import Json, print_json, print_table
 from touch.contact import Force
 
 
@@ -34,7 +34,7 @@ def objects(
     skin objects --figure objects.png
     skin objects --json | jq 'max_by(.contact_taxels).name'
     """
-    from skin.output import check_picture_path
+    from shell.output import check_picture_path
     from touch.drawing import as_text, save_images
     from touch.objects import CATALOGUE, checked_names
 

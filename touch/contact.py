@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from canskin.errors import InputError
-from skin.compiled import njit
+from shell.compiled import njit
 from skin.defects import STIFFNESS_N_PER_M
 from skin.layout import Taxels
 from skin.taxel import FORCE_MAX_N

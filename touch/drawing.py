@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from canskin.errors import InputError
-from skin.output import save_figure
+from shell.output import save_figure
 from touch.contact import Force
 
 #: Force of the darkest shade, about the largest force of the paper's data.

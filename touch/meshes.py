@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 
 from canskin.errors import InputError
-from skin.extras import not_installed
+from shell.extras import not_installed
 from touch.contact import TRAVEL_M, FloatArray, Spheres
 
 #: Largest file and number of vertices; larger meshes are refused. The paper's objects have 0.5 MB and 14 000 vertices.

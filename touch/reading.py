@@ -14,7 +14,7 @@ import numpy.typing as npt
 from canskin.errors import InputError
 from canskin.messages import IMAGE, TRUTH
 from skin.layout import RECORDING_SUFFIX
-from skin.service import say
+from shell.service import say
 
 Counts = npt.NDArray[Any]
 

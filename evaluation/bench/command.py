@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import Any, Final, Literal, get_args
 
 from canskin.errors import InputError
-from skin.output import check_picture_path
-from skin.terminal import Json, print_json, print_table, progress
+from shell.output import check_picture_path
+from shell.terminal import Json, print_json, print_table, progress
 
 Subject = Literal["reconstruct", "images", "missing", "skins", "classify", "ros2"]
 _MODULES: Final = {subject: f"evaluation.bench.{subject}" for subject in get_args(Subject)}

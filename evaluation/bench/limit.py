@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from reconstructor.kernels.steps import aligned, gather
-from skin.compiled import njit
+from shell.compiled import njit
 
 #: Multiplications and additions, fused two by two, on each value in one pass: enough to hide loading it, few enough
 #: that many values are in flight.

@@ -14,7 +14,7 @@ from reconstructor.engine import Reconstructor
 from reconstructor.settings import preset
 from skin.layout import load_layout
 from skin.measurement import Sbhe
-from skin.output import save_figure
+from shell.output import save_figure
 
 METHODS: Final = ("live", "variation", "spun", "paper")
 #: Of 128, drawn at random and the same for every method.

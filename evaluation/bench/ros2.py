@@ -12,13 +12,13 @@ from canskin.errors import RunError
 from canskin.fabric import Fabric
 from canskin.messages import IMAGE, Image
 from demo.run import open_hub
-from ros2.bridge import Bridge
-from ros2.node import RosNode
-from ros2.reader import RosReader
-from ros2.topics import FORCE_IMAGE, HEAT_MAP, TAXEL_CLOUD, RosTopic
-from skin.clock import wall_offset
+from views.ros2.bridge import Bridge
+from views.ros2.node import RosNode
+from views.ros2.reader import RosReader
+from views.ros2.topics import FORCE_IMAGE, HEAT_MAP, TAXEL_CLOUD, RosTopic
+from shell.clock import wall_offset
 from skin.layout import Layout, load_layout
-from skin.service import StopSignal
+from shell.service import StopSignal
 from skin.wall_times import CLOCKS, Clocks
 
 #: Images of a round, at the rate of the default skin.

@@ -28,7 +28,7 @@ from reconstructor.kernels.problem import checked
 from reconstructor.kernels.steps import aligned, deliver, load
 from reconstructor.kernels.transforms import FAST_MATH, Flat, transpose_image
 from reconstructor.settings import SolverSettings
-from skin.compiled import njit
+from shell.compiled import njit
 
 Table = npt.NDArray[np.uint16]
 Steps = npt.NDArray[np.int64]

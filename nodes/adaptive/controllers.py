@@ -42,7 +42,7 @@ from nodes.adaptive.sending import (
     note_sent,
     tpdo_of,
 )
-from skin.compiled import borrowed, njit
+from shell.compiled import borrowed, njit
 from skin.walsh import GROUPS
 
 #: `Controllers.cob_id` of a TPDO that does not exist.

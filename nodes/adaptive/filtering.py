@@ -12,7 +12,7 @@ from nodes.adaptive.models import Tracks, new_tracks, step
 from nodes.adaptive.noise import IdleStatistics, Noise, unclip
 from nodes.adaptive.transforms import from_haar, to_haar, to_walsh, to_walsh_variance
 from skin.clipping import DEAD_RATIO
-from skin.compiled import njit
+from shell.compiled import njit
 from skin.walsh import grouped_rows, haar_matrix, walsh_matrix
 
 

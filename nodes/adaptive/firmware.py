@@ -10,7 +10,7 @@ from dbc.adaptive_filter import Floats
 from dbc.canopen import BASE_ID_MASK
 from dbc.contract import Contract
 from dbc.frame import ECHO, ERROR, Frames
-from firmware.library import Firmware
+from nodes.firmware.library import Firmware
 from nodes.adaptive.patch_boards import PatchBoards
 from skin.sources import TaxelSource
 

@@ -22,7 +22,7 @@ from dbc.adaptive_filter import (
     Floats,
 )
 from skin.clipping import IDLE_DEVIATION
-from skin.compiled import njit
+from shell.compiled import njit
 from skin.walsh import patch_shape
 
 

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from dbc.adaptive_filter import LEAST_EXPONENT, LEAST_WEIGHT, LOG2_E, POWER, SWITCHING, Floats, Models
-from skin.compiled import njit
+from shell.compiled import njit
 
 
 class Tracks(NamedTuple):

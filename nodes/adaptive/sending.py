@@ -29,7 +29,7 @@ from dbc.adaptive import (
     tpdo_index,
 )
 from dbc.adaptive_filter import LEAST_PART, LOG2_SERIES, Floats
-from skin.compiled import njit
+from shell.compiled import njit
 from skin.walsh import GROUPS
 
 #: Why a frame is to be sent.

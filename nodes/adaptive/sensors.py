@@ -16,7 +16,7 @@ from scipy.special import ndtri
 
 from dbc.adaptive_filter import SAMPLE_NS, Floats
 from nodes.electronics import Calibration
-from skin.compiled import njit
+from shell.compiled import njit
 from skin.sending import ADAPTIVE_STEP_HZ
 from skin.sources import Frame, TaxelSource
 from skin.taxel import Memory, TaxelModel

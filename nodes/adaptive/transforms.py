@@ -1,6 +1,6 @@
 """The orthonormal Haar pyramid and the Walsh sums of patches, by additions in one defined order.
 
-The order matters: the boards' C code (`firmware/c/adaptive`) adds in the same order, so that both round alike.
+The order matters: the boards' C code (`nodes/firmware/c/adaptive`) adds in the same order, so that both round alike.
 """
 
 from typing import Final
@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dbc.adaptive_filter import ROOT_HALF, Floats
-from skin.compiled import njit
+from shell.compiled import njit
 
 _HALF: Final = np.float32(0.5)
 

@@ -22,7 +22,7 @@ from reconstructor.kernels.problem import check_penalty_ratio, checked, places_o
 from reconstructor.kernels.steps import Table, aligned, deliver, gather, load
 from reconstructor.kernels.transforms import FAST_MATH, Flat, masked_gram
 from reconstructor.settings import SolverSettings
-from skin.compiled import njit
+from shell.compiled import njit
 from skin.measurement import Sbhe
 
 

@@ -7,7 +7,7 @@ from reconstructor.bases.pkva import ROOT_TWO
 from reconstructor.kernels.contourlet_tables import ContourletBuffers, ContourletTables, Phases
 from reconstructor.kernels.steps import gather
 from reconstructor.kernels.transforms import FAST_MATH, Flat
-from skin.compiled import njit
+from shell.compiled import njit
 
 # Compiled functions take no keyword arguments.
 

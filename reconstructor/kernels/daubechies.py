@@ -8,7 +8,7 @@ from typing import Any, Final
 
 from reconstructor.kernels.steps import Problem, advance, begin, descend, gather, row
 from reconstructor.kernels.transforms import FAST_MATH, Flat, transpose_image
-from skin.compiled import njit
+from shell.compiled import njit
 
 #: Rows of working memory: gain, target, ahead, work, image, other.
 SCRATCH_ROWS: Final = 6

@@ -11,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 
 from reconstructor.kernels.transforms import FAST_MATH, Flat, hadamard
-from skin.compiled import njit
+from shell.compiled import njit
 
 #: Weights of slopes and of forces, beside that of 1 for curves.
 SLOPE: Final = 0.1

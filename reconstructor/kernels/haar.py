@@ -8,7 +8,7 @@ from typing import Any
 
 from reconstructor.kernels.steps import Problem, advance, begin, descend, gather, row
 from reconstructor.kernels.transforms import FAST_MATH, Flat
-from skin.compiled import njit
+from shell.compiled import njit
 
 #: Rows of working memory: gain, target, ahead, work, image.
 SCRATCH_ROWS = 5

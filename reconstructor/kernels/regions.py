@@ -5,7 +5,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from skin.compiled import njit
+from shell.compiled import njit
 
 #: Columns of the table of `measure_parts`: sums of the force, of force x row and of force x column, largest force,
 #: number of taxels, first and last row, first and last column; the highest pass to another part of the region (the

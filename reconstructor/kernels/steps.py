@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from reconstructor.checks import LARGEST_N
 from reconstructor.kernels.transforms import FAST_MATH, Flat, hadamard, masked_gram
-from skin.compiled import njit
+from shell.compiled import njit
 
 Table = npt.NDArray[np.uint16]
 

@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from reconstructor.checks import LARGEST_N
 from reconstructor.kernels.transforms import Flat
-from skin.compiled import njit
+from shell.compiled import njit
 
 #: Smallest gain.
 GAIN_MIN: Final = 0.18

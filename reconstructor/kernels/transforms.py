@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from skin.compiled import njit
+from shell.compiled import njit
 
 #: Sums contain no NaN; the order of additions is kept, so that results are repeatable.
 FAST_MATH = {"nnan", "ninf", "nsz", "contract"}

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from reconstructor.kernels.steps import Problem, advance, begin, descend, gather, row
 from reconstructor.kernels.transforms import FAST_MATH, Flat
-from skin.compiled import njit
+from shell.compiled import njit
 
 #: Rows of working memory: gain, target, ahead, work, image, smoothed, and the dual: down and right.
 SCRATCH_ROWS: Final = 8

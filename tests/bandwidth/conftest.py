@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 import pytest
 
-from skin.command import main
+from shell.command import main
 
 Skin = Callable[..., tuple[int, str, str]]
 

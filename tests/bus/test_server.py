@@ -21,7 +21,7 @@ from bus.server import BusServer, BusSettings
 from canskin.errors import BusError, InputError, Stopped
 from dbc.frame import BRS, ECHO, ERROR, EXTENDED, FD
 from dbc.frame_bits import INTERMISSION_BITS, frame_time_ns
-from skin.service import StopSignal
+from shell.service import StopSignal
 from tests.bus.harness import PATIENCE_S, await_state, burst, collect, frame, linked, serving
 
 

@@ -17,7 +17,7 @@ from classifier.service import ClassifierService, most_waiting
 from classifier.settling import Decision
 from skin.layout import Layout, Sync
 from skin.measurement import Sbhe
-from skin.service import StopSignal
+from shell.service import StopSignal
 from tests import messages as make
 
 

@@ -12,7 +12,7 @@ import pytest
 from canskin.errors import InputError
 from demo.options import DemoOptions
 from skin.layout import Bus, load_layout
-from skin.touch_options import TouchOptions
+from shell.touch_options import TouchOptions
 
 LAYOUT = load_layout()
 

@@ -7,7 +7,7 @@ import pytest
 
 from demo.picture import save_picture
 from demo.score import Snapshot
-from skin.output import PICTURE_SUFFIXES, check_picture_path
+from shell.output import PICTURE_SUFFIXES, check_picture_path
 
 
 @pytest.mark.heavy

@@ -13,7 +13,7 @@ from canskin.errors import InputError
 from gateway import command
 from skin.calibration_file import encoded, new_calibration
 from skin.layout import load_layout
-from skin.service import StopSignal
+from shell.service import StopSignal
 from tests.layouts import ADAPTIVE_SKIN
 
 

@@ -11,7 +11,7 @@ from dbc.frame import frames
 from gateway import node_command
 from gateway.node_check import NodeReport
 from gateway.node_command import _bus_number, _run, _show
-from skin.command import main
+from shell.command import main
 
 
 @pytest.mark.parametrize(

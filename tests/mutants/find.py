@@ -37,8 +37,8 @@ from cosmic_ray.work_db import use_db
 from cosmic_ray.work_item import MutationSpec, TestOutcome, WorkerOutcome, WorkItem, WorkResult
 
 from canskin.errors import InputError, RunError, SkinError
-from skin.compiled import FolderGiven
-from skin.terminal import progress
+from shell.compiled import FolderGiven
+from shell.terminal import progress
 
 ROOT: Final = Path(__file__).parents[2]
 MARKS: Final = Path(__file__).with_name("equivalent.toml")
@@ -63,8 +63,8 @@ PATHS: Final = (
     "nodes",
     "reconstructor/kernels/temporal_filter.py",
     "reconstructor/temporal_filter.py",
-    "viewer/guard.py",
-    "viewer/state.py",
+    "views/page/guard.py",
+    "health/state.py",
 )
 #: Small faults only: cosmic-ray replaces each binary operator and each comparison by every other one, and most of
 #: those mutants end in the first line that any test runs.
@@ -167,7 +167,7 @@ def _run(options: argparse.Namespace) -> int:
     _copy_tree()
     _copy_kernels()
     os.chdir(COPY)
-    os.environ["PYTHONPATH"] = os.pathsep.join(map(str, (COPY, COPY / "client", *COPY.glob("integrations/*"))))
+    os.environ["PYTHONPATH"] = os.pathsep.join(map(str, (COPY, COPY / "client", *COPY.glob("client/*"))))
     OPERATOR_PROVIDERS["canskin"] = {"RemoveStatement": RemoveStatement}
     return _judge(_choose(options))
 

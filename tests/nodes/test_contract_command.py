@@ -8,7 +8,7 @@ import pytest
 
 import dbc
 from dbc.generate import DEFAULT_FOLDER
-from skin.command import main
+from shell.command import main
 from tests.layouts import buses, layout_toml
 
 # The arguments stand where the command finds them, in sys.argv.

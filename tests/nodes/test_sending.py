@@ -13,7 +13,7 @@ from dbc.frame import ECHO, ERROR, EXTENDED, REMOTE, Frames, frames
 from nodes.segment import Segment
 from skin.layout import load_layout
 from tests.bus.harness import frame
-from tests.firmware.twins import Wire, small_contract
+from tests.nodes.firmware.twins import Wire, small_contract
 
 MS = 1_000_000
 

@@ -15,7 +15,7 @@ from canskin.messages import NodesStatus, Topic, Truth
 from dbc.contract import Contract
 from dbc.frame import Frames
 from dbc.indices import OD_REFRESH
-from firmware.library import Firmware
+from nodes.firmware.library import Firmware
 from nodes.adaptive.boards import AdaptiveBoards
 from nodes.electronics import Electronics
 from nodes.sampler import CountSampler, Sampler

@@ -22,7 +22,7 @@ from reconstructor.imaging import make_imager
 from reconstructor.options import SolverOptions
 from reconstructor.service import ReconstructorService
 from skin.layout import load_layout
-from skin.service import StopSignal
+from shell.service import StopSignal
 from tests.layouts import ADAPTIVE_SKIN
 from tests.messages import adaptive_measurement
 from tests.reconstructor.helpers import LAYOUT, Images, Scene, measurement

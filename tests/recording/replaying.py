@@ -12,7 +12,7 @@ from recording.replaying import Replay, SinkOutput
 from recording.sinks import McapSink
 from recording.steps import steps_of
 from skin.layout import load_layout
-from skin.service import StopSignal
+from shell.service import StopSignal
 
 
 class Silent(ClassifierService):

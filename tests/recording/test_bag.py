@@ -14,7 +14,7 @@ from dbc.contract import Contract
 from recording.export_command import export
 from recording.sinks import McapSink
 from tests.recording.helpers import COUNT, OFFSET_NS, SET_NS, pixels
-from tests.ros2 import reader
+from tests.views.ros2 import reader
 
 
 @pytest.fixture

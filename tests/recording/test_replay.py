@@ -16,7 +16,7 @@ from classifier.service import ClassifierService
 from dbc.contract import Contract
 from dbc.frame import Frames, frames
 from gateway.playback import play
-from rebuild.rebuild_command import rebuild
+from recording.rebuild.rebuild_command import rebuild
 from reconstructor.imaging import make_imager
 from reconstructor.service import ReconstructorService
 from recording.recorder import Recorder
@@ -25,7 +25,7 @@ from recording.sinks import McapSink, open_sink
 from recording.step_kinds import FramesStep, MeasurementStep
 from recording.steps import steps_of
 from skin.mcap_file import File, RecordingWriter, read_about, read_entries
-from skin.service import StopSignal
+from shell.service import StopSignal
 from tests import messages as make
 from tests.gateway.boards import small_adaptive
 from tests.messages import adaptive_measurement

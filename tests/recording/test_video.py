@@ -16,7 +16,7 @@ from recording.sinks import McapSink
 from recording.video import TICK_S
 from tests import messages as make
 from tests.recording.helpers import OFFSET_NS
-from viewer.state import FRESH_S
+from health.state import FRESH_S
 
 #: Times of the images; 40 ms are lost between the second and third, and 2 s before the last.
 TIMES_S = (0.0, 0.01, 0.05, 0.06, 2.06)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from skin.command import main
+from shell.command import main
 from tests.system.helpers import report, skin
 
 

@@ -13,10 +13,10 @@ from canskin.messages import Measurement
 from dbc.canopen import SYNC_COB_ID
 from dbc.contract import Contract
 from dbc.frame import ECHO, Frames
-from firmware.library import Firmware
+from nodes.firmware.library import Firmware
 from gateway.loop import GatewayLoop
 from nodes.segment import Segment
-from tests.firmware.twins import CountWitness
+from tests.nodes.firmware.twins import CountWitness
 from tests.layouts import IDENTITIES, small_layout
 from tests.vcan.chain import valid
 

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any, Final, Literal, get_args
 
 from canskin.errors import InputError
-from skin.parallel import in_parallel
-from skin.terminal import Json, print_json, print_table, progress
+from shell.parallel import in_parallel
+from shell.terminal import Json, print_json, print_table, progress
 from touch.coarse_arrays import ARRAYS
 from touch.datasets.folder import DatasetFolder, alone
 from touch.datasets.options import AcquisitionOptions, ClassificationOptions, TaxelOptions

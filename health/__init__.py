@@ -1,0 +1,1 @@
+"""The health of a skin: what every view of it tells."""

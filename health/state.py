@@ -1,0 +1,324 @@
+"""The state of a skin: messages in, snapshots out. Time is an argument; there is no thread and no connection here."""
+
+from typing import Final, Generic, NamedTuple, TypeVar
+
+import msgspec
+import numpy as np
+
+from canskin.messages import (
+    CONTACTS,
+    GATEWAY,
+    IMAGE,
+    LABEL,
+    NODES,
+    TRUTH,
+    Contacts,
+    GatewayStatus,
+    Image,
+    Label,
+    NodesStatus,
+    Truth,
+)
+from canskin.peers import Peer, new_peer
+from skin.ground_truth import ImagePairs, image_pairs, in_contact
+from skin.layout import Layout
+from skin.psnr import adds_noise, psnr_db
+from health.checks import fits
+from health.notices import display_name, notices
+from health.snapshot import (
+    ContactsState,
+    Figures,
+    GatewayState,
+    ImageState,
+    LabelState,
+    NodesState,
+    Pictures,
+    Pixels,
+    Service,
+    Snapshot,
+    TruthState,
+    gateway_state,
+    nodes_state,
+)
+from health.window import Window
+
+#: What a `ViewState` takes.
+TOPICS: Final = (IMAGE, CONTACTS, TRUTH, LABEL, GATEWAY, NODES)
+#: Images, contacts, labels and truths older than this are stale.
+FRESH_S: Final = 0.5
+#: Counters older than this are stale; the gateway and the nodes publish theirs five times a second.
+STATUS_FRESH_S: Final = 1.5
+#: A truth older than this is hidden.
+TRUTH_GONE_S: Final = 3.0
+#: Most processes of nodes shown; the one with the oldest message is dropped first.
+PROCESSES: Final = 64
+#: Most services kept; the service that has been gone for longest is dropped first.
+SERVICES: Final = 64
+#: Most tokens kept, tokens of other skins included.
+PEERS: Final = 256
+LATENCY_SPAN_S: Final = 5.0
+SPAN_S: Final = 1.0
+
+Message = TypeVar("Message")
+
+
+class Last(NamedTuple, Generic[Message]):
+    """A message and the time when it came."""
+
+    message: Message
+    at_s: float
+
+
+class ViewState:
+    """State of one skin, as the page, ROS 2, Rerun and Foxglove show it.
+
+    Parameters
+    ----------
+    layout : Layout
+        Of the skin shown; messages that do not fit it are counted in `ignored` and not shown.
+    epoch_s : float
+        Wall-clock time of ``now_s = 0``; notices give wall-clock times.
+    service : str
+        Name of the service that shows the skin: without its own token the hub is out of reach.
+    """
+
+    def __init__(self, layout: Layout, epoch_s: float = 0.0, service: str = "viewer") -> None:
+        self.ignored = 0
+        self._layout, phi = layout, layout.phi()
+        self._sending_blocks = int(phi.has_sums.sum())
+        self._epoch_s = epoch_s
+        self._service_name = service
+        self._image: Last[Image] | None = None
+        self._contacts: Last[Contacts] | None = None
+        self._truth: Last[Truth] | None = None
+        self._label: Last[Label] | None = None
+        self._gateway: Last[GatewayStatus] | None = None
+        self._nodes: dict[str, Last[NodesStatus]] = {}
+        self._services: dict[str, Service] = {}
+        self._self = new_peer(layout.name, display_name(service), phi.fingerprint)
+        self._peers: dict[str, Peer] = {}
+        self._pairing: ImagePairs = image_pairs(layout)
+        self._latency_s = Window(LATENCY_SPAN_S)
+        self._valid, self._rate = Window(SPAN_S), Window(SPAN_S)
+        self._psnr_image_db, self._psnr_sensor_db = Window(SPAN_S), Window(SPAN_S)
+
+    def take(self, message: msgspec.Struct, now_s: float) -> bool:
+        """Use a message of one of `TOPICS` that came at `now_s`; return whether it fits the skin."""
+        if not fits(message, self._layout):
+            self.ignored += 1
+            return False
+        match message:
+            case Image():
+                self._take_image(message, now_s)
+            case Contacts():
+                self._contacts = Last(message, now_s)
+            case Truth():
+                self._truth = Last(message, now_s)
+                for image, true in self._pairing.take_truth(message):
+                    self._compare(image, true, now_s)
+            case Label():
+                self._label = Last(message, now_s)
+            case GatewayStatus():
+                self._gateway = Last(message, now_s)
+            case NodesStatus():
+                self._nodes.pop(message.process, None)
+                self._nodes[message.process] = Last(message, now_s)
+                while len(self._nodes) > PROCESSES:
+                    del self._nodes[next(iter(self._nodes))]
+        return True
+
+    def _take_image(self, image: Image, now_s: float) -> None:
+        # An image without any new sum, of a skin with nothing to send, has no latency.
+        is_new = self._image is None or self._image.message.sampled_mono_ns != image.sampled_mono_ns
+        self._image = Last(image, now_s)
+        self._valid.add(now_s, self._valid_blocks(image))
+        if image.valid_sums:
+            self._rate.add(now_s, 1.0)
+        if image.valid_sums and is_new:
+            self._latency_s.add(now_s, (image.published_mono_ns - image.sampled_mono_ns) * 1e-9)
+        for shown, truth in self._pairing.take(image):
+            self._compare(shown, truth, now_s)
+
+    def take_service(self, name: str, alive: bool, now_s: float) -> None:
+        """Note that a service came or went at `now_s`."""
+        known = self._services.get(name)
+        if known is not None and known.alive == alive:
+            return
+        if known is None and len(self._services) >= SERVICES:
+            gone = [each for each, service in self._services.items() if not service.alive]
+            if not gone:
+                return
+            del self._services[min(gone, key=lambda each: self._services[each].since_time_s)]
+        self._services[name] = Service(alive=alive, since_time_s=self._epoch_s + now_s)
+
+    def take_peer(self, peer: Peer, alive: bool, now_s: float) -> None:
+        """Note that a peer came or went at `now_s`; a service is gone when its last peer of this name is gone."""
+        if not alive:
+            self._peers.pop(peer.key, None)
+        elif len(self._peers) < PEERS:
+            self._peers[peer.key] = peer
+        if peer.skin == self._layout.name:
+            there = any(each.skin == peer.skin and each.service == peer.service for each in self._peers.values())
+            self.take_service(peer.service, there, now_s)
+
+    def snapshot(self, now_s: float, undecodable: int = 0) -> tuple[Snapshot, Pictures]:
+        """Return snapshot and pictures at `now_s`; `undecodable` messages count as ignored."""
+        truth, gateway = self._truth_shown(now_s), self._gateway_state(now_s)
+        bare = Snapshot(
+            time_s=self._epoch_s + now_s,
+            skin=self._layout.name,
+            image=self._image_state(now_s),
+            contacts=self._contacts_state(now_s),
+            truth=truth[0] if truth else None,
+            label=self._label_state(now_s),
+            figures=self._figures(now_s),
+            gateway=gateway,
+            nodes=self._nodes_states(now_s),
+            services={name: self._service(name, gateway, now_s) for name in sorted(self._services)},
+            other_skins=sorted({peer.skin for peer in self._peers.values() if peer.fingerprint} - {self._layout.name}),
+            cut_off=self._is_cut_off(now_s),
+            ignored=self.ignored + undecodable,
+            notices=[],
+        )
+        pictures = Pictures(
+            image=self._grid(self._image.message.pixels) if self._image else None,
+            true=self._grid(truth[1].true) if truth else None,
+            sensor=self._grid(truth[1].sensor) if truth else None,
+        )
+        return notices(bare, self._service_name), pictures
+
+    def _compare(self, image: Image, truth: Truth, now_s: float) -> None:
+        peak_n = self._layout.taxels.force_max_n
+        true = self._grid(truth.true)
+        if not in_contact(true, peak_n):
+            return
+        self._psnr_image_db.add(now_s, psnr_db(true, self._grid(image.pixels), peak_n))
+        self._psnr_sensor_db.add(now_s, psnr_db(true, self._grid(truth.sensor), peak_n))
+
+    def _image_state(self, now_s: float) -> ImageState | None:
+        if self._image is None:
+            return None
+        image, at_s = self._image
+        invalid = np.flatnonzero(np.frombuffer(image.valid, np.uint8) == 0)
+        return ImageState(
+            cycle=image.cycle,
+            sampled_error_ns=image.sampled_error_ns,
+            age_s=now_s - at_s,
+            stale=self._is_stale("reconstructor", at_s, now_s, FRESH_S),
+            invalid_blocks=[int(block) for block in invalid],
+            valid_sums=image.valid_sums,
+            solve_s=image.solve_s,
+        )
+
+    def _contacts_state(self, now_s: float) -> ContactsState | None:
+        if self._contacts is None:
+            return None
+        contacts, at_s = self._contacts
+        return ContactsState(
+            cycle=contacts.cycle,
+            sampled_mono_ns=contacts.sampled_mono_ns,
+            contacts=contacts.contacts,
+            blind=contacts.blind,
+            age_s=now_s - at_s,
+            stale=self._is_stale("reconstructor", at_s, now_s, FRESH_S),
+        )
+
+    def _truth_shown(self, now_s: float) -> tuple[TruthState, Truth] | None:
+        """Return the truth of the image shown if images come, else the newest truth; None if there is none."""
+        if self._truth is None or now_s - self._truth.at_s > TRUTH_GONE_S:
+            return None
+        age_s = now_s - self._truth.at_s
+        shown, of_image = self._truth.message, False
+        if self._image is not None and now_s - self._image.at_s <= FRESH_S:
+            own = self._pairing.truth_of(self._image.message)
+            shown, of_image = own or shown, own is not None
+        return TruthState(
+            step=shown.step, label=shown.label, age_s=age_s, stale=age_s > FRESH_S, of_image=of_image
+        ), shown
+
+    def _label_state(self, now_s: float) -> LabelState | None:
+        if self._label is None:
+            return None
+        label, at_s = self._label
+        return LabelState(
+            label=label.label,
+            confidence=label.confidence,
+            measured=label.is_measured(self._layout.measurement.sums),
+            age_s=now_s - at_s,
+            stale=self._is_stale("classifier", at_s, now_s, FRESH_S),
+        )
+
+    def _figures(self, now_s: float) -> Figures:
+        latency_s = self._latency_s.values(now_s)
+        low = self._valid.values(now_s)
+        sensor_db = self._psnr_sensor_db.mean(now_s)
+        return Figures(
+            images_hz=self._rate.rate_hz(now_s),
+            latency_p50_s=float(np.percentile(latency_s, 50)) if latency_s else None,
+            latency_p99_s=float(np.percentile(latency_s, 99)) if latency_s else None,
+            psnr_image_db=self._psnr_image_db.mean(now_s),
+            psnr_sensor_db=sensor_db,
+            sensor_adds_noise=None if sensor_db is None else adds_noise(sensor_db, self._layout.taxels.adc_bits),
+            valid_blocks=self._valid_blocks(self._image.message) if self._image else None,
+            valid_blocks_low=int(min(low)) if low else None,
+            blocks=self._sending_blocks,
+        )
+
+    def _service(self, name: str, gateway: GatewayState | None, now_s: float) -> Service:
+        """Return the state of a service; of several with one name, a service that differs from this page's skin."""
+        own = [each for each in self._peers.values() if (each.skin, each.service) == (self._layout.name, name)]
+        if not own:
+            return self._services[name]
+        peer = next((each for each in own if self._self.difference(each)), own[-1])
+        return msgspec.structs.replace(
+            self._services[name],
+            silent=self._is_silent(name, gateway, now_s),
+            version=peer.version,
+            fingerprint=peer.fingerprint,
+            difference=self._self.difference(peer),
+        )
+
+    def _is_silent(self, name: str, gateway: GatewayState | None, now_s: float) -> bool:
+        """Tell whether a running service has input but sends nothing."""
+        if gateway is None or name == "gateway":
+            return gateway is not None and gateway.stale
+        if name == "reconstructor" and gateway.state == "recognition":
+            return False  # its input comes when somebody asks for images
+        last = {"reconstructor": self._image, "classifier": self._label}.get(name)
+        has_input = not gateway.stale and gateway.cycles > STATUS_FRESH_S * gateway.sync_rate_hz
+        is_new = now_s + self._epoch_s - self._services[name].since_time_s < STATUS_FRESH_S
+        if name not in {"reconstructor", "classifier"} or not has_input or is_new:
+            return False
+        return last is None or now_s - last.at_s > FRESH_S
+
+    def _gateway_state(self, now_s: float) -> GatewayState | None:
+        if self._gateway is None:
+            return None
+        status, at_s = self._gateway
+        return gateway_state(status, now_s - at_s, stale=self._is_stale("gateway", at_s, now_s, STATUS_FRESH_S))
+
+    def _nodes_states(self, now_s: float) -> list[NodesState]:
+        found = (self._nodes[name] for name in sorted(self._nodes))
+        return [nodes_state(status, now_s - at_s, stale=now_s - at_s > STATUS_FRESH_S) for status, at_s in found]
+
+    def _is_cut_off(self, now_s: float) -> bool:
+        """Tell whether the hub is out of reach: this service's own token is gone, and no message comes."""
+        own = self._services.get(self._service_name)
+        if own is None or own.alive:
+            return False
+        newest = (self._image, self._truth, self._label, self._gateway)
+        gone_s = own.since_time_s - self._epoch_s
+        return not any(last and last.at_s > gone_s and now_s - last.at_s <= FRESH_S for last in newest)
+
+    def _is_stale(self, service: str, at_s: float, now_s: float, fresh_s: float) -> bool:
+        """Tell whether a message of `service` from `at_s` is too old, or the service has gone since."""
+        token = self._services.get(service)
+        gone = token is not None and not token.alive and token.since_time_s >= self._epoch_s + at_s
+        return gone or now_s - at_s > fresh_s
+
+    def _grid(self, pixels: bytes) -> Pixels:
+        return np.frombuffer(pixels, "<f4").reshape(self._layout.taxels.rows, self._layout.taxels.columns)
+
+    @staticmethod
+    def _valid_blocks(image: Image) -> int:
+        return int(np.count_nonzero(np.frombuffer(image.valid, np.uint8)))

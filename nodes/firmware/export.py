@@ -1,0 +1,96 @@
+"""The texts of the firmware: C sources that every board shares, the constants of each board, and ``README.md``."""
+
+from collections.abc import Sequence
+from importlib.resources import files
+from pathlib import Path
+from string import Template
+from typing import Final
+
+from dbc.choice import choose_nodes
+from dbc.contract import Contract, NodeContract
+from dbc.generate import write_files
+from nodes.firmware.adaptive_tables import adaptive_header, adaptive_source
+from nodes.firmware.contract_header import contract_header
+from nodes.firmware.object_dictionary import od_header, od_source
+from nodes.firmware.tables import Build, board_header, board_source, builds
+from skin.layout import load_layout, require_one_state
+
+_SOURCES: Final = files("firmware").joinpath("c")
+
+
+def sources(boards: Sequence[Build], *folders: str) -> dict[str, str]:
+    """Return by their path the C sources and headers that every one of `boards` needs, and those of more folders."""
+    found: dict[str, str] = {}
+    for folder in ("", "adaptive", *folders) if boards[0].is_adaptive else ("", *folders):
+        for each in sorted(_SOURCES.joinpath(folder).iterdir(), key=lambda each: each.name):
+            if each.name.endswith((".c", ".h")):
+                found[f"{folder}/{each.name}" if folder else each.name] = each.read_text(encoding="ascii")
+    return found
+
+
+def constants(contract: Contract, boards: Sequence[Build]) -> dict[str, str]:
+    """Return the C texts of the constants of `boards`, by file."""
+    found = {
+        "contract.h": contract_header(),
+        "board.h": board_header(contract, boards),
+        "board.c": board_source(boards),
+    }
+    if boards[0].is_adaptive:
+        found |= {"adaptive.h": adaptive_header(contract), "adaptive.c": adaptive_source(contract)}
+    return found
+
+
+def export_files(contract: Contract, nodes: Sequence[NodeContract]) -> dict[str, str]:
+    """Return the text of every file of ``skin export firmware`` by its path."""
+    boards = builds(contract, nodes)
+    found = {f"src/{path}": text for path, text in sources(boards, "slave", "canopennode").items()}
+    for build in boards:
+        folder = f"boards/{_folder_of(build)}"
+        found |= {f"{folder}/{name}": text for name, text in constants(contract, [build]).items()}
+        found |= {
+            f"{folder}/OD.h": od_header(contract, build),
+            f"{folder}/OD.c": od_source(contract, build),
+        }
+    return found | {"README.md": _readme(contract, boards)}
+
+
+def write_firmware(layout: Path | None, names: list[str], out: Path) -> list[str]:
+    """Write the texts for a layout, with the constants of the nodes of `names` or of all; return the paths.
+
+    Parameters
+    ----------
+    layout : Path or None
+        TOML of the skin; None for the default skin.
+    names : list of str
+        As for `dbc.choice.choose_nodes`.
+    out : Path
+        Folder for the files.
+    """
+    skin = load_layout(layout)
+    require_one_state(skin, "the firmware in C")
+    contract = Contract.from_layout(skin)
+    chosen = choose_nodes(contract, names, [])
+    nodes = [each for each in contract.nodes if each.node_id in chosen.get(each.bus, ())]
+    return [str(path) for path in write_files(export_files(contract, nodes), out)]
+
+
+def _readme(contract: Contract, boards: Sequence[Build]) -> str:
+    """Return ``README.md`` for the engineer who builds the firmware, with the figures of the first of `boards`."""
+    node, board = boards[0].node, boards[0].board
+    folder = _SOURCES.joinpath("adaptive") if boards[0].is_adaptive else _SOURCES
+    template = Template(folder.joinpath("README.md").read_text(encoding="utf-8"))
+    return template.substitute(
+        skin=board.skin,
+        blocks=node.blocks,
+        block_size=contract.phi.block_size,
+        sums=node.sums,
+        board=_folder_of(boards[0]),
+        period_us=board.sync_period_us,
+        window_us=board.sync_window_us,
+        samples=board.samples_per_sync,
+    )
+
+
+def _folder_of(build: Build) -> str:
+    """Return the name of a board's folder."""
+    return f"{build.board.bus}-{build.board.node_id:03}"

@@ -1,0 +1,279 @@
+"""The firmware of many boards as a library for this machine, compiled with the system's C compiler and kept."""
+
+import ctypes
+import hashlib
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from canskin.errors import InputError
+from dbc.adaptive import BLOCK_SUMS
+from dbc.canopen import BASE_ID_MASK
+from dbc.contract import Contract, NodeContract
+from dbc.frame import Frames, frames
+from dbc.generate import write_files
+from nodes.firmware.export import constants, sources
+from nodes.firmware.tables import builds
+from shell.output import cache_folder
+
+#: Every operation is rounded as it is written.
+STANDARD_FLAGS: Final = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-ffp-contract=off")
+_FLAGS: Final = (*STANDARD_FLAGS, "-O3", "-fno-math-errno", "-fno-trapping-math", "-fPIC", "-shared")
+#: Frames that the boards of one bus may answer at once; more are lost.
+_CAPACITY: Final = 4096
+_FUNCTIONS: Final = (
+    "skin_power_up",
+    "skin_take",
+    "skin_pass_time",
+    "skin_refuse",
+    "skin_newest_sums",
+    "skin_node_bytes",
+)
+_ADAPTIVE_FUNCTIONS: Final = ("skin_take_counts", "skin_decide_all", "skin_choose", "skin_under_way")
+
+_Made = TypeVar("_Made", bound="CompiledBoards")
+
+
+class Firmware:
+    """The compiled firmware of some boards.
+
+    Parameters
+    ----------
+    contract : Contract
+    nodes : sequence of NodeContract
+        The boards, those of each bus one after another.
+    compiler : str
+        The C compiler.
+
+    Raises
+    ------
+    InputError
+        If there is no compiler, it fails, or the cache folder cannot be written.
+    """
+
+    def __init__(self, contract: Contract, nodes: Sequence[NodeContract], *, compiler: str = "cc") -> None:
+        boards = builds(contract, nodes)
+        # With the CANopen slave, and what runs many of them together.
+        texts = sources(boards, "slave", "host") | constants(contract, boards)
+        self._library = _loaded(texts, compiler)
+        for name in (*_FUNCTIONS, *(_ADAPTIVE_FUNCTIONS if boards[0].is_adaptive else ())):
+            getattr(self._library, name).restype = ctypes.c_size_t
+        self._contract, self._nodes = contract, nodes
+        self._boards: dict[int, CompiledBoards] = {}
+
+    def boards(self, bus: int) -> "CompiledBoards":
+        """Return the boards of bus number `bus`, which have no power before the first call of `power_up`."""
+        if bus not in self._boards:
+            self._boards[bus] = self._new(CompiledBoards, bus)
+        return self._boards[bus]
+
+    def adaptive_boards(self, bus: int) -> "CompiledAdaptiveBoards":
+        """Return the boards of bus number `bus`, which have not learned their noise; the layout sends adaptively."""
+        made = self._boards[bus] = self._new(CompiledAdaptiveBoards, bus)
+        return made
+
+    def _new(self, kind: type[_Made], bus: int) -> _Made:
+        nodes = [node for node in self._nodes if node.bus == bus]
+        return kind(self._library, self._contract, nodes, self._nodes.index(nodes[0]))
+
+
+class CompiledBoards:
+    """The boards of one bus: most methods take a time in seconds and return the frames that the boards send.
+
+    Parameters
+    ----------
+    library : CDLL
+    contract : Contract
+    nodes : sequence of NodeContract
+        The boards, in the order of the library.
+    first : int
+        The first of them among all boards of the library.
+
+    Attributes
+    ----------
+    node_ids : frozenset of int
+    is_pdo : array of bool, shape (BASE_ID_MASK + 1,)
+        Whether an identifier is that of a TPDO of the boards.
+    due_s : float
+        When `pass_time` has work to do: at any time.
+    """
+
+    def __init__(self, library: ctypes.CDLL, contract: Contract, nodes: Sequence[NodeContract], first: int) -> None:
+        self.node_ids = frozenset(node.node_id for node in nodes)
+        self.is_pdo = np.zeros(BASE_ID_MASK + 1, np.bool_)
+        for node in nodes:
+            self.is_pdo[[tpdo.cob_id for tpdo in node.tpdos] + [tpdo.cob_id for tpdo in node.adaptive_tpdos]] = True
+        self.due_s = float("-inf")
+        self._library = library
+        self._first, self._count = ctypes.c_uint32(first), ctypes.c_uint32(len(nodes))
+        self._node_bytes = int(library.skin_node_bytes())
+        # Eight bytes each, so that the memory is aligned for every C type.
+        self._memory = np.zeros(-(-len(nodes) * self._node_bytes // 8), np.uint64)
+        self._nodes = ctypes.c_void_p(self._memory.ctypes.data)
+        self._taxels = contract.phi.order.size
+        self._most_samples = 2 * contract.layout.samples_per_sync
+        self._out = frames(_CAPACITY)
+        self._sent = (ctypes.c_void_p(self._out.ctypes.data), ctypes.c_size_t(_CAPACITY))
+
+    def power_up(self, now_s: float) -> Frames:
+        """Begin anew, with the default parameters."""
+        return self._taken(
+            self._library.skin_power_up(self._nodes, self._first, self._count, _milliseconds(now_s), *self._sent)
+        )
+
+    def take(self, arrived: Frames, now_s: float) -> Frames:
+        """Pass received frames to the boards."""
+        return self.answer(arrived, now_s, None)
+
+    def answer(self, sync: Frames, now_s: float, measured: npt.NDArray[np.int32] | None) -> Frames:
+        """Pass a SYNC to the boards.
+
+        Parameters
+        ----------
+        measured : array of int, shape (samples, n), optional
+            What all taxels of the skin read since the last SYNC, row-major, ADC counts; the last sample is that of the
+            SYNC. At most the samples of two cycles.
+        """
+        there = np.ascontiguousarray(sync)
+        read, samples = None, 0
+        if measured is not None:
+            samples, taxels = measured.shape
+            if taxels != self._taxels or not 0 < samples <= self._most_samples:
+                wanted = f"1 to {self._most_samples} samples of {self._taxels} counts"
+                raise InputError(f"expected {wanted}, got {measured.shape}")
+            counts = np.ascontiguousarray(measured, np.uint16)
+            read = ctypes.c_void_p(counts.ctypes.data)
+        return self._taken(
+            self._library.skin_take(
+                self._nodes,
+                self._count,
+                _milliseconds(now_s),
+                read,
+                ctypes.c_uint16(samples),
+                ctypes.c_uint32(self._taxels),
+                ctypes.c_void_p(there.ctypes.data),
+                ctypes.c_size_t(len(there)),
+                *self._sent,
+            )
+        )
+
+    def pass_time(self, now_s: float) -> Frames:
+        """Do what is due by time."""
+        return self._taken(self._library.skin_pass_time(self._nodes, self._count, _milliseconds(now_s), *self._sent))
+
+    def refuse(self, burst: Frames) -> None:
+        """Take note of TPDOs that found no room in the transmit queue."""
+        there = np.ascontiguousarray(burst)
+        self._library.skin_refuse(
+            self._nodes, self._count, ctypes.c_void_p(there.ctypes.data), ctypes.c_size_t(len(there))
+        )
+
+    def sums(self, board: int, count: int) -> npt.NDArray[np.int32]:
+        """Return the newest `count` sums of board number `board` of this bus, ADC counts."""
+        sums = np.zeros(count, np.int32)
+        node = ctypes.c_void_p(self._memory.ctypes.data + board * self._node_bytes)
+        self._library.skin_newest_sums(node, ctypes.c_void_p(sums.ctypes.data))
+        return sums
+
+    def _taken(self, count: int) -> Frames:
+        taken: Frames = self._out[:count].copy()
+        return taken
+
+
+class CompiledAdaptiveBoards(CompiledBoards):
+    """The boards of one bus that sample by their own clock, and send sums when these carry news."""
+
+    def __init__(self, library: ctypes.CDLL, contract: Contract, nodes: Sequence[NodeContract], first: int) -> None:
+        super().__init__(library, contract, nodes, first)
+        self._library.skin_prepare.restype = None
+        self._library.skin_prepare(self._nodes, self._first, self._count)
+
+    def take_counts(self, counts: npt.NDArray[np.float32]) -> bool:
+        """Pass one sample to the boards, shape (boards, taxels); tell whether all have learned their noise."""
+        expected = (self._count.value, BLOCK_SUMS)
+        if counts.shape != expected:
+            raise InputError(f"expected counts of {expected}, got {counts.shape}")
+        there = counts.astype(np.uint16, order="C")  # a copy: corrected in place
+        ready = self._library.skin_take_counts(self._nodes, self._count, ctypes.c_void_p(there.ctypes.data))
+        return bool(ready == self._count.value)
+
+    def decide(self, skipped: int, passed_ns: int) -> bool:
+        """Decide what to send with the newest sample, after `skipped` ones; tell whether any frame is due."""
+        passed = ctypes.c_int64(passed_ns)
+        return bool(self._library.skin_decide_all(self._nodes, self._count, ctypes.c_uint32(skipped), passed))
+
+    def choose(self, most: int, now_ns: int, until_ns: int) -> Frames:
+        """Make the most urgent frames, at most `most`, which expire at `until_ns`."""
+        times = ctypes.c_int64(now_ns), ctypes.c_int64(until_ns)
+        return self._taken(
+            self._library.skin_choose(self._nodes, self._count, ctypes.c_uint32(most), *times, *self._sent)
+        )
+
+    @property
+    def is_sending(self) -> bool:
+        """Whether a controller may hold a frame, or its echo is to be read."""
+        return bool(self._library.skin_under_way(self._nodes, self._count))
+
+
+def _milliseconds(now_s: float) -> ctypes.c_uint32:
+    """Return a time as the boards count it: milliseconds that wrap."""
+    return ctypes.c_uint32(round(now_s * 1000) & 0xFFFF_FFFF)
+
+
+def _loaded(texts: dict[str, str], compiler: str) -> ctypes.CDLL:
+    """Return the library made of `texts`; a file in the cache that cannot be loaded is made anew."""
+    path = _compiled(texts, compiler)
+    try:
+        return ctypes.CDLL(str(path))
+    except OSError:
+        path.unlink(missing_ok=True)
+    try:
+        return ctypes.CDLL(str(_compiled(texts, compiler)))
+    except OSError as error:
+        raise InputError(f"{path}: cannot load the compiled firmware: {error}") from error
+
+
+def _compiled(texts: dict[str, str], compiler: str) -> Path:
+    """Return the path of the library made of `texts`; it is compiled unless the cache has it."""
+    program = shutil.which(compiler)
+    if program is None:
+        raise InputError(f"expected a C compiler as '{compiler}': install one, for example gcc or clang")
+    digest = hashlib.sha256(repr((program, _FLAGS, sorted(texts.items()))).encode()).hexdigest()[:16]
+    path = cache_folder() / f"firmware-{digest}.so"
+    if path.exists():
+        return path
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=path.parent) as name:
+            folder = Path(name)
+            made = folder / "firmware.so"
+            compile_c(write_files(texts, folder), made, [program, *_FLAGS])
+            made.replace(path)  # in one step: another process may look for the file
+    except OSError as error:
+        raise InputError(f"{path}: cannot keep the compiled firmware: {error.strerror or error}") from error
+    return path
+
+
+def compile_c(paths: Sequence[Path], out: Path, command: Sequence[str]) -> None:
+    """Compile the sources among `paths` to `out` with the compiler and the flags of `command`.
+
+    Raises
+    ------
+    InputError
+        If the compiler fails; the message has its first error.
+    """
+    folders = sorted({f"-I{path.parent}" for path in paths})
+    texts = [str(path) for path in paths if path.suffix == ".c"]
+    done = subprocess.run(  # noqa: S603 - the compiler of this machine, without a shell
+        [*command, *folders, "-o", str(out), *texts, "-lm"], capture_output=True, text=True, check=False
+    )
+    if done.returncode != 0:
+        lines = done.stderr.splitlines() or [f"exit code {done.returncode}"]
+        first = next((line for line in lines if "error" in line), lines[0])
+        raise InputError(f"{command[0]} cannot compile the firmware: {first}")

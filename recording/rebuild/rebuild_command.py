@@ -1,0 +1,241 @@
+"""``skin rebuild``: the images of a whole recording or CAN log."""
+
+import time
+from collections.abc import Callable
+from dataclasses import asdict, replace
+from importlib.metadata import version
+from pathlib import Path
+from typing import Final, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from bus.options import Channels
+from calibration.calibrator import Tare
+from calibration.offline import OffsetSource, calibrated_cycles, make_calibrator
+from calibration.recorded import RecordedOffsets
+from canskin.errors import InputError, RunError
+from canskin.messages import FrameCounts
+from dbc.contract import Contract
+from recording.rebuild.cycles import Cycles, decode_log, measure_forces
+from recording.rebuild.image_file import check_out, save_images
+from reconstructor.array_api import BatchSolver, gpu_library
+from reconstructor.engine import Reconstructor
+from reconstructor.options import SolverOptions
+from recording.steps import frames_of_log
+from skin.layout import RECORDING_SUFFIX, load_layout, require_one_state, require_sending
+from shell.service import say
+from shell.terminal import progress
+from shell.touch_options import ArrayNames, FullScale
+
+#: ``--calibration none``: take nothing off.
+NO_CALIBRATION: Final = Path("none")
+#: Images between two turns of the progress bar.
+CHUNK: Final = 64
+
+Bools = npt.NDArray[np.bool_]
+Sums = npt.NDArray[np.float32]
+Images = npt.NDArray[np.float32]
+#: Makes the images of sums and their validity, each of shape (cycles, m), and tells its progress.
+_Solve = Callable[[Sums, Bools, Callable[[int], None]], Images]
+#: First words of a .csv log of python-can.
+_CAN_CSV: Final = b"timestamp,arbitration_id"
+
+
+def rebuild(
+    source: Path,
+    *,
+    out: Path,
+    layout: Path | None = None,
+    device: Literal["cpu", "gpu"] = "cpu",
+    solver: SolverOptions | None = None,
+    channel: Channels | None = None,
+    array: ArrayNames = None,
+    full_scale: FullScale = None,
+    calibration: Path | None = None,
+    tare: Tare = "never",
+) -> None:
+    """Make the tactile image of every cycle of a recording or a CAN log, and write all images to one file.
+
+    A CAN log is decoded as in the gateway: blocks with late, damaged or missing frames are not valid in that cycle.
+    The offsets in a run of ``skin record`` are taken off. A recording is measured as in the nodes, one frame per
+    cycle. Images equal those of ``skin reconstruct``, but for rounding on a GPU and at the beginnings of the up to 256
+    parts that are solved there together.
+
+    Parameters
+    ----------
+    source
+        A CAN log (.mcap of ``skin record``, candump -l, .asc, .blf or any other that python-can reads), or a recording
+        of forces: .npz, .npy or .csv of shape (time, rows, columns).
+    out
+        New .npz for the images: ``images`` float32 (cycles, rows, columns) in newtons, ``valid`` bool (cycles,
+        blocks), ``time_ns`` int64 (cycles,), ``metadata`` JSON.
+    layout
+        TOML of the skin; default: the layout in the .mcap, else the default skin.
+    device
+        ``gpu`` needs an NVIDIA GPU, the extra canskin[gpu], and ``--solver paper``; ``--basis`` may name a tensor.
+    solver
+        Solver of the images.
+    channel
+        Channels of the log, one per bus. Default: the names of the buses, else all channels in their order.
+    calibration
+        File of ``skin calibration save``, or a recording, whose newest offsets are taken off all cycles; or ``none``.
+        Default: the offsets that were recorded with each cycle.
+    tare
+        ``at-start``: measure the offsets as the gateway does, once the skin is untouched for 2 s or 64 cycles.
+
+    Examples
+    --------
+    skin rebuild candump-2026-11-20_120000.log --out images.npz
+    skin rebuild mat.npz --array S1 S2 --full-scale 4095 --out images.npz --solver spun
+    """
+    is_recording = _is_recording(source)
+    _check_options(is_recording, channel, array, full_scale)
+    check_out(out)
+    if layout is None and source.suffix.lower() == RECORDING_SUFFIX:
+        layout = source
+    skin = load_layout(layout)
+    require_one_state(skin, "'skin rebuild'")
+    require_sending(skin, "synchronous", "'skin rebuild' is", "'skin replay --out' makes the images of adaptive sums")
+    contract = Contract.from_layout(skin)
+    stored = None if calibration == NO_CALIBRATION else calibration
+    calibrator = make_calibrator(contract.layout, stored, tare, "rebuild")
+    options = solver or SolverOptions()
+    settings = options.settings()
+    # A recording of forces has one frame for each cycle.
+    solve = _solver(contract, options, device, samples=1 if is_recording else skin.samples_per_sync)
+    cycles = _measured(contract, source, array, full_scale) if is_recording else _logged(contract, source, channel)
+    if calibrator is None and calibration is None and source.suffix.lower() == RECORDING_SUFFIX:
+        cycles = _as_live(contract, source, cycles)
+    if calibrator is not None:
+        cycles = _calibrated(contract, cycles, calibrator)
+    say("rebuild", f"solver {options.solver}, {settings.iterations} iterations, on the {device}")
+    images = _solved(contract, solve, cycles)
+    metadata = {
+        "format": "canskin images 1",
+        "version": version("canskin"),
+        "source": source.name,
+        "layout": contract.layout.name,
+        "fingerprint": contract.phi.fingerprint,
+        "solver": options.solver,
+        "settings": asdict(settings),
+        "noise_n": options.noise_n,
+        "device": device,
+    }
+    save_images(out, images, cycles, metadata)
+    say("rebuild", f"{len(images)} images written to {out}")
+
+
+def _as_live(contract: Contract, source: Path, cycles: Cycles) -> Cycles:
+    """Take off what the live gateway took off."""
+    recorded = RecordedOffsets(source, contract.layout)
+    if recorded.is_empty:
+        return cycles
+    found = _calibrated(contract, cycles, recorded)
+    say("rebuild", f"offsets of the run are taken off {recorded.applied} of {len(cycles.valid)} cycles")
+    return found
+
+
+def _calibrated(contract: Contract, cycles: Cycles, source: OffsetSource) -> Cycles:
+    counts, valid = calibrated_cycles(contract.layout, cycles.counts, cycles.valid, cycles.time_ns, source)
+    return replace(cycles, counts=counts, valid=valid)
+
+
+def _is_recording(source: Path) -> bool:
+    """Tell a recording of forces from a CAN log.
+
+    Raises
+    ------
+    InputError
+        If the file does not exist or cannot be read.
+    """
+    if not source.is_file():
+        raise InputError(f"no file '{source}': expected a CAN log, or a recording as .npz, .npy or .csv")
+    suffix = source.suffix.lower()
+    if suffix != ".csv":
+        return suffix in {".npz", ".npy"}
+    try:
+        with source.open("rb") as file:
+            return file.read(len(_CAN_CSV)) != _CAN_CSV
+    except OSError as error:
+        raise InputError(f"{source}: cannot be read: {error.strerror or error}") from error
+
+
+def _check_options(
+    is_recording: bool, channel: list[str] | None, array: list[str] | None, full_scale: float | None
+) -> None:
+    if is_recording and channel:
+        raise InputError("a recording has no CAN channels: leave out --channel")
+    if not is_recording and (array or full_scale is not None):
+        raise InputError("a CAN log has neither arrays nor a full scale: leave out --array and --full-scale")
+
+
+def _measured(contract: Contract, source: Path, array: list[str] | None, full_scale: float | None) -> Cycles:
+    with progress(f"measuring {source.name}", None) as bar:
+        cycles = measure_forces(contract, source, array, full_scale, bar.advance)
+    say("rebuild", f"{len(cycles.valid)} frames of {source.name} measured")
+    return cycles
+
+
+def _logged(contract: Contract, source: Path, channel: list[str] | None) -> Cycles:
+    """Read and decode a log.
+
+    Raises
+    ------
+    RunError
+        If no block of any cycle is valid.
+    """
+    with progress(f"reading {source.name}", None) as bar:
+        logged = frames_of_log(contract.layout, source, channel, lambda line: say("rebuild", line))
+        cycles, counts = decode_log(contract, logged, bar.advance)
+    if not cycles.valid.any():
+        raise RunError(f"{source}: no block of any cycle is complete ({_counted(counts)}): is this the skin's layout?")
+    complete = int(cycles.valid[:, contract.phi.has_sums].all(axis=1).sum())
+    say("rebuild", f"{complete} of {len(cycles.valid)} cycles are complete: {_counted(counts)}")
+    return cycles
+
+
+def _counted(counts: FrameCounts) -> str:
+    """Return the frame counts as text, with the names of the gateway's counters."""
+    words = ("accepted", "missing", "late", "duplicate", "malformed", "foreign")
+    return "frames " + ", ".join(f"{getattr(counts, word)} {word}" for word in words)
+
+
+def _solver(contract: Contract, options: SolverOptions, device: str, *, samples: int) -> _Solve:
+    """Return what makes the images of all cycles.
+
+    Raises
+    ------
+    InputError
+        If the options do not fit the layout or the device, or there is no GPU.
+    """
+    phi, taxels, settings = contract.phi, contract.layout.taxels, options.settings()
+    noise_n = options.clipped_noise_n(contract.layout)
+    if device == "gpu":
+        library = gpu_library()
+        return BatchSolver(phi, taxels.rows, taxels.columns, settings, library=library, noise_n=noise_n).solve_recording
+    engine = Reconstructor(phi, taxels.rows, taxels.columns, settings, noise_n=noise_n, samples=samples)
+
+    def solve(sums_n: Sums, valid: Bools, advance: Callable[[int], None]) -> Images:
+        engine.restart()
+        images = np.empty((len(sums_n), taxels.rows, taxels.columns), np.float32)
+        for cycle in range(len(sums_n)):
+            images[cycle] = engine.solve(sums_n[cycle], valid[cycle])
+            if cycle % CHUNK == CHUNK - 1:
+                advance(CHUNK)
+        return images
+
+    return solve
+
+
+def _solved(contract: Contract, solve: _Solve, cycles: Cycles) -> Images:
+    """Return the images, and log the time."""
+    sums_n = np.multiply(cycles.counts, np.float32(contract.layout.taxels.newton_per_count), dtype=np.float32)
+    valid = cycles.valid[:, contract.phi.block_of_sum]
+    solve(sums_n[:1], valid[:1], lambda _: None)  # compiles the solver, or loads the compiled solver
+    started_s = time.perf_counter()
+    with progress("solving", len(sums_n)) as bar:
+        images = solve(sums_n, valid, bar.advance)
+    elapsed_s = time.perf_counter() - started_s
+    say("rebuild", f"{len(images)} images in {elapsed_s:.2f} s: {len(images) / elapsed_s:.0f} images/s")
+    return images

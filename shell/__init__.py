@@ -1,0 +1,1 @@
+"""The shell of the command line: verbs, output, files, and what every service needs."""

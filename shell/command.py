@@ -1,0 +1,190 @@
+"""The ``skin`` command: a table of verbs; the code of a verb is loaded when the verb is called."""
+
+import ast
+import inspect
+import logging
+import signal
+import sys
+import textwrap
+from collections.abc import Sequence
+from importlib.metadata import version
+from importlib.util import find_spec
+from pathlib import Path
+from types import FrameType
+from typing import TYPE_CHECKING, Annotated, Final
+
+from canskin.errors import InputError, RunError, SkinError, Stopped
+from shell.service import Talk, set_talk
+
+if TYPE_CHECKING:
+    import cyclopts
+
+FAILED: Final = 1
+WRONG_INPUT: Final = 2
+#: 128 + number of SIGINT or SIGTERM, as in shells.
+INTERRUPTED: Final = 130
+TERMINATED: Final = 143
+
+#: Verb: module and function. Strings, because this folder imports no other folder.
+VERBS: Final = {
+    "demo": "demo.command:demo",
+    "bus": "bus.command:bus",
+    "nodes": "nodes.command:nodes",
+    "gateway": "gateway.command:gateway",
+    "node": "gateway.node_command:node",
+    "tare": "calibration.command:tare",
+    "calibration": "calibration.command:calibration",
+    "reconstruct": "reconstructor.command:reconstruct",
+    "classify": "classifier.command:classify",
+    "view": "views.page.command:view",
+    "ros2": "views.ros2.command:ros2",
+    "show": "views.show.command:show",
+    "record": "recording.record_command:record",
+    "replay": "recording.replay_command:replay",
+    "export": "recording.export_command:export",
+    "rebuild": "recording.rebuild.rebuild_command:rebuild",
+    "dbc": "nodes.contract_command:dbc",
+    "contract": "nodes.contract_command:contract",
+    "dbc-check": "nodes.contract_command:dbc_check",
+    "plan": "bandwidth.plan_command:plan",
+    "design": "bandwidth.design_command:design",
+    "load": "bandwidth.load_command:load",
+    "objects": "touch.command:objects",
+    "dataset": "touch.datasets.command:dataset",
+    "train": "classifier.command:train",
+    "evaluate": "evaluation.command:evaluate",
+    "bench": "evaluation.bench.command:bench",
+}
+HELP_FLAGS: Final = ("--help", "-h")
+
+
+def build_app(arguments: Sequence[str] = ()) -> "cyclopts.App":
+    """Return the command line with every verb, and with the help texts that `arguments` need.
+
+    Options of the whole command (``--verbose``, ``--quiet``, ``--log-json``) are those of `cyclopts.App.meta`, which
+    passes all other arguments to the verb: call ``build_app(...).meta(arguments)``.
+    """
+    import cyclopts
+
+    everywhere = cyclopts.Group("Of every verb", sort_key=1)
+    app = cyclopts.App(
+        name="skin",
+        help="A robot skin on CAN: sums of taxels from CANopen nodes, tactile images, names of touching objects.",
+        version=lambda: version("canskin"),
+        version_flags=["--version"],
+        # A list takes every value up to the next option; empty defaults are not shown.
+        default_parameter=cyclopts.Parameter(consume_multiple=(1, None), negative_iterable=(), show_default=_default),
+        result_action="return_value",
+        exit_on_error=False,
+        print_error=False,
+    )
+    asks_for_help = bool(set(arguments) & set(HELP_FLAGS))
+    verbs = [word for word in arguments if not word.startswith("-")]
+    for place, (verb, where) in enumerate(VERBS.items()):
+        texts = {}
+        if not verbs:
+            texts["help"] = summary(docstring(where))
+        elif asks_for_help and verbs[0] == verb:
+            texts["help_epilogue"] = examples(docstring(where))
+        app.command(where, name=verb, sort_key=place, **texts)
+    app.register_install_completion_command(help="Install completion for bash, zsh or fish.")
+
+    @app.meta.default
+    def launch(
+        *tokens: Annotated[str, cyclopts.Parameter(show=False, allow_leading_hyphen=True)],
+        verbose: Annotated[bool, cyclopts.Parameter(alias="-v", group=everywhere, negative=())] = False,
+        quiet: Annotated[bool, cyclopts.Parameter(alias="-q", group=everywhere, negative=())] = False,
+        log_json: Annotated[bool, cyclopts.Parameter(group=everywhere, negative=())] = False,
+    ) -> object:
+        """Run a verb.
+
+        Parameters
+        ----------
+        verbose
+            Write more to stderr: every repeated warning, services that come and go, the log of the libraries.
+        quiet
+            Write errors only to stderr.
+        log_json
+            Write stderr as JSON, one object per line.
+        """
+        if verbose and quiet:
+            raise InputError("expected --verbose or --quiet, got both")
+        set_talk(Talk.VERBOSE if verbose else Talk.QUIET if quiet else Talk.NORMAL, as_json=log_json)
+        if verbose:
+            logging.basicConfig(level=logging.INFO, format="%(name)s: %(message)s")
+        return app(tokens)
+
+    return app
+
+
+def docstring(where: str) -> str:
+    """Return the docstring of the function at ``module:function``, empty without docstring.
+
+    The source is read: importing every folder for a list of verbs would take seconds.
+    """
+    module, _, name = where.partition(":")
+    spec = find_spec(module)
+    if spec is None or spec.origin is None:
+        return ""
+    tree = ast.parse(Path(spec.origin).read_text(encoding="utf-8"))
+    found = [node for node in tree.body if isinstance(node, ast.FunctionDef) and node.name == name]
+    return ast.get_docstring(found[0]) or "" if found else ""
+
+
+def summary(text: str) -> str:
+    """Return the first line of a docstring."""
+    return text.partition("\n")[0]
+
+
+def examples(text: str) -> str:
+    """Return the Examples section of a NumPy docstring as Markdown, one line per example; empty without section."""
+    _, heading, section = inspect.cleandoc(text).partition("Examples\n--------\n")
+    lines = textwrap.dedent(section).strip().splitlines()
+    # No code block: empty lines would be shown around the block.
+    return "\\\n".join(["Examples:", *(f"`{line}`" for line in lines if line)]) if heading else ""
+
+
+def _default(value: object) -> str | None:
+    """Return the text of a default in the help; None for flags and empty defaults."""
+    return None if value is None or isinstance(value, bool) or value in ("", [], ()) else str(value)
+
+
+def main() -> None:
+    """Run one verb; exit code 0: success, 1: the run failed, 2: wrong input."""
+    # SIGTERM then ends a verb and its processes as Ctrl-C does; services handle both signals themselves.
+    signal.signal(signal.SIGTERM, _terminated)
+    try:
+        sys.exit(_run(sys.argv[1:]))
+    except KeyboardInterrupt:  # also while libraries are loaded, which takes longest
+        sys.exit(INTERRUPTED)
+
+
+def _terminated(_number: int, _frame: FrameType | None) -> None:
+    raise SystemExit(TERMINATED)
+
+
+def _run(arguments: Sequence[str]) -> int:
+    import cyclopts
+
+    try:
+        status = build_app(arguments).meta(arguments)
+        sys.stdout.flush()
+    except RunError as error:
+        return _complain(error, FAILED)
+    except (SkinError, cyclopts.CycloptsError) as error:
+        return _complain(error, WRONG_INPUT)
+    except Stopped:
+        return 0
+    except BrokenPipeError:
+        sys.stderr.close()  # else Python reports the same error again
+        return FAILED
+    except OSError as error:  # for example a full disk
+        sys.stdout = None  # its buffer cannot be written at exit either
+        return _complain(error, FAILED)
+    return status if isinstance(status, int) else 0
+
+
+def _complain(error: Exception, status: int) -> int:
+    """Print an error as one line and return `status`."""
+    print(f"skin: {' '.join(str(error).split())}", file=sys.stderr)
+    return status

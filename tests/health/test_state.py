@@ -1,0 +1,414 @@
+"""The model: what is fresh, what is stale, what is counted."""
+
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+
+from canskin.calibration_messages import CalibrationState, CalibrationStatus
+from canskin.peers import Peer, new_peer
+from health.state import PEERS, PROCESSES, SERVICES, ViewState
+
+EPOCH_S = 1000.0
+
+
+@pytest.fixture
+def state(messages: Any) -> ViewState:
+    return ViewState(messages.layout, EPOCH_S)
+
+
+def texts(state: ViewState, now_s: float, level: str = "error") -> list[str]:
+    return [notice.text for notice in state.snapshot(now_s)[0].notices if notice.level == level]
+
+
+def test_nothing_is_shown_before_anything_came(state: ViewState) -> None:
+    snapshot, pictures = state.snapshot(0.0)
+    assert (snapshot.image, snapshot.truth, snapshot.label, snapshot.gateway) == (None, None, None, None)
+    assert (pictures.image, pictures.true, pictures.sensor) == (None, None, None)
+    assert texts(state, 0.0, "info") == ["waiting for the gateway", "waiting for the first image"]
+
+
+def test_image_ages(state: ViewState, messages: Any) -> None:
+    state.take(messages.image(7), 1.0)
+    snapshot, pictures = state.snapshot(1.4)
+    assert snapshot.image is not None
+    assert (snapshot.image.cycle, snapshot.image.stale) == (7, False)
+    np.testing.assert_array_equal(pictures.image, messages.grid())
+    snapshot, _ = state.snapshot(1.6)
+    assert snapshot.image is not None
+    assert snapshot.image.stale
+    assert snapshot.image.age_s == pytest.approx(0.6)
+
+
+def test_reconstructor_that_leaves_makes_the_image_stale_at_once(state: ViewState, messages: Any) -> None:
+    state.take_service("gateway", True, 0.0)
+    state.take_service("reconstructor", True, 0.0)
+    state.take(messages.image(), 1.0)
+    state.take_service("reconstructor", False, 1.1)
+    snapshot, _ = state.snapshot(1.2)
+    assert snapshot.image is not None
+    assert snapshot.image.stale
+    (notice,) = [notice for notice in snapshot.notices if notice.level == "error"]
+    assert notice.text == "images stopped: reconstructor is gone"
+    assert notice.since_time_s == pytest.approx(EPOCH_S + 1.0)
+    state.take_service("reconstructor", True, 2.0)
+    state.take(messages.image(), 2.1)
+    assert texts(state, 2.2) == []
+
+
+def test_image_that_came_after_its_sender_was_missed_is_fresh(state: ViewState, messages: Any) -> None:
+    state.take_service("reconstructor", True, 0.0)
+    state.take_service("reconstructor", False, 1.0)
+    state.take(messages.image(), 1.1)
+    snapshot, _ = state.snapshot(1.2)
+    assert snapshot.image is not None
+    assert not snapshot.image.stale
+
+
+@pytest.mark.parametrize(
+    ("gateway", "reconstructor", "expected"),
+    [
+        (True, True, "images stopped: reconstructor is there but sends none"),
+        (False, True, "images stopped: no measurements without the gateway"),
+        (True, False, "images stopped: reconstructor is gone"),
+    ],
+)
+def test_notice_names_who_keeps_images_from_coming(
+    state: ViewState, messages: Any, gateway: bool, reconstructor: bool, expected: str
+) -> None:
+    for name, alive in (("gateway", gateway), ("reconstructor", reconstructor)):
+        state.take_service(name, True, 0.0)
+        state.take_service(name, alive, 1.0)
+    state.take(messages.image(), 0.5)
+    assert expected in texts(state, 2.0)
+
+
+def test_gateway_that_leaves_or_falls_silent_is_told(state: ViewState, messages: Any) -> None:
+    state.take_service("gateway", True, 0.0)
+    state.take(messages.gateway(), 1.0)
+    assert texts(state, 1.2) == []
+    assert texts(state, 3.0) == ["the state of the buses is unknown: gateway sends no status"]
+    state.take_service("gateway", False, 3.5)
+    snapshot, _ = state.snapshot(4.0)
+    assert snapshot.gateway is not None
+    assert snapshot.gateway.stale
+    assert texts(state, 4.0) == ["measurements stopped: gateway is gone"]
+
+
+def test_classifier_that_leaves_or_falls_silent_is_told(state: ViewState, messages: Any) -> None:
+    state.take_service("classifier", True, 0.0)
+    state.take(messages.label(), 1.0)
+    state.take(messages.gateway(), 2.0)
+    snapshot, _ = state.snapshot(2.0)
+    assert snapshot.label is not None
+    assert snapshot.label.stale
+    assert texts(state, 2.0) == ["labels stopped: classifier is there but sends none"]
+    state.take_service("classifier", False, 2.1)
+    assert texts(state, 2.2) == ["labels stopped: classifier is gone"]
+
+
+def test_virtual_nodes_that_leave_are_told(state: ViewState) -> None:
+    for name in ("nodes", "nodes-2", "demo"):
+        state.take_service(name, True, 0.0)
+        state.take_service(name, False, 1.0)
+    assert texts(state, 1.0) == [
+        "no sums from the virtual nodes: the process is gone",
+        "no sums from the virtual nodes-2: the process is gone",
+    ]
+
+
+def test_nodes_off_duty_are_named(state: ViewState, messages: Any) -> None:
+    state.take(messages.gateway(nmt=((5, 255, 127, 255), (4, 4, 4, 4))), 1.0)
+    assert texts(state, 1.1, "warning") == [
+        "left: node 3 pre-operational",
+        "left: nodes 2, 4 silent",
+        "right: all 4 nodes stopped",
+    ]
+
+
+def test_sync_that_has_not_started_is_no_error(state: ViewState, messages: Any) -> None:
+    state.take(messages.gateway(cycles=0), 1.0)
+    assert texts(state, 1.1) == []
+    assert "gateway is booting the nodes; SYNC has not started" in texts(state, 1.1, "info")
+
+
+def test_invalid_blocks_are_listed_and_counted(state: ViewState, messages: Any) -> None:
+    state.take(messages.image(1, invalid=(0, 5, 6)), 1.0)
+    state.take(messages.image(2, invalid=(5,)), 1.1)
+    snapshot, _ = state.snapshot(1.2)
+    assert snapshot.image is not None
+    assert snapshot.image.invalid_blocks == [5]
+    figures = snapshot.figures
+    assert (figures.valid_blocks, figures.valid_blocks_low, figures.blocks) == (7, 5, 8)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"pixels": b"\0" * 12}, {"valid": b"\1" * 9}, {"pixels": np.full(256, np.nan, "<f4").tobytes()}],
+)
+def test_image_of_another_skin_is_counted_and_not_shown(
+    state: ViewState, messages: Any, change: dict[str, bytes]
+) -> None:
+    state.take(messages.image(1), 1.0)
+    state.take(msgspec.structs.replace(messages.image(2), **change), 1.1)
+    snapshot, _ = state.snapshot(1.2, undecodable=2)
+    assert snapshot.image is not None
+    assert (snapshot.image.cycle, snapshot.ignored) == (1, 3)
+    assert texts(state, 1.2, "warning")[0].startswith("1 messages ignored")
+
+
+def test_other_messages_that_do_not_fit_are_ignored(state: ViewState, messages: Any) -> None:
+    status = messages.gateway()
+    short = msgspec.structs.replace(status, buses=[msgspec.structs.replace(status.buses[0], nmt=b"\5")])
+    state.take(short, 1.0)
+    state.take(msgspec.structs.replace(status, sync_rate_hz=float("inf")), 1.0)
+    state.take(messages.label(confidence=float("nan")), 1.0)
+    state.take(msgspec.structs.replace(messages.truth(), sensor=b""), 1.0)
+    state.take(messages.contacts(row=16.0), 1.0)
+    state.take(messages.contacts(column=float("nan")), 1.0)
+    snapshot, _ = state.snapshot(1.0)
+    assert (snapshot.gateway, snapshot.label, snapshot.truth, snapshot.contacts) == (None, None, None, None)
+    assert snapshot.ignored == 6
+
+
+def test_contacts_are_those_of_the_newest_image_and_age(state: ViewState, messages: Any) -> None:
+    state.take(messages.contacts(3), 1.0)
+    state.take(messages.contacts(4, blind=True), 1.1)
+    shown = state.snapshot(1.2)[0].contacts
+    assert shown is not None
+    assert (shown.cycle, shown.blind, shown.stale, [each.identity for each in shown.contacts]) == (4, True, False, [7])
+    old = state.snapshot(1.8)[0].contacts
+    assert old is not None
+    assert old.stale
+
+
+def test_label_without_contact_is_empty(state: ViewState, messages: Any) -> None:
+    state.take(messages.label("", 0.0), 1.0)
+    snapshot, _ = state.snapshot(1.1)
+    assert snapshot.label is not None
+    assert (snapshot.label.label, snapshot.label.stale, snapshot.label.measured) == ("", False, True)
+
+
+def test_processes_of_nodes_do_not_pile_up(state: ViewState, messages: Any) -> None:
+    for number in range(PROCESSES + 10):
+        state.take(messages.nodes(f"nodes-{number}"), 1.0)
+    snapshot, _ = state.snapshot(3.0)
+    assert len(snapshot.nodes) == PROCESSES
+    assert all(each.stale for each in snapshot.nodes)
+
+
+def test_the_process_of_nodes_silent_for_longest_makes_room(state: ViewState, messages: Any) -> None:
+    for number in range(PROCESSES):
+        state.take(messages.nodes(f"nodes-{number:03}"), 1.0)
+    state.take(messages.nodes("nodes-000"), 2.0)
+    state.take(messages.nodes("another"), 2.0)
+    shown = {each.process for each in state.snapshot(2.1)[0].nodes}
+    assert {"nodes-000", "another"} < shown
+    assert "nodes-001" not in shown
+
+
+def test_lost_hub_is_one_notice_and_blames_nobody_else(state: ViewState, messages: Any) -> None:
+    for name in ("viewer", "gateway", "reconstructor", "nodes"):
+        state.take_service(name, True, 0.0)
+    state.take(messages.image(), 1.0)
+    for name in ("viewer", "gateway", "reconstructor", "nodes"):
+        state.take_service(name, False, 2.0)
+    snapshot, _ = state.snapshot(3.0)
+    assert [(notice.text, notice.since_time_s) for notice in snapshot.notices] == [
+        ("nothing arrives: the fabric's hub, usually the gateway, is out of reach", EPOCH_S + 2.0)
+    ]
+    assert snapshot.image is not None
+    assert snapshot.image.stale
+
+
+def test_lost_hub_is_told_at_once_however_fresh_the_last_message_is(state: ViewState, messages: Any) -> None:
+    state.take_service("viewer", True, 0.0)
+    state.take(messages.image(), 1.9)
+    state.take_service("viewer", False, 2.0)
+    assert state.snapshot(2.1)[0].cut_off
+
+
+def test_hub_is_not_lost_while_messages_come(state: ViewState, messages: Any) -> None:
+    for alive in (True, False):
+        state.take_service("viewer", alive, 1.0)
+    state.take(messages.gateway(nmt=((5, 255, 5, 5), (5, 5, 5, 5))), 2.0)
+    snapshot, _ = state.snapshot(2.1)
+    assert not snapshot.cut_off
+    assert texts(state, 2.1) == []
+    assert texts(state, 2.1, "warning") == ["left: node 2 silent"]
+    assert state.snapshot(3.0)[0].cut_off
+
+
+def test_lost_hub_does_not_hide_messages_that_were_ignored(state: ViewState, messages: Any) -> None:
+    state.take(msgspec.structs.replace(messages.image(), valid=b""), 1.0)
+    state.take_service("viewer", True, 0.0)
+    state.take_service("viewer", False, 2.0)
+    assert [notice.level for notice in state.snapshot(3.0)[0].notices] == ["error", "warning"]
+
+
+@pytest.mark.parametrize("label", ["", "golf-ball"])
+@pytest.mark.parametrize(("valid_sums", "measured"), [(0, False), (15, False), (16, True), (64, True)])
+def test_label_of_too_few_sums_does_not_count(
+    state: ViewState, messages: Any, label: str, valid_sums: int, measured: bool
+) -> None:
+    state.take(messages.label(label, valid_sums=valid_sums), 1.0)
+    shown = state.snapshot(1.1)[0].label
+    assert shown is not None
+    assert shown.measured is measured
+
+
+def test_label_of_a_blind_classifier_does_not_count(state: ViewState, messages: Any) -> None:
+    state.take(msgspec.structs.replace(messages.label(""), blind=True), 1.0)
+    shown = state.snapshot(1.1)[0].label
+    assert shown is not None
+    assert not shown.measured
+
+
+def test_dead_buses_are_named_and_not_their_silent_nodes(state: ViewState, messages: Any) -> None:
+    silent = (255, 255, 255, 255)
+    state.take(messages.gateway(nmt=(silent, silent), links=("lost", "lost")), 1.0)
+    assert texts(state, 1.1) == ["buses left, right dead: the gateway has lost its interface"]
+    assert texts(state, 1.1, "warning") == []
+    state.take(messages.gateway(nmt=(silent, silent), links=("passive", "bus_off")), 1.2)
+    assert texts(state, 1.3) == ["bus right dead: the gateway's controller is bus-off"]
+    assert texts(state, 1.3, "warning") == [
+        "bus left troubled: the gateway's controller is error passive",
+        "left: all 4 nodes silent",
+    ]
+    gateway = state.snapshot(1.3)[0].gateway
+    assert gateway is not None
+    assert [(bus.dead, bus.synced) for bus in gateway.buses] == [(False, False), (True, False)]
+    state.take(messages.gateway(nmt=((5, 255, 255, 255), silent), links=("passive", "active")), 1.4)
+    gateway = state.snapshot(1.5)[0].gateway
+    assert gateway is not None
+    assert [bus.synced for bus in gateway.buses] == [True, True]
+
+
+def test_skin_of_which_nothing_is_measured_is_told(state: ViewState, messages: Any) -> None:
+    state.take(messages.gateway(), 1.0)
+    state.take(messages.image(invalid=tuple(range(8))), 1.0)
+    assert texts(state, 1.1) == ["nothing is measured: no block sent its sums"]
+    state.take(messages.image(2, invalid=tuple(range(7))), 1.1)
+    assert texts(state, 1.2) == []
+
+
+def test_refused_node_is_named_unless_it_left(state: ViewState, messages: Any) -> None:
+    state.take(messages.gateway(nmt=((127, 127, 255, 5), (5, 5, 5, 5)), refused=(2, 3)), 1.0)
+    assert texts(state, 1.1, "warning") == [
+        "left: node 1 pre-operational",
+        "left: node 3 silent",
+        "left: node 2 refused by the gateway: not of this skin",
+    ]
+
+
+def test_services_do_not_pile_up(state: ViewState) -> None:
+    state.take_service("gateway", True, 0.0)
+    for number in range(3 * SERVICES):
+        state.take_service(f"service-{number}", True, number)
+        state.take_service(f"service-{number}", False, number)
+    services = state.snapshot(1000.0)[0].services
+    assert len(services) == SERVICES
+    assert services["gateway"].alive
+    assert f"service-{3 * SERVICES - 1}" in services
+    for number in range(3 * SERVICES):
+        state.take_service(f"lasting-{number}", True, 2000.0)
+    assert len(state.snapshot(3000.0)[0].services) == SERVICES
+
+
+def test_other_skins_do_not_pile_up(state: ViewState) -> None:
+    others = [new_peer(f"skin-{number:03}", "gateway", "0123456789abcdef") for number in range(PEERS + 10)]
+    for peer in others:
+        state.take_peer(peer, True, 0.0)
+    assert state.snapshot(0.1)[0].other_skins == [peer.skin for peer in others[:PEERS]]
+    state.take_peer(others[0], False, 1.0)
+    assert others[0].skin not in state.snapshot(1.1)[0].other_skins
+
+
+def test_service_of_another_phi_or_version_is_an_error_that_names_both(state: ViewState, messages: Any) -> None:
+    own = messages.layout.phi().fingerprint
+    state.take_peer(new_peer("palm", "gateway", own), True, 0.0)
+    state.take_peer(new_peer("palm", "nodes", ""), True, 0.0)
+    assert texts(state, 0.1) == []
+    other = new_peer("palm", "reconstructor", "0123456789abcdef")
+    state.take_peer(other, True, 1.0)
+    (text,) = texts(state, 1.1)
+    assert "reconstructor has Φ 0123456789abcdef, " in text
+    assert own in text
+    assert state.snapshot(1.1)[0].services["reconstructor"].fingerprint == "0123456789abcdef"
+    right = new_peer("palm", "reconstructor", own)
+    state.take_peer(right, True, 2.0)  # a second one, while the first is still there
+    assert len(texts(state, 2.1)) == 1
+    state.take_peer(other, False, 3.0)
+    assert texts(state, 3.1) == []
+    assert state.snapshot(3.1)[0].services["reconstructor"].alive
+    state.take_peer(msgspec.structs.replace(right, version="9.9", instance="2"), True, 4.0)
+    assert "reconstructor is canskin 9.9" in texts(state, 4.1)[0]
+
+
+def test_another_skin_on_the_hub_is_named_while_there_is_no_gateway(state: ViewState, messages: Any) -> None:
+    stranger = new_peer("hand", "gateway", "0123456789abcdef")
+    state.take_peer(stranger, True, 1.0)
+    state.take_peer(Peer("health", "health", "1"), True, 1.0)
+    (text,) = texts(state, 1.1, "warning")
+    assert "shows skin 'palm', and on its hub is 'hand'" in text
+    assert "gateway" not in state.snapshot(1.1)[0].services
+    state.take_peer(new_peer("palm", "gateway", messages.layout.phi().fingerprint), True, 2.0)
+    assert texts(state, 2.1, "warning") == []
+
+
+def test_service_that_sends_nothing_is_silent(state: ViewState, messages: Any) -> None:
+    own = messages.layout.phi().fingerprint
+    for name in ("gateway", "reconstructor", "classifier"):
+        state.take_peer(new_peer("palm", name, own), True, 0.0)
+
+    def silent(now_s: float) -> list[str]:
+        return [name for name, service in state.snapshot(now_s)[0].services.items() if service.silent]
+
+    assert silent(0.1) == []
+    state.take(messages.gateway(cycles=10), 4.0)
+    assert silent(4.1) == []  # SYNC has just begun
+    state.take(messages.gateway(cycles=1000), 5.0)
+    state.take(messages.label(), 5.0)
+    assert silent(5.1) == ["reconstructor"]
+    state.take(messages.image(), 5.2)
+    assert silent(5.3) == []
+    assert silent(5.9) == ["classifier", "reconstructor"]
+    assert silent(9.0) == ["gateway"]
+
+
+def test_a_skin_without_zero_and_its_defects_are_told(state: ViewState, messages: Any) -> None:
+    found = CalibrationStatus(state=CalibrationState.TOUCHED, defects=[f"sum {each} is stuck" for each in range(10)])
+    state.take(msgspec.structs.replace(messages.gateway(), calibration=found), 1.0)
+    assert any("has touched the skin since the start" in text for text in texts(state, 1.0, "info"))
+    told = texts(state, 1.0, "warning")
+    assert "sum 7 is stuck" in told
+    assert "sum 8 is stuck" not in told
+    assert "2 more defects: skin calibration show" in told
+
+
+def test_a_doubtful_contact_is_named_with_what_to_do(state: ViewState, messages: Any) -> None:
+    found = messages.contacts()
+    marked = msgspec.structs.replace(found.contacts[0], force_n=0.4321, doubtful_since_mono_ns=5_000_000_000)
+    doubtful = msgspec.structs.replace(found, sampled_mono_ns=50_000_000_000, contacts=[marked])
+    state.take(doubtful, 1.0)
+    (text,) = texts(state, 1.1, "warning")
+    assert text == (
+        "a force of 0.432 N around row 8, column 6 has been in doubt for 45 s: a still weight, or an error of the zero,"
+        " as of a warm patch; if nothing touches there: skin tare --region 2,0,13,11"
+    )
+    assert texts(state, 9.0, "warning") == []  # an old contact
+    state.take(msgspec.structs.replace(doubtful, contacts=[marked] * 10), 9.0)
+    assert len(texts(state, 9.1, "warning")) == 9
+    assert "2 more contacts are in doubt" in texts(state, 9.1, "warning")
+    state.take(found, 9.2)
+    assert texts(state, 9.3, "warning") == []
+
+
+def test_the_support_of_the_zero_is_shown(state: ViewState, messages: Any) -> None:
+    known = CalibrationStatus(state=CalibrationState.FOLLOWING, zero_support=bytes([4, 4, 1]))
+    for calibration, words in ((None, ""), (known, "2 measured, 1 stored")):
+        state.take(msgspec.structs.replace(messages.gateway(), calibration=calibration), 1.0)
+        gateway = state.snapshot(1.1)[0].gateway
+        assert gateway is not None
+        assert gateway.zero == words

@@ -1,0 +1,136 @@
+"""Adaptive boards in C send what the Python nodes send, bit for bit, whatever is touched or lost."""
+
+import os
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dbc.configuration import setting_of
+from dbc.contract import Contract
+from dbc.dictionary import dictionary
+from dbc.indices import (
+    OD_BUDGET,
+    OD_COARSE,
+    OD_COEFFICIENT_NOISE,
+    OD_FINE,
+    OD_HEALTH,
+    OD_NODE_NOISE,
+    OD_REFRESH,
+    OD_SENDING,
+    OD_SIGNATURE,
+    OD_SUMS,
+    OD_TAXEL_NOISE,
+)
+from skin.defects import parse_defects
+from skin.layout import load_layout
+from tests.nodes.firmware.adaptive_twins import AdaptiveTwins
+from tests.nodes.firmware.twins import needs_compiler
+
+pytestmark = needs_compiler
+
+#: Samples of every taxel that are compared: a million on request.
+SAMPLES = int(os.environ.get("SKIN_FIRMWARE_CYCLES", "2500"))
+#: Something of everything: taxels that are stuck, dead, saturated, noisy, that drift, and that feel their neighbours.
+DEFECTS = ("stuck=0.05", "dead=0.05", "saturated=0.05", "noisy=0.05", "drift=0.0005", "cross-talk=0.1")
+START, STOP, RESET_NODE, RESET_COMMUNICATION = 1, 2, 129, 130
+
+
+def contract_of(name: str) -> Contract:
+    return Contract.from_layout(load_layout(Path(name)))
+
+
+@pytest.fixture(scope="module", params=["adaptive", "adaptive-fd"])
+def contract(request: pytest.FixtureRequest) -> Contract:
+    return contract_of(request.param)
+
+
+def run(twins: AdaptiveTwins, samples: int) -> int:
+    """Go on with a SYNC every 100 ms; return how many frames were sent."""
+    sent = 0
+    for turn in range(samples // 100):
+        twins.sync(turn % 240 + 1)
+        sent += twins.run(100)
+    return sent
+
+
+@pytest.mark.heavy
+@pytest.mark.parametrize("defects", [(), DEFECTS], ids=["sound", "defective"])
+def test_frames_of_touches_though_some_are_lost(contract: Contract, defects: tuple[str, ...]) -> None:
+    twins = AdaptiveTwins(contract, defects=parse_defects(defects, [], 3, contract.layout))
+    twins.nmt(START)
+    assert run(twins, SAMPLES) > SAMPLES / 20
+    assert [segment.frames_sent for segment in twins.segments] == [twins.segments[0].frames_sent] * 2
+    assert twins.segments[0].frames_sent > SAMPLES / 20
+
+
+@pytest.mark.heavy
+def test_a_full_transmit_queue(contract: Contract) -> None:
+    twins = AdaptiveTwins(contract, room=1)
+    twins.nmt(START)
+    run(twins, SAMPLES)
+    for node_id in twins.ids:
+        assert any(twins.read(0x2020, 3, node_id))
+    assert [segment.frames_dropped for segment in twins.segments] == [twins.segments[0].frames_dropped] * 2
+
+
+@pytest.mark.heavy
+def test_writes_of_all_settings(contract: Contract) -> None:
+    twins = AdaptiveTwins(contract)
+    random = np.random.default_rng(2)
+    twins.nmt(START)
+    objects = [each for each in dictionary(contract, contract.on_bus(0)[0]) if each.access == "rw"]
+    objects = [each for each in objects if each.index >= 0x2000]
+    values = [
+        *(struct.pack("<f", value) for value in (0.0, -0.0, 1.3e-4, 0.7, 3.0, -1.0, np.inf, np.nan, 1e-40)),
+        *(struct.pack("<I", value) for value in (0, 1, 2, 40, 3000, 1 << 31)),
+        *(bytes((value,)) for value in (0, 1, 3, 15, 16)),
+        b"\x05\x00",
+    ]
+    sent = 0
+    for turn in range(150):
+        each = objects[random.integers(len(objects))] if turn % 3 else objects[-70 + turn % 70]
+        size = len(setting_of(each).data)
+        data = values[random.integers(len(values))]
+        if random.random() < 0.8:
+            data = data[:size].ljust(size, b"\0")
+        twins.write(each.index, each.subindex or 0, data, int(random.integers(1, 4)))
+        if turn % 10 == 0:
+            twins.sync(turn % 240 + 1)
+        if turn % 40 == 39:
+            twins.nmt((RESET_NODE, RESET_COMMUNICATION, STOP)[turn // 40 % 3], 1 + turn % 3)
+            twins.run(3)
+            twins.nmt(START)
+        sent += twins.run(int(random.integers(1, 12)))
+    assert sent > 50
+
+
+@pytest.mark.heavy
+@pytest.mark.parametrize("bits_per_second", [300, 2000, 20_000])
+def test_budgets(contract: Contract, bits_per_second: int) -> None:
+    twins = AdaptiveTwins(contract)
+    for node_id in twins.ids:
+        twins.write(OD_BUDGET, 0, struct.pack("<I", bits_per_second), node_id)
+    twins.nmt(START)
+    assert run(twins, SAMPLES) > 20
+
+
+@pytest.mark.heavy
+def test_objects_that_boards_compute(contract: Contract) -> None:
+    twins = AdaptiveTwins(contract)
+    twins.nmt(START)
+    seen = set()
+    for turn in range(6):
+        run(twins, 200)
+        twins.write(OD_REFRESH, 0, bytes((turn * 3 & 15,)))
+        for index, count in (
+            (OD_COEFFICIENT_NOISE, 32), (OD_TAXEL_NOISE, 32), (OD_SUMS, 32), (OD_COARSE, 32), (OD_FINE, 4),
+        ):  # fmt: skip
+            for sub in range(count + 1):
+                seen.add((index, sub, twins.read(index, sub)))
+        for index in (OD_REFRESH, OD_NODE_NOISE, OD_SIGNATURE):
+            seen.add((index, 0, twins.read(index)))
+        seen |= {(OD_SENDING, sub, twins.read(OD_SENDING, sub)) for sub in range(14)}
+        seen |= {(OD_HEALTH, sub, twins.read(OD_HEALTH, sub)) for sub in range(1, 5)}
+    assert len({value for index, _, value in seen if index == OD_SUMS}) > 32

@@ -1,0 +1,167 @@
+"""The C boards send what the Python nodes send, bit for bit: sums, packing, dictionary, NMT, heartbeats."""
+
+import os
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from dbc.canopen import NMT_COB_ID, SDO_REQUEST_BASE, SYNC_COB_ID
+from dbc.contract import Contract
+from dbc.dictionary import dictionary
+from dbc.indices import OD_TPDO_COMMUNICATION, OD_TPDO_MAPPING, SIGNATURE_LOAD, SIGNATURE_SAVE
+from nodes.firmware.library import CompiledBoards, Firmware
+from nodes.electronics import Calibration
+from skin.layout import Encoding, Sampling, load_layout, validated
+from tests.bus.harness import frame
+from tests.nodes.firmware.twins import Twins, needs_compiler, small_contract, windows
+from tests.layouts import buses
+
+pytestmark = needs_compiler
+
+START = NMT_COB_ID, b"\x01\x00"
+#: Frames of taxels that are compared: a million on request.
+CYCLES = int(os.environ.get("SKIN_FIRMWARE_CYCLES", "2000"))
+#: Frames of taxels with the same gains and offsets.
+BATCH = 500
+
+
+def eight_bits() -> Contract:
+    default = load_layout(Path("default"))
+    return Contract.from_layout(msgspec.structs.replace(default, encoding=Encoding(sum_bits=8), sampling=Sampling()))
+
+
+def few_sums(bus: list[dict[str, Any]]) -> Contract:
+    """Three sums of four blocks: one block has none."""
+    layout = small_contract(bus=bus).layout
+    return Contract.from_layout(
+        validated(msgspec.structs.replace(layout, measurement=msgspec.structs.replace(layout.measurement, sums=3)))
+    )
+
+
+TWO_BLOCKS = buses(1, 1, blocks_per_node=2)
+CONTRACTS = {
+    "16 bits": small_contract,
+    "alternating": lambda: small_contract("alternating"),
+    "one bit": lambda: small_contract(taxels={"adc_bits": 1}),
+    "12 bits, offset binary": lambda: small_contract(encoding={"sum_bits": 12, "offset_binary": True}, bus=TWO_BLOCKS),
+    "12 bits, fd": lambda: small_contract(encoding={"sum_bits": 12}, bus=buses(1, 1, blocks_per_node=2, fd=True)),
+    "uniform": lambda: small_contract(measurement={"selection": "uniform", "seed": 4}),
+    "fewer sums than blocks": lambda: few_sums(buses(2, 2)),
+    "fewer sums than blocks, nodes of two": lambda: few_sums(TWO_BLOCKS),
+    "8 bits, default skin": eight_bits,
+}
+
+
+@pytest.mark.heavy
+@pytest.mark.parametrize("name", CONTRACTS)
+def test_sums_and_frames_at_every_sync(name: str) -> None:
+    twins = Twins(CONTRACTS[name]())
+    twins.put(*START)
+    twins.answers()
+    random = np.random.default_rng(3)
+    counter, sent = 0, 0
+    for _ in range(60):
+        twins.now_s += 0.01
+        counter = counter % 240 + int(random.integers(1, 3))
+        counter = counter if counter <= 240 else 1
+        twins.sync(counter)
+        python, c = windows(twins)
+        assert np.array_equal(c, python)
+        sent += len(twins.answers())
+    assert sent >= 60
+
+
+#: Gains at the ends of what REAL32 holds, and products that fall between two counts.
+EXTREMES = np.array([0, -0.0, 1, -1, 3e38, -3e38, 1e-45, 0.5, 1023.5, 1 / 3], np.float32)
+
+
+def test_many_random_taxels_with_gains_and_offsets() -> None:
+    contract = small_contract()
+    boards = Firmware(contract, contract.nodes).boards(0)
+    boards.power_up(0.0)
+    random = np.random.default_rng(11)
+    calibration = Calibration(contract.layout.taxels)
+    sync = frame(SYNC_COB_ID, b"\x01")
+    for batch in range(0, CYCLES, BATCH):
+        if batch:  # the first with the defaults
+            calibrate(boards, calibration, contract.phi.order[:64], random)
+        counts = random.integers(0, 1024, (min(BATCH, CYCLES - batch), 128)).astype(np.uint16)
+        with np.errstate(over="ignore"):
+            corrected = counts.astype(np.float32) * calibration.gain + calibration.offset
+        corrected = np.rint(np.clip(corrected, 0, 1023)).astype(np.int32)
+        for row, sums in zip(counts, contract.phi.forward(corrected)[:, :16], strict=True):
+            boards.answer(sync, 0.0, row[None])
+            assert np.array_equal(np.concatenate([boards.sums(0, 8), boards.sums(1, 8)]), sums)
+
+
+def calibrate(
+    boards: CompiledBoards, calibration: Calibration, taxels: npt.NDArray[np.intp], random: np.random.Generator
+) -> None:
+    """Write random gains and offsets of two boards over SDO, and to `calibration`."""
+    for row, taxel in enumerate(taxels):
+        node, place = divmod(row, 32)
+        gain = random.choice(EXTREMES) if row % 2 else np.float32(random.normal(1, 0.2))
+        offset = int(random.choice([-32768, 32767, 0])) if row % 8 == 0 else int(random.integers(-40, 40))
+        calibration.gain[taxel], calibration.offset[taxel] = gain, offset
+        for command, data in (
+            (b"\x23\x10\x20", gain.tobytes()),
+            (b"\x2b\x11\x20", offset.to_bytes(2, "little", signed=True) + bytes(2)),
+        ):
+            answer = boards.take(frame(SDO_REQUEST_BASE + 1 + node, command + bytes((place + 1,)) + data), 0.0)
+            assert answer["data"][:, 0].tolist() == [0x60]
+
+
+#: SDO commands: uploads, downloads of every size, segments, an abort.
+COMMANDS = (0x40, 0x40, 0x23, 0x27, 0x2B, 0x2F, 0x22, 0x21, 0x20, 0x60, 0x70, 0x00, 0x11, 0x0D, 0x80)
+VALUES = (0, 1, 2, 3, 254, 0x80, 0x1000, SIGNATURE_SAVE, SIGNATURE_LOAD, 0x80000180, 0x40000181)
+
+
+def random_request(random: np.random.Generator, indices: list[tuple[int, int]]) -> bytes:
+    """Return an SDO request: most of them of an object that there is."""
+    index, subindex = indices[random.integers(len(indices))]
+    if random.random() < 0.1:
+        index, subindex = int(random.integers(0x10000)), int(random.integers(256))
+    command = int(random.choice(COMMANDS))
+    if random.random() < 0.05:
+        command = int(random.integers(256))
+    value = int(random.choice(VALUES))
+    if random.random() < 0.2:
+        value = int(random.integers(1 << 32))
+    if OD_TPDO_COMMUNICATION <= index < OD_TPDO_MAPPING and subindex == 2:
+        # Types above 1 count SYNCs: from which one on is free.
+        value = int(random.choice((0, 1, 241, 253, 254)))
+    return bytes((command, index & 0xFF, index >> 8, subindex)) + value.to_bytes(4, "little")
+
+
+@pytest.mark.heavy
+@pytest.mark.parametrize("seed", range(4))
+def test_random_requests_get_the_same_answers(seed: int) -> None:
+    contract = small_contract(encoding={"sum_bits": 12}) if seed % 2 else small_contract("alternating")
+    twins = Twins(contract)
+    twins.answers()
+    indices = [(each.index, each.subindex or 0) for each in dictionary(contract, contract.nodes[0])]
+    random = np.random.default_rng(seed)
+    counter = 0
+    for turn in range(1500):
+        twins.put(SDO_REQUEST_BASE + 1 + int(random.integers(2)), random_request(random, indices))
+        if turn % 50 == 0:
+            twins.put(NMT_COB_ID, bytes((int(random.choice([1, 1, 1, 2, 128, 129, 130])), int(random.integers(3)))))
+        if turn % 10 == 0:
+            twins.now_s += 0.01
+            counter = counter % 240 + 1
+            twins.sync(counter)
+        twins.answers()
+
+
+def test_boards_with_thermometers_answer_unknown_until_their_maker_reads_one() -> None:
+    """The temperature of Python nodes is simulated."""
+    twins = Twins(small_contract(taxels={"has_thermometers": True}))
+    for wire in twins.wires:
+        wire.take()
+    twins.put(0x601, b"\x40\x36\x20\0\0\0\0\0")
+    python, c = (wire.take()[-1][-1] for wire in twins.wires)
+    assert (python[:6], c[:6]) == (b"\x4b\x36\x20\0\xa6\x0b", b"\x4b\x36\x20\0\xff\x7f")

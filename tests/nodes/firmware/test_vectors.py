@@ -1,0 +1,100 @@
+"""Adaptive boards in C compute and send what the test vectors say, to the last bit."""
+
+import json
+import struct
+import subprocess
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from bus.link import DISCARDED
+from dbc.board import board
+from dbc.canopen import NMT_COB_ID, SDO_REQUEST_BASE
+from dbc.contract import Contract
+from dbc.frame import ECHO
+from dbc.indices import OD_COEFFICIENT_NOISE, OD_NODE_NOISE, OD_REFRESH, OD_TAXEL_NOISE
+from nodes.firmware.library import CompiledAdaptiveBoards, Firmware
+from nodes.ways import vector_files
+from skin.layout import load_layout
+from skin.walsh import grouped_rows
+from tests.bus.harness import frame
+from tests.nodes.firmware.stack import compile_adapter
+from tests.nodes.firmware.twins import needs_compiler
+
+pytestmark = needs_compiler
+
+SAMPLE_NS = 1_000_000
+
+
+@cache
+def vectors_of(name: str) -> tuple[Contract, dict[str, Any]]:
+    contract = Contract.from_layout(load_layout(Path(name)))
+    (text,) = vector_files(contract).values()
+    return contract, json.loads(text)
+
+
+def sdo(boards: CompiledAdaptiveBoards, request: bytes) -> bytes:
+    (answer,) = boards.take(frame(SDO_REQUEST_BASE + 1, request.ljust(8, b"\0")), 0.0)
+    data: bytes = answer["data"][:8].tobytes()
+    return data
+
+
+def read_real(boards: CompiledAdaptiveBoards, index: int, subindex: int) -> float:
+    return float(struct.unpack_from("<f", sdo(boards, struct.pack("<BHB", 0x40, index, subindex)), 4)[0])
+
+
+@pytest.mark.heavy
+@pytest.mark.parametrize("name", ["adaptive", "adaptive-fd"])
+def test_samples_become_the_frames_of_the_vectors(name: str) -> None:
+    contract, vectors = vectors_of(name)
+    rows = grouped_rows(32).ravel()
+    boards = Firmware(contract, contract.nodes[:1]).adaptive_boards(0)
+    idle = vectors["power_up"]["counts"]
+    ready = [boards.take_counts(np.array([counts], np.uint16)) for counts in idle]
+    assert ready == [False] * (len(idle) - 1) + [True]
+    boards.power_up(0.0)
+    for index, key in ((OD_TAXEL_NOISE, "taxel_noise_n"), (OD_COEFFICIENT_NOISE, "coefficient_noise_n")):
+        learned = np.array([read_real(boards, index, sub) for sub in range(1, 33)], np.float32)
+        assert learned.tolist() == np.float32(vectors["power_up"]["settled"][key]).tolist()
+    assert read_real(boards, OD_NODE_NOISE, 0) == np.float32(vectors["power_up"]["settled"]["board_noise_n"])
+    boards.take(frame(NMT_COB_ID, b"\x01\x01"), 0.0)
+    sent = 0
+    for number, sample in enumerate(vectors["samples"]):
+        if sample["request"]:
+            sdo(boards, struct.pack("<BHBB", 0x2F, OD_REFRESH, 0, sample["request"]))
+        boards.take_counts(np.array([sample["counts"]], np.uint16))
+        boards.decide(0, SAMPLE_NS)
+        now_ns = number * SAMPLE_NS
+        burst = boards.choose(4, now_ns, now_ns + SAMPLE_NS)
+        found = [
+            {"cob_id": int(each["can_id"]), "data": each["data"][: each["length"]].tobytes().hex()} for each in burst
+        ]
+        assert found == sample["frames"], number
+        counts = np.rint(np.float32(sample["sums_n"]) / np.float32(contract.layout.taxels.newton_per_count))
+        assert boards.sums(0, 32)[rows].tolist() == counts.tolist()
+        burst["flags"] |= DISCARDED if sample["is_busy"] else ECHO
+        boards.take(burst, 0.0)
+        sent += len(burst) * (not sample["is_busy"])
+    assert sent > 50
+
+
+@pytest.mark.heavy
+@pytest.mark.parametrize("name", ["adaptive", "adaptive-fd"])
+def test_a_board_behind_canopennode_sends_the_frames_of_the_vectors(name: str, tmp_path: Path) -> None:
+    contract, vectors = vectors_of(name)
+    program = compile_adapter(contract, tmp_path, "run_adaptive_canopennode.c")
+    idle = [[0, 0, *counts] for counts in vectors["power_up"]["counts"]]
+    samples = [[int(each["is_busy"]), each["request"], *each["counts"]] for each in vectors["samples"]]
+    lines = "\n".join(" ".join(map(str, each)) for each in idle + samples)
+    printed = subprocess.run([program], input=lines, capture_output=True, text=True, check=True).stdout.splitlines()
+    signature, noise_bits, refuses = map(int, printed[0].split())
+    assert signature == board(contract, contract.nodes[0]).signature
+    assert struct.unpack("<f", struct.pack("<I", noise_bits))[0] == np.float32(
+        vectors["power_up"]["settled"]["board_noise_n"]
+    )
+    assert refuses
+    expected = [[f"{each['cob_id']}:{each['data']}" for each in sample["frames"]] for sample in vectors["samples"]]
+    assert [line.split() for line in printed[1:]] == expected

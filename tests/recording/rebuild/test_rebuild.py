@@ -1,0 +1,335 @@
+"""``skin rebuild``: the images of a recording and of a log are those of the live chain."""
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+
+from canskin.errors import InputError, RunError
+from dbc.contract import Contract
+from dbc.packing import packing
+from nodes.electronics import Electronics
+from nodes.sampler import Sampler
+from recording.rebuild import rebuild_command
+from recording.rebuild.rebuild_command import rebuild
+from reconstructor.engine import Reconstructor
+from reconstructor.options import SolverOptions
+from skin.layout import layout_text
+from tests.layouts import buses, layout_toml, small_layout, with_identity
+from tests.recording.helpers import CYCLES, SMALL, START_S, message, messages, write_log
+from touch.sources import recording
+
+
+def live_images(contract: Contract, sums: np.ndarray, valid: np.ndarray) -> np.ndarray:
+    """What the reconstructor would publish."""
+    engine = Reconstructor(contract.phi, 16, 16)
+    sums_n = np.multiply(sums, np.float32(contract.layout.taxels.newton_per_count), dtype=np.float32)
+    pairs = zip(sums_n, valid, strict=True)
+    return np.stack([engine.solve(each, contract.phi.sums_of_blocks(kept)) for each, kept in pairs])
+
+
+def loaded(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+    with np.load(path, allow_pickle=False) as made:
+        assert set(made.files) == {"images", "valid", "time_ns", "metadata"}
+        return made["images"], made["valid"], made["time_ns"], msgspec.json.decode(str(made["metadata"]))
+
+
+@pytest.fixture
+def out(tmp_path: Path) -> Path:
+    return tmp_path / "images.npz"
+
+
+@pytest.mark.parametrize("suffix", [".npz", ".npy", ".csv"])
+def test_a_recording_gives_the_images_of_live_nodes(
+    contract: Contract, force_n: np.ndarray, layout_file: Path, tmp_path: Path, out: Path, suffix: str
+) -> None:
+    path = tmp_path / f"mat{suffix}"
+    counts = np.rint(force_n / 0.02 * 4095).astype(np.uint16)
+    if suffix == ".csv":
+        np.savetxt(path, counts.reshape(CYCLES, -1), fmt="%d", delimiter=",")
+    elif suffix == ".npy":
+        np.save(path, counts)
+    else:
+        np.savez(path, first=0 * counts + 1, mat=counts)
+    rebuild(path, out=out, layout=layout_file, full_scale=4095, array=["mat"] if suffix == ".npz" else None)
+    images, valid, time_ns, about = loaded(out)
+
+    source = recording(path, 16, 16, full_scale=4095, arrays=["mat"] if suffix == ".npz" else None)
+    sampler = Sampler(contract.phi, source, Electronics(contract.layout.taxels, noise_n=0.0))
+    sums = np.stack([sampler.sample(k + 1, k * 10_000_000) for k in range(CYCLES)])
+    np.testing.assert_array_equal(images, live_images(contract, sums, np.ones((CYCLES, 16), np.bool_)))
+    assert images.dtype == np.float32
+    assert images.shape == (CYCLES, 16, 16)
+    assert images.max() > 0.006
+    assert valid.shape == (CYCLES, 16)
+    assert valid.all()
+    np.testing.assert_array_equal(time_ns, np.arange(CYCLES) * 10_000_000)
+    assert about["fingerprint"] == contract.phi.fingerprint
+    assert (about["layout"], about["solver"], about["device"]) == ("small", "live", "cpu")
+    assert about["settings"]["penalty_n"] == 0.006
+    assert about["source"] == path.name
+
+
+def test_sums_of_a_recording_are_rounded_as_on_the_bus(force_n: np.ndarray, tmp_path: Path, out: Path) -> None:
+    layout = small_layout(16, 16, **SMALL, encoding={"sum_bits": 8})
+    assert packing(layout).scale > 1
+    path, file = tmp_path / "mat.npy", tmp_path / "8bit.toml"
+    np.save(path, force_n)
+    file.write_text(layout_text(layout))
+    rebuild(path, out=out, layout=file, full_scale=0.02)
+    contract = Contract.from_layout(layout)
+    electronics = Electronics(layout.taxels, noise_n=0.0)
+    sums = np.stack([contract.phi.forward(electronics.read(each)) for each in force_n])
+    sums = contract.packing.counts(contract.packing.raw(sums))
+    np.testing.assert_array_equal(loaded(out)[0], live_images(contract, sums, np.ones((CYCLES, 16), np.bool_)))
+
+
+def test_a_recording_of_a_skin_whose_sums_are_made_in_hardware(force_n: np.ndarray, tmp_path: Path, out: Path) -> None:
+    """The last frame is beyond the converters: blocks with the row of all ones are not valid."""
+    path, file = tmp_path / "mat.npy", tmp_path / "analogue.toml"
+    np.save(path, np.concatenate([force_n, np.full((1, 16, 16), 0.02, np.float32)]))
+    layout = small_layout(16, 16, **SMALL, taxels={"frontend": "analogue"})
+    file.write_text(layout_text(layout))
+    rebuild(path, out=out, layout=file, full_scale=0.02)
+    images, valid, _, _ = loaded(out)
+    phi = layout.phi()
+    assert valid[:-1].all()
+    np.testing.assert_array_equal(valid[-1], ~phi.kept[:, 0])
+    assert np.abs(images[CYCLES - 1] - force_n[-1]).max() < 2e-3
+
+
+@pytest.mark.parametrize("suffix", [".log", ".asc", ".blf"])
+def test_a_log_gives_the_images_of_the_live_gateway(
+    contract: Contract, sums: np.ndarray, layout_file: Path, tmp_path: Path, out: Path, suffix: str
+) -> None:
+    sent = messages(contract, sums)
+    for each in sent:
+        each.channel = {"left": "can0", "right": "can1"}[each.channel]
+    path = write_log(tmp_path / f"can{suffix}", sent)
+    rebuild(path, out=out, layout=layout_file)
+    images, valid, time_ns, about = loaded(out)
+    assert valid.all()
+    np.testing.assert_array_equal(images, live_images(contract, sums, valid))
+    np.testing.assert_allclose(np.diff(time_ns), 10_000_000, atol=2_000_000)
+    if suffix == ".log":
+        assert time_ns[0] == pytest.approx(START_S * 1e9, abs=1e4)
+    assert about["source"] == path.name
+
+
+def test_a_csv_of_frames_is_a_log(
+    contract: Contract, sums: np.ndarray, layout_file: Path, tmp_path: Path, out: Path
+) -> None:
+    """A .csv has no channels: one bus, and the other is missing."""
+    path = write_log(tmp_path / "can.csv", [each for each in messages(contract, sums) if each.channel == "left"])
+    rebuild(path, out=out, layout=layout_file)
+    images, valid, _, _ = loaded(out)
+    assert valid[:, :8].all()
+    assert not valid[:, 8:].any()
+    kept = sums * valid[:, contract.phi.block_of_sum]
+    np.testing.assert_array_equal(images, live_images(contract, kept, valid))
+
+
+def test_only_what_the_gateway_would_use_counts(
+    contract: Contract,
+    sums: np.ndarray,
+    layout_file: Path,
+    tmp_path: Path,
+    out: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Lost, late, cut, foreign and doubled frames, a SYNC that one bus lacks, and frames before the first SYNC."""
+    sent = messages(contract, sums)
+    of_cycle = [sent[k : k + len(sent) // CYCLES] for k in range(0, len(sent), len(sent) // CYCLES)]
+    first_tpdo = len(contract.layout.bus)
+
+    def block_of(frame: Any) -> int:
+        bus = [each.name for each in contract.layout.bus].index(frame.channel)
+        row = contract.table.row_of[bus, frame.arbitration_id]
+        return contract.nodes[contract.table.node[row]].block
+
+    expected = np.ones((CYCLES, 16), np.bool_)
+    lost = of_cycle[1].pop(first_tpdo)
+    expected[1, block_of(lost)] = False
+    late = of_cycle[3].pop(first_tpdo + 3)
+    expected[3, block_of(late)] = False
+    of_cycle[4].insert(first_tpdo + 1, message(of_cycle[4][0].timestamp, late.arbitration_id, late.data, late.channel))
+    cut = of_cycle[5][first_tpdo + 4]
+    of_cycle[5][first_tpdo + 4] = message(cut.timestamp, cut.arbitration_id, cut.data[:-1], cut.channel)
+    expected[5, block_of(cut)] = False
+    of_cycle[6].append(message(of_cycle[6][-1].timestamp, 0x7F0, b"\5", "left"))
+    of_cycle[6].append(of_cycle[6][first_tpdo])  # the same again
+    del of_cycle[8][1]  # the SYNC of the right bus: its frames belong to no cycle
+    expected[8, 8:] = False
+    before = [message(START_S - 1, each.arbitration_id, each.data, each.channel) for each in of_cycle[2][first_tpdo:]]
+    path = write_log(tmp_path / "can.log", [*before, *(each for cycle in of_cycle for each in cycle)])
+
+    rebuild(path, out=out, layout=layout_file)
+    images, valid, _, _ = loaded(out)
+    np.testing.assert_array_equal(valid, expected)
+    kept = sums * expected[:, contract.phi.block_of_sum]
+    np.testing.assert_array_equal(images, live_images(contract, kept, expected))
+    said = capsys.readouterr().err
+    assert "rebuild: 8 of 12 cycles are complete" in said
+    assert "1 duplicate, 1 malformed, 1 foreign" in said
+    assert "solver live, 10 iterations, on the cpu" in said
+    assert f"12 images written to {out}" in said
+
+
+def test_channels_of_a_log_by_name(contract: Contract, sums: np.ndarray, layout_file: Path, tmp_path: Path) -> None:
+    sent = messages(contract, sums)
+    for each in sent:
+        each.channel = {"left": "vcan7", "right": "vcan2"}[each.channel]
+    path, out = write_log(tmp_path / "can.log", sent), tmp_path / "images.npz"
+    rebuild(path, out=out, layout=layout_file, channel=["vcan7", "vcan2"])
+    assert loaded(out)[1].all()
+    with pytest.raises(InputError, match="expected a channel of can0"):
+        rebuild(path, out=tmp_path / "other.npz", layout=layout_file, channel=["can0"])
+
+
+@pytest.mark.parametrize("solver", ["spun", "paper", "variation"])
+def test_other_solvers(
+    force_n: np.ndarray,
+    layout_file: Path,
+    tmp_path: Path,
+    out: Path,
+    capsys: pytest.CaptureFixture[str],
+    solver: str,
+) -> None:
+    np.save(tmp_path / "mat.npy", force_n)
+    rebuild(tmp_path / "mat.npy", out=out, layout=layout_file, solver=SolverOptions(solver, iterations=7))
+    images, _, _, about = loaded(out)
+    assert about["settings"]["iterations"] == 7
+    assert np.abs(images - force_n).mean() < 0.001
+    assert f"solver {solver}, 7 iterations, on the cpu" in capsys.readouterr().err
+
+
+def test_any_wavelet(force_n: np.ndarray, layout_file: Path, tmp_path: Path, out: Path) -> None:
+    np.save(tmp_path / "mat.npy", force_n)
+    rebuild(tmp_path / "mat.npy", out=out, layout=layout_file, solver=SolverOptions("paper", basis="sym4-tensor"))
+    images, _, _, about = loaded(out)
+    assert about["settings"]["prior"] == "sym4-tensor"
+    assert np.abs(images - force_n).mean() < 0.001
+
+
+def test_the_gpu_path_on_a_cpu(
+    force_n: np.ndarray,
+    layout_file: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """NumPy in the place of CuPy: the same images as on the CPU, but for rounding."""
+    np.save(tmp_path / "mat.npy", force_n)
+    monkeypatch.setattr(rebuild_command, "gpu_library", lambda: np)
+    made = []
+    for device in ("gpu", "cpu"):
+        out = tmp_path / f"{device}.npz"
+        rebuild(
+            tmp_path / "mat.npy",
+            out=out,
+            layout=layout_file,
+            device=device,
+            solver=SolverOptions("paper", iterations=40),
+        )
+        made.append(loaded(out)[0])
+        assert f"on the {device}" in capsys.readouterr().err
+    np.testing.assert_allclose(made[0], made[1], atol=5e-4)
+
+
+def test_without_a_gpu_the_extra_is_named(
+    force_n: np.ndarray, layout_file: Path, tmp_path: Path, out: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    np.save(tmp_path / "mat.npy", force_n)
+    monkeypatch.setitem(sys.modules, "cupy", None)
+    with pytest.raises(InputError, match=r"\[gpu\]"):
+        rebuild(tmp_path / "mat.npy", out=out, layout=layout_file, device="gpu", solver=SolverOptions("paper"))
+    monkeypatch.setattr(rebuild_command, "gpu_library", lambda: np)
+    with pytest.raises(InputError, match="as the solver 'paper' has them"):
+        rebuild(tmp_path / "mat.npy", out=out, layout=layout_file, device="gpu")
+    assert not out.exists()
+
+
+def test_places_that_cannot_be_written_are_refused_before_the_work(
+    layout_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(rebuild_command, "measure_forces", lambda *_: pytest.fail("the work has begun"))
+    source, there = tmp_path / "mat.npy", tmp_path / "there.npz"
+    np.save(source, np.ones((1, 16, 16)))
+    there.write_bytes(b"precious")
+    for out, says in (
+        (there, "is there already"),
+        (tmp_path / "images.npy", "ends in .npz"),
+        (tmp_path / "none" / "images.npz", "folder for the images does not exist"),
+        (Path("/proc/images.npz"), "cannot write the images there"),
+    ):
+        with pytest.raises(InputError, match=says):
+            rebuild(source, out=out, layout=layout_file)
+    assert there.read_bytes() == b"precious"
+
+
+def test_cycles_without_counter_are_told_by_the_time_of_their_sync(
+    contract: Contract, sums: np.ndarray, tmp_path: Path, out: Path
+) -> None:
+    """A block that missed a frame is not used in the next cycle either, as in the gateway."""
+    contract = Contract.from_layout(with_identity(contract.layout, "window"))
+    layout = tmp_path / "window.toml"
+    layout.write_text(layout_text(contract.layout))
+    sent = messages(contract, sums)
+    of_cycle = [sent[k : k + len(sent) // CYCLES] for k in range(0, len(sent), len(sent) // CYCLES)]
+    del of_cycle[1][len(contract.layout.bus)]
+    rebuild(write_log(tmp_path / "can.log", [each for cycle in of_cycle for each in cycle]), out=out, layout=layout)
+    _, valid, time_ns, _ = loaded(out)
+    expected = np.ones((CYCLES, 16), np.bool_)
+    expected[1:3, 0] = False
+    np.testing.assert_array_equal(valid, expected)
+    np.testing.assert_allclose(np.diff(time_ns), 10_000_000, atol=200)
+
+
+def test_what_cannot_be_used_is_named(
+    contract: Contract, sums: np.ndarray, layout_file: Path, tmp_path: Path, out: Path
+) -> None:
+    np.save(tmp_path / "mat.npy", np.ones((1, 16, 16)))
+    sent = messages(contract, sums)
+    log = write_log(tmp_path / "can.log", sent)
+    no_sync = write_log(tmp_path / "no-sync.log", [each for each in sent if each.arbitration_id != 0x80])
+    for arguments, says in (
+        ({"source": tmp_path / "none.log"}, "no file"),
+        ({"source": tmp_path / "mat.npy", "channel": ["can0"]}, "leave out --channel"),
+        ({"source": log, "array": ["a"]}, "leave out --array"),
+        ({"source": log, "full_scale": 1.0}, "leave out --array and --full-scale"),
+        ({"source": log, "channel": ["a", "b", "c"]}, "up to 2 channels"),
+        ({"source": log, "solver": SolverOptions("best")}, "unknown solver 'best'"),
+        ({"source": log, "solver": SolverOptions(basis="sim4")}, "unknown basis 'sim4': did you mean 'sym4'"),
+        ({"source": log, "solver": SolverOptions("paper-contourlet", basis="sym4")}, "take another --solver"),
+        ({"source": no_sync}, "no SYNC with a counter, 1 byte"),
+    ):
+        with pytest.raises(InputError, match=says):
+            rebuild(**arguments, out=out, layout=layout_file)
+    assert not out.exists()
+
+
+def test_a_log_of_another_layout_measures_nothing_and_fails(
+    contract: Contract, sums: np.ndarray, tmp_path: Path, out: Path
+) -> None:
+    path, fd = write_log(tmp_path / "can.log", messages(contract, sums)), tmp_path / "fd.toml"
+    fd.write_text(layout_toml(16, 16, **SMALL | {"bus": buses(8, 8, names=("left", "right"), fd=True)}))
+    says = r"no block of any cycle is complete \(frames 0 accepted, .* is this the skin's layout\?"
+    with pytest.raises(RunError, match=says):
+        rebuild(path, out=out, layout=fd)
+    assert not out.exists()
+
+
+def test_a_full_disk_leaves_no_half_file(
+    force_n: np.ndarray, layout_file: Path, tmp_path: Path, out: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object, **__: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    np.save(tmp_path / "mat.npy", force_n)
+    monkeypatch.setattr("recording.rebuild.image_file.np.savez", full)
+    with pytest.raises(RunError, match="cannot be written: No space left"):
+        rebuild(tmp_path / "mat.npy", out=out, layout=layout_file)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["mat.npy", "small.toml"]

@@ -1,0 +1,111 @@
+"""The command line as a whole: every verb loads, explains itself, and ends its help with two real examples."""
+
+import io
+import json
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+from canskin.errors import InputError
+from shell.command import VERBS, build_app, docstring, examples, summary
+from shell.service import RateLimitedLog, Talk, say, set_talk
+
+
+def help_of(*arguments: str) -> str:
+    console = Console(file=io.StringIO(), width=200)
+    build_app(arguments).meta(arguments, console=console)
+    assert isinstance(console.file, io.StringIO)
+    return console.file.getvalue()
+
+
+@pytest.fixture
+def talk() -> Iterator[None]:
+    yield
+    set_talk(Talk.NORMAL)
+
+
+@pytest.mark.parametrize("where", VERBS.values())
+def test_verb_loads_and_says_what_it_does(where: str) -> None:
+    module, _, name = where.partition(":")
+    function = getattr(import_module(module), name)
+    assert summary(docstring(where)) == summary(function.__doc__)
+    assert summary(docstring(where)).endswith(".")
+
+
+@pytest.mark.parametrize(("verb", "where"), VERBS.items())
+def test_help_ends_with_two_examples(verb: str, where: str) -> None:
+    heading, *shown = examples(docstring(where)).split("\\\n")
+    assert heading == "Examples:"
+    assert len(shown) >= 2
+    assert all(line.startswith(f"`skin {verb}") and line.endswith("`") for line in shown)
+
+
+@pytest.mark.heavy
+def test_list_of_verbs_and_help_of_one() -> None:
+    listed = subprocess.run([sys.executable, "-m", "skin", "--help"], capture_output=True, text=True, check=True).stdout
+    places = [listed.index(f"│ {verb} ") for verb in VERBS]
+    assert places == sorted(places)
+    command = [sys.executable, "-m", "skin", "demo", "--help"]
+    shown = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    lines = [line.rstrip() for line in shown.split("Examples:")[1].splitlines()]
+    assert lines[:2] == ["", "skin demo --seconds 10 --objects golf-ball"]
+
+
+@pytest.mark.heavy
+@pytest.mark.parametrize("verb", VERBS)
+def test_help_shows_no_option_that_nobody_would_write(verb: str) -> None:
+    shown = help_of(verb, "--help")
+    nonsense = r"--empty-\S*|--no-no\S*|\[default: (?:\"\"|\[\]|False|None|)\]"
+    assert re.findall(nonsense, shown) == []
+    assert "--quiet -q" in shown
+
+
+def test_completion_knows_every_verb_and_its_options() -> None:
+    script = build_app().generate_completion(shell="bash")  # noqa: S604 - the name of a shell, none is run
+    assert all(f'"{verb}"' in script or f" {verb}" in script for verb in VERBS)
+    assert "--data-bitrate" in script
+
+
+@pytest.mark.heavy
+@pytest.mark.parametrize(("option", "lines"), [("--quiet", 0), ("-q", 0), ("-v", 8)])
+@pytest.mark.usefixtures("talk")
+def test_quiet_and_verbose(option: str, lines: int, capsys: pytest.CaptureFixture[str]) -> None:
+    build_app([]).meta(["dbc-check", option])
+    capsys.readouterr()
+    say("test", "one")
+    say("test", "detail", Talk.VERBOSE)
+    log = RateLimitedLog("test")
+    for _ in range(RateLimitedLog.BURST + 1):
+        log.say("again")
+    assert len(capsys.readouterr().err.splitlines()) == lines
+
+
+@pytest.mark.usefixtures("talk")
+def test_verbose_and_quiet_contradict_each_other() -> None:
+    with pytest.raises(InputError, match="--verbose or --quiet"):
+        build_app().meta(["-v", "-q", "view"])
+
+
+@pytest.mark.usefixtures("talk")
+def test_log_as_json(capsys: pytest.CaptureFixture[str]) -> None:
+    set_talk(Talk.NORMAL, as_json=True)
+    say("gateway", "4 buses")
+    line = json.loads(capsys.readouterr().err)
+    assert (line["service"], line["text"]) == ("gateway", "4 buses")
+
+
+@pytest.mark.heavy
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+def test_a_full_disk_behind_the_output_is_one_line() -> None:
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            [sys.executable, "-m", "skin", "dbc", "--help"], stdout=full, stderr=subprocess.PIPE, text=True, check=False
+        )
+    assert done.returncode == 1
+    assert done.stderr == "skin: [Errno 28] No space left on device\n"

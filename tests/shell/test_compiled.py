@@ -1,0 +1,53 @@
+"""Kernels on disk: used again while nothing changed, compiled anew when anything that was compiled in did."""
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+CALLEE = """
+from shell.compiled import njit
+
+{constant}
+
+@njit(cache=True)
+def scaled(x):
+    return {factor} * x
+"""
+CALLER = """
+from callee import SHIFT, scaled
+from shell.compiled import njit
+
+@njit(cache=True)
+def shifted(x):
+    return scaled(x) + SHIFT
+
+print(shifted(1), sum(shifted.stats.cache_hits.values()))
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    (tmp_path / "caller.py").write_text(CALLER)
+    return tmp_path
+
+
+def result(folder: Path, *, factor: int, constant: str) -> list[int]:
+    """Write the callee, run the caller, and return its result and how often the cache had it."""
+    (folder / "callee.py").write_text(CALLEE.format(factor=factor, constant=constant))
+    done = subprocess.run([sys.executable, "caller.py"], cwd=folder, check=True, capture_output=True, text=True)
+    return [int(word) for word in done.stdout.split()]
+
+
+@pytest.mark.heavy
+def test_a_kernel_is_compiled_anew_when_what_it_calls_or_names_in_another_file_changes(
+    folder: Path, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    assert result(folder, factor=2, constant="SHIFT = 10") == [12, 0]
+    assert result(folder, factor=2, constant="SHIFT = 10") == [12, 1]
+    copy = shutil.copytree(folder, tmp_path_factory.mktemp("copies") / "copy")
+    assert result(copy, factor=2, constant="SHIFT = 10") == [12, 1]
+    assert result(folder, factor=3, constant="SHIFT = 10") == [13, 0]
+    assert result(folder, factor=3, constant="SHIFT = 20") == [23, 0]

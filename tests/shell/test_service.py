@@ -1,0 +1,57 @@
+"""How a service is told to end."""
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+
+import pytest
+
+from shell.service import StopSignal
+
+#: A handler that a second signal interrupts must not wait for itself; many signals make that likely.
+BOMBARDED = """
+import sys, time
+from shell.service import StopSignal
+stop = StopSignal().install()
+print("ready", flush=True)
+while not stop.wait(60):
+    pass
+until = time.monotonic() + 0.3
+while time.monotonic() < until:
+    stop.is_set()
+sys.exit(0)
+"""
+
+
+@pytest.mark.heavy
+def test_many_signals_in_a_row_end_a_service_once() -> None:
+    with subprocess.Popen([sys.executable, "-c", BOMBARDED], stdout=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == b"ready\n"
+        while process.poll() is None:
+            process.send_signal(signal.SIGTERM)
+        assert process.wait(60) in {0, -signal.SIGTERM}  # the last may come when nobody catches it any more
+
+
+def test_waiting_ends_when_the_signal_comes_or_the_time_is_over() -> None:
+    stop = StopSignal()
+    assert not stop.wait(0.01)
+    threading.Timer(0.05, stop.set).start()
+    began_s = time.monotonic()
+    assert stop.wait(60)
+    assert time.monotonic() - began_s < 50
+    assert stop.wait(0)
+
+
+def test_signals_are_caught_after_install() -> None:
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        stop = StopSignal().install()
+        os.kill(os.getpid(), signal.SIGTERM)
+        assert stop.wait(10)
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

@@ -1,0 +1,96 @@
+"""``skin view``: the web page of a skin."""
+
+import socket
+from collections.abc import Collection
+from ipaddress import ip_address
+from pathlib import Path
+from typing import Final
+
+import uvicorn
+
+from canskin.fabric import Fabric
+from canskin.session import DEFAULT_ENDPOINT
+from skin.layout import load_layout
+from shell.service import StopSignal, listen, say
+from views.page.app import build_app
+from views.page.feed import Feed
+from views.page.guard import LOOPBACK
+
+#: When the server ends, pages get this long to close their connections.
+FAREWELL_S: Final = 1
+#: Pages send acknowledgements only.
+MESSAGE_LIMIT_BYTES: Final = 1024
+
+
+def view(
+    *,
+    layout: Path | None = None,
+    connect: str = DEFAULT_ENDPOINT,
+    host: str = "127.0.0.1",
+    port: int = 8765,
+) -> None:
+    """Show the skin in a browser: images, label, buses and nodes.
+
+    Parameters
+    ----------
+    layout
+        TOML of the skin; without it the default skin.
+    connect
+        Endpoint of the fabric's hub, usually the gateway.
+    host
+        Address to listen on. With an address other than loopback, everybody on the network can see the skin.
+    port
+        Port to listen on; 0 takes a free port and prints it.
+
+    Examples
+    --------
+    skin view
+    skin view --layout palm.toml --connect tcp/10.0.0.5:7447 --port 0
+    """
+    stop = StopSignal().install()
+    skin = load_layout(layout)
+    with listen(host, port) as listener:
+        fabric = Fabric(skin.name, "viewer", connect, stop=stop, fingerprint=skin.phi().fingerprint)
+        try:
+            if not stop.is_set():
+                feed = Feed(skin)
+                feed.join(fabric)
+                _serve(feed, listener, host)
+        finally:
+            fabric.close()
+
+
+class _Server(uvicorn.Server):
+    """Logs the address of the page when the page can be opened."""
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        """Start serving, then log the address."""
+        await super().startup(sockets)
+        for listener in sockets or []:
+            host, port = listener.getsockname()[:2]
+            say("viewer", f"web page at http://{f'[{host}]' if ':' in host else host}:{port}/")
+
+
+def _serve(feed: Feed, listener: socket.socket, host: str) -> None:
+    """Serve until SIGINT or SIGTERM."""
+    config = uvicorn.Config(
+        build_app(feed, _hosts(host)),
+        log_config=None,
+        access_log=False,
+        lifespan="on",
+        server_header=False,
+        ws_max_size=MESSAGE_LIMIT_BYTES,
+        # Frames are floats that change each time: compression costs more time than it saves on loopback.
+        ws_per_message_deflate=False,
+        timeout_graceful_shutdown=FAREWELL_S,
+    )
+    _Server(config).run(sockets=[listener])
+
+
+def _hosts(host: str) -> Collection[str] | None:
+    """Return the host names that a server bound to `host` answers to; None for a host bound to all addresses."""
+    try:
+        address = ip_address(host)
+    except ValueError:
+        return (*LOOPBACK, host)
+    return None if address.is_unspecified else (*LOOPBACK, host)

@@ -1,0 +1,94 @@
+"""From a skin's fabric to ROS 2: the newest message of each topic, and a service for the zero."""
+
+import time
+from collections.abc import Callable
+from functools import partial
+from typing import Final
+
+from canskin.calibration_messages import ANSWER_S, CALIBRATION, CalibrationReply, CalibrationRequest
+from canskin.fabric import Fabric
+from views.ros2.node import SERVICE, RosNode
+from views.ros2.topics import DIAGNOSTIC_ARRAY, ROS_TOPICS, SKIN_TOPICS, Translator
+from skin.layout import Layout
+from shell.service import LOOK_S, StopSignal
+from health.arrivals import Arrivals
+from health.state import ViewState
+
+#: Period of diagnostics, that of `diagnostic_updater`.
+DIAGNOSTICS_S: Final = 1.0
+TARE: Final = "tare"
+
+
+class Bridge:
+    """Publishes a skin on ROS 2.
+
+    Parameters
+    ----------
+    layout : Layout
+    fabric : Fabric
+        Of the skin.
+    node : RosNode
+    frame : str
+        Frame of the messages.
+    clock_s : callable
+        Monotonic clock.
+    """
+
+    def __init__(
+        self,
+        layout: Layout,
+        fabric: Fabric,
+        node: RosNode,
+        frame: str,
+        *,
+        clock_s: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._clock_s = clock_s
+        self._state = ViewState(layout, time.time() - clock_s(), SERVICE)
+        self._translator = Translator(layout, frame, self._state)
+        self._publishers = {topic: node.publisher(topic) for topic in ROS_TOPICS}
+        self._due_s = clock_s()
+        node.serve_trigger(TARE, partial(tare, fabric))
+        self._arrivals = Arrivals(fabric, SKIN_TOPICS)
+
+    @property
+    def skipped(self) -> int:
+        """Messages of the fabric that a newer message of their topic replaced before they were published."""
+        return self._arrivals.skipped
+
+    @property
+    def published(self) -> dict[str, int]:
+        """Number of messages by name of the topic."""
+        return {topic.name: publisher.published for topic, publisher in self._publishers.items()}
+
+    def run(self, stop: StopSignal) -> None:
+        """Publish until `stop`."""
+        while not stop.is_set():
+            self.turn(LOOK_S)
+
+    def turn(self, timeout_s: float) -> None:
+        """Publish what waits; wait for messages at most `timeout_s`."""
+        taken, now_s = self._arrivals.take(timeout_s), self._clock_s()
+        for peer, is_alive in self._arrivals.peers():
+            self._state.take_peer(peer, is_alive, now_s)
+        for message in taken:
+            for topic, make in self._translator.take(message, now_s):
+                publisher = self._publishers[topic]
+                if publisher.has_readers:
+                    publisher.publish(make())
+        if now_s >= self._due_s:
+            self._due_s = now_s + DIAGNOSTICS_S
+            told = self._translator.diagnostics(now_s, time.time_ns(), self._arrivals.malformed)
+            self._publishers[DIAGNOSTIC_ARRAY].publish(told)
+
+
+def tare(fabric: Fabric) -> tuple[bool, str]:
+    """Have the gateway measure the zero of the skin anew; return whether there is a new zero, and words.
+
+    Raises
+    ------
+    BusError
+        If no gateway answers.
+    """
+    reply: CalibrationReply = fabric.ask(CALIBRATION, CalibrationRequest(action="tare"), ANSWER_S)
+    return reply.is_done, reply.text

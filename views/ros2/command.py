@@ -1,0 +1,73 @@
+"""``skin ros2``: a running skin on ROS 2's wire, without ROS."""
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from cyclopts import Parameter
+
+from canskin.fabric import Fabric
+from canskin.session import DEFAULT_ENDPOINT
+from views.ros2.bridge import TARE, Bridge
+from views.ros2.names import check_domain, check_namespace
+from views.ros2.node import SERVICE, RosNode
+from views.ros2.topics import ROS_TOPICS
+from views.ros2.types import store
+from skin.layout import load_layout
+from shell.service import StopSignal, say
+
+
+def ros2(
+    *,
+    layout: Path | None = None,
+    connect: str = DEFAULT_ENDPOINT,
+    router: str = DEFAULT_ENDPOINT,
+    domain: int | None = None,
+    namespace: Annotated[str | None, Parameter(name=("--namespace", "--ns"))] = None,
+    frame: str | None = None,
+    distro: Literal["humble", "jazzy"] = "jazzy",
+) -> None:
+    """Publish a running skin on ROS 2, in the form of rmw_zenoh; neither ROS nor a bridge is needed here.
+
+    Topics: ``image`` (32FC1, newtons), ``heat_map`` (rgb8), ``points``, ``contacts``, ``contact_markers``, ``label``
+    and ``/diagnostics``; service: ``tare``.
+
+    Parameters
+    ----------
+    layout
+        TOML of the skin; without it the default skin.
+    connect
+        Endpoint of the fabric's hub.
+    router
+        Endpoint of the ROS network's zenoh router. The hub of the fabric is a zenoh router, too: nodes of ROS may use
+        the hub.
+    domain
+        Domain of ROS; default: ``ROS_DOMAIN_ID``, else 0.
+    namespace
+        Namespace of the topics; default: the name of the skin.
+    frame
+        Frame of the messages; default: the name of the skin. Its origin is the middle of the skin, x runs along the
+        columns, y down the rows, z into the skin.
+    distro
+        ``humble`` for nodes of ROS 2 Humble, whose keys have no type hashes; ``jazzy`` for all newer distributions.
+
+    Examples
+    --------
+    skin ros2
+    skin ros2 --router tcp/robot:7447 --domain 42 --namespace /arm/palm
+    """
+    store()
+    skin = load_layout(layout)
+    number, space = check_domain(domain), check_namespace(skin.name if namespace is None else namespace)
+    stop = StopSignal().install()
+    fabric = Fabric(skin.name, SERVICE, connect, stop=stop, fingerprint=skin.phi().fingerprint)
+    try:
+        node = RosNode(router, domain=number, namespace=space, name="canskin", stop=stop, has_hashes=distro != "humble")
+        try:
+            bridge = Bridge(skin, fabric, node, frame or skin.name)
+            names = ", ".join(node.node.full_name(topic.name) for topic in ROS_TOPICS)
+            say(SERVICE, f"domain {number}: {names}; service {node.node.full_name(TARE)}")
+            bridge.run(stop)
+        finally:
+            node.close()
+    finally:
+        fabric.close()

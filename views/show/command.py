@@ -1,0 +1,103 @@
+"""``skin show``: a running skin in Rerun or Foxglove."""
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from canskin.errors import InputError
+from canskin.fabric import Fabric
+from canskin.session import DEFAULT_ENDPOINT
+from views.show.foxglove_canvas import FoxgloveCanvas
+from views.show.painter import SERVICE, TOPICS, Canvas, Painter
+from views.show.rerun_canvas import RerunCanvas
+from views.show.target import foxglove_target, rerun_target
+from skin.layout import Layout, load_layout
+from shell.service import LOOK_S, StopSignal, say
+from health.arrivals import Arrivals
+
+
+def show(
+    target: str = "",
+    *,
+    rerun: Annotated[bool, Parameter(negative=())] = False,
+    foxglove: Annotated[bool, Parameter(negative=())] = False,
+    layout: Path | None = None,
+    connect: str = DEFAULT_ENDPOINT,
+) -> None:
+    """Show a running skin in Rerun or Foxglove: image, taxels in their places, contacts, curves, log.
+
+    For a recording see ``skin export --to rerun`` and ``--to foxglove``.
+
+    Parameters
+    ----------
+    target
+        Rerun: URL or HOST:PORT of a running viewer, or a new file (.rrd); without it a viewer is started. Foxglove:
+        HOST:PORT of the server that the app connects to, default 127.0.0.1:8766, or a new file (.mcap). A PORT alone is
+        of 127.0.0.1.
+    rerun
+        Show the skin in Rerun; needs the extra canskin[rerun].
+    foxglove
+        Show the skin in Foxglove; needs the extra canskin[foxglove].
+    layout
+        TOML of the skin; without it the default skin.
+    connect
+        Endpoint of the fabric's hub.
+
+    Examples
+    --------
+    skin show --rerun
+    skin show --rerun rerun+http://robot:9876/proxy
+    skin show --foxglove
+    skin show --foxglove run-foxglove.mcap
+    """
+    if rerun == foxglove:
+        raise InputError(f"skin show: expected --rerun or --foxglove, got {'both' if rerun else 'neither'}")
+    open_canvas = _opener(target, for_rerun=rerun)
+    skin = load_layout(layout)
+    stop = StopSignal().install()
+    fabric = Fabric(skin.name, SERVICE, connect, stop=stop, fingerprint=skin.phi().fingerprint)
+    try:
+        canvas = open_canvas(skin)
+        try:
+            draw_live(skin, fabric, canvas, stop)
+        finally:
+            canvas.close()
+    finally:
+        fabric.close()
+
+
+def draw_live(layout: Layout, fabric: Fabric, canvas: Canvas, stop: StopSignal) -> Painter:
+    """Draw the newest messages of a running skin until `stop`."""
+    painter, arrivals = Painter(layout, canvas), Arrivals(fabric, TOPICS)
+    while not stop.is_set():
+        taken, now_s, time_ns = arrivals.take(LOOK_S), time.monotonic(), time.time_ns()
+        for peer, is_alive in arrivals.peers():
+            painter.take_peer(peer, is_alive, now_s)
+        for message in taken:
+            painter.take(message, now_s, time_ns)
+        painter.look(now_s, time_ns, arrivals.malformed)
+    return painter
+
+
+def _opener(target: str, *, for_rerun: bool) -> Callable[[Layout], Canvas]:
+    """Check the target, before anything else is opened; return what opens the canvas.
+
+    Raises
+    ------
+    InputError
+        If it cannot be used.
+    """
+    if for_rerun:
+        viewer = rerun_target(target)
+        return lambda skin: RerunCanvas(skin, viewer)
+    app = foxglove_target(target)
+    return lambda skin: _serving(FoxgloveCanvas(skin, app))
+
+
+def _serving(canvas: FoxgloveCanvas) -> FoxgloveCanvas:
+    if canvas.address:
+        say(SERVICE, f"open {canvas.address} in Foxglove: 'Open connection', 'Foxglove WebSocket'")
+    return canvas
