@@ -9,7 +9,6 @@ FROM python:3.11-slim-bookworm
 RUN useradd --system --uid 10001 --no-create-home --home-dir /var/cache/canskin skin \
     && install --directory --owner=skin --mode=0700 /run/canskin /var/cache/canskin
 COPY --from=build /opt/canskin /opt/canskin
-COPY --chmod=755 health/alive.py /usr/local/bin/skin-alive
 ENV PATH=/opt/canskin/bin:$PATH \
     SKIN_BUS_DIR=/run/canskin \
     SKIN_CACHE=/var/cache/canskin \

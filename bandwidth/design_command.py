@@ -5,10 +5,10 @@ from pathlib import Path
 from bandwidth.search import CanKind, Requirement, search
 from bandwidth.traffic import Disturbance
 from canskin.errors import InputError, RunError
-from skin.layout import layout_text
 from shell.output import write_file
 from shell.service import say
 from shell.terminal import Json, print_json
+from skin.layout import layout_text
 
 
 def design(

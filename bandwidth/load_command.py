@@ -9,9 +9,9 @@ from bus.options import BusOptions, channels, open_links
 from canskin.errors import InputError, RunError
 from dbc.contract import Contract
 from dbc.frame import Frames
-from skin.layout import Layout, load_layout, require_one_state
 from shell.service import StopSignal, say
 from shell.terminal import Json
+from skin.layout import Layout, load_layout, require_one_state
 
 
 def load(

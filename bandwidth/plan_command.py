@@ -10,9 +10,9 @@ from bandwidth.traffic import Disturbance
 from bandwidth.wiring import wiring
 from bus.options import BusOptions, Channels, channels
 from dbc.contract import Contract
-from skin.layout import load_layout, require_one_state
 from shell.service import say
 from shell.terminal import Json, print_json
+from skin.layout import load_layout, require_one_state
 
 
 def plan(

@@ -11,8 +11,8 @@ from bandwidth.traffic import traffic
 from canskin.errors import InputError
 from dbc.contract import Contract
 from dbc.dictionary import window_s
-from skin.layout import Layout
 from shell.output import save_figure
+from skin.layout import Layout
 
 _WIRES: Final = {None: "classic CAN", 2_000_000: "FD 2 Mbit/s", 5_000_000: "FD 5 Mbit/s", 8_000_000: "FD 8 Mbit/s"}
 

@@ -5,9 +5,9 @@ from typing import Final, Literal
 from bus.faults import parse_fault
 from bus.server import BusServer, BusSettings
 from canskin.errors import InputError
-from skin.layout import BITRATE_MAX, BITRATE_MIN, DATA_BITRATE_MAX
 from shell.service import StopSignal, request_real_time, say
 from shell.terminal import Json, print_json
+from skin.layout import BITRATE_MAX, BITRATE_MIN, DATA_BITRATE_MAX
 
 #: Far above any real device, and far below the limit of times in 64 bits.
 RESTART_MAX_S: Final = 3600.0

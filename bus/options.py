@@ -9,8 +9,8 @@ from cyclopts import Parameter
 
 from bus.link import ARBITRATED, Link, open_link
 from canskin.errors import InputError
-from skin.layout import Bus, Layout
 from shell.service import StopSignal
+from skin.layout import Bus, Layout
 
 #: Longest wait of a service for a bus server that is still starting.
 OPEN_WAIT_S = 30.0

@@ -19,6 +19,9 @@ from canskin.calibration_messages import (
 from canskin.errors import InputError, RunError
 from canskin.fabric import Fabric
 from canskin.session import DEFAULT_ENDPOINT
+from shell.output import check_output_path, write_file
+from shell.service import say
+from shell.terminal import Json, print_json, print_table
 from skin.calibration_file import (
     StoredCalibration,
     encoded,
@@ -27,9 +30,6 @@ from skin.calibration_file import (
     parse_calibration,
 )
 from skin.layout import Layout, load_layout
-from shell.output import check_output_path, write_file
-from shell.service import say
-from shell.terminal import Json, print_json, print_table
 
 #: Longest wait for the hub, and for the answer to ``write``: writing to nodes takes up to a minute.
 PATIENCE_S: Final = 5.0

@@ -9,12 +9,12 @@ from calibration.gains import defects_of, find_gains
 from calibration.windows import Floats
 from canskin.errors import InputError, RunError
 from canskin.messages import IMAGE, MEASUREMENT
+from shell.service import say
 from skin.calibration_file import LEAST_GAIN, MOST_GAIN, StoredCalibration, load_calibration, new_calibration
 from skin.frontend import LEAST_FELT
 from skin.layout import RECORDING_SUFFIX, Layout, require_sending
 from skin.mcap_file import read_messages
 from skin.measured_sums import decode_measurement
-from shell.service import say
 
 
 def stored_gains(skin: Layout, path: Path, force_n: float | None, before: Path | None = None) -> StoredCalibration:

@@ -10,11 +10,11 @@ import numpy.typing as npt
 from calibration.calibrator import Calibrator, Tare
 from calibration.windows import Bools
 from canskin.messages import CycleMeasurement, Measurement
+from shell.service import say
 from skin.calibration_file import load_calibration
 from skin.layout import Layout, require_sending
 from skin.measured_sums import decode_measurement
 from skin.measurement import Sbhe
-from shell.service import say
 from skin.sync_counter import next_counter
 
 

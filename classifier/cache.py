@@ -11,10 +11,10 @@ from canskin.errors import ModelError
 from classifier.model import SIMULATED, VERSION, Features, Model
 from classifier.modelfile import load_model, save_model
 from classifier.newest_sums import averaged_cycles
-from skin.layout import Layout
-from skin.measurement import Sbhe
 from shell.output import cache_folder
 from shell.service import say
+from skin.layout import Layout
+from skin.measurement import Sbhe
 from skin.sources import DEFAULT_OBJECTS, StrokeKind, load_touches
 
 TOUCHES_PER_OBJECT: Final = 600

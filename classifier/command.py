@@ -15,13 +15,13 @@ from classifier.model import SIMULATED, Features, Metadata, Model
 from classifier.modelfile import load_model, save_model
 from classifier.used_sums import classified_phi
 from classifier.wake import Wake
-from skin.layout import Layout, Recognition, layout_text, load_layout
 from shell.output import check_output_path, write_file
 from shell.service import StopSignal, say
-from skin.sources import DEFAULT_OBJECTS, StrokeKind, load_touches, object_names
-from skin.taxel import NOISE_N
 from shell.terminal import Json, print_json, print_table, progress
 from shell.touch_options import ObjectNames
+from skin.layout import Layout, Recognition, layout_text, load_layout
+from skin.sources import DEFAULT_OBJECTS, StrokeKind, load_touches, object_names
+from skin.taxel import NOISE_N
 
 #: Longest wait for the gateway's answer to a request for images.
 ASK_S: Final = 1.0

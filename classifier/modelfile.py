@@ -18,9 +18,9 @@ from classifier.dag import pairs
 from classifier.features import widths_for
 from classifier.model import ARRAYS, VERSION, Metadata, Model
 from classifier.newest_sums import averaged_cycles
+from shell.output import write_file
 from skin.layout import Layout
 from skin.measurement import Sbhe
-from shell.output import write_file
 
 Arrays = dict[str, npt.NDArray[Any]]
 

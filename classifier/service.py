@@ -12,10 +12,10 @@ from canskin.messages import LABEL, MEASUREMENT, RECOGNITION, Label, Measurement
 from classifier.decide import FORGET_CYCLES, Classifier
 from classifier.settling import Decision
 from classifier.used_sums import classified_phi
+from shell.service import StopSignal
 from skin.layout import Layout
 from skin.measured_sums import MeasurementReader, decode_adaptive, decode_measurement
 from skin.measurement import Sbhe, places
-from shell.service import StopSignal
 
 #: Period of the check of the stop signal.
 _TURN_S = 0.1

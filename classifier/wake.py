@@ -6,8 +6,8 @@ from collections.abc import Callable
 from typing import Final
 
 from canskin.messages import UNKNOWN_OBJECT
-from skin.layout import Recognition
 from shell.service import say
+from skin.layout import Recognition
 
 #: A request is renewed after this part of its time.
 RENEW: Final = 0.5

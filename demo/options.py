@@ -7,10 +7,10 @@ from typing import Annotated, Final
 from cyclopts import Parameter
 
 from canskin.errors import InputError
-from skin.layout import Layout, require_one_state
 from shell.output import check_picture_path
 from shell.service import listen
 from shell.touch_options import NO_TOUCH_OPTIONS, TouchOptions
+from skin.layout import Layout, require_one_state
 
 
 @Parameter(name="*")

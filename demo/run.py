@@ -23,11 +23,11 @@ from demo.processor_time import ratios
 from demo.report import WORDS, Report
 from demo.score import Score
 from demo.supervisor import Supervisor
+from shell.service import StopSignal, Talk, listen, say, talks
+from shell.terminal import print_table, progress
 from skin.layout import Layout
 from skin.psnr import adds_noise
-from shell.service import StopSignal, Talk, listen, say, talks
 from skin.sources import DEFAULT_OBJECTS, known_objects
-from shell.terminal import print_table, progress
 
 DEFAULT_PORT: Final = 8765
 #: Time without touch where there are offsets, beside that in which the zero is measured.

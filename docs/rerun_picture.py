@@ -10,14 +10,14 @@ import rerun_cli
 
 from canskin.messages import BusState, Contacts, FrameCounts, GatewayStatus, Image, Label, NmtState
 from reconstructor.contacts import ContactTracker
-from views.show.painter import Painter
-from views.show.rerun_canvas import RerunCanvas
 from skin.layout import load_layout
 from skin.wall_times import Clocks
 from tests.browser import CHROMIUM, FLAGS, chromium
 from tests.processes import free_port
 from touch.contact import Grid, Pose, press
 from touch.objects import spheres_of
+from views.show.painter import Painter
+from views.show.rerun_canvas import RerunCanvas
 
 CYCLES: Final = 40
 #: From this cycle on node 6 of the first bus is silent.

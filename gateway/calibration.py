@@ -18,6 +18,8 @@ from dbc.contract import Contract
 from gateway.nmt_master import NmtMaster
 from gateway.node_writing import NodeWriting
 from gateway.temperatures import Temperatures
+from shell.output import write_file
+from shell.service import say
 from skin.calibration_file import (
     StoredCalibration,
     encoded,
@@ -27,8 +29,6 @@ from skin.calibration_file import (
     parse_calibration,
 )
 from skin.layout import Layout
-from shell.output import write_file
-from shell.service import say
 
 #: Answer to what makes no sense for boards that look after themselves.
 _ADAPTIVE: Final = (

@@ -17,10 +17,10 @@ from dbc.contract import Contract
 from gateway.adaptive_gathering import publishing_rates
 from gateway.calibration import GatewayCalibration, kept_zero
 from gateway.service import GatewayService
+from shell.service import StopSignal, say
 from skin.calibration_file import load_calibration
 from skin.description import Describing
 from skin.layout import Layout, load_layout, require_sending
-from shell.service import StopSignal, say
 
 
 def gateway(

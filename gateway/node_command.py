@@ -13,9 +13,9 @@ from bus.options import BusOptions, open_links
 from canskin.errors import InputError, RunError
 from dbc.contract import Contract
 from gateway.node_check import NodeCheck, NodeReport
-from skin.layout import Layout, load_layout, require_one_state
 from shell.service import StopSignal
 from shell.terminal import Json, print_json
+from skin.layout import Layout, load_layout, require_one_state
 
 #: Longest wait for frames in one turn.
 TURN_S: Final = 0.01

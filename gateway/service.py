@@ -17,8 +17,8 @@ from gateway.adaptive_gathering import RATES_HZ
 from gateway.calibration import GatewayCalibration
 from gateway.loop import GatewayLoop
 from shell.clock import wall_offset
-from skin.measured_sums import part_of_measurement
 from shell.service import RateLimitedLog, StopSignal, request_real_time, say
+from skin.measured_sums import part_of_measurement
 
 STATUS_PERIOD_S: Final = 0.2
 #: Longest wait for frames.

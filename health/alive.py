@@ -1,4 +1,3 @@
-#!/usr/bin/env python3
 """Health check: ``skin-alive SERVICE ENDPOINT [SKIN]`` ends with 0 if a service is on the fabric.
 
 SKIN is the name of a layout. Without SKIN a service of any skin counts, because the image does not know its layout.
@@ -44,7 +43,3 @@ def main() -> int:
     except SkinError as error:
         say("skin-alive", str(error))
         return 1
-
-
-if __name__ == "__main__":
-    sys.exit(main())

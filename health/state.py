@@ -20,9 +20,6 @@ from canskin.messages import (
     Truth,
 )
 from canskin.peers import Peer, new_peer
-from skin.ground_truth import ImagePairs, image_pairs, in_contact
-from skin.layout import Layout
-from skin.psnr import adds_noise, psnr_db
 from health.checks import fits
 from health.notices import display_name, notices
 from health.snapshot import (
@@ -41,6 +38,9 @@ from health.snapshot import (
     nodes_state,
 )
 from health.window import Window
+from skin.ground_truth import ImagePairs, image_pairs, in_contact
+from skin.layout import Layout
+from skin.psnr import adds_noise, psnr_db
 
 #: What a `ViewState` takes.
 TOPICS: Final = (IMAGE, CONTACTS, TRUTH, LABEL, GATEWAY, NODES)

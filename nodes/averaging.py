@@ -27,8 +27,8 @@ from dbc.averaging import (
     averaging_models,
 )
 from nodes.adaptive.models import Tracks, new_tracks, step
-from skin.clipping import IDLE_DEVIATION, IDLE_MEAN, ClipCorrection
 from shell.compiled import njit
+from skin.clipping import IDLE_DEVIATION, IDLE_MEAN, ClipCorrection
 
 
 class SampleFilter:

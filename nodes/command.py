@@ -15,10 +15,10 @@ from dbc.contract import Contract
 from nodes.firmware.library import Firmware
 from nodes.service import NodesService
 from nodes.ways import new_hardware
-from skin.layout import load_layout, require_one_state
 from shell.service import StopSignal, say
-from skin.taxel import NOISE_N
 from shell.touch_options import NO_TOUCH_OPTIONS, TouchOptions
+from skin.layout import load_layout, require_one_state
+from skin.taxel import NOISE_N
 
 
 def nodes(

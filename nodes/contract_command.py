@@ -15,9 +15,9 @@ from dbc.generate import (
     write_files,
 )
 from nodes.ways import vector_files
-from skin.layout import load_layout
 from shell.service import say
 from shell.terminal import Json, print_json
+from skin.layout import load_layout
 
 
 def dbc(layout: Path | None = None, *, out: Path, json: Json = False) -> None:

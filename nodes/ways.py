@@ -8,13 +8,13 @@ from dbc.contract import Contract, NodeContract
 from dbc.eds import node_name, node_types
 from dbc.generate import VECTOR_FOLDER
 from dbc.vectors import vectors_text
-from nodes.firmware.library import Firmware
 from nodes.adaptive.boards import AdaptiveBoards
 from nodes.adaptive.firmware import FirmwarePatches
 from nodes.adaptive.news import WithNews
 from nodes.adaptive.node import AdaptiveNode
 from nodes.adaptive.vectors import adaptive_vectors_text
 from nodes.electronics import Electronics
+from nodes.firmware.library import Firmware
 from nodes.hardware import Hardware
 from nodes.node import SkinNode
 from nodes.sampler import CountSampler, new_sampler

@@ -18,8 +18,8 @@ from reconstructor.bases import wavelet_basis
 from reconstructor.checks import LARGEST_N, check_grid_of, float_kind
 from reconstructor.fista import momentum
 from reconstructor.settings import SolverSettings
-from skin.clipping import ClipCorrection
 from shell.extras import not_installed
+from skin.clipping import ClipCorrection
 from skin.measurement import Sbhe, fast_hadamard
 
 #: Cycles solved ahead of each part.

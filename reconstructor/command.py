@@ -9,8 +9,8 @@ from canskin.session import DEFAULT_ENDPOINT
 from reconstructor.imaging import make_imager
 from reconstructor.options import SolverOptions
 from reconstructor.service import ReconstructorService, warm_up
-from skin.layout import load_layout
 from shell.service import StopSignal, say
+from skin.layout import load_layout
 
 #: A start that takes longer logs the reason.
 SILENT_S: Final = 4.0

@@ -12,9 +12,9 @@ from canskin.messages import CONTACTS, IMAGE, MEASUREMENT, Contacts, Image, Meas
 from canskin.sums import doubtful_taxels
 from reconstructor.contacts import ContactTracker
 from reconstructor.imaging import Imager
+from shell.service import StopSignal, request_real_time, yield_processor
 from skin.layout import Layout
 from skin.measured_sums import MeasurementReader, used_blocks
-from shell.service import StopSignal, request_real_time, yield_processor
 
 #: Period of the check of the stop signal while no measurement comes.
 PATIENCE_S: Final = 0.1

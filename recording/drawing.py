@@ -1,4 +1,4 @@
-"""Tactile images as pictures: colours and marks of the page (``views/page/static/heatmap.js``), a line of text below."""
+"""Tactile images as pictures: colours and marks of the page, a line of text below."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final

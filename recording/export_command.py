@@ -13,11 +13,11 @@ from cyclopts import Parameter
 from canskin.errors import InputError, RunError
 from nodes.firmware.export import write_firmware
 from shell.extras import not_installed
-from skin.layout import RECORDING_SUFFIX, layout_text, load_layout
-from skin.mcap_file import read_about, wall_offset_ns
 from shell.output import check_new_path, replacing
 from shell.service import say
 from shell.terminal import Json, print_json
+from skin.layout import RECORDING_SUFFIX, layout_text, load_layout
+from skin.mcap_file import read_about, wall_offset_ns
 
 if TYPE_CHECKING:
     from recording.tables import Table, Tables

@@ -16,9 +16,9 @@ from dbc.contract import Contract
 from recording.calibration import follow_calibration
 from recording.recorder import Recorder
 from recording.sinks import open_sink
-from skin.layout import Layout, load_layout
 from shell.output import check_new_path
 from shell.service import StopSignal, request_real_time, say
+from skin.layout import Layout, load_layout
 
 TOPICS: Final = (MEASUREMENT, IMAGE, CONTACTS, LABEL, GATEWAY, NODES, TRUTH)
 

@@ -9,8 +9,8 @@ from bus.link import Link, State
 from canskin.fabric import Origin
 from canskin.messages import Topic
 from recording.sinks import Sink
-from skin.mcap_file import EVENTS, RECORDER, File
 from shell.service import StopSignal, say
+from skin.mcap_file import EVENTS, RECORDER, File
 
 #: Time between two batches of frames that are read. Links keep some thousands of frames.
 TURN_S: Final = 0.05

@@ -25,11 +25,11 @@ from recording.replaying import Replay, outputs_of
 from recording.sinks import McapSink
 from recording.step_kinds import Step
 from recording.steps import steps_of
+from shell.output import check_new_path
+from shell.service import StopSignal, say
 from skin.description import Describing
 from skin.layout import RECORDING_SUFFIX, load_layout, require_one_state
 from skin.mcap_file import CALIBRATION_FILE, File, newest_file, wall_offset_ns
-from shell.output import check_new_path
-from shell.service import StopSignal, say
 from skin.sources import DEFAULT_OBJECTS
 
 

@@ -14,8 +14,8 @@ from reconstructor.imaging import Imager
 from reconstructor.service import ReconstructorService
 from recording.sinks import Sink
 from recording.step_kinds import FramesStep, MeasurementStep, MessageStep, Step
-from skin.layout import Layout
 from shell.service import StopSignal
+from skin.layout import Layout
 
 
 class Output(Protocol):

@@ -25,6 +25,7 @@ from recording.measurements import (
     StatusPace,
 )
 from recording.step_kinds import FramesStep, MeasurementStep, MessageStep, Step
+from shell.service import say
 from skin.layout import RECORDING_SUFFIX, Layout
 from skin.mcap_file import (
     FINGERPRINT,
@@ -37,7 +38,6 @@ from skin.mcap_file import (
     wall_offset_ns,
 )
 from skin.measured_sums import check_fingerprint, check_measurement
-from shell.service import say
 
 #: Longest time from a measurement to its image and label: the first label waits for compiled code.
 _ANSWERS_NS: Final = 15_000_000_000

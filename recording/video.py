@@ -9,12 +9,12 @@ import numpy as np
 
 from canskin.errors import InputError, RunError
 from canskin.messages import CONTACTS, IMAGE, LABEL, Contacts, Image, Label
+from health.state import FRESH_S
 from recording.drawing import Drawing, Picture
 from shell.extras import not_installed
+from shell.output import replacing
 from skin.layout import Layout
 from skin.mcap_file import read_messages
-from shell.output import replacing
-from health.state import FRESH_S
 
 if TYPE_CHECKING:
     from av import VideoFrame

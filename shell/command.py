@@ -42,7 +42,7 @@ VERBS: Final = {
     "record": "recording.record_command:record",
     "replay": "recording.replay_command:replay",
     "export": "recording.export_command:export",
-    "rebuild": "recording.rebuild.rebuild_command:rebuild",
+    "rebuild": "recording.rebuild_command:rebuild",
     "dbc": "nodes.contract_command:dbc",
     "contract": "nodes.contract_command:contract",
     "dbc-check": "nodes.contract_command:dbc_check",

@@ -13,8 +13,8 @@ import numpy.typing as npt
 
 from canskin.errors import InputError
 from canskin.messages import IMAGE, TRUTH
-from skin.layout import RECORDING_SUFFIX
 from shell.service import say
+from skin.layout import RECORDING_SUFFIX
 
 Counts = npt.NDArray[Any]
 

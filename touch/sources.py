@@ -7,9 +7,9 @@ from typing import Final
 import numpy as np
 
 from canskin.errors import InputError
+from shell.service import say
 from skin.layout import RECORDING_SUFFIX
 from skin.ranges import require_above_zero, require_number
-from shell.service import say
 from skin.sources import DEFAULT_OBJECTS, Frame, StrokeKind
 from skin.taxel import FORCE_MAX_N
 from touch.contact import PITCH_M, Force, Grid, Pose

@@ -12,9 +12,9 @@ from evaluation.psnr import psnr_series_db
 from evaluation.result import new_figure
 from reconstructor.engine import Reconstructor
 from reconstructor.settings import preset
+from shell.output import save_figure
 from skin.layout import load_layout
 from skin.measurement import Sbhe
-from shell.output import save_figure
 
 METHODS: Final = ("live", "variation", "spun", "paper")
 #: Of 128, drawn at random and the same for every method.

@@ -12,14 +12,14 @@ from canskin.errors import RunError
 from canskin.fabric import Fabric
 from canskin.messages import IMAGE, Image
 from demo.run import open_hub
+from shell.clock import wall_offset
+from shell.service import StopSignal
+from skin.layout import Layout, load_layout
+from skin.wall_times import CLOCKS, Clocks
 from views.ros2.bridge import Bridge
 from views.ros2.node import RosNode
 from views.ros2.reader import RosReader
 from views.ros2.topics import FORCE_IMAGE, HEAT_MAP, TAXEL_CLOUD, RosTopic
-from shell.clock import wall_offset
-from skin.layout import Layout, load_layout
-from shell.service import StopSignal
-from skin.wall_times import CLOCKS, Clocks
 
 #: Images of a round, at the rate of the default skin.
 _IMAGES: Final = 100

@@ -11,8 +11,8 @@ from nodes.adaptive.following import NoiseScale, OffsetState, ScaleSums, follow,
 from nodes.adaptive.models import Tracks, new_tracks, step
 from nodes.adaptive.noise import IdleStatistics, Noise, unclip
 from nodes.adaptive.transforms import from_haar, to_haar, to_walsh, to_walsh_variance
-from skin.clipping import DEAD_RATIO
 from shell.compiled import njit
+from skin.clipping import DEAD_RATIO
 from skin.walsh import grouped_rows, haar_matrix, walsh_matrix
 
 

@@ -10,8 +10,8 @@ from dbc.adaptive_filter import Floats
 from dbc.canopen import BASE_ID_MASK
 from dbc.contract import Contract
 from dbc.frame import ECHO, ERROR, Frames
-from nodes.firmware.library import Firmware
 from nodes.adaptive.patch_boards import PatchBoards
+from nodes.firmware.library import Firmware
 from skin.sources import TaxelSource
 
 

@@ -21,8 +21,8 @@ from dbc.adaptive_filter import (
     WINDOW,
     Floats,
 )
-from skin.clipping import IDLE_DEVIATION
 from shell.compiled import njit
+from skin.clipping import IDLE_DEVIATION
 from skin.walsh import patch_shape
 
 

@@ -7,8 +7,8 @@ import numpy.typing as npt
 
 from dbc.adaptive_filter import LEAST_NOISE_N, SPANS, UNCLIP_REACH, Floats, unclip_table
 from nodes.adaptive.transforms import to_haar
-from skin.clipping import IDLE_DEVIATION
 from shell.compiled import njit
+from skin.clipping import IDLE_DEVIATION
 from skin.walsh import patch_shape
 
 

@@ -15,7 +15,7 @@ from nodes.firmware.object_dictionary import od_header, od_source
 from nodes.firmware.tables import Build, board_header, board_source, builds
 from skin.layout import load_layout, require_one_state
 
-_SOURCES: Final = files("firmware").joinpath("c")
+_SOURCES: Final = files("nodes.firmware").joinpath("c")
 
 
 def sources(boards: Sequence[Build], *folders: str) -> dict[str, str]:

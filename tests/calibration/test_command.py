@@ -19,8 +19,8 @@ from canskin.calibration_messages import (
 )
 from canskin.errors import BusError, RunError
 from canskin.fabric import Fabric, Reply
-from skin.calibration_file import encoded, load_calibration, new_calibration, parse_calibration
 from shell.command import main
+from skin.calibration_file import encoded, load_calibration, new_calibration, parse_calibration
 from tests.calibration.helpers import LAYOUT, PHI
 
 STORED = new_calibration(LAYOUT, offsets_n=np.linspace(0, 0.1, PHI.shape[0]), gains=np.linspace(0.9, 1.1, PHI.shape[1]))

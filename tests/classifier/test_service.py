@@ -15,9 +15,9 @@ from classifier.model import Model
 from classifier.samples import simulate_sums
 from classifier.service import ClassifierService, most_waiting
 from classifier.settling import Decision
+from shell.service import StopSignal
 from skin.layout import Layout, Sync
 from skin.measurement import Sbhe
-from shell.service import StopSignal
 from tests import messages as make
 
 

@@ -11,8 +11,8 @@ import pytest
 
 from canskin.errors import InputError
 from demo.options import DemoOptions
-from skin.layout import Bus, load_layout
 from shell.touch_options import TouchOptions
+from skin.layout import Bus, load_layout
 
 LAYOUT = load_layout()
 

@@ -11,9 +11,9 @@ from canskin.calibration_messages import CALIBRATION, Question
 from canskin.description import DESCRIPTION
 from canskin.errors import InputError
 from gateway import command
+from shell.service import StopSignal
 from skin.calibration_file import encoded, new_calibration
 from skin.layout import load_layout
-from shell.service import StopSignal
 from tests.layouts import ADAPTIVE_SKIN
 
 

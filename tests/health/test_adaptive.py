@@ -6,8 +6,8 @@ import msgspec
 import pytest
 
 from canskin.messages import Image, Truth
-from skin.layout import Bus, Layout, PhiParameters, Sampling, Sync, Taxels
 from health.state import ViewState
+from skin.layout import Bus, Layout, PhiParameters, Sampling, Sync, Taxels
 from views.page.wire import greeting
 
 LAYOUT = Layout(

@@ -8,7 +8,7 @@ import pytest
 
 from canskin.fabric import Fabric
 
-SCRIPT = Path(__file__).parents[2] / "health/alive.py"
+ALIVE = str(Path(sys.executable).with_name("skin-alive"))
 
 
 @pytest.mark.heavy
@@ -18,7 +18,7 @@ SCRIPT = Path(__file__).parents[2] / "health/alive.py"
 def test_service_is_found_whatever_the_name_of_its_skin(asked: list[str], status: int, endpoint: str) -> None:
     gateway = Fabric("palm", "gateway", endpoint, hub=True, fingerprint="0123456789abcdef")
     service, *skin = asked
-    done = subprocess.run([sys.executable, str(SCRIPT), service, endpoint, *skin], capture_output=True, check=False)
+    done = subprocess.run([ALIVE, service, endpoint, *skin], capture_output=True, check=False)
     gateway.close()
     assert (done.returncode, done.stdout + done.stderr) == (status, b"")
 
@@ -26,6 +26,6 @@ def test_service_is_found_whatever_the_name_of_its_skin(asked: list[str], status
 @pytest.mark.heavy
 def test_wrong_call_and_hub_that_is_not_there_are_told(endpoint: str) -> None:
     for arguments, status, says in (([], 2, "expected SERVICE ENDPOINT"), (["gateway", endpoint], 1, "no hub at")):
-        done = subprocess.run([sys.executable, str(SCRIPT), *arguments], capture_output=True, text=True, check=False)
+        done = subprocess.run([ALIVE, *arguments], capture_output=True, text=True, check=False)
         assert done.returncode == status
         assert says in done.stderr

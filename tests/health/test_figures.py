@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from skin.psnr import psnr_db
 from health.state import ViewState
 from health.window import Window
+from skin.psnr import psnr_db
 
 
 @pytest.fixture

@@ -13,9 +13,9 @@ from nodes import command, ways
 from nodes.adaptive.boards import AdaptiveBoards
 from nodes.command import choose_nodes
 from nodes.sampler import CountSampler, Sampler
-from skin.defects import Defects
 from shell.service import StopSignal
 from shell.touch_options import NO_TOUCH_OPTIONS, TouchOptions
+from skin.defects import Defects
 
 
 def test_all_nodes_run_unless_some_are_chosen(contract: Contract) -> None:

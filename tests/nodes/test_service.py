@@ -15,9 +15,9 @@ from canskin.messages import NodesStatus, Topic, Truth
 from dbc.contract import Contract
 from dbc.frame import Frames
 from dbc.indices import OD_REFRESH
-from nodes.firmware.library import Firmware
 from nodes.adaptive.boards import AdaptiveBoards
 from nodes.electronics import Electronics
+from nodes.firmware.library import Firmware
 from nodes.sampler import CountSampler, Sampler
 from nodes.service import STATUS_PERIOD_S, NodesService
 from skin.layout import load_layout

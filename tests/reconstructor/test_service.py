@@ -21,8 +21,8 @@ from reconstructor.engine import Reconstructor
 from reconstructor.imaging import make_imager
 from reconstructor.options import SolverOptions
 from reconstructor.service import ReconstructorService
-from skin.layout import load_layout
 from shell.service import StopSignal
+from skin.layout import load_layout
 from tests.layouts import ADAPTIVE_SKIN
 from tests.messages import adaptive_measurement
 from tests.reconstructor.helpers import LAYOUT, Images, Scene, measurement

@@ -11,8 +11,8 @@ from reconstructor.imaging import make_imager
 from recording.replaying import Replay, SinkOutput
 from recording.sinks import McapSink
 from recording.steps import steps_of
-from skin.layout import load_layout
 from shell.service import StopSignal
+from skin.layout import load_layout
 
 
 class Silent(ClassifierService):

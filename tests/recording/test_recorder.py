@@ -25,9 +25,9 @@ from recording import calibration, record_command
 from recording.calibration import Changes, follow_calibration
 from recording.recorder import MOST_WAITING, Recorder
 from recording.sinks import check_log, open_sink
+from shell.service import StopSignal
 from skin.layout import parse_layout
 from skin.mcap_file import CALIBRATION_FILE, EVENTS, RECORDER, File, newest_file, read_about, read_entries
-from shell.service import StopSignal
 from tests import messages as make
 from tests.processes import free_endpoint
 from tests.recording.helpers import OFFSET_NS, FakeLink

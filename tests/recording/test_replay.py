@@ -16,16 +16,16 @@ from classifier.service import ClassifierService
 from dbc.contract import Contract
 from dbc.frame import Frames, frames
 from gateway.playback import play
-from recording.rebuild.rebuild_command import rebuild
 from reconstructor.imaging import make_imager
 from reconstructor.service import ReconstructorService
+from recording.rebuild_command import rebuild
 from recording.recorder import Recorder
 from recording.replaying import Replay, SinkOutput
 from recording.sinks import McapSink, open_sink
 from recording.step_kinds import FramesStep, MeasurementStep
 from recording.steps import steps_of
-from skin.mcap_file import File, RecordingWriter, read_about, read_entries
 from shell.service import StopSignal
+from skin.mcap_file import File, RecordingWriter, read_about, read_entries
 from tests import messages as make
 from tests.gateway.boards import small_adaptive
 from tests.messages import adaptive_measurement

@@ -10,13 +10,13 @@ import pytest
 from canskin.errors import InputError, RunError
 from canskin.messages import CONTACTS, IMAGE
 from dbc.contract import Contract
+from health.state import FRESH_S
 from recording.drawing import LINE, Drawing
 from recording.export_command import export
 from recording.sinks import McapSink
 from recording.video import TICK_S
 from tests import messages as make
 from tests.recording.helpers import OFFSET_NS
-from health.state import FRESH_S
 
 #: Times of the images; 40 ms are lost between the second and third, and 2 s before the last.
 TIMES_S = (0.0, 0.01, 0.05, 0.06, 2.06)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from tests.adaptive_skin import resting_skin
-from tests.nodes.firmware.twins import needs_compiler
 from tests.layouts import ADAPTIVE, buses, layout_toml
+from tests.nodes.firmware.twins import needs_compiler
 from tests.system.helpers import report, skin
 
 

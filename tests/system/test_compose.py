@@ -96,7 +96,7 @@ class Outside:
 
     def words(self, command: list[str]) -> list[str]:
         """Translate a command."""
-        programs = {"skin-alive": [sys.executable, str(ROOT / "health/alive.py")], "python": [sys.executable]}
+        programs = {"skin-alive": [str(Path(sys.executable).with_name("skin-alive"))], "python": [sys.executable]}
         words = [self._word(word) for word in command]
         if words[0] in IN_THE_SKIN:
             words += ["--layout", str(slow_layout(self.folder, 20))]

@@ -13,11 +13,11 @@ from canskin.messages import Measurement
 from dbc.canopen import SYNC_COB_ID
 from dbc.contract import Contract
 from dbc.frame import ECHO, Frames
-from nodes.firmware.library import Firmware
 from gateway.loop import GatewayLoop
+from nodes.firmware.library import Firmware
 from nodes.segment import Segment
-from tests.nodes.firmware.twins import CountWitness
 from tests.layouts import IDENTITIES, small_layout
+from tests.nodes.firmware.twins import CountWitness
 from tests.vcan.chain import valid
 
 #: Rates, the highest first: a slow guest does not keep the first.

@@ -21,14 +21,14 @@ from views.page.guard import LOOPBACK, Guard
 from views.page.stream import FrameStream, serve_page
 from views.page.wire import frame, greeting
 
-STATIC: Final = str(files("viewer") / "static")
+STATIC: Final = str(files("views.page") / "static")
 
 
 def build_app(feed: Feed, hosts: Collection[str] | None = LOOPBACK) -> Starlette:
     """Return the application that shows `feed`.
 
-    Paths: ``/`` the page; ``/static`` its files; ``/ws`` a greeting as text, then frames (`views.page.wire`), and the page
-    answers each frame with a text message; ``/api/state`` the snapshot as JSON; ``/healthz``.
+    Paths: ``/`` the page; ``/static`` its files; ``/ws`` a greeting as text, then frames (`views.page.wire`), and the
+    page answers each frame with a text message; ``/api/state`` the snapshot as JSON; ``/healthz``.
 
     Parameters
     ----------

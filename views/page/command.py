@@ -10,8 +10,8 @@ import uvicorn
 
 from canskin.fabric import Fabric
 from canskin.session import DEFAULT_ENDPOINT
-from skin.layout import load_layout
 from shell.service import StopSignal, listen, say
+from skin.layout import load_layout
 from views.page.app import build_app
 from views.page.feed import Feed
 from views.page.guard import LOOPBACK

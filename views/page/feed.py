@@ -7,9 +7,9 @@ import msgspec
 
 from canskin.fabric import Fabric
 from canskin.peers import Peer
-from skin.layout import Layout
 from health.snapshot import Pictures, Snapshot
 from health.state import TOPICS, ViewState
+from skin.layout import Layout
 
 
 class Feed:

@@ -11,9 +11,9 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from skin.layout import Layout
 from health.notices import NMT_WORDS
 from health.snapshot import Pictures, Snapshot
+from skin.layout import Layout
 
 
 def frame(snapshot: Snapshot, pictures: Pictures) -> bytes:

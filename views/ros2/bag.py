@@ -7,14 +7,14 @@ from tempfile import TemporaryDirectory
 from typing import Any, Final
 
 from canskin.errors import RunError
+from health.state import ViewState
+from skin.layout import Layout
+from skin.mcap_file import read_messages, wall_offset_ns
+from skin.wall_times import WallTimes
 from views.ros2.bridge import DIAGNOSTICS_S
 from views.ros2.names import Node, Qos
 from views.ros2.topics import DIAGNOSTIC_ARRAY, SKIN_TOPICS, RosTopic, Translator
 from views.ros2.types import encoded, store
-from skin.layout import Layout
-from skin.mcap_file import read_messages, wall_offset_ns
-from skin.wall_times import WallTimes
-from health.state import ViewState
 
 #: Version of the bags: that of Jazzy. Newer distributions read it, too.
 _BAG_VERSION: Final = 9

@@ -7,12 +7,12 @@ from typing import Final
 
 from canskin.calibration_messages import ANSWER_S, CALIBRATION, CalibrationReply, CalibrationRequest
 from canskin.fabric import Fabric
-from views.ros2.node import SERVICE, RosNode
-from views.ros2.topics import DIAGNOSTIC_ARRAY, ROS_TOPICS, SKIN_TOPICS, Translator
-from skin.layout import Layout
-from shell.service import LOOK_S, StopSignal
 from health.arrivals import Arrivals
 from health.state import ViewState
+from shell.service import LOOK_S, StopSignal
+from skin.layout import Layout
+from views.ros2.node import SERVICE, RosNode
+from views.ros2.topics import DIAGNOSTIC_ARRAY, ROS_TOPICS, SKIN_TOPICS, Translator
 
 #: Period of diagnostics, that of `diagnostic_updater`.
 DIAGNOSTICS_S: Final = 1.0

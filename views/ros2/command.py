@@ -7,13 +7,13 @@ from cyclopts import Parameter
 
 from canskin.fabric import Fabric
 from canskin.session import DEFAULT_ENDPOINT
+from shell.service import StopSignal, say
+from skin.layout import load_layout
 from views.ros2.bridge import TARE, Bridge
 from views.ros2.names import check_domain, check_namespace
 from views.ros2.node import SERVICE, RosNode
 from views.ros2.topics import ROS_TOPICS
 from views.ros2.types import store
-from skin.layout import load_layout
-from shell.service import StopSignal, say
 
 
 def ros2(

@@ -7,10 +7,10 @@ import numpy as np
 import numpy.typing as npt
 
 from canskin.messages import Contact
-from views.ros2.types import IMAGE, MARKERS, POINT_CLOUD, TEXT, message
+from health.state import FRESH_S
 from skin.layout import Taxels
 from skin.taxel_places import Forces, force_colours, place_m, places_m, radius_m
-from health.state import FRESH_S
+from views.ros2.types import IMAGE, MARKERS, POINT_CLOUD, TEXT, message
 
 NS: Final = 1_000_000_000
 #: `sensor_msgs/msg/PointField`: the number of a type.

@@ -4,8 +4,8 @@ from collections.abc import Iterator
 from typing import Any, Final
 
 from canskin.messages import NmtState
-from views.ros2.types import DIAGNOSTICS, message
 from health.snapshot import BusView, Snapshot
+from views.ros2.types import DIAGNOSTICS, message
 
 OK: Final = 0
 WARN: Final = 1

@@ -10,10 +10,10 @@ from typing import Any, Final
 import zenoh
 
 from canskin.session import Listener, open_client
+from shell.service import RateLimitedLog, StopSignal
 from views.ros2.names import RELIABLE, Node, attachment, gid_of, parse_attachment
 from views.ros2.topics import RosTopic
 from views.ros2.types import TRIGGER, TRIGGER_REPLY, encoded, key_type, message
-from shell.service import RateLimitedLog, StopSignal
 
 #: Where the router of a ROS network listens.
 ROUTER: Final = Listener(

@@ -8,14 +8,14 @@ import msgspec
 
 from canskin.messages import CONTACTS, GATEWAY, LABEL, Contacts, Image, Label
 from canskin.messages import IMAGE as SKIN_IMAGE
+from health.state import ViewState
+from skin.layout import Layout
+from skin.taxel_places import Grid
+from skin.wall_times import CLOCKS, Clocks, WallTimes
 from views.ros2 import content
 from views.ros2.diagnostics import diagnostics
 from views.ros2.names import RELIABLE, SENSOR_DATA, Qos
 from views.ros2.types import DIAGNOSTICS, IMAGE, MARKERS, POINT_CLOUD, TEXT
-from skin.layout import Layout
-from skin.taxel_places import Grid
-from skin.wall_times import CLOCKS, Clocks, WallTimes
-from health.state import ViewState
 
 
 class RosTopic(NamedTuple):

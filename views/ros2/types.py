@@ -3,8 +3,8 @@
 from functools import cache
 from typing import TYPE_CHECKING, Any, Final
 
-from views.ros2.names import NO_TYPE_HASH, wire_type
 from shell.extras import not_installed
+from views.ros2.names import NO_TYPE_HASH, wire_type
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore

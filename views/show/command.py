@@ -10,13 +10,13 @@ from cyclopts import Parameter
 from canskin.errors import InputError
 from canskin.fabric import Fabric
 from canskin.session import DEFAULT_ENDPOINT
+from health.arrivals import Arrivals
+from shell.service import LOOK_S, StopSignal, say
+from skin.layout import Layout, load_layout
 from views.show.foxglove_canvas import FoxgloveCanvas
 from views.show.painter import SERVICE, TOPICS, Canvas, Painter
 from views.show.rerun_canvas import RerunCanvas
 from views.show.target import foxglove_target, rerun_target
-from skin.layout import Layout, load_layout
-from shell.service import LOOK_S, StopSignal, say
-from health.arrivals import Arrivals
 
 
 def show(

@@ -8,11 +8,11 @@ import numpy as np
 
 from canskin.errors import RunError
 from canskin.messages import Contact
-from views.show.target import Address
+from health.state import FRESH_S
 from shell.extras import not_installed
 from skin.layout import Layout
 from skin.taxel_places import Forces, place_m, radius_m
-from health.state import FRESH_S
+from views.show.target import Address
 
 IMAGE: Final = "/image"
 TAXELS: Final = "/taxels"

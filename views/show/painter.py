@@ -7,11 +7,11 @@ import msgspec
 
 from canskin.messages import CONTACTS, GATEWAY, IMAGE, LABEL, Contact, Contacts, GatewayStatus, Image, Label
 from canskin.peers import Peer
+from health.snapshot import Notice
+from health.state import FRESH_S, ViewState
 from skin.layout import Layout
 from skin.taxel_places import Forces, Grid
 from skin.wall_times import CLOCKS, Clocks, WallTimes
-from health.snapshot import Notice
-from health.state import FRESH_S, ViewState
 
 #: Name of the service on the fabric.
 SERVICE: Final = "show"

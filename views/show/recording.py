@@ -4,12 +4,12 @@ from collections.abc import Callable
 from pathlib import Path
 
 from canskin.errors import RunError
-from views.show.foxglove_canvas import FoxgloveCanvas
-from views.show.painter import TOPICS, Canvas, Painter
-from views.show.rerun_canvas import RerunCanvas
 from skin.layout import Layout
 from skin.mcap_file import read_messages, wall_offset_ns
 from skin.wall_times import WallTimes
+from views.show.foxglove_canvas import FoxgloveCanvas
+from views.show.painter import TOPICS, Canvas, Painter
+from views.show.rerun_canvas import RerunCanvas
 
 
 def write_view(source: Path, path: Path, layout: Layout, for_rerun: bool, warn: Callable[[str], None]) -> int:

@@ -9,9 +9,9 @@ from bus.link import DISCARDED
 from dbc.canopen import HEARTBEAT_BASE, NMT_COB_ID, SDO_REQUEST_BASE, SYNC_COB_ID
 from dbc.contract import Contract
 from dbc.frame import ECHO, Frames
-from nodes.firmware.library import Firmware
 from nodes.adaptive.boards import AdaptiveBoards
 from nodes.adaptive.firmware import FirmwarePatches
+from nodes.firmware.library import Firmware
 from nodes.segment import Segment
 from nodes.virtual_boards import VirtualBoards
 from skin.sources import Frame, TaxelSource

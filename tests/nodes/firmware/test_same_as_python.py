@@ -13,12 +13,12 @@ from dbc.canopen import NMT_COB_ID, SDO_REQUEST_BASE, SYNC_COB_ID
 from dbc.contract import Contract
 from dbc.dictionary import dictionary
 from dbc.indices import OD_TPDO_COMMUNICATION, OD_TPDO_MAPPING, SIGNATURE_LOAD, SIGNATURE_SAVE
-from nodes.firmware.library import CompiledBoards, Firmware
 from nodes.electronics import Calibration
+from nodes.firmware.library import CompiledBoards, Firmware
 from skin.layout import Encoding, Sampling, load_layout, validated
 from tests.bus.harness import frame
-from tests.nodes.firmware.twins import Twins, needs_compiler, small_contract, windows
 from tests.layouts import buses
+from tests.nodes.firmware.twins import Twins, needs_compiler, small_contract, windows
 
 pytestmark = needs_compiler
 

@@ -17,9 +17,9 @@ from nodes.firmware.export import constants, export_files, sources
 from nodes.firmware.library import STANDARD_FLAGS, Firmware, compile_c
 from nodes.firmware.tables import builds
 from skin.layout import load_layout
+from tests.layouts import buses
 from tests.nodes.firmware.stack import HERE, STACK, compile_adapter, exported
 from tests.nodes.firmware.twins import needs_compiler, small_contract
-from tests.layouts import buses
 
 NAMES = ("default", "fd", "one-bus-12bit", "adaptive", "adaptive-fd")
 #: Bursts of random frames, and seeds.

@@ -10,8 +10,8 @@ import pytest
 
 from dbc.contract import Contract
 from dbc.frame import Frames, frames
-from nodes.firmware.library import Firmware
 from nodes.electronics import Electronics
+from nodes.firmware.library import Firmware
 from nodes.sampler import CountSampler, Sampler
 from nodes.segment import Segment
 from nodes.virtual_boards import VirtualBoards

@@ -7,8 +7,8 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from skin.layout import load_layout
 from health.state import ViewState
+from skin.layout import load_layout
 from views.page.wire import frame, greeting
 
 

@@ -20,13 +20,10 @@ from canskin.calibration_messages import CALIBRATION, CalibrationReply
 from canskin.fabric import Fabric
 from canskin.messages import CONTACTS, GATEWAY, IMAGE, LABEL, MEASUREMENT
 from canskin.messages import Topic as FabricTopic
-from views.ros2.bridge import Bridge
-from views.ros2.names import RELIABLE, SENSOR_DATA
-from views.ros2.node import RosNode
-from views.ros2.topics import ROS_TOPICS, Translator
-from views.ros2.types import TRIGGER, key_type
+from health.state import ViewState
 from skin.wall_times import Clocks, WallTimes
 from tests import messages as make
+from tests.health.helpers import Messages
 from tests.views.ros2.reader import (
     PATIENCE_S,
     TYPE_HASHES,
@@ -42,8 +39,11 @@ from tests.views.ros2.reader import (
     publish,
     time_ns,
 )
-from tests.views.page.conftest import Messages
-from health.state import ViewState
+from views.ros2.bridge import Bridge
+from views.ros2.names import RELIABLE, SENSOR_DATA
+from views.ros2.node import RosNode
+from views.ros2.topics import ROS_TOPICS, Translator
+from views.ros2.types import TRIGGER, key_type
 
 WALL_NS = 1_700_000_000_000_000_000
 SAMPLED_NS = 1_000_000_000

@@ -8,12 +8,12 @@ import numpy as np
 
 from canskin.fabric import Fabric
 from canskin.messages import IMAGE
+from skin.wall_times import CLOCKS, Clocks
+from tests.health.helpers import Messages
+from tests.views.ros2.reader import PATIENCE_S, publish
 from views.ros2.bridge import Bridge
 from views.ros2.node import RosNode
 from views.ros2.topics import FORCE_IMAGE
-from skin.wall_times import CLOCKS, Clocks
-from tests.views.ros2.reader import PATIENCE_S, publish
-from tests.views.page.conftest import Messages
 
 CODE = re.findall(r"```python\n(.*?)```", Path("docs/ros2.md").read_text(), re.DOTALL)
 

@@ -3,9 +3,9 @@
 import pytest
 
 from canskin.errors import InputError
+from shell.command import main
 from views.ros2.names import check_domain, check_namespace, parse_attachment
 from views.ros2.types import IMAGE, key_type
-from shell.command import main
 
 
 @pytest.mark.parametrize(("environment", "given", "domain"), [(None, None, 0), ("42", None, 42), ("42", 7, 7)])

@@ -5,13 +5,13 @@ import numpy as np
 import pytest
 
 from canskin.calibration_messages import CalibrationState, CalibrationStatus
+from health.state import ViewState
+from skin.taxel_places import Grid
+from skin.wall_times import WallTimes
+from tests.health.helpers import Messages
 from views.ros2.content import contact_markers, header
 from views.ros2.diagnostics import diagnostics
 from views.ros2.topics import FORCE_IMAGE, HEAT_MAP, TAXEL_CLOUD, Translator
-from skin.taxel_places import Grid
-from skin.wall_times import WallTimes
-from tests.views.page.conftest import Messages
-from health.state import ViewState
 
 
 def test_an_image_without_readers_is_not_computed(messages: Messages, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -18,13 +18,13 @@ from canskin.errors import InputError
 from canskin.fabric import Fabric
 from canskin.messages import CONTACTS, IMAGE
 from recording.export_command import export
+from shell.service import StopSignal
+from skin.wall_times import CLOCKS, Clocks
+from tests.health.helpers import Messages
+from tests.recording.helpers import COUNT, OFFSET_NS, SET_NS, pixels
 from views.show.command import draw_live
 from views.show.foxglove_canvas import FoxgloveCanvas
 from views.show.target import Address
-from shell.service import StopSignal
-from skin.wall_times import CLOCKS, Clocks
-from tests.recording.helpers import COUNT, OFFSET_NS, SET_NS, pixels
-from tests.views.page.conftest import Messages
 
 
 def decoded(schema: Any, data: bytes) -> Any:

@@ -10,11 +10,11 @@ import pytest
 from canskin.fabric import Fabric
 from canskin.messages import Contact
 from canskin.peers import new_peer
-from views.show.command import draw_live
-from views.show.painter import Painter
 from shell.service import StopSignal
 from skin.wall_times import Clocks
-from tests.views.page.conftest import Messages
+from tests.health.helpers import Messages
+from views.show.command import draw_live
+from views.show.painter import Painter
 
 WALL_NS = 1_700_000_000_000_000_000
 

@@ -15,12 +15,12 @@ from canskin.errors import RunError
 from canskin.fabric import Fabric
 from canskin.messages import CONTACTS, GATEWAY, IMAGE, LABEL
 from recording.export_command import export
-from views.show.command import draw_live
-from views.show.rerun_canvas import RerunCanvas
 from shell.service import StopSignal
 from skin.wall_times import CLOCKS, Clocks
+from tests.health.helpers import Messages
 from tests.recording.helpers import COUNT, OFFSET_NS, SET_NS, pixels
-from tests.views.page.conftest import Messages
+from views.show.command import draw_live
+from views.show.rerun_canvas import RerunCanvas
 
 
 def rows_of(path: Path, entity: str) -> list[dict[str, Any]]:

@@ -1,14 +1,11 @@
-"""Messages of a small skin, and a hub to send them through."""
+"""Messages of a small skin."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import msgspec
 import numpy as np
 import numpy.typing as npt
-import pytest
 
-from canskin.fabric import Fabric
 from canskin.messages import Contacts, FrameCounts, GatewayStatus, Image, Label, NodesStatus, Truth
 from skin.layout import Layout
 from tests import messages as make
@@ -111,15 +108,3 @@ class Messages:
 
     def nodes(self, process: str = "nodes") -> NodesStatus:
         return make.nodes_status(process, frames_sent=160)
-
-
-@pytest.fixture
-def messages() -> Messages:
-    return Messages()
-
-
-@pytest.fixture
-def hub(endpoint: str, messages: Messages) -> Iterator[Fabric]:
-    fabric = Fabric(messages.layout.name, "gateway", endpoint, hub=True)
-    yield fabric
-    fabric.close()

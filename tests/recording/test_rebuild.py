@@ -13,10 +13,10 @@ from dbc.contract import Contract
 from dbc.packing import packing
 from nodes.electronics import Electronics
 from nodes.sampler import Sampler
-from recording.rebuild import rebuild_command
-from recording.rebuild.rebuild_command import rebuild
 from reconstructor.engine import Reconstructor
 from reconstructor.options import SolverOptions
+from recording import rebuild_command
+from recording.rebuild_command import rebuild
 from skin.layout import layout_text
 from tests.layouts import buses, layout_toml, small_layout, with_identity
 from tests.recording.helpers import CYCLES, SMALL, START_S, message, messages, write_log
@@ -329,7 +329,7 @@ def test_a_full_disk_leaves_no_half_file(
         raise OSError(28, "No space left on device")
 
     np.save(tmp_path / "mat.npy", force_n)
-    monkeypatch.setattr("recording.rebuild.image_file.np.savez", full)
+    monkeypatch.setattr("recording.image_file.np.savez", full)
     with pytest.raises(RunError, match="cannot be written: No space left"):
         rebuild(tmp_path / "mat.npy", out=out, layout=layout_file)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["mat.npy", "small.toml"]

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from canskin.errors import InputError, RunError
-from recording.rebuild.cycles import Cycles
+from recording.cycles import Cycles
 from shell.output import check_new_path, replacing
 
 

@@ -1,7 +1,7 @@
 """The newest messages wait, and no others."""
 
-from tests.messages import label
 from health.arrivals import Newest
+from tests.messages import label
 
 
 def test_only_the_newest_message_of_a_topic_waits() -> None:

@@ -17,16 +17,16 @@ from calibration.recorded import RecordedOffsets
 from canskin.errors import InputError, RunError
 from canskin.messages import FrameCounts
 from dbc.contract import Contract
-from recording.rebuild.cycles import Cycles, decode_log, measure_forces
-from recording.rebuild.image_file import check_out, save_images
 from reconstructor.array_api import BatchSolver, gpu_library
 from reconstructor.engine import Reconstructor
 from reconstructor.options import SolverOptions
+from recording.cycles import Cycles, decode_log, measure_forces
+from recording.image_file import check_out, save_images
 from recording.steps import frames_of_log
-from skin.layout import RECORDING_SUFFIX, load_layout, require_one_state, require_sending
 from shell.service import say
 from shell.terminal import progress
 from shell.touch_options import ArrayNames, FullScale
+from skin.layout import RECORDING_SUFFIX, load_layout, require_one_state, require_sending
 
 #: ``--calibration none``: take nothing off.
 NO_CALIBRATION: Final = Path("none")

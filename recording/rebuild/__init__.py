@@ -1,1 +1,0 @@
-"""The images of a whole recording or CAN log, in one file."""
