@@ -193,7 +193,7 @@ def test_service_comes_alive_and_ends_quietly(
     save_model(model, out)
     alive = threading.Event()
     hub.watch(lambda name, there: alive.set() if there and name == "classifier" else None)
-    command = [sys.executable, "-c", "from skin.command import main; main()", "classify"]
+    command = [sys.executable, "-m", "skin", "classify"]
     options = ["--layout", str(small), "--model", str(out), "--connect", endpoint]
     process = subprocess.Popen([*command, *options], stderr=subprocess.PIPE, text=True, env=dict(os.environ))
     try:

@@ -81,7 +81,6 @@ def order(name: str) -> tuple[bool, bool, str]:
     ("arguments", "said"),
     [
         (["dbc"], "--out"),
-        (["dbc", "--check"], "'skin dbc --check' is 'skin dbc-check' now"),
         (["dbc-check", "fd"], "expected --files FOLDER"),
         (["dbc-check", "--files", "nowhere"], "nowhere: cannot read the contract files: No such file"),
         (["dbc", "nowhere.toml", "--out", "x"], "nowhere.toml: cannot read the layout"),
