@@ -141,7 +141,7 @@ class FollowedZero:
             follower,
             support=support,
             references=np.isin(np.arange(taxels.count), taxels.untouchable or ()),
-            follows=layout.sending == "synchronous",
+            follows=not layout.sends.boards_keep_zero,
         )
         self.doubt = Doubt(taxels.count, taxels.force_max_n, length_ns * 1e-9)
         self.support = Support(phi, known, support, time_ns)

@@ -44,9 +44,6 @@ _ANSWERS_NS: Final = 15_000_000_000
 #: Played as they were recorded. Images and contacts, measurements and labels are made anew.
 _AS_RECORDED: Final = {topic.name: topic for topic in (GATEWAY, NODES, TRUTH)}
 
-#: Adds a step: `_Recorded._add`.
-_Add = Callable[..., None]
-
 
 def steps_of(
     path: Path,

@@ -1,1 +1,1 @@
-"""Shared definitions: layout, measurement operator, taxel model, messages, fabric, and the ``skin`` command."""
+"""What a skin is: layout, taxels and their errors, measurement operator, ground truth."""
