@@ -96,7 +96,6 @@ def plan_adaptive(
 
     Parameters
     ----------
-    contract : Contract
     allowed : Disturbance, optional
         Disturbances that times include; `jitter_s` is the longest time from a sample until its frame is queued.
     budget_bits_per_s : int

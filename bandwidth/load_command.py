@@ -68,13 +68,7 @@ def load(
 
 
 def _listen(layout: Layout, options: BusOptions, seconds: float) -> dict[int, Frames]:
-    """Return the frames of the live buses; a stop signal ends the program before the measurement, else the measurement.
-
-    Raises
-    ------
-    RunError
-        If frames were lost between bus and program.
-    """
+    """Return the frames of the live buses; a stop signal before the measurement ends the program."""
     links = open_links(layout, options, name="load")
     stop = StopSignal().install()
     try:

@@ -144,13 +144,7 @@ def _read_recording(path: Path, warn: Callable[[str], None]) -> dict[str, Frames
 
 
 def _check(message: can.Message) -> None:
-    """Refuse impossible frames, and set the length of a classic frame whose DLC is above 8.
-
-    Raises
-    ------
-    ValueError
-        If the frame is impossible.
-    """
+    """Refuse impossible frames, and set the length of a classic frame whose DLC is above 8."""
     longest = 64 if message.is_fd else 8
     if not 0 <= message.timestamp <= _LATEST_S:
         raise ValueError(f"a time of {message.timestamp:g} s")

@@ -126,7 +126,6 @@ def measure(contract: Contract, bus: int, seen: Frames, planned: Planned) -> Bus
     ----------
     seen : array of FRAME
         In bus order, with times.
-    planned : Planned
 
     Raises
     ------

@@ -94,7 +94,6 @@ def plan(contract: Contract, *, allowed: Disturbance | None = None) -> list[BusP
 
     Parameters
     ----------
-    contract : Contract
     allowed : Disturbance, optional
         Disturbances that response times include.
     """

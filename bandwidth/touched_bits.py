@@ -27,7 +27,6 @@ def touched_bits(contract: Contract, *, samples: int = SAMPLES, seed: int = 0) -
 
     Parameters
     ----------
-    contract : Contract
     samples : int
         Number of steps of the simulated touches to average.
     seed : int

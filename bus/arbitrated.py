@@ -192,15 +192,7 @@ class ArbitratedLink(ReconnectingLink):
                 raise Stopped
 
     def _connect(self) -> socket.socket:
-        """Connect and send HELLO.
-
-        Raises
-        ------
-        OSError
-            If no process serves the bus.
-        BusError
-            If the bus refuses.
-        """
+        """Connect and send HELLO."""
         connection = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         try:
             connection.settimeout(GREETING_S)

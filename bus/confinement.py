@@ -22,7 +22,6 @@ class Confinement:
 
     Parameters
     ----------
-    bitrate : int
     restart_s : float
         Time that a bus-off controller waits before its recovery begins.
     """

@@ -63,7 +63,6 @@ class FaultSchedule:
 
     Parameters
     ----------
-    faults : sequence of Fault
     seed : int
         The same seed and the same frames give the same faults.
     """

@@ -38,7 +38,6 @@ class ArbitratedBus(can.BusABC):
     ----------
     channel : str
         Name of the bus.
-    can_filters : filters of python-can, optional
     bitrate, data_bitrate : int, optional
         The bus refuses other bit rates than its own.
     fd : bool
@@ -96,7 +95,6 @@ class ArbitratedBus(can.BusABC):
 
         Parameters
         ----------
-        msg : can.Message
         timeout : float, optional
             Longest wait for space in the transmit queue, seconds; default: no wait.
 

@@ -56,13 +56,7 @@ class ReconnectingLink(ABC):
 
     @abstractmethod
     def _connect(self) -> socket.socket:
-        """Open and set up a socket.
-
-        Raises
-        ------
-        OSError, BusError
-            If that fails.
-        """
+        """Open and set up a socket."""
 
     def fileno(self) -> int:
         """Return a file descriptor that is readable while frames wait."""

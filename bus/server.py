@@ -320,13 +320,7 @@ class BusServer:
 
 
 def _listen(path: Path, channel: str) -> socket.socket:
-    """Open the socket of a bus; a socket without a server is replaced.
-
-    Raises
-    ------
-    BusError
-        If another process serves the bus.
-    """
+    """Open the socket of a bus; a socket without a server is replaced."""
     listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     listener.setblocking(False)
     try:
@@ -355,13 +349,7 @@ def _remove_stale(path: Path, channel: str) -> None:
 
 
 def _own_folder(folder: Path) -> None:
-    """Make the folder of the sockets, or check that no other user can write to it.
-
-    Raises
-    ------
-    BusError
-        If the folder belongs to another user, or other users can write to it.
-    """
+    """Make the folder of the sockets, or check that no other user can write to it."""
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     status = folder.stat()
     if status.st_uid != os.getuid() or status.st_mode & 0o022:

@@ -33,7 +33,6 @@ class SimulatedBus:
     ----------
     bitrate, data_bitrate : int
         Bits per second in the nominal and in the data phase.
-    faults : sequence of Fault
     seed : int
         The same seed and the same submissions give the same events.
     restart_s : float

@@ -208,13 +208,7 @@ class SocketCanLink(ReconnectingLink):
             return None
 
     def _connect(self) -> socket.socket:
-        """Open and bind a new socket.
-
-        Raises
-        ------
-        OSError
-            If this fails, the interface is down, or it carries no CAN FD although `fd` is set.
-        """
+        """Open and bind a new socket."""
         if sys.platform != "linux" or not hasattr(socket, "AF_CAN"):
             raise OSError(errno.EAFNOSUPPORT, "no CAN sockets on this system")
         _require(self._channel, fd=self._fd)
@@ -271,13 +265,7 @@ def _require(channel: str, *, fd: bool) -> None:
 
 
 def _kind(channel: str) -> str:
-    """Return the kind of an interface, such as vcan, from the kernel (rtnetlink(7)); "" for one without kind.
-
-    Raises
-    ------
-    OSError
-        If the kernel does not answer.
-    """
+    """Return the kind of an interface, such as vcan, from the kernel (rtnetlink(7)); "" for one without kind."""
     asked = struct.pack(
         "=IHHIIBxHiII", 32, _RTM_GETLINK, _NLM_F_REQUEST, 1, 0, 0, 0, socket.if_nametoindex(channel), 0, 0
     )

@@ -62,7 +62,6 @@ class ClippedNoise:
 
     Parameters
     ----------
-    phi : Sbhe
     clips : bool
         Nodes that average undo the clipping themselves; an analogue front end clips no taxel.
 
@@ -91,12 +90,7 @@ class ClippedNoise:
 
 
 class Corrections:
-    """What measurements carry of the zero: offsets, which sums are usable, and which taxels are doubtful.
-
-    Parameters
-    ----------
-    layout : Layout
-    """
+    """What measurements carry of the zero: offsets, which sums are usable, and which taxels are doubtful."""
 
     def __init__(self, layout: Layout) -> None:
         self._is_own = not layout.sends.boards_keep_zero
@@ -151,7 +145,6 @@ class Calibrator:
 
     Parameters
     ----------
-    layout : Layout
     offsets_n : array, shape (m,), optional
         Stored offsets, newtons; NaN for unknown ones.
     tares : bool

@@ -53,7 +53,6 @@ class DefectFinder:
 
     Parameters
     ----------
-    phi : Sbhe
     columns : int
         Of the grid of taxels.
     least_n : float

@@ -30,10 +30,8 @@ class Doubt:
 
     Parameters
     ----------
-    taxels : int
     force_max_n : float
         End of the range.
-    window_s : float
 
     Attributes
     ----------

@@ -68,7 +68,6 @@ class FieldFinder:
 
     Parameters
     ----------
-    phi : Sbhe
     rows, columns : int
         Powers of two, 8 to 256.
 

@@ -36,12 +36,10 @@ class Support:
 
     Parameters
     ----------
-    phi : Sbhe
     known : array of bool, shape (m,)
         Sums that have a zero.
     support : ZeroSupport
         Of their blocks.
-    time_ns : int
 
     Attributes
     ----------
@@ -79,8 +77,6 @@ class FollowedZero:
 
     Parameters
     ----------
-    layout : Layout
-    finder : FieldFinder
     temperature : TemperatureModel
         It is kept from zero to zero.
     length_ns : int

@@ -22,8 +22,6 @@ def stored_gains(skin: Layout, path: Path, force_n: float | None, before: Path |
 
     Parameters
     ----------
-    skin : Layout
-    path : pathlib.Path
     force_n : float or None
         The force of the weight; None for a table.
     before : pathlib.Path, optional
@@ -70,13 +68,7 @@ def stored_gains(skin: Layout, path: Path, force_n: float | None, before: Path |
 
 
 def _gains_before(skin: Layout, path: Path, before: Path | None) -> Floats:
-    """Return the gains that the nodes took off while a weight was rolled, shape (n,); 1 if nothing tells them.
-
-    Raises
-    ------
-    InputError
-        If the file with them cannot be used, or has none.
-    """
+    """Return the gains that the nodes took off while a weight was rolled, shape (n,); 1 if nothing tells them."""
     gains = load_calibration(before or path, skin).gains
     if gains:
         say("calibration", f"times the gains that the nodes took off meanwhile, of {(before or path).name}")

@@ -71,7 +71,6 @@ def find_gains(phi: Sbhe, sums_n: Floats, images_n: Images, force_n: float, *, i
 
     Parameters
     ----------
-    phi : Sbhe
     sums_n : array, shape (cycles, m)
         Sums less their offsets, newtons; all of them valid.
     images_n : array, shape (cycles, rows, columns)

@@ -71,11 +71,9 @@ def calibrated_cycles(
 
     Parameters
     ----------
-    layout : Layout
     counts : array of int32, shape (cycles, m)
     valid : array of bool, shape (cycles, blocks)
     time_ns : array of int64, shape (cycles,)
-    calibrator : OffsetSource
     """
     phi = layout.phi()
     corrected, whole = np.empty_like(counts), np.empty_like(valid)

@@ -18,7 +18,6 @@ class RecordedOffsets:
     ----------
     path : pathlib.Path
         Recording.
-    layout : Layout
 
     Raises
     ------

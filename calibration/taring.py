@@ -46,7 +46,6 @@ class Taring:
 
     Parameters
     ----------
-    finder : FieldFinder
     least_noise_n : float
         No noise is taken to be less.
 
@@ -78,7 +77,6 @@ class Taring:
 
         Parameters
         ----------
-        window : Window
         before_n : array, shape (m,), optional
             The zero up to now, NaN for unknown sums.
         settled : array of bool, shape (n,)

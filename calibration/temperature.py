@@ -24,10 +24,6 @@ LEAST_EXPLAINED: Final = 0.7
 class TemperatureModel:
     """Learns how the zero follows the temperature.
 
-    Parameters
-    ----------
-    blocks : int
-
     Attributes
     ----------
     newton_per_k : float

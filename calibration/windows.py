@@ -84,7 +84,6 @@ class WindowMeans:
         m.
     period_s : float
         From cycle to cycle.
-    newton_per_count : float
     """
 
     def __init__(self, sums: int, period_s: float, newton_per_count: float) -> None:

@@ -68,9 +68,6 @@ class Zero:
 
     Parameters
     ----------
-    phi : Sbhe
-    rows, columns : int
-    finder : FieldFinder
     references : array of bool, shape (n,)
         Taxels that nothing can touch.
     follower : DriftFollower

@@ -19,7 +19,6 @@ def confidence_slope(machine: DagSvm, features: Float64, names: npt.NDArray[np.s
 
     Parameters
     ----------
-    machine : DagSvm
     features : array, shape (count, features)
         Observations that were not in the training.
     names : array, shape (count,)

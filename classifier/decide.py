@@ -26,7 +26,6 @@ class Classifier:
 
     Parameters
     ----------
-    model : Model
     phi : Sbhe
         The Φ of the model.
     settling : float

@@ -53,12 +53,7 @@ def fit_factors(sums: Float64) -> Factors:
 
 
 class Completion:
-    """Estimates missing sums.
-
-    Parameters
-    ----------
-    factors : Factors
-    """
+    """Estimates missing sums."""
 
     def __init__(self, factors: Factors) -> None:
         sums, count = factors.loadings.shape

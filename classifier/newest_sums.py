@@ -29,7 +29,6 @@ class NewestSums:
 
     Parameters
     ----------
-    phi : Sbhe
     cycles : int
         More than one: exponentially weighted means, as quiet as plain means of `cycles` cycles. An old mean fades in
         cycles without sums, too.

@@ -18,8 +18,6 @@ class Observer:
 
     Parameters
     ----------
-    phi : Sbhe
-    rows, columns : int
     no_touch : array, shape (4, widths)
         See `classifier.model`.
     means : bool

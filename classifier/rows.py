@@ -72,7 +72,6 @@ def with_chosen_rows(
     force_n : array, shape (touches, rows, columns)
         True forces in newtons.
     labels : array, shape (touches,)
-    count : int
     noise_n : float
         Standard deviation of the taxel noise.
     seed : int

@@ -125,8 +125,6 @@ class FeatureExtractor:
 
     Parameters
     ----------
-    layout : Layout
-    phi : Sbhe
     no_touch : array, shape (4, widths)
     """
 

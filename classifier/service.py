@@ -86,9 +86,6 @@ class ClassifierService(_Service):
 
     Parameters
     ----------
-    classifier : Classifier
-    layout : Layout
-    fabric : Exchange
     wake : callable
         Called with each label.
     keeps_time : bool
@@ -142,11 +139,6 @@ class AdaptiveClassifierService(_Service):
     While no measurement comes, the newest stands, so a label settles as quickly on a skin that has nothing to send. The
     gateway publishes at least every 0.1 s: after `FORGET_CYCLES` periods without a measurement nothing is labelled.
 
-    Parameters
-    ----------
-    classifier : Classifier
-    layout : Layout
-    fabric : Exchange
     """
 
     def __init__(self, classifier: Classifier, layout: Layout, fabric: Exchange) -> None:

@@ -104,8 +104,6 @@ def train(
         True forces in newtons; noise is added here.
     labels : sequence of str, shape (count,)
         Name of the touching object.
-    options : TrainingOptions, optional
-    progress : callable, optional
 
     Raises
     ------

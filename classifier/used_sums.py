@@ -63,7 +63,6 @@ class CoarseSums:
             Forces with and without noise, newtons.
         least_n : array of float32, shape (count, 1)
             What is below counts as noise.
-        phi : Sbhe
         """
         signal_n[(signal_n < least_n) | _beside(true_n > least_n, phi)] = 0
 

@@ -18,7 +18,6 @@ class Wake:
 
     Parameters
     ----------
-    state : Recognition
     ask : callable
         Asks the gateway for images, for a time in seconds; may block. Errors are logged once until a request works.
     clock : callable, optional

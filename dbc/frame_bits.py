@@ -50,7 +50,6 @@ def wire_bits(frames: Frames, stuffing: Stuffing = "exact") -> tuple[Bits, Bits]
     ----------
     frames : array of FRAME, shape (n,)
         ERROR records count 0 bits: they are reports, not frames.
-    stuffing : {"none", "worst", "exact"}
 
     Returns
     -------
@@ -96,7 +95,6 @@ def frame_time_ns(
     frames : array of FRAME, shape (n,)
     bitrate, data_bitrate : int
         Bits per second; without `data_bitrate` the whole frame has `bitrate`.
-    stuffing : {"none", "worst", "exact"}
 
     Returns
     -------

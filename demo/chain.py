@@ -30,8 +30,6 @@ class Nodes:
 
     Parameters
     ----------
-    layout : Layout
-    source : TaxelSource
     seed : int
         Of the sensors' noise.
     clock_ns : callable, optional
@@ -86,7 +84,6 @@ class Receivers:
 
     Parameters
     ----------
-    layout : Layout
     model : Model, optional
         Of the labels.
 

@@ -18,7 +18,6 @@ def save_picture(snapshot: Snapshot, peak_n: float, path: Path, *, noisy: bool =
 
     Parameters
     ----------
-    snapshot : Snapshot
     peak_n : float
         End of the taxels' range, the peak of the PSNR.
     path : pathlib.Path

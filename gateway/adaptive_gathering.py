@@ -79,10 +79,8 @@ class AdaptiveGathering:
 
     Parameters
     ----------
-    contract : Contract
     masters : mapping of int to NmtMaster
         By number of the bus: they ask nodes for groups that are missing.
-    now_s : float
     rates_hz : tuple of float
         Most measurements in a second, when there is news, and least, see `publishing_rates`.
     """

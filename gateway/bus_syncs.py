@@ -35,7 +35,6 @@ class BusSyncs:
 
         Parameters
         ----------
-        counter, due_ns : int
         period_s : float or None
             Time to the next SYNC; None: as before.
         rests : bool

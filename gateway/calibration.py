@@ -58,7 +58,6 @@ class GatewayCalibration:
 
     Parameters
     ----------
-    contract : Contract
     stored : StoredCalibration, optional
         What is used until the zero is measured.
     tares : bool
@@ -108,13 +107,7 @@ class GatewayCalibration:
             reply(CalibrationReply(is_done=False, text=str(error)))
 
     def _checked(self, request: CalibrationRequest) -> StoredCalibration | None:
-        """Return the calibration in a request.
-
-        Raises
-        ------
-        InputError
-            If it cannot be used, too many requests wait, or the region of a tare is not on the skin.
-        """
+        """Return the calibration in a request."""
         if len(self._requests) + len(self._taring) >= MOST_REQUESTS:
             raise InputError(f"{MOST_REQUESTS} requests wait for an answer: ask again later")
         layout = self._contract.layout
@@ -223,13 +216,7 @@ class GatewayCalibration:
             self._answer(reply, str(error), is_done=False)
 
     def _tare(self, request: CalibrationRequest, reply: Reply, now_s: float) -> None:
-        """Begin to measure the zero.
-
-        Raises
-        ------
-        InputError
-            If that of something else is being measured.
-        """
+        """Begin to measure the zero."""
         wanted = request.force, request.region
         if self._taring and wanted != self._wanted:
             raise InputError("another tare is under way: ask again when it has ended")
@@ -238,13 +225,7 @@ class GatewayCalibration:
         self._wanted, self._tare_until_s = wanted, now_s + PATIENCE_S
 
     def _load(self, stored: StoredCalibration, reply: Reply) -> None:
-        """Use a calibration.
-
-        Raises
-        ------
-        InputError
-            If there is nothing to use, or boards have their own zero.
-        """
+        """Use a calibration."""
         offsets_n = stored.required_offsets_n("calibration")
         if self._boards_keep_zero:
             raise InputError(_ADAPTIVE)
@@ -253,13 +234,7 @@ class GatewayCalibration:
         self._answer(reply, until if self._tares else "in use", is_done=True)
 
     def _write(self, stored: StoredCalibration, reply: Reply, masters: Mapping[int, NmtMaster], now_s: float) -> None:
-        """Begin to write a calibration to the nodes.
-
-        Raises
-        ------
-        InputError
-            If there is nothing to write, or the nodes are being written to.
-        """
+        """Begin to write a calibration to the nodes."""
         if self._writing is not None:
             raise InputError("the nodes are being written to: wait for the end of that")
         if self._contract.layout.taxels.is_analogue:
@@ -327,8 +302,6 @@ def kept_zero(path: Path, layout: Layout, stored: StoredCalibration | None) -> S
 
     Parameters
     ----------
-    path : pathlib.Path
-    layout : Layout
     stored : StoredCalibration or None
         What is used without a zero from before; its gains are used with one, too.
     """

@@ -11,10 +11,6 @@ LATEST: Final = 0.5
 class SyncClock:
     """The times of the SYNCs.
 
-    Parameters
-    ----------
-    period_s : float
-
     Attributes
     ----------
     period_s : float

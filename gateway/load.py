@@ -15,7 +15,6 @@ class LoadMeter:
     ----------
     wires : Bus
         Bit rates.
-    now_s : float
     """
 
     def __init__(self, wires: Bus, now_s: float) -> None:

@@ -55,7 +55,6 @@ class GatewayLoop:
 
     Parameters
     ----------
-    contract : Contract
     sends : mapping of int to callable
         Sends frames, by number of the bus.
     now_s : float

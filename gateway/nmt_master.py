@@ -183,7 +183,6 @@ class NmtMaster:
 
     Parameters
     ----------
-    contract : Contract
     bus : int
         Number of the bus in the layout.
     send : callable

@@ -102,13 +102,6 @@ class NodeCheck:
 
     The node is left pre-operational, with the test patterns that it had.
 
-    Parameters
-    ----------
-    contract : Contract
-    node : NodeContract
-    send : callable
-    now_s : float
-
     Attributes
     ----------
     report : NodeReport

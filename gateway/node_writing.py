@@ -24,13 +24,11 @@ class NodeWriting:
 
     Parameters
     ----------
-    contract : Contract
     masters : mapping of int to NmtMaster
         By number of the bus. Their SDO dialogues are used, one at a time with a node.
     gains, offsets : array, shape (n,), or None
         Row-major: the factor that a node applies to a taxel's counts, and what the node adds then, whole counts that
         fit int16; None leaves what the nodes have.
-    now_s : float
     """
 
     def __init__(

@@ -42,7 +42,6 @@ class Playback:
 
     Parameters
     ----------
-    contract : Contract
     buses : collection of int
         Numbers of the recorded buses. Blocks of other buses are not valid.
     start_ns : int
@@ -202,7 +201,6 @@ class AdaptivePlayback:
 
     Parameters
     ----------
-    contract : Contract
     buses : collection of int
         Numbers of the recorded buses.
 
@@ -287,7 +285,6 @@ def play(contract: Contract, logged: Mapping[int, Frames], calibrator: Calibrato
 
     Parameters
     ----------
-    contract : Contract
     logged : mapping of int to Frames
         Frames by the number of their bus, in the order of the log.
     calibrator : Calibrator, optional

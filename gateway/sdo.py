@@ -66,12 +66,10 @@ class SdoDialogue:
 
     Parameters
     ----------
-    node_id : int
     steps : generator
         The dialogue; a failed transfer raises `SdoError` inside the generator.
     send : callable
         Sends a frame: COB-ID and data.
-    now_s : float
 
     Attributes
     ----------

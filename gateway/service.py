@@ -43,10 +43,8 @@ class GatewayService:
 
     Parameters
     ----------
-    contract : Contract
     links : mapping of int to Link
         By number of the bus.
-    fabric : Publisher
     calibration : GatewayCalibration, optional
         Without it measurements have no offsets.
     rates_hz : tuple of float

@@ -69,7 +69,6 @@ class StateSwitch:
 
         Parameters
         ----------
-        hold_s : float
         is_counted : bool
             False for what is not part of `switches` and `switch_s`.
         """

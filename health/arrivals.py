@@ -42,7 +42,6 @@ class Arrivals:
     ----------
     fabric : Fabric
         Of the skin.
-    topics : iterable of Topic
     """
 
     def __init__(self, fabric: Fabric, topics: Iterable[Topic]) -> None:

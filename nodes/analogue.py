@@ -28,7 +28,6 @@ class AnalogueElectronics(Electronics):
         Standard deviation of the noise of a taxel, newtons.
     seed : int
         Same seed, same noise.
-    defects : Defects
 
     Raises
     ------
@@ -83,7 +82,6 @@ class AnalogueElectronics(Electronics):
             True forces at `step`.
         later_n : array of float32, shape (rows, columns), optional
             True forces at the next step, where sums are read one after the other.
-        step : int
         """
         self.prepare(force_n, step)
         self.sampled_ahead = -1

@@ -20,7 +20,6 @@ class Burst:
 
     Parameters
     ----------
-    contract : Contract
     tpdos : list of (int, NodeContract, LiveTpdo)
         Place of the node in the segment, the node, and the PDO.
     """

@@ -53,7 +53,6 @@ class Electronics(Calibration):
         Standard deviation of the sensor noise in newtons.
     seed : int
         Same seed, same noise.
-    defects : Defects
     period_s : float
         Time between two steps of the touch, the period of SYNC; drift, damper, creep and SYNCs without counter need it.
     samples : int

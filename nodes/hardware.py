@@ -17,13 +17,7 @@ NEVER_S = float("inf")
 
 
 class Hardware(ABC):
-    """The electronics of the boards of a process, as their nodes see it.
-
-    Parameters
-    ----------
-    phi : Sbhe
-    calibration : Calibration
-    """
+    """The electronics of the boards of a process, as their nodes see it."""
 
     def __init__(self, phi: Sbhe, calibration: Calibration) -> None:
         self._phi = phi

@@ -73,14 +73,12 @@ class SkinNode:
 
     Parameters
     ----------
-    contract : NodeContract
     objects : list of Object
         The node's object dictionary.
     settings : sequence of Setting
         The objects that the configuration signature (2006h) covers.
     outbox : Outbox
         Where the node sends.
-    hardware : Hardware
     storage : Storage
         Parameters that 1010h stored.
 

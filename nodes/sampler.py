@@ -227,10 +227,8 @@ def new_sampler(layout: Layout, phi: Sbhe, source: TaxelSource, **analogue: Any)
 
     Parameters
     ----------
-    layout : Layout
     phi : Sbhe
         Of the layout.
-    source : TaxelSource
     **analogue
         ``noise_n``, ``seed`` and ``defects`` of `Electronics`.
     """

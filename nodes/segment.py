@@ -56,7 +56,6 @@ class Segment:
 
     Parameters
     ----------
-    contract : Contract
     bus : int
         Number of the bus in the layout.
     boards : Boards

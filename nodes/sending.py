@@ -48,14 +48,7 @@ class Sending(ABC):
 
 
 class AtSync(Sending):
-    """All sums at every SYNC, as one burst.
-
-    Parameters
-    ----------
-    contract : Contract
-    bus : int
-    sampler : Sampler
-    """
+    """All sums at every SYNC, as one burst."""
 
     counts_accepted = True
 

@@ -32,7 +32,6 @@ class NodesService:
 
     Parameters
     ----------
-    contract : Contract
     links : mapping of int to Link
         By number of the bus.
     node_ids : mapping of int to collection of int

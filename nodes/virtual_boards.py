@@ -45,7 +45,6 @@ class VirtualBoards:
 
     Parameters
     ----------
-    contract : Contract
     bus : int
         Number of the bus in the layout.
     node_ids : collection of int

@@ -57,10 +57,8 @@ def new_hardware(
 
     Parameters
     ----------
-    contract : Contract
     blocks : sequence of int
         The blocks of these nodes, ascending.
-    source : TaxelSource
     firmware : Firmware, optional
         Compiled for these nodes: the boards in C make the sums.
     **analogue

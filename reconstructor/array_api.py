@@ -55,7 +55,6 @@ class BatchSolver:
 
     Parameters
     ----------
-    phi : Sbhe
     rows, columns : int
         Powers of two, 8 to 256.
     settings : SolverSettings
@@ -64,7 +63,6 @@ class BatchSolver:
         NumPy, CuPy or another library of the array API.
     noise_n : float, optional
         See `reconstructor.engine.Reconstructor`.
-    dtype : float32 or float64
 
     Raises
     ------

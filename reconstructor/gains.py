@@ -37,13 +37,7 @@ class KnownGains(NamedTuple):
 
 
 class GainCorrection:
-    """Takes known gains off sums, one cycle after the other.
-
-    Parameters
-    ----------
-    phi : Sbhe
-    gains : KnownGains
-    """
+    """Takes known gains off sums, one cycle after the other."""
 
     def __init__(self, phi: Sbhe, gains: KnownGains) -> None:
         taxels = phi.taxels_of_blocks[phi.block_of_sum]

@@ -20,8 +20,6 @@ class CycleImager:
 
     Parameters
     ----------
-    layout : Layout
-    options : SolverOptions, optional
     gains : KnownGains, optional
         Of taxels and sums: they are taken off.
 
@@ -80,8 +78,6 @@ def make_imager(layout: Layout, options: SolverOptions | None = None, gains: Pat
 
     Parameters
     ----------
-    layout : Layout
-    options : SolverOptions, optional
     gains : pathlib.Path, optional
         File of ``skin calibration gain``.
 

@@ -36,10 +36,8 @@ class ReconstructorService:
 
     Parameters
     ----------
-    layout : Layout
     imager : Imager
         Of the layout.
-    fabric : Exchange
     clock_ns : callable, optional
         Monotonic time: when an image is published.
 

@@ -26,7 +26,6 @@ class TemporalFilter:
     ----------
     sums : int
         m.
-    dtype : float32 or float64
     averages : bool
         False for sums that come averaged: they are taken as they come, with a gain of 1. The noise floor is then that
         of their differences from cycle to cycle.

@@ -62,7 +62,6 @@ class WalshReconstructor:
     ----------
     patches : sequence of int arrays, shape (patches of a bus, taxels)
         Row-major indices of the taxels of each patch, by bus, see `skin.walsh.patches`.
-    rows, columns : int
     noise_n : float
         Median over the nodes of their noise, newtons; may be set anew between images.
 

@@ -49,7 +49,6 @@ def decode_log(
 
     Parameters
     ----------
-    contract : Contract
     logged : mapping of int to Frames
         Frames by the number of their bus, in the order of the log.
     advance : callable
@@ -89,7 +88,6 @@ def measure_forces(
 
     Parameters
     ----------
-    contract : Contract
     path : pathlib.Path
         ``.npz``, ``.npy`` or ``.csv``, see `touch.reading`. No noise is added: the values contain a sensor's noise.
     arrays : sequence of str, optional

@@ -33,7 +33,6 @@ class Drawing:
 
     Parameters
     ----------
-    layout : Layout
     top_n : float
         Top of the colour scale, newtons.
 

@@ -240,13 +240,7 @@ def _write_rows(text: io.TextIOWrapper, table: "Table") -> None:
 
 
 def _h5py() -> Any:
-    """Return the library.
-
-    Raises
-    ------
-    InputError
-        If it is not installed.
-    """
+    """Return the library."""
     try:
         import h5py
     except ImportError as error:

@@ -59,7 +59,6 @@ class FrameMeasurements(RecordedMeasurements):
 
     Parameters
     ----------
-    contract : Contract
     buses : collection of int
         Numbers of the buses.
     offset_ns : int

@@ -142,13 +142,7 @@ def _calibrated(contract: Contract, cycles: Cycles, source: OffsetSource) -> Cyc
 
 
 def _is_recording(source: Path) -> bool:
-    """Tell a recording of forces from a CAN log.
-
-    Raises
-    ------
-    InputError
-        If the file does not exist or cannot be read.
-    """
+    """Tell a recording of forces from a CAN log."""
     if not source.is_file():
         raise InputError(f"no file '{source}': expected a CAN log, or a recording as .npz, .npy or .csv")
     suffix = source.suffix.lower()
@@ -178,13 +172,7 @@ def _measured(contract: Contract, source: Path, array: list[str] | None, full_sc
 
 
 def _logged(contract: Contract, source: Path, channel: list[str] | None) -> Cycles:
-    """Read and decode a log.
-
-    Raises
-    ------
-    RunError
-        If no block of any cycle is valid.
-    """
+    """Read and decode a log."""
     with progress(f"reading {source.name}", None) as bar:
         logged = frames_of_log(contract.layout, source, channel, lambda line: say("rebuild", line))
         cycles, counts = decode_log(contract, logged, bar.advance)
@@ -202,13 +190,7 @@ def _counted(counts: FrameCounts) -> str:
 
 
 def _solver(contract: Contract, options: SolverOptions, device: str, *, samples: int) -> _Solve:
-    """Return what makes the images of all cycles.
-
-    Raises
-    ------
-    InputError
-        If the options do not fit the layout or the device, or there is no GPU.
-    """
+    """Return what makes the images of all cycles."""
     phi, taxels, settings = contract.phi, contract.layout.taxels, options.settings()
     noise_n = options.clipped_noise_n(contract.layout)
     if device == "gpu":

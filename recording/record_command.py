@@ -113,13 +113,7 @@ def _join(  # noqa: PLR0917 - the arguments of a thread
 
 
 def _conclude(recorder: Recorder, out: Path) -> None:
-    """Log what was recorded.
-
-    Raises
-    ------
-    RunError
-        If nothing was.
-    """
+    """Log what was recorded."""
     if not recorder.frames + recorder.messages:
         raise RunError(f"{out}: nothing came: no frame and no message. Are buses and services those of this layout?")
     size_mb = out.stat().st_size / 1e6

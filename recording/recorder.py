@@ -55,7 +55,6 @@ class Recorder:
     ----------
     links : mapping of int to Link
         By number of the bus.
-    sink : Sink
     names : mapping of int to str
         Of the buses, for the log.
     wall_ns, mono_ns : callable

@@ -127,13 +127,7 @@ def _run(  # noqa: PLR0917 - parts of one replay
     fabric: Fabric | None,
     out: Path | None,
 ) -> None:
-    """Play all, and close what was opened; a new recording without any measurement is deleted.
-
-    Raises
-    ------
-    RunError
-        If the new recording cannot be written.
-    """
+    """Play all, and close what was opened; a new recording without any measurement is deleted."""
     try:
         played.run(steps, stop, speed)
         if sink is not None:
@@ -150,13 +144,7 @@ def _run(  # noqa: PLR0917 - parts of one replay
 
 
 def _check(source: Path, speed: float | None, out: Path | None) -> None:
-    """Check the options that need no file to be read.
-
-    Raises
-    ------
-    InputError
-        If an option cannot be used.
-    """
+    """Check the options that need no file to be read."""
     if speed is not None and not speed > 0:
         raise InputError(f"--speed: expected a number above 0, or inf, got {speed:g}")
     if out is not None:

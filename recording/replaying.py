@@ -108,11 +108,8 @@ class Replay:
 
     Parameters
     ----------
-    layout : Layout
-    imager : Imager
     make_classifier : callable
         Returns the classifier's service on this exchange.
-    outputs : iterable of Output
     sink : Sink, optional
         Receives the frames, whose clock is `offset_ns` behind the wall clock.
     """

@@ -76,8 +76,6 @@ class McapSink:
 
     Parameters
     ----------
-    path : pathlib.Path
-    contract : Contract
     now_ns, offset_ns : int
         Wall clock, and wall clock minus CLOCK_MONOTONIC.
     """
@@ -196,8 +194,6 @@ def open_sink(path: Path, contract: Contract, now_ns: int, offset_ns: int) -> Si
 
     Parameters
     ----------
-    path : pathlib.Path
-    contract : Contract
     now_ns, offset_ns : int
         Wall clock, and wall clock minus CLOCK_MONOTONIC.
 

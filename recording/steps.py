@@ -57,8 +57,6 @@ def steps_of(
 
     Parameters
     ----------
-    path : pathlib.Path
-    contract : Contract
     channel : list of str, optional
         Of a log, see `frames_of_log`.
     every : bool
@@ -88,8 +86,6 @@ def frames_of_log(
 
     Parameters
     ----------
-    layout : Layout
-    path : pathlib.Path
     channel : list of str, optional
         Channels of the log, one per bus. Default: the names of the buses, else all channels in their order.
     warn : callable

@@ -62,7 +62,6 @@ def read_tables(path: Path, layout: Layout, offset_ns: int, warn: Callable[[str]
 
     Parameters
     ----------
-    path : pathlib.Path
     layout : Layout
         Of the recording.
     offset_ns : int

@@ -116,15 +116,7 @@ def require_libraries() -> None:
 
 
 def _read(source: Path, layout: Layout, warn: Callable[[str], None]) -> _Read:
-    """Read all but the pixels.
-
-    Raises
-    ------
-    InputError
-        If the recording cannot be read, or an image does not fit the layout.
-    RunError
-        If there are no images.
-    """
+    """Read all but the pixels."""
     topics = CONTACTS, LABEL, IMAGE
     known: dict[str, dict[tuple[int, int], Any]] = {topic.name: {} for topic in topics}
     peak_n, images = 0.0, 0
@@ -177,7 +169,6 @@ class Video:
 
     Parameters
     ----------
-    file : binary file
     drawing : Drawing
         Gives the size of the pictures.
     """

@@ -150,13 +150,7 @@ def load_calibration(path: Path, layout: Layout, *, is_shown: bool = False) -> S
 
 
 def _recorded(path: Path, layout: Layout, *, is_shown: bool) -> StoredCalibration:
-    """Return the calibration that is attached to a recording, with the newest offsets of its measurements.
-
-    Raises
-    ------
-    InputError
-        If there is neither.
-    """
+    """Return the calibration that is attached to a recording, with the newest offsets of its measurements."""
     content = newest_file(path, CALIBRATION_FILE)
     attached = None if content is None else parse_calibration(content, layout, str(path), is_shown=is_shown)
     newest: Measurement | None = None

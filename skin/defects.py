@@ -128,12 +128,10 @@ def creep(ratio: float, force_n: Force, memory_n: Force | float, period_s: float
 
     Parameters
     ----------
-    ratio : float
     force_n : array of float32, shape (moments, ...)
         Each force has acted since the moment before, `period_s` ago.
     memory_n : array of float32, shape (...), or float
         Memory one period before the first moment; 0 for a rested skin.
-    period_s : float
     """
     readings_n = np.empty_like(force_n)
     rise, recovery = (np.float32(-math.expm1(-period_s / each)) for each in (RISE_S, RECOVERY_S))

@@ -86,11 +86,6 @@ def sum_step_n(layout: Layout) -> float:
 class SumModel:
     """The analogue front end of a skin with its defects, those of sums.
 
-    Parameters
-    ----------
-    phi : Sbhe
-    defects : Defects
-
     Attributes
     ----------
     gains : SumGains or None
@@ -164,9 +159,5 @@ def felt_by_sums(phi: Sbhe, gains: SumGains) -> npt.NDArray[np.float64]:
 
     This is D, or D + C in the row of all ones, which has one path.
 
-    Parameters
-    ----------
-    phi : Sbhe
-    gains : SumGains
     """
     return gains.differential + np.where(phi.row_of_sum == 0, gains.common_mode, 0.0)

@@ -419,13 +419,7 @@ def _given(table: dict[str, Any]) -> dict[str, Any]:
 
 
 def _check(layout: Layout) -> None:
-    """Check keys that depend on each other.
-
-    Raises
-    ------
-    LayoutError
-        If a value is not allowed beside the others; the message names the path of the key.
-    """
+    """Check keys that depend on each other."""
     _check_measurement(layout)
     if not layout.sends.in_cycles:
         _check_adaptive(layout)

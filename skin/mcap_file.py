@@ -109,7 +109,6 @@ class RecordingWriter:
     ----------
     path : pathlib.Path
         A new file.
-    metadata : mapping of str to str
     files : sequence of File
         Attachments.
 
@@ -279,7 +278,6 @@ def read_entries(path: Path, warn: Callable[[str], None]) -> Iterator[Entry]:
 
     Parameters
     ----------
-    path : pathlib.Path
     warn : callable
         Receives a line of text for each part of the file that is missing or damaged; all other parts are read.
 

@@ -141,7 +141,6 @@ def check_measurement(measurement: Measurement, phi: Sbhe, kind: type[Kind]) -> 
 
     Parameters
     ----------
-    measurement : Measurement
     phi : Sbhe
         Φ of its sums.
     kind : type

@@ -290,7 +290,6 @@ def part_of(phi: Sbhe, sums: int, seed: int) -> Sbhe:
         With as many rows in every block that are needed.
     sums : int
         Fewer than blocks, or a multiple of them.
-    seed : int
 
     Raises
     ------

@@ -209,10 +209,8 @@ class TaxelModel:
 
         Parameters
         ----------
-        force_n : numpy.ndarray
         memory : dict
             What the call for the moments before has returned; empty for a skin that has rested.
-        period_s : float
 
         Returns
         -------

@@ -39,12 +39,7 @@ def radius_m(taxels: Taxels, count: int) -> float:
 
 
 class Grid:
-    """The images of one skin as arrays.
-
-    Parameters
-    ----------
-    layout : Layout
-    """
+    """The images of one skin as arrays."""
 
     def __init__(self, layout: Layout) -> None:
         self._shape = layout.taxels.rows, layout.taxels.columns

@@ -116,7 +116,6 @@ def parse_drifts(
         Each ``PLACE:COURSE:AMOUNT_N[:START_S[:DURATION_S]]``, for example ``patch12:ramp:0.003:10:60``.
     seed : int
         Places patches without place: each text has another.
-    layout : Layout
 
     Raises
     ------

@@ -172,8 +172,6 @@ def tare_request(
 
     Parameters
     ----------
-    rows, columns : int
-    force : bool
     region : sequence of int or str, optional
         See `CalibrationRequest`; numbers or their texts.
 

@@ -92,10 +92,6 @@ class FrameBuilder:
 
     An image waits for its contacts, and at most for the next image.
 
-    Parameters
-    ----------
-    description : Description
-
     Attributes
     ----------
     refused : int

@@ -77,7 +77,6 @@ def open_client(
 
     Parameters
     ----------
-    endpoint : str
     service : str
         Name in the log.
     stop : StopSignal or None

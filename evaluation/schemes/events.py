@@ -101,7 +101,6 @@ def run_events(counts: npt.NDArray[np.int16], newton_per_count: float, threshold
     ----------
     counts : array of int16, shape (ticks, 4096)
         What every taxel reads, each millisecond.
-    newton_per_count : float
     threshold_n : float
         By how much a taxel must differ from the value that was sent last, newtons.
 

@@ -101,7 +101,6 @@ def quality(true_n: Force, shown: Images | Updates) -> Row:
     ----------
     true_n : array of float32, shape (ticks, n)
         One tick a millisecond.
-    shown : Images or Updates
 
     Returns
     -------

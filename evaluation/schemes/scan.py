@@ -48,7 +48,6 @@ def run_scan(felt_n: Force, bits: int, rate_hz: float) -> ScanRun:
         What the cells feel each millisecond, newtons.
     bits : int
         Of one value.
-    rate_hz : float
     """
     side = round(felt_n.shape[1] ** 0.5)
     held = patches(side)

@@ -67,7 +67,6 @@ def run_sums(
 
     Parameters
     ----------
-    contract : Contract
     counts : array of int16, shape (ticks, n)
         What every taxel reads, each millisecond.
     loss_ratio, seed

@@ -146,7 +146,6 @@ class NoiseletSolver:
         Of a grid of powers of two, 8 to 256; of a square from 16 for the contourlet.
     settings : SolverSettings
         Of the prior "haar-tensor" or "contourlet"; L is `lipschitz_ratio` times the largest eigenvalue of (ΦΨ)ᵀΦΨ.
-    dtype : float32 or float64
     """
 
     def __init__(self, phi: Noiselet, settings: SolverSettings, *, dtype: npt.DTypeLike = np.float32) -> None:

@@ -17,7 +17,6 @@ def basis_pursuit(psi: Basis, image: Values, *, relative_error: float = 1e-3, it
 
     Parameters
     ----------
-    psi : Basis
     image : array, shape psi.image_shape
     relative_error : float
         Ends when ‖Ψs - x‖ ≤ relative_error · ‖x‖ and ‖s‖₁ is as close to its lower bound, the dual objective.

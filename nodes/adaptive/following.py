@@ -98,10 +98,6 @@ class ScaleSums(NamedTuple):
 class NoiseScale:
     """Looks at raw samples, and says by how much the noise of each node is larger than it is taken to be.
 
-    Parameters
-    ----------
-    nodes, taxels : int
-
     Attributes
     ----------
     sums : ScaleSums

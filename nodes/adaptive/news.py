@@ -22,8 +22,6 @@ class WithNews(Sending):
 
     Parameters
     ----------
-    contract : Contract
-    bus : int
     boards : PatchBoards
         All boards of the process.
     """

@@ -45,7 +45,6 @@ class PatchSensors:
         Of the whole skin; `recalibrate` reads it.
     cells : array of int, shape (boards, taxels)
         Row-major places of each board's taxels.
-    model : TaxelModel
     source : TaxelSource
         Steps of 10 ms. The skin is untouched until `touch_from_ns` is set.
     seed : int

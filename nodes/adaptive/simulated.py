@@ -46,8 +46,6 @@ class SimulatedNodes:
 
     Parameters
     ----------
-    line : Bus
-    law : Companding
     sample : callable
         Returns what the filters make of sample number n, which is asked for in order.
 
@@ -131,7 +129,6 @@ def touched_frames(contract: Contract, bus: int, source: TaxelSource, seconds: f
         Of a layout with adaptive sending.
     source : TaxelSource
         Touch in steps of 10 ms.
-    seconds : float
     seed : int
         Of noise and clocks.
     """

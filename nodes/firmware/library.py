@@ -45,7 +45,6 @@ class Firmware:
 
     Parameters
     ----------
-    contract : Contract
     nodes : sequence of NodeContract
         The boards, those of each bus one after another.
     compiler : str
@@ -88,8 +87,6 @@ class CompiledBoards:
 
     Parameters
     ----------
-    library : CDLL
-    contract : Contract
     nodes : sequence of NodeContract
         The boards, in the order of the library.
     first : int

@@ -115,12 +115,10 @@ class ContourletSolver:
 
     Parameters
     ----------
-    phi : Sbhe
     rows, columns : int
         Equal, a power of two, 16 to 256.
     settings : SolverSettings
         With the prior "contourlet"; L is `lipschitz_ratio` times the largest eigenvalue of (ΦΨ)ᵀΦΨ, which is computed.
-    dtype : float32 or float64
 
     Raises
     ------

@@ -51,7 +51,6 @@ class FusedSolver:
         Powers of two, 8 to 256, not necessarily equal.
     settings : SolverSettings
         Any prior except the contourlet.
-    dtype : float32 or float64
 
     Raises
     ------

@@ -32,7 +32,6 @@ def build_app(feed: Feed, hosts: Collection[str] | None = LOOPBACK) -> Starlette
 
     Parameters
     ----------
-    feed : Feed
     hosts : collection of str, or None
         See `views.page.guard.Guard`.
     """

@@ -31,7 +31,6 @@ class Guard:
 
     Parameters
     ----------
-    app : ASGI application
     hosts : collection of str, or None
         Host names that the server answers to; None: all.
     """

@@ -24,10 +24,8 @@ class Bridge:
 
     Parameters
     ----------
-    layout : Layout
     fabric : Fabric
         Of the skin.
-    node : RosNode
     frame : str
         Frame of the messages.
     clock_s : callable

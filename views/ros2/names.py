@@ -62,12 +62,10 @@ class Node(NamedTuple):
         ----------
         number : int
             Of the endpoint, from 1; different for every endpoint of the session.
-        kind : str
         name : str
             Of the topic or service, with its namespace.
         wire_type : str
             Type and hash, as `wire_type` returns them.
-        qos : Qos
         """
         return "/".join(
             (*self._session_parts(number, kind), *self._name_parts(), name.replace("/", "%"), wire_type, qos.token)

@@ -16,7 +16,6 @@ class RosReader:
     ----------
     router : str
         zenoh endpoint of the ROS network's router.
-    domain : int
     patience_s : float
         Longest wait for the router.
 

@@ -51,7 +51,6 @@ class Translator:
 
     Parameters
     ----------
-    layout : Layout
     frame : str
         Frame of the messages: `skin.taxel_places` says where it lies.
     state : ViewState

@@ -83,13 +83,7 @@ def draw_live(layout: Layout, fabric: Fabric, canvas: Canvas, stop: StopSignal) 
 
 
 def _opener(target: str, *, for_rerun: bool) -> Callable[[Layout], Canvas]:
-    """Check the target, before anything else is opened; return what opens the canvas.
-
-    Raises
-    ------
-    InputError
-        If it cannot be used.
-    """
+    """Check the target, before anything else is opened; return what opens the canvas."""
     if for_rerun:
         viewer = rerun_target(target)
         return lambda skin: RerunCanvas(skin, viewer)

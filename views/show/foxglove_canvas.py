@@ -28,7 +28,6 @@ class FoxgloveCanvas:
 
     Parameters
     ----------
-    layout : Layout
     target : Address or pathlib.Path
         Serve the app there; port 0 takes a free one. Or write a file (.mcap).
 
@@ -179,13 +178,7 @@ class FoxgloveCanvas:
 
 
 def _foxglove() -> Any:
-    """Return the library.
-
-    Raises
-    ------
-    InputError
-        If it is not installed.
-    """
+    """Return the library."""
     try:
         import foxglove
         import foxglove.channels

@@ -52,8 +52,6 @@ class Painter:
 
     Parameters
     ----------
-    layout : Layout
-    canvas : Canvas
     wall : WallTimes, optional
         The clocks of the messages.
 

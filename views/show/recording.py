@@ -23,7 +23,6 @@ def write_view(source: Path, path: Path, layout: Layout, for_rerun: bool, warn: 
         A new file; nothing is left of it after an error.
     layout : Layout
         Of the recording.
-    for_rerun : bool
     warn : callable
         Receives one line of text if the recording is cut.
 

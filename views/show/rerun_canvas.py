@@ -32,7 +32,6 @@ class RerunCanvas:
 
     Parameters
     ----------
-    layout : Layout
     target : str or pathlib.Path, optional
         URL of a running viewer, ``rerun+http://HOST:9876/proxy``, or a new file (.rrd); default: start the viewer.
 
@@ -161,13 +160,7 @@ def _blueprint(rr: Any, layout: Layout) -> Any:
 
 
 def _rerun() -> Any:
-    """Return the library.
-
-    Raises
-    ------
-    InputError
-        If it is not installed.
-    """
+    """Return the library."""
     try:
         import rerun
         import rerun.blueprint

@@ -25,10 +25,6 @@ class CanskinCamera(Camera):
     A window whose newest frame is older than allowed is an error. The image marks taxels and cycles that were not
     measured.
 
-    Parameters
-    ----------
-    config : CanskinCameraConfig
-
     Attributes
     ----------
     touch : TouchWindow or None

@@ -89,7 +89,6 @@ def forces(
     ----------
     image : array of uint8, shape (window · rows, columns, 3), or of float, shape (3, window · rows, columns)
         As the camera returned it, or with values 0 to 1 as a LeRobot data set returns it.
-    window : int
     force_max_n : float
         As in the camera's configuration.
 
@@ -112,10 +111,6 @@ def forces(
 
 class WindowBuffer:
     """The newest frames of a skin, for a reader in another thread.
-
-    Parameters
-    ----------
-    window, rows, columns : int
 
     Attributes
     ----------
