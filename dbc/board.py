@@ -9,30 +9,13 @@ from collections.abc import Mapping
 
 import msgspec
 
+from dbc import indices as od
 from dbc.adaptive import Companding, SendingRule
 from dbc.canopen import EXTENDED_ID_MASK, HEARTBEAT_BASE, SDO_REQUEST_BASE, SDO_RESPONSE_BASE
 from dbc.configuration import configuration, expected_signature
 from dbc.contract import Contract, NodeContract
 from dbc.dictionary import SkinState, dictionary
 from dbc.frame import CLASSIC_BYTES, FD
-from dbc.indices import (
-    OD_CYCLE_PERIOD_US,
-    OD_EMCY_COB_ID,
-    OD_ENCODING,
-    OD_GAIN,
-    OD_HEARTBEAT_MS,
-    OD_IDENTITY,
-    OD_OFFSET,
-    OD_PHI_SEED,
-    OD_ROWS,
-    OD_SYNC_COB_ID,
-    OD_SYNC_OVERFLOW,
-    OD_TAXELS,
-    OD_TPDO_COMMUNICATION,
-    OD_TPDO_MAPPING,
-    OD_WINDOW_US,
-    of_block,
-)
 from dbc.objects import Value
 from dbc.packing import Packing
 from skin.walsh import grouped_rows
@@ -222,29 +205,29 @@ def board(contract: Contract, node: NodeContract) -> Board:
         bitrate=bus.bitrate,
         data_bitrate=bus.data_bitrate,
         is_fd=bool(node.flags & FD),
-        vendor_id=int(values[OD_IDENTITY, 1]),
-        product_code=int(values[OD_IDENTITY, 2]),
-        revision=int(values[OD_IDENTITY, 3]),
-        serial=int(values[OD_IDENTITY, 4]),
+        vendor_id=int(values[od.IDENTITY, 1]),
+        product_code=int(values[od.IDENTITY, 2]),
+        revision=int(values[od.IDENTITY, 3]),
+        serial=int(values[od.IDENTITY, 4]),
         sync_identity=layout.sync.identity,
-        sync_cob_id=int(values[OD_SYNC_COB_ID, 0]),
-        sync_period_us=int(values[OD_CYCLE_PERIOD_US, 0]),
-        sync_window_us=int(values[OD_WINDOW_US, 0]),
-        sync_overflow=int(values[OD_SYNC_OVERFLOW, 0]),
-        emcy_cob_id=int(values[OD_EMCY_COB_ID, 0]),
+        sync_cob_id=int(values[od.SYNC_COB_ID, 0]),
+        sync_period_us=int(values[od.CYCLE_PERIOD_US, 0]),
+        sync_window_us=int(values[od.WINDOW_US, 0]),
+        sync_overflow=int(values[od.SYNC_OVERFLOW, 0]),
+        emcy_cob_id=int(values[od.EMCY_COB_ID, 0]),
         sdo_request_cob_id=SDO_REQUEST_BASE + node.node_id,
         sdo_response_cob_id=SDO_RESPONSE_BASE + node.node_id,
         heartbeat_cob_id=HEARTBEAT_BASE + node.node_id,
-        heartbeat_ms=int(values[OD_HEARTBEAT_MS, 0]),
+        heartbeat_ms=int(values[od.HEARTBEAT_MS, 0]),
         sending=layout.sending,
         frontend="analogue" if layout.taxels.is_analogue else None,
         adc_bits=layout.taxels.adc_bits,
         count_max=layout.taxels.count_max,
         newton_per_count=layout.taxels.newton_per_count,
         samples_per_sync=layout.samples_per_sync,
-        encoding=int(values[OD_ENCODING, 0]),
+        encoding=int(values[od.ENCODING, 0]),
         packing=None if is_adaptive else _packing(node.packing),
-        phi_seed=int(values[OD_PHI_SEED, 0]),
+        phi_seed=int(values[od.PHI_SEED, 0]),
         phi_fingerprint=contract.phi.fingerprint,
         signature=expected_signature(configuration(contract, node)),
         tpdos=_tpdos(contract, node, values),
@@ -271,7 +254,7 @@ def _tpdos(contract: Contract, node: NodeContract, values: _Values) -> list[Boar
     tpdos = []
     for number, length in lengths.items():
         level, group, is_fine = urgencies.get(number, (None, None, None))
-        communication, mapping = OD_TPDO_COMMUNICATION + number - 1, OD_TPDO_MAPPING + number - 1
+        communication, mapping = od.TPDO_COMMUNICATION + number - 1, od.TPDO_MAPPING + number - 1
         entries = [int(values[mapping, place]) for place in range(1, int(values[mapping, 0]) + 1)]
         tpdos.append(
             BoardTpdo(
@@ -299,7 +282,7 @@ def _blocks(contract: Contract, node: NodeContract, values: _Values) -> list[Boa
     blocks = []
     for place in range(node.blocks):
         taxels, rows, gain, offset = (
-            _array(values, of_block(index, place)) for index in (OD_TAXELS, OD_ROWS, OD_GAIN, OD_OFFSET)
+            _array(values, od.of_block(index, place)) for index in (od.TAXELS, od.ROWS, od.GAIN, od.OFFSET)
         )
         blocks.append(
             BoardBlock(

@@ -11,52 +11,28 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Final
 
+from dbc import indices as od
 from dbc.contract import Contract, NodeContract
 from dbc.dictionary import dictionary
-from dbc.indices import (
-    BITS,
-    OD_BLOCK,
-    OD_COMPANDING,
-    OD_CYCLE_PERIOD_US,
-    OD_EMCY_COB_ID,
-    OD_ENCODING,
-    OD_HEARTBEAT_MS,
-    OD_IDENTITY,
-    OD_MANUFACTURER,
-    OD_PHI_FINGERPRINT,
-    OD_RPDO_COMMUNICATION,
-    OD_RPDO_MAPPING,
-    OD_STATE,
-    OD_SYNC_COB_ID,
-    OD_SYNC_OVERFLOW,
-    OD_TEST_PATTERN,
-    OD_TPDO_COMMUNICATION,
-    OD_TPDO_MAPPING,
-    OD_WINDOW_US,
-    REAL32,
-    SIGNED,
-    VISIBLE_STRING,
-    split_block,
-)
 from dbc.objects import Object
 
 #: Sub-indices of an object that are compared; objects without an entry are compared whole.
-_COMPARED: Final = {OD_IDENTITY: (1, 2), OD_STATE: (2,)}
+_COMPARED: Final = {od.IDENTITY: (1, 2), od.STATE: (2,)}
 #: COB-ID, transmission type, and the SYNC start value where SYNC has a counter; the other sub-indices concern
 #: event-driven PDOs only.
 _COMPARED_OF_TPDO: Final = (1, 2)
 _SYNC_START: Final = 6
 _WHOLE: Final = (
-    OD_SYNC_COB_ID,
-    OD_CYCLE_PERIOD_US,
-    OD_WINDOW_US,
-    OD_EMCY_COB_ID,
-    OD_HEARTBEAT_MS,
-    OD_SYNC_OVERFLOW,
-    OD_BLOCK,
-    OD_PHI_FINGERPRINT,
-    OD_ENCODING,
-    OD_COMPANDING,
+    od.SYNC_COB_ID,
+    od.CYCLE_PERIOD_US,
+    od.WINDOW_US,
+    od.EMCY_COB_ID,
+    od.HEARTBEAT_MS,
+    od.SYNC_OVERFLOW,
+    od.BLOCK,
+    od.PHI_FINGERPRINT,
+    od.ENCODING,
+    od.COMPANDING,
 )
 
 #: Shortest time of a round, see `proof_period_s`.
@@ -130,31 +106,31 @@ def proof_period_s(contract: Contract, bus: int) -> float:
 
 
 def _is_mapping(index: int) -> bool:
-    return OD_TPDO_MAPPING <= index < OD_MANUFACTURER or index == OD_RPDO_MAPPING
+    return od.TPDO_MAPPING <= index < od.MANUFACTURER or index == od.RPDO_MAPPING
 
 
 def _is_compared(each: Object, mapped: Mapping[int, int], of_tpdo: tuple[int, ...]) -> bool:
     subindex = each.subindex or 0
-    if OD_TPDO_COMMUNICATION <= each.index < OD_TPDO_MAPPING:
+    if od.TPDO_COMMUNICATION <= each.index < od.TPDO_MAPPING:
         return subindex in of_tpdo
-    if each.index == OD_RPDO_COMMUNICATION:
+    if each.index == od.RPDO_COMMUNICATION:
         return subindex in _COMPARED_OF_TPDO
     if _is_mapping(each.index):
         return subindex <= mapped[each.index]
     if each.index in _COMPARED:
         return subindex in _COMPARED[each.index]
-    first = split_block(each.index)[1] if each.index >= OD_MANUFACTURER else each.index
-    return first in (*_WHOLE, OD_TEST_PATTERN)
+    first = od.split_block(each.index)[1] if each.index >= od.MANUFACTURER else each.index
+    return first in (*_WHOLE, od.TEST_PATTERN)
 
 
 def setting_of(each: Object) -> Setting:
     """Return an object with its initial value as a setting."""
-    is_text = each.data_type == VISIBLE_STRING
+    is_text = each.data_type == od.VISIBLE_STRING
     if is_text:
         data = str(each.value).encode("ascii")
-    elif each.data_type == REAL32:
+    elif each.data_type == od.REAL32:
         data = struct.pack("<f", each.value)
     else:
-        data = int(each.value).to_bytes(BITS[each.data_type] // 8, "little", signed=each.data_type in SIGNED)
+        data = int(each.value).to_bytes(od.BITS[each.data_type] // 8, "little", signed=each.data_type in od.SIGNED)
     name = f"{each.group}, {each.name}" if each.group else each.name
     return Setting(each.index, each.subindex or 0, name, data, is_text, each.access == "rw")

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Final
 
+from dbc import indices as od
 from dbc.adaptive import BLOCK_SUMS, GROUP_SUMS, SendingRule
 from dbc.canopen import (
     COB_ID_NO_RTR,
@@ -20,62 +21,6 @@ from dbc.canopen import (
     SYNC_COB_ID,
 )
 from dbc.contract import AdaptiveTpdo, Contract, NodeContract, Tpdo
-from dbc.indices import (
-    INTEGER8,
-    INTEGER16,
-    OD_BLOCK,
-    OD_BUDGET,
-    OD_COARSE,
-    OD_COEFFICIENT_NOISE,
-    OD_COMPANDING,
-    OD_CONSUMER_HEARTBEAT,
-    OD_CYCLE_PERIOD_US,
-    OD_DEVICE_NAME,
-    OD_DEVICE_TYPE,
-    OD_EMCY_COB_ID,
-    OD_EMCY_INHIBIT_100US,
-    OD_ENCODING,
-    OD_ERROR_BEHAVIOUR,
-    OD_ERROR_FIELD,
-    OD_ERROR_REGISTER,
-    OD_FINE,
-    OD_GAIN,
-    OD_HARDWARE_VERSION,
-    OD_HEALTH,
-    OD_HEARTBEAT_MS,
-    OD_IDENTITY,
-    OD_NODE_NOISE,
-    OD_OFFSET,
-    OD_PHI_FINGERPRINT,
-    OD_PHI_SEED,
-    OD_REFRESH,
-    OD_RESTORE,
-    OD_ROWS,
-    OD_RPDO_COMMUNICATION,
-    OD_RPDO_MAPPING,
-    OD_SDO_SERVER,
-    OD_SENDING,
-    OD_SIGNATURE,
-    OD_SOFTWARE_VERSION,
-    OD_STATE,
-    OD_STORE,
-    OD_SUMS,
-    OD_SYNC_COB_ID,
-    OD_SYNC_OVERFLOW,
-    OD_TAXEL_NOISE,
-    OD_TAXELS,
-    OD_TEMPERATURE,
-    OD_TEST_PATTERN,
-    OD_TPDO_COMMUNICATION,
-    OD_WINDOW_US,
-    REAL32,
-    UNSIGNED8,
-    UNSIGNED16,
-    UNSIGNED32,
-    UNSIGNED64,
-    VISIBLE_STRING,
-    of_block,
-)
 from dbc.objects import HIGHEST_SUBINDEX, Access, Object, array, mapping, places, record
 from skin.layout import Layout
 from skin.walsh import GROUPS
@@ -104,12 +49,12 @@ WINDOW_RATIO: Final = 0.98
 STOCK_WINDOW_RATIO: Final = 0.99
 #: Data type of a sum's raw value, by width and sign; 12 bits are mapped from an object of 16 bits.
 SUM_TYPES: Final = {
-    (16, True): INTEGER16,
-    (16, False): UNSIGNED16,
-    (12, True): INTEGER16,
-    (12, False): UNSIGNED16,
-    (8, True): INTEGER8,
-    (8, False): UNSIGNED8,
+    (16, True): od.INTEGER16,
+    (16, False): od.UNSIGNED16,
+    (12, True): od.INTEGER16,
+    (12, False): od.UNSIGNED16,
+    (8, True): od.INTEGER8,
+    (8, False): od.UNSIGNED8,
 }
 #: Least time between two frames of an adaptive TPDO.
 INHIBIT_100US: Final = 10
@@ -159,16 +104,22 @@ def _state_rpdo(contract: Contract) -> list[Object]:
         return []
     return [
         *record(
-            OD_RPDO_COMMUNICATION,
+            od.RPDO_COMMUNICATION,
             "RPDO 1 communication parameter",
             [
-                ("COB-ID used by RPDO", UNSIGNED32, "const", STATE_COB_ID),
-                ("Transmission type", UNSIGNED8, "const", EVERY_SYNC),
+                ("COB-ID used by RPDO", od.UNSIGNED32, "const", STATE_COB_ID),
+                ("Transmission type", od.UNSIGNED8, "const", EVERY_SYNC),
             ],
         ),
-        Object(OD_RPDO_MAPPING, 0, "Number of mapped objects", UNSIGNED8, "const", 1, group=_RPDO_MAPPING),
+        Object(od.RPDO_MAPPING, 0, "Number of mapped objects", od.UNSIGNED8, "const", 1, group=_RPDO_MAPPING),
         Object(
-            OD_RPDO_MAPPING, 1, "Mapped object 1", UNSIGNED32, "const", OD_STATE << 16 | 1 << 8 | 8, group=_RPDO_MAPPING
+            od.RPDO_MAPPING,
+            1,
+            "Mapped object 1",
+            od.UNSIGNED32,
+            "const",
+            od.STATE << 16 | 1 << 8 | 8,
+            group=_RPDO_MAPPING,
         ),
     ]
 
@@ -179,18 +130,20 @@ def _state(contract: Contract) -> list[Object]:
         return []
     window_us = round(window_s(contract.recognition.layout) * 1e6)
     return [
-        Object(OD_STATE, 0, HIGHEST_SUBINDEX, UNSIGNED8, "const", 2, group="State"),
+        Object(od.STATE, 0, HIGHEST_SUBINDEX, od.UNSIGNED8, "const", 2, group="State"),
         Object(
-            OD_STATE,
+            od.STATE,
             1,
             "State, 0 recognition, 1 images",
-            UNSIGNED8,
+            od.UNSIGNED8,
             "rw",
             SkinState.RECOGNITION,
             pdo=True,
             group="State",
         ),
-        Object(OD_STATE, 2, "Synchronous window length in recognition", UNSIGNED32, "const", window_us, group="State"),
+        Object(
+            od.STATE, 2, "Synchronous window length in recognition", od.UNSIGNED32, "const", window_us, group="State"
+        ),
     ]
 
 
@@ -199,33 +152,39 @@ def _communication(contract: Contract, node: NodeContract) -> list[Object]:
     errors = [f"Standard error field {place}" for place in places(ERRORS_KEPT)]
     watched = [f"Consumer heartbeat time {place}" for place in places(HEARTBEATS_WATCHED)]
     return [
-        Object(OD_DEVICE_TYPE, None, "Device type", UNSIGNED32, "ro", 0),
-        Object(OD_ERROR_REGISTER, None, "Error register", UNSIGNED8, "ro", 0, pdo=True),
-        Object(OD_ERROR_FIELD, 0, "Number of errors", UNSIGNED8, "rw", 0, group="Pre-defined error field", array=True),
-        *array(OD_ERROR_FIELD, "Pre-defined error field", errors, UNSIGNED32, "ro")[1:],
-        Object(OD_SYNC_COB_ID, None, "COB-ID SYNC message", UNSIGNED32, "rw", SYNC_COB_ID),
-        Object(OD_CYCLE_PERIOD_US, None, "Communication cycle period", UNSIGNED32, "rw", period_us),
+        Object(od.DEVICE_TYPE, None, "Device type", od.UNSIGNED32, "ro", 0),
+        Object(od.ERROR_REGISTER, None, "Error register", od.UNSIGNED8, "ro", 0, pdo=True),
         Object(
-            OD_WINDOW_US, None, "Synchronous window length", UNSIGNED32, "rw", round(window_s(contract.layout) * 1e6)
+            od.ERROR_FIELD, 0, "Number of errors", od.UNSIGNED8, "rw", 0, group="Pre-defined error field", array=True
         ),
-        Object(OD_DEVICE_NAME, None, "Manufacturer device name", VISIBLE_STRING, "const", "canskin SBHE block"),
-        Object(OD_HARDWARE_VERSION, None, "Manufacturer hardware version", VISIBLE_STRING, "const", "virtual"),
-        Object(OD_SOFTWARE_VERSION, None, "Manufacturer software version", VISIBLE_STRING, "const", "1.0"),
-        *array(OD_STORE, "Store parameters", ["Save all parameters"], UNSIGNED32, "rw", value=ON_COMMAND),
-        *array(OD_RESTORE, "Restore default parameters", ["Restore all defaults"], UNSIGNED32, "rw", value=ON_COMMAND),
-        Object(OD_EMCY_COB_ID, None, "COB-ID EMCY", UNSIGNED32, "rw", EMCY_BASE + node.node_id),
-        Object(OD_EMCY_INHIBIT_100US, None, "Inhibit time EMCY", UNSIGNED16, "rw", 0),
-        *array(OD_CONSUMER_HEARTBEAT, "Consumer heartbeat time", watched, UNSIGNED32, "rw"),
-        Object(OD_HEARTBEAT_MS, None, "Producer heartbeat time", UNSIGNED16, "rw", HEARTBEAT_MS),
+        *array(od.ERROR_FIELD, "Pre-defined error field", errors, od.UNSIGNED32, "ro")[1:],
+        Object(od.SYNC_COB_ID, None, "COB-ID SYNC message", od.UNSIGNED32, "rw", SYNC_COB_ID),
+        Object(od.CYCLE_PERIOD_US, None, "Communication cycle period", od.UNSIGNED32, "rw", period_us),
+        Object(
+            od.WINDOW_US, None, "Synchronous window length", od.UNSIGNED32, "rw", round(window_s(contract.layout) * 1e6)
+        ),
+        Object(od.DEVICE_NAME, None, "Manufacturer device name", od.VISIBLE_STRING, "const", "canskin SBHE block"),
+        Object(od.HARDWARE_VERSION, None, "Manufacturer hardware version", od.VISIBLE_STRING, "const", "virtual"),
+        Object(od.SOFTWARE_VERSION, None, "Manufacturer software version", od.VISIBLE_STRING, "const", "1.0"),
+        *array(od.STORE, "Store parameters", ["Save all parameters"], od.UNSIGNED32, "rw", value=ON_COMMAND),
+        *array(
+            od.RESTORE, "Restore default parameters", ["Restore all defaults"], od.UNSIGNED32, "rw", value=ON_COMMAND
+        ),
+        Object(od.EMCY_COB_ID, None, "COB-ID EMCY", od.UNSIGNED32, "rw", EMCY_BASE + node.node_id),
+        Object(od.EMCY_INHIBIT_100US, None, "Inhibit time EMCY", od.UNSIGNED16, "rw", 0),
+        *array(od.CONSUMER_HEARTBEAT, "Consumer heartbeat time", watched, od.UNSIGNED32, "rw"),
+        Object(od.HEARTBEAT_MS, None, "Producer heartbeat time", od.UNSIGNED16, "rw", HEARTBEAT_MS),
         *_identity(contract, node),
-        Object(OD_SYNC_OVERFLOW, None, "Synchronous counter overflow value", UNSIGNED8, "rw", contract.sync_overflow),
-        *array(OD_ERROR_BEHAVIOUR, "Error behaviour", ["Communication error"], UNSIGNED8, "rw"),
+        Object(
+            od.SYNC_OVERFLOW, None, "Synchronous counter overflow value", od.UNSIGNED8, "rw", contract.sync_overflow
+        ),
+        *array(od.ERROR_BEHAVIOUR, "Error behaviour", ["Communication error"], od.UNSIGNED8, "rw"),
         *record(
-            OD_SDO_SERVER,
+            od.SDO_SERVER,
             "SDO server parameter",
             [
-                ("COB-ID client to server", UNSIGNED32, "ro", SDO_REQUEST_BASE + node.node_id),
-                ("COB-ID server to client", UNSIGNED32, "ro", SDO_RESPONSE_BASE + node.node_id),
+                ("COB-ID client to server", od.UNSIGNED32, "ro", SDO_REQUEST_BASE + node.node_id),
+                ("COB-ID server to client", od.UNSIGNED32, "ro", SDO_RESPONSE_BASE + node.node_id),
             ],
         ),
     ]
@@ -239,13 +198,13 @@ def serial_number(contract: Contract, node: NodeContract) -> int:
 def _identity(contract: Contract, node: NodeContract) -> list[Object]:
     device = contract.layout.device
     entries = (
-        (0, HIGHEST_SUBINDEX, UNSIGNED8, 4),
-        (1, "Vendor-ID", UNSIGNED32, device.vendor_id),
-        (2, "Product code", UNSIGNED32, device.product_code),
-        (3, "Revision number", UNSIGNED32, REVISION),
-        (4, "Serial number", UNSIGNED32, serial_number(contract, node)),
+        (0, HIGHEST_SUBINDEX, od.UNSIGNED8, 4),
+        (1, "Vendor-ID", od.UNSIGNED32, device.vendor_id),
+        (2, "Product code", od.UNSIGNED32, device.product_code),
+        (3, "Revision number", od.UNSIGNED32, REVISION),
+        (4, "Serial number", od.UNSIGNED32, serial_number(contract, node)),
     )
-    return [Object(OD_IDENTITY, sub, name, kind, "ro", value, group="Identity") for sub, name, kind, value in entries]
+    return [Object(od.IDENTITY, sub, name, kind, "ro", value, group="Identity") for sub, name, kind, value in entries]
 
 
 @dataclass(frozen=True)
@@ -273,15 +232,15 @@ def _adaptive(tpdo: AdaptiveTpdo) -> _Communication:
 
 def _tpdo_communication(number: int, values: _Communication) -> list[Object]:
     """Return the communication record (from 1800h); the RTR bit is set: remote frames are not answered."""
-    index, group = OD_TPDO_COMMUNICATION + number - 1, f"TPDO {number} communication parameter"
+    index, group = od.TPDO_COMMUNICATION + number - 1, f"TPDO {number} communication parameter"
     timing: Access = "const" if values.is_fixed else "rw"
     entries: tuple[tuple[int, str, int, Access, int], ...] = (
-        (0, HIGHEST_SUBINDEX, UNSIGNED8, "const", 6),
-        (1, "COB-ID used by TPDO", UNSIGNED32, "rw", COB_ID_NO_RTR | values.cob_id),
-        (2, "Transmission type", UNSIGNED8, timing, values.transmission_type),
-        (3, "Inhibit time", UNSIGNED16, "rw", values.inhibit_100us),
-        (5, "Event timer", UNSIGNED16, timing, 0),
-        (6, "SYNC start value", UNSIGNED8, timing, values.start),
+        (0, HIGHEST_SUBINDEX, od.UNSIGNED8, "const", 6),
+        (1, "COB-ID used by TPDO", od.UNSIGNED32, "rw", COB_ID_NO_RTR | values.cob_id),
+        (2, "Transmission type", od.UNSIGNED8, timing, values.transmission_type),
+        (3, "Inhibit time", od.UNSIGNED16, "rw", values.inhibit_100us),
+        (5, "Event timer", od.UNSIGNED16, timing, 0),
+        (6, "SYNC start value", od.UNSIGNED8, timing, values.start),
     )
     return [Object(index, sub, name, kind, access, value, group=group) for sub, name, kind, access, value in entries]
 
@@ -295,9 +254,9 @@ def _adaptive_mapping(tpdo: AdaptiveTpdo) -> list[Object]:
     mapped = []
     if tpdo.is_fd or not tpdo.is_fine:
         coarse = places(BLOCK_SUMS)[GROUP_SUMS * groups.start : GROUP_SUMS * groups.stop]
-        mapped += [OD_COARSE << 16 | place << 8 | 8 for place in coarse]
+        mapped += [od.COARSE << 16 | place << 8 | 8 for place in coarse]
     if tpdo.is_fine:
-        mapped += [OD_FINE << 16 | (group + 1) << 8 | 64 for group in groups]
+        mapped += [od.FINE << 16 | (group + 1) << 8 | 64 for group in groups]
     return mapping(tpdo.number, len(mapped), mapped, "const")
 
 
@@ -307,7 +266,7 @@ def _tpdo_mapping(contract: Contract, node: NodeContract, tpdo: Tpdo, sums: Sequ
     for each in sums:
         block = int(contract.phi.block_of_sum[each])
         subindex = each - int(contract.phi.starts[block]) + 1
-        mapped.append(of_block(OD_SUMS, block - node.block) << 16 | subindex << 8 | contract.packing.bits)
+        mapped.append(od.of_block(od.SUMS, block - node.block) << 16 | subindex << 8 | contract.packing.bits)
     return mapping(tpdo.number, tpdo.sums, mapped + [0] * (node.pdo_bytes - tpdo.sums))
 
 
@@ -317,19 +276,21 @@ def _manufacturer(contract: Contract, node: NodeContract) -> list[Object]:
     saturated = "Saturated sums" if contract.layout.taxels.is_analogue else "Saturated taxels"
     health = ["SYNC messages seen", "TPDOs sent", "TPDOs dropped outside the window", saturated]
     whole = [
-        Object(OD_BLOCK, None, "Block index", UNSIGNED16, "ro", node.block),
-        Object(OD_PHI_SEED, None, "Seed of the measurement operator", UNSIGNED32, "ro", seed),
-        Object(OD_PHI_FINGERPRINT, None, "Fingerprint of the measurement operator", VISIBLE_STRING, "ro", fingerprint),
-        Object(OD_ENCODING, None, "Encoding of the sums", UNSIGNED32, "ro", node.encoding),
+        Object(od.BLOCK, None, "Block index", od.UNSIGNED16, "ro", node.block),
+        Object(od.PHI_SEED, None, "Seed of the measurement operator", od.UNSIGNED32, "ro", seed),
+        Object(
+            od.PHI_FINGERPRINT, None, "Fingerprint of the measurement operator", od.VISIBLE_STRING, "ro", fingerprint
+        ),
+        Object(od.ENCODING, None, "Encoding of the sums", od.UNSIGNED32, "ro", node.encoding),
         # The node computes the signature, see `dbc.configuration`.
-        Object(OD_SIGNATURE, None, "Configuration signature", UNSIGNED32, "ro", 0),
-        *array(OD_HEALTH, "Health", health, UNSIGNED32, "ro", pdo=True),
+        Object(od.SIGNATURE, None, "Configuration signature", od.UNSIGNED32, "ro", 0),
+        *array(od.HEALTH, "Health", health, od.UNSIGNED32, "ro", pdo=True),
     ]
     whole += _state(contract)
     if node.is_adaptive:
         whole += _adaptive_objects(contract)
     if contract.layout.taxels.has_thermometers:
-        whole.append(Object(OD_TEMPERATURE, None, "Temperature in 0.1 K", INTEGER16, "ro", TEMPERATURE_UNKNOWN))
+        whole.append(Object(od.TEMPERATURE, None, "Temperature in 0.1 K", od.INTEGER16, "ro", TEMPERATURE_UNKNOWN))
     blocks = [each for place in range(node.blocks) for each in _block(contract, node.block + place, place)]
     return sorted(whole + blocks, key=lambda each: each.index)
 
@@ -344,21 +305,21 @@ def _adaptive_objects(contract: Contract) -> list[Object]:
     coarse = [f"Coarse code of sum {place}" for place in places(BLOCK_SUMS)]
     fine = [f"Fine code of group {place}" for place in places(GROUPS)]
     return [
-        *record(OD_COMPANDING, "Companding", [(name, REAL32, "const", value) for name, value in code]),
-        Object(OD_REFRESH, None, "Groups to send again, a bit each", UNSIGNED8, "rw", 0),
+        *record(od.COMPANDING, "Companding", [(name, od.REAL32, "const", value) for name, value in code]),
+        Object(od.REFRESH, None, "Groups to send again, a bit each", od.UNSIGNED8, "rw", 0),
         *record(
-            OD_SENDING,
+            od.SENDING,
             "Sending",
-            [(name, UNSIGNED32 if isinstance(value, int) else REAL32, "rw", value) for name, value in settings],
+            [(name, od.UNSIGNED32 if isinstance(value, int) else od.REAL32, "rw", value) for name, value in settings],
         ),
         # 0: learned by the node.
-        *array(OD_COEFFICIENT_NOISE, "Noise of coefficients in newtons", coefficients, REAL32, "rw", value=0.0),
-        *array(OD_TAXEL_NOISE, "Noise of taxels in newtons", taxels, REAL32, "rw", value=0.0),
+        *array(od.COEFFICIENT_NOISE, "Noise of coefficients in newtons", coefficients, od.REAL32, "rw", value=0.0),
+        *array(od.TAXEL_NOISE, "Noise of taxels in newtons", taxels, od.REAL32, "rw", value=0.0),
         # 0: none.
-        Object(OD_BUDGET, None, "Budget in bits per second", UNSIGNED32, "rw", 0),
-        Object(OD_NODE_NOISE, None, "Noise of the node in newtons", REAL32, "ro", 0.0),
-        *array(OD_COARSE, "Coarse codes", coarse, UNSIGNED8, "ro", pdo=True),
-        *array(OD_FINE, "Fine codes", fine, UNSIGNED64, "ro", pdo=True),
+        Object(od.BUDGET, None, "Budget in bits per second", od.UNSIGNED32, "rw", 0),
+        Object(od.NODE_NOISE, None, "Noise of the node in newtons", od.REAL32, "ro", 0.0),
+        *array(od.COARSE, "Coarse codes", coarse, od.UNSIGNED8, "ro", pdo=True),
+        *array(od.FINE, "Fine codes", fine, od.UNSIGNED64, "ro", pdo=True),
     ]
 
 
@@ -376,17 +337,17 @@ def _block(contract: Contract, block: int, place: int) -> list[Object]:
     chain = [f"Place {each}" for each in range(size)]
 
     def at(index: int) -> int:
-        return of_block(index, place)
+        return od.of_block(index, place)
 
     sum_type = SUM_TYPES[contract.packing.bits, contract.packing.is_signed]
     calibration = [
-        *array(at(OD_GAIN), f"Gain{of}", chain, REAL32, "rw", value=1.0),
-        *array(at(OD_OFFSET), f"Offset in ADC counts{of}", chain, INTEGER16, "rw"),
+        *array(at(od.GAIN), f"Gain{of}", chain, od.REAL32, "rw", value=1.0),
+        *array(at(od.OFFSET), f"Offset in ADC counts{of}", chain, od.INTEGER16, "rw"),
     ]
     return [
-        *(array(at(OD_ROWS), f"Hadamard rows{of}", row_names, UNSIGNED8, "ro", value=rows) if rows else []),
-        *array(at(OD_TAXELS), f"Taxels{of}", taxel_names, UNSIGNED16, "ro", value=taxels),
+        *(array(at(od.ROWS), f"Hadamard rows{of}", row_names, od.UNSIGNED8, "ro", value=rows) if rows else []),
+        *array(at(od.TAXELS), f"Taxels{of}", taxel_names, od.UNSIGNED16, "ro", value=taxels),
         *([] if contract.layout.taxels.is_analogue else calibration),
-        Object(at(OD_TEST_PATTERN), None, f"Test pattern{of}", UNSIGNED8, "rw", 0),
-        *(array(at(OD_SUMS), f"Sums{of}", sums, sum_type, "ro", pdo=True) if rows else []),
+        Object(at(od.TEST_PATTERN), None, f"Test pattern{of}", od.UNSIGNED8, "rw", 0),
+        *(array(at(od.SUMS), f"Sums{of}", sums, sum_type, "ro", pdo=True) if rows else []),
     ]

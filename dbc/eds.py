@@ -19,45 +19,15 @@ from dataclasses import dataclass
 from itertools import groupby, repeat
 from typing import Final
 
+from dbc import indices as od
 from dbc.contract import Contract, NodeContract
 from dbc.dictionary import REVISION, dictionary, serial_number
-from dbc.indices import (
-    OD_BLOCK,
-    OD_DEVICE_TYPE,
-    OD_EMCY_COB_ID,
-    OD_ENCODING,
-    OD_ERROR_FIELD,
-    OD_ERROR_REGISTER,
-    OD_GAIN,
-    OD_IDENTITY,
-    OD_MANUFACTURER,
-    OD_NODE_NOISE,
-    OD_OFFSET,
-    OD_PHI_FINGERPRINT,
-    OD_PHI_SEED,
-    OD_REFRESH,
-    OD_RESTORE,
-    OD_ROWS,
-    OD_RPDO_COMMUNICATION,
-    OD_SDO_SERVER,
-    OD_SIGNATURE,
-    OD_STORE,
-    OD_TAXELS,
-    OD_TEMPERATURE,
-    OD_TEST_PATTERN,
-    OD_TPDO_COMMUNICATION,
-    OD_TPDO_MAPPING,
-    REAL32,
-    SIGNED,
-    VISIBLE_STRING,
-    split_block,
-)
 from dbc.objects import Object, Value
 from skin.ranges import ranges_text
 
 #: Change it by hand, with `dbc.dictionary.REVISION`, when the dictionary changes.
 _DATE: Final = "11-22-2026"
-_MANDATORY: Final = (OD_DEVICE_TYPE, OD_ERROR_REGISTER, OD_IDENTITY)
+_MANDATORY: Final = (od.DEVICE_TYPE, od.ERROR_REGISTER, od.IDENTITY)
 #: Bit rates with a key in the format, kbit/s.
 _BITRATES: Final = (10, 20, 50, 125, 250, 500, 800, 1000)
 _VARIABLE, _ARRAY, _RECORD = 7, 8, 9
@@ -67,26 +37,26 @@ _COUNT_LABELS: Final = ("NMT", "EM", "SYNC", "SYNC_PROD", "STORAGE", "EM_PROD", 
 NO_BLOCK: Final = 0xFFFF
 #: What a DCF says of its node: identity, part of Φ, calibration.
 _OF_NODE: Final = (
-    OD_IDENTITY,
-    OD_BLOCK,
-    OD_PHI_SEED,
-    OD_PHI_FINGERPRINT,
-    OD_ROWS,
-    OD_TAXELS,
-    OD_ENCODING,
-    OD_GAIN,
-    OD_OFFSET,
+    od.IDENTITY,
+    od.BLOCK,
+    od.PHI_SEED,
+    od.PHI_FINGERPRINT,
+    od.ROWS,
+    od.TAXELS,
+    od.ENCODING,
+    od.GAIN,
+    od.OFFSET,
 )
 #: Objects that are set while the node runs; objects that PDOs may carry are, too.
 _OF_RUN: Final = (
-    OD_ERROR_FIELD,
-    OD_STORE,
-    OD_RESTORE,
-    OD_SIGNATURE,
-    OD_TEST_PATTERN,
-    OD_REFRESH,
-    OD_NODE_NOISE,
-    OD_TEMPERATURE,
+    od.ERROR_FIELD,
+    od.STORE,
+    od.RESTORE,
+    od.SIGNATURE,
+    od.TEST_PATTERN,
+    od.REFRESH,
+    od.NODE_NOISE,
+    od.TEMPERATURE,
 )
 
 
@@ -148,9 +118,9 @@ def _text(
         _section("Comments", _comments(contract, kind)),
         _object_list("MandatoryObjects", [index for index in indices if index in _MANDATORY]),
         _object_list(
-            "OptionalObjects", [index for index in indices if index < OD_MANUFACTURER and index not in _MANDATORY]
+            "OptionalObjects", [index for index in indices if index < od.MANUFACTURER and index not in _MANDATORY]
         ),
-        _object_list("ManufacturerObjects", [index for index in indices if index >= OD_MANUFACTURER]),
+        _object_list("ManufacturerObjects", [index for index in indices if index >= od.MANUFACTURER]),
     ]
     for _, group in groupby(described, key=lambda entry: entry[0].index):
         sections += _object_sections(list(group))
@@ -176,9 +146,9 @@ def _shape(contract: Contract, node: NodeContract) -> object:
 
 
 def _is_cob_id(each: Object) -> bool:
-    is_pdo = OD_TPDO_COMMUNICATION <= each.index < OD_TPDO_MAPPING and each.subindex == 1
-    is_sdo = each.index == OD_SDO_SERVER and each.subindex != 0
-    return is_pdo or is_sdo or each.index == OD_EMCY_COB_ID
+    is_pdo = od.TPDO_COMMUNICATION <= each.index < od.TPDO_MAPPING and each.subindex == 1
+    is_sdo = each.index == od.SDO_SERVER and each.subindex != 0
+    return is_pdo or is_sdo or each.index == od.EMCY_COB_ID
 
 
 def _offset(value: Value, node: NodeContract) -> int:
@@ -199,31 +169,31 @@ def _default(each: Object, values: list[Value], nodes: tuple[NodeContract, ...])
         return f"$NODEID+0x{_offset(values[0], nodes[0]):X}"
     value = values[0]
     if any(other != value for other in values):
-        value = NO_BLOCK if each.index == OD_BLOCK else 0
-    if each.data_type == REAL32:
+        value = NO_BLOCK if each.index == od.BLOCK else 0
+    if each.data_type == od.REAL32:
         return str(int(value)) if float(value).is_integer() else None
     return _number(each, value)
 
 
 def _own_value(each: Object, default: str | None) -> str | None:
     """Return the value of one node for its DCF, None where the default of the EDS holds."""
-    if each.data_type == REAL32:
+    if each.data_type == od.REAL32:
         return f"0x{int.from_bytes(struct.pack('<f', each.value), 'little'):08X}"
     if _first_block(each.index) in _OF_NODE and each.subindex != 0:
         return _number(each, each.value)
     # The rows of recognition differ between nodes of a type, and so do the sums that its TPDOs carry.
-    is_mapped = OD_TPDO_MAPPING <= each.index < OD_MANUFACTURER
+    is_mapped = od.TPDO_MAPPING <= each.index < od.MANUFACTURER
     return _number(each, each.value) if is_mapped and default != _number(each, each.value) else None
 
 
 def _number(each: Object, value: Value) -> str:
-    if each.data_type == VISIBLE_STRING or each.data_type in SIGNED:
+    if each.data_type == od.VISIBLE_STRING or each.data_type in od.SIGNED:
         return str(value)
     return f"0x{int(value):X}"
 
 
 def _first_block(index: int) -> int:
-    return split_block(index)[1] if index >= OD_MANUFACTURER else index
+    return od.split_block(index)[1] if index >= od.MANUFACTURER else index
 
 
 def _section(name: str, entries: dict[str, str]) -> str:
@@ -259,7 +229,7 @@ def storage_group(entries: Sequence[Object]) -> str:
     index = entries[0].index
     if _first_block(index) in _OF_RUN or any(each.pdo for each in entries):
         return "RAM"
-    if index < OD_MANUFACTURER:
+    if index < od.MANUFACTURER:
         return "PERSIST_COMM"
     return "ROM" if all(each.access != "rw" for each in entries) else "PERSIST_APP"
 
@@ -322,8 +292,8 @@ def _device_info(contract: Contract, kind: NodeType, indices: list[int]) -> dict
         "Granularity": "4" if contract.packing.bits % 8 else "8",
         "DynamicChannelsSupported": "0",
         "GroupMessaging": "0",
-        "NrOfRXPDO": str(indices.count(OD_RPDO_COMMUNICATION)),
-        "NrOfTXPDO": str(sum(OD_TPDO_COMMUNICATION <= index < OD_TPDO_MAPPING for index in indices)),
+        "NrOfRXPDO": str(indices.count(od.RPDO_COMMUNICATION)),
+        "NrOfTXPDO": str(sum(od.TPDO_COMMUNICATION <= index < od.TPDO_MAPPING for index in indices)),
         "LSS_Supported": "0",
     }
 

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final, Literal
 
-from dbc.indices import OD_TPDO_MAPPING, UNSIGNED8, UNSIGNED32
+from dbc import indices as od
 
 Access = Literal["ro", "rw", "const"]
 Value = int | float | str
@@ -29,11 +29,11 @@ class Object:
 
 def mapping(number: int, count: int, mapped: list[int], access: Access = "rw") -> list[Object]:
     """Return the mapping record of TPDO `number`: `count` objects, and room for as many as `mapped` has."""
-    index, group = OD_TPDO_MAPPING + number - 1, f"TPDO {number} mapping parameter"
+    index, group = od.TPDO_MAPPING + number - 1, f"TPDO {number} mapping parameter"
     return [
-        Object(index, 0, "Number of mapped objects", UNSIGNED8, access, count, group=group),
+        Object(index, 0, "Number of mapped objects", od.UNSIGNED8, access, count, group=group),
         *(
-            Object(index, place, f"Mapped object {place}", UNSIGNED32, access, entry, group=group)
+            Object(index, place, f"Mapped object {place}", od.UNSIGNED32, access, entry, group=group)
             for place, entry in enumerate(mapped, 1)
         ),
     ]
@@ -42,7 +42,7 @@ def mapping(number: int, count: int, mapped: list[int], access: Access = "rw") -
 def record(index: int, group: str, entries: Sequence[tuple[str, int, Access, Value]]) -> list[Object]:
     """Return sub-index 0 and the entries of a record: name, type, access, value."""
     return [
-        Object(index, 0, HIGHEST_SUBINDEX, UNSIGNED8, "const", len(entries), group=group),
+        Object(index, 0, HIGHEST_SUBINDEX, od.UNSIGNED8, "const", len(entries), group=group),
         *(
             Object(index, sub, name, kind, access, value, group=group)
             for sub, (name, kind, access, value) in enumerate(entries, 1)
@@ -71,4 +71,4 @@ def array(
         Object(index, place, name, data_type, access, each, pdo, group, array=True)
         for place, (name, each) in enumerate(zip(names, values, strict=True), 1)
     ]
-    return [Object(index, 0, HIGHEST_SUBINDEX, UNSIGNED8, "const", len(names), group=group, array=True), *entries]
+    return [Object(index, 0, HIGHEST_SUBINDEX, od.UNSIGNED8, "const", len(names), group=group, array=True), *entries]

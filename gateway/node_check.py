@@ -12,6 +12,7 @@ from typing import Final, cast
 import numpy as np
 
 from bus.link import Send
+from dbc import indices as od
 from dbc.board import Board, BoardTpdo, board
 from dbc.board_sums import PATTERNS, node_payloads, node_sums, pattern_counts
 from dbc.canopen import NMT_COB_ID, SDO_REQUEST_BASE, SDO_RESPONSE_BASE, SYNC_COB_ID, NmtCommand
@@ -19,16 +20,6 @@ from dbc.configuration import configuration, setting_of, signature
 from dbc.contract import Contract, NodeContract
 from dbc.dictionary import dictionary
 from dbc.frame import ECHO, ERROR, REMOTE, Frames, frames, one_frame
-from dbc.indices import (
-    OD_IDENTITY,
-    OD_MANUFACTURER,
-    OD_ROWS,
-    OD_SIGNATURE,
-    OD_TAXELS,
-    OD_TEST_PATTERN,
-    of_block,
-    split_block,
-)
 from dbc.objects import Object
 from gateway.proof import NO_SIGNATURE
 from gateway.sdo import Dialogue, Read, SdoAbortedError, SdoDialogue, SdoError, Transfer, Write
@@ -43,7 +34,7 @@ LOOK_S: Final = 0.005
 #: SYNC messages for each test pattern.
 CYCLES: Final = 4
 #: Serial number: a maker may have numbers of its own.
-_SERIAL: Final = (OD_IDENTITY, 4)
+_SERIAL: Final = (od.IDENTITY, 4)
 #: What a pattern is called in messages.
 _NAMES: Final = {1: "zero", 2: "ramp", 3: "full scale"}
 
@@ -116,7 +107,7 @@ class NodeCheck:
         self.report = NodeReport(contract.layout.bus[node.bus].name, node.node_id)
         self.done = False
         self.due_s = now_s
-        self._pattern_indices = [of_block(OD_TEST_PATTERN, place) for place in range(node.blocks)]
+        self._pattern_indices = [od.of_block(od.TEST_PATTERN, place) for place in range(node.blocks)]
         #: The test patterns that the node had.
         self._patterns: dict[int, bytes] = {}
         self._heard: list[Frames] = []
@@ -236,16 +227,16 @@ class NodeCheck:
 
     def _signature(self, found: Mapping[tuple[int, int], bytes]) -> _Steps:
         """Compare 2006h with what it is for the values that the node has."""
-        data = yield Read(OD_SIGNATURE)
+        data = yield Read(od.SIGNATURE)
         value = int.from_bytes(data, "little") if isinstance(data, bytes) else NO_SIGNATURE
         covered = [(each.index, each.subindex) for each in configuration(self._contract, self._node)]
         if value == NO_SIGNATURE:
-            self.report.notes.append(f"no signature ({OD_SIGNATURE:04X}h): a proof reads every object")
+            self.report.notes.append(f"no signature ({od.SIGNATURE:04X}h): a proof reads every object")
         elif found.keys() >= set(covered):
             expected = signature((*place, found[place]) for place in covered)
             if value != expected:
                 self._differs(
-                    f"the signature ({OD_SIGNATURE:04X}h) is {value:08X}h, expected {expected:08X}h of its objects"
+                    f"the signature ({od.SIGNATURE:04X}h) is {value:08X}h, expected {expected:08X}h of its objects"
                 )
 
     def _show(self, pattern: int) -> Generator[_Step, _Answer, bool]:
@@ -317,7 +308,7 @@ def _is_of_board(each: Object) -> bool:
     """Tell whether an object is compared besides those that the gateway compares: wiring, rows, serial number."""
     if (each.index, each.subindex) == _SERIAL:
         return True
-    is_of_phi = each.index >= OD_MANUFACTURER and split_block(each.index)[1] in (OD_ROWS, OD_TAXELS)
+    is_of_phi = each.index >= od.MANUFACTURER and od.split_block(each.index)[1] in (od.ROWS, od.TAXELS)
     return is_of_phi and each.subindex != 0
 
 

@@ -5,8 +5,8 @@ from collections.abc import Generator, Mapping, Sequence
 from typing import Final
 
 from calibration.windows import Floats
+from dbc import indices as od
 from dbc.contract import Contract, NodeContract
-from dbc.indices import OD_GAIN, OD_OFFSET, OD_STORE, SIGNATURE_SAVE, of_block
 from gateway.nmt_master import NmtMaster
 from gateway.sdo import SdoDialogue, Transfer, Write
 from skin.ranges import ranges_text
@@ -107,10 +107,10 @@ class NodeWriting:
     def _steps(self, node: NodeContract) -> Generator[Transfer, bytes, None]:
         for place in range(node.blocks):
             chain: Sequence[int] = self._chains[node.block + place].tolist()
-            for index, values, form in ((OD_GAIN, self._gains, "<f"), (OD_OFFSET, self._offsets, "<h")):
+            for index, values, form in ((od.GAIN, self._gains, "<f"), (od.OFFSET, self._offsets, "<h")):
                 if values is None:
                     continue
                 for subindex, taxel in enumerate(chain, 1):
                     value = float(values[taxel]) if form == "<f" else int(values[taxel])
-                    yield Write(of_block(index, place), subindex, struct.pack(form, value))
-        yield Write(OD_STORE, 1, SIGNATURE_SAVE.to_bytes(4, "little"))
+                    yield Write(od.of_block(index, place), subindex, struct.pack(form, value))
+        yield Write(od.STORE, 1, od.SIGNATURE_SAVE.to_bytes(4, "little"))

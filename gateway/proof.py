@@ -8,18 +8,9 @@ from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
 from typing import Final
 
+from dbc import indices as od
 from dbc.canopen import COB_ID_INVALID
 from dbc.configuration import Setting
-from dbc.indices import (
-    OD_CYCLE_PERIOD_US,
-    OD_EMCY_COB_ID,
-    OD_IDENTITY,
-    OD_MANUFACTURER,
-    OD_SIGNATURE,
-    OD_SYNC_OVERFLOW,
-    OD_TPDO_COMMUNICATION,
-    OD_TPDO_MAPPING,
-)
 from gateway.sdo import Read, SdoAbortedError, Transfer, Write
 
 #: Value of 2006h in a board that computes no signature.
@@ -90,14 +81,14 @@ def prove(settings: Sequence[Setting], signature: int, *, write: bool, doubt: Ca
     if wrong:
         proof.refusal = _in_words(fixed or wrong)
     elif proof.has_signature:
-        proof.refusal = f"its objects are right, but not their signature ({OD_SIGNATURE:04X}h)"
+        proof.refusal = f"its objects are right, but not their signature ({od.SIGNATURE:04X}h)"
     return proof
 
 
 def _signature_is_right(expected: int, proof: Proof) -> Generator[Transfer, bytes, bool]:
     """Read the signature; tell whether it is that of the contract."""
     try:
-        found = int.from_bytes((yield Read(OD_SIGNATURE)), "little")
+        found = int.from_bytes((yield Read(od.SIGNATURE)), "little")
     except SdoAbortedError:
         return False
     proof.has_signature = found != NO_SIGNATURE
@@ -111,7 +102,7 @@ def _differences(settings: Sequence[Setting]) -> Generator[Transfer, bytes, list
         data = yield Read(setting.index, setting.subindex)
         if not setting.matches(data):
             wrong.append((setting, data))
-            if setting.index == OD_IDENTITY:
+            if setting.index == od.IDENTITY:
                 break
     return wrong
 
@@ -120,9 +111,9 @@ def _write(wrong: Sequence[Setting], settings: Sequence[Setting]) -> _Part:
     """Write the objects that differ, in the order of CiA 301."""
     of_tpdos = {_tpdo(setting.index) for setting in wrong} - {None}
     for setting in wrong:
-        if setting.index == OD_SYNC_OVERFLOW:
+        if setting.index == od.SYNC_OVERFLOW:
             yield from _write_overflow(setting, settings)
-        elif setting.index == OD_EMCY_COB_ID:
+        elif setting.index == od.EMCY_COB_ID:
             # The identifier may change only while the message does not exist (CiA 301, 7.5.2.17).
             yield Write(setting.index, 0, _invalid(setting.data))
             yield Write(setting.index, 0, setting.data)
@@ -134,10 +125,10 @@ def _write(wrong: Sequence[Setting], settings: Sequence[Setting]) -> _Part:
 
 def _write_overflow(setting: Setting, settings: Sequence[Setting]) -> _Part:
     """Write 1019h, which may change only while 1006h is 0 (CiA 301, 7.5.2.22)."""
-    period = next(each for each in settings if each.index == OD_CYCLE_PERIOD_US)
-    yield Write(OD_CYCLE_PERIOD_US, 0, bytes(4))
+    period = next(each for each in settings if each.index == od.CYCLE_PERIOD_US)
+    yield Write(od.CYCLE_PERIOD_US, 0, bytes(4))
     yield Write(setting.index, setting.subindex, setting.data)
-    yield Write(OD_CYCLE_PERIOD_US, 0, period.data)
+    yield Write(od.CYCLE_PERIOD_US, 0, period.data)
 
 
 def _write_tpdo(tpdo: int, settings: Sequence[Setting]) -> _Part:
@@ -146,8 +137,8 @@ def _write_tpdo(tpdo: int, settings: Sequence[Setting]) -> _Part:
     What cannot be written, as the mapping of adaptive TPDOs, is right already.
     """
     writable = [each for each in settings if each.is_writable]
-    communication = {each.subindex: each for each in writable if each.index == OD_TPDO_COMMUNICATION + tpdo - 1}
-    mapping = [each for each in writable if each.index == OD_TPDO_MAPPING + tpdo - 1]
+    communication = {each.subindex: each for each in writable if each.index == od.TPDO_COMMUNICATION + tpdo - 1}
+    mapping = [each for each in writable if each.index == od.TPDO_MAPPING + tpdo - 1]
     cob_id = communication.pop(1)
     yield Write(cob_id.index, 1, _invalid(cob_id.data))
     for count in (each for each in mapping if each.subindex == 0):
@@ -163,7 +154,7 @@ def _write_tpdo(tpdo: int, settings: Sequence[Setting]) -> _Part:
 
 def _tpdo(index: int) -> int | None:
     """Return the number of the TPDO that the record at `index` describes; None for other objects."""
-    if OD_TPDO_COMMUNICATION <= index < OD_MANUFACTURER:
+    if od.TPDO_COMMUNICATION <= index < od.MANUFACTURER:
         return index % 0x200 + 1
     return None
 

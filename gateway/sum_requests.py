@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from dbc.indices import OD_NODE_NOISE, OD_REFRESH
+from dbc import indices as od
 from gateway.nmt_master import TICK_S, NmtMaster
 from gateway.sdo import Read, SdoDialogue, Transfer, Write
 
@@ -103,7 +103,7 @@ class SumRequests:
 
     def _noise(self, node: int) -> _Steps:
         """Read a node's noise; a node without one (0) is not counted."""
-        data = yield Read(OD_NODE_NOISE)
+        data = yield Read(od.NODE_NOISE)
         if len(data) == struct.calcsize("<f"):
             (noise_n,) = struct.unpack("<f", data)
             if 0 < noise_n < np.inf:
@@ -112,4 +112,4 @@ class SumRequests:
 
 def _refresh(groups: int) -> _Steps:
     """Ask a node to send groups again."""
-    yield Write(OD_REFRESH, 0, bytes((groups,)))
+    yield Write(od.REFRESH, 0, bytes((groups,)))

@@ -7,9 +7,9 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from dbc import indices as od
 from dbc.contract import Contract, NodeContract
 from dbc.dictionary import TEMPERATURE_UNKNOWN
-from dbc.indices import OD_TEMPERATURE
 from gateway.nmt_master import NmtMaster
 from gateway.sdo import Read, SdoAbortedError, Transfer
 
@@ -54,7 +54,7 @@ class Temperatures:
 
     def _read(self, node: NodeContract) -> Generator[Transfer, bytes, None]:
         try:
-            data = yield Read(OD_TEMPERATURE)
+            data = yield Read(od.TEMPERATURE)
         except SdoAbortedError:
             data = b""
         (steps,) = struct.unpack("<h", data) if len(data) == struct.calcsize("<h") else (TEMPERATURE_UNKNOWN,)

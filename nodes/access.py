@@ -9,6 +9,7 @@ from typing import Any, Final
 
 from canopen import SdoAbortedError
 
+from dbc import indices as od
 from dbc.adaptive_filter import GIVEN_NOISE_N
 from dbc.board_sums import PATTERN_FULL
 from dbc.canopen import (
@@ -23,30 +24,6 @@ from dbc.canopen import (
     Abort,
 )
 from dbc.dictionary import HEARTBEATS_WATCHED, SkinState
-from dbc.indices import (
-    OD_COEFFICIENT_NOISE,
-    OD_CONSUMER_HEARTBEAT,
-    OD_CYCLE_PERIOD_US,
-    OD_EMCY_COB_ID,
-    OD_ERROR_BEHAVIOUR,
-    OD_ERROR_FIELD,
-    OD_GAIN,
-    OD_MANUFACTURER,
-    OD_REFRESH,
-    OD_RESTORE,
-    OD_SENDING,
-    OD_STATE,
-    OD_STORE,
-    OD_SYNC_COB_ID,
-    OD_SYNC_OVERFLOW,
-    OD_TAXEL_NOISE,
-    OD_TEST_PATTERN,
-    OD_TPDO_COMMUNICATION,
-    OD_TPDO_MAPPING,
-    SIGNATURE_LOAD,
-    SIGNATURE_SAVE,
-    split_block,
-)
 from nodes.heartbeat import watched_node
 from nodes.objects import LocalNode
 from skin.walsh import GROUPS
@@ -54,17 +31,17 @@ from skin.walsh import GROUPS
 
 def check_write(node: LocalNode, index: int, subindex: int, value: float) -> None:
     """Raise `canopen.SdoAbortedError` if `value` must not be written now; only REAL32 values may be fractions."""
-    if OD_TPDO_COMMUNICATION <= index < OD_TPDO_MAPPING:
+    if od.TPDO_COMMUNICATION <= index < od.TPDO_MAPPING:
         _communication(node, index, subindex, int(value))
-    elif OD_TPDO_MAPPING <= index < OD_MANUFACTURER:
+    elif od.TPDO_MAPPING <= index < od.MANUFACTURER:
         _mapping(node, index, subindex, int(value))
-    elif index == OD_EMCY_COB_ID:
+    elif index == od.EMCY_COB_ID:
         _emcy(node, int(value))
-    elif index == OD_CONSUMER_HEARTBEAT:
+    elif index == od.CONSUMER_HEARTBEAT:
         _consumer_heartbeat(node, subindex, int(value))
     elif (rule := _VALUES.get(_first_block(index))) is not None and not rule(value):
-        raise SdoAbortedError(Abort.NOT_STORED if index in (OD_STORE, OD_RESTORE) else Abort.VALUE)
-    elif index == OD_SYNC_OVERFLOW and node.unsigned(OD_CYCLE_PERIOD_US):
+        raise SdoAbortedError(Abort.NOT_STORED if index in (od.STORE, od.RESTORE) else Abort.VALUE)
+    elif index == od.SYNC_OVERFLOW and node.unsigned(od.CYCLE_PERIOD_US):
         raise SdoAbortedError(Abort.STATE)  # CiA 301, 7.5.2.22
 
 
@@ -75,7 +52,7 @@ def is_allowed(index: int, value: float) -> bool:
 
 
 def _first_block(index: int) -> int:
-    return split_block(index)[1] if index >= OD_MANUFACTURER else index
+    return od.split_block(index)[1] if index >= od.MANUFACTURER else index
 
 
 def _is_noise(value: float) -> bool:
@@ -84,19 +61,19 @@ def _is_noise(value: float) -> bool:
 
 #: Accepted values of the objects that do not accept every value of their type.
 _VALUES: Final[dict[int, Callable[[Any], bool]]] = {
-    OD_ERROR_FIELD: lambda value: value == 0,
-    OD_SYNC_COB_ID: lambda value: value == SYNC_COB_ID,  # a consumer, on the predefined identifier
-    OD_STORE: lambda value: value == SIGNATURE_SAVE,
-    OD_RESTORE: lambda value: value == SIGNATURE_LOAD,
-    OD_SYNC_OVERFLOW: lambda value: value == 0 or 2 <= value <= LAST_SYNCHRONOUS,
-    OD_ERROR_BEHAVIOUR: lambda value: value <= 2,
-    OD_GAIN: math.isfinite,
-    OD_TEST_PATTERN: lambda value: value <= PATTERN_FULL,
-    OD_REFRESH: lambda value: value < 1 << GROUPS,
-    OD_STATE: lambda value: value <= SkinState.IMAGES,
-    OD_SENDING: lambda value: 0 < value < math.inf,
-    OD_COEFFICIENT_NOISE: _is_noise,
-    OD_TAXEL_NOISE: _is_noise,
+    od.ERROR_FIELD: lambda value: value == 0,
+    od.SYNC_COB_ID: lambda value: value == SYNC_COB_ID,  # a consumer, on the predefined identifier
+    od.STORE: lambda value: value == od.SIGNATURE_SAVE,
+    od.RESTORE: lambda value: value == od.SIGNATURE_LOAD,
+    od.SYNC_OVERFLOW: lambda value: value == 0 or 2 <= value <= LAST_SYNCHRONOUS,
+    od.ERROR_BEHAVIOUR: lambda value: value <= 2,
+    od.GAIN: math.isfinite,
+    od.TEST_PATTERN: lambda value: value <= PATTERN_FULL,
+    od.REFRESH: lambda value: value < 1 << GROUPS,
+    od.STATE: lambda value: value <= SkinState.IMAGES,
+    od.SENDING: lambda value: 0 < value < math.inf,
+    od.COEFFICIENT_NOISE: _is_noise,
+    od.TAXEL_NOISE: _is_noise,
 }
 
 
@@ -125,20 +102,20 @@ def _emcy(node: LocalNode, value: int) -> None:
     """Check 1014h (CiA 301, 7.5.2.17)."""
     if value & COB_ID_EXTENDED:
         raise SdoAbortedError(Abort.VALUE)
-    _cob_id(node.unsigned(OD_EMCY_COB_ID), value)
+    _cob_id(node.unsigned(od.EMCY_COB_ID), value)
 
 
 def _consumer_heartbeat(node: LocalNode, subindex: int, value: int) -> None:
     """Check an entry of 1016h: no node-ID is watched twice (CiA 301, 7.5.2.18)."""
     others = [
-        node.unsigned(OD_CONSUMER_HEARTBEAT, each) for each in range(1, HEARTBEATS_WATCHED + 1) if each != subindex
+        node.unsigned(od.CONSUMER_HEARTBEAT, each) for each in range(1, HEARTBEATS_WATCHED + 1) if each != subindex
     ]
     if watched_node(value) and watched_node(value) in map(watched_node, others):
         raise SdoAbortedError(Abort.INCOMPATIBLE)
 
 
 def _mapping(node: LocalNode, index: int, subindex: int, value: int) -> None:
-    communication = index - OD_TPDO_MAPPING + OD_TPDO_COMMUNICATION
+    communication = index - od.TPDO_MAPPING + od.TPDO_COMMUNICATION
     if not node.unsigned(communication, 1) & COB_ID_INVALID:
         raise SdoAbortedError(Abort.STATE)
     if subindex:

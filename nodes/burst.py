@@ -5,10 +5,10 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from dbc import indices as od
 from dbc.codec import encode
 from dbc.contract import Contract, NodeContract
 from dbc.frame import Frames, frames
-from dbc.indices import split_block
 from nodes.tpdo import LiveTpdo
 from skin.sync_counter import SYNC_OVERFLOW
 
@@ -32,7 +32,7 @@ class Burst:
         self._gather = np.full((len(tpdos), max((len(tpdo.mapped) for *_, tpdo in tpdos), default=0)), -1, np.intp)
         for row, (_, node, tpdo) in enumerate(tpdos):
             for column, (index, subindex, _) in enumerate(tpdo.mapped):
-                block = node.block + split_block(index)[0]
+                block = node.block + od.split_block(index)[0]
                 self._gather[row, column] = contract.phi.starts[block] + subindex - 1
         self._state = np.array([_ANY_STATE if tpdo.state is None else tpdo.state for *_, tpdo in tpdos], np.intp)
         self._template = frames(len(tpdos))

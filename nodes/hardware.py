@@ -6,8 +6,8 @@ import numpy as np
 import numpy.typing as npt
 
 from canskin.messages import Truth
+from dbc import indices as od
 from dbc.board_sums import PATTERN_OFF
-from dbc.indices import OD_GAIN, OD_OFFSET, OD_TEST_PATTERN
 from nodes.electronics import Calibration
 from skin.measurement import Sbhe
 from skin.zero_drift import DRIFT_N_PER_K, REST_K
@@ -58,11 +58,11 @@ class Hardware(ABC):
     def adjust(self, block: int, index: int, subindex: int, value: float) -> None:
         """Apply a write to a block's calibration or test pattern (2010h, 2011h, 2021h)."""
         size, chain = self._phi.block_size, self._chain(block)
-        if index == OD_GAIN and 1 <= subindex <= size:
+        if index == od.GAIN and 1 <= subindex <= size:
             self._calibration.gain[chain[subindex - 1]] = value
-        elif index == OD_OFFSET and 1 <= subindex <= size:
+        elif index == od.OFFSET and 1 <= subindex <= size:
             self._calibration.offset[chain[subindex - 1]] = value
-        elif index == OD_TEST_PATTERN:
+        elif index == od.TEST_PATTERN:
             self._calibration.set_pattern(chain, int(value))
             self._patterns[block] = int(value)
 

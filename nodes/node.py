@@ -8,6 +8,7 @@ from typing import Any, Final
 import canopen
 import numpy as np
 
+from dbc import indices as od
 from dbc.canopen import (
     BASE_ID_MASK,
     COB_ID_INVALID,
@@ -23,32 +24,6 @@ from dbc.canopen import (
 from dbc.configuration import Setting, signature
 from dbc.contract import NodeContract
 from dbc.dictionary import HEARTBEATS_WATCHED, ON_COMMAND, SkinState
-from dbc.indices import (
-    BITS,
-    OD_CONSUMER_HEARTBEAT,
-    OD_EMCY_COB_ID,
-    OD_EMCY_INHIBIT_100US,
-    OD_ERROR_BEHAVIOUR,
-    OD_ERROR_FIELD,
-    OD_ERROR_REGISTER,
-    OD_HEALTH,
-    OD_HEARTBEAT_MS,
-    OD_MANUFACTURER,
-    OD_OFFSET,
-    OD_REFRESH,
-    OD_RESTORE,
-    OD_SIGNATURE,
-    OD_STATE,
-    OD_STORE,
-    OD_SUMS,
-    OD_TEMPERATURE,
-    OD_TEST_PATTERN,
-    OD_TPDO_COMMUNICATION,
-    OD_TPDO_MAPPING,
-    REAL32,
-    of_block,
-    split_block,
-)
 from dbc.objects import Object
 from nodes.access import check_write, is_allowed
 from nodes.emcy import EmcyProducer
@@ -59,10 +34,10 @@ from nodes.storage import Parameters, Storage
 from nodes.tpdo import LiveTpdo, read_tpdos
 
 #: Objects whose write is a command; a read tells that the node offers the command.
-_COMMANDS: Final = (OD_STORE, OD_RESTORE)
+_COMMANDS: Final = (od.STORE, od.RESTORE)
 
 #: Objects of the manufacturer whose value is an order to the running node: they are not restored.
-_ORDERS: Final = (OD_TEST_PATTERN, OD_REFRESH, OD_STATE)
+_ORDERS: Final = (od.TEST_PATTERN, od.REFRESH, od.STATE)
 
 #: State after a communication error, by 1029h sub 1 (CiA 301, 7.5.2.33): pre-operational, no change, stopped.
 _ON_ERROR: Final = (NmtState.PRE_OPERATIONAL, None, NmtState.STOPPED)
@@ -120,14 +95,14 @@ class SkinNode:
         self._emcy_inhibit_s = 0.0
         first = contract.block
         self._live: dict[int, Callable[[int], float | None]] = {
-            OD_ERROR_REGISTER: lambda _: self.emcy.register,
-            OD_ERROR_FIELD: self._read_error,
-            OD_HEALTH: self._read_health,
-            OD_SIGNATURE: lambda _: self._read_signature(),
-            OD_TEMPERATURE: lambda _: round(10 * hardware.temperature_k(range(first, first + contract.blocks))),
-            OD_STATE: lambda subindex: self._wanted if subindex == 1 else None,
+            od.ERROR_REGISTER: lambda _: self.emcy.register,
+            od.ERROR_FIELD: self._read_error,
+            od.HEALTH: self._read_health,
+            od.SIGNATURE: lambda _: self._read_signature(),
+            od.TEMPERATURE: lambda _: round(10 * hardware.temperature_k(range(first, first + contract.blocks))),
+            od.STATE: lambda subindex: self._wanted if subindex == 1 else None,
             **{
-                of_block(OD_SUMS, place): partial(self._read_sum, contract.block + place)
+                od.of_block(od.SUMS, place): partial(self._read_sum, contract.block + place)
                 for place in range(contract.blocks)
             },
             **{index: lambda subindex: ON_COMMAND if subindex else None for index in _COMMANDS},
@@ -149,11 +124,11 @@ class SkinNode:
         """Initialise: restore parameters, send the boot-up message, enter PRE-OPERATIONAL."""
         self._enter(NmtState.INITIALISING)
         store = self.local.data_store
-        for index in [index for index in store if index < OD_MANUFACTURER or not communication_only]:
+        for index in [index for index in store if index < od.MANUFACTURER or not communication_only]:
             del store[index]
         for index, entries in self._storage.parameters.items():
             for subindex, data in entries.items():
-                if (index < OD_MANUFACTURER or not communication_only) and self._is_stored(index, subindex, data):
+                if (index < od.MANUFACTURER or not communication_only) and self._is_stored(index, subindex, data):
                     store.setdefault(index, {})[subindex] = data
         if not communication_only:
             self._reset_electronics()
@@ -168,16 +143,16 @@ class SkinNode:
         self._enter(NmtState.PRE_OPERATIONAL)
         # Otherwise boards powered together would send their heartbeats together, inside a burst of sums.
         part = self.contract.node_id / (HIGHEST_NODE_ID + 1)
-        self.heartbeat.set_period(self.local.unsigned(OD_HEARTBEAT_MS) / 1000, now_s, part)
+        self.heartbeat.set_period(self.local.unsigned(od.HEARTBEAT_MS) / 1000, now_s, part)
 
     def _is_stored(self, index: int, subindex: int, data: bytes) -> bool:
         """Tell whether a stored value fits an object that can be stored; test patterns and refreshes cannot."""
         found = self.local.variable(index, subindex)
-        if found is None or not found.writable or index in _COMMANDS or index == OD_ERROR_FIELD:
+        if found is None or not found.writable or index in _COMMANDS or index == od.ERROR_FIELD:
             return False
-        if index >= OD_MANUFACTURER and split_block(index)[1] in _ORDERS:
+        if index >= od.MANUFACTURER and od.split_block(index)[1] in _ORDERS:
             return False
-        is_whole = len(data) * 8 == BITS.get(found.data_type or 0)
+        is_whole = len(data) * 8 == od.BITS.get(found.data_type or 0)
         return is_whole and is_allowed(index, _number(found.data_type, data))
 
     def _reset_electronics(self) -> None:
@@ -185,14 +160,14 @@ class SkinNode:
         for place in range(self.contract.blocks):
             self._hardware.reset(self.contract.block + place)
         for index, entries in self.local.data_store.items():
-            if index >= OD_MANUFACTURER:
+            if index >= od.MANUFACTURER:
                 for subindex, data in entries.items():
                     self._adjust(index, subindex, data)
 
     def _adjust(self, index: int, subindex: int, data: bytes) -> None:
         """Pass a value of the manufacturer's area to the electronics."""
-        place, first = split_block(index)
-        if first == OD_OFFSET:
+        place, first = od.split_block(index)
+        if first == od.OFFSET:
             value: float = int.from_bytes(data, "little", signed=True)
         else:
             found = self.local.variable(index, subindex)
@@ -232,10 +207,10 @@ class SkinNode:
         local = self.local
         self.tpdos = read_tpdos(local, self._states)
         self._has_events = any(tpdo.every >= EVENT_MANUFACTURER for tpdo in self.tpdos)
-        self._emcy_cob_id = local.unsigned(OD_EMCY_COB_ID)
-        self._emcy_inhibit_s = local.unsigned(OD_EMCY_INHIBIT_100US) * 1e-4
-        self.watched.watch([local.unsigned(OD_CONSUMER_HEARTBEAT, place) for place in range(1, HEARTBEATS_WATCHED + 1)])
-        self.heartbeat.set_period(local.unsigned(OD_HEARTBEAT_MS) / 1000, now_s)
+        self._emcy_cob_id = local.unsigned(od.EMCY_COB_ID)
+        self._emcy_inhibit_s = local.unsigned(od.EMCY_INHIBIT_100US) * 1e-4
+        self.watched.watch([local.unsigned(od.CONSUMER_HEARTBEAT, place) for place in range(1, HEARTBEATS_WATCHED + 1)])
+        self.heartbeat.set_period(local.unsigned(od.HEARTBEAT_MS) / 1000, now_s)
         return True
 
     def tick(self, now_s: float) -> None:
@@ -281,7 +256,7 @@ class SkinNode:
         lost = bool(self.watched.lost)
         if lost and not before:
             self.emcy.raised(Emergency.HEARTBEAT_LOST, min(self.watched.lost))
-            state = _ON_ERROR[self.local.unsigned(OD_ERROR_BEHAVIOUR, 1)]
+            state = _ON_ERROR[self.local.unsigned(od.ERROR_BEHAVIOUR, 1)]
             if self.state is NmtState.OPERATIONAL and state is not None:
                 self._enter(state)
         elif not lost:  # heard again, or watched no longer
@@ -321,9 +296,9 @@ class SkinNode:
         return self._signature
 
     def _value(self, setting: Setting) -> bytes:
-        if setting.index >= OD_MANUFACTURER:
-            place, first = split_block(setting.index)
-            if first == OD_TEST_PATTERN:
+        if setting.index >= od.MANUFACTURER:
+            place, first = od.split_block(setting.index)
+            if first == od.TEST_PATTERN:
                 return bytes((self._hardware.pattern(self.contract.block + place),))
         return self.local.get_data(setting.index, setting.subindex)
 
@@ -336,18 +311,18 @@ class SkinNode:
         first = self._hardware.first_sum(block) + subindex - 1
         return int(self.contract.packing.raw(self._hardware.sums[first : first + 1])[0]) if subindex else None
 
-    def _written(self, *, index: int, subindex: int, od: Any, data: bytes) -> None:
-        check_write(self.local, index, subindex, _number(od.data_type, data))
-        if index == OD_ERROR_FIELD:
+    def _written(self, *, index: int, subindex: int, data: bytes, **entry: Any) -> None:
+        check_write(self.local, index, subindex, _number(entry["od"].data_type, data))
+        if index == od.ERROR_FIELD:
             self.emcy.clear_history()
-        elif index == OD_STORE:
+        elif index == od.STORE:
             self._store({at: dict(entries) for at, entries in self.local.data_store.items() if at not in _COMMANDS})
-        elif index == OD_RESTORE:
+        elif index == od.RESTORE:
             self._store({})
         self._signature = None
-        if index == OD_STATE:
+        if index == od.STATE:
             self._wanted = SkinState(data[0])
-        elif index >= OD_MANUFACTURER:
+        elif index >= od.MANUFACTURER:
             self._adjust(index, subindex, data)
         else:
             self._changed = True
@@ -365,16 +340,16 @@ class SkinNode:
 def _states_of_tpdos(contract: NodeContract, objects: list[Object]) -> dict[int, int | None]:
     """Return the state in which each synchronous TPDO is sent, by its number; None without states."""
     own = [tpdo.number for tpdo in contract.tpdos]
-    if all(each.index != OD_STATE for each in objects):
+    if all(each.index != od.STATE for each in objects):
         return dict.fromkeys(own)
-    numbers = {each.index - OD_TPDO_COMMUNICATION + 1 for each in objects if _is_tpdo(each)}
+    numbers = {each.index - od.TPDO_COMMUNICATION + 1 for each in objects if _is_tpdo(each)}
     return {number: SkinState.IMAGES if number in own else SkinState.RECOGNITION for number in sorted(numbers)}
 
 
 def _is_tpdo(each: Object) -> bool:
-    return OD_TPDO_COMMUNICATION <= each.index < OD_TPDO_MAPPING
+    return od.TPDO_COMMUNICATION <= each.index < od.TPDO_MAPPING
 
 
 def _number(data_type: int | None, data: bytes) -> float:
     """Return the value of an object's bytes; whole numbers as unsigned."""
-    return float(struct.unpack("<f", data)[0]) if data_type == REAL32 else int.from_bytes(data, "little")
+    return float(struct.unpack("<f", data)[0]) if data_type == od.REAL32 else int.from_bytes(data, "little")

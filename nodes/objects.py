@@ -11,10 +11,10 @@ from canopen.objectdictionary.datatypes import NUMBER_TYPES
 from canopen.sdo.constants import EXPEDITED, NO_MORE_DATA, SIZE_SPECIFIED
 from canopen.sdo.server import SdoServer
 
+from dbc import indices as od
 from dbc.canopen import HIGHEST_NODE_ID, Abort
 from dbc.contract import LONGEST_VALUE
 from dbc.frame import Frames, frames, one_frame
-from dbc.indices import BITS, OD_SUMS, split_block
 from dbc.objects import Object
 
 #: Bits of a command that tell how many of the four bytes of an expedited transfer are not used.
@@ -158,7 +158,7 @@ class LocalNode(canopen.LocalNode):
         found = self.variable(index, subindex)
         if found is None or not found.pdo_mappable:
             return None
-        return self.sum_bits if split_block(index)[1] == OD_SUMS else BITS.get(found.data_type or 0)
+        return self.sum_bits if od.split_block(index)[1] == od.SUMS else od.BITS.get(found.data_type or 0)
 
     def variable(self, index: int, subindex: int) -> ODVariable | None:
         """Return the description of an object, None when it does not exist."""

@@ -5,9 +5,9 @@ from dataclasses import dataclass, field
 
 from canopen import SdoAbortedError
 
+from dbc import indices as od
 from dbc.canopen import BASE_ID_MASK, COB_ID_INVALID, EVENT_MANUFACTURER, LAST_SYNCHRONOUS
 from dbc.frame import FD_LENGTHS
-from dbc.indices import OD_SUMS, OD_TPDO_COMMUNICATION, OD_TPDO_MAPPING, split_block
 from nodes.objects import LocalNode
 from skin.sync_counter import SYNC_OVERFLOW
 
@@ -47,7 +47,7 @@ class LiveTpdo:
     def is_plain(self) -> bool:
         """Whether the PDO is cyclic and carries sums only, so that `Burst` can send it."""
         return 1 <= self.every <= LAST_SYNCHRONOUS and all(
-            split_block(index)[1] == OD_SUMS for index, _, _ in self.mapped
+            od.split_block(index)[1] == od.SUMS for index, _, _ in self.mapped
         )
 
     def payload(self, node: LocalNode) -> bytes:
@@ -104,7 +104,7 @@ def read_tpdos(node: LocalNode, states: Mapping[int, int | None]) -> list[LiveTp
     found = []
     for number, state in states.items():
         try:
-            tpdo = _read(node, OD_TPDO_COMMUNICATION + number - 1, OD_TPDO_MAPPING + number - 1)
+            tpdo = _read(node, od.TPDO_COMMUNICATION + number - 1, od.TPDO_MAPPING + number - 1)
         except SdoAbortedError:
             continue
         if tpdo is not None:

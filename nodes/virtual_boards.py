@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from bus.link import DISCARDED
+from dbc import indices as od
 from dbc.canopen import (
     BASE_ID_MASK,
     HEARTBEAT_BASE,
@@ -27,7 +28,6 @@ from dbc.contract import Contract, NodeContract
 from dbc.dictionary import REACTION_NS, SkinState, dictionary
 from dbc.frame import ECHO, ERROR, EXTENDED, REMOTE, Frames
 from dbc.frame_bits import frame_time_ns
-from dbc.indices import OD_STATE, OD_SYNC_OVERFLOW, OD_WINDOW_US
 from nodes.burst import Burst
 from nodes.hardware import Hardware
 from nodes.node import SkinNode
@@ -247,7 +247,7 @@ class VirtualBoards:
         Plain TPDOs are sent as arrays (`Burst`), the others one by one.
         """
         for node in changed:
-            self._sync_length[node.contract.node_id] = 1 if node.local.unsigned(OD_SYNC_OVERFLOW) else 0
+            self._sync_length[node.contract.node_id] = 1 if node.local.unsigned(od.SYNC_OVERFLOW) else 0
         self._node_ids = [node.contract.node_id for node in self.nodes]
         self._watchers = {}
         self.is_pdo[:] = False
@@ -257,8 +257,8 @@ class VirtualBoards:
             for node_id in node.watched.watches:
                 self._watchers.setdefault(node_id, []).append(node)
             self.is_pdo[node.pdo_ids] = True
-            window_us = node.local.unsigned(OD_WINDOW_US)
-            few_us = window_us if self._contract.recognition is None else node.local.unsigned(OD_STATE, 2)
+            window_us = node.local.unsigned(od.WINDOW_US)
+            few_us = window_us if self._contract.recognition is None else node.local.unsigned(od.STATE, 2)
             self._window_ns[node.contract.node_id, [SkinState.RECOGNITION, SkinState.IMAGES]] = [
                 max(1, each_us * 1000 - self._frame_ns) if each_us else NO_WINDOW_NS for each_us in (few_us, window_us)
             ]

@@ -6,20 +6,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from dbc import indices as od
 from dbc.adaptive import SAVED_FRAMES, TPDOS, SendingRule
 from dbc.adaptive_filter import Floats
 from dbc.canopen import BASE_ID_MASK
 from dbc.contract import Contract, frame_flags, sum_frame_bits
 from dbc.frame import Frames, frame_bytes, frames
-from dbc.indices import (
-    OD_BUDGET,
-    OD_COARSE,
-    OD_COEFFICIENT_NOISE,
-    OD_NODE_NOISE,
-    OD_REFRESH,
-    OD_SENDING,
-    OD_TAXEL_NOISE,
-)
 from nodes.adaptive.controllers import (
     DEFAULT_RULE,
     NO_COB_ID,
@@ -172,17 +164,17 @@ class AdaptiveBoards(PatchBoards):
         """Apply a write to a block's calibration, or to its way of sending (2030h to 2034h)."""
         row = self._row[block]
         self._is_changed = True
-        if index == OD_REFRESH:
+        if index == od.REFRESH:
             for group in range(GROUPS):
                 if int(value) >> group & 1:
                     ask(row, group, self._now, self.groups)
-        elif index == OD_SENDING and subindex:
+        elif index == od.SENDING and subindex:
             self.controllers.rule[SendingRule._fields[subindex - 1]][row] = value
             self._noise = None
-        elif index in (OD_TAXEL_NOISE, OD_COEFFICIENT_NOISE) and subindex:
-            self._given[int(index == OD_COEFFICIENT_NOISE), row, subindex - 1] = value
+        elif index in (od.TAXEL_NOISE, od.COEFFICIENT_NOISE) and subindex:
+            self._given[int(index == od.COEFFICIENT_NOISE), row, subindex - 1] = value
             self.filter.give(*self._given)
-        elif index == OD_BUDGET:
+        elif index == od.BUDGET:
             self.controllers.budget[row] = value
             self.controllers.saved[row] = SAVED_FRAMES * self.controllers.frame_bits[row, 0]
         else:
@@ -202,18 +194,18 @@ class AdaptiveBoards(PatchBoards):
     def read(self, block: int, index: int, subindex: int) -> float | None:
         """Return the present value of an object that the board computes (2030h, 2032h to 2035h, 2110h, 2111h)."""
         row, noise = self._row[block], self.filter.noise
-        if index == OD_REFRESH:
+        if index == od.REFRESH:
             return int(self.groups.is_wanted[row] @ (1 << np.arange(GROUPS)))
-        if index == OD_NODE_NOISE:
+        if index == od.NODE_NOISE:
             return float(noise.node_n[row])
         if not subindex:
             return None
-        if index in (OD_TAXEL_NOISE, OD_COEFFICIENT_NOISE):
-            of_index = noise.taxel_n if index == OD_TAXEL_NOISE else noise.coefficient_n
+        if index in (od.TAXEL_NOISE, od.COEFFICIENT_NOISE):
+            of_index = noise.taxel_n if index == od.TAXEL_NOISE else noise.coefficient_n
             return float(of_index[row, subindex - 1])
         coarse, fine = present_codes(self.filter.sums_n[row], self._law, self.groups, row)
         return (
-            int(coarse[subindex - 1]) if index == OD_COARSE else int.from_bytes(fine[subindex - 1].tobytes(), "little")
+            int(coarse[subindex - 1]) if index == od.COARSE else int.from_bytes(fine[subindex - 1].tobytes(), "little")
         )
 
     @property

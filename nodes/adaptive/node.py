@@ -3,19 +3,11 @@
 from collections.abc import Sequence
 from functools import partial
 
+from dbc import indices as od
 from dbc.adaptive import TPDOS, tpdo_index
 from dbc.canopen import BASE_ID_MASK, COB_ID_INVALID, NmtState
 from dbc.configuration import Setting
 from dbc.contract import NodeContract
-from dbc.indices import (
-    OD_COARSE,
-    OD_COEFFICIENT_NOISE,
-    OD_FINE,
-    OD_NODE_NOISE,
-    OD_REFRESH,
-    OD_TAXEL_NOISE,
-    OD_TPDO_COMMUNICATION,
-)
 from dbc.objects import Object
 from nodes.adaptive.boards import AdaptiveBoards
 from nodes.adaptive.controllers import NO_COB_ID
@@ -45,7 +37,7 @@ class AdaptiveNode(SkinNode):
         super().__init__(contract, objects, settings, outbox=outbox, hardware=hardware, storage=storage)
         self._live |= {
             index: partial(hardware.read, contract.block, index)
-            for index in (OD_REFRESH, OD_COEFFICIENT_NOISE, OD_TAXEL_NOISE, OD_NODE_NOISE, OD_COARSE, OD_FINE)
+            for index in (od.REFRESH, od.COEFFICIENT_NOISE, od.TAXEL_NOISE, od.NODE_NOISE, od.COARSE, od.FINE)
         }
 
     def boot(self, now_s: float, *, communication_only: bool = False) -> None:
@@ -84,7 +76,7 @@ class AdaptiveNode(SkinNode):
         """
         cob_ids, inhibits = [NO_COB_ID] * TPDOS, [0] * TPDOS
         for tpdo in self.contract.adaptive_tpdos:
-            index = OD_TPDO_COMMUNICATION + tpdo.number - 1
+            index = od.TPDO_COMMUNICATION + tpdo.number - 1
             cob_id, inhibit_100us = self._unsigned(index, 1), self._unsigned(index, 3)
             place = tpdo_index(tpdo.level, tpdo.group, tpdo.is_fine)
             cob_ids[place] = NO_COB_ID if cob_id & COB_ID_INVALID else cob_id & BASE_ID_MASK

@@ -23,6 +23,8 @@ _ENUMERATIONS: Final[dict[str, type[IntEnum | IntFlag]]] = {
 _FRAME_FLAGS: Final = ("EXTENDED", "REMOTE", "ERROR", "FD", "BRS", "ECHO")
 _OBJECT_FLAGS: Final = ("WRITABLE", "MAPPABLE", "COVERED", "TEXT", "COMPUTED")
 _PATTERNS: Final = ("PATTERN_OFF", "PATTERN_ZERO", "PATTERN_RAMP", "PATTERN_FULL")
+#: Indices of the object dictionary; the other numbers of `indices` are data types, signatures and a stride.
+_INDICES: Final = range(0x1000, 0x3000)
 #: Points of the table that undoes the bias of clipping in averages.
 _CLIPPED_POINTS: Final = 129
 
@@ -30,7 +32,7 @@ _CLIPPED_POINTS: Final = 129
 def contract_header() -> str:
     """Return ``contract.h``: the names of the Python modules, with ``SKIN_`` before them."""
     numbers: dict[str, int] = {
-        **_whole(indices),
+        **{f"OD_{name}" if number in _INDICES else name: number for name, number in _whole(indices).items()},
         **_whole(canopen),
         **{start + each.name: each for start, kind in _ENUMERATIONS.items() for each in kind if each.name},
         **{f"FRAME_{name}": getattr(frame, name) for name in _FRAME_FLAGS},

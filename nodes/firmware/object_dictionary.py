@@ -12,43 +12,29 @@ from dataclasses import dataclass
 from itertools import groupby
 from typing import Final
 
+from dbc import indices as od
 from dbc.contract import Contract
 from dbc.dictionary import dictionary
 from dbc.eds import storage_group
-from dbc.indices import (
-    BITS,
-    INTEGER8,
-    INTEGER16,
-    OD_CONSUMER_HEARTBEAT,
-    OD_ERROR_FIELD,
-    OD_TPDO_COMMUNICATION,
-    OD_TPDO_MAPPING,
-    REAL32,
-    UNSIGNED8,
-    UNSIGNED16,
-    UNSIGNED32,
-    UNSIGNED64,
-    VISIBLE_STRING,
-)
 from dbc.objects import Object
 from nodes.firmware.c_text import WRITTEN
 from nodes.firmware.tables import Build
 
 _TYPES: Final = {
-    INTEGER8: "int8_t",
-    INTEGER16: "int16_t",
-    UNSIGNED8: "uint8_t",
-    UNSIGNED16: "uint16_t",
-    UNSIGNED32: "uint32_t",
-    UNSIGNED64: "uint64_t",
-    REAL32: "float",
-    VISIBLE_STRING: "char",
+    od.INTEGER8: "int8_t",
+    od.INTEGER16: "int16_t",
+    od.UNSIGNED8: "uint8_t",
+    od.UNSIGNED16: "uint16_t",
+    od.UNSIGNED32: "uint32_t",
+    od.UNSIGNED64: "uint64_t",
+    od.REAL32: "float",
+    od.VISIBLE_STRING: "char",
 }
 #: Structures of the values (`dbc.eds.storage_group`), in their order; the last stays in flash memory.
 _PLACES: Final = ("OD_PERSIST_COMM", "OD_PERSIST_APP", "OD_RAM", "OD_ROM")
 _ROM: Final = _PLACES[-1]
 #: Values that the stack keeps itself.
-_OF_STACK: Final = (OD_ERROR_FIELD,)
+_OF_STACK: Final = (od.ERROR_FIELD,)
 
 
 @dataclass(frozen=True)
@@ -76,11 +62,11 @@ class _Entry:
 def od_header(contract: Contract, build: Build) -> str:
     """Return ``OD.h`` of a board."""
     entries = _entries(contract, build)
-    tpdos = sum(OD_TPDO_COMMUNICATION <= each.index < OD_TPDO_MAPPING for each in entries)
+    tpdos = sum(od.TPDO_COMMUNICATION <= each.index < od.TPDO_MAPPING for each in entries)
     counts = {
         **dict.fromkeys(("NMT", "EM", "EM_PROD", "SYNC", "HB_CONS", "HB_PROD", "SDO_SRV", "STORAGE"), 1),
         "TPDO": tpdos,
-        **{f"ARR_{index:04X}": _elements(entries, index) for index in (OD_ERROR_FIELD, OD_CONSUMER_HEARTBEAT)},
+        **{f"ARR_{index:04X}": _elements(entries, index) for index in (od.ERROR_FIELD, od.CONSUMER_HEARTBEAT)},
     }
     lines = [
         *_head(build, "Object dictionary, declarations"),
@@ -193,7 +179,7 @@ def _declaration(entry: _Entry) -> list[str]:
     """Return the members of a structure of values."""
     first = entry.objects[0]
     if entry.kind == "VAR":
-        size = f"[{len(str(first.value))}]" if first.data_type == VISIBLE_STRING else ""
+        size = f"[{len(str(first.value))}]" if first.data_type == od.VISIBLE_STRING else ""
         return [f"    {_TYPES[first.data_type]} {entry.member}{size};"]
     if entry.kind == "ARR":
         element = _TYPES[entry.objects[1].data_type]
@@ -218,9 +204,9 @@ def _values(entry: _Entry) -> list[str]:
 
 
 def _number(each: Object) -> str:
-    if each.data_type == VISIBLE_STRING:
+    if each.data_type == od.VISIBLE_STRING:
         return "{" + ", ".join(f"'{letter}'" for letter in str(each.value)) + "}"
-    if each.data_type == REAL32:
+    if each.data_type == od.REAL32:
         value = struct.unpack("<f", struct.pack("<f", each.value))[0]
         return f"{value!r}f" if math.isfinite(value) else "0.0f"
     return str(each.value) if int(each.value) < 10 else f"0x{int(each.value):X}"
@@ -266,12 +252,12 @@ def _attribute(each: Object) -> str:
     flags = ["ODA_SDO_RW" if each.access == "rw" else "ODA_SDO_R"]
     if each.pdo:
         flags.append("ODA_TPDO")
-    if each.data_type == VISIBLE_STRING:
+    if each.data_type == od.VISIBLE_STRING:
         flags.append("ODA_STR")
-    elif BITS[each.data_type] > 8:
+    elif od.BITS[each.data_type] > 8:
         flags.append("ODA_MB")
     return " | ".join(flags)
 
 
 def _length(each: Object) -> int:
-    return len(str(each.value)) if each.data_type == VISIBLE_STRING else BITS[each.data_type] // 8
+    return len(str(each.value)) if each.data_type == od.VISIBLE_STRING else od.BITS[each.data_type] // 8

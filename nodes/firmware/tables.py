@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 
 from canskin.errors import InputError
+from dbc import indices as od
 from dbc.adaptive_filter import HORIZON, SWITCHING, Models, make_models
 from dbc.averaging import averaging_models
 from dbc.board import Board, board
@@ -17,21 +18,6 @@ from dbc.configuration import configuration, setting_of
 from dbc.contract import Contract, NodeContract, sum_frame_bits
 from dbc.dictionary import ERRORS_KEPT, HEARTBEATS_WATCHED, dictionary
 from dbc.frame_bits import frame_time_ns
-from dbc.indices import (
-    OD_COARSE,
-    OD_ERROR_FIELD,
-    OD_ERROR_REGISTER,
-    OD_FINE,
-    OD_HEALTH,
-    OD_MANUFACTURER,
-    OD_NODE_NOISE,
-    OD_RESTORE,
-    OD_SIGNATURE,
-    OD_STORE,
-    OD_SUMS,
-    VISIBLE_STRING,
-    split_block,
-)
 from dbc.objects import Object
 from nodes.firmware.c_text import WRITTEN, array, braced, defined, header, real
 
@@ -39,9 +25,9 @@ from nodes.firmware.c_text import WRITTEN, array, braced, defined, header, real
 WRITABLE, MAPPABLE, COVERED, TEXT = 1, 2, 4, 8
 #: Place of objects that the firmware computes and that have no stored value.
 COMPUTED: Final = 0xFFFF
-_COMPUTED: Final = (OD_ERROR_REGISTER, OD_ERROR_FIELD, OD_STORE, OD_RESTORE, OD_SIGNATURE, OD_HEALTH, OD_NODE_NOISE)
+_COMPUTED: Final = (od.ERROR_REGISTER, od.ERROR_FIELD, od.STORE, od.RESTORE, od.SIGNATURE, od.HEALTH, od.NODE_NOISE)
 #: Arrays whose entries are computed, but not their sub-index 0.
-_COMPUTED_ENTRIES: Final = (OD_STORE, OD_RESTORE, OD_HEALTH, OD_COARSE, OD_FINE)
+_COMPUTED_ENTRIES: Final = (od.STORE, od.RESTORE, od.HEALTH, od.COARSE, od.FINE)
 
 
 @dataclass(frozen=True)
@@ -117,8 +103,8 @@ def _object_table(contract: Contract, node: NodeContract) -> ObjectTable:
     covered = {(each.index, each.subindex) for each in configuration(contract, node)}
     objects = dictionary(contract, node)
     stored = [each for each in objects if not _is_computed(each)]
-    communication = [each for each in stored if each.access == "rw" and each.index < OD_MANUFACTURER]
-    settings = [each for each in stored if each.access == "rw" and each.index >= OD_MANUFACTURER]
+    communication = [each for each in stored if each.access == "rw" and each.index < od.MANUFACTURER]
+    settings = [each for each in stored if each.access == "rw" and each.index >= od.MANUFACTURER]
     values, places = bytearray(), {}
     ends = []
     for part in (communication, settings, [each for each in stored if each.access != "rw"]):
@@ -133,7 +119,7 @@ def _object_table(contract: Contract, node: NodeContract) -> ObjectTable:
             WRITABLE * (each.access == "rw")
             | MAPPABLE * each.pdo
             | COVERED * ((each.index, each.subindex or 0) in covered)
-            | TEXT * (each.data_type == VISIBLE_STRING),
+            | TEXT * (each.data_type == od.VISIBLE_STRING),
             places.get((each.index, each.subindex), COMPUTED),
             len(setting_of(each).data),
         )
@@ -149,7 +135,7 @@ def _is_computed(each: Object) -> bool:
 
 
 def _is_sums(index: int) -> bool:
-    return index >= OD_MANUFACTURER and split_block(index)[1] == OD_SUMS
+    return index >= od.MANUFACTURER and od.split_block(index)[1] == od.SUMS
 
 
 def board_header(contract: Contract, boards: Sequence[Build]) -> str:

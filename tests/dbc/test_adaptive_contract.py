@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from canskin.errors import LayoutError
+from dbc import indices as od
 from dbc.adaptive import GROUP_SUMS, TPDOS, coarse_code, coarse_value, fine_steps, frame_of, pack_fine
 from dbc.configuration import configuration
 from dbc.contract import Contract
 from dbc.database import database
 from dbc.dictionary import dictionary
 from dbc.eds import eds, node_types
-from dbc.indices import OD_COARSE, OD_FINE
 from skin.layout import parse_layout
 from skin.walsh import GROUPS, walsh_matrix
 from tests.layouts import ADAPTIVE, buses, small_layout
@@ -63,9 +63,9 @@ def test_dictionary_maps_the_bytes_of_a_group(contract: Contract) -> None:
         assert (entries[record, 2], entries[record, 3]) == (254, 10)  # event-driven, 1 ms
         mapped = [entries[record + 0x200, place] for place in range(1, 1 + int(entries[record + 0x200, 0]))]
         if tpdo.is_fine:
-            assert mapped == [OD_FINE << 16 | tpdo.group + 1 << 8 | 64]
+            assert mapped == [od.FINE << 16 | tpdo.group + 1 << 8 | 64]
         else:
-            assert mapped == [OD_COARSE << 16 | 8 * tpdo.group + place << 8 | 8 for place in range(1, 9)]
+            assert mapped == [od.COARSE << 16 | 8 * tpdo.group + place << 8 | 8 for place in range(1, 9)]
 
 
 def test_proof_covers_identifiers_and_mapping_of_all_frames(contract: Contract) -> None:

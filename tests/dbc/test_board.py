@@ -7,10 +7,10 @@ import msgspec
 import numpy as np
 import pytest
 
+from dbc import indices as od
 from dbc.board import Board, board, board_text
 from dbc.codec import encode
 from dbc.contract import Contract
-from dbc.indices import OD_SUMS, split_block
 from skin.layout import load_layout, parse_layout
 
 NAMES = ("default", "fd", "one-bus-12bit", "adaptive")
@@ -51,8 +51,8 @@ def test_frames_made_from_the_table_are_those_of_the_contract(name: str) -> None
         packed, bits = 0, 0
         assert table.packing is not None
         for entry in tpdo.mapping:
-            place, index = split_block(entry.index)
-            assert (index, entry.bits) == (OD_SUMS, table.packing.bits)
+            place, index = od.split_block(entry.index)
+            assert (index, entry.bits) == (od.SUMS, table.packing.bits)
             value = int(sums[contract.phi.starts[node.block + place] + entry.subindex - 1])
             raw = int(contract.packing.raw(np.array([value]))[0])
             assert table.packing.raw_min <= raw <= table.packing.raw_max

@@ -9,13 +9,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from canskin.errors import LayoutError
+from dbc import indices as od
 from dbc.adaptive import coarse_value
 from dbc.canopen import SYNC_COB_ID
 from dbc.codec import decode, encode
 from dbc.contract import PHASES, Contract, _cob_id, _length, _spread, sample_age_ns, sum_frame_bits
 from dbc.dictionary import dictionary
 from dbc.frame import BRS, FD, FD_LENGTHS
-from dbc.indices import OD_PHI_FINGERPRINT, OD_SUMS, of_block
 from skin.layout import Bus, Encoding, Layout, PhiParameters, Taxels, load_layout
 from skin.sync_counter import SYNC_OVERFLOW, next_counter
 from tests.layouts import IDENTITIES, alternating, with_identity
@@ -110,13 +110,13 @@ def test_dictionary_maps_each_sum_once_per_phase() -> None:
     contract: Contract = Contract.from_layout(changed(selection="uniform"))
     for node in contract.nodes[:16]:
         objects = {(each.index, each.subindex): each for each in dictionary(contract, node)}
-        assert objects[OD_PHI_FINGERPRINT, None].value == contract.phi.fingerprint
+        assert objects[od.PHI_FINGERPRINT, None].value == contract.phi.fingerprint
         mapped = [
             int(each.value)
             for (index, subindex), each in objects.items()
             if 0x1A00 <= index < 0x1C00 and subindex and each.value
         ]
-        wanted = [OD_SUMS << 16 | place << 8 | 16 for place in range(1, node.sums + 1)]
+        wanted = [od.SUMS << 16 | place << 8 | 16 for place in range(1, node.sums + 1)]
         assert sorted(mapped) == sorted(wanted * contract.phases)
 
 
@@ -169,7 +169,7 @@ def test_nodes_of_several_blocks_map_every_sum_once_per_phase(name: str) -> None
         by_place = {(each.index, each.subindex): each for each in objects}
         mapped = [int(each.value) for each in objects if 0x1A00 <= each.index < 0x1C00 and each.subindex and each.value]
         wanted = [
-            of_block(OD_SUMS, place) << 16 | sum_ << 8 | contract.packing.bits
+            od.of_block(od.SUMS, place) << 16 | sum_ << 8 | contract.packing.bits
             for place in range(node.blocks)
             for sum_ in range(1, len(contract.phi.rows_of(node.block + place)) + 1)
         ]

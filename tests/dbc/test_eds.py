@@ -10,22 +10,10 @@ import pytest
 from canopen.objectdictionary import ODVariable
 from dcf.device import Device
 
+from dbc import indices as od
 from dbc.contract import Contract, NodeContract
 from dbc.dictionary import dictionary
 from dbc.eds import NO_BLOCK, NodeType, dcfs, eds, node_name, node_types
-from dbc.indices import (
-    OD_BLOCK,
-    OD_COMPANDING,
-    OD_IDENTITY,
-    OD_MANUFACTURER,
-    OD_ROWS,
-    OD_SENDING,
-    OD_TAXELS,
-    OD_TPDO_MAPPING,
-    REAL32,
-    VISIBLE_STRING,
-    split_block,
-)
 from dbc.objects import Object
 from skin.layout import Layout, load_layout
 from tests.layouts import alternating, small_layout
@@ -39,7 +27,7 @@ MIXED = small_layout(
     bus=[{"name": "a", "nodes": 2, "blocks_per_node": 2}, {"name": "b", "nodes": 4, "fd": True}],
 )
 #: Serial number, and what a node measures: the values in which nodes of a type differ.
-DIFFERING = {OD_IDENTITY, OD_BLOCK, OD_ROWS, OD_TAXELS}
+DIFFERING = {od.IDENTITY, od.BLOCK, od.ROWS, od.TAXELS}
 SHIPPED = "default", "fd", "one-bus-12bit", "recognition", "recognise-first"
 LAYOUTS: dict[str, Layout] = {name: load_layout(Path(name)) for name in SHIPPED}
 LAYOUTS["alternating"] = alternating(load_layout())
@@ -92,14 +80,14 @@ def same_object(wanted: Object, got: ODVariable, *, alone: bool) -> None:
         wanted.access,
         wanted.pdo,
     )
-    is_mapped = OD_TPDO_MAPPING <= wanted.index < OD_MANUFACTURER
+    is_mapped = od.TPDO_MAPPING <= wanted.index < od.MANUFACTURER
     is_own = (first_block(wanted.index) in DIFFERING or is_mapped) and wanted.subindex != 0
-    unset = NO_BLOCK if wanted.index == OD_BLOCK else 0
+    unset = NO_BLOCK if wanted.index == od.BLOCK else 0
     assert got.default == wanted.value or (is_own and not alone and got.default == unset)
 
 
 def first_block(index: int) -> int:
-    return split_block(index)[1] if index >= OD_MANUFACTURER else index
+    return od.split_block(index)[1] if index >= od.MANUFACTURER else index
 
 
 @pytest.mark.heavy
@@ -121,7 +109,7 @@ def test_the_dcf_of_a_node_has_its_own_values(name: str, tmp_path: Path) -> None
             for each in dictionary(contract, node):
                 got = variables[each.index, each.subindex or 0]
                 assert (got.default if got.value is None else got.value) == each.value
-                if each.data_type != VISIBLE_STRING:
+                if each.data_type != od.VISIBLE_STRING:
                     assert device[each.index][each.subindex or 0].parse_value() == each.value
 
 
@@ -142,7 +130,7 @@ def test_no_warning_of_any_reader_and_no_value_without_default(
     assert f"-DOD_CNT_SDO_SRV=1 -DOD_CNT_TPDO={tpdos}" in found.comments
     unsaid = {each.index for each in flat(found) if each.default is None}
     # Fractions, on whose form readers disagree.
-    assert unsaid == ({OD_COMPANDING, OD_SENDING} if name == "adaptive" else set())
+    assert unsaid == ({od.COMPANDING, od.SENDING} if name == "adaptive" else set())
 
 
 @pytest.mark.heavy
@@ -185,7 +173,7 @@ def test_both_readers_find_the_same_values(tmp_path: Path) -> None:
     device, found = Device.from_dcf(path, {"NODEID": 9}), canopen.import_od(path, 9)
     compared = 0
     for each in flat(found):
-        if each.data_type not in {VISIBLE_STRING, REAL32}:
+        if each.data_type not in {od.VISIBLE_STRING, od.REAL32}:
             assert device[each.index][each.subindex].parse_value() == each.default
             compared += 1
     assert compared > 100

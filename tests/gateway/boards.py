@@ -9,12 +9,12 @@ import numpy.typing as npt
 
 from bus.link import State
 from canskin.messages import BlockState, GatewayStatus, Measurement
+from dbc import indices as od
 from dbc.adaptive import Companding, SendingRule
 from dbc.canopen import HEARTBEAT_BASE, NMT_COB_ID, SDO_REQUEST_BASE, SDO_RESPONSE_BASE, NmtCommand, NmtState
 from dbc.configuration import configuration, expected_signature
 from dbc.contract import Contract, NodeContract, frame_flags
 from dbc.frame import Frames, frames
-from dbc.indices import OD_NODE_NOISE, OD_REFRESH, OD_SIGNATURE
 from gateway.adaptive_gathering import RATES_HZ
 from gateway.loop import GatewayLoop
 from nodes.adaptive.sending import NEWS, Groups, decide, make_payload, new_groups, note_sent
@@ -57,8 +57,8 @@ class Board:
         self.contract, self.law = node, contract.law
         self.line = contract.layout.bus[node.bus]
         self.objects = {(each.index, each.subindex): each.data for each in settings}
-        self.objects[OD_SIGNATURE, 0] = expected_signature(settings).to_bytes(4, "little")
-        self.objects[OD_NODE_NOISE, 0] = struct.pack("<f", 1e-4 * (node.block + 1))
+        self.objects[od.SIGNATURE, 0] = expected_signature(settings).to_bytes(4, "little")
+        self.objects[od.NODE_NOISE, 0] = struct.pack("<f", 1e-4 * (node.block + 1))
         self.sums_n = np.zeros(32, np.float32)
         #: Times and groups of requests to send again.
         self.asked: list[tuple[float, int]] = []
@@ -127,7 +127,7 @@ class Board:
         place, key = data[1:4], (int.from_bytes(data[1:3], "little"), data[3])
         if data[0] & 0xE0 == 0x20:
             value = data[4 : 8 - (data[0] >> 2 & 3)]
-            if key == (OD_REFRESH, 0):
+            if key == (od.REFRESH, 0):
                 self.asked.append((now_s, value[0]))
                 self.again(value[0])
             else:

@@ -12,12 +12,12 @@ from hypothesis import HealthCheck, Phase, settings
 
 from bus.link import State
 from canskin.messages import GatewayStatus, Measurement
+from dbc import indices as od
 from dbc.canopen import NMT_COB_ID, SDO_REQUEST_BASE
 from dbc.configuration import configuration
 from dbc.contract import Contract
 from dbc.dictionary import SILENT_AFTER_S
 from dbc.frame import ECHO, Frames, frames
-from dbc.indices import OD_RESTORE, OD_STORE, OD_TPDO_COMMUNICATION, OD_TPDO_MAPPING, SIGNATURE_LOAD, SIGNATURE_SAVE
 from gateway.loop import GatewayLoop
 from gateway.nmt_master import LATER_S, PAUSES_S
 from nodes.electronics import Electronics
@@ -336,9 +336,9 @@ def swap_mapping(world: World, bus: int, node_id: int, tpdo: int = 0, *, back: b
     """Swap the first two sums of a TPDO, or swap them back, as CiA 301, 7.5.2.38, wants it done."""
     node = next(each for each in world.contract.on_bus(bus) if each.node_id == node_id)
     cob_id = node.tpdos[tpdo].cob_id | 0x4000_0000
-    entries = [each.data for each in configuration(world.contract, node) if each.index == OD_TPDO_MAPPING + tpdo]
+    entries = [each.data for each in configuration(world.contract, node) if each.index == od.TPDO_MAPPING + tpdo]
     count, first, second = entries[0], *(entries[2:0:-1] if back else entries[1:3])
-    communication, mapping = OD_TPDO_COMMUNICATION + tpdo, OD_TPDO_MAPPING + tpdo
+    communication, mapping = od.TPDO_COMMUNICATION + tpdo, od.TPDO_MAPPING + tpdo
     for index, subindex, data in (
         (communication, 1, little(cob_id | 0x8000_0000)),
         (mapping, 0, b"\0"),
@@ -392,9 +392,9 @@ def disturb(world: World, what: tuple, *, gateway_loses: bool) -> list[int]:
             world.nmt(bus, command, node_id)
             return [bus * 2, bus * 2 + 1]
         case ("store", (bus, node_id)):
-            world.write(bus, node_id, OD_STORE, 1, little(SIGNATURE_SAVE))
+            world.write(bus, node_id, od.STORE, 1, little(od.SIGNATURE_SAVE))
         case ("restore", (bus, node_id)):
-            world.write(bus, node_id, OD_RESTORE, 1, little(SIGNATURE_LOAD))
+            world.write(bus, node_id, od.RESTORE, 1, little(od.SIGNATURE_LOAD))
         case ("sync", bus, counter):
             world.wires[bus].put(0x80, bytes((counter,)))
             return [bus * 2, bus * 2 + 1]

@@ -10,11 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from canskin.messages import Measurement
+from dbc import indices as od
 from dbc.adaptive import coarse_step
 from dbc.canopen import COB_ID_INVALID, COB_ID_NO_RTR, NmtCommand
 from dbc.configuration import configuration
 from dbc.contract import Contract
-from dbc.indices import OD_BUDGET, OD_REFRESH, OD_SENDING, OD_TPDO_COMMUNICATION
 from nodes.adaptive.boards import AdaptiveBoards
 from nodes.segment import Segment
 from nodes.virtual_boards import VirtualBoards
@@ -33,13 +33,13 @@ PLACES = sorted(
     {
         (each.index, each.subindex, len(each.data))
         for each in configuration(ADAPTIVE, ADAPTIVE.nodes[0])
-        if not each.is_text and each.index // 0x200 != OD_TPDO_COMMUNICATION // 0x200
+        if not each.is_text and each.index // 0x200 != od.TPDO_COMMUNICATION // 0x200
     }
 )
 node = st.tuples(st.integers(0, 1), st.integers(1, 2))
 place = st.one_of(
     st.sampled_from(PLACES),
-    st.sampled_from([(OD_REFRESH, 0, 1), (OD_SENDING, 1, 4), (OD_BUDGET, 0, 4), (OD_TPDO_COMMUNICATION, 3, 2)]),
+    st.sampled_from([(od.REFRESH, 0, 1), (od.SENDING, 1, 4), (od.BUDGET, 0, 4), (od.TPDO_COMMUNICATION, 3, 2)]),
     st.tuples(st.integers(0x1001, 0x1020), st.integers(0, 8), st.integers(1, 4)),
 )
 action = st.one_of(
@@ -102,7 +102,7 @@ def with_identifiers(actions: list[tuple]) -> list[tuple]:
             _, (bus, node_id), tpdo, is_on = each
             mine = next(node for node in ADAPTIVE.on_bus(bus) if node.node_id == node_id).adaptive_tpdos[tpdo]
             value = mine.cob_id | COB_ID_NO_RTR | (0 if is_on else COB_ID_INVALID)
-            where = (OD_TPDO_COMMUNICATION + tpdo, 1, 4)
+            where = (od.TPDO_COMMUNICATION + tpdo, 1, 4)
             written.append(("write", (bus, node_id), where, value.to_bytes(4, "little")))
         else:
             written.append(each)

@@ -6,11 +6,11 @@ import pytest
 from bus.link import State
 from canskin.errors import InputError
 from canskin.messages import BlockState
+from dbc import indices as od
 from dbc.adaptive import GROUP_SUMS, cob_id
 from dbc.canopen import HEARTBEAT_BASE, SYNC_COB_ID, NmtCommand, NmtState
 from dbc.contract import Contract
 from dbc.dictionary import HEARTBEAT_MS, SILENT_AFTER_S
-from dbc.indices import OD_COMPANDING, OD_SIGNATURE, OD_TEST_PATTERN, OD_TPDO_COMMUNICATION
 from gateway.adaptive_gathering import publishing_rates
 from gateway.block_states import FRESH_NS, OVERDUE_NS
 from gateway.gathering import Health
@@ -268,8 +268,8 @@ def test_frames_of_a_node_that_is_not_proven_are_not_used() -> None:
     """Its code of sums differs: the same bytes would mean other forces."""
     world = BoardWorld(small_adaptive(configure="refuse"))
     wrong = world.boards[2]
-    wrong.objects[OD_COMPANDING, 1] = b"\0\0\0\x40"
-    wrong.objects[OD_SIGNATURE, 0] = bytes(4)
+    wrong.objects[od.COMPANDING, 1] = b"\0\0\0\x40"
+    wrong.objects[od.SIGNATURE, 0] = bytes(4)
     wrong.state = NmtState.OPERATIONAL
     wrong.again(15)
     world.touch(2)
@@ -307,20 +307,20 @@ def test_frames_that_came_with_the_end_of_the_proof_are_not_used(adaptive: Contr
 
 def test_node_whose_test_pattern_somebody_sets_is_forgotten(boards: BoardWorld) -> None:
     at_rest(boards)
-    request = b"\x2f" + OD_TEST_PATTERN.to_bytes(2, "little") + b"\0\1\0\0\0"
+    request = b"\x2f" + od.TEST_PATTERN.to_bytes(2, "little") + b"\0\1\0\0\0"
     boards.wires[0].put(0x600 + 2, request)
     boards.touch(1, seed=9)
     came = boards.run(2 * STEP_S)
     assert states(came[-1])[1] == DEAD
-    boards.boards[1].objects[OD_TEST_PATTERN, 0] = b"\0"
+    boards.boards[1].objects[od.TEST_PATTERN, 0] = b"\0"
     boards.until_whole(1.0)
 
 
 def test_identifier_of_a_node_is_set_right_though_its_mapping_is_fixed(adaptive: Contract) -> None:
     world = BoardWorld(adaptive)
     board = world.boards[0]
-    board.objects[OD_TPDO_COMMUNICATION + 3, 1] = b"\x23\x01\0\x40"
-    board.objects[OD_SIGNATURE, 0] = bytes(4)
+    board.objects[od.TPDO_COMMUNICATION + 3, 1] = b"\x23\x01\0\x40"
+    board.objects[od.SIGNATURE, 0] = bytes(4)
     world.until_whole(2.0)
     world.run(0.3)
     written = [line for line in world.lines if "set right" in line]

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from dbc import indices as od
 from dbc.canopen import NmtCommand
 from dbc.configuration import configuration
-from dbc.indices import OD_GAIN, OD_HEARTBEAT_MS, OD_OFFSET
 from tests.gateway.helpers import DISTURBANCES, RANDOM, World, drive
 from tests.layouts import IDENTITIES, small_contract
 
@@ -31,7 +31,7 @@ node = st.tuples(st.integers(0, 1), st.integers(1, 2))
 place = st.one_of(
     st.sampled_from(PLACES),
     st.sampled_from(
-        [(OD_GAIN, 3, 4), (OD_OFFSET, 7, 2), (OD_HEARTBEAT_MS, 0, 2), (0x1006, 0, 4), (0x1016, 1, 4), (0x1029, 1, 1)]
+        [(od.GAIN, 3, 4), (od.OFFSET, 7, 2), (od.HEARTBEAT_MS, 0, 2), (0x1006, 0, 4), (0x1016, 1, 4), (0x1029, 1, 1)]
     ),
     st.tuples(st.integers(0x1000, 0x2200), st.integers(0, 8), st.integers(1, 4)),
 )

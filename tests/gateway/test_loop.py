@@ -5,11 +5,11 @@ from itertools import count
 import numpy as np
 import pytest
 
+from dbc import indices as od
 from dbc.canopen import HEARTBEAT_BASE, SDO_RESPONSE_BASE, SYNC_COB_ID, NmtCommand
 from dbc.contract import Contract
 from dbc.dictionary import SILENT_AFTER_S
 from dbc.frame import ECHO
-from dbc.indices import OD_SIGNATURE
 from gateway.loop import LOOK_PERIOD_S
 from tests.gateway.helpers import PERIOD_S, STEP_S, EndOfWire, World, until_sync, valid
 from tests.layouts import buses, small_contract
@@ -157,7 +157,7 @@ def test_sync_waits_three_seconds_at_most_for_a_board_that_is_slow_to_prove(smal
     def loses(end: EndOfWire, each: np.void) -> bool:
         if end is not world.wires[0].gateway or each["can_id"] != SDO_RESPONSE_BASE + 1:
             return False
-        if int.from_bytes(each["data"][1:3].tobytes(), "little") == OD_SIGNATURE:
+        if int.from_bytes(each["data"][1:3].tobytes(), "little") == od.SIGNATURE:
             each["data"][4:8] = 0
         return next(answers) % 2 == 0
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from canskin.messages import SILENT
+from dbc import indices as od
 from dbc.canopen import (
     EMCY_BASE,
     HEARTBEAT_BASE,
@@ -20,7 +21,6 @@ from dbc.configuration import configuration, expected_signature
 from dbc.contract import Contract
 from dbc.dictionary import SILENT_AFTER_S
 from dbc.frame import ECHO, ERROR, EXTENDED, REMOTE
-from dbc.indices import OD_CONSUMER_HEARTBEAT, OD_HEARTBEAT_MS, OD_SIGNATURE
 from gateway.collector import SWAPPED_CYCLES
 from gateway.loop import LOOK_PERIOD_S
 from gateway.nmt_master import DIALOGUES, PAUSES_S, TICK_S, NmtMaster
@@ -65,7 +65,7 @@ def test_reset_by_somebody_else(world: World, command: NmtCommand) -> None:
 
 def test_own_error_reaction_is_explained_by_its_emcy(world: World) -> None:
     """Node 2 watches a heartbeat that stops, so that it goes PRE-OPERATIONAL by itself (1029h)."""
-    world.write(0, 2, OD_CONSUMER_HEARTBEAT, 1, (100 << 16 | 200).to_bytes(4, "little"))
+    world.write(0, 2, od.CONSUMER_HEARTBEAT, 1, (100 << 16 | 200).to_bytes(4, "little"))
     world.wires[0].put(HEARTBEAT_BASE + 100, b"\5")
     world.run(HEARTBEAT_S + 0.5)
     went = next(line for line in world.lines if "left OPERATIONAL" in line)
@@ -159,7 +159,7 @@ def test_emergency_of_a_node_is_complained_of(world: World) -> None:
 
 def test_heartbeat_time_is_kept(world: World) -> None:
     """A node whose heartbeat was switched off would pass for silent."""
-    world.write(0, 1, OD_HEARTBEAT_MS, 0, bytes(2))
+    world.write(0, 1, od.HEARTBEAT_MS, 0, bytes(2))
     world.run(5.0)
     assert valid(world.measured[-1]).all()
     assert "node 1 on bus0 set right: 1017h:0 (Producer heartbeat time) was 0h, not 3E8h" in world.lines
@@ -264,7 +264,7 @@ def test_stopped_node_without_heartbeat_is_not_lost(world: World) -> None:
     """The gateway sees neither the write that ends the heartbeat nor the command that stops the node."""
     wire = world.wires[0]
     wire.loses = lambda end, each: bool(end is wire.gateway and not each["flags"] & ECHO)
-    world.write(0, 1, OD_HEARTBEAT_MS, 0, bytes(2))
+    world.write(0, 1, od.HEARTBEAT_MS, 0, bytes(2))
     world.step()
     world.nmt(0, NmtCommand.STOP, 1)
     world.run(SILENT_AFTER_S + 0.5)
@@ -281,7 +281,7 @@ def test_highest_node_id_is_proven_started_and_heard() -> None:
 
     def send(can_id: int, data: bytes) -> None:
         if can_id == SDO_REQUEST_BASE + 127:
-            place = OD_SIGNATURE.to_bytes(2, "little")
+            place = od.SIGNATURE.to_bytes(2, "little")
             answers.append(b"\x43" + place + b"\0" + signatures[127].to_bytes(4, "little"))
         elif can_id == NMT_COB_ID and data[0] == NmtCommand.START:
             started.append(data[1])

@@ -9,13 +9,13 @@ import msgspec
 import numpy as np
 import pytest
 
+from dbc import indices as od
 from dbc.board_sums import PATTERN_FULL
 from dbc.canopen import NmtCommand, NmtState
 from dbc.configuration import setting_of
 from dbc.contract import Contract
 from dbc.dictionary import dictionary
 from dbc.frame import ERROR, REMOTE, Frames
-from dbc.indices import OD_TEST_PATTERN
 from gateway.node_check import NodeCheck, NodeReport
 from nodes.sampler import new_sampler
 from nodes.segment import Segment
@@ -60,7 +60,7 @@ class Bench:
 
 
 def pattern_of(bench: Bench) -> int:
-    return int(bench.node.local.get_data(OD_TEST_PATTERN, 0)[0])
+    return int(bench.node.local.get_data(od.TEST_PATTERN, 0)[0])
 
 
 @pytest.mark.parametrize("identity", IDENTITIES)

@@ -6,11 +6,11 @@ from itertools import pairwise
 import pytest
 
 from canskin.messages import SILENT
+from dbc import indices as od
 from dbc.canopen import NmtCommand, NmtState
 from dbc.configuration import configuration, expected_signature
 from dbc.contract import Contract
 from dbc.frame import ECHO, Frames
-from dbc.indices import OD_GAIN, OD_SIGNATURE, OD_TEST_PATTERN, OD_TPDO_MAPPING
 from gateway.nmt_master import TICK_S, NmtMaster, NodeRecord
 from gateway.sdo import Read, SdoTimeoutError, Transfer
 from skin.layout import load_layout
@@ -69,7 +69,7 @@ class Boards:
         if node_id in self.plain:
             self._answers.append((ANSWER + node_id, self._plain_answer(node_id, data)))
             return
-        is_signature = int.from_bytes(data[1:3], "little") == OD_SIGNATURE
+        is_signature = int.from_bytes(data[1:3], "little") == od.SIGNATURE
         if not is_signature:
             answer = b"\x80" + data[1:4] + NO_SUBINDEX.to_bytes(4, "little")
         else:
@@ -98,7 +98,7 @@ class Boards:
             part, self._rest = self._rest[:7], self._rest[7:]
             return bytes((asked[0] & 0x10 | 7 - len(part) << 1 | (not self._rest),)) + part.ljust(7, b"\0")
         index, subindex = int.from_bytes(asked[1:3], "little"), asked[3]
-        if index == OD_SIGNATURE:
+        if index == od.SIGNATURE:
             return b"\x43" + asked[1:4] + bytes(4)
         settings = self.master.nodes[node_id].settings
         (value,) = {each.data for each in settings if (each.index, each.subindex) == (index, subindex)}
@@ -163,7 +163,7 @@ def test_stated_time_is_4_9_s_for_32_nodes_at_1_mbit() -> None:
 
 
 @pytest.mark.parametrize("command", [0x2F, 0x21, 0xC2], ids=["expedited", "in segments", "in blocks"])
-@pytest.mark.parametrize("index", [OD_TPDO_MAPPING, OD_TEST_PATTERN])
+@pytest.mark.parametrize("index", [od.TPDO_MAPPING, od.TEST_PATTERN])
 def test_write_of_another_master_is_doubted_from_its_first_frame_on(skin: Boards, command: int, index: int) -> None:
     skin.hear(REQUEST + 1, request(command, index, 1))
     assert skin.trusted() == [2]
@@ -174,7 +174,7 @@ def test_write_of_another_master_is_doubted_from_its_first_frame_on(skin: Boards
 
 @pytest.mark.parametrize("command", [0x2F, 0x21, 0xC2], ids=["expedited", "in segments", "in blocks"])
 def test_write_of_what_is_not_compared_is_not_doubted(skin: Boards, command: int) -> None:
-    skin.hear(REQUEST + 1, request(command, OD_GAIN, 3))
+    skin.hear(REQUEST + 1, request(command, od.GAIN, 3))
     skin.run(0.02)
     skin.hear(REQUEST + 1, b"\x01" + bytes(7))  # its data
     assert skin.trusted() == [1, 2]
@@ -214,7 +214,7 @@ def test_refused_node_that_is_written_to_is_asked_again_at_once(small: Contract)
     skin.wrong.add(2)
     skin.run(0.5)
     skin.wrong.clear()
-    skin.hear(REQUEST + 2, request(0x23, OD_TPDO_MAPPING, 1))
+    skin.hear(REQUEST + 2, request(0x23, od.TPDO_MAPPING, 1))
     last_s = skin.asked_s[2][-1]
     skin.run(SDO_QUIET_S - 2 * TICK_S)
     assert skin.asked_s[2][-1] == last_s  # what the other master has begun may go on

@@ -5,22 +5,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from dbc import indices as od
 from dbc.canopen import HEARTBEAT_BASE, NMT_COB_ID, SDO_REQUEST_BASE, SDO_RESPONSE_BASE, NmtCommand
 from dbc.configuration import configuration
 from dbc.contract import Contract
 from dbc.frame import ECHO
-from dbc.indices import (
-    OD_EMCY_COB_ID,
-    OD_IDENTITY,
-    OD_PHI_FINGERPRINT,
-    OD_SIGNATURE,
-    OD_STORE,
-    OD_SYNC_OVERFLOW,
-    OD_TEST_PATTERN,
-    OD_TPDO_COMMUNICATION,
-    OD_WINDOW_US,
-    SIGNATURE_SAVE,
-)
 from gateway.proof import prove
 from gateway.sdo import Read, SdoAbortedError
 from tests.gateway.helpers import PERIOD_S, STEP_S, World, little, swap_mapping, valid
@@ -43,7 +32,7 @@ def check(world: World, seconds: float) -> None:
 
 def test_swapped_mapping_that_was_saved_never_counts(world: World) -> None:
     swap_mapping(world, 0, 1)
-    world.write(0, 1, OD_STORE, 1, little(SIGNATURE_SAVE))
+    world.write(0, 1, od.STORE, 1, little(od.SIGNATURE_SAVE))
     check(world, STEP_S)
     world.nmt(0, NmtCommand.RESET_NODE, 1)
     check(world, 3.0)
@@ -75,7 +64,7 @@ def test_refused_node_sends_nothing_under_identifiers_of_another_node(started: b
     first, second = world.contract.on_bus(0)
     for place, (tpdo, other) in enumerate(zip(second.tpdos, first.tpdos, strict=True)):
         for cob_id in (tpdo.cob_id | 0xC000_0000, other.cob_id | 0x4000_0000):
-            world.write(0, second.node_id, OD_TPDO_COMMUNICATION + place, 1, little(cob_id))
+            world.write(0, second.node_id, od.TPDO_COMMUNICATION + place, 1, little(cob_id))
     world.run(0.5)
     assert world.gateway.masters[0].refused == [second.node_id]
     if started:
@@ -89,7 +78,7 @@ def test_refused_node_sends_nothing_under_identifiers_of_another_node(started: b
 
 
 def test_test_pattern_is_not_touch(world: World) -> None:
-    world.write(1, 2, OD_TEST_PATTERN, 0, b"\2")
+    world.write(1, 2, od.TEST_PATTERN, 0, b"\2")
     check(world, 1.0)
     assert valid(world.measured[-1]).all()
     assert any("set right: 2021h:0 (Test pattern) was 2h, not 0h" in line for line in world.lines)
@@ -99,7 +88,7 @@ def test_test_pattern_is_not_touch(world: World) -> None:
     "change",
     [
         lambda world: swap_mapping(world, 0, 1),
-        lambda world: world.write(0, 1, OD_TEST_PATTERN, 0, b"\2"),
+        lambda world: world.write(0, 1, od.TEST_PATTERN, 0, b"\2"),
     ],
 )
 def test_a_change_that_nobody_saw_is_found_within_the_stated_time(world: World, change: object) -> None:
@@ -117,9 +106,9 @@ def test_a_change_that_nobody_saw_is_found_within_the_stated_time(world: World, 
 
 def test_what_another_master_writes_is_doubted_at_once(world: World) -> None:
     for index, subindex, data in (
-        (OD_WINDOW_US, 0, little(1000)),
-        (OD_EMCY_COB_ID, 0, little(0x8000_0081)),
-        (OD_TPDO_COMMUNICATION, 2, b"\1"),
+        (od.WINDOW_US, 0, little(1000)),
+        (od.EMCY_COB_ID, 0, little(0x8000_0081)),
+        (od.TPDO_COMMUNICATION, 2, b"\1"),
     ):
         world.write(0, 1, index, subindex, data)
         came = world.run(2 * PERIOD_S)
@@ -135,12 +124,12 @@ def test_offsets_and_gains_may_be_written_while_it_runs(world: World) -> None:
 
 
 def test_counter_overflow_is_set_right_by_way_of_1006h(world: World) -> None:
-    for index, data in ((0x1006, little(0)), (OD_SYNC_OVERFLOW, b"\x14"), (0x1006, little(50_000))):
+    for index, data in ((0x1006, little(0)), (od.SYNC_OVERFLOW, b"\x14"), (0x1006, little(50_000))):
         world.write(0, 2, index, 0, data)
     check(world, 2.0)
     assert valid(world.measured[-1]).all()
     node = world.segments[0].boards.nodes[1]
-    assert node.local.unsigned(OD_SYNC_OVERFLOW) == 0
+    assert node.local.unsigned(od.SYNC_OVERFLOW) == 0
     assert node.local.unsigned(0x1006) == 50_000
 
 
@@ -170,17 +159,17 @@ def abort(index: int, code: int, subindex: int = 0) -> bytes:
     return b"\x80" + index.to_bytes(2, "little") + bytes((subindex,)) + little(code)
 
 
-WRONG_SIGNATURE = read_answer(OD_SIGNATURE, little(1))
+WRONG_SIGNATURE = read_answer(od.SIGNATURE, little(1))
 
 
 @pytest.mark.parametrize(
     "answer",
-    [read_answer(OD_SIGNATURE, little(0)), abort(OD_SIGNATURE, 0x0602_0000)],
+    [read_answer(od.SIGNATURE, little(0)), abort(od.SIGNATURE, 0x0602_0000)],
     ids=["no signature", "no object"],
 )
 def test_board_without_signature_is_read_object_by_object(small: Contract, answer: bytes) -> None:
     world = World(small)
-    other_answers(world, {OD_SIGNATURE: answer})
+    other_answers(world, {od.SIGNATURE: answer})
     world.until_whole(3.0)
     swap_mapping(world, 0, 1)
     check(world, 1.0)
@@ -192,18 +181,18 @@ def test_board_without_signature_is_read_object_by_object(small: Contract, answe
 @pytest.mark.parametrize(
     ("index", "answer", "words"),
     [
-        (OD_IDENTITY, read_answer(OD_IDENTITY, little(0x1234), 1), "1018h:1 (Identity, Vendor-ID) was 1234h, not 0h"),
+        (od.IDENTITY, read_answer(od.IDENTITY, little(0x1234), 1), "1018h:1 (Identity, Vendor-ID) was 1234h, not 0h"),
         (
-            OD_PHI_FINGERPRINT,
-            read_answer(OD_PHI_FINGERPRINT, b"abcd"),
+            od.PHI_FINGERPRINT,
+            read_answer(od.PHI_FINGERPRINT, b"abcd"),
             "2002h:0 (Fingerprint of the measurement operator) was abcd",
         ),
-        (OD_WINDOW_US, abort(OD_WINDOW_US, 0x0609_0011), "object 1007h:0: abort 06090011h, no subindex"),
+        (od.WINDOW_US, abort(od.WINDOW_US, 0x0609_0011), "object 1007h:0: abort 06090011h, no subindex"),
     ],
 )
 def test_another_device_is_refused_by_name(small: Contract, index: int, answer: bytes, words: str) -> None:
     world = World(small)
-    other_answers(world, {OD_SIGNATURE: WRONG_SIGNATURE, index: answer})
+    other_answers(world, {od.SIGNATURE: WRONG_SIGNATURE, index: answer})
     world.run(2.0)
     assert not valid(world.measured[-1])[0]
     assert valid(world.measured[-1])[1:].all()
@@ -248,7 +237,7 @@ def test_board_that_was_built_for_another_skin_is_refused_until_it_is_replaced(
 def test_wrong_signature_of_right_objects_is_refused(small: Contract) -> None:
     """What the electronics do may differ from what the dictionary says."""
     world = World(small)
-    other_answers(world, {OD_SIGNATURE: WRONG_SIGNATURE})
+    other_answers(world, {od.SIGNATURE: WRONG_SIGNATURE})
     world.run(2.0)
     assert not valid(world.measured[-1])[0]
     assert "node 1 on bus0 refused: its objects are right, but not their signature (2006h)" in world.lines
@@ -265,7 +254,7 @@ def test_period_is_set_right_where_writing_was_cut_off(world: World) -> None:
 def test_a_node_that_aborts_a_read_is_doubted_and_refused(small: Contract) -> None:
     node, doubts = small.nodes[0], []
     steps = prove(configuration(small, node), 0x1234, write=True, doubt=lambda: doubts.append("doubt"))
-    assert next(steps) == Read(OD_SIGNATURE)
+    assert next(steps) == Read(od.SIGNATURE)
     read = steps.send(little(0))  # it computes no signature
     assert not doubts
     with pytest.raises(StopIteration) as ended:

@@ -12,11 +12,11 @@ from canskin.calibration_messages import CalibrationState
 from canskin.messages import MEASUREMENT, Measurement, Topic
 from canskin.messages import RECOGNITION as RECOGNITION_TOPIC
 from canskin.state_messages import ImagesReply, ImagesRequest
+from dbc import indices as od
 from dbc.board import board
 from dbc.canopen import STATE_COB_ID, SYNC_COB_ID, NmtCommand
 from dbc.database import database
 from dbc.dictionary import SkinState
-from dbc.indices import OD_STATE
 from gateway.calibration import GatewayCalibration
 from gateway.service import GatewayService
 from gateway.state_switch import REPEAT_S
@@ -235,17 +235,17 @@ def test_service_publishes_the_sums_of_recognition_in_every_cycle_and_answers_re
 def test_state_is_an_object_of_the_node(skin: Skin) -> None:
     """SDO writes what the RPDO writes; other values do not exist, and a node that is not operational takes no PDO."""
     node = skin.segments[0].boards.nodes[0]
-    skin.write(0, 1, OD_STATE, 1, bytes((SkinState.IMAGES + 1,)))
+    skin.write(0, 1, od.STATE, 1, bytes((SkinState.IMAGES + 1,)))
     skin.carry()
-    assert node.local.unsigned(OD_STATE, 1) == SkinState.RECOGNITION
-    skin.write(0, 1, OD_STATE, 1, bytes((SkinState.IMAGES,)))
+    assert node.local.unsigned(od.STATE, 1) == SkinState.RECOGNITION
+    skin.write(0, 1, od.STATE, 1, bytes((SkinState.IMAGES,)))
     skin.carry()
-    assert node.local.unsigned(OD_STATE, 1) == SkinState.IMAGES
+    assert node.local.unsigned(od.STATE, 1) == SkinState.IMAGES
     node.boot(skin.now_s)
     skin.wires[0].put(STATE_COB_ID, bytes((SkinState.IMAGES,)))
     skin.carry()
-    assert node.local.unsigned(OD_STATE, 1) == SkinState.RECOGNITION
-    assert skin.segments[0].boards.nodes[1].local.unsigned(OD_STATE, 1) == SkinState.IMAGES
+    assert node.local.unsigned(od.STATE, 1) == SkinState.RECOGNITION
+    assert skin.segments[0].boards.nodes[1].local.unsigned(od.STATE, 1) == SkinState.IMAGES
 
 
 def test_database_and_contract_name_the_frames_of_both_states() -> None:

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from calibration.calibrator import Calibrator
+from dbc import indices as od
 from dbc.canopen import SDO_REQUEST_BASE
-from dbc.indices import OD_TEMPERATURE
 from gateway.calibration import GatewayCalibration
 from gateway.temperatures import PERIOD_S
 from skin.defects import Defects
@@ -16,7 +16,7 @@ from tests.gateway.boards import BoardWorld, small_adaptive
 from tests.gateway.helpers import World
 from tests.layouts import buses, small_contract
 
-READ = b"\x40" + OD_TEMPERATURE.to_bytes(2, "little")
+READ = b"\x40" + od.TEMPERATURE.to_bytes(2, "little")
 
 
 class Warm:
@@ -58,7 +58,7 @@ def test_a_board_that_is_not_in_use_or_knows_none_has_no_temperature(monkeypatch
     world = BoardWorld(contract)
     for board, data in zip(world.boards, (b"\xff\x7f", b"\xa6\x0b", None, b"\0\0"), strict=True):
         if data is not None:
-            board.objects[OD_TEMPERATURE, 0] = data
+            board.objects[od.TEMPERATURE, 0] = data
     world.until_whole(1.0)
     warm = Warm(world, monkeypatch)
     assert warm.run(PERIOD_S + 0.5) == pytest.approx([np.nan, 298.2, np.nan, np.nan], nan_ok=True)

@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 from canopen import SdoAbortedError
 
+from dbc import indices as od
 from dbc.contract import Contract
-from dbc.indices import of_block
 from nodes.access import check_write, is_allowed
 from nodes.segment import Segment
 from skin.layout import load_layout
@@ -28,7 +28,7 @@ NOT_STORED, INCOMPATIBLE, NO_SUBINDEX = 0x0800_0020, 0x0604_0043, 0x0609_0011
         (0x1029, [0, 1, 2], [3]),
         (0x2008, [0, 1], [2]),
         (0x2010, [0.0, -3e38, 1.0], [math.inf, -math.inf, math.nan]),
-        (of_block(0x2010, 3), [0.0], [math.inf]),
+        (od.of_block(0x2010, 3), [0.0], [math.inf]),
         (0x2021, [0, 3], [4]),
         (0x2030, [0, 15], [16]),
         (0x2031, [1e-30, 3e38], [0.0, -1.0, math.inf, math.nan]),

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from canskin.errors import InputError
+from dbc import indices as od
 from dbc.board_sums import PATTERN_FULL, PATTERN_RAMP
-from dbc.indices import OD_TEST_PATTERN
 from nodes.analogue import AnalogueElectronics
 from nodes.sampler import Sampler, new_sampler
 from skin.defects import parse_defects
@@ -107,8 +107,8 @@ def test_test_patterns_show_what_the_converters_would_read() -> None:
     sampler = boards(noise_n=1e-3)
     ramps = (1, 2, 3, 4, 5)
     for block in ramps:
-        sampler.adjust(block, OD_TEST_PATTERN, 0, PATTERN_RAMP)
-    sampler.adjust(6, OD_TEST_PATTERN, 0, PATTERN_FULL)
+        sampler.adjust(block, od.TEST_PATTERN, 0, PATTERN_RAMP)
+    sampler.adjust(6, od.TEST_PATTERN, 0, PATTERN_FULL)
     codes = np.split(sampler.sample(1, 0) // STEP_COUNTS, PHI.starts[1:-1])
     for block in ramps:
         rows = PHI.rows_of(block)
@@ -156,7 +156,7 @@ def test_rows_that_are_read_later_see_creep() -> None:
 
 def test_an_end_of_the_range_is_counted_for_the_block_it_is_in() -> None:
     sampler = boards()
-    sampler.adjust(6, OD_TEST_PATTERN, 0, PATTERN_FULL)
+    sampler.adjust(6, od.TEST_PATTERN, 0, PATTERN_FULL)
     sampler.sample(1, 0)
     assert [sampler.saturated(block) for block in (5, 6, 7)] == [0, int(0 in PHI.rows_of(6)), 0]
 

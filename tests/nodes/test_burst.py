@@ -7,20 +7,11 @@ import numpy as np
 import pytest
 from canopen import SdoAbortedError
 
+from dbc import indices as od
 from dbc.canopen import SYNC_COB_ID
 from dbc.contract import Contract, NodeContract
 from dbc.dictionary import dictionary
 from dbc.frame import CLASSIC_BYTES, ECHO, FD_BYTES
-from dbc.indices import (
-    OD_GAIN,
-    OD_MANUFACTURER,
-    OD_SUMS,
-    OD_TEST_PATTERN,
-    OD_TPDO_COMMUNICATION,
-    OD_TPDO_MAPPING,
-    of_block,
-    split_block,
-)
 from gateway.collector import Collector
 from nodes.access import check_write
 from nodes.burst import Burst
@@ -125,8 +116,8 @@ def test_remapped_pdo_of_12_bits_packs_like_the_codec(offset_binary: bool) -> No
     raw = contract.packing.raw(sums)
 
     def read(index: int, subindex: int, **_: object) -> int | None:
-        place, first = split_block(index)
-        if index < OD_MANUFACTURER or first != OD_SUMS or not subindex:
+        place, first = od.split_block(index)
+        if index < od.MANUFACTURER or first != od.SUMS or not subindex:
             return None
         return int(raw[contract.phi.starts[node.block + place] + subindex - 1])
 
@@ -143,25 +134,25 @@ def test_remapped_pdo_of_12_bits_packs_like_the_codec(offset_binary: bool) -> No
 def test_mapping_may_fill_a_frame_and_no_more(name: str, limit: int) -> None:
     contract = made_of(name)
     local = local_of(contract, contract.nodes[0])
-    local.set_data(OD_TPDO_COMMUNICATION, 1, (0x8000_0181).to_bytes(4, "little"))
-    local.set_data(OD_TPDO_MAPPING, 0, b"\0")
-    check_write(local, OD_TPDO_MAPPING, 1, OD_SUMS << 16 | 1 << 8 | 16)
+    local.set_data(od.TPDO_COMMUNICATION, 1, (0x8000_0181).to_bytes(4, "little"))
+    local.set_data(od.TPDO_MAPPING, 0, b"\0")
+    check_write(local, od.TPDO_MAPPING, 1, od.SUMS << 16 | 1 << 8 | 16)
     for width in (8, 12, 32):
         with pytest.raises(SdoAbortedError):
-            check_write(local, OD_TPDO_MAPPING, 1, OD_SUMS << 16 | 1 << 8 | width)
+            check_write(local, od.TPDO_MAPPING, 1, od.SUMS << 16 | 1 << 8 | width)
     for place in range(1, limit // 2 + 2):
-        local.set_data(OD_TPDO_MAPPING, place, (OD_SUMS << 16 | 1 << 8 | 16).to_bytes(4, "little"))
-    check_write(local, OD_TPDO_MAPPING, 0, limit // 2)
+        local.set_data(od.TPDO_MAPPING, place, (od.SUMS << 16 | 1 << 8 | 16).to_bytes(4, "little"))
+    check_write(local, od.TPDO_MAPPING, 0, limit // 2)
     for count in (limit // 2 + 1, limit + 1):
         with pytest.raises(SdoAbortedError):
-            check_write(local, OD_TPDO_MAPPING, 0, count)
+            check_write(local, od.TPDO_MAPPING, 0, count)
 
 
 def test_rules_hold_for_the_objects_of_every_block() -> None:
     contract = made_of("fd")
     local = local_of(contract, contract.nodes[0])
     for place in range(4):
-        check_write(local, of_block(OD_TEST_PATTERN, place), 0, 3)
-        check_write(local, of_block(OD_GAIN, place), 1, 2)
+        check_write(local, od.of_block(od.TEST_PATTERN, place), 0, 3)
+        check_write(local, od.of_block(od.GAIN, place), 1, 2)
         with pytest.raises(SdoAbortedError):
-            check_write(local, of_block(OD_TEST_PATTERN, place), 0, 4)
+            check_write(local, od.of_block(od.TEST_PATTERN, place), 0, 4)

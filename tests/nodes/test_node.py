@@ -5,12 +5,12 @@ from pathlib import Path
 
 import pytest
 
+from dbc import indices as od
 from dbc.board_sums import PATTERN_FULL, PATTERN_ZERO
 from dbc.canopen import NmtState
 from dbc.configuration import configuration, expected_signature
 from dbc.contract import Contract
 from dbc.frame import ECHO, Frames
-from dbc.indices import OD_HEALTH, OD_OFFSET, OD_SIGNATURE, OD_TEST_PATTERN, SIGNATURE_SAVE, of_block
 from nodes.electronics import Electronics
 from nodes.sampler import Sampler
 from nodes.segment import Segment
@@ -181,10 +181,10 @@ def test_inhibit_time_between_emergencies_is_in_tenths_of_a_millisecond(segment:
 def test_reset_ends_errors_counters_and_what_was_written(segment: Segment, link: ArrayLink) -> None:
     write(segment, link, 0x1800, 1, 0xC000_0181, 4)
     give(segment, link, nmt(START), sync(1), frame(0x80, b"\1\2"))
-    assert (read(segment, link, 1, 0x1001), read(segment, link, 1, OD_HEALTH, 1)) == (0x11, 2)
+    assert (read(segment, link, 1, 0x1001), read(segment, link, 1, od.HEALTH, 1)) == (0x11, 2)
     give(segment, link, nmt(RESET_NODE))
     assert (read(segment, link, 1, 0x1001), read(segment, link, 1, 0x1003, 0)) == (0, 0)
-    assert [read(segment, link, 1, OD_HEALTH, place) for place in (1, 2, 3)] == [0, 0, 0]
+    assert [read(segment, link, 1, od.HEALTH, place) for place in (1, 2, 3)] == [0, 0, 0]
     assert emergencies(segment, link, 1e3) == []
     give(segment, link, nmt(START))
     assert [can_id for can_id, _ in give(segment, link, sync(3))] == [0x181, 0x281]
@@ -199,7 +199,7 @@ def test_an_error_after_a_reset_is_news_again(segment: Segment, link: ArrayLink)
 
 def test_watching_begins_anew_after_a_reset(segment: Segment, link: ArrayLink) -> None:
     assert write(segment, link, 0x1016, 1, WATCHED << 16 | 100, 4) == 0
-    assert write(segment, link, 0x1010, 1, SIGNATURE_SAVE, 4) == 0
+    assert write(segment, link, 0x1010, 1, od.SIGNATURE_SAVE, 4) == 0
     give(segment, link, frame(0x700 + WATCHED, b"\5"), now_s=1e3)
     give(segment, link, nmt(RESET_NODE), now_s=1e3)
     segment.tick(1e3 + 0.2)
@@ -212,21 +212,21 @@ def test_watching_begins_anew_after_a_reset(segment: Segment, link: ArrayLink) -
 def test_signature_is_that_of_what_the_node_does_now(segment: Segment, link: ArrayLink, contract: Contract) -> None:
     settings = configuration(contract, contract.on_bus(0)[0])
     right = expected_signature(settings)
-    assert read(segment, link, 1, OD_SIGNATURE) == right
+    assert read(segment, link, 1, od.SIGNATURE) == right
     seen = {right}
     for index, subindex, value, size in (
         (0x1007, 0, 5000, 4),
         (0x1800, 1, 0xC000_0181, 4),
         (0x1A00, 0, 0, 1),
-        (OD_TEST_PATTERN, 0, 2, 1),
+        (od.TEST_PATTERN, 0, 2, 1),
     ):
         assert write(segment, link, index, subindex, value, size) == 0
-        assert read(segment, link, 1, OD_SIGNATURE) not in seen
-        seen.add(read(segment, link, 1, OD_SIGNATURE))
+        assert read(segment, link, 1, od.SIGNATURE) not in seen
+        seen.add(read(segment, link, 1, od.SIGNATURE))
     write(segment, link, 0x2011, 3, 100, 2)
-    assert read(segment, link, 1, OD_SIGNATURE) in seen  # an offset is no part of it
+    assert read(segment, link, 1, od.SIGNATURE) in seen  # an offset is no part of it
     give(segment, link, nmt(RESET_NODE))
-    assert read(segment, link, 1, OD_SIGNATURE) == right
+    assert read(segment, link, 1, od.SIGNATURE) == right
 
 
 class Blocks:
@@ -247,14 +247,14 @@ class Blocks:
 def test_saturated_taxels_of_all_blocks_are_counted() -> None:
     node = Blocks()
     for block, pattern in enumerate((PATTERN_ZERO, PATTERN_FULL, PATTERN_ZERO, PATTERN_FULL)):
-        node.write(of_block(OD_TEST_PATTERN, block), 0, pattern, 1)
+        node.write(od.of_block(od.TEST_PATTERN, block), 0, pattern, 1)
     give(node.segment, node.link, nmt(START), sync(1))
-    assert read(node.segment, node.link, 1, OD_HEALTH, 4) == 2 * node.contract.phi.block_size
+    assert read(node.segment, node.link, 1, od.HEALTH, 4) == 2 * node.contract.phi.block_size
 
 
 def test_offset_goes_to_the_taxel_of_its_block_and_may_be_negative() -> None:
     node = Blocks()
-    node.write(of_block(OD_OFFSET, 2), 3, 0xFFFB, 2)
+    node.write(od.of_block(od.OFFSET, 2), 3, 0xFFFB, 2)
     taxel = node.contract.phi.order[2 * node.contract.phi.block_size + 2]
     assert node.electronics.offset[taxel] == -5.0
     assert (node.electronics.offset != 0).sum() == 1

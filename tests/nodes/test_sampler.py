@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from dbc import indices as od
 from dbc.board_sums import PATTERN_FULL, PATTERN_RAMP
-from dbc.indices import OD_GAIN, OD_OFFSET, OD_TEST_PATTERN
 from nodes.electronics import Electronics
 from nodes.sampler import CountSampler, Sampler
 from skin.defects import Defects, Stage
@@ -172,7 +172,7 @@ def test_sums_are_those_of_phi_exactly(sampler: Sampler) -> None:
 
 def test_full_scale_fits_int16(sampler: Sampler) -> None:
     for block in range(128):
-        sampler.adjust(block, OD_TEST_PATTERN, 0, PATTERN_FULL)
+        sampler.adjust(block, od.TEST_PATTERN, 0, PATTERN_FULL)
     sums = sampler.sample(1, 0)
     all_ones = PHI.row_of_sum == 0
     assert (sums[all_ones] == 32 * 1023).all()
@@ -182,15 +182,15 @@ def test_full_scale_fits_int16(sampler: Sampler) -> None:
 
 def test_gain_offset_and_ramp(sampler: Sampler, source: Steps) -> None:
     chain = PHI.order[5 * 32 : 6 * 32]
-    sampler.adjust(5, OD_GAIN, 1, 2.0)
-    sampler.adjust(5, OD_OFFSET, 2, -30)
+    sampler.adjust(5, od.GAIN, 1, 2.0)
+    sampler.adjust(5, od.OFFSET, 2, -30)
     sampler.sample(101, 0)
     truth = sampler.take_truth()
     assert truth is not None
     assert sampler.take_truth() is None
     counts = np.rint(np.frombuffer(truth.sensor, "<f4") / LAYOUT.taxels.newton_per_count)
     assert (counts[chain[0]], counts[chain[1]], counts[chain[2]]) == (200, 70, 100)
-    sampler.adjust(5, OD_TEST_PATTERN, 0, PATTERN_RAMP)
+    sampler.adjust(5, od.TEST_PATTERN, 0, PATTERN_RAMP)
     sums = sampler.sample(102, PERIOD_NS)
     ramp = np.full(4096, 101)
     ramp[chain] = np.arange(32)
@@ -319,9 +319,9 @@ def test_patterns_gains_and_offsets_are_exact_at_once_and_a_reset_ends_them() ->
     for cycle in range(5):
         sampler.sample(cycle + 1, cycle * PERIOD_NS)
         sampler.prepare()
-    sampler.adjust(0, OD_TEST_PATTERN, 0, PATTERN_RAMP)
-    sampler.adjust(1, OD_TEST_PATTERN, 0, PATTERN_FULL)
-    sampler.adjust(2, OD_OFFSET, 1, 1023)
+    sampler.adjust(0, od.TEST_PATTERN, 0, PATTERN_RAMP)
+    sampler.adjust(1, od.TEST_PATTERN, 0, PATTERN_FULL)
+    sampler.adjust(2, od.OFFSET, 1, 1023)
     sums = sampler.sample(6, 5 * PERIOD_NS)
     ramp = np.zeros(4096, np.int32)
     ramp[PHI.taxels_of_blocks[0]] = np.arange(32)

@@ -12,9 +12,9 @@ import pytest
 
 from bus.link import State
 from canskin.messages import NodesStatus, Topic, Truth
+from dbc import indices as od
 from dbc.contract import Contract
 from dbc.frame import Frames
-from dbc.indices import OD_REFRESH
 from nodes.adaptive.boards import AdaptiveBoards
 from nodes.electronics import Electronics
 from nodes.firmware.library import Firmware
@@ -127,7 +127,7 @@ def test_adaptive_nodes_turn_once_for_each_sample(links: dict[int, ReadyLink]) -
     newest = published.statuses[-1]
     assert newest.frames_sent == sum(segment.frames_sent for segment in service.segments.values()) > 0
     assert (newest.frames_dropped, newest.syncs_seen) == (0, 1)
-    boards.adjust(blocks[0], OD_REFRESH, 0, 0xF)
+    boards.adjust(blocks[0], od.REFRESH, 0, 0xF)
     now_s += 2e-3
     service.turn()
     assert boards.is_sending

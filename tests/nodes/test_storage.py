@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 
 from canskin.errors import InputError
+from dbc import indices as od
 from dbc.canopen import Abort
 from dbc.contract import Contract
-from dbc.indices import OD_GAIN, OD_HEARTBEAT_MS, OD_OFFSET, OD_RESTORE, OD_STORE, OD_TEST_PATTERN
 from nodes.electronics import Electronics
 from nodes.sampler import Sampler
 from nodes.storage import Storage
@@ -51,45 +51,45 @@ def board(contract: Contract) -> Board:
 
 def test_reset_takes_calibration_and_pattern_from_the_electronics(board: Board) -> None:
     sums = board.sampler.sample(1, 0).copy()
-    board.write(OD_OFFSET, 3, 100, 2)
-    board.write(OD_GAIN, 4, int.from_bytes(struct.pack("<f", 0.5), "little"), 4)
-    board.write(OD_TEST_PATTERN, 0, 2, 1)
+    board.write(od.OFFSET, 3, 100, 2)
+    board.write(od.GAIN, 4, int.from_bytes(struct.pack("<f", 0.5), "little"), 4)
+    board.write(od.TEST_PATTERN, 0, 2, 1)
     assert (board.sampler.sample(2, 10**9) != sums)[:8].any()
     board.reset()
-    assert (board.read(OD_OFFSET, 3), board.read(OD_TEST_PATTERN), board.offset) == (0, 0, 0.0)
+    assert (board.read(od.OFFSET, 3), board.read(od.TEST_PATTERN), board.offset) == (0, 0, 0.0)
     assert (board.sampler.sample(3, 2 * 10**9) == sums).all()
 
 
 def test_reset_communication_leaves_calibration_and_pattern(board: Board) -> None:
-    board.write(OD_OFFSET, 3, 100, 2)
-    board.write(OD_TEST_PATTERN, 0, 3, 1)
+    board.write(od.OFFSET, 3, 100, 2)
+    board.write(od.TEST_PATTERN, 0, 3, 1)
     board.reset(RESET_COMMUNICATION)
-    assert (board.read(OD_OFFSET, 3), board.offset) == (100, 100.0)
-    assert (board.read(OD_TEST_PATTERN), board.sampler.pattern(0)) == (3, 3)
+    assert (board.read(od.OFFSET, 3), board.offset) == (100, 100.0)
+    assert (board.read(od.TEST_PATTERN), board.sampler.pattern(0)) == (3, 3)
 
 
 def test_stored_offset_comes_back_in_dictionary_and_electronics(board: Board) -> None:
-    board.write(OD_OFFSET, 3, 100, 2)
-    board.write(OD_STORE, 1, SAVE, 4)
-    board.write(OD_OFFSET, 3, 7, 2)
+    board.write(od.OFFSET, 3, 100, 2)
+    board.write(od.STORE, 1, SAVE, 4)
+    board.write(od.OFFSET, 3, 7, 2)
     board.reset()
-    assert (board.read(OD_OFFSET, 3), board.offset) == (100, 100.0)
+    assert (board.read(od.OFFSET, 3), board.offset) == (100, 100.0)
 
 
 def test_restored_defaults_hold_from_the_next_reset_on(board: Board) -> None:
-    board.write(OD_OFFSET, 3, 100, 2)
-    board.write(OD_STORE, 1, SAVE, 4)
-    board.write(OD_RESTORE, 1, LOAD, 4)
+    board.write(od.OFFSET, 3, 100, 2)
+    board.write(od.STORE, 1, SAVE, 4)
+    board.write(od.RESTORE, 1, LOAD, 4)
     assert board.offset == 100.0
     board.reset()
-    assert (board.read(OD_OFFSET, 3), board.offset) == (0, 0.0)
+    assert (board.read(od.OFFSET, 3), board.offset) == (0, 0.0)
 
 
 def test_test_pattern_is_never_stored(board: Board) -> None:
-    board.write(OD_TEST_PATTERN, 0, 2, 1)
-    board.write(OD_STORE, 1, SAVE, 4)
+    board.write(od.TEST_PATTERN, 0, 2, 1)
+    board.write(od.STORE, 1, SAVE, 4)
     board.reset()
-    assert (board.read(OD_TEST_PATTERN), board.sampler.pattern(0)) == (0, 0)
+    assert (board.read(od.TEST_PATTERN), board.sampler.pattern(0)) == (0, 0)
 
 
 def test_other_nodes_keep_their_calibration(board: Board, contract: Contract) -> None:
@@ -101,13 +101,13 @@ def test_other_nodes_keep_their_calibration(board: Board, contract: Contract) ->
 
 def test_folder_outlives_the_process(contract: Contract, tmp_path: Path) -> None:
     first = Board(contract, tmp_path)
-    first.write(OD_OFFSET, 3, 100, 2)
-    first.write(OD_HEARTBEAT_MS, 0, 400, 2)
-    first.write(OD_STORE, 1, SAVE, 4)
+    first.write(od.OFFSET, 3, 100, 2)
+    first.write(od.HEARTBEAT_MS, 0, 400, 2)
+    first.write(od.STORE, 1, SAVE, 4)
     assert [path.name for path in tmp_path.iterdir()] == ["bus0-1.json"]
     second = Board(contract, tmp_path)
-    assert (second.read(OD_OFFSET, 3), second.offset, second.read(OD_HEARTBEAT_MS)) == (100, 100.0, 400)
-    second.write(OD_RESTORE, 1, LOAD, 4)
+    assert (second.read(od.OFFSET, 3), second.offset, second.read(od.HEARTBEAT_MS)) == (100, 100.0, 400)
+    second.write(od.RESTORE, 1, LOAD, 4)
     assert not list(tmp_path.iterdir())
     assert Board(contract, tmp_path).offset == 0.0
 
@@ -116,11 +116,11 @@ def test_full_disk_is_an_abort_and_loses_nothing(
     contract: Contract, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     board = Board(contract, tmp_path)
-    board.write(OD_OFFSET, 3, 100, 2)
-    board.write(OD_STORE, 1, SAVE, 4)
-    board.write(OD_OFFSET, 3, 7, 2)
+    board.write(od.OFFSET, 3, 100, 2)
+    board.write(od.STORE, 1, SAVE, 4)
+    board.write(od.OFFSET, 3, 7, 2)
     monkeypatch.setattr(Path, "replace", lambda *_: (_ for _ in ()).throw(OSError(28, "No space left on device")))
-    assert board.write(OD_STORE, 1, SAVE, 4) == Abort.HARDWARE
+    assert board.write(od.STORE, 1, SAVE, 4) == Abort.HARDWARE
     monkeypatch.undo()
     assert Board(contract, tmp_path).offset == 100.0
 
@@ -162,11 +162,11 @@ def test_what_does_not_fit_the_dictionary_is_not_restored(contract: Contract, tm
         0x1A00: {1: bytes.fromhex("10c80021")},
         0x1A01: {0: b"\5", 5: bytes.fromhex("10050021")},  # one sum more than a classic frame holds
         0x5000: {0: b"\1"},
-        OD_TEST_PATTERN: {0: b"\2"},
+        od.TEST_PATTERN: {0: b"\2"},
     }
     Storage(contract.phi.fingerprint, tmp_path / "bus0-1.json").save(parameters)
     board = Board(contract, tmp_path)
-    assert (board.read(0x1000), board.read(OD_HEARTBEAT_MS), board.sampler.pattern(0)) == (0, 1000, 0)
+    assert (board.read(0x1000), board.read(od.HEARTBEAT_MS), board.sampler.pattern(0)) == (0, 1000, 0)
     assert board.read(0x1029, 1) == 0
     give(board.segment, board.link, frame(0, bytes((1, 1))))
     assert {can_id for can_id, _ in give(board.segment, board.link, sync(1))} == set()  # both are mapped wrongly
@@ -174,8 +174,8 @@ def test_what_does_not_fit_the_dictionary_is_not_restored(contract: Contract, tm
 
 def test_defaults_may_be_asked_for_when_nothing_is_stored(contract: Contract, tmp_path: Path) -> None:
     board = Board(contract, tmp_path)
-    board.write(OD_OFFSET, 3, 100, 2)
-    assert board.write(OD_RESTORE, 1, LOAD, 4) == 0
+    board.write(od.OFFSET, 3, 100, 2)
+    assert board.write(od.RESTORE, 1, LOAD, 4) == 0
     board.reset()
     assert board.offset == 0.0
     assert not list(tmp_path.iterdir())
@@ -185,14 +185,14 @@ def test_a_folder_that_loses_its_file_in_vain_is_an_abort(
     contract: Contract, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     board = Board(contract, tmp_path)
-    board.write(OD_OFFSET, 3, 100, 2)
-    board.write(OD_STORE, 1, SAVE, 4)
+    board.write(od.OFFSET, 3, 100, 2)
+    board.write(od.STORE, 1, SAVE, 4)
 
     def refuse(*_: object, **__: object) -> None:
         raise PermissionError(13, "Permission denied")
 
     monkeypatch.setattr(Path, "unlink", refuse)
-    assert board.write(OD_RESTORE, 1, LOAD, 4) == Abort.HARDWARE
+    assert board.write(od.RESTORE, 1, LOAD, 4) == Abort.HARDWARE
     board.reset()
     assert board.offset == 100.0
 
@@ -224,10 +224,10 @@ def test_a_file_that_cannot_be_read_is_named_with_the_reason(tmp_path: Path) -> 
 
 
 def test_a_reset_of_communication_brings_stored_communication_back_alone(board: Board) -> None:
-    board.write(OD_HEARTBEAT_MS, 0, 400, 2)
-    board.write(OD_OFFSET, 3, 100, 2)
-    board.write(OD_STORE, 1, SAVE, 4)
-    board.write(OD_HEARTBEAT_MS, 0, 700, 2)
-    board.write(OD_OFFSET, 3, 7, 2)
+    board.write(od.HEARTBEAT_MS, 0, 400, 2)
+    board.write(od.OFFSET, 3, 100, 2)
+    board.write(od.STORE, 1, SAVE, 4)
+    board.write(od.HEARTBEAT_MS, 0, 700, 2)
+    board.write(od.OFFSET, 3, 7, 2)
     board.reset(RESET_COMMUNICATION)
-    assert (board.read(OD_HEARTBEAT_MS), board.read(OD_OFFSET, 3), board.offset) == (400, 7, 7.0)
+    assert (board.read(od.HEARTBEAT_MS), board.read(od.OFFSET, 3), board.offset) == (400, 7, 7.0)

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from dbc import indices as od
 from dbc.codec import encode
 from dbc.contract import Contract
 from dbc.generate import VECTOR_FOLDER
-from dbc.indices import OD_GAIN, OD_OFFSET, OD_TEST_PATTERN
 from nodes.electronics import Electronics
 from nodes.sampler import Sampler
 from nodes.ways import vector_files
@@ -45,10 +45,10 @@ def test_a_virtual_board_matches_the_vectors(name: str) -> None:
         counts[chains] = case["counts"]
         sampler = Sampler(contract.phi, Counts((counts * taxels.newton_per_count).reshape(64, 64)), electronics)
         for block in range(node.blocks):
-            for index, values in ((OD_GAIN, case["gain"]), (OD_OFFSET, case["offset_counts"])):
+            for index, values in ((od.GAIN, case["gain"]), (od.OFFSET, case["offset_counts"])):
                 for subindex, value in enumerate(values[block], 1):
                     sampler.adjust(block, index, subindex, value)
-            sampler.adjust(block, OD_TEST_PATTERN, 0, case["pattern"])
+            sampler.adjust(block, od.TEST_PATTERN, 0, case["pattern"])
         sums = sampler.sample(1, 0)
         assert electronics.sampled[chains].tolist() == case["corrected"]
         assert sums[: node.sums].tolist() == case["sums"], case["name"]

@@ -9,8 +9,8 @@ import numpy.typing as npt
 import pytest
 
 from canskin.messages import BlockState
+from dbc import indices as od
 from dbc.adaptive import GROUP_SUMS, OTHER_CODES, coarse_value
-from dbc.indices import OD_COARSE
 from tests.adaptive_skin import RestingSkin, resting_skin
 
 #: A slow guest lets the nodes wait for their processor.
@@ -40,9 +40,9 @@ def codes_of(skin: RestingSkin) -> npt.NDArray[np.int64]:
             for node in skin.contract.on_bus(bus):
                 client = network.add_node(node.node_id, canopen.ObjectDictionary())
                 client.sdo.RESPONSE_TIMEOUT = ANSWER_S
-                codes[node.block, 0] = read(client, OD_COARSE, 1)
+                codes[node.block, 0] = read(client, od.COARSE, 1)
                 if codes[node.block, 0]:
-                    codes[node.block, 1:] = [read(client, OD_COARSE, place) for place in range(2, codes.shape[1] + 1)]
+                    codes[node.block, 1:] = [read(client, od.COARSE, place) for place in range(2, codes.shape[1] + 1)]
         finally:
             network.disconnect()
     return codes

@@ -7,22 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from dbc import indices as od
 from dbc.configuration import setting_of
 from dbc.contract import Contract
 from dbc.dictionary import dictionary
-from dbc.indices import (
-    OD_BUDGET,
-    OD_COARSE,
-    OD_COEFFICIENT_NOISE,
-    OD_FINE,
-    OD_HEALTH,
-    OD_NODE_NOISE,
-    OD_REFRESH,
-    OD_SENDING,
-    OD_SIGNATURE,
-    OD_SUMS,
-    OD_TAXEL_NOISE,
-)
 from skin.defects import parse_defects
 from skin.layout import load_layout
 from tests.nodes.firmware.adaptive_twins import AdaptiveTwins
@@ -111,7 +99,7 @@ def test_writes_of_all_settings(contract: Contract) -> None:
 def test_budgets(contract: Contract, bits_per_second: int) -> None:
     twins = AdaptiveTwins(contract)
     for node_id in twins.ids:
-        twins.write(OD_BUDGET, 0, struct.pack("<I", bits_per_second), node_id)
+        twins.write(od.BUDGET, 0, struct.pack("<I", bits_per_second), node_id)
     twins.nmt(START)
     assert run(twins, SAMPLES) > 20
 
@@ -123,14 +111,14 @@ def test_objects_that_boards_compute(contract: Contract) -> None:
     seen = set()
     for turn in range(6):
         run(twins, 200)
-        twins.write(OD_REFRESH, 0, bytes((turn * 3 & 15,)))
+        twins.write(od.REFRESH, 0, bytes((turn * 3 & 15,)))
         for index, count in (
-            (OD_COEFFICIENT_NOISE, 32), (OD_TAXEL_NOISE, 32), (OD_SUMS, 32), (OD_COARSE, 32), (OD_FINE, 4),
+            (od.COEFFICIENT_NOISE, 32), (od.TAXEL_NOISE, 32), (od.SUMS, 32), (od.COARSE, 32), (od.FINE, 4),
         ):  # fmt: skip
             for sub in range(count + 1):
                 seen.add((index, sub, twins.read(index, sub)))
-        for index in (OD_REFRESH, OD_NODE_NOISE, OD_SIGNATURE):
+        for index in (od.REFRESH, od.NODE_NOISE, od.SIGNATURE):
             seen.add((index, 0, twins.read(index)))
-        seen |= {(OD_SENDING, sub, twins.read(OD_SENDING, sub)) for sub in range(14)}
-        seen |= {(OD_HEALTH, sub, twins.read(OD_HEALTH, sub)) for sub in range(1, 5)}
-    assert len({value for index, _, value in seen if index == OD_SUMS}) > 32
+        seen |= {(od.SENDING, sub, twins.read(od.SENDING, sub)) for sub in range(14)}
+        seen |= {(od.HEALTH, sub, twins.read(od.HEALTH, sub)) for sub in range(1, 5)}
+    assert len({value for index, _, value in seen if index == od.SUMS}) > 32

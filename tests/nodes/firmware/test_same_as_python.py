@@ -9,10 +9,10 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from dbc import indices as od
 from dbc.canopen import NMT_COB_ID, SDO_REQUEST_BASE, SYNC_COB_ID
 from dbc.contract import Contract
 from dbc.dictionary import dictionary
-from dbc.indices import OD_TPDO_COMMUNICATION, OD_TPDO_MAPPING, SIGNATURE_LOAD, SIGNATURE_SAVE
 from nodes.electronics import Calibration
 from nodes.firmware.library import CompiledBoards, Firmware
 from skin.layout import Encoding, Sampling, load_layout, validated
@@ -117,7 +117,7 @@ def calibrate(
 
 #: SDO commands: uploads, downloads of every size, segments, an abort.
 COMMANDS = (0x40, 0x40, 0x23, 0x27, 0x2B, 0x2F, 0x22, 0x21, 0x20, 0x60, 0x70, 0x00, 0x11, 0x0D, 0x80)
-VALUES = (0, 1, 2, 3, 254, 0x80, 0x1000, SIGNATURE_SAVE, SIGNATURE_LOAD, 0x80000180, 0x40000181)
+VALUES = (0, 1, 2, 3, 254, 0x80, 0x1000, od.SIGNATURE_SAVE, od.SIGNATURE_LOAD, 0x80000180, 0x40000181)
 
 
 def random_request(random: np.random.Generator, indices: list[tuple[int, int]]) -> bytes:
@@ -131,7 +131,7 @@ def random_request(random: np.random.Generator, indices: list[tuple[int, int]]) 
     value = int(random.choice(VALUES))
     if random.random() < 0.2:
         value = int(random.integers(1 << 32))
-    if OD_TPDO_COMMUNICATION <= index < OD_TPDO_MAPPING and subindex == 2:
+    if od.TPDO_COMMUNICATION <= index < od.TPDO_MAPPING and subindex == 2:
         # Types above 1 count SYNCs: from which one on is free.
         value = int(random.choice((0, 1, 241, 253, 254)))
     return bytes((command, index & 0xFF, index >> 8, subindex)) + value.to_bytes(4, "little")

@@ -8,11 +8,11 @@ from pathlib import Path
 import pytest
 
 from canskin.errors import InputError
+from dbc import indices as od
 from dbc.configuration import setting_of
 from dbc.contract import Contract
 from dbc.dictionary import dictionary
 from dbc.generate import write_files
-from dbc.indices import BITS, OD_ERROR_FIELD, VISIBLE_STRING
 from nodes.firmware.export import constants, export_files, sources
 from nodes.firmware.library import STANDARD_FLAGS, Firmware, compile_c
 from nodes.firmware.tables import builds
@@ -72,9 +72,9 @@ def test_the_dictionary_for_canopennode_is_that_of_the_contract(name: str, tmp_p
     for each in dictionary(contract, contract.nodes[0]):
         attribute = 0x03 if each.access == "rw" else 0x01
         attribute |= 0x04 if each.pdo else 0
-        attribute |= 0x80 if each.data_type == VISIBLE_STRING else 0x40 if BITS[each.data_type] > 8 else 0
+        attribute |= 0x80 if each.data_type == od.VISIBLE_STRING else 0x40 if od.BITS[each.data_type] > 8 else 0
         data = setting_of(each).data.hex()
-        value = "--" * (len(data) // 2) if each.index == OD_ERROR_FIELD else data  # the stack's own
+        value = "--" * (len(data) // 2) if each.index == od.ERROR_FIELD else data  # the stack's own
         expected.append(f"{each.index:04X} {each.subindex or 0} {attribute:02X} {value}")
     assert printed == expected
 

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 from bus.link import DISCARDED
+from dbc import indices as od
 from dbc.board import board
 from dbc.canopen import NMT_COB_ID, SDO_REQUEST_BASE
 from dbc.contract import Contract
 from dbc.frame import ECHO
-from dbc.indices import OD_COEFFICIENT_NOISE, OD_NODE_NOISE, OD_REFRESH, OD_TAXEL_NOISE
 from nodes.firmware.library import CompiledAdaptiveBoards, Firmware
 from nodes.ways import vector_files
 from skin.layout import load_layout
@@ -56,15 +56,15 @@ def test_samples_become_the_frames_of_the_vectors(name: str) -> None:
     ready = [boards.take_counts(np.array([counts], np.uint16)) for counts in idle]
     assert ready == [False] * (len(idle) - 1) + [True]
     boards.power_up(0.0)
-    for index, key in ((OD_TAXEL_NOISE, "taxel_noise_n"), (OD_COEFFICIENT_NOISE, "coefficient_noise_n")):
+    for index, key in ((od.TAXEL_NOISE, "taxel_noise_n"), (od.COEFFICIENT_NOISE, "coefficient_noise_n")):
         learned = np.array([read_real(boards, index, sub) for sub in range(1, 33)], np.float32)
         assert learned.tolist() == np.float32(vectors["power_up"]["settled"][key]).tolist()
-    assert read_real(boards, OD_NODE_NOISE, 0) == np.float32(vectors["power_up"]["settled"]["board_noise_n"])
+    assert read_real(boards, od.NODE_NOISE, 0) == np.float32(vectors["power_up"]["settled"]["board_noise_n"])
     boards.take(frame(NMT_COB_ID, b"\x01\x01"), 0.0)
     sent = 0
     for number, sample in enumerate(vectors["samples"]):
         if sample["request"]:
-            sdo(boards, struct.pack("<BHBB", 0x2F, OD_REFRESH, 0, sample["request"]))
+            sdo(boards, struct.pack("<BHBB", 0x2F, od.REFRESH, 0, sample["request"]))
         boards.take_counts(np.array([sample["counts"]], np.uint16))
         boards.decide(0, SAMPLE_NS)
         now_ns = number * SAMPLE_NS
