@@ -3,7 +3,12 @@
 Only news that has waited for `SendingRule.patience` has the highest level. A group that was sent needs as long to come
 back to that level, whatever moves. So the frames of this level are sporadic messages with that least distance, and the
 analysis of Davis et al. (`bandwidth.response`) bounds their response time. The pause after a SYNC counts as a message
-above all of them.
+above all of them: with J the jitter, τ a bit, B the longest frame, C the longest coarse frame, W the patience and P the
+time of a pause with its SYNC and a frame, the longest wait at the highest level is
+
+    w = B + ⌈(w + J + τ) / SYNC period⌉ P + Σ ⌈(w + J + τ) / W⌉ C    over all frames of that level that go first
+
+and news is shown after W + J + w + C. A bound exists if P / SYNC period + (frames of that level) C / W < 1.
 """
 
 import math
