@@ -55,7 +55,8 @@ class CoarseSums:
     def silence(self, signal_n: Float32, true_n: Float32, least_n: Float32, phi: Sbhe) -> None:
         """Set what boards do not send to 0: noise, and all of a block that nothing touches.
 
-        A skin that nothing touches has noise everywhere, so that a stray value of one node is no contact.
+        A skin that nothing touches has noise everywhere, so that a stray value of one node is no contact. With noise in
+        all blocks the model is right in 98.0 % of the cycles, not 99.9 %.
 
         Parameters
         ----------

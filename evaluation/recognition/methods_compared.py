@@ -1,4 +1,9 @@
-"""``skin evaluate recognition``: what goes beyond the paper's classifier, and the live service."""
+"""``skin evaluate recognition``: what goes beyond the paper's classifier, and the live service.
+
+Every method uses the sums and the training perturbations of the plain DAGSVM beside it, one split for each draw of Φ.
+Live rows use the default skin, our shapes and the model that the service trains, in every cycle with 2 mN or more;
+there ``runs`` counts touches.
+"""
 
 from typing import Final
 

@@ -1,4 +1,8 @@
-"""``skin evaluate postures``: how a person lies, from sums of a real pressure mat, for people never met before."""
+"""``skin evaluate postures``: how a person lies, from sums of a real pressure mat, for people never met before.
+
+Guessing gives 5.9 %. Figures are means over persons; ``least`` and ``most`` are the worst and the best person. Roots of
+the pressures differ less between heavy and light persons than the pressures.
+"""
 
 import re
 from functools import cache
