@@ -78,7 +78,7 @@ def bus(
     )
     stop = StopSignal().install()
     with BusServer(names, settings) as server:
-        request_real_time()
+        request_real_time("bus")
         say("bus", f"ready: {', '.join(names)} at {bitrate} bit/s")
         server.serve(stop.is_set)
         if json_:

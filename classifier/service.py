@@ -151,12 +151,15 @@ class AdaptiveClassifierService(_Service):
 
     def run(self, stop: StopSignal) -> None:
         """Label the newest sums until `stop` is set."""
+        due_s = time.monotonic()
         while not stop.is_set():
-            started_s = time.monotonic()
-            label = self.label(self._measurements.get(PERIOD_S))
+            # By an absolute clock: a turn that is late must not delay the turns that follow. Periods that a long pause
+            # swallowed are left out.
+            due_s = max(due_s + PERIOD_S, time.monotonic() - FORGET_CYCLES * PERIOD_S)
+            time.sleep(max(0.0, due_s - time.monotonic()))
+            label = self.label(self._measurements.get(0.0))
             if label is not None:
                 self._fabric.publish(LABEL, label)
-            time.sleep(max(0.0, started_s + PERIOD_S - time.monotonic()))
 
     def label(self, measurement: Measurement | None) -> Label | None:
         """Return the label of the next period, None without one.

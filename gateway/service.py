@@ -80,7 +80,7 @@ class GatewayService:
 
     def run(self, stop: StopSignal) -> None:
         """Boot the nodes, then serve until `stop`; open cycles are finished before the return."""
-        request_real_time()
+        request_real_time("gateway")
         while not stop.is_set():
             self.turn()
         self.loop.sync.stop()

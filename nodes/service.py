@@ -82,7 +82,7 @@ class NodesService:
         """Boot the nodes, then serve until `stop`."""
         for segment in self.segments.values():
             segment.boot(self._clock())
-        request_real_time()
+        request_real_time("nodes")
         while not stop.is_set():
             self.turn()
         self._await_frames()

@@ -77,7 +77,7 @@ class ReconstructorService:
     def run(self, stop: StopSignal) -> None:
         """Serve until `stop`."""
         if self._phi.shape[0] >= self._phi.blocks:
-            request_real_time()
+            request_real_time("reconstructor")
         else:
             yield_processor()  # fewer sums than blocks give poor images: the label counts
         while not stop.is_set():

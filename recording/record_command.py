@@ -72,7 +72,7 @@ def record(
         joining = threading.Thread(target=join, name="join the fabric")
         joining.start()
         say("record", f"{', '.join(names.values())} to {out}")
-        request_real_time()  # else services with it keep messages from coming
+        request_real_time("record")  # else services with it keep messages from coming
         recorder.run(stop, seconds or float("inf"))
     except OSError as error:
         reason = error.strerror or error

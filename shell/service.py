@@ -133,17 +133,43 @@ def listen(host: str, port: int) -> socket.socket:
     return listener
 
 
-def request_real_time() -> None:
-    """Request real-time scheduling, for loops that must keep the SYNC period.
+def request_real_time(service: str) -> bool:
+    """Request real-time scheduling for every thread of this process, for loops that must keep the SYNC period.
 
-    Without permission (root, or an ``rtprio`` limit) the scheduling stays as it is. Objects that exist now are excluded
-    from garbage collection, because its pauses would make cycles late.
+    All threads get real-time scheduling or none does: an ordinary thread of the fabric would starve behind a real-time
+    loop, and a loop would wait for the interpreter's lock that the thread holds. A thread that starts later inherits
+    the scheduling of the thread that starts it. The kernel keeps a share of each core for other programs
+    (``sched_rt_runtime_us``, 95 % by default). Without permission (root, or an ``rtprio`` limit) the scheduling stays as
+    it is. Objects that exist now are excluded from garbage collection, because its pauses would make cycles late.
+
+    Returns
+    -------
+    bool
+        Whether the process has real-time scheduling.
     """
     gc.collect()
     gc.freeze()
-    if sys.platform.startswith("linux"):
-        with contextlib.suppress(OSError):
-            os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(REAL_TIME_PRIORITY))
+    is_real_time = sys.platform.startswith("linux") and _schedule(os.SCHED_RR, REAL_TIME_PRIORITY)
+    say(service, "scheduling: real time" if is_real_time else "scheduling: ordinary; for real time, allow rtprio")
+    return is_real_time
+
+
+def _schedule(policy: int, priority: int) -> bool:
+    """Give all threads of this process a scheduling policy; without permission for one thread, to none."""
+    done: set[int] = set()
+    try:
+        # A thread may start another before its own turn comes: look until no thread is new.
+        while new := {int(name) for name in os.listdir("/proc/self/task")} - done:
+            for thread in new:
+                with contextlib.suppress(ProcessLookupError):  # ended since
+                    os.sched_setscheduler(thread, policy, os.sched_param(priority))
+            done |= new
+    except OSError:
+        for thread in done:
+            with contextlib.suppress(OSError):
+                os.sched_setscheduler(thread, os.SCHED_OTHER, os.sched_param(0))
+        return False
+    return True
 
 
 def yield_processor() -> None:
