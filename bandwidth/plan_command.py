@@ -38,7 +38,7 @@ def plan(
     channel
         The channel of each bus in the log. Default: the names of the buses, else all channels in their order.
     plot
-        Folder for pictures: rates for other numbers of buses and widths of sums; time line of one cycle.
+        Folder for ``cycle.png``, the time line of one cycle.
     node_budget
         Adaptive sending: bits a second that each node may send (object 2034h); 0 for no budget.
     disturbance
@@ -60,10 +60,9 @@ def plan(
         require_one_state(contract.layout, "--check")
         return _check(contract, plans, check, channel or [], as_json=json_)
     if plot is not None:
-        from bandwidth.plots import write_plots
+        from bandwidth.plots import write_plot
 
-        for path in write_plots(contract, plot):
-            say("plan", f"wrote {path}")
+        say("plan", f"wrote {write_plot(contract, plot)}")
     does_fit = not any(each.problems for each in plans)
     if json_:
         facts = {

@@ -9,7 +9,6 @@ from bandwidth.adaptive_plan import AdaptiveBusPlan, plan_adaptive
 from bandwidth.alternatives import alternatives
 from bandwidth.measured import BusLoad
 from bandwidth.plan import BusPlan, plan
-from bandwidth.scheme_rates import schemes
 from bandwidth.traffic import Disturbance
 from canskin.errors import InputError
 from dbc.contract import Contract
@@ -41,7 +40,6 @@ class InCycles:
             "sum_bits": layout.encoding.sum_bits,
             "rounding_error_n": rounding_error_n(layout),
             "alternatives": list(alternatives(layout, allowed)),
-            "schemes": list(schemes(layout)),
         } | ({"recognition": few} if few else {})
 
     def print_plan(self, contract: Contract, plans: Sequence[Any], allowed: Disturbance) -> None:
