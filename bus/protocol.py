@@ -1,7 +1,7 @@
 """The protocol between the process of a bus and its clients: packets on a local Unix socket.
 
 The socket is of type SOCK_SEQPACKET, so one packet is one message: a header, then either FRAME records or JSON. A
-client sends HELLO and receives WELCOME or REFUSED. After that both sides send FRAMES, and a client may send FAULTS.
+client sends HELLO and receives WELCOME or REFUSED. After that both sides send FRAMES.
 """
 
 import os
@@ -10,7 +10,7 @@ import time
 from enum import IntEnum
 from pathlib import Path
 from struct import Struct
-from typing import Annotated, Final, NamedTuple, TypeVar
+from typing import Final, NamedTuple, TypeVar
 
 import msgspec
 import numpy as np
@@ -35,8 +35,6 @@ LATEST_NS: Final = 1 << 62
 _HIGHEST_BASE: Final = 0x7FF
 _SENDABLE: Final = EXTENDED | REMOTE | FD | BRS | ESI
 
-
-Word = Annotated[int, msgspec.Meta(ge=0, le=0xFFFF_FFFF)]
 Body = TypeVar("Body")
 
 
@@ -47,7 +45,6 @@ class Kind(IntEnum):
     WELCOME = 2
     REFUSED = 3
     FRAMES = 4
-    FAULTS = 5
 
 
 class Header(NamedTuple):
@@ -60,14 +57,6 @@ class Header(NamedTuple):
     time_ns: int
 
 
-class Filter(msgspec.Struct, frozen=True, array_like=True):
-    """Passes frames with ``identifier & mask == can_id & mask``; `extended` None means both formats."""
-
-    can_id: Word
-    mask: Word
-    extended: bool | None = None
-
-
 class Hello(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Request of a client."""
 
@@ -75,8 +64,6 @@ class Hello(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     bitrate: int | None = None
     data_bitrate: int | None = None
     fd: bool = False
-    filters: tuple[Filter, ...] = ()
-    listen_only: bool = False
 
 
 class Welcome(msgspec.Struct, frozen=True, kw_only=True):
@@ -84,7 +71,6 @@ class Welcome(msgspec.Struct, frozen=True, kw_only=True):
 
     bitrate: int
     data_bitrate: int | None
-    virtual_clock: bool
     queue_size: int
 
 
