@@ -1,11 +1,13 @@
 """Measured load of a bus, per node and per identifier, beside the planned load."""
 
 from dataclasses import dataclass
-from typing import Final, Protocol
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
+from bandwidth.adaptive_plan import AdaptiveBusPlan
+from bandwidth.plan import BusPlan
 from canskin.errors import InputError
 from dbc.canopen import (
     BASE_ID_MASK,
@@ -84,22 +86,6 @@ class BusLoad:
     identifiers: list[IdentifierLoad]
 
 
-class Planned(Protocol):
-    """What the plan of a bus says of its load."""
-
-    @property
-    def name(self) -> str:
-        """The name of the bus."""
-
-    @property
-    def load_touched(self) -> float | None:
-        """Load of a simulated touched skin, None without simulation."""
-
-    @property
-    def load_worst(self) -> float:
-        """Highest load."""
-
-
 def whole_cycles(seen: Frames) -> tuple[Frames, float]:
     """Return the frames from the first SYNC until before the last, and the seconds between these SYNCs.
 
@@ -119,7 +105,7 @@ def whole_cycles(seen: Frames) -> tuple[Frames, float]:
     return real[first:last], seconds
 
 
-def measure(contract: Contract, bus: int, seen: Frames, planned: Planned) -> BusLoad:
+def measure(contract: Contract, bus: int, seen: Frames, planned: BusPlan | AdaptiveBusPlan) -> BusLoad:
     """Measure the load of bus number `bus`.
 
     Parameters

@@ -12,7 +12,7 @@ from bus.options import BusOptions, Channels, channels
 from dbc.contract import Contract
 from shell.service import say
 from shell.terminal import Json, print_json
-from skin.layout import load_layout, require_one_state
+from skin.layout import load_layout, require_one_state, require_sending
 
 
 def plan(
@@ -54,7 +54,10 @@ def plan(
     """
     contract = Contract.from_layout(load_layout(layout))
     allowed, sending = (disturbance or Disturbance()).of(contract.layout), sending_of(contract)
-    sending.check_options(has_plot=plot is not None, node_budget=node_budget)
+    if node_budget:
+        require_sending(contract.layout, "adaptive", "--node-budget is", "the nodes of this layout send in every cycle")
+    if plot is not None:
+        require_sending(contract.layout, "synchronous", "--plot is", "it draws cycles, and adaptive nodes send none")
     plans = sending.plan(contract, allowed, node_budget=node_budget, is_touched=check is None)
     if check is not None:
         require_one_state(contract.layout, "--check")
