@@ -30,11 +30,6 @@ def highest_rate_hz(layout: Layout, budget: float = 0.8, allowed: Disturbance | 
     -------
     float
         0 if even the lowest rate does not fit.
-
-    Raises
-    ------
-    LayoutError
-        If the layout is not valid.
     """
     allowed = allowed or Disturbance()
     contract = Contract.from_layout(validated(layout))

@@ -89,10 +89,7 @@ class BusLoad:
 def whole_cycles(seen: Frames) -> tuple[Frames, float]:
     """Return the frames from the first SYNC until before the last, and the seconds between these SYNCs.
 
-    Raises
-    ------
-    InputError
-        If there are fewer than two frames, or no time passes between them.
+    Raise InputError unless there are two frames or more, and time passes between them.
     """
     real = seen[seen["flags"] & ERROR == 0]
     if len(real) < 2:
@@ -106,17 +103,12 @@ def whole_cycles(seen: Frames) -> tuple[Frames, float]:
 
 
 def measure(contract: Contract, bus: int, seen: Frames, planned: BusPlan | AdaptiveBusPlan) -> BusLoad:
-    """Measure the load of bus number `bus`.
+    """Measure the load of bus number `bus`; raise InputError if there is too little, or CAN FD that is not planned.
 
     Parameters
     ----------
     seen : array of FRAME
         In bus order, with times.
-
-    Raises
-    ------
-    InputError
-        If there is too little to measure, or the bus has CAN FD frames and the layout has no bit rate for them.
     """
     line = contract.layout.bus[bus]
     _check_format(line, seen)

@@ -109,11 +109,6 @@ class ArbitratedLink(ReconnectingLink):
         -------
         int
             Number of accepted frames, counted from the first; the next frame did not fit.
-
-        Raises
-        ------
-        InputError
-            If no controller could send a frame.
         """
         check_frames(burst, fd=self.welcome.data_bitrate is not None)
         burst = padded(burst)

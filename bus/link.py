@@ -35,7 +35,10 @@ class Link(Protocol):
         ...
 
     def send(self, burst: Frames) -> int:
-        """Queue frames for transmission; return the number of accepted frames, counted from the first."""
+        """Queue frames for transmission; return the number of accepted frames, counted from the first.
+
+        Raise InputError for a frame that no controller could send.
+        """
         ...
 
     @property

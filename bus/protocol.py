@@ -84,13 +84,7 @@ def pack(kind: Kind, payload: bytes = b"", *, count: int = 0) -> bytes:
 
 
 def unpack(packet: bytes | memoryview) -> tuple[Header, memoryview]:
-    """Split a packet.
-
-    Raises
-    ------
-    ProtocolError
-        If the packet does not begin with a header.
-    """
+    """Split a packet; raise ProtocolError unless it begins with a header."""
     if len(packet) < HEADER.size:
         raise ProtocolError(f"a packet of {len(packet)} bytes")
     magic, *fields = HEADER.unpack_from(packet)
@@ -100,13 +94,7 @@ def unpack(packet: bytes | memoryview) -> tuple[Header, memoryview]:
 
 
 def unpack_json(payload: memoryview, body: type[Body]) -> Body:
-    """Decode the JSON of a packet.
-
-    Raises
-    ------
-    ProtocolError
-        If the payload is not the JSON of a `body`.
-    """
+    """Decode the JSON of a packet; raise ProtocolError unless it is that of a `body`."""
     try:
         return msgspec.json.decode(payload, type=body)
     except UNDECODABLE as error:
@@ -114,13 +102,7 @@ def unpack_json(payload: memoryview, body: type[Body]) -> Body:
 
 
 def unpack_frames(header: Header, payload: memoryview) -> Frames:
-    """Return the records of a FRAMES packet as a view of the packet.
-
-    Raises
-    ------
-    ProtocolError
-        If the length does not match the header.
-    """
+    """Return the records of a FRAMES packet as a view of the packet; raise ProtocolError for a wrong length."""
     if len(payload) != header.frames * FRAME.itemsize:
         raise ProtocolError(f"{len(payload)} bytes for {header.frames} frames")
     return np.frombuffer(payload, FRAME)
@@ -133,13 +115,7 @@ def in_time(burst: Frames) -> Frames:
 
 
 def check_frames(burst: Frames, *, fd: bool) -> None:
-    """Check that a controller could send the frames.
-
-    Raises
-    ------
-    InputError
-        The message names the first wrong frame and its error.
-    """
+    """Raise InputError, which names the first wrong frame, unless a controller could send the frames."""
     flags, length, can_id = burst["flags"], burst["length"], burst["can_id"]
     if _are_plain(burst):
         return
@@ -191,13 +167,7 @@ def runtime_folder() -> Path:
 
 
 def socket_path(channel: str, folder: Path | None = None) -> Path:
-    """Return the path of the socket of the bus `channel`.
-
-    Raises
-    ------
-    InputError
-        If the name cannot be a file name, or the path is too long for a Unix socket.
-    """
+    """Return the socket path of the bus `channel`; raise InputError for a name or path that no socket can have."""
     path = (folder or runtime_folder()) / f"{channel}.can"
     if not channel or "/" in channel or channel.startswith("."):
         raise InputError(f"'{channel}' cannot name a bus: expected a word such as bus0")

@@ -111,11 +111,6 @@ class PythonCanLink:
         """Pass frames to the interface; return the number of accepted frames, counted from the first.
 
         A frame whose latest start has passed is not accepted; in the interface that time has no effect.
-
-        Raises
-        ------
-        InputError
-            If no controller could send a frame.
         """
         check_frames(burst, fd=self._fd)
         burst = in_time(burst)

@@ -95,8 +95,6 @@ class BusServer:
     ------
     BusError
         If a bus of that name is already served, or its socket cannot be made.
-    InputError
-        If a name cannot be used.
     """
 
     def __init__(self, channels: Sequence[str], settings: BusSettings, folder: Path | None = None) -> None:

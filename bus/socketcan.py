@@ -164,11 +164,6 @@ class SocketCanLink(ReconnectingLink):
         """Pass frames to the interface's queue; return the number of accepted frames, counted from the first.
 
         A frame whose latest start has passed is not accepted; in the queue that time has no effect.
-
-        Raises
-        ------
-        InputError
-            If no controller could send a frame.
         """
         check_frames(burst, fd=self._fd)
         rows, lengths = encode(padded(in_time(burst)))

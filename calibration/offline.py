@@ -22,13 +22,7 @@ OffsetSource = Calibrator | RecordedOffsets
 
 
 def make_calibrator(layout: Layout, path: Path | None, tare: Tare, service: str) -> Calibrator | None:
-    """Return what the options ``--calibration`` and ``--tare`` ask for, None for nothing.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be used, or the layout has adaptive sending.
-    """
+    """Return what the options ``--calibration`` and ``--tare`` ask for, None for nothing."""
     if path is None and tare == "never":
         return None
     require_sending(layout, "synchronous", "--calibration and --tare are", "adaptive boards have their own zero")
