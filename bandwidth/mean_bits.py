@@ -10,7 +10,7 @@ from functools import cache
 import numpy as np
 import numpy.typing as npt
 
-from dbc.frame import BRS, FD, FD_LENGTHS, frames
+from dbc.frame import BRS, FD, frames
 from dbc.frame_bits import stuffed_bits, wire_bits
 
 #: Longest run that stuffing allows.
@@ -40,8 +40,7 @@ def mean_wire_bits(length: int, flags: int = 0, can_id: int | None = None) -> tu
     one = frames(1)
     one["length"], one["flags"] = length, flags
     nominal, data = (float(bits[0]) for bits in wire_bits(one, "none"))
-    padded = next(each for each in FD_LENGTHS if each >= length)
-    head, tail = stuffed_bits(padded, flags, can_id)
+    head, tail = stuffed_bits(length, flags, can_id)
     # The first fixed stuff bit of CAN FD replaces a dynamic stuff bit after the last data bit.
     stuff = _mean_stuff(head + tail, last=not flags & FD)
     in_head, in_tail = sum(stuff[: len(head)]), sum(stuff[len(head) :])

@@ -29,7 +29,7 @@ class Station:
 
     def refresh(self) -> None:
         """Compute `state` and `off` again, after a controller came or changed."""
-        self.state = max((one.state for one in self.controllers.values()), default=State.ACTIVE)
+        self.state = max(one.state for one in self.controllers.values())
         self.off = all(one.off for one in self.controllers.values())
 
 

@@ -114,7 +114,7 @@ def nominal_ns(bits: int, bitrate: int) -> int:
 def stuffed_bits(length: int, flags: int, can_id: int | None = None) -> tuple[str, str]:
     """Return the bits to which dynamic stuffing applies, as 0, 1 or ? for any, before and after the bit-rate switch.
 
-    `length` has a DLC; `can_id` None is any identifier. The CRC of a classic frame is any.
+    `can_id` None is any identifier. The CRC of a classic frame is any.
     """
     known = "?" * 29 if can_id is None else f"{can_id:029b}"
     base, extension = (known[:11], known[11:]) if flags & EXTENDED else (known[-11:], "")
@@ -123,7 +123,7 @@ def stuffed_bits(length: int, flags: int, can_id: int | None = None) -> tuple[st
     head = "0" + base + ("11" + extension + "0" if flags & EXTENDED else "00")
     head += "10" if fd else "00" if flags & EXTENDED else "0"
     switches = f"{int(bool(flags & BRS))}{int(bool(flags & ESI))}" if fd else ""
-    return head, switches + f"{FD_LENGTHS.index(length):04b}" + "?" * (8 * length + (0 if fd else 15))
+    return head, switches + f"{_DLC[length]:04b}" + "?" * (8 * int(_PADDED[length]) + (0 if fd else 15))
 
 
 def _fixed_bits(frames: Frames, is_fd: npt.NDArray[np.bool_]) -> tuple[Bits, Bits]:
