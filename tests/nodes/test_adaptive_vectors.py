@@ -12,7 +12,7 @@ import pytest
 from dbc.adaptive import NODES, cob_id
 from dbc.contract import Contract
 from dbc.frame import ECHO, ERROR
-from gateway.adaptive_state import new_sums, take
+from gateway.adaptive_state import new_sums
 from nodes.adaptive import patch_boards
 from nodes.adaptive.boards import AdaptiveBoards
 from nodes.adaptive.noise import IdleStatistics
@@ -21,6 +21,7 @@ from nodes.virtual_boards import VirtualBoards
 from nodes.ways import vector_files
 from skin.layout import load_layout
 from tests.bus.harness import frame
+from tests.nodes.adaptive_bus import receive
 from tests.nodes.helpers import ArrayLink, Still
 
 pytestmark = pytest.mark.heavy
@@ -178,8 +179,7 @@ def test_codes_stand_for_what_a_receiver_of_the_frames_shows(name: str) -> None:
         for kind, values in (("coarse", "coarse_values_n"), ("fine", "fine_values_n")):
             for group in range(4):
                 identifier = cob_id(0, 0, group, kind == "fine")
-                data = np.frombuffer(bytes.fromhex(case[kind][group]), np.uint8)
-                take(identifier, 8, data, 0, law, receiver, False)
+                receive(frame(identifier, bytes.fromhex(case[kind][group])), law, receiver)
             assert receiver.value_n[0].tolist() == case[values]
         fine = np.abs(np.array(case["fine_values_n"]) - case["later_sums_n"])
         assert fine.max() <= 0.501 * law.fine_n
