@@ -11,7 +11,7 @@ static skin_outbox new_outbox(skin_frame *out, size_t capacity)
 
     outbox.frames = out;
     outbox.capacity = capacity;
-    outbox.count = outbox.lost = 0;
+    outbox.count = 0;
     return outbox;
 }
 

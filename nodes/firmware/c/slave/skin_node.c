@@ -20,8 +20,6 @@ void skin_post(skin_node *node, const skin_frame *frame)
 {
     if (node->outbox->count < node->outbox->capacity) {
         node->outbox->frames[node->outbox->count++] = *frame;
-    } else {
-        node->outbox->lost++;
     }
 }
 
@@ -128,10 +126,7 @@ static void read_watched(skin_node *node)
         const uint32_t entry = skin_unsigned(node, SKIN_OD_CONSUMER_HEARTBEAT, (uint8_t)(place + 1));
         skin_watch *watch = &node->watched[place];
 
-        if ((entry & 0xFFFFu) == 0 || entry >> 16 > SKIN_HIGHEST_NODE_ID) {
-            continue;
-        }
-        watch->node_id = (uint8_t)(entry >> 16);
+        watch->node_id = skin_watched_node(entry);
         for (old = 0; old < SKIN_WATCHED; old++) {
             if (before[old].node_id == watch->node_id) {
                 *watch = before[old];

@@ -30,10 +30,10 @@ typedef struct {
 /* A frame that the controller has given up: its window ended, or there was no room for it. */
 #define SKIN_FRAME_DISCARDED (SKIN_FRAME_ECHO | SKIN_FRAME_ERROR)
 
-/* Frames that wait to be sent; frames beyond `capacity` are lost and counted. */
+/* Frames that wait to be sent; frames beyond `capacity` are lost. */
 typedef struct {
     skin_frame *frames;
-    size_t capacity, count, lost;
+    size_t capacity, count;
 } skin_outbox;
 
 /* Errors that are reported: heartbeat of a watched node lost, SYNC of a wrong length, window missed. */
@@ -170,6 +170,8 @@ const skin_object *skin_find(const skin_board *board, uint16_t index, uint8_t su
 const uint8_t *skin_value(const skin_node *node, const skin_object *object, uint8_t *scratch);
 uint32_t skin_unsigned(const skin_node *node, uint16_t index, uint8_t subindex);
 uint8_t skin_mapped_bits(const skin_node *node, const skin_object *object);
+const skin_object *skin_mapped(const skin_node *node, uint32_t entry); /* of a mapping entry; NULL: no PDO may carry it */
+uint8_t skin_watched_node(uint32_t entry); /* of an entry of 1016h, 0 for none */
 uint32_t skin_missing(const skin_board *board, uint16_t index);
 uint32_t skin_write(skin_node *node, uint16_t index, uint8_t subindex, const uint8_t *data, uint16_t length);
 void skin_restore(skin_node *node, int communication_only);

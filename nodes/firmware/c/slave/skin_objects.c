@@ -147,13 +147,12 @@ uint8_t skin_mapped_bits(const skin_node *node, const skin_object *object)
     return of_first_block(object->index) == SKIN_OD_SUMS ? node->board->packing.bits : (uint8_t)(8 * object->bytes);
 }
 
-/* Tell whether a mapping entry names an object that PDOs may carry, in its full width. */
-static int is_mappable(const skin_node *node, uint32_t entry)
+const skin_object *skin_mapped(const skin_node *node, uint32_t entry)
 {
-    const uint8_t bits =
-        skin_mapped_bits(node, skin_find(node->board, (uint16_t)(entry >> 16), (uint8_t)(entry >> 8 & 0xFFu)));
+    const skin_object *object = skin_find(node->board, (uint16_t)(entry >> 16), (uint8_t)(entry >> 8 & 0xFFu));
+    const uint8_t bits = skin_mapped_bits(node, object);
 
-    return bits != 0 && bits == (entry & 0xFFu);
+    return bits != 0 && bits == (entry & 0xFFu) ? object : NULL;
 }
 
 /* COB-IDs that no PDO or EMCY may have (CiA 301, table 38). */
@@ -216,7 +215,7 @@ static uint32_t check_mapping(const skin_node *node, uint16_t index, uint8_t sub
         if (skin_unsigned(node, index, 0) > 0) {
             return SKIN_ABORT_STATE;
         }
-        return value == 0 || is_mappable(node, value) ? 0 : SKIN_ABORT_NOT_MAPPABLE;
+        return value == 0 || skin_mapped(node, value) != NULL ? 0 : SKIN_ABORT_NOT_MAPPABLE;
     }
     if (value > node->board->pdo_bytes) {
         return SKIN_ABORT_PDO_LENGTH;
@@ -224,7 +223,7 @@ static uint32_t check_mapping(const skin_node *node, uint16_t index, uint8_t sub
     for (place = 1; place <= value; place++) {
         const uint32_t entry = skin_unsigned(node, index, place);
 
-        if (!is_mappable(node, entry)) {
+        if (skin_mapped(node, entry) == NULL) {
             return SKIN_ABORT_NOT_MAPPABLE;
         }
         bits += entry & 0xFFu;
@@ -232,10 +231,9 @@ static uint32_t check_mapping(const skin_node *node, uint16_t index, uint8_t sub
     return bits > 8u * node->board->pdo_bytes ? SKIN_ABORT_PDO_LENGTH : 0;
 }
 
-/* Node-ID that an entry of 1016h watches, 0 for none. */
-static uint32_t watched_node(uint32_t entry)
+uint8_t skin_watched_node(uint32_t entry)
 {
-    return (entry & 0xFFFFu) > 0 && entry >> 16 <= SKIN_HIGHEST_NODE_ID ? entry >> 16 : 0;
+    return (uint8_t)((entry & 0xFFFFu) > 0 && entry >> 16 <= SKIN_HIGHEST_NODE_ID ? entry >> 16 : 0);
 }
 
 static uint32_t check_watched(const skin_node *node, uint8_t subindex, uint32_t value)
@@ -243,8 +241,8 @@ static uint32_t check_watched(const skin_node *node, uint8_t subindex, uint32_t 
     uint8_t place;
 
     for (place = 1; place <= SKIN_WATCHED; place++) {
-        if (place != subindex && watched_node(value) > 0 &&
-            watched_node(value) == watched_node(skin_unsigned(node, SKIN_OD_CONSUMER_HEARTBEAT, place))) {
+        if (place != subindex && skin_watched_node(value) > 0 &&
+            skin_watched_node(value) == skin_watched_node(skin_unsigned(node, SKIN_OD_CONSUMER_HEARTBEAT, place))) {
             return SKIN_ABORT_INCOMPATIBLE;
         }
     }
