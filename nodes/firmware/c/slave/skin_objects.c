@@ -104,7 +104,7 @@ static uint32_t computed(const skin_node *node, const skin_object *object)
         return node->health[subindex - 1];
     default: /* the sums */
 #if SKIN_ADAPTIVE
-        return (uint32_t)skin_raw(&node->board->packing, skin_adaptive_sum(node, (uint8_t)(subindex - 1)));
+        return (uint32_t)skin_raw(&node->board->packing, skin_sender_sum(&node->sender, (uint8_t)(subindex - 1)));
 #else
         return (uint32_t)skin_raw(&node->board->packing,
                                   node->sums[node->board->first_sum[block_of(object->index)] + subindex - 1]);
@@ -285,7 +285,7 @@ static uint32_t check_write(const skin_node *node, uint16_t index, uint8_t subin
         return value > SKIN_PATTERN_FULL ? SKIN_ABORT_VALUE : 0;
     default:
 #if SKIN_ADAPTIVE
-        return skin_check_adaptive(index, subindex, value);
+        return skin_sender_allows(index, subindex, value) ? 0 : SKIN_ABORT_VALUE;
 #else
         return 0;
 #endif
@@ -311,7 +311,7 @@ static void adjust(skin_node *node, const skin_object *object)
         break;
     default:
 #if SKIN_ADAPTIVE
-        skin_adjust_adaptive(node, object, value);
+        skin_sender_write(&node->sender, object->index, object->subindex, value);
 #endif
         break;
     }
@@ -364,7 +364,9 @@ void skin_restore(skin_node *node, int communication_only)
         return;
     }
 #if SKIN_ADAPTIVE
-    skin_restore_adaptive(node);
+    memset(node->sender.filter.given_taxel_n, 0, sizeof node->sender.filter.given_taxel_n);
+    memset(node->sender.filter.given_coefficient_n, 0, sizeof node->sender.filter.given_coefficient_n);
+    skin_filter_give(&node->sender.filter);
 #elif SKIN_SAMPLES > 1
     for (place = 0; place < board->blocks; place++) {
         skin_forget(&node->averages[place]);

@@ -178,14 +178,4 @@ void skin_given_up(skin_node *node, const skin_frame *frame)
     }
 }
 
-void skin_note_state(skin_node *node)
-{
-    (void)node; /* nothing begins with OPERATIONAL */
-}
-
-void skin_forget_sent(skin_node *node)
-{
-    (void)node; /* reading the TPDOs anew forgets */
-}
-
 #endif
