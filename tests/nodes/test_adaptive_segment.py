@@ -10,7 +10,6 @@ from dbc.adaptive_filter import LEAST_NOISE_N
 from dbc.contract import Contract
 from dbc.frame import ECHO, ERROR
 from nodes.adaptive.news import PAUSE_NS
-from nodes.adaptive.patch_boards import CATCH_UP
 from skin.layout import load_layout
 from skin.walsh import GROUPS, walsh_matrix
 from tests.bus.harness import frame
@@ -160,38 +159,3 @@ def test_what_was_sent_before_a_reset_does_not_come_back_with_its_echo(bus: Bus)
     bus.give(late)
     assert len(bus.run(100)) > 0  # the others' refreshes
     assert bus.segment.frames_sent >= 16
-
-
-def test_a_late_process_takes_missed_samples_up_to_a_bound_and_decides_once(bus: Bus) -> None:
-    bus.start()
-    bus.run(5)
-    samples = bus.boards.decision
-    bus.now_s += 10.5e-3
-    bus.segment.tick(bus.now_s)
-    assert bus.boards.samples_skipped == 0
-    assert bus.boards.decision - samples in {10, 11}
-    bus.link.take_sent()
-    bus.now_s += 1.0
-    bus.segment.tick(bus.now_s)
-    assert abs(bus.boards.samples_skipped - (1000 - CATCH_UP)) <= 1
-    assert len(sums_of(bus.link.take_sent())) <= 16
-
-
-def test_truth_is_told_for_every_step_of_the_touch(bus: Bus) -> None:
-    bus.run(3)
-    assert bus.boards.take_truth() is None
-    bus.sync(counter=3)
-    begin_ns = round(bus.now_s * 1e9) - 200_000_000
-    bus.run(100)
-    truths = []
-    while (truth := bus.boards.take_truth()) is not None:
-        truths.append(truth)
-    assert [truth.step for truth in truths] == list(range(truths[0].step, truths[0].step + 10))
-    assert truths[0].step in {20, 21}
-    for truth in truths:
-        assert (truth.sync_counter, truth.sampled_mono_ns) == (0, begin_ns + truth.step * 10_000_000)
-        assert truth.label == "thing"
-        assert np.array_equal(np.frombuffer(truth.true, "<f4"), bus.source.force_n.ravel())
-    sensor_n = np.frombuffer(truths[-1].sensor, "<f4")
-    cells = bus.contract.phi.taxels_of_blocks[[node.block for node in bus.contract.on_bus(0)[: len(IDS)]]]
-    assert np.abs(sensor_n[cells] - np.clip(bus.source.force_n.ravel()[cells], 0, 0.02)).max() < 2e-5

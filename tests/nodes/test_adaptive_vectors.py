@@ -48,9 +48,6 @@ class Played:
         self.counts[0] = next(self._left)
         return self.counts * self._npc
 
-    def recalibrate(self) -> None:
-        """Gains are 1, offsets 0."""
-
 
 @pytest.mark.parametrize("name", BUSES)
 def test_a_virtual_board_sends_the_frames_of_the_vectors(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
