@@ -28,7 +28,7 @@ from dbc.objects import Object
 from nodes.access import check_write, is_allowed
 from nodes.emcy import EmcyProducer
 from nodes.hardware import Hardware
-from nodes.heartbeat import HeartbeatConsumer, HeartbeatProducer
+from nodes.heartbeat import HeartbeatConsumer
 from nodes.objects import LocalNode, Outbox, object_dictionary
 from nodes.storage import Parameters, Storage
 from nodes.tpdo import LiveTpdo, read_tpdos
@@ -113,7 +113,7 @@ class SkinNode:
         self.local.add_write_callback(self._written)  # type: ignore[no-untyped-call]
         self.local.add_read_callback(self._read)  # type: ignore[no-untyped-call]
         self.emcy = EmcyProducer(self._send_emcy)
-        self.heartbeat = HeartbeatProducer(self._send_state)
+        self._beat_due_s, self._beat_period_s = float("inf"), 0.0
         self.watched = HeartbeatConsumer()
         outbox[contract.node_id] = self.local
 
@@ -145,7 +145,7 @@ class SkinNode:
         self._enter(NmtState.PRE_OPERATIONAL)
         # Otherwise boards powered together would send their heartbeats together, inside a burst of sums.
         part = self.contract.node_id / (HIGHEST_NODE_ID + 1)
-        self.heartbeat.set_period(self.local.unsigned(od.HEARTBEAT_MS) / 1000, now_s, part)
+        self._beat_due_s = now_s + part * self._beat_period_s if self._beat_period_s else float("inf")
 
     def _is_stored(self, index: int, subindex: int, data: bytes) -> bool:
         """Tell whether a stored value fits an object that can be stored; test patterns and refreshes cannot."""
@@ -191,7 +191,7 @@ class SkinNode:
         """When `tick` has work to do next, as things stand."""
         if self._has_events or self.emcy.is_waiting:
             return float("-inf")
-        return min(self.heartbeat.due_s, self.watched.due_s)
+        return min(self._beat_due_s, self.watched.due_s)
 
     def refresh(self, now_s: float) -> bool:
         """Read the objects again if a write has changed any since the last call; tell whether one had."""
@@ -204,12 +204,17 @@ class SkinNode:
         self._emcy_cob_id = local.unsigned(od.EMCY_COB_ID)
         self._emcy_inhibit_s = local.unsigned(od.EMCY_INHIBIT_100US) * 1e-4
         self.watched.watch([local.unsigned(od.CONSUMER_HEARTBEAT, place) for place in range(1, HEARTBEATS_WATCHED + 1)])
-        self.heartbeat.set_period(local.unsigned(od.HEARTBEAT_MS) / 1000, now_s)
+        period_s = local.unsigned(od.HEARTBEAT_MS) / 1000
+        if period_s != self._beat_period_s:
+            self._beat_period_s = period_s
+            self._beat_due_s = now_s + period_s if period_s else float("inf")
         return True
 
     def tick(self, now_s: float) -> None:
         """Do what is due by time: send and watch heartbeats, send emergencies and event-driven PDOs."""
-        self.heartbeat.beat(now_s)
+        if now_s >= self._beat_due_s:
+            self._send_state()
+            self._beat_due_s = now_s + self._beat_period_s
         self._watch(now_s)
         if self.state is NmtState.STOPPED:
             return
