@@ -47,7 +47,7 @@ _ADAPTIVE_FUNCTIONS: Final[dict[str, tuple[type, ...]]] = {
 
 
 class Firmware:
-    """The compiled firmware of some boards.
+    """The compiled firmware of some boards; raise InputError if it cannot be compiled and kept.
 
     Parameters
     ----------
@@ -55,11 +55,6 @@ class Firmware:
         The boards, those of each bus one after another.
     compiler : str
         The C compiler.
-
-    Raises
-    ------
-    InputError
-        If there is no compiler, it fails, or the cache folder cannot be written.
     """
 
     def __init__(self, contract: Contract, nodes: Sequence[NodeContract], *, compiler: str = "cc") -> None:
@@ -247,10 +242,7 @@ def _compiled(texts: dict[str, str], compiler: str) -> Path:
 def compile_c(paths: Sequence[Path], out: Path, command: Sequence[str]) -> None:
     """Compile the sources among `paths` to `out` with the compiler and the flags of `command`.
 
-    Raises
-    ------
-    InputError
-        If the compiler fails; the message has its first error.
+    If the compiler fails, raise InputError with its first error.
     """
     folders = sorted({f"-I{path.parent}" for path in paths})
     texts = [str(path) for path in paths if path.suffix == ".c"]

@@ -68,13 +68,7 @@ class Build:
 
 
 def builds(contract: Contract, nodes: Sequence[NodeContract]) -> list[Build]:
-    """Return what the C sources of `nodes` are made from.
-
-    Raises
-    ------
-    InputError
-        If the boards make their sums in hardware.
-    """
+    """Return what the C sources of `nodes` are made from; raise InputError if they make their sums in hardware."""
     if contract.layout.taxels.is_analogue:
         raise InputError('the C firmware adds taxels that are digital: expected taxels.frontend = "digital"')
     is_adaptive = contract.layout.sending == "adaptive"
