@@ -101,8 +101,6 @@ def export_recording(source: Path, *, to: Format = "npz", out: Path | None = Non
 
     Raises
     ------
-    InputError
-        If the file is no recording, or the new file cannot be written.
     RunError
         If the recording holds no messages, or the disk is full.
     """

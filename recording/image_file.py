@@ -14,13 +14,7 @@ from shell.output import check_new_path, replacing
 
 
 def check_out(path: Path) -> None:
-    """Check that a new ``.npz`` can be written at `path`, before the work.
-
-    Raises
-    ------
-    InputError
-        If the name does not end in .npz, the file exists, or no file can be written there.
-    """
+    """Check that a new ``.npz`` can be written at `path`, before the work."""
     if path.suffix.lower() != ".npz":
         raise InputError(f"{path}: expected a file that ends in .npz for the images")
     check_new_path(path, "images")

@@ -199,8 +199,6 @@ def open_sink(path: Path, contract: Contract, now_ns: int, offset_ns: int) -> Si
 
     Raises
     ------
-    InputError
-        If there is no such format, or the format cannot hold the skin's buses.
     OSError
         If the file cannot be written.
     """
@@ -215,13 +213,7 @@ def open_sink(path: Path, contract: Contract, now_ns: int, offset_ns: int) -> Si
 
 
 def check_log(path: Path, buses: int) -> None:
-    """Check that a log of `buses` buses can have the format of `path`.
-
-    Raises
-    ------
-    InputError
-        If not.
-    """
+    """Check that a log of `buses` buses can have the format of `path`."""
     suffix = path.suffix.lower()
     if suffix not in MESSAGE_WRITERS:
         raise InputError(

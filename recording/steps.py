@@ -63,11 +63,6 @@ def steps_of(
         Every measurement makes an image, whether the live one did or not.
     calibrator : Calibrator, optional
         Puts offsets into measurements that are made of frames alone; recorded ones have their own.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read, or holds nothing to play, or what it holds does not fit the layout.
     """
     if path.suffix.lower() != RECORDING_SUFFIX:
         return _logged(contract, frames_of_log(contract.layout, path, channel, _warn), calibrator)
@@ -90,11 +85,6 @@ def frames_of_log(
         Channels of the log, one per bus. Default: the names of the buses, else all channels in their order.
     warn : callable
         Receives one line of text if the log is cut.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read, or has not these channels.
     """
     names = channel or [bus.name for bus in layout.bus]
     if len(names) > len(layout.bus):

@@ -71,8 +71,6 @@ def read_tables(path: Path, layout: Layout, offset_ns: int, warn: Callable[[str]
 
     Raises
     ------
-    InputError
-        If the file cannot be read, or its messages do not fit the layout.
     RunError
         If there is nothing to read.
     """

@@ -77,8 +77,6 @@ def save_video(path: Path, source: Path, layout: Layout, warn: Callable[[str], N
 
     Raises
     ------
-    InputError
-        If PyAV or Pillow is not installed, or the recording cannot be read.
     RunError
         If the recording has no images.
     OSError
@@ -99,13 +97,7 @@ def save_video(path: Path, source: Path, layout: Layout, warn: Callable[[str], N
 
 
 def require_libraries() -> None:
-    """Check that the extra is installed.
-
-    Raises
-    ------
-    InputError
-        If not.
-    """
+    """Check that the extra is installed."""
     try:
         import av
         import PIL.Image  # noqa: F401

@@ -178,13 +178,7 @@ class RecordingWriter:
 
 
 def read_about(path: Path) -> About:
-    """Return what a recording says of itself.
-
-    Raises
-    ------
-    InputError
-        If the file is no recording of a skin, or cannot be read.
-    """
+    """Return what a recording says of itself."""
     about = About({}, {})
     for record in _records(path):
         if isinstance(record, Metadata) and record.name == METADATA:
@@ -199,10 +193,7 @@ def read_about(path: Path) -> About:
 def newest_file(path: Path, name: str) -> bytes | None:
     """Return the newest attachment of a name, wherever in the recording it is; None without.
 
-    Raises
-    ------
-    InputError
-        If the file is no recording of a skin, or cannot be read, or the newest attachment of the name is damaged.
+    Raise InputError if the newest is damaged, though an older one is whole.
     """
     read_about(path)
     found: bytes | None = None
@@ -229,13 +220,7 @@ def _sound(path: Path, name: str, found: bytes | None, is_damaged: bool) -> byte
 
 
 def wall_offset_ns(path: Path) -> int:
-    """Return wall clock minus the clock of the frames and messages of a recording.
-
-    Raises
-    ------
-    InputError
-        If the file is no recording of a skin, or cannot be read.
-    """
+    """Return wall clock minus the clock of the frames and messages of a recording."""
     return int(read_about(path).metadata.get(WALL_OFFSET_NS, 0))
 
 
@@ -250,7 +235,7 @@ class Read(NamedTuple):
 def read_messages(path: Path, topics: Iterable[Topic], warn: Callable[[str], None]) -> Iterator[Read]:
     """Yield the messages of some topics of a recording in the order of the file.
 
-    Parameters and errors as for `read_entries`; a message that does not fit its topic is an InputError, too.
+    Parameters as for `read_entries`; a message that does not fit its topic is an InputError.
     """
     wanted = {topic.name: (topic, message_decoder(path, topic)) for topic in topics}
     for entry in read_entries(path, warn):
@@ -280,11 +265,6 @@ def read_entries(path: Path, warn: Callable[[str], None]) -> Iterator[Entry]:
     ----------
     warn : callable
         Receives a line of text for each part of the file that is missing or damaged; all other parts are read.
-
-    Raises
-    ------
-    InputError
-        If the file is no recording of a skin, or cannot be read.
     """
     channels: Mapping[int, Channel] = {}
     first_ns = last_ns = unknown = 0
@@ -321,13 +301,7 @@ def _indexed_channels(path: Path) -> Mapping[int, Channel]:
 
 
 def read_topics(path: Path) -> set[str]:
-    """Return the topics of which a recording has messages.
-
-    Raises
-    ------
-    InputError
-        If the file is no recording of a skin, or cannot be read.
-    """
+    """Return the topics of which a recording has messages."""
     read_about(path)
     with path.open("rb") as file, contextlib.suppress(*_DAMAGE):
         summary = make_reader(file).get_summary()

@@ -80,25 +80,13 @@ def step_rate_hz(layout: Layout) -> float:
 
 
 def load_source(name: str, **options: Any) -> TaxelSource:
-    """Build the taxel source registered under `name`.
-
-    Raises
-    ------
-    InputError
-        If no installed package offers a source of this name.
-    """
+    """Build the taxel source registered under `name`."""
     source: TaxelSource = _load(SOURCES, name)(**options)
     return source
 
 
 def load_objects(layout: Layout, **options: Any) -> TaxelSource:
-    """Build the source of simulated objects on a skin's grid, at `step_rate_hz`; untouchable taxels feel nothing.
-
-    Raises
-    ------
-    InputError
-        If no installed package offers objects, or an option does not fit them.
-    """
+    """Build the source of simulated objects on a skin's grid, at `step_rate_hz`; untouchable taxels feel nothing."""
     taxels = layout.taxels
     source = load_source(
         "objects",
@@ -166,11 +154,6 @@ def load_sender(name: str) -> Callable[..., Any]:
     """Return the function registered under `name` that tells what nodes send of a touch.
 
     The function is called with ``(contract, bus, source, seconds, seed=)`` and returns the frames of sums of one bus.
-
-    Raises
-    ------
-    InputError
-        If no installed package offers a sender of this name.
     """
     return _load(SENDERS, name)
 
@@ -190,11 +173,6 @@ def load_touches(
     The entry point is called with ``(names, count, rows=, columns=, pitch_m=, seed=, skip_unfelt=)``, with
     ``stroke="press"`` where this kind is wanted, and returns images and labels. Default objects that are too large for
     the skin are left out.
-
-    Raises
-    ------
-    InputError
-        If no installed package offers such touches, or the entry point does not know a name.
     """
     taxels = layout.taxels
     force_n, labels = _load(TOUCHES, RANDOM)(

@@ -44,8 +44,6 @@ def write_bag(source: Path, folder: Path, layout: Layout, warn: Callable[[str], 
 
     Raises
     ------
-    InputError
-        If the recording cannot be read, or rosbags is not installed.
     RunError
         If the recording holds no messages.
     OSError

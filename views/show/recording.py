@@ -28,8 +28,6 @@ def write_view(source: Path, path: Path, layout: Layout, for_rerun: bool, warn: 
 
     Raises
     ------
-    InputError
-        If the recording cannot be read, or the library is not installed.
     RunError
         If the recording holds no images.
     """
@@ -57,8 +55,6 @@ def draw_recording(source: Path, layout: Layout, canvas: Canvas, warn: Callable[
 
     Raises
     ------
-    InputError
-        If the recording cannot be read.
     RunError
         If the recording holds no images.
     """
