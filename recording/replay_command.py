@@ -21,7 +21,7 @@ from dbc.contract import Contract
 from reconstructor.imaging import make_imager
 from reconstructor.options import SolverOptions
 from reconstructor.service import warm_up
-from recording.replaying import Replay, outputs_of
+from recording.replaying import Replay
 from recording.sinks import McapSink
 from recording.step_kinds import Step
 from recording.steps import steps_of
@@ -109,8 +109,8 @@ def replay(
         fabric = Fabric(skin.name, "replay", listen or DEFAULT_ENDPOINT, hub=True, fingerprint=mark)
         fabric.answer(DESCRIPTION, Describing(skin))
     say("replay", f"{source.name}: {imager.about}")
-    make_classifier, outputs = partial(make_service, Classifier(trained, classified), skin), outputs_of(sink, fabric)
-    played = Replay(skin, imager, make_classifier, outputs, sink=sink, offset_ns=offset_ns)
+    make_classifier = partial(make_service, Classifier(trained, classified), skin)
+    played = Replay(skin, imager, make_classifier, fabric=fabric, sink=sink, offset_ns=offset_ns)
     _run(played, steps, stop, speed or (1.0 if fabric else float("inf")), sink, fabric, out)
     for line in played.report.lines():
         say("replay", line)
@@ -148,8 +148,6 @@ def _check(source: Path, speed: float | None, out: Path | None) -> None:
     if speed is not None and not speed > 0:
         raise InputError(f"--speed: expected a number above 0, or inf, got {speed:g}")
     if out is not None:
-        if out.suffix.lower() != RECORDING_SUFFIX:
-            raise InputError(f"{out}: expected a new recording that ends in {RECORDING_SUFFIX}")
-        check_new_path(out, "recording")
+        check_new_path(out, "recording", RECORDING_SUFFIX)
     if not source.is_file():
         raise InputError(f"no file '{source}': expected a recording of 'skin record', or a CAN log")

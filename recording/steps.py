@@ -31,6 +31,7 @@ from skin.mcap_file import (
     FINGERPRINT,
     FRAMES,
     Entry,
+    Warn,
     message_decoder,
     read_about,
     read_entries,
@@ -74,17 +75,13 @@ def steps_of(
     return _Recorded(path, contract, topics, every=every, calibrator=calibrator).steps()
 
 
-def frames_of_log(
-    layout: Layout, path: Path, channel: list[str] | None, warn: Callable[[str], None]
-) -> dict[int, Frames]:
+def frames_of_log(layout: Layout, path: Path, channel: list[str] | None, warn: Warn) -> dict[int, Frames]:
     """Return the frames of a CAN log by the number of their bus.
 
     Parameters
     ----------
     channel : list of str, optional
         Channels of the log, one per bus. Default: the names of the buses, else all channels in their order.
-    warn : callable
-        Receives one line of text if the log is cut.
     """
     names = channel or [bus.name for bus in layout.bus]
     if len(names) > len(layout.bus):

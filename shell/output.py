@@ -29,8 +29,10 @@ def check_picture_path(path: Path) -> None:
         raise InputError(f"{path}: expected a picture that ends in {', '.join(PICTURE_SUFFIXES)}, got '{path.suffix}'")
 
 
-def check_new_path(path: Path, what: str) -> None:
-    """Check that a new file can be written at `path`; `what` names the file in the error."""
+def check_new_path(path: Path, what: str, suffix: str = "") -> None:
+    """Check that a new file that ends in `suffix` can be written at `path`; `what` names the file in the error."""
+    if not path.name.lower().endswith(suffix):
+        raise InputError(f"{path}: expected a new file for the {what} that ends in {suffix}, got '{path.suffix}'")
     if path.exists():
         raise InputError(f"{path}: is there already; remove it, or choose another name")
     check_output_path(path, what)
