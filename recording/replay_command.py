@@ -27,7 +27,7 @@ from recording.step_kinds import Step
 from recording.steps import steps_of
 from shell.output import check_new_path
 from shell.service import StopSignal, say
-from skin.description import Describing
+from skin.description import describe
 from skin.layout import RECORDING_SUFFIX, load_layout, require_one_state
 from skin.mcap_file import CALIBRATION_FILE, File, newest_file, wall_offset_ns
 from skin.sources import DEFAULT_OBJECTS
@@ -107,7 +107,8 @@ def replay(
     if out is None or listen is not None:
         mark = contract.phi.fingerprint
         fabric = Fabric(skin.name, "replay", listen or DEFAULT_ENDPOINT, hub=True, fingerprint=mark)
-        fabric.answer(DESCRIPTION, Describing(skin))
+        about = describe(skin)
+        fabric.answer(DESCRIPTION, lambda _request, reply: reply(about))
     say("replay", f"{source.name}: {imager.about}")
     make_classifier = partial(make_service, Classifier(trained, classified), skin)
     played = Replay(skin, imager, make_classifier, fabric=fabric, sink=sink, offset_ns=offset_ns)

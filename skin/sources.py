@@ -119,26 +119,18 @@ def _sheltered(force_n: npt.NDArray[np.float32], layout: Layout) -> npt.NDArray[
     return force_n
 
 
-def split_names(given: Iterable[str]) -> tuple[str, ...]:
-    """Return the names of a list option, without repetition; the user may separate them by spaces or commas.
-
-    Examples
-    --------
-    >>> split_names(["golf-ball,ring", "cup", "ring"])
-    ('golf-ball', 'ring', 'cup')
-    """
-    return tuple(dict.fromkeys(name.strip() for each in given for name in each.split(",") if name.strip()))
-
-
 def object_names(given: Iterable[str]) -> tuple[str, ...]:
     """Return names of objects, each once, with the objects of `OBJECT_GROUPS` in place of the name of a group.
+
+    The user may separate the names of a list option by spaces or commas.
 
     Examples
     --------
     >>> object_names(["ring,cup", "ring"])
     ('ring', 'cup')
     """
-    return tuple(dict.fromkeys(name for each in split_names(given) for name in OBJECT_GROUPS.get(each, (each,))))
+    split = (name.strip() for each in given for name in each.split(",") if name.strip())
+    return tuple(dict.fromkeys(name for each in split for name in OBJECT_GROUPS.get(each, (each,))))
 
 
 def known_objects(touching: Iterable[str]) -> tuple[str, ...]:
