@@ -61,13 +61,7 @@ class DagSvm(ClassifierMixin, BaseEstimator):  # type: ignore[misc]  # scikit-le
         return tags
 
     def fit(self, X: Any, y: Any) -> "DagSvm":
-        """Train every pair on the observations `X`, shape (count, features), labelled `y`.
-
-        Raises
-        ------
-        ValueError
-            If an array cannot be used, or all labels are the same.
-        """
+        """Train every pair on the observations `X`, shape (count, features), labelled `y`."""
         X, y = validate_data(self, X, y)
         check_classification_targets(y)
         self.classes_, codes = np.unique(y, return_inverse=True)

@@ -19,13 +19,7 @@ _KINDS: Final = (np.dtype(np.float32), np.dtype(np.float64))
 
 
 def float_kind(dtype: npt.DTypeLike) -> np.dtype[Any]:
-    """Return a dtype as NumPy dtype.
-
-    Raises
-    ------
-    InputError
-        If the dtype is neither float32 nor float64.
-    """
+    """Return float32 or float64 as NumPy dtype; raise InputError for any other dtype."""
     try:
         kind = np.dtype(dtype)
     except TypeError:
@@ -49,13 +43,7 @@ def check_values(name: str, values: Any, shape: tuple[int, ...]) -> None:
 
 
 def placed(name: str, values: Any, shape: tuple[int, ...], kind: np.dtype[Any]) -> Values:
-    """Return a contiguous array for a compiled solver.
-
-    Raises
-    ------
-    InputError
-        If the array has another shape or dtype.
-    """
+    """Return a contiguous array for a compiled solver; raise InputError unless shape and dtype fit."""
     if not isinstance(values, np.ndarray) or values.dtype != kind or values.shape != shape:
         raise InputError(f"{name}: expected an array of {kind} of shape {shape}, got {_seen(values)}")
     return np.ascontiguousarray(values)

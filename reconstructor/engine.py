@@ -57,11 +57,6 @@ class Reconstructor:
     samples : int
         Samples of each taxel from one SYNC to the next (`skin.layout.Layout.samples_per_sync`). Where there are more
         than one, sums come averaged and without the bias of clipping, and `noise_n` has to be left out or 0.
-
-    Raises
-    ------
-    InputError
-        If the grid, the settings or the noise do not fit.
     """
 
     def __init__(

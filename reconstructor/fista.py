@@ -64,11 +64,6 @@ def fista(
         Coefficients to start from, default zeros; for a warm start those of the previous cycle.
     observe : callable
         Called with every estimate, which it must not change.
-
-    Raises
-    ------
-    InputError
-        If sizes do not fit, an array is not of finite float32 or float64, or a number is out of its range.
     """
     estimate = ahead = check_problem(phi, psi, sums_n, start)
     check_penalty(penalty_n)
@@ -89,11 +84,6 @@ def largest_eigenvalue(phi: Operator, psi: Basis, relative_error: float = 1e-4) 
 
     Computed from ΦΨΨᵀΦᵀ, a smaller matrix with the same eigenvalue. Leaving out rows of Φ never increases the
     eigenvalue, so it is a valid L for every mask.
-
-    Raises
-    ------
-    InputError
-        If Φ and Ψ have different numbers of taxels, or the error is not above 0.
     """
     check_sizes(phi, psi)
     check_above_zero("relative error", relative_error)
@@ -119,13 +109,7 @@ def check_sizes(phi: Operator, psi: Basis) -> None:
 
 
 def check_problem(phi: Operator, psi: Basis, sums_n: Values, start: Values | None) -> Values:
-    """Return the coefficients to start from, by default zeros.
-
-    Raises
-    ------
-    InputError
-        If sizes do not fit, or an array is not of finite float32 or float64.
-    """
+    """Return the coefficients to start from, by default zeros; raise InputError unless sizes and dtypes fit."""
     check_sizes(phi, psi)
     check_values("sums", sums_n, phi.shape[:1])
     if start is None:

@@ -23,11 +23,6 @@ class CycleImager:
     gains : KnownGains, optional
         Of taxels and sums: they are taken off.
 
-    Raises
-    ------
-    InputError
-        If the options do not fit the skin.
-
     Attributes
     ----------
     about : str
@@ -80,11 +75,6 @@ def make_imager(layout: Layout, options: SolverOptions | None = None, gains: Pat
     ----------
     gains : pathlib.Path, optional
         File of ``skin calibration gain``.
-
-    Raises
-    ------
-    InputError
-        If an option or the gains do not fit the skin.
     """
     if layout.sends.in_cycles:
         return CycleImager(layout, options, None if gains is None else load_gains(gains, layout))
@@ -97,13 +87,7 @@ def make_imager(layout: Layout, options: SolverOptions | None = None, gains: Pat
 
 
 def load_gains(path: Path, layout: Layout) -> KnownGains:
-    """Return the gains in a file.
-
-    Raises
-    ------
-    InputError
-        If the file has none.
-    """
+    """Return the gains in a file."""
     stored = load_calibration(path, layout)
     if not stored.gains:
         raise InputError(f"{path}: has no gains of taxels: expected a file of 'skin calibration gain'")

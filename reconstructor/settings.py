@@ -36,11 +36,6 @@ class SolverSettings:
     temporal_filter : bool
         Average the sums over cycles before they are solved (`reconstructor.temporal_filter`), and scale λ with
         their noise. The solvers of single images leave this to `reconstructor.engine.Reconstructor`.
-
-    Raises
-    ------
-    InputError
-        If a value is unknown or out of its range, or does not fit the prior.
     """
 
     prior: str
@@ -90,13 +85,7 @@ PRESETS: Final[dict[str, SolverSettings]] = {
 
 
 def preset(name: str) -> SolverSettings:
-    """Return the preset `name`.
-
-    Raises
-    ------
-    InputError
-        If there is no such preset.
-    """
+    """Return the preset `name`."""
     if name not in PRESETS:
         raise InputError(f"unknown solver '{name}': expected one of {', '.join(PRESETS)}")
     return PRESETS[name]

@@ -7,12 +7,6 @@ from skin.measurement import Sbhe
 
 
 def make_solver(phi: Sbhe, rows: int, columns: int, settings: SolverSettings) -> FusedSolver | ContourletSolver:
-    """Return the compiled solver of a prior, in float32.
-
-    Raises
-    ------
-    InputError
-        If the grid or the settings do not fit.
-    """
+    """Return the compiled solver of a prior, in float32."""
     solver = ContourletSolver if settings.prior == "contourlet" else FusedSolver
     return solver(phi, rows, columns, settings)

@@ -98,11 +98,6 @@ def checked_names(names: Iterable[str]) -> tuple[str, ...]:
     """Return `names` as `skin.sources.object_names` does, and refuse names that the catalogue does not have.
 
     A string may hold several names, separated by commas.
-
-    Raises
-    ------
-    InputError
-        If there is no name, or a name that the catalogue does not have.
     """
     listed = object_names([names] if isinstance(names, str) else names)
     if not listed:
@@ -130,11 +125,6 @@ def spheres_of(name: str, meshes: Path | None = None) -> Spheres:
     meshes : pathlib.Path, optional
         Folder of meshes in metres, in any format that trimesh reads: ``banana.ply``, ``drill.stl``, … Only the objects
         that the paper takes from meshes use this folder.
-
-    Raises
-    ------
-    InputError
-        If the catalogue has no such object, or the folder has no usable mesh of the object.
     """
     item = _item(name)
     if meshes is None or item.mesh is None:
@@ -143,13 +133,7 @@ def spheres_of(name: str, meshes: Path | None = None) -> Spheres:
 
 
 def made_of(name: str, meshes: Path | None = None) -> str:
-    """Return the source of an object's spheres: a primitive, an own shape, or the name of a mesh file.
-
-    Raises
-    ------
-    InputError
-        As `spheres_of`.
-    """
+    """Return the source of an object's spheres: a primitive, an own shape, or the name of a mesh file."""
     item = _item(name)
     if meshes is None or item.mesh is None:
         return item.shape
@@ -157,13 +141,7 @@ def made_of(name: str, meshes: Path | None = None) -> str:
 
 
 def size_m(name: str, meshes: Path | None = None) -> tuple[float, float]:
-    """Return length and width of the side that faces the array: as built, or of the upper 10 mm of a mesh.
-
-    Raises
-    ------
-    InputError
-        As `spheres_of`.
-    """
+    """Return length and width of the side that faces the array: as built, or of the upper 10 mm of a mesh."""
     item = _item(name)
     if meshes is None or item.mesh is None:
         return item.size_m

@@ -67,11 +67,6 @@ def rods(parts: Sequence[Knots]) -> Spheres:
     ----------
     parts : sequence of Knots
         For each rod, x, y, height of the top and radius of each knot, metres. A rod of one knot is a ball.
-
-    Raises
-    ------
-    InputError
-        If there is no knot, or a radius is not above 0.
     """
     spheres = np.concatenate([_rod(np.array(knots, np.float64).reshape(-1, 4)) for knots in parts])
     x, y, top, radii = spheres.T
@@ -89,11 +84,6 @@ def rim(circles: Knots, middle_m: tuple[float, float] = (0.0, 0.0), slope: tuple
         Middle x, y.
     slope : tuple of float
         Slope of the rim along x and along y.
-
-    Raises
-    ------
-    InputError
-        If there is no circle, or a radius is not above 0.
     """
     parts = []
     for circle_m, top_m, radius_m in circles:

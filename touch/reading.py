@@ -58,11 +58,6 @@ def read_counts(path: Path, arrays: Sequence[str] | None, skin_shape: tuple[int,
         Arrays of an ``.npz`` or ``.mcap``, in this order; default: the first array in the file.
     skin_shape : tuple of int
         Rows and columns of the skin; also those of a ``.csv`` without the comment ``# shape: ROWS COLUMNS``.
-
-    Raises
-    ------
-    InputError
-        If the file is missing or unreadable, or an array has other values than finite forces of 0 or more.
     """
     if not path.is_file():
         raise InputError(f"no recording at '{path}': expected a .npz, .npy, .csv or .mcap file")
@@ -88,13 +83,7 @@ def read_counts(path: Path, arrays: Sequence[str] | None, skin_shape: tuple[int,
 
 
 def array_names(path: Path) -> tuple[str, ...]:
-    """Return the names of the arrays in an ``.npz`` or ``.mcap``, in file order; for other files no names.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read.
-    """
+    """Return the names of the arrays in an ``.npz`` or ``.mcap``, in file order; for other files no names."""
     if path.suffix.lower() == RECORDING_SUFFIX:
         from skin.mcap_file import read_topics
 

@@ -7,7 +7,6 @@ import numpy as np
 import numpy.typing as npt
 from threadpoolctl import threadpool_limits
 
-from evaluation.bench.limit import measure_limit
 from evaluation.bench.peers import dense, peers
 from evaluation.bench.problem import Method, Problem, compare, make_problem
 from evaluation.result import Row
@@ -23,7 +22,7 @@ OURS: Final = "canskin"
 
 
 def run(rounds: int) -> dict[str, Any]:
-    """Return ``{"rows": […], "contourlet": […], "limit": {…}}``; rows as in the verb's docstring."""
+    """Return ``{"rows": […], "contourlet": […]}``; rows as in the verb's docstring."""
     with threadpool_limits(1):
         haar = _rows(
             make_problem(make_basis("haar-pyramid", 64, 64), PAPER.penalty_n, lipschitz=32.0), _haar, peers, rounds
@@ -31,9 +30,7 @@ def run(rounds: int) -> dict[str, Any]:
         psi = CompiledContourlet(64, 64)
         eigenvalue = largest_eigenvalue(load_layout().phi(), psi)
         contourlet = _rows(make_problem(psi, PAPER_CONTOURLET.penalty_n, eigenvalue), _contourlet, dense, rounds)
-        limit = measure_limit(iterations=20)
-    least = next(row["ms_least"] for row in haar if row["method"] == OURS)
-    return {"rows": haar, "contourlet": contourlet, "limit": {**limit, "ours_to_limit": least / limit["limit_ms"]}}
+    return {"rows": haar, "contourlet": contourlet}
 
 
 def _rows(problem: Problem, ours: Any, others: Any, rounds: int) -> list[Row]:

@@ -7,13 +7,7 @@ from reconstructor.bases.wavelets import WaveletBasis, wavelet_basis
 
 
 def make_basis(name: str, rows: int, columns: int) -> Basis:
-    """Return the basis `name` for a grid: ``dct``, ``contourlet``, or that of any orthogonal wavelet.
-
-    Raises
-    ------
-    InputError
-        If the name is unknown or the grid does not fit.
-    """
+    """Return the basis `name` for a grid: ``dct``, ``contourlet``, or that of any orthogonal wavelet."""
     if name == "dct":
         return Dct(rows, columns)
     return Contourlet(rows, columns) if name == "contourlet" else wavelet_basis(name, rows, columns)

@@ -25,11 +25,6 @@ class Contourlet:
     ----------
     rows, columns : int
         Equal, a power of two, 16 to 256: the shears of the bank need a square.
-
-    Raises
-    ------
-    InputError
-        If the grid does not fit.
     """
 
     def __init__(self, rows: int, columns: int) -> None:

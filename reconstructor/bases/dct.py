@@ -15,11 +15,6 @@ class Dct:
     ----------
     rows, columns : int
         Powers of two, 8 to 256.
-
-    Raises
-    ------
-    InputError
-        If a side is not.
     """
 
     def __init__(self, rows: int, columns: int) -> None:

@@ -119,11 +119,6 @@ class ContourletSolver:
         Equal, a power of two, 16 to 256.
     settings : SolverSettings
         With the prior "contourlet"; L is `lipschitz_ratio` times the largest eigenvalue of (ΦΨ)ᵀΦΨ, which is computed.
-
-    Raises
-    ------
-    InputError
-        If the grid or the settings do not fit.
     """
 
     def __init__(

@@ -51,11 +51,6 @@ class FusedSolver:
         Powers of two, 8 to 256, not necessarily equal.
     settings : SolverSettings
         Any prior except the contourlet.
-
-    Raises
-    ------
-    InputError
-        If the grid does not fit Φ, a side is no power of two, or the settings do not fit.
     """
 
     def __init__(

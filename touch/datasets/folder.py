@@ -27,17 +27,14 @@ _LOCK: Final = ".lock"
 class DatasetFolder:
     """The folder of one data set, opened for writing.
 
+    Raise InputError if the folder holds other files or a data set of other settings.
+
     Parameters
     ----------
     folder : pathlib.Path
         Made if it does not exist. An existing folder must be empty or hold a data set of the same settings.
     about : dict
         Content of the manifest except its chunks; JSON values.
-
-    Raises
-    ------
-    InputError
-        If the folder cannot be used, or holds other files or a data set of other settings.
     """
 
     def __init__(self, folder: Path, about: dict[str, Any]) -> None:
@@ -125,13 +122,7 @@ class DatasetFolder:
 
 @contextlib.contextmanager
 def alone(folder: Path) -> Iterator[None]:
-    """Lock a folder against other runs.
-
-    Raises
-    ------
-    InputError
-        If another run uses the folder, or the folder cannot be made.
-    """
+    """Lock a folder, made if need be, against other runs; raise InputError if another run uses it."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         handle = os.open(folder / _LOCK, os.O_RDWR | os.O_CREAT, 0o644)
