@@ -10,7 +10,7 @@ from threadpoolctl import threadpool_limits
 from evaluation.bench.peers import dense, peers
 from evaluation.bench.problem import Method, Problem, compare, make_problem
 from evaluation.result import Row
-from reconstructor.bases import make_basis
+from reconstructor.bases import wavelet_basis
 from reconstructor.checks import Values
 from reconstructor.fista import largest_eigenvalue
 from reconstructor.kernels.contourlet import CompiledContourlet, ContourletSolver
@@ -25,7 +25,7 @@ def run(rounds: int) -> dict[str, Any]:
     """Return ``{"rows": […], "contourlet": […]}``; rows as in the verb's docstring."""
     with threadpool_limits(1):
         haar = _rows(
-            make_problem(make_basis("haar-pyramid", 64, 64), PAPER.penalty_n, lipschitz=32.0), _haar, peers, rounds
+            make_problem(wavelet_basis("haar-pyramid", 64, 64), PAPER.penalty_n, lipschitz=32.0), _haar, peers, rounds
         )
         psi = CompiledContourlet(64, 64)
         eigenvalue = largest_eigenvalue(load_layout().phi(), psi)

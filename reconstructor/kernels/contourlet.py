@@ -82,7 +82,7 @@ def advance_coefficients(estimate: Flat, ahead: Flat, slope: Flat, threshold: An
 
 
 class CompiledContourlet(Contourlet):
-    """`Contourlet` with compiled `forward` and `adjoint`, of one dtype; for basis pursuit and other long iterations."""
+    """The contourlet as a `reconstructor.bases.Basis` of one dtype, compiled."""
 
     def __init__(self, rows: int, columns: int, dtype: npt.DTypeLike = np.float64) -> None:
         super().__init__(rows, columns)

@@ -13,7 +13,7 @@ from evaluation.bench.command import bench
 from evaluation.bench.problem import Method, compare, make_problem
 from evaluation.bench.scenes import make_scenes, mean_over
 from evaluation.psnr import psnr_series_db
-from reconstructor.bases import make_basis
+from reconstructor.bases import wavelet_basis
 from skin.layout import load_layout
 from touch.trajectory import ACQUISITION_OBJECTS
 
@@ -46,7 +46,7 @@ def test_what_does_not_fit_is_refused(tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.usefixtures("_brief")
 def test_comparison_measures_gap_and_quality() -> None:
-    problem = make_problem(make_basis("haar-pyramid", 64, 64), 0.0125, lipschitz=32.0)
+    problem = make_problem(wavelet_basis("haar-pyramid", 64, 64), 0.0125, lipschitz=32.0)
     rows = compare(
         problem,
         [
