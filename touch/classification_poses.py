@@ -56,7 +56,7 @@ def observations(
     *,
     perturbations: int = PERTURBATIONS,
     seed: int = 0,
-    meshes: Path | None = None,
+    meshes: str | Path | None = None,
     names: Sequence[str] | None = None,
 ) -> Force:
     """Return the true force of one array under every object from every offset.

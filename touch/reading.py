@@ -1,9 +1,6 @@
 """Reading a recording's arrays from a file: ``.npz``, ``.npy``, ``.csv`` or ``.mcap``, never a pickle."""
 
 import re
-import tokenize
-import zipfile
-import zlib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, BinaryIO, Final
@@ -27,22 +24,6 @@ IN_MCAP: Final = {"image": (IMAGE, "pixels"), "true": (TRUTH, "true"), "sensor":
 _CAN_LOGS: Final = (".log", ".asc", ".blf", ".trc", ".mf4")
 #: Most characters of a wrong value in an error message.
 _SHOWN: Final = 20
-#: Errors of NumPy and its libraries for damaged files.
-_UNREADABLE: Final = (
-    OSError,
-    EOFError,
-    ValueError,
-    KeyError,
-    IndexError,
-    OverflowError,
-    MemoryError,
-    SyntaxError,
-    TypeError,
-    RuntimeError,
-    tokenize.TokenError,
-    zipfile.BadZipFile,
-    zlib.error,
-)
 
 
 def read_counts(path: Path, arrays: Sequence[str] | None, skin_shape: tuple[int, int]) -> tuple[Counts, ...]:
@@ -74,7 +55,9 @@ def read_counts(path: Path, arrays: Sequence[str] | None, skin_shape: tuple[int,
         return tuple(_read_mcap(path, name) for name in (arrays or array_names(path)[:1] or ("image",)))
     try:
         named = _read_csv(path, skin_shape) if suffix == ".csv" else _read_numpy(path, arrays)
-    except _UNREADABLE as error:
+    except InputError:
+        raise
+    except Exception as error:  # NumPy and its libraries raise many kinds of errors for damaged files
         reason = " ".join(str(error).split()) or type(error).__name__
         raise InputError(f"'{path}' cannot be read as {suffix}: {reason}") from error
     for name, counts in named.items():
@@ -94,7 +77,7 @@ def array_names(path: Path) -> tuple[str, ...]:
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as loaded:
             return tuple(loaded.files)
-    except _UNREADABLE as error:
+    except Exception as error:  # see `read_counts`
         raise InputError(f"'{path}' cannot be read as .npz: {error}") from error
 
 

@@ -72,14 +72,14 @@ ACQUISITION_OBJECTS: Final = {
 }
 
 
-def trajectory(name: str, *, meshes: Path | None = None, speed: int = 1, steps: int | None = None) -> Force:
+def trajectory(name: str, *, meshes: str | Path | None = None, speed: int = 1, steps: int | None = None) -> Force:
     """Return the true force of the 64 x 64 array over one of the paper's trajectories.
 
     Parameters
     ----------
     name : str
         One of `ACQUISITION_OBJECTS`.
-    meshes : pathlib.Path, optional
+    meshes : str or pathlib.Path, optional
         Folder of meshes, see `touch.objects.spheres_of`.
     speed : int
         Speed / paper's speed: every `speed`-th step is taken.

@@ -3,7 +3,6 @@
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -61,7 +60,7 @@ class Method:
 @lru_cache(maxsize=1)
 def true_force(name: str, meshes: str | None, stride: int) -> Force:
     """Return every `stride`-th step of a trajectory, newtons, shape (steps, 64, 64)."""
-    return trajectory(name, meshes=Path(meshes) if meshes else None, speed=stride)
+    return trajectory(name, meshes=meshes, speed=stride)
 
 
 def felt_force(true: Force, seed: int, draw: int) -> Force:

@@ -2,7 +2,6 @@
 
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
-from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -150,7 +149,7 @@ def measure(*, meshes: str | None, seed: int, speed: int, size: int, effect: Row
 
 @lru_cache(maxsize=len(OBJECTS))
 def _touch(name: str, meshes: str | None, speed: int) -> Force:
-    return trajectory(name, meshes=Path(meshes) if meshes else None, speed=speed)
+    return trajectory(name, meshes=meshes, speed=speed)
 
 
 class _Board:

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -109,7 +108,7 @@ def measure_offsets(place: int, meshes: str | None, seed: int, *, labels: bool =
     """
     case, layout = CASES[place], load_layout()
     phi = layout.phi()
-    slide = trajectory(SLIDES[0], meshes=Path(meshes) if meshes else None, steps=round(1e3 * SLIDE_S))
+    slide = trajectory(SLIDES[0], meshes=meshes, steps=round(1e3 * SLIDE_S))
     ideal = Case("", offset=False, gain=case.gain)
     truth = list(_truth(layout, case, slide))
     model = find_or_train(layout, phi) if labels else None

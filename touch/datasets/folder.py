@@ -9,7 +9,7 @@ import fcntl
 import io
 import os
 from collections.abc import Iterator, Sequence
-from hashlib import sha256
+from hashlib import file_digest, sha256
 from pathlib import Path
 from typing import Any, Final
 
@@ -17,6 +17,7 @@ import msgspec
 import numpy as np
 
 from canskin.errors import UNDECODABLE, InputError, RunError
+from shell.output import write_file
 from touch.contact import Force
 
 FORMAT: Final = "canskin data set 1"
@@ -50,12 +51,10 @@ class DatasetFolder:
             return False
         try:
             with (self.path / name).open("rb") as file:
-                digest = sha256()
-                while block := file.read(1 << 20):
-                    digest.update(block)
+                digest = file_digest(file, "sha256").hexdigest()
         except OSError:
             return False
-        return bool(digest.hexdigest() == entry.get("sha256"))
+        return bool(digest == entry.get("sha256"))
 
     def put(self, files: dict[str, dict[str, Any]], arrays: Sequence[Force]) -> None:
         """Write files, and enter them and their descriptions in the manifest.
@@ -68,7 +67,7 @@ class DatasetFolder:
         for (name, about), values in zip(files.items(), arrays, strict=True):
             data = io.BytesIO()
             np.save(data, values, allow_pickle=False)
-            self._write(name, data.getbuffer())
+            self._write(name, data.getvalue())
             digest = sha256(data.getbuffer()).hexdigest()
             self._manifest["chunks"][name] = {**about, "shape": list(values.shape), "sha256": digest}
         self._save_manifest()
@@ -107,16 +106,12 @@ class DatasetFolder:
     def _save_manifest(self) -> None:
         self._write(MANIFEST, msgspec.json.format(msgspec.json.encode(self._manifest), indent=1))
 
-    def _write(self, name: str, content: bytes | memoryview) -> None:
+    def _write(self, name: str, content: bytes) -> None:
         place = self.path / name
-        part = place.with_name(f".{place.name}.part")
         try:
             place.parent.mkdir(parents=True, exist_ok=True)
-            part.write_bytes(content)
-            part.replace(place)
+            write_file(place, content)
         except OSError as error:
-            with contextlib.suppress(OSError):
-                part.unlink(missing_ok=True)
             raise RunError(f"'{place}' cannot be written: {error}; run it again to go on") from error
 
 
