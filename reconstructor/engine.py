@@ -6,8 +6,9 @@ import numpy as np
 import numpy.typing as npt
 
 from canskin.errors import InputError
+from reconstructor.kernels.contourlet import ContourletSolver
+from reconstructor.kernels.fused import FusedSolver
 from reconstructor.settings import LIVE, SolverSettings
-from reconstructor.solver import make_solver
 from reconstructor.temporal_filter import TemporalFilter
 from skin.clipping import ClipCorrection
 from skin.measurement import Sbhe
@@ -163,3 +164,9 @@ def averaged_sum_noise_n(samples: int) -> float:
         return float(1 - (1 - SLOWEST_GAIN) ** count)
 
     return AVERAGED_SUM_NOISE_N * float((forgotten(samples) / forgotten(AVERAGED_SAMPLES)) ** 0.5)
+
+
+def make_solver(phi: Sbhe, rows: int, columns: int, settings: SolverSettings) -> FusedSolver | ContourletSolver:
+    """Return the compiled solver of a prior, in float32."""
+    solver = ContourletSolver if settings.prior == "contourlet" else FusedSolver
+    return solver(phi, rows, columns, settings)

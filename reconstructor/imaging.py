@@ -31,6 +31,7 @@ class CycleImager:
         Most measurements that wait during a solve; a longer queue would only make images older.
     decode : callable
         Decodes a measurement.
+    solver : Reconstructor
     """
 
     depth = 4
@@ -41,7 +42,7 @@ class CycleImager:
         settings = chosen.settings()
         basis = f", basis {settings.prior}" if chosen.basis else ""
         self.about = f"{settings.iterations} iterations{basis}"
-        self._solver = Reconstructor(
+        self.solver = Reconstructor(
             phi,
             taxels.rows,
             taxels.columns,
@@ -49,7 +50,7 @@ class CycleImager:
             noise_n=chosen.clipped_noise_n(layout),
             samples=layout.samples_per_sync,
         )
-        self.warm_up = self._solver.warm_up
+        self.warm_up = self.solver.warm_up
         self._newton_per_count = np.float32(taxels.newton_per_count)
         self._gains = None if gains is None else GainCorrection(phi, gains)
 
@@ -57,9 +58,9 @@ class CycleImager:
         """Return the image, float32, shape (rows, columns), newtons; and which sums it is made from, shape (m,)."""
         sums_n = np.multiply(sums.counts, self._newton_per_count, dtype=np.float32)
         if self._gains is None:
-            return self._solver.solve(sums_n, sums.valid_sums), sums.valid_sums
+            return self.solver.solve(sums_n, sums.valid_sums), sums.valid_sums
         sums_n, valid_sums = self._gains.apply(sums_n, sums.valid_sums)
-        image = self._solver.solve(sums_n, valid_sums)
+        image = self.solver.solve(sums_n, valid_sums)
         self._gains.keep(image)
         return image, valid_sums
 

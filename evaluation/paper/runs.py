@@ -13,10 +13,10 @@ from evaluation.psnr import psnr_series_db
 from evaluation.result import Options, Row
 from evaluation.solvers.noiselet import noiselet
 from evaluation.solvers.noiselet_solver import NoiseletSolver
+from reconstructor.engine import make_solver
 from reconstructor.kernels.contourlet import ContourletSolver
 from reconstructor.kernels.fused import FusedSolver
 from reconstructor.settings import PAPER, PAPER_CONTOURLET
-from reconstructor.solver import make_solver
 from skin.measurement import sbhe
 from skin.operator import Operator
 from skin.taxel import sense
