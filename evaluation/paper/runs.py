@@ -9,7 +9,6 @@ import numpy as np
 import numpy.typing as npt
 
 from evaluation.paper.printed import BasisName, Matrix
-from evaluation.psnr import psnr_series_db
 from evaluation.result import Options, Row
 from evaluation.solvers.noiselet import noiselet
 from evaluation.solvers.noiselet_solver import NoiseletSolver
@@ -19,6 +18,7 @@ from reconstructor.kernels.fused import FusedSolver
 from reconstructor.settings import PAPER, PAPER_CONTOURLET
 from skin.measurement import sbhe
 from skin.operator import Operator
+from skin.psnr import psnr_series_db
 from skin.taxel import sense
 from touch.contact import Force
 from touch.trajectory import ACQUISITION_OBJECTS, trajectory

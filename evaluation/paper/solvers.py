@@ -10,7 +10,6 @@ import numpy as np
 
 from evaluation.paper.pictures import draw_curves
 from evaluation.paper.runs import OBJECTS, SIDE, felt_force, phi_seed, true_force
-from evaluation.psnr import psnr_db
 from evaluation.result import Options, Picture, Result, Row, beside
 from evaluation.result_cache import measure_cells
 from evaluation.solvers.baselines import admm, smoothed_l0
@@ -20,6 +19,7 @@ from reconstructor.fista import fista, objective
 from reconstructor.settings import PAPER
 from skin.measurement import sbhe
 from skin.operator import Operator
+from skin.psnr import psnr_db
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -8,7 +8,6 @@ import numpy as np
 import numpy.typing as npt
 
 from calibration.gains import find_gains
-from evaluation.psnr import psnr_series_db
 from evaluation.result import Options, Result, Row
 from evaluation.result_cache import measure_cells
 from reconstructor.engine import Reconstructor
@@ -18,6 +17,7 @@ from skin.clipping import IDLE_DEVIATION
 from skin.defects import Defects
 from skin.frontend import SumConverter, SumModel, converter
 from skin.layout import Layout, parse_layout
+from skin.psnr import psnr_series_db
 from skin.taxel import NOISE_N, sense, to_counts
 from touch.contact import Force, Grid, Pose, press_along
 from touch.objects import spheres_of

@@ -20,7 +20,6 @@ from dbc.contract import Contract
 from dbc.frame import ECHO, Frames
 from dbc.frame_bits import wire_bits
 from demo.chain import REST_S, Nodes
-from evaluation.psnr import psnr_db
 from evaluation.result import Options, Picture, Result, Row, new_figure
 from evaluation.result_cache import measure_cells
 from evaluation.schemes.sums import burst
@@ -28,6 +27,7 @@ from gateway.collector import Collector, Gathered
 from reconstructor.imaging import CycleImager
 from skin.layout import Layout, parse_layout
 from skin.measured_sums import decode_measurement
+from skin.psnr import psnr_db
 from skin.sources import Frame, load_touches
 from skin.taxel import NOISE_N
 from touch.contact import Force, Grid

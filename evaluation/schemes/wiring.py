@@ -6,12 +6,12 @@ import numpy as np
 import numpy.typing as npt
 
 import bandwidth.wiring
-from evaluation.psnr import psnr_series_db
 from evaluation.result import Options, Result, Row, grouped
 from evaluation.result_cache import measure_cells
 from reconstructor.engine import Reconstructor
 from reconstructor.settings import VARIATION
 from skin.layout import parse_layout
+from skin.psnr import psnr_series_db
 from skin.taxel import sense
 from touch.trajectory import ACQUISITION_OBJECTS, trajectory
 

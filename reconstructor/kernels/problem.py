@@ -1,6 +1,5 @@
 """The tables and constants of one Φ and one prior."""
 
-import math
 from collections.abc import Callable
 from typing import Any, Final
 
@@ -62,12 +61,6 @@ def taxels_in_block_order(phi: Sbhe) -> Indices:
 def places_of_sums(phi: Sbhe) -> Table:
     """Return the place of every sum in block order, shape (m,)."""
     return (phi.row_of_sum * phi.blocks + phi.block_of_sum).astype(np.uint16)
-
-
-def check_penalty_ratio(relative_penalty: float) -> None:
-    """Raise InputError unless the factor of λ is finite and 0 or more."""
-    if not 0 <= relative_penalty < math.inf:
-        raise InputError(f"expected a relative penalty of 0 or more, got {relative_penalty}")
 
 
 def checked(sums_n: Values, weights: Values, shape: tuple[int, ...], kind: np.dtype[Any]) -> tuple[Values, Values]:

@@ -12,9 +12,9 @@ from evaluation.bench import missing, reconstruct, skins
 from evaluation.bench.command import bench
 from evaluation.bench.problem import Method, compare, make_problem
 from evaluation.bench.scenes import make_scenes, mean_over
-from evaluation.psnr import psnr_series_db
 from reconstructor.bases import wavelet_basis
 from skin.layout import load_layout
+from skin.psnr import psnr_series_db
 from touch.trajectory import ACQUISITION_OBJECTS
 
 

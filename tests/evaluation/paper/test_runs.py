@@ -6,12 +6,12 @@ import pytest
 from evaluation.paper.printed import SENSOR, TABLE_TWO, Matrix, Psnr
 from evaluation.paper.runs import CHUNK, NOISELET_PENALTY_N, Method, cell, measure, rebuilt_images, sums_of, true_force
 from evaluation.paper.tables import measure_sensor, psnr_columns
-from evaluation.psnr import psnr_db
 from evaluation.result import Options
 from evaluation.solvers.noiselet import noiselet
 from reconstructor.bases import wavelet_basis
 from reconstructor.fista import fista
 from reconstructor.settings import PAPER
+from skin.psnr import psnr_db
 
 GOLF = {"name": "golf-ball", "meshes": None, "seed": 0, "draw": 0}
 
