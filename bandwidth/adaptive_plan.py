@@ -99,14 +99,9 @@ def plan_adaptive(
     allowed : Disturbance, optional
         Disturbances that times include; `jitter_s` is the longest time from a sample until its frame is queued.
     budget_bits_per_s : int
-        Budget of every node (2034h); 0 for none.
+        Budget of every node (2034h), 0 for none; InputError refuses less.
     is_touched : bool
         Whether to simulate a touch for `AdaptiveBusPlan.load_touched`.
-
-    Raises
-    ------
-    InputError
-        If the budget is below 0.
     """
     if budget_bits_per_s < 0:
         raise InputError(f"expected a budget of 0 (none) or more bits a second, got {budget_bits_per_s}")

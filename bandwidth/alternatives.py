@@ -95,13 +95,7 @@ def with_buses(layout: Layout, buses: int, like: Bus) -> Layout:
 
 
 def planned(layout: Layout, allowed: Disturbance) -> list[BusPlan]:
-    """Check and plan a layout that a program has built, without simulated touches.
-
-    Raises
-    ------
-    LayoutError
-        If the layout is not valid.
-    """
+    """Check and plan a layout that a program has built, without simulated touches."""
     contract = Contract.from_layout(validated(layout))
     return [plan_bus(contract, bus, None, allowed) for bus in range(len(layout.bus))]
 

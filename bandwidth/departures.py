@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from bandwidth.adaptive_log import UNREFINED, SumFrames, sum_frames
 from bandwidth.adaptive_plan import AdaptiveBusPlan
-from bandwidth.measured import FOREIGN, BusLoad, Identifiers, Planned, cycles_of, is_plain, is_sync, whole_cycles
+from bandwidth.measured import FOREIGN, BusLoad, Identifiers, cycles_of, is_plain, is_sync, whole_cycles
 from bandwidth.plan import BusPlan
 from dbc.adaptive import PAUSE_MS, SendingRule
 from dbc.canopen import BASE_ID_MASK, HEARTBEAT_BASE
@@ -63,7 +63,7 @@ def departures(
     return [f"{planned.name}: {line}" for line in lines]
 
 
-def _load(planned: Planned, load: BusLoad) -> Iterator[str]:
+def _load(planned: BusPlan | AdaptiveBusPlan, load: BusLoad) -> Iterator[str]:
     if load.load_exact > planned.load_worst:
         yield f"load {load.load_exact:.1%}, at most {planned.load_worst:.1%} were planned"
 

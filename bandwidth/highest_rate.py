@@ -1,9 +1,9 @@
 """The highest rate at which a layout fits its buses: load and window."""
 
+from dataclasses import replace
 from typing import Final
 
-import msgspec
-
+from bandwidth.alternatives import with_rate
 from bandwidth.plan import bus_time
 from bandwidth.traffic import Disturbance, traffic
 from dbc.contract import Contract
@@ -30,11 +30,6 @@ def highest_rate_hz(layout: Layout, budget: float = 0.8, allowed: Disturbance | 
     -------
     float
         0 if even the lowest rate does not fit.
-
-    Raises
-    ------
-    LayoutError
-        If the layout is not valid.
     """
     allowed = allowed or Disturbance()
     contract = Contract.from_layout(validated(layout))
@@ -43,7 +38,8 @@ def highest_rate_hz(layout: Layout, budget: float = 0.8, allowed: Disturbance | 
     low, high = 0, int(min(most_hz, RATE_MAX_HZ) / STEP_HZ)
     while low < high:
         middle = (low + high + 1) // 2
-        if all(_keeps_window(_at_rate(contract, middle * STEP_HZ), bus, allowed) for bus in buses):
+        faster = replace(contract, layout=with_rate(contract.layout, middle * STEP_HZ))
+        if all(_keeps_window(faster, bus, allowed) for bus in buses):
             low = middle
         else:
             high = middle - 1
@@ -54,10 +50,3 @@ def _keeps_window(contract: Contract, bus: int, allowed: Disturbance) -> bool:
     streams = traffic(contract, bus, allowed=allowed)
     needed_ns = int(streams.responses_ns(allowed.errors_per_s)[streams.is_tpdo].max(initial=0))
     return needed_ns <= window_s(contract.layout) * 1e9
-
-
-def _at_rate(contract: Contract, rate_hz: float) -> Contract:
-    layout = msgspec.structs.replace(
-        contract.layout, sync=msgspec.structs.replace(contract.layout.sync, rate_hz=rate_hz)
-    )
-    return Contract(layout, contract.phi, contract.packing, contract.nodes)

@@ -82,6 +82,7 @@ def read_log(path: Path, warn: Callable[[str], None]) -> dict[str, Frames]:
     """Return the frames of a log by channel, in its order, with times in nanoseconds.
 
     A log that ends inside a line, as after a power failure, is read up to that line.
+    InputError names the line of any other error.
 
     Parameters
     ----------
@@ -90,11 +91,6 @@ def read_log(path: Path, warn: Callable[[str], None]) -> dict[str, Frames]:
         asammdf installed, ``.mf4``.
     warn : callable
         Receives one line of text if the log is cut.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read, or holds no frame; the message names the line.
     """
     if not path.is_file():
         raise InputError(f"{path}: no such log")
@@ -173,12 +169,7 @@ def of_buses(
     """Assign the channels of a log to the buses of a layout.
 
     Channels with one of `names` (one per bus) are assigned by name; if there is none, all are assigned in natural
-    order.
-
-    Raises
-    ------
-    InputError
-        If there are more channels than buses, or no channel that the user named.
+    order. Raise InputError if channels are left over, or none has a name that the user gave.
     """
     named = {number: logged[name] for number, name in enumerate(names) if name in logged}
     if named:

@@ -10,8 +10,8 @@ from functools import cache
 import numpy as np
 import numpy.typing as npt
 
-from dbc.frame import BRS, ESI, EXTENDED, FD, FD_LENGTHS, frames
-from dbc.frame_bits import wire_bits
+from dbc.frame import BRS, FD, frames
+from dbc.frame_bits import stuffed_bits, wire_bits
 
 #: Longest run that stuffing allows.
 RUN_MAX = 5
@@ -40,26 +40,13 @@ def mean_wire_bits(length: int, flags: int = 0, can_id: int | None = None) -> tu
     one = frames(1)
     one["length"], one["flags"] = length, flags
     nominal, data = (float(bits[0]) for bits in wire_bits(one, "none"))
-    padded = next(each for each in FD_LENGTHS if each >= length)
-    head, tail = _symbols(padded, flags, can_id)
+    head, tail = stuffed_bits(length, flags, can_id)
     # The first fixed stuff bit of CAN FD replaces a dynamic stuff bit after the last data bit.
     stuff = _mean_stuff(head + tail, last=not flags & FD)
     in_head, in_tail = sum(stuff[: len(head)]), sum(stuff[len(head) :])
     if flags & BRS:
         return nominal + in_head, data + in_tail
     return nominal + in_head + in_tail, 0.0
-
-
-def _symbols(length: int, flags: int, can_id: int | None) -> tuple[str, str]:
-    """Return the bits to which stuffing applies, as 0, 1 or ?, before and after the bit-rate switch."""
-    known = "?" * 29 if can_id is None else f"{can_id:029b}"
-    base, extension = (known[:11], known[11:]) if flags & EXTENDED else (known[-11:], "")
-    fd = flags & FD
-    # SOF, identifier, RTR (SRR) and IDE; of an extended identifier its second part and RTR; FDF and reserved bits
-    head = "0" + base + ("11" + extension + "0" if flags & EXTENDED else "00")
-    head += "10" if fd else "00" if flags & EXTENDED else "0"
-    switches = f"{int(bool(flags & BRS))}{int(bool(flags & ESI))}" if fd else ""
-    return head, switches + f"{FD_LENGTHS.index(length):04b}" + "?" * (8 * length + (0 if fd else 15))
 
 
 def _mean_stuff(symbols: str, *, last: bool) -> list[float]:

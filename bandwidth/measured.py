@@ -1,11 +1,13 @@
 """Measured load of a bus, per node and per identifier, beside the planned load."""
 
 from dataclasses import dataclass
-from typing import Final, Protocol
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
+from bandwidth.adaptive_plan import AdaptiveBusPlan
+from bandwidth.plan import BusPlan
 from canskin.errors import InputError
 from dbc.canopen import (
     BASE_ID_MASK,
@@ -84,29 +86,10 @@ class BusLoad:
     identifiers: list[IdentifierLoad]
 
 
-class Planned(Protocol):
-    """What the plan of a bus says of its load."""
-
-    @property
-    def name(self) -> str:
-        """The name of the bus."""
-
-    @property
-    def load_touched(self) -> float | None:
-        """Load of a simulated touched skin, None without simulation."""
-
-    @property
-    def load_worst(self) -> float:
-        """Highest load."""
-
-
 def whole_cycles(seen: Frames) -> tuple[Frames, float]:
     """Return the frames from the first SYNC until before the last, and the seconds between these SYNCs.
 
-    Raises
-    ------
-    InputError
-        If there are fewer than two frames, or no time passes between them.
+    Raise InputError unless there are two frames or more, and time passes between them.
     """
     real = seen[seen["flags"] & ERROR == 0]
     if len(real) < 2:
@@ -119,18 +102,13 @@ def whole_cycles(seen: Frames) -> tuple[Frames, float]:
     return real[first:last], seconds
 
 
-def measure(contract: Contract, bus: int, seen: Frames, planned: Planned) -> BusLoad:
-    """Measure the load of bus number `bus`.
+def measure(contract: Contract, bus: int, seen: Frames, planned: BusPlan | AdaptiveBusPlan) -> BusLoad:
+    """Measure the load of bus number `bus`; raise InputError if there is too little, or CAN FD that is not planned.
 
     Parameters
     ----------
     seen : array of FRAME
         In bus order, with times.
-
-    Raises
-    ------
-    InputError
-        If there is too little to measure, or the bus has CAN FD frames and the layout has no bit rate for them.
     """
     line = contract.layout.bus[bus]
     _check_format(line, seen)

@@ -162,7 +162,7 @@ def random_bus_time(streams: Traffic) -> BusTime:
     return _mean_bus_time(streams, bits)
 
 
-def sync_bits(length: int) -> float:
+def _sync_bits(length: int) -> float:
     """Return the bits of a SYNC frame of `length` bytes, with a counter (1) as the mean of all counter values."""
     syncs = frames(SYNC_OVERFLOW)
     syncs["can_id"], syncs["length"] = SYNC_COB_ID, length
@@ -173,7 +173,7 @@ def sync_bits(length: int) -> float:
 
 def _mean_bus_time(streams: Traffic, tpdo_bits: npt.NDArray[np.float64]) -> BusTime:
     """Add SYNC, heartbeats and TIME to the mean bits of the TPDOs."""
-    sync = sync_bits(int(streams.frames["length"][streams.frames["can_id"] == SYNC_COB_ID][0]))
+    sync = _sync_bits(int(streams.frames["length"][streams.frames["can_id"] == SYNC_COB_ID][0]))
     return _bus_time(streams, float(tpdo_bits[0]) + sync, float(tpdo_bits[1]), "exact")
 
 

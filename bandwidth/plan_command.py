@@ -12,7 +12,7 @@ from bus.options import BusOptions, Channels, channels
 from dbc.contract import Contract
 from shell.service import say
 from shell.terminal import Json, print_json
-from skin.layout import load_layout, require_one_state
+from skin.layout import load_layout, require_one_state, require_sending
 
 
 def plan(
@@ -38,7 +38,7 @@ def plan(
     channel
         The channel of each bus in the log. Default: the names of the buses, else all channels in their order.
     plot
-        Folder for pictures: rates for other numbers of buses and widths of sums; time line of one cycle.
+        Folder for ``cycle.png``, the time line of one cycle.
     node_budget
         Adaptive sending: bits a second that each node may send (object 2034h); 0 for no budget.
     disturbance
@@ -54,16 +54,18 @@ def plan(
     """
     contract = Contract.from_layout(load_layout(layout))
     allowed, sending = (disturbance or Disturbance()).of(contract.layout), sending_of(contract)
-    sending.check_options(has_plot=plot is not None, node_budget=node_budget)
+    if node_budget:
+        require_sending(contract.layout, "adaptive", "--node-budget is", "the nodes of this layout send in every cycle")
+    if plot is not None:
+        require_sending(contract.layout, "synchronous", "--plot is", "it draws cycles, and adaptive nodes send none")
     plans = sending.plan(contract, allowed, node_budget=node_budget, is_touched=check is None)
     if check is not None:
         require_one_state(contract.layout, "--check")
         return _check(contract, plans, check, channel or [], as_json=json_)
     if plot is not None:
-        from bandwidth.plots import write_plots
+        from bandwidth.plots import write_plot
 
-        for path in write_plots(contract, plot):
-            say("plan", f"wrote {path}")
+        say("plan", f"wrote {write_plot(contract, plot)}")
     does_fit = not any(each.problems for each in plans)
     if json_:
         facts = {

@@ -1,61 +1,26 @@
-"""Pictures of a plan: rates for other numbers of buses and widths of sums; time line of one cycle."""
+"""The picture of a plan: time line of one cycle."""
 
 from pathlib import Path
-from typing import Final
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from bandwidth.scheme_rates import schemes
 from bandwidth.traffic import traffic
 from canskin.errors import InputError
 from dbc.contract import Contract
 from dbc.dictionary import window_s
 from shell.output import save_figure
-from skin.layout import Layout
-
-_WIRES: Final = {None: "classic CAN", 2_000_000: "FD 2 Mbit/s", 5_000_000: "FD 5 Mbit/s", 8_000_000: "FD 8 Mbit/s"}
 
 
-def write_plots(contract: Contract, folder: Path) -> list[Path]:
-    """Write ``rates.png`` and ``cycle.png`` and return their paths.
-
-    Raises
-    ------
-    InputError
-        If the files cannot be written.
-    """
-    written = []
+def write_plot(contract: Contract, folder: Path) -> Path:
+    """Write ``cycle.png`` and return its path; raise InputError if the file cannot be written."""
+    path = folder / "cycle.png"
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        for name, figure in (("rates.png", rates_figure(contract.layout)), ("cycle.png", cycle_figure(contract))):
-            save_figure(figure, folder / name, dpi=120, bbox_inches="tight")
-            written.append(folder / name)
+        save_figure(cycle_figure(contract), path, dpi=120, bbox_inches="tight")
     except OSError as error:
-        raise InputError(f"{folder}: cannot write the plots: {error.strerror or error}") from error
-    return written
-
-
-def rates_figure(layout: Layout) -> Figure:
-    """Draw the highest SYNC rate against the number of buses, one panel per width of the sums."""
-    best: dict[tuple[int, int | None], dict[int, float]] = {}
-    for each in schemes(layout):
-        if each.what == "sums" and each.fits_node_ids:
-            rates = best.setdefault((each.bits, each.data_bitrate), {})
-            rates[each.buses] = max(rates.get(each.buses, 0.0), each.max_rate_hz_worst)
-    widths = sorted({bits for bits, _ in best}, reverse=True)
-    figure = Figure(figsize=(4 * len(widths), 4))
-    panels = np.atleast_1d(figure.subplots(1, len(widths), sharey=True))
-    for panel, bits in zip(panels, widths, strict=True):
-        for rate, name in _WIRES.items():
-            line = best[bits, rate]
-            panel.plot(sorted(line), [line[buses] for buses in sorted(line)], marker="o", label=name)
-        panel.axhline(layout.sync.rate_hz, color="grey", linestyle=":", label=f"{layout.sync.rate_hz:g} Hz")
-        panel.set(title=f"{bits}-bit sums", xlabel="buses", yscale="log", xticks=[1, 2, 4])
-        panel.grid(alpha=0.3)
-    panels[0].set_ylabel("highest SYNC rate with the most stuff bits, Hz")
-    panels[-1].legend(fontsize="small")
-    return figure
+        raise InputError(f"{folder}: cannot write the plot: {error.strerror or error}") from error
+    return path
 
 
 def cycle_figure(contract: Contract) -> Figure:

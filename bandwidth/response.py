@@ -44,7 +44,7 @@ def response_times_ns(
     blocked_ns: npt.NDArray[np.integer] | None = None,
     error_interval_ns: int = 0,
 ) -> Nanoseconds:
-    """Bound the time from the event that queues a message to the end of its frame.
+    """Bound the time from the event that queues a message to the end of its frame; InputError refuses wrong times.
 
     Parameters
     ----------
@@ -63,11 +63,6 @@ def response_times_ns(
     -------
     array of int64, shape (n,)
         `UNBOUNDED` if the messages of the same and higher priorities fill the bus.
-
-    Raises
-    ------
-    InputError
-        If a time is out of range.
     """
     columns = [np.asarray(each, np.int64) for each in (time_ns, period_ns, jitter_ns)]
     time, period, jitter = columns

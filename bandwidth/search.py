@@ -38,7 +38,7 @@ BUSES_MAX: Final = 16
 
 @dataclass(frozen=True)
 class Requirement:
-    """Requirement of a layout.
+    """Requirement of a layout; InputError refuses numbers out of range.
 
     Attributes
     ----------
@@ -51,11 +51,6 @@ class Requirement:
     budget : float
         Highest load of a bus, with the most stuff bits.
     can : {"any", "classic", "fd"}
-
-    Raises
-    ------
-    InputError
-        If a number is out of range.
     """
 
     taxels: int

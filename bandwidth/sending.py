@@ -1,6 +1,5 @@
 """What the way of sending decides of plans and loads: boards that send in every cycle, or when they have news."""
 
-import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -9,9 +8,7 @@ from bandwidth.adaptive_plan import AdaptiveBusPlan, plan_adaptive
 from bandwidth.alternatives import alternatives
 from bandwidth.measured import BusLoad
 from bandwidth.plan import BusPlan, plan
-from bandwidth.scheme_rates import schemes
 from bandwidth.traffic import Disturbance
-from canskin.errors import InputError
 from dbc.contract import Contract
 from dbc.frame import Frames
 from dbc.packing import rounding_error_n
@@ -20,11 +17,6 @@ from shell.terminal import print_json
 
 class InCycles:
     """Boards that send all their sums after every SYNC."""
-
-    def check_options(self, *, has_plot: bool, node_budget: int) -> None:  # noqa: ARG002  as of `OnNews`
-        """Refuse a budget."""
-        if node_budget:
-            raise InputError("--node-budget is for adaptive sending: the nodes of this layout send in every cycle")
 
     def plan(
         self, contract: Contract, allowed: Disturbance | None = None, *, node_budget: int = 0, is_touched: bool = True
@@ -41,7 +33,6 @@ class InCycles:
             "sum_bits": layout.encoding.sum_bits,
             "rounding_error_n": rounding_error_n(layout),
             "alternatives": list(alternatives(layout, allowed)),
-            "schemes": list(schemes(layout)),
         } | ({"recognition": few} if few else {})
 
     def print_plan(self, contract: Contract, plans: Sequence[Any], allowed: Disturbance) -> None:
@@ -69,11 +60,6 @@ class InCycles:
 
 class OnNews:
     """Boards that send a sum when it has news."""
-
-    def check_options(self, *, has_plot: bool, node_budget: int) -> None:  # noqa: ARG002  as of `InCycles`
-        """Refuse a plot."""
-        if has_plot:
-            raise InputError("--plot draws cycles, and adaptive nodes send none: leave the option out")
 
     def plan(
         self, contract: Contract, allowed: Disturbance | None = None, *, node_budget: int = 0, is_touched: bool = True
@@ -103,10 +89,7 @@ class OnNews:
         if not as_json:
             print_adaptive_loads(found)
             return
-        names = [field.name for field in dataclasses.fields(BusLoad)]
-        flat = [{name: getattr(each.bus, name) for name in names} for each in found]
-        own = [{"levels": each.levels, "nodes": each.nodes} for each in found]
-        print_json({"buses": [common | more for common, more in zip(flat, own, strict=True)]})
+        print_json({"buses": [vars(each.bus) | {"levels": each.levels, "nodes": each.nodes} for each in found]})
 
 
 def sending_of(contract: Contract) -> InCycles | OnNews:

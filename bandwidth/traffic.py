@@ -31,7 +31,7 @@ JITTER_MAX_S: Final = 1.0
 @Parameter(name="*")
 @dataclass(frozen=True)
 class Disturbance:
-    """Disturbances that response times include.
+    """Disturbances that response times include; InputError refuses numbers below 0 or impossibly large.
 
     Parameters
     ----------
@@ -42,11 +42,6 @@ class Disturbance:
         Response times: SDO transfers per second, each a request and a response of 8 bytes.
     errors_per_s : float
         Response times: frames per second that are disturbed and sent again.
-
-    Raises
-    ------
-    InputError
-        If a number is below 0 or impossibly large.
     """
 
     jitter_s: float | None = None

@@ -3,7 +3,6 @@
 import contextlib
 import socket
 import time
-from collections.abc import Sequence
 from os import fspath
 from typing import Final
 
@@ -11,7 +10,6 @@ import msgspec
 import numpy as np
 
 from bus.error_frames import State
-from bus.faults import Fault
 from bus.protocol import (
     MAX_FRAMES,
     MAX_PACKET,
@@ -51,7 +49,7 @@ class ArbitratedLink(ReconnectingLink):
     channel : str
         Name of the bus.
     hello : Hello
-        The request: filters, bit rates, name.
+        The request: bit rates, name.
     wait_s : float
         Longest wait for a bus that is not served yet.
     stop : StopSignal, optional
@@ -111,11 +109,6 @@ class ArbitratedLink(ReconnectingLink):
         -------
         int
             Number of accepted frames, counted from the first; the next frame did not fit.
-
-        Raises
-        ------
-        InputError
-            If no controller could send a frame.
         """
         check_frames(burst, fd=self.welcome.data_bitrate is not None)
         burst = padded(burst)
@@ -132,14 +125,6 @@ class ArbitratedLink(ReconnectingLink):
                 self._sent += np.bincount(part["port"], minlength=MAX_PORTS)
                 sent += len(part)
             return sent
-
-    def set_faults(self, faults: Sequence[Fault]) -> bool:
-        """Replace the faults of the bus; tell whether they were sent."""
-        with self._lock:
-            connection = self._reopened()
-            if connection is None:
-                return False
-            return self._send(connection, pack(Kind.FAULTS, msgspec.json.encode(list(faults))))
 
     def _fitting(self, burst: Frames) -> int:
         """Count the leading frames that fit their transmit queues."""

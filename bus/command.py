@@ -1,6 +1,6 @@
 """``skin bus``: the arbitrated virtual buses."""
 
-from typing import Final, Literal
+from typing import Final
 
 from bus.faults import parse_fault
 from bus.server import BusServer, BusSettings
@@ -18,7 +18,6 @@ def bus(
     *,
     bitrate: int = 1_000_000,
     data_bitrate: int = 5_000_000,
-    clock: Literal["real", "virtual"] = "real",
     fault: list[str] | None = None,
     seed: int = 0,
     restart_s: float = 0.1,
@@ -38,9 +37,6 @@ def bus(
         Bits per second, 10000 to 1000000.
     data_bitrate
         Bits per second in the data phase of CAN FD frames, up to 8000000; 0 for buses without CAN FD.
-    clock
-        ``real``: frames take as long as on a real bus. ``virtual``: frames are sent as fast as possible, and the
-        time on the bus is only counted.
     fault
         A fault, ``KEY=VALUE,…`` with the keys controller, can_id, mask, loss_ratio,
         duplicate_ratio, delay_ratio, delay_s, bit_error_rate, off. Repeat the option for more faults.
@@ -70,7 +66,6 @@ def bus(
     settings = BusSettings(
         bitrate=bitrate,
         data_bitrate=data_bitrate or None,
-        virtual_clock=clock == "virtual",
         faults=[parse_fault(text) for text in fault or []],
         seed=seed,
         restart_s=restart_s,

@@ -119,7 +119,7 @@ class Confinement:
 
     def _go_off(self, controller: Controller, time_ns: int) -> None:
         self._disturbed.pop(controller, None)
-        self._queues.withdraw(controller, time_ns)
+        self._queues.discard(self._queues.pending.withdraw(controller), time_ns)
         controller.restart_ns = time_ns + self._restart_ns
         controller.recover_ns = controller.restart_ns + nominal_ns(RECOVERY_BITS, self._bitrate)
         self._recovering.append(controller)

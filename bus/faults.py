@@ -128,13 +128,7 @@ class FaultSchedule:
 
 
 def parse_fault(text: str) -> Fault:
-    """Read a fault from ``KEY=VALUE[,KEY=VALUE…]``, numbers decimal or 0x….
-
-    Raises
-    ------
-    InputError
-        If a key is unknown or a value does not fit it.
-    """
+    """Read a fault from ``KEY=VALUE[,KEY=VALUE…]``, numbers decimal or 0x…; raise InputError for any other text."""
     fields: dict[str, object] = {}
     for part in filter(None, text.split(",")):
         key, equals, value = part.partition("=")

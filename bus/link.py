@@ -1,15 +1,15 @@
 """The common interface to all CAN interfaces: batches of FRAME records, with echoes of own frames."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Final, Protocol
 
 from bus.error_frames import State
 from bus.outbox import DISCARDED
-from bus.protocol import Filter, Hello
+from bus.protocol import Hello
 from dbc.frame import Frames
 from shell.service import StopSignal
 
-__all__ = ["DISCARDED", "Filter", "Link", "Send", "State", "open_link"]
+__all__ = ["DISCARDED", "Link", "Send", "State", "open_link"]
 
 #: Sends frames on a bus; returns how many of them, counted from the first, the transmit queue accepted.
 Send = Callable[[Frames], int]
@@ -35,7 +35,10 @@ class Link(Protocol):
         ...
 
     def send(self, burst: Frames) -> int:
-        """Queue frames for transmission; return the number of accepted frames, counted from the first."""
+        """Queue frames for transmission; return the number of accepted frames, counted from the first.
+
+        Raise InputError for a frame that no controller could send.
+        """
         ...
 
     @property
@@ -73,7 +76,6 @@ def open_link(
     *,
     fd: bool = False,
     data_bitrate: int | None = None,
-    filters: Sequence[Filter] | None = None,
     name: str = "link",
     wait_s: float = 0.0,
     stop: StopSignal | None = None,
@@ -90,8 +92,6 @@ def open_link(
         Bits per second; SocketCAN uses the bit rates that its interface was set up with.
     fd : bool
         Allow CAN FD frames.
-    filters : sequence of Filter, optional
-        Frames to receive; default: all. Filters apply to echoes of own frames, too.
     name : str
         Name by which faults of a virtual bus select this connection.
     wait_s : float
@@ -104,16 +104,15 @@ def open_link(
     BusError
         If the interface cannot be opened.
     """
-    allowed = tuple(filters or ())
     if interface == ARBITRATED:
         from bus.arbitrated import ArbitratedLink
 
-        hello = Hello(name=name, bitrate=bitrate, data_bitrate=data_bitrate, fd=fd, filters=allowed)
+        hello = Hello(name=name, bitrate=bitrate, data_bitrate=data_bitrate, fd=fd)
         return ArbitratedLink(channel, hello, wait_s=wait_s, stop=stop)
     if interface == "socketcan":
         from bus.socketcan import SocketCanLink
 
-        return SocketCanLink(channel, fd=fd, filters=allowed)
+        return SocketCanLink(channel, fd=fd)
     from bus.python_can import PythonCanLink
 
-    return PythonCanLink(interface, channel, bitrate, fd=fd, data_bitrate=data_bitrate, filters=allowed)
+    return PythonCanLink(interface, channel, bitrate, fd=fd, data_bitrate=data_bitrate)

@@ -39,13 +39,7 @@ class BusOptions:
 
 
 def channels(layout: Layout, options: BusOptions) -> list[str]:
-    """Return one channel per bus of the layout.
-
-    Raises
-    ------
-    InputError
-        If the number of channels does not match the number of buses.
-    """
+    """Return one channel per bus of the layout; raise InputError for another number of channels."""
     given = options.channel
     if not given:
         return [bus.name for bus in layout.bus]
@@ -69,11 +63,6 @@ def open_links(
     """Open the links of the buses numbered `wanted`, default all; faults of a virtual bus select them by `name`.
 
     If `stop` is set during the wait for a bus, `canskin.errors.Stopped` is raised.
-
-    Raises
-    ------
-    BusError
-        If an interface cannot be opened.
     """
     names = channels(layout, options)
     numbers = range(len(names)) if wanted is None else sorted(wanted)

@@ -1,7 +1,7 @@
 """The protocol between the process of a bus and its clients: packets on a local Unix socket.
 
 The socket is of type SOCK_SEQPACKET, so one packet is one message: a header, then either FRAME records or JSON. A
-client sends HELLO and receives WELCOME or REFUSED. After that both sides send FRAMES, and a client may send FAULTS.
+client sends HELLO and receives WELCOME or REFUSED. After that both sides send FRAMES.
 """
 
 import os
@@ -10,7 +10,7 @@ import time
 from enum import IntEnum
 from pathlib import Path
 from struct import Struct
-from typing import Annotated, Final, NamedTuple, TypeVar
+from typing import Final, NamedTuple, TypeVar
 
 import msgspec
 import numpy as np
@@ -35,8 +35,6 @@ LATEST_NS: Final = 1 << 62
 _HIGHEST_BASE: Final = 0x7FF
 _SENDABLE: Final = EXTENDED | REMOTE | FD | BRS | ESI
 
-
-Word = Annotated[int, msgspec.Meta(ge=0, le=0xFFFF_FFFF)]
 Body = TypeVar("Body")
 
 
@@ -47,7 +45,6 @@ class Kind(IntEnum):
     WELCOME = 2
     REFUSED = 3
     FRAMES = 4
-    FAULTS = 5
 
 
 class Header(NamedTuple):
@@ -60,14 +57,6 @@ class Header(NamedTuple):
     time_ns: int
 
 
-class Filter(msgspec.Struct, frozen=True, array_like=True):
-    """Passes frames with ``identifier & mask == can_id & mask``; `extended` None means both formats."""
-
-    can_id: Word
-    mask: Word
-    extended: bool | None = None
-
-
 class Hello(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Request of a client."""
 
@@ -75,8 +64,6 @@ class Hello(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     bitrate: int | None = None
     data_bitrate: int | None = None
     fd: bool = False
-    filters: tuple[Filter, ...] = ()
-    listen_only: bool = False
 
 
 class Welcome(msgspec.Struct, frozen=True, kw_only=True):
@@ -84,7 +71,6 @@ class Welcome(msgspec.Struct, frozen=True, kw_only=True):
 
     bitrate: int
     data_bitrate: int | None
-    virtual_clock: bool
     queue_size: int
 
 
@@ -98,13 +84,7 @@ def pack(kind: Kind, payload: bytes = b"", *, count: int = 0) -> bytes:
 
 
 def unpack(packet: bytes | memoryview) -> tuple[Header, memoryview]:
-    """Split a packet.
-
-    Raises
-    ------
-    ProtocolError
-        If the packet does not begin with a header.
-    """
+    """Split a packet; raise ProtocolError unless it begins with a header."""
     if len(packet) < HEADER.size:
         raise ProtocolError(f"a packet of {len(packet)} bytes")
     magic, *fields = HEADER.unpack_from(packet)
@@ -114,13 +94,7 @@ def unpack(packet: bytes | memoryview) -> tuple[Header, memoryview]:
 
 
 def unpack_json(payload: memoryview, body: type[Body]) -> Body:
-    """Decode the JSON of a packet.
-
-    Raises
-    ------
-    ProtocolError
-        If the payload is not the JSON of a `body`.
-    """
+    """Decode the JSON of a packet; raise ProtocolError unless it is that of a `body`."""
     try:
         return msgspec.json.decode(payload, type=body)
     except UNDECODABLE as error:
@@ -128,13 +102,7 @@ def unpack_json(payload: memoryview, body: type[Body]) -> Body:
 
 
 def unpack_frames(header: Header, payload: memoryview) -> Frames:
-    """Return the records of a FRAMES packet as a view of the packet.
-
-    Raises
-    ------
-    ProtocolError
-        If the length does not match the header.
-    """
+    """Return the records of a FRAMES packet as a view of the packet; raise ProtocolError for a wrong length."""
     if len(payload) != header.frames * FRAME.itemsize:
         raise ProtocolError(f"{len(payload)} bytes for {header.frames} frames")
     return np.frombuffer(payload, FRAME)
@@ -147,13 +115,7 @@ def in_time(burst: Frames) -> Frames:
 
 
 def check_frames(burst: Frames, *, fd: bool) -> None:
-    """Check that a controller could send the frames.
-
-    Raises
-    ------
-    InputError
-        The message names the first wrong frame and its error.
-    """
+    """Raise InputError, which names the first wrong frame, unless a controller could send the frames."""
     flags, length, can_id = burst["flags"], burst["length"], burst["can_id"]
     if _are_plain(burst):
         return
@@ -205,13 +167,7 @@ def runtime_folder() -> Path:
 
 
 def socket_path(channel: str, folder: Path | None = None) -> Path:
-    """Return the path of the socket of the bus `channel`.
-
-    Raises
-    ------
-    InputError
-        If the name cannot be a file name, or the path is too long for a Unix socket.
-    """
+    """Return the socket path of the bus `channel`; raise InputError for a name or path that no socket can have."""
     path = (folder or runtime_folder()) / f"{channel}.can"
     if not channel or "/" in channel or channel.startswith("."):
         raise InputError(f"'{channel}' cannot name a bus: expected a word such as bus0")

@@ -6,7 +6,6 @@ import select
 import threading
 import time
 from collections import deque
-from collections.abc import Sequence
 from typing import Any, Final
 
 import can
@@ -14,7 +13,7 @@ import numpy as np
 
 from bus.error_frames import State
 from bus.messages import to_frame, to_message
-from bus.protocol import Filter, check_frames, in_time
+from bus.protocol import check_frames, in_time
 from canskin.errors import BusError
 from dbc.frame import ECHO, Frames, frames
 from shell.clock import wall_offset
@@ -49,13 +48,10 @@ class PythonCanLink:
         *,
         fd: bool = False,
         data_bitrate: int | None = None,
-        filters: Sequence[Filter] = (),
     ) -> None:
         options: dict[str, Any] = {"bitrate": bitrate}
         if fd:
             options |= {"fd": True, "data_bitrate": data_bitrate or bitrate}
-        if filters:
-            options["can_filters"] = [_can_filter(one) for one in filters]
         try:
             self._bus = can.Bus(channel=channel, interface=interface, ignore_config=True, **options)
         except (can.CanError, OSError, ValueError, TypeError, ImportError, NotImplementedError) as error:
@@ -115,11 +111,6 @@ class PythonCanLink:
         """Pass frames to the interface; return the number of accepted frames, counted from the first.
 
         A frame whose latest start has passed is not accepted; in the interface that time has no effect.
-
-        Raises
-        ------
-        InputError
-            If no controller could send a frame.
         """
         check_frames(burst, fd=self._fd)
         burst = in_time(burst)
@@ -182,8 +173,3 @@ class PythonCanLink:
             return
         self._queue.append(frame)
         os.eventfd_write(self._wake, 1)
-
-
-def _can_filter(one: Filter) -> dict[str, Any]:
-    wanted: dict[str, Any] = {"can_id": one.can_id, "can_mask": one.mask}
-    return wanted if one.extended is None else {**wanted, "extended": one.extended}

@@ -10,45 +10,21 @@ from typing import Final
 from bus.error_frames import State
 from canskin.errors import BusError
 
+#: Waits for a new socket: after the loss, and the longest, to which the wait doubles with each failure in a row.
 FIRST_S: Final = 0.05
 LONGEST_S: Final = 2.0
 
 
-class Backoff:
-    """A wait that doubles after each failure in a row."""
-
-    def __init__(self) -> None:
-        self._wait_s = FIRST_S
-        self._next_s = 0.0
-
-    @property
-    def due(self) -> bool:
-        """Whether the next attempt may be made."""
-        return time.monotonic() >= self._next_s
-
-    def failed(self) -> None:
-        """Double the wait before the next attempt."""
-        self._next_s = time.monotonic() + self._wait_s
-        self._wait_s = min(2 * self._wait_s, LONGEST_S)
-
-    def worked(self) -> None:
-        """Set the wait back to the shortest."""
-        self._wait_s = FIRST_S
-
-    def give_up(self) -> None:
-        """Never try again."""
-        self._next_s = float("inf")
-
-
 class ReconnectingLink(ABC):
-    """A link with one socket; after the loss of the socket, the next call opens a new socket when `Backoff` allows.
+    """A link with one socket; after the loss of the socket, a later call opens a new socket.
 
     A subclass opens sockets in `_connect`, passes the first socket to `_use`, and calls `_lose` when a socket fails.
     """
 
     def __init__(self) -> None:
         self._lock = threading.RLock()
-        self._backoff = Backoff()
+        self._wait_s = FIRST_S
+        self._next_s = 0.0
         self._socket: socket.socket | None = None
         self._state = State.ACTIVE
         self._dropped = self._dropped_before = 0
@@ -88,14 +64,14 @@ class ReconnectingLink(ABC):
             if self._socket is not None:
                 self._socket.close()
             self._socket = None
-            self._backoff.give_up()
+            self._next_s = float("inf")
             self._epoll.close()
 
     def _use(self, connection: socket.socket) -> None:
         """Start to use a new socket."""
         self._epoll.register(connection, select.EPOLLIN)
         self._state = State.ACTIVE
-        self._backoff.worked()
+        self._wait_s = FIRST_S
         self._socket = connection
 
     def _lose(self, connection: socket.socket) -> None:
@@ -107,16 +83,21 @@ class ReconnectingLink(ABC):
             connection.close()
             self._socket = None
             self._dropped_before, self._dropped = self.dropped, 0  # a new socket counts from 0
-            self._backoff.failed()
+            self._fail()
+
+    def _fail(self) -> None:
+        """Wait before the next attempt, after each failure in a row twice as long."""
+        self._next_s = time.monotonic() + self._wait_s
+        self._wait_s = min(2 * self._wait_s, LONGEST_S)
 
     def _reopened(self) -> socket.socket | None:
         """Return the socket; after its loss, try to open a new socket."""
-        if self._socket is not None or not self._backoff.due:
+        if self._socket is not None or time.monotonic() < self._next_s:
             return self._socket
         with self._lock:
-            if self._socket is None and self._backoff.due:
+            if self._socket is None and time.monotonic() >= self._next_s:
                 try:
                     self._use(self._connect())
                 except (BusError, OSError):
-                    self._backoff.failed()
+                    self._fail()
             return self._socket

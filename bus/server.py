@@ -1,4 +1,4 @@
-"""The process of the virtual buses: named buses on Unix sockets, in real or in virtual time."""
+"""The process of the virtual buses: named buses on Unix sockets."""
 
 import contextlib
 import errno
@@ -55,8 +55,6 @@ class BusSettings:
     ----------
     bitrate, data_bitrate : int
         Bits per second; without `data_bitrate` CAN FD frames are refused.
-    virtual_clock : bool
-        Send frames as fast as possible: the time of the bus is the sum of frame times, and jumps to release times.
     faults : sequence of Fault
     seed : int
         Seed of the faults; each bus adds its index in the list.
@@ -68,7 +66,6 @@ class BusSettings:
 
     bitrate: int = 1_000_000
     data_bitrate: int | None = 5_000_000
-    virtual_clock: bool = False
     faults: Sequence[Fault] = ()
     seed: int = 0
     restart_s: float = 0.1
@@ -98,8 +95,6 @@ class BusServer:
     ------
     BusError
         If a bus of that name is already served, or its socket cannot be made.
-    InputError
-        If a name cannot be used.
     """
 
     def __init__(self, channels: Sequence[str], settings: BusSettings, folder: Path | None = None) -> None:
@@ -176,8 +171,6 @@ class BusServer:
         wakes = [wake for line in self._lines if (wake := self._wake_ns(line)) is not None]
         if not wakes:
             return IDLE_S
-        if self.settings.virtual_clock:
-            return 0.0
         return min(max(min(wakes) - time.monotonic_ns(), 0) * 1e-9, IDLE_S)
 
     @staticmethod
@@ -239,7 +232,6 @@ class BusServer:
         welcome = Welcome(
             bitrate=settings.bitrate,
             data_bitrate=settings.data_bitrate,
-            virtual_clock=settings.virtual_clock,
             queue_size=settings.queue_size,
         )
         try:
@@ -248,8 +240,8 @@ class BusServer:
             self._refuse(line, connection, "")
             return
         line.pending.remove(connection)
-        station = line.bus.attach(hello.name, settings.queue_size, listen_only=hello.listen_only)
-        line.sessions.append(Session(connection, station, hello.filters))
+        station = line.bus.attach(hello.name, settings.queue_size)
+        line.sessions.append(Session(connection, station))
 
     @staticmethod
     def _refuse(line: _Line, connection: socket.socket, reason: str) -> None:
@@ -276,26 +268,23 @@ class BusServer:
 
     def _take(self, line: _Line, session: Session, packet: memoryview) -> None:
         header, payload = unpack(packet)
-        if header.kind == Kind.FAULTS:
-            line.bus.set_faults(unpack_json(payload, list[Fault]))
-            return
-        if header.kind != Kind.FRAMES or not session.station.controllers:
+        if header.kind != Kind.FRAMES:
             raise ProtocolError(f"a packet of kind {header.kind}")
         burst = unpack_frames(header, payload)
         check_frames(burst, fd=self.settings.data_bitrate is not None)
-        if line.bus.submit(session.station, burst, 0 if self.settings.virtual_clock else self._now_ns) < len(burst):
+        if line.bus.submit(session.station, burst, self._now_ns) < len(burst):
             raise ProtocolError("more frames than its transmit queue holds")
 
     def _deliver(self, line: _Line) -> None:
         """Deliver all that has ended on a bus."""
         now_ns = self._now_ns
         wake_ns = self._wake_ns(line)
-        if wake_ns is None or (wake_ns > now_ns and not self.settings.virtual_clock):
+        if wake_ns is None or wake_ns > now_ns:
             return
-        events = line.bus.run_until(None if self.settings.virtual_clock else now_ns)
+        events = line.bus.run_until(now_ns)
         if not len(events.frames):
             return
-        line.delivered_ns = 0 if self.settings.virtual_clock else now_ns
+        line.delivered_ns = now_ns
         batch = Batch(events)
         for session in list(line.sessions):
             try:

@@ -1,16 +1,15 @@
-"""Connection of one client to the process of a bus: its filters, and its waiting frames."""
+"""Connection of one client to the process of a bus: its waiting frames."""
 
 import socket
 from collections import deque
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
 from bus.outbox import OTHERS, OWNER, Events
-from bus.protocol import HEADER, MAGIC, MAX_FRAMES, Filter, Kind
+from bus.protocol import HEADER, MAGIC, MAX_FRAMES, Kind
 from bus.station import Station
-from dbc.frame import ECHO, ERROR, EXTENDED, Frames
+from dbc.frame import ECHO, ERROR, Frames
 
 #: Most received frames kept for a client that does not read; later frames are lost and counted.
 BACKLOG_FRAMES: Final = 16384
@@ -43,11 +42,10 @@ class Session:
     transmit queues.
     """
 
-    def __init__(self, connection: socket.socket, station: Station, filters: tuple[Filter, ...] = ()) -> None:
+    def __init__(self, connection: socket.socket, station: Station) -> None:
         self.connection = connection
         self.station = station
         self.dropped = 0
-        self._filters = filters
         self._backlog: deque[Frames] = deque()
         self._waiting = 0
 
@@ -67,7 +65,7 @@ class Session:
         elif self.station.off:
             return
         else:
-            chosen = batch.others[self._passes(batch.others)] if self._filters else batch.others
+            chosen = batch.others
         if chosen is batch.others and len(chosen) <= MAX_FRAMES and not self._backlog:
             if len(chosen) and not self._send(len(chosen), batch.payload, now_ns):
                 self._keep(chosen)
@@ -115,19 +113,8 @@ class Session:
         mine = events.owner == self.station.number
         wanted = np.where(mine, OWNER, 0 if self.station.off else OTHERS)
         keep = events.audience & wanted != 0
-        if self._filters:
-            keep &= mine | self._passes(events.frames)
         chosen: Frames = events.frames[keep]
         own = mine[keep]
         chosen["port"] *= own
         chosen["flags"] |= np.where(own & (chosen["flags"] & ERROR == 0), np.uint8(ECHO), np.uint8(0))
         return chosen
-
-    def _passes(self, arrived: Frames) -> npt.NDArray[np.bool_]:
-        """Tell which frames pass the client's filters."""
-        passed = np.zeros(len(arrived), np.bool_)
-        extended = arrived["flags"] & EXTENDED != 0
-        for one in self._filters:
-            hit = (arrived["can_id"] ^ np.uint32(one.can_id)) & np.uint32(one.mask) == 0
-            passed |= hit if one.extended is None else hit & (extended == one.extended)
-        return passed

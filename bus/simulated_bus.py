@@ -70,7 +70,7 @@ class SimulatedBus:
 
     # --- who is on the bus -------------------------------------------------------------------------------
 
-    def attach(self, name: str, queue_size: int = 256, *, listen_only: bool = False) -> Station:
+    def attach(self, name: str, queue_size: int = 256) -> Station:
         """Connect a station with one controller, port 0; the first frame of another port adds a controller.
 
         Parameters
@@ -79,12 +79,9 @@ class SimulatedBus:
             Faults select the station's controllers as ``NAME:PORT``.
         queue_size : int
             Number of frames in each controller's transmit queue.
-        listen_only : bool
-            The station has no controller and acknowledges nothing.
         """
         station = self._stations.add(name, queue_size)
-        if not listen_only:
-            self._controller(station, 0)
+        self._controller(station, 0)
         return station
 
     def detach(self, station: Station) -> None:
@@ -101,7 +98,7 @@ class SimulatedBus:
         for controller in self._stations.controllers():
             controller.off = self._faults.is_off(controller.name)
             if controller.off:
-                self._queues.withdraw(controller, self.now_ns)
+                self._queues.discard(self._queues.pending.withdraw(controller), self.now_ns)
         self._refresh()
 
     def _controller(self, station: Station, port: int) -> Controller:

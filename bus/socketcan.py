@@ -6,7 +6,6 @@ import socket
 import struct
 import sys
 import time
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
@@ -15,7 +14,7 @@ import numpy.typing as npt
 
 from bus.device_clock import DeviceClock
 from bus.error_frames import state_of_report
-from bus.protocol import Filter, check_frames, in_time, padded
+from bus.protocol import check_frames, in_time, padded
 from bus.reconnecting import ReconnectingLink
 from bus.recvmmsg import DEVICE_STAMPS, SO_RXQ_OVFL, SO_TIMESTAMPING, SO_TIMESTAMPNS, BatchSocket, Received
 from canskin.errors import BusError
@@ -103,11 +102,10 @@ class SocketCanLink(ReconnectingLink):
         If the kernel has no CAN, or no such interface.
     """
 
-    def __init__(self, channel: str, *, fd: bool = False, filters: Sequence[Filter] = ()) -> None:
+    def __init__(self, channel: str, *, fd: bool = False) -> None:
         super().__init__()
         self._channel = channel
         self._fd = fd
-        self._filters = tuple(filters)
         self._offset = wall_offset()
         self._stamp_error_ns: int | None = self._offset.error_ns
         self._device = DeviceClock()
@@ -166,11 +164,6 @@ class SocketCanLink(ReconnectingLink):
         """Pass frames to the interface's queue; return the number of accepted frames, counted from the first.
 
         A frame whose latest start has passed is not accepted; in the queue that time has no effect.
-
-        Raises
-        ------
-        InputError
-            If no controller could send a frame.
         """
         check_frames(burst, fd=self._fd)
         rows, lengths = encode(padded(in_time(burst)))
@@ -230,8 +223,6 @@ class SocketCanLink(ReconnectingLink):
         connection.setsockopt(raw, _CAN_RAW_ERR_FILTER, 0x1FFFFFFF)
         if self._fd:
             connection.setsockopt(raw, socket.CAN_RAW_FD_FRAMES, 1)
-        if self._filters:
-            connection.setsockopt(raw, socket.CAN_RAW_FILTER, _kernel_filters(self._filters))
         connection.setsockopt(level, SO_TIMESTAMPNS, 1)
         with contextlib.suppress(OSError):  # before Linux 2.6.30
             connection.setsockopt(level, SO_TIMESTAMPING, DEVICE_STAMPS)
@@ -239,15 +230,6 @@ class SocketCanLink(ReconnectingLink):
         connection.setsockopt(level, socket.SO_RCVBUF, RECEIVE_BUFFER_BYTES)
         with contextlib.suppress(PermissionError):  # above the system's limit, if permitted
             connection.setsockopt(level, _SO_RCVBUFFORCE, RECEIVE_BUFFER_BYTES)
-
-
-def _kernel_filters(filters: Sequence[Filter]) -> bytes:
-    """Return an array of ``struct can_filter``."""
-    words = np.zeros((len(filters), 2), "=u4")
-    for place, one in enumerate(filters):
-        wanted = _EFF if one.extended else 0
-        words[place] = one.can_id | wanted, one.mask | (0 if one.extended is None else _EFF)
-    return words.tobytes()
 
 
 def _require(channel: str, *, fd: bool) -> None:

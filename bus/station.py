@@ -10,7 +10,7 @@ from bus.error_frames import State
 
 @dataclass(slots=True, eq=False)
 class Station:
-    """One connection to the bus and its controllers by port; without controllers it only listens.
+    """One connection to the bus and its controllers by port.
 
     Attributes
     ----------
@@ -29,8 +29,8 @@ class Station:
 
     def refresh(self) -> None:
         """Compute `state` and `off` again, after a controller came or changed."""
-        self.state = max((one.state for one in self.controllers.values()), default=State.ACTIVE)
-        self.off = bool(self.controllers) and all(one.off for one in self.controllers.values())
+        self.state = max(one.state for one in self.controllers.values())
+        self.off = all(one.off for one in self.controllers.values())
 
 
 class Stations:

@@ -13,15 +13,7 @@ from dbc.frame import Frames
 
 
 class TransmitQueues:
-    """Frames that wait for the bus, and reports that wait for collection.
-
-    Attributes
-    ----------
-    pool : FramePool
-    pending : Pending
-    outbox : Outbox
-    counts : Counts
-    """
+    """Frames that wait for the bus, and reports that wait for collection."""
 
     def __init__(self) -> None:
         self.pool = FramePool()
@@ -92,10 +84,6 @@ class TransmitQueues:
         if self.pending.expired:
             self.discard(self.pending.expired, time_ns)
             self.pending.expired.clear()
-
-    def withdraw(self, controller: Controller, time_ns: int) -> None:
-        """Return all waiting frames of a controller."""
-        self.discard(self.pending.withdraw(controller), time_ns)
 
     def take_back(self, controller: Controller) -> Frames:
         """Remove and return all waiting frames of a controller; nothing is reported to the sender."""

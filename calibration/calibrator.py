@@ -232,17 +232,15 @@ class Calibrator:
     def _start_anew(self, result: TareResult) -> None:
         """Go back to the state of the start; `result` ends a measurement of the zero."""
         is_measuring = self.state in {CalibrationState.MEASURING, CalibrationState.TOUCHED}
-        self._tare()
+        self.tare(asked=False)
         self.revision += 1
         self.result = result if is_measuring else None
         self._tared_ns = 0
         if not self._tares:
             self.state = CalibrationState.OFF
 
-    def tare(self, *, force: bool = False, region: Region | None = None) -> None:
+    def tare(self, *, force: bool = False, region: Region | None = None, asked: bool = True) -> None:
         """Measure the zero anew; `result` has the outcome, None meanwhile.
-
-        What stands still and is doubtful is part of the new zero: who asks for one says that nothing touches the skin.
 
         Parameters
         ----------
@@ -250,10 +248,10 @@ class Calibrator:
             Whatever touches the skin is part of its zero.
         region : tuple of int, optional
             Whatever stands in this part of the skin is part of its zero; the rest of the skin keeps its zero.
+        asked : bool
+            What stands still and is doubtful is part of the new zero: who asks for one says that nothing touches the
+            skin.
         """
-        self._tare(asked=True, force=force, region=region)
-
-    def _tare(self, *, asked: bool = False, force: bool = False, region: Region | None = None) -> None:
         self.result, chosen = None, None
         if region is not None:
             top, left, bottom, right = region

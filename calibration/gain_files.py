@@ -29,8 +29,6 @@ def stored_gains(skin: Layout, path: Path, force_n: float | None, before: Path |
 
     Raises
     ------
-    InputError
-        If the file cannot be used.
     RunError
         If the recording has no complete cycle with its image.
     """

@@ -67,7 +67,7 @@ class Gains(NamedTuple):
 
 
 def find_gains(phi: Sbhe, sums_n: Floats, images_n: Images, force_n: float, *, is_analogue: bool = False) -> Gains:
-    """Return the gains of all taxels.
+    """Return the gains of all taxels; raise InputError if the whole weight was on the skin in too few cycles.
 
     Parameters
     ----------
@@ -79,11 +79,6 @@ def find_gains(phi: Sbhe, sums_n: Floats, images_n: Images, force_n: float, *, i
         The weight's force.
     is_analogue : bool
         Sums have gains, too.
-
-    Raises
-    ------
-    InputError
-        If the force cannot be used, or the whole weight was on the skin in too few cycles.
     """
     if not (np.isfinite(force_n) and force_n > 0):
         raise InputError(f"expected the force of the weight, a number of newtons above 0, got {force_n:g}")

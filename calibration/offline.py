@@ -2,12 +2,12 @@
 
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from calibration.calibrator import Calibrator, Tare
+from calibration.recorded import RecordedOffsets
 from calibration.windows import Bools
 from canskin.messages import CycleMeasurement, Measurement
 from shell.service import say
@@ -17,31 +17,12 @@ from skin.measured_sums import decode_measurement
 from skin.measurement import Sbhe
 from skin.sync_counter import next_counter
 
-
-class OffsetSource(Protocol):
-    """Puts offsets into measurements, one after the other: a `Calibrator`, or `calibration.recorded`."""
-
-    def apply(self, measurement: Measurement) -> Measurement:
-        """Return a measurement with its offsets."""
-        ...
-
-    def take(self, measurement: Measurement) -> None:
-        """Learn from a measurement."""
-        ...
-
-    def work(self) -> None:
-        """Go on learning."""
-        ...
+#: Puts offsets into measurements, one after the other.
+OffsetSource = Calibrator | RecordedOffsets
 
 
 def make_calibrator(layout: Layout, path: Path | None, tare: Tare, service: str) -> Calibrator | None:
-    """Return what the options ``--calibration`` and ``--tare`` ask for, None for nothing.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be used, or the layout has adaptive sending.
-    """
+    """Return what the options ``--calibration`` and ``--tare`` ask for, None for nothing."""
     if path is None and tare == "never":
         return None
     require_sending(layout, "synchronous", "--calibration and --tare are", "adaptive boards have their own zero")

@@ -19,11 +19,6 @@ class RecordedOffsets:
     path : pathlib.Path
         Recording.
 
-    Raises
-    ------
-    InputError
-        If the recording cannot be read, or belongs to another layout.
-
     Attributes
     ----------
     applied : int

@@ -36,13 +36,7 @@ def _unusual(layout: Layout, stroke: StrokeKind) -> list[str | int]:
 
 
 def keep_model(model: Model, path: Path) -> None:
-    """Write `model` to the cache; make the folder if needed.
-
-    Raises
-    ------
-    ModelError
-        If the file cannot be written.
-    """
+    """Write `model` to the cache; make the folder if needed. Raise ModelError if the file cannot be written."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -56,11 +50,6 @@ def find_or_train(
     """Return the cached model of this skin; without a usable model, train one and keep it first.
 
     A model of strokes "press" takes the sums as features, as the paper's classifier.
-
-    Raises
-    ------
-    InputError
-        If a model must be trained, but no touches for training are installed.
     """
     path = cached_path(layout, phi, objects, stroke)
     if path.exists():

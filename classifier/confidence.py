@@ -5,7 +5,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from classifier.dag import DecisionGraph, Float64
+from classifier.dag import Float64, walked
 from classifier.dagsvm import DagSvm
 
 #: An error is added to the observations, with margins of this quantile.
@@ -24,10 +24,8 @@ def confidence_slope(machine: DagSvm, features: Float64, names: npt.NDArray[np.s
     names : array, shape (count,)
         Their labels.
     """
-    graph = DecisionGraph(machine.classes_.size)
-    margins = machine.margins(features)
-    paths = np.array([[margin for _, margin in graph.walk(row)] for row in margins])
-    right = np.append(machine.predict(features) == names, False)
+    winners, paths = walked(machine.margins(features), machine.classes_.size)
+    right = np.append(machine.classes_[winners] == names, False)
     paths = np.vstack([paths, np.quantile(paths, _PRETENDED_ERROR, axis=0)])
     slopes = np.geomspace(0.01, 1000, 300)
     costs = []

@@ -9,7 +9,7 @@ from sklearn.svm import SVC
 from sklearn.utils.multiclass import check_classification_targets
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from classifier.dag import DecisionGraph, Float64
+from classifier.dag import Float64, walked
 
 Kernel = Literal["linear", "rbf", "precomputed"]
 
@@ -61,13 +61,7 @@ class DagSvm(ClassifierMixin, BaseEstimator):  # type: ignore[misc]  # scikit-le
         return tags
 
     def fit(self, X: Any, y: Any) -> "DagSvm":
-        """Train every pair on the observations `X`, shape (count, features), labelled `y`.
-
-        Raises
-        ------
-        ValueError
-            If an array cannot be used, or all labels are the same.
-        """
+        """Train every pair on the observations `X`, shape (count, features), labelled `y`."""
         X, y = validate_data(self, X, y)
         check_classification_targets(y)
         self.classes_, codes = np.unique(y, return_inverse=True)
@@ -98,33 +92,8 @@ class DagSvm(ClassifierMixin, BaseEstimator):  # type: ignore[misc]  # scikit-le
             signed = self._sign * self.machine_.decision_function(X).reshape(len(X), -1)
         return signed
 
-    def decision_function(self, X: Any) -> Float64:
-        """Return a score per class; the decided class has the largest score.
-
-        Returns
-        -------
-        array, shape (count, M), or (count,) for two classes
-            The class excluded at step s = 1, 2, … scores between s - 1 and s, lower for a larger margin. The
-            remaining class scores M - 1 plus the smallest margin of its path. For two classes, the margin of
-            ``classes_[1]``.
-        """
-        margins = self.margins(X)
-        count = self.classes_.size
-        if count == 2:
-            return -margins[:, 0]
-        graph = DecisionGraph(count)
-        scores = np.empty((len(margins), count))
-        for row, scored in zip(margins, scores, strict=True):
-            scored[:] = np.inf
-            least = np.inf
-            for step, (loser, margin) in enumerate(graph.walk(row), start=1):
-                scored[loser] = step - margin / (1.0 + margin)
-                least = min(least, margin)
-            scored[int(np.argmax(scored))] = count - 1 + least
-        return scores
-
     def predict(self, X: Any) -> npt.NDArray[Any]:
         """Return the label of every observation of `X`, shape (count,)."""
-        margins = self.margins(X)
-        labels: npt.NDArray[Any] = self.classes_[DecisionGraph(self.classes_.size).winners(margins)]
+        winners, _ = walked(self.margins(X), self.classes_.size)
+        labels: npt.NDArray[Any] = self.classes_[winners]
         return labels

@@ -13,8 +13,8 @@ from classifier.newest_sums import NewestSums
 from classifier.novelty import Regions, novelty
 from classifier.observer import Observer
 from classifier.settling import SETTLING, Decision, Seen, Settling, logistic
-from classifier.used_sums import USED_SUMS
 from skin.measurement import Sbhe
+from skin.sending import SENDINGS
 
 #: After a gap of more cycles than this, or than three times those that are averaged if these are more, the decision
 #: starts again.
@@ -36,7 +36,7 @@ class Classifier:
     def __init__(self, model: Model, phi: Sbhe, *, settling: float = SETTLING) -> None:
         about = model.metadata
         self._model = model
-        means = USED_SUMS[about.sending].means
+        means = not SENDINGS[about.sending].in_cycles
         self._observer = Observer(phi, about.rows, about.columns, model.no_touch, means=means)
         self._newest = NewestSums(phi, about.cycles)
         self._features = np.zeros(model.offset.size)

@@ -22,6 +22,7 @@ def _descend(features: Float64, weights: Float64, biases: Float64, classes: int)
     return low, confidence
 
 
-#: ``descend(features, weights, biases, classes)``: class and confidence of `classifier.dag.DecisionGraph.decide`, from
-#: the features of one observation and the hyperplanes of all pairs, without memory allocation.
+#: ``descend(features, weights, biases, classes)``: the class of `classifier.dag.walked` and a confidence in 0..1, the
+#: product of ``1 / (1 + exp(-margin))`` over the path, from the features of one observation and the hyperplanes of all
+#: pairs, without memory allocation.
 descend: Callable[[Float64, Float64, Float64, int], tuple[int, float]] = njit(cache=True, fastmath=True)(_descend)

@@ -34,13 +34,7 @@ class Factors(NamedTuple):
 
 
 def fit_factors(sums: Float64) -> Factors:
-    """Return the factors of `sums`, shape (count, m): the largest principal components.
-
-    Raises
-    ------
-    ValueError
-        If there are fewer than 2 observations.
-    """
+    """Return the factors of `sums`, shape (count, m), 2 observations or more: the largest principal components."""
     if len(sums) < 2:
         raise ValueError(f"expected 2 or more observations, got {len(sums)}")
     mean = sums.mean(axis=0)

@@ -1,6 +1,6 @@
 """A trained model: arrays, and metadata with the skin that they belong to."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Final, Literal
 
 import msgspec
@@ -16,18 +16,6 @@ Features = Literal["energies", "sums"]
 VERSION: Final = 2
 #: Text of the model card for touches of `skin.sources.load_touches`.
 SIMULATED: Final = "simulated touches at random places, depths and moments"
-ARRAYS: Final = (
-    "weights",
-    "biases",
-    "offset",
-    "scale",
-    "no_touch",
-    "centres",
-    "whitening",
-    "limits",
-    "sum_mean",
-    "sum_loadings",
-)
 
 
 class TrainingCard(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -139,3 +127,7 @@ class Model:
     limits: Float64
     sum_mean: Float64
     sum_loadings: Float64
+
+
+#: Names of the arrays of a model.
+ARRAYS: Final = tuple(each.name for each in fields(Model) if each.name != "metadata")

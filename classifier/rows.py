@@ -23,7 +23,7 @@ _LEAST_REST: Final = 1e-3
 
 
 def choose_rows(phi: Sbhe, sums: npt.NDArray[Any], labels: npt.NDArray[Any], count: int) -> Sbhe:
-    """Return `phi` with the `count` rows that separate the labelled observations best.
+    """Return `phi` with the `count` rows that separate the labelled observations best; raise InputError for too few.
 
     Parameters
     ----------
@@ -34,11 +34,6 @@ def choose_rows(phi: Sbhe, sums: npt.NDArray[Any], labels: npt.NDArray[Any], cou
     labels : array, shape (observations,)
     count : int
         Number of rows to keep; memory and time grow with its square: 0.5 GB and a minute for 256 of 4096.
-
-    Raises
-    ------
-    InputError
-        If the shapes do not fit, or there are too few rows or observations.
     """
     if sums.shape != (len(labels), phi.shape[0]):
         raise InputError(f"expected sums of shape {(len(labels), phi.shape[0])}, got {sums.shape}")
@@ -62,7 +57,7 @@ def with_chosen_rows(
     noise_n: float,
     seed: int = 0,
 ) -> Layout:
-    """Return the layout with the `count` rows of Φ that separate labelled touches best, by name.
+    """Return the layout, not of adaptive sending, with the `count` rows of Φ that separate labelled touches best.
 
     Parameters
     ----------
@@ -76,11 +71,6 @@ def with_chosen_rows(
         Standard deviation of the taxel noise.
     seed : int
         Of the noise.
-
-    Raises
-    ------
-    InputError
-        If there are too few rows or touches, or the layout sends adaptively.
     """
     require_sending(layout, "synchronous", "a choice of rows is", "adaptive nodes send every row")
     drawn = layout.phi()

@@ -9,7 +9,7 @@ from classifier.features import Float32, widths_for
 from classifier.model import Float64
 from classifier.newest_sums import averaged_cycles
 from classifier.observer import Observer
-from classifier.used_sums import USED_SUMS
+from classifier.used_sums import noise_ratio, silence
 from skin.clipping import DEAD_RATIO, clipped_mean
 from skin.frontend import converter
 from skin.layout import Layout
@@ -53,8 +53,7 @@ def simulate_sums(
     """
     taxels = layout.taxels
     flat = force_n.reshape(len(force_n), -1)
-    used = USED_SUMS[layout.sending]
-    left = used.noise_ratio(layout)
+    left = noise_ratio(layout)
     sd = np.broadcast_to(np.asarray(noise_n, np.float32) * np.float32(left), (len(flat),))
     of_sums = converter(layout)
     sums = np.empty((len(flat), phi.shape[0]), np.int32)
@@ -66,7 +65,8 @@ def simulate_sums(
             sums[part] = of_sums.counts(sums_n)
             continue
         signal_n = sense(flat[part], rng, sd[part, None], taxels.force_max_n)
-        used.silence(signal_n, flat[part], sd[part, None] * np.float32(DEAD_RATIO / left), phi)
+        if not layout.sends.in_cycles:
+            silence(signal_n, flat[part], sd[part, None] * np.float32(DEAD_RATIO / left), phi)
         sums[part] = phi.forward(to_counts(signal_n, taxels))
     return sums
 
@@ -107,7 +107,7 @@ def observe_untouched(layout: Layout, phi: Sbhe, noise_n: float, count: int, rng
     taxels = layout.taxels
     still = np.broadcast_to(np.float32(0), (count, taxels.count))
     ignorant = np.ones((4, len(widths_for(taxels.rows, taxels.columns))))
-    observer = Observer(phi, taxels.rows, taxels.columns, ignorant, means=USED_SUMS[layout.sending].means)
+    observer = Observer(phi, taxels.rows, taxels.columns, ignorant, means=not layout.sends.in_cycles)
     whole = np.ones(phi.blocks, np.float32)
     seen = np.empty((count, 2, ignorant.shape[1]))
     for one, sums in zip(seen, simulate_means(still, layout, phi, noise_n, rng), strict=True):
@@ -129,7 +129,7 @@ class FeatureExtractor:
     """
 
     def __init__(self, layout: Layout, phi: Sbhe, no_touch: Float64) -> None:
-        taxels, means = layout.taxels, USED_SUMS[layout.sending].means
+        taxels, means = layout.taxels, not layout.sends.in_cycles
         self._observer = Observer(phi, taxels.rows, taxels.columns, no_touch, means=means)
         self._valid = np.ones(phi.blocks, np.float32)
         self._sending = np.flatnonzero(phi.has_sums)

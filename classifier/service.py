@@ -60,11 +60,6 @@ class _Service:
         self._fabric = fabric
         self._measurements = fabric.mailbox(topic, waiting)
 
-    @property
-    def refused(self) -> int:
-        """Number of measurements with another Φ or other sizes."""
-        return self._reader.refused
-
     def _labelled(self, measurement: Measurement, decision: Decision, valid: npt.NDArray[np.bool_]) -> Label:
         self.labelled += 1
         return Label(

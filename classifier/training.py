@@ -96,7 +96,7 @@ def train(
     options: TrainingOptions | None = None,
     progress: Progress | None = None,
 ) -> Model:
-    """Train a model for the skin of `layout` on labelled true forces.
+    """Train a model for the skin of `layout` on labelled true forces of 2 objects or more, 8 touches of each or more.
 
     Parameters
     ----------
@@ -104,12 +104,6 @@ def train(
         True forces in newtons; noise is added here.
     labels : sequence of str, shape (count,)
         Name of the touching object.
-
-    Raises
-    ------
-    InputError
-        If the arrays do not fit the skin or each other, or hold fewer than 2 objects with 8 touches each; if no row
-        shows a contact.
     """
     options = options or TrainingOptions()
     say: Progress = progress or (lambda _doing, _ratio: None)

@@ -18,63 +18,40 @@ AVERAGED_NOISE_RATIO: Final = 0.2
 ADAPTIVE_NOISE_RATIO: Final = 0.25
 
 
-class CycleSums:
-    """The sums of a cycle: all, or those of recognition."""
-
-    #: See `classifier.features.Smoothed`.
-    means = False
-
-    def phi(self, layout: Layout) -> Sbhe:
-        """Return the Φ of these sums."""
-        return layout.recognising().phi()
-
-    def noise_ratio(self, layout: Layout) -> float:
-        """Return which part of the noise the boards leave."""
-        return 1.0 if layout.samples_per_sync == 1 else AVERAGED_NOISE_RATIO
-
-    def silence(self, signal_n: Float32, true_n: Float32, least_n: Float32, phi: Sbhe) -> None:
-        """Do nothing: these boards send noise as it is."""
-
-
-class CoarseSums:
-    """Of adaptive sums group 0 of each block: the sums that show means of 2 x 2 taxels."""
-
-    means = True
-
-    def phi(self, layout: Layout) -> Sbhe:
-        """See `CycleSums`."""
-        phi = layout.phi()
-        kept = np.zeros_like(phi.kept)
-        kept[:, grouped_rows(phi.block_size)[0]] = True
-        return Sbhe(phi.order, kept)
-
-    def noise_ratio(self, _layout: Layout) -> float:
-        """See `CycleSums`."""
-        return ADAPTIVE_NOISE_RATIO
-
-    def silence(self, signal_n: Float32, true_n: Float32, least_n: Float32, phi: Sbhe) -> None:
-        """Set what boards do not send to 0: noise, and all of a block that nothing touches.
-
-        A skin that nothing touches has noise everywhere, so that a stray value of one node is no contact. With noise in
-        all blocks the model is right in 98.0 % of the cycles, not 99.9 %.
-
-        Parameters
-        ----------
-        signal_n, true_n : array of float32, shape (count, n)
-            Forces with and without noise, newtons.
-        least_n : array of float32, shape (count, 1)
-            What is below counts as noise.
-        """
-        signal_n[(signal_n < least_n) | _beside(true_n > least_n, phi)] = 0
-
-
-#: By the way of sending.
-USED_SUMS: Final[dict[str, CycleSums | CoarseSums]] = {"synchronous": CycleSums(), "adaptive": CoarseSums()}
-
-
 def classified_phi(layout: Layout) -> Sbhe:
-    """Return the Φ of the sums that the classifier uses."""
-    return USED_SUMS[layout.sending].phi(layout)
+    """Return the Φ of the sums that the classifier uses: those of a cycle, all or those of recognition.
+
+    Of adaptive sums group 0 of each block: the sums that show means of 2 x 2 taxels.
+    """
+    if layout.sends.in_cycles:
+        return layout.recognising().phi()
+    phi = layout.phi()
+    kept = np.zeros_like(phi.kept)
+    kept[:, grouped_rows(phi.block_size)[0]] = True
+    return Sbhe(phi.order, kept)
+
+
+def noise_ratio(layout: Layout) -> float:
+    """Return which part of the noise the boards leave."""
+    if not layout.sends.in_cycles:
+        return ADAPTIVE_NOISE_RATIO
+    return 1.0 if layout.samples_per_sync == 1 else AVERAGED_NOISE_RATIO
+
+
+def silence(signal_n: Float32, true_n: Float32, least_n: Float32, phi: Sbhe) -> None:
+    """Set what adaptive boards do not send to 0: noise, and all of a block that nothing touches.
+
+    A skin that nothing touches has noise everywhere, so that a stray value of one node is no contact. With noise in
+    all blocks the model is right in 98.0 % of the cycles, not 99.9 %.
+
+    Parameters
+    ----------
+    signal_n, true_n : array of float32, shape (count, n)
+        Forces with and without noise, newtons.
+    least_n : array of float32, shape (count, 1)
+        What is below counts as noise.
+    """
+    signal_n[(signal_n < least_n) | _beside(true_n > least_n, phi)] = 0
 
 
 def _beside(is_touched: npt.NDArray[np.bool_], phi: Sbhe) -> npt.NDArray[np.bool_]:

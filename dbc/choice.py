@@ -10,10 +10,7 @@ from dbc.contract import Contract
 def choose_nodes(contract: Contract, only: list[str], without: list[str]) -> dict[int, Collection[int]]:
     """Return the node-IDs to run, by number of the bus; buses without nodes to run are left out.
 
-    Raises
-    ------
-    InputError
-        If a choice names a bus or node that the layout does not have, or no node is left.
+    Raise InputError if a choice names a bus or node that the layout does not have, or no node is left.
     """
     chosen = _parse(contract, only) if only else {(node.bus, node.node_id) for node in contract.nodes}
     chosen -= _parse(contract, without)

@@ -150,13 +150,7 @@ class Contract:
 
     @classmethod
     def from_layout(cls, layout: Layout) -> Self:
-        """Compute all nodes and frames of a skin.
-
-        Raises
-        ------
-        LayoutError
-            If a node has more sums than its bus has identifiers for.
-        """
+        """Compute all nodes and frames of a skin; LayoutError refuses a node with more sums than identifiers."""
         return cls(layout, *_phi_and_nodes(layout, {}))
 
     @cached_property

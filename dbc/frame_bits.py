@@ -111,6 +111,21 @@ def nominal_ns(bits: int, bitrate: int) -> int:
     return round(bits * 1e9 / bitrate)
 
 
+def stuffed_bits(length: int, flags: int, can_id: int | None = None) -> tuple[str, str]:
+    """Return the bits to which dynamic stuffing applies, as 0, 1 or ? for any, before and after the bit-rate switch.
+
+    `can_id` None is any identifier. The CRC of a classic frame is any.
+    """
+    known = "?" * 29 if can_id is None else f"{can_id:029b}"
+    base, extension = (known[:11], known[11:]) if flags & EXTENDED else (known[-11:], "")
+    fd = flags & FD
+    # SOF, identifier, RTR (SRR) and IDE; of an extended identifier its second part and RTR; FDF and reserved bits
+    head = "0" + base + ("11" + extension + "0" if flags & EXTENDED else "00")
+    head += "10" if fd else "00" if flags & EXTENDED else "0"
+    switches = f"{int(bool(flags & BRS))}{int(bool(flags & ESI))}" if fd else ""
+    return head, switches + f"{_DLC[length]:04b}" + "?" * (8 * int(_PADDED[length]) + (0 if fd else 15))
+
+
 def _fixed_bits(frames: Frames, is_fd: npt.NDArray[np.bool_]) -> tuple[Bits, Bits]:
     """Count all bits except dynamic stuff bits."""
     flags, length = frames["flags"], frames["length"]
@@ -156,10 +171,7 @@ def _worst_fd(shape: int, dlc: int) -> tuple[int, int]:
     length of its run. Nominal stuff bits are slow, so their number is maximised first.
     """
     fixed = {bit: int(bit == "1") for bit in "01"}
-    identifier = "?" * 11 + ("11" + "?" * 18 + "0" if shape & EXTENDED else "00")
-    head = "0" + identifier + "10"
-    tail = ("1" if shape & BRS else "0") + ("1" if shape & ESI else "0") + f"{dlc:04b}"
-    tail += "?" * (8 * FD_LENGTHS[dlc])
+    head, tail = stuffed_bits(FD_LENGTHS[dlc], shape | FD)
     best: dict[tuple[int, int], tuple[int, int]] = {(2, 0): (0, 0)}
     for place, symbol in enumerate(head + tail):
         in_head, is_last = place < len(head), place == len(head + tail) - 1

@@ -38,13 +38,7 @@ def node_files(contract: Contract) -> dict[str, str]:
 
 
 def write_files(files: Mapping[str, str], folder: Path) -> list[Path]:
-    """Write files, given as text by path inside `folder`, and return their paths.
-
-    Raises
-    ------
-    InputError
-        If the folder or a file cannot be written.
-    """
+    """Write texts by path inside `folder`, and return their paths; raise InputError if one cannot be written."""
     written = []
     try:
         for name, text in files.items():
@@ -58,13 +52,7 @@ def write_files(files: Mapping[str, str], folder: Path) -> list[Path]:
 
 
 def drifted(wanted: Mapping[str, str], folder: Path) -> list[str]:
-    """Return one line for every contract file of `folder` that differs from `wanted`, texts by path inside the folder.
-
-    Raises
-    ------
-    InputError
-        If the folder cannot be read.
-    """
+    """Return one line for each file of `folder` that differs from `wanted`, texts by path inside the folder."""
     try:
         there = {path.name: path.read_bytes() for path in folder.iterdir() if path.suffix in SUFFIXES}
         for inner in (NODE_FOLDER, VECTOR_FOLDER):

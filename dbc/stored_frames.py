@@ -38,13 +38,7 @@ def to_bytes(arrived: Frames, data_bytes: int) -> bytes:
 
 
 def from_bytes(content: bytes, data_bytes: int) -> Frames:
-    """Return the frames of records.
-
-    Raises
-    ------
-    ValueError
-        If the bytes are no whole number of records.
-    """
+    """Return the frames of records; raise ValueError unless the bytes are whole records."""
     records = np.frombuffer(content, record_type(data_bytes))
     made = frames(len(records))
     for name in ("time_ns", "can_id", "length", "flags"):

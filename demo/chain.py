@@ -1,23 +1,15 @@
-"""The chain of a skin in one process: the sums of its nodes, cycle after cycle, and the images and labels of sums.
-
-For synchronous sending. `calibration.calibrator.Calibrator` goes between both where the sums have offsets.
-"""
+"""The sums of a skin's nodes in one process, cycle after cycle; for synchronous sending."""
 
 from collections.abc import Callable
-from functools import cached_property
 from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
-from canskin.messages import CycleMeasurement, Measurement, Truth
-from classifier.decide import Classifier
-from classifier.model import Model
+from canskin.messages import CycleMeasurement, Truth
 from dbc.packing import packing
 from nodes.sampler import new_sampler
-from reconstructor.engine import Reconstructor
 from skin.layout import Layout
-from skin.measured_sums import MeasuredSums, decode_measurement
 from skin.sources import TaxelSource
 from skin.sync_counter import next_counter
 
@@ -77,43 +69,3 @@ class Nodes:
         if truth is None:
             raise RuntimeError("the truth of a cycle can be taken once, after its sums")
         return truth
-
-
-class Receivers:
-    """What the services make of sums: images and labels.
-
-    Parameters
-    ----------
-    model : Model, optional
-        Of the labels.
-
-    Attributes
-    ----------
-    phi : Sbhe
-    classifier : Classifier or None
-    """
-
-    def __init__(self, layout: Layout, model: Model | None = None) -> None:
-        self.phi: Final = layout.phi()
-        self.classifier: Final = None if model is None else Classifier(model, self.phi)
-        self._layout = layout
-        self._newton_per_count = np.float32(layout.taxels.newton_per_count)
-
-    @cached_property
-    def engine(self) -> Reconstructor:
-        """The solver of the images."""
-        taxels = self._layout.taxels
-        return Reconstructor(self.phi, taxels.rows, taxels.columns, samples=self._layout.samples_per_sync)
-
-    def read(self, measurement: Measurement) -> MeasuredSums:
-        """Return the sums of a measurement, less their offsets."""
-        return decode_measurement(measurement, self.phi)
-
-    def image(self, sums: MeasuredSums) -> npt.NDArray[np.float32]:
-        """Return the image of the next cycle, newtons, shape (rows, columns)."""
-        sums_n = np.multiply(sums.counts, self._newton_per_count, dtype=np.float32)
-        return self.engine.solve(sums_n, sums.valid_sums)
-
-    def label(self, sums: MeasuredSums, cycle: int) -> str:
-        """Return the label of a cycle; empty if nothing touches, or without a model."""
-        return "" if self.classifier is None else self.classifier.decide(sums.counts, sums.valid, cycle).label

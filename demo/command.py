@@ -5,7 +5,7 @@ import sys
 from canskin.errors import RunError
 from demo.options import DEFAULTS, DemoOptions
 from shell.service import StopSignal, say
-from shell.terminal import Json, print_json
+from shell.terminal import Json, print_json, print_table
 
 
 def demo(*, options: DemoOptions = DEFAULTS, json: Json = False) -> int:
@@ -48,7 +48,7 @@ def demo(*, options: DemoOptions = DEFAULTS, json: Json = False) -> int:
     if json:
         print_json(saved or report)
     else:
-        run.print_summary(saved or report)
+        print_table((), (saved or report).rows())
     sys.stdout.flush()
     if report.failure:
         raise RunError(report.failure)

@@ -52,13 +52,7 @@ class DemoOptions:
         return self.touch.input is not None or self.touch.defects(layout).moves_zero
 
     def check(self, layout: Layout) -> None:
-        """Check that a run with these options is possible.
-
-        Raises
-        ------
-        InputError
-            If an option cannot be used.
-        """
+        """Raise InputError unless a run with these options is possible."""
         if not 0 < self.seconds < float("inf"):
             raise InputError(f"expected a positive number of seconds, got {self.seconds:g}")
         if self.firmware:

@@ -2,15 +2,11 @@
 
 from pathlib import Path
 
-import matplotlib as mpl
+from matplotlib.figure import Figure
 
 from demo.score import Snapshot
 from shell.output import save_figure
 from skin.psnr import psnr_db
-
-mpl.use("Agg")
-
-from matplotlib import pyplot as plt
 
 
 def save_picture(snapshot: Snapshot, peak_n: float, path: Path, *, noisy: bool = True) -> None:
@@ -40,12 +36,10 @@ def save_picture(snapshot: Snapshot, peak_n: float, path: Path, *, noisy: bool =
         (f"rebuilt, {psnr_db(snapshot.true, snapshot.image, peak_n):.1f} dB", snapshot.image, "viridis", 0.0, top),
         ("rebuilt minus true", error, "RdBu_r", -top / 4, top / 4),
     )
-    figure, axes = plt.subplots(1, 4, figsize=(13, 3.4), layout="constrained")
-    for axis, (title, grid, colours, low, high) in zip(axes, panels, strict=True):
+    figure = Figure(figsize=(13, 3.4), layout="constrained")
+    for axis, (title, grid, colours, low, high) in zip(figure.subplots(1, 4), panels, strict=True):
         shown = axis.imshow(grid * to_mn, cmap=colours, vmin=low, vmax=high, interpolation="nearest")
         axis.set_title(title, fontsize=10)
-        axis.set_xticks([])
-        axis.set_yticks([])
+        axis.set(xticks=[], yticks=[])
         figure.colorbar(shown, ax=axis, shrink=0.85, label="mN")
     save_figure(figure, path, dpi=110)
-    plt.close(figure)

@@ -24,7 +24,7 @@ from demo.report import WORDS, Report
 from demo.score import Score
 from demo.supervisor import Supervisor
 from shell.service import StopSignal, Talk, listen, say, talks
-from shell.terminal import print_table, progress
+from shell.terminal import progress
 from skin.layout import Layout
 from skin.psnr import adds_noise
 from skin.sources import DEFAULT_OBJECTS, known_objects
@@ -100,11 +100,6 @@ class Run:
             say("demo", f"{path}: cannot write the picture: {error.strerror or error}")
             return None
         return msgspec.structs.replace(report, picture=str(path.resolve()))
-
-    @staticmethod
-    def print_summary(report: Report) -> None:
-        """Print the figures as a table."""
-        print_table((), report.rows())
 
     def _common(self, endpoint: str) -> list[str]:
         layout = ["--layout", str(self._options.layout)] if self._options.layout else []

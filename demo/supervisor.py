@@ -29,7 +29,6 @@ class Child:
     process: subprocess.Popen[bytes]
     restart: bool
     ended_at_s: float | None = None
-    restarts: int = 0
 
 
 @dataclass
@@ -73,7 +72,6 @@ class Supervisor:
             elif time.monotonic() - child.ended_at_s >= RESTART_AFTER_S:
                 child.process = self._launch(child.arguments, child.log)
                 child.ended_at_s = None
-                child.restarts += 1
                 events.append(f"{child.name} started again as process {child.process.pid}")
         return events
 

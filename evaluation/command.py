@@ -5,7 +5,7 @@ import sys
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final, Literal, NamedTuple, get_args
+from typing import TYPE_CHECKING, Annotated, Final, Literal, NamedTuple
 
 from cyclopts import Parameter
 
@@ -127,8 +127,6 @@ def evaluate(
     from evaluation.result import Options
     from reconstructor.bases.names import wavelet_basis_name
 
-    if subject not in get_args(Subject):
-        raise InputError(f"unknown subject '{subject}': expected one of {', '.join(get_args(Subject))}")
     if subject == "postures" and recordings is None:
         raise InputError("postures needs the recordings of a pressure mat: give their folder with --recordings")
     if draws is not None and subject != "all" and not SUBJECTS[subject].draws:

@@ -1,7 +1,6 @@
 """What the recognition of objects is measured on: signals of every observation, and splits of the observations."""
 
 from functools import cache
-from pathlib import Path
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -29,7 +28,7 @@ def true_force_n(meshes: str | None, kind: str = "averaged", side: int = 64) -> 
     """Return the true forces of an array, float32, shape (observations, side, side), newtons; made once."""
     if kind == "averaged" and side < 64:
         return averaged(true_force_n(meshes), side)
-    force_n = observations(side, "large" if kind == "large" else "averaged", meshes=Path(meshes) if meshes else None)
+    force_n = observations(side, "large" if kind == "large" else "averaged", meshes=meshes)
     return force_n.reshape(-1, side, side)
 
 

@@ -26,13 +26,7 @@ figcaption, li { max-width: 55rem; }
 
 
 def write_report(results: Mapping[str, Result], options: Options, folder: Path) -> Path:
-    """Write ``report.html`` and return its path.
-
-    Raises
-    ------
-    InputError
-        If the folder cannot be written.
-    """
+    """Write ``report.html`` and return its path."""
     path = folder / "report.html"
     body = "".join(_section(name, found) for name, found in results.items())
     contents = "".join(f'<li><a href="#{name}">{html.escape(found.title)}</a></li>' for name, found in results.items())

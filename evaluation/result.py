@@ -21,11 +21,6 @@ class Options:
 
     Without `out` nothing is kept; without `draws` each subject has its own number. `bases` are full names of wavelet
     bases.
-
-    Raises
-    ------
-    InputError
-        If a folder is none, or a number is out of range.
     """
 
     quick: bool = False
@@ -116,13 +111,7 @@ def grouped(rows: Iterable[Row], *keys: str) -> dict[tuple[Any, ...], list[Row]]
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a file of results, in a folder that is made if need be.
-
-    Raises
-    ------
-    InputError
-        If it cannot be written.
-    """
+    """Write a file of results, in a folder that is made if need be; raise InputError if it cannot be written."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         write_file(path, text)

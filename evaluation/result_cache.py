@@ -53,11 +53,6 @@ def measure_cells(
         Shown beside the progress bar, on a terminal.
     jobs : int, optional
         In place of the options', for cells whose times are measured.
-
-    Raises
-    ------
-    InputError
-        If the folder for results cannot be made.
     """
     known = _remembering(measure, options.out)
     missing = [place for place, cell in enumerate(cells) if not (options.out and known.check_call_in_cache(**cell))]

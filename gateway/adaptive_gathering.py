@@ -58,10 +58,7 @@ class _Bus:
 def publishing_rates(max_hz: float | None, min_hz: float | None) -> tuple[float, float]:
     """Return the most and the least measurements in a second; None stands for the default of `RATES_HZ`.
 
-    Raises
-    ------
-    InputError
-        If a rate is out of range, or the least exceeds the most.
+    Raise InputError if a rate is out of range, or the least exceeds the most.
     """
     most_hz = RATES_HZ[0] if max_hz is None else max_hz
     least_hz = min(RATES_HZ[1], most_hz) if min_hz is None else min_hz

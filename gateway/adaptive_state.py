@@ -7,7 +7,7 @@ loss that the receiver does not know of can have a fine frame misread where the 
 held have the same check: two frames that differ in one byte never have, of others one pair in 255 or 256.
 """
 
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -95,33 +95,6 @@ def new_sums(nodes: int) -> BusSums:
 
 
 @njit(cache=True, nogil=True)
-def take(  # noqa: PLR0917  compiled functions take no keywords
-    can_id: int, length: int, payload: Any, ended_ns: int, law: Companding, sums: BusSums, is_fd: bool = False
-) -> bool:
-    """Use one frame; False where its identifier is not that of adaptive sums. `is_fd`: the bus carries CAN FD."""
-    kind, group, node = decode_cob_id(can_id, is_fd)
-    if kind < 0 or node >= sums.check.shape[0]:
-        return False
-    is_fine = kind >= LEVELS
-    if length != payload_bytes(is_fine, is_fd):
-        sums.counts[MALFORMED] += 1
-        return True
-    is_unsure = is_fine and not is_fd and sums.is_lost[node, group]
-    if is_unsure or not hold(
-        payload, group, is_fine, is_fd, law, sums.value_n[node], sums.coarse_n[node], sums.check[node]
-    ):
-        sums.counts[MALFORMED if is_fd else UNREFINED] += 1
-        return True
-    for each in range(0 if is_fd else group, GROUPS if is_fd else group + 1):
-        if is_fd or not is_fine:
-            sums.is_lost[node, each] = False
-            sums.coarse_ns[node, each] = ended_ns
-        sums.seen_ns[node, each] = ended_ns
-    sums.counts[USED] += 1
-    return True
-
-
-@njit(cache=True, nogil=True)
 def take_all(  # noqa: PLR0917  compiled functions take no keywords
     rows: npt.NDArray[np.uint8],
     has_gap: bool,
@@ -168,14 +141,25 @@ def take_all(  # noqa: PLR0917  compiled functions take no keywords
         ended_ns = np.int64(0)
         for byte in range(8):
             ended_ns |= np.int64(row[_ENDED + byte]) << np.int64(8 * byte)
-        used, unrefined = sums.counts[USED], sums.counts[UNREFINED]
-        take(can_id, int(row[_LENGTH]), row[_DATA:], int(ended_ns), law, sums, is_fd)
+        is_fine, is_lost = kind >= LEVELS, has_gap
         groups = slice(0, GROUPS) if is_fd else slice(group, group + 1)
-        if sums.counts[USED] > used:
+        is_unsure = is_fine and not is_fd and sums.is_lost[node, group]
+        if row[_LENGTH] != payload_bytes(is_fine, is_fd):
+            sums.counts[MALFORMED] += 1
+        elif is_unsure or not hold(
+            row[_DATA:], group, is_fine, is_fd, law, sums.value_n[node], sums.coarse_n[node], sums.check[node]
+        ):
+            sums.counts[MALFORMED if is_fd else UNREFINED] += 1
+            is_lost |= not is_fd
+        else:
+            if is_fd or not is_fine:
+                sums.is_lost[node, groups] = False
+                sums.coarse_ns[node, groups] = ended_ns
+            sums.seen_ns[node, groups] = ended_ns
+            sums.counts[USED] += 1
             has_changed[node, groups] = True
             newest_ns = max(newest_ns, int(ended_ns))
-        if has_gap or sums.counts[UNREFINED] > unrefined:
-            sums.is_lost[node, groups] = True
+        sums.is_lost[node, groups] |= is_lost
     return newest_ns
 
 

@@ -319,12 +319,7 @@ def kept_zero(path: Path, layout: Layout, stored: StoredCalibration | None) -> S
 def node_values(stored: StoredCalibration, newton_per_count: float) -> tuple[Floats | None, Floats | None]:
     """Return what nodes make of counts x by ``gain * x + offset``, see `skin.taxel.corrected`; None for what they keep.
 
-    A taxel reads r = g f + o. So f = r / g - o / g.
-
-    Raises
-    ------
-    InputError
-        If a node cannot hold an offset.
+    A taxel reads r = g f + o. So f = r / g - o / g. Raise InputError if a node cannot hold an offset.
     """
     if not stored.gains and not stored.taxel_offsets_n:
         return None, None

@@ -19,7 +19,7 @@ from gateway.calibration import GatewayCalibration, kept_zero
 from gateway.service import GatewayService
 from shell.service import StopSignal, say
 from skin.calibration_file import load_calibration
-from skin.description import Describing
+from skin.description import describe
 from skin.layout import Layout, load_layout, require_sending
 
 
@@ -94,7 +94,8 @@ def gateway(
     hub, mark = connect or listen, contract.phi.fingerprint
     fabric = Fabric(skin.name, "gateway", hub, hub=connect is None, stop=stop, fingerprint=mark)
     fabric.answer(CALIBRATION, calibrates.ask)
-    fabric.answer(DESCRIPTION, Describing(skin))
+    about = describe(skin)
+    fabric.answer(DESCRIPTION, lambda _request, reply: reply(about))
     few = "" if contract.recognition is None else f", {contract.recognition.layout.sync.rate_hz:g} Hz in recognition"
     say("gateway", f"{len(links)} bus{'es' * (len(links) != 1)}, SYNC {skin.sync.rate_hz:g} Hz{few}")
     try:

@@ -3,13 +3,13 @@
 import select
 import time
 from collections.abc import Callable, Mapping
-from typing import Final, Protocol
+from typing import Final
 
 import msgspec
 
 from bus.link import Link
-from canskin.fabric import Reply
-from canskin.messages import GATEWAY, MEASUREMENT, RECOGNITION, Measurement, Topic
+from canskin.fabric import Fabric, Reply
+from canskin.messages import GATEWAY, MEASUREMENT, RECOGNITION, Measurement
 from canskin.state_messages import MOST_HOLD_S, ImagesReply, ImagesRequest
 from dbc.contract import Contract
 from dbc.frame import frames
@@ -28,14 +28,6 @@ SPARE_S: Final = 0.004
 #: From the last need of images for the zero until they may end.
 ZERO_S: Final = 0.1
 _NOTHING: Final = frames(0)
-
-
-class Publisher(Protocol):
-    """Publishes messages: the fabric, or a test's stand-in."""
-
-    def publish(self, topic: Topic, message: msgspec.Struct) -> None:
-        """Publish one message."""
-        ...
 
 
 class GatewayService:
@@ -57,7 +49,7 @@ class GatewayService:
         self,
         contract: Contract,
         links: Mapping[int, Link],
-        fabric: Publisher,
+        fabric: Fabric,
         *,
         calibration: GatewayCalibration | None = None,
         rates_hz: tuple[float, float] = RATES_HZ,

@@ -4,33 +4,23 @@ SKIN is the name of a layout. Without SKIN a service of any skin counts, because
 """
 
 import sys
-import threading
 from typing import Final
 
 from canskin.errors import SkinError
-from canskin.fabric import Fabric
 from canskin.peers import Peer
+from canskin.session import peers_at
 from shell.service import say
 
 PATIENCE_S: Final = 3.0
-#: Name of the check's own service and skin.
-NAME: Final = "health"
 
 
 def is_alive(service: str, endpoint: str, skin: str | None = None) -> bool:
     """Tell whether `service` is on the fabric with the hub at `endpoint`."""
-    found = threading.Event()
 
-    def changed(peer: Peer, alive: bool) -> None:
-        if alive and peer.service == service and skin in {None, peer.skin}:
-            found.set()
+    def is_among(peers: list[Peer]) -> bool:
+        return any(peer.service == service and skin in {None, peer.skin} for peer in peers)
 
-    fabric = Fabric(skin or NAME, NAME, endpoint, patience_s=PATIENCE_S)
-    try:
-        fabric.watch_peers(changed)
-        return found.wait(PATIENCE_S)
-    finally:
-        fabric.close()
+    return is_among(peers_at(endpoint, PATIENCE_S, is_among))
 
 
 def main() -> int:

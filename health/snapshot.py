@@ -1,17 +1,19 @@
 """State of a skin at one instant: the answer of ``/api/state`` and the header of every frame of the page."""
 
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final, TypeVar
 
 import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from canskin.messages import SILENT, BusState, Contact, GatewayStatus, NodesStatus
+from canskin.messages import SILENT, BusState, Contacts, GatewayStatus, Label, NodesStatus
 
 Pixels = npt.NDArray[np.float32]
 #: States of the gateway's controller in which it neither sends nor receives.
 DEAD_LINKS: Final = ("lost", "bus_off")
+
+Aged = TypeVar("Aged")
 
 
 class Notice(msgspec.Struct, frozen=True, kw_only=True):
@@ -88,27 +90,15 @@ class TruthState(msgspec.Struct, frozen=True, kw_only=True):
     of_image: bool
 
 
-class ContactsState(msgspec.Struct, frozen=True, kw_only=True):
-    """The contacts of the newest image.
+class ContactsState(Contacts, frozen=True, kw_only=True):
+    """The contacts of the newest image, and their age."""
 
-    Attributes
-    ----------
-    cycle, sampled_mono_ns : int
-        Of their image.
-    blind : bool
-        No sum was valid: nothing is known of contacts.
-    """
-
-    cycle: int
-    sampled_mono_ns: int
-    contacts: list[Contact]
-    blind: bool
     age_s: float
     stale: bool
 
 
-class LabelState(msgspec.Struct, frozen=True, kw_only=True):
-    """The classifier's newest label; an empty ``label`` means no contact if ``measured`` is true.
+class LabelState(Label, frozen=True, kw_only=True):
+    """The classifier's newest label, and its age; an empty ``label`` means no contact if ``measured`` is true.
 
     Attributes
     ----------
@@ -116,8 +106,6 @@ class LabelState(msgspec.Struct, frozen=True, kw_only=True):
         False when too few sums were valid for a label; see `canskin.messages.Label.is_measured`.
     """
 
-    label: str
-    confidence: float
     measured: bool
     age_s: float
     stale: bool
@@ -225,17 +213,15 @@ class Pictures:
     sensor: Pixels | None
 
 
+def aged(kind: type[Aged], message: msgspec.Struct, age_s: float, *, stale: bool, **more: Any) -> Aged:
+    """Return a message as the page shows it: of a `kind` that has its fields, its age, and `more`."""
+    return kind(**{**msgspec.structs.asdict(message), "age_s": age_s, "stale": stale, **more})
+
+
 def gateway_state(status: GatewayStatus, age_s: float, *, stale: bool) -> GatewayState:
     """Return the gateway's counters as the page shows them."""
-    buses = list(map(_bus_view, status.buses))
     zero = status.calibration.zero_words if status.calibration else ""
-    more = {"age_s": age_s, "stale": stale, "buses": buses, "zero": zero}
-    return GatewayState(**{**msgspec.structs.asdict(status), **more})
-
-
-def nodes_state(status: NodesStatus, age_s: float, *, stale: bool) -> NodesState:
-    """Return the counters of one process of nodes as the page shows them."""
-    return NodesState(**{**msgspec.structs.asdict(status), "age_s": age_s, "stale": stale})
+    return aged(GatewayState, status, age_s, stale=stale, buses=list(map(_bus_view, status.buses)), zero=zero)
 
 
 def _bus_view(bus: BusState) -> BusView:

@@ -34,8 +34,8 @@ from health.snapshot import (
     Service,
     Snapshot,
     TruthState,
+    aged,
     gateway_state,
-    nodes_state,
 )
 from health.window import Window
 from skin.ground_truth import ImagePairs, image_pairs, in_contact
@@ -214,14 +214,7 @@ class ViewState:
         if self._contacts is None:
             return None
         contacts, at_s = self._contacts
-        return ContactsState(
-            cycle=contacts.cycle,
-            sampled_mono_ns=contacts.sampled_mono_ns,
-            contacts=contacts.contacts,
-            blind=contacts.blind,
-            age_s=now_s - at_s,
-            stale=self._is_stale("reconstructor", at_s, now_s, FRESH_S),
-        )
+        return aged(ContactsState, contacts, now_s - at_s, stale=self._is_stale("reconstructor", at_s, now_s, FRESH_S))
 
     def _truth_shown(self, now_s: float) -> tuple[TruthState, Truth] | None:
         """Return the truth of the image shown if images come, else the newest truth; None if there is none."""
@@ -240,13 +233,9 @@ class ViewState:
         if self._label is None:
             return None
         label, at_s = self._label
-        return LabelState(
-            label=label.label,
-            confidence=label.confidence,
-            measured=label.is_measured(self._layout.measurement.sums),
-            age_s=now_s - at_s,
-            stale=self._is_stale("classifier", at_s, now_s, FRESH_S),
-        )
+        measured = label.is_measured(self._layout.measurement.sums)
+        stale = self._is_stale("classifier", at_s, now_s, FRESH_S)
+        return aged(LabelState, label, now_s - at_s, stale=stale, measured=measured)
 
     def _figures(self, now_s: float) -> Figures:
         latency_s = self._latency_s.values(now_s)
@@ -299,7 +288,7 @@ class ViewState:
 
     def _nodes_states(self, now_s: float) -> list[NodesState]:
         found = (self._nodes[name] for name in sorted(self._nodes))
-        return [nodes_state(status, now_s - at_s, stale=now_s - at_s > STATUS_FRESH_S) for status, at_s in found]
+        return [aged(NodesState, status, now_s - at_s, stale=now_s - at_s > STATUS_FRESH_S) for status, at_s in found]
 
     def _is_cut_off(self, now_s: float) -> bool:
         """Tell whether the hub is out of reach: this service's own token is gone, and no message comes."""

@@ -21,18 +21,13 @@ class AnalogueElectronics(Electronics):
     Parameters
     ----------
     layout : Layout
-        With an analogue front end.
+        With an analogue front end; raise InputError unless all sums of a block are read within a period.
     phi : Sbhe
         Of the layout.
     noise_n : float
         Standard deviation of the noise of a taxel, newtons.
     seed : int
         Same seed, same noise.
-
-    Raises
-    ------
-    InputError
-        If the sums of a block are read for longer than a period.
     """
 
     def __init__(

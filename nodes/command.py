@@ -14,7 +14,7 @@ from dbc.choice import choose_nodes
 from dbc.contract import Contract
 from nodes.firmware.library import Firmware
 from nodes.service import NodesService
-from nodes.ways import new_hardware
+from nodes.ways import way_of
 from shell.service import StopSignal, say
 from shell.touch_options import NO_TOUCH_OPTIONS, TouchOptions
 from skin.layout import load_layout, require_one_state
@@ -93,7 +93,7 @@ def nodes(
         require_one_state(skin, "the firmware in C")
         compiled = Firmware(contract, mine)
     blocks = [node.block for node in mine]
-    hardware = new_hardware(contract, blocks, touch.source(skin, rest), compiled, **analogue)
+    hardware = way_of(skin).hardware(contract, blocks, touch.source(skin, rest), compiled, **analogue)
     links = open_links(skin, bus or BusOptions(), chosen, name="nodes", stop=stop)
     mark = contract.phi.fingerprint
     joined = Fabric(skin.name, "nodes", connect, stop=stop, fingerprint=mark) if fabric else None

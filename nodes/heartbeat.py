@@ -1,30 +1,8 @@
-"""Heartbeat producer and consumer of one node (CiA 301, 7.2.8.3.2)."""
+"""Heartbeat consumer of one node (CiA 301, 7.2.8.3.2)."""
 
-from collections.abc import Callable, Collection
+from collections.abc import Collection
 
 from dbc.canopen import HIGHEST_NODE_ID
-
-
-class HeartbeatProducer:
-    """Sends the NMT state every `period_s`; a period of 0 sends no heartbeat."""
-
-    def __init__(self, send: Callable[[], None]) -> None:
-        self._send = send
-        #: When the next heartbeat is due.
-        self.due_s = float("inf")
-        self._period_s = 0.0
-
-    def set_period(self, period_s: float, now_s: float, part: float = 1.0) -> None:
-        """Change the period; the next heartbeat follows after `part` of the new period."""
-        if period_s != self._period_s or part != 1.0:
-            self._period_s = period_s
-            self.due_s = now_s + part * period_s if period_s else float("inf")
-
-    def beat(self, now_s: float) -> None:
-        """Send when due."""
-        if now_s >= self.due_s:
-            self._send()
-            self.due_s = now_s + self._period_s
 
 
 class HeartbeatConsumer:

@@ -28,7 +28,7 @@ from dbc.objects import Object
 from nodes.access import check_write, is_allowed
 from nodes.emcy import EmcyProducer
 from nodes.hardware import Hardware
-from nodes.heartbeat import HeartbeatConsumer, HeartbeatProducer
+from nodes.heartbeat import HeartbeatConsumer
 from nodes.objects import LocalNode, Outbox, object_dictionary
 from nodes.storage import Parameters, Storage
 from nodes.tpdo import LiveTpdo, read_tpdos
@@ -64,8 +64,10 @@ class SkinNode:
         SYNCs received, TPDOs sent, TPDOs dropped because of the window, saturated taxels (2020h).
     tpdos : list of LiveTpdo
         The PDOs that exist now; `refresh` reads them again after a write.
+    wanted_state : int
+        The state whose TPDOs are sent from the next SYNC on: 2008h:1.
     active_state : int
-        The state whose TPDOs are sent: 2008h:1 as of the newest SYNC.
+        The state whose TPDOs are sent: `wanted_state` as of the newest SYNC.
     """
 
     def __init__(
@@ -82,7 +84,7 @@ class SkinNode:
         self.state = NmtState.INITIALISING
         self.health = np.zeros(4, np.int64)
         self.tpdos: list[LiveTpdo] = []
-        self.active_state = self._wanted = SkinState.RECOGNITION
+        self.active_state = self.wanted_state = SkinState.RECOGNITION
         self._states = _states_of_tpdos(contract, objects)
         self._settings = settings
         self._signature: int | None = None
@@ -100,7 +102,7 @@ class SkinNode:
             od.HEALTH: self._read_health,
             od.SIGNATURE: lambda _: self._read_signature(),
             od.TEMPERATURE: lambda _: round(10 * hardware.temperature_k(range(first, first + contract.blocks))),
-            od.STATE: lambda subindex: self._wanted if subindex == 1 else None,
+            od.STATE: lambda subindex: self.wanted_state if subindex == 1 else None,
             **{
                 od.of_block(od.SUMS, place): partial(self._read_sum, contract.block + place)
                 for place in range(contract.blocks)
@@ -108,10 +110,10 @@ class SkinNode:
             **{index: lambda subindex: ON_COMMAND if subindex else None for index in _COMMANDS},
         }
         self.local = LocalNode(contract.node_id, object_dictionary(objects), contract.packing.bits, contract.pdo_bytes)
-        self.local.on_write(self._written)
-        self.local.on_read(self._read)
+        self.local.add_write_callback(self._written)  # type: ignore[no-untyped-call]
+        self.local.add_read_callback(self._read)  # type: ignore[no-untyped-call]
         self.emcy = EmcyProducer(self._send_emcy)
-        self.heartbeat = HeartbeatProducer(self._send_state)
+        self._beat_due_s, self._beat_period_s = float("inf"), 0.0
         self.watched = HeartbeatConsumer()
         outbox[contract.node_id] = self.local
 
@@ -132,7 +134,7 @@ class SkinNode:
                     store.setdefault(index, {})[subindex] = data
         if not communication_only:
             self._reset_electronics()
-        self.active_state = self._wanted = SkinState.RECOGNITION
+        self.active_state = self.wanted_state = SkinState.RECOGNITION
         self._signature = None
         self.emcy.reset()
         self.watched = HeartbeatConsumer()
@@ -143,7 +145,7 @@ class SkinNode:
         self._enter(NmtState.PRE_OPERATIONAL)
         # Otherwise boards powered together would send their heartbeats together, inside a burst of sums.
         part = self.contract.node_id / (HIGHEST_NODE_ID + 1)
-        self.heartbeat.set_period(self.local.unsigned(od.HEARTBEAT_MS) / 1000, now_s, part)
+        self._beat_due_s = now_s + part * self._beat_period_s if self._beat_period_s else float("inf")
 
     def _is_stored(self, index: int, subindex: int, data: bytes) -> bool:
         """Tell whether a stored value fits an object that can be stored; test patterns and refreshes cannot."""
@@ -184,20 +186,12 @@ class SkinNode:
     def _enter(self, state: NmtState) -> None:
         self.state = state
 
-    def switch(self, state: SkinState) -> None:
-        """Send the TPDOs of a state from the next SYNC on: write 2008h:1."""
-        self._wanted = state
-
-    def take_sync(self) -> None:
-        """Take over the state that was wanted before this SYNC."""
-        self.active_state = self._wanted
-
     @property
     def due_s(self) -> float:
         """When `tick` has work to do next, as things stand."""
         if self._has_events or self.emcy.is_waiting:
             return float("-inf")
-        return min(self.heartbeat.due_s, self.watched.due_s)
+        return min(self._beat_due_s, self.watched.due_s)
 
     def refresh(self, now_s: float) -> bool:
         """Read the objects again if a write has changed any since the last call; tell whether one had."""
@@ -210,12 +204,17 @@ class SkinNode:
         self._emcy_cob_id = local.unsigned(od.EMCY_COB_ID)
         self._emcy_inhibit_s = local.unsigned(od.EMCY_INHIBIT_100US) * 1e-4
         self.watched.watch([local.unsigned(od.CONSUMER_HEARTBEAT, place) for place in range(1, HEARTBEATS_WATCHED + 1)])
-        self.heartbeat.set_period(local.unsigned(od.HEARTBEAT_MS) / 1000, now_s)
+        period_s = local.unsigned(od.HEARTBEAT_MS) / 1000
+        if period_s != self._beat_period_s:
+            self._beat_period_s = period_s
+            self._beat_due_s = now_s + period_s if period_s else float("inf")
         return True
 
     def tick(self, now_s: float) -> None:
         """Do what is due by time: send and watch heartbeats, send emergencies and event-driven PDOs."""
-        self.heartbeat.beat(now_s)
+        if now_s >= self._beat_due_s:
+            self._send_state()
+            self._beat_due_s = now_s + self._beat_period_s
         self._watch(now_s)
         if self.state is NmtState.STOPPED:
             return
@@ -321,7 +320,7 @@ class SkinNode:
             self._store({})
         self._signature = None
         if index == od.STATE:
-            self._wanted = SkinState(data[0])
+            self.wanted_state = SkinState(data[0])
         elif index >= od.MANUFACTURER:
             self._adjust(index, subindex, data)
         else:
@@ -342,12 +341,9 @@ def _states_of_tpdos(contract: NodeContract, objects: list[Object]) -> dict[int,
     own = [tpdo.number for tpdo in contract.tpdos]
     if all(each.index != od.STATE for each in objects):
         return dict.fromkeys(own)
-    numbers = {each.index - od.TPDO_COMMUNICATION + 1 for each in objects if _is_tpdo(each)}
+    indices = {each.index for each in objects if od.TPDO_COMMUNICATION <= each.index < od.TPDO_MAPPING}
+    numbers = {index - od.TPDO_COMMUNICATION + 1 for index in indices}
     return {number: SkinState.IMAGES if number in own else SkinState.RECOGNITION for number in sorted(numbers)}
-
-
-def _is_tpdo(each: Object) -> bool:
-    return od.TPDO_COMMUNICATION <= each.index < od.TPDO_MAPPING
 
 
 def _number(data_type: int | None, data: bytes) -> float:

@@ -1,8 +1,7 @@
 """Object dictionary, local node and network of the ``canopen`` library, made from `dbc.dictionary`."""
 
 import logging
-from collections.abc import Callable
-from typing import Any, Final, cast
+from typing import Final, cast
 
 import canopen
 import numpy as np
@@ -134,14 +133,6 @@ class LocalNode(canopen.LocalNode):
         # The library would start a thread per node for the heartbeat.
         self._write_callbacks.clear()
 
-    def on_write(self, callback: Callable[..., None]) -> None:
-        """Call ``callback(index=, subindex=, od=, data=)`` before a value is stored; it may raise an abort."""
-        self._write_callbacks.append(callback)
-
-    def on_read(self, callback: Callable[..., Any]) -> None:
-        """Call ``callback(index=, subindex=, od=)`` for every read; None lets the stored value be read."""
-        self._read_callbacks.append(callback)
-
     def _find_object(self, index: int, subindex: int) -> ODVariable:
         """Return the description of an object; the library would accept any sub-index of a variable."""
         found = self.variable(index, subindex)
@@ -150,8 +141,11 @@ class LocalNode(canopen.LocalNode):
         return found
 
     def unsigned(self, index: int, subindex: int = 0) -> int:
-        """Return the present value of an unsigned object."""
-        return int.from_bytes(self.get_data(index, subindex), "little")
+        """Return a stored unsigned value; faster than the library, which matters for 32 TPDOs of every node."""
+        data = self.data_store.get(index, {}).get(subindex)
+        if data is None:
+            return int(self._find_object(index, subindex).default or 0)
+        return int.from_bytes(data, "little")
 
     def mappable_bits(self, index: int, subindex: int) -> int | None:
         """Return the width of an object in a PDO, None when PDOs may not carry it."""

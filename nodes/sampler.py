@@ -189,16 +189,6 @@ class AnalogueSampler(Sampler):
         super().__init__(phi, source, electronics)
         self._analogue = electronics
 
-    def counts(self, block: int) -> npt.NDArray[np.int32]:
-        """Refuse: no converter reads a taxel.
-
-        Raises
-        ------
-        TypeError
-            Always.
-        """
-        raise TypeError(f"block {block}: boards that make sums in hardware do not read single taxels")
-
     def saturated(self, block: int) -> int:
         """Count the sums of `block` at an end of their range."""
         first, last = self._phi.starts[block : block + 2]
@@ -207,19 +197,6 @@ class AnalogueSampler(Sampler):
     def _answer(self, force_n: npt.NDArray[np.float32], step: int) -> npt.NDArray[np.int32]:
         later_n = self._source.frame(step + 1).force_n if self._analogue.is_skewed else None
         return self._analogue.read_sums(force_n, later_n, step)
-
-
-def new_electronics(layout: Layout, phi: Sbhe, **analogue: Any) -> Electronics:
-    """Return the electronics of a skin whose nodes make the sums; `analogue` as for `new_sampler`."""
-    if layout.taxels.is_analogue:
-        return AnalogueElectronics(layout, phi, **analogue)
-    return Electronics(
-        layout.taxels,
-        **analogue,
-        period_s=layout.shortest_period_s,
-        samples=layout.samples_per_sync,
-        blocks=phi.taxels_of_blocks,
-    )
 
 
 def new_sampler(layout: Layout, phi: Sbhe, source: TaxelSource, **analogue: Any) -> Sampler:
@@ -234,9 +211,15 @@ def new_sampler(layout: Layout, phi: Sbhe, source: TaxelSource, **analogue: Any)
     """
 
     def new() -> Sampler:
-        electronics = new_electronics(layout, phi, **analogue)
-        if isinstance(electronics, AnalogueElectronics):
-            return AnalogueSampler(phi, source, electronics)
+        if layout.taxels.is_analogue:
+            return AnalogueSampler(phi, source, AnalogueElectronics(layout, phi, **analogue))
+        electronics = Electronics(
+            layout.taxels,
+            **analogue,
+            period_s=layout.shortest_period_s,
+            samples=layout.samples_per_sync,
+            blocks=phi.taxels_of_blocks,
+        )
         return Sampler(phi, source, electronics, layout.sync.period_s)
 
     # A first start compiles for a while: before the nodes are there, and not between two SYNCs.

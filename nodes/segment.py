@@ -1,54 +1,25 @@
 """The boards of one bus without input and output: frames and times in, frames out."""
 
-from collections.abc import Callable, Collection
-from typing import Final, Protocol
+from collections.abc import Callable
+from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
 from bus.link import Send
 from dbc.canopen import HEARTBEAT_BASE, LAST_SYNCHRONOUS, SYNC_COB_ID, is_of_node
 from dbc.contract import Contract
 from dbc.frame import ECHO, ERROR, EXTENDED, REMOTE, Frames
+from nodes.firmware.library import CompiledBoards
 from nodes.hardware import Hardware
+from nodes.virtual_boards import VirtualBoards
 from nodes.ways import way_of
 
 #: Resolution of heartbeats, event timers and inhibit times.
 TICK_S: Final = 0.005
 
 
-class Boards(Protocol):
-    """The boards of one bus, in Python (`nodes.virtual_boards`) or in C (`nodes.firmware.library`).
-
-    Every method but `refuse` returns the frames that the boards send.
-    """
-
-    @property
-    def node_ids(self) -> Collection[int]:
-        """The node-IDs of the boards."""
-
-    @property
-    def is_pdo(self) -> npt.NDArray[np.bool_]:
-        """Whether an identifier is that of a TPDO of the boards, shape (BASE_ID_MASK + 1,)."""
-
-    @property
-    def due_s(self) -> float:
-        """When `pass_time` has work to do next, as things stand."""
-
-    def power_up(self, now_s: float) -> Frames:
-        """Boot all boards."""
-
-    def take(self, arrived: Frames, now_s: float) -> Frames:
-        """Take received frames without a SYNC, with echoes of sent frames and discarded frames."""
-
-    def answer(self, sync: Frames, now_s: float, measured: npt.NDArray[np.int32] | None) -> Frames:
-        """Take a SYNC, with what `nodes.hardware` has measured for it."""
-
-    def pass_time(self, now_s: float) -> Frames:
-        """Do what is due by time."""
-
-    def refuse(self, burst: Frames) -> None:
-        """Take note of frames that found no room in the transmit queue."""
+#: The boards of one bus, in Python or in C.
+Boards = VirtualBoards | CompiledBoards
 
 
 class Segment:

@@ -37,7 +37,7 @@ class NodesService:
     node_ids : mapping of int to collection of int
         The nodes of each bus that this process runs.
     hardware : Hardware
-        Of all these nodes (`nodes.ways.new_hardware`).
+        Of all these nodes (`nodes.ways`).
     fabric : Fabric or None
         Where counters and true forces are published.
     store : Path, optional

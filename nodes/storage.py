@@ -27,7 +27,7 @@ class Storage:
     Parameters
     ----------
     phi : str
-        Fingerprint of Φ: parameters of another skin are refused.
+        Fingerprint of Φ: a file of another skin, or one that cannot be read, raises InputError.
     path : Path or None
         File that keeps the parameters beyond the process.
 
@@ -35,11 +35,6 @@ class Storage:
     ----------
     parameters : dict
         The stored values; empty after `clear`.
-
-    Raises
-    ------
-    InputError
-        If the file is there and cannot be read, or holds another skin's parameters.
     """
 
     def __init__(self, phi: str, path: Path | None = None) -> None:

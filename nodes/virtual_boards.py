@@ -1,6 +1,7 @@
 """The nodes of one bus in Python: frames and times in, answers out."""
 
 from collections.abc import Collection
+from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
@@ -57,8 +58,6 @@ class VirtualBoards:
     Attributes
     ----------
     nodes : list of SkinNode
-    frames_rejected : int
-        Number of received frames that made the CANopen library raise; they are dropped.
     is_pdo : array of bool, shape (BASE_ID_MASK + 1,)
         Whether an identifier is that of a TPDO of these nodes now.
     due_s : float
@@ -69,7 +68,6 @@ class VirtualBoards:
         self, contract: Contract, bus: int, node_ids: Collection[int], hardware: Hardware, *, store: Path | None = None
     ) -> None:
         wires = contract.layout.bus[bus]
-        self.frames_rejected = 0
         self.is_pdo = np.zeros(BASE_ID_MASK + 1, np.bool_)
         self.due_s = float("-inf")
         self._contract = contract
@@ -181,7 +179,7 @@ class VirtualBoards:
         listening = [node for node in self.nodes if node.state is NmtState.OPERATIONAL]
         self._judge_sync(listening, length)
         for node in listening:
-            node.take_sync()
+            node.active_state = node.wanted_state
         if measured is not None:
             counter = int(sync["data"][0, 0]) if length == 1 else 0
             self._send_sums(counter, int(sync["time_ns"][0]), measured)
@@ -218,7 +216,7 @@ class VirtualBoards:
         if len(data) == 1 and data[0] in (SkinState.RECOGNITION, SkinState.IMAGES):
             for node in self.nodes:
                 if node.state is NmtState.OPERATIONAL:
-                    node.switch(SkinState(data[0]))
+                    node.wanted_state = SkinState(data[0])
 
     def _nmt(self, data: bytes, now_s: float) -> None:
         if len(data) != NMT_BYTES:
@@ -234,10 +232,8 @@ class VirtualBoards:
         node = self._by_id.get(can_id - SDO_REQUEST_BASE)
         if node is None or not node.answers_sdo:
             return
-        try:
+        with suppress(Exception):  # no received frame may end the receive loop
             self._outbox.notify(can_id, bytearray(data), now_s)
-        except Exception:  # noqa: BLE001 - no received frame may end the receive loop
-            self.frames_rejected += 1
         if node.refresh(now_s):
             self._compile([node])
 

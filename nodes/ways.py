@@ -34,7 +34,9 @@ class Way:
     sending : callable
         Returns the `Sending` of one bus from contract, number of the bus and hardware.
     hardware : callable
-        As `new_hardware`.
+        Returns what samples the taxels of some nodes, from contract, blocks of the nodes (ascending), source of touch,
+        firmware (compiled for these nodes: the boards in C make the sums; or None), and ``noise_n``, ``seed`` and
+        ``defects`` of `nodes.electronics.Electronics`.
     vectors_text : callable
         Returns the test vectors of a node as JSON.
     """
@@ -48,23 +50,6 @@ class Way:
 def way_of(layout: Layout) -> Way:
     """Return the way in which the nodes of a layout send."""
     return _WAYS[layout.sending]
-
-
-def new_hardware(
-    contract: Contract, blocks: Sequence[int], source: TaxelSource, firmware: Firmware | None = None, **analogue: Any
-) -> Hardware:
-    """Return what samples the taxels of some nodes.
-
-    Parameters
-    ----------
-    blocks : sequence of int
-        The blocks of these nodes, ascending.
-    firmware : Firmware, optional
-        Compiled for these nodes: the boards in C make the sums.
-    **analogue
-        ``noise_n``, ``seed`` and ``defects`` of `nodes.electronics.Electronics`.
-    """
-    return way_of(contract.layout).hardware(contract, blocks, source, firmware, **analogue)
 
 
 def _sampler(

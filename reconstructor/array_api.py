@@ -32,13 +32,7 @@ Bools = npt.NDArray[np.bool_]
 
 
 def gpu_library() -> ModuleType:
-    """Return CuPy.
-
-    Raises
-    ------
-    InputError
-        If CuPy is not installed or finds no GPU.
-    """
+    """Return CuPy; raise InputError if CuPy is not installed or finds no GPU."""
     try:
         import cupy
     except ImportError as error:
@@ -63,11 +57,6 @@ class BatchSolver:
         NumPy, CuPy or another library of the array API.
     noise_n : float, optional
         See `reconstructor.engine.Reconstructor`.
-
-    Raises
-    ------
-    InputError
-        If the grid or the settings do not fit.
     """
 
     def __init__(
@@ -116,11 +105,6 @@ class BatchSolver:
         valid : array of bool, shape (cycles, m)
         advance : callable
             Called with the number of further images that are finished.
-
-        Raises
-        ------
-        InputError
-            As `solve`.
         """
         images = np.empty((len(sums_n), *self._grid), np.float32)
         estimate = None
@@ -144,11 +128,6 @@ class BatchSolver:
             Sums that are not valid have no effect.
         start : array, shape (frames, rows, columns), optional
             Estimates to start from, zeros without.
-
-        Raises
-        ------
-        InputError
-            If shapes or dtypes do not fit, a valid sum is not finite or above 1e6 N, or the start is not finite.
         """
         mask, target = self._load(sums_n, valid)
         ahead = estimate = self._begin(start, mask.shape[0])

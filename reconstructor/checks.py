@@ -1,6 +1,5 @@
 """Checks of the input of bases and solvers."""
 
-import math
 from typing import Any, Final
 
 import numpy as np
@@ -19,13 +18,7 @@ _KINDS: Final = (np.dtype(np.float32), np.dtype(np.float64))
 
 
 def float_kind(dtype: npt.DTypeLike) -> np.dtype[Any]:
-    """Return a dtype as NumPy dtype.
-
-    Raises
-    ------
-    InputError
-        If the dtype is neither float32 nor float64.
-    """
+    """Return float32 or float64 as NumPy dtype; raise InputError for any other dtype."""
     try:
         kind = np.dtype(dtype)
     except TypeError:
@@ -49,13 +42,7 @@ def check_values(name: str, values: Any, shape: tuple[int, ...]) -> None:
 
 
 def placed(name: str, values: Any, shape: tuple[int, ...], kind: np.dtype[Any]) -> Values:
-    """Return a contiguous array for a compiled solver.
-
-    Raises
-    ------
-    InputError
-        If the array has another shape or dtype.
-    """
+    """Return a contiguous array for a compiled solver; raise InputError unless shape and dtype fit."""
     if not isinstance(values, np.ndarray) or values.dtype != kind or values.shape != shape:
         raise InputError(f"{name}: expected an array of {kind} of shape {shape}, got {_seen(values)}")
     return np.ascontiguousarray(values)
@@ -95,26 +82,6 @@ def check_iterations(iterations: int) -> None:
         raise InputError(f"expected at least 1 iteration, got {iterations}")
     if iterations > MOST_ITERATIONS:
         raise InputError(f"expected at most {MOST_ITERATIONS} iterations, got {iterations}")
-
-
-def check_penalty(penalty_n: float) -> None:
-    """Raise InputError unless λ is 0 or above and finite."""
-    if not 0 <= penalty_n < math.inf:
-        raise InputError(f"expected a penalty λ of 0 newtons or more, got {penalty_n}")
-
-
-def check_above_zero(name: str, value: float) -> None:
-    """Raise InputError unless a number is above 0 and finite."""
-    if not 0 < value < math.inf:
-        raise InputError(f"{name}: expected a number above 0, got {value}")
-
-
-def check_settings(iterations: int, penalty_n: float, lipschitz_ratio: float) -> None:
-    """Raise InputError unless FISTA converges with these settings."""
-    check_iterations(iterations)
-    check_penalty(penalty_n)
-    if not 1 <= lipschitz_ratio < math.inf:
-        raise InputError(f"expected L / B of 1 or more, below which FISTA diverges: got {lipschitz_ratio}")
 
 
 def _seen(values: Any) -> str:

@@ -1,6 +1,7 @@
 """``skin reconstruct``: the tactile image of every cycle, and its contacts."""
 
 import threading
+from contextlib import closing
 from pathlib import Path
 from typing import Final
 
@@ -52,10 +53,7 @@ def reconstruct(
         warm_up(skin, imager)
     finally:
         patience.cancel()
-    fabric = Fabric(skin.name, "reconstructor", connect, stop=stop, fingerprint=skin.phi().fingerprint)
-    try:
+    with closing(Fabric(skin.name, "reconstructor", connect, stop=stop, fingerprint=skin.phi().fingerprint)) as fabric:
         service = ReconstructorService(skin, imager, fabric)
         say("reconstructor", f"{skin.taxels.rows} x {skin.taxels.columns} taxels, {imager.about}")
         service.run(stop)
-    finally:
-        fabric.close()

@@ -137,11 +137,6 @@ class ContactTracker:
             Which taxels were measured; without it, all.
         doubtful : array of bool, shape (n,), optional
             Taxels whose force may be an error of the zero, row-major; without it, none.
-
-        Raises
-        ------
-        InputError
-            If the image has another shape.
         """
         if image.shape != self._shape:
             raise InputError(f"expected an image of {self._shape} taxels, got {image.shape}")

@@ -6,8 +6,9 @@ import numpy as np
 import numpy.typing as npt
 
 from canskin.errors import InputError
+from reconstructor.kernels.contourlet import ContourletSolver
+from reconstructor.kernels.fused import FusedSolver
 from reconstructor.settings import LIVE, SolverSettings
-from reconstructor.solver import make_solver
 from reconstructor.temporal_filter import TemporalFilter
 from skin.clipping import ClipCorrection
 from skin.measurement import Sbhe
@@ -57,11 +58,6 @@ class Reconstructor:
     samples : int
         Samples of each taxel from one SYNC to the next (`skin.layout.Layout.samples_per_sync`). Where there are more
         than one, sums come averaged and without the bias of clipping, and `noise_n` has to be left out or 0.
-
-    Raises
-    ------
-    InputError
-        If the grid, the settings or the noise do not fit.
     """
 
     def __init__(
@@ -168,3 +164,9 @@ def averaged_sum_noise_n(samples: int) -> float:
         return float(1 - (1 - SLOWEST_GAIN) ** count)
 
     return AVERAGED_SUM_NOISE_N * float((forgotten(samples) / forgotten(AVERAGED_SAMPLES)) ** 0.5)
+
+
+def make_solver(phi: Sbhe, rows: int, columns: int, settings: SolverSettings) -> FusedSolver | ContourletSolver:
+    """Return the compiled solver of a prior, in float32."""
+    solver = ContourletSolver if settings.prior == "contourlet" else FusedSolver
+    return solver(phi, rows, columns, settings)

@@ -17,8 +17,9 @@ from scipy.sparse.linalg import LinearOperator, eigsh
 
 from canskin.errors import InputError
 from reconstructor.bases import Basis
-from reconstructor.checks import Values, check_above_zero, check_iterations, check_penalty, check_values
+from reconstructor.checks import Values, check_iterations, check_values
 from skin.operator import Operator
+from skin.ranges import require_above_zero, require_number
 
 #: Called with the number of the iteration, from 1, and the estimate after it.
 Observer = Callable[[int, Values], None]
@@ -64,15 +65,10 @@ def fista(
         Coefficients to start from, default zeros; for a warm start those of the previous cycle.
     observe : callable
         Called with every estimate, which it must not change.
-
-    Raises
-    ------
-    InputError
-        If sizes do not fit, an array is not of finite float32 or float64, or a number is out of its range.
     """
     estimate = ahead = check_problem(phi, psi, sums_n, start)
-    check_penalty(penalty_n)
-    check_above_zero("L", lipschitz)
+    require_number("the penalty λ", penalty_n)
+    require_above_zero("L", lipschitz)
     check_iterations(iterations)
     for k, weight in enumerate(momentum(iterations)):
         residual = phi.forward(psi.adjoint(ahead).reshape(-1)) - sums_n
@@ -89,14 +85,9 @@ def largest_eigenvalue(phi: Operator, psi: Basis, relative_error: float = 1e-4) 
 
     Computed from ΦΨΨᵀΦᵀ, a smaller matrix with the same eigenvalue. Leaving out rows of Φ never increases the
     eigenvalue, so it is a valid L for every mask.
-
-    Raises
-    ------
-    InputError
-        If Φ and Ψ have different numbers of taxels, or the error is not above 0.
     """
     check_sizes(phi, psi)
-    check_above_zero("relative error", relative_error)
+    require_above_zero("the relative error", relative_error)
 
     def gram(y: Values) -> Values:
         image = phi.adjoint(y).reshape(psi.image_shape)
@@ -119,13 +110,7 @@ def check_sizes(phi: Operator, psi: Basis) -> None:
 
 
 def check_problem(phi: Operator, psi: Basis, sums_n: Values, start: Values | None) -> Values:
-    """Return the coefficients to start from, by default zeros.
-
-    Raises
-    ------
-    InputError
-        If sizes do not fit, or an array is not of finite float32 or float64.
-    """
+    """Return the coefficients to start from, by default zeros; raise InputError unless sizes and dtypes fit."""
     check_sizes(phi, psi)
     check_values("sums", sums_n, phi.shape[:1])
     if start is None:
@@ -137,6 +122,6 @@ def check_problem(phi: Operator, psi: Basis, sums_n: Values, start: Values | Non
 def objective(phi: Operator, psi: Basis, sums_n: Values, coefficients: Values, penalty_n: float) -> float:
     """Return ½‖ΦΨs - y‖² + λ‖s‖₁, newtons squared; raises as `fista` does."""
     check_problem(phi, psi, sums_n, coefficients)
-    check_penalty(penalty_n)
+    require_number("the penalty λ", penalty_n)
     residual = phi.forward(psi.adjoint(coefficients).reshape(-1)) - sums_n
     return float(0.5 * residual @ residual + penalty_n * np.abs(coefficients).sum())

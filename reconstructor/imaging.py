@@ -23,11 +23,6 @@ class CycleImager:
     gains : KnownGains, optional
         Of taxels and sums: they are taken off.
 
-    Raises
-    ------
-    InputError
-        If the options do not fit the skin.
-
     Attributes
     ----------
     about : str
@@ -36,6 +31,7 @@ class CycleImager:
         Most measurements that wait during a solve; a longer queue would only make images older.
     decode : callable
         Decodes a measurement.
+    solver : Reconstructor
     """
 
     depth = 4
@@ -46,7 +42,7 @@ class CycleImager:
         settings = chosen.settings()
         basis = f", basis {settings.prior}" if chosen.basis else ""
         self.about = f"{settings.iterations} iterations{basis}"
-        self._solver = Reconstructor(
+        self.solver = Reconstructor(
             phi,
             taxels.rows,
             taxels.columns,
@@ -54,7 +50,7 @@ class CycleImager:
             noise_n=chosen.clipped_noise_n(layout),
             samples=layout.samples_per_sync,
         )
-        self.warm_up = self._solver.warm_up
+        self.warm_up = self.solver.warm_up
         self._newton_per_count = np.float32(taxels.newton_per_count)
         self._gains = None if gains is None else GainCorrection(phi, gains)
 
@@ -62,9 +58,9 @@ class CycleImager:
         """Return the image, float32, shape (rows, columns), newtons; and which sums it is made from, shape (m,)."""
         sums_n = np.multiply(sums.counts, self._newton_per_count, dtype=np.float32)
         if self._gains is None:
-            return self._solver.solve(sums_n, sums.valid_sums), sums.valid_sums
+            return self.solver.solve(sums_n, sums.valid_sums), sums.valid_sums
         sums_n, valid_sums = self._gains.apply(sums_n, sums.valid_sums)
-        image = self._solver.solve(sums_n, valid_sums)
+        image = self.solver.solve(sums_n, valid_sums)
         self._gains.keep(image)
         return image, valid_sums
 
@@ -80,11 +76,6 @@ def make_imager(layout: Layout, options: SolverOptions | None = None, gains: Pat
     ----------
     gains : pathlib.Path, optional
         File of ``skin calibration gain``.
-
-    Raises
-    ------
-    InputError
-        If an option or the gains do not fit the skin.
     """
     if layout.sends.in_cycles:
         return CycleImager(layout, options, None if gains is None else load_gains(gains, layout))
@@ -97,13 +88,7 @@ def make_imager(layout: Layout, options: SolverOptions | None = None, gains: Pat
 
 
 def load_gains(path: Path, layout: Layout) -> KnownGains:
-    """Return the gains in a file.
-
-    Raises
-    ------
-    InputError
-        If the file has none.
-    """
+    """Return the gains in a file."""
     stored = load_calibration(path, layout)
     if not stored.gains:
         raise InputError(f"{path}: has no gains of taxels: expected a file of 'skin calibration gain'")

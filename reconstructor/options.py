@@ -41,25 +41,13 @@ class SolverOptions:
     noise_n: float | None = None
 
     def clipped_noise_n(self, layout: Layout) -> float | None:
-        """Return `noise_n`.
-
-        Raises
-        ------
-        InputError
-            If the taxels of the layout are not clipped.
-        """
+        """Return `noise_n`; raise InputError if the taxels of the layout are not clipped."""
         if self.noise_n and layout.taxels.is_analogue:
             raise InputError("--noise-n is for taxels that are clipped, not for an analogue front end: leave it out")
         return self.noise_n
 
     def settings(self) -> SolverSettings:
-        """Return the settings of the solver, changed by the given options.
-
-        Raises
-        ------
-        InputError
-            If solver or basis are unknown or do not fit, or a number is out of its range.
-        """
+        """Return the settings of the solver, changed by the given options."""
         chosen = preset(self.solver)
         if self.basis is not None and chosen.prior == "contourlet":
             raise InputError(f"--basis: '{self.solver}' has contourlets as its basis: take another --solver")

@@ -64,16 +64,6 @@ class ReconstructorService:
         self._fabric = fabric
         self._mailbox = fabric.mailbox(MEASUREMENT, imager.depth)
 
-    @property
-    def refused(self) -> int:
-        """Number of measurements with another Φ or other sizes."""
-        return self._reader.refused
-
-    @property
-    def overrun(self) -> int:
-        """Number of measurements dropped because newer measurements came before their turn."""
-        return self._mailbox.overrun
-
     def run(self, stop: StopSignal) -> None:
         """Serve until `stop`."""
         if self._phi.shape[0] >= self._phi.blocks:

@@ -1,11 +1,13 @@
 """The settings of a solver: defaults, ranges and presets."""
 
+import math
 from dataclasses import dataclass, replace
 from typing import Final
 
 from canskin.errors import InputError
 from reconstructor.bases.names import wavelet_basis_name
-from reconstructor.checks import check_settings, is_whole
+from reconstructor.checks import check_iterations, is_whole
+from skin.ranges import require_number
 
 #: Priors that are no orthonormal wavelet: no grid of a basis can be shifted.
 NO_WAVELETS: Final = ("variation", "contourlet")
@@ -36,11 +38,6 @@ class SolverSettings:
     temporal_filter : bool
         Average the sums over cycles before they are solved (`reconstructor.temporal_filter`), and scale λ with
         their noise. The solvers of single images leave this to `reconstructor.engine.Reconstructor`.
-
-    Raises
-    ------
-    InputError
-        If a value is unknown or out of its range, or does not fit the prior.
     """
 
     prior: str
@@ -53,7 +50,10 @@ class SolverSettings:
     temporal_filter: bool = False
 
     def __post_init__(self) -> None:
-        check_settings(self.iterations, self.penalty_n, self.lipschitz_ratio)
+        check_iterations(self.iterations)
+        require_number("the penalty λ", self.penalty_n)
+        if not 1 <= self.lipschitz_ratio < math.inf:
+            raise InputError(f"expected L / B of 1 or more, below which FISTA diverges: got {self.lipschitz_ratio}")
         if self.prior not in NO_WAVELETS and self.prior != (full := wavelet_basis_name(self.prior)):
             raise InputError(f"expected the full name '{full}', got '{self.prior}'")
         if not is_whole(self.spins) or not 1 <= self.spins <= 64:
@@ -90,13 +90,7 @@ PRESETS: Final[dict[str, SolverSettings]] = {
 
 
 def preset(name: str) -> SolverSettings:
-    """Return the preset `name`.
-
-    Raises
-    ------
-    InputError
-        If there is no such preset.
-    """
+    """Return the preset `name`."""
     if name not in PRESETS:
         raise InputError(f"unknown solver '{name}': expected one of {', '.join(PRESETS)}")
     return PRESETS[name]

@@ -58,17 +58,14 @@ class VariationFilter:
 class WalshReconstructor:
     """Makes an image of the Walsh sums of all patches.
 
+    Raise InputError unless the patches hold every taxel once.
+
     Parameters
     ----------
     patches : sequence of int arrays, shape (patches of a bus, taxels)
         Row-major indices of the taxels of each patch, by bus, see `skin.walsh.patches`.
     noise_n : float
         Median over the nodes of their noise, newtons; may be set anew between images.
-
-    Raises
-    ------
-    InputError
-        If the patches do not hold every taxel once.
     """
 
     def __init__(self, patches: Sequence[npt.NDArray[Any]], rows: int, columns: int, noise_n: float) -> None:
@@ -94,11 +91,6 @@ class WalshReconstructor:
         known : array of bool, shape (patches, taxels), optional
             Which sums are known; the others are filled in from the forces around. Without `known`, all sums count as
             they are. An image without any known sum is 0.
-
-        Raises
-        ------
-        InputError
-            If the sums or `known` are of another shape, or the sums are not finite.
         """
         check_values("sums", sums_n, self._cells.shape)
         if known is not None and (known.shape != self._cells.shape or known.dtype != np.bool_):

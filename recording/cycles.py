@@ -53,11 +53,6 @@ def decode_log(
         Frames by the number of their bus, in the order of the log.
     advance : callable
         Called with the number of further decoded cycles.
-
-    Raises
-    ------
-    InputError
-        If the log holds no SYNC as the layout has it.
     """
     made: list[Measurement] = []
     for part in play(contract, logged):
@@ -96,11 +91,6 @@ def measure_forces(
         The recorded value that becomes the taxels' largest force; default: the largest value of the recording.
     advance : callable
         Called with the number of further measured frames.
-
-    Raises
-    ------
-    InputError
-        If the recording cannot be used.
     """
     layout, phi, packing = contract.layout, contract.phi, contract.packing
     taxels = layout.taxels

@@ -90,22 +90,11 @@ def export(
         return
     if layout is not None or node or json:
         raise InputError("--layout, --node and --json are for 'skin export firmware': a recording has its layout")
-    export_recording(Path(what), to=to, out=out)
+    _export_recording(Path(what), to, out)
 
 
-def export_recording(source: Path, *, to: Format = "npz", out: Path | None = None) -> None:
-    """Write a recording as arrays, as a video or for other programs; see `export`.
-
-    Of arrays all is read into memory: 100 MB for a minute of images of the default skin. For the images of a CAN log
-    see ``skin rebuild``, for the messages ``skin replay --out``.
-
-    Raises
-    ------
-    InputError
-        If the file is no recording, or the new file cannot be written.
-    RunError
-        If the recording holds no messages, or the disk is full.
-    """
+def _export_recording(source: Path, to: Format, out: Path | None) -> None:
+    """Write a recording; of arrays all is read into memory, 100 MB for a minute of images of the default skin."""
     if source.suffix.lower() != RECORDING_SUFFIX or not source.is_file():
         raise InputError(f"{source}: expected a recording of 'skin record' (.mcap)")
     path = out or source.with_name(source.stem + _SUFFIXES[to])
@@ -137,9 +126,7 @@ def _export_video(source: Path, path: Path) -> None:
     from recording.video import require_libraries, save_video
 
     require_libraries()
-    if path.suffix.lower() != _SUFFIXES["video"]:
-        raise InputError(f"{path}: expected a video that ends in {_SUFFIXES['video']}, got '{path.suffix}'")
-    check_new_path(path, "video")
+    check_new_path(path, "video", _SUFFIXES["video"])
     layout = load_layout(source)
     try:
         made = save_video(path, source, layout, lambda line: say("export", line))

@@ -5,8 +5,9 @@ from collections.abc import Callable
 from dataclasses import asdict, replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
+import msgspec
 import numpy as np
 import numpy.typing as npt
 
@@ -21,8 +22,8 @@ from reconstructor.array_api import BatchSolver, gpu_library
 from reconstructor.engine import Reconstructor
 from reconstructor.options import SolverOptions
 from recording.cycles import Cycles, decode_log, measure_forces
-from recording.image_file import check_out, save_images
 from recording.steps import frames_of_log
+from shell.output import check_new_path, replacing
 from shell.service import say
 from shell.terminal import progress
 from shell.touch_options import ArrayNames, FullScale
@@ -91,7 +92,7 @@ def rebuild(
     """
     is_recording = _is_recording(source)
     _check_options(is_recording, channel, array, full_scale)
-    check_out(out)
+    check_new_path(out, "images", ".npz")
     if layout is None and source.suffix.lower() == RECORDING_SUFFIX:
         layout = source
     skin = load_layout(layout)
@@ -122,7 +123,12 @@ def rebuild(
         "noise_n": options.noise_n,
         "device": device,
     }
-    save_images(out, images, cycles, metadata)
+    arrays: dict[str, Any] = {"images": images, "valid": cycles.valid, "time_ns": cycles.time_ns}
+    try:
+        with replacing(out) as file:
+            np.savez(file, **arrays, metadata=np.array(msgspec.json.encode(metadata).decode()))
+    except OSError as error:
+        raise RunError(f"{out}: the images cannot be written: {error.strerror or error}") from error
     say("rebuild", f"{len(images)} images written to {out}")
 
 

@@ -21,13 +21,13 @@ from dbc.contract import Contract
 from reconstructor.imaging import make_imager
 from reconstructor.options import SolverOptions
 from reconstructor.service import warm_up
-from recording.replaying import Replay, outputs_of
+from recording.replaying import Replay
 from recording.sinks import McapSink
 from recording.step_kinds import Step
 from recording.steps import steps_of
 from shell.output import check_new_path
 from shell.service import StopSignal, say
-from skin.description import Describing
+from skin.description import describe
 from skin.layout import RECORDING_SUFFIX, load_layout, require_one_state
 from skin.mcap_file import CALIBRATION_FILE, File, newest_file, wall_offset_ns
 from skin.sources import DEFAULT_OBJECTS
@@ -107,10 +107,11 @@ def replay(
     if out is None or listen is not None:
         mark = contract.phi.fingerprint
         fabric = Fabric(skin.name, "replay", listen or DEFAULT_ENDPOINT, hub=True, fingerprint=mark)
-        fabric.answer(DESCRIPTION, Describing(skin))
+        about = describe(skin)
+        fabric.answer(DESCRIPTION, lambda _request, reply: reply(about))
     say("replay", f"{source.name}: {imager.about}")
-    make_classifier, outputs = partial(make_service, Classifier(trained, classified), skin), outputs_of(sink, fabric)
-    played = Replay(skin, imager, make_classifier, outputs, sink=sink, offset_ns=offset_ns)
+    make_classifier = partial(make_service, Classifier(trained, classified), skin)
+    played = Replay(skin, imager, make_classifier, fabric=fabric, sink=sink, offset_ns=offset_ns)
     _run(played, steps, stop, speed or (1.0 if fabric else float("inf")), sink, fabric, out)
     for line in played.report.lines():
         say("replay", line)
@@ -148,8 +149,6 @@ def _check(source: Path, speed: float | None, out: Path | None) -> None:
     if speed is not None and not speed > 0:
         raise InputError(f"--speed: expected a number above 0, or inf, got {speed:g}")
     if out is not None:
-        if out.suffix.lower() != RECORDING_SUFFIX:
-            raise InputError(f"{out}: expected a new recording that ends in {RECORDING_SUFFIX}")
-        check_new_path(out, "recording")
+        check_new_path(out, "recording", RECORDING_SUFFIX)
     if not source.is_file():
         raise InputError(f"no file '{source}': expected a recording of 'skin record', or a CAN log")

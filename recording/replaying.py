@@ -3,11 +3,11 @@
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any
 
 import msgspec
 
-from canskin.fabric import Exchange, Fabric, Mailbox
+from canskin.fabric import Exchange, Mailbox
 from canskin.messages import LABEL, MEASUREMENT, Image, Topic
 from classifier.service import AdaptiveClassifierService, ClassifierService
 from reconstructor.imaging import Imager
@@ -16,47 +16,6 @@ from recording.sinks import Sink
 from recording.step_kinds import FramesStep, MeasurementStep, MessageStep, Step
 from shell.service import StopSignal
 from skin.layout import Layout
-
-
-class Output(Protocol):
-    """Receives what a replay publishes."""
-
-    def publish(self, topic: Topic, message: msgspec.Struct, time_ns: int) -> None:
-        """Take a message; `time_ns` is the wall clock of the run."""
-        ...
-
-
-class FabricOutput:
-    """Publishes on the fabric."""
-
-    def __init__(self, fabric: Fabric) -> None:
-        self._fabric = fabric
-
-    def publish(self, topic: Topic, message: msgspec.Struct, _time_ns: int) -> None:
-        """Publish a message."""
-        self._fabric.publish(topic, message)
-
-
-class SinkOutput:
-    """Writes a new recording."""
-
-    def __init__(self, sink: Sink) -> None:
-        self._sink = sink
-        self._encoder = msgspec.msgpack.Encoder()
-
-    def publish(self, topic: Topic, message: msgspec.Struct, time_ns: int) -> None:
-        """Write a message."""
-        self._sink.message(topic, time_ns, self._encoder.encode(message))
-
-
-def outputs_of(sink: Sink | None, fabric: Fabric | None) -> list[Output]:
-    """Return the outputs of a replay."""
-    outputs: list[Output] = []
-    if sink is not None:
-        outputs.append(SinkOutput(sink))
-    if fabric is not None:
-        outputs.append(FabricOutput(fabric))
-    return outputs
 
 
 @dataclass
@@ -110,8 +69,10 @@ class Replay:
     ----------
     make_classifier : callable
         Returns the classifier's service on this exchange.
+    fabric : Exchange, optional
+        Receives the messages.
     sink : Sink, optional
-        Receives the frames, whose clock is `offset_ns` behind the wall clock.
+        Receives the messages and the frames, whose clock is `offset_ns` behind the wall clock.
     """
 
     def __init__(
@@ -119,25 +80,26 @@ class Replay:
         layout: Layout,
         imager: Imager,
         make_classifier: Callable[[Exchange], ClassifierService | AdaptiveClassifierService],
-        outputs: Iterable[Output],
         *,
+        fabric: Exchange | None = None,
         sink: Sink | None = None,
         offset_ns: int = 0,
     ) -> None:
         self.report = Report()
-        self._outputs = list(outputs)
-        self._sink, self._offset_ns = sink, offset_ns
+        self._fabric, self._sink, self._offset_ns = fabric, sink, offset_ns
         self._reconstructor = ReconstructorService(layout, imager, self, clock_ns=self._published_ns)
         self._classifier = make_classifier(self)
         self._now_ns = 0
         self._measured: MeasurementStep | None = None
 
     def publish(self, topic: Topic, message: msgspec.Struct) -> None:
-        """Pass a message to all outputs."""
+        """Pass a message to the fabric and to the sink, with the time of its step."""
         if self._measured is not None and isinstance(message, Image):
             self.report.images.add(_same_image(message, self._measured.image))
-        for output in self._outputs:
-            output.publish(topic, message, self._now_ns)
+        if self._fabric is not None:
+            self._fabric.publish(topic, message)
+        if self._sink is not None:
+            self._sink.message(topic, self._now_ns, msgspec.msgpack.encode(message))
 
     def mailbox(self, topic: Topic, depth: int = 4) -> Mailbox[Any]:
         """Return a mailbox that stays empty: services are called."""

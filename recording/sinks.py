@@ -34,6 +34,8 @@ _LIBRARIES: Final = ("canskin", "eclipse-zenoh", "python-can", "numpy", "mcap")
 class Sink(Protocol):
     """Where a recorder writes. Every method raises OSError if the file cannot be written.
 
+    `now_ns` is the wall clock, and `offset_ns` the wall clock minus CLOCK_MONOTONIC.
+
     Attributes
     ----------
     has_messages : bool
@@ -43,7 +45,7 @@ class Sink(Protocol):
     has_messages: bool
 
     def frames(self, bus: int, arrived: Frames, now_ns: int, offset_ns: int) -> None:
-        """Add the frames of a bus; `now_ns` is the wall clock, `offset_ns` the wall clock minus CLOCK_MONOTONIC."""
+        """Add the frames of a bus."""
         ...
 
     def message(self, topic: Topic, now_ns: int, content: bytes) -> None:
@@ -71,14 +73,8 @@ class Sink(Protocol):
         ...
 
 
-class McapSink:
-    """Writes frames and messages to an MCAP file.
-
-    Parameters
-    ----------
-    now_ns, offset_ns : int
-        Wall clock, and wall clock minus CLOCK_MONOTONIC.
-    """
+class McapSink(RecordingWriter):
+    """Writes frames and messages to an MCAP file."""
 
     has_messages = True
 
@@ -94,7 +90,7 @@ class McapSink:
         }
         files = [File(LAYOUT_FILE, "application/toml", layout_text(layout).encode())]
         files += [File(name, "text/plain", text.encode()) for name, text in contract_files(contract).items()]
-        self._writer = RecordingWriter(path, metadata, files, now_ns)
+        super().__init__(path, metadata, files, now_ns)
         self._topics = [FRAMES + bus.name for bus in layout.bus]
         self._data_bytes = [FD_BYTES if bus.fd else CLASSIC_BYTES for bus in layout.bus]
         for number, bus in enumerate(layout.bus):
@@ -104,35 +100,11 @@ class McapSink:
                 "data_bytes": str(self._data_bytes[number]),
                 "record": RECORD_TEXT,
             }
-            self._writer.add_topic(self._topics[number], "canskin-frames", about)
+            self.add_topic(self._topics[number], "canskin-frames", about)
 
     def frames(self, bus: int, arrived: Frames, now_ns: int, _offset_ns: int) -> None:
         """Add the frames of a bus."""
-        self._writer.add(self._topics[bus], now_ns, to_bytes(arrived, self._data_bytes[bus]))
-
-    def message(self, topic: Topic, now_ns: int, content: bytes) -> None:
-        """Add a message of the fabric."""
-        self._writer.add_message(topic, now_ns, content)
-
-    def note(self, topic: str, now_ns: int, values: Mapping[str, Any]) -> None:
-        """Add what the recorder itself says."""
-        self._writer.add_json(topic, now_ns, values)
-
-    def attach(self, file: File, now_ns: int) -> None:
-        """Attach a file."""
-        self._writer.add_file(file, now_ns)
-
-    def flush(self) -> None:
-        """Make all that was added readable."""
-        self._writer.flush()
-
-    def close(self) -> None:
-        """Write the index."""
-        self._writer.close()
-
-    def abandon(self) -> None:
-        """Close a file that cannot be written any more."""
-        self._writer.abandon()
+        self.add(self._topics[bus], now_ns, to_bytes(arrived, self._data_bytes[bus]))
 
 
 class LogSink:
@@ -192,15 +164,8 @@ class LogSink:
 def open_sink(path: Path, contract: Contract, now_ns: int, offset_ns: int) -> Sink:
     """Open a new file in the format that its suffix names.
 
-    Parameters
-    ----------
-    now_ns, offset_ns : int
-        Wall clock, and wall clock minus CLOCK_MONOTONIC.
-
     Raises
     ------
-    InputError
-        If there is no such format, or the format cannot hold the skin's buses.
     OSError
         If the file cannot be written.
     """
@@ -215,13 +180,7 @@ def open_sink(path: Path, contract: Contract, now_ns: int, offset_ns: int) -> Si
 
 
 def check_log(path: Path, buses: int) -> None:
-    """Check that a log of `buses` buses can have the format of `path`.
-
-    Raises
-    ------
-    InputError
-        If not.
-    """
+    """Check that a log of `buses` buses can have the format of `path`."""
     suffix = path.suffix.lower()
     if suffix not in MESSAGE_WRITERS:
         raise InputError(

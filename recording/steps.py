@@ -31,6 +31,7 @@ from skin.mcap_file import (
     FINGERPRINT,
     FRAMES,
     Entry,
+    Warn,
     message_decoder,
     read_about,
     read_entries,
@@ -63,11 +64,6 @@ def steps_of(
         Every measurement makes an image, whether the live one did or not.
     calibrator : Calibrator, optional
         Puts offsets into measurements that are made of frames alone; recorded ones have their own.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read, or holds nothing to play, or what it holds does not fit the layout.
     """
     if path.suffix.lower() != RECORDING_SUFFIX:
         return _logged(contract, frames_of_log(contract.layout, path, channel, _warn), calibrator)
@@ -79,22 +75,13 @@ def steps_of(
     return _Recorded(path, contract, topics, every=every, calibrator=calibrator).steps()
 
 
-def frames_of_log(
-    layout: Layout, path: Path, channel: list[str] | None, warn: Callable[[str], None]
-) -> dict[int, Frames]:
+def frames_of_log(layout: Layout, path: Path, channel: list[str] | None, warn: Warn) -> dict[int, Frames]:
     """Return the frames of a CAN log by the number of their bus.
 
     Parameters
     ----------
     channel : list of str, optional
         Channels of the log, one per bus. Default: the names of the buses, else all channels in their order.
-    warn : callable
-        Receives one line of text if the log is cut.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read, or has not these channels.
     """
     names = channel or [bus.name for bus in layout.bus]
     if len(names) > len(layout.bus):

@@ -1,6 +1,6 @@
 """What a notebook wants of a recording: arrays of images, measurements, contacts and labels."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
@@ -12,7 +12,7 @@ import numpy.typing as npt
 from canskin.errors import InputError, RunError
 from canskin.messages import CONTACTS, IMAGE, LABEL, MEASUREMENT, TRUTH, Contact, Measurement
 from skin.layout import Layout
-from skin.mcap_file import read_messages
+from skin.mcap_file import Warn, read_messages
 from skin.wall_times import Clocks, WallTimes
 
 Table = dict[str, npt.NDArray[Any]]
@@ -57,22 +57,16 @@ class Tables:
         return {name: table for name, table in vars(self).items() if table and len(next(iter(table.values())))}
 
 
-def read_tables(path: Path, layout: Layout, offset_ns: int, warn: Callable[[str], None]) -> Tables:
+def read_tables(path: Path, layout: Layout, offset_ns: int, warn: Warn) -> Tables:
     """Return the tables of a recording.
 
     Parameters
     ----------
-    layout : Layout
-        Of the recording.
     offset_ns : int
         Wall clock minus CLOCK_MONOTONIC at the beginning: for messages without a measurement that has its own.
-    warn : callable
-        Receives one line of text if the file is cut.
 
     Raises
     ------
-    InputError
-        If the file cannot be read, or its messages do not fit the layout.
     RunError
         If there is nothing to read.
     """

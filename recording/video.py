@@ -1,6 +1,6 @@
 """The images of a recording as a video in real time."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, Final, NamedTuple, Self
@@ -14,7 +14,7 @@ from recording.drawing import Drawing, Picture
 from shell.extras import not_installed
 from shell.output import replacing
 from skin.layout import Layout
-from skin.mcap_file import read_messages
+from skin.mcap_file import Warn, read_messages
 
 if TYPE_CHECKING:
     from av import VideoFrame
@@ -58,27 +58,14 @@ class _Read(NamedTuple):
     peak_n: float
 
 
-def save_video(path: Path, source: Path, layout: Layout, warn: Callable[[str], None]) -> VideoResult:
+def save_video(path: Path, source: Path, layout: Layout, warn: Warn) -> VideoResult:
     """Write the images of a recording as H.264 in MP4: each is shown from its sampling instant to that of the next.
 
     Half a second after the last image before a gap the picture is grey and says how long there is no image, as the
     page does.
 
-    Parameters
-    ----------
-    path : pathlib.Path
-        New file.
-    source : pathlib.Path
-        Recording.
-    layout : Layout
-        Of the recording.
-    warn : callable
-        Receives one line of text if the recording is cut.
-
     Raises
     ------
-    InputError
-        If PyAV or Pillow is not installed, or the recording cannot be read.
     RunError
         If the recording has no images.
     OSError
@@ -99,13 +86,7 @@ def save_video(path: Path, source: Path, layout: Layout, warn: Callable[[str], N
 
 
 def require_libraries() -> None:
-    """Check that the extra is installed.
-
-    Raises
-    ------
-    InputError
-        If not.
-    """
+    """Check that the extra is installed."""
     try:
         import av
         import PIL.Image  # noqa: F401
@@ -115,7 +96,7 @@ def require_libraries() -> None:
         raise InputError(f"--to video: this build of PyAV has no {_CODEC}: install PyAV from its wheels")
 
 
-def _read(source: Path, layout: Layout, warn: Callable[[str], None]) -> _Read:
+def _read(source: Path, layout: Layout, warn: Warn) -> _Read:
     """Read all but the pixels."""
     topics = CONTACTS, LABEL, IMAGE
     known: dict[str, dict[tuple[int, int], Any]] = {topic.name: {} for topic in topics}

@@ -23,39 +23,23 @@ def cache_folder(environment: Mapping[str, str] = os.environ) -> Path:
 
 
 def check_picture_path(path: Path) -> None:
-    """Check that a picture can be saved at `path`.
-
-    Raises
-    ------
-    InputError
-        If the folder does not exist, the name has none of `PICTURE_SUFFIXES`, or no file can be written there.
-    """
+    """Check that a picture can be saved at `path`."""
     check_output_path(path, "picture")
     if path.suffix.lower() not in PICTURE_SUFFIXES:
         raise InputError(f"{path}: expected a picture that ends in {', '.join(PICTURE_SUFFIXES)}, got '{path.suffix}'")
 
 
-def check_new_path(path: Path, what: str) -> None:
-    """Check that a new file can be written at `path`; `what` names the file in the error.
-
-    Raises
-    ------
-    InputError
-        If the file exists, the folder does not exist, or no file can be written there.
-    """
+def check_new_path(path: Path, what: str, suffix: str = "") -> None:
+    """Check that a new file that ends in `suffix` can be written at `path`; `what` names the file in the error."""
+    if not path.name.lower().endswith(suffix):
+        raise InputError(f"{path}: expected a new file for the {what} that ends in {suffix}, got '{path.suffix}'")
     if path.exists():
         raise InputError(f"{path}: is there already; remove it, or choose another name")
     check_output_path(path, what)
 
 
 def check_output_path(path: Path, what: str) -> None:
-    """Check that a file can be written at `path`; `what` names the file in the error.
-
-    Raises
-    ------
-    InputError
-        If the folder does not exist, or no file can be written there.
-    """
+    """Check that a file can be written at `path`; `what` names the file in the error."""
     if not path.resolve().parent.is_dir():
         raise InputError(f"{path}: the folder for the {what} does not exist: make the folder, or give another path")
     is_new = not path.exists()

@@ -31,11 +31,6 @@ def in_parallel(
         Address of a Dask scheduler whose workers have this project installed.
     ahead : int, optional
         Calls per job that run before their results are yielded, to limit the memory of large results; default: all.
-
-    Raises
-    ------
-    InputError
-        If `jobs` is below 1, Dask is not installed, or no scheduler answers.
     """
     if jobs < 1:
         raise InputError(f"expected 1 job or more, got {jobs}")

@@ -105,13 +105,7 @@ def _end_with_parent() -> None:
 
 
 def listen(host: str, port: int) -> socket.socket:
-    """Open a socket on which a page is served; port 0 is a free port.
-
-    Raises
-    ------
-    InputError
-        If the address cannot be used.
-    """
+    """Open a socket on which a page is served; port 0 is a free port."""
     if not 0 <= port <= HIGHEST_PORT:
         raise InputError(f"--port: expected 0 to {HIGHEST_PORT}, got {port}")
     try:

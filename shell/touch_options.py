@@ -84,13 +84,7 @@ class TouchOptions:
         return object_names(self.objects)
 
     def check(self) -> None:
-        """Check the options that need no layout.
-
-        Raises
-        ------
-        InputError
-            If the seed is below 0, an option of a recording was given for objects, or one of objects for a recording.
-        """
+        """Check the options that need no layout."""
         if self.seed < 0:
             raise InputError(f"--seed: expected 0 or more, got {self.seed}")
         for flag, value in (("--array", self.array), ("--full-scale", self.full_scale), ("--rate", self.rate)):
@@ -100,13 +94,7 @@ class TouchOptions:
             raise InputError("--stroke is for objects: a recording shows its own touches")
 
     def source(self, layout: Layout, rest_s: float = 0.0) -> TaxelSource:
-        """Return the touch on a skin; simulated objects wait for `rest_s`.
-
-        Raises
-        ------
-        InputError
-            If an object is unknown, or the recording cannot be used.
-        """
+        """Return the touch on a skin; simulated objects wait for `rest_s`."""
         if self.input is None:
             return load_objects(layout, names=self.names or None, stroke=self.stroke, seed=self.seed, rest_s=rest_s)
         taxels = layout.taxels
@@ -123,13 +111,7 @@ class TouchOptions:
         )
 
     def defects(self, layout: Layout) -> Defects:
-        """Return the defects and drifts.
-
-        Raises
-        ------
-        InputError
-            If one cannot be used.
-        """
+        """Return the defects and drifts."""
         return parse_defects(self.defect, self.drift, self.seed, layout)
 
     def arguments(self) -> list[str]:

@@ -70,13 +70,7 @@ class StoredCalibration(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
         return np.array(self.offsets_n, np.float64) if self.offsets_n else None
 
     def required_offsets_n(self, origin: str) -> Floats:
-        """Return the offsets of the sums; `origin` names the calibration in the message.
-
-        Raises
-        ------
-        InputError
-            If there are none.
-        """
+        """Return the offsets of the sums; `origin` names the calibration in the message."""
         offsets_n = self.sum_offsets_n()
         if offsets_n is None:
             raise InputError(
@@ -133,13 +127,7 @@ def most_offset_n(layout: Layout) -> float:
 
 
 def load_calibration(path: Path, layout: Layout, *, is_shown: bool = False) -> StoredCalibration:
-    """Read a file, or the calibration of a recording; to be shown, with offsets beyond `most_offset_n`, too.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read, or belongs to another skin.
-    """
+    """Read a file, or the calibration of a recording; to be shown, with offsets beyond `most_offset_n`, too."""
     if path.suffix.lower() == RECORDING_SUFFIX:
         return _recorded(path, layout, is_shown=is_shown)
     try:
@@ -169,11 +157,6 @@ def parse_calibration(content: bytes, layout: Layout, origin: str, *, is_shown: 
     """Decode and check the content of a file; `origin` names the file in messages.
 
     What is only shown or saved may have offsets of sums beyond `most_offset_n`.
-
-    Raises
-    ------
-    InputError
-        If it is no calibration, or belongs to another skin.
     """
     try:
         version = msgspec.json.decode(content, type=_Version).version

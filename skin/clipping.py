@@ -37,11 +37,6 @@ class ClipCorrection:
     ----------
     noise_n : float
         σ in newtons, above 0.
-
-    Raises
-    ------
-    InputError
-        If σ is not a number above 0.
     """
 
     def __init__(self, noise_n: float) -> None:

@@ -285,13 +285,7 @@ KINDS: Final = {
 
 @dataclass(frozen=True)
 class Defect:
-    """One defect: a kind of `KINDS`, its amount, and the seed of what it draws.
-
-    Raises
-    ------
-    InputError
-        If the amount cannot be used.
-    """
+    """One defect: a kind of `KINDS`, its amount, and the seed of what it draws."""
 
     kind: str
     amount: float
@@ -320,13 +314,7 @@ class Defects:
 
     @classmethod
     def of(cls, amounts: Mapping[str, float | None], seed: int = 0) -> "Defects":
-        """Return the defects of these amounts by kind; None or 0: no defect.
-
-        Raises
-        ------
-        InputError
-            If an amount cannot be used.
-        """
+        """Return the defects of these amounts by kind; None or 0: no defect."""
         return cls(tuple(Defect(kind, amount, seed) for kind, amount in amounts.items() if amount))
 
     @cached_property
@@ -381,11 +369,6 @@ def parse_defects(kinds: Iterable[str], drifts: Iterable[str], seed: int, layout
         Seed of the choice of taxels.
     layout : Layout
         Only an analogue front end has defects of sums.
-
-    Raises
-    ------
-    InputError
-        If a text cannot be used.
     """
     made = {}
     for text in kinds:

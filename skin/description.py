@@ -1,7 +1,6 @@
 """The description of a layout for programs, which the gateway gives."""
 
-from canskin.description import Description, DescriptionRequest, boot_id
-from canskin.fabric import Reply
+from canskin.description import Description, boot_id
 from skin.layout import Layout
 
 
@@ -24,14 +23,3 @@ def describe(layout: Layout) -> Description:
         fingerprint=phi.fingerprint,
         boot_id=boot_id(),
     )
-
-
-class Describing:
-    """Answers requests for the description of a skin: a handler of `canskin.fabric.Fabric.answer`."""
-
-    def __init__(self, layout: Layout) -> None:
-        self._description = describe(layout)
-
-    def __call__(self, _request: DescriptionRequest, reply: Reply) -> None:
-        """Answer one request."""
-        reply(self._description)

@@ -17,16 +17,7 @@ from skin.walsh import Indices, patches
 from skin.wiring import check_patch, within_patches
 
 #: Names of the layouts that come with the project.
-SHIPPED: Final = (
-    "adaptive",
-    "adaptive-fd",
-    "analogue",
-    "default",
-    "fd",
-    "one-bus-12bit",
-    "recognise-first",
-    "recognition",
-)
+SHIPPED: Final = tuple(sorted(Path(each.name).stem for each in files("skin.layouts").iterdir() if ".toml" in each.name))
 #: Lowest and highest bit rate of classic CAN and of the nominal phase, from the table in CiA 301.
 BITRATE_MIN: Final = 10_000
 BITRATE_MAX: Final = 1_000_000
@@ -289,37 +280,19 @@ class Layout(_Table, frozen=True, kw_only=True):
 
 
 def load_layout(path: Path | None = None) -> Layout:
-    """Read a layout: a file, that of a recording, or, by its bare name, one of `SHIPPED`; without a path, the default.
-
-    Raises
-    ------
-    LayoutError
-        If the file cannot be read, or a key is wrong, missing or unknown; the message names the path of the key.
-    """
+    """Read a layout: a file, that of a recording, or one of `SHIPPED` by its bare name; without a path, the default."""
     name = "default" if path is None else str(path)
     return parse_layout(*_read(path, name))
 
 
 def require_sending(layout: Layout, sending: SendingName, what: str, why: str) -> None:
-    """Check that a layout has the way of sending that a verb or an option is for.
-
-    Raises
-    ------
-    InputError
-        If it has another; `what` names the verb or option, `why` gives the reason, or says what to do.
-    """
+    """Check that a layout has the way of sending that `what` is for; `why` is the reason, or what to do."""
     if layout.sending != sending:
         raise InputError(f"{what} for {sending} sending: {why}")
 
 
 def require_one_state(layout: Layout, what: str) -> None:
-    """Check that a layout has no state of recognition.
-
-    Raises
-    ------
-    LayoutError
-        If it has; `what` names what does not know it.
-    """
+    """Check that a layout has no state of recognition, which `what` does not know."""
     if layout.recognition is not None:
         raise LayoutError(f"{what} does not know recognition: expected a layout without it - at `$.recognition`")
 
@@ -389,13 +362,7 @@ def _with_sizes(tables: dict[str, Any]) -> dict[str, Any]:
 
 
 def validated(layout: Layout) -> Layout:
-    """Check a layout that a program has built, and return it with every value in the type of its key.
-
-    Raises
-    ------
-    LayoutError
-        If a value is not allowed; the message names the path of the key.
-    """
+    """Check a layout that a program has built, and return it with every value in the type of its key."""
     try:
         document = msgspec.to_builtins(layout)
         checked = msgspec.convert(document, Layout)

@@ -60,6 +60,8 @@ _DAMAGE: Final = (
     TypeError,
     MemoryError,
 )
+#: Receives a line of text for each part of a file that is missing or damaged; all other parts are read.
+Warn = Callable[[str], None]
 
 
 class Gap(NamedTuple):
@@ -127,10 +129,10 @@ class RecordingWriter:
         self._writer.start(PROFILE)
         self._writer.add_metadata(METADATA, dict(metadata))
         for each in files:
-            self.add_file(each, time_ns)
+            self.attach(each, time_ns)
         self.flush()
 
-    def add_file(self, file: File, time_ns: int) -> None:
+    def attach(self, file: File, time_ns: int) -> None:
         """Attach a file; of several of one name the newest counts."""
         self._writer.add_attachment(time_ns, time_ns, file.name, file.media_type, file.content)
 
@@ -142,13 +144,13 @@ class RecordingWriter:
         """Add a message; `time_ns` is the wall clock."""
         self._writer.add_message(self._channels[topic], time_ns, data, time_ns)
 
-    def add_message(self, topic: Topic, time_ns: int, data: bytes) -> None:
+    def message(self, topic: Topic, time_ns: int, data: bytes) -> None:
         """Add a message of the fabric, as it was published."""
         if topic.name not in self._channels:
             self.add_topic(topic.name, "msgpack", {"message": topic.message.__name__})
         self.add(topic.name, time_ns, data)
 
-    def add_json(self, topic: str, time_ns: int, values: Mapping[str, Any]) -> None:
+    def note(self, topic: str, time_ns: int, values: Mapping[str, Any]) -> None:
         """Add a JSON object."""
         if topic not in self._channels:
             self.add_topic(topic, "json", {})
@@ -178,13 +180,7 @@ class RecordingWriter:
 
 
 def read_about(path: Path) -> About:
-    """Return what a recording says of itself.
-
-    Raises
-    ------
-    InputError
-        If the file is no recording of a skin, or cannot be read.
-    """
+    """Return what a recording says of itself."""
     about = About({}, {})
     for record in _records(path):
         if isinstance(record, Metadata) and record.name == METADATA:
@@ -199,10 +195,7 @@ def read_about(path: Path) -> About:
 def newest_file(path: Path, name: str) -> bytes | None:
     """Return the newest attachment of a name, wherever in the recording it is; None without.
 
-    Raises
-    ------
-    InputError
-        If the file is no recording of a skin, or cannot be read, or the newest attachment of the name is damaged.
+    Raise InputError if the newest is damaged, though an older one is whole.
     """
     read_about(path)
     found: bytes | None = None
@@ -229,13 +222,7 @@ def _sound(path: Path, name: str, found: bytes | None, is_damaged: bool) -> byte
 
 
 def wall_offset_ns(path: Path) -> int:
-    """Return wall clock minus the clock of the frames and messages of a recording.
-
-    Raises
-    ------
-    InputError
-        If the file is no recording of a skin, or cannot be read.
-    """
+    """Return wall clock minus the clock of the frames and messages of a recording."""
     return int(read_about(path).metadata.get(WALL_OFFSET_NS, 0))
 
 
@@ -247,10 +234,10 @@ class Read(NamedTuple):
     message: Any
 
 
-def read_messages(path: Path, topics: Iterable[Topic], warn: Callable[[str], None]) -> Iterator[Read]:
+def read_messages(path: Path, topics: Iterable[Topic], warn: Warn) -> Iterator[Read]:
     """Yield the messages of some topics of a recording in the order of the file.
 
-    Parameters and errors as for `read_entries`; a message that does not fit its topic is an InputError, too.
+    Raise InputError at a message that does not fit its topic.
     """
     wanted = {topic.name: (topic, message_decoder(path, topic)) for topic in topics}
     for entry in read_entries(path, warn):
@@ -273,19 +260,8 @@ def message_decoder(path: Path, topic: Topic) -> Callable[[bytes], Any]:
     return decoded
 
 
-def read_entries(path: Path, warn: Callable[[str], None]) -> Iterator[Entry]:
-    """Yield the messages of a recording in the order of the file.
-
-    Parameters
-    ----------
-    warn : callable
-        Receives a line of text for each part of the file that is missing or damaged; all other parts are read.
-
-    Raises
-    ------
-    InputError
-        If the file is no recording of a skin, or cannot be read.
-    """
+def read_entries(path: Path, warn: Warn) -> Iterator[Entry]:
+    """Yield the messages of a recording in the order of the file."""
     channels: Mapping[int, Channel] = {}
     first_ns = last_ns = unknown = 0
     for record in _records(path):
@@ -321,13 +297,7 @@ def _indexed_channels(path: Path) -> Mapping[int, Channel]:
 
 
 def read_topics(path: Path) -> set[str]:
-    """Return the topics of which a recording has messages.
-
-    Raises
-    ------
-    InputError
-        If the file is no recording of a skin, or cannot be read.
-    """
+    """Return the topics of which a recording has messages."""
     read_about(path)
     with path.open("rb") as file, contextlib.suppress(*_DAMAGE):
         summary = make_reader(file).get_summary()

@@ -62,13 +62,7 @@ Kind = TypeVar("Kind", bound=Measurement)
 
 
 def decode_measurement(measurement: Measurement, phi: Sbhe) -> MeasuredSums:
-    """Return the sums of the measurement of a cycle with Φ.
-
-    Raises
-    ------
-    InputError
-        If `check_measurement` does, or sums less offsets do not fit int32.
-    """
+    """Return the sums of the measurement of a cycle with Φ."""
     check_measurement(measurement, phi, CycleMeasurement)
     valid_sums = used_sums(measurement, phi)
     return MeasuredSums(corrected_counts(measurement, valid_sums), used_blocks(measurement, phi), valid_sums)
@@ -115,13 +109,7 @@ def part_of_measurement(measurement: Measurement, part: Sbhe, places: npt.NDArra
 
 
 def decode_adaptive(measurement: Measurement, phi: Sbhe) -> AdaptiveSums:
-    """Return the sums of an adaptive measurement with Φ.
-
-    Raises
-    ------
-    InputError
-        If `check_measurement` does, or a value is one that it cannot be, or sums less offsets do not fit int32.
-    """
+    """Return the sums of an adaptive measurement with Φ."""
     measurement = check_measurement(measurement, phi, AdaptiveMeasurement)
     if not (math.isfinite(measurement.noise_n) and measurement.noise_n >= 0):
         raise InputError(f"noise_n of {measurement.noise_n}, expected a number of 0 or more")
@@ -145,11 +133,6 @@ def check_measurement(measurement: Measurement, phi: Sbhe, kind: type[Kind]) -> 
         Φ of its sums.
     kind : type
         `CycleMeasurement`, `AdaptiveMeasurement`, or `Measurement` for both.
-
-    Raises
-    ------
-    InputError
-        If the sums were measured with another Φ, or the measurement is of another kind, or an array has another length.
     """
     check_fingerprint(measurement.fingerprint, phi)
     if not isinstance(measurement, kind):
@@ -170,13 +153,7 @@ def check_measurement(measurement: Measurement, phi: Sbhe, kind: type[Kind]) -> 
 
 
 def check_fingerprint(fingerprint: str, phi: Sbhe) -> None:
-    """Check that sums were measured with Φ.
-
-    Raises
-    ------
-    InputError
-        If the fingerprint is that of another Φ.
-    """
+    """Check that sums were measured with Φ."""
     if fingerprint != phi.fingerprint:
         came = fingerprint[:32]
         raise InputError(f"measured with Φ {came!r}, expected {phi.fingerprint}: give both ends the same --layout")

@@ -148,16 +148,11 @@ class Sbhe:
         Parameters
         ----------
         x : array, shape (..., n)
-            Taxels, row-major. Floats keep their dtype; integers are summed exactly in int32.
+            Taxels, row-major, real and finite. Floats keep their dtype; integers are summed exactly in int32.
 
         Returns
         -------
         array, shape (..., m)
-
-        Raises
-        ------
-        InputError
-            If the last axis has another length, or a number is complex, NaN or infinite; so does `adjoint`.
         """
         check_vectors("taxels", x, self.shape[1])
         sent: npt.NDArray[Any] = x if np.issubdtype(x.dtype, np.floating) else x.astype(np.int32)
@@ -182,13 +177,7 @@ class Sbhe:
         return taxels
 
     def sums_of_blocks(self, valid: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
-        """Spread one validity per block, shape (blocks,), to one per sum, shape (m,).
-
-        Raises
-        ------
-        InputError
-            If there is not one boolean for each block.
-        """
+        """Spread one validity per block, shape (blocks,), to one per sum, shape (m,)."""
         if valid.shape != (self.blocks,) or valid.dtype != np.bool_:
             raise InputError(f"expected {self.blocks} booleans, one a block, got {valid.dtype} of shape {valid.shape}")
         return valid[self.block_of_sum]
@@ -222,11 +211,6 @@ def sbhe(
         paper, so blocks send different numbers of sums.
     seed : int
         Same seed, same Φ, on every platform (NumPy's PCG64).
-
-    Raises
-    ------
-    InputError
-        If the sizes do not fit each other.
     """
     _check_sizes(taxels, sums, block_size)
     if selection not in get_args(Selection):
@@ -264,11 +248,6 @@ def of_rows(order: npt.NDArray[np.intp], block_size: int, rows: Sequence[tuple[i
         Permutation P.
     rows : sequence of (int, int)
         Block and Hadamard row of each sum.
-
-    Raises
-    ------
-    InputError
-        If a row does not exist or is named twice.
     """
     kept = np.zeros((order.size // block_size, block_size), np.bool_)
     for block, row in rows:
@@ -290,11 +269,6 @@ def part_of(phi: Sbhe, sums: int, seed: int) -> Sbhe:
         With as many rows in every block that are needed.
     sums : int
         Fewer than blocks, or a multiple of them.
-
-    Raises
-    ------
-    InputError
-        If the sums cannot be spread evenly.
     """
     random, each = seeded(seed), max(1, sums // phi.blocks)
     if not 0 < sums < phi.shape[0] or (sums > phi.blocks and sums % phi.blocks):
@@ -329,13 +303,7 @@ def _check_sizes(taxels: int, sums: int, block_size: int) -> None:
 
 
 def seeded(seed: int) -> np.random.Generator:
-    """Return the random generator from which Φ is drawn; it is the same on every platform.
-
-    Raises
-    ------
-    InputError
-        If the seed is negative.
-    """
+    """Return the random generator from which Φ is drawn; it is the same on every platform."""
     if seed < 0:
         raise InputError(f"expected a seed of 0 or above, got {seed}")
     return np.random.Generator(np.random.PCG64(seed))

@@ -1,9 +1,12 @@
 """Peak signal-to-noise ratio (PSNR) of an image against the true forces."""
 
 import math
+from collections.abc import Iterable
 
 import numpy as np
 import numpy.typing as npt
+
+from skin.taxel import FORCE_MAX_N
 
 
 def decibels(mean_square_n2: npt.ArrayLike, peak_n: float) -> npt.NDArray[np.float64]:
@@ -25,7 +28,7 @@ def decibels(mean_square_n2: npt.ArrayLike, peak_n: float) -> npt.NDArray[np.flo
     return np.asarray(10 * np.log10(peak_n**2 / floored), np.float64)
 
 
-def psnr_db(true: npt.NDArray[np.floating], other: npt.NDArray[np.floating], peak_n: float) -> float:
+def psnr_db(true: npt.NDArray[np.floating], other: npt.NDArray[np.floating], peak_n: float = FORCE_MAX_N) -> float:
     """Return the peak signal-to-noise ratio of `other` against `true`, see `decibels`.
 
     Parameters
@@ -41,6 +44,13 @@ def psnr_db(true: npt.NDArray[np.floating], other: npt.NDArray[np.floating], pea
         Decibels; equal images give 200.
     """
     return float(decibels(np.mean((true.astype(np.float64) - other) ** 2), peak_n))
+
+
+def psnr_series_db(
+    true: npt.NDArray[np.floating], others: Iterable[npt.NDArray[np.floating]]
+) -> npt.NDArray[np.float64]:
+    """Return `psnr_db` of every image of a series, shape (frames,); `true` has shape (frames, rows, columns)."""
+    return np.array([psnr_db(one, other) for one, other in zip(true, others, strict=True)])
 
 
 def adds_noise(sensor_db: float, adc_bits: int) -> bool:

@@ -15,25 +15,13 @@ def ranges_text(numbers: Iterable[int]) -> str:
 
 
 def require_above_zero(name: str, value: float) -> None:
-    """Check a number above 0.
-
-    Raises
-    ------
-    InputError
-        If it is none.
-    """
+    """Check a number above 0."""
     if not (math.isfinite(value) and value > 0):
         raise InputError(f"{name} needs a number above 0: got {value}")
 
 
 def require_number(name: str, value: float, most: float = math.inf) -> None:
-    """Check a number from 0 to `most`.
-
-    Raises
-    ------
-    InputError
-        If it is none.
-    """
+    """Check a number from 0 to `most`."""
     if not (math.isfinite(value) and 0 <= value <= most):
         expected = "a number of 0 or more" if most == math.inf else f"a number from 0 to {most:g}"
         raise InputError(f"{name} needs {expected}: got {value}")

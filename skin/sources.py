@@ -80,25 +80,13 @@ def step_rate_hz(layout: Layout) -> float:
 
 
 def load_source(name: str, **options: Any) -> TaxelSource:
-    """Build the taxel source registered under `name`.
-
-    Raises
-    ------
-    InputError
-        If no installed package offers a source of this name.
-    """
+    """Build the taxel source registered under `name`."""
     source: TaxelSource = _load(SOURCES, name)(**options)
     return source
 
 
 def load_objects(layout: Layout, **options: Any) -> TaxelSource:
-    """Build the source of simulated objects on a skin's grid, at `step_rate_hz`; untouchable taxels feel nothing.
-
-    Raises
-    ------
-    InputError
-        If no installed package offers objects, or an option does not fit them.
-    """
+    """Build the source of simulated objects on a skin's grid, at `step_rate_hz`; untouchable taxels feel nothing."""
     taxels = layout.taxels
     source = load_source(
         "objects",
@@ -131,26 +119,18 @@ def _sheltered(force_n: npt.NDArray[np.float32], layout: Layout) -> npt.NDArray[
     return force_n
 
 
-def split_names(given: Iterable[str]) -> tuple[str, ...]:
-    """Return the names of a list option, without repetition; the user may separate them by spaces or commas.
-
-    Examples
-    --------
-    >>> split_names(["golf-ball,ring", "cup", "ring"])
-    ('golf-ball', 'ring', 'cup')
-    """
-    return tuple(dict.fromkeys(name.strip() for each in given for name in each.split(",") if name.strip()))
-
-
 def object_names(given: Iterable[str]) -> tuple[str, ...]:
     """Return names of objects, each once, with the objects of `OBJECT_GROUPS` in place of the name of a group.
+
+    The user may separate the names of a list option by spaces or commas.
 
     Examples
     --------
     >>> object_names(["ring,cup", "ring"])
     ('ring', 'cup')
     """
-    return tuple(dict.fromkeys(name for each in split_names(given) for name in OBJECT_GROUPS.get(each, (each,))))
+    split = (name.strip() for each in given for name in each.split(",") if name.strip())
+    return tuple(dict.fromkeys(name for each in split for name in OBJECT_GROUPS.get(each, (each,))))
 
 
 def known_objects(touching: Iterable[str]) -> tuple[str, ...]:
@@ -166,11 +146,6 @@ def load_sender(name: str) -> Callable[..., Any]:
     """Return the function registered under `name` that tells what nodes send of a touch.
 
     The function is called with ``(contract, bus, source, seconds, seed=)`` and returns the frames of sums of one bus.
-
-    Raises
-    ------
-    InputError
-        If no installed package offers a sender of this name.
     """
     return _load(SENDERS, name)
 
@@ -190,11 +165,6 @@ def load_touches(
     The entry point is called with ``(names, count, rows=, columns=, pitch_m=, seed=, skip_unfelt=)``, with
     ``stroke="press"`` where this kind is wanted, and returns images and labels. Default objects that are too large for
     the skin are left out.
-
-    Raises
-    ------
-    InputError
-        If no installed package offers such touches, or the entry point does not know a name.
     """
     taxels = layout.taxels
     force_n, labels = _load(TOUCHES, RANDOM)(

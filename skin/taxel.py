@@ -57,11 +57,6 @@ def sense(
     -------
     numpy.ndarray
         Of `dtype`, the shape of `force_n`.
-
-    Raises
-    ------
-    InputError
-        If the noise is below 0 or the range is empty.
     """
     _check(noise_n, force_max_n)
     signal = _with_noise(force_n, rng, noise_n, dtype)
@@ -124,11 +119,6 @@ class TaxelModel:
     noise_n, force_max_n : float
         As for `sense`.
     defects : Defects
-
-    Raises
-    ------
-    InputError
-        If the noise is below 0 or the range is empty.
     """
 
     noise_n: float = NOISE_N
@@ -156,11 +146,6 @@ class TaxelModel:
         -------
         numpy.ndarray
             float32, the same shape. The damper takes a speed of 0 at the first step, and the skin has rested before.
-
-        Raises
-        ------
-        InputError
-            If the forces are not of that shape, or a number cannot be used.
         """
         if force_n.ndim != 3:
             raise InputError(f"expected forces of shape (steps, rows, columns), got {force_n.shape}")

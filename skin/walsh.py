@@ -22,13 +22,7 @@ Indices = npt.NDArray[np.intp]
 
 
 def patch_shape(taxels: int) -> tuple[int, int]:
-    """Return height and width of a patch of 2^k taxels: 2^⌊k/2⌋ and 2^⌈k/2⌉.
-
-    Raises
-    ------
-    InputError
-        If the number is not a power of two.
-    """
+    """Return height and width of a patch of 2^k taxels: 2^⌊k/2⌋ and 2^⌈k/2⌉."""
     if taxels < 1 or taxels & (taxels - 1):
         raise InputError(f"expected patches of a power of two taxels, got {taxels}")
     high = 1 << (taxels.bit_length() - 1) // 2
@@ -52,11 +46,6 @@ def patches(rows: int, columns: int, taxels: int, blocks: Sequence[int]) -> list
     -------
     list of arrays of int, shape (blocks of the bus, taxels)
         Row-major indices, by bus: the taxels of each patch, row by row; the patches row by row.
-
-    Raises
-    ------
-    InputError
-        If the grid does not divide into patches of `taxels`, or their number is not that of `blocks`.
     """
     high, wide = patch_shape(taxels)
     if rows % high or columns % wide or rows * columns != taxels * sum(blocks):
@@ -95,11 +84,6 @@ def grouped_rows(taxels: int) -> Indices:
     array of int, shape (GROUPS, taxels / GROUPS)
         Group 2·[a ≥ h/2] + [b ≥ w/2] holds the rows of vertical sequency a and horizontal sequency b, by a, then b.
         The first row of group 0 is the sum of all taxels. Group 0 alone is the mean of cells of 2 x 2 taxels.
-
-    Raises
-    ------
-    InputError
-        If a patch cannot be divided so.
     """
     high, wide = patch_shape(taxels)
     if high < 2:

@@ -11,13 +11,7 @@ from skin.walsh import Indices, dealt
 
 
 def check_patch(rows: int, columns: int, block_size: int, wiring: str, patch: int | None) -> None:
-    """Check ``measurement.patch`` of a layout.
-
-    Raises
-    ------
-    LayoutError
-        If the key does not fit the wiring, the grid or the blocks.
-    """
+    """Check ``measurement.patch`` of a layout."""
     if patch is None:
         return
     problem = None

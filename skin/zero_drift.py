@@ -60,11 +60,6 @@ class ZeroDrift:
         Seconds from the first step.
     duration_s : float, optional
         Default: 60 s, ``daily`` 24 h; ``step`` has none.
-
-    Raises
-    ------
-    InputError
-        If a value cannot be used.
     """
 
     place: Place
@@ -89,13 +84,7 @@ class ZeroDrift:
             raise InputError(f"duration_s needs {expected}: got {self.duration_s}")
 
     def offsets_n(self, taxels: tuple[int, ...], time_s: _Floats) -> Force:
-        """Return offsets of shape (times, *taxels), newtons.
-
-        Raises
-        ------
-        InputError
-            If the place is not within an array of shape `taxels`.
-        """
+        """Return offsets of shape (times, *taxels), newtons."""
         duration_s = _DURATIONS_S[self.course] if self.duration_s is None else self.duration_s
         course_n = self.amount_n * _COURSES[self.course](time_s - self.start_s, duration_s)
         offsets_n: Force = np.multiply.outer(course_n.astype(np.float32), _weights(self, taxels))
@@ -116,11 +105,6 @@ def parse_drifts(
         Each ``PLACE:COURSE:AMOUNT_N[:START_S[:DURATION_S]]``, for example ``patch12:ramp:0.003:10:60``.
     seed : int
         Places patches without place: each text has another.
-
-    Raises
-    ------
-    InputError
-        If a text cannot be used.
     """
     of_taxels: list[ZeroDrift] = []
     of_sums: list[ZeroDrift] = []

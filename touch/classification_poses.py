@@ -26,7 +26,7 @@ PERTURBATIONS: Final = len(OFFSETS_M) ** 2 * len(ROTATIONS_RAD)
 
 
 def poses(perturbations: int = PERTURBATIONS, seed: int = 0) -> list[Pose]:
-    """Return the object's poses in the frame of the moved and turned array, at the paper's full depth.
+    """Return the object's poses in the frame of the moved and turned array, 1 to 360, at the paper's full depth.
 
     Parameters
     ----------
@@ -35,11 +35,6 @@ def poses(perturbations: int = PERTURBATIONS, seed: int = 0) -> list[Pose]:
         smaller number is drawn from them without repetition.
     seed : int
         Seed of the draw. The same number and seed give the same poses for every object and array.
-
-    Raises
-    ------
-    InputError
-        If `perturbations` is not 1 to 360, or the seed is below 0.
     """
     if not 1 <= perturbations <= PERTURBATIONS:
         raise InputError(f"expected 1 to {PERTURBATIONS} perturbations, got {perturbations}")
@@ -61,7 +56,7 @@ def observations(
     *,
     perturbations: int = PERTURBATIONS,
     seed: int = 0,
-    meshes: Path | None = None,
+    meshes: str | Path | None = None,
     names: Sequence[str] | None = None,
 ) -> Force:
     """Return the true force of one array under every object from every offset.
@@ -83,11 +78,6 @@ def observations(
     -------
     numpy.ndarray
         float32, shape (objects, perturbations, side, side), newtons; no noise.
-
-    Raises
-    ------
-    InputError
-        If a name, a kind or a number cannot be used.
     """
     listed = CLASSIFICATION_OBJECTS if names is None else checked_names(names)
     drawn = poses(perturbations, seed)
@@ -95,12 +85,6 @@ def observations(
 
 
 def observe(spheres: Spheres, at: Sequence[Pose], side: int, kind: Kind) -> Force:
-    """Return the true force of one array under one object at each pose, float32, shape (poses, side, side).
-
-    Raises
-    ------
-    InputError
-        If the array is unknown or a pose cannot be used.
-    """
+    """Return the true force of one array under one object at each pose, float32, shape (poses, side, side)."""
     force_n = press_along(grid_of(side, kind), spheres, at)
     return averaged(force_n, side) if kind == "averaged" else force_n

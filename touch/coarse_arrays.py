@@ -7,7 +7,7 @@ The paper does not define its coarse taxels. Three interpretations are possible:
     sparse     the fine array's 2 mm sphere in the middle of each cell
 """
 
-from typing import Final, Literal, get_args
+from typing import Final, Literal
 
 import numpy as np
 
@@ -23,16 +23,11 @@ SIDE_M: Final = 0.256
 
 
 def grid_of(side: int, kind: Kind = "large") -> Grid:
-    """Return the array of `side` x `side` spheres on 256 mm.
+    """Return the array of `side` x `side` spheres on 256 mm, `side` one of `ARRAYS`.
 
     For ``averaged`` this is the fine array, whose cells `averaged` averages.
-
-    Raises
-    ------
-    InputError
-        If the paper has no array of this side, or the kind is unknown.
     """
-    _check(side, kind)
+    _check(side)
     if kind == "averaged":
         side = FINE_SIDE
     pitch_m = SIDE_M / side
@@ -54,13 +49,8 @@ def averaged(force_n: Force, side: int) -> Force:
     -------
     numpy.ndarray
         float32, shape (..., side, side), newtons.
-
-    Raises
-    ------
-    InputError
-        If the shape is wrong, or the paper has no array of this side.
     """
-    _check(side, "averaged")
+    _check(side)
     if force_n.shape[-2:] != (FINE_SIDE, FINE_SIDE):
         raise InputError(f"expected forces of shape (..., {FINE_SIDE}, {FINE_SIDE}), got {force_n.shape}")
     if side == FINE_SIDE:
@@ -70,8 +60,6 @@ def averaged(force_n: Force, side: int) -> Force:
     return means
 
 
-def _check(side: int, kind: Kind) -> None:
+def _check(side: int) -> None:
     if side not in ARRAYS:
         raise InputError(f"unknown array side {side}: expected one of {', '.join(map(str, ARRAYS))}")
-    if kind not in get_args(Kind):
-        raise InputError(f"unknown kind of array '{kind}': expected one of {', '.join(get_args(Kind))}")

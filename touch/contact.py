@@ -94,13 +94,7 @@ class Spheres:
 
 @dataclass(frozen=True)
 class Grid:
-    """A planar array of taxels; taxel (row, column) lies at x by its column and y by its row.
-
-    Raises
-    ------
-    InputError
-        If a size is not positive.
-    """
+    """A planar array of taxels; taxel (row, column) lies at x by its column and y by its row."""
 
     rows: int = 64
     columns: int = 64
@@ -134,11 +128,6 @@ def press(grid: Grid, objects: Iterable[tuple[Spheres, Pose]]) -> Force:
     -------
     numpy.ndarray
         float32, shape (rows, columns), newtons; no noise and no limit.
-
-    Raises
-    ------
-    InputError
-        If a pose is not finite.
     """
     compression = np.zeros((grid.rows, grid.columns), np.float32)
     for spheres, pose in objects:
@@ -161,11 +150,6 @@ def press_along(grid: Grid, spheres: Spheres, poses: Iterable[Pose]) -> Force:
     -------
     numpy.ndarray
         float32, shape (poses, rows, columns), newtons.
-
-    Raises
-    ------
-    InputError
-        If there is no pose, or one is not finite.
     """
     images = [press(grid, [(spheres, pose)]) for pose in poses]
     if not images:

@@ -36,13 +36,7 @@ def as_text(force_n: Force) -> str:
 
 
 def save_images(images: Mapping[str, Force], path: Path) -> None:
-    """Draw one image per object, all from 0 to 10 mN; the suffix of `path` gives the format.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be written.
-    """
+    """Draw one image per object, all from 0 to 10 mN; the suffix of `path` gives the format."""
     from matplotlib.figure import Figure
 
     columns = min(len(images), _MOST_COLUMNS)

@@ -37,13 +37,7 @@ class MeshPose:
 
 
 def find_mesh(folder: Path, pose: MeshPose) -> Path:
-    """Return the file of a mesh in a folder.
-
-    Raises
-    ------
-    InputError
-        If the folder or the file does not exist.
-    """
+    """Return the file of a mesh in a folder."""
     if not folder.is_dir():
         raise InputError(f"expected a folder of meshes, got '{folder}'")
     endings = _trimesh().available_formats()
@@ -61,10 +55,7 @@ def load_mesh(path: Path, pose: MeshPose) -> Spheres:
     The mesh is centred at the middle of its extent in x and y and at the mean of z, then rotated. Spheres that reach no
     taxel are left out.
 
-    Raises
-    ------
-    InputError
-        If the file cannot be read, is too large, empty or open, too coarse, or not in metres.
+    Raise InputError if the file cannot be read, is too large, empty or open, too coarse, or not in metres.
     """
     from scipy.spatial import KDTree
 

@@ -9,9 +9,10 @@ from typing import Final
 
 from canskin.errors import InputError
 from skin.sources import OBJECT_GROUPS, object_names
-from touch import primitives, shapes
+from touch import primitives
 from touch.contact import Spheres
 from touch.meshes import MeshPose, find_mesh, load_mesh
+from touch.shapes import SHAPES
 
 
 @dataclass(frozen=True)
@@ -53,8 +54,8 @@ def _ring(name: str, diameter_m: float, wall_m: float) -> TouchObject:
     return TouchObject(name, "ring", (diameter_m, diameter_m), lambda: primitives.ring(diameter_m, wall_m))
 
 
-def _own(name: str, size_m: tuple[float, float], build: Callable[[], Spheres], mesh: MeshPose) -> TouchObject:
-    return TouchObject(name, "own shape", size_m, build, mesh)
+def _own(name: str, size_m: tuple[float, float], mesh: MeshPose) -> TouchObject:
+    return TouchObject(name, "own shape", size_m, SHAPES[name], mesh)
 
 
 #: Depth of the side that faces the array, about the depth of the paper's presses.
@@ -81,12 +82,12 @@ _PAPER: Final = (
     _can("gravy-can", 0.0683),
     _can("tuna-can", 0.0873),
     _can("salmon-can", 0.1032),
-    _own("banana", (0.144, 0.092), shapes.banana, MeshPose(("banana",), ())),
-    _own("cup", (0.106, 0.106), shapes.cup, MeshPose(("cup",), ())),
-    _own("drill", (0.182, 0.157), shapes.drill, _DRILL),
-    _own("clamp", (0.198, 0.130), shapes.clamp, _CLAMP),
-    _own("mustard-lying", (0.160, 0.075), shapes.mustard_lying, _MUSTARD_LYING),
-    _own("mustard-upright", (0.024, 0.024), shapes.mustard_upright, _MUSTARD_UPRIGHT),
+    _own("banana", (0.144, 0.092), MeshPose(("banana",), ())),
+    _own("cup", (0.106, 0.106), MeshPose(("cup",), ())),
+    _own("drill", (0.182, 0.157), _DRILL),
+    _own("clamp", (0.198, 0.130), _CLAMP),
+    _own("mustard-lying", (0.160, 0.075), _MUSTARD_LYING),
+    _own("mustard-upright", (0.024, 0.024), _MUSTARD_UPRIGHT),
 )
 
 #: The paper's objects and a ring with the diameter and the wall of the paper's cup.
@@ -98,11 +99,6 @@ def checked_names(names: Iterable[str]) -> tuple[str, ...]:
     """Return `names` as `skin.sources.object_names` does, and refuse names that the catalogue does not have.
 
     A string may hold several names, separated by commas.
-
-    Raises
-    ------
-    InputError
-        If there is no name, or a name that the catalogue does not have.
     """
     listed = object_names([names] if isinstance(names, str) else names)
     if not listed:
@@ -120,36 +116,25 @@ def _item(name: str) -> TouchObject:
 
 
 @cache
-def spheres_of(name: str, meshes: Path | None = None) -> Spheres:
+def spheres_of(name: str, meshes: str | Path | None = None) -> Spheres:
     """Return the spheres of the object `name`; they are built once.
 
     Parameters
     ----------
     name : str
         One of `CATALOGUE`.
-    meshes : pathlib.Path, optional
+    meshes : str or pathlib.Path, optional
         Folder of meshes in metres, in any format that trimesh reads: ``banana.ply``, ``drill.stl``, … Only the objects
         that the paper takes from meshes use this folder.
-
-    Raises
-    ------
-    InputError
-        If the catalogue has no such object, or the folder has no usable mesh of the object.
     """
     item = _item(name)
     if meshes is None or item.mesh is None:
         return item.build()
-    return load_mesh(find_mesh(meshes, item.mesh), item.mesh)
+    return load_mesh(find_mesh(Path(meshes), item.mesh), item.mesh)
 
 
 def made_of(name: str, meshes: Path | None = None) -> str:
-    """Return the source of an object's spheres: a primitive, an own shape, or the name of a mesh file.
-
-    Raises
-    ------
-    InputError
-        As `spheres_of`.
-    """
+    """Return the source of an object's spheres: a primitive, an own shape, or the name of a mesh file."""
     item = _item(name)
     if meshes is None or item.mesh is None:
         return item.shape
@@ -157,13 +142,7 @@ def made_of(name: str, meshes: Path | None = None) -> str:
 
 
 def size_m(name: str, meshes: Path | None = None) -> tuple[float, float]:
-    """Return length and width of the side that faces the array: as built, or of the upper 10 mm of a mesh.
-
-    Raises
-    ------
-    InputError
-        As `spheres_of`.
-    """
+    """Return length and width of the side that faces the array: as built, or of the upper 10 mm of a mesh."""
     item = _item(name)
     if meshes is None or item.mesh is None:
         return item.size_m

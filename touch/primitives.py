@@ -10,7 +10,6 @@ from typing import Final
 
 import numpy as np
 
-from canskin.errors import InputError
 from touch.contact import FloatArray, Spheres
 
 BOX_SPHERE_M: Final = 0.0015
@@ -27,7 +26,6 @@ Knots = Sequence[Sequence[float]] | FloatArray
 
 def ball(diameter_m: float) -> Spheres:
     """Return a ball: one sphere."""
-    _need_size("diameter_m", diameter_m, 0.0)
     return Spheres(np.zeros((1, 3)), np.array([diameter_m / 2]))
 
 
@@ -36,15 +34,12 @@ def box(length_m: float, width_m: float) -> Spheres:
 
     Spheres further down the sides would lie below the spheres of the edge and never touch first.
     """
-    _need_size("length_m", length_m, 2 * BOX_SPHERE_M)
-    _need_size("width_m", width_m, 2 * BOX_SPHERE_M)
     x, y = np.meshgrid(_spread(length_m), _spread(width_m))
     return _flat(x.ravel(), y.ravel(), BOX_SPHERE_M)
 
 
 def can(diameter_m: float) -> Spheres:
     """Return the flat lid of a can: rings of spheres, the outermost one ending at the diameter."""
-    _need_size("diameter_m", diameter_m, 2 * CAN_SPHERE_M)
     outer = diameter_m / 2 - CAN_SPHERE_M
     count = max(2, math.ceil(outer / CAN_SPACING_M) + 1)
     rings = [_circle(radius, CAN_SPACING_M) for radius in np.linspace(0.0, outer, count)]
@@ -54,8 +49,6 @@ def can(diameter_m: float) -> Spheres:
 
 def ring(diameter_m: float, wall_m: float) -> Spheres:
     """Return the open rim of a cup: one circle of spheres of diameter `wall_m`."""
-    _need_size("wall_m", wall_m, 0.0)
-    _need_size("diameter_m", diameter_m, 2 * wall_m)
     x, y = _circle((diameter_m - wall_m) / 2, RIM_SPACING_M)
     return _flat(x, y, wall_m / 2)
 
@@ -67,11 +60,6 @@ def rods(parts: Sequence[Knots]) -> Spheres:
     ----------
     parts : sequence of Knots
         For each rod, x, y, height of the top and radius of each knot, metres. A rod of one knot is a ball.
-
-    Raises
-    ------
-    InputError
-        If there is no knot, or a radius is not above 0.
     """
     spheres = np.concatenate([_rod(np.array(knots, np.float64).reshape(-1, 4)) for knots in parts])
     x, y, top, radii = spheres.T
@@ -89,11 +77,6 @@ def rim(circles: Knots, middle_m: tuple[float, float] = (0.0, 0.0), slope: tuple
         Middle x, y.
     slope : tuple of float
         Slope of the rim along x and along y.
-
-    Raises
-    ------
-    InputError
-        If there is no circle, or a radius is not above 0.
     """
     parts = []
     for circle_m, top_m, radius_m in circles:
@@ -102,11 +85,6 @@ def rim(circles: Knots, middle_m: tuple[float, float] = (0.0, 0.0), slope: tuple
         parts.append(np.stack([x + middle_m[0], y + middle_m[1], z, np.full_like(x, radius_m)]))
     x, y, z, radii = np.concatenate(parts, axis=1)
     return Spheres(np.stack([x, y, z], axis=1), radii)
-
-
-def _need_size(name: str, length_m: float, above_m: float) -> None:
-    if not (math.isfinite(length_m) and length_m > above_m):
-        raise InputError(f"{name} needs a length above {above_m} m: got {length_m}")
 
 
 def _spread(length_m: float) -> FloatArray:

@@ -35,11 +35,6 @@ def random_touches(
     touch of the taxel source, for any seeds.
 
     With `skip_unfelt`, objects that this array cannot feel are left out.
-
-    Raises
-    ------
-    InputError
-        If a name is unknown, a number cannot be used, or the array is too small to feel an object.
     """
     if count < 0 or seed < 0:
         raise InputError(f"count and seed need whole numbers of 0 or more: got {count} and {seed}")
@@ -53,13 +48,7 @@ def random_touches(
 
 
 def felt_objects(names: Sequence[str], grid: Grid) -> tuple[str, ...]:
-    """Return the named objects that an array can feel.
-
-    Raises
-    ------
-    InputError
-        If there is no such object.
-    """
+    """Return the named objects that an array can feel; raise InputError if there are none."""
     felt = []
     image = np.empty((grid.rows, grid.columns), np.float32)
     for name in checked_names(names):

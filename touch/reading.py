@@ -1,9 +1,6 @@
 """Reading a recording's arrays from a file: ``.npz``, ``.npy``, ``.csv`` or ``.mcap``, never a pickle."""
 
 import re
-import tokenize
-import zipfile
-import zlib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, BinaryIO, Final
@@ -27,22 +24,6 @@ IN_MCAP: Final = {"image": (IMAGE, "pixels"), "true": (TRUTH, "true"), "sensor":
 _CAN_LOGS: Final = (".log", ".asc", ".blf", ".trc", ".mf4")
 #: Most characters of a wrong value in an error message.
 _SHOWN: Final = 20
-#: Errors of NumPy and its libraries for damaged files.
-_UNREADABLE: Final = (
-    OSError,
-    EOFError,
-    ValueError,
-    KeyError,
-    IndexError,
-    OverflowError,
-    MemoryError,
-    SyntaxError,
-    TypeError,
-    RuntimeError,
-    tokenize.TokenError,
-    zipfile.BadZipFile,
-    zlib.error,
-)
 
 
 def read_counts(path: Path, arrays: Sequence[str] | None, skin_shape: tuple[int, int]) -> tuple[Counts, ...]:
@@ -58,11 +39,6 @@ def read_counts(path: Path, arrays: Sequence[str] | None, skin_shape: tuple[int,
         Arrays of an ``.npz`` or ``.mcap``, in this order; default: the first array in the file.
     skin_shape : tuple of int
         Rows and columns of the skin; also those of a ``.csv`` without the comment ``# shape: ROWS COLUMNS``.
-
-    Raises
-    ------
-    InputError
-        If the file is missing or unreadable, or an array has other values than finite forces of 0 or more.
     """
     if not path.is_file():
         raise InputError(f"no recording at '{path}': expected a .npz, .npy, .csv or .mcap file")
@@ -79,7 +55,9 @@ def read_counts(path: Path, arrays: Sequence[str] | None, skin_shape: tuple[int,
         return tuple(_read_mcap(path, name) for name in (arrays or array_names(path)[:1] or ("image",)))
     try:
         named = _read_csv(path, skin_shape) if suffix == ".csv" else _read_numpy(path, arrays)
-    except _UNREADABLE as error:
+    except InputError:
+        raise
+    except Exception as error:  # NumPy and its libraries raise many kinds of errors for damaged files
         reason = " ".join(str(error).split()) or type(error).__name__
         raise InputError(f"'{path}' cannot be read as {suffix}: {reason}") from error
     for name, counts in named.items():
@@ -88,13 +66,7 @@ def read_counts(path: Path, arrays: Sequence[str] | None, skin_shape: tuple[int,
 
 
 def array_names(path: Path) -> tuple[str, ...]:
-    """Return the names of the arrays in an ``.npz`` or ``.mcap``, in file order; for other files no names.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read.
-    """
+    """Return the names of the arrays in an ``.npz`` or ``.mcap``, in file order; for other files no names."""
     if path.suffix.lower() == RECORDING_SUFFIX:
         from skin.mcap_file import read_topics
 
@@ -105,7 +77,7 @@ def array_names(path: Path) -> tuple[str, ...]:
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as loaded:
             return tuple(loaded.files)
-    except _UNREADABLE as error:
+    except Exception as error:  # see `read_counts`
         raise InputError(f"'{path}' cannot be read as .npz: {error}") from error
 
 

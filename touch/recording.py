@@ -46,11 +46,6 @@ class Recording:
         Rows and columns of the recording, all arrays side by side.
     corner : tuple of int
         Row and column of the recording's first taxel on the skin.
-
-    Raises
-    ------
-    InputError
-        If the arrays do not fit one another or the skin, or a number cannot be used.
     """
 
     has_noise = True
@@ -77,13 +72,7 @@ class Recording:
         self.corner = _corner(self.shape, rows, columns)
 
     def frame(self, step: int) -> Frame:
-        """Return the recorded touch at `step`, float32 (rows, columns) in newtons.
-
-        Raises
-        ------
-        InputError
-            If `step` is below 0.
-        """
+        """Return the recorded touch at `step`, float32 (rows, columns) in newtons."""
         if step < 0:
             raise InputError(f"a source starts at step 0: got {step}")
         index = int(step / self.steps_per_frame) % self.frames

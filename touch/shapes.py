@@ -7,7 +7,8 @@ surfaces are left out.
 Lengths are millimetres; a rod's knots are x, y, height of the top, and radius.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -15,6 +16,7 @@ import numpy as np
 from touch.contact import Spheres
 from touch.primitives import Knots, rim, rods
 
+#: It lies flat: one bent rod.
 _BANANA: Final[tuple[Knots, ...]] = (
     (
         (-66.1, 23.9, -7.8, 23.8),
@@ -28,6 +30,7 @@ _BANANA: Final[tuple[Knots, ...]] = (
         (56.3, -46.7, -6.5, 18.4),
     ),
 )
+#: On its side: a rod for the motor, two parallel rods for the foot of the grip.
 _DRILL: Final[tuple[Knots, ...]] = (
     (
         (-56.4, -72.3, -9.3, 20.6),
@@ -61,6 +64,7 @@ _DRILL: Final[tuple[Knots, ...]] = (
         (100.7, 65.5, -17.0, 3.4),
     ),
 )
+#: A spring clamp on its side: a long bent rod with the pivot, and a short rod.
 _CLAMP: Final[tuple[Knots, ...]] = (
     (
         (96.0, -79.9, -7.1, 6.8),
@@ -88,6 +92,7 @@ _CLAMP: Final[tuple[Knots, ...]] = (
         (50.1, 44.0, -10.5, 12.5),
     ),
 )
+#: A bottle on its broad side: three rods side by side.
 _MUSTARD_LYING: Final[tuple[Knots, ...]] = (
     (
         (-35.2, -2.9, -0.8, 22.0),
@@ -111,15 +116,16 @@ _MUSTARD_LYING: Final[tuple[Knots, ...]] = (
         (81.6, 5.4, 0.3, 15.8),
     ),
 )
+#: The nozzle of an upright bottle: three balls.
 _MUSTARD_UPRIGHT: Final[tuple[Knots, ...]] = (
     ((0.4, 1.6, -0.2, 10.2),),
     ((1.6, 0.5, -1.9, 12.7),),
     ((2.0, 2.0, -9.0, 13.0),),
 )
-#: Middle x, y of the cup, and the slope of its rim along x and y.
+#: Middle x, y of the cup, and the slope of its rim along x and y: the cup is tilted like its mesh.
 _CUP_MIDDLE: Final = (-0.35, -0.33)
 _CUP_SLOPE: Final = (-0.003, 0.0114)
-#: The cup's lip, from inside to outside: radius of a circle, height of its top, radius of its spheres.
+#: The lip of a standing cup, from inside to outside: radius of a circle, height of its top, radius of its spheres.
 _CUP: Final[Knots] = (
     (46.15, 0.11, 0.51),
     (44.2, -1.2, 3.31),
@@ -132,36 +138,21 @@ _CUP: Final[Knots] = (
 )
 
 
-def banana() -> Spheres:
-    """Return a banana that lies flat: one bent rod."""
-    return _rods(_BANANA)
+def _rods(parts: Sequence[Knots]) -> Spheres:
+    return rods([np.array(knots) / 1e3 for knots in parts])
 
 
-def cup() -> Spheres:
-    """Return the lip of a standing cup, tilted like its mesh: circles of spheres."""
+def _cup() -> Spheres:
     x, y = _CUP_MIDDLE
     return rim(np.array(_CUP) / 1e3, (x / 1e3, y / 1e3), _CUP_SLOPE)
 
 
-def drill() -> Spheres:
-    """Return a power drill on its side: a rod for the motor, two parallel rods for the foot of the grip."""
-    return _rods(_DRILL)
-
-
-def clamp() -> Spheres:
-    """Return a spring clamp on its side: a long bent rod with the pivot, and a short rod."""
-    return _rods(_CLAMP)
-
-
-def mustard_lying() -> Spheres:
-    """Return a bottle on its broad side: three rods side by side."""
-    return _rods(_MUSTARD_LYING)
-
-
-def mustard_upright() -> Spheres:
-    """Return the nozzle of an upright bottle: three balls."""
-    return _rods(_MUSTARD_UPRIGHT)
-
-
-def _rods(parts: Sequence[Knots]) -> Spheres:
-    return rods([np.array(knots) / 1e3 for knots in parts])
+#: Builders by the name of the object.
+SHAPES: Final[dict[str, Callable[[], Spheres]]] = {
+    "banana": partial(_rods, _BANANA),
+    "cup": _cup,
+    "drill": partial(_rods, _DRILL),
+    "clamp": partial(_rods, _CLAMP),
+    "mustard-lying": partial(_rods, _MUSTARD_LYING),
+    "mustard-upright": partial(_rods, _MUSTARD_UPRIGHT),
+}

@@ -68,13 +68,7 @@ class ObjectSource:
         return self._touch
 
     def frame(self, step: int) -> Frame:
-        """Return the frame at `step`; its array is read-only.
-
-        Raises
-        ------
-        InputError
-            If `step` is below 0.
-        """
+        """Return the frame at `step`; its array is read-only."""
         if step < 0:
             raise InputError(f"a source starts at step 0: got {step}")
         whole, part = divmod(step, self._stride)
@@ -141,11 +135,6 @@ def objects(
         Time without touch at the beginning.
     stroke : {"slide", "press"}
         See `skin.sources.StrokeKind`.
-
-    Raises
-    ------
-    InputError
-        If a name is unknown, or a number cannot be used.
     """
     require_number("rest_s", rest_s)
     require_above_zero("rate_hz", rate_hz)
@@ -190,11 +179,6 @@ def recording(
         separated by commas. Default: the first array in the file; the log names the others.
     frame_rate_hz : float, optional
         Recorded frames per second; default: each step shows the next frame.
-
-    Raises
-    ------
-    InputError
-        If the file or a number cannot be used.
     """
     if frame_rate_hz is not None and (rate_hz is None or not 0.0 < frame_rate_hz < float("inf")):
         raise InputError(

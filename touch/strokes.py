@@ -99,13 +99,7 @@ def random_stream(seed: int, stream: int, index: int) -> np.random.Generator:
 
 
 def draw_touch(name: str, grid: Grid, rng: np.random.Generator, kind: StrokeKind = "slide") -> Touch:
-    """Return a random touch of the object `name`, of a kind of `skin.sources.StrokeKind`.
-
-    Raises
-    ------
-    InputError
-        If the catalogue has no such object.
-    """
+    """Return a random touch of the object `name`, of a kind of `skin.sources.StrokeKind`."""
     spheres = spheres_of(name)
     match kind:
         case "slide":

@@ -72,14 +72,14 @@ ACQUISITION_OBJECTS: Final = {
 }
 
 
-def trajectory(name: str, *, meshes: Path | None = None, speed: int = 1, steps: int | None = None) -> Force:
+def trajectory(name: str, *, meshes: str | Path | None = None, speed: int = 1, steps: int | None = None) -> Force:
     """Return the true force of the 64 x 64 array over one of the paper's trajectories.
 
     Parameters
     ----------
     name : str
         One of `ACQUISITION_OBJECTS`.
-    meshes : pathlib.Path, optional
+    meshes : str or pathlib.Path, optional
         Folder of meshes, see `touch.objects.spheres_of`.
     speed : int
         Speed / paper's speed: every `speed`-th step is taken.
@@ -90,11 +90,6 @@ def trajectory(name: str, *, meshes: Path | None = None, speed: int = 1, steps: 
     -------
     numpy.ndarray
         float32, shape (steps, 64, 64), newtons; one step per millisecond, no noise.
-
-    Raises
-    ------
-    InputError
-        If the name is unknown, or a number cannot be used.
     """
     taken = range(*trajectory_range(speed, steps))
     start, spheres = start_of(name), spheres_of(name, meshes)
@@ -102,26 +97,14 @@ def trajectory(name: str, *, meshes: Path | None = None, speed: int = 1, steps: 
 
 
 def start_of(name: str) -> Start:
-    """Return the start of the trajectory of the object `name`.
-
-    Raises
-    ------
-    InputError
-        If the paper has no trajectory of this object.
-    """
+    """Return the start of the trajectory of the object `name`; raise InputError if the paper has none."""
     if name not in ACQUISITION_OBJECTS:
         raise InputError(f"no trajectory of '{name}': expected one of {', '.join(ACQUISITION_OBJECTS)}")
     return ACQUISITION_OBJECTS[name]
 
 
 def trajectory_range(speed: int, steps: int | None) -> tuple[int, int, int]:
-    """Return first step, end and stride within the paper's 4200 steps.
-
-    Raises
-    ------
-    InputError
-        If a number is below 1, or the trajectory has fewer steps at that speed.
-    """
+    """Return first step, end and stride within the paper's 4200 steps; raise InputError unless there are such steps."""
     if not 1 <= speed <= PAPER_STEPS:
         raise InputError(f"expected a speed of 1 to {PAPER_STEPS}, got {speed}")
     most = math.ceil(PAPER_STEPS / speed)

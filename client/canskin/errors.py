@@ -10,6 +10,8 @@ Every deliberate error derives from one class. The message is one line: what was
     └── RunError          the input was right, but the run failed
 
 The `skin` command prints the message and exits with code 2, after a `RunError` with 1, without a traceback.
+Whatever takes a file, array or option of a user raises InputError or LayoutError, and says so only if the condition is
+not plain from its parameters.
 """
 
 import logging

@@ -14,10 +14,7 @@ _MOST_COUNTS: Final = np.iinfo(np.int32).max
 def corrected_counts(measurement: Measurement, valid_sums: npt.NDArray[np.bool_]) -> npt.NDArray[np.int32]:
     """Return the sums of a measurement less their offsets, 0 if not valid, ADC counts, shape (m,).
 
-    Raises
-    ------
-    InputError
-        If sums less offsets do not fit int32.
+    Raise InputError if they do not fit int32.
     """
     counts = np.frombuffer(measurement.sums, "<i4")
     if measurement.offsets:
@@ -31,13 +28,7 @@ def corrected_counts(measurement: Measurement, valid_sums: npt.NDArray[np.bool_]
 
 
 def doubtful_taxels(message: Measurement | Image, taxels: int) -> npt.NDArray[np.bool_] | None:
-    """Return the taxels whose force may be an error of the zero, row-major, shape (n,); None if no taxel is doubtful.
-
-    Raises
-    ------
-    InputError
-        If the message is of another number of taxels.
-    """
+    """Return the taxels whose force may be an error of the zero, row-major, shape (n,); None if none is doubtful."""
     if not message.doubtful:
         return None
     if len(message.doubtful) != (taxels + 7) // 8:

@@ -6,10 +6,10 @@ from typing import Any, Final
 import numpy as np
 
 from evaluation.bench.scenes import make_scenes, mean_over, solved
-from evaluation.psnr import psnr_series_db
 from reconstructor.engine import Reconstructor
 from reconstructor.settings import LIVE, PRESETS, SolverSettings
 from skin.layout import load_layout
+from skin.psnr import psnr_series_db
 from skin.taxel import NOISE_N
 
 SPEEDS: Final = (1, 10)

@@ -8,13 +8,13 @@ import numpy as np
 import numpy.typing as npt
 
 from evaluation.bench.scenes import make_scenes, mean_over, solved
-from evaluation.psnr import psnr_series_db
 from evaluation.result import new_figure
 from reconstructor.engine import Reconstructor
 from reconstructor.settings import preset
 from shell.output import save_figure
 from skin.layout import load_layout
 from skin.measurement import Sbhe
+from skin.psnr import psnr_series_db
 
 METHODS: Final = ("live", "variation", "spun", "paper")
 #: Of 128, drawn at random and the same for every method.

@@ -4,8 +4,6 @@ Each gets the same A, y, start, λ, L and number of iterations, in the form it i
 gets as many sweeps as bring it to a gap no larger than ours.
 """
 
-import contextlib
-import io
 import warnings
 from collections.abc import Callable, Iterator
 from importlib.util import find_spec
@@ -187,37 +185,10 @@ def _sklearn(data: _Data) -> Iterator[Method]:
     yield Method(f"scikit-learn Lasso, {sweeps} sweeps", data.kind.name, lambda: solve(sweeps), np.asarray)
 
 
-def _spgl1(data: _Data) -> Iterator[Method]:
-    if data.kind != np.float64:
-        return
-    import spgl1
-
-    from reconstructor.fista import fista
-
-    problem = data.problem
-    exact = fista(
-        problem.phi,
-        problem.psi,
-        problem.sums,
-        penalty_n=problem.penalty_n,
-        lipschitz=problem.lipschitz,
-        iterations=1000,
-        start=problem.start.reshape(problem.psi.shape),
-    )
-    radius = float(np.abs(exact).sum())  # unknown in use: a help no other method gets
-
-    def solve() -> Any:
-        with contextlib.redirect_stdout(io.StringIO()):
-            return spgl1.spgl1(data.matrix, data.sums, tau=radius, x0=data.start.copy(), iter_lim=data.iterations)[0]
-
-    yield Method("spgl1, radius given", data.kind.name, solve, np.asarray)
-
-
 _LIBRARIES: Final[dict[str, Callable[[_Data], Iterator[Method]]]] = {
     "pylops": _pylops,
     "pyproximal": _pyproximal,
     "sporco": _sporco,
     "sigpy": _sigpy,
     "sklearn": _sklearn,
-    "spgl1": _spgl1,
 }

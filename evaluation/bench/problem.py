@@ -7,13 +7,13 @@ from typing import Any, Final
 import numpy as np
 
 from evaluation.bench.timing import race
-from evaluation.psnr import psnr_db
 from evaluation.result import Row
 from reconstructor.bases import Basis
 from reconstructor.checks import Values
 from reconstructor.fista import fista, objective
 from skin.layout import load_layout
 from skin.measurement import Sbhe
+from skin.psnr import psnr_db
 from skin.taxel import sense
 from touch.contact import Grid, press_along
 from touch.objects import spheres_of

@@ -7,11 +7,10 @@ import numpy as np
 import numpy.typing as npt
 from threadpoolctl import threadpool_limits
 
-from evaluation.bench.limit import measure_limit
 from evaluation.bench.peers import dense, peers
 from evaluation.bench.problem import Method, Problem, compare, make_problem
 from evaluation.result import Row
-from reconstructor.bases import make_basis
+from reconstructor.bases import wavelet_basis
 from reconstructor.checks import Values
 from reconstructor.fista import largest_eigenvalue
 from reconstructor.kernels.contourlet import CompiledContourlet, ContourletSolver
@@ -23,17 +22,15 @@ OURS: Final = "canskin"
 
 
 def run(rounds: int) -> dict[str, Any]:
-    """Return ``{"rows": […], "contourlet": […], "limit": {…}}``; rows as in the verb's docstring."""
+    """Return ``{"rows": […], "contourlet": […]}``; rows as in the verb's docstring."""
     with threadpool_limits(1):
         haar = _rows(
-            make_problem(make_basis("haar-pyramid", 64, 64), PAPER.penalty_n, lipschitz=32.0), _haar, peers, rounds
+            make_problem(wavelet_basis("haar-pyramid", 64, 64), PAPER.penalty_n, lipschitz=32.0), _haar, peers, rounds
         )
         psi = CompiledContourlet(64, 64)
         eigenvalue = largest_eigenvalue(load_layout().phi(), psi)
         contourlet = _rows(make_problem(psi, PAPER_CONTOURLET.penalty_n, eigenvalue), _contourlet, dense, rounds)
-        limit = measure_limit(iterations=20)
-    least = next(row["ms_least"] for row in haar if row["method"] == OURS)
-    return {"rows": haar, "contourlet": contourlet, "limit": {**limit, "ours_to_limit": least / limit["limit_ms"]}}
+    return {"rows": haar, "contourlet": contourlet}
 
 
 def _rows(problem: Problem, ours: Any, others: Any, rounds: int) -> list[Row]:

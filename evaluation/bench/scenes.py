@@ -29,11 +29,6 @@ def make_scenes(phi: Sbhe, speed: int, meshes: Path | None = None, seed: int = 1
     """Yield every scene at `speed` times the paper's 0.045 mm a cycle: one in `speed` of the paper's 4200 steps.
 
     `phi` is of the 64 x 64 array; `meshes` as in `touch.objects.spheres_of`; `seed` is of the noise.
-
-    Raises
-    ------
-    InputError
-        If a mesh cannot be read.
     """
     random = np.random.default_rng(seed)
     for name in ACQUISITION_OBJECTS:

@@ -19,13 +19,13 @@ from evaluation.paper.runs import (
     true_force,
 )
 from evaluation.paper.tables import QUICK_STRIDES, STRIDES, SUMS, TABLE_ITERATIONS, TABLE_SUMS
-from evaluation.psnr import psnr_db
 from evaluation.result import Options, Picture, Result, Row, beside
 from evaluation.result_cache import measure_cells
 from reconstructor.checks import Values
 from reconstructor.fista import fista, largest_eigenvalue
 from reconstructor.kernels.contourlet import CompiledContourlet
 from reconstructor.settings import PAPER_CONTOURLET
+from skin.psnr import psnr_db
 from touch.contact import Force
 
 #: The step of the images: in the middle of the slide. The paper does not say which it shows.

@@ -21,13 +21,13 @@ from evaluation.paper.runs import (
     true_force,
 )
 from evaluation.paper.tables import QUICK_STRIDES, TABLE_ITERATIONS, TABLE_SUMS
-from evaluation.psnr import psnr_series_db
 from evaluation.result import Options, Result, Row
 from evaluation.result_cache import measure_cells
 from evaluation.solvers.noiselet import Noiselet, noiselet
 from evaluation.solvers.noiselet_solver import NoiseletSolver
 from reconstructor.settings import PAPER
 from skin.layout import load_layout
+from skin.psnr import psnr_series_db
 
 STRIDE: Final = 4
 SBHE: Final = "SBHE, B = 32"

@@ -3,23 +3,22 @@
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from pathlib import Path
 from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
 from evaluation.paper.printed import BasisName, Matrix
-from evaluation.psnr import psnr_series_db
 from evaluation.result import Options, Row
 from evaluation.solvers.noiselet import noiselet
 from evaluation.solvers.noiselet_solver import NoiseletSolver
+from reconstructor.engine import make_solver
 from reconstructor.kernels.contourlet import ContourletSolver
 from reconstructor.kernels.fused import FusedSolver
 from reconstructor.settings import PAPER, PAPER_CONTOURLET
-from reconstructor.solver import make_solver
 from skin.measurement import sbhe
 from skin.operator import Operator
+from skin.psnr import psnr_series_db
 from skin.taxel import sense
 from touch.contact import Force
 from touch.trajectory import ACQUISITION_OBJECTS, trajectory
@@ -61,7 +60,7 @@ class Method:
 @lru_cache(maxsize=1)
 def true_force(name: str, meshes: str | None, stride: int) -> Force:
     """Return every `stride`-th step of a trajectory, newtons, shape (steps, 64, 64)."""
-    return trajectory(name, meshes=Path(meshes) if meshes else None, speed=stride)
+    return trajectory(name, meshes=meshes, speed=stride)
 
 
 def felt_force(true: Force, seed: int, draw: int) -> Force:

@@ -10,16 +10,16 @@ import numpy as np
 
 from evaluation.paper.pictures import draw_curves
 from evaluation.paper.runs import OBJECTS, SIDE, felt_force, phi_seed, true_force
-from evaluation.psnr import psnr_db
 from evaluation.result import Options, Picture, Result, Row, beside
 from evaluation.result_cache import measure_cells
 from evaluation.solvers.baselines import admm, smoothed_l0
-from reconstructor.bases import Basis, make_basis
+from reconstructor.bases import Basis, wavelet_basis
 from reconstructor.checks import Values
 from reconstructor.fista import fista, objective
 from reconstructor.settings import PAPER
 from skin.measurement import sbhe
 from skin.operator import Operator
+from skin.psnr import psnr_db
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -108,7 +108,7 @@ def measure(*, name: str, meshes: str | None, step: int, seed: int) -> Row:
     true = true_force(name, meshes, 1)[step - 1 : step + 1]
     felt = felt_force(true, seed, step).astype(np.float64)
     phi = sbhe(SIDE * SIDE, SUMS, selection="uniform", seed=phi_seed(seed, 0))
-    psi = make_basis("haar-tensor", SIDE, SIDE)
+    psi = wavelet_basis("haar-tensor", SIDE, SIDE)
     before, sums_n = (phi.forward(each.reshape(-1)).astype(np.float64) for each in felt)
     solve = partial(fista, phi, psi, penalty_n=PENALTY, lipschitz=phi.norm_squared)
     warm = solve(before, iterations=WARM)

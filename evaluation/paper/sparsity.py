@@ -3,6 +3,7 @@
 from typing import Final
 
 import numpy as np
+from scipy import fft
 
 from evaluation.paper.pictures import draw_counts
 from evaluation.paper.printed import TABLE_ONE
@@ -10,7 +11,7 @@ from evaluation.paper.runs import OBJECTS, SIDE, true_force
 from evaluation.result import Options, Picture, Result, Row, beside
 from evaluation.result_cache import measure_cells
 from evaluation.solvers.pursuit import basis_pursuit
-from reconstructor.bases import make_basis
+from reconstructor.bases import wavelet_basis
 from reconstructor.kernels.contourlet import CompiledContourlet
 from touch.trajectory import ACQUISITION_OBJECTS
 
@@ -68,8 +69,10 @@ def count(*, name: str, meshes: str | None, basis: str, stride: int) -> Row:
     if basis == "contourlet":
         psi = CompiledContourlet(SIDE, SIDE)
         found = [basis_pursuit(psi, each.astype(np.float64), relative_error=PURSUIT_ERROR) for each in true]
+    elif basis == "dct":
+        found = [fft.dctn(each.astype(np.float64), norm="ortho") for each in true]
     else:
-        orthonormal = make_basis(FORMS.get(basis, basis), SIDE, SIDE)
+        orthonormal = wavelet_basis(FORMS.get(basis, basis), SIDE, SIDE)
         found = [orthonormal.forward(each.astype(np.float64)) for each in true]
     counts = [int(np.count_nonzero(np.abs(each) > THRESHOLD_N)) for each in found]
     return {"mean": float(np.mean(counts)), "max": max(counts)}

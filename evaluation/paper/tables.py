@@ -21,9 +21,9 @@ from evaluation.paper.runs import (
     true_force,
 )
 from evaluation.paper.runs import summary as psnr_summary
-from evaluation.psnr import psnr_series_db
 from evaluation.result import Options, Picture, Result, Row, beside
 from evaluation.result_cache import measure_cells
+from skin.psnr import psnr_series_db
 
 SUMS: Final = (1365, 1024, 819)
 ITERATIONS: Final = (20, 10, 5)

@@ -42,11 +42,6 @@ def measure_live(*, names: Sequence[str], touches: int, lost_ratio: float, noise
     -------
     dict
         ``right`` and ``unknown``, parts of those cycles; ``sums``, how many the skin sends.
-
-    Raises
-    ------
-    InputError
-        If no object touches in any cycle.
     """
     layout, model = load_layout(), trained_model(seed)
     phi, rate_hz = layout.phi(), layout.sync.rate_hz

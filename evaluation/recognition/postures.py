@@ -107,13 +107,7 @@ def measure_postures(*, recordings: str, variant: str, size: int, draw: int, per
 
 
 def people_files(folder: Path) -> list[Path]:
-    """Return the recordings of a folder: ``S1.npz``, ``S2.npz``, …, a person each.
-
-    Raises
-    ------
-    InputError
-        If there are fewer than 3: one to be recognised, one to choose C on, one to train on.
-    """
+    """Return the recordings of a folder, 3 or more: ``S1.npz``, ``S2.npz``, …, a person each."""
     found = sorted(path for path in folder.glob("S*.npz") if re.fullmatch(r"S\d+", path.stem))
     if len(found) < 3:
         raise InputError(f"'{folder}': expected recordings of 3 or more people, S1.npz, S2.npz, …: got {len(found)}")
@@ -122,13 +116,7 @@ def people_files(folder: Path) -> list[Path]:
 
 @cache
 def read_postures(folder: str) -> Postures:
-    """Return some frames of every person and posture, in the middle of 64 x 64 taxels.
-
-    Raises
-    ------
-    InputError
-        If a file cannot be used.
-    """
+    """Return some frames of every person and posture, in the middle of 64 x 64 taxels."""
     images, postures, people = [], [], []
     for person, path in enumerate(people_files(Path(folder))):
         for posture, counts in enumerate(read_counts(path, POSTURES, (_SIDE, _SIDE))):

@@ -8,10 +8,12 @@ import numpy as np
 
 from canskin.messages import UNKNOWN_OBJECT
 from classifier.cache import FEATURES
+from classifier.decide import Classifier
 from classifier.training import TrainingOptions, train
-from demo.chain import REST_S, Nodes, Receivers
+from demo.chain import REST_S, Nodes
 from evaluation.result import Row
 from skin.layout import Layout, load_layout
+from skin.measured_sums import decode_measurement
 from skin.sources import OBJECT_GROUPS, StrokeKind, load_touches, step_rate_hz
 from touch.sources import objects
 from touch.strokes import LIFT_S, PAUSE_S, PRESS_S, SLOT_S
@@ -54,12 +56,14 @@ def measure_sixteen(
     trained_on = load_touches(NAMES, per_object * len(NAMES), layout, seed=seed, stroke=stroke)
     model = train(*trained_on, layout, options=options)
     source = objects(rate_hz=rate_hz, names=NAMES, seed=seed + 1000, rest_s=REST_S, stroke=stroke)
-    nodes, receivers = Nodes(layout, source, seed=seed), Receivers(layout, model)
+    nodes, phi = Nodes(layout, source, seed=seed), layout.phi()
+    classifier = Classifier(model, phi)
     said: list[str] = []
     true: list[str] = []
     is_held: list[bool] = []
     for step in range(round((REST_S + touches * SLOT_S) * rate_hz)):
-        label = receivers.label(receivers.read(nodes.measurement(nodes.sample())), nodes.cycle)
+        measured = decode_measurement(nodes.measurement(nodes.sample()), phi)
+        label = classifier.decide(measured.counts, measured.valid, nodes.cycle).label
         touching = nodes.truth().label
         if touching:
             said.append(label)

@@ -47,11 +47,6 @@ def evaluate(options: Options) -> Result:
     ----------
     options : Options
         `recordings` adds the recorded touches; `quick` looks at three touches, cut short.
-
-    Raises
-    ------
-    InputError
-        If the recordings cannot be read.
     """
     touches, schemes = list(_touches(options)), _QUICK if options.quick else SCHEMES
     cells: list[Row] = [{"scheme": scheme, "touch": touch} for touch in touches for scheme in schemes]

@@ -4,7 +4,6 @@ import math
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -141,13 +140,13 @@ def _truth(name: str, ticks: int, meshes: str | None) -> _Truth:
         objects = [_pressed(ball, side, ticks, meshes) for ball, side in (("golf-ball", -1), ("racquetball", 1))]
         force_n = np.maximum(*objects)
         return _Truth(force_n, [np.where(each == force_n, each, 0) for each in objects])
-    force_n = trajectory(name, meshes=Path(meshes) if meshes else None, steps=ticks)
+    force_n = trajectory(name, meshes=meshes, steps=ticks)
     return _Truth(force_n, [force_n])
 
 
 def _pressed(ball: str, side: int, ticks: int, meshes: str | None) -> Force:
     """Return the force of one of the balls that meet, shape (ticks, SIDE, SIDE)."""
-    spheres, grid = spheres_of(ball, Path(meshes) if meshes else None), Grid()
+    spheres, grid = spheres_of(ball, meshes), Grid()
     return np.stack([press(grid, [(spheres, pose)]) for pose in _meeting(side, ticks)])
 
 

@@ -2,14 +2,12 @@
 
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
-from pathlib import Path
 from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
 from calibration.gains import find_gains
-from evaluation.psnr import psnr_series_db
 from evaluation.result import Options, Result, Row
 from evaluation.result_cache import measure_cells
 from reconstructor.engine import Reconstructor
@@ -19,6 +17,7 @@ from skin.clipping import IDLE_DEVIATION
 from skin.defects import Defects
 from skin.frontend import SumConverter, SumModel, converter
 from skin.layout import Layout, parse_layout
+from skin.psnr import psnr_series_db
 from skin.taxel import NOISE_N, sense, to_counts
 from touch.contact import Force, Grid, Pose, press_along
 from touch.objects import spheres_of
@@ -150,7 +149,7 @@ def measure(*, meshes: str | None, seed: int, speed: int, size: int, effect: Row
 
 @lru_cache(maxsize=len(OBJECTS))
 def _touch(name: str, meshes: str | None, speed: int) -> Force:
-    return trajectory(name, meshes=Path(meshes) if meshes else None, speed=speed)
+    return trajectory(name, meshes=meshes, speed=speed)
 
 
 class _Board:

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -13,14 +12,16 @@ from calibration.offline import measurement_of
 from canskin.calibration_messages import CalibrationState
 from canskin.messages import Measurement
 from classifier.cache import find_or_train
+from classifier.decide import Classifier
 from classifier.model import Model
-from demo.chain import Receivers
 from evaluation.result import Options, Result, Row
 from evaluation.result_cache import measure_cells
 from evaluation.schemes.scenes import SLIDES
 from nodes.averaging import SampleFilter
+from reconstructor.imaging import CycleImager
 from skin.defects import Defects
 from skin.layout import Layout, load_layout
+from skin.measured_sums import decode_measurement
 from skin.psnr import decibels
 from skin.taxel import TaxelModel, to_counts
 from touch.contact import Force
@@ -109,7 +110,7 @@ def measure_offsets(place: int, meshes: str | None, seed: int, *, labels: bool =
     """
     case, layout = CASES[place], load_layout()
     phi = layout.phi()
-    slide = trajectory(SLIDES[0], meshes=Path(meshes) if meshes else None, steps=round(1e3 * SLIDE_S))
+    slide = trajectory(SLIDES[0], meshes=meshes, steps=round(1e3 * SLIDE_S))
     ideal = Case("", offset=False, gain=case.gain)
     truth = list(_truth(layout, case, slide))
     model = find_or_train(layout, phi) if labels else None
@@ -143,8 +144,9 @@ class _Judge:
     """Images and labels of a run, judged."""
 
     def __init__(self, layout: Layout, cycles: int, model: Model | None) -> None:
-        self._receivers, self._has_labels = Receivers(layout, model), model is not None
-        self._force_max_n, rate_hz = layout.taxels.force_max_n, layout.sync.rate_hz
+        self._phi, self._force_max_n, rate_hz = layout.phi(), layout.taxels.force_max_n, layout.sync.rate_hz
+        self._imager = CycleImager(layout)
+        self._classifier = None if model is None else Classifier(model, self._phi)
         self._slides_at = cycles - round(SLIDE_S * rate_hz)
         self._pressed_at = self._slides_at + round(PRESSED_S * rate_hz)
         self._rests_at = self._slides_at - round(rate_hz)
@@ -157,12 +159,12 @@ class _Judge:
         cycle = measurement.cycle - 1
         if cycle < self._rests_at:
             return
-        sums = self._receivers.read(measurement)
-        image = self._receivers.image(sums)
+        sums = decode_measurement(measurement, self._phi)
+        image, _ = self._imager.solve(sums)
         if cycle >= self._pressed_at:
             self._squares.append(float(np.mean(np.square(image - true_n, dtype=np.float64))))
-        if self._has_labels:
-            label = self._receivers.label(sums, cycle)
+        if self._classifier is not None:
+            label = self._classifier.decide(sums.counts, sums.valid, cycle).label
             if cycle < self._slides_at:
                 self._untouched.append(not label)
             elif cycle >= self._pressed_at and true_n.max() >= LABEL_FORCE_N:

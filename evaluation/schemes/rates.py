@@ -48,11 +48,6 @@ def evaluate(options: Options) -> Result:
     ----------
     options : Options
         `recordings` adds the recorded touches, `out` gets the chosen layouts, `quick` looks at few points of one touch.
-
-    Raises
-    ------
-    InputError
-        If the recordings cannot be read, or the layouts cannot be written.
     """
     looked_at = [point for point in points() if not options.quick or _is_quick(point[1])]
     touches = _touches(options)

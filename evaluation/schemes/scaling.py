@@ -19,13 +19,15 @@ from classifier.training import TrainingOptions, train
 from dbc.contract import Contract
 from dbc.frame import ECHO, Frames
 from dbc.frame_bits import wire_bits
-from demo.chain import REST_S, Nodes, Receivers
-from evaluation.psnr import psnr_db
+from demo.chain import REST_S, Nodes
 from evaluation.result import Options, Picture, Result, Row, new_figure
 from evaluation.result_cache import measure_cells
 from evaluation.schemes.sums import burst
 from gateway.collector import Collector, Gathered
+from reconstructor.imaging import CycleImager
 from skin.layout import Layout, parse_layout
+from skin.measured_sums import decode_measurement
+from skin.psnr import psnr_db
 from skin.sources import Frame, load_touches
 from skin.taxel import NOISE_N
 from touch.contact import Force, Grid
@@ -84,7 +86,9 @@ def measure(*, side: int, cycles: int, touches: int, untouched: int, seed: int) 
     layout = skin_of(side)
     contract = Contract.from_layout(layout)
     model = _trained(layout, touches, untouched, seed)
-    nodes, receivers = Nodes(layout, _Tiles(side, seed), seed=seed), Receivers(layout, model)
+    nodes, imager = Nodes(layout, _Tiles(side, seed), seed=seed), CycleImager(layout)
+    phi = layout.phi()
+    classifier = Classifier(model, phi)
     buses = _Buses(contract)
     begin = round((REST_S + PAUSE_S) * layout.sync.rate_hz)
     times_s = defaultdict[str, list[float]](list)
@@ -95,9 +99,9 @@ def measure(*, side: int, cycles: int, touches: int, untouched: int, seed: int) 
         collect_s, gathered = _timed(partial(buses.collected, on_wire, nodes.counter))
         if not gathered.complete or not np.array_equal(gathered.sums, counts):
             raise RuntimeError("the collector lost sums of a simulated cycle")
-        sums = receivers.read(nodes.measurement(gathered.sums))
-        image_s, image_n = _timed(partial(receivers.image, sums))
-        label_s, _ = _timed(partial(receivers.label, sums, number))
+        sums = decode_measurement(nodes.measurement(gathered.sums), phi)
+        image_s, (image_n, _) = _timed(partial(imager.solve, sums))
+        label_s, _ = _timed(partial(classifier.decide, sums.counts, sums.valid, number))
         if number <= begin:
             continue
         for name, spent_s in zip(TIMED, (sample_s, collect_s, image_s, label_s), strict=True):
@@ -118,8 +122,8 @@ def measure(*, side: int, cycles: int, touches: int, untouched: int, seed: int) 
         "psnr_db": round(float(np.mean(psnrs_db)), 2),
         "right_percent": round(100 * _right_ratio(model, layout, touches, seed), 1),
         **{name: round(1e3 * float(np.quantile(times_s[name], FAST)), 4) for name in TIMED},
-        "solver_mb": round(held_bytes(receivers.engine) * 1e-6, 3),
-        "classifier_mb": round(held_bytes(receivers.classifier) * 1e-6, 3),
+        "solver_mb": round(held_bytes(imager.solver) * 1e-6, 3),
+        "classifier_mb": round(held_bytes(classifier) * 1e-6, 3),
     }
 
 

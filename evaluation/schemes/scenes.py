@@ -211,13 +211,7 @@ def _recorded(path: Path, ticks: int | None) -> Force:
 
 
 def recordings_in(folder: Path | None) -> list[str]:
-    """Return the recordings of a folder, none without one.
-
-    Raises
-    ------
-    InputError
-        If there are none in it.
-    """
+    """Return the recordings of a folder, none without one; raise InputError for a folder without recordings."""
     if folder is None:
         return []
     found = sorted(str(path) for path in folder.glob("*.npz"))

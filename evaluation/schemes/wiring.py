@@ -1,18 +1,17 @@
 """What wires cost: length of the chains of taxels against the quality of images, with and without a dead board."""
 
-from pathlib import Path
 from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
 import bandwidth.wiring
-from evaluation.psnr import psnr_series_db
 from evaluation.result import Options, Result, Row, grouped
 from evaluation.result_cache import measure_cells
 from reconstructor.engine import Reconstructor
 from reconstructor.settings import VARIATION
 from skin.layout import parse_layout
+from skin.psnr import psnr_series_db
 from skin.taxel import sense
 from touch.trajectory import ACQUISITION_OBJECTS, trajectory
 
@@ -63,7 +62,7 @@ def measure(*, name: str, meshes: str | None, seed: int, speed: int, wiring: str
     text = f"[taxels]\nrows = 64\ncolumns = 64\n[measurement]\nsums = 1024\nblock_size = {size}\n{keys}\n"
     layout = parse_layout(text.encode(), wiring)
     phi, wires = layout.phi(), bandwidth.wiring.wiring(layout)
-    true = trajectory(name, meshes=Path(meshes) if meshes else None, speed=speed)
+    true = trajectory(name, meshes=meshes, speed=speed)
     random = np.random.default_rng(seed)
     felt = sense(true, random).reshape(len(true), -1)
     sums_n = phi.forward(felt).astype(np.float32)

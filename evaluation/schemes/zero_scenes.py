@@ -19,11 +19,12 @@ from calibration.offline import measurement_of
 from canskin.calibration_messages import Region
 from canskin.messages import Measurement
 from canskin.sums import doubtful_taxels
-from demo.chain import Receivers
 from evaluation.result import Options, Result, Row
 from evaluation.result_cache import measure_cells
+from reconstructor.imaging import CycleImager
 from skin.defects import Defects, Stage, creep
 from skin.layout import Layout, load_layout
+from skin.measured_sums import decode_measurement
 from skin.zero_drift import DRIFT_N_PER_K, REST_K, Place, ZeroDrift
 
 #: What every taxel reads at least, and the offsets above that as part of the range.
@@ -247,7 +248,7 @@ class _Judge:
         (offsets_n,) = defects.effects(Stage.OFFSET, self._shape, taxels.force_max_n)
         self.rest_n: Floats = PEDESTAL_N + offsets_n.ravel().astype(np.float64)
         self._layout, self._scene = layout, scene
-        self._shown, self._ideal = Receivers(layout), Receivers(layout)
+        self._shown, self._ideal = CycleImager(layout), CycleImager(layout).solver
         self.finder = FieldFinder(self.phi, *self._shape)
         self._step_s = STEP_CYCLES * layout.sync.period_s
         self._life_s = np.zeros(taxels.count)
@@ -265,8 +266,8 @@ class _Judge:
         if not made.offsets:
             return
         npc, forces = self._layout.taxels.newton_per_count, truth_n > 0
-        image_n = self._shown.image(self._shown.read(made)).ravel().astype(np.float64)
-        ideal_n = self._ideal.engine.solve(ideal_sums_n.astype(np.float32), self._all_sums).ravel()
+        image_n = self._shown.solve(decode_measurement(made, self.phi))[0].ravel().astype(np.float64)
+        ideal_n = self._ideal.solve(ideal_sums_n.astype(np.float32), self._all_sums).ravel()
         near = binary_dilation(forces.reshape(self._shape), iterations=MARGIN).ravel() if forces.any() else forces
         self._near_s = np.where(near, 0.0, self._near_s + self._step_s)
         free = self._near_s > RELEASE_S

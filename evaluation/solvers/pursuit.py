@@ -15,6 +15,8 @@ def basis_pursuit(psi: Basis, image: Values, *, relative_error: float = 1e-3, it
 
     A fifth of the largest value of the image stands for a typical coefficient, which balances τ against σ.
 
+    Raise InputError if the method does not converge.
+
     Parameters
     ----------
     image : array, shape psi.image_shape
@@ -22,11 +24,6 @@ def basis_pursuit(psi: Basis, image: Values, *, relative_error: float = 1e-3, it
         Ends when ‖Ψs - x‖ ≤ relative_error · ‖x‖ and ‖s‖₁ is as close to its lower bound, the dual objective.
     iterations : int
         Most iterations.
-
-    Raises
-    ------
-    InputError
-        If the method does not converge.
     """
     if not image.any():
         return np.zeros(psi.shape, image.dtype)

@@ -61,7 +61,6 @@ class AdaptiveBoards(PatchBoards):
         self._given = np.zeros((2, *self._cells.shape), np.float32)
         self._noise: Noise | None = None
         self._threshold_n2 = np.zeros(nodes)
-        self._is_changed = False
 
     # --- time ----------------------------------------------------------------------------------------------
 
@@ -70,19 +69,14 @@ class AdaptiveBoards(PatchBoards):
         """Whether a controller may hold a frame, or its echo is to be read."""
         return bool(self.groups.under_way.any())
 
-    def _begin(self) -> None:
-        if self._is_changed:
-            self._sensors.recalibrate()
-            self._is_changed = False
-
     def _take(self, sample_n: Floats) -> None:
         self.filter.take(sample_n)
 
-    def _decide(self, now_ns: int, passed_ns: int, skipped: int) -> bool:  # noqa: ARG002  `_now` has the skipped ones
+    def _decide(self, now_ns: int, passed_ns: int, skipped: int) -> bool:  # noqa: ARG002  `decision` has the skipped ones
         if self.filter.noise is not self._noise:
             self._take_noise()
         due = decide_all(
-            self._now,
+            self.decision,
             now_ns,
             passed_ns * 1e-9,
             self.filter.sums_n,
@@ -105,7 +99,7 @@ class AdaptiveBoards(PatchBoards):
         row = self._row[block]
         if is_operational and not self.controllers.is_operational[row]:
             for group in range(GROUPS):
-                ask(row, group, self._now, self.groups)
+                ask(row, group, self.decision, self.groups)
         self.controllers.is_operational[row] = is_operational
 
     def set_tpdos(self, block: int, cob_id: Sequence[int], inhibit: Sequence[int]) -> None:
@@ -125,7 +119,7 @@ class AdaptiveBoards(PatchBoards):
         if not self.controllers.has_due[rows].any():
             return self._burst[:0]
         parts = self.filter.sums_n, self._law, self.groups, self.controllers, room
-        count = int(choose(rows.start, rows.stop, self._now, until_ns, most, *parts))
+        count = int(choose(rows.start, rows.stop, self.decision, until_ns, most, *parts))
         burst = self._burst[:count]
         burst["time_ns"], burst["expires_ns"], burst["flags"] = now_ns, until_ns, self._flags[bus]
         burst["can_id"], burst["port"] = room.can_id[:count], self._node_id[room.node[:count]]
@@ -140,7 +134,7 @@ class AdaptiveBoards(PatchBoards):
 
     def take_echoes(self, bus: int, arrived: Frames) -> tuple[int, int]:
         """Take note of the nodes' own frames, see `nodes.adaptive.controllers.take_echoes`."""
-        parts = self._now, self._law, self.groups, self.controllers
+        parts = self.decision, self._law, self.groups, self.controllers
         sent, others = take_echoes(frame_bytes(arrived), self._place_of[bus], *parts)
         return int(sent), int(others)
 
@@ -163,11 +157,10 @@ class AdaptiveBoards(PatchBoards):
     def adjust(self, block: int, index: int, subindex: int, value: float) -> None:
         """Apply a write to a block's calibration, or to its way of sending (2030h to 2034h)."""
         row = self._row[block]
-        self._is_changed = True
         if index == od.REFRESH:
             for group in range(GROUPS):
                 if int(value) >> group & 1:
-                    ask(row, group, self._now, self.groups)
+                    ask(row, group, self.decision, self.groups)
         elif index == od.SENDING and subindex:
             self.controllers.rule[SendingRule._fields[subindex - 1]][row] = value
             self._noise = None
@@ -179,13 +172,14 @@ class AdaptiveBoards(PatchBoards):
             self.controllers.saved[row] = SAVED_FRAMES * self.controllers.frame_bits[row, 0]
         else:
             super().adjust(block, index, subindex, value)
+            self._sensors.is_stale = True
 
     def reset(self, block: int) -> None:
         """Set a block to the defaults: calibration, rule of sending, noise that is learned, no budget."""
         super().reset(block)
         row = self._row[block]
         self.controllers.rule[row] = DEFAULT_RULE
-        self._noise, self._is_changed = None, True
+        self._noise, self._sensors.is_stale = None, True
         self.controllers.budget[row] = 0
         if self._given[:, row].any():
             self._given[:, row] = 0

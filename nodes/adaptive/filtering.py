@@ -6,8 +6,17 @@ from typing import Any
 
 import numpy as np
 
-from dbc.adaptive_filter import HORIZON, IDLE_SAMPLES, SETTLING_SAMPLES, Floats, Models, make_models, unclip_table
-from nodes.adaptive.following import NoiseScale, OffsetState, ScaleSums, follow, gather, new_offsets
+from dbc.adaptive_filter import (
+    HORIZON,
+    IDLE_SAMPLES,
+    SETTLING_SAMPLES,
+    WINDOW,
+    Floats,
+    Models,
+    make_models,
+    unclip_table,
+)
+from nodes.adaptive.following import OffsetState, ScaleSums, follow, gather, judged, new_offsets
 from nodes.adaptive.models import Tracks, new_tracks, step
 from nodes.adaptive.noise import IdleStatistics, Noise, unclip
 from nodes.adaptive.transforms import from_haar, to_haar, to_walsh, to_walsh_variance
@@ -42,7 +51,7 @@ class ForceFilter:
         self._table = unclip_table()
         self._work = np.zeros((2, *shape), np.float32)
         self._offsets = new_offsets(noise.offset_n)
-        self._scale = NoiseScale(*shape)
+        self._sums, self._in_window = ScaleSums(*np.zeros((3, *shape), np.float32)), 0
         self.force_n = np.zeros(shape, np.float32)
         self.noise = self._learned = noise
         #: Noise of taxels and coefficients that somebody has set; 0 where none.
@@ -57,13 +66,15 @@ class ForceFilter:
         """Take one sample of every taxel, shape (nodes, taxels), newtons."""
         noise = self.noise
         known = noise.taxel_n, noise.coefficient_n
-        learning = self._scale.sums, self._offsets
+        learning = self._sums, self._offsets
         models = self._models, self._tracks, self._forecast, self._variance
         _take(sample_n, known, learning, models, np.float32(HORIZON), self._table, self._work, self.force_n)
-        scale = self._scale.judge(self._learned.taxel_n)
-        if scale is not None:
+        self._in_window += 1
+        if self._in_window == WINDOW:
+            self._in_window = 0
             # Rescale all noise by the measured factor: that of coefficients is known relative to that of taxels.
             learned = self._learned
+            scale = judged(self._sums, learned.taxel_n)
             self._use(replace(learned, taxel_n=learned.taxel_n * scale, coefficient_n=learned.coefficient_n * scale))
 
     def _use(self, learned: Noise) -> None:

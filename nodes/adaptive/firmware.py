@@ -30,7 +30,7 @@ class FirmwarePatches(PatchBoards):
         self, contract: Contract, blocks: Sequence[int], source: TaxelSource, firmware: Firmware, **analogue: Any
     ) -> None:
         super().__init__(contract, blocks, source, **analogue)
-        self._boards = {bus: firmware.adaptive_boards(bus) for bus in self._rows}
+        self._boards = {bus: firmware.boards(bus) for bus in self._rows}
         self._bus_of = {block: contract.nodes[block].bus for block in blocks}
         # The boards learn the noise of the untouched skin, as when they are switched on.
         while not self._pass_counts():

@@ -95,37 +95,12 @@ class ScaleSums(NamedTuple):
     last_n: Floats
 
 
-class NoiseScale:
-    """Looks at raw samples, and says by how much the noise of each node is larger than it is taken to be.
-
-    Attributes
-    ----------
-    sums : ScaleSums
-    """
-
-    def __init__(self, nodes: int, taxels: int) -> None:
-        self.sums = ScaleSums(*np.zeros((3, nodes, taxels), np.float32))
-        self._samples = 0
-
-    def take(self, sample_n: Floats, noise_n: Floats) -> Floats | None:
-        """Take a sample, newtons; return by what to multiply the noise of each node, shape (nodes, 1), or None.
-
-        Parameters
-        ----------
-        sample_n, noise_n : arrays of float32, shape (nodes, taxels)
-        """
-        gather(sample_n, self.sums)
-        return self.judge(noise_n)
-
-    def judge(self, noise_n: Floats) -> Floats | None:
-        """Count a sample that `sums` has taken, and return what `take` does."""
-        self._samples += 1
-        if self._samples < WINDOW:
-            return None
-        scale = np.ones((len(noise_n), 1), np.float32)
-        _judge(self.sums, noise_n, scale)
-        self.sums.total[:] = self.sums.square[:] = self._samples = 0
-        return scale
+def judged(sums: ScaleSums, noise_n: Floats) -> Floats:
+    """Return by what to multiply the noise of each node after WINDOW samples, shape (nodes, 1); begin the sums anew."""
+    scale = np.ones((len(noise_n), 1), np.float32)
+    _judge(sums, noise_n, scale)
+    sums.total[:] = sums.square[:] = 0
+    return scale
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -65,11 +65,6 @@ class IdleStatistics:
         self._partial = np.zeros((len(SPANS), nodes, taxels))
         self._means, self._mean_squares = np.zeros((2, len(SPANS), nodes, taxels))
 
-    @property
-    def count(self) -> int:
-        """Samples taken."""
-        return self._count
-
     def take(self, sample_n: Floats) -> None:
         """Take one sample of every taxel, shape (nodes, taxels), newtons."""
         self._count += 1

@@ -43,8 +43,10 @@ class PatchBoards(Hardware):
 
     Attributes
     ----------
-    samples_skipped : int
-        Samples that were not taken, because the process was late.
+    decision : int
+        Number of the sample at which was last decided what to send.
+    pace_ns : float
+        Time between two decisions: that of a sample, unless the process is late.
     has_due : bool
         Whether any node had something to send at the newest decision.
     """
@@ -61,7 +63,8 @@ class PatchBoards(Hardware):
     ) -> None:
         taxels = contract.layout.taxels
         super().__init__(contract.phi, Calibration(taxels))
-        self.samples_skipped = 0
+        self.decision = 0
+        self.pace_ns = float(SAMPLE_NS)
         self.has_due = False
         self._taxels = taxels
         self._row = {block: row for row, block in enumerate(blocks)}
@@ -73,25 +76,13 @@ class PatchBoards(Hardware):
         self._cells = contract.phi.taxels_of_blocks[list(blocks)]
         model = TaxelModel(0.0 if source.has_noise else noise_n, taxels.force_max_n, defects)
         self._sensors = PatchSensors(self._calibration, self._cells, model, source, seed)
-        self._now = 0  # number of the newest sample
         self._next_ns = self._decided_ns = 0
-        self._pace_ns = float(SAMPLE_NS)
         self._truths: deque[Truth] = deque(maxlen=CATCH_UP)
 
     @property
     def due_s(self) -> float:
         """When the next sample is due; before the first call of `advance`, at once."""
         return self._next_ns * 1e-9
-
-    @property
-    def decision(self) -> int:
-        """Number of the sample at which was last decided what to send."""
-        return self._now
-
-    @property
-    def pace_ns(self) -> float:
-        """Time between two decisions: that of a sample, unless the process is late."""
-        return self._pace_ns
 
     def prepare(self) -> None:
         """Do nothing: no SYNC asks for anything."""
@@ -110,21 +101,16 @@ class PatchBoards(Hardware):
         if due <= 0:
             return
         skipped = max(0, due - CATCH_UP)
-        self.samples_skipped += skipped
         self._next_ns += skipped * SAMPLE_NS
-        self._begin()
         for _ in range(due - skipped):
             self._take(self._sensors.sample(self._next_ns))
             self._note_truth(self._next_ns)
             self._next_ns += SAMPLE_NS
-        self._now += due
+        self.decision += due
         passed_ns = now_ns - self._decided_ns
         self._decided_ns = now_ns
-        self._pace_ns += PACE_GAIN * (min(max(passed_ns, PACE_NS[0]), PACE_NS[1]) - self._pace_ns)
+        self.pace_ns += PACE_GAIN * (min(max(passed_ns, PACE_NS[0]), PACE_NS[1]) - self.pace_ns)
         self.has_due = self._decide(now_ns, passed_ns, skipped)
-
-    def _begin(self) -> None:
-        """Do what samples need that are about to be taken."""
 
     @abstractmethod
     def _take(self, sample_n: Floats) -> None:

@@ -42,7 +42,7 @@ class PatchSensors:
     Parameters
     ----------
     calibration : Calibration
-        Of the whole skin; `recalibrate` reads it.
+        Of the whole skin.
     cells : array of int, shape (boards, taxels)
         Row-major places of each board's taxels.
     source : TaxelSource
@@ -56,6 +56,8 @@ class PatchSensors:
         What every taxel read last, corrected, whole ADC counts.
     touch_from_ns : int or None
         When step 0 of the touch is.
+    is_stale : bool
+        Whether gains, offsets and test patterns have changed: the next sample reads them anew.
     """
 
     def __init__(
@@ -89,13 +91,13 @@ class PatchSensors:
         self._memory_step: int | None = None
         self._ends_n = np.zeros((2, 2, *cells.shape), np.float32)
         self._ends_n[:] = self._of_taxels(model.felt_n(np.zeros((1, *self._shape), np.float32), np.zeros(1))[0])
-        self.recalibrate()
+        self._recalibrate()
 
-    def recalibrate(self) -> None:
-        """Read gains, offsets and test patterns of all boards."""
+    def _recalibrate(self) -> None:
         cells, calibration = self._cells, self._calibration
         self._gain, self._offset = calibration.gain[cells], calibration.offset[cells]
         self._pattern = calibration.pattern[cells].astype(np.float32)
+        self.is_stale = False
 
     def drifted_n(self, tick_ns: int) -> Floats:
         """Return how far the zeros of the taxels have drifted by place, newtons, shape (rows, columns)."""
@@ -104,6 +106,8 @@ class PatchSensors:
 
     def sample(self, tick_ns: int) -> Floats:
         """Sample every taxel for a tick; the samples are up to 1 ms old then. Newtons, shape (boards, taxels)."""
+        if self.is_stale:
+            self._recalibrate()
         since = 0.0
         if self.touch_from_ns is not None:
             steps = (tick_ns - self.touch_from_ns) / STEP_NS

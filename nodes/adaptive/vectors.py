@@ -1,6 +1,8 @@
 """Test vectors for the firmware of an adaptive board: samples, what its filter makes of them, its frames, as JSON."""
 
 from collections.abc import Iterable, Iterator
+from functools import reduce
+from operator import add
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -225,7 +227,7 @@ class _Board:
             "is_busy": sample.is_busy,
             "counts": sample.counts.tolist(),
             "sums_n": _reals(self._filter.sums_n[0]),
-            "variance_n2": [_total(variance_n2, group) for group in range(GROUPS)],
+            "variance_n2": [reduce(add, of_group) for of_group in variance_n2.reshape(GROUPS, -1).tolist()],
             "frames": self._frames(is_busy=sample.is_busy),
         }
 
@@ -254,11 +256,3 @@ def _noise(noise: Noise) -> dict[str, object]:
         "coefficient_noise_n": _reals(noise.coefficient_n[0]),
         "board_noise_n": float(noise.node_n[0]),
     }
-
-
-def _total(variance_n2: npt.NDArray[np.float64], group: int) -> float:
-    """Return the sum of a group's variances, added in their order."""
-    total = 0.0
-    for value in variance_n2[GROUP_SUMS * group : GROUP_SUMS * (group + 1)].tolist():
-        total += value
-    return total

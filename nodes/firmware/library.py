@@ -7,7 +7,7 @@ import subprocess
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Final, TypeVar
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -27,21 +27,27 @@ STANDARD_FLAGS: Final = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic",
 _FLAGS: Final = (*STANDARD_FLAGS, "-O3", "-fno-math-errno", "-fno-trapping-math", "-fPIC", "-shared")
 #: Frames that the boards of one bus may answer at once; more are lost.
 _CAPACITY: Final = 4096
-_FUNCTIONS: Final = (
-    "skin_power_up",
-    "skin_take",
-    "skin_pass_time",
-    "skin_refuse",
-    "skin_newest_sums",
-    "skin_node_bytes",
-)
-_ADAPTIVE_FUNCTIONS: Final = ("skin_take_counts", "skin_decide_all", "skin_choose", "skin_under_way")
-
-_Made = TypeVar("_Made", bound="CompiledBoards")
+_U32, _I64, _SIZE, _POINTER = ctypes.c_uint32, ctypes.c_int64, ctypes.c_size_t, ctypes.c_void_p
+#: What the functions of ``skin_boards.h`` take; those that return something return a ``size_t``.
+_FUNCTIONS: Final[dict[str, tuple[type, ...]]] = {
+    "skin_power_up": (_POINTER, _U32, _U32, _U32, _POINTER, _SIZE),
+    "skin_take": (_POINTER, _U32, _U32, _POINTER, ctypes.c_uint16, _U32, _POINTER, _SIZE, _POINTER, _SIZE),
+    "skin_pass_time": (_POINTER, _U32, _U32, _POINTER, _SIZE),
+    "skin_refuse": (_POINTER, _U32, _POINTER, _SIZE),
+    "skin_newest_sums": (_POINTER, _POINTER),
+    "skin_node_bytes": (),
+}
+_ADAPTIVE_FUNCTIONS: Final[dict[str, tuple[type, ...]]] = {
+    "skin_prepare": (_POINTER, _U32, _U32),
+    "skin_take_counts": (_POINTER, _U32, _POINTER),
+    "skin_decide_all": (_POINTER, _U32, _U32, _I64),
+    "skin_choose": (_POINTER, _U32, _U32, _I64, _I64, _POINTER, _SIZE),
+    "skin_under_way": (_POINTER, _U32),
+}
 
 
 class Firmware:
-    """The compiled firmware of some boards.
+    """The compiled firmware of some boards; raise InputError if it cannot be compiled and kept.
 
     Parameters
     ----------
@@ -49,11 +55,6 @@ class Firmware:
         The boards, those of each bus one after another.
     compiler : str
         The C compiler.
-
-    Raises
-    ------
-    InputError
-        If there is no compiler, it fails, or the cache folder cannot be written.
     """
 
     def __init__(self, contract: Contract, nodes: Sequence[NodeContract], *, compiler: str = "cc") -> None:
@@ -61,29 +62,24 @@ class Firmware:
         # With the CANopen slave, and what runs many of them together.
         texts = sources(boards, "slave", "host") | constants(contract, boards)
         self._library = _loaded(texts, compiler)
-        for name in (*_FUNCTIONS, *(_ADAPTIVE_FUNCTIONS if boards[0].is_adaptive else ())):
-            getattr(self._library, name).restype = ctypes.c_size_t
+        for name, types in (_FUNCTIONS | (_ADAPTIVE_FUNCTIONS if boards[0].is_adaptive else {})).items():
+            function = getattr(self._library, name)
+            function.argtypes, function.restype = types, ctypes.c_size_t
         self._contract, self._nodes = contract, nodes
         self._boards: dict[int, CompiledBoards] = {}
 
     def boards(self, bus: int) -> "CompiledBoards":
         """Return the boards of bus number `bus`, which have no power before the first call of `power_up`."""
         if bus not in self._boards:
-            self._boards[bus] = self._new(CompiledBoards, bus)
+            nodes = [node for node in self._nodes if node.bus == bus]
+            self._boards[bus] = CompiledBoards(self._library, self._contract, nodes, self._nodes.index(nodes[0]))
         return self._boards[bus]
-
-    def adaptive_boards(self, bus: int) -> "CompiledAdaptiveBoards":
-        """Return the boards of bus number `bus`, which have not learned their noise; the layout sends adaptively."""
-        made = self._boards[bus] = self._new(CompiledAdaptiveBoards, bus)
-        return made
-
-    def _new(self, kind: type[_Made], bus: int) -> _Made:
-        nodes = [node for node in self._nodes if node.bus == bus]
-        return kind(self._library, self._contract, nodes, self._nodes.index(nodes[0]))
 
 
 class CompiledBoards:
     """The boards of one bus: most methods take a time in seconds and return the frames that the boards send.
+
+    Adaptive boards sample by their own clock (`take_counts`), and send sums when these carry news (`decide`, `choose`).
 
     Parameters
     ----------
@@ -108,15 +104,17 @@ class CompiledBoards:
             self.is_pdo[[tpdo.cob_id for tpdo in node.tpdos] + [tpdo.cob_id for tpdo in node.adaptive_tpdos]] = True
         self.due_s = float("-inf")
         self._library = library
-        self._first, self._count = ctypes.c_uint32(first), ctypes.c_uint32(len(nodes))
+        self._first, self._count = first, len(nodes)
         self._node_bytes = int(library.skin_node_bytes())
         # Eight bytes each, so that the memory is aligned for every C type.
         self._memory = np.zeros(-(-len(nodes) * self._node_bytes // 8), np.uint64)
-        self._nodes = ctypes.c_void_p(self._memory.ctypes.data)
+        self._nodes = self._memory.ctypes.data
         self._taxels = contract.phi.order.size
         self._most_samples = 2 * contract.layout.samples_per_sync
         self._out = frames(_CAPACITY)
-        self._sent = (ctypes.c_void_p(self._out.ctypes.data), ctypes.c_size_t(_CAPACITY))
+        self._sent = self._out.ctypes.data, _CAPACITY
+        if contract.layout.sending == "adaptive":
+            self._library.skin_prepare(self._nodes, self._first, self._count)
 
     def power_up(self, now_s: float) -> Frames:
         """Begin anew, with the default parameters."""
@@ -145,17 +143,17 @@ class CompiledBoards:
                 wanted = f"1 to {self._most_samples} samples of {self._taxels} counts"
                 raise InputError(f"expected {wanted}, got {measured.shape}")
             counts = np.ascontiguousarray(measured, np.uint16)
-            read = ctypes.c_void_p(counts.ctypes.data)
+            read = counts.ctypes.data
         return self._taken(
             self._library.skin_take(
                 self._nodes,
                 self._count,
                 _milliseconds(now_s),
                 read,
-                ctypes.c_uint16(samples),
-                ctypes.c_uint32(self._taxels),
-                ctypes.c_void_p(there.ctypes.data),
-                ctypes.c_size_t(len(there)),
+                samples,
+                self._taxels,
+                there.ctypes.data,
+                len(there),
                 *self._sent,
             )
         )
@@ -167,60 +165,44 @@ class CompiledBoards:
     def refuse(self, burst: Frames) -> None:
         """Take note of TPDOs that found no room in the transmit queue."""
         there = np.ascontiguousarray(burst)
-        self._library.skin_refuse(
-            self._nodes, self._count, ctypes.c_void_p(there.ctypes.data), ctypes.c_size_t(len(there))
-        )
+        self._library.skin_refuse(self._nodes, self._count, there.ctypes.data, len(there))
 
     def sums(self, board: int, count: int) -> npt.NDArray[np.int32]:
         """Return the newest `count` sums of board number `board` of this bus, ADC counts."""
         sums = np.zeros(count, np.int32)
-        node = ctypes.c_void_p(self._memory.ctypes.data + board * self._node_bytes)
-        self._library.skin_newest_sums(node, ctypes.c_void_p(sums.ctypes.data))
+        self._library.skin_newest_sums(self._nodes + board * self._node_bytes, sums.ctypes.data)
         return sums
-
-    def _taken(self, count: int) -> Frames:
-        taken: Frames = self._out[:count].copy()
-        return taken
-
-
-class CompiledAdaptiveBoards(CompiledBoards):
-    """The boards of one bus that sample by their own clock, and send sums when these carry news."""
-
-    def __init__(self, library: ctypes.CDLL, contract: Contract, nodes: Sequence[NodeContract], first: int) -> None:
-        super().__init__(library, contract, nodes, first)
-        self._library.skin_prepare.restype = None
-        self._library.skin_prepare(self._nodes, self._first, self._count)
 
     def take_counts(self, counts: npt.NDArray[np.float32]) -> bool:
         """Pass one sample to the boards, shape (boards, taxels); tell whether all have learned their noise."""
-        expected = (self._count.value, BLOCK_SUMS)
+        expected = (self._count, BLOCK_SUMS)
         if counts.shape != expected:
             raise InputError(f"expected counts of {expected}, got {counts.shape}")
         there = counts.astype(np.uint16, order="C")  # a copy: corrected in place
-        ready = self._library.skin_take_counts(self._nodes, self._count, ctypes.c_void_p(there.ctypes.data))
-        return bool(ready == self._count.value)
+        ready = self._library.skin_take_counts(self._nodes, self._count, there.ctypes.data)
+        return bool(ready == self._count)
 
     def decide(self, skipped: int, passed_ns: int) -> bool:
         """Decide what to send with the newest sample, after `skipped` ones; tell whether any frame is due."""
-        passed = ctypes.c_int64(passed_ns)
-        return bool(self._library.skin_decide_all(self._nodes, self._count, ctypes.c_uint32(skipped), passed))
+        return bool(self._library.skin_decide_all(self._nodes, self._count, skipped, passed_ns))
 
     def choose(self, most: int, now_ns: int, until_ns: int) -> Frames:
         """Make the most urgent frames, at most `most`, which expire at `until_ns`."""
-        times = ctypes.c_int64(now_ns), ctypes.c_int64(until_ns)
-        return self._taken(
-            self._library.skin_choose(self._nodes, self._count, ctypes.c_uint32(most), *times, *self._sent)
-        )
+        return self._taken(self._library.skin_choose(self._nodes, self._count, most, now_ns, until_ns, *self._sent))
 
     @property
     def is_sending(self) -> bool:
         """Whether a controller may hold a frame, or its echo is to be read."""
         return bool(self._library.skin_under_way(self._nodes, self._count))
 
+    def _taken(self, count: int) -> Frames:
+        taken: Frames = self._out[:count].copy()
+        return taken
 
-def _milliseconds(now_s: float) -> ctypes.c_uint32:
+
+def _milliseconds(now_s: float) -> int:
     """Return a time as the boards count it: milliseconds that wrap."""
-    return ctypes.c_uint32(round(now_s * 1000) & 0xFFFF_FFFF)
+    return round(now_s * 1000) & 0xFFFF_FFFF
 
 
 def _loaded(texts: dict[str, str], compiler: str) -> ctypes.CDLL:
@@ -260,10 +242,7 @@ def _compiled(texts: dict[str, str], compiler: str) -> Path:
 def compile_c(paths: Sequence[Path], out: Path, command: Sequence[str]) -> None:
     """Compile the sources among `paths` to `out` with the compiler and the flags of `command`.
 
-    Raises
-    ------
-    InputError
-        If the compiler fails; the message has its first error.
+    If the compiler fails, raise InputError with its first error.
     """
     folders = sorted({f"-I{path.parent}" for path in paths})
     texts = [str(path) for path in paths if path.suffix == ".c"]

@@ -68,18 +68,11 @@ class Build:
 
 
 def builds(contract: Contract, nodes: Sequence[NodeContract]) -> list[Build]:
-    """Return what the C sources of `nodes` are made from.
-
-    Raises
-    ------
-    InputError
-        If the boards make their sums in hardware.
-    """
+    """Return what the C sources of `nodes` are made from; raise InputError if they make their sums in hardware."""
     if contract.layout.taxels.is_analogue:
         raise InputError('the C firmware adds taxels that are digital: expected taxels.frontend = "digital"')
     is_adaptive = contract.layout.sending == "adaptive"
-    sizes = _adaptive_frame_sizes if is_adaptive else _frame_sizes
-    of_bus = {bus: sizes(contract, bus) for bus in {node.bus for node in nodes}}
+    of_bus = {bus: _frame_sizes(contract, bus) for bus in {node.bus for node in nodes}}
     return [
         Build(node, board(contract, node), _object_table(contract, node), is_adaptive, *of_bus[node.bus])
         for node in nodes
@@ -89,12 +82,8 @@ def builds(contract: Contract, nodes: Sequence[NodeContract]) -> list[Build]:
 def _frame_sizes(contract: Contract, bus: int) -> tuple[int, tuple[int, int]]:
     """Return `frame_ns` and `frame_bits` of `Build` for the boards of a bus."""
     line = contract.layout.bus[bus]
-    return int(frame_time_ns(contract.cycle(bus), line.bitrate, line.data_bitrate, "worst").max()), (0, 0)
-
-
-def _adaptive_frame_sizes(contract: Contract, bus: int) -> tuple[int, tuple[int, int]]:
-    """Return the same for adaptive boards."""
-    line = contract.layout.bus[bus]
+    if contract.layout.sending != "adaptive":
+        return int(frame_time_ns(contract.cycle(bus), line.bitrate, line.data_bitrate, "worst").max()), (0, 0)
     coarse, fine = (sum_frame_bits(line, is_fine=is_fine) for is_fine in (False, True))
     return round(fine * 1e9 / line.bitrate), (coarse, fine)
 

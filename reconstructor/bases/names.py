@@ -22,10 +22,7 @@ _EXACT: Final = 1e-9
 def wavelet_basis_name(name: str) -> str:
     """Return the full name of a basis: ``sym4`` and ``sym4-pyramid`` give ``sym4-pyramid``, ``db2`` ``d4-pyramid``.
 
-    Raises
-    ------
-    InputError
-        If PyWavelets has no such orthogonal wavelet; the message has the nearest name and lists the families.
+    Raise InputError unless PyWavelets has the wavelet; the message has the nearest name and lists the families.
     """
     wavelet, dash, form = name.rpartition("-")
     if not dash:

@@ -3,12 +3,10 @@
 PyWavelets has none of them.
 """
 
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-
-from reconstructor.checks import Values
 
 Matrix = npt.NDArray[np.float64]
 
@@ -39,33 +37,6 @@ def pyramid_pair(size: int) -> PyramidPair:
     """Return the pyramid filters for one side of the image."""
     low, high = _pkva_pair()
     return PyramidPair(_circulant(low, size)[::2], _circulant(high, size)[:, ::2])
-
-
-def fan(images: Values, *, quincunx: bool, mirrored: bool) -> Values:
-    """Filter the last two axes, (..., rows, columns), with FAN along both, periodically.
-
-    Parameters
-    ----------
-    quincunx : bool
-        Samples that leave at the top or bottom enter shifted by half the width.
-    mirrored : bool
-        With the filter turned by 180°: the adjoint.
-    """
-    before = 6 if mirrored else 5
-    rows, columns = images.shape[-2:]
-    across: npt.NDArray[Any] = sum(
-        tap * np.roll(images, before - t, axis=-1) for t, tap in enumerate(FAN[::-1].astype(images.dtype))
-    )
-    place = np.arange(rows)[:, None] + np.arange(12)[None, :] - before
-    made = np.zeros_like(images)
-    for t, tap in enumerate(FAN[::-1].astype(images.dtype)):
-        wraps, row = np.divmod(place[:, t], rows)
-        taken = across[..., row, :]
-        if quincunx:
-            odd = wraps % 2 == 1
-            taken[..., odd, :] = np.roll(taken[..., odd, :], columns // 2, axis=-1)
-        made += tap * taken
-    return made
 
 
 def _pkva_pair() -> tuple[Matrix, Matrix]:

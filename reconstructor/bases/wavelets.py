@@ -49,16 +49,11 @@ class WaveletBasis:
 
 
 def wavelet_basis(name: str, rows: int, columns: int) -> WaveletBasis:
-    """Return the basis of an orthogonal wavelet, periodic; `name` as `wavelet_basis_name` takes it.
+    """Return the basis of an orthogonal wavelet, periodic, on sides of 8 to 256; `name` as for `wavelet_basis_name`.
 
     A level is low[k] = Σ h[i] x[2k+i] and high[k] = Σ g[i] x[2k+i] with the wavelet's h = ``rec_lo`` and g =
     ``rec_hi``. "pyramid": each level transforms rows and columns of the low quadrant of the level before, until its
     shorter side is 1. "tensor": all levels of each column, then all of each row, down to length 1 (Table I).
-
-    Raises
-    ------
-    InputError
-        If there is no such wavelet, or a side is not a power of two, 8 to 256.
     """
     wavelet, form = wavelet_of(name)
     check_grid(rows, columns)

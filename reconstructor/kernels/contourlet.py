@@ -18,12 +18,13 @@ from reconstructor.kernels.contourlet_tables import (
     make_tables,
 )
 from reconstructor.kernels.contourlet_transform import synthesise, transpose
-from reconstructor.kernels.problem import check_penalty_ratio, checked, places_of_sums, taxels_in_block_order
+from reconstructor.kernels.problem import checked, places_of_sums, taxels_in_block_order
 from reconstructor.kernels.steps import Table, aligned, deliver, gather, load
 from reconstructor.kernels.transforms import FAST_MATH, Flat, masked_gram
 from reconstructor.settings import SolverSettings
 from shell.compiled import njit
 from skin.measurement import Sbhe
+from skin.ranges import require_number
 
 
 class _Problem(NamedTuple):
@@ -82,7 +83,7 @@ def advance_coefficients(estimate: Flat, ahead: Flat, slope: Flat, threshold: An
 
 
 class CompiledContourlet(Contourlet):
-    """`Contourlet` with compiled `forward` and `adjoint`, of one dtype; for basis pursuit and other long iterations."""
+    """The contourlet as a `reconstructor.bases.Basis` of one dtype, compiled."""
 
     def __init__(self, rows: int, columns: int, dtype: npt.DTypeLike = np.float64) -> None:
         super().__init__(rows, columns)
@@ -119,11 +120,6 @@ class ContourletSolver:
         Equal, a power of two, 16 to 256.
     settings : SolverSettings
         With the prior "contourlet"; L is `lipschitz_ratio` times the largest eigenvalue of (ΦΨ)ᵀΦΨ, which is computed.
-
-    Raises
-    ------
-    InputError
-        If the grid or the settings do not fit.
     """
 
     def __init__(
@@ -169,7 +165,7 @@ class ContourletSolver:
         """Solve in place from `estimate` and return the number of sums used; raises like `FusedSolver.solve`."""
         check_estimate(estimate, self._order.shape, self.dtype)
         sums, counting = checked(sums_n, weights, (self.sums,), self.dtype)
-        check_penalty_ratio(relative_penalty)
+        require_number("the relative penalty", relative_penalty)
         self._problem.numbers[1] = self._threshold * relative_penalty
         return int(_solve(estimate, sums, counting, self._problem, self._tables, self._scratch, self._buffers))
 

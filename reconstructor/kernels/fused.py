@@ -10,10 +10,11 @@ from reconstructor.checks import Values, check_estimate, check_values, float_kin
 from reconstructor.kernels import daubechies, haar, variation
 from reconstructor.kernels.addresses import spin_shifts
 from reconstructor.kernels.matrices import SCRATCH_ROWS, MatrixWavelet
-from reconstructor.kernels.problem import check_penalty_ratio, checked, make_problem, taxels_in_block_order
+from reconstructor.kernels.problem import checked, make_problem, taxels_in_block_order
 from reconstructor.kernels.steps import aligned, deliver, row, scratch_of
 from reconstructor.settings import SolverSettings
 from skin.measurement import Sbhe
+from skin.ranges import require_number
 
 
 class _Kernel(NamedTuple):
@@ -51,11 +52,6 @@ class FusedSolver:
         Powers of two, 8 to 256, not necessarily equal.
     settings : SolverSettings
         Any prior except the contourlet.
-
-    Raises
-    ------
-    InputError
-        If the grid does not fit Φ, a side is no power of two, or the settings do not fit.
     """
 
     def __init__(
@@ -103,7 +99,7 @@ class FusedSolver:
         """
         check_estimate(estimate, self._taxel.shape, self.dtype)
         sums, counting = checked(sums_n, weights, (self.sums,), self.dtype)
-        check_penalty_ratio(relative_penalty)
+        require_number("the relative penalty", relative_penalty)
         self._problem.numbers[1] = self._threshold * relative_penalty
         return int(self._kernel.solve(estimate, sums, counting, self._problem, self._scratch))
 

@@ -17,13 +17,7 @@ SCRATCH_ROWS: Final = 5
 
 
 class MatrixWavelet:
-    """Called as `reconstructor.kernels.haar.solve_haar`, with the basis `name` of a grid.
-
-    Raises
-    ------
-    InputError
-        If the name is none of an orthogonal wavelet, or the grid does not fit.
-    """
+    """Called as `reconstructor.kernels.haar.solve_haar`, with the basis `name` of a grid."""
 
     def __init__(self, name: str, rows: int, columns: int, dtype: np.dtype[Any]) -> None:
         steps = wavelet_basis(name, rows, columns).steps

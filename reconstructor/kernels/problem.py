@@ -1,6 +1,5 @@
 """The tables and constants of one Φ and one prior."""
 
-import math
 from collections.abc import Callable
 from typing import Any, Final
 
@@ -31,13 +30,7 @@ ADDRESSES: Final[dict[str, Callable[[int, int], Indices]]] = {
 
 
 def make_problem(phi: Sbhe, rows: int, columns: int, settings: SolverSettings, kind: np.dtype[Any]) -> Problem:
-    """Return the tables and constants of a solver; not for the contourlet.
-
-    Raises
-    ------
-    InputError
-        If Φ, grid and settings do not fit each other.
-    """
+    """Return the tables and constants of a solver; not for the contourlet."""
     check_grid_of(phi, rows, columns)
     if settings.prior == "contourlet":
         raise InputError("expected a wavelet or 'variation', got 'contourlet'")
@@ -70,20 +63,8 @@ def places_of_sums(phi: Sbhe) -> Table:
     return (phi.row_of_sum * phi.blocks + phi.block_of_sum).astype(np.uint16)
 
 
-def check_penalty_ratio(relative_penalty: float) -> None:
-    """Raise InputError unless the factor of λ is finite and 0 or more."""
-    if not 0 <= relative_penalty < math.inf:
-        raise InputError(f"expected a relative penalty of 0 or more, got {relative_penalty}")
-
-
 def checked(sums_n: Values, weights: Values, shape: tuple[int, ...], kind: np.dtype[Any]) -> tuple[Values, Values]:
-    """Check the sums and weights of one cycle, and return them for the compiled solvers.
-
-    Raises
-    ------
-    InputError
-        If a shape or dtype does not fit, a weight is not 0 to 1, or a sum of weight above 0 is not finite or too large.
-    """
+    """Check the sums and weights of one cycle, and return them for the compiled solvers."""
     sums, counting = placed("sums", sums_n, shape, kind), placed("weights", weights, shape, kind)
     if not usable(sums.reshape(-1), counting.reshape(-1)):
         raise InputError("expected weights of 0 to 1, and sums of at most 1e6 N where the weight is not 0")

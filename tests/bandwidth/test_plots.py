@@ -1,12 +1,11 @@
-"""What the pictures of a plan show."""
+"""What the picture of a plan shows."""
 
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from bandwidth.plots import cycle_figure, rates_figure, write_plots
-from bandwidth.scheme_rates import schemes
+from bandwidth.plots import cycle_figure, write_plot
 from bandwidth.traffic import traffic
 from canskin.errors import InputError
 from dbc.contract import Contract
@@ -16,26 +15,6 @@ from skin.layout import load_layout
 @pytest.fixture(scope="module")
 def contract() -> Contract:
     return Contract.from_layout(load_layout())
-
-
-def test_rates_of_every_wire_are_drawn_against_the_number_of_buses(contract: Contract) -> None:
-    figure = rates_figure(contract.layout)
-    titles = [panel.get_title() for panel in figure.axes]
-    assert titles == sorted(titles, key=lambda title: -int(title.split("-")[0]))
-    all_schemes = [each for each in schemes(contract.layout) if each.what == "sums" and each.fits_node_ids]
-    for panel in figure.axes:
-        bits = int(panel.get_title().split("-")[0])
-        mine = [each for each in all_schemes if each.bits == bits]
-        lines = {str(line.get_label()): line for line in panel.get_lines()}
-        assert set(lines) == {"classic CAN", "FD 2 Mbit/s", "FD 5 Mbit/s", "FD 8 Mbit/s", "100 Hz"}
-        for name, rate in (("classic CAN", None), ("FD 2 Mbit/s", 2_000_000), ("FD 8 Mbit/s", 8_000_000)):
-            buses, rates_hz = np.array(lines[name].get_data())
-            assert buses.tolist() == sorted({each.buses for each in mine})
-            for number, rate_hz in zip(buses, rates_hz, strict=True):
-                best = max(each.max_rate_hz_worst for each in mine if (each.buses, each.data_bitrate) == (number, rate))
-                assert rate_hz == best
-        assert set(lines["100 Hz"].get_ydata()) == {100}
-        assert panel.get_yscale() == "log"
 
 
 def test_a_cycle_shows_frames_one_after_another_and_the_window(contract: Contract) -> None:
@@ -66,7 +45,7 @@ def test_a_cycle_shows_frames_one_after_another_and_the_window(contract: Contrac
     assert panel.yaxis_inverted()
 
 
-def test_pictures_that_cannot_be_written_are_one_clear_error(contract: Contract, tmp_path: Path) -> None:
+def test_a_picture_that_cannot_be_written_is_one_clear_error(contract: Contract, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match="file: cannot write the plots: File exists"):
-        write_plots(contract, tmp_path / "file")
+    with pytest.raises(InputError, match="file: cannot write the plot: File exists"):
+        write_plot(contract, tmp_path / "file")

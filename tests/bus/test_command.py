@@ -23,13 +23,13 @@ def start(*arguments: str) -> subprocess.Popen[str]:
 @pytest.mark.heavy
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
 def test_it_says_that_it_is_ready_carries_frames_and_ends_quietly(how: int) -> None:
-    rates = "--bitrate", "500000", "--data-bitrate", "0", "--clock", "virtual", "--queue-size", "10"
+    rates = "--bitrate", "500000", "--data-bitrate", "0", "--queue-size", "10"
     process = start("left", "right", *rates, "--fault", "controller=a:*,loss_ratio=1", "--json")
     try:
         assert process.stderr is not None
         assert process.stderr.readline() == "bus: ready: left, right at 500000 bit/s\n"
         a, b = (ArbitratedLink("right", Hello(name=name, bitrate=500_000)) for name in "ab")
-        assert a.welcome == Welcome(bitrate=500_000, data_bitrate=None, virtual_clock=True, queue_size=10)
+        assert a.welcome == Welcome(bitrate=500_000, data_bitrate=None, queue_size=10)
         a.send(burst(range(10)))
         collect(a, 10)
         a.close()

@@ -16,15 +16,6 @@ BIT_NS = 1000
 RECOVERY_NS = 128 * 11 * BIT_NS
 
 
-def test_a_listener_without_controllers_acknowledges_nothing() -> None:
-    bus = SimulatedBus()
-    alone = bus.attach("alone")
-    bus.attach("monitor", listen_only=True)
-    bus.submit(alone, burst([0x181]), 0)
-    bus.run_until(10_000_000)
-    assert bus.counts.transmitted == 0
-
-
 def test_bus_off_after_32_errors_and_recovery_after_restart_and_128_times_11_bits() -> None:
     bus = SimulatedBus(faults=[Fault(controller="bad:0", bit_error_rate=1.0)], restart_s=0.1)
     bad, good = bus.attach("bad"), bus.attach("good")

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 from bus.error_frames import State
-from bus.link import Filter, open_link
+from bus.link import open_link
 from bus.python_can import PythonCanLink
 from canskin.errors import BusError, InputError
 from dbc.frame import BRS, ECHO, EXTENDED, FD
-from tests.bus.harness import PATIENCE_S, await_state, burst, collect, frame, linked, serving
+from tests.bus.harness import PATIENCE_S, await_state, burst, collect, frame
 
 
 class Interface:
@@ -98,19 +98,13 @@ def readable(link: PythonCanLink) -> bool:
     return bool(select.select([link], [], [], 0)[0])
 
 
-def test_an_interface_is_opened_with_rates_and_filters_alone(opened: Open) -> None:
+def test_an_interface_is_opened_with_rates_alone(opened: Open) -> None:
     """Nothing comes from python-can's own files. CAN FD without a data bit rate has that of the identifier."""
     place = {"channel": "line", "interface": "kind", "ignore_config": True, "bitrate": 500_000}
     assert opened()[1].options == place
     assert opened(data_bitrate=2_000_000)[1].options == place
     assert opened(fd=True, data_bitrate=2_000_000)[1].options == {**place, "fd": True, "data_bitrate": 2_000_000}
     assert opened(fd=True)[1].options == {**place, "fd": True, "data_bitrate": 500_000}
-    filters = [Filter(0x180, 0x780), Filter(0x181, 0x7FF, extended=False), Filter(5, 6, extended=True)]
-    assert opened(filters=filters)[1].options["can_filters"] == [
-        {"can_id": 0x180, "can_mask": 0x780},
-        {"can_id": 0x181, "can_mask": 0x7FF, "extended": False},
-        {"can_id": 5, "can_mask": 6, "extended": True},
-    ]
 
 
 def test_what_an_interface_tells_of_its_controller(opened: Open) -> None:
@@ -214,18 +208,6 @@ def test_frames_go_both_ways_and_are_echoed() -> None:
             assert link.state is State.ACTIVE
         finally:
             link.close()
-            link.close()
-
-
-def test_filters_are_those_of_the_interface() -> None:
-    with serving("bus0"), linked("other") as (other,):
-        link = PythonCanLink("canskin", "bus0", 1_000_000, filters=[Filter(0x180, 0x780)])
-        try:
-            other.send(burst([0x100, 0x181, 0x182]))
-            assert collect(link, 2)["can_id"].tolist() == [0x181, 0x182]
-            link.send(frame(0x183))
-            assert collect(link, 1)["flags"].tolist() == [ECHO]
-        finally:
             link.close()
 
 

@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 from bus.outbox import Events
-from bus.protocol import Filter
 from bus.session import Batch, Session
 from bus.simulated_bus import SimulatedBus
-from dbc.frame import ECHO, ERROR, EXTENDED, FRAME, Frames
+from dbc.frame import ECHO, ERROR, FRAME, Frames
 from tests.bus.harness import burst, frame
 
 #: Audience of a record.
@@ -43,11 +42,11 @@ class Client:
 class Wire:
     """Two stations of a bus, the second of which is the client's."""
 
-    def __init__(self, *filters: Filter) -> None:
+    def __init__(self) -> None:
         bus = SimulatedBus()
         self.other, self.station = bus.attach("other"), bus.attach("mine")
         self.client = Client()
-        self.session = Session(self.client, self.station, filters)  # type: ignore[arg-type]
+        self.session = Session(self.client, self.station)  # type: ignore[arg-type]
 
     def give(self, sent: Frames, *, mine: bool = False, audience: int | list[int] = BOTH, now_ns: int = 5) -> None:
         owner = np.full(len(sent), (self.station if mine else self.other).number)
@@ -120,38 +119,6 @@ def test_a_station_without_power_hears_only_of_its_own_frames() -> None:
     owner = np.array([wire.station.number, wire.other.number])
     wire.session.offer(Batch(Events(sent, owner, np.full(2, BOTH, np.uint8), plain=True)), 5)
     assert wire.client.ids == [0x200]
-
-
-def test_a_filter_compares_the_bits_of_its_mask_and_the_format() -> None:
-    sent = np.concatenate([
-        burst([0x17F, 0x180, 0x1FF, 0x200]), frame(0x180, flags=EXTENDED), frame(0x10000180, flags=EXTENDED)
-    ])  # fmt: skip
-    passed = {}
-    for extended in (None, False, True):
-        wire = Wire(Filter(0x185, 0x780, extended))
-        wire.give(sent)
-        passed[extended] = wire.client.ids
-        wire.give(frame(0x7FF), mine=True)  # own frames pass every filter
-        assert wire.client.ids == [*passed[extended], 0x7FF]
-    assert passed == {
-        None: [0x180, 0x1FF, 0x180, 0x10000180],
-        False: [0x180, 0x1FF],
-        True: [0x180, 0x10000180],
-    }
-    both = Wire(Filter(0x17F, 0x7FF), Filter(0x200, 0x7FF))
-    both.give(sent)
-    assert both.client.ids == [0x17F, 0x200]
-    nothing = Wire(Filter(0x555, 0x7FF))
-    nothing.give(sent)
-    assert nothing.client.packets == []
-
-
-def test_own_frames_pass_every_filter_among_those_of_others() -> None:
-    wire, sent = Wire(Filter(0x181, 0x7FF)), burst([0x181, 0x182, 0x183, 0x184])
-    owner = np.array([wire.other.number, wire.other.number, wire.station.number, wire.station.number])
-    wire.session.offer(Batch(Events(sent, owner, np.array([BOTH, BOTH, BOTH, OTHERS], np.uint8), plain=False)), 5)
-    assert wire.client.ids == [0x181, 0x183]
-    assert wire.client.packets[0]["flags"].tolist() == [0, ECHO]
 
 
 def test_what_was_not_read_comes_later_in_order_and_nothing_overtakes_it() -> None:

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bus.link import Filter, open_link
+from bus.link import open_link
 from bus.recvmmsg import SO_RXQ_OVFL, SO_TIMESTAMPING, SO_TIMESTAMPNS, BatchSocket, Received, _read_control
-from bus.socketcan import FD_BYTES, _kernel_filters, decode, encode
+from bus.socketcan import FD_BYTES, decode, encode
 from canskin.errors import BusError
 from dbc.frame import BRS, ECHO, ERROR, ESI, EXTENDED, FD, REMOTE, Frames
 from tests.bus.harness import burst, frame
@@ -122,13 +122,6 @@ def test_stamps_and_drop_counts_are_read_where_they_are() -> None:
     assert dropped == 42
     for count, dropped in ((2, 41), (1, None)):
         assert _read_control(rows[:count], np.array([size for _, size in made[:count]], np.uintp))[2] == dropped
-
-
-def test_filters_are_laid_out_as_the_kernel_wants_them() -> None:
-    filters = (Filter(0x180, 0x780), Filter(0x181, 0x7FF, extended=False), Filter(0x181, 0x7FF, extended=True))
-    assert struct.unpack("=6I", _kernel_filters(filters)) == (
-        0x180, 0x780, 0x181, 0x800007FF, 0x80000181, 0x800007FF,
-    )  # fmt: skip
 
 
 def test_a_missing_interface_is_one_line() -> None:

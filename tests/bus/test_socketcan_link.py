@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from bus import socketcan
-from bus.link import Filter, State
+from bus.link import State
 from bus.recvmmsg import Received
 from bus.socketcan import SocketCanLink
 from canskin.errors import BusError, InputError
@@ -22,7 +22,7 @@ from tests.bus.harness import burst, frame
 
 # Numbers of the kernel, from its headers.
 AF_CAN, SOCK_RAW, CAN_RAW, SOL_CAN_RAW = 29, 3, 1, 101
-CAN_RAW_FILTER, CAN_RAW_ERR_FILTER, CAN_RAW_RECV_OWN_MSGS, CAN_RAW_FD_FRAMES = 1, 2, 4, 5
+CAN_RAW_ERR_FILTER, CAN_RAW_RECV_OWN_MSGS, CAN_RAW_FD_FRAMES = 2, 4, 5
 MSG_CONFIRM = 0x800
 SO_RCVBUF, SO_RCVBUFFORCE, SO_TIMESTAMPNS, SO_TIMESTAMPING, SO_RXQ_OVFL = 8, 33, 35, 37, 40
 SOF_TIMESTAMPING_RX_HARDWARE, SOF_TIMESTAMPING_RAW_HARDWARE = 1 << 2, 1 << 6
@@ -102,11 +102,10 @@ def test_socket_is_raw_reports_errors_and_own_frames_and_has_stamps_and_room(
     assert link.receive().size == 0  # it does not wait
 
 
-def test_fd_and_filters_are_asked_for(kernel: Kernel) -> None:
+def test_fd_is_asked_for(kernel: Kernel) -> None:
     kernel.may_force = False
-    made = SocketCanLink("can7", fd=True, filters=[Filter(0x80, 0x7FF)])
+    made = SocketCanLink("can7", fd=True)
     assert kernel.options[SOL_CAN_RAW, CAN_RAW_FD_FRAMES] == 1
-    assert kernel.options[SOL_CAN_RAW, CAN_RAW_FILTER] == struct.pack("=II", 0x80, 0x7FF)
     assert made.send(frame(0x181, bytes(13), FD)) == 1
     sent = kernel.far[0].recv(100)
     assert (len(sent), sent[4]) == (72, 16)  # the next length that CAN FD has
@@ -184,10 +183,10 @@ def test_lost_interface_is_opened_again(kernel: Kernel, link: SocketCanLink) -> 
     assert link.state is State.LOST
     assert link.receive().size == 0
     kernel.refuses = OSError(errno.ENETDOWN, "down")
-    link._backoff._next_s = 0.0
+    link._next_s = 0.0
     assert link.send(burst(range(3))) == 0
     kernel.refuses = None
-    link._backoff._next_s = 0.0
+    link._next_s = 0.0
     assert link.send(burst(range(3))) == 3
     assert link.state is State.ACTIVE
     assert len(kernel.far[-1].recv(100)) == 16

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from bus.error_frames import State
-from bus.link import Filter, Link, open_link
+from bus.link import Link, open_link
 from bus.python_can import PythonCanLink
 from dbc.frame import BRS, ECHO, ERROR, EXTENDED, FD, REMOTE
 from tests.bus.harness import await_state, burst, collect, frame
@@ -66,19 +66,6 @@ def test_what_the_kernel_drops_is_counted(links: list[Link]) -> None:
     collect(two, 1)
     assert two.dropped > 0
     assert read + two.dropped == sent
-
-
-def test_filters_are_the_kernels(links: list[Link]) -> None:
-    picky = open_link(
-        "socketcan", "vcan0", 1_000_000, filters=[Filter(0x180, 0x780), Filter(5, 0x1FFFFFFF, extended=True)]
-    )
-    try:
-        links[0].send(np.concatenate([burst([0x100, 0x181, 5]), frame(5, flags=EXTENDED)]))
-        arrived = collect(picky, 2)
-        assert arrived["can_id"].tolist() == [0x181, 5]
-        assert arrived["flags"].tolist() == [0, EXTENDED]
-    finally:
-        picky.close()
 
 
 def test_error_frames_tell_the_state(links: list[Link]) -> None:

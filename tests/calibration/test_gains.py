@@ -137,10 +137,10 @@ def recording(
             fingerprint=PHI.fingerprint,
             offsets=offsets.tobytes() if zero else b"",
         )
-        writer.add_message(MEASUREMENT, cycle, msgspec.msgpack.encode(made))
+        writer.message(MEASUREMENT, cycle, msgspec.msgpack.encode(made))
         if images:
             shown = make.image(**stamps, pixels=image.astype("<f4").tobytes(), valid=valid)
-            writer.add_message(IMAGE, cycle, msgspec.msgpack.encode(shown))
+            writer.message(IMAGE, cycle, msgspec.msgpack.encode(shown))
     writer.close()
     return path
 

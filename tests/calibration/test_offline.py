@@ -54,7 +54,7 @@ def recorded(path: Path, cycles: list[tuple[int, np.ndarray | None]]) -> Path:
         made = measurement_of(LAYOUT, PHI, cycle, np.zeros(PHI.shape[0], np.int32), time_ns=time_ns)
         if offsets is not None:
             made = msgspec.structs.replace(made, offsets=offsets.astype("<i4").tobytes())
-        writer.add_message(MEASUREMENT, 1, msgspec.msgpack.encode(made))
+        writer.message(MEASUREMENT, 1, msgspec.msgpack.encode(made))
     writer.close()
     return path
 
@@ -88,8 +88,8 @@ def test_the_attached_calibration_of_a_recording_has_its_newest_offsets(tmp_path
         old = new_calibration(LAYOUT, offsets_n=np.zeros(PHI.shape[0]))
         new = new_calibration(LAYOUT, offsets_n=np.full(PHI.shape[0], 0.5), gains=gains, defects=["sum 3 is stuck"])
         for each in (old, new):
-            writer.add_file(File(CALIBRATION_FILE, "application/json", encoded(each)), 1)
-            writer.add_message(MEASUREMENT, 1, msgspec.msgpack.encode(made))
+            writer.attach(File(CALIBRATION_FILE, "application/json", encoded(each)), 1)
+            writer.message(MEASUREMENT, 1, msgspec.msgpack.encode(made))
         writer.flush()
         if with_offsets:
             writer.close()

@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from demo.chain import REST_S, Nodes, Receivers
+from demo.chain import REST_S, Nodes
+from reconstructor.imaging import CycleImager
 from skin.psnr import psnr_db
 from skin.sources import Frame
 from tests.layouts import small_layout
@@ -23,10 +24,10 @@ class Bump:
 
 
 def test_images_are_closer_to_the_forces_than_the_sensors() -> None:
-    nodes, receivers = Nodes(LAYOUT, Bump(), seed=1), Receivers(LAYOUT)
+    nodes, imager = Nodes(LAYOUT, Bump(), seed=1), CycleImager(LAYOUT)
     for _ in range(REST_CYCLES + 20):
         measurement = nodes.measurement(nodes.sample())
-        image = receivers.image(receivers.read(measurement))
+        image, _ = imager.solve(imager.decode(measurement, LAYOUT.phi()))
         truth = nodes.truth()
     assert truth.label == "bump"
     assert (measurement.cycle, measurement.sync_counter) == (nodes.cycle, nodes.counter)

@@ -8,11 +8,13 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dbc.adaptive import GROUP_SUMS, SendingRule, check_of, coarse_code, cob_id, companding, fine_steps
-from gateway.adaptive_state import MALFORMED, UNREFINED, USED, BusSums, new_sums, take
+from dbc.adaptive import GROUP_SUMS, NO_CHECK, SendingRule, check_of, coarse_code, cob_id, companding, fine_steps
+from gateway.adaptive_state import FOREIGN, MALFORMED, UNREFINED, USED, BusSums, new_sums
 from nodes.adaptive.sending import NOT_DUE, Groups, decide, frame_level, new_groups
 from skin.walsh import GROUPS
+from tests.bus.harness import frame
 from tests.gateway.boards import send
+from tests.nodes.adaptive_bus import receive
 
 LAW, RULE = companding(0.02, 0.5e-3), SendingRule()
 VARIANCE_N2 = np.zeros(32, np.float32)
@@ -65,7 +67,7 @@ def test_while_losses_are_known_no_frame_is_misread(steps: list[tuple[int, int, 
                 sums.is_lost[:] = True
                 continue
             used = sums.counts[USED]
-            assert take(can_id, 8, payload, number, LAW, sums)
+            receive(frame(can_id, payload.tobytes()), LAW, sums)
             assert is_fine or sums.counts[USED] == used + 1
             if sums.counts[USED] > used:
                 assert right(sums, group, sums_n, payload, is_fine)
@@ -84,7 +86,7 @@ def test_a_silent_loss_is_misread_only_where_the_check_collides(steps: list[tupl
             if lost >> group & 1:
                 continue
             used = sums.counts[USED]
-            take(can_id, 8, payload, number, LAW, sums)
+            receive(frame(can_id, payload.tobytes()), LAW, sums)
             if not is_fine:
                 held[group] = payload
             if sums.counts[USED] > used and not right(sums, group, sums_n, payload, is_fine):
@@ -99,7 +101,7 @@ def test_without_losses_the_gateway_knows_what_the_node_thinks_it_knows() -> Non
     for number, size in enumerate([2000, 3, 20, 0, 60, 3, 3, 0, 200, 20] * 5):
         sums_n = moved(sums_n, size, number)
         for _, can_id, _, payload in frames_of(groups, sums_n, 5 * number):
-            take(can_id, 8, payload, number, LAW, sums)
+            receive(frame(can_id, payload.tobytes()), LAW, sums)
         np.testing.assert_allclose(sums.value_n, groups.known_n, atol=1e-12)
     assert sums.counts[UNREFINED] == 0
 
@@ -112,23 +114,21 @@ def test_a_gateway_that_joins_late_waits_for_coarse_frames() -> None:
         sums_n = moved(sums_n, 1, number)
         for _, can_id, is_fine, payload in frames_of(groups, sums_n, 5 * number):
             assert is_fine
-            take(can_id, 8, payload, 0, LAW, sums)
+            receive(frame(can_id, payload.tobytes()), LAW, sums)
     assert sums.counts[USED] == 0
     assert sums.counts[UNREFINED] > 0
     assert not sums.value_n.any()
     refreshed = [each for now in range(64, 200) for each in frames_of(groups, sums_n, now)]
     for _, can_id, _, payload in refreshed:
-        take(can_id, 8, payload, 0, LAW, sums)
+        receive(frame(can_id, payload.tobytes()), LAW, sums)
     assert (sums.coarse_ns >= 0).all()
     np.testing.assert_allclose(sums.value_n, groups.known_n, atol=1e-12)
 
 
 def test_frames_that_are_no_adaptive_sums_change_nothing() -> None:
     sums = new_sums(2)
-    payload = np.zeros(8, np.uint8)
-    assert not take(0x80, 1, payload, 0, LAW, sums)
-    assert not take(0x701, 1, payload, 0, LAW, sums)
-    assert not take(cob_id(2, 5, 0, False), 8, payload, 0, LAW, sums)
-    assert take(cob_id(1, 5, 0, False), 7, payload, 0, LAW, sums)
-    assert sums.counts.tolist() == [0, 0, 1, 0, 0, 0]
-    assert sums.counts[MALFORMED] == 1
+    for can_id, length in ((0x80, 1), (0x701, 1), (cob_id(2, 5, 0, False), 8), (cob_id(1, 5, 0, False), 7)):
+        receive(frame(can_id, bytes(length)), LAW, sums)
+    assert (sums.counts[FOREIGN], sums.counts[MALFORMED]) == (3, 1)
+    assert sums.counts.sum() == 5  # SYNC is counted with its kind, too
+    assert (sums.check == NO_CHECK).all()

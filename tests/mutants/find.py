@@ -66,7 +66,6 @@ PATHS: Final = (
     "dbc",
     "gateway",
     "nodes",
-    "reconstructor/kernels/temporal_filter.py",
     "reconstructor/temporal_filter.py",
     "views/page/guard.py",
     "health/state.py",

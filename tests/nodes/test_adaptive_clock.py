@@ -24,15 +24,11 @@ class Ticks(PatchBoards):
         self.cells = contract.phi.taxels_of_blocks[[3, 7]]
         self.samples = 0
         self.decisions: list[tuple[int, int, int]] = []
-        self.begun = 0
         self.answer = False
 
     @property
     def sums(self) -> npt.NDArray[np.int32]:
         return np.zeros(self._phi.shape[0], np.int32)
-
-    def _begin(self) -> None:
-        self.begun += 1
 
     def _take(self, sample_n: npt.NDArray[np.float32]) -> None:
         assert sample_n.shape == (2, 32)
@@ -62,15 +58,15 @@ def boards() -> Ticks:
 
 
 def test_the_first_turn_takes_a_sample_and_the_next_is_a_millisecond_later(boards: Ticks) -> None:
-    assert (boards.due_s, boards.decision, boards.samples_skipped, boards.has_due) == (0, 0, 0, False)
+    assert (boards.due_s, boards.decision, boards.has_due) == (0, 0, False)
     boards.advance(100.0)
-    assert (boards.samples, boards.decision, boards.begun) == (1, 1, 1)
+    assert (boards.samples, boards.decision) == (1, 1)
     assert boards.due_s == pytest.approx(100.001)
     boards.advance(100.0009)
-    assert (boards.samples, boards.decision, boards.begun) == (1, 1, 1)
+    assert (boards.samples, boards.decision) == (1, 1)
     boards.advance(100.001)
     boards.advance(100.0045)
-    assert (boards.samples, boards.decision, boards.begun) == (1 + 1 + 3, 5, 3)
+    assert (boards.samples, boards.decision) == (1 + 1 + 3, 5)
     assert boards.due_s == pytest.approx(100.005)
     assert boards.decisions == [(100_000 * MS, 0, 0), (100_001 * MS, MS, 0), (100_004_500_000, 3_500_000, 0)]
 
@@ -80,7 +76,6 @@ def test_a_late_process_takes_twenty_samples_and_counts_the_others(boards: Ticks
     boards.advance(100.0)
     boards.advance(100.0 + late / 1000)
     assert boards.samples == 1 + taken
-    assert boards.samples_skipped == late - taken
     assert boards.decision == 1 + late
     assert boards.decisions[1] == ((100_000 + late) * MS, late * MS, late - taken)
     assert boards.due_s == pytest.approx(100.001 + late / 1000)

@@ -1,17 +1,15 @@
 """Adaptive nodes on CAN FD: a frame carries all groups, and the urgency of the most urgent."""
 
-import struct
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from dbc.adaptive import BLOCK_SUMS, LEVELS, SAVED_FRAMES, SendingRule, companding
-from dbc.contract import Contract, frame_flags, sum_frame_bits
+from dbc.adaptive import BLOCK_SUMS, LEVELS, SendingRule, companding
+from dbc.contract import Contract, sum_frame_bits
 from dbc.frame import ECHO, ERROR
 from nodes.adaptive.sending import decide, make_payload, new_groups, note_sent
 from skin.layout import load_layout
-from skin.walsh import walsh_matrix
 from tests.nodes.adaptive_bus import IDS, Bus, back, due_frames, meanings
 
 LAW, RULE, NOISE_N2 = companding(0.02, 0.5e-3), SendingRule(), 1e-9
@@ -20,31 +18,6 @@ LAW, RULE, NOISE_N2 = companding(0.02, 0.5e-3), SendingRule(), 1e-9
 @pytest.fixture(scope="module")
 def contract() -> Contract:
     return Contract.from_layout(load_layout(Path("adaptive-fd")))
-
-
-def test_a_node_that_is_started_sends_one_frame_and_then_again_ever_more_rarely(bus: Bus) -> None:
-    bus.start()
-    first = bus.run(2)
-    assert sorted(meanings(first)) == [(node, 0, 0, False) for node in IDS]
-    assert set(first["length"]) == {32}
-    assert set(first["flags"]) == {frame_flags(bus.contract.layout.bus[0])}
-    assert [len(bus.run(ticks)) for ticks in (50, 20, 100, 40)] == [0, len(IDS), 0, len(IDS)]
-
-
-def test_what_a_receiver_shows_is_what_the_touch_is(bus: Bus) -> None:
-    bus.start()
-    bus.run(5)
-    bus.sync()
-    sent = bus.run(600)
-    assert {32, 64} == set(sent["length"])
-    assert not sent["data"][sent["length"] == 32, 32:].any()
-    for row, node in enumerate(bus.contract.on_bus(0)[: len(IDS)]):
-        force_n = bus.source.force_n.ravel()[bus.contract.phi.taxels_of_blocks[node.block]]
-        true_n = walsh_matrix(32) @ np.clip(force_n, 0, 0.02)
-        assert np.abs(bus.received.value_n[row] - true_n)[1:].max() < 2 * bus.contract.law.fine_n
-        assert np.array_equal(bus.received.value_n[row], bus.boards.groups.known_n[row])
-    assert not bus.received.counts[1:].any()
-    assert bus.segment.frames_sent == bus.received.counts[0]
 
 
 def test_a_frame_that_found_no_room_or_lost_the_bus_frees_all_groups(bus: Bus) -> None:
@@ -69,17 +42,6 @@ def test_a_request_for_one_group_is_answered_by_a_frame_of_all(bus: Bus) -> None
     assert bus.write(0x2030, 0, b"\x04") == 0
     assert meanings(bus.run(2)) == [(1, 0, 0, False)]
     assert bus.read(0x2030) == b"\0"
-
-
-def test_a_node_keeps_its_budget(contract: Contract) -> None:
-    bus, coarse = Bus(contract), sum_frame_bits(contract.layout.bus[0], is_fine=False)
-    assert bus.write(0x2034, 0, struct.pack("<I", 20 * coarse)) == 0
-    bus.start()
-    bus.sync()
-    sent = [each for each in meanings(bus.run(1100)) if each[0] in {1, 2}]
-    limited, free = ([each for each in sent if each[0] == node] for node in (1, 2))
-    assert len(limited) < SAVED_FRAMES + 22 + 2 * 5  # saved up, earned, refreshes
-    assert len(limited) <= len(free)
 
 
 def test_frames_of_both_lengths_cost_the_budget_their_bits(bus: Bus) -> None:

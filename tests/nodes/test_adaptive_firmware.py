@@ -40,10 +40,10 @@ class Counted:
 
 class AdaptiveFirmware:
     def __init__(self) -> None:
-        self.boards = {0: Counted(0, 3), 1: Counted(1, 5)}
+        self.of_bus = {0: Counted(0, 3), 1: Counted(1, 5)}
 
-    def adaptive_boards(self, bus: int) -> Counted:
-        return self.boards[bus]
+    def boards(self, bus: int) -> Counted:
+        return self.of_bus[bus]
 
 
 @pytest.fixture
@@ -53,7 +53,7 @@ def patches() -> tuple[FirmwarePatches, dict[int, Counted], list[int]]:
     blocks = [contract.on_bus(0)[0].block, contract.on_bus(0)[2].block, contract.on_bus(1)[1].block]
     firmware = AdaptiveFirmware()
     made = FirmwarePatches(contract, blocks, Still(contract), firmware)  # type: ignore[arg-type]
-    return made, firmware.boards, blocks
+    return made, firmware.of_bus, blocks
 
 
 Made = tuple[FirmwarePatches, dict[int, Counted], list[int]]

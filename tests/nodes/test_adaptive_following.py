@@ -1,5 +1,6 @@
 """What a running node goes on learning: drifting offsets and the size of its noise."""
 
+from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
@@ -7,7 +8,7 @@ import pytest
 
 from dbc.adaptive_filter import WINDOW
 from nodes.adaptive.filtering import ForceFilter, PatchFilter
-from nodes.adaptive.following import NoiseScale, follow, new_offsets
+from nodes.adaptive.following import ScaleSums, follow, gather, judged, new_offsets
 from nodes.adaptive.noise import Noise
 
 NODES, TAXELS, NOISE_N = 4, 32, 1e-3
@@ -92,29 +93,34 @@ def test_a_wrong_size_of_the_noise_is_found_while_nothing_touches(factor: float)
     np.testing.assert_allclose(node_filter.noise.node_n, NOISE_N, rtol=0.07)
 
 
+def new_sums(shape: tuple[int, int] = SHAPE) -> ScaleSums:
+    return ScaleSums(*np.zeros((3, *shape), np.float32))
+
+
+def scale_of(samples: Iterable[np.ndarray], noise_n: np.ndarray, sums: ScaleSums) -> np.ndarray:
+    """Return by what the noise of each node is larger than it is taken to be, after the samples of a window."""
+    for sample_n in samples:
+        gather(sample_n, sums)
+    return judged(sums, noise_n)
+
+
 def test_nothing_is_learned_from_touched_taxels() -> None:
-    rng, scale = np.random.default_rng(4), NoiseScale(*SHAPE)
+    rng = np.random.default_rng(4)
     force_n = np.zeros(SHAPE)
     force_n[0] = 0.004
-    found = [scale.take(noisy(force_n, rng), 2 * EVEN) for _ in range(WINDOW)]
-    assert found[:-1] == [None] * (WINDOW - 1)
-    assert found[-1] is not None
-    assert found[-1][0] == 1
-    np.testing.assert_allclose(found[-1][1:], 0.5**0.25, rtol=0.03)
+    found = scale_of((noisy(force_n, rng) for _ in range(WINDOW)), 2 * EVEN, new_sums())
+    assert found[0] == 1
+    np.testing.assert_allclose(found[1:], 0.5**0.25, rtol=0.03)
 
 
 def test_taxels_without_noise_say_nothing_of_it() -> None:
-    scale, quiet = NoiseScale(*SHAPE), np.zeros(SHAPE, np.float32)
-    found = [scale.take(quiet, EVEN) for _ in range(WINDOW)][-1]
-    assert found is not None
-    assert (found == 1).all()
+    assert (scale_of([np.zeros(SHAPE, np.float32)] * WINDOW, EVEN, new_sums()) == 1).all()
 
 
 def test_a_touch_that_comes_and_goes_is_no_noise() -> None:
-    rng, scale = np.random.default_rng(5), NoiseScale(*SHAPE)
-    found = [scale.take(noisy(0.006 if tick % 150 < 50 else 0.0, rng), EVEN) for tick in range(WINDOW)][-1]
-    assert found is not None
-    assert (found == 1).all()
+    rng = np.random.default_rng(5)
+    samples = (noisy(0.006 if tick % 150 < 50 else 0.0, rng) for tick in range(WINDOW))
+    assert (scale_of(samples, EVEN, new_sums()) == 1).all()
 
 
 class SlowOffsets:
@@ -160,20 +166,16 @@ def test_offsets_are_followed_as_documented() -> None:
 
 def test_the_size_of_noise_is_the_median_of_idle_taxels() -> None:
     """Exactly half of a patch is idle; a taxel fewer says nothing."""
-    rng, scale = np.random.default_rng(8), NoiseScale(2, 8)
+    rng, sums = np.random.default_rng(8), new_sums((2, 8))
     true_n = np.full((2, 8), 1e-3)
     samples = np.maximum(rng.normal(0, true_n, (WINDOW, 2, 8)), 0).astype(np.float32)
     samples[:, 0, 4:] += np.float32(0.01)
     samples[:, 1, 3:] += np.float32(0.01)
     taken_n = np.linspace(0.5e-3, 2e-3, 16).reshape(2, 8).astype(np.float32)
-    found = [scale.take(each, taken_n) for each in samples][-1]
-    assert found is not None
+    found = scale_of(samples, taken_n, sums)
     # Noise that is clipped at 0 has a standard deviation of sqrt(1/2 - 1/2π); two samples differ by twice the variance.
     square = (np.diff(samples.astype(np.float64), axis=0, prepend=0) ** 2).sum(axis=0)
     size_n = np.sqrt(square / (2 * WINDOW)) / np.sqrt(0.5 - 0.5 / np.pi)
     assert found[0, 0] == pytest.approx(np.median(size_n[0, :4] / taken_n[0, :4]) ** 0.25, rel=1e-4)
     assert found[1, 0] == 1
-    again = [scale.take(each, taken_n) for each in samples]
-    assert again[:-1] == [None] * (WINDOW - 1)
-    assert again[-1] is not None
-    assert again[-1][0, 0] == pytest.approx(found[0, 0], rel=0.02)
+    assert scale_of(samples, taken_n, sums)[0, 0] == pytest.approx(found[0, 0], rel=0.02)

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from dbc.adaptive import FIRST_COB_ID, GROUP_SUMS, NODES
-from dbc.contract import Contract, sum_frame_bits
-from gateway.adaptive_state import new_sums, take
+from dbc.contract import Contract
+from gateway.adaptive_state import MALFORMED, UNREFINED, USED, new_sums
 from skin.defects import Defects
 from skin.layout import load_layout
 from skin.walsh import GROUPS
 from skin.zero_drift import ZeroDrift
 from tests.bus.harness import frame
-from tests.nodes.adaptive_bus import Bus, meanings
+from tests.nodes.adaptive_bus import Bus, meanings, receive
 from tests.nodes.helpers import RESET_NODE, START
 
 LOAD = 0x6461_6F6C
@@ -135,24 +135,12 @@ def test_codes_are_those_that_frames_carry(bus: Bus) -> None:
     mine = new_sums(1)
     for group in range(GROUPS):
         for number, payload in ((group, bytes(coarse[GROUP_SUMS * group :][:GROUP_SUMS])), (28 + group, fine[group])):
-            data = np.frombuffer(payload.ljust(8, b"\0"), np.uint8)
-            assert take(FIRST_COB_ID + NODES * number, 8, data, 0, law, mine)
+            receive(frame(FIRST_COB_ID + NODES * number, payload.ljust(8, b"\0")), law, mine)
     held = mine.value_n[0]
-    refined = mine.counts[1] == 0
+    refined = mine.counts[UNREFINED] == 0
     assert np.abs(held - known_n).max() <= 2 * law.fine_n if refined else True
-    assert mine.counts[2] == 0
-
-
-def test_a_node_keeps_its_budget(contract: Contract) -> None:
-    bus = Bus(contract)
-    assert bus.write(0x2034, 0, struct.pack("<I", 20 * sum_frame_bits(bus.contract.layout.bus[0], is_fine=False))) == 0
-    bus.start()
-    bus.sync()
-    sent = [each for each in meanings(bus.run(1100)) if each[0] in {1, 2}]
-    limited, free = ([each for each in sent if each[0] == node] for node in (1, 2))
-    assert len(limited) < 8 + 22 + 2 * GROUPS * 5  # saved up, earned, refreshes
-    assert len(limited) < len(free)
-    assert {group for _, _, group, _ in limited} == set(range(GROUPS))
+    assert mine.counts[MALFORMED] == 0
+    assert mine.counts[[USED, UNREFINED]].sum() == 2 * GROUPS
 
 
 def test_test_patterns_and_corrections_show_in_the_sums(bus: Bus) -> None:

@@ -1,26 +1,28 @@
 """A bus of adaptive nodes without a bus: what they send, and when."""
 
+import struct
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from dbc.adaptive import LOST_NS
+from dbc.adaptive import LOST_NS, SAVED_FRAMES
 from dbc.adaptive_filter import LEAST_NOISE_N
-from dbc.contract import Contract
+from dbc.contract import Contract, frame_flags, sum_frame_bits
 from dbc.frame import ECHO, ERROR
 from nodes.adaptive.news import PAUSE_NS
-from nodes.adaptive.patch_boards import CATCH_UP
 from skin.layout import load_layout
 from skin.walsh import GROUPS, walsh_matrix
 from tests.bus.harness import frame
 from tests.nodes.adaptive_bus import IDS, Bus, back, meanings, sums_of
 from tests.nodes.helpers import PRE_OPERATIONAL, RESET_COMMUNICATION, RESET_NODE, START, STOP
 
+both = pytest.mark.parametrize("contract", ["adaptive", "adaptive-fd"], indirect=True)
+
 
 @pytest.fixture(scope="module")
-def contract() -> Contract:
-    return Contract.from_layout(load_layout(Path("adaptive")))
+def contract(request: pytest.FixtureRequest) -> Contract:
+    return Contract.from_layout(load_layout(Path(getattr(request, "param", "adaptive"))))
 
 
 def test_nodes_filter_before_they_are_started_and_send_nothing(bus: Bus) -> None:
@@ -29,19 +31,26 @@ def test_nodes_filter_before_they_are_started_and_send_nothing(bus: Bus) -> None
     assert bus.read(0x2110, 1) != b"\0"  # pressed meanwhile
 
 
+@both
 def test_a_node_that_is_started_sends_all_groups_once_and_then_again_ever_more_rarely(bus: Bus) -> None:
     bus.start()
     first = bus.run(2)
-    assert sorted(meanings(first)) == sorted((node, 0, group, False) for node in IDS for group in range(GROUPS))
+    groups = range(1 if bus.is_fd else GROUPS)
+    assert sorted(meanings(first)) == sorted((node, 0, group, False) for node in IDS for group in groups)
+    assert set(first["length"]) == {32 if bus.is_fd else 8}
+    assert set(first["flags"]) == {frame_flags(bus.contract.layout.bus[0])}
     later = [len(bus.run(ticks)) for ticks in (50, 20, 100, 40)]
     assert later == [0, len(first), 0, len(first)]
 
 
+@both
 def test_what_a_receiver_shows_is_what_the_touch_is(bus: Bus) -> None:
     bus.start()
     bus.run(5)
     bus.sync()
-    bus.run(600)
+    sent = bus.run(600)
+    assert set(sent["length"]) == ({32, 64} if bus.is_fd else {8})
+    assert not sent["data"][sent["length"] == 32, 32:].any()
     law = bus.contract.law
     for row, node in enumerate(bus.contract.on_bus(0)[: len(IDS)]):
         force_n = bus.source.force_n.ravel()[bus.contract.phi.taxels_of_blocks[node.block]]
@@ -52,6 +61,20 @@ def test_what_a_receiver_shows_is_what_the_touch_is(bus: Bus) -> None:
     assert not bus.received.counts[1:].any()
     assert bus.segment.frames_sent == bus.received.counts[0]
     assert bus.segment.frames_dropped == 0
+
+
+@both
+def test_a_node_keeps_its_budget(bus: Bus) -> None:
+    coarse = sum_frame_bits(bus.contract.layout.bus[0], is_fine=False)
+    assert bus.write(0x2034, 0, struct.pack("<I", 20 * coarse)) == 0
+    bus.start()
+    bus.sync()
+    sent = [each for each in meanings(bus.run(1100)) if each[0] in {1, 2}]
+    limited, free = ([each for each in sent if each[0] == node] for node in (1, 2))
+    groups = 1 if bus.is_fd else GROUPS
+    assert len(limited) < SAVED_FRAMES + 22 + 2 * groups * 5  # saved up, earned, refreshes
+    assert len(limited) < len(free) + bus.is_fd
+    assert {group for _, _, group, _ in limited} == set(range(groups))
 
 
 def test_no_sums_in_the_millisecond_after_a_sync_and_none_waits_beyond_the_next(bus: Bus) -> None:
@@ -160,38 +183,3 @@ def test_what_was_sent_before_a_reset_does_not_come_back_with_its_echo(bus: Bus)
     bus.give(late)
     assert len(bus.run(100)) > 0  # the others' refreshes
     assert bus.segment.frames_sent >= 16
-
-
-def test_a_late_process_takes_missed_samples_up_to_a_bound_and_decides_once(bus: Bus) -> None:
-    bus.start()
-    bus.run(5)
-    samples = bus.boards.decision
-    bus.now_s += 10.5e-3
-    bus.segment.tick(bus.now_s)
-    assert bus.boards.samples_skipped == 0
-    assert bus.boards.decision - samples in {10, 11}
-    bus.link.take_sent()
-    bus.now_s += 1.0
-    bus.segment.tick(bus.now_s)
-    assert abs(bus.boards.samples_skipped - (1000 - CATCH_UP)) <= 1
-    assert len(sums_of(bus.link.take_sent())) <= 16
-
-
-def test_truth_is_told_for_every_step_of_the_touch(bus: Bus) -> None:
-    bus.run(3)
-    assert bus.boards.take_truth() is None
-    bus.sync(counter=3)
-    begin_ns = round(bus.now_s * 1e9) - 200_000_000
-    bus.run(100)
-    truths = []
-    while (truth := bus.boards.take_truth()) is not None:
-        truths.append(truth)
-    assert [truth.step for truth in truths] == list(range(truths[0].step, truths[0].step + 10))
-    assert truths[0].step in {20, 21}
-    for truth in truths:
-        assert (truth.sync_counter, truth.sampled_mono_ns) == (0, begin_ns + truth.step * 10_000_000)
-        assert truth.label == "thing"
-        assert np.array_equal(np.frombuffer(truth.true, "<f4"), bus.source.force_n.ravel())
-    sensor_n = np.frombuffer(truths[-1].sensor, "<f4")
-    cells = bus.contract.phi.taxels_of_blocks[[node.block for node in bus.contract.on_bus(0)[: len(IDS)]]]
-    assert np.abs(sensor_n[cells] - np.clip(bus.source.force_n.ravel()[cells], 0, 0.02)).max() < 2e-5

@@ -141,7 +141,7 @@ def test_corrections_and_patterns_take_effect_when_they_are_read() -> None:
     calibration.set_pattern(CELLS[3], PATTERN_RAMP)
     calibration.set_pattern(CELLS[4], PATTERN_FULL)
     assert board.sample(tick_ns) == pytest.approx(0.01, abs=1e-6)
-    board.recalibrate()
+    board.is_stale = True
     shown = board.sample(tick_ns)
     assert shown[1] == pytest.approx(0.005, abs=1e-6)
     assert shown[2] == pytest.approx(0.01 - 5000 * TAXELS.newton_per_count, abs=1e-6)

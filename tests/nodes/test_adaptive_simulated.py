@@ -5,11 +5,12 @@ import pytest
 
 from dbc.adaptive import frame_of
 from dbc.contract import Contract
-from gateway.adaptive_state import new_sums, take
+from gateway.adaptive_state import new_sums
 from nodes.adaptive.simulated import touched_frames
 from skin.sources import Frame
 from skin.walsh import walsh_matrix
 from tests.layouts import ADAPTIVE, buses, small_layout
+from tests.nodes.adaptive_bus import receive
 
 #: Four patches of 4 x 8 taxels on two buses.
 CONTRACT = Contract.from_layout(small_layout(8, 16, **ADAPTIVE, bus=buses(2, 2)))
@@ -43,8 +44,7 @@ def test_the_touched_node_of_the_bus_sends_what_a_receiver_needs() -> None:
     assert sent["time_ns"][-1] < 600_000_000
     assert set(sent["length"].tolist()) == {8}
     received = new_sums(2)
-    for each in sent:
-        assert take(int(each["can_id"]), 8, each["data"], 0, CONTRACT.law, received)
+    receive(sent, CONTRACT.law, received)
     assert received.counts.tolist() == [len(sent), 0, 0, 0, 0, 0]
     true_n = walsh_matrix(32) @ source.force_n[source.taxels]
     place = touched.node_id - 1

@@ -12,7 +12,7 @@ import pytest
 from dbc.adaptive import NODES, cob_id
 from dbc.contract import Contract
 from dbc.frame import ECHO, ERROR
-from gateway.adaptive_state import new_sums, take
+from gateway.adaptive_state import new_sums
 from nodes.adaptive import patch_boards
 from nodes.adaptive.boards import AdaptiveBoards
 from nodes.adaptive.noise import IdleStatistics
@@ -21,6 +21,7 @@ from nodes.virtual_boards import VirtualBoards
 from nodes.ways import vector_files
 from skin.layout import load_layout
 from tests.bus.harness import frame
+from tests.nodes.adaptive_bus import receive
 from tests.nodes.helpers import ArrayLink, Still
 
 pytestmark = pytest.mark.heavy
@@ -47,9 +48,6 @@ class Played:
     def sample(self, _: int) -> npt.NDArray[np.float32]:
         self.counts[0] = next(self._left)
         return self.counts * self._npc
-
-    def recalibrate(self) -> None:
-        """Gains are 1, offsets 0."""
 
 
 @pytest.mark.parametrize("name", BUSES)
@@ -135,40 +133,6 @@ def test_what_happens_is_what_the_guide_to_the_firmware_says(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", BUSES)
-def test_the_touch_slides_over_the_patch_rests_and_goes(name: str) -> None:
-    """A round force of width 1.3 taxels; of the full scale 0.45 while it comes and slides, 0.3 while it rests."""
-    _, vectors = vectors_of(name)
-    counts = np.array([each["counts"] for each in vectors["samples"]], np.float64)
-    high, wide = 4, 8
-    row, column = np.indices((high, wide)).reshape(2, 32)
-    good = np.delete(np.arange(32), [5, 17, 26])
-
-    def touch(away: float, part: float) -> npt.NDArray[np.float64]:
-        square = (row - 0.5 - 1.5 * away) ** 2 + (column - 1 - 5 * away) ** 2
-        return np.asarray(part * 1023 * np.exp(-square / 1.69), np.float64)
-
-    def error(first: int, last: int, expected: npt.NDArray[np.float64]) -> float:
-        strong = good[expected[good] > 150]  # where clipping at 0 is rare
-        return float(np.abs(counts[first:last].mean(axis=0) - expected)[strong].max())
-
-    assert counts[:121, good].max() < 300  # noise alone
-    assert error(126, 130, touch(8 / 280, 0.45)) < 80
-    assert error(255, 265, touch(0.5, 0.45)) < 60
-    assert error(400, 420, touch(1, 0.45)) < 45
-    assert error(421, 900, touch(1, 0.3)) < 15
-    # It comes in 6 ms and goes in 5: what part of it shows, taxels weighed by their force.
-    for first, expected, where, part in (
-        (120, [0, 1 / 6, 2 / 6, 3 / 6, 4 / 6, 5 / 6, 1, 1], 4 / 280, 0.45),
-        (898, [1, 1, 1, 0.8, 0.6, 0.4, 0.2, 0, 0], 1, 0.3),
-    ):
-        shape = touch(where, part)[good]
-        shown = counts[first : first + len(expected), good] @ shape / (shape @ shape)
-        assert shown == pytest.approx(expected, abs=0.3)
-        assert shown.sum() == pytest.approx(sum(expected), abs=0.35)
-    assert counts[905:, good].mean() < 0.4 * 0.05 * 1023 * 1.1
-
-
-@pytest.mark.parametrize("name", BUSES)
 def test_codes_stand_for_what_a_receiver_of_the_frames_shows(name: str) -> None:
     contract, vectors = vectors_of(name)
     law, cases = contract.law, vectors["codes"]
@@ -178,37 +142,10 @@ def test_codes_stand_for_what_a_receiver_of_the_frames_shows(name: str) -> None:
         for kind, values in (("coarse", "coarse_values_n"), ("fine", "fine_values_n")):
             for group in range(4):
                 identifier = cob_id(0, 0, group, kind == "fine")
-                data = np.frombuffer(bytes.fromhex(case[kind][group]), np.uint8)
-                take(identifier, 8, data, 0, law, receiver, False)
+                receive(frame(identifier, bytes.fromhex(case[kind][group])), law, receiver)
             assert receiver.value_n[0].tolist() == case[values]
         fine = np.abs(np.array(case["fine_values_n"]) - case["later_sums_n"])
         assert fine.max() <= 0.501 * law.fine_n
-
-
-def test_cases_of_codes_reach_from_nothing_to_the_largest_sums() -> None:
-    contract, vectors = vectors_of("adaptive")
-    nothing, largest, *others = vectors["codes"]
-    assert nothing["sums_n"] == nothing["later_sums_n"] == [0.0] * 32
-    assert nothing["coarse_values_n"] == nothing["fine_values_n"] == [0.0] * 32
-    # All 32 taxels at 0.02 N; a difference of two halves is half as large.
-    assert largest["sums_n"] == pytest.approx([0.64] + [-0.32] * 31)
-    assert largest["later_sums_n"] == largest["sums_n"]
-    sums_n = np.array([case["sums_n"] for case in others])
-    size_n = np.abs(sums_n)
-    assert (sums_n[:, 0] > 0).all()
-    assert size_n[:, 0].max() <= 0.64
-    assert size_n[:, 1:].max() <= 0.32
-    assert size_n.min() >= 1e-5
-    assert size_n[:, 1:].max() > 0.2
-    assert size_n.min() < 1.5e-5
-    assert 0.3 < (sums_n[:, 1:] < 0).mean() < 0.7
-    assert np.abs(np.log10(size_n[:, 1:]).mean() - np.log10(1e-5 * 0.32) / 2) < 0.2
-    later = np.array([case["later_sums_n"] for case in others]) - [case["coarse_values_n"] for case in others]
-    steps = later / contract.law.fine_n
-    # A fine frame reaches 62 steps to each side.
-    assert -61 <= round(steps.min(), 3) < -55
-    assert 55 < round(steps.max(), 3) <= 61
-    assert len(np.unique(sums_n)) == sums_n.size
 
 
 @pytest.mark.parametrize("name", BUSES)

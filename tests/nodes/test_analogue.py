@@ -87,11 +87,6 @@ def test_rows_that_are_read_later_see_the_defects_of_their_taxels(defect: str) -
     assert np.abs(read - expected).max() <= 1.5 * STEP_COUNTS
 
 
-def test_no_taxel_is_read() -> None:
-    with pytest.raises(TypeError, match="do not read single taxels"):
-        boards().counts(0)
-
-
 def test_rows_that_are_read_for_longer_than_a_period_are_refused() -> None:
     with pytest.raises(InputError, match=r"skew: 8 sums of a block take longer than a period"):
         boards("skew=0.005")

@@ -121,7 +121,7 @@ def test_remapped_pdo_of_12_bits_packs_like_the_codec(offset_binary: bool) -> No
             return None
         return int(raw[contract.phi.starts[node.block + place] + subindex - 1])
 
-    local.on_read(read)
+    local.add_read_callback(read)
     burst = burst_of(contract, 0).frames(1, sums, np.ones(len(contract.on_bus(0)), np.bool_))
     tpdos = read_tpdos(local, dict.fromkeys(each.number for each in node.tpdos if each.phase == contract.phase_of(1)))
     assert len(tpdos) == 2

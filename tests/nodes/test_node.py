@@ -104,6 +104,14 @@ def test_the_last_of_four_beats_after_four_parts_of_128(segment: Segment, link: 
     assert beats(segment, link, 0.0365) == [4]
 
 
+def test_a_new_period_counts_from_its_write_and_other_writes_put_no_beat_off(segment: Segment, link: ArrayLink) -> None:
+    assert write(segment, link, 0x1017, 0, 500, 2) == 0
+    give(segment, link, frame(0x601, struct.pack("<BHBI", 0x2F, 0x1029, 1, 0)), now_s=0.3)
+    assert 1 in beats(segment, link, 0.5)
+    assert write(segment, link, 0x1017, 0, 0, 2) == 0
+    assert 1 not in beats(segment, link, 1e3)
+
+
 def test_beat_at_the_very_time_it_is_due(segment: Segment, link: ArrayLink) -> None:
     assert beats(segment, link, 0.001) == []
     assert beats(segment, link, 0.0078125) == [1]

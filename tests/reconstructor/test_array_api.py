@@ -10,7 +10,7 @@ import pytest
 
 from canskin.errors import InputError
 from reconstructor.array_api import BatchSolver, gpu_library
-from reconstructor.bases import make_basis
+from reconstructor.bases import wavelet_basis
 from reconstructor.engine import Reconstructor
 from reconstructor.settings import PAPER, SolverSettings
 from skin.measurement import Sbhe, sbhe
@@ -62,7 +62,7 @@ def test_array_solver_is_the_reference(dtype: type, error: float) -> None:
     for k in range(4):
         wanted = fista_image(
             PHI,
-            Shrinkage(make_basis("haar-tensor", 16, 32)),
+            Shrinkage(wavelet_basis("haar-tensor", 16, 32)),
             sums[k],
             penalty_n=0.01,
             lipschitz=32,

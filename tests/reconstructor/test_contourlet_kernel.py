@@ -8,18 +8,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from canskin.errors import InputError
-from reconstructor.bases import Contourlet
 from reconstructor.fista import fista
 from reconstructor.kernels.contourlet import CompiledContourlet, ContourletSolver
 from reconstructor.settings import PAPER_CONTOURLET, SolverSettings
 from skin.measurement import Sbhe, sbhe
+from tests.reconstructor.plain_contourlet import PlainContourlet
 
 
 @pytest.mark.slow  # no service uses the kernels in double precision, and to compile them takes half a minute
 @given(st.sampled_from([16, 32, 64, 128]), st.integers(0, 2**32 - 1))
 @settings(max_examples=15, deadline=None)
 def test_transforms_are_equal(size: int, seed: int) -> None:
-    plain, compiled = Contourlet(size, size), CompiledContourlet(size, size)
+    plain, compiled = PlainContourlet(size, size), CompiledContourlet(size, size)
     rng = np.random.default_rng(seed)
     x, s = rng.normal(size=(size, size)), rng.normal(size=plain.shape)
     np.testing.assert_allclose(compiled.forward(x), plain.forward(x), atol=1e-13)
@@ -49,7 +49,7 @@ def test_solver_is_the_reference_with_rows_deleted(dtype: type, error: float) ->
     estimate = solver.new_estimate()
     spoilt = np.where(valid, sums, 1e6).astype(dtype)
     assert solver.solve(estimate, spoilt, valid.astype(dtype), relative_penalty=0.5) == valid.sum()
-    psi = Contourlet(32, 32)
+    psi = PlainContourlet(32, 32)
     reference = fista(Rows(), psi, sums[valid], penalty_n=0.01, lipschitz=solver.lipschitz, iterations=9)
     np.testing.assert_allclose(solver.coefficients_of(estimate), reference, atol=error)
     np.testing.assert_allclose(solver.deliver(estimate), np.maximum(psi.adjoint(reference), 0), atol=max(error, 1e-8))

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from canskin.errors import InputError
-from reconstructor.bases import make_basis
+from reconstructor.bases import wavelet_basis
 from reconstructor.kernels import variation
 from reconstructor.kernels.addresses import pyramid_addresses, spin_shifts, tensor_addresses
 from reconstructor.kernels.fused import FusedSolver
@@ -60,7 +60,7 @@ def problems(draw: st.DrawFn) -> dict[str, Any]:
 def proximal_of(problem: dict[str, Any], kernel: FusedSolver) -> Proximal:
     if problem["prior"] == "variation":
         return Variation(problem["grid"], variation.INNER, nonnegative=problem["nonnegative"])
-    return Shrinkage(make_basis(problem["prior"], *problem["grid"]), kernel.shifts, problem["nonnegative"])
+    return Shrinkage(wavelet_basis(problem["prior"], *problem["grid"]), kernel.shifts, problem["nonnegative"])
 
 
 def both(problem: dict[str, Any], dtype: type) -> tuple[np.ndarray, np.ndarray]:
@@ -154,7 +154,7 @@ def test_weights_are_those_of_a_weighted_problem() -> None:
 
     reference = fista_image(
         Weighted(phi, np.ones(64, np.bool_)),
-        Shrinkage(make_basis("haar-pyramid", 16, 16)),
+        Shrinkage(wavelet_basis("haar-pyramid", 16, 16)),
         roots * sums,
         penalty_n=0.01,
         lipschitz=16,

@@ -1,6 +1,7 @@
 """Everything that cannot be computed is refused: one line that says what was expected and what came."""
 
 from collections.abc import Callable
+from functools import partial
 from types import SimpleNamespace
 from typing import Any
 
@@ -8,7 +9,7 @@ import numpy as np
 import pytest
 
 from reconstructor.array_api import BatchSolver
-from reconstructor.bases import Contourlet, make_basis
+from reconstructor.bases import wavelet_basis
 from reconstructor.engine import Reconstructor
 from reconstructor.fista import fista, largest_eigenvalue, objective
 from reconstructor.kernels.contourlet import CompiledContourlet, ContourletSolver
@@ -18,10 +19,10 @@ from skin.measurement import sbhe
 from tests.reconstructor.helpers import INF, NAN, one_line, spoilt
 
 PHI = sbhe(256, 64, block_size=16, seed=3)
-BASES = ("haar-tensor", "haar-pyramid", "d4-tensor", "d4-pyramid", "dct", "contourlet")
+BASES = ("haar-tensor", "haar-pyramid", "d4-tensor", "d4-pyramid")
 #: A measurement operator of another kind.
 OTHER: Any = SimpleNamespace(shape=(64, 256), dtype=np.dtype(np.int8))
-PSI = make_basis("haar-tensor", 16, 16)
+PSI = wavelet_basis("haar-tensor", 16, 16)
 SUMS = np.random.default_rng(0).normal(0, 0.02, 64)
 ONES = np.ones(64)
 
@@ -75,7 +76,7 @@ def test_sizes_of_measurement_operators(make: Callable[[], Any], says: str) -> N
 
 @pytest.mark.parametrize(
     "psi",
-    [*(make_basis(name, 16, 16) for name in BASES), CompiledContourlet(16, 16)],
+    [*(wavelet_basis(name, 16, 16) for name in BASES), CompiledContourlet(16, 16)],
     ids=[*BASES, "compiled contourlet"],
 )
 @pytest.mark.parametrize(
@@ -94,18 +95,16 @@ def test_sizes_of_measurement_operators(make: Callable[[], Any], says: str) -> N
 def test_bases(psi: Any, spoil: Callable[[np.ndarray], Any], says: str) -> None:
     one_line(lambda: psi.forward(spoil(np.ones((16, 16)))), says)
     one_line(lambda: psi.adjoint(spoil(np.ones(psi.shape))), says)
-    if hasattr(psi, "analyse"):
-        one_line(lambda: psi.analyse(spoil(np.ones((16, 16)))), says)
 
 
-@pytest.mark.parametrize("name", BASES)
+@pytest.mark.parametrize("make", [*(partial(wavelet_basis, name) for name in BASES), CompiledContourlet])
 @pytest.mark.parametrize("grid", [(0, 0), (-16, -16), (12, 12), (4, 4), (512, 512), (16.0, 16.0)])
-def test_grids(name: str, grid: tuple[Any, Any]) -> None:
-    one_line(lambda: make_basis(name, *grid), "power(s)? of two, (8|16) to 256")
+def test_grids(make: Callable[..., Any], grid: tuple[Any, Any]) -> None:
+    one_line(lambda: make(*grid), "power(s)? of two, (8|16) to 256")
 
 
 def test_contourlet_takes_squares() -> None:
-    one_line(lambda: Contourlet(16, 32), "square")
+    one_line(lambda: CompiledContourlet(16, 32), "square")
 
 
 FISTA: dict[str, Any] = {"sums_n": SUMS, "penalty_n": 0.01, "lipschitz": 16.0, "iterations": 3}
@@ -135,12 +134,12 @@ def test_plain_solver(changed: dict[str, Any], says: str) -> None:
 
 @pytest.mark.parametrize("value", [0.0, -16.0, NAN, INF])
 def test_steps(value: float) -> None:
-    one_line(lambda: fista(PHI, PSI, **{**FISTA, "lipschitz": value}), "L: expected a number above 0")
-    one_line(lambda: largest_eigenvalue(PHI, PSI, value), "relative error: expected a number above 0")
+    one_line(lambda: fista(PHI, PSI, **{**FISTA, "lipschitz": value}), "L needs a number above 0")
+    one_line(lambda: largest_eigenvalue(PHI, PSI, value), "relative error needs a number above 0")
 
 
 def test_other_functions_of_the_plain_solvers() -> None:
-    wide = make_basis("haar-tensor", 16, 32)
+    wide = wavelet_basis("haar-tensor", 16, 32)
     for call in (
         lambda: fista(PHI, wide, **FISTA),
         lambda: largest_eigenvalue(PHI, wide),

@@ -95,7 +95,6 @@ def test_image_of_a_measurement(hub: Fabric, service: ReconstructorService, golf
     pixels = np.frombuffer(image.pixels, "<f4").reshape(64, 64)
     assert np.mean((pixels - golf.true[30]) ** 2) < np.mean((golf.sensor[30] - golf.true[30]) ** 2)
     assert service.images >= 1
-    assert service.refused == 0
 
 
 def test_missing_blocks_and_an_empty_cycle(hub: Fabric, service: ReconstructorService, golf: Scene) -> None:
@@ -164,10 +163,10 @@ def test_what_does_not_fit_is_refused_and_told_once(
         msgspec.structs.replace(good, cycle=5, valid=good.valid + b"\1"),
         msgspec.structs.replace(good, cycle=6, sums=b""),
     ]
-    before = service.refused
+    before = service.images
     for each in bad:
         service.take(each)
-    assert service.refused == before + len(bad)
+    assert service.images == before
     exchange.image_of(msgspec.structs.replace(good, cycle=9))
     said = caplog.text
     assert said.count("measurement refused") == 1
@@ -178,7 +177,6 @@ def test_extreme_counts_do_no_harm(service: ReconstructorService, golf: Scene) -
     good = measurement(1, golf.sensor[30])
     for value in (-(2**31), 2**31 - 1):
         service.take(msgspec.structs.replace(good, sums=np.full(1024, value, "<i4").tobytes()))
-    assert service.refused == 0
     assert service.images == 2
 
 
@@ -195,17 +193,15 @@ def test_adaptive_sums_give_an_image_of_what_is_known(golf: Scene) -> None:
     service.take(measurement(8, golf.sensor[30]))
     whole = adaptive_measurement(golf.true[30], layout=layout)
     service.take(msgspec.structs.replace(whole, known=b"", states=b"", since_ns=b""))
-    assert service.refused == 2
     assert len(exchange.messages) == 1
 
 
 def test_of_adaptive_measurements_only_the_newest_counts(golf: Scene) -> None:
     exchange, layout = Images(), ADAPTIVE_SKIN
-    service = ReconstructorService(layout, make_imager(layout), exchange)
+    ReconstructorService(layout, make_imager(layout), exchange)
     (mailbox,) = exchange.mailboxes
     for cycle in (9, 10):
         mailbox.put(adaptive_measurement(golf.true[30], layout=layout, cycle=cycle))
-    assert service.overrun == 1
     assert mailbox.get().cycle == 10
 
 

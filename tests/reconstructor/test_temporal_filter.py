@@ -5,8 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from reconstructor.kernels.temporal_filter import FLOOR, FilterState, update
-from reconstructor.temporal_filter import TemporalFilter
+from reconstructor.temporal_filter import FLOOR, FilterState, TemporalFilter, update
 
 ALL = np.ones(1024, np.bool_)
 

@@ -8,7 +8,7 @@ from canskin.messages import Label, Measurement
 from classifier.service import ClassifierService
 from dbc.contract import Contract
 from reconstructor.imaging import make_imager
-from recording.replaying import Replay, SinkOutput
+from recording.replaying import Replay
 from recording.sinks import McapSink
 from recording.steps import steps_of
 from shell.service import StopSignal
@@ -31,7 +31,7 @@ def replay(source: Path, out: Path, offset_ns: int, layout: Path) -> Replay:
     contract = Contract.from_layout(skin)
     solver = make_imager(skin)
     sink = McapSink(out, contract, 1, offset_ns)
-    replayed = Replay(skin, solver, Silent, [SinkOutput(sink)], sink=sink, offset_ns=offset_ns)
+    replayed = Replay(skin, solver, Silent, sink=sink, offset_ns=offset_ns)
     replayed.run(steps_of(source, contract), StopSignal(), float("inf"))
     sink.close()
     return replayed

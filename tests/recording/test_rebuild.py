@@ -329,7 +329,7 @@ def test_a_full_disk_leaves_no_half_file(
         raise OSError(28, "No space left on device")
 
     np.save(tmp_path / "mat.npy", force_n)
-    monkeypatch.setattr("recording.image_file.np.savez", full)
+    monkeypatch.setattr("recording.rebuild_command.np.savez", full)
     with pytest.raises(RunError, match="cannot be written: No space left"):
         rebuild(tmp_path / "mat.npy", out=out, layout=layout_file)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["mat.npy", "small.toml"]

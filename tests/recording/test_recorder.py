@@ -2,7 +2,6 @@
 
 import signal
 import threading
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import cast
@@ -22,7 +21,7 @@ from dbc.contract import Contract
 from dbc.frame import Frames
 from dbc.generate import contract_files
 from recording import calibration, record_command
-from recording.calibration import Changes, follow_calibration
+from recording.calibration import follow_calibration
 from recording.recorder import MOST_WAITING, Recorder
 from recording.sinks import check_log, open_sink
 from shell.service import StopSignal
@@ -132,11 +131,39 @@ def status(calibration: CalibrationStatus | None, cycles: int = 0) -> GatewaySta
     return make.gateway_status(cycles, calibration=calibration)
 
 
+class Gateway:
+    """A fabric with a gateway that answers as it is told; the recording stops after its last status."""
+
+    def __init__(self, statuses: list[GatewayStatus], answers: list[CalibrationReply | BusError]) -> None:
+        self._statuses, self._answers = statuses, answers
+        self.stop = StopSignal()
+        self.asked: list[int] = []
+        self._cycles = 0
+
+    def mailbox(self, _topic: Topic, _depth: int) -> "Gateway":
+        return self
+
+    def get(self, _timeout_s: float) -> GatewayStatus | None:
+        newest = self._statuses.pop(0)
+        self._cycles = newest.cycles
+        if not self._statuses:
+            self.stop.set()
+        return newest
+
+    def ask(self, _question: Question, _request: CalibrationRequest, _timeout_s: float) -> CalibrationReply:
+        self.asked.append(self._cycles)
+        answer = self._answers.pop(0)
+        if isinstance(answer, BusError):
+            raise answer
+        return answer
+
+
+SHOWN = CalibrationReply(is_done=True, text="", content=b"gains")
+
+
 def test_the_calibration_is_asked_for_after_each_change() -> None:
-    changes = Changes()
     following = partial(CalibrationStatus, state=CalibrationState.FOLLOWING)
-    told = []
-    for found, cycles in (
+    found = (
         (None, 1),
         (following(tared_mono_ns=1), 2),
         (following(tared_mono_ns=1, noise_n=2.0), 3),
@@ -144,38 +171,21 @@ def test_the_calibration_is_asked_for_after_each_change() -> None:
         (following(tared_mono_ns=2, revision=1), 5),
         (following(tared_mono_ns=2, revision=1), 6),
         (following(tared_mono_ns=2, revision=1), 1),  # the gateway has started again
-    ):
-        changes.take(status(found, cycles))
-        told.append(changes.pop())
-    assert told == [False, True, False, True, True, False, True]
+    )
+    fabric = Gateway([status(each, cycles) for each, cycles in found], [SHOWN] * 4)
+    files: list[File] = []
+    follow_calibration(cast("Fabric", fabric), files.append, fabric.stop)
+    assert fabric.asked == [2, 4, 5, 1]
+    assert [each.content for each in files] == [b"gains"] * 4
 
 
-class Gateway:
-    """A fabric with one change of the calibration, and a gateway that answers as it is told."""
-
-    def __init__(self, answers: list[CalibrationReply | BusError], stop: StopSignal) -> None:
-        self._answers, self._stop = answers, stop
-
-    def subscribe(self, _topic: Topic, take: Callable[[GatewayStatus], None]) -> None:
-        take(status(CalibrationStatus(state=CalibrationState.FOLLOWING)))
-
-    def ask(self, _question: Question, _request: CalibrationRequest, _timeout_s: float) -> CalibrationReply:
-        answer = self._answers.pop(0)
-        if not self._answers:
-            self._stop.set()
-        if isinstance(answer, BusError):
-            raise answer
-        return answer
-
-
-@pytest.mark.heavy
 def test_a_change_is_asked_for_until_the_gateway_answers(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(calibration, "_AGAIN_S", 0.0)
-    stop, files = StopSignal(), list[File]()
     busy = CalibrationReply(is_done=False, text="8 requests wait")
-    shown = CalibrationReply(is_done=True, text="", content=b"gains")
-    fabric = Gateway([BusError("no service answers"), busy, shown], stop)
-    follow_calibration(cast("Fabric", fabric), files.append, stop)
+    unchanged = status(CalibrationStatus(state=CalibrationState.FOLLOWING))
+    fabric = Gateway([unchanged] * 4, [BusError("no service answers"), busy, SHOWN])
+    files: list[File] = []
+    follow_calibration(cast("Fabric", fabric), files.append, fabric.stop)
     assert [each.content for each in files] == [b"gains"]
 
 

@@ -20,7 +20,7 @@ from reconstructor.imaging import make_imager
 from reconstructor.service import ReconstructorService
 from recording.rebuild_command import rebuild
 from recording.recorder import Recorder
-from recording.replaying import Replay, SinkOutput
+from recording.replaying import Replay
 from recording.sinks import McapSink, open_sink
 from recording.step_kinds import FramesStep, MeasurementStep
 from recording.steps import steps_of
@@ -130,7 +130,6 @@ def replayed(contract: Contract, tmp_path: Path) -> Callable[..., tuple[Replay, 
             contract.layout,
             make_imager(contract.layout),
             lambda _: StubClassifier(),
-            [SinkOutput(sink)],
             sink=sink,
             offset_ns=offset_ns,
         )

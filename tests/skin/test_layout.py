@@ -6,7 +6,6 @@ import msgspec
 import numpy as np
 import pytest
 
-import skin.layouts
 from canskin.errors import InputError, LayoutError
 from skin.layout import (
     SHIPPED,
@@ -193,10 +192,6 @@ def test_shipped_layouts_are_known_by_their_names(name: str) -> None:
     assert (phi.order == default.order).all() == (layout.sending == "synchronous")
     assert (phi.fingerprint == default.fingerprint) == (layout.measurement.sums == 1024)
     assert layout.first_block(len(layout.bus)) == layout.blocks == 128
-
-
-def test_shipped_names_are_those_of_the_files() -> None:
-    assert sorted(SHIPPED) == sorted(path.stem for path in Path(skin.layouts.__file__).parent.glob("*.toml"))
 
 
 def test_missing_file() -> None:

@@ -47,8 +47,8 @@ def read(path: Path) -> tuple[list[bytes], list[str]]:
 def test_what_was_written_comes_back(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     writer = RecordingWriter(path, {"skin": "palm"}, [File("layout.toml", "application/toml", b"x = 1")], 5)
-    writer.add_message(LABEL, 7, b"any bytes")
-    writer.add_json(EVENTS, 8, {"text": "a bus is lost"})
+    writer.message(LABEL, 7, b"any bytes")
+    writer.note(EVENTS, 8, {"text": "a bus is lost"})
     writer.close()
     first, second = read_entries(path, pytest.fail)
     assert (first.topic, first.time_ns, first.data, first.about) == ("label", 7, b"any bytes", {"message": "Label"})
@@ -95,7 +95,7 @@ def of_chunks(path: Path, *, closes: bool = True) -> list[int]:
     """Write four messages in a chunk each; return where the compressed data of each chunk begin."""
     writer = RecordingWriter(path, {}, [], 0)
     for place in range(4):
-        writer.add_message(LABEL, 1_000_000_000 * (place + 1), bytes([place]) * 1000)
+        writer.message(LABEL, 1_000_000_000 * (place + 1), bytes([place]) * 1000)
         writer.flush()
     writer.close() if closes else writer.abandon()
     return [found.start() for found in re.finditer(re.escape(b"\x28\xb5\x2f\xfd"), path.read_bytes())]
@@ -146,7 +146,7 @@ def test_a_damaged_attachment_is_named_and_no_attachment(tmp_path: Path, closes:
 def test_an_older_attachment_does_not_stand_for_a_damaged_newer_one(tmp_path: Path, closes: bool) -> None:
     path = tmp_path / "run.mcap"
     writer = RecordingWriter(path, {}, [File("zero.json", "application/json", b"first")], 5)
-    writer.add_file(File("zero.json", "application/json", b"second"), 6)
+    writer.attach(File("zero.json", "application/json", b"second"), 6)
     writer.flush()
     if closes:
         writer.close()

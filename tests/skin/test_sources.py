@@ -9,7 +9,6 @@ from skin.sources import (
     load_objects,
     load_touches,
     object_names,
-    split_names,
 )
 
 
@@ -46,5 +45,5 @@ def test_taxels_that_nothing_can_touch_feel_nothing() -> None:
 
 @pytest.mark.parametrize("given", [["cup,ring"], ["cup", "ring"], ["cup, ring,", "cup"]])
 def test_names_with_spaces_or_commas_count_once(given: list[str]) -> None:
-    assert split_names(given) == ("cup", "ring")
-    assert split_names([]) == ()
+    assert object_names(given) == ("cup", "ring")
+    assert object_names([]) == ()

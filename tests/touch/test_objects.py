@@ -7,7 +7,7 @@ from canskin.errors import InputError
 from touch.classification_poses import CLASSIFICATION_OBJECTS
 from touch.contact import Grid, Pose, Spheres, press
 from touch.objects import CATALOGUE, FACING_M, checked_names, size_m, spheres_of
-from touch.primitives import ball, box, can, ring
+from touch.primitives import box, can, ring
 from touch.trajectory import PAPER_DEPTH_M
 
 FINE = Grid(300, 300, 0.001, 1e-6)
@@ -77,23 +77,6 @@ def test_unknown_names_list_the_known_ones() -> None:
     with pytest.raises(InputError, match="no object named"):
         checked_names("")
     assert checked_names("ring, golf-ball") == ("ring", "golf-ball")
-
-
-@pytest.mark.parametrize("size", [0.0, -1.0, math.nan, math.inf])
-def test_impossible_sizes_are_refused(size: float) -> None:
-    refused = pytest.raises(InputError, match="needs a length above")
-    with refused:
-        ball(size)
-    with refused:
-        box(size, 0.1)
-    with refused:
-        box(0.1, size)
-    with refused:
-        can(size)
-    with refused:
-        ring(size, 0.004)
-    with refused:
-        ring(0.1, size)
 
 
 def test_a_group_stands_for_its_objects() -> None:

@@ -4,7 +4,7 @@ import contextlib
 import os
 import time
 from pathlib import Path
-from typing import Any, Final, Literal, get_args
+from typing import Any, Final, Literal
 
 from canskin.errors import InputError
 from shell.parallel import in_parallel
@@ -78,7 +78,7 @@ def dataset(
             raise InputError("--arrays, --kind and --perturbations belong to 'classification': leave them out")
         speed, steps = slides.speed, slides.steps
         plan = plan_acquisition(names, meshes=meshes, speed=speed, steps=steps, model=model, seed=seed)
-    elif subject == "classification":
+    else:
         if slides != _SLIDES:
             raise InputError("--speed and --steps belong to 'acquisition': leave them out")
         plan = plan_classification(
@@ -90,8 +90,6 @@ def dataset(
             model=model,
             seed=seed,
         )
-    else:
-        raise InputError(f"unknown data set '{subject}': expected one of {', '.join(get_args(Subject))}")
     processes = (os.cpu_count() or 1) if jobs is None else jobs
     if processes < 1:
         raise InputError(f"expected 1 job or more, got {processes}")
@@ -108,11 +106,6 @@ def fill(plan: DatasetPlan, out: Path, jobs: int, cluster: str | None = None) ->
     dict
         ``folder``, ``data_set``, ``files``, ``files_made``, ``bytes``, ``seconds``, and the files and frames of each
         object.
-
-    Raises
-    ------
-    SkinError
-        If the folder, the number of jobs or the cluster cannot be used, or a file cannot be written.
     """
     began_s = time.monotonic()
     folder = DatasetFolder(out, plan.about)

@@ -9,7 +9,7 @@ import fcntl
 import io
 import os
 from collections.abc import Iterator, Sequence
-from hashlib import sha256
+from hashlib import file_digest, sha256
 from pathlib import Path
 from typing import Any, Final
 
@@ -17,6 +17,7 @@ import msgspec
 import numpy as np
 
 from canskin.errors import UNDECODABLE, InputError, RunError
+from shell.output import write_file
 from touch.contact import Force
 
 FORMAT: Final = "canskin data set 1"
@@ -27,17 +28,14 @@ _LOCK: Final = ".lock"
 class DatasetFolder:
     """The folder of one data set, opened for writing.
 
+    Raise InputError if the folder holds other files or a data set of other settings.
+
     Parameters
     ----------
     folder : pathlib.Path
         Made if it does not exist. An existing folder must be empty or hold a data set of the same settings.
     about : dict
         Content of the manifest except its chunks; JSON values.
-
-    Raises
-    ------
-    InputError
-        If the folder cannot be used, or holds other files or a data set of other settings.
     """
 
     def __init__(self, folder: Path, about: dict[str, Any]) -> None:
@@ -53,12 +51,10 @@ class DatasetFolder:
             return False
         try:
             with (self.path / name).open("rb") as file:
-                digest = sha256()
-                while block := file.read(1 << 20):
-                    digest.update(block)
+                digest = file_digest(file, "sha256").hexdigest()
         except OSError:
             return False
-        return bool(digest.hexdigest() == entry.get("sha256"))
+        return bool(digest == entry.get("sha256"))
 
     def put(self, files: dict[str, dict[str, Any]], arrays: Sequence[Force]) -> None:
         """Write files, and enter them and their descriptions in the manifest.
@@ -71,7 +67,7 @@ class DatasetFolder:
         for (name, about), values in zip(files.items(), arrays, strict=True):
             data = io.BytesIO()
             np.save(data, values, allow_pickle=False)
-            self._write(name, data.getbuffer())
+            self._write(name, data.getvalue())
             digest = sha256(data.getbuffer()).hexdigest()
             self._manifest["chunks"][name] = {**about, "shape": list(values.shape), "sha256": digest}
         self._save_manifest()
@@ -110,28 +106,18 @@ class DatasetFolder:
     def _save_manifest(self) -> None:
         self._write(MANIFEST, msgspec.json.format(msgspec.json.encode(self._manifest), indent=1))
 
-    def _write(self, name: str, content: bytes | memoryview) -> None:
+    def _write(self, name: str, content: bytes) -> None:
         place = self.path / name
-        part = place.with_name(f".{place.name}.part")
         try:
             place.parent.mkdir(parents=True, exist_ok=True)
-            part.write_bytes(content)
-            part.replace(place)
+            write_file(place, content)
         except OSError as error:
-            with contextlib.suppress(OSError):
-                part.unlink(missing_ok=True)
             raise RunError(f"'{place}' cannot be written: {error}; run it again to go on") from error
 
 
 @contextlib.contextmanager
 def alone(folder: Path) -> Iterator[None]:
-    """Lock a folder against other runs.
-
-    Raises
-    ------
-    InputError
-        If another run uses the folder, or the folder cannot be made.
-    """
+    """Lock a folder, made if need be, against other runs; raise InputError if another run uses it."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         handle = os.open(folder / _LOCK, os.O_RDWR | os.O_CREAT, 0o644)

@@ -84,12 +84,6 @@ class TaxelOptions:
     force_max_n: float = FORCE_MAX_N
 
     def model(self, seed: int) -> TaxelModel:
-        """Return the model of the taxels; `seed` selects the defective taxels.
-
-        Raises
-        ------
-        InputError
-            If a number cannot be used.
-        """
+        """Return the model of the taxels; `seed` selects the defective taxels."""
         amounts = {kind: getattr(self, kind) for kind in DEFECTS}
         return TaxelModel(self.noise_n, self.force_max_n, Defects.of(amounts, seed))

@@ -80,11 +80,6 @@ def plan_acquisition(
         Model of the sensor.
     seed : int
         Seed of the noise.
-
-    Raises
-    ------
-    InputError
-        If a name or a number cannot be used.
     """
     require_number("seed", seed)
     listed = tuple(ACQUISITION_OBJECTS) if names is None else checked_names(names)
@@ -129,11 +124,6 @@ def plan_classification(
         Model of the sensor, without damper and drift, because an observation is a single moment.
     seed : int
         Seed of the noise, and of the draw of fewer than 360 perturbations.
-
-    Raises
-    ------
-    InputError
-        If a name or a number cannot be used.
     """
     require_number("seed", seed)
     if not model.defects.stages.keys().isdisjoint(_IN_TIME):

@@ -2,6 +2,7 @@
 
 import socket
 from collections.abc import Collection
+from contextlib import closing
 from ipaddress import ip_address
 from pathlib import Path
 from typing import Final
@@ -51,13 +52,11 @@ def view(
     skin = load_layout(layout)
     with listen(host, port) as listener:
         fabric = Fabric(skin.name, "viewer", connect, stop=stop, fingerprint=skin.phi().fingerprint)
-        try:
+        with closing(fabric):
             if not stop.is_set():
                 feed = Feed(skin)
                 feed.join(fabric)
                 _serve(feed, listener, host)
-        finally:
-            fabric.close()
 
 
 class _Server(uvicorn.Server):

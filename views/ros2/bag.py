@@ -1,7 +1,6 @@
 """A recording as a bag of ROS 2: MCAP with CDR and the definitions of the types, and ``metadata.yaml``."""
 
 from collections import Counter
-from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Final
@@ -9,7 +8,7 @@ from typing import Any, Final
 from canskin.errors import RunError
 from health.state import ViewState
 from skin.layout import Layout
-from skin.mcap_file import read_messages, wall_offset_ns
+from skin.mcap_file import Warn, read_messages, wall_offset_ns
 from skin.wall_times import WallTimes
 from views.ros2.bridge import DIAGNOSTICS_S
 from views.ros2.names import Node, Qos
@@ -20,7 +19,7 @@ from views.ros2.types import encoded, store
 _BAG_VERSION: Final = 9
 
 
-def write_bag(source: Path, folder: Path, layout: Layout, warn: Callable[[str], None]) -> dict[str, int]:
+def write_bag(source: Path, folder: Path, layout: Layout, warn: Warn) -> dict[str, int]:
     """Write the messages of a recording as a bag, with the topics that ``skin ros2`` would have published.
 
     Each message has the time at which the recorder got the message of the fabric; stamps in headers are sampling
@@ -28,14 +27,8 @@ def write_bag(source: Path, folder: Path, layout: Layout, warn: Callable[[str], 
 
     Parameters
     ----------
-    source : pathlib.Path
-        A recording.
     folder : pathlib.Path
         New folder of the bag.
-    layout : Layout
-        Of the recording.
-    warn : callable
-        Receives one line of text if the recording is cut.
 
     Returns
     -------
@@ -44,8 +37,6 @@ def write_bag(source: Path, folder: Path, layout: Layout, warn: Callable[[str], 
 
     Raises
     ------
-    InputError
-        If the recording cannot be read, or rosbags is not installed.
     RunError
         If the recording holds no messages.
     OSError
@@ -59,7 +50,7 @@ def write_bag(source: Path, folder: Path, layout: Layout, warn: Callable[[str], 
     return made
 
 
-def _write(source: Path, folder: Path, layout: Layout, warn: Callable[[str], None]) -> dict[str, int]:
+def _write(source: Path, folder: Path, layout: Layout, warn: Warn) -> dict[str, int]:
     from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
     node, offset_ns = Node(0, "", f"/{layout.name}", "canskin"), wall_offset_ns(source)

@@ -1,5 +1,6 @@
 """``skin ros2``: a running skin on ROS 2's wire, without ROS."""
 
+from contextlib import closing
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -59,15 +60,10 @@ def ros2(
     skin = load_layout(layout)
     number, space = check_domain(domain), check_namespace(skin.name if namespace is None else namespace)
     stop = StopSignal().install()
-    fabric = Fabric(skin.name, SERVICE, connect, stop=stop, fingerprint=skin.phi().fingerprint)
-    try:
+    with closing(Fabric(skin.name, SERVICE, connect, stop=stop, fingerprint=skin.phi().fingerprint)) as fabric:
         node = RosNode(router, domain=number, namespace=space, name="canskin", stop=stop, has_hashes=distro != "humble")
-        try:
+        with closing(node):
             bridge = Bridge(skin, fabric, node, frame or skin.name)
             names = ", ".join(node.node.full_name(topic.name) for topic in ROS_TOPICS)
             say(SERVICE, f"domain {number}: {names}; service {node.node.full_name(TARE)}")
             bridge.run(stop)
-        finally:
-            node.close()
-    finally:
-        fabric.close()

@@ -118,13 +118,7 @@ def parse_attachment(content: bytes) -> tuple[int, int, bytes] | None:
 
 
 def check_domain(domain: int | None) -> int:
-    """Return the domain: the given one, else that of ``ROS_DOMAIN_ID``, else 0.
-
-    Raises
-    ------
-    InputError
-        If it is no domain of ROS 2.
-    """
+    """Return the domain: the given one, else that of ``ROS_DOMAIN_ID``, else 0."""
     given = os.environ.get("ROS_DOMAIN_ID", "0") or "0" if domain is None else str(domain)
     if not given.isdecimal() or int(given) > DOMAIN_MAX:
         where = "ROS_DOMAIN_ID" if domain is None else "--domain"
@@ -133,13 +127,7 @@ def check_domain(domain: int | None) -> int:
 
 
 def check_namespace(namespace: str) -> str:
-    """Return a namespace with its leading slash and no trailing slash.
-
-    Raises
-    ------
-    InputError
-        If it is no namespace of ROS 2.
-    """
+    """Return a namespace with its leading slash and no trailing slash."""
     found = "/" + namespace.strip("/")
     if not _NAMESPACE.fullmatch(found):
         raise InputError(f"--namespace: expected letters, digits and _, such as /robot/palm, got '{namespace}'")

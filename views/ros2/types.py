@@ -39,13 +39,7 @@ _SERVICE_FIELDS: Final = {
 
 @cache
 def store() -> "Typestore":
-    """Return the types of ROS 2 Jazzy; those used here are the same from Iron to Lyrical.
-
-    Raises
-    ------
-    InputError
-        If rosbags is not installed.
-    """
+    """Return the types of ROS 2 Jazzy; those used here are the same from Iron to Lyrical."""
     try:
         from rosbags.typesys import Stores, get_typestore
     except ImportError as error:

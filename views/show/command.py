@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 from typing import Annotated
 
@@ -58,15 +59,12 @@ def show(
     open_canvas = _opener(target, for_rerun=rerun)
     skin = load_layout(layout)
     stop = StopSignal().install()
-    fabric = Fabric(skin.name, SERVICE, connect, stop=stop, fingerprint=skin.phi().fingerprint)
-    try:
-        canvas = open_canvas(skin)
-        try:
-            draw_live(skin, fabric, canvas, stop)
-        finally:
-            canvas.close()
-    finally:
-        fabric.close()
+    mark = skin.phi().fingerprint
+    with (
+        closing(Fabric(skin.name, SERVICE, connect, stop=stop, fingerprint=mark)) as fabric,
+        closing(open_canvas(skin)) as canvas,
+    ):
+        draw_live(skin, fabric, canvas, stop)
 
 
 def draw_live(layout: Layout, fabric: Fabric, canvas: Canvas, stop: StopSignal) -> Painter:

@@ -38,8 +38,6 @@ class FoxgloveCanvas:
 
     Raises
     ------
-    InputError
-        If foxglove-sdk is not installed.
     RunError
         If the server cannot listen there.
     """

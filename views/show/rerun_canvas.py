@@ -37,8 +37,6 @@ class RerunCanvas:
 
     Raises
     ------
-    InputError
-        If rerun-sdk is not installed.
     RunError
         If the viewer cannot be started, or does not answer.
     """

@@ -25,13 +25,7 @@ class Address(NamedTuple):
 
 
 def rerun_target(text: str) -> str | Path | None:
-    """Return the URL of a running viewer, a new file (.rrd), or None: start a viewer.
-
-    Raises
-    ------
-    InputError
-        If `text` is neither.
-    """
+    """Return the URL of a running viewer, a new file (.rrd), or None: start a viewer."""
     if not text:
         return None
     if "://" in text:
@@ -43,13 +37,7 @@ def rerun_target(text: str) -> str | Path | None:
 
 
 def foxglove_target(text: str) -> Address | Path:
-    """Return the address of the server that the app connects to, or a new file (.mcap).
-
-    Raises
-    ------
-    InputError
-        If `text` is neither.
-    """
+    """Return the address of the server that the app connects to, or a new file (.mcap)."""
     if not text:
         return Address(LOOPBACK, FOXGLOVE_PORT)
     if "://" in text:

@@ -59,13 +59,7 @@ class CanskinCamera(Camera):
 
     @property
     def layout(self) -> canskin.Description:
-        """Geometry of the skin.
-
-        Raises
-        ------
-        ConnectionError
-            If the camera is not connected.
-        """
+        """Geometry of the skin."""
         return self._open()[0].layout
 
     @property
@@ -128,8 +122,6 @@ class CanskinCamera(Camera):
 
         Raises
         ------
-        ConnectionError
-            If the camera is not connected.
         TimeoutError
             If no frame comes in time.
         """
@@ -142,8 +134,6 @@ class CanskinCamera(Camera):
 
         Raises
         ------
-        ConnectionError
-            If the camera is not connected.
         TimeoutError
             If no frame comes in time, or only old ones.
         """
@@ -156,8 +146,6 @@ class CanskinCamera(Camera):
 
         Raises
         ------
-        ConnectionError
-            If the camera is not connected.
         RuntimeError
             If no frame came since the connection.
         TimeoutError
@@ -170,13 +158,7 @@ class CanskinCamera(Camera):
 
     @check_if_not_connected
     def disconnect(self) -> None:
-        """End the connection.
-
-        Raises
-        ------
-        ConnectionError
-            If the camera is not connected.
-        """
+        """End the connection."""
         skin, _buffer = self._open()
         self._skin = None
         skin.close()

@@ -8,16 +8,6 @@
 /* Mean of x + N(0, 1) clipped at 0, for x from 0 to SKIN_CLIPPED_REACH. */
 static const float clipped_mean[SKIN_CLIPPED_POINTS] = SKIN_CLIPPED_MEAN;
 
-static float larger(float a, float b)
-{
-    return a > b ? a : b;
-}
-
-static float smaller(float a, float b)
-{
-    return a < b ? a : b;
-}
-
 /* Force whose clipped mean is `mean`; both in units of the noise's deviation. */
 static float unclipped(float mean)
 {
@@ -63,8 +53,8 @@ static void learn(skin_average *state, const float *sample)
             float found = fabsf(sample[c] - 2.0f * state->last[0][c] + state->last[1][c]);
 
             if (state->age > SKIN_MEMORY) {
-                limit = sqrtf(SKIN_OUTLIER_RATIO * larger(state->square[c], 6.0f * SKIN_ROUNDING));
-                found = smaller(found, limit);
+                limit = sqrtf(SKIN_OUTLIER_RATIO * skin_larger(state->square[c], 6.0f * SKIN_ROUNDING));
+                found = skin_smaller(found, limit);
             }
             state->square[c] += gain * (found * found - state->square[c]);
             state->size[c] += gain * (found - state->size[c]);
@@ -80,9 +70,9 @@ static void learn(skin_average *state, const float *sample)
 /* Deviation of a taxel's noise before clipping, which makes it smaller where nothing touches. */
 static float deviation(const skin_average *state, uint16_t c)
 {
-    const float seen = sqrtf(larger(state->square[c] / 6.0f, SKIN_ROUNDING));
+    const float seen = sqrtf(skin_larger(state->square[c] / 6.0f, SKIN_ROUNDING));
 
-    return state->noise > 0.0f ? larger(state->noise, seen) : seen / (float)SKIN_IDLE_DEVIATION;
+    return state->noise > 0.0f ? skin_larger(state->noise, seen) : seen / (float)SKIN_IDLE_DEVIATION;
 }
 
 /* Express levels and slopes in units of the new scale, or begin them with a first sample. */
@@ -114,7 +104,7 @@ static void learn_noise(skin_average *state)
     uint16_t c, count = 0, place;
 
     for (c = 0; c < SKIN_BLOCK_SIZE; c++) {
-        const float clean = larger(state->square[c] / 6.0f - SKIN_ROUNDING, 0.0f);
+        const float clean = skin_larger(state->square[c] / 6.0f - SKIN_ROUNDING, 0.0f);
         const float expected = sqrtf(clean) * (float)(SKIN_IDLE_MEAN / SKIN_IDLE_DEVIATION);
 
         if (fabsf(state->average[c] - expected) < SKIN_IDLE_BAND * expected &&
@@ -180,13 +170,14 @@ void skin_take_samples(skin_average *state, const uint16_t *samples, uint16_t co
     }
 }
 
-float skin_correct_average(float average, float gain, int16_t offset, uint16_t count_max)
+/* Return gain * average + offset, limited to 0 to `count_max`; no rounding to whole counts. */
+static float correct(float average, float gain, int16_t offset, uint16_t count_max)
 {
     /* Volatile: product and sum are rounded to 32 bits each, also where the processor could fuse both. */
     volatile float product = average * gain, corrected;
 
     corrected = product + (float)offset;
-    return corrected > 0.0f ? smaller(corrected, (float)count_max) : 0.0f;
+    return corrected > 0.0f ? skin_smaller(corrected, (float)count_max) : 0.0f;
 }
 
 /* The nearest whole number; halves are rounded to even. */
@@ -202,7 +193,8 @@ static int32_t nearest(float value)
     return rest < -0.5f || (rest == -0.5f && is_odd) ? whole - 1 : whole;
 }
 
-void skin_average_sums(const skin_board *board, uint8_t block, float *values, int32_t *sums)
+/* Sums of one block, rounded to whole counts, of `values`, which are overwritten; otherwise as `skin_block_sums`. */
+static void block_sums(const skin_board *board, uint8_t block, float *values, int32_t *sums)
 {
     const uint16_t first_sum = board->first_sum[block], end = board->first_sum[block + 1];
     uint16_t half, first, place, sum;
@@ -240,9 +232,9 @@ uint16_t skin_measure(const skin_board *board, uint8_t block, skin_average *stat
     for (place = 0; place < board->block_size; place++) {
         averages[place] = pattern != SKIN_PATTERN_OFF
                               ? (float)newest[place]
-                              : skin_correct_average(averages[place], gain[place], offset[place], board->count_max);
+                              : correct(averages[place], gain[place], offset[place], board->count_max);
     }
-    skin_average_sums(board, block, averages, sums);
+    block_sums(board, block, averages, sums);
 #else
     int32_t work[SKIN_BLOCK_SIZE];
 

@@ -34,9 +34,6 @@ void skin_forget(skin_average *state);
  */
 void skin_take_samples(skin_average *state, const uint16_t *samples, uint16_t count, uint16_t stride, float *averages);
 
-/* Return gain * average + offset, limited to 0 to `count_max`; no rounding to whole counts. */
-float skin_correct_average(float average, float gain, int16_t offset, uint16_t count_max);
-
 /* Sums of one block of board.h, SKIN_SAMPLES of 1 or more; returns the number of taxels at the top of their range.
  *
  * state: of the block, where samples are averaged, else NULL. counts: what all taxels of the board read, `samples` samples;
@@ -51,8 +48,5 @@ uint16_t skin_measure(const skin_board *board, uint8_t block, skin_average *stat
 #else
 #define SKIN_AVERAGE_OF(states, block) NULL
 #endif
-
-/* Sums of one block, rounded to whole counts, of `values`, which are overwritten; otherwise as `skin_block_sums`. */
-void skin_average_sums(const skin_board *board, uint8_t block, float *values, int32_t *sums);
 
 #endif

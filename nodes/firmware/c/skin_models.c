@@ -9,16 +9,6 @@ static const skin_model models[SKIN_MODELS] = SKIN_MODEL_ROWS;
 /* Polynomial of 2^f for f from 0 to 1. */
 static const float power[] = SKIN_POWER;
 
-static float least_of(float one, float other)
-{
-    return one < other ? one : other;
-}
-
-static float most_of(float one, float other)
-{
-    return one > other ? one : other;
-}
-
 void skin_begin_track(skin_tracks *tracks, uint16_t place, float level)
 {
     uint8_t model;
@@ -77,12 +67,12 @@ static void weigh(skin_tracks *tracks, float surprise[][SKIN_BLOCK_SIZE])
     memcpy(least, surprise[0], sizeof least);
     for (m = 1; m < SKIN_MODELS; m++) {
         for (c = 0; c < SKIN_BLOCK_SIZE; c++) {
-            least[c] = least_of(surprise[m][c], least[c]);
+            least[c] = skin_smaller(surprise[m][c], least[c]);
         }
     }
     for (m = 0; m < SKIN_MODELS; m++) {
         for (c = 0; c < SKIN_BLOCK_SIZE; c++) {
-            const float exponent = most_of((least[c] - surprise[m][c]) * SKIN_LOG2_E, SKIN_LEAST_EXPONENT);
+            const float exponent = skin_larger((least[c] - surprise[m][c]) * SKIN_LOG2_E, SKIN_LEAST_EXPONENT);
 
             tracks->weight[m][c] *= power_of_two(exponent);
             total[c] += tracks->weight[m][c];
@@ -90,7 +80,7 @@ static void weigh(skin_tracks *tracks, float surprise[][SKIN_BLOCK_SIZE])
     }
     for (m = 0; m < SKIN_MODELS; m++) {
         for (c = 0; c < SKIN_BLOCK_SIZE; c++) {
-            tracks->weight[m][c] = most_of(tracks->weight[m][c] / total[c], SKIN_LEAST_WEIGHT);
+            tracks->weight[m][c] = skin_larger(tracks->weight[m][c] / total[c], SKIN_LEAST_WEIGHT);
         }
     }
 }

@@ -17,6 +17,16 @@ typedef struct {
     float weight[SKIN_MODELS][SKIN_BLOCK_SIZE];
 } skin_tracks;
 
+static inline float skin_smaller(float one, float other)
+{
+    return one < other ? one : other;
+}
+
+static inline float skin_larger(float one, float other)
+{
+    return one > other ? one : other;
+}
+
 /* Begin the track of one value, all models alike. */
 void skin_begin_track(skin_tracks *tracks, uint16_t place, float level);
 

@@ -1,6 +1,7 @@
 #include "skin_sums.h"
 
-void skin_hadamard(int32_t *work, uint16_t size)
+/* Multiply `work` by the Hadamard matrix of +1 and -1 in Sylvester's order; `size` is a power of two. */
+static void hadamard(int32_t *work, uint16_t size)
 {
     uint16_t half, first, place;
 
@@ -22,7 +23,8 @@ static uint16_t limited(int32_t value, uint16_t count_max)
     return (uint16_t)(value < 0 ? 0 : value > count_max ? count_max : value);
 }
 
-uint16_t skin_correct(uint16_t counts, float gain, int16_t offset, uint16_t count_max)
+/* Return round(gain * counts + offset), limited to 0 to `count_max`; halves are rounded to even. */
+static uint16_t correct(uint16_t counts, float gain, int16_t offset, uint16_t count_max)
 {
     /* Volatile: product and sum are rounded to 32 bits each, also where the processor could fuse both. */
     volatile float product, corrected;
@@ -65,7 +67,7 @@ uint16_t skin_read_block(const skin_board *board, uint16_t *counts, const float 
             counts[place] = board->count_max;
             break;
         default:
-            counts[place] = skin_correct(counts[place], gain[place], offset[place], board->count_max);
+            counts[place] = correct(counts[place], gain[place], offset[place], board->count_max);
             break;
         }
         saturated = (uint16_t)(saturated + (counts[place] >= board->count_max));
@@ -81,7 +83,7 @@ void skin_block_sums(const skin_board *board, uint8_t block, const uint16_t *cou
     for (place = 0; place < board->block_size; place++) {
         work[place] = counts[place];
     }
-    skin_hadamard(work, board->block_size);
+    hadamard(work, board->block_size);
     for (sum = first; sum < end; sum++) {
         sums[sum - first] = work[board->rows[sum]];
     }

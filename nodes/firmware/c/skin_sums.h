@@ -4,12 +4,6 @@
 
 #include "skin_board.h"
 
-/* Multiply `work` by the Hadamard matrix of +1 and -1 in Sylvester's order; `size` is a power of two. */
-void skin_hadamard(int32_t *work, uint16_t size);
-
-/* Return round(gain * counts + offset), limited to 0 to `count_max`; halves are rounded to even. */
-uint16_t skin_correct(uint16_t counts, float gain, int16_t offset, uint16_t count_max);
-
 /* What the taxels of one block read.
  *
  * counts: in the order of the chain, board->block_size values; corrected in place, or replaced by the test pattern.

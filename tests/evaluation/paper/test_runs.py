@@ -6,12 +6,12 @@ import pytest
 from evaluation.paper.printed import SENSOR, TABLE_TWO, Matrix, Psnr
 from evaluation.paper.runs import CHUNK, NOISELET_PENALTY_N, Method, cell, measure, rebuilt_images, sums_of, true_force
 from evaluation.paper.tables import measure_sensor, psnr_columns
-from evaluation.psnr import psnr_db
 from evaluation.result import Options
 from evaluation.solvers.noiselet import noiselet
-from reconstructor.bases import make_basis
+from reconstructor.bases import wavelet_basis
 from reconstructor.fista import fista
 from reconstructor.settings import PAPER
+from skin.psnr import psnr_db
 
 GOLF = {"name": "golf-ball", "meshes": None, "seed": 0, "draw": 0}
 
@@ -29,7 +29,7 @@ def test_a_run_is_the_plain_fista_kept_from_step_to_step(matrix: Matrix) -> None
     method = Method(matrix, 1024, "haar", 4)
     true = true_force("golf-ball", None, 700)
     phi, solver = method.make(seed=5)
-    psi, s, expected = make_basis("haar-tensor", 64, 64), None, []
+    psi, s, expected = wavelet_basis("haar-tensor", 64, 64), None, []
     for image in true:
         sums_n = phi.forward(image.reshape(-1).astype(np.float64))
         penalty_n = NOISELET_PENALTY_N if matrix == "noiselet" else PAPER.penalty_n

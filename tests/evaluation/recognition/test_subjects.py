@@ -111,7 +111,7 @@ def test_blocks_without_sums_are_never_valid_live(monkeypatch: pytest.MonkeyPatc
             assert valid.tolist() == self._phi.has_sums.tolist()
             return Decision("cup", 1.0)
 
-    monkeypatch.setattr("demo.chain.Classifier", Watching)
+    monkeypatch.setattr(sixteen, "Classifier", Watching)
     monkeypatch.setattr(sixteen, "train", lambda *_, **__: "a model")
     monkeypatch.setattr(sixteen, "load_touches", lambda *_, **__: (None, None))
     assert not skin_of(16, 1, 0).phi().has_sums.all()

@@ -8,11 +8,12 @@ from canskin.errors import InputError
 from evaluation.solvers.baselines import admm, smoothed_l0
 from evaluation.solvers.noiselet import noiselet
 from evaluation.solvers.pursuit import basis_pursuit
-from reconstructor.bases import Contourlet, make_basis
+from reconstructor.bases import wavelet_basis
 from reconstructor.fista import fista, largest_eigenvalue, objective
 from reconstructor.kernels.contourlet import CompiledContourlet
 from skin.measurement import sbhe
 from tests.reconstructor.helpers import ball
+from tests.reconstructor.plain_contourlet import PlainContourlet
 
 PHI = sbhe(256, 64, block_size=16, seed=3)
 NOISELET = noiselet(16, 16, 64, seed=3)
@@ -28,7 +29,7 @@ def sparse_image(psi: object, count: int = 10) -> np.ndarray:
 @pytest.mark.heavy
 @pytest.mark.parametrize("phi", [PHI, NOISELET])
 def test_admm_and_fista_find_the_same_minimum(phi: object) -> None:
-    psi, penalty_n = make_basis("haar-pyramid", 16, 16), 0.01 * phi.norm_squared / 16
+    psi, penalty_n = wavelet_basis("haar-pyramid", 16, 16), 0.01 * phi.norm_squared / 16
     sums = phi.forward(psi.adjoint(sparse_image(psi)).ravel()) + np.random.default_rng(0).normal(0, 0.002, 64)
     seen: list[int] = []
     theirs = admm(
@@ -47,7 +48,7 @@ def test_admm_and_fista_find_the_same_minimum(phi: object) -> None:
     assert seen == list(range(1, 1501))
 
 
-@pytest.mark.parametrize("psi", [make_basis("haar-tensor", 16, 16), make_basis("d4-pyramid", 16, 16)])
+@pytest.mark.parametrize("psi", [wavelet_basis("haar-tensor", 16, 16), wavelet_basis("d4-pyramid", 16, 16)])
 def test_smoothed_l0_finds_a_sparse_image_from_a_quarter_of_its_sums(psi: object) -> None:
     s = sparse_image(psi)
     found = smoothed_l0(
@@ -57,7 +58,7 @@ def test_smoothed_l0_finds_a_sparse_image_from_a_quarter_of_its_sums(psi: object
 
 
 def test_smoothed_l0_leaves_the_noise_unexplained() -> None:
-    psi = make_basis("haar-tensor", 16, 16)
+    psi = wavelet_basis("haar-tensor", 16, 16)
     noise = np.random.default_rng(1).normal(0, 0.005, 64)
     sums = NOISELET.forward(psi.adjoint(sparse_image(psi)).ravel()) + noise
     tolerance = float(np.linalg.norm(noise))
@@ -68,9 +69,9 @@ def test_smoothed_l0_leaves_the_noise_unexplained() -> None:
 
 @pytest.mark.heavy
 def test_largest_eigenvalue() -> None:
-    exact = largest_eigenvalue(PHI, make_basis("haar-tensor", 16, 16))
+    exact = largest_eigenvalue(PHI, wavelet_basis("haar-tensor", 16, 16))
     assert exact == pytest.approx(16, rel=2e-4)
-    psi = Contourlet(16, 16)
+    psi = PlainContourlet(16, 16)
     dense = np.stack([PHI.forward(psi.adjoint(row).ravel()) for row in np.eye(320)], axis=1)
     largest = np.linalg.eigvalsh(dense @ dense.T).max()
     assert largest <= largest_eigenvalue(PHI, psi) <= largest * 1.0005
@@ -78,7 +79,7 @@ def test_largest_eigenvalue() -> None:
 
 @pytest.mark.slow
 def test_basis_pursuit_is_the_linear_programme() -> None:
-    psi, image = Contourlet(16, 16), ball(0, 0, 0.01)[24:40, 24:40]
+    psi, image = PlainContourlet(16, 16), ball(0, 0, 0.01)[24:40, 24:40]
     matrix = np.stack([psi.adjoint(row).ravel() for row in np.eye(320)], axis=1)
     answer = linprog(np.ones(640), A_eq=np.hstack((matrix, -matrix)), b_eq=image.ravel(), method="highs-ipm")
     s = basis_pursuit(CompiledContourlet(16, 16), image, relative_error=5e-3)
@@ -96,7 +97,7 @@ def test_golf_ball_has_the_sparsity_of_table_i() -> None:
 
 @pytest.mark.heavy
 def test_basis_pursuit_gives_up_plainly() -> None:
-    psi = Contourlet(16, 16)
+    psi = PlainContourlet(16, 16)
     assert not basis_pursuit(psi, np.zeros((16, 16))).any()
     with pytest.raises(InputError, match="did not converge in 20"):
         basis_pursuit(psi, np.random.default_rng(0).normal(size=(16, 16)), iterations=20)

@@ -16,7 +16,7 @@ from dbc.board import board
 from dbc.canopen import NMT_COB_ID, SDO_REQUEST_BASE
 from dbc.contract import Contract
 from dbc.frame import ECHO
-from nodes.firmware.library import CompiledAdaptiveBoards, Firmware
+from nodes.firmware.library import CompiledBoards, Firmware
 from nodes.ways import vector_files
 from skin.layout import load_layout
 from skin.walsh import grouped_rows
@@ -36,13 +36,13 @@ def vectors_of(name: str) -> tuple[Contract, dict[str, Any]]:
     return contract, json.loads(text)
 
 
-def sdo(boards: CompiledAdaptiveBoards, request: bytes) -> bytes:
+def sdo(boards: CompiledBoards, request: bytes) -> bytes:
     (answer,) = boards.take(frame(SDO_REQUEST_BASE + 1, request.ljust(8, b"\0")), 0.0)
     data: bytes = answer["data"][:8].tobytes()
     return data
 
 
-def read_real(boards: CompiledAdaptiveBoards, index: int, subindex: int) -> float:
+def read_real(boards: CompiledBoards, index: int, subindex: int) -> float:
     return float(struct.unpack_from("<f", sdo(boards, struct.pack("<BHB", 0x40, index, subindex)), 4)[0])
 
 
@@ -51,7 +51,7 @@ def read_real(boards: CompiledAdaptiveBoards, index: int, subindex: int) -> floa
 def test_samples_become_the_frames_of_the_vectors(name: str) -> None:
     contract, vectors = vectors_of(name)
     rows = grouped_rows(32).ravel()
-    boards = Firmware(contract, contract.nodes[:1]).adaptive_boards(0)
+    boards = Firmware(contract, contract.nodes[:1]).boards(0)
     idle = vectors["power_up"]["counts"]
     ready = [boards.take_counts(np.array([counts], np.uint16)) for counts in idle]
     assert ready == [False] * (len(idle) - 1) + [True]

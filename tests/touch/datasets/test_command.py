@@ -68,8 +68,6 @@ def test_wrong_options_are_refused(tmp_path: Path) -> None:
         dataset("acquisition", out=tmp_path, touches=FEW)
     with pytest.raises(InputError, match="belong to 'acquisition'"):
         dataset("classification", out=tmp_path, slides=AcquisitionOptions(speed=2))
-    with pytest.raises(InputError, match="unknown data set 'other'"):
-        dataset("other", out=tmp_path)  # type: ignore[arg-type]
     with pytest.raises(InputError, match=r"numbers with commas between.*'8,big'"):
         dataset("classification", out=tmp_path, touches=ClassificationOptions(arrays="8,big"))
     with pytest.raises(InputError, match="1 job or more"):

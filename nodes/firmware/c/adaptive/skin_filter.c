@@ -3,16 +3,6 @@
 #include <math.h>
 #include <string.h>
 
-static float least_of(float one, float other)
-{
-    return one < other ? one : other;
-}
-
-static float most_of(float one, float other)
-{
-    return one > other ? one : other;
-}
-
 /* Undo the bias of clipping at 0 in place. */
 static void unclip(float *force_n, const float *noise_n)
 {
@@ -21,8 +11,8 @@ static void unclip(float *force_n, const float *noise_n)
 
     for (c = 0; c < SKIN_BLOCK_SUMS; c++) {
         const float reading = force_n[c] / noise_n[c], at = reading * SKIN_UNCLIP_SCALE;
-        const float place = most_of(0.0f, least_of(at, last));
-        const int32_t low = (int32_t)least_of(place, last - 1.0f);
+        const float place = skin_larger(0.0f, skin_smaller(at, last));
+        const int32_t low = (int32_t)skin_smaller(place, last - 1.0f);
         const float part = place - (float)low;
         const float unclipped = skin_unclip_table[low] + part * (skin_unclip_table[low + 1] - skin_unclip_table[low]);
 
@@ -61,10 +51,10 @@ static void follow(skin_filter *filter, float *force_n)
         if (loud == 0 || is_quiet_around(is_quiet, place)) {
             const float offset_n = filter->offset_n[place], idle_n = filter->idle_offset_n[place];
             const float most_n = offset_n < idle_n ? SKIN_RETURN_N : SKIN_RISE_N;
-            const float change_n = least_of(most_n, most_of(-SKIN_RATE_N, SKIN_FOLLOWING * force_n[place]));
-            const float raised_n = least_of(idle_n + SKIN_HIGHEST_N, offset_n + change_n);
+            const float change_n = skin_smaller(most_n, skin_larger(-SKIN_RATE_N, SKIN_FOLLOWING * force_n[place]));
+            const float raised_n = skin_smaller(idle_n + SKIN_HIGHEST_N, offset_n + change_n);
 
-            filter->offset_n[place] = most_of(SKIN_LOWEST_RATIO * filter->taxel_n[place], raised_n);
+            filter->offset_n[place] = skin_larger(SKIN_LOWEST_RATIO * filter->taxel_n[place], raised_n);
         }
     }
 }
@@ -124,11 +114,6 @@ static void use(skin_filter *filter)
         }
     }
     filter->noise_n = sqrt(square / SKIN_BLOCK_SUMS);
-}
-
-void skin_filter_begin(skin_filter *filter)
-{
-    memset(filter, 0, sizeof *filter);
 }
 
 /* Go over from learning to filtering. */

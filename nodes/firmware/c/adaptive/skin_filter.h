@@ -39,9 +39,6 @@ extern const float skin_unclip_table[SKIN_UNCLIP_POINTS];
 /* Hadamard row of each sum; first coefficient and number of coefficients whose variances make up that of the sum. */
 extern const uint8_t skin_row_of_sum[SKIN_BLOCK_SUMS], skin_band_of_sum[SKIN_BLOCK_SUMS], skin_band_size[SKIN_BLOCK_SUMS];
 
-/* Begin at power-up: nothing is known of the noise. */
-void skin_filter_begin(skin_filter *filter);
-
 /* Take one sample, corrected counts of all taxels; afterwards sums_n are those of now.
  *
  * Returns 0 while the board learns its noise and its filter settles: nothing may touch the patch, and there are no sums.

@@ -16,10 +16,21 @@ void skin_sender_forget(skin_sender *sender)
     sender->is_operational = 0;
 }
 
+static void ask(skin_sender *sender, uint32_t groups)
+{
+    uint8_t group;
+
+    for (group = 0; group < SKIN_GROUPS; group++) {
+        if ((groups >> group & 1u) != 0) {
+            skin_ask(&sender->groups, group, sender->now);
+        }
+    }
+}
+
 void skin_sender_operate(skin_sender *sender, uint8_t is_operational)
 {
     if (is_operational && !sender->is_operational) {
-        skin_sender_ask(sender, (1u << SKIN_GROUPS) - 1);
+        ask(sender, (1u << SKIN_GROUPS) - 1);
     }
     sender->is_operational = is_operational;
 }
@@ -141,7 +152,8 @@ uint8_t skin_sender_make(skin_sender *sender, uint8_t group, uint8_t *payload)
     return skin_make_payload(&sender->groups, group, sender->filter.sums_n, payload);
 }
 
-int skin_sender_tpdo_of(const skin_sender *sender, uint32_t cob_id, uint8_t length)
+/* Number of the TPDO that a frame of ours belongs to, -1 for none. */
+static int tpdo_of(const skin_sender *sender, uint32_t cob_id, uint8_t length)
 {
     uint8_t number;
 
@@ -156,63 +168,81 @@ int skin_sender_tpdo_of(const skin_sender *sender, uint32_t cob_id, uint8_t leng
     return -1;
 }
 
-void skin_sender_sent(skin_sender *sender, uint8_t number, const uint8_t *payload)
+int skin_sender_sent(skin_sender *sender, uint32_t cob_id, uint8_t length, const uint8_t *payload)
 {
-    skin_note_sent(&sender->groups, number, sender->now, &sender->rule, payload);
-    note_way(sender, skin_group_of(&sender->groups, number), 0);
+    const int number = tpdo_of(sender, cob_id, length);
+
+    if (number >= 0) {
+        skin_note_sent(&sender->groups, (uint8_t)number, sender->now, &sender->rule, payload);
+        note_way(sender, skin_group_of(&sender->groups, (uint8_t)number), 0);
+    }
+    return number >= 0;
 }
 
-void skin_sender_give_back(skin_sender *sender, uint8_t number)
+int skin_sender_give_back(skin_sender *sender, uint32_t cob_id, uint8_t length)
 {
-    const uint8_t group = skin_group_of(&sender->groups, number);
+    const int number = tpdo_of(sender, cob_id, length);
+    const uint8_t group = number < 0 ? 0 : skin_group_of(&sender->groups, (uint8_t)number);
 
-    if (sender->groups.groups[group].under_way > 0) {
+    if (number >= 0 && sender->groups.groups[group].under_way > 0) {
         note_way(sender, group, 0);
         sender->tpdos[number].made_at = LONG_AGO;
-        sender->saved += sender->board->frame_bits[skin_is_fine(&sender->groups, number)];
+        sender->saved += sender->board->frame_bits[skin_is_fine(&sender->groups, (uint8_t)number)];
     }
+    return number >= 0;
 }
 
-uint8_t skin_sender_wanted(const skin_sender *sender)
+int skin_sender_read(const skin_sender *sender, uint16_t index, uint8_t subindex, uint32_t *value)
 {
-    uint8_t group, found = 0;
-
-    for (group = 0; group < SKIN_GROUPS; group++) {
-        found = (uint8_t)(found | sender->groups.groups[group].is_wanted << group);
-    }
-    return found;
-}
-
-void skin_sender_ask(skin_sender *sender, uint8_t groups)
-{
+    const skin_filter *filter = &sender->filter;
+    float real;
     uint8_t group;
 
-    for (group = 0; group < SKIN_GROUPS; group++) {
-        if ((groups >> group & 1u) != 0) {
-            skin_ask(&sender->groups, group, sender->now);
+    if (index == SKIN_OD_REFRESH) {
+        *value = 0;
+        for (group = 0; group < SKIN_GROUPS; group++) {
+            *value |= (uint32_t)sender->groups.groups[group].is_wanted << group;
         }
+        return 1;
     }
+    if (index == SKIN_OD_NODE_NOISE) {
+        real = (float)filter->noise_n;
+    } else if (subindex > 0 && index == SKIN_OD_COEFFICIENT_NOISE) {
+        real = filter->coefficient_n[subindex - 1];
+    } else if (subindex > 0 && index == SKIN_OD_TAXEL_NOISE) {
+        real = filter->taxel_n[subindex - 1];
+    } else {
+        return 0;
+    }
+    memcpy(value, &real, sizeof real);
+    return 1;
 }
 
-void skin_sender_set_rule(skin_sender *sender, uint8_t place, uint32_t bits)
+void skin_sender_write(skin_sender *sender, uint16_t index, uint8_t subindex, uint32_t value)
 {
-    /* A structure of 32-bit numbers in the same order. */
-    memcpy((uint8_t *)&sender->rule + sizeof bits * place, &bits, sizeof bits);
-}
-
-void skin_sender_set_noise(skin_sender *sender, uint16_t index, uint8_t place, uint32_t bits)
-{
+    const uint8_t place = (uint8_t)(subindex - 1);
     skin_filter *filter = &sender->filter;
-    float *given_n = index == SKIN_OD_TAXEL_NOISE ? filter->given_taxel_n : filter->given_coefficient_n;
 
-    memcpy(&given_n[place], &bits, sizeof bits);
-    skin_filter_give(filter);
-}
-
-void skin_sender_set_budget(skin_sender *sender, uint32_t bits_per_s)
-{
-    sender->budget = bits_per_s;
-    sender->saved = (double)SKIN_SAVED_FRAMES * sender->board->frame_bits[0];
+    switch (index) {
+    case SKIN_OD_REFRESH:
+        ask(sender, value);
+        break;
+    case SKIN_OD_SENDING: /* a structure of 32-bit numbers in the same order */
+        memcpy((uint8_t *)&sender->rule + sizeof value * place, &value, sizeof value);
+        break;
+    case SKIN_OD_COEFFICIENT_NOISE:
+    case SKIN_OD_TAXEL_NOISE:
+        memcpy(&(index == SKIN_OD_TAXEL_NOISE ? filter->given_taxel_n : filter->given_coefficient_n)[place], &value,
+               sizeof value);
+        skin_filter_give(filter);
+        break;
+    case SKIN_OD_BUDGET:
+        sender->budget = value;
+        sender->saved = (double)SKIN_SAVED_FRAMES * sender->board->frame_bits[0];
+        break;
+    default:
+        break;
+    }
 }
 
 int skin_sender_allows(uint16_t index, uint8_t subindex, uint32_t value)

@@ -56,24 +56,16 @@ int skin_sender_most_urgent(const skin_sender *sender);
  */
 uint8_t skin_sender_make(skin_sender *sender, uint8_t group, uint8_t *payload);
 
-/* Number of the TPDO that a frame of ours belongs to, -1 for none. */
-int skin_sender_tpdo_of(const skin_sender *sender, uint32_t cob_id, uint8_t length);
+/* Take note of a frame that was sent, with the bytes that were sent, or that was not; tell whether it is a frame of sums. */
+int skin_sender_sent(skin_sender *sender, uint32_t cob_id, uint8_t length, const uint8_t *payload);
+int skin_sender_give_back(skin_sender *sender, uint32_t cob_id, uint8_t length);
 
-/* Take note of a frame that was sent, with the bytes that were sent, or that was not. */
-void skin_sender_sent(skin_sender *sender, uint8_t number, const uint8_t *payload);
-void skin_sender_give_back(skin_sender *sender, uint8_t number);
-
-/* Groups that somebody asked for and that wait (2030h), a bit each; ask for more. */
-uint8_t skin_sender_wanted(const skin_sender *sender);
-void skin_sender_ask(skin_sender *sender, uint8_t groups);
-
-/* Set numbers of 2031h (by sub-index less 1; the bits of the value), 2032h, 2033h and 2034h. */
-void skin_sender_set_rule(skin_sender *sender, uint8_t place, uint32_t bits);
-void skin_sender_set_noise(skin_sender *sender, uint16_t index, uint8_t place, uint32_t bits);
-void skin_sender_set_budget(skin_sender *sender, uint32_t bits_per_s);
-
-/* Tell whether an object of 2030h to 2034h may have a value; `value` has the bits of a REAL32. */
+/* Objects; `value` has the bits of a REAL32. Tell whether one of 2030h to 2034h may have a value; obey such a write; read
+ * 2030h, 2032h, 2033h or 2035h, and return 0 for all others and for sub-index 0 of arrays.
+ */
 int skin_sender_allows(uint16_t index, uint8_t subindex, uint32_t value);
+void skin_sender_write(skin_sender *sender, uint16_t index, uint8_t subindex, uint32_t value);
+int skin_sender_read(const skin_sender *sender, uint16_t index, uint8_t subindex, uint32_t *value);
 
 /* A sum of the filtered forces, ADC counts, in the order of 2003h. */
 int32_t skin_sender_sum(const skin_sender *sender, uint8_t number);

@@ -26,14 +26,6 @@ static void *fine;      /* 2111h */
 static uint8_t is_presented; /* whether they are those of the newest sample */
 static OD_extension_t extensions[INDICES];
 
-static uint32_t bits_of(float value)
-{
-    uint32_t bits;
-
-    memcpy(&bits, &value, sizeof bits);
-    return bits;
-}
-
 /* Put the codes of the newest sample where the stack reads them. */
 static void present_codes(void)
 {
@@ -49,47 +41,20 @@ static void present_codes(void)
 
 static ODR_t read_value(OD_stream_t *stream, void *buf, OD_size_t count, OD_size_t *countRead)
 {
-    const uint8_t place = (uint8_t)(stream->subIndex - 1), bytes = (uint8_t)stream->dataLength;
+    const uint8_t subindex = stream->subIndex, bytes = (uint8_t)stream->dataLength;
+    uint32_t value;
 
-    if (stream->index == SKIN_OD_REFRESH) {
-        return skin_od_put(skin_sender_wanted(&sender), bytes, buf, count, countRead);
+    if (skin_sender_read(&sender, stream->index, subindex, &value)) {
+        return skin_od_put(value, bytes, buf, count, countRead);
     }
-    if (stream->index == SKIN_OD_NODE_NOISE) {
-        return skin_od_put(bits_of((float)sender.filter.noise_n), bytes, buf, count, countRead);
+    if (subindex > 0 && stream->index == SKIN_OD_SUMS) {
+        value = (uint32_t)skin_raw(&board->packing, skin_sender_sum(&sender, (uint8_t)(subindex - 1)));
+        return skin_od_put(value, bytes, buf, count, countRead);
     }
-    if (stream->subIndex > 0) {
-        switch (stream->index) {
-        case SKIN_OD_COEFFICIENT_NOISE:
-            return skin_od_put(bits_of(sender.filter.coefficient_n[place]), bytes, buf, count, countRead);
-        case SKIN_OD_TAXEL_NOISE:
-            return skin_od_put(bits_of(sender.filter.taxel_n[place]), bytes, buf, count, countRead);
-        case SKIN_OD_SUMS:
-            return skin_od_put((uint32_t)skin_raw(&board->packing, skin_sender_sum(&sender, place)), bytes, buf, count,
-                               countRead);
-        case SKIN_OD_COARSE:
-        case SKIN_OD_FINE:
-            present_codes();
-            break;
-        default:
-            break;
-        }
+    if (subindex > 0 && (stream->index == SKIN_OD_COARSE || stream->index == SKIN_OD_FINE)) {
+        present_codes();
     }
     return OD_readOriginal(stream, buf, count, countRead);
-}
-
-static void apply(uint16_t index, uint8_t subindex, uint32_t value)
-{
-    const uint8_t place = (uint8_t)(subindex - 1);
-
-    if (index == SKIN_OD_REFRESH) {
-        skin_sender_ask(&sender, (uint8_t)value);
-    } else if (index == SKIN_OD_SENDING) {
-        skin_sender_set_rule(&sender, place, value);
-    } else if (index == SKIN_OD_BUDGET) {
-        skin_sender_set_budget(&sender, value);
-    } else {
-        skin_sender_set_noise(&sender, index, place, value);
-    }
 }
 
 static ODR_t write_value(OD_stream_t *stream, const void *buf, OD_size_t count, OD_size_t *countWritten)
@@ -107,7 +72,7 @@ static ODR_t write_value(OD_stream_t *stream, const void *buf, OD_size_t count, 
     }
     answer = OD_writeOriginal(stream, buf, count, countWritten);
     if (answer == ODR_OK) {
-        apply(stream->index, subindex, value);
+        skin_sender_write(&sender, stream->index, subindex, value);
     }
     return answer;
 }
@@ -130,7 +95,7 @@ static void restore(uint16_t index, uint8_t subindex)
     uint32_t value = 0;
 
     if (OD_get_value(OD_find(OD, index), subindex, &value, sizeof value, true) == ODR_OK) {
-        apply(index, subindex, value);
+        skin_sender_write(&sender, index, subindex, value);
     }
 }
 
@@ -230,27 +195,19 @@ uint32_t skin_app_requests(int is_operational, int sync_was, int64_t passed_ns)
 
 void skin_app_sent(uint16_t identifier, uint8_t length, const uint8_t *data)
 {
-    const int number = skin_sender_tpdo_of(&sender, identifier, length);
-
-    if (number >= 0) {
+    if (skin_sender_sent(&sender, identifier, length, data)) {
         skin_od_health[1]++;
-        skin_sender_sent(&sender, (uint8_t)number, data);
     }
 }
 
 void skin_app_given_up(uint16_t identifier, uint8_t length)
 {
-    const int number = skin_sender_tpdo_of(&sender, identifier, length);
-
-    if (number >= 0) {
-        skin_sender_give_back(&sender, (uint8_t)number);
-    }
+    (void)skin_sender_give_back(&sender, identifier, length);
 }
 
 void skin_app_refused(uint16_t identifier, uint8_t length)
 {
-    skin_app_given_up(identifier, length);
-    if (skin_sender_tpdo_of(&sender, identifier, length) >= 0) {
+    if (skin_sender_give_back(&sender, identifier, length)) {
         skin_od_health[2]++;
     }
 }

@@ -11,7 +11,7 @@ static skin_outbox new_outbox(skin_frame *out, size_t capacity)
 
     outbox.frames = out;
     outbox.capacity = capacity;
-    outbox.count = outbox.lost = 0;
+    outbox.count = 0;
     return outbox;
 }
 
@@ -271,7 +271,7 @@ size_t skin_newest_sums(const skin_node *node, int32_t *sums)
     uint16_t sum;
 
     for (sum = 0; sum < count; sum++) {
-        sums[sum] = skin_adaptive_sum(node, (uint8_t)sum);
+        sums[sum] = skin_sender_sum(&node->sender, (uint8_t)sum);
     }
 #else
 

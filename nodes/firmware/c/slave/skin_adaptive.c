@@ -5,8 +5,6 @@
 
 #include <string.h>
 
-/* TPDOs. */
-
 void skin_read_tpdo(skin_node *node, uint8_t number)
 {
     const uint16_t communication = (uint16_t)(SKIN_OD_TPDO_COMMUNICATION + number);
@@ -19,22 +17,6 @@ void skin_answer(skin_node *node, const skin_frame *sync, uint8_t counter)
 {
     (void)counter;
     node->sender.sync_ns = sync->time_ns;
-}
-
-void skin_send_events(skin_node *node, uint32_t now_ms)
-{
-    (void)node; /* sums are sent after each sample */
-    (void)now_ms;
-}
-
-void skin_forget_sent(skin_node *node)
-{
-    skin_sender_forget(&node->sender);
-}
-
-void skin_note_state(skin_node *node)
-{
-    skin_sender_operate(&node->sender, node->state == SKIN_OPERATIONAL);
 }
 
 int skin_sample(skin_node *node, uint16_t *counts)
@@ -86,90 +68,23 @@ void skin_send_sums(skin_node *node, int64_t now_ns)
     }
 }
 
-/* Number of the TPDO of a frame of ours that a controller may hold, or -1. */
-static int tpdo_of(const skin_node *node, const skin_frame *frame)
-{
-    return skin_sender_tpdo_of(&node->sender, frame->can_id, frame->length);
-}
-
 void skin_sent(skin_node *node, const skin_frame *frame)
 {
-    const int number = tpdo_of(node, frame);
-
-    if (number >= 0) {
+    if (skin_sender_sent(&node->sender, frame->can_id, frame->length, frame->data)) {
         node->health[1]++;
-        skin_sender_sent(&node->sender, (uint8_t)number, frame->data);
     }
 }
 
 void skin_given_up(skin_node *node, const skin_frame *frame)
 {
-    const int number = tpdo_of(node, frame);
-
-    if (number >= 0) {
-        skin_sender_give_back(&node->sender, (uint8_t)number);
-    }
+    (void)skin_sender_give_back(&node->sender, frame->can_id, frame->length);
 }
 
 void skin_refused(skin_node *node, const skin_frame *frame)
 {
-    skin_given_up(node, frame);
-    if (tpdo_of(node, frame) >= 0) {
+    if (skin_sender_give_back(&node->sender, frame->can_id, frame->length)) {
         node->health[2]++;
     }
-}
-
-/* Objects. */
-
-uint32_t skin_check_adaptive(uint16_t index, uint8_t subindex, uint32_t value)
-{
-    return skin_sender_allows(index, subindex, value) ? 0 : SKIN_ABORT_VALUE;
-}
-
-void skin_adjust_adaptive(skin_node *node, const skin_object *object, uint32_t value)
-{
-    const uint8_t place = (uint8_t)(object->subindex - 1);
-
-    switch (object->index) {
-    case SKIN_OD_REFRESH:
-        skin_sender_ask(&node->sender, (uint8_t)value);
-        break;
-    case SKIN_OD_SENDING:
-        skin_sender_set_rule(&node->sender, place, value);
-        break;
-    case SKIN_OD_COEFFICIENT_NOISE:
-    case SKIN_OD_TAXEL_NOISE:
-        skin_sender_set_noise(&node->sender, object->index, place, value);
-        break;
-    case SKIN_OD_BUDGET:
-        skin_sender_set_budget(&node->sender, value);
-        break;
-    default:
-        break;
-    }
-}
-
-void skin_restore_adaptive(skin_node *node)
-{
-    skin_filter *filter = &node->sender.filter;
-
-    memset(filter->given_taxel_n, 0, sizeof filter->given_taxel_n);
-    memset(filter->given_coefficient_n, 0, sizeof filter->given_coefficient_n);
-    skin_filter_give(filter);
-}
-
-int32_t skin_adaptive_sum(const skin_node *node, uint8_t number)
-{
-    return skin_sender_sum(&node->sender, number);
-}
-
-static const uint8_t *put_real(uint8_t *scratch, float value)
-{
-    uint32_t bits;
-
-    memcpy(&bits, &value, sizeof bits);
-    skin_put(scratch, bits, sizeof bits);
-    return scratch;
 }
 
 const uint8_t *skin_adaptive_value(const skin_node *node, const skin_object *object, uint8_t *scratch)
@@ -177,34 +92,22 @@ const uint8_t *skin_adaptive_value(const skin_node *node, const skin_object *obj
     const skin_sender *sender = &node->sender;
     const uint8_t place = (uint8_t)(object->subindex - 1);
     uint8_t coarse[SKIN_BLOCK_SUMS], fine[SKIN_BLOCK_SUMS];
+    uint32_t value;
 
-    if (object->index == SKIN_OD_REFRESH) {
-        scratch[0] = skin_sender_wanted(sender);
+    if (skin_sender_read(sender, object->index, object->subindex, &value)) {
+        skin_put(scratch, value, object->bytes);
         return scratch;
     }
-    if (object->index == SKIN_OD_NODE_NOISE) {
-        return put_real(scratch, (float)sender->filter.noise_n);
-    }
-    if (object->subindex == 0) {
+    if (object->subindex == 0 || (object->index != SKIN_OD_COARSE && object->index != SKIN_OD_FINE)) {
         return NULL;
     }
-    switch (object->index) {
-    case SKIN_OD_COEFFICIENT_NOISE:
-        return put_real(scratch, sender->filter.coefficient_n[place]);
-    case SKIN_OD_TAXEL_NOISE:
-        return put_real(scratch, sender->filter.taxel_n[place]);
-    case SKIN_OD_COARSE:
-    case SKIN_OD_FINE:
-        skin_present_codes(&sender->groups, sender->filter.sums_n, coarse, fine);
-        if (object->index == SKIN_OD_COARSE) {
-            scratch[0] = coarse[place];
-        } else {
-            memcpy(scratch, &fine[SKIN_GROUP_SUMS * place], SKIN_GROUP_SUMS);
-        }
-        return scratch;
-    default:
-        return NULL;
+    skin_present_codes(&sender->groups, sender->filter.sums_n, coarse, fine);
+    if (object->index == SKIN_OD_COARSE) {
+        scratch[0] = coarse[place];
+    } else {
+        memcpy(scratch, &fine[SKIN_GROUP_SUMS * place], SKIN_GROUP_SUMS);
     }
+    return scratch;
 }
 
 #endif

@@ -20,8 +20,6 @@ void skin_post(skin_node *node, const skin_frame *frame)
 {
     if (node->outbox->count < node->outbox->capacity) {
         node->outbox->frames[node->outbox->count++] = *frame;
-    } else {
-        node->outbox->lost++;
     }
 }
 
@@ -128,10 +126,7 @@ static void read_watched(skin_node *node)
         const uint32_t entry = skin_unsigned(node, SKIN_OD_CONSUMER_HEARTBEAT, (uint8_t)(place + 1));
         skin_watch *watch = &node->watched[place];
 
-        if ((entry & 0xFFFFu) == 0 || entry >> 16 > SKIN_HIGHEST_NODE_ID) {
-            continue;
-        }
-        watch->node_id = (uint8_t)(entry >> 16);
+        watch->node_id = skin_watched_node(entry);
         for (old = 0; old < SKIN_WATCHED; old++) {
             if (before[old].node_id == watch->node_id) {
                 *watch = before[old];
@@ -181,13 +176,24 @@ void skin_boot(skin_node *node, uint32_t now_ms, int communication_only)
     node->emcy_free_ms = now_ms;
     memset(node->watched, 0, sizeof node->watched);
     memset(node->health, 0, sizeof node->health);
-    skin_forget_sent(node);
+#if SKIN_ADAPTIVE
+    skin_sender_forget(&node->sender);
+#endif
     node->changed = 1;
     skin_refresh(node, now_ms);
     send_state(node);
     node->state = SKIN_PRE_OPERATIONAL;
     /* Otherwise boards that are powered together would send their heartbeats together. */
     node->heartbeat_due_ms = now_ms + node->heartbeat_ms * node->board->node_id / (SKIN_HIGHEST_NODE_ID + 1);
+}
+
+static void note_state(skin_node *node)
+{
+#if SKIN_ADAPTIVE
+    skin_sender_operate(&node->sender, node->state == SKIN_OPERATIONAL);
+#else
+    (void)node; /* nothing begins with OPERATIONAL */
+#endif
 }
 
 void skin_nmt(skin_node *node, const skin_frame *command, uint32_t now_ms)
@@ -214,7 +220,7 @@ void skin_nmt(skin_node *node, const skin_frame *command, uint32_t now_ms)
     default:
         break;
     }
-    skin_note_state(node);
+    note_state(node);
 }
 
 /* Heartbeat consumer (CiA 301, 7.2.8.3.2): the watch on a node begins with its first heartbeat. */
@@ -300,12 +306,14 @@ void skin_tick(skin_node *node, uint32_t now_ms)
         node->heartbeat_due_ms = now_ms + node->heartbeat_ms;
     }
     watch(node, now_ms);
-    skin_note_state(node);
+    note_state(node);
     if (node->state == SKIN_STOPPED) {
         return;
     }
     flush_emergencies(node, now_ms);
+#if !SKIN_ADAPTIVE /* adaptive boards send after each sample */
     if (node->state == SKIN_OPERATIONAL) {
         skin_send_events(node, now_ms);
     }
+#endif
 }

@@ -30,10 +30,10 @@ typedef struct {
 /* A frame that the controller has given up: its window ended, or there was no room for it. */
 #define SKIN_FRAME_DISCARDED (SKIN_FRAME_ECHO | SKIN_FRAME_ERROR)
 
-/* Frames that wait to be sent; frames beyond `capacity` are lost and counted. */
+/* Frames that wait to be sent; frames beyond `capacity` are lost. */
 typedef struct {
     skin_frame *frames;
-    size_t capacity, count, lost;
+    size_t capacity, count;
 } skin_outbox;
 
 /* Errors that are reported: heartbeat of a watched node lost, SYNC of a wrong length, window missed. */
@@ -164,12 +164,12 @@ void skin_send(skin_node *node, uint32_t can_id, const uint8_t *data, uint8_t le
 void skin_read_tpdo(skin_node *node, uint8_t number);
 void skin_answer(skin_node *node, const skin_frame *sync, uint8_t counter);
 void skin_send_events(skin_node *node, uint32_t now_ms);
-void skin_note_state(skin_node *node);
-void skin_forget_sent(skin_node *node);
 const skin_object *skin_find(const skin_board *board, uint16_t index, uint8_t subindex);
 const uint8_t *skin_value(const skin_node *node, const skin_object *object, uint8_t *scratch);
 uint32_t skin_unsigned(const skin_node *node, uint16_t index, uint8_t subindex);
 uint8_t skin_mapped_bits(const skin_node *node, const skin_object *object);
+const skin_object *skin_mapped(const skin_node *node, uint32_t entry); /* of a mapping entry, NULL if not allowed */
+uint8_t skin_watched_node(uint32_t entry); /* of an entry of 1016h, 0 for none */
 uint32_t skin_missing(const skin_board *board, uint16_t index);
 uint32_t skin_write(skin_node *node, uint16_t index, uint8_t subindex, const uint8_t *data, uint16_t length);
 void skin_restore(skin_node *node, int communication_only);
@@ -184,12 +184,8 @@ void skin_put(uint8_t *data, uint32_t value, uint8_t bytes);
 #define SKIN_NUMBER_BYTES 8
 
 #if SKIN_ADAPTIVE
-/* Objects of adaptive boards: rules of writing, effect of a write, and value of a read, NULL for other objects. */
-uint32_t skin_check_adaptive(uint16_t index, uint8_t subindex, uint32_t value);
-void skin_adjust_adaptive(skin_node *node, const skin_object *object, uint32_t value);
+/* What an adaptive board computes, NULL for other objects. */
 const uint8_t *skin_adaptive_value(const skin_node *node, const skin_object *object, uint8_t *scratch);
-void skin_restore_adaptive(skin_node *node);
-int32_t skin_adaptive_sum(const skin_node *node, uint8_t number);
 #endif
 
 #endif

@@ -104,7 +104,7 @@ static uint32_t computed(const skin_node *node, const skin_object *object)
         return node->health[subindex - 1];
     default: /* the sums */
 #if SKIN_ADAPTIVE
-        return (uint32_t)skin_raw(&node->board->packing, skin_adaptive_sum(node, (uint8_t)(subindex - 1)));
+        return (uint32_t)skin_raw(&node->board->packing, skin_sender_sum(&node->sender, (uint8_t)(subindex - 1)));
 #else
         return (uint32_t)skin_raw(&node->board->packing,
                                   node->sums[node->board->first_sum[block_of(object->index)] + subindex - 1]);
@@ -147,13 +147,12 @@ uint8_t skin_mapped_bits(const skin_node *node, const skin_object *object)
     return of_first_block(object->index) == SKIN_OD_SUMS ? node->board->packing.bits : (uint8_t)(8 * object->bytes);
 }
 
-/* Tell whether a mapping entry names an object that PDOs may carry, in its full width. */
-static int is_mappable(const skin_node *node, uint32_t entry)
+const skin_object *skin_mapped(const skin_node *node, uint32_t entry)
 {
-    const uint8_t bits =
-        skin_mapped_bits(node, skin_find(node->board, (uint16_t)(entry >> 16), (uint8_t)(entry >> 8 & 0xFFu)));
+    const skin_object *object = skin_find(node->board, (uint16_t)(entry >> 16), (uint8_t)(entry >> 8 & 0xFFu));
+    const uint8_t bits = skin_mapped_bits(node, object);
 
-    return bits != 0 && bits == (entry & 0xFFu);
+    return bits != 0 && bits == (entry & 0xFFu) ? object : NULL;
 }
 
 /* COB-IDs that no PDO or EMCY may have (CiA 301, table 38). */
@@ -216,7 +215,7 @@ static uint32_t check_mapping(const skin_node *node, uint16_t index, uint8_t sub
         if (skin_unsigned(node, index, 0) > 0) {
             return SKIN_ABORT_STATE;
         }
-        return value == 0 || is_mappable(node, value) ? 0 : SKIN_ABORT_NOT_MAPPABLE;
+        return value == 0 || skin_mapped(node, value) != NULL ? 0 : SKIN_ABORT_NOT_MAPPABLE;
     }
     if (value > node->board->pdo_bytes) {
         return SKIN_ABORT_PDO_LENGTH;
@@ -224,7 +223,7 @@ static uint32_t check_mapping(const skin_node *node, uint16_t index, uint8_t sub
     for (place = 1; place <= value; place++) {
         const uint32_t entry = skin_unsigned(node, index, place);
 
-        if (!is_mappable(node, entry)) {
+        if (skin_mapped(node, entry) == NULL) {
             return SKIN_ABORT_NOT_MAPPABLE;
         }
         bits += entry & 0xFFu;
@@ -232,10 +231,9 @@ static uint32_t check_mapping(const skin_node *node, uint16_t index, uint8_t sub
     return bits > 8u * node->board->pdo_bytes ? SKIN_ABORT_PDO_LENGTH : 0;
 }
 
-/* Node-ID that an entry of 1016h watches, 0 for none. */
-static uint32_t watched_node(uint32_t entry)
+uint8_t skin_watched_node(uint32_t entry)
 {
-    return (entry & 0xFFFFu) > 0 && entry >> 16 <= SKIN_HIGHEST_NODE_ID ? entry >> 16 : 0;
+    return (uint8_t)((entry & 0xFFFFu) > 0 && entry >> 16 <= SKIN_HIGHEST_NODE_ID ? entry >> 16 : 0);
 }
 
 static uint32_t check_watched(const skin_node *node, uint8_t subindex, uint32_t value)
@@ -243,8 +241,8 @@ static uint32_t check_watched(const skin_node *node, uint8_t subindex, uint32_t 
     uint8_t place;
 
     for (place = 1; place <= SKIN_WATCHED; place++) {
-        if (place != subindex && watched_node(value) > 0 &&
-            watched_node(value) == watched_node(skin_unsigned(node, SKIN_OD_CONSUMER_HEARTBEAT, place))) {
+        if (place != subindex && skin_watched_node(value) > 0 &&
+            skin_watched_node(value) == skin_watched_node(skin_unsigned(node, SKIN_OD_CONSUMER_HEARTBEAT, place))) {
             return SKIN_ABORT_INCOMPATIBLE;
         }
     }
@@ -287,7 +285,7 @@ static uint32_t check_write(const skin_node *node, uint16_t index, uint8_t subin
         return value > SKIN_PATTERN_FULL ? SKIN_ABORT_VALUE : 0;
     default:
 #if SKIN_ADAPTIVE
-        return skin_check_adaptive(index, subindex, value);
+        return skin_sender_allows(index, subindex, value) ? 0 : SKIN_ABORT_VALUE;
 #else
         return 0;
 #endif
@@ -313,7 +311,7 @@ static void adjust(skin_node *node, const skin_object *object)
         break;
     default:
 #if SKIN_ADAPTIVE
-        skin_adjust_adaptive(node, object, value);
+        skin_sender_write(&node->sender, object->index, object->subindex, value);
 #endif
         break;
     }
@@ -366,7 +364,9 @@ void skin_restore(skin_node *node, int communication_only)
         return;
     }
 #if SKIN_ADAPTIVE
-    skin_restore_adaptive(node);
+    memset(node->sender.filter.given_taxel_n, 0, sizeof node->sender.filter.given_taxel_n);
+    memset(node->sender.filter.given_coefficient_n, 0, sizeof node->sender.filter.given_coefficient_n);
+    skin_filter_give(&node->sender.filter);
 #elif SKIN_SAMPLES > 1
     for (place = 0; place < board->blocks; place++) {
         skin_forget(&node->averages[place]);

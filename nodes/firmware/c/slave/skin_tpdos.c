@@ -28,15 +28,13 @@ void skin_read_tpdo(skin_node *node, uint8_t number)
     }
     for (place = 0; place < count; place++) {
         const uint32_t entry = skin_unsigned(node, mapping, (uint8_t)(place + 1));
-        const skin_object *object =
-            skin_find(node->board, (uint16_t)(entry >> 16), (uint8_t)(entry >> 8 & 0xFFu));
-        const uint8_t width = skin_mapped_bits(node, object);
+        const skin_object *object = skin_mapped(node, entry);
 
-        if (width == 0 || width != (entry & 0xFFu)) {
+        if (object == NULL) {
             return;
         }
         tpdo->objects[place] = (uint16_t)(object - node->board->objects);
-        bits += width;
+        bits += entry & 0xFFu;
     }
     if (bits > 8u * node->board->pdo_bytes) {
         return;
@@ -178,16 +176,6 @@ void skin_given_up(skin_node *node, const skin_frame *frame)
             return;
         }
     }
-}
-
-void skin_note_state(skin_node *node)
-{
-    (void)node; /* nothing begins with OPERATIONAL */
-}
-
-void skin_forget_sent(skin_node *node)
-{
-    (void)node; /* reading the TPDOs anew forgets */
 }
 
 #endif

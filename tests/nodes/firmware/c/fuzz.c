@@ -85,7 +85,7 @@ static size_t sample(uint16_t *counts, int64_t now_ns)
     if (drawn(2) > 0) {
         sent = skin_choose(nodes, SKIN_BOARDS, drawn(9), now_ns, now_ns + 1000000, out, ROOM);
     } else {
-        skin_outbox outbox = {NULL, ROOM, 0, 0};
+        skin_outbox outbox = {NULL, ROOM, 0};
 
         outbox.frames = out;
         for (place = 0; place < SKIN_BOARDS; place++) {
