@@ -34,6 +34,8 @@ from skin.walsh import GROUPS
 RATES_HZ: Final = (1000.0, 10.0)
 RATE_MAX_HZ: Final = 1000.0
 RATE_MIN_HZ: Final = 1.0
+#: Longest time for which frames wait unread: a request for a missing group waits for its turn, too.
+REST_MAX_S: Final = 0.02
 
 
 @dataclass
@@ -134,8 +136,12 @@ class AdaptiveGathering:
 
     @property
     def may_sleep_until_s(self) -> float:
-        """Until when frames may wait unread: no measurement is made before, whatever the rates."""
-        return self._published_s + 1 / RATE_MAX_HZ
+        """Until when frames may wait unread: no measurement is made before.
+
+        While a node is not proven, frames are answers and the next question waits for them: then for 1 / `RATE_MAX_HZ`.
+        """
+        rest_s = min(self._shortest_s, REST_MAX_S) if self._is_proven.all() else 1 / RATE_MAX_HZ
+        return self._published_s + rest_s
 
     def trust(self, node: NodeContract, *, proven: bool) -> None:
         """Use a node's frames that come from now on if `proven`; else forget its sums at once."""
