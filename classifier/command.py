@@ -147,7 +147,7 @@ def train(
     skin train --objects golf-ball,ring,tuna-can
     skin train --objects paper --stroke press
     skin train --layout palm.toml --touches 4000 --out palm.npz --json
-    skin train --choose 16 --layout-out palm-16.toml --features sums
+    skin train --choose 64 --layout-out palm-64.toml --features sums
     """
     skin = load_layout(layout)
     names = _named(objects)

@@ -13,6 +13,7 @@ has the bits, which python-canopen ignores.
 The comments ``;StorageLocation=`` are the storage groups of CANopenEditor (EDSSharp), which reads and writes them so.
 """
 
+import math
 import struct
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -289,7 +290,7 @@ def _device_info(contract: Contract, kind: NodeType, indices: list[int]) -> dict
         "SimpleBootUpMaster": "0",
         "SimpleBootUpSlave": "1",
         # Sums of 12 bits begin in the middle of a byte.
-        "Granularity": "4" if contract.packing.bits % 8 else "8",
+        "Granularity": str(math.gcd(contract.packing.bits, 8)),
         "DynamicChannelsSupported": "0",
         "GroupMessaging": "0",
         "NrOfRXPDO": str(indices.count(od.RPDO_COMMUNICATION)),

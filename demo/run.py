@@ -154,9 +154,11 @@ class Run:
             self._console.print(f"web page: http://127.0.0.1:{self._port}/")
         self._console.print(f"fabric: {endpoint}", highlight=False)
         record = ["skin", "record", "run.mcap", *self._common(endpoint)]
-        self._console.print(f"to record: SKIN_BUS_DIR={self._folder} {shlex.join(record)}", highlight=False)
+        self._console.print(
+            f"to record: SKIN_BUS_DIR={self._folder} {shlex.join(record)}", highlight=False, soft_wrap=True
+        )
         pids = ", ".join(f"{child.name} {child.process.pid}" for child in self._supervisor.children.values())
-        self._console.print(f"processes: {pids}", highlight=False)
+        self._console.print(f"processes: {pids}", highlight=False, soft_wrap=True)
         self._await_first_cycle(stop)
         with progress("", self._options.seconds) as bar:
             start_s, before = time.monotonic(), self._supervisor.processor_times()

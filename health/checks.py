@@ -37,7 +37,8 @@ def fits(message: msgspec.Struct, layout: Layout) -> bool:
         case Contacts():
             found = message.contacts
             return (
-                len(found) <= MOST_CONTACTS
+                max(len(found), len(message.ended)) <= MOST_CONTACTS
+                and math.isfinite(message.find_s)
                 and _moment_fits(message)
                 and all(_contact_fits(each, layout) for each in found)
             )

@@ -15,7 +15,7 @@ from canskin.session import DEFAULT_ENDPOINT
 from dbc.contract import Contract
 from recording.calibration import follow_calibration
 from recording.recorder import Recorder
-from recording.sinks import open_sink
+from recording.sinks import check_format, open_sink
 from shell.output import check_new_path
 from shell.service import StopSignal, request_real_time, say
 from skin.layout import Layout, load_layout
@@ -60,6 +60,7 @@ def record(
     stop = StopSignal().install()
     skin = load_layout(layout)
     check_new_path(out, "recording")
+    check_format(out, len(skin.bus))
     contract = Contract.from_layout(skin)
     names = {number: each.name for number, each in enumerate(skin.bus)}
     links = open_links(skin, bus or BusOptions(), name="recorder", stop=stop)
@@ -119,7 +120,7 @@ def _conclude(recorder: Recorder, out: Path) -> None:
     size_mb = out.stat().st_size / 1e6
     say("record", f"{recorder.frames} frames and {recorder.messages} messages in {out}, {size_mb:.1f} MB")
     missed = ", ".join(f"{count} {topic}" for topic, count in recorder.missed.counts().items())
-    if missed:
+    if missed and recorder.messages:
         say("record", f"messages that never came, because the fabric drops them on a busy machine: {missed}")
     if recorder.lost:
         say("record", f"{recorder.lost} frames or messages came too fast for this machine and are missing")

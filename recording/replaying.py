@@ -3,12 +3,12 @@
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Final
 
 import msgspec
 
 from canskin.fabric import Exchange, Mailbox
-from canskin.messages import LABEL, MEASUREMENT, Image, Topic
+from canskin.messages import LABEL, MEASUREMENT, Image, Label, Topic
 from classifier.service import AdaptiveClassifierService, ClassifierService
 from reconstructor.imaging import Imager
 from reconstructor.service import ReconstructorService
@@ -16,6 +16,9 @@ from recording.sinks import Sink
 from recording.step_kinds import FramesStep, MeasurementStep, MessageStep, Step
 from shell.service import StopSignal
 from skin.layout import Layout
+
+#: Confidences that differ by less are equal: their sums depend on the labels since the classifier's start.
+CONFIDENCE_ERROR: Final = 1e-9
 
 
 @dataclass
@@ -40,7 +43,8 @@ class Report:
     Attributes
     ----------
     measurements, images, labels : Agreement
-        Measurements are compared byte for byte; images by their pixels, validity and number of sums; labels by all.
+        Measurements are compared byte for byte; images by their pixels, validity and number of sums; labels by all but
+        their number.
     """
 
     measurements: Agreement = field(default_factory=Agreement)
@@ -56,7 +60,11 @@ class Report:
                 of_recorded = f", {one.equal} of {one.compared} equal to the recorded" if one.compared else ""
                 told.append(f"{one.made} {name}{of_recorded}")
         if self.labels.equal < self.labels.compared:
-            told.append("labels differ where the run had another model or other objects: give its model with --model")
+            told.append(
+                "labels differ at first, and where the run had another model or other objects: give it with --model"
+            )
+        if self.images.equal < self.images.compared:
+            told.append("images differ at first: the solver and the filter begin anew where the recording begins")
         return told
 
 
@@ -136,7 +144,7 @@ class Replay:
         if step.makes_image:
             self._reconstructor.take(step.measurement)
         for label in self._classifier.replay(step.measurement, step.time_ns) if step.makes_label else ():
-            self.report.labels.add(None if step.label is None else label == step.label)
+            self.report.labels.add(_same_label(label, step.label))
             self.publish(LABEL, label)
 
     def _published_ns(self) -> int:
@@ -145,6 +153,16 @@ class Replay:
             return self._now_ns
         image = self._measured.image
         return self._measured.measurement.sampled_mono_ns if image is None else image.published_mono_ns
+
+
+def _same_label(made: Label, recorded: Label | None) -> bool | None:
+    """Compare labels of one instant; numbers are not compared: a classifier that is started counts from 1."""
+    if recorded is None:
+        return None
+    is_as_sure = abs(made.confidence - recorded.confidence) < CONFIDENCE_ERROR
+    return (
+        is_as_sure and msgspec.structs.replace(made, confidence=recorded.confidence, number=recorded.number) == recorded
+    )
 
 
 def _same_image(made: Image, recorded: Image | None) -> bool | None:

@@ -162,27 +162,25 @@ class LogSink:
 
 
 def open_sink(path: Path, contract: Contract, now_ns: int, offset_ns: int) -> Sink:
-    """Open a new file in the format that its suffix names.
+    """Open a new file in the format that its suffix names, see `check_format`.
 
     Raises
     ------
     OSError
         If the file cannot be written.
     """
-    suffix = path.suffix.lower()
-    if suffix == RECORDING_SUFFIX:
+    if path.suffix.lower() == RECORDING_SUFFIX:
         return McapSink(path, contract, now_ns, offset_ns)
-    check_log(path, len(contract.layout.bus))
     try:
         return LogSink(path, contract.layout)
     except (ImportError, NotImplementedError) as error:  # asammdf is not installed
-        raise InputError(f"{path}: python-can cannot write {suffix} here: {error}") from error
+        raise InputError(f"{path}: python-can cannot write {path.suffix} here: {error}") from error
 
 
-def check_log(path: Path, buses: int) -> None:
-    """Check that a log of `buses` buses can have the format of `path`."""
+def check_format(path: Path, buses: int) -> None:
+    """Check that `path` names a format, and that a log of this format can have `buses` buses."""
     suffix = path.suffix.lower()
-    if suffix not in MESSAGE_WRITERS:
+    if suffix not in {RECORDING_SUFFIX, *MESSAGE_WRITERS}:
         raise InputError(
             f"{path}: expected a file that ends in {RECORDING_SUFFIX}, or, for frames alone, in one of "
             f"{', '.join(sorted(MESSAGE_WRITERS))}"

@@ -31,7 +31,7 @@ def check_picture_path(path: Path) -> None:
 
 def check_new_path(path: Path, what: str, suffix: str = "") -> None:
     """Check that a new file that ends in `suffix` can be written at `path`; `what` names the file in the error."""
-    if not path.name.lower().endswith(suffix):
+    if suffix and path.suffix.lower() != suffix:
         raise InputError(f"{path}: expected a new file for the {what} that ends in {suffix}, got '{path.suffix}'")
     if path.exists():
         raise InputError(f"{path}: is there already; remove it, or choose another name")

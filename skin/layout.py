@@ -17,7 +17,9 @@ from skin.walsh import Indices, patches
 from skin.wiring import check_patch, within_patches
 
 #: Names of the layouts that come with the project.
-SHIPPED: Final = tuple(sorted(Path(each.name).stem for each in files("skin.layouts").iterdir() if ".toml" in each.name))
+SHIPPED: Final = tuple(
+    sorted(Path(each.name).stem for each in files("skin.layouts").iterdir() if each.name.endswith(".toml"))
+)
 #: Lowest and highest bit rate of classic CAN and of the nominal phase, from the table in CiA 301.
 BITRATE_MIN: Final = 10_000
 BITRATE_MAX: Final = 1_000_000

@@ -17,7 +17,8 @@ class Contourlet:
 
     Coefficients are in the order of the toolbox's ``pdfbdec`` with nlevs = [5]: the low-pass image, then 16 bands of
     (rows / 16, columns / 2), then 16 of (rows / 2, columns / 16), each row by row. Ψ is neither tight nor orthogonal:
-    FISTA needs its transpose; the analysis is a left inverse.
+    FISTA needs its transpose; the analysis is a left inverse. This class has the geometry alone: the methods of a basis
+    are those of `reconstructor.kernels.contourlet.CompiledContourlet`.
 
     Parameters
     ----------

@@ -237,15 +237,15 @@ def test_state_is_an_object_of_the_node(skin: Skin) -> None:
     node = skin.segments[0].boards.nodes[0]
     skin.write(0, 1, od.STATE, 1, bytes((SkinState.IMAGES + 1,)))
     skin.carry()
-    assert node.local.unsigned(od.STATE, 1) == SkinState.RECOGNITION
+    assert node.local.get_data(od.STATE, 1)[0] == SkinState.RECOGNITION
     skin.write(0, 1, od.STATE, 1, bytes((SkinState.IMAGES,)))
     skin.carry()
-    assert node.local.unsigned(od.STATE, 1) == SkinState.IMAGES
+    assert node.local.get_data(od.STATE, 1)[0] == SkinState.IMAGES
     node.boot(skin.now_s)
     skin.wires[0].put(STATE_COB_ID, bytes((SkinState.IMAGES,)))
     skin.carry()
-    assert node.local.unsigned(od.STATE, 1) == SkinState.RECOGNITION
-    assert skin.segments[0].boards.nodes[1].local.unsigned(od.STATE, 1) == SkinState.IMAGES
+    assert node.local.get_data(od.STATE, 1)[0] == SkinState.RECOGNITION
+    assert skin.segments[0].boards.nodes[1].local.get_data(od.STATE, 1)[0] == SkinState.IMAGES
 
 
 def test_database_and_contract_name_the_frames_of_both_states() -> None:

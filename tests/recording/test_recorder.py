@@ -23,7 +23,7 @@ from dbc.generate import contract_files
 from recording import calibration, record_command
 from recording.calibration import follow_calibration
 from recording.recorder import MOST_WAITING, Recorder
-from recording.sinks import check_log, open_sink
+from recording.sinks import check_format, open_sink
 from shell.service import StopSignal
 from skin.layout import parse_layout
 from skin.mcap_file import CALIBRATION_FILE, EVENTS, RECORDER, File, newest_file, read_about, read_entries
@@ -227,9 +227,9 @@ def test_too_many_messages_are_counted(contract: Contract, links: dict[int, Fake
     ("name", "buses", "words"), [("run.xyz", 1, "expected a file that ends in"), ("run.csv", 2, "does not tell")]
 )
 def test_formats_that_cannot_hold_the_frames_are_refused(name: str, buses: int, words: str) -> None:
-    check_log(Path("run.csv"), 1)
+    check_format(Path("run.csv"), 1)
     with pytest.raises(InputError, match=words):
-        check_log(Path(name), buses)
+        check_format(Path(name), buses)
 
 
 @pytest.mark.heavy

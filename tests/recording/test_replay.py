@@ -114,11 +114,12 @@ def run(contract: Contract, bus_frames: dict[int, Frames], links: dict[int, Fake
 
 
 class StubClassifier(ClassifierService):
-    def __init__(self) -> None:
-        """It has no model."""
+    def __init__(self, **changes: object) -> None:
+        """It has no model, and makes the recorded labels with `changes`."""
+        self._changes = changes
 
     def label(self, measurement: Measurement) -> Label | None:
-        return label_of(measurement)
+        return msgspec.structs.replace(label_of(measurement), **self._changes)
 
 
 @pytest.fixture
@@ -159,6 +160,21 @@ def test_all_is_as_live(run: Path, replayed: Callable[..., tuple[Replay, Path]],
     assert (report.measurements.made, report.measurements.equal) == (len(sums), len(sums))
     assert report.images.equal == report.images.compared == len(sums) - len(SKIPPED)
     assert "12 measurements, 12 of 12 equal to the recorded" in report.lines()[0]
+
+
+@pytest.mark.parametrize(
+    ("changes", "is_equal"),
+    [({"number": 753, "confidence": 1 - 1e-14}, True), ({"label": "cup"}, False), ({"confidence": 0.99}, False)],
+)
+def test_labels_are_equal_whatever_their_number(
+    run: Path, contract: Contract, changes: dict[str, object], is_equal: bool
+) -> None:
+    """A recording may begin long after the classifier."""
+    replay = Replay(contract.layout, make_imager(contract.layout), lambda _: StubClassifier(**changes))
+    replay.run(steps_of(run, contract), StopSignal(), float("inf"))
+    labels = replay.report.labels
+    assert labels.compared > 0
+    assert labels.equal == is_equal * labels.compared
 
 
 def test_a_new_recording_can_be_replayed_itself(run: Path, replayed: Callable[..., tuple[Replay, Path]]) -> None:

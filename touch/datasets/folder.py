@@ -129,6 +129,8 @@ def alone(folder: Path) -> Iterator[None]:
         os.close(handle)
         raise InputError(f"another run uses '{folder}': wait for its end, or give another --out") from error
     try:
+        for draft in folder.rglob(".*.part"):  # of a run that was killed
+            draft.unlink(missing_ok=True)
         yield
     finally:
         os.close(handle)
