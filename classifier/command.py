@@ -16,7 +16,7 @@ from classifier.modelfile import load_model, save_model
 from classifier.used_sums import classified_phi
 from classifier.wake import Wake
 from shell.output import check_output_path, write_file
-from shell.service import StopSignal, say
+from shell.service import StopSignal, request_real_time, say
 from shell.terminal import Json, print_json, print_table, progress
 from shell.touch_options import ObjectNames
 from skin.layout import Layout, Recognition, layout_text, load_layout
@@ -81,7 +81,9 @@ def classify(
     wake = None if skin.recognition is None else _wake(skin.recognition, fabric)
     try:
         decides = Classifier(trained, classified)
-        make_service(decides, skin, fabric, (lambda _label: None) if wake is None else wake.take).run(stop)
+        service = make_service(decides, skin, fabric, (lambda _label: None) if wake is None else wake.take)
+        fabric.tell_scheduling(request_real_time("classifier"))
+        service.run(stop)
     finally:
         if wake is not None:
             wake.close()

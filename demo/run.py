@@ -23,7 +23,7 @@ from demo.processor_time import ratios
 from demo.report import WORDS, Report
 from demo.score import Score
 from demo.supervisor import Supervisor
-from shell.service import StopSignal, Talk, listen, say, talks
+from shell.service import StopSignal, Talk, listen, request_real_time, say, talks
 from shell.terminal import progress
 from skin.layout import Layout
 from skin.psnr import adds_noise
@@ -77,6 +77,7 @@ class Run:
             self._start_services(endpoint)
             self._await_services(stop)
             if not stop.is_set():
+                fabric.tell_scheduling(request_real_time("demo"))  # all messages go through this process
                 tare = "at-start" if self._options.has_zero_errors(self._layout) else "never"
                 self._supervisor.start("gateway", "gateway", *self._common(endpoint), "--tare", tare)
                 self._follow(stop, endpoint)

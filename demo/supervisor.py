@@ -11,6 +11,7 @@ from typing import Final
 from canskin.errors import InputError, RunError
 from demo.processor_time import ProcessorTime, processor_time
 from shell.command import WRONG_INPUT
+from shell.service import ordinary_scheduling
 
 #: A process that has ended is started again after this time; the page shows its absence until then.
 RESTART_AFTER_S: Final = 2.0
@@ -116,7 +117,7 @@ class Supervisor:
         # One thread per service: the services share the machine, and one thread is enough.
         threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
         environment = {**os.environ, **threads, "SKIN_BUS_DIR": str(self.folder), "SKIN_PARENT": str(os.getpid())}
-        with log.open("ab") as sink:
+        with log.open("ab") as sink, ordinary_scheduling():
             return subprocess.Popen(  # noqa: S603 - our own command, no shell
                 [sys.executable, "-m", "skin", *arguments],
                 stdin=subprocess.DEVNULL,

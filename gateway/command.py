@@ -89,7 +89,6 @@ def gateway(
     links = open_links(skin, bus or BusOptions(), name="gateway", stop=stop)
     require_order(skin, links)
     answers = ThreadPoolExecutor(1, "calibration")
-    answers.submit(int)  # the thread starts before the gateway's loop asks for real time, which threads inherit
     calibrates = GatewayCalibration(contract, stored, tares=tare == "at-start", submit=answers.submit, keeps=keep_zero)
     hub, mark = connect or listen, contract.phi.fingerprint
     fabric = Fabric(skin.name, "gateway", hub, hub=connect is None, stop=stop, fingerprint=mark)

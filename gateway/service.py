@@ -72,7 +72,7 @@ class GatewayService:
 
     def run(self, stop: StopSignal) -> None:
         """Boot the nodes, then serve until `stop`; open cycles are finished before the return."""
-        request_real_time("gateway")
+        self._fabric.tell_scheduling(request_real_time("gateway"))
         while not stop.is_set():
             self.turn()
         self.loop.sync.stop()

@@ -46,7 +46,7 @@ class Service(msgspec.Struct, frozen=True, kw_only=True):
         The process runs and has input, but sends nothing.
     since_time_s : float
         Wall-clock time when the token came or went.
-    version, fingerprint : str
+    version, fingerprint, scheduling : str
         From the token; see `canskin.peers.Peer`.
     difference : str
         Why the service cannot work with this page's skin; empty if it can.
@@ -57,6 +57,7 @@ class Service(msgspec.Struct, frozen=True, kw_only=True):
     silent: bool = False
     version: str = ""
     fingerprint: str = ""
+    scheduling: str = ""
     difference: str = ""
 
 

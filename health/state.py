@@ -264,6 +264,7 @@ class ViewState:
             silent=self._is_silent(name, gateway, now_s),
             version=peer.version,
             fingerprint=peer.fingerprint,
+            scheduling=peer.scheduling,
             difference=self._self.difference(peer),
         )
 

@@ -82,7 +82,9 @@ class NodesService:
         """Boot the nodes, then serve until `stop`."""
         for segment in self.segments.values():
             segment.boot(self._clock())
-        request_real_time("nodes")
+        scheduling = request_real_time("nodes")
+        if self._fabric is not None:
+            self._fabric.tell_scheduling(scheduling)
         while not stop.is_set():
             self.turn()
         self._await_frames()

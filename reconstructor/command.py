@@ -56,4 +56,5 @@ def reconstruct(
     with closing(Fabric(skin.name, "reconstructor", connect, stop=stop, fingerprint=skin.phi().fingerprint)) as fabric:
         service = ReconstructorService(skin, imager, fabric)
         say("reconstructor", f"{skin.taxels.rows} x {skin.taxels.columns} taxels, {imager.about}")
+        fabric.tell_scheduling(service.schedule())
         service.run(stop)

@@ -64,12 +64,14 @@ class ReconstructorService:
         self._fabric = fabric
         self._mailbox = fabric.mailbox(MEASUREMENT, imager.depth)
 
+    def schedule(self) -> str:
+        """Ask for the scheduling that images need; return what was obtained."""
+        if self._phi.shape[0] >= self._phi.blocks:
+            return request_real_time("reconstructor")
+        return yield_processor()  # fewer sums than blocks give poor images: the label counts
+
     def run(self, stop: StopSignal) -> None:
         """Serve until `stop`."""
-        if self._phi.shape[0] >= self._phi.blocks:
-            request_real_time("reconstructor")
-        else:
-            yield_processor()  # fewer sums than blocks give poor images: the label counts
         while not stop.is_set():
             measurement = self._mailbox.get(PATIENCE_S)
             if measurement is not None:

@@ -12,10 +12,13 @@ import signal
 import socket
 import sys
 import time
+from collections.abc import Iterator
+from pathlib import Path
 from types import FrameType
 from typing import Final
 
 from canskin.errors import LOG, InputError
+from canskin.peers import ORDINARY, REAL_TIME
 from canskin.session import HIGHEST_PORT
 
 #: Lowest real-time priority, above all programs without real-time scheduling.
@@ -26,6 +29,7 @@ NICENESS: Final = 10
 LOOK_S: Final = 0.02
 #: Connections that may wait at a socket.
 _BACKLOG: Final = 64
+_IS_LINUX: Final = sys.platform.startswith("linux")
 #: prctl(2).
 PR_SET_PDEATHSIG: Final = 1
 
@@ -97,7 +101,7 @@ class RateLimitedLog:
 def _end_with_parent() -> None:
     """Have the kernel send SIGTERM when the supervisor that started this process dies (Linux)."""
     parent = os.environ.get("SKIN_PARENT")
-    if parent is None or not sys.platform.startswith("linux"):
+    if parent is None or not _IS_LINUX:
         return
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
     if os.getppid() != int(parent):  # the supervisor died before this call
@@ -127,25 +131,25 @@ def listen(host: str, port: int) -> socket.socket:
     return listener
 
 
-def request_real_time(service: str) -> bool:
+def request_real_time(service: str) -> str:
     """Request real-time scheduling for every thread of this process, for loops that must keep the SYNC period.
 
     All threads get real-time scheduling or none does: an ordinary thread of the fabric would starve behind a real-time
     loop, and a loop would wait for the interpreter's lock that the thread holds. A thread that starts later inherits
-    the scheduling of the thread that starts it. The kernel keeps a share of each core for other programs
-    (``sched_rt_runtime_us``, 95 % by default). Without permission (root, or an ``rtprio`` limit) the scheduling stays as
-    it is. Objects that exist now are excluded from garbage collection, because its pauses would make cycles late.
+    the scheduling of the thread that starts it. The kernel keeps a share of each core for other programs, 5 % by
+    default (``sched_rt_runtime_us``). Without permission (root, or an ``rtprio`` limit) the scheduling stays as it is.
+    Objects that exist now are excluded from garbage collection, because its pauses would make cycles late.
 
     Returns
     -------
-    bool
-        Whether the process has real-time scheduling.
+    str
+        What the process has obtained, see `canskin.peers.Peer`.
     """
     gc.collect()
     gc.freeze()
-    is_real_time = sys.platform.startswith("linux") and _schedule(os.SCHED_RR, REAL_TIME_PRIORITY)
-    say(service, "scheduling: real time" if is_real_time else "scheduling: ordinary; for real time, allow rtprio")
-    return is_real_time
+    is_real_time = _IS_LINUX and _schedule(os.SCHED_RR, REAL_TIME_PRIORITY)
+    say(service, "scheduling: real time" if is_real_time else "scheduling: ordinary; for real time, allow rtprio 1")
+    return REAL_TIME if is_real_time else ORDINARY
 
 
 def _schedule(policy: int, priority: int) -> bool:
@@ -153,7 +157,7 @@ def _schedule(policy: int, priority: int) -> bool:
     done: set[int] = set()
     try:
         # A thread may start another before its own turn comes: look until no thread is new.
-        while new := {int(name) for name in os.listdir("/proc/self/task")} - done:
+        while new := {int(each.name) for each in Path("/proc/self/task").iterdir()} - done:
             for thread in new:
                 with contextlib.suppress(ProcessLookupError):  # ended since
                     os.sched_setscheduler(thread, policy, os.sched_param(priority))
@@ -166,10 +170,25 @@ def _schedule(policy: int, priority: int) -> bool:
     return True
 
 
-def yield_processor() -> None:
-    """Let other services go first, for a loop whose results count less than theirs."""
-    if sys.platform.startswith("linux"):
+@contextlib.contextmanager
+def ordinary_scheduling() -> Iterator[None]:
+    """Take real time from this thread for a while: a process inherits the scheduling of the thread that starts it."""
+    if not _IS_LINUX or os.sched_getscheduler(0) == os.SCHED_OTHER:
+        yield
+        return
+    policy, parameters = os.sched_getscheduler(0), os.sched_getparam(0)
+    os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+    try:
+        yield
+    finally:
+        os.sched_setscheduler(0, policy, parameters)
+
+
+def yield_processor() -> str:
+    """Let other services go first, for a loop whose results count less than theirs; return as `request_real_time`."""
+    if _IS_LINUX:
         os.nice(NICENESS)
+    return ORDINARY
 
 
 class Talk(enum.IntEnum):

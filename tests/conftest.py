@@ -1,6 +1,7 @@
 """What the tests of several folders need, and who runs which on several cores."""
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
@@ -46,6 +47,18 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
     """On several cores, make way for the first worker."""
     if hasattr(item.config, "workerinput") and not _is_first(item.nodeid):
         os.nice(max(NICE - os.nice(0), 0))
+
+
+@pytest.fixture(autouse=True, scope="session")
+def ordinary_scheduling() -> Iterator[None]:
+    """Refuse real time to services that run inside a test: the test's process and its children would keep it."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(os, "sched_setscheduler", _refuse)
+        yield
+
+
+def _refuse(*_: object) -> None:
+    raise PermissionError
 
 
 @pytest.fixture

@@ -102,7 +102,7 @@ class ConnectedSkin(Skin):
         super().__init__(layout, timeout_s)
         self._fabric = fabric
         self._endpoint = endpoint
-        self._peers: dict[tuple[str, str], Peer] = {}
+        self._peers: dict[str, Peer] = {}
         self._asks_at_s = 0.0
         self._status: GatewayStatus | None = None
         self._builder = FrameBuilder(layout)
@@ -185,12 +185,12 @@ class ConnectedSkin(Skin):
         if peer.skin != self.layout.name:
             return
         if is_alive:
-            self._peers[peer.service, peer.instance] = peer
+            self._peers[peer.key] = peer
         else:
-            self._peers.pop((peer.service, peer.instance), None)
+            self._peers.pop(peer.key, None)
 
     def _services(self) -> list[str]:
-        return sorted({service for service, _ in self._peers.copy()} - {NAME})
+        return sorted({peer.service for peer in self._peers.copy().values()} - {NAME})
 
     def _take_status(self, status: GatewayStatus) -> None:
         self._status = status

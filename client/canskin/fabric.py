@@ -118,15 +118,22 @@ class Fabric:
         self.malformed = 0
         self._peer = new_peer(skin, service, fingerprint)
         self._differences: set[str] = set()
+        self._others = Roll()
         self._prefix = f"canskin/{skin}"
         self._encoder = msgspec.msgpack.Encoder()
         self._publishers: dict[str, Any] = {}
         self._numbers: dict[str, count[int]] = {}
         self._kept: list[Any] = []
         self._session = open_hub(endpoint) if hub else open_client(endpoint, service, stop, patience_s)
-        self._kept.append(self._session.liveliness().declare_token(self._peer.key))
+        self._token = self._session.liveliness().declare_token(self._peer.key)
         if fingerprint:
             self.watch_peers(self._compare)
+
+    def tell_scheduling(self, scheduling: str) -> None:
+        """Tell the other services how this service is scheduled; see `canskin.peers.Peer`."""
+        before, self._peer = self._token, msgspec.structs.replace(self._peer, scheduling=scheduling)
+        self._token = self._session.liveliness().declare_token(self._peer.key)
+        before.undeclare()
 
     def publish(self, topic: Topic, message: msgspec.Struct) -> None:
         """Send `message` to every subscriber of `topic`; never waits, and a slow subscriber loses messages."""
@@ -222,7 +229,7 @@ class Fabric:
         there = Roll()
 
         def note(peer: Peer, alive: bool) -> None:
-            if peer.skin == self._peer.skin and there.note(peer.service, peer.instance, alive):
+            if peer.skin == self._peer.skin and there.note(peer.service, peer.key, alive):
                 changed(peer.service, there.holds(peer.service))
 
         self.watch_peers(note)
@@ -241,9 +248,10 @@ class Fabric:
 
     def _compare(self, peer: Peer, alive: bool) -> None:
         """Log, once per difference, that a service cannot work with this service."""
-        if peer == self._peer:
+        if peer.instance == self._peer.instance:
             return
-        tell(self._peer.service, f"{peer.service} {'is there' if alive else 'has left'}", logging.INFO)
+        if self._others.note(peer.service, peer.key, alive):
+            tell(self._peer.service, f"{peer.service} {'is there' if alive else 'has left'}", logging.INFO)
         difference = self._peer.difference(peer) if alive else ""
         if difference and difference not in self._differences:
             self._differences.add(difference)

@@ -10,6 +10,11 @@ import msgspec
 INSTANCE_BYTES: Final = 4
 #: Separator in the last part of a token; neither versions (PEP 440) nor fingerprints contain it.
 SEPARATOR: Final = "-"
+#: Between an instance and its scheduling: other versions take both for the instance.
+SCHEDULING: Final = "~"
+#: Values of `Peer.scheduling`.
+REAL_TIME: Final = "realtime"
+ORDINARY: Final = "ordinary"
 
 
 class Peer(msgspec.Struct, frozen=True):
@@ -26,6 +31,8 @@ class Peer(msgspec.Struct, frozen=True):
         Version of canskin; empty if unknown.
     fingerprint : str
         Fingerprint of its Φ (`skin.measurement.Sbhe.fingerprint`); empty for a service without Φ.
+    scheduling : str
+        `REAL_TIME` or `ORDINARY`; empty until the service has asked for real time.
     """
 
     skin: str
@@ -33,11 +40,13 @@ class Peer(msgspec.Struct, frozen=True):
     instance: str
     version: str = ""
     fingerprint: str = ""
+    scheduling: str = ""
 
     @property
     def key(self) -> str:
-        """The key of the liveliness token, ``canskin/SKIN/alive/SERVICE/INSTANCE-VERSION-FINGERPRINT``."""
-        about = SEPARATOR.join((self.instance, self.version, self.fingerprint))
+        """The key of the liveliness token, ``canskin/SKIN/alive/SERVICE/INSTANCE~SCHEDULING-VERSION-FINGERPRINT``."""
+        instance = self.instance + (SCHEDULING + self.scheduling if self.scheduling else "")
+        about = SEPARATOR.join((instance, self.version, self.fingerprint))
         return f"canskin/{self.skin}/alive/{self.service}/{about}"
 
     def difference(self, other: "Peer") -> str:
@@ -76,27 +85,29 @@ def new_peer(skin: str, service: str, fingerprint: str) -> Peer:
 def peer_of_key(key: str) -> Peer:
     """Return the peer whose token is `key`."""
     _, skin, _, service, about = key.split("/")
-    return Peer(skin, service, *about.split(SEPARATOR, 2))
+    instance, *rest = about.split(SEPARATOR, 2)
+    instance, _, scheduling = instance.partition(SCHEDULING)
+    return msgspec.structs.replace(Peer(skin, service, instance, *rest), scheduling=scheduling)
 
 
 class Roll:
-    """The present instances of each service."""
+    """The present tokens of each service."""
 
     def __init__(self) -> None:
-        self._instances: dict[str, set[str]] = {}
+        self._keys: dict[str, set[str]] = {}
 
-    def note(self, service: str, instance: str, is_there: bool) -> bool:
-        """Note that an instance came or went; tell whether the service came with its first or went with its last."""
+    def note(self, service: str, key: str, is_there: bool) -> bool:
+        """Note that a token came or went; tell whether the service came with its first or went with its last."""
         was_there = self.holds(service)
-        instances = self._instances.setdefault(service, set())
+        keys = self._keys.setdefault(service, set())
         if is_there:
-            instances.add(instance)
+            keys.add(key)
         else:
-            instances.discard(instance)
-        if not instances:
-            del self._instances[service]
+            keys.discard(key)
+        if not keys:
+            del self._keys[service]
         return self.holds(service) != was_there
 
     def holds(self, service: str) -> bool:
-        """Tell whether any instance of a service is present."""
-        return service in self._instances
+        """Tell whether any token of a service is present."""
+        return service in self._keys

@@ -1,5 +1,6 @@
 """The fabric: messages, mailboxes, liveliness, and what happens to garbage."""
 
+import queue
 import threading
 from collections.abc import Iterator
 
@@ -174,6 +175,26 @@ def test_one_of_two_services_of_a_name_may_leave(hub: Fabric, endpoint: str) -> 
     assert [event for event in events if event[0] == "viewer"] == [("viewer", True), ("viewer", False)]
 
 
+def test_scheduling_is_told_while_the_service_stays(hub: Fabric, endpoint: str) -> None:
+    peers: queue.Queue[tuple[Peer, bool]] = queue.Queue()
+    changes: list[tuple[str, bool]] = []
+    hub.watch(lambda name, is_alive: changes.append((name, is_alive)))
+    hub.watch_peers(lambda peer, is_alive: peers.put((peer, is_alive)))
+    other = Fabric("test", "other", endpoint, fingerprint="12ab")
+    other.tell_scheduling("realtime")
+    seen = []
+    while not seen or seen[-1][1]:
+        peer, is_alive = peers.get(timeout=60)
+        seen += [(peer, is_alive)] * (peer.service == "other")
+    assert [(peer.scheduling, peer.fingerprint, is_alive) for peer, is_alive in seen] == [
+        ("", "12ab", True),
+        ("realtime", "12ab", True),
+        ("", "12ab", False),
+    ]
+    assert ("other", False) not in changes
+    other.close()
+
+
 @given(st.lists(st.tuples(st.sampled_from("ab"), st.sampled_from("123"), st.booleans())))
 def test_a_service_is_there_while_any_of_its_name_is(notes: list[tuple[str, str, bool]]) -> None:
     roll, there, told = Roll(), set[tuple[str, str]](), {"a": False, "b": False}
@@ -182,7 +203,7 @@ def test_a_service_is_there_while_any_of_its_name_is(notes: list[tuple[str, str,
         if roll.note(service, instance, is_there):
             told[service] = not told[service]
         assert told == {name: any(each == name for each, _ in there) for name in "ab"}
-    assert set(roll._instances) == {service for service, _ in there}
+    assert {service for service in "ab" if roll.holds(service)} == {service for service, _ in there}
 
 
 def test_endpoint_in_use_is_one_clear_line(hub: Fabric, endpoint: str) -> None:

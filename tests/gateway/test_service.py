@@ -82,6 +82,9 @@ class Fabric:
         self.stall_s = 0.0
         self.statuses: list[GatewayStatus] = []
 
+    def tell_scheduling(self, _: str) -> None:
+        """Nobody listens."""
+
     def publish(self, topic: Topic, message: msgspec.Struct) -> None:
         if topic is GATEWAY:
             assert isinstance(message, GatewayStatus)

@@ -58,6 +58,9 @@ class Published:
         self.statuses: list[NodesStatus] = []
         self.truths: list[Truth] = []
 
+    def tell_scheduling(self, _: str) -> None:
+        """Nobody listens."""
+
     def publish(self, _: Topic, message: msgspec.Struct) -> None:
         if isinstance(message, NodesStatus):
             self.statuses.append(message)

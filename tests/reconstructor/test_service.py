@@ -72,18 +72,14 @@ class Exchange:
         pytest.fail("no image came")
 
 
-@pytest.mark.parametrize(("sums", "goes_first"), [(64, False), (128, True), (1024, True)])
+@pytest.mark.parametrize(("sums", "scheduling"), [(64, "ordinary"), (128, "realtime"), (1024, "realtime")])
 def test_images_of_fewer_sums_than_blocks_let_other_services_go_first(
-    hub: Fabric, monkeypatch: pytest.MonkeyPatch, sums: int, goes_first: bool
+    hub: Fabric, monkeypatch: pytest.MonkeyPatch, sums: int, scheduling: str
 ) -> None:
-    asked: list[bool] = []
-    monkeypatch.setattr("reconstructor.service.request_real_time", lambda: asked.append(True))
-    monkeypatch.setattr("reconstructor.service.yield_processor", lambda: asked.append(False))
+    monkeypatch.setattr("reconstructor.service.request_real_time", lambda _service: "realtime")
+    monkeypatch.setattr("reconstructor.service.yield_processor", lambda: "ordinary")
     layout = msgspec.structs.replace(LAYOUT, measurement=msgspec.structs.replace(LAYOUT.measurement, sums=sums))
-    stop = StopSignal()
-    stop.set()
-    ReconstructorService(layout, make_imager(layout), hub).run(stop)
-    assert asked == [goes_first]
+    assert ReconstructorService(layout, make_imager(layout), hub).schedule() == scheduling
 
 
 def test_image_of_a_measurement(hub: Fabric, service: ReconstructorService, golf: Scene) -> None:
@@ -229,6 +225,7 @@ def test_verb_is_ready_and_ends_quietly(hub: Fabric, endpoint: str, golf: Scene,
         if "compiles its solver" in line:
             line = process.stderr.readline()
         assert line == "reconstructor: 64 x 64 taxels, 5 iterations\n"
+        assert process.stderr.readline().startswith("reconstructor: scheduling: ")
         assert Exchange(hub).image_of(measurement(1, golf.sensor[30])).valid_sums == 1024
         process.send_signal(number)
         out, err = process.communicate(timeout=30)

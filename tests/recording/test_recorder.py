@@ -238,7 +238,6 @@ def test_no_thread_waits_for_a_hub_when_the_recorder_ends(
 ) -> None:
     """A thread inside zenoh at the end of the interpreter aborts the process."""
     monkeypatch.setattr(record_command, "open_links", lambda *_, **__: links)
-    monkeypatch.setattr(record_command, "request_real_time", lambda: None)
     handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
     before = set(threading.enumerate())
     try:

@@ -1,5 +1,6 @@
 """How a service is told to end."""
 
+import json
 import os
 import signal
 import subprocess
@@ -24,6 +25,39 @@ while time.monotonic() < until:
     stop.is_set()
 sys.exit(0)
 """
+
+
+#: Prints what was obtained, and the scheduling of all threads and of a process that is started.
+SCHEDULED = """
+import json, os, subprocess, sys, threading
+from shell.service import ordinary_scheduling, request_real_time
+def wait():
+    started.release()
+    done.wait()
+started, done = threading.Semaphore(0), threading.Event()
+def start():
+    threading.Thread(target=wait).start()
+    started.acquire()
+start()
+told = request_real_time("test")
+start()
+threads = [os.sched_getscheduler(int(name)) for name in os.listdir("/proc/self/task")]
+with ordinary_scheduling():
+    child = subprocess.check_output([sys.executable, "-c", "import os; print(os.sched_getscheduler(0))"])
+print(json.dumps([told, threads, int(child), os.sched_getscheduler(0)]))
+done.set()
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="real-time scheduling is asked for on Linux")
+def test_all_threads_are_scheduled_alike_and_processes_of_the_service_as_any_other() -> None:
+    answer = subprocess.run([sys.executable, "-c", SCHEDULED], capture_output=True, check=True, text=True)
+    told, threads, child, own = json.loads(answer.stdout)
+    wanted = {"realtime": os.SCHED_RR, "ordinary": os.SCHED_OTHER}[told]
+    assert len(threads) >= 3
+    assert {own, *threads} == {wanted}
+    assert child == os.SCHED_OTHER
+    assert answer.stderr.startswith("test: scheduling: ")
 
 
 @pytest.mark.heavy

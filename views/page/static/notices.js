@@ -28,9 +28,12 @@ function state(service, isCutOff) {
   return service.silent ? "silent" : "there";
 }
 
-const about = (service) => [service?.version && `canskin ${service.version}`, service?.fingerprint && `Φ ${service.fingerprint}`].filter(Boolean).join(", ");
+const SCHEDULING = { realtime: "real-time scheduling", ordinary: "ordinary scheduling: late when the cores are full" };
+const about = (service) =>
+  [service?.version && `canskin ${service.version}`, service?.fingerprint && `Φ ${service.fingerprint}`, SCHEDULING[service?.scheduling]]
+    .filter(Boolean).join(", ");
 
-/** One chip per service; its title shows the version and Φ of the service. */
+/** One chip per service; its title shows the version, Φ and scheduling of the service. */
 export function drawServices({ services, cut_off: isCutOff }) {
   const names = [...EXPECTED, ...Object.keys(services).filter((name) => name.startsWith("nodes"))];
   const chips = names.map((name) => ({ name, state: state(services[name], isCutOff), title: about(services[name]) }));
