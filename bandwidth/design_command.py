@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from bandwidth.search import CanKind, Requirement, search
+from bandwidth.search import CanKind, Requirement, SendingKind, search
 from bandwidth.traffic import Disturbance
 from canskin.errors import InputError, RunError
 from shell.output import write_file
@@ -18,6 +18,7 @@ def design(
     buses: int = 4,
     budget: float = 0.8,
     can: CanKind = "any",
+    sending: SendingKind = "any",
     out: Path | None = None,
     disturbance: Disturbance | None = None,
     json_: Json = False,
@@ -31,13 +32,15 @@ def design(
     taxels
         Number of taxels, a power of two.
     rate
-        Measurements per second.
+        Measurements per second of synchronous sums; adaptive sums come up to 1000 times a second, as they have news.
     buses
         Largest number of buses.
     budget
-        Highest load of a bus, with the most stuff bits, as a part of 1.
+        Highest load of a bus, with the most stuff bits, as a part of 1; of adaptive sums under simulated touches.
     can
         Type of CAN.
+    sending
+        ``any``: synchronous sums, or adaptive sums where synchronous sums do not fit.
     out
         File for the TOML of the layout. Default: print the layout.
     disturbance
@@ -49,8 +52,9 @@ def design(
     --------
     skin design --taxels 1024 --can fd
     skin design --taxels 4096 --rate 100 --buses 2 --budget 0.7 --out palm.toml
+    skin design --taxels 4096 --rate 200 --can classic
     """
-    required = Requirement(taxels, rate_hz=rate, buses=buses, budget=budget, can=can)
+    required = Requirement(taxels, rate_hz=rate, buses=buses, budget=budget, can=can, sending=sending)
     found = search(required, disturbance)
     text = None if found.layout is None else layout_text(found.layout)
     if text is not None and out is not None:
@@ -72,9 +76,6 @@ def design(
     if text is None or found.chosen is None:
         raise RunError(found.missing() or "")
     unfit = sum(not each.fits for each in found.candidates)
-    say(
-        "design",
-        f"{found.chosen.words}: each bus {found.chosen.load_worst or 0:.1%} full at worst; {unfit} others do not fit",
-    )
+    say("design", f"{found.chosen.words}: {found.chosen.load_words}; {unfit} others do not fit")
     print(str(out) if out is not None else text, end="\n" if out is not None else "")
     return 0

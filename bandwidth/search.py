@@ -1,12 +1,13 @@
 """Search for a layout that meets a requirement: few buses first, then slow data phases, wide sums, small nodes."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain, product
 from typing import Final, Literal
 
 import msgspec
 
+from bandwidth.adaptive_plan import plan_adaptive, touched_load
 from bandwidth.alternatives import BLOCKS_PER_NODE, FD_BITRATES, with_bits, with_buses, with_sums
 from bandwidth.highest_rate import highest_rate_hz
 from bandwidth.plan import bus_time
@@ -17,9 +18,10 @@ from dbc.canopen import HIGHEST_NODE_ID
 from dbc.contract import Contract
 from dbc.dictionary import window_s
 from skin.layout import RATE_MAX_HZ, SUM_BITS, Bus, Layout, PhiParameters, Sync, Taxels, validated
-from skin.sending import SUMS_PART
+from skin.sending import ADAPTIVE, SUMS_PART, SendingName
 
 CanKind = Literal["any", "classic", "fd"]
+SendingKind = Literal["any", "synchronous", "adaptive"]
 
 #: Widths to try. The rounding of 8 bits is not small compared with the sensor noise, so 8 bits come last.
 _WIDTHS: Final = (SUM_BITS[:-1], SUM_BITS[-1:])
@@ -50,7 +52,10 @@ class Requirement:
         Largest number of buses.
     budget : float
         Highest load of a bus, with the most stuff bits.
+        Of adaptive sums, which fill a bus when everything moves, the load under simulated touches.
     can : {"any", "classic", "fd"}
+    sending : {"any", "synchronous", "adaptive"}
+        ``any``: synchronous sums, whose load and lateness have a bound; adaptive sums where these do not fit.
     """
 
     taxels: int
@@ -58,6 +63,7 @@ class Requirement:
     buses: int = 4
     budget: float = 0.8
     can: CanKind = "any"
+    sending: SendingKind = "any"
 
     def __post_init__(self) -> None:
         if not TAXELS_MIN <= self.taxels <= TAXELS_MAX or self.taxels & self.taxels - 1:
@@ -72,20 +78,26 @@ class Requirement:
 
 @dataclass(frozen=True)
 class Candidate:
-    """A layout that was tried; fields ``missing_…`` tell what it lacks: 0 for nothing, None if unknown."""
+    """A layout that was tried; fields ``missing_…`` tell what it lacks: 0 for nothing, None if unknown.
 
+    `load_touched` and `coarse_ms` are of adaptive sums, see `bandwidth.adaptive_plan.AdaptiveBusPlan`.
+    """
+
+    sending: SendingName
     buses: int
     nodes: int
     blocks_per_node: int
     sums: int
     sum_bits: int
     data_bitrate: int | None
-    load_worst: float | None
-    window_needed_ms: float | None
-    missing_bits_per_s: float | None
     missing_node_ids: int
-    missing_window_ms: float | None
-    problem: str | None
+    load_worst: float | None = None
+    window_needed_ms: float | None = None
+    missing_bits_per_s: float | None = None
+    missing_window_ms: float | None = None
+    problem: str | None = None
+    load_touched: float | None = None
+    coarse_ms: float | None = None
 
     @property
     def fits(self) -> bool:
@@ -98,7 +110,16 @@ class Candidate:
         wire = "classic CAN" if self.data_bitrate is None else f"CAN FD {self.data_bitrate // 1_000_000} Mbit/s"
         buses = f"{self.buses} bus{'es' * (self.buses > 1)}"
         each = f"{self.blocks_per_node} block{'s' * (self.blocks_per_node > 1)}"
-        return f"{buses} of {wire}, {self.nodes} nodes of {each}, {self.sums} sums of {self.sum_bits} bits"
+        sums = f"{self.sums} sums" + (f" of {self.sum_bits} bits" if self.sending == "synchronous" else ", adaptive")
+        return f"{buses} of {wire}, {self.nodes} nodes of {each}, {sums}"
+
+    @property
+    def load_words(self) -> str:
+        """The load of each bus as text."""
+        if self.load_touched is None:
+            return f"each bus {self.load_worst or 0:.1%} full at worst"
+        late = f"full when everything moves, with coarse sums within {self.coarse_ms or 0:.0f} ms"
+        return f"each bus {self.load_touched:.1%} full under simulated touches, {late}"
 
 
 @dataclass(frozen=True)
@@ -120,7 +141,7 @@ class Search:
         kind = {"any": "CAN or CAN FD", "classic": "classic CAN", "fd": "CAN FD"}[required.can]
         asked = f"{required.taxels} taxels {required.rate_hz:g} times a second"
         lines = [f"no layout carries {asked} over {most} of {kind}, each at most {required.budget:.0%} full"]
-        judged = [each for each in seen if each.load_worst is not None]
+        judged = [each for each in seen if each.load_worst is not None and each.sending == "synchronous"]
         if judged:
             nearest = min(judged, key=lambda each: each.load_worst or 0.0)
             layout = next(layout for layout, each in zip(_layouts(required), seen, strict=False) if each is nearest)
@@ -133,6 +154,8 @@ class Search:
             lines.append(
                 f"{len(short)} of {len(seen)} lack node-IDs, {least.missing_node_ids} of them or more on a bus"
             )
+        if not judged and not short:
+            lines += [f"{each.words}: {each.problem}" for each in seen[-1:]]
         return "; ".join(lines)
 
 
@@ -150,6 +173,8 @@ def search(required: Requirement, allowed: Disturbance | None = None) -> Search:
         return candidates[-1].fits
 
     least = next(filter(fits, _layouts(required)), None)
+    if least is not None and not least.sends.in_cycles:
+        return Search(required, allowed, candidates, candidates[-1], least)
     if least is None:
         return Search(required, allowed, candidates, None, None)
     chosen = candidates[-1]
@@ -158,7 +183,7 @@ def search(required: Requirement, allowed: Disturbance | None = None) -> Search:
 
 
 def _layouts(required: Requirement) -> Iterator[Layout]:
-    """Yield the layouts to try, least hardware first."""
+    """Yield the layouts to try, synchronous sums first, least hardware first."""
     power = required.taxels.bit_length() - 1
     rows, columns = 1 << (power + 1) // 2, 1 << power // 2
     start = Layout(
@@ -167,6 +192,13 @@ def _layouts(required: Requirement) -> Iterator[Layout]:
         sync=Sync(rate_hz=required.rate_hz),
         bus=[Bus(name="bus0", nodes=1)],
     )
+    if required.sending != "adaptive":
+        yield from _in_cycles(start, required)
+    if required.sending != "synchronous" and required.rate_hz <= ADAPTIVE.default_rates_hz["sampling"]:
+        yield from _on_news(start, required)
+
+
+def _in_cycles(start: Layout, required: Requirement) -> Iterator[Layout]:
     ways = (
         product(range(1, required.buses + 1), DATA_BITRATES[required.can], bits, BLOCKS_PER_NODE) for bits in _WIDTHS
     )
@@ -176,6 +208,24 @@ def _layouts(required: Requirement) -> Iterator[Layout]:
                 start.bus[0], fd=rate is not None, data_bitrate=rate, blocks_per_node=per_node
             )
             yield with_bits(with_buses(start, buses, like), bits)
+
+
+def _on_news(start: Layout, required: Requirement) -> Iterator[Layout]:
+    """Yield layouts of adaptive sums: a patch of neighbours on a node, and all its sums."""
+    patches = msgspec.structs.replace(with_sums(start, required.taxels).measurement, wiring="board")
+    rates_hz = ADAPTIVE.default_rates_hz
+    start = msgspec.structs.replace(
+        start,
+        sending="adaptive",
+        measurement=patches,
+        sync=msgspec.structs.replace(start.sync, rate_hz=rates_hz["sync"]),
+        sampling=msgspec.structs.replace(start.sampling, rate_hz=rates_hz["sampling"]),
+    )
+    for buses, rate in product(range(1, required.buses + 1), DATA_BITRATES[required.can]):
+        if start.blocks >= buses:
+            yield with_buses(
+                start, buses, msgspec.structs.replace(start.bus[0], fd=rate is not None, data_bitrate=rate)
+            )
 
 
 def _denser(least: Layout) -> Iterator[Layout]:
@@ -191,39 +241,53 @@ def _denser(least: Layout) -> Iterator[Layout]:
 
 def _judge(layout: Layout, required: Requirement, allowed: Disturbance) -> Candidate:
     first = layout.bus[0]  # no other bus has more nodes
-    window_ms = window_s(layout) * 1e3
-    load = needed_ms = missing_bits = missing_ms = None
     missing_ids = max(0, first.nodes - HIGHEST_NODE_ID)
-    problems = []
-    if missing_ids:
-        problems.append(f"{missing_ids} node-IDs ({first.nodes} nodes on a bus of {HIGHEST_NODE_ID})")
-    else:
-        try:
-            contract = Contract.from_layout(validated(layout))
-        except LayoutError as error:
-            problems.append(str(error))
-        else:
-            streams = traffic(contract, 0, allowed=allowed)
-            load = bus_time(streams, "worst").load(required.rate_hz)
-            response = int(streams.responses_ns(allowed.errors_per_s)[streams.is_tpdo].max())
-            needed_ms = response * 1e-6 if response < UNBOUNDED else None
-            missing_bits = max(0.0, (load - required.budget) * first.bitrate)
-            missing_ms = max(0.0, needed_ms - window_ms) if needed_ms is not None else None
-            problems += _lacks(missing_bits, load, missing_ms, window_ms)
-    return Candidate(
+    about = Candidate(
+        sending=layout.sending,
         buses=len(layout.bus),
         nodes=sum(bus.nodes for bus in layout.bus),
         blocks_per_node=first.blocks_per_node,
         sums=layout.measurement.sums,
         sum_bits=layout.encoding.sum_bits,
         data_bitrate=first.data_bitrate,
+        missing_node_ids=missing_ids,
+    )
+    if missing_ids:
+        return replace(about, problem=f"{missing_ids} node-IDs ({first.nodes} nodes on a bus of {HIGHEST_NODE_ID})")
+    try:
+        contract = Contract.from_layout(validated(layout))
+    except LayoutError as error:
+        return replace(about, problem=str(error))
+    return (_judge_news if contract.is_adaptive else _judge_cycles)(about, contract, required, allowed)
+
+
+def _judge_cycles(about: Candidate, contract: Contract, required: Requirement, allowed: Disturbance) -> Candidate:
+    window_ms = window_s(contract.layout) * 1e3
+    streams = traffic(contract, 0, allowed=allowed)
+    load = bus_time(streams, "worst").load(required.rate_hz)
+    response = int(streams.responses_ns(allowed.errors_per_s)[streams.is_tpdo].max())
+    needed_ms = response * 1e-6 if response < UNBOUNDED else None
+    missing_bits = max(0.0, (load - required.budget) * contract.layout.bus[0].bitrate)
+    missing_ms = max(0.0, needed_ms - window_ms) if needed_ms is not None else None
+    return replace(
+        about,
         load_worst=load,
         window_needed_ms=needed_ms,
         missing_bits_per_s=missing_bits,
-        missing_node_ids=missing_ids,
         missing_window_ms=missing_ms,
-        problem=", ".join(problems) or None,
+        problem=", ".join(_lacks(missing_bits, load, missing_ms, window_ms)) or None,
     )
+
+
+def _judge_news(about: Candidate, contract: Contract, required: Requirement, allowed: Disturbance) -> Candidate:
+    plan, *_ = plan_adaptive(contract, allowed=allowed, is_touched=False)
+    about = replace(about, load_worst=plan.load_worst, coarse_ms=plan.coarse_ms)
+    if plan.problems:
+        return replace(about, problem="; ".join(plan.problems))
+    load = plan.load_idle_worst + (touched_load(contract, 0) or 0.0)
+    missing_bits = max(0.0, (load - required.budget) * plan.bitrate)
+    lacks = _lacks(missing_bits, load, 0.0, 0.0)
+    return replace(about, load_touched=load, missing_bits_per_s=missing_bits, problem=", ".join(lacks) or None)
 
 
 def _lacks(missing_bits: float, load: float, missing_ms: float | None, window_ms: float) -> list[str]:

@@ -4,10 +4,13 @@ from typing import Any
 
 import pytest
 
+from bandwidth.adaptive_plan import plan_adaptive
 from bandwidth.alternatives import planned
 from bandwidth.search import Requirement, Search, search
 from bandwidth.traffic import Disturbance
 from canskin.errors import InputError
+from dbc.contract import Contract
+from skin.layout import validated
 
 
 @pytest.mark.parametrize(
@@ -43,6 +46,23 @@ def test_as_many_sums_are_sent_as_the_buses_carry() -> None:
     assert found.chosen.load_worst == pytest.approx(0.548, abs=0.001)
 
 
+@pytest.mark.heavy
+def test_adaptive_sums_are_chosen_where_synchronous_sums_do_not_fit_or_when_asked_for() -> None:
+    found = search(Requirement(1024, 400, buses=1, can="classic"))
+    assert found.layout is not None
+    assert found.chosen is not None
+    assert found.chosen.words == "1 bus of classic CAN, 32 nodes of 1 block, 1024 sums, adaptive"
+    assert not any(each.fits for each in found.candidates if each.sending == "synchronous")
+    assert found.chosen.load_touched is not None
+    assert 0 < found.chosen.load_touched < 0.8
+    assert f"{found.chosen.load_touched:.1%} full under simulated touches" in found.chosen.load_words
+    plan, *_ = plan_adaptive(Contract.from_layout(validated(found.layout)), is_touched=False)
+    assert (plan.problems, plan.coarse_ms) == ([], found.chosen.coarse_ms)
+    asked = search(Requirement(1024, 10, buses=1, can="classic", sending="adaptive"))
+    assert asked.layout == found.layout
+    assert search(Requirement(1024, 1001, buses=1, can="classic")).layout is None
+
+
 def failed(required: Requirement) -> tuple[str, Search]:
     found = search(required)
     assert (found.layout, found.chosen) == (None, None)
@@ -50,7 +70,7 @@ def failed(required: Requirement) -> tuple[str, Search]:
 
 
 def test_missing_bits_and_node_ids_are_named() -> None:
-    text, found = failed(Requirement(4096, 100, buses=1, can="classic"))
+    text, found = failed(Requirement(4096, 100, buses=1, can="classic", sending="synchronous"))
     nearest = min((each for each in found.candidates if each.load_worst), key=lambda each: each.load_worst or 0)
     assert nearest.missing_bits_per_s == pytest.approx((nearest.load_worst or 0) * 1e6 - 0.8e6)
     assert f"{nearest.missing_bits_per_s:.0f} bits a second" in text
@@ -59,14 +79,14 @@ def test_missing_bits_and_node_ids_are_named() -> None:
 
 
 def test_the_rate_that_is_named_fits_and_a_higher_one_does_not() -> None:
-    text, _ = failed(Requirement(4096, 100, buses=1, can="classic"))
+    text, _ = failed(Requirement(4096, 100, buses=1, can="classic", sending="synchronous"))
     assert "it fits at up to 46 Hz" in text
     assert search(Requirement(4096, 46, buses=1, can="classic")).layout is not None
     assert search(Requirement(4096, 46.5, buses=1, can="classic")).layout is None
 
 
 def test_a_skin_of_too_many_nodes_lacks_node_ids_alone() -> None:
-    text, found = failed(Requirement(65536, 1, buses=1, can="classic"))
+    text, found = failed(Requirement(65536, 1, buses=1, can="classic", sending="synchronous"))
     # 2048 blocks, eight to a node, are 256 nodes: 129 more than node-IDs.
     assert "12 of 12 lack node-IDs, 129 of them or more on a bus" in text
     assert all(each.load_worst is None for each in found.candidates)

@@ -27,7 +27,7 @@ def told(layout: Layout) -> tuple[list[int], int | None, int, int]:
 
 def test_few_buses_come_first_then_slow_rates_wide_sums_and_small_nodes() -> None:
     """64 taxels are two blocks: no node has four, and two buses need one each. Sums of 8 bits come last of all."""
-    tried = [told(layout) for layout in _layouts(Requirement(64, 10.0, buses=2))]
+    tried = [told(layout) for layout in _layouts(Requirement(64, 10.0, buses=2, sending="synchronous"))]
     rates = (None, 2_000_000, 5_000_000, 8_000_000)
     expected = []
     for widths in ((16, 12), (8,)):
@@ -56,7 +56,7 @@ def test_kinds_of_can_are_kept() -> None:
 
 def test_nodes_are_spread_evenly_over_buses() -> None:
     """Eight blocks over three buses; each bus has a node."""
-    tried = [told(layout) for layout in _layouts(Requirement(256, 10.0, buses=3, can="classic"))]
+    tried = [told(layout) for layout in _layouts(Requirement(256, 10.0, buses=3, can="classic", sending="synchronous"))]
     assert [nodes for nodes, _, bits, blocks in tried if bits == 16] == [
         [8], [4], [2], [1], [4, 4], [2, 2], [1, 1], [3, 3, 2], [2, 1, 1],
     ]  # fmt: skip
@@ -130,7 +130,8 @@ def test_identifiers_that_run_out_are_a_problem_of_the_try() -> None:
 def test_words_name_buses_nodes_and_sums() -> None:
     def words(**changes: Any) -> str:
         given = {
-            "buses": 1, "nodes": 8, "blocks_per_node": 1, "sums": 64, "sum_bits": 12, "data_bitrate": None,
+            "sending": "synchronous", "buses": 1, "nodes": 8, "blocks_per_node": 1, "sums": 64, "sum_bits": 12,
+            "data_bitrate": None,
             "load_worst": None, "window_needed_ms": None, "missing_bits_per_s": None, "missing_node_ids": 0,
             "missing_window_ms": None, "problem": "none",
         }  # fmt: skip
@@ -181,7 +182,9 @@ def test_the_try_with_the_least_load_is_the_nearest_and_its_highest_rate_is_name
 
 
 def test_errors_without_end_fit_at_no_rate() -> None:
-    found = search(Requirement(64, 100.0, buses=1, can="classic"), Disturbance(errors_per_s=20_000))
+    found = search(
+        Requirement(64, 100.0, buses=1, can="classic", sending="synchronous"), Disturbance(errors_per_s=20_000)
+    )
     assert (found.missing() or "").endswith("would still be sent in the next; it fits at no rate")
     assert len(found.candidates) == 6
 
