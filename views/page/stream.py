@@ -27,8 +27,11 @@ class FrameStream:
 
     async def run(self) -> None:
         """Make frames until cancelled."""
+        clock_s = asyncio.get_running_loop().time
+        due_s = clock_s()
         while True:
-            await asyncio.sleep(self._period_s)
+            due_s = max(due_s + self._period_s, clock_s())  # by an absolute clock: lateness is made up
+            await asyncio.sleep(due_s - clock_s())
             waiting, self._waiting = self._waiting, []
             if waiting:
                 content = self._make()
