@@ -7,7 +7,7 @@ from functools import partial
 
 import msgspec
 
-from canskin.fabric import Fabric
+from canskin.fabric import Fabric, Unread
 from canskin.messages import Topic
 from canskin.peers import Peer
 
@@ -24,16 +24,16 @@ class Arrivals:
     def __init__(self, fabric: Fabric, topics: Iterable[Topic]) -> None:
         self.skipped = 0
         self._fabric = fabric
-        self._waiting: dict[str, msgspec.Struct] = {}
+        self._waiting: dict[str, Unread] = {}
         self._arrived = threading.Condition()
         self._peers: deque[tuple[Peer, bool]] = deque()
         for topic in topics:
-            fabric.subscribe(topic, partial(self._put, topic.name))
+            fabric.subscribe_unread(topic, partial(self._put, topic.name))
         fabric.watch_peers(lambda peer, alive: self._peers.append((peer, alive)))
 
     @property
     def malformed(self) -> int:
-        """Messages that could not be decoded."""
+        """Messages that were taken and could not be decoded."""
         return self._fabric.malformed
 
     def take(self, timeout_s: float) -> list[msgspec.Struct]:
@@ -41,14 +41,14 @@ class Arrivals:
         with self._arrived:
             self._arrived.wait_for(lambda: bool(self._waiting), timeout_s)
             taken, self._waiting = self._waiting, {}
-        return list(taken.values())
+        return [message for unread in taken.values() if (message := unread()) is not None]
 
     def peers(self) -> Iterator[tuple[Peer, bool]]:
         """Yield the peers that came (true) or went since the last call."""
         while self._peers:
             yield self._peers.popleft()
 
-    def _put(self, topic: str, message: msgspec.Struct) -> None:
+    def _put(self, topic: str, message: Unread) -> None:
         with self._arrived:
             self.skipped += topic in self._waiting
             self._waiting[topic] = message

@@ -1,5 +1,6 @@
 """The state of a skin: messages in, snapshots out. Time is an argument; there is no thread and no connection here."""
 
+from collections import deque
 from typing import Final, Generic, NamedTuple, TypeVar
 
 import msgspec
@@ -100,6 +101,8 @@ class ViewState:
         self._pairing: ImagePairs = image_pairs(layout)
         self._latency_s = Window(LATENCY_SPAN_S)
         self._valid, self._rate = Window(SPAN_S), Window(SPAN_S)
+        #: Image, truth, and when their pair was found; a pair is compared when a snapshot needs its PSNR.
+        self._pairs: deque[tuple[Image, Truth, float]] = deque()
         self._psnr_image_db, self._psnr_sensor_db = Window(SPAN_S), Window(SPAN_S)
 
     def take(self, message: msgspec.Struct, now_s: float) -> bool:
@@ -114,8 +117,7 @@ class ViewState:
                 self._contacts = Last(message, now_s)
             case Truth():
                 self._truth = Last(message, now_s)
-                for image, true in self._pairing.take_truth(message):
-                    self._compare(image, true, now_s)
+                self._keep(self._pairing.take_truth(message), now_s)
             case Label():
                 self._label = Last(message, now_s)
             case GatewayStatus():
@@ -136,8 +138,12 @@ class ViewState:
             self._rate.add(now_s, 1.0)
         if image.valid_sums and is_new:
             self._latency_s.add(now_s, (image.published_mono_ns - image.sampled_mono_ns) * 1e-9)
-        for shown, truth in self._pairing.take(image):
-            self._compare(shown, truth, now_s)
+        self._keep(self._pairing.take(image), now_s)
+
+    def _keep(self, pairs: list[tuple[Image, Truth]], now_s: float) -> None:
+        self._pairs += [(*pair, now_s) for pair in pairs]
+        while self._pairs and self._pairs[0][2] <= now_s - SPAN_S:
+            self._pairs.popleft()
 
     def take_service(self, name: str, alive: bool, now_s: float) -> None:
         """Note that a service came or went at `now_s`."""
@@ -163,6 +169,8 @@ class ViewState:
 
     def snapshot(self, now_s: float, undecodable: int = 0) -> tuple[Snapshot, Pictures]:
         """Return snapshot and pictures at `now_s`; `undecodable` messages count as ignored."""
+        while self._pairs:
+            self._compare(*self._pairs.popleft())
         truth, gateway = self._truth_shown(now_s), self._gateway_state(now_s)
         bare = Snapshot(
             time_s=self._epoch_s + now_s,

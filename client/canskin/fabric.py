@@ -10,6 +10,8 @@ import re
 import threading
 from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
+from functools import partial
 from itertools import count
 from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
@@ -25,6 +27,8 @@ from canskin.session import DEFAULT_ENDPOINT, Stop, first_sentence, open_client,
 Message = TypeVar("Message", bound=msgspec.Struct)
 #: Sends the answer to a request, once.
 Reply = Callable[[msgspec.Struct], None]
+#: Returns a message that is decoded now; None if it cannot be decoded.
+Unread = Callable[[], Any]
 
 
 class Origin(NamedTuple):
@@ -43,26 +47,42 @@ class Origin(NamedTuple):
 
 
 class Mailbox(Generic[Message]):
-    """The newest messages of one topic; a slow reader loses the oldest messages, which are counted."""
+    """The newest messages of one topic; a slow reader loses the oldest messages, which are counted.
 
-    def __init__(self, depth: int) -> None:
-        self._messages: deque[Message] = deque(maxlen=depth)
-        self._arrived = threading.Condition()
+    Parameters
+    ----------
+    depth : int
+        Most messages that wait.
+    decode : callable, optional
+        Makes a message of what was put, or None if it is no message. Messages that are lost are never decoded.
+    """
+
+    def __init__(self, depth: int, decode: Callable[[Any], Message | None] = lambda message: message) -> None:
         self.overrun = 0
+        self._waiting: deque[Any] = deque(maxlen=depth)
+        self._decode = decode
+        # A lock that `put` opens: a condition would take several times as long to wake the reader.
+        self._arrived = threading.Lock()
+        self._arrived.acquire()
 
-    def put(self, message: Message) -> None:
+    def put(self, content: Any) -> None:
         """Add a message; drop the oldest when full."""
-        with self._arrived:
-            self.overrun += len(self._messages) == self._messages.maxlen
-            self._messages.append(message)
-            self._arrived.notify()
+        self.overrun += len(self._waiting) == self._waiting.maxlen
+        self._waiting.append(content)
+        with suppress(RuntimeError):  # open already
+            self._arrived.release()
 
     def get(self, timeout_s: float | None = None) -> Message | None:
         """Return the oldest waiting message, or None if no message came within `timeout_s`."""
-        with self._arrived:
-            if not self._arrived.wait_for(lambda: bool(self._messages), timeout_s):
+        while True:
+            with suppress(IndexError):
+                message = self._decode(self._waiting.popleft())
+                if message is None:
+                    continue
+                return message
+            # The lock may have been opened for a message that was taken without waiting: look again.
+            if not self._arrived.acquire(timeout=-1 if timeout_s is None else timeout_s):
                 return None
-            return self._messages.popleft()
 
 
 class Exchange(Protocol):
@@ -149,30 +169,30 @@ class Fabric:
 
     def subscribe(self, topic: Topic, handler: Callable[[Any], None]) -> None:
         """Call `handler` with every message of `topic`, in a thread of the fabric; the handler must be quick."""
-        decode = topic.decoder()
 
-        def receive(content: bytes, _origin: Origin | None) -> None:
-            try:
-                message = decode(content)
-            except UNDECODABLE:
-                self.malformed += 1
-                return
-            handler(message)
+        def take(unread: Unread) -> None:
+            message = unread()
+            if message is not None:
+                handler(message)
 
-        self.subscribe_bytes(topic, receive)
+        self.subscribe_unread(topic, take)
+
+    def subscribe_unread(self, topic: Topic, handler: Callable[[Unread], None]) -> None:
+        """Call `handler` with every message of `topic`, not decoded; for readers that do not need all messages.
+
+        `malformed` counts a message that cannot be decoded when somebody reads it.
+        """
+        decode = self._decoder(topic)
+        self._receive(topic, lambda sample: handler(partial(decode, sample.payload.to_bytes())))
 
     def subscribe_bytes(self, topic: Topic, handler: Callable[[bytes, Origin | None], None]) -> None:
         """Call `handler` with the bytes of every message of `topic`, not decoded, and its origin, if it tells one."""
-
-        def receive(sample: Any) -> None:
-            handler(sample.payload.to_bytes(), _origin_of(sample.attachment))
-
-        self._kept.append(self._session.declare_subscriber(f"{self._prefix}/{topic.name}", receive))
+        self._receive(topic, lambda sample: handler(sample.payload.to_bytes(), _origin_of(sample.attachment)))
 
     def mailbox(self, topic: Topic, depth: int = 4) -> Mailbox[Any]:
         """Return a mailbox that holds the newest `depth` messages of `topic`."""
-        mailbox: Mailbox[Any] = Mailbox(depth)
-        self.subscribe(topic, mailbox.put)
+        mailbox: Mailbox[Any] = Mailbox(depth, self._decoder(topic))
+        self._receive(topic, lambda sample: mailbox.put(sample.payload.to_bytes()))
         return mailbox
 
     def answer(self, question: Question, handler: Callable[[Any, Reply], None]) -> None:
@@ -245,6 +265,22 @@ class Fabric:
     def close(self) -> None:
         """Close the connection after all published messages are sent."""
         self._session.close()
+
+    def _receive(self, topic: Topic, receive: Callable[[Any], None]) -> None:
+        self._kept.append(self._session.declare_subscriber(f"{self._prefix}/{topic.name}", receive))
+
+    def _decoder(self, topic: Topic) -> Callable[[bytes], Any]:
+        """Return what decodes a message of `topic`, or returns None and counts it in `malformed`."""
+        decode = topic.decoder()
+
+        def decode_or_count(content: bytes) -> Any:
+            try:
+                return decode(content)
+            except UNDECODABLE:
+                self.malformed += 1
+                return None
+
+        return decode_or_count
 
     def _compare(self, peer: Peer, alive: bool) -> None:
         """Log, once per difference, that a service cannot work with this service."""

@@ -42,18 +42,18 @@ def find_regions(image: Any, edge: float, least_peak: float, regions: Any, queue
     """
     rows, columns = image.shape
     regions[:] = 0
+    number, force = regions.ravel(), image.ravel()
     count, weak = 0, -1
     for start in range(rows * columns):
-        row, column = divmod(start, columns)
-        if regions[row, column] or not image[row, column] > edge:
+        if number[start] or not force[start] > edge:
             continue
-        regions[row, column] = weak
+        number[start] = weak
         queue[0], first, last = start, 0, 1
-        peak = image[row, column]
+        peak = force[start]
         while first < last:
             row, column = divmod(queue[first], columns)
+            peak = max(peak, force[queue[first]])
             first += 1
-            peak = max(peak, image[row, column])
             for y in range(max(row - 1, 0), min(row + 2, rows)):
                 for x in range(max(column - 1, 0), min(column + 2, columns)):
                     if not regions[y, x] and image[y, x] > edge:
@@ -63,10 +63,9 @@ def find_regions(image: Any, edge: float, least_peak: float, regions: Any, queue
         if peak > least_peak:
             count += 1
             for place in range(last):
-                regions[queue[place] // columns, queue[place] % columns] = count
+                number[queue[place]] = count
     for start in range(rows * columns):
-        row, column = divmod(start, columns)
-        regions[row, column] = max(regions[row, column], 0)
+        number[start] = max(number[start], 0)
     return count
 
 
@@ -91,11 +90,11 @@ def spread_owners(image: Any, regions: Any, owners: Any, seeds: Any) -> None:
     _plant(regions, owners, seeds)
     heap = [(0.0, 0)]
     heap.pop()
-    for start in range(rows * columns):
-        row, column = divmod(start, columns)
-        owners[row, column] = seeds[row, column]
-        if seeds[row, column]:
-            heap.append((-np.float64(image[row, column]), start))
+    owners[:] = seeds
+    for y in range(rows):
+        for x in range(columns):
+            if seeds[y, x] and _can_spread(regions, owners, y, x):
+                heap.append((-np.float64(image[y, x]), y * columns + x))  # noqa: PERF401  no generators here
     heapq.heapify(heap)
     while heap:
         row, column = divmod(heapq.heappop(heap)[1], columns)
@@ -104,6 +103,17 @@ def spread_owners(image: Any, regions: Any, owners: Any, seeds: Any) -> None:
                 if regions[y, x] and not owners[y, x]:
                     owners[y, x] = owners[row, column]
                     heapq.heappush(heap, (-np.float64(image[y, x]), y * columns + x))
+
+
+@njit(cache=True, nogil=True)
+def _can_spread(regions: Any, owners: Any, row: int, column: int) -> bool:
+    """Tell whether a neighbour of the region has no owner."""
+    rows, columns = regions.shape
+    for y in range(max(row - 1, 0), min(row + 2, rows)):
+        for x in range(max(column - 1, 0), min(column + 2, columns)):
+            if regions[y, x] and not owners[y, x]:
+                return True
+    return False
 
 
 @njit(cache=True, nogil=True)

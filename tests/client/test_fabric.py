@@ -293,6 +293,21 @@ def test_mailbox_keeps_the_newest_and_counts_the_rest() -> None:
     assert first is not None
     assert second is not None
     assert (first.cycle, second.cycle, mailbox.overrun) == (3, 4, 3)
+
+
+def test_a_mailbox_decodes_what_is_taken_and_passes_over_what_is_no_message() -> None:
+    decoded: list[bytes] = []
+
+    def decode(content: bytes) -> Label | None:
+        decoded.append(content)
+        return label(int(content)) if content.isdigit() else None
+
+    mailbox = Mailbox(3, decode)
+    for content in (b"1", b"2", b"garbage", b"4"):
+        mailbox.put(content)
+    taken = [mailbox.get(0.0) for _ in range(3)]
+    assert [message and message.cycle for message in taken] == [2, 4, None]
+    assert decoded == [b"2", b"garbage", b"4"]
     assert mailbox.get(0) is None
 
 
