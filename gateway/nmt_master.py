@@ -33,7 +33,16 @@ from dbc.canopen import (
     NmtState,
     is_of_node,
 )
-from dbc.configuration import PROOF_ROUNDS, Setting, configuration, expected_signature, proof_period_s
+from dbc.configuration import (
+    DIALOGUES,
+    PROOF_ROUNDS,
+    QUIET_S,
+    TICK_S,
+    Setting,
+    configuration,
+    expected_signature,
+    proof_period_s,
+)
 from dbc.contract import Contract, NodeContract
 from dbc.dictionary import SILENT_AFTER_S
 from dbc.frame import ECHO, ERROR, EXTENDED, REMOTE, Frames
@@ -51,12 +60,6 @@ STABLE_S: Final = 10.0
 UNDER_WAY_NS: Final = 300_000_000
 #: An emergency at most this long before a node left is logged as the reason.
 EXPLAINS_S: Final = 2.0
-#: Most SDO dialogues at the same time. SDO frames have a lower priority than TPDOs.
-DIALOGUES: Final = 16
-#: How often `tick` looks at every node.
-TICK_S: Final = 0.01
-#: Shortest time between PRE-OPERATIONAL and NMT start of all nodes: a slave may keep the newest command only.
-QUIET_S: Final = 0.01
 #: Longest time for which proven nodes wait for the first proofs of others: a silent node is asked once.
 QUIET_MAX_S: Final = TIMEOUT_S
 

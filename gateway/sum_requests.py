@@ -13,7 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from dbc import indices as od
-from gateway.nmt_master import TICK_S, NmtMaster
+from dbc.configuration import TICK_S
+from gateway.nmt_master import NmtMaster
 from gateway.sdo import Read, SdoDialogue, Transfer, Write
 
 #: Pause after each request for groups to the same node; the last pause follows every further request.
