@@ -172,6 +172,8 @@ class AdaptiveGathering:
         is_still_down = health.is_down and mine.is_down
         self._has_news |= bool(mine.has_changed.any()) or (health.has_gap and not is_still_down)
         mine.is_down = health.is_down
+        if health.has_gap:
+            mine.sum_requests.gap()
         if health.has_returned:
             mine.sum_requests.again()
         self._use_proven(mine, now_s)

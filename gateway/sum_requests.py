@@ -55,6 +55,8 @@ class SumRequests:
         self._noise_s = np.full(nodes, np.inf)
         self._next_s = np.full(nodes, -np.inf)
         self._tries = np.zeros(nodes, np.intp)
+        #: When all nodes may be started again, however soon they have lost frames since.
+        self._again_s = -np.inf
         self._open: list[tuple[int, SdoDialogue]] = []
         self._tick_s = -np.inf
 
@@ -70,7 +72,11 @@ class SumRequests:
 
     def again(self) -> None:
         """Begin the pauses of all nodes anew: the bus is back."""
-        self._next_s[:], self._tries[:] = -np.inf, 0
+        self._next_s[:], self._tries[:], self._again_s = -np.inf, 0, -np.inf
+
+    def gap(self) -> None:
+        """Take note that frames of the bus were lost: what was asked for may be among them."""
+        np.minimum(self._next_s, self._again_s, out=self._next_s)
 
     def tick(self, now_s: float, unknown: Groups, doubtful: Groups) -> None:
         """Ask who has to be asked; call it many times a second.
@@ -95,6 +101,7 @@ class SumRequests:
             self._master.restart(now_s)
             for node in due.tolist():
                 self._pause(node, now_s)
+            self._again_s = float(self._next_s[due].max())
             return
         for node in due[np.argsort(self._next_s[due], kind="stable")].tolist():
             if self._ask(node, _refresh(int(wanted[node])), now_s):
