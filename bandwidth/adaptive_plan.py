@@ -62,7 +62,9 @@ class AdaptiveBusPlan:
     Times are upper bounds, None without a bound. While everything moves: `coarse_ms` from the sample that is first
     news to the end of its coarse frame; `refresh_ms` from the time when a refresh is due, or a node has started, to the
     end of its frame; `heartbeat_response_ms` and `sdo_response_ms`. Fine sums then have no bound. After everything has
-    come to rest, all sums are shown coarse after `settled_coarse_ms` and fine after `settled_fine_ms`.
+    come to rest, all sums are shown coarse after `settled_coarse_ms` and fine after `settled_fine_ms`. After a gateway
+    has joined, or noticed a loss of frames, all sums have come after `joined_still_ms` if nothing moves, `joined_ms` if
+    everything moves.
 
     `budget_80_bits_per_s` is the budget of a node with which the bus has a load of 80 % at most.
     """
@@ -79,6 +81,8 @@ class AdaptiveBusPlan:
     refresh_ms: float | None
     settled_coarse_ms: float | None
     settled_fine_ms: float | None
+    joined_still_ms: float | None
+    joined_ms: float | None
     sdo_response_ms: float | None
     heartbeat_response_ms: float | None
     receive_buffer_frames: int
@@ -137,7 +141,7 @@ def _plan_bus(
     idle, idle_worst = (bus_time(urgency.streams, how).load(rate_hz) for how in ("exact", "worst"))
     news_ns, service_ns = urgency.news_ns, urgency.service_ns
     beats_ns = service_ns[urgency.streams.is_heartbeat]
-    settled_ns = urgency.settled_ns
+    settled_ns, joined_ns = urgency.settled_ns, urgency.joined_ns
     wanted = line.nodes * urgency.frames_of_node * _SAMPLES_PER_S * urgency.coarse_frame_ns * 1e-9 + idle_worst
     shortest_ns = frame_time_ns(sum_frame(line, is_fine=False), line.bitrate, line.data_bitrate, "none")[0]
     buffered = math.ceil(CYCLES_BUFFERED * 1e9 / (rate_hz * shortest_ns))
@@ -156,6 +160,8 @@ def _plan_bus(
         refresh_ms=milliseconds(urgency.refresh_ns),
         settled_coarse_ms=milliseconds(settled_ns[0]),
         settled_fine_ms=milliseconds(settled_ns[1]),
+        joined_still_ms=milliseconds(joined_ns[0]),
+        joined_ms=milliseconds(joined_ns[1]),
         sdo_response_ms=milliseconds(service_ns[urgency.streams.is_sdo_response]),
         heartbeat_response_ms=milliseconds(beats_ns),
         receive_buffer_frames=buffered,

@@ -171,6 +171,9 @@ def print_adaptive_plan(plans: Sequence[AdaptiveBusPlan]) -> None:
         "all coarse / all fine after rest, at worst, ms": [
             f"{ms(each.settled_coarse_ms)} / {ms(each.settled_fine_ms)}" for each in plans
         ],
+        "all sums after a gateway joins, nothing / everything moves, ms": [
+            f"{ms(each.joined_still_ms)} / {ms(each.joined_ms)}" for each in plans
+        ],
         "budget of a node for a load of 80 %, bit/s": [str(each.budget_80_bits_per_s) for each in plans],
         "receive buffer, frames / bytes": [
             f"{each.receive_buffer_frames} / {each.receive_buffer_bytes}" for each in plans

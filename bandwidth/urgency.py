@@ -9,6 +9,16 @@ time of a pause with its SYNC and a frame, the longest wait at the highest level
     w = B + ⌈(w + J + τ) / SYNC period⌉ P + Σ ⌈(w + J + τ) / W⌉ C    over all frames of that level that go first
 
 and news is shown after W + J + w + C. A bound exists if P / SYNC period + (frames of that level) C / W < 1.
+
+A gateway that joins, or that has lost frames, stops all N nodes, proves them and starts them again. With D dialogues
+at a time, A the longest time until a node acts on a frame and the gateway reads the answer, and F the time of the
+frames of this quiet time on an arbitrated bus (those that controllers still hold, proofs, heartbeats, NMT), the nodes
+start after
+
+    max(F + ⌈N / D⌉ A, QUIET_S) + TICK_S + A
+
+Each of them then owes all its groups, as refreshes that are due: the last comes within the bound of a refresh, or where
+nothing moves within that of a bus that comes to rest.
 """
 
 import math
@@ -22,7 +32,10 @@ import numpy.typing as npt
 from bandwidth.response import ERROR_BITS, UNBOUNDED, arrivals, response_times_ns
 from bandwidth.traffic import Disturbance, Traffic, traffic
 from dbc.adaptive import LEVELS, PAUSE_MS, SAVED_FRAMES, SAVING_S, SendingRule, cob_id
+from dbc.adaptive_filter import SAMPLE_NS
+from dbc.configuration import DIALOGUES, QUIET_S, READ_S, TICK_S
 from dbc.contract import Contract, sum_frame, sum_frame_bits
+from dbc.dictionary import HEARTBEAT_MS
 from dbc.frame_bits import frame_time_ns, nominal_ns
 from skin.walsh import GROUPS
 
@@ -153,6 +166,23 @@ class Urgency:
         waits = 2 if self.streams.bus.fd else 1
         fine_ns = coarse_ns + waits * _RULE.fine_wait * _MS + late_ns
         return coarse_ns, UNBOUNDED if late_ns > between_ns else fine_ns
+
+    @property
+    def joined_ns(self) -> tuple[int, int]:
+        """From the moment when a gateway joins, or notices a loss, until all groups of the bus have come.
+
+        While nothing moves, and while everything moves; every node is there and has the right configuration.
+        """
+        longest_ns = max(self.frame_ns, int(self.streams.worst_ns.max()))
+        # Held frames, two of the proof, a heartbeat; two commands of NMT.
+        count = (self.frames_of_node + 3) * self.nodes + 2
+        busy_ns = int(self._responses(longest_ns, count, HEARTBEAT_MS * _MS, self.jitter_ns)[-1])
+        if busy_ns > HEARTBEAT_MS * _MS:
+            return UNBOUNDED, UNBOUNDED
+        answer_ns = SAMPLE_NS + self.jitter_ns + round(READ_S * 1e9)
+        proofs_ns = busy_ns + -(-self.nodes // DIALOGUES) * answer_ns
+        started_ns = max(proofs_ns, round(QUIET_S * 1e9)) + round(TICK_S * 1e9) + answer_ns
+        return _sum(started_ns, self.settled_ns[0]), _sum(started_ns, int(self.refresh_ns.max()))
 
     def budgeted(self, bits_per_s: int) -> "Budgeted":
         """Return the times of a bus whose nodes all have this budget (2034h)."""

@@ -41,6 +41,13 @@ PROOF_PERIOD_S: Final = 2.0
 PROOF_LOAD_RATIO: Final = 0.005
 #: Request and answer of one expedited transfer: two frames of 8 bytes, 111 bits without stuff bits, 24 bits of these.
 PROOF_BITS: Final = 2 * (111 + 24)
+#: Most proofs, and other SDO dialogues, at the same time on a bus: SDO frames have a lower priority than TPDOs.
+DIALOGUES: Final = 16
+#: How often the gateway looks at every node, and how often it reads frames at least while it proves nodes.
+TICK_S: Final = 0.01
+READ_S: Final = 0.001
+#: Shortest time between PRE-OPERATIONAL and NMT start of all nodes: a slave may keep the newest command only.
+QUIET_S: Final = 0.01
 #: A block is not valid after this number of rounds without answer of its node.
 PROOF_ROUNDS: Final = 2
 

@@ -9,6 +9,7 @@ import numpy as np
 from canskin.errors import InputError
 from canskin.messages import UNKNOWN_ERROR_NS, AdaptiveMeasurement, FrameCounts, Measurement
 from dbc.adaptive import PAUSE_MS
+from dbc.configuration import READ_S
 from dbc.contract import Contract, NodeContract, sample_age_ns
 from dbc.frame import Frames, frame_bytes, frames
 from gateway.adaptive_state import (
@@ -138,9 +139,9 @@ class AdaptiveGathering:
     def may_sleep_until_s(self) -> float:
         """Until when frames may wait unread: no measurement is made before.
 
-        While a node is not proven, frames are answers and the next question waits for them: then for 1 / `RATE_MAX_HZ`.
+        While a node is not proven, frames are answers and the next question waits for them: then for `READ_S`.
         """
-        rest_s = min(self._shortest_s, REST_MAX_S) if self._is_proven.all() else 1 / RATE_MAX_HZ
+        rest_s = min(self._shortest_s, REST_MAX_S) if self._is_proven.all() else READ_S
         return self._published_s + rest_s
 
     def trust(self, node: NodeContract, *, proven: bool) -> None:
@@ -171,6 +172,8 @@ class AdaptiveGathering:
         is_still_down = health.is_down and mine.is_down
         self._has_news |= bool(mine.has_changed.any()) or (health.has_gap and not is_still_down)
         mine.is_down = health.is_down
+        if health.has_gap:
+            mine.sum_requests.gap()
         if health.has_returned:
             mine.sum_requests.again()
         self._use_proven(mine, now_s)

@@ -50,10 +50,12 @@ class InferredProofs:
         if len(data) != NMT_BYTES:
             return []
         if data[0] == NmtCommand.START:
-            return self._proven(data[1])
-        if data[0] not in _ENDS:
+            follow = self._proven
+        elif data[0] in _ENDS:
+            follow = self._doubt
+        else:
             return []
-        return [change for node in (self._nodes if data[1] == 0 else [data[1]]) for change in self._doubt(node)]
+        return [change for node in (self._nodes if data[1] == 0 else [data[1]]) for change in follow(node)]
 
     def _heard(self, node_id: int, data: bytes) -> list[tuple[int, bool]]:
         if len(data) != HEARTBEAT_BYTES:

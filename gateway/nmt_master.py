@@ -33,7 +33,16 @@ from dbc.canopen import (
     NmtState,
     is_of_node,
 )
-from dbc.configuration import PROOF_ROUNDS, Setting, configuration, expected_signature, proof_period_s
+from dbc.configuration import (
+    DIALOGUES,
+    PROOF_ROUNDS,
+    QUIET_S,
+    TICK_S,
+    Setting,
+    configuration,
+    expected_signature,
+    proof_period_s,
+)
 from dbc.contract import Contract, NodeContract
 from dbc.dictionary import SILENT_AFTER_S
 from dbc.frame import ECHO, ERROR, EXTENDED, REMOTE, Frames
@@ -51,10 +60,8 @@ STABLE_S: Final = 10.0
 UNDER_WAY_NS: Final = 300_000_000
 #: An emergency at most this long before a node left is logged as the reason.
 EXPLAINS_S: Final = 2.0
-#: Most SDO dialogues at the same time. SDO frames have a lower priority than TPDOs.
-DIALOGUES: Final = 16
-#: How often `tick` looks at every node.
-TICK_S: Final = 0.01
+#: Longest time for which proven nodes wait for the first proofs of others: a silent node is asked once.
+QUIET_MAX_S: Final = TIMEOUT_S
 
 Send = Callable[[int, bytes], None]
 #: Of the table: called with a node, the time, and the reason for the log.
@@ -119,9 +126,9 @@ class NodeRecord:
         Dialogues since the node was last stable in OPERATIONAL.
     asked : bool
         The first dialogue has ended.
-    heard_s, emcy_s, used_since_s, began_s : float
-        Times of the newest heartbeat, the newest active emergency, the newest start of use, and the beginning of the
-        newest proof.
+    heard_s, emcy_s, used_since_s, commanded_s, began_s : float
+        Times of the newest heartbeat, the newest active emergency, the newest start of use, the gateway's newest NMT
+        start, and the beginning of the newest proof.
     refusal : str
         Why the node is refused; empty in the other states.
     dialogue : SdoDialogue or None
@@ -144,6 +151,7 @@ class NodeRecord:
     emcy: int = 0
     emcy_s: float = -np.inf
     used_since_s: float = -np.inf
+    commanded_s: float = -np.inf
     started_ns: int | None = 0
     proven_s: float = -np.inf
     refusal: str = ""
@@ -210,6 +218,11 @@ class NmtMaster:
     ) -> None:
         self._name = contract.layout.bus[bus].name
         self._write = contract.layout.configure == "write"
+        #: Nodes that run send by themselves: a proof would wait for their sums.
+        self._is_adaptive = not contract.layout.sends.in_cycles
+        self._is_new = True
+        #: Since when all nodes are to be quiet (`restart`); None while they may send.
+        self._quiet_since_s: float | None = None
         self._send = send
         self._use = use
         self.nodes = {
@@ -230,6 +243,11 @@ class NmtMaster:
     def passed(self) -> bool:
         """Whether every node's first dialogue has ended, with or without an answer."""
         return all(node.asked for node in self.nodes.values())
+
+    @property
+    def is_quiet(self) -> bool:
+        """Whether all nodes are stopped for a while, see `restart`."""
+        return self._quiet_since_s is not None
 
     @property
     def nmt(self) -> npt.NDArray[np.uint8]:
@@ -275,8 +293,9 @@ class NmtMaster:
             if identifier == NMT_COB_ID and len(data) == NMT_BYTES:
                 if not frame["flags"] & ECHO:
                     self._foreign_nmt(data[0], data[1], now_s)
-                elif data[0] == NmtCommand.START and data[1] in self.nodes:
-                    self.nodes[data[1]].started_ns = time_ns
+                elif data[0] == NmtCommand.START:
+                    for started in self._addressed(data[1]):
+                        started.started_ns = time_ns
             elif node is not None:
                 base = identifier & ~HIGHEST_NODE_ID
                 if base == HEARTBEAT_BASE and len(data) == HEARTBEAT_BYTES:
@@ -290,6 +309,7 @@ class NmtMaster:
             if node.dialogue is not None:
                 node.dialogue.take(data, now_s)
                 self._finish(node, now_s)
+                self._begin_due(now_s)
             elif node.errand is not None:
                 node.errand.take(data, now_s)
                 node.end_errand()
@@ -309,7 +329,7 @@ class NmtMaster:
             return
         if state != NmtState.OPERATIONAL and node.in_use:
             is_under_way = node.started_ns is None or time_ns - node.started_ns < UNDER_WAY_NS
-            if is_under_way and now_s - node.used_since_s < SILENT_AFTER_S:
+            if is_under_way and now_s - node.commanded_s < SILENT_AFTER_S:
                 return
             why = f"left OPERATIONAL: {_state_text(state)}{node.explanation(now_s)}"
             node.nmt = state
@@ -327,14 +347,17 @@ class NmtMaster:
         self._happen(node, Event.BOOTED, now_s, why)
 
     def _foreign_nmt(self, command: int, node_id: int, now_s: float) -> None:
-        nodes = self.nodes.values() if node_id == 0 else filter(None, [self.nodes.get(node_id)])
-        for node in nodes:
+        for node in self._addressed(node_id):
             if command in COMMANDED and command != NmtCommand.START and node.nmt != SILENT:
                 node.nmt = COMMANDED[NmtCommand(command)]
                 why = f"left OPERATIONAL: {_state_text(node.nmt)}, by another master's NMT command"
                 self._happen(node, Event.LEFT, now_s, why)
             elif command in (NmtCommand.RESET_NODE, NmtCommand.RESET_COMMUNICATION):
                 node.hint = ", reset by another master"
+
+    def _addressed(self, node_id: int) -> list[NodeRecord]:
+        """Return the nodes that an NMT command is for: all for node-ID 0."""
+        return [node for each, node in self.nodes.items() if node_id in {0, each}]
 
     def _foreign_sdo(self, node: NodeRecord, data: bytes, now_s: float) -> None:
         effect = node.foreign.take(data, now_s)
@@ -356,6 +379,9 @@ class NmtMaster:
         if now_s < self._tick_s:
             return
         self._tick_s = now_s + TICK_S
+        if self._is_new and self._is_adaptive:
+            self.restart(now_s)
+        self._is_new = False
         limit_s = self.proof_limit_s
         for node in self.nodes.values():
             if node.dialogue is not None:
@@ -365,12 +391,22 @@ class NmtMaster:
             if node.errand is not None:
                 node.errand.tick(now_s)
                 node.end_errand()
-        free = DIALOGUES - sum(node.dialogue is not None for node in self.nodes.values())
-        due = [node for node in self.nodes.values() if now_s >= node.prove_at_s and node.dialogue is None]
-        for node in sorted(due, key=lambda node: node.prove_at_s)[: max(0, free)]:
-            self._happen(node, Event.DUE, now_s)
+        self._begin_due(now_s)
         self._prove_in_turn(now_s)
+        self._start_again(now_s)
         self._lines.tick(now_s)
+
+    def restart(self, now_s: float) -> None:
+        """Have every node in use send all its sums, as a node that enters OPERATIONAL does.
+
+        All nodes become PRE-OPERATIONAL now, with one frame of the highest priority: the bus is free for proofs. They
+        start when all first proofs have ended, after `QUIET_S` to `QUIET_MAX_S`.
+        """
+        self._command(NmtCommand.ENTER_PRE_OPERATIONAL, 0)
+        self._quiet_since_s = now_s
+        for node in self.nodes.values():
+            if node.in_use:
+                self._expect_start(node, now_s)
 
     def ask(self, node_id: int, steps: Dialogue, now_s: float) -> SdoDialogue | None:
         """Begin a dialogue with a node in use, one attempt for each transfer; None while its SDO channel is busy."""
@@ -379,6 +415,33 @@ class NmtMaster:
             return None
         node.errand = SdoDialogue(node_id, steps, self._send, now_s, attempts=1)
         return node.errand
+
+    def _begin_due(self, now_s: float) -> None:
+        """Begin the proofs that are due, as many as there may be."""
+        free = DIALOGUES - sum(node.dialogue is not None for node in self.nodes.values())
+        due = [node for node in self.nodes.values() if now_s >= node.prove_at_s and node.dialogue is None]
+        for node in sorted(due, key=lambda node: node.prove_at_s)[: max(0, free)]:
+            self._happen(node, Event.DUE, now_s)
+
+    def _start_again(self, now_s: float) -> None:
+        """End the quiet time: start all nodes in use."""
+        if self._quiet_since_s is None:
+            return
+        quiet_s = now_s - self._quiet_since_s
+        if quiet_s < (QUIET_S if self.passed else QUIET_MAX_S):
+            return
+        self._quiet_since_s = None
+        used = [node_id for node_id, node in self.nodes.items() if node.in_use]
+        for node_id in used:
+            self._expect_start(self.nodes[node_id], now_s)
+        for node_id in [0] if len(used) == len(self.nodes) else used:
+            self._command(NmtCommand.START, node_id)
+
+    @staticmethod
+    def _expect_start(node: NodeRecord, now_s: float) -> None:
+        """Take no heartbeat with another state amiss until the node's start has been on the bus."""
+        node.started_ns, node.commanded_s = None, now_s
+        node.nmt, node.heard_s = NmtState.OPERATIONAL, now_s
 
     def stop(self) -> None:
         """Command all nodes to PRE-OPERATIONAL."""
@@ -450,10 +513,10 @@ class NmtMaster:
         """Use the sums of a proven node and start it; attempts before its first start are not counted."""
         node.used_since_s, node.prove_at_s, node.hint = now_s, np.inf, ""
         self._use(node.contract, True)
-        if node.nmt != NmtState.OPERATIONAL:
-            node.started_ns = None
-            self._command(NmtCommand.START, node.contract.node_id)
-            node.nmt, node.heard_s = NmtState.OPERATIONAL, now_s
+        if self.is_quiet or node.nmt != NmtState.OPERATIONAL:
+            self._expect_start(node, now_s)
+            if not self.is_quiet:
+                self._command(NmtCommand.START, node.contract.node_id)
         if node.lost_s is not None:
             self._lines.add(node.contract.node_id, f"back after {now_s - node.lost_s:.1f} s", now_s)
             node.lost_s = None
@@ -487,8 +550,10 @@ class NmtMaster:
 
     def _try(self, node: NodeRecord, now_s: float, why: str) -> None:
         """Begin to prove a node that is not in use."""
-        # A stopped node answers no SDO (CiA 301, 7.3.2.2.4), and a node without heartbeat may be stopped.
-        if node.nmt == NmtState.STOPPED or (node.nmt == SILENT and node.tries):
+        # A stopped node answers no SDO (CiA 301, 7.3.2.2.4), and a node without heartbeat may be stopped. An adaptive
+        # node may also run: it sends all its sums only when it starts.
+        may_be_stopped = node.nmt == SILENT and (node.tries > 0 or self._is_adaptive) and not self.is_quiet
+        if node.nmt == NmtState.STOPPED or may_be_stopped:
             self._command(NmtCommand.ENTER_PRE_OPERATIONAL, node.contract.node_id)
         node.tries += 1
         self._prove(node, now_s, why)

@@ -1,6 +1,8 @@
 """What the gateway asks adaptive nodes for besides proofs: groups again (2030h), and their noise (2035h).
 
-Few nodes of a bus are asked at the same time, and each at growing pauses, so that requests never fill a bus.
+Few nodes of a bus are asked one by one. Where groups of many are missing, as after a loss on the bus, all nodes are
+started again (`NmtMaster.restart`): two NMT frames in place of two SDO frames for each node, which on a full bus wait
+behind all sums. Pauses grow, so that a gateway that cannot keep up does not ask for ever more frames.
 """
 
 import struct
@@ -11,16 +13,18 @@ import numpy as np
 import numpy.typing as npt
 
 from dbc import indices as od
-from gateway.nmt_master import TICK_S, NmtMaster
+from dbc.configuration import TICK_S
+from gateway.nmt_master import NmtMaster
 from gateway.sdo import Read, SdoDialogue, Transfer, Write
 
 #: Pause after each request for groups to the same node; the last pause follows every further request.
 REQUEST_PAUSES_S: Final = (0.1, 0.2, 0.4, 0.8, 1.6, 2.0)
 #: When a node has needed nothing for this time, its pauses begin anew.
 SETTLED_S: Final = 2.0
-#: A node that is started sends all groups by itself; after this time it is asked for those that did not come.
-START_S: Final = 0.3
-#: Most nodes of a bus that are asked at the same time.
+#: A node that is started sends all groups by itself. On a full bus, its last waits for 0.52 s (`skin plan adaptive`):
+#: after this time the node is asked for those that did not come.
+START_S: Final = 0.6
+#: Most nodes of a bus that are asked at the same time; where more have to be, all are started again.
 MOST_ASKED: Final = 4
 #: Time between two reads of a node's noise.
 NOISE_PERIOD_S: Final = 10.0
@@ -47,25 +51,32 @@ class SumRequests:
         self._take_noise = take_noise
         self._ids = master.node_ids
         nodes = len(self._ids)
-        self._proven_s = np.full(nodes, np.inf)
+        self._is_used = np.zeros(nodes, np.bool_)
         self._noise_s = np.full(nodes, np.inf)
         self._next_s = np.full(nodes, -np.inf)
         self._tries = np.zeros(nodes, np.intp)
+        #: When all nodes may be started again, however soon they have lost frames since.
+        self._again_s = -np.inf
         self._open: list[tuple[int, SdoDialogue]] = []
         self._tick_s = -np.inf
 
     def proven(self, node: int, now_s: float) -> None:
-        """Take note that a node has just been proven: its noise is asked for now, groups after `START_S`."""
-        self._proven_s[node] = self._noise_s[node] = now_s
-        self._next_s[node], self._tries[node] = -np.inf, 0
+        """Take note that a node has just been proven: its noise is asked for now, groups `START_S` after its start."""
+        self._is_used[node], self._noise_s[node] = True, now_s
+        self._next_s[node] = self._master.nodes[self._ids[node]].commanded_s + START_S
+        self._tries[node] = 0
 
     def lost(self, node: int) -> None:
         """Ask a node for nothing until it is proven again."""
-        self._proven_s[node] = self._noise_s[node] = np.inf
+        self._is_used[node], self._noise_s[node] = False, np.inf
 
     def again(self) -> None:
         """Begin the pauses of all nodes anew: the bus is back."""
-        self._next_s[:], self._tries[:] = -np.inf, 0
+        self._next_s[:], self._tries[:], self._again_s = -np.inf, 0, -np.inf
+
+    def gap(self) -> None:
+        """Take note that frames of the bus were lost: what was asked for may be among them."""
+        np.minimum(self._next_s, self._again_s, out=self._next_s)
 
     def tick(self, now_s: float, unknown: Groups, doubtful: Groups) -> None:
         """Ask who has to be asked; call it many times a second.
@@ -78,20 +89,31 @@ class SumRequests:
         if now_s < self._tick_s:
             return
         self._tick_s = now_s + TICK_S
+        if self._master.is_quiet:
+            np.maximum(self._next_s, now_s + START_S, out=self._next_s)
+            return
         records = self._master.nodes
         self._open = [(node_id, each) for node_id, each in self._open if records[node_id].errand is each]
-        is_used = self._proven_s < np.inf
-        wanted = np.where(is_used, doubtful | np.where(now_s - self._proven_s >= START_S, unknown, 0), 0)
+        wanted = np.where(self._is_used, doubtful | unknown, 0)
         self._tries[(wanted == 0) & (now_s - self._next_s >= SETTLED_S)] = 0
         due = np.flatnonzero((wanted != 0) & (now_s >= self._next_s))
+        if len(due) > MOST_ASKED:
+            self._master.restart(now_s)
+            for node in due.tolist():
+                self._pause(node, now_s)
+            self._again_s = float(self._next_s[due].max())
+            return
         for node in due[np.argsort(self._next_s[due], kind="stable")].tolist():
             if self._ask(node, _refresh(int(wanted[node])), now_s):
-                self._next_s[node] = now_s + REQUEST_PAUSES_S[self._tries[node]]
-                self._tries[node] = min(self._tries[node] + 1, len(REQUEST_PAUSES_S) - 1)
+                self._pause(node, now_s)
         oldest = int(self._noise_s.argmin())
         if now_s >= self._noise_s[oldest]:
             is_asked = self._ask(oldest, self._noise(oldest), now_s)
             self._noise_s[oldest] = now_s + (NOISE_PERIOD_S if is_asked else NOISE_RETRY_S)
+
+    def _pause(self, node: int, now_s: float) -> None:
+        self._next_s[node] = now_s + REQUEST_PAUSES_S[self._tries[node]]
+        self._tries[node] = min(self._tries[node] + 1, len(REQUEST_PAUSES_S) - 1)
 
     def _ask(self, node: int, steps: _Steps, now_s: float) -> bool:
         if len(self._open) >= MOST_ASKED:

@@ -114,9 +114,13 @@ def new_groups(nodes: int, is_fd: bool | Flags = False) -> Groups:
 
 
 def ask(node: int, group: int, now: int, groups: Groups) -> None:
-    """Have a group sent in a coarse frame as a refresh, whatever was sent before."""
+    """Have a group sent in a coarse frame as a refresh, whatever was sent before.
+
+    A group that is asked for again keeps the urgency for which it has waited.
+    """
+    if not groups.is_wanted[node, group]:
+        groups.refresh_at[node, group] = now
     groups.is_wanted[node, group] = 1
-    groups.refresh_at[node, group] = now
     groups.refreshes[node, group] = max(1, groups.refreshes[node, group])
 
 
@@ -171,17 +175,18 @@ def _decide_group(  # noqa: PLR0917  compiled functions take no keywords
     threshold = noise_n2 + rule.variance_ratio * variance
     level, reason, is_fine = NOT_DUE, NEWS, 0
     wait = now - groups.sent_at[node, group]
+    overdue = min(LEVELS - 1, (now - groups.refresh_at[node, group]) // rule.overdue)
     if coarse_n2 > threshold:
         if groups.since[node, group] < 0:
             groups.since[node, group] = now
         if wait >= rule.inhibit:
             level = urgency(coarse_n2 / threshold, now - groups.since[node, group], rule)
-        if groups.is_wanted[node, group] == 1:
-            reason = REFRESH  # what was asked for is sent whatever the budget
+            if groups.is_wanted[node, group] == 1:
+                level, reason = max(level, overdue), REFRESH  # what was asked for is sent whatever the budget
     else:
         groups.since[node, group] = -1
         if groups.refreshes[node, group] > 0 and now >= groups.refresh_at[node, group]:
-            level = min(LEVELS - 1, (now - groups.refresh_at[node, group]) // rule.overdue)
+            level = overdue
             # On CAN FD a fine frame has the coarse codes, too: there is no turn to take.
             is_turn = groups.fine_turn[node, group] == 1 or groups.is_fd[node]
             may_be_fine = is_turn and groups.is_wanted[node, group] == 0

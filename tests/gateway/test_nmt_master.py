@@ -17,13 +17,13 @@ from dbc.canopen import (
     NmtCommand,
     NmtState,
 )
-from dbc.configuration import configuration, expected_signature
+from dbc.configuration import DIALOGUES, TICK_S, configuration, expected_signature
 from dbc.contract import Contract
 from dbc.dictionary import SILENT_AFTER_S
 from dbc.frame import ECHO, ERROR, EXTENDED, REMOTE
 from gateway.collector import SWAPPED_CYCLES
 from gateway.loop import LOOK_PERIOD_S
-from gateway.nmt_master import DIALOGUES, PAUSES_S, TICK_S, NmtMaster
+from gateway.nmt_master import PAUSES_S, NmtMaster
 from gateway.sdo import TIMEOUT_S
 from tests.bus.harness import frame
 from tests.gateway.helpers import PERIOD_S, EndOfWire, World, valid

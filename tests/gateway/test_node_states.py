@@ -8,10 +8,10 @@ import pytest
 from canskin.messages import SILENT
 from dbc import indices as od
 from dbc.canopen import NmtCommand, NmtState
-from dbc.configuration import configuration, expected_signature
+from dbc.configuration import TICK_S, configuration, expected_signature
 from dbc.contract import Contract
 from dbc.frame import ECHO, Frames
-from gateway.nmt_master import TICK_S, NmtMaster, NodeRecord
+from gateway.nmt_master import NmtMaster, NodeRecord
 from gateway.sdo import Read, SdoTimeoutError, Transfer
 from skin.layout import load_layout
 from tests.bus.harness import frame

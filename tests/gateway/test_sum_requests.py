@@ -22,7 +22,9 @@ class Asking:
 
     def __init__(self) -> None:
         self.node_ids = [11, 12, 13, 14, 15, 16]
-        self.nodes = {node_id: SimpleNamespace(errand=None) for node_id in self.node_ids}
+        self.nodes = {node_id: SimpleNamespace(errand=None, commanded_s=-np.inf) for node_id in self.node_ids}
+        self.is_quiet = False
+        self.restarts_s: list[float] = []
         self.busy: set[int] = set()
         self.asked: list[tuple[int, Transfer]] = []
 
@@ -33,6 +35,9 @@ class Asking:
         dialogue = cast("SdoDialogue", SimpleNamespace(steps=steps))
         self.nodes[node_id].errand = dialogue
         return dialogue
+
+    def restart(self, now_s: float) -> None:
+        self.restarts_s.append(now_s)
 
     def answer(self, node_id: int, data: bytes = b"") -> None:
         """Let a node answer, which ends its dialogue."""
@@ -68,8 +73,9 @@ class Skin:
     def noise_asked(self, now_s: float) -> list[tuple[int, Transfer]]:
         return self.tick(now_s, index=NOISE)
 
-    def proven(self, *nodes: int, now_s: float = 0.0) -> None:
+    def proven(self, *nodes: int, now_s: float = 0.0, started_s: float = -np.inf) -> None:
         for node in nodes:
+            self.master.nodes[self.master.node_ids[node]].commanded_s = started_s
             self.sum_requests.proven(node, now_s)
 
 
@@ -91,15 +97,16 @@ def test_nothing_is_asked_of_a_node_that_is_not_proven(skin: Skin) -> None:
     assert skin.tick(100.0) == []
 
 
-def test_doubtful_groups_are_asked_for_at_once_and_unknown_ones_after_the_start(skin: Skin) -> None:
-    """A node that starts sends all groups by itself; 0.3 s are for that."""
-    skin.proven(0, 1)
+def test_a_node_that_starts_sends_all_groups_by_itself(skin: Skin) -> None:
+    """0.6 s are for that, also on a full bus."""
+    skin.proven(0, started_s=0.0)
+    skin.proven(1)  # it has been running
     skin.unknown[0], skin.unknown[1], skin.doubtful[1] = 0b1001, 0b0001, 0b0100
-    assert skin.tick(0.0) == [groups(12, 0b0100)]
-    skin.doubtful[1] = 0
-    assert skin.tick(0.25) == []
-    assert skin.tick(0.299) == []
-    assert skin.tick(0.3125) == [groups(11, 0b1001), groups(12, 0b0001)]
+    assert skin.tick(0.0) == [groups(12, 0b0101)]
+    skin.unknown[1] = skin.doubtful[1] = 0
+    assert skin.tick(0.55) == []
+    assert skin.tick(0.599) == []
+    assert skin.tick(0.6125) == [groups(11, 0b1001)]
 
 
 def test_both_kinds_of_groups_are_asked_for_together(skin: Skin) -> None:
@@ -149,14 +156,31 @@ def test_a_proof_and_the_return_of_the_bus_begin_the_pauses_anew(skin: Skin) -> 
 
 def test_four_nodes_are_asked_at_a_time_and_who_has_waited_longest_is_next(skin: Skin) -> None:
     skin.proven(*range(6))
-    skin.doubtful[:] = 1
+    skin.doubtful[:4] = 1
     assert [node_id for node_id, _ in skin.tick(0.0, answered=False)] == [11, 12, 13, 14]
+    skin.doubtful[4] = 1
     assert skin.tick(0.0625, answered=False) == []
+    skin.doubtful[:3] = 0
     skin.master.answer(13)
     assert [node_id for node_id, _ in skin.tick(0.125, answered=False)] == [15]
-    skin.master.answer(11)
-    skin.master.answer(12)
-    assert [node_id for node_id, _ in skin.tick(0.25, answered=False)] == [16, 11]
+    assert not skin.master.restarts_s
+
+
+def test_where_groups_of_many_nodes_are_missing_all_start_again_at_growing_pauses(skin: Skin) -> None:
+    skin.proven(*range(6))
+    skin.doubtful[:5] = 1
+    for now_ms in range(0, 10_000, 20):
+        assert skin.tick(now_ms / 1000) == []
+    pauses_s = np.diff(skin.master.restarts_s).tolist()
+    assert pauses_s == pytest.approx([0.1, 0.2, 0.4, 0.8, 1.6, 2.0, 2.0, 2.0], abs=0.021)
+
+
+def test_a_quiet_bus_is_asked_for_nothing_and_has_time_to_start(skin: Skin) -> None:
+    skin.proven(0)
+    skin.doubtful[0], skin.master.is_quiet = 1, True
+    assert [skin.tick(now_s) for now_s in (0.0, 0.25)] == [[], []]
+    skin.master.is_quiet = False
+    assert [skin.tick(now_s) for now_s in (0.3125, 0.84, 0.875)] == [[], [], [groups(11, 1)]]
 
 
 def test_a_busy_node_is_asked_as_soon_as_it_is_free(skin: Skin) -> None:

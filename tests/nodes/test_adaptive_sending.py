@@ -199,6 +199,15 @@ def test_news_that_is_asked_for_does_not_wait_for_a_budget() -> None:
     assert groups.reason[0].tolist() == [NEWS, REFRESH, NEWS, NEWS]
 
 
+def test_who_asks_again_does_not_begin_the_wait_anew() -> None:
+    groups = new_groups(1)
+    for now in range(0, 600, 100):
+        ask(0, 1, now, groups)
+        looked(groups, now, PRESSED if now == 300 else NOTHING)  # news has its own level, or a higher one
+        assert groups.level[0, 1] >= now // RULE.overdue
+    assert groups.level[0, 1] == LEVELS - 1
+
+
 def test_the_logarithm_is_right_to_the_last_bits_and_whole_for_powers_of_two() -> None:
     found = np.array([log2_of(ratio) for ratio in RATIOS])
     np.testing.assert_allclose(found, np.log2(RATIOS), rtol=4e-16, atol=1e-15)

@@ -28,8 +28,10 @@ void skin_ask(skin_groups *all, uint8_t group, int64_t now)
 {
     skin_group *each = &all->groups[group];
 
+    if (each->is_wanted == 0) { /* who asks again does not begin the wait anew */
+        each->refresh_at = now;
+    }
     each->is_wanted = 1;
-    each->refresh_at = now;
     each->refreshes = each->refreshes < 1 ? 1 : each->refreshes;
 }
 
@@ -91,6 +93,13 @@ static int is_refresh_due(const skin_group *each, int64_t now)
     return each->refreshes > 0 && now >= each->refresh_at;
 }
 
+static int8_t refresh_level(const skin_group *each, int64_t now, const skin_rule *rule)
+{
+    const int64_t overdue = (now - each->refresh_at) / rule->overdue;
+
+    return (int8_t)(overdue < SKIN_LEVELS - 1 ? overdue : SKIN_LEVELS - 1);
+}
+
 static void decide_group(skin_groups *all, uint8_t group, int64_t now, const float *sums_n, const float *variance_n2,
                          double noise_n2, const skin_rule *rule)
 {
@@ -131,17 +140,18 @@ static void decide_group(skin_groups *all, uint8_t group, int64_t now, const flo
         }
         if (wait >= rule->inhibit) {
             each->level = urgency(coarse_n2 / threshold_n2, now - each->since, rule);
-        }
-        if (each->is_wanted != 0) {
-            each->reason = SKIN_REFRESH; /* a group that somebody asked for needs no budget */
+            if (each->is_wanted != 0) { /* a group that somebody asked for needs no budget */
+                const int8_t level = refresh_level(each, now, rule);
+
+                each->level = level > each->level ? level : each->level;
+                each->reason = SKIN_REFRESH;
+            }
         }
         return;
     }
     each->since = -1;
     if (is_refresh_due(each, now)) {
-        const int64_t overdue = (now - each->refresh_at) / rule->overdue;
-
-        each->level = (int8_t)(overdue < SKIN_LEVELS - 1 ? overdue : SKIN_LEVELS - 1);
+        each->level = refresh_level(each, now, rule);
         each->reason = SKIN_REFRESH;
         /* With CAN FD a fine frame has the coarse codes, too: there is no turn to take. A fine frame knows no higher
          * level: a refresh that waits longer is coarse, out of turn, too.
