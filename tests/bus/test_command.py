@@ -27,6 +27,7 @@ def test_it_says_that_it_is_ready_carries_frames_and_ends_quietly(how: int) -> N
     process = start("left", "right", *rates, "--fault", "controller=a:*,loss_ratio=1", "--json")
     try:
         assert process.stderr is not None
+        assert process.stderr.readline().startswith("bus: scheduling: ")
         assert process.stderr.readline() == "bus: ready: left, right at 500000 bit/s\n"
         a, b = (ArbitratedLink("right", Hello(name=name, bitrate=500_000)) for name in "ab")
         assert a.welcome == Welcome(bitrate=500_000, data_bitrate=None, queue_size=10)

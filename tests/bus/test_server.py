@@ -320,7 +320,9 @@ def test_a_killed_process_is_noticed_and_a_new_one_is_found() -> None:
                 second.send_signal(signal.SIGTERM)
                 said = second.communicate(timeout=PATIENCE_S)[1]
             assert second.returncode == 0
-            assert said == "bus: ready: bus0 at 1000000 bit/s\n"
+            scheduling, ready = said.splitlines()
+            assert scheduling.startswith("bus: scheduling: ")
+            assert ready == "bus: ready: bus0 at 1000000 bit/s"
     finally:
         first.kill()
         first.communicate()
