@@ -27,7 +27,8 @@ def test_a_command_to_all_ends_the_proof_of_every_node_and_one_to_a_node_of_this
         Change(1, 5, False),
     ]
     assert list(proofs.changes(seen((0x000, bytes([START, 5]))))) == [Change(0, 5, True)]
-    assert not list(proofs.changes(seen((0x000, bytes([START, 0])))))  # a gateway starts each node after its proof
+    # A gateway starts all nodes with one frame only when all of them are proven.
+    assert list(proofs.changes(seen((0x000, bytes([START, 0]))))) == [Change(0, 1, True), Change(0, 2, True)]
 
 
 def test_a_node_that_boots_is_not_proven_until_it_runs() -> None:
