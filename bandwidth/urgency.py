@@ -11,11 +11,11 @@ time of a pause with its SYNC and a frame, the longest wait at the highest level
 and news is shown after W + J + w + C. A bound exists if P / SYNC period + (frames of that level) C / W < 1.
 
 A gateway that joins, or that has lost frames, stops all N nodes, proves them and starts them again. With D dialogues
-at a time, A the longest time until a node acts on a frame and the gateway reads the answer, and F the time of the
-frames of this quiet time on an arbitrated bus (those that controllers still hold, proofs, heartbeats, NMT), the nodes
-start after
+at a time, A the longest time until a node acts on a frame and the gateway reads the answer, F the time of the frames of
+this quiet time on an arbitrated bus (those that controllers still hold, stops, proofs, heartbeats), and S the time of
+an NMT start and a frame that goes before, the nodes start after
 
-    max(F + ⌈N / D⌉ A, QUIET_S) + TICK_S + A
+    max(F + ⌈N / D⌉ A, QUIET_S) + TICK_S + A + N S
 
 Each of them then owes all its groups, as refreshes that are due: the last comes within the bound of a refresh, or where
 nothing moves within that of a bus that comes to rest.
@@ -174,14 +174,15 @@ class Urgency:
         While nothing moves, and while everything moves; every node is there and has the right configuration.
         """
         longest_ns = max(self.frame_ns, int(self.streams.worst_ns.max()))
-        # Held frames, two of the proof, a heartbeat; two commands of NMT.
-        count = (self.frames_of_node + 3) * self.nodes + 2
+        # Held frames, two of the proof, a heartbeat, and an NMT command.
+        count = (self.frames_of_node + 4) * self.nodes
         busy_ns = int(self._responses(longest_ns, count, HEARTBEAT_MS * _MS, self.jitter_ns)[-1])
         if busy_ns > HEARTBEAT_MS * _MS:
             return UNBOUNDED, UNBOUNDED
         answer_ns = SAMPLE_NS + self.jitter_ns + round(READ_S * 1e9)
         proofs_ns = busy_ns + -(-self.nodes // DIALOGUES) * answer_ns
-        started_ns = max(proofs_ns, round(QUIET_S * 1e9)) + round(TICK_S * 1e9) + answer_ns
+        quiet_ns = max(proofs_ns, round(QUIET_S * 1e9))
+        started_ns = quiet_ns + round(TICK_S * 1e9) + answer_ns + 2 * self.nodes * longest_ns
         return _sum(started_ns, self.settled_ns[0]), _sum(started_ns, int(self.refresh_ns.max()))
 
     def budgeted(self, bits_per_s: int) -> "Budgeted":

@@ -399,10 +399,11 @@ class NmtMaster:
     def restart(self, now_s: float) -> None:
         """Have every node in use send all its sums, as a node that enters OPERATIONAL does.
 
-        All nodes become PRE-OPERATIONAL now, with one frame of the highest priority: the bus is free for proofs. They
-        start when all first proofs have ended, after `QUIET_S` to `QUIET_MAX_S`.
+        All nodes become PRE-OPERATIONAL now: the bus is free for proofs. They start when all first proofs have ended,
+        after `QUIET_S` to `QUIET_MAX_S`. Each node is commanded by its node-ID: node-ID 0 would stop a robot's drives
+        that share the bus.
         """
-        self._command(NmtCommand.ENTER_PRE_OPERATIONAL, 0)
+        self._command(NmtCommand.ENTER_PRE_OPERATIONAL, *self.nodes)
         self._quiet_since_s = now_s
         for node in self.nodes.values():
             if node.in_use:
@@ -434,8 +435,7 @@ class NmtMaster:
         used = [node_id for node_id, node in self.nodes.items() if node.in_use]
         for node_id in used:
             self._expect_start(self.nodes[node_id], now_s)
-        for node_id in [0] if len(used) == len(self.nodes) else used:
-            self._command(NmtCommand.START, node_id)
+        self._command(NmtCommand.START, *used)
 
     @staticmethod
     def _expect_start(node: NodeRecord, now_s: float) -> None:
@@ -445,7 +445,7 @@ class NmtMaster:
 
     def stop(self) -> None:
         """Command all nodes to PRE-OPERATIONAL."""
-        self._command(NmtCommand.ENTER_PRE_OPERATIONAL, 0)
+        self._command(NmtCommand.ENTER_PRE_OPERATIONAL, *self.nodes)
         self._lines.flush()
 
     def _check_times(self, node: NodeRecord, limit_s: float, now_s: float) -> None:
@@ -602,8 +602,9 @@ class NmtMaster:
     def _go_on(self, node: NodeRecord, now_s: float, why: str) -> None:
         """Do nothing."""
 
-    def _command(self, command: NmtCommand, node_id: int) -> None:
-        self._send(NMT_COB_ID, bytes((command, node_id)))
+    def _command(self, command: NmtCommand, *node_ids: int) -> None:
+        for node_id in node_ids:
+            self._send(NMT_COB_ID, bytes((command, node_id)))
 
     #: By state and event: the action, and the next state. In a state that does not list an event, it changes nothing.
     TRANSITIONS: ClassVar[dict[NodeState, dict[Event, tuple[_Action, NodeState]]]] = {

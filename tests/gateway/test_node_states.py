@@ -116,7 +116,8 @@ class Boards:
     def lines_now(self) -> list[str]:
         """Return the lines since the last call, with those that wait for others."""
         self.master.stop()
-        assert self.commands.pop() == (PRE_OPERATIONAL, 0)
+        stops = [(PRE_OPERATIONAL, node_id) for node_id in self.master.nodes]
+        assert [self.commands.pop() for _ in stops] == stops[::-1]
         lines = [*self.lines]
         self.lines.clear()
         return lines
@@ -327,7 +328,7 @@ def test_stop_commands_all_nodes_to_pre_operational_and_tells_what_waits(skin: B
     skin.master.swapped(1, skin.now_s)
     assert skin.lines == []
     skin.master.stop()
-    assert skin.commands[-1] == (PRE_OPERATIONAL, 0)
+    assert skin.commands[-2:] == [(PRE_OPERATIONAL, 1), (PRE_OPERATIONAL, 2)]
     assert len(skin.lines) == 1
 
 

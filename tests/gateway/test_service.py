@@ -202,13 +202,14 @@ def test_it_serves_until_the_signal_finishes_open_cycles_and_stops_the_nodes(
     service.run(StopAfter(0))  # type: ignore[arg-type]
     assert not links[0].syncs_s
     assert len(fabric.statuses) == 1
-    assert sent == [(0, b"\x80\0")] * 2
+    stops = [(0, bytes((0x80, node.node_id))) for node in small.nodes]
+    assert sent == stops
     stop = SimpleNamespace(is_set=lambda: service.loop.sync.sent > 3 and service.loop.in_flight > 0)
     service.run(stop)  # type: ignore[arg-type]
     assert service.loop.in_flight == 0
     assert len(fabric.measurements) == service.loop.sync.sent > 3
     assert fabric.statuses[-1].cycles == len(fabric.measurements)
-    assert sent[-2:] == [(0, b"\x80\0")] * 2
+    assert sent[-len(stops) :] == stops
     assert 0 < sum(taken) <= len(sent)  # echoes alone
     for link in links:
         link.close()

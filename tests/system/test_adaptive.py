@@ -36,3 +36,16 @@ def test_boards_in_c_show_a_touch_that_rests(tmp_path: Path) -> None:
         held_n = started.await_rest()
         assert started.is_true(held_n)
         assert np.count_nonzero(held_n[:, 0]) >= 4
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("options", [(), pytest.param(("--firmware",), marks=needs_compiler)], ids=["Python", "C"])
+def test_a_gateway_that_follows_a_killed_one_shows_the_whole_touch(tmp_path: Path, options: tuple[str, ...]) -> None:
+    with resting_skin(tmp_path) as started:
+        started.start_bus()
+        started.start("nodes", *options)
+        started.start("gateway")
+        started.await_rest()
+        started.kill("gateway")
+        started.start("gateway")
+        assert started.is_true(started.await_rest())
