@@ -1,7 +1,8 @@
 """What the gateway asks adaptive nodes for besides proofs: groups again (2030h), and their noise (2035h).
 
 Few nodes of a bus are asked one by one. Where groups of many are missing, as after a loss on the bus, all nodes are
-started again (`NmtMaster.restart`): NMT goes before all sums, where SDO on a full bus waits behind them. Pauses grow, so that a gateway that cannot keep up does not ask for ever more frames.
+started again (`NmtMaster.restart`): NMT goes before all sums, where SDO on a full bus waits behind them. Pauses grow,
+so that a gateway that cannot keep up does not ask for ever more frames.
 """
 
 import struct
