@@ -218,6 +218,12 @@ class Contract:
         cycle: Frames = np.concatenate([self.sync(0), tpdos])
         return cycle
 
+    def shortest_s(self, bus: int) -> float:
+        """Return the least time of a TPDO on a bus, intermission included: the shortest, without stuff bits."""
+        line, one = self.layout.bus[bus], frames(1)
+        one["length"], one["flags"] = self.table.length[self.table.bus == bus].min(initial=FD_BYTES), frame_flags(line)
+        return float(frame_time_ns(one, line.bitrate, line.data_bitrate, "none")[0]) * 1e-9
+
     @cached_property
     def table(self) -> "FrameTable":
         """All TPDOs of all buses as arrays."""

@@ -141,9 +141,13 @@ class Collector:
         self._syncs.send(counter, due_ns, period_s, rests=True)
         self._cycles.end(counter)
 
+    def waiting(self, counter: int) -> npt.NDArray[np.intp]:
+        """Return how many frames a cycle waits for, shape (buses,); a view."""
+        return self._cycles.waiting(counter)
+
     def is_settled(self, counter: int) -> bool:
         """Tell whether a cycle can be closed: every bus has sent all expected frames, or the next SYNC."""
-        following, waiting = next_counter(counter), self._cycles.waiting(counter)
+        following, waiting = next_counter(counter), self.waiting(counter)
         return all(count == 0 or now == following for count, now in zip(waiting, self._syncs.counter, strict=True))
 
     def take(self, bus: int, arrived: Frames, stamp_error_ns: int | None) -> None:

@@ -16,6 +16,8 @@ from gateway.gathering import Health, Sync
 from gateway.nmt_master import NmtMaster
 from gateway.open_cycles import slot_of
 
+#: Frames of a bus that may wait unread: receive buffers hold twice as many.
+MOST_UNREAD: Final = 64
 #: A cycle ends at the latest this part of a period after the next SYNC was due.
 GRACE: Final = 0.9
 
@@ -28,8 +30,6 @@ class CycleGathering:
     collector : Collector
     """
 
-    #: Until when frames may wait unread: no measurement is made before.
-    may_sleep_until_s = float("-inf")
     #: Time between two looks at the measurements in a replay; None: they are due by frames and SYNCs alone.
     replay_step_ns = None
     #: What another SYNC producer does to the sums of its bus.
@@ -42,6 +42,22 @@ class CycleGathering:
         self._period_s = contract.layout.sync.period_s
         self._place = {(node.bus, node.node_id): place for place, node in enumerate(contract.nodes)}
         self._open_cycles: deque[Sync] = deque()
+        self._is_proven = np.zeros(len(contract.nodes), np.bool_)
+        self._shortest_s = [contract.shortest_s(bus) for bus in range(len(contract.layout.bus))]
+        self._has_stamps = [False] * len(contract.layout.bus)
+        #: By bus: the oldest open cycle is not complete before.
+        self._incomplete_until_s = [float("-inf")] * len(contract.layout.bus)
+
+    @property
+    def may_sleep_until_s(self) -> float:
+        """Until when frames may wait unread: the frames that a cycle waits for take longer on the bus.
+
+        While a node is not proven, frames are answers, and the next question waits for them. The times of frames
+        without stamps are those of the read.
+        """
+        if len(self._open_cycles) != 1 or not self._is_proven.all() or not all(self._has_stamps):
+            return float("-inf")
+        return max(self._incomplete_until_s)
 
     @property
     def counts(self) -> FrameCounts:
@@ -60,15 +76,22 @@ class CycleGathering:
 
     def trust(self, node: NodeContract, *, proven: bool) -> None:
         """Use the sums of a node from the next cycle on if `proven`; else stop at once."""
+        place = self._place[node.bus, node.node_id]
         self.collector.trust(slice(node.block, node.block + node.blocks), proven=proven)
+        self._is_proven[place] = proven
         if proven:
-            self.collector.expected[self._place[node.bus, node.node_id]] = True
+            self.collector.expected[place] = True
 
-    def take(self, bus: int, arrived: Frames, health: Health, _now_s: float) -> None:
+    def take(self, bus: int, arrived: Frames, health: Health, now_s: float) -> None:
         """Use the frames that arrived on a bus, in bus order."""
         if health.has_gap:
             self.collector.lost(bus)
         self.collector.take(bus, arrived, health.stamp_error_ns)
+        self._has_stamps[bus] = health.stamp_error_ns is not None
+        if self._open_cycles:
+            # The first of the frames that are yet to come may be at its end.
+            waiting = int(self.collector.waiting(self._open_cycles[0].counter)[bus])
+            self._incomplete_until_s[bus] = self._busy_until_s(bus, waiting - 1, now_s)
 
     def begin(self, sync: Sync, *, is_asked: bool = True) -> list[Measurement]:
         """Open the cycle of a SYNC, if it asks for these sums; return the measurements of cycles closed for it."""
@@ -79,6 +102,9 @@ class CycleGathering:
         if is_asked:
             self.collector.open(sync.counter, sync.due_ns, sync.sent_ns, sync.period_s)
             self._open_cycles.append(sync)
+            if sync.sent_ns is not None:
+                for bus, waiting in enumerate(self.collector.waiting(sync.counter).tolist()):
+                    self._incomplete_until_s[bus] = self._busy_until_s(bus, waiting, sync.sent_ns * 1e-9)
         else:
             self.collector.rest(sync.counter, sync.due_ns, sync.period_s)
         return closed
@@ -116,6 +142,10 @@ class CycleGathering:
     def missing_and_late(self, place: int) -> tuple[int, int]:
         """Return how many frames of the node at `place` did not come in their cycle, and came too late."""
         return int(self.collector.missing_of_node[place]), int(self.collector.late_of_node[place])
+
+    def _busy_until_s(self, bus: int, frames: int, now_s: float) -> float:
+        """Return when frames of a bus that begin now end at the earliest; without frames no time is too late."""
+        return now_s + min(frames, MOST_UNREAD) * self._shortest_s[bus] if frames > 0 else float("-inf")
 
     def _closes_s(self, sync: Sync) -> float:
         return sync.due_s + (1 + GRACE) * self._period_s
