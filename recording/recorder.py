@@ -1,12 +1,12 @@
 """The recorder: reads buses and fabric, and writes to a sink. It sends nothing on the buses."""
 
 import time
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Any, Final, NamedTuple
 
 from bus.link import Link, State
-from canskin.fabric import Origin
+from canskin.fabric import Missed, Origin
 from canskin.messages import Topic
 from recording.sinks import Sink
 from shell.service import StopSignal, say
@@ -26,26 +26,6 @@ class _Waiting(NamedTuple):
     time_ns: int
     topic: Topic | None
     content: bytes | Mapping[str, Any]
-
-
-class Missed:
-    """Counts the messages that the fabric dropped, by the gaps in the numbers of each publisher and topic."""
-
-    def __init__(self) -> None:
-        self._expected: dict[tuple[str, str], int] = {}
-        self._counts: Counter[str] = Counter()
-
-    def take(self, topic: str, origin: Origin) -> None:
-        """Take note of a message."""
-        key = topic, origin.publisher
-        expected = self._expected.get(key, origin.number)
-        # A number below the expected one was counted as missed, and came after its successor.
-        self._counts[topic] += origin.number - expected if origin.number >= expected else -1
-        self._expected[key] = max(expected, origin.number + 1)
-
-    def counts(self) -> dict[str, int]:
-        """Return the numbers of messages that did not come, by topic, without those that all came."""
-        return {topic: count for topic, count in sorted(self._counts.copy().items()) if count > 0}
 
 
 class Recorder:

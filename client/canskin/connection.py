@@ -150,6 +150,7 @@ class ConnectedSkin(Skin):
             gateway=self._status,
             frames=self._hub.count,
             refused=self._builder.refused + self._fabric.malformed,
+            missed=self._fabric.missed.counts(),
         )
 
     def close(self) -> None:

@@ -8,7 +8,7 @@ import logging
 import math
 import re
 import threading
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
@@ -44,6 +44,26 @@ class Origin(NamedTuple):
 
     publisher: str
     number: int
+
+
+class Missed:
+    """Counts the messages that the fabric dropped, by the gaps in the numbers of each publisher and topic."""
+
+    def __init__(self) -> None:
+        self._expected: dict[tuple[str, str], int] = {}
+        self._counts: Counter[str] = Counter()
+
+    def take(self, topic: str, origin: Origin) -> None:
+        """Take note of a message."""
+        key = topic, origin.publisher
+        expected = self._expected.get(key, origin.number)
+        # A number below the expected one was counted as missed, and came after its successor.
+        self._counts[topic] += origin.number - expected if origin.number >= expected else -1
+        self._expected[key] = max(expected, origin.number + 1)
+
+    def counts(self) -> dict[str, int]:
+        """Return the numbers of messages that did not come, by topic, without those that all came."""
+        return {topic: count for topic, count in sorted(self._counts.copy().items()) if count > 0}
 
 
 class Mailbox(Generic[Message]):
@@ -118,6 +138,13 @@ class Fabric:
     patience_s : float
         Longest wait for the hub. By default a service waits without limit, so services start in any order.
 
+    Attributes
+    ----------
+    malformed : int
+        Messages and requests that could not be decoded.
+    missed : Missed
+        Messages that did not come: this program, or its connection, was too slow.
+
     Raises
     ------
     BusError
@@ -136,6 +163,7 @@ class Fabric:
         patience_s: float = math.inf,
     ) -> None:
         self.malformed = 0
+        self.missed = Missed()
         self._peer = new_peer(skin, service, fingerprint)
         self._differences: set[str] = set()
         self._others = Roll()
@@ -267,7 +295,13 @@ class Fabric:
         self._session.close()
 
     def _receive(self, topic: Topic, receive: Callable[[Any], None]) -> None:
-        self._kept.append(self._session.declare_subscriber(f"{self._prefix}/{topic.name}", receive))
+        def note(sample: Any) -> None:
+            origin = _origin_of(sample.attachment)
+            if origin is not None:
+                self.missed.take(topic.name, origin)
+            receive(sample)
+
+        self._kept.append(self._session.declare_subscriber(f"{self._prefix}/{topic.name}", note))
 
     def _decoder(self, topic: Topic) -> Callable[[bytes], Any]:
         """Return what decodes a message of `topic`, or returns None and counts it in `malformed`."""

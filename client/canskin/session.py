@@ -2,6 +2,7 @@
 
 import json
 import math
+import os
 import re
 import threading
 import time
@@ -20,6 +21,11 @@ SILENT_S: Final = 3.0
 TRY_S: Final = 1.0
 #: Period of a search for services.
 LOOK_S: Final = 0.1
+#: Threads of the hub, as zenoh reads them from ZENOH_RUNTIME. When a client has not read for its lease of 10 s, zenoh
+#: closes the connection, which with unsent data blocks a thread for 10 s (SO_LINGER). With zenoh's one or two threads,
+#: ten such clients stop the messages of all others. More than `MOST_STOPPED` clients still do.
+MOST_STOPPED: Final = 128
+_RUNTIME: Final = f"(rx: (worker_threads: {MOST_STOPPED}), net: (worker_threads: {MOST_STOPPED}))"
 #: Protocols of zenoh's links; those before ``serial`` need a port.
 PROTOCOLS: Final = ("tcp", "udp", "tls", "quic", "ws", "serial", "unixpipe", "unixsock-stream", "vsock")
 PROTOCOLS_WITH_PORT: Final = PROTOCOLS[:5]
@@ -51,10 +57,14 @@ def open_hub(endpoint: str) -> Any:
         If the endpoint cannot be used.
     """
     _check_endpoint(endpoint)
+    is_ours = os.environ.setdefault("ZENOH_RUNTIME", _RUNTIME) == _RUNTIME
     try:
         return zenoh.open(_config(endpoint, hub=True))
     except zenoh.ZError as error:
         raise BusError(f"cannot listen on {endpoint}: {first_sentence(error)}") from error
+    finally:
+        if is_ours:
+            del os.environ["ZENOH_RUNTIME"]  # the processes that this process starts are no hubs
 
 
 class Listener(NamedTuple):

@@ -37,12 +37,15 @@ class Health(msgspec.Struct, frozen=True, kw_only=True):
         Frames since the connection was made.
     refused : int
         Messages that could not be used: of another version, or another layout.
+    missed : dict of str to int
+        Messages that did not come, by topic: this program, or its connection, was too slow.
     """
 
     services: frozenset[str]
     gateway: GatewayStatus | None
     frames: int
     refused: int
+    missed: dict[str, int] = {}
 
 
 class Frames:
