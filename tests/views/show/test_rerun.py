@@ -91,7 +91,7 @@ def test_a_live_skin_is_drawn_with_contacts_curves_and_log(
     drawing = threading.Thread(target=lambda: painters.append(draw_live(messages.layout, fabric, canvas, stop)))
     drawing.start()
     # Topics are subscribed one after the other: a message of the last may come where one before did not.
-    came = {name: threading.Event() for name in ("contacts", "label_confidence", "load/left")}
+    came = {name: threading.Event() for name in ("contacts", "label_confidence", "load/left", "valid_share")}
     count, contacts, figure = 0, canvas.contacts, canvas.figure
     canvas.contacts = lambda *given: (contacts(*given), came["contacts"].set())  # type: ignore[assignment,func-returns-value]
     canvas.figure = lambda *given: (figure(*given), given[1] in came and came[given[1]].set())  # type: ignore[assignment,func-returns-value]
