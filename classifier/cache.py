@@ -11,6 +11,7 @@ from canskin.errors import ModelError
 from classifier.model import SIMULATED, VERSION, Features, Model
 from classifier.modelfile import load_model, save_model
 from classifier.newest_sums import averaged_cycles
+from classifier.used_sums import noise_ratios
 from shell.output import cache_folder
 from shell.service import say
 from skin.layout import Layout
@@ -25,7 +26,7 @@ FEATURES: Final[dict[StrokeKind, Features]] = {"slide": "energies", "press": "su
 def cached_path(layout: Layout, phi: Sbhe, objects: Sequence[str], stroke: StrokeKind = "slide") -> Path:
     """Return the path of the model of this skin, these objects and this kind of touch."""
     about = msgspec.json.encode(
-        [layout.taxels, layout.samples_per_sync > 1, sorted(objects), *_unusual(layout, stroke)]
+        [layout.taxels, noise_ratios(layout), sorted(objects), *_unusual(layout, stroke)]
     )
     return cache_folder() / f"model-{VERSION}-{phi.fingerprint}-{hashlib.sha256(about).hexdigest()[:8]}.npz"
 

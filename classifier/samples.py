@@ -9,7 +9,7 @@ from classifier.features import Float32, widths_for
 from classifier.model import Float64
 from classifier.newest_sums import averaged_cycles
 from classifier.observer import Observer
-from classifier.used_sums import noise_ratio, silence
+from classifier.used_sums import noise_ratios, silence
 from skin.clipping import DEAD_RATIO, clipped_mean
 from skin.frontend import converter
 from skin.layout import Layout
@@ -53,8 +53,10 @@ def simulate_sums(
     """
     taxels = layout.taxels
     flat = force_n.reshape(len(force_n), -1)
-    left = noise_ratio(layout)
-    sd = np.broadcast_to(np.asarray(noise_n, np.float32) * np.float32(left), (len(flat),))
+    least, most = noise_ratios(layout)
+    left = rng.uniform(least, most, len(flat)) if least < most else np.full(len(flat), most)
+    own_n = np.broadcast_to(np.asarray(noise_n, np.float32), (len(flat),))
+    sd = own_n * left.astype(np.float32)
     of_sums = converter(layout)
     sums = np.empty((len(flat), phi.shape[0]), np.int32)
     for start in range(0, len(flat), _CHUNK):
@@ -66,7 +68,7 @@ def simulate_sums(
             continue
         signal_n = sense(flat[part], rng, sd[part, None], taxels.force_max_n)
         if not layout.sends.in_cycles:
-            silence(signal_n, flat[part], sd[part, None] * np.float32(DEAD_RATIO / left), phi)
+            silence(signal_n, flat[part], own_n[part, None] * np.float32(DEAD_RATIO), phi)
         sums[part] = phi.forward(to_counts(signal_n, taxels))
     return sums
 

@@ -12,10 +12,11 @@ from skin.walsh import grouped_rows
 
 #: What nodes that average leave of the noise: less where a touch rests, more where a touch moves.
 AVERAGED_NOISE_RATIO: Final = 0.2
-#: What adaptive nodes leave of it where they are touched, the rounding of their codes included: 0.21 to 0.27 on a ball
-#: at rest, a sliding box and five fingertips of `skin evaluate rivals`. Nodes that nothing touches
-#: show 0.
-ADAPTIVE_NOISE_RATIO: Final = 0.25
+#: What adaptive nodes leave of it where they are touched, least and most, the rounding of their codes included: 0.21 to
+#: 0.27 on a ball at rest, a sliding box and five fingertips of `skin evaluate rivals`, more where a touch begins
+#: or moves. With 0.25 alone a model takes many slides for unknown objects (`docs/classification.md`). Nodes that
+#: nothing touches show 0.
+ADAPTIVE_NOISE_RATIOS: Final = (0.2, 0.6)
 
 
 def classified_phi(layout: Layout) -> Sbhe:
@@ -31,11 +32,12 @@ def classified_phi(layout: Layout) -> Sbhe:
     return Sbhe(phi.order, kept)
 
 
-def noise_ratio(layout: Layout) -> float:
-    """Return which part of the noise the boards leave."""
+def noise_ratios(layout: Layout) -> tuple[float, float]:
+    """Return which part of the noise the boards leave, least and most."""
     if not layout.sends.in_cycles:
-        return ADAPTIVE_NOISE_RATIO
-    return 1.0 if layout.samples_per_sync == 1 else AVERAGED_NOISE_RATIO
+        return ADAPTIVE_NOISE_RATIOS
+    left = 1.0 if layout.samples_per_sync == 1 else AVERAGED_NOISE_RATIO
+    return left, left
 
 
 def silence(signal_n: Float32, true_n: Float32, least_n: Float32, phi: Sbhe) -> None:
