@@ -201,6 +201,13 @@ class SocketCanLink(ReconnectingLink):
             return None
 
     def _connect(self) -> socket.socket:
+        """Open a socket with its buffers."""
+        connection = self._open()
+        self._batch = BatchSocket(connection, BATCH_FRAMES, FD_BYTES)
+        self._sender = BatchSocket(connection, BATCH_FRAMES, FD_BYTES)
+        return connection
+
+    def _open(self) -> socket.socket:
         """Open and bind a new socket."""
         if sys.platform != "linux" or not hasattr(socket, "AF_CAN"):
             raise OSError(errno.EAFNOSUPPORT, "no CAN sockets on this system")
@@ -212,8 +219,6 @@ class SocketCanLink(ReconnectingLink):
         except BaseException:
             connection.close()
             raise
-        self._batch = BatchSocket(connection, BATCH_FRAMES, FD_BYTES)
-        self._sender = BatchSocket(connection, BATCH_FRAMES, FD_BYTES)
         return connection
 
     def _configure(self, connection: socket.socket) -> None:
