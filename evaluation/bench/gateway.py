@@ -271,7 +271,7 @@ class _DatagramBus(SocketcanBus):
         self._bcm_sockets = {}
         can.BusABC.__init__(self, channel=self.channel)
 
-    def _apply_filters(self, filters: Any) -> None:
+    def _apply_filters(self, filters: Any) -> None:  # noqa: ARG002  python-can's interface
         """There is nothing to filter, and the kernel would filter."""
         self._is_filtered = True
 
