@@ -14,7 +14,21 @@ from canskin.messages import FrameCounts
 from dbc.canopen import BASE_ID_MASK, SYNC_COB_ID
 from dbc.codec import read_raw
 from dbc.contract import Contract, FrameTable
-from dbc.frame import ECHO, ERROR, EXTENDED, FD, FRAME, REMOTE, Frames, frame_bytes, frames
+from dbc.frame import (
+    CAN_ID_AT,
+    DATA_AT,
+    ECHO,
+    ERROR,
+    EXTENDED,
+    FD,
+    FLAGS_AT,
+    LENGTH_AT,
+    REMOTE,
+    TIME_AT,
+    Frames,
+    frame_bytes,
+    frames,
+)
 from gateway.bus_syncs import BusSyncs, begin_on_bus, new_syncs, send_sync
 from gateway.open_cycles import (
     SLOTS,
@@ -36,10 +50,6 @@ from skin.sync_counter import next_counter
 
 #: A node whose phases are swapped for this many cycles in a row is reported.
 SWAPPED_CYCLES: Final = 5
-_ENDED, _CAN_ID, _LENGTH, _FLAGS, _DATA = (
-    FRAME.fields[name][1]  # type: ignore[index]  # FRAME has fields
-    for name in ("time_ns", "can_id", "length", "flags", "data")
-)
 
 
 @dataclass(frozen=True)
@@ -105,11 +115,11 @@ def take_all(  # noqa: PLR0917  compiled functions take no keywords
     """
     for place in range(rows.shape[0]):
         row = rows[place]
-        flags = row[_FLAGS]
-        can_id, ended_ns = _number(row, _CAN_ID, 4), _number(row, _ENDED, 8)
+        flags = row[FLAGS_AT]
+        can_id, ended_ns = _number(row, CAN_ID_AT, 4), _number(row, TIME_AT, 8)
         if can_id == SYNC_COB_ID and not flags & (ERROR | EXTENDED | REMOTE):
             if flags & ECHO:
-                _begin(bus, int(row[_DATA]), ended_ns, stamp_error_ns, table, state)
+                _begin(bus, int(row[DATA_AT]), ended_ns, stamp_error_ns, table, state)
             else:
                 # A foreign SYNC: nodes answer it outside the gateway's cycles.
                 state.foreign_syncs[bus] += 1
@@ -121,10 +131,10 @@ def take_all(  # noqa: PLR0917  compiled functions take no keywords
         frame = table.row_of[bus, can_id] if can_id <= BASE_ID_MASK else -1
         if frame < 0 or flags & (EXTENDED | REMOTE | FD) != table.flags[frame] & FD:
             state.counts[FOREIGN] += 1
-        elif row[_LENGTH] != table.length[frame]:
+        elif row[LENGTH_AT] != table.length[frame]:
             state.counts[MALFORMED] += 1
         else:
-            _accept(bus, frame, row[_DATA:], ended_ns, stamp_error_ns, is_window, table, state)
+            _accept(bus, frame, row[DATA_AT:], ended_ns, stamp_error_ns, is_window, table, state)
 
 
 @njit(cache=True, nogil=True)
