@@ -45,7 +45,7 @@ from gateway.open_cycles import (
 from gateway.outstanding import Outstanding, ask, came, doubt, new_outstanding, prove, rest
 from gateway.proven_blocks import ProvenBlocks
 from gateway.sync_times import NO_STAMPS, SampledTimes, SyncNotes, SyncTimes, note_answer, note_echo
-from shell.compiled import njit
+from shell.compiled import borrowed, njit
 from skin.sync_counter import next_counter
 
 #: A node whose phases are swapped for this many cycles in a row is reported.
@@ -113,6 +113,7 @@ def take_all(  # noqa: PLR0917  compiled functions take no keywords
     is_window : bool
         There is one phase.
     """
+    (rows,), table, state = borrowed((rows,)), borrowed(table), borrowed(state)
     for place in range(rows.shape[0]):
         row = rows[place]
         flags = row[FLAGS_AT]
@@ -217,6 +218,7 @@ def close_cycle(  # noqa: PLR0917  compiled functions take no keywords
     valid: Flags,
 ) -> None:
     """Write the raw values of the sums of a cycle into `raw`, and clear `valid` for blocks that are not whole."""
+    table, state = borrowed(table), borrowed(state)
     cycles = state.cycles
     is_right = np.zeros(len(state.strayed), np.bool_)
     for row in range(len(table.node)):
