@@ -42,9 +42,10 @@ def _uncounted(context: Any, builder: Any, of_type: Any, value: Any) -> Any:
         array = make_array(of_type)(context, builder, value)  # type: ignore[no-untyped-call]
         array.meminfo = cgutils.get_null_value(array.meminfo.type)  # type: ignore[no-untyped-call]
         return array._getvalue()  # noqa: SLF001  numba's own way to store the value
-    if isinstance(of_type, types.BaseTuple):
-        elements = cgutils.unpack_tuple(builder, value, len(of_type))  # type: ignore[no-untyped-call]
-        parts = [_uncounted(context, builder, *each) for each in zip(of_type.types, elements, strict=True)]
+    each_type: Any = of_type if isinstance(of_type, types.BaseTuple) else ()
+    if each_type:
+        elements = cgutils.unpack_tuple(builder, value, len(each_type))  # type: ignore[no-untyped-call]
+        parts = [_uncounted(context, builder, *each) for each in zip(each_type, elements, strict=True)]
         return context.make_tuple(builder, of_type, parts)
     return value
 
