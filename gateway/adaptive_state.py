@@ -23,7 +23,7 @@ from dbc.adaptive import (
 )
 from dbc.canopen import SYNC_COB_ID
 from dbc.frame import CAN_ID_AT, DATA_AT, ECHO, ERROR, EXTENDED, FD, FLAGS_AT, LENGTH_AT, REMOTE, TIME_AT
-from shell.compiled import njit
+from shell.compiled import borrowed, njit
 from skin.walsh import GROUPS
 
 #: A time before all frames.
@@ -117,6 +117,7 @@ def take_all(  # noqa: PLR0917  compiled functions take no keywords
     is_fd : bool
         The bus carries CAN FD.
     """
+    (rows,), sums = borrowed((rows,)), borrowed(sums)
     newest_ns: int = NEVER_NS
     if has_gap:
         sums.is_lost[:] = True
