@@ -414,8 +414,10 @@ class NmtMaster:
 
     def _begin_due(self, now_s: float) -> None:
         """Begin the proofs that are due, as many as there may be."""
-        free = DIALOGUES - sum(node.dialogue is not None for node in self.nodes.values())
         due = [node for node in self.nodes.values() if now_s >= node.prove_at_s and node.dialogue is None]
+        if not due:
+            return
+        free = DIALOGUES - sum(node.dialogue is not None for node in self.nodes.values())
         for node in sorted(due, key=lambda node: node.prove_at_s)[: max(0, free)]:
             self._happen(node, Event.DUE, now_s)
 
