@@ -11,8 +11,10 @@ import numpy as np
 
 from bus.error_frames import State
 from bus.protocol import (
+    HEADER,
     MAX_FRAMES,
     MAX_PACKET,
+    MAX_PAYLOAD,
     MAX_PORTS,
     Hello,
     Kind,
@@ -28,15 +30,15 @@ from bus.protocol import (
 )
 from bus.reconnecting import ReconnectingLink
 from canskin.errors import BusError, Stopped
-from dbc.frame import ECHO, Frames, frames
+from dbc.frame import ECHO, FRAME, Frames, frames
 from shell.service import StopSignal, say
 
 #: Time limit for the answer of the bus process to HELLO.
 GREETING_S: Final = 5.0
 #: After this time without the bus, a program logs that it waits.
 SILENT_S: Final = 1.0
-#: Most packets taken by one `receive`, so that a flood of packets cannot block the caller.
-PACKETS_PER_CALL: Final = 256
+#: Most packets of full size taken by one `receive`, so that a flood of packets cannot block the caller.
+PACKETS_PER_CALL: Final = 16
 
 
 class ArbitratedLink(ReconnectingLink):
@@ -66,7 +68,8 @@ class ArbitratedLink(ReconnectingLink):
         self.channel = channel
         self._hello = hello
         self._path = socket_path(channel)
-        self._buffer = bytearray(MAX_PACKET)
+        self._header = memoryview(bytearray(HEADER.size))
+        self._payloads = memoryview(bytearray(PACKETS_PER_CALL * MAX_PAYLOAD))
         # Two counters, each written by one thread only: frames sent, and frames reported back by the bus.
         self._sent = np.zeros(MAX_PORTS, np.int64)
         self._returned = np.zeros(MAX_PORTS, np.int64)
@@ -78,24 +81,25 @@ class ArbitratedLink(ReconnectingLink):
 
     def receive(self) -> Frames:
         """Return all waiting frames, echoes of own frames included, in bus order."""
-        arrived: list[Frames] = []
         connection = self._reopened()
         if connection is None:
             return frames(0)
+        end = 0
         try:
-            while len(arrived) < PACKETS_PER_CALL:
-                size = connection.recv_into(self._buffer)
+            while end + MAX_PAYLOAD <= len(self._payloads):
+                size = connection.recvmsg_into([self._header, self._payloads[end:]])[0]
                 if not size:
                     self._lose(connection)
                     break
-                arrived.append(self._unpack(memoryview(self._buffer)[:size]))
+                header, _ = unpack(self._header[:size])
+                end += unpack_frames(header, self._payloads[end : end + size - HEADER.size]).nbytes
+                self._state = State(min(header.state, State.BUS_OFF))
+                self._dropped = header.dropped
         except BlockingIOError:
             pass
         except (OSError, ProtocolError):
             self._lose(connection)
-        if not arrived:
-            return frames(0)
-        return arrived[0] if len(arrived) == 1 else np.concatenate(arrived)
+        return self._returned_of(np.frombuffer(self._payloads[:end], FRAME).copy())
 
     def send(self, burst: Frames) -> int:
         """Put frames into the transmit queues that their `port` names.
@@ -147,12 +151,8 @@ class ArbitratedLink(ReconnectingLink):
             return False
         return True
 
-    def _unpack(self, packet: memoryview) -> Frames:
-        """Read one packet, and update the state from its header and its echoes."""
-        header, payload = unpack(packet)
-        arrived = unpack_frames(header, payload).copy()
-        self._state = State(min(header.state, State.BUS_OFF))
-        self._dropped = header.dropped
+    def _returned_of(self, arrived: Frames) -> Frames:
+        """Count the own frames that have come back."""
         own = arrived["flags"] & ECHO != 0
         if own.any():
             self._returned += np.bincount(arrived["port"][own] % MAX_PORTS, minlength=MAX_PORTS)

@@ -27,7 +27,8 @@ MAX_FRAMES: Final = 512
 MAX_PORTS: Final = 256
 #: magic, kind, state, frames, frames dropped so far, bus time in ns.
 HEADER: Final = Struct("<4sBBHQq")
-MAX_PACKET: Final = HEADER.size + MAX_FRAMES * FRAME.itemsize
+MAX_PAYLOAD: Final = MAX_FRAMES * FRAME.itemsize
+MAX_PACKET: Final = HEADER.size + MAX_PAYLOAD
 
 #: Largest start time of a frame, 146 years after the start of the machine: sums of such times fit 64 bits.
 LATEST_NS: Final = 1 << 62

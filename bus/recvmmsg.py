@@ -9,6 +9,8 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from shell.compiled import njit
+
 #: Control data of one message, each after a cmsghdr of 16 bytes: a time stamp of the kernel (timespec, 16), of the
 #: device (three timespecs, 48), and a drop count (u32 and padding).
 _CONTROL_BYTES: Final = 128
@@ -105,6 +107,10 @@ class BatchSocket:
         self._controls[:] = self._control.ctypes.data + _CONTROL_BYTES * np.arange(len(self._rows))
         self._control_sizes[:] = _CONTROL_BYTES
         count = self._call("recvmmsg", len(self._rows), None)
+        return self.received(count)
+
+    def received(self, count: int) -> Received:
+        """Return the first datagrams of the buffers."""
         told = _read_control(self._control[:count], self._control_sizes[:count])
         return Received(self._rows[:count], self._lengths[:count], self._flags[:count], *told)
 
@@ -147,17 +153,35 @@ def _field(records: Any, record: Any, offset: int, dtype: np.dtype[Any]) -> npt.
 def _read_control(
     control: npt.NDArray[np.uint8], sizes: npt.NDArray[np.uintp]
 ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64], int | None]:
-    """Read kernel and device stamps and drop counts; Linux writes them in this order and may leave out any."""
-    words = control.view(np.int64)  # cmsghdr: length 8, level 4, type 4; so word 1 is level and type
-    kinds = words >> 32
-    stamped = (sizes >= 32) & (kinds[:, 1] == SO_TIMESTAMPNS)
-    time_ns = np.where(stamped, words[:, 2] * 1_000_000_000 + words[:, 3], 0)
-    # struct scm_timestamping: the third is the device's.
-    by_device = stamped & (sizes >= 96) & (kinds[:, 5] == SO_TIMESTAMPING)
-    device_ns = np.where(by_device, words[:, 10] * 1_000_000_000 + words[:, 11], 0)
-    counts = [
-        words[there & (sizes >= 8 * first + 20) & (kinds[:, first + 1] == SO_RXQ_OVFL), first + 2]
-        for there, first in ((~stamped, 0), (stamped & ~by_device, 4), (by_device, 12))
-    ]
-    dropped = np.concatenate(counts) & 0xFFFFFFFF
-    return time_ns, device_ns, int(dropped.max()) if len(dropped) else None
+    """Return kernel and device stamps, 0 without, and the drop count."""
+    time_ns, device_ns = np.zeros((2, len(sizes)), np.int64)
+    dropped = _read_all(control.view(np.int64), sizes, time_ns, device_ns)
+    return time_ns, device_ns, None if dropped < 0 else dropped
+
+
+@njit(cache=True, nogil=True)
+def _read_all(
+    words: npt.NDArray[np.int64],
+    sizes: npt.NDArray[np.uintp],
+    time_ns: npt.NDArray[np.int64],
+    device_ns: npt.NDArray[np.int64],
+) -> int:
+    """Write the stamps into arrays of zeros; return the drop count, -1 without one.
+
+    Linux writes stamps and count in this order and may leave out any.
+    """
+    dropped = -1
+    for place in range(len(sizes)):
+        told, size = words[place], int(sizes[place])
+        count_at = 0
+        # cmsghdr: length 8, level 4, type 4; so word 1 is level and type
+        if size >= 32 and told[1] >> 32 == SO_TIMESTAMPNS:
+            time_ns[place] = told[2] * 1_000_000_000 + told[3]
+            count_at = 4
+            if size >= 96 and told[5] >> 32 == SO_TIMESTAMPING:
+                # struct scm_timestamping: the third is the device's.
+                device_ns[place] = told[10] * 1_000_000_000 + told[11]
+                count_at = 12
+        if size >= 8 * count_at + 20 and told[count_at + 1] >> 32 == SO_RXQ_OVFL:
+            dropped = max(dropped, told[count_at + 2] & 0xFFFFFFFF)
+    return dropped

@@ -19,8 +19,25 @@ from bus.reconnecting import ReconnectingLink
 from bus.recvmmsg import DEVICE_STAMPS, SO_RXQ_OVFL, SO_TIMESTAMPING, SO_TIMESTAMPNS, BatchSocket, Received
 from canskin.errors import BusError
 from dbc.canopen import SYNC_COB_ID
-from dbc.frame import BRS, ECHO, ERROR, ESI, EXTENDED, FD, REMOTE, Frames, frames
+from dbc.frame import (
+    BRS,
+    CAN_ID_AT,
+    DATA_AT,
+    ECHO,
+    ERROR,
+    ESI,
+    EXTENDED,
+    FD,
+    FLAGS_AT,
+    LENGTH_AT,
+    REMOTE,
+    TIME_AT,
+    Frames,
+    frame_bytes,
+    frames,
+)
 from shell.clock import WallOffset, wall_offset
+from shell.compiled import njit
 
 BATCH_FRAMES: Final = 256
 #: Requested receive buffer: about 5,000 frames; the default holds about 250.
@@ -30,6 +47,7 @@ RECEIVE_BUFFER_BYTES: Final = 4 * 1024 * 1024
 WIRE: Final = np.dtype(
     [("can_id", "=u4"), ("length", "u1"), ("flags", "u1"), ("reserved", "u1", (2,)), ("data", "u1", (64,))]
 )
+_WIRE_LENGTH_AT, _WIRE_FLAGS_AT, _WIRE_DATA_AT = 4, 5, 8
 CLASSIC_BYTES: Final = 16
 FD_BYTES: Final = 72
 _EFF, _RTR, _ERR = 0x80000000, 0x40000000, 0x20000000
@@ -58,31 +76,50 @@ def encode(burst: Frames) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.intp]]:
 
 def decode(batch: Received, offset_ns: int) -> Frames:
     """Convert received datagrams to records; `offset_ns` is wall clock minus CLOCK_MONOTONIC."""
-    known = _is_known(batch)
-    wire = np.ascontiguousarray(batch.rows[known]).view(WIRE).reshape(-1)
-    is_fd = batch.lengths[known] == FD_BYTES
-    word = wire["can_id"]
-    arrived = frames(len(wire))
-    arrived["can_id"] = word & np.where(word & (_EFF | _ERR), np.uint32(0x1FFFFFFF), np.uint32(0x7FF))
-    arrived["length"] = np.minimum(wire["length"], np.where(is_fd, 64, 8))
-    flags = np.zeros(len(wire), np.uint8)
-    for there, flag in (
-        (word & _EFF != 0, EXTENDED),
-        (word & _RTR != 0, REMOTE),
-        (word & _ERR != 0, ERROR),
-        (is_fd, FD),
-        (is_fd & (wire["flags"] & _FD_BRS != 0), BRS),
-        (is_fd & (wire["flags"] & _FD_ESI != 0), ESI),
-        (batch.flags[known] & _MSG_CONFIRM != 0, ECHO),
-    ):
-        flags |= np.where(there, np.uint8(flag), np.uint8(0))
-    arrived["flags"] = flags
-    # The buffer is reused: the bytes after a frame's data belong to an older frame.
-    inside = np.arange(64) < arrived["length"][:, None]
-    arrived["data"] = np.where(inside & (flags & REMOTE == 0)[:, None], wire["data"], 0)
-    stamps = batch.time_ns[known]
-    arrived["time_ns"] = np.where(stamps > 0, stamps - offset_ns, time.monotonic_ns())
-    return arrived
+    arrived = frames(len(batch.lengths))
+    parts = batch.rows, batch.lengths, batch.flags, batch.time_ns
+    count = _decode_all(*parts, offset_ns, time.monotonic_ns(), frame_bytes(arrived))
+    return arrived[:count]
+
+
+@njit(cache=True, nogil=True)
+def _decode_all(  # noqa: PLR0917  compiled functions take no keywords
+    rows: npt.NDArray[np.uint8],
+    sizes: npt.NDArray[np.uint32],
+    message_flags: npt.NDArray[np.int32],
+    stamps_ns: npt.NDArray[np.int64],
+    offset_ns: int,
+    now_ns: int,
+    arrived: npt.NDArray[np.uint8],
+) -> int:
+    """Write the datagrams that are frames into `arrived`, rows of zeros; return their number."""
+    count = 0
+    for place in range(len(sizes)):
+        if sizes[place] != CLASSIC_BYTES and sizes[place] != FD_BYTES:
+            continue
+        row, record, is_fd = rows[place], arrived[count], sizes[place] == FD_BYTES
+        count += 1
+        word = 0
+        for byte in range(4):
+            word |= int(row[byte]) << (8 * byte)
+        flags = FD if is_fd else 0
+        for there, flag in ((word & _EFF, EXTENDED), (word & _RTR, REMOTE), (word & _ERR, ERROR)):
+            flags |= flag if there else 0
+        if is_fd:
+            flags |= (BRS if row[_WIRE_FLAGS_AT] & _FD_BRS else 0) | (ESI if row[_WIRE_FLAGS_AT] & _FD_ESI else 0)
+        flags |= ECHO if message_flags[place] & _MSG_CONFIRM else 0
+        can_id = word & (0x1FFFFFFF if word & (_EFF | _ERR) else 0x7FF)
+        ended_ns = stamps_ns[place] - offset_ns if stamps_ns[place] > 0 else now_ns
+        for byte in range(8):
+            record[TIME_AT + byte] = (ended_ns >> (8 * byte)) & 0xFF
+        for byte in range(4):
+            record[CAN_ID_AT + byte] = (can_id >> (8 * byte)) & 0xFF
+        length = min(int(row[_WIRE_LENGTH_AT]), 64 if is_fd else 8)
+        record[LENGTH_AT], record[FLAGS_AT] = length, flags
+        # The buffer is reused: the bytes after a frame's data belong to an older frame.
+        for byte in range(0 if flags & REMOTE else length):
+            record[DATA_AT + byte] = row[_WIRE_DATA_AT + byte]
+    return count
 
 
 def _is_known(batch: Received) -> npt.NDArray[np.bool_]:
@@ -155,7 +192,7 @@ class SocketCanLink(ReconnectingLink):
                 break
         if arrived:
             self._stamp_error_ns = self._clock_error_ns(before) if has_stamps else None
-        together = np.concatenate(arrived) if arrived else frames(0)
+        together = arrived[0] if len(arrived) == 1 else np.concatenate((frames(0), *arrived))
         for report in together[together["flags"] & ERROR != 0]:
             self._state = state_of_report(report, self._state)
         return together
@@ -201,6 +238,14 @@ class SocketCanLink(ReconnectingLink):
             return None
 
     def _connect(self) -> socket.socket:
+        """Open a socket with its buffers."""
+        connection = self._open()
+        self._batch = BatchSocket(connection, BATCH_FRAMES, FD_BYTES)
+        decode(self._batch.received(0), 0)  # compiled before the first frame
+        self._sender = BatchSocket(connection, BATCH_FRAMES, FD_BYTES)
+        return connection
+
+    def _open(self) -> socket.socket:
         """Open and bind a new socket."""
         if sys.platform != "linux" or not hasattr(socket, "AF_CAN"):
             raise OSError(errno.EAFNOSUPPORT, "no CAN sockets on this system")
@@ -212,8 +257,6 @@ class SocketCanLink(ReconnectingLink):
         except BaseException:
             connection.close()
             raise
-        self._batch = BatchSocket(connection, BATCH_FRAMES, FD_BYTES)
-        self._sender = BatchSocket(connection, BATCH_FRAMES, FD_BYTES)
         return connection
 
     def _configure(self, connection: socket.socket) -> None:

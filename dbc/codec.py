@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dbc.packing import Packing
+from shell.compiled import njit
 
 
 def encode(sums: npt.NDArray[np.integer], gather: npt.NDArray[np.intp], packing: Packing) -> npt.NDArray[np.uint8]:
@@ -38,18 +39,36 @@ def decode(
     payloads: npt.NDArray[np.uint8], gather: npt.NDArray[np.intp], packing: Packing, sums: npt.NDArray[np.int32]
 ) -> None:
     """Write the sums of `payloads`, shape (frames, bytes), in ADC counts to their places in `sums`, shape (m,)."""
-    count, width = gather.shape
-    used = payloads[:, : (width * packing.bits + 7) // 8]
-    if packing.bits == 16:
-        raw = np.ascontiguousarray(used).view("<u2")
-    elif packing.bits == 8:
-        raw = used
-    else:
-        bits = np.unpackbits(used, axis=1, bitorder="little")[:, : width * packing.bits]
-        raw = np.packbits(bits.reshape(count, width, packing.bits), axis=2, bitorder="little").view("<u2")[:, :, 0]
-    there = gather >= 0
-    values = raw[there].astype(np.int32)
-    if packing.is_signed:
-        sign = np.int32(1 << packing.bits - 1)
-        values = (values ^ sign) - sign
-    sums[gather[there]] = packing.counts(values)
+    raw = np.zeros(len(sums), np.int32)
+    _read_all(np.ascontiguousarray(payloads), gather, packing.bits, packing.is_signed, raw)
+    there = gather[gather >= 0]
+    sums[there] = packing.counts(raw[there])
+
+
+@njit(cache=True, nogil=True)
+def read_raw(
+    payload: npt.NDArray[np.uint8], places: npt.NDArray[np.intp], bits: int, is_signed: bool, raw: npt.NDArray[np.int32]
+) -> None:
+    """Write the raw values of one payload to their places in `raw`, shape (m,); a place of -1 is of no sum."""
+    sign = 1 << (bits - 1)
+    for index in range(len(places)):
+        if places[index] < 0:
+            continue
+        first, shift = divmod(index * bits, 8)
+        word = 0
+        for byte in range((shift + bits + 7) // 8):
+            word |= int(payload[first + byte]) << (8 * byte)
+        value = (word >> shift) & ((1 << bits) - 1)
+        raw[places[index]] = (value ^ sign) - sign if is_signed else value
+
+
+@njit(cache=True, nogil=True)
+def _read_all(
+    payloads: npt.NDArray[np.uint8],
+    gather: npt.NDArray[np.intp],
+    bits: int,
+    is_signed: bool,
+    raw: npt.NDArray[np.int32],
+) -> None:
+    for frame in range(len(payloads)):
+        read_raw(payloads[frame], gather[frame], bits, is_signed, raw)

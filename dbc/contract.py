@@ -13,7 +13,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar, Final, Self
+from typing import ClassVar, Final, NamedTuple, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -230,9 +230,8 @@ class Contract:
         return _table(self)
 
 
-@dataclass(frozen=True, eq=False)
-class FrameTable:
-    """Every TPDO of the skin, one row each, ordered by bus, node and number.
+class FrameTable(NamedTuple):
+    """Every TPDO of the skin, one row each, ordered by bus, node and number; compiled code takes it as it is.
 
     Attributes
     ----------

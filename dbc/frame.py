@@ -39,6 +39,12 @@ FRAME: Final = np.dtype(
     ]
 )
 
+#: Where the fields of a FRAME begin, for compiled code.
+TIME_AT, CAN_ID_AT, LENGTH_AT, FLAGS_AT, DATA_AT = (
+    FRAME.fields[name][1]  # type: ignore[index]  # FRAME has fields
+    for name in ("time_ns", "can_id", "length", "flags", "data")
+)
+
 Frames = npt.NDArray[np.void]
 
 

@@ -2,6 +2,8 @@
 
 from typing import Any, Final
 
+import numpy as np
+import numpy.typing as npt
 from numba import int32, types, uint8, void
 
 from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE
@@ -37,6 +39,27 @@ def feed_crc(word: int, width: int, crc: int) -> int:
     return crc
 
 
+def _octet_tables() -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:
+    """Return what `feed` and `feed_crc` make of each octet.
+
+    The first has, for each last bit and run before (2 * 4) and each octet, the same after it and the stuff bits:
+    ``stuffed << 3 | last << 2 | run - 1``. The second has the CRC of each octet.
+    """
+    fed = [[feed.py_func(octet, 8, state >> 2, (state & 3) + 1, 0) for octet in range(256)] for state in range(8)]
+    stuffed = [[stuffed << 3 | last << 2 | run - 1 for last, run, stuffed in of_state] for of_state in fed]
+    return np.array(stuffed, np.int32), np.array([feed_crc.py_func(octet, 8, 0) for octet in range(256)], np.int32)
+
+
+_STUFFED, _CRCS = _octet_tables()
+
+
+@njit(cache=True, nogil=True)
+def feed_octet(octet: int, last: int, run: int, stuffed: int) -> tuple[int, int, int]:
+    """Apply the stuffing rule to an octet, as `feed`; not to the first bits of a frame."""
+    after = _STUFFED[last << 2 | (run - 1), octet]
+    return after >> 2 & 1, (after & 3) + 1, stuffed + (after >> 3)
+
+
 @njit(cache=True, nogil=True)
 def feed_identifier(row: Any, remote: int) -> tuple[int, int]:
     """Return SOF to IDE (standard) or to RTR (extended) as (word, width)."""
@@ -62,8 +85,8 @@ def count_classic(row: Any) -> int:
     if not remote:
         for index in range(length):
             octet = int(row[_DATA + index])
-            crc = feed_crc(octet, 8, crc)
-            last, run, stuffed = feed(octet, 8, last, run, stuffed)
+            crc = ((crc << 8) & 0x7FFF) ^ _CRCS[(crc >> 7) ^ octet]
+            last, run, stuffed = feed_octet(octet, last, run, stuffed)
     return feed(crc, 15, last, run, stuffed)[2]
 
 
@@ -77,7 +100,7 @@ def count_fd(row: Any, dlc: int, wire_length: int) -> tuple[int, int]:
     esi = 1 if flags & ESI else 0
     last, run, stuffed = feed(brs << 5 | esi << 4 | dlc, 6, last, run, 0)
     for index in range(wire_length):
-        last, run, stuffed = feed(int(row[_DATA + index]), 8, last, run, stuffed)
+        last, run, stuffed = feed_octet(int(row[_DATA + index]), last, run, stuffed)
     if run == 1 and last != last_bit(row, dlc, wire_length):
         stuffed -= 1  # the first fixed stuff bit takes the place of a dynamic one
     return nominal, stuffed

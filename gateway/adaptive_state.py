@@ -22,16 +22,12 @@ from dbc.adaptive import (
     payload_bytes,
 )
 from dbc.canopen import SYNC_COB_ID
-from dbc.frame import ECHO, ERROR, EXTENDED, FD, FRAME, REMOTE
-from shell.compiled import njit
+from dbc.frame import CAN_ID_AT, DATA_AT, ECHO, ERROR, EXTENDED, FD, FLAGS_AT, LENGTH_AT, REMOTE, TIME_AT
+from shell.compiled import borrowed, njit
 from skin.walsh import GROUPS
 
 #: A time before all frames.
 NEVER_NS: Final = -(1 << 62)
-_ENDED, _CAN_ID, _LENGTH, _FLAGS, _DATA = (
-    FRAME.fields[name][1]  # type: ignore[index]  # FRAME has fields
-    for name in ("time_ns", "can_id", "length", "flags", "data")
-)
 
 Integers = npt.NDArray[np.int64]
 Numbers = npt.NDArray[np.float64]
@@ -121,33 +117,34 @@ def take_all(  # noqa: PLR0917  compiled functions take no keywords
     is_fd : bool
         The bus carries CAN FD.
     """
+    (rows,), sums = borrowed((rows,)), borrowed(sums)
     newest_ns: int = NEVER_NS
     if has_gap:
         sums.is_lost[:] = True
     for place in range(rows.shape[0]):
         row = rows[place]
-        if row[_FLAGS] & (ERROR | ECHO):
+        if row[FLAGS_AT] & (ERROR | ECHO):
             continue
-        can_id = int(row[_CAN_ID]) | int(row[_CAN_ID + 1]) << 8 | int(row[_CAN_ID + 2]) << 16
+        can_id = int(row[CAN_ID_AT]) | int(row[CAN_ID_AT + 1]) << 8 | int(row[CAN_ID_AT + 2]) << 16
         kind, group, node = decode_cob_id(can_id, is_fd)
-        is_strange = row[_FLAGS] & (EXTENDED | REMOTE) != 0 or (row[_FLAGS] & FD != 0) != is_fd
+        is_strange = row[FLAGS_AT] & (EXTENDED | REMOTE) != 0 or (row[FLAGS_AT] & FD != 0) != is_fd
         if is_strange or kind < 0 or node >= sums.check.shape[0]:
             sums.counts[FOREIGN] += 1
-            sums.counts[FOREIGN_SYNCS] += can_id == SYNC_COB_ID and not row[_FLAGS] & (EXTENDED | REMOTE)
+            sums.counts[FOREIGN_SYNCS] += can_id == SYNC_COB_ID and not row[FLAGS_AT] & (EXTENDED | REMOTE)
             continue
         if not is_proven[node]:
             sums.counts[UNPROVEN] += 1
             continue
         ended_ns = np.int64(0)
         for byte in range(8):
-            ended_ns |= np.int64(row[_ENDED + byte]) << np.int64(8 * byte)
+            ended_ns |= np.int64(row[TIME_AT + byte]) << np.int64(8 * byte)
         is_fine, is_lost = kind >= LEVELS, has_gap
         groups = slice(0, GROUPS) if is_fd else slice(group, group + 1)
         is_unsure = is_fine and not is_fd and sums.is_lost[node, group]
-        if row[_LENGTH] != payload_bytes(is_fine, is_fd):
+        if row[LENGTH_AT] != payload_bytes(is_fine, is_fd):
             sums.counts[MALFORMED] += 1
         elif is_unsure or not hold(
-            row[_DATA:], group, is_fine, is_fd, law, sums.value_n[node], sums.coarse_n[node], sums.check[node]
+            row[DATA_AT:], group, is_fine, is_fd, law, sums.value_n[node], sums.coarse_n[node], sums.check[node]
         ):
             sums.counts[MALFORMED if is_fd else UNREFINED] += 1
             is_lost |= not is_fd

@@ -8,7 +8,7 @@ import numpy.typing as npt
 from canskin.messages import BlockState
 from dbc.adaptive import BLOCK_SUMS, GROUP_SUMS, NO_CHECK, SendingRule
 from gateway.adaptive_state import NEVER_NS, BusSums, Flags, Integers
-from shell.compiled import njit
+from shell.compiled import borrowed, njit
 from skin.walsh import GROUPS, grouped_rows
 
 #: Time for which a block is fresh after a frame that counted.
@@ -77,6 +77,7 @@ def judge(  # noqa: PLR0917  compiled functions take no keywords
     has_changed : array of bool, shape (blocks, GROUPS)
         Groups whose sums are not yet shown; cleared.
     """
+    sums, shown = borrowed(sums), borrowed(shown)
     for block in range(is_proven.size):
         unknown, doubtful, newest_ns = 0, 0, NEVER_NS
         for group in range(GROUPS):

@@ -5,22 +5,47 @@ on that bus. Every other frame is counted by kind and not used.
 """
 
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from canskin.messages import FrameCounts
 from dbc.canopen import BASE_ID_MASK, SYNC_COB_ID
-from dbc.codec import decode
-from dbc.contract import Contract
-from dbc.dictionary import STOCK_WINDOW_RATIO
-from dbc.frame import ECHO, ERROR, EXTENDED, FD, REMOTE, Frames
-from gateway.bus_syncs import BusSyncs
-from gateway.open_cycles import SLOTS, OpenCycles, Rows, slot_of
-from gateway.outstanding import Outstanding
+from dbc.codec import read_raw
+from dbc.contract import Contract, FrameTable
+from dbc.frame import (
+    CAN_ID_AT,
+    DATA_AT,
+    ECHO,
+    ERROR,
+    EXTENDED,
+    FD,
+    FLAGS_AT,
+    LENGTH_AT,
+    REMOTE,
+    TIME_AT,
+    Frames,
+    frame_bytes,
+    frames,
+)
+from gateway.bus_syncs import BusSyncs, begin_on_bus, new_syncs, send_sync
+from gateway.open_cycles import (
+    SLOTS,
+    Flags,
+    Integers,
+    OpenCycles,
+    begin_cycle,
+    is_open,
+    keep_frame,
+    new_cycles,
+    slot_of,
+    spoil_bus,
+)
+from gateway.outstanding import Outstanding, ask, came, doubt, new_outstanding, prove, rest
 from gateway.proven_blocks import ProvenBlocks
-from gateway.sync_times import SampledTimes, SyncTimes
+from gateway.sync_times import NO_STAMPS, SampledTimes, SyncNotes, SyncTimes, note_answer, note_echo
+from shell.compiled import borrowed, njit
 from skin.sync_counter import next_counter
 
 #: A node whose phases are swapped for this many cycles in a row is reported.
@@ -40,29 +65,181 @@ class Gathered:
     complete: bool
 
 
-class SwappedPhases:
-    """Counts, for each node, the cycles in a row in which it answered with the PDOs of the other phase alone."""
+class Gathering(NamedTuple):
+    """What the frames of all buses have told.
 
-    def __init__(self, nodes: int) -> None:
-        self._cycles = np.zeros(nodes, np.intp)
-        self._strayed = np.zeros(nodes, np.bool_)
+    Attributes
+    ----------
+    cycles, syncs, outstanding, notes
+        See their classes. `outstanding` is used with one phase; with two, the phase tells of which cycle a frame is.
+    counts : array of int64, shape (6,)
+        By `ACCEPTED` to `FOREIGN`, see `FrameCounts`.
+    foreign_syncs : array of int64, shape (buses,)
+    late_of_node, missing_of_node : arrays of int64, shape (nodes,)
+    heard, strayed : arrays of bool, shape (nodes,)
+        Nodes that sent a TPDO, and those that sent a PDO of the other phase in this cycle.
+    swapped_cycles : array of int64, shape (nodes,)
+        Cycles in a row in which a node answered with the PDOs of the other phase alone.
+    """
 
-    def stray(self, nodes: Rows) -> None:
-        """Take note of nodes that sent a PDO of the other phase."""
-        self._strayed[nodes] = True
+    cycles: OpenCycles
+    syncs: BusSyncs
+    outstanding: Outstanding
+    notes: SyncNotes
+    counts: Integers
+    foreign_syncs: Integers
+    late_of_node: Integers
+    missing_of_node: Integers
+    heard: Flags
+    strayed: Flags
+    swapped_cycles: Integers
 
-    def end_cycle(self, right: Rows) -> None:
-        """End a cycle in which the nodes `right` sent PDOs of its phase."""
-        is_right = np.zeros(len(self._strayed), np.bool_)
-        is_right[right] = True
-        self._cycles = np.where(self._strayed & ~is_right, self._cycles + 1, 0)
-        self._strayed[:] = False
 
-    def take(self) -> list[int]:
-        """Return, once, the nodes that `SWAPPED_CYCLES` have counted."""
-        found = np.flatnonzero(self._cycles >= SWAPPED_CYCLES)
-        self._cycles[found] = 0
-        return [int(node) for node in found]
+#: Places of `Gathering.counts`.
+ACCEPTED, LATE, DUPLICATE, MALFORMED, MISSING, FOREIGN = range(6)
+
+
+@njit(cache=True, nogil=True)
+def take_all(  # noqa: PLR0917  compiled functions take no keywords
+    rows: npt.NDArray[np.uint8], bus: int, stamp_error_ns: int, is_window: bool, table: FrameTable, state: Gathering
+) -> None:
+    """Use the frames that arrived on a bus, in bus order.
+
+    Parameters
+    ----------
+    rows : array of uint8, shape (frames, bytes of a FRAME)
+    stamp_error_ns : int
+        Bound of the error of the clock of their time stamps, `NO_STAMPS` if they have none.
+    is_window : bool
+        There is one phase.
+    """
+    (rows,), table, state = borrowed((rows,)), borrowed(table), borrowed(state)
+    for place in range(rows.shape[0]):
+        row = rows[place]
+        flags = row[FLAGS_AT]
+        can_id, ended_ns = _number(row, CAN_ID_AT, 4), _number(row, TIME_AT, 8)
+        if can_id == SYNC_COB_ID and not flags & (ERROR | EXTENDED | REMOTE):
+            if flags & ECHO:
+                _begin(bus, int(row[DATA_AT]), ended_ns, stamp_error_ns, table, state)
+            else:
+                # A foreign SYNC: nodes answer it outside the gateway's cycles.
+                state.foreign_syncs[bus] += 1
+                spoil_bus(bus, table, state.cycles)
+            if is_window:
+                _ask(bus, ended_ns, table, state)
+        if flags & (ERROR | ECHO):
+            continue
+        frame = table.row_of[bus, can_id] if can_id <= BASE_ID_MASK else -1
+        if frame < 0 or flags & (EXTENDED | REMOTE | FD) != table.flags[frame] & FD:
+            state.counts[FOREIGN] += 1
+        elif row[LENGTH_AT] != table.length[frame]:
+            state.counts[MALFORMED] += 1
+        else:
+            _accept(bus, frame, row[DATA_AT:], ended_ns, stamp_error_ns, is_window, table, state)
+
+
+@njit(cache=True, nogil=True)
+def _number(row: npt.NDArray[np.uint8], first: int, size: int) -> int:
+    """Return a number of `size` bytes, the lowest first."""
+    number = 0
+    for byte in range(size):
+        number |= int(row[first + byte]) << (8 * byte)
+    return number
+
+
+@njit(cache=True, nogil=True)
+def _begin(  # noqa: PLR0917  compiled functions take no keywords
+    bus: int, counter: int, time_ns: int, stamp_error_ns: int, table: FrameTable, state: Gathering
+) -> None:
+    """Begin a cycle on a bus, at the echo of its SYNC."""
+    if begin_on_bus(bus, counter, time_ns, state.syncs):
+        spoil_bus(bus, table, state.cycles)
+    now = state.syncs.counter[bus]
+    if is_open(now, state.cycles):
+        note_echo(slot_of(now), bus, time_ns, stamp_error_ns, state.notes)
+
+
+@njit(cache=True, nogil=True)
+def _ask(bus: int, time_ns: int, table: FrameTable, state: Gathering) -> None:
+    """With one phase: use no frame in the new cycle that may be of an earlier one."""
+    counter = state.syncs.counter[bus]
+    slot = slot_of(counter)
+    window_ns = state.syncs.window_ns[slot]
+    if state.syncs.rests[slot]:
+        rest(bus, time_ns, window_ns, table, state.outstanding)
+        return
+    ask(bus, time_ns, window_ns, table, state.outstanding)
+    if is_open(counter, state.cycles):
+        for row in range(len(table.bus)):
+            if table.bus[row] == bus:
+                state.cycles.spoilt[slot, row] |= state.outstanding.may_be_old[row]
+
+
+@njit(cache=True, nogil=True)
+def _accept(  # noqa: PLR0917  compiled functions take no keywords
+    bus: int,
+    row: int,
+    data: npt.NDArray[np.uint8],
+    time_ns: int,
+    stamp_error_ns: int,
+    is_window: bool,
+    table: FrameTable,
+    state: Gathering,
+) -> None:
+    """Use the data of a frame whose row in the table is known, if the frame is in time."""
+    node = table.node[row]
+    state.heard[node] = True
+    if is_window:
+        came(row, table, state.outstanding)
+    counter = state.syncs.counter[bus]
+    slot = slot_of(counter)
+    is_right = table.phase[row] == state.cycles.phase[slot]
+    if counter and not is_right:
+        state.strayed[node] = True
+    if not is_right or not is_open(counter, state.cycles):
+        state.counts[LATE] += 1
+        state.late_of_node[node] += 1
+        return
+    if stamp_error_ns == NO_STAMPS:
+        note_answer(slot, bus, time_ns, state.notes)
+    state.counts[ACCEPTED if keep_frame(slot, bus, row, data, state.cycles) else DUPLICATE] += 1
+
+
+@njit(cache=True, nogil=True)
+def close_cycle(  # noqa: PLR0917  compiled functions take no keywords
+    slot: int,
+    leaves_out_doubtful: bool,
+    block_of_sum: npt.NDArray[np.intp],
+    bits: int,
+    is_signed: bool,
+    table: FrameTable,
+    state: Gathering,
+    raw: npt.NDArray[np.int32],
+    valid: Flags,
+) -> None:
+    """Write the raw values of the sums of a cycle into `raw`, and clear `valid` for blocks that are not whole."""
+    table, state = borrowed(table), borrowed(state)
+    cycles = state.cycles
+    is_right = np.zeros(len(state.strayed), np.bool_)
+    for row in range(len(table.node)):
+        if table.phase[row] != cycles.phase[slot]:
+            continue
+        node = table.node[row]
+        if cycles.seen[slot, row]:
+            is_right[node] = True
+        else:
+            state.counts[MISSING] += 1
+            state.missing_of_node[node] += 1
+        if cycles.seen[slot, row] and not (cycles.spoilt[slot, row] and leaves_out_doubtful):
+            read_raw(cycles.payload[slot, row], table.gather[row], bits, is_signed, raw)
+            continue
+        for place in table.gather[row]:
+            if place >= 0:
+                valid[block_of_sum[place]] = False
+    for node in range(len(is_right)):
+        has_swapped = state.strayed[node] and not is_right[node]
+        state.swapped_cycles[node] = state.swapped_cycles[node] + 1 if has_swapped else 0
+        state.strayed[node] = False
 
 
 class Collector:
@@ -75,7 +252,6 @@ class Collector:
 
     Attributes
     ----------
-    counts : FrameCounts
     late_of_node, missing_of_node : arrays of int64, shape (nodes,)
         `counts.late` and `counts.missing` of each node, in the order of the contract.
     heard : array of bool, shape (nodes,)
@@ -87,41 +263,74 @@ class Collector:
     """
 
     def __init__(self, contract: Contract) -> None:
-        nodes, buses = len(contract.nodes), len(contract.layout.bus)
-        self.counts = FrameCounts()
-        self.late_of_node, self.missing_of_node = np.zeros((2, nodes), np.int64)
-        self.heard, self.expected = np.zeros(nodes, np.bool_), np.ones(nodes, np.bool_)
+        nodes = len(contract.nodes)
+        self.expected = np.ones(nodes, np.bool_)
         self.leaves_out_doubtful = True
         self._contract, self._table, self._phi = contract, contract.table, contract.phi
-        self._of_phase = [np.flatnonzero(contract.table.phase == phase) for phase in range(contract.phases)]
+        self._block_of_sum = np.ascontiguousarray(contract.phi.block_of_sum)
         self._node_of_block = np.repeat(np.arange(nodes), [node.blocks for node in contract.nodes])
-        #: Frame format of the TPDOs on each bus: classic or CAN FD.
-        self._kind = [FD if bus.fd else 0 for bus in contract.layout.bus]
-        self._cycles = OpenCycles(contract)
         self._proven = ProvenBlocks(contract.phi.blocks, SLOTS)
-        self._syncs, self._times = BusSyncs(contract), SyncTimes(contract)
-        #: With one phase: frames of earlier cycles that may still come. With two, the phase tells.
-        self._outstanding = Outstanding(contract) if contract.phases == 1 else None
-        self._swapped = SwappedPhases(nodes)
-        #: By bus: foreign SYNCs since the last `take_foreign_syncs`, and the bound of the error of the clock of the
-        #: newest time stamps, None without.
-        self._foreign_syncs = [0] * buses
-        self._stamp_error_ns: list[int | None] = [None] * buses
+        self._is_window = contract.phases == 1
+        self._begin_anew()
+        # What runs in each cycle is compiled before the first.
+        self.open(1)
+        self.take(0, frames(0), None)
+        self.close(1)
+        self._begin_anew()
+
+    def _begin_anew(self) -> None:
+        """Forget all frames."""
+        contract = self._contract
+        nodes, buses = len(contract.nodes), len(contract.layout.bus)
+        self._times = SyncTimes(contract)
+        self.late_of_node, self.missing_of_node, swapped_cycles = np.zeros((3, nodes), np.int64)
+        self.heard, strayed = np.zeros((2, nodes), np.bool_)
+        self._state = Gathering(
+            cycles=new_cycles(contract),
+            syncs=new_syncs(contract),
+            outstanding=new_outstanding(contract),
+            notes=self._times.notes,
+            counts=np.zeros(6, np.int64),
+            foreign_syncs=np.zeros(buses, np.int64),
+            late_of_node=self.late_of_node,
+            missing_of_node=self.missing_of_node,
+            heard=self.heard,
+            strayed=strayed,
+            swapped_cycles=swapped_cycles,
+        )
+
+    @property
+    def counts(self) -> FrameCounts:
+        """What became of the frames."""
+        counts = self._state.counts.tolist()
+        return FrameCounts(
+            accepted=counts[ACCEPTED],
+            late=counts[LATE],
+            duplicate=counts[DUPLICATE],
+            malformed=counts[MALFORMED],
+            missing=counts[MISSING],
+            foreign=counts[FOREIGN],
+        )
 
     def trust(self, blocks: slice, *, proven: bool) -> None:
         """Use the sums of `blocks` from the next cycle on if `proven`; else stop at once, in open cycles too."""
         self._proven.trust(blocks, proven=proven)
-        if self._outstanding is not None:
-            change = self._outstanding.prove if proven else self._outstanding.doubt
-            change(self._node_of_block[blocks])
+        nodes = self._node_of_block[blocks]
+        if proven:
+            prove(nodes, self._table, self._state.outstanding)
+        else:
+            doubt(nodes, self._state.outstanding)
 
     def take_swapped(self) -> list[int]:
         """Return, once, the places of the nodes that answer each SYNC with the PDOs of the other phase."""
-        return self._swapped.take()
+        found = np.flatnonzero(self._state.swapped_cycles >= SWAPPED_CYCLES)
+        self._state.swapped_cycles[found] = 0
+        return [int(node) for node in found]
 
     def take_foreign_syncs(self, bus: int) -> int:
         """Return the number of foreign SYNCs on a bus since the last call."""
-        count, self._foreign_syncs[bus] = self._foreign_syncs[bus], 0
+        count = int(self._state.foreign_syncs[bus])
+        self._state.foreign_syncs[bus] = 0
         return count
 
     def open(self, counter: int, due_ns: int = 0, sent_ns: int | None = None, period_s: float | None = None) -> None:
@@ -131,122 +340,46 @@ class Collector:
         layout's.
         """
         self._times.open(counter, due_ns, sent_ns)
-        self._syncs.send(counter, due_ns, period_s, rests=False)
-        rows = self._rows_of(counter)
-        self._cycles.begin(counter, rows[self.expected[self._table.node[rows]]])
+        send_sync(counter, due_ns, period_s, self._state.syncs, rests=False)
+        begin_cycle(counter, self.expected, self._table, self._state.cycles)
         self._proven.begin(slot_of(counter))
 
     def rest(self, counter: int, due_ns: int, period_s: float | None) -> None:
         """Take note of a SYNC that asks for no frame of this contract; arguments as for `open`."""
-        self._syncs.send(counter, due_ns, period_s, rests=True)
-        self._cycles.end(counter)
+        send_sync(counter, due_ns, period_s, self._state.syncs, rests=True)
+        self._state.cycles.counter[slot_of(counter)] = 0
 
-    def waiting(self, counter: int) -> npt.NDArray[np.intp]:
+    def waiting(self, counter: int) -> Integers:
         """Return how many frames a cycle waits for, shape (buses,); a view."""
-        return self._cycles.waiting(counter)
+        waiting: Integers = self._state.cycles.waiting[slot_of(counter)]
+        return waiting
 
     def is_settled(self, counter: int) -> bool:
         """Tell whether a cycle can be closed: every bus has sent all expected frames, or the next SYNC."""
-        following, waiting = next_counter(counter), self.waiting(counter)
-        return all(count == 0 or now == following for count, now in zip(waiting, self._syncs.counter, strict=True))
+        has_next = self._state.syncs.counter == next_counter(counter)
+        return bool((has_next | (self.waiting(counter) == 0)).all())
 
     def take(self, bus: int, arrived: Frames, stamp_error_ns: int | None) -> None:
         """Use the frames that arrived on a bus, in bus order; the echo of a SYNC starts its cycle on the bus.
 
         `stamp_error_ns` is the bound of the error of the clock of their time stamps, None if they have none.
         """
-        self._stamp_error_ns[bus] = stamp_error_ns
-        begin = 0
-        is_sync = (arrived["can_id"] == SYNC_COB_ID) & (arrived["flags"] & (ERROR | EXTENDED | REMOTE) == 0)
-        for place in np.flatnonzero(is_sync):
-            self._take(bus, arrived[begin:place])
-            time_ns = int(arrived["time_ns"][place])
-            begin = int(place)
-            if arrived["flags"][place] & ECHO:
-                self._begin(bus, int(arrived["data"][place, 0]), time_ns)
-            else:
-                # A foreign SYNC: nodes answer it outside the gateway's cycles.
-                self._foreign_syncs[bus] += 1
-                self._cycles.spoil_bus(bus)
-            self._ask(bus, time_ns)
-        self._take(bus, arrived[begin:])
+        error_ns = NO_STAMPS if stamp_error_ns is None else stamp_error_ns
+        take_all(frame_bytes(arrived), bus, error_ns, self._is_window, self._table, self._state)
 
     def lost(self, bus: int) -> None:
         """Take note that frames of a bus were lost; with one phase, the lost frame may be a SYNC between two cycles."""
-        if self._outstanding is not None:
-            self._cycles.spoil_bus(bus)
+        if self._is_window:
+            spoil_bus(bus, self._table, self._state.cycles)
 
     def close(self, counter: int) -> Gathered:
         """End a cycle and return its sums."""
-        slot, rows = slot_of(counter), self._rows_of(counter)
-        self._cycles.end(counter)
-        seen = self._cycles.seen[slot, rows]
-        missing = rows[~seen]
-        self.counts.missing += len(missing)
-        np.add.at(self.missing_of_node, self._table.node[missing], 1)
-        whole = seen & ~(self._cycles.spoilt(counter, rows) & self.leaves_out_doubtful)
-        good, lost = rows[whole], self._table.gather[rows[~whole]]
-        self._swapped.end_cycle(self._table.node[rows[seen]])
-        valid = self._proven.during(slot) & self._phi.has_sums
-        valid[self._phi.block_of_sum[lost[lost >= 0]]] = False
-        sums = np.zeros(self._phi.shape[0], np.int32)
-        decode(self._cycles.payload[slot, good], self._table.gather[good], self._contract.packing, sums)
+        slot = slot_of(counter)
+        self._state.cycles.counter[slot] = 0
+        valid, raw = self._proven.during(slot) & self._phi.has_sums, np.zeros(self._phi.shape[0], np.int32)
+        packing = self._contract.packing
+        of_sums = self._block_of_sum, packing.bits, packing.is_signed
+        close_cycle(slot, self.leaves_out_doubtful, *of_sums, self._table, self._state, raw, valid)
+        sums = packing.counts(raw)
         sums[~self._phi.sums_of_blocks(valid)] = 0
         return Gathered(sums, valid, self._times.close(counter), bool(valid[self._phi.has_sums].all()))
-
-    def _rows_of(self, counter: int) -> Rows:
-        """Return the rows that are sent in the cycle of a SYNC."""
-        return self._of_phase[self._contract.phase_of(counter)]
-
-    def _begin(self, bus: int, counter: int, time_ns: int) -> None:
-        """Begin a cycle on a bus, at the echo of its SYNC."""
-        if self._syncs.begin(bus, counter, time_ns):
-            self._cycles.spoil_bus(bus)
-        self._times.echo(self._syncs.counter[bus], bus, time_ns, self._stamp_error_ns[bus])
-
-    def _ask(self, bus: int, time_ns: int) -> None:
-        """With one phase: use no frame in the new cycle that may be of an earlier one."""
-        if self._outstanding is None:
-            return
-        counter, window_ns = self._syncs.counter[bus], round(STOCK_WINDOW_RATIO * self._syncs.period_ns(bus))
-        if self._syncs.rests(bus):
-            self._outstanding.rest(bus, time_ns, window_ns)
-            return
-        doubtful = self._outstanding.ask(bus, time_ns, window_ns)
-        if self._cycles.is_open(counter):
-            self._cycles.spoil(counter, doubtful)
-
-    def _take(self, bus: int, arrived: Frames) -> None:
-        arrived = arrived[arrived["flags"] & (ERROR | ECHO) == 0]
-        if not len(arrived):
-            return
-        kind = arrived["flags"] & (EXTENDED | REMOTE | FD)
-        strange = (kind != self._kind[bus]) | (arrived["can_id"] > BASE_ID_MASK)
-        row = self._table.row_of[bus, np.where(strange, 0, arrived["can_id"])]
-        ours = row >= 0
-        self.counts.foreign += int(len(row) - ours.sum())
-        row, arrived = row[ours], arrived[ours]
-        whole = arrived["length"] == self._table.length[row]
-        self.counts.malformed += int(len(row) - whole.sum())
-        payload = arrived["data"][whole, : self._cycles.payload.shape[2]]
-        self._accept(bus, row[whole], payload, arrived["time_ns"][whole])
-
-    def _accept(self, bus: int, row: Rows, payload: npt.NDArray[np.uint8], time_ns: npt.NDArray[np.int64]) -> None:
-        self.heard[self._table.node[row]] = True
-        if self._outstanding is not None:
-            self._outstanding.came(row)
-        counter = self._syncs.counter[bus]
-        right = self._table.phase[row] == self._contract.phase_of(counter)
-        in_time = right & self._cycles.is_open(counter)
-        self.counts.late += int(len(row) - in_time.sum())
-        np.add.at(self.late_of_node, self._table.node[row[~in_time]], 1)
-        if counter:
-            self._swapped.stray(self._table.node[row[~right]])
-        row, payload = row[in_time], payload[in_time]
-        if not len(row):
-            return
-        if self._stamp_error_ns[bus] is None:
-            self._times.answer(counter, bus, int(time_ns[in_time][0]))
-        fresh = self._cycles.take(counter, bus, row, payload)
-        self.counts.accepted += fresh
-        self.counts.duplicate += len(row) - fresh

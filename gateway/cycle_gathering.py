@@ -4,7 +4,6 @@ from collections import deque
 from collections.abc import Mapping
 from typing import Final
 
-import msgspec
 import numpy as np
 
 from canskin.messages import CycleMeasurement, FrameCounts, Measurement
@@ -62,7 +61,7 @@ class CycleGathering:
     @property
     def counts(self) -> FrameCounts:
         """What became of the frames."""
-        return msgspec.structs.replace(self.collector.counts)
+        return self.collector.counts
 
     @property
     def in_flight(self) -> int:

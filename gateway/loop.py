@@ -27,7 +27,7 @@ BOOT_PATIENCE_S: Final = 3.0
 #: Time from the start of the last node to the first SYNC.
 SETTLE_S: Final = 0.1
 #: The load of one bus is added up after a measurement, at most this often.
-ACCOUNT_PERIOD_S: Final = 0.02
+ACCOUNT_PERIOD_S: Final = 0.05
 
 
 #: Makes measurements of frames, as the nodes send them. All times are arguments.

@@ -28,10 +28,8 @@ from dbc.canopen import (
     SDO_BYTES,
     SDO_REQUEST_BASE,
     SDO_RESPONSE_BASE,
-    TPDO_BASES,
     NmtCommand,
     NmtState,
-    is_of_node,
 )
 from dbc.configuration import (
     DIALOGUES,
@@ -45,11 +43,12 @@ from dbc.configuration import (
 )
 from dbc.contract import Contract, NodeContract
 from dbc.dictionary import SILENT_AFTER_S
-from dbc.frame import ECHO, ERROR, EXTENDED, REMOTE, Frames
+from dbc.frame import CAN_ID_AT, ECHO, ERROR, EXTENDED, FLAGS_AT, REMOTE, Frames, frame_bytes, frames
 from gateway.foreign_sdo import Effect, ForeignClient
 from gateway.grouped_lines import GroupedLines
 from gateway.proof import Proof, prove
 from gateway.sdo import ATTEMPTS, TIMEOUT_S, Dialogue, SdoDialogue
+from shell.compiled import njit
 
 #: Pause before each attempt to restart a node. After the last attempt, one attempt follows every `LATER_S`.
 PAUSES_S: Final = (0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 5.0, 5.0)
@@ -238,6 +237,7 @@ class NmtMaster:
         self._lines = GroupedLines(self._name, say)
         #: Emergencies since the list was last cleared: node-ID and error code.
         self.emergencies: list[tuple[int, int]] = []
+        _places(frame_bytes(frames(0)))  # compiled before the first frame
 
     @property
     def passed(self) -> bool:
@@ -280,13 +280,8 @@ class NmtMaster:
 
     def take(self, arrived: Frames, now_s: float) -> None:
         """Use the frames of the bus, in bus order."""
-        can_id, flags = arrived["can_id"], arrived["flags"]
-        if not ((can_id < TPDO_BASES[0]) | (can_id > SDO_RESPONSE_BASE)).any():
-            return  # sums only
-        plain = flags & (ERROR | ECHO | EXTENDED | REMOTE) == 0
-        ours = (can_id == NMT_COB_ID) | (can_id > SDO_RESPONSE_BASE) | is_of_node(can_id, EMCY_BASE)
-        commanded = (flags & (ERROR | ECHO) == ECHO) & (can_id == NMT_COB_ID)
-        for frame in arrived[plain & ours | commanded]:
+        for place in _places(frame_bytes(arrived)):
+            frame = arrived[place]
             identifier, time_ns = int(frame["can_id"]), int(frame["time_ns"])
             node = self.nodes.get(identifier & HIGHEST_NODE_ID)
             data = frame["data"][: frame["length"]].tobytes()
@@ -419,8 +414,10 @@ class NmtMaster:
 
     def _begin_due(self, now_s: float) -> None:
         """Begin the proofs that are due, as many as there may be."""
-        free = DIALOGUES - sum(node.dialogue is not None for node in self.nodes.values())
         due = [node for node in self.nodes.values() if now_s >= node.prove_at_s and node.dialogue is None]
+        if not due:
+            return
+        free = DIALOGUES - sum(node.dialogue is not None for node in self.nodes.values())
         for node in sorted(due, key=lambda node: node.prove_at_s)[: max(0, free)]:
             self._happen(node, Event.DUE, now_s)
 
@@ -664,6 +661,23 @@ class NmtMaster:
             Event.BUSY: (_give_way, NodeState.IN_USE),
         },
     }
+
+
+@njit(cache=True, nogil=True)
+def _places(rows: npt.NDArray[np.uint8]) -> list[int]:
+    """Return the places of the frames that a master uses: what nodes and masters say, and its own commands."""
+    found = [0 for _ in range(0)]
+    for place in range(rows.shape[0]):
+        row = rows[place]
+        can_id = 0
+        for byte in range(4):
+            can_id |= int(row[CAN_ID_AT + byte]) << (8 * byte)
+        is_command = can_id == NMT_COB_ID
+        is_ours = is_command or can_id > SDO_RESPONSE_BASE or EMCY_BASE < can_id <= EMCY_BASE + HIGHEST_NODE_ID
+        is_plain = row[FLAGS_AT] & (ERROR | ECHO | EXTENDED | REMOTE) == 0
+        if (is_plain and is_ours) or (row[FLAGS_AT] & (ERROR | ECHO) == ECHO and is_command):
+            found.append(place)
+    return found
 
 
 def _state_text(state: int) -> str:

@@ -9,78 +9,124 @@ So after SYNCs that asked for other frames, the first cycle is doubtful. Where a
 second cycle is doubtful, too.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 import numpy.typing as npt
 
-from dbc.contract import Contract
+from dbc.contract import Contract, FrameTable
+from gateway.open_cycles import Flags, Integers
+from shell.compiled import njit
 
 
-class Outstanding:
-    """Frames that were asked for on a bus and have not come, by row of `Contract.table`."""
+class Outstanding(NamedTuple):
+    """Frames that were asked for on a bus and have not come.
 
-    def __init__(self, contract: Contract) -> None:
-        table, buses = contract.table, len(contract.layout.bus)
-        self._node, self._bus = table.node, table.bus
-        self._of_bus = [np.flatnonzero(table.bus == bus) for bus in range(buses)]
-        self._count = np.zeros(len(table.cob_id), np.intp)
-        #: When the newest SYNC ended on each bus, and its window.
-        self._asked_ns, self._window_ns = [0] * buses, [0] * buses
-        #: Whether the newest SYNC of a bus asked for none of these frames.
-        self._rests = np.zeros(buses, np.bool_)
-        #: Nodes that sent these frames all the same, by row; and rows that are doubtful at the next SYNC for that.
-        self._strayed, self._doubtful = (np.zeros(len(table.cob_id), np.bool_) for _ in range(2))
-        #: Nodes that have sent nothing since they were last not proven.
-        self._silent = np.ones(len(contract.nodes), np.bool_)
+    Attributes
+    ----------
+    owed : array of int64, shape (rows,)
+        How many frames of each row of `Contract.table` may come.
+    asked_ns, window_ns : arrays of int64, shape (buses,)
+        When the newest SYNC ended on each bus, and its window.
+    rests : array of bool, shape (buses,)
+        Whether the newest SYNC of a bus asked for none of these frames.
+    strayed : array of bool, shape (rows,)
+        Rows of nodes that sent these frames all the same.
+    doubtful, may_be_old : arrays of bool, shape (rows,)
+        Rows that are doubtful at the next SYNC for that; and rows whose frame may be the answer to a SYNC before the
+        newest.
+    is_silent : array of bool, shape (nodes,)
+        Nodes that have sent nothing since they were last not proven.
+    """
 
-    def ask(self, bus: int, time_ns: int, window_ns: int) -> npt.NDArray[np.intp]:
-        """Take note of a SYNC on a bus; return the rows whose frame may be the answer to an earlier SYNC.
+    owed: Integers
+    asked_ns: Integers
+    window_ns: Integers
+    rests: Flags
+    strayed: Flags
+    doubtful: Flags
+    may_be_old: Flags
+    is_silent: Flags
 
-        Parameters
-        ----------
-        time_ns : int
-            End of the SYNC, 0 if unknown.
-        window_ns : int
-            Within this time after the SYNC the nodes send (1007h).
-        """
-        rows = self._of_bus[bus]
-        is_first = bool(self._rests[bus])
-        left = rows if is_first else rows[(self._count[rows] > 0) | self._doubtful[rows]]
-        self._doubtful[rows] = is_first & self._strayed[rows]
-        self._strayed[rows] = False
-        self._rests[bus] = False
-        if self._note(bus, time_ns, window_ns):
-            self._count[rows] = 0  # after the window the nodes have given up; see the module for the next cycle
-        self._count[rows] += 1
-        return left
 
-    def rest(self, bus: int, time_ns: int, window_ns: int) -> None:
-        """Take note of a SYNC that asks for none of these frames; parameters as for `ask`."""
-        self._note(bus, time_ns, window_ns)
-        rows = self._of_bus[bus]
-        self._rests[bus] = True
-        self._count[rows] = 0
+def new_outstanding(contract: Contract) -> Outstanding:
+    """Return the state before the first SYNC."""
+    rows, buses = len(contract.table.cob_id), len(contract.layout.bus)
+    asked_ns, window_ns = np.zeros((2, buses), np.int64)
+    strayed, doubtful, may_be_old = np.zeros((3, rows), np.bool_)
+    return Outstanding(
+        np.zeros(rows, np.int64),
+        asked_ns,
+        window_ns,
+        np.zeros(buses, np.bool_),
+        strayed,
+        doubtful,
+        may_be_old,
+        np.ones(len(contract.nodes), np.bool_),
+    )
 
-    def _note(self, bus: int, time_ns: int, window_ns: int) -> bool:
-        """Keep the time of a SYNC; tell whether the window of the SYNC before has passed."""
-        last_ns, self._asked_ns[bus] = self._asked_ns[bus], time_ns
-        last_window_ns, self._window_ns[bus] = self._window_ns[bus], window_ns
-        return not (time_ns and last_ns and time_ns - last_ns < last_window_ns)
 
-    def came(self, row: npt.NDArray[np.intp]) -> None:
-        """Take note of frames."""
-        self._silent[self._node[row]] = False
-        resting = row[self._rests[self._bus[row]]]
-        if len(resting):
-            self._strayed |= np.isin(self._node, self._node[resting])
-        np.subtract.at(self._count, row, 1)
-        self._count[row] = np.maximum(self._count[row], 0)
+@njit(cache=True, nogil=True)
+def ask(bus: int, time_ns: int, window_ns: int, table: FrameTable, frames: Outstanding) -> None:
+    """Take note of a SYNC on a bus, and find the rows that `may_be_old`.
 
-    def doubt(self, node: npt.NDArray[np.intp]) -> None:
-        """Take note that nodes are not proven now."""
-        self._silent[node] = True
+    Parameters
+    ----------
+    time_ns : int
+        End of the SYNC, 0 if unknown.
+    window_ns : int
+        Within this time after the SYNC the nodes send (1007h).
+    """
+    is_first = frames.rests[bus]
+    frames.rests[bus] = False
+    has_passed = _note(bus, time_ns, window_ns, frames)
+    for row in range(len(table.bus)):
+        if table.bus[row] != bus:
+            continue
+        frames.may_be_old[row] = is_first or frames.owed[row] > 0 or frames.doubtful[row]
+        frames.doubtful[row] = is_first and frames.strayed[row]
+        frames.strayed[row] = False
+        if has_passed:
+            frames.owed[row] = 0  # after the window the nodes have given up; see the module for the next cycle
+        frames.owed[row] += 1
 
-    def prove(self, node: npt.NDArray[np.intp]) -> None:
-        """Expect nothing of nodes that are proven and about to start: they have sent nothing since they were not."""
-        fresh = np.zeros(len(self._silent), np.bool_)
-        fresh[node] = self._silent[node]
-        self._count[fresh[self._node]] = 0
+
+@njit(cache=True, nogil=True)
+def rest(bus: int, time_ns: int, window_ns: int, table: FrameTable, frames: Outstanding) -> None:
+    """Take note of a SYNC that asks for none of these frames; parameters as for `ask`."""
+    _note(bus, time_ns, window_ns, frames)
+    frames.rests[bus] = True
+    for row in range(len(table.bus)):
+        if table.bus[row] == bus:
+            frames.owed[row] = 0
+
+
+@njit(cache=True, nogil=True)
+def _note(bus: int, time_ns: int, window_ns: int, frames: Outstanding) -> bool:
+    """Keep the time of a SYNC; tell whether the window of the SYNC before has passed."""
+    last_ns, last_window_ns = frames.asked_ns[bus], frames.window_ns[bus]
+    frames.asked_ns[bus], frames.window_ns[bus] = time_ns, window_ns
+    return not (time_ns != 0 and last_ns != 0 and time_ns - last_ns < last_window_ns)
+
+
+@njit(cache=True, nogil=True)
+def came(row: int, table: FrameTable, frames: Outstanding) -> None:
+    """Take note of a frame."""
+    node = table.node[row]
+    frames.is_silent[node] = False
+    frames.owed[row] = max(frames.owed[row] - 1, 0)
+    if frames.rests[table.bus[row]]:
+        for other in range(len(table.node)):
+            frames.strayed[other] |= table.node[other] == node
+
+
+def doubt(node: npt.NDArray[np.intp], frames: Outstanding) -> None:
+    """Take note that nodes are not proven now."""
+    frames.is_silent[node] = True
+
+
+def prove(node: npt.NDArray[np.intp], table: FrameTable, frames: Outstanding) -> None:
+    """Expect nothing of nodes that are proven and about to start: they have sent nothing since they were not."""
+    fresh = np.zeros(len(frames.is_silent), np.bool_)
+    fresh[node] = frames.is_silent[node]
+    frames.owed[fresh[table.node]] = 0

@@ -14,8 +14,7 @@ the order does not hold, because a SYNC that was sent late ends as if sent when 
 stamp, so this time stamp is exact.
 """
 
-from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -23,6 +22,11 @@ import numpy.typing as npt
 from canskin.messages import UNKNOWN_ERROR_NS
 from dbc.contract import Contract
 from dbc.frame_bits import INTERMISSION_BITS, frame_time_ns, nominal_ns
+from gateway.open_cycles import SLOTS, Integers, slot_of
+from shell.compiled import njit
+
+#: The error of a clock that gives no time stamps.
+NO_STAMPS: Final = -1
 
 
 class SampledTimes(NamedTuple):
@@ -40,33 +44,45 @@ class SampledTimes(NamedTuple):
     bus_ns: npt.NDArray[np.int64]
 
 
-@dataclass
-class _Cycle:
-    """What is known of one cycle, by bus.
+class SyncNotes(NamedTuple):
+    """What the frames of the open cycles tell, by slot and bus.
 
     Attributes
     ----------
-    due_ns : int
-    sent_ns : int or None
-        Before the first send call; None in a replay.
-    echo_ns, answer_ns : list of int
+    echo_ns, answer_ns : arrays of int64, shape (SLOTS, buses)
         End of SYNC, and of its first answer, by their time stamps; 0 if there is none.
-    stamp_error_ns : list of int or None
-        Of the echo: bound of the error of its clock, None if it has no time stamp.
+    stamp_error_ns : array of int64, shape (SLOTS, buses)
+        Of the echo: bound of the error of its clock, `NO_STAMPS` if it has no time stamp.
     """
 
-    due_ns: int
-    sent_ns: int | None
-    echo_ns: list[int]
-    answer_ns: list[int]
-    stamp_error_ns: list[int | None]
+    echo_ns: Integers
+    answer_ns: Integers
+    stamp_error_ns: Integers
+
+
+@njit(cache=True, nogil=True)
+def note_echo(slot: int, bus: int, time_ns: int, stamp_error_ns: int, notes: SyncNotes) -> None:
+    """Take note of the end of SYNC on a bus; the first counts."""
+    if not notes.echo_ns[slot, bus]:
+        notes.echo_ns[slot, bus], notes.stamp_error_ns[slot, bus] = time_ns, stamp_error_ns
+
+
+@njit(cache=True, nogil=True)
+def note_answer(slot: int, bus: int, time_ns: int, notes: SyncNotes) -> None:
+    """Take note of a frame that answers SYNC on a bus; the first counts."""
+    if not notes.answer_ns[slot, bus]:
+        notes.answer_ns[slot, bus] = time_ns
 
 
 class SyncTimes:
-    """Takes note of the times of the open cycles; cycles are known by the counter of their SYNC."""
+    """Times of the open cycles.
+
+    Attributes
+    ----------
+    notes : SyncNotes
+    """
 
     def __init__(self, contract: Contract) -> None:
-        self._cycles: dict[int, _Cycle] = {}
         sync = contract.sync(1)
         #: Shortest time of a SYNC frame to its end.
         self._frame_ns = [
@@ -74,47 +90,47 @@ class SyncTimes:
             - nominal_ns(INTERMISSION_BITS, bus.bitrate)
             for bus in contract.layout.bus
         ]
+        self.notes = SyncNotes(*np.zeros((3, SLOTS, len(self._frame_ns)), np.int64))
+        #: By slot: when SYNC was due, and a time before the first send call; None in a replay.
+        self._due_ns: list[int] = [0] * SLOTS
+        self._sent_ns: list[int | None] = [None] * SLOTS
 
     def open(self, counter: int, due_ns: int, sent_ns: int | None) -> None:
         """Begin a cycle; `sent_ns` is a time before its SYNC is sent, None if nobody knows."""
-        buses = len(self._frame_ns)
-        self._cycles[counter] = _Cycle(due_ns, sent_ns, [0] * buses, [0] * buses, [None] * buses)
-
-    def echo(self, counter: int, bus: int, time_ns: int, stamp_error_ns: int | None) -> None:
-        """Take note of the end of SYNC on a bus; the first counts."""
-        cycle = self._cycles.get(counter)
-        if cycle is not None and not cycle.echo_ns[bus]:
-            cycle.echo_ns[bus], cycle.stamp_error_ns[bus] = time_ns, stamp_error_ns
-
-    def answer(self, counter: int, bus: int, time_ns: int) -> None:
-        """Take note of a frame that answers SYNC on a bus; the first counts."""
-        cycle = self._cycles.get(counter)
-        if cycle is not None and not cycle.answer_ns[bus]:
-            cycle.answer_ns[bus] = time_ns
+        slot = slot_of(counter)
+        self._due_ns[slot], self._sent_ns[slot] = due_ns, sent_ns
+        for noted in self.notes:
+            noted[slot] = 0
 
     def close(self, counter: int) -> SampledTimes:
         """End a cycle and return its sampling instant; if no bus has had its SYNC, when that was due."""
-        cycle = self._cycles.pop(counter)
-        found = [self._end_of(cycle, bus) for bus in range(len(self._frame_ns))]
+        slot = slot_of(counter)
+        sent = self._sent_ns[slot]
+        found = [
+            self._end_of(sent, *told)
+            for told in zip(self._frame_ns, *(noted[slot].tolist() for noted in self.notes), strict=True)
+        ]
         bus_ns = np.array([end_ns for end_ns, _ in found], np.int64)
-        sent_ns = 0 if cycle.sent_ns is None else cycle.sent_ns + sum(self._frame_ns) // len(self._frame_ns)
+        sent_ns = 0 if sent is None else sent + sum(self._frame_ns) // len(self._frame_ns)
         known = [(end_ns, error_ns) for end_ns, error_ns in found if end_ns]
         if not known:
-            return SampledTimes(sent_ns or cycle.due_ns, UNKNOWN_ERROR_NS, sent_ns, bus_ns)
+            return SampledTimes(sent_ns or self._due_ns[slot], UNKNOWN_ERROR_NS, sent_ns, bus_ns)
         first_ns = known[0][0]
         mono_ns = first_ns + round(sum(end_ns - first_ns for end_ns, _ in known) / len(known))
         if any(error_ns == UNKNOWN_ERROR_NS for _, error_ns in known):
             return SampledTimes(mono_ns, UNKNOWN_ERROR_NS, sent_ns, bus_ns)
         return SampledTimes(mono_ns, max(abs(end - mono_ns) + error for end, error in known), sent_ns, bus_ns)
 
-    def _end_of(self, cycle: _Cycle, bus: int) -> tuple[int, int]:
+    @staticmethod
+    def _end_of(
+        sent_ns: int | None, frame_ns: int, echo_ns: int, answer_ns: int, stamp_error_ns: int
+    ) -> tuple[int, int]:
         """Return the end of SYNC on a bus, and the bound of its error; 0 if there was no SYNC."""
-        echo_ns, stamp_error_ns = cycle.echo_ns[bus], cycle.stamp_error_ns[bus]
-        if not echo_ns or cycle.sent_ns is None:
+        if not echo_ns or sent_ns is None:
             return echo_ns, UNKNOWN_ERROR_NS
-        earliest_ns = cycle.sent_ns + self._frame_ns[bus]
-        if stamp_error_ns is None:
-            answer_late_ns = cycle.answer_ns[bus] - earliest_ns
+        earliest_ns = sent_ns + frame_ns
+        if stamp_error_ns == NO_STAMPS:
+            answer_late_ns = answer_ns - earliest_ns
             return earliest_ns, answer_late_ns if answer_late_ns >= 0 else UNKNOWN_ERROR_NS
         late_ns = echo_ns - earliest_ns
         # A clock without error is that of a virtual bus, whose stamp of a late SYNC is as if sent when it was due.

@@ -31,16 +31,23 @@ def _borrowed(_context: Any, arrays: Any) -> Any:
     """
 
     def codegen(context: Any, builder: Any, signature: Any, values: Any) -> Any:
-        each_type = signature.return_type.types
-        elements = cgutils.unpack_tuple(builder, values[0], len(each_type))  # type: ignore[no-untyped-call]
-        for place, of_type in enumerate(each_type):
-            if isinstance(of_type, types.Array):
-                array = make_array(of_type)(context, builder, elements[place])  # type: ignore[no-untyped-call]
-                array.meminfo = cgutils.get_null_value(array.meminfo.type)  # type: ignore[no-untyped-call]
-                elements[place] = array._getvalue()  # noqa: SLF001  numba's own way to store the value
-        return context.make_tuple(builder, signature.return_type, elements)
+        return _uncounted(context, builder, signature.return_type, values[0])
 
     return arrays(arrays), codegen
+
+
+def _uncounted(context: Any, builder: Any, of_type: Any, value: Any) -> Any:
+    """Return a value of compiled code, and what is in a tuple, without the counter of references of an array."""
+    if isinstance(of_type, types.Array):
+        array = make_array(of_type)(context, builder, value)  # type: ignore[no-untyped-call]
+        array.meminfo = cgutils.get_null_value(array.meminfo.type)  # type: ignore[no-untyped-call]
+        return array._getvalue()  # noqa: SLF001  numba's own way to store the value
+    each_type: Any = of_type if isinstance(of_type, types.BaseTuple) else ()
+    if each_type:
+        elements = cgutils.unpack_tuple(builder, value, len(each_type))  # type: ignore[no-untyped-call]
+        parts = [_uncounted(context, builder, *each) for each in zip(each_type, elements, strict=True)]
+        return context.make_tuple(builder, of_type, parts)
+    return value
 
 
 borrowed: Any = intrinsic(_borrowed)

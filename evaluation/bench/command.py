@@ -8,7 +8,7 @@ from canskin.errors import InputError
 from shell.output import check_picture_path
 from shell.terminal import Json, print_json, print_table, progress
 
-Subject = Literal["reconstruct", "images", "missing", "skins", "classify", "ros2"]
+Subject = Literal["reconstruct", "images", "missing", "skins", "classify", "gateway", "ros2"]
 _MODULES: Final = {subject: f"evaluation.bench.{subject}" for subject in get_args(Subject)}
 
 
@@ -28,8 +28,9 @@ def bench(
     the contourlet. ``images`` gives the PSNR of every solver on the paper's five objects, at its speed of motion and
     ten times faster. ``missing`` gives it with dead nodes and with lost frames. ``skins`` times one cycle of several
     skins in one process, each with its own Φ, on one thread and on more. ``classify`` times one decision between 16
-    objects against scikit-learn's on the same machines. ``ros2`` gives the time from an image on the fabric to the
-    image at a reader on ROS 2.
+    objects against scikit-learn's on the same machines. ``gateway`` gives the frames per second that one core takes
+    from the socket to a complete measurement, against python-can and canopen. ``ros2`` gives the time from an image on
+    the fabric to the image at a reader on ROS 2.
 
     Parameters
     ----------

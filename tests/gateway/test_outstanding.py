@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from dbc.contract import Contract
-from gateway.outstanding import Outstanding
+from gateway.outstanding import ask, came, doubt, new_outstanding, prove, rest
 
 WINDOW_NS = 10_000
 
@@ -13,15 +13,20 @@ class Asking:
     """SYNCs on bus 0 of the small skin, whose rows are 0 to 3: two frames of each of two nodes."""
 
     def __init__(self, contract: Contract) -> None:
-        self.outstanding = Outstanding(contract)
+        self.table, self.outstanding = contract.table, new_outstanding(contract)
         assert np.flatnonzero(contract.table.bus == 0).tolist() == [0, 1, 2, 3]
         assert contract.table.node[:4].tolist() == [0, 0, 1, 1]
 
     def ask(self, time_ns: int, window_ns: int = WINDOW_NS) -> list[int]:
-        return [int(row) for row in self.outstanding.ask(0, time_ns, window_ns)]
+        ask(0, time_ns, window_ns, self.table, self.outstanding)
+        return np.flatnonzero(self.outstanding.may_be_old).tolist()
+
+    def rest(self, time_ns: int) -> None:
+        rest(0, time_ns, WINDOW_NS, self.table, self.outstanding)
 
     def came(self, *rows: int) -> None:
-        self.outstanding.came(np.array(rows, np.intp))
+        for row in rows:
+            came(row, self.table, self.outstanding)
 
 
 @pytest.fixture
@@ -50,14 +55,14 @@ def test_two_syncs_within_a_window_ask_for_two_frames(asking: Asking) -> None:
 def test_the_first_answers_after_a_rest_are_doubtful_whatever_came(asking: Asking) -> None:
     asking.ask(100_000)
     asking.came(0, 1, 2, 3)
-    asking.outstanding.rest(0, 200_000, WINDOW_NS)
+    asking.rest(200_000)
     assert asking.ask(300_000) == [0, 1, 2, 3]
     asking.came(0, 1, 2, 3)
     assert asking.ask(400_000) == []
 
 
 def test_the_second_answers_of_a_node_that_sent_meanwhile_are_doubtful_too(asking: Asking) -> None:
-    asking.outstanding.rest(0, 100_000, WINDOW_NS)
+    asking.rest(100_000)
     asking.came(2)
     assert asking.ask(200_000) == [0, 1, 2, 3]
     asking.came(0, 1, 2, 3)
@@ -72,14 +77,14 @@ def test_the_second_answers_of_a_node_that_sent_meanwhile_are_doubtful_too(askin
 def doubt_and_prove(asking: Asking, *, sends_meanwhile: bool) -> list[int]:
     """Return the doubtful rows after node 0 was doubted and proven again, and the SYNC before had no answer."""
     node = np.array([0])
-    asking.outstanding.prove(np.array([0, 1]))
+    prove(np.array([0, 1]), asking.table, asking.outstanding)
     asking.ask(1_000)
     asking.came(0, 1, 2, 3)
-    asking.outstanding.doubt(node)
+    doubt(node, asking.outstanding)
     asking.ask(2_000)
     if sends_meanwhile:
         asking.came(0)
-    asking.outstanding.prove(node)
+    prove(node, asking.table, asking.outstanding)
     return asking.ask(3_000)
 
 
