@@ -25,9 +25,7 @@ FEATURES: Final[dict[StrokeKind, Features]] = {"slide": "energies", "press": "su
 
 def cached_path(layout: Layout, phi: Sbhe, objects: Sequence[str], stroke: StrokeKind = "slide") -> Path:
     """Return the path of the model of this skin, these objects and this kind of touch."""
-    about = msgspec.json.encode(
-        [layout.taxels, noise_ratios(layout), sorted(objects), *_unusual(layout, stroke)]
-    )
+    about = msgspec.json.encode([layout.taxels, noise_ratios(layout), sorted(objects), *_unusual(layout, stroke)])
     return cache_folder() / f"model-{VERSION}-{phi.fingerprint}-{hashlib.sha256(about).hexdigest()[:8]}.npz"
 
 
