@@ -25,6 +25,7 @@ Subject = Literal[
     "solvers",
     "noiselets",
     "rivals",
+    "drawn-rivals",
     "rates",
     "contacts",
     "calibration",
@@ -55,6 +56,7 @@ SUBJECTS: Final[dict[str, _Subject]] = {
     "solvers": _Subject("evaluation.paper.solvers:evaluate"),
     "noiselets": _Subject("evaluation.paper.noiselets:evaluate"),
     "rivals": _Subject("evaluation.schemes.comparison:evaluate"),
+    "drawn-rivals": _Subject("evaluation.schemes.comparison:evaluate_drawn"),
     "rates": _Subject("evaluation.schemes.rates:evaluate"),
     "contacts": _Subject("evaluation.schemes.contacts:evaluate"),
     "calibration": _Subject("evaluation.schemes.zero_scenes:evaluate"),
@@ -103,13 +105,13 @@ def evaluate(
         Processes at the same time. Default: one per core.
     draws
         Draws of Φ to average over. Default: each subject's own. ``sparsity``, ``figures``, ``solvers``, ``noiselets``,
-        ``rivals``, ``rates``, ``contacts``, ``calibration``, ``offsets``, ``wiring``, ``frontend`` and ``scaling``
-        average over none; ``all`` hands them to the others.
+        ``rivals``, ``drawn-rivals``, ``rates``, ``contacts``, ``calibration``, ``offsets``, ``wiring``, ``frontend``
+        and ``scaling`` average over none; ``all`` hands them to the others.
     seed
         Of all random numbers but those that draw scenes.
     scenes
-        Half the number of scenes drawn at random that ``calibration`` measures beside the named ones; none with
-        `quick`.
+        Scenes drawn at random: the number of those of ``drawn-rivals``, and half the number of those that
+        ``calibration`` measures beside the named ones; 2 and none with `quick`.
     scene_seed
         Of the scenes drawn at random: a seed that nobody has tried shows scenes that nobody has tuned to.
     basis

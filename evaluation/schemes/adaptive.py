@@ -12,7 +12,6 @@ from dbc.canopen import HEARTBEAT_BASE
 from dbc.frame import Frames, frame_bytes
 from evaluation.schemes.judge import Images
 from evaluation.schemes.scenes import IDLE_TICKS_SHORT, NEWTON_PER_COUNT, SIDE, TAXELS, Touch
-from evaluation.schemes.sums import SOLVED_NS
 from evaluation.schemes.wire import TICK_NS, Nanoseconds, Sent, carry_polled, patches
 from gateway.adaptive_state import new_sums, take_all
 from nodes.adaptive.filtering import ForceFilter, PatchFilter
@@ -59,7 +58,7 @@ class AdaptiveRun:
         ]
         solver = WalshReconstructor(list(patches(SIDE)), SIDE, SIDE, self.noise_n)
         solved = [solver.solve(np.concatenate([each[tick] for each in shares])).ravel() for tick in range(ticks)]
-        return Images(np.arange(ticks, dtype=np.int64) * TICK_NS + SOLVED_NS, np.stack(solved))
+        return Images(np.arange(ticks, dtype=np.int64) * TICK_NS, np.stack(solved))
 
 
 def _received(sent: Frames, nodes: int, ticks: int, *, is_fd: bool) -> Force:
@@ -138,11 +137,11 @@ def idle_of(touch: Touch) -> Counts:
 
 
 def less_variation(held: Images, noise_n: float) -> Images:
-    """Return images as the receiver of adaptive sums would smooth them, 3 ms later."""
+    """Return images as the receiver of adaptive sums would smooth them."""
     smooth = VariationFilter(SIDE, SIDE)
     limit_n = LIMIT_RATIO * noise_n
     images: list[Force] = [smooth(each.reshape(SIDE, SIDE), limit_n).ravel() for each in held.force_n]
-    return Images(held.ready_ns + SOLVED_NS, np.stack(images))
+    return Images(held.ready_ns, np.stack(images))
 
 
 def _learned(idle: Counts, cells: Cells) -> Noise:

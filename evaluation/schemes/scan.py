@@ -14,7 +14,6 @@ from dbc.frame import Frames, frames
 from dbc.packing import Packing
 from evaluation.schemes.judge import Images, Updates, ValueRun
 from evaluation.schemes.scenes import SIDE
-from evaluation.schemes.sums import SOLVED_NS
 from evaluation.schemes.wire import BUSES, TICK_NS, Nanoseconds, carry, lines_of, patches, syncs
 from reconstructor.engine import Reconstructor
 from reconstructor.settings import LIVE
@@ -110,7 +109,7 @@ def smoothed(held: Images, penalty_n: float) -> Images:
     valid = np.ones(cells, np.bool_)
     sums = np.asarray(phi.forward(held.force_n), np.float32)
     images = np.stack([engine.solve(each, valid).ravel() for each in sums])
-    return Images(held.ready_ns + SOLVED_NS, images)
+    return Images(held.ready_ns, images)
 
 
 def refined(held: Images, order: int) -> Images:

@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from canskin.errors import InputError
 from skin.layout import Taxels
+from skin.sources import OBJECT_GROUPS
 from skin.taxel import NOISE_N, sense, to_counts
 from touch.contact import Force, Grid, Pose, press
 from touch.objects import spheres_of
@@ -37,6 +38,9 @@ RECORDED_FRAMES: Final = 24
 SLAP_MS: Final = 300
 SLAP: Final = "three boxes slapped on"
 SHAKING: Final = "two boxes shaking"
+#: Slowest and fastest object of drawn scenes, and how far it slides to each side.
+DRAWN_M_PER_S: Final = (0.02, 0.5)
+DRAWN_REACH_M: Final = 0.04
 #: How the two boxes shake: rates that no scan keeps step with, mean depth, and the part of it by which they swing.
 #: They are pressed up to 26 times as fast as the paper's objects.
 SHAKING_HZ: Final = (7.3, 9.1)
@@ -93,6 +97,46 @@ def _shaking(tick: int) -> Iterator[tuple[str, Pose]]:
         yield name, Pose(x, y, 0.1, SHAKING_DEPTH_M * min(1.0, tick / 300) * swing)
 
 
+@dataclass(frozen=True)
+class _Stroke:
+    """An object that is pressed in, and then slides to and fro on a straight line."""
+
+    name: str
+    start_m: tuple[float, float]
+    direction_rad: float
+    rotation_rad: float
+    depth_m: float
+    pressed_ms: float
+    speed_m_per_s: float
+
+    def pose(self, tick: int) -> Pose:
+        """Return the pose at a tick."""
+        way_m = self.speed_m_per_s * max(0.0, tick - self.pressed_ms) * 1e-3
+        place_m = abs((way_m + DRAWN_REACH_M) % (4 * DRAWN_REACH_M) - 2 * DRAWN_REACH_M) - DRAWN_REACH_M
+        x, y = (start + place_m * part for start, part in zip(self.start_m, self._towards(), strict=True))
+        return Pose(x, y, self.rotation_rad, self.depth_m * min(1.0, tick / self.pressed_ms))
+
+    def _towards(self) -> tuple[float, float]:
+        return math.cos(self.direction_rad), math.sin(self.direction_rad)
+
+
+def _drawn(number: int, scene_seed: int) -> list[_Stroke]:
+    """Draw one or two strokes: one of the paper's objects, any place, direction, depth and speed."""
+    rng, (slowest, fastest) = np.random.default_rng([scene_seed, number]), DRAWN_M_PER_S
+    return [
+        _Stroke(
+            str(rng.choice(OBJECT_GROUPS["paper"])),
+            (float(rng.uniform(-0.05, 0.05)), float(rng.uniform(-0.05, 0.05))),
+            float(rng.uniform(0, 2 * math.pi)),
+            float(rng.uniform(0, math.pi)),
+            float(rng.uniform(0.2, 1.0)) * PAPER_DEPTH_M,
+            float(rng.uniform(50, 400)),
+            float(slowest * (fastest / slowest) ** rng.uniform()),
+        )
+        for _ in range(1 + int(rng.random() < 0.3))
+    ]
+
+
 def _nothing(tick: int) -> Iterator[tuple[str, Pose]]:
     del tick
     yield from ()
@@ -121,7 +165,7 @@ class Touch:
     ----------
     name : str
         Of `SLIDES` or `OWN`, or the path of an ``.npz`` whose first arrays are laid side by side, until the skin is
-        full.
+        full; of a drawn scene its number.
     ticks : int, optional
         Number of milliseconds from the start; without it, all of the scene.
     noise_n : float
@@ -132,6 +176,8 @@ class Touch:
         Folder of meshes that take the place of the shapes that ship.
     seed : int
         Of noise and losses.
+    scene_seed : int, optional
+        Of a drawn scene: objects, places, directions, depths and speeds.
     """
 
     name: str
@@ -140,10 +186,14 @@ class Touch:
     loss_ratio: float = 0.0
     meshes: str | None = None
     seed: int = 0
+    scene_seed: int | None = None
 
     @property
     def words(self) -> str:
         """What it is called in a table."""
+        if self.scene_seed is not None:
+            strokes = _drawn(int(self.name), self.scene_seed)
+            return " and ".join(f"{each.name} at {each.speed_m_per_s:.2f} m/s" for each in strokes)
         said = [f"recording {Path(self.name).stem}" if self.name.endswith(".npz") else self.name]
         said += [f"noise {1e3 * self.noise_n:g} mN"] if self.noise_n != NOISE_N else []
         said += [f"{self.loss_ratio:.0%} of frames lost"] if self.loss_ratio else []
@@ -178,6 +228,10 @@ def _scene(touch: Touch) -> Scene:
     meshes, ticks = Path(touch.meshes) if touch.meshes else None, touch.ticks or TICKS
     if touch.name in SLIDES:
         true = trajectory(touch.name, meshes=meshes, steps=touch.ticks or SLIDE_TICKS)
+    elif touch.scene_seed is not None:
+        strokes = _drawn(int(touch.name), touch.scene_seed)
+        posed = ([(each.name, each.pose(tick)) for each in strokes] for tick in range(ticks))
+        true = np.stack([_pressed(iter(each), meshes) for each in posed])
     elif touch.name in OWN:
         true = np.stack([_pressed(OWN[touch.name](tick), meshes) for tick in range(ticks)])
     else:

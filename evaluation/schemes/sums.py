@@ -1,7 +1,6 @@
 """Our own: compressed sums of a layout that `skin plan` knows, and the images of the live reconstruction."""
 
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -15,10 +14,6 @@ from evaluation.schemes.wire import TICK_NS, Nanoseconds, Sent, carry, syncs
 from nodes.averaging import SampleFilter
 from reconstructor.engine import Reconstructor
 from reconstructor.settings import LIVE
-
-#: Assumed from the last frame of a cycle to its image: gateway, fabric and solver on one core. The running chain takes
-#: 9 to 14 ms from SYNC to image in the median (README), of which the frames take 8.
-SOLVED_NS: Final = 3_000_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +48,7 @@ class SumsRun:
         images = np.empty((len(self.sums_n), taxels.count), np.float32)
         for cycle, (sums_n, valid) in enumerate(zip(self.sums_n, self.valid, strict=True)):
             images[cycle] = engine.solve(sums_n, valid).ravel()
-        return Images(self.closed_ns + SOLVED_NS, images)
+        return Images(self.closed_ns, images)
 
 
 def run_sums(

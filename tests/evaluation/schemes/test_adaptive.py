@@ -10,7 +10,6 @@ from evaluation.schemes.adaptive import AdaptiveRun, run_adaptive
 from evaluation.schemes.judge import quality
 from evaluation.schemes.scenes import NEWTON_PER_COUNT, SHAKING, SLAP, TAXELS, Touch
 from evaluation.schemes.schemes import Adaptive, measure_scheme
-from evaluation.schemes.sums import SOLVED_NS
 from evaluation.schemes.wire import TICK_NS, lines_of
 
 TICKS = 150
@@ -49,7 +48,7 @@ def test_every_frame_belongs_to_somebody_and_no_tpdo_follows_sync_at_once(run: A
 
 def test_a_receiver_that_gets_everything_shows_the_touch(run: AdaptiveRun, true_n: np.ndarray) -> None:
     images = run.images(np.ones(len(run.sent.frames), np.bool_))
-    assert images.ready_ns[0] == SOLVED_NS
+    assert images.ready_ns[0] == 0
     assert not images.force_n[:20].any()
     late = images.force_n[100:] - true_n[100:]
     assert np.sqrt(np.mean(late**2)) < 0.4e-3
@@ -70,7 +69,7 @@ def test_lost_frames_cost_quality_until_the_refresh(run: AdaptiveRun, true_n: np
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "psnr_db", "kbit_per_s"),
-    [("golf-ball", 53.6, 79), ("granola-box", 48.0, 418), (SLAP, 57.3, 183), (SHAKING, 36.0, 2862)],
+    [("golf-ball", 53.9, 79), ("granola-box", 48.6, 418), (SLAP, 57.3, 183), (SHAKING, 37.0, 2862)],
 )
 def test_touches_without_meshes_have_the_figures_of_the_documents(name: str, psnr_db: float, kbit_per_s: float) -> None:
     """Of docs/adaptive.md and docs/bandwidth.md; a new figure is to be changed there, too."""

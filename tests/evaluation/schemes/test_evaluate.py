@@ -9,7 +9,7 @@ from bandwidth.alternatives import planned
 from bandwidth.traffic import Disturbance
 from canskin.errors import InputError
 from evaluation.result import Options, Result, Row
-from evaluation.schemes.comparison import DIGITS, slides_together, wins_and_losses
+from evaluation.schemes.comparison import DIGITS, evaluate_drawn, slides_together, wins_and_losses
 from evaluation.schemes.comparison import evaluate as evaluate_schemes
 from evaluation.schemes.rates import evaluate as evaluate_rates
 from evaluation.schemes.scenes import SLAP, SLIDES, Touch, recordings_in
@@ -41,6 +41,17 @@ def test_events_take_more_bits_than_adaptive_sums_and_both_beat_the_clock(compar
     slap = {row["scheme"]: row for row in compared.rows if row["touch"] == SLAP}
     assert slap["filtered events, 0.5 mN"]["latency_worst_ms"] > 2 * slap["sums"]["latency_worst_ms"]
     assert slap["sums"]["latency_worst_ms"] < 9
+
+
+@pytest.mark.slow
+def test_drawn_scenes_have_a_tuned_rival_and_a_fixed_one() -> None:
+    found = evaluate_drawn(Options(quick=True, scene_seed=3))
+    assert len(found.rows) == 2
+    for row in found.rows:
+        assert row["gain_db"] <= row["fixed_gain_db"]  # the best of a scene is not worse than one for all
+    assert "of 2 scenes: PSNR at most 0.5 dB below in" in found.note
+    with pytest.raises(InputError, match="scenes of 1 or more"):
+        evaluate_drawn(Options(scenes=0))
 
 
 @pytest.mark.slow
