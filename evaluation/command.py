@@ -131,6 +131,8 @@ def evaluate(
 
     if subject == "postures" and recordings is None:
         raise InputError("postures needs the recordings of a pressure mat: give their folder with --recordings")
+    if subject == "drawn-rivals" and scenes == 0 and not quick:
+        raise InputError("drawn-rivals needs --scenes of 1 or more: got 0")
     if draws is not None and subject != "all" and not SUBJECTS[subject].draws:
         raise InputError(f"'{subject}' averages over no draws of Φ, got {draws} draws: leave out --draws")
     if basis and subject not in {"all", "sparsity"}:

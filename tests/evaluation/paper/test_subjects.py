@@ -84,7 +84,7 @@ def test_all_hands_draws_only_to_those_that_average(
             asked[module.rpartition(".")[2]] = options.draws
             return Result(module, [])
 
-        return SimpleNamespace(evaluate=subject, compression=subject, iterations=subject)
+        return SimpleNamespace(evaluate=subject, evaluate_drawn=subject, compression=subject, iterations=subject)
 
     monkeypatch.setattr(command, "import_module", subject_of)
     evaluate("all", draws=3, out=tmp_path, json=True)

@@ -8,6 +8,7 @@ import pytest
 from bandwidth.alternatives import planned
 from bandwidth.traffic import Disturbance
 from canskin.errors import InputError
+from evaluation.command import evaluate
 from evaluation.result import Options, Result, Row
 from evaluation.schemes.comparison import DIGITS, evaluate_drawn, slides_together, wins_and_losses
 from evaluation.schemes.comparison import evaluate as evaluate_schemes
@@ -50,8 +51,9 @@ def test_drawn_scenes_have_a_tuned_rival_and_a_fixed_one() -> None:
     for row in found.rows:
         assert row["gain_db"] <= row["fixed_gain_db"]  # the best of a scene is not worse than one for all
     assert "of 2 scenes: PSNR at most 0.5 dB below in" in found.note
-    with pytest.raises(InputError, match="scenes of 1 or more"):
-        evaluate_drawn(Options(scenes=0))
+    assert not evaluate_drawn(Options(scenes=0)).rows
+    with pytest.raises(InputError, match="scenes of 1 or more: got 0"):
+        evaluate("drawn-rivals", scenes=0)
 
 
 @pytest.mark.slow
