@@ -137,7 +137,8 @@ def request_real_time(service: str) -> str:
     All threads get real-time scheduling or none does: an ordinary thread of the fabric would starve behind a real-time
     loop, and a loop would wait for the interpreter's lock that the thread holds. A thread that starts later inherits
     the scheduling of the thread that starts it. The kernel keeps a share of each core for other programs, 5 % by
-    default (``sched_rt_runtime_us``). Without permission (root, or an ``rtprio`` limit) the scheduling stays as it is.
+    default (``sched_rt_runtime_us``). Without permission (root, or an ``rtprio`` limit) the scheduling stays as it is,
+    and on a single core, too: there real-time threads take turns of 100 ms, ordinary threads shorter ones.
     Objects that exist now are excluded from garbage collection, because its pauses would make cycles late.
 
     Returns
@@ -147,6 +148,9 @@ def request_real_time(service: str) -> str:
     """
     gc.collect()
     gc.freeze()
+    if _IS_LINUX and len(os.sched_getaffinity(0)) == 1:
+        say(service, "scheduling: ordinary; real time needs two cores or more")
+        return ORDINARY
     is_real_time = _IS_LINUX and _schedule(os.SCHED_RR, REAL_TIME_PRIORITY)
     say(service, "scheduling: real time" if is_real_time else "scheduling: ordinary; for real time, allow rtprio 1")
     return REAL_TIME if is_real_time else ORDINARY

@@ -60,6 +60,16 @@ def test_all_threads_are_scheduled_alike_and_processes_of_the_service_as_any_oth
     assert answer.stderr.startswith("test: scheduling: ")
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="real-time scheduling is asked for on Linux")
+def test_on_one_core_scheduling_stays_ordinary() -> None:
+    code = f"import os; os.sched_setaffinity(0, {{min(os.sched_getaffinity(0))}})\n{SCHEDULED}"
+    answer = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True, text=True)
+    told, threads, _, own = json.loads(answer.stdout)
+    assert told == "ordinary"
+    assert {own, *threads} == {os.SCHED_OTHER}
+    assert answer.stderr == "test: scheduling: ordinary; real time needs two cores or more\n"
+
+
 @pytest.mark.heavy
 def test_many_signals_in_a_row_end_a_service_once() -> None:
     with subprocess.Popen([sys.executable, "-c", BOMBARDED], stdout=subprocess.PIPE) as process:
