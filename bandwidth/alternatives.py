@@ -54,7 +54,7 @@ def _changes(layout: Layout) -> Iterator[tuple[str, Layout]]:
             yield f"{bits}-bit sums", with_bits(layout, bits)
     sums = layout.measurement.sums
     is_drawn = layout.measurement.rows is None  # named rows have one number of sums
-    if is_drawn and 2 * sums <= layout.taxels.count:
+    if is_drawn and 2 * sums <= layout.places:
         yield f"{2 * sums} sums", with_sums(layout, 2 * sums)
     if is_drawn and sums % (2 * layout.blocks) == 0:
         yield f"{sums // 2} sums", with_sums(layout, sums // 2)

@@ -1,18 +1,19 @@
 """``skin design``: a search for the layout that meets a requirement."""
 
+import re
 from pathlib import Path
 
 from bandwidth.search import CanKind, Requirement, SendingKind, search
 from bandwidth.traffic import Disturbance
-from canskin.errors import InputError, RunError
+from canskin.errors import InputError, LayoutError, RunError
 from shell.output import write_file
 from shell.service import say
 from shell.terminal import Json, print_json
-from skin.layout import layout_text
+from skin.layout import Taxels, layout_text, load_layout, parse_layout
 
 
 def design(
-    taxels: int,
+    taxels: str,
     *,
     rate: float = 100.0,
     buses: int = 4,
@@ -30,7 +31,7 @@ def design(
     Parameters
     ----------
     taxels
-        Number of taxels, a power of two.
+        Number of taxels; or rows and columns, as 24x32; or the TOML of a layout that has the taxels.
     rate
         Measurements per second of synchronous sums; adaptive sums come up to 1000 times a second, as they have news.
     buses
@@ -52,9 +53,10 @@ def design(
     --------
     skin design --taxels 1024 --can fd
     skin design --taxels 4096 --rate 100 --buses 2 --budget 0.7 --out palm.toml
-    skin design --taxels 4096 --rate 200 --can classic
+    skin design --taxels 24x32 --sending adaptive --out glove.toml
+    skin design --taxels hand --rate 200 --can classic
     """
-    required = Requirement(taxels, rate_hz=rate, buses=buses, budget=budget, can=can, sending=sending)
+    required = Requirement(_taxels(taxels), rate_hz=rate, buses=buses, budget=budget, can=can, sending=sending)
     found = search(required, disturbance)
     text = None if found.layout is None else layout_text(found.layout)
     if text is not None and out is not None:
@@ -79,3 +81,16 @@ def design(
     say("design", f"{found.chosen.words}: {found.chosen.load_words}; {unfit} others do not fit")
     print(str(out) if out is not None else text, end="\n" if out is not None else "")
     return 0
+
+
+def _taxels(text: str) -> int | Taxels:
+    """Return a number of taxels, or the taxels themselves."""
+    if text.isdecimal():
+        return int(text)
+    if found := re.fullmatch(r"(\d+)[x×](\d+)", text):
+        rows, columns = map(int, found.groups())
+        return parse_layout(f"[taxels]\nrows = {rows}\ncolumns = {columns}\n".encode(), "--taxels").taxels
+    try:
+        return load_layout(Path(text)).taxels
+    except LayoutError as error:
+        raise InputError(f"--taxels: expected a number, ROWSxCOLUMNS or a layout: {error}") from error

@@ -1,5 +1,6 @@
 """Search for a layout that meets a requirement: few buses first, then slow data phases, wide sums, small nodes."""
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import chain, product
@@ -17,7 +18,7 @@ from canskin.errors import InputError, LayoutError
 from dbc.canopen import HIGHEST_NODE_ID
 from dbc.contract import Contract
 from dbc.dictionary import window_s
-from skin.layout import RATE_MAX_HZ, SUM_BITS, Bus, Layout, PhiParameters, Sync, Taxels, validated
+from skin.layout import GAP, RATE_MAX_HZ, SUM_BITS, TAXEL, Bus, Layout, PhiParameters, Sync, Taxels, validated
 from skin.sending import ADAPTIVE, SUMS_PART, SendingName
 
 CanKind = Literal["any", "classic", "fd"]
@@ -44,8 +45,8 @@ class Requirement:
 
     Attributes
     ----------
-    taxels : int
-        A power of two.
+    taxels : int or Taxels
+        Their number, on a grid that is nearly square, or the grid.
     rate_hz : float
         Measurements per second.
     buses : int
@@ -58,7 +59,7 @@ class Requirement:
         ``any``: synchronous sums, whose load and lateness have a bound; adaptive sums where these do not fit.
     """
 
-    taxels: int
+    taxels: int | Taxels
     rate_hz: float
     buses: int = 4
     budget: float = 0.8
@@ -66,14 +67,35 @@ class Requirement:
     sending: SendingKind = "any"
 
     def __post_init__(self) -> None:
-        if not TAXELS_MIN <= self.taxels <= TAXELS_MAX or self.taxels & self.taxels - 1:
-            raise InputError(f"expected a power of two from {TAXELS_MIN} to {TAXELS_MAX} taxels, got {self.taxels}")
+        if not TAXELS_MIN <= self.count <= TAXELS_MAX:
+            raise InputError(f"expected {TAXELS_MIN} to {TAXELS_MAX} taxels, got {self.count}")
         if not 0 < self.rate_hz <= RATE_MAX_HZ:
             raise InputError(f"expected a rate above 0 and up to {RATE_MAX_HZ:g} Hz, got {self.rate_hz:g}")
         if not 1 <= self.buses <= BUSES_MAX:
             raise InputError(f"expected 1 to {BUSES_MAX} buses, got {self.buses}")
         if not 0 < self.budget <= 1:
             raise InputError(f"expected a budget above 0 and up to 1, the part of each bus to use, got {self.budget:g}")
+
+    @property
+    def count(self) -> int:
+        """Number of taxels."""
+        return self.taxels.there if isinstance(self.taxels, Taxels) else self.taxels
+
+    @property
+    def grid(self) -> Taxels:
+        """The taxels."""
+        return self.taxels if isinstance(self.taxels, Taxels) else nearly_square(self.taxels)
+
+
+def nearly_square(count: int) -> Taxels:
+    """Return a grid of a number of taxels: at most twice as high as wide, with gaps in the last row if need be."""
+    columns = next((each for each in range(math.isqrt(count), 0, -1) if count % each == 0), 1)
+    if count // columns <= 2 * columns:
+        return Taxels(rows=count // columns, columns=columns)
+    columns = math.isqrt(count)
+    signs = (TAXEL * count).ljust(-(-count // columns) * columns, GAP)
+    shape = tuple(signs[first : first + columns] for first in range(0, len(signs), columns))
+    return Taxels(shape=shape, rows=len(shape), columns=columns)
 
 
 @dataclass(frozen=True)
@@ -139,7 +161,7 @@ class Search:
         required, seen = self.required, self.candidates
         most = "1 bus" if required.buses == 1 else f"up to {required.buses} buses"
         kind = {"any": "CAN or CAN FD", "classic": "classic CAN", "fd": "CAN FD"}[required.can]
-        asked = f"{required.taxels} taxels {required.rate_hz:g} times a second"
+        asked = f"{required.count} taxels {required.rate_hz:g} times a second"
         lines = [f"no layout carries {asked} over {most} of {kind}, each at most {required.budget:.0%} full"]
         judged = [each for each in seen if each.load_worst is not None and each.sending == "synchronous"]
         if judged:
@@ -184,14 +206,13 @@ def search(required: Requirement, allowed: Disturbance | None = None) -> Search:
 
 def _layouts(required: Requirement) -> Iterator[Layout]:
     """Yield the layouts to try, synchronous sums first, least hardware first."""
-    power = required.taxels.bit_length() - 1
-    rows, columns = 1 << (power + 1) // 2, 1 << power // 2
     start = Layout(
-        taxels=Taxels(rows=rows, columns=columns),
-        measurement=PhiParameters(sums=required.taxels // COMPRESSIONS[0]),
+        taxels=required.grid,
+        measurement=PhiParameters(),
         sync=Sync(rate_hz=required.rate_hz),
         bus=[Bus(name="bus0", nodes=1)],
     )
+    start = with_sums(start, start.places // COMPRESSIONS[0])
     if required.sending != "adaptive":
         yield from _in_cycles(start, required)
     if required.sending != "synchronous" and required.rate_hz <= ADAPTIVE.default_rates_hz["sampling"]:
@@ -212,7 +233,7 @@ def _in_cycles(start: Layout, required: Requirement) -> Iterator[Layout]:
 
 def _on_news(start: Layout, required: Requirement) -> Iterator[Layout]:
     """Yield layouts of adaptive sums: a patch of neighbours on a node, and all its sums."""
-    patches = msgspec.structs.replace(with_sums(start, required.taxels).measurement, wiring="board")
+    patches = msgspec.structs.replace(with_sums(start, start.places).measurement, wiring="board")
     rates_hz = ADAPTIVE.default_rates_hz
     start = msgspec.structs.replace(
         start,
@@ -235,7 +256,7 @@ def _denser(least: Layout) -> Iterator[Layout]:
     if first.data_bitrate is not None:
         rates += [rate for rate in FD_BITRATES if first.data_bitrate < rate <= COMMON_DATA_BITRATE]
     for taxels_per_sum, rate in product(COMPRESSIONS[:0:-1], rates):
-        dense = with_sums(least, least.taxels.count // taxels_per_sum)
+        dense = with_sums(least, least.places // taxels_per_sum)
         yield with_buses(dense, len(least.bus), msgspec.structs.replace(first, data_bitrate=rate))
 
 

@@ -27,16 +27,19 @@ class Wiring:
 def wiring(layout: Layout) -> Wiring:
     """Return the wiring of a layout, of the blocks that send sums."""
     phi = layout.phi()
-    lengths_m = chain_lengths_m(phi.taxels_of_blocks[phi.has_sums], layout.taxels.columns, layout.taxels.pitch_m)
+    lengths_m = chain_lengths_m(
+        phi.taxels_of_blocks[phi.has_sums], layout.taxels.rows, layout.taxels.columns, layout.taxels.pitch_m
+    )
     samples_per_s = layout.samples_per_sync * layout.sync.rate_hz
     return Wiring(float(lengths_m.max()), float(lengths_m.sum()), _most_converted(layout) * samples_per_s)
 
 
 def _most_converted(layout: Layout) -> int:
     """Return the taxels or, of an analogue front end, sums of the node with most of them."""
-    of_blocks = np.diff(layout.phi().starts)
+    phi = layout.phi()
+    of_blocks = np.diff(phi.starts)
     if not layout.taxels.is_analogue:
-        of_blocks = layout.measurement.block_size * (of_blocks > 0)
+        of_blocks = np.bincount(phi.block_of_taxel, minlength=phi.blocks)[: phi.blocks] * (of_blocks > 0)
     most = 0
     for number, bus in enumerate(layout.bus):
         first = layout.first_block(number)

@@ -98,9 +98,9 @@ class DefectFinder:
         usual_n = max(float(np.median(window.noise_n[window.known])) if window.known.any() else 0.0, self._least_n)
         self._square += gain * (np.minimum(window.noise_n, JUMP_RATIO * usual_n) ** 2 - self._square)
         part = np.asarray(phi.adjoint(np.where(window.known, window.difference_n, 0.0)), np.float64) ** 2
-        gains = np.empty(phi.shape[1])
+        gains = np.zeros(phi.wired.taxels)
         gains[phi.taxels_of_blocks] = (free / np.clip(self._windows, 1, MEMORY))[:, None]
-        self._power += gains * (part - self._power)
+        self._power += gains[: part.size] * (part - self._power)
         told = {_subject(each) for each in self.found.words}
         self.found = self._defects()
         for text in self.found.words:
@@ -135,7 +135,7 @@ class DefectFinder:
 
     def _taxel(self, block: int) -> str:
         """Name the taxel that a block's noise comes from, if it is one."""
-        taxels = self._phi.taxels_of_blocks[block]
+        taxels = self._phi.taxels_of(block)
         second, first = np.argsort(self._power[taxels])[-2:]
         power: Floats = self._power[taxels]
         if power[first] < TAXEL_RATIO * power[second]:

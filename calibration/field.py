@@ -69,7 +69,7 @@ class FieldFinder:
     Parameters
     ----------
     rows, columns : int
-        Powers of two, 8 to 256.
+        Of the grid.
 
     Attributes
     ----------
@@ -85,6 +85,8 @@ class FieldFinder:
         self._gain = float(np.sqrt(phi.shape[0] / phi.blocks))
         #: Noise of Φᵀ sums / block size, the picture of the sums, over that of the sums.
         self.picture_gain: Final = self._gain / phi.block_size
+        #: Sums of a skin where every force is 1.
+        self._even = np.asarray(phi.forward(np.ones(phi.shape[1])), np.float64)
         self._shifts = (phi.row_of_sum == 0) & _is_spread(phi, rows, columns)[phi.block_of_sum]
 
     def least_n(self, noise_n: float) -> float:
@@ -93,7 +95,7 @@ class FieldFinder:
 
     def sums(self, force_n: Floats) -> Floats:
         """Return Φ x, shape (m,), of a field x, shape (n,)."""
-        work = force_n[self._taxels]
+        work = self.phi.padded(force_n)[self._taxels]
         hadamard(work, self.phi.blocks)
         return work[self._places]
 
@@ -133,9 +135,9 @@ class FieldFinder:
             force_n = solver.image_of(estimate).ravel().astype(np.float64)
             left_n = sums_n - self.sums(force_n)
             if turn == 0 and shifts.any():
-                common_n = float(np.median(left_n[shifts])) / self.phi.block_size
-                estimate += np.float32(common_n)
-                left_n -= np.where(self.phi.row_of_sum == 0, self.phi.block_size * common_n, 0.0)
+                common_n = float(np.median(left_n[shifts] / self._even[shifts]))
+                estimate[self._taxels < force_n.size] += np.float32(common_n)
+                left_n -= common_n * self._even
             dear_n = SHIFT_COST * PENALTY_RATIO * seen_n * self._gain
             shift_n = np.where(shifts, left_n - np.clip(left_n, -dear_n, dear_n), 0.0)
             left_n = left_n - shift_n
@@ -152,5 +154,5 @@ def _is_spread(phi: Sbhe, rows: int, columns: int) -> Bools:
     edges = np.zeros(phi.blocks)
     for first, second in ((block[1:], block[:-1]), (block[:, 1:], block[:, :-1])):
         for side in (first, second):
-            edges += np.bincount(side[first != second], minlength=phi.blocks)
+            edges += np.bincount(side[first != second], minlength=phi.blocks)[: phi.blocks]
     return np.asarray(edges >= SPREAD_EDGES * phi.block_size, np.bool_)

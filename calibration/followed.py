@@ -57,12 +57,12 @@ class Support:
 
     def tell(self, taxels: Bools, time_ns: int) -> None:
         """Note a person's word on some taxels, shape (n,)."""
-        blocks = np.unique(self._phi.block_of_taxel[taxels])
+        blocks = self._phi.blocks_of(taxels)
         self.of_blocks[blocks], self.since_ns[blocks] = ZeroSupport.TOLD, time_ns
 
     def take(self, zero: Zero, window: Window) -> None:
         """Look at the zero after a window. A person's word counts until the zero falls."""
-        self.of_blocks[self._phi.block_of_taxel[zero.fallen]] = ZeroSupport.CORRECTED
+        self.of_blocks[self._phi.blocks_of(zero.fallen)] = ZeroSupport.CORRECTED
         came = self._whole(zero.follower.known & window.known)
         if zero.calm_windows >= CALM_WINDOWS:
             self.of_blocks[came & (self.of_blocks != ZeroSupport.TOLD)] = ZeroSupport.MEASURED
@@ -187,7 +187,7 @@ class FollowedZero:
         way_n = (level_n - self._first_n)[totals] / phi.block_size
         of_blocks = np.full(phi.blocks, np.nan)
         of_blocks[phi.block_of_sum[totals]] = way_n
-        change_n = self._temperature.take(kelvin, of_blocks)[phi.block_of_taxel]
+        change_n = phi.of_taxels(self._temperature.take(kelvin, of_blocks))
         if change_n.any():
             self.zero.move(change_n)
             self.doubt.move(change_n)

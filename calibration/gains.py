@@ -174,9 +174,8 @@ def _solved(phi: Sbhe, sums_n: Floats, forces_n: npt.NDArray[np.float32], before
     residual: Floats = sums_n - np.asarray(phi.forward(forces_n * before.astype(np.float32)), np.float64)
     pull = float(np.mean(np.square(residual, dtype=np.float64))) / SPREAD**2
     gains, known = np.ones(phi.shape[1]), np.zeros(phi.shape[1], np.bool_)
-    hadamard = np.asarray(fast_hadamard(np.eye(phi.block_size)), np.float64)
-    for block, taxels in enumerate(phi.taxels_of_blocks):
-        signs = hadamard[phi.kept[block]]
+    for block in range(phi.blocks):
+        taxels, signs = _signs(phi, block)
         mine_n = forces_n[:, taxels].astype(np.float64)
         normal = (mine_n.T @ mine_n) * (signs.T @ signs)
         right = (mine_n * (sums_n[:, phi.starts[block] : phi.starts[block + 1]] @ signs)).sum(axis=0)
@@ -184,6 +183,12 @@ def _solved(phi: Sbhe, sums_n: Floats, forces_n: npt.NDArray[np.float32], before
         gains[taxels] = np.linalg.solve(normal + pull * np.eye(len(taxels)), right + pull)
     gains[~known] = 1.0
     return gains, known
+
+
+def _signs(phi: Sbhe, block: int) -> tuple[npt.NDArray[np.intp], Floats]:
+    """Return the taxels of a block, shape (k,), and their signs in its sums, shape (sums of the block, k)."""
+    rows = np.asarray(fast_hadamard(np.eye(phi.block_size)), np.float64)[phi.kept[block]]
+    return phi.taxels_of(block), rows[:, phi.taxels_of_blocks[block] < phi.shape[1]]
 
 
 def _solved_with_sums(
@@ -195,11 +200,11 @@ def _solved_with_sums(
     pull = float(np.mean(np.square(sums_n - expected_n, dtype=np.float64))) / SPREAD**2
     gains, known = before.copy(), np.zeros(phi.shape[1], np.bool_)
     differential, common_mode = of_sums.differential.copy(), of_sums.common_mode.copy()
-    hadamard = np.asarray(fast_hadamard(np.eye(phi.block_size)), np.float64)
-    for block, taxels in enumerate(phi.taxels_of_blocks):
+    for block in range(phi.blocks):
+        taxels, signs = _signs(phi, block)
         mine = slice(phi.starts[block], phi.starts[block + 1])
         force_n = forces_n[:, taxels].astype(np.float64)
-        model = _BlockGains(gains[taxels], differential[mine], common_mode[mine], hadamard[phi.kept[block]])
+        model = _BlockGains(gains[taxels], differential[mine], common_mode[mine], signs)
         power, seen = force_n.T @ force_n, force_n.T @ sums_n[:, mine]
         for _ in range(STEPS):
             model, certain = model.nearer(power, seen, pull)

@@ -208,7 +208,7 @@ class Zero:
         References that were measured and agree tell how much at any speed. A fall below noise is left to drift.
         """
         least_n = self._finder.least_n(self.follower.noise_n)
-        measured = self._references & self._phi.all_of_blocks(known)[self._phi.block_of_taxel]
+        measured = self._references & self._phi.of_taxels(self._phi.all_of_blocks(known))
         if measured.any():
             low_n, middle_n, high_n = np.quantile(force_n[measured], (0.25, 0.5, 0.75))
             if high_n - low_n < least_n:
@@ -228,7 +228,7 @@ class Zero:
         if self.touched.any():
             self._near = binary_dilation(self.touched.reshape(self._shape), iterations=MARGIN).ravel()
         self.held = np.zeros(self._phi.blocks, np.bool_)
-        self.held[self._phi.block_of_taxel[self._near]] = True
+        self.held[self._phi.blocks_of(self._near)] = True
         self._below_n = np.roll(self._below_n, 1, axis=0)
         self._below_n[0] = np.minimum(force_n, 0)
 

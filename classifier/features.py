@@ -15,7 +15,7 @@ from skin.measurement import Sbhe, fast_hadamard
 
 Float32 = npt.NDArray[np.float32]
 
-#: Standard deviations of the smoothing kernels in taxels; widths above a quarter of the array are left out.
+#: Standard deviations of the smoothing kernels in taxels. The first, and those of at most a quarter of the array.
 WIDTHS: Final = (0.5, 0.8, 1.2, 1.8, 2.7, 4.0, 6.0, 9.0, 14.0)
 
 #: Smaller weights are 0: products of two would be subnormal numbers, which take 100 times as long to multiply.
@@ -24,7 +24,7 @@ _LEAST_WEIGHT: Final = np.sqrt(np.finfo(np.float32).tiny)
 
 def widths_for(rows: int, columns: int) -> tuple[float, ...]:
     """Return the smoothing widths for an array of `rows` x `columns` taxels."""
-    return tuple(width for width in WIDTHS if width <= min(rows, columns) / 4)
+    return tuple(width for width in WIDTHS if width <= min(rows, columns) / 4) or WIDTHS[:1]
 
 
 class Smoothed:
@@ -59,7 +59,9 @@ class Smoothed:
         self._source = np.full(phi.kept.shape, sums, np.intp)
         self._source[phi.kept] = np.arange(sums)
         self._hadamard = fast_hadamard(np.eye(phi.block_size, dtype=np.float32)).astype(np.float32)
-        self._inverse_order = np.argsort(phi.order)
+        self._places = phi.place_of_taxel
+        self._is_wired = phi.is_wired.astype(np.float32).reshape(rows, columns)
+        self._has_gaps = not phi.is_wired.all()
         self._padded = np.zeros(sums + 1, np.float32)
         self._values = self._padded[:sums]
         self._valid_sums = np.zeros(sums, np.float32)
@@ -89,7 +91,9 @@ class Smoothed:
             self._values *= valid_ratio**-0.5
         np.take(self._padded, self._source, out=self._spread, mode="clip")
         np.matmul(self._spread, self._hadamard, out=self._scrambled)
-        np.take(self._scrambled.reshape(-1), self._inverse_order, out=self._image.reshape(-1), mode="clip")
+        np.take(self._scrambled.reshape(-1), self._places, out=self._image.reshape(-1), mode="clip")
+        if self._has_gaps:
+            self._image *= self._is_wired
         for index, stage in enumerate(self._stages):
             self.energies[index], self.peaks[index] = stage.measure(self._image)
 

@@ -5,6 +5,7 @@ the mean covariance of a pair, two objects at Mahalanobis distance d are confuse
 (the Bhattacharyya bound). The next row is the row with the smallest sum of these bounds over all pairs.
 """
 
+from dataclasses import replace
 from typing import Any, Final
 
 import msgspec
@@ -45,7 +46,7 @@ def choose_rows(phi: Sbhe, sums: npt.NDArray[Any], labels: npt.NDArray[Any], cou
     chosen = _chosen([np.asarray(sums[labels == name], np.float32) for name in classes], count)
     kept = np.zeros_like(phi.kept)
     kept[phi.block_of_sum[chosen], phi.row_of_sum[chosen]] = True
-    return Sbhe(phi.order, kept)
+    return replace(phi, kept=kept)
 
 
 def with_chosen_rows(
@@ -74,7 +75,7 @@ def with_chosen_rows(
     """
     require_sending(layout, "synchronous", "a choice of rows is", "adaptive nodes send every row")
     drawn = layout.phi()
-    every = Sbhe(drawn.order, np.ones_like(drawn.kept)) if layout.recognition is None else drawn
+    every = replace(drawn, kept=np.ones_like(drawn.kept)) if layout.recognition is None else drawn
     sums = simulate_means(force_n, layout, every, noise_n, np.random.default_rng(seed))
     chosen = choose_rows(every, sums, labels, count)
     rows = tuple(zip(chosen.block_of_sum.tolist(), chosen.row_of_sum.tolist(), strict=True))

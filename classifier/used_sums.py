@@ -1,5 +1,6 @@
 """Which sums the classifier uses, and what noise is in them: sums of cycles, or the coarse ones of adaptive boards."""
 
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -29,7 +30,7 @@ def classified_phi(layout: Layout) -> Sbhe:
     phi = layout.phi()
     kept = np.zeros_like(phi.kept)
     kept[:, grouped_rows(phi.block_size)[0]] = True
-    return Sbhe(phi.order, kept)
+    return replace(phi, kept=kept)
 
 
 def noise_ratios(layout: Layout) -> tuple[float, float]:
@@ -58,8 +59,8 @@ def silence(signal_n: Float32, true_n: Float32, least_n: Float32, phi: Sbhe) -> 
 
 def _beside(is_touched: npt.NDArray[np.bool_], phi: Sbhe) -> npt.NDArray[np.bool_]:
     """Return which taxels are of a block that nothing touches, while something touches another block."""
-    blocks = np.any(is_touched[:, phi.taxels_of_blocks], axis=2)
+    blocks = np.any(phi.padded(is_touched)[:, phi.taxels_of_blocks], axis=2)
     somewhere = np.any(blocks, axis=1, keepdims=True)
-    found = np.empty_like(is_touched)
+    found = np.zeros((len(is_touched), phi.wired.taxels), np.bool_)
     found[:, phi.order] = np.repeat(~blocks & somewhere, phi.block_size, axis=1)
-    return found
+    return found[:, : phi.shape[1]]

@@ -12,6 +12,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -19,7 +20,7 @@ import httpx
 
 from docs.rerun_picture import rerun
 from shell.output import write_file
-from tests.browser import CHROMIUM, chromium
+from tests.browser import CHROMIUM, Browser, chromium
 from tests.processes import Processes, free_port
 
 DOCS: Final = Path(__file__).parent
@@ -35,16 +36,20 @@ def demo(path: Path) -> None:
     _run("demo", "--seconds", "10", "--objects", "golf-ball", "--no-view", "--figure", str(path))
 
 
-def page(path: Path) -> None:
+def boards(path: Path) -> None:
+    """Draw the boards of a hand."""
+    _run("layout", "draw", "hand", "--out", str(path))
+
+
+def page(path: Path, layout: str = "default") -> None:
     """Take a picture of the web page while the golf ball touches."""
     if CHROMIUM is None:
         raise RuntimeError("expected chromium on PATH")
     port = free_port()
     with tempfile.TemporaryDirectory() as folder, Processes(Path(folder)) as processes:
         figure = str(Path(folder) / "demo.png")
-        processes.skin(
-            "demo", "demo", "--seconds", "300", "--objects", "golf-ball", "--port", str(port), "--figure", figure
-        )
+        touch = "--layout", layout, "--seconds", "300", "--objects", "golf-ball"
+        processes.skin("demo", "demo", *touch, "--port", str(port), "--figure", figure)
         processes.until(lambda: "fabric:" in processes.log("demo").read_text(), "the web page")
         address = f"http://127.0.0.1:{port}/"
         # Chromium takes a whole core, so it starts only when the ball touches.
@@ -54,10 +59,19 @@ def page(path: Path) -> None:
         with chromium(profile) as browser:
             browser.open(address, width=PAGE_WIDTH, height=PAGE_HEIGHT)
             touches = "the golf ball was not named"
-            browser.until(lambda: browser.text("#object .value") == "golf ball", touches, PATIENCE_S)
-            browser.wait(TOUCHED_S)
-            write_file(path, browser.picture())
+            is_named = partial(_is_named, browser)
+            while True:  # a touch may end before its picture
+                browser.until(is_named, touches, PATIENCE_S)
+                browser.wait(TOUCHED_S)
+                picture = browser.picture()
+                if is_named():
+                    break
+            write_file(path, picture)
         processes.stop("demo", signal.SIGINT)
+
+
+def _is_named(browser: Browser) -> bool:
+    return browser.text("#object .value") == "golf ball"
 
 
 def _object(address: str) -> str:
@@ -91,7 +105,9 @@ def scaling(path: Path) -> None:
 #: File in docs/, and the function that makes it.
 FIGURES: Final[dict[str, Callable[[Path], None]]] = {
     "demo.png": demo,
+    "hand-boards.png": boards,
     "page.png": page,
+    "hand-page.png": partial(page, layout="hand"),
     "rerun.png": rerun,
     "missing-data.svg": missing_data,
     "paper-images.png": paper_images,

@@ -111,6 +111,8 @@ class NodeWriting:
                 if values is None:
                     continue
                 for subindex, taxel in enumerate(chain, 1):
+                    if taxel >= len(values):  # an empty place
+                        continue
                     value = float(values[taxel]) if form == "<f" else int(values[taxel])
                     yield Write(od.of_block(index, place), subindex, struct.pack(form, value))
         yield Write(od.STORE, 1, od.SIGNATURE_SAVE.to_bytes(4, "little"))

@@ -39,7 +39,14 @@ class AnalogueElectronics(Electronics):
         seed: int = 0,
         defects: Defects = NO_DEFECTS,
     ) -> None:
-        super().__init__(layout.taxels, noise_n=noise_n, seed=seed, defects=defects, period_s=layout.sync.period_s)
+        super().__init__(
+            layout.taxels,
+            noise_n=noise_n,
+            seed=seed,
+            defects=defects,
+            period_s=layout.sync.period_s,
+            places=phi.wired.taxels,
+        )
         self._phi = phi
         self._sum_model = SumModel(phi, defects)
         self.converter = _converter(layout)
@@ -88,7 +95,7 @@ class AnalogueElectronics(Electronics):
         counts = self.converter.counts(sums_n)
         shown = self.pattern[phi.taxels_of_blocks]
         if (shown >= 0).any():
-            pattern = np.asarray(phi.forward(np.maximum(self.pattern, 0)), np.float64)
+            pattern = np.asarray(phi.wired.forward(np.maximum(self.pattern, 0)), np.float64)
             counts = np.where((shown[:, 0] >= 0)[phi.block_of_sum], self.converter.rounded(pattern), counts)
         return counts
 

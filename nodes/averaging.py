@@ -38,6 +38,8 @@ class SampleFilter:
     ----------
     blocks : array of int, shape (blocks, block size)
         Taxels of each block; every block learns a σ of its own.
+    places : int, optional
+        Number of taxels n, those of no block included.
 
     Attributes
     ----------
@@ -47,8 +49,8 @@ class SampleFilter:
         σ of each block in counts; 0 while unknown.
     """
 
-    def __init__(self, blocks: npt.NDArray[np.intp]) -> None:
-        taxels = blocks.size
+    def __init__(self, blocks: npt.NDArray[np.intp], places: int | None = None) -> None:
+        taxels = places or blocks.size
         self.counts = np.zeros(taxels, np.float32)
         self.noise = np.zeros(len(blocks), np.float32)
         self._blocks = blocks
@@ -78,7 +80,7 @@ class SampleFilter:
         self.counts = self._without_bias(self._of_taxels(self.noise))
 
     def _of_taxels(self, of_blocks: Floats) -> Floats:
-        spread = np.empty(self._blocks.size, np.float32)
+        spread = np.zeros(self._age.size, np.float32)
         spread[self._blocks] = of_blocks[:, None]
         return spread
 

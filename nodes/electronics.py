@@ -20,21 +20,23 @@ class Calibration:
     ----------
     taxels : Taxels
         Range and resolution.
+    places : int, optional
+        Number of taxels and of empty places of the boards, which follow; without it of taxels alone.
 
     Attributes
     ----------
-    gain, offset : array of float32, shape (n,)
+    gain, offset : array of float32, shape (places,)
         Correction per taxel: ``gain * counts + offset``, in counts.
     taxels : Taxels
         As given.
     """
 
-    def __init__(self, taxels: Taxels) -> None:
+    def __init__(self, taxels: Taxels, places: int | None = None) -> None:
         self.taxels = taxels
-        self.gain = np.ones(taxels.count, np.float32)
-        self.offset = np.zeros(taxels.count, np.float32)
+        self.gain = np.ones(places or taxels.count, np.float32)
+        self.offset = np.zeros_like(self.gain)
         #: What a test pattern shows, in counts; -1 without one.
-        self.pattern = np.full(taxels.count, -1, np.int32)
+        self.pattern = np.full(self.gain.shape, -1, np.int32)
 
     def set_pattern(self, chain: npt.NDArray[np.intp], pattern: int) -> None:
         """Set the test pattern of one block; `chain` holds its taxels in chain order."""
@@ -59,14 +61,16 @@ class Electronics(Calibration):
         Samples of every taxel in one step, the last one at the step's instant. Between two steps the force is
         interpolated. More than one are averaged (`nodes.averaging`).
     blocks : array of int, shape (blocks, block size), optional
-        Taxels of each block; more than one sample need it.
+        Taxels and empty places of each block: more than one sample are averaged here, not by the boards.
+    places : int, optional
+        As for `Calibration`.
 
     Attributes
     ----------
-    sampled : array of int32, shape (n,)
-        What every taxel read at the newest step, corrected; not averaged.
-    unread : deque of array of int32, shape (samples, n)
-        What the taxels read at the newest two steps, not corrected; who uses the samples takes them out.
+    sampled : array of int32, shape (places,)
+        What every place read at the newest step, corrected; not averaged.
+    unread : deque of array of int32, shape (samples, places)
+        What the places read at the newest two steps, not corrected; who uses the samples takes them out.
     sampled_ahead : int
         The step that `prepare` has sampled and `read` has not taken yet; -1 for none.
     """
@@ -81,24 +85,25 @@ class Electronics(Calibration):
         period_s: float = 0.01,
         samples: int = 1,
         blocks: npt.NDArray[np.intp] | None = None,
+        places: int | None = None,
     ) -> None:
-        super().__init__(taxels)
-        self.sampled = np.zeros(taxels.count, np.int32)
+        super().__init__(taxels, places)
+        self.sampled = np.zeros(self.gain.shape, np.int32)
         self._model = TaxelModel(noise_n, taxels.force_max_n, defects)
         self._random = np.random.Generator(np.random.SFC64(seed))
         self.period_s = period_s
         self._last: tuple[int, npt.NDArray[np.float32]] | None = None
         self._memory: Memory = {}
         self._samples = samples
-        self._filter = SampleFilter(blocks) if blocks is not None and samples > 1 else None
-        self._felt = np.zeros(taxels.count, np.int32)
+        self._filter = SampleFilter(blocks, self.gain.size) if blocks is not None and samples > 1 else None
+        self._felt = np.zeros_like(self.sampled)
         self.sampled_ahead = -1
         self.unread: deque[npt.NDArray[np.int32]] = deque(maxlen=2)
 
     @property
     def signal_n(self) -> npt.NDArray[np.float32]:
         """The sensor signal at the newest step, newtons, shape (n,)."""
-        return to_newtons(self.sampled, self.taxels)
+        return to_newtons(self.sampled[: self.taxels.count], self.taxels)
 
     @property
     def averages(self) -> bool:
@@ -117,16 +122,18 @@ class Electronics(Calibration):
         count = len(moments_n)
         time_s = self.period_s * (step - 1 + np.arange(1, count + 1) / count)
         signal = self._model.signal_of_moments(moments_n, self._random, time_s)
-        counts = to_counts(signal.reshape(count, -1), self.taxels)
+        counts = np.zeros((count, self.gain.size), np.int32)
+        counts[:, : self.taxels.count] = to_counts(signal.reshape(count, -1), self.taxels)
         self._felt, self.sampled_ahead = counts[-1], step
         self.unread.append(counts)
         if self._filter is not None:
             self._filter.take(counts.astype(np.float32))
 
     def read(self, force_n: npt.NDArray[np.float32], step: int = 0) -> npt.NDArray[Any]:
-        """Return what the sums are made of, corrected, shape (n,), of true forces, shape (rows, columns), at `step`.
+        """Return what the sums are made of, corrected, shape (places,).
 
-        ADC counts, int32; where samples are averaged, averages of counts, float32.
+        Of true forces, shape (rows, columns), at `step`: ADC counts, int32; where samples are averaged, averages of
+        counts, float32.
         """
         self.prepare(force_n, step)
         self.sampled_ahead = -1

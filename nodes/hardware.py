@@ -20,7 +20,7 @@ class Hardware(ABC):
     """The electronics of the boards of a process, as their nodes see it."""
 
     def __init__(self, phi: Sbhe, calibration: Calibration) -> None:
-        self._phi = phi
+        self._phi = phi.wired
         self._calibration = calibration
         self._patterns = np.full(phi.blocks, PATTERN_OFF, np.uint8)
 
@@ -84,11 +84,13 @@ class Hardware(ABC):
 
     def _drifted_n(self) -> npt.NDArray[np.float32]:
         """Return how far the zeros of the taxels have drifted by place, newtons, shape (rows, columns) or (n,)."""
-        return np.zeros(self._phi.order.size, np.float32)
+        return np.zeros(self._calibration.taxels.count, np.float32)
 
     def temperature_k(self, blocks: range) -> float:
         """Return the simulated temperature of the board of some blocks, kelvin: that which explains their drift."""
-        return REST_K + float(self._drifted_n().flat[self._phi.taxels_of_blocks[blocks]].mean()) / DRIFT_N_PER_K
+        drifted_n = self._drifted_n().ravel()
+        chains = self._phi.taxels_of_blocks[blocks]
+        return REST_K + float(drifted_n[chains[chains < drifted_n.size]].mean()) / DRIFT_N_PER_K
 
     def _chain(self, block: int) -> npt.NDArray[np.intp]:
         """Return the taxels of a block in chain order."""

@@ -219,6 +219,7 @@ def new_sampler(layout: Layout, phi: Sbhe, source: TaxelSource, **analogue: Any)
             period_s=layout.shortest_period_s,
             samples=layout.samples_per_sync,
             blocks=phi.taxels_of_blocks,
+            places=phi.wired.taxels,
         )
         return Sampler(phi, source, electronics, layout.sync.period_s)
 

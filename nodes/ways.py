@@ -60,7 +60,13 @@ def _sampler(
         analogue = {**analogue, "noise_n": 0.0}
     if firmware is None:
         return new_sampler(layout, contract.phi, source, **analogue)
-    electronics = Electronics(layout.taxels, **analogue, period_s=layout.sync.period_s, samples=layout.samples_per_sync)
+    electronics = Electronics(
+        layout.taxels,
+        **analogue,
+        period_s=layout.sync.period_s,
+        samples=layout.samples_per_sync,
+        places=contract.phi.wired.taxels,
+    )
     return CountSampler(contract.phi, source, electronics)
 
 

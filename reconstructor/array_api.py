@@ -70,7 +70,7 @@ class BatchSolver:
         noise_n: float | None = None,
         dtype: npt.DTypeLike = np.float32,
     ) -> None:
-        check_grid_of(phi, rows, columns)
+        check_grid_of(phi, rows, columns, settings.prior)
         is_tensor = settings.prior.endswith("-tensor")
         if not is_tensor or settings.spins > 1 or settings.scaled_start or settings.temporal_filter:
             raise InputError(

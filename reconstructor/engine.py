@@ -51,7 +51,7 @@ class Reconstructor:
     phi : Sbhe
         The skin's Φ.
     rows, columns : int
-        The grid, powers of two from 8 to 256.
+        The grid, 1 to 256; for a wavelet powers of two from 8.
     noise_n : float, optional
         Standard deviation of the noise of a sensor that clips at 0, to correct the bias of clipping. 0 and None: no
         correction.

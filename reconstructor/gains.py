@@ -43,7 +43,7 @@ class GainCorrection:
         taxels = phi.taxels_of_blocks[phi.block_of_sum]
         signs = np.asarray(fast_hadamard(np.eye(phi.block_size)))[phi.row_of_sum]
         sums = np.repeat(np.arange(phi.shape[0]), phi.block_size)
-        of_taxels = gains.taxels[taxels]
+        of_taxels = phi.padded(gains.taxels)[taxels]
         excess = (of_taxels - 1) * signs
         self._differential: np.float32 | Floats = np.float32(1)
         self._usable = np.ones(phi.shape[0], np.bool_)
@@ -53,7 +53,8 @@ class GainCorrection:
             self._differential = differential.astype(np.float32)
             excess += (gains.sums.common_mode / differential)[:, None] * of_taxels
         excess = excess.astype(np.float32)
-        self._excess = csr_array((excess.ravel(), (sums, taxels.ravel())), shape=phi.shape)
+        places = csr_array((excess.ravel(), (sums.ravel(), taxels.ravel())), shape=phi.wired.shape)
+        self._excess = places[:, : phi.shape[1]]
         self._before = np.zeros(phi.shape[1], np.float32)
 
     def apply(self, sums_n: Floats, valid: Bools) -> tuple[Floats, Bools]:

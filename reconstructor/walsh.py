@@ -14,6 +14,7 @@ import numpy.typing as npt
 from canskin.errors import InputError
 from reconstructor.checks import check_values
 from reconstructor.kernels.filling import fill
+from reconstructor.kernels.problem import cuts
 from reconstructor.kernels.variation import denoise
 from skin.walsh import grouped_rows, walsh_matrix
 
@@ -30,12 +31,13 @@ class VariationFilter:
 
     Parameters
     ----------
-    rows, columns : int
-        Of every image.
+    wired : array of bool, shape (rows, columns)
+        Where the grid of every image has a taxel.
     """
 
-    def __init__(self, rows: int, columns: int) -> None:
-        self._dual = np.zeros((2, rows, columns), np.float32)
+    def __init__(self, wired: npt.NDArray[np.bool_]) -> None:
+        self._dual = np.zeros((2, *wired.shape), np.float32)
+        self._cuts = cuts(wired)
 
     def __call__(self, image_n: Floats, limit_n: float) -> Floats:
         """Return the image with less total variation, float32, shape (rows, columns), newtons.
@@ -47,7 +49,7 @@ class VariationFilter:
             Neighbours that differ by less become equal, given time.
         """
         smooth = np.empty_like(image_n)
-        denoise(image_n, np.float32(limit_n), STEPS, self._dual, smooth)
+        denoise(image_n, np.float32(limit_n), STEPS, self._dual, smooth, self._cuts)
         return smooth
 
     def reset(self) -> None:
@@ -58,26 +60,32 @@ class VariationFilter:
 class WalshReconstructor:
     """Makes an image of the Walsh sums of all patches.
 
-    Raise InputError unless the patches hold every taxel once.
+    Raise InputError if the patches hold a taxel twice. A taxel that none holds is a gap.
 
     Parameters
     ----------
     patches : sequence of int arrays, shape (patches of a bus, taxels)
-        Row-major indices of the taxels of each patch, by bus, see `skin.walsh.patches`.
+        Row-major indices of the taxels of each patch and of empty places, by bus, see `skin.walsh.patches`.
     noise_n : float
         Median over the nodes of their noise, newtons; may be set anew between images.
     """
 
     def __init__(self, patches: Sequence[npt.NDArray[Any]], rows: int, columns: int, noise_n: float) -> None:
         self._cells = np.concatenate(patches)
-        if not np.array_equal(np.sort(self._cells, axis=None), np.arange(rows * columns)):
+        # The empty places follow the taxels; gaps of the grid are 0.
+        places = max(rows * columns, int(self._cells.max()) + 1)
+        held = np.bincount(self._cells.ravel(), minlength=places)
+        if held.max() > 1 or not held[rows * columns :].all():
             raise InputError(f"expected patches that hold each of {rows * columns} taxels once")
+        wired = held[: rows * columns].reshape(rows, columns) > 0
         taxels = self._cells.shape[1]
         self._rows = grouped_rows(taxels).ravel()
         self._inverse = walsh_matrix(taxels) / np.float32(taxels)
-        self._image = np.zeros((rows, columns), np.float32)
-        self._filter = VariationFilter(rows, columns)
-        self._filled, self._work = np.zeros((rows, columns), np.float32), np.zeros((4, rows, columns), np.float32)
+        self._places = np.zeros(places, np.float32)
+        self._image = self._places[: rows * columns].reshape(rows, columns)
+        self._filter = VariationFilter(wired)
+        self._grid = wired.shape, cuts(wired)
+        self._filled, self._work = np.zeros(places, np.float32), np.zeros((4, places), np.float32)
         self._unknown = np.zeros(self._cells.shape, np.bool_)
         self.noise_n = noise_n
 
@@ -96,12 +104,12 @@ class WalshReconstructor:
         if known is not None and (known.shape != self._cells.shape or known.dtype != np.bool_):
             raise InputError(f"known: expected booleans of shape {self._cells.shape}, got {known.dtype} {known.shape}")
         if known is None or known.all():
-            self._image.reshape(-1)[self._cells] = sums_n @ self._inverse
+            self._places[self._cells] = sums_n @ self._inverse
             self._filled[:] = 0
         elif known.any():
-            self._image.reshape(-1)[self._cells] = np.where(known, sums_n, np.float32(0)) @ self._inverse
+            self._places[self._cells] = np.where(known, sums_n, np.float32(0)) @ self._inverse
             self._unknown[:, self._rows] = ~known
-            fill(self._image, self._unknown, self._cells, self._filled, self._work)
+            fill(self._places, self._grid, self._unknown, self._cells, self._filled, self._work)
         else:
             self.reset()
             return np.zeros_like(self._image)

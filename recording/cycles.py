@@ -115,5 +115,5 @@ def _reader(layout: Layout, phi: Sbhe) -> Callable[[npt.NDArray[np.float32]], np
     if layout.taxels.is_analogue:
         boards = AnalogueElectronics(layout, phi, noise_n=0.0)
         return lambda force_n: boards.read_sums(force_n, None, 0)
-    electronics = Electronics(layout.taxels, noise_n=0.0)
-    return lambda force_n: phi.forward(electronics.read(force_n)).astype(np.int32, copy=False)
+    electronics = Electronics(layout.taxels, noise_n=0.0, places=phi.wired.taxels)
+    return lambda force_n: phi.wired.forward(electronics.read(force_n)).astype(np.int32, copy=False)

@@ -51,7 +51,7 @@ class Drawing:
         self._top_n = top_n
         self.cell = max(LEAST_CELL, 2 * (SIDE // max(self.shape) // 2))
         self.height, self.width = rows * self.cell + LINE, columns * self.cell
-        self._block_of_taxel = layout.phi().block_of_taxel.reshape(self.shape)
+        self._phi = layout.phi()
         self._hatching = np.tile(_hatched(self.cell), (rows, columns, 1))
 
     def draw(
@@ -73,8 +73,8 @@ class Drawing:
 
         picture = Image.new("RGB", (self.width, self.height))
         picture.paste(self._large(coloured(forces_n, self._top_n)))
-        if not valid.all():
-            hatched = np.where(valid[self._block_of_taxel], 0, 255).astype(np.uint8)
+        if not (valid.all() and self._phi.is_wired.all()):
+            hatched = np.where(self._phi.of_taxels(valid).reshape(self.shape), 0, 255).astype(np.uint8)
             picture.paste(Image.fromarray(self._hatching), mask=self._large(hatched))
         return self._written(picture, contacts, text)
 

@@ -117,7 +117,8 @@ def read_tables(path: Path, layout: Layout, offset_ns: int, warn: Warn) -> Table
 
 def _taxels(layout: Layout) -> Table:
     row, column = np.divmod(np.arange(layout.taxels.count), layout.taxels.columns)
-    return {"row": row, "column": column, "block": layout.phi().block_of_taxel}
+    phi = layout.phi()
+    return {"row": row, "column": column, "block": np.where(phi.is_wired, phi.block_of_taxel, -1)}
 
 
 def _wall_times(measurements: list[Measurement], offset_ns: int) -> WallTimes:

@@ -48,6 +48,7 @@ VERBS: Final = {
     "dbc-check": "nodes.contract_command:dbc_check",
     "plan": "bandwidth.plan_command:plan",
     "design": "bandwidth.design_command:design",
+    "layout": "demo.layout_command:layout",
     "load": "bandwidth.load_command:load",
     "objects": "touch.command:objects",
     "dataset": "touch.datasets.command:dataset",

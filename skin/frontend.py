@@ -149,7 +149,7 @@ class SumModel:
 def with_gains(phi: Sbhe, force_n: Force, sums_n: Force, gains: SumGains) -> Force:
     """Return the sums of two paths with gains, float32 of shape (..., m), of forces and their exact sums."""
     differential, common_mode = (each.astype(np.float32) for each in gains)
-    total_n = force_n[..., phi.taxels_of_blocks].sum(axis=-1, dtype=np.float32)[..., phi.block_of_sum]
+    total_n = phi.padded(force_n)[..., phi.taxels_of_blocks].sum(axis=-1, dtype=np.float32)[..., phi.block_of_sum]
     made: Force = differential * sums_n + common_mode * total_n
     return made
 

@@ -1,6 +1,7 @@
 """The layout of one skin: skin ▸ bus ▸ node ▸ block ▸ taxel, read from one TOML file."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, get_args
@@ -10,6 +11,7 @@ import numpy as np
 import tomli_w
 
 from canskin.errors import UNDECODABLE, InputError, LayoutError
+from skin.chains import check_chains, order_of, read_chains
 from skin.measurement import Sbhe, of_rows, part_of, sbhe
 from skin.sending import IN_CYCLES, SENDINGS, Sending, SendingName
 from skin.toml_errors import in_words
@@ -27,6 +29,11 @@ BITRATE_MAX: Final = 1_000_000
 RATE_MAX_HZ: Final = 2000.0
 #: Highest sampling rate of a layout.
 SAMPLING_MAX_HZ: Final = 10_000.0
+#: Signs of `taxels.shape`.
+TAXEL: Final = "#"
+GAP: Final = "."
+#: Fewest taxels of a skin.
+TAXELS_MIN: Final = 8
 #: Largest bit rate of a CAN FD data phase.
 DATA_BITRATE_MAX: Final = 8_000_000
 
@@ -61,13 +68,17 @@ class _Table(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 class Taxels(_Table, frozen=True, kw_only=True):
     """The grid of taxels: `rows` x `columns`, `pitch_m` apart; forces from 0 to `force_max_n` in `adc_bits`.
 
+    A skin with cut-outs, or of several patches, lacks some taxels of its grid: they are gaps of `shape`.
+
     `frontend` tells where a sum is made: each taxel has a converter and the node adds numbers (``digital``), or
     currents are added before one converter for each sum (``analogue``, `skin.frontend`). `untouchable` are the taxels
     that nothing can touch, row-major. `has_thermometers` tells that the boards measure their temperature (2036h).
     """
 
-    rows: Annotated[int, msgspec.Meta(ge=8, le=256)] = 64
-    columns: Annotated[int, msgspec.Meta(ge=8, le=256)] = 64
+    # A line for each row: `#` for a taxel, `.` for a gap; `rows` and `columns` follow from the picture.
+    shape: tuple[str, ...] | None = None
+    rows: Annotated[int, msgspec.Meta(ge=1, le=256)] = 64
+    columns: Annotated[int, msgspec.Meta(ge=1, le=256)] = 64
     pitch_m: Annotated[float, msgspec.Meta(ge=1e-6, le=10)] = 0.004
     force_max_n: Annotated[float, msgspec.Meta(ge=1e-6, le=1e6)] = 0.02
     adc_bits: Annotated[int, msgspec.Meta(ge=1, le=16)] = 10
@@ -82,8 +93,19 @@ class Taxels(_Table, frozen=True, kw_only=True):
 
     @property
     def count(self) -> int:
-        """Number of taxels n."""
+        """Number of taxels n of the grid, gaps included."""
         return self.rows * self.columns
+
+    @property
+    def gaps(self) -> Indices:
+        """Taxels that the grid lacks, row-major."""
+        signs = np.frombuffer("".join(self.shape or ()).encode(), np.uint8)
+        return np.flatnonzero(signs == ord(GAP))
+
+    @property
+    def there(self) -> int:
+        """Number of taxels that there are: n without gaps."""
+        return self.count - sum(line.count(GAP) for line in self.shape or ())
 
     @property
     def count_max(self) -> int:
@@ -107,8 +129,10 @@ class PhiParameters(_Table, frozen=True, kw_only=True):
     rows: Annotated[tuple[tuple[int, int], ...], msgspec.Meta(min_length=1)] | None = None
     selection: Literal["balanced", "uniform"] = "balanced"
     seed: Annotated[int, msgspec.Meta(ge=0, le=2**32 - 1)] = 1
-    # Blocks of taxels from all over the skin, or of neighbours: a patch of each board.
-    wiring: Literal["scattered", "board"] = "scattered"
+    # Blocks of taxels from all over the skin, of neighbours (a patch of each board), or those of `chains`.
+    wiring: Literal["scattered", "board", "file"] = "scattered"
+    # Boards that exist: the taxels of each block by place, -1 for a place without one; in a file, the path of a CSV.
+    chains: Annotated[tuple[tuple[int, ...], ...], msgspec.Meta(min_length=1)] | None = None
     # Scattered blocks: side of the region that holds a block, taxels; without the key the whole skin.
     patch: Literal[8, 16, 32, 64] | None = None
 
@@ -223,8 +247,13 @@ class Layout(_Table, frozen=True, kw_only=True):
 
     @property
     def blocks(self) -> int:
-        """Number of blocks (measurement groups)."""
-        return self.taxels.count // self.measurement.block_size
+        """Number of blocks (measurement groups): those of `chains`, or as few as hold the taxels."""
+        return _blocks(self.taxels, self.measurement)
+
+    @property
+    def places(self) -> int:
+        """Number of places of all blocks: taxels and empty places."""
+        return self.blocks * self.measurement.block_size
 
     @property
     def samples_per_sync(self) -> int:
@@ -261,16 +290,29 @@ class Layout(_Table, frozen=True, kw_only=True):
         """Draw the skin's measurement operator; the same layout always gives the same Φ."""
         taxels, drawn = self.taxels, self.measurement
         count = drawn.sums if drawn.rows is None else self.blocks
-        phi = sbhe(taxels.count, count, block_size=drawn.block_size, selection=drawn.selection, seed=drawn.seed)
-        if drawn.wiring == "board":
-            phi = Sbhe(np.concatenate(self.patches()).ravel(), phi.kept)
+        phi = sbhe(
+            taxels.count,
+            count,
+            block_size=drawn.block_size,
+            blocks=self.blocks,
+            gaps=taxels.gaps,
+            selection=drawn.selection,
+            seed=drawn.seed,
+        )
+        if drawn.chains is not None:
+            phi = replace(phi, order=order_of(drawn.chains, taxels.count, drawn.block_size))
+        elif drawn.wiring == "board":
+            phi = replace(phi, order=np.concatenate(self.patches()).ravel())
         elif drawn.patch is not None:
             phi = within_patches(phi, taxels.rows, taxels.columns, drawn.patch, self._held)
-        return phi if drawn.rows is None else of_rows(phi.order, drawn.block_size, drawn.rows)
+        return phi if drawn.rows is None else of_rows(phi, drawn.rows)
 
     def patches(self) -> list[Indices]:
-        """Return the taxels of each block of neighbours, by bus: arrays of shape (blocks of the bus, block size)."""
-        return patches(self.taxels.rows, self.taxels.columns, self.measurement.block_size, self._held)
+        """Return the taxels of each block of neighbours, by bus; see `skin.walsh.patches`."""
+        if self.measurement.chains is not None:
+            return np.split(self.phi().taxels_of_blocks, np.cumsum(self._held)[:-1])
+        taxels = self.taxels
+        return patches(taxels.rows, taxels.columns, self.measurement.block_size, self._held, taxels.gaps)
 
     @property
     def _held(self) -> list[int]:
@@ -327,7 +369,7 @@ def _read_attached(path: Path) -> bytes:
 def parse_layout(content: bytes, origin: str) -> Layout:
     """Decode and check a layout; `origin` names the file in messages."""
     try:
-        document = _with_sizes(msgspec.toml.decode(content))
+        document = _with_sizes(_with_chains(_with_shape(msgspec.toml.decode(content)), Path(origin).parent))
     except UNDECODABLE as error:
         raise LayoutError(f"{origin}: {error}") from error
     try:
@@ -339,6 +381,24 @@ def parse_layout(content: bytes, origin: str) -> Layout:
     except LayoutError as error:
         raise LayoutError(f"{origin}: {error}") from error
     return layout
+
+
+def _with_shape(tables: dict[str, Any]) -> dict[str, Any]:
+    """Fill in rows and columns of a shape."""
+    taxels = tables.get("taxels")
+    shape = taxels.get("shape") if isinstance(taxels, dict) else None
+    if isinstance(shape, list) and shape and isinstance(shape[0], str):
+        tables["taxels"] = {"rows": len(shape), "columns": len(shape[0])} | tables["taxels"]
+    return tables
+
+
+def _with_chains(tables: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """Read the file of `measurement.chains`, if its path is given: a layout then stands for itself."""
+    measurement, taxels = tables.get("measurement"), tables.get("taxels", {})
+    if isinstance(measurement, dict) and isinstance(measurement.get("chains"), str):
+        columns = taxels.get("columns", Taxels().columns) if isinstance(taxels, dict) else 0
+        measurement["chains"] = read_chains(folder / measurement["chains"], columns if type(columns) is int else 0)
+    return tables
 
 
 def _with_sizes(tables: dict[str, Any]) -> dict[str, Any]:
@@ -353,14 +413,20 @@ def _with_sizes(tables: dict[str, Any]) -> dict[str, Any]:
         parameters = msgspec.convert(tables.get("measurement", {}), PhiParameters)
     except msgspec.ValidationError:  # the check of the whole layout names the path
         return tables
-    blocks = max(1, taxels.count // parameters.block_size)
+    blocks = _blocks(taxels, parameters)
     of_block = max(1, parameters.block_size // sends.taxels_per_sum)
     sums = blocks * of_block if parameters.rows is None else len(parameters.rows)
     tables.setdefault("measurement", {}).setdefault("sums", sums)
     buses = -(-blocks // NODES_PER_BUS)
     if "taxels" in tables:  # without taxels and buses the file is no layout
-        tables.setdefault("bus", [{"name": f"bus{each}", "nodes": blocks // buses} for each in range(buses)])
+        tables.setdefault("bus", [{"name": f"bus{each}", "nodes": (blocks + each) // buses} for each in range(buses)])
     return tables
+
+
+def _blocks(taxels: Taxels, measurement: PhiParameters) -> int:
+    if measurement.chains is not None:
+        return len(measurement.chains)
+    return -(-taxels.there // measurement.block_size)
 
 
 def validated(layout: Layout) -> Layout:
@@ -411,24 +477,35 @@ def _check(layout: Layout) -> None:
 
 def _check_measurement(layout: Layout) -> None:
     taxels, measurement = layout.taxels, layout.measurement
-    powers = {
-        "taxels.rows": taxels.rows,
-        "taxels.columns": taxels.columns,
-        "measurement.block_size": measurement.block_size,
-    }
-    for path, size in powers.items():
-        if size & (size - 1):
-            raise LayoutError(f"expected a power of two, got {size} - at `$.{path}`")
-    if taxels.count % measurement.block_size:
-        raise LayoutError(f"{taxels.count} taxels do not divide into blocks - at `$.measurement.block_size`")
+    size, most = measurement.block_size, layout.places
+    if size & (size - 1):
+        raise LayoutError(f"expected a power of two, got {size} - at `$.measurement.block_size`")
+    _check_shape(taxels)
+    if taxels.there < TAXELS_MIN:
+        raise LayoutError(f"expected {TAXELS_MIN} taxels or more, got {taxels.there} - at `$.taxels`")
+    if (measurement.wiring == "file") != (measurement.chains is not None):
+        raise LayoutError(f"`chains` need wiring = 'file', got '{measurement.wiring}' - at `$.measurement.wiring`")
+    if measurement.chains is not None:
+        check_chains(measurement.chains, taxels.count, size, taxels.gaps)
     check_patch(taxels.rows, taxels.columns, measurement.block_size, measurement.wiring, measurement.patch)
-    if not 1 <= measurement.sums <= taxels.count:
-        raise LayoutError(f"expected 1 to {taxels.count} sums, got {measurement.sums} - at `$.measurement.sums`")
+    if not 1 <= measurement.sums <= most:
+        raise LayoutError(f"expected 1 to {most} sums, got {measurement.sums} - at `$.measurement.sums`")
     if measurement.rows is not None:
         _check_rows(layout, measurement.rows)
     elif measurement.selection == "balanced" and measurement.sums > layout.blocks and measurement.sums % layout.blocks:
         wanted = f"balanced needs fewer sums than the {layout.blocks} blocks, or a multiple of them"
         raise LayoutError(f"{wanted}, got {measurement.sums} - at `$.measurement.sums`")
+
+
+def _check_shape(taxels: Taxels) -> None:
+    for number, line in enumerate(taxels.shape or ()):
+        if wrong := set(line) - {GAP, TAXEL}:
+            signs = f"expected '{TAXEL}' for a taxel and '{GAP}' for a gap"
+            raise LayoutError(f"{signs}, got '{min(wrong)}' - at `$.taxels.shape[{number}]`")
+        if len(line) != taxels.columns:
+            raise LayoutError(f"expected {taxels.columns} signs, got {len(line)} - at `$.taxels.shape[{number}]`")
+    if taxels.shape is not None and len(taxels.shape) != taxels.rows:
+        raise LayoutError(f"expected {taxels.rows} lines (`rows`), got {len(taxels.shape)} - at `$.taxels.shape`")
 
 
 def _check_rows(layout: Layout, rows: Sequence[tuple[int, int]]) -> None:
@@ -439,7 +516,7 @@ def _check_rows(layout: Layout, rows: Sequence[tuple[int, int]]) -> None:
     if measurement.selection != "balanced":
         raise LayoutError("named rows are not drawn: leave `selection` or `rows` out - at `$.measurement.selection`")
     try:
-        of_rows(np.arange(layout.taxels.count), measurement.block_size, rows)
+        of_rows(sbhe(layout.taxels.there, layout.blocks, block_size=measurement.block_size, blocks=layout.blocks), rows)
     except InputError as error:
         raise LayoutError(f"{error} - at `$.measurement.rows`") from error
 
@@ -498,9 +575,9 @@ def _check_adaptive(layout: Layout) -> None:
     measurement = layout.measurement
     wanted = {
         "taxels.frontend": (layout.taxels.frontend, "digital"),
-        "measurement.wiring": (measurement.wiring, "board"),
+        "measurement.wiring": (measurement.wiring, "file" if measurement.chains else "board"),
         "measurement.block_size": (measurement.block_size, ADAPTIVE_BLOCK),
-        "measurement.sums": (measurement.sums, layout.taxels.count),
+        "measurement.sums": (measurement.sums, layout.places),
         "sync.rate_hz": (layout.sync.rate_hz, layout.sends.default_rates_hz["sync"]),
         "sampling.rate_hz": (layout.sampling.rate_hz, layout.sends.default_rates_hz["sampling"]),
     }

@@ -7,7 +7,7 @@ so the board of the block can compute it. W W^T = B I, hence Φ Φ^T = B I exact
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Literal, TypeVar, get_args
 
@@ -48,18 +48,24 @@ def fast_hadamard(blocks: npt.NDArray[np.generic]) -> npt.NDArray[np.generic]:
 class Sbhe:
     """Φ of one skin: y = Φ x, shape (m, n), entries 0 and ±1.
 
-    Sums are ordered by block, and inside a block by Hadamard row.
+    Sums are ordered by block, and inside a block by Hadamard row. Where the taxels do not fill the blocks, some places
+    are empty: they count as taxels that read 0, and are numbered after the taxels. A taxel that no block has is a gap:
+    no sum feels it.
 
     Attributes
     ----------
-    order : array of int, shape (n,)
-        Permutation P: the taxel at place r of block b is ``order[b * block_size + r]`` (row-major index).
+    order : array of int, shape (blocks * block_size,)
+        Permutation P: the taxel at place r of block b is ``order[b * block_size + r]`` (row-major index); from n on,
+        an empty place.
     kept : array of bool, shape (blocks, block_size)
         Selection Q: which Hadamard rows of each block are sent.
+    taxels : int
+        n, gaps included.
     """
 
     order: npt.NDArray[np.intp]
     kept: npt.NDArray[np.bool_]
+    taxels: int
 
     @property
     def block_size(self) -> int:
@@ -68,17 +74,32 @@ class Sbhe:
 
     @property
     def blocks(self) -> int:
-        """Number of blocks, n / B."""
+        """Number of blocks, n / B, rounded up."""
         return int(self.kept.shape[0])
 
     @cached_property
     def shape(self) -> tuple[int, int]:
         """(m, n): sums and taxels."""
-        return int(self.kept.sum()), self.order.size
+        return int(self.kept.sum()), self.taxels
+
+    @cached_property
+    def empty(self) -> int:
+        """Number of empty places."""
+        return int((self.order >= self.taxels).sum())
+
+    @cached_property
+    def is_wired(self) -> npt.NDArray[np.bool_]:
+        """Which taxels a block has, shape (n,); the others are gaps."""
+        return np.asarray(self.block_of_taxel < self.blocks, np.bool_)
+
+    @cached_property
+    def place_of_taxel(self) -> npt.NDArray[np.intp]:
+        """Place of every taxel, shape (n,): that of block b are those from b * block_size on; of a gap 0."""
+        return self._numbered(np.arange(self.order.size), 0)
 
     @property
     def norm_squared(self) -> float:
-        """Largest eigenvalue of ΦᵀΦ: B."""
+        """Largest eigenvalue of ΦᵀΦ: B; with empty places at most B."""
         return float(self.block_size)
 
     @cached_property
@@ -103,8 +124,18 @@ class Sbhe:
 
     @property
     def taxels_of_blocks(self) -> npt.NDArray[np.intp]:
-        """Taxels of every block in the order of its chain, shape (blocks, block_size)."""
+        """Taxels of every block in the order of its chain, and empty places, shape (blocks, block_size)."""
         return self.order.reshape(self.kept.shape)
+
+    def taxels_of(self, block: int) -> npt.NDArray[np.intp]:
+        """Return the taxels of a block in the order of its chain, without empty places."""
+        chain = self.taxels_of_blocks[block]
+        return np.compress(chain < self.shape[1], chain)
+
+    @cached_property
+    def wired(self) -> "Sbhe":
+        """The same Φ with empty places as taxels, shape (m, n + empty): what the converters of the boards read."""
+        return replace(self, taxels=self.taxels + self.empty)
 
     @cached_property
     def _sending_taxels(self) -> npt.NDArray[np.intp]:
@@ -126,8 +157,22 @@ class Sbhe:
 
     @cached_property
     def block_of_taxel(self) -> npt.NDArray[np.intp]:
-        """Block of every taxel, shape (n,)."""
-        return np.argsort(self.order) // self.block_size
+        """Block of every taxel, shape (n,); of a gap the number of blocks."""
+        return self._numbered(np.arange(self.order.size) // self.block_size, self.blocks)
+
+    def of_taxels(self, of_blocks: Array, of_gaps: float = 0) -> Array:
+        """Spread one value per block, shape (blocks,), to one per taxel, shape (n,)."""
+        with_gap: Array = np.append(of_blocks, of_blocks.dtype.type(of_gaps))  # type: ignore[assignment]
+        return with_gap[self.block_of_taxel]  # type: ignore[return-value]  # the type stays
+
+    def blocks_of(self, taxels: npt.NDArray[np.bool_]) -> npt.NDArray[np.intp]:
+        """Return the blocks of some taxels; `taxels` has shape (n,)."""
+        return np.unique(self.block_of_taxel[taxels & self.is_wired])
+
+    def _numbered(self, of_places: npt.NDArray[np.intp], of_gaps: int) -> npt.NDArray[np.intp]:
+        found = np.full(self.wired.taxels, of_gaps, np.intp)
+        found[self.order] = of_places
+        return found[: self.taxels]
 
     def rows_of(self, block: int) -> list[int]:
         """Hadamard rows that `block` sends, ascending."""
@@ -140,6 +185,8 @@ class Sbhe:
         digest.update(np.asarray(self.kept.shape, "<u4").tobytes())
         digest.update(self.order.astype("<u4").tobytes())
         digest.update(np.packbits(self.kept).tobytes())
+        if self.order.size != self.taxels:
+            digest.update(np.uint32(self.taxels).astype("<u4").tobytes())
         return digest.hexdigest()[:16]
 
     def forward(self, x: npt.NDArray[np.generic]) -> npt.NDArray[np.generic]:
@@ -156,7 +203,7 @@ class Sbhe:
         """
         check_vectors("taxels", x, self.shape[1])
         sent: npt.NDArray[Any] = x if np.issubdtype(x.dtype, np.floating) else x.astype(np.int32)
-        work = sent[..., self._sending_taxels]
+        work = self.padded(sent)[..., self._sending_taxels]
         if self._signs is None:
             return fast_hadamard(work)[..., self._sent]
         # B additions for one row in place of B log2 B for all, in the same order: the same bits.
@@ -165,6 +212,13 @@ class Sbhe:
             work = work[..., ::2] + work[..., 1::2]
         return work[..., 0]
 
+    def padded(self, x: Array) -> Array:
+        """Return taxels, shape (..., n), with zeros for the empty places, shape (..., n + empty)."""
+        if not self.empty:
+            return x
+        zeros = np.zeros((*x.shape[:-1], self.empty), x.dtype)
+        return np.concatenate((x, zeros), axis=-1)  # type: ignore[return-value]  # the type stays
+
     def adjoint(self, y: npt.NDArray[np.generic]) -> npt.NDArray[np.generic]:
         """Return Φᵀ y, shape (..., n), of sums `y` of shape (..., m)."""
         check_vectors("sums", y, self.shape[0])
@@ -172,9 +226,9 @@ class Sbhe:
         spread = np.zeros((*y.shape[:-1], *self.kept.shape), work.dtype)
         spread[..., self.kept] = work
         scrambled = fast_hadamard(spread).reshape(*y.shape[:-1], -1)  # W is symmetric
-        taxels = np.empty_like(scrambled)
+        taxels = np.zeros((*y.shape[:-1], self.wired.taxels), scrambled.dtype)
         taxels[..., self.order] = scrambled
-        return taxels
+        return taxels[..., : self.shape[1]]
 
     def sums_of_blocks(self, valid: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
         """Spread one validity per block, shape (blocks,), to one per sum, shape (m,)."""
@@ -196,6 +250,8 @@ def sbhe(
     sums: int,
     *,
     block_size: int = 32,
+    blocks: int | None = None,
+    gaps: npt.NDArray[np.intp] | None = None,
     selection: Selection = "balanced",
     seed: int = 1,
 ) -> Sbhe:
@@ -205,6 +261,10 @@ def sbhe(
     ----------
     taxels, sums : int
         n and m.
+    blocks : int, optional
+        Number of blocks; without it as few as hold the taxels.
+    gaps : array of int, optional
+        Taxels that the skin lacks, some of the n.
     selection : {"balanced", "uniform"}
         "balanced" selects the same number of rows in every block or, with fewer sums than blocks, one row in each of
         m blocks, one block out of each of m runs of neighbouring blocks. "uniform" draws m of the n rows, as in the
@@ -212,12 +272,13 @@ def sbhe(
     seed : int
         Same seed, same Φ, on every platform (NumPy's PCG64).
     """
-    _check_sizes(taxels, sums, block_size)
+    _check_sizes(taxels if gaps is None else taxels - len(gaps), sums, block_size, blocks)
+    there = np.delete(np.arange(taxels), [] if gaps is None else gaps)
     if selection not in get_args(Selection):
         raise InputError(f"expected rows that are {' or '.join(get_args(Selection))}, got '{selection}'")
-    blocks = taxels // block_size
+    blocks = blocks or -(-there.size // block_size)
     random = seeded(seed)
-    order = random.permutation(taxels)
+    order = _dealt_evenly(there[random.permutation(there.size)], taxels, blocks, block_size)
     kept = np.zeros((blocks, block_size), np.bool_)
     if selection == "balanced":
         if sums > blocks and sums % blocks:
@@ -227,8 +288,18 @@ def sbhe(
         if sums < blocks:
             kept[~_one_of_each_run(blocks, sums, random)] = False
     else:
-        kept.flat[random.permutation(taxels)[:sums]] = True
-    return Sbhe(order.astype(np.intp), kept)
+        kept.flat[random.permutation(order.size)[:sums]] = True
+    return Sbhe(order, kept, taxels)
+
+
+def _dealt_evenly(there: npt.NDArray[np.intp], taxels: int, blocks: int, block_size: int) -> npt.NDArray[np.intp]:
+    """Deal taxels out to blocks, as many to each as to the others; the empty places of a block are its last."""
+    each, more = divmod(there.size, blocks)
+    held = np.arange(block_size) < (each + (np.arange(blocks) < more))[:, None]
+    order = np.empty(held.shape, np.intp)
+    order[held] = there
+    order[~held] = np.arange(taxels, taxels + order.size - there.size)
+    return order.ravel()
 
 
 def _one_of_each_run(blocks: int, runs: int, random: np.random.Generator) -> npt.NDArray[np.bool_]:
@@ -239,25 +310,25 @@ def _one_of_each_run(blocks: int, runs: int, random: np.random.Generator) -> npt
     return drawn
 
 
-def of_rows(order: npt.NDArray[np.intp], block_size: int, rows: Sequence[tuple[int, int]]) -> Sbhe:
-    """Return the SBHE that sends the named rows.
+def of_rows(phi: Sbhe, rows: Sequence[tuple[int, int]]) -> Sbhe:
+    """Return the SBHE with the blocks of another that sends the named rows.
 
     Parameters
     ----------
-    order : array of int, shape (n,)
-        Permutation P.
+    phi : Sbhe
+        Its own rows do not matter.
     rows : sequence of (int, int)
         Block and Hadamard row of each sum.
     """
-    kept = np.zeros((order.size // block_size, block_size), np.bool_)
+    kept = np.zeros_like(phi.kept)
     for block, row in rows:
-        if not (0 <= block < kept.shape[0] and 0 <= row < block_size):
-            limits = f"blocks of 0 to {kept.shape[0] - 1} and rows of 0 to {block_size - 1}"
+        if not (0 <= block < phi.blocks and 0 <= row < phi.block_size):
+            limits = f"blocks of 0 to {phi.blocks - 1} and rows of 0 to {phi.block_size - 1}"
             raise InputError(f"expected {limits}, got block {block}, row {row}")
         if kept[block, row]:
             raise InputError(f"row {row} of block {block} is named twice")
         kept[block, row] = True
-    return Sbhe(order, kept)
+    return replace(phi, kept=kept)
 
 
 def part_of(phi: Sbhe, sums: int, seed: int) -> Sbhe:
@@ -282,7 +353,7 @@ def part_of(phi: Sbhe, sums: int, seed: int) -> Sbhe:
         kept[block, random.permutation(rows)[:each]] = True
     if sums < phi.blocks:
         kept[~_one_of_each_run(phi.blocks, sums, random)] = False
-    return Sbhe(phi.order, kept)
+    return replace(phi, kept=kept)
 
 
 def places(phi: Sbhe, part: Sbhe) -> npt.NDArray[np.intp]:
@@ -290,16 +361,20 @@ def places(phi: Sbhe, part: Sbhe) -> npt.NDArray[np.intp]:
     return np.flatnonzero(part.kept[phi.kept])
 
 
-def _check_sizes(taxels: int, sums: int, block_size: int) -> None:
+def _check_sizes(taxels: int, sums: int, block_size: int, blocks: int | None) -> None:
     """Raise InputError unless an SBHE of these sizes exists."""
     if not all(isinstance(each, int | np.integer) for each in (taxels, sums, block_size)):
         raise InputError(f"expected whole numbers, got {taxels} taxels, {sums} sums and blocks of {block_size}")
     if block_size < 1 or block_size & (block_size - 1):
         raise InputError(f"expected blocks of a power of two, got blocks of {block_size} taxels")
-    if taxels < 1 or taxels % block_size:
-        raise InputError(f"expected taxels a multiple of the block size {block_size}, got {taxels}")
-    if not 0 < sums <= taxels:
-        raise InputError(f"expected 1 to {taxels} sums of {taxels} taxels, got {sums}")
+    if taxels < 1:
+        raise InputError(f"expected one taxel or more, got {taxels}")
+    least = -(-taxels // block_size)
+    if blocks is not None and not least <= blocks <= taxels:
+        raise InputError(f"expected {least} to {taxels} blocks of {taxels} taxels, got {blocks}")
+    most = (blocks or least) * block_size
+    if not 0 < sums <= most:
+        raise InputError(f"expected 1 to {most} sums of {taxels} taxels, got {sums}")
 
 
 def seeded(seed: int) -> np.random.Generator:

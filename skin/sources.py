@@ -96,11 +96,11 @@ def load_objects(layout: Layout, **options: Any) -> TaxelSource:
         rate_hz=step_rate_hz(layout),
         **options,
     )
-    return _Sheltered(source, layout) if taxels.untouchable else source
+    return _Sheltered(source, layout) if taxels.untouchable or taxels.shape else source
 
 
 class _Sheltered:
-    """A source without force on the taxels that nothing can touch."""
+    """A source without force on the taxels that nothing can touch, and at gaps."""
 
     def __init__(self, source: TaxelSource, layout: Layout) -> None:
         self.has_noise = source.has_noise
@@ -113,9 +113,9 @@ class _Sheltered:
 
 
 def _sheltered(force_n: npt.NDArray[np.float32], layout: Layout) -> npt.NDArray[np.float32]:
-    """Return forces (..., rows, columns) without those on taxels that nothing can touch."""
+    """Return forces (..., rows, columns) without those on taxels that nothing can touch, and at gaps."""
     force_n = np.array(force_n, np.float32)
-    force_n.reshape(-1, layout.taxels.count)[:, list(layout.taxels.untouchable or ())] = 0
+    force_n.reshape(-1, layout.taxels.count)[:, [*(layout.taxels.untouchable or ()), *layout.taxels.gaps]] = 0
     return force_n
 
 

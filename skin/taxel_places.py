@@ -43,7 +43,7 @@ class Grid:
 
     def __init__(self, layout: Layout) -> None:
         self._shape = layout.taxels.rows, layout.taxels.columns
-        self._block_of_taxel = layout.phi().block_of_taxel
+        self._phi = layout.phi()
 
     def forces_n(self, image: Image) -> Forces:
         """Return the force on every taxel, shape (rows, columns), newtons; of taxels without valid sums estimates."""
@@ -51,7 +51,7 @@ class Grid:
 
     def valid(self, image: Image) -> npt.NDArray[np.bool_]:
         """Return whether the block of each taxel is valid, shape (rows, columns)."""
-        valid: npt.NDArray[np.bool_] = np.frombuffer(image.valid, np.bool_)[self._block_of_taxel]
+        valid: npt.NDArray[np.bool_] = self._phi.of_taxels(np.frombuffer(image.valid, np.bool_))
         return valid.reshape(self._shape)
 
     def measured_n(self, image: Image) -> Forces:

@@ -15,7 +15,7 @@ _KINDS: Final = {
     "float": "a number",
     "str": "text in quotes",
     "bool": "true or false",
-    "array": "an array of tables",
+    "array": "a list, of tables or values",
     "object": "a table",
 }
 _BOUNDS: Final = {">=": "or more", "<=": "or less", ">": "or more, exclusive", "<": "or less, exclusive"}

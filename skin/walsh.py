@@ -5,7 +5,7 @@ vertical and a horizontal Walsh function; the sequency of each is its number of 
 alone give a coarse image, so that sums can be sent in order of weight.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cache
 from typing import Final
 
@@ -29,35 +29,133 @@ def patch_shape(taxels: int) -> tuple[int, int]:
     return high, taxels // high
 
 
-def patches(rows: int, columns: int, taxels: int, blocks: Sequence[int]) -> list[Indices]:
+def patches(rows: int, columns: int, taxels: int, blocks: Sequence[int], gaps: Indices | None = None) -> list[Indices]:
     """Deal patches out to buses, so that a touch meets all buses alike.
 
     Parameters
     ----------
     rows, columns : int
-        The grid, multiples of the patch's height and width.
+        The grid. Where it is no multiple of the patch's height and width, `neighbours` makes patches of other shapes.
     taxels : int
         Of one patch.
     blocks : sequence of int
         How many patches each bus takes, in all those of the grid. Of four equal buses, the patch beside one is two
         buses further, the patch below one.
 
+    gaps : array of int, optional
+        Taxels that the grid lacks, row-major: no patch has them.
+
     Returns
     -------
     list of arrays of int, shape (blocks of the bus, taxels)
-        Row-major indices, by bus: the taxels of each patch, row by row; the patches row by row.
+        Row-major indices, by bus: the taxels of each patch, row by row; the patches row by row. From rows * columns
+        on: empty places.
     """
     high, wide = patch_shape(taxels)
-    if rows % high or columns % wide or rows * columns != taxels * sum(blocks):
-        raise InputError(
-            f"a grid of {rows} x {columns} taxels does not divide into {sum(blocks)} patches of {high} x {wide}"
-        )
+    there = np.delete(np.arange(rows * columns), [] if gaps is None else gaps)
+    if not sum(blocks) - 1 < there.size / taxels <= sum(blocks):
+        raise InputError(f"{sum(blocks)} patches of {taxels} taxels do not fit a grid of {there.size} taxels")
+    if rows % high or columns % wide or there.size < rows * columns:
+        from scipy.ndimage import label  # no verb waits for SciPy that has no need of it
+
+        wired = np.isin(np.arange(rows * columns), there).reshape(rows, columns)
+        islands = label(wired)[0].ravel()[there]
+        places = neighbours(np.stack(np.divmod(there, columns), axis=1), sum(blocks), taxels, islands)
+        flat = np.append(there, np.arange(rows * columns, rows * columns + places.size - there.size))[places]
+        bus_of = dealt(np.arange(len(flat)) % len(blocks), blocks)
+        return [flat[bus_of == bus] for bus in range(len(blocks))]
     cells = np.arange(rows * columns).reshape(rows // high, high, columns // wide, wide).swapaxes(1, 2)
     down, across = np.indices(cells.shape[:2])
     buses = len(blocks)
     bus_of = dealt(((down + max(1, buses // 2) * across) % buses).ravel(), blocks)
     flat = cells.reshape(-1, taxels)
     return [flat[bus_of == bus] for bus in range(buses)]
+
+
+def neighbours(positions: npt.NDArray[np.number], blocks: int, taxels: int, islands: Indices | None = None) -> Indices:
+    """Divide taxels at any positions into patches of neighbours, and order each as if it were a rectangle.
+
+    The taxels are halved until each patch has as many as the others, to one taxel: between islands where both halves
+    then fit their patches, else across their longest extent. A patch is halved on: the halves of its taxels become
+    the halves of a rectangle of `patch_shape`. So the rows of low sequency (`grouped_rows`) are sums of neighbours in
+    a patch of any shape.
+
+    Parameters
+    ----------
+    positions : array, shape (n, axes)
+    blocks : int
+        Number of patches, with room for all taxels.
+    taxels : int
+        Places of a patch, a power of two.
+    islands : array of int, shape (n,), optional
+        Number of each taxel's island, of taxels that are apart from all others; without it all are one.
+
+    Returns
+    -------
+    array of int, shape (blocks, taxels)
+        Taxels of each patch, row by row of its rectangle; from n on: empty places, which lie together.
+    """
+    count = len(positions)
+    apart = np.zeros(count, np.intp) if islands is None else islands
+
+    def evenly(members: Indices, first: int, parts: int) -> tuple[Indices, int]:
+        fits = range(members.size - (parts - first) * taxels, first * taxels + 1)
+        ordered, cut = _along(positions, members), members.size * first // parts
+        return _between(positions, members, apart, fits, cut) or (ordered, cut)
+
+    def full_first(members: Indices, first: int, _parts: int) -> tuple[Indices, int]:
+        return _along(positions, members), min(members.size, first)  # so that empty places lie together
+
+    found = np.full((blocks, taxels), -1, np.intp)
+    for chain, patch in zip(_halved(np.arange(count), blocks, evenly), found, strict=True):
+        places = _halved(chain, taxels, full_first)
+        patch[_rectangle(taxels)] = [place[0] if place.size else -1 for place in places]
+    empty = found < 0
+    found[empty] = np.arange(count, found.size)
+    return found
+
+
+def _halved(members: Indices, parts: int, divide: Callable[[Indices, int, int], tuple[Indices, int]]) -> list[Indices]:
+    """Halve taxels into `parts`; `divide` orders them, and tells how many go to the first of all parts."""
+    if parts == 1:
+        return [members]
+    first = parts // 2
+    ordered, cut = divide(members, first, parts)
+    return [*_halved(ordered[:cut], first, divide), *_halved(ordered[cut:], parts - first, divide)]
+
+
+def _along(positions: npt.NDArray[np.number], members: Indices) -> Indices:
+    """Sort taxels along their longest extent."""
+    if not members.size:
+        return members
+    axis = int(np.ptp(positions[members], axis=0).argmax())
+    return members[np.argsort(positions[members, axis], kind="stable")]
+
+
+def _between(
+    positions: npt.NDArray[np.number], members: Indices, islands: Indices, fits: range, wanted: int
+) -> tuple[Indices, int] | None:
+    """Sort taxels island by island, along the axis where a cut between islands that `fits` is nearest to `wanted`."""
+    names, of_members, sizes = np.unique(islands[members], return_inverse=True, return_counts=True)
+    best = None
+    for axis in range(positions.shape[1] if names.size > 1 else 0):
+        centre = np.bincount(of_members, positions[members, axis]) / sizes
+        order = np.argsort(centre, kind="stable")
+        for cut in np.cumsum(sizes[order])[:-1].tolist():
+            if cut in fits and (best is None or abs(cut - wanted) < abs(best[1] - wanted)):
+                best = members[np.argsort(np.argsort(order)[of_members], kind="stable")], cut
+    return best
+
+
+@cache
+def _rectangle(taxels: int) -> Indices:
+    """Return the places, row by row, of a rectangle of `patch_shape` in the order of its halves of halves."""
+    high, wide = patch_shape(taxels)
+    parts = [np.arange(taxels).reshape(high, wide)]
+    while parts[0].size > 1:
+        axis = 1 if parts[0].shape[1] > parts[0].shape[0] else 0
+        parts = [half for part in parts for half in np.split(part, 2, axis=axis)]
+    return np.concatenate([part.ravel() for part in parts])
 
 
 def dealt(wanted: Indices, blocks: Sequence[int]) -> Indices:

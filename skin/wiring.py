@@ -1,6 +1,7 @@
 """Where the taxels of a block are, and how long the wire is that joins them."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -19,6 +20,8 @@ def check_patch(rows: int, columns: int, block_size: int, wiring: str, patch: in
         problem = f"patch needs wiring = 'scattered', got '{wiring}'"
     elif patch > min(rows, columns):
         problem = f"expected {min(rows, columns)} or less on a grid of {rows} x {columns} taxels, got {patch}"
+    elif rows % patch or columns % patch:
+        problem = f"{rows} x {columns} taxels do not divide into regions of {patch} x {patch}"
     elif patch**2 < block_size:
         problem = f"{patch} x {patch} taxels are fewer than the {block_size} of a block: got {patch}"
     if problem:
@@ -49,10 +52,10 @@ def within_patches(phi: Sbhe, rows: int, columns: int, patch: int, blocks: Seque
     region, member = np.indices((len(regions), patch * patch // phi.block_size))
     bus = dealt((region + member).ravel() % len(blocks), blocks)
     chains = scattered.reshape(-1, phi.block_size)[np.argsort(bus, kind="stable")]
-    return Sbhe(chains.ravel().astype(np.intp), phi.kept)
+    return replace(phi, order=chains.ravel().astype(np.intp))
 
 
-def chain_lengths_m(chains: Indices, columns: int, pitch_m: float) -> npt.NDArray[np.float64]:
+def chain_lengths_m(chains: Indices, rows: int, columns: int, pitch_m: float) -> npt.NDArray[np.float64]:
     """Return the length of each block's wire in metres, shape (blocks,).
 
     The wire begins at the first taxel of the block and always goes on to the nearest taxel that is left. Such a chain
@@ -61,13 +64,14 @@ def chain_lengths_m(chains: Indices, columns: int, pitch_m: float) -> npt.NDArra
     Parameters
     ----------
     chains : array of int, shape (blocks, block size)
-        Taxels, row-major (`Sbhe.taxels_of_blocks`).
-    columns : int
+        Taxels, row-major (`Sbhe.taxels_of_blocks`); empty places need no wire.
+    rows, columns : int
         Of the grid.
     pitch_m : float
         Distance of neighbouring taxels.
     """
-    places = np.stack(np.divmod(chains, columns), axis=-1).astype(np.float64)
+    held = np.where(chains < rows * columns, chains, chains.min(axis=1, keepdims=True))
+    places = np.stack(np.divmod(held, columns), axis=-1).astype(np.float64)
     apart = np.linalg.norm(places[:, :, None] - places[:, None], axis=-1)
     blocks, here = np.arange(len(chains)), np.zeros(len(chains), np.intp)
     length = np.zeros(len(chains))

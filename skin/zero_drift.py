@@ -142,7 +142,7 @@ def _parsed(text: str, seed: tuple[int, int], layout: Layout) -> tuple[bool, Zer
     phi = layout.phi()
     if found["of"] == "converter" and layout.taxels.is_analogue:
         return True, ZeroDrift("cells", **when, cells=tuple(range(*phi.starts[block : block + 2].tolist())))
-    return False, ZeroDrift("cells", **when, cells=tuple(phi.taxels_of_blocks[block].tolist()))
+    return False, ZeroDrift("cells", **when, cells=tuple(phi.taxels_of(block).tolist()))
 
 
 # Made once per array, because live nodes need them in every cycle.

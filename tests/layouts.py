@@ -15,6 +15,8 @@ from skin.layout import Layout, Sync, load_layout, parse_layout
 ADAPTIVE: Final = {"sending": "adaptive", "measurement": {"wiring": "board"}}
 #: The adaptive skin of 64 x 64 taxels that comes with the project.
 ADAPTIVE_SKIN: Final = load_layout(Path("adaptive"))
+#: A skin of three patches: 12 x 14 with gaps, 132 taxels.
+TWO_FINGERS: Final = [*["######..######"] * 6, "." * 14, *["############.."] * 5]
 IDENTITIES: Final = ("window", "alternating")
 
 

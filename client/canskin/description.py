@@ -69,11 +69,15 @@ class Description(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def block_of_taxel(self) -> npt.NDArray[np.intp]:
-        """The block of each taxel, shape (rows, columns); the taxels of a block are valid together."""
+        """The block of each taxel, shape (rows, columns); the taxels of a block are valid together.
+
+        Where the grid has a gap: the number of blocks.
+        """
         order = np.frombuffer(self.order, "<u4")
-        blocks = np.empty(order.size, np.intp)
+        # Places of boards without a taxel are numbered after the taxels.
+        blocks = np.full(max(int(order.max()) + 1, self.rows * self.columns), self.blocks, np.intp)
         blocks[order] = np.arange(order.size) // (order.size // self.blocks)
-        return blocks.reshape(self.rows, self.columns)
+        return blocks[: self.rows * self.columns].reshape(self.rows, self.columns)
 
     @property
     def block_of_sum(self) -> npt.NDArray[np.intp]:

@@ -154,7 +154,7 @@ class FrameBuilder:
         if doubtful is None:
             doubtful = np.zeros(about.rows * about.columns, np.bool_)
         estimate = np.frombuffer(image.pixels, "<f4").reshape(about.rows, about.columns)
-        valid = (np.frombuffer(image.valid, np.uint8) != 0)[self._blocks]
+        valid = np.append(np.frombuffer(image.valid, np.uint8) != 0, False)[self._blocks]
         shown = np.where(valid, estimate, np.float32(np.nan))
         measurement = self._measurements.get(_key(image))
         sums, valid_sums = self._sums(measurement)

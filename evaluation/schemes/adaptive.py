@@ -138,7 +138,7 @@ def idle_of(touch: Touch) -> Counts:
 
 def less_variation(held: Images, noise_n: float) -> Images:
     """Return images as the receiver of adaptive sums would smooth them."""
-    smooth = VariationFilter(SIDE, SIDE)
+    smooth = VariationFilter(np.ones((SIDE, SIDE), np.bool_))
     limit_n = LIMIT_RATIO * noise_n
     images: list[Force] = [smooth(each.reshape(SIDE, SIDE), limit_n).ravel() for each in held.force_n]
     return Images(held.ready_ns, np.stack(images))

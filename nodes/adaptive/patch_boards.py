@@ -62,7 +62,7 @@ class PatchBoards(Hardware):
         defects: Defects = NO_DEFECTS,
     ) -> None:
         taxels = contract.layout.taxels
-        super().__init__(contract.phi, Calibration(taxels))
+        super().__init__(contract.phi, Calibration(taxels, contract.phi.wired.taxels))
         self.decision = 0
         self.pace_ns = float(SAMPLE_NS)
         self.has_due = False
@@ -143,7 +143,7 @@ class PatchBoards(Hardware):
             return
         step = (tick_ns - begin_ns) // STEP_NS
         frame = self._sensors.frame(step)
-        sensor_n = np.zeros(self._taxels.count, "<f4")
+        sensor_n = np.zeros(self._calibration.gain.size, "<f4")
         sensor_n[self._cells] = self._sensors.counts * np.float32(self._taxels.newton_per_count)
         self._truths.append(
             Truth(
@@ -151,7 +151,7 @@ class PatchBoards(Hardware):
                 sync_counter=0,
                 sampled_mono_ns=begin_ns + step * STEP_NS,
                 true=frame.force_n.astype("<f4").tobytes(),
-                sensor=sensor_n.tobytes(),
+                sensor=sensor_n[: self._taxels.count].tobytes(),
                 label=frame.label,
             )
         )

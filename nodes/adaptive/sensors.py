@@ -146,11 +146,12 @@ class PatchSensors:
         return self._of_taxels(self._model.felt_n(moments_n, time_s))
 
     def _of_taxels(self, of_skin: Any) -> Floats:
-        """Return values of the skin, shape (..., rows, columns) or one for all, in the order of the boards."""
-        if np.ndim(of_skin) == 0:
-            return np.full(self._cells.shape, of_skin, np.float32)
-        flat = np.asarray(of_skin, np.float32).reshape(*np.shape(of_skin)[:-2], -1)
-        return np.ascontiguousarray(flat[..., self._cells])
+        """Return values of the skin, shape (..., rows, columns) or one for all, by board; 0 at empty places."""
+        skin = np.broadcast_to(of_skin, self._shape) if np.ndim(of_skin) == 0 else np.asarray(of_skin)
+        *lead, rows, columns = skin.shape
+        places = np.zeros((*lead, self._calibration.gain.size), np.float32)
+        places[..., : rows * columns] = skin.reshape(*lead, -1)
+        return np.ascontiguousarray(places[..., self._cells])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

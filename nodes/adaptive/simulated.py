@@ -132,7 +132,7 @@ def touched_frames(contract: Contract, bus: int, source: TaxelSource, seconds: f
     seed : int
         Of noise and clocks.
     """
-    calibration, nodes = Calibration(contract.layout.taxels), contract.on_bus(bus)
+    calibration, nodes = Calibration(contract.layout.taxels, contract.phi.wired.taxels), contract.on_bus(bus)
     cells = contract.phi.taxels_of_blocks[[node.block for node in nodes]]
     model = TaxelModel(force_max_n=contract.layout.taxels.force_max_n)
     sensors = PatchSensors(calibration, cells, model, source, seed)

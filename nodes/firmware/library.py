@@ -109,7 +109,7 @@ class CompiledBoards:
         # Eight bytes each, so that the memory is aligned for every C type.
         self._memory = np.zeros(-(-len(nodes) * self._node_bytes // 8), np.uint64)
         self._nodes = self._memory.ctypes.data
-        self._taxels = contract.phi.order.size
+        self._taxels = contract.phi.wired.taxels
         self._most_samples = 2 * contract.layout.samples_per_sync
         self._out = frames(_CAPACITY)
         self._sent = self._out.ctypes.data, _CAPACITY

@@ -51,7 +51,7 @@ def spin_shifts(count: int, rows: int, columns: int) -> list[tuple[int, int]]:
 
     The points of a Hammersley-like set on an 8 x 8 grid. Longer shifts would change coarse coefficients only.
     """
-    side = min(8, rows, columns)
+    side = 1 << min(8, rows, columns).bit_length() - 1
     backwards = _reversed_bits(side)
     order = [(int(backwards[k % side]), int(backwards[(k // side + k) % side])) for k in range(side * side)]
     return order[:count]

@@ -22,7 +22,7 @@ def solve_daubechies(estimate: Flat, sums: Flat, weights: Flat, problem: Problem
     count, _ = begin(estimate, sums, weights, problem, scratch)
     for turn in range(problem.momentum.size):
         shift = turn % problem.tables.shape[1]
-        descend(estimate.size, problem, scratch)
+        descend(estimate.size, problem.blocks, scratch)
         gather(image, work, problem.tables[0, shift])
         if problem.levels:
             _shrink_pyramid(image, other, problem, threshold, taps)

@@ -11,7 +11,7 @@ from reconstructor.kernels import daubechies, haar, variation
 from reconstructor.kernels.addresses import spin_shifts
 from reconstructor.kernels.matrices import SCRATCH_ROWS, MatrixWavelet
 from reconstructor.kernels.problem import checked, make_problem, taxels_in_block_order
-from reconstructor.kernels.steps import aligned, deliver, row, scratch_of
+from reconstructor.kernels.steps import aligned, deliver, picture, scratch_of
 from reconstructor.settings import SolverSettings
 from skin.measurement import Sbhe
 from skin.ranges import require_number
@@ -49,7 +49,7 @@ class FusedSolver:
     phi : Sbhe
         Any block size.
     rows, columns : int
-        Powers of two, 8 to 256, not necessarily equal.
+        1 to 256; for a wavelet powers of two from 8.
     settings : SolverSettings
         Any prior except the contourlet.
     """
@@ -65,6 +65,7 @@ class FusedSolver:
     ) -> None:
         self.dtype: Final = float_kind(dtype)
         self._problem = make_problem(phi, rows, columns, settings, self.dtype)
+        self._phi = phi
         self.shape: Final = (rows, columns)
         self.sums: Final = phi.shape[0]
         self.shifts: Final = spin_shifts(settings.spins, rows, columns)
@@ -73,10 +74,10 @@ class FusedSolver:
         )
         self._taxel = taxels_in_block_order(phi)
         self._threshold = settings.penalty_n / (settings.lipschitz_ratio * phi.block_size)
-        self._scratch = scratch_of(self._kernel.scratch_rows, phi.order.size, self.dtype)
+        self._scratch = scratch_of(self._kernel.scratch_rows, max(phi.order.size, phi.taxels), self.dtype)
 
     def new_estimate(self) -> Values:
-        """Return an estimate of zeros, shape (n,), aligned in memory."""
+        """Return an estimate of zeros, shape (places,), aligned in memory."""
         return aligned(self._taxel.size, self.dtype)
 
     def solve(self, estimate: Values, sums_n: Values, weights: Values, *, relative_penalty: float = 1.0) -> int:
@@ -84,8 +85,8 @@ class FusedSolver:
 
         Parameters
         ----------
-        estimate : array of `dtype`, shape (n,)
-            Start and result in newtons, in block order (`blocks_of`).
+        estimate : array of `dtype`, shape (places,)
+            Start and result in newtons, in block order (`blocks_of`); empty places are 0.
         sums_n, weights : arrays of `dtype`, shape (m,)
             Sums in newtons and their weights, 0 to 1; sums of weight 0 have no effect.
         relative_penalty : float
@@ -106,21 +107,25 @@ class FusedSolver:
     def reset(self) -> None:
         """Reset the state besides the estimate."""
         for number in self._kernel.state:
-            row(self._scratch, number, self._taxel.size)[:] = 0
+            picture(self._scratch, number, self._problem, 0)[:] = 0
 
     def blocks_of(self, image: Values) -> Values:
-        """Return an image of shape (rows, columns) in block order, shape (n,)."""
+        """Return an image of shape (rows, columns) in block order, shape (places,)."""
         check_values("image", image, self.shape)
-        return image.reshape(-1)[self._taxel].astype(self.dtype, copy=False)
+        return self._phi.padded(image.reshape(-1))[self._taxel].astype(self.dtype, copy=False)
 
     def image_of(self, estimate: Values) -> Values:
-        """Return block order, shape (n,), as an image of shape (rows, columns)."""
+        """Return block order, shape (places,), as an image of shape (rows, columns)."""
         check_values("estimate", estimate, self._taxel.shape)
-        return estimate[self._problem.deliver].reshape(self.shape)
+        image = estimate[self._problem.deliver]
+        image[self._problem.gaps] = 0
+        return image.reshape(self.shape)
 
     def deliver(self, estimate: Values) -> npt.NDArray[np.float32]:
         """Return a new image of shape (rows, columns), negative forces as 0."""
         kept = placed("estimate", estimate, self._taxel.shape, self.dtype)
         image = np.empty(self.shape, np.float32)
         deliver(image.reshape(-1), kept, self._problem.deliver)
+        if self._problem.gaps.size:
+            image.reshape(-1)[self._problem.gaps] = 0
         return image

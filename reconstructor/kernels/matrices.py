@@ -30,7 +30,7 @@ class MatrixWavelet:
         count, _ = begin(estimate, sums, weights, problem, scratch)
         for turn in range(problem.momentum.size):
             shift = turn % problem.tables.shape[1]
-            descend(estimate.size, problem, scratch)
+            descend(estimate.size, problem.blocks, scratch)
             gather(image, work, problem.tables[0, shift])
             self._shrink(image.reshape(problem.rows, problem.columns), threshold)
             gather(work, image, problem.tables[1, shift])

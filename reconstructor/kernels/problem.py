@@ -4,6 +4,7 @@ from collections.abc import Callable
 from typing import Any, Final
 
 import numpy as np
+import numpy.typing as npt
 
 from canskin.errors import InputError
 from reconstructor.bases.wavelets import DAUBECHIES_4, HAAR
@@ -18,7 +19,7 @@ from reconstructor.kernels.addresses import (
     spin_shifts,
     tensor_addresses,
 )
-from reconstructor.kernels.steps import Problem, Table, usable
+from reconstructor.kernels.steps import Cuts, Problem, Table, usable
 from reconstructor.settings import SolverSettings
 from skin.measurement import Sbhe
 
@@ -31,18 +32,24 @@ ADDRESSES: Final[dict[str, Callable[[int, int], Indices]]] = {
 
 def make_problem(phi: Sbhe, rows: int, columns: int, settings: SolverSettings, kind: np.dtype[Any]) -> Problem:
     """Return the tables and constants of a solver; not for the contourlet."""
-    check_grid_of(phi, rows, columns)
+    check_grid_of(phi, rows, columns, settings.prior)
     if settings.prior == "contourlet":
         raise InputError("expected a wavelet or 'variation', got 'contourlet'")
     taxel, step = taxels_in_block_order(phi), 1 / (settings.lipschitz_ratio * phi.block_size)
     floor = 0.0 if settings.nonnegative else float(np.finfo(kind).min)
     addresses = ADDRESSES.get(settings.prior, row_addresses)(rows, columns)
     shifts = spin_shifts(settings.spins, rows, columns)
-    to_blocks = np.stack([shifted(addresses, shift).ravel()[taxel] for shift in shifts])
+    gaps = np.flatnonzero(~phi.is_wired)
+    # What empty places take from the image is 0: a gap, or what follows the image.
+    none = np.full(phi.empty, gaps[0] if gaps.size else rows * columns)
+    to_blocks = [np.append(shifted(addresses, shift).ravel(), none)[taxel] for shift in shifts]
+    to_image = [_inverse(each, taxel < rows * columns, rows * columns) for each in to_blocks]
     return Problem(
         places=places_of_sums(phi),
-        tables=np.stack((np.argsort(to_blocks, axis=1), to_blocks)).astype(np.uint16),
-        deliver=np.argsort(taxel).astype(np.uint16),
+        tables=_stacked(to_image, to_blocks),
+        deliver=_inverse(taxel, taxel < rows * columns, rows * columns).astype(np.uint16),
+        gaps=gaps.astype(np.uint16),
+        cuts=cuts(phi.is_wired.reshape(rows, columns)),
         numbers=np.array((step, settings.penalty_n * step, floor, HAAR.rec_lo[0], *DAUBECHIES_4.rec_lo), kind),
         momentum=momentum(settings.iterations).astype(kind),
         blocks=phi.blocks,
@@ -53,8 +60,28 @@ def make_problem(phi: Sbhe, rows: int, columns: int, settings: SolverSettings, k
     )
 
 
+def _inverse(of_places: Indices, held: npt.NDArray[np.bool_], size: int) -> Indices:
+    """Return the place of each of `size` pixels; 0 for a pixel without one."""
+    found = np.zeros(size, np.intp)
+    found[of_places[held]] = np.flatnonzero(held)
+    return found
+
+
+def _stacked(*rows: list[Indices]) -> Table:
+    """Stack arrays of different lengths, with zeros after the shorter."""
+    size = max(each.size for row in rows for each in row)
+    return np.array([[np.pad(each, (0, size - each.size)) for each in row] for row in rows]).astype(np.uint16)
+
+
+def cuts(wired: npt.NDArray[np.bool_]) -> Cuts:
+    """Return the taxels, row-major, that are cut off from the taxel below, and from the taxel to the right."""
+    below, beside = np.zeros_like(wired), np.zeros_like(wired)
+    below[:-1], beside[:, :-1] = ~(wired[:-1] & wired[1:]), ~(wired[:, :-1] & wired[:, 1:])
+    return np.flatnonzero(below).astype(np.uint16), np.flatnonzero(beside).astype(np.uint16)
+
+
 def taxels_in_block_order(phi: Sbhe) -> Indices:
-    """Return the taxel at each place of block order, shape (n,): by place in the block, then by block."""
+    """Return the taxel at each place of block order, shape (places,): by place in the block, then by block."""
     return phi.order.reshape(phi.blocks, phi.block_size).T.ravel()
 
 

@@ -10,6 +10,7 @@ from reconstructor.kernels.transforms import FAST_MATH, Flat, hadamard, masked_g
 from shell.compiled import njit
 
 Table = npt.NDArray[np.uint16]
+Cuts = tuple[Table, Table]
 
 
 class Problem(NamedTuple):
@@ -19,10 +20,10 @@ class Problem(NamedTuple):
     ----------
     places : shape (m,)
         Place of every sum in block order; uint16 is enough, because a grid has at most 256 x 256 taxels.
-    tables : shape (2, shifts, n)
-        Permutations from block order to the prior's image order, and back, a pair for each shift of the basis.
+    tables : shape (2, shifts, larger of places and n)
+        From block order to the prior's image order, and back, a pair for each shift of the basis.
     deliver : shape (n,)
-        Permutation from block order to row-major order.
+        From block order to row-major order.
     numbers : shape (8,)
         1 / L, λ / L, the smallest allowed force, the 1 / √2 of the transforms, and the four taps of D4.
     momentum : shape (iterations,)
@@ -32,6 +33,10 @@ class Problem(NamedTuple):
         Levels of a pyramid, 0 for a tensor transform.
     scaled_start : bool
         See `SolverSettings`.
+    gaps : shape (gaps,)
+        Taxels that the grid lacks, row-major.
+    cuts : two arrays of int
+        Taxels that share nothing with the taxel below, and with the taxel to the right, because one is a gap.
     """
 
     places: Table
@@ -44,6 +49,8 @@ class Problem(NamedTuple):
     columns: int
     levels: int
     scaled_start: bool
+    gaps: Table
+    cuts: Cuts
 
 
 #: Elements between the rows of working memory; without this gap all rows use the same sets of the L1 cache.
@@ -71,6 +78,16 @@ def row(scratch: Flat, number: int, size: int) -> Flat:
     """Return one row of working memory."""
     start = number * (size + GAP)
     return scratch[start : start + size]
+
+
+@njit(cache=True, nogil=True, fastmath=FAST_MATH)
+def picture(scratch: Flat, number: int, problem: Problem, more: int) -> Flat:
+    """Return one row of working memory, of the size of the grid and of `more` values, at most `GAP`, which are 0.
+
+    `row` returns rows of the size of all places; no row with a lower number than that of a picture reaches it.
+    """
+    start = number * (problem.tables.shape[2] + GAP)
+    return scratch[start : start + problem.rows * problem.columns + more]
 
 
 # Compiled functions take no keyword arguments.
@@ -130,7 +147,7 @@ def load(sums: Flat, weights: Flat, places: Table, step: Any, gain: Flat, target
 
 
 @njit(cache=True, nogil=True, fastmath=FAST_MATH)
-def descend(size: int, problem: Problem, scratch: Flat) -> None:
+def descend(size: int, blocks: int, scratch: Flat) -> None:
     """Compute a gradient step from ``ahead``, equal to ``work``; the result is in ``work``."""
     gain, target, ahead, work = (
         row(scratch, 0, size),
@@ -138,7 +155,7 @@ def descend(size: int, problem: Problem, scratch: Flat) -> None:
         row(scratch, 2, size),
         row(scratch, 3, size),
     )
-    masked_gram(work, gain, target, problem.blocks)
+    masked_gram(work, gain, target, blocks)
     for k in range(work.size):
         work[k] = ahead[k] - work[k]
 

@@ -7,7 +7,7 @@ step well, because the dual is kept between iterations and cycles.
 
 from typing import Any, Final
 
-from reconstructor.kernels.steps import Problem, advance, begin, descend, gather, row
+from reconstructor.kernels.steps import Cuts, Problem, Table, advance, begin, descend, gather, picture, row
 from reconstructor.kernels.transforms import FAST_MATH, Flat
 from shell.compiled import njit
 
@@ -25,26 +25,30 @@ def solve_variation(estimate: Flat, sums: Flat, weights: Flat, problem: Problem,
     columns, threshold, floor = problem.columns, problem.numbers[1], problem.numbers[2]
     half = problem.numbers[3] * problem.numbers[3]
     eighth = half * half * half
-    dual = row(scratch, DUAL_ROWS[0], estimate.size), row(scratch, DUAL_ROWS[1], estimate.size)
-    work, image, smooth = row(scratch, 3, estimate.size), row(scratch, 4, estimate.size), row(scratch, 5, estimate.size)
+    dual = picture(scratch, DUAL_ROWS[0], problem, 0), picture(scratch, DUAL_ROWS[1], problem, 0)
+    work, image = row(scratch, 3, estimate.size), picture(scratch, 4, problem, 0)
+    smooth, smoothed = picture(scratch, 5, problem, 0), picture(scratch, 5, problem, 1)
     count, kept = begin(estimate, sums, weights, problem, scratch)
     if kept < 1:  # the dual belongs to the start
         for part in dual:
             part[:] *= kept
     for turn in range(problem.momentum.size):
-        descend(estimate.size, problem, scratch)
+        descend(estimate.size, problem.blocks, scratch)
         gather(image, work, problem.tables[0, 0])
+        _clear(image, problem.gaps)
         for _ in range(INNER):
             _smooth(image, smooth, dual, columns, floor)
             _ascend(smooth, dual, columns, threshold, eighth)
+            _clear(dual[0], problem.cuts[0])
+            _clear(dual[1], problem.cuts[1])
         _smooth(image, smooth, dual, columns, floor)
-        gather(work, smooth, problem.tables[1, 0])
+        gather(work, smoothed, problem.tables[1, 0])
         advance(estimate, floor, problem.momentum[turn], scratch)
     return count
 
 
 @njit(cache=True, nogil=True, fastmath=FAST_MATH)
-def denoise(image: Flat, limit: Any, steps: int, dual: Flat, smooth: Flat) -> None:
+def denoise(image: Flat, limit: Any, steps: int, dual: Flat, smooth: Flat, cuts: Cuts) -> None:  # noqa: PLR0917
     """Write the image with less total variation, not below 0, to `smooth`.
 
     Parameters
@@ -56,6 +60,8 @@ def denoise(image: Flat, limit: Any, steps: int, dual: Flat, smooth: Flat) -> No
         Of the dual.
     dual : array of shape (2, rows, columns)
         Down and right; kept from call to call.
+    cuts : two arrays of int
+        See `reconstructor.kernels.problem.cuts`.
     """
     columns = image.shape[1]
     seen, made, parts = image.ravel(), smooth.ravel(), (dual[0].ravel(), dual[1].ravel())
@@ -63,7 +69,15 @@ def denoise(image: Flat, limit: Any, steps: int, dual: Flat, smooth: Flat) -> No
     for _ in range(steps):
         _smooth(seen, made, parts, columns, zero)
         _ascend(made, parts, columns, limit, eighth)
+        _clear(parts[0], cuts[0])
+        _clear(parts[1], cuts[1])
     _smooth(seen, made, parts, columns, zero)
+
+
+@njit(cache=True, nogil=True, fastmath=FAST_MATH)
+def _clear(values: Flat, where: Table) -> None:
+    for k in where:
+        values[k] = 0
 
 
 @njit(cache=True, nogil=True, fastmath=FAST_MATH)

@@ -131,7 +131,9 @@ def test_a_picture(skin: Skin, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["design", "--taxels", "100"], "power of two"),
+        (["design", "--taxels", "50"], "64 to 65536"),
+        (["design", "--taxels", "24x300"], "256 or less"),
+        (["design", "--taxels", "many"], "a number, ROWSxCOLUMNS or a layout"),
         (["design", "--rate", "50"], "taxels"),
         (["plan", "--jitter-s", "-1"], "jitter of 0 to 1 s"),
         (["plan", "--jitter-s", "nan"], "jitter of 0 to 1 s"),
@@ -217,3 +219,16 @@ def test_waiting_for_a_bus_ends_with_a_signal(number: int, status: int, tmp_path
         process.send_signal(number)
         out, said = process.communicate(timeout=60)
     assert (process.returncode, out, said) == (status, "", "")
+
+
+def test_layout_is_explained_and_drawn(skin: Skin, tmp_path: Path) -> None:
+    (tmp_path / "mat.toml").write_text(layout_toml(10, 10, name="mat", measurement={"wiring": "board"}))
+    code, shown, _ = skin("layout", "check", str(tmp_path / "mat.toml"), "--json")
+    about = json.loads(shown)
+    assert code == 0
+    assert (about["taxels"], about["blocks"], about["taxels_of_a_block"], about["empty_places"]) == (100, 4, [25], 28)
+    picture = tmp_path / "mat.png"
+    code, shown, _ = skin("layout", "draw", str(tmp_path / "mat.toml"), "--out", str(picture))
+    assert code == 0
+    assert str(picture) in shown
+    assert picture.read_bytes().startswith(b"\x89PNG")

@@ -3,14 +3,16 @@
 from typing import Any
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from bandwidth.adaptive_plan import plan_adaptive
 from bandwidth.alternatives import planned
-from bandwidth.search import Requirement, Search, search
+from bandwidth.search import Requirement, Search, nearly_square, search
 from bandwidth.traffic import Disturbance
 from canskin.errors import InputError
 from dbc.contract import Contract
-from skin.layout import validated
+from skin.layout import Taxels, validated
 
 
 @pytest.mark.parametrize(
@@ -23,6 +25,11 @@ from skin.layout import validated
         ),
         (Requirement(4096, 100), "1 bus of CAN FD 5 Mbit/s, 64 nodes of 2 blocks, 1024 sums of 16 bits"),
         (Requirement(1024, 100), "1 bus of classic CAN, 32 nodes of 1 block, 256 sums of 12 bits"),
+        (
+            Requirement(Taxels(rows=24, columns=32), 100),
+            "1 bus of classic CAN, 24 nodes of 1 block, 192 sums of 16 bits",
+        ),
+        (Requirement(101, 100), "1 bus of classic CAN, 4 nodes of 1 block, 128 sums of 16 bits"),
     ],
 )
 def test_what_is_chosen_meets_the_requirement(required: Requirement, words: str) -> None:
@@ -33,7 +40,7 @@ def test_what_is_chosen_meets_the_requirement(required: Requirement, words: str)
     plans = planned(found.layout, Disturbance())
     assert all(each.load_worst <= required.budget for each in plans)
     assert not any(each.problems for each in plans)
-    assert (found.layout.taxels.count, found.layout.sync.rate_hz) == (required.taxels, required.rate_hz)
+    assert (found.layout.taxels.there, found.layout.sync.rate_hz) == (required.count, required.rate_hz)
     assert all(each.sums < found.chosen.sums for each in found.candidates if each.fits and each is not found.chosen)
     assert found.chosen.words == words
 
@@ -104,7 +111,7 @@ def test_a_missing_window_is_named() -> None:
 @pytest.mark.parametrize(
     ("required", "said"),
     [
-        ({"taxels": 1000, "rate_hz": 100}, "power of two"),
+        ({"taxels": 65537, "rate_hz": 100}, "64 to 65536"),
         ({"taxels": 32, "rate_hz": 100}, "64 to 65536"),
         ({"taxels": 1024, "rate_hz": 0}, "rate above 0"),
         ({"taxels": 1024, "rate_hz": 10, "buses": 0}, "1 to 16 buses"),
@@ -120,3 +127,11 @@ def test_a_requirement_out_of_range_is_refused(required: dict[str, Any], said: s
 @pytest.mark.parametrize("buses", [1, 16])
 def test_a_requirement_may_name_one_to_sixteen_buses(buses: int) -> None:
     assert Requirement(taxels=1024, rate_hz=10, buses=buses).buses == buses
+
+
+@given(st.integers(64, 5000))
+def test_any_number_of_taxels_has_a_grid(count: int) -> None:
+    taxels = nearly_square(count)
+    assert taxels.there == count
+    assert taxels.columns <= taxels.rows <= 2 * taxels.columns + 1
+    assert len(taxels.gaps) < taxels.columns

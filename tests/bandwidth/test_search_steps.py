@@ -194,7 +194,6 @@ def test_errors_without_end_fit_at_no_rate() -> None:
     [
         {"taxels": 32},
         {"taxels": 131_072},
-        {"taxels": 96},
         {"rate_hz": 2000.5},
         {"rate_hz": -1.0},
         {"buses": 17},

@@ -189,6 +189,15 @@ def test_age_is_of_the_monotonic_clock_on_the_same_machine_only(monkeypatch: pyt
     assert ages == pytest.approx([1.0, 2.0, 2.0])  # the wall clock is 7 s ahead, and has passed 9.01 s
 
 
+def test_gaps_of_the_grid_are_never_valid() -> None:
+    order = np.array([0, 2, 4, 6, 8, 10, 12, 14, 1, 3, 5, 7, 9, 11, 13, 16], "<u4")  # taxel 15 is a gap, 16 no taxel
+    builder = FrameBuilder(msgspec.structs.replace(description(), order=order.tobytes()))
+    builder.take(image(1))
+    (frame,) = builder.take(contacts(1))
+    assert np.flatnonzero(~frame.valid.ravel()).tolist() == [15]
+    assert np.flatnonzero(np.isnan(frame.image.ravel())).tolist() == [15]
+
+
 def test_a_description_tells_block_and_row_of_each_sum() -> None:
     about = description()
     assert about.block_of_sum.tolist() == [0, 0, 1, 1]

@@ -12,8 +12,8 @@ from reconstructor.walsh import WalshReconstructor
 from skin.measured_sums import AdaptiveSums, decode_adaptive
 from skin.psnr import decibels
 from skin.sources import DEFAULT_OBJECTS, load_touches
-from skin.walsh import grouped_rows
-from tests.layouts import ADAPTIVE_SKIN
+from skin.walsh import grouped_rows, neighbours, walsh_matrix
+from tests.layouts import ADAPTIVE, ADAPTIVE_SKIN, small_layout
 from tests.messages import adaptive_measurement
 
 PHI = ADAPTIVE_SKIN.phi()
@@ -86,6 +86,39 @@ def test_with_every_sum_it_is_the_image_of_the_evaluation() -> None:
     grouped = np.ascontiguousarray(sums_n[:, grouped_rows(SIZE).ravel()])
     for _ in range(3):
         np.testing.assert_array_equal(service.solve(sums)[0], plain.solve(grouped))
+
+
+def test_patches_with_empty_places() -> None:
+    """The known sums of a mat of 10 x 10 taxels show a smooth touch, also with a group of every patch missing."""
+    cells = neighbours(np.stack(np.divmod(np.arange(100), 10), axis=1), 4, SIZE)
+    row, column = np.mgrid[:10, :10]
+    force_n = (0.012 * np.exp(-((row - 4) ** 2 + (column - 6) ** 2) / 12)).astype(np.float32)
+    sums_n = np.append(force_n.ravel(), np.zeros(28, np.float32))[cells] @ walsh_matrix(SIZE).T
+    solver = WalshReconstructor([cells], 10, 10, 0.0)
+    np.testing.assert_allclose(solver.solve(sums_n), force_n, atol=1e-7)
+    known = np.ones(cells.shape, np.bool_)
+    known[:, 24:] = False
+    for _ in range(SETTLING):
+        image_n = solver.solve(np.where(known, sums_n, 1.0).astype(np.float32), known)
+    assert np.sqrt(np.mean((image_n - force_n) ** 2)) < 2e-4
+
+
+def test_nothing_is_filled_in_across_a_gap() -> None:
+    """A touch at the edge of one patch, and sums that are missing in the patch beside."""
+    layout = small_layout(8, 17, **ADAPTIVE, taxels={"shape": ["########.########"] * 8})
+    cells, gap = np.concatenate(layout.patches()), ~layout.phi().is_wired
+    force_n = np.zeros((8, 17), np.float32)
+    force_n[2:6, 5:8] = 0.01
+    sums_n = np.append(force_n.ravel(), np.zeros(layout.phi().empty, np.float32))[cells] @ walsh_matrix(SIZE).T
+    known = np.ones(cells.shape, np.bool_)
+    known[(cells % 17 > 8).all(axis=1), 1:] = False
+    assert not known.all()
+    solver = WalshReconstructor([cells], 8, 17, 1e-3)
+    for _ in range(20 * SETTLING):
+        image_n = solver.solve(sums_n.astype(np.float32), known)
+    assert not image_n.ravel()[gap].any()
+    assert image_n[:, 9:].max() < 1e-5
+    assert image_n[2:6, 7].min() > 0.009
 
 
 def test_known_sums_are_kept() -> None:

@@ -38,16 +38,20 @@ class Rows:
 
 @st.composite
 def problems(draw: st.DrawFn) -> dict[str, Any]:
-    rows, columns = draw(st.sampled_from([(8, 8), (16, 16), (32, 32), (64, 64), (8, 32), (64, 16), (256, 8)]))
+    prior = draw(st.sampled_from(PRIORS))
+    grids = [(8, 8), (16, 16), (32, 32), (64, 64), (8, 32), (64, 16), (256, 8)]
+    if prior == "variation":
+        grids += [(10, 10), (17, 23), (24, 32), (1, 8), (9, 1), (255, 3)]
+    rows, columns = draw(st.sampled_from(grids))
     block_size = 2 ** draw(st.integers(1, min(8, (rows * columns).bit_length() - 1)))
     selection = draw(st.sampled_from(["balanced", "uniform"]))
-    blocks = rows * columns // block_size
+    blocks = -(-rows * columns // block_size)
     sums = blocks * draw(st.integers(1, block_size))
     seed = draw(st.integers(0, 2**31))
     return {
         "phi": sbhe(rows * columns, sums, block_size=block_size, selection=selection, seed=seed),
         "grid": (rows, columns),
-        "prior": (prior := draw(st.sampled_from(PRIORS))),
+        "prior": prior,
         "spins": draw(st.sampled_from([1, 3, 64])) if prior != "variation" else 1,
         "nonnegative": draw(st.booleans()),
         "lipschitz_ratio": draw(st.sampled_from([1.0, 2.0])),
@@ -218,3 +222,33 @@ def test_the_interpreter_is_free_while_a_kernel_runs(phi: Sbhe) -> None:
         turns += 1
         thread.join(0.001)
     assert turns > 10
+
+
+@pytest.mark.heavy
+@given(st.integers(0, 2**31), st.integers(1, 12), st.booleans())
+@settings(max_examples=20, deadline=None)
+def test_patches_with_a_gap_between_them_are_as_if_alone(seed: int, iterations: int, stands: bool) -> None:
+    """Two patches of 7 x 6 on a grid with a gap, side by side or one above the other."""
+    rng = np.random.default_rng(seed)
+    shape = (15, 6) if stands else (7, 13)
+    grid = np.arange(shape[0] * shape[1]).reshape(shape)
+    parts = (grid[:7], grid[8:]) if stands else (grid[:, :6], grid[:, 7:])
+    alone = [sbhe(42, 24, block_size=16, seed=seed + number) for number in range(2)]
+    held = [np.where(phi.order < 42, part.ravel()[phi.order % 42], -1) for phi, part in zip(alone, parts, strict=True)]
+    order = np.concatenate(held)
+    order[order < 0] = grid.size + np.arange((order < 0).sum())
+    whole = Sbhe(order, np.concatenate([phi.kept for phi in alone]), grid.size)
+    options = SolverSettings(prior="variation", iterations=iterations, penalty_n=0.01, scaled_start=False)
+    sums = [rng.normal(0, 0.03, phi.shape[0]) for phi in alone]
+
+    def solved(phi: Sbhe, rows: int, columns: int, sums_n: np.ndarray) -> np.ndarray:
+        kernel = FusedSolver(phi, rows, columns, options, dtype=np.float64)
+        estimate = kernel.new_estimate()
+        kernel.solve(estimate, sums_n, np.ones_like(sums_n))
+        np.testing.assert_array_equal(kernel.deliver(estimate), kernel.image_of(estimate).clip(0).astype(np.float32))
+        return kernel.image_of(estimate).ravel()
+
+    image = solved(whole, *shape, np.concatenate(sums))
+    for phi, part, sums_n in zip(alone, parts, sums, strict=True):
+        np.testing.assert_allclose(image[part.ravel()], solved(phi, 7, 6, sums_n), atol=1e-13)
+    assert not image[~whole.is_wired].any()

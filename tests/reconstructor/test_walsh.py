@@ -24,7 +24,11 @@ def test_exact_sums_give_the_exact_image() -> None:
 
 
 def test_the_filter_is_the_proximal_step_that_goes_on_from_image_to_image() -> None:
-    rng, fast, plain = np.random.default_rng(1), VariationFilter(ROWS, COLUMNS), Variation((ROWS, COLUMNS), STEPS)
+    rng, fast, plain = (
+        np.random.default_rng(1),
+        VariationFilter(np.ones((ROWS, COLUMNS), np.bool_)),
+        Variation((ROWS, COLUMNS), STEPS),
+    )
     for limit in (0.3, 0.3, 0.1):
         image = rng.normal(0.5, 1, (ROWS, COLUMNS)).astype(np.float32)
         np.testing.assert_allclose(fast(image, limit), plain(image.astype(np.float64), limit, 0), atol=1e-5)
@@ -55,7 +59,7 @@ def test_what_has_not_come_counts_as_0() -> None:
 
 def test_what_cannot_be_is_refused() -> None:
     with pytest.raises(InputError, match="each of 128 taxels once"):
-        WalshReconstructor(PATCHES[:1], ROWS, COLUMNS, 0.0)
+        WalshReconstructor([*PATCHES, PATCHES[0]], ROWS, COLUMNS, 0.0)
     solver = WalshReconstructor(PATCHES, ROWS, COLUMNS, 0.0)
     with pytest.raises(InputError, match="sums: expected an array of float32 or float64 of shape"):
         solver.solve(np.zeros((3, 16), np.float32))

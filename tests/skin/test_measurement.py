@@ -15,22 +15,26 @@ from skin.measurement import Sbhe, fast_hadamard, sbhe
 def operators(draw: st.DrawFn) -> Sbhe:
     block_size = 2 ** draw(st.integers(1, 8))
     blocks = draw(st.integers(1, 6))
-    taxels = block_size * blocks
+    taxels = block_size * blocks - draw(st.integers(0, block_size - 1))
     seed = draw(st.integers(0, 2**32 - 1))
+    gaps = np.array(sorted(draw(st.sets(st.integers(0, taxels + 9), min_size=10, max_size=10))))
+    if draw(st.booleans()):
+        sums = draw(st.integers(1, block_size * blocks))
+        return sbhe(taxels + 10, sums, block_size=block_size, gaps=gaps, selection="uniform", seed=seed)
     if draw(st.booleans()):
         sums = draw(st.integers(1, block_size).map(lambda each: blocks * each) | st.integers(1, blocks))
         return sbhe(taxels, sums, block_size=block_size, seed=seed)
-    sums = draw(st.integers(1, taxels))
+    sums = draw(st.integers(1, block_size * blocks))
     return sbhe(taxels, sums, block_size=block_size, selection="uniform", seed=seed)
 
 
 def dense(phi: Sbhe) -> np.ndarray:
-    """Φ as a matrix, from its definition: (-1)^(number of common bits) at the taxels of the block."""
-    matrix = np.zeros(phi.shape)
+    """Φ over all places, from its definition: (-1)^(number of common bits) at the places of the block."""
+    matrix = np.zeros((phi.shape[0], phi.wired.shape[1]))
     for index, (block, row) in enumerate(zip(phi.block_of_sum, phi.row_of_sum, strict=True)):
         for place in range(phi.block_size):
-            taxel = phi.order[block * phi.block_size + place]
-            matrix[index, taxel] = (-1) ** (int(row) & place).bit_count()
+            place_or_taxel = phi.order[block * phi.block_size + place]
+            matrix[index, place_or_taxel] = (-1) ** (int(row) & place).bit_count()
     return matrix
 
 
@@ -39,7 +43,8 @@ def dense(phi: Sbhe) -> np.ndarray:
 def test_equals_its_definition_and_has_orthogonal_rows(phi: Sbhe) -> None:
     matrix = dense(phi)
     x = np.random.default_rng(0).normal(size=phi.shape[1])
-    np.testing.assert_allclose(phi.forward(x), matrix @ x, atol=1e-12)
+    np.testing.assert_allclose(phi.forward(x), matrix[:, : x.size] @ x, atol=1e-12)
+    np.testing.assert_allclose(phi.wired.forward(phi.padded(x)), phi.forward(x), atol=1e-12)
     assert np.array_equal(matrix @ matrix.T, phi.block_size * np.eye(phi.shape[0]))
 
 
@@ -107,9 +112,9 @@ def test_validity_of_blocks_spreads_to_their_sums() -> None:
     assert np.array_equal(phi.sums_of_blocks(valid), phi.block_of_sum % 2 == 0)
 
 
-@pytest.mark.parametrize(("taxels", "sums", "block_size"), [(100, 10, 32), (96, 0, 32), (96, 97, 32), (96, 10, 24)])
+@pytest.mark.parametrize(("taxels", "sums", "block_size"), [(100, 129, 32), (96, 0, 32), (96, 97, 32), (96, 10, 24)])
 def test_sizes_that_do_not_fit(taxels: int, sums: int, block_size: int) -> None:
-    with pytest.raises(InputError, match=r"multiple of the block size|1 to 96 sums|power of two"):
+    with pytest.raises(InputError, match=r"1 to 128 sums|1 to 96 sums|power of two"):
         sbhe(taxels, sums, block_size=block_size, selection="uniform")
 
 
@@ -137,3 +142,14 @@ def test_fewer_balanced_sums_than_blocks_are_spread_evenly(sums: int) -> None:
     before = np.concatenate(([0], np.cumsum(phi.has_sums)))
     assert np.abs(before - np.arange(129) * sums / 128).max() <= 1
     assert phi.fingerprint == sbhe(4096, sums, seed=5).fingerprint != sbhe(4096, sums, seed=6).fingerprint
+
+
+@given(operators())
+def test_every_block_has_its_share_of_the_taxels(phi: Sbhe) -> None:
+    held = [phi.taxels_of(block) for block in range(phi.blocks)]
+    assert np.ptp([len(each) for each in held]) <= 1
+    assert sorted(np.concatenate(held).tolist()) == np.flatnonzero(phi.is_wired).tolist()
+    of_taxels = phi.of_taxels(np.arange(phi.blocks), -1)
+    np.testing.assert_array_equal(of_taxels, np.where(phi.is_wired, phi.block_of_taxel, -1))
+    assert (phi.order[phi.place_of_taxel[phi.is_wired]] == np.flatnonzero(phi.is_wired)).all()
+    assert all((phi.block_of_taxel[each] == block).all() for block, each in enumerate(held))

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.linalg import hadamard
 
 from canskin.errors import InputError
-from skin.walsh import GROUPS, grouped_rows, patch_shape, patches, walsh_matrix
+from skin.walsh import GROUPS, grouped_rows, neighbours, patch_shape, patches, walsh_matrix
 
 
 @pytest.mark.parametrize(("taxels", "shape"), [(8, (2, 4)), (16, (4, 4)), (32, (4, 8)), (64, (8, 8))])
@@ -72,8 +72,47 @@ def test_every_taxel_is_in_one_patch_whatever_the_buses_take(data: st.DataObject
 
 
 @pytest.mark.parametrize(
-    ("grid", "taxels", "blocks"), [((64, 60), 32, [120]), ((64, 64), 32, [100]), ((64, 64), 24, [128])]
+    ("grid", "taxels", "blocks"), [((64, 60), 32, [121]), ((64, 64), 32, [100]), ((64, 64), 24, [171])]
 )
-def test_grid_that_does_not_divide_is_refused(grid: tuple[int, int], taxels: int, blocks: list[int]) -> None:
+def test_patches_that_do_not_fit_are_refused(grid: tuple[int, int], taxels: int, blocks: list[int]) -> None:
     with pytest.raises(InputError, match="patches"):
         patches(*grid, taxels, blocks)
+
+
+@given(st.integers(1, 20), st.integers(1, 20), st.integers(2, 6), st.integers(0, 9))
+def test_neighbours_hold_every_taxel_once_and_their_empty_places_lie_together(
+    rows: int, columns: int, log_taxels: int, more: int
+) -> None:
+    taxels, count = 2**log_taxels, rows * columns
+    blocks = min(count, -(-count // taxels) + more)
+    dealt = neighbours(np.stack(np.divmod(np.arange(count), columns), axis=1), blocks, taxels)
+    assert sorted(dealt.ravel().tolist()) == list(range(blocks * taxels))
+    held = (dealt < count).sum(axis=1)
+    assert np.ptp(held) <= 1
+    high, wide = patch_shape(taxels)
+    for patch in dealt.reshape(blocks, high // 2, 2, wide // 2, 2).swapaxes(2, 3).reshape(blocks, -1, 4):
+        inside = (patch < count).sum(axis=1)
+        assert ((inside > 0) & (inside < 4)).sum() <= 1  # of the cells whose means are group 0
+
+
+def test_cells_of_a_patch_of_any_shape_are_neighbours() -> None:
+    """On a mat of 10 x 10 taxels, and on one that is bent to half a tube."""
+    flat = np.stack(np.divmod(np.arange(100), 10), axis=1).astype(float)
+    angle = flat[:, 1] / 9 * np.pi
+    bent = np.stack((flat[:, 0], 2.86 * np.cos(angle), 2.86 * np.sin(angle)), axis=1)
+    for positions in (flat, bent):
+        for patch in neighbours(positions, 4, 32).reshape(4, 2, 2, 4, 2).swapaxes(2, 3).reshape(-1, 4):
+            cell = flat[patch[patch < 100]]
+            assert (np.ptp(cell, axis=0) <= 3).all() if len(cell) else True
+
+
+def test_patches_end_at_gaps_where_boards_have_room() -> None:
+    """Four fingers of 4 x 8 and a palm: each finger is one board."""
+    shape = np.array([list(line) for line in [*["####.####.####.####"] * 8, "." * 19, *["#" * 19] * 6]])
+    gaps = np.flatnonzero(shape.ravel() == ".")
+    (dealt,) = patches(*shape.shape, 32, [8], gaps)
+    fingers = [patch for patch in dealt if (patch // 19 < 8).any()]
+    assert len(fingers) == 4
+    for patch in fingers:
+        rows, columns = np.divmod(patch, 19)
+        assert (np.ptp(rows), np.ptp(columns)) == (7, 3)

@@ -42,13 +42,13 @@ def test_the_seed_draws_the_regions_too() -> None:
 def test_chains_go_to_the_nearest_taxel_that_is_left() -> None:
     """On a grid of 8 columns: from 0 three to the right, back over two, and down by the diagonal of a square."""
     chains = np.array([[0, 3, 1, 8], [0, 1, 2, 3]])
-    assert chain_lengths_m(chains, 8, 0.5).tolist() == pytest.approx([0.5 * (1 + 2**0.5 + 10**0.5), 1.5])
+    assert chain_lengths_m(chains, 8, 8, 0.5).tolist() == pytest.approx([0.5 * (1 + 2**0.5 + 10**0.5), 1.5])
 
 
 def test_neighbours_have_the_shortest_wires() -> None:
     def wires_m(keys: str) -> float:
         layout = layout_of(keys, rows=64)
-        return float(chain_lengths_m(layout.phi().taxels_of_blocks, 64, layout.taxels.pitch_m).sum())
+        return float(chain_lengths_m(layout.phi().taxels_of_blocks, 64, 64, layout.taxels.pitch_m).sum())
 
     lengths = [wires_m(keys) for keys in ("wiring = 'board'", "patch = 8", "patch = 16", "patch = 32", "")]
     assert lengths == sorted(lengths)

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from shell.command import main
+from tests import layouts
 from tests.system.helpers import report, skin
 
 
@@ -64,6 +65,21 @@ def test_golf_ball(slow_layout: Path, tmp_path: Path) -> None:
         assert 0.9 * ratio * 64 * 111 * 20e-6 < load < (64 * 135 + 66) * 20e-6 + 0.01
     picture = tmp_path / figures["picture"]
     assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("rows", "columns", "tables"),
+    [(17, 23, {}), (12, 14, layouts.ADAPTIVE | {"taxels": {"shape": layouts.TWO_FINGERS}})],
+)
+def test_a_grid_of_any_size(tmp_path: Path, rows: int, columns: int, tables: dict[str, Any]) -> None:
+    """Also where the taxels do not fill the blocks, the patches of boards are no rectangles, and the grid has gaps."""
+    tables = {"sampling": {"rate_hz": 1000.0}, "sync": {"rate_hz": 10.0}, **tables}
+    (tmp_path / "mat.toml").write_text(layouts.layout_toml(rows, columns, **tables))
+    options = ("--layout", "mat.toml", "--objects", "golf-ball", "--seconds", "4", "--json", "--no-view")
+    figures = report(skin("demo", *options, cwd=tmp_path))
+    assert figures["nodes_missing"] == []
+    assert figures["psnr_image_db"] > figures["psnr_sensor_db"] + 3
 
 
 @pytest.mark.slow

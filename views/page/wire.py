@@ -31,7 +31,7 @@ def frame(snapshot: Snapshot, pictures: Pictures) -> bytes:
 
 def greeting(layout: Layout) -> dict[str, Any]:
     """Return the skin's constants for the page: sending, grid, buses, block of each taxel, names of the NMT states."""
-    taxels = layout.taxels
+    taxels, phi = layout.taxels, layout.phi()
     buses = [
         {
             "name": bus.name,
@@ -52,7 +52,7 @@ def greeting(layout: Layout) -> dict[str, Any]:
         "sums": layout.measurement.sums,
         "rate_hz": layout.sync.rate_hz,
         "blocks": layout.blocks,
-        "block_of_taxel": layout.phi().block_of_taxel.tolist(),
+        "block_of_taxel": np.where(phi.is_wired, phi.block_of_taxel, -1).tolist(),
         "buses": buses,
         "nmt": {str(int(state)): word for state, word in NMT_WORDS.items()},
     }

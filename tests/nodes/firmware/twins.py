@@ -95,6 +95,7 @@ class Twins:
                 period_s=layout.sync.period_s,
                 samples=layout.samples_per_sync,
                 blocks=blocks,
+                places=contract.phi.wired.taxels,
             )
             for blocks in (contract.phi.taxels_of_blocks, None)
         ]

@@ -16,6 +16,7 @@ export class Heatmap {
     this.small = new OffscreenCanvas(skin.columns, skin.rows);
     this.pixels = new ImageData(skin.columns, skin.rows);
     this.pixels.data.fill(255);
+    this.gaps = skin.block_of_taxel.flatMap((block, taxel) => (block < 0 ? [taxel] : []));
     this.cell = 1;
     this.canvas.onpointermove = (event) => pointed(this.taxelAt(event));
     this.canvas.onpointerleave = () => pointed(null);
@@ -53,6 +54,8 @@ export class Heatmap {
     const brush = this.canvas.getContext("2d", { alpha: false });
     brush.imageSmoothingEnabled = false;
     brush.drawImage(this.small, 0, 0, this.canvas.width, this.canvas.height);
+    brush.fillStyle = getComputedStyle(document.body).backgroundColor;
+    for (const each of this.gaps) this.onCell(each, (x, y) => brush.fillRect(x, y, this.cell, this.cell));
     if (hatched.length) {
       brush.fillStyle = this.hatching(brush);
       for (const each of hatched) this.onCell(each, (x, y) => brush.fillRect(x, y, this.cell, this.cell));

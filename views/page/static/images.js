@@ -37,7 +37,7 @@ export class Images {
     this.taxel = null;
     this.block = null;
     this.taxelsOf = Array.from({ length: skin.blocks }, () => []);
-    skin.block_of_taxel.forEach((block, taxel) => this.taxelsOf[block].push(taxel));
+    skin.block_of_taxel.forEach((block, taxel) => this.taxelsOf[block]?.push(taxel));
     this.maps = Object.fromEntries(
       NAMES.map((name) => [name, new Heatmap(document.getElementById(`map-${name}`), skin, (taxel) => this.point(taxel))]),
     );
@@ -46,6 +46,7 @@ export class Images {
   }
 
   point(taxel) {
+    if (this.skin.block_of_taxel[taxel] < 0) taxel = null; // a gap of the grid
     this.taxel = taxel;
     this.block = taxel === null ? null : this.skin.block_of_taxel[taxel];
     this.buses.mark(this.block);

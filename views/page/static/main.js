@@ -25,9 +25,11 @@ function setSkin(greeting) {
   buses = new Buses(greeting, (block) => images.pointBlock(block));
   images = new Images(greeting, buses);
   document.title = `${greeting.skin} – canskin`;
-  const { rows, columns, blocks, sums } = greeting;
+  const { rows, columns, blocks, sums, block_of_taxel } = greeting;
+  const there = block_of_taxel.filter((block) => block >= 0).length;
+  const taxels = there < rows * columns ? there : `${rows} × ${columns}`;
   const isAdaptive = greeting.sending === "adaptive";
-  write(document.getElementById("skin"), `${greeting.skin} · ${rows} × ${columns} taxels · ${blocks} blocks · ${sums} sums${isAdaptive ? ", sent when they have news" : " a cycle"}`);
+  write(document.getElementById("skin"), `${greeting.skin} · ${taxels} taxels · ${blocks} blocks · ${sums} sums${isAdaptive ? ", sent when they have news" : " a cycle"}`);
   write(document.querySelector("#latency h2"), `${isAdaptive ? "Frame" : "SYNC"} to image, median`);
 }
 

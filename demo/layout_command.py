@@ -1,0 +1,134 @@
+"""``skin layout``: explains a layout, draws its boards, and tells how many sums are enough."""
+
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from bandwidth.wiring import wiring
+from canskin.errors import InputError
+from shell.output import check_picture_path, save_figure
+from shell.terminal import Json, print_json, print_table
+from skin.layout import Layout, load_layout
+
+
+def layout(
+    action: Literal["check", "draw", "quality"],
+    file: Path | None = None,
+    *,
+    out: Path | None = None,
+    json_: Json = False,
+) -> int:
+    """Explain a layout, draw which taxels each board has, or tell how good images are with more or fewer sums.
+
+    Parameters
+    ----------
+    action
+        ``check``: read the layout, name its first error, or print what it says. ``draw``: write a picture of the
+        boards, each in a colour, with the order of their taxels. ``quality``: simulate touches with 16, 8, 4, 2 and 1
+        taxels to a sum, and print PSNR and error of the images beside the paper's bound.
+    file
+        TOML of the skin; without it the default skin.
+    out
+        File of the picture. Default: the name of the skin, .png.
+    json_
+        Print one JSON object.
+
+    Examples
+    --------
+    skin layout check palm.toml
+    skin layout draw palm.toml --out palm-boards.png
+    skin layout quality glove
+    """
+    skin = load_layout(file)
+    if out is not None and action != "draw":
+        raise InputError("--out is the picture of 'skin layout draw': leave it out, or draw")
+    if action == "quality":
+        return _print_quality(skin, as_json=json_)
+    about = _about(skin)
+    if action == "draw":
+        about["picture"] = str(_draw(skin, out or Path(f"{skin.name}.png")))
+    if json_:
+        print_json(about)
+    else:
+        print_table((), [(name.replace("_", " "), _words(value)) for name, value in about.items()])
+    return 0
+
+
+def _print_quality(skin: Layout, *, as_json: bool) -> int:
+    from demo.quality import qualities
+
+    found = qualities(skin)
+    if as_json:
+        print_json([each._asdict() for each in found])
+        return 0
+    headings = ("sums", "per taxel", "PSNR, dB", "sensor, dB", "error where touched, mN", "paper's bound, sums")
+    rows = [
+        (
+            each.sums,
+            f"{each.sums_per_taxel:.3f}",
+            f"{each.psnr_image_db:.1f}",
+            f"{each.psnr_sensor_db:.1f}",
+            f"{1e3 * each.touched_error_n:.2f}",
+            f"{each.bound_sums:.0f}",
+        )
+        for each in found
+    ]
+    print_table(headings, rows, title=f"{skin.name}: {skin.measurement.sums} sums in the layout")
+    return 0
+
+
+def _about(skin: Layout) -> dict[str, Any]:
+    phi = skin.phi()
+    held = [len(phi.taxels_of(block)) for block in range(phi.blocks)]
+    return {
+        "skin": skin.name,
+        "sending": skin.sending,
+        "rows": skin.taxels.rows,
+        "columns": skin.taxels.columns,
+        "taxels": skin.taxels.there,
+        "blocks": phi.blocks,
+        "taxels_of_a_block": sorted({min(held), max(held)}),
+        "empty_places": phi.empty,
+        "sums": phi.shape[0],
+        "sums_per_taxel": round(phi.shape[0] / skin.taxels.there, 3),
+        "nodes": {bus.name: bus.nodes for bus in skin.bus},
+        "wires": str(wiring(skin)),
+        "fingerprint": phi.fingerprint,
+    }
+
+
+def _words(value: Any) -> str:
+    if isinstance(value, dict):
+        return ", ".join(f"{name}: {each}" for name, each in value.items())
+    return " to ".join(map(str, value)) if isinstance(value, list) else str(value)
+
+
+def _draw(skin: Layout, path: Path) -> Path:
+    """Draw the grid, each block in its colour; the number at a taxel is its place in the chain."""
+    from matplotlib import colormaps
+    from matplotlib.figure import Figure
+
+    check_picture_path(path)
+    phi, taxels = skin.phi(), skin.taxels
+    block = phi.block_of_taxel
+    # Neighbouring numbers get colours far apart.
+    hue = block * 0.618034 % 1.0
+    width = min(24.0, max(4.0, taxels.columns * 0.25))
+    figure = Figure(figsize=(width, max(2.0, width * taxels.rows / taxels.columns) + 0.8), layout="constrained")
+    axes = figure.subplots()
+    colours = colormaps["hsv"](hue, alpha=np.where(phi.is_wired, 0.55, 0.0)).reshape(taxels.rows, taxels.columns, 4)
+    axes.imshow(colours, interpolation="nearest")
+    place = phi.place_of_taxel % phi.block_size
+    size = min(8.0, 72 * width / taxels.columns / 3)
+    for taxel in np.flatnonzero(phi.is_wired).tolist():
+        row, column = divmod(taxel, taxels.columns)
+        axes.text(column, row, str(place[taxel]), ha="center", va="center", fontsize=size)
+    for each in range(phi.blocks):
+        rows, columns = np.divmod(phi.taxels_of(each), taxels.columns)
+        if skin.measurement.wiring != "scattered":
+            axes.plot(columns, rows, color="black", linewidth=0.4, alpha=0.5)
+    axes.set_title(f"{skin.name}: {phi.blocks} blocks, {phi.empty} empty places", fontsize=10)
+    axes.set(xticks=[], yticks=[])
+    save_figure(figure, path, dpi=110)
+    return path

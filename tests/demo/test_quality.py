@@ -1,0 +1,26 @@
+"""How many sums are enough: simulated touches, image by image."""
+
+import pytest
+
+from canskin.errors import InputError, RunError
+from demo.quality import qualities
+from tests.layouts import ADAPTIVE_SKIN, small_layout
+
+MAT = small_layout(15, 17, sampling={"rate_hz": 1000.0})
+
+
+def test_more_sums_give_better_images() -> None:
+    found = qualities(MAT, touches_s=3.0)
+    assert [each.sums for each in found] == [16, 32, 64, 128, 256]
+    assert [each.sums_per_taxel for each in found] == pytest.approx([each.sums / 255 for each in found])
+    assert found[0].psnr_image_db < found[2].psnr_image_db < found[4].psnr_image_db
+    assert found[0].touched_error_n > found[2].touched_error_n > found[4].touched_error_n
+    assert found[4].psnr_image_db > found[4].psnr_sensor_db + 10
+    assert len({(each.psnr_sensor_db, each.bound_sums) for each in found}) == 1  # the same touches and the same noise
+
+
+def test_what_cannot_be_judged() -> None:
+    with pytest.raises(InputError, match="adaptive boards send all sums"):
+        qualities(ADAPTIVE_SKIN)
+    with pytest.raises(RunError, match="nothing touched"):
+        qualities(MAT, touches_s=0.1)

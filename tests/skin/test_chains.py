@@ -1,0 +1,98 @@
+"""Boards that exist: their taxels from a file, and one clear error for each thing that cannot be."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from canskin.errors import LayoutError
+from skin.chains import read_chains
+from skin.layout import Layout, layout_text, load_layout, parse_layout
+
+#: A mat of 4 x 6 taxels on boards of 12, 8 and 4.
+SIZES = (12, 8, 4)
+BOARDS = [(board, place) for board, size in enumerate(SIZES) for place in range(size)]
+
+
+def written(folder: Path, lines: str, header: str = "board,place,taxel") -> Path:
+    (folder / "boards.csv").write_text(f"{header}\n{lines}\n")
+    path = folder / "mat.toml"
+    path.write_text(
+        "[taxels]\nrows = 4\ncolumns = 6\n[measurement]\nblock_size = 16\nwiring = 'file'\nchains = 'boards.csv'\n"
+    )
+    return path
+
+
+def mat(folder: Path) -> Layout:
+    lines = "\n".join(f"{board},{place},{23 - taxel}" for taxel, (board, place) in enumerate(BOARDS))
+    return load_layout(written(folder, lines))
+
+
+def test_boards_of_unequal_size(tmp_path: Path) -> None:
+    layout = mat(tmp_path)
+    phi = layout.phi()
+    assert (layout.blocks, phi.empty, phi.shape[1]) == (3, 24, 24)
+    assert [phi.taxels_of(block).tolist() for block in range(3)] == [
+        list(range(23, 11, -1)),
+        list(range(11, 3, -1)),
+        [3, 2, 1, 0],
+    ]
+    signs = np.asarray(phi.wired.forward(np.eye(48))).T
+    np.testing.assert_array_equal(signs @ signs.T, 16 * np.eye(len(signs)))
+
+
+def test_the_text_of_a_layout_needs_no_file(tmp_path: Path) -> None:
+    layout = mat(tmp_path)
+    assert parse_layout(layout_text(layout).encode(), "elsewhere.toml") == layout
+
+
+def test_rows_and_columns_in_place_of_taxels(tmp_path: Path) -> None:
+    lines = "\n".join(f"{board}, {place}, {taxel // 6}, {taxel % 6}" for taxel, (board, place) in enumerate(BOARDS))
+    layout = load_layout(written(tmp_path, lines, "board,place,row,column"))
+    assert layout.phi().taxels_of(1).tolist() == list(range(12, 20))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ("1,3,15", "1,3,14", "taxel 14 is on 2 places"),
+        ("1,3,15", "", "taxel 15 is on no board"),
+        ("1,3,15", "1,3,24", "expected taxels 0 to 23, and -1 for none, got 24"),
+        ("1,3,15", "1,16,15", "expected at most 16 places .*, got 17 of board 1"),
+        ("1,3,15", "1,2,15", "line 17: place 2 of board 1 is named twice"),
+        ("1,3,15", "1,3,nan", "line 17: expected whole numbers: .*nan"),
+        ("1,3,15", "1,3", "line 17: expected whole numbers"),
+        ("1,3,15", "1,-3,15", "line 17: expected numbers from 0"),
+        ("1,3,15", "9,3,15", "board 3 has no taxel"),
+        ("board,place", "node,place", "expected the header board,place,taxel"),
+    ],
+)
+def test_errors(tmp_path: Path, old: str, new: str, says: str) -> None:
+    lines = "\n".join(f"{board},{place},{taxel}" for taxel, (board, place) in enumerate(BOARDS))
+    path = written(tmp_path, lines)
+    text = (tmp_path / "boards.csv").read_text()
+    assert old in text
+    (tmp_path / "boards.csv").write_text(text.replace(old, new, 1))
+    with pytest.raises(LayoutError, match=says) as caught:
+        load_layout(path)
+    assert str(caught.value).endswith("at `$.measurement.chains`")
+    assert "\n" not in str(caught.value)
+
+
+def test_a_column_beyond_the_skin(tmp_path: Path) -> None:
+    (tmp_path / "boards.csv").write_text("board,place,row,column\n0,0,0,6\n")
+    with pytest.raises(LayoutError, match="columns below 6, got board 0, place 0, row 0, column 6"):
+        read_chains(tmp_path / "boards.csv", 6)
+
+
+@pytest.mark.parametrize("tables", ["chains = [[0]]", "wiring = 'file'"])
+def test_chains_and_wiring_go_together(tables: str) -> None:
+    with pytest.raises(LayoutError, match=r"`chains` need wiring = 'file'"):
+        parse_layout(f"[taxels]\nrows = 4\ncolumns = 6\n[measurement]\n{tables}\n".encode(), "mat.toml")
+
+
+def test_no_file(tmp_path: Path) -> None:
+    path = written(tmp_path, "")
+    (tmp_path / "boards.csv").unlink()
+    with pytest.raises(LayoutError, match=r"boards\.csv: cannot read the chains"):
+        load_layout(path)
