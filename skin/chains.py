@@ -1,4 +1,4 @@
-"""Which taxels each board has, and in which order: of boards that exist, from a file or from lists."""
+"""Skins that exist: where their taxels lie, which taxels each board has, and in which order."""
 
 import csv
 from collections import Counter
@@ -17,6 +17,10 @@ EMPTY: Final = -1
 #: Where a layout has the chains.
 _KEY: Final = "at `$.measurement.chains`"
 _HEADER: Final = "board,place,taxel or board,place,row,column"
+_POSITION: Final = ("x_m", "y_m", "z_m")
+_NORMAL: Final = ("nx", "ny", "nz")
+#: Largest number of a taxel, board or place.
+MOST: Final = int(np.iinfo(np.uint16).max)
 
 
 def read_chains(path: Path, columns: int) -> list[list[int]]:
@@ -39,34 +43,102 @@ def read_chains(path: Path, columns: int) -> list[list[int]]:
     LayoutError
         If the file is no such table, or names a place twice.
     """
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            table = csv.DictReader(file, skipinitialspace=True)
-            names, lines = set(table.fieldnames or ()), list(table)
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise LayoutError(f"{path}: cannot read the chains: {error} - {_KEY}") from error
+    names, lines = read_lines(path, "chains")
     if not ({"board", "place", "taxel"} <= names or {"board", "place", "row", "column"} <= names):
         raise LayoutError(
             f"{path}: expected the header {_HEADER}, got {','.join(sorted(names))[:60] or 'none'} - {_KEY}"
         )
-    boards: dict[int, dict[int, int]] = {}
-    for number, line in enumerate(lines, 2):
+    found = _Boards()
+    for where, line in lines:
+        taxel = _whole(line, where, "taxel") if "taxel" in names else _whole(line, where, "row") * columns
+        if "taxel" not in names:
+            column = _whole(line, where, "column")
+            if column >= columns:
+                raise LayoutError(f"{where}: expected columns below {columns}, got {column} - {_KEY}")
+            taxel += column
+        found.add(line, where, taxel)
+    return found.chains()
+
+
+def read_positions(path: Path) -> tuple[list[list[float]], list[list[int]] | None]:
+    """Read a file of positions: CSV with a line for each taxel.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        Columns `x_m`, `y_m` and `z_m`; `nx`, `ny` and `nz` if the normals are known; `board` if the boards are, and
+        then `place`, without which the taxels of a board are in the order of their lines.
+
+    Returns
+    -------
+    positions : list of list of float
+        Three or six numbers of each taxel.
+    chains : list of list of int or None
+        Of each board the taxels by place; None without the column `board`.
+
+    Raises
+    ------
+    LayoutError
+        If the file is no such table, or names a place twice.
+    """
+    names, lines = read_lines(path, "positions")
+    if not names >= set(_POSITION):
+        got = ",".join(sorted(names))[:60] or "none"
+        raise LayoutError(f"{path}: expected the header {','.join(_POSITION)},..., got {got} - at `$.taxels.positions`")
+    if not lines:
+        raise LayoutError(f"{path}: expected a line for each taxel, got none - at `$.taxels.positions`")
+    wanted = (*_POSITION, *_NORMAL) if names >= set(_NORMAL) else _POSITION
+    positions, boards = [], _Boards()
+    for taxel, (where, line) in enumerate(lines):
         try:
-            board, place = int(line["board"]), int(line["place"])
-            taxel = int(line["taxel"]) if "taxel" in names else int(line["row"]) * columns + int(line["column"])
-            is_in_row = "taxel" in names or 0 <= int(line["column"]) < columns
+            positions.append([float(line[name]) for name in wanted])
         except (TypeError, ValueError) as error:
-            raise LayoutError(f"{path}, line {number}: expected whole numbers: {error} - {_KEY}") from error
-        if min(board, place, taxel) < 0 or max(board, place) > np.iinfo(np.uint16).max or not is_in_row:
-            limits = f"numbers from 0 and columns below {columns}"
-            raise LayoutError(f"{path}, line {number}: expected {limits}, got {_words(line)} - {_KEY}")
-        if place in boards.setdefault(board, {}):
-            raise LayoutError(f"{path}, line {number}: place {place} of board {board} is named twice - {_KEY}")
-        boards[board][place] = taxel
-    return [
-        [held.get(place, EMPTY) for place in range(max(held, default=-1) + 1)]
-        for held in (boards.get(board, {}) for board in range(max(boards, default=-1) + 1))
-    ]
+            raise LayoutError(f"{where}: expected numbers: {error} - at `$.taxels.positions`") from error
+        if "board" in names:
+            boards.add(line, where, taxel)
+    return positions, boards.chains() if "board" in names else None
+
+
+def read_lines(path: Path, what: str) -> tuple[set[str], list[tuple[str, dict[str, str]]]]:
+    """Read a CSV file: the names of its columns, and each line with its file and number."""
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            table = csv.DictReader(file, skipinitialspace=True)
+            return set(table.fieldnames or ()), [(f"{path}, line {table.line_num}", line) for line in table]
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise LayoutError(f"{path}: cannot read the {what}: {error}") from error
+
+
+class _Boards:
+    """The boards of a file, line by line."""
+
+    def __init__(self) -> None:
+        self._taxels: dict[int, dict[int, int]] = {}
+
+    def add(self, line: dict[str, str], where: str, taxel: int) -> None:
+        """Put a taxel where its line says: at the `place` on its `board`, or after those before."""
+        board = _whole(line, where, "board")
+        held = self._taxels.setdefault(board, {})
+        place = _whole(line, where, "place") if "place" in line else len(held)
+        if place in held:
+            raise LayoutError(f"{where}: place {place} of board {board} is named twice - {_KEY}")
+        held[place] = taxel
+
+    def chains(self) -> list[list[int]]:
+        """Return the taxels of each board by place, `EMPTY` for a place that no line names."""
+        boards = [self._taxels.get(board, {}) for board in range(max(self._taxels, default=-1) + 1)]
+        return [[held.get(place, EMPTY) for place in range(max(held, default=-1) + 1)] for held in boards]
+
+
+def _whole(line: dict[str, str], where: str, name: str) -> int:
+    limits = f"whole numbers from 0 to {MOST}"
+    try:
+        value = int(line[name])
+    except (TypeError, ValueError) as error:
+        raise LayoutError(f"{where}: expected {limits} as {name}: {error} - {_KEY}") from error
+    if not 0 <= value <= MOST:
+        raise LayoutError(f"{where}: expected {limits} as {name}, got {value} - {_KEY}")
+    return value
 
 
 def check_chains(chains: Sequence[Sequence[int]], taxels: int, block_size: int, gaps: Indices) -> None:
@@ -103,7 +175,3 @@ def order_of(chains: Sequence[Sequence[int]], taxels: int, block_size: int) -> I
     empty = flat == EMPTY
     flat[empty] = np.arange(taxels, taxels + empty.sum())
     return flat
-
-
-def _words(line: dict[str, str]) -> str:
-    return ", ".join(f"{name} {value}" for name, value in line.items())

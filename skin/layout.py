@@ -1,7 +1,9 @@
 """The layout of one skin: skin ▸ bus ▸ node ▸ block ▸ taxel, read from one TOML file."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cache
 from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, get_args
@@ -11,9 +13,10 @@ import numpy as np
 import tomli_w
 
 from canskin.errors import UNDECODABLE, InputError, LayoutError
-from skin.chains import check_chains, order_of, read_chains
+from skin.chains import MOST, check_chains, order_of, read_chains, read_positions
 from skin.measurement import Sbhe, of_rows, part_of, sbhe
 from skin.sending import IN_CYCLES, SENDINGS, Sending, SendingName
+from skin.surface import Surface, grid_surface, surface_of_positions
 from skin.toml_errors import in_words
 from skin.walsh import Indices, patches
 from skin.wiring import check_patch, within_patches
@@ -32,6 +35,8 @@ SAMPLING_MAX_HZ: Final = 10_000.0
 #: Signs of `taxels.shape`.
 TAXEL: Final = "#"
 GAP: Final = "."
+#: Most rows and columns of a grid.
+SIDE_MAX: Final = 256
 #: Fewest taxels of a skin.
 TAXELS_MIN: Final = 8
 #: Largest bit rate of a CAN FD data phase.
@@ -66,9 +71,10 @@ class _Table(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
 
 class Taxels(_Table, frozen=True, kw_only=True):
-    """The grid of taxels: `rows` x `columns`, `pitch_m` apart; forces from 0 to `force_max_n` in `adc_bits`.
+    """The taxels: `rows` x `columns`, `pitch_m` apart, or at `positions`; forces from 0 to `force_max_n` in `adc_bits`.
 
-    A skin with cut-outs, or of several patches, lacks some taxels of its grid: they are gaps of `shape`.
+    A skin with cut-outs, or of several patches, lacks some taxels of its grid: they are gaps of `shape`. A skin that is
+    no grid has `positions`, and its arrays have one row.
 
     `frontend` tells where a sum is made: each taxel has a converter and the node adds numbers (``digital``), or
     currents are added before one converter for each sum (``analogue``, `skin.frontend`). `untouchable` are the taxels
@@ -77,8 +83,10 @@ class Taxels(_Table, frozen=True, kw_only=True):
 
     # A line for each row: `#` for a taxel, `.` for a gap; `rows` and `columns` follow from the picture.
     shape: tuple[str, ...] | None = None
-    rows: Annotated[int, msgspec.Meta(ge=1, le=256)] = 64
-    columns: Annotated[int, msgspec.Meta(ge=1, le=256)] = 64
+    rows: Annotated[int, msgspec.Meta(ge=1, le=SIDE_MAX)] = 64
+    columns: Annotated[int, msgspec.Meta(ge=1, le=MOST + 1)] = 64
+    # x, y and z of each taxel in metres, or these and its normal; in a file, the path of a CSV.
+    positions: Annotated[tuple[tuple[float, ...], ...], msgspec.Meta(max_length=MOST + 1)] | None = None
     pitch_m: Annotated[float, msgspec.Meta(ge=1e-6, le=10)] = 0.004
     force_max_n: Annotated[float, msgspec.Meta(ge=1e-6, le=1e6)] = 0.02
     adc_bits: Annotated[int, msgspec.Meta(ge=1, le=16)] = 10
@@ -108,6 +116,11 @@ class Taxels(_Table, frozen=True, kw_only=True):
         return self.count - sum(line.count(GAP) for line in self.shape or ())
 
     @property
+    def surface(self) -> Surface:
+        """Where the taxels lie, and which are neighbours."""
+        return _surface(self)
+
+    @property
     def count_max(self) -> int:
         """Largest ADC count."""
         return (1 << self.adc_bits) - 1
@@ -116,6 +129,13 @@ class Taxels(_Table, frozen=True, kw_only=True):
     def newton_per_count(self) -> float:
         """Force of one ADC count."""
         return self.force_max_n / self.count_max
+
+
+@cache
+def _surface(taxels: Taxels) -> Surface:
+    if taxels.positions is not None:
+        return surface_of_positions(taxels.positions)
+    return grid_surface(taxels.rows, taxels.columns, taxels.pitch_m, taxels.gaps)
 
 
 class PhiParameters(_Table, frozen=True, kw_only=True):
@@ -311,8 +331,7 @@ class Layout(_Table, frozen=True, kw_only=True):
         """Return the taxels of each block of neighbours, by bus; see `skin.walsh.patches`."""
         if self.measurement.chains is not None:
             return np.split(self.phi().taxels_of_blocks, np.cumsum(self._held)[:-1])
-        taxels = self.taxels
-        return patches(taxels.rows, taxels.columns, self.measurement.block_size, self._held, taxels.gaps)
+        return patches(self.taxels.surface, self.measurement.block_size, self._held, self.taxels.gaps)
 
     @property
     def _held(self) -> list[int]:
@@ -341,14 +360,15 @@ def require_one_state(layout: Layout, what: str) -> None:
         raise LayoutError(f"{what} does not know recognition: expected a layout without it - at `$.recognition`")
 
 
-def _read(path: Path | None, name: str) -> tuple[bytes, str]:
-    """Return content and origin of a layout."""
+def _read(path: Path | None, name: str) -> tuple[bytes, str, Path]:
+    """Return content and origin of a layout, and the folder of the files that it names."""
     if path is None or (name in SHIPPED and not path.is_file()):
-        return files("skin.layouts").joinpath(f"{name}.toml").read_bytes(), f"{name}.toml"
+        folder = files("skin.layouts")
+        return folder.joinpath(f"{name}.toml").read_bytes(), f"{name}.toml", Path(str(folder))
     if path.suffix.lower() == RECORDING_SUFFIX:
-        return _read_attached(path), name
+        return _read_attached(path), name, path.parent
     try:
-        return path.read_bytes(), name
+        return path.read_bytes(), name, path.parent
     except OSError as error:
         raise LayoutError(f"{path}: cannot read the layout: {error.strerror or error}") from error
 
@@ -366,10 +386,10 @@ def _read_attached(path: Path) -> bytes:
     return content
 
 
-def parse_layout(content: bytes, origin: str) -> Layout:
-    """Decode and check a layout; `origin` names the file in messages."""
+def parse_layout(content: bytes, origin: str, folder: Path = Path()) -> Layout:
+    """Decode and check a layout; `origin` names the file in messages, and `folder` holds the files that it names."""
     try:
-        document = _with_sizes(_with_chains(_with_shape(msgspec.toml.decode(content)), Path(origin).parent))
+        document = _with_sizes(_with_files(_with_shape(msgspec.toml.decode(content)), folder))
     except UNDECODABLE as error:
         raise LayoutError(f"{origin}: {error}") from error
     try:
@@ -392,11 +412,19 @@ def _with_shape(tables: dict[str, Any]) -> dict[str, Any]:
     return tables
 
 
-def _with_chains(tables: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """Read the file of `measurement.chains`, if its path is given: a layout then stands for itself."""
-    measurement, taxels = tables.get("measurement"), tables.get("taxels", {})
-    if isinstance(measurement, dict) and isinstance(measurement.get("chains"), str):
-        columns = taxels.get("columns", Taxels().columns) if isinstance(taxels, dict) else 0
+def _with_files(tables: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """Read the files of positions and chains beside a layout, if named: the layout then stands for itself."""
+    taxels, measurement = tables.get("taxels", {}), tables.get("measurement", {})
+    if not isinstance(taxels, dict) or not isinstance(measurement, dict):
+        return tables
+    if isinstance(taxels.get("positions"), str):
+        taxels["positions"], chains = read_positions(folder / taxels["positions"])
+        if chains is not None:
+            measurement = tables["measurement"] = {"wiring": "file", "chains": chains} | measurement
+    if isinstance(taxels.get("positions"), list):
+        tables["taxels"] = {"rows": 1, "columns": len(taxels["positions"])} | taxels
+    if isinstance(measurement.get("chains"), str):
+        columns = tables.get("taxels", {}).get("columns", Taxels().columns)
         measurement["chains"] = read_chains(folder / measurement["chains"], columns if type(columns) is int else 0)
     return tables
 
@@ -413,6 +441,8 @@ def _with_sizes(tables: dict[str, Any]) -> dict[str, Any]:
         parameters = msgspec.convert(tables.get("measurement", {}), PhiParameters)
     except msgspec.ValidationError:  # the check of the whole layout names the path
         return tables
+    if taxels.positions is not None and "pitch_m" not in tables["taxels"]:
+        tables["taxels"]["pitch_m"] = taxels.surface.pitch_m
     blocks = _blocks(taxels, parameters)
     of_block = max(1, parameters.block_size // sends.taxels_per_sum)
     sums = blocks * of_block if parameters.rows is None else len(parameters.rows)
@@ -481,6 +511,7 @@ def _check_measurement(layout: Layout) -> None:
     if size & (size - 1):
         raise LayoutError(f"expected a power of two, got {size} - at `$.measurement.block_size`")
     _check_shape(taxels)
+    _check_positions(taxels, measurement)
     if taxels.there < TAXELS_MIN:
         raise LayoutError(f"expected {TAXELS_MIN} taxels or more, got {taxels.there} - at `$.taxels`")
     if (measurement.wiring == "file") != (measurement.chains is not None):
@@ -506,6 +537,27 @@ def _check_shape(taxels: Taxels) -> None:
             raise LayoutError(f"expected {taxels.columns} signs, got {len(line)} - at `$.taxels.shape[{number}]`")
     if taxels.shape is not None and len(taxels.shape) != taxels.rows:
         raise LayoutError(f"expected {taxels.rows} lines (`rows`), got {len(taxels.shape)} - at `$.taxels.shape`")
+
+
+def _check_positions(taxels: Taxels, measurement: PhiParameters) -> None:
+    count = len(taxels.positions or ())
+    if taxels.positions is None:
+        if taxels.columns > SIDE_MAX:
+            raise LayoutError(f"expected {SIDE_MAX} or less, got {taxels.columns} - at `$.taxels.columns`")
+        return
+    if (taxels.rows, taxels.columns) != (1, count) or taxels.shape is not None:
+        raise LayoutError(
+            "taxels at positions are no grid: leave rows, columns and shape out - at `$.taxels.positions`"
+        )
+    if measurement.patch is not None:
+        raise LayoutError("taxels at positions have no regions of a grid: leave the key out - at `$.measurement.patch`")
+    try:
+        surface = taxels.surface
+    except LayoutError as error:
+        raise LayoutError(f"{error} - at `$.taxels.positions`") from error
+    if not math.isclose(taxels.pitch_m, surface.pitch_m, rel_tol=0.5):
+        limit = f"expected the median spacing, {surface.pitch_m:.4g}, or no key"
+        raise LayoutError(f"{limit}, got {taxels.pitch_m:g} - at `$.taxels.pitch_m`")
 
 
 def _check_rows(layout: Layout, rows: Sequence[tuple[int, int]]) -> None:

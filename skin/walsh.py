@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from canskin.errors import InputError
 from skin.measurement import fast_hadamard
+from skin.surface import Surface
 
 #: Groups of rows: low or high vertical sequency, each with low or high horizontal sequency.
 GROUPS: Final = 4
@@ -29,42 +30,39 @@ def patch_shape(taxels: int) -> tuple[int, int]:
     return high, taxels // high
 
 
-def patches(rows: int, columns: int, taxels: int, blocks: Sequence[int], gaps: Indices | None = None) -> list[Indices]:
+def patches(surface: Surface, taxels: int, blocks: Sequence[int], gaps: Indices) -> list[Indices]:
     """Deal patches out to buses, so that a touch meets all buses alike.
 
     Parameters
     ----------
-    rows, columns : int
-        The grid. Where it is no multiple of the patch's height and width, `neighbours` makes patches of other shapes.
+    surface : Surface
+        Of the skin. Where it is no grid, or its sides are no multiples of a patch's height and width, `neighbours`
+        makes patches of other shapes.
     taxels : int
         Of one patch.
     blocks : sequence of int
-        How many patches each bus takes, in all those of the grid. Of four equal buses, the patch beside one is two
+        How many patches each bus takes, in all those of the skin. Of four equal buses, the patch beside one is two
         buses further, the patch below one.
-
-    gaps : array of int, optional
-        Taxels that the grid lacks, row-major: no patch has them.
+    gaps : array of int
+        Taxels that a grid lacks, row-major: no patch has them.
 
     Returns
     -------
     list of arrays of int, shape (blocks of the bus, taxels)
-        Row-major indices, by bus: the taxels of each patch, row by row; the patches row by row. From rows * columns
-        on: empty places.
+        Taxels, by bus: those of each patch, row by row; the patches row by row. From n on: empty places.
     """
     high, wide = patch_shape(taxels)
-    there = np.delete(np.arange(rows * columns), [] if gaps is None else gaps)
+    rows, columns = surface.shape
+    count = rows * columns
+    there = np.delete(np.arange(count), gaps)
     if not sum(blocks) - 1 < there.size / taxels <= sum(blocks):
-        raise InputError(f"{sum(blocks)} patches of {taxels} taxels do not fit a grid of {there.size} taxels")
-    if rows % high or columns % wide or there.size < rows * columns:
-        from scipy.ndimage import label  # no verb waits for SciPy that has no need of it
-
-        wired = np.isin(np.arange(rows * columns), there).reshape(rows, columns)
-        islands = label(wired)[0].ravel()[there]
-        places = neighbours(np.stack(np.divmod(there, columns), axis=1), sum(blocks), taxels, islands)
-        flat = np.append(there, np.arange(rows * columns, rows * columns + places.size - there.size))[places]
+        raise InputError(f"{sum(blocks)} patches of {taxels} taxels do not fit a skin of {there.size} taxels")
+    if not surface.is_grid or rows % high or columns % wide or gaps.size:
+        places = neighbours(surface.positions_m[there, ::-1], sum(blocks), taxels, surface.islands[there])
+        flat = np.append(there, np.arange(count, count + places.size - there.size))[places]
         bus_of = dealt(np.arange(len(flat)) % len(blocks), blocks)
         return [flat[bus_of == bus] for bus in range(len(blocks))]
-    cells = np.arange(rows * columns).reshape(rows // high, high, columns // wide, wide).swapaxes(1, 2)
+    cells = np.arange(count).reshape(rows // high, high, columns // wide, wide).swapaxes(1, 2)
     down, across = np.indices(cells.shape[:2])
     buses = len(blocks)
     bus_of = dealt(((down + max(1, buses // 2) * across) % buses).ravel(), blocks)

@@ -15,8 +15,7 @@ from dbc.dictionary import HEARTBEAT_MS
 from dbc.frame import Frames, frames
 from dbc.frame_bits import frame_time_ns, wire_bits
 from evaluation.result import Row
-from skin import walsh
-from skin.layout import Bus
+from skin.layout import Bus, Layout, PhiParameters, Taxels
 
 #: Touches are known every millisecond.
 TICK_NS: Final = 1_000_000
@@ -38,7 +37,12 @@ def patches(side: int) -> npt.NDArray[np.int64]:
     Neighbouring nodes are on different buses.
     """
     per_node = min(NODE_CELLS, side * side // BUSES)
-    return np.stack(walsh.patches(side, side, per_node, [side * side // per_node // BUSES] * BUSES)).astype(np.int64)
+    layout = Layout(
+        taxels=Taxels(rows=side, columns=side),
+        measurement=PhiParameters(block_size=per_node, wiring="board"),
+        bus=[Bus(name=f"bus{number}", nodes=side * side // per_node // BUSES) for number in range(BUSES)],
+    )
+    return np.stack(layout.patches()).astype(np.int64)
 
 
 def lines_of(side: int) -> tuple[Bus, ...]:

@@ -5,11 +5,13 @@ import pytest
 
 from canskin.errors import InputError
 from reconstructor.walsh import STEPS, VariationFilter, WalshReconstructor
+from skin.surface import grid_surface
 from skin.walsh import patches, walsh_matrix
 from tests.reconstructor.reference import Variation
 
 ROWS, COLUMNS = 8, 16
-PATCHES = patches(ROWS, COLUMNS, 16, [4, 4])
+NO_GAPS = np.zeros(0, np.intp)
+PATCHES = patches(grid_surface(ROWS, COLUMNS, 1.0, NO_GAPS), 16, [4, 4], NO_GAPS)
 CELLS = np.concatenate(PATCHES)
 
 

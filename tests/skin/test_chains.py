@@ -60,9 +60,9 @@ def test_rows_and_columns_in_place_of_taxels(tmp_path: Path) -> None:
         ("1,3,15", "1,3,24", "expected taxels 0 to 23, and -1 for none, got 24"),
         ("1,3,15", "1,16,15", "expected at most 16 places .*, got 17 of board 1"),
         ("1,3,15", "1,2,15", "line 17: place 2 of board 1 is named twice"),
-        ("1,3,15", "1,3,nan", "line 17: expected whole numbers: .*nan"),
+        ("1,3,15", "1,3,nan", "line 17: expected whole numbers from 0 to 65535 as taxel: .*nan"),
         ("1,3,15", "1,3", "line 17: expected whole numbers"),
-        ("1,3,15", "1,-3,15", "line 17: expected numbers from 0"),
+        ("1,3,15", "1,-3,15", "line 17: expected whole numbers from 0 to 65535 as place, got -3"),
         ("1,3,15", "9,3,15", "board 3 has no taxel"),
         ("board,place", "node,place", "expected the header board,place,taxel"),
     ],
@@ -81,7 +81,7 @@ def test_errors(tmp_path: Path, old: str, new: str, says: str) -> None:
 
 def test_a_column_beyond_the_skin(tmp_path: Path) -> None:
     (tmp_path / "boards.csv").write_text("board,place,row,column\n0,0,0,6\n")
-    with pytest.raises(LayoutError, match="columns below 6, got board 0, place 0, row 0, column 6"):
+    with pytest.raises(LayoutError, match="line 2: expected columns below 6, got 6"):
         read_chains(tmp_path / "boards.csv", 6)
 
 
@@ -96,3 +96,53 @@ def test_no_file(tmp_path: Path) -> None:
     (tmp_path / "boards.csv").unlink()
     with pytest.raises(LayoutError, match=r"boards\.csv: cannot read the chains"):
         load_layout(path)
+
+
+HEADER = "x_m,y_m,z_m"
+#: A strip of 12 taxels on two boards, the first of 8.
+STRIP = [(0.004 * taxel, 0.0, 0.0) for taxel in range(12)]
+
+
+def with_positions(folder: Path, header: str, lines: list[str], more: str = "") -> Path:
+    (folder / "strip.csv").write_text("\n".join([header, *lines]) + "\n")
+    path = folder / "strip.toml"
+    path.write_text(f"[taxels]\npositions = 'strip.csv'\n{more}")
+    return path
+
+
+def strip_lines(*, boards: bool) -> list[str]:
+    return [",".join(map(str, (*place, *((taxel // 8,) if boards else ())))) for taxel, place in enumerate(STRIP)]
+
+
+def test_positions_make_a_skin_of_one_row_whose_own_text_is_whole(tmp_path: Path) -> None:
+    layout = load_layout(with_positions(tmp_path, HEADER, strip_lines(boards=False)))
+    assert (layout.taxels.rows, layout.taxels.columns, layout.blocks) == (1, 12, 1)
+    assert layout.taxels.pitch_m == pytest.approx(0.004)
+    assert layout.taxels.surface.edges.tolist() == [[taxel, taxel + 1] for taxel in range(11)]
+    assert parse_layout(layout_text(layout).encode(), "again") == layout
+
+
+def test_positions_may_name_the_boards(tmp_path: Path) -> None:
+    layout = load_layout(with_positions(tmp_path, f"{HEADER},board", strip_lines(boards=True)))
+    assert layout.measurement.wiring == "file"
+    assert layout.measurement.chains == (tuple(range(8)), tuple(range(8, 12)))
+
+
+@pytest.mark.parametrize(
+    ("header", "lines", "more", "words"),
+    [
+        ("x,y,z", ["0,0,0"], "", "expected the header x_m,y_m,z_m,..., got x,y,z"),
+        (HEADER, ["0,0,0", "0,zero,0"], "", "line 3: expected numbers"),
+        (HEADER, [], "", "expected a line for each taxel, got none"),
+        (HEADER, strip_lines(boards=False), "rows = 3", "are no grid: leave rows"),
+        (HEADER, strip_lines(boards=False), "pitch_m = 0.1", "expected the median spacing, 0.004"),
+        (HEADER, strip_lines(boards=False), "[measurement]\npatch = 8", "no regions of a grid"),
+        (f"{HEADER},board,place", ["0,0,0,0,0", "0.004,0,0,0,0"], "", "line 3: place 0 of board 0 is named twice"),
+        (f"{HEADER},board", ["0,0,0,-1"], "", "whole numbers from 0 to 65535 as board, got -1"),
+    ],
+)
+def test_wrong_files_of_positions_have_one_clear_error(
+    tmp_path: Path, header: str, lines: list[str], more: str, words: str
+) -> None:
+    with pytest.raises(LayoutError, match=words):
+        load_layout(with_positions(tmp_path, header, lines, more))

@@ -7,7 +7,14 @@ from hypothesis import strategies as st
 from scipy.linalg import hadamard
 
 from canskin.errors import InputError
-from skin.walsh import GROUPS, grouped_rows, neighbours, patch_shape, patches, walsh_matrix
+from skin.surface import grid_surface
+from skin.walsh import GROUPS, Indices, grouped_rows, neighbours, patch_shape, patches, walsh_matrix
+
+NO_GAPS = np.zeros(0, np.intp)
+
+
+def of_grid(rows: int, columns: int, taxels: int, blocks: list[int], gaps: Indices = NO_GAPS) -> list[Indices]:
+    return patches(grid_surface(rows, columns, 0.004, gaps), taxels, blocks, gaps)
 
 
 @pytest.mark.parametrize(("taxels", "shape"), [(8, (2, 4)), (16, (4, 4)), (32, (4, 8)), (64, (8, 8))])
@@ -49,7 +56,7 @@ def test_first_group_alone_gives_the_means_of_two_by_two_taxels() -> None:
 
 def test_patch_beside_or_below_is_on_another_bus() -> None:
     bus_of = np.empty(4096, int)
-    for bus, held in enumerate(patches(64, 64, 32, [32] * 4)):
+    for bus, held in enumerate(of_grid(64, 64, 32, [32] * 4)):
         assert held.shape == (32, 32)
         bus_of[held.ravel()] = bus
     patch_bus = bus_of.reshape(64, 64)[::4, ::8]
@@ -63,7 +70,7 @@ def test_every_taxel_is_in_one_patch_whatever_the_buses_take(data: st.DataObject
     while total:
         blocks.append(data.draw(st.integers(1, total)))
         total -= blocks[-1]
-    dealt = patches(32, 32, 32, blocks)
+    dealt = of_grid(32, 32, 32, blocks)
     assert [len(held) for held in dealt] == blocks
     assert sorted(np.concatenate(dealt).ravel().tolist()) == list(range(1024))
     for patch in np.concatenate(dealt):
@@ -76,7 +83,7 @@ def test_every_taxel_is_in_one_patch_whatever_the_buses_take(data: st.DataObject
 )
 def test_patches_that_do_not_fit_are_refused(grid: tuple[int, int], taxels: int, blocks: list[int]) -> None:
     with pytest.raises(InputError, match="patches"):
-        patches(*grid, taxels, blocks)
+        of_grid(*grid, taxels, blocks)
 
 
 @given(st.integers(1, 20), st.integers(1, 20), st.integers(2, 6), st.integers(0, 9))
@@ -110,7 +117,7 @@ def test_patches_end_at_gaps_where_boards_have_room() -> None:
     """Four fingers of 4 x 8 and a palm: each finger is one board."""
     shape = np.array([list(line) for line in [*["####.####.####.####"] * 8, "." * 19, *["#" * 19] * 6]])
     gaps = np.flatnonzero(shape.ravel() == ".")
-    (dealt,) = patches(*shape.shape, 32, [8], gaps)
+    (dealt,) = of_grid(*shape.shape, 32, [8], gaps)
     fingers = [patch for patch in dealt if (patch // 19 < 8).any()]
     assert len(fingers) == 4
     for patch in fingers:
