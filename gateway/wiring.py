@@ -10,7 +10,6 @@ Counts of taxels are sums, too: those of all Hadamard rows of a board. With fewe
 same in all sums of their board cannot be told apart.
 """
 
-from collections import Counter
 from dataclasses import dataclass, replace
 from typing import Any, Final, Literal, NamedTuple
 
@@ -29,7 +28,7 @@ LEAST_CHANGE: Final = 0.25
 #: As `LEAST_CHANGE`, while the changes of neighbours still hide each other.
 HINT: Final = 0.03
 #: Deviations of the noise by which the square of this change must be larger than that of noise.
-LEAST_SNR: Final = 6.0
+LEAST_SNR: Final = 4.0
 #: Part of the difference of two explanations by which the better one must be nearer to the data.
 LEAST_MARGIN: Final = 0.3
 #: Taxels whose forces are more alike than this are not taken in one round of the pursuit.
@@ -38,10 +37,15 @@ ALIKE: Final = 0.3
 BESIDE: Final = 0.5
 #: Most rounds of the pursuit.
 ROUNDS: Final = 40
-#: Part of its taxels that have to be found on another board for the board to be exchanged.
-MOVED: Final = 0.6
+#: By how much the correlation of a board with another site must be better for the board to be moved.
+MOVED: Final = 0.2
 #: Least deviation of a sum, in counts: that of rounding.
 LEAST_NOISE: Final = 0.3
+#: Moments that are needed for each taxel.
+MOMENTS: Final = 4
+#: Corrections of a path that nobody knows, and the step of its slopes, in pitches.
+SETTLING: Final = 4
+STEP: Final = 0.2
 #: Moments that are used for the profile, or at once.
 FITTED: Final = 2000
 #: Radius of a finger of usual size, in pitches.
@@ -91,9 +95,7 @@ def counts_as_sums(phi: Sbhe, counts: npt.NDArray[Any]) -> tuple[Sbhe, Floats]:
     return whole, np.asarray(fast_hadamard(counts.astype(np.float64))).reshape(len(counts), -1)
 
 
-def prove(
-    phi: Sbhe, surface: Surface, sums: Floats, path_m: Floats | None, rest: int
-) -> list[Finding]:
+def prove(phi: Sbhe, surface: Surface, sums: Floats, path_m: Floats | None, rest: int) -> list[Finding]:
     """Find the taxels that are not wired as Φ says.
 
     Parameters
@@ -109,22 +111,66 @@ def prove(
     """
     if not 0 < rest < len(sums):
         raise InputError(f"expected a part without touch before the stroke, got {rest} of {len(sums)} moments")
-    # Without touch, converters that end at 0 show half of the noise.
-    noise = np.maximum(2 * sums[:rest].std(axis=0), LEAST_NOISE)
+    noise = np.maximum(sums[:rest].std(axis=0), LEAST_NOISE)
     sums = sums[rest:] - sums[:rest].mean(axis=0)
     if path_m is None:
         path_m, used = locate(phi, surface, sums)
         sums = sums[used]
+        path_m = _settled(phi, surface, sums, path_m, noise)
     else:
         path_m = path_m[rest:]
-    force = _forces(phi, surface, sums, path_m)
-    return _named(phi, *_pursue(phi, force - force.mean(axis=0), sums - sums.mean(axis=0), noise))
+    if len(sums) < MOMENTS * phi.is_wired.sum():
+        least = MOMENTS * int(phi.is_wired.sum())
+        raise InputError(f"expected {least} moments with touch or more, {MOMENTS} for each taxel, got {len(sums)}")
+    sites = _sites(phi, _forces(phi, surface, sums, path_m, noise), sums)
+    moved = [Finding("moved", EMPTY, Place(board, 0), (Place(site, 0),)) for board, site in sites.items()]
+    if sites:  # with the boards in their places the finger is fitted anew
+        chains = phi.taxels_of_blocks.copy()
+        chains[list(sites)] = phi.taxels_of_blocks[list(sites.values())]
+        phi = replace(phi, order=chains.ravel())
+    force = _forces(phi, surface, sums, path_m, noise)
+    return moved + _named(phi, *_pursue(phi, force - force.mean(axis=0), sums - sums.mean(axis=0), noise))
 
 
-def _forces(phi: Sbhe, surface: Surface, sums: Floats, path_m: Floats) -> npt.NDArray[np.float32]:
+def _sites(phi: Sbhe, force: npt.NDArray[np.float32], sums: Floats) -> dict[int, int]:
+    """Return the boards that sit where another should, and where: whose taxels explain their sums better."""
+    from scipy.optimize import linear_sum_assignment
+
+    some = slice(None, None, -(-len(sums) // FITTED))
+    felt = phi.padded(force[some])[:, phi.taxels_of_blocks]
+    like = np.zeros((phi.blocks, phi.blocks))
+    signs = np.asarray(fast_hadamard(np.eye(phi.block_size)), np.float32)
+    for board in np.flatnonzero(phi.has_sums).tolist():
+        mine = sums[some, phi.starts[board] : phi.starts[board + 1]].astype(np.float32)
+        made = felt @ signs[phi.rows_of(board)].T
+        lengths = np.linalg.norm(made, axis=(0, 2)) * np.linalg.norm(mine)
+        like[board] = np.einsum("tbr,tr->b", made, mine) / np.maximum(lengths, 1e-9)
+    sites = linear_sum_assignment(-like)[1].tolist()
+    return {board: site for board, site in enumerate(sites) if like[board, site] > like[board, board] + MOVED}
+
+
+def _settled(phi: Sbhe, surface: Surface, sums: Floats, path_m: Floats, noise: Floats) -> Floats:
+    """Move each point of a path to where the finger fits its sums best (Gauss and Newton)."""
+    for _ in range(SETTLING):
+        force = _forces(phi, surface, sums, path_m, noise)
+        left = sums - np.asarray(phi.forward(force))
+        slopes = []
+        for axis in np.eye(3) * STEP * surface.pitch_m:
+            aside = _forces(phi, surface, sums, path_m + axis, noise)
+            slopes.append(np.asarray(phi.forward(aside - force)) / STEP)
+        slope = np.stack(slopes, axis=1)
+        gram = slope @ slope.transpose(0, 2, 1)
+        gram += 1e-2 * np.trace(gram, axis1=1, axis2=2).mean() * np.eye(3)
+        step = np.linalg.solve(gram, (slope @ left[:, :, None]))[:, :, 0]
+        path_m = path_m + np.clip(step, -0.5, 0.5) * surface.pitch_m
+    return path_m
+
+
+def _forces(phi: Sbhe, surface: Surface, sums: Floats, path_m: Floats, noise: Floats) -> npt.NDArray[np.float32]:
     """Return the force of every taxel at each moment, shape (moments, n): profile and strength fitted to the sums."""
     some = slice(None, None, -(-len(sums) // FITTED))
-    away, energy = _away(surface, path_m), np.square(sums).sum(axis=1)
+    away = _away(surface, path_m)
+    energy = np.maximum(np.square(sums).sum(axis=1) - np.square(noise).sum(), 0.0)
     of_parts = np.stack([_felt(phi, np.interp(away[some], KNOTS, part)) for part in np.eye(len(KNOTS))[:-1]])
     strength = np.ones(of_parts.shape[1], np.float32)
     for _ in range(3):
@@ -133,8 +179,9 @@ def _forces(phi: Sbhe, surface: Surface, sums: Floats, path_m: Floats) -> npt.ND
         profile = np.linalg.lstsq(gram + 1e-6 * np.trace(gram) * np.eye(len(gram)), told, rcond=None)[0]
         strength = _strength(np.square(np.tensordot(profile, of_parts, 1)).sum(axis=1), energy[some])
     force = np.interp(away, KNOTS, np.append(profile, 0.0)).astype(np.float32) * phi.is_wired
-    force *= _strength(np.square(np.asarray(phi.forward(force))).sum(axis=1), energy)[:, None]
-    return force
+    strength = _strength(np.square(np.asarray(phi.forward(force))).sum(axis=1), energy)
+    scaled_force: npt.NDArray[np.float32] = force * strength[:, None]
+    return scaled_force
 
 
 def _felt(phi: Sbhe, force: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
@@ -144,14 +191,16 @@ def _felt(phi: Sbhe, force: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
 def _strength(made: npt.NDArray[Any], energy: Floats) -> npt.NDArray[np.float32]:
     """Return how hard the finger presses, of the energy that its profile makes and of that of the sums."""
     strength = np.sqrt(energy / np.maximum(made, 1e-3 * made.max()))
-    return np.minimum(strength, 3 * np.median(strength)).astype(np.float32)
+    limited: npt.NDArray[np.float32] = np.minimum(strength, 3 * np.median(strength)).astype(np.float32)
+    return limited
 
 
 def _away(surface: Surface, points_m: Floats) -> npt.NDArray[np.float32]:
     """Return the distances of points to the taxels, in pitches, shape (points, n)."""
     from scipy.spatial.distance import cdist
 
-    return (cdist(points_m, surface.positions_m) / surface.pitch_m).astype(np.float32)
+    away: npt.NDArray[np.float32] = (cdist(points_m, surface.positions_m) / surface.pitch_m).astype(np.float32)
+    return away
 
 
 def locate(phi: Sbhe, surface: Surface, sums: Floats) -> tuple[Floats, npt.NDArray[np.bool_]]:
@@ -181,13 +230,17 @@ def locate(phi: Sbhe, surface: Surface, sums: Floats) -> tuple[Floats, npt.NDArr
 def _pursue(phi: Sbhe, force: npt.NDArray[np.float32], sums: Floats, noise: Floats) -> tuple[Indices, Floats]:
     """Return the taxels that do not give what Φ says, and what they give to every sum, shape (taxels, m)."""
     rest = (sums - np.asarray(phi.forward(force))).astype(np.float32)
+    # Without touch, converters that end at 0 show half of the noise.
+    noise = np.clip(1.4826 * np.median(np.abs(rest), axis=0), noise, 2 * noise)
     alike, told = force.T @ force, force.T @ rest
     power = np.diag(alike)
     rows = np.maximum(np.diff(phi.starts), 1)
     has_power = phi.is_wired & (power > 1e-3 * power.max())
     safe = np.where(has_power, power, 1.0)
 
-    def changes(given: npt.NDArray[Any], spread: npt.NDArray[Any], least: float) -> tuple[Floats, npt.NDArray[np.bool_]]:
+    def changes(
+        given: npt.NDArray[Any], spread: npt.NDArray[Any], least: float
+    ) -> tuple[Floats, npt.NDArray[np.bool_]]:
         """Return the largest change of any board's sums by taxel, in parts of its squares, and whether it is news.
 
         `spread` is the variance of what a taxel gives, in that of the sums.
@@ -266,12 +319,15 @@ def _explain(phi: Sbhe, given: Floats, expected: int) -> tuple[int, ...] | None:
         return None
     others = apart > 0
     margin = (error[others] - error[best]) / apart[others]
-    allowed = margin.min() >= LEAST_MARGIN if others.any() else True
-    return named[best] if allowed else None
+    if others.any() and margin.min() < LEAST_MARGIN:
+        # What may be as it should be is no finding.
+        own = named.index((expected,))
+        return (expected,) if error[own] - error[best] < LEAST_MARGIN * apart[own] else None
+    return named[best]
 
 
 def _named(phi: Sbhe, taxels: Indices, given: Floats) -> list[Finding]:
-    """Return findings of the taxels, and of boards most of whose taxels are on another board."""
+    """Return what the taxels are wired to, where this is not what Φ says."""
     size, kinds = phi.block_size, ("dead", "swapped", "doubled")
     found: list[Finding] = []
     for taxel, each in zip(taxels.tolist(), given, strict=True):
@@ -280,14 +336,8 @@ def _named(phi: Sbhe, taxels: Indices, given: Floats) -> list[Finding]:
         if places != (expected,):
             kind: Any = "unclear" if places is None else kinds[len(places)]
             found.append(
-                Finding(kind, taxel, Place(*divmod(expected, size)), tuple(Place(*divmod(p, size)) for p in places or ()))
+                Finding(
+                    kind, taxel, Place(*divmod(expected, size)), tuple(Place(*divmod(p, size)) for p in places or ())
+                )
             )
-    boards: list[Finding] = []
-    for board in range(phi.blocks):
-        elsewhere = Counter(each.found[0].board for each in found if each.expected.board == board and each.found)
-        for other, count in elsewhere.most_common(1):
-            if other != board and count >= MOVED * len(phi.taxels_of(board)):
-                boards.append(Finding("moved", EMPTY, Place(board, 0), (Place(other, 0),)))
-    moved = {each.expected.board: each.found[0].board for each in boards}
-    left = [each for each in found if each.found != (Place(moved.get(each.expected.board, -1), each.expected.place),)]
-    return boards + sorted(left, key=lambda each: each.expected)
+    return sorted(found, key=lambda each: each.expected)
