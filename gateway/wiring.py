@@ -39,6 +39,8 @@ BESIDE: Final = 0.5
 ROUNDS: Final = 40
 #: By how much the correlation of a board with another site must be better for the board to be moved.
 MOVED: Final = 0.2
+#: Part of the taxels with findings from which on an estimated path is wrong.
+MANY: Final = 0.1
 #: Least deviation of a sum, in counts: that of rounding.
 LEAST_NOISE: Final = 0.3
 #: Moments that are needed for each taxel.
@@ -113,6 +115,7 @@ def prove(phi: Sbhe, surface: Surface, sums: Floats, path_m: Floats | None, rest
         raise InputError(f"expected a part without touch before the stroke, got {rest} of {len(sums)} moments")
     noise = np.maximum(sums[:rest].std(axis=0), LEAST_NOISE)
     sums = sums[rest:] - sums[:rest].mean(axis=0)
+    is_estimated = path_m is None
     if path_m is None:
         path_m, used = locate(phi, surface, sums)
         sums = sums[used]
@@ -129,7 +132,13 @@ def prove(phi: Sbhe, surface: Surface, sums: Floats, path_m: Floats | None, rest
         chains[list(sites)] = phi.taxels_of_blocks[list(sites.values())]
         phi = replace(phi, order=chains.ravel())
     force = _forces(phi, surface, sums, path_m, noise)
-    return moved + _named(phi, *_pursue(phi, force - force.mean(axis=0), sums - sums.mean(axis=0), noise))
+    found = _named(phi, *_pursue(phi, force - force.mean(axis=0), sums - sums.mean(axis=0), noise))
+    if is_estimated and len(found) > MANY * phi.is_wired.sum():
+        raise InputError(
+            f"cannot tell: {len(found)} taxels do not fit where the finger seems to be. Boards may be exchanged, or"
+            " more than one finger touched: give the path of the finger"
+        )
+    return moved + found
 
 
 def _sites(phi: Sbhe, force: npt.NDArray[np.float32], sums: Floats) -> dict[int, int]:
