@@ -1,7 +1,8 @@
 """``skin design``: a search for the layout that meets a requirement."""
 
-import re
 from pathlib import Path
+
+import tomli_w
 
 from bandwidth.search import CanKind, Requirement, SendingKind, search
 from bandwidth.traffic import Disturbance
@@ -9,7 +10,8 @@ from canskin.errors import InputError, LayoutError, RunError
 from shell.output import write_file
 from shell.service import say
 from shell.terminal import Json, print_json
-from skin.layout import Taxels, layout_text, load_layout, parse_layout
+from skin.importing import tables_of
+from skin.layout import Taxels, layout_text, parse_layout
 
 
 def design(
@@ -31,7 +33,7 @@ def design(
     Parameters
     ----------
     taxels
-        Number of taxels; or rows and columns, as 24x32; or the TOML of a layout that has the taxels.
+        Number of taxels; or rows and columns, as 24x32; or a file of taxels, as `skin layout new` takes.
     rate
         Measurements per second of synchronous sums; adaptive sums come up to 1000 times a second, as they have news.
     buses
@@ -87,10 +89,7 @@ def _taxels(text: str) -> int | Taxels:
     """Return a number of taxels, or the taxels themselves."""
     if text.isdecimal():
         return int(text)
-    if found := re.fullmatch(r"(\d+)[x×](\d+)", text):
-        rows, columns = map(int, found.groups())
-        return parse_layout(f"[taxels]\nrows = {rows}\ncolumns = {columns}\n".encode(), "--taxels").taxels
     try:
-        return load_layout(Path(text)).taxels
+        return parse_layout(tomli_w.dumps(tables_of(text)[0]).encode(), "--taxels").taxels
     except LayoutError as error:
-        raise InputError(f"--taxels: expected a number, ROWSxCOLUMNS or a layout: {error}") from error
+        raise InputError(f"--taxels: expected a number, ROWSxCOLUMNS, or a file of taxels: {error}") from error
