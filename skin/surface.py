@@ -76,9 +76,10 @@ class Surface:
 
     def spread(self, taxels: npt.NDArray[np.bool_], steps: int) -> npt.NDArray[np.bool_]:
         """Return taxels, shape (n,), with all that are at most `steps` edges away from them."""
-        found = taxels.copy()
+        found, (first, second) = taxels.copy(), self.edges.T
         for _ in range(steps):
-            found[self.edges[found[self.edges].any(axis=1)]] = True
+            is_reached = found[first] | found[second]
+            found[first[is_reached]] = found[second[is_reached]] = True
         return found
 
     def name_of(self, taxel: int) -> str:
