@@ -13,7 +13,7 @@ import numpy.typing as npt
 from skin.surface import Floats, Indices, Surface
 
 #: A taxel is drawn up to this distance from its place, in pitches, and no farther than halfway to the next taxel.
-REACH: Final = 0.75
+REACH: Final = 0.8
 #: Distance between the taxels that face the viewer and the others, in pitches.
 _BESIDE: Final = 2.0
 #: Axes of nearly the same extent: the first is taken.

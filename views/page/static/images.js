@@ -9,9 +9,10 @@ import { span, spoken, write } from "./words.js";
 const NAMES = ["image", "true", "sensor"];
 const BAR_PX = 64;
 const GAP_PX = 12;
-// Height of everything above and below the images; smallest size of a taxel.
+// Height of everything above and below the images; smallest size of a taxel, or of the image of a skin that is no grid.
 const AROUND_PX = { beside: 400, alone: 240 };
 const SMALLEST_PX = 5;
+const SMALLEST_IMAGE_PX = 320;
 const CAPTION_PX = 30;
 // Contacts described in words below the images; all are marked.
 const MOST_DESCRIBED = 3;
@@ -129,18 +130,19 @@ export class Images {
     return `row ${Math.floor(taxel / this.skin.columns)}, column ${taxel % this.skin.columns}`;
   }
 
-  /** Choose the largest whole number of device pixels per taxel, or pitch, that fits the window. */
+  /** Choose the largest number of device pixels per taxel that fits the window: a whole number on a grid. */
   fit(beside) {
     const width = document.getElementById("images").clientWidth;
     const wanted = `${width} ${innerHeight} ${innerWidth} ${devicePixelRatio} ${beside}`;
     if (wanted === this.sized) return;
     this.sized = wanted;
     const [rows, columns] = this.view ? [this.skin.surface.height, this.skin.surface.width] : [this.skin.rows, this.skin.columns];
+    const smallest = this.view ? SMALLEST_IMAGE_PX / rows : SMALLEST_PX;
     const images = beside ? NAMES.length : 1;
     const wide = (perRow) => ((beside || innerWidth < 960 ? width : innerWidth * 0.5) - BAR_PX - (perRow - 1) * GAP_PX) / perRow / columns;
     const high = (perRow) => {
       const lines = Math.ceil(images / perRow);
-      return Math.max(SMALLEST_PX, ((innerHeight - AROUND_PX[beside ? "beside" : "alone"]) / lines - (lines > 1 ? CAPTION_PX : 0)) / rows);
+      return Math.max(smallest, ((innerHeight - AROUND_PX[beside ? "beside" : "alone"]) / lines - (lines > 1 ? CAPTION_PX : 0)) / rows);
     };
     // A narrow window scrolls. In a wide window choose the number of images per row that makes them largest.
     let perRow = Math.min(images, innerWidth < 560 ? 1 : 2);
@@ -152,7 +154,7 @@ export class Images {
         if (fits > size + 0.01) [perRow, size] = [each, fits];
       }
     }
-    const cell = Math.max(1, Math.floor(size * devicePixelRatio));
+    const cell = this.view ? size * devicePixelRatio : Math.max(1, Math.floor(size * devicePixelRatio));
     for (const map of Object.values(this.maps)) map.resize(cell);
     this.scale.resize((rows * cell) / devicePixelRatio);
     document.getElementById("pictures").style.setProperty("--per-row", perRow);

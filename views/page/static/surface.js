@@ -11,9 +11,20 @@ const KEY = Math.PI / 18;
 const KEYS = { ArrowLeft: [-KEY, 0], ArrowRight: [KEY, 0], ArrowUp: [0, -KEY], ArrowDown: [0, KEY] };
 
 const packed = (red, green, blue) => ((255 << 24) | (blue << 16) | (green << 8) | red) >>> 0;
+const colourOf = (force, top) => {
+  const place = 3 * colourIndex(force, top);
+  return packed(COLOURS[place], COLOURS[place + 1], COLOURS[place + 2]);
+};
 const hex = (text) => packed(...[1, 3, 5].map((place) => parseInt(text.slice(place, place + 2), 16)));
 const [GROUND, LINE, WHITE] = [hex(HATCH.ground), hex(HATCH.line), packed(255, 255, 255)];
 const SHADE = packed(90, 98, 106);
+
+/** 1 for each of `taxels`, of `count`. */
+function flags(taxels, count) {
+  const found = new Uint8Array(count);
+  for (const each of taxels) found[each] = 1;
+  return found;
+}
 
 export class SurfacePicture extends Picture {
   /** The pictures of a skin share `view`; `turned()` is called when this picture turns it. */
@@ -67,25 +78,24 @@ export class SurfacePicture extends Picture {
 
   /** Draw `forces` (newtons) on a scale from 0 to `top`; hatch `hatched` and outline `marked` taxels. */
   draw(forces, top, hatched, marked, taxel) {
-    const { width, height } = this.view;
     const seen = this.view.seen();
-    const colours = Uint32Array.from(forces, (force) => {
-      const place = 3 * colourIndex(force, top);
-      return packed(COLOURS[place], COLOURS[place + 1], COLOURS[place + 2]);
-    });
-    const [isHatched, isOutlined] = [hatched, taxel === null ? marked : [...marked, taxel]].map((taxels) => {
-      const flags = new Uint8Array(forces.length);
-      for (const each of taxels) flags[each] = 1;
-      return flags;
-    });
+    const { runs, width } = this.view;
+    if (runs !== this.runs) {
+      this.words.fill(0);
+      this.runs = runs;
+    }
+    const isHatched = flags(hatched, forces.length);
+    const isOutlined = flags(taxel === null ? marked : [...marked, taxel], forces.length);
     const period = Math.max(4, Math.round(this.cell));
-    for (let row = 0, pixel = 0; row < height; row++) {
-      for (let column = 0; column < width; column++, pixel++) {
-        const each = seen[pixel];
-        if (each < 0) this.words[pixel] = each === BACK ? SHADE : 0;
-        else if (isOutlined[each] && this.isEdge(seen, pixel, each)) this.words[pixel] = WHITE;
-        else if (isHatched[each]) this.words[pixel] = (row + column) % period < period / 3 ? LINE : GROUND;
-        else this.words[pixel] = colours[each];
+    for (let run = 0; run < runs.length; run += 3) {
+      const [start, end, each] = [runs[run], runs[run + 1], runs[run + 2]];
+      this.words.fill(each === BACK ? SHADE : colourOf(forces[each], top), start, end);
+      if (isHatched[each]) {
+        const place = Math.floor(start / width) + (start % width) - start; // row + column - pixel
+        for (let pixel = start; pixel < end; pixel++) this.words[pixel] = (pixel + place) % period < period / 3 ? LINE : GROUND;
+      }
+      if (isOutlined[each]) {
+        for (let pixel = start; pixel < end; pixel++) if (this.isEdge(seen, pixel, each)) this.words[pixel] = WHITE;
       }
     }
     this.canvas.getContext("2d").putImageData(this.pixels, 0, 0);

@@ -1,7 +1,7 @@
 // How the viewer stands to a skin that is no grid, and which taxel is seen at each pixel. Lengths are in pitches.
 
 // A taxel is drawn up to this distance from its place, and no farther than halfway to the next taxel.
-const REACH = 0.75;
+const REACH = 0.8;
 // A taxel that is seen from the side is drawn as if its normal had this part towards the viewer.
 const LEAST_FACING = 0.05;
 // In place of the taxel of a pixel: there is none, or one that faces away.
@@ -68,9 +68,22 @@ export class View {
       this.taxels.fill(NOTHING);
       this.depths.fill(Infinity);
       this.places.forEach((place, taxel) => this.put(taxel, place, this.axes.map((axis) => dot(axis, this.surface.normals[taxel]))));
+      this.runs = this.runsOf(this.taxels);
       this.isOld = false;
     }
     return this.taxels;
+  }
+
+  /** Pixels in a row with the same mark, but for NOTHING: first pixel, pixel behind the last, and mark, in turn. */
+  runsOf(taxels) {
+    const runs = [];
+    for (let pixel = 0, start = 0; pixel < taxels.length; start = pixel) {
+      const mark = taxels[pixel];
+      const end = (Math.floor(start / this.width) + 1) * this.width;
+      while (pixel < end && taxels[pixel] === mark) pixel++;
+      if (mark !== NOTHING) runs.push(start, pixel, mark);
+    }
+    return Int32Array.from(runs);
   }
 
   /** Put the disc of a taxel where no other is nearer; beside each other the nearest in the plane of the discs wins. */
