@@ -31,6 +31,8 @@ SPHERE_RATIO: Final = 1.05
 SPACING_MAX_M: Final = 0.25
 #: Neighbours that tell the normal of a taxel.
 NEAREST: Final = 7
+#: Normal of the taxels of a grid.
+GRID_NORMAL: Final = (0.0, 0.0, -1.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,6 +73,18 @@ class Surface:
         graph = coo_array((ones, (self.edges[:, 0], self.edges[:, 1])), shape=(count, count))
         return np.asarray(connected_components(graph, directed=False)[1]).astype(np.intp)
 
+    def spread(self, taxels: npt.NDArray[np.bool_], steps: int) -> npt.NDArray[np.bool_]:
+        """Return taxels, shape (n,), with all that are at most `steps` edges away from them."""
+        found = taxels.copy()
+        for _ in range(steps):
+            found[self.edges[found[self.edges].any(axis=1)]] = True
+        return found
+
+    def name_of(self, taxel: int) -> str:
+        """Name a taxel in words: by its number, and on a grid by row and column, too."""
+        row, column = divmod(taxel, self.shape[1])
+        return f"taxel {taxel} (row {row}, column {column})" if self.is_grid else f"taxel {taxel}"
+
     @cached_property
     def is_flat(self) -> bool:
         """Whether all taxels lie in a plane, to a tenth of the pitch."""
@@ -88,7 +102,7 @@ def grid_surface(rows: int, columns: int, pitch_m: float, gaps: Indices) -> Surf
     edges = np.concatenate([np.stack((low.ravel(), high.ravel()), axis=1) for low, high in (beside, below)])
     return Surface(
         positions_m=places * pitch_m,
-        normals=np.tile((0.0, 0.0, -1.0), (rows * columns, 1)),
+        normals=np.tile(GRID_NORMAL, (rows * columns, 1)),
         edges=_sorted(edges[~is_gap[edges].any(axis=1)]),
         shape=(rows, columns),
         is_grid=True,
