@@ -4,26 +4,16 @@ import numpy as np
 import pytest
 
 from skin.plane import Plane, view_of
-from skin.surface import Surface, grid_surface, surface_of_positions
+from skin.surface import Surface, surface_of_positions
+from tests import surfaces
 from tests.layouts import tube_layout
 
-PITCH_M = 0.004
-
-
-def grid(rows: int, columns: int) -> Surface:
-    return grid_surface(rows, columns, PITCH_M, np.zeros(0, np.intp))
-
-
-def closed_tube() -> Surface:
-    ring, step = np.divmod(np.arange(10 * 24), 24)
-    angle = 2 * np.pi * step / 24
-    normals = np.stack((np.cos(angle), np.sin(angle), np.zeros(angle.size)), axis=1)
-    return surface_of_positions(np.c_[0.02 * normals + np.outer(ring, (0, 0, 0.005)), normals].tolist())
+TUBE = surface_of_positions(surfaces.tube().tolist())
 
 
 @pytest.mark.parametrize("scale", [1, 4])
 def test_a_grid_is_its_own_picture(scale: int) -> None:
-    plane = Plane(grid(7, 9))
+    plane = Plane(surfaces.grid(7, 9))
     wanted = np.arange(63).reshape(7, 9).repeat(scale, axis=0).repeat(scale, axis=1)
     np.testing.assert_array_equal(plane.cells(scale), wanted)
     np.testing.assert_array_equal(plane.picture(np.arange(63.0), scale), wanted)
@@ -32,7 +22,7 @@ def test_a_grid_is_its_own_picture(scale: int) -> None:
 
 def test_a_flat_skin_is_seen_from_outside_without_foreshortening() -> None:
     tilt = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))[0]
-    flat = grid(5, 9).positions_m @ tilt
+    flat = surfaces.places(5, 9) @ tilt
     outwards = np.tile(tilt[2], (45, 1))
     skin = surface_of_positions(np.c_[flat, outwards].tolist())
     right, down, away = view_of(skin)
@@ -44,12 +34,12 @@ def test_a_flat_skin_is_seen_from_outside_without_foreshortening() -> None:
 
 
 def test_positions_in_a_plane_have_x_to_the_right_and_y_up() -> None:
-    places_m = grid(6, 6).positions_m
+    places_m = surfaces.places(6, 6)
     right, down, away = view_of(surface_of_positions(places_m.tolist()))
     np.testing.assert_allclose((right, down, away), ((1, 0, 0), (0, -1, 0), (0, 0, -1)), atol=1e-9)
 
 
-@pytest.mark.parametrize("skin", [tube_layout().taxels.surface, closed_tube()], ids=["half tube", "tube"])
+@pytest.mark.parametrize("skin", [tube_layout().taxels.surface, TUBE], ids=["half tube", "tube"])
 def test_every_taxel_of_a_curved_skin_is_in_the_picture(skin: Surface) -> None:
     plane, count = Plane(skin), len(skin.positions_m)
     cells = plane.cells(32)
