@@ -14,6 +14,8 @@ from skin.surface import Floats, Indices, Surface
 
 #: A taxel is drawn up to this distance from its place, in pitches, and no farther than halfway to the next taxel.
 REACH: Final = 0.8
+#: A taxel faces away if its normal has more than this part away from the viewer: 6 degrees.
+_AWAY: Final = 0.1
 #: Distance between the taxels that face the viewer and the others, in pitches.
 _BESIDE: Final = 2.0
 #: Axes of nearly the same extent: the first is taken.
@@ -85,6 +87,6 @@ class Plane:
 
     def _seen(self, position_m: Floats, normal: Floats) -> tuple[Floats, npt.NDArray[np.bool_]]:
         """Return x and y before they are moved, and which places face away from the viewer."""
-        is_behind = normal @ self._view[2] > 0
+        is_behind = normal @ self._view[2] > _AWAY
         seen = position_m @ self._view[:2].T / self._pitch_m
         return np.stack((np.where(is_behind, -seen[..., 0], seen[..., 0]), seen[..., 1]), -1), is_behind
