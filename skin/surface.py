@@ -10,6 +10,7 @@ diameter is the line that joins them (Gabriel and Sokal 1969). So an edge is one
 crosses a gap.
 """
 
+import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -80,15 +81,25 @@ class Surface:
 
     def spread(self, taxels: npt.NDArray[np.bool_], steps: int) -> npt.NDArray[np.bool_]:
         """Return taxels, shape (n,), with all that are at most `steps` edges away from them."""
-        found = taxels.copy()
+        found, (first, second) = taxels.copy(), self.edges.T
         for _ in range(steps):
-            found[self.edges[found[self.edges].any(axis=1)]] = True
+            is_reached = found[first] | found[second]
+            found[first[is_reached]] = found[second[is_reached]] = True
         return found
 
     def name_of(self, taxel: int) -> str:
         """Name a taxel in words: by its number, and on a grid by row and column, too."""
         row, column = divmod(taxel, self.shape[1])
         return f"taxel {taxel} (row {row}, column {column})" if self.is_grid else f"taxel {taxel}"
+
+    @cached_property
+    def fingerprint(self) -> str:
+        """16 hex digits that differ if a taxel lies or faces elsewhere; empty for a grid, which `shape` tells."""
+        if self.is_grid:
+            return ""
+        digest = hashlib.sha256(np.rint(self.positions_m * 1e7).astype("<i8").tobytes())
+        digest.update(np.rint(self.normals * 1e3).astype("<i2").tobytes())
+        return digest.hexdigest()[:16]
 
     @cached_property
     def is_flat(self) -> bool:

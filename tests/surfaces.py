@@ -1,7 +1,11 @@
 """Skins that are no grid, for tests."""
 
-import numpy as np
+from typing import Any
 
+import numpy as np
+import tomli_w
+
+from skin.layout import Layout, parse_layout
 from skin.surface import Surface, grid_surface, surface_of_positions
 
 PITCH_M = 0.004
@@ -28,3 +32,10 @@ def tube(rings: int = 10, around: int = 24, radius_m: float = RADIUS_M) -> np.nd
 def two_patches() -> Surface:
     """Return 8 x 8 taxels at positions without column 4: islands of four and of three columns."""
     return surface_of_positions(np.delete(places(8, 8), np.arange(4, 64, 8), axis=0).tolist())
+
+
+def tube_layout(rings: int = 20, radius_m: float = RADIUS_M, **tables: Any) -> Layout:
+    """Return the layout of a tube of 24 taxels a ring; `tables` as in a file."""
+    taxels = {"positions": tube(rings, radius_m=radius_m).tolist()}
+    content = {"measurement": {"sums": 12 * rings}, "taxels": taxels} | tables
+    return parse_layout(tomli_w.dumps(content).encode(), "tube.toml")

@@ -34,6 +34,8 @@ PITCH_M: Final = Taxels().pitch_m
 TAXEL_RADIUS_M: Final = PITCH_M / 2
 #: Most cells along a side of the table that finds the taxels under a sphere.
 _MOST_CELLS: Final = 256
+#: Places across a way are rounded to these decimals of a cell, so that those of a grid are whole numbers.
+_DECIMALS: Final = 9
 #: Views of skins that are kept: on a flat skin each pose has the same.
 _VIEWS: Final = 16
 
@@ -228,14 +230,15 @@ class _View(NamedTuple):
     axes : array, shape (3, 3)
         The two `tangents`, and the direction into the skin, in which the object comes.
     taxels : array, shape (n, 6)
-        Middle of the untouched sphere and normal of each taxel along `axes`, cell by cell.
+        Of each taxel, cell by cell: column and row of the middle of its untouched sphere, on a grid whole numbers; the
+        middle along the third axis, metres; and its normal along `axes`.
     number : array of int, shape (n,)
         Which taxel each line is.
     first : array of int, shape (rows * columns + 1,)
         Where each cell of the plane across the way begins, row by row.
-    bounds : array, shape (7,)
-        x and y of the corner of the first cell, side of a cell, rows and columns of cells, z of the highest taxel,
-        radius of a taxel.
+    bounds : array, shape (8,)
+        x and y of the middle of the first cell in sides of a cell; this side, metres; how far taxels lie from the
+        middles of their cells, sides; rows and columns of cells; z of the highest taxel, radius of a taxel, metres.
     """
 
     axes: FloatArray
@@ -255,14 +258,16 @@ def _view(skin: Skin, normal: Vector) -> _View:
     middles = axes @ surface.positions_m.T - skin.taxel_radius_m * normals
     low, high = middles.min(axis=1), middles.max(axis=1)
     side = max(surface.pitch_m, float((high - low)[:2].max()) / _MOST_CELLS)
-    place = ((middles[:2] - low[:2, None]) / side + 0.5).astype(np.intp)
-    columns, rows = (place.max(axis=1) + 1).tolist()
-    cell = place[1] * columns + place[0]
-    number = np.argsort(cell, kind="stable")
-    first = np.searchsorted(cell[number], np.arange(rows * columns + 1))
-    corner = low[:2] - side / 2
-    bounds = np.array((*corner, side, rows, columns, low[2] - skin.taxel_radius_m, skin.taxel_radius_m))
-    lines = np.ascontiguousarray(np.concatenate((middles, normals))[:, number].T)
+    across = np.round(middles[:2] / side, _DECIMALS)
+    origin = across.min(axis=1)
+    across -= origin[:, None]
+    column, row = cell = (across + 0.5).astype(np.intp)
+    slack = float(np.abs(across - cell).max())
+    columns, rows = int(column.max()) + 1, int(row.max()) + 1
+    number = np.argsort(row * columns + column, kind="stable")
+    first = np.searchsorted((row * columns + column)[number], np.arange(rows * columns + 1))
+    bounds = np.array((*origin, side, slack, rows, columns, low[2] - skin.taxel_radius_m, skin.taxel_radius_m))
+    lines = np.ascontiguousarray(np.concatenate((across, middles[2:], normals))[:, number].T)
     return _View(axes, lines, number, first, bounds)
 
 
@@ -274,7 +279,7 @@ def _deepest(
     view: _View,
 ) -> None:
     axes, lines, number, first, bounds = view
-    left, upper, side, rows, columns, top, taxel_radius = bounds
+    left, upper, side, slack, rows, columns, top, taxel_radius = bounds
     at_x, at_y, at_z = axes[:, 0] * pose[0] + axes[:, 1] * pose[1] + axes[:, 2] * pose[4]
     cos, sin = math.cos(pose[2]), math.sin(pose[2])
     for k in range(radii.size):
@@ -285,27 +290,30 @@ def _deepest(
         reach = radii[k] + taxel_radius
         # At a larger distance from its way the sphere does not reach the untouched taxels.
         span = math.sqrt(indent * (2.0 * reach - indent)) if indent < reach else reach
-        x = at_x + cos * centres[k, 0] - sin * centres[k, 1]
-        y = at_y + sin * centres[k, 0] + cos * centres[k, 1]
-        first_row = int(min(max(0.0, math.floor((y - span - upper) / side)), rows))
-        last_row = int(max(-1.0, min(rows - 1.0, math.floor((y + span - upper) / side))))
-        first_column = int(min(max(0.0, math.floor((x - span - left) / side)), columns))
-        last_column = int(max(-1.0, min(columns - 1.0, math.floor((x + span - left) / side))))
+        column_at = (at_x + cos * centres[k, 0] - sin * centres[k, 1]) / side - left
+        row_at = (at_y + sin * centres[k, 0] + cos * centres[k, 1]) / side - upper
+        wide = span / side + slack
+        first_row = int(min(max(0.0, math.ceil(row_at - wide)), rows))
+        last_row = int(max(-1.0, min(rows - 1.0, math.floor(row_at + wide))))
+        first_column = int(min(max(0.0, math.ceil(column_at - wide)), columns))
+        last_column = int(max(-1.0, min(columns - 1.0, math.floor(column_at + wide))))
         if last_column < first_column:
             continue
         for row in range(first_row, last_row + 1):
             begin = first[row * int(columns) + first_column]
             for line in range(begin, first[row * int(columns) + last_column + 1]):
-                dx, dy, dz = lines[line, 0] - x, lines[line, 1] - y, lines[line, 2] - z
-                nx, ny, nz = lines[line, 3], lines[line, 4], lines[line, 5]
-                beyond = max(0.0, dz)  # the sphere has come through everything above it
-                if dx * dx + dy * dy + beyond * beyond >= reach * reach:
-                    continue
-                along = dx * nx + dy * ny + dz * nz
-                if nz >= 0.0 and along > 0.0:
-                    continue
-                ux, uy, uz = dx - along * nx, dy - along * ny, dz - along * nz
-                rest = reach * reach - ux * ux - uy * uy - uz * uz
+                dx, dy = (lines[line, 0] - column_at) * side, (lines[line, 1] - row_at) * side
+                rest = reach * reach - dy * dy - dx * dx
+                if rest <= 0.0:
+                    continue  # beside the way of the sphere
+                dz, nz = lines[line, 2] - z, lines[line, 5]
+                along = -dz
+                if nz > -1.0:  # the taxel does not face the way straight, as all of a flat skin do
+                    nx, ny = lines[line, 3], lines[line, 4]
+                    along = dx * nx + dy * ny + dz * nz
+                    if (dz > 0.0 and rest <= dz * dz) or (nz >= 0.0 and along > 0.0):
+                        continue  # the sphere has not come as far, or is behind the taxel
+                    rest += along * along - dz * dz
                 if rest > 0.0:
                     taxel = number[line]
                     compression[taxel] = max(compression[taxel], along + math.sqrt(rest))
