@@ -17,9 +17,13 @@ from skin.wall_times import Clocks, WallTimes
 
 Table = dict[str, npt.NDArray[Any]]
 
-#: Columns of the contacts: those of `canskin.messages.Contact`, and the cycle.
-CONTACT_FIELDS: Final = {
-    each.name: np.float64 if each.type is float else np.int64 for each in msgspec.structs.fields(Contact)
+#: Fields of `canskin.messages.Contact` that are a column for each of their three numbers.
+_POINTS: Final = {"position_m": ("x_m", "y_m", "z_m"), "normal": ("nx", "ny", "nz")}
+#: Its other fields are one column each.
+_CONTACT_FIELDS: Final = {
+    each.name: np.float64 if each.type is float else np.int64
+    for each in msgspec.structs.fields(Contact)
+    if each.name not in _POINTS
 }
 
 
@@ -36,7 +40,8 @@ class Tables:
         ``sums`` and ``offsets`` int32 (n, m) in ADC counts, ``usable`` bool (n, m), ``valid``,
         ``cycle`` and times.
     contacts : dict
-        One row per contact and image: the fields of `canskin.messages.Contact`, ``cycle`` and times.
+        One row per contact and image: the fields of `canskin.messages.Contact`, its position as ``x_m``, ``y_m``,
+        ``z_m`` and its normal as ``nx``, ``ny``, ``nz``, ``cycle`` and times.
     labels : dict
         ``label``, ``confidence``, ``cycle`` and times.
     taxels : dict
@@ -147,9 +152,13 @@ def _times(messages: list[Any], wall: WallTimes) -> Table:
 
 def _contacts(messages: list[Any], wall: WallTimes) -> Table:
     found = [(each, contact) for each in messages for contact in each.contacts]
-    return _times([each for each, _ in found], wall) | {
-        name: np.array([getattr(contact, name) for _, contact in found], kind) for name, kind in CONTACT_FIELDS.items()
+    columns: Table = {
+        name: np.array([getattr(contact, name) for _, contact in found], kind) for name, kind in _CONTACT_FIELDS.items()
     }
+    for field_name, names in _POINTS.items():
+        points = np.array([getattr(contact, field_name) for _, contact in found], np.float64).reshape(-1, 3)
+        columns |= dict(zip(names, points.T, strict=True))
+    return _times([each for each, _ in found], wall) | columns
 
 
 def _stack(contents: list[bytes], dtype: npt.DTypeLike, shape: tuple[int, ...]) -> npt.NDArray[Any]:

@@ -46,7 +46,7 @@ SUM_NOISE_N = NOISE_N * LAYOUT.measurement.block_size**0.5
 
 def place_of(text: str) -> tuple[int, int]:
     """Return the row and the column that a line of the log names."""
-    found = re.search(r"around row (\d+), column (\d+)", text)
+    found = re.search(r"around taxel \d+ \(row (\d+), column (\d+)\)", text)
     assert found is not None
     return int(found[1]), int(found[2])
 

@@ -167,9 +167,11 @@ def test_other_messages_that_do_not_fit_are_ignored(state: ViewState, messages: 
     state.take(msgspec.structs.replace(messages.truth(), sensor=b""), 1.0)
     state.take(messages.contacts(row=16.0), 1.0)
     state.take(messages.contacts(column=float("nan")), 1.0)
+    state.take(messages.contacts(position_m=(0.0, float("inf"), 0.0)), 1.0)
+    state.take(messages.contacts(normal=(0.0, 0.0, float("nan"))), 1.0)
     snapshot, _ = state.snapshot(1.0)
     assert (snapshot.gateway, snapshot.label, snapshot.truth, snapshot.contacts) == (None, None, None, None)
-    assert snapshot.ignored == 6
+    assert snapshot.ignored == 8
 
 
 def test_contacts_are_those_of_the_newest_image_and_age(state: ViewState, messages: Any) -> None:

@@ -36,6 +36,8 @@ def test_npz(run: Path, contract: Contract) -> None:
         assert made["measurements_usable"].shape == made["measurements_sums"].shape
         assert made["measurements_usable"][:, 5].tolist() == [True, False, True, True]
         assert (made["contacts_cycle"].tolist(), made["contacts_force_n"].tolist()) == ([2], [0.25])
+        assert [made[f"contacts_{name}"].tolist() for name in ("x_m", "y_m", "z_m")] == [[0.01], [0.02], [0.03]]
+        assert [made[f"contacts_{name}"].tolist() for name in ("nx", "ny", "nz")] == [[0.0], [0.6], [-0.8]]
         assert made["labels_label"].tolist() == ["cup"] * COUNT
         about = msgspec.json.decode(str(made["metadata"]))
     assert about["skin"] == "small"
