@@ -45,7 +45,8 @@ class Tables:
     labels : dict
         ``label``, ``confidence``, ``cycle`` and times.
     taxels : dict
-        Of each taxel, row-major: ``row``, ``column``, and ``block``, the place of its block in ``valid``.
+        Of each taxel, row-major: ``row``, ``column``, where it lies, ``x_m``, ``y_m``, ``z_m``, its normal, ``nx``,
+        ``ny``, ``nz``, and ``block``, the place of its block in ``valid``. A skin that is no grid has one row.
     truth : dict
         ``true`` and ``sensor`` float32 (n, rows, columns) in newtons, ``label``, ``time_ns``; of simulated nodes.
     """
@@ -123,7 +124,19 @@ def read_tables(path: Path, layout: Layout, offset_ns: int, warn: Warn) -> Table
 def _taxels(layout: Layout) -> Table:
     row, column = np.divmod(np.arange(layout.taxels.count), layout.taxels.columns)
     phi = layout.phi()
-    return {"row": row, "column": column, "block": np.where(phi.is_wired, phi.block_of_taxel, -1)}
+    surface = layout.taxels.surface
+    return {
+        "row": row,
+        "column": column,
+        **_columns("position_m", surface.positions_m),
+        **_columns("normal", surface.normals),
+        "block": np.where(phi.is_wired, phi.block_of_taxel, -1),
+    }
+
+
+def _columns(name: str, points: npt.NDArray[np.float64]) -> Table:
+    """Return the three columns of points, shape (n, 3), that are called `name`."""
+    return dict(zip(_POINTS[name], points.T, strict=True))
 
 
 def _wall_times(measurements: list[Measurement], offset_ns: int) -> WallTimes:
@@ -155,9 +168,9 @@ def _contacts(messages: list[Any], wall: WallTimes) -> Table:
     columns: Table = {
         name: np.array([getattr(contact, name) for _, contact in found], kind) for name, kind in _CONTACT_FIELDS.items()
     }
-    for field_name, names in _POINTS.items():
-        points = np.array([getattr(contact, field_name) for _, contact in found], np.float64).reshape(-1, 3)
-        columns |= dict(zip(names, points.T, strict=True))
+    for name in _POINTS:
+        points = np.array([getattr(contact, name) for _, contact in found], np.float64)
+        columns |= _columns(name, points.reshape(-1, 3))
     return _times([each for each, _ in found], wall) | columns
 
 
