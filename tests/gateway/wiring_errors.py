@@ -1,4 +1,4 @@
-"""How many random wiring errors `gateway.wiring` finds: `python -m tests.gateway.wiring_errors mat hand forearm`."""
+"""How many random wiring errors `gateway.wiring` finds: `python -m tests.gateway.wiring_errors 100 mat cone`."""
 
 import sys
 from pathlib import Path
@@ -25,14 +25,14 @@ FORCE_N: Final = 0.015
 
 
 def layout_of(name: str) -> Layout:
-    """Return a layout by name; `forearm` is a part of a cone of 230 taxels at positions."""
-    if name != "forearm":
+    """Return a layout by name; `cone` is a part of a cone of 230 taxels at positions."""
+    if name != "cone":
         return load_layout(Path(name))
     row, column = np.divmod(np.arange(230), 23)
     radius_m, angle = 0.04 + 0.0008 * row, column * 0.16
     places = np.stack((radius_m * np.cos(angle), radius_m * np.sin(angle), 0.007 * row), axis=1)
     text = tomli_w.dumps({"taxels": {"positions": places.tolist(), "force_max_n": 0.02}})
-    return parse_layout(text.encode(), "forearm.toml")
+    return parse_layout(text.encode(), "cone.toml")
 
 
 def stroke(
