@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from classifier.features import Smoothed
-from skin.measurement import Sbhe
+from skin.measurement import Phi
 
 #: Lower bound of a peak / its mean on the untouched skin.
 _LEAST_PEAK: Final = 0.05
@@ -25,7 +25,7 @@ class Observer:
     """
 
     def __init__(
-        self, phi: Sbhe, rows: int, columns: int, no_touch: npt.NDArray[np.float64], *, means: bool = False
+        self, phi: Phi, rows: int, columns: int, no_touch: npt.NDArray[np.float64], *, means: bool = False
     ) -> None:
         self.smoothed = Smoothed(phi, rows, columns, means=means)
         self._energy_mean, self._energy_sd, self._peak_mean, self._peak_sd = no_touch.copy()
@@ -35,7 +35,12 @@ class Observer:
         self.features = np.zeros(2 * widths)
 
     def look(
-        self, sums: npt.NDArray[Any], valid: npt.NDArray[np.float32], valid_ratio: float, noise_ratio: float = 1.0
+        self,
+        sums: npt.NDArray[Any],
+        valid: npt.NDArray[np.float32],
+        valid_ratio: float,
+        noise_ratio: float = 1.0,
+        cycle: int = 1,
     ) -> float:
         """Fill `features` and return the largest standardised peak.
 
@@ -46,9 +51,11 @@ class Observer:
         noise_ratio : float
             Noise of the sums / noise of the sums that `no_touch` is of. The peaks of an untouched skin grow with this
             ratio, its energy with the square.
+        cycle : int
+            See `classifier.features.Smoothed.measure`.
         """
         smoothed, standard, half = self.smoothed, self._standard, self._standard.size
-        smoothed.measure(sums, valid, valid_ratio)
+        smoothed.measure(sums, valid, valid_ratio, cycle)
         np.multiply(self._energy_mean, -(noise_ratio**2), out=standard)
         standard += smoothed.energies
         standard /= self._energy_sd

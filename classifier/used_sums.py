@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from classifier.features import Float32
 from skin.layout import Layout
-from skin.measurement import Sbhe
+from skin.measurement import Phi, Sbhe
 from skin.walsh import grouped_rows
 
 #: What nodes that average leave of the noise: less where a touch rests, more where a touch moves.
@@ -20,13 +20,13 @@ AVERAGED_NOISE_RATIO: Final = 0.2
 ADAPTIVE_NOISE_RATIOS: Final = (0.2, 0.6)
 
 
-def classified_phi(layout: Layout) -> Sbhe:
-    """Return the Φ of the sums that the classifier uses: those of a cycle, all or those of recognition.
+def classified_phi(layout: Layout) -> Phi:
+    """Return the Φ of the sums that the classifier uses: of a cycle, or of recognition; else `first_groups`."""
+    return layout.recognising().operator() if layout.sends.in_cycles else first_groups(layout)
 
-    Of adaptive sums group 0 of each block: the sums that show means of 2 x 2 taxels.
-    """
-    if layout.sends.in_cycles:
-        return layout.recognising().phi()
+
+def first_groups(layout: Layout) -> Sbhe:
+    """Return the Φ of adaptive sums of group 0 of each block: those that show means of 2 x 2 taxels."""
     phi = layout.phi()
     kept = np.zeros_like(phi.kept)
     kept[:, grouped_rows(phi.block_size)[0]] = True
