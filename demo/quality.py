@@ -63,7 +63,10 @@ def qualities(layout: Layout, *, touches_s: float = TOUCHES_S, seed: int = 0) ->
 
 
 def _layouts(layout: Layout) -> Iterator[Layout]:
-    """Yield the layout with other numbers of sums in every cycle, of drawn rows."""
+    """Yield the layout with other numbers of sums in every cycle, of drawn rows; a matrix as it is."""
+    if layout.measurement.matrix is not None:
+        yield layout
+        return
     for each in TAXELS_PER_SUM:
         measurement = msgspec.structs.replace(
             layout.measurement, sums=layout.places // each, rows=None, selection="balanced"

@@ -1,5 +1,6 @@
 """`Reconstructor`: one tactile image per cycle, from the sums of this and of earlier cycles."""
 
+from collections.abc import Callable
 from functools import partial
 from typing import Any, Final
 
@@ -15,6 +16,7 @@ from reconstructor.temporal_filter import TemporalFilter
 from skin.clipping import ClipCorrection
 from skin.matrix import MatrixPhi
 from skin.measurement import Phi, Sbhe
+from skin.surface import Surface
 
 #: Noise of one sum of 32 untouched taxels whose noise of 1 mN is clipped at 0: √(32 (1/2 - 1/2π)) mN.
 SUM_NOISE_N: Final = 0.0033
@@ -36,6 +38,8 @@ SLOWEST_GAIN: Final = 1 / 256
 #: Bounds of the scaled λ / `penalty_n`; with a smaller λ, ten iterations would not fill missing blocks.
 LEAST_PENALTY: Final = 0.03
 MOST_PENALTY: Final = 10.0
+#: Images between two turns of a progress bar.
+CHUNK: Final = 64
 
 
 class Reconstructor:
@@ -112,7 +116,7 @@ class Reconstructor:
             Newtons; values of sums that are not valid have no effect.
         valid_sums : array of bool, shape (m,)
         phi : Phi, optional
-            That of these sums, where it changes from frame to frame.
+            That of these sums; needed where it changes from frame to frame (`skin.measurement.Phi.of_cycle`).
 
         Returns
         -------
@@ -135,11 +139,14 @@ class Reconstructor:
             )
         if sums_n.dtype.kind != "f" or valid_sums.dtype != np.bool_:
             raise InputError(f"expected floats and bools, got {sums_n.dtype} and {valid_sums.dtype}")
-        if (phi is not None) != self._is_coded:
-            raise InputError("expected the Φ of each frame where it changes from frame to frame, and else none")
+        phi = phi or self._phi
+        if phi.frames > 1 or not (self._is_coded or phi is self._phi):
+            raise InputError(
+                "expected the Φ of this frame where it changes from frame to frame, and else that of the skin"
+            )
         if not self._settings.temporal_filter:
             filtered.reset()
-        elif phi is not None:
+        elif self._is_coded:
             filtered.expect(phi.forward(self._estimate))
         with np.errstate(over="ignore"):  # invalid sums may hold any value
             taken = filtered.take(np.ascontiguousarray(sums_n, kernel.dtype), np.ascontiguousarray(valid_sums))
@@ -177,10 +184,56 @@ class Reconstructor:
     def warm_up(self) -> None:
         """Compile the solver, or load the compiled solver, so that the first cycle is as fast as the others."""
         valid = np.ones(self._filter.sums.size, np.bool_)
-        for cycle in range(2):
-            phi = self._phi.of_cycle(cycle + 1) if self._is_coded else None
-            self.solve(np.zeros_like(self._filter.sums), valid, phi)
+        for cycle in (1, 2):
+            self.solve(np.zeros_like(self._filter.sums), valid, self._phi.of_cycle(cycle))
         self.restart()
+
+
+def reconstruct(
+    sums_n: npt.NDArray[np.floating[Any]],
+    phi: Sbhe | MatrixPhi,
+    surface: Surface,
+    settings: SolverSettings = LIVE,
+    *,
+    valid_sums: npt.NDArray[np.bool_] | None = None,
+    cycles: npt.NDArray[np.integer[Any]] | None = None,
+    noise_n: float | None = None,
+    samples: int = 1,
+    advance: Callable[[int], None] = lambda _: None,
+) -> npt.NDArray[np.float32]:
+    """Return the images of sums, frame after frame, as the service makes them: newtons, shape (frames, rows, columns).
+
+    Parameters
+    ----------
+    sums_n : array, shape (frames, m)
+        Newtons.
+    phi : Sbhe or MatrixPhi
+        Of the sums.
+    surface : Surface
+        Of the taxels, n of them (`skin.surface`).
+    valid_sums : array of bool, shape (frames, m), optional
+        Default: all.
+    cycles : array of int, shape (frames,), optional
+        Number of each frame's cycle, for a Φ that changes; default: 1, 2, 3 and so on.
+    noise_n, samples
+        As of `Reconstructor`.
+    advance : callable
+        Called with the number of further images.
+
+    Examples
+    --------
+    >>> codes = np.random.default_rng(1).integers(0, 2, (500, 15, 100))
+    >>> images = reconstruct(sums_n, MatrixPhi(codes), grid_surface(10, 10, 0.004, gaps=np.arange(0)))
+    """
+    engine = Reconstructor(phi, *surface.shape, settings, noise_n=noise_n, samples=samples)
+    whole = np.ones(sums_n.shape, np.bool_) if valid_sums is None else valid_sums
+    numbers = np.arange(1, len(sums_n) + 1) if cycles is None else cycles
+    images = np.empty((len(sums_n), *surface.shape), np.float32)
+    for place, (sums, valid, cycle) in enumerate(zip(sums_n, whole, numbers.tolist(), strict=True), 1):
+        images[place - 1] = engine.solve(sums, valid, phi.of_cycle(cycle))
+        if place % CHUNK == 0:
+            advance(CHUNK)
+    return images
 
 
 def averaged_sum_noise_n(samples: int) -> float:

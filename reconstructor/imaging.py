@@ -53,15 +53,13 @@ class CycleImager:
         self.warm_up = self.solver.warm_up
         self._newton_per_count = np.float32(taxels.newton_per_count)
         self._gains = None if gains is None else GainCorrection(layout.phi(), gains)
-        #: Where it changes from cycle to cycle.
-        self._changing = phi if phi.frames > 1 else None
+        self._phi = phi
 
     def solve(self, sums: MeasuredSums) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.bool_]]:
         """Return the image, float32, shape (rows, columns), newtons; and which sums it is made from, shape (m,)."""
         sums_n = np.multiply(sums.counts, self._newton_per_count, dtype=np.float32)
         if self._gains is None:
-            phi = None if self._changing is None else self._changing.of_cycle(sums.cycle)
-            return self.solver.solve(sums_n, sums.valid_sums, phi), sums.valid_sums
+            return self.solver.solve(sums_n, sums.valid_sums, self._phi.of_cycle(sums.cycle)), sums.valid_sums
         sums_n, valid_sums = self._gains.apply(sums_n, sums.valid_sums)
         image = self.solver.solve(sums_n, valid_sums)
         self._gains.keep(image)
