@@ -1,50 +1,68 @@
 """``skin layout``: explains a layout, draws its boards, and tells how many sums are enough."""
 
+import re
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+import tomli_w
 
 from bandwidth.wiring import wiring
 from canskin.errors import InputError
-from shell.output import check_picture_path, save_figure
+from shell.output import check_new_path, check_picture_path, save_figure, write_file
+from shell.service import say
 from shell.terminal import Json, print_json, print_table
-from skin.layout import Layout, load_layout
+from skin.chains import positions_text
+from skin.importing import tables_of
+from skin.layout import Layout, load_layout, parse_layout
 from skin.matrix import MatrixPhi
 from skin.measurement import Sbhe
+from skin.sending import SendingName
 
 
 def layout(
-    action: Literal["check", "draw", "quality"],
+    action: Literal["new", "check", "draw", "quality"],
     file: Path | None = None,
     *,
     out: Path | None = None,
+    ini: Path | None = None,
+    sending: SendingName = "synchronous",
     json_: Json = False,
 ) -> int:
-    """Explain a layout, draw which taxels each board has, or tell how good images are with more or fewer sums.
+    """Make a layout, explain it, draw which taxels each board has, or tell how good its images are.
 
     Parameters
     ----------
     action
-        ``check``: read the layout, name its first error, or print what it says. ``draw``: write a picture of the
-        boards, each in a colour, with the order of their taxels. ``quality``: simulate touches with 16, 8, 4, 2 and 1
-        taxels to a sum, and print PSNR and error of the images beside the paper's bound.
+        ``new``: make a layout of taxels. ``check``: read the layout, name its first error, or print what it says.
+        ``draw``: write a picture of the boards, each in a colour, with the order of their taxels. ``quality``: simulate
+        touches with 16, 8, 4, 2 and 1 taxels to a sum, and print PSNR and error of the images beside the paper's bound.
     file
-        TOML of the skin; without it the default skin.
+        TOML of the skin; without it the default skin. For ``new`` the taxels: 24x32, or a file: .csv of positions, .txt
+        of an iCub's skin, .urdf with tactile sensors.
     out
-        File of the picture. Default: the name of the skin, .png.
+        ``draw``: file of the picture; default: the name of the skin, .png. ``new``: TOML to write; taxels at positions
+        are written to a .csv beside it.
+    ini
+        ``new``: the .ini of an iCub's part, which names the modules.
+    sending
+        ``new``: sums in each cycle, or whenever they carry news.
     json_
         Print one JSON object.
 
     Examples
     --------
+    skin layout new 24x32 --sending adaptive --out glove.toml
+    skin layout new left_forearm_mesh.txt --ini left_forearm.ini --out forearm.toml
     skin layout check palm.toml
     skin layout draw palm.toml --out palm-boards.png
     skin layout quality glove
     """
+    if action == "new":
+        return _new(file, out, ini, sending)
     skin = load_layout(file)
     if out is not None and action != "draw":
-        raise InputError("--out is the picture of 'skin layout draw': leave it out, or draw")
+        raise InputError("--out is for 'skin layout new' and 'skin layout draw': leave it out")
     if action == "quality":
         return _print_quality(skin, as_json=json_)
     about = _about(skin)
@@ -54,6 +72,35 @@ def layout(
         print_json(about)
     else:
         print_table((), [(name.replace("_", " "), _words(value)) for name, value in about.items()])
+    return 0
+
+
+def _new(taxels: Path | None, out: Path | None, modules: Path | None, sending: SendingName) -> int:
+    if taxels is None:
+        raise InputError("expected the taxels: 24x32, or a file of positions (.csv, .txt of an iCub's skin, .urdf)")
+    if out is not None:
+        check_new_path(out, "layout", ".toml")
+    tables, told = tables_of(str(taxels), modules)
+    for words in told:
+        say("layout", words)
+    name = re.sub(r"[^a-z0-9_]", "_", (taxels if out is None else out).stem.lower()).lstrip("0123456789_") or "skin"
+    tables = {"name": name[:64], "sending": sending, **tables}
+    if sending == "adaptive":
+        tables.setdefault("measurement", {"wiring": "board"})
+    skin = parse_layout(tomli_w.dumps(tables).encode(), str(taxels))
+    if out is not None and skin.taxels.positions is not None:
+        beside = out.with_suffix(".csv")
+        check_new_path(beside, "positions", ".csv")
+        write_file(beside, positions_text(skin.taxels.surface, skin.measurement.chains).encode())
+        tables = {**tables, "taxels": {**tables["taxels"], "positions": beside.name}}
+        if skin.measurement.chains is not None:  # the file of positions has them
+            del tables["measurement"]
+    text = tomli_w.dumps(tables)
+    if out is None:
+        print(text, end="")
+        return 0
+    write_file(out, text.encode())
+    print_table((), [(key.replace("_", " "), _words(value)) for key, value in _about(load_layout(out)).items()])
     return 0
 
 

@@ -78,7 +78,7 @@ def _layouts(layout: Layout) -> Iterator[Layout]:
 
 
 def _quality(layout: Layout, touches_s: float, seed: int) -> Quality:
-    taxels, phi, imager = layout.taxels, layout.phi(), CycleImager(layout)
+    taxels, phi, imager = layout.taxels, layout.operator(), CycleImager(layout)
     nodes = Nodes(layout, load_objects(layout, seed=seed, rest_s=REST_S), seed=seed)
     imaged_n2, sensed_n2, touched_n2, touched = [], [], 0.0, []
     for _ in range(round((REST_S + touches_s) * step_rate_hz(layout))):

@@ -4,7 +4,7 @@ A grid lies in the plane: its origin is the middle of the array, x runs along th
 the skin, so a touch presses along z. Taxels at positions have the frame of their file. A touch presses against the
 normals, which point out of the skin.
 
-On a grid, taxels are neighbours side by side. At positions, two taxels are neighbours if they are at most `LINK_RATIO`
+On a grid, taxels are neighbours side by side. At positions, two taxels are neighbours if they are at most `link_ratio`
 times the median spacing apart, face the same side, and no third taxel of this side is in the sphere between them, whose
 diameter is the line that joins them (Gabriel and Sokal 1969). So an edge is one of a Delaunay triangulation, and none
 crosses a gap.
@@ -23,7 +23,7 @@ from canskin.errors import LayoutError
 Floats = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.intp]
 
-#: Neighbours are at most this times the median spacing apart.
+#: Neighbours are at most this times the median spacing apart, if the layout does not tell.
 LINK_RATIO: Final = 1.6
 #: A taxel counts as inside of a sphere up to 1.05 times its radius: so the diagonals of squares are not edges.
 SPHERE_RATIO: Final = 1.05
@@ -50,7 +50,7 @@ class Surface:
     is_grid : bool
         Whether the taxels are a grid, so that their forces are a picture.
     pitch_m : float
-        Distance of neighbours: of the grid, or the median of the distances to the nearest taxel.
+        Distance of neighbours: of the grid, or the median of the distances to the second nearest taxel.
     """
 
     positions_m: Floats
@@ -96,7 +96,7 @@ def grid_surface(rows: int, columns: int, pitch_m: float, gaps: Indices) -> Surf
     )
 
 
-def surface_of_positions(places: Sequence[Sequence[float]]) -> Surface:
+def surface_of_positions(places: Sequence[Sequence[float]], link_ratio: float = LINK_RATIO) -> Surface:
     """Return the surface of taxels at positions.
 
     Parameters
@@ -104,6 +104,8 @@ def surface_of_positions(places: Sequence[Sequence[float]]) -> Surface:
     places : sequence of 3 or 6 numbers each
         x, y and z in metres, and the normal, of any length above 0. Normals that are not given are those of the plane
         through the taxels around, and point away from the middle of the skin; of a flat skin along its largest axis.
+    link_ratio : float
+        Neighbours are at most this times the median spacing apart.
 
     Raises
     ------
@@ -124,14 +126,14 @@ def surface_of_positions(places: Sequence[Sequence[float]]) -> Surface:
 
     away_m, near = tree.query(positions_m, min(NEAREST, len(table)))
     mine = np.broadcast_to(np.arange(len(table))[:, None], near.shape)
-    spacing_m = np.where(same_side(mine, near) & (near != mine), away_m, np.inf).min(axis=1)
-    pitch_m = float(np.median(spacing_m))
-    if twice := np.flatnonzero(spacing_m <= 1e-3 * pitch_m).tolist():
+    nearest_m, second_m = np.sort(np.where(same_side(mine, near) & (near != mine), away_m, np.inf), axis=1)[:, :2].T
+    pitch_m = float(np.median(second_m))
+    if twice := np.flatnonzero(nearest_m <= 1e-3 * pitch_m).tolist():
         other = next(each for each in near[twice[0]].tolist() if each != twice[0])
         raise LayoutError(f"taxels {twice[0]} and {other} lie at the same place")
     if not pitch_m <= SPACING_MAX_M:
         raise LayoutError(f"taxels are {pitch_m:g} m apart: the numbers look like millimetres, expected metres")
-    pairs = tree.query_pairs(LINK_RATIO * pitch_m, output_type="ndarray")
+    pairs = tree.query_pairs(link_ratio * pitch_m, output_type="ndarray")
     pairs = pairs[same_side(pairs[:, 0], pairs[:, 1])]
     ends_m = positions_m[pairs]
     apart_m = np.linalg.norm(ends_m[:, 0] - ends_m[:, 1], axis=1)
@@ -142,7 +144,7 @@ def surface_of_positions(places: Sequence[Sequence[float]]) -> Surface:
     edges = _sorted(pairs[inside == 2])  # the two themselves
     alone = np.setdiff1d(np.arange(len(table)), edges)
     if alone.size:
-        limit = f"{LINK_RATIO:g} times the median spacing of {1e3 * pitch_m:.3g} mm"
+        limit = f"{link_ratio:g} times the median spacing of {1e3 * pitch_m:.3g} mm"
         raise LayoutError(f"taxel {alone[0]} has no neighbour within {limit} that faces the same side")
     normals = told if told.size else _normals(positions_m, edges)
     normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
