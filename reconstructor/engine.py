@@ -140,10 +140,8 @@ class Reconstructor:
         if sums_n.dtype.kind != "f" or valid_sums.dtype != np.bool_:
             raise InputError(f"expected floats and bools, got {sums_n.dtype} and {valid_sums.dtype}")
         phi = phi or self._phi
-        if phi.frames > 1 or not (self._is_coded or phi is self._phi):
-            raise InputError(
-                "expected the Φ of this frame where it changes from frame to frame, and else that of the skin"
-            )
+        if phi.frames > 1 or phi.shape != self._phi.shape or not (self._is_coded or phi is self._phi):
+            raise InputError("expected the Φ of this frame where Φ changes from frame to frame, else that of the skin")
         if not self._settings.temporal_filter:
             filtered.reset()
         elif self._is_coded:

@@ -475,7 +475,7 @@ def _with_sizes(tables: dict[str, Any]) -> dict[str, Any]:
     if taxels.positions is not None and "pitch_m" not in tables["taxels"]:
         tables["taxels"]["pitch_m"] = taxels.surface.pitch_m
     if parameters.matrix is not None:
-        tables["measurement"].setdefault("sums", len(parameters.matrix[0]) if parameters.matrix else 0)
+        tables["measurement"].setdefault("sums", max([1, *map(len, parameters.matrix)]))
         tables.setdefault("bus", [])
         return tables
     blocks = _blocks(taxels, parameters)

@@ -26,6 +26,11 @@ from skin.ranges import require_number
 class MatrixSolver:
     """min ½‖Φx - y‖² + λ TV(x) by FISTA, Φ any matrix; an estimate is the image, row by row.
 
+    Sums of 0/1 codes feel the total force much more than its pattern: the iterations are then more by the root of
+    largest / mean eigenvalue of ΦΦᵀ, rounded, which is 1 for an SBHE. With 40 sums of 100 taxels, 46 in place of 10
+    iterations halve the error. With a Φ that changes each frame is one step of many, and has the iterations of the
+    settings.
+
     With a Φ that changes, no start is scaled: a few sums of one frame tell too little of the image before. With 15 sums
     of 100 taxels, random 0/1 codes, scaled starts cost 3 dB.
 
@@ -59,7 +64,8 @@ class MatrixSolver:
         self._phi, self._settings = phi, settings
         self._is_scaled = settings.scaled_start and phi.frames == 1
         self._cuts = cuts(phi.is_wired.reshape(rows, columns))
-        self._momentum = momentum(settings.iterations).astype(self.dtype)
+        turns = settings.iterations * (_more_turns(phi) if phi.frames == 1 else 1)
+        self._momentum = momentum(turns).astype(self.dtype)
         self._dual = np.zeros((2, rows, columns), self.dtype)
         self._work = np.zeros((3, rows, columns), self.dtype)
 
@@ -108,6 +114,12 @@ class MatrixSolver:
         kept = placed("estimate", estimate, self._phi.shape[1:], self.dtype)
         image: npt.NDArray[np.float32] = np.where(self._phi.is_wired, np.maximum(kept, 0), 0).astype(np.float32)
         return image.reshape(self.shape)
+
+
+def _more_turns(phi: MatrixPhi) -> int:
+    """Return the factor of the iterations: FISTA needs more in proportion to the root of the condition."""
+    mean = np.count_nonzero(phi.entries) / min(phi.shape)
+    return max(1, round(float(np.sqrt(phi.norm_squared / mean))))
 
 
 @njit(cache=True, nogil=True, fastmath=FAST_MATH)
