@@ -331,8 +331,7 @@ class Layout(_Table, frozen=True, kw_only=True):
     def phi(self) -> Sbhe:
         """Draw the measurement operator of a skin whose boards make the sums; LayoutError if other hardware does."""
         taxels, drawn = self.taxels, self.measurement
-        if drawn.matrix is not None:
-            raise LayoutError(f"{self.name}: {OTHER_HARDWARE} - at `$.measurement.ensemble`")
+        require_boards(self)
         count = drawn.sums if drawn.rows is None else self.blocks
         phi = sbhe(
             taxels.count,
@@ -376,6 +375,12 @@ def require_sending(layout: Layout, sending: SendingName, what: str, why: str) -
     """Check that a layout has the way of sending that `what` is for; `why` is the reason, or what to do."""
     if layout.sending != sending:
         raise InputError(f"{what} for {sending} sending: {why}")
+
+
+def require_boards(layout: Layout) -> None:
+    """Check that boards make the sums of a layout."""
+    if layout.measurement.matrix is not None:
+        raise LayoutError(f"{layout.name}: {OTHER_HARDWARE} - at `$.measurement.ensemble`")
 
 
 def require_one_state(layout: Layout, what: str) -> None:

@@ -70,6 +70,8 @@ def test_the_memory_of_frames_with_other_codes_makes_the_image(force_n: np.ndarr
         without[place] = alone.solve(each, whole, codes.of_cycle(place + 1))
     one_code = MatrixPhi(codes.entries[0])
     fixed = reconstruct(sums_of(one_code, force_n), one_code, GRID)
+    for name, images in (("memory", with_memory), ("one frame", without), ("one code", fixed)):
+        print(f"{name}: {1e3 * error_n(images, force_n):.2f} mN")
     assert error_n(with_memory, force_n) < 0.0003
     assert error_n(with_memory, force_n) < error_n(without, force_n) / 4
     assert error_n(with_memory, force_n) < error_n(fixed, force_n) / 4
