@@ -178,7 +178,7 @@ class Calibrator:
         self._waiting: Window | None = None
         self._newest_ns = self._needs_until_ns = self._tared_ns = 0
         self._noise = ClippedNoise(phi, clips=layout.samples_per_sync == 1 and not taxels.is_analogue)
-        self._finder = FieldFinder(phi, taxels.rows, taxels.columns)
+        self._finder = FieldFinder(phi, taxels.surface)
         nothing = np.zeros(phi.shape[0])
         self._finder.find(nothing, nothing == 0, 1.0)  # compiles: no gateway waits for that in a cycle
         self._defects = DefectFinder(phi, taxels.columns, QUIET_COUNTS * sum_step_n(layout), say)

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from canskin.errors import InputError
+from reconstructor.checks import check_grid_of
 from reconstructor.kernels.contourlet import ContourletSolver
 from reconstructor.kernels.fused import FusedSolver
 from reconstructor.kernels.matrix import MatrixSolver
@@ -72,6 +73,8 @@ class Reconstructor:
     samples : int
         Samples of each taxel from one SYNC to the next (`skin.layout.Layout.samples_per_sync`). Where there are more
         than one, sums come averaged and without the bias of clipping, and `noise_n` has to be left out or 0.
+    edges : array of int, shape (edges, 2), optional
+        Pairs of neighbours of a skin that is no grid (`skin.surface.Surface.graph`).
     """
 
     def __init__(
@@ -83,11 +86,12 @@ class Reconstructor:
         *,
         noise_n: float | None = None,
         samples: int = 1,
+        edges: npt.NDArray[np.intp] | None = None,
     ) -> None:
         self._kernel: FusedSolver | ContourletSolver | MatrixSolver = (
-            MatrixSolver(phi, rows, columns, settings)
+            MatrixSolver(phi, rows, columns, settings, edges=edges)
             if isinstance(phi, MatrixPhi)
-            else make_solver(phi, rows, columns, settings)
+            else make_solver(phi, rows, columns, settings, edges)
         )
         if noise_n and samples > 1:
             raise InputError(
@@ -223,7 +227,7 @@ def reconstruct(
     >>> codes = np.random.default_rng(1).integers(0, 2, (500, 15, 100))
     >>> images = reconstruct(sums_n, MatrixPhi(codes), grid_surface(10, 10, 0.004, gaps=np.arange(0)))
     """
-    engine = Reconstructor(phi, *surface.shape, settings, noise_n=noise_n, samples=samples)
+    engine = Reconstructor(phi, *surface.shape, settings, noise_n=noise_n, samples=samples, edges=surface.graph)
     whole = np.ones(sums_n.shape, np.bool_) if valid_sums is None else valid_sums
     numbers = np.arange(1, len(sums_n) + 1) if cycles is None else cycles
     images = np.empty((len(sums_n), *surface.shape), np.float32)
@@ -243,7 +247,11 @@ def averaged_sum_noise_n(samples: int) -> float:
     return AVERAGED_SUM_NOISE_N * float((forgotten(samples) / forgotten(AVERAGED_SAMPLES)) ** 0.5)
 
 
-def make_solver(phi: Sbhe, rows: int, columns: int, settings: SolverSettings) -> FusedSolver | ContourletSolver:
+def make_solver(
+    phi: Sbhe, rows: int, columns: int, settings: SolverSettings, edges: npt.NDArray[np.intp] | None = None
+) -> FusedSolver | ContourletSolver:
     """Return the compiled solver of a prior, in float32."""
-    solver = ContourletSolver if settings.prior == "contourlet" else FusedSolver
-    return solver(phi, rows, columns, settings)
+    if settings.prior != "contourlet":
+        return FusedSolver(phi, rows, columns, settings, edges=edges)
+    check_grid_of(phi, rows, columns, settings.prior, edges)
+    return ContourletSolver(phi, rows, columns, settings)

@@ -36,6 +36,8 @@ SAMPLING_MAX_HZ: Final = 10_000.0
 #: Signs of `taxels.shape`.
 TAXEL: Final = "#"
 GAP: Final = "."
+#: Most taxels and empty places: those of the largest grid, which has no empty places.
+PLACES_MAX: Final = MOST + 1
 #: Most rows and columns of a grid.
 SIDE_MAX: Final = 256
 #: Fewest places of a block of a board that exists, if `block_size` is not given; else the power of two that holds it.
@@ -92,9 +94,9 @@ class Taxels(_Table, frozen=True, kw_only=True):
     # A line for each row: `#` for a taxel, `.` for a gap; `rows` and `columns` follow from the picture.
     shape: tuple[str, ...] | None = None
     rows: Annotated[int, msgspec.Meta(ge=1, le=SIDE_MAX)] = 64
-    columns: Annotated[int, msgspec.Meta(ge=1, le=MOST + 1)] = 64
+    columns: Annotated[int, msgspec.Meta(ge=1, le=PLACES_MAX)] = 64
     # x, y and z of each taxel in metres, or these and its normal; in a file, the path of a CSV.
-    positions: Annotated[tuple[tuple[float, ...], ...], msgspec.Meta(max_length=MOST + 1)] | None = None
+    positions: Annotated[tuple[tuple[float, ...], ...], msgspec.Meta(max_length=PLACES_MAX)] | None = None
     # Taxels at positions are neighbours up to this times their median spacing.
     link_ratio: Annotated[float, msgspec.Meta(ge=1, le=4)] = LINK_RATIO
     pitch_m: Annotated[float, msgspec.Meta(ge=1e-6, le=10)] = 0.004
@@ -567,6 +569,8 @@ def _check_measurement(layout: Layout) -> None:
     if measurement.chains is not None:
         check_chains(measurement.chains, taxels.count, size, taxels.gaps)
     check_patch(taxels.rows, taxels.columns, measurement.block_size, measurement.wiring, measurement.patch)
+    if most > PLACES_MAX or (most > taxels.there and taxels.count == PLACES_MAX):
+        raise LayoutError(f"expected at most {PLACES_MAX} places of all boards, got {most} - at `$.measurement`")
     if not 1 <= measurement.sums <= most:
         raise LayoutError(f"expected 1 to {most} sums, got {measurement.sums} - at `$.measurement.sums`")
     if measurement.rows is not None:

@@ -60,6 +60,11 @@ class Surface:
     is_grid: bool
     pitch_m: float
 
+    @property
+    def graph(self) -> Indices | None:
+        """`edges`, or None for a grid, whose neighbours follow from its shape and its gaps."""
+        return None if self.is_grid else self.edges
+
     @cached_property
     def islands(self) -> Indices:
         """Number of the group of connected taxels of each taxel, shape (n,), in the order of their first taxels."""

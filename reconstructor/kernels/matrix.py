@@ -12,8 +12,9 @@ import numpy.typing as npt
 from canskin.errors import InputError
 from reconstructor.checks import Values, check_estimate, float_kind, placed
 from reconstructor.fista import momentum
-from reconstructor.kernels.problem import checked, cuts
-from reconstructor.kernels.steps import Cuts, aligned
+from reconstructor.kernels.graph import Graph, Indices, graph_of
+from reconstructor.kernels.problem import checked
+from reconstructor.kernels.steps import aligned
 from reconstructor.kernels.transforms import FAST_MATH, Flat
 from reconstructor.kernels.variation import INNER, denoise
 from reconstructor.settings import SolverSettings
@@ -42,6 +43,8 @@ class MatrixSolver:
         1 to 256.
     settings : SolverSettings
         Of total variation.
+    edges : array of int, shape (edges, 2), optional
+        As of `reconstructor.kernels.fused.FusedSolver`.
     """
 
     def __init__(
@@ -51,6 +54,7 @@ class MatrixSolver:
         columns: int,
         settings: SolverSettings,
         *,
+        edges: Indices | None = None,
         dtype: npt.DTypeLike = np.float32,
     ) -> None:
         self.dtype: Final = float_kind(dtype)
@@ -63,11 +67,11 @@ class MatrixSolver:
             raise InputError(f"Φ measures {taxels} taxels but the grid has {rows} x {columns} = {rows * columns}")
         self._phi, self._settings = phi, settings
         self._is_scaled = settings.scaled_start and phi.frames == 1
-        self._cuts = cuts(phi.is_wired.reshape(rows, columns))
+        self._graph = graph_of(rows, columns, np.flatnonzero(~phi.is_wired), edges)
         turns = settings.iterations * (_more_turns(phi) if phi.frames == 1 else 1)
         self._momentum = momentum(turns).astype(self.dtype)
-        self._dual = np.zeros((2, rows, columns), self.dtype)
-        self._work = np.zeros((3, rows, columns), self.dtype)
+        self._dual = np.zeros(self._graph.size, self.dtype)
+        self._work = np.zeros((3, taxels), self.dtype)
 
     def new_estimate(self) -> Values:
         """Return an estimate of zeros, shape (n,)."""
@@ -103,7 +107,7 @@ class MatrixSolver:
         numbers = np.array((step, self._settings.penalty_n * step * relative_penalty), self.dtype)
         matrix, memory = phi.dense.astype(self.dtype, copy=False), (self._dual, self._work)
         schedule = self._momentum, self._is_scaled
-        return int(solve_matrix(estimate, sums, counting, matrix, numbers, schedule, self._cuts, memory))
+        return int(solve_matrix(estimate, sums, counting, matrix, numbers, schedule, self._graph, memory))
 
     def reset(self) -> None:
         """Reset the state besides the estimate."""
@@ -130,7 +134,7 @@ def solve_matrix(  # noqa: PLR0917
     matrix: Any,
     numbers: Flat,
     schedule: tuple[Flat, bool],
-    cut: Cuts,
+    graph: Graph,
     memory: tuple[Any, Any],
 ) -> int:
     """Solve in place from `estimate` and return the number of sums used.
@@ -143,14 +147,14 @@ def solve_matrix(  # noqa: PLR0917
         1 / L, λ / L.
     schedule : tuple
         (t_k - 1) / t_{k+1} of each iteration, and whether the start is scaled, see `SolverSettings`.
-    cut : two arrays of int
-        See `reconstructor.kernels.problem.cuts`.
-    memory : tuple of arrays, shapes (2, rows, columns) and (3, rows, columns)
+    graph : Graph
+        Neighbours.
+    memory : tuple of arrays, shapes (graph.size,) and (3, n)
         The dual, kept from call to call, and scratch.
     """
     momenta, is_scaled = schedule
     dual, work = memory
-    ahead, image, made = work[0].ravel(), work[1].ravel(), work[2].ravel()
+    ahead, image, made = work[0], work[1], work[2]
     count = 0
     for k in range(sums.size):
         count += weights[k] > 0
@@ -164,7 +168,7 @@ def solve_matrix(  # noqa: PLR0917
         gradient = np.dot(residual, matrix)
         for k in range(image.size):
             image[k] = ahead[k] - gradient[k]
-        denoise(work[1], numbers[1], INNER, dual, work[2], cut)
+        denoise(image, numbers[1], INNER, dual, made, graph)
         for k in range(made.size):
             ahead[k] = made[k] + momenta[turn] * (made[k] - estimate[k])
             estimate[k] = made[k]

@@ -13,7 +13,7 @@ from reconstructor.settings import LIVE, PAPER, PRESETS, VARIATION
 from skin.layout import parse_layout
 from skin.matrix import MatrixPhi, signs_of
 from skin.measurement import sbhe
-from skin.surface import Surface, grid_surface
+from skin.surface import Surface, grid_surface, surface_of_positions
 from tests.layouts import layout_toml
 from tests.messages import measurement
 
@@ -163,3 +163,14 @@ def test_the_service_takes_the_messages_of_other_hardware(force_n: np.ndarray, c
     felt_n = np.where(force_n[-1] > 0.0005, force_n[-1], 0)
     row, column = (float(np.average(each.ravel(), weights=felt_n)) for each in np.indices((SIDE, SIDE)))
     assert (contact.row, contact.column) == pytest.approx((row, column), abs=0.1)
+
+
+def test_neighbours_of_a_skin_that_is_no_grid(force_n: np.ndarray, codes: MatrixPhi) -> None:
+    """The same taxels in another order, with positions: the same images in that order."""
+    order = np.random.default_rng(8).permutation(SIDE * SIDE)
+    positions = surface_of_positions(GRID.positions_m[order].tolist())
+    sums_n = sums_of(codes, force_n)
+    images = reconstruct(sums_n, MatrixPhi(codes.entries[..., order]), positions)
+    expected = reconstruct(sums_n, codes, GRID).reshape(FRAMES, 1, -1)[..., order]
+    assert images.shape == (FRAMES, 1, SIDE * SIDE)
+    np.testing.assert_allclose(images, expected, atol=2e-4)
