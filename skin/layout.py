@@ -722,6 +722,8 @@ def _check_adaptive(layout: Layout) -> None:
 
 
 def _check_buses(layout: Layout) -> None:
+    if not layout.bus:
+        raise LayoutError("expected 1 table or more, got 0 - at `$.bus`")
     names = [bus.name for bus in layout.bus]
     for index, name in enumerate(names):
         if name in names[:index]:
