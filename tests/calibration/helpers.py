@@ -198,7 +198,9 @@ class FedZero:
             least_noise_n=1e-6,
         )
         untouchable = np.broadcast_to(references, SMALL_PHI.shape[1])
-        self.zero = Zero(SMALL_PHI, 32, 32, self.finder, follower, support=support, references=untouchable)
+        self.zero = Zero(
+            SMALL_PHI, SMALL.taxels.surface, self.finder, follower, support=support, references=untouchable
+        )
 
     def run(self, windows: int, felt: Force | npt.NDArray[np.floating] | float) -> None:
         """Let so many windows pass; the taxels feel ``felt(window)``, newtons, drift included."""

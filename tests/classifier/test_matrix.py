@@ -11,8 +11,11 @@ from classifier.training import TrainingOptions, train
 from skin.layout import Layout
 from skin.matrix import MatrixPhi, signs_of
 from skin.measurement import sbhe
+from skin.surface import grid_surface
 from tests.classifier.conftest import Touches
 from tests.layouts import small_layout
+
+GRID = grid_surface(16, 16, 0.004, np.arange(0))
 
 
 def wire(entries: np.ndarray) -> Layout:
@@ -40,7 +43,7 @@ def test_objects_are_named_from_sums_of_random_codes(
 
 def test_an_offset_of_all_taxels_shows_nothing() -> None:
     codes = MatrixPhi(np.random.default_rng(3).integers(0, 2, (2, 60, 256)))
-    smoothed, force = Smoothed(codes, 16, 16), np.zeros(256, np.int32)
+    smoothed, force = Smoothed(codes, GRID), np.zeros(256, np.int32)
     force[100:104] = 300
     seen = []
     for offset in (0, 50):
@@ -54,7 +57,7 @@ def test_a_matrix_of_balanced_sbhe_rows_has_the_image_of_the_sbhe() -> None:
     rows = phi.row_of_sum > 0  # the sum of a block is left out of the image of an SBHE
     matrix = MatrixPhi(np.rint(phi.forward(np.eye(256))).T[rows])
     sums = np.asarray(phi.forward(np.random.default_rng(1).integers(0, 500, 256)))
-    whole, dense = Smoothed(phi, 16, 16), Smoothed(matrix, 16, 16)
+    whole, dense = Smoothed(phi, GRID), Smoothed(matrix, GRID)
     whole.measure(sums, np.ones(8, np.float32), 1.0)
     dense.measure(sums[rows], np.ones(rows.sum(), np.float32), 1.0)
     np.testing.assert_allclose(dense.peaks, whole.peaks * 64 / rows.sum(), rtol=1e-4)
