@@ -84,7 +84,7 @@ def _frame_sizes(contract: Contract, bus: int) -> tuple[int, tuple[int, int]]:
     line = contract.layout.bus[bus]
     if contract.layout.sending != "adaptive":
         return int(frame_time_ns(contract.cycle(bus), line.bitrate, line.data_bitrate, "worst").max()), (0, 0)
-    coarse, fine = (sum_frame_bits(line, is_fine=is_fine) for is_fine in (False, True))
+    coarse, fine = (sum_frame_bits(line, contract.layout.groups, is_fine=is_fine) for is_fine in (False, True))
     return round(fine * 1e9 / line.bitrate), (coarse, fine)
 
 

@@ -34,7 +34,8 @@ class Strokes:
         count, cells = 30, contract.phi.taxels_of_blocks[[node.block for node in contract.on_bus(0)[:nodes]]]
         self._from = self._random.integers(0, STROKES_STEPS - 30, count)
         self._long = self._random.integers(2, 60, count)
-        at = np.stack(np.unravel_index(self._random.choice(cells.ravel(), count), shape), axis=1)
+        there = cells[cells < self._taxels.count]
+        at = np.stack(np.unravel_index(self._random.choice(there, count), shape), axis=1)
         self._at = at + self._random.normal(0, 2, (count, 2))
         self._speed = self._random.normal(0, 0.3, (count, 2))
         self._width = self._random.uniform(1, 8, count)

@@ -13,6 +13,7 @@ from dbc.contract import Contract
 from dbc.dictionary import dictionary
 from skin.defects import parse_defects
 from skin.layout import load_layout
+from tests.layouts import small_boards
 from tests.nodes.firmware.adaptive_twins import AdaptiveTwins
 from tests.nodes.firmware.twins import needs_compiler
 
@@ -29,9 +30,21 @@ def contract_of(name: str) -> Contract:
     return Contract.from_layout(load_layout(Path(name)))
 
 
-@pytest.fixture(scope="module", params=["adaptive", "adaptive-fd"])
+#: Boards of 32 taxels, and of other sizes; some places of the mats of 10 x 10 are empty.
+SKINS = {
+    "adaptive": lambda: load_layout(Path("adaptive")),
+    "adaptive-fd": lambda: load_layout(Path("adaptive-fd")),
+    "8": lambda: small_boards(8),
+    "16": lambda: small_boards(16, 10, 10),
+    "64": lambda: small_boards(64),
+    "16-fd": lambda: small_boards(16, fd=True),
+    "64-fd": lambda: small_boards(64, 10, 10, fd=True, data_bitrate=5_000_000),
+}
+
+
+@pytest.fixture(scope="module", params=SKINS)
 def contract(request: pytest.FixtureRequest) -> Contract:
-    return contract_of(request.param)
+    return Contract.from_layout(SKINS[request.param]())
 
 
 def run(twins: AdaptiveTwins, samples: int) -> int:
@@ -111,14 +124,15 @@ def test_objects_that_boards_compute(contract: Contract) -> None:
     seen = set()
     for turn in range(6):
         run(twins, 200)
-        twins.write(od.REFRESH, 0, bytes((turn * 3 & 15,)))
+        twins.write(od.REFRESH, 0, bytes((turn * 3 & (1 << contract.layout.groups) - 1,)))
         for index, count in (
-            (od.COEFFICIENT_NOISE, 32), (od.TAXEL_NOISE, 32), (od.SUMS, 32), (od.COARSE, 32), (od.FINE, 4),
-        ):  # fmt: skip
+            *((index, contract.phi.block_size) for index in (od.COEFFICIENT_NOISE, od.TAXEL_NOISE, od.SUMS, od.COARSE)),
+            (od.FINE, contract.layout.groups),
+        ):
             for sub in range(count + 1):
                 seen.add((index, sub, twins.read(index, sub)))
         for index in (od.REFRESH, od.NODE_NOISE, od.SIGNATURE):
             seen.add((index, 0, twins.read(index)))
         seen |= {(od.SENDING, sub, twins.read(od.SENDING, sub)) for sub in range(14)}
         seen |= {(od.HEALTH, sub, twins.read(od.HEALTH, sub)) for sub in range(1, 5)}
-    assert len({value for index, _, value in seen if index == od.SUMS}) > 32
+    assert len({value for index, _, value in seen if index == od.SUMS}) > contract.phi.block_size
