@@ -211,6 +211,8 @@ class AdaptiveBoards(PatchBoards):
         """The sums of the filtered forces in counts, in the order of Φ, shape (m,); those of other boards are 0."""
         sums = np.zeros(self._phi.shape[0], np.int32)
         size, order = self._phi.block_size, grouped_rows(self._phi.block_size).ravel()
+        most = size * self._taxels.count_max  # a forecast may exceed what taxels can read, and a sum its type
         for block, row in self._row.items():
-            sums[block * size + order] = np.rint(self.filter.sums_n[row] / self._taxels.newton_per_count)
+            counts = np.rint(self.filter.sums_n[row] / self._taxels.newton_per_count)
+            sums[block * size + order] = np.clip(counts, -most, most)
         return sums

@@ -1,6 +1,7 @@
 """Adaptive boards of one bus twice, in Python and in C: the same samples, frames, and fates of their frames."""
 
 import struct
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,11 +15,28 @@ from nodes.adaptive.firmware import FirmwarePatches
 from nodes.firmware.library import Firmware
 from nodes.segment import Segment
 from nodes.virtual_boards import VirtualBoards
+from skin.layout import load_layout
 from skin.sources import Frame, TaxelSource
 from tests.bus.harness import frame
+from tests.layouts import small_boards
 
+#: Boards of 32 taxels, and of other sizes; some places of the mats of 10 x 10 are empty.
+SKINS = {
+    "adaptive": lambda: load_layout(Path("adaptive")),
+    "adaptive-fd": lambda: load_layout(Path("adaptive-fd")),
+    "8": lambda: small_boards(8),
+    "16": lambda: small_boards(16, 10, 10),
+    "64": lambda: small_boards(64),
+    "16-fd": lambda: small_boards(16, fd=True),
+    "64-fd": lambda: small_boards(64, 10, 10, fd=True, data_bitrate=5_000_000),
+}
 #: Steps of 10 ms after which the touches come again.
 STROKES_STEPS = 200
+
+
+def contract_of(name: str) -> Contract:
+    """Return the contract of one of `SKINS`."""
+    return Contract.from_layout(SKINS[name]())
 
 
 class Strokes:

@@ -2,7 +2,6 @@
 
 import os
 import struct
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,9 +11,7 @@ from dbc.configuration import setting_of
 from dbc.contract import Contract
 from dbc.dictionary import dictionary
 from skin.defects import parse_defects
-from skin.layout import load_layout
-from tests.layouts import small_boards
-from tests.nodes.firmware.adaptive_twins import AdaptiveTwins
+from tests.nodes.firmware.adaptive_twins import SKINS, AdaptiveTwins, contract_of
 from tests.nodes.firmware.twins import needs_compiler
 
 pytestmark = needs_compiler
@@ -26,25 +23,9 @@ DEFECTS = ("stuck=0.05", "dead=0.05", "saturated=0.05", "noisy=0.05", "drift=0.0
 START, STOP, RESET_NODE, RESET_COMMUNICATION = 1, 2, 129, 130
 
 
-def contract_of(name: str) -> Contract:
-    return Contract.from_layout(load_layout(Path(name)))
-
-
-#: Boards of 32 taxels, and of other sizes; some places of the mats of 10 x 10 are empty.
-SKINS = {
-    "adaptive": lambda: load_layout(Path("adaptive")),
-    "adaptive-fd": lambda: load_layout(Path("adaptive-fd")),
-    "8": lambda: small_boards(8),
-    "16": lambda: small_boards(16, 10, 10),
-    "64": lambda: small_boards(64),
-    "16-fd": lambda: small_boards(16, fd=True),
-    "64-fd": lambda: small_boards(64, 10, 10, fd=True, data_bitrate=5_000_000),
-}
-
-
 @pytest.fixture(scope="module", params=SKINS)
 def contract(request: pytest.FixtureRequest) -> Contract:
-    return Contract.from_layout(SKINS[request.param]())
+    return contract_of(request.param)
 
 
 def run(twins: AdaptiveTwins, samples: int) -> int:
@@ -83,6 +64,7 @@ def test_writes_of_all_settings(contract: Contract) -> None:
     twins.nmt(START)
     objects = [each for each in dictionary(contract, contract.on_bus(0)[0]) if each.access == "rw"]
     objects = [each for each in objects if each.index >= 0x2000]
+    last = objects[-70:]
     values = [
         *(struct.pack("<f", value) for value in (0.0, -0.0, 1.3e-4, 0.7, 3.0, -1.0, np.inf, np.nan, 1e-40)),
         *(struct.pack("<I", value) for value in (0, 1, 2, 40, 3000, 1 << 31)),
@@ -91,12 +73,12 @@ def test_writes_of_all_settings(contract: Contract) -> None:
     ]
     sent = 0
     for turn in range(150):
-        each = objects[random.integers(len(objects))] if turn % 3 else objects[-70 + turn % 70]
+        each = objects[random.integers(len(objects))] if turn % 3 else last[turn % len(last)]
         size = len(setting_of(each).data)
         data = values[random.integers(len(values))]
         if random.random() < 0.8:
             data = data[:size].ljust(size, b"\0")
-        twins.write(each.index, each.subindex or 0, data, int(random.integers(1, 4)))
+        twins.write(each.index, each.subindex or 0, data, int(random.integers(1, len(twins.ids) + 1)))
         if turn % 10 == 0:
             twins.sync(turn % 240 + 1)
         if turn % 40 == 39:

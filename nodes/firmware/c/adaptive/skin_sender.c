@@ -267,10 +267,14 @@ int skin_sender_allows(uint16_t index, uint8_t subindex, uint32_t value)
 
 int32_t skin_sender_sum(const skin_sender *sender, uint8_t number)
 {
+    const float most = (float)SKIN_BLOCK_SUMS * sender->board->count_max;
     uint8_t place = 0;
+    float counts;
 
     while (place < SKIN_BLOCK_SUMS - 1 && skin_row_of_sum[place] != sender->board->rows[number]) {
         place++;
     }
-    return (int32_t)rintf(sender->filter.sums_n[place] / (float)SKIN_NEWTON_PER_COUNT);
+    counts = rintf(sender->filter.sums_n[place] / (float)SKIN_NEWTON_PER_COUNT);
+    /* A forecast may exceed what taxels can read, and a sum its type. */
+    return (int32_t)skin_larger(-most, skin_smaller(most, counts));
 }
