@@ -122,6 +122,11 @@ class Sbhe:
         """Whether a block sends any sum, shape (blocks,); a block without sums is never valid."""
         return np.asarray(self.kept.any(axis=1), np.bool_)
 
+    @cached_property
+    def held(self) -> npt.NDArray[np.intp]:
+        """Number of taxels of every block, without empty places, shape (blocks,)."""
+        return np.asarray((self.taxels_of_blocks < self.taxels).sum(axis=1), np.intp)
+
     @property
     def taxels_of_blocks(self) -> npt.NDArray[np.intp]:
         """Taxels of every block in the order of its chain, and empty places, shape (blocks, block_size)."""

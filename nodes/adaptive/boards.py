@@ -46,7 +46,7 @@ class AdaptiveBoards(PatchBoards):
     def __init__(self, contract: Contract, blocks: Sequence[int], source: TaxelSource, **analogue: Any) -> None:
         super().__init__(contract, blocks, source, **analogue)
         self._law = contract.law
-        self.filter = settled_filter(lambda: self._sensors.sample(0))
+        self.filter = settled_filter(lambda: self._sensors.sample(0), contract.phi.held[list(blocks)])
         compile_all(self._law)
         nodes, self._bus_of = len(blocks), {block: contract.nodes[block].bus for block in blocks}
         lines = [contract.layout.bus[bus] for bus in self._bus_of.values()]

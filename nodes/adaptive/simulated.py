@@ -136,10 +136,11 @@ def touched_frames(contract: Contract, bus: int, source: TaxelSource, seconds: f
         Of noise and clocks.
     """
     calibration, nodes = Calibration(contract.layout.taxels, contract.phi.wired.taxels), contract.on_bus(bus)
-    cells = contract.phi.taxels_of_blocks[[node.block for node in nodes]]
+    blocks = [node.block for node in nodes]
+    cells = contract.phi.taxels_of_blocks[blocks]
     model = TaxelModel(force_max_n=contract.layout.taxels.force_max_n)
     sensors = PatchSensors(calibration, cells, model, source, seed)
-    patch_filter = settled_filter(lambda: sensors.sample(0))
+    patch_filter = settled_filter(lambda: sensors.sample(0), contract.phi.held[blocks])
     sensors.touch_from_ns = 0
 
     def sample(now: int) -> Sample:

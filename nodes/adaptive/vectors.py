@@ -194,7 +194,7 @@ class _Board:
         for counts in idle[:IDLE_SAMPLES]:
             statistics.take(self._newtons(counts))
         self._learned: Noise = statistics.noise()
-        self._filter = PatchFilter(self._learned)
+        self._filter = PatchFilter(self._learned, contract.phi.held[[node.block]])
         for counts in idle[IDLE_SAMPLES:]:
             self._filter.take(self._newtons(counts))
         self._tpdos = node.adaptive_tpdos

@@ -43,6 +43,7 @@ void skin_sender_configure(skin_sender *sender, uint8_t number, uint32_t cob_id,
 
 int skin_sender_take(skin_sender *sender, const uint16_t *counts)
 {
+    sender->filter.taxels = sender->board->held;
     if (!skin_filter_take(&sender->filter, counts)) {
         return 0;
     }
