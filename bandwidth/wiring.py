@@ -27,9 +27,7 @@ class Wiring:
 def wiring(layout: Layout) -> Wiring:
     """Return the wiring of a layout, of the blocks that send sums."""
     phi = layout.phi()
-    lengths_m = chain_lengths_m(
-        phi.taxels_of_blocks[phi.has_sums], layout.taxels.rows, layout.taxels.columns, layout.taxels.pitch_m
-    )
+    lengths_m = chain_lengths_m(phi.taxels_of_blocks[phi.has_sums], layout.taxels.surface.positions_m)
     samples_per_s = layout.samples_per_sync * layout.sync.rate_hz
     return Wiring(float(lengths_m.max()), float(lengths_m.sum()), _most_converted(layout) * samples_per_s)
 

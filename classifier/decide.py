@@ -37,7 +37,7 @@ class Classifier:
         about = model.metadata
         self._model = model
         means = not SENDINGS[about.sending].in_cycles
-        self._observer = Observer(phi, about.rows, about.columns, model.no_touch, means=means)
+        self._observer = Observer(phi, model.surface, model.no_touch, means=means)
         self._newest = NewestSums(phi, about.cycles)
         self._features = np.zeros(model.offset.size)
         self._completion: Completion | None = None

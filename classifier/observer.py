@@ -8,6 +8,7 @@ import numpy.typing as npt
 
 from classifier.features import Smoothed
 from skin.measurement import Sbhe
+from skin.surface import Surface
 
 #: Lower bound of a peak / its mean on the untouched skin.
 _LEAST_PEAK: Final = 0.05
@@ -24,10 +25,8 @@ class Observer:
         See `classifier.features.Smoothed`.
     """
 
-    def __init__(
-        self, phi: Sbhe, rows: int, columns: int, no_touch: npt.NDArray[np.float64], *, means: bool = False
-    ) -> None:
-        self.smoothed = Smoothed(phi, rows, columns, means=means)
+    def __init__(self, phi: Sbhe, surface: Surface, no_touch: npt.NDArray[np.float64], *, means: bool = False) -> None:
+        self.smoothed = Smoothed(phi, surface, means=means)
         self._energy_mean, self._energy_sd, self._peak_mean, self._peak_sd = no_touch.copy()
         widths = self._peak_mean.size
         self._standard = np.zeros(widths)

@@ -108,8 +108,8 @@ def observe_untouched(layout: Layout, phi: Sbhe, noise_n: float, count: int, rng
     """
     taxels = layout.taxels
     still = np.broadcast_to(np.float32(0), (count, taxels.count))
-    ignorant = np.ones((4, len(widths_for(taxels.rows, taxels.columns))))
-    observer = Observer(phi, taxels.rows, taxels.columns, ignorant, means=not layout.sends.in_cycles)
+    ignorant = np.ones((4, len(widths_for(taxels.surface))))
+    observer = Observer(phi, taxels.surface, ignorant, means=not layout.sends.in_cycles)
     whole = np.ones(phi.blocks, np.float32)
     seen = np.empty((count, 2, ignorant.shape[1]))
     for one, sums in zip(seen, simulate_means(still, layout, phi, noise_n, rng), strict=True):
@@ -132,7 +132,7 @@ class FeatureExtractor:
 
     def __init__(self, layout: Layout, phi: Sbhe, no_touch: Float64) -> None:
         taxels, means = layout.taxels, not layout.sends.in_cycles
-        self._observer = Observer(phi, taxels.rows, taxels.columns, no_touch, means=means)
+        self._observer = Observer(phi, taxels.surface, no_touch, means=means)
         self._valid = np.ones(phi.blocks, np.float32)
         self._sending = np.flatnonzero(phi.has_sums)
 

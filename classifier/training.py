@@ -153,9 +153,11 @@ def train(
         card=_card(training, chosen, standard, known),
         sending=layout.sending,
         cycles=averaged_cycles(layout),
+        surface=layout.taxels.surface.fingerprint,
     )
     planes = chosen.machine.weights_ * slope, chosen.machine.biases_ * slope
-    return Model(about, *planes, offset, scale, untouched.no_touch, *known.regions, factors.mean, factors.loadings)
+    learnt = *planes, offset, scale, untouched.no_touch, *known.regions, factors.mean, factors.loadings
+    return Model(about, layout.taxels.surface, *learnt)
 
 
 def _features(training: _Training, force_n: Float32, plain: npt.NDArray[np.int32]) -> tuple[Float64, Factors]:

@@ -1,48 +1,72 @@
 """``skin layout``: explains a layout, draws its boards, and tells how many sums are enough."""
 
+import re
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Final, Literal
 
 import numpy as np
+import numpy.typing as npt
+import tomli_w
 
 from bandwidth.wiring import wiring
 from canskin.errors import InputError
-from shell.output import check_picture_path, save_figure
+from shell.output import check_new_path, check_picture_path, save_figure, write_file
+from shell.service import say
 from shell.terminal import Json, print_json, print_table
-from skin.layout import Layout, load_layout
+from skin.chains import positions_text
+from skin.importing import tables_of
+from skin.layout import Layout, load_layout, parse_layout
+from skin.plane import Plane
+from skin.sending import SendingName
+from skin.surface import Surface
+
+#: Pixels between neighbours in the picture of a skin that is no grid.
+_SCALE: Final = 16
 
 
 def layout(
-    action: Literal["check", "draw", "quality"],
+    action: Literal["new", "check", "draw", "quality"],
     file: Path | None = None,
     *,
     out: Path | None = None,
+    ini: Path | None = None,
+    sending: SendingName = "synchronous",
     json_: Json = False,
 ) -> int:
-    """Explain a layout, draw which taxels each board has, or tell how good images are with more or fewer sums.
+    """Make a layout, explain it, draw which taxels each board has, or tell how good its images are.
 
     Parameters
     ----------
     action
-        ``check``: read the layout, name its first error, or print what it says. ``draw``: write a picture of the
-        boards, each in a colour, with the order of their taxels. ``quality``: simulate touches with 16, 8, 4, 2 and 1
-        taxels to a sum, and print PSNR and error of the images beside the paper's bound.
+        ``new``: make a layout of taxels. ``check``: read the layout, name its first error, or print what it says.
+        ``draw``: write a picture of the boards, each in a colour, with the order of their taxels. ``quality``: simulate
+        touches with 16, 8, 4, 2 and 1 taxels to a sum, and print PSNR and error of the images beside the paper's bound.
     file
-        TOML of the skin; without it the default skin.
+        TOML of the skin; without it the default skin. For ``new`` the taxels: 24x32, or a file: .csv of positions, .txt
+        of an iCub's skin, .urdf with tactile sensors.
     out
-        File of the picture. Default: the name of the skin, .png.
+        ``draw``: file of the picture; default: the name of the skin, .png. ``new``: TOML to write; taxels at positions
+        are written to a .csv beside it.
+    ini
+        ``new``: the .ini of an iCub's part, which names the modules.
+    sending
+        ``new``: sums in each cycle, or whenever they carry news.
     json_
         Print one JSON object.
 
     Examples
     --------
+    skin layout new 24x32 --sending adaptive --out glove.toml
+    skin layout new left_forearm_mesh.txt --ini left_forearm.ini --out forearm.toml
     skin layout check palm.toml
     skin layout draw palm.toml --out palm-boards.png
     skin layout quality glove
     """
+    if action == "new":
+        return _new(file, out, ini, sending)
     skin = load_layout(file)
     if out is not None and action != "draw":
-        raise InputError("--out is the picture of 'skin layout draw': leave it out, or draw")
+        raise InputError("--out is for 'skin layout new' and 'skin layout draw': leave it out")
     if action == "quality":
         return _print_quality(skin, as_json=json_)
     about = _about(skin)
@@ -52,6 +76,35 @@ def layout(
         print_json(about)
     else:
         print_table((), [(name.replace("_", " "), _words(value)) for name, value in about.items()])
+    return 0
+
+
+def _new(taxels: Path | None, out: Path | None, modules: Path | None, sending: SendingName) -> int:
+    if taxels is None:
+        raise InputError("expected the taxels: 24x32, or a file of positions (.csv, .txt of an iCub's skin, .urdf)")
+    if out is not None:
+        check_new_path(out, "layout", ".toml")
+    tables, told = tables_of(str(taxels), modules)
+    for words in told:
+        say("layout", words)
+    name = re.sub(r"[^a-z0-9_]", "_", (taxels if out is None else out).stem.lower()).lstrip("0123456789_") or "skin"
+    tables = {"name": name[:64], "sending": sending, **tables}
+    if sending == "adaptive":
+        tables.setdefault("measurement", {"wiring": "board"})
+    skin = parse_layout(tomli_w.dumps(tables).encode(), str(taxels))
+    if out is not None and skin.taxels.positions is not None:
+        beside = out.with_suffix(".csv")
+        check_new_path(beside, "positions", ".csv")
+        write_file(beside, positions_text(skin.taxels.surface, skin.measurement.chains).encode())
+        tables = {**tables, "taxels": {**tables["taxels"], "positions": beside.name}}
+        if skin.measurement.chains is not None:  # the file of positions has them
+            del tables["measurement"]
+    text = tomli_w.dumps(tables)
+    if out is None:
+        print(text, end="")
+        return 0
+    write_file(out, text.encode())
+    print_table((), [(key.replace("_", " "), _words(value)) for key, value in _about(load_layout(out)).items()])
     return 0
 
 
@@ -105,30 +158,41 @@ def _words(value: Any) -> str:
 
 
 def _draw(skin: Layout, path: Path) -> Path:
-    """Draw the grid, each block in its colour; the number at a taxel is its place in the chain."""
+    """Draw the boards in their colours; the number at a taxel is its place in the chain. Curved skins in space, too."""
     from matplotlib import colormaps
     from matplotlib.figure import Figure
 
     check_picture_path(path)
-    phi, taxels = skin.phi(), skin.taxels
-    block = phi.block_of_taxel
+    phi, surface = skin.phi(), skin.taxels.surface
+    plane, scale = Plane(surface), 1 if surface.is_grid else _SCALE
     # Neighbouring numbers get colours far apart.
-    hue = block * 0.618034 % 1.0
-    width = min(24.0, max(4.0, taxels.columns * 0.25))
-    figure = Figure(figsize=(width, max(2.0, width * taxels.rows / taxels.columns) + 0.8), layout="constrained")
-    axes = figure.subplots()
-    colours = colormaps["hsv"](hue, alpha=np.where(phi.is_wired, 0.55, 0.0)).reshape(taxels.rows, taxels.columns, 4)
-    axes.imshow(colours, interpolation="nearest")
+    colours = colormaps["hsv"](phi.block_of_taxel * 0.618034 % 1.0, alpha=np.where(phi.is_wired, 0.55, 0.0))
+    width = min(24.0, max(4.0, plane.width * 0.25))
+    height = max(2.0, width * plane.height / plane.width) + 0.8
+    is_curved = not surface.is_flat
+    figure = Figure(figsize=(width, height + is_curved * width), layout="constrained")
+    grid = figure.add_gridspec(1 + is_curved, 1, height_ratios=(height, width)[: 1 + is_curved])
+    axes = figure.add_subplot(grid[0])
+    cells = np.append(colours, np.zeros((1, 4)), axis=0)[plane.cells(scale)]
+    axes.imshow(cells, interpolation="nearest", extent=(0, plane.width, plane.height, 0))
     place = phi.place_of_taxel % phi.block_size
-    size = min(8.0, 72 * width / taxels.columns / 3)
+    size = min(8.0, 72 * width / plane.width / 3)
     for taxel in np.flatnonzero(phi.is_wired).tolist():
-        row, column = divmod(taxel, taxels.columns)
-        axes.text(column, row, str(place[taxel]), ha="center", va="center", fontsize=size)
+        x, y = plane.places[taxel]
+        axes.text(x, y, str(place[taxel]), ha="center", va="center", fontsize=size)
     for each in range(phi.blocks):
-        rows, columns = np.divmod(phi.taxels_of(each), taxels.columns)
         if skin.measurement.wiring != "scattered":
-            axes.plot(columns, rows, color="black", linewidth=0.4, alpha=0.5)
+            axes.plot(*plane.places[phi.taxels_of(each)].T, color="black", linewidth=0.4, alpha=0.5)
     axes.set_title(f"{skin.name}: {phi.blocks} blocks, {phi.empty} empty places", fontsize=10)
     axes.set(xticks=[], yticks=[])
+    if is_curved:
+        _draw_in_space(figure.add_subplot(grid[1], projection="3d"), surface, colours)
     save_figure(figure, path, dpi=110)
     return path
+
+
+def _draw_in_space(axes: Any, surface: Surface, colours: npt.NDArray[np.floating]) -> None:
+    places_mm = 1e3 * surface.positions_m
+    axes.scatter(*places_mm.T, c=colours, depthshade=False)
+    axes.set_box_aspect(np.maximum(np.ptp(places_mm, axis=0), 1e3 * surface.pitch_m), zoom=0.85)
+    axes.set(xlabel="x, mm", ylabel="y, mm", zlabel="z, mm")

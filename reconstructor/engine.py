@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from canskin.errors import InputError
+from reconstructor.checks import check_grid_of
 from reconstructor.kernels.contourlet import ContourletSolver
 from reconstructor.kernels.fused import FusedSolver
 from reconstructor.settings import LIVE, SolverSettings
@@ -58,6 +59,8 @@ class Reconstructor:
     samples : int
         Samples of each taxel from one SYNC to the next (`skin.layout.Layout.samples_per_sync`). Where there are more
         than one, sums come averaged and without the bias of clipping, and `noise_n` has to be left out or 0.
+    edges : array of int, shape (edges, 2), optional
+        Pairs of neighbours of a skin that is no grid (`skin.surface.Surface.graph`).
     """
 
     def __init__(
@@ -69,8 +72,9 @@ class Reconstructor:
         *,
         noise_n: float | None = None,
         samples: int = 1,
+        edges: npt.NDArray[np.intp] | None = None,
     ) -> None:
-        self._kernel = make_solver(phi, rows, columns, settings)
+        self._kernel = make_solver(phi, rows, columns, settings, edges)
         if noise_n and samples > 1:
             raise InputError(
                 f"nodes that average (sampling.rate_hz of the layout) undo the bias of clipping themselves:"
@@ -166,7 +170,11 @@ def averaged_sum_noise_n(samples: int) -> float:
     return AVERAGED_SUM_NOISE_N * float((forgotten(samples) / forgotten(AVERAGED_SAMPLES)) ** 0.5)
 
 
-def make_solver(phi: Sbhe, rows: int, columns: int, settings: SolverSettings) -> FusedSolver | ContourletSolver:
+def make_solver(
+    phi: Sbhe, rows: int, columns: int, settings: SolverSettings, edges: npt.NDArray[np.intp] | None = None
+) -> FusedSolver | ContourletSolver:
     """Return the compiled solver of a prior, in float32."""
-    solver = ContourletSolver if settings.prior == "contourlet" else FusedSolver
-    return solver(phi, rows, columns, settings)
+    if settings.prior != "contourlet":
+        return FusedSolver(phi, rows, columns, settings, edges=edges)
+    check_grid_of(phi, rows, columns, settings.prior, edges)
+    return ContourletSolver(phi, rows, columns, settings)

@@ -49,6 +49,7 @@ class CycleImager:
             settings,
             noise_n=chosen.clipped_noise_n(layout),
             samples=layout.samples_per_sync,
+            edges=taxels.surface.graph,
         )
         self.warm_up = self.solver.warm_up
         self._newton_per_count = np.float32(taxels.newton_per_count)

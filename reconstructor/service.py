@@ -25,7 +25,7 @@ Image_n = npt.NDArray[np.float32]
 def warm_up(layout: Layout, imager: Imager) -> None:
     """Compile what images and contacts need, or load what was compiled."""
     imager.warm_up()
-    ContactTracker(layout.taxels.rows, layout.taxels.columns).warm_up()
+    ContactTracker(layout.taxels.surface).warm_up()
 
 
 class ReconstructorService:
@@ -59,7 +59,7 @@ class ReconstructorService:
         self._clock_ns = clock_ns
         self._imager = imager
         self._reader: MeasurementReader[Any] = MeasurementReader(layout.phi(), "reconstructor", imager.decode)
-        self._tracker = ContactTracker(layout.taxels.rows, layout.taxels.columns)
+        self._tracker = ContactTracker(layout.taxels.surface)
         self._phi = layout.phi()
         self._fabric = fabric
         self._mailbox = fabric.mailbox(MEASUREMENT, imager.depth)

@@ -202,7 +202,8 @@ def _solver(contract: Contract, options: SolverOptions, device: str, *, samples:
     if device == "gpu":
         library = gpu_library()
         return BatchSolver(phi, taxels.rows, taxels.columns, settings, library=library, noise_n=noise_n).solve_recording
-    engine = Reconstructor(phi, taxels.rows, taxels.columns, settings, noise_n=noise_n, samples=samples)
+    graph = taxels.surface.graph
+    engine = Reconstructor(phi, taxels.rows, taxels.columns, settings, noise_n=noise_n, samples=samples, edges=graph)
 
     def solve(sums_n: Sums, valid: Bools, advance: Callable[[int], None]) -> Images:
         engine.restart()

@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 
 from canskin.errors import LayoutError
+from skin.surface import Surface
 from skin.walsh import Indices
 
 #: A place of a board without a taxel.
@@ -99,6 +100,18 @@ def read_positions(path: Path) -> tuple[list[list[float]], list[list[int]] | Non
     return positions, boards.chains() if "board" in names else None
 
 
+def positions_text(surface: Surface, chains: Sequence[Sequence[int]] | None) -> str:
+    """Return a file of positions, as `read_positions` reads it."""
+    lines = [[*place, *normal] for place, normal in zip(surface.positions_m, surface.normals, strict=True)]
+    texts = [[f"{value:.6g}" for value in line] for line in lines]
+    for board, held in enumerate(chains or ()):
+        for place, taxel in enumerate(held):
+            if taxel != EMPTY:
+                texts[taxel] += [str(board), str(place)]
+    header = (*_POSITION, *_NORMAL, *(("board", "place") if chains else ()))
+    return "\n".join(map(",".join, [header, *texts])) + "\n"
+
+
 def read_lines(path: Path, what: str) -> tuple[set[str], list[tuple[str, dict[str, str]]]]:
     """Read a CSV file: the names of its columns, and each line with its file and number."""
     try:
@@ -128,6 +141,14 @@ class _Boards:
         """Return the taxels of each board by place, `EMPTY` for a place that no line names."""
         boards = [self._taxels.get(board, {}) for board in range(max(self._taxels, default=-1) + 1)]
         return [[held.get(place, EMPTY) for place in range(max(held, default=-1) + 1)] for held in boards]
+
+
+def chains_of(places: Sequence[tuple[int, int]]) -> list[list[int]]:
+    """Return the taxels of each board by place, from board and place of each taxel."""
+    boards = _Boards()
+    for taxel, (board, place) in enumerate(places):
+        boards.add({"board": str(board), "place": str(place)}, f"taxel {taxel}", taxel)
+    return boards.chains()
 
 
 def _whole(line: dict[str, str], where: str, name: str) -> int:

@@ -16,7 +16,7 @@ from canskin.errors import UNDECODABLE, InputError, LayoutError
 from skin.chains import MOST, check_chains, order_of, read_chains, read_positions
 from skin.measurement import Sbhe, of_rows, part_of, sbhe
 from skin.sending import ADAPTIVE_SIZES, IDENTIFIERS, IN_CYCLES, SENDINGS, Sending, SendingName, groups_of_frame
-from skin.surface import Surface, grid_surface, surface_of_positions
+from skin.surface import LINK_RATIO, Surface, grid_surface, surface_of_positions
 from skin.toml_errors import in_words
 from skin.walsh import GROUP_ROWS, Indices, patches
 from skin.wiring import check_patch, within_patches
@@ -35,8 +35,12 @@ SAMPLING_MAX_HZ: Final = 10_000.0
 #: Signs of `taxels.shape`.
 TAXEL: Final = "#"
 GAP: Final = "."
+#: Most taxels and empty places: those of the largest grid, which has no empty places.
+PLACES_MAX: Final = MOST + 1
 #: Most rows and columns of a grid.
 SIDE_MAX: Final = 256
+#: Fewest places of a block of a board that exists, if `block_size` is not given; else the power of two that holds it.
+BOARD_MIN: Final = 8
 #: Fewest taxels of a skin.
 TAXELS_MIN: Final = 8
 #: Largest bit rate of a CAN FD data phase.
@@ -82,9 +86,11 @@ class Taxels(_Table, frozen=True, kw_only=True):
     # A line for each row: `#` for a taxel, `.` for a gap; `rows` and `columns` follow from the picture.
     shape: tuple[str, ...] | None = None
     rows: Annotated[int, msgspec.Meta(ge=1, le=SIDE_MAX)] = 64
-    columns: Annotated[int, msgspec.Meta(ge=1, le=MOST + 1)] = 64
+    columns: Annotated[int, msgspec.Meta(ge=1, le=PLACES_MAX)] = 64
     # x, y and z of each taxel in metres, or these and its normal; in a file, the path of a CSV.
-    positions: Annotated[tuple[tuple[float, ...], ...], msgspec.Meta(max_length=MOST + 1)] | None = None
+    positions: Annotated[tuple[tuple[float, ...], ...], msgspec.Meta(max_length=PLACES_MAX)] | None = None
+    # Taxels at positions are neighbours up to this times their median spacing.
+    link_ratio: Annotated[float, msgspec.Meta(ge=1, le=4)] = LINK_RATIO
     pitch_m: Annotated[float, msgspec.Meta(ge=1e-6, le=10)] = 0.004
     force_max_n: Annotated[float, msgspec.Meta(ge=1e-6, le=1e6)] = 0.02
     adc_bits: Annotated[int, msgspec.Meta(ge=1, le=16)] = 10
@@ -132,7 +138,7 @@ class Taxels(_Table, frozen=True, kw_only=True):
 @cache
 def _surface(taxels: Taxels) -> Surface:
     if taxels.positions is not None:
-        return surface_of_positions(taxels.positions)
+        return surface_of_positions(taxels.positions, taxels.link_ratio)
     return grid_surface(taxels.rows, taxels.columns, taxels.pitch_m, taxels.gaps)
 
 
@@ -429,6 +435,9 @@ def _with_files(tables: dict[str, Any], folder: Path) -> dict[str, Any]:
     if isinstance(measurement.get("chains"), str):
         columns = tables.get("taxels", {}).get("columns", Taxels().columns)
         measurement["chains"] = read_chains(folder / measurement["chains"], columns if type(columns) is int else 0)
+    if isinstance(measurement.get("chains"), list):
+        most = max((len(held) for held in measurement["chains"] if isinstance(held, list)), default=0)
+        measurement.setdefault("block_size", max(BOARD_MIN, 1 << max(most - 1, 0).bit_length()))
     return tables
 
 
@@ -523,6 +532,8 @@ def _check_measurement(layout: Layout) -> None:
     if measurement.chains is not None:
         check_chains(measurement.chains, taxels.count, size, taxels.gaps)
     check_patch(taxels.rows, taxels.columns, measurement.block_size, measurement.wiring, measurement.patch)
+    if most > PLACES_MAX or (most > taxels.there and taxels.count == PLACES_MAX):
+        raise LayoutError(f"expected at most {PLACES_MAX} places of all boards, got {most} - at `$.measurement`")
     if not 1 <= measurement.sums <= most:
         raise LayoutError(f"expected 1 to {most} sums, got {measurement.sums} - at `$.measurement.sums`")
     if measurement.rows is not None:

@@ -4,12 +4,13 @@ A grid lies in the plane: its origin is the middle of the array, x runs along th
 the skin, so a touch presses along z. Taxels at positions have the frame of their file. A touch presses against the
 normals, which point out of the skin.
 
-On a grid, taxels are neighbours side by side. At positions, two taxels are neighbours if they are at most `LINK_RATIO`
+On a grid, taxels are neighbours side by side. At positions, two taxels are neighbours if they are at most `link_ratio`
 times the median spacing apart, face the same side, and no third taxel of this side is in the sphere between them, whose
 diameter is the line that joins them (Gabriel and Sokal 1969). So an edge is one of a Delaunay triangulation, and none
 crosses a gap.
 """
 
+import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -23,7 +24,7 @@ from canskin.errors import LayoutError
 Floats = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.intp]
 
-#: Neighbours are at most this times the median spacing apart.
+#: Neighbours are at most this times the median spacing apart, if the layout does not tell.
 LINK_RATIO: Final = 1.6
 #: A taxel counts as inside of a sphere up to 1.05 times its radius: so the diagonals of squares are not edges.
 SPHERE_RATIO: Final = 1.05
@@ -31,6 +32,8 @@ SPHERE_RATIO: Final = 1.05
 SPACING_MAX_M: Final = 0.25
 #: Neighbours that tell the normal of a taxel.
 NEAREST: Final = 7
+#: Normal of the taxels of a grid.
+GRID_NORMAL: Final = (0.0, 0.0, -1.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +53,7 @@ class Surface:
     is_grid : bool
         Whether the taxels are a grid, so that their forces are a picture.
     pitch_m : float
-        Distance of neighbours: of the grid, or the median of the distances to the nearest taxel.
+        Distance of neighbours: of the grid, or the median of the distances to the second nearest taxel.
     """
 
     positions_m: Floats
@@ -59,6 +62,11 @@ class Surface:
     shape: tuple[int, int]
     is_grid: bool
     pitch_m: float
+
+    @property
+    def graph(self) -> Indices | None:
+        """`edges`, or None for a grid, whose neighbours follow from its shape and its gaps."""
+        return None if self.is_grid else self.edges
 
     @cached_property
     def islands(self) -> Indices:
@@ -70,6 +78,28 @@ class Surface:
         ones = np.ones(len(self.edges), np.bool_)
         graph = coo_array((ones, (self.edges[:, 0], self.edges[:, 1])), shape=(count, count))
         return np.asarray(connected_components(graph, directed=False)[1]).astype(np.intp)
+
+    def spread(self, taxels: npt.NDArray[np.bool_], steps: int) -> npt.NDArray[np.bool_]:
+        """Return taxels, shape (n,), with all that are at most `steps` edges away from them."""
+        found, (first, second) = taxels.copy(), self.edges.T
+        for _ in range(steps):
+            is_reached = found[first] | found[second]
+            found[first[is_reached]] = found[second[is_reached]] = True
+        return found
+
+    def name_of(self, taxel: int) -> str:
+        """Name a taxel in words: by its number, and on a grid by row and column, too."""
+        row, column = divmod(taxel, self.shape[1])
+        return f"taxel {taxel} (row {row}, column {column})" if self.is_grid else f"taxel {taxel}"
+
+    @cached_property
+    def fingerprint(self) -> str:
+        """16 hex digits that differ if a taxel lies or faces elsewhere; empty for a grid, which `shape` tells."""
+        if self.is_grid:
+            return ""
+        digest = hashlib.sha256(np.rint(self.positions_m * 1e7).astype("<i8").tobytes())
+        digest.update(np.rint(self.normals * 1e3).astype("<i2").tobytes())
+        return digest.hexdigest()[:16]
 
     @cached_property
     def is_flat(self) -> bool:
@@ -88,7 +118,7 @@ def grid_surface(rows: int, columns: int, pitch_m: float, gaps: Indices) -> Surf
     edges = np.concatenate([np.stack((low.ravel(), high.ravel()), axis=1) for low, high in (beside, below)])
     return Surface(
         positions_m=places * pitch_m,
-        normals=np.tile((0.0, 0.0, -1.0), (rows * columns, 1)),
+        normals=np.tile(GRID_NORMAL, (rows * columns, 1)),
         edges=_sorted(edges[~is_gap[edges].any(axis=1)]),
         shape=(rows, columns),
         is_grid=True,
@@ -96,7 +126,7 @@ def grid_surface(rows: int, columns: int, pitch_m: float, gaps: Indices) -> Surf
     )
 
 
-def surface_of_positions(places: Sequence[Sequence[float]]) -> Surface:
+def surface_of_positions(places: Sequence[Sequence[float]], link_ratio: float = LINK_RATIO) -> Surface:
     """Return the surface of taxels at positions.
 
     Parameters
@@ -104,6 +134,8 @@ def surface_of_positions(places: Sequence[Sequence[float]]) -> Surface:
     places : sequence of 3 or 6 numbers each
         x, y and z in metres, and the normal, of any length above 0. Normals that are not given are those of the plane
         through the taxels around, and point away from the middle of the skin; of a flat skin along its largest axis.
+    link_ratio : float
+        Neighbours are at most this times the median spacing apart.
 
     Raises
     ------
@@ -124,14 +156,14 @@ def surface_of_positions(places: Sequence[Sequence[float]]) -> Surface:
 
     away_m, near = tree.query(positions_m, min(NEAREST, len(table)))
     mine = np.broadcast_to(np.arange(len(table))[:, None], near.shape)
-    spacing_m = np.where(same_side(mine, near) & (near != mine), away_m, np.inf).min(axis=1)
-    pitch_m = float(np.median(spacing_m))
-    if twice := np.flatnonzero(spacing_m <= 1e-3 * pitch_m).tolist():
+    nearest_m, second_m = np.sort(np.where(same_side(mine, near) & (near != mine), away_m, np.inf), axis=1)[:, :2].T
+    pitch_m = float(np.median(second_m))
+    if twice := np.flatnonzero(nearest_m <= 1e-3 * pitch_m).tolist():
         other = next(each for each in near[twice[0]].tolist() if each != twice[0])
         raise LayoutError(f"taxels {twice[0]} and {other} lie at the same place")
     if not pitch_m <= SPACING_MAX_M:
         raise LayoutError(f"taxels are {pitch_m:g} m apart: the numbers look like millimetres, expected metres")
-    pairs = tree.query_pairs(LINK_RATIO * pitch_m, output_type="ndarray")
+    pairs = tree.query_pairs(link_ratio * pitch_m, output_type="ndarray")
     pairs = pairs[same_side(pairs[:, 0], pairs[:, 1])]
     ends_m = positions_m[pairs]
     apart_m = np.linalg.norm(ends_m[:, 0] - ends_m[:, 1], axis=1)
@@ -142,7 +174,7 @@ def surface_of_positions(places: Sequence[Sequence[float]]) -> Surface:
     edges = _sorted(pairs[inside == 2])  # the two themselves
     alone = np.setdiff1d(np.arange(len(table)), edges)
     if alone.size:
-        limit = f"{LINK_RATIO:g} times the median spacing of {1e3 * pitch_m:.3g} mm"
+        limit = f"{link_ratio:g} times the median spacing of {1e3 * pitch_m:.3g} mm"
         raise LayoutError(f"taxel {alone[0]} has no neighbour within {limit} that faces the same side")
     normals = told if told.size else _normals(positions_m, edges)
     normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)

@@ -55,7 +55,7 @@ def within_patches(phi: Sbhe, rows: int, columns: int, patch: int, blocks: Seque
     return replace(phi, order=chains.ravel().astype(np.intp))
 
 
-def chain_lengths_m(chains: Indices, rows: int, columns: int, pitch_m: float) -> npt.NDArray[np.float64]:
+def chain_lengths_m(chains: Indices, positions_m: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     """Return the length of each block's wire in metres, shape (blocks,).
 
     The wire begins at the first taxel of the block and always goes on to the nearest taxel that is left. Such a chain
@@ -64,15 +64,13 @@ def chain_lengths_m(chains: Indices, rows: int, columns: int, pitch_m: float) ->
     Parameters
     ----------
     chains : array of int, shape (blocks, block size)
-        Taxels, row-major (`Sbhe.taxels_of_blocks`); empty places need no wire.
-    rows, columns : int
-        Of the grid.
-    pitch_m : float
-        Distance of neighbouring taxels.
+        Taxels (`Sbhe.taxels_of_blocks`); empty places need no wire.
+    positions_m : array, shape (n, 3)
+        Of the taxels, metres.
     """
-    held = np.where(chains < rows * columns, chains, chains.min(axis=1, keepdims=True))
-    places = np.stack(np.divmod(held, columns), axis=-1).astype(np.float64)
-    apart = np.linalg.norm(places[:, :, None] - places[:, None], axis=-1)
+    places = positions_m[np.where(chains < len(positions_m), chains, chains.min(axis=1, keepdims=True))]
+    # To the nanometre: taxels that are as far away are taken in their order, whatever the last bits.
+    apart = np.linalg.norm(places[:, :, None] - places[:, None], axis=-1).round(9)
     blocks, here = np.arange(len(chains)), np.zeros(len(chains), np.intp)
     length = np.zeros(len(chains))
     for _ in range(chains.shape[1] - 1):
@@ -80,4 +78,4 @@ def chain_lengths_m(chains: Indices, rows: int, columns: int, pitch_m: float) ->
         nearest = apart[blocks, here].argmin(axis=1)
         length += apart[blocks, here, nearest]
         here = nearest
-    return length * pitch_m
+    return length

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import msgspec
+import numpy as np
 import tomli_w
 
 from dbc.contract import Contract
@@ -35,6 +36,19 @@ def layout_toml(rows: int = 8, columns: int = 8, **tables: Any) -> str:
 def small_layout(rows: int = 8, columns: int = 8, **tables: Any) -> Layout:
     """Return the layout of `layout_toml`."""
     return parse_layout(layout_toml(rows, columns, **tables).encode(), "small.toml")
+
+
+def tube_layout(rings: int = 8, around: int = 12, **tables: Any) -> Layout:
+    """Return a skin that is no grid: half a tube of 20 mm radius around z, `rings` times `around` taxels.
+
+    Taxel 0 is at the largest x of the ring at z = 0; the outside faces y.
+    """
+    ring, step = np.divmod(np.arange(rings * around), around)
+    angle = np.pi * (step + 0.5) / around
+    normals = np.stack((np.cos(angle), np.sin(angle), np.zeros(angle.size)), axis=1)
+    places_m = np.c_[normals * 0.02 + np.outer(ring, (0.0, 0.0, 0.005)), normals]
+    tables = {"name": "tube", **tables, "taxels": {"positions": places_m.tolist(), **tables.get("taxels", {})}}
+    return parse_layout(tomli_w.dumps(tables).encode(), "tube.toml")
 
 
 def small_contract(identity: str = "window", rate_hz: float = 20.0, **tables: Any) -> Contract:

@@ -19,6 +19,7 @@ from nodes.adaptive.filtering import ForceFilter, PatchFilter
 from nodes.adaptive.noise import IdleStatistics, Noise
 from nodes.adaptive.sending import noise_threshold_n2
 from nodes.adaptive.simulated import Sample, SimulatedNodes, sync_frames
+from reconstructor.kernels.graph import graph_of
 from reconstructor.walsh import LIMIT_RATIO, VariationFilter, WalshReconstructor
 from skin.layout import Bus
 from skin.sending import COARSE_STEP_RATIO
@@ -139,7 +140,7 @@ def idle_of(touch: Touch) -> Counts:
 
 def less_variation(held: Images, noise_n: float) -> Images:
     """Return images as the receiver of adaptive sums would smooth them."""
-    smooth = VariationFilter(np.ones((SIDE, SIDE), np.bool_))
+    smooth = VariationFilter(graph_of(SIDE, SIDE, np.zeros(0, np.intp), None))
     limit_n = LIMIT_RATIO * noise_n
     images: list[Force] = [smooth(each.reshape(SIDE, SIDE), limit_n).ravel() for each in held.force_n]
     return Images(held.ready_ns, np.stack(images))

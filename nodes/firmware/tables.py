@@ -55,8 +55,9 @@ class ObjectTable:
 class Build:
     """What the C sources of one board are made from.
 
-    `is_adaptive` tells whether the board sends sums when they carry news, `held` is the number of its taxels. `frame_ns`
-    is the longest time of one of its frames. `frame_bits` are those of a coarse and a fine frame of an adaptive board.
+    `is_adaptive` tells whether the board sends sums when they carry news, `held` is the number of its taxels,
+    `frame_ns` the longest time of one of its frames. `frame_bits` are those of a coarse and a fine frame of an adaptive
+    board.
     """
 
     node: NodeContract

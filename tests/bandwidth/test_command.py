@@ -133,7 +133,7 @@ def test_a_picture(skin: Skin, tmp_path: Path) -> None:
     [
         (["design", "--taxels", "50"], "64 to 65536"),
         (["design", "--taxels", "24x300"], "256 or less"),
-        (["design", "--taxels", "many"], "a number, ROWSxCOLUMNS or a layout"),
+        (["design", "--taxels", "many"], "a number, ROWSxCOLUMNS, or a file of taxels"),
         (["design", "--rate", "50"], "taxels"),
         (["plan", "--jitter-s", "-1"], "jitter of 0 to 1 s"),
         (["plan", "--jitter-s", "nan"], "jitter of 0 to 1 s"),
@@ -232,3 +232,41 @@ def test_layout_is_explained_and_drawn(skin: Skin, tmp_path: Path) -> None:
     assert code == 0
     assert str(picture) in shown
     assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_new_layout_is_what_its_file_says(skin: Skin, tmp_path: Path) -> None:
+    lines = [f"{0.004 * (taxel % 6):.3f},{0.004 * (taxel // 6):.3f},0,{taxel // 10}" for taxel in range(30)]
+    (tmp_path / "pad.csv").write_text("x_m,y_m,z_m,board\n" + "\n".join(lines) + "\n")
+    made = tmp_path / "strip.toml"
+    code, shown, _ = skin("layout", "new", str(tmp_path / "pad.csv"), "--out", str(made))
+    assert code == 0
+    assert "strip" in shown
+    layout = load_layout(made)
+    assert (layout.name, layout.taxels.there, layout.blocks, layout.measurement.block_size) == ("strip", 30, 3, 16)
+    code, _, said = skin("layout", "new", "10x10", "--out", str(made))
+    assert code == 2
+    assert "is there already" in said
+    code, shown, _ = skin("layout", "new", "10x10", "--sending", "adaptive")
+    assert code == 0
+    assert parse_layout(shown.encode(), "shown").sending == "adaptive"
+
+
+def test_a_design_takes_taxels_at_positions(skin: Skin, tmp_path: Path) -> None:
+    lines = [f"{0.004 * (taxel % 16):.3f},{0.004 * (taxel // 16):.3f},0" for taxel in range(256)]
+    (tmp_path / "pad.csv").write_text("x_m,y_m,z_m\n" + "\n".join(lines) + "\n")
+    code, shown, _ = skin("design", "--taxels", str(tmp_path / "pad.csv"))
+    assert code == 0
+    assert parse_layout(shown.encode(), "shown").taxels.positions is not None
+
+
+@pytest.mark.heavy
+def test_a_design_has_the_fewest_sums_whose_images_are_good_enough(skin: Skin) -> None:
+    code, shown, said = skin("design", "--taxels", "16x16", "--min-psnr", "25", "--json")
+    document = json.loads(shown)
+    assert (code, said) == (0, "")
+    chosen = parse_layout(document["layout"].encode(), "shown").measurement.sums
+    good = [each["sums"] for each in document["quality"] if each["psnr_image_db"] >= 25]
+    assert chosen == min(good)
+    code, _, said = skin("design", "--taxels", "16x16", "--min-psnr", "90")
+    assert code == 1
+    assert "dB at best with the" in said

@@ -97,7 +97,7 @@ def new_sums(shape: tuple[int, int] = SHAPE) -> ScaleSums:
     return ScaleSums(*np.zeros((3, *shape), np.float32))
 
 
-def scale_of(samples: Iterable[np.ndarray], noise_n: np.ndarray, sums: ScaleSums, taxels: int = TAXELS) -> np.ndarray:
+def scale_of(samples: Iterable[np.ndarray], noise_n: np.ndarray, sums: ScaleSums, taxels: int = 0) -> np.ndarray:
     """Return by what the noise of each node is larger than it is taken to be, after the samples of a window."""
     for sample_n in samples:
         gather(sample_n, sums)

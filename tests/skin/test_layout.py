@@ -224,7 +224,7 @@ def test_small_skin() -> None:
         (
             "rows = 64",
             "height = 64",
-            "unknown key `height`: expected one of shape, rows, columns, positions, pitch_m, force_max_n, adc_",
+            "unknown key `height`: expected one of shape, rows, columns, positions, link_ratio, pitch_m, ",
         ),
         ("rows = 64", "rows = '64'", 'expected a whole number, got "64" - at `$.taxels.rows`'),
         ("rows = 64", "rows = 6.5", "expected a whole number, got 6.5"),

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from skin.layout import Layout, layout_text, load_layout, parse_layout
+from skin.surface import grid_surface
 from skin.wiring import chain_lengths_m
 
 
@@ -42,13 +43,14 @@ def test_the_seed_draws_the_regions_too() -> None:
 def test_chains_go_to_the_nearest_taxel_that_is_left() -> None:
     """On a grid of 8 columns: from 0 three to the right, back over two, and down by the diagonal of a square."""
     chains = np.array([[0, 3, 1, 8], [0, 1, 2, 3]])
-    assert chain_lengths_m(chains, 8, 8, 0.5).tolist() == pytest.approx([0.5 * (1 + 2**0.5 + 10**0.5), 1.5])
+    positions_m = grid_surface(8, 8, 0.5, np.zeros(0, np.intp)).positions_m
+    assert chain_lengths_m(chains, positions_m).tolist() == pytest.approx([0.5 * (1 + 2**0.5 + 10**0.5), 1.5])
 
 
 def test_neighbours_have_the_shortest_wires() -> None:
     def wires_m(keys: str) -> float:
         layout = layout_of(keys, rows=64)
-        return float(chain_lengths_m(layout.phi().taxels_of_blocks, 64, 64, layout.taxels.pitch_m).sum())
+        return float(chain_lengths_m(layout.phi().taxels_of_blocks, layout.taxels.surface.positions_m).sum())
 
     lengths = [wires_m(keys) for keys in ("wiring = 'board'", "patch = 8", "patch = 16", "patch = 32", "")]
     assert lengths == sorted(lengths)

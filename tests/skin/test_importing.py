@@ -1,0 +1,139 @@
+"""Skins from the files of others, made here as their makers write them."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from canskin.errors import LayoutError
+from skin.importing import read_icub, read_urdf, tables_of
+
+#: Pads of a triangle of the iCub in millimetres around pad 3; pads 6 and 10 measure temperature.
+PADS_MM = (
+    (6.5, 0.0), (9.8, -5.7), (3.3, -5.7), (0.0, 0.0), (-3.3, -5.7), (-9.8, -5.7),
+    (-6.5, -3.7), (-6.5, 0.0), (-3.3, 5.7), (0.0, 11.3), (0.0, 7.5), (3.3, 5.7),
+)  # fmt: skip
+NO_TAXEL = "0 0 0 0 0 0"
+
+
+def icub(folder: Path, modules: dict[int, str], lines: dict[int, str] | None = None) -> tuple[Path, Path]:
+    """Write a part of four modules in a row; modules that are not named have no positions."""
+    channels = []
+    for module in range(4):
+        for x, y in PADS_MM:
+            place = f"{0.001 * x + 0.03 * module:.4f} {0.001 * y:.4f} 0.0000 0 0 1"
+            channels.append(place if module in modules else NO_TAXEL)
+    for number, line in (lines or {}).items():
+        channels[number] = line
+    positions, names = folder / "arm.txt", folder / "arm.ini"
+    positions.write_text("\n".join(["name arm", "taxel2Repr (3 3 3)", "[calibration]", *channels]) + "\n")
+    kinds = [f"{kind} {module} 10.0 20.0 -90 5 1" for module, kind in modules.items()]
+    names.write_text("\n".join(["robotPart arm", "[SENSORS]", "# number x y", *kinds]) + "\n")
+    return positions, names
+
+
+def test_triangles_of_an_icub_are_boards_of_ten(tmp_path: Path) -> None:
+    found = read_icub(*icub(tmp_path, {0: "triangle_10pad", 2: "triangle_10pad"}))
+    assert found.told == []
+    assert found.boards is not None
+    assert len(found.places) == 20
+    assert [place for board, place in found.boards if board == 1] == [0, 1, 2, 3, 4, 5, 7, 8, 9, 11]
+    assert found.places[10][0] == pytest.approx(0.0665)
+
+
+def test_channels_without_a_position_of_their_own_are_told(tmp_path: Path) -> None:
+    where_pad_3_is = "0.0000 0.0000 0.0000 0 0 1"
+    files = icub(tmp_path, {0: "triangle_10pad", 1: "fingertip"}, {0: where_pad_3_is, 12: NO_TAXEL})
+    found = read_icub(*files)
+    assert len(found.places) == 9 + 11
+    assert found.told == ["1 channels of arm.txt have the position of another, and are left out"]
+    with (tmp_path / "arm.ini").open("a") as file:
+        file.write("triangle_10pad 3 0 0 0 5 1\n")
+    assert "module 3 of arm.ini has no positions, and is left out" in read_icub(*files).told
+
+
+def test_normals_are_left_out_where_some_are_missing(tmp_path: Path) -> None:
+    found = read_icub(*icub(tmp_path, {0: "triangle_10pad"}, {1: "0.0098 -0.0057 0 0 0 0"}))
+    assert {len(place) for place in found.places} == {3}
+
+
+@pytest.mark.parametrize(
+    ("modules", "lines", "says"),
+    [
+        ({0: "quad16"}, {}, "arm.ini, line 4: expected one of triangle_10pad, .*, got quad16 0"),
+        ({0: "triangle_10pad"}, {0: "1 2 three 0 0 1"}, "arm.txt, line 4: expected six numbers: .*three"),
+        ({0: "triangle_10pad"}, {0: "1 2 3"}, "arm.txt, line 4: expected six numbers, got 3"),
+        ({}, {}, "no channel of the modules in arm.ini has a position"),
+    ],
+)
+def test_wrong_icub_files(tmp_path: Path, modules: dict[int, str], lines: dict[int, str], says: str) -> None:
+    with pytest.raises(LayoutError, match=says):
+        read_icub(*icub(tmp_path, modules, lines))
+
+
+def test_an_icub_file_without_its_ini_or_heading(tmp_path: Path) -> None:
+    positions, _ = icub(tmp_path, {0: "triangle_10pad"})
+    with pytest.raises(LayoutError, match=r"needs the \.ini of its part"):
+        read_icub(positions, None)
+    with pytest.raises(LayoutError, match=r"expected a line \[SENSORS\], found none"):
+        read_icub(positions, positions)
+
+
+URDF = """<robot name="hand">
+  <link name="base"/><link name="palm"/><link name="tip"/>
+  <joint name="a" type="fixed"><parent link="base"/><child link="palm"/><origin xyz="0 0 0.1" rpy="0 0 0"/></joint>
+  <joint name="b" type="revolute"><parent link="palm"/><child link="tip"/>
+    <origin xyz="0.05 0 0" rpy="0 1.5708 0"/></joint>
+  <sensor name="palm"><parent link="palm"/><origin xyz="0 0 0.01"/>
+    <tactile><array rows="2" cols="3" order="{order}" size="0.004 0.005" offset="0.001 0"/></tactile></sensor>
+  <sensor name="tip"><parent link="tip"/>
+    <tactile channel="tip"><taxel idx="1" xyz="0.002 0 0" rpy="0 0 0"/><taxel idx="0" xyz="0 0 0"/></tactile></sensor>
+</robot>"""
+
+
+def test_taxels_of_a_urdf_are_in_the_frame_of_its_root(tmp_path: Path) -> None:
+    path = tmp_path / "hand.urdf"
+    path.write_text(URDF.format(order="row-major"))
+    places = np.array(read_urdf(path).places)
+    assert places[:6, :3] == pytest.approx(
+        np.array([(0.004 * row - 0.001, 0.005 * column, 0.11) for row in range(2) for column in range(3)])
+    )
+    assert places[6:, :3] == pytest.approx(np.array([(0.05, 0, 0.1), (0.05, 0, 0.098)]), abs=1e-6)
+    assert places[6, 3:] == pytest.approx((1, 0, 0), abs=1e-4)
+    path.write_text(URDF.format(order="column-major"))
+    assert np.array(read_urdf(path).places)[1, :2] == pytest.approx((0.003, 0))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ("</robot>", "", "cannot read it as URDF"),
+        ("<tactile", "<force", "cannot read it as URDF"),
+        ('rows="2"', 'rows="two"', "not a description with tactile sensors.*two"),
+        ('<parent link="tip"/>', "", "not a description with tactile sensors.*<sensor> without <parent>"),
+        ('size="0.004 0.005"', 'size="0.004"', "expected 2 numbers"),
+        ('<parent link="base"/><child link="palm"/>', '<parent link="tip"/><child link="palm"/>', "recursion"),
+    ],
+)
+def test_wrong_urdf_files(tmp_path: Path, old: str, new: str, says: str) -> None:
+    path = tmp_path / "hand.urdf"
+    text = URDF.format(order="row-major")
+    assert old in text
+    path.write_text(text.replace(old, new))
+    with pytest.raises(LayoutError, match=says):
+        read_urdf(path)
+
+
+def test_a_urdf_without_taxels(tmp_path: Path) -> None:
+    path = tmp_path / "arm.urdf"
+    path.write_text("<robot name='arm'><link name='base'/></robot>")
+    with pytest.raises(LayoutError, match="expected a <sensor> with <tactile>, found none"):
+        read_urdf(path)
+
+
+def test_words_and_layouts_are_taxels_too() -> None:
+    assert tables_of("24x32") == ({"taxels": {"rows": 24, "columns": 32}}, [])
+    tables, _ = tables_of("hand")
+    assert tables["taxels"]["rows"] == 16
+    with pytest.raises(LayoutError, match="cannot read the layout"):
+        tables_of("24 by 32")
