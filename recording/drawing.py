@@ -28,8 +28,8 @@ LINE: Final = 24
 _TEXT: Final = 14
 _HATCH_GROUND: Final = (0x8A, 0x90, 0x97)
 _HATCH_LINE: Final = (0x4D, 0x53, 0x5A)
-#: Where there is no taxel.
-_NOTHING: Final = np.zeros((1, 3), np.uint8)
+#: Where there is no taxel: the ground of images on the page when it is dark.
+_NOTHING: Final = np.array([[0x23, 0x2A, 0x31]], np.uint8)
 #: Part of the brightness that a picture keeps, without its colours, when it is no longer current.
 _OLD: Final = 0.4
 

@@ -32,6 +32,7 @@ from tests.calibration.helpers import (
     still,
     tared,
 )
+from tests.surfaces import tube_layout
 
 MS = 1_000_000
 MEASURING, TOUCHED = CalibrationState.MEASURING, CalibrationState.TOUCHED
@@ -299,3 +300,21 @@ def test_a_region_of_a_skin_without_zero_is_refused() -> None:
     assert skin.made.state is MEASURING
     skin.run(8.1)
     assert skin.made.state is FOLLOWING
+
+
+def test_a_tube_of_positions_is_tared_and_what_stands_on_it_is_named_by_number_and_settled() -> None:
+    layout, said = tube_layout(sync={"rate_hz": 40.0}, sampling={"rate_hz": 1000.0}), []
+    skin: Skin[Calibrator] = Skin(Calibrator(layout, say=said.append), layout=layout)
+    offsets = np.random.default_rng(1).uniform(0, 0.002, 480)
+    positions_m = layout.taxels.surface.positions_m
+    weight = 0.01 * np.exp(-(np.linalg.norm(positions_m - positions_m[245], axis=1) ** 2) / (2 * 0.008**2))
+    skin.run(3.0, still(offsets))
+    assert skin.calibrator.state is CalibrationState.FOLLOWING
+    skin.run(9.0, still(offsets + weight))
+    assert skin.calibrator.status().doubtful_taxels > 10
+    named = int(re.search(r"a force around taxel (\d+) stands still", said[-1])[1])  # type: ignore[index]
+    assert np.linalg.norm(positions_m[named] - positions_m[245]) < 0.008
+    skin.calibrator.tare(region=(0, 190, 0, 310))  # from taxel 190 to 310
+    skin.run(4.0, still(offsets + weight))
+    assert said[-2].startswith("zero of 121 taxels")
+    assert said[-1] == "no force is doubtful any more"

@@ -143,16 +143,16 @@ def _blueprint(rr: Any, layout: Layout) -> Any:
     """Return the arrangement of the views; pixels are not interpolated."""
     rrb, surface = rr.blueprint, layout.taxels.surface
     middle = _eye(rrb, surface)
-    picture = (rrb.Spatial2DView(origin=HEAT_MAP, name="image"),) if surface.is_grid else ()
     shown = rrb.TensorScalarMapping(mag_filter="Nearest", colormap="viridis")
+    pictures = rrb.Tabs(
+        rrb.Spatial2DView(origin=HEAT_MAP, name="image"),
+        rrb.TensorView(origin=IMAGE, name="newtons", scalar_mapping=shown),
+        active_tab="image",
+    )
     return rrb.Blueprint(
         rrb.Vertical(
             rrb.Horizontal(
-                rrb.Tabs(
-                    *picture,
-                    rrb.TensorView(origin=IMAGE, name="newtons", scalar_mapping=shown),
-                    active_tab=0,
-                ),
+                *([pictures] if surface.is_grid else []),
                 rrb.Spatial3DView(origin="skin/space", name="taxels and contacts", eye_controls=middle),
             ),
             rrb.Horizontal(
