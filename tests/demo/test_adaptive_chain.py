@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import event, given, settings
 from hypothesis import strategies as st
 
 from canskin.errors import LayoutError
@@ -20,7 +20,7 @@ from skin.psnr import psnr_db
 from skin.sources import Frame
 from skin.taxel import NOISE_N
 from skin.walsh import grouped_rows
-from tests.layouts import ADAPTIVE, buses, small_boards, small_layout
+from tests.layouts import buses, small_boards, small_layout
 
 SECONDS = 0.8
 
@@ -84,10 +84,17 @@ def layouts(draw: st.DrawFn) -> dict[str, Any]:
     taxels = draw(st.sampled_from([8, 16, 32, 64]))
     gaps = draw(st.sets(st.tuples(st.integers(0, rows - 1), st.integers(0, columns - 1)), max_size=rows * columns // 4))
     shape = ["".join("." if (row, column) in gaps else "#" for column in range(columns)) for row in range(rows)]
-    blocks = -(-(rows * columns - len(gaps)) // taxels)
+    measurement: dict[str, Any] = {"block_size": taxels, "wiring": "board"}
+    there = [row * columns + column for row in range(rows) for column in range(columns) if (row, column) not in gaps]
+    blocks = -(-len(there) // taxels)
+    if draw(st.booleans()):  # boards that exist, of unequal numbers of taxels
+        ends = {taxels * block for block in range(blocks)} | draw(st.sets(st.integers(1, len(there) - 1), max_size=3))
+        chains = np.split(np.array(draw(st.permutations(there))), sorted(ends - {0}))
+        measurement |= {"wiring": "file", "chains": [each.tolist() for each in chains]}
+        blocks = len(chains)
     first = draw(st.integers(1, blocks))
     lines = [first, blocks - first] if first < blocks else [first]
-    tables = ADAPTIVE | {"measurement": ADAPTIVE["measurement"] | {"block_size": taxels}}
+    tables = {"sending": "adaptive", "measurement": measurement}
     return tables | {"taxels": {"shape": shape}, "bus": buses(*lines, fd=draw(st.booleans()))}
 
 
@@ -103,8 +110,10 @@ def test_every_layout_that_is_accepted_runs(tables: dict[str, Any]) -> None:
     else:
         told = ""
     if told:
+        event("refused")
         assert "`$." in told  # where
         return
+    event(f"runs: {layout.measurement.wiring}")
     contract, source = Contract.from_layout(layout), Slide(layout)
     sums, frames = received(contract, source)
     phi, unit_n = contract.phi, layout.taxels.newton_per_count
