@@ -11,7 +11,7 @@ from canskin.fabric import Exchange
 from canskin.messages import LABEL, MEASUREMENT, RECOGNITION, Label, Measurement, Topic
 from classifier.decide import FORGET_CYCLES, Classifier
 from classifier.settling import Decision
-from classifier.used_sums import classified_phi, first_groups
+from classifier.used_sums import classified_phi, coarse_sums
 from shell.service import StopSignal
 from skin.layout import Layout
 from skin.measured_sums import MeasurementReader, decode_adaptive, decode_measurement
@@ -139,7 +139,7 @@ class AdaptiveClassifierService(_Service):
     def __init__(self, classifier: Classifier, layout: Layout, fabric: Exchange) -> None:
         super().__init__(classifier, layout.phi(), fabric, MEASUREMENT, waiting=1)
         self._reader = MeasurementReader(layout.phi(), "classifier", decode_adaptive)
-        self._places = places(layout.phi(), first_groups(layout))
+        self._places = places(layout.phi(), coarse_sums(layout))
         self._newest: Measurement | None = None
         self._cycle = self._repeated = 0
         self._due_ns: int | None = None

@@ -16,10 +16,10 @@ from canskin.errors import UNDECODABLE, InputError, LayoutError
 from skin.chains import MOST, check_chains, order_of, read_chains, read_positions
 from skin.matrix import KEY, MatrixPhi, entries_of, read_matrix
 from skin.measurement import Sbhe, of_rows, part_of, sbhe
-from skin.sending import IN_CYCLES, SENDINGS, Sending, SendingName
+from skin.sending import ADAPTIVE_SIZES, IDENTIFIERS, IN_CYCLES, SENDINGS, Sending, SendingName, groups_of_frame
 from skin.surface import LINK_RATIO, Surface, grid_surface, surface_of_positions
 from skin.toml_errors import in_words
-from skin.walsh import Indices, patches
+from skin.walsh import GROUP_ROWS, Indices, patches
 from skin.wiring import check_patch, within_patches
 
 #: Names of the layouts that come with the project.
@@ -49,14 +49,12 @@ DATA_BITRATE_MAX: Final = 8_000_000
 
 #: Product code of boards whose maker has no vendor number: the characters "SKIN".
 PRODUCT_CODE: Final = 0x534B_494E
-#: Default: the smallest number of buses with at most this number of nodes, each of one block.
+#: Default: the smallest number of buses with at most this number of nodes, each of one block, and identifiers for all.
 NODES_PER_BUS: Final = 32
 #: Of a recording of `skin record`, which holds its layout; `skin.mcap_file` reads and writes recordings.
 RECORDING_SUFFIX: Final = ".mcap"
-#: Adaptive sending: taxels of a block, and nodes of a bus: each has 32 identifiers of its own, and on CAN FD 8.
-ADAPTIVE_BLOCK: Final = 32
-ADAPTIVE_NODES: Final = 32
-ADAPTIVE_FD_NODES: Final = 127
+#: Most nodes of a bus.
+NODES_MAX: Final = 127
 #: Fewest bits of a converter of sums: its two end codes count as saturated.
 ANALOGUE_BITS: Final = 4
 #: Most nodes of a bus with recognition: an identifier of one more switches the state of all.
@@ -243,7 +241,7 @@ class Bus(_Table, frozen=True, kw_only=True):
     """
 
     name: Name
-    nodes: Annotated[int, msgspec.Meta(ge=1, le=127)]
+    nodes: Annotated[int, msgspec.Meta(ge=1, le=NODES_MAX)]
     blocks_per_node: Literal[1, 2, 4, 8] = 1
     bitrate: Annotated[int, msgspec.Meta(ge=BITRATE_MIN, le=BITRATE_MAX)] = BITRATE_MAX
     fd: bool = False
@@ -289,6 +287,11 @@ class Layout(_Table, frozen=True, kw_only=True):
     def places(self) -> int:
         """Number of places of all blocks: taxels and empty places."""
         return self.blocks * self.measurement.block_size
+
+    @property
+    def groups(self) -> int:
+        """Number of groups of sums of an adaptive board."""
+        return self.measurement.block_size // GROUP_ROWS
 
     @property
     def samples_per_sync(self) -> int:
@@ -489,7 +492,8 @@ def _with_sizes(tables: dict[str, Any]) -> dict[str, Any]:
     of_block = max(1, parameters.block_size // sends.taxels_per_sum)
     sums = blocks * of_block if parameters.rows is None else len(parameters.rows)
     tables.setdefault("measurement", {}).setdefault("sums", sums)
-    buses = -(-blocks // NODES_PER_BUS)
+    most = NODES_PER_BUS if sends.in_cycles else min(NODES_PER_BUS, IDENTIFIERS * GROUP_ROWS // parameters.block_size)
+    buses = -(-blocks // most)
     if "taxels" in tables:  # without taxels and buses the file is no layout
         tables.setdefault("bus", [{"name": f"bus{each}", "nodes": (blocks + each) // buses} for each in range(buses)])
     return tables
@@ -701,12 +705,15 @@ def _check_recognition(layout: Layout, state: Recognition) -> None:
 
 
 def _check_adaptive(layout: Layout) -> None:
-    """Check what adaptive sending needs: one patch of `ADAPTIVE_BLOCK` taxels on a node, its rates, identifiers."""
+    """Check what adaptive sending needs: one patch of `ADAPTIVE_SIZES` taxels on a node, its rates, identifiers."""
     measurement = layout.measurement
+    size = measurement.block_size
+    if size not in ADAPTIVE_SIZES:
+        sizes = " or ".join(map(str, ADAPTIVE_SIZES))
+        raise LayoutError(f"adaptive sending expects {sizes}, got {size} - at `$.measurement.block_size`")
     wanted = {
         "taxels.frontend": (layout.taxels.frontend, "digital"),
         "measurement.wiring": (measurement.wiring, "file" if measurement.chains else "board"),
-        "measurement.block_size": (measurement.block_size, ADAPTIVE_BLOCK),
         "measurement.sums": (measurement.sums, layout.places),
         "sync.rate_hz": (layout.sync.rate_hz, layout.sends.default_rates_hz["sync"]),
         "sampling.rate_hz": (layout.sampling.rate_hz, layout.sends.default_rates_hz["sampling"]),
@@ -715,7 +722,8 @@ def _check_adaptive(layout: Layout) -> None:
         if got != expected:
             raise LayoutError(f"adaptive sending expects {expected!r}, got {got!r} - at `$.{path}`")
     for index, bus in enumerate(layout.bus):
-        most = ADAPTIVE_FD_NODES if bus.fd else ADAPTIVE_NODES
+        frames = layout.groups // groups_of_frame(layout.groups, bus.fd)
+        most = min(NODES_MAX, IDENTIFIERS // frames)
         if bus.blocks_per_node != 1 or bus.nodes > most:
             limits = f"adaptive sending expects at most {most} nodes of one block"
             raise LayoutError(f"{limits}, got {bus.nodes} of {bus.blocks_per_node} - at `$.bus[{index}]`")

@@ -196,6 +196,11 @@ class Sbhe(Phi):
         """Hadamard row of every sum inside its block, shape (m,)."""
         return np.nonzero(self.kept)[1]
 
+    @cached_property
+    def held(self) -> npt.NDArray[np.intp]:
+        """Number of taxels of every block, without empty places, shape (blocks,)."""
+        return np.asarray((self.taxels_of_blocks < self.taxels).sum(axis=1), np.intp)
+
     @property
     def taxels_of_blocks(self) -> npt.NDArray[np.intp]:
         """Taxels of every block in the order of its chain, and empty places, shape (blocks, block_size)."""
