@@ -3,7 +3,8 @@
 A linear function of the sums cannot name an object at every position and depth. Therefore the adjoint image Φᵀy is
 smoothed at several widths. The energy (a quadratic form of the sums) and the peak of each smoothed image do not depend
 on position and rotation of the object. Hadamard row 0 of a block, the plain sum of its taxels, is left out: only this
-row changes with a common offset of the taxels (clipped noise, drift).
+row changes with a common offset of the taxels (clipped noise, drift). Of sums of any matrix, what a common offset adds
+is taken off: y less its part along Φ1.
 
 The smoothing kernels are Gaussians: on a grid the product of one over the rows and one over the columns, on other skins
 of the distance in space, among taxels that face the same side.
@@ -16,7 +17,9 @@ import numpy.typing as npt
 from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
-from skin.measurement import Sbhe, fast_hadamard
+from canskin.errors import InputError
+from skin.matrix import MatrixPhi
+from skin.measurement import Phi, Sbhe, fast_hadamard
 from skin.surface import Surface
 
 Float32 = npt.NDArray[np.float32]
@@ -45,7 +48,7 @@ class Smoothed:
 
     Parameters
     ----------
-    phi : Sbhe
+    phi : Phi
         Φ of shape (m, n).
     surface : Surface
         Of the skin.
@@ -59,33 +62,22 @@ class Smoothed:
         Results of the newest `measure`: mean square and largest value of each smoothed image, in ADC counts.
     """
 
-    def __init__(self, phi: Sbhe, surface: Surface, *, means: bool = False) -> None:
-        sums, taxels = phi.shape
+    def __init__(self, phi: Phi, surface: Surface, *, means: bool = False) -> None:
         widths = widths_for(surface)
         self.energies = np.zeros(len(widths))
         self.peaks = np.zeros(len(widths))
-        self._block_of_sum = np.ascontiguousarray(phi.block_of_sum)
-        # The mean of ΦᵀΦ is (m / n) B I, so this weight gives taxels in counts.
-        left_out = (phi.row_of_sum == 0) & (not means)
-        self._weights = np.where(left_out, 0, taxels / (sums * phi.block_size)).astype(np.float32)
-        # Rows that are not sent use the zero after the values.
-        self._source = np.full(phi.kept.shape, sums, np.intp)
-        self._source[phi.kept] = np.arange(sums)
-        self._hadamard = fast_hadamard(np.eye(phi.block_size, dtype=np.float32)).astype(np.float32)
-        self._places = phi.place_of_taxel
-        self._is_wired = phi.is_wired.astype(np.float32).reshape(surface.shape)
-        self._has_gaps = not phi.is_wired.all()
-        self._padded = np.zeros(sums + 1, np.float32)
-        self._values = self._padded[:sums]
-        self._valid_sums = np.zeros(sums, np.float32)
-        self._spread = np.zeros(phi.kept.shape, np.float32)
-        self._scrambled = np.zeros(phi.kept.shape, np.float32)
+        if isinstance(phi, MatrixPhi):
+            self._adjoint: _HadamardAdjoint | _MatrixAdjoint = _MatrixAdjoint(phi)
+        elif isinstance(phi, Sbhe):
+            self._adjoint = _HadamardAdjoint(phi, means=means)
+        else:
+            raise InputError(f"expected an Sbhe or a MatrixPhi, got {type(phi).__name__}")
         self._image = np.zeros(surface.shape, np.float32)
         self._stages = [
             _Stage(width, *surface.shape) if surface.is_grid else _ScatteredStage(width, surface) for width in widths
         ]
 
-    def measure(self, sums: npt.NDArray[Any], valid: Float32, valid_ratio: float) -> None:
+    def measure(self, sums: npt.NDArray[Any], valid: Float32, valid_ratio: float, cycle: int = 1) -> None:
         """Fill `energies` and `peaks` from one measurement.
 
         Parameters
@@ -97,7 +89,38 @@ class Smoothed:
         valid_ratio : float
             Mean of `valid`, above 0. The image is divided by its root, so the noise of the image is the same as
             without missing blocks.
+        cycle : int
+            Number of the cycle, from 1, of a Φ that changes.
         """
+        self._adjoint.fill(self._image, sums, valid, valid_ratio, cycle)
+        for index, stage in enumerate(self._stages):
+            self.energies[index], self.peaks[index] = stage.measure(self._image)
+
+
+class _HadamardAdjoint:
+    """The weighted adjoint image of an SBHE."""
+
+    def __init__(self, phi: Sbhe, *, means: bool) -> None:
+        sums, taxels = phi.shape
+        self._block_of_sum = np.ascontiguousarray(phi.block_of_sum)
+        # The mean of ΦᵀΦ is (m / n) B I, so this weight gives taxels in counts.
+        left_out = (phi.row_of_sum == 0) & (not means)
+        self._weights = np.where(left_out, 0, taxels / (sums * phi.block_size)).astype(np.float32)
+        # Rows that are not sent use the zero after the values.
+        self._source = np.full(phi.kept.shape, sums, np.intp)
+        self._source[phi.kept] = np.arange(sums)
+        self._hadamard = fast_hadamard(np.eye(phi.block_size, dtype=np.float32)).astype(np.float32)
+        self._places = phi.place_of_taxel
+        self._is_wired = phi.is_wired.astype(np.float32)
+        self._has_gaps = not phi.is_wired.all()
+        self._padded = np.zeros(sums + 1, np.float32)
+        self._values = self._padded[:sums]
+        self._valid_sums = np.zeros(sums, np.float32)
+        self._spread = np.zeros(phi.kept.shape, np.float32)
+        self._scrambled = np.zeros(phi.kept.shape, np.float32)
+
+    def fill(self, image: Float32, sums: npt.NDArray[Any], valid: Float32, valid_ratio: float, _cycle: int) -> None:
+        """Write the image of sums, with the parameters of `Smoothed.measure`."""
         np.copyto(self._values, sums, casting="unsafe")
         self._values *= self._weights
         if valid_ratio < 1:
@@ -106,11 +129,26 @@ class Smoothed:
             self._values *= valid_ratio**-0.5
         np.take(self._padded, self._source, out=self._spread, mode="clip")
         np.matmul(self._spread, self._hadamard, out=self._scrambled)
-        np.take(self._scrambled.reshape(-1), self._places, out=self._image.reshape(-1), mode="clip")
+        np.take(self._scrambled.reshape(-1), self._places, out=image.reshape(-1), mode="clip")
         if self._has_gaps:
-            self._image *= self._is_wired
-        for index, stage in enumerate(self._stages):
-            self.energies[index], self.peaks[index] = stage.measure(self._image)
+            image *= self._is_wired.reshape(image.shape)
+
+
+class _MatrixAdjoint:
+    """The adjoint image of any matrix, without what a common offset of the taxels adds to the sums."""
+
+    def __init__(self, phi: MatrixPhi) -> None:
+        self._phi = phi
+        #: As for an SBHE: taxels in counts.
+        self._weight = phi.shape[1] * phi.frames / np.count_nonzero(phi.entries)
+
+    def fill(self, image: Float32, sums: npt.NDArray[Any], valid: Float32, valid_ratio: float, cycle: int) -> None:
+        """Write the image of sums, with the parameters of `Smoothed.measure`."""
+        matrix = self._phi.of_cycle(cycle).dense
+        values, common = valid * np.asarray(sums, np.float32), valid * matrix.sum(axis=1)
+        if energy := float(common @ common):
+            values -= common * np.float32(float(common @ values) / energy)
+        np.matmul(values * np.float32(self._weight * valid_ratio**-0.5), matrix, out=image.reshape(-1))
 
 
 class _Stage:

@@ -20,7 +20,7 @@ from classifier.model import ARRAYS, VERSION, Metadata, Model
 from classifier.newest_sums import averaged_cycles
 from shell.output import write_file
 from skin.layout import Layout
-from skin.measurement import Sbhe
+from skin.measurement import Phi
 
 Arrays = dict[str, npt.NDArray[Any]]
 
@@ -53,7 +53,7 @@ def save_model(model: Model, path: Path) -> None:
         raise ModelError(f"{path}: cannot write the model: {error.strerror or error}") from error
 
 
-def load_model(path: Path, layout: Layout, phi: Sbhe) -> Model:
+def load_model(path: Path, layout: Layout, phi: Phi) -> Model:
     """Read a model for the skin of `layout`, whose classified Φ (`classifier.used_sums`) is `phi`.
 
     Raises
@@ -95,7 +95,7 @@ def _entries(path: Path) -> Arrays:
     return entries
 
 
-def _check_skin(path: Path, about: Metadata, layout: Layout, phi: Sbhe) -> None:
+def _check_skin(path: Path, about: Metadata, layout: Layout, phi: Phi) -> None:
     taxels = layout.taxels
     expected = {
         "sending": (about.sending, layout.sending),

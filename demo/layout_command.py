@@ -16,6 +16,8 @@ from shell.terminal import Json, print_json, print_table
 from skin.chains import positions_text
 from skin.importing import tables_of
 from skin.layout import Layout, load_layout, parse_layout
+from skin.matrix import MatrixPhi
+from skin.measurement import Sbhe
 from skin.plane import Plane
 from skin.sending import SendingName
 from skin.surface import Surface
@@ -132,22 +134,38 @@ def _print_quality(skin: Layout, *, as_json: bool) -> int:
 
 
 def _about(skin: Layout) -> dict[str, Any]:
-    phi = skin.phi()
-    held = [len(phi.taxels_of(block)) for block in range(phi.blocks)]
+    phi = skin.operator()
     return {
         "skin": skin.name,
         "sending": skin.sending,
         "rows": skin.taxels.rows,
         "columns": skin.taxels.columns,
         "taxels": skin.taxels.there,
+        **(_about_matrix(phi) if isinstance(phi, MatrixPhi) else _about_boards(skin, phi)),
+        "sums": phi.shape[0],
+        "sums_per_taxel": round(phi.shape[0] / skin.taxels.there, 3),
+        "fingerprint": phi.fingerprint,
+    }
+
+
+def _about_boards(skin: Layout, phi: Sbhe) -> dict[str, Any]:
+    held = [len(phi.taxels_of(block)) for block in range(phi.blocks)]
+    return {
         "blocks": phi.blocks,
         "taxels_of_a_block": sorted({min(held), max(held)}),
         "empty_places": phi.empty,
-        "sums": phi.shape[0],
-        "sums_per_taxel": round(phi.shape[0] / skin.taxels.there, 3),
         "nodes": {bus.name: bus.nodes for bus in skin.bus},
         "wires": str(wiring(skin)),
-        "fingerprint": phi.fingerprint,
+    }
+
+
+def _about_matrix(phi: MatrixPhi) -> dict[str, Any]:
+    felt = np.count_nonzero(phi.entries, axis=2)
+    unfelt = int((phi.is_wired & ~phi.entries.any(axis=(0, 1))).sum())
+    return {
+        "matrices": phi.frames,
+        "taxels_of_a_sum": sorted({int(felt.min()), int(felt.max())}),
+        "taxels_that_no_sum_feels": unfelt,
     }
 
 

@@ -16,7 +16,7 @@ from gateway.node_check import NodeCheck, NodeReport
 from shell.output import write_file
 from shell.service import StopSignal
 from shell.terminal import Json, print_json
-from skin.layout import Layout, load_layout, require_one_state
+from skin.layout import Layout, load_layout, require_boards, require_one_state
 
 #: Longest wait for frames in one turn.
 TURN_S: Final = 0.01
@@ -111,6 +111,7 @@ def _check_wiring(
     """Print what is not wired as the layout says, and write the corrected file."""
     from gateway.wiring_check import chains_file, check_wiring, corrected_order, text_of
 
+    require_boards(skin)
     findings = check_wiring(skin, recording, path, rest_s)
     if as_json:
         print_json([{**dataclasses.asdict(each), "text": text_of(each)} for each in findings])

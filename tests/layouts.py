@@ -16,6 +16,8 @@ from skin.layout import Layout, Sync, load_layout, parse_layout
 ADAPTIVE: Final = {"sending": "adaptive", "measurement": {"wiring": "board"}}
 #: The adaptive skin of 64 x 64 taxels that comes with the project.
 ADAPTIVE_SKIN: Final = load_layout(Path("adaptive"))
+#: Sums, groups and TPDOs of a board of `ADAPTIVE_SKIN`, and nodes of its buses.
+BLOCK_SUMS, GROUPS, TPDOS, NODES = 32, 4, 32, 32
 #: A skin of three patches: 12 x 14 with gaps, 132 taxels.
 TWO_FINGERS: Final = [*["######..######"] * 6, "." * 14, *["############.."] * 5]
 IDENTITIES: Final = ("window", "alternating")
@@ -53,6 +55,13 @@ def small_contract(identity: str = "window", rate_hz: float = 20.0, **tables: An
     """Return the contract of two buses of two nodes; each has 32 taxels, and eight sums in two frames."""
     sync = {"rate_hz": rate_hz, "identity": identity}
     return Contract.from_layout(small_layout(8, 16, **{"name": "small", "sync": sync, "bus": buses(2, 2)} | tables))
+
+
+def small_boards(taxels: int, rows: int = 16, columns: int = 16, **bus: Any) -> Layout:
+    """Return a skin of adaptive boards of `taxels` on one bus, which has the keys `bus`."""
+    measurement = ADAPTIVE["measurement"] | {"block_size": taxels}
+    nodes = -(-rows * columns // taxels)
+    return small_layout(rows, columns, **ADAPTIVE | {"measurement": measurement}, bus=buses(nodes, **bus))
 
 
 def buses(*nodes: int, names: Sequence[str] = (), **keys: Any) -> list[dict[str, Any]]:
