@@ -31,7 +31,7 @@ def test_reading_of_a_running_skin(endpoint: str, capsys: pytest.CaptureFixture[
         exec(block("canskin.connect").replace("tcp/127.0.0.1:7447", endpoint).replace("500", "20"), {})  # noqa: S102
     finally:
         chain.close()
-    assert "0.500 N at row 1.0, column 2.0: cup" in capsys.readouterr().out
+    assert "0.500 N at 2.0, -4.0, 0.0 mm: cup" in capsys.readouterr().out
 
 
 @needs_application
