@@ -323,9 +323,9 @@ def _adaptive_objects(contract: Contract) -> list[Object]:
 
 
 def _block(contract: Contract, block: int, place: int) -> list[Object]:
-    """Return the objects of one block: taxels in chain order, calibration, test pattern, and what sums it sends.
+    """Return the objects of one block: taxels in chain order, calibration, counts, test pattern, and what sums it sends.
 
-    A board that makes its sums in hardware has no calibration of taxels.
+    A board that makes its sums in hardware has neither calibration nor counts of taxels.
     """
     size, rows = contract.phi.block_size, contract.phi.rows_of(block)
     taxels = [int(taxel) for taxel in contract.phi.order[block * size : (block + 1) * size]]
@@ -339,14 +339,15 @@ def _block(contract: Contract, block: int, place: int) -> list[Object]:
         return od.of_block(index, place)
 
     sum_type = SUM_TYPES[contract.packing.bits, contract.packing.is_signed]
-    calibration = [
+    of_taxels = [
         *array(at(od.GAIN), f"Gain{of}", chain, od.REAL32, "rw", value=1.0),
         *array(at(od.OFFSET), f"Offset in ADC counts{of}", chain, od.INTEGER16, "rw"),
+        *array(at(od.COUNTS), f"Counts{of}", chain, od.UNSIGNED16, "ro"),
     ]
     return [
         *(array(at(od.ROWS), f"Hadamard rows{of}", row_names, od.UNSIGNED8, "ro", value=rows) if rows else []),
         *array(at(od.TAXELS), f"Taxels{of}", taxel_names, od.UNSIGNED16, "ro", value=taxels),
-        *([] if contract.layout.taxels.is_analogue else calibration),
+        *([] if contract.layout.taxels.is_analogue else of_taxels),
         Object(at(od.TEST_PATTERN), None, f"Test pattern{of}", od.UNSIGNED8, "rw", 0),
         *(array(at(od.SUMS), f"Sums{of}", sums, sum_type, "ro", pdo=True) if rows else []),
     ]

@@ -54,6 +54,7 @@ _OF_RUN: Final = (
     od.STORE,
     od.RESTORE,
     od.SIGNATURE,
+    od.COUNTS,
     od.TEST_PATTERN,
     od.REFRESH,
     od.NODE_NOISE,

@@ -104,7 +104,8 @@ class SkinNode:
             od.TEMPERATURE: lambda _: round(10 * hardware.temperature_k(range(first, first + contract.blocks))),
             od.STATE: lambda subindex: self.wanted_state if subindex == 1 else None,
             **{
-                od.of_block(od.SUMS, place): partial(self._read_sum, contract.block + place)
+                od.of_block(index, place): partial(read, contract.block + place)
+                for index, read in ((od.SUMS, self._read_sum), (od.COUNTS, self._read_count))
                 for place in range(contract.blocks)
             },
             **{index: lambda subindex: ON_COMMAND if subindex else None for index in _COMMANDS},
@@ -309,6 +310,9 @@ class SkinNode:
     def _read_sum(self, block: int, subindex: int) -> int | None:
         first = self._hardware.first_sum(block) + subindex - 1
         return int(self.contract.packing.raw(self._hardware.sums[first : first + 1])[0]) if subindex else None
+
+    def _read_count(self, block: int, subindex: int) -> int | None:
+        return int(self._hardware.counts(block)[subindex - 1]) if subindex else None
 
     def _written(self, *, index: int, subindex: int, data: bytes, **entry: Any) -> None:
         check_write(self.local, index, subindex, _number(entry["od"].data_type, data))

@@ -121,13 +121,13 @@ def _object_table(contract: Contract, node: NodeContract) -> ObjectTable:
 
 
 def _is_computed(each: Object) -> bool:
-    if each.index in _COMPUTED_ENTRIES or _is_sums(each.index):
+    if each.index in _COMPUTED_ENTRIES or _is_measured(each.index):
         return each.subindex != 0
     return each.index in _COMPUTED
 
 
-def _is_sums(index: int) -> bool:
-    return index >= od.MANUFACTURER and od.split_block(index)[1] == od.SUMS
+def _is_measured(index: int) -> bool:
+    return index >= od.MANUFACTURER and od.split_block(index)[1] in (od.SUMS, od.COUNTS)
 
 
 def board_header(contract: Contract, boards: Sequence[Build]) -> str:

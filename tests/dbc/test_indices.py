@@ -57,6 +57,7 @@ OF_THE_SKIN: Final = {
     "STATE": 0x2008,
     "GAIN": 0x2010,
     "OFFSET": 0x2011,
+    "COUNTS": 0x2012,
     "HEALTH": 0x2020,
     "TEST_PATTERN": 0x2021,
     "REFRESH": 0x2030,

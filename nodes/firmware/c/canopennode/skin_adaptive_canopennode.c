@@ -153,6 +153,7 @@ int skin_app_sample(uint16_t *counts)
 
     is_presented = 0;
     skin_od_health[3] = skin_read_block(board, counts, block->gain, block->offset, *block->pattern);
+    memcpy(block->counts, counts, board->block_size * sizeof counts[0]);
     return skin_sender_take(&sender, counts);
 }
 

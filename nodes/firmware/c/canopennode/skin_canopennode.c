@@ -3,6 +3,7 @@
 #if !SKIN_ADAPTIVE
 
 #include <stddef.h>
+#include <string.h>
 
 #include "skin_average.h"
 #include "skin_od.h"
@@ -46,6 +47,9 @@ void skin_app_sync(uint16_t *counts, uint16_t samples)
         skin_od_health[3] += skin_measure(board, block, SKIN_AVERAGE_OF(states, block), counts, samples,
                                           skin_od_blocks[block].gain, skin_od_blocks[block].offset,
                                           *skin_od_blocks[block].pattern, found);
+        memcpy(skin_od_blocks[block].counts,
+               &counts[((uint32_t)(samples - 1) * board->blocks + block) * board->block_size],
+               board->block_size * sizeof counts[0]);
         for (each = 0; each < board->first_sum[block + 1] - board->first_sum[block]; each++) {
             const int32_t raw = skin_raw(&board->packing, found[each]);
 

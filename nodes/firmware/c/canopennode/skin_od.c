@@ -108,8 +108,9 @@ int skin_od_connect(void)
 
         block->gain = skin_od_value((uint16_t)(SKIN_OD_GAIN + above), 1, sizeof *block->gain);
         block->offset = skin_od_value((uint16_t)(SKIN_OD_OFFSET + above), 1, sizeof *block->offset);
+        block->counts = skin_od_value((uint16_t)(SKIN_OD_COUNTS + above), 1, sizeof *block->counts);
         block->pattern = skin_od_value((uint16_t)(SKIN_OD_TEST_PATTERN + above), 0, sizeof *block->pattern);
-        failed |= block->gain == NULL || block->offset == NULL || block->pattern == NULL;
+        failed |= block->gain == NULL || block->offset == NULL || block->counts == NULL || block->pattern == NULL;
         failed |=
             skin_od_extend(&gain_extension[each], (uint16_t)(SKIN_OD_GAIN + above), OD_readOriginal, write_gain);
         failed |= skin_od_extend(&pattern_extension[each], (uint16_t)(SKIN_OD_TEST_PATTERN + above), OD_readOriginal,

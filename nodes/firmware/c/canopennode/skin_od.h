@@ -8,10 +8,11 @@
 typedef ODR_t skin_od_reader(OD_stream_t *, void *, OD_size_t, OD_size_t *);
 typedef ODR_t skin_od_writer(OD_stream_t *, const void *, OD_size_t, OD_size_t *);
 
-/* Calibration of a block: 2010h, 2011h and 2021h. */
+/* Calibration, counts and pattern of a block: 2010h, 2011h, 2012h and 2021h. */
 typedef struct {
     float *gain;
     int16_t *offset;
+    uint16_t *counts;
     uint8_t *pattern;
 } skin_od_block;
 
@@ -19,7 +20,7 @@ extern skin_od_block skin_od_blocks[SKIN_BLOCKS];
 /* 2020h: SYNCs received, TPDOs sent, TPDOs dropped, saturated taxels. */
 extern uint32_t *skin_od_health;
 
-/* Connect signature, calibration and patterns with the dictionary. Returns 0 on success. */
+/* Connect signature, calibration, counts and patterns with the dictionary. Returns 0 on success. */
 int skin_od_connect(void);
 
 /* End test patterns, and begin to count anew. */

@@ -25,6 +25,7 @@ int skin_sample(skin_node *node, uint16_t *counts)
         skin_restore(node, 0);
     }
     node->health[3] = skin_read_block(node->board, counts, node->gain, node->offset, node->pattern[0]);
+    memcpy(node->counts, counts, sizeof node->counts);
     return skin_sender_take(&node->sender, counts);
 }
 

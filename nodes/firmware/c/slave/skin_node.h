@@ -82,6 +82,7 @@ typedef struct {
     float gain[SKIN_BLOCKS * SKIN_BLOCK_SIZE];
     int16_t offset[SKIN_BLOCKS * SKIN_BLOCK_SIZE];
     uint8_t pattern[SKIN_BLOCKS];
+    uint16_t counts[SKIN_BLOCKS * SKIN_BLOCK_SIZE]; /* 2012h: the newest sample, corrected */
 #if SKIN_ADAPTIVE
     skin_sender sender;
 #else

@@ -90,6 +90,9 @@ static uint32_t computed(const skin_node *node, const skin_object *object)
 {
     const uint8_t subindex = object->subindex;
 
+    if (of_first_block(object->index) == SKIN_OD_COUNTS) {
+        return node->counts[block_of(object->index) * node->board->block_size + subindex - 1];
+    }
     switch (object->index) {
     case SKIN_OD_ERROR_REGISTER:
         return skin_error_register(node);

@@ -98,6 +98,7 @@ static int is_turn(const skin_tpdo *tpdo, uint8_t counter)
 void skin_sample(skin_node *node, uint16_t *counts, uint16_t samples)
 {
     const skin_board *board = node->board;
+    const uint16_t size = (uint16_t)(board->blocks * board->block_size);
     uint8_t block;
 
     node->health[3] = 0;
@@ -108,6 +109,7 @@ void skin_sample(skin_node *node, uint16_t *counts, uint16_t samples)
                                         &node->gain[first], &node->offset[first], node->pattern[block],
                                         &node->sums[board->first_sum[block]]);
     }
+    memcpy(node->counts, &counts[(uint32_t)(samples - 1) * size], size * sizeof counts[0]);
 }
 
 void skin_answer(skin_node *node, const skin_frame *sync, uint8_t counter)
