@@ -323,7 +323,7 @@ def _adaptive_objects(contract: Contract) -> list[Object]:
 
 
 def _block(contract: Contract, block: int, place: int) -> list[Object]:
-    """Return the objects of one block: taxels in chain order, calibration, counts, test pattern, and what sums it sends.
+    """Return the objects of one block: taxels in chain order, calibration, counts, test pattern, and its sums.
 
     A board that makes its sums in hardware has neither calibration nor counts of taxels.
     """

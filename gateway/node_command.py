@@ -4,7 +4,7 @@ import dataclasses
 import select
 import time
 from pathlib import Path
-from typing import Annotated, Final, Literal
+from typing import TYPE_CHECKING, Annotated, Final, Literal
 
 from cyclopts import Parameter
 
@@ -14,9 +14,13 @@ from canskin.errors import InputError, RunError
 from dbc.contract import Contract
 from gateway.node_check import NodeCheck, NodeReport
 from shell.output import write_file
-from shell.service import StopSignal
+from shell.service import StopSignal, say
 from shell.terminal import Json, print_json
 from skin.layout import Layout, load_layout, require_boards, require_one_state
+
+if TYPE_CHECKING:
+    from gateway.count_reading import CountReading
+    from gateway.wiring import Finding
 
 #: Longest wait for frames in one turn.
 TURN_S: Final = 0.01
@@ -30,6 +34,7 @@ def node(
     layout: Path | None = None,
     can: BusOptions | None = None,
     wiring: Path | None = None,
+    live: float | None = None,
     path: Path | None = None,
     rest: float = 1.0,
     out: Path | None = None,
@@ -40,8 +45,8 @@ def node(
     Needs a bus without gateway. The board is left pre-operational, with the test patterns that it had. Ends with 1 if
     the board differs from the contract. Of adaptive boards the objects alone are compared.
 
-    With ``--wiring`` a recording is checked in place of a board: which taxels are not wired as the layout says, and
-    which boards are exchanged.
+    With ``--wiring`` or ``--live`` the wiring is checked in place of a board: which taxels are not wired as the layout
+    says, and which boards are exchanged.
 
     Parameters
     ----------
@@ -57,11 +62,14 @@ def node(
         CAN interface and channels; a single channel is that of the bus.
     wiring
         Recording (``skin record``) of one finger that goes over the whole skin, after a time without touch.
+    live
+        Seconds in which one finger goes over the whole skin, after `rest`: the counts of all taxels are read from all
+        boards. Ctrl-C ends the stroke.
     path
-        CSV with the columns time_s, x_m, y_m, z_m: where the finger is after the first measurement of the recording.
+        CSV with the columns time_s, x_m, y_m, z_m: where the finger is after the first measurement or reading.
         Without it the place of the finger is estimated, too.
     rest
-        Time without touch at the begin of the recording, seconds.
+        Time without touch at the begin, seconds.
     out
         File for the corrected wiring, CSV as `measurement.chains` reads it.
     json
@@ -72,15 +80,24 @@ def node(
     skin node check --bus bus0 --node 3 -i socketcan -c can0
     skin node check --layout palm.toml --node 1 --json
     skin node check --layout palm.toml --wiring stroke.mcap --path finger.csv --out boards.csv
+    skin node check --layout palm.toml --live 30 -i socketcan -c can0
     """
     if action != "check":
         raise InputError(f"expected 'skin node check', got '{action}'")
     skin = load_layout(layout)
     if wiring is not None:
-        return _check_wiring(skin, wiring, path, rest, out, as_json=json)
-    if node_id is None:
-        raise InputError("expected --node with the node-ID of a board, or --wiring with a recording")
+        from gateway.wiring_check import check_wiring
+
+        require_boards(skin)
+        return _show_wiring(skin, check_wiring(skin, wiring, path, rest), out, as_json=json)
     stop = StopSignal().install()
+    if live is not None:
+        from gateway.wiring_check import check_counts
+
+        reading = _read_live(skin, can or BusOptions(), live, rest, stop)
+        return _show_wiring(skin, check_counts(skin, reading, path), out, as_json=json)
+    if node_id is None:
+        raise InputError("expected --node with the node-ID of a board, --wiring with a recording, or --live")
     require_one_state(skin, "'skin node check'")
     number = _bus_number(skin, bus)
     contract = Contract.from_layout(skin)
@@ -105,14 +122,41 @@ def node(
     return int(bool(check.report.differences))
 
 
-def _check_wiring(
-    skin: Layout, recording: Path, path: Path | None, rest_s: float, out: Path | None, *, as_json: bool
-) -> int:
-    """Print what is not wired as the layout says, and write the corrected file."""
-    from gateway.wiring_check import chains_file, check_wiring, corrected_order, text_of
+def _read_live(skin: Layout, can: BusOptions, stroke_s: float, rest_s: float, stop: StopSignal) -> "CountReading":
+    """Read the counts of all boards while somebody strokes the skin."""
+    from gateway.count_reading import CountReading
 
     require_boards(skin)
-    findings = check_wiring(skin, recording, path, rest_s)
+    if skin.taxels.is_analogue:
+        raise InputError("analogue boards have no counts of taxels: check a recording of sums, --wiring")
+    links = open_links(skin, can, name="node check", stop=stop)
+    try:
+        say("node check", f"leave the skin alone for {rest_s:g} s")
+        reading = CountReading(
+            Contract.from_layout(skin),
+            {bus: link.send for bus, link in links.items()},
+            time.monotonic(),
+            rest_s=rest_s,
+            stroke_s=stroke_s,
+            say=lambda line: say("node check", line),
+        )
+        while not reading.done:
+            if stop.is_set():
+                reading.stop()
+            select.select([*links.values()], [], [], min(TURN_S, max(0.0, reading.due_s - time.monotonic())) or TURN_S)
+            for bus, link in links.items():
+                reading.take(bus, link.receive(), time.monotonic())
+            reading.tick(time.monotonic())
+    finally:
+        for link in links.values():
+            link.close()
+    return reading
+
+
+def _show_wiring(skin: Layout, findings: "list[Finding]", out: Path | None, *, as_json: bool) -> int:
+    """Print what is not wired as the layout says, and write the corrected file."""
+    from gateway.wiring_check import chains_file, corrected_order, text_of
+
     if as_json:
         print_json([{**dataclasses.asdict(each), "text": text_of(each)} for each in findings])
     else:

@@ -57,6 +57,8 @@ NEAR: Final = 1.6
 LIKELY: Final = 0.7
 #: Part of the largest force that a finger needs for a moment to count.
 FELT: Final = 0.2
+#: How much more of a finger the stroke must show than the noise before it.
+TOUCHED: Final = 2.0
 
 Kind = Literal["swapped", "dead", "doubled", "moved", "unclear"]
 
@@ -114,11 +116,17 @@ def prove(phi: Sbhe, surface: Surface, sums: Floats, path_m: Floats | None, rest
     if not 0 < rest < len(sums):
         raise InputError(f"expected a part without touch before the stroke, got {rest} of {len(sums)} moments")
     noise = np.maximum(sums[:rest].std(axis=0), LEAST_NOISE)
-    sums = sums[rest:] - sums[:rest].mean(axis=0)
+    sums = sums - sums[:rest].mean(axis=0)
+    some = slice(rest, None, 1 if path_m is None else -(-len(sums) // FITTED))
+    found_m, most = locate(phi, surface, np.concatenate((sums[:rest], sums[some])))
+    top = np.quantile(most[rest:], 0.95)
+    if top <= TOUCHED * most[:rest].max():
+        raise InputError(f"expected a stroke after {rest} moments without touch: nothing touched the skin")
+    sums = sums[rest:]
     is_estimated = path_m is None
     if path_m is None:
-        path_m, used = locate(phi, surface, sums)
-        sums = sums[used]
+        is_felt = most[rest:] >= FELT * top
+        path_m, sums = found_m[rest:][is_felt], sums[is_felt]
         path_m = _settled(phi, surface, sums, path_m, noise)
     else:
         path_m = path_m[rest:]
@@ -212,13 +220,14 @@ def _away(surface: Surface, points_m: Floats) -> npt.NDArray[np.float32]:
     return away
 
 
-def locate(phi: Sbhe, surface: Surface, sums: Floats) -> tuple[Floats, npt.NDArray[np.bool_]]:
-    """Return where a finger is, and at which moments one is felt: where a finger of usual size makes the sums best.
+def locate(phi: Sbhe, surface: Surface, sums: Floats) -> tuple[Floats, Floats]:
+    """Return where a finger is at each moment, and how hard: where a finger of usual size makes the sums best.
 
     Returns
     -------
-    path_m : array, shape (felt moments, 3)
-    is_felt : array of bool, shape (moments,)
+    path_m : array, shape (moments, 3)
+    most : array, shape (moments,)
+        In counts.
     """
     wired = np.flatnonzero(phi.is_wired)
     places_m = surface.positions_m[wired]
@@ -232,8 +241,7 @@ def locate(phi: Sbhe, surface: Surface, sums: Floats) -> tuple[Floats, npt.NDArr
         most[begin : begin + FITTED] = top = score.max(axis=1)
         weight = np.maximum(0.0, score / np.maximum(top, 1e-9)[:, None] - LIKELY) * near[score.argmax(axis=1)]
         path_m[begin : begin + FITTED] = weight @ places_m / np.maximum(weight.sum(axis=1, keepdims=True), 1e-9)
-    is_felt = most >= FELT * np.quantile(most, 0.95)
-    return path_m[is_felt], is_felt
+    return path_m, most
 
 
 def _pursue(phi: Sbhe, force: npt.NDArray[np.float32], sums: Floats, noise: Floats) -> tuple[Indices, Floats]:

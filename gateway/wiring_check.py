@@ -1,4 +1,4 @@
-"""``skin node check --wiring``: what a recording of a stroke says of the wiring."""
+"""``skin node check --wiring``, ``--live``: what a recording, or the counts of the boards, say of the wiring."""
 
 import csv
 import io
@@ -10,7 +10,8 @@ import numpy as np
 
 from canskin.errors import InputError
 from canskin.messages import MEASUREMENT, AdaptiveMeasurement
-from gateway.wiring import Finding, Place, prove
+from gateway.count_reading import CountReading
+from gateway.wiring import Finding, Place, counts_as_sums, prove
 from shell.service import say
 from skin.chains import read_lines
 from skin.layout import Layout
@@ -39,6 +40,14 @@ def check_wiring(layout: Layout, recording: Path, path: Path | None, rest_s: flo
     times_s, sums = _sums(recording, phi)
     path_m = None if path is None else _path(path, times_s)
     return prove(phi, layout.taxels.surface, sums, path_m, int((times_s < rest_s).sum()))
+
+
+def check_counts(layout: Layout, reading: CountReading, path: Path | None) -> list[Finding]:
+    """Return what is not wired as the layout says, by the counts of the boards; `path` as for `check_wiring`."""
+    times_s, counts = reading.readings()
+    phi, sums = counts_as_sums(layout.phi(), counts)
+    path_m = None if path is None else _path(path, times_s)
+    return prove(phi, layout.taxels.surface, sums, path_m, reading.rest)
 
 
 def _sums(recording: Path, phi: Sbhe) -> tuple[Floats, Floats]:

@@ -61,9 +61,17 @@ def test_places_with_the_same_signs_are_not_told_apart() -> None:
         corrected_order(phi, findings)
 
 
-@pytest.mark.parametrize(("rest", "moments", "said"), [(0, 900, "without touch"), (20, 100, "expected 400 moments")])
-def test_a_stroke_that_tells_too_little(rest: int, moments: int, said: str) -> None:
-    phi, sums = MAT.phi(), np.zeros((moments, MAT.phi().shape[0]))
+@pytest.mark.parametrize(
+    ("rest", "moments", "force_n", "said"),
+    [
+        (0, 900, 1.0, "without touch"),
+        (20, 100, 1.0, "expected 400 moments"),
+        (20, 900, 0.0, "nothing touched"),
+    ],
+)
+def test_a_stroke_that_tells_too_little(rest: int, moments: int, force_n: float, said: str) -> None:
+    phi, sums = MAT.phi(), np.random.default_rng(0).normal(size=(moments, MAT.phi().shape[0]))
+    sums[rest:] += np.asarray(phi.forward(np.full(phi.taxels, 100 * force_n)))
     with pytest.raises(InputError, match=said):
         prove(phi, MAT.taxels.surface, sums, np.zeros((moments, 3)), rest)
 
