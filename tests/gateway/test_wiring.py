@@ -16,12 +16,10 @@ from nodes.sampler import new_sampler
 from shell.command import main
 from skin.chains import read_chains
 from skin.defects import Defects
-from skin.layout import Layout
 from skin.mcap_file import RecordingWriter
 from skin.measurement import of_rows
-from skin.sources import Frame
 from skin.sync_counter import next_counter
-from tests.gateway.wiring_errors import KINDS, REST, found_of, layout_of, measured, stroke, wired
+from tests.gateway.wiring_errors import KINDS, REST, Finger, found_of, layout_of, measured, stroke, wired
 from tests.layouts import layout_toml, small_layout
 
 MAT = layout_of("mat")
@@ -97,19 +95,6 @@ def test_the_corrected_file_is_what_is_wired(kind: str, tmp_path: Path) -> None:
     assert [[taxel for taxel in board if taxel >= 0] for board in read_chains(path, 10)] == held
 
 
-class Finger:
-    has_noise = False
-    step = 0
-
-    def __init__(self, layout: Layout) -> None:
-        self.path_m, self._force_n = stroke(layout, layout.phi(), np.random.default_rng(0), 6)
-        self._shape = layout.taxels.rows, layout.taxels.columns
-
-    def frame(self, step: int) -> Frame:
-        self.step = min(max(step, 0), len(self._force_n) - 1)
-        return Frame(self._force_n[self.step].reshape(self._shape), "")
-
-
 @pytest.mark.parametrize("wrong", ["swapped", "doubled", None])
 def test_the_simulated_skin_with_wiring_errors(
     wrong: str | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
@@ -117,7 +102,8 @@ def test_the_simulated_skin_with_wiring_errors(
     toml = layout_toml(8, 16)
     (tmp_path / "palm.toml").write_text(toml, encoding="utf-8")
     layout = small_layout(8, 16)
-    phi, finger = layout.phi(), Finger(layout)
+    phi = layout.phi()
+    finger = Finger(layout, *stroke(layout, phi, np.random.default_rng(0), 6))
     defects = Defects.of({wrong: 0.01} if wrong else {}, seed=3)
     sampler, counter = new_sampler(layout, phi, finger, defects=defects, noise_n=2e-4), 0
     writer = RecordingWriter(tmp_path / "stroke.mcap", {}, [], 0)

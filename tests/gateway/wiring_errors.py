@@ -13,6 +13,7 @@ from gateway.wiring import MOMENTS, Finding, counts_as_sums, prove
 from skin.frontend import converter
 from skin.layout import Layout, load_layout, parse_layout
 from skin.measurement import Sbhe, fast_hadamard
+from skin.sources import Frame
 from skin.surface import Floats, Indices
 from skin.taxel import NOISE_N
 
@@ -43,10 +44,32 @@ def stroke(
     places_m = np.tile(surface.positions_m[phi.is_wired], (passes, 1))
     aside_m = random.uniform(-0.3, 0.3, places_m.shape) * surface.pitch_m * (1, 1, not surface.is_flat)
     path_m = np.concatenate((np.zeros((REST, 3)), places_m + aside_m))
+    return path_m, pressed(layout, phi, path_m) * random.uniform(0.8, 1.2, (len(path_m), 1)).astype(np.float32)
+
+
+def pressed(layout: Layout, phi: Sbhe, path_m: Floats) -> npt.NDArray[np.float32]:
+    """Return the forces of a finger on a path that begins with `REST` moments without touch, shape (moments, n)."""
+    surface = layout.taxels.surface
     away = cdist(path_m, surface.positions_m) / surface.pitch_m
-    force_n = FORCE_N * np.maximum(0, 1 - np.square(away / RADIUS)) * random.uniform(0.8, 1.2, (len(path_m), 1))
+    force_n = FORCE_N * np.maximum(0, 1 - np.square(away / RADIUS))
     force_n[:REST], force_n[:, ~phi.is_wired] = 0, 0
-    return path_m, force_n.astype(np.float32)
+    return force_n.astype(np.float32)
+
+
+class Finger:
+    """A source of the touches of a finger."""
+
+    has_noise = False
+    step = 0
+
+    def __init__(self, layout: Layout, path_m: Floats, force_n: npt.NDArray[np.float32]) -> None:
+        self.path_m, self._force_n = path_m, force_n
+        self._shape = layout.taxels.rows, layout.taxels.columns
+
+    def frame(self, step: int) -> Frame:
+        """Return the touch at a step; the last one stays."""
+        self.step = min(max(step, 0), len(self._force_n) - 1)
+        return Frame(self._force_n[self.step].reshape(self._shape), "")
 
 
 def wired(phi: Sbhe, kind: str, random: np.random.Generator) -> tuple[Indices, set[tuple[object, ...]]]:

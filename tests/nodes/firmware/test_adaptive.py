@@ -104,11 +104,12 @@ def test_objects_that_boards_compute(contract: Contract) -> None:
     twins = AdaptiveTwins(contract)
     twins.nmt(START)
     seen = set()
+    of_taxels = (od.COEFFICIENT_NOISE, od.TAXEL_NOISE, od.SUMS, od.COARSE, od.COUNTS)
     for turn in range(6):
         run(twins, 200)
         twins.write(od.REFRESH, 0, bytes((turn * 3 & (1 << contract.layout.groups) - 1,)))
         for index, count in (
-            *((index, contract.phi.block_size) for index in (od.COEFFICIENT_NOISE, od.TAXEL_NOISE, od.SUMS, od.COARSE)),
+            *((index, contract.phi.block_size) for index in of_taxels),
             (od.FINE, contract.layout.groups),
         ):
             for sub in range(count + 1):
@@ -117,4 +118,5 @@ def test_objects_that_boards_compute(contract: Contract) -> None:
             seen.add((index, 0, twins.read(index)))
         seen |= {(od.SENDING, sub, twins.read(od.SENDING, sub)) for sub in range(14)}
         seen |= {(od.HEALTH, sub, twins.read(od.HEALTH, sub)) for sub in range(1, 5)}
-    assert len({value for index, _, value in seen if index == od.SUMS}) > contract.phi.block_size
+    for told in (od.SUMS, od.COUNTS):
+        assert len({value for index, _, value in seen if index == told}) > contract.phi.block_size

@@ -11,7 +11,7 @@ import pytest
 
 from dbc import indices as od
 from dbc.canopen import NMT_COB_ID, SDO_REQUEST_BASE, SYNC_COB_ID
-from dbc.contract import Contract
+from dbc.contract import Contract, NodeContract
 from dbc.dictionary import dictionary
 from nodes.electronics import Calibration
 from nodes.firmware.library import CompiledBoards, Firmware
@@ -74,7 +74,18 @@ def test_sums_and_frames_at_every_sync(name: str) -> None:
         python, c = windows(twins)
         assert np.array_equal(c, python)
         sent += len(twins.answers())
+    for node in twins.contract.on_bus(0):
+        assert read_counts(twins, node)
     assert sent >= 60
+
+
+def read_counts(twins: Twins, node: NodeContract) -> list[int]:
+    """Return the counts of a node that are not 0; both tell the same."""
+    for place in range(node.blocks):
+        for subindex in range(1, twins.contract.phi.block_size + 1):
+            index = od.of_block(od.COUNTS, place).to_bytes(2, "little")
+            twins.put(SDO_REQUEST_BASE + node.node_id, b"\x40" + index + bytes((subindex, 0, 0, 0, 0)))
+    return [count for _, _, data in twins.answers() if (count := int.from_bytes(data[4:6], "little"))]
 
 
 #: Gains at the ends of what REAL32 holds, and products that fall between two counts.
