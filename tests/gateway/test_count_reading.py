@@ -11,6 +11,7 @@ from canskin.errors import InputError, RunError
 from dbc.configuration import DIALOGUES
 from dbc.contract import Contract
 from gateway.count_reading import CountReading
+from gateway.node_command import node
 from gateway.wiring import Finding
 from gateway.wiring_check import check_counts
 from nodes.segment import Segment
@@ -21,7 +22,7 @@ from skin.layout import Layout
 from skin.surface import Floats
 from tests.gateway.helpers import Wire
 from tests.gateway.wiring_errors import REST, Finger, pressed, stroke
-from tests.layouts import ADAPTIVE, buses, small_layout
+from tests.layouts import ADAPTIVE, buses, layout_toml, small_layout
 
 STEP_S = 0.005
 
@@ -147,6 +148,12 @@ def test_another_master_is_refused() -> None:
 def test_a_stroke_for_which_the_readings_come_too_slowly_is_refused() -> None:
     with pytest.raises(InputError, match=r"expected --live \d+ or more: 4 readings of each taxel, .* got 1"):
         still().read(stroke_s=1.0)
+
+
+def test_analogue_boards_have_no_counts(tmp_path: Path) -> None:
+    (tmp_path / "palm.toml").write_text(layout_toml(taxels={"frontend": "analogue"}), encoding="utf-8")
+    with pytest.raises(InputError, match="analogue boards have no counts"):
+        node("check", layout=tmp_path / "palm.toml", live=9.0)
 
 
 def test_a_board_that_does_not_answer_is_named() -> None:

@@ -36,7 +36,7 @@ def test_boards_on_a_bus_are_checked(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_swapped_taxels_are_named_while_a_finger_strokes_the_skin(tmp_path: Path) -> None:
-    tables = {"bus": buses(2), "sync": {"rate_hz": 20}}
+    tables = {"bus": buses(4), "sync": {"rate_hz": 20}, "measurement": {"block_size": 16}}
     (tmp_path / "palm.toml").write_text(layout_toml(**tables), encoding="utf-8")
     layout = small_layout(**tables)
     _, force_n = stroke(layout, layout.phi(), np.random.default_rng(0), 8)
@@ -49,7 +49,7 @@ def test_swapped_taxels_are_named_while_a_finger_strokes_the_skin(tmp_path: Path
         touch = ["--input", str(tmp_path / "stroke.npy"), "--defect", "swapped=0.02"]
         processes.skin("nodes", "nodes", *palm, *touch, "--no-fabric")
         processes.await_words("nodes", "nodes")
-        command = [sys.executable, "-m", "skin", "node", "check", *palm, "--live", "24", "--rest", "0.7", "--json"]
+        command = [sys.executable, "-m", "skin", "node", "check", *palm, "--live", "36", "--rest", "0.7", "--json"]
         done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
     assert done.returncode == 1, done.stderr
     assert [each["kind"] for each in json.loads(done.stdout)] == ["swapped", "swapped"]
