@@ -171,7 +171,7 @@ def _are_plain(rows: npt.NDArray[np.uint8]) -> bool:
 
 def padded(burst: Frames) -> Frames:
     """Return the frames with lengths rounded up to lengths that have a DLC; only CAN FD frames change."""
-    if (burst["length"] > CLASSIC_BYTES).any():
+    if burst["flags"].any() and (burst["length"] > CLASSIC_BYTES).any():
         burst = burst.copy()
         burst["length"] = padded_length(burst["length"])
     return burst

@@ -17,4 +17,4 @@ def field(row: Any, first: int, count: int) -> int:
     value = np.int64(0)
     for byte in range(count):
         value |= np.int64(row[first + byte]) << np.int64(8 * byte)
-    return value
+    return int(value)

@@ -106,7 +106,8 @@ class ReconstructorService:
         """Find the contacts of an image; an image without any valid sum says nothing of them."""
         started_s = time.perf_counter()
         is_blind = message.valid_sums == 0
-        valid = self._phi.of_taxels(np.frombuffer(message.valid, np.bool_)).reshape(image.shape)
+        blocks = np.frombuffer(message.valid, np.bool_)
+        valid = None if blocks.all() else self._phi.of_taxels(blocks).reshape(image.shape)
         doubtful = doubtful_taxels(message, image.size)
         found, ended = ([], []) if is_blind else self._tracker.take(image, message.sampled_mono_ns, valid, doubtful)
         return Contacts(
