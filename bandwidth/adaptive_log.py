@@ -8,7 +8,6 @@ import numpy.typing as npt
 
 from bandwidth.measured import BusLoad, Identifiers, whole_cycles
 from dbc.adaptive import (
-    IDENTIFIERS,
     LEVELS,
     NO_CHECK,
     OTHER_CODES,
@@ -23,7 +22,7 @@ from dbc.contract import Contract
 from dbc.frame import Frames
 from dbc.frame_bits import frame_time_ns
 from shell.compiled import njit
-from skin.walsh import GROUPS
+from skin.sending import IDENTIFIERS
 
 #: What a frame of sums says: other values than before, the same bytes again (a refresh), details of the newest coarse
 #: frame of its group, details of another coarse frame, or details before the first coarse frame of the log.
@@ -69,7 +68,7 @@ class AdaptiveLoad:
 
 @dataclass(frozen=True, eq=False)
 class SumFrames:
-    """The frames of sums of a log, in its order; on CAN FD (`is_fd`) a frame counts as group 0, and stands for all.
+    """The frames of sums of a log, in its order; on CAN FD (`is_fd`) a frame counts as the first of its groups.
 
     Attributes
     ----------
@@ -93,11 +92,17 @@ class SumFrames:
 
 def sum_frames(contract: Contract, bus: int, taken: Frames) -> SumFrames:
     """Find the well-formed frames of sums of bus number `bus`, and follow what each group holds."""
-    is_fd, mine = contract.layout.bus[bus].fd, taken[Identifiers(contract, bus).is_right(taken)]
-    parts = np.array([frame_of(int(can_id), is_fd=is_fd) for can_id in mine["can_id"]], np.int64).reshape(-1, 4)
+    groups, is_fd, mine = (
+        contract.layout.groups,
+        contract.layout.bus[bus].fd,
+        taken[Identifiers(contract, bus).is_right(taken)],
+    )
+    parts = np.array(
+        [frame_of(int(can_id), groups=groups, is_fd=is_fd) for can_id in mine["can_id"]], np.int64
+    ).reshape(-1, 4)
     says, is_zero = np.empty(len(mine), np.int64), np.empty(len(mine), np.bool_)
     payloads = np.ascontiguousarray(mine["data"])
-    _follow(parts[:, 0] - 1, parts[:, 2], parts[:, 3] == 1, payloads, is_fd, says, is_zero)
+    _follow(parts[:, 0] - 1, parts[:, 2], parts[:, 3] == 1, payloads, groups, is_fd, says, is_zero)
     return SumFrames(mine, parts[:, 0], parts[:, 1], parts[:, 2], parts[:, 3] == 1, says, is_zero, is_fd)
 
 
@@ -144,11 +149,11 @@ def measure_adaptive(contract: Contract, bus: int, seen: Frames, load: BusLoad) 
 
 @njit(cache=True, nogil=True)
 def _follow(  # noqa: PLR0917  compiled functions take no keywords
-    node: Any, group: Any, is_fine: Any, payloads: Bytes, is_fd: bool, says: Any, is_zero: Any
+    node: Any, group: Any, is_fine: Any, payloads: Bytes, groups: int, is_fd: bool, says: Any, is_zero: Any
 ) -> None:
-    size = payload_bytes(False, is_fd)
-    check, zero = np.full((IDENTIFIERS, GROUPS), NO_CHECK, np.int64), np.zeros((IDENTIFIERS, GROUPS), np.bool_)
-    held = np.zeros((IDENTIFIERS, GROUPS, size), np.uint8)
+    size = payload_bytes(False, is_fd, groups)
+    check, zero = np.full((IDENTIFIERS, groups), NO_CHECK, np.int64), np.zeros((IDENTIFIERS, groups), np.bool_)
+    held = np.zeros((IDENTIFIERS, groups, size), np.uint8)
     for each in range(node.size):
         place, payload = (node[each], group[each]), payloads[each]
         coarse, is_known = payload[:size], check[place] != NO_CHECK

@@ -15,7 +15,6 @@ from dbc.adaptive import SendingRule
 from dbc.contract import Contract, sum_frame
 from dbc.frame_bits import frame_time_ns
 from skin.sources import load_objects, load_sender
-from skin.walsh import GROUPS
 
 #: Length of the simulated touches.
 TOUCHED_S: Final = 16.0
@@ -143,7 +142,9 @@ def _plan_bus(
     beats_ns = service_ns[urgency.streams.is_heartbeat]
     settled_ns, joined_ns = urgency.settled_ns, urgency.joined_ns
     wanted = line.nodes * urgency.frames_of_node * _SAMPLES_PER_S * urgency.coarse_frame_ns * 1e-9 + idle_worst
-    shortest_ns = frame_time_ns(sum_frame(line, is_fine=False), line.bitrate, line.data_bitrate, "none")[0]
+    shortest_ns = frame_time_ns(
+        sum_frame(line, contract.layout.groups, is_fine=False), line.bitrate, line.data_bitrate, "none"
+    )[0]
     buffered = math.ceil(CYCLES_BUFFERED * 1e9 / (rate_hz * shortest_ns))
     frames_fill = math.ceil((1 - idle_worst) * 1e9 / (_SAMPLES_PER_S * urgency.coarse_frame_ns))
     free = CAUTION - idle_worst
@@ -155,7 +156,7 @@ def _plan_bus(
         load_idle_worst=idle_worst,
         load_touched=None if touched is None else min(1.0, idle + touched),
         load_worst=min(1.0, wanted),
-        groups_fill=frames_fill * GROUPS // urgency.frames_of_node,
+        groups_fill=frames_fill * contract.layout.groups // urgency.frames_of_node,
         coarse_ms=milliseconds(news_ns),
         refresh_ms=milliseconds(urgency.refresh_ns),
         settled_coarse_ms=milliseconds(settled_ns[0]),

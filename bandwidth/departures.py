@@ -19,7 +19,6 @@ from dbc.frame import ERROR, Frames
 from dbc.frame_bits import frame_time_ns
 from skin.ranges import ranges_text
 from skin.sync_counter import next_counter
-from skin.walsh import GROUPS
 
 #: Largest relative difference between the mean SYNC period and the layout's.
 PERIOD_TOLERANCE = 0.01
@@ -204,7 +203,7 @@ def _silent(sums: SumFrames, planned: AdaptiveBusPlan, ended_ns: int) -> Iterato
         return
     most_ms = SendingRule().refresh_max + planned.refresh_ms + LATE_MS
     for node_id in np.unique(sums.node_id).tolist():
-        for group in range(GROUPS):
+        for group in np.unique(sums.group).tolist():
             mine = np.flatnonzero((sums.node_id == node_id) & (sums.group == group))
             times_ns = [*sums.frames["time_ns"][mine].tolist(), ended_ns]
             gaps_ms = [

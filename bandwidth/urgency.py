@@ -31,13 +31,12 @@ import numpy.typing as npt
 
 from bandwidth.response import ERROR_BITS, UNBOUNDED, arrivals, response_times_ns
 from bandwidth.traffic import Disturbance, Traffic, traffic
-from dbc.adaptive import LEVELS, PAUSE_MS, SAVED_FRAMES, SAVING_S, SendingRule, cob_id
+from dbc.adaptive import LEVELS, PAUSE_MS, SAVED_FRAMES, SAVING_S, SendingRule, carried, cob_id
 from dbc.adaptive_filter import SAMPLE_NS
 from dbc.configuration import DIALOGUES, QUIET_S, READ_S, TICK_S
 from dbc.contract import Contract, sum_frame, sum_frame_bits
 from dbc.dictionary import HEARTBEAT_MS
 from dbc.frame_bits import frame_time_ns, nominal_ns
-from skin.walsh import GROUPS
 
 Nanoseconds = npt.NDArray[np.int64]
 
@@ -60,16 +59,20 @@ class Urgency:
     allowed : Disturbance
         `jitter_s` is the longest time from a sample until its frame is queued.
     nodes : int
+    groups : int
+        Of sums, of a node.
     """
 
     streams: Traffic
     allowed: Disturbance
     nodes: int
+    groups: int
 
     @classmethod
     def of(cls, contract: Contract, bus: int, allowed: Disturbance) -> "Urgency":
         """Return the waiting times of bus number `bus`."""
-        return cls(traffic(contract, bus, allowed=allowed), allowed.of(contract.layout), len(contract.on_bus(bus)))
+        streams = traffic(contract, bus, allowed=allowed)
+        return cls(streams, allowed.of(contract.layout), len(contract.on_bus(bus)), contract.layout.groups)
 
     @cached_property
     def frame_ns(self) -> int:
@@ -83,12 +86,14 @@ class Urgency:
 
     def _frame_ns(self, *, is_fine: bool) -> int:
         line = self.streams.bus
-        return int(frame_time_ns(sum_frame(line, is_fine=is_fine), line.bitrate, line.data_bitrate, "worst")[0])
+        return int(
+            frame_time_ns(sum_frame(line, self.groups, is_fine=is_fine), line.bitrate, line.data_bitrate, "worst")[0]
+        )
 
     @property
     def frames_of_node(self) -> int:
-        """Frames that tell all sums of a node: one for each group, or on CAN FD one."""
-        return 1 if self.streams.bus.fd else GROUPS
+        """Frames that tell all sums of a node: one for each group, or on CAN FD for up to four."""
+        return self.groups // carried(self.groups, self.streams.bus.fd)
 
     @property
     def sync_ns(self) -> int:
@@ -136,7 +141,10 @@ class Urgency:
         shape = self.nodes, self.frames_of_node
         period_ns = _RULE.patience * _MS
         by_priority = self._responses(self.coarse_frame_ns, math.prod(shape), period_ns, self.jitter_ns)
-        identifiers = [cob_id(node, LEVELS - 1, group, False) for node, group in np.ndindex(shape)]
+        together = self.groups // shape[1]
+        identifiers = [
+            cob_id(node, LEVELS - 1, together * frame, False, self.groups) for node, frame in np.ndindex(shape)
+        ]
         rank = np.argsort(np.argsort(identifiers))
         return by_priority[rank].reshape(shape)
 
@@ -228,12 +236,12 @@ class Budgeted:
     @property
     def frame_bits(self) -> int:
         """Bits that a frame takes of a budget: those of the longest."""
-        return sum_frame_bits(self.urgency.streams.bus, is_fine=True)
+        return sum_frame_bits(self.urgency.streams.bus, self.urgency.groups, is_fine=True)
 
     @property
     def saved_bits(self) -> float:
         """Bits that a node can save up."""
-        return max(SAVED_FRAMES * self.frame_bits, SAVING_S * self.bits_per_s)
+        return max(SAVED_FRAMES * self.urgency.groups * self.frame_bits, SAVING_S * self.bits_per_s)
 
     @cached_property
     def full_ns(self) -> int:
@@ -276,7 +284,7 @@ class Budgeted:
 
         Details of all groups leave bits for a coarse frame of each; refreshes may have left the node in debt.
         """
-        count = SAVED_FRAMES + self.urgency.frames_of_node + 1
+        count = SAVED_FRAMES * self.urgency.groups + self.urgency.frames_of_node + 1
         saving_ns = round(count * self.frame_bits / self.bits_per_s * 1e9)
         return _sum(_RULE.fine_wait * _MS, saving_ns, self.urgency.jitter_ns, self.full_ns)
 

@@ -178,14 +178,14 @@ class Calibrator:
         self._waiting: Window | None = None
         self._newest_ns = self._needs_until_ns = self._tared_ns = 0
         self._noise = ClippedNoise(phi, clips=layout.samples_per_sync == 1 and not taxels.is_analogue)
-        self._finder = FieldFinder(phi, taxels.rows, taxels.columns)
+        self._finder = FieldFinder(phi, taxels.surface)
         nothing = np.zeros(phi.shape[0])
         self._finder.find(nothing, nothing == 0, 1.0)  # compiles: no gateway waits for that in a cycle
-        self._defects = DefectFinder(phi, taxels.columns, QUIET_COUNTS * sum_step_n(layout), say)
+        self._defects = DefectFinder(phi, taxels.surface, QUIET_COUNTS * sum_step_n(layout), say)
         self._taring = Taring(self._finder, least_noise_n(layout))
         temperature = TemperatureModel(phi.blocks)
         self._new_zero = partial(FollowedZero, layout, self._finder, temperature, self._windows.length_ns)
-        self._log = ZeroLog(say, taxels.columns, taxels.force_max_n)
+        self._log = ZeroLog(say, taxels.surface, taxels.force_max_n)
         self._corrections = Corrections(layout)
         self._followed: FollowedZero | None = None
         self.state = CalibrationState.MEASURING if tares else CalibrationState.OFF
@@ -362,7 +362,7 @@ class Calibrator:
         if found is None:
             return
         if found.touched is not None:
-            self._refuse(*divmod(found.touched, taxels.columns))
+            self._refuse(taxels.surface.name_of(found.touched))
             return
         if region is None and not self._is_own:
             region = np.ones(taxels.count, np.bool_)
@@ -403,10 +403,10 @@ class Calibrator:
         self.state = CalibrationState.FOLLOWING if self._tares else CalibrationState.LOADED
         self._tell(is_done=True, text=text)
 
-    def _refuse(self, row: int, column: int) -> None:
+    def _refuse(self, where: str) -> None:
         """Keep the zero there is; try again with the next window unless there is one."""
         text = (
-            f"something touches the skin or moves on it, around row {row}, column {column}: its zero is"
+            f"something touches the skin or moves on it, around {where}: its zero is"
             f" measured when it has been untouched for {self.tare_s:.3g} s"
         )
         if self._tares and (self._tared_ns or not self._is_own):

@@ -60,7 +60,8 @@ def tare(
         Whatever touches the skin now becomes part of its zero.
     region
         First row, first column, last row, last column, from 0: whatever stands there now becomes part of its
-        zero, and the rest of the skin keeps its zero. The page names the region of a doubtful contact.
+        zero, and the rest of the skin keeps its zero. The page names the region of a doubtful contact. A skin of
+        positions has one row, row 0, and the numbers of its taxels are columns.
     json
         Print one JSON object.
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from calibration.windows import Bools, Floats, Window
 from skin.measurement import Sbhe
+from skin.surface import Surface
 
 #: A sum is stuck when it has not changed in `STUCK_WINDOWS` windows in which `STUCK_PART` of the others of its block
 #: have, and saturated when it did not count in as many windows in which nothing touched its block.
@@ -53,8 +54,8 @@ class DefectFinder:
 
     Parameters
     ----------
-    columns : int
-        Of the grid of taxels.
+    surface : Surface
+        Of the skin.
     least_n : float
         Noise of a sum that is no defect anyhow, newtons.
     say : callable
@@ -66,8 +67,8 @@ class DefectFinder:
         In the newest window.
     """
 
-    def __init__(self, phi: Sbhe, columns: int, least_n: float, say: Callable[[str], None]) -> None:
-        self._phi, self._columns, self._least_n, self._say = phi, columns, least_n, say
+    def __init__(self, phi: Sbhe, surface: Surface, least_n: float, say: Callable[[str], None]) -> None:
+        self._phi, self._surface, self._least_n, self._say = phi, surface, least_n, say
         self.found = Defects(np.ones(phi.shape[0], np.bool_))
         self._unchanged, self._saturated = np.zeros((2, phi.shape[0]), np.intp)
         self._windows = np.zeros(phi.blocks, np.intp)
@@ -140,8 +141,7 @@ class DefectFinder:
         power: Floats = self._power[taxels]
         if power[first] < TAXEL_RATIO * power[second]:
             return ""
-        row, column = divmod(int(taxels[first]), self._columns)
-        return f", most likely of the taxel at row {row}, column {column}"
+        return f", most likely of {self._surface.name_of(int(taxels[first]))}"
 
 
 def _subject(text: str) -> str:

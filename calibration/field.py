@@ -20,6 +20,7 @@ from reconstructor.kernels.problem import places_of_sums, taxels_in_block_order
 from reconstructor.kernels.transforms import hadamard
 from reconstructor.settings import VARIATION
 from skin.measurement import Sbhe
+from skin.surface import Surface
 
 #: λ in deviations of Φᵀ noise: of noise alone no taxel of the field is above a tenth of the noise of the picture.
 PENALTY_RATIO: Final = 1.5
@@ -68,18 +69,18 @@ class FieldFinder:
 
     Parameters
     ----------
-    rows, columns : int
-        Of the grid.
+    surface : Surface
+        Of the skin.
 
     Attributes
     ----------
     phi : Sbhe
     """
 
-    def __init__(self, phi: Sbhe, rows: int, columns: int) -> None:
+    def __init__(self, phi: Sbhe, surface: Surface) -> None:
         settings = replace(VARIATION, iterations=ITERATIONS, penalty_n=1.0, nonnegative=False, scaled_start=False)
-        self._solver = FusedSolver(phi, rows, columns, settings)
-        self.phi, self._shape = phi, (rows, columns)
+        self._solver = FusedSolver(phi, *surface.shape, settings, edges=surface.graph)
+        self.phi, self._surface = phi, surface
         self._taxels, self._places = taxels_in_block_order(phi), places_of_sums(phi)
         #: Standard deviation of Φᵀ noise over that of the noise.
         self._gain = float(np.sqrt(phi.shape[0] / phi.blocks))
@@ -87,7 +88,7 @@ class FieldFinder:
         self.picture_gain: Final = self._gain / phi.block_size
         #: Sums of a skin where every force is 1.
         self._even = np.asarray(phi.forward(np.ones(phi.shape[1])), np.float64)
-        self._shifts = (phi.row_of_sum == 0) & _is_spread(phi, rows, columns)[phi.block_of_sum]
+        self._shifts = (phi.row_of_sum == 0) & _is_spread(phi, surface)[phi.block_of_sum]
 
     def least_n(self, noise_n: float) -> float:
         """Return the force from which on a taxel of a field is more than noise, newtons."""
@@ -100,8 +101,18 @@ class FieldFinder:
         return work[self._places]
 
     def opened(self, taxels: Bools) -> Bools:
-        """Return taxels, shape (n,), without those that are no square of others."""
-        return np.asarray(binary_opening(taxels.reshape(self._shape), _SQUARE).ravel(), np.bool_)
+        """Return taxels, shape (n,), without those that are in no square of others; on no grid: not in their 2-core.
+
+        The 2-core (Seidman 1983) is what is left when taxels with fewer than two neighbours go, again and again.
+        """
+        if self._surface.is_grid:
+            return np.asarray(binary_opening(taxels.reshape(self._surface.shape), _SQUARE).ravel(), np.bool_)
+        edges, left = self._surface.edges, taxels
+        while True:
+            kept = np.bincount(edges[left[edges].all(axis=1)].ravel(), minlength=left.size) >= 2
+            if kept.sum() == left.sum():
+                return kept
+            left = kept
 
     def find(self, sums_n: Floats, known: Bools, least_noise_n: float, *, is_sharp: bool = False) -> Field:
         """Return the field of sums.
@@ -148,11 +159,8 @@ def _deviation(values: Floats) -> float:
     return DEVIATION_OF_MEDIAN * float(np.median(np.abs(values))) if values.size else 0.0
 
 
-def _is_spread(phi: Sbhe, rows: int, columns: int) -> Bools:
+def _is_spread(phi: Sbhe, surface: Surface) -> Bools:
     """Tell of each block whether its taxels are spread over the skin; shape (blocks,)."""
-    block = phi.block_of_taxel.reshape(rows, columns)
-    edges = np.zeros(phi.blocks)
-    for first, second in ((block[1:], block[:-1]), (block[:, 1:], block[:, :-1])):
-        for side in (first, second):
-            edges += np.bincount(side[first != second], minlength=phi.blocks)[: phi.blocks]
-    return np.asarray(edges >= SPREAD_EDGES * phi.block_size, np.bool_)
+    low, high = phi.block_of_taxel[surface.edges].T
+    ends = np.concatenate((low[low != high], high[low != high]))
+    return np.asarray(np.bincount(ends, minlength=phi.blocks) >= SPREAD_EDGES * phi.block_size, np.bool_)

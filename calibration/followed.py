@@ -16,6 +16,7 @@ from canskin.calibration_messages import ZeroSupport
 from skin.frontend import sum_step_n
 from skin.layout import Layout
 from skin.measurement import Sbhe
+from skin.surface import Surface
 
 #: No noise is taken to be less than this part of a count: sums are whole numbers of counts.
 LEAST_STEP: Final = 0.3
@@ -131,8 +132,7 @@ class FollowedZero:
         )
         self.zero = Zero(
             phi,
-            taxels.rows,
-            taxels.columns,
+            taxels.surface,
             finder,
             follower,
             support=support,
@@ -210,14 +210,14 @@ class ZeroLog:
     ----------
     say : callable
         Writes a line to the log.
-    columns : int
-        Of the grid of taxels.
+    surface : Surface
+        Of the skin.
     force_max_n : float
         End of the range.
     """
 
-    def __init__(self, say: Callable[[str], None], columns: int, force_max_n: float) -> None:
-        self._say, self._columns = say, columns
+    def __init__(self, say: Callable[[str], None], surface: Surface, force_max_n: float) -> None:
+        self._say, self._surface = say, surface
         self._least_n = LOGGED_RATIO * force_max_n
         self._told_ns = 0
 
@@ -229,9 +229,9 @@ class ZeroLog:
             self._told_ns = followed.centre_ns
             self._say(f"forces of up to {1e3 * fall_n:.2g} mN a taxel below zero: the zero is corrected there")
         if doubt.since_ns and not followed.was_doubtful:
-            row, column = divmod(int(np.argmax(np.where(doubt.taxels, zero.force_n, 0))), self._columns)
+            where = self._surface.name_of(int(np.argmax(np.where(doubt.taxels, zero.force_n, 0))))
             self._say(
-                f"a force around row {row}, column {column} stands still: a still weight, or the zero has risen there;"
+                f"a force around {where} stands still: a still weight, or the zero has risen there;"
                 " marked as doubtful until it moves, ends, or 'skin tare --region' settles it"
             )
         elif followed.was_doubtful and not doubt.since_ns:

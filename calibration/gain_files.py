@@ -53,12 +53,12 @@ def stored_gains(skin: Layout, path: Path, force_n: float | None, before: Path |
         raise InputError("--before is for nodes that take off gains: boards that make sums in hardware take off none")
     require_sending(skin, "synchronous", "a recording of a rolled weight is", "expected a table of gains (.csv)")
     sums_n, images_n = _rolled(skin, path)
-    found = find_gains(skin.phi(), sums_n, images_n, force_n, is_analogue=taxels.is_analogue)
+    found = find_gains(skin.phi(), taxels.surface, sums_n, images_n, force_n, is_analogue=taxels.is_analogue)
     known = found.gains[found.known]
     say("calibration", f"{found.cycles} cycles; gains of {known.size} of {taxels.count} taxels, others stay 1")
     # What feels next to nothing is no matter of gain: a node would make its noise a force.
     gains = np.where(found.gains < LEAST_FELT, 1.0, found.gains)
-    words = defects_of(found, skin.phi(), taxels.columns)
+    words = defects_of(found, skin.phi(), taxels.surface)
     if found.sums is not None:
         say("calibration", f"gains of {sums_n.shape[1]} sums")
         return new_calibration(skin, gains=gains, sum_gains=found.sums, defects=words)
@@ -99,7 +99,6 @@ def _rolled(skin: Layout, path: Path) -> tuple[Floats, npt.NDArray[np.float32]]:
         raise InputError(f"{path}: its measurements have no offsets: record while the gateway follows the zero")
     if not both:
         raise RunError(f"{path}: no complete cycle with its image: play frames alone with 'skin replay --out' first")
-    shape = (taxels.rows, taxels.columns)
     sums_n = np.stack([measured[each] for each in both]).astype(np.float64) * taxels.newton_per_count
-    pixels: npt.NDArray[np.float32] = np.stack([np.frombuffer(images[each], "<f4").reshape(shape) for each in both])
+    pixels: npt.NDArray[np.float32] = np.stack([np.frombuffer(images[each], "<f4") for each in both])
     return sums_n, pixels

@@ -14,18 +14,22 @@ from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial.distance import cdist
 
 from calibration.windows import Bools, Floats
 from canskin.errors import InputError
 from skin.defects import SumGains
 from skin.frontend import LEAST_FELT, felt_by_sums, with_gains
 from skin.measurement import Sbhe, fast_hadamard
+from skin.surface import Surface
 
 #: A contact is what is above this part of an image's largest force.
 CONTACT_PART: Final = 0.05
-#: Width of a ring of the profile, and how far the profile goes beyond the mean contact, taxels.
+#: Width of a ring of the profile, and how far the profile goes beyond the mean contact, pitches.
 RING: Final = 0.25
 BEYOND: Final = 2.0
+#: A taxel is at the border of the skin where its neighbours leave an angle of more than this, degrees.
+BORDER_ANGLE: Final = 150.0
 #: Deviation of gains before they are measured.
 SPREAD: Final = 0.1
 #: The same of gains of sums. A common factor of a block's taxels is one of its sums, too: most of it is given to the
@@ -66,14 +70,16 @@ class Gains(NamedTuple):
     sums: SumGains | None = None
 
 
-def find_gains(phi: Sbhe, sums_n: Floats, images_n: Images, force_n: float, *, is_analogue: bool = False) -> Gains:
+def find_gains(
+    phi: Sbhe, surface: Surface, sums_n: Floats, images_n: Images, force_n: float, *, is_analogue: bool = False
+) -> Gains:
     """Return the gains of all taxels; raise InputError if the whole weight was on the skin in too few cycles.
 
     Parameters
     ----------
     sums_n : array, shape (cycles, m)
         Sums less their offsets, newtons; all of them valid.
-    images_n : array, shape (cycles, rows, columns)
+    images_n : array, shape (cycles, n) or (cycles, rows, columns)
         The images of these sums.
     force_n : float
         The weight's force.
@@ -85,17 +91,18 @@ def find_gains(phi: Sbhe, sums_n: Floats, images_n: Images, force_n: float, *, i
     gains = np.ones(phi.shape[1])
     known = np.zeros(phi.shape[1], np.bool_)
     of_sums = SumGains(np.ones(phi.shape[0]), np.zeros(phi.shape[0])) if is_analogue else None
-    cycles = 0
+    cycles, border, places = 0, _border(surface), surface.positions_m / surface.pitch_m
     for _ in range(PASSES):
-        felt_n = images_n / gains.reshape(images_n.shape[1:])
-        whole = np.flatnonzero(_is_whole(felt_n))
+        felt_n = images_n.reshape(len(images_n), -1) / gains
+        contact = _contact(felt_n)
+        whole = np.flatnonzero(contact.any(axis=1) & ~contact[:, border].any(axis=1))
         cycles = whole.size
         if cycles < LEAST_CYCLES:
             raise InputError(
                 f"the whole weight is on the skin in {cycles} cycles, expected {LEAST_CYCLES} or more, with nothing"
                 " else: roll it slowly over all of the skin"
             )
-        forces_n = _forces(felt_n[whole], force_n)
+        forces_n = _forces(felt_n[whole], places, force_n)
         if of_sums is None:
             gains, known = _solved(phi, sums_n[whole], forces_n, gains)
             continue
@@ -103,13 +110,10 @@ def find_gains(phi: Sbhe, sums_n: Floats, images_n: Images, force_n: float, *, i
     return Gains(gains, known, cycles, of_sums)
 
 
-def defects_of(found: Gains, phi: Sbhe, columns: int) -> list[str]:
+def defects_of(found: Gains, phi: Sbhe, surface: Surface) -> list[str]:
     """Return the taxels and sums that feel little or nothing, in words."""
     weak = np.flatnonzero(found.known & (found.gains < LEAST_FELT))
-    words = [
-        f"taxel {taxel} (row {taxel // columns}, column {taxel % columns}) feels {max(0.0, found.gains[taxel]):.0%}"
-        for taxel in weak.tolist()
-    ]
+    words = [f"{surface.name_of(taxel)} feels {max(0.0, found.gains[taxel]):.0%}" for taxel in weak.tolist()]
     if found.sums is not None:
         felt = felt_by_sums(phi, found.sums)
         words += [
@@ -121,52 +125,54 @@ def defects_of(found: Gains, phi: Sbhe, columns: int) -> list[str]:
 
 
 def _contact(images_n: Images) -> Bools:
-    contact: Bools = images_n > CONTACT_PART * images_n.max(axis=(1, 2), keepdims=True)
+    contact: Bools = images_n > CONTACT_PART * images_n.max(axis=1, keepdims=True)
     return contact
 
 
-def _is_whole(images_n: Images) -> Bools:
-    """Tell which images have a contact that does not touch the border of the skin."""
-    contact = _contact(images_n)
-    border = contact.copy()
-    border[:, 1:-1, 1:-1] = False
-    whole: Bools = np.logical_and(contact.any(axis=(1, 2)), ~border.any(axis=(1, 2)))
-    return whole
+def _border(surface: Surface) -> Bools:
+    """Return the taxels at the border of a skin, or of one of its gaps, shape (n,)."""
+    taxel, other = np.concatenate((surface.edges, surface.edges[:, ::-1])).T
+    normal = surface.normals[taxel]
+    across = np.cross(normal, np.eye(3)[np.abs(normal).argmin(axis=1)])
+    way = surface.positions_m[other] - surface.positions_m[taxel]
+    angle = np.arctan2((np.cross(normal, across) * way).sum(axis=1), (across * way).sum(axis=1))
+    order = np.lexsort((angle, taxel))
+    taxel, angle = taxel[order], angle[order]
+    first = np.searchsorted(taxel, np.arange(len(surface.positions_m)))
+    degree = np.bincount(taxel, minlength=len(first))
+    following = np.arange(1, len(taxel) + 1)
+    last = (first + degree - 1)[degree > 0]
+    following[last] = first[degree > 0]
+    left = np.zeros(len(first))
+    left[degree < 2] = 2 * np.pi
+    np.maximum.at(left, taxel, (angle[following] - angle) % (2 * np.pi))
+    return np.asarray(left > np.radians(BORDER_ANGLE), np.bool_)
 
 
-def _forces(images_n: Images, force_n: float) -> npt.NDArray[np.float32]:
-    """Return the forces of a round weight at the centre of each image, shape (cycles, n)."""
+def _forces(images_n: Images, places: Floats, force_n: float) -> npt.NDArray[np.float32]:
+    """Return the forces of a round weight at the centre of each image, shape (cycles, n).
+
+    `places` are the positions of the taxels in pitches.
+    """
     contact = _contact(images_n)
     radius = float(np.sqrt(contact.sum() / len(contact) / np.pi)) + BEYOND
     rings = int(np.ceil(radius / RING))
     total, count = np.zeros((2, rings))
     parts = [slice(begin, begin + _PART) for begin in range(0, len(images_n), _PART)]
-    centres = np.concatenate([_centres(np.where(contact[part], images_n[part], 0)) for part in parts])
+    pressed_n = (np.where(contact[part], images_n[part], 0) for part in parts)
+    centres = np.concatenate([each_n @ places / each_n.sum(axis=1, keepdims=True) for each_n in pressed_n])
     for part in parts:
-        ring = (_distances(centres[part], images_n.shape[1:]) / RING).astype(np.intp)
+        ring = (cdist(centres[part], places) / RING).astype(np.intp)
         inside = ring < rings
         total += np.bincount(ring[inside], images_n[part][inside], rings)
         count += np.bincount(ring[inside], minlength=rings)
     profile_n = total / np.maximum(count, 1)
     middles = (np.arange(rings) + 0.5) * RING
-    forces_n = np.empty((len(images_n), images_n[0].size), np.float32)
+    forces_n = np.empty(images_n.shape, np.float32)
     for part in parts:
-        shape_n = np.interp(_distances(centres[part], images_n.shape[1:]), middles, profile_n, right=0.0)
-        forces_n[part] = (shape_n * (force_n / shape_n.sum(axis=(1, 2), keepdims=True))).reshape(len(shape_n), -1)
+        shape_n = np.interp(cdist(centres[part], places), middles, profile_n, right=0.0)
+        forces_n[part] = shape_n * (force_n / shape_n.sum(axis=1, keepdims=True))
     return forces_n
-
-
-def _centres(images_n: Images) -> Floats:
-    """Return the centre of force of each image, shape (cycles, 2)."""
-    rows, columns = (np.arange(size) for size in images_n.shape[1:])
-    by_row, by_column = images_n.sum(axis=2), images_n.sum(axis=1)
-    centres: Floats = np.stack([by_row @ rows, by_column @ columns], axis=1) / by_row.sum(axis=1)[:, None]
-    return centres
-
-
-def _distances(centres: Floats, shape: tuple[int, ...]) -> Floats:
-    rows, columns = np.arange(shape[0])[None, :, None], np.arange(shape[1])[None, None, :]
-    return np.hypot(rows - centres[:, 0, None, None], columns - centres[:, 1, None, None])
 
 
 def _solved(phi: Sbhe, sums_n: Floats, forces_n: npt.NDArray[np.float32], before: Floats) -> tuple[Floats, Bools]:

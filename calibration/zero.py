@@ -18,7 +18,6 @@ from collections import deque
 from typing import Final
 
 import numpy as np
-from scipy.ndimage import binary_dilation
 
 from calibration.drift import DriftFollower, line_through
 from calibration.field import Field, FieldFinder
@@ -26,6 +25,7 @@ from calibration.taring import FLOOR_PART
 from calibration.windows import TARE_WINDOWS, Bools, Floats, Window
 from canskin.calibration_messages import ZeroSupport
 from skin.measurement import Sbhe
+from skin.surface import Surface
 
 #: Windows for which a force below 0 has to last while something touches.
 PROOF_WINDOWS: Final = 3
@@ -59,7 +59,7 @@ FALLEN_RATIO: Final = 0.5
 #: What is left is sudden from this ratio to the noise on, and of one sign from this ratio of the signs on.
 SUDDEN_RATIO: Final = 5.0
 ONE_SIGN_RATIO: Final = 3.0
-#: Taxels this far from a touch count as touched, too.
+#: Taxels at most this many edges from a touch count as touched, too.
 MARGIN: Final = 2
 
 
@@ -99,8 +99,7 @@ class Zero:
     def __init__(
         self,
         phi: Sbhe,
-        rows: int,
-        columns: int,
+        surface: Surface,
         finder: FieldFinder,
         follower: DriftFollower,
         *,
@@ -114,7 +113,7 @@ class Zero:
         self._near = self.touched
         self.held = np.zeros(phi.blocks, np.bool_)
         self.moved_n, self.fallen = np.zeros(taxels), np.zeros(taxels, np.bool_)
-        self._phi, self._finder, self._shape = phi, finder, (rows, columns)
+        self._phi, self._finder, self._surface = phi, finder, surface
         self._is_measured, self._is_stored = support is ZeroSupport.MEASURED, support is ZeroSupport.STORED
         self._follows, self._references = follows, references
         #: How far the zero of each taxel may fall, newtons.
@@ -224,9 +223,7 @@ class Zero:
         """Note what is touched."""
         self.force_n = np.maximum(force_n, 0)
         self.touched = force_n > least_n
-        self._near = self.touched
-        if self.touched.any():
-            self._near = binary_dilation(self.touched.reshape(self._shape), iterations=MARGIN).ravel()
+        self._near = self._surface.spread(self.touched, MARGIN if self.touched.any() else 0)
         self.held = np.zeros(self._phi.blocks, np.bool_)
         self.held[self._phi.blocks_of(self._near)] = True
         self._below_n = np.roll(self._below_n, 1, axis=0)

@@ -15,7 +15,7 @@ from classifier.used_sums import noise_ratios
 from shell.output import cache_folder
 from shell.service import say
 from skin.layout import Layout
-from skin.measurement import Sbhe
+from skin.measurement import Phi
 from skin.sources import DEFAULT_OBJECTS, StrokeKind, load_touches
 
 TOUCHES_PER_OBJECT: Final = 600
@@ -23,7 +23,7 @@ TOUCHES_PER_OBJECT: Final = 600
 FEATURES: Final[dict[StrokeKind, Features]] = {"slide": "energies", "press": "sums"}
 
 
-def cached_path(layout: Layout, phi: Sbhe, objects: Sequence[str], stroke: StrokeKind = "slide") -> Path:
+def cached_path(layout: Layout, phi: Phi, objects: Sequence[str], stroke: StrokeKind = "slide") -> Path:
     """Return the path of the model of this skin, these objects and this kind of touch."""
     about = msgspec.json.encode([layout.taxels, noise_ratios(layout), sorted(objects), *_unusual(layout, stroke)])
     return cache_folder() / f"model-{VERSION}-{phi.fingerprint}-{hashlib.sha256(about).hexdigest()[:8]}.npz"
@@ -44,7 +44,7 @@ def keep_model(model: Model, path: Path) -> None:
 
 
 def find_or_train(
-    layout: Layout, phi: Sbhe, objects: Sequence[str] = DEFAULT_OBJECTS, stroke: StrokeKind = "slide"
+    layout: Layout, phi: Phi, objects: Sequence[str] = DEFAULT_OBJECTS, stroke: StrokeKind = "slide"
 ) -> Model:
     """Return the cached model of this skin; without a usable model, train one and keep it first.
 

@@ -76,7 +76,7 @@ def classify(
     # A first decision compiles for a while: before the service is there, and not between two measurements.
     still = np.zeros(classified.shape[0], np.int32), np.ones(classified.blocks, np.bool_)
     Classifier(trained, classified).decide(*still)
-    fabric = Fabric(skin.name, "classifier", connect, stop=stop, fingerprint=skin.phi().fingerprint)
+    fabric = Fabric(skin.name, "classifier", connect, stop=stop, fingerprint=skin.operator().fingerprint)
     say("classifier", f"knows {', '.join(trained.metadata.classes)}")
     wake = None if skin.recognition is None else _wake(skin.recognition, fabric)
     try:

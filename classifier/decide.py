@@ -13,7 +13,7 @@ from classifier.newest_sums import NewestSums
 from classifier.novelty import Regions, novelty
 from classifier.observer import Observer
 from classifier.settling import SETTLING, Decision, Seen, Settling, logistic
-from skin.measurement import Sbhe
+from skin.measurement import Phi
 from skin.sending import SENDINGS
 
 #: After a gap of more cycles than this, or than three times those that are averaged if these are more, the decision
@@ -26,18 +26,18 @@ class Classifier:
 
     Parameters
     ----------
-    phi : Sbhe
+    phi : Phi
         The Φ of the model.
     settling : float
         As `weight` of `classifier.settling.Settling`. A model of means (`Metadata.cycles` above 1) needs a stronger
         contact until `cycles` cycles have come.
     """
 
-    def __init__(self, model: Model, phi: Sbhe, *, settling: float = SETTLING) -> None:
+    def __init__(self, model: Model, phi: Phi, *, settling: float = SETTLING) -> None:
         about = model.metadata
         self._model = model
         means = not SENDINGS[about.sending].in_cycles
-        self._observer = Observer(phi, about.rows, about.columns, model.no_touch, means=means)
+        self._observer = Observer(phi, model.surface, model.no_touch, means=means)
         self._newest = NewestSums(phi, about.cycles)
         self._features = np.zeros(model.offset.size)
         self._completion: Completion | None = None
@@ -84,7 +84,7 @@ class Classifier:
     def _look(self, valid_ratio: float) -> Seen:
         """Return what the newest sums show."""
         model, about, newest = self._model, self._model.metadata, self._newest
-        peak = self._observer.look(newest.sums, newest.valid, valid_ratio, newest.noise_ratio)
+        peak = self._observer.look(newest.sums, newest.valid, valid_ratio, newest.noise_ratio, self._cycle or 1)
         if self._completion is None:
             np.copyto(self._features, self._observer.features)
         else:

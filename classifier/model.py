@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from skin.sending import SendingName
+from skin.surface import Surface
 
 Float64 = npt.NDArray[np.float64]
 #: "energies" of the smoothed adjoint image (`classifier.features`), or "sums" as in the paper.
@@ -76,6 +77,8 @@ class Metadata(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         Limits grow by the factor 1 + `unknown_slack` x fraction of missing blocks.
     cycles : int
         Number of cycles over which sums are means (`classifier.newest_sums.NewestSums`).
+    surface : str
+        `Surface.fingerprint`: where the taxels lie; empty for a grid.
     sum_noise : float
         Variance of a sum that `Model.sum_loadings` do not explain; 0 without loadings.
     """
@@ -95,6 +98,7 @@ class Metadata(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     card: TrainingCard
     sending: SendingName = "synchronous"
     cycles: int = 1
+    surface: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,6 +107,8 @@ class Model:
 
     Attributes
     ----------
+    surface : Surface
+        Of the skin.
     weights : array, shape (pairs, features)
         In the order of `classifier.dag.pairs`, scaled so that the logistic of a margin is its confidence.
     biases : array, shape (pairs,)
@@ -117,6 +123,7 @@ class Model:
     """
 
     metadata: Metadata
+    surface: Surface
     weights: Float64
     biases: Float64
     offset: Float64
@@ -130,4 +137,4 @@ class Model:
 
 
 #: Names of the arrays of a model.
-ARRAYS: Final = tuple(each.name for each in fields(Model) if each.name != "metadata")
+ARRAYS: Final = tuple(each.name for each in fields(Model) if each.type is Float64)

@@ -20,7 +20,7 @@ from classifier.model import ARRAYS, VERSION, Metadata, Model
 from classifier.newest_sums import averaged_cycles
 from shell.output import write_file
 from skin.layout import Layout
-from skin.measurement import Sbhe
+from skin.measurement import Phi
 
 Arrays = dict[str, npt.NDArray[Any]]
 
@@ -53,7 +53,7 @@ def save_model(model: Model, path: Path) -> None:
         raise ModelError(f"{path}: cannot write the model: {error.strerror or error}") from error
 
 
-def load_model(path: Path, layout: Layout, phi: Sbhe) -> Model:
+def load_model(path: Path, layout: Layout, phi: Phi) -> Model:
     """Read a model for the skin of `layout`, whose classified Φ (`classifier.used_sums`) is `phi`.
 
     Raises
@@ -72,10 +72,10 @@ def load_model(path: Path, layout: Layout, phi: Sbhe) -> Model:
     except UNDECODABLE as error:
         raise ModelError(f"{path}: damaged model: {error}") from error
     _check_skin(path, about, layout, phi)
-    _check_arrays(path, about, arrays)
+    _check_arrays(path, about, arrays, len(widths_for(layout.taxels.surface)))
     if entries["digest"].tobytes() != _digest(metadata, arrays):
         raise ModelError(f"{path}: damaged model: its digest does not fit its content; train it again")
-    return Model(about, **arrays)
+    return Model(about, layout.taxels.surface, **arrays)
 
 
 def _entries(path: Path) -> Arrays:
@@ -95,7 +95,7 @@ def _entries(path: Path) -> Arrays:
     return entries
 
 
-def _check_skin(path: Path, about: Metadata, layout: Layout, phi: Sbhe) -> None:
+def _check_skin(path: Path, about: Metadata, layout: Layout, phi: Phi) -> None:
     taxels = layout.taxels
     expected = {
         "sending": (about.sending, layout.sending),
@@ -103,6 +103,7 @@ def _check_skin(path: Path, about: Metadata, layout: Layout, phi: Sbhe) -> None:
         "sums": (about.sums, phi.shape[0]),
         "rows": (about.rows, taxels.rows),
         "columns": (about.columns, taxels.columns),
+        "positions": (about.surface, taxels.surface.fingerprint),
         "newton per count": (about.newton_per_count, taxels.newton_per_count),
         "averaged cycles": (about.cycles, averaged_cycles(layout)),
     }
@@ -114,11 +115,11 @@ def _check_skin(path: Path, about: Metadata, layout: Layout, phi: Sbhe) -> None:
             )
 
 
-def _check_arrays(path: Path, about: Metadata, arrays: Arrays) -> None:
+def _check_arrays(path: Path, about: Metadata, arrays: Arrays, widths: int) -> None:
     classes = len(about.classes)
     if classes < 2 or len(set(about.classes)) < classes or "" in about.classes:
         raise ModelError(f"{path}: damaged model: expected 2 or more different object names")
-    for name, shape in _shapes(about, arrays).items():
+    for name, shape in _shapes(about, arrays, widths).items():
         array = arrays[name]
         if array.shape != shape or array.dtype != np.dtype("<f8"):
             raise ModelError(
@@ -133,9 +134,9 @@ def _check_arrays(path: Path, about: Metadata, arrays: Arrays) -> None:
         raise ModelError(f"{path}: damaged model: sum_noise must be above 0")
 
 
-def _shapes(about: Metadata, arrays: Arrays) -> dict[str, tuple[int, ...]]:
+def _shapes(about: Metadata, arrays: Arrays, widths: int) -> dict[str, tuple[int, ...]]:
     """Return the shape of every array; the numbers of regions and factors are taken from the arrays."""
-    planes, widths = len(pairs(len(about.classes))), len(widths_for(about.rows, about.columns))
+    planes = len(pairs(len(about.classes)))
     raw = about.features == "sums"
     features = about.sums if raw else 2 * widths
     sums = about.sums if raw else 0

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from skin.layout import Layout
-from skin.measurement import Sbhe
+from skin.measurement import Phi
 
 #: A missing block keeps its last sums, or their mean, for this number of cycles, or for half of those that are averaged
 #: if these are more; after that it is left out.
@@ -18,8 +18,8 @@ AVERAGED_S: Final = 0.04
 
 
 def averaged_cycles(layout: Layout) -> int:
-    """Return over how many cycles the classifier averages sums: 1 where nodes average, and where rates change."""
-    if layout.samples_per_sync > 1 or layout.recognition is not None:
+    """Return over how many cycles the classifier averages sums: 1 where nodes average, and where rates or Φ change."""
+    if layout.samples_per_sync > 1 or layout.recognition is not None or len(layout.measurement.matrix or ()) > 1:
         return 1
     return max(1, round(AVERAGED_S * layout.sync.rate_hz))
 
@@ -43,13 +43,14 @@ class NewestSums:
         many cycles without sums.
     """
 
-    def __init__(self, phi: Sbhe, cycles: int = 1) -> None:
+    def __init__(self, phi: Phi, cycles: int = 1) -> None:
         self.sums = np.zeros(phi.shape[0])
         self.valid = np.ones(phi.blocks, np.float32)
         self.noise_ratio = 1.0
         self._cycles = cycles
         self._old_weight = 1 - 2 / (cycles + 1)
-        self._hold = max(HOLD_CYCLES, cycles // 2)
+        #: Sums of another Φ are of no use.
+        self._hold = max(HOLD_CYCLES, cycles // 2) if phi.frames == 1 else 0
         self._work = np.zeros(phi.shape[0])
         #: Cycles since the newest sums of each block, and the variance of its mean / that of one cycle's sums.
         self._age = np.zeros(phi.blocks, np.int64)

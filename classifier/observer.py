@@ -7,7 +7,8 @@ import numpy as np
 import numpy.typing as npt
 
 from classifier.features import Smoothed
-from skin.measurement import Sbhe
+from skin.measurement import Phi
+from skin.surface import Surface
 
 #: Lower bound of a peak / its mean on the untouched skin.
 _LEAST_PEAK: Final = 0.05
@@ -24,10 +25,8 @@ class Observer:
         See `classifier.features.Smoothed`.
     """
 
-    def __init__(
-        self, phi: Sbhe, rows: int, columns: int, no_touch: npt.NDArray[np.float64], *, means: bool = False
-    ) -> None:
-        self.smoothed = Smoothed(phi, rows, columns, means=means)
+    def __init__(self, phi: Phi, surface: Surface, no_touch: npt.NDArray[np.float64], *, means: bool = False) -> None:
+        self.smoothed = Smoothed(phi, surface, means=means)
         self._energy_mean, self._energy_sd, self._peak_mean, self._peak_sd = no_touch.copy()
         widths = self._peak_mean.size
         self._standard = np.zeros(widths)
@@ -35,7 +34,12 @@ class Observer:
         self.features = np.zeros(2 * widths)
 
     def look(
-        self, sums: npt.NDArray[Any], valid: npt.NDArray[np.float32], valid_ratio: float, noise_ratio: float = 1.0
+        self,
+        sums: npt.NDArray[Any],
+        valid: npt.NDArray[np.float32],
+        valid_ratio: float,
+        noise_ratio: float = 1.0,
+        cycle: int = 1,
     ) -> float:
         """Fill `features` and return the largest standardised peak.
 
@@ -46,9 +50,11 @@ class Observer:
         noise_ratio : float
             Noise of the sums / noise of the sums that `no_touch` is of. The peaks of an untouched skin grow with this
             ratio, its energy with the square.
+        cycle : int
+            See `classifier.features.Smoothed.measure`.
         """
         smoothed, standard, half = self.smoothed, self._standard, self._standard.size
-        smoothed.measure(sums, valid, valid_ratio)
+        smoothed.measure(sums, valid, valid_ratio, cycle)
         np.multiply(self._energy_mean, -(noise_ratio**2), out=standard)
         standard += smoothed.energies
         standard /= self._energy_sd

@@ -74,7 +74,7 @@ def fit_known(
     if not regions.limits.size:
         return KnownRegions(regions, 0.0, 0.0)
     lost = int(extractor.blocks * MOST_LOST_RATIO)
-    spoilt = extractor.features(sums[validation], np.full(len(validation), lost), rng)
+    spoilt = extractor.features(sums[validation], np.full(len(validation), lost), rng, validation)
     ratio = extractor.blocks / lost if lost else 0.0
     without, with_loss = (np.array([novelty(one, regions) for one in seen]) for seen in (unseen, spoilt))
     wider = float(np.quantile(with_loss, _SLACK_QUANTILE) / np.quantile(without, _SLACK_QUANTILE)) - 1

@@ -13,7 +13,7 @@ from classifier.used_sums import noise_ratios, silence
 from skin.clipping import DEAD_RATIO, clipped_mean
 from skin.frontend import converter
 from skin.layout import Layout
-from skin.measurement import Sbhe
+from skin.measurement import Phi
 from skin.taxel import sense, to_counts
 
 #: Part of the cycles of an untouched skin that are above the threshold of contact.
@@ -34,7 +34,7 @@ class Untouched(NamedTuple):
 
 
 def simulate_sums(
-    force_n: Float32, layout: Layout, phi: Sbhe, noise_n: float | Float64, rng: np.random.Generator
+    force_n: Float32, layout: Layout, phi: Phi, noise_n: float | Float64, rng: np.random.Generator
 ) -> npt.NDArray[np.int32]:
     """Return simulated sums of true forces: noise, clipping, ADC, then Φ in counts.
 
@@ -50,6 +50,7 @@ def simulate_sums(
     Returns
     -------
     array of int32, shape (count, m)
+        Where Φ changes from frame to frame, the k-th observation, from 0, is of cycle k + 1.
     """
     taxels = layout.taxels
     flat = force_n.reshape(len(force_n), -1)
@@ -57,24 +58,29 @@ def simulate_sums(
     left = rng.uniform(least, most, len(flat)) if least < most else np.full(len(flat), most)
     own_n = np.broadcast_to(np.asarray(noise_n, np.float32), (len(flat),))
     sd = own_n * left.astype(np.float32)
-    of_sums = converter(layout)
+    of_sums, root = converter(layout), np.float32(layout.measurement.block_size**0.5)
     sums = np.empty((len(flat), phi.shape[0]), np.int32)
     for start in range(0, len(flat), _CHUNK):
         part = slice(start, start + _CHUNK)
         if of_sums is not None:
             sums_n = np.asarray(phi.forward(flat[part]), np.float32)
-            sums_n += rng.standard_normal(sums_n.shape, np.float32) * sd[part, None] * np.float32(phi.block_size**0.5)
+            sums_n += rng.standard_normal(sums_n.shape, np.float32) * sd[part, None] * root
             sums[part] = of_sums.counts(sums_n)
             continue
         signal_n = sense(flat[part], rng, sd[part, None], taxels.force_max_n)
         if not layout.sends.in_cycles:
-            silence(signal_n, flat[part], own_n[part, None] * np.float32(DEAD_RATIO), phi)
-        sums[part] = phi.forward(to_counts(signal_n, taxels))
+            silence(signal_n, flat[part], own_n[part, None] * np.float32(DEAD_RATIO), layout.phi())
+        counts = to_counts(signal_n, taxels)
+        if phi.frames == 1:
+            sums[part] = phi.forward(counts)
+            continue
+        for each, of_one in enumerate(counts, start):
+            sums[each] = phi.of_cycle(each + 1).forward(of_one)
     return sums
 
 
 def simulate_means(
-    force_n: Float32, layout: Layout, phi: Sbhe, noise_n: float | Float64, rng: np.random.Generator
+    force_n: Float32, layout: Layout, phi: Phi, noise_n: float | Float64, rng: np.random.Generator
 ) -> npt.NDArray[np.int32]:
     """Return simulated sums as the classifier averages them; see `simulate_sums`.
 
@@ -87,7 +93,7 @@ def simulate_means(
     return np.rint(expected + (sums - expected) * np.float32(cycles**-0.5)).astype(np.int32)
 
 
-def _expected_counts(force_n: Float32, layout: Layout, phi: Sbhe, noise_n: float | Float64) -> Float32:
+def _expected_counts(force_n: Float32, layout: Layout, phi: Phi, noise_n: float | Float64) -> Float32:
     """Return the mean of the sums of boards that sample once a cycle, counts, shape (count, m)."""
     taxels = layout.taxels
     expected = np.empty((len(force_n), phi.shape[0]), np.float32)
@@ -101,19 +107,19 @@ def _expected_counts(force_n: Float32, layout: Layout, phi: Sbhe, noise_n: float
     return expected
 
 
-def observe_untouched(layout: Layout, phi: Sbhe, noise_n: float, count: int, rng: np.random.Generator) -> Untouched:
+def observe_untouched(layout: Layout, phi: Phi, noise_n: float, count: int, rng: np.random.Generator) -> Untouched:
     """Measure `count` draws of the untouched skin.
 
     `FALSE_ALARM_RATIO` of the draws have a largest standardised peak above the threshold.
     """
     taxels = layout.taxels
     still = np.broadcast_to(np.float32(0), (count, taxels.count))
-    ignorant = np.ones((4, len(widths_for(taxels.rows, taxels.columns))))
-    observer = Observer(phi, taxels.rows, taxels.columns, ignorant, means=not layout.sends.in_cycles)
+    ignorant = np.ones((4, len(widths_for(taxels.surface))))
+    observer = Observer(phi, taxels.surface, ignorant, means=not layout.sends.in_cycles)
     whole = np.ones(phi.blocks, np.float32)
     seen = np.empty((count, 2, ignorant.shape[1]))
-    for one, sums in zip(seen, simulate_means(still, layout, phi, noise_n, rng), strict=True):
-        observer.look(sums, whole, 1.0)
+    for cycle, (one, sums) in enumerate(zip(seen, simulate_means(still, layout, phi, noise_n, rng), strict=True), 1):
+        observer.look(sums, whole, 1.0, cycle=cycle)
         one[:] = observer.smoothed.energies, observer.smoothed.peaks
     mean = seen.mean(axis=0)
     sd = np.maximum(seen.std(axis=0), np.finfo(np.float32).tiny)
@@ -130,9 +136,9 @@ class FeatureExtractor:
     no_touch : array, shape (4, widths)
     """
 
-    def __init__(self, layout: Layout, phi: Sbhe, no_touch: Float64) -> None:
+    def __init__(self, layout: Layout, phi: Phi, no_touch: Float64) -> None:
         taxels, means = layout.taxels, not layout.sends.in_cycles
-        self._observer = Observer(phi, taxels.rows, taxels.columns, no_touch, means=means)
+        self._observer = Observer(phi, taxels.surface, no_touch, means=means)
         self._valid = np.ones(phi.blocks, np.float32)
         self._sending = np.flatnonzero(phi.has_sums)
 
@@ -141,14 +147,24 @@ class FeatureExtractor:
         """Number of blocks that send sums."""
         return self._sending.size
 
-    def features(self, sums: npt.NDArray[np.int32], lost: npt.NDArray[np.intp], rng: np.random.Generator) -> Float64:
-        """Return the features of `sums`, shape (count, 2 widths), with `lost` missing blocks in each."""
+    def features(
+        self,
+        sums: npt.NDArray[np.int32],
+        lost: npt.NDArray[np.intp],
+        rng: np.random.Generator,
+        which: npt.NDArray[np.intp] | None = None,
+    ) -> Float64:
+        """Return the features of `sums`, shape (count, 2 widths), with `lost` missing blocks in each.
+
+        `which` are the numbers of the observations among those of `simulate_sums`; default: all, in order.
+        """
         seen = np.empty((len(sums), self._observer.features.size))
-        for one, gone, made in zip(sums, lost, seen, strict=True):
+        cycles = np.arange(len(sums)) if which is None else which
+        for one, gone, made, cycle in zip(sums, lost, seen, cycles.tolist(), strict=True):
             self._valid.fill(1)
             if gone:
                 self._valid[self._sending[rng.permutation(self.blocks)[:gone]]] = 0
-            self._observer.look(one, self._valid, float(self._valid[self._sending].mean()))
+            self._observer.look(one, self._valid, float(self._valid[self._sending].mean()), cycle=cycle + 1)
             made[:] = self._observer.features
         return seen
 

@@ -11,11 +11,11 @@ from canskin.fabric import Exchange
 from canskin.messages import LABEL, MEASUREMENT, RECOGNITION, Label, Measurement, Topic
 from classifier.decide import FORGET_CYCLES, Classifier
 from classifier.settling import Decision
-from classifier.used_sums import classified_phi
+from classifier.used_sums import classified_phi, coarse_sums
 from shell.service import StopSignal
 from skin.layout import Layout
 from skin.measured_sums import AdaptiveSums, MeasurementReader, decode_adaptive, decode_measurement
-from skin.measurement import Sbhe, places
+from skin.measurement import Phi, places
 
 #: Period of the check of the stop signal.
 _TURN_S = 0.1
@@ -52,7 +52,7 @@ class _Service:
 
     _reader: MeasurementReader[Any]
 
-    def __init__(self, classifier: Classifier, phi: Sbhe, fabric: Exchange, topic: Topic, *, waiting: int) -> None:
+    def __init__(self, classifier: Classifier, phi: Phi, fabric: Exchange, topic: Topic, *, waiting: int) -> None:
         self.labelled = 0
         self._classifier = classifier
         self._sums_of_block = np.diff(phi.starts)
@@ -139,7 +139,7 @@ class AdaptiveClassifierService(_Service):
     def __init__(self, classifier: Classifier, layout: Layout, fabric: Exchange) -> None:
         super().__init__(classifier, layout.phi(), fabric, MEASUREMENT, waiting=1)
         self._reader = MeasurementReader(layout.phi(), "classifier", decode_adaptive)
-        self._places = places(layout.phi(), classified_phi(layout))
+        self._places = places(layout.phi(), coarse_sums(layout))
         self._newest: tuple[Measurement, AdaptiveSums] | None = None
         self._cycle = self._repeated = 0
         self._due_ns: int | None = None

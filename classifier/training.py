@@ -27,7 +27,7 @@ from classifier.samples import (
 from classifier.used_sums import classified_phi
 from classifier.validation import Chosen, choose_C, global_scale
 from skin.layout import Layout
-from skin.measurement import Sbhe
+from skin.measurement import Phi, Sbhe
 from skin.taxel import NOISE_N
 
 #: C is chosen from these.
@@ -77,7 +77,7 @@ class _Training:
 
     options: TrainingOptions
     layout: Layout
-    phi: Sbhe
+    phi: Phi
     names: npt.NDArray[np.str_]
     split: _Split
     extractor: FeatureExtractor
@@ -110,7 +110,9 @@ def train(
     names = np.asarray(labels, np.str_)
     _check(force_n, names, layout, options)
     phi = classified_phi(layout)
-    if not phi.row_of_sum.any():
+    if options.features == "sums" and phi.frames > 1:
+        raise InputError("sums whose Φ changes from frame to frame are no features: expected energies")
+    if isinstance(phi, Sbhe) and not phi.row_of_sum.any():
         raise InputError(
             f"all {phi.shape[0]} rows of this layout are row 0, the sum of a block, which shows no contact: "
             "choose more rows, or others"
@@ -153,9 +155,11 @@ def train(
         card=_card(training, chosen, standard, known),
         sending=layout.sending,
         cycles=averaged_cycles(layout),
+        surface=layout.taxels.surface.fingerprint,
     )
     planes = chosen.machine.weights_ * slope, chosen.machine.biases_ * slope
-    return Model(about, *planes, offset, scale, untouched.no_touch, *known.regions, factors.mean, factors.loadings)
+    learnt = *planes, offset, scale, untouched.no_touch, *known.regions, factors.mean, factors.loadings
+    return Model(about, layout.taxels.surface, *learnt)
 
 
 def _features(training: _Training, force_n: Float32, plain: npt.NDArray[np.int32]) -> tuple[Float64, Factors]:

@@ -8,8 +8,8 @@ import numpy.typing as npt
 
 from classifier.features import Float32
 from skin.layout import Layout
-from skin.measurement import Sbhe
-from skin.walsh import grouped_rows
+from skin.measurement import Phi, Sbhe
+from skin.walsh import coarse_rows
 
 #: What nodes that average leave of the noise: less where a touch rests, more where a touch moves.
 AVERAGED_NOISE_RATIO: Final = 0.2
@@ -20,16 +20,16 @@ AVERAGED_NOISE_RATIO: Final = 0.2
 ADAPTIVE_NOISE_RATIOS: Final = (0.2, 0.6)
 
 
-def classified_phi(layout: Layout) -> Sbhe:
-    """Return the Φ of the sums that the classifier uses: those of a cycle, all or those of recognition.
+def classified_phi(layout: Layout) -> Phi:
+    """Return the Φ of the sums that the classifier uses: of a cycle, or of recognition; else `coarse_sums`."""
+    return layout.recognising().operator() if layout.sends.in_cycles else coarse_sums(layout)
 
-    Of adaptive sums group 0 of each block: the sums that show means of 2 x 2 taxels.
-    """
-    if layout.sends.in_cycles:
-        return layout.recognising().phi()
+
+def coarse_sums(layout: Layout) -> Sbhe:
+    """Return the Φ of a quarter of the adaptive sums of each block: those that show means of 2 x 2 taxels."""
     phi = layout.phi()
     kept = np.zeros_like(phi.kept)
-    kept[:, grouped_rows(phi.block_size)[0]] = True
+    kept[:, coarse_rows(phi.block_size)] = True
     return replace(phi, kept=kept)
 
 

@@ -4,8 +4,8 @@ A *coarse* frame carries the eight sums of a group, each as a companded byte tha
 refines the values of the newest coarse frame of its group: seven bits of each sum, and a check that tells which coarse
 frame it belongs to.
 
-A CAN FD frame carries all groups: its *parts* are the payloads of four coarse frames, and in a fine frame the payloads
-of the four fine frames that refine these.
+A CAN FD frame carries up to four groups, and is called by the first of them: its *parts* are the payloads of their
+coarse frames, and in a fine frame the payloads of the fine frames that refine these.
 """
 
 import math
@@ -15,32 +15,25 @@ import numpy as np
 import numpy.typing as npt
 
 from shell.compiled import njit
-from skin.layout import ADAPTIVE_BLOCK, ADAPTIVE_NODES
-from skin.walsh import GROUPS
+from skin.sending import IDENTIFIERS, groups_of_frame
+from skin.walsh import GROUP_ROWS
 
-#: Sums of a block, one for each taxel, and of a group, one byte each in a coarse frame.
-BLOCK_SUMS: Final = ADAPTIVE_BLOCK
-GROUP_SUMS: Final = BLOCK_SUMS // GROUPS
+#: Sums of a group, one byte each in a coarse frame.
+GROUP_SUMS: Final = GROUP_ROWS
 #: Urgency levels of coarse frames, 0 the lowest, and of fine frames.
 LEVELS: Final = 6
 FINE_LEVELS: Final = 2
-#: Kinds and levels of frames: the TPDOs of a node on CAN FD.
+#: Kinds and levels of frames: a node has this number of TPDOs for each frame that it divides its groups into.
 KINDS: Final = LEVELS + FINE_LEVELS
-#: Frames of each kind, level and group that a classic node owns: its TPDOs.
-TPDOS: Final = GROUPS * KINDS
-#: Nodes of a classic bus: each owns one identifier in `NODES` for each TPDO.
-NODES: Final = ADAPTIVE_NODES
-#: Identifiers of a kind and level: those of all nodes, on a classic bus of each group.
-IDENTIFIERS: Final = GROUPS * NODES
 #: COB-ID of the first TPDO of node 1; those of all nodes end at 580h, below the SDO answers.
 FIRST_COB_ID: Final = 0x181
 #: No TPDO starts in this time after a SYNC, so that SDO answers and heartbeats find room on a full bus.
 PAUSE_MS: Final = 2
 #: Time from a frame's expiry until frame and echo are given up for lost.
 LOST_NS: Final = 500_000_000
-#: A node can save up its budget of this time, and at least that of this number of frames.
+#: A node can save up its budget of this time, and at least that of this number of frames for each group.
 SAVING_S: Final = 0.25
-SAVED_FRAMES: Final = 2 * GROUPS
+SAVED_FRAMES: Final = 2
 #: Largest codes of the mean row, and on each side of 0 of the other rows.
 MEAN_CODES: Final = 255
 OTHER_CODES: Final = 127
@@ -66,8 +59,8 @@ class SendingRule(NamedTuple):
     """When sums are sent; times in samples of 1 ms.
 
     A group is news when the squared difference between its sums and those that were sent exceeds the threshold
-    ``8 · 32 · (noise_ratio · σ)² + variance_ratio · Σ Var``, σ the node's noise. Differences below `rounding` coarse
-    steps do not count.
+    ``8 · B · (noise_ratio · σ)² + variance_ratio · Σ Var``, B the places of the node's taxels, σ its noise. Differences
+    below `rounding` coarse steps do not count.
 
     Attributes
     ----------
@@ -127,7 +120,7 @@ class Companding(NamedTuple):
     fine_n: float
 
 
-def companding(force_max_n: float, step_n: float, taxels: int = BLOCK_SUMS) -> Companding:
+def companding(force_max_n: float, step_n: float, taxels: int) -> Companding:
     """Return the code of blocks of `taxels` taxels: steps of `step_n` near 0, and a range that no sum leaves.
 
     Parameters
@@ -155,58 +148,65 @@ def _slope(steps: float, codes: int) -> float:
     return low
 
 
-@njit(cache=True, nogil=True)
-def tpdo_index(level: int, group: int, is_fine: bool) -> int:
-    """Return the place of a frame among the TPDOs of its node, 0 the most urgent."""
-    first = GROUPS * (LEVELS + FINE_LEVELS - 1 - level) if is_fine else GROUPS * (LEVELS - 1 - level)
-    return int(first + group)
+#: How many groups a frame carries, for compiled code.
+carried: Final = njit(cache=True, nogil=True)(groups_of_frame)
 
 
 @njit(cache=True, nogil=True)
-def cob_id(node: int, level: int, group: int, is_fine: bool) -> int:
-    """Return the identifier of a frame of the node with node-ID `node` + 1; on CAN FD the group is 0."""
-    return FIRST_COB_ID + NODES * tpdo_index(level, group, is_fine) + node
+def tpdo_index(level: int, group: int, is_fine: bool, groups: int) -> int:
+    """Return the place of a frame among the TPDOs of a node with `groups`, 0 the most urgent.
+
+    On CAN FD the places of groups that are not the first of their frame stay empty.
+    """
+    return int(groups * (KINDS - 1 - level if is_fine else LEVELS - 1 - level) + group)
+
+
+def cob_id(node: int, level: int, group: int, is_fine: bool, groups: int) -> int:
+    """Return the identifier of a frame of the node with node-ID `node` + 1 and `groups` groups."""
+    kind = tpdo_index(level, 0, is_fine, 1)
+    return FIRST_COB_ID + IDENTIFIERS * kind + IDENTIFIERS // groups * group + node
 
 
 @njit(cache=True, nogil=True)
-def decode_cob_id(identifier: int, is_fd: bool) -> tuple[int, int, int]:
-    """Return kind and level as a number (from `LEVELS` on: fine), group and node of an identifier.
+def decode_cob_id(identifier: int, groups: int, is_fd: bool) -> tuple[int, int, int]:
+    """Return kind and level as a number (from `LEVELS` on: fine), first group and node of an identifier.
 
-    The number is -1 for identifiers that are no sums. The node is the node-ID less 1; the group is 0 on CAN FD.
+    The number is -1 for identifiers that are no sums. The node is the node-ID less 1, of nodes with `groups` groups.
     """
     kind, column = (identifier - FIRST_COB_ID) // IDENTIFIERS, (identifier - FIRST_COB_ID) % IDENTIFIERS
     if identifier < FIRST_COB_ID or kind >= KINDS:
         return -1, 0, 0
-    return (kind, 0, column) if is_fd else (kind, column // NODES, column % NODES)
+    together = carried(groups, is_fd)
+    nodes = IDENTIFIERS // groups * together
+    return kind, column // nodes * together, column % nodes
 
 
-def frame_of(identifier: int, *, is_fd: bool = False) -> tuple[int, int, int, bool]:
-    """Return the node-ID, level, group (0 on CAN FD) and whether it is fine of an identifier of sums."""
-    kind, group, node = decode_cob_id(identifier, is_fd)
+def frame_of(identifier: int, *, groups: int, is_fd: bool = False) -> tuple[int, int, int, bool]:
+    """Return the node-ID, level, first group and whether it is fine of an identifier of sums."""
+    kind, group, node = decode_cob_id(identifier, groups, is_fd)
     if kind < LEVELS:
         return node + 1, LEVELS - 1 - kind, group, False
     return node + 1, KINDS - 1 - kind, group, True
 
 
 @njit(cache=True, nogil=True)
-def parts_of(is_fine: bool, is_fd: bool) -> int:
-    """Return how many payloads of `GROUP_SUMS` bytes a frame holds."""
-    if not is_fd:
-        return 1
-    return 2 * GROUPS if is_fine else GROUPS
+def parts_of(is_fine: bool, is_fd: bool, groups: int) -> int:
+    """Return how many payloads of `GROUP_SUMS` bytes a frame of a node with `groups` groups holds."""
+    return carried(groups, is_fd) * (2 if is_fine and is_fd else 1)
 
 
 @njit(cache=True, nogil=True)
-def payload_bytes(is_fine: bool, is_fd: bool) -> int:
-    """Return the payload of a frame in bytes: 8; on CAN FD 32, and 64 with fine parts."""
-    return GROUP_SUMS * parts_of(is_fine, is_fd)
+def payload_bytes(is_fine: bool, is_fd: bool, groups: int) -> int:
+    """Return the payload of a frame in bytes: 8 for each part."""
+    return GROUP_SUMS * parts_of(is_fine, is_fd, groups)
 
 
 @njit(cache=True, nogil=True)
-def part_of(part: int, group: int, is_fine: bool, is_fd: bool) -> tuple[int, bool]:
+def part_of(part: int, group: int, is_fine: bool, is_fd: bool, groups: int) -> tuple[int, bool]:
     """Return the group of a part of a frame, and whether the part is fine; `group` and `is_fine` are the frame's."""
     if is_fd:
-        return part % GROUPS, part >= GROUPS
+        together = carried(groups, is_fd)
+        return group + part % together, part >= together
     return group, is_fine
 
 
@@ -269,7 +269,7 @@ def hold_coarse(  # noqa: PLR0917  compiled functions take no keywords
         Place of the frame's first sum in its block.
     is_held : bool
         Whether the group's values are known: a finer value that the code does not contradict then stays.
-    value_n, coarse_n : arrays of float64, shape (BLOCK_SUMS,)
+    value_n, coarse_n : arrays of float64, shape (sums,)
         Newest values of the block's sums and those of its newest coarse frames, newtons; written.
     """
     for place in range(GROUP_SUMS):
@@ -330,9 +330,10 @@ def refines(payload: Bytes, group: int, is_fd: bool, check: npt.NDArray[np.int64
     """Tell whether the fine parts of a fine frame refine what is held, on CAN FD the coarse parts of the same frame."""
     if not is_fd:
         return bool(check[group] == int(payload[GROUP_SUMS - 1]))
-    for part in range(GROUPS):
+    together = carried(check.size, is_fd)
+    for part in range(together):
         coarse = payload[GROUP_SUMS * part : GROUP_SUMS * (part + 1)]
-        if check_of(coarse) != int(payload[GROUP_SUMS * (GROUPS + part + 1) - 1]):
+        if check_of(coarse) != int(payload[GROUP_SUMS * (together + part + 1) - 1]):
             return False
     return True
 
@@ -356,9 +357,9 @@ def hold(  # noqa: PLR0917  compiled functions take no keywords
     ----------
     payload : array of uint8
         At least `payload_bytes` long.
-    value_n, coarse_n : arrays of float64, shape (BLOCK_SUMS,)
+    value_n, coarse_n : arrays of float64, shape (sums,)
         See `hold_coarse`; written.
-    check : array of int64, shape (GROUPS,)
+    check : array of int64, shape (groups,)
         Checks of the newest coarse payloads, `NO_CHECK` before the first; written.
 
     Returns
@@ -368,8 +369,8 @@ def hold(  # noqa: PLR0917  compiled functions take no keywords
     """
     if is_fine and not refines(payload, group, is_fd, check):
         return False
-    for part in range(parts_of(is_fine, is_fd)):
-        each, is_fine_part = part_of(part, group, is_fine, is_fd)
+    for part in range(parts_of(is_fine, is_fd, check.size)):
+        each, is_fine_part = part_of(part, group, is_fine, is_fd, check.size)
         mine, sums = (
             payload[GROUP_SUMS * part : GROUP_SUMS * (part + 1)],
             slice(GROUP_SUMS * each, GROUP_SUMS * (each + 1)),

@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from canskin.errors import LayoutError
-from dbc.adaptive import FIRST_COB_ID, IDENTIFIERS, KINDS, NODES, TPDOS, Companding, companding, frame_of, payload_bytes
+from dbc.adaptive import FINE_LEVELS, LEVELS, Companding, carried, cob_id, companding, payload_bytes
 from dbc.adaptive_filter import SAMPLE_NS
 from dbc.canopen import HIGHEST_NODE_ID, SYNC_COB_ID, TPDO_BASES
 from dbc.frame import BRS, CLASSIC_BYTES, FD, FD_BYTES, FD_LENGTHS, Frames, frames, one_frame
@@ -29,7 +29,6 @@ from skin.layout import Bus, Layout
 from skin.measurement import Sbhe, places
 from skin.sending import COARSE_STEP_RATIO
 from skin.sync_counter import SYNC_OVERFLOW
-from skin.walsh import GROUPS
 
 #: Most bytes of one object in an SDO transfer; far above the size of any object of a node.
 LONGEST_VALUE: Final = 256
@@ -62,7 +61,7 @@ class AdaptiveTpdo:
     """One transmit PDO of an adaptive node: the sums of a group (`skin.walsh.grouped_rows`) at a level of urgency.
 
     A coarse frame carries the eight sums, a fine frame (`is_fine`) what refines them (`dbc.adaptive`). A CAN FD frame
-    carries all groups, the coarse codes in fine frames, too; its `group` is 0.
+    carries several of the `of_node` groups, the coarse codes in fine frames, too; `group` is the first of them.
     """
 
     number: int
@@ -70,12 +69,13 @@ class AdaptiveTpdo:
     level: int
     group: int
     is_fine: bool
-    is_fd: bool = False
+    is_fd: bool
+    of_node: int
 
     @property
     def length(self) -> int:
         """Payload in bytes."""
-        return int(payload_bytes(self.is_fine, self.is_fd))
+        return int(payload_bytes(self.is_fine, self.is_fd, self.of_node))
 
     @property
     def kind(self) -> str:
@@ -85,7 +85,7 @@ class AdaptiveTpdo:
     @property
     def groups(self) -> range:
         """The groups that the frame carries."""
-        return range(GROUPS) if self.is_fd else range(self.group, self.group + 1)
+        return range(self.group, self.group + carried(self.of_node, self.is_fd))
 
 
 @dataclass(frozen=True)
@@ -258,26 +258,26 @@ def frame_flags(line: Bus) -> int:
     return FD | (BRS if line.data_bitrate else 0) if line.fd else 0
 
 
-def sum_frame(line: Bus, *, is_fine: bool) -> Frames:
-    """Return a frame of adaptive sums as a bus carries it, identifier and data 0."""
+def sum_frame(line: Bus, groups: int, *, is_fine: bool) -> Frames:
+    """Return a frame of adaptive sums of a node with `groups` groups as a bus carries it, identifier and data 0."""
     one = frames(1)
-    one["length"], one["flags"] = payload_bytes(is_fine, line.fd), frame_flags(line)
+    one["length"], one["flags"] = payload_bytes(is_fine, line.fd, groups), frame_flags(line)
     return one
 
 
-def sum_frame_bits(line: Bus, *, is_fine: bool) -> int:
+def sum_frame_bits(line: Bus, groups: int, *, is_fine: bool) -> int:
     """Return the longest time of a frame of adaptive sums in bits at the nominal rate: what it takes of a budget."""
-    nominal, data = wire_bits(sum_frame(line, is_fine=is_fine), "worst")
+    nominal, data = wire_bits(sum_frame(line, groups, is_fine=is_fine), "worst")
     return int(nominal[0]) + math.ceil(int(data[0]) * line.bitrate / (line.data_bitrate or line.bitrate))
 
 
-def sample_age_ns(line: Bus) -> int:
+def sample_age_ns(line: Bus, groups: int) -> int:
     """Return how old the sample of a frame of adaptive sums is at most when the frame ends, nanoseconds.
 
     A frame that has not won the bus within a sample is made anew of the next sample. Boards sample by clocks of their
     own, so a gateway knows no more.
     """
-    longest = sum_frame(line, is_fine=True)
+    longest = sum_frame(line, groups, is_fine=True)
     return SAMPLE_NS + int(frame_time_ns(longest, line.bitrate, line.data_bitrate, "worst")[0])
 
 
@@ -293,7 +293,7 @@ def _phi_and_nodes(
         for node_id in range(1, bus.nodes + 1):
             block = layout.first_block(number) + (node_id - 1) * bus.blocks_per_node
             first, last = int(phi.starts[block]), int(phi.starts[block + bus.blocks_per_node])
-            adaptive = _adaptive_tpdos(node_id, is_fd=bus.fd) if is_adaptive else ()
+            adaptive = _adaptive_tpdos(node_id, layout.groups, is_fd=bus.fd) if is_adaptive else ()
             others = taken.get((number, node_id), 0)
             sums = range(first, last)
             tpdos: tuple[Tpdo, ...] = ()
@@ -305,14 +305,16 @@ def _phi_and_nodes(
     return phi, pack, tuple(nodes)
 
 
-def _adaptive_tpdos(node_id: int, *, is_fd: bool) -> tuple[AdaptiveTpdo, ...]:
+def _adaptive_tpdos(node_id: int, groups: int, *, is_fd: bool) -> tuple[AdaptiveTpdo, ...]:
     """Return the TPDOs of an adaptive node, the most urgent first."""
-    count, step = (KINDS, IDENTIFIERS) if is_fd else (TPDOS, NODES)
-    identifiers = [FIRST_COB_ID + step * index + node_id - 1 for index in range(count)]
-    return tuple(
-        AdaptiveTpdo(number, identifier, *frame_of(identifier, is_fd=is_fd)[1:], is_fd)
-        for number, identifier in enumerate(identifiers, 1)
-    )
+    kinds = [(level, False) for level in reversed(range(LEVELS))]
+    kinds += [(level, True) for level in reversed(range(FINE_LEVELS))]
+    found = [
+        (cob_id(node_id - 1, level, group, is_fine, groups), level, group, is_fine, is_fd, groups)
+        for level, is_fine in kinds
+        for group in range(0, groups, carried(groups, is_fd))
+    ]
+    return tuple(AdaptiveTpdo(number, *each) for number, each in enumerate(found, 1))
 
 
 def _tpdos(

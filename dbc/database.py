@@ -278,11 +278,11 @@ def _sums(contract: Contract, node: NodeContract, tpdo: Tpdo, suffix: str = "") 
 
 
 def _adaptive_sums(contract: Contract, node: NodeContract, tpdo: AdaptiveTpdo) -> "Message":
-    """Return a TPDO of an adaptive node: coarse codes, or fine codes and their check; on CAN FD of all groups."""
+    """Return a TPDO of an adaptive node: coarse codes, or fine codes and their check; on CAN FD of some groups."""
     name, kind = _name(node), "Fine" if tpdo.is_fine else "Coarse"
     signals, meanings = [], []
-    for part in range(parts_of(tpdo.is_fine, tpdo.is_fd)):
-        group, is_fine = part_of(part, tpdo.group, tpdo.is_fine, tpdo.is_fd)
+    for part in range(parts_of(tpdo.is_fine, tpdo.is_fd, tpdo.of_node)):
+        group, is_fine = part_of(part, tpdo.group, tpdo.is_fine, tpdo.is_fd, tpdo.of_node)
         signals += _part(contract, node, group, 8 * GROUP_SUMS * part, is_fine=is_fine, is_fd=tpdo.is_fd)
     law = contract.law
     if tpdo.is_fd or not tpdo.is_fine:
@@ -294,7 +294,10 @@ def _adaptive_sums(contract: Contract, node: NodeContract, tpdo: AdaptiveTpdo) -
             f"{'fine ' if tpdo.is_fd else ''}value = N * {law.fine_n:.6g} N; "
             "N: of all integers with these low bits the nearest to the coarse value"
         )
-    what, groups = ("", "All groups") if tpdo.is_fd else (str(tpdo.group), f"Group {tpdo.group}")
+    what, groups = str(tpdo.group), f"Group {tpdo.group}"
+    if tpdo.is_fd:
+        is_whole = len(tpdo.groups) == tpdo.of_node
+        what, groups = ("", "All groups") if is_whole else (what, f"Groups {tpdo.groups[0]} to {tpdo.groups[-1]}")
     return _message(
         f"{name}_{kind}{what}_Level{tpdo.level}",
         tpdo.cob_id,

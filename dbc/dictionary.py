@@ -10,7 +10,7 @@ from enum import IntEnum
 from typing import Final
 
 from dbc import indices as od
-from dbc.adaptive import BLOCK_SUMS, GROUP_SUMS, SendingRule
+from dbc.adaptive import GROUP_SUMS, SendingRule
 from dbc.canopen import (
     COB_ID_NO_RTR,
     EMCY_BASE,
@@ -23,7 +23,6 @@ from dbc.canopen import (
 from dbc.contract import AdaptiveTpdo, Contract, NodeContract, Tpdo
 from dbc.objects import HIGHEST_SUBINDEX, Access, Object, array, mapping, places, record
 from skin.layout import Layout
-from skin.walsh import GROUPS
 
 
 class SkinState(IntEnum):
@@ -248,12 +247,12 @@ def _tpdo_communication(number: int, values: _Communication) -> list[Object]:
 def _adaptive_mapping(tpdo: AdaptiveTpdo) -> list[Object]:
     """Return the fixed mapping of an adaptive TPDO: eight coarse bytes of a group, or its 64 fine bits.
 
-    On CAN FD those of all groups, fine bits behind all coarse bytes.
+    On CAN FD those of several groups, fine bits behind all coarse bytes.
     """
     groups = tpdo.groups
     mapped = []
     if tpdo.is_fd or not tpdo.is_fine:
-        coarse = places(BLOCK_SUMS)[GROUP_SUMS * groups.start : GROUP_SUMS * groups.stop]
+        coarse = places(GROUP_SUMS * groups.stop)[GROUP_SUMS * groups.start :]
         mapped += [od.COARSE << 16 | place << 8 | 8 for place in coarse]
     if tpdo.is_fine:
         mapped += [od.FINE << 16 | (group + 1) << 8 | 64 for group in groups]
@@ -297,13 +296,13 @@ def _manufacturer(contract: Contract, node: NodeContract) -> list[Object]:
 
 def _adaptive_objects(contract: Contract) -> list[Object]:
     """Return what an adaptive node has besides: code, settings, noise, and the bytes of its frames."""
-    law, rule = contract.law, SendingRule()
+    law, rule, size = contract.law, SendingRule(), contract.phi.block_size
     code = zip(("Slope of the mean row", "Knee of the mean row", "Slope", "Knee", "Fine step"), law, strict=True)
     settings = zip((f"{name} of sending" for name in SendingRule._fields), rule, strict=True)
-    coefficients = [f"Noise of Haar coefficient {place}" for place in places(BLOCK_SUMS)]
-    taxels = [f"Noise of the taxel at place {place}" for place in range(BLOCK_SUMS)]
-    coarse = [f"Coarse code of sum {place}" for place in places(BLOCK_SUMS)]
-    fine = [f"Fine code of group {place}" for place in places(GROUPS)]
+    coefficients = [f"Noise of Haar coefficient {place}" for place in places(size)]
+    taxels = [f"Noise of the taxel at place {place}" for place in range(size)]
+    coarse = [f"Coarse code of sum {place}" for place in places(size)]
+    fine = [f"Fine code of group {place}" for place in places(contract.layout.groups)]
     return [
         *record(od.COMPANDING, "Companding", [(name, od.REAL32, "const", value) for name, value in code]),
         Object(od.REFRESH, None, "Groups to send again, a bit each", od.UNSIGNED8, "rw", 0),

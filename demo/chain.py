@@ -1,4 +1,4 @@
-"""The sums of a skin's nodes in one process, cycle after cycle; for synchronous sending."""
+"""The sums of a skin in one process, cycle after cycle: of its nodes, for synchronous sending, or of a matrix."""
 
 from collections.abc import Callable
 from typing import Final
@@ -8,8 +8,10 @@ import numpy.typing as npt
 
 from canskin.messages import CycleMeasurement, Truth
 from dbc.packing import packing
-from nodes.sampler import new_sampler
+from nodes.electronics import Electronics
+from nodes.sampler import Sampler, new_sampler
 from skin.layout import Layout
+from skin.matrix import MatrixPhi
 from skin.sources import TaxelSource
 from skin.sync_counter import next_counter
 
@@ -17,8 +19,38 @@ from skin.sync_counter import next_counter
 REST_S: Final = 0.6
 
 
+class _OtherHardware:
+    """Samples the touches of a source, with the noise and the ADC of the taxels, and sums them by a matrix."""
+
+    def __init__(self, layout: Layout, phi: MatrixPhi, source: TaxelSource, seed: int) -> None:
+        self._phi, self._source = phi, source
+        self._electronics = Electronics(layout.taxels, seed=seed, period_s=layout.sync.period_s)
+        self._step = -1
+        self._truth: Truth | None = None
+
+    def sample(self, counter: int, time_ns: int) -> npt.NDArray[np.int32]:
+        """Return the sums of the next cycle."""
+        self._step += 1
+        frame = self._source.frame(self._step)
+        counts = self._electronics.read(frame.force_n, self._step)
+        self._truth = Truth(
+            step=self._step,
+            sync_counter=counter,
+            sampled_mono_ns=time_ns,
+            true=frame.force_n.astype("<f4").tobytes(),
+            sensor=self._electronics.signal_n.astype("<f4").tobytes(),
+            label=frame.label,
+        )
+        sums: npt.NDArray[np.int32] = self._phi.of_cycle(self._step + 1).forward(counts)
+        return sums
+
+    def take_truth(self) -> Truth | None:
+        """Return the truth of the newest cycle."""
+        return self._truth
+
+
 class Nodes:
-    """All nodes of a skin: they sample the touches of a source once a cycle.
+    """All nodes of a skin, or what makes the sums of a matrix: they sample the touches of a source once a cycle.
 
     Parameters
     ----------
@@ -37,10 +69,14 @@ class Nodes:
         self, layout: Layout, source: TaxelSource, *, seed: int, clock_ns: Callable[[], int] | None = None
     ) -> None:
         self.cycle = self.counter = self.time_ns = 0
-        phi = layout.phi()
+        phi = layout.operator()
         self._period_ns = round(layout.sync.period_s * 1e9)
         self._clock_ns = clock_ns or (lambda: self.time_ns + self._period_ns)
-        self._sampler = new_sampler(layout, phi, source, seed=seed)
+        self._sampler: Sampler | _OtherHardware = (
+            _OtherHardware(layout, phi, source, seed)
+            if isinstance(phi, MatrixPhi)
+            else new_sampler(layout, phi, source, seed=seed)
+        )
         self._valid, self._fingerprint = phi.has_sums.tobytes(), phi.fingerprint
         self._packing = packing(layout)
 

@@ -33,9 +33,10 @@ def demo(*, options: DemoOptions = DEFAULTS, json: Json = False) -> int:
     # Imported here, because these imports take seconds in which signals must be handled.
     from demo.folder import run_folder
     from demo.run import Run
-    from skin.layout import load_layout
+    from skin.layout import load_layout, require_boards
 
     skin = load_layout(options.layout)
+    require_boards(skin)
     options.check(skin)
     try:
         with run_folder() as folder:

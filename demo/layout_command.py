@@ -2,9 +2,10 @@
 
 import re
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Final, Literal
 
 import numpy as np
+import numpy.typing as npt
 import tomli_w
 
 from bandwidth.wiring import wiring
@@ -15,7 +16,14 @@ from shell.terminal import Json, print_json, print_table
 from skin.chains import positions_text
 from skin.importing import tables_of
 from skin.layout import Layout, load_layout, parse_layout
+from skin.matrix import MatrixPhi
+from skin.measurement import Sbhe
+from skin.plane import Plane
 from skin.sending import SendingName
+from skin.surface import Surface
+
+#: Pixels between neighbours in the picture of a skin that is no grid.
+_SCALE: Final = 16
 
 
 def layout(
@@ -126,22 +134,38 @@ def _print_quality(skin: Layout, *, as_json: bool) -> int:
 
 
 def _about(skin: Layout) -> dict[str, Any]:
-    phi = skin.phi()
-    held = [len(phi.taxels_of(block)) for block in range(phi.blocks)]
+    phi = skin.operator()
     return {
         "skin": skin.name,
         "sending": skin.sending,
         "rows": skin.taxels.rows,
         "columns": skin.taxels.columns,
         "taxels": skin.taxels.there,
+        **(_about_matrix(phi) if isinstance(phi, MatrixPhi) else _about_boards(skin, phi)),
+        "sums": phi.shape[0],
+        "sums_per_taxel": round(phi.shape[0] / skin.taxels.there, 3),
+        "fingerprint": phi.fingerprint,
+    }
+
+
+def _about_boards(skin: Layout, phi: Sbhe) -> dict[str, Any]:
+    held = [len(phi.taxels_of(block)) for block in range(phi.blocks)]
+    return {
         "blocks": phi.blocks,
         "taxels_of_a_block": sorted({min(held), max(held)}),
         "empty_places": phi.empty,
-        "sums": phi.shape[0],
-        "sums_per_taxel": round(phi.shape[0] / skin.taxels.there, 3),
         "nodes": {bus.name: bus.nodes for bus in skin.bus},
         "wires": str(wiring(skin)),
-        "fingerprint": phi.fingerprint,
+    }
+
+
+def _about_matrix(phi: MatrixPhi) -> dict[str, Any]:
+    felt = np.count_nonzero(phi.entries, axis=2)
+    unfelt = int((phi.is_wired & ~phi.entries.any(axis=(0, 1))).sum())
+    return {
+        "matrices": phi.frames,
+        "taxels_of_a_sum": sorted({int(felt.min()), int(felt.max())}),
+        "taxels_that_no_sum_feels": unfelt,
     }
 
 
@@ -152,30 +176,41 @@ def _words(value: Any) -> str:
 
 
 def _draw(skin: Layout, path: Path) -> Path:
-    """Draw the grid, each block in its colour; the number at a taxel is its place in the chain."""
+    """Draw the boards in their colours; the number at a taxel is its place in the chain. Curved skins in space, too."""
     from matplotlib import colormaps
     from matplotlib.figure import Figure
 
     check_picture_path(path)
-    phi, taxels = skin.phi(), skin.taxels
-    block = phi.block_of_taxel
+    phi, surface = skin.phi(), skin.taxels.surface
+    plane, scale = Plane(surface), 1 if surface.is_grid else _SCALE
     # Neighbouring numbers get colours far apart.
-    hue = block * 0.618034 % 1.0
-    width = min(24.0, max(4.0, taxels.columns * 0.25))
-    figure = Figure(figsize=(width, max(2.0, width * taxels.rows / taxels.columns) + 0.8), layout="constrained")
-    axes = figure.subplots()
-    colours = colormaps["hsv"](hue, alpha=np.where(phi.is_wired, 0.55, 0.0)).reshape(taxels.rows, taxels.columns, 4)
-    axes.imshow(colours, interpolation="nearest")
+    colours = colormaps["hsv"](phi.block_of_taxel * 0.618034 % 1.0, alpha=np.where(phi.is_wired, 0.55, 0.0))
+    width = min(24.0, max(4.0, plane.width * 0.25))
+    height = max(2.0, width * plane.height / plane.width) + 0.8
+    is_curved = not surface.is_flat
+    figure = Figure(figsize=(width, height + is_curved * width), layout="constrained")
+    grid = figure.add_gridspec(1 + is_curved, 1, height_ratios=(height, width)[: 1 + is_curved])
+    axes = figure.add_subplot(grid[0])
+    cells = np.append(colours, np.zeros((1, 4)), axis=0)[plane.cells(scale)]
+    axes.imshow(cells, interpolation="nearest", extent=(0, plane.width, plane.height, 0))
     place = phi.place_of_taxel % phi.block_size
-    size = min(8.0, 72 * width / taxels.columns / 3)
+    size = min(8.0, 72 * width / plane.width / 3)
     for taxel in np.flatnonzero(phi.is_wired).tolist():
-        row, column = divmod(taxel, taxels.columns)
-        axes.text(column, row, str(place[taxel]), ha="center", va="center", fontsize=size)
+        x, y = plane.places[taxel]
+        axes.text(x, y, str(place[taxel]), ha="center", va="center", fontsize=size)
     for each in range(phi.blocks):
-        rows, columns = np.divmod(phi.taxels_of(each), taxels.columns)
         if skin.measurement.wiring != "scattered":
-            axes.plot(columns, rows, color="black", linewidth=0.4, alpha=0.5)
+            axes.plot(*plane.places[phi.taxels_of(each)].T, color="black", linewidth=0.4, alpha=0.5)
     axes.set_title(f"{skin.name}: {phi.blocks} blocks, {phi.empty} empty places", fontsize=10)
     axes.set(xticks=[], yticks=[])
+    if is_curved:
+        _draw_in_space(figure.add_subplot(grid[1], projection="3d"), surface, colours)
     save_figure(figure, path, dpi=110)
     return path
+
+
+def _draw_in_space(axes: Any, surface: Surface, colours: npt.NDArray[np.floating]) -> None:
+    places_mm = 1e3 * surface.positions_m
+    axes.scatter(*places_mm.T, c=colours, depthshade=False)
+    axes.set_box_aspect(np.maximum(np.ptp(places_mm, axis=0), 1e3 * surface.pitch_m), zoom=0.85)
+    axes.set(xlabel="x, mm", ylabel="y, mm", zlabel="z, mm")

@@ -1,21 +1,28 @@
 """The picture of a run: true force, sensor signal, rebuilt image, and error."""
 
 from pathlib import Path
+from typing import Final
 
 from matplotlib.figure import Figure
 
 from demo.score import Snapshot
 from shell.output import save_figure
+from skin.layout import Taxels
+from skin.plane import Plane
 from skin.psnr import psnr_db
 
+#: Pixels between neighbours of a skin that is no grid.
+_SCALE: Final = 8
 
-def save_picture(snapshot: Snapshot, peak_n: float, path: Path, *, noisy: bool = True) -> None:
+
+def save_picture(snapshot: Snapshot, taxels: Taxels, path: Path, *, noisy: bool = True) -> None:
     """Draw true force, sensor signal, rebuilt image and its error side by side.
 
     Parameters
     ----------
-    peak_n : float
-        End of the taxels' range, the peak of the PSNR.
+    taxels : Taxels
+        Where the forces are: a skin that is no grid is drawn as `skin.plane.Plane` has it. The end of their range is
+        the peak of the PSNR.
     path : pathlib.Path
         File with one of `shell.output.PICTURE_SUFFIXES`.
     noisy : bool
@@ -26,7 +33,8 @@ def save_picture(snapshot: Snapshot, peak_n: float, path: Path, *, noisy: bool =
     OSError
         If the file cannot be written.
     """
-    to_mn = 1e3
+    to_mn, peak_n = 1e3, taxels.force_max_n
+    plane, scale = Plane(taxels.surface), 1 if taxels.surface.is_grid else _SCALE
     top = float(snapshot.true.max()) * to_mn
     error = snapshot.image - snapshot.true
     of_sensor = f", {psnr_db(snapshot.true, snapshot.sensor, peak_n):.1f} dB" if noisy else ", no noise"
@@ -38,7 +46,9 @@ def save_picture(snapshot: Snapshot, peak_n: float, path: Path, *, noisy: bool =
     )
     figure = Figure(figsize=(13, 3.4), layout="constrained")
     for axis, (title, grid, colours, low, high) in zip(figure.subplots(1, 4), panels, strict=True):
-        shown = axis.imshow(grid * to_mn, cmap=colours, vmin=low, vmax=high, interpolation="nearest")
+        shown = axis.imshow(
+            plane.picture(grid * to_mn, scale), cmap=colours, vmin=low, vmax=high, interpolation="nearest"
+        )
         axis.set_title(title, fontsize=10)
         axis.set(xticks=[], yticks=[])
         figure.colorbar(shown, ax=axis, shrink=0.85, label="mN")

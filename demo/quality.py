@@ -63,7 +63,10 @@ def qualities(layout: Layout, *, touches_s: float = TOUCHES_S, seed: int = 0) ->
 
 
 def _layouts(layout: Layout) -> Iterator[Layout]:
-    """Yield the layout with other numbers of sums in every cycle, of drawn rows."""
+    """Yield the layout with other numbers of sums in every cycle, of drawn rows; a matrix as it is."""
+    if layout.measurement.matrix is not None:
+        yield layout
+        return
     for each in TAXELS_PER_SUM:
         measurement = msgspec.structs.replace(
             layout.measurement, sums=layout.places // each, rows=None, selection="balanced"
@@ -75,7 +78,7 @@ def _layouts(layout: Layout) -> Iterator[Layout]:
 
 
 def _quality(layout: Layout, touches_s: float, seed: int) -> Quality:
-    taxels, phi, imager = layout.taxels, layout.phi(), CycleImager(layout)
+    taxels, phi, imager = layout.taxels, layout.operator(), CycleImager(layout)
     nodes = Nodes(layout, load_objects(layout, seed=seed, rest_s=REST_S), seed=seed)
     imaged_n2, sensed_n2, touched_n2, touched = [], [], 0.0, []
     for _ in range(round((REST_S + touches_s) * step_rate_hz(layout))):

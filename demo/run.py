@@ -96,7 +96,7 @@ class Run:
             return report
         path, taxels = self._options.picture, self._layout.taxels
         try:
-            save_picture(self.score.snapshot, taxels.force_max_n, path, noisy=bool(report.sensor_adds_noise))
+            save_picture(self.score.snapshot, taxels, path, noisy=bool(report.sensor_adds_noise))
         except OSError as error:  # print the figures without the picture
             say("demo", f"{path}: cannot write the picture: {error.strerror or error}")
             return None

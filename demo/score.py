@@ -211,7 +211,7 @@ class Score:
         """Return the bound of the age of an adaptive sample at the end of its frame."""
         if self.layout.sends.in_cycles:
             return None
-        return round(max(sample_age_ns(bus) for bus in self.layout.bus) * 1e-6, 3)
+        return round(max(sample_age_ns(bus, self.layout.groups) for bus in self.layout.bus) * 1e-6, 3)
 
     def report(self) -> Report:
         """Return the figures of the run so far."""

@@ -108,6 +108,7 @@ FIGURES: Final[dict[str, Callable[[Path], None]]] = {
     "hand-boards.png": boards,
     "page.png": page,
     "hand-page.png": partial(page, layout="hand"),
+    "forearm-page.png": partial(page, layout="forearm"),
     "rerun.png": rerun,
     "missing-data.svg": missing_data,
     "paper-images.png": paper_images,

@@ -60,7 +60,7 @@ def rerun(path: Path) -> None:
 def _draw(path: Path) -> None:
     layout = load_layout()
     taxels, canvas = layout.taxels, RerunCanvas(layout, path)
-    painter, tracker = Painter(layout, canvas), ContactTracker(taxels.rows, taxels.columns)
+    painter, tracker = Painter(layout, canvas), ContactTracker(taxels.surface)
     grid, ball, ring = Grid(taxels.rows, taxels.columns, taxels.pitch_m), spheres_of("golf-ball"), spheres_of("ring")
     painter.take(Clocks(0, 1_700_000_000_000_000_000), 0.0, 1_700_000_000_000_000_000)
     for cycle in range(1, CYCLES + 1):

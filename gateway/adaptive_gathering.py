@@ -29,7 +29,6 @@ from gateway.block_states import judge, new_states
 from gateway.gathering import Health, Sync
 from gateway.nmt_master import NmtMaster
 from gateway.sum_requests import SumRequests
-from skin.walsh import GROUPS
 
 #: Measurements in a second, with news and at least; the limits of other rates.
 RATES_HZ: Final = (1000.0, 10.0)
@@ -103,10 +102,10 @@ class AdaptiveGathering:
         self._newton_per_count = contract.layout.taxels.newton_per_count
         self._fingerprint = contract.phi.fingerprint
         blocks = contract.phi.blocks
-        self._sums = new_sums(blocks)
+        self._sums = new_sums(blocks, contract.layout.groups)
         self._is_proven = np.zeros(blocks, np.bool_)
-        self._has_changed = np.zeros((blocks, GROUPS), np.bool_)
-        self._shown = new_states(blocks, round(now_s * 1e9))
+        self._has_changed = np.zeros((blocks, contract.layout.groups), np.bool_)
+        self._shown = new_states(blocks, contract.layout.groups, round(now_s * 1e9))
         self._noise_n = np.full(blocks, np.nan)
         self._median_n = 0.0
         self._buses = {number: self._bus(contract, number, master) for number, master in masters.items()}
@@ -240,7 +239,7 @@ class AdaptiveGathering:
 
         return _Bus(
             is_fd=line.fd,
-            sample_age_ns=sample_age_ns(line),
+            sample_age_ns=sample_age_ns(line, contract.layout.groups),
             blocks=blocks,
             sums=self._sums.of(blocks),
             is_proven=self._is_proven[blocks],

@@ -2,7 +2,7 @@
 
 A fine frame counts only for the coarse frame that it refines: its check must be that of the coarse frame that is
 held. After frames were lost, no fine frame counts until the next coarse one of its group, so that none is misread. On
-CAN FD every frame has the coarse codes of all groups: it needs no other frame, and whatever comes ends a loss. A
+CAN FD every frame has the coarse codes of its groups: it needs no other frame, and whatever comes ends a loss. A
 loss that the receiver does not know of can have a fine frame misread where the lost coarse frame and the one that is
 held have the same check: two frames that differ in one byte never have, of others one pair in 255 or 256.
 """
@@ -13,10 +13,11 @@ import numpy as np
 import numpy.typing as npt
 
 from dbc.adaptive import (
-    BLOCK_SUMS,
+    GROUP_SUMS,
     LEVELS,
     NO_CHECK,
     Companding,
+    carried,
     decode_cob_id,
     hold,
     payload_bytes,
@@ -25,7 +26,6 @@ from dbc.canopen import SYNC_COB_ID
 from dbc.frame import CAN_ID_AT, DATA_AT, ECHO, ERROR, EXTENDED, FD, FLAGS_AT, LENGTH_AT, REMOTE, TIME_AT
 from dbc.frame_fields import field
 from shell.compiled import borrowed, njit
-from skin.walsh import GROUPS
 
 #: A time before all frames.
 NEVER_NS: Final = -(1 << 62)
@@ -40,13 +40,13 @@ class BusSums(NamedTuple):
 
     Attributes
     ----------
-    value_n, coarse_n : arrays of float64, shape (nodes, BLOCK_SUMS)
+    value_n, coarse_n : arrays of float64, shape (nodes, sums)
         Newest value of every sum, and that of the newest coarse frame, newtons.
-    check : array of int64, shape (nodes, GROUPS)
+    check : array of int64, shape (nodes, groups)
         Check of the coarse frame that is held, or `NO_CHECK`.
-    is_lost : array of bool, shape (nodes, GROUPS)
+    is_lost : array of bool, shape (nodes, groups)
         A frame may have been lost since the newest coarse frame: no fine frame counts.
-    coarse_ns, seen_ns : arrays of int64, shape (nodes, GROUPS)
+    coarse_ns, seen_ns : arrays of int64, shape (nodes, groups)
         When the newest coarse frame and the newest frame of any kind that counted ended.
     counts : array of int64, shape (6,)
         Frames used, fine frames without their coarse frame, frames of a wrong length, frames of nodes that are not
@@ -78,15 +78,15 @@ class BusSums(NamedTuple):
 USED, UNREFINED, MALFORMED, UNPROVEN, FOREIGN, FOREIGN_SYNCS = range(6)
 
 
-def new_sums(nodes: int) -> BusSums:
-    """Return the state of a gateway that has received nothing."""
+def new_sums(nodes: int, groups: int) -> BusSums:
+    """Return the state of a gateway that has received nothing of nodes with `groups` groups."""
     return BusSums(
-        value_n=np.zeros((nodes, BLOCK_SUMS)),
-        coarse_n=np.zeros((nodes, BLOCK_SUMS)),
-        check=np.full((nodes, GROUPS), NO_CHECK, np.int64),
-        is_lost=np.zeros((nodes, GROUPS), np.bool_),
-        coarse_ns=np.full((nodes, GROUPS), NEVER_NS, np.int64),
-        seen_ns=np.full((nodes, GROUPS), NEVER_NS, np.int64),
+        value_n=np.zeros((nodes, GROUP_SUMS * groups)),
+        coarse_n=np.zeros((nodes, GROUP_SUMS * groups)),
+        check=np.full((nodes, groups), NO_CHECK, np.int64),
+        is_lost=np.zeros((nodes, groups), np.bool_),
+        coarse_ns=np.full((nodes, groups), NEVER_NS, np.int64),
+        seen_ns=np.full((nodes, groups), NEVER_NS, np.int64),
         counts=np.zeros(6, np.int64),
     )
 
@@ -113,13 +113,15 @@ def take_all(  # noqa: PLR0917  compiled functions take no keywords
         later coarse frame.
     is_proven : array of bool, shape (nodes,)
         Nodes whose frames may be used.
-    has_changed : array of bool, shape (nodes, GROUPS)
+    has_changed : array of bool, shape (nodes, groups)
         Set for groups of which a frame was used.
     is_fd : bool
         The bus carries CAN FD.
     """
     (rows,), sums = borrowed((rows,)), borrowed(sums)
     newest_ns: int = NEVER_NS
+    of_node = sums.check.shape[1]
+    together = carried(of_node, is_fd)
     if has_gap:
         sums.is_lost[:] = True
     for place in range(rows.shape[0]):
@@ -127,7 +129,7 @@ def take_all(  # noqa: PLR0917  compiled functions take no keywords
         if row[FLAGS_AT] & (ERROR | ECHO):
             continue
         can_id = field(row, CAN_ID_AT, 4)
-        kind, group, node = decode_cob_id(can_id, is_fd)
+        kind, group, node = decode_cob_id(can_id, of_node, is_fd)
         is_strange = row[FLAGS_AT] & (EXTENDED | REMOTE) != 0 or (row[FLAGS_AT] & FD != 0) != is_fd
         if is_strange or kind < 0 or node >= sums.check.shape[0]:
             sums.counts[FOREIGN] += 1
@@ -138,9 +140,9 @@ def take_all(  # noqa: PLR0917  compiled functions take no keywords
             continue
         ended_ns = field(row, TIME_AT, 8)
         is_fine, is_lost = kind >= LEVELS, has_gap
-        groups = slice(0, GROUPS) if is_fd else slice(group, group + 1)
+        groups = slice(group, group + together)
         is_unsure = is_fine and not is_fd and sums.is_lost[node, group]
-        if row[LENGTH_AT] != payload_bytes(is_fine, is_fd):
+        if row[LENGTH_AT] != payload_bytes(is_fine, is_fd, of_node):
             sums.counts[MALFORMED] += 1
         elif is_unsure or not hold(
             row[DATA_AT:], group, is_fine, is_fd, law, sums.value_n[node], sums.coarse_n[node], sums.check[node]

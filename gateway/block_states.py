@@ -6,10 +6,10 @@ import numpy as np
 import numpy.typing as npt
 
 from canskin.messages import BlockState
-from dbc.adaptive import BLOCK_SUMS, GROUP_SUMS, NO_CHECK, SendingRule
+from dbc.adaptive import GROUP_SUMS, NO_CHECK, SendingRule
 from gateway.adaptive_state import NEVER_NS, BusSums, Flags, Integers
 from shell.compiled import borrowed, njit
-from skin.walsh import GROUPS, grouped_rows
+from skin.walsh import grouped_rows
 
 #: Time for which a block is fresh after a frame that counted.
 FRESH_NS: Final = 100_000_000
@@ -23,8 +23,6 @@ OVERDUE_NS: Final = 2 * SendingRule().refresh_max * 1_000_000 + OVERLOAD_NS
 _DEAD, _STALE, _QUIET, _FRESH = (
     int(each) for each in (BlockState.DEAD, BlockState.STALE, BlockState.QUIET, BlockState.FRESH)
 )
-_EVERY_GROUP: Final = (1 << GROUPS) - 1
-_PLACES: Final = grouped_rows(BLOCK_SUMS).ravel().astype(np.int64)
 
 
 class BlockStates(NamedTuple):
@@ -32,13 +30,15 @@ class BlockStates(NamedTuple):
 
     Attributes
     ----------
-    sums : array of int32, shape (blocks, BLOCK_SUMS)
+    sums : array of int32, shape (blocks, sums)
         In the order of Φ: of Hadamard rows.
-    known : array of uint8, shape (blocks, BLOCK_SUMS)
+    known : array of uint8, shape (blocks, sums)
     valid, states : arrays of uint8, shape (blocks,)
     since_ns : array of int64, shape (blocks,)
     unknown, doubtful : arrays of uint8, shape (blocks,)
         Groups, a bit each: of which nothing is held; that may have changed since what is held was sent.
+    places : array of int64, shape (sums,)
+        Hadamard row of each sum in the order of the frames.
     """
 
     sums: npt.NDArray[np.int32]
@@ -48,18 +48,21 @@ class BlockStates(NamedTuple):
     since_ns: Integers
     unknown: npt.NDArray[np.uint8]
     doubtful: npt.NDArray[np.uint8]
+    places: Integers
 
 
-def new_states(blocks: int, now_ns: int) -> BlockStates:
+def new_states(blocks: int, groups: int, now_ns: int) -> BlockStates:
     """Return the state of blocks of which nothing is known."""
+    sums = GROUP_SUMS * groups
     return BlockStates(
-        sums=np.zeros((blocks, BLOCK_SUMS), np.int32),
-        known=np.zeros((blocks, BLOCK_SUMS), np.uint8),
+        sums=np.zeros((blocks, sums), np.int32),
+        known=np.zeros((blocks, sums), np.uint8),
         valid=np.zeros(blocks, np.uint8),
         states=np.full(blocks, BlockState.DEAD, np.uint8),
         since_ns=np.full(blocks, now_ns, np.int64),
-        unknown=np.full(blocks, _EVERY_GROUP, np.uint8),
+        unknown=np.full(blocks, (1 << groups) - 1, np.uint8),
         doubtful=np.zeros(blocks, np.uint8),
+        places=grouped_rows(sums).ravel().astype(np.int64),
     )
 
 
@@ -74,13 +77,14 @@ def judge(  # noqa: PLR0917  compiled functions take no keywords
     is_proven : array of bool, shape (blocks,)
     sums : BusSums
         Of all blocks.
-    has_changed : array of bool, shape (blocks, GROUPS)
+    has_changed : array of bool, shape (blocks, groups)
         Groups whose sums are not yet shown; cleared.
     """
     sums, shown = borrowed(sums), borrowed(shown)
+    every_group = (1 << has_changed.shape[1]) - 1
     for block in range(is_proven.size):
         unknown, doubtful, newest_ns = 0, 0, NEVER_NS
-        for group in range(GROUPS):
+        for group in range(has_changed.shape[1]):
             is_held = sums.check[block, group] != NO_CHECK
             if has_changed[block, group]:
                 has_changed[block, group] = False
@@ -91,7 +95,7 @@ def judge(  # noqa: PLR0917  compiled functions take no keywords
             if sums.is_lost[block, group] or (is_held and _is_overdue(block, group, now_ns, sums)):
                 doubtful |= 1 << group
         state, since_ns = _FRESH, newest_ns
-        if not is_proven[block] or unknown == _EVERY_GROUP:
+        if not is_proven[block] or unknown == every_group:
             state, since_ns = _DEAD, now_ns
         elif doubtful:
             state, since_ns = _STALE, now_ns
@@ -107,7 +111,7 @@ def judge(  # noqa: PLR0917  compiled functions take no keywords
 def _show(block: int, group: int, newton_per_count: float, sums: BusSums, shown: BlockStates) -> None:
     is_held = sums.check[block, group] != NO_CHECK
     for place in range(GROUP_SUMS * group, GROUP_SUMS * (group + 1)):
-        row = _PLACES[place]
+        row = shown.places[place]
         shown.sums[block, row] = round(sums.value_n[block, place] / newton_per_count) if is_held else 0
         shown.known[block, row] = is_held
 

@@ -1,4 +1,4 @@
-"""``skin node check``: compares a board with the contract."""
+"""``skin node check``: compares a board with the contract, or the wiring with the layout."""
 
 import dataclasses
 import select
@@ -13,9 +13,10 @@ from bus.options import BusOptions, open_links
 from canskin.errors import InputError, RunError
 from dbc.contract import Contract
 from gateway.node_check import NodeCheck, NodeReport
+from shell.output import write_file
 from shell.service import StopSignal
 from shell.terminal import Json, print_json
-from skin.layout import Layout, load_layout, require_one_state
+from skin.layout import Layout, load_layout, require_boards, require_one_state
 
 #: Longest wait for frames in one turn.
 TURN_S: Final = 0.01
@@ -24,16 +25,23 @@ TURN_S: Final = 0.01
 def node(
     action: Literal["check"],
     *,
-    node_id: Annotated[int, Parameter(name="--node")],
+    node_id: Annotated[int | None, Parameter(name="--node")] = None,
     bus: str | None = None,
     layout: Path | None = None,
     can: BusOptions | None = None,
+    wiring: Path | None = None,
+    path: Path | None = None,
+    rest: float = 1.0,
+    out: Path | None = None,
     json: Json = False,
 ) -> int:
     """Check a board: its objects, and the bytes that it sends while it shows each test pattern.
 
     Needs a bus without gateway. The board is left pre-operational, with the test patterns that it had. Ends with 1 if
     the board differs from the contract. Of adaptive boards the objects alone are compared.
+
+    With ``--wiring`` a recording is checked in place of a board: which taxels are not wired as the layout says, and
+    which boards are exchanged.
 
     Parameters
     ----------
@@ -47,6 +55,15 @@ def node(
         TOML of the skin; without it the default skin.
     can
         CAN interface and channels; a single channel is that of the bus.
+    wiring
+        Recording (``skin record``) of one finger that goes over the whole skin, after a time without touch.
+    path
+        CSV with the columns time_s, x_m, y_m, z_m: where the finger is after the first measurement of the recording.
+        Without it the place of the finger is estimated, too.
+    rest
+        Time without touch at the begin of the recording, seconds.
+    out
+        File for the corrected wiring, CSV as `measurement.chains` reads it.
     json
         Print one JSON object.
 
@@ -54,11 +71,16 @@ def node(
     --------
     skin node check --bus bus0 --node 3 -i socketcan -c can0
     skin node check --layout palm.toml --node 1 --json
+    skin node check --layout palm.toml --wiring stroke.mcap --path finger.csv --out boards.csv
     """
     if action != "check":
         raise InputError(f"expected 'skin node check', got '{action}'")
-    stop = StopSignal().install()
     skin = load_layout(layout)
+    if wiring is not None:
+        return _check_wiring(skin, wiring, path, rest, out, as_json=json)
+    if node_id is None:
+        raise InputError("expected --node with the node-ID of a board, or --wiring with a recording")
+    stop = StopSignal().install()
     require_one_state(skin, "'skin node check'")
     number = _bus_number(skin, bus)
     contract = Contract.from_layout(skin)
@@ -81,6 +103,25 @@ def node(
     else:
         _show(check.report)
     return int(bool(check.report.differences))
+
+
+def _check_wiring(
+    skin: Layout, recording: Path, path: Path | None, rest_s: float, out: Path | None, *, as_json: bool
+) -> int:
+    """Print what is not wired as the layout says, and write the corrected file."""
+    from gateway.wiring_check import chains_file, check_wiring, corrected_order, text_of
+
+    require_boards(skin)
+    findings = check_wiring(skin, recording, path, rest_s)
+    if as_json:
+        print_json([{**dataclasses.asdict(each), "text": text_of(each)} for each in findings])
+    else:
+        for each in findings:
+            print(text_of(each))
+        print(f"{skin.name}: {f'{len(findings)} findings' if findings else 'is wired as the layout says'}")
+    if out is not None:
+        write_file(out, chains_file(skin.phi(), corrected_order(skin.phi(), findings)))
+    return int(bool(findings))
 
 
 def _bus_number(skin: Layout, name: str | None) -> int:

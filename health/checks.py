@@ -56,8 +56,7 @@ def _contact_fits(contact: Contact, layout: Layout) -> bool:
     return (
         0 <= contact.row < taxels.rows
         and 0 <= contact.column < taxels.columns
-        and math.isfinite(contact.force_n)
-        and math.isfinite(contact.peak_n)
+        and all(map(math.isfinite, (contact.force_n, contact.peak_n, *contact.position_m, *contact.normal)))
         and 0 <= contact.identity < IDENTITY_END
         and 0 <= contact.taxels <= taxels.count
         and 0 <= contact.invalid_taxels <= taxels.count

@@ -35,7 +35,7 @@ def display_name(service: str) -> str:
     return "this page" if service == "viewer" else f"this {service}"
 
 
-def notices(state: Snapshot, own: str) -> Snapshot:
+def notices(state: Snapshot, own: str, *, is_grid: bool) -> Snapshot:
     """Return `state` with its notices, errors first; `own` is the name of the service that shows the skin."""
     if state.cut_off:  # the state of the other services is then unknown
         text = "nothing arrives: the fabric's hub, usually the gateway, is out of reach"
@@ -49,7 +49,7 @@ def notices(state: Snapshot, own: str) -> Snapshot:
             *_nodes(state),
             *_buses(state),
         ]
-        found += [*_calibration(state), *_doubts(state)]
+        found += [*_calibration(state), *_doubts(state, is_grid=is_grid)]
     found += _ignored(state)
     grave = ("error", "warning", "info")
     return msgspec.structs.replace(state, notices=sorted(found, key=lambda notice: grave.index(notice.level)))
@@ -148,14 +148,15 @@ def _calibration(state: Snapshot) -> Iterator[Notice]:
         yield Notice(level="warning", text=text, kind="more defects")
 
 
-def _doubts(state: Snapshot) -> Iterator[Notice]:
+def _doubts(state: Snapshot, *, is_grid: bool) -> Iterator[Notice]:
     """Name contacts that may be errors of the zero, and what a person can do."""
     known = state.contacts
     if known is None or known.stale or known.blind:
         return
     doubtful = [each for each in known.contacts if each.doubtful]
     for each in doubtful[:NAMED]:
-        force = f"a force of {each.force_n:.3g} N around row {each.row:.0f}, column {each.column:.0f}"
+        where = f"row {each.row:.0f}, column {each.column:.0f}" if is_grid else f"taxel {each.column:.0f}"
+        force = f"a force of {each.force_n:.3g} N around {where}"
         lasts_s = (known.sampled_mono_ns - each.doubtful_since_mono_ns) * 1e-9
         region = f"{each.top},{each.left},{each.bottom},{each.right}"
         why = "a still weight, or an error of the zero, as of a warm patch; if nothing touches there"

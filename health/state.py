@@ -193,7 +193,8 @@ class ViewState:
             true=self._grid(truth[1].true) if truth else None,
             sensor=self._grid(truth[1].sensor) if truth else None,
         )
-        return notices(bare, self._service_name), pictures
+        is_grid = self._layout.taxels.surface.is_grid
+        return notices(bare, self._service_name, is_grid=is_grid), pictures
 
     def _compare(self, image: Image, truth: Truth, now_s: float) -> None:
         peak_n = self._layout.taxels.force_max_n

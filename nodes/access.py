@@ -26,7 +26,6 @@ from dbc.canopen import (
 from dbc.dictionary import HEARTBEATS_WATCHED, SkinState
 from nodes.heartbeat import watched_node
 from nodes.objects import LocalNode
-from skin.walsh import GROUPS
 
 
 def check_write(node: LocalNode, index: int, subindex: int, value: float) -> None:
@@ -41,6 +40,8 @@ def check_write(node: LocalNode, index: int, subindex: int, value: float) -> Non
         _consumer_heartbeat(node, subindex, int(value))
     elif (rule := _VALUES.get(_first_block(index))) is not None and not rule(value):
         raise SdoAbortedError(Abort.NOT_STORED if index in (od.STORE, od.RESTORE) else Abort.VALUE)
+    elif index == od.REFRESH and value >= 1 << node.unsigned(od.FINE, 0):  # a bit for each group
+        raise SdoAbortedError(Abort.VALUE)
     elif index == od.SYNC_OVERFLOW and node.unsigned(od.CYCLE_PERIOD_US):
         raise SdoAbortedError(Abort.STATE)  # CiA 301, 7.5.2.22
 
@@ -69,7 +70,6 @@ _VALUES: Final[dict[int, Callable[[Any], bool]]] = {
     od.ERROR_BEHAVIOUR: lambda value: value <= 2,
     od.GAIN: math.isfinite,
     od.TEST_PATTERN: lambda value: value <= PATTERN_FULL,
-    od.REFRESH: lambda value: value < 1 << GROUPS,
     od.STATE: lambda value: value <= SkinState.IMAGES,
     od.SENDING: lambda value: 0 < value < math.inf,
     od.COEFFICIENT_NOISE: _is_noise,

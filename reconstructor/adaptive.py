@@ -30,7 +30,7 @@ class AdaptiveImager:
 
     def __init__(self, layout: Layout) -> None:
         taxels = layout.taxels
-        self._walsh = WalshReconstructor(layout.patches(), taxels.rows, taxels.columns, NOISE_N)
+        self._walsh = WalshReconstructor(layout.patches(), taxels.rows, taxels.columns, NOISE_N, taxels.surface.graph)
         self._shape = (layout.blocks, layout.measurement.block_size)
         #: A patch's sums come by Hadamard row, and are solved group by group.
         self._rows = grouped_rows(layout.measurement.block_size).ravel()

@@ -67,17 +67,17 @@ def check_sbhe(phi: object) -> None:
         raise InputError(f"a compiled solver needs an SBHE, got {type(phi).__name__}: use fista")
 
 
-def check_grid_of(phi: Sbhe, rows: int, columns: int, prior: str) -> None:
-    """Raise InputError unless Φ is an SBHE of rows x columns taxels; a prior with a basis needs powers of two."""
+def check_grid_of(phi: Sbhe, rows: int, columns: int, prior: str, edges: object = None) -> None:
+    """Raise InputError unless Φ is an SBHE of rows x columns taxels; a prior with a basis needs a full grid."""
     check_sbhe(phi)
     count = phi.shape[1]
     if rows * columns != count:
         raise InputError(f"Φ measures {count} taxels but the grid has {rows} x {columns} = {rows * columns}")
     if prior == "variation":
         return
+    if edges is not None or phi.empty or not phi.is_wired.all():
+        raise InputError("a basis needs a grid without gaps, and full blocks: expected 'variation'")
     check_grid(rows, columns)
-    if phi.empty or not phi.is_wired.all():
-        raise InputError("a basis needs full blocks and a grid without gaps: expected 'variation'")
 
 
 def check_iterations(iterations: int) -> None:

@@ -53,7 +53,9 @@ def reconstruct(
         warm_up(skin, imager)
     finally:
         patience.cancel()
-    with closing(Fabric(skin.name, "reconstructor", connect, stop=stop, fingerprint=skin.phi().fingerprint)) as fabric:
+    with closing(
+        Fabric(skin.name, "reconstructor", connect, stop=stop, fingerprint=skin.operator().fingerprint)
+    ) as fabric:
         service = ReconstructorService(skin, imager, fabric)
         say("reconstructor", f"{skin.taxels.rows} x {skin.taxels.columns} taxels, {imager.about}")
         fabric.tell_scheduling(service.schedule())

@@ -1,6 +1,6 @@
 """Contacts: where the skin is touched, how strongly, and which touch is which from image to image.
 
-A contact is a region of neighbouring taxels with force. From one image to the next:
+A contact is a region of neighbouring taxels with force (`reconstructor.kernels.regions`). From one image to the next:
 
 * A region belongs to the contact whose taxels it covers.
 * Two objects slide into each other: each taxel of their region keeps its contact, and the border between the contacts
@@ -12,7 +12,8 @@ A contact is a region of neighbouring taxels with force. From one image to the n
 * A contact without a region is remembered for `MEMORY_S`, so that one bad image does not end it.
 """
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, field
 from itertools import groupby
 from operator import attrgetter
 from typing import Final
@@ -22,7 +23,15 @@ import numpy.typing as npt
 
 from canskin.errors import InputError
 from canskin.messages import Contact, EndedContact
-from reconstructor.kernels.regions import FEATURES, find_regions, measure_parts, number_parts, spread_owners
+from reconstructor.kernels.regions import (
+    FEATURES,
+    find_regions,
+    measure_parts,
+    neighbour_tables,
+    number_parts,
+    spread_owners,
+)
+from skin.surface import GRID_NORMAL, Surface
 
 #: Taxels above `EDGE_N` newtons belong to a region. A contact begins when a taxel is above `ONSET_N`, and lasts while
 #: a taxel is above `KEEP_N`.
@@ -33,21 +42,23 @@ ONSET_N: Final = 0.002
 JOIN_S: Final = 0.5
 #: A contact has a peak of its own while its largest force is more than this times the force of the pass to the next.
 PEAK_RATIO: Final = 1.05
-#: How long a contact without a region is remembered, and how far from its last place it may come back, in taxels.
+#: How long a contact without a region is remembered, and how far from its last place it may come back, in pitches.
 MEMORY_S: Final = 0.05
 REACH: Final = 4.0
+#: Shorter means of normals are those of a touch all around, which has no direction.
+LEAST_NORMAL: Final = 0.01
+Point = tuple[float, float, float]
 
 
 @dataclass(eq=False)
 class _Track:
-    """A contact from its onset to its end; `row`, `column`: its centre when it was last seen."""
+    """A contact from its onset to its end; `place`: its centre when it was last seen, without the normal."""
 
     identity: int
     onset_ns: int
     seen_ns: int = 0
     doubtful_ns: int = 0
-    row: float = 0.0
-    column: float = 0.0
+    place: list[float] = field(default_factory=list)
     #: The contact that it has joined.
     host: "_Track | None" = None
 
@@ -58,11 +69,11 @@ class _Part:
 
     #: Its number, and those of the parts that have joined it.
     numbers: list[int]
+    #: Sums of force x place.
+    moments: list[float]
     region: int
     owner: int
     force_n: float
-    by_row: float
-    by_column: float
     peak_n: float
     taxels: float
     top: float
@@ -76,8 +87,7 @@ class _Part:
     def add(self, other: "_Part") -> None:
         """Take another part in."""
         self.force_n += other.force_n
-        self.by_row += other.by_row
-        self.by_column += other.by_column
+        self.moments = [mine + its for mine, its in zip(self.moments, other.moments, strict=True)]
         self.peak_n = max(self.peak_n, other.peak_n)
         self.taxels += other.taxels
         self.top, self.bottom = min(self.top, other.top), max(self.bottom, other.bottom)
@@ -85,14 +95,9 @@ class _Part:
         self.numbers += other.numbers
 
     @property
-    def row(self) -> float:
-        """Row of the centre of force."""
-        return self.by_row / self.force_n
-
-    @property
-    def column(self) -> float:
-        """Column of the centre of force."""
-        return self.by_column / self.force_n
+    def centre(self) -> list[float]:
+        """Row and column of the centre of force; its position in metres and normal where the skin is no grid."""
+        return [each / self.force_n for each in self.moments]
 
 
 class ContactTracker:
@@ -100,17 +105,23 @@ class ContactTracker:
 
     Parameters
     ----------
-    rows, columns : int
-        The grid.
+    surface : Surface
+        Of the skin.
     """
 
-    def __init__(self, rows: int, columns: int) -> None:
-        shape = self._shape = rows, columns
+    def __init__(self, surface: Surface) -> None:
+        self._surface, count = surface, len(surface.positions_m)
+        self._neighbours, self._around = neighbour_tables(surface)
+        #: Of each taxel row and column, or position and normal where the skin is no grid.
+        self._places, self._reach = np.hstack((surface.positions_m, surface.normals)), REACH * surface.pitch_m
+        if surface.is_grid:
+            self._places, self._reach = np.indices(surface.shape).reshape(2, count).T.astype(np.float64, "C"), REACH
+        self._first_m = _point(surface.positions_m[0])
         #: Of each taxel, 1 + the place of its contact in `_tracks`; 0 without a contact.
-        self._owners = np.zeros(shape, np.int32)
-        self._regions, self._parts, self._seeds = (np.zeros(shape, np.int32) for _ in range(3))
-        self._queue = np.empty(rows * columns, np.int32)
-        self._pairs = np.empty((rows * columns, 2), np.int32)
+        self._owners = np.zeros(count, np.int32)
+        self._regions, self._parts, self._seeds = np.zeros((3, count), np.int32)
+        self._queue = np.empty(count, np.int32)
+        self._pairs = np.empty((count, 2), np.int32)
         self._tracks: list[_Track] = []
         self._lost: list[_Track] = []
         self._joined: list[_Track] = []
@@ -138,8 +149,8 @@ class ContactTracker:
         doubtful : array of bool, shape (n,), optional
             Taxels whose force may be an error of the zero, row-major; without it, none.
         """
-        if image.shape != self._shape:
-            raise InputError(f"expected an image of {self._shape} taxels, got {image.shape}")
+        if image.shape != self._surface.shape:
+            raise InputError(f"expected an image of {self._surface.shape} taxels, got {image.shape}")
         if _is_over(self._now_ns, now_ns):
             self._lost += self._tracks
             self._tracks = []
@@ -155,17 +166,18 @@ class ContactTracker:
 
     def warm_up(self) -> None:
         """Compile the kernels, or take them from the cache; before the first image."""
-        ContactTracker(*self._shape).take(np.full(self._shape, 0.01, np.float32), 0)
+        ContactTracker(self._surface).take(np.full(self._surface.shape, 0.01, np.float32), 0)
 
     def _cut(self, image: npt.NDArray[np.floating]) -> list[_Part]:
         """Cut the image into parts, one for each pair of region and earlier contact."""
-        find_regions(image, EDGE_N, KEEP_N, self._regions, self._queue)
-        spread_owners(image, self._regions, self._owners, self._seeds)
+        force = image.ravel()
+        find_regions(force, self._neighbours, EDGE_N, KEEP_N, self._regions, self._queue)
+        spread_owners(force, self._neighbours, self._around, self._regions, self._owners, self._seeds)
         count = number_parts(self._regions, self._owners, self._parts, self._pairs)
-        table = np.empty((count, FEATURES))
-        measure_parts(image, self._parts, table)
+        table = np.empty((count, FEATURES + self._places.shape[1]))
+        measure_parts(image, self._neighbours, self._places, self._parts, table)
         rows = zip(self._pairs[:count].tolist(), table.tolist(), strict=True)
-        return [_Part([number], *pair, *row) for number, (pair, row) in enumerate(rows, 1)]
+        return [_Part([number], row[FEATURES:], *pair, *row[:FEATURES]) for number, (pair, row) in enumerate(rows, 1)]
 
     def _assign(self, parts: list[_Part]) -> None:
         """Give each part its contact: the earlier one to its strongest part, to the others one remembered or new."""
@@ -190,10 +202,28 @@ class ContactTracker:
 
     def _remembered(self, part: _Part) -> _Track | None:
         """Take the nearest lost contact within reach."""
-        distances = [(each.row - part.row) ** 2 + (each.column - part.column) ** 2 for each in self._lost]
-        if not distances or min(distances) > REACH**2:
+        place = part.centre[:3]
+        apart = [math.dist(each.place, place) for each in self._lost]
+        if not apart or min(apart) > self._reach:
             return None
-        return self._lost.pop(distances.index(min(distances)))
+        return self._lost.pop(apart.index(min(apart)))
+
+    def _place(self, centre: list[float]) -> tuple[float, float, Point, Point]:
+        """Return row and column of a centre of force, and its position and normal.
+
+        Where the skin is no grid, the column is the nearest taxel.
+        """
+        surface = self._surface
+        if surface.is_grid:
+            row, column = centre
+            x_m, y_m, z_m = self._first_m
+            return row, column, (x_m + column * surface.pitch_m, y_m + row * surface.pitch_m, z_m), GRID_NORMAL
+        position_m, normal = np.array(centre[:3]), np.array(centre[3:])
+        length = float(np.linalg.norm(normal))
+        apart_m = np.linalg.norm(surface.positions_m - position_m, axis=1)
+        nearest = int(np.where(surface.normals @ normal >= 0, apart_m, np.inf).argmin())
+        unit = normal / length if length > LEAST_NORMAL else surface.normals[nearest]
+        return 0.0, float(nearest), _point(position_m), _point(unit)
 
     def _new(self) -> _Track:
         self._begun += 1
@@ -258,25 +288,27 @@ class ContactTracker:
         for place, part in enumerate(parts, 1):
             owner_of_part[part.numbers] = place
         np.take(owner_of_part, self._parts, out=self._owners)
-        unmeasured = self._owners[~valid] if valid is not None else np.zeros(0, np.int32)
+        unmeasured = self._owners[~valid.ravel()] if valid is not None else np.zeros(0, np.int32)
         invalid = np.bincount(unmeasured, minlength=len(parts) + 1)[1:].tolist()
         doubtful_n = [0.0] * len(parts)
         if doubtful is not None:
             places = np.flatnonzero(doubtful)
-            owners, forces_n = self._owners.ravel()[places], image.ravel()[places]
+            owners, forces_n = self._owners[places], image.ravel()[places]
             doubtful_n = np.bincount(owners, forces_n, len(parts) + 1)[1:].tolist()
         contacts = []
         self._tracks = []
         for part, invalid_taxels, of_it_n in zip(parts, invalid, doubtful_n, strict=True):
             track = part.track or self._new()
-            track.seen_ns, track.row, track.column = self._now_ns, part.row, part.column
+            centre = part.centre
+            track.seen_ns, track.place = self._now_ns, centre[:3]
+            row, column, position_m, normal = self._place(centre)
             track.doubtful_ns = (track.doubtful_ns or self._now_ns) if 2 * of_it_n >= part.force_n else 0
             self._tracks.append(track)
             contacts.append(
                 Contact(
                     identity=track.identity,
-                    row=part.row,
-                    column=part.column,
+                    row=row,
+                    column=column,
                     force_n=part.force_n,
                     peak_n=part.peak_n,
                     taxels=int(part.taxels),
@@ -287,6 +319,8 @@ class ContactTracker:
                     onset_mono_ns=track.onset_ns,
                     invalid_taxels=invalid_taxels,
                     doubtful_since_mono_ns=track.doubtful_ns,
+                    position_m=position_m,
+                    normal=normal,
                 )
             )
         return contacts
@@ -308,3 +342,8 @@ def _age(part: _Part) -> tuple[float, int]:
 def _is_over(seen_ns: int, now_ns: int) -> bool:
     """Tell whether a contact that was last seen at a time is forgotten now."""
     return now_ns - seen_ns > 1e9 * MEMORY_S
+
+
+def _point(numbers: npt.NDArray[np.float64]) -> Point:
+    x, y, z = numbers.tolist()
+    return x, y, z

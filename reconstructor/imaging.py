@@ -38,7 +38,7 @@ class CycleImager:
     decode = staticmethod(decode_measurement)
 
     def __init__(self, layout: Layout, options: SolverOptions | None = None, gains: KnownGains | None = None) -> None:
-        chosen, phi, taxels = options or SolverOptions(), layout.phi(), layout.taxels
+        chosen, phi, taxels = options or SolverOptions(), layout.operator(), layout.taxels
         settings = chosen.settings()
         basis = f", basis {settings.prior}" if chosen.basis else ""
         self.about = f"{settings.iterations} iterations{basis}"
@@ -49,16 +49,18 @@ class CycleImager:
             settings,
             noise_n=chosen.clipped_noise_n(layout),
             samples=layout.samples_per_sync,
+            edges=taxels.surface.graph,
         )
         self.warm_up = self.solver.warm_up
         self._newton_per_count = np.float32(taxels.newton_per_count)
-        self._gains = None if gains is None else GainCorrection(phi, gains)
+        self._gains = None if gains is None else GainCorrection(layout.phi(), gains)
+        self._phi = phi
 
     def solve(self, sums: MeasuredSums) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.bool_]]:
         """Return the image, float32, shape (rows, columns), newtons; and which sums it is made from, shape (m,)."""
         sums_n = np.multiply(sums.counts, self._newton_per_count, dtype=np.float32)
         if self._gains is None:
-            return self.solver.solve(sums_n, sums.valid_sums), sums.valid_sums
+            return self.solver.solve(sums_n, sums.valid_sums, self._phi.of_cycle(sums.cycle)), sums.valid_sums
         sums_n, valid_sums = self._gains.apply(sums_n, sums.valid_sums)
         image = self.solver.solve(sums_n, valid_sums)
         self._gains.keep(image)

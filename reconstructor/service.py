@@ -25,7 +25,7 @@ Image_n = npt.NDArray[np.float32]
 def warm_up(layout: Layout, imager: Imager) -> None:
     """Compile what images and contacts need, or load what was compiled."""
     imager.warm_up()
-    ContactTracker(layout.taxels.rows, layout.taxels.columns).warm_up()
+    ContactTracker(layout.taxels.surface).warm_up()
 
 
 class ReconstructorService:
@@ -58,9 +58,9 @@ class ReconstructorService:
         self.images = 0
         self._clock_ns = clock_ns
         self._imager = imager
-        self._reader: MeasurementReader[Any] = MeasurementReader(layout.phi(), "reconstructor", imager.decode)
-        self._tracker = ContactTracker(layout.taxels.rows, layout.taxels.columns)
-        self._phi = layout.phi()
+        self._reader: MeasurementReader[Any] = MeasurementReader(layout.operator(), "reconstructor", imager.decode)
+        self._tracker = ContactTracker(layout.taxels.surface)
+        self._phi = layout.operator()
         self._fabric = fabric
         self._mailbox = fabric.mailbox(MEASUREMENT, imager.depth)
 
@@ -106,8 +106,8 @@ class ReconstructorService:
         """Find the contacts of an image; an image without any valid sum says nothing of them."""
         started_s = time.perf_counter()
         is_blind = message.valid_sums == 0
-        blocks = np.frombuffer(message.valid, np.bool_)
-        valid = None if blocks.all() else self._phi.of_taxels(blocks).reshape(image.shape)
+        phi = self._phi.of_cycle(message.cycle)
+        valid = phi.valid_taxels(np.frombuffer(message.valid, np.bool_)).reshape(image.shape)
         doubtful = doubtful_taxels(message, image.size)
         found, ended = ([], []) if is_blind else self._tracker.take(image, message.sampled_mono_ns, valid, doubtful)
         return Contacts(

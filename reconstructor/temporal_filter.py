@@ -167,6 +167,10 @@ class TemporalFilter:
         """Root mean square of the last innovation over that of noise alone; 1 before there is any."""
         return float(self._filtered.state[SURPRISE] ** 0.5)
 
+    def expect(self, sums_n: Values) -> None:
+        """Put in place of the sums before, shape (m,), what they would be with another Φ."""
+        self._filtered.sums[:] = sums_n
+
     def take(self, sums_n: Values, valid: npt.NDArray[np.bool_]) -> bool:
         """Process one cycle, arrays of shape (m,); return False, without a change, if a valid sum is not finite."""
         return bool(update(self._filtered, sums_n, valid, self._averages))

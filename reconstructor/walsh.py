@@ -14,7 +14,7 @@ import numpy.typing as npt
 from canskin.errors import InputError
 from reconstructor.checks import check_values
 from reconstructor.kernels.filling import fill
-from reconstructor.kernels.problem import cuts
+from reconstructor.kernels.graph import Graph, graph_of
 from reconstructor.kernels.variation import denoise
 from skin.walsh import grouped_rows, walsh_matrix
 
@@ -31,13 +31,13 @@ class VariationFilter:
 
     Parameters
     ----------
-    wired : array of bool, shape (rows, columns)
-        Where the grid of every image has a taxel.
+    graph : Graph
+        Of the taxels of every image.
     """
 
-    def __init__(self, wired: npt.NDArray[np.bool_]) -> None:
-        self._dual = np.zeros((2, *wired.shape), np.float32)
-        self._cuts = cuts(wired)
+    def __init__(self, graph: Graph) -> None:
+        self._dual = np.zeros(graph.size, np.float32)
+        self._graph = graph
 
     def __call__(self, image_n: Floats, limit_n: float) -> Floats:
         """Return the image with less total variation, float32, shape (rows, columns), newtons.
@@ -48,9 +48,9 @@ class VariationFilter:
         limit_n : float
             Neighbours that differ by less become equal, given time.
         """
-        smooth = np.empty_like(image_n)
-        denoise(image_n, np.float32(limit_n), STEPS, self._dual, smooth, self._cuts)
-        return smooth
+        made = np.empty(image_n.size, np.float32)
+        denoise(image_n.ravel(), np.float32(limit_n), STEPS, self._dual, made, self._graph)
+        return made.reshape(image_n.shape)
 
     def reset(self) -> None:
         """Forget the images before."""
@@ -68,23 +68,31 @@ class WalshReconstructor:
         Row-major indices of the taxels of each patch and of empty places, by bus, see `skin.walsh.patches`.
     noise_n : float
         Median over the nodes of their noise, newtons; may be set anew between images.
+    edges : array of int, shape (edges, 2), optional
+        Pairs of neighbours of a skin that is no grid (`skin.surface.Surface.graph`).
     """
 
-    def __init__(self, patches: Sequence[npt.NDArray[Any]], rows: int, columns: int, noise_n: float) -> None:
+    def __init__(
+        self,
+        patches: Sequence[npt.NDArray[Any]],
+        rows: int,
+        columns: int,
+        noise_n: float,
+        edges: npt.NDArray[np.intp] | None = None,
+    ) -> None:
         self._cells = np.concatenate(patches)
         # The empty places follow the taxels; gaps of the grid are 0.
         places = max(rows * columns, int(self._cells.max()) + 1)
         held = np.bincount(self._cells.ravel(), minlength=places)
         if held.max() > 1 or not held[rows * columns :].all():
             raise InputError(f"expected patches that hold each of {rows * columns} taxels once")
-        wired = held[: rows * columns].reshape(rows, columns) > 0
+        self._graph = graph_of(rows, columns, np.flatnonzero(held[: rows * columns] == 0), edges)
         taxels = self._cells.shape[1]
         self._rows = grouped_rows(taxels).ravel()
         self._inverse = walsh_matrix(taxels) / np.float32(taxels)
         self._places = np.zeros(places, np.float32)
         self._image = self._places[: rows * columns].reshape(rows, columns)
-        self._filter = VariationFilter(wired)
-        self._grid = wired.shape, cuts(wired)
+        self._filter = VariationFilter(self._graph)
         self._filled, self._work = np.zeros(places, np.float32), np.zeros((4, places), np.float32)
         self._unknown = np.zeros(self._cells.shape, np.bool_)
         self.noise_n = noise_n
@@ -109,7 +117,8 @@ class WalshReconstructor:
         elif known.any():
             self._places[self._cells] = np.where(known, sums_n, np.float32(0)) @ self._inverse
             self._unknown[:, self._rows] = ~known
-            fill(self._places, self._grid, self._unknown, self._cells, self._filled, self._work)
+            taxels = self._image.size
+            fill(self._places, taxels, self._graph, self._unknown, self._cells, self._filled, self._work)
         else:
             self.reset()
             return np.zeros_like(self._image)

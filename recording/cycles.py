@@ -1,8 +1,9 @@
-"""The sums of every cycle: of a CAN log, decoded by the gateway's loop, or of a recording of forces."""
+"""The sums of every cycle: of a CAN log, decoded by the gateway's loop, of a recording of forces, or of a file."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -12,13 +13,19 @@ from canskin.messages import FrameCounts, Measurement
 from dbc.canopen import SYNC_COB_ID
 from dbc.contract import Contract
 from dbc.frame import Frames
+from dbc.packing import packing
 from gateway.playback import play
 from nodes.analogue import AnalogueElectronics
 from nodes.electronics import Electronics
 from skin.layout import Layout
+from skin.matrix import MatrixPhi
 from skin.measured_sums import used_blocks
-from skin.measurement import Sbhe
 from touch.sources import recording
+
+#: The array of an .npz of sums, and those that may stand beside it.
+SUMS: Final = "sums"
+_BESIDE: Final = ("valid", "cycle", "time_ns")
+_MOST_COUNTS: Final = int(np.iinfo(np.int32).max)
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,11 +40,14 @@ class Cycles:
         True if every sum of the block came in this cycle.
     time_ns : array of int64, shape (cycles,)
         Time of the SYNC: on the clock of the log; of a recording, from 0.
+    cycle : array of int64, shape (cycles,)
+        Number of the cycle, from 1: it tells the Φ that changes from frame to frame.
     """
 
     counts: npt.NDArray[np.int32]
     valid: npt.NDArray[np.bool_]
     time_ns: npt.NDArray[np.int64]
+    cycle: npt.NDArray[np.int64]
 
 
 def decode_log(
@@ -67,11 +77,52 @@ def decode_log(
         )
     counts = np.stack([np.frombuffer(each.sums, "<i4") for each in made])
     valid = np.stack([used_blocks(each, contract.phi) for each in made])
-    return Cycles(counts, valid, np.array([each.sampled_mono_ns for each in made], np.int64)), part.status.frames
+    time_ns, cycle = (
+        np.array(each, np.int64) for each in zip(*((m.sampled_mono_ns, m.cycle) for m in made), strict=True)
+    )
+    return Cycles(counts, valid, time_ns, cycle), part.status.frames
+
+
+def read_sums(layout: Layout, path: Path) -> Cycles:
+    """Read the sums of a skin from a file that a program has written.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        ``.npz``: ``sums``, integers, ADC counts, shape (cycles, m); and what is known of ``valid``, bool, shape
+        (cycles, m), default all; ``cycle``, the numbers of the cycles, default 1, 2, 3 and so on; ``time_ns``, default
+        that of the cycles from 0.
+    """
+    phi = layout.operator()
+    try:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
+            found = {name: np.asarray(arrays[name]) for name in arrays.files if name in {SUMS, *_BESIDE}}
+    except Exception as error:  # the zip and npy decoders raise many kinds of errors
+        raise InputError(f"{path}: cannot be read as .npz: {' '.join(str(error).split())}") from error
+    sums = found[SUMS]
+    if sums.dtype.kind not in "iu" or sums.shape[1:] != phi.shape[:1] or not len(sums):
+        expected = f"expected integers, ADC counts, of shape (cycles, {phi.shape[0]})"
+        raise InputError(f"{path}: 'sums': {expected}, got {sums.dtype} of shape {sums.shape}")
+    if abs(int(sums.max())) > _MOST_COUNTS or abs(int(sums.min())) > _MOST_COUNTS:
+        raise InputError(f"{path}: 'sums': expected up to {_MOST_COUNTS} counts, got {sums.min()} to {sums.max()}")
+    cycle = found.get("cycle", np.arange(1, len(sums) + 1))
+    time_ns = found.get("time_ns", np.rint((cycle - cycle[:1]) * (1e9 * layout.sync.period_s)).astype(np.int64))
+    valid = found.get("valid", np.ones(sums.shape, np.bool_))
+    for name, each, kinds, shape in (
+        ("cycle", cycle, "iu", sums.shape[:1]),
+        ("time_ns", time_ns, "iu", sums.shape[:1]),
+        ("valid", valid, "b", sums.shape),
+    ):
+        if each.dtype.kind not in kinds or each.shape != shape:
+            wanted = "booleans" if kinds == "b" else "integers"
+            raise InputError(f"{path}: '{name}': expected {wanted} of shape {shape}, got {each.dtype} of {each.shape}")
+    blocks = np.array([phi.all_of_blocks(each) for each in valid]) & phi.has_sums
+    counts = np.where(blocks[:, phi.block_of_sum], sums, 0).astype(np.int32)
+    return Cycles(counts, blocks, time_ns.astype(np.int64), cycle.astype(np.int64))
 
 
 def measure_forces(
-    contract: Contract,
+    layout: Layout,
     path: Path,
     arrays: Sequence[str] | None,
     full_scale: float | None,
@@ -79,7 +130,7 @@ def measure_forces(
 ) -> Cycles:
     """Measure every frame of a recording of forces in one cycle, with the ADC, Φ and packing of the nodes.
 
-    Every block with sums is valid unless one saturates.
+    Every block with sums is valid unless one saturates. Sums of a matrix are those of the ADC's counts.
 
     Parameters
     ----------
@@ -92,28 +143,33 @@ def measure_forces(
     advance : callable
         Called with the number of further measured frames.
     """
-    layout, phi, packing = contract.layout, contract.phi, contract.packing
-    taxels = layout.taxels
+    taxels, phi = layout.taxels, layout.operator()
     source = recording(
         path, taxels.rows, taxels.columns, full_scale=full_scale, force_max_n=taxels.force_max_n, arrays=arrays
     )
-    read = _reader(layout, phi)
+    read, packed = _reader(layout), None if isinstance(phi, MatrixPhi) else packing(layout)
     counts = np.empty((source.frames, phi.shape[0]), np.int32)
     valid = np.tile(phi.has_sums, (source.frames, 1))
     for step in range(source.frames):
-        counts[step] = packing.counts(packing.raw(read(source.frame(step).force_n)))
-        usable = packing.usable(counts[step])
-        if usable:
+        counts[step] = read(source.frame(step).force_n, step + 1)
+        if packed is not None:
+            counts[step] = packed.counts(packed.raw(counts[step]))
+        if packed is not None and (usable := packed.usable(counts[step])):
             valid[step, phi.block_of_sum[np.frombuffer(usable, np.uint8) == 0]] = False
         advance(1)
     time_ns = np.rint(np.arange(source.frames) * (1e9 * layout.sync.period_s)).astype(np.int64)
-    return Cycles(counts, valid, time_ns)
+    return Cycles(counts, valid, time_ns, np.arange(1, source.frames + 1))
 
 
-def _reader(layout: Layout, phi: Sbhe) -> Callable[[npt.NDArray[np.float32]], npt.NDArray[np.int32]]:
-    """Return what makes sums, counts of shape (m,), of forces of shape (rows, columns)."""
+def _reader(layout: Layout) -> Callable[[npt.NDArray[np.float32], int], npt.NDArray[np.int32]]:
+    """Return what makes the sums of a cycle, counts of shape (m,), of forces of shape (rows, columns)."""
+    any_phi = layout.operator()
+    if isinstance(any_phi, MatrixPhi):
+        taxels = Electronics(layout.taxels, noise_n=0.0)
+        return lambda force_n, cycle: any_phi.of_cycle(cycle).forward(taxels.read(force_n))
+    phi = any_phi
     if layout.taxels.is_analogue:
         boards = AnalogueElectronics(layout, phi, noise_n=0.0)
-        return lambda force_n: boards.read_sums(force_n, None, 0)
+        return lambda force_n, _cycle: boards.read_sums(force_n, None, 0)
     electronics = Electronics(layout.taxels, noise_n=0.0, places=phi.wired.taxels)
-    return lambda force_n: phi.wired.forward(electronics.read(force_n)).astype(np.int32, copy=False)
+    return lambda force_n, _cycle: phi.wired.forward(electronics.read(force_n)).astype(np.int32, copy=False)

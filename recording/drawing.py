@@ -1,6 +1,10 @@
-"""Tactile images as pictures: colours and marks of the page, a line of text below."""
+"""Tactile images as pictures: colours and marks of the page, a line of text below.
+
+Skins that are no grid are drawn as `skin.plane.Plane` has them.
+"""
 
 from collections.abc import Sequence
+from functools import cached_property
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -8,6 +12,8 @@ import numpy.typing as npt
 
 from canskin.messages import Contact
 from skin.layout import Layout
+from skin.plane import Plane
+from skin.taxel_places import contact_place_m
 from views.colours import coloured
 
 if TYPE_CHECKING:
@@ -22,6 +28,8 @@ LINE: Final = 24
 _TEXT: Final = 14
 _HATCH_GROUND: Final = (0x8A, 0x90, 0x97)
 _HATCH_LINE: Final = (0x4D, 0x53, 0x5A)
+#: Where there is no taxel: the ground of images on the page when it is dark.
+_NOTHING: Final = np.array([[0x23, 0x2A, 0x31]], np.uint8)
 #: Part of the brightness that a picture keeps, without its colours, when it is no longer current.
 _OLD: Final = 0.4
 
@@ -39,20 +47,23 @@ class Drawing:
     Attributes
     ----------
     shape : tuple of int
-        Rows and columns of an image.
+        Of the arrays of a skin: rows and columns.
     cell : int
-        Pixels of a taxel in each direction.
+        Pixels between neighbours: of a taxel of a grid in each direction.
     height, width : int
         Of a picture.
     """
 
     def __init__(self, layout: Layout, top_n: float) -> None:
-        self.shape = rows, columns = layout.taxels.rows, layout.taxels.columns
-        self._top_n = top_n
-        self.cell = max(LEAST_CELL, 2 * (SIDE // max(self.shape) // 2))
-        self.height, self.width = rows * self.cell + LINE, columns * self.cell
-        self._phi = layout.phi()
-        self._hatching = np.tile(_hatched(self.cell), (rows, columns, 1))
+        self.shape = layout.taxels.rows, layout.taxels.columns
+        self._top_n, self._phi, self._surface = top_n, layout.phi(), layout.taxels.surface
+        self._plane = Plane(self._surface)
+        self.cell = max(LEAST_CELL, 2 * (SIDE // round(max(self._plane.width, self._plane.height)) // 2))
+        taxels = self._plane.cells(self.cell)
+        height, width = taxels.shape
+        #: The taxel of each pixel; -1: none.
+        self._taxels = taxels[: height // 2 * 2, : width // 2 * 2]
+        self.height, self.width = self._taxels.shape[0] + LINE, self._taxels.shape[1]
 
     def draw(
         self, forces_n: npt.NDArray[np.floating], valid: npt.NDArray[np.bool_], contacts: Sequence[Contact], text: str
@@ -71,12 +82,14 @@ class Drawing:
         """
         from PIL import Image
 
-        picture = Image.new("RGB", (self.width, self.height))
-        picture.paste(self._large(coloured(forces_n, self._top_n)))
-        if not (valid.all() and self._phi.is_wired.all()):
-            hatched = np.where(self._phi.of_taxels(valid).reshape(self.shape), 0, 255).astype(np.uint8)
-            picture.paste(Image.fromarray(self._hatching), mask=self._large(hatched))
-        return self._written(picture, contacts, text)
+        picture = np.zeros((self.height, self.width, 3), np.uint8)
+        image = picture[:-LINE]
+        colours = np.append(coloured(forces_n.ravel(), self._top_n), _NOTHING, axis=0)
+        image[:] = np.take(colours, self._taxels, axis=0)
+        hatched = np.take(np.append(~self._phi.of_taxels(valid), False), self._taxels)
+        if hatched.any():
+            image[hatched] = self._hatching[hatched]
+        return self._written(Image.fromarray(picture), contacts, text)
 
     def old(self, picture: Picture, text: str) -> Picture:
         """Return a picture without colours, under which `text` says why it is old."""
@@ -86,11 +99,12 @@ class Drawing:
         grey[-LINE:] = 0
         return self._written(Image.fromarray(grey).convert("RGB"), (), text)
 
-    def _large(self, small: Picture) -> "Image":
-        from PIL import Image
-
-        size = self.width, self.height - LINE
-        return Image.fromarray(small).resize(size, Image.Resampling.NEAREST)
+    @cached_property
+    def _hatching(self) -> Picture:
+        """Diagonal lines that continue from one taxel to the next."""
+        height, width = self._taxels.shape
+        is_line = np.add.outer(np.arange(height), np.arange(width))[..., None] % self.cell < max(1, self.cell // 3)
+        return np.where(is_line, _HATCH_LINE, _HATCH_GROUND).astype(np.uint8)
 
     def _written(self, picture: "Image", contacts: Sequence[Contact], text: str) -> Picture:
         from PIL import ImageDraw, ImageFont
@@ -106,15 +120,9 @@ class Drawing:
 
     def _mark(self, pen: "ImageDraw", contact: Contact) -> tuple[int, int]:
         """Draw a cross at the centre of force; return its place."""
-        x, y = round((contact.column + 0.5) * self.cell), round((contact.row + 0.5) * self.cell)
+        place = self._plane.place(contact_place_m(self._surface, contact), contact.normal)
+        x, y = np.rint(place * self.cell).astype(int).tolist()
         for colour, width in (("black", 3), ("white", 1)):
             pen.line((x - self.cell, y, x + self.cell, y), colour, width)
             pen.line((x, y - self.cell, x, y + self.cell), colour, width)
         return x, y
-
-
-def _hatched(cell: int) -> Picture:
-    """Return a taxel with diagonal lines that continue from one taxel to the next."""
-    across = np.arange(cell)
-    is_line = (across[:, None] + across) % cell < max(1, cell // 3)
-    return np.where(is_line[..., None], _HATCH_LINE, _HATCH_GROUND).astype(np.uint8)

@@ -19,26 +19,26 @@ from canskin.errors import InputError, RunError
 from canskin.messages import FrameCounts
 from dbc.contract import Contract
 from reconstructor.array_api import BatchSolver, gpu_library
-from reconstructor.engine import Reconstructor
+from reconstructor.engine import reconstruct
 from reconstructor.options import SolverOptions
-from recording.cycles import Cycles, decode_log, measure_forces
+from recording.cycles import SUMS, Cycles, decode_log, measure_forces, read_sums
 from recording.steps import frames_of_log
 from shell.output import check_new_path, replacing
 from shell.service import say
 from shell.terminal import progress
 from shell.touch_options import ArrayNames, FullScale
-from skin.layout import RECORDING_SUFFIX, load_layout, require_one_state, require_sending
+from skin.layout import RECORDING_SUFFIX, Layout, load_layout, require_one_state, require_sending
+from touch.reading import array_names
 
 #: ``--calibration none``: take nothing off.
 NO_CALIBRATION: Final = Path("none")
-#: Images between two turns of the progress bar.
-CHUNK: Final = 64
 
 Bools = npt.NDArray[np.bool_]
 Sums = npt.NDArray[np.float32]
 Images = npt.NDArray[np.float32]
-#: Makes the images of sums and their validity, each of shape (cycles, m), and tells its progress.
-_Solve = Callable[[Sums, Bools, Callable[[int], None]], Images]
+Numbers = npt.NDArray[np.int64]
+#: Makes the images of sums, their validity, each of shape (cycles, m), and the cycles' numbers; tells its progress.
+_Solve = Callable[[Sums, Bools, Numbers, Callable[[int], None]], Images]
 #: First words of a .csv log of python-can.
 _CAN_CSV: Final = b"timestamp,arbitration_id"
 
@@ -66,8 +66,9 @@ def rebuild(
     Parameters
     ----------
     source
-        A CAN log (.mcap of ``skin record``, candump -l, .asc, .blf or any other that python-can reads), or a recording
-        of forces: .npz, .npy or .csv of shape (time, rows, columns).
+        A CAN log (.mcap of ``skin record``, candump -l, .asc, .blf or any other that python-can reads); a recording
+        of forces: .npz, .npy or .csv of shape (time, rows, columns); or sums that a program has written: .npz with
+        ``sums``, counts, shape (cycles, sums), and what is known of ``valid``, ``cycle`` and ``time_ns``.
     out
         New .npz for the images: ``images`` float32 (cycles, rows, columns) in newtons, ``valid`` bool (cycles,
         blocks), ``time_ns`` int64 (cycles,), ``metadata`` JSON.
@@ -89,6 +90,7 @@ def rebuild(
     --------
     skin rebuild candump-2026-11-20_120000.log --out images.npz
     skin rebuild mat.npz --array S1 S2 --full-scale 4095 --out images.npz --solver spun
+    skin rebuild sums.npz --layout wire.toml --out images.npz
     """
     is_recording = _is_recording(source)
     _check_options(is_recording, channel, array, full_scale)
@@ -98,26 +100,30 @@ def rebuild(
     skin = load_layout(layout)
     require_one_state(skin, "'skin rebuild'")
     require_sending(skin, "synchronous", "'skin rebuild' is", "'skin replay --out' makes the images of adaptive sums")
-    contract = Contract.from_layout(skin)
     stored = None if calibration == NO_CALIBRATION else calibration
-    calibrator = make_calibrator(contract.layout, stored, tare, "rebuild")
+    calibrator = make_calibrator(skin, stored, tare, "rebuild")
     options = solver or SolverOptions()
     settings = options.settings()
     # A recording of forces has one frame for each cycle.
-    solve = _solver(contract, options, device, samples=1 if is_recording else skin.samples_per_sync)
-    cycles = _measured(contract, source, array, full_scale) if is_recording else _logged(contract, source, channel)
+    has_sums = is_recording and array is None and SUMS in array_names(source)
+    samples = skin.samples_per_sync if has_sums or not is_recording else 1
+    solve = _solver(skin, options, device, samples=samples)
+    if has_sums:
+        cycles = read_sums(skin, source)
+    else:
+        cycles = _measured(skin, source, array, full_scale) if is_recording else _logged(skin, source, channel)
     if calibrator is None and calibration is None and source.suffix.lower() == RECORDING_SUFFIX:
-        cycles = _as_live(contract, source, cycles)
+        cycles = _as_live(skin, source, cycles)
     if calibrator is not None:
-        cycles = _calibrated(contract, cycles, calibrator)
+        cycles = _calibrated(skin, cycles, calibrator)
     say("rebuild", f"solver {options.solver}, {settings.iterations} iterations, on the {device}")
-    images = _solved(contract, solve, cycles)
+    images = _solved(skin, solve, cycles)
     metadata = {
         "format": "canskin images 1",
         "version": version("canskin"),
         "source": source.name,
-        "layout": contract.layout.name,
-        "fingerprint": contract.phi.fingerprint,
+        "layout": skin.name,
+        "fingerprint": skin.operator().fingerprint,
         "solver": options.solver,
         "settings": asdict(settings),
         "noise_n": options.noise_n,
@@ -132,18 +138,18 @@ def rebuild(
     say("rebuild", f"{len(images)} images written to {out}")
 
 
-def _as_live(contract: Contract, source: Path, cycles: Cycles) -> Cycles:
+def _as_live(skin: Layout, source: Path, cycles: Cycles) -> Cycles:
     """Take off what the live gateway took off."""
-    recorded = RecordedOffsets(source, contract.layout)
+    recorded = RecordedOffsets(source, skin)
     if recorded.is_empty:
         return cycles
-    found = _calibrated(contract, cycles, recorded)
+    found = _calibrated(skin, cycles, recorded)
     say("rebuild", f"offsets of the run are taken off {recorded.applied} of {len(cycles.valid)} cycles")
     return found
 
 
-def _calibrated(contract: Contract, cycles: Cycles, source: OffsetSource) -> Cycles:
-    counts, valid = calibrated_cycles(contract.layout, cycles.counts, cycles.valid, cycles.time_ns, source)
+def _calibrated(skin: Layout, cycles: Cycles, source: OffsetSource) -> Cycles:
+    counts, valid = calibrated_cycles(skin, cycles.counts, cycles.valid, cycles.time_ns, source)
     return replace(cycles, counts=counts, valid=valid)
 
 
@@ -170,17 +176,18 @@ def _check_options(
         raise InputError("a CAN log has neither arrays nor a full scale: leave out --array and --full-scale")
 
 
-def _measured(contract: Contract, source: Path, array: list[str] | None, full_scale: float | None) -> Cycles:
+def _measured(skin: Layout, source: Path, array: list[str] | None, full_scale: float | None) -> Cycles:
     with progress(f"measuring {source.name}", None) as bar:
-        cycles = measure_forces(contract, source, array, full_scale, bar.advance)
+        cycles = measure_forces(skin, source, array, full_scale, bar.advance)
     say("rebuild", f"{len(cycles.valid)} frames of {source.name} measured")
     return cycles
 
 
-def _logged(contract: Contract, source: Path, channel: list[str] | None) -> Cycles:
+def _logged(skin: Layout, source: Path, channel: list[str] | None) -> Cycles:
     """Read and decode a log."""
+    contract = Contract.from_layout(skin)
     with progress(f"reading {source.name}", None) as bar:
-        logged = frames_of_log(contract.layout, source, channel, lambda line: say("rebuild", line))
+        logged = frames_of_log(skin, source, channel, lambda line: say("rebuild", line))
         cycles, counts = decode_log(contract, logged, bar.advance)
     if not cycles.valid.any():
         raise RunError(f"{source}: no block of any cycle is complete ({_counted(counts)}): is this the skin's layout?")
@@ -195,35 +202,38 @@ def _counted(counts: FrameCounts) -> str:
     return "frames " + ", ".join(f"{getattr(counts, word)} {word}" for word in words)
 
 
-def _solver(contract: Contract, options: SolverOptions, device: str, *, samples: int) -> _Solve:
+def _solver(skin: Layout, options: SolverOptions, device: str, *, samples: int) -> _Solve:
     """Return what makes the images of all cycles."""
-    phi, taxels, settings = contract.phi, contract.layout.taxels, options.settings()
-    noise_n = options.clipped_noise_n(contract.layout)
+    taxels, settings, noise_n = skin.taxels, options.settings(), options.clipped_noise_n(skin)
     if device == "gpu":
         library = gpu_library()
-        return BatchSolver(phi, taxels.rows, taxels.columns, settings, library=library, noise_n=noise_n).solve_recording
-    engine = Reconstructor(phi, taxels.rows, taxels.columns, settings, noise_n=noise_n, samples=samples)
+        batch = BatchSolver(skin.phi(), taxels.rows, taxels.columns, settings, library=library, noise_n=noise_n)
+        return lambda sums_n, valid, _cycle, advance: batch.solve_recording(sums_n, valid, advance)
 
-    def solve(sums_n: Sums, valid: Bools, advance: Callable[[int], None]) -> Images:
-        engine.restart()
-        images = np.empty((len(sums_n), taxels.rows, taxels.columns), np.float32)
-        for cycle in range(len(sums_n)):
-            images[cycle] = engine.solve(sums_n[cycle], valid[cycle])
-            if cycle % CHUNK == CHUNK - 1:
-                advance(CHUNK)
-        return images
+    def solve(sums_n: Sums, valid: Bools, cycle: Numbers, advance: Callable[[int], None]) -> Images:
+        return reconstruct(
+            sums_n,
+            skin.operator(),
+            taxels.surface,
+            settings,
+            valid_sums=valid,
+            cycles=cycle,
+            noise_n=noise_n,
+            samples=samples,
+            advance=advance,
+        )
 
     return solve
 
 
-def _solved(contract: Contract, solve: _Solve, cycles: Cycles) -> Images:
+def _solved(skin: Layout, solve: _Solve, cycles: Cycles) -> Images:
     """Return the images, and log the time."""
-    sums_n = np.multiply(cycles.counts, np.float32(contract.layout.taxels.newton_per_count), dtype=np.float32)
-    valid = cycles.valid[:, contract.phi.block_of_sum]
-    solve(sums_n[:1], valid[:1], lambda _: None)  # compiles the solver, or loads the compiled solver
+    sums_n = np.multiply(cycles.counts, np.float32(skin.taxels.newton_per_count), dtype=np.float32)
+    valid = cycles.valid[:, skin.operator().block_of_sum]
+    solve(sums_n[:1], valid[:1], cycles.cycle[:1], lambda _: None)  # compiles the solver, or loads the compiled solver
     started_s = time.perf_counter()
     with progress("solving", len(sums_n)) as bar:
-        images = solve(sums_n, valid, bar.advance)
+        images = solve(sums_n, valid, cycles.cycle, bar.advance)
     elapsed_s = time.perf_counter() - started_s
     say("rebuild", f"{len(images)} images in {elapsed_s:.2f} s: {len(images) / elapsed_s:.0f} images/s")
     return images

@@ -17,9 +17,13 @@ from skin.wall_times import Clocks, WallTimes
 
 Table = dict[str, npt.NDArray[Any]]
 
-#: Columns of the contacts: those of `canskin.messages.Contact`, and the cycle.
-CONTACT_FIELDS: Final = {
-    each.name: np.float64 if each.type is float else np.int64 for each in msgspec.structs.fields(Contact)
+#: Fields of `canskin.messages.Contact` that are a column for each of their three numbers.
+_POINTS: Final = {"position_m": ("x_m", "y_m", "z_m"), "normal": ("nx", "ny", "nz")}
+#: Its other fields are one column each.
+_CONTACT_FIELDS: Final = {
+    each.name: np.float64 if each.type is float else np.int64
+    for each in msgspec.structs.fields(Contact)
+    if each.name not in _POINTS
 }
 
 
@@ -36,11 +40,13 @@ class Tables:
         ``sums`` and ``offsets`` int32 (n, m) in ADC counts, ``usable`` bool (n, m), ``valid``,
         ``cycle`` and times.
     contacts : dict
-        One row per contact and image: the fields of `canskin.messages.Contact`, ``cycle`` and times.
+        One row per contact and image: the fields of `canskin.messages.Contact`, its position as ``x_m``, ``y_m``,
+        ``z_m`` and its normal as ``nx``, ``ny``, ``nz``, ``cycle`` and times.
     labels : dict
         ``label``, ``confidence``, ``cycle`` and times.
     taxels : dict
-        Of each taxel, row-major: ``row``, ``column``, and ``block``, the place of its block in ``valid``.
+        Of each taxel, row-major: ``row``, ``column``, where it lies, ``x_m``, ``y_m``, ``z_m``, its normal, ``nx``,
+        ``ny``, ``nz``, and ``block``, the place of its block in ``valid``. A skin that is no grid has one row.
     truth : dict
         ``true`` and ``sensor`` float32 (n, rows, columns) in newtons, ``label``, ``time_ns``; of simulated nodes.
     """
@@ -118,7 +124,19 @@ def read_tables(path: Path, layout: Layout, offset_ns: int, warn: Warn) -> Table
 def _taxels(layout: Layout) -> Table:
     row, column = np.divmod(np.arange(layout.taxels.count), layout.taxels.columns)
     phi = layout.phi()
-    return {"row": row, "column": column, "block": np.where(phi.is_wired, phi.block_of_taxel, -1)}
+    surface = layout.taxels.surface
+    return {
+        "row": row,
+        "column": column,
+        **_columns("position_m", surface.positions_m),
+        **_columns("normal", surface.normals),
+        "block": np.where(phi.is_wired, phi.block_of_taxel, -1),
+    }
+
+
+def _columns(name: str, points: npt.NDArray[np.float64]) -> Table:
+    """Return the three columns of points, shape (n, 3), that are called `name`."""
+    return dict(zip(_POINTS[name], points.T, strict=True))
 
 
 def _wall_times(measurements: list[Measurement], offset_ns: int) -> WallTimes:
@@ -147,9 +165,13 @@ def _times(messages: list[Any], wall: WallTimes) -> Table:
 
 def _contacts(messages: list[Any], wall: WallTimes) -> Table:
     found = [(each, contact) for each in messages for contact in each.contacts]
-    return _times([each for each, _ in found], wall) | {
-        name: np.array([getattr(contact, name) for _, contact in found], kind) for name, kind in CONTACT_FIELDS.items()
+    columns: Table = {
+        name: np.array([getattr(contact, name) for _, contact in found], kind) for name, kind in _CONTACT_FIELDS.items()
     }
+    for name in _POINTS:
+        points = np.array([getattr(contact, name) for _, contact in found], np.float64)
+        columns |= _columns(name, points.reshape(-1, 3))
+    return _times([each for each, _ in found], wall) | columns
 
 
 def _stack(contents: list[bytes], dtype: npt.DTypeLike, shape: tuple[int, ...]) -> npt.NDArray[Any]:

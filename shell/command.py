@@ -47,7 +47,7 @@ VERBS: Final = {
     "contract": "nodes.contract_command:contract",
     "dbc-check": "nodes.contract_command:dbc_check",
     "plan": "bandwidth.plan_command:plan",
-    "design": "bandwidth.design_command:design",
+    "design": "demo.design_command:design",
     "layout": "demo.layout_command:layout",
     "load": "bandwidth.load_command:load",
     "objects": "touch.command:objects",

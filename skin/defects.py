@@ -174,6 +174,27 @@ def _cross_talk(case: Case) -> Callable[[Force], Force]:
     return mixed
 
 
+def _swapped(case: Case) -> Callable[[Force], Force]:
+    """Fraction of the taxels whose wires are exchanged in pairs."""
+    return _rewired(case, case.chosen(), is_exchange=True)
+
+
+def _doubled(case: Case) -> Callable[[Force], Force]:
+    """Fraction of the taxels whose place is wired to another taxel, which then has two places."""
+    return _rewired(case, case.chosen(), is_exchange=False)
+
+
+def _rewired(case: Case, first: npt.NDArray[np.intp], *, is_exchange: bool) -> Callable[[Force], Force]:
+    others = np.setdiff1d(np.arange(math.prod(case.shape)), first)
+    first = first[: others.size]
+    second = case.random.choice(others, first.size, replace=False)
+    taxel_of = np.arange(math.prod(case.shape))
+    taxel_of[first] = second
+    if is_exchange:
+        taxel_of[second] = first
+    return lambda force_n: force_n.reshape(*force_n.shape[:-2], -1)[..., taxel_of].reshape(force_n.shape)
+
+
 def _gain_spread(case: Case) -> Callable[[Force], Force]:
     """Standard deviation of the gains around 1."""
     gains = np.maximum(case.normal(1.0), 0.0).astype(np.float32)
@@ -270,6 +291,8 @@ KINDS: Final = {
     "creep": Kind(Stage.MEMORY, _creep, "ratio", 0.05),
     "cross_talk": Kind(Stage.FORCE, _cross_talk, "ratio", 0.1),
     "gain_spread": Kind(Stage.FORCE, _gain_spread, "deviation", 0.1, stream=0),
+    "swapped": Kind(Stage.FORCE, _swapped, "ratio", 0.001, stream=9),
+    "doubled": Kind(Stage.FORCE, _doubled, "ratio", 0.001, stream=10),
     "offset": Kind(Stage.OFFSET, _offset, "ratio", 0.13, stream=6),
     "drift": Kind(Stage.DRIFT, _drift, "deviation_n_per_s", 1e-4, math.inf, stream=1),
     "noisy": Kind(Stage.NOISE, _noisy, "ratio", 0.01, stream=5),

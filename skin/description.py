@@ -7,11 +7,12 @@ from skin.layout import Layout
 def describe(layout: Layout) -> Description:
     """Return what a program has to know of a skin."""
     phi, taxels = layout.phi(), layout.taxels
+    surface = taxels.surface
     return Description(
         name=layout.name,
         rows=taxels.rows,
         columns=taxels.columns,
-        pitch_m=taxels.pitch_m,
+        pitch_m=surface.pitch_m,
         blocks=phi.blocks,
         sums=phi.shape[0],
         order=phi.order.astype("<u4").tobytes(),
@@ -22,4 +23,7 @@ def describe(layout: Layout) -> Description:
         sending=layout.sending,
         fingerprint=phi.fingerprint,
         boot_id=boot_id(),
+        is_grid=surface.is_grid,
+        positions=surface.positions_m.astype("<f4").tobytes(),
+        normals=surface.normals.astype("<f4").tobytes(),
     )

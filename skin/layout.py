@@ -14,11 +14,12 @@ import tomli_w
 
 from canskin.errors import UNDECODABLE, InputError, LayoutError
 from skin.chains import MOST, check_chains, order_of, read_chains, read_positions
+from skin.matrix import KEY, MatrixPhi, entries_of, read_matrix
 from skin.measurement import Sbhe, of_rows, part_of, sbhe
-from skin.sending import IN_CYCLES, SENDINGS, Sending, SendingName
+from skin.sending import ADAPTIVE_SIZES, IDENTIFIERS, IN_CYCLES, SENDINGS, Sending, SendingName, groups_of_frame
 from skin.surface import LINK_RATIO, Surface, grid_surface, surface_of_positions
 from skin.toml_errors import in_words
-from skin.walsh import Indices, patches
+from skin.walsh import GROUP_ROWS, Indices, patches
 from skin.wiring import check_patch, within_patches
 
 #: Names of the layouts that come with the project.
@@ -35,6 +36,8 @@ SAMPLING_MAX_HZ: Final = 10_000.0
 #: Signs of `taxels.shape`.
 TAXEL: Final = "#"
 GAP: Final = "."
+#: Most taxels and empty places: those of the largest grid, which has no empty places.
+PLACES_MAX: Final = MOST + 1
 #: Most rows and columns of a grid.
 SIDE_MAX: Final = 256
 #: Fewest places of a block of a board that exists, if `block_size` is not given; else the power of two that holds it.
@@ -46,20 +49,23 @@ DATA_BITRATE_MAX: Final = 8_000_000
 
 #: Product code of boards whose maker has no vendor number: the characters "SKIN".
 PRODUCT_CODE: Final = 0x534B_494E
-#: Default: the smallest number of buses with at most this number of nodes, each of one block.
+#: Default: the smallest number of buses with at most this number of nodes, each of one block, and identifiers for all.
 NODES_PER_BUS: Final = 32
 #: Of a recording of `skin record`, which holds its layout; `skin.mcap_file` reads and writes recordings.
 RECORDING_SUFFIX: Final = ".mcap"
-#: Adaptive sending: taxels of a block, and nodes of a bus: each has 32 identifiers of its own, and on CAN FD 8.
-ADAPTIVE_BLOCK: Final = 32
-ADAPTIVE_NODES: Final = 32
-ADAPTIVE_FD_NODES: Final = 127
+#: Most nodes of a bus.
+NODES_MAX: Final = 127
 #: Fewest bits of a converter of sums: its two end codes count as saturated.
 ANALOGUE_BITS: Final = 4
 #: Most nodes of a bus with recognition: an identifier of one more switches the state of all.
 RECOGNITION_NODES: Final = 126
 #: Largest value of an entry of the identity object (1018h).
 IDENTITY_MAX: Final = 2**32 - 1
+#: Why what boards need is refused.
+OTHER_HARDWARE: Final = (
+    "the sums of a matrix are made by other hardware, not by boards on a bus: 'skin rebuild', 'skin reconstruct',"
+    " 'skin classify', 'skin train' and 'skin layout' take them"
+)
 #: Widths of a sum in a PDO.
 SumBits = Literal[16, 12, 8]
 SUM_BITS: Final[tuple[int, ...]] = get_args(SumBits)
@@ -86,9 +92,9 @@ class Taxels(_Table, frozen=True, kw_only=True):
     # A line for each row: `#` for a taxel, `.` for a gap; `rows` and `columns` follow from the picture.
     shape: tuple[str, ...] | None = None
     rows: Annotated[int, msgspec.Meta(ge=1, le=SIDE_MAX)] = 64
-    columns: Annotated[int, msgspec.Meta(ge=1, le=MOST + 1)] = 64
+    columns: Annotated[int, msgspec.Meta(ge=1, le=PLACES_MAX)] = 64
     # x, y and z of each taxel in metres, or these and its normal; in a file, the path of a CSV.
-    positions: Annotated[tuple[tuple[float, ...], ...], msgspec.Meta(max_length=MOST + 1)] | None = None
+    positions: Annotated[tuple[tuple[float, ...], ...], msgspec.Meta(max_length=PLACES_MAX)] | None = None
     # Taxels at positions are neighbours up to this times their median spacing.
     link_ratio: Annotated[float, msgspec.Meta(ge=1, le=4)] = LINK_RATIO
     pitch_m: Annotated[float, msgspec.Meta(ge=1e-6, le=10)] = 0.004
@@ -143,9 +149,11 @@ def _surface(taxels: Taxels) -> Surface:
 
 
 class PhiParameters(_Table, frozen=True, kw_only=True):
-    """The parameters from which Φ is drawn."""
+    """The parameters from which Φ is drawn, or its `matrix`."""
 
-    ensemble: Literal["sbhe"] = "sbhe"
+    ensemble: Literal["sbhe", "matrix"] = "sbhe"
+    # Rows of signs, `+`, `-` and `0`, of each frame; in a file, the path of a CSV or .npz, or the rows of one Φ.
+    matrix: tuple[tuple[Annotated[str, msgspec.Meta(pattern="^[-+0]+$")], ...], ...] | None = None
     # The taxels of a block are one array of its node's dictionary, which holds 254 entries.
     block_size: Annotated[int, msgspec.Meta(ge=2, le=128)] = 32
     sums: Positive = 1024
@@ -233,7 +241,7 @@ class Bus(_Table, frozen=True, kw_only=True):
     """
 
     name: Name
-    nodes: Annotated[int, msgspec.Meta(ge=1, le=127)]
+    nodes: Annotated[int, msgspec.Meta(ge=1, le=NODES_MAX)]
     blocks_per_node: Literal[1, 2, 4, 8] = 1
     bitrate: Annotated[int, msgspec.Meta(ge=BITRATE_MIN, le=BITRATE_MAX)] = BITRATE_MAX
     fd: bool = False
@@ -262,7 +270,8 @@ class Layout(_Table, frozen=True, kw_only=True):
     # Without it the nodes send all sums in every cycle.
     recognition: Recognition | None = None
     device: Device = msgspec.field(default_factory=Device)
-    bus: Annotated[list[Bus], msgspec.Meta(min_length=1)]
+    # None if other hardware makes the sums.
+    bus: list[Bus]
 
     @property
     def sends(self) -> Sending:
@@ -271,13 +280,18 @@ class Layout(_Table, frozen=True, kw_only=True):
 
     @property
     def blocks(self) -> int:
-        """Number of blocks (measurement groups): those of `chains`, or as few as hold the taxels."""
+        """Number of blocks (measurement groups): those of `chains`, or as few as hold the taxels; of a matrix sums."""
         return _blocks(self.taxels, self.measurement)
 
     @property
     def places(self) -> int:
         """Number of places of all blocks: taxels and empty places."""
         return self.blocks * self.measurement.block_size
+
+    @property
+    def groups(self) -> int:
+        """Number of groups of sums of an adaptive board."""
+        return self.measurement.block_size // GROUP_ROWS
 
     @property
     def samples_per_sync(self) -> int:
@@ -310,9 +324,19 @@ class Layout(_Table, frozen=True, kw_only=True):
         """Whether boards with any CANopen stack can keep the bus protocol: sums in each cycle, one set of TPDOs."""
         return self.sends.in_cycles and self.sync.identity == "window"
 
+    def operator(self) -> Sbhe | MatrixPhi:
+        """Return the skin's measurement operator, for what takes any; the same layout always gives the same Φ."""
+        matrix = self.measurement.matrix
+        if matrix is None:
+            return self.phi()
+        is_wired = np.ones(self.taxels.count, np.bool_)
+        is_wired[self.taxels.gaps] = False
+        return MatrixPhi(entries_of(matrix), is_wired)
+
     def phi(self) -> Sbhe:
-        """Draw the skin's measurement operator; the same layout always gives the same Φ."""
+        """Draw the measurement operator of a skin whose boards make the sums; LayoutError if other hardware does."""
         taxels, drawn = self.taxels, self.measurement
+        require_boards(self)
         count = drawn.sums if drawn.rows is None else self.blocks
         phi = sbhe(
             taxels.count,
@@ -356,6 +380,12 @@ def require_sending(layout: Layout, sending: SendingName, what: str, why: str) -
     """Check that a layout has the way of sending that `what` is for; `why` is the reason, or what to do."""
     if layout.sending != sending:
         raise InputError(f"{what} for {sending} sending: {why}")
+
+
+def require_boards(layout: Layout) -> None:
+    """Check that boards make the sums of a layout."""
+    if layout.measurement.matrix is not None:
+        raise LayoutError(f"{layout.name}: {OTHER_HARDWARE} - at `$.measurement.ensemble`")
 
 
 def require_one_state(layout: Layout, what: str) -> None:
@@ -423,8 +453,12 @@ def _with_files(tables: dict[str, Any], folder: Path) -> dict[str, Any]:
         return tables
     if isinstance(taxels.get("positions"), str):
         taxels["positions"], chains = read_positions(folder / taxels["positions"])
-        if chains is not None:
+        if chains is not None and "matrix" not in measurement:
             measurement = tables["measurement"] = {"wiring": "file", "chains": chains} | measurement
+    if isinstance(measurement.get("matrix"), str):
+        measurement["matrix"] = read_matrix(folder / measurement["matrix"])
+    if isinstance(matrix := measurement.get("matrix"), list) and all(isinstance(row, str) for row in matrix):
+        measurement["matrix"] = [matrix]
     if isinstance(taxels.get("positions"), list):
         tables["taxels"] = {"rows": 1, "columns": len(taxels["positions"])} | taxels
     if isinstance(measurement.get("chains"), str):
@@ -450,11 +484,16 @@ def _with_sizes(tables: dict[str, Any]) -> dict[str, Any]:
         return tables
     if taxels.positions is not None and "pitch_m" not in tables["taxels"]:
         tables["taxels"]["pitch_m"] = taxels.surface.pitch_m
+    if parameters.matrix is not None:
+        tables["measurement"].setdefault("sums", max([1, *map(len, parameters.matrix)]))
+        tables.setdefault("bus", [])
+        return tables
     blocks = _blocks(taxels, parameters)
     of_block = max(1, parameters.block_size // sends.taxels_per_sum)
     sums = blocks * of_block if parameters.rows is None else len(parameters.rows)
     tables.setdefault("measurement", {}).setdefault("sums", sums)
-    buses = -(-blocks // NODES_PER_BUS)
+    most = NODES_PER_BUS if sends.in_cycles else min(NODES_PER_BUS, IDENTIFIERS * GROUP_ROWS // parameters.block_size)
+    buses = -(-blocks // most)
     if "taxels" in tables:  # without taxels and buses the file is no layout
         tables.setdefault("bus", [{"name": f"bus{each}", "nodes": (blocks + each) // buses} for each in range(buses)])
     return tables
@@ -463,6 +502,8 @@ def _with_sizes(tables: dict[str, Any]) -> dict[str, Any]:
 def _blocks(taxels: Taxels, measurement: PhiParameters) -> int:
     if measurement.chains is not None:
         return len(measurement.chains)
+    if measurement.matrix is not None:
+        return measurement.sums
     return -(-taxels.there // measurement.block_size)
 
 
@@ -492,6 +533,17 @@ def _given(table: dict[str, Any]) -> dict[str, Any]:
 
 def _check(layout: Layout) -> None:
     """Check keys that depend on each other."""
+    _check_shape(layout.taxels)
+    _check_positions(layout.taxels, layout.measurement)
+    if layout.taxels.there < TAXELS_MIN:
+        raise LayoutError(f"expected {TAXELS_MIN} taxels or more, got {layout.taxels.there} - at `$.taxels`")
+    _check_untouchable(layout)
+    if (layout.measurement.ensemble == "matrix") != (layout.measurement.matrix is not None):
+        wanted = f"`matrix` and ensemble = 'matrix' belong together, got '{layout.measurement.ensemble}'"
+        raise LayoutError(f"{wanted} - at `$.measurement.ensemble`")
+    if layout.measurement.matrix is not None:
+        _check_matrix(layout)
+        return
     _check_measurement(layout)
     if not layout.sends.in_cycles:
         _check_adaptive(layout)
@@ -500,7 +552,6 @@ def _check(layout: Layout) -> None:
         limit = f"expected {layout.sync.rate_hz:g} (`sync.rate_hz`) or more"
         raise LayoutError(f"{limit}, got {sampled_hz:g} - at `$.sampling.rate_hz`")
     _check_frontend(layout)
-    _check_untouchable(layout)
     _check_buses(layout)
     if layout.device.first_serial + layout.blocks - 1 > IDENTITY_MAX:
         highest = IDENTITY_MAX - layout.blocks + 1
@@ -517,15 +568,13 @@ def _check_measurement(layout: Layout) -> None:
     size, most = measurement.block_size, layout.places
     if size & (size - 1):
         raise LayoutError(f"expected a power of two, got {size} - at `$.measurement.block_size`")
-    _check_shape(taxels)
-    _check_positions(taxels, measurement)
-    if taxels.there < TAXELS_MIN:
-        raise LayoutError(f"expected {TAXELS_MIN} taxels or more, got {taxels.there} - at `$.taxels`")
     if (measurement.wiring == "file") != (measurement.chains is not None):
         raise LayoutError(f"`chains` need wiring = 'file', got '{measurement.wiring}' - at `$.measurement.wiring`")
     if measurement.chains is not None:
         check_chains(measurement.chains, taxels.count, size, taxels.gaps)
     check_patch(taxels.rows, taxels.columns, measurement.block_size, measurement.wiring, measurement.patch)
+    if most > PLACES_MAX or (most > taxels.there and taxels.count == PLACES_MAX):
+        raise LayoutError(f"expected at most {PLACES_MAX} places of all boards, got {most} - at `$.measurement`")
     if not 1 <= measurement.sums <= most:
         raise LayoutError(f"expected 1 to {most} sums, got {measurement.sums} - at `$.measurement.sums`")
     if measurement.rows is not None:
@@ -533,6 +582,32 @@ def _check_measurement(layout: Layout) -> None:
     elif measurement.selection == "balanced" and measurement.sums > layout.blocks and measurement.sums % layout.blocks:
         wanted = f"balanced needs fewer sums than the {layout.blocks} blocks, or a multiple of them"
         raise LayoutError(f"{wanted}, got {measurement.sums} - at `$.measurement.sums`")
+
+
+def _check_matrix(layout: Layout) -> None:
+    """Check the matrix, and that no key is given that is of boards."""
+    measurement, drawn = layout.measurement, PhiParameters()
+    for path, (got, expected) in {
+        "sending": (layout.sending, "synchronous"),
+        "taxels.frontend": (layout.taxels.frontend, "digital"),
+        "sampling.rate_hz": (layout.sampling.rate_hz, None),
+        "recognition": (layout.recognition, None),
+        "bus": (layout.bus, []),
+        **{
+            f"measurement.{key}": (getattr(measurement, key), getattr(drawn, key))
+            for key in ("block_size", "rows", "selection", "seed", "wiring", "chains", "patch")
+        },
+    }.items():
+        if got != expected:
+            raise LayoutError(f"{OTHER_HARDWARE}: leave the key out - at `$.{path}`")
+    try:
+        sums = layout.operator().shape[0]
+    except InputError as error:
+        raise LayoutError(f"{error} - {KEY}") from error
+    if measurement.sums != sums:
+        raise LayoutError(
+            f"expected {sums}, one for each row, or no key, got {measurement.sums} - at `$.measurement.sums`"
+        )
 
 
 def _check_shape(taxels: Taxels) -> None:
@@ -630,12 +705,15 @@ def _check_recognition(layout: Layout, state: Recognition) -> None:
 
 
 def _check_adaptive(layout: Layout) -> None:
-    """Check what adaptive sending needs: one patch of `ADAPTIVE_BLOCK` taxels on a node, its rates, identifiers."""
+    """Check what adaptive sending needs: one patch of `ADAPTIVE_SIZES` taxels on a node, its rates, identifiers."""
     measurement = layout.measurement
+    size = measurement.block_size
+    if size not in ADAPTIVE_SIZES:
+        sizes = " or ".join(map(str, ADAPTIVE_SIZES))
+        raise LayoutError(f"adaptive sending expects {sizes}, got {size} - at `$.measurement.block_size`")
     wanted = {
         "taxels.frontend": (layout.taxels.frontend, "digital"),
         "measurement.wiring": (measurement.wiring, "file" if measurement.chains else "board"),
-        "measurement.block_size": (measurement.block_size, ADAPTIVE_BLOCK),
         "measurement.sums": (measurement.sums, layout.places),
         "sync.rate_hz": (layout.sync.rate_hz, layout.sends.default_rates_hz["sync"]),
         "sampling.rate_hz": (layout.sampling.rate_hz, layout.sends.default_rates_hz["sampling"]),
@@ -644,13 +722,16 @@ def _check_adaptive(layout: Layout) -> None:
         if got != expected:
             raise LayoutError(f"adaptive sending expects {expected!r}, got {got!r} - at `$.{path}`")
     for index, bus in enumerate(layout.bus):
-        most = ADAPTIVE_FD_NODES if bus.fd else ADAPTIVE_NODES
+        frames = layout.groups // groups_of_frame(layout.groups, bus.fd)
+        most = min(NODES_MAX, IDENTIFIERS // frames)
         if bus.blocks_per_node != 1 or bus.nodes > most:
             limits = f"adaptive sending expects at most {most} nodes of one block"
             raise LayoutError(f"{limits}, got {bus.nodes} of {bus.blocks_per_node} - at `$.bus[{index}]`")
 
 
 def _check_buses(layout: Layout) -> None:
+    if not layout.bus:
+        raise LayoutError("expected 1 table or more, got 0 - at `$.bus`")
     names = [bus.name for bus in layout.bus]
     for index, name in enumerate(names):
         if name in names[:index]:

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from canskin.errors import InputError, tell
 from canskin.messages import AdaptiveMeasurement, BlockState, CycleMeasurement, Measurement
 from canskin.sums import corrected_counts, doubtful_taxels
-from skin.measurement import Sbhe
+from skin.measurement import Phi, Sbhe
 
 #: Shortest time between two log lines about refused measurements.
 COMPLAINT_PERIOD_S: Final = 10.0
@@ -31,11 +31,14 @@ class MeasuredSums(NamedTuple):
         True if every sum of the block came in this cycle, and all are usable.
     valid_sums : array of bool, shape (m,)
         True if the sum came in this cycle, and is usable.
+    cycle : int
+        Number of the cycle, from 1: it tells the Φ that changes from frame to frame.
     """
 
     counts: npt.NDArray[np.int32]
     valid: npt.NDArray[np.bool_]
     valid_sums: npt.NDArray[np.bool_]
+    cycle: int = 1
 
 
 class AdaptiveSums(NamedTuple):
@@ -63,14 +66,15 @@ Sums = TypeVar("Sums", bound=MeasuredSums | AdaptiveSums)
 Kind = TypeVar("Kind", bound=Measurement)
 
 
-def decode_measurement(measurement: Measurement, phi: Sbhe) -> MeasuredSums:
+def decode_measurement(measurement: Measurement, phi: Phi) -> MeasuredSums:
     """Return the sums of the measurement of a cycle with Φ."""
     check_measurement(measurement, phi, CycleMeasurement)
     valid_sums = used_sums(measurement, phi)
-    return MeasuredSums(corrected_counts(measurement, valid_sums), used_blocks(measurement, phi), valid_sums)
+    counts = corrected_counts(measurement, valid_sums)
+    return MeasuredSums(counts, used_blocks(measurement, phi), valid_sums, measurement.cycle)
 
 
-def used_sums(measurement: Measurement, phi: Sbhe) -> npt.NDArray[np.bool_]:
+def used_sums(measurement: Measurement, phi: Phi) -> npt.NDArray[np.bool_]:
     """Return which sums came and are usable, shape (m,)."""
     valid_sums = phi.sums_of_blocks(np.frombuffer(measurement.valid, np.uint8) != 0)
     if measurement.usable:
@@ -78,7 +82,7 @@ def used_sums(measurement: Measurement, phi: Sbhe) -> npt.NDArray[np.bool_]:
     return valid_sums
 
 
-def used_blocks(measurement: Measurement, phi: Sbhe) -> npt.NDArray[np.bool_]:
+def used_blocks(measurement: Measurement, phi: Phi) -> npt.NDArray[np.bool_]:
     """Return which blocks came with sums that are all usable, shape (blocks,)."""
     valid: npt.NDArray[np.bool_] = np.frombuffer(measurement.valid, np.uint8) != 0
     if measurement.usable:
@@ -110,7 +114,7 @@ def part_of_measurement(measurement: Measurement, part: Sbhe, places: npt.NDArra
     )
 
 
-def decode_adaptive(measurement: Measurement, phi: Sbhe) -> AdaptiveSums:
+def decode_adaptive(measurement: Measurement, phi: Phi) -> AdaptiveSums:
     """Return the sums of an adaptive measurement with Φ."""
     measurement = check_measurement(measurement, phi, AdaptiveMeasurement)
     if not (math.isfinite(measurement.noise_n) and measurement.noise_n >= 0):
@@ -126,12 +130,12 @@ def decode_adaptive(measurement: Measurement, phi: Sbhe) -> AdaptiveSums:
     return AdaptiveSums(corrected_counts(measurement, known), valid, known, measurement.noise_n)
 
 
-def check_measurement(measurement: Measurement, phi: Sbhe, kind: type[Kind]) -> Kind:
+def check_measurement(measurement: Measurement, phi: Phi, kind: type[Kind]) -> Kind:
     """Return a measurement that was checked: its kind, Φ and the lengths of its arrays.
 
     Parameters
     ----------
-    phi : Sbhe
+    phi : Phi
         Φ of its sums.
     kind : type
         `CycleMeasurement`, `AdaptiveMeasurement`, or `Measurement` for both.
@@ -154,7 +158,7 @@ def check_measurement(measurement: Measurement, phi: Sbhe, kind: type[Kind]) -> 
     return measurement
 
 
-def check_fingerprint(fingerprint: str, phi: Sbhe) -> None:
+def check_fingerprint(fingerprint: str, phi: Phi) -> None:
     """Check that sums were measured with Φ."""
     if fingerprint != phi.fingerprint:
         came = fingerprint[:32]
@@ -166,7 +170,7 @@ class MeasurementReader(Generic[Sums]):
 
     Parameters
     ----------
-    phi : Sbhe
+    phi : Phi
         The service's Φ.
     service : str
         Name of the service in the log lines.
@@ -179,7 +183,7 @@ class MeasurementReader(Generic[Sums]):
         Measurements that did not fit.
     """
 
-    def __init__(self, phi: Sbhe, service: str, decode: Callable[[Measurement, Sbhe], Sums]) -> None:
+    def __init__(self, phi: Phi, service: str, decode: Callable[[Measurement, Phi], Sums]) -> None:
         self.refused = 0
         self._phi = phi
         self._service = service

@@ -1,11 +1,12 @@
-"""The measurement operator Φ of a scrambled block Hadamard ensemble (SBHE).
+"""The measurement operator Φ: what the services need of any, and a scrambled block Hadamard ensemble (SBHE).
 
-Φ = Q W P (section V of the paper, after Gan, Do and Tran 2008): P permutes the n taxels, W is block
+SBHE: Φ = Q W P (section V of the paper, after Gan, Do and Tran 2008): P permutes the n taxels, W is block
 diagonal with B x B Hadamard matrices of ±1, Q selects m of its n rows. Every sum is over the B taxels of one block,
 so the board of the block can compute it. W W^T = B I, hence Φ Φ^T = B I exactly.
 """
 
 import hashlib
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -44,8 +45,91 @@ def fast_hadamard(blocks: npt.NDArray[np.generic]) -> npt.NDArray[np.generic]:
     return work.reshape(blocks.shape)
 
 
+class Phi(ABC):
+    """Φ of one skin, y = Φ x, as the services behind the fabric need it: a `skin.operator.Operator` with blocks.
+
+    The sums of a block come and get lost together. Where Φ changes from frame to frame, `of_cycle` has that of each.
+    """
+
+    @property
+    @abstractmethod
+    def shape(self) -> tuple[int, int]:
+        """(m, n): sums and taxels, gaps included."""
+
+    @property
+    @abstractmethod
+    def blocks(self) -> int:
+        """Number of blocks."""
+
+    @property
+    @abstractmethod
+    def block_of_sum(self) -> npt.NDArray[np.intp]:
+        """Block of every sum, shape (m,), ascending."""
+
+    @property
+    @abstractmethod
+    def is_wired(self) -> npt.NDArray[np.bool_]:
+        """Which taxels there are, shape (n,); the others are gaps."""
+
+    @property
+    @abstractmethod
+    def norm_squared(self) -> float:
+        """Upper bound of the eigenvalues of ΦᵀΦ, the largest of them but for rounding and empty places."""
+
+    @property
+    @abstractmethod
+    def fingerprint(self) -> str:
+        """16 hex digits that differ whenever any entry of Φ differs."""
+
+    @abstractmethod
+    def forward(self, x: npt.NDArray[np.generic]) -> npt.NDArray[Any]:
+        """Return y = Φ x, shape (..., m), of taxels (..., n)."""
+
+    @abstractmethod
+    def adjoint(self, y: npt.NDArray[np.generic]) -> npt.NDArray[Any]:
+        """Return Φᵀ y, shape (..., n), of sums (..., m)."""
+
+    @abstractmethod
+    def valid_taxels(self, valid: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+        """Tell which taxels were measured, shape (n,), by which blocks are valid, shape (blocks,)."""
+
+    @property
+    def frames(self) -> int:
+        """Number of cycles after which Φ repeats: 1 if it does not change."""
+        return 1
+
+    def of_cycle(self, cycle: int) -> "Phi":
+        """Return the Φ of a cycle; cycles are numbered from 1."""
+        del cycle
+        return self
+
+    @cached_property
+    def starts(self) -> npt.NDArray[np.intp]:
+        """Index in y of the first sum of each block, shape (blocks + 1,)."""
+        return np.searchsorted(self.block_of_sum, np.arange(self.blocks + 1)).astype(np.intp)
+
+    @cached_property
+    def has_sums(self) -> npt.NDArray[np.bool_]:
+        """Whether a block sends any sum, shape (blocks,); a block without sums is never valid."""
+        return np.asarray(np.diff(self.starts) > 0, np.bool_)
+
+    def sums_of_blocks(self, valid: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+        """Spread one validity per block, shape (blocks,), to one per sum, shape (m,)."""
+        if valid.shape != (self.blocks,) or valid.dtype != np.bool_:
+            raise InputError(f"expected {self.blocks} booleans, one a block, got {valid.dtype} of shape {valid.shape}")
+        return valid[self.block_of_sum]
+
+    def total_of_blocks(self, values: npt.NDArray[np.generic]) -> npt.NDArray[np.float64]:
+        """Return the total of one value per sum, shape (m,), over each block, shape (blocks,)."""
+        return np.bincount(self.block_of_sum, values, self.blocks).astype(np.float64, copy=False)
+
+    def all_of_blocks(self, flags: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+        """Tell of which blocks every sum has its flag set; `flags` has shape (m,). A block without sums has all set."""
+        return np.asarray(self.total_of_blocks(~flags) == 0, np.bool_)
+
+
 @dataclass(frozen=True, eq=False)
-class Sbhe:
+class Sbhe(Phi):
     """Φ of one skin: y = Φ x, shape (m, n), entries 0 and ±1.
 
     Sums are ordered by block, and inside a block by Hadamard row. Where the taxels do not fill the blocks, some places
@@ -103,11 +187,6 @@ class Sbhe:
         return float(self.block_size)
 
     @cached_property
-    def starts(self) -> npt.NDArray[np.intp]:
-        """Index in y of the first sum of each block, shape (blocks + 1,)."""
-        return np.concatenate(([0], np.cumsum(self.kept.sum(axis=1)))).astype(np.intp)
-
-    @cached_property
     def block_of_sum(self) -> npt.NDArray[np.intp]:
         """Block of every sum, shape (m,)."""
         return np.nonzero(self.kept)[0]
@@ -118,9 +197,9 @@ class Sbhe:
         return np.nonzero(self.kept)[1]
 
     @cached_property
-    def has_sums(self) -> npt.NDArray[np.bool_]:
-        """Whether a block sends any sum, shape (blocks,); a block without sums is never valid."""
-        return np.asarray(self.kept.any(axis=1), np.bool_)
+    def held(self) -> npt.NDArray[np.intp]:
+        """Number of taxels of every block, without empty places, shape (blocks,)."""
+        return np.asarray((self.taxels_of_blocks < self.taxels).sum(axis=1), np.intp)
 
     @property
     def taxels_of_blocks(self) -> npt.NDArray[np.intp]:
@@ -164,6 +243,10 @@ class Sbhe:
         """Spread one value per block, shape (blocks,), to one per taxel, shape (n,)."""
         with_gap: Array = np.append(of_blocks, of_blocks.dtype.type(of_gaps))  # type: ignore[assignment]
         return with_gap[self.block_of_taxel]  # type: ignore[return-value]  # the type stays
+
+    def valid_taxels(self, valid: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+        """Tell which taxels were measured, shape (n,): those of valid blocks."""
+        return self.of_taxels(valid)
 
     def blocks_of(self, taxels: npt.NDArray[np.bool_]) -> npt.NDArray[np.intp]:
         """Return the blocks of some taxels; `taxels` has shape (n,)."""
@@ -229,20 +312,6 @@ class Sbhe:
         taxels = np.zeros((*y.shape[:-1], self.wired.taxels), scrambled.dtype)
         taxels[..., self.order] = scrambled
         return taxels[..., : self.shape[1]]
-
-    def sums_of_blocks(self, valid: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
-        """Spread one validity per block, shape (blocks,), to one per sum, shape (m,)."""
-        if valid.shape != (self.blocks,) or valid.dtype != np.bool_:
-            raise InputError(f"expected {self.blocks} booleans, one a block, got {valid.dtype} of shape {valid.shape}")
-        return valid[self.block_of_sum]
-
-    def total_of_blocks(self, values: npt.NDArray[np.generic]) -> npt.NDArray[np.float64]:
-        """Return the total of one value per sum, shape (m,), over each block, shape (blocks,)."""
-        return np.bincount(self.block_of_sum, values, self.blocks).astype(np.float64, copy=False)
-
-    def all_of_blocks(self, flags: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
-        """Tell of which blocks every sum has its flag set; `flags` has shape (m,). A block without sums has all set."""
-        return np.asarray(self.total_of_blocks(~flags) == 0, np.bool_)
 
 
 def sbhe(

@@ -9,8 +9,19 @@ SendingName = Literal["synchronous", "adaptive"]
 SUMS_PART: Final = 4
 #: Steps of a touch in a second where nodes send adaptively; between two steps they interpolate.
 ADAPTIVE_STEP_HZ: Final = 100.0
+#: Identifiers that a bus has for adaptive sums of one kind and urgency: one for each node and frame of a node.
+IDENTIFIERS: Final = 128
+#: Groups of sums that a CAN FD frame carries at most; a classic frame carries one.
+FD_GROUPS: Final = 4
+#: Taxels of an adaptive board.
+ADAPTIVE_SIZES: Final = (8, 16, 32, 64)
 #: Coarse step of adaptive sums near 0, in parts of a taxel's full scale: 0.5 mN of 20 mN.
 COARSE_STEP_RATIO: Final = 1 / 40
+
+
+def groups_of_frame(groups: int, is_fd: bool) -> int:
+    """Return how many groups of sums of an adaptive board with `groups` travel in one frame."""
+    return min(groups, FD_GROUPS) if is_fd else 1
 
 
 @dataclass(frozen=True, kw_only=True)

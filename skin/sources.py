@@ -12,6 +12,7 @@ This module is the only place where one package of this distribution uses anothe
 rules do not see this use. So a skin with its own source runs without ``touch``.
 """
 
+import inspect
 from collections.abc import Callable, Iterable, Sequence
 from importlib.metadata import entry_points
 from typing import Any, Final, Literal, NamedTuple, Protocol
@@ -20,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from canskin.errors import InputError
-from skin.layout import Layout
+from skin.layout import Layout, Taxels
 
 #: Groups of entry points.
 SOURCES: Final = "canskin.sources"
@@ -86,17 +87,26 @@ def load_source(name: str, **options: Any) -> TaxelSource:
 
 
 def load_objects(layout: Layout, **options: Any) -> TaxelSource:
-    """Build the source of simulated objects on a skin's grid, at `step_rate_hz`; untouchable taxels feel nothing."""
-    taxels = layout.taxels
-    source = load_source(
-        "objects",
-        rows=taxels.rows,
-        columns=taxels.columns,
-        pitch_m=taxels.pitch_m,
-        rate_hz=step_rate_hz(layout),
-        **options,
-    )
+    """Build the source of simulated objects on a skin, at `step_rate_hz`; untouchable taxels feel nothing.
+
+    The entry point is called with ``(rows=, columns=, pitch_m=, rate_hz=)``, with ``surface=`` for a skin that is no
+    grid (`skin.surface.Surface`), and with the options.
+    """
+    taxels, factory = layout.taxels, _load(SOURCES, "objects")
+    source: TaxelSource = factory(**_places(taxels, factory), rate_hz=step_rate_hz(layout), **options)
     return _Sheltered(source, layout) if taxels.untouchable or taxels.shape else source
+
+
+def _places(taxels: Taxels, factory: Callable[..., Any]) -> dict[str, Any]:
+    """Return the arguments that tell an entry point where the taxels lie."""
+    places = {"rows": taxels.rows, "columns": taxels.columns, "pitch_m": taxels.pitch_m}
+    if taxels.positions is None:
+        return places
+    known = inspect.signature(factory).parameters.values()
+    if not any(each.name == "surface" or each.kind is each.VAR_KEYWORD for each in known):
+        origin = f"{factory.__module__}:{factory.__qualname__}"
+        raise InputError(f"{origin} knows no taxels at positions: expected a parameter `surface`, or a grid")
+    return {**places, "surface": taxels.surface}
 
 
 class _Sheltered:
@@ -162,17 +172,15 @@ def load_touches(
 ) -> LabelledTouches:
     """Return labelled touches of the named objects, true forces without noise, drawn by the entry point `RANDOM`.
 
-    The entry point is called with ``(names, count, rows=, columns=, pitch_m=, seed=, skip_unfelt=)``, with
-    ``stroke="press"`` where this kind is wanted, and returns images and labels. Default objects that are too large for
-    the skin are left out.
+    The entry point is called with ``(names, count, rows=, columns=, pitch_m=, seed=, skip_unfelt=)``, with ``surface=``
+    for a skin that is no grid, with ``stroke="press"`` where this kind is wanted, and returns images and labels.
+    Default objects that are too large for the skin are left out.
     """
-    taxels = layout.taxels
-    force_n, labels = _load(TOUCHES, RANDOM)(
+    draw = _load(TOUCHES, RANDOM)
+    force_n, labels = draw(
         list(names),
         count,
-        rows=taxels.rows,
-        columns=taxels.columns,
-        pitch_m=taxels.pitch_m,
+        **_places(layout.taxels, draw),
         seed=seed,
         skip_unfelt=tuple(names) == DEFAULT_OBJECTS,
         **({} if stroke == "slide" else {"stroke": stroke}),

@@ -10,6 +10,7 @@ diameter is the line that joins them (Gabriel and Sokal 1969). So an edge is one
 crosses a gap.
 """
 
+import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -31,6 +32,8 @@ SPHERE_RATIO: Final = 1.05
 SPACING_MAX_M: Final = 0.25
 #: Neighbours that tell the normal of a taxel.
 NEAREST: Final = 7
+#: Normal of the taxels of a grid.
+GRID_NORMAL: Final = (0.0, 0.0, -1.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,6 +63,11 @@ class Surface:
     is_grid: bool
     pitch_m: float
 
+    @property
+    def graph(self) -> Indices | None:
+        """`edges`, or None for a grid, whose neighbours follow from its shape and its gaps."""
+        return None if self.is_grid else self.edges
+
     @cached_property
     def islands(self) -> Indices:
         """Number of the group of connected taxels of each taxel, shape (n,), in the order of their first taxels."""
@@ -70,6 +78,28 @@ class Surface:
         ones = np.ones(len(self.edges), np.bool_)
         graph = coo_array((ones, (self.edges[:, 0], self.edges[:, 1])), shape=(count, count))
         return np.asarray(connected_components(graph, directed=False)[1]).astype(np.intp)
+
+    def spread(self, taxels: npt.NDArray[np.bool_], steps: int) -> npt.NDArray[np.bool_]:
+        """Return taxels, shape (n,), with all that are at most `steps` edges away from them."""
+        found, (first, second) = taxels.copy(), self.edges.T
+        for _ in range(steps):
+            is_reached = found[first] | found[second]
+            found[first[is_reached]] = found[second[is_reached]] = True
+        return found
+
+    def name_of(self, taxel: int) -> str:
+        """Name a taxel in words: by its number, and on a grid by row and column, too."""
+        row, column = divmod(taxel, self.shape[1])
+        return f"taxel {taxel} (row {row}, column {column})" if self.is_grid else f"taxel {taxel}"
+
+    @cached_property
+    def fingerprint(self) -> str:
+        """16 hex digits that differ if a taxel lies or faces elsewhere; empty for a grid, which `shape` tells."""
+        if self.is_grid:
+            return ""
+        digest = hashlib.sha256(np.rint(self.positions_m * 1e7).astype("<i8").tobytes())
+        digest.update(np.rint(self.normals * 1e3).astype("<i2").tobytes())
+        return digest.hexdigest()[:16]
 
     @cached_property
     def is_flat(self) -> bool:
@@ -88,7 +118,7 @@ def grid_surface(rows: int, columns: int, pitch_m: float, gaps: Indices) -> Surf
     edges = np.concatenate([np.stack((low.ravel(), high.ravel()), axis=1) for low, high in (beside, below)])
     return Surface(
         positions_m=places * pitch_m,
-        normals=np.tile((0.0, 0.0, -1.0), (rows * columns, 1)),
+        normals=np.tile(GRID_NORMAL, (rows * columns, 1)),
         edges=_sorted(edges[~is_gap[edges].any(axis=1)]),
         shape=(rows, columns),
         is_grid=True,

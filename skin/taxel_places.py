@@ -1,41 +1,57 @@
-"""Where taxels lie, which of them are measured, and colours, for programs that draw a skin or use it in space.
-
-The frame of a skin: its origin is the middle of the array, x runs along the columns, y down the rows, and z into the
-skin, so a touch presses along z. The taxels lie at z = 0.
-"""
+"""Where contacts are, which taxels are measured, and colours, for programs that draw a skin or use it in space."""
 
 import math
+from collections.abc import Sequence
 from functools import cache
 from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
-from canskin.messages import Image
-from skin.layout import Layout, Taxels
+from canskin.messages import Contact, Image
+from skin.layout import Layout
+from skin.surface import Surface
 
 Forces = npt.NDArray[np.float32]
 #: Colour of taxels without valid sums.
 GREY: Final = (128, 128, 128)
 
 
-def places_m(taxels: Taxels) -> npt.NDArray[np.float32]:
-    """Return x, y and z of every taxel, row-major, float32, shape (n, 3), metres."""
-    x_m, y_m = np.meshgrid(
-        (np.arange(taxels.columns) - (taxels.columns - 1) / 2) * taxels.pitch_m,
-        (np.arange(taxels.rows) - (taxels.rows - 1) / 2) * taxels.pitch_m,
-    )
-    return np.stack((x_m.ravel(), y_m.ravel(), np.zeros(taxels.count)), axis=1).astype(np.float32)
+def contact_place_m(surface: Surface, contact: Contact) -> tuple[float, float, float]:
+    """Return the centre of force of a contact, metres; on a grid by its row and column, which old recordings have."""
+    if not surface.is_grid:
+        return contact.position_m
+    x_m, y_m, z_m = surface.positions_m[0].tolist()
+    return x_m + contact.column * surface.pitch_m, y_m + contact.row * surface.pitch_m, z_m
 
 
-def place_m(taxels: Taxels, row: float, column: float) -> tuple[float, float]:
-    """Return x and y of a place between taxels, as the centre of a contact, metres."""
-    return (column - (taxels.columns - 1) / 2) * taxels.pitch_m, (row - (taxels.rows - 1) / 2) * taxels.pitch_m
-
-
-def radius_m(taxels: Taxels, count: int) -> float:
+def radius_m(surface: Surface, count: int) -> float:
     """Return the radius of a disc with the area of `count` taxels, metres."""
-    return math.sqrt(count / math.pi) * taxels.pitch_m
+    return math.sqrt(count / math.pi) * surface.pitch_m
+
+
+def turned_to(directions: npt.ArrayLike, axis: Sequence[float] = (0.0, 0.0, 1.0)) -> npt.NDArray[np.float64]:
+    """Return the quaternions x, y, z, w that turn a coordinate axis to directions of length 1, shape (..., 4)."""
+    wanted, start = np.asarray(directions, np.float64), np.asarray(axis)
+    turns = np.concatenate((np.cross(start, wanted), 1.0 + (wanted @ start)[..., None]), axis=-1)
+    turns[turns[..., 3] < 1e-9] = (*np.roll(start, 1), 0.0)  # half a turn, around an axis at a right angle
+    return np.asarray(turns / np.linalg.norm(turns, axis=-1, keepdims=True))
+
+
+#: Points of a cloud of taxels. `force` is an estimate where `valid` is 0.
+TAXEL_POINT: Final = np.dtype(
+    [(name, "<f4") for name in ("x", "y", "z", "force", "normal_x", "normal_y", "normal_z")] + [("valid", "u1")],
+    align=True,
+)
+
+
+def taxel_points(surface: Surface, forces_n: Forces, valid: npt.NDArray[np.bool_]) -> npt.NDArray[np.void]:
+    """Return the taxels as points of `TAXEL_POINT`, of the shape of the skin's arrays."""
+    points = np.zeros(forces_n.size, TAXEL_POINT)
+    points["x"], points["y"], points["z"] = surface.positions_m.T
+    points["normal_x"], points["normal_y"], points["normal_z"] = surface.normals.T
+    points["force"], points["valid"] = forces_n.ravel(), valid.ravel()
+    return points.reshape(surface.shape)
 
 
 class Grid:

@@ -16,8 +16,9 @@ from canskin.errors import InputError
 from skin.measurement import fast_hadamard
 from skin.surface import Surface
 
-#: Groups of rows: low or high vertical sequency, each with low or high horizontal sequency.
-GROUPS: Final = 4
+#: Rows of a group: `_GROUP_SHAPE` vertical and horizontal sequencies that follow each other.
+GROUP_ROWS: Final = 8
+_GROUP_SHAPE: Final = (2, 4)
 
 Indices = npt.NDArray[np.intp]
 
@@ -173,20 +174,35 @@ def grouped_rows(taxels: int) -> Indices:
     Parameters
     ----------
     taxels : int
-        Of a patch, 4 or more; the patch is read row by row.
+        Of a patch, 8 or more; the patch is read row by row.
 
     Returns
     -------
-    array of int, shape (GROUPS, taxels / GROUPS)
-        Group 2·[a ≥ h/2] + [b ≥ w/2] holds the rows of vertical sequency a and horizontal sequency b, by a, then b.
-        The first row of group 0 is the sum of all taxels. Group 0 alone is the mean of cells of 2 x 2 taxels.
+    array of int, shape (taxels / GROUP_ROWS, GROUP_ROWS)
+        The rows of vertical sequency a and horizontal sequency b, by a, then b, are a table of the shape of the patch.
+        A group is a part of 2 x 4 of this table; the groups are read row by row. The first row of group 0 is the sum of
+        all taxels.
     """
+    rows = _table(taxels)
+    high, wide = rows.shape
+    down, across = _GROUP_SHAPE
+    if high < down or wide < across:
+        raise InputError(f"expected patches of {GROUP_ROWS} taxels or more, got {taxels}")
+    groups = rows.reshape(high // down, down, wide // across, across).swapaxes(1, 2)
+    return groups.reshape(-1, GROUP_ROWS)
+
+
+def coarse_rows(taxels: int) -> Indices:
+    """Return the quarter of the rows with the lowest sequencies: they alone give the means of cells of 2 x 2 taxels."""
+    rows = _table(taxels)
+    high, wide = rows.shape
+    return rows[: high // 2, : wide // 2].ravel()
+
+
+def _table(taxels: int) -> Indices:
+    """Return the rows of the Sylvester-ordered Hadamard matrix of a patch by vertical and horizontal sequency."""
     high, wide = patch_shape(taxels)
-    if high < 2:
-        raise InputError(f"expected patches of 4 taxels or more, got {taxels}")
-    rows = _by_sequency(high)[:, None] * wide + _by_sequency(wide)
-    quarters = rows.reshape(2, high // 2, 2, wide // 2).swapaxes(1, 2)
-    return quarters.reshape(GROUPS, -1)
+    return _by_sequency(high)[:, None] * wide + _by_sequency(wide)
 
 
 @cache

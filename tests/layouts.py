@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import msgspec
+import numpy as np
 import tomli_w
 
 from dbc.contract import Contract
@@ -15,6 +16,8 @@ from skin.layout import Layout, Sync, load_layout, parse_layout
 ADAPTIVE: Final = {"sending": "adaptive", "measurement": {"wiring": "board"}}
 #: The adaptive skin of 64 x 64 taxels that comes with the project.
 ADAPTIVE_SKIN: Final = load_layout(Path("adaptive"))
+#: Sums, groups and TPDOs of a board of `ADAPTIVE_SKIN`, and nodes of its buses.
+BLOCK_SUMS, GROUPS, TPDOS, NODES = 32, 4, 32, 32
 #: A skin of three patches: 12 x 14 with gaps, 132 taxels.
 TWO_FINGERS: Final = [*["######..######"] * 6, "." * 14, *["############.."] * 5]
 IDENTITIES: Final = ("window", "alternating")
@@ -35,10 +38,30 @@ def small_layout(rows: int = 8, columns: int = 8, **tables: Any) -> Layout:
     return parse_layout(layout_toml(rows, columns, **tables).encode(), "small.toml")
 
 
+def tube_layout(rings: int = 8, around: int = 12, **tables: Any) -> Layout:
+    """Return a skin that is no grid: half a tube of 20 mm radius around z, `rings` times `around` taxels.
+
+    Taxel 0 is at the largest x of the ring at z = 0; the outside faces y.
+    """
+    ring, step = np.divmod(np.arange(rings * around), around)
+    angle = np.pi * (step + 0.5) / around
+    normals = np.stack((np.cos(angle), np.sin(angle), np.zeros(angle.size)), axis=1)
+    places_m = np.c_[normals * 0.02 + np.outer(ring, (0.0, 0.0, 0.005)), normals]
+    tables = {"name": "tube", **tables, "taxels": {"positions": places_m.tolist(), **tables.get("taxels", {})}}
+    return parse_layout(tomli_w.dumps(tables).encode(), "tube.toml")
+
+
 def small_contract(identity: str = "window", rate_hz: float = 20.0, **tables: Any) -> Contract:
     """Return the contract of two buses of two nodes; each has 32 taxels, and eight sums in two frames."""
     sync = {"rate_hz": rate_hz, "identity": identity}
     return Contract.from_layout(small_layout(8, 16, **{"name": "small", "sync": sync, "bus": buses(2, 2)} | tables))
+
+
+def small_boards(taxels: int, rows: int = 16, columns: int = 16, **bus: Any) -> Layout:
+    """Return a skin of adaptive boards of `taxels` on one bus, which has the keys `bus`."""
+    measurement = ADAPTIVE["measurement"] | {"block_size": taxels}
+    nodes = -(-rows * columns // taxels)
+    return small_layout(rows, columns, **ADAPTIVE | {"measurement": measurement}, bus=buses(nodes, **bus))
 
 
 def buses(*nodes: int, names: Sequence[str] = (), **keys: Any) -> list[dict[str, Any]]:

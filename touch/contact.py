@@ -1,14 +1,20 @@
-"""The force on every taxel under rigid objects: spheres on vertical springs of 1 N/m.
+"""The force on every taxel under rigid objects: spheres on springs of 1 N/m along the normals of the skin.
 
-A taxel is a rigid sphere on a vertical spring. An object is a rigid union of spheres. It compresses the spring by the
-distance that it reaches below the untouched taxel. Neighbouring taxels are independent, and there is no friction. So
-the compression of a taxel is the largest compression by any sphere (Hollis et al., "BubbleTouch", arXiv 1809.09153;
-section V of the paper).
+A taxel is a rigid sphere on a spring; untouched, its highest point lies on the skin. An object is a rigid union of
+spheres. It compresses the spring by the distance that the taxel must move along its own normal until it is free.
+Neighbouring taxels are independent, and there is no friction. So the compression of a taxel is the largest compression
+by any sphere (Hollis et al., "BubbleTouch", arXiv 1809.09153; section V of the paper). On a flat skin this is the
+distance that the object reaches below the untouched taxel.
+
+An object comes from outside, along the normal of the skin where it presses. A taxel feels a sphere if the way of the
+sphere meets the untouched taxel, and the taxel faces the way or the sphere: nothing is felt by the far side of a
+finger, nor by a taxel beside the way.
 """
 
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -18,6 +24,7 @@ from canskin.errors import InputError
 from shell.compiled import njit
 from skin.defects import STIFFNESS_N_PER_M
 from skin.layout import Taxels
+from skin.surface import Floats, Indices, Surface, grid_surface
 from skin.taxel import FORCE_MAX_N
 
 #: Largest compression of a taxel (section V).
@@ -25,28 +32,52 @@ TRAVEL_M: Final = FORCE_MAX_N / STIFFNESS_N_PER_M
 #: Pitch of the paper's array and of the default skin, and radius of a taxel's sphere: the spheres touch each other.
 PITCH_M: Final = Taxels().pitch_m
 TAXEL_RADIUS_M: Final = PITCH_M / 2
+#: Most cells along a side of the table that finds the taxels under a sphere.
+_MOST_CELLS: Final = 256
+#: Places across a way are rounded to these decimals of a cell, so that those of a grid are whole numbers.
+_DECIMALS: Final = 9
+#: Views of skins that are kept: on a flat skin each pose has the same.
+_VIEWS: Final = 16
 
 FloatArray = npt.NDArray[np.float64]
 Force = npt.NDArray[np.float32]
+Vector = tuple[float, float, float]
 
 
 class Pose(NamedTuple):
-    """Pose of an object in the frame of the sensor; the origin is the middle of the array.
+    """Pose of an object in the frame of the skin (`skin.surface`).
 
     Attributes
     ----------
     x_m, y_m : float
-        Position along the columns (x) and down the rows (y).
+        Where the object presses; on a grid, along the columns (x) and down the rows (y).
     rotation_rad : float
-        Rotation about the array's normal, from x towards y.
+        Rotation about the normal, from the first of `tangents` towards the second; on a grid, from x towards y.
     depth_m : float
-        Depth of the object's highest point below the untouched array; 0 or less: no contact.
+        Depth of the object's highest point below the untouched skin; 0 or less: no contact.
+    z_m : float
+        The third coordinate of where the object presses.
+    normal : tuple of float
+        Direction out of the skin there, of length 1: the object's z axis is opposite.
     """
 
     x_m: float
     y_m: float
     rotation_rad: float
     depth_m: float
+    z_m: float = 0.0
+    normal: Vector = (0.0, 0.0, -1.0)
+
+
+def tangents(normal: Vector) -> tuple[Vector, Vector]:
+    """Return two directions along a skin that complete the direction into it; x and y for the normal of a grid."""
+    x, y, z = normal
+    fixed = (1.0, 0.0, 0.0) if abs(x) < 0.9 else (0.0, 1.0, 0.0)
+    along = fixed[0] * x + fixed[1] * y
+    first = np.array((fixed[0] - along * x, fixed[1] - along * y, -along * z))
+    first /= math.sqrt(first @ first)
+    second = np.cross((-x, -y, -z), first)
+    return tuple(first.tolist()), tuple(second.tolist())
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,14 +144,52 @@ class Grid:
         """Half the array's length along x and along y."""
         return self.columns * self.pitch_m / 2, self.rows * self.pitch_m / 2
 
+    @property
+    def surface(self) -> Surface:
+        """Where the taxels lie."""
+        return grid_surface(self.rows, self.columns, self.pitch_m, np.empty(0, np.intp))
 
-def press(grid: Grid, objects: Iterable[tuple[Spheres, Pose]]) -> Force:
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        return self.rows, self.columns
+
+    def __str__(self) -> str:
+        return f"{self.rows} x {self.columns} taxels {self.pitch_m:g} m apart"
+
+
+@dataclass(frozen=True, eq=False)
+class Shell:
+    """Taxels on a surface of any shape, each with a sphere of `taxel_radius_m`."""
+
+    surface: Surface
+    taxel_radius_m: float
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of its arrays."""
+        return self.surface.shape
+
+    def __str__(self) -> str:
+        return f"{len(self.surface.positions_m)} taxels {self.surface.pitch_m:g} m apart"
+
+
+#: What an object presses on.
+Skin = Grid | Shell
+
+
+def skin_of(rows: int, columns: int, pitch_m: float, surface: Surface | None) -> Skin:
+    """Return the taxels of a grid or, if there is one, on a surface; their spheres are as wide as the pitch."""
+    return Grid(rows, columns, pitch_m) if surface is None else Shell(surface, pitch_m / 2)
+
+
+def press(skin: Skin, objects: Iterable[tuple[Spheres, Pose]]) -> Force:
     """Return the true force of every taxel under any number of objects.
 
     Parameters
     ----------
-    grid : Grid
-        The array.
+    skin : Grid or Shell
+        The taxels.
     objects : iterable of (Spheres, Pose)
         The touching objects; the object that compresses a taxel most gives its force.
 
@@ -129,21 +198,17 @@ def press(grid: Grid, objects: Iterable[tuple[Spheres, Pose]]) -> Force:
     numpy.ndarray
         float32, shape (rows, columns), newtons; no noise and no limit.
     """
-    compression = np.zeros((grid.rows, grid.columns), np.float32)
+    compression = np.zeros(skin.shape, np.float32)
     for spheres, pose in objects:
-        if not all(map(math.isfinite, pose)):
+        *placed, normal = pose
+        if not all(map(math.isfinite, placed)):
             raise InputError(f"a pose needs finite numbers: got {tuple(pose)}")
-        _compress(
-            compression,
-            spheres.centres_m,
-            spheres.radii_m,
-            np.array(pose, np.float64),
-            (grid.pitch_m, grid.taxel_radius_m),
-        )
+        view = _view(skin, normal)
+        _compress(compression.ravel(), spheres.centres_m, spheres.radii_m, np.array(placed), view)
     return compression * np.float32(STIFFNESS_N_PER_M)
 
 
-def press_along(grid: Grid, spheres: Spheres, poses: Iterable[Pose]) -> Force:
+def press_along(skin: Skin, spheres: Spheres, poses: Iterable[Pose]) -> Force:
     """Return the true force of every taxel while one object moves from pose to pose.
 
     Returns
@@ -151,10 +216,59 @@ def press_along(grid: Grid, spheres: Spheres, poses: Iterable[Pose]) -> Force:
     numpy.ndarray
         float32, shape (poses, rows, columns), newtons.
     """
-    images = [press(grid, [(spheres, pose)]) for pose in poses]
+    images = [press(skin, [(spheres, pose)]) for pose in poses]
     if not images:
         raise InputError("expected 1 pose or more, got none")
     return np.stack(images)
+
+
+class _View(NamedTuple):
+    """The taxels of a skin as an object finds them that comes along one normal.
+
+    Attributes
+    ----------
+    axes : array, shape (3, 3)
+        The two `tangents`, and the direction into the skin, in which the object comes.
+    taxels : array, shape (n, 6)
+        Of each taxel, cell by cell: column and row of the middle of its untouched sphere, on a grid whole numbers; the
+        middle along the third axis, metres; and its normal along `axes`.
+    number : array of int, shape (n,)
+        Which taxel each line is.
+    first : array of int, shape (rows * columns + 1,)
+        Where each cell of the plane across the way begins, row by row.
+    bounds : array, shape (8,)
+        x and y of the middle of the first cell in sides of a cell; this side, metres; how far taxels lie from the
+        middles of their cells, sides; rows and columns of cells; z of the highest taxel, radius of a taxel, metres.
+    """
+
+    axes: FloatArray
+    taxels: Floats
+    number: Indices
+    first: Indices
+    bounds: FloatArray
+
+
+@lru_cache(maxsize=_VIEWS)
+def _view(skin: Skin, normal: Vector) -> _View:
+    if not abs(math.hypot(*normal) - 1.0) < 1e-6:
+        raise InputError(f"a pose needs a normal of length 1: got {normal}")
+    surface = skin.surface
+    axes = np.array((*tangents(normal), [-each for each in normal]))
+    normals = axes @ surface.normals.T
+    middles = axes @ surface.positions_m.T - skin.taxel_radius_m * normals
+    low, high = middles.min(axis=1), middles.max(axis=1)
+    side = max(surface.pitch_m, float((high - low)[:2].max()) / _MOST_CELLS)
+    across = np.round(middles[:2] / side, _DECIMALS)
+    origin = across.min(axis=1)
+    across -= origin[:, None]
+    column, row = cell = (across + 0.5).astype(np.intp)
+    slack = float(np.abs(across - cell).max())
+    columns, rows = int(column.max()) + 1, int(row.max()) + 1
+    number = np.argsort(row * columns + column, kind="stable")
+    first = np.searchsorted((row * columns + column)[number], np.arange(rows * columns + 1))
+    bounds = np.array((*origin, side, slack, rows, columns, low[2] - skin.taxel_radius_m, skin.taxel_radius_m))
+    lines = np.ascontiguousarray(np.concatenate((across, middles[2:], normals))[:, number].T)
+    return _View(axes, lines, number, first, bounds)
 
 
 def _deepest(
@@ -162,31 +276,47 @@ def _deepest(
     centres: FloatArray,
     radii: FloatArray,
     pose: FloatArray,
-    taxel: tuple[float, float],
+    view: _View,
 ) -> None:
-    rows, columns = compression.shape
-    pitch, taxel_radius = taxel
+    axes, lines, number, first, bounds = view
+    left, upper, side, slack, rows, columns, top, taxel_radius = bounds
+    at_x, at_y, at_z = axes[:, 0] * pose[0] + axes[:, 1] * pose[1] + axes[:, 2] * pose[4]
     cos, sin = math.cos(pose[2]), math.sin(pose[2])
     for k in range(radii.size):
-        indent = pose[3] + centres[k, 2] + radii[k]
+        z = at_z + pose[3] + centres[k, 2]
+        indent = z + radii[k] - top
         if indent <= 0.0:
             continue
         reach = radii[k] + taxel_radius
-        # At a larger distance the sphere does not reach the untouched taxels.
+        # At a larger distance from its way the sphere does not reach the untouched taxels.
         span = math.sqrt(indent * (2.0 * reach - indent)) if indent < reach else reach
-        column_at = (pose[0] + cos * centres[k, 0] - sin * centres[k, 1]) / pitch + 0.5 * (columns - 1)
-        row_at = (pose[1] + sin * centres[k, 0] + cos * centres[k, 1]) / pitch + 0.5 * (rows - 1)
-        first_row = int(min(max(0.0, math.ceil(row_at - span / pitch)), float(rows)))
-        last_row = int(max(-1.0, min(rows - 1.0, math.floor(row_at + span / pitch))))
-        first_column = int(min(max(0.0, math.ceil(column_at - span / pitch)), float(columns)))
-        last_column = int(max(-1.0, min(columns - 1.0, math.floor(column_at + span / pitch))))
+        column_at = (at_x + cos * centres[k, 0] - sin * centres[k, 1]) / side - left
+        row_at = (at_y + sin * centres[k, 0] + cos * centres[k, 1]) / side - upper
+        wide = span / side + slack
+        first_row = int(min(max(0.0, math.ceil(row_at - wide)), rows))
+        last_row = int(max(-1.0, min(rows - 1.0, math.floor(row_at + wide))))
+        first_column = int(min(max(0.0, math.ceil(column_at - wide)), columns))
+        last_column = int(max(-1.0, min(columns - 1.0, math.floor(column_at + wide))))
+        if last_column < first_column:
+            continue
         for row in range(first_row, last_row + 1):
-            left = reach * reach - ((row - row_at) * pitch) ** 2
-            for column in range(first_column, last_column + 1):
-                rest = left - ((column - column_at) * pitch) ** 2
+            begin = first[row * int(columns) + first_column]
+            for line in range(begin, first[row * int(columns) + last_column + 1]):
+                dx, dy = (lines[line, 0] - column_at) * side, (lines[line, 1] - row_at) * side
+                rest = reach * reach - dy * dy - dx * dx
+                if rest <= 0.0:
+                    continue  # beside the way of the sphere
+                dz, nz = lines[line, 2] - z, lines[line, 5]
+                along = -dz
+                if nz > -1.0:  # the taxel does not face the way straight, as all of a flat skin do
+                    nx, ny = lines[line, 3], lines[line, 4]
+                    along = dx * nx + dy * ny + dz * nz
+                    if (dz > 0.0 and rest <= dz * dz) or (nz >= 0.0 and along > 0.0):
+                        continue  # the sphere has not come as far, or is behind the taxel
+                    rest += along * along - dz * dz
                 if rest > 0.0:
-                    pushed = indent - reach + math.sqrt(rest)
-                    compression[row, column] = max(compression[row, column], pushed)
+                    taxel = number[line]
+                    compression[taxel] = max(compression[taxel], along + math.sqrt(rest))
 
 
 _compress: Callable[..., None] = njit(cache=True)(_deepest)

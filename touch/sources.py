@@ -11,8 +11,9 @@ from shell.service import say
 from skin.layout import RECORDING_SUFFIX
 from skin.ranges import require_above_zero, require_number
 from skin.sources import DEFAULT_OBJECTS, Frame, StrokeKind
+from skin.surface import Surface
 from skin.taxel import FORCE_MAX_N
-from touch.contact import PITCH_M, Force, Grid, Pose
+from touch.contact import PITCH_M, Force, Pose, Skin, skin_of
 from touch.objects import checked_names
 from touch.random_touches import felt_objects
 from touch.reading import array_names, read_counts
@@ -38,7 +39,7 @@ class ObjectSource:
 
     def __init__(
         self,
-        grid: Grid,
+        skin: Skin,
         rate_hz: float,
         names: Sequence[str],
         seed: int,
@@ -47,7 +48,7 @@ class ObjectSource:
         stroke: StrokeKind = "slide",
     ) -> None:
         self._rest_steps = round(rest_s * rate_hz)
-        self.grid = grid
+        self.skin = skin
         self.rate_hz = rate_hz
         self.names = tuple(names)
         self._seed = seed
@@ -57,13 +58,13 @@ class ObjectSource:
         self._newest: dict[int, Frame] = {}
         self._touch: Touch | None = None
         self._pressed: tuple[int, Pose] | None = None
-        self._force_n = self._untouched = _fixed(np.zeros((grid.rows, grid.columns), np.float32))
+        self._force_n = self._untouched = _fixed(np.zeros(skin.shape, np.float32))
 
     def touch(self, index: int) -> Touch:
         """Return touch number `index`, from 0."""
         if self._touch is None or index != self._index:
             name = self.names[index % len(self.names)]
-            self._touch = draw_touch(name, self.grid, random_stream(self._seed, LIVE, index), self._stroke)
+            self._touch = draw_touch(name, self.skin, random_stream(self._seed, LIVE, index), self._stroke)
             self._index = index
         return self._touch
 
@@ -96,7 +97,7 @@ class ObjectSource:
         touch = self.touch(int(index))
         pose = touch.stroke.pose(time_s - PAUSE_S)
         if (self._index, pose) != self._pressed:  # a held object has the same image for many steps
-            self._force_n = _fixed(touch.force_n(self.grid, pose))
+            self._force_n = _fixed(touch.force_n(self.skin, pose))
             self._pressed = self._index, pose
         return Frame(self._force_n, self._label(self._force_n, touch.name))
 
@@ -111,6 +112,7 @@ def objects(
     pitch_m: float = PITCH_M,
     rate_hz: float = 100.0,
     *,
+    surface: Surface | None = None,
     names: Sequence[str] | None = None,
     seed: int = 0,
     rest_s: float = 0.0,
@@ -126,9 +128,11 @@ def objects(
         Distance between neighbouring taxels.
     rate_hz : float
         Steps per second.
+    surface : Surface, optional
+        Where the taxels lie, of a skin that is no grid.
     names : sequence of str, optional
         Objects of the catalogue, in the order of their touches; a string may hold several names, separated by commas.
-        Default: the objects of `skin.sources.DEFAULT_OBJECTS` that this array can feel.
+        Default: the objects of `skin.sources.DEFAULT_OBJECTS` that this skin can feel.
     seed : int
         The same seed gives the same touches.
     rest_s : float
@@ -139,9 +143,9 @@ def objects(
     require_number("rest_s", rest_s)
     require_above_zero("rate_hz", rate_hz)
     require_number("seed", seed)
-    grid = Grid(rows, columns, pitch_m)
-    listed = felt_objects(DEFAULT_OBJECTS, grid) if names is None else checked_names(names)
-    source = ObjectSource(grid, rate_hz, listed, seed, rest_s=rest_s, stroke=stroke)
+    skin = skin_of(rows, columns, pitch_m, surface)
+    listed = felt_objects(DEFAULT_OBJECTS, skin) if names is None else checked_names(names)
+    source = ObjectSource(skin, rate_hz, listed, seed, rest_s=rest_s, stroke=stroke)
     # Compile the contact kernel now, not inside a cycle.
     source.frame(int(np.ceil((rest_s + (PAUSE_S + SLOT_S) / 2) * rate_hz)))
     return source

@@ -13,8 +13,9 @@ import numpy as np
 from skin.sources import StrokeKind
 from skin.taxel import NOISE_N
 from touch.classification_poses import OFFSETS_M, ROTATIONS_RAD
-from touch.contact import FloatArray, Force, Grid, Pose, Spheres, press
+from touch.contact import FloatArray, Force, Pose, Shell, Skin, Spheres, press, tangents
 from touch.objects import spheres_of
+from touch.tracks import Track, border_m, track
 from touch.trajectory import PAPER_DEPTH_M
 
 #: An object is the label while the largest true force is at least this, twice the standard deviation of the noise.
@@ -43,13 +44,15 @@ class Stroke:
     Attributes
     ----------
     start_m, end_m : tuple of float
-        Position x, y before and after the slide.
+        Position x, y before and after the slide; on a track, x is the distance along it.
     rotation_rad : float
         Constant during the touch.
     depth_m : float
         Depth from the end of the press to the lift.
     press_s, hold_s, slide_s, lift_s : float
         Duration of each phase.
+    track : Track, optional
+        Way of the contact along a skin that is no grid.
     """
 
     start_m: tuple[float, float]
@@ -60,6 +63,7 @@ class Stroke:
     hold_s: float
     slide_s: float
     lift_s: float
+    track: Track | None = None
 
     @property
     def duration_s(self) -> float:
@@ -72,25 +76,26 @@ class Stroke:
         pressed = _progress(time_s, self.press_s)
         lifted = _progress(time_s - self.duration_s + self.lift_s, self.lift_s)
         (x0, y0), (x1, y1) = self.start_m, self.end_m
-        return Pose(
+        pose = Pose(
             x0 + (x1 - x0) * slid,
             y0 + (y1 - y0) * slid,
             self.rotation_rad,
             self.depth_m * min(pressed, 1.0 - lifted),
         )
+        return pose if self.track is None else self.track.placed(pose)
 
 
 @dataclass(frozen=True, eq=False)
 class Touch:
-    """One object and its stroke over the array."""
+    """One object and its stroke over the skin."""
 
     name: str
     spheres: Spheres
     stroke: Stroke
 
-    def force_n(self, grid: Grid, pose: Pose) -> Force:
+    def force_n(self, skin: Skin, pose: Pose) -> Force:
         """Return the true force at `pose`, float32, shape (rows, columns)."""
-        return press(grid, [(self.spheres, pose)])
+        return press(skin, [(self.spheres, pose)])
 
 
 def random_stream(seed: int, stream: int, index: int) -> np.random.Generator:
@@ -98,27 +103,32 @@ def random_stream(seed: int, stream: int, index: int) -> np.random.Generator:
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(stream, index)))
 
 
-def draw_touch(name: str, grid: Grid, rng: np.random.Generator, kind: StrokeKind = "slide") -> Touch:
+def draw_touch(name: str, skin: Skin, rng: np.random.Generator, kind: StrokeKind = "slide") -> Touch:
     """Return a random touch of the object `name`, of a kind of `skin.sources.StrokeKind`."""
     spheres = spheres_of(name)
     match kind:
         case "slide":
-            return Touch(name, spheres, _draw_slide(spheres, grid, rng))
+            return Touch(name, spheres, _draw_slide(spheres, skin, rng))
         case "press":
-            return Touch(name, spheres, _draw_press(rng))
+            return Touch(name, spheres, _draw_press(skin, rng))
         case _:
             assert_never(kind)
 
 
-def _draw_slide(spheres: Spheres, grid: Grid, rng: np.random.Generator) -> Stroke:
-    """Return a stroke at any place and angle; the contact stays on the array if the object fits."""
+def _draw_slide(spheres: Spheres, skin: Skin, rng: np.random.Generator) -> Stroke:
+    """Return a stroke at any place and angle; the contact stays on the skin if the object fits."""
     rotation = float(rng.uniform(0.0, 2.0 * math.pi))
     depth = float(rng.uniform(*DEPTH_M))
-    reach_m = _reach_m(spheres, grid, rotation, depth)
-    ends = rng.uniform(-1.0, 1.0, (2, 2)) * reach_m
-    start, path = ends[0], ends[1] - ends[0]
     longest = SLIDE_SPEED_M_PER_S * SLIDE_S
-    end = start + path / max(1.0, float(np.hypot(path[0], path[1])) / longest)
+    across_m = _across_m(spheres, skin.taxel_radius_m, rotation, depth)
+    if isinstance(skin, Shell):
+        way = _draw_track(skin, float(across_m.max()), longest, rng)
+        start, end = np.zeros(2), np.array((way.length_m, 0.0))
+    else:
+        way, half = None, np.array(skin.half_extent_m)
+        ends = rng.uniform(-1.0, 1.0, (2, 2)) * np.maximum(half - across_m, LEAST_REACH_RATIO * half)
+        start, path = ends[0], ends[1] - ends[0]
+        end = start + path / max(1.0, float(np.hypot(path[0], path[1])) / longest)
     return Stroke(
         start_m=(float(start[0]), float(start[1])),
         end_m=(float(end[0]), float(end[1])),
@@ -128,12 +138,19 @@ def _draw_slide(spheres: Spheres, grid: Grid, rng: np.random.Generator) -> Strok
         hold_s=HOLD_S,
         slide_s=SLIDE_S,
         lift_s=LIFT_S,
+        track=way,
     )
 
 
-def _draw_press(rng: np.random.Generator) -> Stroke:
+def _draw_press(skin: Skin, rng: np.random.Generator) -> Stroke:
     """Return a press within the offsets and rotations of the paper's classification data, at its depth."""
     x, y = -rng.uniform(OFFSETS_M[0], OFFSETS_M[-1], 2)
+    way = None
+    if isinstance(skin, Shell):
+        surface, middle = skin.surface, int(np.argmax(border_m(skin.surface)))
+        to_m = surface.positions_m[middle] + np.array((x, y)) @ tangents(tuple(surface.normals[middle].tolist()))
+        way = track(surface, middle, np.zeros(2), to_m, math.hypot(x, y))
+        x, y = way.length_m, 0.0
     return Stroke(
         start_m=(float(x), float(y)),
         end_m=(float(x), float(y)),
@@ -143,21 +160,34 @@ def _draw_press(rng: np.random.Generator) -> Stroke:
         hold_s=HOLD_S + SLIDE_S,
         slide_s=0.0,
         lift_s=LIFT_S,
+        track=way,
     )
 
 
-def _reach_m(spheres: Spheres, grid: Grid, rotation_rad: float, depth_m: float) -> FloatArray:
-    """Return the largest distance from the middle, along x and y, at which the contact stays on the array."""
-    reach = spheres.radii_m + grid.taxel_radius_m
+def _draw_track(skin: Shell, across_m: float, longest_m: float, rng: np.random.Generator) -> Track:
+    """Return a way between two places of one island that are `across_m` away from its border if it has such places."""
+    surface = skin.surface
+    away_m = border_m(surface)
+    widest_m = np.zeros(len(away_m))
+    np.maximum.at(widest_m, surface.islands, away_m)
+    inner = np.flatnonzero(away_m >= np.minimum(across_m, (1 - LEAST_REACH_RATIO) * widest_m[surface.islands]))
+    start = int(rng.choice(inner))
+    end = int(rng.choice(inner[surface.islands[inner] == surface.islands[start]]))
+    offsets_m = rng.uniform(-0.5, 0.5, (2, 2)) * surface.pitch_m
+    to_m = surface.positions_m[end] + offsets_m[1] @ tangents(tuple(surface.normals[end].tolist()))
+    return track(surface, start, offsets_m[0], to_m, longest_m)
+
+
+def _across_m(spheres: Spheres, taxel_radius_m: float, rotation_rad: float, depth_m: float) -> FloatArray:
+    """Return how far the contact reaches along x and along y on a flat skin."""
+    reach = spheres.radii_m + taxel_radius_m
     indent = np.clip(depth_m + spheres.centres_m[:, 2] + spheres.radii_m, 0.0, reach)
     span = np.sqrt(indent * (2.0 * reach - indent))
     cos, sin = math.cos(rotation_rad), math.sin(rotation_rad)
     x, y = spheres.centres_m[:, 0], spheres.centres_m[:, 1]
     across = np.abs(np.stack([cos * x - sin * y, sin * x + cos * y])) + span
-    footprint = np.max(across, axis=1, where=indent > 0.0, initial=0.0)
-    half = np.array(grid.half_extent_m)
-    reach_m: FloatArray = np.maximum(half - footprint, LEAST_REACH_RATIO * half)
-    return reach_m
+    across_m: FloatArray = np.max(across, axis=1, where=indent > 0.0, initial=0.0)
+    return across_m
 
 
 def _progress(elapsed_s: float, duration_s: float) -> float:

@@ -45,6 +45,11 @@ class Description(msgspec.Struct, frozen=True, kw_only=True):
         Fingerprint of Φ.
     boot_id : str
         Of the gateway's machine: on the same machine monotonic times can be compared. Empty if unknown.
+    is_grid : bool
+        Whether the taxels are a grid. Else there is one row, and `positions` and `normals` tell the shape.
+    positions, normals : bytes
+        float32, shape (n, 3): where each taxel lies, metres, and its normal out of the skin; see `docs/layout.md` for
+        the frame. Empty from a gateway that does not tell.
     """
 
     name: str
@@ -61,6 +66,24 @@ class Description(msgspec.Struct, frozen=True, kw_only=True):
     sending: str
     fingerprint: str
     boot_id: str = ""
+    is_grid: bool = True
+    positions: bytes = b""
+    normals: bytes = b""
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """The shape of an array with a value of each taxel: (rows, columns) of a grid, else (n,)."""
+        return (self.rows, self.columns) if self.is_grid else (self.rows * self.columns,)
+
+    @property
+    def positions_m(self) -> npt.NDArray[np.float32]:
+        """Where each taxel lies, shape (n, 3); (0, 3) if the gateway does not tell."""
+        return np.frombuffer(self.positions, "<f4").reshape(-1, 3)
+
+    @property
+    def unit_normals(self) -> npt.NDArray[np.float32]:
+        """The normal of each taxel, of length 1, out of the skin, shape as `positions_m`."""
+        return np.frombuffer(self.normals, "<f4").reshape(-1, 3)
 
     @property
     def in_cycles(self) -> bool:
@@ -69,7 +92,7 @@ class Description(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def block_of_taxel(self) -> npt.NDArray[np.intp]:
-        """The block of each taxel, shape (rows, columns); the taxels of a block are valid together.
+        """The block of each taxel, of `shape`; the taxels of a block are valid together.
 
         Where the grid has a gap: the number of blocks.
         """
@@ -77,7 +100,7 @@ class Description(msgspec.Struct, frozen=True, kw_only=True):
         # Places of boards without a taxel are numbered after the taxels.
         blocks = np.full(max(int(order.max()) + 1, self.rows * self.columns), self.blocks, np.intp)
         blocks[order] = np.arange(order.size) // (order.size // self.blocks)
-        return blocks[: self.rows * self.columns].reshape(self.rows, self.columns)
+        return blocks[: self.rows * self.columns].reshape(self.shape)
 
     @property
     def block_of_sum(self) -> npt.NDArray[np.intp]:

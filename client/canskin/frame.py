@@ -29,13 +29,13 @@ class Frame:
 
     Attributes
     ----------
-    image : array of float32, shape (rows, columns)
-        Newtons; NaN where the taxel's block is not valid.
-    estimate : array of float32, shape (rows, columns)
-        Newtons: `image`, with the solver's estimate from the neighbours where blocks are not valid.
-    valid : array of bool, shape (rows, columns)
+    forces : array of float32, shape (n,)
+        Newtons; NaN where the taxel's block is not valid. Taxels of a grid are row-major.
+    estimate : array of float32, of `Description.shape`: (rows, columns), or (n,) where the skin is no grid
+        Newtons: `forces`, with the solver's estimate from the neighbours where blocks are not valid.
+    valid : array of bool, shape as `estimate`
         True where the taxel's block was measured.
-    doubtful : array of bool, shape (rows, columns)
+    doubtful : array of bool, shape as `estimate`
         True where the force may be an error of the zero, for example of a warm patch, and no touch.
     sums : array of int32, shape (m,)
         Counts less offsets, block by block; 0 where not in `valid_sums`. Empty if the measurement did not come.
@@ -62,7 +62,7 @@ class Frame:
         Bound of the error of these times; infinite if unknown.
     """
 
-    image: npt.NDArray[np.float32]
+    forces: npt.NDArray[np.float32]
     estimate: npt.NDArray[np.float32]
     valid: npt.NDArray[np.bool_]
     doubtful: npt.NDArray[np.bool_]
@@ -77,7 +77,31 @@ class Frame:
     sampled_at: float
     sampled_mono_ns: int
     sampled_error_s: float
+    _skin: Description = field(repr=False)
     _same_machine: bool = field(default=True, repr=False)
+
+    @property
+    def image(self) -> npt.NDArray[np.float32]:
+        """The forces as a picture, shape (rows, columns).
+
+        Raises
+        ------
+        InputError
+            If the skin is no grid.
+        """
+        if not self._skin.is_grid:
+            raise InputError(f"skin '{self._skin.name}' is no grid and has no image: use frame.forces, frame.positions")
+        return self.forces.reshape(self._skin.shape)
+
+    @property
+    def positions(self) -> npt.NDArray[np.float32]:
+        """Where the taxels of `forces` lie, metres, shape (n, 3): `Description.positions_m`."""
+        return self._skin.positions_m
+
+    @property
+    def normals(self) -> npt.NDArray[np.float32]:
+        """The directions out of the skin at the taxels of `forces`, shape (n, 3): `Description.unit_normals`."""
+        return self._skin.unit_normals
 
     @property
     def age(self) -> float:
@@ -153,21 +177,21 @@ class FrameBuilder:
             return []
         if doubtful is None:
             doubtful = np.zeros(about.rows * about.columns, np.bool_)
-        estimate = np.frombuffer(image.pixels, "<f4").reshape(about.rows, about.columns)
+        estimate = np.frombuffer(image.pixels, "<f4").reshape(about.shape)
         valid = np.append(np.frombuffer(image.valid, np.uint8) != 0, False)[self._blocks]
-        shown = np.where(valid, estimate, np.float32(np.nan))
+        forces = np.where(valid, estimate, np.float32(np.nan)).ravel()
         measurement = self._measurements.get(_key(image))
         sums, valid_sums = self._sums(measurement)
-        for array in (valid, shown, doubtful, sums, valid_sums):
+        for array in (valid, forces, doubtful, sums, valid_sums):
             array.flags.writeable = False
         label = self._label(image)
         offset_ns = self._wall_offset_ns
         return [
             Frame(
-                image=shown,
+                forces=forces,
                 estimate=estimate,
                 valid=valid,
-                doubtful=doubtful.reshape(about.rows, about.columns),
+                doubtful=doubtful.reshape(about.shape),
                 sums=sums,
                 valid_sums=valid_sums,
                 contacts=tuple(contacts.contacts) if contacts is not None else (),
@@ -181,6 +205,7 @@ class FrameBuilder:
                 sampled_error_s=float("inf")
                 if image.sampled_error_ns == UNKNOWN_ERROR_NS
                 else image.sampled_error_ns * 1e-9,
+                _skin=about,
                 _same_machine=self._same_machine,
             )
         ]

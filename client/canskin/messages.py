@@ -166,13 +166,15 @@ class Contact(msgspec.Struct, frozen=True, kw_only=True):
         Number of the contact, from 1; the same in every image from onset to end. A contact that joined another one has
         its number again when they part; otherwise no number is used twice.
     row, column : float
-        Centre of force, in taxels; (0, 0) is the centre of the first taxel.
+        Centre of force, in taxels; (0, 0) is the centre of the first taxel. On a skin of positions row 0 and the number
+        of the taxel nearest to the centre.
     force_n, peak_n : float
         Sum of the forces of its taxels, and the largest of them, newtons.
     taxels : int
         Number of its taxels.
     top, bottom, left, right : int
-        First and last row, first and last column of its taxels.
+        First and last row, first and last column of its taxels. On a skin of positions 0, 0, and the lowest and highest
+        number of its taxels, with others between.
     onset_mono_ns : int
         Time of the first image with this contact.
     invalid_taxels : int
@@ -180,6 +182,12 @@ class Contact(msgspec.Struct, frozen=True, kw_only=True):
     doubtful_since_mono_ns : int
         Since when it may be an error of the zero, for example a warm patch, and no touch: at least half of its force is
         on doubtful taxels. 0: it is not doubtful.
+    position_m : tuple of float
+        Centre of force in the frame of the skin, metres: on a grid its middle is (0, 0, 0), x runs along the columns, y
+        down the rows, z into the skin; a skin of positions has the frame of its file, and the mean of the positions of
+        the taxels by force is a little below a curved skin. (0, 0, 0) in older recordings.
+    normal : tuple of float
+        Of length 1, out of the skin at the centre: the mean of its taxels' by force.
     """
 
     identity: int
@@ -195,6 +203,8 @@ class Contact(msgspec.Struct, frozen=True, kw_only=True):
     onset_mono_ns: int
     invalid_taxels: int = 0
     doubtful_since_mono_ns: int = 0
+    position_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    normal: tuple[float, float, float] = (0.0, 0.0, -1.0)
 
     @property
     def doubtful(self) -> bool:

@@ -25,8 +25,9 @@ def bench(
     ``reconstruct`` solves one problem with our solver, with the paper's dense FISTA and with every peer of the extra
     ``bench`` that is installed, in turn and on one thread: median milliseconds of 20 iterations from a warm start,
     the gap (F - F*) / F* each is left with, the PSNR, and the ratio to ours of the same precision; then the same for
-    the contourlet. ``images`` gives the PSNR of every solver on the paper's five objects, at its speed of motion and
-    ten times faster. ``missing`` gives it with dead nodes and with lost frames. ``skins`` times one cycle of several
+    the contourlet; then total variation on the default skin as a grid and as a graph, and on triangles. ``images``
+    gives the PSNR of every solver on the paper's five objects, at its speed of motion and ten times faster.
+    ``missing`` gives it with dead nodes and with lost frames. ``skins`` times one cycle of several
     skins in one process, each with its own Φ, on one thread and on more. ``classify`` times one decision between 16
     objects against scikit-learn's on the same machines. ``gateway`` gives the frames per second that one core takes
     from the socket to a complete measurement, against python-can and canopen. ``chain`` runs the default and the

@@ -2,32 +2,34 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
-from dbc.adaptive import BLOCK_SUMS, FIRST_COB_ID, Companding, SendingRule, companding
+from dbc.adaptive import FIRST_COB_ID, GROUP_SUMS, Companding, SendingRule, companding
 from dbc.adaptive_filter import SETTLING_SAMPLES
 from dbc.canopen import HEARTBEAT_BASE
 from dbc.frame import Frames, frame_bytes
 from evaluation.schemes.judge import Images
 from evaluation.schemes.scenes import IDLE_TICKS_SHORT, NEWTON_PER_COUNT, SIDE, TAXELS, Touch
-from evaluation.schemes.wire import TICK_NS, Nanoseconds, Sent, carry_polled, patches
+from evaluation.schemes.wire import NODE_CELLS, TICK_NS, Nanoseconds, Sent, carry_polled, patches
 from gateway.adaptive_state import new_sums, take_all
 from nodes.adaptive.filtering import ForceFilter, PatchFilter
 from nodes.adaptive.noise import IdleStatistics, Noise
 from nodes.adaptive.sending import noise_threshold_n2
 from nodes.adaptive.simulated import Sample, SimulatedNodes, sync_frames
+from reconstructor.kernels.graph import graph_of
 from reconstructor.walsh import LIMIT_RATIO, VariationFilter, WalshReconstructor
 from skin.layout import Bus
 from skin.sending import COARSE_STEP_RATIO
 from skin.taxel import FORCE_MAX_N
-from skin.walsh import GROUPS
 from touch.contact import Force
 
 Counts = npt.NDArray[np.int16]
 Cells = npt.NDArray[np.int64]
-_LAW: Companding = companding(FORCE_MAX_N, COARSE_STEP_RATIO * FORCE_MAX_N)
+_GROUPS: Final = NODE_CELLS // GROUP_SUMS
+_LAW: Companding = companding(FORCE_MAX_N, COARSE_STEP_RATIO * FORCE_MAX_N, NODE_CELLS)
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,9 +64,9 @@ class AdaptiveRun:
 
 
 def _received(sent: Frames, nodes: int, ticks: int, *, is_fd: bool) -> Force:
-    """Return what the gateway knows of a bus at each millisecond, newtons, shape (ticks, nodes, BLOCK_SUMS)."""
-    known_n, done, sums = np.empty((ticks, nodes, BLOCK_SUMS), np.float32), 0, new_sums(nodes)
-    is_proven, has_changed = np.ones(nodes, np.bool_), np.zeros((nodes, GROUPS), np.bool_)
+    """Return what the gateway knows of a bus at each millisecond, newtons, shape (ticks, nodes, NODE_CELLS)."""
+    known_n, done, sums = np.empty((ticks, nodes, NODE_CELLS), np.float32), 0, new_sums(nodes, _GROUPS)
+    is_proven, has_changed = np.ones(nodes, np.bool_), np.zeros((nodes, _GROUPS), np.bool_)
     for tick, until in enumerate(np.searchsorted(sent["time_ns"], np.arange(ticks) * TICK_NS, side="right")):
         if until > done:
             take_all(frame_bytes(sent[done:until]), False, _LAW, is_proven, sums, has_changed, is_fd)
@@ -92,14 +94,14 @@ def run_adaptive(counts: Counts, idle: Counts, lines: Sequence[Bus]) -> Adaptive
         node_filter.take(_newtons(sample[cells]))
         sums_n[tick], variance_n2[tick] = node_filter.sums_n, node_filter.variance_n2
         node_n[tick] = node_filter.noise.node_n
-    threshold_n2 = noise_threshold_n2(node_n, SendingRule().noise_ratio)
+    threshold_n2 = noise_threshold_n2(node_n, SendingRule().noise_ratio, NODE_CELLS)
 
     def sample_of(mine: slice) -> Callable[[int], Sample]:
         return lambda tick: (sums_n[tick, mine], variance_n2[tick, mine], threshold_n2[tick, mine])
 
     share = held.shape[1]
     nodes = [
-        SimulatedNodes(line, _LAW, sample_of(slice(number * share, (number + 1) * share)))
+        SimulatedNodes(line, _LAW, NODE_CELLS, sample_of(slice(number * share, (number + 1) * share)))
         for number, line in enumerate(lines)
     ]
     sent = carry_polled(nodes, lines, ticks, sync_frames(ticks))
@@ -138,7 +140,7 @@ def idle_of(touch: Touch) -> Counts:
 
 def less_variation(held: Images, noise_n: float) -> Images:
     """Return images as the receiver of adaptive sums would smooth them."""
-    smooth = VariationFilter(np.ones((SIDE, SIDE), np.bool_))
+    smooth = VariationFilter(graph_of(SIDE, SIDE, np.zeros(0, np.intp), None))
     limit_n = LIMIT_RATIO * noise_n
     images: list[Force] = [smooth(each.reshape(SIDE, SIDE), limit_n).ravel() for each in held.force_n]
     return Images(held.ready_ns, np.stack(images))

@@ -87,7 +87,7 @@ def measure_contacts(name: str, ticks: int, meshes: str | None, seed: int) -> Ro
     felt_n = touch.sensed(truth.force_n.reshape(ticks, -1), np.random.default_rng(seed))
     counts = to_counts(felt_n, Taxels()).astype(np.int16)
     images = run_sums(contract, counts, idle_counts=touch.idle()).images(contract).force_n
-    tracker, period_ms = ContactTracker(SIDE, SIDE), round(1e3 / contract.layout.sync.rate_hz)
+    tracker, period_ms = ContactTracker(contract.layout.taxels.surface), round(1e3 / contract.layout.sync.rate_hz)
     tracker.warm_up()
     errors: list[tuple[float, float]] = []
     times_s, counted, ended, identities, right = [], [], 0, set(), 0

@@ -242,7 +242,7 @@ class _Board:
         sums_n = self._sums_n(force_n.reshape(len(force_n), -1), None, random, averaged=ROLLED_CYCLES)
         images = np.stack(self._images(sums_n))
         weight_n = float(np.median(force_n.sum(axis=(1, 2))))
-        found = find_gains(self._phi, sums_n.astype(np.float64), images, weight_n, is_analogue=True)
+        found = find_gains(self._phi, taxels.surface, sums_n.astype(np.float64), images, weight_n, is_analogue=True)
         return KnownGains(found.gains, found.sums)
 
 

@@ -249,7 +249,7 @@ class _Judge:
         self.rest_n: Floats = PEDESTAL_N + offsets_n.ravel().astype(np.float64)
         self._layout, self._scene = layout, scene
         self._shown, self._ideal = CycleImager(layout), CycleImager(layout).solver
-        self.finder = FieldFinder(self.phi, *self._shape)
+        self.finder = FieldFinder(self.phi, taxels.surface)
         self._step_s = STEP_CYCLES * layout.sync.period_s
         self._life_s = np.zeros(taxels.count)
         self._near_s = np.full(taxels.count, np.inf)

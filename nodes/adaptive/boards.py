@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dbc import indices as od
-from dbc.adaptive import SAVED_FRAMES, TPDOS, SendingRule
+from dbc.adaptive import SAVED_FRAMES, SendingRule
 from dbc.adaptive_filter import Floats
 from dbc.canopen import BASE_ID_MASK
 from dbc.contract import Contract, frame_flags, sum_frame_bits
@@ -30,7 +30,7 @@ from nodes.adaptive.noise import Noise
 from nodes.adaptive.patch_boards import MOST_FRAMES, PatchBoards
 from nodes.adaptive.sending import ask, new_groups, noise_threshold_n2, present_codes
 from skin.sources import TaxelSource
-from skin.walsh import GROUPS, grouped_rows
+from skin.walsh import grouped_rows
 
 
 class AdaptiveBoards(PatchBoards):
@@ -46,18 +46,19 @@ class AdaptiveBoards(PatchBoards):
     def __init__(self, contract: Contract, blocks: Sequence[int], source: TaxelSource, **analogue: Any) -> None:
         super().__init__(contract, blocks, source, **analogue)
         self._law = contract.law
-        self.filter = settled_filter(lambda: self._sensors.sample(0))
+        self.filter = settled_filter(lambda: self._sensors.sample(0), contract.phi.held[list(blocks)])
         compile_all(self._law)
         nodes, self._bus_of = len(blocks), {block: contract.nodes[block].bus for block in blocks}
         lines = [contract.layout.bus[bus] for bus in self._bus_of.values()]
         self._flags = {bus: frame_flags(contract.layout.bus[bus]) for bus in self._rows}
         self._node_id = np.array([contract.nodes[block].node_id for block in blocks], np.uint16)
         self._room, self._burst = frame_buffer(MOST_FRAMES), frames(MOST_FRAMES)
-        #: TPDOS · node + TPDO of an identifier on each bus, -1 for all others.
+        #: Number of TPDOs · node + TPDO of an identifier on each bus, -1 for all others.
         self._place_of = {bus: np.full(BASE_ID_MASK + 1, -1, np.int64) for bus in self._rows}
-        self.groups = new_groups(nodes, np.array([line.fd for line in lines]))
-        bits = [[sum_frame_bits(line, is_fine=is_fine) for is_fine in (False, True)] for line in lines]
-        self.controllers = new_controllers(np.array(bits, np.int64).reshape(nodes, 2))
+        self._groups = contract.layout.groups
+        self.groups = new_groups(nodes, self._groups, np.array([line.fd for line in lines]))
+        bits = [[sum_frame_bits(line, self._groups, is_fine=is_fine) for is_fine in (False, True)] for line in lines]
+        self.controllers = new_controllers(np.array(bits, np.int64).reshape(nodes, 2), self._groups)
         self._given = np.zeros((2, *self._cells.shape), np.float32)
         self._noise: Noise | None = None
         self._threshold_n2 = np.zeros(nodes)
@@ -90,7 +91,9 @@ class AdaptiveBoards(PatchBoards):
 
     def _take_noise(self) -> None:
         self._noise = self.filter.noise
-        self._threshold_n2 = noise_threshold_n2(self._noise.node_n, self.controllers.rule["noise_ratio"])
+        self._threshold_n2 = noise_threshold_n2(
+            self._noise.node_n, self.controllers.rule["noise_ratio"], self._phi.block_size
+        )
 
     # --- frames ---------------------------------------------------------------------------------------------
 
@@ -98,7 +101,7 @@ class AdaptiveBoards(PatchBoards):
         """Let a node send; it begins with all its groups. Or end that."""
         row = self._row[block]
         if is_operational and not self.controllers.is_operational[row]:
-            for group in range(GROUPS):
+            for group in range(self._groups):
                 ask(row, group, self.decision, self.groups)
         self.controllers.is_operational[row] = is_operational
 
@@ -111,7 +114,7 @@ class AdaptiveBoards(PatchBoards):
         for each in range(rows.start, rows.stop):
             of_node = self.controllers.cob_id[each]
             used = of_node != NO_COB_ID
-            place_of[of_node[used]] = each * TPDOS + np.flatnonzero(used)
+            place_of[of_node[used]] = each * used.size + np.flatnonzero(used)
 
     def choose(self, bus: int, now_ns: int, until_ns: int, most: int) -> Frames:
         """Make the most urgent frames of the boards of a bus, at most `most`, which expire at `until_ns`."""
@@ -143,9 +146,10 @@ class AdaptiveBoards(PatchBoards):
     def forget(self, block: int) -> None:
         """Forget what a node has sent, as a reset does; it keeps what it has learned of its noise."""
         row = self._row[block]
-        for mine, fresh in zip(self.groups, new_groups(1, self.groups.is_fd[row]), strict=True):
+        for mine, fresh in zip(self.groups, new_groups(1, self._groups, self.groups.is_fd[row]), strict=True):
             mine[row] = fresh[0]
-        self.controllers.made_at[row] = new_controllers(self.controllers.frame_bits[row : row + 1]).made_at[0]
+        fresh_controllers = new_controllers(self.controllers.frame_bits[row : row + 1], self._groups)
+        self.controllers.made_at[row] = fresh_controllers.made_at[0]
         self.controllers.counts[row] = 0
         self.controllers.is_operational[row] = False
 
@@ -158,7 +162,7 @@ class AdaptiveBoards(PatchBoards):
         """Apply a write to a block's calibration, or to its way of sending (2030h to 2034h)."""
         row = self._row[block]
         if index == od.REFRESH:
-            for group in range(GROUPS):
+            for group in range(self._groups):
                 if int(value) >> group & 1:
                     ask(row, group, self.decision, self.groups)
         elif index == od.SENDING and subindex:
@@ -169,7 +173,7 @@ class AdaptiveBoards(PatchBoards):
             self.filter.give(*self._given)
         elif index == od.BUDGET:
             self.controllers.budget[row] = value
-            self.controllers.saved[row] = SAVED_FRAMES * self.controllers.frame_bits[row, 0]
+            self.controllers.saved[row] = SAVED_FRAMES * self._groups * self.controllers.frame_bits[row, 0]
         else:
             super().adjust(block, index, subindex, value)
             self._sensors.is_stale = True
@@ -189,7 +193,7 @@ class AdaptiveBoards(PatchBoards):
         """Return the present value of an object that the board computes (2030h, 2032h to 2035h, 2110h, 2111h)."""
         row, noise = self._row[block], self.filter.noise
         if index == od.REFRESH:
-            return int(self.groups.is_wanted[row] @ (1 << np.arange(GROUPS)))
+            return int(self.groups.is_wanted[row] @ (1 << np.arange(self._groups)))
         if index == od.NODE_NOISE:
             return float(noise.node_n[row])
         if not subindex:
@@ -207,6 +211,8 @@ class AdaptiveBoards(PatchBoards):
         """The sums of the filtered forces in counts, in the order of Φ, shape (m,); those of other boards are 0."""
         sums = np.zeros(self._phi.shape[0], np.int32)
         size, order = self._phi.block_size, grouped_rows(self._phi.block_size).ravel()
+        most = size * self._taxels.count_max  # a forecast may exceed what taxels can read, and a sum its type
         for block, row in self._row.items():
-            sums[block * size + order] = np.rint(self.filter.sums_n[row] / self._taxels.newton_per_count)
+            counts = np.rint(self.filter.sums_n[row] / self._taxels.newton_per_count)
+            sums[block * size + order] = np.clip(counts, -most, most)
         return sums

@@ -11,22 +11,22 @@ import numpy as np
 import numpy.typing as npt
 
 from dbc.adaptive import (
-    BLOCK_SUMS,
     FIRST_COB_ID,
     GROUP_SUMS,
+    KINDS,
     LEVELS,
     LOST_NS,
     SAVED_FRAMES,
     SAVING_S,
-    TPDOS,
     Bytes,
     Companding,
     SendingRule,
+    carried,
     payload_bytes,
 )
 from dbc.adaptive_filter import Floats
 from dbc.canopen import BASE_ID_MASK
-from dbc.frame import BRS, ECHO, ERROR, ESI, FD, FRAME, frame_bytes, frames
+from dbc.frame import BRS, ECHO, ERROR, ESI, FD, FD_BYTES, FRAME, frame_bytes, frames
 from nodes.adaptive.sending import (
     DETAIL,
     NEWS,
@@ -43,7 +43,6 @@ from nodes.adaptive.sending import (
     tpdo_of,
 )
 from shell.compiled import borrowed, njit
-from skin.walsh import GROUPS
 
 #: `Controllers.cob_id` of a TPDO that does not exist.
 NO_COB_ID: Final = 0
@@ -69,7 +68,7 @@ class Controllers(NamedTuple):
 
     Attributes
     ----------
-    cob_id, inhibit, made_at : arrays of int64, shape (nodes, TPDOS)
+    cob_id, inhibit, made_at : arrays of int64, shape (nodes, KINDS · groups)
         Identifier of each TPDO (`dbc.adaptive.tpdo_index`), or `NO_COB_ID`; its inhibit time and the sample of its
         newest frame, in samples.
     frame_bits : array of int64, shape (nodes, 2)
@@ -95,13 +94,13 @@ class Controllers(NamedTuple):
     has_due: Flags
 
 
-def new_controllers(frame_bits: Integers) -> Controllers:
+def new_controllers(frame_bits: Integers, groups: int) -> Controllers:
     """Return the controllers of nodes that have sent nothing and have no limit; `frame_bits` as in `Controllers`."""
-    nodes = len(frame_bits)
+    nodes, tpdos = len(frame_bits), KINDS * groups
     return Controllers(
-        cob_id=np.full((nodes, TPDOS), NO_COB_ID, np.int64),
-        inhibit=np.zeros((nodes, TPDOS), np.int64),
-        made_at=np.full((nodes, TPDOS), _LONG_AGO, np.int64),
+        cob_id=np.full((nodes, tpdos), NO_COB_ID, np.int64),
+        inhibit=np.zeros((nodes, tpdos), np.int64),
+        made_at=np.full((nodes, tpdos), _LONG_AGO, np.int64),
         frame_bits=frame_bits.copy(),
         budget=np.zeros(nodes),
         saved=np.zeros(nodes),
@@ -132,7 +131,7 @@ class Chosen(NamedTuple):
 def frame_buffer(count: int) -> Chosen:
     """Return an empty buffer of `count` frames."""
     can_id, node, tpdo, length = np.zeros((4, count), np.int64)
-    return Chosen(can_id, node, tpdo, length, np.zeros((count, payload_bytes(True, True)), np.uint8))
+    return Chosen(can_id, node, tpdo, length, np.zeros((count, FD_BYTES), np.uint8))
 
 
 @njit(cache=True, nogil=True)
@@ -160,14 +159,14 @@ def decide_all(  # noqa: PLR0917  compiled functions take no keywords
     for node in range(has_due.size):
         has_due[node] = False
         if budget[node] > 0:
-            least = float(SAVED_FRAMES * controllers.frame_bits[node, 0])
+            least = float(SAVED_FRAMES * level.shape[1] * controllers.frame_bits[node, 0])
             most = max(least, budget[node] * SAVING_S)
             # Refreshes go whatever is saved. Without a limit, their debt would hold news back for minutes.
             owed = max(saved[node], -least)
             saved[node] = min(most, owed + budget[node] * passed_s)
         if not is_operational[node]:
             continue
-        for group in range(GROUPS):
+        for group in range(level.shape[1]):
             if 0 < under_way[node, group] < now_ns:
                 under_way[node, group] = 0
     _find_quiet(now, sums_n, law, groups, controllers)
@@ -175,7 +174,7 @@ def decide_all(  # noqa: PLR0917  compiled functions take no keywords
         if has_due[node]:
             has_due[node] = False
             decide(node, now, sums_n[node], variance_n2[node], noise_n2[node], controllers.rule[node], law, groups)
-            for group in range(GROUPS):
+            for group in range(level.shape[1]):
                 is_free = under_way[node, group] == 0
                 has_due[node] = has_due[node] or (is_free and level[node, group] != NOT_DUE)
     return bool(has_due.any())
@@ -194,7 +193,7 @@ def _find_quiet(now: int, sums_n: Floats, law: Companding, groups: Groups, contr
         if not controllers.is_operational[node]:
             continue
         bound = controllers.rule[node].rounding * law.fine_n
-        for group in range(GROUPS):
+        for group in range(level.shape[1]):
             if under_way[node, group] > 0:
                 continue
             largest = 0.0
@@ -225,20 +224,19 @@ def choose(  # noqa: PLR0917  compiled functions take no keywords
     The frames, which expire at `until_ns`, are under way from now on.
     """
     groups, controllers = borrowed(groups), borrowed(controllers)
-    keys, count = np.empty((last - first) * GROUPS, np.int64), 0
+    of_node = groups.level.shape[1]
+    keys, count, before = np.empty((last - first) * of_node, np.int64), 0, 0
     for node in range(first, last):
         if controllers.has_due[node]:
-            before = count
-            for group in range(GROUPS):
-                if groups.level[node, group] == NOT_DUE or groups.under_way[node, group] > 0:
+            together = carried(of_node, groups.is_fd[node])
+            for group in range(of_node):
+                if group % together == 0:
+                    before = count
+                cob_id = _due_cob_id(node, group, now, groups, controllers)
+                if cob_id == NO_COB_ID:
                     continue
-                tpdo = tpdo_of(node, group, groups)
-                cob_id = controllers.cob_id[node, tpdo]
-                is_inhibited = now - controllers.made_at[node, tpdo] < controllers.inhibit[node, tpdo]
-                if cob_id == NO_COB_ID or is_inhibited or not _has_budget(node, group, groups, controllers):
-                    continue
-                keys[count] = (cob_id << 32) + node * GROUPS + group
-                if groups.is_fd[node] and count > before:  # one frame for all groups: that of the most urgent
+                keys[count] = (cob_id << 32) + node * of_node + group
+                if count > before:  # one frame for the groups that it carries: that of the most urgent
                     keys[before] = min(keys[before], keys[count])
                 else:
                     count += 1
@@ -246,7 +244,7 @@ def choose(  # noqa: PLR0917  compiled functions take no keywords
     done = 0
     for key in keys[:count]:
         place = key & 0xFFFFFFFF
-        node, group = place // GROUPS, place % GROUPS
+        node, group = place // of_node, place % of_node
         if done == most:
             break
         if _has_budget(node, group, groups, controllers):
@@ -262,28 +260,35 @@ def choose(  # noqa: PLR0917  compiled functions take no keywords
 
 
 @njit(cache=True, nogil=True)
-def give_back(node: int, tpdo: int, groups: Groups, controllers: Controllers) -> None:
-    """Take note of a frame that was not sent."""
-    group = tpdo % GROUPS
-    if groups.under_way[node, group] > 0:
-        _note_way(node, group, 0, groups)
-        controllers.made_at[node, tpdo] = _LONG_AGO
-        controllers.saved[node] += controllers.frame_bits[node, int(is_fine_tpdo(tpdo))]
+def _due_cob_id(node: int, group: int, now: int, groups: Groups, controllers: Controllers) -> int:
+    """Return the identifier of the frame that a group would be sent in now, or `NO_COB_ID`."""
+    if groups.level[node, group] == NOT_DUE or groups.under_way[node, group] > 0:
+        return NO_COB_ID
+    tpdo = tpdo_of(node, group, groups)
+    is_inhibited = now - controllers.made_at[node, tpdo] < controllers.inhibit[node, tpdo]
+    if is_inhibited or not _has_budget(node, group, groups, controllers):
+        return NO_COB_ID
+    return int(controllers.cob_id[node, tpdo])
 
 
 @njit(cache=True, nogil=True)
-def is_fine_tpdo(tpdo: int) -> bool:
-    """Tell whether the frames of a TPDO (`dbc.adaptive.tpdo_index`) are fine."""
-    return tpdo >= GROUPS * LEVELS
+def give_back(node: int, tpdo: int, groups: Groups, controllers: Controllers) -> None:
+    """Take note of a frame that was not sent."""
+    of_node = groups.level.shape[1]
+    group = tpdo % of_node
+    if groups.under_way[node, group] > 0:
+        _note_way(node, group, 0, groups)
+        controllers.made_at[node, tpdo] = _LONG_AGO
+        controllers.saved[node] += controllers.frame_bits[node, int(tpdo >= LEVELS * of_node)]
 
 
 @njit(cache=True, nogil=True)
 def _note_way(node: int, group: int, until_ns: int, groups: Groups) -> None:
-    """Set until when the controller may hold a frame of a group, on CAN FD of all groups."""
-    if groups.is_fd[node]:
-        groups.under_way[node] = until_ns
-    else:
-        groups.under_way[node, group] = until_ns
+    """Set until when the controller may hold a frame of a group, and so of all groups that the frame carries."""
+    together = carried(groups.level.shape[1], groups.is_fd[node])
+    first = group // together * together
+    for each in range(first, first + together):
+        groups.under_way[node, each] = until_ns
 
 
 @njit(cache=True, nogil=True)
@@ -301,10 +306,10 @@ def take_echoes(  # noqa: PLR0917  compiled functions take no keywords
     ----------
     rows : array of uint8, shape (n, bytes of FRAME)
     place_of : array of int64, shape (BASE_ID_MASK + 1,)
-        TPDOS · node + TPDO of an identifier, -1 for all others.
+        Number of TPDOs · node + TPDO of an identifier, -1 for all others.
     """
     groups, controllers = borrowed(groups), borrowed(controllers)
-    sent, others = 0, 0
+    sent, others, of_node = 0, 0, groups.level.shape[1]
     for row in rows:
         can_id = int(row[_CAN_ID]) | int(row[_CAN_ID + 1]) << 8 | int(row[_CAN_ID + 2]) << 16
         flags = int(row[_FLAGS])
@@ -312,10 +317,10 @@ def take_echoes(  # noqa: PLR0917  compiled functions take no keywords
         if place < 0 or flags & ECHO == 0:
             others += 1
             continue
-        node, tpdo = place // TPDOS, place % TPDOS
-        group, is_fine, is_fd = tpdo % GROUPS, is_fine_tpdo(tpdo), groups.is_fd[node]
+        node, tpdo = place // (KINDS * of_node), place % (KINDS * of_node)
+        group, is_fine, is_fd = tpdo % of_node, tpdo >= LEVELS * of_node, groups.is_fd[node]
         is_strange = flags & ~(_PLAIN_FD if is_fd else _PLAIN) != 0 or (flags & FD != 0) != is_fd
-        if is_strange or row[_LENGTH] != payload_bytes(is_fine, is_fd):
+        if is_strange or row[_LENGTH] != payload_bytes(is_fine, is_fd, of_node):
             others += 1
             continue
         if flags & ERROR:
@@ -335,7 +340,8 @@ def _has_budget(node: int, group: int, groups: Groups, controllers: Controllers)
     if controllers.budget[node] == 0 or reason == REFRESH:
         return True
     coarse = controllers.frame_bits[node, 0]
-    frames_of_all = 1 if groups.is_fd[node] else GROUPS
+    of_node = groups.level.shape[1]
+    frames_of_all = of_node // carried(of_node, groups.is_fd[node])
     # Details leave the bits of a coarse frame for every group.
     kept = frames_of_all * coarse if reason == DETAIL else 0
     return bool(controllers.saved[node] >= controllers.frame_bits[node, groups.is_fine[node, group]] + kept)
@@ -343,12 +349,12 @@ def _has_budget(node: int, group: int, groups: Groups, controllers: Controllers)
 
 def compile_all(law: Companding) -> None:
     """Compile what runs every millisecond, so that no bus waits for it: one frame of one node, there and back."""
-    groups, controllers = new_groups(1), new_controllers(np.ones((1, 2), np.int64))
+    groups, controllers = new_groups(1, 1), new_controllers(np.ones((1, 2), np.int64), 1)
     room, sent = frame_buffer(1), frames(1)
     controllers.cob_id[:] = sent["can_id"] = FIRST_COB_ID
     controllers.is_operational[:] = controllers.has_due[:] = True
     groups.refreshes[:], groups.refresh_at[:] = 1, 0
-    sums_n = np.zeros((1, BLOCK_SUMS), np.float32)
+    sums_n = np.zeros((1, GROUP_SUMS), np.float32)
     decide_all(1, 1, 0.0, sums_n, sums_n, np.ones(1), law, groups, controllers)
     choose(0, 1, 1, 1, 1, sums_n, law, groups, controllers, room)
     give_back(0, 0, groups, controllers)

@@ -5,6 +5,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from dbc.adaptive_filter import (
     HORIZON,
@@ -32,6 +33,8 @@ class ForceFilter:
     ----------
     noise : Noise
         What the nodes know of their noise; patches of one taxel are filtered taxel by taxel.
+    taxels : array of int, shape (nodes,), optional
+        How many taxels each node has; without it no place is empty.
 
     Its size is learned on while nothing touches, and so are the offsets of taxels, see `nodes.adaptive.following`.
 
@@ -43,8 +46,9 @@ class ForceFilter:
         What the nodes know by now.
     """
 
-    def __init__(self, noise: Noise) -> None:
+    def __init__(self, noise: Noise, taxels: npt.NDArray[np.intp] | None = None) -> None:
         shape = noise.taxel_n.shape
+        self._taxels = np.full(shape[0], shape[1]) if taxels is None else taxels
         self._models = make_models(HORIZON)
         self._tracks = new_tracks(self._models, noise.taxel_n.size)
         self._forecast, self._variance = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
@@ -74,7 +78,7 @@ class ForceFilter:
             self._in_window = 0
             # Rescale all noise by the measured factor: that of coefficients is known relative to that of taxels.
             learned = self._learned
-            scale = judged(self._sums, learned.taxel_n)
+            scale = judged(self._sums, learned.taxel_n, self._taxels)
             self._use(replace(learned, taxel_n=learned.taxel_n * scale, coefficient_n=learned.coefficient_n * scale))
 
     def _use(self, learned: Noise) -> None:
@@ -98,8 +102,8 @@ class PatchFilter(ForceFilter):
 
     Parameters
     ----------
-    noise : Noise
-        As for `ForceFilter`; patches of 4 taxels or more.
+    noise, taxels
+        As for `ForceFilter`; patches of 8 places or more.
 
     Attributes
     ----------
@@ -107,13 +111,13 @@ class PatchFilter(ForceFilter):
         The Walsh sums of `force_n`, in the order of `skin.walsh.grouped_rows`.
     """
 
-    def __init__(self, noise: Noise) -> None:
-        super().__init__(noise)
-        taxels = noise.taxel_n.shape[1]
-        self._order = grouped_rows(taxels).ravel()
+    def __init__(self, noise: Noise, taxels: npt.NDArray[np.intp] | None = None) -> None:
+        super().__init__(noise, taxels)
+        places = noise.taxel_n.shape[1]
+        self._order = grouped_rows(places).ravel()
         #: Variances of Haar coefficients add up to those of sums.
-        self._spread = np.rint(np.square(haar_matrix(taxels) @ walsh_matrix(taxels).T))
-        self._walsh_work, self._variance_n2 = np.zeros(taxels, np.float32), np.zeros(noise.taxel_n.shape, np.float32)
+        self._spread = np.rint(np.square(haar_matrix(places) @ walsh_matrix(places).T))
+        self._walsh_work, self._variance_n2 = np.zeros(places, np.float32), np.zeros(noise.taxel_n.shape, np.float32)
         self.sums_n = np.zeros(noise.taxel_n.shape, np.float32)
 
     def take(self, sample_n: Floats) -> None:
@@ -128,20 +132,22 @@ class PatchFilter(ForceFilter):
         return self._variance_n2
 
 
-def settled_filter(sample: Callable[[], Floats]) -> PatchFilter:
+def settled_filter(sample: Callable[[], Floats], taxels: npt.NDArray[np.intp]) -> PatchFilter:
     """Return a filter that has learned the noise of the untouched skin, as a board does when it is switched on.
 
     Parameters
     ----------
     sample : callable
         Returns the next sample of every taxel, shape (nodes, taxels), newtons.
+    taxels : array of int, shape (nodes,)
+        As for `ForceFilter`.
     """
     first_n = sample()
     statistics = IdleStatistics(*first_n.shape)
     statistics.take(first_n)
     for _ in range(IDLE_SAMPLES - 1):
         statistics.take(sample())
-    made = PatchFilter(statistics.noise())
+    made = PatchFilter(statistics.noise(), taxels)
     for _ in range(SETTLING_SAMPLES):
         made.take(sample())
     return made

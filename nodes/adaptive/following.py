@@ -7,6 +7,7 @@ once. What reads more is a touch, unless it grows more slowly than `RISE_N` a sa
 from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from dbc.adaptive_filter import (
     FOLLOWING,
@@ -95,16 +96,19 @@ class ScaleSums(NamedTuple):
     last_n: Floats
 
 
-def judged(sums: ScaleSums, noise_n: Floats) -> Floats:
-    """Return by what to multiply the noise of each node after WINDOW samples, shape (nodes, 1); begin the sums anew."""
+def judged(sums: ScaleSums, noise_n: Floats, taxels: npt.NDArray[np.intp]) -> Floats:
+    """Return by what to multiply the noise of each node after WINDOW samples, shape (nodes, 1); begin the sums anew.
+
+    `taxels` are how many each node has, shape (nodes,): its other places are empty.
+    """
     scale = np.ones((len(noise_n), 1), np.float32)
-    _judge(sums, noise_n, scale)
+    _judge(sums, noise_n, taxels, scale)
     sums.total[:] = sums.square[:] = 0
     return scale
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _judge(sums: ScaleSums, noise_n: Floats, scale: Floats) -> None:
+def _judge(sums: ScaleSums, noise_n: Floats, taxels: npt.NDArray[np.intp], scale: Floats) -> None:
     """Write by what to multiply the noise of each node, shape (nodes, 1): fourth root of the median of idle taxels."""
     nodes, size = noise_n.shape
     lowest, highest = np.float32(IDLE_RATIOS[0]), np.float32(IDLE_RATIOS[1])
@@ -118,7 +122,7 @@ def _judge(sums: ScaleSums, noise_n: Floats, scale: Floats) -> None:
             if deviation > 0 and lowest * deviation < mean < highest * deviation:
                 ratios[idle] = deviation / (idle_deviation * noise_n[node, c])
                 idle += 1
-        if idle == 0 or idle < IDLE_PART * size:
+        if idle == 0 or idle < IDLE_PART * taxels[node]:
             continue
         ratios[:idle].sort()
         median = ratios[idle // 2]

@@ -35,7 +35,8 @@ class WithNews(Sending):
         self._sync_ns = -(1 << 62)
         self._decision = 0
         self._coarse_ns, self._frame_ns = (
-            sum_frame_bits(line, is_fine=is_fine) * 1e9 / line.bitrate for is_fine in (False, True)
+            sum_frame_bits(line, contract.layout.groups, is_fine=is_fine) * 1e9 / line.bitrate
+            for is_fine in (False, True)
         )
 
     def begin(self, now_s: float, since_sync_s: float) -> bool:  # noqa: ARG002  heartbeats may go at any time

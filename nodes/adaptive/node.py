@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from functools import partial
 
 from dbc import indices as od
-from dbc.adaptive import TPDOS, tpdo_index
+from dbc.adaptive import KINDS, tpdo_index
 from dbc.canopen import BASE_ID_MASK, COB_ID_INVALID, NmtState
 from dbc.configuration import Setting
 from dbc.contract import NodeContract
@@ -74,11 +74,12 @@ class AdaptiveNode(SkinNode):
 
         One that does not exist has `NO_COB_ID`.
         """
-        cob_ids, inhibits = [NO_COB_ID] * TPDOS, [0] * TPDOS
+        groups = self.contract.adaptive_tpdos[0].of_node
+        cob_ids, inhibits = [NO_COB_ID] * (KINDS * groups), [0] * (KINDS * groups)
         for tpdo in self.contract.adaptive_tpdos:
             index = od.TPDO_COMMUNICATION + tpdo.number - 1
             cob_id, inhibit_100us = self.local.unsigned(index, 1), self.local.unsigned(index, 3)
-            place = tpdo_index(tpdo.level, tpdo.group, tpdo.is_fine)
+            place = tpdo_index(tpdo.level, tpdo.group, tpdo.is_fine, groups)
             cob_ids[place] = NO_COB_ID if cob_id & COB_ID_INVALID else cob_id & BASE_ID_MASK
             inhibits[place] = -(-inhibit_100us // _PER_SAMPLE)
         return cob_ids, inhibits

@@ -7,7 +7,6 @@ import numpy as np
 import numpy.typing as npt
 
 from dbc.adaptive import (
-    BLOCK_SUMS,
     FINE_LEVELS,
     FINE_LIMIT,
     GROUP_SUMS,
@@ -16,6 +15,7 @@ from dbc.adaptive import (
     Bytes,
     Companding,
     SendingRule,
+    carried,
     check_of,
     coarse_code,
     coarse_step,
@@ -30,7 +30,6 @@ from dbc.adaptive import (
 )
 from dbc.adaptive_filter import LEAST_PART, LOG2_SERIES, Floats
 from shell.compiled import njit
-from skin.walsh import GROUPS
 
 #: Why a frame is to be sent.
 NEWS, DETAIL, REFRESH = range(3)
@@ -45,26 +44,26 @@ Flags = npt.NDArray[np.bool_]
 
 
 class Groups(NamedTuple):
-    """What the nodes of a bus know of what they sent; times in samples.
+    """What nodes with the same number of groups know of what they sent; times in samples.
 
     Attributes
     ----------
     is_fd : array of bool, shape (nodes,)
-        Whether a frame of the node carries all its groups (CAN FD).
-    known_n, coarse_n : arrays of float64, shape (nodes, BLOCK_SUMS)
+        Whether a frame of the node carries several groups (CAN FD).
+    known_n, coarse_n : arrays of float64, shape (nodes, sums)
         What a receiver that got every frame shows, and the values of the newest coarse frames.
-    check : array of int64, shape (nodes, GROUPS)
+    check : array of int64, shape (nodes, groups)
         Check of the newest coarse frame, `NO_CHECK` before the first.
-    since, sent_at, refresh_at, refresh_after, refreshes, fine_turn : arrays of int64, shape (nodes, GROUPS)
+    since, sent_at, refresh_at, refresh_after, refreshes, fine_turn : arrays of int64, shape (nodes, groups)
         Since when there is news (-1: none); when the last frame of any kind was sent; when a refresh is
         due, the time between refreshes, how many are left, and whether the next is fine.
-    level, reason, is_fine : arrays of int64, shape (nodes, GROUPS)
+    level, reason, is_fine : arrays of int64, shape (nodes, groups)
         What is to be sent: urgency or `NOT_DUE`, why, and in which kind of frame.
-    is_zero : array of int64, shape (nodes, GROUPS)
+    is_zero : array of int64, shape (nodes, groups)
         Whether the newest fine payload was made of sums that are all 0.
-    is_wanted : array of int64, shape (nodes, GROUPS)
+    is_wanted : array of int64, shape (nodes, groups)
         Whether somebody asked for a coarse frame that was not sent yet (`ask`).
-    under_way : array of int64, shape (nodes, GROUPS)
+    under_way : array of int64, shape (nodes, groups)
         Until when a controller may hold a frame of the group, in nanoseconds; 0: it holds none. Nothing is decided
         while it may.
     """
@@ -87,16 +86,16 @@ class Groups(NamedTuple):
     under_way: Integers
 
 
-def new_groups(nodes: int, is_fd: bool | Flags = False) -> Groups:
+def new_groups(nodes: int, groups: int, is_fd: bool | Flags = False) -> Groups:
     """Return the state of nodes that have sent nothing; `is_fd` of shape (nodes,), or one value for all."""
 
     def full(value: int) -> Integers:
-        return np.full((nodes, GROUPS), value, np.int64)
+        return np.full((nodes, groups), value, np.int64)
 
     return Groups(
         is_fd=np.full(nodes, is_fd, np.bool_),
-        known_n=np.zeros((nodes, BLOCK_SUMS)),
-        coarse_n=np.zeros((nodes, BLOCK_SUMS)),
+        known_n=np.zeros((nodes, GROUP_SUMS * groups)),
+        coarse_n=np.zeros((nodes, GROUP_SUMS * groups)),
         check=full(NO_CHECK),
         since=full(-1),
         sent_at=full(_LONG_AGO),
@@ -124,9 +123,9 @@ def ask(node: int, group: int, now: int, groups: Groups) -> None:
     groups.refreshes[node, group] = max(1, groups.refreshes[node, group])
 
 
-def noise_threshold_n2(noise_n: Numbers, noise_ratio: float | Numbers) -> Numbers:
-    """Return the part of the threshold that is the noise's, newtons squared, for nodes of the noise `noise_n`."""
-    return GROUP_SUMS * BLOCK_SUMS * np.square(noise_ratio * noise_n)
+def noise_threshold_n2(noise_n: Numbers, noise_ratio: float | Numbers, taxels: int) -> Numbers:
+    """Return the part of the threshold that is the noise's, newtons squared, for nodes of `taxels` and `noise_n`."""
+    return GROUP_SUMS * taxels * np.square(noise_ratio * noise_n)
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -146,12 +145,12 @@ def decide(  # noqa: PLR0917  compiled functions take no keywords
     ----------
     node, now : int
         Place of the node; the sample's number.
-    sums_n, variance_n2 : arrays of float32, shape (BLOCK_SUMS,)
+    sums_n, variance_n2 : arrays of float32, shape (sums,)
         The node's sums now, and their variances.
     noise_n2 : float
         See `noise_threshold_n2`.
     """
-    for group in range(GROUPS):
+    for group in range(groups.level.shape[1]):
         if groups.under_way[node, group] == 0:
             _decide_group(node, group, now, sums_n, variance_n2, noise_n2, rule, law, groups)
 
@@ -279,8 +278,10 @@ def frame_level(node: int, group: int, groups: Groups) -> int:
 @njit(cache=True, nogil=True)
 def tpdo_of(node: int, group: int, groups: Groups) -> int:
     """Return the TPDO (`dbc.adaptive.tpdo_index`) of the frame that a group is to be sent in."""
-    is_fine = groups.is_fine[node, group] == 1
-    return int(tpdo_index(frame_level(node, group, groups), 0 if groups.is_fd[node] else group, is_fine))
+    is_fine, together = groups.is_fine[node, group] == 1, carried(groups.level.shape[1], groups.is_fd[node])
+    return int(
+        tpdo_index(frame_level(node, group, groups), group // together * together, is_fine, groups.level.shape[1])
+    )
 
 
 @njit(cache=True, nogil=True)
@@ -288,13 +289,14 @@ def make_payload(  # noqa: PLR0917  compiled functions take no keywords
     node: int, group: int, sums_n: Floats, law: Companding, groups: Groups, payload: Bytes
 ) -> int:
     """Write the payload of a group's frame of the present sums; return its bytes (`dbc.adaptive.payload_bytes`)."""
-    is_fine, is_fd = groups.is_fine[node, group] == 1, groups.is_fd[node]
-    parts = parts_of(is_fine, is_fd)
+    is_fine, is_fd, count = groups.is_fine[node, group] == 1, groups.is_fd[node], groups.level.shape[1]
+    parts, together = parts_of(is_fine, is_fd, count), carried(count, is_fd)
     for part in range(parts):
-        each, is_fine_part = part_of(part, group, is_fine, is_fd)
+        each, is_fine_part = part_of(part, group // together * together, is_fine, is_fd, count)
         mine, first = payload[GROUP_SUMS * part : GROUP_SUMS * (part + 1)], GROUP_SUMS * each
         if is_fine_part:
-            coarse = payload[first : first + GROUP_SUMS]
+            of_coarse = GROUP_SUMS * (part % together)
+            coarse = payload[of_coarse : of_coarse + GROUP_SUMS]
             check = check_of(coarse) if is_fd else groups.check[node, each]
             _make_fine(node, each, check, coarse, sums_n, law, groups, mine)
         else:
@@ -316,8 +318,8 @@ def _make_fine(  # noqa: PLR0917  compiled functions take no keywords
 ) -> None:
     """Write the fine payload of a group.
 
-    On CAN FD all groups are refined as soon as one has details. A sum out of the reach of its coarse code in the same
-    frame is brought as near as the reach allows.
+    On CAN FD all groups of a frame are refined as soon as one has details. A sum out of the reach of its coarse code in
+    the same frame is brought as near as the reach allows.
     """
     steps, is_zero = np.empty(GROUP_SUMS, np.int64), True
     for place in range(GROUP_SUMS):
@@ -342,7 +344,7 @@ def note_sent(  # noqa: PLR0917  compiled functions take no keywords
     is_fd, known_n, coarse_n = groups.is_fd[node], groups.known_n[node], groups.coarse_n[node]
     if not hold(payload, group, is_fine, is_fd, law, known_n, coarse_n, groups.check[node]):
         return
-    for each in range(0 if is_fd else group, GROUPS if is_fd else group + 1):
+    for each in range(group, group + carried(groups.level.shape[1], is_fd)):
         is_zero = groups.is_zero[node, each] == 1
         if not is_fine:
             is_zero = not coarse_n[GROUP_SUMS * each : GROUP_SUMS * (each + 1)].any()
@@ -382,17 +384,16 @@ def present_codes(sums_n: Any, law: Companding, groups: Groups, node: int) -> tu
 
     Returns
     -------
-    coarse : array of uint8, shape (BLOCK_SUMS,)
-    fine : array of uint8, shape (GROUPS, GROUP_SUMS)
+    coarse : array of uint8, shape (sums,)
+    fine : array of uint8, shape (groups, GROUP_SUMS)
     """
     shown = Groups._make(each[node : node + 1].copy() for each in groups)
-    codes = np.zeros((2, GROUPS, GROUP_SUMS), np.uint8)
-    if shown.is_fd[0]:
-        shown.is_fine[:] = 1
-        make_payload(0, 0, sums_n, law, shown, codes.reshape(-1))
-    else:
-        for is_fine in range(2):
-            shown.is_fine[:] = is_fine
-            for group in range(GROUPS):
-                make_payload(0, group, sums_n, law, shown, codes[is_fine, group])
-    return codes[0].reshape(BLOCK_SUMS), codes[1]
+    count = shown.level.shape[1]
+    codes, together = np.zeros((2, count, GROUP_SUMS), np.uint8), carried(count, shown.is_fd[0])
+    for is_fine in range(2):
+        shown.is_fine[:] = is_fine
+        for group in range(0, count, together):
+            payload = np.zeros(2 * codes[0].size, np.uint8)
+            length = make_payload(0, group, sums_n, law, shown, payload)
+            codes[is_fine, group : group + together] = payload[:length].reshape(-1, GROUP_SUMS)[-together:]
+    return codes[0].ravel(), codes[1]

@@ -9,19 +9,18 @@ import numpy as np
 import numpy.typing as npt
 
 from dbc.adaptive import (
-    BLOCK_SUMS,
     FINE_LIMIT,
     GROUP_SUMS,
     NO_CHECK,
     Companding,
     SendingRule,
+    carried,
     check_of,
     coarse_code,
     coarse_value,
     fine_steps,
     hold,
     pack_fine,
-    payload_bytes,
 )
 from dbc.adaptive_filter import (
     HORIZON,
@@ -46,7 +45,7 @@ from nodes.adaptive.sending import (
     note_sent,
     tpdo_of,
 )
-from skin.walsh import GROUPS, patch_shape
+from skin.walsh import patch_shape
 
 #: Samples of a board that sends.
 SAMPLES: Final = 1000
@@ -77,7 +76,7 @@ class _Sample(NamedTuple):
 def adaptive_vectors_text(contract: Contract, node: NodeContract) -> str:
     """Return the test vectors of an adaptive board as JSON."""
     random = np.random.default_rng(node.block)
-    idle = [_read(contract, np.zeros(BLOCK_SUMS), random) for _ in range(IDLE_SAMPLES + SETTLING_SAMPLES)]
+    idle = [_read(contract, np.zeros(contract.phi.block_size), random) for _ in range(IDLE_SAMPLES + SETTLING_SAMPLES)]
     board = _Board(contract, node, idle)
     return json_text(
         {
@@ -112,17 +111,18 @@ def _reals(values: Iterable[Any]) -> list[float]:
 
 def _code_cases(contract: Contract, random: np.random.Generator) -> Iterator[tuple[str, Any, Any]]:
     """Yield the name of a case, sums of a coarse frame of each group, and sums of the fine frames that follow."""
-    law, top_n = contract.law, contract.layout.taxels.force_max_n * BLOCK_SUMS
-    none = np.zeros(BLOCK_SUMS, np.float32)
+    law, size = contract.law, contract.phi.block_size
+    top_n = contract.layout.taxels.force_max_n * size
+    none = np.zeros(size, np.float32)
     yield "nothing", none, none
-    most = np.full(BLOCK_SUMS, -top_n / 2, np.float32)
+    most = np.full(size, -top_n / 2, np.float32)
     most[0] = top_n
     yield "the largest sums", most, most
     for number in range(8):
-        size_n = 10 ** random.uniform(-5, np.log10(top_n / 2), BLOCK_SUMS)
-        sums_n = (size_n * random.choice((-1, 1), BLOCK_SUMS)).astype(np.float32)
+        size_n = 10 ** random.uniform(-5, np.log10(top_n / 2), size)
+        sums_n = (size_n * random.choice((-1, 1), size)).astype(np.float32)
         sums_n[0] = 2 * abs(sums_n[0])
-        reach = random.integers(-FINE_LIMIT + 1, FINE_LIMIT, BLOCK_SUMS) * law.fine_n
+        reach = random.integers(-FINE_LIMIT + 1, FINE_LIMIT, size) * law.fine_n
         held_n = [coarse_value(_code(value, place, law), place == 0, law) for place, value in enumerate(sums_n)]
         yield f"random {number + 1}", sums_n, np.asarray(held_n + reach, np.float32)
 
@@ -133,9 +133,9 @@ def _code(value_n: float, place: int, law: Companding) -> int:
 
 def _coded(law: Companding, name: str, sums_n: Any, later_n: Any) -> dict[str, object]:
     """Return the payloads of a case and what a receiver then holds; the frames are those of a classic bus."""
-    held_n, coarse_n = np.zeros((2, BLOCK_SUMS))
-    check, coarse, fine = np.full(GROUPS, NO_CHECK, np.int64), [], []
-    for group in range(GROUPS):
+    groups, (held_n, coarse_n) = len(sums_n) // GROUP_SUMS, np.zeros((2, len(sums_n)))
+    check, coarse, fine = np.full(groups, NO_CHECK, np.int64), [], []
+    for group in range(groups):
         places = range(GROUP_SUMS * group, GROUP_SUMS * (group + 1))
         payload = np.array([_code(sums_n[place], place, law) for place in places], np.uint8)
         coarse.append(payload.tobytes().hex())
@@ -161,24 +161,26 @@ def _coded(law: Companding, name: str, sums_n: Any, later_n: Any) -> dict[str, o
 
 def _samples(contract: Contract, random: np.random.Generator) -> Iterator[_Sample]:
     """Yield a touch that comes, slides over the patch, rests and goes."""
-    high, wide = patch_shape(BLOCK_SUMS)
-    row, column = np.indices((high, wide)).reshape(2, BLOCK_SUMS)
+    high, wide = patch_shape(contract.phi.block_size)
+    request = _REQUEST & (1 << contract.layout.groups) - 1
+    row, column = np.indices((high, wide)).reshape(2, -1)
     for now in range(SAMPLES):
         slid = min(1.0, max(0, now - _PRESSED) / (_STOPPED - _PRESSED))
-        away = np.square(row - 0.5 - 1.5 * slid) + np.square(column - 1 - 5 * slid)
+        away = np.square(row - 0.5 - (high - 2.5) * slid) + np.square(column - 1 - (wide - 3) * slid)
         press = min(1.0, max(0, now - _PRESSED) / 6) * (_PRESS if now < _STOPPED + 20 else _REST)
         press *= min(1.0, max(0, _RELEASED + 5 - now) / 5)
         counts = _read(contract, press * np.exp(-away / _WIDTH_TAXELS**2), random)
-        yield _Sample(counts, any(now in each for each in _BUSY), _REQUEST if now == _REQUESTED else 0)
+        yield _Sample(counts, any(now in each for each in _BUSY), request if now == _REQUESTED else 0)
 
 
 def _read(contract: Contract, touch: npt.NDArray[np.float64], random: np.random.Generator) -> npt.NDArray[np.uint16]:
     """Return what the taxels read under forces that are parts of the full scale."""
-    spread, felt = np.full(BLOCK_SUMS, _NOISE), touch.copy()
-    spread[_NOISY] *= _NOISIER
+    size = touch.size
+    spread, felt = np.full(size, _NOISE), touch.copy()
+    spread[_NOISY % size] *= _NOISIER
     felt[_SHIFTED] += _SHIFT
-    felt += spread * random.normal(size=BLOCK_SUMS)
-    felt[_DEAD] = 0
+    felt += spread * random.normal(size=size)
+    felt[_DEAD % size] = 0
     counts: npt.NDArray[np.uint16] = np.rint(np.clip(felt, 0, 1) * contract.layout.taxels.count_max).astype(np.uint16)
     return counts
 
@@ -188,18 +190,19 @@ class _Board:
 
     def __init__(self, contract: Contract, node: NodeContract, idle: list[npt.NDArray[np.uint16]]) -> None:
         self._law, self._newton_per_count = contract.law, contract.layout.taxels.newton_per_count
-        statistics = IdleStatistics(1, BLOCK_SUMS)
+        statistics = IdleStatistics(1, contract.phi.block_size)
         for counts in idle[:IDLE_SAMPLES]:
             statistics.take(self._newtons(counts))
         self._learned: Noise = statistics.noise()
-        self._filter = PatchFilter(self._learned)
+        self._filter = PatchFilter(self._learned, contract.phi.held[[node.block]])
         for counts in idle[IDLE_SAMPLES:]:
             self._filter.take(self._newtons(counts))
         self._tpdos = node.adaptive_tpdos
         self._is_fd = self._tpdos[0].is_fd
-        self._groups = new_groups(1, self._is_fd)
+        self._count = contract.layout.groups
+        self._groups = new_groups(1, self._count, self._is_fd)
         self._now = 0
-        for group in range(GROUPS):
+        for group in range(self._count):
             ask(0, group, self._now, self._groups)
 
     def _newtons(self, counts: npt.NDArray[np.uint16]) -> npt.NDArray[np.float32]:
@@ -216,7 +219,7 @@ class _Board:
 
     def take(self, sample: _Sample) -> dict[str, object]:
         """Take a sample; return it with sums, variances and frames."""
-        for group in range(GROUPS):
+        for group in range(self._count):
             if sample.request >> group & 1:
                 ask(0, group, self._now, self._groups)
         self._now += 1
@@ -227,21 +230,25 @@ class _Board:
             "is_busy": sample.is_busy,
             "counts": sample.counts.tolist(),
             "sums_n": _reals(self._filter.sums_n[0]),
-            "variance_n2": [reduce(add, of_group) for of_group in variance_n2.reshape(GROUPS, -1).tolist()],
+            "variance_n2": [reduce(add, of_group) for of_group in variance_n2.reshape(-1, GROUP_SUMS).tolist()],
             "frames": self._frames(is_busy=sample.is_busy),
         }
 
     def _frames(self, *, is_busy: bool) -> list[dict[str, object]]:
         """Return the frames of the newest sample: they are sent at once, or come back from a busy bus."""
         sums_n, groups = self._filter.sums_n[0], self._groups
-        noise_n2 = float(noise_threshold_n2(self._filter.noise.node_n, _RULE.noise_ratio)[0])
+        noise_n2 = float(noise_threshold_n2(self._filter.noise.node_n, _RULE.noise_ratio, len(sums_n))[0])
         decide(0, self._now, sums_n, self._filter.variance_n2[0], noise_n2, _RULE, self._law, groups)
-        due = [group for group in range(GROUPS) if groups.level[0, group] != NOT_DUE]
+        due = [group for group in range(self._count) if groups.level[0, group] != NOT_DUE]
         due.sort(key=lambda group: int(tpdo_of(0, group, groups)))
         found: list[dict[str, object]] = []
-        for group in due[:1] if self._is_fd else due:
-            tpdo = self._tpdos[tpdo_of(0, group, groups) // (GROUPS if self._is_fd else 1)]
-            payload = np.zeros(payload_bytes(tpdo.is_fine, tpdo.is_fd), np.uint8)
+        together, told = carried(self._count, self._is_fd), set[int]()
+        for group in due:
+            if group // together in told:
+                continue
+            told.add(group // together)
+            tpdo = self._tpdos[tpdo_of(0, group, groups) // together]
+            payload = np.zeros(tpdo.length, np.uint8)
             make_payload(0, group, sums_n, self._law, groups, payload)
             if not is_busy:
                 note_sent(0, tpdo.group, self._now, tpdo.is_fine, _RULE, self._law, groups, payload)

@@ -10,16 +10,16 @@ from typing import Any, Final
 import numpy as np
 
 from dbc import adaptive, adaptive_filter
-from dbc.adaptive import BLOCK_SUMS, MEAN_CODES, OTHER_CODES, Companding, SendingRule, coarse_code, coarse_value
+from dbc.adaptive import MEAN_CODES, OTHER_CODES, Companding, SendingRule, coarse_code, coarse_value
 from dbc.adaptive_filter import SPANS, unclip_table
 from dbc.contract import Contract
 from nodes.firmware.c_text import WRITTEN, array, braced, defined, double, header, real
 from skin.clipping import DEAD_RATIO
-from skin.walsh import GROUPS, grouped_rows, haar_matrix, patch_shape, walsh_matrix
+from skin.sending import groups_of_frame
+from skin.walsh import grouped_rows, haar_matrix, patch_shape, walsh_matrix
 
 #: Numbers of `dbc.adaptive` and `dbc.adaptive_filter` that C has under the same names, with ``SKIN_`` before them.
 _WHOLE: Final = {
-    "BLOCK_SUMS": "taxels of a board, row by row, and sums in the order of the frames",
     "GROUP_SUMS": "of a group",
     "LEVELS": "of urgency, of coarse frames",
     "FINE_LEVELS": "of fine frames",
@@ -30,7 +30,7 @@ _WHOLE: Final = {
     "FINE_REACH": "fine steps that these bits tell on each side",
     "FINE_LIMIT": "most fine steps from the coarse value that a frame is made for",
     "SAMPLE_NS": "time between two samples",
-    "SAVED_FRAMES": "frames that a budget may save up at least",
+    "SAVED_FRAMES": "frames of each group that a budget may save up at least",
     "IDLE_SAMPLES": "samples from which the noise is learned",
     "SETTLING_SAMPLES": "samples that the filter has then seen",
     "UNCLIP_POINTS": "of the table that undoes clipping",
@@ -58,12 +58,14 @@ def adaptive_header(contract: Contract) -> str:
     """Return ``adaptive.h``: the numbers of codes, filter and sending."""
     law, count_n = contract.law, contract.layout.taxels.newton_per_count
     reals = sum(1 << place for place, value in enumerate(SendingRule(), 1) if isinstance(value, float))
-    high, wide = patch_shape(BLOCK_SUMS)
+    high, wide = patch_shape(contract.phi.block_size)
     least_n, most_n = adaptive_filter.GIVEN_NOISE_N
     values: dict[str, tuple[object, str]] = {
         "SKIN_PATCH_HIGH": (high, "taxels of a board"),
         "SKIN_PATCH_WIDE": (wide, "side by side"),
-        "SKIN_GROUPS": (GROUPS, "of the sums"),
+        "SKIN_BLOCK_SUMS": (high * wide, "taxels of a board, row by row, and sums in the order of the frames"),
+        "SKIN_GROUPS": (contract.layout.groups, "of the sums"),
+        "SKIN_FD_GROUPS": (groups_of_frame(contract.layout.groups, is_fd=True), "that a CAN FD frame carries"),
         **{f"SKIN_{name}": (_number(name), meaning) for name, meaning in _WHOLE.items()},
         **{f"SKIN_{name}": (double(_number(name)), meaning) for name, meaning in _DOUBLES.items()},
         **{f"SKIN_{name}": (real(_number(name)), meaning) for name, meaning in _REALS.items()},
@@ -121,8 +123,8 @@ def _number(name: str) -> Any:
 
 def adaptive_source(contract: Contract) -> str:
     """Return ``adaptive.c``: the tables of codes and filter."""
-    law = contract.law
-    first, size = _bands()
+    law, taxels = contract.law, contract.phi.block_size
+    first, size = _bands(taxels)
     doubles: dict[str, Iterable[float]] = {
         "skin_mean_least": (_least(code, is_mean=True, law=law) for code in range(1, MEAN_CODES + 1)),
         "skin_mean_value": (coarse_value(code, True, law) for code in range(MEAN_CODES + 1)),
@@ -130,7 +132,7 @@ def adaptive_source(contract: Contract) -> str:
         "skin_other_value": (coarse_value(OTHER_CODES + 1 + code, False, law) for code in range(OTHER_CODES + 1)),
     }
     bytes_: dict[str, Iterable[int]] = {
-        "skin_row_of_sum": grouped_rows(BLOCK_SUMS).ravel().tolist(),
+        "skin_row_of_sum": grouped_rows(taxels).ravel().tolist(),
         "skin_band_of_sum": first,
         "skin_band_size": size,
     }
@@ -147,9 +149,9 @@ def adaptive_source(contract: Contract) -> str:
     return "\n".join([comment, '#include "skin_filter.h"', "", *lines, ""])
 
 
-def _bands() -> tuple[list[int], list[int]]:
+def _bands(taxels: int) -> tuple[list[int], list[int]]:
     """Return the first Haar coefficient, and the number of coefficients, that a sum's variance comes from."""
-    share = np.rint(np.square(haar_matrix(BLOCK_SUMS) @ walsh_matrix(BLOCK_SUMS).T)) > 0
+    share = np.rint(np.square(haar_matrix(taxels) @ walsh_matrix(taxels).T)) > 0
     return share.argmax(axis=0).tolist(), share.sum(axis=0).tolist()
 
 

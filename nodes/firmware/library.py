@@ -13,7 +13,6 @@ import numpy as np
 import numpy.typing as npt
 
 from canskin.errors import InputError
-from dbc.adaptive import BLOCK_SUMS
 from dbc.canopen import BASE_ID_MASK
 from dbc.contract import Contract, NodeContract
 from dbc.frame import Frames, frames
@@ -109,7 +108,7 @@ class CompiledBoards:
         # Eight bytes each, so that the memory is aligned for every C type.
         self._memory = np.zeros(-(-len(nodes) * self._node_bytes // 8), np.uint64)
         self._nodes = self._memory.ctypes.data
-        self._taxels = contract.phi.wired.taxels
+        self._taxels, self._block_size = contract.phi.wired.taxels, contract.phi.block_size
         self._most_samples = 2 * contract.layout.samples_per_sync
         self._out = frames(_CAPACITY)
         self._sent = self._out.ctypes.data, _CAPACITY
@@ -175,7 +174,7 @@ class CompiledBoards:
 
     def take_counts(self, counts: npt.NDArray[np.float32]) -> bool:
         """Pass one sample to the boards, shape (boards, taxels); tell whether all have learned their noise."""
-        expected = (self._count, BLOCK_SUMS)
+        expected = (self._count, self._block_size)
         if counts.shape != expected:
             raise InputError(f"expected counts of {expected}, got {counts.shape}")
         there = counts.astype(np.uint16, order="C")  # a copy: corrected in place

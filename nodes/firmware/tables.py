@@ -55,14 +55,16 @@ class ObjectTable:
 class Build:
     """What the C sources of one board are made from.
 
-    `is_adaptive` tells whether the board sends sums when they carry news. `frame_ns` is the longest time of one of its
-    frames. `frame_bits` are those of a coarse and a fine frame of an adaptive board.
+    `is_adaptive` tells whether the board sends sums when they carry news, `held` is the number of its taxels,
+    `frame_ns` the longest time of one of its frames. `frame_bits` are those of a coarse and a fine frame of an adaptive
+    board.
     """
 
     node: NodeContract
     board: Board
     objects: ObjectTable
     is_adaptive: bool
+    held: int
     frame_ns: int
     frame_bits: tuple[int, int]
 
@@ -73,9 +75,10 @@ def builds(contract: Contract, nodes: Sequence[NodeContract]) -> list[Build]:
         raise InputError('the C firmware adds taxels that are digital: expected taxels.frontend = "digital"')
     is_adaptive = contract.layout.sending == "adaptive"
     of_bus = {bus: _frame_sizes(contract, bus) for bus in {node.bus for node in nodes}}
+    held = [int(contract.phi.held[node.block : node.block + node.blocks].sum()) for node in nodes]
     return [
-        Build(node, board(contract, node), _object_table(contract, node), is_adaptive, *of_bus[node.bus])
-        for node in nodes
+        Build(node, board(contract, node), _object_table(contract, node), is_adaptive, taxels, *of_bus[node.bus])
+        for node, taxels in zip(nodes, held, strict=True)
     ]
 
 
@@ -84,7 +87,7 @@ def _frame_sizes(contract: Contract, bus: int) -> tuple[int, tuple[int, int]]:
     line = contract.layout.bus[bus]
     if contract.layout.sending != "adaptive":
         return int(frame_time_ns(contract.cycle(bus), line.bitrate, line.data_bitrate, "worst").max()), (0, 0)
-    coarse, fine = (sum_frame_bits(line, is_fine=is_fine) for is_fine in (False, True))
+    coarse, fine = (sum_frame_bits(line, contract.layout.groups, is_fine=is_fine) for is_fine in (False, True))
     return round(fine * 1e9 / line.bitrate), (coarse, fine)
 
 
@@ -230,6 +233,7 @@ def _board(build: Build, number: int, objects_name: str) -> str:
         "node_id": build.board.node_id,
         "blocks": node.blocks,
         "block_size": len(build.board.blocks[0].taxels),
+        "held": build.held,
         "count_max": build.board.count_max,
         "packing": f"{{{packing.bits}, {packing.scale.bit_length() - 1}, {packing.offset}}}",
         "first_sum": f"first_sum_{number}",

@@ -1,7 +1,7 @@
 """The smoothest forces that agree with the known sums, for patches of which sums are unknown.
 
 Of all images with the known sums, take the one with the least ‖Lx‖² + `SLOPE` xᵀLx + `SIZE` ‖x‖², L = DᵀD the Laplacian
-of the grid: a thin plate that is held by what is known. The first term carries on the curve of a touch. The last has a
+of the skin: a thin plate that is held by what is known. The first term carries on the curve of a touch. The last has a
 force vanish where nothing is known for ten taxels around, and old forces with it. Conjugate gradients over the unknown
 sums; they start from the image before, so a skin that changes little takes few steps. Empty places of boards have no
 neighbours, and are held at 0 by `HELD`.
@@ -11,11 +11,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from reconstructor.kernels.steps import Cuts
+from reconstructor.kernels.graph import Graph, laplacian
 from reconstructor.kernels.transforms import FAST_MATH, Flat, hadamard
 from shell.compiled import njit
-
-Grid = tuple[tuple[int, int], Cuts]
 
 #: Weights of slopes and of forces, beside that of 1 for curves.
 SLOPE: Final = 0.1
@@ -29,15 +27,17 @@ ENOUGH_N: Final = 1e-6
 
 
 @njit(cache=True, nogil=True, fastmath=FAST_MATH)
-def fill(image: Any, grid: Grid, unknown: Any, cells: Any, filled: Any, work: Any) -> int:  # noqa: PLR0917
+def fill(image: Any, taxels: int, graph: Graph, unknown: Any, cells: Any, filled: Any, work: Any) -> int:  # noqa: PLR0917
     """Add to the image what its unknown sums are likely to be; return the number of steps.
 
     Parameters
     ----------
     image : array of float32, shape (places,)
-        Of the known sums alone, taxels row by row, then empty places; changed.
-    grid : tuple
-        Rows and columns of the taxels, and where neighbours are cut off (`reconstructor.kernels.problem.cuts`).
+        Of the known sums alone, taxels, then empty places; changed.
+    taxels : int
+        n.
+    graph : Graph
+        Of the taxels.
     unknown : array of bool, shape (patches, taxels)
         Of each patch, which rows of the Sylvester-ordered Hadamard matrix are unknown.
     cells : array of int, shape (patches, taxels)
@@ -52,7 +52,7 @@ def fill(image: Any, grid: Grid, unknown: Any, cells: Any, filled: Any, work: An
     enough = image.dtype.type(ENOUGH_N * ENOUGH_N) * _project(filled, unknown, cells, patch)
     for k in range(image.size):
         image[k] += filled[k]
-    _bend(image, grid, half, gradient)
+    _bend(image, taxels, graph, half, gradient)
     _project(gradient, unknown, cells, patch)
     rest = image.dtype.type(0)
     for k in range(image.size):
@@ -61,7 +61,7 @@ def fill(image: Any, grid: Grid, unknown: Any, cells: Any, filled: Any, work: An
     for turn in range(STEPS):
         if rest <= enough:
             return turn
-        _bend(ahead, grid, half, curved)
+        _bend(ahead, taxels, graph, half, curved)
         _project(curved, unknown, cells, patch)
         along = image.dtype.type(0)
         for k in range(image.size):
@@ -108,46 +108,15 @@ def _project(values: Any, unknown: Any, cells: Any, patch: Flat) -> int:
 
 
 @njit(cache=True, nogil=True, fastmath=FAST_MATH)
-def _bend(values: Any, grid: Grid, half: Any, bent: Any) -> None:
+def _bend(values: Any, taxels: int, graph: Graph, half: Any, bent: Any) -> None:
     """Set bent = (L² + `SLOPE` L + `SIZE`) values, and `HELD` values at empty places."""
-    shape, cuts = grid
-    taxels = shape[0] * shape[1]
     slope, size, held = values.dtype.type(SLOPE), values.dtype.type(SIZE), values.dtype.type(HELD)
     seen, slopes, made = values[:taxels], half[:taxels], bent[:taxels]
-    _laplacian(seen.reshape(shape), slopes.reshape(shape))
-    _cut(seen, shape[1], cuts, slopes)
+    laplacian(seen, slopes, graph)
     for k in range(taxels):
         slopes[k] += slope * seen[k]
-    _laplacian(slopes.reshape(shape), made.reshape(shape))
-    _cut(slopes, shape[1], cuts, made)
+    laplacian(slopes, made, graph)
     for k in range(taxels):
         made[k] += size * seen[k]
     for k in range(taxels, values.size):
         bent[k] = held * values[k]
-
-
-@njit(cache=True, nogil=True, fastmath=FAST_MATH)
-def _laplacian(values: Any, made: Any) -> None:
-    """Set made = DᵀD values: each taxel's differences from its neighbours, summed."""
-    rows, columns = values.shape
-    for row in range(rows):
-        here, out = values[row], made[row]
-        above, below = values[max(row - 1, 0)], values[min(row + 1, rows - 1)]
-        for k in range(columns):
-            out[k] = 2 * here[k] - above[k] - below[k]
-        for k in range(1, columns - 1):
-            out[k] += 2 * here[k] - here[k - 1] - here[k + 1]
-        if columns == 1:
-            continue
-        out[0] += here[0] - here[1]
-        out[columns - 1] += here[columns - 1] - here[columns - 2]
-
-
-@njit(cache=True, nogil=True, fastmath=FAST_MATH)
-def _cut(values: Any, columns: int, cuts: Cuts, made: Any) -> None:
-    """Take out of a Laplacian what neighbours share that are cut off."""
-    for far, where in ((columns, cuts[0]), (1, cuts[1])):
-        for k in where:
-            slope = values[k] - values[k + far]
-            made[k] -= slope
-            made[k + far] += slope

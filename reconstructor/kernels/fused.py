@@ -8,21 +8,21 @@ import numpy.typing as npt
 
 from reconstructor.checks import Values, check_estimate, check_values, float_kind, placed
 from reconstructor.kernels import daubechies, haar, variation
-from reconstructor.kernels.addresses import spin_shifts
+from reconstructor.kernels.addresses import Indices, spin_shifts
 from reconstructor.kernels.matrices import SCRATCH_ROWS, MatrixWavelet
 from reconstructor.kernels.problem import checked, make_problem, taxels_in_block_order
-from reconstructor.kernels.steps import aligned, deliver, picture, scratch_of
+from reconstructor.kernels.steps import aligned, deliver, scratch_of
 from reconstructor.settings import SolverSettings
 from skin.measurement import Sbhe
 from skin.ranges import require_number
 
 
 class _Kernel(NamedTuple):
-    """A compiled solver: its function, its rows of working memory, and the rows that are state."""
+    """A compiled solver: its function, its rows of working memory, and whether the dual, which follows, is state."""
 
     solve: Callable[..., int]
     scratch_rows: int
-    state: tuple[int, ...] = ()
+    has_dual: bool = False
 
 
 _HAAR: Final = _Kernel(haar.solve_haar, haar.SCRATCH_ROWS)
@@ -32,7 +32,7 @@ _KERNELS: Final[dict[str, _Kernel]] = {
     "haar-tensor": _HAAR,
     "d4-pyramid": _DAUBECHIES,
     "d4-tensor": _DAUBECHIES,
-    "variation": _Kernel(variation.solve_variation, variation.SCRATCH_ROWS, variation.DUAL_ROWS),
+    "variation": _Kernel(variation.solve_variation, variation.SCRATCH_ROWS, has_dual=True),
 }
 
 
@@ -52,6 +52,8 @@ class FusedSolver:
         1 to 256; for a wavelet powers of two from 8.
     settings : SolverSettings
         Any prior except the contourlet.
+    edges : array of int, shape (edges, 2), optional
+        Pairs of neighbours of a skin that is no grid (`skin.surface.Surface.graph`); for total variation.
     """
 
     def __init__(
@@ -61,10 +63,11 @@ class FusedSolver:
         columns: int,
         settings: SolverSettings,
         *,
+        edges: Indices | None = None,
         dtype: npt.DTypeLike = np.float32,
     ) -> None:
         self.dtype: Final = float_kind(dtype)
-        self._problem = make_problem(phi, rows, columns, settings, self.dtype)
+        self._problem = make_problem(phi, rows, columns, settings, self.dtype, edges)
         self._phi = phi
         self.shape: Final = (rows, columns)
         self.sums: Final = phi.shape[0]
@@ -74,7 +77,10 @@ class FusedSolver:
         )
         self._taxel = taxels_in_block_order(phi)
         self._threshold = settings.penalty_n / (settings.lipschitz_ratio * phi.block_size)
-        self._scratch = scratch_of(self._kernel.scratch_rows, max(phi.order.size, phi.taxels), self.dtype)
+        dual = self._problem.graph.size if self._kernel.has_dual else 0
+        self._scratch = scratch_of(self._kernel.scratch_rows, max(phi.order.size, phi.taxels), self.dtype, dual)
+        self._dual = self._scratch[self._scratch.size - dual :]
+        self._is_gap = ~phi.is_wired
 
     def new_estimate(self) -> Values:
         """Return an estimate of zeros, shape (places,), aligned in memory."""
@@ -106,8 +112,7 @@ class FusedSolver:
 
     def reset(self) -> None:
         """Reset the state besides the estimate."""
-        for number in self._kernel.state:
-            picture(self._scratch, number, self._problem, 0)[:] = 0
+        self._dual[:] = 0
 
     def blocks_of(self, image: Values) -> Values:
         """Return an image of shape (rows, columns) in block order, shape (places,)."""
@@ -118,7 +123,7 @@ class FusedSolver:
         """Return block order, shape (places,), as an image of shape (rows, columns)."""
         check_values("estimate", estimate, self._taxel.shape)
         image = estimate[self._problem.deliver]
-        image[self._problem.gaps] = 0
+        image[self._is_gap] = 0
         return image.reshape(self.shape)
 
     def deliver(self, estimate: Values) -> npt.NDArray[np.float32]:
@@ -127,5 +132,5 @@ class FusedSolver:
         image = np.empty(self.shape, np.float32)
         deliver(image.reshape(-1), kept, self._problem.deliver)
         if self._problem.gaps.size:
-            image.reshape(-1)[self._problem.gaps] = 0
+            image.reshape(-1)[self._is_gap] = 0
         return image

@@ -19,7 +19,8 @@ from reconstructor.kernels.addresses import (
     spin_shifts,
     tensor_addresses,
 )
-from reconstructor.kernels.steps import Cuts, Problem, Table, usable
+from reconstructor.kernels.graph import graph_of, in_runs
+from reconstructor.kernels.steps import Problem, Table, usable
 from reconstructor.settings import SolverSettings
 from skin.measurement import Sbhe
 
@@ -30,27 +31,34 @@ ADDRESSES: Final[dict[str, Callable[[int, int], Indices]]] = {
 }
 
 
-def make_problem(phi: Sbhe, rows: int, columns: int, settings: SolverSettings, kind: np.dtype[Any]) -> Problem:
-    """Return the tables and constants of a solver; not for the contourlet."""
-    check_grid_of(phi, rows, columns, settings.prior)
+def make_problem(  # noqa: PLR0917
+    phi: Sbhe, rows: int, columns: int, settings: SolverSettings, kind: np.dtype[Any], edges: Indices | None = None
+) -> Problem:
+    """Return the tables and constants of a solver; not for the contourlet. For `edges` see `FusedSolver`."""
+    check_grid_of(phi, rows, columns, settings.prior, edges)
     if settings.prior == "contourlet":
         raise InputError("expected a wavelet or 'variation', got 'contourlet'")
     taxel, step = taxels_in_block_order(phi), 1 / (settings.lipschitz_ratio * phi.block_size)
     floor = 0.0 if settings.nonnegative else float(np.finfo(kind).min)
     addresses = ADDRESSES.get(settings.prior, row_addresses)(rows, columns)
+    if edges is not None:
+        rank = in_runs(edges, rows * columns)
+        addresses, edges = rank.reshape(rows, columns), rank[edges]
     shifts = spin_shifts(settings.spins, rows, columns)
-    gaps = np.flatnonzero(~phi.is_wired)
+    gaps = addresses.ravel()[~phi.is_wired]
     # What empty places take from the image is 0: a gap, or what follows the image.
     none = np.full(phi.empty, gaps[0] if gaps.size else rows * columns)
     to_blocks = [np.append(shifted(addresses, shift).ravel(), none)[taxel] for shift in shifts]
     to_image = [_inverse(each, taxel < rows * columns, rows * columns) for each in to_blocks]
+    graph = graph_of(rows, columns, gaps, edges)
+    numbers = (step, settings.penalty_n * step, floor, HAAR.rec_lo[0], *DAUBECHIES_4.rec_lo, 1 / graph.bound)
     return Problem(
         places=places_of_sums(phi),
         tables=_stacked(to_image, to_blocks),
         deliver=_inverse(taxel, taxel < rows * columns, rows * columns).astype(np.uint16),
         gaps=gaps.astype(np.uint16),
-        cuts=cuts(phi.is_wired.reshape(rows, columns)),
-        numbers=np.array((step, settings.penalty_n * step, floor, HAAR.rec_lo[0], *DAUBECHIES_4.rec_lo), kind),
+        graph=graph,
+        numbers=np.array(numbers, kind),
         momentum=momentum(settings.iterations).astype(kind),
         blocks=phi.blocks,
         rows=rows,
@@ -71,13 +79,6 @@ def _stacked(*rows: list[Indices]) -> Table:
     """Stack arrays of different lengths, with zeros after the shorter."""
     size = max(each.size for row in rows for each in row)
     return np.array([[np.pad(each, (0, size - each.size)) for each in row] for row in rows]).astype(np.uint16)
-
-
-def cuts(wired: npt.NDArray[np.bool_]) -> Cuts:
-    """Return the taxels, row-major, that are cut off from the taxel below, and from the taxel to the right."""
-    below, beside = np.zeros_like(wired), np.zeros_like(wired)
-    below[:-1], beside[:, :-1] = ~(wired[:-1] & wired[1:]), ~(wired[:, :-1] & wired[:, 1:])
-    return np.flatnonzero(below).astype(np.uint16), np.flatnonzero(beside).astype(np.uint16)
 
 
 def taxels_in_block_order(phi: Sbhe) -> Indices:

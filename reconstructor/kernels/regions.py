@@ -1,150 +1,184 @@
-"""Connected regions of an image, and to which earlier regions their taxels belong."""
+"""Connected regions of an image, and to which earlier regions their taxels belong.
+
+Which taxels are neighbours is a table, shape (n, K), of which a row has the neighbours of a taxel in ascending order; a
+taxel with fewer of them names itself in what is left.
+"""
 
 import heapq
+from functools import cache
 from typing import Any, Final
 
 import numpy as np
+import numpy.typing as npt
 
 from shell.compiled import njit
+from skin.surface import Surface
 
-#: Columns of the table of `measure_parts`: sums of the force, of force x row and of force x column, largest force,
-#: number of taxels, first and last row, first and last column; the highest pass to another part of the region (the
-#: lower of the two taxels where the parts touch), and the number of that part.
+#: Columns of the table of `measure_parts`: sum of the force, largest force, number of taxels, first and last row, first
+#: and last column; the highest pass to another part of the region (the lower of the two taxels where the parts touch),
+#: and the number of that part. Sums of the force x the places of the taxels follow.
 FORCE: Final = 0
-BY_ROW: Final = 1
-BY_COLUMN: Final = 2
-PEAK: Final = 3
-AREA: Final = 4
-TOP: Final = 5
-BOTTOM: Final = 6
-LEFT: Final = 7
-RIGHT: Final = 8
-PASS: Final = 9
-NEIGHBOUR: Final = 10
-FEATURES: Final = 11
-#: Distance in taxels within which the border between two contacts can move from image to image.
+PEAK: Final = 1
+AREA: Final = 2
+TOP: Final = 3
+BOTTOM: Final = 4
+LEFT: Final = 5
+RIGHT: Final = 6
+PASS: Final = 7
+NEIGHBOUR: Final = 8
+FEATURES: Final = 9
+#: Steps from taxel to taxel within which the border between two contacts can move from image to image.
 BORDER: Final = 2
+#: Taxels with a neighbour in common are neighbours, too, up to this multiple of the pitch: the diagonal of a square.
+DIAGONAL_RATIO: Final = 1.5
+
+
+@cache
+def neighbour_tables(surface: Surface) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:
+    """Return the tables of the taxels within one step and within `BORDER` steps of each taxel of a skin.
+
+    A step leads along an edge, or to a taxel with a common neighbour at most `DIAGONAL_RATIO` times the pitch away: so
+    on a grid in eight directions, and never across a gap.
+    """
+    from scipy.sparse import coo_array  # no verb waits for SciPy that has no need of it
+
+    count = len(surface.positions_m)
+    first, second = surface.edges.T
+    edges = coo_array((np.ones(len(first), np.intp), (first, second)), shape=(count, count)).tocsr()
+    edges += edges.T
+    near = (edges + edges @ edges).tocoo()
+    apart_m = np.linalg.norm(surface.positions_m[near.row] - surface.positions_m[near.col], axis=1)
+    kept = (apart_m <= DIAGONAL_RATIO * surface.pitch_m) | (edges[near.row, near.col] > 0)
+    step = coo_array((near.data[kept], (near.row[kept], near.col[kept])), shape=(count, count)).tocsr()
+    within = step
+    for _ in range(BORDER - 1):
+        within = within + within @ step
+    return _table(step), _table(within)
+
+
+def _table(pairs: Any) -> npt.NDArray[np.int32]:
+    """Return the table of the pairs of a sparse matrix, without those of a taxel and itself."""
+    pairs = pairs.tocoo()
+    order = np.lexsort((pairs.col, pairs.row))
+    taxel, other = pairs.row[order], pairs.col[order]
+    taxel, other = taxel[taxel != other], other[taxel != other]
+    degrees = np.bincount(taxel, minlength=pairs.shape[0])
+    table = np.repeat(np.arange(len(degrees), dtype=np.int32)[:, None], max(1, degrees.max(initial=0)), axis=1)
+    table[taxel, np.arange(len(taxel)) - np.repeat(np.cumsum(degrees) - degrees, degrees)] = other
+    return table
 
 
 @njit(cache=True, nogil=True)
-def find_regions(image: Any, edge: float, least_peak: float, regions: Any, queue: Any) -> int:
-    """Give numbers to the regions of taxels above `edge`, neighbours in eight directions, from 1; return the last.
+def find_regions(  # noqa: PLR0917 - compiled
+    force: Any, neighbours: Any, edge: float, least_peak: float, regions: Any, queue: Any
+) -> int:
+    """Give numbers to the regions of neighbouring taxels above `edge`, from 1; return the last.
 
     Parameters
     ----------
-    image : array of float, shape (rows, columns)
+    force : array of float, shape (n,)
     least_peak : float
         A region without a taxel above this is left out.
-    regions : array of int32, shape (rows, columns)
+    regions : array of int32, shape (n,)
         Set to the number of each taxel's region; 0 is none.
-    queue : array of int32, shape (rows * columns,)
+    queue : array of int32, shape (n,)
         Scratch.
     """
-    rows, columns = image.shape
     regions[:] = 0
-    number, force = regions.ravel(), image.ravel()
     count, weak = 0, -1
-    for start in range(rows * columns):
-        if number[start] or not force[start] > edge:
+    for start in range(force.size):
+        if regions[start] or not force[start] > edge:
             continue
-        number[start] = weak
+        regions[start] = weak
         queue[0], first, last = start, 0, 1
         peak = force[start]
         while first < last:
-            row, column = divmod(queue[first], columns)
-            peak = max(peak, force[queue[first]])
+            taxel = queue[first]
+            peak = max(peak, force[taxel])
             first += 1
-            for y in range(max(row - 1, 0), min(row + 2, rows)):
-                for x in range(max(column - 1, 0), min(column + 2, columns)):
-                    if not regions[y, x] and image[y, x] > edge:
-                        regions[y, x] = weak
-                        queue[last] = y * columns + x
-                        last += 1
+            for other in neighbours[taxel]:
+                if not regions[other] and force[other] > edge:
+                    regions[other] = weak
+                    queue[last] = other
+                    last += 1
         if peak > least_peak:
             count += 1
             for place in range(last):
-                number[queue[place]] = count
-    for start in range(rows * columns):
-        number[start] = max(number[start], 0)
+                regions[queue[place]] = count
+    for start in range(force.size):
+        regions[start] = max(regions[start], 0)
     return count
 
 
 @njit(cache=True, nogil=True)
-def spread_owners(image: Any, regions: Any, owners: Any, seeds: Any) -> None:
+def spread_owners(  # noqa: PLR0917 - compiled
+    force: Any, neighbours: Any, around: Any, regions: Any, owners: Any, seeds: Any
+) -> None:
     """Give each taxel of a region an owner: the one it had, else that of the taxels uphill of it.
 
     Where two owners meet, the border between them follows the valley: taxels within `BORDER` of another owner are given
-    anew. Owners spread from their other taxels to neighbours in eight directions, over the largest force first.
+    anew. Owners spread from their other taxels to their neighbours, over the largest force first.
 
     Parameters
     ----------
-    image : array of float, shape (rows, columns)
-    regions : array of int32, shape (rows, columns)
+    force : array of float, shape (n,)
+    neighbours, around : array of int32
+        Tables of the taxels within one step, and within `BORDER`.
+    regions : array of int32, shape (n,)
         From `find_regions`.
-    owners : array of int32, shape (rows, columns)
+    owners : array of int32, shape (n,)
         Numbers of the owners, from 1. Set to 0 outside of regions, and spread inside. A region without owner keeps 0.
-    seeds : array of int32, shape (rows, columns)
+    seeds : array of int32, shape (n,)
         Scratch.
     """
-    rows, columns = regions.shape
-    _plant(regions, owners, seeds)
+    _plant(around, regions, owners, seeds)
     heap = [(0.0, 0)]
     heap.pop()
     owners[:] = seeds
-    for y in range(rows):
-        for x in range(columns):
-            if seeds[y, x] and _can_spread(regions, owners, y, x):
-                heap.append((-np.float64(image[y, x]), y * columns + x))  # noqa: PERF401  no generators here
+    for taxel in range(force.size):
+        if seeds[taxel] and _can_spread(neighbours[taxel], regions, owners):
+            heap.append((-np.float64(force[taxel]), taxel))  # noqa: PERF401  no generators here
     heapq.heapify(heap)
     while heap:
-        row, column = divmod(heapq.heappop(heap)[1], columns)
-        for y in range(max(row - 1, 0), min(row + 2, rows)):
-            for x in range(max(column - 1, 0), min(column + 2, columns)):
-                if regions[y, x] and not owners[y, x]:
-                    owners[y, x] = owners[row, column]
-                    heapq.heappush(heap, (-np.float64(image[y, x]), y * columns + x))
+        taxel = heapq.heappop(heap)[1]
+        for other in neighbours[taxel]:
+            if regions[other] and not owners[other]:
+                owners[other] = owners[taxel]
+                heapq.heappush(heap, (-np.float64(force[other]), 0 + other))  # of the type of the others
 
 
 @njit(cache=True, nogil=True)
-def _can_spread(regions: Any, owners: Any, row: int, column: int) -> bool:
+def _can_spread(neighbours: Any, regions: Any, owners: Any) -> bool:
     """Tell whether a neighbour of the region has no owner."""
-    rows, columns = regions.shape
-    for y in range(max(row - 1, 0), min(row + 2, rows)):
-        for x in range(max(column - 1, 0), min(column + 2, columns)):
-            if regions[y, x] and not owners[y, x]:
-                return True
+    for other in neighbours:  # noqa: SIM110  no generators here
+        if regions[other] and not owners[other]:
+            return True
     return False
 
 
 @njit(cache=True, nogil=True)
-def _plant(regions: Any, owners: Any, seeds: Any) -> None:
+def _plant(around: Any, regions: Any, owners: Any, seeds: Any) -> None:
     """Set the seeds: owners inside of regions, without taxels at a border unless an owner has no others."""
-    rows, columns = regions.shape
     inner = np.zeros(owners.max() + 1, np.bool_)
-    for y in range(rows):
-        for x in range(columns):
-            if not regions[y, x]:
-                owners[y, x] = 0
-    for y in range(rows):
-        for x in range(columns):
-            is_inner = owners[y, x] > 0 and not _is_border(owners, y, x)
-            seeds[y, x] = owners[y, x] if is_inner else 0
-            if is_inner:
-                inner[owners[y, x]] = True
-    for y in range(rows):
-        for x in range(columns):
-            if not inner[owners[y, x]]:
-                seeds[y, x] = owners[y, x]
+    for taxel in range(owners.size):
+        if not regions[taxel]:
+            owners[taxel] = 0
+    for taxel in range(owners.size):
+        is_inner = owners[taxel] > 0 and not _is_border(around[taxel], owners, owners[taxel])
+        seeds[taxel] = owners[taxel] if is_inner else 0
+        if is_inner:
+            inner[owners[taxel]] = True
+    for taxel in range(owners.size):
+        if not inner[owners[taxel]]:
+            seeds[taxel] = owners[taxel]
 
 
 @njit(cache=True, nogil=True)
-def _is_border(owners: Any, row: int, column: int) -> bool:
+def _is_border(around: Any, owners: Any, mine: int) -> bool:
     """Tell whether another owner is near."""
-    rows, columns = owners.shape
-    for y in range(max(row - BORDER, 0), min(row + BORDER + 1, rows)):
-        for x in range(max(column - BORDER, 0), min(column + BORDER + 1, columns)):
-            if owners[y, x] and owners[y, x] != owners[row, column]:
-                return True
+    for other in around:  # noqa: SIM110  no generators here
+        if owners[other] and owners[other] != mine:
+            return True
     return False
 
 
@@ -154,58 +188,58 @@ def number_parts(regions: Any, owners: Any, parts: Any, table: Any) -> int:
 
     Parameters
     ----------
-    regions, owners : array of int32, shape (rows, columns)
-    parts : array of int32, shape (rows, columns)
+    regions, owners : array of int32, shape (n,)
+    parts : array of int32, shape (n,)
         Set to the number of each taxel's pair; 0 outside of regions.
-    table : array of int32, shape (rows * columns, 2)
+    table : array of int32, shape (n, 2)
         Row k - 1 is set to region and owner of part k.
     """
     count = 0
-    rows, columns = regions.shape
-    for y in range(rows):
-        for x in range(columns):
-            parts[y, x] = 0
-            if not regions[y, x]:
-                continue
-            for known in range(count):
-                if table[known, 0] == regions[y, x] and table[known, 1] == owners[y, x]:
-                    parts[y, x] = known + 1
-                    break
-            else:
-                table[count, 0], table[count, 1] = regions[y, x], owners[y, x]
-                count += 1
-                parts[y, x] = count
+    for taxel in range(regions.size):
+        parts[taxel] = 0
+        if not regions[taxel]:
+            continue
+        for known in range(count):
+            if table[known, 0] == regions[taxel] and table[known, 1] == owners[taxel]:
+                parts[taxel] = known + 1
+                break
+        else:
+            table[count, 0], table[count, 1] = regions[taxel], owners[taxel]
+            count += 1
+            parts[taxel] = count
     return count
 
 
 @njit(cache=True, nogil=True)
-def measure_parts(image: Any, parts: Any, table: Any) -> None:
+def measure_parts(image: Any, neighbours: Any, places: Any, parts: Any, table: Any) -> None:
     """Sum up each part, and find its highest pass to a neighbouring part.
 
     Parameters
     ----------
     image : array of float, shape (rows, columns)
-    parts : array of int32, shape (rows, columns)
+    places : array of float64, shape (n, D)
+        Where each taxel is.
+    parts : array of int32, shape (n,)
         Numbers from 1; 0 is left out.
-    table : array of float64, shape (parts, FEATURES)
+    table : array of float64, shape (parts, FEATURES + D)
         Set to one row for each part.
     """
     rows, columns = image.shape
+    forces = image.ravel()
     table[:] = 0
     table[:, TOP], table[:, LEFT] = rows, columns
-    for y in range(rows):
-        for x in range(columns):
-            if not parts[y, x]:
-                continue
-            part, force = table[parts[y, x] - 1], image[y, x]
-            part[FORCE] += force
-            part[BY_ROW] += force * y
-            part[BY_COLUMN] += force * x
-            part[PEAK] = max(part[PEAK], force)
-            part[AREA] += 1
-            part[TOP], part[BOTTOM] = min(part[TOP], y), max(part[BOTTOM], y)
-            part[LEFT], part[RIGHT] = min(part[LEFT], x), max(part[RIGHT], x)
-            for v in range(max(y - 1, 0), min(y + 2, rows)):
-                for u in range(max(x - 1, 0), min(x + 2, columns)):
-                    if parts[v, u] and parts[v, u] != parts[y, x] and min(force, image[v, u]) > part[PASS]:
-                        part[PASS], part[NEIGHBOUR] = min(force, image[v, u]), parts[v, u]
+    for taxel in range(forces.size):
+        if not parts[taxel]:
+            continue
+        part, force = table[parts[taxel] - 1], forces[taxel]
+        y, x = divmod(taxel, columns)
+        part[FORCE] += force
+        part[PEAK] = max(part[PEAK], force)
+        part[AREA] += 1
+        part[TOP], part[BOTTOM] = min(part[TOP], y), max(part[BOTTOM], y)
+        part[LEFT], part[RIGHT] = min(part[LEFT], x), max(part[RIGHT], x)
+        for each in range(places.shape[1]):
+            part[FEATURES + each] += force * places[taxel, each]
+        for other in neighbours[taxel]:
+            if parts[other] and parts[other] != parts[taxel] and min(force, forces[other]) > part[PASS]:
+                part[PASS], part[NEIGHBOUR] = min(force, forces[other]), parts[other]

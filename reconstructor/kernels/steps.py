@@ -6,11 +6,11 @@ import numpy as np
 import numpy.typing as npt
 
 from reconstructor.checks import LARGEST_N
+from reconstructor.kernels.graph import GAP, Graph
 from reconstructor.kernels.transforms import FAST_MATH, Flat, hadamard, masked_gram
 from shell.compiled import njit
 
 Table = npt.NDArray[np.uint16]
-Cuts = tuple[Table, Table]
 
 
 class Problem(NamedTuple):
@@ -24,8 +24,9 @@ class Problem(NamedTuple):
         From block order to the prior's image order, and back, a pair for each shift of the basis.
     deliver : shape (n,)
         From block order to row-major order.
-    numbers : shape (8,)
-        1 / L, λ / L, the smallest allowed force, the 1 / √2 of the transforms, and the four taps of D4.
+    numbers : shape (9,)
+        1 / L, λ / L, the smallest allowed force, the 1 / √2 of the transforms, the four taps of D4, and the step of the
+        dual of total variation.
     momentum : shape (iterations,)
         (t_k - 1) / t_{k+1}.
     blocks, rows, columns : int
@@ -34,9 +35,9 @@ class Problem(NamedTuple):
     scaled_start : bool
         See `SolverSettings`.
     gaps : shape (gaps,)
-        Taxels that the grid lacks, row-major.
-    cuts : two arrays of int
-        Taxels that share nothing with the taxel below, and with the taxel to the right, because one is a gap.
+        Taxels that the grid lacks, in the prior's image order.
+    graph : Graph
+        Neighbours in the prior's image order.
     """
 
     places: Table
@@ -50,19 +51,15 @@ class Problem(NamedTuple):
     levels: int
     scaled_start: bool
     gaps: Table
-    cuts: Cuts
-
-
-#: Elements between the rows of working memory; without this gap all rows use the same sets of the L1 cache.
-GAP: Final = 144
+    graph: Graph
 
 
 CACHE_LINE: Final = 64
 
 
-def scratch_of(rows: int, size: int, dtype: np.dtype[Any]) -> Flat:
-    """Return working memory of `rows` rows of `size`, zeros; `row` returns a row."""
-    return aligned(rows * (size + GAP), dtype)
+def scratch_of(rows: int, size: int, dtype: np.dtype[Any], more: int = 0) -> Flat:
+    """Return working memory of `rows` rows of `size`, and `more` values after them, zeros; `row` returns a row."""
+    return aligned(rows * (size + GAP) + more, dtype)
 
 
 def aligned(size: int, dtype: np.dtype[Any]) -> Flat:

@@ -12,6 +12,7 @@ from dbc.dictionary import HEARTBEAT_MS
 from dbc.frame import Frames, frames
 from nodes.adaptive.simulated import SimulatedNodes, sync_frames
 from skin.layout import Bus
+from tests.layouts import BLOCK_SUMS
 
 
 def run_bus(
@@ -33,7 +34,7 @@ def run_bus(
     """
     ticks, nodes, _ = sums_n.shape
     quiet = np.zeros_like(sums_n[0])
-    boards = SimulatedNodes(line, law, lambda tick: (sums_n[tick], quiet, noise_n2[tick]))
+    boards = SimulatedNodes(line, law, BLOCK_SUMS, lambda tick: (sums_n[tick], quiet, noise_n2[tick]))
     turns = HEARTBEAT_MS * SAMPLE_NS * np.arange(-(-ticks // HEARTBEAT_MS))
     beats = frames(len(turns) * nodes)
     beats["time_ns"] = (first_beats_ns + turns[:, None]).ravel()

@@ -11,12 +11,13 @@ import pytest
 
 from bandwidth.adaptive_log import AGAIN, EARLY, NEW, REFINING, UNREFINED, sum_frames
 from bandwidth.adaptive_plan import touched_load
-from dbc.adaptive import FIRST_COB_ID, TPDOS
+from dbc.adaptive import FIRST_COB_ID
 from dbc.contract import Contract
 from dbc.frame import BRS, FD, Frames
 from skin.layout import load_layout
 from tests import layouts
 from tests.bandwidth.adaptive_bus import run_bus
+from tests.layouts import TPDOS
 
 Run = Callable[..., tuple[int, str, str]]
 NODES, TICKS, MS = 32, 3000, 1_000_000

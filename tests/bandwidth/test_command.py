@@ -257,3 +257,16 @@ def test_a_design_takes_taxels_at_positions(skin: Skin, tmp_path: Path) -> None:
     code, shown, _ = skin("design", "--taxels", str(tmp_path / "pad.csv"))
     assert code == 0
     assert parse_layout(shown.encode(), "shown").taxels.positions is not None
+
+
+@pytest.mark.heavy
+def test_a_design_has_the_fewest_sums_whose_images_are_good_enough(skin: Skin) -> None:
+    code, shown, said = skin("design", "--taxels", "16x16", "--min-psnr", "25", "--json")
+    document = json.loads(shown)
+    assert (code, said) == (0, "")
+    chosen = parse_layout(document["layout"].encode(), "shown").measurement.sums
+    good = [each["sums"] for each in document["quality"] if each["psnr_image_db"] >= 25]
+    assert chosen == min(good)
+    code, _, said = skin("design", "--taxels", "16x16", "--min-psnr", "90")
+    assert code == 1
+    assert "dB at best with the" in said

@@ -13,7 +13,7 @@ import pytest
 from bandwidth.response import UNBOUNDED
 from bandwidth.traffic import Disturbance
 from bandwidth.urgency import Urgency
-from dbc.adaptive import BLOCK_SUMS, FIRST_COB_ID, GROUP_SUMS, LEVELS, SendingRule, coarse_value, decode_cob_id
+from dbc.adaptive import FIRST_COB_ID, GROUP_SUMS, LEVELS, SendingRule, coarse_value, decode_cob_id
 from dbc.canopen import HEARTBEAT_BASE
 from dbc.contract import Contract
 from dbc.dictionary import HEARTBEAT_MS
@@ -22,8 +22,8 @@ from dbc.frame_bits import frame_time_ns
 from nodes.adaptive.sending import Groups
 from nodes.adaptive.simulated import SYNC_SAMPLES
 from skin.layout import load_layout
-from skin.walsh import GROUPS
 from tests.bandwidth.adaptive_bus import run_bus
+from tests.layouts import BLOCK_SUMS, GROUPS
 
 MS = 1_000_000
 NODES, TICKS = 32, 330
@@ -83,7 +83,9 @@ def arbitrated(
     sent, nodes = run_bus(line, adaptive().law, sums_n, threshold_n2, beats)
     can_id = sent["can_id"].astype(np.int64)
     is_sums = (can_id >= FIRST_COB_ID) & (can_id < HEARTBEAT_BASE)
-    kind, group, node = np.array([decode_cob_id(int(each), line.fd) for each in can_id[is_sums]]).reshape(-1, 3).T
+    kind, group, node = (
+        np.array([decode_cob_id(int(each), GROUPS, line.fd) for each in can_id[is_sums]]).reshape(-1, 3).T
+    )
     beat = sent[can_id > HEARTBEAT_BASE]
     of_beat = beat["can_id"].astype(np.int64) - HEARTBEAT_BASE - 1
     turn = np.array([np.count_nonzero(of_beat[:place] == each) for place, each in enumerate(of_beat)], np.int64)

@@ -16,6 +16,7 @@ from calibration.zero import Zero
 from canskin.calibration_messages import CalibrationState, ZeroSupport
 from canskin.messages import Measurement
 from skin.layout import Layout, Sync, load_layout
+from skin.surface import grid_surface
 from tests.layouts import small_layout
 
 LAYOUT = msgspec.structs.replace(load_layout(), sync=Sync(rate_hz=40.0))
@@ -181,7 +182,7 @@ class FedZero:
     def __init__(
         self, support: ZeroSupport = ZeroSupport.MEASURED, references: npt.NDArray[np.bool_] | bool = False
     ) -> None:
-        self.finder = FieldFinder(SMALL_PHI, 32, 32)
+        self.finder = FieldFinder(SMALL_PHI, grid_surface(32, 32, 0.004, np.zeros(0, np.intp)))
         self.known = np.ones(SMALL_SUMS, np.bool_)
         self.windows = 0
         self._nothing = np.zeros(SMALL_SUMS)
@@ -197,7 +198,9 @@ class FedZero:
             least_noise_n=1e-6,
         )
         untouchable = np.broadcast_to(references, SMALL_PHI.shape[1])
-        self.zero = Zero(SMALL_PHI, 32, 32, self.finder, follower, support=support, references=untouchable)
+        self.zero = Zero(
+            SMALL_PHI, SMALL.taxels.surface, self.finder, follower, support=support, references=untouchable
+        )
 
     def run(self, windows: int, felt: Force | npt.NDArray[np.floating] | float) -> None:
         """Let so many windows pass; the taxels feel ``felt(window)``, newtons, drift included."""

@@ -8,7 +8,8 @@ from calibration.calibrator import Calibrator
 from calibration.defects import DefectFinder, Defects
 from calibration.windows import Window
 from skin.measurement import sbhe
-from tests.calibration.helpers import COLUMNS, LAYOUT, PHI, Skin, offsets_n
+from tests import surfaces
+from tests.calibration.helpers import LAYOUT, PHI, Skin, offsets_n
 
 Floats = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
@@ -41,7 +42,7 @@ class Finder:
     """A finder that gets windows of the same noise, sum by sum."""
 
     def __init__(self) -> None:
-        self._finder = DefectFinder(PHI, COLUMNS, LEAST_N, lambda _: None)
+        self._finder = DefectFinder(PHI, LAYOUT.taxels.surface, LEAST_N, lambda _: None)
 
     def take(
         self,
@@ -193,14 +194,14 @@ def test_a_taxel_is_named_when_it_has_a_quarter_more_than_the_next(ratio: float,
     for turn in range(40):
         found = finder.take(1, times, difference_n=differences_n[turn % 2])
     row, column = divmod(first, 64)
-    place = f", most likely of the taxel at row {row}, column {column}" if is_named else ""
+    place = f", most likely of taxel {first} (row {row}, column {column})" if is_named else ""
     assert found.words == [f"block 5 has 3.0 times the noise{place}"]
 
 
 def test_blocks_without_or_with_a_single_sum_are_left_in_peace() -> None:
     """Three sums of four blocks: a block of one has no others, that may tell that it is stuck."""
     phi = sbhe(64, 3, block_size=16)
-    finder = DefectFinder(phi, 8, LEAST_N, lambda _: None)
+    finder = DefectFinder(phi, surfaces.grid(8, 8), LEAST_N, lambda _: None)
     noise_n = np.array([NOISE_N, 0.0, NOISE_N])
     window = Window(0, np.zeros(3), noise_n, np.zeros(3), np.ones(3, np.bool_))
     for _ in range(39):
@@ -219,7 +220,7 @@ def test_noise_of_a_block_is_that_of_each_of_its_sums() -> None:
         for each in (sbhe(64, 9, block_size=16, selection="uniform", seed=seed) for seed in range(100))
         if sorted(np.diff(each.starts).tolist())[:2] == [1, 2]
     )
-    finder = DefectFinder(phi, 8, LEAST_N, lambda _: None)
+    finder = DefectFinder(phi, surfaces.grid(8, 8), LEAST_N, lambda _: None)
     nothing, single = np.zeros(9), np.diff(phi.starts)[phi.block_of_sum] == 1
     window = Window(0, nothing, NOISE_N * np.where(single, 0.45, 1.0), nothing, np.ones(9, np.bool_))
     for _ in range(45):
@@ -238,4 +239,4 @@ def test_what_a_sum_that_is_not_known_shows_names_no_taxel() -> None:
     found = Finder().take(40, of_blocks({5: 3.0}), known=all_but(missing), difference_n=difference_n)
     row, column = divmod(first, 64)
     (text,) = (each for each in found.words if each.startswith("block 5"))
-    assert text.endswith(f"most likely of the taxel at row {row}, column {column}")
+    assert text.endswith(f"(row {row}, column {column})")

@@ -5,12 +5,14 @@ import numpy.typing as npt
 import pytest
 
 from calibration.field import SEEN_RATIO, Field, FieldFinder
+from skin.measurement import sbhe
+from skin.surface import grid_surface, surface_of_positions
 from tests.calibration.helpers import COLUMNS, PHI, ROWS, pressed
 
 #: Of a sum.
 NOISE_N = 1e-4
 ALL = np.ones(PHI.shape[0], np.bool_)
-FINDER = FieldFinder(PHI, ROWS, COLUMNS)
+FINDER = FieldFinder(PHI, grid_surface(ROWS, COLUMNS, 0.004, np.zeros(0, np.intp)))
 #: From which force on a taxel is seen.
 LEAST_N = SEEN_RATIO * FINDER.picture_gain * NOISE_N
 
@@ -82,3 +84,15 @@ def test_without_sums_there_is_no_field() -> None:
     field = found(noise_n(), ~ALL)
     assert not field.force_n.any()
     assert field.noise_n == 1e-6
+
+
+def test_lone_taxels_are_left_out_on_any_skin() -> None:
+    """On triangles: a ring of six around one stays, a path of five and a pair go."""
+    row, column = np.divmod(np.arange(64), 8)
+    places = 0.004 * np.stack((column + 0.5 * (row % 2), row * 3**0.5 / 2, np.zeros(64)), axis=1)
+    surface = surface_of_positions(places.tolist())
+    ring = np.linalg.norm(places - places[27], axis=1) < 0.005
+    path = (row == 7) & (column < 5)
+    pair = (row == 0) & (column > 5)
+    phi = sbhe(64, 16, block_size=32)
+    assert np.array_equal(FieldFinder(phi, surface).opened(ring | path | pair), ring)

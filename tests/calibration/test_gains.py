@@ -14,13 +14,16 @@ from skin.calibration_file import StoredCalibration, encoded, load_calibration, 
 from skin.defects import Defects, Stage, SumGains
 from skin.frontend import with_gains
 from skin.mcap_file import CALIBRATION_FILE, File, RecordingWriter
-from skin.measurement import fast_hadamard
+from skin.measurement import fast_hadamard, sbhe
+from skin.surface import surface_of_positions
 from tests import messages as make
+from tests import surfaces
 from tests.layouts import small_layout
 
 LAYOUT = small_layout(32, 32)
 PHI = LAYOUT.phi()
 SIDE = 32
+SURFACE = LAYOUT.taxels.surface
 FORCE_N = 0.3
 
 
@@ -51,13 +54,38 @@ def gains() -> np.ndarray:
 
 
 def test_gains_are_found_within_a_few_percent(gains: np.ndarray) -> None:
-    found = find_gains(PHI, *felt(gains), WHOLE_N)
+    found = find_gains(PHI, SURFACE, *felt(gains), WHOLE_N)
     error = found.gains / gains - 1
     assert found.known.mean() > 0.6
     assert error[found.known].std() < 0.03
     assert abs(error[found.known].mean()) < 0.03
     assert (found.gains[~found.known] == 1).all()
-    assert defects_of(found, PHI, SIDE) == []
+    assert defects_of(found, PHI, SURFACE) == []
+
+
+def test_gains_are_found_on_a_tube_of_positions_except_at_its_ends() -> None:
+    positions_m = surfaces.tube(20)
+    skin, phi = surface_of_positions(positions_m.tolist()), sbhe(480, 240, block_size=16)
+    random = np.random.default_rng(4)
+    gains = random.normal(1, 0.1, 480)
+    ends = np.isin(np.arange(480) // 24, (0, 19))
+    along = random.uniform(0, 19 * 0.0068, 3000)
+    angle = random.uniform(0, 2 * np.pi, 3000)
+    centres = np.stack((0.03 * np.cos(angle), 0.03 * np.sin(angle), along), axis=1)
+    apart_m = np.linalg.norm(positions_m - centres[:, None], axis=2)
+    forces = np.clip(1 - (apart_m / 0.018) ** 2, 0, None) * 0.02
+    forces *= 0.3 / forces.sum(axis=1, keepdims=True)
+    read = forces * gains
+    sums = np.asarray(phi.forward(read), np.float64) + random.normal(0, 2e-4, (3000, 240))
+    found = find_gains(phi, skin, sums, read.reshape(3000, 1, 480), 0.3)
+    assert found.cycles == np.sum(~(read > 0.05 * read.max(axis=1, keepdims=True))[:, ends].any(axis=1))
+    assert not found.known[ends].any()
+    assert found.known.mean() > 0.6
+    assert (found.gains / gains - 1)[found.known].std() < 0.03
+    gone = gains.copy()
+    gone[245] = 0.0
+    dead = find_gains(phi, skin, np.asarray(phi.forward(forces * gone)), forces * gone, 0.3)
+    assert [text.split(" feels")[0] for text in defects_of(dead, phi, skin)] == ["taxel 245"]
 
 
 @pytest.mark.heavy
@@ -67,7 +95,7 @@ def test_gains_of_analogue_sums_are_found_beside_those_of_taxels(gains: np.ndarr
     readings = (FORCES.reshape(len(FORCES), -1) * gains).astype(np.float32)
     noise = np.random.default_rng(2).normal(0, 2e-4, (len(readings), PHI.shape[0]))
     sums = with_gains(PHI, readings, PHI.forward(readings), made) + noise
-    found = find_gains(PHI, sums, felt(gains)[1], WHOLE_N, is_analogue=True)
+    found = find_gains(PHI, SURFACE, sums, felt(gains)[1], WHOLE_N, is_analogue=True)
     assert found.sums is not None
     assert (found.gains / gains - 1)[found.known].std() < 0.04
     chains = PHI.taxels_of_blocks[PHI.block_of_sum]
@@ -87,7 +115,7 @@ def test_gains_of_analogue_sums_are_found_beside_those_of_taxels(gains: np.ndarr
 def test_a_dead_taxel_is_named(gains: np.ndarray) -> None:
     broken = gains.copy()
     broken[16 * SIDE + 12] = 0
-    (text,) = defects_of(find_gains(PHI, *felt(broken), WHOLE_N), PHI, SIDE)
+    (text,) = defects_of(find_gains(PHI, SURFACE, *felt(broken), WHOLE_N), PHI, SURFACE)
     assert text.startswith(f"taxel {16 * SIDE + 12} (row 16, column 12) feels ")
 
 
@@ -97,7 +125,7 @@ def test_dead_sums_are_named(gains: np.ndarray) -> None:
     dead = [int(PHI.starts[middle]) + 1, int(np.flatnonzero(PHI.row_of_sum == 0)[0])]
     sums, images = felt(gains)
     sums[:, dead] = np.random.default_rng(3).normal(0, 2e-4, (len(sums), 2))
-    words = defects_of(find_gains(PHI, sums, images, WHOLE_N, is_analogue=True), PHI, SIDE)
+    words = defects_of(find_gains(PHI, SURFACE, sums, images, WHOLE_N, is_analogue=True), PHI, SURFACE)
     named = {f"sum {each} (block {PHI.block_of_sum[each]}, row {PHI.row_of_sum[each]}) feels " for each in dead}
     assert {text[: text.index("feels ") + 6] for text in words} == named
     assert all(text.endswith("% and is not used") for text in words)
@@ -106,9 +134,9 @@ def test_dead_sums_are_named(gains: np.ndarray) -> None:
 def test_too_few_cycles_or_no_force_are_refused(gains: np.ndarray) -> None:
     sums, images = felt(gains)
     with pytest.raises(InputError, match="in 0 cycles, expected 100 or more"):
-        find_gains(PHI, sums[:20], images[:20], WHOLE_N)
+        find_gains(PHI, SURFACE, sums[:20], images[:20], WHOLE_N)
     with pytest.raises(InputError, match="above 0, got -1"):
-        find_gains(PHI, sums, images, -1.0)
+        find_gains(PHI, SURFACE, sums, images, -1.0)
 
 
 def recording(
@@ -233,15 +261,15 @@ def test_a_hundred_cycles_with_the_whole_weight_are_enough(gains: np.ndarray) ->
     inner = np.flatnonzero((np.abs(row - 15.5) < 9) & (np.abs(column - 15.5) < 9))[:100]
     outer = np.flatnonzero(row < 2)[:50]  # part of the weight is beyond the border
     chosen = np.concatenate([outer, inner])
-    assert find_gains(PHI, sums[chosen], images[chosen], WHOLE_N).cycles == 100
+    assert find_gains(PHI, SURFACE, sums[chosen], images[chosen], WHOLE_N).cycles == 100
     with pytest.raises(InputError, match="in 99 cycles, expected 100 or more"):
-        find_gains(PHI, sums[chosen[:-1]], images[chosen[:-1]], WHOLE_N)
+        find_gains(PHI, SURFACE, sums[chosen[:-1]], images[chosen[:-1]], WHOLE_N)
 
 
 @pytest.mark.parametrize("force_n", [0.0, float("inf"), float("nan")])
 def test_a_weight_has_a_force(force_n: float) -> None:
     with pytest.raises(InputError, match="expected the force of the weight, a number of newtons above 0"):
-        find_gains(PHI, np.zeros((1, PHI.shape[0])), np.zeros((1, SIDE, SIDE)), force_n)
+        find_gains(PHI, SURFACE, np.zeros((1, PHI.shape[0])), np.zeros((1, SIDE, SIDE)), force_n)
 
 
 def test_taxels_and_sums_that_feel_less_than_three_tenths_are_named() -> None:
@@ -252,11 +280,11 @@ def test_taxels_and_sums_that_feel_less_than_three_tenths_are_named() -> None:
     other = int(np.flatnonzero(PHI.row_of_sum > 0)[0])
     differential, common_mode = np.ones(PHI.shape[0]), np.zeros(PHI.shape[0])
     differential[[all_ones, other]], common_mode[[all_ones, other]] = 0.5, -0.25
-    words = defects_of(Gains(found, known, 100, SumGains(differential, common_mode)), PHI, SIDE)
+    words = defects_of(Gains(found, known, 100, SumGains(differential, common_mode)), PHI, SURFACE)
     assert words == [
         "taxel 3 (row 0, column 3) feels 29%",
         "taxel 33 (row 1, column 1) feels 0%",
         # The row of all ones has one path: D + C.
         f"sum {all_ones} (block {PHI.block_of_sum[all_ones]}, row 0) feels 25% and is not used",
     ]
-    assert defects_of(Gains(found, known, 100), PHI, SIDE) == words[:2]
+    assert defects_of(Gains(found, known, 100), PHI, SURFACE) == words[:2]

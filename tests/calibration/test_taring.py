@@ -10,6 +10,7 @@ from calibration.calibrator import Calibrator, TareResult
 from calibration.field import FieldFinder
 from canskin.calibration_messages import CalibrationState, ZeroSupport
 from canskin.messages import Measurement
+from skin.surface import grid_surface
 from tests.calibration.helpers import (
     COLUMNS,
     COUNTS,
@@ -31,6 +32,7 @@ from tests.calibration.helpers import (
     still,
     tared,
 )
+from tests.surfaces import tube_layout
 
 MS = 1_000_000
 MEASURING, TOUCHED = CalibrationState.MEASURING, CalibrationState.TOUCHED
@@ -45,7 +47,7 @@ SUM_NOISE_N = NOISE_N * LAYOUT.measurement.block_size**0.5
 
 def place_of(text: str) -> tuple[int, int]:
     """Return the row and the column that a line of the log names."""
-    found = re.search(r"around row (\d+), column (\d+)", text)
+    found = re.search(r"around taxel \d+ \(row (\d+), column (\d+)\)", text)
     assert found is not None
     return int(found[1]), int(found[2])
 
@@ -199,7 +201,9 @@ def test_wrong_offsets_that_are_loaded_are_used_until_a_zero_is_measured() -> No
     last = skin.run(4.0, still(OFFSETS + hand))
     assert skin.calibrator.state is TOUCHED
     counts = np.frombuffer(last.sums, "<i4") - np.frombuffer(last.offsets, "<i4")
-    field = FieldFinder(PHI, ROWS, COLUMNS).find(counts * NEWTON_PER_COUNT, np.ones(PHI.shape[0], np.bool_), 0.0)
+    field = FieldFinder(PHI, grid_surface(ROWS, COLUMNS, 0.004, np.zeros(0, np.intp))).find(
+        counts * NEWTON_PER_COUNT, np.ones(PHI.shape[0], np.bool_), 0.0
+    )
     assert field.force_n.sum() == pytest.approx(hand.sum(), rel=0.15)
     assert error_n(skin.run(4.0, still(OFFSETS)), ZERO) < 1.2 * SUM_NOISE_N
 
@@ -258,7 +262,7 @@ REGION, STANDING = (10, 10, 17, 17), pressed_counts(10, 10, 8, 80)
 def felt_n(skin: Cycles, applied: Measurement) -> Floats:
     """Return the field of corrected sums, newtons, shape (32, 32)."""
     counts = np.frombuffer(applied.sums, "<i4") - np.frombuffer(applied.offsets, "<i4")
-    finder = FieldFinder(SMALL_PHI, 32, 32)
+    finder = FieldFinder(SMALL_PHI, grid_surface(32, 32, 0.004, np.zeros(0, np.intp)))
     return finder.find(counts * SMALL_COUNT_N, np.ones(SMALL_SUMS, np.bool_), 1e-4).force_n.reshape(32, 32)
 
 
@@ -296,3 +300,21 @@ def test_a_region_of_a_skin_without_zero_is_refused() -> None:
     assert skin.made.state is MEASURING
     skin.run(8.1)
     assert skin.made.state is FOLLOWING
+
+
+def test_a_tube_of_positions_is_tared_and_what_stands_on_it_is_named_by_number_and_settled() -> None:
+    layout, said = tube_layout(sync={"rate_hz": 40.0}, sampling={"rate_hz": 1000.0}), []
+    skin: Skin[Calibrator] = Skin(Calibrator(layout, say=said.append), layout=layout)
+    offsets = np.random.default_rng(1).uniform(0, 0.002, 480)
+    positions_m = layout.taxels.surface.positions_m
+    weight = 0.01 * np.exp(-(np.linalg.norm(positions_m - positions_m[245], axis=1) ** 2) / (2 * 0.008**2))
+    skin.run(3.0, still(offsets))
+    assert skin.calibrator.state is CalibrationState.FOLLOWING
+    skin.run(9.0, still(offsets + weight))
+    assert skin.calibrator.status().doubtful_taxels > 10
+    named = int(re.search(r"a force around taxel (\d+) stands still", said[-1])[1])  # type: ignore[index]
+    assert np.linalg.norm(positions_m[named] - positions_m[245]) < 0.008
+    skin.calibrator.tare(region=(0, 190, 0, 310))  # from taxel 190 to 310
+    skin.run(4.0, still(offsets + weight))
+    assert said[-2].startswith("zero of 121 taxels")
+    assert said[-1] == "no force is doubtful any more"

@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 
 from classifier.features import WIDTHS, Smoothed, widths_for
-from skin.layout import Layout
 from skin.measurement import Sbhe, sbhe
+from skin.surface import surface_of_positions
+from tests import surfaces
 
 
 def measured(phi: Sbhe, sums: np.ndarray, valid: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-    smoothed = Smoothed(phi, 32, 32)
+    smoothed = Smoothed(phi, surfaces.grid(32, 32))
     whole = np.ones(phi.blocks, np.float32) if valid is None else valid
     smoothed.measure(sums.astype(np.int32), whole, float(whole.mean()))
     return smoothed.energies, smoothed.peaks
@@ -54,14 +55,14 @@ def test_energy_grows_with_the_square(phi: Sbhe, sums: np.ndarray) -> None:
     np.testing.assert_allclose(peaks3, 3 * peaks, rtol=1e-4)
 
 
-def test_widths_fit_the_array(layout: Layout) -> None:
-    assert widths_for(64, 64) == WIDTHS
-    assert max(widths_for(32, 64)) <= 8
-    assert widths_for(8, 8)
+def test_widths_fit_the_array() -> None:
+    assert widths_for(surfaces.grid(64, 64)) == WIDTHS
+    assert max(widths_for(surfaces.grid(32, 64))) <= 8
+    assert widths_for(surfaces.grid(8, 8))
 
 
 def test_measuring_allocates_nothing_worth_mentioning(phi: Sbhe, sums: np.ndarray) -> None:
-    smoothed = Smoothed(phi, 32, 32)
+    smoothed = Smoothed(phi, surfaces.grid(32, 32))
     valid = np.ones(phi.blocks, np.float32)
     valid[0] = 0
     narrow = sums.astype(np.int32)
@@ -80,7 +81,61 @@ def test_measuring_allocates_nothing_worth_mentioning(phi: Sbhe, sums: np.ndarra
 
 def test_no_product_of_two_weights_is_subnormal() -> None:
     """Processors multiply subnormal numbers a hundred times slower, and a tail of that size changes no figure."""
-    smoothed = Smoothed(sbhe(4096, 1024), 64, 64)
+    smoothed = Smoothed(sbhe(4096, 1024), surfaces.grid(64, 64))
     for stage in smoothed._stages:
         weights = np.concatenate([stage._left.ravel(), stage._right.ravel()])
         assert (weights[weights > 0].astype(np.float64) ** 2).min() >= np.finfo(np.float32).tiny
+
+
+def patch(rows: int, columns: int) -> np.ndarray:
+    """Return positions of a lattice of triangles 4 mm apart."""
+    row, column = np.divmod(np.arange(rows * columns), columns)
+    return 0.004 * np.stack((column + 0.5 * (row % 2), row * np.sqrt(0.75), np.zeros(row.size)), axis=1)
+
+
+def test_features_of_a_grid_are_those_of_its_taxels_at_positions(phi: Sbhe, sums: np.ndarray) -> None:
+    skin = surface_of_positions(surfaces.places(32, 32).tolist())
+    assert widths_for(skin) == widths_for(surfaces.grid(32, 32))
+    smoothed = Smoothed(phi, skin)
+    smoothed.measure(sums.astype(np.int32), np.ones(phi.blocks, np.float32), 1.0)
+    energies, peaks = measured(phi, sums)
+    fine = np.array(WIDTHS[: energies.size]) < 2
+    np.testing.assert_allclose(smoothed.energies[fine], energies[fine], rtol=1e-2)
+    np.testing.assert_allclose(smoothed.peaks[fine], peaks[fine], rtol=1e-2)
+    np.testing.assert_allclose(smoothed.energies, energies, rtol=0.15)  # wide ones are looked at in other places
+    np.testing.assert_allclose(smoothed.peaks, peaks, rtol=0.15)
+
+
+def test_features_do_not_depend_on_where_on_a_lattice_the_object_is() -> None:
+    positions_m, whole = patch(32, 32), sbhe(1024, 1024, block_size=32)
+    skin = surface_of_positions(positions_m.tolist())
+    smoothed = Smoothed(whole, skin, means=True)
+    inner = np.array(widths_for(skin)) <= 3  # wider ones reach over the border
+    seen = []
+    for row in range(12, 20, 2):
+        for column in range(12, 20):
+            apart = np.linalg.norm(positions_m - positions_m[32 * row + column], axis=1) / 0.004
+            object_counts = np.rint(np.where(apart < 2.5, 300 - 30 * apart**2, 0)).astype(np.int32)
+            smoothed.measure(whole.forward(object_counts), np.ones(32, np.float32), 1.0)
+            seen.append(np.concatenate((smoothed.energies[inner], smoothed.peaks[inner])))
+    assert inner.sum() == 5
+    spread = np.std(seen, axis=0) / np.mean(seen, axis=0)
+    assert spread[:5].max() < 0.005
+    assert spread[5:].max() < 0.04  # the middle of the object may lie between the places that are looked at
+
+
+def test_what_presses_on_one_side_of_a_thin_skin_is_not_seen_on_the_other() -> None:
+    front = surfaces.places(16, 16)
+    both = np.c_[np.r_[front, front - (0, 0, 0.002)], np.repeat(((0, 0, 1), (0, 0, -1)), 256, axis=0)]
+    whole = sbhe(512, 512, block_size=32)
+    force = np.zeros(512, np.int32)
+    force[100:110] = 500
+    found = []
+    for skin in (surface_of_positions(both.tolist()), surface_of_positions(both[:, :3].tolist()[:256])):
+        count = len(skin.positions_m)
+        phi = whole if count == 512 else sbhe(256, 256, block_size=32)
+        smoothed = Smoothed(phi, skin, means=True)
+        smoothed.measure(phi.forward(force[:count]), np.ones(phi.blocks, np.float32), 1.0)
+        found.append((smoothed.energies * count, smoothed.peaks))
+    for one, other in zip(*found, strict=True):
+        np.testing.assert_allclose(one[:3], other[:3], rtol=1e-3)

@@ -11,6 +11,7 @@ from classifier.observer import Observer
 from classifier.samples import observe_untouched
 from skin.layout import Layout
 from skin.measurement import Sbhe
+from tests import surfaces
 
 
 @pytest.mark.parametrize("noise_ratio", [1.0, 2.0, 4.5])
@@ -19,10 +20,10 @@ def test_an_untouched_skin_looks_the_same_whatever_its_noise_when_that_is_told(
 ) -> None:
     rng = np.random.default_rng(5)
     no_touch = observe_untouched(layout, phi, 0.001, 400, rng).no_touch
-    observer = Observer(phi, layout.taxels.rows, layout.taxels.columns, no_touch)
+    observer = Observer(phi, layout.taxels.surface, no_touch)
     # Counts of taxels without an end of their range: noise alone, in proportion.
     sums = phi.forward(rng.normal(0, 0.001 / layout.taxels.newton_per_count, (400, layout.taxels.count)))
-    widths, whole = len(widths_for(layout.taxels.rows, layout.taxels.columns)), np.ones(phi.blocks, np.float32)
+    widths, whole = len(widths_for(layout.taxels.surface)), np.ones(phi.blocks, np.float32)
 
     def seen(ratio: float) -> tuple[float, np.ndarray]:
         peaks, energies = [], []
@@ -39,7 +40,7 @@ def test_an_untouched_skin_looks_the_same_whatever_its_noise_when_that_is_told(
 def test_features_and_peak_are_relative_to_the_untouched_skin(phi: Sbhe) -> None:
     """A quarter of the blocks gives a quarter of the energy, and half the peak."""
     energy_mean, energy_sd, peak_mean, peak_sd = np.array([[4.0, 1.0], [2.0, 4.0], [0.5, 8.0], [0.25, 2.0]])
-    observer = Observer(phi, 32, 32, np.array([energy_mean, energy_sd, peak_mean, peak_sd]))
+    observer = Observer(phi, surfaces.grid(32, 32), np.array([energy_mean, energy_sd, peak_mean, peak_sd]))
     seen: list[tuple[Any, ...]] = []
     smoothed: Any = SimpleNamespace(
         measure=lambda *given: seen.append(given), energies=np.array([40.0, 3.0]), peaks=np.array([6.0, 0.1])

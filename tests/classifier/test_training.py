@@ -1,16 +1,20 @@
 """Training: what comes out, that it repeats, and what is refused."""
 
+from pathlib import Path
+
 import msgspec
 import numpy as np
 import pytest
 
-from canskin.errors import InputError
+from canskin.errors import InputError, ModelError
 from classifier.decide import Classifier
 from classifier.model import Model
+from classifier.modelfile import load_model, save_model
 from classifier.samples import simulate_sums
 from classifier.training import TrainingOptions, train
 from skin.layout import Layout
 from skin.measurement import Sbhe
+from tests import surfaces
 
 Labelled = tuple[np.ndarray, np.ndarray]
 
@@ -44,6 +48,30 @@ def test_card_tells_data_split_and_confusion(model: Model) -> None:
     assert list(card.per_object.values()) == pytest.approx(list(confusion.diagonal() / confusion.sum(axis=1)))
     assert card.data == "given images"
     assert card.unknown_ratio < 0.2
+
+
+def on_tube(skin: Layout, count: int, seed: int) -> Labelled:
+    """Return blunt "dome"s and flat "plate"s anywhere on a tube, 4 to 10 mN deep."""
+    rng, positions_m = np.random.default_rng(seed), skin.taxels.surface.positions_m
+    labels = np.array([("dome", "plate")[index % 2] for index in range(count)])
+    middles = positions_m[rng.integers(0, len(positions_m), count)] + rng.normal(0, 0.002, (count, 3))
+    apart = np.linalg.norm(positions_m - middles[:, None], axis=2) / skin.taxels.surface.pitch_m
+    profiles = np.where((labels == "dome")[:, None], 1 - (apart / 2.5) ** 2, apart < 4)
+    force_n = rng.uniform(0.004, 0.01, (count, 1)) * np.clip(profiles, 0, 1)
+    return force_n.astype(np.float32).reshape(count, 1, -1), labels
+
+
+def test_a_skin_of_positions_is_trained_and_its_model_is_for_its_surface_alone(tmp_path: Path) -> None:
+    slow = {"sync": {"rate_hz": 20.0}}
+    skin, other = (surfaces.tube_layout(20, radius_m, **slow) for radius_m in (0.03, 0.031))
+    model = train(*on_tube(skin, 240, 1), skin, options=TrainingOptions(no_touches=3000))
+    assert accuracy(model, skin, skin.phi(), on_tube(skin, 200, 2)) > 0.95
+    save_model(model, tmp_path / "tube.npz")
+    loaded = load_model(tmp_path / "tube.npz", skin, skin.phi())
+    assert accuracy(loaded, skin, skin.phi(), on_tube(skin, 20, 2)) > 0.95
+    assert other.phi().fingerprint == skin.phi().fingerprint
+    with pytest.raises(ModelError, match=r"trained for another skin \(positions"):
+        load_model(tmp_path / "tube.npz", other, other.phi())
 
 
 @pytest.mark.heavy

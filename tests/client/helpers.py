@@ -63,7 +63,7 @@ def image(cycle: int, valid: bytes = bytes((1, 1))) -> Image:
 
 
 def contacts(cycle: int, force_n: float = 0.5, *, blind: bool = False) -> Contacts:
-    touch = make.contact(row=1.0, column=2.0, force_n=force_n)
+    touch = make.contact(row=1.0, column=2.0, position_m=(0.002, -0.004, 0.0), force_n=force_n)
     return make.contacts(cycle, *[touch] * (not blind), sampled_mono_ns=at_ns(cycle), blind=blind)
 
 

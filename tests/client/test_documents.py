@@ -3,6 +3,8 @@
 import importlib.util
 import re
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -29,7 +31,7 @@ def test_reading_of_a_running_skin(endpoint: str, capsys: pytest.CaptureFixture[
         exec(block("canskin.connect").replace("tcp/127.0.0.1:7447", endpoint).replace("500", "20"), {})  # noqa: S102
     finally:
         chain.close()
-    assert "0.500 N at row 1.0, column 2.0: cup" in capsys.readouterr().out
+    assert "0.500 N at 2.0, -4.0, 0.0 mm: cup" in capsys.readouterr().out
 
 
 @needs_application
@@ -46,6 +48,29 @@ def test_solver_and_classifier_on_arrays(capsys: pytest.CaptureFixture[str]) -> 
     peak_n, label = capsys.readouterr().out.split(maxsplit=1)
     assert float(peak_n) == pytest.approx(0.01, rel=0.2)
     assert label.strip()
+
+
+@needs_application
+def test_images_of_codes_that_change(capsys: pytest.CaptureFixture[str]) -> None:
+    exec(block("reconstruct("), {})  # noqa: S102
+    peak_n, error_n = map(float, capsys.readouterr().out.split())
+    assert peak_n == pytest.approx(0.01, rel=0.02)
+    assert error_n < 0.0002
+
+
+def test_a_program_is_the_source_of_sums() -> None:
+    import numpy as np
+
+    from canskin.messages import MEASUREMENT, CycleMeasurement
+
+    names: dict[str, Any] = {}
+    exec(block("def publish"), names)  # noqa: S102
+    sent: list[tuple[object, CycleMeasurement]] = []
+    fabric = SimpleNamespace(publish=lambda *message: sent.append(message))
+    names["publish"](fabric, 241, np.array([3, -4]), np.array([True, False]), "f")
+    ((topic, made),) = sent
+    assert topic is MEASUREMENT
+    assert (made.sync_counter, made.valid, np.frombuffer(made.sums, "<i4").tolist()) == (1, b"\1\0", [3, -4])
 
 
 def test_simulation_without_the_application_is_one_clear_error(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from canskin import description as description_module
+from canskin.description import Description
+from canskin.errors import InputError
 from canskin.frame import FrameBuilder
 from tests.client.helpers import contacts, description, image, label, measurement
 
@@ -26,6 +28,7 @@ def test_a_frame_has_what_its_messages_have(builder: FrameBuilder) -> None:
     (frame,) = builder.take(contacts(3))
     assert np.array_equal(frame.image, np.arange(16, dtype=np.float32).reshape(4, 4))
     assert frame.image.dtype == np.float32
+    assert frame.forces.tolist() == list(range(16))
     assert frame.valid.all()
     assert frame.sums.tolist() == [10, 20, 30, 40]
     assert frame.valid_sums.all()
@@ -172,7 +175,16 @@ def test_arrays_are_read_only(builder: FrameBuilder) -> None:
     builder.take(measurement(1))
     builder.take(image(1))
     (frame,) = builder.take(contacts(1))
-    for array in (frame.image, frame.estimate, frame.valid, frame.doubtful, frame.sums, frame.valid_sums):
+    for array in (
+        frame.forces,
+        frame.image,
+        frame.positions,
+        frame.estimate,
+        frame.valid,
+        frame.doubtful,
+        frame.sums,
+        frame.valid_sums,
+    ):
         assert not array.flags.writeable
 
 
@@ -196,6 +208,31 @@ def test_gaps_of_the_grid_are_never_valid() -> None:
     (frame,) = builder.take(contacts(1))
     assert np.flatnonzero(~frame.valid.ravel()).tolist() == [15]
     assert np.flatnonzero(np.isnan(frame.image.ravel())).tolist() == [15]
+
+
+def test_a_skin_that_is_no_grid_has_forces_at_positions_and_no_image() -> None:
+    places_m = np.random.default_rng(0).uniform(-0.02, 0.02, (16, 3)).astype("<f4")
+    tube = {"rows": 1, "columns": 16, "is_grid": False, "positions": places_m.tobytes()}
+    about = msgspec.structs.replace(description(), **tube, normals=np.tile(np.eye(3, dtype="<f4")[2], 16).tobytes())
+    builder = FrameBuilder(msgspec.msgpack.decode(msgspec.msgpack.encode(about), type=Description))
+    builder.take(image(1, valid=bytes((1, 0))))
+    (frame,) = builder.take(contacts(1))
+    assert np.array_equal(frame.positions, places_m)
+    assert np.array_equal(frame.normals, np.tile((0, 0, 1), (16, 1)))
+    assert np.array_equal(np.isnan(frame.forces), ~EVEN.ravel())
+    for array in (frame.estimate, frame.valid, frame.doubtful):
+        assert array.shape == frame.forces.shape == (16,)
+    with pytest.raises(InputError, match=r"'palm' is no grid .* frame.forces"):
+        _ = frame.image
+
+
+def test_a_description_of_an_older_gateway_is_that_of_a_grid() -> None:
+    fields = msgspec.to_builtins(description())
+    for name in ("is_grid", "positions", "normals"):
+        del fields[name]
+    about = msgspec.convert(fields, Description)
+    assert about.shape == (4, 4)
+    assert about.positions_m.shape == about.unit_normals.shape == (0, 3)
 
 
 def test_a_description_tells_block_and_row_of_each_sum() -> None:

@@ -6,7 +6,8 @@ import msgspec
 import pytest
 
 from canskin.errors import UNDECODABLE
-from canskin.messages import MEASUREMENT, AdaptiveMeasurement, CycleMeasurement
+from canskin.messages import CONTACTS, MEASUREMENT, AdaptiveMeasurement, CycleMeasurement
+from tests import messages as make
 
 SHARED: dict[str, Any] = {
     "cycle": 1,
@@ -37,3 +38,12 @@ def test_a_measurement_of_an_earlier_version_is_read() -> None:
 def test_what_is_no_measurement_is_refused(content: object) -> None:
     with pytest.raises(UNDECODABLE):
         MEASUREMENT.decoder()(msgspec.msgpack.encode(content))
+
+
+def test_a_contact_of_an_earlier_version_has_no_position() -> None:
+    now = make.contact(position_m=(1.0, 2.0, 3.0), normal=(1.0, 0.0, 0.0))
+    told = msgspec.to_builtins(make.contacts(1, now))
+    assert CONTACTS.decoder()(msgspec.msgpack.encode(told)).contacts == [now]
+    del told["contacts"][0]["position_m"], told["contacts"][0]["normal"]
+    (found,) = CONTACTS.decoder()(msgspec.msgpack.encode(told)).contacts
+    assert (found.position_m, found.normal) == ((0.0, 0.0, 0.0), (0.0, 0.0, -1.0))

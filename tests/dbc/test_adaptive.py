@@ -1,6 +1,6 @@
 """Codes of adaptive sums, and identifiers that carry urgency."""
 
-from itertools import combinations
+from itertools import combinations, product
 
 import numpy as np
 import pytest
@@ -8,22 +8,21 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dbc.adaptive import (
-    BLOCK_SUMS,
     FINE_LEVELS,
     FINE_LIMIT,
     FINE_REACH,
     FIRST_COB_ID,
     GROUP_SUMS,
+    KINDS,
     LEVELS,
     MEAN_CODES,
-    NODES,
     OTHER_CODES,
     PAUSE_MS,
     SAVED_FRAMES,
     SAVING_S,
-    TPDOS,
     Companding,
     SendingRule,
+    carried,
     check_of,
     coarse_code,
     coarse_step,
@@ -36,8 +35,10 @@ from dbc.adaptive import (
     pack_fine,
     unpack_fine,
 )
+from skin.sending import IDENTIFIERS
+from tests.layouts import BLOCK_SUMS
 
-LAW = companding(0.02, 0.5e-3)
+LAW = companding(0.02, 0.5e-3, BLOCK_SUMS)
 TOP_N = 32 * 0.02
 
 
@@ -110,22 +111,19 @@ def test_a_check_tells_every_change_of_one_byte_and_all_but_one_in_255_of_two() 
         assert (changed[one][:, None] == changed[two]).sum() == 255
 
 
-def test_identifiers_belong_to_one_frame_and_go_from_urgent_to_fine() -> None:
-    found = {}
-    for node in range(NODES):
-        for group in range(4):
-            for level in range(LEVELS):
-                found[cob_id(node, level, group, False)] = (node + 1, level, group, False)
-            for level in range(2):
-                found[cob_id(node, level, group, True)] = (node + 1, level, group, True)
-    assert sorted(found) == list(range(FIRST_COB_ID, FIRST_COB_ID + NODES * TPDOS))
-    assert max(found) == 0x580
-    assert all(frame_of(identifier) == frame for identifier, frame in found.items())
+@pytest.mark.parametrize("is_fd", [False, True])
+@pytest.mark.parametrize("groups", [1, 2, 4, 8])
+def test_identifiers_belong_to_one_frame_and_go_from_urgent_to_fine(groups: int, is_fd: bool) -> None:
+    found, firsts = {}, range(0, groups, carried(groups, is_fd))
+    nodes = IDENTIFIERS // len(firsts)
+    kinds = [*[(level, False) for level in range(LEVELS)], *[(level, True) for level in range(FINE_LEVELS)]]
+    for node, group, (level, is_fine) in product(range(nodes), firsts, kinds):
+        found[cob_id(node, level, group, is_fine, groups)] = (node + 1, level, group, is_fine)
+    assert sorted(found) == list(range(FIRST_COB_ID, 0x581))
+    assert all(frame_of(identifier, groups=groups, is_fd=is_fd) == frame for identifier, frame in found.items())
     # Any news before any of a lower level, and before all details, whichever the node.
-    assert cob_id(31, 5, 3, False) < cob_id(0, 4, 0, False)
-    assert cob_id(31, 0, 3, False) < cob_id(0, 1, 0, True) < cob_id(0, 0, 0, True)
-    assert cob_id(0, 5, 0, False) == FIRST_COB_ID
-    assert cob_id(0, 0, 3, True) == FIRST_COB_ID + NODES * (TPDOS - 1)
+    order = [(is_fine, -level) for _, (_, level, _, is_fine) in sorted(found.items())]
+    assert order == sorted(order)
 
 
 def test_numbers_are_those_of_the_document() -> None:
@@ -145,8 +143,8 @@ def test_numbers_are_those_of_the_document() -> None:
         "zero_refreshes": 6,
         "patience": 24,
     }
-    assert (BLOCK_SUMS, GROUP_SUMS, LEVELS, FINE_LEVELS, TPDOS, NODES) == (32, 8, 6, 2, 32, 32)
-    assert (PAUSE_MS, SAVING_S, SAVED_FRAMES) == (2, 0.25, 8)
+    assert (GROUP_SUMS, LEVELS, FINE_LEVELS, KINDS, IDENTIFIERS) == (8, 6, 2, 8, 128)
+    assert (PAUSE_MS, SAVING_S, SAVED_FRAMES) == (2, 0.25, 2)
     assert (FINE_REACH, FINE_LIMIT, LAW.fine_n) == (64, 62, 0.5e-3 / 8)
 
 
@@ -170,7 +168,7 @@ def test_the_check_is_the_crc_8_of_autosar() -> None:
 
 
 @pytest.mark.parametrize("is_mean", [False, True])
-@pytest.mark.parametrize("law", [LAW, companding(0.02, 0.02), companding(0.02, 1e-6)])
+@pytest.mark.parametrize("law", [LAW, companding(0.02, 0.02, BLOCK_SUMS), companding(0.02, 1e-6, BLOCK_SUMS)])
 def test_sums_have_the_same_code_or_another(is_mean: bool, law: Companding) -> None:
     rng = np.random.default_rng(3)
     one_n = rng.normal(0, 1, 4000) * 10 ** rng.uniform(-5, 0.5, 4000)

@@ -9,15 +9,15 @@ import pytest
 
 from canskin.errors import LayoutError
 from dbc import indices as od
-from dbc.adaptive import GROUP_SUMS, TPDOS, coarse_code, coarse_value, fine_steps, frame_of, pack_fine
+from dbc.adaptive import GROUP_SUMS, coarse_code, coarse_value, fine_steps, frame_of, pack_fine
 from dbc.configuration import configuration
 from dbc.contract import Contract
 from dbc.database import database
 from dbc.dictionary import dictionary
 from dbc.eds import eds, node_types
 from skin.layout import parse_layout
-from skin.walsh import GROUPS, walsh_matrix
-from tests.layouts import ADAPTIVE, buses, small_layout
+from skin.walsh import walsh_matrix
+from tests.layouts import ADAPTIVE, GROUPS, TPDOS, buses, small_layout
 
 TEXT = """
 sending = "adaptive"
@@ -45,7 +45,7 @@ def test_every_frame_of_a_bus_has_an_identifier_of_its_own(contract: Contract) -
     assert sorted(identifiers) == list(range(0x181, 0x581))
     for node in contract.on_bus(2):
         for tpdo in node.adaptive_tpdos:
-            assert frame_of(tpdo.cob_id) == (node.node_id, tpdo.level, tpdo.group, tpdo.is_fine)
+            assert frame_of(tpdo.cob_id, groups=GROUPS) == (node.node_id, tpdo.level, tpdo.group, tpdo.is_fine)
 
 
 def test_coarse_frames_go_first_and_the_most_urgent_of_them(contract: Contract) -> None:
@@ -138,7 +138,11 @@ def test_one_eds_describes_all_boards(contract: Contract) -> None:
     ("change", "words"),
     [
         (('wiring = "board"', 'wiring = "scattered"'), "$.measurement.wiring"),
-        (('wiring = "board"', 'wiring = "board"\nblock_size = 64'), "$.measurement.block_size"),
+        (('wiring = "board"', 'wiring = "board"\nblock_size = 128'), "$.measurement.block_size"),
+        (
+            ("[sync]", 'block_size = 64\n[[bus]]\nname = "a"\nnodes = 64\n[sync]'),
+            "at most 16 nodes",
+        ),
         (('wiring = "board"', 'wiring = "board"\nsums = 1024'), "$.measurement.sums"),
         (("rate_hz = 10.0", "rate_hz = 100.0"), "$.sync.rate_hz"),
         (("[sync]", "[sampling]\nrate_hz = 500\n[sync]"), "$.sampling.rate_hz"),

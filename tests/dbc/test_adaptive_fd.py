@@ -9,15 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dbc.adaptive import (
-    BLOCK_SUMS,
-    FINE_LIMIT,
-    NO_CHECK,
-    coarse_code,
-    coarse_value,
-    frame_of,
-    hold,
-)
+from dbc.adaptive import FINE_LIMIT, NO_CHECK, coarse_code, coarse_value, frame_of, hold
 from dbc.configuration import configuration
 from dbc.contract import Contract, sum_frame_bits
 from dbc.database import database
@@ -25,8 +17,7 @@ from dbc.dictionary import dictionary
 from dbc.eds import eds, node_types
 from nodes.adaptive.sending import make_payload, new_groups
 from skin.layout import load_layout
-from skin.walsh import GROUPS
-from tests.layouts import ADAPTIVE, buses, small_layout
+from tests.layouts import ADAPTIVE, BLOCK_SUMS, GROUPS, buses, small_layout
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +31,7 @@ def test_every_frame_of_127_nodes_has_an_identifier_of_its_own() -> None:
     assert len({tpdo.cob_id for _, tpdo in tpdos}) == 8 * 127
     assert all(0x181 <= tpdo.cob_id < 0x580 for _, tpdo in tpdos)
     for node, tpdo in tpdos:
-        assert frame_of(tpdo.cob_id, is_fd=True) == (node.node_id, tpdo.level, 0, tpdo.is_fine)
+        assert frame_of(tpdo.cob_id, groups=GROUPS, is_fd=True) == (node.node_id, tpdo.level, 0, tpdo.is_fine)
     order = [(tpdo.is_fine, -tpdo.level, node.node_id) for node, tpdo in sorted(tpdos, key=lambda each: each[1].cob_id)]
     assert order == sorted(order)
 
@@ -63,7 +54,7 @@ def test_the_mapping_fills_the_frame_and_is_proven(contract: Contract) -> None:
 def test_a_frame_of_all_groups_takes_no_longer_than_a_classic_frame_of_one(contract: Contract) -> None:
     """At 1 and 5 Mbit/s; docs/adaptive.md names these bits."""
     line = contract.layout.bus[0]
-    assert [sum_frame_bits(line, is_fine=is_fine) for is_fine in (False, True)] == [104, 168]
+    assert [sum_frame_bits(line, GROUPS, is_fine=is_fine) for is_fine in (False, True)] == [104, 168]
 
 
 @pytest.mark.heavy
@@ -73,7 +64,7 @@ def test_a_fine_frame_alone_tells_all_sums(seed: int, size_n: float) -> None:
     law = Contract.from_layout(load_layout(Path("adaptive-fd"))).law
     sums_n = np.random.default_rng(seed).uniform(-16, 16, BLOCK_SUMS).astype(np.float32) * np.float32(size_n)
     sums_n[0] = 2 * abs(sums_n[0])
-    groups, payload = new_groups(1, True), np.zeros(64, np.uint8)
+    groups, payload = new_groups(1, GROUPS, True), np.zeros(64, np.uint8)
     groups.is_fine[:] = 1
     assert make_payload(0, 0, sums_n, law, groups, payload) == 64
     value_n, coarse_n, check = np.zeros(BLOCK_SUMS), np.zeros(BLOCK_SUMS), np.full(GROUPS, NO_CHECK, np.int64)
@@ -91,7 +82,7 @@ def test_cantools_decodes_all_groups() -> None:
     described: Any = cantools.database.load_string(database(contract, 1), "dbc", strict=True)
     node, law = contract.on_bus(1)[3], contract.law
     coarse, fine = (next(each for each in node.adaptive_tpdos if each.is_fine is kind) for kind in (False, True))
-    groups, payload = new_groups(1, True), np.zeros(64, np.uint8)
+    groups, payload = new_groups(1, GROUPS, True), np.zeros(64, np.uint8)
     groups.is_fine[:] = 1
     sums_n = np.random.default_rng(1).uniform(-0.01, 0.01, BLOCK_SUMS).astype(np.float32)
     make_payload(0, 0, sums_n, law, groups, payload)

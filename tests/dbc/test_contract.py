@@ -18,7 +18,7 @@ from dbc.dictionary import dictionary
 from dbc.frame import BRS, FD, FD_LENGTHS
 from skin.layout import Bus, Encoding, Layout, PhiParameters, Taxels, load_layout
 from skin.sync_counter import SYNC_OVERFLOW, next_counter
-from tests.layouts import IDENTITIES, alternating, with_identity
+from tests.layouts import GROUPS, IDENTITIES, alternating, with_identity
 
 CONTRACT = Contract.from_layout(load_layout())
 ALTERNATING = Contract.from_layout(alternating(load_layout()))
@@ -269,10 +269,10 @@ def test_a_node_with_many_frames_has_identifiers_of_unused_node_ids(
 
 def test_a_frame_of_adaptive_sums_takes_135_bits_and_tells_of_a_sample_a_millisecond_before() -> None:
     line = load_layout(Path("adaptive")).bus[0]
-    assert [sum_frame_bits(line, is_fine=is_fine) for is_fine in (False, True)] == [135, 135]
-    assert sample_age_ns(line) == 1_000_000 + 135_000
+    assert [sum_frame_bits(line, GROUPS, is_fine=is_fine) for is_fine in (False, True)] == [135, 135]
+    assert sample_age_ns(line, GROUPS) == 1_000_000 + 135_000
     slow = msgspec.structs.replace(line, bitrate=500_000)
-    assert (sum_frame_bits(slow, is_fine=True), sample_age_ns(slow)) == (135, 1_000_000 + 270_000)
+    assert (sum_frame_bits(slow, GROUPS, is_fine=True), sample_age_ns(slow, GROUPS)) == (135, 1_000_000 + 270_000)
 
 
 def test_a_coarse_step_near_0_is_half_a_millinewton_of_twenty() -> None:

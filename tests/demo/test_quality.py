@@ -1,9 +1,11 @@
 """How many sums are enough: simulated touches, image by image."""
 
+import numpy as np
 import pytest
 
 from canskin.errors import InputError, RunError
 from demo.quality import qualities
+from skin.matrix import signs_of
 from tests.layouts import ADAPTIVE_SKIN, small_layout
 
 MAT = small_layout(15, 17, sampling={"rate_hz": 1000.0})
@@ -24,3 +26,12 @@ def test_what_cannot_be_judged() -> None:
         qualities(ADAPTIVE_SKIN)
     with pytest.raises(RunError, match="nothing touched"):
         qualities(MAT, touches_s=0.1)
+
+
+def test_a_matrix_is_judged_as_it_is() -> None:
+    """Codes that change from frame to frame, one sum for five taxels."""
+    codes = np.random.default_rng(1).integers(0, 2, (100, 20, 100))
+    wire = small_layout(10, 10, measurement={"ensemble": "matrix", "matrix": signs_of(codes)})
+    (found,) = qualities(wire, touches_s=3.0)
+    assert (found.sums, found.sums_per_taxel) == (20, 0.2)
+    assert found.psnr_image_db > found.psnr_sensor_db

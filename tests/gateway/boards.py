@@ -18,10 +18,10 @@ from dbc.frame import Frames, frames
 from gateway.adaptive_gathering import RATES_HZ
 from gateway.loop import GatewayLoop
 from nodes.adaptive.sending import NEWS, Groups, decide, make_payload, new_groups, note_sent
-from skin.walsh import GROUPS, grouped_rows
+from skin.walsh import grouped_rows
 from tests.bus.harness import frame
 from tests.gateway.helpers import Wire
-from tests.layouts import ADAPTIVE, buses, small_layout
+from tests.layouts import ADAPTIVE, GROUPS, buses, small_layout
 from tests.nodes.adaptive_bus import due_frames
 
 STEP_S = 0.005
@@ -70,7 +70,7 @@ class Board:
         self.boot()
 
     def boot(self) -> None:
-        self.groups: Groups = new_groups(1, self.line.fd)
+        self.groups: Groups = new_groups(1, GROUPS, self.line.fd)
         self.forced = 0
         self.state, self.beat_s, self.is_up = NmtState.PRE_OPERATIONAL, 0.0, False
 

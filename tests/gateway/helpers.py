@@ -40,8 +40,11 @@ class Shaking:
 
     has_noise = True
 
+    def __init__(self, shape: tuple[int, int]) -> None:
+        self._shape = shape
+
     def frame(self, step: int) -> Frame:
-        force_n = np.random.default_rng(step).uniform(0.004, 0.016, (8, 16)).astype(np.float32)
+        force_n = np.random.default_rng(step).uniform(0.004, 0.016, self._shape).astype(np.float32)
         return Frame(force_n, "")
 
 
@@ -52,7 +55,8 @@ class Witness(Electronics):
     reads = 0
 
     def read(self, force_n: npt.NDArray[np.float32], step: int = 0) -> npt.NDArray[np.int32]:
-        raw = to_counts(force_n.ravel(), self.taxels)
+        raw = np.zeros(self.gain.shape, np.int32)
+        raw[: force_n.size] = to_counts(force_n.ravel(), self.taxels)
         self.reads += 1
         self.counts = np.clip(np.rint(self.gain * raw + self.offset), 0, self.taxels.count_max).astype(np.int32)
         return super().read(force_n, step)
@@ -62,7 +66,8 @@ class WitnessSampler(Sampler):
     """A sampler that remembers the sums of these counts by SYNC counter and by the time of SYNC; newest wins."""
 
     def __init__(self, phi: Sbhe, electronics: Witness, longest_period_s: float | None = None) -> None:
-        super().__init__(phi, Shaking(), electronics, longest_period_s)
+        taxels = electronics.taxels
+        super().__init__(phi, Shaking((taxels.rows, taxels.columns)), electronics, longest_period_s)
         self.truths: dict[int, npt.NDArray[np.int32]] = {}
         self.truths_by_ns: dict[int, npt.NDArray[np.int32]] = {}
         self._witness = electronics
@@ -71,7 +76,7 @@ class WitnessSampler(Sampler):
         before = self._witness.reads
         sums = super().sample(counter, time_ns, bus)
         if self._witness.reads > before:
-            self.truths[counter] = self._phi.forward(self._witness.counts)
+            self.truths[counter] = self._phi.wired.forward(self._witness.counts)
             if not counter:  # with SYNCs that do not count, a SYNC that counts is another master's
                 self.truths_by_ns[time_ns] = self.truths[counter]
         return sums
@@ -197,7 +202,8 @@ class World:
 
     def __post_init__(self) -> None:
         layout = self.contract.layout
-        self.electronics = Witness(layout.taxels, noise_n=0.0, period_s=layout.shortest_period_s)
+        places = self.contract.phi.wired.taxels
+        self.electronics = Witness(layout.taxels, noise_n=0.0, period_s=layout.shortest_period_s, places=places)
         self.sampler = WitnessSampler(self.contract.phi, self.electronics, layout.sync.period_s)
         self.wires = [Wire() for _ in self.contract.layout.bus]
         self.segments = [self.new_segment(bus, self.built or self.contract) for bus in range(len(self.wires))]

@@ -16,7 +16,7 @@ from gateway.block_states import FRESH_NS, OVERDUE_NS
 from gateway.gathering import Health
 from tests.bus.harness import frame
 from tests.gateway.boards import STEP_S, BoardWorld, at_rest, known_of, lose, small_adaptive, states, sums_of
-from tests.layouts import buses
+from tests.layouts import GROUPS, buses
 
 DEAD, STALE, QUIET, FRESH = BlockState
 #: The times that docs/adaptive.md promises.
@@ -96,7 +96,12 @@ def test_measurements_are_a_millisecond_apart_and_a_tenth_of_a_second_at_most(bo
     payload, times = b"\x90" * 8, []
     for step in range(300):
         now_s = first_s + 1e-4 * step
-        gateway.take(0, frame(cob_id(0, 5, 1, False), payload, time_ns=round(now_s * 1e9)), now_s, stamp_error_ns=0)
+        gateway.take(
+            0,
+            frame(cob_id(0, 5, 1, False, GROUPS), payload, time_ns=round(now_s * 1e9)),
+            now_s,
+            stamp_error_ns=0,
+        )
         if came := gateway.measurements(now_s):
             times.append(now_s)
             assert came[0].sampled_mono_ns == round(now_s * 1e9)
@@ -122,7 +127,7 @@ def test_the_sample_of_the_newest_frame_is_older_by_a_sample_and_a_frame(
     assert boards.run(0.3)[0].sampled_error_ns == -1  # no frame has come
     boards.until_whole(1.0)
     now_s = boards.now_s + 1.0
-    newest = frame(cob_id(0, 5, 1, False), b"\x90" * 8, time_ns=round(now_s * 1e9))
+    newest = frame(cob_id(0, 5, 1, False, GROUPS), b"\x90" * 8, time_ns=round(now_s * 1e9))
     boards.gateway.take(0, newest, now_s, stamp_error_ns=stamp_error_ns)
     made = boards.gateway.measurements(now_s)
     assert (made[0].sampled_mono_ns, made[0].sampled_error_ns) == (round(now_s * 1e9), error_ns)
@@ -217,7 +222,7 @@ def test_fine_frame_that_does_not_fit_has_its_group_asked_for(boards: BoardWorld
     wire = boards.wires[0]
     payload = bytes(7) + bytes(((int(boards.boards[1].groups.check[0, 2]) + 1) & 0xFF,))
     before = sums_of(boards.measured[-1], 1).copy()
-    wire.put(cob_id(1, 0, 2, True), payload)
+    wire.put(cob_id(1, 0, 2, True, GROUPS), payload)
     came = boards.run(0.2)
     assert STALE in {states(each)[1] for each in came}
     assert [groups for _, groups in boards.boards[1].asked] == [0b100]
@@ -347,9 +352,9 @@ def test_strange_frames_are_counted_and_complained_about(boards: BoardWorld) -> 
     before = boards.status().frames
     wire = boards.wires[0]
     wire.put(SYNC_COB_ID, b"\1")
-    wire.put(cob_id(2, 5, 0, False), bytes(8))
+    wire.put(cob_id(2, 5, 0, False, GROUPS), bytes(8))
     wire.put(HEARTBEAT_BASE + 99, b"\5")
-    wire.put(cob_id(0, 5, 0, False), b"\1" * (GROUP_SUMS - 1))
+    wire.put(cob_id(0, 5, 0, False, GROUPS), b"\1" * (GROUP_SUMS - 1))
     boards.step()
     boards.run(0.3)
     after = boards.status().frames

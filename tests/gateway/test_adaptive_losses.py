@@ -13,12 +13,12 @@ from dbc.adaptive import GROUP_SUMS, NO_CHECK, SendingRule, coarse_code, coarse_
 from dbc.frame import FD, Frames, frame_bytes, frames
 from gateway.adaptive_state import MALFORMED, UNREFINED, USED, BusSums, new_sums, take_all
 from nodes.adaptive.sending import NEWS, decide, new_groups
-from skin.walsh import GROUPS
 from tests.bus.harness import frame
 from tests.gateway.boards import send
+from tests.layouts import BLOCK_SUMS, GROUPS
 from tests.nodes.adaptive_bus import due_frames
 
-LAW, RULE = companding(0.02, 0.5e-3), SendingRule()
+LAW, RULE = companding(0.02, 0.5e-3, BLOCK_SUMS), SendingRule()
 VARIANCE_N2 = np.zeros(32, np.float32)
 PLACES = [slice(GROUP_SUMS * group, GROUP_SUMS * (group + 1)) for group in range(GROUPS)]
 #: A step: how far the sums move, in fine steps; seed; which groups' frames are lost; whether the receiver reads now.
@@ -33,7 +33,7 @@ class Sender:
     """A node, and all that it ever sent."""
 
     def __init__(self, *, is_fd: bool = False) -> None:
-        self.groups, self.sums_n, self.now = new_groups(1, is_fd), np.zeros(32, np.float32), 0
+        self.groups, self.sums_n, self.now = new_groups(1, GROUPS, is_fd), np.zeros(32, np.float32), 0
         self._is_fd = is_fd
         self.ever: list[set[float]] = [set() for _ in range(32)]
         #: Number, kind and values of the newest frame of each group, as a receiver without losses holds them.
@@ -73,7 +73,7 @@ class Receiver:
     """Reads what was not lost; a loss is noticed with the next frame that is read."""
 
     def __init__(self, *, is_fd: bool = False) -> None:
-        self.sums: BusSums = new_sums(1)
+        self.sums: BusSums = new_sums(1, GROUPS)
         self._is_fd = is_fd
         self._waiting: list[Frames] = []
         self._has_gap = False
@@ -145,7 +145,7 @@ def test_after_a_loss_that_nobody_noticed_no_frame_counts_that_has_another_check
     steps: list[tuple[int, int, int, bool]],
 ) -> None:
     """A fine frame can be misread only when the check of its coarse frame is that of the one which is held."""
-    node, sums = Sender(), new_sums(1)
+    node, sums = Sender(), new_sums(1, GROUPS)
     changed = np.zeros((1, GROUPS), np.bool_)
     for size, seed, lost, _ in steps:
         node.move(size, seed)
@@ -168,7 +168,7 @@ def test_after_a_loss_that_nobody_noticed_no_frame_counts_that_has_another_check
 @settings(max_examples=60, deadline=None)
 def test_on_can_fd_any_frame_alone_makes_a_block_whole(steps: list[tuple[int, int, int, bool]]) -> None:
     """Nobody notices a loss, and no frame is misread: each carries the coarse codes that it refines."""
-    node, sums = Sender(is_fd=True), new_sums(1)
+    node, sums = Sender(is_fd=True), new_sums(1, GROUPS)
     changed = np.zeros((1, GROUPS), np.bool_)
     for size, seed, lost, _ in steps:
         node.move(size, seed)

@@ -11,12 +11,12 @@ from hypothesis import strategies as st
 from dbc.adaptive import GROUP_SUMS, NO_CHECK, SendingRule, check_of, coarse_code, cob_id, companding, fine_steps
 from gateway.adaptive_state import FOREIGN, MALFORMED, UNREFINED, USED, BusSums, new_sums
 from nodes.adaptive.sending import NOT_DUE, Groups, decide, frame_level, new_groups
-from skin.walsh import GROUPS
 from tests.bus.harness import frame
 from tests.gateway.boards import send
+from tests.layouts import BLOCK_SUMS, GROUPS
 from tests.nodes.adaptive_bus import receive
 
-LAW, RULE = companding(0.02, 0.5e-3), SendingRule()
+LAW, RULE = companding(0.02, 0.5e-3, BLOCK_SUMS), SendingRule()
 VARIANCE_N2 = np.zeros(32, np.float32)
 #: A step of the sums: how far, in fine steps, from small ones that are details to jumps; and which frames are lost.
 STEPS = st.lists(
@@ -33,7 +33,7 @@ def frames_of(groups: Groups, sums_n: np.ndarray, now: int) -> list[tuple[int, i
     for group in range(GROUPS):
         if groups.level[0, group] != NOT_DUE:
             is_fine = bool(groups.is_fine[0, group])
-            can_id = cob_id(0, frame_level(0, group, groups), group, is_fine)
+            can_id = cob_id(0, frame_level(0, group, groups), group, is_fine, GROUPS)
             payload = send(groups, group, now, sums_n, LAW)
             sent.append((group, can_id, is_fine, payload))
     return sent
@@ -59,7 +59,7 @@ def right(sums: BusSums, group: int, sums_n: np.ndarray, payload: np.ndarray, is
 @given(STEPS)
 @settings(max_examples=60, deadline=None)
 def test_while_losses_are_known_no_frame_is_misread(steps: list[tuple[int, int, int]]) -> None:
-    groups, sums, sums_n = new_groups(1), new_sums(1), np.zeros(32, np.float32)
+    groups, sums, sums_n = new_groups(1, GROUPS), new_sums(1, GROUPS), np.zeros(32, np.float32)
     for number, (size, seed, lost) in enumerate(steps):
         sums_n = moved(sums_n, size, seed)
         for group, can_id, is_fine, payload in frames_of(groups, sums_n, 5 * number):
@@ -76,7 +76,7 @@ def test_while_losses_are_known_no_frame_is_misread(steps: list[tuple[int, int, 
 @given(STEPS)
 @settings(max_examples=60, deadline=None)
 def test_a_silent_loss_is_misread_only_where_the_check_collides(steps: list[tuple[int, int, int]]) -> None:
-    groups, sums, sums_n = new_groups(1), new_sums(1), np.zeros(32, np.float32)
+    groups, sums, sums_n = new_groups(1, GROUPS), new_sums(1, GROUPS), np.zeros(32, np.float32)
     held, refined = {}, {}
     for number, (size, seed, lost) in enumerate(steps):
         sums_n = moved(sums_n, size, seed)
@@ -97,7 +97,7 @@ def test_a_silent_loss_is_misread_only_where_the_check_collides(steps: list[tupl
 
 
 def test_without_losses_the_gateway_knows_what_the_node_thinks_it_knows() -> None:
-    groups, sums, sums_n = new_groups(1), new_sums(1), np.zeros(32, np.float32)
+    groups, sums, sums_n = new_groups(1, GROUPS), new_sums(1, GROUPS), np.zeros(32, np.float32)
     for number, size in enumerate([2000, 3, 20, 0, 60, 3, 3, 0, 200, 20] * 5):
         sums_n = moved(sums_n, size, number)
         for _, can_id, _, payload in frames_of(groups, sums_n, 5 * number):
@@ -107,9 +107,9 @@ def test_without_losses_the_gateway_knows_what_the_node_thinks_it_knows() -> Non
 
 
 def test_a_gateway_that_joins_late_waits_for_coarse_frames() -> None:
-    groups, sums_n = new_groups(1), moved(np.zeros(32, np.float32), 2000, 1)
+    groups, sums_n = new_groups(1, GROUPS), moved(np.zeros(32, np.float32), 2000, 1)
     frames_of(groups, sums_n, 0)
-    sums = new_sums(1)
+    sums = new_sums(1, GROUPS)
     for number in (1, 2):
         sums_n = moved(sums_n, 1, number)
         for _, can_id, is_fine, payload in frames_of(groups, sums_n, 5 * number):
@@ -126,8 +126,13 @@ def test_a_gateway_that_joins_late_waits_for_coarse_frames() -> None:
 
 
 def test_frames_that_are_no_adaptive_sums_change_nothing() -> None:
-    sums = new_sums(2)
-    for can_id, length in ((0x80, 1), (0x701, 1), (cob_id(2, 5, 0, False), 8), (cob_id(1, 5, 0, False), 7)):
+    sums = new_sums(2, GROUPS)
+    for can_id, length in (
+        (0x80, 1),
+        (0x701, 1),
+        (cob_id(2, 5, 0, False, GROUPS), 8),
+        (cob_id(1, 5, 0, False, GROUPS), 7),
+    ):
         receive(frame(can_id, bytes(length)), LAW, sums)
     assert (sums.counts[FOREIGN], sums.counts[MALFORMED]) == (3, 1)
     assert sums.counts.sum() == 5  # SYNC is counted with its kind, too

@@ -36,7 +36,7 @@ class Bench:
     def __init__(self, contract: Contract, built: Contract | None = None) -> None:
         self.contract, self.now_s = contract, 10.0
         self.wire = Wire()
-        sampler = new_sampler(contract.layout, contract.phi, Shaking(), noise_n=0.0)
+        sampler = new_sampler(contract.layout, contract.phi, Shaking((8, 16)), noise_n=0.0)
         ids = {node.node_id for node in contract.on_bus(0)}
         boards = VirtualBoards(built or contract, 0, ids, sampler)
         self.segment = Segment(built or contract, 0, boards, sampler, self.wire.nodes.send, complain=lambda _text: None)

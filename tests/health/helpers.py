@@ -1,6 +1,7 @@
 """Messages of a small skin."""
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -67,15 +68,13 @@ class Messages:
             label="golf-ball",
         )
 
-    def contacts(
-        self, cycle: int = 1, *, blind: bool = False, row: float = 7.5, column: float = 6.0, doubtful: bool = False
-    ) -> Contacts:
+    def contacts(self, cycle: int = 1, *, blind: bool = False, doubtful: bool = False, **changed: Any) -> Contacts:
         force_n = float(self.grid().sum())
-        contact = make.contact(
-            identity=7, row=row, column=column, force_n=force_n, peak_n=0.01, taxels=113,
-            top=2, bottom=13, left=0, right=11, onset_mono_ns=0, invalid_taxels=4,
-            doubtful_since_mono_ns=int(doubtful),
-        )  # fmt: skip
+        contact = make.contact(**{
+            "identity": 7, "row": 7.5, "column": 6.0, "force_n": force_n, "peak_n": 0.01, "taxels": 113,
+            "top": 2, "bottom": 13, "left": 0, "right": 11, "onset_mono_ns": 0, "invalid_taxels": 4,
+            "doubtful_since_mono_ns": int(doubtful), **changed,
+        })  # fmt: skip
         return make.contacts(cycle, contact, find_s=1e-4, blind=blind)
 
     def label(self, label: str = "golf-ball", confidence: float = 0.93, valid_sums: int = 64) -> Label:

@@ -9,6 +9,8 @@ import pytest
 from canskin.calibration_messages import CalibrationState, CalibrationStatus
 from canskin.peers import Peer, new_peer
 from health.state import PEERS, PROCESSES, SERVICES, ViewState
+from tests import messages as make
+from tests.layouts import tube_layout
 
 EPOCH_S = 1000.0
 
@@ -167,9 +169,11 @@ def test_other_messages_that_do_not_fit_are_ignored(state: ViewState, messages: 
     state.take(msgspec.structs.replace(messages.truth(), sensor=b""), 1.0)
     state.take(messages.contacts(row=16.0), 1.0)
     state.take(messages.contacts(column=float("nan")), 1.0)
+    state.take(messages.contacts(position_m=(0.0, float("inf"), 0.0)), 1.0)
+    state.take(messages.contacts(normal=(0.0, 0.0, float("nan"))), 1.0)
     snapshot, _ = state.snapshot(1.0)
     assert (snapshot.gateway, snapshot.label, snapshot.truth, snapshot.contacts) == (None, None, None, None)
-    assert snapshot.ignored == 6
+    assert snapshot.ignored == 8
 
 
 def test_contacts_are_those_of_the_newest_image_and_age(state: ViewState, messages: Any) -> None:
@@ -403,6 +407,15 @@ def test_a_doubtful_contact_is_named_with_what_to_do(state: ViewState, messages:
     assert "2 more contacts are in doubt" in texts(state, 9.1, "warning")
     state.take(found, 9.2)
     assert texts(state, 9.3, "warning") == []
+
+
+def test_a_doubtful_contact_of_a_skin_that_is_no_grid_is_named_by_its_taxel() -> None:
+    state = ViewState(tube_layout())
+    box = {"top": 0, "bottom": 0, "left": 12, "right": 20}
+    state.take(make.contacts(1, make.contact(row=0.0, column=17.0, doubtful_since_mono_ns=5, **box)), 1.0)
+    (text,) = texts(state, 1.1, "warning")
+    assert "N around taxel 17 has been in doubt" in text
+    assert text.endswith("--region 0,12,0,20")
 
 
 def test_the_support_of_the_zero_is_shown(state: ViewState, messages: Any) -> None:

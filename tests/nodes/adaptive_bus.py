@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from dbc.adaptive import FIRST_COB_ID, NODES, TPDOS, Companding, frame_of
+from dbc.adaptive import FIRST_COB_ID, Companding, frame_of
 from dbc.contract import Contract
 from dbc.frame import FD, Frames, frame_bytes
 from gateway.adaptive_state import BusSums, new_sums, take_all
@@ -14,8 +14,8 @@ from nodes.adaptive.sending import NOT_DUE, Groups, tpdo_of
 from nodes.segment import Segment
 from nodes.virtual_boards import VirtualBoards
 from skin.sources import Frame
-from skin.walsh import GROUPS
 from tests.bus.harness import frame
+from tests.layouts import GROUPS, NODES, TPDOS
 from tests.nodes.helpers import START, ArrayLink
 
 IDS = (1, 2, 3, 4)
@@ -51,7 +51,7 @@ class Bus:
         nodes = VirtualBoards(contract, 0, IDS, self.boards)
         self.segment = Segment(contract, 0, nodes, self.boards, self.link.send, complain=self.complaints.append)
         self.now_s = 100.0
-        self.received: BusSums = new_sums(NODES)
+        self.received: BusSums = new_sums(NODES, GROUPS)
         self.is_fd = contract.layout.bus[0].fd
         self.segment.boot(self.now_s)
         self.link.take_sent()
@@ -121,7 +121,7 @@ def sums_of(sent: Frames) -> Frames:
 
 
 def meanings(sent: Frames) -> list[tuple[int, int, int, bool]]:
-    return [frame_of(int(one["can_id"]), is_fd=bool(one["flags"] & FD)) for one in sent]
+    return [frame_of(int(one["can_id"]), groups=GROUPS, is_fd=bool(one["flags"] & FD)) for one in sent]
 
 
 def back(sent: Frames, flags: int) -> Frames:

@@ -15,8 +15,9 @@ from nodes.adaptive.controllers import (
 )
 from nodes.adaptive.sending import DETAIL, NEWS, NOT_DUE, REFRESH, new_groups
 from tests.bus.harness import frame
+from tests.layouts import BLOCK_SUMS
 
-LAW = companding(0.02, 0.5e-3)
+LAW = companding(0.02, 0.5e-3, BLOCK_SUMS)
 NODES, GROUPS, MS = 3, 4, 1_000_000
 #: A classic frame of 8 bytes with the most stuff bits, and intermission.
 FRAME_BITS = 135
@@ -28,16 +29,20 @@ class Controllers:
     """Some nodes, whose frames the test decides."""
 
     def __init__(self) -> None:
-        self.groups = new_groups(NODES)
-        self.controllers = new_controllers(np.array([[FRAME_BITS, FINE_BITS]] * NODES))
+        self.groups = new_groups(NODES, GROUPS)
+        self.controllers = new_controllers(np.array([[FRAME_BITS, FINE_BITS]] * NODES), GROUPS)
         self.sums_n = np.full((NODES, 32), 0.01, np.float32)
         self.has_due, self.room = self.controllers.has_due, frame_buffer(16)
         for node in range(NODES):
             for group in range(GROUPS):
                 for level in range(6):
-                    self.controllers.cob_id[node, 4 * (5 - level) + group] = cob_id(node, level, group, False)
+                    self.controllers.cob_id[node, 4 * (5 - level) + group] = cob_id(
+                        node, level, group, False, groups=GROUPS
+                    )
                 for level in range(2):
-                    self.controllers.cob_id[node, 24 + 4 * (1 - level) + group] = cob_id(node, level, group, True)
+                    self.controllers.cob_id[node, 24 + 4 * (1 - level) + group] = cob_id(
+                        node, level, group, True, groups=GROUPS
+                    )
 
     def want(self, node: int, group: int, level: int, reason: int = NEWS, is_fine: int = 0) -> None:
         self.has_due[node] = True
@@ -70,8 +75,13 @@ def test_the_most_urgent_frames_of_all_nodes_go_first(made: Controllers) -> None
     made.want(2, 2, 1, DETAIL, is_fine=1)
     made.want(1, 3, 5)
     made.want(1, 2, 4)
-    expected = [cob_id(2, 5, 0, False), cob_id(1, 5, 3, False), cob_id(1, 4, 2, False), cob_id(0, 0, 1, False)]
-    expected.append(cob_id(2, 1, 2, True))  # details after all news
+    expected = [
+        cob_id(2, 5, 0, False, GROUPS),
+        cob_id(1, 5, 3, False, GROUPS),
+        cob_id(1, 4, 2, False, GROUPS),
+        cob_id(0, 0, 1, False, GROUPS),
+    ]
+    expected.append(cob_id(2, 1, 2, True, GROUPS))  # details after all news
     assert made.choose(most=3) == expected[:3]
     assert made.room.node[:3].tolist() == [2, 1, 1]
     assert made.room.tpdo[:3].tolist() == [0, 3, 6]
@@ -85,30 +95,30 @@ def test_the_most_urgent_frames_of_all_nodes_go_first(made: Controllers) -> None
 def test_frames_of_one_bus_only_are_chosen(made: Controllers) -> None:
     for node in range(NODES):
         made.want(node, 0, 3)
-    assert made.choose(first=1, last=2) == [cob_id(1, 3, 0, False)]
-    assert made.choose() == [cob_id(0, 3, 0, False), cob_id(2, 3, 0, False)]
+    assert made.choose(first=1, last=2) == [cob_id(1, 3, 0, False, GROUPS)]
+    assert made.choose() == [cob_id(0, 3, 0, False, GROUPS), cob_id(2, 3, 0, False, GROUPS)]
 
 
 def test_inhibit_time_counts_from_the_newest_frame_of_the_tpdo(made: Controllers) -> None:
     made.controllers.inhibit[:] = 20
     made.want(0, 0, 3)
-    assert made.choose(now=100) == [cob_id(0, 3, 0, False)]
+    assert made.choose(now=100) == [cob_id(0, 3, 0, False, GROUPS)]
     made.groups.under_way[:] = 0
     assert made.choose(now=119) == []
     made.want(0, 0, 4)  # another TPDO
-    assert made.choose(now=119) == [cob_id(0, 4, 0, False)]
+    assert made.choose(now=119) == [cob_id(0, 4, 0, False, GROUPS)]
     made.groups.under_way[:] = 0
     made.want(0, 0, 3)
-    assert made.choose(now=120) == [cob_id(0, 3, 0, False)]
+    assert made.choose(now=120) == [cob_id(0, 3, 0, False, GROUPS)]
     # A frame that was not sent does not count.
     give_back(0, 8, made.groups, made.controllers)
-    assert made.choose(now=121) == [cob_id(0, 3, 0, False)]
+    assert made.choose(now=121) == [cob_id(0, 3, 0, False, GROUPS)]
 
 
 def test_a_tpdo_without_identifier_and_a_silent_group_send_nothing(made: Controllers) -> None:
     made.want(0, 0, 3)
     made.want(0, 1, NOT_DUE)
-    assert (new_controllers(np.ones((1, 2), np.int64)).cob_id == 0).all()
+    assert (new_controllers(np.ones((1, 2), np.int64), GROUPS).cob_id == 0).all()
     made.controllers.cob_id[0, 8] = 0
     assert made.choose() == []
 
@@ -117,7 +127,7 @@ def test_no_inhibit_time_holds_the_first_frame_or_one_that_was_given_back(made: 
     made.controllers.inhibit[:] = 6553  # 1800h:3 at its end, in samples
     for _ in range(2):
         made.want(0, 0, 3)
-        assert made.choose(now=1) == [cob_id(0, 3, 0, False)]
+        assert made.choose(now=1) == [cob_id(0, 3, 0, False, GROUPS)]
         assert made.choose(now=1) == []
         give_back(0, 8, made.groups, made.controllers)
 
@@ -169,7 +179,11 @@ def test_one_frame_on_can_fd_carries_the_most_urgent_identifier_and_others_keep_
         made.want(1, group, level)
     made.want(0, 0, 3)
     made.want(2, 1, 0)
-    expected = [cob_id(1, 5, 0, False), cob_id(0, 3, 0, False), cob_id(2, 0, 1, False)]
+    expected = [
+        cob_id(1, 5, 0, False, GROUPS),
+        cob_id(0, 3, 0, False, GROUPS),
+        cob_id(2, 0, 1, False, GROUPS),
+    ]
     assert made.choose() == expected
     assert made.room.length[:3].tolist() == [32, 8, 8]
     assert (made.groups.under_way[1] > 0).all()
@@ -277,7 +291,7 @@ def test_an_echo_has_the_flags_of_its_bus(made: Controllers, is_fd: bool) -> Non
 
 def test_only_own_frames_are_taken_as_echoes(made: Controllers) -> None:
     places = np.full(0x800, -1, np.int64)
-    identifier = cob_id(1, 3, 2, False)
+    identifier = cob_id(1, 3, 2, False, GROUPS)
     places[identifier] = 32 * 1 + 4 * (5 - 3) + 2
     made.groups.under_way[1, 2], made.groups.since[1, 2] = 999, 5
     made.controllers.saved[1] = 10

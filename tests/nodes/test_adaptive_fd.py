@@ -5,14 +5,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dbc.adaptive import BLOCK_SUMS, LEVELS, SendingRule, companding
+from dbc.adaptive import LEVELS, SendingRule, companding
 from dbc.contract import Contract, sum_frame_bits
 from dbc.frame import ECHO, ERROR
 from nodes.adaptive.sending import decide, make_payload, new_groups, note_sent
 from skin.layout import load_layout
+from tests.layouts import BLOCK_SUMS, GROUPS
 from tests.nodes.adaptive_bus import IDS, Bus, back, due_frames, meanings
 
-LAW, RULE, NOISE_N2 = companding(0.02, 0.5e-3), SendingRule(), 1e-9
+LAW, RULE, NOISE_N2 = companding(0.02, 0.5e-3, BLOCK_SUMS), SendingRule(), 1e-9
 
 
 @pytest.fixture(scope="module")
@@ -46,7 +47,7 @@ def test_a_request_for_one_group_is_answered_by_a_frame_of_all(bus: Bus) -> None
 
 def test_frames_of_both_lengths_cost_the_budget_their_bits(bus: Bus) -> None:
     line = bus.contract.layout.bus[0]
-    coarse, fine = (sum_frame_bits(line, is_fine=is_fine) for is_fine in (False, True))
+    coarse, fine = (sum_frame_bits(line, GROUPS, is_fine=is_fine) for is_fine in (False, True))
     assert fine > coarse
     assert (bus.boards.controllers.frame_bits == [coarse, fine]).all()
 
@@ -55,7 +56,7 @@ class Node:
     """The decisions of one node, whose frames go at once."""
 
     def __init__(self) -> None:
-        self.groups, self.now, self.sums_n = new_groups(1, True), 0, np.zeros(BLOCK_SUMS, np.float32)
+        self.groups, self.now, self.sums_n = new_groups(1, GROUPS, True), 0, np.zeros(BLOCK_SUMS, np.float32)
 
     def step(self, ticks: int = 1) -> list[tuple[int, int, int]]:
         """Return sample, level and bytes of each frame."""

@@ -97,11 +97,19 @@ def new_sums(shape: tuple[int, int] = SHAPE) -> ScaleSums:
     return ScaleSums(*np.zeros((3, *shape), np.float32))
 
 
-def scale_of(samples: Iterable[np.ndarray], noise_n: np.ndarray, sums: ScaleSums) -> np.ndarray:
+def scale_of(samples: Iterable[np.ndarray], noise_n: np.ndarray, sums: ScaleSums, taxels: int = 0) -> np.ndarray:
     """Return by what the noise of each node is larger than it is taken to be, after the samples of a window."""
     for sample_n in samples:
         gather(sample_n, sums)
-    return judged(sums, noise_n)
+    return judged(sums, noise_n, np.full(len(noise_n), taxels or noise_n.shape[1]))
+
+
+def test_a_board_with_empty_places_learns_from_the_taxels_that_it_has() -> None:
+    rng, held = np.random.default_rng(4), 10
+    samples = [noisy(np.zeros(SHAPE), rng) * (np.arange(TAXELS) < held) for _ in range(WINDOW)]
+    found = scale_of(samples, EVEN / 2, new_sums(), held)
+    assert found.ravel() == pytest.approx(2**0.25, rel=0.1)
+    assert (scale_of(samples, EVEN / 2, new_sums()) == 1).all()  # less than half of a board without empty places
 
 
 def test_nothing_is_learned_from_touched_taxels() -> None:

@@ -7,14 +7,14 @@ import msgspec
 import numpy as np
 import pytest
 
-from dbc.adaptive import FIRST_COB_ID, GROUP_SUMS, NODES
+from dbc.adaptive import FIRST_COB_ID, GROUP_SUMS
 from dbc.contract import Contract
 from gateway.adaptive_state import MALFORMED, UNREFINED, USED, new_sums
 from skin.defects import Defects
 from skin.layout import load_layout
-from skin.walsh import GROUPS
 from skin.zero_drift import ZeroDrift
 from tests.bus.harness import frame
+from tests.layouts import GROUPS, NODES
 from tests.nodes.adaptive_bus import Bus, meanings, receive
 from tests.nodes.helpers import RESET_NODE, START
 
@@ -132,7 +132,7 @@ def test_codes_are_those_that_frames_carry(bus: Bus) -> None:
     law, known_n = bus.contract.law, bus.boards.groups.known_n[0]
     coarse = [int(bus.read(0x2110, place)[0]) for place in range(1, 33)]
     fine = [bus.read(0x2111, group + 1) for group in range(GROUPS)]
-    mine = new_sums(1)
+    mine = new_sums(1, GROUPS)
     for group in range(GROUPS):
         for number, payload in ((group, bytes(coarse[GROUP_SUMS * group :][:GROUP_SUMS])), (28 + group, fine[group])):
             receive(frame(FIRST_COB_ID + NODES * number, payload.ljust(8, b"\0")), law, mine)

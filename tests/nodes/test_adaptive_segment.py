@@ -12,8 +12,9 @@ from dbc.contract import Contract, frame_flags, sum_frame_bits
 from dbc.frame import ECHO, ERROR
 from nodes.adaptive.news import PAUSE_NS
 from skin.layout import load_layout
-from skin.walsh import GROUPS, walsh_matrix
+from skin.walsh import walsh_matrix
 from tests.bus.harness import frame
+from tests.layouts import GROUPS
 from tests.nodes.adaptive_bus import IDS, Bus, back, meanings, sums_of
 from tests.nodes.helpers import PRE_OPERATIONAL, RESET_COMMUNICATION, RESET_NODE, START, STOP
 
@@ -65,7 +66,7 @@ def test_what_a_receiver_shows_is_what_the_touch_is(bus: Bus) -> None:
 
 @both
 def test_a_node_keeps_its_budget(bus: Bus) -> None:
-    coarse = sum_frame_bits(bus.contract.layout.bus[0], is_fine=False)
+    coarse = sum_frame_bits(bus.contract.layout.bus[0], GROUPS, is_fine=False)
     assert bus.write(0x2034, 0, struct.pack("<I", 20 * coarse)) == 0
     bus.start()
     bus.sync()

@@ -29,11 +29,12 @@ from nodes.adaptive.sending import (
     note_sent,
     urgency,
 )
-from skin.walsh import GROUPS, walsh_matrix
+from skin.walsh import walsh_matrix
+from tests.layouts import BLOCK_SUMS, GROUPS
 
-LAW, RULE = companding(0.02, 0.5e-3), SendingRule()
+LAW, RULE = companding(0.02, 0.5e-3, BLOCK_SUMS), SendingRule()
 VARIANCE_N2 = np.full(32, 1e-12, np.float32)
-NOISE_N2 = float(noise_threshold_n2(np.array([0.1e-3]), RULE.noise_ratio)[0])
+NOISE_N2 = float(noise_threshold_n2(np.array([0.1e-3]), RULE.noise_ratio, BLOCK_SUMS)[0])
 NOTHING = np.zeros(32, np.float32)
 PRESSED = (walsh_matrix(32) @ np.random.default_rng(0).uniform(0.002, 0.012, 32)).astype(np.float32)
 #: Ratios of difference over threshold, from just above 1 on.
@@ -63,12 +64,12 @@ def send(groups: Groups, group: int, now: int, sums_n: np.ndarray, rule: Sending
 
 
 def test_an_idle_node_is_silent() -> None:
-    groups = new_groups(1)
+    groups = new_groups(1, GROUPS)
     assert not [frame for now in range(5000) for frame in sent(groups, now, NOTHING)]
 
 
 def test_news_is_sent_at_once_then_details_then_refreshes_that_double() -> None:
-    groups = new_groups(1)
+    groups = new_groups(1, GROUPS)
     frames = [frame for now in range(4000) for frame in sent(groups, now, PRESSED)]
     for group in range(GROUPS):
         mine = [frame for frame in frames if frame[1] == group]
@@ -83,14 +84,14 @@ def test_news_is_sent_at_once_then_details_then_refreshes_that_double() -> None:
 
 
 def test_what_a_node_has_said_is_off_by_no_more_than_a_fine_step() -> None:
-    groups = new_groups(1)
+    groups = new_groups(1, GROUPS)
     for now in range(10):
         sent(groups, now, PRESSED)
     assert np.abs(groups.known_n[0] - PRESSED).max() <= 0.51 * LAW.fine_n
 
 
 def test_a_group_at_zero_stops_after_its_refreshes() -> None:
-    groups = new_groups(1)
+    groups = new_groups(1, GROUPS)
     for now in range(100):
         sent(groups, now, PRESSED)
     frames = [frame for now in range(100, 9000) for frame in sent(groups, now, NOTHING)]
@@ -102,7 +103,7 @@ def test_a_group_at_zero_stops_after_its_refreshes() -> None:
 
 
 def test_larger_and_older_news_is_more_urgent() -> None:
-    small, large = new_groups(1), new_groups(1)
+    small, large = new_groups(1, GROUPS), new_groups(1, GROUPS)
     nudge = NOTHING.copy()
     nudge[::GROUP_SUMS] = 0.4e-3
     assert all(0 <= one < other for one, other in zip(looked(small, 0, nudge), looked(large, 0, PRESSED), strict=True))
@@ -113,14 +114,14 @@ def test_larger_and_older_news_is_more_urgent() -> None:
 
 
 def test_the_highest_level_is_for_news_that_waited() -> None:
-    groups = new_groups(1)
+    groups = new_groups(1, GROUPS)
     levels = [looked(groups, now, PRESSED * (1 + now)) for now in range(RULE.patience + 1)]
     assert {level for each in levels[:-1] for level in each} == {LEVELS - 2}
     assert levels[-1] == [LEVELS - 1] * GROUPS
 
 
 def test_a_fine_refresh_that_waits_becomes_coarse_because_fine_frames_know_no_high_level() -> None:
-    groups = new_groups(1)
+    groups = new_groups(1, GROUPS)
     for now in range(100):
         sent(groups, now, PRESSED)
     due = int(groups.refresh_at[0, 0])
@@ -131,7 +132,7 @@ def test_a_fine_refresh_that_waits_becomes_coarse_because_fine_frames_know_no_hi
 
 
 def test_noise_below_the_threshold_is_no_news() -> None:
-    groups, rng = new_groups(1), np.random.default_rng(1)
+    groups, rng = new_groups(1, GROUPS), np.random.default_rng(1)
     for now in range(10):
         sent(groups, now, PRESSED)
     for now in range(10, 60):
@@ -139,7 +140,7 @@ def test_noise_below_the_threshold_is_no_news() -> None:
 
 
 def test_a_refresh_that_waits_goes_up_and_details_never_reach_the_level_of_news() -> None:
-    groups = new_groups(1)
+    groups = new_groups(1, GROUPS)
     for now in range(10):
         sent(groups, now, PRESSED)
     levels = [looked(groups, now, PRESSED)[0] for now in range(64, 1000)]
@@ -149,7 +150,7 @@ def test_a_refresh_that_waits_goes_up_and_details_never_reach_the_level_of_news(
 
 
 def test_a_node_leaves_time_between_two_frames_of_a_group() -> None:
-    groups, rng, last = new_groups(1), np.random.default_rng(2), dict.fromkeys(range(GROUPS), -5)
+    groups, rng, last = new_groups(1, GROUPS), np.random.default_rng(2), dict.fromkeys(range(GROUPS), -5)
     rule = SendingRule(inhibit=5)
     for now in range(200):
         decide(0, now, rng.uniform(-0.1, 0.1, 32).astype(np.float32), VARIANCE_N2, NOISE_N2, rule, LAW, groups)
@@ -162,7 +163,7 @@ def test_a_node_leaves_time_between_two_frames_of_a_group() -> None:
 
 def test_a_coarse_frame_that_would_change_nothing_is_no_news() -> None:
     """The sum and what is known of it are at the two ends of one code: the code again tells the receiver nothing."""
-    groups, step_n = new_groups(1), coarse_step(0.3, False, LAW)
+    groups, step_n = new_groups(1, GROUPS), coarse_step(0.3, False, LAW)
     assert (0.9 * step_n) ** 2 > 100 * NOISE_N2
     held_n, sums_n = PRESSED.copy(), PRESSED.copy()
     low_n = coarse_value(coarse_code(0.3, False, LAW), False, LAW) - 0.45 * step_n
@@ -174,7 +175,7 @@ def test_a_coarse_frame_that_would_change_nothing_is_no_news() -> None:
 
 
 def test_a_group_that_details_lift_from_zero_is_refreshed_for_ever() -> None:
-    groups, faint_n = new_groups(1), np.zeros(32, np.float32)
+    groups, faint_n = new_groups(1, GROUPS), np.zeros(32, np.float32)
     for now in range(3):
         sent(groups, now, PRESSED)
     for now in range(3, 8000):
@@ -187,20 +188,20 @@ def test_a_group_that_details_lift_from_zero_is_refreshed_for_ever() -> None:
 
 
 def test_a_tiny_number_of_the_rule_leaves_news_its_highest_level() -> None:
-    rule, groups = RULE._replace(level_ratio=1e-30), new_groups(1)
+    rule, groups = RULE._replace(level_ratio=1e-30), new_groups(1, GROUPS)
     decide(0, 0, PRESSED, VARIANCE_N2, NOISE_N2, rule, LAW, groups)
     assert groups.level[0].tolist() == [LEVELS - 2] * GROUPS
 
 
 def test_news_that_is_asked_for_does_not_wait_for_a_budget() -> None:
-    groups = new_groups(1)
+    groups = new_groups(1, GROUPS)
     ask(0, 1, 0, groups)
     looked(groups, 0, PRESSED)
     assert groups.reason[0].tolist() == [NEWS, REFRESH, NEWS, NEWS]
 
 
 def test_who_asks_again_does_not_begin_the_wait_anew() -> None:
-    groups = new_groups(1)
+    groups = new_groups(1, GROUPS)
     for now in range(0, 600, 100):
         ask(0, 1, now, groups)
         looked(groups, now, PRESSED if now == 300 else NOTHING)  # news has its own level, or a higher one

@@ -9,7 +9,7 @@ from gateway.adaptive_state import new_sums
 from nodes.adaptive.simulated import touched_frames
 from skin.sources import Frame
 from skin.walsh import walsh_matrix
-from tests.layouts import ADAPTIVE, buses, small_layout
+from tests.layouts import ADAPTIVE, GROUPS, buses, small_layout
 from tests.nodes.adaptive_bus import receive
 
 #: Four patches of 4 x 8 taxels on two buses.
@@ -36,14 +36,14 @@ def test_the_touched_node_of_the_bus_sends_what_a_receiver_needs() -> None:
     touched = CONTRACT.on_bus(1)[0]
     source = OnePatch(CONTRACT, touched.block)
     sent = touched_frames(CONTRACT, 1, source, 0.6, seed=1)
-    assert {frame_of(int(each["can_id"]))[0] for each in sent} == {touched.node_id}
+    assert {frame_of(int(each["can_id"]), groups=GROUPS)[0] for each in sent} == {touched.node_id}
     assert (np.diff(sent["time_ns"]) > 0).all()
     assert (sent["time_ns"] % 100_000_000 > 2_000_000).all()  # none begins in the pause after a SYNC
     # A step of the touch lasts 10 ms, and the force grows in the step before.
     assert 40_000_000 < sent["time_ns"][0] < 55_000_000
     assert sent["time_ns"][-1] < 600_000_000
     assert set(sent["length"].tolist()) == {8}
-    received = new_sums(2)
+    received = new_sums(2, GROUPS)
     receive(sent, CONTRACT.law, received)
     assert received.counts.tolist() == [len(sent), 0, 0, 0, 0, 0]
     true_n = walsh_matrix(32) @ source.force_n[source.taxels]

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from dbc.adaptive import NODES, cob_id
+from dbc.adaptive import cob_id
 from dbc.contract import Contract
 from dbc.frame import ECHO, ERROR
 from gateway.adaptive_state import new_sums
@@ -21,6 +21,7 @@ from nodes.virtual_boards import VirtualBoards
 from nodes.ways import vector_files
 from skin.layout import load_layout
 from tests.bus.harness import frame
+from tests.layouts import GROUPS, NODES
 from tests.nodes.adaptive_bus import receive
 from tests.nodes.helpers import ArrayLink, Still
 
@@ -138,10 +139,10 @@ def test_codes_stand_for_what_a_receiver_of_the_frames_shows(name: str) -> None:
     law, cases = contract.law, vectors["codes"]
     assert [case["name"] for case in cases] == ["nothing", "the largest sums", *[f"random {n}" for n in range(1, 9)]]
     for case in cases:
-        receiver = new_sums(NODES)
+        receiver = new_sums(NODES, GROUPS)
         for kind, values in (("coarse", "coarse_values_n"), ("fine", "fine_values_n")):
             for group in range(4):
-                identifier = cob_id(0, 0, group, kind == "fine")
+                identifier = cob_id(0, 0, group, kind == "fine", GROUPS)
                 receive(frame(identifier, bytes.fromhex(case[kind][group])), law, receiver)
             assert receiver.value_n[0].tolist() == case[values]
         fine = np.abs(np.array(case["fine_values_n"]) - case["later_sums_n"])

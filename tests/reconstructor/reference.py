@@ -5,11 +5,13 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
+import numpy.typing as npt
 
 from reconstructor.bases import Basis
 from reconstructor.checks import Values
 from reconstructor.fista import momentum, soft
 from skin.operator import Operator
+from skin.surface import grid_surface
 
 
 class Proximal(Protocol):
@@ -65,33 +67,34 @@ class Shrinkage:
 
 
 class Variation:
-    """x ↦ nearly argmin ½‖u - x‖² + τ Σ |u[i+1, j] - u[i, j]| + |u[i, j+1] - u[i, j]|, u ≥ `floor`.
+    """x ↦ nearly argmin ½‖u - x‖² + τ Σ |u[i] - u[j]| over the edges, u ≥ `floor`.
 
     `inner` projected gradient steps on the dual (Chambolle 2004), which starts from the dual of the last call. With
-    many steps this converges to the proximal step. u = max(floor, x - Dᵀp), p ← clip(p + D u / 8, ±τ).
+    many steps this converges to the proximal step. u = max(floor, x - Dᵀp), p ← clip(p + D u / bound, ±τ).
 
-    `shape`: rows and columns of the images.
+    `shape`: rows and columns of the images. `edges`: pairs of neighbours; without them those of the grid.
     """
 
-    def __init__(self, shape: tuple[int, int], inner: int, *, nonnegative: bool = True) -> None:
+    def __init__(
+        self, shape: tuple[int, int], inner: int, *, nonnegative: bool = True, edges: npt.NDArray[np.intp] | None = None
+    ) -> None:
         self._inner = inner
         self._floor = 0.0 if nonnegative else -np.inf
-        self._down = np.zeros((shape[0] - 1, shape[1]))
-        self._right = np.zeros((shape[0], shape[1] - 1))
+        self._edges = grid_surface(*shape, 1.0, np.zeros(0, np.intp)).edges if edges is None else edges
+        degree = np.bincount(self._edges.ravel(), minlength=shape[0] * shape[1])
+        self._bound = 8 if edges is None else max(2, degree[self._edges].sum(axis=1).max(initial=0))
+        self._dual = np.zeros(len(self._edges))
 
     def __call__(self, image: Values, threshold_n: float, iteration: int) -> Values:
         """Return the smoothed image; `iteration` has no effect."""
         del iteration
         for _ in range(self._inner):
-            smooth = self._smooth(image)
-            self._down = np.clip(self._down + np.diff(smooth, axis=0) / 8, -threshold_n, threshold_n)
-            self._right = np.clip(self._right + np.diff(smooth, axis=1) / 8, -threshold_n, threshold_n)
+            low, high = self._smooth(image).reshape(-1)[self._edges].T
+            self._dual = np.clip(self._dual + (high - low) / self._bound, -threshold_n, threshold_n)
         return self._smooth(image)
 
     def _smooth(self, image: Values) -> Values:
-        smooth = image.astype(np.float64)
-        smooth[:-1] += self._down
-        smooth[1:] -= self._down
-        smooth[:, :-1] += self._right
-        smooth[:, 1:] -= self._right
-        return np.maximum(smooth, self._floor).astype(image.dtype)
+        smooth = image.astype(np.float64).reshape(-1)
+        np.add.at(smooth, self._edges[:, 0], self._dual)
+        np.subtract.at(smooth, self._edges[:, 1], self._dual)
+        return np.maximum(smooth, self._floor).astype(image.dtype).reshape(image.shape)

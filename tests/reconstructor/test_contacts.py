@@ -12,8 +12,12 @@ from scipy import ndimage
 from canskin.errors import InputError
 from canskin.messages import Contact, EndedContact
 from reconstructor.contacts import ContactTracker
+from skin.surface import Surface, surface_of_positions
+from tests import surfaces
+from tests.surfaces import PITCH_M, RADIUS_M
 
 ROWS, COLUMNS = 32, 48
+SURFACE = surfaces.grid(ROWS, COLUMNS)
 PERIOD_NS = 10_000_000
 Image = npt.NDArray[np.float32]
 Y, X = np.mgrid[:ROWS, :COLUMNS]
@@ -31,8 +35,8 @@ NOTHING = np.zeros((ROWS, COLUMNS), np.float32)
 class Run:
     """A tracker that is shown one image after the other."""
 
-    def __init__(self) -> None:
-        self.tracker = ContactTracker(ROWS, COLUMNS)
+    def __init__(self, surface: Surface = SURFACE) -> None:
+        self.tracker = ContactTracker(surface)
         self.now_ns = 0
         self.ended: list[EndedContact] = []
 
@@ -61,6 +65,9 @@ def test_a_contact_has_the_figures_of_its_taxels() -> None:
     assert contact.peak_n == pytest.approx(0.006)
     assert contact.row == pytest.approx((4 * 12 + 5) / 13)
     assert contact.column == pytest.approx((7 * 2 + 8 * 4 + 9 * 7) / 13)
+    middle = contact.column - (COLUMNS - 1) / 2, contact.row - (ROWS - 1) / 2
+    assert contact.position_m == pytest.approx((middle[0] * PITCH_M, middle[1] * PITCH_M, 0))
+    assert contact.normal == (0, 0, -1)
 
 
 @settings(deadline=None, max_examples=50)
@@ -169,7 +176,7 @@ def test_after_a_pause_longer_than_the_memory_contacts_begin_anew_unless_they_ar
 
 
 def test_taxels_that_were_not_measured_are_counted() -> None:
-    tracker = ContactTracker(ROWS, COLUMNS)
+    tracker = ContactTracker(SURFACE)
     image = NOTHING.copy()
     image[4, 7:10] = 0.005
     image[20, 30] = 0.006
@@ -180,7 +187,7 @@ def test_taxels_that_were_not_measured_are_counted() -> None:
 
 
 def test_a_contact_is_doubtful_while_half_of_its_force_is_on_doubtful_taxels() -> None:
-    tracker, image = ContactTracker(ROWS, COLUMNS), NOTHING.copy()
+    tracker, image = ContactTracker(SURFACE), NOTHING.copy()
     image[4, 7:10] = 0.004, 0.002, 0.002
     image[20, 30] = 0.006
     doubtful = np.zeros_like(image, np.bool_)
@@ -204,4 +211,77 @@ def test_a_contact_is_doubtful_while_half_of_its_force_is_on_doubtful_taxels() -
 
 def test_an_image_of_another_shape_is_refused() -> None:
     with pytest.raises(InputError, match=r"\(32, 48\).*\(48, 32\)"):
-        ContactTracker(ROWS, COLUMNS).take(NOTHING.T, 1)
+        ContactTracker(SURFACE).take(NOTHING.T, 1)
+
+
+@settings(deadline=None, max_examples=30)
+@given(st.integers(0, 2**32 - 1), st.floats(0.5, 0.97))
+def test_contacts_of_a_grid_are_those_of_its_taxels_at_positions(seed: int, empty: float) -> None:
+    random, grid = np.random.default_rng(seed), surfaces.grid(12, 17)
+    image = np.where(random.random((12, 17)) < empty, 0, random.uniform(0, 0.02, (12, 17))).astype(np.float32)
+    expected = Run(grid).show(image)
+    found = Run(surface_of_positions(grid.positions_m.tolist())).show(image.reshape(1, -1))
+    assert [(each.force_n, each.taxels) for each in found] == [(each.force_n, each.taxels) for each in expected]
+    for each, other in zip(found, expected, strict=True):
+        assert each.position_m == pytest.approx(other.position_m)
+        nearest = np.linalg.norm(grid.positions_m - each.position_m, axis=1)
+        assert nearest[int(each.column)] == pytest.approx(nearest.min())
+        assert (each.row, each.top, each.bottom) == (0, 0, 0)
+
+
+@settings(deadline=None, max_examples=30)
+@given(st.integers(0, 2**32 - 1))
+def test_no_contact_joins_across_a_gap(seed: int) -> None:
+    skin = surfaces.two_patches()
+    image = np.random.default_rng(seed).uniform(0, 0.004, (1, 56)).astype(np.float32)
+    islands = skin.islands
+    found = Run(skin).show(image)
+    assert found
+    assert {islands[each.left] - islands[each.right] for each in found} == {0}
+    squeezed = Run(skin).show(np.full((1, 56), 0.01, np.float32))
+    assert [(each.taxels, each.left, each.right) for each in squeezed] == [(32, 0, 52), (24, 4, 55)]
+
+
+TUBE = surface_of_positions(surfaces.tube().tolist())
+
+
+def grasped(*touches: tuple[float, float]) -> Image:
+    """Return the image of soft balls on the tube, each at an angle and with a largest force."""
+    z_m = 5 * 0.0068
+    places = [(RADIUS_M * np.cos(angle), RADIUS_M * np.sin(angle), z_m) for angle, _ in touches]
+    forces = [
+        peak_n * np.exp(-(np.linalg.norm(TUBE.positions_m - place, axis=1) ** 2) / (2 * 0.008**2))
+        for place, (_, peak_n) in zip(places, touches, strict=True)
+    ]
+    return np.sum(forces, axis=0).astype(np.float32).reshape(1, -1)
+
+
+def test_touches_that_slide_around_a_tube_keep_their_identities_across_its_seam() -> None:
+    run, turn = Run(TUBE), np.linspace(0, 2 * np.pi, 200)
+    shown = run.all(grasped((-1.2 + angle, 0.012), (1.2 + angle, 0.008)) for angle in turn)
+    assert all(identities(contacts) == {1, 2} for contacts in shown)
+    assert not run.ended
+    for contacts, angle in zip(shown, turn, strict=True):
+        by_identity = {each.identity: each for each in contacts}
+        for identity, behind in ((1, -1.2), (2, 1.2)):
+            out = np.array((np.cos(angle + behind), np.sin(angle + behind), 0))
+            assert by_identity[identity].normal @ out > 0.98
+            assert np.linalg.norm(by_identity[identity].position_m - out * RADIUS_M - (0, 0, 0.034)) < 0.005
+            assert TUBE.normals[int(by_identity[identity].column)] @ out > 0.95
+
+
+def test_a_touch_all_around_a_tube_is_one_contact_with_a_place_on_the_skin() -> None:
+    (contact,) = Run(TUBE).show(np.full((1, 240), 0.01, np.float32))
+    assert contact.taxels == 240
+    assert contact.position_m == pytest.approx((0, 0, 4.5 * 0.0068), abs=1e-6)
+    assert np.linalg.norm(contact.normal) == pytest.approx(1)
+    assert contact.normal == tuple(TUBE.normals[int(contact.column)])
+
+
+def test_a_contact_comes_back_within_four_pitches_also_where_the_skin_is_no_grid() -> None:
+    far = 4.5 * TUBE.pitch_m / RADIUS_M
+    for angle, expected in ((0.6 * far, {1}), (1.3 * far, {2})):
+        run = Run(TUBE)
+        run.show(grasped((0, 0.004)))
+        run.show(np.zeros((1, 240), np.float32))
+        assert identities(run.show(grasped((angle, 0.004)))) == expected

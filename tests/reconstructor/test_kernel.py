@@ -15,6 +15,7 @@ from reconstructor.kernels.addresses import pyramid_addresses, spin_shifts, tens
 from reconstructor.kernels.fused import FusedSolver
 from reconstructor.settings import SolverSettings
 from skin.measurement import Sbhe, sbhe
+from skin.surface import grid_surface
 from tests.reconstructor.reference import Proximal, Shrinkage, Variation, fista_image
 
 PRIORS = ("haar-pyramid", "haar-tensor", "d4-pyramid", "d4-tensor", "sym4-pyramid", "coif1-tensor", "variation")
@@ -37,12 +38,27 @@ class Rows:
 
 
 @st.composite
+def graphs(draw: st.DrawFn, taxels: int) -> np.ndarray:
+    """Draw neighbours: some of a lattice, whose taxels have any numbers, and some at random."""
+    rng = np.random.default_rng(draw(st.integers(0, 2**31)))
+    rows = draw(st.sampled_from([1, 2, 7]))
+    lattice = grid_surface(rows, -(-taxels // rows), 1.0, np.zeros(0, np.intp)).edges
+    lattice = lattice[(lattice < taxels).all(axis=1)]
+    more = rng.integers(0, taxels, (draw(st.integers(0, taxels)), 2))
+    both_kinds = np.concatenate((lattice, more[more[:, 0] != more[:, 1]]))
+    kept = both_kinds[rng.random(len(both_kinds)) >= draw(st.sampled_from([0.0, 0.05]))]
+    named = rng.permutation(taxels) if draw(st.booleans()) else np.arange(taxels)
+    return np.unique(np.sort(named[kept], axis=1), axis=0)
+
+
+@st.composite
 def problems(draw: st.DrawFn) -> dict[str, Any]:
     prior = draw(st.sampled_from(PRIORS))
     grids = [(8, 8), (16, 16), (32, 32), (64, 64), (8, 32), (64, 16), (256, 8)]
     if prior == "variation":
         grids += [(10, 10), (17, 23), (24, 32), (1, 8), (9, 1), (255, 3)]
     rows, columns = draw(st.sampled_from(grids))
+    edges = draw(st.none() | graphs(rows * columns)) if prior == "variation" else None
     block_size = 2 ** draw(st.integers(1, min(8, (rows * columns).bit_length() - 1)))
     selection = draw(st.sampled_from(["balanced", "uniform"]))
     blocks = -(-rows * columns // block_size)
@@ -51,6 +67,7 @@ def problems(draw: st.DrawFn) -> dict[str, Any]:
     return {
         "phi": sbhe(rows * columns, sums, block_size=block_size, selection=selection, seed=seed),
         "grid": (rows, columns),
+        "edges": edges,
         "prior": prior,
         "spins": draw(st.sampled_from([1, 3, 64])) if prior != "variation" else 1,
         "nonnegative": draw(st.booleans()),
@@ -63,7 +80,8 @@ def problems(draw: st.DrawFn) -> dict[str, Any]:
 
 def proximal_of(problem: dict[str, Any], kernel: FusedSolver) -> Proximal:
     if problem["prior"] == "variation":
-        return Variation(problem["grid"], variation.INNER, nonnegative=problem["nonnegative"])
+        nonnegative, edges = problem["nonnegative"], problem["edges"]
+        return Variation(problem["grid"], variation.INNER, nonnegative=nonnegative, edges=edges)
     return Shrinkage(wavelet_basis(problem["prior"], *problem["grid"]), kernel.shifts, problem["nonnegative"])
 
 
@@ -74,7 +92,8 @@ def both(problem: dict[str, Any], dtype: type) -> tuple[np.ndarray, np.ndarray]:
     sums = rng.normal(0, 0.03, phi.shape[0])
     valid = rng.random(phi.shape[0]) >= problem["missing_ratio"]
     options = {name: problem[name] for name in ("prior", "spins", "nonnegative", "lipschitz_ratio", "iterations")}
-    kernel = FusedSolver(phi, rows, columns, SolverSettings(penalty_n=0.01, **options), dtype=dtype)
+    settings = SolverSettings(penalty_n=0.01, **options)
+    kernel = FusedSolver(phi, rows, columns, settings, edges=problem["edges"], dtype=dtype)
     estimate = kernel.blocks_of(start)
     assert kernel.solve(estimate, np.where(valid, sums, 1e6).astype(dtype), valid.astype(dtype)) == valid.sum()
     reference = fista_image(
@@ -111,6 +130,7 @@ def test_largest_grid() -> None:
     problem = {
         "phi": sbhe(65536, 8192, block_size=256),
         "grid": (256, 256),
+        "edges": None,
         "prior": "haar-pyramid",
         "spins": 2,
         "nonnegative": True,
@@ -121,6 +141,23 @@ def test_largest_grid() -> None:
     }
     image, reference = both(problem, np.float64)
     np.testing.assert_allclose(image, reference, atol=1e-13)
+
+
+@given(st.integers(0, 2**31))
+@settings(max_examples=10, deadline=None)
+@pytest.mark.heavy
+def test_a_grid_as_a_graph_has_the_images_of_the_grid(seed: int) -> None:
+    phi, rng = sbhe(768, 192, seed=seed), np.random.default_rng(seed)
+    options = SolverSettings(prior="variation", iterations=10, penalty_n=0.01, nonnegative=True, scaled_start=True)
+    edges = grid_surface(24, 32, 1.0, np.zeros(0, np.intp)).edges
+    solvers = FusedSolver(phi, 24, 32, options), FusedSolver(phi, 24, 32, options, edges=edges)
+    estimates = [solver.new_estimate() for solver in solvers]
+    for _ in range(3):
+        sums_n = rng.normal(0, 0.03, 192).astype(np.float32)
+        for solver, estimate in zip(solvers, estimates, strict=True):
+            solver.solve(estimate, sums_n, np.ones(192, np.float32))
+    grid, graph = (solver.deliver(estimate) for solver, estimate in zip(solvers, estimates, strict=True))
+    np.testing.assert_allclose(graph, grid, atol=1e-7)
 
 
 @pytest.mark.parametrize("grid", [(8, 8), (64, 64), (8, 256), (32, 16)])

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from canskin.errors import InputError
+from reconstructor.kernels.graph import graph_of
 from reconstructor.walsh import STEPS, VariationFilter, WalshReconstructor
 from skin.surface import grid_surface
 from skin.walsh import patches, walsh_matrix
@@ -28,7 +29,7 @@ def test_exact_sums_give_the_exact_image() -> None:
 def test_the_filter_is_the_proximal_step_that_goes_on_from_image_to_image() -> None:
     rng, fast, plain = (
         np.random.default_rng(1),
-        VariationFilter(np.ones((ROWS, COLUMNS), np.bool_)),
+        VariationFilter(graph_of(ROWS, COLUMNS, NO_GAPS, None)),
         Variation((ROWS, COLUMNS), STEPS),
     )
     for limit in (0.3, 0.3, 0.1):

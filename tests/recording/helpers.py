@@ -94,7 +94,8 @@ def write_run(path: Path, contract: Contract) -> Path:
     for cycle in range(1, COUNT + 1):
         stamps = {"cycle": cycle, "sync_counter": cycle, "sampled_mono_ns": cycle * 10, "sampled_error_ns": cycle}
         valid = bytes([cycle > 1] * 16)
-        contact = make.contact(identity=3, row=1.5, column=2.5, force_n=0.25)
+        centre = {"position_m": (0.01, 0.02, 0.03), "normal": (0.0, 0.6, -0.8)}
+        contact = make.contact(identity=3, row=1.5, column=2.5, force_n=0.25, **centre)
         for topic, message in (
             (
                 MEASUREMENT,

@@ -8,12 +8,14 @@ import numpy as np
 import pytest
 
 from canskin.errors import InputError, RunError
-from canskin.messages import LABEL
+from canskin.messages import IMAGE, LABEL
 from dbc.contract import Contract
 from recording.export_command import export
 from recording.sinks import McapSink
 from recording.tables import read_tables
 from skin.layout import load_layout
+from tests import messages as make
+from tests.layouts import tube_layout
 from tests.recording.helpers import COUNT, OFFSET_NS, SET_NS, pixels
 from touch.sources import recording
 
@@ -36,10 +38,35 @@ def test_npz(run: Path, contract: Contract) -> None:
         assert made["measurements_usable"].shape == made["measurements_sums"].shape
         assert made["measurements_usable"][:, 5].tolist() == [True, False, True, True]
         assert (made["contacts_cycle"].tolist(), made["contacts_force_n"].tolist()) == ([2], [0.25])
+        assert [made[f"contacts_{name}"].tolist() for name in ("x_m", "y_m", "z_m")] == [[0.01], [0.02], [0.03]]
+        assert [made[f"contacts_{name}"].tolist() for name in ("nx", "ny", "nz")] == [[0.0], [0.6], [-0.8]]
         assert made["labels_label"].tolist() == ["cup"] * COUNT
         about = msgspec.json.decode(str(made["metadata"]))
     assert about["skin"] == "small"
     assert 'name = "small"' in about["layout"]
+
+
+def test_a_skin_that_is_no_grid_says_where_its_taxels_lie(out: Path) -> None:
+    layout = tube_layout()
+    surface, forces_n = layout.taxels.surface, np.arange(96, dtype="<f4") * 1e-4
+    sink = McapSink(out, Contract.from_layout(layout), 1, OFFSET_NS)
+    image = make.image(1, pixels=forces_n.tobytes(), valid=b"\1" * 3)
+    sink.message(IMAGE, 1, msgspec.msgpack.encode(image))
+    sink.close()
+    assert load_layout(out) == layout
+    export(str(out))
+    with np.load(out.with_suffix(".npz")) as made:
+        np.testing.assert_array_equal(made["images_pixels"], forces_n.reshape(1, 1, 96))
+        places_m = np.stack([made[f"taxels_{axis}_m"] for axis in "xyz"], axis=1)
+        normals = np.stack([made[f"taxels_n{axis}"] for axis in "xyz"], axis=1)
+    np.testing.assert_array_equal(places_m, surface.positions_m)
+    np.testing.assert_array_equal(normals, surface.normals)
+    export(str(out), to="csv", out=out.with_suffix(".csv"))
+    played = recording(out.with_name("run-images.csv"), 1, 96, full_scale=1.0, force_max_n=1.0)
+    np.testing.assert_allclose(played.frame(0).force_n.ravel(), forces_n, rtol=1e-6)
+    head, first = out.with_name("run-taxels.csv").read_text().splitlines()[:2]
+    assert head == "row,column,x_m,y_m,z_m,nx,ny,nz,block"
+    assert first.startswith("0,0,0.0198")
 
 
 def test_hdf5(run: Path, tmp_path: Path) -> None:

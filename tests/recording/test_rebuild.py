@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from canskin.errors import InputError, RunError
+from canskin.errors import InputError, LayoutError, RunError
 from dbc.contract import Contract
 from dbc.packing import packing
 from nodes.electronics import Electronics
@@ -17,7 +17,7 @@ from reconstructor.engine import Reconstructor
 from reconstructor.options import SolverOptions
 from recording import rebuild_command
 from recording.rebuild_command import rebuild
-from skin.layout import layout_text
+from skin.layout import layout_text, load_layout
 from tests.layouts import buses, layout_toml, small_layout, with_identity
 from tests.recording.helpers import CYCLES, SMALL, START_S, message, messages, write_log
 from touch.sources import recording
@@ -333,3 +333,73 @@ def test_a_full_disk_leaves_no_half_file(
     with pytest.raises(RunError, match="cannot be written: No space left"):
         rebuild(tmp_path / "mat.npy", out=out, layout=layout_file)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["mat.npy", "small.toml"]
+
+
+def wire_layout(folder: Path, codes: np.ndarray) -> Path:
+    """Write a layout of 16 x 16 taxels whose sums other hardware makes."""
+    np.savez(folder / "codes.npz", phi=codes)
+    path = folder / "wire.toml"
+    path.write_text(layout_toml(16, 16, name="wire", measurement={"ensemble": "matrix", "matrix": "codes.npz"}))
+    return path
+
+
+def test_sums_of_other_hardware_with_a_phi_for_each_frame(force_n: np.ndarray, tmp_path: Path, out: Path) -> None:
+    """Every fifth frame is lost, and every frame lacks a sum: the cycle tells the Φ, and only that sum is left out."""
+    slow_n, codes = np.repeat(force_n[:10], 20, axis=0), np.random.default_rng(1).integers(0, 2, (60, 64, 256))
+    layout = load_layout(wire_layout(tmp_path, codes))
+    cycle = np.flatnonzero(np.arange(1, len(slow_n) + 1) % 5) + 1
+    counts = np.rint(slow_n / layout.taxels.newton_per_count).astype(np.int32).reshape(len(slow_n), -1)
+    sums = np.stack([codes[(each - 1) % 60] @ counts[each - 1] for each in cycle])
+    valid = np.arange(64) != cycle[:, None] % 64
+    np.savez(tmp_path / "sums.npz", sums=np.where(valid, sums, 10**6), valid=valid, cycle=cycle)
+    rebuild(tmp_path / "sums.npz", out=out, layout=tmp_path / "wire.toml")
+    images, came, time_ns, about = loaded(out)
+    np.testing.assert_array_equal(came, valid)
+    np.testing.assert_array_equal(time_ns, (cycle - 1) * 10_000_000)
+    assert about["fingerprint"] == layout.operator().fingerprint
+    assert np.sqrt(np.mean((images - slow_n[cycle - 1])[80:] ** 2)) < 0.0003
+
+
+def test_a_recording_of_forces_is_measured_by_a_matrix(force_n: np.ndarray, tmp_path: Path, out: Path) -> None:
+    path = wire_layout(tmp_path, np.random.default_rng(1).integers(0, 2, (60, 64, 256)))
+    np.save(tmp_path / "mat.npy", np.repeat(force_n[:1], 100, axis=0))
+    rebuild(tmp_path / "mat.npy", out=out, layout=path, full_scale=0.02)
+    assert np.sqrt(np.mean((loaded(out)[0][-1] - force_n[0]) ** 2)) < 0.0002
+
+
+def test_sums_that_a_program_kept_give_the_images_of_the_live_chain(
+    contract: Contract, sums: np.ndarray, layout_file: Path, tmp_path: Path, out: Path
+) -> None:
+    np.savez(tmp_path / "sums.npz", sums=sums, time_ns=np.arange(CYCLES) * 7)
+    rebuild(tmp_path / "sums.npz", out=out, layout=layout_file)
+    images, valid, time_ns, _ = loaded(out)
+    np.testing.assert_array_equal(images, live_images(contract, sums, valid))
+    assert valid.all()
+    np.testing.assert_array_equal(time_ns, np.arange(CYCLES) * 7)
+
+
+@pytest.mark.parametrize(
+    ("arrays", "says"),
+    [
+        ({"sums": np.zeros((4, 63), np.int32)}, r"'sums': expected integers, ADC counts, of shape \(cycles, 64\)"),
+        ({"sums": np.zeros((4, 64))}, "'sums': expected integers, ADC counts"),
+        ({"sums": np.zeros((0, 64), np.int32)}, "'sums': expected integers, ADC counts"),
+        ({"sums": np.full((4, 64), 2**31)}, "'sums': expected up to 2147483647 counts"),
+        ({"sums": np.zeros((4, 64), int), "valid": np.ones(4, bool)}, r"'valid': expected booleans of shape \(4, 64\)"),
+        ({"sums": np.zeros((4, 64), int), "cycle": np.ones(3, int)}, r"'cycle': expected integers of shape \(4,\)"),
+        ({"sums": np.zeros((4, 64), int), "time_ns": np.ones(4)}, "'time_ns': expected integers"),
+        ({"sums": np.full((4, 64), None)}, "cannot be read as .npz"),
+    ],
+)
+def test_sums_that_do_not_fit_are_refused(tmp_path: Path, out: Path, arrays: dict[str, np.ndarray], says: str) -> None:
+    path = wire_layout(tmp_path, np.ones((64, 256)))
+    np.savez(tmp_path / "sums.npz", **arrays)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match=says):
+        rebuild(tmp_path / "sums.npz", out=out, layout=path)
+    assert not out.exists()
+
+
+def test_a_log_has_no_sums_of_a_matrix(contract: Contract, sums: np.ndarray, tmp_path: Path, out: Path) -> None:
+    log = write_log(tmp_path / "can.log", messages(contract, sums))
+    with pytest.raises(LayoutError, match="made by other hardware, not by boards on a bus"):
+        rebuild(log, out=out, layout=wire_layout(tmp_path, np.ones((64, 256))))

@@ -15,7 +15,9 @@ from recording.drawing import LINE, Drawing
 from recording.export_command import export
 from recording.sinks import McapSink
 from recording.video import TICK_S
+from skin.plane import Plane
 from tests import messages as make
+from tests.layouts import tube_layout
 from tests.recording.helpers import OFFSET_NS
 
 #: Times of the images; 40 ms are lost between the second and third, and 2 s before the last.
@@ -87,6 +89,23 @@ def test_marks(contract: Contract) -> None:
     assert marked[y, x].tolist() == [255, 255, 255]
     changed = np.argwhere((marked != plain).any(axis=2))
     assert np.abs(changed - (y, x)).max() < 4 * drawing.cell
+
+
+def test_a_skin_that_is_no_grid_is_drawn_in_its_places() -> None:
+    layout = tube_layout()
+    plane, drawing = Plane(layout.taxels.surface), Drawing(layout, 1.0)
+    assert (drawing.height % 2, drawing.width % 2) == (0, 0)
+    forces_n, is_valid = np.zeros((1, 96), np.float32), np.arange(3) != 1
+    forces_n[0, 30] = 1.0
+    x, y = np.floor(plane.places * drawing.cell).astype(int).T
+    plain = drawing.draw(forces_n, np.ones(3, np.bool_), [], "")
+    assert np.flatnonzero((plain[y, x] != plain[y[0], x[0]]).any(axis=1)).tolist() == [30]
+    hatched = (drawing.draw(forces_n, is_valid, [], "") != plain).any(axis=2)
+    np.testing.assert_array_equal(hatched[y, x], layout.phi().block_of_taxel == 1)
+    place, normal = layout.taxels.surface.positions_m[17].tolist(), layout.taxels.surface.normals[17].tolist()
+    touch = make.contact(identity=7, row=0.0, column=17.0, position_m=place, normal=normal)
+    marked = drawing.draw(forces_n, np.ones(3, np.bool_), [touch], "")
+    assert np.abs(np.argwhere((marked != plain).any(axis=2)) - (y[17], x[17])).max() < 4 * drawing.cell
 
 
 def test_what_cannot_be_shown(contract: Contract, out: Path, tmp_path: Path) -> None:

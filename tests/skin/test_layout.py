@@ -216,7 +216,7 @@ def test_small_skin() -> None:
         ("sum_bits = 16", "sum_bits = 9", "expected 16 or 12 or 8, got 9"),
         ("block_size = 32", "block_size = 32\npatch = 12", "expected 8 or 16 or 32 or 64, got 12"),
         ("block_size = 32", "block_size = 128\npatch = 8", "8 x 8 taxels are fewer than the 128 of a block: got 8"),
-        ('ensemble = "sbhe"', 'ensemble = "dct"', 'expected sbhe, got "dct"'),
+        ('ensemble = "sbhe"', 'ensemble = "dct"', 'expected sbhe or matrix, got "dct"'),
         ('selection = "balanced"', 'selection = "any"', 'expected balanced or uniform, got "any"'),
         ('name = "bus1"', 'name = "bus1"\nblocks_per_node = 3', "expected 1 or 2 or 4 or 8, got 3"),
         ("rows = 64", "rowz = 64", "unknown key `rowz`: did you mean `rows`?"),

@@ -41,7 +41,7 @@ BAD = (
 
 
 def test_sums_and_validity() -> None:
-    counts, valid, valid_sums = decode_measurement(GOOD, PHI)
+    counts, valid, valid_sums, _ = decode_measurement(GOOD, PHI)
     assert counts.dtype == np.int32
     np.testing.assert_array_equal(counts, np.where(valid_sums, SUMS, 0))
     assert valid.tolist() == [True, False, True, True, True, True, True, True]
@@ -50,7 +50,7 @@ def test_sums_and_validity() -> None:
 
 def test_offsets_are_taken_off_valid_sums() -> None:
     offsets = np.arange(16, dtype="<i4") * 100 - 700
-    counts, _, valid_sums = decode_measurement(msgspec.structs.replace(GOOD, offsets=offsets.tobytes()), PHI)
+    counts, _, valid_sums, _ = decode_measurement(msgspec.structs.replace(GOOD, offsets=offsets.tobytes()), PHI)
     np.testing.assert_array_equal(counts[valid_sums], (SUMS - offsets)[valid_sums])
     assert not counts[~valid_sums].any()
 
@@ -58,7 +58,7 @@ def test_offsets_are_taken_off_valid_sums() -> None:
 def test_a_defective_sum_is_left_out_and_its_block_is_not_valid() -> None:
     usable = np.ones(16, np.uint8)
     usable[5] = 0
-    counts, valid, valid_sums = decode_measurement(msgspec.structs.replace(GOOD, usable=usable.tobytes()), PHI)
+    counts, valid, valid_sums, _ = decode_measurement(msgspec.structs.replace(GOOD, usable=usable.tobytes()), PHI)
     came = PHI.sums_of_blocks(np.frombuffer(GOOD.valid, np.bool_))
     np.testing.assert_array_equal(valid_sums, came & (usable != 0))
     assert counts[5] == 0

@@ -4,27 +4,18 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.ndimage import binary_dilation
 from scipy.spatial import Delaunay
 
 from canskin.errors import LayoutError
 from skin.surface import SPACING_MAX_M, grid_surface, surface_of_positions
-
-PITCH_M = 0.004
-
-
-def places(rows: int, columns: int) -> np.ndarray:
-    return grid_surface(rows, columns, PITCH_M, np.zeros(0, np.intp)).positions_m
-
-
-def tube(rings: int = 10, around: int = 24, radius_m: float = 0.03) -> np.ndarray:
-    ring, step = np.divmod(np.arange(rings * around), around)
-    angle = 2 * np.pi * (step + 0.5 * (ring % 2)) / around
-    return np.stack((radius_m * np.cos(angle), radius_m * np.sin(angle), 0.0068 * ring), axis=1)
+from tests import surfaces
+from tests.surfaces import PITCH_M, places, tube
 
 
 @given(st.integers(2, 12), st.integers(2, 12))
 def test_positions_of_a_grid_have_the_edges_of_the_grid(rows: int, columns: int) -> None:
-    grid = grid_surface(rows, columns, PITCH_M, np.zeros(0, np.intp))
+    grid = surfaces.grid(rows, columns)
     found = surface_of_positions(grid.positions_m.tolist())
     assert np.array_equal(found.edges, grid.edges)
     assert found.pitch_m == pytest.approx(PITCH_M)
@@ -50,6 +41,29 @@ def test_no_edge_crosses_a_gap() -> None:
     assert np.array_equal(found.islands, (columns > 4).astype(int))
     gaps = np.arange(4, 64, 8)
     assert len(grid_surface(8, 8, PITCH_M, gaps).edges) == len(found.edges)
+
+
+@given(st.integers(1, 12), st.integers(1, 12), st.integers(0, 4), st.integers(0, 2**32 - 1))
+def test_taxels_spread_over_a_grid_as_another_library_dilates_them(
+    rows: int, columns: int, steps: int, seed: int
+) -> None:
+    touched = np.random.default_rng(seed).random((rows, columns)) < 0.1
+    expected = binary_dilation(touched, iterations=steps) if steps else touched
+    assert np.array_equal(surfaces.grid(rows, columns).spread(touched.ravel(), steps), expected.ravel())
+
+
+def test_taxels_spread_over_the_seam_of_a_tube_and_not_over_a_gap() -> None:
+    skin = surface_of_positions(tube().tolist())
+    touched = np.arange(240) == 5 * 24  # the first of ring 5
+    near = np.linalg.norm(tube() - tube()[touched], axis=1) < 0.009
+    assert np.array_equal(skin.spread(touched, 1), near)
+    patches = surfaces.two_patches()
+    assert np.array_equal(patches.spread(patches.islands == 0, 20), patches.islands == 0)
+
+
+def test_a_taxel_is_named_by_its_number_and_on_a_grid_by_its_row_and_column_too() -> None:
+    assert surfaces.grid(8, 10).name_of(34) == "taxel 34 (row 3, column 4)"
+    assert surfaces.two_patches().name_of(34) == "taxel 34"
 
 
 def test_a_tube_is_not_flat_and_its_normals_point_outwards() -> None:

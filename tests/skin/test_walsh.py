@@ -8,7 +8,7 @@ from scipy.linalg import hadamard
 
 from canskin.errors import InputError
 from skin.surface import grid_surface
-from skin.walsh import GROUPS, Indices, grouped_rows, neighbours, patch_shape, patches, walsh_matrix
+from skin.walsh import Indices, coarse_rows, grouped_rows, neighbours, patch_shape, patches, walsh_matrix
 
 NO_GAPS = np.zeros(0, np.intp)
 
@@ -22,7 +22,7 @@ def test_patches_are_square_or_twice_as_wide(taxels: int, shape: tuple[int, int]
     assert patch_shape(taxels) == shape
 
 
-@pytest.mark.parametrize("taxels", [4, 8, 16, 32, 64, 128])
+@pytest.mark.parametrize("taxels", [8, 16, 32, 64, 128])
 def test_rows_of_a_patch_are_all_rows_of_its_hadamard_matrix(taxels: int) -> None:
     rows = grouped_rows(taxels)
     assert sorted(rows.ravel().tolist()) == list(range(taxels))
@@ -31,27 +31,61 @@ def test_rows_of_a_patch_are_all_rows_of_its_hadamard_matrix(taxels: int) -> Non
     assert np.array_equal(walsh, hadamard(taxels)[rows.ravel()])
 
 
-@pytest.mark.parametrize("taxels", [8, 32, 128])
-def test_groups_are_quarters_of_the_sequencies(taxels: int) -> None:
+@pytest.mark.parametrize("taxels", [8, 16, 32, 64, 128])
+def test_groups_are_parts_of_two_by_four_of_the_table_of_sequencies(taxels: int) -> None:
     high, wide = patch_shape(taxels)
-    walsh = walsh_matrix(taxels).reshape(GROUPS, -1, high, wide)
-    for group in range(GROUPS):
-        down = [int((np.diff(row[:, 0]) != 0).sum()) for row in walsh[group]]
-        across = [int((np.diff(row[0]) != 0).sum()) for row in walsh[group]]
-        expected = [
-            (a, b)
-            for a in range(group // 2 * (high // 2), (group // 2 + 1) * (high // 2))
-            for b in range(group % 2 * (wide // 2), (group % 2 + 1) * (wide // 2))
-        ]
+    walsh = walsh_matrix(taxels).reshape(-1, 8, high, wide)
+    assert len(walsh) == taxels // 8
+    for group, rows in enumerate(walsh):
+        first, beside = 2 * (group // (wide // 4)), 4 * (group % (wide // 4))
+        down = (np.diff(rows[:, :, 0]) != 0).sum(axis=1).tolist()
+        across = (np.diff(rows[:, 0]) != 0).sum(axis=1).tolist()
+        expected = [(a, b) for a in (first, first + 1) for b in range(beside, beside + 4)]
         assert list(zip(down, across, strict=True)) == expected
 
 
-def test_first_group_alone_gives_the_means_of_two_by_two_taxels() -> None:
-    patch = np.random.default_rng(1).uniform(size=(4, 8))
-    first = walsh_matrix(32)[:8]
-    coarse = (first.T @ (first @ patch.ravel()) / 32).reshape(4, 8)
-    means = patch.reshape(2, 2, 4, 2).mean(axis=(1, 3)).repeat(2, 0).repeat(2, 1)
+def test_groups_of_less_than_eight_rows_are_refused() -> None:
+    with pytest.raises(InputError, match="8 taxels or more, got 4"):
+        grouped_rows(4)
+
+
+@pytest.mark.parametrize("taxels", [8, 16, 32, 64])
+def test_a_quarter_of_the_rows_gives_the_means_of_two_by_two_taxels(taxels: int) -> None:
+    high, wide = patch_shape(taxels)
+    patch = np.random.default_rng(1).uniform(size=(high, wide))
+    rows = hadamard(taxels)[coarse_rows(taxels)]
+    coarse = (rows.T @ (rows @ patch.ravel()) / taxels).reshape(high, wide)
+    means = patch.reshape(high // 2, 2, wide // 2, 2).mean(axis=(1, 3)).repeat(2, 0).repeat(2, 1)
     assert coarse == pytest.approx(means, abs=1e-6)
+
+
+@given(st.integers(3, 6), st.integers(0, 9), st.integers(0, 2**32 - 1))
+def test_rows_of_low_sequency_tell_the_sums_of_the_halves_of_halves_of_a_patch_of_any_shape(
+    log_taxels: int, missing: int, seed: int
+) -> None:
+    taxels, random = 2**log_taxels, np.random.default_rng(seed)
+    positions = random.uniform(size=(taxels - min(missing, taxels // 2 - 1), 3))
+    (patch,) = neighbours(positions, 1, taxels)
+    high, wide = patch_shape(taxels)
+    walsh = walsh_matrix(taxels).reshape(taxels, high, wide)
+    down, across = ((np.diff(walsh, axis=axis)[:, *at] != 0).sum(axis=1) for axis, at in ((1, (..., 0)), (2, (0,))))
+    force_n = np.zeros(taxels)
+    force_n[: len(positions)] = random.uniform(size=len(positions))
+    force_n = force_n[patch].reshape(high, wide)  # an empty place reads 0
+    tall, broad = 1, 1
+    while tall * broad <= taxels:
+        low = walsh[(down < tall) & (across < broad)].reshape(-1, taxels)
+        part = (high // tall, wide // broad)
+        means = force_n.reshape(tall, part[0], broad, part[1]).mean(axis=(1, 3))
+        assert low @ force_n.ravel() == pytest.approx(
+            low @ means.repeat(part[0], 0).repeat(part[1], 1).ravel(), abs=1e-4
+        )
+        assert np.linalg.matrix_rank(low) == tall * broad
+        tall, broad = (tall, 2 * broad) if part[1] > part[0] else (2 * tall, broad)
+    axis = int(np.ptp(positions, axis=0).argmax())
+    one, other = np.split(patch.reshape(high, wide), 2, axis=int(wide > high))
+    there = [positions[half[half < len(positions)], axis] for half in (one, other)]
+    assert there[0].max() <= there[1].min(initial=np.inf)  # the halves do not overlap
 
 
 def test_patch_beside_or_below_is_on_another_bus() -> None:

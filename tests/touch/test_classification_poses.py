@@ -16,8 +16,8 @@ def test_the_papers_360_offsets() -> None:
     every = poses()
     assert len(every) == len(set(every)) == PERTURBATIONS == 360
     assert every[0] == Pose(0.0, 0.0, 0.0, 0.00999)
-    assert tuple(every[-1]) == pytest.approx((-0.01, -0.01, -math.pi / 4, 0.00999))
-    assert tuple(every[1]) == pytest.approx((0.0, 0.0, -math.radians(5), 0.00999))
+    assert every[-1][:4] == pytest.approx((-0.01, -0.01, -math.pi / 4, 0.00999))
+    assert every[1][:4] == pytest.approx((0.0, 0.0, -math.radians(5), 0.00999))
 
 
 def test_sixteen_objects_without_the_golf_ball() -> None:

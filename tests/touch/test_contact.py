@@ -16,7 +16,7 @@ small = st.floats(-0.03, 0.03)
 bodies = st.lists(st.tuples(small, small, st.floats(-0.02, 0.0), st.floats(0.001, 0.02)), min_size=1, max_size=6).map(
     lambda rows: Spheres(np.array(rows)[:, :3], np.array(rows)[:, 3])
 )
-poses = st.builds(Pose, small, small, st.floats(-7.0, 7.0), st.floats(-0.002, 0.02))
+poses = st.tuples(small, small, st.floats(-7.0, 7.0), st.floats(-0.002, 0.02)).map(lambda each: Pose(*each))
 
 
 def by_definition(grid: Grid, spheres: Spheres, pose: Pose) -> npt.NDArray[np.float64]:

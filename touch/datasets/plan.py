@@ -151,7 +151,9 @@ def plan_classification(
         **_settings(seed, model),
     }
     about = _about("classification", "perturbation, row, column", settings, listed, meshes)
-    about["poses"] = [{name: round(value, 9) for name, value in pose._asdict().items()} for pose in drawn]
+    about["poses"] = [
+        {name: round(value, 9) for name, value in zip(Pose._fields[:4], pose[:4], strict=True)} for pose in drawn
+    ]
     return DatasetPlan(about, tuple(tasks))
 
 

@@ -14,6 +14,8 @@ import numpy as np
 from health.notices import NMT_WORDS
 from health.snapshot import Pictures, Snapshot
 from skin.layout import Layout
+from skin.plane import view_of
+from skin.surface import Surface
 
 
 def frame(snapshot: Snapshot, pictures: Pictures) -> bytes:
@@ -30,7 +32,11 @@ def frame(snapshot: Snapshot, pictures: Pictures) -> bytes:
 
 
 def greeting(layout: Layout) -> dict[str, Any]:
-    """Return the skin's constants for the page: sending, grid, buses, block of each taxel, names of the NMT states."""
+    """Return the skin's constants for the page: sending, taxels, buses, block of each taxel, names of the NMT states.
+
+    ``surface`` is None of a grid. Else it has positions and normals; `skin.plane.view_of` at first; what is then in the
+    middle; and the space that the skin needs, in pitches, if it is turned to any side unless it is flat.
+    """
     taxels, phi = layout.taxels, layout.phi()
     buses = [
         {
@@ -48,6 +54,7 @@ def greeting(layout: Layout) -> dict[str, Any]:
         "sending": layout.sending,
         "rows": taxels.rows,
         "columns": taxels.columns,
+        "surface": None if taxels.surface.is_grid else _surface(taxels.surface),
         "force_max_n": taxels.force_max_n,
         "sums": layout.measurement.sums,
         "rate_hz": layout.sync.rate_hz,
@@ -55,4 +62,23 @@ def greeting(layout: Layout) -> dict[str, Any]:
         "block_of_taxel": np.where(phi.is_wired, phi.block_of_taxel, -1).tolist(),
         "buses": buses,
         "nmt": {str(int(state)): word for state, word in NMT_WORDS.items()},
+    }
+
+
+def _surface(surface: Surface) -> dict[str, Any]:
+    view = view_of(surface)
+    seen = surface.positions_m @ view.T
+    middle = (seen.min(axis=0) + seen.max(axis=0)) / 2
+    width, height, _ = np.ptp(seen, axis=0) / surface.pitch_m + 1.0
+    if not surface.is_flat:
+        width = height = 2.0 * np.linalg.norm(seen - middle, axis=1).max() / surface.pitch_m + 1.0
+    return {
+        "positions_m": surface.positions_m.round(6).tolist(),
+        "normals": surface.normals.round(4).tolist(),
+        "pitch_m": surface.pitch_m,
+        "view": view.tolist(),
+        "middle_m": (middle @ view).tolist(),
+        "is_flat": surface.is_flat,
+        "width": float(width),
+        "height": float(height),
     }

@@ -9,27 +9,19 @@ import numpy.typing as npt
 from canskin.messages import Contact
 from health.state import FRESH_S
 from skin.layout import Taxels
-from skin.taxel_places import Forces, force_colours, place_m, places_m, radius_m
+from skin.surface import Surface
+from skin.taxel_places import Forces, contact_place_m, force_colours, radius_m, taxel_points, turned_to
 from views.ros2.types import IMAGE, MARKERS, POINT_CLOUD, TEXT, message
 
 NS: Final = 1_000_000_000
 #: `sensor_msgs/msg/PointField`: the number of a type.
 _FIELD_TYPES: Final = {"u1": 2, "u4": 6, "f4": 7}
 
-#: Points of a cloud of taxels. `force` is an estimate where `valid` is 0.
-TAXEL_POINT: Final = np.dtype(
-    {
-        "names": ["x", "y", "z", "force", "valid"],
-        "formats": ["<f4", "<f4", "<f4", "<f4", "u1"],
-        "offsets": [0, 4, 8, 12, 16],
-        "itemsize": 20,
-    }
-)
 #: Points of a cloud of contacts: newtons, metres, seconds, numbers of taxels; `doubtful` is 1 for what may be an error
 #: of the zero, else 0.
 CONTACT_POINT: Final = np.dtype(
     [
-        *((name, "<f4") for name in ("x", "y", "z", "force", "peak", "age")),
+        *((name, "<f4") for name in ("x", "y", "z", "normal_x", "normal_y", "normal_z", "force", "peak", "age")),
         *((name, "<u4") for name in ("identity", "taxels", "invalid_taxels", "doubtful")),
     ]
 )
@@ -51,19 +43,17 @@ def heat_map(head: Any, measured_n: Forces, full_n: float) -> Any:
     return _image(head, "rgb8", force_colours(measured_n, full_n))
 
 
-def taxel_cloud(head: Any, taxels: Taxels, forces_n: Forces, valid: npt.NDArray[np.bool_]) -> Any:
-    """Return the taxels as a cloud with rows and columns; points are of `TAXEL_POINT`."""
-    points = np.zeros(taxels.count, TAXEL_POINT)
-    points["x"], points["y"], points["z"] = places_m(taxels).T
-    points["force"], points["valid"] = forces_n.ravel(), valid.ravel()
-    return _cloud(head, points.reshape(taxels.rows, taxels.columns))
+def taxel_cloud(head: Any, surface: Surface, forces_n: Forces, valid: npt.NDArray[np.bool_]) -> Any:
+    """Return the taxels as a cloud, with rows and columns of a grid, else one row; see `skin.taxel_places`."""
+    return _cloud(head, taxel_points(surface, forces_n, valid))
 
 
-def contact_cloud(head: Any, taxels: Taxels, contacts: Sequence[Contact], sampled_mono_ns: int) -> Any:
+def contact_cloud(head: Any, surface: Surface, contacts: Sequence[Contact], sampled_mono_ns: int) -> Any:
     """Return a point for each contact, at its centre of force, the strongest first; points are of `CONTACT_POINT`."""
     points = np.zeros((1, len(contacts)), CONTACT_POINT)
-    places = np.array([place_m(taxels, each.row, each.column) for each in contacts]).reshape(-1, 2)
-    points["x"], points["y"] = places.T
+    places = [(*contact_place_m(surface, each), *each.normal) for each in contacts]
+    for name, column in zip(CONTACT_POINT.names or (), np.reshape(places, (-1, 6)).T, strict=False):
+        points[name] = column
     points["age"] = [(sampled_mono_ns - each.onset_mono_ns) * 1e-9 for each in contacts]
     points["force"] = [each.force_n for each in contacts]
     points["peak"] = [each.peak_n for each in contacts]
@@ -77,16 +67,17 @@ def contact_markers(head: Any, taxels: Taxels, contacts: Sequence[Contact]) -> A
 
     Markers drawn before go; without new ones all go after `health.state.FRESH_S`.
     """
-    made = [_marker(head, "", 0, action=3)]
+    made, surface = [_marker(head, "", 0, action=3)], taxels.surface
+    pitch_m = surface.pitch_m
     for each in contacts:
-        x_m, y_m = place_m(taxels, each.row, each.column)
-        width_m = 2 * radius_m(taxels, each.taxels)
+        place = np.array(contact_place_m(surface, each))
+        width_m = 2 * radius_m(surface, each.taxels)
         parts = force_colours(np.array(each.peak_n, np.float32)[None], taxels.force_max_n)[0] / 255
         colour = (*map(float, parts), 0.8)
         number = each.identity % 2**31
-        disc = (width_m, width_m, taxels.pitch_m / 4)
-        made.append(_marker(head, "contacts", number, kind=3, place=(x_m, y_m, 0.0), size=disc, colour=colour))
-        above, height = (x_m, y_m, -4 * taxels.pitch_m), (0.0, 0.0, 4 * taxels.pitch_m)
+        disc = {"size": (width_m, width_m, pitch_m / 4), "turn": turned_to(each.normal).tolist()}
+        made.append(_marker(head, "contacts", number, kind=3, place=place.tolist(), colour=colour, **disc))
+        above, height = (place + 4 * pitch_m * np.array(each.normal)).tolist(), (0.0, 0.0, 4 * pitch_m)
         words = f"{1e3 * each.force_n:.1f} mN{'?' * each.doubtful}"
         made.append(_marker(head, "forces", number, kind=9, place=above, size=height, text=words))
     return message(MARKERS, markers=made)
@@ -137,7 +128,8 @@ def _marker(
     *,
     kind: int = 0,
     action: int = 0,
-    place: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    place: Sequence[float] = (0.0, 0.0, 0.0),
+    turn: Sequence[float] = (0.0, 0.0, 0.0, 1.0),
     size: tuple[float, float, float] = (0.0, 0.0, 0.0),
     colour: tuple[float, ...] = (1.0, 1.0, 1.0, 1.0),
     text: str = "",
@@ -154,7 +146,7 @@ def _marker(
         pose=message(
             "geometry_msgs/msg/Pose",
             position=message("geometry_msgs/msg/Point", **dict(zip("xyz", place, strict=True))),
-            orientation=message("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=0.0, w=1.0),
+            orientation=message("geometry_msgs/msg/Quaternion", **dict(zip("xyzw", turn, strict=True))),
         ),
         scale=message("geometry_msgs/msg/Vector3", **dict(zip("xyz", size, strict=True))),
         color=message("std_msgs/msg/ColorRGBA", **dict(zip("rgba", colour, strict=True))),

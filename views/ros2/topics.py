@@ -52,7 +52,7 @@ class Translator:
     Parameters
     ----------
     frame : str
-        Frame of the messages: `skin.taxel_places` says where it lies.
+        Frame of the messages: `skin.surface` says where it lies.
     state : ViewState
         What the diagnostics tell of; takes every message, too.
     wall : WallTimes, optional
@@ -98,16 +98,17 @@ class Translator:
         if head is None:
             return
         measured_n = cache(partial(grid.measured_n, image))
-        yield FORCE_IMAGE, lambda: content.force_image(head, measured_n())
-        yield HEAT_MAP, lambda: content.heat_map(head, measured_n(), taxels.force_max_n)
-        yield TAXEL_CLOUD, lambda: content.taxel_cloud(head, taxels, grid.forces_n(image), grid.valid(image))
+        if taxels.surface.is_grid:
+            yield FORCE_IMAGE, lambda: content.force_image(head, measured_n())
+            yield HEAT_MAP, lambda: content.heat_map(head, measured_n(), taxels.force_max_n)
+        yield TAXEL_CLOUD, lambda: content.taxel_cloud(head, taxels.surface, grid.forces_n(image), grid.valid(image))
 
     def _contacts(self, contacts: Contacts) -> Iterator[Draft]:
         taxels, found, sampled_ns = self._layout.taxels, contacts.contacts, contacts.sampled_mono_ns
         head = self._header(sampled_ns)
         if contacts.blind or head is None:  # an empty message would mean: no contact
             return
-        yield CONTACT_CLOUD, lambda: content.contact_cloud(head, taxels, found, sampled_ns)
+        yield CONTACT_CLOUD, lambda: content.contact_cloud(head, taxels.surface, found, sampled_ns)
         yield CONTACT_MARKERS, lambda: content.contact_markers(head, taxels, found)
 
     def _label(self, label: Label) -> Iterator[Draft]:

@@ -1,6 +1,6 @@
 """A skin in Foxglove (https://foxglove.dev): a server for the app, or a file (.mcap) for it."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -11,7 +11,7 @@ from canskin.messages import Contact
 from health.state import FRESH_S
 from shell.extras import not_installed
 from skin.layout import Layout
-from skin.taxel_places import Forces, place_m, radius_m
+from skin.taxel_places import TAXEL_POINT, Forces, contact_place_m, radius_m, taxel_points, turned_to
 from views.show.target import Address
 
 IMAGE: Final = "/image"
@@ -44,7 +44,7 @@ class FoxgloveCanvas:
 
     def __init__(self, layout: Layout, target: Address | Path) -> None:
         foxglove = _foxglove()
-        self._messages, self._taxels, self._frame = foxglove.messages, layout.taxels, layout.name
+        self._messages, self._surface, self._frame = foxglove.messages, layout.taxels.surface, layout.name
         context, channels = foxglove.Context(), foxglove.channels
         self.address = ""
         try:
@@ -57,15 +57,41 @@ class FoxgloveCanvas:
         except (RuntimeError, OSError) as error:
             where = f"{target.host}:{target.port}" if isinstance(target, Address) else target
             raise RunError(f"Foxglove: {where}: {error}") from error
-        self._image = channels.RawImageChannel(IMAGE, context=context)
-        self._grid = channels.GridChannel(TAXELS, context=context)
+        if self._surface.is_grid:
+            self._image = channels.RawImageChannel(IMAGE, context=context)
+            self._cells = channels.GridChannel(TAXELS, context=context)
+        else:
+            self._points = channels.PointCloudChannel(TAXELS, context=context)
         self._contacts = channels.SceneUpdateChannel(CONTACTS, context=context)
         self._log = channels.LogChannel(LOG, context=context)
         self._context, self._foxglove = context, foxglove
         self._figures: dict[str, Any] = {}
 
     def image(self, time_ns: int, _cycle: int, measured_n: Forces) -> None:
-        """Draw the forces: as an image in newtons, and as cells in their places."""
+        """Draw the forces: of a grid as an image in newtons and as cells in their places, else as points."""
+        draw = self._draw_grid if self._surface.is_grid else self._draw_points
+        draw(time_ns, measured_n)
+
+    def _draw_points(self, time_ns: int, measured_n: Forces) -> None:
+        messages = self._messages
+        numeric = messages.PackedElementFieldNumericType
+        fields = [
+            messages.PackedElementField(
+                name=name, offset=offset, type=numeric.Float32 if kind.kind == "f" else numeric.Uint8
+            )
+            for name, (kind, offset, *_) in (TAXEL_POINT.fields or {}).items()
+        ]
+        cloud = messages.PointCloud(
+            timestamp=self._stamp(time_ns),
+            frame_id=self._frame,
+            pose=self._pose((0.0, 0.0, 0.0)),
+            point_stride=TAXEL_POINT.itemsize,
+            fields=fields,
+            data=taxel_points(self._surface, measured_n, ~np.isnan(measured_n)).tobytes(),
+        )
+        self._points.log(cloud, log_time=time_ns)
+
+    def _draw_grid(self, time_ns: int, measured_n: Forces) -> None:
         messages, stamp = self._messages, self._stamp(time_ns)
         pixels = np.ascontiguousarray(measured_n, "<f4")
         rows, columns = pixels.shape
@@ -81,13 +107,13 @@ class FoxgloveCanvas:
             ),
             log_time=time_ns,
         )
-        pitch_m = self._taxels.pitch_m
+        pitch_m = self._surface.pitch_m
         force = messages.PackedElementField(name="force", offset=0, type=messages.PackedElementFieldNumericType.Float32)
-        self._grid.log(
+        self._cells.log(
             messages.Grid(
                 timestamp=stamp,
                 frame_id=self._frame,
-                pose=self._pose(-columns * pitch_m / 2, -rows * pitch_m / 2),
+                pose=self._pose((-columns * pitch_m / 2, -rows * pitch_m / 2, 0.0)),
                 column_count=columns,
                 cell_size=messages.Vector2(x=pitch_m, y=pitch_m),
                 row_stride=4 * columns,
@@ -99,11 +125,14 @@ class FoxgloveCanvas:
         )
 
     def contacts(self, time_ns: int, _cycle: int | None, contacts: Sequence[Contact]) -> None:
-        """Draw a disc of each contact's area, and its force in words; orange and with a "?" where it is doubtful.
+        """Draw a disc of each contact's area, an arrow against its normal, and its force in words.
 
-        All vanish after `health.state.FRESH_S`.
+        They are orange, and the words have a "?", where the contact is doubtful. All vanish after
+        `health.state.FRESH_S`.
         """
-        messages, taxels = self._messages, self._taxels
+        messages, surface = self._messages, self._surface
+        pitch_m = surface.pitch_m
+        places = [(each, np.array(contact_place_m(surface, each)), np.array(each.normal)) for each in contacts]
 
         def colour(contact: Contact, alpha: float) -> Any:
             red, green, blue = (1.0, 0.63, 0.0) if contact.doubtful else (1.0, 1.0, 1.0)
@@ -116,26 +145,37 @@ class FoxgloveCanvas:
             lifetime=messages.Duration(sec=0, nsec=round(FRESH_S * _NS)),
             cylinders=[
                 messages.CylinderPrimitive(
-                    pose=self._pose(*place_m(taxels, each.row, each.column)),
+                    pose=self._pose(place_m, turned_to(normal)),
                     size=messages.Vector3(
-                        x=2 * radius_m(taxels, each.taxels), y=2 * radius_m(taxels, each.taxels), z=taxels.pitch_m / 4
+                        x=2 * radius_m(surface, each.taxels), y=2 * radius_m(surface, each.taxels), z=pitch_m / 4
                     ),
                     bottom_scale=1.0,
                     top_scale=1.0,
                     color=colour(each, 0.3),
                 )
-                for each in contacts
+                for each, place_m, normal in places
+            ],
+            arrows=[
+                messages.ArrowPrimitive(
+                    pose=self._pose(place_m + 4 * pitch_m * normal, turned_to(-normal, axis=(1.0, 0.0, 0.0))),
+                    shaft_length=3 * pitch_m,
+                    shaft_diameter=pitch_m / 4,
+                    head_length=pitch_m,
+                    head_diameter=pitch_m / 2,
+                    color=colour(each, 1.0),
+                )
+                for each, place_m, normal in places
             ],
             texts=[
                 messages.TextPrimitive(
-                    pose=self._pose(*place_m(taxels, each.row, each.column), -4 * taxels.pitch_m),
+                    pose=self._pose(place_m + 4 * pitch_m * normal),
                     billboard=True,
-                    font_size=4 * taxels.pitch_m,
+                    font_size=4 * pitch_m,
                     scale_invariant=False,
                     color=colour(each, 1.0),
                     text=f"{each.identity}: {1e3 * each.force_n:.1f} mN{'?' * each.doubtful}",
                 )
-                for each in contacts
+                for each, place_m, normal in places
             ],
         )
         self._contacts.log(messages.SceneUpdate(deletions=[], entities=[entity]), log_time=time_ns)
@@ -168,10 +208,11 @@ class FoxgloveCanvas:
     def _stamp(self, time_ns: int) -> Any:
         return self._messages.Timestamp(sec=time_ns // _NS, nsec=time_ns % _NS)
 
-    def _pose(self, x_m: float, y_m: float, z_m: float = 0.0) -> Any:
+    def _pose(self, place_m: Iterable[float], turn: Iterable[float] = (0.0, 0.0, 0.0, 1.0)) -> Any:
         messages = self._messages
         return messages.Pose(
-            position=messages.Vector3(x=x_m, y=y_m, z=z_m), orientation=messages.Quaternion(x=0.0, y=0.0, z=0.0, w=1.0)
+            position=messages.Vector3(**dict(zip("xyz", map(float, place_m), strict=True))),
+            orientation=messages.Quaternion(**dict(zip("xyzw", map(float, turn), strict=True))),
         )
 
 

@@ -10,18 +10,23 @@ from canskin.errors import RunError
 from canskin.messages import Contact
 from shell.extras import not_installed
 from skin.layout import Layout
-from skin.taxel_places import Forces, force_colours, place_m, places_m, radius_m
+from skin.plane import view_of
+from skin.surface import Surface
+from skin.taxel_places import Forces, contact_place_m, force_colours, radius_m, turned_to
 
 IMAGE: Final = "skin/image"
 #: The image in colours: on a tensor Rerun gives taxels without a value the colour of the largest force.
 HEAT_MAP: Final = "skin/heat_map"
 TAXELS: Final = "skin/space/taxels"
 CONTACTS: Final = "skin/space/contacts"
+ARROWS: Final = "skin/space/arrows"
 FIGURES: Final = "skin/figures"
 LOG: Final = "skin/log"
 #: Timelines: the sampling instant on the wall clock, and the number of the measurement.
 SAMPLED: Final = "sampled"
 CYCLE: Final = "cycle"
+#: Length of the arrow of a contact, in pitches.
+_ARROW: Final = 4.0
 #: A viewer that runs answers within this time.
 _ANSWER_S: Final = 5.0
 _LEVELS: Final = {"info": "INFO", "warning": "WARN", "error": "ERROR"}
@@ -43,7 +48,7 @@ class RerunCanvas:
 
     def __init__(self, layout: Layout, target: str | Path | None = None) -> None:
         rr = _rerun()
-        self._rr, self._taxels = rr, layout.taxels
+        self._rr, self._taxels, self._surface = rr, layout.taxels, layout.taxels.surface
         self._stream = rr.RecordingStream("canskin")
         self._stream.set_log_time_enabled(enabled=False)
         blueprint = _blueprint(rr, layout)
@@ -57,39 +62,50 @@ class RerunCanvas:
                 self._stream.flush(timeout_sec=_ANSWER_S)  # no viewer is no error before that
         except (RuntimeError, ValueError) as error:
             raise RunError(f"Rerun: {error}") from error
-        half_m = layout.taxels.pitch_m / 2
-        squares = rr.Boxes3D(
-            centers=places_m(layout.taxels),
+        half_m = self._surface.pitch_m / 2
+        #: Squares of a grid, else discs.
+        self._bodies = rr.Boxes3D if self._surface.is_grid else rr.Ellipsoids3D
+        bodies = self._bodies(
+            centers=self._surface.positions_m,
             half_sizes=np.tile(np.array([half_m, half_m, half_m / 10], np.float32), (layout.taxels.count, 1)),
+            quaternions=turned_to(self._surface.normals),
             fill_mode="solid",
         )
-        self._stream.log(TAXELS, squares, static=True)
+        self._stream.log(TAXELS, bodies, static=True)
 
     def image(self, time_ns: int, cycle: int, measured_n: Forces) -> None:
-        """Draw the forces: as a tensor in newtons, as a picture, and as the colours of the taxels."""
+        """Draw the forces: as a tensor in newtons, as the colours of the taxels and, of a grid, as a picture."""
         self._at(time_ns, cycle)
         full_n = self._taxels.force_max_n
         self._stream.log(IMAGE, self._rr.Tensor(measured_n, dim_names=("row", "column"), value_range=(0.0, full_n)))
         colours = force_colours(measured_n, full_n)
-        self._stream.log(HEAT_MAP, self._rr.Image(colours, magnification_filter="Nearest"))
-        self._stream.log(TAXELS, self._rr.Boxes3D.from_fields(colors=colours.reshape(-1, 3)))
+        if self._surface.is_grid:
+            self._stream.log(HEAT_MAP, self._rr.Image(colours, magnification_filter="Nearest"))
+        self._stream.log(TAXELS, self._bodies.from_fields(colors=colours.reshape(-1, 3)))
 
     def contacts(self, time_ns: int, cycle: int | None, contacts: Sequence[Contact]) -> None:
-        """Draw a ring of each contact's area, with its force in words; orange and with a "?" where it is doubtful."""
+        """Draw a ring of each contact's area, with its force in words, and an arrow against its normal.
+
+        They are orange, and the words have a "?", where the contact is doubtful.
+        """
         self._at(time_ns, cycle)
-        taxels = self._taxels
-        above_m = -taxels.pitch_m / 2
-        self._stream.log(
-            CONTACTS,
-            self._rr.Ellipsoids3D(
-                centers=[(*place_m(taxels, each.row, each.column), above_m) for each in contacts],
-                half_sizes=[(radius_m(taxels, each.taxels),) * 2 + (taxels.pitch_m / 20,) for each in contacts],
-                labels=[f"{each.identity}: {1e3 * each.force_n:.1f} mN{'?' * each.doubtful}" for each in contacts],
-                colors=[(255, 160, 0) if each.doubtful else (255, 255, 255) for each in contacts],
-                fill_mode="majorwireframe",
-                show_labels=True,
-            ),
+        surface = self._surface
+        normals = np.array([each.normal for each in contacts]).reshape(-1, 3)
+        places_m = np.array([contact_place_m(surface, each) for each in contacts]).reshape(-1, 3)
+        colours = [(255, 160, 0) if each.doubtful else (255, 255, 255) for each in contacts]
+        rings = self._rr.Ellipsoids3D(
+            centers=places_m + surface.pitch_m / 2 * normals,
+            half_sizes=[(radius_m(surface, each.taxels),) * 2 + (surface.pitch_m / 20,) for each in contacts],
+            quaternions=turned_to(normals),
+            labels=[f"{each.identity}: {1e3 * each.force_n:.1f} mN{'?' * each.doubtful}" for each in contacts],
+            colors=colours,
+            fill_mode="majorwireframe",
+            show_labels=True,
         )
+        self._stream.log(CONTACTS, rings)
+        pushes_m = -_ARROW * surface.pitch_m * normals
+        arrows = self._rr.Arrows3D(vectors=pushes_m, origins=places_m - pushes_m, colors=colours)
+        self._stream.log(ARROWS, arrows)
 
     def figure(self, time_ns: int, name: str, value: float) -> None:
         """Add a value to a curve."""
@@ -125,21 +141,18 @@ class RerunCanvas:
 
 def _blueprint(rr: Any, layout: Layout) -> Any:
     """Return the arrangement of the views; pixels are not interpolated."""
-    rrb = rr.blueprint
-    middle = rrb.EyeControls3D(
-        position=(0.0, 0.0, -1.2 * layout.taxels.rows * layout.taxels.pitch_m),
-        look_target=(0.0, 0.0, 0.0),
-        eye_up=(0.0, -1.0, 0.0),
-    )
+    rrb, surface = rr.blueprint, layout.taxels.surface
+    middle = _eye(rrb, surface)
     shown = rrb.TensorScalarMapping(mag_filter="Nearest", colormap="viridis")
+    pictures = rrb.Tabs(
+        rrb.Spatial2DView(origin=HEAT_MAP, name="image"),
+        rrb.TensorView(origin=IMAGE, name="newtons", scalar_mapping=shown),
+        active_tab="image",
+    )
     return rrb.Blueprint(
         rrb.Vertical(
             rrb.Horizontal(
-                rrb.Tabs(
-                    rrb.Spatial2DView(origin=HEAT_MAP, name="image"),
-                    rrb.TensorView(origin=IMAGE, name="newtons", scalar_mapping=shown),
-                    active_tab="image",
-                ),
+                *([pictures] if surface.is_grid else []),
                 rrb.Spatial3DView(origin="skin/space", name="taxels and contacts", eye_controls=middle),
             ),
             rrb.Horizontal(
@@ -155,6 +168,14 @@ def _blueprint(rr: Any, layout: Layout) -> Any:
         ),
         collapse_panels=True,
     )
+
+
+def _eye(rrb: Any, surface: Surface) -> Any:
+    """Return a viewer in front of the middle of the skin, who sees all of it."""
+    middle_m = surface.positions_m.mean(axis=0)
+    _, down, away = view_of(surface)
+    size_m = float(np.ptp(surface.positions_m, axis=0).max()) + surface.pitch_m
+    return rrb.EyeControls3D(position=middle_m - 1.2 * size_m * away, look_target=middle_m, eye_up=-down)
 
 
 def _rerun() -> Any:

@@ -21,7 +21,8 @@ PREFIX: Final = "observation.skin"
 class TouchWindow:
     """The newest cycles of a skin, the oldest first.
 
-    A cycle whose frame did not come has its place: force 0, not valid, no time.
+    A cycle whose frame did not come has its place: force 0, not valid, no time. A skin that is no grid has one row, so
+    its image has a line for each cycle.
 
     Attributes
     ----------

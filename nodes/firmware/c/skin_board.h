@@ -27,6 +27,7 @@ typedef struct {
     uint8_t node_id;
     uint8_t blocks;              /* blocks of taxels */
     uint16_t block_size;         /* taxels of a block, a power of two, 2 to 128 */
+    uint16_t held;               /* taxels of all blocks, without empty places */
     uint16_t count_max;          /* largest ADC count */
     skin_packing packing;
     const uint16_t *first_sum;   /* place of each block's first sum, blocks + 1 entries */

@@ -117,7 +117,7 @@ def valid(cycle: int) -> np.ndarray:
 def frame(cycle: int, sampled_ns: int = 0) -> Frame:
     estimate, is_valid = force_n(cycle), valid(cycle)
     return Frame(
-        image=np.where(is_valid, estimate, np.float32(np.nan)),
+        forces=np.where(is_valid, estimate, np.float32(np.nan)).ravel(),
         estimate=estimate,
         valid=is_valid,
         doubtful=np.zeros_like(is_valid),
@@ -132,6 +132,7 @@ def frame(cycle: int, sampled_ns: int = 0) -> Frame:
         sampled_at=sampled_ns * 1e-9,
         sampled_mono_ns=sampled_ns,
         sampled_error_s=0.0,
+        _skin=description(),
     )
 
 

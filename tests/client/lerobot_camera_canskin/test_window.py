@@ -1,5 +1,6 @@
 """The newest cycles as arrays and as one image."""
 
+import dataclasses
 import threading
 
 import numpy as np
@@ -45,6 +46,17 @@ def test_a_window_holds_the_newest_cycles_with_their_times(clocked: ClockedSkin,
     assert np.abs(touch.sampled_ns - [clocked.sampled_ns(cycle) for cycle in (5, 6, 7)]).max() < 300
     assert touch.age_s == pytest.approx([0.024, 0.014, 0.004])
     assert buffer.read(0.0039) is None
+
+
+def test_a_skin_that_is_no_grid_is_a_line_for_each_cycle() -> None:
+    buffer = window.WindowBuffer(2, 1, 16)
+    for cycle in (1, 2):
+        line = {"estimate": force_n(cycle).ravel(), "valid": valid(cycle).ravel()}
+        buffer.put(dataclasses.replace(frame(cycle), **line))
+    touch = read(buffer)
+    assert touch.force_n.shape == (2, 1, 16)
+    assert np.array_equal(touch.force_n[:, 0], [force_n(cycle).ravel() for cycle in (1, 2)])
+    assert touch.image(1.0).shape == (2, 16, 3)
 
 
 def test_a_cycle_without_a_frame_keeps_its_place_and_is_not_valid(buffer: window.WindowBuffer) -> None:

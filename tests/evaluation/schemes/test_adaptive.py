@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dbc.adaptive import FIRST_COB_ID, NODES, TPDOS
+from dbc.adaptive import FIRST_COB_ID
 from dbc.canopen import SYNC_COB_ID
 from dbc.frame_bits import frame_time_ns
 from evaluation.schemes.adaptive import AdaptiveRun, run_adaptive
@@ -11,6 +11,7 @@ from evaluation.schemes.judge import quality
 from evaluation.schemes.scenes import NEWTON_PER_COUNT, SHAKING, SLAP, TAXELS, Touch
 from evaluation.schemes.schemes import Adaptive, measure_scheme
 from evaluation.schemes.wire import TICK_NS, lines_of
+from tests.layouts import NODES, TPDOS
 
 TICKS = 150
 

@@ -1,6 +1,7 @@
 """Adaptive boards of one bus twice, in Python and in C: the same samples, frames, and fates of their frames."""
 
 import struct
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,11 +15,28 @@ from nodes.adaptive.firmware import FirmwarePatches
 from nodes.firmware.library import Firmware
 from nodes.segment import Segment
 from nodes.virtual_boards import VirtualBoards
+from skin.layout import load_layout
 from skin.sources import Frame, TaxelSource
 from tests.bus.harness import frame
+from tests.layouts import small_boards
 
+#: Boards of 32 taxels, and of other sizes; some places of the mats of 10 x 10 are empty.
+SKINS = {
+    "adaptive": lambda: load_layout(Path("adaptive")),
+    "adaptive-fd": lambda: load_layout(Path("adaptive-fd")),
+    "8": lambda: small_boards(8),
+    "16": lambda: small_boards(16, 10, 10),
+    "64": lambda: small_boards(64),
+    "16-fd": lambda: small_boards(16, fd=True),
+    "64-fd": lambda: small_boards(64, 10, 10, fd=True, data_bitrate=5_000_000),
+}
 #: Steps of 10 ms after which the touches come again.
 STROKES_STEPS = 200
+
+
+def contract_of(name: str) -> Contract:
+    """Return the contract of one of `SKINS`."""
+    return Contract.from_layout(SKINS[name]())
 
 
 class Strokes:
@@ -34,7 +52,8 @@ class Strokes:
         count, cells = 30, contract.phi.taxels_of_blocks[[node.block for node in contract.on_bus(0)[:nodes]]]
         self._from = self._random.integers(0, STROKES_STEPS - 30, count)
         self._long = self._random.integers(2, 60, count)
-        at = np.stack(np.unravel_index(self._random.choice(cells.ravel(), count), shape), axis=1)
+        there = cells[cells < self._taxels.count]
+        at = np.stack(np.unravel_index(self._random.choice(there, count), shape), axis=1)
         self._at = at + self._random.normal(0, 2, (count, 2))
         self._speed = self._random.normal(0, 0.3, (count, 2))
         self._width = self._random.uniform(1, 8, count)

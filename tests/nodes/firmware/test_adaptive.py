@@ -2,7 +2,6 @@
 
 import os
 import struct
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,8 +11,7 @@ from dbc.configuration import setting_of
 from dbc.contract import Contract
 from dbc.dictionary import dictionary
 from skin.defects import parse_defects
-from skin.layout import load_layout
-from tests.nodes.firmware.adaptive_twins import AdaptiveTwins
+from tests.nodes.firmware.adaptive_twins import SKINS, AdaptiveTwins, contract_of
 from tests.nodes.firmware.twins import needs_compiler
 
 pytestmark = needs_compiler
@@ -25,11 +23,7 @@ DEFECTS = ("stuck=0.05", "dead=0.05", "saturated=0.05", "noisy=0.05", "drift=0.0
 START, STOP, RESET_NODE, RESET_COMMUNICATION = 1, 2, 129, 130
 
 
-def contract_of(name: str) -> Contract:
-    return Contract.from_layout(load_layout(Path(name)))
-
-
-@pytest.fixture(scope="module", params=["adaptive", "adaptive-fd"])
+@pytest.fixture(scope="module", params=SKINS)
 def contract(request: pytest.FixtureRequest) -> Contract:
     return contract_of(request.param)
 
@@ -70,6 +64,7 @@ def test_writes_of_all_settings(contract: Contract) -> None:
     twins.nmt(START)
     objects = [each for each in dictionary(contract, contract.on_bus(0)[0]) if each.access == "rw"]
     objects = [each for each in objects if each.index >= 0x2000]
+    last = objects[-70:]
     values = [
         *(struct.pack("<f", value) for value in (0.0, -0.0, 1.3e-4, 0.7, 3.0, -1.0, np.inf, np.nan, 1e-40)),
         *(struct.pack("<I", value) for value in (0, 1, 2, 40, 3000, 1 << 31)),
@@ -78,12 +73,12 @@ def test_writes_of_all_settings(contract: Contract) -> None:
     ]
     sent = 0
     for turn in range(150):
-        each = objects[random.integers(len(objects))] if turn % 3 else objects[-70 + turn % 70]
+        each = objects[random.integers(len(objects))] if turn % 3 else last[turn % len(last)]
         size = len(setting_of(each).data)
         data = values[random.integers(len(values))]
         if random.random() < 0.8:
             data = data[:size].ljust(size, b"\0")
-        twins.write(each.index, each.subindex or 0, data, int(random.integers(1, 4)))
+        twins.write(each.index, each.subindex or 0, data, int(random.integers(1, len(twins.ids) + 1)))
         if turn % 10 == 0:
             twins.sync(turn % 240 + 1)
         if turn % 40 == 39:
@@ -111,14 +106,15 @@ def test_objects_that_boards_compute(contract: Contract) -> None:
     seen = set()
     for turn in range(6):
         run(twins, 200)
-        twins.write(od.REFRESH, 0, bytes((turn * 3 & 15,)))
+        twins.write(od.REFRESH, 0, bytes((turn * 3 & (1 << contract.layout.groups) - 1,)))
         for index, count in (
-            (od.COEFFICIENT_NOISE, 32), (od.TAXEL_NOISE, 32), (od.SUMS, 32), (od.COARSE, 32), (od.FINE, 4),
-        ):  # fmt: skip
+            *((index, contract.phi.block_size) for index in (od.COEFFICIENT_NOISE, od.TAXEL_NOISE, od.SUMS, od.COARSE)),
+            (od.FINE, contract.layout.groups),
+        ):
             for sub in range(count + 1):
                 seen.add((index, sub, twins.read(index, sub)))
         for index in (od.REFRESH, od.NODE_NOISE, od.SIGNATURE):
             seen.add((index, 0, twins.read(index)))
         seen |= {(od.SENDING, sub, twins.read(od.SENDING, sub)) for sub in range(14)}
         seen |= {(od.HEALTH, sub, twins.read(od.HEALTH, sub)) for sub in range(1, 5)}
-    assert len({value for index, _, value in seen if index == od.SUMS}) > 32
+    assert len({value for index, _, value in seen if index == od.SUMS}) > contract.phi.block_size

@@ -47,6 +47,7 @@ CONTRACTS = {
     "16 bits": small_contract,
     "alternating": lambda: small_contract("alternating"),
     "empty places": lambda: small_contract(taxels={"rows": 7, "columns": 17}),
+    "positions, unequal boards": lambda: Contract.from_layout(load_layout(Path("forearm"))),
     "one bit": lambda: small_contract(taxels={"adc_bits": 1}),
     "12 bits, offset binary": lambda: small_contract(encoding={"sum_bits": 12, "offset_binary": True}, bus=TWO_BLOCKS),
     "12 bits, fd": lambda: small_contract(encoding={"sum_bits": 12}, bus=buses(1, 1, blocks_per_node=2, fd=True)),

@@ -18,9 +18,9 @@ from dbc.contract import Contract
 from dbc.frame import ECHO
 from nodes.firmware.library import CompiledBoards, Firmware
 from nodes.ways import vector_files
-from skin.layout import load_layout
 from skin.walsh import grouped_rows
 from tests.bus.harness import frame
+from tests.nodes.firmware.adaptive_twins import SKINS, contract_of
 from tests.nodes.firmware.stack import compile_adapter
 from tests.nodes.firmware.twins import needs_compiler
 
@@ -31,8 +31,8 @@ SAMPLE_NS = 1_000_000
 
 @cache
 def vectors_of(name: str) -> tuple[Contract, dict[str, Any]]:
-    contract = Contract.from_layout(load_layout(Path(name)))
-    (text,) = vector_files(contract).values()
+    contract = contract_of(name)
+    text = next(iter(vector_files(contract).values()))
     return contract, json.loads(text)
 
 
@@ -47,17 +47,18 @@ def read_real(boards: CompiledBoards, index: int, subindex: int) -> float:
 
 
 @pytest.mark.heavy
-@pytest.mark.parametrize("name", ["adaptive", "adaptive-fd"])
+@pytest.mark.parametrize("name", SKINS)
 def test_samples_become_the_frames_of_the_vectors(name: str) -> None:
     contract, vectors = vectors_of(name)
-    rows = grouped_rows(32).ravel()
+    size = contract.phi.block_size
+    rows = grouped_rows(size).ravel()
     boards = Firmware(contract, contract.nodes[:1]).boards(0)
     idle = vectors["power_up"]["counts"]
     ready = [boards.take_counts(np.array([counts], np.uint16)) for counts in idle]
     assert ready == [False] * (len(idle) - 1) + [True]
     boards.power_up(0.0)
     for index, key in ((od.TAXEL_NOISE, "taxel_noise_n"), (od.COEFFICIENT_NOISE, "coefficient_noise_n")):
-        learned = np.array([read_real(boards, index, sub) for sub in range(1, 33)], np.float32)
+        learned = np.array([read_real(boards, index, sub) for sub in range(1, size + 1)], np.float32)
         assert learned.tolist() == np.float32(vectors["power_up"]["settled"][key]).tolist()
     assert read_real(boards, od.NODE_NOISE, 0) == np.float32(vectors["power_up"]["settled"]["board_noise_n"])
     boards.take(frame(NMT_COB_ID, b"\x01\x01"), 0.0)
@@ -68,21 +69,21 @@ def test_samples_become_the_frames_of_the_vectors(name: str) -> None:
         boards.take_counts(np.array([sample["counts"]], np.uint16))
         boards.decide(0, SAMPLE_NS)
         now_ns = number * SAMPLE_NS
-        burst = boards.choose(4, now_ns, now_ns + SAMPLE_NS)
+        burst = boards.choose(contract.layout.groups, now_ns, now_ns + SAMPLE_NS)
         found = [
             {"cob_id": int(each["can_id"]), "data": each["data"][: each["length"]].tobytes().hex()} for each in burst
         ]
         assert found == sample["frames"], number
         counts = np.rint(np.float32(sample["sums_n"]) / np.float32(contract.layout.taxels.newton_per_count))
-        assert boards.sums(0, 32)[rows].tolist() == counts.tolist()
+        assert boards.sums(0, size)[rows].tolist() == counts.tolist()
         burst["flags"] |= DISCARDED if sample["is_busy"] else ECHO
         boards.take(burst, 0.0)
         sent += len(burst) * (not sample["is_busy"])
-    assert sent > 50
+    assert sent > 20
 
 
 @pytest.mark.heavy
-@pytest.mark.parametrize("name", ["adaptive", "adaptive-fd"])
+@pytest.mark.parametrize("name", SKINS)
 def test_a_board_behind_canopennode_sends_the_frames_of_the_vectors(name: str, tmp_path: Path) -> None:
     contract, vectors = vectors_of(name)
     program = compile_adapter(contract, tmp_path, "run_adaptive_canopennode.c")
@@ -95,6 +96,6 @@ def test_a_board_behind_canopennode_sends_the_frames_of_the_vectors(name: str, t
     assert struct.unpack("<f", struct.pack("<I", noise_bits))[0] == np.float32(
         vectors["power_up"]["settled"]["board_noise_n"]
     )
-    assert refuses
+    assert bool(refuses) == (contract.layout.groups < 8)  # 2030h has a bit for each group
     expected = [[f"{each['cob_id']}:{each['data']}" for each in sample["frames"]] for sample in vectors["samples"]]
     assert [line.split() for line in printed[1:]] == expected

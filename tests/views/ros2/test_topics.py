@@ -3,13 +3,16 @@
 import msgspec
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from canskin.calibration_messages import CalibrationState, CalibrationStatus
 from health.state import ViewState
 from skin.taxel_places import Grid
 from skin.wall_times import WallTimes
+from tests import messages as make
 from tests.health.helpers import Messages
-from views.ros2.content import contact_markers, header
+from tests.layouts import tube_layout
+from views.ros2.content import contact_cloud, contact_markers, header
 from views.ros2.diagnostics import diagnostics
 from views.ros2.topics import FORCE_IMAGE, HEAT_MAP, TAXEL_CLOUD, Translator
 
@@ -25,6 +28,33 @@ def test_an_image_without_readers_is_not_computed(messages: Messages, monkeypatc
     drafts[FORCE_IMAGE]()
     drafts[HEAT_MAP]()
     assert made == [1]
+
+
+def test_a_skin_that_is_no_grid_is_points_without_images() -> None:
+    messages = Messages(tube_layout())
+    surface = messages.layout.taxels.surface
+    translator = Translator(messages.layout, "tube", ViewState(messages.layout), wall=WallTimes(10**18))
+    drafts = dict(translator.take(messages.image(1), 0.0))
+    assert list(drafts) == [TAXEL_CLOUD]
+    cloud = drafts[TAXEL_CLOUD]()
+    assert (cloud.height, cloud.width) == (1, 96)
+    offsets = {each.name: each.offset // 4 for each in cloud.fields}
+    floats = np.frombuffer(cloud.data.tobytes(), "<f4").reshape(96, -1)
+    np.testing.assert_allclose(floats[:, [offsets[name] for name in "xyz"]], surface.positions_m, atol=1e-8)
+    normals = floats[:, [offsets[f"normal_{name}"] for name in "xyz"]]
+    np.testing.assert_allclose(normals, surface.normals, atol=1e-6)
+
+
+def test_a_contact_on_a_curved_skin_lies_on_it() -> None:
+    taxels = tube_layout().taxels
+    touch = make.contact(row=0.0, column=17.0, position_m=(0.0, 0.02, 0.01), normal=(0.0, 1.0, 0.0))
+    _, disc, words = contact_markers(header(1, "tube"), taxels, [touch]).markers
+    place, turn = disc.pose.position, disc.pose.orientation
+    assert (place.x, place.y, place.z) == touch.position_m
+    assert Rotation.from_quat((turn.x, turn.y, turn.z, turn.w)).apply((0, 0, 1)) == pytest.approx((0, 1, 0))
+    assert words.pose.position.y == pytest.approx(0.02 + 4 * taxels.surface.pitch_m)
+    cloud = contact_cloud(header(1, "tube"), taxels.surface, [touch], 0)
+    assert np.frombuffer(cloud.data.tobytes(), "<f4")[:6] == pytest.approx((*touch.position_m, *touch.normal))
 
 
 def test_diagnostics_tell_what_the_zero_rests_on_and_what_is_in_doubt(messages: Messages) -> None:

@@ -13,6 +13,7 @@ import pytest
 import websockets
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from mcap.reader import make_reader
+from scipy.spatial.transform import Rotation
 
 from canskin.errors import InputError
 from canskin.fabric import Fabric
@@ -20,7 +21,9 @@ from canskin.messages import CONTACTS, IMAGE
 from recording.export_command import export
 from shell.service import StopSignal
 from skin.wall_times import CLOCKS, Clocks
+from tests import messages as make
 from tests.health.helpers import Messages
+from tests.layouts import tube_layout
 from tests.recording.helpers import COUNT, OFFSET_NS, SET_NS, pixels
 from views.show.command import draw_live
 from views.show.foxglove_canvas import FoxgloveCanvas
@@ -87,6 +90,42 @@ def test_doubtful_contacts_have_another_colour_and_a_question_mark(messages: Mes
     ((_, _, scene),) = messages_of(tmp_path / "it.mcap", "/contacts")
     assert [each.text for each in scene.entities[0].texts] == ["7: 376.6 mN", "7: 376.6 mN?"]
     assert [each.color.b for each in scene.entities[0].cylinders] == [1.0, 0.0]
+
+
+def test_a_skin_that_is_no_grid_is_a_cloud_of_points(tmp_path: Path) -> None:
+    layout = tube_layout()
+    surface, canvas = layout.taxels.surface, FoxgloveCanvas(layout, tmp_path / "it.mcap")
+    forces_n = np.linspace(0, 0.02, 96, dtype=np.float32)[None].copy()
+    forces_n[0, :2] = np.nan
+    canvas.image(1, 1, forces_n)
+    contact = make.contact(row=0.0, column=17.0, position_m=(0.0, 0.02, 0.01), normal=(0.0, 1.0, 0.0))
+    canvas.contacts(1, 1, [contact])
+    canvas.close()
+    assert not messages_of(tmp_path / "it.mcap", "/image")
+    ((_, kind, cloud),) = messages_of(tmp_path / "it.mcap", "/taxels")
+    assert kind == "foxglove.PointCloud"
+    types = {1: "u1", 7: "<f4"}  # foxglove.PackedElementField: UINT8, FLOAT32
+    names = {each.name: (types[each.type], each.offset) for each in cloud.fields}
+    points = np.frombuffer(cloud.data, np.dtype({**names, "end": ("u1", cloud.point_stride - 1)}))  # type: ignore[call-overload]
+    for columns, wanted in (
+        (("x", "y", "z"), surface.positions_m),
+        (("normal_x", "normal_y", "normal_z"), surface.normals),
+    ):
+        np.testing.assert_allclose(np.stack([points[name] for name in columns], axis=1), wanted, atol=1e-7)
+    np.testing.assert_array_equal(points["force"], forces_n[0])
+    assert points["valid"].tolist() == [0, 0] + [1] * 94
+    (entity,) = messages_of(tmp_path / "it.mcap", "/contacts")[0][2].entities
+    disc, arrow = entity.cylinders[0].pose, entity.arrows[0].pose
+    assert (disc.position.x, disc.position.y, disc.position.z) == contact.position_m
+    assert direction(disc, (0, 0, 1)) == pytest.approx((0, 1, 0))
+    assert direction(arrow, (1, 0, 0)) == pytest.approx((0, -1, 0))  # Foxglove's arrows point along x
+    assert arrow.position.y == pytest.approx(0.02 + 4 * surface.pitch_m)
+
+
+def direction(pose: Any, axis: tuple[int, int, int]) -> Any:
+    """Return where a pose turns an axis."""
+    turn = pose.orientation
+    return Rotation.from_quat((turn.x, turn.y, turn.z, turn.w)).apply(axis)
 
 
 def test_the_app_gets_the_images_of_a_live_skin(hub: Fabric, endpoint: str, messages: Messages) -> None:

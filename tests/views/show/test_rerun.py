@@ -10,6 +10,7 @@ import msgspec
 import numpy as np
 import pytest
 from rerun.chunk import RrdReader
+from scipy.spatial.transform import Rotation
 
 from canskin.errors import RunError
 from canskin.fabric import Fabric
@@ -17,7 +18,9 @@ from canskin.messages import CONTACTS, GATEWAY, IMAGE, LABEL
 from recording.export_command import export
 from shell.service import StopSignal
 from skin.wall_times import CLOCKS, Clocks
+from tests import messages as make
 from tests.health.helpers import Messages
+from tests.layouts import tube_layout
 from tests.recording.helpers import COUNT, OFFSET_NS, SET_NS, pixels
 from views.show.command import draw_live
 from views.show.rerun_canvas import RerunCanvas
@@ -80,6 +83,33 @@ def test_taxels_lie_in_their_places(run: Path) -> None:
     assert set(colours[0]["Boxes3D:colors"]) == {0x808080FF}  # nothing is valid in the first image
     picture = rows_of(run.with_suffix(".rrd"), "skin/heat_map")[0]
     assert set(picture["Image:buffer"][0]) == {0x80}
+
+
+def test_a_skin_that_is_no_grid_is_discs_along_its_normals(tmp_path: Path) -> None:
+    layout = tube_layout()
+    surface, canvas = layout.taxels.surface, RerunCanvas(layout, tmp_path / "it.rrd")
+    forces_n = np.linspace(0, 0.02, 96, dtype=np.float32)[None]
+    contact = make.contact(row=0.0, column=17.0, position_m=(0.0, 0.02, 0.01), normal=(0.0, 1.0, 0.0))
+    canvas.image(1, 1, forces_n)
+    canvas.contacts(1, 1, [contact])
+    canvas.close()
+    static = [
+        chunk.to_record_batch().to_pylist()[0]
+        for chunk in RrdReader(tmp_path / "it.rrd").stream()
+        if chunk.entity_path == "/skin/space/taxels" and chunk.is_static
+    ]
+    discs = next(row for row in static if "Ellipsoids3D:centers" in row)
+    np.testing.assert_allclose(discs["Ellipsoids3D:centers"], surface.positions_m, atol=1e-8)
+    turned = Rotation.from_quat(discs["Ellipsoids3D:quaternions"]).apply((0, 0, 1))
+    np.testing.assert_allclose(turned, surface.normals, atol=1e-6)
+    (row,) = rows_of(tmp_path / "it.rrd", "skin/space/taxels")
+    assert len(set(row["Ellipsoids3D:colors"])) > 80
+    assert not rows_of(tmp_path / "it.rrd", "skin/heat_map")
+    np.testing.assert_array_equal(force_n(rows_of(tmp_path / "it.rrd", "skin/image")[0]), forces_n)
+    (arrow,) = rows_of(tmp_path / "it.rrd", "skin/space/arrows")
+    tip = np.add(arrow["Arrows3D:origins"], arrow["Arrows3D:vectors"])
+    np.testing.assert_allclose(tip, [contact.position_m], atol=1e-8)
+    assert arrow["Arrows3D:vectors"][0][1] < 0  # a touch presses against the normal
 
 
 def test_a_live_skin_is_drawn_with_contacts_curves_and_log(

@@ -1,43 +1,31 @@
-// One tactile image on a canvas: whole device pixels per taxel, hatching over taxels of invalid blocks.
+// The image of a grid: whole device pixels per taxel, hatching over taxels of invalid blocks.
 
 import { colourIndex } from "./colour.js";
 import { COLOURS } from "./colours.js";
+import { HATCH, Picture } from "./picture.js";
 
-const HATCH = { ground: "#8a9097", line: "#4d535a" };
-
-export class Heatmap {
-  /** `pointed(taxel or null)` is called when the pointer moves over the image. */
+export class Heatmap extends Picture {
   constructor(figure, skin, pointed) {
-    this.figure = figure;
+    super(figure, pointed);
     this.skin = skin;
-    this.canvas = figure.querySelector("canvas");
-    this.veil = figure.querySelector(".veil");
-    this.caption = figure.querySelector("figcaption span");
+    this.canvas.getContext("2d", { alpha: false });
     this.small = new OffscreenCanvas(skin.columns, skin.rows);
     this.pixels = new ImageData(skin.columns, skin.rows);
     this.pixels.data.fill(255);
     this.gaps = skin.block_of_taxel.flatMap((block, taxel) => (block < 0 ? [taxel] : []));
-    this.cell = 1;
-    this.canvas.onpointermove = (event) => pointed(this.taxelAt(event));
-    this.canvas.onpointerleave = () => pointed(null);
   }
 
   /** Give every taxel `cell` device pixels. */
   resize(cell) {
     const { rows, columns } = this.skin;
-    this.cell = cell;
-    this.canvas.width = columns * cell;
-    this.canvas.height = rows * cell;
-    this.canvas.style.width = `${(columns * cell) / devicePixelRatio}px`;
-    this.canvas.style.height = `${(rows * cell) / devicePixelRatio}px`;
+    this.resizeTo(columns * cell, rows * cell, cell);
     this.pattern = null;
   }
 
   taxelAt(event) {
     const { rows, columns } = this.skin;
-    const box = this.canvas.getBoundingClientRect();
-    const column = Math.floor(((event.clientX - box.left) / box.width) * columns);
-    const row = Math.floor(((event.clientY - box.top) / box.height) * rows);
+    const [x, y] = this.placeOf(event);
+    const [row, column] = [Math.floor(y * rows), Math.floor(x * columns)];
     return row >= 0 && row < rows && column >= 0 && column < columns ? row * columns + column : null;
   }
 
@@ -51,7 +39,7 @@ export class Heatmap {
       data[4 * index + 2] = COLOURS[colour + 2];
     }
     this.small.getContext("2d").putImageData(this.pixels, 0, 0);
-    const brush = this.canvas.getContext("2d", { alpha: false });
+    const brush = this.canvas.getContext("2d");
     brush.imageSmoothingEnabled = false;
     brush.drawImage(this.small, 0, 0, this.canvas.width, this.canvas.height);
     brush.fillStyle = getComputedStyle(document.body).backgroundColor;
@@ -64,40 +52,12 @@ export class Heatmap {
     if (taxel !== null) this.outline(brush, [taxel], "#ffffff", 2);
   }
 
-  /** Draw a cross and the identity at the centre of force of each contact; those in doubt get a dashed box. */
-  markContacts(contacts) {
-    const brush = this.canvas.getContext("2d", { alpha: false });
-    const arm = Math.max(4 * devicePixelRatio, this.cell);
-    brush.font = `600 ${Math.round(12 * devicePixelRatio)}px system-ui, "DejaVu Sans", sans-serif`;
-    for (const { identity, row, column, top, bottom, left, right, doubtful_since_mono_ns } of contacts) {
-      const [x, y] = [(column + 0.5) * this.cell, (row + 0.5) * this.cell];
-      for (const [style, width] of [["#000000c0", 3], ["#ffffff", 1]]) {
-        brush.strokeStyle = style;
-        brush.lineWidth = width * devicePixelRatio;
-        if (doubtful_since_mono_ns) {
-          brush.setLineDash([arm, arm]);
-          brush.strokeRect(left * this.cell, top * this.cell, (right - left + 1) * this.cell, (bottom - top + 1) * this.cell);
-          brush.setLineDash([]);
-        }
-        brush.beginPath();
-        brush.moveTo(x - arm, y);
-        brush.lineTo(x + arm, y);
-        brush.moveTo(x, y - arm);
-        brush.lineTo(x, y + arm);
-        brush.stroke();
-        brush.lineWidth = 3 * devicePixelRatio;
-        if (width > 1) brush.strokeText(String(identity), x + arm, y - arm / 2);
-      }
-      brush.fillStyle = "#ffffff";
-      brush.fillText(String(identity), x + arm, y - arm / 2);
-    }
+  spotOf({ row, column }) {
+    return [(column + 0.5) * this.cell, (row + 0.5) * this.cell];
   }
 
-  /** Mark the image as stale with `text`; an empty text removes the mark. */
-  setStale(text) {
-    this.figure.classList.toggle("stale", Boolean(text));
-    this.veil.hidden = !text;
-    if (this.veil.textContent !== text) this.veil.textContent = text;
+  traceAround(brush, { top, bottom, left, right }) {
+    brush.rect(left * this.cell, top * this.cell, (right - left + 1) * this.cell, (bottom - top + 1) * this.cell);
   }
 
   onCell(taxel, use) {

@@ -2,14 +2,17 @@
 
 import { Heatmap } from "./heatmap.js";
 import { Scale } from "./scale.js";
+import { SurfacePicture } from "./surface.js";
+import { View } from "./view.js";
 import { span, spoken, write } from "./words.js";
 
 const NAMES = ["image", "true", "sensor"];
 const BAR_PX = 64;
 const GAP_PX = 12;
-// Height of everything above and below the images; smallest size of a taxel.
+// Height of everything above and below the images; smallest size of a taxel, or of the image of a skin that is no grid.
 const AROUND_PX = { beside: 400, alone: 240 };
 const SMALLEST_PX = 5;
+const SMALLEST_IMAGE_PX = 320;
 const CAPTION_PX = 30;
 // Contacts described in words below the images; all are marked.
 const MOST_DESCRIBED = 3;
@@ -20,26 +23,36 @@ const touching = ({ contacts }) => (contacts && !contacts.stale && !contacts.bli
 /** Bound of the error of the sampling instant, where one is proven. */
 const bound = (error_ns) => (error_ns < 0 ? "" : `, sampled within ${(error_ns / 1000).toFixed(0)} µs`);
 
+/** Text of a place in the frame of the skin. */
+const spaced = (position_m) => `x ${position_m.map((value) => (1000 * value).toFixed(1)).join(", ")} mm`.replace(/, (.*), /, ", y $1, z ");
+
 /** Text of the strongest contacts. */
-function described(contacts) {
-  const each = contacts.slice(0, MOST_DESCRIBED).map(({ identity, force_n, row, column, taxels, invalid_taxels, doubtful_since_mono_ns }) => {
+function described(contacts, isGrid) {
+  const each = contacts.slice(0, MOST_DESCRIBED).map(({ identity, force_n, row, column, position_m, taxels, invalid_taxels, doubtful_since_mono_ns }) => {
+    const where = isGrid ? `row ${row.toFixed(1)}, column ${column.toFixed(1)}` : spaced(position_m);
     const guessed = (invalid_taxels ? `, ${invalid_taxels} not measured` : "") + (doubtful_since_mono_ns ? ", in doubt" : "");
-    return `${identity}: ${(1000 * force_n).toFixed(0)} mN at row ${row.toFixed(1)}, column ${column.toFixed(1)}, ${taxels} taxels${guessed}`;
+    return `${identity}: ${(1000 * force_n).toFixed(0)} mN at ${where}, ${taxels} taxels${guessed}`;
   });
   const more = contacts.length > MOST_DESCRIBED ? [`${contacts.length - MOST_DESCRIBED} more`] : [];
   return each.length ? `contact ${[...each, ...more].join(" · ")}` : "";
 }
 
 export class Images {
-  constructor(skin, buses) {
+  /** `redraw()` is called when the skin was turned. */
+  constructor(skin, buses, redraw) {
     this.skin = skin;
+    this.view = skin.surface && new View(skin.surface);
     this.buses = buses;
     this.taxel = null;
     this.block = null;
     this.taxelsOf = Array.from({ length: skin.blocks }, () => []);
     skin.block_of_taxel.forEach((block, taxel) => this.taxelsOf[block]?.push(taxel));
+    const pointed = (taxel) => this.point(taxel);
     this.maps = Object.fromEntries(
-      NAMES.map((name) => [name, new Heatmap(document.getElementById(`map-${name}`), skin, (taxel) => this.point(taxel))]),
+      NAMES.map((name) => {
+        const figure = document.getElementById(`map-${name}`);
+        return [name, this.view ? new SurfacePicture(figure, this.view, pointed, redraw) : new Heatmap(figure, skin, pointed)];
+      }),
     );
     this.scale = new Scale(document.getElementById("scale"), document.getElementById("scaling"), skin);
     this.sized = "";
@@ -95,31 +108,41 @@ export class Images {
 
   readout(snapshot, pictures) {
     const { image } = snapshot;
-    if (this.block === null) return described(touching(snapshot)) || "Point at a taxel for its force, at a node for its taxels.";
+    if (this.block === null) return described(touching(snapshot), !this.view) || this.advice();
     const measured = image && !image.invalid_blocks.includes(this.block) ? "" : ", not measured";
     const where = `block ${this.block} · ${this.buses.place(this.block)}, ${this.buses.state(this.block)}${measured}`;
     if (this.taxel === null) return `${where} · ${this.taxelsOf[this.block].length} taxels outlined`;
-    const row = Math.floor(this.taxel / this.skin.columns);
     const mn = (name) => `${(1000 * pictures[name][this.taxel]).toFixed(2)} mN`;
     const forces = NAMES.filter((name) => pictures[name]).map((name) => {
       if (name !== "image") return `${name} ${mn(name)}`;
       return measured ? `guessed ${mn(name)}` : mn(name);
     });
-    return `row ${row}, column ${this.taxel % this.skin.columns}: ${forces.join(" · ")} · ${where}`;
+    return `${this.nameOf(this.taxel)}: ${forces.join(" · ")} · ${where}`;
   }
 
-  /** Choose the largest whole number of device pixels per taxel that fits the window. */
+  advice() {
+    const turn = this.view && !this.skin.surface.is_flat ? " Drag, or use the arrow keys, to turn the skin." : "";
+    return `Point at a taxel for its force, at a node for its taxels.${turn}`;
+  }
+
+  nameOf(taxel) {
+    if (this.view) return `taxel ${taxel} at ${spaced(this.skin.surface.positions_m[taxel])}`;
+    return `row ${Math.floor(taxel / this.skin.columns)}, column ${taxel % this.skin.columns}`;
+  }
+
+  /** Choose the largest number of device pixels per taxel that fits the window: a whole number on a grid. */
   fit(beside) {
     const width = document.getElementById("images").clientWidth;
     const wanted = `${width} ${innerHeight} ${innerWidth} ${devicePixelRatio} ${beside}`;
     if (wanted === this.sized) return;
     this.sized = wanted;
-    const { rows, columns } = this.skin;
+    const [rows, columns] = this.view ? [this.skin.surface.height, this.skin.surface.width] : [this.skin.rows, this.skin.columns];
+    const smallest = this.view ? SMALLEST_IMAGE_PX / rows : SMALLEST_PX;
     const images = beside ? NAMES.length : 1;
     const wide = (perRow) => ((beside || innerWidth < 960 ? width : innerWidth * 0.5) - BAR_PX - (perRow - 1) * GAP_PX) / perRow / columns;
     const high = (perRow) => {
       const lines = Math.ceil(images / perRow);
-      return Math.max(SMALLEST_PX, ((innerHeight - AROUND_PX[beside ? "beside" : "alone"]) / lines - (lines > 1 ? CAPTION_PX : 0)) / rows);
+      return Math.max(smallest, ((innerHeight - AROUND_PX[beside ? "beside" : "alone"]) / lines - (lines > 1 ? CAPTION_PX : 0)) / rows);
     };
     // A narrow window scrolls. In a wide window choose the number of images per row that makes them largest.
     let perRow = Math.min(images, innerWidth < 560 ? 1 : 2);
@@ -131,7 +154,7 @@ export class Images {
         if (fits > size + 0.01) [perRow, size] = [each, fits];
       }
     }
-    const cell = Math.max(1, Math.floor(size * devicePixelRatio));
+    const cell = this.view ? size * devicePixelRatio : Math.max(1, Math.floor(size * devicePixelRatio));
     for (const map of Object.values(this.maps)) map.resize(cell);
     this.scale.resize((rows * cell) / devicePixelRatio);
     document.getElementById("pictures").style.setProperty("--per-row", perRow);

@@ -23,11 +23,11 @@ function setSkin(greeting) {
   skin = content;
   frame = null;
   buses = new Buses(greeting, (block) => images.pointBlock(block));
-  images = new Images(greeting, buses);
+  images = new Images(greeting, buses, schedule);
   document.title = `${greeting.skin} – canskin`;
-  const { rows, columns, blocks, sums, block_of_taxel } = greeting;
+  const { rows, columns, blocks, sums, block_of_taxel, surface } = greeting;
   const there = block_of_taxel.filter((block) => block >= 0).length;
-  const taxels = there < rows * columns ? there : `${rows} × ${columns}`;
+  const taxels = surface || there < rows * columns ? there : `${rows} × ${columns}`;
   const isAdaptive = greeting.sending === "adaptive";
   write(document.getElementById("skin"), `${greeting.skin} · ${taxels} taxels · ${blocks} blocks · ${sums} sums${isAdaptive ? ", sent when they have news" : " a cycle"}`);
   write(document.querySelector("#latency h2"), `${isAdaptive ? "Frame" : "SYNC"} to image, median`);

@@ -83,7 +83,7 @@ static float judge(skin_filter *filter)
             ratios[place] = ratio;
         }
     }
-    if (idle == 0 || (float)idle < SKIN_IDLE_PART * SKIN_BLOCK_SUMS) {
+    if (idle == 0 || (float)idle < SKIN_IDLE_PART * (float)filter->taxels) {
         return 1;
     }
     median = idle % 2 != 0 ? ratios[idle / 2] : (ratios[idle / 2 - 1] + ratios[idle / 2]) * 0.5f;

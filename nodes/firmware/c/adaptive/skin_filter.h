@@ -22,6 +22,7 @@ typedef struct {
         skin_idle idle;
         skin_tracks tracks; /* of every Haar coefficient, in units of its noise */
     } u;
+    uint16_t taxels; /* of the board, without empty places */
     uint16_t taken; /* samples since power-up, at most SKIN_IDLE_SAMPLES + SKIN_SETTLING_SAMPLES */
     float idle_offset_n[SKIN_BLOCK_SUMS]; /* of power-up */
     float learned_taxel_n[SKIN_BLOCK_SUMS], learned_coefficient_n[SKIN_BLOCK_SUMS];

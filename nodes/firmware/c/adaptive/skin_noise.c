@@ -32,8 +32,11 @@ void skin_to_haar(float *mean, float *coefficient)
         rows = (uint8_t)(rows / 2);
         columns = (uint8_t)(columns / 2);
     }
-    coefficient[0] = (mean[0] + mean[1]) * SKIN_ROOT_HALF;
-    coefficient[1] = (mean[0] - mean[1]) * SKIN_ROOT_HALF;
+    coefficient[0] = mean[0];
+    if (columns == 2) {
+        coefficient[0] = (mean[0] + mean[1]) * SKIN_ROOT_HALF;
+        coefficient[1] = (mean[0] - mean[1]) * SKIN_ROOT_HALF;
+    }
 }
 
 void skin_from_haar(const float *coefficient, float *mean)
@@ -41,8 +44,11 @@ void skin_from_haar(const float *coefficient, float *mean)
     uint8_t rows = 1, columns = SKIN_PATCH_WIDE / SKIN_PATCH_HIGH, end = columns;
     int8_t row, column;
 
-    mean[0] = (coefficient[0] + coefficient[1]) * SKIN_ROOT_HALF;
-    mean[1] = (coefficient[0] - coefficient[1]) * SKIN_ROOT_HALF;
+    mean[0] = coefficient[0];
+    if (columns == 2) {
+        mean[0] = (coefficient[0] + coefficient[1]) * SKIN_ROOT_HALF;
+        mean[1] = (coefficient[0] - coefficient[1]) * SKIN_ROOT_HALF;
+    }
     while (rows < SKIN_PATCH_HIGH) {
         const uint8_t squares = (uint8_t)(rows * columns);
 

@@ -43,6 +43,7 @@ void skin_sender_configure(skin_sender *sender, uint8_t number, uint32_t cob_id,
 
 int skin_sender_take(skin_sender *sender, const uint16_t *counts)
 {
+    sender->filter.taxels = sender->board->held;
     if (!skin_filter_take(&sender->filter, counts)) {
         return 0;
     }
@@ -50,9 +51,15 @@ int skin_sender_take(skin_sender *sender, const uint16_t *counts)
     return 1;
 }
 
+/* Bits that a budget may save up at least. */
+static double least_saved(const skin_sender *sender)
+{
+    return (double)SKIN_SAVED_FRAMES * SKIN_GROUPS * sender->board->frame_bits[0];
+}
+
 void skin_sender_decide(skin_sender *sender, int64_t passed_ns)
 {
-    const double budget = sender->budget, least = (double)SKIN_SAVED_FRAMES * sender->board->frame_bits[0];
+    const double budget = sender->budget, least = least_saved(sender);
     float variance_n2[SKIN_BLOCK_SUMS];
     uint8_t group;
 
@@ -91,7 +98,7 @@ int64_t skin_sender_expiry(const skin_sender *sender, int64_t now_ns, int64_t pe
 static int has_budget(const skin_sender *sender, const skin_group *group)
 {
     const uint16_t *bits = sender->board->frame_bits;
-    const int frames_of_all = sender->groups.is_fd ? 1 : SKIN_GROUPS;
+    const int frames_of_all = SKIN_GROUPS / skin_groups_of_frame(&sender->groups);
     /* Details leave the bits of a coarse frame for every group. */
     const int kept = group->reason == SKIN_DETAIL ? frames_of_all * bits[0] : 0;
 
@@ -127,15 +134,14 @@ int skin_sender_most_urgent(const skin_sender *sender)
     return found;
 }
 
-/* Set until when a controller may hold a frame of a group, with CAN FD of all groups. */
+/* Set until when a controller may hold a frame of a group, and so of all groups that the frame carries. */
 static void note_way(skin_sender *sender, uint8_t group, int64_t until)
 {
+    const uint8_t count = skin_groups_of_frame(&sender->groups), first = (uint8_t)(group / count * count);
     uint8_t each;
 
-    for (each = 0; each < SKIN_GROUPS; each++) {
-        if (sender->groups.is_fd || each == group) {
-            sender->groups.groups[each].under_way = until;
-        }
+    for (each = first; each < first + count; each++) {
+        sender->groups.groups[each].under_way = until;
     }
 }
 
@@ -159,10 +165,7 @@ static int tpdo_of(const skin_sender *sender, uint32_t cob_id, uint8_t length)
 
     for (number = 0; number < sender->board->tpdos; number++) {
         if (cob_id != 0 && sender->tpdos[number].cob_id == cob_id) {
-            const uint8_t bytes =
-                (uint8_t)(skin_is_fine(&sender->groups, number) ? 2 * SKIN_BLOCK_SUMS : SKIN_BLOCK_SUMS);
-
-            return length == (sender->groups.is_fd ? bytes : SKIN_GROUP_SUMS) ? number : -1;
+            return length == skin_payload_bytes(&sender->groups, skin_is_fine(&sender->groups, number)) ? number : -1;
         }
     }
     return -1;
@@ -238,7 +241,7 @@ void skin_sender_write(skin_sender *sender, uint16_t index, uint8_t subindex, ui
         break;
     case SKIN_OD_BUDGET:
         sender->budget = value;
-        sender->saved = (double)SKIN_SAVED_FRAMES * sender->board->frame_bits[0];
+        sender->saved = least_saved(sender);
         break;
     default:
         break;
@@ -265,10 +268,14 @@ int skin_sender_allows(uint16_t index, uint8_t subindex, uint32_t value)
 
 int32_t skin_sender_sum(const skin_sender *sender, uint8_t number)
 {
+    const float most = (float)SKIN_BLOCK_SUMS * sender->board->count_max;
     uint8_t place = 0;
+    float counts;
 
     while (place < SKIN_BLOCK_SUMS - 1 && skin_row_of_sum[place] != sender->board->rows[number]) {
         place++;
     }
-    return (int32_t)rintf(sender->filter.sums_n[place] / (float)SKIN_NEWTON_PER_COUNT);
+    counts = rintf(sender->filter.sums_n[place] / (float)SKIN_NEWTON_PER_COUNT);
+    /* A forecast may exceed what taxels can read, and a sum its type. */
+    return (int32_t)skin_larger(-most, skin_smaller(most, counts));
 }

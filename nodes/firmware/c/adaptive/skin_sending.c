@@ -179,23 +179,38 @@ void skin_groups_decide(skin_groups *all, int64_t now, const float *sums_n, cons
     }
 }
 
+uint8_t skin_groups_of_frame(const skin_groups *all)
+{
+    return all->is_fd ? SKIN_FD_GROUPS : 1;
+}
+
+static uint8_t frames_of_node(const skin_groups *all)
+{
+    return (uint8_t)(SKIN_GROUPS / skin_groups_of_frame(all));
+}
+
 uint8_t skin_tpdo_of(const skin_groups *all, uint8_t group)
 {
     const skin_group *each = &all->groups[group];
     const int level = each->is_fine && each->level > SKIN_FINE_LEVELS - 1 ? SKIN_FINE_LEVELS - 1 : each->level;
     const int kind = (each->is_fine ? SKIN_KINDS : SKIN_LEVELS) - 1 - level;
 
-    return (uint8_t)(all->is_fd ? kind : SKIN_GROUPS * kind + group);
+    return (uint8_t)(frames_of_node(all) * kind + group / skin_groups_of_frame(all));
 }
 
 uint8_t skin_group_of(const skin_groups *all, uint8_t tpdo)
 {
-    return (uint8_t)(all->is_fd ? 0 : tpdo % SKIN_GROUPS);
+    return (uint8_t)(tpdo % frames_of_node(all) * skin_groups_of_frame(all));
 }
 
 uint8_t skin_is_fine(const skin_groups *all, uint8_t tpdo)
 {
-    return (all->is_fd ? tpdo : tpdo / SKIN_GROUPS) >= SKIN_LEVELS;
+    return tpdo / frames_of_node(all) >= SKIN_LEVELS;
+}
+
+uint8_t skin_payload_bytes(const skin_groups *all, uint8_t is_fine)
+{
+    return (uint8_t)(SKIN_GROUP_SUMS * skin_groups_of_frame(all) * (all->is_fd && is_fine ? 2 : 1));
 }
 
 static void make_coarse(uint8_t group, const float *sums_n, uint8_t *payload)
@@ -209,8 +224,8 @@ static void make_coarse(uint8_t group, const float *sums_n, uint8_t *payload)
     }
 }
 
-/* Write the fine payload of a group; `coarse` holds the codes of the same CAN FD frame. With CAN FD all groups are refined as
- * soon as one has details: a sum out of reach is brought as near as the reach allows.
+/* Write the fine payload of a group; `coarse` holds the codes of the same CAN FD frame. With CAN FD all groups of a frame are
+ * refined as soon as one has details: a sum out of reach is brought as near as the reach allows.
  */
 static void make_fine(const skin_groups *all, uint8_t group, const float *sums_n, const uint8_t *coarse,
                       uint8_t *payload)
@@ -244,7 +259,8 @@ static uint8_t is_zero(uint8_t group, const float *sums_n)
 
 uint8_t skin_make_payload(skin_groups *all, uint8_t group, const float *sums_n, uint8_t *payload)
 {
-    const uint8_t is_fine = all->groups[group].is_fine;
+    const uint8_t is_fine = all->groups[group].is_fine, count = skin_groups_of_frame(all);
+    const uint8_t first = (uint8_t)(group / count * count);
     uint8_t each;
 
     if (!all->is_fd) {
@@ -256,14 +272,15 @@ uint8_t skin_make_payload(skin_groups *all, uint8_t group, const float *sums_n, 
         }
         return SKIN_GROUP_SUMS;
     }
-    for (each = 0; each < SKIN_GROUPS; each++) {
-        make_coarse(each, sums_n, &payload[SKIN_GROUP_SUMS * each]);
+    for (each = 0; each < count; each++) {
+        make_coarse((uint8_t)(first + each), sums_n, &payload[SKIN_GROUP_SUMS * each]);
     }
-    for (each = 0; is_fine && each < SKIN_GROUPS; each++) {
-        make_fine(all, each, sums_n, &payload[SKIN_GROUP_SUMS * each], &payload[SKIN_GROUP_SUMS * (SKIN_GROUPS + each)]);
-        all->groups[each].is_zero = is_zero(each, sums_n);
+    for (each = 0; is_fine && each < count; each++) {
+        make_fine(all, (uint8_t)(first + each), sums_n, &payload[SKIN_GROUP_SUMS * each],
+                  &payload[SKIN_GROUP_SUMS * (count + each)]);
+        all->groups[first + each].is_zero = is_zero((uint8_t)(first + each), sums_n);
     }
-    return (uint8_t)(is_fine ? 2 * SKIN_BLOCK_SUMS : SKIN_BLOCK_SUMS);
+    return skin_payload_bytes(all, is_fine);
 }
 
 void skin_present_codes(const skin_groups *all, const float *sums_n, uint8_t *coarse, uint8_t *fine)
@@ -354,21 +371,21 @@ static int is_coarse_zero(const skin_groups *all, uint8_t group)
 void skin_note_sent(skin_groups *all, uint8_t tpdo, int64_t now, const skin_rule *rule, const uint8_t *payload)
 {
     const uint8_t is_fine = skin_is_fine(all, tpdo), of_frame = skin_group_of(all, tpdo);
-    const uint8_t end = (uint8_t)(all->is_fd ? SKIN_GROUPS : of_frame + 1);
-    uint8_t group;
+    const uint8_t count = skin_groups_of_frame(all);
+    uint8_t part;
 
     if (!all->is_fd && is_fine && all->groups[of_frame].check != payload[SKIN_GROUP_SUMS - 1]) {
         return; /* it refines another coarse frame */
     }
-    for (group = of_frame; group < end; group++) {
+    for (part = 0; part < count; part++) {
+        const uint8_t group = (uint8_t)(of_frame + part), *coarse = &payload[SKIN_GROUP_SUMS * part];
         skin_group *each = &all->groups[group];
-        const uint8_t *coarse = all->is_fd ? &payload[SKIN_GROUP_SUMS * group] : payload;
 
         if (all->is_fd || !is_fine) {
             hold_coarse(all, group, coarse);
         }
         if (is_fine) {
-            hold_fine(all, group, all->is_fd ? &payload[SKIN_BLOCK_SUMS + SKIN_GROUP_SUMS * group] : payload);
+            hold_fine(all, group, all->is_fd ? &coarse[SKIN_GROUP_SUMS * count] : payload);
         }
         plan_refresh(all, each, now, is_fine, is_fine ? each->is_zero : is_coarse_zero(all, group), rule);
         each->sent_at = now;

@@ -24,7 +24,7 @@ typedef struct {
 } skin_group;
 
 typedef struct {
-    uint8_t is_fd; /* one frame carries all groups */
+    uint8_t is_fd; /* a frame carries SKIN_FD_GROUPS groups */
     double known_n[SKIN_BLOCK_SUMS];       /* what a receiver without losses holds */
     uint8_t known_code[SKIN_BLOCK_SUMS];   /* its coarse code */
     int32_t coarse_steps[SKIN_BLOCK_SUMS]; /* values of the newest coarse frames, fine steps */
@@ -47,14 +47,18 @@ void skin_groups_decide(skin_groups *all, int64_t now, const float *sums_n, cons
 /* TPDO of the frame that a group is to be sent in, of a group that is not SKIN_NOT_DUE. */
 uint8_t skin_tpdo_of(const skin_groups *all, uint8_t group);
 
-/* Group and kind of a TPDO's frames. */
+/* How many groups a frame carries, and its bytes: 8 for each, in a fine frame of CAN FD twice as many. */
+uint8_t skin_groups_of_frame(const skin_groups *all);
+uint8_t skin_payload_bytes(const skin_groups *all, uint8_t is_fine);
+
+/* First group and kind of a TPDO's frames. */
 uint8_t skin_group_of(const skin_groups *all, uint8_t tpdo);
 uint8_t skin_is_fine(const skin_groups *all, uint8_t tpdo);
 
-/* Write the payload of a group's frame of the present sums; returns its bytes: 8, with CAN FD 32 or 64. */
+/* Write the payload of a group's frame of the present sums; returns its bytes. */
 uint8_t skin_make_payload(skin_groups *all, uint8_t group, const float *sums_n, uint8_t *payload);
 
-/* Write the coarse codes (2110h, 32 bytes) and fine codes (2111h, 32 bytes) of the present sums. */
+/* Write the coarse codes (2110h) and the fine codes (2111h) of the present sums, a byte for each sum. */
 void skin_present_codes(const skin_groups *all, const float *sums_n, uint8_t *coarse, uint8_t *fine);
 
 /* Take note of a frame of a TPDO that was sent: hold what a receiver holds of it, and plan the next refresh. */

@@ -156,10 +156,11 @@ int skin_app_sample(uint16_t *counts)
     return skin_sender_take(&sender, counts);
 }
 
-uint32_t skin_app_requests(int is_operational, int sync_was, int64_t passed_ns)
+uint64_t skin_app_requests(int is_operational, int sync_was, int64_t passed_ns)
 {
-    uint8_t payload[2 * SKIN_BLOCK_SUMS], group;
-    uint32_t requests = 0, period_us = 0;
+    uint8_t payload[2 * SKIN_GROUP_SUMS * SKIN_FD_GROUPS], group;
+    uint64_t requests = 0;
+    uint32_t period_us = 0;
     int urgent;
 
     now_ns += passed_ns;
@@ -184,7 +185,7 @@ uint32_t skin_app_requests(int is_operational, int sync_was, int64_t passed_ns)
         if (skin_sender_make(&sender, (uint8_t)urgent, payload) == 0) {
             break;
         }
-        requests |= (uint32_t)1 << number;
+        requests |= (uint64_t)1 << number;
     }
     if (requests != 0) {
         is_presented = 0; /* the check of fine codes is that of what was sent since */

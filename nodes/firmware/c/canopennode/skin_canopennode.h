@@ -74,7 +74,7 @@ int skin_app_sample(uint16_t *counts);
  * is_operational: the NMT state. sync_was: a SYNC came since the last call. passed_ns: time since the last call.
  * Returns the TPDOs to be sent, the first in bit 0.
  */
-uint32_t skin_app_requests(int is_operational, int sync_was, int64_t passed_ns);
+uint64_t skin_app_requests(int is_operational, int sync_was, int64_t passed_ns);
 
 /* Take note of a frame of sums that was sent, with the bytes that were sent; that was taken back; that found no room.
  *

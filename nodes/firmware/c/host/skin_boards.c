@@ -221,6 +221,7 @@ size_t skin_choose(skin_node *nodes, uint32_t boards, uint32_t most, int64_t now
     size_t count = 0, place;
 
     for (each = 0; each < boards; each++) {
+        const uint8_t together = skin_groups_of_frame(&nodes[each].sender.groups);
         uint32_t first = 0xFFFFFFFFu;
         uint8_t group;
 
@@ -229,14 +230,13 @@ size_t skin_choose(skin_node *nodes, uint32_t boards, uint32_t most, int64_t now
             /* Identifier, board and group: the most urgent frame has the lowest number. */
             const uint32_t key = (uint32_t)cob_id << 16 | each << 8 | group;
 
-            if (cob_id != 0 && nodes[each].sender.groups.is_fd) {
-                first = key < first ? key : first; /* one frame carries all groups */
-            } else if (cob_id != 0) {
-                insert(keys, count++, key);
+            if (group % together == 0) {
+                first = 0xFFFFFFFFu; /* one frame for the groups that it carries: that of the most urgent */
             }
-        }
-        if (first != 0xFFFFFFFFu) {
-            insert(keys, count++, first);
+            first = cob_id != 0 && key < first ? key : first;
+            if (group % together == together - 1 && first != 0xFFFFFFFFu) {
+                insert(keys, count++, first);
+            }
         }
     }
     for (place = 0; place < count && outbox.count < outbox.capacity; place++) {

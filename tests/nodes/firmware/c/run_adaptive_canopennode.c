@@ -113,7 +113,7 @@ int main(void)
             OD_set_value(OD_find(OD, 0x2030), 0, &groups, 1, false);
         }
         skin_app_sample(counts);
-        const uint32_t requests = skin_app_requests(1, 0, 1000000);
+        const uint64_t requests = skin_app_requests(1, 0, 1000000);
         for (number = 0; number < OD_CNT_TPDO; number++) {
             if ((requests >> number & 1u) != 0) {
                 send(number, is_busy);

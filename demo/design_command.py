@@ -1,17 +1,24 @@
 """``skin design``: a search for the layout that meets a requirement."""
 
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import tomli_w
 
-from bandwidth.search import CanKind, Requirement, SendingKind, search
+from bandwidth.alternatives import with_sums
+from bandwidth.search import CanKind, Requirement, Search, SendingKind, search
 from bandwidth.traffic import Disturbance
 from canskin.errors import InputError, LayoutError, RunError
 from shell.output import write_file
 from shell.service import say
 from shell.terminal import Json, print_json
 from skin.importing import tables_of
-from skin.layout import Taxels, layout_text, parse_layout
+from skin.layout import Taxels, layout_text, parse_layout, validated
+
+if TYPE_CHECKING:
+    from demo.quality import Quality
 
 
 def design(
@@ -22,13 +29,15 @@ def design(
     budget: float = 0.8,
     can: CanKind = "any",
     sending: SendingKind = "any",
+    min_psnr: float | None = None,
     out: Path | None = None,
     disturbance: Disturbance | None = None,
     json_: Json = False,
 ) -> int:
     """Search for a layout whose buses carry a number of taxels at a rate.
 
-    Exit code 1: no layout was found.
+    Exit code 1: no layout was found. With ``--min-psnr`` images of simulated touches are judged with 16, 8, 4, 2 and 1
+    taxels to a sum, beside the paper's bound, and the layout has the fewest sums whose images are good enough.
 
     Parameters
     ----------
@@ -44,6 +53,8 @@ def design(
         Type of CAN.
     sending
         ``any``: synchronous sums, or adaptive sums where synchronous sums do not fit.
+    min_psnr
+        Least PSNR of the images of synchronous sums, decibels.
     out
         File for the TOML of the layout. Default: print the layout.
     disturbance
@@ -56,10 +67,17 @@ def design(
     skin design --taxels 1024 --can fd
     skin design --taxels 4096 --rate 100 --buses 2 --budget 0.7 --out palm.toml
     skin design --taxels 24x32 --sending adaptive --out glove.toml
+    skin design --taxels 24x32 --min-psnr 28
     skin design --taxels hand --rate 200 --can classic
     """
     required = Requirement(_taxels(taxels), rate_hz=rate, buses=buses, budget=budget, can=can, sending=sending)
     found = search(required, disturbance)
+    judged: list[Quality] = []
+    if min_psnr is not None and found.layout is not None:
+        from demo.quality import qualities  # compiles a solver, which no other design needs
+
+        judged = qualities(found.layout)
+        found = _good_enough(found, judged, min_psnr)
     text = None if found.layout is None else layout_text(found.layout)
     if text is not None and out is not None:
         try:
@@ -73,16 +91,37 @@ def design(
                 "fits": text is not None,
                 "layout": text,
                 "missing": found.missing(),
+                "quality": [each._asdict() for each in judged],
                 "candidates": found.candidates,
             }
         )
         return int(text is None)
     if text is None or found.chosen is None:
         raise RunError(found.missing() or "")
+    for each in judged:
+        error_mn, bound = 1e3 * each.touched_error_n, f"the paper's bound is {each.bound_sums:.0f} sums"
+        say("design", f"{each.sums} sums: {each.psnr_image_db:.1f} dB, {error_mn:.2f} mN where touched; {bound}")
     unfit = sum(not each.fits for each in found.candidates)
     say("design", f"{found.chosen.words}: {found.chosen.load_words}; {unfit} others do not fit")
     print(str(out) if out is not None else text, end="\n" if out is not None else "")
     return 0
+
+
+def _good_enough(found: Search, judged: "Sequence[Quality]", min_psnr_db: float) -> Search:
+    """Return a search with the fewest sums whose images are good enough, of those that the buses carry."""
+    layout, chosen = found.layout, found.chosen
+    if layout is None or chosen is None:
+        return found
+    most = layout.measurement.sums
+    enough = [each.sums for each in judged if each.psnr_image_db >= min_psnr_db and each.sums <= most]
+    if not enough:
+        best_db = max(each.psnr_image_db for each in judged if each.sums <= most)
+        raise RunError(
+            f"images have {best_db:.1f} dB at best with the {most} sums that the buses carry, expected {min_psnr_db:g}:"
+            " allow more buses or a higher budget, or ask for less"
+        )
+    fewer = min(enough)
+    return replace(found, chosen=replace(chosen, sums=fewer), layout=validated(with_sums(layout, fewer)))
 
 
 def _taxels(text: str) -> int | Taxels:
