@@ -71,7 +71,7 @@ def plan(
         facts = {
             "name": contract.layout.name,
             "sync_rate_hz": contract.layout.sync.rate_hz,
-            "taxels": contract.layout.taxels.count,
+            "taxels": contract.layout.taxels.there,
             "sums": contract.layout.measurement.sums,
             "allowed": allowed,
             "fits": does_fit,

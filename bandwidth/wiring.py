@@ -37,7 +37,7 @@ def _most_converted(layout: Layout) -> int:
     phi = layout.phi()
     of_blocks = np.diff(phi.starts)
     if not layout.taxels.is_analogue:
-        of_blocks = np.bincount(phi.block_of_taxel, minlength=phi.blocks)[: phi.blocks] * (of_blocks > 0)
+        of_blocks = phi.held * (of_blocks > 0)
     most = 0
     for number, bus in enumerate(layout.bus):
         first = layout.first_block(number)

@@ -8,6 +8,8 @@ from typing import Final
 
 import msgspec
 import numpy as np
+import numpy.typing as npt
+from numba import int64, void
 
 from bus.error_frames import State
 from bus.protocol import (
@@ -30,7 +32,9 @@ from bus.protocol import (
 )
 from bus.reconnecting import ReconnectingLink
 from canskin.errors import BusError, Stopped
-from dbc.frame import ECHO, FRAME, Frames, frames
+from dbc.frame import ECHO, FLAGS_AT, FRAME, PORT_AT, Frames, frame_bytes, frames
+from dbc.frame_fields import ROWS, field
+from shell.compiled import njit
 from shell.service import StopSignal, say
 
 #: Time limit for the answer of the bus process to HELLO.
@@ -126,20 +130,13 @@ class ArbitratedLink(ReconnectingLink):
                 part = part[: self._fitting(part)]
                 if not self._send(connection, pack(Kind.FRAMES, part.tobytes(), count=len(part))):
                     break
-                self._sent += np.bincount(part["port"], minlength=MAX_PORTS)
+                _count_ports(frame_bytes(part), 0, self._sent)
                 sent += len(part)
             return sent
 
     def _fitting(self, burst: Frames) -> int:
         """Count the leading frames that fit their transmit queues."""
-        left = self.welcome.queue_size - (self._sent - self._returned)
-        if (np.bincount(burst["port"], minlength=MAX_PORTS) <= left).all():
-            return len(burst)
-        for place, port in enumerate(burst["port"].tolist()):
-            if left[port] <= 0:
-                return place
-            left[port] -= 1
-        return len(burst)
+        return int(_count_fitting(frame_bytes(burst), self.welcome.queue_size - (self._sent - self._returned)))
 
     def _send(self, connection: socket.socket, packet: bytes) -> bool:
         try:
@@ -153,9 +150,7 @@ class ArbitratedLink(ReconnectingLink):
 
     def _returned_of(self, arrived: Frames) -> Frames:
         """Count the own frames that have come back."""
-        own = arrived["flags"] & ECHO != 0
-        if own.any():
-            self._returned += np.bincount(arrived["port"][own] % MAX_PORTS, minlength=MAX_PORTS)
+        _count_ports(frame_bytes(arrived), ECHO, self._returned)
         return arrived
 
     def _connect_within(self, wait_s: float, stop: StopSignal) -> socket.socket:
@@ -205,3 +200,22 @@ class ArbitratedLink(ReconnectingLink):
         if header.kind != Kind.WELCOME:
             raise BusError(f"bus '{self.channel}' refuses: {payload.tobytes().decode(errors='replace')}")
         return unpack_json(payload, Welcome)
+
+
+@njit(int64(ROWS, int64[::1]), cache=True, nogil=True)
+def _count_fitting(rows: npt.NDArray[np.uint8], left: npt.NDArray[np.int64]) -> int:
+    """Count the leading frames that fit their transmit queues, which have `left` places by port; changes `left`."""
+    for place in range(len(rows)):
+        port = field(rows[place], PORT_AT, 2)
+        if left[port] <= 0:
+            return place
+        left[port] -= 1
+    return len(rows)
+
+
+@njit(void(ROWS, int64, int64[::1]), cache=True, nogil=True)
+def _count_ports(rows: npt.NDArray[np.uint8], flags: int, counts: npt.NDArray[np.int64]) -> None:
+    """Add the frames that have all `flags` to the counts of their ports."""
+    for place in range(len(rows)):
+        if rows[place, FLAGS_AT] & flags == flags:
+            counts[field(rows[place], PORT_AT, 2) % MAX_PORTS] += 1

@@ -42,7 +42,9 @@ class Confinement:
     @property
     def next_recovery_ns(self) -> int | None:
         """When the next bus-off controller recovers."""
-        return min((controller.recover_ns for controller in self._recovering), default=None)
+        if not self._recovering:
+            return None
+        return min(controller.recover_ns for controller in self._recovering)
 
     def forget(self, station: Station) -> None:
         """Remove the controllers of a station that has left."""

@@ -1,14 +1,14 @@
 """Frames and reports for the stations, kept until their time."""
 
 from bisect import bisect_left
-from collections.abc import Sequence
+from collections.abc import Iterable
 from itertools import count
 from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from dbc.frame import ECHO, ERROR, Frames, frames
+from dbc.frame import ECHO, ERROR, FRAME, Frames, frames
 
 #: Receivers of a record: all other stations, the station that sent the frame, or both.
 OTHERS: Final = 1
@@ -41,50 +41,28 @@ class Events(NamedTuple):
 _NOTHING: Final = Events(frames(0), np.zeros(0, np.int64), np.zeros(0, np.uint8), plain=True)
 
 
-class FramePool:
-    """Slots for frames: `store` returns slot numbers, `take` returns the frames and frees the slots."""
+def records_of(burst: Frames) -> list[bytes]:
+    """Return the records of frames one by one, as bytes."""
+    packed, size = burst.tobytes(), FRAME.itemsize
+    return [packed[first : first + size] for first in range(0, len(packed), size)]
 
-    def __init__(self, size: int = 256) -> None:
-        self.slots: Frames = frames(size)
-        self._free = list(range(size))
 
-    def store(self, burst: Frames) -> list[int]:
-        """Copy `burst` into free slots and return their numbers, in order."""
-        count = len(burst)
-        while count > len(self._free):
-            size = len(self.slots)
-            grown = frames(2 * size)
-            grown[:size] = self.slots
-            self.slots = grown
-            self._free.extend(range(size, 2 * size))
-        taken = self._free[len(self._free) - count :]
-        del self._free[len(self._free) - count :]
-        self.slots[taken] = burst
-        return taken
-
-    def take(self, numbers: Sequence[int]) -> Frames:
-        """Return a copy of the frames in these slots, and free them."""
-        gathered: Frames = self.slots[list(numbers)]
-        self._free.extend(numbers)
-        return gathered
+def burst_of(records: Iterable[bytes]) -> Frames:
+    """Return the frames of which these are the records."""
+    return np.frombuffer(bytearray(b"".join(records)), FRAME)
 
 
 class Outbox:
-    """Records with their times; frames stay in the pool's slots until they are collected."""
+    """Records with their times, until they are collected."""
 
-    def __init__(self, pool: FramePool) -> None:
-        self._pool = pool
+    def __init__(self) -> None:
         self._order = count()
-        #: (time_ns, order, slot, owner, audience, flags to set)
-        self._entries: list[tuple[int, int, int, int, int, int]] = []
+        #: (time_ns, order, record, owner, audience, flags to set)
+        self._entries: list[tuple[int, int, bytes, int, int, int]] = []
 
-    def post(self, time_ns: int, slot: int, owner: int, audience: int, flags: int = 0) -> None:
-        """Post the frame in `slot` for `time_ns`; `collect` frees the slot."""
-        self._entries.append((time_ns, next(self._order), slot, owner, audience, flags))
-
-    def post_copy(self, time_ns: int, record: Frames, owner: int, audience: int) -> None:
-        """Post a frame without a slot."""
-        self.post(time_ns, self._pool.store(record)[0], owner, audience)
+    def post(self, time_ns: int, record: bytes, owner: int, audience: int, flags: int = 0) -> None:
+        """Post a frame for `time_ns`."""
+        self._entries.append((time_ns, next(self._order), record, owner, audience, flags))
 
     def next_ns(self) -> int | None:
         """Return the earliest time of all posted records."""
@@ -96,9 +74,9 @@ class Outbox:
         end = len(self._entries) if time_ns is None else bisect_left(self._entries, (time_ns + 1,))
         if not end:
             return _NOTHING
-        times, _, slots, owners, audiences, flags = zip(*self._entries[:end], strict=True)
+        times, _, records, owners, audiences, flags = zip(*self._entries[:end], strict=True)
         del self._entries[:end]
-        collected = self._pool.take(slots)
+        collected = burst_of(records)
         collected["time_ns"] = times
         collected["expires_ns"] = 0  # matters to the sender only
         if any(flags):

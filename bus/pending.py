@@ -5,9 +5,12 @@ from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from numba import int64
 
 from bus.controller import Controller
-from dbc.frame import EXTENDED, REMOTE, Frames
+from dbc.frame import CAN_ID_AT, EXPIRES_AT, EXTENDED, FLAGS_AT, REMOTE, TIME_AT, Frames
+from dbc.frame_fields import ROWS, field
+from shell.compiled import njit
 
 _NEVER_NS: Final = 1 << 62
 
@@ -17,7 +20,7 @@ class Waiting(NamedTuple):
 
     key: int
     sequence: int
-    slot: int
+    record: bytes
     duration_ns: int
     controller: Controller
     expires_ns: int
@@ -111,18 +114,33 @@ class Pending:
         return sorted(waiting, key=lambda item: item.sequence)
 
 
-def arbitration_keys(burst: Frames) -> npt.NDArray[np.int64]:
-    """Return the arbitration key of each frame: the frame with the lowest key wins.
+@njit(int64[:, ::1](ROWS, int64), cache=True, nogil=True)
+def queueing(rows: npt.NDArray[np.uint8], now_ns: int) -> npt.NDArray[np.int64]:
+    """Return arbitration key, release and expiry (0: none) of each frame, shape (3, n); the lowest key wins.
 
-    32 bits in bus order (ISO 11898-1): base identifier 11, RTR or SRR 1, IDE 1, extension 18, RTR 1.
+    A key is 32 bits in bus order (ISO 11898-1): base identifier 11, RTR or SRR 1, IDE 1, extension 18, RTR 1.
     So a standard frame beats an extended one with the same base, and data beats remote.
+
+    Parameters
+    ----------
+    rows : array of uint8, shape (n, bytes of a FRAME)
+    now_ns : int
+        Release of frames without one. A release in the past is kept if the bus has been idle since: a sender that the
+        host delayed is then as punctual on the bus as hardware would be.
     """
-    can_id = burst["can_id"].astype(np.int64)
-    remote = (burst["flags"] & REMOTE != 0).astype(np.int64)
-    standard = (can_id & 0x7FF) << 21 | remote << 20
-    extended = (can_id >> 18 & 0x7FF) << 21 | 3 << 19 | (can_id & 0x3FFFF) << 1 | remote
-    keys: npt.NDArray[np.int64] = np.where(burst["flags"] & EXTENDED != 0, extended, standard)
-    return keys
+    queued = np.empty((3, len(rows)), np.int64)
+    for place in range(len(rows)):
+        row = rows[place]
+        can_id = field(row, CAN_ID_AT, 4)
+        remote = np.int64(row[FLAGS_AT] & REMOTE != 0)
+        if row[FLAGS_AT] & EXTENDED:
+            key = (can_id >> 18 & 0x7FF) << 21 | 3 << 19 | (can_id & 0x3FFFF) << 1 | remote
+        else:
+            key = (can_id & 0x7FF) << 21 | remote << 20
+        release_ns = field(row, TIME_AT, 8)
+        queued[0, place], queued[1, place] = key, release_ns if release_ns > 0 else now_ns
+        queued[2, place] = field(row, EXPIRES_AT, 8)
+    return queued
 
 
 def clash_bits(same: Frames) -> int | None:

@@ -14,11 +14,30 @@ from typing import Final, NamedTuple, TypeVar
 
 import msgspec
 import numpy as np
+import numpy.typing as npt
+from numba import boolean
 
 from bus.error_frames import State
 from canskin.errors import UNDECODABLE, InputError
-from dbc.frame import BRS, CLASSIC_BYTES, ESI, EXTENDED, FD, FRAME, REMOTE, Frames
+from dbc.frame import (
+    BRS,
+    CAN_ID_AT,
+    CLASSIC_BYTES,
+    ESI,
+    EXTENDED,
+    FD,
+    FLAGS_AT,
+    FRAME,
+    LENGTH_AT,
+    PORT_AT,
+    REMOTE,
+    TIME_AT,
+    Frames,
+    frame_bytes,
+)
 from dbc.frame_bits import padded_length
+from dbc.frame_fields import ROWS, field
+from shell.compiled import njit
 
 MAGIC: Final = b"CSK1"
 #: Most frames in a packet; a packet must fit a default send buffer.
@@ -117,9 +136,9 @@ def in_time(burst: Frames) -> Frames:
 
 def check_frames(burst: Frames, *, fd: bool) -> None:
     """Raise InputError, which names the first wrong frame, unless a controller could send the frames."""
-    flags, length, can_id = burst["flags"], burst["length"], burst["can_id"]
-    if _are_plain(burst):
+    if _are_plain(frame_bytes(burst)):
         return
+    flags, length, can_id = burst["flags"], burst["length"], burst["can_id"]
     is_fd = flags & FD != 0
     highest = np.where(flags & EXTENDED, 0x1FFFFFFF, _HIGHEST_BASE)
     longest = np.where(is_fd, 64, CLASSIC_BYTES)
@@ -139,20 +158,20 @@ def check_frames(burst: Frames, *, fd: bool) -> None:
             raise InputError(f"frame {place} (identifier 0x{int(can_id[place]):X}) has {words}")
 
 
-def _are_plain(burst: Frames) -> bool:
+@njit(boolean(ROWS), cache=True, nogil=True)
+def _are_plain(rows: npt.NDArray[np.uint8]) -> bool:
     """Tell whether all frames are classical data frames with 11 bits of identifier and nothing wrong: most bursts."""
-    return not len(burst) or bool(
-        not burst["flags"].any()
-        and burst["can_id"].max() <= _HIGHEST_BASE
-        and burst["length"].max() <= CLASSIC_BYTES
-        and burst["port"].max() < MAX_PORTS
-        and burst["time_ns"].max() <= LATEST_NS
-    )
+    for place in range(len(rows)):
+        row = rows[place]
+        is_plain = row[FLAGS_AT] == 0 and row[LENGTH_AT] <= CLASSIC_BYTES and field(row, CAN_ID_AT, 4) <= _HIGHEST_BASE
+        if not is_plain or field(row, PORT_AT, 2) >= MAX_PORTS or field(row, TIME_AT, 8) > LATEST_NS:
+            return False
+    return True
 
 
 def padded(burst: Frames) -> Frames:
     """Return the frames with lengths rounded up to lengths that have a DLC; only CAN FD frames change."""
-    if (burst["length"] > CLASSIC_BYTES).any():
+    if burst["flags"].any() and (burst["length"] > CLASSIC_BYTES).any():
         burst = burst.copy()
         burst["length"] = padded_length(burst["length"])
     return burst

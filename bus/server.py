@@ -83,6 +83,8 @@ class _Line:
     pending: list[socket.socket] = field(default_factory=list)
     sessions: list[Session] = field(default_factory=list)
     delivered_ns: int = 0
+    #: When the next delivery is due, None without one; made anew in each turn.
+    wake_ns: int | None = None
 
     def fileno(self) -> int:
         return self.listener.fileno()
@@ -155,8 +157,10 @@ class BusServer:
                 self._accept(line)
             for connection in [connection for connection in line.pending if connection in ready]:
                 self._greet(line, connection)
-            for session in [session for session in line.sessions if session in ready]:
-                self._read(line, session)
+            if heard := [session for session in line.sessions if session in ready]:
+                for session in heard:
+                    self._read(line, session)
+                line.wake_ns = self._wake_ns(line)
 
     def close(self) -> None:
         """Disconnect all clients and remove the sockets."""
@@ -168,7 +172,9 @@ class BusServer:
 
     def _sleep_s(self) -> float:
         """Return the time until the next delivery."""
-        wakes = [wake for line in self._lines if (wake := self._wake_ns(line)) is not None]
+        for line in self._lines:
+            line.wake_ns = self._wake_ns(line)
+        wakes = [line.wake_ns for line in self._lines if line.wake_ns is not None]
         if not wakes:
             return IDLE_S
         return min(max(min(wakes) - time.monotonic_ns(), 0) * 1e-9, IDLE_S)
@@ -278,8 +284,7 @@ class BusServer:
     def _deliver(self, line: _Line) -> None:
         """Deliver all that has ended on a bus."""
         now_ns = self._now_ns
-        wake_ns = self._wake_ns(line)
-        if wake_ns is None or wake_ns > now_ns:
+        if line.wake_ns is None or line.wake_ns > now_ns:
             return
         events = line.bus.run_until(now_ns)
         if not len(events.frames):

@@ -13,7 +13,7 @@ import numpy as np
 from bus.confinement import Confinement
 from bus.controller import Controller
 from bus.faults import Fault, FaultSchedule, Odds
-from bus.outbox import OTHERS, OWNER, Events
+from bus.outbox import OTHERS, OWNER, Events, burst_of
 from bus.pending import Waiting, clash_bits
 from bus.station import Counts, Station, Stations
 from bus.transmit_queues import TransmitQueues
@@ -194,7 +194,7 @@ class SimulatedBus:
                 self._transmit(item, coming)
                 return
             free = self._free_ns = coming + item.duration_ns
-            post(free - self._intermission_ns, item.slot, item.controller.station, OTHERS | OWNER)
+            post(free - self._intermission_ns, item.record, item.controller.station, OTHERS | OWNER)
             item.controller.waiting -= 1
             counts.transmitted += 1
             counts.busy_ns += item.duration_ns
@@ -213,10 +213,10 @@ class SimulatedBus:
 
     def _attempt(self, items: list[Waiting], start: int) -> None:
         """Send a frame, or equal frames of several controllers, with possible faults."""
-        _, sequence, slot, duration, sender, _ = items[0]
-        slots, faults = self._queues.pool.slots, self._faults
-        clash = clash_bits(slots[[item.slot for item in items]]) if len(items) > 1 else None
-        odds = faults.odds(sender.name, int(slots["can_id"][slot]))
+        _, sequence, _, duration, sender, _ = items[0]
+        same, faults = burst_of(item.record for item in items), self._faults
+        clash = clash_bits(same) if len(items) > 1 else None
+        odds = faults.odds(sender.name, int(same["can_id"][0]))
         if clash is not None:
             self._fail(items, start, nominal_ns(clash, self.bitrate))
         elif self._stations.takers < 2:
@@ -243,7 +243,7 @@ class SimulatedBus:
             self.counts.delayed += 1
             self._queues.post_copy(items[0], ended + odds.delay_ns)
         for item in items:
-            self._queues.outbox.post(ended, item.slot, item.controller.station, audience)
+            self._queues.outbox.post(ended, item.record, item.controller.station, audience)
             item.controller.waiting -= 1
             self.counts.transmitted += 1
             audience = OWNER

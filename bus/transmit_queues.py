@@ -3,22 +3,19 @@
 from collections.abc import Iterable, Sequence
 from itertools import count
 
-import numpy as np
-
 from bus.controller import Controller
-from bus.outbox import DISCARDED, OTHERS, OWNER, FramePool, Outbox
-from bus.pending import Pending, Waiting, arbitration_keys
+from bus.outbox import DISCARDED, OTHERS, OWNER, Outbox, burst_of, records_of
+from bus.pending import Pending, Waiting, queueing
 from bus.station import Counts, Station
-from dbc.frame import Frames
+from dbc.frame import Frames, frame_bytes
 
 
 class TransmitQueues:
     """Frames that wait for the bus, and reports that wait for collection."""
 
     def __init__(self) -> None:
-        self.pool = FramePool()
         self.pending = Pending()
-        self.outbox = Outbox(self.pool)
+        self.outbox = Outbox()
         self.counts = Counts()
         self._sequence = count()
 
@@ -52,16 +49,14 @@ class TransmitQueues:
         now_ns : int
             Release time of frames without one.
         """
-        # A release time in the past is kept if the bus has been idle since: a sender that the host delayed is then as
-        # punctual on the bus as hardware would be.
-        releases = np.where(burst["time_ns"] > 0, burst["time_ns"], now_ns).tolist()
+        keys, releases, expiries = queueing(frame_bytes(burst), now_ns).tolist()
         fields = zip(
-            arbitration_keys(burst).tolist(),
+            keys,
             self._sequence,
-            self.pool.store(burst),
+            records_of(burst),
             durations_ns,
             controllers,
-            burst["expires_ns"].tolist(),
+            expiries,
             strict=False,  # the sequence is infinite
         )
         for item, release in zip(map(Waiting._make, fields), releases, strict=True):
@@ -74,10 +69,10 @@ class TransmitQueues:
 
     def discard(self, items: Iterable[Waiting], time_ns: int) -> None:
         """Return frames to their senders unsent."""
-        for _, _, slot, _, controller, _ in items:
+        for _, _, record, _, controller, _ in items:
             controller.waiting -= 1
             self.counts.discarded += 1
-            self.outbox.post(time_ns, slot, controller.station, OWNER, DISCARDED)
+            self.outbox.post(time_ns, record, controller.station, OWNER, DISCARDED)
 
     def discard_expired(self, time_ns: int) -> None:
         """Return the frames that expired before they won arbitration."""
@@ -87,16 +82,16 @@ class TransmitQueues:
 
     def take_back(self, controller: Controller) -> Frames:
         """Remove and return all waiting frames of a controller; nothing is reported to the sender."""
-        slots = [item.slot for item in self.pending.withdraw(controller)]
-        controller.waiting -= len(slots)
-        self.counts.discarded += len(slots)
-        return self.pool.take(slots)
+        records = [item.record for item in self.pending.withdraw(controller)]
+        controller.waiting -= len(records)
+        self.counts.discarded += len(records)
+        return burst_of(records)
 
     def post_copy(self, item: Waiting, time_ns: int) -> None:
         """Send a frame to the receivers; the sender gets its echo at another time."""
-        self.outbox.post_copy(time_ns, self.pool.slots[[item.slot]], item.controller.station, OTHERS)
+        self.outbox.post(time_ns, item.record, item.controller.station, OTHERS)
 
     def post_report(self, controller: Controller, time_ns: int, record: Frames) -> None:
         """Send a controller's station the report of an error or of a new state."""
         record["port"] = controller.port
-        self.outbox.post_copy(time_ns, record, controller.station, OWNER)
+        self.outbox.post(time_ns, record.tobytes(), controller.station, OWNER)

@@ -137,6 +137,8 @@ class DefectFinder:
     def _taxel(self, block: int) -> str:
         """Name the taxel that a block's noise comes from, if it is one."""
         taxels = self._phi.taxels_of(block)
+        if taxels.size == 1:
+            return f" of {self._surface.name_of(int(taxels[0]))}"
         second, first = np.argsort(self._power[taxels])[-2:]
         power: Floats = self._power[taxels]
         if power[first] < TAXEL_RATIO * power[second]:

@@ -28,8 +28,6 @@ CONTACT_PART: Final = 0.05
 #: Width of a ring of the profile, and how far the profile goes beyond the mean contact, pitches.
 RING: Final = 0.25
 BEYOND: Final = 2.0
-#: A taxel is at the border of the skin where its neighbours leave an angle of more than this, degrees.
-BORDER_ANGLE: Final = 150.0
 #: Deviation of gains before they are measured.
 SPREAD: Final = 0.1
 #: The same of gains of sums. A common factor of a block's taxels is one of its sums, too: most of it is given to the
@@ -91,7 +89,7 @@ def find_gains(
     gains = np.ones(phi.shape[1])
     known = np.zeros(phi.shape[1], np.bool_)
     of_sums = SumGains(np.ones(phi.shape[0]), np.zeros(phi.shape[0])) if is_analogue else None
-    cycles, border, places = 0, _border(surface), surface.positions_m / surface.pitch_m
+    cycles, border, places = 0, surface.is_border, surface.positions_m / surface.pitch_m
     for _ in range(PASSES):
         felt_n = images_n.reshape(len(images_n), -1) / gains
         contact = _contact(felt_n)
@@ -127,26 +125,6 @@ def defects_of(found: Gains, phi: Sbhe, surface: Surface) -> list[str]:
 def _contact(images_n: Images) -> Bools:
     contact: Bools = images_n > CONTACT_PART * images_n.max(axis=1, keepdims=True)
     return contact
-
-
-def _border(surface: Surface) -> Bools:
-    """Return the taxels at the border of a skin, or of one of its gaps, shape (n,)."""
-    taxel, other = np.concatenate((surface.edges, surface.edges[:, ::-1])).T
-    normal = surface.normals[taxel]
-    across = np.cross(normal, np.eye(3)[np.abs(normal).argmin(axis=1)])
-    way = surface.positions_m[other] - surface.positions_m[taxel]
-    angle = np.arctan2((np.cross(normal, across) * way).sum(axis=1), (across * way).sum(axis=1))
-    order = np.lexsort((angle, taxel))
-    taxel, angle = taxel[order], angle[order]
-    first = np.searchsorted(taxel, np.arange(len(surface.positions_m)))
-    degree = np.bincount(taxel, minlength=len(first))
-    following = np.arange(1, len(taxel) + 1)
-    last = (first + degree - 1)[degree > 0]
-    following[last] = first[degree > 0]
-    left = np.zeros(len(first))
-    left[degree < 2] = 2 * np.pi
-    np.maximum.at(left, taxel, (angle[following] - angle) % (2 * np.pi))
-    return np.asarray(left > np.radians(BORDER_ANGLE), np.bool_)
 
 
 def _forces(images_n: Images, places: Floats, force_n: float) -> npt.NDArray[np.float32]:

@@ -14,8 +14,6 @@ from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
-from scipy.sparse import csr_array
-from scipy.spatial import cKDTree
 
 from canskin.errors import InputError
 from skin.matrix import MatrixPhi
@@ -172,6 +170,9 @@ class _ScatteredStage:
     """A Gaussian of the distance, of unit energy, at taxels as sparse as its width allows."""
 
     def __init__(self, width: float, surface: Surface) -> None:
+        from scipy.sparse import csr_array  # no verb waits for SciPy that has no need of it
+        from scipy.spatial import cKDTree
+
         places = surface.positions_m / surface.pitch_m
         centres = _thinned(np.hstack((places, width * surface.normals)), width / 2)
         pairs = cKDTree(places[centres]).sparse_distance_matrix(
@@ -194,6 +195,8 @@ class _ScatteredStage:
 
 def _thinned(places: npt.NDArray[np.float64], least: float) -> npt.NDArray[np.intp]:
     """Return the numbers of places, in order, that are `least` or more from those before; all below a distance of 1."""
+    from scipy.spatial import cKDTree
+
     tree, is_free, kept = cKDTree(places), np.ones(len(places), np.bool_), []
     for place in range(len(places)):
         if is_free[place]:

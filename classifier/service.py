@@ -14,7 +14,7 @@ from classifier.settling import Decision
 from classifier.used_sums import classified_phi, coarse_sums
 from shell.service import StopSignal
 from skin.layout import Layout
-from skin.measured_sums import MeasurementReader, decode_adaptive, decode_measurement
+from skin.measured_sums import AdaptiveSums, MeasurementReader, decode_adaptive, decode_measurement
 from skin.measurement import Phi, places
 
 #: Period of the check of the stop signal.
@@ -140,7 +140,7 @@ class AdaptiveClassifierService(_Service):
         super().__init__(classifier, layout.phi(), fabric, MEASUREMENT, waiting=1)
         self._reader = MeasurementReader(layout.phi(), "classifier", decode_adaptive)
         self._places = places(layout.phi(), coarse_sums(layout))
-        self._newest: Measurement | None = None
+        self._newest: tuple[Measurement, AdaptiveSums] | None = None
         self._cycle = self._repeated = 0
         self._due_ns: int | None = None
 
@@ -167,15 +167,13 @@ class AdaptiveClassifierService(_Service):
         self._cycle += 1
         self._repeated += 1
         if measurement is not None:
-            self._newest, self._repeated = measurement, 0
+            sums = self._reader.read(measurement)
+            self._newest, self._repeated = None if sums is None else (measurement, sums), 0
         if self._newest is None or self._repeated > FORGET_CYCLES:
             return None
-        sums = self._reader.read(self._newest)
-        if sums is None:
-            self._newest = None
-            return None
+        newest, sums = self._newest
         decision = self._classifier.decide(sums.counts[self._places], sums.valid, self._cycle)
-        return self._labelled(self._newest, decision, sums.valid)
+        return self._labelled(newest, decision, sums.valid)
 
     def replay(self, measurement: Measurement, time_ns: int) -> list[Label]:
         """Return the labels of the periods of a replay that have ended at `time_ns`; the first measurement has one."""

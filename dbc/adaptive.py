@@ -86,7 +86,7 @@ class SendingRule(NamedTuple):
     """
 
     noise_ratio: float = 0.15
-    variance_ratio: float = 4.0
+    variance_ratio: float = 2.0
     rounding: float = 0.75
     level_ratio: float = 1.25
     doubling: float = 8.0

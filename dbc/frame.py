@@ -40,9 +40,9 @@ FRAME: Final = np.dtype(
 )
 
 #: Where the fields of a FRAME begin, for compiled code.
-TIME_AT, CAN_ID_AT, LENGTH_AT, FLAGS_AT, DATA_AT = (
+TIME_AT, EXPIRES_AT, CAN_ID_AT, LENGTH_AT, FLAGS_AT, PORT_AT, DATA_AT = (
     FRAME.fields[name][1]  # type: ignore[index]  # FRAME has fields
-    for name in ("time_ns", "can_id", "length", "flags", "data")
+    for name in ("time_ns", "expires_ns", "can_id", "length", "flags", "port", "data")
 )
 
 Frames = npt.NDArray[np.void]

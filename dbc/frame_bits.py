@@ -18,7 +18,7 @@ from typing import Final, Literal
 import numpy as np
 import numpy.typing as npt
 
-from dbc.frame import BRS, CLASSIC_BYTES, ERROR, ESI, EXTENDED, FD, FD_LENGTHS, FRAME, REMOTE, Frames
+from dbc.frame import BRS, CLASSIC_BYTES, ERROR, ESI, EXTENDED, FD, FD_LENGTHS, FRAME, REMOTE, Frames, frame_bytes
 
 Stuffing = Literal["none", "worst", "exact"]
 Bits = npt.NDArray[np.int32]
@@ -26,14 +26,14 @@ Bits = npt.NDArray[np.int32]
 #: Intermission, counted into every frame.
 INTERMISSION_BITS: Final = 3
 
-#: The compiled kernel reads can_id, length, flags, port and data in their order in FRAME.
+#: The compiled kernels read can_id, length, flags, port and data in their order in FRAME.
 _FIRST_BYTE: Final = FRAME.itemsize - 72
 _DLC: Final = np.searchsorted(FD_LENGTHS, np.arange(256)).clip(max=15).astype(np.int32)
 _PADDED: Final = np.array(FD_LENGTHS, np.int32)[_DLC]
 #: CRC delimiter, ACK slot and delimiter, end of frame, intermission.
-_CLASSIC_TAIL: Final = 13
+CLASSIC_TAIL: Final = 13
 #: From the start of frame to the CRC of a classical frame without data, with identifiers of 11 and 29 bits.
-_BASE_BITS, _EXTENDED_BITS = 34, 54
+BASE_BITS, EXTENDED_BITS = 34, 54
 _FD_NOMINAL_TAIL: Final = 12
 
 
@@ -64,10 +64,6 @@ def wire_bits(frames: Frames, stuffing: Stuffing = "exact") -> tuple[Bits, Bits]
     bit string SOF to CRC. CAN FD: ISO 11898-1:2015 with stuff bit count and fixed stuff bits.
     """
     flags = frames["flags"]
-    if stuffing == "exact" and not flags.any():  # most frames of a bus, and quick: classical data frames
-        nominal, data = _exact_stuff(frames)
-        nominal += _BASE_BITS + _CLASSIC_TAIL + 8 * np.minimum(frames["length"], np.int32(CLASSIC_BYTES))
-        return nominal, data
     is_fd = flags & FD != 0
     nominal, data = _fixed_bits(frames, is_fd)
     if stuffing != "none":
@@ -101,6 +97,12 @@ def frame_time_ns(
     array of int64, shape (n,)
         Nanoseconds, rounded to the nearest.
     """
+    if stuffing == "exact":
+        from dbc.stuff_bits import classic_times
+
+        times_ns = np.empty(len(frames), np.int64)
+        if classic_times(frame_bytes(frames)[:, _FIRST_BYTE:], bitrate, times_ns):
+            return times_ns
     nominal, data = wire_bits(frames, stuffing)
     seconds = nominal / bitrate + data / (data_bitrate or bitrate)
     return np.rint(seconds * 1e9).astype(np.int64)
@@ -131,7 +133,7 @@ def _fixed_bits(frames: Frames, is_fd: npt.NDArray[np.bool_]) -> tuple[Bits, Bit
     flags, length = frames["flags"], frames["length"]
     extended = flags & EXTENDED != 0
     payload = np.where(flags & REMOTE, 0, np.minimum(length, CLASSIC_BYTES)).astype(np.int32)
-    nominal = np.where(extended, _EXTENDED_BITS, _BASE_BITS).astype(np.int32) + 8 * payload + _CLASSIC_TAIL
+    nominal = np.where(extended, EXTENDED_BITS, BASE_BITS).astype(np.int32) + 8 * payload + CLASSIC_TAIL
     data = np.zeros_like(nominal)
     if is_fd.any():
         padded = _PADDED[length]
@@ -146,7 +148,7 @@ def _fixed_bits(frames: Frames, is_fd: npt.NDArray[np.bool_]) -> tuple[Bits, Bit
 def _exact_stuff(frames: Frames) -> tuple[Bits, Bits]:
     from dbc.stuff_bits import count_stuff
 
-    rows = np.ascontiguousarray(frames).view(np.uint8).reshape(-1, FRAME.itemsize)[:, _FIRST_BYTE:]
+    rows = frame_bytes(frames)[:, _FIRST_BYTE:]
     nominal, data = np.empty(len(rows), np.int32), np.empty(len(rows), np.int32)
     count_stuff(rows, _DLC[frames["length"]], _PADDED[frames["length"]], nominal, data)
     return nominal, data
@@ -155,7 +157,7 @@ def _exact_stuff(frames: Frames) -> tuple[Bits, Bits]:
 def _worst_stuff(frames: Frames, is_fd: npt.NDArray[np.bool_]) -> tuple[Bits, Bits]:
     flags = frames["flags"]
     payload = np.where(flags & REMOTE, 0, np.minimum(frames["length"], CLASSIC_BYTES)).astype(np.int32)
-    nominal = (np.where(flags & EXTENDED, _EXTENDED_BITS, _BASE_BITS).astype(np.int32) + 8 * payload - 1) // 4
+    nominal = (np.where(flags & EXTENDED, EXTENDED_BITS, BASE_BITS).astype(np.int32) + 8 * payload - 1) // 4
     data = np.zeros_like(nominal)
     for index in np.flatnonzero(is_fd):
         shape = int(flags[index]) & (EXTENDED | BRS | ESI)

@@ -4,16 +4,17 @@ from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
-from numba import int32, types, uint8, void
+from numba import boolean, int32, int64, void
 
-from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE
+from dbc.frame import BRS, CLASSIC_BYTES, ERROR, ESI, EXTENDED, FD, REMOTE
+from dbc.frame_bits import BASE_BITS, CLASSIC_TAIL, EXTENDED_BITS
+from dbc.frame_fields import ROWS, field
 from shell.compiled import njit
 
 #: x^15 + x^14 + x^10 + x^8 + x^7 + x^4 + x^3 + 1 (ISO 11898-1, CRC of classical frames).
 CRC_15: Final = 0x4599
-#: Records as rows of bytes that begin with the identifier; the following positions count from there.
-_ROWS: Final = types.Array(uint8, 2, "A", readonly=True)
 _INTS: Final = int32[::1]
+#: Rows begin with the identifier; the following positions count from there.
 _CAN_ID, _LENGTH, _FLAGS, _DATA = 0, 4, 5, 8
 
 
@@ -63,9 +64,7 @@ def feed_octet(octet: int, last: int, run: int, stuffed: int) -> tuple[int, int,
 @njit(cache=True, nogil=True)
 def feed_identifier(row: Any, remote: int) -> tuple[int, int]:
     """Return SOF to IDE (standard) or to RTR (extended) as (word, width)."""
-    can_id = 0
-    for byte in range(4):
-        can_id |= int(row[_CAN_ID + byte]) << (8 * byte)
+    can_id = field(row, _CAN_ID, 4)
     if row[_FLAGS] & EXTENDED:  # SOF 0, base identifier, SRR 1, IDE 1, extension, RTR
         base = (can_id >> 18) & 0x7FF
         return (((base << 2 | 3) << 18 | (can_id & 0x3FFFF)) << 1) | remote, 33
@@ -112,7 +111,7 @@ def last_bit(row: Any, dlc: int, wire_length: int) -> int:
     return (int(row[_DATA + wire_length - 1]) if wire_length else dlc) & 1
 
 
-@njit(void(_ROWS, _INTS, _INTS, _INTS, _INTS), cache=True, nogil=True)
+@njit(void(ROWS, _INTS, _INTS, _INTS, _INTS), cache=True, nogil=True)
 def count_stuff(rows: Any, dlcs: Any, lengths: Any, nominal: Any, data: Any) -> None:
     """Write every frame's stuff bits into `nominal` and `data`.
 
@@ -133,3 +132,25 @@ def count_stuff(rows: Any, dlcs: Any, lengths: Any, nominal: Any, data: Any) -> 
             nominal[index], data[index] = count_fd(rows[index], dlcs[index], lengths[index])
         else:
             nominal[index], data[index] = count_classic(rows[index]), 0
+
+
+@njit(boolean(ROWS, int64, int64[::1]), cache=True, nogil=True)
+def classic_times(rows: Any, bitrate: int, times_ns: Any) -> bool:
+    """Write the time of every frame on the bus into `times_ns`, if all are classical; else return False.
+
+    Parameters
+    ----------
+    rows : array of uint8, shape (n, 72)
+        As for `count_stuff`.
+    times_ns : array of int64, shape (n,)
+        Written.
+    """
+    for index in range(rows.shape[0]):
+        row = rows[index]
+        flags = row[_FLAGS]
+        if flags & (FD | ERROR):
+            return False
+        payload = 0 if flags & REMOTE else 8 * min(int(row[_LENGTH]), CLASSIC_BYTES)
+        bits = (EXTENDED_BITS if flags & EXTENDED else BASE_BITS) + CLASSIC_TAIL + payload + count_classic(row)
+        times_ns[index] = np.int64(np.rint(bits / bitrate * 1e9))
+    return True

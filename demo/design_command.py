@@ -129,6 +129,11 @@ def _taxels(text: str) -> int | Taxels:
     if text.isdecimal():
         return int(text)
     try:
-        return parse_layout(tomli_w.dumps(tables_of(text)[0]).encode(), "--taxels").taxels
+        tables, told = tables_of(text)
+        if tables.pop("measurement", None) is not None:
+            told.append("the boards of the file are left out: a design has boards of its own")
+        for words in told:
+            say("design", words)
+        return parse_layout(tomli_w.dumps(tables).encode(), "--taxels").taxels
     except LayoutError as error:
         raise InputError(f"--taxels: expected a number, ROWSxCOLUMNS, or a file of taxels: {error}") from error

@@ -149,10 +149,9 @@ def _about(skin: Layout) -> dict[str, Any]:
 
 
 def _about_boards(skin: Layout, phi: Sbhe) -> dict[str, Any]:
-    held = [len(phi.taxels_of(block)) for block in range(phi.blocks)]
     return {
         "blocks": phi.blocks,
-        "taxels_of_a_block": sorted({min(held), max(held)}),
+        "taxels_of_a_block": sorted({int(phi.held.min()), int(phi.held.max())}),
         "empty_places": phi.empty,
         "nodes": {bus.name: bus.nodes for bus in skin.bus},
         "wires": str(wiring(skin)),

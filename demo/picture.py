@@ -37,11 +37,15 @@ def save_picture(snapshot: Snapshot, taxels: Taxels, path: Path, *, noisy: bool 
     plane, scale = Plane(taxels.surface), 1 if taxels.surface.is_grid else _SCALE
     top = float(snapshot.true.max()) * to_mn
     error = snapshot.image - snapshot.true
-    of_sensor = f", {psnr_db(snapshot.true, snapshot.sensor, peak_n):.1f} dB" if noisy else ", no noise"
+    there = taxels.without_gaps
+    sensor_db, image_db = (
+        psnr_db(there(snapshot.true), there(each), peak_n) for each in (snapshot.sensor, snapshot.image)
+    )
+    of_sensor = f", {sensor_db:.1f} dB" if noisy else ", no noise"
     panels = (
         ("true", snapshot.true, "viridis", 0.0, top),
         (f"sensor{of_sensor}", snapshot.sensor, "viridis", 0.0, top),
-        (f"rebuilt, {psnr_db(snapshot.true, snapshot.image, peak_n):.1f} dB", snapshot.image, "viridis", 0.0, top),
+        (f"rebuilt, {image_db:.1f} dB", snapshot.image, "viridis", 0.0, top),
         ("rebuilt minus true", error, "RdBu_r", -top / 4, top / 4),
     )
     figure = Figure(figsize=(13, 3.4), layout="constrained")

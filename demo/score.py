@@ -86,7 +86,6 @@ class Score:
     _labels: LabelPairs = field(init=False)
     _measurements: Pairing[CycleMeasurement] = field(init=False)
     _states: StateScore = field(default_factory=StateScore)
-    _gaps: npt.NDArray[np.intp] = field(init=False)
     _peak_n: float = 0.0
     _newest_ns: int = -1
     _lock: threading.Lock = field(default_factory=threading.Lock)
@@ -94,7 +93,6 @@ class Score:
     def __post_init__(self) -> None:
         self._images, self._labels = image_pairs(self.layout), label_pairs(self.layout)
         self._measurements = Pairing(self.layout.shortest_period_s)
-        self._gaps = self.layout.taxels.gaps
 
     def take_gateway(self, status: GatewayStatus) -> None:
         """Keep the newest counters of the gateway."""
@@ -188,9 +186,10 @@ class Score:
         if not in_contact(true, self.layout.taxels.force_max_n):
             return
         sensor, image_n = self._grid(truth.sensor), self._grid(image.pixels)
-        there_n, force_max_n = np.delete(true, self._gaps), self.layout.taxels.force_max_n
-        self.psnr_sensor_db.append(psnr_db(there_n, np.delete(sensor, self._gaps), force_max_n))
-        self.psnr_image_db.append(psnr_db(there_n, np.delete(image_n, self._gaps), force_max_n))
+        taxels = self.layout.taxels
+        there_n = taxels.without_gaps(true)
+        self.psnr_sensor_db.append(psnr_db(there_n, taxels.without_gaps(sensor), taxels.force_max_n))
+        self.psnr_image_db.append(psnr_db(there_n, taxels.without_gaps(image_n), taxels.force_max_n))
         self.contact_cycles += 1
         peak_n = float(true.max())
         self._peak_n = max(self._peak_n, peak_n)

@@ -14,7 +14,7 @@ from shell.command import WRONG_INPUT
 from shell.service import ordinary_scheduling
 
 #: A process that has ended is started again after this time; the page shows its absence until then.
-RESTART_AFTER_S: Final = 2.0
+RESTART_AFTER_S: Final = 0.5
 STOP_PATIENCE_S: Final = 5.0
 #: Time limit for the end of all services when the user waits.
 HASTE_S: Final = 1.0

@@ -24,6 +24,7 @@ from dbc.adaptive import (
 )
 from dbc.canopen import SYNC_COB_ID
 from dbc.frame import CAN_ID_AT, DATA_AT, ECHO, ERROR, EXTENDED, FD, FLAGS_AT, LENGTH_AT, REMOTE, TIME_AT
+from dbc.frame_fields import field
 from shell.compiled import borrowed, njit
 
 #: A time before all frames.
@@ -127,7 +128,7 @@ def take_all(  # noqa: PLR0917  compiled functions take no keywords
         row = rows[place]
         if row[FLAGS_AT] & (ERROR | ECHO):
             continue
-        can_id = int(row[CAN_ID_AT]) | int(row[CAN_ID_AT + 1]) << 8 | int(row[CAN_ID_AT + 2]) << 16
+        can_id = field(row, CAN_ID_AT, 4)
         kind, group, node = decode_cob_id(can_id, of_node, is_fd)
         is_strange = row[FLAGS_AT] & (EXTENDED | REMOTE) != 0 or (row[FLAGS_AT] & FD != 0) != is_fd
         if is_strange or kind < 0 or node >= sums.check.shape[0]:
@@ -137,9 +138,7 @@ def take_all(  # noqa: PLR0917  compiled functions take no keywords
         if not is_proven[node]:
             sums.counts[UNPROVEN] += 1
             continue
-        ended_ns = np.int64(0)
-        for byte in range(8):
-            ended_ns |= np.int64(row[TIME_AT + byte]) << np.int64(8 * byte)
+        ended_ns = field(row, TIME_AT, 8)
         is_fine, is_lost = kind >= LEVELS, has_gap
         groups = slice(group, group + together)
         is_unsure = is_fine and not is_fd and sums.is_lost[node, group]

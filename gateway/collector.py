@@ -29,6 +29,7 @@ from dbc.frame import (
     frame_bytes,
     frames,
 )
+from dbc.frame_fields import field
 from gateway.bus_syncs import BusSyncs, begin_on_bus, new_syncs, send_sync
 from gateway.open_cycles import (
     SLOTS,
@@ -117,7 +118,7 @@ def take_all(  # noqa: PLR0917  compiled functions take no keywords
     for place in range(rows.shape[0]):
         row = rows[place]
         flags = row[FLAGS_AT]
-        can_id, ended_ns = _number(row, CAN_ID_AT, 4), _number(row, TIME_AT, 8)
+        can_id, ended_ns = field(row, CAN_ID_AT, 4), field(row, TIME_AT, 8)
         if can_id == SYNC_COB_ID and not flags & (ERROR | EXTENDED | REMOTE):
             if flags & ECHO:
                 _begin(bus, int(row[DATA_AT]), ended_ns, stamp_error_ns, table, state)
@@ -136,15 +137,6 @@ def take_all(  # noqa: PLR0917  compiled functions take no keywords
             state.counts[MALFORMED] += 1
         else:
             _accept(bus, frame, row[DATA_AT:], ended_ns, stamp_error_ns, is_window, table, state)
-
-
-@njit(cache=True, nogil=True)
-def _number(row: npt.NDArray[np.uint8], first: int, size: int) -> int:
-    """Return a number of `size` bytes, the lowest first."""
-    number = 0
-    for byte in range(size):
-        number |= int(row[first + byte]) << (8 * byte)
-    return number
 
 
 @njit(cache=True, nogil=True)

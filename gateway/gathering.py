@@ -5,15 +5,21 @@ from typing import Final
 
 import numpy as np
 import numpy.typing as npt
+from numba import boolean
 
 from bus.error_frames import ErrorClass
 from bus.link import State
 from dbc.dictionary import SkinState
-from dbc.frame import ECHO, ERROR, Frames
+from dbc.frame import CAN_ID_AT, DATA_AT, ECHO, ERROR, FLAGS_AT, Frames, frame_bytes
+from dbc.frame_fields import ROWS, field
+from shell.compiled import njit
 
 #: Byte 1 of a report of the controller: its receive buffer has overflowed (SocketCAN: CAN_ERR_CRTL_RX_OVERFLOW).
 _OVERFLOW: Final = 0x01
 _DOWN: Final = (State.BUS_OFF, State.LOST)
+#: Plain numbers for compiled code.
+_OFF: Final = int(ErrorClass.BUS_OFF | ErrorClass.RESTARTED)
+_CONTROLLER: Final = int(ErrorClass.CONTROLLER)
 
 
 @dataclass(frozen=True)
@@ -87,16 +93,19 @@ class Health:
         self.stamp_error_ns = stamp_error_ns
         is_down = state in _DOWN
         self.has_returned = self.is_down and not is_down
-        self.has_gap = is_down or self.is_down or dropped != self._dropped or _tells_loss(arrived)
+        self.has_gap = is_down or self.is_down or dropped != self._dropped
+        if not self.has_gap and len(arrived):
+            self.has_gap = _tells_loss(frame_bytes(arrived))
         self.is_down, self._dropped = is_down, dropped
 
 
-def _tells_loss(arrived: Frames) -> bool:
+@njit(boolean(ROWS), cache=True, nogil=True)
+def _tells_loss(rows: npt.NDArray[np.uint8]) -> bool:
     """Tell whether a report among the frames says that the controller received nothing for a time."""
-    is_report: npt.NDArray[np.bool_] = arrived["flags"] & (ERROR | ECHO) == ERROR
-    if not is_report.any():
-        return False
-    why, control = arrived["can_id"][is_report], arrived["data"][is_report, 1]
-    off = why & (ErrorClass.BUS_OFF | ErrorClass.RESTARTED) != 0
-    overflow = (why & ErrorClass.CONTROLLER != 0) & (control & _OVERFLOW != 0)
-    return bool((off | overflow).any())
+    for place in range(len(rows)):
+        row = rows[place]
+        if row[FLAGS_AT] & (ERROR | ECHO) == ERROR:
+            why = field(row, CAN_ID_AT, 4)
+            if why & _OFF or (why & _CONTROLLER and row[DATA_AT + 1] & _OVERFLOW):
+                return True
+    return False

@@ -158,9 +158,10 @@ def _doubts(state: Snapshot, *, is_grid: bool) -> Iterator[Notice]:
         where = f"row {each.row:.0f}, column {each.column:.0f}" if is_grid else f"taxel {each.column:.0f}"
         force = f"a force of {each.force_n:.3g} N around {where}"
         lasts_s = (known.sampled_mono_ns - each.doubtful_since_mono_ns) * 1e-9
-        region = f"{each.top},{each.left},{each.bottom},{each.right}"
+        # Elsewhere the numbers of a contact's taxels have others between them.
+        region = f" --region {each.top},{each.left},{each.bottom},{each.right}" if is_grid else ""
         why = "a still weight, or an error of the zero, as of a warm patch; if nothing touches there"
-        text = f"{force} has been in doubt for {lasts_s:.0f} s: {why}: skin tare --region {region}"
+        text = f"{force} has been in doubt for {lasts_s:.0f} s: {why}: skin tare{region}"
         yield Notice(level="warning", text=text, kind=f"doubtful contact {each.identity}")
     if len(doubtful) > NAMED:
         text = f"{len(doubtful) - NAMED} more contacts are in doubt"

@@ -201,8 +201,9 @@ class ViewState:
         true = self._grid(truth.true)
         if not in_contact(true, peak_n):
             return
-        self._psnr_image_db.add(now_s, psnr_db(true, self._grid(image.pixels), peak_n))
-        self._psnr_sensor_db.add(now_s, psnr_db(true, self._grid(truth.sensor), peak_n))
+        there = self._layout.taxels.without_gaps
+        self._psnr_image_db.add(now_s, psnr_db(there(true), there(self._grid(image.pixels)), peak_n))
+        self._psnr_sensor_db.add(now_s, psnr_db(there(true), there(self._grid(truth.sensor)), peak_n))
 
     def _image_state(self, now_s: float) -> ImageState | None:
         if self._image is None:

@@ -1,5 +1,7 @@
 """`AdaptiveImager`: an image of the newest sums of a skin with adaptive sending."""
 
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 
@@ -38,8 +40,11 @@ class AdaptiveImager:
         """See `reconstructor.imaging.CycleImager.solve`; the image is 0 while no sum is known."""
         self._walsh.noise_n = sums.noise_n or NOISE_N
         sums_n = np.multiply(sums.counts, self._newton_per_count, dtype=np.float32)
-        grouped = (np.take(each.reshape(self._shape), self._rows, axis=1) for each in (sums_n, sums.known))
-        return self._walsh.solve(*grouped), sums.known
+        known = None if sums.known.all() else self._grouped(sums.known)
+        return self._walsh.solve(self._grouped(sums_n), known), sums.known
+
+    def _grouped(self, of_sums: Any) -> Any:
+        return np.take(of_sums.reshape(self._shape), self._rows, axis=1)
 
     def warm_up(self) -> None:
         """Compile the solver, or load the compiled solver."""

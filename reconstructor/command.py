@@ -57,6 +57,6 @@ def reconstruct(
         Fabric(skin.name, "reconstructor", connect, stop=stop, fingerprint=skin.operator().fingerprint)
     ) as fabric:
         service = ReconstructorService(skin, imager, fabric)
-        say("reconstructor", f"{skin.taxels.rows} x {skin.taxels.columns} taxels, {imager.about}")
+        say("reconstructor", f"{skin.taxels.words}, {imager.about}")
         fabric.tell_scheduling(service.schedule())
         service.run(stop)

@@ -1,6 +1,8 @@
 """The layout of one skin: skin ▸ bus ▸ node ▸ block ▸ taxel, read from one TOML file."""
 
+import contextlib
 import math
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
@@ -10,6 +12,7 @@ from typing import Annotated, Any, Final, Literal, get_args
 
 import msgspec
 import numpy as np
+import numpy.typing as npt
 import tomli_w
 
 from canskin.errors import UNDECODABLE, InputError, LayoutError
@@ -36,14 +39,14 @@ SAMPLING_MAX_HZ: Final = 10_000.0
 #: Signs of `taxels.shape`.
 TAXEL: Final = "#"
 GAP: Final = "."
+#: Fewest taxels of a skin.
+TAXELS_MIN: Final = 8
 #: Most taxels and empty places: those of the largest grid, which has no empty places.
 PLACES_MAX: Final = MOST + 1
 #: Most rows and columns of a grid.
 SIDE_MAX: Final = 256
 #: Fewest places of a block of a board that exists, if `block_size` is not given; else the power of two that holds it.
 BOARD_MIN: Final = 8
-#: Fewest taxels of a skin.
-TAXELS_MIN: Final = 8
 #: Largest bit rate of a CAN FD data phase.
 DATA_BITRATE_MAX: Final = 8_000_000
 
@@ -125,10 +128,20 @@ class Taxels(_Table, frozen=True, kw_only=True):
         """Number of taxels that there are: n without gaps."""
         return self.count - sum(line.count(GAP) for line in self.shape or ())
 
+    def without_gaps(self, forces: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
+        """Return the forces of the taxels that there are, shape (there,), of those of all, shape (rows, columns)."""
+        return np.delete(forces, self.gaps)
+
     @property
     def surface(self) -> Surface:
         """Where the taxels lie, and which are neighbours."""
         return _surface(self)
+
+    @property
+    def words(self) -> str:
+        """Number of taxels as text: rows x columns of a full grid."""
+        is_full = self.positions is None and self.there == self.count
+        return f"{self.rows} x {self.columns} taxels" if is_full else f"{self.there} taxels"
 
     @property
     def count_max(self) -> int:
@@ -483,7 +496,8 @@ def _with_sizes(tables: dict[str, Any]) -> dict[str, Any]:
     except msgspec.ValidationError:  # the check of the whole layout names the path
         return tables
     if taxels.positions is not None and "pitch_m" not in tables["taxels"]:
-        tables["taxels"]["pitch_m"] = taxels.surface.pitch_m
+        with contextlib.suppress(LayoutError):  # the check of the whole layout names what is wrong
+            tables["taxels"]["pitch_m"] = taxels.surface.pitch_m
     if parameters.matrix is not None:
         tables["measurement"].setdefault("sums", max([1, *map(len, parameters.matrix)]))
         tables.setdefault("bus", [])
@@ -534,9 +548,9 @@ def _given(table: dict[str, Any]) -> dict[str, Any]:
 def _check(layout: Layout) -> None:
     """Check keys that depend on each other."""
     _check_shape(layout.taxels)
-    _check_positions(layout.taxels, layout.measurement)
     if layout.taxels.there < TAXELS_MIN:
         raise LayoutError(f"expected {TAXELS_MIN} taxels or more, got {layout.taxels.there} - at `$.taxels`")
+    _check_positions(layout.taxels, layout.measurement)
     _check_untouchable(layout)
     if (layout.measurement.ensemble == "matrix") != (layout.measurement.matrix is not None):
         wanted = f"`matrix` and ensemble = 'matrix' belong together, got '{layout.measurement.ensemble}'"
@@ -572,9 +586,12 @@ def _check_measurement(layout: Layout) -> None:
         raise LayoutError(f"`chains` need wiring = 'file', got '{measurement.wiring}' - at `$.measurement.wiring`")
     if measurement.chains is not None:
         check_chains(measurement.chains, taxels.count, size, taxels.gaps)
-    check_patch(taxels.rows, taxels.columns, measurement.block_size, measurement.wiring, measurement.patch)
-    if most > PLACES_MAX or (most > taxels.there and taxels.count == PLACES_MAX):
-        raise LayoutError(f"expected at most {PLACES_MAX} places of all boards, got {most} - at `$.measurement`")
+    has_gaps = taxels.there < taxels.count
+    check_patch(taxels.rows, taxels.columns, size, measurement.wiring, measurement.patch, has_gaps=has_gaps)
+    numbers = taxels.count + most - taxels.there  # of taxels and empty places
+    if numbers > PLACES_MAX:
+        limit = f"expected at most {PLACES_MAX} taxels, gaps and empty places"
+        raise LayoutError(f"{limit}, got {numbers} - at `$.measurement`")
     if not 1 <= measurement.sums <= most:
         raise LayoutError(f"expected 1 to {most} sums, got {measurement.sums} - at `$.measurement.sums`")
     if measurement.rows is not None:
@@ -672,8 +689,8 @@ def _check_frontend(layout: Layout) -> None:
 def _check_untouchable(layout: Layout) -> None:
     taxels, count = layout.taxels.untouchable or (), layout.taxels.count
     outside = [taxel for taxel in taxels if not 0 <= taxel < count]
-    twice = [taxel for place, taxel in enumerate(taxels) if taxel in taxels[:place]]
-    if outside or twice or len(taxels) == count:
+    twice = [taxel for taxel, times in Counter(taxels).items() if times > 1]
+    if outside or twice or not set(range(count)) - set(taxels) - set(layout.taxels.gaps.tolist()):
         wrong = f"{outside[0]}" if outside else f"{twice[0]} twice" if twice else "all taxels"
         limit = f"expected some of the taxels 0 to {count - 1}, each once and not all"
         raise LayoutError(f"{limit}, got {wrong} - at `$.taxels.untouchable`")

@@ -16,6 +16,8 @@ from skin.measurement import Phi, Sbhe
 
 #: Shortest time between two log lines about refused measurements.
 COMPLAINT_PERIOD_S: Final = 10.0
+#: Looked up once: members of an enumeration take as long as arithmetic on an array of blocks.
+_HIGHEST_STATE, _QUIET = int(max(BlockState)), int(BlockState.QUIET)
 
 
 class MeasuredSums(NamedTuple):
@@ -119,11 +121,11 @@ def decode_adaptive(measurement: Measurement, phi: Phi) -> AdaptiveSums:
         raise InputError(f"noise_n of {measurement.noise_n}, expected a number of 0 or more")
     known, valid = (np.frombuffer(each, np.uint8) != 0 for each in (measurement.known, measurement.valid))
     states = np.frombuffer(measurement.states, np.uint8)
-    if states.max() > max(BlockState):
-        raise InputError(f"a block's state is {states.max()}, expected 0 to {max(BlockState):d}")
+    if states.max() > _HIGHEST_STATE:
+        raise InputError(f"a block's state is {states.max()}, expected 0 to {_HIGHEST_STATE}")
     if not known.all() and not phi.all_of_blocks(known)[valid].all():
         raise InputError("a block is valid, but not all its sums are known")
-    if (states[valid] < BlockState.QUIET).any():
+    if (valid & (states < _QUIET)).any():
         raise InputError("a block is valid, but neither fresh nor quiet")
     return AdaptiveSums(corrected_counts(measurement, known), valid, known, measurement.noise_n)
 

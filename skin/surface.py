@@ -30,8 +30,12 @@ LINK_RATIO: Final = 1.6
 SPHERE_RATIO: Final = 1.05
 #: Above this spacing the numbers of a file are not metres.
 SPACING_MAX_M: Final = 0.25
-#: Neighbours that tell the normal of a taxel.
+#: Nearest taxels, one itself, that tell the spacing and the normal of a taxel.
 NEAREST: Final = 7
+#: At the border of a skin, neighbours around a taxel leave an angle of more than this.
+BORDER_RAD: Final = np.radians(150)
+#: Fewest taxels that have a second nearest one.
+FEWEST: Final = 3
 #: Normal of the taxels of a grid.
 GRID_NORMAL: Final = (0.0, 0.0, -1.0)
 
@@ -100,6 +104,29 @@ class Surface:
         digest = hashlib.sha256(np.rint(self.positions_m * 1e7).astype("<i8").tobytes())
         digest.update(np.rint(self.normals * 1e3).astype("<i2").tobytes())
         return digest.hexdigest()[:16]
+
+    @cached_property
+    def is_border(self) -> npt.NDArray[np.bool_]:
+        """Which taxels are at the border of the skin, or of one of its gaps, shape (n,).
+
+        Around such a taxel, two neighbours that follow each other are more than `BORDER_RAD` apart.
+        """
+        taxel, other = np.concatenate((self.edges, self.edges[:, ::-1])).T
+        normal = self.normals[taxel]
+        across = np.cross(normal, np.eye(3)[np.abs(normal).argmin(axis=1)])
+        way = self.positions_m[other] - self.positions_m[taxel]
+        angle = np.arctan2((np.cross(normal, across) * way).sum(axis=1), (across * way).sum(axis=1))
+        order = np.lexsort((angle, taxel))
+        taxel, angle = taxel[order], angle[order]
+        first = np.searchsorted(taxel, np.arange(len(self.positions_m)))
+        degree = np.bincount(taxel, minlength=len(first))
+        following = np.arange(1, len(taxel) + 1)
+        last = (first + degree - 1)[degree > 0]
+        following[last] = first[degree > 0]
+        left = np.zeros(len(first))
+        left[degree < 2] = 2 * np.pi
+        np.maximum.at(left, taxel, (angle[following] - angle) % (2 * np.pi))
+        return np.asarray(left > BORDER_RAD, np.bool_)
 
     @cached_property
     def is_flat(self) -> bool:
@@ -182,6 +209,8 @@ def surface_of_positions(places: Sequence[Sequence[float]], link_ratio: float = 
 
 
 def _checked(places: Sequence[Sequence[float]]) -> Floats:
+    if len(places) < FEWEST:
+        raise LayoutError(f"expected {FEWEST} taxels or more, got {len(places)}")
     widths = sorted({len(place) for place in places})
     if widths not in ([3], [6]):
         raise LayoutError(f"expected x, y and z of each taxel, or these and the normal: got {widths} numbers")

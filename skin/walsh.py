@@ -59,7 +59,9 @@ def patches(surface: Surface, taxels: int, blocks: Sequence[int], gaps: Indices)
     if not sum(blocks) - 1 < there.size / taxels <= sum(blocks):
         raise InputError(f"{sum(blocks)} patches of {taxels} taxels do not fit a skin of {there.size} taxels")
     if not surface.is_grid or rows % high or columns % wide or gaps.size:
-        places = neighbours(surface.positions_m[there, ::-1], sum(blocks), taxels, surface.islands[there])
+        # In pitches and rounded: ties are ties, whatever the last bits.
+        positions = np.round(surface.positions_m[there, ::-1] / surface.pitch_m, 6)
+        places = neighbours(positions, sum(blocks), taxels, surface.islands[there])
         flat = np.append(there, np.arange(count, count + places.size - there.size))[places]
         bus_of = dealt(np.arange(len(flat)) % len(blocks), blocks)
         return [flat[bus_of == bus] for bus in range(len(blocks))]

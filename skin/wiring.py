@@ -11,7 +11,9 @@ from skin.measurement import Sbhe
 from skin.walsh import Indices, dealt
 
 
-def check_patch(rows: int, columns: int, block_size: int, wiring: str, patch: int | None) -> None:
+def check_patch(  # noqa: PLR0917
+    rows: int, columns: int, block_size: int, wiring: str, patch: int | None, has_gaps: bool = False
+) -> None:
     """Check ``measurement.patch`` of a layout."""
     if patch is None:
         return
@@ -20,6 +22,8 @@ def check_patch(rows: int, columns: int, block_size: int, wiring: str, patch: in
         problem = f"patch needs wiring = 'scattered', got '{wiring}'"
     elif patch > min(rows, columns):
         problem = f"expected {min(rows, columns)} or less on a grid of {rows} x {columns} taxels, got {patch}"
+    elif has_gaps:
+        problem = f"a grid with gaps has no regions of {patch} x {patch}: leave the key out"
     elif rows % patch or columns % patch:
         problem = f"{rows} x {columns} taxels do not divide into regions of {patch} x {patch}"
     elif patch**2 < block_size:

@@ -23,8 +23,6 @@ STEP_PITCHES: Final = 1.0
 _LEAST_WEIGHT: Final = math.exp(-2.0)
 #: Square of the distance in pitches at which taxels do not count.
 _FAR_SQUARED: Final = 9.0
-#: A taxel with no neighbour within this angle of directions along the skin lies at the border.
-_BORDER_RAD: Final = math.radians(150)
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,24 +87,13 @@ def border_m(surface: Surface) -> FloatArray:
 
     count = len(surface.positions_m)
     both = np.concatenate((surface.edges, surface.edges[:, ::-1]))
-    ways = surface.positions_m[both[:, 1]] - surface.positions_m[both[:, 0]]
-    lengths = np.linalg.norm(ways, axis=1)
-    axes = np.array([tangents(tuple(each)) for each in surface.normals.tolist()])[both[:, 0]]
-    along = np.einsum("nij,nj->ni", axes, ways)
-    angle = np.arctan2(along[:, 1], along[:, 0])
-    order = np.lexsort((angle, both[:, 0]))
-    ends = np.searchsorted(both[order, 0], np.arange(count + 1))
-    border = [taxel for taxel in range(count) if _widest_rad(angle[order[ends[taxel] : ends[taxel + 1]]]) > _BORDER_RAD]
-    if not border:
+    lengths = np.linalg.norm(surface.positions_m[both[:, 1]] - surface.positions_m[both[:, 0]], axis=1)
+    border = np.flatnonzero(surface.is_border)
+    if not border.size:
         return np.full(count, np.inf)
     graph = coo_array((lengths, (both[:, 0], both[:, 1])), shape=(count, count)).tocsr()
     found: FloatArray = dijkstra(graph, indices=border, min_only=True) + surface.pitch_m / 2
     return found
-
-
-def _widest_rad(angles: FloatArray) -> float:
-    """Return the widest angle between neighbouring directions; no direction leaves all of it."""
-    return float(np.max(np.diff(angles, append=angles[:1] + 2 * math.pi), initial=0.0)) if angles.size else math.inf
 
 
 def _walk_along(taxels: tuple[FloatArray, FloatArray, float], to: FloatArray, longest: float, lines: FloatArray) -> int:

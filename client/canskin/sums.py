@@ -22,7 +22,7 @@ def corrected_counts(measurement: Measurement, valid_sums: npt.NDArray[np.bool_]
         if np.abs(wide).max() > _MOST_COUNTS:
             raise InputError(f"sums less offsets beyond {_MOST_COUNTS} counts")
         counts = wide.astype(np.int32)
-    corrected = np.where(valid_sums, counts, np.int32(0))
+    corrected = counts * valid_sums
     corrected.flags.writeable = False
     return corrected
 

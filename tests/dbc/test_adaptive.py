@@ -130,7 +130,7 @@ def test_numbers_are_those_of_the_document() -> None:
     """Whoever builds a board takes them from docs/adaptive.md and the dictionary."""
     assert SendingRule()._asdict() == {
         "noise_ratio": 0.15,
-        "variance_ratio": 4,
+        "variance_ratio": 2,
         "rounding": 0.75,
         "level_ratio": 1.25,
         "doubling": 8,

@@ -415,7 +415,7 @@ def test_a_doubtful_contact_of_a_skin_that_is_no_grid_is_named_by_its_taxel() ->
     state.take(make.contacts(1, make.contact(row=0.0, column=17.0, doubtful_since_mono_ns=5, **box)), 1.0)
     (text,) = texts(state, 1.1, "warning")
     assert "N around taxel 17 has been in doubt" in text
-    assert text.endswith("--region 0,12,0,20")
+    assert text.endswith("if nothing touches there: skin tare")
 
 
 def test_the_support_of_the_zero_is_shown(state: ViewState, messages: Any) -> None:

@@ -366,3 +366,57 @@ def test_a_board_has_no_gap() -> None:
         small_layout(
             2, 5, taxels={"shape": ["#.###", "#####"]}, measurement={"wiring": "file", "chains": [[*range(10)]]}
         )
+
+
+@pytest.mark.parametrize("name", ["mat", "hand", "pad", "forearm"])
+def test_the_wiring_does_not_depend_on_the_pitch(name: str) -> None:
+    """Taxels as far from each other as others, but for the last bits of a length, are dealt out alike."""
+    layout = load_layout(Path(name))
+    measurement = msgspec.structs.replace(layout.measurement, wiring="board", chains=None)
+    orders = []
+    for pitch_m in (0.004, 0.0041, 0.005):
+        taxels = layout.taxels
+        if taxels.positions is None:
+            taxels = msgspec.structs.replace(taxels, pitch_m=pitch_m)
+        else:
+            scaled = tuple(tuple(pitch_m * each for each in place[:3]) + place[3:] for place in taxels.positions)
+            taxels = msgspec.structs.replace(taxels, positions=scaled)
+        buses = [Bus(name="bus0", nodes=-(-taxels.there // measurement.block_size))]
+        orders.append(msgspec.structs.replace(layout, taxels=taxels, measurement=measurement, bus=buses).phi().order)
+    assert np.array_equal(orders[0], orders[1])
+    assert np.array_equal(orders[0], orders[2])
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        (
+            "[taxels]\npositions = [[0, 0, 0]]",
+            r"x\.toml: expected 8 taxels or more, got 1 - at `\$\.taxels`",
+        ),
+        (
+            "[taxels]\npositions = [" + ", ".join(f"[{4 * x}, 0, 0]" for x in range(9)) + "]",
+            r"x\.toml: taxels are 4 m apart: .* millimetres.* - at `\$\.taxels\.positions`",
+        ),
+        (
+            "[taxels]\nshape = ['#######.'" + ", '########'" * 7 + "]\n[measurement]\npatch = 8",
+            "a grid with gaps has no regions of 8 x 8",
+        ),
+        ("[taxels]\nshape = ['####....'" + ", '########'" * 3 + "]\nuntouchable = [4]", None),
+    ],
+)
+def test_wrong_skins_name_their_file_and_key(text: str, says: str | None) -> None:
+    if says is None:
+        assert parse_layout(text.encode(), "x.toml").taxels.untouchable == (4,)
+        return
+    with pytest.raises(LayoutError, match=says):
+        parse_layout(text.encode(), "x.toml")
+
+
+def test_numbers_of_taxels_and_empty_places_fit_16_bits() -> None:
+    chains = tuple((taxel,) for taxel in range(512))
+    taxels = Taxels(shape=("#" * 256, "#" * 256, *["." * 256] * 253), rows=255, columns=256)
+    measurement = PhiParameters(wiring="file", chains=chains, block_size=128, sums=512)
+    layout = Layout(taxels=taxels, measurement=measurement, bus=[Bus(name=f"bus{k}", nodes=64) for k in range(8)])
+    with pytest.raises(LayoutError, match="expected at most 65536 taxels, gaps and empty places, got 130304"):
+        validated(layout)
