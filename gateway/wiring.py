@@ -113,6 +113,9 @@ def prove(phi: Sbhe, surface: Surface, sums: Floats, path_m: Floats | None, rest
     rest : int
         Number of moments at the begin without touch.
     """
+    if not phi.has_sums.all():
+        silent = np.flatnonzero(~phi.has_sums)[0]
+        raise InputError(f"the board of block {silent} sends no sums: its wiring cannot be told")
     if not 0 < rest < len(sums):
         raise InputError(f"expected a part without touch before the stroke, got {rest} of {len(sums)} moments")
     noise = np.maximum(sums[:rest].std(axis=0), LEAST_NOISE)
@@ -313,7 +316,7 @@ def _explain(phi: Sbhe, given: Floats, expected: int) -> tuple[int, ...] | None:
     """Return the places (numbers of all boards) that explain what a taxel gives to every sum; None if unclear."""
     size, signs = phi.block_size, fast_hadamard(np.eye(phi.block_size))
     rows = np.maximum(np.diff(phi.starts), 1)
-    parts = np.add.reduceat(np.square(given), phi.starts[:-1], axis=1 - 1) / rows
+    parts = np.add.reduceat(np.square(given), phi.starts[:-1], axis=0) / rows
     boards = np.union1d(np.argsort(-parts)[:3][np.sort(parts)[::-1][:3] >= LEAST_CHANGE], expected // size)
     there = np.isin(phi.block_of_sum, boards)
     given = given[there]

@@ -52,7 +52,7 @@ def test_adaptive_nodes_have_their_settings_and_no_sums() -> None:
     ]
     assert [(kind, access) for kind, access, _ in told(found, 0x2007)] == [(U8, "const")] + 5 * [(REAL, "const")]
     assert told(found, 0x2007)[5][2] == 62.5e-6
-    rule = (0.15, 4.0, 0.75, 1.25, 8.0, 1, 0.3, 4, 64, 1024, 100, 6, 24)
+    rule = (0.15, 2.0, 0.75, 1.25, 8.0, 1, 0.3, 4, 64, 1024, 100, 6, 24)
     wanted = [(REAL if isinstance(value, float) else U32, "rw", value) for value in rule]
     assert told(found, 0x2031) == [(U8, "const", 13), *wanted]
     for index in (0x2032, 0x2033):
