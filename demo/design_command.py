@@ -11,7 +11,7 @@ from bandwidth.alternatives import with_sums
 from bandwidth.search import CanKind, Requirement, Search, SendingKind, search
 from bandwidth.traffic import Disturbance
 from canskin.errors import InputError, LayoutError, RunError
-from shell.output import write_file
+from shell.output import check_new_path, write_file
 from shell.service import say
 from shell.terminal import Json, print_json
 from skin.importing import tables_of
@@ -70,6 +70,8 @@ def design(
     skin design --taxels 24x32 --min-psnr 28
     skin design --taxels hand --rate 200 --can classic
     """
+    if out is not None:
+        check_new_path(out, "layout", ".toml")
     required = Requirement(_taxels(taxels), rate_hz=rate, buses=buses, budget=budget, can=can, sending=sending)
     found = search(required, disturbance)
     judged: list[Quality] = []

@@ -1,5 +1,6 @@
 """``skin layout``: explains a layout, draws its boards, and tells how many sums are enough."""
 
+import os
 import re
 from pathlib import Path
 from typing import Any, Final, Literal
@@ -24,6 +25,10 @@ from skin.surface import Surface
 
 #: Pixels between neighbours in the picture of a skin that is no grid.
 _SCALE: Final = 16
+
+
+#: Samples a second of new skins in cycles: averages of ten have less noise.
+SAMPLING_HZ: Final = 1000.0
 
 
 def layout(
@@ -94,13 +99,14 @@ def _new(taxels: Path | None, out: Path | None, modules: Path | None, sending: S
     if sending == "adaptive":
         tables.setdefault("measurement", {"wiring": "board"})
     skin = parse_layout(tomli_w.dumps(tables).encode(), str(taxels))
+    if skin.sends.in_cycles:
+        tables["sampling"] = {"rate_hz": SAMPLING_HZ}
+        if skin.measurement.chains is not None:  # boards of neighbours, of which a part of the sums is not enough
+            tables["measurement"]["sums"] = skin.places
     if out is not None and skin.taxels.positions is not None:
-        beside = out.with_suffix(".csv")
-        check_new_path(beside, "positions", ".csv")
-        write_file(beside, positions_text(skin.taxels.surface, skin.measurement.chains).encode())
-        tables = {**tables, "taxels": {**tables["taxels"], "positions": beside.name}}
+        tables["taxels"]["positions"] = _beside(taxels, out, skin)
         if skin.measurement.chains is not None:  # the file of positions has them
-            del tables["measurement"]
+            del tables["measurement"]["wiring"], tables["measurement"]["chains"]
     text = tomli_w.dumps(tables)
     if out is None:
         print(text, end="")
@@ -108,6 +114,16 @@ def _new(taxels: Path | None, out: Path | None, modules: Path | None, sending: S
     write_file(out, text.encode())
     print_table((), [(key.replace("_", " "), _words(value)) for key, value in _about(load_layout(out)).items()])
     return 0
+
+
+def _beside(taxels: Path, out: Path, skin: Layout) -> str:
+    """Return the path of the positions as the layout names it: of the user's own file, or of a file that is written."""
+    if taxels.suffix.lower() == ".csv":
+        return os.path.relpath(taxels, out.parent)
+    beside = out.with_suffix(".csv")
+    check_new_path(beside, "positions", ".csv")
+    write_file(beside, positions_text(skin.taxels.surface, skin.measurement.chains).encode())
+    return beside.name
 
 
 def _print_quality(skin: Layout, *, as_json: bool) -> int:

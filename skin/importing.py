@@ -196,6 +196,7 @@ def read_urdf(path: Path) -> Imported:
         parents = {
             _named(joint, "child", "link"): joint for joint in robot.iter("joint") if joint.find("child") is not None
         }
+        _check_links(robot)
         places = [
             [*pose.translation, *pose.rotation.as_matrix()[:, 2]]
             for sensor in robot.iter("sensor")
@@ -207,6 +208,12 @@ def read_urdf(path: Path) -> Imported:
     if not places:
         raise LayoutError(f"{path}: expected a <sensor> with <tactile>, found none; expand xacro files first")
     return Imported([[float(value) for value in place] for place in places], None, [])
+
+
+def _check_links(robot: ET.Element) -> None:
+    links = {link.attrib["name"] for link in robot.iter("link")}
+    if missing := {_named(each, "parent", "link") for each in robot.iter("sensor")} - links:
+        raise KeyError(f"no link {min(missing)}")
 
 
 def _taxels(sensor: ET.Element, of_parent: RigidTransform) -> Iterator[RigidTransform]:

@@ -47,6 +47,8 @@ PLACES_MAX: Final = MOST + 1
 SIDE_MAX: Final = 256
 #: Fewest places of a block of a board that exists, if `block_size` is not given; else the power of two that holds it.
 BOARD_MIN: Final = 8
+#: Most places of a block: its taxels are one array of its node's dictionary, which holds 254 entries.
+BOARD_MAX: Final = 128
 #: Largest bit rate of a CAN FD data phase.
 DATA_BITRATE_MAX: Final = 8_000_000
 
@@ -167,8 +169,7 @@ class PhiParameters(_Table, frozen=True, kw_only=True):
     ensemble: Literal["sbhe", "matrix"] = "sbhe"
     # Rows of signs, `+`, `-` and `0`, of each frame; in a file, the path of a CSV or .npz, or the rows of one Φ.
     matrix: tuple[tuple[Annotated[str, msgspec.Meta(pattern="^[-+0]+$")], ...], ...] | None = None
-    # The taxels of a block are one array of its node's dictionary, which holds 254 entries.
-    block_size: Annotated[int, msgspec.Meta(ge=2, le=128)] = 32
+    block_size: Annotated[int, msgspec.Meta(ge=2, le=BOARD_MAX)] = 32
     sums: Positive = 1024
     # Block and Hadamard row of each sum; without the key they are drawn.
     rows: Annotated[tuple[tuple[int, int], ...], msgspec.Meta(min_length=1)] | None = None
@@ -479,7 +480,7 @@ def _with_files(tables: dict[str, Any], folder: Path) -> dict[str, Any]:
         measurement["chains"] = read_chains(folder / measurement["chains"], columns if type(columns) is int else 0)
     if isinstance(measurement.get("chains"), list):
         most = max((len(held) for held in measurement["chains"] if isinstance(held, list)), default=0)
-        measurement.setdefault("block_size", max(BOARD_MIN, 1 << max(most - 1, 0).bit_length()))
+        measurement.setdefault("block_size", min(BOARD_MAX, max(BOARD_MIN, 1 << max(most - 1, 0).bit_length())))
     return tables
 
 
@@ -582,8 +583,10 @@ def _check_measurement(layout: Layout) -> None:
     size, most = measurement.block_size, layout.places
     if size & (size - 1):
         raise LayoutError(f"expected a power of two, got {size} - at `$.measurement.block_size`")
-    if (measurement.wiring == "file") != (measurement.chains is not None):
-        raise LayoutError(f"`chains` need wiring = 'file', got '{measurement.wiring}' - at `$.measurement.wiring`")
+    if measurement.wiring == "file" and measurement.chains is None:
+        raise LayoutError("'file' needs `chains`, or `board` in the file of positions - at `$.measurement.wiring`")
+    if measurement.wiring != "file" and measurement.chains is not None:
+        raise LayoutError(f"boards from a file need 'file', got '{measurement.wiring}' - at `$.measurement.wiring`")
     if measurement.chains is not None:
         check_chains(measurement.chains, taxels.count, size, taxels.gaps)
     has_gaps = taxels.there < taxels.count

@@ -85,9 +85,15 @@ def test_a_column_beyond_the_skin(tmp_path: Path) -> None:
         read_chains(tmp_path / "boards.csv", 6)
 
 
-@pytest.mark.parametrize("tables", ["chains = [[0]]", "wiring = 'file'"])
-def test_chains_and_wiring_go_together(tables: str) -> None:
-    with pytest.raises(LayoutError, match=r"`chains` need wiring = 'file'"):
+@pytest.mark.parametrize(
+    ("tables", "says"),
+    [
+        ("chains = [[0]]", "boards from a file need 'file', got 'scattered'"),
+        ("wiring = 'file'", "'file' needs `chains`"),
+    ],
+)
+def test_chains_and_wiring_go_together(tables: str, says: str) -> None:
+    with pytest.raises(LayoutError, match=says):
         parse_layout(f"[taxels]\nrows = 4\ncolumns = 6\n[measurement]\n{tables}\n".encode(), "mat.toml")
 
 

@@ -112,6 +112,7 @@ def test_taxels_of_a_urdf_are_in_the_frame_of_its_root(tmp_path: Path) -> None:
         ('rows="2"', 'rows="two"', "not a description with tactile sensors.*two"),
         ('<parent link="tip"/>', "", "not a description with tactile sensors.*<sensor> without <parent>"),
         ('size="0.004 0.005"', 'size="0.004"', "expected 2 numbers"),
+        ('<link name="tip"/>', "", "no link tip"),
         ('<parent link="base"/><child link="palm"/>', '<parent link="tip"/><child link="palm"/>', "recursion"),
     ],
 )
