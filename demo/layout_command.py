@@ -9,6 +9,9 @@ import numpy as np
 import numpy.typing as npt
 import tomli_w
 
+from bandwidth.alternatives import planned, with_buses
+from bandwidth.search import BUSES_MAX
+from bandwidth.traffic import Disturbance
 from bandwidth.wiring import wiring
 from canskin.errors import InputError
 from shell.output import check_new_path, check_picture_path, save_figure, write_file
@@ -103,6 +106,8 @@ def _new(taxels: Path | None, out: Path | None, modules: Path | None, sending: S
         tables["sampling"] = {"rate_hz": SAMPLING_HZ}
         if skin.measurement.chains is not None:  # boards of neighbours, of which a part of the sums is not enough
             tables["measurement"]["sums"] = skin.places
+        skin = _on_buses(parse_layout(tomli_w.dumps(tables).encode(), str(taxels)))
+        tables["bus"] = [{"name": bus.name, "nodes": bus.nodes} for bus in skin.bus]
     if out is not None and skin.taxels.positions is not None:
         tables["taxels"]["positions"] = _beside(taxels, out, skin)
         if skin.measurement.chains is not None:  # the file of positions has them
@@ -114,6 +119,16 @@ def _new(taxels: Path | None, out: Path | None, modules: Path | None, sending: S
     write_file(out, text.encode())
     print_table((), [(key.replace("_", " "), _words(value)) for key, value in _about(load_layout(out)).items()])
     return 0
+
+
+def _on_buses(skin: Layout) -> Layout:
+    """Return a layout with the fewest classic buses that carry its sums; as it is if none do."""
+    for count in range(len(skin.bus), min(BUSES_MAX, skin.blocks) + 1):
+        spread = with_buses(skin, count, skin.bus[0])
+        if not any(each.problems for each in planned(spread, Disturbance())):
+            return spread
+    say("layout", f"no {BUSES_MAX} buses carry its sums at {skin.sync.rate_hz:g} Hz: see skin design")
+    return skin
 
 
 def _beside(taxels: Path, out: Path, skin: Layout) -> str:
