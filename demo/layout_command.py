@@ -97,7 +97,8 @@ def _new(taxels: Path | None, out: Path | None, modules: Path | None, sending: S
     tables, told = tables_of(str(taxels), modules)
     for words in told:
         say("layout", words)
-    name = re.sub(r"[^a-z0-9_]", "_", (taxels if out is None else out).stem.lower()).lstrip("0123456789_") or "skin"
+    name = re.sub(r"[^a-z0-9_]", "_", (taxels if out is None else out).stem.lower())
+    name = name if name[:1].isalpha() else f"skin_{name}"
     tables = {"name": name[:64], "sending": sending, **tables}
     if sending == "adaptive":
         tables.setdefault("measurement", {"wiring": "board"})
