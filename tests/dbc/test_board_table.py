@@ -147,7 +147,7 @@ def test_adaptive_boards_have_urgencies_a_code_and_no_packing() -> None:
     assert table.tpdos[31].mapping == [MappedObject(index=0x2111, subindex=4, bits=64)]
     assert table.companding is not None
     assert table.companding[4] == 62.5e-6
-    assert table.sending_rule == (0.15, 4.0, 0.75, 1.25, 8.0, 1, 0.3, 4, 64, 1024, 100, 6, 24)
+    assert table.sending_rule == (0.15, 2.0, 0.75, 1.25, 8.0, 1, 0.3, 4, 64, 1024, 100, 6, 24)
     assert table.grouped_rows is not None
     assert table.grouped_rows[:2] == [[0, 4, 6, 2, 16, 20, 22, 18], [3, 7, 5, 1, 19, 23, 21, 17]]
     assert sorted(row for rows in table.grouped_rows for row in rows) == list(range(32))
