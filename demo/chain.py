@@ -33,14 +33,7 @@ class _OtherHardware:
         self._step += 1
         frame = self._source.frame(self._step)
         counts = self._electronics.read(frame.force_n, self._step)
-        self._truth = Truth(
-            step=self._step,
-            sync_counter=counter,
-            sampled_mono_ns=time_ns,
-            true=frame.force_n.astype("<f4").tobytes(),
-            sensor=self._electronics.signal_n.astype("<f4").tobytes(),
-            label=frame.label,
-        )
+        self._truth = self._electronics.truth(frame, self._step, counter, time_ns)
         sums: npt.NDArray[np.int32] = self._phi.of_cycle(self._step + 1).forward(counts)
         return sums
 

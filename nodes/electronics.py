@@ -6,10 +6,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from canskin.messages import Truth
 from dbc.board_sums import pattern_counts
 from nodes.averaging import SampleFilter
 from skin.defects import NO_DEFECTS, Defects
 from skin.layout import Taxels
+from skin.sources import Frame
 from skin.taxel import NOISE_N, Memory, TaxelModel, corrected, to_counts, to_newtons
 
 
@@ -104,6 +106,17 @@ class Electronics(Calibration):
     def signal_n(self) -> npt.NDArray[np.float32]:
         """The sensor signal at the newest step, newtons, shape (n,)."""
         return to_newtons(self.sampled[: self.taxels.count], self.taxels)
+
+    def truth(self, frame: Frame, step: int, counter: int, time_ns: int) -> Truth:
+        """Return what was true at the newest step, that of a SYNC, and what the sensor showed of it."""
+        return Truth(
+            step=step,
+            sync_counter=counter,
+            sampled_mono_ns=time_ns,
+            true=frame.force_n.astype("<f4").tobytes(),
+            sensor=self.signal_n.astype("<f4").tobytes(),
+            label=frame.label,
+        )
 
     @property
     def averages(self) -> bool:

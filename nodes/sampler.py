@@ -135,14 +135,7 @@ class Sampler(Hardware):
             frame = self._source.frame(step)
             self._sums = self._answer(frame.force_n, step)
         self._step, self._counter = step, counter
-        self._truth = Truth(
-            step=self._step,
-            sync_counter=counter,
-            sampled_mono_ns=time_ns,
-            true=frame.force_n.astype("<f4").tobytes(),
-            sensor=self._electronics.signal_n.astype("<f4").tobytes(),
-            label=frame.label,
-        )
+        self._truth = self._electronics.truth(frame, self._step, counter, time_ns)
         return self._sums
 
     def _step_at(self, time_ns: int) -> int:

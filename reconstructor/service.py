@@ -58,9 +58,9 @@ class ReconstructorService:
         self.images = 0
         self._clock_ns = clock_ns
         self._imager = imager
-        self._reader: MeasurementReader[Any] = MeasurementReader(layout.operator(), "reconstructor", imager.decode)
-        self._tracker = ContactTracker(layout.taxels.surface)
         self._phi = layout.operator()
+        self._reader: MeasurementReader[Any] = MeasurementReader(self._phi, "reconstructor", imager.decode)
+        self._tracker = ContactTracker(layout.taxels.surface)
         self._fabric = fabric
         self._mailbox = fabric.mailbox(MEASUREMENT, imager.depth)
 

@@ -57,7 +57,7 @@ def read_chains(path: Path, columns: int) -> list[list[int]]:
             if column >= columns:
                 raise LayoutError(f"{where}: expected columns below {columns}, got {column} - {_KEY}")
             taxel += column
-        found.add(line, where, taxel)
+        found.read(line, where, taxel)
     return found.chains()
 
 
@@ -96,7 +96,7 @@ def read_positions(path: Path) -> tuple[list[list[float]], list[list[int]] | Non
         except (TypeError, ValueError) as error:
             raise LayoutError(f"{where}: expected numbers: {error} - at `$.taxels.positions`") from error
         if "board" in names:
-            boards.add(line, where, taxel)
+            boards.read(line, where, taxel)
     return positions, boards.chains() if "board" in names else None
 
 
@@ -123,16 +123,20 @@ def read_lines(path: Path, what: str) -> tuple[set[str], list[tuple[str, dict[st
 
 
 class _Boards:
-    """The boards of a file, line by line."""
+    """The boards of a file, taxel by taxel."""
 
     def __init__(self) -> None:
         self._taxels: dict[int, dict[int, int]] = {}
 
-    def add(self, line: dict[str, str], where: str, taxel: int) -> None:
-        """Put a taxel where its line says: at the `place` on its `board`, or after those before."""
-        board = _whole(line, where, "board")
+    def read(self, line: dict[str, str], where: str, taxel: int) -> None:
+        """Put a taxel where its line says."""
+        place = _whole(line, where, "place") if "place" in line else None
+        self.add(_whole(line, where, "board"), place, where, taxel)
+
+    def add(self, board: int, place: int | None, where: str, taxel: int) -> None:
+        """Put a taxel at a place on its board; None: after those before."""
         held = self._taxels.setdefault(board, {})
-        place = _whole(line, where, "place") if "place" in line else len(held)
+        place = len(held) if place is None else place
         if place in held:
             raise LayoutError(f"{where}: place {place} of board {board} is named twice - {_KEY}")
         held[place] = taxel
@@ -147,7 +151,7 @@ def chains_of(places: Sequence[tuple[int, int]]) -> list[list[int]]:
     """Return the taxels of each board by place, from board and place of each taxel."""
     boards = _Boards()
     for taxel, (board, place) in enumerate(places):
-        boards.add({"board": str(board), "place": str(place)}, f"taxel {taxel}", taxel)
+        boards.add(board, place, f"taxel {taxel}", taxel)
     return boards.chains()
 
 
