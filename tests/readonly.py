@@ -97,11 +97,12 @@ def _become(want: dict[str, Any]) -> None:
     _mount("-t", "tmpfs", "-o", "mode=755", "tmpfs", want["mounted"])
     files, mounted = f"{want['mounted']}/files", f"{want['mounted']}/root"
     shutil.copytree(want["root"], files, symlinks=True)
+    Path(files).chmod(0o755)  # a temporary folder is its maker's alone
     Path(mounted).mkdir()
     _mount("-t", "overlay", "overlay", "-o", f"lowerdir={files}:/", mounted)  # no upper layer: read-only
     for folder in ("/dev", "/proc", "/sys"):
         _mount("--rbind", folder, mounted + folder)
-    _mount("-t", "tmpfs", "-o", "mode=1777", "tmpfs", f"{mounted}/tmp")
+    _mount("-t", "tmpfs", "-o", "mode=1777", "tmpfs", f"{mounted}/tmp")  # noqa: S108 - the process's own
     for folder in want["shown"]:
         _mount("--bind", "-o", "ro", folder, mounted + folder)
     for name, folder in want["writable"].items():
