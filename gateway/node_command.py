@@ -17,6 +17,7 @@ from shell.output import write_file
 from shell.service import StopSignal, say
 from shell.terminal import Json, print_json
 from skin.layout import Layout, load_layout, require_boards, require_one_state
+from skin.ranges import ranges_text
 
 if TYPE_CHECKING:
     from gateway.count_reading import CountReading
@@ -104,7 +105,7 @@ def node(
     wanted = [each for each in contract.on_bus(number) if each.node_id == node_id]
     if not wanted:
         raise InputError(
-            f"expected a node-ID from 1 to {skin.bus[number].nodes} of {skin.bus[number].name}, got {node_id}"
+            f"expected a node-ID of {skin.bus[number].name}, {ranges_text(skin.bus[number].ids)}, got {node_id}"
         )
     options = can or BusOptions()
     if len(options.channel) == 1:

@@ -19,7 +19,7 @@ from shell.command import main
     [
         (["check", "--node", "1"], "expected --bus with one of bus0, bus1, bus2, bus3, got none"),
         (["check", "--node", "1", "--bus", "can7"], "bus3, got 'can7'"),
-        (["check", "--node", "33", "--bus", "bus0"], "expected a node-ID from 1 to 32 of bus0, got 33"),
+        (["check", "--node", "33", "--bus", "bus0"], "expected a node-ID of bus0, 1-32, got 33"),
         (["test", "--node", "1"], '"check"'),
     ],
 )
