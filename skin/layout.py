@@ -502,7 +502,8 @@ def _with_files(tables: dict[str, Any], folder: Path) -> dict[str, Any]:
 
 def _with_devices(tables: dict[str, Any], folder: Path) -> dict[str, Any]:
     """Fill in the number of nodes of listed node-IDs, and the messages of other devices from their files."""
-    for bus in tables.get("bus", []):
+    buses = tables.get("bus")
+    for bus in buses if isinstance(buses, list) else ():
         if isinstance(bus, dict):
             with_foreign_dbc(bus, folder)
             if isinstance(bus.get("node_ids"), list):

@@ -119,6 +119,6 @@ def test_a_check_gets_the_frames_that_come_until_it_is_done(
 
 def test_a_check_that_is_stopped_leaves_the_board_without_test_patterns() -> None:
     check, link = Check(2, 0.0), SimpleNamespace(receive=lambda: frames(0))
-    with pytest.raises(RunError, match="stopped before the board was checked"):
+    with pytest.raises(RunError, match="stopped before the talk with the node was over"):
         _run(check, link, SimpleNamespace(is_set=lambda: True))  # type: ignore[arg-type]
     assert check.told == ["give up"]
