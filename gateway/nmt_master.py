@@ -98,7 +98,7 @@ class Event(Enum):
     RUNNING = auto()  #: A refused node is OPERATIONAL.
     LOST = auto()  #: The heartbeat is overdue.
     OUTDATED = auto()  #: The newest proof is too old.
-    SWAPPED = auto()  #: The node answers every SYNC with the PDOs of the other phase.
+    ASTRAY = auto()  #: The node's answers are not those to the newest SYNC.
     WRITTEN = auto()  #: Another master writes the configuration.
     BUSY = auto()  #: Another master uses the SDO channel: a node answers one client at a time.
 
@@ -363,10 +363,9 @@ class NmtMaster:
             node.errand = None
             self._happen(node, Event.BUSY, now_s)
 
-    def swapped(self, node_id: int, now_s: float) -> None:
-        """Reset the communication of a node that answers every SYNC with the PDOs of the other phase."""
-        why = "answers SYNC with the PDOs of the other phase, or a cycle late: communication reset"
-        self._happen(self.nodes[node_id], Event.SWAPPED, now_s, why)
+    def reset_astray(self, node_id: int, now_s: float, why: str) -> None:
+        """Reset the communication of a node in use whose answers are not those to the newest SYNC."""
+        self._happen(self.nodes[node_id], Event.ASTRAY, now_s, f"{why}: communication reset")
 
     # What time calls for
 
@@ -646,7 +645,7 @@ class NmtMaster:
             Event.LEFT: (_stop_using, NodeState.WAITING),
             Event.LOST: (_stop_using, NodeState.WAITING),
             Event.OUTDATED: (_stop_using, NodeState.WAITING),
-            Event.SWAPPED: (_stop_using_and_reset, NodeState.WAITING),
+            Event.ASTRAY: (_stop_using_and_reset, NodeState.WAITING),
             Event.WRITTEN: (_stop_using, NodeState.WAITING),
         },
         NodeState.IN_USE_CHECKED: {
@@ -657,7 +656,7 @@ class NmtMaster:
             Event.LEFT: (_stop_using, NodeState.CHECKED),
             Event.LOST: (_stop_using, NodeState.CHECKED),
             Event.OUTDATED: (_stop_using, NodeState.CHECKED),
-            Event.SWAPPED: (_stop_using_and_reset, NodeState.CHECKED),
+            Event.ASTRAY: (_stop_using_and_reset, NodeState.CHECKED),
             Event.WRITTEN: (_stop_using, NodeState.WAITING),
             Event.BUSY: (_give_way, NodeState.IN_USE),
         },
