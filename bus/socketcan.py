@@ -58,6 +58,10 @@ _SO_RCVBUFFORCE: Final = 33
 _CAN_RAW_ERR_FILTER: Final = 2
 _IFF_UP: Final = 1
 _IFF_ECHO: Final = 0x40000
+#: Drivers of USB adapters that echo a frame when the adapter reports its transmission, in the stream of the received
+#: frames. Other drivers echo a frame when its USB transfer ends (ems_usb, mcba_usb, peak_usb, usb_8dev), by a stream of
+#: its own (f81604), or when the firmware says so, which candleLight's says before the transmission (gs_usb).
+_PROVEN_USB: Final = frozenset({"esd_usb", "esd_usb2", "etas_es58x", "kvaser_usb", "ucan"})
 _RTM_GETLINK, _NLM_F_REQUEST, _IFLA_LINKINFO, _IFLA_INFO_KIND, _NLA_TYPE_MASK = 18, 1, 18, 1, 0x3FFF
 
 
@@ -156,13 +160,17 @@ class SocketCanLink(ReconnectingLink):
     def keeps_order(self) -> bool:
         """Whether the driver echoes a frame after its transmission, or the interface has no wire (vcan).
 
-        For other drivers the kernel echoes a frame when the frame is queued.
+        Without IFF_ECHO the kernel echoes a frame when the frame is queued; with it, see `_PROVEN_USB`.
         """
+        about = Path("/sys/class/net", self._channel)
         try:
-            flags = int(Path("/sys/class/net", self._channel, "flags").read_text(), 16)
-            return bool(flags & _IFF_ECHO) or _kind(self._channel) == "vcan"
+            flags = int((about / "flags").read_text(), 16)
+            if not flags & _IFF_ECHO:
+                return _kind(self._channel) == "vcan"
         except (OSError, ValueError):
             return False
+        is_usb = (about / "device/subsystem").resolve().name == "usb"
+        return not is_usb or (about / "device/driver").resolve().name in _PROVEN_USB
 
     @property
     def stamp_error_ns(self) -> int | None:
