@@ -247,10 +247,11 @@ def test_interface_that_is_down_or_without_fd_is_found(
         ("0x40081", "usb", "peak_usb", False),
         ("0x40081", "usb", "gs_usb", False),
         ("0x40081", "usb", "made tomorrow", False),
+        ("0x40081", "spi", "mcp251x", False),
         ("0x40081", None, None, True),
     ],
 )
-def test_the_echo_of_a_usb_adapter_is_trusted_where_its_driver_waits_for_the_bus(
+def test_the_echo_is_trusted_where_the_driver_gives_it_after_the_bus_and_before_the_answers(
     kernel: Kernel,
     monkeypatch: pytest.MonkeyPatch,
     tmp_path: Path,
