@@ -30,6 +30,7 @@ from dbc.canopen import (
     SDO_RESPONSE_BASE,
     NmtCommand,
     NmtState,
+    state_text,
 )
 from dbc.configuration import (
     DIALOGUES,
@@ -326,7 +327,7 @@ class NmtMaster:
             is_under_way = node.started_ns is None or time_ns - node.started_ns < UNDER_WAY_NS
             if is_under_way and now_s - node.commanded_s < SILENT_AFTER_S:
                 return
-            why = f"left OPERATIONAL: {_state_text(state)}{node.explanation(now_s)}"
+            why = f"left OPERATIONAL: {state_text(state)}{node.explanation(now_s)}"
             node.nmt = state
             self._happen(node, Event.LEFT, now_s, why)
             return
@@ -345,7 +346,7 @@ class NmtMaster:
         for node in self._addressed(node_id):
             if command in COMMANDED and command != NmtCommand.START and node.nmt != SILENT:
                 node.nmt = COMMANDED[NmtCommand(command)]
-                why = f"left OPERATIONAL: {_state_text(node.nmt)}, by another master's NMT command"
+                why = f"left OPERATIONAL: {state_text(node.nmt)}, by another master's NMT command"
                 self._happen(node, Event.LEFT, now_s, why)
             elif command in (NmtCommand.RESET_NODE, NmtCommand.RESET_COMMUNICATION):
                 node.hint = ", reset by another master"
@@ -677,11 +678,3 @@ def _places(rows: npt.NDArray[np.uint8]) -> list[int]:
         if (is_plain and is_ours) or (row[FLAGS_AT] & (ERROR | ECHO) == ECHO and is_command):
             found.append(place)
     return found
-
-
-def _state_text(state: int) -> str:
-    """Return an NMT state in words."""
-    try:
-        return NmtState(state).name.lower().replace("_", "-")
-    except ValueError:
-        return f"state {state}"
