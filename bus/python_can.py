@@ -15,6 +15,7 @@ import can
 import numpy as np
 
 from bus.error_frames import State
+from bus.ip_link import sample_point
 from bus.messages import to_frame, to_message
 from bus.protocol import check_frames, in_time
 from bus.reconnecting import FIRST_S, LONGEST_S
@@ -245,9 +246,9 @@ def _arguments(
             rates["timing"] = can.BitTimingFd.from_sample_point(
                 f_clock=_FD_CLOCK_HZ,
                 nom_bitrate=bitrate,
-                nom_sample_point=_sample_point(bitrate),
+                nom_sample_point=100 * sample_point(bitrate),
                 data_bitrate=data_bitrate,
-                data_sample_point=_sample_point(data_bitrate),
+                data_sample_point=100 * sample_point(data_bitrate),
             )
     return rates | _OPTIONS.get(interface, {}) | options
 
@@ -259,11 +260,6 @@ def _takes_timing(interface: str) -> bool:
         return "timing" in inspect.signature(getattr(importlib.import_module(module), name)).parameters
     except (*_FAILS, AttributeError):
         return False  # opening will tell
-
-
-def _sample_point(bit_rate_hz: int) -> float:
-    """Return the sample point in per cent that CiA 102 recommends, as Linux chooses by default."""
-    return 75.0 if bit_rate_hz > 800_000 else 80.0 if bit_rate_hz > 500_000 else 87.5
 
 
 def _why(interface: str, channel: str, error: Exception) -> str:

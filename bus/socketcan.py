@@ -58,9 +58,9 @@ _SO_RCVBUFFORCE: Final = 33
 _CAN_RAW_ERR_FILTER: Final = 2
 _IFF_UP: Final = 1
 _IFF_ECHO: Final = 0x40000
-#: Drivers of USB adapters that echo a frame when the adapter reports its transmission, one report a frame, in the stream
-#: of received frames. Others echo at the end of the USB transfer (peak_usb), when the firmware has queued the frame
-#: (gs_usb with candleLight), or in groups; docs/bus.md has the table.
+#: Drivers of USB adapters that echo a frame when the adapter reports its transmission, one report a frame, in the
+#: stream of received frames. Others echo at the end of the USB transfer (peak_usb), when the firmware has queued the
+#: frame (gs_usb with candleLight), or in groups; docs/bus.md has the table.
 _PROVEN_USB: Final = frozenset({"esd_usb", "esd_usb2", "kvaser_usb"})
 #: Drivers whose interrupt thread passes on received frames before it looks for the end of the transmission.
 _ANSWERS_FIRST: Final = frozenset({"hi3110", "mcp251x"})
@@ -162,7 +162,8 @@ class SocketCanLink(ReconnectingLink):
     def keeps_order(self) -> bool:
         """Whether the driver echoes a frame after its transmission, or the interface has no wire (vcan).
 
-        Without IFF_ECHO the kernel echoes a frame when the frame is queued; with it, see `_PROVEN_USB` and `_ANSWERS_FIRST`.
+        Without IFF_ECHO the kernel echoes a frame when the frame is queued; with it, see `_PROVEN_USB` and
+        `_ANSWERS_FIRST`.
         """
         about = Path("/sys/class/net", self._channel)
         try:
