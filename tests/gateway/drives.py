@@ -56,7 +56,7 @@ class Member:
     """One more station on the bus."""
 
     station: Station
-    take: Callable[[Frames], None]
+    take: Callable[[Frames], object]
 
 
 class SharedWire(Wire):
@@ -72,7 +72,7 @@ class SharedWire(Wire):
         }
         self.members: list[Member] = []
 
-    def join(self, name: str, take: Callable[[Frames], None]) -> Send:
+    def join(self, name: str, take: Callable[[Frames], object]) -> Send:
         """Connect a station; return what sends its frames."""
         station = self.bus.attach(name, queue_size=100_000)
         self.members.append(Member(station, take))
