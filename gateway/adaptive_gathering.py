@@ -16,6 +16,7 @@ from gateway.adaptive_state import (
     FOREIGN,
     FOREIGN_SYNCS,
     MALFORMED,
+    NEVER_NS,
     UNPROVEN,
     UNREFINED,
     USED,
@@ -170,7 +171,7 @@ class AdaptiveGathering:
             self._newest_ns = newest_ns
             self._newest_error_ns = UNKNOWN_ERROR_NS if stamp_error_ns is None else mine.sample_age_ns + stamp_error_ns
         is_still_down = health.is_down and mine.is_down
-        self._has_news |= bool(mine.has_changed.any()) or (health.has_gap and not is_still_down)
+        self._has_news |= newest_ns > NEVER_NS or (health.has_gap and not is_still_down)
         mine.is_down = health.is_down
         if health.has_gap:
             mine.sum_requests.gap()

@@ -290,8 +290,7 @@ def _run(check: _Talk, link: Link, stop: StopSignal) -> None:
         while not check.done:
             if stop.is_set():
                 raise RunError("stopped before the talk with the node was over")
-            timeout_s = min(TURN_S, max(0.0, check.due_s - time.monotonic()))
-            select.select([link], [], [], timeout_s or TURN_S)
+            select.select([link], [], [], min(TURN_S, max(0.0, check.due_s - time.monotonic())))
             check.take(link.receive(), time.monotonic())
             check.tick(time.monotonic())
     finally:

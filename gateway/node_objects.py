@@ -183,7 +183,9 @@ class NodeTransfers:
         self._node_id, self._send = node_id, send
         self._left = [*writes, *((each, b"") for each in entries)]
         self.values: dict[Entry, bytes | str] = {}
-        self.done, self.due_s = False, now_s
+        self.done = False
+        #: A transfer is looked at in every turn.
+        self.due_s = float("inf")
         self._begin(now_s)
 
     def _begin(self, now_s: float) -> None:
@@ -194,7 +196,6 @@ class NodeTransfers:
             return (yield transfer)
 
         self._dialogue = SdoDialogue(self._node_id, steps(), self._send_one, now_s)
-        self.due_s = now_s
 
     def _send_one(self, can_id: int, data: bytes) -> None:
         self._send(one_frame(can_id, data))

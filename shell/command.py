@@ -51,6 +51,7 @@ VERBS: Final = {
     "design": "demo.design_command:design",
     "layout": "demo.layout_command:layout",
     "load": "bandwidth.load_command:load",
+    "doctor": "health.doctor_command:doctor",
     "objects": "touch.command:objects",
     "dataset": "touch.datasets.command:dataset",
     "train": "classifier.command:train",

@@ -14,7 +14,6 @@ from bus.station import Station
 from dbc.canopen import EMCY_BASE, HEARTBEAT_BASE, SDO_REQUEST_BASE, SDO_RESPONSE_BASE, NmtState
 from dbc.contract import Contract
 from dbc.frame import ECHO, Frames, frames
-from skin.layout import Bus
 from tests.bus.harness import frame
 from tests.gateway.helpers import EndOfWire, Wire, World
 from tests.layouts import small_layout
@@ -62,9 +61,9 @@ class Member:
 class SharedWire(Wire):
     """A bus with arbitration, on which others than gateway and boards may be."""
 
-    def __init__(self, line: Bus) -> None:
+    def __init__(self) -> None:
         super().__init__()
-        self.bus = SimulatedBus(line.bitrate, line.data_bitrate)
+        self.bus = SimulatedBus()
         self._stations: dict[EndOfWire | None, Station] = {
             self.gateway: self.bus.attach("gateway"),
             self.nodes: self.bus.attach("nodes"),
@@ -155,9 +154,7 @@ class SharedWorld(World):
     """The skin beside the drives; boards and gateway look at the bus every 0.5 ms."""
 
     step_s = 0.0005
-
-    def new_wire(self, line: Bus) -> Wire:
-        return SharedWire(line)
+    wire = SharedWire
 
     @property
     def shared(self) -> SharedWire:
