@@ -31,6 +31,7 @@ VERBS: Final = {
     "bus": "bus.command:bus",
     "nodes": "nodes.command:nodes",
     "gateway": "gateway.command:gateway",
+    "scan": "gateway.scan_command:scan",
     "node": "gateway.node_command:node",
     "tare": "calibration.command:tare",
     "calibration": "calibration.command:calibration",
