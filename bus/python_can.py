@@ -1,8 +1,6 @@
 """The link to any interface of python-can, for adapters without SocketCAN driver."""
 
 import contextlib
-import importlib
-import inspect
 import logging
 import os
 import threading
@@ -42,6 +40,8 @@ _NEEDS: Final = {
     "slcan": "pip install pyserial",
 }
 _OPTIONS: Final[dict[str, dict[str, Value]]] = {"pcan": {"auto_reset": True}, "kvaser": {"receive_own_messages": True}}
+#: Interfaces that take the bit timing of CAN FD; the others take the rates.
+_TAKE_TIMING: Final = frozenset({"kvaser", "nixnet", "pcan", "slcan", "vector"})
 #: Clock for which the bit timing of CAN FD is computed; an interface with another clock converts it.
 _FD_CLOCK_HZ: Final = 80_000_000
 _STATE_OF: Final = {
@@ -242,7 +242,7 @@ def _arguments(
     rates: dict[str, Any] = {"bitrate": bitrate}
     if fd:
         rates |= {"fd": True, "data_bitrate": data_bitrate}
-        if _takes_timing(interface) and not {"f_clock", "f_clock_mhz"} & options.keys():
+        if interface in _TAKE_TIMING and not {"f_clock", "f_clock_mhz"} & options.keys():
             rates["timing"] = can.BitTimingFd.from_sample_point(
                 f_clock=_FD_CLOCK_HZ,
                 nom_bitrate=bitrate,
@@ -251,15 +251,6 @@ def _arguments(
                 data_sample_point=100 * sample_point(data_bitrate),
             )
     return rates | _OPTIONS.get(interface, {}) | options
-
-
-def _takes_timing(interface: str) -> bool:
-    """Tell whether an interface takes a bit timing; those that do not, take the rates."""
-    try:
-        module, name = can.interfaces.BACKENDS[interface]
-        return "timing" in inspect.signature(getattr(importlib.import_module(module), name)).parameters
-    except (*_FAILS, AttributeError):
-        return False  # opening will tell
 
 
 def _why(interface: str, channel: str, error: Exception) -> str:
