@@ -33,7 +33,7 @@ from gateway.sdo import Dialogue, Read, SdoDialogue, SdoError
 from gateway.strangers import produces_sync
 
 #: Part of the bus that requests and responses take.
-ASKED_LOAD: Final = 0.02
+ASKED_LOAD: Final = 0.05
 #: What is read of each node that answers to 1000h: keys of `ScannedNode`, index, sub-index.
 _IDENTITY: Final = (
     ("vendor_id", od.IDENTITY, 1),

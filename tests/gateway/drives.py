@@ -14,7 +14,6 @@ from bus.station import Station
 from dbc.canopen import EMCY_BASE, HEARTBEAT_BASE, SDO_REQUEST_BASE, SDO_RESPONSE_BASE, NmtState
 from dbc.contract import Contract
 from dbc.frame import ECHO, Frames, frames
-from skin.layout import Bus
 from tests.bus.harness import frame
 from tests.gateway.helpers import EndOfWire, Wire, World
 from tests.layouts import small_layout
@@ -56,15 +55,15 @@ class Member:
     """One more station on the bus."""
 
     station: Station
-    take: Callable[[Frames], None]
+    take: Callable[[Frames], object]
 
 
 class SharedWire(Wire):
     """A bus with arbitration, on which others than gateway and boards may be."""
 
-    def __init__(self, line: Bus) -> None:
+    def __init__(self) -> None:
         super().__init__()
-        self.bus = SimulatedBus(line.bitrate, line.data_bitrate)
+        self.bus = SimulatedBus()
         self._stations: dict[EndOfWire | None, Station] = {
             self.gateway: self.bus.attach("gateway"),
             self.nodes: self.bus.attach("nodes"),
@@ -72,7 +71,7 @@ class SharedWire(Wire):
         }
         self.members: list[Member] = []
 
-    def join(self, name: str, take: Callable[[Frames], None]) -> Send:
+    def join(self, name: str, take: Callable[[Frames], object]) -> Send:
         """Connect a station; return what sends its frames."""
         station = self.bus.attach(name, queue_size=100_000)
         self.members.append(Member(station, take))
@@ -155,9 +154,7 @@ class SharedWorld(World):
     """The skin beside the drives; boards and gateway look at the bus every 0.5 ms."""
 
     step_s = 0.0005
-
-    def new_wire(self, line: Bus) -> Wire:
-        return SharedWire(line)
+    wire = SharedWire
 
     @property
     def shared(self) -> SharedWire:

@@ -24,7 +24,6 @@ from nodes.electronics import Electronics
 from nodes.sampler import Sampler
 from nodes.segment import Segment
 from nodes.virtual_boards import VirtualBoards
-from skin.layout import Bus
 from skin.measurement import Sbhe
 from skin.sources import Frame
 from skin.taxel import to_counts
@@ -209,13 +208,10 @@ class World:
         places = self.contract.phi.wired.taxels
         self.electronics = Witness(layout.taxels, noise_n=0.0, period_s=layout.shortest_period_s, places=places)
         self.sampler = WitnessSampler(self.contract.phi, self.electronics, layout.sync.period_s)
-        self.wires = [self.new_wire(line) for line in self.contract.layout.bus]
+        self.wires = [self.wire() for _ in self.contract.layout.bus]
         self.segments = [self.new_segment(bus, self.built or self.contract) for bus in range(len(self.wires))]
         self.power_up()
         self.gateway = self.new_gateway()
-
-    def new_wire(self, _line: Bus) -> Wire:
-        return self.wire()
 
     def new_segment(self, bus: int, contract: Contract) -> Segment:
         ids = {node.node_id for node in contract.on_bus(bus)}

@@ -68,12 +68,13 @@ def test_two_sync_producers_are_refused_by_name() -> None:
 @pytest.mark.heavy
 def test_a_scan_lists_drives_and_boards_with_identities_states_and_rates() -> None:
     world = SharedWorld(shared_contract())
+    world.step_s = 0.002  # type: ignore[misc]
     drives = Drives(world.shared)
     scans: list[Scan] = []
-    send = world.shared.join("scan", lambda arrived: [each.take(arrived, world.now_s) for each in scans] and None)
+    send = world.shared.join("scan", lambda arrived: [each.take(arrived, world.now_s) for each in scans])
     world.until_whole(5.0)
-    drives.send_for(world.now_s, 6.0, seed=2)
-    scans.append(Scan(send, 1_000_000, world.now_s, listen_s=1.0))
+    drives.send_for(world.now_s, 2.0, seed=2)
+    scans.append(Scan(send, 20_000_000, world.now_s, listen_s=0.5))  # a fast bus: more requests a second
     (scan,) = scans
     while not scan.done:
         world.step()
@@ -89,9 +90,9 @@ def test_a_scan_lists_drives_and_boards_with_identities_states_and_rates() -> No
     assert (board.state, board.product_code, board.serial_number) == ("OPERATIONAL", 0x534B494E, 8)
     assert [each.node_id for each in scan.nodes.values() if each.produces_sync] == [OTHER_PRODUCER]
     rates_hz = {each.cob_id: each.rate_hz for each in scan.identifiers}
-    assert scan.sync_rate_hz == pytest.approx(100, abs=2)
-    assert rates_hz[THEIR_SYNC] == pytest.approx(100, abs=2)
-    assert rates_hz[0x181] == pytest.approx(100, abs=2)
+    assert scan.sync_rate_hz == pytest.approx(100, abs=4)
+    assert rates_hz[THEIR_SYNC] == pytest.approx(100, abs=4)
+    assert rates_hz[0x181] == pytest.approx(100, abs=4)
     meanings = {each.cob_id: each.meaning for each in scan.identifiers}
     assert (meanings[0x181], meanings[0x728]) == ("TPDO 1 of 1", "heartbeat of 40")
 
@@ -104,3 +105,15 @@ def test_a_scan_that_only_listens_sends_nothing() -> None:
     scan.tick(1.0)
     assert scan.done
     assert sent == []
+
+
+def test_a_scan_takes_a_small_part_of_the_bus() -> None:
+    sent_s: list[float] = []
+    now_s = 0.0
+    scan = Scan(lambda burst: sent_s.append(now_s) or len(burst), 125_000, now_s, listen_s=0.1)
+    while not scan.done and now_s < 100:
+        now_s += 0.01
+        scan.tick(now_s)
+    # Requests and aborts of eight bytes, 135 bits at most, and as many responses that might come.
+    assert len(sent_s) >= 2 * 127
+    assert len(sent_s) * 2 * 135 / 125_000 / (sent_s[-1] - sent_s[0]) < 0.055
