@@ -22,6 +22,7 @@ from ruamel.yaml import YAML
 
 from canskin.fabric import Fabric
 from canskin.messages import IMAGE, MEASUREMENT, Image, Measurement
+from shell.output import cache_folder
 from tests.layouts import slow_layout
 from tests.processes import Processes, free_endpoint, free_port
 
@@ -189,12 +190,14 @@ def boxes(tmp_path_factory: pytest.TempPathFactory) -> Boxes:
 
 
 def keep_compiled(cache: Path) -> None:
-    """Give the volume the kernels that are compiled here, as the image gives those of its build."""
+    """Give the volume the kernels and classifiers that are made here, as the image gives those of its build."""
     for source in {path.parent for path in ROOT.glob("[a-z]*/**/__pycache__/*.nbi")}:
         given = cache / UserProvidedCacheLocator.get_suitable_cache_subpath(str(source.parent / "kernel.py"))
         given.mkdir(parents=True)
         for path in source.glob("*.nb?"):
             shutil.copy(path, given)
+    for path in cache_folder().glob("model-*.npz"):
+        shutil.copy(path, cache.parent)
 
 
 @pytest.mark.slow
@@ -228,4 +231,4 @@ def test_the_commands_as_written_give_measurements_images_and_health(
 def test_a_service_runs_where_nothing_at_all_can_be_written(services: dict[str, Service], boxes: Boxes) -> None:
     with Processes(boxes.folder) as running:
         running.start("bus", *boxes.service(services["bus"], caches=False))
-        running.until(lambda: (boxes.folder / "run" / "bus3.can").is_socket(), "the sockets of the buses")
+        running.until((boxes.folder / "run" / "bus3.can").is_socket, "the sockets of the buses")
