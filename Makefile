@@ -1,9 +1,9 @@
 # make demo     the whole chain on this machine, about 20 s
 # make test     everything that must hold: style, types, imports, tests
 # make test-vcan  the tests on a real CAN kernel, a guest's where this machine has none
-# make test-containers  the skin in containers, on this machine's engine or one of its own (docs/deploy.md)
+# make test-containers  the skin in containers, on this machine's engine or one of its own (docs/containers.md)
 # make lock     requirements.lock, the versions in the image, anew from pyproject.toml
-# make wheels   the wheels of requirements.lock, for an image built without a network (docs/deploy.md)
+# make wheels   the wheels of requirements.lock, for an image built without a network (docs/containers.md)
 # make mutants  small faults put into the code that no test notices, slow ones apart (docs/develop.md); hours without PATHS or ARGS
 # make figures  every picture of the README and of docs/, with today's code (ARGS="demo.png page.png" for some)
 # make setup    the environment of all of them, in .venv; make demo makes a smaller one, without the test tools

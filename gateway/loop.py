@@ -1,7 +1,7 @@
 """The gateway without its input and output: frames and times in, frames and measurements out."""
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Final
 
@@ -63,6 +63,8 @@ class GatewayLoop:
         Write a line to the log: `say` for a change, `complain` for a line that may come many times.
     rates_hz : tuple of float
         Of adaptive sums: most and least measurements in a second.
+    unordered : collection of int
+        Numbers of the buses whose links do not keep the order of SYNC and answers; none where nodes have two states.
 
     Attributes
     ----------
@@ -84,6 +86,7 @@ class GatewayLoop:
         say: Callable[[str], None],
         complain: Callable[[str], None],
         rates_hz: tuple[float, float] = RATES_HZ,
+        unordered: Collection[int] = (),
     ) -> None:
         self.sync = SyncClock(contract.layout.sync.period_s)
         self._contract = contract
@@ -97,7 +100,7 @@ class GatewayLoop:
         elif contract.recognition is not None:
             self.gathering = StateGathering(contract)
         else:
-            self.gathering = CycleGathering(contract)
+            self.gathering = CycleGathering(contract, unordered)
         self.states = None if contract.recognition is None else StateSwitch(contract, sends)
         #: Known from the first tick on: what comes before may take long.
         self._patience_s: float | None = None

@@ -30,6 +30,7 @@ from dbc.canopen import (
     SDO_RESPONSE_BASE,
     NmtCommand,
     NmtState,
+    state_text,
 )
 from dbc.configuration import (
     DIALOGUES,
@@ -97,7 +98,7 @@ class Event(Enum):
     RUNNING = auto()  #: A refused node is OPERATIONAL.
     LOST = auto()  #: The heartbeat is overdue.
     OUTDATED = auto()  #: The newest proof is too old.
-    SWAPPED = auto()  #: The node answers every SYNC with the PDOs of the other phase.
+    ASTRAY = auto()  #: The node's answers are not those to the newest SYNC.
     WRITTEN = auto()  #: Another master writes the configuration.
     BUSY = auto()  #: Another master uses the SDO channel: a node answers one client at a time.
 
@@ -326,7 +327,7 @@ class NmtMaster:
             is_under_way = node.started_ns is None or time_ns - node.started_ns < UNDER_WAY_NS
             if is_under_way and now_s - node.commanded_s < SILENT_AFTER_S:
                 return
-            why = f"left OPERATIONAL: {_state_text(state)}{node.explanation(now_s)}"
+            why = f"left OPERATIONAL: {state_text(state)}{node.explanation(now_s)}"
             node.nmt = state
             self._happen(node, Event.LEFT, now_s, why)
             return
@@ -345,7 +346,7 @@ class NmtMaster:
         for node in self._addressed(node_id):
             if command in COMMANDED and command != NmtCommand.START and node.nmt != SILENT:
                 node.nmt = COMMANDED[NmtCommand(command)]
-                why = f"left OPERATIONAL: {_state_text(node.nmt)}, by another master's NMT command"
+                why = f"left OPERATIONAL: {state_text(node.nmt)}, by another master's NMT command"
                 self._happen(node, Event.LEFT, now_s, why)
             elif command in (NmtCommand.RESET_NODE, NmtCommand.RESET_COMMUNICATION):
                 node.hint = ", reset by another master"
@@ -362,10 +363,9 @@ class NmtMaster:
             node.errand = None
             self._happen(node, Event.BUSY, now_s)
 
-    def swapped(self, node_id: int, now_s: float) -> None:
-        """Reset the communication of a node that answers every SYNC with the PDOs of the other phase."""
-        why = "answers SYNC with the PDOs of the other phase, or a cycle late: communication reset"
-        self._happen(self.nodes[node_id], Event.SWAPPED, now_s, why)
+    def reset_astray(self, node_id: int, now_s: float, why: str) -> None:
+        """Reset the communication of a node in use whose answers are not those to the newest SYNC."""
+        self._happen(self.nodes[node_id], Event.ASTRAY, now_s, f"{why}: communication reset")
 
     # What time calls for
 
@@ -645,7 +645,7 @@ class NmtMaster:
             Event.LEFT: (_stop_using, NodeState.WAITING),
             Event.LOST: (_stop_using, NodeState.WAITING),
             Event.OUTDATED: (_stop_using, NodeState.WAITING),
-            Event.SWAPPED: (_stop_using_and_reset, NodeState.WAITING),
+            Event.ASTRAY: (_stop_using_and_reset, NodeState.WAITING),
             Event.WRITTEN: (_stop_using, NodeState.WAITING),
         },
         NodeState.IN_USE_CHECKED: {
@@ -656,7 +656,7 @@ class NmtMaster:
             Event.LEFT: (_stop_using, NodeState.CHECKED),
             Event.LOST: (_stop_using, NodeState.CHECKED),
             Event.OUTDATED: (_stop_using, NodeState.CHECKED),
-            Event.SWAPPED: (_stop_using_and_reset, NodeState.CHECKED),
+            Event.ASTRAY: (_stop_using_and_reset, NodeState.CHECKED),
             Event.WRITTEN: (_stop_using, NodeState.WAITING),
             Event.BUSY: (_give_way, NodeState.IN_USE),
         },
@@ -678,11 +678,3 @@ def _places(rows: npt.NDArray[np.uint8]) -> list[int]:
         if (is_plain and is_ours) or (row[FLAGS_AT] & (ERROR | ECHO) == ECHO and is_command):
             found.append(place)
     return found
-
-
-def _state_text(state: int) -> str:
-    """Return an NMT state in words."""
-    try:
-        return NmtState(state).name.lower().replace("_", "-")
-    except ValueError:
-        return f"state {state}"

@@ -42,6 +42,7 @@ class Echoing:
 
     dropped = stamp_error_ns = 0
     state = State.ACTIVE
+    keeps_order = True
 
     def __init__(self, clock: Clock) -> None:
         self._clock = clock
