@@ -22,6 +22,7 @@ from tests.layouts import slow_layout
 
 pytestmark = [
     pytest.mark.slow,
+    pytest.mark.timeout(3600),  # the first test builds the image, on machines that differ by a factor of eight
     pytest.mark.skipif("SKIN_CONTAINERS" not in os.environ, reason="NOT TESTED: make test-containers runs this"),
 ]
 
