@@ -14,7 +14,7 @@ from dbc import indices as od
 from dbc.adaptive_filter import HORIZON, SWITCHING, Models, make_models
 from dbc.averaging import averaging_models
 from dbc.board import Board, board
-from dbc.configuration import configuration, setting_of
+from dbc.configuration import calibration, configuration, setting_of
 from dbc.contract import Contract, NodeContract, sum_frame_bits
 from dbc.dictionary import ERRORS_KEPT, HEARTBEATS_WATCHED, dictionary
 from dbc.frame_bits import frame_time_ns
@@ -22,10 +22,19 @@ from dbc.objects import Object
 from nodes.firmware.c_text import WRITTEN, array, braced, defined, header, real
 
 #: Flags of `skin_object` (``skin_board.h``).
-WRITABLE, MAPPABLE, COVERED, TEXT = 1, 2, 4, 8
+WRITABLE, MAPPABLE, COVERED, TEXT, CALIBRATING = 1, 2, 4, 8, 16
 #: Place of objects that the firmware computes and that have no stored value.
 COMPUTED: Final = 0xFFFF
-_COMPUTED: Final = (od.ERROR_REGISTER, od.ERROR_FIELD, od.STORE, od.RESTORE, od.SIGNATURE, od.HEALTH, od.NODE_NOISE)
+_COMPUTED: Final = (
+    od.ERROR_REGISTER,
+    od.ERROR_FIELD,
+    od.STORE,
+    od.RESTORE,
+    od.SIGNATURE,
+    od.CALIBRATION_SIGNATURE,
+    od.HEALTH,
+    od.NODE_NOISE,
+)
 #: Arrays whose entries are computed, but not their sub-index 0.
 _COMPUTED_ENTRIES: Final = (od.STORE, od.RESTORE, od.HEALTH, od.COARSE, od.FINE)
 
@@ -93,6 +102,7 @@ def _frame_sizes(contract: Contract, bus: int) -> tuple[int, tuple[int, int]]:
 
 def _object_table(contract: Contract, node: NodeContract) -> ObjectTable:
     covered = {(each.index, each.subindex) for each in configuration(contract, node)}
+    calibrating = {(each.index, each.subindex) for each in calibration(contract, node)}
     objects = dictionary(contract, node)
     stored = [each for each in objects if not _is_computed(each)]
     communication = [each for each in stored if each.access == "rw" and each.index < od.MANUFACTURER]
@@ -111,6 +121,7 @@ def _object_table(contract: Contract, node: NodeContract) -> ObjectTable:
             WRITABLE * (each.access == "rw")
             | MAPPABLE * each.pdo
             | COVERED * ((each.index, each.subindex or 0) in covered)
+            | CALIBRATING * ((each.index, each.subindex or 0) in calibrating)
             | TEXT * (each.data_type == od.VISIBLE_STRING),
             places.get((each.index, each.subindex), COMPUTED),
             len(setting_of(each).data),

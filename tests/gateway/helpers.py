@@ -4,7 +4,7 @@ import os
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -49,16 +49,25 @@ class Shaking:
 
 
 class Witness(Electronics):
-    """Electronics that remember the counts behind what a test pattern shows."""
+    """Electronics that remember the counts behind what a test pattern shows, with the gains that the gateway knows."""
 
     counts: npt.NDArray[np.int32]
     reads = 0
+
+    def __init__(self, *given: Any, **named: Any) -> None:
+        super().__init__(*given, **named)
+        self.known_gain, self.known_offset = self.gain.copy(), self.offset.copy()
+
+    def tell(self, taxels: npt.NDArray[np.intp]) -> None:
+        """Note that the gateway knows gains and offsets of these taxels."""
+        self.known_gain[taxels], self.known_offset[taxels] = self.gain[taxels], self.offset[taxels]
 
     def read(self, force_n: npt.NDArray[np.float32], step: int = 0) -> npt.NDArray[np.int32]:
         raw = np.zeros(self.gain.shape, np.int32)
         raw[: force_n.size] = to_counts(force_n.ravel(), self.taxels)
         self.reads += 1
-        self.counts = np.clip(np.rint(self.gain * raw + self.offset), 0, self.taxels.count_max).astype(np.int32)
+        known = self.known_gain * raw + self.known_offset
+        self.counts = np.clip(np.rint(known), 0, self.taxels.count_max).astype(np.int32)
         return super().read(force_n, step)
 
 
@@ -198,6 +207,8 @@ class World:
     lines: list[str] = field(default_factory=list)
     complaints: list[str] = field(default_factory=list)
     measured: list[Measurement] = field(default_factory=list)
+    #: Bus and node-ID of nodes whose gains or offsets have become others.
+    recalibrated: list[tuple[int, int]] = field(default_factory=list)
     step_s: ClassVar[float] = STEP_S
     wire: ClassVar[type[Wire]] = Wire
     #: Buses whose interfaces do not keep the order of SYNC and answers.
@@ -258,6 +269,16 @@ class World:
         for bus, (wire, segment) in enumerate(zip(self.wires, self.segments, strict=True)):
             segment.take(wire.nodes.receive(), self.now_s)
             self.gateway.take(bus, wire.gateway.receive(), self.now_s, stamp_error_ns=0)
+        self.learn()
+
+    def learn(self) -> None:
+        """Let the witness know of gains and offsets what the gateway has found."""
+        for master in self.gateway.masters.values():
+            for node in master.recalibrated:
+                self.recalibrated.append((node.bus, node.node_id))
+                chains = self.contract.phi.taxels_of_blocks[node.block : node.block + node.blocks]
+                self.electronics.tell(chains.ravel())
+            master.recalibrated.clear()
 
     def run(self, seconds: float) -> list[Measurement]:
         """Go on for some time; return the measurements of it."""
