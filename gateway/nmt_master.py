@@ -101,6 +101,7 @@ class Event(Enum):
     LOST = auto()  #: The heartbeat is overdue.
     OUTDATED = auto()  #: The newest proof is too old.
     ASTRAY = auto()  #: The node's answers are not those to the newest SYNC.
+    UNFIT = auto()  #: The node's stack cannot do what the layout asks for.
     WRITTEN = auto()  #: Another master writes the configuration.
     BUSY = auto()  #: Another master uses the SDO channel: a node answers one client at a time.
 
@@ -385,6 +386,10 @@ class NmtMaster:
         """Reset the communication of a node in use whose answers are not those to the newest SYNC."""
         self._happen(self.nodes[node_id], Event.ASTRAY, now_s, f"{why}: communication reset")
 
+    def refuse_unfit(self, node_id: int, now_s: float, why: str) -> None:
+        """Refuse a node in use whose stack cannot do what the layout asks for."""
+        self._happen(self.nodes[node_id], Event.UNFIT, now_s, why)
+
     # What time calls for
 
     def tick(self, now_s: float) -> None:
@@ -554,6 +559,11 @@ class NmtMaster:
         self._stop_using(node, now_s, why)
         self._command(NmtCommand.RESET_COMMUNICATION, node.contract.node_id)
 
+    def _stop_using_and_refuse(self, node: NodeRecord, now_s: float, why: str) -> None:
+        """Leave a node alone until it boots or is written to."""
+        self._stop_using(node, now_s, f"refused: {why}")
+        node.refusal, node.prove_at_s = why, np.inf
+
     def _prove(self, node: NodeRecord, now_s: float, _why: str) -> None:
         """Begin a proof."""
 
@@ -667,6 +677,7 @@ class NmtMaster:
             Event.LOST: (_stop_using, NodeState.WAITING),
             Event.OUTDATED: (_stop_using, NodeState.WAITING),
             Event.ASTRAY: (_stop_using_and_reset, NodeState.WAITING),
+            Event.UNFIT: (_stop_using_and_refuse, NodeState.REFUSED),
             Event.WRITTEN: (_stop_using, NodeState.WAITING),
         },
         NodeState.IN_USE_CHECKED: {
@@ -678,6 +689,7 @@ class NmtMaster:
             Event.LOST: (_stop_using, NodeState.CHECKED),
             Event.OUTDATED: (_stop_using, NodeState.CHECKED),
             Event.ASTRAY: (_stop_using_and_reset, NodeState.CHECKED),
+            Event.UNFIT: (_stop_using_and_refuse, NodeState.REFUSED),
             Event.WRITTEN: (_stop_using, NodeState.WAITING),
             Event.BUSY: (_give_way, NodeState.IN_USE),
         },
