@@ -181,6 +181,24 @@ def test_frames_held_back_for_two_cycles_are_not_detected_if_the_node_misses_tha
     assert (gathered.sums[bus.contract.phi.block_of_sum == 0] == old).all()
 
 
+def test_old_answers_of_a_board_that_goes_on_at_the_end_of_a_cycle_do_not_end_its_debt() -> None:
+    bus = Bus("window")
+    bus.whole()
+    hung = []
+    for _ in range(2):
+        hung.append(bus.begin())
+        bus.take(bus.sync(), bus.frames_of(hung[-1], 1))
+        assert bus.valid(hung[-1]) == [False, True]
+    last = bus.begin()
+    first_old = bus.frames_of(hung[0], 0)
+    first_old["time_ns"] = (last + 1) * PERIOD_NS - ANSWER_NS
+    bus.take(bus.sync(), bus.frames_of(last, 1), first_old)
+    new = bus.begin()
+    bus.take(bus.sync(), *(bus.frames_of(each, 0) for each in (hung[1], last, new)), bus.frames_of(new, 1))
+    assert bus.valid(last) == bus.valid(new) == [False, True]
+    assert bus.whole() == [True, True]
+
+
 @both
 def test_frames_lost_by_the_gateway_itself_cost_the_cycles_between_which_a_sync_may_be_lost(identity: str) -> None:
     """Without the echo of the second SYNC, the answers to it would pass for those to the first."""
