@@ -10,7 +10,7 @@ from cyclopts import Parameter
 from bus.link import ARBITRATED, Link, open_link
 from canskin.errors import InputError
 from shell.service import StopSignal
-from skin.layout import Bus, Layout
+from skin.layout import Layout
 
 #: Longest wait of a service for a bus server that is still starting.
 OPEN_WAIT_S = 30.0
@@ -58,25 +58,28 @@ def open_links(
     wanted: Iterable[int] | None = None,
     *,
     name: str = "link",
+    sends: bool = True,
     stop: StopSignal | None = None,
 ) -> dict[int, Link]:
-    """Open the links of the buses numbered `wanted`, default all; faults of a virtual bus select them by `name`.
+    """Open the links of the buses numbered `wanted`, default all; `name` and `sends` as of `bus.link.open_link`.
 
     If `stop` is set during the wait for a bus, `canskin.errors.Stopped` is raised.
     """
     names = channels(layout, options)
     numbers = range(len(names)) if wanted is None else sorted(wanted)
-    return {number: _open(options.interface, names[number], layout.bus[number], name, stop) for number in numbers}
 
+    def opened(number: int) -> Link:
+        bus = layout.bus[number]
+        return open_link(
+            options.interface,
+            names[number],
+            bus.bitrate,
+            fd=bus.fd,
+            data_bitrate=bus.data_bitrate,
+            name=name,
+            sends=sends,
+            wait_s=OPEN_WAIT_S,
+            stop=stop,
+        )
 
-def _open(interface: str, channel: str, bus: Bus, name: str, stop: StopSignal | None) -> Link:
-    return open_link(
-        interface,
-        channel,
-        bus.bitrate,
-        fd=bus.fd,
-        data_bitrate=bus.data_bitrate,
-        name=name,
-        wait_s=OPEN_WAIT_S,
-        stop=stop,
-    )
+    return {number: opened(number) for number in numbers}

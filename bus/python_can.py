@@ -14,6 +14,7 @@ import numpy as np
 from bus.error_frames import State
 from bus.messages import to_frame, to_message
 from bus.protocol import check_frames, in_time
+from bus.reconnecting import QUEUE_FULL
 from canskin.errors import BusError
 from dbc.frame import ECHO, Frames, frames
 from shell.clock import wall_offset
@@ -58,6 +59,7 @@ class PythonCanLink:
             reason = " ".join(str(error).split())
             raise BusError(f"cannot open {channel} of python-can's interface '{interface}': {reason}") from error
         self.dropped = 0
+        self._is_full = False
         self._channel = channel
         self._fd = fd
         self._lost = False
@@ -98,6 +100,11 @@ class PythonCanLink:
         except (NotImplementedError, can.CanError):
             return State.ACTIVE  # many interfaces do not tell
 
+    def explain(self) -> str:
+        """Return why a frame was refused since the last call, where that is known."""
+        was_full, self._is_full = self._is_full, False
+        return QUEUE_FULL if was_full else ""
+
     def receive(self) -> Frames:
         """Return all waiting frames, echoes of sent frames included."""
         if self._thread is None and not self._lost:
@@ -119,6 +126,7 @@ class PythonCanLink:
             try:
                 self._bus.send(message)
             except can.CanError:
+                self._is_full = True
                 return place
             echo = burst[place : place + 1].copy()
             echo["flags"] |= ECHO
