@@ -109,6 +109,6 @@ class ReconnectingLink(ABC):
                 try:
                     self._use(self._connect())
                 except (BusError, OSError) as error:
-                    self._why_lost = str(error)
+                    self._why_lost = getattr(error, "strerror", None) or str(error)
                     self._fail()
             return self._socket

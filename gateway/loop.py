@@ -2,7 +2,7 @@
 
 import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Final
 
@@ -64,6 +64,8 @@ class GatewayLoop:
         Write a line to the log: `say` for a change, `complain` for a line that may come many times.
     rates_hz : tuple of float
         Of adaptive sums: most and least measurements in a second.
+    without_echoes : collection of int
+        Buses whose links do not keep the order of frames (`bus.link.Link.keeps_order`).
 
     Attributes
     ----------
@@ -85,11 +87,15 @@ class GatewayLoop:
         say: Callable[[str], None],
         complain: Callable[[str], None],
         rates_hz: tuple[float, float] = RATES_HZ,
+        without_echoes: Collection[int] = (),
     ) -> None:
         self.sync = SyncClock(contract.layout.sync.period_s)
         self._contract = contract
         self._say, self._complain = say, complain
-        self._buses = {number: self._bus(number, send, now_s) for number, send in sends.items()}
+        self._buses = {
+            number: self._bus(number, send, now_s, has_echoes=number not in without_echoes)
+            for number, send in sends.items()
+        }
         self._numbers = sorted(self._buses)
         self.masters = {number: bus.master for number, bus in self._buses.items()}
         self.gathering: Gathering
@@ -260,9 +266,9 @@ class GatewayLoop:
         for number, link in links.items():
             self._buses[number].watch.report(link.explain, now_s)
 
-    def _bus(self, number: int, send: Send, now_s: float) -> _Bus:
+    def _bus(self, number: int, send: Send, now_s: float, *, has_echoes: bool) -> _Bus:
         wires = self._contract.layout.bus[number]
-        outgoing, watch = Outgoing(send, now_s), LinkWatch(wires.name, self._say)
+        outgoing, watch = Outgoing(send, now_s, has_echoes=has_echoes), LinkWatch(wires.name, self._say)
         master = NmtMaster(self._contract, number, outgoing.put, self._trust, self._say)
         places = [place for place, node in enumerate(self._contract.nodes) if node.bus == number]
         return _Bus(wires.name, send, master, outgoing, watch, LoadMeter(wires, now_s), places)

@@ -12,9 +12,10 @@ from gateway.sdo import TIMEOUT_S
 
 #: Most frames between the send call and their echoes. SocketCAN's queue has room for 10 unless somebody changes it.
 UNDER_WAY: Final = 4
-#: An echo that has not come by then is lost. A frame may wait that long for a bus that is full, but not for one without
-#: acknowledgement.
+#: An echo that has not come by then is lost: a full bus delays no frame by that long.
 LOST_S: Final = 3.0
+#: After this time a frame counts as sent where echoes tell nothing, as those of a driver without IFF_ECHO.
+UNTOLD_S: Final = 0.01
 
 
 class Outgoing:
@@ -22,10 +23,18 @@ class Outgoing:
 
     A frame that the queue refuses is sent when the queue has room. A frame that has waited for `TIMEOUT_S` is dropped:
     its sender has sent it again, or given up.
+
+    Parameters
+    ----------
+    send : callable
+    now_s : float
+    has_echoes : bool
+        Whether an echo comes when its frame has been on the bus (`bus.link.Link.keeps_order`).
     """
 
-    def __init__(self, send: Send, now_s: float) -> None:
+    def __init__(self, send: Send, now_s: float, *, has_echoes: bool = True) -> None:
         self._send = send
+        self._has_echoes = has_echoes
         self._now_s = now_s
         #: With the times since when they wait.
         self._waiting: deque[tuple[float, Frames]] = deque()
@@ -45,7 +54,7 @@ class Outgoing:
         has_gap : bool
             Whether frames, and so echoes, may have been lost.
         """
-        if not self._under_way:
+        if not self._under_way or not (self._has_echoes or has_gap):
             return
         can_id, is_own = arrived["can_id"], arrived["flags"] & ECHO != 0
         echoes = int(np.count_nonzero(is_own & ((can_id == NMT_COB_ID) | (can_id >= SDO_REQUEST_BASE))))
@@ -58,7 +67,7 @@ class Outgoing:
         self._now_s = now_s
         while self._waiting and now_s - self._waiting[0][0] > TIMEOUT_S:
             self._waiting.popleft()
-        while self._under_way and now_s - self._under_way[0] > LOST_S:
+        while self._under_way and now_s - self._under_way[0] > (LOST_S if self._has_echoes else UNTOLD_S):
             self._under_way.popleft()
         self.flush()
 

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from dbc.canopen import SDO_REQUEST_BASE, SYNC_COB_ID
 from dbc.frame import ECHO, ERROR, Frames
-from gateway.outgoing import LOST_S, UNDER_WAY, Outgoing
+from gateway.outgoing import LOST_S, UNDER_WAY, UNTOLD_S, Outgoing
 from gateway.sdo import TIMEOUT_S
 from tests.bus.harness import frame
 
@@ -89,6 +89,17 @@ def test_lost_echoes_hold_up_nothing_for_long() -> None:
     outgoing.tick(1.1 * LOST_S)
     put(outgoing, range(1))
     assert len(queue.waiting) == 2 * UNDER_WAY + 2
+
+
+def test_where_echoes_tell_nothing_a_few_go_at_a_time() -> None:
+    queue = Queue(100)
+    outgoing = Outgoing(queue.send, 0.0, has_echoes=False)
+    put(outgoing, range(10))
+    for _ in range(10):
+        outgoing.take(frame(SDO_REQUEST_BASE + 1, flags=ECHO), has_gap=False)
+    assert len(queue.waiting) == UNDER_WAY
+    outgoing.tick(1.1 * UNTOLD_S)
+    assert len(queue.waiting) == 2 * UNDER_WAY
 
 
 def test_at_the_end_all_go_at_once() -> None:
