@@ -80,6 +80,8 @@ class LinkWatch:
 
     def _go_on(self, fault: State, why: str, now_s: float) -> None:
         words = f"{_FAULTS[fault]}{': ' * bool(why)}{why}" if fault in _FAULTS else f"{_REFUSED}: {why or _LATE}"
+        if not why and fault is self._fault:
+            words = self.trouble  # the fault is just over
         if words != self.trouble:
             self._words_s = now_s
         # An interface that goes has another reason in its first moments; and one that comes back may be wrong.

@@ -124,7 +124,8 @@ def test_fault_is_told_once_and_the_skin_is_whole_again(bench: Bench, fault: str
     print(f"{fault}: whole again after {time.monotonic() - mended_s:.1f} s")
     chain.processes.until(lambda: "works again" in log.read_text()[first:], "the end of the fault")
     told = [line for line in log.read_text()[first:].splitlines() if line.startswith(f"gateway: bus{bus} ")]
-    assert [words in told[0], "works again" in told[-1], len(told)] == [True, True, 2], told
+    # While somebody mends a lost interface, it may have other reasons.
+    assert [sum(words in line for line in told), "works again" in told[-1], len(set(told))] == [1, True, len(told)]
     chain.processes.until(lambda: not chain.statuses[-1].buses[bus].trouble, "a status without trouble")
     page = ViewState(chain.layout)
     shown = []
