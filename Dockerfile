@@ -1,11 +1,17 @@
-# One image for every service; docker-compose.yml says which one a container is.
-FROM python:3.11-slim-bookworm AS build
+# One image for every service; docker-compose.yml says which one a container is. docs/containers.md tells the rest.
+ARG BASE=python:3.11-slim-bookworm
+FROM ${BASE} AS build
+# A folder of wheels beside this file (`make wheels`): pip then asks no index, and the build needs no network.
+ARG WHEELS=
 WORKDIR /src
 COPY . .
-RUN python -m venv /opt/canskin && /opt/canskin/bin/pip install --no-cache-dir ./client .
+# By the environment, so that the lock holds in the isolated builds of our own packages, too.
+ENV PIP_CONSTRAINT=/src/requirements.lock
+RUN python -m venv /opt/canskin \
+    && /opt/canskin/bin/pip install --no-cache-dir ${WHEELS:+--no-index --find-links "/src/$WHEELS"} ./client .
 
-FROM python:3.11-slim-bookworm
-# Sockets of the virtual buses, and what is worth keeping: compiled kernels and trained classifiers.
+FROM ${BASE}
+# Sockets of the virtual buses, and what is worth keeping: compiled kernels, trained classifiers, the zero.
 RUN useradd --system --uid 10001 --no-create-home --home-dir /var/cache/canskin skin \
     && install --directory --owner=skin --mode=0700 /run/canskin /var/cache/canskin
 COPY --from=build /opt/canskin /opt/canskin
@@ -18,4 +24,10 @@ ENV PATH=/opt/canskin/bin:$PATH \
     OPENBLAS_NUM_THREADS=1 \
     NUMBA_NUM_THREADS=1
 USER skin
+# The whole chain compiles its kernels, for the processor of this machine, and trains the default skin's classifier.
+RUN skin demo --seconds 1 --no-view --picture /tmp/demo.png && rm /tmp/demo.png
+# A new volume begins with what the image has there; a container without any volume gets one of its own.
+VOLUME /var/cache/canskin
+# Layouts, calibrations and models are named relative to the folder that is mounted here.
+WORKDIR /etc/canskin
 ENTRYPOINT ["skin"]

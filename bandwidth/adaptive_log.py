@@ -100,10 +100,12 @@ def sum_frames(contract: Contract, bus: int, taken: Frames) -> SumFrames:
     parts = np.array(
         [frame_of(int(can_id), groups=groups, is_fd=is_fd) for can_id in mine["can_id"]], np.int64
     ).reshape(-1, 4)
+    owner = {tpdo.cob_id: node.node_id for node in contract.on_bus(bus) for tpdo in node.adaptive_tpdos}
+    node_id = np.array([owner[int(can_id)] for can_id in mine["can_id"]], np.int64)
     says, is_zero = np.empty(len(mine), np.int64), np.empty(len(mine), np.bool_)
     payloads = np.ascontiguousarray(mine["data"])
     _follow(parts[:, 0] - 1, parts[:, 2], parts[:, 3] == 1, payloads, groups, is_fd, says, is_zero)
-    return SumFrames(mine, parts[:, 0], parts[:, 1], parts[:, 2], parts[:, 3] == 1, says, is_zero, is_fd)
+    return SumFrames(mine, node_id, parts[:, 1], parts[:, 2], parts[:, 3] == 1, says, is_zero, is_fd)
 
 
 def measure_adaptive(contract: Contract, bus: int, seen: Frames, load: BusLoad) -> AdaptiveLoad:

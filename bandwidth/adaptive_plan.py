@@ -6,7 +6,16 @@ from typing import Final
 
 import numpy as np
 
-from bandwidth.plan import CAUTION, CYCLES_BUFFERED, RECEIVED_FRAME_BYTES, bus_time, milliseconds
+from bandwidth.plan import (
+    CAUTION,
+    CYCLES_BUFFERED,
+    RECEIVED_FRAME_BYTES,
+    ForeignPlan,
+    bus_time,
+    foreign_plans,
+    late_foreign,
+    milliseconds,
+)
 from bandwidth.response import UNBOUNDED
 from bandwidth.traffic import Disturbance
 from bandwidth.urgency import Urgency
@@ -89,6 +98,7 @@ class AdaptiveBusPlan:
     budget_80_bits_per_s: int
     budget: BudgetPlan | None
     node_plans: list[AdaptiveNodePlan]
+    foreign: list[ForeignPlan]
     problems: list[str]
 
 
@@ -140,6 +150,7 @@ def _plan_bus(
     idle, idle_worst = (bus_time(urgency.streams, how).load(rate_hz) for how in ("exact", "worst"))
     news_ns, service_ns = urgency.news_ns, urgency.service_ns
     beats_ns = service_ns[urgency.streams.is_heartbeat]
+    foreign = foreign_plans(urgency.streams, urgency.foreign_ns)
     settled_ns, joined_ns = urgency.settled_ns, urgency.joined_ns
     wanted = line.nodes * urgency.frames_of_node * _SAMPLES_PER_S * urgency.coarse_frame_ns * 1e-9 + idle_worst
     shortest_ns = frame_time_ns(
@@ -173,7 +184,8 @@ def _plan_bus(
             AdaptiveNodePlan(node.node_id, milliseconds(mine), milliseconds(beat))
             for node, mine, beat in zip(contract.on_bus(bus), news_ns, beats_ns, strict=True)
         ],
-        problems=_problems(urgency, line.name, news_ns, beats_ns),
+        foreign=foreign,
+        problems=[*_problems(urgency, line.name, news_ns, beats_ns), *late_foreign(line, foreign)],
     )
 
 

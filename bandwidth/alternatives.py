@@ -87,6 +87,9 @@ def with_rate(layout: Layout, rate_hz: float) -> Layout:
 def with_buses(layout: Layout, buses: int, like: Bus) -> Layout:
     """Return the layout with its blocks divided evenly over `buses` buses with the settings of `like`."""
     nodes = -(-layout.blocks // like.blocks_per_node)
+    like = msgspec.structs.replace(
+        like, first_node_id=like.ids[0] if like.node_ids else like.first_node_id, node_ids=None
+    )
     share = [nodes // buses + (each < nodes % buses) for each in range(buses)]
     lines = [
         msgspec.structs.replace(like, name=f"bus{number}", nodes=count) for number, count in enumerate(share) if count

@@ -68,12 +68,20 @@ def _load(planned: BusPlan | AdaptiveBusPlan, load: BusLoad) -> Iterator[str]:
 
 
 def foreign(load: BusLoad) -> Iterator[str]:
-    """Find identifiers that are not planned, and emergencies."""
+    """Find identifiers that are not planned, emergencies, and other devices that send more than planned."""
     for each in load.identifiers:
         if each.kind == FOREIGN:
             yield f"{each.name} is not planned: {each.frames} frames, {each.load_exact:.2%} of the bus"
         elif each.kind == "EMCY":
             yield f"node {each.node_id} sent {each.frames} emergencies"
+        elif each.node_id is None and each.rate_hz > _most_hz(each.planned_rate_hz, load.seconds):
+            planned = f"{each.planned_rate_hz:.2f} a second were planned"
+            yield f"'{each.kind}' of another device comes {each.rate_hz:.2f} times a second, {planned}"
+
+
+def _most_hz(planned_hz: float | None, seconds: float) -> float:
+    """Return the highest rate that a log of some seconds may show of a planned rate."""
+    return float("inf") if planned_hz is None else planned_hz * (1 + PERIOD_TOLERANCE) + 1 / seconds
 
 
 def errors(seen: Frames) -> Iterator[str]:

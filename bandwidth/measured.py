@@ -13,7 +13,6 @@ from dbc.canopen import (
     BASE_ID_MASK,
     EMCY_BASE,
     HEARTBEAT_BASE,
-    HIGHEST_NODE_ID,
     NMT_COB_ID,
     SDO_REQUEST_BASE,
     SDO_RESPONSE_BASE,
@@ -37,11 +36,17 @@ _SERVICES: Final = (
 )
 
 
+def identifier_name(cob_id: int, *, is_extended: bool) -> str:
+    """Return an identifier in three or eight hexadecimal digits, as in logs."""
+    return f"{cob_id:0{8 if is_extended else 3}X}h"
+
+
 @dataclass(frozen=True)
 class IdentifierLoad:
     """Load of one identifier: `load_exact` from the bits of its frames, `load_worst` with the most stuff bits.
 
-    `planned_rate_hz` is None for identifiers without a fixed rate and for identifiers that are not planned.
+    `planned_rate_hz` is None for identifiers without a fixed rate and for identifiers that are not planned. The `kind`
+    of a message of another device is the name that the layout gives it.
     """
 
     cob_id: int
@@ -57,7 +62,7 @@ class IdentifierLoad:
     @property
     def name(self) -> str:
         """The identifier in three or eight hexadecimal digits, as in logs."""
-        return f"{self.cob_id:0{8 if self.is_extended else 3}X}h"
+        return identifier_name(self.cob_id, is_extended=self.is_extended)
 
 
 @dataclass(frozen=True)
@@ -125,7 +130,10 @@ def measure(contract: Contract, bus: int, seen: Frames, planned: BusPlan | Adapt
     for key in np.unique(keys).tolist():
         mine = keys == key
         cob_id, is_extended = key & 0x1FFF_FFFF, bool(key >> 31)
+        other = planned_here.foreign.get((cob_id, is_extended))
         kind, node_id = (FOREIGN, None) if is_extended else planned_here.kind_of(cob_id)
+        if other is not None:
+            kind = other.name
         identifiers.append(
             IdentifierLoad(
                 cob_id=cob_id,
@@ -134,7 +142,7 @@ def measure(contract: Contract, bus: int, seen: Frames, planned: BusPlan | Adapt
                 node_id=node_id,
                 frames=int(mine.sum()),
                 rate_hz=float(mine.sum()) / seconds,
-                planned_rate_hz=None if is_extended else rates.get(cob_id),
+                planned_rate_hz=rates.get((cob_id, is_extended)),
                 load_exact=float(exact[mine].sum()),
                 load_worst=float(worst[mine].sum()),
             )
@@ -153,8 +161,8 @@ def measure(contract: Contract, bus: int, seen: Frames, planned: BusPlan | Adapt
     )
 
 
-def planned_rates(contract: Contract, bus: int) -> dict[int, float]:
-    """Return the planned rate of each identifier with a fixed rate, Hz."""
+def planned_rates(contract: Contract, bus: int) -> dict[tuple[int, bool], float]:
+    """Return the planned rate of each identifier with a fixed rate, Hz; the key tells whether it has 29 bits."""
     rate_hz = contract.layout.sync.rate_hz
     rates = {SYNC_COB_ID: rate_hz}
     if contract.layout.sync.time_s is not None:
@@ -163,14 +171,18 @@ def planned_rates(contract: Contract, bus: int) -> dict[int, float]:
         rates[HEARTBEAT_BASE + node.node_id] = 1000 / HEARTBEAT_MS
         phases = len({tpdo.phase for tpdo in node.tpdos})
         rates |= {tpdo.cob_id: rate_hz / phases for tpdo in node.tpdos}
-    return rates
+    others = {each.key: 1 / each.period_s for each in contract.layout.bus[bus].foreign if each.period_s is not None}
+    return {(cob_id, False): each_hz for cob_id, each_hz in rates.items()} | others
 
 
 class Identifiers:
     """The 11-bit identifiers of a bus: what a layout plans there, and the length and format of sums."""
 
     def __init__(self, contract: Contract, bus: int) -> None:
-        self._nodes = contract.layout.bus[bus].nodes
+        line = contract.layout.bus[bus]
+        self._ids = set(line.ids)
+        #: Messages of other devices, by identifier and whether it has 29 bits.
+        self.foreign = {each.key: each for each in line.foreign}
         self._has_time = contract.layout.sync.time_s is not None
         self._kinds: dict[int, tuple[str, int]] = {}
         self._length, self._flags = np.zeros((2, BASE_ID_MASK + 1), np.uint8)
@@ -190,7 +202,7 @@ class Identifiers:
         if cob_id == TIME_COB_ID and self._has_time:
             return "TIME", 0
         for base, kind in _SERVICES:
-            if base < cob_id <= base + min(self._nodes, HIGHEST_NODE_ID):
+            if cob_id - base in self._ids:
                 return kind, 0 if base == SDO_REQUEST_BASE else cob_id - base
         return FOREIGN, None
 

@@ -37,6 +37,17 @@ class NodePlan:
 
 
 @dataclass(frozen=True)
+class ForeignPlan:
+    """One message of another device: its period, and longest time until its frame has ended; None without a bound."""
+
+    name: str
+    identifier: int
+    is_extended: bool
+    period_ms: float
+    response_ms: float | None
+
+
+@dataclass(frozen=True)
 class BusPlan:
     """One bus at the layout's SYNC rate.
 
@@ -69,12 +80,13 @@ class BusPlan:
     receive_buffer_frames: int
     receive_buffer_bytes: int
     node_plans: list[NodePlan]
+    foreign: list[ForeignPlan]
     problems: list[str]
 
 
 @dataclass(frozen=True)
 class BusTime:
-    """Time and bits of one cycle on a bus, and time of the heartbeats and of TIME in one second."""
+    """Time and bits of one cycle on a bus, and time of heartbeats, TIME and other devices in one second."""
 
     cycle_s: float
     cycle_bits: float
@@ -110,12 +122,18 @@ def plan_bus(contract: Contract, bus: int, touched: npt.NDArray[np.float64] | No
     worst = bus_time(phases[0], "worst")
     felt = None if touched is None else _mean_bus_time(phases[0], touched)
     rate_hz = layout.sync.rate_hz
-    responses = np.max([each.responses_ns(allowed.errors_per_s) for each in phases], axis=0)
-    nodes = _node_plans(phases[0], responses)
-    last = phases[0]
+    found = [each.responses_ns(allowed.errors_per_s) for each in phases]
+    # Messages of other devices have other places in each phase.
+    ours = [each[~streams.is_foreign] for each, streams in zip(found, phases, strict=True)]
+    theirs = [each[streams.is_foreign] for each, streams in zip(found, phases, strict=True)]
+    last, responses = phases[0], np.zeros(len(found[0]), np.int64)
+    responses[~last.is_foreign] = np.max(ours, axis=0)
+    nodes = _node_plans(last, responses)
+    foreign = foreign_plans(last, np.max(theirs, axis=0))
     window_ms = window_s(layout) * 1e3
     per_cycle = int(last.is_cyclic.sum())
-    buffered = CYCLES_BUFFERED * per_cycle + line.nodes
+    others = CYCLES_BUFFERED * layout.sync.period_s / last.period_s[last.is_foreign]
+    buffered = CYCLES_BUFFERED * per_cycle + line.nodes + int(np.ceil(others).sum())
     needed = milliseconds(responses[last.is_tpdo])
     return BusPlan(
         name=line.name,
@@ -141,8 +159,35 @@ def plan_bus(contract: Contract, bus: int, touched: npt.NDArray[np.float64] | No
         receive_buffer_frames=buffered,
         receive_buffer_bytes=buffered * RECEIVED_FRAME_BYTES,
         node_plans=nodes,
-        problems=_problems(line, worst, rate_hz, needed, window_ms, sends=bool(nodes)),
+        foreign=foreign,
+        problems=[
+            *_problems(line, worst, rate_hz, needed, window_ms, sends=bool(nodes)),
+            *(late_foreign(line, foreign) if worst.load(rate_hz) <= 1 else ()),
+        ],
     )
+
+
+def foreign_plans(streams: Traffic, responses: npt.NDArray[np.int64]) -> list[ForeignPlan]:
+    """Return the plans of the messages of other devices; `responses` are theirs, by priority, nanoseconds."""
+    messages = [each for each in streams.foreign if each is not None]
+    return [
+        ForeignPlan(each.name, *each.key, (each.period_s or 0.0) * 1e3, milliseconds(response))
+        for each, response in zip(messages, responses.tolist(), strict=True)
+    ]
+
+
+def late_foreign(bus: Bus, foreign: Sequence[ForeignPlan]) -> list[str]:
+    """Name the messages of other devices that may end after the next of their name is due."""
+    return [
+        f"{bus.name}: '{each.name}' of another device"
+        + (
+            " has no bound"
+            if each.response_ms is None
+            else f" may take {each.response_ms:.2f} ms, and comes every {each.period_ms:.2f} ms"
+        )
+        for each in foreign
+        if each.response_ms is None or each.response_ms > each.period_ms
+    ]
 
 
 def bus_time(streams: Traffic, stuffing: Stuffing) -> BusTime:
@@ -172,19 +217,20 @@ def _sync_bits(length: int) -> float:
 
 
 def _mean_bus_time(streams: Traffic, tpdo_bits: npt.NDArray[np.float64]) -> BusTime:
-    """Add SYNC, heartbeats and TIME to the mean bits of the TPDOs."""
-    sync = _sync_bits(int(streams.frames["length"][streams.frames["can_id"] == SYNC_COB_ID][0]))
+    """Add SYNC, heartbeats, TIME and other devices to the mean bits of the TPDOs."""
+    sync = _sync_bits(int(streams.frames["length"][streams.is_cyclic & ~streams.is_tpdo][0]))
     return _bus_time(streams, float(tpdo_bits[0]) + sync, float(tpdo_bits[1]), "exact")
 
 
 def _bus_time(streams: Traffic, nominal: float, data: float, stuffing: Stuffing) -> BusTime:
     bus = streams.bus
     beats = streams.has_own_period
-    beat_bits = wire_bits(streams.frames[beats], stuffing)[0]
+    beat_bits, fast_bits = wire_bits(streams.frames[beats], stuffing)
+    data_bitrate = bus.data_bitrate or bus.bitrate
     return BusTime(
-        cycle_s=nominal / bus.bitrate + data / (bus.data_bitrate or bus.bitrate),
+        cycle_s=nominal / bus.bitrate + data / data_bitrate,
         cycle_bits=nominal + data,
-        beats_s=float((beat_bits / streams.period_s[beats]).sum()) / bus.bitrate,
+        beats_s=float(((beat_bits / bus.bitrate + fast_bits / data_bitrate) / streams.period_s[beats]).sum()),
     )
 
 

@@ -2,17 +2,22 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
 
 from bandwidth.adaptive_plan import AdaptiveBusPlan
+from bandwidth.bit_timing import TimingOptions, bus_timings, print_timings
 from bandwidth.plan import BusPlan
 from bandwidth.sending import sending_of
 from bandwidth.traffic import Disturbance
 from bandwidth.wiring import wiring
 from bus.options import BusOptions, Channels, channels
+from canskin.errors import InputError
 from dbc.contract import Contract
 from shell.service import say
 from shell.terminal import Json, print_json
-from skin.layout import load_layout, require_one_state, require_sending
+from skin.layout import Layout, load_layout, require_one_state, require_sending
 
 
 def plan(
@@ -23,11 +28,14 @@ def plan(
     plot: Path | None = None,
     node_budget: int = 0,
     disturbance: Disturbance | None = None,
+    timing: Annotated[bool, Parameter(negative=())] = False,
+    controllers: TimingOptions | None = None,
     json_: Json = False,
 ) -> int:
     """Compute the bus load of a skin, and the length of its wires, before any hardware is bought.
 
-    Exit code 1: a bus does not fit, or a log differs from the plan. ``skin design`` searches for a layout.
+    Exit code 1: a bus does not fit, a log differs from the plan, or a clock cannot make the bit rates. ``skin design``
+    searches for a layout.
 
     Parameters
     ----------
@@ -36,13 +44,18 @@ def plan(
     check
         Compare a log of the buses with the plan, and print a line for each difference.
     channel
-        The channel of each bus in the log. Default: the names of the buses, else all channels in their order.
+        The channel of each bus in the log. Default: the names of the buses, else all channels in their order. With
+        ``--timing`` the network interface of each bus, by default can0 and the next.
     plot
         Folder for ``cycle.png``, the time line of one cycle.
     node_budget
         Adaptive sending: bits a second that each node may send (object 2034h); 0 for no budget.
     disturbance
         Disturbances that response times include.
+    timing
+        Print the bit timing of CAN controllers, and the ``ip link`` command of each bus, in place of the load.
+    controllers
+        Controllers and wires for ``--timing``.
     json_
         Print one JSON object.
 
@@ -51,8 +64,14 @@ def plan(
     skin plan palm.toml --plot pictures
     skin plan palm.toml --check candump-2026-11-20_120000.log
     skin plan adaptive --node-budget 24000
+    skin plan fd --timing --clock-hz 40000000 --bus-length-m 5
     """
-    contract = Contract.from_layout(load_layout(layout))
+    skin = load_layout(layout)
+    if timing:
+        return _timing(skin, channel or ["can0"], controllers or TimingOptions(), as_json=json_)
+    if controllers is not None:
+        raise InputError("--clock-hz, --bus-length-m and --loop-delay-ns are for --timing")
+    contract = Contract.from_layout(skin)
     allowed, sending = (disturbance or Disturbance()).of(contract.layout), sending_of(contract)
     if node_budget:
         require_sending(contract.layout, "adaptive", "--node-budget is", "the nodes of this layout send in every cycle")
@@ -83,6 +102,13 @@ def plan(
         sending.print_plan(contract, plans, allowed)
         print(f"\n{wiring(contract.layout)}")
     return int(not does_fit)
+
+
+def _timing(layout: Layout, names: list[str], options: TimingOptions, *, as_json: bool) -> int:
+    timings = bus_timings(layout.bus, channels(layout, BusOptions(channel=names)), options)
+    print_json(timings) if as_json else print_timings(timings)
+    enough = all if options.clock_hz else any
+    return int(not all(enough(not one.problem for one in each.controllers) for each in timings))
 
 
 def _check(

@@ -7,7 +7,7 @@ from typing import Final
 from bandwidth.adaptive_log import AdaptiveLoad
 from bandwidth.adaptive_plan import AdaptiveBusPlan, BudgetPlan
 from bandwidth.alternatives import Alternative
-from bandwidth.measured import BusLoad
+from bandwidth.measured import BusLoad, identifier_name
 from bandwidth.plan import BusPlan
 from shell.terminal import print_table
 
@@ -24,6 +24,7 @@ def print_plan(plans: Sequence[BusPlan], others: Iterable[Alternative]) -> None:
     print("\nworst response of each node's last TPDO, ms:")
     times = {each.name: [(node.node_id, node.response_ms) for node in each.node_plans] for each in plans}
     _print_wrapped(_node_lines(times))
+    _print_foreign(plans)
     print()
     _print_alternatives(tried)
     print_problems(plans)
@@ -69,6 +70,24 @@ def _print_identifiers(load: BusLoad) -> None:
     ]
     headings = ["COB-ID", "kind", "sender", "frames", "a second", "planned", "load", "worst load"]
     print_table(headings, rows, title=load.name)
+
+
+def _print_foreign(plans: Sequence[BusPlan] | Sequence[AdaptiveBusPlan]) -> None:
+    """Print the messages of other devices, and how long the skin may delay them."""
+    rows = [
+        [
+            plan.name,
+            each.name,
+            identifier_name(each.identifier, is_extended=each.is_extended),
+            f"{each.period_ms:g}",
+            ms(each.response_ms),
+        ]
+        for plan in plans
+        for each in plan.foreign
+    ]
+    if rows:
+        print()
+        print_table(["bus", "message of another device", "COB-ID", "period, ms", "end at worst, ms"], rows)
 
 
 def print_problems(plans: Sequence[BusPlan] | Sequence[AdaptiveBusPlan]) -> None:
@@ -187,6 +206,7 @@ def print_adaptive_plan(plans: Sequence[AdaptiveBusPlan]) -> None:
     _print_wrapped(
         _node_lines({each.name: [(node.node_id, node.coarse_ms) for node in each.node_plans] for each in plans})
     )
+    _print_foreign(plans)
     print_problems(plans)
 
 

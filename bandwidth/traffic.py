@@ -1,5 +1,6 @@
 """All frames of one bus as streams by falling priority, the input of loads and response times."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -12,9 +13,10 @@ from canskin.errors import InputError
 from dbc.canopen import HEARTBEAT_BASE, SDO_REQUEST_BASE, SDO_RESPONSE_BASE, TIME_COB_ID, NmtState
 from dbc.contract import Contract
 from dbc.dictionary import HEARTBEAT_MS
-from dbc.frame import CLASSIC_BYTES, Frames, frames
+from dbc.frame import BRS, CLASSIC_BYTES, EXTENDED, FD, Frames, frames
 from dbc.frame_bits import frame_time_ns, nominal_ns
 from dbc.time_of_day import time_frame
+from skin.foreign import ForeignMessage
 from skin.layout import Bus, Layout
 
 #: Upper limit of both rates: more than the frames per second of a classic bus.
@@ -71,12 +73,15 @@ class Traffic:
     Attributes
     ----------
     frames : array of FRAME, shape (n,)
-        One frame of each stream, by identifier: SYNC, TIME if the layout has it, TPDOs, SDO, heartbeats.
+        One frame of each stream, by priority: SYNC, TIME if the layout has it, TPDOs, SDO, heartbeats, and the
+        messages of other devices that have a period.
     period_s, jitter_s : array of float, shape (n,)
     node : array of int, shape (n,)
         Sender's node-ID; 0 is the gateway.
     is_cyclic, is_tpdo, is_heartbeat, is_sdo_response : array of bool, shape (n,)
         Cyclic are SYNC and the TPDOs.
+    foreign : array of object, shape (n,)
+        The messages of other devices; None for streams of the skin.
     """
 
     bus: Bus
@@ -86,36 +91,50 @@ class Traffic:
     node: npt.NDArray[np.intp]
     is_cyclic: npt.NDArray[np.bool_]
     is_tpdo: npt.NDArray[np.bool_]
+    foreign: tuple[ForeignMessage | None, ...]
+
+    @property
+    def is_foreign(self) -> npt.NDArray[np.bool_]:
+        """Which streams are those of other devices."""
+        return np.array([each is not None for each in self.foreign], np.bool_)
+
+    @property
+    def is_extended(self) -> npt.NDArray[np.bool_]:
+        """Which streams have identifiers of 29 bits."""
+        found: npt.NDArray[np.bool_] = self.frames["flags"] & EXTENDED != 0
+        return found
 
     @property
     def is_heartbeat(self) -> npt.NDArray[np.bool_]:
         """Which streams are heartbeats."""
-        return self.frames["can_id"] >= HEARTBEAT_BASE
+        found: npt.NDArray[np.bool_] = (self.frames["can_id"] >= HEARTBEAT_BASE) & ~self.is_foreign
+        return found
 
     @property
     def has_own_period(self) -> npt.NDArray[np.bool_]:
-        """Which streams come at a rate of their own, whatever that of SYNC: heartbeats and TIME."""
+        """Which streams come at a rate of their own, whatever that of SYNC: heartbeats, TIME, other devices."""
         is_time: npt.NDArray[np.bool_] = self.frames["can_id"] == TIME_COB_ID
-        return self.is_heartbeat | is_time
+        return self.is_heartbeat | is_time | self.is_foreign
 
     @property
     def is_sdo_response(self) -> npt.NDArray[np.bool_]:
         """Which stream is the response of an SDO server."""
         can_id = self.frames["can_id"]
-        return (can_id >= SDO_RESPONSE_BASE) & (can_id < SDO_REQUEST_BASE) & ~self.is_cyclic
+        return (can_id >= SDO_RESPONSE_BASE) & (can_id < SDO_REQUEST_BASE) & ~self.is_cyclic & ~self.is_foreign
 
     @property
     def worst_ns(self) -> npt.NDArray[np.int64]:
         """Longest time of each frame, intermission included."""
         return frame_time_ns(self.frames, self.bus.bitrate, self.bus.data_bitrate, "worst")
 
-    def responses_ns(self, errors_per_s: float = 0.0) -> npt.NDArray[np.int64]:
+    def responses_ns(self, errors_per_s: float = 0.0, blocked_ns: int = 0) -> npt.NDArray[np.int64]:
         """Return an upper bound of the response time of each stream, see `response_times_ns`.
 
-        One TPDO of the cycle before, begun at the end of its window, may block TPDOs, whatever its priority.
+        One TPDO of the cycle before, begun at the end of its window, may block TPDOs, whatever its priority. Frames of
+        `blocked_ns` that are none of these streams may block all.
         """
         worst = self.worst_ns
-        blocked = blocking_ns(worst)
+        blocked = np.maximum(blocking_ns(worst), blocked_ns)
         blocked[self.is_tpdo] = np.maximum(blocked, worst[self.is_tpdo].max(initial=0))[self.is_tpdo]
         return response_times_ns(
             worst,
@@ -144,6 +163,8 @@ def traffic(contract: Contract, bus: int, phase: int = 0, allowed: Disturbance |
     times = time_frame(_ANY_NS)[: int(time_s is not None)]
     streams = np.concatenate([cycle, transfers, beats, times])
     sizes = len(cycle), len(transfers), len(beats), len(times)
+    line = contract.layout.bus[bus]
+    others = [each for each in line.foreign if each.period_s is not None]
     sdo_s = 1 / allowed.sdo_per_s if allowed.sdo_per_s else 1.0
     periods = contract.layout.sync.period_s, sdo_s, HEARTBEAT_MS * 1e-3, time_s or 1.0
     cyclic = np.repeat([True, False, False, False], sizes)
@@ -152,13 +173,30 @@ def traffic(contract: Contract, bus: int, phase: int = 0, allowed: Disturbance |
         [*senders, *[last, 0][: len(transfers)], *(each.node_id for each in nodes), *[0][: len(times)]], np.intp
     )
     is_tpdo = cyclic & (node > 0)
-    order = np.argsort(streams["can_id"], kind="stable")
+    known = [None] * len(streams) + others
+    streams = np.concatenate([streams, _foreign_frames(others, line)])
+    ranks = [float(each["can_id"]) if whose is None else whose.rank for each, whose in zip(streams, known, strict=True)]
+    order = np.argsort(ranks, kind="stable")
+    more = np.zeros(len(others), np.intp)
     return Traffic(
-        bus=contract.layout.bus[bus],
+        bus=line,
         frames=streams[order],
-        period_s=np.repeat(periods, sizes)[order],
-        jitter_s=np.where(is_tpdo, allowed.jitter_s or 0.0, 0.0)[order],
-        node=node[order],
-        is_cyclic=cyclic[order],
-        is_tpdo=is_tpdo[order],
+        period_s=np.concatenate([np.repeat(periods, sizes), [each.period_s for each in others]])[order],
+        jitter_s=np.concatenate([np.where(is_tpdo, allowed.jitter_s or 0.0, 0.0), more])[order],
+        node=np.concatenate([node, more])[order],
+        is_cyclic=np.concatenate([cyclic, more > 0])[order],
+        is_tpdo=np.concatenate([is_tpdo, more > 0])[order],
+        foreign=tuple(known[place] for place in order),
     )
+
+
+def _foreign_frames(messages: Sequence[ForeignMessage], line: Bus) -> Frames:
+    """Return a frame of each message, with any data."""
+    found = frames(len(messages))
+    found["can_id"] = [each.identifier for each in messages]
+    found["length"] = [each.length for each in messages]
+    fast = FD | (BRS if line.data_bitrate else 0)
+    found["flags"] = [(EXTENDED if each.is_extended else 0) | (fast if each.fd else 0) for each in messages]
+    found["data"] = np.random.default_rng(0).integers(0, 256, found["data"].shape)
+    found["data"][np.arange(found["data"].shape[1]) >= found["length"][:, None]] = 0
+    return found

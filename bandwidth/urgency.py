@@ -31,7 +31,7 @@ import numpy.typing as npt
 
 from bandwidth.response import ERROR_BITS, UNBOUNDED, arrivals, response_times_ns
 from bandwidth.traffic import Disturbance, Traffic, traffic
-from dbc.adaptive import LEVELS, PAUSE_MS, SAVED_FRAMES, SAVING_S, SendingRule, carried, cob_id
+from dbc.adaptive import FIRST_COB_ID, LEVELS, PAUSE_MS, SAVED_FRAMES, SAVING_S, SendingRule, carried, cob_id, column_of
 from dbc.adaptive_filter import SAMPLE_NS
 from dbc.configuration import DIALOGUES, QUIET_S, READ_S, TICK_S
 from dbc.contract import Contract, sum_frame, sum_frame_bits
@@ -98,12 +98,17 @@ class Urgency:
     @property
     def sync_ns(self) -> int:
         """Longest SYNC."""
-        return int(self.streams.worst_ns[0])
+        return int(self.streams.worst_ns[self._sync])
 
     @property
     def period_ns(self) -> int:
         """Time between two SYNCs."""
-        return round(float(self.streams.period_s[0]) * 1e9)
+        return round(float(self.streams.period_s[self._sync]) * 1e9)
+
+    @property
+    def _sync(self) -> int:
+        """Place of SYNC among the streams: frames of other devices may come before."""
+        return int(np.flatnonzero(self.streams.is_cyclic)[0])
 
     @property
     def jitter_ns(self) -> int:
@@ -112,15 +117,28 @@ class Urgency:
 
     @cached_property
     def above(self) -> list[tuple[int, int, int]]:
-        """Time, period and jitter of what keeps the bus from all sums: pauses, and errors with the frame sent again.
+        """Time, period and jitter of what keeps the bus from all sums: pauses, other devices, and errors.
 
-        A frame of another kind that has begun in a pause may reach beyond the end of the pause.
+        A frame of another kind that has begun in a pause may reach beyond the end of the pause. An error has the frame
+        sent again.
         """
         rows = [(self.sync_ns + PAUSE_MS * _MS + self.frame_ns, self.period_ns, self.jitter_ns)]
-        if self.allowed.errors_per_s:
-            error_ns = nominal_ns(ERROR_BITS, self.streams.bus.bitrate) + self.frame_ns
-            rows.append((error_ns, round(1e9 / self.allowed.errors_per_s), self.frame_ns))
-        return rows
+        foreign, time = self.streams.is_foreign, self.streams.worst_ns
+        rows += [
+            (int(time[place]), round(float(self.streams.period_s[place]) * 1e9), 0) for place in np.flatnonzero(foreign)
+        ]
+        return rows + self._errors
+
+    @property
+    def _foreign_frame_ns(self) -> int:
+        return int(self.streams.worst_ns[self.streams.is_foreign].max(initial=0))
+
+    @property
+    def _errors(self) -> list[tuple[int, int, int]]:
+        if not self.allowed.errors_per_s:
+            return []
+        error_ns = nominal_ns(ERROR_BITS, self.streams.bus.bitrate) + self.frame_ns
+        return [(error_ns, round(1e9 / self.allowed.errors_per_s), self.frame_ns)]
 
     def _responses(self, each_ns: int, count: int, period_ns: int, jitter_ns: int) -> Nanoseconds:
         """Return the response times of `count` frames of sums by falling priority, each once in `period_ns`."""
@@ -128,7 +146,7 @@ class Urgency:
         found = response_times_ns(
             *rows.T,
             bit_ns=nominal_ns(1, self.streams.bus.bitrate),
-            blocked_ns=np.full(len(rows), self.frame_ns),
+            blocked_ns=np.full(len(rows), max(self.frame_ns, self._foreign_frame_ns)),
         )
         return found[len(self.above) :]
 
@@ -142,8 +160,10 @@ class Urgency:
         period_ns = _RULE.patience * _MS
         by_priority = self._responses(self.coarse_frame_ns, math.prod(shape), period_ns, self.jitter_ns)
         together = self.groups // shape[1]
+        line = self.streams.bus
+        columns = [column_of(each, self.groups, is_fd=line.fd) for each in line.ids]
         identifiers = [
-            cob_id(node, LEVELS - 1, together * frame, False, self.groups) for node, frame in np.ndindex(shape)
+            cob_id(columns[node], LEVELS - 1, together * frame, False, self.groups) for node, frame in np.ndindex(shape)
         ]
         rank = np.argsort(np.argsort(identifiers))
         return by_priority[rank].reshape(shape)
@@ -206,13 +226,22 @@ class Urgency:
         room_ns = PAUSE_MS * _MS - self.frame_ns - self.sync_ns
         time, period = self.streams.worst_ns, np.rint(self.streams.period_s * 1e9).astype(np.int64)
         found = np.full(len(time), UNBOUNDED, np.int64)
-        for place in range(1, len(time)):
-            found[place] = self._in_pauses(place, time, period, room_ns)
+        is_service = ~self.streams.is_cyclic
+        for place in np.flatnonzero(is_service).tolist():
+            ahead = np.flatnonzero(is_service[:place])
+            found[place] = self._in_pauses(place, time, list(zip(time[ahead], period[ahead], strict=True)), room_ns)
         return found
 
-    def _in_pauses(self, place: int, time: Nanoseconds, period: Nanoseconds, room_ns: int) -> int:
-        errors = [(each_ns, interval_ns) for each_ns, interval_ns, _ in self.above[1:]]
-        ahead = [*errors, *zip(time[1:place].tolist(), period[1:place].tolist(), strict=True)]
+    @property
+    def foreign_ns(self) -> Nanoseconds:
+        """Response time of each foreign stream, shape (n,): those before all sums need not wait for a pause."""
+        first = self.streams.is_foreign & (self.streams.frames["can_id"] < FIRST_COB_ID) & ~self.streams.is_extended
+        count = int(np.flatnonzero(first)[-1]) + 1 if first.any() else 0
+        free_ns = self.streams.responses_ns(self.allowed.errors_per_s, blocked_ns=self.frame_ns)
+        return np.where(np.arange(len(first)) < count, free_ns, self.service_ns)[self.streams.is_foreign]
+
+    def _in_pauses(self, place: int, time: Nanoseconds, before: list[tuple[int, int]], room_ns: int) -> int:
+        ahead = [*((each_ns, interval_ns) for each_ns, interval_ns, _ in self._errors), *before]
         blocked = int(time[place + 1 :].max(initial=0))
         for pauses in range(1, _PAUSES_MAX):
             span_ns = pauses * self.period_ns

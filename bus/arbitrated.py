@@ -97,7 +97,8 @@ class ArbitratedLink(ReconnectingLink):
                     break
                 header, _ = unpack(self._header[:size])
                 end += unpack_frames(header, self._payloads[end : end + size - HEADER.size]).nbytes
-                self._state = State(min(header.state, State.BUS_OFF))
+                if header.state != self._state:
+                    self._state = State(min(header.state, State.BUS_OFF))
                 self._dropped = header.dropped
         except BlockingIOError:
             pass

@@ -12,14 +12,15 @@ from enum import IntFlag
 from typing import Final, NamedTuple
 
 from bus.error_frames import State
+from bus.ip_link import RESTART_MS, TRANSMIT_QUEUE_FRAMES, sample_point, timing_options
 from canskin.errors import BusError
 
 #: MTU of an interface that carries CAN FD: ``sizeof(struct canfd_frame)``.
 FD_BYTES: Final = 72
 #: Shortest transmit queue without a warning, the kernel's default: SYNC, TIME, a command and `UNDER_WAY` of the master.
 SHORTEST_QUEUE: Final = 10
-#: The restart delay that a command proposes, milliseconds.
-RESTART_MS: Final = 100
+#: Largest distance from the sample point that CiA recommends. A controller's clock may allow no nearer one.
+SAMPLE_POINT_TOLERANCE: Final = 0.1
 
 _RTM_NEWLINK, _RTM_GETLINK, _NLM_F_REQUEST = 16, 18, 1
 #: ``struct nlmsghdr``, ``struct ifinfomsg``: length, type, flags, sequence, port; family, type, index, flags, change.
@@ -266,9 +267,8 @@ def check_interface(channel: str, about: Interface, wanted: Wanted) -> str:
 
 def _differences(about: Interface, wanted: Wanted) -> Iterator[_Difference]:
     device = about.controller
-    timing = f"bitrate {wanted.bit_rate_hz}" if wanted.bit_rate_hz else ""
-    if wanted.fd:
-        timing += f" dbitrate {wanted.data_bit_rate_hz or wanted.bit_rate_hz} fd on"
+    data_hz = (wanted.data_bit_rate_hz or wanted.bit_rate_hz) if wanted.fd else None
+    timing = timing_options(wanted.bit_rate_hz, data_hz) if wanted.bit_rate_hz else ""
     if not about.is_up:
         yield _Difference(True, "it is down", timing if device is not None and device.timing is None else "")
     if wanted.fd and about.mtu < FD_BYTES:
@@ -276,10 +276,15 @@ def _differences(about: Interface, wanted: Wanted) -> Iterator[_Difference]:
     if device is not None:
         for words, is_now, should_be in (
             ("bit rate", device.timing, wanted.bit_rate_hz),
-            ("data bit rate", device.data_timing, wanted.data_bit_rate_hz if wanted.fd else None),
+            ("data bit rate", device.data_timing, data_hz),
         ):
-            if is_now is not None and should_be is not None and is_now.bit_rate_hz != should_be:
+            if is_now is None or should_be is None:
+                continue
+            if is_now.bit_rate_hz != should_be:
                 yield _Difference(True, f"its {words} is {is_now}, the layout has {should_be} bit/s", timing)
+            elif is_now.sample_point and abs(is_now.sample_point - sample_point(should_be)) > SAMPLE_POINT_TOLERANCE:
+                text = f"its {words} is {is_now}, CiA recommends {sample_point(should_be):.3f}"
+                yield _Difference(False, text, timing)
     if wanted.sends:
         yield from _doubts(about, device, fd=wanted.fd)
 
@@ -295,7 +300,7 @@ def _doubts(about: Interface, device: Controller | None, *, fd: bool) -> Iterato
             yield _Difference(False, text, f"restart-ms {RESTART_MS}")
     if about.queue_frames is not None and about.queue_frames < SHORTEST_QUEUE:
         text = f"its transmit queue has room for {about.queue_frames} frames, expected {SHORTEST_QUEUE}"
-        yield _Difference(False, text, f"txqueuelen {SHORTEST_QUEUE}", is_of_can=False)
+        yield _Difference(False, text, f"txqueuelen {TRANSMIT_QUEUE_FRAMES}", is_of_can=False)
 
 
 def describe_interface(channel: str, about: Interface) -> str:

@@ -12,7 +12,7 @@ from canskin.errors import BusError
 
 #: Waits for a new socket: after the loss, and the longest, to which the wait doubles with each failure in a row.
 FIRST_S: Final = 0.05
-LONGEST_S: Final = 0.5
+LONGEST_S: Final = 0.2
 #: Why a link takes no frame, of `bus.link.Link.explain`.
 QUEUE_FULL: Final = "its transmit queue is full: is the bus overloaded?"
 

@@ -5,6 +5,7 @@ import errno
 import socket
 import sys
 import time
+from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -64,6 +65,12 @@ _FD_BRS, _FD_ESI = 0x01, 0x02
 _MSG_CONFIRM: Final = 0x800
 _SO_RCVBUFFORCE: Final = 33
 _CAN_RAW_ERR_FILTER: Final = 2
+#: Drivers of USB adapters that echo a frame when the adapter reports its transmission, one report a frame, in the
+#: stream of received frames. Others echo at the end of the USB transfer (peak_usb), when the firmware has queued the
+#: frame (gs_usb with candleLight), or in groups; docs/bus.md has the table.
+_PROVEN_USB: Final = frozenset({"esd_usb", "esd_usb2", "kvaser_usb"})
+#: Drivers whose interrupt thread passes on received frames before it looks for the end of the transmission.
+_ANSWERS_FIRST: Final = frozenset({"hi3110", "mcp251x"})
 
 
 def encode(burst: Frames) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.intp]]:
@@ -172,10 +179,15 @@ class SocketCanLink(ReconnectingLink):
     def keeps_order(self) -> bool:
         """Whether the driver echoes a frame after its transmission, or the interface has no wire (vcan).
 
-        For other drivers the kernel echoes a frame when the frame is queued.
+        Without IFF_ECHO the kernel echoes a frame when the frame is queued; with it, see `_PROVEN_USB` and
+        `_ANSWERS_FIRST`.
         """
-        about = self._about()
-        return about is not None and (about.echoes or about.kind == "vcan")
+        about, place = self._about(), Path("/sys/class/net", self._channel, "device")
+        if about is None or not about.echoes:
+            return about is not None and about.kind == "vcan"
+        driver = (place / "driver").resolve().name
+        is_usb = (place / "subsystem").resolve().name == "usb"
+        return driver in _PROVEN_USB if is_usb else driver not in _ANSWERS_FIRST
 
     def explain(self) -> str:
         """Return what is known beyond the state, which is read from the kernel."""

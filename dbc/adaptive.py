@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shell.compiled import njit
-from skin.sending import IDENTIFIERS, groups_of_frame
+from skin.sending import IDENTIFIERS, columns_of, groups_of_frame
 from skin.walsh import GROUP_ROWS
 
 #: Sums of a group, one byte each in a coarse frame.
@@ -161,17 +161,22 @@ def tpdo_index(level: int, group: int, is_fine: bool, groups: int) -> int:
     return int(groups * (KINDS - 1 - level if is_fine else LEVELS - 1 - level) + group)
 
 
-def cob_id(node: int, level: int, group: int, is_fine: bool, groups: int) -> int:
-    """Return the identifier of a frame of the node with node-ID `node` + 1 and `groups` groups."""
+def column_of(node_id: int, groups: int, *, is_fd: bool) -> int:
+    """Return the place of a node among the identifiers of a kind, urgency and group, from 0."""
+    return (node_id - 1) % columns_of(groups, is_fd)
+
+
+def cob_id(column: int, level: int, group: int, is_fine: bool, groups: int) -> int:
+    """Return the identifier of a frame of the node at `column` (`column_of`) with `groups` groups."""
     kind = tpdo_index(level, 0, is_fine, 1)
-    return FIRST_COB_ID + IDENTIFIERS * kind + IDENTIFIERS // groups * group + node
+    return FIRST_COB_ID + IDENTIFIERS * kind + IDENTIFIERS // groups * group + column
 
 
 @njit(cache=True, nogil=True)
 def decode_cob_id(identifier: int, groups: int, is_fd: bool) -> tuple[int, int, int]:
-    """Return kind and level as a number (from `LEVELS` on: fine), first group and node of an identifier.
+    """Return kind and level as a number (from `LEVELS` on: fine), first group and column of an identifier.
 
-    The number is -1 for identifiers that are no sums. The node is the node-ID less 1, of nodes with `groups` groups.
+    The number is -1 for identifiers that are no sums. The column (`column_of`) is that of a node with `groups` groups.
     """
     kind, column = (identifier - FIRST_COB_ID) // IDENTIFIERS, (identifier - FIRST_COB_ID) % IDENTIFIERS
     if identifier < FIRST_COB_ID or kind >= KINDS:
@@ -182,7 +187,7 @@ def decode_cob_id(identifier: int, groups: int, is_fd: bool) -> tuple[int, int, 
 
 
 def frame_of(identifier: int, *, groups: int, is_fd: bool = False) -> tuple[int, int, int, bool]:
-    """Return the node-ID, level, first group and whether it is fine of an identifier of sums."""
+    """Return 1 + column, level, first group and whether it is fine of an identifier of sums."""
     kind, group, node = decode_cob_id(identifier, groups, is_fd)
     if kind < LEVELS:
         return node + 1, LEVELS - 1 - kind, group, False

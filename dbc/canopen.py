@@ -78,6 +78,14 @@ COMMANDED: Final = {
 }
 
 
+def state_text(state: int) -> str:
+    """Return an NMT state (CiA 301, 7.2.8.3.2.2) in words."""
+    try:
+        return NmtState(state).name.lower().replace("_", "-")
+    except ValueError:
+        return f"state {state}"
+
+
 class Abort(IntEnum):
     """SDO abort codes (CiA 301, table 22)."""
 

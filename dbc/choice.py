@@ -5,6 +5,7 @@ from collections.abc import Collection
 
 from canskin.errors import InputError
 from dbc.contract import Contract
+from skin.ranges import ranges_text
 
 
 def choose_nodes(contract: Contract, only: list[str], without: list[str]) -> dict[int, Collection[int]]:
@@ -29,7 +30,7 @@ def _parse(contract: Contract, texts: list[str]) -> set[tuple[int, int]]:
             raise InputError(f"expected BUS:NODE or BUS:FIRST-LAST with BUS of {', '.join(numbers)}, got '{text}'")
         wanted = {(numbers[match[1]], node) for node in range(int(match[2]), int(match[3] or match[2]) + 1)}
         if not wanted or wanted - known:
-            last = max(node for bus, node in known if bus == numbers[match[1]])
-            raise InputError(f"expected nodes of {match[1]} from 1 to {last}, got '{text}'")
+            there = ranges_text(node for bus, node in known if bus == numbers[match[1]])
+            raise InputError(f"expected nodes of {match[1]}, {there}, got '{text}'")
         chosen |= wanted
     return chosen

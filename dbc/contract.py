@@ -12,16 +12,27 @@ A TPDO contains no cycle number. The layout's `sync.identity` tells how the gate
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from typing import ClassVar, Final, NamedTuple, Self
 
 import numpy as np
 import numpy.typing as npt
 
 from canskin.errors import LayoutError
-from dbc.adaptive import FINE_LEVELS, LEVELS, Companding, carried, cob_id, companding, payload_bytes
+from dbc.adaptive import FINE_LEVELS, LEVELS, Companding, carried, cob_id, column_of, companding, payload_bytes
 from dbc.adaptive_filter import SAMPLE_NS
-from dbc.canopen import HIGHEST_NODE_ID, SYNC_COB_ID, TPDO_BASES
+from dbc.canopen import (
+    EMCY_BASE,
+    HEARTBEAT_BASE,
+    HIGHEST_NODE_ID,
+    NMT_COB_ID,
+    SDO_REQUEST_BASE,
+    SDO_RESPONSE_BASE,
+    STATE_COB_ID,
+    SYNC_COB_ID,
+    TIME_COB_ID,
+    TPDO_BASES,
+)
 from dbc.frame import BRS, CLASSIC_BYTES, FD, FD_BYTES, FD_LENGTHS, Frames, frames, one_frame
 from dbc.frame_bits import frame_time_ns, wire_bits
 from dbc.packing import Packing, packing
@@ -38,6 +49,13 @@ PHASES: Final = {"window": 1, "alternating": 2}
 _COMPANDED: Final = 2
 #: The same byte with this added: sums of an analogue front end.
 _ANALOGUE: Final = 4
+#: What each node has besides its TPDOs.
+_SERVICES: Final = (
+    (EMCY_BASE, "EMCY"),
+    (SDO_RESPONSE_BASE, "the SDO response"),
+    (SDO_REQUEST_BASE, "the SDO request"),
+    (HEARTBEAT_BASE, "the heartbeat"),
+)
 
 
 @dataclass(frozen=True)
@@ -151,7 +169,9 @@ class Contract:
     @classmethod
     def from_layout(cls, layout: Layout) -> Self:
         """Compute all nodes and frames of a skin; LayoutError refuses a node with more sums than identifiers."""
-        return cls(layout, *_phi_and_nodes(layout, {}))
+        contract = cls(layout, *_phi_and_nodes(layout, {}))
+        _check_foreign(contract)
+        return contract
 
     @cached_property
     def recognition(self) -> "Contract | None":
@@ -206,6 +226,19 @@ class Contract:
     def on_bus(self, bus: int) -> tuple[NodeContract, ...]:
         """Return the nodes of bus number `bus`, by node-ID."""
         return tuple(node for node in self.nodes if node.bus == bus)
+
+    def identifiers(self, bus: int) -> dict[int, str]:
+        """Return the 11-bit identifiers of all frames of the skin on bus number `bus`, with their meanings."""
+        found = {NMT_COB_ID: "NMT", SYNC_COB_ID: "SYNC"}
+        if self.layout.sync.time_s is not None:
+            found[TIME_COB_ID] = "TIME"
+        if self.recognition is not None:
+            found[STATE_COB_ID] = "the switch of states"
+        for node in self.on_bus(bus):
+            found |= {base + node.node_id: f"{what} of node {node.node_id}" for base, what in _SERVICES}
+            for state in self.states_of(node):
+                found |= {tpdo.cob_id: f"TPDO {tpdo.number} of node {node.node_id}" for tpdo in state.all_tpdos}
+        return found
 
     def cycle(self, bus: int, phase: int = 0) -> Frames:
         """Return the frames of one cycle on a bus, SYNC first, then the TPDOs by identifier; all data 0."""
@@ -290,15 +323,15 @@ def _phi_and_nodes(
     nodes: list[NodeContract] = []
     for number, bus in enumerate(layout.bus):
         flags = frame_flags(bus)
-        for node_id in range(1, bus.nodes + 1):
-            block = layout.first_block(number) + (node_id - 1) * bus.blocks_per_node
+        for place, node_id in enumerate(bus.ids):
+            block = layout.first_block(number) + place * bus.blocks_per_node
             first, last = int(phi.starts[block]), int(phi.starts[block + bus.blocks_per_node])
             adaptive = _adaptive_tpdos(node_id, layout.groups, is_fd=bus.fd) if is_adaptive else ()
             others = taken.get((number, node_id), 0)
             sums = range(first, last)
             tpdos: tuple[Tpdo, ...] = ()
             if not is_adaptive:
-                tpdos = _tpdos(bus, number, node_id, sums, pack.bits, phases=phases, others=others)
+                tpdos = _tpdos(bus, number, place, sums, pack.bits, phases=phases, others=others)
             nodes.append(
                 NodeContract(number, node_id, block, bus.blocks_per_node, last - first, pack, flags, tpdos, adaptive)
             )
@@ -307,20 +340,19 @@ def _phi_and_nodes(
 
 def _adaptive_tpdos(node_id: int, groups: int, *, is_fd: bool) -> tuple[AdaptiveTpdo, ...]:
     """Return the TPDOs of an adaptive node, the most urgent first."""
+    column = column_of(node_id, groups, is_fd=is_fd)
     kinds = [(level, False) for level in reversed(range(LEVELS))]
     kinds += [(level, True) for level in reversed(range(FINE_LEVELS))]
     found = [
-        (cob_id(node_id - 1, level, group, is_fine, groups), level, group, is_fine, is_fd, groups)
+        (cob_id(column, level, group, is_fine, groups), level, group, is_fine, is_fd, groups)
         for level, is_fine in kinds
         for group in range(0, groups, carried(groups, is_fd))
     ]
     return tuple(AdaptiveTpdo(number, *each) for number, each in enumerate(found, 1))
 
 
-def _tpdos(
-    bus: Bus, number: int, node_id: int, sums: range, bits: int, *, phases: int, others: int
-) -> tuple[Tpdo, ...]:
-    """Divide a node's sums into frames, once per phase; `others` TPDOs of the node come before."""
+def _tpdos(bus: Bus, number: int, place: int, sums: range, bits: int, *, phases: int, others: int) -> tuple[Tpdo, ...]:
+    """Divide the sums of the node at a place of a bus into frames, once per phase; `others` TPDOs come before."""
     parts = _spread(sums, bits, fd=bus.fd)
     tpdos = []
     for index in range(phases * len(parts)):
@@ -329,7 +361,7 @@ def _tpdos(
         tpdos.append(
             Tpdo(
                 number=others + index + 1,
-                cob_id=_cob_id(bus, number, node_id, others + index),
+                cob_id=_cob_id(bus, number, place, others + index),
                 phase=phase,
                 first_sum=part.start,
                 sums=len(part),
@@ -357,15 +389,39 @@ def _length(sums: int, bits: int, *, fd: bool) -> int:
     return next(each for each in FD_LENGTHS if each >= length) if fd else length
 
 
-def _cob_id(bus: Bus, number: int, node_id: int, index: int) -> int:
-    """Return the identifier of TPDO `index`; beyond eight per node, identifiers of unused node-IDs."""
+def _cob_id(bus: Bus, number: int, place: int, index: int) -> int:
+    """Return the identifier of TPDO `index` of a node; beyond eight per node, identifiers of unused node-IDs."""
     turn, base = divmod(index, len(TPDO_BASES))
-    low = node_id + turn * bus.nodes
-    if low > HIGHEST_NODE_ID:
+    free = (*bus.ids, *_spare_ids(bus))
+    if place + turn * bus.nodes >= len(free):
         raise LayoutError(
-            f"no identifiers left for TPDO {index + 1} of node {node_id}: put fewer nodes on `$.bus[{number}]`"
+            f"no identifiers left for TPDO {index + 1} of node {bus.ids[place]}: put fewer nodes on `$.bus[{number}]`"
         )
-    return TPDO_BASES[base] + low
+    return TPDO_BASES[base] + free[place + turn * bus.nodes]
+
+
+@cache
+def _spare_ids(bus: Bus) -> tuple[int, ...]:
+    """Return the node-IDs that no node of the bus has, and no foreign message; those above the first node first."""
+    taken = {*bus.ids, *(each.identifier & HIGHEST_NODE_ID for each in bus.foreign if not each.is_extended)}
+    return tuple(sorted(set(range(1, HIGHEST_NODE_ID + 1)) - taken, key=lambda each: (each < bus.ids[0], each)))
+
+
+def _check_foreign(contract: Contract) -> None:
+    """Refuse a foreign message with an identifier of the skin's; name both."""
+    for number, bus in enumerate(contract.layout.bus):
+        known = contract.identifiers(number) if bus.foreign else {}
+        for index, each in enumerate(bus.foreign):
+            ours = None if each.is_extended else known.get(each.identifier)
+            if ours is None:
+                continue
+            if each.identifier == SYNC_COB_ID:
+                what = f"two SYNC producers on {bus.name}, '{each.name}' and the gateway: a bus of a skin has one"
+                do = "clear bit 30 of 1005h in the other, or give its SYNC another identifier there"
+            else:
+                what = f"'{each.name}' and {ours} have the same identifier {each.identifier:03X}h on {bus.name}"
+                do = "change `first_node_id` or `node_ids` of the bus, or the identifier in the other device"
+            raise LayoutError(f"{what}: {do} - at `$.bus[{number}].foreign[{index}]`")
 
 
 def _table(contract: Contract) -> FrameTable:

@@ -4,7 +4,8 @@ Nodes whose dictionaries differ in values only are one type. The files use only 
 or 0x numbers, ``$NODEID+0x…`` for identifiers, no compact objects, no quotes.
 
 A value that differs between nodes of a type has the default 0 in the EDS, the index of the block FFFFh: no master takes
-a board with these values for a node. The DCF has each node's own values, as ParameterValue.
+a board with these values for a node. The DCF has each node's own values as ParameterValue, and so the value of every
+object of the proof that can be written: a tool that loads a DCF writes these alone.
 
 Readers disagree on REAL32: CANopenEditor and python-canopen read a decimal fraction, Lely's tools the 32 bits as a
 number, and refuse a fraction. So a default is given where it is a whole number, which no reader refuses, and the DCF
@@ -21,6 +22,7 @@ from itertools import groupby, repeat
 from typing import Final
 
 from dbc import indices as od
+from dbc.configuration import configuration
 from dbc.contract import Contract, NodeContract
 from dbc.dictionary import REVISION, dictionary, serial_number
 from dbc.objects import Object, Value
@@ -97,7 +99,12 @@ def dcfs(contract: Contract, kind: NodeType) -> Iterator[tuple[NodeContract, str
     defaults = _defaults(dictionaries, kind)
     for node, objects in zip(kind.nodes, dictionaries, strict=True):
         info = _file_info(f"{node_name(contract, node)}.dcf") | {"LastEDS": kind.file}
-        described = list(zip(objects, defaults, map(_own_value, objects, defaults), strict=True))
+        proven = {(each.index, each.subindex) for each in configuration(contract, node) if each.is_writable}
+        own = [
+            _number(each, each.value) if (each.index, each.subindex or 0) in proven else _own_value(each, default)
+            for each, default in zip(objects, defaults, strict=True)
+        ]
+        described = list(zip(objects, defaults, own, strict=True))
         yield node, _text(contract, kind, described, info, _commissioning(contract, node))
 
 

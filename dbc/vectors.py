@@ -46,6 +46,10 @@ def _solved(contract: Contract, node: NodeContract, case: _Case) -> dict[str, ob
     shown = shown_counts(contract, case.counts, case.gain, case.offset, np.full(node.blocks, case.pattern))
     sums = node_sums(contract, node, shown)
     payloads = node_payloads(contract, node, sums)
+    if contract.recognition is not None:
+        few, starts = contract.states_of(node)[1], contract.recognition.phi.starts
+        own = contract.recognised[starts[few.block] : starts[few.block + few.blocks]]
+        payloads |= node_payloads(contract.recognition, few, sums[own - contract.phi.starts[node.block]])
     return {
         "name": case.name,
         "pattern": case.pattern,

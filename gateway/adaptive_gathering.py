@@ -8,7 +8,7 @@ import numpy as np
 
 from canskin.errors import InputError
 from canskin.messages import UNKNOWN_ERROR_NS, AdaptiveMeasurement, FrameCounts, Measurement
-from dbc.adaptive import PAUSE_MS
+from dbc.adaptive import PAUSE_MS, column_of
 from dbc.configuration import READ_S
 from dbc.contract import Contract, NodeContract, sample_age_ns
 from dbc.frame import Frames, frame_bytes, frames
@@ -16,6 +16,7 @@ from gateway.adaptive_state import (
     FOREIGN,
     FOREIGN_SYNCS,
     MALFORMED,
+    NEVER_NS,
     UNPROVEN,
     UNREFINED,
     USED,
@@ -145,7 +146,8 @@ class AdaptiveGathering:
 
     def trust(self, node: NodeContract, *, proven: bool) -> None:
         """Use a node's frames that come from now on if `proven`; else forget its sums at once."""
-        bus, place = self._buses[node.bus], node.node_id - 1
+        bus = self._buses[node.bus]
+        place = node.block - bus.blocks.start
         if proven:
             bus.newly_proven.add(place)
             return
@@ -169,7 +171,7 @@ class AdaptiveGathering:
             self._newest_ns = newest_ns
             self._newest_error_ns = UNKNOWN_ERROR_NS if stamp_error_ns is None else mine.sample_age_ns + stamp_error_ns
         is_still_down = health.is_down and mine.is_down
-        self._has_news |= bool(mine.has_changed.any()) or (health.has_gap and not is_still_down)
+        self._has_news |= newest_ns > NEVER_NS or (health.has_gap and not is_still_down)
         mine.is_down = health.is_down
         if health.has_gap:
             mine.sum_requests.gap()
@@ -241,7 +243,7 @@ class AdaptiveGathering:
             is_fd=line.fd,
             sample_age_ns=sample_age_ns(line, contract.layout.groups),
             blocks=blocks,
-            sums=self._sums.of(blocks),
+            sums=self._sums.of(blocks, [column_of(each, contract.layout.groups, is_fd=line.fd) for each in line.ids]),
             is_proven=self._is_proven[blocks],
             has_changed=self._has_changed[blocks],
             sum_requests=SumRequests(master, take_noise),

@@ -7,6 +7,7 @@ loss that the receiver does not know of can have a fine frame misread where the 
 held have the same check: two frames that differ in one byte never have, of others one pair in 255 or 256.
 """
 
+from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -26,6 +27,7 @@ from dbc.canopen import SYNC_COB_ID
 from dbc.frame import CAN_ID_AT, DATA_AT, ECHO, ERROR, EXTENDED, FD, FLAGS_AT, LENGTH_AT, REMOTE, TIME_AT
 from dbc.frame_fields import field
 from shell.compiled import borrowed, njit
+from skin.sending import IDENTIFIERS
 
 #: A time before all frames.
 NEVER_NS: Final = -(1 << 62)
@@ -48,6 +50,8 @@ class BusSums(NamedTuple):
         A frame may have been lost since the newest coarse frame: no fine frame counts.
     coarse_ns, seen_ns : arrays of int64, shape (nodes, groups)
         When the newest coarse frame and the newest frame of any kind that counted ended.
+    place_of : array of int64, shape (IDENTIFIERS,)
+        Which node has a column of the identifiers (`dbc.adaptive.column_of`), -1 for none.
     counts : array of int64, shape (6,)
         Frames used, fine frames without their coarse frame, frames of a wrong length, frames of nodes that are not
         proven, all other frames, and those of these that are SYNCs.
@@ -59,10 +63,11 @@ class BusSums(NamedTuple):
     is_lost: Flags
     coarse_ns: Integers
     seen_ns: Integers
+    place_of: Integers
     counts: Integers
 
-    def of(self, nodes: slice) -> "BusSums":
-        """Return a view of some nodes, with counts of its own."""
+    def of(self, nodes: slice, columns: Sequence[int]) -> "BusSums":
+        """Return a view of some nodes, with counts of its own; `columns` are those of their identifiers."""
         return BusSums(
             value_n=self.value_n[nodes],
             coarse_n=self.coarse_n[nodes],
@@ -70,6 +75,7 @@ class BusSums(NamedTuple):
             is_lost=self.is_lost[nodes],
             coarse_ns=self.coarse_ns[nodes],
             seen_ns=self.seen_ns[nodes],
+            place_of=_place_of(columns),
             counts=np.zeros_like(self.counts),
         )
 
@@ -79,7 +85,7 @@ USED, UNREFINED, MALFORMED, UNPROVEN, FOREIGN, FOREIGN_SYNCS = range(6)
 
 
 def new_sums(nodes: int, groups: int) -> BusSums:
-    """Return the state of a gateway that has received nothing of nodes with `groups` groups."""
+    """Return the state of a gateway that has received nothing of nodes with `groups` groups and the first columns."""
     return BusSums(
         value_n=np.zeros((nodes, GROUP_SUMS * groups)),
         coarse_n=np.zeros((nodes, GROUP_SUMS * groups)),
@@ -87,8 +93,16 @@ def new_sums(nodes: int, groups: int) -> BusSums:
         is_lost=np.zeros((nodes, groups), np.bool_),
         coarse_ns=np.full((nodes, groups), NEVER_NS, np.int64),
         seen_ns=np.full((nodes, groups), NEVER_NS, np.int64),
+        place_of=_place_of(range(nodes)),
         counts=np.zeros(6, np.int64),
     )
+
+
+def _place_of(columns: Sequence[int]) -> Integers:
+    found = np.full(IDENTIFIERS, -1, np.int64)
+    for place, column in enumerate(columns[:IDENTIFIERS]):
+        found[column] = place
+    return found
 
 
 @njit(cache=True, nogil=True)
@@ -129,9 +143,10 @@ def take_all(  # noqa: PLR0917  compiled functions take no keywords
         if row[FLAGS_AT] & (ERROR | ECHO):
             continue
         can_id = field(row, CAN_ID_AT, 4)
-        kind, group, node = decode_cob_id(can_id, of_node, is_fd)
+        kind, group, column = decode_cob_id(can_id, of_node, is_fd)
+        node = sums.place_of[column]
         is_strange = row[FLAGS_AT] & (EXTENDED | REMOTE) != 0 or (row[FLAGS_AT] & FD != 0) != is_fd
-        if is_strange or kind < 0 or node >= sums.check.shape[0]:
+        if is_strange or kind < 0 or node < 0:
             sums.counts[FOREIGN] += 1
             sums.counts[FOREIGN_SYNCS] += can_id == SYNC_COB_ID and not row[FLAGS_AT] & (EXTENDED | REMOTE)
             continue

@@ -4,6 +4,7 @@ A frame is used when it comes from its own bus, has the length of its PDO, and b
 on that bus. Every other frame is counted by kind and not used.
 """
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
@@ -51,6 +52,8 @@ from skin.sync_counter import next_counter
 
 #: A node whose phases are swapped for this many cycles in a row is reported.
 SWAPPED_CYCLES: Final = 5
+#: On an unordered bus, a node that owes frames at this many SYNCs in a row is reported.
+BEHIND_CYCLES: Final = 8
 
 
 @dataclass(frozen=True)
@@ -115,13 +118,18 @@ def take_all(  # noqa: PLR0917  compiled functions take no keywords
         There is one phase.
     """
     (rows,), table, state = borrowed((rows,)), borrowed(table), borrowed(state)
+    is_ordered = state.outstanding.is_ordered[bus]
     for place in range(rows.shape[0]):
         row = rows[place]
         flags = row[FLAGS_AT]
         can_id, ended_ns = field(row, CAN_ID_AT, 4), field(row, TIME_AT, 8)
         if can_id == SYNC_COB_ID and not flags & (ERROR | EXTENDED | REMOTE):
             if flags & ECHO:
-                _begin(bus, int(row[DATA_AT]), ended_ns, stamp_error_ns, table, state)
+                if is_window and not is_ordered:
+                    continue  # `begin_unordered` has begun the cycle
+                # An echo that may come before SYNC has ended tells no end.
+                error_ns = stamp_error_ns if is_ordered else NO_STAMPS
+                _begin(bus, int(row[DATA_AT]), ended_ns, error_ns, table, state)
             else:
                 # A foreign SYNC: nodes answer it outside the gateway's cycles.
                 state.foreign_syncs[bus] += 1
@@ -149,6 +157,17 @@ def _begin(  # noqa: PLR0917  compiled functions take no keywords
     now = state.syncs.counter[bus]
     if is_open(now, state.cycles):
         note_echo(slot_of(now), bus, time_ns, stamp_error_ns, state.notes)
+
+
+@njit(cache=True, nogil=True)
+def begin_unordered(counter: int, sent_ns: int, table: FrameTable, state: Gathering) -> None:
+    """With one phase, begin a cycle on the unordered buses; `sent_ns` is a time before its SYNC is handed over."""
+    table, state = borrowed(table), borrowed(state)
+    for bus in range(len(state.foreign_syncs)):
+        if not state.outstanding.is_ordered[bus]:
+            begin_on_bus(bus, counter, 0, state.syncs)
+            note_echo(slot_of(counter), bus, sent_ns, NO_STAMPS, state.notes)
+            _ask(bus, 0, table, state)
 
 
 @njit(cache=True, nogil=True)
@@ -192,8 +211,8 @@ def _accept(  # noqa: PLR0917  compiled functions take no keywords
         state.counts[LATE] += 1
         state.late_of_node[node] += 1
         return
-    if stamp_error_ns == NO_STAMPS:
-        note_answer(slot, bus, time_ns, state.notes)
+    if not (state.cycles.spoilt[slot, row] or (stamp_error_ns != NO_STAMPS and state.outstanding.is_ordered[bus])):
+        note_answer(slot, bus, time_ns + max(stamp_error_ns, 0), state.notes)
     state.counts[ACCEPTED if keep_frame(slot, bus, row, data, state.cycles) else DUPLICATE] += 1
 
 
@@ -242,6 +261,12 @@ class Collector:
 
     Cycles have a counter here (1 to 240), also where SYNC has none on the bus.
 
+    Parameters
+    ----------
+    unordered : collection of int
+        Numbers of the buses whose interface may echo a SYNC before it has been on the bus. With one phase, a cycle ends
+        there when the next SYNC is about to be sent.
+
     Attributes
     ----------
     late_of_node, missing_of_node : arrays of int64, shape (nodes,)
@@ -254,13 +279,15 @@ class Collector:
         Whether complete blocks are left out whose frames may be of another cycle.
     """
 
-    def __init__(self, contract: Contract) -> None:
+    def __init__(self, contract: Contract, unordered: Collection[int] = ()) -> None:
         nodes = len(contract.nodes)
         self.expected = np.ones(nodes, np.bool_)
         self.leaves_out_doubtful = True
+        self._unordered = frozenset(unordered)
         self._contract, self._table, self._phi = contract, contract.table, contract.phi
         self._block_of_sum = np.ascontiguousarray(contract.phi.block_of_sum)
         self._node_of_block = np.repeat(np.arange(nodes), [node.blocks for node in contract.nodes])
+        self._bus_of_node = np.array([node.bus for node in contract.nodes])
         self._proven = ProvenBlocks(contract.phi.blocks, SLOTS)
         self._is_window = contract.phases == 1
         self._begin_anew()
@@ -280,7 +307,7 @@ class Collector:
         self._state = Gathering(
             cycles=new_cycles(contract),
             syncs=new_syncs(contract),
-            outstanding=new_outstanding(contract),
+            outstanding=new_outstanding(contract, self._unordered),
             notes=self._times.notes,
             counts=np.zeros(6, np.int64),
             foreign_syncs=np.zeros(buses, np.int64),
@@ -311,7 +338,19 @@ class Collector:
         if proven:
             prove(nodes, self._table, self._state.outstanding)
         else:
-            doubt(nodes, self._state.outstanding)
+            is_ordered = self._state.outstanding.is_ordered[self._bus_of_node[nodes]]
+            doubt(nodes[is_ordered], self._state.outstanding)
+
+    def booted(self, node: int) -> None:
+        """Take note of the boot-up message of a node, after the frames before this message."""
+        doubt(np.array([node]), self._state.outstanding)
+
+    def take_behind(self) -> list[int]:
+        """Return, once, the places of the nodes that owe frames for long."""
+        behind = self._state.outstanding.cycles_behind
+        found = np.flatnonzero(behind >= BEHIND_CYCLES)
+        behind[found] = 0
+        return [int(node) for node in found]
 
     def take_swapped(self) -> list[int]:
         """Return, once, the places of the nodes that answer each SYNC with the PDOs of the other phase."""
@@ -334,6 +373,8 @@ class Collector:
         self._times.open(counter, due_ns, sent_ns)
         send_sync(counter, due_ns, period_s, self._state.syncs, rests=False)
         begin_cycle(counter, self.expected, self._table, self._state.cycles)
+        if self._is_window and self._unordered:
+            begin_unordered(counter, max(due_ns if sent_ns is None else sent_ns, 1), self._table, self._state)
         self._proven.begin(slot_of(counter))
 
     def rest(self, counter: int, due_ns: int, period_s: float | None) -> None:
@@ -363,6 +404,8 @@ class Collector:
         """Take note that frames of a bus were lost; with one phase, the lost frame may be a SYNC between two cycles."""
         if self._is_window:
             spoil_bus(bus, self._table, self._state.cycles)
+        # A command to a node behind would be lost, too: it has some cycles when the bus is back.
+        self._state.outstanding.cycles_behind[self._bus_of_node == bus] = 0
 
     def close(self, counter: int) -> Gathered:
         """End a cycle and return its sums."""

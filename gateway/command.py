@@ -110,7 +110,7 @@ def gateway(
 
 
 def require_order(layout: Layout, links: Mapping[int, Link]) -> None:
-    """Check that every link tells which frames came before a SYNC, where the identity of cycles depends on that.
+    """Check that every link tells which frames came before a SYNC, where nodes have two states.
 
     Raises
     ------
@@ -118,10 +118,10 @@ def require_order(layout: Layout, links: Mapping[int, Link]) -> None:
         If a link does not; all links are closed then.
     """
     unordered = [layout.bus[number].name for number, link in links.items() if not link.keeps_order]
-    if layout.is_stock and unordered:
+    if layout.recognition is not None and unordered:
         for link in links.values():
             link.close()
         raise InputError(
-            f"the interface of {', '.join(unordered)} may report a SYNC before it has been on the bus, so the cycle of "
-            'a frame cannot be known: expected `sync.identity = "alternating"` in the layout, or SocketCAN'
+            f"the interface of {', '.join(unordered)} may report SYNC before it has been on the bus: with recognition "
+            "expected a SocketCAN driver that tells when a frame has been sent, or a layout without recognition"
         )

@@ -133,7 +133,8 @@ class CountReading:
         self._counter = next_counter(self._counter)
         for bus, send in self._sends.items():
             if not self._times_s:
-                send(one_frame(NMT_COB_ID, bytes((NmtCommand.ENTER_PRE_OPERATIONAL, 0))))
+                for node in self._contract.on_bus(bus):  # node-ID 0 would stop other devices on the bus
+                    send(one_frame(NMT_COB_ID, bytes((NmtCommand.ENTER_PRE_OPERATIONAL, node.node_id))))
             send(self._contract.sync(self._counter))
             self._waiting[bus] = list(self._contract.on_bus(bus))
         self._times_s.append(now_s)

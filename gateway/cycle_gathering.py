@@ -1,13 +1,13 @@
 """Synchronous sums: one measurement for each SYNC, when its cycle is settled or out of time."""
 
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Final
 
 import numpy as np
 
 from canskin.messages import CycleMeasurement, FrameCounts, Measurement
-from dbc.canopen import NmtState
+from dbc.canopen import HEARTBEAT_BASE, HEARTBEAT_BYTES, NmtState, is_of_node
 from dbc.contract import Contract, NodeContract
 from dbc.frame import Frames
 from gateway.collector import Collector
@@ -17,12 +17,20 @@ from gateway.open_cycles import slot_of
 
 #: Frames of a bus that may wait unread: receive buffers hold twice as many.
 MOST_UNREAD: Final = 64
+#: Why the communication of a node is reset.
+_SWAPPED: Final = "answers SYNC with the PDOs of the other phase, or a cycle late"
+_BEHIND: Final = "an answer to SYNC did not come, or comes after the next SYNC"
 #: A cycle ends at the latest this part of a period after the next SYNC was due.
 GRACE: Final = 0.9
 
 
 class CycleGathering:
     """Gathers the sums of the open cycles.
+
+    Parameters
+    ----------
+    unordered : collection of int
+        See `gateway.collector.Collector`.
 
     Attributes
     ----------
@@ -34,8 +42,9 @@ class CycleGathering:
     #: What another SYNC producer does to the sums of its bus.
     disturbance = "its cycles are not valid"
 
-    def __init__(self, contract: Contract) -> None:
-        self.collector = Collector(contract)
+    def __init__(self, contract: Contract, unordered: Collection[int] = ()) -> None:
+        self.collector = Collector(contract, unordered)
+        self._unordered = frozenset(unordered)
         self.published = self.complete = 0
         self._contract = contract
         self._period_s = contract.layout.sync.period_s
@@ -86,6 +95,10 @@ class CycleGathering:
         if health.has_gap:
             self.collector.lost(bus)
         self.collector.take(bus, arrived, health.stamp_error_ns)
+        if bus in self._unordered:
+            for node_id in _booted(arrived):
+                if (bus, node_id) in self._place:
+                    self.collector.booted(self._place[bus, node_id])
         self._has_stamps[bus] = health.stamp_error_ns is not None
         if self._open_cycles:
             # The first of the frames that are yet to come may be at its end.
@@ -123,10 +136,11 @@ class CycleGathering:
 
     def look(self, masters: Mapping[int, NmtMaster], now_s: float) -> None:
         """Let cycles wait for operational nodes only; report swapped phases."""
-        for place in self.collector.take_swapped():
-            node = self._contract.nodes[place]
-            if node.bus in masters:
-                masters[node.bus].swapped(node.node_id, now_s)
+        for astray, why in ((self.collector.take_swapped(), _SWAPPED), (self.collector.take_behind(), _BEHIND)):
+            for place in astray:
+                node = self._contract.nodes[place]
+                if node.bus in masters:
+                    masters[node.bus].reset_astray(node.node_id, now_s, why)
         for number, master in masters.items():
             for node_id, state in zip(master.node_ids, master.nmt, strict=True):
                 place = self._place[number, node_id]
@@ -167,3 +181,11 @@ class CycleGathering:
             fingerprint=self._contract.phi.fingerprint,
             usable=self._contract.packing.usable(gathered.sums),
         )
+
+
+def _booted(arrived: Frames) -> list[int]:
+    """Return the node-IDs of boot-up messages (CiA 301, 7.2.8.3.3) among frames of a bus."""
+    is_boot = is_of_node(arrived["can_id"], HEARTBEAT_BASE) & (arrived["length"] == HEARTBEAT_BYTES)
+    is_boot &= (arrived["flags"] == 0) & (arrived["data"][:, 0] == 0)
+    node_ids: list[int] = (arrived["can_id"][is_boot] - HEARTBEAT_BASE).tolist()
+    return node_ids

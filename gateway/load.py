@@ -3,7 +3,7 @@
 import numpy as np
 import numpy.typing as npt
 
-from dbc.frame import ERROR, FRAME, Frames, frames
+from dbc.frame import ERROR, FRAME, Frames, frame_bytes, frames
 from dbc.frame_bits import frame_time_ns
 from skin.layout import Bus
 
@@ -26,14 +26,14 @@ class LoadMeter:
 
     def take(self, arrived: Frames) -> None:
         """Keep frames of the bus, the gateway's own included, until `account`."""
-        self._waiting.append(np.ascontiguousarray(arrived).view(np.uint8))
+        self._waiting.append(frame_bytes(arrived))
 
     def account(self) -> None:
         """Add up the time of the kept frames; one call for many frames is cheaper than many calls."""
         if not self._waiting:
             return
         # As bytes: np.concatenate compares the fields of records, array by array.
-        taken = np.concatenate(self._waiting).view(FRAME)
+        taken = np.concatenate(self._waiting).reshape(-1).view(FRAME)
         self._waiting.clear()
         taken = taken[taken["flags"] & ERROR == 0]
         busy_ns = int(frame_time_ns(taken, self._wires.bitrate, self._wires.data_bitrate).sum())

@@ -64,8 +64,8 @@ class GatewayLoop:
         Write a line to the log: `say` for a change, `complain` for a line that may come many times.
     rates_hz : tuple of float
         Of adaptive sums: most and least measurements in a second.
-    without_echoes : collection of int
-        Buses whose links do not keep the order of frames (`bus.link.Link.keeps_order`).
+    unordered : collection of int
+        Numbers of the buses whose links do not keep the order of SYNC and answers; none where nodes have two states.
 
     Attributes
     ----------
@@ -87,14 +87,13 @@ class GatewayLoop:
         say: Callable[[str], None],
         complain: Callable[[str], None],
         rates_hz: tuple[float, float] = RATES_HZ,
-        without_echoes: Collection[int] = (),
+        unordered: Collection[int] = (),
     ) -> None:
         self.sync = SyncClock(contract.layout.sync.period_s)
         self._contract = contract
         self._say, self._complain = say, complain
         self._buses = {
-            number: self._bus(number, send, now_s, has_echoes=number not in without_echoes)
-            for number, send in sends.items()
+            number: self._bus(number, send, now_s, has_echoes=number not in unordered) for number, send in sends.items()
         }
         self._numbers = sorted(self._buses)
         self.masters = {number: bus.master for number, bus in self._buses.items()}
@@ -104,7 +103,7 @@ class GatewayLoop:
         elif contract.recognition is not None:
             self.gathering = StateGathering(contract)
         else:
-            self.gathering = CycleGathering(contract)
+            self.gathering = CycleGathering(contract, unordered)
         self.states = None if contract.recognition is None else StateSwitch(contract, sends)
         #: Known from the first tick on: what comes before may take long.
         self._patience_s: float | None = None
@@ -166,6 +165,8 @@ class GatewayLoop:
         for bus in self._buses.values():
             bus.outgoing.tick(now_s)
             bus.master.tick(now_s)
+            if bus.master.strangers.tick(now_s):
+                self._say(f"another SYNC producer on {bus.name}: {bus.master.strangers.words}")
         self.gathering.tick(now_s)
         if self.states is not None:
             self.states.tick(now_s, self.sync.due_s)
@@ -291,8 +292,10 @@ class GatewayLoop:
             for node_id, code in bus.master.emergencies:
                 self._complain(f"EMCY {code:04X}h from node {node_id} on {bus.name}")
             bus.master.emergencies.clear()
+            strangers = bus.master.strangers
             if self.gathering.take_foreign_syncs(number):
-                self._complain(f"another SYNC producer on {bus.name}: {self.gathering.disturbance}")
+                self._complain(f"another SYNC producer on {bus.name}: {self.gathering.disturbance}; {strangers.words}")
+                strangers.find_producers(now_s)
 
     def _bus_state(self, number: int, state: State, dropped: int, now_s: float) -> BusState:
         bus = self._buses[number]

@@ -30,6 +30,7 @@ from dbc.canopen import (
     SDO_RESPONSE_BASE,
     NmtCommand,
     NmtState,
+    state_text,
 )
 from dbc.configuration import (
     DIALOGUES,
@@ -48,6 +49,7 @@ from gateway.foreign_sdo import Effect, ForeignClient
 from gateway.grouped_lines import GroupedLines
 from gateway.proof import Proof, prove
 from gateway.sdo import ATTEMPTS, TIMEOUT_S, Dialogue, SdoDialogue
+from gateway.strangers import Strangers
 from shell.compiled import njit
 
 #: Pause before each attempt to restart a node. After the last attempt, one attempt follows every `LATER_S`.
@@ -97,7 +99,7 @@ class Event(Enum):
     RUNNING = auto()  #: A refused node is OPERATIONAL.
     LOST = auto()  #: The heartbeat is overdue.
     OUTDATED = auto()  #: The newest proof is too old.
-    SWAPPED = auto()  #: The node answers every SYNC with the PDOs of the other phase.
+    ASTRAY = auto()  #: The node's answers are not those to the newest SYNC.
     WRITTEN = auto()  #: Another master writes the configuration.
     BUSY = auto()  #: Another master uses the SDO channel: a node answers one client at a time.
 
@@ -235,6 +237,8 @@ class NmtMaster:
         self._round_s = proof_period_s(contract, bus)
         self._slot_s = self._tick_s = -np.inf
         self._lines = GroupedLines(self._name, say)
+        #: Other devices on the bus.
+        self.strangers = Strangers(send)
         #: Emergencies since the list was last cleared: node-ID and error code.
         self.emergencies: list[tuple[int, int]] = []
         _places(frame_bytes(frames(0)))  # compiled before the first frame
@@ -297,6 +301,10 @@ class NmtMaster:
                     self._heartbeat(node, data[0] & 0x7F, time_ns, now_s)
                 else:
                     self._take_of(node, base, data, now_s)
+            elif identifier > HEARTBEAT_BASE:
+                self.strangers.heard(identifier - HEARTBEAT_BASE)
+            elif identifier & ~HIGHEST_NODE_ID == SDO_RESPONSE_BASE:
+                self.strangers.answered(identifier - SDO_RESPONSE_BASE, data, now_s)
 
     def _take_of(self, node: NodeRecord, base: int, data: bytes, now_s: float) -> None:
         if base == SDO_RESPONSE_BASE and len(data) == SDO_BYTES:
@@ -326,7 +334,7 @@ class NmtMaster:
             is_under_way = node.started_ns is None or time_ns - node.started_ns < UNDER_WAY_NS
             if is_under_way and now_s - node.commanded_s < SILENT_AFTER_S:
                 return
-            why = f"left OPERATIONAL: {_state_text(state)}{node.explanation(now_s)}"
+            why = f"left OPERATIONAL: {state_text(state)}{node.explanation(now_s)}"
             node.nmt = state
             self._happen(node, Event.LEFT, now_s, why)
             return
@@ -345,7 +353,7 @@ class NmtMaster:
         for node in self._addressed(node_id):
             if command in COMMANDED and command != NmtCommand.START and node.nmt != SILENT:
                 node.nmt = COMMANDED[NmtCommand(command)]
-                why = f"left OPERATIONAL: {_state_text(node.nmt)}, by another master's NMT command"
+                why = f"left OPERATIONAL: {state_text(node.nmt)}, by another master's NMT command"
                 self._happen(node, Event.LEFT, now_s, why)
             elif command in (NmtCommand.RESET_NODE, NmtCommand.RESET_COMMUNICATION):
                 node.hint = ", reset by another master"
@@ -362,10 +370,9 @@ class NmtMaster:
             node.errand = None
             self._happen(node, Event.BUSY, now_s)
 
-    def swapped(self, node_id: int, now_s: float) -> None:
-        """Reset the communication of a node that answers every SYNC with the PDOs of the other phase."""
-        why = "answers SYNC with the PDOs of the other phase, or a cycle late: communication reset"
-        self._happen(self.nodes[node_id], Event.SWAPPED, now_s, why)
+    def reset_astray(self, node_id: int, now_s: float, why: str) -> None:
+        """Reset the communication of a node in use whose answers are not those to the newest SYNC."""
+        self._happen(self.nodes[node_id], Event.ASTRAY, now_s, f"{why}: communication reset")
 
     # What time calls for
 
@@ -645,7 +652,7 @@ class NmtMaster:
             Event.LEFT: (_stop_using, NodeState.WAITING),
             Event.LOST: (_stop_using, NodeState.WAITING),
             Event.OUTDATED: (_stop_using, NodeState.WAITING),
-            Event.SWAPPED: (_stop_using_and_reset, NodeState.WAITING),
+            Event.ASTRAY: (_stop_using_and_reset, NodeState.WAITING),
             Event.WRITTEN: (_stop_using, NodeState.WAITING),
         },
         NodeState.IN_USE_CHECKED: {
@@ -656,7 +663,7 @@ class NmtMaster:
             Event.LEFT: (_stop_using, NodeState.CHECKED),
             Event.LOST: (_stop_using, NodeState.CHECKED),
             Event.OUTDATED: (_stop_using, NodeState.CHECKED),
-            Event.SWAPPED: (_stop_using_and_reset, NodeState.CHECKED),
+            Event.ASTRAY: (_stop_using_and_reset, NodeState.CHECKED),
             Event.WRITTEN: (_stop_using, NodeState.WAITING),
             Event.BUSY: (_give_way, NodeState.IN_USE),
         },
@@ -678,11 +685,3 @@ def _places(rows: npt.NDArray[np.uint8]) -> list[int]:
         if (is_plain and is_ours) or (row[FLAGS_AT] & (ERROR | ECHO) == ECHO and is_command):
             found.append(place)
     return found
-
-
-def _state_text(state: int) -> str:
-    """Return an NMT state in words."""
-    try:
-        return NmtState(state).name.lower().replace("_", "-")
-    except ValueError:
-        return f"state {state}"

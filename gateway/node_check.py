@@ -1,7 +1,8 @@
 """Check of a board: its objects are read, and its sums compared while it shows the test patterns.
 
-After each pattern is written, the board is started and gets SYNC messages, the counter from 1 on. So boards that use
-the SYNC start value once and then count are checked, too.
+SYNC goes on at the layout's period from the first pattern to the last: a stock stack leaves OPERATIONAL when no
+SYNC comes for 1.5 periods. After each pattern is written, the board is started, and the SYNC counter begins at 1
+again. So boards that use the SYNC start value once and then count are checked, too.
 """
 
 import struct
@@ -10,15 +11,26 @@ from dataclasses import dataclass, field
 from typing import Final, cast
 
 import numpy as np
+import numpy.typing as npt
 
 from bus.link import Send
 from dbc import indices as od
-from dbc.board import Board, BoardTpdo, board
+from dbc.board import BoardTpdo, board
 from dbc.board_sums import PATTERNS, node_payloads, node_sums, pattern_counts
-from dbc.canopen import NMT_COB_ID, SDO_REQUEST_BASE, SDO_RESPONSE_BASE, SYNC_COB_ID, NmtCommand
+from dbc.canopen import (
+    HEARTBEAT_BASE,
+    HEARTBEAT_BYTES,
+    NMT_COB_ID,
+    SDO_REQUEST_BASE,
+    SDO_RESPONSE_BASE,
+    SYNC_COB_ID,
+    NmtCommand,
+    NmtState,
+    state_text,
+)
 from dbc.configuration import configuration, setting_of, signature
 from dbc.contract import Contract, NodeContract
-from dbc.dictionary import dictionary
+from dbc.dictionary import SILENT_AFTER_S, dictionary
 from dbc.frame import ECHO, ERROR, REMOTE, Frames, frames, one_frame
 from dbc.objects import Object
 from gateway.proof import NO_SIGNATURE
@@ -27,12 +39,16 @@ from gateway.sdo import Dialogue, Read, SdoAbortedError, SdoDialogue, SdoError, 
 #: Time in which another SYNC producer must be heard, in periods, and at least in seconds.
 LISTEN_PERIODS: Final = 3
 LISTEN_S: Final = 0.2
-#: Longest wait for the frames of a cycle: those of a busy computer come late, but not late on the bus.
+#: Longest wait for the SYNC after the last cycle: the frames of a busy computer come late, but not late on the bus.
 PATIENCE_S: Final = 0.5
-#: Time between two looks for frames when the period is over.
-LOOK_S: Final = 0.005
+#: SYNC messages between the NMT start and the first cycle that is compared: a board may be slow to start.
+SETTLING: Final = 2
 #: SYNC messages for each test pattern.
 CYCLES: Final = 4
+#: A board may leave OPERATIONAL when the next SYNC comes later than this, in periods. CANopenNode does so.
+LONGEST_GAP: Final = 1.5
+#: How often a pattern is shown to a board that differs, where SYNC came late.
+SHOWN: Final = 3
 #: Serial number: a maker may have numbers of its own.
 _SERIAL: Final = (od.IDENTITY, 4)
 #: What a pattern is called in messages.
@@ -47,15 +63,12 @@ class _Listen:
 
 
 @dataclass(frozen=True)
-class _Cycle:
-    """Send a SYNC, and get the frames until the end of the period, or longer if any of the `expected` is missing."""
-
-    sync: bytes
-    expected: frozenset[int]
+class _Cycles:
+    """Start the node, let `SETTLING` SYNC messages pass, and get the frames up to the SYNC after `CYCLES` more."""
 
 
 #: What a check asks for, and what it gets: frames, the value of an object, or an error.
-_Step = _Listen | Transfer | _Cycle
+_Step = _Listen | Transfer | _Cycles
 _Answer = Frames | bytes | SdoError
 _Steps = Generator[_Step, _Answer, None]
 
@@ -107,13 +120,20 @@ class NodeCheck:
         self.report = NodeReport(contract.layout.bus[node.bus].name, node.node_id)
         self.done = False
         self.due_s = now_s
+        self._table = board(contract, node)
+        self._cob_ids = [tpdo.cob_id for tpdo in self._table.tpdos]
+        #: When the next SYNC goes; infinite before the first pattern.
+        self._sync_s = np.inf
+        self._counter = self._idle = 1 + max(tpdo.sync_start_value for tpdo in self._table.tpdos)
         self._pattern_indices = [od.of_block(od.TEST_PATTERN, place) for place in range(node.blocks)]
         #: The test patterns that the node had.
         self._patterns: dict[int, bytes] = {}
         self._heard: list[Frames] = []
         self._dialogue: SdoDialogue | None = None
-        self._expected: frozenset[int] = frozenset()
-        self._patience_s = now_s
+        #: When the open step ends; infinite where that depends on what comes.
+        self._ends_s = now_s
+        #: SYNC messages that the cycles of a pattern still need; None outside the cycles.
+        self._wanted: int | None = None
         self._steps = self._check()
         self._begin(next(self._steps), now_s)
 
@@ -133,18 +153,37 @@ class NodeCheck:
 
     def tick(self, now_s: float) -> None:
         """Do what is due."""
+        if self.done:
+            return
+        if now_s >= self._sync_s:
+            self._sync(now_s)
         if self._dialogue is not None:
             self._dialogue.tick(now_s)
             self._look(now_s)
-        elif not self.done and now_s >= self.due_s:
-            if now_s < self._patience_s and not self._is_complete():
-                self.due_s = now_s + LOOK_S
-                return
+        elif now_s >= self._ends_s or self._has_all_cycles():
             self._go_on(np.concatenate([frames(0), *self._heard]), now_s)
+        self.due_s = min(self._ends_s, self._sync_s)
 
-    def _is_complete(self) -> bool:
-        came = {int(can_id) for burst in self._heard for can_id in burst["can_id"]}
-        return came >= self._expected
+    def _sync(self, now_s: float) -> None:
+        """Send a SYNC; in the cycles of a pattern the counter is the number of the cycle, else no start value."""
+        overflow = self._table.sync_overflow
+        self._send_one(SYNC_COB_ID, bytes((self._counter,)) if overflow else b"")
+        self._counter = self._counter + 1 if self._counter < overflow else self._idle
+        if self._wanted is not None:
+            self._wanted -= 1
+            if self._wanted == CYCLES + 1:
+                self._counter = 1
+            elif self._wanted == 0:
+                self._ends_s = now_s + PATIENCE_S
+        self._sync_s += self._period_s
+        if self._sync_s <= now_s:  # no two SYNC messages at once after a pause of this computer
+            self._sync_s = now_s + self._period_s
+
+    def _has_all_cycles(self) -> bool:
+        """Tell whether the SYNC after the last cycle was on the bus: what belongs to the cycles came before it."""
+        if self._wanted != 0:
+            return False
+        return len(_syncs(_since_start(np.concatenate([frames(0), *self._heard])))) > SETTLING + CYCLES
 
     def give_up(self) -> None:
         """End the test patterns without waiting for answers."""
@@ -169,16 +208,16 @@ class NodeCheck:
 
     def _begin(self, step: _Step, now_s: float) -> None:
         self._heard.clear()
-        self._expected, self._patience_s = frozenset(), now_s
+        self._wanted = None
         if isinstance(step, _Listen):
-            self.due_s = now_s + step.time_s
-        elif isinstance(step, _Cycle):
-            self._expected = step.expected
-            self.due_s, self._patience_s = now_s + self._period_s, now_s + self._period_s + PATIENCE_S
-            self._send_one(SYNC_COB_ID, step.sync)
+            self._ends_s = now_s + step.time_s
+        elif isinstance(step, _Cycles):
+            self._nmt(NmtCommand.START)
+            self._ends_s, self._wanted = np.inf, SETTLING + CYCLES + 1
         else:
+            self._ends_s = np.inf
             self._dialogue = SdoDialogue(self._node.node_id, _one(step), self._send_one, now_s)
-            self.due_s = now_s
+        self.due_s = min(self._ends_s, self._sync_s)
 
     def _send_one(self, can_id: int, data: bytes) -> None:
         self._send(one_frame(can_id, data))
@@ -193,6 +232,7 @@ class NodeCheck:
             return
         if not (yield from self._objects()) or self._node.adaptive_tpdos:
             return
+        self._sync_s = -np.inf
         for pattern in PATTERNS:
             if not (yield from self._show(pattern)):
                 self.give_up()
@@ -222,6 +262,8 @@ class NodeCheck:
                 is_allowed = setting.index in self._pattern_indices or (setting.index, setting.subindex) == _SERIAL
                 (self.report.notes if is_allowed else self.report.differences).append(text)
         yield from self._signature(found)
+        if errors := (yield from self._errors()):
+            self.report.notes.append(errors.removeprefix("; "))
         self._patterns = {index: found[index, 0] for index in self._pattern_indices if (index, 0) in found}
         return len(self._patterns) == self._node.blocks
 
@@ -248,35 +290,59 @@ class NodeCheck:
                 return False
         if len(self.report.differences) > before:
             return True
-        self._nmt(NmtCommand.START)
-        yield _Listen(self._period_s)
+        for _ in range(SHOWN):
+            del self.report.differences[before:]
+            came = _since_start(cast("Frames", (yield _Cycles())))
+            self._compare(came, pattern)
+            if len(self.report.differences) == before or _longest_gap_s(came) < LONGEST_GAP * self._period_s:
+                break
+            self._nmt(NmtCommand.ENTER_PRE_OPERATIONAL)
+        if (
+            len(self.report.differences) > before
+            and not np.isin(came["can_id"], [tpdo.cob_id for tpdo in self._table.tpdos]).any()
+        ):
+            yield from self._explain_silence(before, _NAMES[pattern])
+        return True
+
+    def _explain_silence(self, before: int, name: str) -> _Steps:
+        """Where a board has left OPERATIONAL, say so once in place of each TPDO that did not come."""
+        heard = cast("Frames", (yield _Listen(SILENT_AFTER_S)))
+        said = heard[(heard["can_id"] == HEARTBEAT_BASE + self._node.node_id) & (heard["length"] == HEARTBEAT_BYTES)]
+        if len(said) and int(said["data"][-1, 0]) & 0x7F != NmtState.OPERATIONAL:
+            state = state_text(int(said["data"][-1, 0]) & 0x7F)
+            why = yield from self._errors()
+            self.report.differences[before:] = [f"test pattern {name}: the board left OPERATIONAL for {state}{why}"]
+
+    def _errors(self) -> Generator[_Step, _Answer, str]:
+        """Return the error register and the newest error of the board in words, empty if there is none."""
+        register = yield Read(od.ERROR_REGISTER)
+        if not isinstance(register, bytes) or not any(register):
+            return ""
+        newest = yield Read(od.ERROR_FIELD, 1)
+        words = f", its newest error (1003h:1) {newest[1::-1].hex().upper()}h" if isinstance(newest, bytes) else ""
+        return f"; its error register (1001h) is {register.hex().upper()}h{words}"
+
+    def _compare(self, came: Frames, pattern: int) -> None:
+        """Compare the TPDOs of all cycles of a pattern."""
         size, top = self._contract.phi.block_size, self._contract.layout.taxels.count_max
         shown = np.tile(np.asarray(pattern_counts(pattern, size, top), np.float32), (self._node.blocks, 1))
         payloads = node_payloads(self._contract, self._node, node_sums(self._contract, self._node, shown))
-        table = board(self._contract, self._node)
+        syncs = [*_syncs(came)[SETTLING:].tolist(), len(came)]
         for counter in range(1, CYCLES + 1):
-            due = {tpdo.cob_id for tpdo in table.tpdos if _is_due(tpdo, counter)}
-            came = yield _Cycle(bytes((counter,)) if table.sync_overflow else b"", frozenset(due | {SYNC_COB_ID}))
-            self._compare(cast("Frames", came), table, payloads, counter, _NAMES[pattern])
-        return True
-
-    def _compare(self, came: Frames, table: Board, payloads: dict[int, bytes], counter: int, name: str) -> None:
-        """Compare the TPDOs of a cycle."""
-        place = f"test pattern {name}, SYNC {counter}"
-        self.report.cycles += 1
-        echoes = np.flatnonzero((came["can_id"] == SYNC_COB_ID) & (came["flags"] & ECHO != 0))
-        if not echoes.size:
-            self._differs(f"{place}: the SYNC was not sent")
-            return
-        sync_ns, came = int(came["time_ns"][echoes[0]]), came[echoes[0] + 1 :]
-        for tpdo in table.tpdos:
-            copies = came[(came["can_id"] == tpdo.cob_id) & (came["flags"] & ECHO == 0)]
-            self._compare_tpdo(copies, tpdo, payloads[tpdo.cob_id], _is_due(tpdo, counter), place)
-            if len(copies):
-                late_s = (int(copies["time_ns"].max()) - sync_ns) / 1e9
-                self.report.latest_s = max(self.report.latest_s, late_s)
-                if late_s * 1e6 > table.sync_window_us:
-                    self._differs(f"{place}: TPDO {tpdo.number} ends {late_s * 1e3:.1f} ms after SYNC, after 1007h")
+            place = f"test pattern {_NAMES[pattern]}, SYNC {counter}"
+            self.report.cycles += 1
+            if counter >= len(syncs):
+                self._differs(f"{place}: the SYNC was not sent")
+                continue
+            cycle = came[syncs[counter - 1] : syncs[counter]]
+            for tpdo in self._table.tpdos:
+                copies = cycle[(cycle["can_id"] == tpdo.cob_id) & (cycle["flags"] & ECHO == 0)]
+                self._compare_tpdo(copies, tpdo, payloads[tpdo.cob_id], _is_due(tpdo, counter), place)
+                if len(copies):
+                    late_s = (int(copies["time_ns"].max()) - int(cycle["time_ns"][0])) / 1e9
+                    self.report.latest_s = max(self.report.latest_s, late_s)
+                    if late_s * 1e6 > self._table.sync_window_us:
+                        self._differs(f"{place}: TPDO {tpdo.number} ends {late_s * 1e3:.1f} ms after SYNC, after 1007h")
 
     def _compare_tpdo(self, copies: Frames, tpdo: BoardTpdo, payload: bytes, is_due: bool, place: str) -> None:
         what = f"{place}: TPDO {tpdo.number} ({tpdo.cob_id:03X}h)"
@@ -310,6 +376,23 @@ def _is_of_board(each: Object) -> bool:
         return True
     is_of_phi = each.index >= od.MANUFACTURER and od.split_block(each.index)[1] in (od.ROWS, od.TAXELS)
     return is_of_phi and each.subindex != 0
+
+
+def _syncs(came: Frames) -> npt.NDArray[np.intp]:
+    """Return the places of the SYNC messages that the check has sent."""
+    return np.flatnonzero((came["can_id"] == SYNC_COB_ID) & (came["flags"] & ECHO != 0))
+
+
+def _since_start(came: Frames) -> Frames:
+    """Return the frames from the newest NMT start of the check on, none if the start was not sent."""
+    is_start = (came["can_id"] == NMT_COB_ID) & (came["flags"] & ECHO != 0) & (came["data"][:, 0] == NmtCommand.START)
+    starts = np.flatnonzero(is_start)
+    return came[starts[-1] :] if starts.size else came[:0]
+
+
+def _longest_gap_s(came: Frames) -> float:
+    """Return the longest time between two SYNC messages on the bus."""
+    return float(np.diff(came["time_ns"][_syncs(came)]).max(initial=0)) / 1e9
 
 
 def _is_due(tpdo: BoardTpdo, counter: int) -> bool:

@@ -1,25 +1,30 @@
-"""``skin node check``: compares a board with the contract, or the wiring with the layout."""
+"""``skin node``: compares a board with the contract, or the wiring with the layout; objects of a node by name."""
 
 import dataclasses
 import select
 import time
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Protocol
 
 from cyclopts import Parameter
 
 from bus.link import Link
 from bus.options import BusOptions, open_links
 from canskin.errors import InputError, RunError
-from dbc.contract import Contract
+from dbc.canopen import HIGHEST_NODE_ID
+from dbc.contract import Contract, NodeContract
+from dbc.frame import Frames
 from gateway.node_check import NodeCheck, NodeReport
 from shell.output import write_file
 from shell.service import StopSignal, say
-from shell.terminal import Json, print_json
+from shell.terminal import Json, print_json, print_table
 from skin.layout import Layout, load_layout, require_boards, require_one_state
+from skin.ranges import ranges_text
 
 if TYPE_CHECKING:
     from gateway.count_reading import CountReading
+    from gateway.node_objects import Entry
     from gateway.wiring import Finding
 
 #: Longest wait for frames in one turn.
@@ -27,8 +32,9 @@ TURN_S: Final = 0.01
 
 
 def node(
-    action: Literal["check"],
-    *,
+    action: Literal["check", "get", "set", "objects"],
+    *objects: str,
+    eds: Path | None = None,
     node_id: Annotated[int | None, Parameter(name="--node")] = None,
     bus: str | None = None,
     layout: Path | None = None,
@@ -40,20 +46,28 @@ def node(
     out: Path | None = None,
     json: Json = False,
 ) -> int:
-    """Check a board: its objects, and the bytes that it sends while it shows each test pattern.
+    """Check a board; list, read or write the objects of a node by name.
 
-    Needs a bus without gateway. The board is left pre-operational, with the test patterns that it had. Ends with 1 if
+    ``check`` compares the objects of a board, and the bytes that it sends while it shows each test pattern. It needs a
+    bus without gateway. The board is left pre-operational, with the test patterns that it had. Ends with 1 if
     the board differs from the contract. Of adaptive boards the objects alone are compared.
 
     With ``--wiring`` or ``--live`` the wiring is checked in place of a board: which taxels are not wired as the layout
     says, and which boards are exchanged.
 
+    ``get``, ``set`` and ``objects`` may run beside the gateway, which gives way. After a write to an object that the
+    layout fixes, the gateway proves the node again, and writes the layout's value (``configure = "write"``).
+
     Parameters
     ----------
     action
-        ``check``.
+        ``check``; ``get`` and ``set``, which read and write objects by SDO; ``objects``, which lists them.
+    objects
+        Of ``get``: names, or index:sub. Of ``set``: OBJECT=VALUE. Of ``objects``: a part of the names.
+    eds
+        EDS of a device that is no board of the layout.
     node_id
-        Node-ID of the board.
+        Node-ID of the board or device.
     bus
         Name of its bus in the layout. Default: the only one.
     layout
@@ -81,10 +95,16 @@ def node(
     skin node check --layout palm.toml --node 1 --json
     skin node check --layout palm.toml --wiring stroke.mcap --path finger.csv --out boards.csv
     skin node check --layout palm.toml --live 30 -i socketcan -c can0
+    skin node get "Producer heartbeat time" 1018h:4 --bus bus0 --node 3
+    skin node set 6060h=3 --eds drive.eds --node 5 -i socketcan -c can0
     """
-    if action != "check":
-        raise InputError(f"expected 'skin node check', got '{action}'")
     skin = load_layout(layout)
+    if action != "check":
+        return _objects(
+            action, objects, eds=eds, skin=skin, bus=bus, node_id=node_id, can=can or BusOptions(), as_json=json
+        )
+    if objects or eds is not None:
+        raise InputError("'skin node check' takes no objects: expected get, set or objects")
     if wiring is not None:
         from gateway.wiring_check import check_wiring
 
@@ -101,17 +121,10 @@ def node(
     require_one_state(skin, "'skin node check'")
     number = _bus_number(skin, bus)
     contract = Contract.from_layout(skin)
-    wanted = [each for each in contract.on_bus(number) if each.node_id == node_id]
-    if not wanted:
-        raise InputError(
-            f"expected a node-ID from 1 to {skin.bus[number].nodes} of {skin.bus[number].name}, got {node_id}"
-        )
-    options = can or BusOptions()
-    if len(options.channel) == 1:
-        options = dataclasses.replace(options, channel=options.channel * len(skin.bus))
-    link = open_links(skin, options, [number], name="node check", stop=stop)[number]
+    board = _board(contract, number, node_id)
+    link = _open(skin, can or BusOptions(), number, stop)
     try:
-        check = NodeCheck(contract, wanted[0], link.send, time.monotonic())
+        check = NodeCheck(contract, board, link.send, time.monotonic())
         _run(check, link, stop)
     finally:
         link.close()
@@ -120,6 +133,89 @@ def node(
     else:
         _show(check.report)
     return int(bool(check.report.differences))
+
+
+def _board(contract: Contract, number: int, node_id: int) -> NodeContract:
+    for each in contract.on_bus(number):
+        if each.node_id == node_id:
+            return each
+    line = contract.layout.bus[number]
+    raise InputError(f"expected a node-ID of {line.name}, {ranges_text(line.ids)}, got {node_id}")
+
+
+def _open(skin: Layout, options: BusOptions, number: int, stop: StopSignal) -> Link:
+    if len(options.channel) == 1:
+        options = dataclasses.replace(options, channel=options.channel * len(skin.bus))
+    return open_links(skin, options, [number], name="node check", stop=stop)[number]
+
+
+def _objects(
+    action: Literal["get", "set", "objects"],
+    names: Sequence[str],
+    *,
+    eds: Path | None,
+    skin: Layout,
+    bus: str | None,
+    node_id: int | None,
+    can: BusOptions,
+    as_json: bool,
+) -> int:
+    """List, read or write objects of a node."""
+    from gateway.node_objects import NodeTransfers, entries_of_file, entries_of_node, find, parse_writes
+
+    if node_id is None or not 1 <= node_id <= HIGHEST_NODE_ID:
+        raise InputError(f"expected --node with a node-ID from 1 to {HIGHEST_NODE_ID}, got {node_id}")
+    # A channel that is named needs no bus of the layout, if the device is none of the layout's.
+    number = 0 if eds is not None and bus is None and len(can.channel) == 1 else _bus_number(skin, bus)
+    if eds is None:
+        contract = Contract.from_layout(skin)
+        known = entries_of_node(contract, _board(contract, number, node_id))
+    else:
+        known = entries_of_file(eds, node_id)
+    if action == "objects":
+        wanted = [each for each in known if all(name.lower() in each.name.lower() for name in names)]
+        _show_objects(wanted, {}, as_json=as_json)
+        return 0
+    if not names:
+        raise InputError(f"expected 'skin node {action}' with objects, by name or index:sub; 'objects' lists them")
+    writes = parse_writes(known, names) if action == "set" else []
+    reads = [entry for entry, _ in writes] or [each for name in names for each in find(known, name)]
+    stop = StopSignal().install()
+    link = _open(skin, can, number, stop)
+    try:
+        transfers = NodeTransfers(node_id, list(dict.fromkeys(reads)), link.send, time.monotonic(), writes)
+        _run(transfers, link, stop)
+    finally:
+        link.close()
+    _show_objects(list(transfers.values), transfers.values, as_json=as_json)
+    return int(any(isinstance(each, str) for each in transfers.values.values()))
+
+
+def _show_objects(entries: "list[Entry]", values: "dict[Entry, bytes | str]", *, as_json: bool) -> None:
+    """Print objects, with values where they were read."""
+    rows: list[dict[str, Any]] = []
+    for each in entries:
+        row: dict[str, Any] = {"object": each.place, "name": each.name, "type": each.type_name}
+        row |= {"unit": each.unit, "access": each.variable.access_type}
+        came = values.get(each)
+        if isinstance(came, str):
+            row["error"] = came
+        elif came is not None:
+            row["value"] = each.decode(came)
+        rows.append(row)
+    if as_json:
+        print_json(rows)
+        return
+    cells = [
+        [row["object"], row["name"], *([_value_text(row)] if values else []), row["unit"], row["type"], row["access"]]
+        for row in rows
+    ]
+    print_table(["object", "name", *(["value"] if values else []), "unit", "type", "access"], cells)
+
+
+def _value_text(row: dict[str, Any]) -> str:
+    value = row.get("value", row.get("error"))
+    return f"{value} ({value:X}h)" if type(value) is int and value > 9 else str(value)
 
 
 def _read_live(skin: Layout, can: BusOptions, stroke_s: float, rest_s: float, stop: StopSignal) -> "CountReading":
@@ -178,13 +274,23 @@ def _bus_number(skin: Layout, name: str | None) -> int:
     return names.index(name)
 
 
-def _run(check: NodeCheck, link: Link, stop: StopSignal) -> None:
+class _Talk(Protocol):
+    """A talk with a node: a check, or transfers."""
+
+    done: bool
+    due_s: float
+
+    def take(self, arrived: Frames, now_s: float) -> None: ...
+    def tick(self, now_s: float) -> None: ...
+    def give_up(self) -> None: ...
+
+
+def _run(check: _Talk, link: Link, stop: StopSignal) -> None:
     try:
         while not check.done:
             if stop.is_set():
-                raise RunError("stopped before the board was checked")
-            timeout_s = min(TURN_S, max(0.0, check.due_s - time.monotonic()))
-            select.select([link], [], [], timeout_s or TURN_S)
+                raise RunError("stopped before the talk with the node was over")
+            select.select([link], [], [], min(TURN_S, max(0.0, check.due_s - time.monotonic())))
             check.take(link.receive(), time.monotonic())
             check.tick(time.monotonic())
     finally:

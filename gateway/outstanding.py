@@ -7,8 +7,21 @@ frame that did not come in a cycle may come in the next. There it would pass for
 Where nodes have two states, a SYNC asks for the frames of one. A node that missed the switch sends the others.
 So after SYNCs that asked for other frames, the first cycle is doubtful. Where a node strayed (it sent meanwhile), the
 second cycle is doubtful, too.
+
+A bus is *unordered* if its interface does not prove that the echo of SYNC comes after SYNC was on the bus and before
+the answers. There a SYNC
+may wait in the interface, and so may a frame, for any time. So nothing ends by time, and SYNC counts from the moment
+before it is handed to the interface:
+
+    owed = SYNCs handed over - frames that came >= frames that still may come
+
+because a SYNC causes one frame of a row at most. A frame that comes while one is owed, and none was owed when SYNC n
+was handed over, is the answer to SYNC n: nothing else could cause it. A frame that never comes stays owed. The gateway
+resets the communication of such a node. Its boot-up message proves that nothing old follows, because a node sends no
+PDO before it is started again, and interfaces send and receive first in, first out.
 """
 
+from collections.abc import Collection
 from typing import NamedTuple
 
 import numpy as np
@@ -36,7 +49,10 @@ class Outstanding(NamedTuple):
         Rows that are doubtful at the next SYNC for that; and rows whose frame may be the answer to a SYNC before the
         newest.
     is_silent : array of bool, shape (nodes,)
-        Nodes that have sent nothing since they were last not proven.
+        Nodes that have sent nothing since they were last not proven; on unordered buses, since they last booted.
+    is_ordered : array of bool, shape (buses,)
+    cycles_behind : array of int64, shape (nodes,)
+        On unordered buses: SYNCs in a row at which the node owed a frame.
     """
 
     owed: Integers
@@ -47,10 +63,12 @@ class Outstanding(NamedTuple):
     doubtful: Flags
     may_be_old: Flags
     is_silent: Flags
+    is_ordered: Flags
+    cycles_behind: Integers
 
 
-def new_outstanding(contract: Contract) -> Outstanding:
-    """Return the state before the first SYNC."""
+def new_outstanding(contract: Contract, unordered: Collection[int] = ()) -> Outstanding:
+    """Return the state before the first SYNC; `unordered` are numbers of buses."""
     rows, buses = len(contract.table.cob_id), len(contract.layout.bus)
     asked_ns, window_ns = np.zeros((2, buses), np.int64)
     strayed, doubtful, may_be_old = np.zeros((3, rows), np.bool_)
@@ -63,6 +81,8 @@ def new_outstanding(contract: Contract) -> Outstanding:
         doubtful,
         may_be_old,
         np.ones(len(contract.nodes), np.bool_),
+        np.array([bus not in unordered for bus in range(buses)]),
+        np.zeros(len(contract.nodes), np.int64),
     )
 
 
@@ -79,7 +99,9 @@ def ask(bus: int, time_ns: int, window_ns: int, table: FrameTable, frames: Outst
     """
     is_first = frames.rests[bus]
     frames.rests[bus] = False
-    has_passed = _note(bus, time_ns, window_ns, frames)
+    has_passed = _note(bus, time_ns, window_ns, frames) and frames.is_ordered[bus]
+    if not frames.is_ordered[bus]:
+        _count_behind(bus, table, frames)
     for row in range(len(table.bus)):
         if table.bus[row] != bus:
             continue
@@ -89,6 +111,17 @@ def ask(bus: int, time_ns: int, window_ns: int, table: FrameTable, frames: Outst
         if has_passed:
             frames.owed[row] = 0  # after the window the nodes have given up; see the module for the next cycle
         frames.owed[row] += 1
+
+
+@njit(cache=True, nogil=True)
+def _count_behind(bus: int, table: FrameTable, frames: Outstanding) -> None:
+    is_behind = np.zeros(len(frames.cycles_behind), np.bool_)
+    for row in range(len(table.bus)):
+        is_behind[table.node[row]] |= frames.owed[row] > 0
+    for row in range(len(table.bus)):
+        node = table.node[row]
+        if table.bus[row] == bus and (row == 0 or table.node[row - 1] != node):  # rows are ordered by node
+            frames.cycles_behind[node] = frames.cycles_behind[node] + 1 if is_behind[node] else 0
 
 
 @njit(cache=True, nogil=True)
@@ -121,7 +154,7 @@ def came(row: int, table: FrameTable, frames: Outstanding) -> None:
 
 
 def doubt(node: npt.NDArray[np.intp], frames: Outstanding) -> None:
-    """Take note that nodes are not proven now."""
+    """Take note that nodes of an ordered bus are not proven now, or that nodes of any bus have booted."""
     frames.is_silent[node] = True
 
 

@@ -54,10 +54,13 @@ class SdoAbortedError(SdoError):
 
     def __init__(self, transfer: Transfer, code: int) -> None:
         try:
-            words = f"{code:08X}h, {Abort(code).name.lower().replace('_', ' ')}"
+            words = Abort(code).name.lower().replace("_", " ")
         except ValueError:
-            words = f"{code:08X}h"
-        super().__init__(f"object {transfer.index:04X}h:{transfer.subindex}: abort {words}")
+            from canopen.sdo.exceptions import SdoAbortedError as Known
+
+            words = Known.CODES.get(code, "").lower()
+        named = f"abort {code:08X}h{', ' * bool(words)}{words}"
+        super().__init__(f"object {transfer.index:04X}h:{transfer.subindex}: {named}")
         self.code = code
 
 

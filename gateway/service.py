@@ -66,7 +66,7 @@ class GatewayService:
             say=lambda text: say("gateway", text),
             complain=RateLimitedLog("gateway").say,
             rates_hz=rates_hz,
-            without_echoes=[number for number, link in links.items() if not link.keeps_order],
+            unordered=[number for number, link in links.items() if not link.keeps_order],
         )
         self._contract = contract
         self._links = dict(links)

@@ -8,19 +8,24 @@ is made with `njit` of this module.
 
 import hashlib
 import inspect
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from types import FunctionType
-from typing import Any
+from typing import Any, Final, TypeVar
 
+import numba
 import numpy as np
-from numba import config, njit, types
+from numba import config, types
 from numba.core import cgutils
 from numba.core.caching import InTreeCacheLocator, UserProvidedCacheLocator, UserWideCacheLocator
+from numba.core.dispatcher import Dispatcher
 from numba.extending import intrinsic, is_jitted
 from numba.np.arrayobj import make_array
 
 __all__ = ["borrowed", "njit"]
+
+Kernel = TypeVar("Kernel", bound=Callable[..., Any])
 
 
 def _borrowed(_context: Any, arrays: Any) -> Any:
@@ -113,6 +118,24 @@ def _content(file: str) -> str:
     return hashlib.sha256(Path(file).read_bytes()).hexdigest()
 
 
+#: Where a kernel is kept, in this order.
+PLACES: Final[tuple[Any, ...]] = (FolderGiven, FolderOfSource, FolderOfUser)
 config.CACHE_LOCATOR_CLASSES = ",".join(  # type: ignore[attr-defined]  # numba makes its settings at run time
-    f"{place.__module__}.{place.__qualname__}" for place in (FolderGiven, FolderOfSource, FolderOfUser)
+    f"{place.__module__}.{place.__qualname__}" for place in PLACES
 )
+
+
+def njit(*signatures: Any, cache: bool = False, **options: Any) -> Callable[[Kernel], "Dispatcher[Kernel]"]:
+    """Return what compiles a function as ``numba.njit`` does, and keeps the kernel where `cache` is set.
+
+    On a machine where none of `PLACES` can be written, such as a container without volumes, the kernel is compiled in
+    memory by every process. There Numba raises RuntimeError for ``cache=True``.
+    """
+
+    def compile_kernel(function: Kernel) -> "Dispatcher[Kernel]":
+        keeps = cache and any(place.from_function(function, inspect.getfile(function)) for place in PLACES)
+        compiling: Any = numba.njit  # its overloads do not know arguments that are passed on
+        kernel: Dispatcher[Kernel] = compiling(*signatures, cache=keeps, **options)(function)
+        return kernel
+
+    return compile_kernel

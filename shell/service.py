@@ -138,7 +138,8 @@ def request_real_time(service: str) -> str:
     loop, and a loop would wait for the interpreter's lock that the thread holds. A thread that starts later inherits
     the scheduling of the thread that starts it. The kernel keeps a share of each core for other programs, 5 % by
     default (``sched_rt_runtime_us``). Without permission (root, or an ``rtprio`` limit) the scheduling stays as it is,
-    and on a single core, too: there real-time threads take turns of 100 ms, ordinary threads shorter ones.
+    and one line says what gives the permission. On a single core it stays, too: there real-time threads take turns of
+    100 ms, ordinary threads shorter ones.
     Objects that exist now are excluded from garbage collection, because its pauses would make cycles late.
 
     Returns
@@ -148,12 +149,30 @@ def request_real_time(service: str) -> str:
     """
     gc.collect()
     gc.freeze()
-    if _IS_LINUX and len(os.sched_getaffinity(0)) == 1:
-        say(service, "scheduling: ordinary; real time needs two cores or more")
-        return ORDINARY
-    is_real_time = _IS_LINUX and _schedule(os.SCHED_RR, REAL_TIME_PRIORITY)
-    say(service, "scheduling: real time" if is_real_time else "scheduling: ordinary; for real time, allow rtprio 1")
+    is_real_time = _IS_LINUX and not _has_one_core() and _schedule(os.SCHED_RR, REAL_TIME_PRIORITY)
+    say(service, "scheduling: real time" if is_real_time else f"scheduling: ordinary; {way_to_real_time()}")
     return REAL_TIME if is_real_time else ORDINARY
+
+
+def _has_one_core() -> bool:
+    return len(os.sched_getaffinity(0)) == 1
+
+
+def way_to_real_time() -> str:
+    """Return what gives this process real time, after `request_real_time` has obtained none (sched(7))."""
+    if not _IS_LINUX:
+        return "real time needs Linux"
+    if _has_one_core():
+        return "real time needs two cores or more"
+    import resource  # of Unix alone
+
+    limit, _ = resource.getrlimit(resource.RLIMIT_RTPRIO)
+    if limit == resource.RLIM_INFINITY or limit >= REAL_TIME_PRIORITY:
+        return "rtprio allows real time, a filter of system calls or the control group (cpu.rt_runtime_us) refuses it"
+    return (
+        "for real time: LimitRTPRIO=1 in a systemd unit, --ulimit rtprio=1 of Docker, ulimit -r 1 after the line"
+        " '* - rtprio 1' in /etc/security/limits.d/, or setcap cap_sys_nice=ep on Python's file"
+    )
 
 
 def _schedule(policy: int, priority: int) -> bool:

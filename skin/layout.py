@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
 from importlib.resources import files
+from itertools import combinations
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, get_args
 
@@ -17,9 +18,10 @@ import tomli_w
 
 from canskin.errors import UNDECODABLE, InputError, LayoutError
 from skin.chains import MOST, check_chains, order_of, read_chains, read_positions
+from skin.foreign import ForeignMessage, check_foreign, with_foreign_dbc
 from skin.matrix import KEY, MatrixPhi, entries_of, read_matrix
 from skin.measurement import Sbhe, of_rows, part_of, sbhe
-from skin.sending import ADAPTIVE_SIZES, IDENTIFIERS, IN_CYCLES, SENDINGS, Sending, SendingName, groups_of_frame
+from skin.sending import ADAPTIVE_SIZES, IDENTIFIERS, IN_CYCLES, SENDINGS, Sending, SendingName, columns_of
 from skin.surface import LINK_RATIO, Surface, grid_surface, surface_of_positions
 from skin.toml_errors import in_words
 from skin.walsh import GROUP_ROWS, Indices, patches
@@ -62,7 +64,7 @@ RECORDING_SUFFIX: Final = ".mcap"
 NODES_MAX: Final = 127
 #: Fewest bits of a converter of sums: its two end codes count as saturated.
 ANALOGUE_BITS: Final = 4
-#: Most nodes of a bus with recognition: an identifier of one more switches the state of all.
+#: Highest node-ID of a bus with recognition: an identifier of the next switches the state of all.
 RECOGNITION_NODES: Final = 126
 #: Largest value of an entry of the identity object (1018h).
 IDENTITY_MAX: Final = 2**32 - 1
@@ -248,18 +250,32 @@ class Device(_Table, frozen=True, kw_only=True):
     first_serial: Annotated[int, msgspec.Meta(ge=1, le=IDENTITY_MAX)] = 1
 
 
-class Bus(_Table, frozen=True, kw_only=True):
-    """One CAN bus: node-IDs 1 to `nodes`, nominal `bitrate` in bit/s.
+NodeId = Annotated[int, msgspec.Meta(ge=1, le=NODES_MAX)]
 
-    With `fd` the sums are sent in CAN FD frames of up to 64 bytes, with the data phase at `data_bitrate` if given.
+
+class Bus(_Table, frozen=True, kw_only=True):
+    """One CAN bus: `nodes` boards, nominal `bitrate` in bit/s, and the messages of other devices (`foreign`).
+
+    The boards have consecutive node-IDs from `first_node_id` on, default 1, or those of `node_ids`. With `fd` the sums
+    are sent in CAN FD frames of up to 64 bytes, with the data phase at `data_bitrate` if given.
     """
 
     name: Name
     nodes: Annotated[int, msgspec.Meta(ge=1, le=NODES_MAX)]
+    first_node_id: NodeId | None = None
+    node_ids: Annotated[tuple[NodeId, ...], msgspec.Meta(min_length=1)] | None = None
     blocks_per_node: Literal[1, 2, 4, 8] = 1
     bitrate: Annotated[int, msgspec.Meta(ge=BITRATE_MIN, le=BITRATE_MAX)] = BITRATE_MAX
     fd: bool = False
     data_bitrate: Annotated[int, msgspec.Meta(ge=BITRATE_MIN, le=DATA_BITRATE_MAX)] | None = None
+    # In a file also `foreign_dbc`, the path of a .dbc with more of them.
+    foreign: tuple[ForeignMessage, ...] = ()
+
+    @property
+    def ids(self) -> tuple[int, ...]:
+        """Node-IDs of the boards, ascending."""
+        first = self.first_node_id or 1
+        return self.node_ids or tuple(range(first, first + self.nodes))
 
 
 class Layout(_Table, frozen=True, kw_only=True):
@@ -380,7 +396,7 @@ class Layout(_Table, frozen=True, kw_only=True):
         return [bus.nodes * bus.blocks_per_node for bus in self.bus]
 
     def first_block(self, bus: int) -> int:
-        """Return the first block of node 1 on bus number `bus`; the blocks of the other nodes follow."""
+        """Return the first block of the first node on bus number `bus`; the blocks of the other nodes follow."""
         return sum(self._held[:bus])
 
 
@@ -437,7 +453,7 @@ def _read_attached(path: Path) -> bytes:
 def parse_layout(content: bytes, origin: str, folder: Path = Path()) -> Layout:
     """Decode and check a layout; `origin` names the file in messages, and `folder` holds the files that it names."""
     try:
-        document = _with_sizes(_with_files(_with_shape(msgspec.toml.decode(content)), folder))
+        document = _with_sizes(_with_devices(_with_files(_with_shape(msgspec.toml.decode(content)), folder), folder))
     except UNDECODABLE as error:
         raise LayoutError(f"{origin}: {error}") from error
     try:
@@ -481,6 +497,17 @@ def _with_files(tables: dict[str, Any], folder: Path) -> dict[str, Any]:
     if isinstance(measurement.get("chains"), list):
         most = max((len(held) for held in measurement["chains"] if isinstance(held, list)), default=0)
         measurement.setdefault("block_size", min(BOARD_MAX, max(BOARD_MIN, 1 << max(most - 1, 0).bit_length())))
+    return tables
+
+
+def _with_devices(tables: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """Fill in the number of nodes of listed node-IDs, and the messages of other devices from their files."""
+    buses = tables.get("bus")
+    for bus in buses if isinstance(buses, list) else ():
+        if isinstance(bus, dict):
+            with_foreign_dbc(bus, folder)
+            if isinstance(bus.get("node_ids"), list):
+                bus.setdefault("nodes", len(bus["node_ids"]))
     return tables
 
 
@@ -536,10 +563,15 @@ def validated(layout: Layout) -> Layout:
 def layout_text(layout: Layout) -> str:
     """Return the layout as TOML; `parse_layout` reads the same layout from it."""
     tables = msgspec.to_builtins(layout)
-    # TOML has no null, so such keys are left out. tomli-w would write short tables of buses inline.
-    buses = [_given(bus) for bus in tables.pop("bus")]
+    # TOML has no null, so such keys are left out. tomli-w would write short tables in lists inline.
+    buses = [_bus_text(_given(bus)) for bus in tables.pop("bus")]
     tables = {key: _given(value) if isinstance(value, dict) else value for key, value in _given(tables).items()}
-    return "\n[[bus]]\n".join(map(tomli_w.dumps, [{key: each for key, each in tables.items() if each != {}}, *buses]))
+    return "\n[[bus]]\n".join([tomli_w.dumps({key: each for key, each in tables.items() if each != {}}), *buses])
+
+
+def _bus_text(bus: dict[str, Any]) -> str:
+    foreign = bus.pop("foreign")
+    return "\n[[bus.foreign]]\n".join(map(tomli_w.dumps, [bus, *map(_given, foreign)]))
 
 
 def _given(table: dict[str, Any]) -> dict[str, Any]:
@@ -707,9 +739,9 @@ def _check_recognition(layout: Layout, state: Recognition) -> None:
     if layout.taxels.is_analogue:
         raise LayoutError("recognition expects 'digital', got 'analogue' - at `$.taxels.frontend`")
     for index, bus in enumerate(layout.bus):
-        if bus.nodes > RECOGNITION_NODES:
-            limit = f"recognition expects at most {RECOGNITION_NODES} nodes"
-            raise LayoutError(f"{limit}, got {bus.nodes} - at `$.bus[{index}].nodes`")
+        if bus.ids[-1] > RECOGNITION_NODES:
+            limit = f"recognition expects node-IDs up to {RECOGNITION_NODES}"
+            raise LayoutError(f"{limit}, got {bus.ids[-1]} - at `$.bus[{index}]`")
     ratio = state.rate_hz / layout.sync.rate_hz
     if ratio < 2 or abs(ratio - round(ratio)) > 1e-9:
         limit = f"expected a multiple of {layout.sync.rate_hz:g} (`sync.rate_hz`), twice that or more"
@@ -742,11 +774,15 @@ def _check_adaptive(layout: Layout) -> None:
         if got != expected:
             raise LayoutError(f"adaptive sending expects {expected!r}, got {got!r} - at `$.{path}`")
     for index, bus in enumerate(layout.bus):
-        frames = layout.groups // groups_of_frame(layout.groups, bus.fd)
-        most = min(NODES_MAX, IDENTIFIERS // frames)
+        columns = columns_of(layout.groups, bus.fd)
+        most = min(NODES_MAX, columns)
         if bus.blocks_per_node != 1 or bus.nodes > most:
             limits = f"adaptive sending expects at most {most} nodes of one block"
             raise LayoutError(f"{limits}, got {bus.nodes} of {bus.blocks_per_node} - at `$.bus[{index}]`")
+        for one, other in combinations(bus.ids, 2):
+            if (other - one) % columns == 0:
+                limits = f"node-IDs that are {columns} apart have the same identifiers of adaptive sums"
+                raise LayoutError(f"{limits}: expected one of {one} and {other}, got both - at `$.bus[{index}]`")
 
 
 def _check_buses(layout: Layout) -> None:
@@ -762,7 +798,23 @@ def _check_buses(layout: Layout) -> None:
         if bus.data_bitrate is not None and bus.data_bitrate < bus.bitrate:
             limit = f"expected {bus.bitrate} (`bitrate`) or more"
             raise LayoutError(f"{limit}, got {bus.data_bitrate} - at `$.bus[{index}].data_bitrate`")
+        _check_node_ids(bus, f"$.bus[{index}]")
+        check_foreign(bus.foreign, f"$.bus[{index}].foreign", is_fd=bus.fd)
     blocks = layout.first_block(len(layout.bus))
     if blocks != layout.blocks:
         held = f"the buses' nodes hold {blocks} blocks (`nodes` x `blocks_per_node`)"
         raise LayoutError(f"{held} but the skin has {layout.blocks} - at `$.bus`")
+
+
+def _check_node_ids(bus: Bus, path: str) -> None:
+    if bus.node_ids is not None and bus.first_node_id is not None:
+        raise LayoutError(f"expected `first_node_id` or `node_ids`, got both - at `{path}.node_ids`")
+    if bus.node_ids is not None and list(bus.node_ids) != sorted(set(bus.node_ids)):
+        raise LayoutError(f"expected node-IDs in ascending order, each once, got {bus.node_ids} - at `{path}.node_ids`")
+    if len(bus.ids) != bus.nodes:
+        raise LayoutError(
+            f"expected {bus.nodes} node-IDs (`nodes`), or no `nodes`, got {len(bus.ids)} - at `{path}.node_ids`"
+        )
+    if bus.ids[-1] > NODES_MAX:
+        limit = f"expected {NODES_MAX + 1 - bus.nodes} or less, for {bus.nodes} node-IDs up to {NODES_MAX}"
+        raise LayoutError(f"{limit}, got {bus.first_node_id} - at `{path}.first_node_id`")

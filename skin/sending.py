@@ -24,6 +24,11 @@ def groups_of_frame(groups: int, is_fd: bool) -> int:
     return min(groups, FD_GROUPS) if is_fd else 1
 
 
+def columns_of(groups: int, is_fd: bool) -> int:
+    """Return how many boards with `groups` groups have identifiers of their own: those of node-IDs so far apart."""
+    return IDENTIFIERS // groups * groups_of_frame(groups, is_fd)
+
+
 @dataclass(frozen=True, kw_only=True)
 class Sending:
     """One way of sending.

@@ -126,6 +126,7 @@ class Fabric:
         Name of the skin; services of different skins exchange no messages.
     service : str
         Name that the others see while the connection exists; see `watch`. Several services may have the same name.
+        The others do not see a program whose name is empty.
     endpoint : str
         zenoh endpoint, for example ``tcp/HOST:PORT``.
     hub : bool
@@ -173,7 +174,7 @@ class Fabric:
         self._numbers: dict[str, count[int]] = {}
         self._kept: list[Any] = []
         self._session = open_hub(endpoint) if hub else open_client(endpoint, service, stop, patience_s)
-        self._token = self._session.liveliness().declare_token(self._peer.key)
+        self._token: Any = self._session.liveliness().declare_token(self._peer.key) if service else None
         if fingerprint:
             self.watch_peers(self._compare)
 

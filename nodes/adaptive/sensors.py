@@ -151,7 +151,7 @@ class PatchSensors:
         *lead, rows, columns = skin.shape
         places = np.zeros((*lead, self._calibration.gain.size), np.float32)
         places[..., : rows * columns] = skin.reshape(*lead, -1)
-        return np.ascontiguousarray(places[..., self._cells])
+        return np.take(places, self._cells, axis=-1)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from bus.polling import poll
 from bus.simulated_bus import SimulatedBus
-from dbc.adaptive import FIRST_COB_ID, GROUP_SUMS, KINDS, PAUSE_MS, Companding, SendingRule, carried
+from dbc.adaptive import FIRST_COB_ID, GROUP_SUMS, KINDS, PAUSE_MS, Companding, SendingRule, carried, column_of
 from dbc.adaptive_filter import SAMPLE_NS
 from dbc.canopen import BASE_ID_MASK, SYNC_COB_ID
 from dbc.contract import Contract, frame_flags, sum_frame_bits
@@ -64,7 +64,8 @@ class SimulatedNodes:
         self._controllers = new_controllers(np.tile(np.array(bits, np.int64), (line.nodes, 1)), groups)
         self._tpdos, self._together = KINDS * groups, carried(groups, line.fd)
         tpdos = np.arange(self._tpdos)
-        cob_ids = FIRST_COB_ID + IDENTIFIERS // groups * tpdos + np.arange(line.nodes)[:, None]
+        columns = np.array([column_of(each, groups, is_fd=line.fd) for each in line.ids])
+        cob_ids = FIRST_COB_ID + IDENTIFIERS // groups * tpdos + columns[:, None]
         self._controllers.cob_id[:] = np.where(tpdos % self._together > 0, NO_COB_ID, cob_ids)
         self._place_of = np.full(BASE_ID_MASK + 1, -1, np.int64)
         node, tpdo = np.nonzero(self._controllers.cob_id)

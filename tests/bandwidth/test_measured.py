@@ -259,7 +259,7 @@ def test_time_is_planned_if_the_layout_has_it(contract: Contract) -> None:
     layout = contract.layout
     timed = Contract.from_layout(msgspec.structs.replace(layout, sync=msgspec.structs.replace(layout.sync, time_s=2.0)))
     assert Identifiers(timed, 1).kind_of(0x100) == ("TIME", 0)
-    assert planned_rates(timed, 1)[0x100] == 0.5
+    assert planned_rates(timed, 1)[0x100, False] == 0.5
 
 
 @pytest.mark.parametrize("seen", [frames(0), frames(1), frames(5)])
@@ -310,7 +310,7 @@ def test_loads_are_bits_of_the_bit_rate(contract: Contract, planned: BusPlan) ->
     assert 2 * 111e-6 / 0.01 < node.load_exact < node.load_worst
     rates = [(each.cob_id, each.rate_hz, each.planned_rate_hz) for each in load.identifiers]
     assert rates == [(0x80, pytest.approx(100.0), 100.0), (0x181, pytest.approx(200.0), 50.0)]
-    assert planned_rates(contract, 1)[0x720] == 1.0
+    assert planned_rates(contract, 1)[0x720, False] == 1.0
 
 
 @pytest.mark.parametrize(("wrong", "is_said"), [(2, False), (3, True)])

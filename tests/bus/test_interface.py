@@ -113,22 +113,25 @@ ON = {"mtu": 72, "data_timing": Timing(4_000_000, 0.8)}
             CLASSIC,
             {"timing": Timing(500_000, 0.875)},
             "its bit rate is 500000 bit/s, sample point 0.875, the layout has 1000000 bit/s",
-            "ip link set can0 down && ip link set can0 up type can bitrate 1000000",
+            "ip link set can0 down && ip link set can0 up type can bitrate 1000000 sample-point 0.750",
         ),
         (
             FD,
             ON | {"data_timing": Timing(2_000_000, 0.8), "restart_ms": 0, "queue_frames": 5},
             "its data bit rate is 2000000 bit/s, sample point 0.800, the layout has 4000000 bit/s",
             (
-                "ip link set can0 down && ip link set can0 txqueuelen 10 up"
-                " type can bitrate 1000000 dbitrate 4000000 fd on restart-ms 100"
+                "ip link set can0 down && ip link set can0 txqueuelen 1000 up"
+                " type can bitrate 1000000 sample-point 0.750 dbitrate 4000000 dsample-point 0.750 fd on restart-ms 100"
             ),
         ),
         (
             FD,
             {},
             "it carries no CAN FD",
-            "ip link set can0 down && ip link set can0 up type can bitrate 1000000 dbitrate 4000000 fd on",
+            (
+                "ip link set can0 down && ip link set can0 up type can"
+                " bitrate 1000000 sample-point 0.750 dbitrate 4000000 dsample-point 0.750 fd on"
+            ),
         ),
         (
             FD,
@@ -141,7 +144,7 @@ ON = {"mtu": 72, "data_timing": Timing(4_000_000, 0.8)}
             CLASSIC,
             {"is_up": False, "timing": None, "restart_ms": 0},
             "it is down",
-            "ip link set can0 up type can bitrate 1000000 restart-ms 100",
+            "ip link set can0 up type can bitrate 1000000 sample-point 0.750 restart-ms 100",
         ),
         (
             CLASSIC,
@@ -170,9 +173,14 @@ def test_interface_that_cannot_work_is_refused_with_the_command(
             "ip link set can0 down && ip link set can0 up type can restart-ms 100",
         ),
         (
+            {"timing": Timing(1_000_000, 0.6)},
+            "its bit rate is 1000000 bit/s, sample point 0.600, CiA recommends 0.750",
+            "ip link set can0 down && ip link set can0 up type can bitrate 1000000 sample-point 0.750",
+        ),
+        (
             {"queue_frames": 5},
             "its transmit queue has room for 5 frames, expected 10",
-            "ip link set can0 txqueuelen 10",
+            "ip link set can0 txqueuelen 1000",
         ),
         (
             {"modes": Mode.ONE_SHOT | Mode.LOOPBACK},

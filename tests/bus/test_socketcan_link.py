@@ -7,6 +7,7 @@ import struct
 import time
 from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -283,3 +284,40 @@ def test_full_queue_is_told_apart_from_a_frame_that_comes_too_late(link: SocketC
     link.send(np.concatenate([burst(range(100))] * 50))
     assert link.explain().startswith("its transmit queue is full")
     assert link.explain() == ""
+
+
+@pytest.mark.parametrize(
+    ("bus", "driver", "keeps"),
+    [
+        ("platform", "m_can", True),
+        ("spi", "mcp251xfd", True),
+        ("usb", "kvaser_usb", True),
+        ("usb", "peak_usb", False),
+        ("usb", "gs_usb", False),
+        ("usb", "made tomorrow", False),
+        ("spi", "mcp251x", False),
+        (None, None, True),
+    ],
+)
+def test_the_echo_is_trusted_where_the_driver_gives_it_after_the_bus_and_before_the_answers(
+    kernel: Kernel,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    bus: str | None,
+    driver: str | None,
+    keeps: bool,
+) -> None:
+    about = tmp_path / "can7"
+    about.mkdir()
+    if bus is not None and driver is not None:
+        device = tmp_path / "device"
+        for place, name in (("subsystem", bus), ("driver", driver)):
+            (tmp_path / place / name).mkdir(parents=True)
+            device.mkdir(exist_ok=True)
+            (device / place).symlink_to(tmp_path / place / name)
+        (about / "device").symlink_to(device)
+    monkeypatch.setattr(socketcan, "Path", lambda _folder, *names: tmp_path.joinpath(*names))
+    monkeypatch.setattr(socketcan, "read_interface", lambda _channel: can7())
+    link = SocketCanLink("can7")
+    assert link.keeps_order is keeps
+    link.close()

@@ -11,6 +11,7 @@ from canopen.objectdictionary import ODVariable
 from dcf.device import Device
 
 from dbc import indices as od
+from dbc.configuration import configuration
 from dbc.contract import Contract, NodeContract
 from dbc.dictionary import dictionary
 from dbc.eds import NO_BLOCK, NodeType, dcfs, eds, node_name, node_types
@@ -106,6 +107,10 @@ def test_the_dcf_of_a_node_has_its_own_values(name: str, tmp_path: Path) -> None
                 device = Device.from_dcf(str(path), {})
             assert (device.node_id, device.serial_number) == (node.node_id, node.block + 1)
             variables = {(each.index, each.subindex): each for each in flat(found)}
+            # A tool that configures a device writes the ParameterValues alone.
+            written = [each for each in configuration(contract, node) if each.is_writable]
+            values = [variables[each.index, each.subindex].value for each in written]
+            assert values == [int.from_bytes(each.data, "little") for each in written]
             for each in dictionary(contract, node):
                 got = variables[each.index, each.subindex or 0]
                 assert (got.default if got.value is None else got.value) == each.value

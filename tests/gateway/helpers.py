@@ -199,13 +199,16 @@ class World:
     complaints: list[str] = field(default_factory=list)
     measured: list[Measurement] = field(default_factory=list)
     step_s: ClassVar[float] = STEP_S
+    wire: ClassVar[type[Wire]] = Wire
+    #: Buses whose interfaces do not keep the order of SYNC and answers.
+    unordered: ClassVar[tuple[int, ...]] = ()
 
     def __post_init__(self) -> None:
         layout = self.contract.layout
         places = self.contract.phi.wired.taxels
         self.electronics = Witness(layout.taxels, noise_n=0.0, period_s=layout.shortest_period_s, places=places)
         self.sampler = WitnessSampler(self.contract.phi, self.electronics, layout.sync.period_s)
-        self.wires = [Wire() for _ in self.contract.layout.bus]
+        self.wires = [self.wire() for _ in self.contract.layout.bus]
         self.segments = [self.new_segment(bus, self.built or self.contract) for bus in range(len(self.wires))]
         self.power_up()
         self.gateway = self.new_gateway()
@@ -227,6 +230,7 @@ class World:
             self.now_s,
             say=self.lines.append,
             complain=self.complaints.append,
+            unordered=self.unordered,
         )
 
     def step(self) -> list[Measurement]:

@@ -13,7 +13,7 @@ from gateway.collector import Collector
 from gateway.command import require_order
 from gateway.cycle_gathering import CycleGathering
 from gateway.gathering import Health
-from tests.gateway.helpers import PERIOD_S, World, until_sync, valid
+from tests.gateway.helpers import PERIOD_S, World, two_states, until_sync, valid
 from tests.layouts import IDENTITIES, small_contract
 
 PERIOD_NS = round(PERIOD_S * 1e9)
@@ -276,13 +276,8 @@ def test_whatever_syncs_nodes_miss_every_valid_block_is_of_its_cycle(identity: s
     world.until_whole(1.0)
 
 
-@both
-def test_interface_that_echoes_a_sync_before_its_transmission_needs_alternating_identifiers(identity: str) -> None:
+def test_only_nodes_with_two_states_need_an_interface_that_keeps_the_order() -> None:
     link = PythonCanLink("virtual", "echoes early", 1_000_000)
-    layout = CONTRACTS[identity].layout
-    if identity == "window":
-        with pytest.raises(InputError, match=r'bus1 may report a SYNC.* expected `sync.identity = "alternating"`'):
-            require_order(layout, {1: link})
-    else:
-        require_order(layout, {1: link})
-        link.close()
+    require_order(CONTRACTS["window"].layout, {1: link})
+    with pytest.raises(InputError, match=r"bus1 may report SYNC .* expected a SocketCAN driver"):
+        require_order(two_states().layout, {1: link})

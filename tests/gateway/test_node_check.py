@@ -11,7 +11,7 @@ import pytest
 
 from dbc import indices as od
 from dbc.board_sums import PATTERN_FULL
-from dbc.canopen import NmtCommand, NmtState
+from dbc.canopen import Emergency, NmtCommand, NmtState
 from dbc.configuration import setting_of
 from dbc.contract import Contract
 from dbc.dictionary import dictionary
@@ -79,6 +79,49 @@ def test_a_board_that_keeps_the_contract(bus: list[dict[str, Any]], identity: st
     commands = [data[0] for can_id, data in bench.wire.log if can_id == 0]
     before_start = [first for first, second in itertools.pairwise(commands) if second == NmtCommand.START]
     assert before_start == [NmtCommand.ENTER_PRE_OPERATIONAL] * 3
+
+
+@pytest.mark.parametrize(("pause_s", "cycles"), [(0.0, 12), (0.3, 16)])
+@pytest.mark.parametrize("identity", IDENTITIES)
+def test_a_board_that_leaves_operational_for_a_pause_of_sync_keeps_the_contract(
+    identity: str, pause_s: float, cycles: int
+) -> None:
+    """So does CANopenNode after 1.5 periods. A pattern that fell into a pause of the computer is shown again."""
+    bench = Bench(small_contract(identity))
+    synced_s, pauses_s = np.inf, [pause_s]
+
+    def hears(end: object, each: np.void) -> bool:
+        nonlocal synced_s
+        if end is bench.wire.nodes and each["can_id"] == 0x080:
+            synced_s = bench.now_s
+        return False
+
+    def leaves() -> None:
+        if pauses_s and bench.node.state == NmtState.OPERATIONAL and synced_s < np.inf:
+            bench.now_s += pauses_s.pop()
+        if bench.now_s - synced_s > 0.075:
+            bench.node.state = NmtState.PRE_OPERATIONAL
+
+    bench.wire.loses = hears
+    report = bench.check(leaves)
+    assert (report.differences, report.cycles) == ([], cycles)
+    assert not pauses_s
+
+
+def test_a_board_that_does_not_stay_operational_differs_once_for_each_pattern_and_says_why() -> None:
+    bench = Bench(small_contract())
+    bench.node.emcy.raised(Emergency.SYNC_LENGTH)
+
+    def leaves() -> None:
+        bench.node.state = NmtState.PRE_OPERATIONAL
+
+    report = bench.check(leaves)
+    why = "its error register (1001h) is 11h, its newest error (1003h:1) 8240h"
+    assert report.notes == [why]
+    assert report.differences == [
+        f"test pattern {name}: the board left OPERATIONAL for pre-operational; {why}"
+        for name in ("zero", "ramp", "full scale")
+    ]
 
 
 def test_a_board_that_makes_its_sums_in_hardware() -> None:

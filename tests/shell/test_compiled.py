@@ -1,5 +1,6 @@
 """Kernels on disk: used again while nothing changed, compiled anew when anything that was compiled in did."""
 
+import os
 import shutil
 import subprocess
 import sys
@@ -16,6 +17,8 @@ from shell.compiled import njit
 def scaled(x):
     return {factor} * x
 """
+#: Of a process that finds no folder to write to.
+NOWHERE = {"NUMBA_CACHE_DIR": "/proc/cache", "HOME": "/proc/home", "XDG_CACHE_HOME": "/proc/cache"}
 CALLER = """
 from callee import SHIFT, scaled
 from shell.compiled import njit
@@ -51,3 +54,19 @@ def test_a_kernel_is_compiled_anew_when_what_it_calls_or_names_in_another_file_c
     assert result(copy, factor=2, constant="SHIFT = 10") == [12, 1]
     assert result(folder, factor=3, constant="SHIFT = 10") == [13, 0]
     assert result(folder, factor=3, constant="SHIFT = 20") == [23, 0]
+
+
+@pytest.mark.heavy
+def test_a_kernel_is_compiled_in_memory_where_no_folder_can_be_written(folder: Path) -> None:
+    (folder / "callee.py").write_text(CALLEE.format(factor=2, constant="SHIFT = 10"))
+    (folder / "__pycache__").touch()  # no folder can be made of that name, by root neither
+    done = subprocess.run(
+        [sys.executable, "caller.py"],
+        cwd=folder,
+        check=True,
+        capture_output=True,
+        text=True,
+        env={**os.environ, **NOWHERE},
+    )
+    assert done.stdout == "12 0\n"
+    assert [path.name for path in folder.glob("**/*.nb*")] == []

@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -10,7 +11,9 @@ import time
 
 import pytest
 
-from shell.service import StopSignal
+from shell.service import REAL_TIME_PRIORITY, StopSignal, request_real_time
+
+MANY_CORES = sys.platform == "linux" and len(os.sched_getaffinity(0)) > 1
 
 #: A handler that a second signal interrupts must not wait for itself; many signals make that likely.
 BOMBARDED = """
@@ -68,6 +71,32 @@ def test_on_one_core_scheduling_stays_ordinary() -> None:
     assert told == "ordinary"
     assert {own, *threads} == {os.SCHED_OTHER}
     assert answer.stderr == "test: scheduling: ordinary; real time needs two cores or more\n"
+
+
+#: Without the right to any priority, as root too.
+WITHOUT_RIGHT = ("prlimit", "--rtprio=0", "setpriv", "--bounding-set=-sys_nice", "--inh-caps=-sys_nice")
+
+
+@pytest.mark.skipif(shutil.which("setpriv") is None, reason="NOT TESTED: setpriv is missing (Debian: util-linux)")
+@pytest.mark.skipif(not MANY_CORES, reason="NOT TESTED: real time needs two cores")
+def test_without_real_time_one_line_says_what_gives_it_and_nothing_is_refused() -> None:
+    right = WITHOUT_RIGHT if os.geteuid() == 0 else WITHOUT_RIGHT[:2]
+    answer = subprocess.run([*right, sys.executable, "-c", SCHEDULED], capture_output=True, check=True, text=True)
+    told, threads, _, own = json.loads(answer.stdout)
+    assert told == "ordinary"
+    assert {own, *threads} == {os.SCHED_OTHER}
+    (line,) = answer.stderr.splitlines()
+    for means in ("LimitRTPRIO=1", "--ulimit rtprio=1", "ulimit -r", "setcap cap_sys_nice"):
+        assert means in line
+
+
+@pytest.mark.skipif(not MANY_CORES, reason="NOT TESTED: real time needs two cores")
+def test_a_refusal_that_no_limit_explains_is_said_to_be_one(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("resource.getrlimit", lambda _: (REAL_TIME_PRIORITY, REAL_TIME_PRIORITY))
+    assert request_real_time("test") == "ordinary"  # the tests' process is refused, see tests/conftest.py
+    assert "cpu.rt_runtime_us" in capsys.readouterr().err
 
 
 @pytest.mark.heavy

@@ -176,5 +176,5 @@ def test_short_queue_is_told_with_the_command(adapter: Adapter, capsys: pytest.C
     subprocess.run(["sh", "-c", line.split("'")[1]], check=True)
     open_link("socketcan", NAME, 1_000_000, name="gateway").close()
     assert capsys.readouterr().err == (
-        "gateway: slcan0: 1000000 bit/s, no restart after bus-off, queue of 10 frames, error-active\n"
+        "gateway: slcan0: 1000000 bit/s, no restart after bus-off, queue of 1000 frames, error-active\n"
     )

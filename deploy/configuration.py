@@ -1,0 +1,186 @@
+"""Writes what a host's configuration takes from a layout; `deploy/install` runs it in the environment of the skin.
+
+The files go to a folder, at the paths that they have on the host: the environment of the services, the bit rates of the
+CAN interfaces for systemd-networkd, names that stay and queues for udev, and the order of services after interfaces.
+"""
+
+import argparse
+import re
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from bus.ip_link import RESTART_MS, TRANSMIT_QUEUE_FRAMES, data_bit_rate_hz, sample_point
+from bus.options import BusOptions, channels
+from canskin.errors import InputError, SkinError
+from shell.command import WRONG_INPUT
+from skin.layout import SHIPPED, Bus, Layout, load_layout
+
+#: Services that open the CAN interfaces.
+ON_THE_BUSES: Final = ("gateway", "record")
+#: Folders that the services cannot see (ProtectHome=, systemd.exec(5)).
+HOMES: Final = ("/home", "/root", "/run/user")
+#: Type of CAN devices, ARPHRD_CAN of linux/if_arp.h.
+ARPHRD_CAN: Final = 280
+#: Longest name of an interface, IFNAMSIZ - 1 of linux/if.h.
+NAME_MAX: Final = 15
+
+ENVIRONMENT: Final = """\
+# What the services of the skin are given. A change counts from their next start: systemctl restart skin.target
+#
+# The layout: a name that comes with canskin, or an absolute path that the user skin can read, best in /etc/canskin.
+SKIN_LAYOUT={layout}
+# More words of each verb; `skin VERB --help` lists all. Models and calibration belong here, for example
+#   SKIN_gateway=-i socketcan -c can0 --calibration /etc/canskin/palm.json
+#   SKIN_reconstruct=--gains /etc/canskin/gains.json
+#   SKIN_classify=--model /etc/canskin/palm.npz
+SKIN_gateway=-i socketcan -c {channels}{keep_zero}
+SKIN_reconstruct=
+SKIN_classify=
+SKIN_view=
+SKIN_record=-i socketcan -c {channels}
+# Compiled kernels and trained models; another folder needs ReadWritePaths= in a drop-in.
+#SKIN_CACHE=/var/cache/canskin
+"""
+
+NETWORK: Final = """\
+# Bus {bus} of the layout. Made by deploy/install.
+[Match]
+Name={channel}
+Type=can
+
+[Link]
+RequiredForOnline=no
+
+[CAN]
+BitRate={bit_rate_hz}
+SamplePoint={sample_percent:g}%
+RestartSec={restart_ms}ms
+"""
+
+NETWORK_FD: Final = """\
+FDMode=yes
+DataBitRate={bit_rate_hz}
+DataSamplePoint={sample_percent:g}%
+"""
+
+DROP_IN: Final = """\
+# Made by deploy/install: the CAN interfaces of the layout.
+[Unit]
+Wants={devices}
+After={devices} systemd-networkd.service
+
+[Service]
+RestrictAddressFamilies=AF_CAN
+"""
+
+RECORD: Final = """\
+# Every start makes a new recording.
+ExecStart=
+ExecStart=/bin/sh -c 'exec {venv}/bin/skin record --layout "$$SKIN_LAYOUT" $$SKIN_record \\
+  --out "$$STATE_DIRECTORY/$$(date +%%Y%%m%%dT%%H%%M%%S).mcap"'
+"""
+
+
+@dataclass(frozen=True)
+class Adapter:
+    """A USB adapter's channel, and the name of its interface."""
+
+    name: str
+    serial: str
+    channel: int
+
+    @classmethod
+    def from_text(cls, text: str) -> "Adapter":
+        """Read ``NAME=SERIAL`` or ``NAME=SERIAL:CHANNEL``."""
+        found = re.fullmatch(rf"([a-z][a-z0-9_]{{0,{NAME_MAX - 1}}})=([\w.-]+)(?::(\d+))?", text)
+        if found is None:
+            raise InputError(
+                f"--adapter {text}: expected NAME=SERIAL or NAME=SERIAL:CHANNEL, for example skin0=0042A7:1"
+            )
+        if re.fullmatch(r"s?l?can\d+", found[1]):
+            raise InputError(
+                f"--adapter {text}: the kernel gives the name {found[1]} to any adapter: choose skin0 or so"
+            )
+        return cls(found[1], found[2], int(found[3] or 0))
+
+    @property
+    def rule(self) -> str:
+        """The rule of udev that names the interface; drivers number the channels of an adapter by dev_id."""
+        of = f'ATTRS{{serial}}=="{self.serial}", ATTR{{dev_id}}=="{self.channel:#x}"'
+        return f'ACTION=="add", SUBSYSTEM=="net", ATTR{{type}}=="{ARPHRD_CAN}", {of}, NAME="{self.name}"\n'
+
+
+def network(bus: Bus, channel: str) -> str:
+    """Return the file of systemd-networkd for the interface of a bus (systemd.network(5))."""
+    text = NETWORK.format(
+        bus=bus.name,
+        channel=channel,
+        bit_rate_hz=bus.bitrate,
+        sample_percent=100 * sample_point(bus.bitrate),
+        restart_ms=RESTART_MS,
+    )
+    data_hz = data_bit_rate_hz(bus)
+    if data_hz is None:
+        return text
+    return text + NETWORK_FD.format(bit_rate_hz=data_hz, sample_percent=100 * sample_point(data_hz))
+
+
+def rules(names: Sequence[str], adapters: Sequence[Adapter]) -> str:
+    """Return the rules of udev: names of adapters, and the length of the transmit queues."""
+    queues = (
+        f'ACTION!="remove", SUBSYSTEM=="net", KERNEL=="{name}", ATTR{{type}}=="{ARPHRD_CAN}",'
+        f' ATTR{{tx_queue_len}}="{TRANSMIT_QUEUE_FRAMES}"\n'
+        for name in names
+    )
+    return "".join(["# Made by deploy/install.\n", *(each.rule for each in adapters), *queues])
+
+
+def files(
+    layout: Layout, where: str, names: Sequence[str], adapters: Sequence[Adapter], venv: str
+) -> Iterator[tuple[str, str]]:
+    """Find path and content of each file."""
+    keep_zero = " --keep-zero /var/lib/canskin/zero.json" if layout.sends.in_cycles else ""
+    yield "etc/canskin/skin.env", ENVIRONMENT.format(layout=where, channels=" ".join(names), keep_zero=keep_zero)
+    for bus, name in zip(layout.bus, names, strict=True):
+        yield f"etc/systemd/network/20-canskin-{name}.network", network(bus, name)
+    yield "etc/udev/rules.d/76-canskin.rules", rules(names, adapters)
+    order = DROP_IN.format(devices=" ".join(f"sys-subsystem-net-devices-{name}.device" for name in names))
+    for verb in ON_THE_BUSES:
+        own = RECORD.format(venv=venv) if verb == "record" else ""
+        yield f"etc/systemd/system/skin@{verb}.service.d/10-canskin.conf", order + own
+
+
+def write(arguments: Sequence[str]) -> None:
+    """Write the files that the command line asks for."""
+    parser = argparse.ArgumentParser(prog="deploy/install")
+    parser.add_argument("--layout", required=True)
+    parser.add_argument("--interface", nargs="+", required=True)
+    parser.add_argument("--adapter", nargs="*", default=[])
+    parser.add_argument("--venv", required=True)
+    parser.add_argument("--folder", type=Path, required=True)
+    given = parser.parse_args(arguments)
+    layout = load_layout(Path(given.layout))
+    where = given.layout if given.layout in SHIPPED else str(Path(given.layout).resolve())
+    if where.startswith(tuple(f"{home}/" for home in HOMES)):
+        raise InputError(
+            f"{where}: the services see no home folders: copy the layout to /etc/canskin, and give that path"
+        )
+    names = channels(layout, BusOptions("socketcan", given.interface))
+    adapters = [Adapter.from_text(text) for text in given.adapter]
+    if unused := [each.name for each in adapters if each.name not in names]:
+        raise InputError(f"--adapter {unused[0]}: expected a name of the interfaces, {', '.join(names)}")
+    for path, text in files(layout, where, names, adapters, given.venv):
+        file = given.folder / path
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(text)
+
+
+if __name__ == "__main__":
+    try:
+        write(sys.argv[1:])
+    except SkinError as error:
+        print(f"deploy/install: {error}", file=sys.stderr)
+        sys.exit(WRONG_INPUT)

@@ -1,0 +1,88 @@
+"""Messages of other devices on the buses of a skin, as the layout or a .dbc names them."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any, Final
+
+import msgspec
+
+from canskin.errors import LayoutError
+
+#: Identifiers of 11 and of 29 bits end here.
+BASE_ID_MAX: Final = 0x7FF
+EXTENDED_ID_MAX: Final = 0x1FFF_FFFF
+#: Payloads of CAN FD beyond those of classic CAN, bytes (ISO 11898-1).
+_LONGER: Final = (12, 16, 20, 24, 32, 48, 64)
+_CLASSIC_MAX: Final = 8
+
+
+class ForeignMessage(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """One message of another device.
+
+    `period_s` is the least time from one frame to the next. A message without a period is no part of a plan; its
+    identifier counts as known, and none of the skin may have it.
+    """
+
+    name: Annotated[str, msgspec.Meta(min_length=1, max_length=128)]
+    identifier: Annotated[int, msgspec.Meta(ge=0, le=EXTENDED_ID_MAX)]
+    is_extended: bool = False
+    length: Annotated[int, msgspec.Meta(ge=0, le=_LONGER[-1])] = _CLASSIC_MAX
+    fd: bool = False
+    period_s: Annotated[float, msgspec.Meta(ge=1e-4, le=86_400.0)] | None = None
+
+    @property
+    def key(self) -> tuple[int, bool]:
+        """What tells the message from others on the bus."""
+        return self.identifier, self.is_extended
+
+    @property
+    def rank(self) -> float:
+        """Order in arbitration, the lowest first: the 11 upper bits decide, and then an identifier of 11 bits wins."""
+        return self.identifier / 2**18 + 2**-20 if self.is_extended else float(self.identifier)
+
+
+def with_foreign_dbc(bus: dict[str, Any], folder: Path) -> None:
+    """Put the messages of the .dbc that a table of a bus names in place of its name, after those of the table."""
+    if isinstance(bus.get("foreign_dbc"), str) and isinstance(bus.setdefault("foreign", []), list):
+        bus["foreign"] = [*bus["foreign"], *_read_dbc(folder / bus.pop("foreign_dbc"))]
+
+
+def _read_dbc(path: Path) -> list[dict[str, Any]]:
+    from cantools.database.can import Database
+
+    database = Database(strict=False)
+    try:
+        database.add_dbc_file(path, encoding="cp1252")
+    except OSError as error:
+        raise LayoutError(f"{path}: cannot read the messages: {error.strerror or error}") from error
+    except Exception as error:  # of cantools, of its parser, of int
+        raise LayoutError(f"{path}: expected a .dbc: {' '.join(str(error).split())}") from error
+    return [
+        {
+            "name": each.name,
+            "identifier": each.frame_id,
+            "is_extended": each.is_extended_frame,
+            "length": each.length,
+            "fd": each.is_fd,
+            **({"period_s": each.cycle_time / 1e3} if each.cycle_time else {}),
+        }
+        for each in database.messages
+    ]
+
+
+def check_foreign(messages: Sequence[ForeignMessage], path: str, *, is_fd: bool) -> None:
+    """Check the messages of a bus; `path` is their place in the layout."""
+    known: dict[tuple[int, bool], str] = {}
+    for index, each in enumerate(messages):
+        place = f"at `{path}[{index}]`"
+        if not each.is_extended and each.identifier > BASE_ID_MAX:
+            limit = f"expected an identifier up to {BASE_ID_MAX} (7FFh), or `is_extended = true`"
+            raise LayoutError(f"{limit}, got {each.identifier} for '{each.name}' - {place}")
+        if each.fd and not is_fd:
+            raise LayoutError(f"'{each.name}' is CAN FD: the bus needs `fd = true` - {place}")
+        if each.length > _CLASSIC_MAX and not (each.fd and each.length in _LONGER):
+            limits = f"expected a length of 0 to {_CLASSIC_MAX}, or with `fd = true` of {', '.join(map(str, _LONGER))}"
+            raise LayoutError(f"{limits}, got {each.length} for '{each.name}' - {place}")
+        if (other := known.get(each.key)) is not None:
+            raise LayoutError(f"'{other}' and '{each.name}' have the same identifier {each.identifier:X}h - {place}")
+        known[each.key] = each.name

@@ -1,0 +1,31 @@
+"""The test vectors of a board name every frame that it can send."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dbc.board import board
+from dbc.board_sums import node_payloads
+from dbc.contract import Contract
+from dbc.vectors import vectors_text
+from skin.layout import load_layout
+
+
+@pytest.mark.parametrize("name", ["fd", "recognise-first"])
+def test_frames_of_all_states_are_listed_and_carry_the_sums_of_the_case(name: str) -> None:
+    contract = Contract.from_layout(load_layout(Path(name)))
+    node = contract.nodes[1]
+    for case in json.loads(vectors_text(contract, node))["cases"]:
+        frames = {each["cob_id"]: bytes.fromhex(each["data"]) for each in case["frames"]}
+        assert {*frames} == {tpdo.cob_id for tpdo in board(contract, node).tpdos}
+        for state in contract.states:
+            # All sums of the skin; those of other boards are 0.
+            sums = np.zeros(contract.phi.starts[-1], np.int32)
+            first = int(contract.phi.starts[node.block])
+            sums[first : first + len(case["sums"])] = case["sums"]
+            own = state.nodes[1]
+            of_state = sums if state is contract else sums[contract.recognised]
+            begin, end = (int(state.phi.starts[each]) for each in (own.block, own.block + own.blocks))
+            assert frames.items() >= node_payloads(state, own, of_state[begin:end]).items()

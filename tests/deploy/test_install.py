@@ -1,0 +1,167 @@
+"""The installation of services: what it writes, what it leaves alone, and that the host's programs understand it."""
+
+import configparser
+import os
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from canskin.errors import InputError
+from deploy.configuration import write
+from tests.deploy.conftest import ROOT, Install
+from tests.layouts import layout_toml
+from tests.processes import Processes
+from tests.readonly import not_here
+
+NETWORKS = "etc/systemd/network"
+NETWORKD = Path("/lib/systemd/systemd-networkd")
+
+
+def network(root: Path, name: str) -> dict[str, dict[str, str]]:
+    """Return the sections of the file of an interface."""
+    parser = configparser.ConfigParser(interpolation=None)
+    parser.optionxform = str  # type: ignore[assignment,method-assign]  # names as they are
+    parser.read_string((root / NETWORKS / f"20-canskin-{name}.network").read_text())
+    return {section: dict(parser[section]) for section in parser.sections()}
+
+
+def files(root: Path) -> set[str]:
+    return {str(path.relative_to(root)) for path in root.rglob("*") if path.is_file()}
+
+
+@pytest.mark.heavy
+def test_interfaces_get_the_bit_rates_of_the_layout(installed: Path, install: Install, tmp_path: Path) -> None:
+    names = [f"skin{number}" for number in range(4)]
+    assert sorted(path.name for path in (installed / NETWORKS).iterdir()) == [
+        f"20-canskin-{name}.network" for name in names
+    ]
+    for name in names:
+        assert network(installed, name)["Match"] == {"Name": name, "Type": "can"}
+        assert network(installed, name)["CAN"] == {"BitRate": "1000000", "SamplePoint": "75%", "RestartSec": "100ms"}
+    assert install(tmp_path, "--layout", "fd", "--interface", "can3").returncode == 0
+    can = network(tmp_path, "can3")["CAN"]
+    assert (can["BitRate"], can["FDMode"], can["DataBitRate"]) == ("1000000", "yes", "5000000")
+    assert "-c can3 " in (tmp_path / "etc/canskin/skin.env").read_text()
+
+
+@pytest.mark.heavy
+def test_again_changes_nothing_and_removal_leaves_nothing(install: Install, tmp_path: Path) -> None:
+    assert "installed  /etc/canskin/skin.env" in install(tmp_path).stdout
+    before = {name: (tmp_path / name).read_bytes() for name in files(tmp_path)}
+    again = install(tmp_path)
+    assert "installed" not in again.stdout
+    assert {name: (tmp_path / name).read_bytes() for name in files(tmp_path)} == before
+    # Another interface: the file of the old interface goes.
+    assert (
+        "removed    /etc/systemd/network/20-canskin-can0.network"
+        in install(tmp_path, "--layout", "fd", "--interface", "can1").stdout
+    )
+    assert install(tmp_path, "--remove").returncode == 0
+    assert files(tmp_path) == set()
+    assert not (tmp_path / "etc/canskin").exists()
+
+
+@pytest.mark.heavy
+def test_a_file_that_was_changed_by_hand_stays(install: Install, tmp_path: Path) -> None:
+    install(tmp_path)
+    environment = tmp_path / "etc/canskin/skin.env"
+    own = environment.read_text().replace("SKIN_view=", "SKIN_view=--port 80")
+    environment.write_text(own)
+    for _ in range(2):  # the second run must not take the change for its own
+        done = install(tmp_path, "--layout", "fd")
+        assert "kept       /etc/canskin/skin.env" in done.stdout
+        assert environment.read_text() == own
+        assert "SKIN_LAYOUT=fd" in environment.with_name("skin.env.new").read_text()
+    install(tmp_path, "--remove")
+    assert files(tmp_path) == {"etc/canskin/skin.env"}
+    assert environment.read_text() == own
+
+
+@pytest.mark.heavy
+@pytest.mark.parametrize(
+    ("words", "means"),
+    [
+        (["--bitrate", "500000"], "--help"),
+        (["--layout"], "expected a value"),
+        (["--layout", "absent.toml"], "absent.toml"),
+        (["--remove"], "nothing is installed"),
+    ],
+)
+def test_a_wrong_call_is_one_line_and_installs_nothing(
+    install: Install, tmp_path: Path, words: list[str], means: str
+) -> None:
+    done = install(tmp_path, *words)
+    assert done.returncode == 2
+    (line,) = done.stderr.splitlines()
+    assert line.startswith("deploy/install: ")
+    assert means in line
+    assert files(tmp_path) == set()
+
+
+@pytest.mark.parametrize(
+    ("words", "means"),
+    [
+        (["--interface", "can0", "can1"], "expected 4 channels"),
+        (["--interface", "skin0", "--adapter", "skin0"], "NAME=SERIAL"),
+        (["--interface", "can0", "--adapter", "can0=0042A7"], "the kernel gives"),
+        (["--interface", "can0", "--adapter", "skin0=0042A7"], "can0, can1, can2, can3"),
+    ],
+)
+def test_a_wrong_interface_or_adapter_is_refused(tmp_path: Path, words: list[str], means: str) -> None:
+    with pytest.raises(InputError, match=means):
+        write(["--layout", "default", "--venv", "/opt/canskin", "--folder", str(tmp_path), *words])
+    assert files(tmp_path) == set()
+
+
+def test_a_layout_in_a_home_folder_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "palm.toml").write_text(layout_toml())
+    monkeypatch.setattr("deploy.configuration.HOMES", (str(tmp_path),))
+    with pytest.raises(InputError, match="copy the layout to /etc/canskin"):
+        write(
+            ["--layout", str(tmp_path / "palm.toml"), "--interface", "can0", "--venv", "/v", "--folder", str(tmp_path)]
+        )
+
+
+@pytest.fixture
+def host(installed: Path) -> list[str]:
+    """Words for a program that sees the installed configuration as that of its host, in a network of its own."""
+    if why := not_here():
+        pytest.skip(why)
+    mounts = "; ".join(f'mount --bind "{installed}/{each}" /{each}' for each in ("etc/udev/rules.d", NETWORKS))
+    return ["unshare", "--mount", "--net", "sh", "-euc", f'{mounts}; mount -t sysfs sysfs /sys; exec "$@"', "-"]
+
+
+@pytest.mark.heavy
+@pytest.mark.skipif(shutil.which("udevadm") is None, reason="NOT TESTED: udevadm is missing (Debian: udev)")
+def test_udev_understands_the_rules(host: list[str], installed: Path) -> None:
+    done = subprocess.run([*host, "udevadm", "test", "/sys/class/net/lo"], capture_output=True, text=True, check=False)
+    said = done.stdout + done.stderr
+    rules = "/etc/udev/rules.d/76-canskin.rules"
+    assert [line for line in said.splitlines() if rules in line] == [f"Reading rules file: {rules}"]
+
+
+@pytest.mark.heavy
+@pytest.mark.skipif(not NETWORKD.exists(), reason="NOT TESTED: systemd-networkd is missing (Debian: systemd)")
+def test_networkd_understands_the_interfaces(host: list[str], tmp_path: Path) -> None:
+    quiet = {"SYSTEMD_LOG_TARGET": "console", "SYSTEMD_LOG_LEVEL": "debug"}
+    with Processes(tmp_path) as processes:
+        processes.start("networkd", *host, str(NETWORKD), environment=quiet)
+        processes.await_words("networkd", "Enumeration completed")
+        said = processes.log("networkd").read_text(errors="replace")
+    assert not re.search(r"20-canskin\S*:\d+:", said), said  # a complaint names file and line
+
+
+@pytest.mark.slow
+@pytest.mark.skipif("SKIN_WHEELS" not in os.environ, reason="NOT TESTED: SKIN_WHEELS names no folder of wheels")
+def test_an_environment_is_made_without_a_network(tmp_path: Path) -> None:
+    script, wheels = str(ROOT / "deploy/install"), os.environ["SKIN_WHEELS"]
+    no_network = ["unshare", "--net", script, "--root", str(tmp_path), "--wheels", wheels, "--layout", "fd"]
+    done = subprocess.run(no_network, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    scripts = (tmp_path / "opt/canskin/bin/skin").read_text()
+    assert scripts.startswith("#!/opt/canskin/bin/python")
+    subprocess.run([script, "--root", str(tmp_path), "--remove"], check=True)
+    assert files(tmp_path) == set()

@@ -1,0 +1,115 @@
+"""The units of systemd: valid, careful, and with commands that make a whole skin when they run confined as they say."""
+
+import re
+import shutil
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from canskin.fabric import Fabric
+from canskin.messages import IMAGE, LABEL, MEASUREMENT, Image, Label, Measurement
+from tests.deploy.units import UNITS, Unit
+from tests.layouts import slow_layout
+from tests.processes import Processes, free_endpoint, free_port
+from tests.readonly import gives_real_time, not_here
+
+VERBS = ("gateway", "reconstruct", "classify", "view", "record")
+#: Exposure of a unit by `systemd-analyze security`, in tenths: 0 is none, 100 all.
+EXPOSURE_MAX = 20
+pytestmark = pytest.mark.skipif(
+    shutil.which("systemd-analyze") is None, reason="NOT TESTED: systemd-analyze is missing (Debian: systemd)"
+)
+
+
+@pytest.fixture(scope="module")
+def units(installed: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The installed units, each instance by its name, as `systemctl enable` links them."""
+    folder = tmp_path_factory.mktemp("units") / "system"
+    shutil.copytree(installed / UNITS, folder)
+    for verb in VERBS:
+        (folder / f"skin@{verb}.service").symlink_to("skin@.service")
+    return folder
+
+
+@pytest.mark.heavy
+def test_systemd_understands_every_unit(units: Path) -> None:
+    names = ["skin.target", *(f"skin@{verb}.service" for verb in VERBS)]
+    command = ["systemd-analyze", "verify", "--man=no", "--recursive-errors=no", *(str(units / name) for name in names)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    # Of an unknown setting it only warns; units of this machine's own may have warnings of theirs.
+    assert [line for line in (done.stdout + done.stderr).splitlines() if "skin" in line] == []
+    assert done.returncode == 0
+
+
+@pytest.mark.heavy
+@pytest.mark.parametrize("verb", VERBS)
+def test_no_unit_gets_more_than_it_needs(units: Path, verb: str) -> None:
+    options = ["--offline=yes", f"--threshold={EXPOSURE_MAX}", "--no-pager"]
+    unit = str(units / f"skin@{verb}.service")
+    done = subprocess.run(["systemd-analyze", "security", *options, unit], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_only_services_of_the_buses_open_can_sockets(installed: Path) -> None:
+    allowed = {verb: " ".join(Unit(installed, verb).settings["RestrictAddressFamilies"]).split() for verb in VERBS}
+    assert {verb for verb, families in allowed.items() if "AF_CAN" in families} == {"gateway", "record"}
+
+
+@pytest.fixture(scope="module")
+def endpoint() -> str:
+    return free_endpoint()
+
+
+@pytest.fixture(scope="module")
+def running(installed: Path, endpoint: str, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Processes]:
+    """Run the ExecStart= of each unit, confined as the unit says, on virtual buses; skin.env is edited by hand."""
+    if why := not_here():
+        pytest.skip(why)
+    folder = tmp_path_factory.mktemp("confined")
+    root = folder / "root"
+    shutil.copytree(installed, root)
+    slow_layout(root / "etc/canskin", 20).rename(root / "etc/canskin/slow.toml")
+    environment = root / "etc/canskin/skin.env"
+    text = environment.read_text().replace("SKIN_LAYOUT=default", "SKIN_LAYOUT=/etc/canskin/slow.toml")
+    text = re.sub("-i socketcan -c .*", "-i canskin", text)
+    words = dict.fromkeys((*VERBS, "nodes"), f"--connect {endpoint}")
+    words |= {"gateway": f"--listen {endpoint} --keep-zero /var/lib/canskin/zero.json"}
+    words |= {"view": f"{words['view']} --port {free_port()}", "record": f"-i canskin {words['record']}"}
+    environment.write_text(text + "".join(f"SKIN_{verb}={more}\n" for verb, more in words.items()))
+    with Processes(folder) as processes:
+        bus = Unit(root, "bus")
+        skin = bus.command()[0]
+        processes.start("bus", *bus.confined(folder / "writable").words(skin, "bus"))
+        for verb in ("nodes", *VERBS):
+            unit = Unit(root, verb)
+            processes.start(verb, *unit.confined(folder / "writable").words(*unit.command()))
+        yield processes
+
+
+@pytest.mark.slow
+def test_units_run_confined_as_they_say(running: Processes, endpoint: str) -> None:
+    measurements: list[Measurement] = []
+    images: list[Image] = []
+    labels: list[Label] = []
+    running.await_words("gateway", "scheduling")
+    fabric = Fabric("skin", "test", endpoint)
+    try:
+        fabric.subscribe(MEASUREMENT, measurements.append)
+        fabric.subscribe(IMAGE, images.append)
+        fabric.subscribe(LABEL, labels.append)
+        running.until(lambda: any(min(each.valid) == 1 for each in measurements), "a complete measurement")
+        running.until(lambda: any(min(each.valid) == 1 for each in images), "an image of a complete measurement")
+        running.until(lambda: bool(labels), "a label")
+        running.await_words("view", "web page")
+    finally:
+        fabric.close()
+    wanted = "scheduling: real time" if gives_real_time() else "scheduling: ordinary"
+    for verb in ("gateway", "reconstruct", "classify", "record"):
+        assert running.log(verb).read_text().count(wanted) == 1, verb
+    for verb in VERBS:
+        assert running.stop(verb) == 0, running.log(verb).read_text()
+    kept = running.folder / "writable/var/lib/canskin"
+    assert len(list(kept.glob("*.mcap"))) == 1
+    assert list((running.folder / "writable/var/cache/canskin/numba").rglob("*.nbi"))
