@@ -16,7 +16,7 @@ from bus.error_frames import State
 from bus.ip_link import sample_point
 from bus.messages import to_frame, to_message
 from bus.protocol import check_frames, in_time
-from bus.reconnecting import FIRST_S, LONGEST_S
+from bus.reconnecting import FIRST_S, LONGEST_S, QUEUE_FULL
 from canskin.errors import BusError
 from dbc.frame import ECHO, Frames, frames
 
@@ -93,6 +93,7 @@ class PythonCanLink:
         #: Since when the interface takes no frame, and since when it is bus-off.
         self._refuses_s: float | None = None
         self._is_off_s: float | None = None
+        self._why_lost = ""
         self._bus: can.BusABC | None = self._open()
         self._wake = os.eventfd(0, os.EFD_NONBLOCK)
         self._thread = threading.Thread(target=self._run, name=f"read {channel}", daemon=True)
@@ -124,6 +125,12 @@ class PythonCanLink:
             return State.ACTIVE  # many interfaces do not tell
         self._is_off_s = None if state is not State.BUS_OFF else self._is_off_s or time.monotonic()
         return state
+
+    def explain(self) -> str:
+        """Return why the interface is not opened again, or takes no frame."""
+        if self._bus is None:
+            return self._why_lost
+        return "" if self._refuses_s is None else QUEUE_FULL
 
     def receive(self) -> Frames:
         """Return all waiting frames, echoes of sent frames included."""
@@ -179,7 +186,8 @@ class PythonCanLink:
             elif not self._closing.wait(wait_s):
                 try:
                     self._bus, wait_s = self._open(), FIRST_S
-                except BusError:
+                except BusError as error:
+                    self._why_lost = str(error)
                     wait_s = min(2 * wait_s, LONGEST_S)
         self._lose()
 
