@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from typing import Any, Final
 
 from nodes.access import is_storable
-from nodes.firmware.tables import COMPUTED, WRITABLE, ObjectTable
+from nodes.firmware.tables import COMPUTED, WRITABLE, Build, ObjectTable
 from nodes.storage import Parameters, Storage
 
 #: Number of the record of 1010h.
@@ -22,17 +22,17 @@ class StorageFunction(ctypes.Structure):
     _fields_ = (("load", _FUNCTION), ("save", _FUNCTION), ("context", ctypes.c_void_p))
 
 
-def storage_function(table: ObjectTable, storage: Storage) -> StorageFunction:
-    """Return the storage function of a board with the objects of `table`, whose parameters `storage` keeps.
+def storage_function(build: Build, storage: Storage) -> StorageFunction:
+    """Return the storage function of a board, whose parameters `storage` keeps.
 
     Stored values that do not fit an object are left out: the board has its defaults there.
     """
-    places = list(_places(table))
+    places = list(_places(build.objects))
 
     def load(_context: int, record: int, _key: int, data: Any, _bytes: int) -> int:
         if record != _PARAMETERS or not storage.parameters:
             return 1
-        values = bytearray(table.values[: table.writable_bytes])
+        values = bytearray(build.values[: build.objects.writable_bytes])
         for index, subindex, data_type, at, length in places:
             found = storage.parameters.get(index, {}).get(subindex, b"")
             if is_storable(index, data_type, found):
