@@ -8,6 +8,7 @@ from typing import Final
 
 from dbc.choice import choose_nodes
 from dbc.contract import Contract, NodeContract
+from dbc.eds import node_name
 from dbc.generate import write_files
 from nodes.firmware.adaptive_tables import adaptive_header, adaptive_source
 from nodes.firmware.contract_header import contract_header
@@ -48,7 +49,7 @@ def export_files(contract: Contract, nodes: Sequence[NodeContract]) -> dict[str,
     """Return the text of every file of ``skin export firmware`` by its path."""
     boards = builds(contract, nodes)
     found = {f"src/{path}": text for path, text in sources(boards, "slave", "canopennode").items()}
-    for folder, image in images(boards).items():
+    for folder, image in images(contract, boards).items():
         found |= {f"boards/{folder}/{name}": text for name, text in constants(contract, image).items()}
         found |= {f"boards/{folder}/OD.h": od_header(image), f"boards/{folder}/OD.c": od_source(image)}
     return found | {"README.md": _readme(contract, boards)}
@@ -84,7 +85,7 @@ def _readme(contract: Contract, boards: Sequence[Build]) -> str:
         blocks=node.blocks,
         block_size=contract.phi.block_size,
         sums=node.sums,
-        board=next(iter(images(boards))),
+        board=next(iter(images(contract, boards))),
         table_bytes=_ENTRY_BYTES + objects.own_writable + objects.own_constant,
         period_us=board.sync_period_us,
         window_us=board.sync_window_us,
@@ -93,13 +94,10 @@ def _readme(contract: Contract, boards: Sequence[Build]) -> str:
     )
 
 
-def images(boards: Sequence[Build]) -> dict[str, list[Build]]:
+def images(contract: Contract, boards: Sequence[Build]) -> dict[str, list[Build]]:
     """Return the boards of each program by the name of its folder: one program for all boards of a type."""
     groups = by_type(boards)
     if len(groups) == 1 and len(boards) > 1:
         return {"all": groups[0]}
     several = {f"type-{number}": group for number, group in enumerate(groups, 1)}
-    return {
-        f"{group[0].board.bus}-{group[0].board.node_id:03}" if len(group) == 1 else name: group
-        for name, group in several.items()
-    }
+    return {node_name(contract, group[0].node) if len(group) == 1 else name: group for name, group in several.items()}
