@@ -271,13 +271,14 @@ def test_label_of_a_blind_classifier_does_not_count(state: ViewState, messages: 
 
 def test_dead_buses_are_named_and_not_their_silent_nodes(state: ViewState, messages: Any) -> None:
     silent = (255, 255, 255, 255)
-    state.take(messages.gateway(nmt=(silent, silent), links=("lost", "lost")), 1.0)
-    assert texts(state, 1.1) == ["buses left, right dead: the gateway has lost its interface"]
+    lost, off, passive = "dead: no interface", "dead: bus-off", "troubled: passive"
+    state.take(messages.gateway(nmt=(silent, silent), links=("lost", "lost"), troubles=(lost, lost)), 1.0)
+    assert texts(state, 1.1) == [f"buses left, right {lost}"]
     assert texts(state, 1.1, "warning") == []
-    state.take(messages.gateway(nmt=(silent, silent), links=("passive", "bus_off")), 1.2)
-    assert texts(state, 1.3) == ["bus right dead: the gateway's controller is bus-off"]
+    state.take(messages.gateway(nmt=(silent, silent), links=("passive", "bus_off"), troubles=(passive, off)), 1.2)
+    assert texts(state, 1.3) == [f"bus right {off}"]
     assert texts(state, 1.3, "warning") == [
-        "bus left troubled: the gateway's controller is error passive",
+        f"bus left {passive}",
         "left: all 4 nodes silent",
     ]
     gateway = state.snapshot(1.3)[0].gateway
