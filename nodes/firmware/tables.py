@@ -180,12 +180,11 @@ def _object_table(contract: Contract, node: NodeContract, boards: Sequence[_Dict
         """Rank the rows first, in the order of the sums; then what is the board's own besides; then what is shared."""
         return 0 if _is_row(each) else 1 if (each.index, each.subindex or 0) in differing else 2
 
-    stored = sorted(
-        ((each, len(data)) for each, data in boards[0] if not _is_computed(each)), key=lambda it: rank(it[0])
-    )
-    communication = [it for it in stored if it[0].access == "rw" and it[0].index < od.MANUFACTURER]
-    settings = [it for it in stored if it[0].access == "rw" and it[0].index >= od.MANUFACTURER]
-    constant = [it for it in stored if it[0].access != "rw"]
+    kept = [(each, len(data)) for each, data in boards[0] if not _is_computed(each)]
+    stored = sorted(kept, key=lambda pair: rank(pair[0]))
+    communication = [pair for pair in stored if pair[0].access == "rw" and pair[0].index < od.MANUFACTURER]
+    settings = [pair for pair in stored if pair[0].access == "rw" and pair[0].index >= od.MANUFACTURER]
+    constant = [pair for pair in stored if pair[0].access != "rw"]
     places: dict[tuple[int, int | None], int] = {}
     ends = [0]
     for part in (communication, settings, constant):
