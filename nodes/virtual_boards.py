@@ -75,11 +75,7 @@ class VirtualBoards:
         self._state_cob_id = -1 if contract.recognition is None else STATE_COB_ID
         self._outbox = Outbox()
         self.nodes = [
-            self._new_node(
-                node,
-                hardware,
-                Storage(contract.phi.fingerprint, store / f"{wires.name}-{node.node_id}.json" if store else None),
-            )
+            self._new_node(node, hardware, Storage.of_node(contract, node, store))
             for node in contract.on_bus(bus)
             if node.node_id in node_ids
         ]
