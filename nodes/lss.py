@@ -24,7 +24,7 @@ class LssSlave:
     bit_rate_hz : int
         The only bit rate that the node takes: that of its bus.
     store : callable
-        Stores the node-ID; OSError if that fails.
+        Stores whether the node has its node-ID; OSError if that fails.
     has_node_id : bool
         Whether the node-ID is stored already, or set by switches.
 
@@ -39,7 +39,13 @@ class LssSlave:
     """
 
     def __init__(
-        self, address: tuple[int, ...], node_id: int, bit_rate_hz: int, store: Callable[[], None], *, has_node_id: bool
+        self,
+        address: tuple[int, ...],
+        node_id: int,
+        bit_rate_hz: int,
+        store: Callable[[bool], None],
+        *,
+        has_node_id: bool,
     ) -> None:
         self._address, self._own, self._bit_rate_hz, self._store = address, node_id, bit_rate_hz, store
         self.node_id = NO_NODE_ID
@@ -140,11 +146,10 @@ class LssSlave:
         return bytes((command,)) + answer if answer else None
 
     def _save(self) -> bytes:
-        if self.wanted != self._own:
-            return _OUT_OF_RANGE
+        has_node_id = self.wanted != NO_NODE_ID
         try:
-            self._store()
+            self._store(has_node_id)
         except OSError:
             return _FAILED
-        self._has_stored = True
+        self._has_stored = has_node_id
         return _DONE

@@ -56,9 +56,9 @@ class Storage:
         """
         self._write(parameters, has_node_id=self.has_node_id)
 
-    def save_node_id(self) -> None:
-        """Store that the node has its node-ID; OSError as of `save`."""
-        self._write(self.parameters, has_node_id=True)
+    def save_node_id(self, has_node_id: bool) -> None:
+        """Store whether the node has its node-ID; OSError as of `save`."""
+        self._write(self.parameters, has_node_id=has_node_id)
 
     def clear(self) -> None:
         """Delete the stored values: the next reset restores the defaults. OSError as of `save`."""
