@@ -1,4 +1,4 @@
-# One image for every service; docker-compose.yml says which one a container is. docs/deploy.md tells the rest.
+# One image for every service; docker-compose.yml says which one a container is. docs/containers.md tells the rest.
 ARG BASE=python:3.11-slim-bookworm
 FROM ${BASE} AS build
 # A folder of wheels beside this file (`make wheels`): pip then asks no index, and the build needs no network.

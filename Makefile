@@ -1,6 +1,9 @@
 # make demo     the whole chain on this machine, about 20 s
 # make test     everything that must hold: style, types, imports, tests
 # make test-vcan  the tests on a real CAN kernel, a guest's where this machine has none
+# make test-containers  the skin in containers, on this machine's engine or one of its own (docs/containers.md)
+# make lock     requirements.lock, the versions in the image, anew from pyproject.toml
+# make wheels   the wheels of requirements.lock, for an image built without a network (docs/containers.md)
 # make mutants  small faults put into the code that no test notices, slow ones apart (docs/develop.md); hours without PATHS or ARGS
 # make figures  every picture of the README and of docs/, with today's code (ARGS="demo.png page.png" for some)
 # make setup    the environment of all of them, in .venv; make demo makes a smaller one, without the test tools
@@ -15,7 +18,7 @@ PATHS ?=
 OLDEST := $(shell sed -n 's/^requires-python = ">=\(.*\)"/\1/p' pyproject.toml)
 IS_NEW_ENOUGH := import sys; sys.exit(sys.version_info < tuple(map(int, "$(OLDEST)".split("."))))
 
-.PHONY: setup demo test test-vcan mutants figures check loop
+.PHONY: setup demo test test-vcan test-containers lock wheels mutants figures check loop
 
 setup: .venv/.installed
 
@@ -61,6 +64,23 @@ test: check
 
 test-vcan: setup
 	tests/vcan/run
+
+test-containers: setup wheels
+	tests/containers/run
+
+# One file for every platform and Python; hatchling builds our own packages in the image.
+lock: setup
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check "uv>=0.9,<1"
+	printf '%s\n' ./client . 'hatchling>=1.27,<2' | $(BIN)/uv pip compile --quiet --upgrade --universal --python-version $(OLDEST) \
+		--no-emit-package canskin --no-emit-package canskin-client --no-annotate --no-header --output-file requirements.lock -
+
+wheels: wheels/.complete
+
+wheels/.complete: requirements.lock | setup
+	@rm -rf wheels
+	@$(BIN)/python -m pip download --quiet --disable-pip-version-check --only-binary :all: --python-version $(OLDEST) $(ARGS) \
+		--dest wheels --requirement requirements.lock
+	@touch $@
 
 mutants: .venv/.mutants
 	@$(BIN)/python tests/mutants/find.py $(PATHS) $(ARGS)

@@ -1,11 +1,12 @@
 """The common interface to all CAN interfaces: batches of FRAME records, with echoes of own frames."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Final, Protocol
 
 from bus.error_frames import State
 from bus.outbox import DISCARDED
 from bus.protocol import Hello
+from canskin.errors import InputError
 from dbc.frame import Frames
 from shell.service import StopSignal
 
@@ -79,6 +80,7 @@ def open_link(
     name: str = "link",
     wait_s: float = 0.0,
     stop: StopSignal | None = None,
+    options: Mapping[str, str | float | bool] | None = None,
 ) -> Link:
     """Open a CAN interface.
 
@@ -98,12 +100,18 @@ def open_link(
         Longest wait for a virtual bus that is still starting.
     stop : StopSignal, optional
         If set during the wait, `canskin.errors.Stopped` is raised.
+    options : mapping, optional
+        Arguments of an interface of python-can.
 
     Raises
     ------
+    InputError
+        If there are options for an interface that takes none.
     BusError
         If the interface cannot be opened.
     """
+    if options and interface in {ARBITRATED, "socketcan"}:
+        raise InputError(f"expected no bus option for the interface '{interface}', got {', '.join(options)}")
     if interface == ARBITRATED:
         from bus.arbitrated import ArbitratedLink
 
@@ -115,4 +123,4 @@ def open_link(
         return SocketCanLink(channel, fd=fd)
     from bus.python_can import PythonCanLink
 
-    return PythonCanLink(interface, channel, bitrate, fd=fd, data_bitrate=data_bitrate)
+    return PythonCanLink(interface, channel, bitrate, fd=fd, data_bitrate=data_bitrate, options=options)

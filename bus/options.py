@@ -10,7 +10,7 @@ from cyclopts import Parameter
 from bus.link import ARBITRATED, Link, open_link
 from canskin.errors import InputError
 from shell.service import StopSignal
-from skin.layout import Bus, Layout
+from skin.layout import Layout
 
 #: Longest wait of a service for a bus server that is still starting.
 OPEN_WAIT_S = 30.0
@@ -32,10 +32,13 @@ class BusOptions:
     channel : list of str
         The channel of each bus, in the order of the layout. From a single channel with a number the others follow:
         ``-c can0`` means can0 to can3 for four buses. Default: the names of the buses.
+    bus_option : list of str
+        An argument of the python-can interface, for each bus: ``--bus-option tty_baudrate=1000000``.
     """
 
     interface: Annotated[str, Parameter(alias="-i")] = ARBITRATED
     channel: Channels = field(default_factory=list)
+    bus_option: Annotated[list[str], Parameter(negative=(), show_default=False)] = field(default_factory=list)
 
 
 def channels(layout: Layout, options: BusOptions) -> list[str]:
@@ -64,19 +67,29 @@ def open_links(
 
     If `stop` is set during the wait for a bus, `canskin.errors.Stopped` is raised.
     """
-    names = channels(layout, options)
+    names, typed = channels(layout, options), _typed(options.bus_option)
     numbers = range(len(names)) if wanted is None else sorted(wanted)
-    return {number: _open(options.interface, names[number], layout.bus[number], name, stop) for number in numbers}
+    return {
+        number: open_link(
+            options.interface,
+            names[number],
+            (bus := layout.bus[number]).bitrate,
+            fd=bus.fd,
+            data_bitrate=bus.data_bitrate,
+            name=name,
+            wait_s=OPEN_WAIT_S,
+            stop=stop,
+            options=typed,
+        )
+        for number in numbers
+    }
 
 
-def _open(interface: str, channel: str, bus: Bus, name: str, stop: StopSignal | None) -> Link:
-    return open_link(
-        interface,
-        channel,
-        bus.bitrate,
-        fd=bus.fd,
-        data_bitrate=bus.data_bitrate,
-        name=name,
-        wait_s=OPEN_WAIT_S,
-        stop=stop,
-    )
+def _typed(given: list[str]) -> dict[str, str | float | bool]:
+    """Return options with their values; raise InputError for what is not NAME=VALUE."""
+    from can.util import cast_from_string
+
+    for each in given:
+        if not re.fullmatch(r"\w+=.*", each):
+            raise InputError(f"expected a bus option as NAME=VALUE, got {each!r}")
+    return {name: cast_from_string(value) for name, _, value in (each.partition("=") for each in given)}

@@ -1,38 +1,70 @@
 """The link to any interface of python-can, for adapters without SocketCAN driver."""
 
 import contextlib
+import logging
 import os
-import select
 import threading
 import time
 from collections import deque
+from collections.abc import Mapping
 from typing import Any, Final
 
 import can
 import numpy as np
 
 from bus.error_frames import State
+from bus.ip_link import sample_point
 from bus.messages import to_frame, to_message
 from bus.protocol import check_frames, in_time
+from bus.reconnecting import FIRST_S, LONGEST_S
 from canskin.errors import BusError
 from dbc.frame import ECHO, Frames, frames
-from shell.clock import wall_offset
+
+#: A value of an option of an interface.
+Value = str | int | float | bool
 
 #: Most frames kept until `receive`; later frames are lost and counted.
 QUEUE_FRAMES: Final = 16384
 FRAMES_PER_CALL: Final = 1024
+#: An interface that is bus-off, or takes no frame, for this time is opened again: that ends bus-off.
+PATIENCE_S: Final = 1.0
+#: Interfaces whose echo of a frame is the controller's report that the frame has been sent, at its place among the
+#: received frames. docs/bus.md has the reasons, and those why the others are not here.
+PROVEN_ECHOES: Final = frozenset({"kvaser"})
+#: What an interface needs besides python-can, and options without which it stays bus-off.
+_NEEDS: Final = {
+    "gs_usb": "pip install gs_usb pyusb, and libusb-1.0",
+    "kvaser": "Kvaser's linuxcan (libcanlib.so)",
+    "neovi": "pip install python-ics",
+    "pcan": "PEAK's PCAN-Basic (libpcanbasic.so) and its driver",
+    "slcan": "pip install pyserial",
+}
+_OPTIONS: Final[dict[str, dict[str, Value]]] = {"pcan": {"auto_reset": True}, "kvaser": {"receive_own_messages": True}}
+#: Interfaces that take the bit timing of CAN FD; the others take the rates.
+_TAKE_TIMING: Final = frozenset({"kvaser", "nixnet", "pcan", "slcan", "vector"})
+#: Clock for which the bit timing of CAN FD is computed; an interface with another clock converts it.
+_FD_CLOCK_HZ: Final = 80_000_000
 _STATE_OF: Final = {
     can.BusState.ACTIVE: State.ACTIVE,
     can.BusState.PASSIVE: State.PASSIVE,
     can.BusState.ERROR: State.BUS_OFF,
 }
+#: What interfaces raise where the library is missing, NameError included, or the device does not work.
+_FAILS: Final = (can.CanError, OSError, ValueError, TypeError, ImportError, NotImplementedError, LookupError, NameError)
+# Opening tells what is missing, in one line; what python-can logs besides would go to stderr.
+logging.getLogger("can").addHandler(logging.NullHandler())
 
 
 class PythonCanLink:
-    """A python-can bus as a link.
+    """A python-can bus as a link, read by a thread. An interface that was lost is opened again.
 
-    Interfaces without a file descriptor are read by a thread. The echo of a sent frame comes when the interface accepts
-    the frame, which may be before its transmission.
+    Where the interface has no proven echo, the echo of a frame comes when the frame is handed over, before all frames
+    that are received later. A frame that the interface refused has no echo, and may have been sent all the same.
+
+    Parameters
+    ----------
+    options : mapping of str to Value, optional
+        Arguments of the interface, as python-can documents them.
 
     Raises
     ------
@@ -48,60 +80,53 @@ class PythonCanLink:
         *,
         fd: bool = False,
         data_bitrate: int | None = None,
+        options: Mapping[str, Value] | None = None,
     ) -> None:
-        options: dict[str, Any] = {"bitrate": bitrate}
-        if fd:
-            options |= {"fd": True, "data_bitrate": data_bitrate or bitrate}
-        try:
-            self._bus = can.Bus(channel=channel, interface=interface, ignore_config=True, **options)
-        except (can.CanError, OSError, ValueError, TypeError, ImportError, NotImplementedError) as error:
-            reason = " ".join(str(error).split())
-            raise BusError(f"cannot open {channel} of python-can's interface '{interface}': {reason}") from error
+        self._interface, self._channel, self._fd = interface, channel, fd
+        self._arguments = _arguments(interface, bitrate, data_bitrate or bitrate, dict(options or {}), fd=fd)
+        self._has_echo = interface in PROVEN_ECHOES and not self._arguments.get("single_handle")
         self.dropped = 0
-        self._channel = channel
-        self._fd = fd
-        self._lost = False
-        self._closing = False
         self._queue: deque[Frames] = deque()
+        #: Held while a frame is handed over, and while a frame is put into the queue.
+        self._lock = threading.Lock()
+        self._closing = threading.Event()
+        #: Since when the interface takes no frame, and since when it is bus-off.
+        self._refuses_s: float | None = None
+        self._is_off_s: float | None = None
+        self._bus: can.BusABC | None = self._open()
         self._wake = os.eventfd(0, os.EFD_NONBLOCK)
-        self._epoll = select.epoll()
-        self._epoll.register(self._wake, select.EPOLLIN)
-        self._thread: threading.Thread | None = None
-        self._descriptor = self._bus_fileno()
-        if self._descriptor >= 0:
-            self._epoll.register(self._descriptor, select.EPOLLIN)
-        else:
-            self._thread = threading.Thread(target=self._read, name=f"read {channel}", daemon=True)
-            self._thread.start()
+        self._thread = threading.Thread(target=self._run, name=f"read {channel}", daemon=True)
+        self._thread.start()
 
     def fileno(self) -> int:
         """Return a file descriptor that is readable while frames wait."""
-        return self._epoll.fileno()
+        return self._wake
 
     @property
     def keeps_order(self) -> bool:
-        """False: an echo may come before the transmission of its frame."""
-        return False
+        """Whether the echo of a frame is the controller's report, see `PROVEN_ECHOES`."""
+        return self._has_echo
 
     @property
     def stamp_error_ns(self) -> int | None:
-        """None: the echo of a frame has no time stamp."""
+        """None: times are those at which frames were read, because clocks of adapters are of unknown error."""
         return None
 
     @property
     def state(self) -> State:
-        """State of the controller, from the interface; LOST if reading has failed."""
-        if self._lost:
+        """State of the controller, from the interface; LOST while there is no interface."""
+        bus = self._bus
+        if bus is None:
             return State.LOST
         try:
-            return _STATE_OF[self._bus.state]
-        except (NotImplementedError, can.CanError):
+            state = _STATE_OF[bus.state]
+        except _FAILS:
             return State.ACTIVE  # many interfaces do not tell
+        self._is_off_s = None if state is not State.BUS_OFF else self._is_off_s or time.monotonic()
+        return state
 
     def receive(self) -> Frames:
         """Return all waiting frames, echoes of sent frames included."""
-        if self._thread is None and not self._lost:
-            self._take(0.0)
         with contextlib.suppress(BlockingIOError):
             os.eventfd_read(self._wake)
         arrived = [self._queue.popleft() for _ in range(len(self._queue))]
@@ -116,56 +141,91 @@ class PythonCanLink:
         burst = in_time(burst)
         for place, record in enumerate(burst):
             message = to_message(record, self._channel, 0)
-            try:
-                self._bus.send(message)
-            except can.CanError:
-                return place
-            echo = burst[place : place + 1].copy()
-            echo["flags"] |= ECHO
-            echo["time_ns"], echo["expires_ns"] = time.monotonic_ns(), 0
-            self._put(echo)
+            with self._lock:
+                if self._bus is None:
+                    return place
+                try:
+                    self._bus.send(message)
+                except _FAILS:
+                    self._refuses_s = self._refuses_s or time.monotonic()
+                    return place
+                self._refuses_s = None
+                if not self._has_echo:
+                    self._put_echo(burst[place : place + 1])
         return len(burst)
 
     def close(self) -> None:
         """End the reader and close the interface."""
-        if self._closing:
+        if self._closing.is_set():
             return
-        self._closing = True
-        if self._thread is not None:
-            self._thread.join()
-        self._epoll.close()
+        self._closing.set()
+        self._thread.join()
         os.close(self._wake)
-        self._bus.shutdown()
 
-    def _bus_fileno(self) -> int:
+    def _open(self) -> can.BusABC:
+        # Channels of digits are numbers: gs_usb takes no text.
+        channel = int(self._channel) if self._channel.isdecimal() else self._channel
         try:
-            return self._bus.fileno()
-        except NotImplementedError:
-            return -1
+            return can.Bus(channel=channel, interface=self._interface, ignore_config=True, **self._arguments)
+        except _FAILS as error:
+            raise BusError(_why(self._interface, self._channel, error)) from error
 
-    def _read(self) -> None:
-        while not self._closing and not self._lost:
-            self._take(0.1)
+    def _run(self) -> None:
+        """Read until `close`; open a lost interface again, after waits that grow."""
+        wait_s = FIRST_S
+        while not self._closing.is_set():
+            if self._bus is not None:
+                self._take(self._bus)
+            elif not self._closing.wait(wait_s):
+                try:
+                    self._bus, wait_s = self._open(), FIRST_S
+                except BusError:
+                    wait_s = min(2 * wait_s, LONGEST_S)
+        self._lose()
 
-    def _take(self, timeout_s: float) -> None:
+    def _take(self, bus: can.BusABC) -> None:
         """Take the messages that wait; wait for the first."""
-        offset_ns = 0
+        now_s = time.monotonic()
+        if any(since_s is not None and now_s - since_s > PATIENCE_S for since_s in (self._refuses_s, self._is_off_s)):
+            self._lose()
+            return
         for place in range(FRAMES_PER_CALL):
-            message = self._receive(0.0 if place else timeout_s)
+            try:
+                message = bus.recv(0.0 if place else 0.1)
+            except (ValueError, LookupError):  # what came is no frame, as on a serial line after noise
+                self.dropped += 1
+                return
+            except _FAILS:
+                self._lose()
+                return
             if message is None:
                 return
-            if not place:
-                offset_ns = wall_offset().ns
-            self._put(to_frame(message, offset_ns))
+            if message.is_rx or self._has_echo:
+                self._take_one(message)
 
-    def _receive(self, timeout_s: float) -> can.Message | None:
-        try:
-            return self._bus.recv(timeout_s)
-        except (can.CanError, OSError):
-            self._lost = True
-            if self._descriptor >= 0:  # else the descriptor would stay readable
-                self._epoll.unregister(self._descriptor)
-            return None
+    def _take_one(self, message: can.Message) -> None:
+        frame = to_frame(message, 0)
+        frame["time_ns"] = time.monotonic_ns()
+        if not message.is_rx:
+            frame["flags"] |= ECHO
+        with self._lock:
+            self._put(frame)
+
+    def _lose(self) -> None:
+        """Close the interface: it is gone, or does not work."""
+        with self._lock:
+            bus, self._bus = self._bus, None
+            self._refuses_s = self._is_off_s = None
+            self.dropped += not self._closing.is_set()  # what came meanwhile: the gap is told however short it is
+        if bus is not None:
+            with contextlib.suppress(*_FAILS):
+                bus.shutdown()
+
+    def _put_echo(self, frame: Frames) -> None:
+        echo = frame.copy()
+        echo["flags"] |= ECHO
+        echo["time_ns"], echo["expires_ns"] = time.monotonic_ns(), 0
+        self._put(echo)
 
     def _put(self, frame: Frames) -> None:
         if len(self._queue) >= QUEUE_FRAMES:
@@ -173,3 +233,30 @@ class PythonCanLink:
             return
         self._queue.append(frame)
         os.eventfd_write(self._wake, 1)
+
+
+def _arguments(
+    interface: str, bitrate: int, data_bitrate: int, options: dict[str, Value], *, fd: bool
+) -> dict[str, Any]:
+    """Return the arguments of `can.Bus`; `options` come before what is set here."""
+    rates: dict[str, Any] = {"bitrate": bitrate}
+    if fd:
+        rates |= {"fd": True, "data_bitrate": data_bitrate}
+        if interface in _TAKE_TIMING and not {"f_clock", "f_clock_mhz"} & options.keys():
+            rates["timing"] = can.BitTimingFd.from_sample_point(
+                f_clock=_FD_CLOCK_HZ,
+                nom_bitrate=bitrate,
+                nom_sample_point=100 * sample_point(bitrate),
+                data_bitrate=data_bitrate,
+                data_sample_point=100 * sample_point(data_bitrate),
+            )
+    return rates | _OPTIONS.get(interface, {}) | options
+
+
+def _why(interface: str, channel: str, error: Exception) -> str:
+    """Return the error of an interface, and what to install if that is missing."""
+    reason = " ".join(str(error).split())
+    is_missing = isinstance(error, (ImportError, can.CanInterfaceNotImplementedError, NameError))
+    is_missing |= "library not found" in reason  # PCAN-Basic
+    needs = f"; it needs {_NEEDS[interface]}" if is_missing and interface in _NEEDS else ""
+    return f"cannot open {channel} of python-can's interface '{interface}': {reason}{needs}"

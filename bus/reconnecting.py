@@ -12,7 +12,7 @@ from canskin.errors import BusError
 
 #: Waits for a new socket: after the loss, and the longest, to which the wait doubles with each failure in a row.
 FIRST_S: Final = 0.05
-LONGEST_S: Final = 0.5
+LONGEST_S: Final = 0.2
 
 
 class ReconnectingLink(ABC):

@@ -58,6 +58,12 @@ _SO_RCVBUFFORCE: Final = 33
 _CAN_RAW_ERR_FILTER: Final = 2
 _IFF_UP: Final = 1
 _IFF_ECHO: Final = 0x40000
+#: Drivers of USB adapters that echo a frame when the adapter reports its transmission, one report a frame, in the
+#: stream of received frames. Others echo at the end of the USB transfer (peak_usb), when the firmware has queued the
+#: frame (gs_usb with candleLight), or in groups; docs/bus.md has the table.
+_PROVEN_USB: Final = frozenset({"esd_usb", "esd_usb2", "kvaser_usb"})
+#: Drivers whose interrupt thread passes on received frames before it looks for the end of the transmission.
+_ANSWERS_FIRST: Final = frozenset({"hi3110", "mcp251x"})
 _RTM_GETLINK, _NLM_F_REQUEST, _IFLA_LINKINFO, _IFLA_INFO_KIND, _NLA_TYPE_MASK = 18, 1, 18, 1, 0x3FFF
 
 
@@ -156,13 +162,19 @@ class SocketCanLink(ReconnectingLink):
     def keeps_order(self) -> bool:
         """Whether the driver echoes a frame after its transmission, or the interface has no wire (vcan).
 
-        For other drivers the kernel echoes a frame when the frame is queued.
+        Without IFF_ECHO the kernel echoes a frame when the frame is queued; with it, see `_PROVEN_USB` and
+        `_ANSWERS_FIRST`.
         """
+        about = Path("/sys/class/net", self._channel)
         try:
-            flags = int(Path("/sys/class/net", self._channel, "flags").read_text(), 16)
-            return bool(flags & _IFF_ECHO) or _kind(self._channel) == "vcan"
+            flags = int((about / "flags").read_text(), 16)
+            if not flags & _IFF_ECHO:
+                return _kind(self._channel) == "vcan"
         except (OSError, ValueError):
             return False
+        driver = (about / "device/driver").resolve().name
+        is_usb = (about / "device/subsystem").resolve().name == "usb"
+        return driver in _PROVEN_USB if is_usb else driver not in _ANSWERS_FIRST
 
     @property
     def stamp_error_ns(self) -> int | None:

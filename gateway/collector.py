@@ -404,6 +404,8 @@ class Collector:
         """Take note that frames of a bus were lost; with one phase, the lost frame may be a SYNC between two cycles."""
         if self._is_window:
             spoil_bus(bus, self._table, self._state.cycles)
+        # A command to a node behind would be lost, too: it has some cycles when the bus is back.
+        self._state.outstanding.cycles_behind[self._bus_of_node == bus] = 0
 
     def close(self, counter: int) -> Gathered:
         """End a cycle and return its sums."""

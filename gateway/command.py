@@ -122,6 +122,6 @@ def require_order(layout: Layout, links: Mapping[int, Link]) -> None:
         for link in links.values():
             link.close()
         raise InputError(
-            f"the interface of {', '.join(unordered)} may report a SYNC before it has been on the bus: with recognition "
-            "expected SocketCAN and a driver that tells when a frame has been sent, or a layout without recognition"
+            f"the interface of {', '.join(unordered)} may report SYNC before it has been on the bus: with recognition "
+            "expected a SocketCAN driver that tells when a frame has been sent, or a layout without recognition"
         )

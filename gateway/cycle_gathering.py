@@ -19,9 +19,7 @@ from gateway.open_cycles import slot_of
 MOST_UNREAD: Final = 64
 #: Why the communication of a node is reset.
 _SWAPPED: Final = "answers SYNC with the PDOs of the other phase, or a cycle late"
-_BEHIND: Final = (
-    "owes answers to SYNC, or gives each after the next SYNC, and the interface does not tell which frame is whose"
-)
+_BEHIND: Final = "an answer to SYNC did not come, or comes after the next SYNC"
 #: A cycle ends at the latest this part of a period after the next SYNC was due.
 GRACE: Final = 0.9
 

@@ -169,6 +169,8 @@ class GatewayLoop:
         """Do all that is due at `now_s`, except SYNC and measurements."""
         for bus in self._buses.values():
             bus.master.tick(now_s)
+            if bus.master.strangers.tick(now_s):
+                self._say(f"another SYNC producer on {bus.name}: {bus.master.strangers.words}")
         self.gathering.tick(now_s)
         if self.states is not None:
             self.states.tick(now_s, self.sync.due_s)
@@ -301,8 +303,10 @@ class GatewayLoop:
             for node_id, code in bus.master.emergencies:
                 self._complain(f"EMCY {code:04X}h from node {node_id} on {bus.name}")
             bus.master.emergencies.clear()
+            strangers = bus.master.strangers
             if self.gathering.take_foreign_syncs(number):
-                self._complain(f"another SYNC producer on {bus.name}: {self.gathering.disturbance}")
+                self._complain(f"another SYNC producer on {bus.name}: {self.gathering.disturbance}; {strangers.words}")
+                strangers.find_producers(now_s)
 
     def _bus_state(self, number: int, state: State, dropped: int, now_s: float) -> BusState:
         bus = self._buses[number]

@@ -49,6 +49,7 @@ from gateway.foreign_sdo import Effect, ForeignClient
 from gateway.grouped_lines import GroupedLines
 from gateway.proof import Proof, prove
 from gateway.sdo import ATTEMPTS, TIMEOUT_S, Dialogue, SdoDialogue
+from gateway.strangers import Strangers
 from shell.compiled import njit
 
 #: Pause before each attempt to restart a node. After the last attempt, one attempt follows every `LATER_S`.
@@ -236,6 +237,8 @@ class NmtMaster:
         self._round_s = proof_period_s(contract, bus)
         self._slot_s = self._tick_s = -np.inf
         self._lines = GroupedLines(self._name, say)
+        #: Other devices on the bus.
+        self.strangers = Strangers(send)
         #: Emergencies since the list was last cleared: node-ID and error code.
         self.emergencies: list[tuple[int, int]] = []
         _places(frame_bytes(frames(0)))  # compiled before the first frame
@@ -298,6 +301,10 @@ class NmtMaster:
                     self._heartbeat(node, data[0] & 0x7F, time_ns, now_s)
                 else:
                     self._take_of(node, base, data, now_s)
+            elif identifier > HEARTBEAT_BASE:
+                self.strangers.heard(identifier - HEARTBEAT_BASE)
+            elif identifier & ~HIGHEST_NODE_ID == SDO_RESPONSE_BASE:
+                self.strangers.answered(identifier - SDO_RESPONSE_BASE, data, now_s)
 
     def _take_of(self, node: NodeRecord, base: int, data: bytes, now_s: float) -> None:
         if base == SDO_RESPONSE_BASE and len(data) == SDO_BYTES:

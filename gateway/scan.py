@@ -12,7 +12,6 @@ import numpy as np
 from bus.link import Send
 from dbc import indices as od
 from dbc.canopen import (
-    BASE_ID_MASK,
     EMCY_BASE,
     EMCY_BYTES,
     HEARTBEAT_BASE,
@@ -31,11 +30,10 @@ from dbc.frame import ECHO, ERROR, EXTENDED, REMOTE, Frames, frames, one_frame
 from dbc.frame_bits import wire_bits
 from gateway.foreign_sdo import SDO_QUIET_S
 from gateway.sdo import Dialogue, Read, SdoDialogue, SdoError
+from gateway.strangers import produces_sync
 
 #: Part of the bus that requests and responses take.
-ASKED_LOAD: Final = 0.02
-#: Bit 30 of 1005h: the node produces SYNC (CiA 301, 7.5.2.5).
-PRODUCES_SYNC: Final = 1 << 30
+ASKED_LOAD: Final = 0.05
 #: What is read of each node that answers to 1000h: keys of `ScannedNode`, index, sub-index.
 _IDENTITY: Final = (
     ("vendor_id", od.IDENTITY, 1),
@@ -75,8 +73,7 @@ class ScannedNode:
     @property
     def produces_sync(self) -> bool:
         """Whether the node says that it sends SYNC with identifier 080h."""
-        cob_id = self.sync_cob_id or 0
-        return bool(cob_id & PRODUCES_SYNC) and cob_id & BASE_ID_MASK == SYNC_COB_ID
+        return produces_sync(self.sync_cob_id or 0)
 
 
 @dataclass(frozen=True)

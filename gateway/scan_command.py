@@ -31,7 +31,7 @@ def scan(
 ) -> int:
     """List what is on a CAN bus: identifiers with their rates, CANopen nodes with state and identity, SYNC.
 
-    Listens, then asks every node-ID for its identity by SDO (1000h, 1018h, 1005h, 1008h), which takes 2 % of the bus at
+    Listens, then asks every node-ID for its identity by SDO (1000h, 1018h, 1005h, 1008h), which takes 5 % of the bus at
     most. Exit code 1: two devices produce SYNC.
 
     Parameters

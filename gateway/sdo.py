@@ -58,8 +58,9 @@ class SdoAbortedError(SdoError):
         except ValueError:
             from canopen.sdo.exceptions import SdoAbortedError as Known
 
-            words = Known.CODES.get(code, "not a code of CiA 301").lower()
-        super().__init__(f"object {transfer.index:04X}h:{transfer.subindex}: abort {code:08X}h, {words}")
+            words = Known.CODES.get(code, "").lower()
+        named = f"abort {code:08X}h{', ' * bool(words)}{words}"
+        super().__init__(f"object {transfer.index:04X}h:{transfer.subindex}: {named}")
         self.code = code
 
 

@@ -6,8 +6,9 @@ Boards sample at the end of SYNC. The gateway knows two times of it: its own sen
 
 because a frame waits for the frame that is on the bus, and an interrupt comes after the end of its frame. The wait is
 rare, for the bus is free at the end of a window, and the latency of the interrupt is small beside the wait. So the time
-stamp is the estimate, and the whole interval is the bound of its error. Where an interface gives no time stamps, the
-estimate is the send call plus the time of the frame, and the first answer is the upper limit.
+stamp is the estimate, and the whole interval is the bound of its error. Where an interface gives no time stamps, or
+echoes SYNC before SYNC has ended, the estimate is the send call plus the time of the frame, and the first frame that is
+certainly an answer is the upper limit.
 
 A time stamp that contradicts this order is of a clock that was set or is wrong: no bound is proven. On a virtual bus
 the order does not hold, because a SYNC that was sent late ends as if sent when it was due. Nodes have the same time

@@ -16,7 +16,7 @@ from cyclopts import Parameter
 
 from canskin.errors import InputError, RunError
 from canskin.peers import REAL_TIME
-from shell.service import REAL_TIME_PRIORITY, StopSignal, request_real_time
+from shell.service import StopSignal, request_real_time, way_to_real_time
 from shell.terminal import Json, print_json, print_table
 from skin.layout import load_layout
 
@@ -148,14 +148,8 @@ def _right(scheduling: str) -> Setting:
     value = f"{scheduling}; rtprio {limit}, CAP_SYS_NICE {'yes' if capabilities >> _CAP_SYS_NICE & 1 else 'no'}"
     if scheduling == REAL_TIME:
         return Setting("scheduling", value)
-    if len(os.sched_getaffinity(0)) == 1:
-        return Setting("scheduling", value, "give the services two cores or more", "real-time scheduling")
-    return Setting(
-        "scheduling",
-        value,
-        f"echo '* - rtprio {REAL_TIME_PRIORITY}' | sudo tee /etc/security/limits.d/canskin.conf, and log in again",
-        "images in time beside busy programs, where the chain breaks down without (docs/start.md)",
-    )
+    gain = "images in time beside busy programs, where the chain breaks down without (docs/start.md)"
+    return Setting("scheduling", value, way_to_real_time(), gain)
 
 
 def _clock() -> Setting:

@@ -149,18 +149,21 @@ def request_real_time(service: str) -> str:
     """
     gc.collect()
     gc.freeze()
-    if _IS_LINUX and len(os.sched_getaffinity(0)) == 1:
-        say(service, "scheduling: ordinary; real time needs two cores or more")
-        return ORDINARY
-    is_real_time = _IS_LINUX and _schedule(os.SCHED_RR, REAL_TIME_PRIORITY)
-    say(service, "scheduling: real time" if is_real_time else f"scheduling: ordinary; {_way_to_real_time()}")
+    is_real_time = _IS_LINUX and not _has_one_core() and _schedule(os.SCHED_RR, REAL_TIME_PRIORITY)
+    say(service, "scheduling: real time" if is_real_time else f"scheduling: ordinary; {way_to_real_time()}")
     return REAL_TIME if is_real_time else ORDINARY
 
 
-def _way_to_real_time() -> str:
-    """Return what gives this process real time, after the kernel has refused it (sched(7))."""
+def _has_one_core() -> bool:
+    return len(os.sched_getaffinity(0)) == 1
+
+
+def way_to_real_time() -> str:
+    """Return what gives this process real time, after `request_real_time` has obtained none (sched(7))."""
     if not _IS_LINUX:
         return "real time needs Linux"
+    if _has_one_core():
+        return "real time needs two cores or more"
     import resource  # of Unix alone
 
     limit, _ = resource.getrlimit(resource.RLIMIT_RTPRIO)

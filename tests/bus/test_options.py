@@ -61,7 +61,24 @@ def test_wanted_buses_are_opened_on_their_channels_for_half_a_minute(monkeypatch
         1: ("socketcan", "can5"),
     }
     assert every[0].bitrate == layout.bus[0].bitrate
-    expected = {"fd": False, "data_bitrate": layout.bus[0].data_bitrate, "name": "gateway", "wait_s": 30, "stop": None}
+    expected = {
+        "fd": False,
+        "data_bitrate": layout.bus[0].data_bitrate,
+        "name": "gateway",
+        "wait_s": 30,
+        "stop": None,
+        "options": {},
+    }
     assert every[0].rest == expected
     some: dict[int, Any] = open_links(layout, BusOptions(), {1})
     assert {number: (link.interface, link.channel) for number, link in some.items()} == {1: ("canskin", "right")}
+
+
+def test_options_of_the_interface_have_the_types_of_python_can(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(options, "open_link", lambda *place, **rest: Opened(*place, rest))
+    given = ["auto_reset=true", "tty_baudrate=1000000", "timeout=0.5", "device=/dev/a=b"]
+    links: dict[int, Any] = open_links(layout_of("only"), BusOptions("slcan", ["x"], given))
+    typed = {"auto_reset": True, "tty_baudrate": 1_000_000, "timeout": 0.5, "device": "/dev/a=b"}
+    assert links[0].rest["options"] == typed
+    with pytest.raises(InputError, match="NAME=VALUE, got 'auto_reset'"):
+        open_links(layout_of("only"), BusOptions("slcan", ["x"], ["auto_reset"]))

@@ -1,10 +1,11 @@
 """Any interface of python-can as a link: an interface of the test, and some of python-can itself."""
 
-import os
+import queue
 import select
 import time
-from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import can
@@ -17,25 +18,20 @@ from bus.python_can import PythonCanLink
 from canskin.errors import BusError, InputError
 from dbc.frame import BRS, ECHO, EXTENDED, FD
 from tests.bus.harness import PATIENCE_S, await_state, burst, collect, frame
+from tests.bus.serial_adapter import SerialAdapter
 
 
 class Interface:
-    """A bus of python-can that does what the test says; its descriptor is readable while `arrived` has messages."""
+    """A bus of python-can that does what the test says."""
 
     def __init__(self, **options: Any) -> None:
         self.options = options
-        self.arrived: deque[can.Message] = deque()
+        self.arrived: queue.SimpleQueue[can.Message | Exception] = queue.SimpleQueue()
         self.sent: list[can.Message] = []
-        self.waits: list[float] = []
         self.shutdowns = 0
         #: Messages that are accepted before the interface is full.
         self.room = 1000
-        self.error: Exception | None = None
         self.told: can.BusState | Exception = can.BusState.ACTIVE
-        self.ear, self.mouth = os.pipe()
-
-    def fileno(self) -> int:
-        return self.ear
 
     @property
     def state(self) -> can.BusState:
@@ -44,10 +40,13 @@ class Interface:
         return self.told
 
     def recv(self, timeout_s: float) -> can.Message | None:
-        self.waits.append(timeout_s)
-        if self.error is not None:
-            raise self.error
-        return self.arrived.popleft() if self.arrived else None
+        try:
+            came = self.arrived.get(timeout=timeout_s)
+        except queue.Empty:
+            return None
+        if isinstance(came, Exception):
+            raise came
+        return came
 
     def send(self, message: can.Message) -> None:
         if len(self.sent) >= self.room:
@@ -56,59 +55,81 @@ class Interface:
 
     def shutdown(self) -> None:
         self.shutdowns += 1
+        raise can.CanOperationError("the adapter is gone")
 
 
-class Blind(Interface):
-    """An interface without a descriptor, which waits as long as it is asked to."""
+@dataclass
+class Adapters:
+    """The interfaces that python-can opened, and whether there is an adapter to open."""
 
-    def fileno(self) -> int:
-        raise NotImplementedError
+    made: list[Interface] = field(default_factory=list)
+    links: list[PythonCanLink] = field(default_factory=list)
+    error: Exception | None = None
 
-    def recv(self, timeout_s: float) -> can.Message | None:
-        select.select([self.ear], [], [], timeout_s)
-        return super().recv(timeout_s)
+    def link(self, interface: str = "kind", bitrate: int = 500_000, **options: Any) -> PythonCanLink:
+        self.links.append(PythonCanLink(interface, "line", bitrate, **options))
+        return self.links[-1]
 
+    @property
+    def newest(self) -> Interface:
+        return self.made[-1]
 
-Open = Callable[..., tuple[PythonCanLink, Any]]
+    def make(self, **given: Any) -> Interface:
+        if self.error is not None:
+            raise self.error
+        self.made.append(Interface(**given))
+        return self.newest
 
 
 @pytest.fixture
-def opened(monkeypatch: pytest.MonkeyPatch) -> Iterator[Open]:
-    made: list[Interface] = []
-    links: list[PythonCanLink] = []
-
-    def open_it(kind: type[Interface] = Interface, bitrate: int = 500_000, **options: Any) -> tuple[PythonCanLink, Any]:
-        def make(**given: Any) -> Interface:
-            made.append(kind(**given))
-            return made[-1]
-
-        monkeypatch.setattr(can, "Bus", make)
-        links.append(PythonCanLink("kind", "line", bitrate, **options))
-        return links[-1], made[-1]
-
-    yield open_it
-    for link in links:
+def adapters(monkeypatch: pytest.MonkeyPatch) -> Iterator[Adapters]:
+    made = Adapters()
+    monkeypatch.setattr(can, "Bus", made.make)
+    yield made
+    for link in made.links:
         link.close()
-    for one in made:
-        os.close(one.ear)
-        os.close(one.mouth)
 
 
 def readable(link: PythonCanLink) -> bool:
     return bool(select.select([link], [], [], 0)[0])
 
 
-def test_an_interface_is_opened_with_rates_alone(opened: Open) -> None:
+def message(can_id: int, **more: Any) -> can.Message:
+    return can.Message(arbitration_id=can_id, is_extended_id=False, **more)
+
+
+def test_an_interface_is_opened_with_rates_alone(adapters: Adapters) -> None:
     """Nothing comes from python-can's own files. CAN FD without a data bit rate has that of the identifier."""
     place = {"channel": "line", "interface": "kind", "ignore_config": True, "bitrate": 500_000}
-    assert opened()[1].options == place
-    assert opened(data_bitrate=2_000_000)[1].options == place
-    assert opened(fd=True, data_bitrate=2_000_000)[1].options == {**place, "fd": True, "data_bitrate": 2_000_000}
-    assert opened(fd=True)[1].options == {**place, "fd": True, "data_bitrate": 500_000}
+    adapters.link()
+    assert adapters.newest.options == place
+    adapters.link(data_bitrate=2_000_000)
+    assert adapters.newest.options == place
+    adapters.link(fd=True, data_bitrate=2_000_000)
+    assert adapters.newest.options == {**place, "fd": True, "data_bitrate": 2_000_000}
+    adapters.link(fd=True)
+    assert adapters.newest.options == {**place, "fd": True, "data_bitrate": 500_000}
 
 
-def test_what_an_interface_tells_of_its_controller(opened: Open) -> None:
-    link, interface = opened()
+def test_pcan_gets_the_timing_of_can_fd_and_ends_bus_off_by_itself(adapters: Adapters) -> None:
+    adapters.link("pcan", 1_000_000, fd=True, data_bitrate=5_000_000)
+    timing = adapters.newest.options["timing"]
+    assert (timing.f_clock, timing.nom_bitrate, timing.data_bitrate) == (80_000_000, 1_000_000, 5_000_000)
+    assert (timing.nom_sample_point, timing.data_sample_point) == (75.0, 75.0)
+    assert adapters.newest.options["auto_reset"] is True
+    adapters.link("pcan", 1_000_000, fd=True, options={"auto_reset": False, "f_clock_mhz": 20})
+    assert "timing" not in adapters.newest.options
+    assert adapters.newest.options["auto_reset"] is False
+
+
+def test_channels_of_digits_are_numbers(adapters: Adapters) -> None:
+    link = PythonCanLink("gs_usb", "0", 500_000)
+    assert adapters.newest.options["channel"] == 0
+    link.close()
+
+
+def test_what_an_interface_tells_of_its_controller(adapters: Adapters) -> None:
+    link = adapters.link()
     states = []
     for told in (
         can.BusState.ACTIVE,
@@ -117,7 +138,7 @@ def test_what_an_interface_tells_of_its_controller(opened: Open) -> None:
         NotImplementedError(),
         can.CanOperationError("no answer"),
     ):
-        interface.told = told
+        adapters.newest.told = told
         states.append(link.state)
     assert states == [State.ACTIVE, State.PASSIVE, State.BUS_OFF, State.ACTIVE, State.ACTIVE]
     assert link.keeps_order is False
@@ -125,16 +146,16 @@ def test_what_an_interface_tells_of_its_controller(opened: Open) -> None:
     assert link.dropped == 0
 
 
-def test_each_accepted_frame_is_echoed_and_wakes_the_reader(opened: Open) -> None:
-    link, interface = opened()
+def test_each_accepted_frame_is_echoed_and_wakes_the_reader(adapters: Adapters) -> None:
+    link = adapters.link()
     assert not readable(link)
     sent = burst([0x181, 0x182, 0x183])
     sent["port"] = [1, 2, 3]
     sent["expires_ns"] = 1 << 62
-    interface.room = 2
+    adapters.newest.room = 2
     before_ns = time.monotonic_ns()
     assert link.send(sent) == 2
-    assert [message.arbitration_id for message in interface.sent] == [0x181, 0x182]
+    assert [each.arbitration_id for each in adapters.newest.sent] == [0x181, 0x182]
     assert readable(link)
     echoes = link.receive()
     assert not readable(link)
@@ -147,46 +168,88 @@ def test_each_accepted_frame_is_echoed_and_wakes_the_reader(opened: Open) -> Non
     assert sent["flags"].tolist() == [0, 0, 0]
 
 
-def test_a_frame_that_is_late_is_not_sent_nor_any_behind_it(opened: Open) -> None:
-    link, interface = opened()
+def test_an_echo_of_the_interface_is_used_where_it_is_proven_and_else_not(adapters: Adapters) -> None:
+    for interface, is_proven in (("kvaser", True), ("gs_usb", False), ("pcan", False)):
+        link = adapters.link(interface)
+        assert link.keeps_order is is_proven
+        assert bool(adapters.newest.options.get("receive_own_messages")) is is_proven
+        link.send(frame(0x80))
+        adapters.newest.arrived.put(message(0x80, is_rx=False))
+        adapters.newest.arrived.put(message(0x181))
+        arrived = collect(link, 2)
+        assert arrived["can_id"].tolist() == [0x80, 0x181]
+        assert arrived["flags"].tolist() == [ECHO, 0]
+    assert adapters.link("kvaser", options={"single_handle": True}).keeps_order is False
+
+
+def test_times_are_those_of_the_read_whatever_the_clock_of_the_adapter_says(adapters: Adapters) -> None:
+    link = adapters.link()
+    before_ns = time.monotonic_ns()
+    adapters.newest.arrived.put(message(7, timestamp=time.time() + 100.0))
+    assert before_ns <= collect(link, 1)["time_ns"][0] <= time.monotonic_ns()
+
+
+def test_a_frame_that_is_late_is_not_sent_nor_any_behind_it(adapters: Adapters) -> None:
+    link = adapters.link()
     sent = burst([0x181, 0x182, 0x183])
     sent["expires_ns"] = [0, 1, 0]
     assert link.send(sent) == 1
-    assert [message.arbitration_id for message in interface.sent] == [0x181]
+    assert [each.arbitration_id for each in adapters.newest.sent] == [0x181]
 
 
-def test_can_fd_needs_a_link_with_can_fd(opened: Open) -> None:
+def test_can_fd_needs_a_link_with_can_fd(adapters: Adapters) -> None:
     one = frame(0x181, bytes(12), FD | BRS)
     with pytest.raises(InputError, match="CAN FD on a classical link"):
-        opened()[0].send(one)
-    link, interface = opened(fd=True)
+        adapters.link().send(one)
+    link = adapters.link(fd=True)
     assert link.send(one) == 1
-    assert (interface.sent[0].is_fd, interface.sent[0].bitrate_switch, interface.sent[0].dlc) == (True, True, 12)
+    sent = adapters.newest.sent[0]
+    assert (sent.is_fd, sent.bitrate_switch, sent.dlc) == (True, True, 12)
 
 
 @pytest.mark.parametrize("error", [can.CanOperationError("gone"), OSError("gone")])
-def test_an_interface_whose_reading_fails_is_not_read_again(opened: Open, error: Exception) -> None:
-    link, interface = opened()
-    os.write(interface.mouth, b"x")
-    assert readable(link)
-    interface.error = error
-    assert not len(link.receive())
-    assert link.state is State.LOST
-    assert not readable(link)
-    waits = len(interface.waits)
-    assert not len(link.receive())
-    assert len(interface.waits) == waits == 1
-
-
-def test_an_interface_without_a_descriptor_is_read_until_it_fails(opened: Open) -> None:
-    link, interface = opened(Blind)
-    interface.arrived.append(can.Message(arbitration_id=7, is_extended_id=False))
-    os.write(interface.mouth, b"x")  # and from now on the interface waits no more
-    assert select.select([link], [], [], PATIENCE_S)[0] == [link]
-    assert link.receive()["can_id"].tolist() == [7]
-    interface.error = OSError("unplugged")
+def test_an_adapter_that_was_unplugged_is_opened_again(adapters: Adapters, error: Exception) -> None:
+    link, first = adapters.link(), adapters.newest
+    adapters.error = can.CanInitializationError("no adapter")
+    first.arrived.put(error)
     await_state(link, State.LOST)
-    assert not len(link.receive())
+    assert link.send(frame(1)) == 0
+    assert link.dropped == 1
+    adapters.error = None
+    await_state(link, State.ACTIVE)
+    assert first.shutdowns == 1
+    assert adapters.newest is not first
+    adapters.newest.arrived.put(message(7))
+    assert collect(link, 1)["can_id"].tolist() == [7]
+    assert link.send(frame(1)) == 1
+
+
+@pytest.mark.parametrize("trouble", ["bus-off", "full"])
+def test_an_interface_that_is_bus_off_or_takes_nothing_is_opened_again(
+    adapters: Adapters, monkeypatch: pytest.MonkeyPatch, trouble: str
+) -> None:
+    monkeypatch.setattr("bus.python_can.PATIENCE_S", 0.0)
+    link, first = adapters.link(), adapters.newest
+    if trouble == "full":
+        first.room = 0
+        assert link.send(frame(1)) == 0
+    else:
+        first.told = can.BusState.ERROR
+    until_s = time.monotonic() + PATIENCE_S
+    while adapters.newest is first:
+        assert time.monotonic() < until_s
+        assert link.state in {State.ACTIVE, State.BUS_OFF, State.LOST}
+        select.select([link], [], [], 0.01)
+    assert first.shutdowns == 1
+
+
+def test_what_is_no_frame_is_counted_and_harms_nothing(adapters: Adapters) -> None:
+    link = adapters.link()
+    for noise in (ValueError("invalid literal"), IndexError("string index")):
+        adapters.newest.arrived.put(noise)
+    adapters.newest.arrived.put(message(7))
+    assert collect(link, 1)["can_id"].tolist() == [7]
+    assert (link.dropped, link.state) == (2, State.ACTIVE)
 
 
 def test_frames_go_both_ways_and_are_echoed() -> None:
@@ -211,8 +274,38 @@ def test_frames_go_both_ways_and_are_echoed() -> None:
             link.close()
 
 
-@pytest.mark.parametrize(("interface", "what"), [("no-such", "no-such"), ("pcan", "pcan")])
+@pytest.mark.parametrize(
+    ("interface", "what"),
+    [
+        ("no-such", "no-such"),
+        ("pcan", "needs PEAK's PCAN-Basic"),
+        ("kvaser", "needs Kvaser's linuxcan"),
+        ("gs_usb", "needs pip install gs_usb"),
+    ],
+)
 def test_what_python_can_says_becomes_one_line(interface: str, what: str) -> None:
     with pytest.raises(BusError, match=what) as caught:
-        open_link(interface, "channel", 1_000_000)
+        open_link(interface, "0" if interface == "kvaser" else "channel", 1_000_000)
     assert "\n" not in str(caught.value)
+
+
+def test_an_slcan_adapter_on_a_terminal_is_unplugged_and_plugged_again(tmp_path: Path) -> None:
+    adapter = SerialAdapter(tmp_path / "ttyACM0")
+    link = open_link("slcan", str(adapter.path), 1_000_000, options={"sleep_after_open": 0.0})
+    try:
+        for number in (0x181, 0x281):
+            assert link.send(frame(number, b"\x05")) == 1
+            assert adapter.await_frames().tobytes() == frame(number, b"\x05").tobytes()
+            adapter.send(frame(number + 1, b"\x06\x07"))
+            arrived = collect(link, 2)
+            assert arrived["flags"].tolist() == [ECHO, 0]
+            assert bytes(arrived["data"][1, :2]) == b"\x06\x07"
+            adapter.unplug()
+            await_state(link, State.LOST)
+            assert link.send(frame(number)) == 0
+            adapter.plug()
+            await_state(link, State.ACTIVE)
+        assert link.dropped == 2
+    finally:
+        link.close()
+        adapter.unplug()

@@ -236,3 +236,42 @@ def test_interface_that_is_down_or_without_fd_is_found(
     else:
         SocketCanLink("can7", fd=fd).close()
         assert kernel.bound == [("can7",)]
+
+
+@pytest.mark.parametrize(
+    ("flags", "bus", "driver", "keeps"),
+    [
+        ("0x40081", "platform", "m_can", True),
+        ("0x40081", "spi", "mcp251xfd", True),
+        ("0x40081", "usb", "kvaser_usb", True),
+        ("0x40081", "usb", "peak_usb", False),
+        ("0x40081", "usb", "gs_usb", False),
+        ("0x40081", "usb", "made tomorrow", False),
+        ("0x40081", "spi", "mcp251x", False),
+        ("0x40081", None, None, True),
+    ],
+)
+def test_the_echo_is_trusted_where_the_driver_gives_it_after_the_bus_and_before_the_answers(
+    kernel: Kernel,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    flags: str,
+    bus: str | None,
+    driver: str | None,
+    keeps: bool,
+) -> None:
+    about = tmp_path / "can7"
+    about.mkdir()
+    (about / "flags").write_text(flags + "\n")
+    (about / "mtu").write_text("16\n")
+    if bus is not None and driver is not None:
+        device = tmp_path / "device"
+        for place, name in (("subsystem", bus), ("driver", driver)):
+            (tmp_path / place / name).mkdir(parents=True)
+            device.mkdir(exist_ok=True)
+            (device / place).symlink_to(tmp_path / place / name)
+        (about / "device").symlink_to(device)
+    monkeypatch.setattr(socketcan, "Path", lambda _folder, *names: tmp_path.joinpath(*names))
+    link = SocketCanLink("can7")
+    assert link.keeps_order is keeps
+    link.close()

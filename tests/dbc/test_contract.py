@@ -261,10 +261,10 @@ def test_a_node_with_many_frames_has_identifiers_of_unused_node_ids(
 ) -> None:
     bus = Bus(name="a", nodes=nodes)
     if cob_id is not None:
-        assert _cob_id(bus, 0, node_id, index) == cob_id
+        assert _cob_id(bus, 0, node_id - 1, index) == cob_id
     else:
         with pytest.raises(LayoutError, match=f"no identifiers left for TPDO {index + 1} of node {node_id}: "):
-            _cob_id(bus, 0, node_id, index)
+            _cob_id(bus, 0, node_id - 1, index)
 
 
 def test_a_frame_of_adaptive_sums_takes_135_bits_and_tells_of_a_sample_a_millisecond_before() -> None:

@@ -182,4 +182,4 @@ def test_a_late_board_is_valid_again_when_it_has_paid_and_a_lost_answer_costs_a_
     happen(world, ("lose", NODES[0], 1))
     world.checked((BEHIND_CYCLES + 8) * PERIOD_S)
     world.until_whole(BOUND_S)
-    assert any("owes answers to SYNC" in line and "communication reset" in line for line in world.lines)
+    assert any("an answer to SYNC did not come" in line and "communication reset" in line for line in world.lines)

@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from canskin.errors import InputError, LayoutError
+from skin.foreign import ForeignMessage
 from skin.layout import (
     SHIPPED,
     Bus,
@@ -270,6 +271,7 @@ def test_the_page_names_every_key() -> None:
         "encoding": Encoding,
         "device": Device,
         "bus": Bus,
+        "bus.foreign": ForeignMessage,
     }
     for name, table in tables.items():
         for field in msgspec.structs.fields(table):

@@ -1,28 +1,34 @@
-"""The compose file: valid, careful, and with commands that make a whole skin when they are run as written."""
+"""The compose file: valid, careful, and with commands that make a whole skin when they are run as written.
+
+The commands run as in their containers, but without an engine: on a disk that cannot be written, without capabilities,
+as the image's user and with its environment. `tests/containers` has the engine.
+"""
 
 import re
+import shlex
+import shutil
 import subprocess
 import sys
 import tomllib
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from numba.core.caching import UserProvidedCacheLocator
 from ruamel.yaml import YAML
 
 from canskin.fabric import Fabric
 from canskin.messages import IMAGE, MEASUREMENT, Image, Measurement
+from shell.output import cache_folder
 from tests.layouts import slow_layout
-from tests.processes import Processes, free_endpoint
+from tests.processes import Processes, free_endpoint, free_port
 
 ROOT = Path(__file__).parents[2]
 COMPOSE = ROOT / "docker-compose.yml"
 IN_ORDER_OF_THE_DATA = ["bus", "nodes", "gateway", "reconstructor", "classifier", "viewer"]
-#: Verbs that read a layout.
-IN_THE_SKIN = ("nodes", "gateway", "reconstruct", "classify", "view")
+SETTINGS = dict(line.split("=", 1) for line in (ROOT / ".env").read_text().splitlines() if not line.startswith("#"))
 Service = dict[str, Any]
 
 
@@ -32,8 +38,13 @@ def services() -> dict[str, Service]:
     return services
 
 
+def filled(text: str, **settings: str) -> str:
+    """Put settings in the places of the variables; each has a line in `.env`."""
+    return re.sub(r"\$\{(\w+)\}", lambda name: {**SETTINGS, **settings}[name[1]], text)
+
+
 def of_profile(services: dict[str, Service], profile: str) -> dict[str, Service]:
-    return {name: service for name, service in services.items() if service["profiles"] == [profile]}
+    return {name: service for name, service in services.items() if profile in service["profiles"]}
 
 
 @pytest.mark.heavy
@@ -45,10 +56,36 @@ def test_the_file_is_valid_by_the_compose_specification() -> None:
 
 def test_each_profile_is_a_whole_skin_in_the_order_of_the_data(services: dict[str, Service]) -> None:
     assert list(of_profile(services, "virtual")) == IN_ORDER_OF_THE_DATA
-    # A host with CAN needs no virtual bus.
-    assert list(of_profile(services, "vcan")) == [f"{name}-vcan" for name in IN_ORDER_OF_THE_DATA[1:]]
+    # A host with CAN needs no virtual bus, a robot no virtual nodes: they would answer as its boards.
+    robot = [f"{name}-can" for name in IN_ORDER_OF_THE_DATA[2:]]
+    assert list(of_profile(services, "robot")) == robot
+    assert list(of_profile(services, "vcan")) == ["nodes-vcan", *robot]
     assert len(services) == 11
-    assert "COMPOSE_PROFILES=virtual" in (ROOT / ".env").read_text().splitlines()
+    assert SETTINGS["COMPOSE_PROFILES"] == "virtual"
+
+
+def test_every_service_of_a_skin_has_the_layout_of_one_variable_and_a_place_for_its_kernels(
+    services: dict[str, Service],
+) -> None:
+    for name, service in services.items():
+        assert {"cache:/var/cache/canskin", "${SKIN_FILES}:/etc/canskin:ro"} <= set(service["volumes"]), name
+        words = shlex.split(filled(service["command"], SKIN_LAYOUT="palm.toml"))
+        assert words[0] == "bus" or words[1:3] == ["--layout", "palm.toml"], name
+
+
+def test_every_setting_is_used(services: dict[str, Service]) -> None:
+    used = set(re.findall(r"\$\{(\w+)\}", COMPOSE.read_text()))
+    assert used == {name for name in SETTINGS if name.startswith("SKIN_")}
+
+
+def test_the_lock_names_one_version_of_every_package_that_the_image_needs() -> None:
+    lines = (ROOT / "requirements.lock").read_text().splitlines()
+    assert all(re.fullmatch(r"[a-z0-9-]+==[^ ]+( ; .+)?", line) for line in lines)
+    locked = {line.split("==")[0] for line in lines}
+    for project in (ROOT / "pyproject.toml", ROOT / "client" / "pyproject.toml"):
+        for needed in tomllib.loads(project.read_text())["project"]["dependencies"]:
+            name = re.split(r"[<>=]", needed)[0].lower()
+            assert name in {*locked, "canskin-client"}, needed
 
 
 def test_no_service_gets_more_than_it_needs(services: dict[str, Service]) -> None:
@@ -67,7 +104,7 @@ def test_only_the_page_is_published_and_only_on_this_machine(services: dict[str,
     assert published == {"viewer": ["127.0.0.1:8765:8765"]}
     assert YAML(typ="safe").load(COMPOSE)["networks"]["fabric"] == {"internal": True}
     for name, service in of_profile(services, "vcan").items():
-        assert "0.0.0.0" not in " ".join(service["command"]), name  # noqa: S104 - that is what must not be there
+        assert "0.0.0.0" not in service["command"], name  # noqa: S104 - that is what must not be there
 
 
 def test_the_user_of_the_image_owns_the_buses_sockets() -> None:
@@ -80,82 +117,116 @@ def test_the_user_of_the_image_owns_the_buses_sockets() -> None:
 def test_the_image_holds_every_package() -> None:
     packages = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["hatch"]["build"]["targets"]["wheel"]
     kept = set(re.findall(r"^!(\w+)$", (ROOT / ".dockerignore").read_text(), re.MULTILINE))
-    assert kept == {*packages["packages"], "client", "LICENSE"}
+    assert kept == {*packages["packages"], "client", "wheels", "LICENSE"}
+
+
+def image_environment() -> dict[str, str]:
+    """Return what the Dockerfile sets, with the programs of this environment."""
+    text = (ROOT / "Dockerfile").read_text().split("\nENV PATH")[1].split("\nUSER")[0]
+    words = dict(re.findall(r"(\w+)=(\S+)", text))
+    assert words["NUMBA_CACHE_DIR"].startswith(words["SKIN_CACHE"] + "/")  # one volume keeps both
+    return {**words, "PATH": f"{Path(sys.executable).parent}:/usr/bin:/bin", "HOME": words["SKIN_CACHE"]}
 
 
 @dataclass(frozen=True)
-class Outside:
-    """What the words of a command are outside a container: names are loopback, ports free ones, programs ours.
+class Boxes:
+    """Runs commands of the compose file as in containers: `folder` has the volumes.
 
-    The skin is the default one at a rate that every machine keeps.
+    The services share the machine's network: names of containers are loopback, and ports free ones. The skin is the
+    default one at a rate that every machine keeps.
     """
 
     folder: Path
     endpoint: str
     page_port: str
 
-    def words(self, command: list[str]) -> list[str]:
-        """Translate a command."""
-        programs = {"skin-alive": [str(Path(sys.executable).with_name("skin-alive"))], "python": [sys.executable]}
-        words = [self._word(word) for word in command]
-        if words[0] in IN_THE_SKIN:
-            words += ["--layout", str(slow_layout(self.folder, 20))]
-        return [*programs.get(words[0], words[:1]), *words[1:]]
-
-    def environment(self) -> dict[str, str]:
-        """Translate the image's environment."""
-        image = (ROOT / "Dockerfile").read_text().split("\nENV ")[1].split("\nUSER")[0]
-        words = {name: self._word(value) for name, value in re.findall(r"(\w+)=(\S+)", image)}
-        assert words["SKIN_BUS_DIR"] == str(self.folder)
-        assert words["NUMBA_CACHE_DIR"].startswith(words["SKIN_CACHE"] + "/")  # one volume keeps both
-        del words["PATH"], words["NUMBA_CACHE_DIR"], words["SKIN_CACHE"]  # use what is compiled and trained here
-        return words
+    def command(self, words: list[str], *, caches: bool = True) -> list[str]:
+        """Return what runs `words` in a box; `caches`: the box has the volume of compiled kernels."""
+        uid = re.search(r"--uid (\d+)", (ROOT / "Dockerfile").read_text())
+        assert uid is not None
+        box = ["bwrap", "--ro-bind", "/", "/", "--dev", "/dev", "--proc", "/proc", "--die-with-parent"]
+        box += ["--unshare-user", "--uid", uid[1], "--gid", uid[1], "--cap-drop", "ALL", "--tmpfs", "/tmp"]  # noqa: S108
+        for place in (ROOT, Path(sys.prefix)):  # may be below /tmp
+            box += ["--ro-bind", str(place), str(place)]
+        box += ["--tmpfs", "/run", "--bind", str(self.folder / "run"), "/run/canskin", "--tmpfs", "/var"]
+        if caches:
+            box += ["--bind", str(self.folder / "cache"), "/var/cache/canskin"]
+        box += ["--tmpfs", "/etc/canskin"] if Path("/etc/canskin").is_dir() else []
+        box += ["--remount-ro", "/run", "--remount-ro", "/var", "--clearenv"]
+        for name, value in image_environment().items():
+            box += ["--setenv", name, value]
+        return [*box, *map(self._word, words)]
 
     def _word(self, word: str) -> str:
         word = re.sub(r"^tcp/(gateway|0\.0\.0\.0|127\.0\.0\.1):7447$", self.endpoint, word)
-        word = re.sub(r"(?<!\d)8765(?!\d)", self.page_port, word)
-        return word.replace("/run/canskin", str(self.folder)).replace("/var/cache/canskin", str(self.folder / "cache"))
+        return re.sub(r"(?<!\d)8765(?!\d)", self.page_port, word)
+
+    def service(self, service: Service, **options: bool) -> list[str]:
+        """Return what runs a service."""
+        layout = slow_layout(self.folder / "run", 20).name
+        return self.command(
+            ["skin", *shlex.split(filled(service["command"], SKIN_LAYOUT=f"/run/canskin/{layout}"))], **options
+        )
+
+    def is_healthy(self, service: Service) -> bool:
+        """Run a health check as written."""
+        kind, *command = service["healthcheck"]["test"]
+        assert kind == "CMD"
+        return subprocess.run(self.command(command), check=False, timeout=120).returncode == 0
 
 
 @pytest.fixture(scope="module")
-def outside(tmp_path_factory: pytest.TempPathFactory) -> Outside:
-    return Outside(tmp_path_factory.mktemp("compose"), free_endpoint(), free_endpoint().rsplit(":", 1)[1])
+def boxes(tmp_path_factory: pytest.TempPathFactory) -> Boxes:
+    probe = ["bwrap", "--ro-bind", "/", "/", "--unshare-user", "true"]
+    if shutil.which("bwrap") is None or subprocess.run(probe, check=False, capture_output=True).returncode != 0:
+        pytest.skip("NOT TESTED: needs bubblewrap (bwrap) and user namespaces")
+    folder = tmp_path_factory.mktemp("compose")
+    for name in ("run", "cache"):
+        (folder / name).mkdir(mode=0o700)
+    keep_compiled(folder / "cache" / "numba")
+    return Boxes(folder, free_endpoint(), str(free_port()))
 
 
-@pytest.fixture(scope="module")
-def running(services: dict[str, Service], outside: Outside) -> Iterator[Processes]:
-    """Run the virtual profile's commands as written, with the image's environment."""
-    with Processes(outside.folder, **outside.environment()) as processes:
-        for name, service in of_profile(services, "virtual").items():
-            processes.skin(name, *outside.words(service["command"]))
-        yield processes
+def keep_compiled(cache: Path) -> None:
+    """Give the volume the kernels and classifiers that are made here, as the image gives those of its build."""
+    for source in {path.parent for path in ROOT.glob("[a-z]*/**/__pycache__/*.nbi")}:
+        given = cache / UserProvidedCacheLocator.get_suitable_cache_subpath(str(source.parent / "kernel.py"))
+        given.mkdir(parents=True)
+        for path in source.glob("*.nb?"):
+            shutil.copy(path, given)
+    for path in cache_folder().glob("model-*.npz"):
+        shutil.copy(path, cache.parent)
 
 
 @pytest.mark.slow
 def test_the_commands_as_written_give_measurements_images_and_health(
-    services: dict[str, Service], outside: Outside, running: Processes
+    services: dict[str, Service], boxes: Boxes
 ) -> None:
+    virtual = of_profile(services, "virtual")
     measurements: list[Measurement] = []
     images: list[Image] = []
-    fabric = Fabric("skin", "test", outside.endpoint)
-    try:
-        fabric.subscribe(MEASUREMENT, measurements.append)
-        fabric.subscribe(IMAGE, images.append)
-        running.until(lambda: any(min(each.valid) == 1 for each in measurements), "a complete measurement")
-        running.until(lambda: any(min(each.valid) == 1 for each in images), "an image of a complete measurement")
-        running.await_words("viewer", "web page")
-        running.await_words("classifier", "knows")
-    finally:
-        fabric.close()
-    assert np.frombuffer(images[0].pixels, "<f4").size == 64 * 64
-    for name, service in of_profile(services, "virtual").items():
-        assert is_healthy(service, outside), name
-    running.stop("reconstructor")
-    assert not is_healthy(services["reconstructor"], outside)
+    with Processes(boxes.folder) as running:
+        for name, service in virtual.items():
+            running.start(name, *boxes.service(service))
+        running.await_words("viewer", "web page")  # the hub is there
+        fabric = Fabric("skin", "test", boxes.endpoint)
+        try:
+            fabric.subscribe(MEASUREMENT, measurements.append)
+            fabric.subscribe(IMAGE, images.append)
+            running.until(lambda: any(min(each.valid) == 1 for each in measurements), "a complete measurement")
+            running.until(lambda: any(min(each.valid) == 1 for each in images), "an image of a complete measurement")
+            running.await_words("classifier", "knows")
+        finally:
+            fabric.close()
+        assert np.frombuffer(images[0].pixels, "<f4").size == 64 * 64
+        for name, service in virtual.items():
+            running.until(lambda service=service: boxes.is_healthy(service), f"{name} to be healthy")  # type: ignore[misc]
+        running.stop("nodes")
+        assert not boxes.is_healthy(services["gateway"])  # there, but measures no block
 
 
-def is_healthy(service: Service, outside: Outside) -> bool:
-    """Run a health check as written."""
-    kind, *command = service["healthcheck"]["test"]
-    assert kind == "CMD"
-    return subprocess.run(outside.words(command), check=False, timeout=60).returncode == 0
+@pytest.mark.slow
+def test_a_service_runs_where_nothing_at_all_can_be_written(services: dict[str, Service], boxes: Boxes) -> None:
+    with Processes(boxes.folder) as running:
+        running.start("bus", *boxes.service(services["bus"], caches=False))
+        running.await_words("bus", "ready: bus0, bus1, bus2, bus3")

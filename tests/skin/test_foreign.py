@@ -1,0 +1,91 @@
+"""Messages of other devices in a layout."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+import tomli_w
+
+from canskin.errors import LayoutError
+from dbc.contract import Contract
+from skin.layout import layout_text, load_layout, parse_layout
+from tests.layouts import small_layout
+
+#: A drive with a cyclic message, one of 29 bits, and one without a period.
+DBC = """VERSION ""
+NS_ :
+BS_:
+BU_: Drive
+BO_ 389 Status: 6 Drive
+ SG_ Word : 0|16@1+ (1,0) [0|65535] "" Drive
+BO_ 2566848770 Far: 8 Drive
+ SG_ Far1 : 0|16@1+ (1,0) [0|65535] "" Drive
+BO_ 1413 Answer: 8 Drive
+BA_DEF_ BO_ "GenMsgCycleTime" INT 0 65535;
+BA_DEF_DEF_ "GenMsgCycleTime" 0;
+BA_ "GenMsgCycleTime" BO_ 389 10;
+BA_ "GenMsgCycleTime" BO_ 2566848770 100;
+"""
+
+
+def bus(**keys: Any) -> dict[str, Any]:
+    return {"name": "can0", "nodes": 2, **keys}
+
+
+def message(**keys: Any) -> dict[str, Any]:
+    return {"name": "drive", "identifier": 0x185, **keys}
+
+
+def test_a_dbc_gives_identifiers_lengths_and_periods_and_the_layout_stands_for_itself(tmp_path: Path) -> None:
+    (tmp_path / "drives.dbc").write_text(DBC)
+    own = {"name": "sync", "identifier": 0x0F0, "length": 0, "period_s": 0.004}
+    table = bus(foreign_dbc="drives.dbc", foreign=[own])
+    (tmp_path / "palm.toml").write_text(tomli_w.dumps({"taxels": {"rows": 8, "columns": 8}, "bus": [table]}))
+    layout = load_layout(tmp_path / "palm.toml")
+    assert [(each.name, *each.key, each.length, each.period_s) for each in layout.bus[0].foreign] == [
+        ("sync", 0x0F0, False, 0, 0.004),
+        ("Status", 0x185, False, 6, 0.01),
+        ("Far", 0x18FF0102, True, 8, 0.1),
+        ("Answer", 0x585, False, 8, None),
+    ]
+    assert parse_layout(layout_text(layout).encode(), "again.toml") == layout
+
+
+def test_messages_of_two_buses_are_written_and_read(tmp_path: Path) -> None:
+    lines = [bus(nodes=1, foreign=[message(), message(name="b", identifier=5)]), bus(name="can1", nodes=1)]
+    layout = small_layout(8, 8, bus=[*lines[:1], lines[1] | {"foreign": [message(name="c")]}])
+    assert parse_layout(layout_text(layout).encode(), "again.toml") == layout
+
+
+@pytest.mark.parametrize(
+    ("given", "says"),
+    [
+        ([message(identifier=0x800)], "up to 2047 .7FFh., or `is_extended = true`, got 2048 for 'drive' - at"),
+        ([message(identifier=2**29)], "got 536870912 - at"),
+        ([message(), message(name="other")], r"'drive' and 'other' have the same identifier 185h - at `\$.bus"),
+        ([message(length=9)], "expected a length of 0 to 8, or with `fd = true` of 12, .*, got 9"),
+        ([message(fd=True, length=12)], "'drive' is CAN FD: the bus needs `fd = true`"),
+        ([message(period_s=0)], "period_s"),
+        ([message(identifier=0x80)], "two SYNC producers on can0, 'drive' and the gateway"),
+        ([message(identifier=0x182)], "'drive' and TPDO 1 of node 2 have the same identifier 182h on can0"),
+        ([message(identifier=0x701)], "'drive' and the heartbeat of node 1 have the same identifier 701h"),
+        ([message(identifier=0x000)], "'drive' and NMT"),
+    ],
+)
+def test_a_message_that_cannot_be_or_is_the_skins_is_refused_by_name(given: list[dict[str, Any]], says: str) -> None:
+    with pytest.raises(LayoutError, match=says):
+        Contract.from_layout(small_layout(8, 8, bus=[bus(foreign=given)]))
+
+
+def test_29_bits_collide_with_nothing_of_the_skin_and_the_same_number() -> None:
+    given = [message(identifier=0x181, is_extended=True), message(name="b", identifier=0x081, is_extended=True)]
+    assert Contract.from_layout(small_layout(8, 8, bus=[bus(foreign=given)])).nodes
+
+
+@pytest.mark.parametrize(("name", "content"), [("none.dbc", None), ("wrong.dbc", "BO_ x")])
+def test_a_dbc_that_cannot_be_read_is_named(name: str, content: str | None, tmp_path: Path) -> None:
+    if content is not None:
+        (tmp_path / name).write_text(content)
+    table = {"taxels": {"rows": 8, "columns": 8}, "bus": [bus(foreign_dbc=name)]}
+    with pytest.raises(LayoutError, match=name):
+        parse_layout(tomli_w.dumps(table).encode(), "palm.toml", tmp_path)

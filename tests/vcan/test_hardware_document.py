@@ -1,0 +1,47 @@
+"""The commands of docs/hardware.md run as they stand, from top to bottom, on a virtual interface of a real kernel."""
+
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import Final
+
+DOCUMENT: Final = Path(__file__).parents[2] / "docs/hardware.md"
+#: All blocks together: a guest kernel on a shared processor takes minutes to start twenty commands.
+PATIENCE_S: Final = 840.0
+#: Stops at the first command that fails; ends what runs in the background. The test is root, so sudo is not needed.
+BEGIN: Final = """
+set -eu
+sudo() { "$@"; }
+trap 'ip link delete can0; kill $(jobs -p); wait' EXIT
+set -x
+"""
+
+
+def test_every_block_that_needs_no_hardware_runs(tmp_path: Path) -> None:
+    blocks = re.findall(r"^```sh\n(.*?)^```$", DOCUMENT.read_text(), re.MULTILINE | re.DOTALL)
+    assert len(blocks) >= 6
+    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+    log = tmp_path / "log"
+    with log.open("w") as said:
+        command = [shutil.which("bash") or "bash", "-c", BEGIN + "".join(blocks)]
+        running = subprocess.Popen(
+            command,
+            cwd=tmp_path,
+            env={**os.environ, "PATH": path},
+            stdin=subprocess.DEVNULL,
+            stdout=said,
+            stderr=said,
+            start_new_session=True,
+        )
+        try:
+            status = running.wait(PATIENCE_S)
+        except subprocess.TimeoutExpired:
+            os.killpg(running.pid, signal.SIGKILL)
+            status = running.wait()
+    print(log.read_text())
+    assert status == 0
+    assert "keeps the contract" in log.read_text()
