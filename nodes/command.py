@@ -79,8 +79,6 @@ def nodes(
     touch.check()
     if touch.input is not None and rest:
         raise InputError("--rest is for objects: a recording begins as it begins")
-    if firmware and store is not None:
-        raise InputError("--store is for nodes in Python: boards with --firmware keep their parameters until they end")
     if store is not None:
         try:
             store.mkdir(parents=True, exist_ok=True)
@@ -95,7 +93,7 @@ def nodes(
     compiled = None
     if firmware:
         require_one_state(skin, "the firmware in C")
-        compiled = Firmware(contract, mine)
+        compiled = Firmware(contract, mine, store=store)
     blocks = [node.block for node in mine]
     hardware = way_of(skin).hardware(contract, blocks, touch.source(skin, rest), compiled, **analogue)
     links = open_links(skin, bus or BusOptions(), chosen, name="nodes", stop=stop)

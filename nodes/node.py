@@ -25,7 +25,7 @@ from dbc.configuration import Setting, signature
 from dbc.contract import NodeContract
 from dbc.dictionary import HEARTBEATS_WATCHED, ON_COMMAND, SkinState
 from dbc.objects import Object
-from nodes.access import check_write, is_allowed
+from nodes.access import check_write, is_storable, number
 from nodes.emcy import EmcyProducer
 from nodes.hardware import Hardware
 from nodes.heartbeat import HeartbeatConsumer
@@ -35,9 +35,6 @@ from nodes.tpdo import LiveTpdo, read_tpdos
 
 #: Objects whose write is a command; a read tells that the node offers the command.
 _COMMANDS: Final = (od.STORE, od.RESTORE)
-
-#: Objects of the manufacturer whose value is an order to the running node: they are not restored.
-_ORDERS: Final = (od.TEST_PATTERN, od.REFRESH, od.STATE)
 
 #: State after a communication error, by 1029h sub 1 (CiA 301, 7.5.2.33): pre-operational, no change, stopped.
 _ON_ERROR: Final = (NmtState.PRE_OPERATIONAL, None, NmtState.STOPPED)
@@ -158,14 +155,8 @@ class SkinNode:
         self._enter(NmtState.INITIALISING)
 
     def _is_stored(self, index: int, subindex: int, data: bytes) -> bool:
-        """Tell whether a stored value fits an object that can be stored; test patterns and refreshes cannot."""
         found = self.local.variable(index, subindex)
-        if found is None or not found.writable or index in _COMMANDS or index == od.ERROR_FIELD:
-            return False
-        if index >= od.MANUFACTURER and od.split_block(index)[1] in _ORDERS:
-            return False
-        is_whole = len(data) * 8 == od.BITS.get(found.data_type or 0)
-        return is_whole and is_allowed(index, _number(found.data_type, data))
+        return found is not None and found.writable and is_storable(index, found.data_type, data)
 
     def _reset_electronics(self) -> None:
         """Set the electronics to the dictionary's calibration and to no test pattern."""
@@ -183,7 +174,7 @@ class SkinNode:
             value: float = int.from_bytes(data, "little", signed=True)
         else:
             found = self.local.variable(index, subindex)
-            value = _number(found.data_type if found else None, data)
+            value = number(found.data_type if found else None, data)
         self._hardware.adjust(self.contract.block + place, first, subindex, value)
 
     def command(self, command: int, now_s: float) -> None:
@@ -326,7 +317,7 @@ class SkinNode:
         return int(self._hardware.counts(block)[subindex - 1]) if subindex else None
 
     def _written(self, *, index: int, subindex: int, data: bytes, **entry: Any) -> None:
-        check_write(self.local, index, subindex, _number(entry["od"].data_type, data))
+        check_write(self.local, index, subindex, number(entry["od"].data_type, data))
         if index == od.ERROR_FIELD:
             self.emcy.clear_history()
         elif index == od.STORE:
@@ -359,8 +350,3 @@ def _states_of_tpdos(contract: NodeContract, objects: list[Object]) -> dict[int,
     indices = {each.index for each in objects if od.TPDO_COMMUNICATION <= each.index < od.TPDO_MAPPING}
     numbers = {index - od.TPDO_COMMUNICATION + 1 for index in indices}
     return {number: SkinState.IMAGES if number in own else SkinState.RECOGNITION for number in sorted(numbers)}
-
-
-def _number(data_type: int | None, data: bytes) -> float:
-    """Return the value of an object's bytes; whole numbers as unsigned."""
-    return float(struct.unpack("<f", data)[0]) if data_type == od.REAL32 else int.from_bytes(data, "little")

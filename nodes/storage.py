@@ -6,6 +6,7 @@ from typing import Annotated
 import msgspec
 
 from canskin.errors import UNDECODABLE, InputError
+from dbc.contract import Contract, NodeContract
 from shell.output import write_file
 
 #: Values by index and sub-index, in the bytes of an SDO transfer.
@@ -45,6 +46,12 @@ class Storage:
         self._path = path
         self.has_node_id = False
         self.parameters: Parameters = {} if path is None else self._load(path)
+
+    @classmethod
+    def of_node(cls, contract: Contract, node: NodeContract, folder: Path | None) -> "Storage":
+        """Return the storage of a node: its file in `folder`, or memory."""
+        name = f"{contract.layout.bus[node.bus].name}-{node.node_id}.json"
+        return cls(contract.phi.fingerprint, folder / name if folder else None)
 
     def save(self, parameters: Parameters) -> None:
         """Store `parameters`; they replace all stored values.

@@ -91,8 +91,7 @@ class VirtualBoards:
         self._lss: list[tuple[LssSlave, SkinNode]] = []
         for each in contract.on_bus(bus):
             if each.node_id in node_ids:
-                path = store / f"{wires.name}-{each.node_id}.json" if store else None
-                storage = Storage(contract.phi.fingerprint, path)
+                storage = Storage.of_node(contract, each, store)
                 node = self._new_node(each, hardware, storage)
                 has_node_id = storage.has_node_id or not unnumbered
                 slave = LssSlave(

@@ -15,6 +15,8 @@ from nodes.firmware.object_dictionary import od_header, od_source
 from nodes.firmware.tables import Build, board_header, board_source, builds
 from skin.layout import load_layout, require_one_state
 
+#: Bytes of a slot before its data (``skin_slots.h``).
+_SLOT_HEAD: Final = 16
 _SOURCES: Final = files("nodes.firmware").joinpath("c")
 
 
@@ -88,6 +90,7 @@ def _readme(contract: Contract, boards: Sequence[Build]) -> str:
         period_us=board.sync_period_us,
         window_us=board.sync_window_us,
         samples=board.samples_per_sync,
+        slot_bytes=_SLOT_HEAD + boards[0].objects.writable_bytes,
     )
 
 

@@ -41,12 +41,15 @@ class ObjectTable:
     values : bytes
         Initial values, each little endian: first those of objects that can be written, communication profile before
         manufacturer, then the others.
+    objects : tuple of Object
+        In the order of `entries`.
     communication_bytes, writable_bytes : int
         Bytes of `values` that belong to writable objects below 2000h, and to all writable objects.
     """
 
     entries: tuple[tuple[int, int, int, int, int], ...]
     values: bytes
+    objects: tuple[Object, ...]
     communication_bytes: int
     writable_bytes: int
 
@@ -117,7 +120,7 @@ def _object_table(contract: Contract, node: NodeContract) -> ObjectTable:
         )
         for each in objects
     )
-    return ObjectTable(entries, bytes(values), ends[0], ends[1])
+    return ObjectTable(entries, bytes(values), tuple(objects), ends[0], ends[1])
 
 
 def _is_computed(each: Object) -> bool:

@@ -94,7 +94,8 @@ static void pass(skin_node *node, const skin_frame *frame, uint32_t now_ms, cons
     }
 }
 
-size_t skin_power_up(skin_node *nodes, uint32_t first, uint32_t boards, uint32_t now_ms, skin_frame *out, size_t capacity)
+size_t skin_power_up(skin_node *nodes, uint32_t first, uint32_t boards, const skin_storage *storages, uint32_t now_ms,
+                     skin_frame *out, size_t capacity)
 {
     skin_outbox outbox = new_outbox(out, capacity);
     uint32_t each;
@@ -103,8 +104,9 @@ size_t skin_power_up(skin_node *nodes, uint32_t first, uint32_t boards, uint32_t
 #if SKIN_ADAPTIVE
         nodes[each].outbox = &outbox; /* after skin_prepare and what was learned */
         (void)first;
+        (void)storages;
 #else
-        skin_init(&nodes[each], &skin_boards[first + each], &outbox);
+        skin_init(&nodes[each], &skin_boards[first + each], &outbox, storages == NULL ? NULL : &storages[each]);
 #endif
         skin_boot(&nodes[each], now_ms, 0);
     }
@@ -168,12 +170,12 @@ size_t skin_refuse(skin_node *nodes, uint32_t boards, const skin_frame *frames, 
 
 #if SKIN_ADAPTIVE
 
-void skin_prepare(skin_node *nodes, uint32_t first, uint32_t boards)
+void skin_prepare(skin_node *nodes, uint32_t first, uint32_t boards, const skin_storage *storages)
 {
     uint32_t each;
 
     for (each = 0; each < boards; each++) {
-        skin_init(&nodes[each], &skin_boards[first + each], NULL);
+        skin_init(&nodes[each], &skin_boards[first + each], NULL, storages == NULL ? NULL : &storages[each]);
     }
 }
 

@@ -157,7 +157,7 @@ void skin_refresh(skin_node *node, uint32_t now_ms)
 
 /* NMT (CiA 301, 7.3.2). */
 
-void skin_init(skin_node *node, const skin_board *board, skin_outbox *outbox)
+void skin_init(skin_node *node, const skin_board *board, skin_outbox *outbox, const skin_storage *storage)
 {
     memset(node, 0, sizeof *node);
     node->board = board;
@@ -165,6 +165,8 @@ void skin_init(skin_node *node, const skin_board *board, skin_outbox *outbox)
 #if SKIN_ADAPTIVE
     node->sender.board = board;
 #endif
+    node->storage = storage;
+    skin_load(node);
 }
 
 void skin_boot(skin_node *node, uint32_t now_ms, int communication_only)

@@ -11,6 +11,7 @@
 
 #include "board.h"
 #include "skin_average.h"
+#include "skin_storage.h"
 #include "skin_sums.h"
 #if SKIN_ADAPTIVE
 #include "skin_sender.h"
@@ -74,11 +75,12 @@ typedef struct {
 typedef struct {
     const skin_board *board;
     skin_outbox *outbox;
+    const skin_storage *storage; /* NULL: 1010h is refused */
     uint8_t state;
     uint8_t changed; /* an object below 2000h was written */
     uint8_t has_stored;
     uint8_t values[SKIN_WRITABLE_BYTES]; /* of objects that SDO can write */
-    uint8_t stored[SKIN_WRITABLE_BYTES]; /* what 1010h has stored; a board keeps them in flash memory */
+    uint8_t stored[SKIN_WRITABLE_BYTES]; /* what 1010h has stored */
     float gain[SKIN_BLOCKS * SKIN_BLOCK_SIZE];
     int16_t offset[SKIN_BLOCKS * SKIN_BLOCK_SIZE];
     uint8_t pattern[SKIN_BLOCKS];
@@ -104,8 +106,10 @@ typedef struct {
     uint32_t emcy_free_ms;
 } skin_node;
 
-/* Connect a node to its board and its outbox; to be called once, before everything else. */
-void skin_init(skin_node *node, const skin_board *board, skin_outbox *outbox);
+/* Connect a node to its board, its outbox and its storage, and read what 1010h has stored; to be called once, before
+ * everything else.
+ */
+void skin_init(skin_node *node, const skin_board *board, skin_outbox *outbox, const skin_storage *storage);
 
 /* Boot: restore parameters, send the boot-up message, enter PRE-OPERATIONAL. Times are milliseconds that may wrap. */
 void skin_boot(skin_node *node, uint32_t now_ms, int communication_only);
@@ -173,6 +177,7 @@ const skin_object *skin_mapped(const skin_node *node, uint32_t entry); /* of a m
 uint8_t skin_watched_node(uint32_t entry); /* of an entry of 1016h, 0 for none */
 uint32_t skin_missing(const skin_board *board, uint16_t index);
 uint32_t skin_write(skin_node *node, uint16_t index, uint8_t subindex, const uint8_t *data, uint16_t length);
+void skin_load(skin_node *node);
 void skin_restore(skin_node *node, int communication_only);
 void skin_refresh(skin_node *node, uint32_t now_ms);
 void skin_raise(skin_node *node, uint8_t error, uint64_t field);

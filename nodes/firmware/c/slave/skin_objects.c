@@ -320,6 +320,52 @@ static void adjust(skin_node *node, const skin_object *object)
     }
 }
 
+/* What stored values belong to: this skin, this node-ID, and objects at these places. */
+static uint32_t key_of(const skin_node *node)
+{
+    const skin_board *board = node->board;
+    uint8_t head[4], scratch[SKIN_NUMBER_BYTES];
+    const skin_object *object = skin_find(board, SKIN_OD_PHI_FINGERPRINT, 0);
+    uint32_t key = skin_crc32(0, skin_value(node, object, scratch), object->bytes);
+    uint16_t place;
+
+    key = skin_crc32(key, &board->node_id, 1);
+    for (place = 0; place < board->object_count; place++) {
+        object = &board->objects[place];
+        if ((object->flags & SKIN_OBJECT_WRITABLE) != 0) {
+            skin_put(head, object->index, 2);
+            head[2] = object->subindex;
+            head[3] = object->bytes;
+            key = skin_crc32(key, head, sizeof head);
+        }
+    }
+    return key;
+}
+
+void skin_load(skin_node *node)
+{
+    const skin_storage *storage = node->storage;
+
+    node->has_stored = storage != NULL && storage->load(storage->context, SKIN_RECORD_PARAMETERS, key_of(node),
+                                                        node->stored, node->board->writable_bytes) == 0;
+}
+
+/* Store the first `bytes` values: all, or none. */
+static uint32_t save(skin_node *node, uint16_t bytes)
+{
+    const skin_storage *storage = node->storage;
+
+    if (storage == NULL) {
+        return SKIN_ABORT_NOT_STORED;
+    }
+    if (storage->save(storage->context, SKIN_RECORD_PARAMETERS, key_of(node), node->values, bytes) != 0) {
+        return SKIN_ABORT_HARDWARE;
+    }
+    memcpy(node->stored, node->values, bytes);
+    node->has_stored = bytes > 0;
+    return 0;
+}
+
 uint32_t skin_write(skin_node *node, uint16_t index, uint8_t subindex, const uint8_t *data, uint16_t length)
 {
     const skin_object *object = skin_find(node->board, index, subindex);
@@ -341,10 +387,9 @@ uint32_t skin_write(skin_node *node, uint16_t index, uint8_t subindex, const uin
     if (index == SKIN_OD_ERROR_FIELD) {
         node->history_count = 0;
     } else if (index == SKIN_OD_STORE) {
-        memcpy(node->stored, node->values, sizeof node->stored);
-        node->has_stored = 1;
+        return save(node, node->board->writable_bytes);
     } else if (index == SKIN_OD_RESTORE) {
-        node->has_stored = 0;
+        return save(node, 0);
     } else {
         memcpy(&node->values[object->at], data, length);
     }

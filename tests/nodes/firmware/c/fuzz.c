@@ -134,7 +134,7 @@ int main(int count, char **texts)
         counts[place] = (uint16_t)drawn(65536);
     }
 #if SKIN_ADAPTIVE
-    skin_prepare(nodes, 0, SKIN_BOARDS);
+    skin_prepare(nodes, 0, SKIN_BOARDS, NULL);
     for (turn = 0; turn < SKIN_IDLE_SAMPLES + SKIN_SETTLING_SAMPLES; turn++) {
         uint16_t read[SKIN_BOARDS * SKIN_BLOCK_SUMS];
 
@@ -144,7 +144,7 @@ int main(int count, char **texts)
         skin_take_counts(nodes, SKIN_BOARDS, read);
     }
 #endif
-    check(skin_power_up(nodes, 0, SKIN_BOARDS, now_ms, out, ROOM));
+    check(skin_power_up(nodes, 0, SKIN_BOARDS, NULL, now_ms, out, ROOM));
     for (turn = 0; turn < turns; turn++) {
         const uint32_t burst = drawn(BURST) + 1;
 
