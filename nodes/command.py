@@ -93,7 +93,7 @@ def nodes(
     compiled = None
     if firmware:
         require_one_state(skin, "the firmware in C")
-        compiled = Firmware(contract, mine, store=store)
+        compiled = Firmware(contract, mine, store=store, unnumbered=unnumbered)
     blocks = [node.block for node in mine]
     hardware = way_of(skin).hardware(contract, blocks, touch.source(skin, rest), compiled, **analogue)
     links = open_links(skin, bus or BusOptions(), chosen, name="nodes", stop=stop)

@@ -243,7 +243,9 @@ class VirtualBoards:
         if len(data) != NMT_BYTES:
             return
         command, node_id = data[0], data[1]
-        addressed = [(slave, node) for slave, node in self._lss if node_id in {0, slave.node_id}]
+        # Without node-ID there is no NMT slave yet.
+        numbered = [(slave, node) for slave, node in self._lss if slave.node_id != NO_NODE_ID]
+        addressed = [(slave, node) for slave, node in numbered if node_id in {0, slave.node_id}]
         for slave, node in addressed:
             if command == NmtCommand.RESET_NODE:
                 slave.reset()

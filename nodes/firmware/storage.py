@@ -8,8 +8,11 @@ from nodes.access import is_storable
 from nodes.firmware.tables import COMPUTED, WRITABLE, ObjectTable
 from nodes.storage import Parameters, Storage
 
-#: Number of the record of 1010h.
+#: Numbers of the records: of 1010h, and of LSS.
 _PARAMETERS: Final = 0
+_LSS: Final = 1
+#: The bus has one bit rate.
+_NO_BIT_TIMING: Final = 0xFF
 _DATA: Final = ctypes.POINTER(ctypes.c_uint8)
 _FUNCTION: Final = ctypes.CFUNCTYPE(
     ctypes.c_int, ctypes.c_void_p, ctypes.c_uint8, ctypes.c_uint32, _DATA, ctypes.c_uint16
@@ -22,29 +25,24 @@ class StorageFunction(ctypes.Structure):
     _fields_ = (("load", _FUNCTION), ("save", _FUNCTION), ("context", ctypes.c_void_p))
 
 
-def storage_function(table: ObjectTable, storage: Storage) -> StorageFunction:
-    """Return the storage function of a board with the objects of `table`, whose parameters `storage` keeps.
+def storage_function(table: ObjectTable, storage: Storage, node_id: int) -> StorageFunction:
+    """Return the storage function of a board with the objects of `table`, whose parameters and node-ID `storage` keeps.
 
     Stored values that do not fit an object are left out: the board has its defaults there.
     """
     places = list(_places(table))
 
     def load(_context: int, record: int, _key: int, data: Any, _bytes: int) -> int:
-        if record != _PARAMETERS or not storage.parameters:
-            return 1
-        values = bytearray(table.values[: table.writable_bytes])
-        for index, subindex, data_type, at, length in places:
-            found = storage.parameters.get(index, {}).get(subindex, b"")
-            if is_storable(index, data_type, found):
-                values[at : at + length] = found
-        ctypes.memmove(data, bytes(values), len(values))
-        return 0
+        numbered = bytes((node_id, _NO_BIT_TIMING)) if storage.has_node_id else b""
+        kept = numbered if record == _LSS else _values(table, storage)
+        ctypes.memmove(data, kept, len(kept))
+        return int(not kept)
 
     def save(_context: int, record: int, _key: int, data: Any, length: int) -> int:
-        if record != _PARAMETERS:
-            return 1
         try:
-            if length:
+            if record == _LSS:
+                storage.save_node_id(data[0] == node_id)
+            elif length:
                 values = ctypes.string_at(data, length)
                 parameters: Parameters = {}
                 for index, subindex, _, at, size in places:
@@ -57,6 +55,16 @@ def storage_function(table: ObjectTable, storage: Storage) -> StorageFunction:
         return 0
 
     return StorageFunction(_FUNCTION(load), _FUNCTION(save), None)
+
+
+def _values(table: ObjectTable, storage: Storage) -> bytes:
+    """Return the stored values, with defaults for those that fit no object; nothing if none are stored."""
+    values = bytearray(table.values[: table.writable_bytes] if storage.parameters else b"")
+    for index, subindex, data_type, at, length in _places(table):
+        found = storage.parameters.get(index, {}).get(subindex, b"")
+        if is_storable(index, data_type, found):
+            values[at : at + length] = found
+    return bytes(values)
 
 
 def _places(table: ObjectTable) -> Iterator[tuple[int, int, int, int, int]]:

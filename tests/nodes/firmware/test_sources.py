@@ -29,7 +29,7 @@ ADAPTIVE_BURSTS = 3000
 ARM = "arm-none-eabi-gcc"
 CORTEX_M0_PLUS = ("-mcpu=cortex-m0plus", "-mthumb", "-Os")
 #: Flash memory of the sums, and of sums and slave with the constants of one board, bytes.
-SUMS_BYTES, SLAVE_BYTES = 1024, 12 * 1024
+SUMS_BYTES, SLAVE_BYTES = 1024, 14 * 1024
 #: Runs a program without a limit of its memory: a sanitizer reserves more than any machine has.
 UNLIMITED = 'ulimit -S -d "$(ulimit -H -d)" && exec "$0" "$@"'
 SANITIZERS = ("-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
