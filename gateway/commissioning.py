@@ -297,8 +297,7 @@ class Commissioning:
             raise _TroubleError(f"has serial number {serial}, that of {self._place(owner)}{_HINT}")
         board.done = f"has its node-ID, serial number {serial}"
         if (yield from self._select(address)):
-            if self._changes_rate:
-                yield from self._bit_timing()
+            yield from self._bit_timing()
             yield from self._store()
             yield from self._all_waiting()
         yield from self._set_up(board)
@@ -390,15 +389,10 @@ class Commissioning:
         board.done = f"complete{f', was written: {proof.written}' if proof.written else ''}"
 
     def _bit_timing(self) -> _Steps:
-        """Give the bit rate of the layout; a board with a fixed bit rate may refuse the one that it has."""
-        if self._bit_rate_hz not in LSS_BIT_RATES_HZ:
-            return
-        try:
+        """Give the bit rate of the layout; CANopenNode drops the request where it knows one bit rate."""
+        if self._changes_rate:
             index = LSS_BIT_RATES_HZ.index(self._bit_rate_hz)
             yield from self._configure(Lss.BIT_TIMING, 0, index, what=f"{self._bit_rate_hz} bit/s")
-        except _TroubleError:
-            if self._changes_rate or not self._answers:
-                raise
 
     def _store(self) -> _Steps:
         yield from self._configure(Lss.STORE, what="the storage of its node-ID")
