@@ -80,10 +80,7 @@ class Firmware:
             function.argtypes, function.restype = types, ctypes.c_size_t
         self._contract, self._nodes = contract, nodes
         self._unnumbered = unnumbered
-        self._storages = [
-            storage_function(each.objects, Storage.of_node(contract, each.node, store), each.node.node_id)
-            for each in boards
-        ]
+        self._storages = [storage_function(each, Storage.of_node(contract, each.node, store)) for each in boards]
         self._boards: dict[int, CompiledBoards] = {}
 
     def boards(self, bus: int) -> "CompiledBoards":
@@ -147,6 +144,8 @@ class CompiledBoards:
         self._memory = np.zeros(-(-len(nodes) * self._node_bytes // 8), np.uint64)
         self._nodes = self._memory.ctypes.data
         self._taxels, self._block_size = contract.phi.wired.taxels, contract.phi.block_size
+        places = [range(each.block * self._block_size, (each.block + each.blocks) * self._block_size) for each in nodes]
+        self._order = contract.phi.order[np.concatenate(places)]
         self._most_samples = 2 * contract.layout.samples_per_sync
         self._out = frames(_CAPACITY)
         self._sent = self._out.ctypes.data, _CAPACITY
@@ -187,7 +186,7 @@ class CompiledBoards:
             if taxels != self._taxels or not 0 < samples <= self._most_samples:
                 wanted = f"1 to {self._most_samples} samples of {self._taxels} counts"
                 raise InputError(f"expected {wanted}, got {measured.shape}")
-            counts = np.ascontiguousarray(measured, np.uint16)
+            counts = measured[:, self._order].astype(np.uint16, order="C")
             read = counts.ctypes.data
         return self._taken(
             self._library.skin_take(
@@ -196,7 +195,7 @@ class CompiledBoards:
                 _milliseconds(now_s),
                 read,
                 samples,
-                self._taxels,
+                len(self._order),
                 there.ctypes.data,
                 len(there),
                 *self._sent,

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from typing import Any, Final
 
 from nodes.access import is_storable
-from nodes.firmware.tables import COMPUTED, WRITABLE, ObjectTable
+from nodes.firmware.tables import COMPUTED, WRITABLE, Build, ObjectTable
 from nodes.storage import Parameters, Storage
 
 #: Numbers of the records: of 1010h, and of LSS.
@@ -25,16 +25,16 @@ class StorageFunction(ctypes.Structure):
     _fields_ = (("load", _FUNCTION), ("save", _FUNCTION), ("context", ctypes.c_void_p))
 
 
-def storage_function(table: ObjectTable, storage: Storage, node_id: int) -> StorageFunction:
-    """Return the storage function of a board with the objects of `table`, whose parameters and node-ID `storage` keeps.
+def storage_function(build: Build, storage: Storage) -> StorageFunction:
+    """Return the storage function of a board, whose parameters and node-ID `storage` keeps.
 
     Stored values that do not fit an object are left out: the board has its defaults there.
     """
-    places = list(_places(table))
+    places, node_id = list(_places(build.objects)), build.node.node_id
 
     def load(_context: int, record: int, _key: int, data: Any, _bytes: int) -> int:
         numbered = bytes((node_id, _NO_BIT_TIMING)) if storage.has_node_id else b""
-        kept = numbered if record == _LSS else _values(table, storage)
+        kept = numbered if record == _LSS else _values(build, storage)
         ctypes.memmove(data, kept, len(kept))
         return int(not kept)
 
@@ -57,10 +57,10 @@ def storage_function(table: ObjectTable, storage: Storage, node_id: int) -> Stor
     return StorageFunction(_FUNCTION(load), _FUNCTION(save), None)
 
 
-def _values(table: ObjectTable, storage: Storage) -> bytes:
+def _values(build: Build, storage: Storage) -> bytes:
     """Return the stored values, with defaults for those that fit no object; nothing if none are stored."""
-    values = bytearray(table.values[: table.writable_bytes] if storage.parameters else b"")
-    for index, subindex, data_type, at, length in _places(table):
+    values = bytearray(build.values[: build.objects.writable_bytes] if storage.parameters else b"")
+    for index, subindex, data_type, at, length in _places(build.objects):
         found = storage.parameters.get(index, {}).get(subindex, b"")
         if is_storable(index, data_type, found):
             values[at : at + length] = found

@@ -145,7 +145,7 @@ void skin_refresh(skin_node *node, uint32_t now_ms)
         return;
     }
     node->changed = 0;
-    for (number = 0; number < node->board->tpdos; number++) {
+    for (number = 0; number < node->board->type->tpdos; number++) {
         skin_read_tpdo(node, number);
     }
     read_watched(node);

@@ -23,7 +23,7 @@ static uint32_t drawn(uint32_t below)
 static void draw_frame(skin_frame *frame)
 {
     const skin_board *board = &skin_boards[drawn(SKIN_BOARDS)];
-    const skin_object *object = &board->objects[drawn(board->object_count)];
+    const skin_object *object = &board->type->objects[drawn(board->type->object_count)];
     uint32_t place;
 
     memset(frame, 0, sizeof *frame);
