@@ -124,6 +124,11 @@ class SkinNode:
         """Whether the SDO server works in this state."""
         return self.state in (NmtState.PRE_OPERATIONAL, NmtState.OPERATIONAL)
 
+    @property
+    def lss_address(self) -> tuple[int, ...]:
+        """Vendor-ID, product code, revision and serial number (1018h)."""
+        return tuple(self.local.unsigned(od.IDENTITY, subindex) for subindex in range(1, 5))
+
     def boot(self, now_s: float, *, communication_only: bool = False) -> None:
         """Initialise: restore parameters, send the boot-up message, enter PRE-OPERATIONAL."""
         self._enter(NmtState.INITIALISING)
@@ -148,6 +153,10 @@ class SkinNode:
         # Otherwise boards powered together would send their heartbeats together, inside a burst of sums.
         part = self.contract.node_id / (HIGHEST_NODE_ID + 1)
         self._beat_due_s = now_s + part * self._beat_period_s if self._beat_period_s else float("inf")
+
+    def end(self) -> None:
+        """Be silent until `boot`: the node has no node-ID."""
+        self._enter(NmtState.INITIALISING)
 
     def _is_stored(self, index: int, subindex: int, data: bytes) -> bool:
         found = self.local.variable(index, subindex)
@@ -185,6 +194,8 @@ class SkinNode:
     @property
     def due_s(self) -> float:
         """When `tick` has work to do next, as things stand."""
+        if self.state is NmtState.INITIALISING:
+            return float("inf")
         if self._has_events or self.emcy.is_waiting:
             return float("-inf")
         return min(self._beat_due_s, self.watched.due_s)

@@ -31,7 +31,7 @@ _CAPACITY: Final = 4096
 _U32, _I64, _SIZE, _POINTER = ctypes.c_uint32, ctypes.c_int64, ctypes.c_size_t, ctypes.c_void_p
 #: What the functions of ``skin_boards.h`` take; those that return something return a ``size_t``.
 _FUNCTIONS: Final[dict[str, tuple[type, ...]]] = {
-    "skin_power_up": (_POINTER, _U32, _U32, _POINTER, _U32, _POINTER, _SIZE),
+    "skin_power_up": (_POINTER, _U32, _U32, _POINTER, ctypes.c_int, _U32, _POINTER, _SIZE),
     "skin_take": (_POINTER, _U32, _U32, _POINTER, ctypes.c_uint16, _U32, _POINTER, _SIZE, _POINTER, _SIZE),
     "skin_pass_time": (_POINTER, _U32, _U32, _POINTER, _SIZE),
     "skin_refuse": (_POINTER, _U32, _POINTER, _SIZE),
@@ -56,12 +56,20 @@ class Firmware:
         The boards, those of each bus one after another.
     store : Path, optional
         Folder for the parameters that 1010h stores, one file per node; without a folder they end with the process.
+    unnumbered : bool
+        Whether the boards wait for LSS to give them their node-IDs, unless `store` has them.
     compiler : str
         The C compiler.
     """
 
     def __init__(
-        self, contract: Contract, nodes: Sequence[NodeContract], *, store: Path | None = None, compiler: str = "cc"
+        self,
+        contract: Contract,
+        nodes: Sequence[NodeContract],
+        *,
+        store: Path | None = None,
+        unnumbered: bool = False,
+        compiler: str = "cc",
     ) -> None:
         boards = builds(contract, nodes)
         # With the CANopen slave, and what runs many of them together.
@@ -71,6 +79,7 @@ class Firmware:
             function = getattr(self._library, name)
             function.argtypes, function.restype = types, ctypes.c_size_t
         self._contract, self._nodes = contract, nodes
+        self._unnumbered = unnumbered
         self._storages = [storage_function(each, Storage.of_node(contract, each.node, store)) for each in boards]
         self._boards: dict[int, CompiledBoards] = {}
 
@@ -80,7 +89,9 @@ class Firmware:
             nodes = [node for node in self._nodes if node.bus == bus]
             first = self._nodes.index(nodes[0])
             storages = self._storages[first : first + len(nodes)]
-            self._boards[bus] = CompiledBoards(self._library, self._contract, nodes, first, storages)
+            self._boards[bus] = CompiledBoards(
+                self._library, self._contract, nodes, first, storages, unnumbered=self._unnumbered
+            )
         return self._boards[bus]
 
 
@@ -97,6 +108,8 @@ class CompiledBoards:
         The first of them among all boards of the library.
     storages : sequence of StorageFunction
         Of each board.
+    unnumbered : bool
+        As for `Firmware`.
 
     Attributes
     ----------
@@ -114,6 +127,8 @@ class CompiledBoards:
         nodes: Sequence[NodeContract],
         first: int,
         storages: Sequence[StorageFunction],
+        *,
+        unnumbered: bool,
     ) -> None:
         self.node_ids = frozenset(node.node_id for node in nodes)
         self.is_pdo = np.zeros(BASE_ID_MASK + 1, np.bool_)
@@ -122,6 +137,7 @@ class CompiledBoards:
         self.due_s = float("-inf")
         self._library = library
         self._first, self._count = first, len(nodes)
+        self._unnumbered = unnumbered
         self._storages = (StorageFunction * len(nodes))(*storages)
         self._node_bytes = int(library.skin_node_bytes())
         # Eight bytes each, so that the memory is aligned for every C type.
@@ -140,7 +156,13 @@ class CompiledBoards:
         """Begin anew, with the stored parameters or the default ones."""
         return self._taken(
             self._library.skin_power_up(
-                self._nodes, self._first, self._count, self._storages, _milliseconds(now_s), *self._sent
+                self._nodes,
+                self._first,
+                self._count,
+                self._storages,
+                self._unnumbered,
+                _milliseconds(now_s),
+                *self._sent,
             )
         )
 

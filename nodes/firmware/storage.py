@@ -8,8 +8,11 @@ from nodes.access import is_storable
 from nodes.firmware.tables import COMPUTED, WRITABLE, Build, ObjectTable
 from nodes.storage import Parameters, Storage
 
-#: Number of the record of 1010h.
+#: Numbers of the records: of 1010h, and of LSS.
 _PARAMETERS: Final = 0
+_LSS: Final = 1
+#: The bus has one bit rate.
+_NO_BIT_TIMING: Final = 0xFF
 _DATA: Final = ctypes.POINTER(ctypes.c_uint8)
 _FUNCTION: Final = ctypes.CFUNCTYPE(
     ctypes.c_int, ctypes.c_void_p, ctypes.c_uint8, ctypes.c_uint32, _DATA, ctypes.c_uint16
@@ -23,29 +26,24 @@ class StorageFunction(ctypes.Structure):
 
 
 def storage_function(build: Build, storage: Storage) -> StorageFunction:
-    """Return the storage function of a board, whose parameters `storage` keeps.
+    """Return the storage function of a board, whose parameters and node-ID `storage` keeps.
 
     Stored values that do not fit an object are left out: the board has its defaults there. The key of a record is not
     needed: each node has a file, which knows its skin.
     """
-    places = list(_places(build.objects))
+    places, node_id = list(_places(build.objects)), build.node.node_id
 
     def load(_context: int, record: int, _key: int, data: Any, _bytes: int) -> int:
-        if record != _PARAMETERS or not storage.parameters:
-            return 1
-        values = bytearray(build.values[: build.objects.writable_bytes])
-        for index, subindex, data_type, at, length in places:
-            found = storage.parameters.get(index, {}).get(subindex, b"")
-            if is_storable(index, data_type, found):
-                values[at : at + length] = found
-        ctypes.memmove(data, bytes(values), len(values))
-        return 0
+        numbered = bytes((node_id, _NO_BIT_TIMING)) if storage.has_node_id else b""
+        kept = numbered if record == _LSS else _values(build, storage)
+        ctypes.memmove(data, kept, len(kept))
+        return int(not kept)
 
     def save(_context: int, record: int, _key: int, data: Any, length: int) -> int:
-        if record != _PARAMETERS:
-            return 1
         try:
-            if length:
+            if record == _LSS:
+                storage.save_node_id(data[0] == node_id)
+            elif length:
                 values = ctypes.string_at(data, length)
                 parameters: Parameters = {}
                 for index, subindex, _, at, size in places:
@@ -58,6 +56,16 @@ def storage_function(build: Build, storage: Storage) -> StorageFunction:
         return 0
 
     return StorageFunction(_FUNCTION(load), _FUNCTION(save), None)
+
+
+def _values(build: Build, storage: Storage) -> bytes:
+    """Return the stored values, with defaults for those that fit no object; nothing if none are stored."""
+    values = bytearray(build.values[: build.objects.writable_bytes] if storage.parameters else b"")
+    for index, subindex, data_type, at, length in _places(build.objects):
+        found = storage.parameters.get(index, {}).get(subindex, b"")
+        if is_storable(index, data_type, found):
+            values[at : at + length] = found
+    return bytes(values)
 
 
 def _places(table: ObjectTable) -> Iterator[tuple[int, int, int, int, int]]:

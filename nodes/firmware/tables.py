@@ -15,6 +15,7 @@ from dbc import indices as od
 from dbc.adaptive_filter import HORIZON, SWITCHING, Models, make_models
 from dbc.averaging import averaging_models
 from dbc.board import Board, board
+from dbc.canopen import LSS_BIT_RATES_HZ
 from dbc.configuration import calibration, configuration, setting_of
 from dbc.contract import Contract, NodeContract, sum_frame_bits
 from dbc.dictionary import ERRORS_KEPT, HEARTBEATS_WATCHED, dictionary
@@ -260,6 +261,9 @@ def board_header(contract: Contract, boards: Sequence[Build]) -> str:
         "SKIN_ERRORS_KEPT": (ERRORS_KEPT, "entries of 1003h"),
         "SKIN_WRITABLE_BYTES": (max(each.objects.writable_bytes for each in boards), "values that SDO can write"),
     }
+    rates = {each.board.bitrate for each in boards}
+    timings = sum(1 << index for index, rate in enumerate(LSS_BIT_RATES_HZ) if rate in rates)
+    sizes["SKIN_BIT_TIMINGS"] = timings, "bit n: bit timing n of LSS (CiA 305) is that of a board"
     lines = defined(sizes | _models(make_models(HORIZON) if is_adaptive else averaging_models(), HORIZON * is_adaptive))
     table = boards[0].board
     if len(boards) == 1:

@@ -87,13 +87,15 @@ static void pass(skin_node *node, const skin_frame *frame, uint32_t now_ms, cons
         skin_sync(node, frame);
     } else if (can_id == 0) {
         skin_nmt(node, frame, now_ms);
+    } else if (can_id == SKIN_LSS_REQUEST_COB_ID) {
+        skin_lss_request(node, frame, now_ms);
     } else if (can_id == SKIN_SDO_REQUEST_BASE + node->board->node_id && frame->length == 8) {
         skin_request(node, frame, now_ms);
     }
 }
 
-size_t skin_power_up(skin_node *nodes, uint32_t first, uint32_t boards, const skin_storage *storages, uint32_t now_ms,
-                     skin_frame *out, size_t capacity)
+size_t skin_power_up(skin_node *nodes, uint32_t first, uint32_t boards, const skin_storage *storages, int unnumbered,
+                     uint32_t now_ms, skin_frame *out, size_t capacity)
 {
     skin_outbox outbox = new_outbox(out, capacity);
     uint32_t each;
@@ -106,7 +108,11 @@ size_t skin_power_up(skin_node *nodes, uint32_t first, uint32_t boards, const sk
 #else
         skin_init(&nodes[each], &skin_boards[first + each], &outbox, storages == NULL ? NULL : &storages[each]);
 #endif
-        skin_boot(&nodes[each], now_ms, 0);
+        if (unnumbered) {
+            skin_lss_boot(&nodes[each], now_ms);
+        } else {
+            skin_boot(&nodes[each], now_ms, 0);
+        }
     }
     return outbox.count;
 }

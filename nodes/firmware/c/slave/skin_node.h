@@ -72,6 +72,21 @@ typedef struct {
     uint8_t data[8]; /* of a download; no object that can be written is longer */
 } skin_sdo;
 
+/* LSS (CiA 305). What follows `is_configured` is between the slave and the driver. */
+typedef struct {
+    uint8_t node_id; /* in use, SKIN_NO_NODE_ID for none */
+    uint8_t lasting; /* at power-up, unless the storage has another */
+    uint8_t wanted;  /* from the next initialisation on */
+    uint8_t matched, in_range, scanned; /* numbers of the address that the master has named right */
+    uint8_t is_configured; /* state LSS configuration: the LED flickers (CiA 303-3) */
+    uint16_t bit_timings;  /* bit n: the driver knows bit timing n; after skin_init SKIN_BIT_TIMINGS */
+    uint8_t bit_timing;    /* index of the bit timing that was given or stored, SKIN_NO_BIT_TIMING for none */
+    uint8_t is_switching;  /* the driver is to be silent for the delay, to switch, to be silent once more, and to clear this */
+    uint16_t switch_delay_ms;
+} skin_lss;
+
+#define SKIN_NO_BIT_TIMING 0xFFu
+
 typedef struct {
     const skin_board *board;
     skin_outbox *outbox;
@@ -96,6 +111,7 @@ typedef struct {
 #endif
     uint32_t health[4];      /* 2020h: SYNCs received, TPDOs sent, TPDOs dropped, saturated taxels */
     skin_sdo sdo;
+    skin_lss lss;
     skin_watch watched[SKIN_WATCHED];
     uint32_t heartbeat_ms, heartbeat_due_ms;
     uint8_t active[SKIN_ERRORS];
@@ -113,6 +129,11 @@ void skin_init(skin_node *node, const skin_board *board, skin_outbox *outbox, co
 
 /* Boot: restore parameters, send the boot-up message, enter PRE-OPERATIONAL. Times are milliseconds that may wrap. */
 void skin_boot(skin_node *node, uint32_t now_ms, int communication_only);
+
+/* In place of skin_boot, for a board without switches for its node-ID: boot with the node-ID that LSS has stored, else be silent
+ * until LSS gives one.
+ */
+void skin_lss_boot(skin_node *node, uint32_t now_ms);
 
 /* Do what is due by time: heartbeats, emergencies, event-driven PDOs. To be called every few milliseconds. */
 void skin_tick(skin_node *node, uint32_t now_ms);
@@ -161,6 +182,9 @@ void skin_heard(skin_node *node, uint8_t node_id, uint32_t now_ms);
 void skin_request(skin_node *node, const skin_frame *request, uint32_t now_ms);
 void skin_given_up(skin_node *node, const skin_frame *frame);
 
+/* Answer a request of LSS (SKIN_LSS_REQUEST_COB_ID); the board may boot with a new node-ID. */
+void skin_lss_request(skin_node *node, const skin_frame *request, uint32_t now_ms);
+
 /* Between the parts of the node. */
 int skin_is_due(uint32_t now_ms, uint32_t due_ms); /* whether it is due; both may have wrapped */
 skin_frame skin_new_frame(const skin_node *node, uint32_t can_id, const uint8_t *data, uint8_t length);
@@ -178,6 +202,7 @@ uint8_t skin_watched_node(uint32_t entry); /* of an entry of 1016h, 0 for none *
 uint32_t skin_missing(const skin_board *board, uint16_t index);
 uint32_t skin_write(skin_node *node, uint16_t index, uint8_t subindex, const uint8_t *data, uint16_t length);
 void skin_load(skin_node *node);
+void skin_lss_reset(skin_node *node, uint32_t now_ms, int communication_only);
 void skin_restore(skin_node *node, int communication_only);
 void skin_refresh(skin_node *node, uint32_t now_ms);
 void skin_raise(skin_node *node, uint8_t error, uint64_t field);

@@ -48,7 +48,11 @@ static void draw_frame(skin_frame *frame)
     case 2: /* heartbeat */
         frame->can_id = 0x700 + drawn(0x80);
         break;
-    case 3: /* anything, and frames that were given up */
+    case 3: /* LSS */
+        frame->can_id = 0x7E5;
+        frame->data[0] = (uint8_t)(0x04 + drawn(0x5B));
+        break;
+    case 4: /* anything, and frames that were given up */
         frame->can_id = drawn(2) ? drawn(0x800) : state;
         frame->flags |= drawn(2) ? SKIN_FRAME_DISCARDED : 0;
         break;
@@ -144,7 +148,7 @@ int main(int count, char **texts)
         skin_take_counts(nodes, SKIN_BOARDS, read);
     }
 #endif
-    check(skin_power_up(nodes, 0, SKIN_BOARDS, NULL, now_ms, out, ROOM));
+    check(skin_power_up(nodes, 0, SKIN_BOARDS, NULL, 0, now_ms, out, ROOM));
     for (turn = 0; turn < turns; turn++) {
         const uint32_t burst = drawn(BURST) + 1;
 
