@@ -17,6 +17,7 @@ from bus.ip_link import sample_point
 from bus.messages import to_frame, to_message
 from bus.protocol import check_frames, in_time
 from bus.reconnecting import FIRST_S, LONGEST_S, QUEUE_FULL
+from bus.slcan import SEND_S
 from canskin.errors import BusError
 from dbc.frame import ECHO, Frames, frames
 
@@ -26,6 +27,9 @@ Value = str | int | float | bool
 #: Most frames kept until `receive`; later frames are lost and counted.
 QUEUE_FRAMES: Final = 16384
 FRAMES_PER_CALL: Final = 1024
+#: Interfaces on a serial line, which wait for ever for room unless they get a limit. After a failure a part of a frame
+#: may be on the line: only a new beginning tells the adapter where the next frame begins.
+_SERIAL: Final = frozenset({"robotell", "slcan"})
 #: An interface that is bus-off, or takes no frame, for this time is opened again: that ends bus-off.
 PATIENCE_S: Final = 1.0
 #: Interfaces whose echo of a frame is the controller's report that the frame has been sent, at its place among the
@@ -53,13 +57,15 @@ _STATE_OF: Final = {
 _FAILS: Final = (can.CanError, OSError, ValueError, TypeError, ImportError, NotImplementedError, LookupError, NameError)
 # Opening tells what is missing, in one line; what python-can logs besides would go to stderr.
 logging.getLogger("can").addHandler(logging.NullHandler())
+can.interfaces.BACKENDS["slcan"] = ("bus.slcan", "BoundedSlcan")
 
 
 class PythonCanLink:
     """A python-can bus as a link, read by a thread. An interface that was lost is opened again.
 
     Where the interface has no proven echo, the echo of a frame comes when the frame is handed over, before all frames
-    that are received later. A frame that the interface refused has no echo, and may have been sent all the same.
+    that are received later. A frame that the interface refused has no echo, and may have been sent all the same. An
+    adapter on a serial line that takes no frame for `SEND_S` is lost.
 
     Parameters
     ----------
@@ -84,11 +90,12 @@ class PythonCanLink:
     ) -> None:
         self._interface, self._channel, self._fd = interface, channel, fd
         self._arguments = _arguments(interface, bitrate, data_bitrate or bitrate, dict(options or {}), fd=fd)
+        self._send_options = {"timeout": SEND_S} if interface in _SERIAL else {}
         self._has_echo = interface in PROVEN_ECHOES and not self._arguments.get("single_handle")
         self.dropped = 0
         self._queue: deque[Frames] = deque()
-        #: Held while a frame is handed over, and while a frame is put into the queue.
-        self._lock = threading.Lock()
+        #: Held while a frame is handed over, while a frame is put into the queue, and while `_bus` changes.
+        self._lock = threading.RLock()
         self._closing = threading.Event()
         #: Since when the interface takes no frame, and since when it is bus-off.
         self._refuses_s: float | None = None
@@ -149,12 +156,15 @@ class PythonCanLink:
         for place, record in enumerate(burst):
             message = to_message(record, self._channel, 0)
             with self._lock:
-                if self._bus is None:
+                bus = self._bus
+                if bus is None:
                     return place
                 try:
-                    self._bus.send(message)
+                    bus.send(message, **self._send_options)
                 except _FAILS:
                     self._refuses_s = self._refuses_s or time.monotonic()
+                    if self._send_options:
+                        self._lose(bus)
                     return place
                 self._refuses_s = None
                 if not self._has_echo:
@@ -179,23 +189,30 @@ class PythonCanLink:
 
     def _run(self) -> None:
         """Read until `close`; open a lost interface again, after waits that grow."""
-        wait_s = FIRST_S
+        bus, wait_s = self._bus, FIRST_S
         while not self._closing.is_set():
-            if self._bus is not None:
-                self._take(self._bus)
-            elif not self._closing.wait(wait_s):
-                try:
-                    self._bus, wait_s = self._open(), FIRST_S
-                except BusError as error:
-                    self._why_lost = str(error)
-                    wait_s = min(2 * wait_s, LONGEST_S)
-        self._lose()
+            if bus is None:
+                if not self._closing.wait(wait_s):
+                    try:
+                        bus = self._bus = self._open()
+                        wait_s = FIRST_S
+                    except BusError as error:
+                        self._why_lost = str(error)
+                        wait_s = min(2 * wait_s, LONGEST_S)
+            elif bus is self._bus:
+                self._take(bus)
+            else:
+                _shut_down(bus)
+                bus = None
+        self._bus = None
+        if bus is not None:
+            _shut_down(bus)
 
     def _take(self, bus: can.BusABC) -> None:
         """Take the messages that wait; wait for the first."""
         now_s = time.monotonic()
         if any(since_s is not None and now_s - since_s > PATIENCE_S for since_s in (self._refuses_s, self._is_off_s)):
-            self._lose()
+            self._lose(bus)
             return
         for place in range(FRAMES_PER_CALL):
             try:
@@ -204,7 +221,7 @@ class PythonCanLink:
                 self.dropped += 1
                 return
             except _FAILS:
-                self._lose()
+                self._lose(bus)
                 return
             if message is None:
                 return
@@ -219,15 +236,13 @@ class PythonCanLink:
         with self._lock:
             self._put(frame)
 
-    def _lose(self) -> None:
-        """Close the interface: it is gone, or does not work."""
+    def _lose(self, bus: can.BusABC) -> None:
+        """Use an interface no longer, because it is gone or does not work; the reader shuts it down."""
         with self._lock:
-            bus, self._bus = self._bus, None
-            self._refuses_s = self._is_off_s = None
-            self.dropped += not self._closing.is_set()  # what came meanwhile: the gap is told however short it is
-        if bus is not None:
-            with contextlib.suppress(*_FAILS):
-                bus.shutdown()
+            if bus is self._bus:
+                self._bus = None
+                self._refuses_s = self._is_off_s = None
+                self.dropped += 1  # what came meanwhile: the gap is told however short it is
 
     def _put_echo(self, frame: Frames) -> None:
         echo = frame.copy()
@@ -241,6 +256,11 @@ class PythonCanLink:
             return
         self._queue.append(frame)
         os.eventfd_write(self._wake, 1)
+
+
+def _shut_down(bus: can.BusABC) -> None:
+    with contextlib.suppress(*_FAILS):
+        bus.shutdown()
 
 
 def _arguments(

@@ -29,6 +29,7 @@ class Interface:
         self.arrived: queue.SimpleQueue[can.Message | Exception] = queue.SimpleQueue()
         self.sent: list[can.Message] = []
         self.shutdowns = 0
+        self.timeout_s: float | None = None
         #: Messages that are accepted before the interface is full.
         self.room = 1000
         self.told: can.BusState | Exception = can.BusState.ACTIVE
@@ -48,7 +49,8 @@ class Interface:
             raise came
         return came
 
-    def send(self, message: can.Message) -> None:
+    def send(self, message: can.Message, timeout: float | None = None) -> None:
+        self.timeout_s = timeout
         if len(self.sent) >= self.room:
             raise can.CanOperationError("full")
         self.sent.append(message)
@@ -243,6 +245,17 @@ def test_an_interface_that_is_bus_off_or_takes_nothing_is_opened_again(
     assert first.shutdowns == 1
 
 
+def test_a_serial_line_gets_a_limit_and_others_refuse_at_once(adapters: Adapters) -> None:
+    """With a limit kvaser and neovi would wait until the frame is on the bus."""
+    for interface, limit_s in (("slcan", 0.05), ("robotell", 0.05), ("kvaser", None), ("neovi", None)):
+        assert adapters.link(interface).send(frame(1)) == 1
+        assert adapters.newest.timeout_s == limit_s
+    link = adapters.link("slcan")
+    adapters.newest.room = 0
+    assert link.send(frame(1)) == 0
+    assert link.dropped == 1
+
+
 def test_what_is_no_frame_is_counted_and_harms_nothing(adapters: Adapters) -> None:
     link = adapters.link()
     for noise in (ValueError("invalid literal"), IndexError("string index")):
@@ -306,6 +319,33 @@ def test_an_slcan_adapter_on_a_terminal_is_unplugged_and_plugged_again(tmp_path:
             adapter.plug()
             await_state(link, State.ACTIVE)
         assert link.dropped == 2
+    finally:
+        link.close()
+        adapter.unplug()
+
+
+def test_an_slcan_adapter_that_takes_nothing_is_lost_and_opened_when_it_does(tmp_path: Path) -> None:
+    """A pseudo-terminal that nobody reads takes some thousand bytes; a part of a frame may be the last."""
+    adapter = SerialAdapter(tmp_path / "ttyACM0")
+    link, other = (
+        open_link("slcan", str(adapter.path), 1_000_000, options={"sleep_after_open": 0.0}) for _ in range(2)
+    )
+    try:
+        sent = burst([0x181] * 100)
+        while link.send(sent) == len(sent):
+            link.receive()
+        assert link.state is State.LOST
+        assert link.dropped == 1
+        other.close()
+        until_s = time.monotonic() + PATIENCE_S
+        while link.state is State.LOST:
+            assert time.monotonic() < until_s
+            adapter.receive()
+        adapter.receive()
+        assert link.send(frame(0x281, b"\x05")) == 1
+        while (arrived := adapter.await_frames())["can_id"][-1] != 0x281:
+            pass
+        assert arrived[-1:].tobytes() == frame(0x281, b"\x05").tobytes()
     finally:
         link.close()
         adapter.unplug()
