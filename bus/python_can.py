@@ -53,8 +53,8 @@ _STATE_OF: Final = {
     can.BusState.PASSIVE: State.PASSIVE,
     can.BusState.ERROR: State.BUS_OFF,
 }
-#: What interfaces raise where the library is missing, NameError included, or the device does not work.
-_FAILS: Final = (can.CanError, OSError, ValueError, TypeError, ImportError, NotImplementedError, LookupError, NameError)
+#: What interfaces raise that refuse a frame, or do not tell their state. After any other exception they are lost.
+_REFUSES: Final = (can.CanError, OSError, ValueError, TypeError, NotImplementedError, LookupError)
 # Opening tells what is missing, in one line; what python-can logs besides would go to stderr.
 logging.getLogger("can").addHandler(logging.NullHandler())
 can.interfaces.BACKENDS["slcan"] = ("bus.slcan", "BoundedSlcan")
@@ -128,8 +128,11 @@ class PythonCanLink:
             return State.LOST
         try:
             state = _STATE_OF[bus.state]
-        except _FAILS:
+        except _REFUSES:
             return State.ACTIVE  # many interfaces do not tell
+        except Exception:  # noqa: BLE001
+            self._lose(bus)  # or the reader shuts it down
+            return State.LOST
         self._is_off_s = None if state is not State.BUS_OFF else self._is_off_s or time.monotonic()
         return state
 
@@ -161,9 +164,9 @@ class PythonCanLink:
                     return place
                 try:
                     bus.send(message, **self._send_options)
-                except _FAILS:
+                except Exception as error:  # noqa: BLE001
                     self._refuses_s = self._refuses_s or time.monotonic()
-                    if self._send_options:
+                    if self._send_options or not isinstance(error, _REFUSES):
                         self._lose(bus)
                     return place
                 self._refuses_s = None
@@ -184,7 +187,7 @@ class PythonCanLink:
         channel = int(self._channel) if self._channel.isdecimal() else self._channel
         try:
             return can.Bus(channel=channel, interface=self._interface, ignore_config=True, **self._arguments)
-        except _FAILS as error:
+        except Exception as error:
             raise BusError(_why(self._interface, self._channel, error)) from error
 
     def _run(self) -> None:
@@ -214,19 +217,17 @@ class PythonCanLink:
         if any(since_s is not None and now_s - since_s > PATIENCE_S for since_s in (self._refuses_s, self._is_off_s)):
             self._lose(bus)
             return
-        for place in range(FRAMES_PER_CALL):
-            try:
+        try:
+            for place in range(FRAMES_PER_CALL):
                 message = bus.recv(0.0 if place else 0.1)
-            except (ValueError, LookupError):  # what came is no frame, as on a serial line after noise
-                self.dropped += 1
-                return
-            except _FAILS:
-                self._lose(bus)
-                return
-            if message is None:
-                return
-            if message.is_rx or self._has_echo:
-                self._take_one(message)
+                if message is None:
+                    return
+                if message.is_rx or self._has_echo:
+                    self._take_one(message)
+        except (ValueError, LookupError, OverflowError):  # what came is no frame, as on a serial line after noise
+            self.dropped += 1
+        except Exception:  # noqa: BLE001
+            self._lose(bus)
 
     def _take_one(self, message: can.Message) -> None:
         frame = to_frame(message, 0)
@@ -259,7 +260,7 @@ class PythonCanLink:
 
 
 def _shut_down(bus: can.BusABC) -> None:
-    with contextlib.suppress(*_FAILS):
+    with contextlib.suppress(Exception):
         bus.shutdown()
 
 

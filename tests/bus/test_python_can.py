@@ -2,6 +2,7 @@
 
 import queue
 import select
+import struct
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -33,6 +34,7 @@ class Interface:
         #: Messages that are accepted before the interface is full.
         self.room = 1000
         self.told: can.BusState | Exception = can.BusState.ACTIVE
+        self.refusal: Exception = can.CanOperationError("full")
 
     @property
     def state(self) -> can.BusState:
@@ -52,12 +54,12 @@ class Interface:
     def send(self, message: can.Message, timeout: float | None = None) -> None:
         self.timeout_s = timeout
         if len(self.sent) >= self.room:
-            raise can.CanOperationError("full")
+            raise self.refusal
         self.sent.append(message)
 
     def shutdown(self) -> None:
         self.shutdowns += 1
-        raise can.CanOperationError("the adapter is gone")
+        raise AttributeError("the adapter is gone")
 
 
 @dataclass
@@ -148,6 +150,28 @@ def test_what_an_interface_tells_of_its_controller(adapters: Adapters) -> None:
     assert link.dropped == 0
 
 
+def test_an_interface_that_breaks_while_it_is_asked_is_opened_again(adapters: Adapters) -> None:
+    """As one does that another thread shuts down meanwhile."""
+    link = adapters.link()
+    for call in (lambda: link.state is State.LOST, lambda: link.send(frame(1)) == 0):
+        broken = adapters.newest
+        broken.told = broken.refusal = AttributeError("'NoneType' object has no attribute 'read'")
+        broken.room = 0
+        assert call()
+        await_state(link, State.ACTIVE)
+        assert adapters.newest is not broken
+        assert broken.shutdowns == 1
+    assert link.dropped == 2
+
+
+def test_a_message_that_cannot_be_converted_is_counted_and_harms_nothing(adapters: Adapters) -> None:
+    link = adapters.link()
+    adapters.newest.arrived.put(message(8, timestamp=float("nan")))
+    adapters.newest.arrived.put(message(7))
+    assert collect(link, 1)["can_id"].tolist() == [7]
+    assert link.dropped == 1
+
+
 def test_each_accepted_frame_is_echoed_and_wakes_the_reader(adapters: Adapters) -> None:
     link = adapters.link()
     assert not readable(link)
@@ -209,7 +233,13 @@ def test_can_fd_needs_a_link_with_can_fd(adapters: Adapters) -> None:
     assert (sent.is_fd, sent.bitrate_switch, sent.dlc) == (True, True, 12)
 
 
-@pytest.mark.parametrize("error", [can.CanOperationError("gone"), OSError("gone")])
+@pytest.mark.parametrize(
+    "error",
+    [
+        *(can.CanOperationError("gone"), OSError("gone"), AttributeError("'NoneType' object has no attribute 'read'")),
+        *(struct.error("unpack requires 8 bytes"), RuntimeError("closed"), AssertionError()),
+    ],
+)
 def test_an_adapter_that_was_unplugged_is_opened_again(adapters: Adapters, error: Exception) -> None:
     link, first = adapters.link(), adapters.newest
     adapters.error = can.CanInitializationError("no adapter")
