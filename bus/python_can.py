@@ -12,13 +12,13 @@ from typing import Any, Final
 import can
 import numpy as np
 
+from bus.bit_timing import choose_timing
 from bus.error_frames import State
-from bus.ip_link import sample_point
 from bus.messages import to_frame, to_message
 from bus.protocol import check_frames, in_time
 from bus.reconnecting import FIRST_S, LONGEST_S, QUEUE_FULL
 from bus.slcan import SEND_S
-from canskin.errors import BusError
+from canskin.errors import BusError, InputError
 from dbc.frame import ECHO, Frames, frames
 
 #: A value of an option of an interface.
@@ -74,6 +74,8 @@ class PythonCanLink:
 
     Raises
     ------
+    InputError
+        If no bit timing makes the rates.
     BusError
         If python-can cannot open the interface.
     """
@@ -272,13 +274,13 @@ def _arguments(
     if fd:
         rates |= {"fd": True, "data_bitrate": data_bitrate}
         if interface in _TAKE_TIMING and not {"f_clock", "f_clock_mhz"} & options.keys():
-            rates["timing"] = can.BitTimingFd.from_sample_point(
-                f_clock=_FD_CLOCK_HZ,
-                nom_bitrate=bitrate,
-                nom_sample_point=100 * sample_point(bitrate),
-                data_bitrate=data_bitrate,
-                data_sample_point=100 * sample_point(data_bitrate),
-            )
+            rates["timing"] = choose_timing(_FD_CLOCK_HZ, [bitrate, data_bitrate])
+            if rates["timing"] is None:
+                raise InputError(
+                    f"expected bit rates that a clock of {_FD_CLOCK_HZ / 1e6:g} MHz can make, got {bitrate / 1e3:g} "
+                    f"and {data_bitrate / 1e3:g} kbit/s: change the layout, or give the adapter's clock and segments "
+                    "with --bus-option f_clock_mhz=..."
+                )
     return rates | _OPTIONS.get(interface, {}) | options
 
 

@@ -126,6 +126,13 @@ def test_pcan_gets_the_timing_of_can_fd_and_ends_bus_off_by_itself(adapters: Ada
     assert adapters.newest.options["auto_reset"] is False
 
 
+def test_rates_that_the_clock_of_can_fd_cannot_make_are_refused(adapters: Adapters) -> None:
+    """80 MHz are 11.4 periods of 7 Mbit/s."""
+    with pytest.raises(InputError, match="80 MHz can make, got 900 and 7000 kbit/s"):
+        adapters.link("pcan", 900_000, fd=True, data_bitrate=7_000_000)
+    assert not adapters.made
+
+
 def test_channels_of_digits_are_numbers(adapters: Adapters) -> None:
     link = PythonCanLink("gs_usb", "0", 500_000)
     assert adapters.newest.options["channel"] == 0
@@ -153,11 +160,11 @@ def test_what_an_interface_tells_of_its_controller(adapters: Adapters) -> None:
 def test_an_interface_that_breaks_while_it_is_asked_is_opened_again(adapters: Adapters) -> None:
     """As one does that another thread shuts down meanwhile."""
     link = adapters.link()
-    for call in (lambda: link.state is State.LOST, lambda: link.send(frame(1)) == 0):
+    for asks_state in (True, False):
         broken = adapters.newest
         broken.told = broken.refusal = AttributeError("'NoneType' object has no attribute 'read'")
         broken.room = 0
-        assert call()
+        assert link.state is State.LOST if asks_state else link.send(frame(1)) == 0
         await_state(link, State.ACTIVE)
         assert adapters.newest is not broken
         assert broken.shutdowns == 1
