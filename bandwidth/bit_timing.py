@@ -59,8 +59,8 @@ class TimingOptions:
 class PhaseTiming:
     """The bit in the arbitration or the data phase; segments in time quanta, after the quantum of SYNC_SEG.
 
-    `tseg1` is PROP_SEG and PHASE_SEG1 together; the data phase needs no PROP_SEG. `rate_error_ppm` is the error of the
-    bit rate with an exact clock.
+    `tseg1` is PROP_SEG and PHASE_SEG1 together; the data phase needs no PROP_SEG. `sjw` is not longer than PHASE_SEG1
+    and `tseg2` (ISO 11898-1). `rate_error_ppm` is the error of the bit rate with an exact clock.
     """
 
     phase: str
@@ -105,17 +105,18 @@ def controller_timing(bus: Bus, clock_hz: int, options: TimingOptions) -> Contro
         return ControllerTiming(clock_hz, [], 0.0, None, False, f"this clock cannot make {rates}")
     phases: list[PhaseTiming] = []
     for rate_hz, name, each in zip(rates_hz, ("nominal", "data"), segments(best), strict=False):
-        prop_seg = 0 if phases else math.ceil(options.round_trip_ns * 1e-9 * clock_hz / each.prescaler)
+        prop_seg = 0 if phases else math.ceil(round(1e-9 * options.round_trip_ns * clock_hz / each.prescaler, 6))
+        phase_seg1 = each.tseg1 - prop_seg
         phases.append(
             PhaseTiming(
                 phase=name,
                 bit_rate_hz=rate_hz,
                 prescaler=each.prescaler,
                 prop_seg=prop_seg,
-                phase_seg1=each.tseg1 - prop_seg,
+                phase_seg1=phase_seg1,
                 tseg1=each.tseg1,
                 tseg2=each.tseg2,
-                sjw=each.sjw,
+                sjw=min(each.sjw, max(phase_seg1, 1), each.tseg2),
                 sample_point=each.sample_point,
                 rate_error_ppm=each.rate_error_ppm(clock_hz, rate_hz),
             )
