@@ -7,7 +7,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Mapping
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import can
 import numpy as np
@@ -17,7 +17,6 @@ from bus.error_frames import State
 from bus.messages import to_frame, to_message
 from bus.protocol import check_frames, in_time
 from bus.reconnecting import FIRST_S, LONGEST_S, QUEUE_FULL
-from bus.slcan import SEND_S
 from canskin.errors import BusError, InputError
 from dbc.frame import ECHO, Frames, frames
 
@@ -27,25 +26,43 @@ Value = str | int | float | bool
 #: Most frames kept until `receive`; later frames are lost and counted.
 QUEUE_FRAMES: Final = 16384
 FRAMES_PER_CALL: Final = 1024
-#: Interfaces on a serial line, which wait for ever for room unless they get a limit. After a failure a part of a frame
-#: may be on the line: only a new beginning tells the adapter where the next frame begins.
-_SERIAL: Final = frozenset({"robotell", "slcan"})
+#: Longest wait for room on a serial line: the loop of the gateway waits, too.
+SEND_S: Final = 0.05
 #: An interface that is bus-off, or takes no frame, for this time is opened again: that ends bus-off.
 PATIENCE_S: Final = 1.0
-#: Interfaces whose echo of a frame is the controller's report that the frame has been sent, at its place among the
-#: received frames. docs/bus.md has the reasons, and those why the others are not here.
-PROVEN_ECHOES: Final = frozenset({"kvaser"})
-#: What an interface needs besides python-can, and options without which it stays bus-off.
-_NEEDS: Final = {
-    "gs_usb": "pip install gs_usb pyusb, and libusb-1.0",
-    "kvaser": "Kvaser's linuxcan (libcanlib.so)",
-    "neovi": "pip install python-ics",
-    "pcan": "PEAK's PCAN-Basic (libpcanbasic.so) and its driver",
-    "slcan": "pip install pyserial",
+
+
+class _Interface(NamedTuple):
+    """What an interface of python-can is like."""
+
+    #: What to install besides python-can.
+    needs: str = ""
+    #: Arguments that it needs here; those of the user come before them.
+    options: Mapping[str, Value] = {}
+    #: Takes the bit timing of CAN FD; the others take the rates.
+    takes_timing: bool = False
+    #: Its echo of a frame is the controller's report that the frame has been sent, at its place among the received
+    #: frames. docs/bus.md has the reasons, and those why the others have none.
+    proves_echo: bool = False
+    #: Waits for ever for room on a serial line unless it gets a limit. After a failure a part of a frame may be on the
+    #: line: only a new beginning tells the adapter where the next frame begins.
+    is_serial: bool = False
+
+
+_PYSERIAL: Final = "pip install pyserial"
+_INTERFACES: Final[Mapping[str, _Interface]] = {
+    "gs_usb": _Interface("pip install gs_usb pyusb, and libusb-1.0"),
+    "kvaser": _Interface(
+        "Kvaser's linuxcan (libcanlib.so)", {"receive_own_messages": True}, takes_timing=True, proves_echo=True
+    ),
+    "neovi": _Interface("pip install python-ics"),
+    "nixnet": _Interface(takes_timing=True),
+    # Without auto_reset it stays bus-off.
+    "pcan": _Interface("PEAK's PCAN-Basic (libpcanbasic.so) and its driver", {"auto_reset": True}, takes_timing=True),
+    "robotell": _Interface(_PYSERIAL, is_serial=True),
+    "slcan": _Interface(_PYSERIAL, takes_timing=True, is_serial=True),
+    "vector": _Interface(takes_timing=True),
 }
-_OPTIONS: Final[dict[str, dict[str, Value]]] = {"pcan": {"auto_reset": True}, "kvaser": {"receive_own_messages": True}}
-#: Interfaces that take the bit timing of CAN FD; the others take the rates.
-_TAKE_TIMING: Final = frozenset({"kvaser", "nixnet", "pcan", "slcan", "vector"})
 #: Clock for which the bit timing of CAN FD is computed; an interface with another clock converts it.
 _FD_CLOCK_HZ: Final = 80_000_000
 _STATE_OF: Final = {
@@ -91,9 +108,10 @@ class PythonCanLink:
         options: Mapping[str, Value] | None = None,
     ) -> None:
         self._interface, self._channel, self._fd = interface, channel, fd
-        self._arguments = _arguments(interface, bitrate, data_bitrate or bitrate, dict(options or {}), fd=fd)
-        self._send_options = {"timeout": SEND_S} if interface in _SERIAL else {}
-        self._has_echo = interface in PROVEN_ECHOES and not self._arguments.get("single_handle")
+        self._kind = kind = _INTERFACES.get(interface, _Interface())
+        self._arguments = _arguments(kind, bitrate, data_bitrate or bitrate, dict(options or {}), fd=fd)
+        self._send_options = {"timeout": SEND_S} if kind.is_serial else {}
+        self._has_echo = kind.proves_echo and not self._arguments.get("single_handle")
         self.dropped = 0
         self._queue: deque[Frames] = deque()
         #: Held while a frame is handed over, while a frame is put into the queue, and while `_bus` changes.
@@ -114,7 +132,7 @@ class PythonCanLink:
 
     @property
     def keeps_order(self) -> bool:
-        """Whether the echo of a frame is the controller's report, see `PROVEN_ECHOES`."""
+        """Whether the echo of a frame is the controller's report, if the interface proves that."""
         return self._has_echo
 
     @property
@@ -190,7 +208,10 @@ class PythonCanLink:
         try:
             return can.Bus(channel=channel, interface=self._interface, ignore_config=True, **self._arguments)
         except Exception as error:
-            raise BusError(_why(self._interface, self._channel, error)) from error
+            raise BusError(
+                f"cannot open {self._channel} of python-can's interface '{self._interface}': "
+                f"{_why(error, self._kind.needs)}"
+            ) from error
 
     def _run(self) -> None:
         """Read until `close`; open a lost interface again, after waits that grow."""
@@ -267,13 +288,13 @@ def _shut_down(bus: can.BusABC) -> None:
 
 
 def _arguments(
-    interface: str, bitrate: int, data_bitrate: int, options: dict[str, Value], *, fd: bool
+    kind: _Interface, bitrate: int, data_bitrate: int, options: dict[str, Value], *, fd: bool
 ) -> dict[str, Any]:
     """Return the arguments of `can.Bus`; `options` come before what is set here."""
     rates: dict[str, Any] = {"bitrate": bitrate}
     if fd:
         rates |= {"fd": True, "data_bitrate": data_bitrate}
-        if interface in _TAKE_TIMING and not {"f_clock", "f_clock_mhz"} & options.keys():
+        if kind.takes_timing and not {"f_clock", "f_clock_mhz"} & options.keys():
             rates["timing"] = choose_timing(_FD_CLOCK_HZ, [bitrate, data_bitrate])
             if rates["timing"] is None:
                 raise InputError(
@@ -281,13 +302,12 @@ def _arguments(
                     f"and {data_bitrate / 1e3:g} kbit/s: change the layout, or give the adapter's clock and segments "
                     "with --bus-option f_clock_mhz=..."
                 )
-    return rates | _OPTIONS.get(interface, {}) | options
+    return rates | dict(kind.options) | options
 
 
-def _why(interface: str, channel: str, error: Exception) -> str:
-    """Return the error of an interface, and what to install if that is missing."""
+def _why(error: Exception, needs: str) -> str:
+    """Return the reason of an error of an interface, and what to install if that is missing."""
     reason = " ".join(str(error).split())
     is_missing = isinstance(error, (ImportError, can.CanInterfaceNotImplementedError, NameError))
     is_missing |= "library not found" in reason  # PCAN-Basic
-    needs = f"; it needs {_NEEDS[interface]}" if is_missing and interface in _NEEDS else ""
-    return f"cannot open {channel} of python-can's interface '{interface}': {reason}{needs}"
+    return f"{reason}; it needs {needs}" if is_missing and needs else reason

@@ -1,12 +1,9 @@
 """An adapter on a serial line (slcan), to which no write waits for longer than a limit."""
 
-from typing import Final
-
 from can.exceptions import error_check
 from can.interfaces.slcan import slcanBus
 
-#: Longest wait for room on a serial line: the loop of the gateway waits, too.
-SEND_S: Final = 0.05
+from bus.python_can import SEND_S
 
 
 class BoundedSlcan(slcanBus):
