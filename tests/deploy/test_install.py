@@ -14,7 +14,6 @@ from deploy.configuration import write
 from tests.deploy.conftest import ROOT, Install
 from tests.layouts import layout_toml
 from tests.processes import Processes
-from tests.readonly import not_here
 
 NETWORKS = "etc/systemd/network"
 NETWORKD = Path("/lib/systemd/systemd-networkd")
@@ -128,8 +127,8 @@ def test_a_layout_in_a_home_folder_is_refused(tmp_path: Path, monkeypatch: pytes
 @pytest.fixture
 def host(installed: Path) -> list[str]:
     """Words for a program that sees the installed configuration as that of its host, in a network of its own."""
-    if why := not_here():
-        pytest.skip(why)
+    if os.geteuid() != 0 or subprocess.run(["unshare", "--mount", "--net", "true"], check=False).returncode:
+        pytest.skip("NOT TESTED: needs root, and namespaces of mounts and networks")
     mounts = "; ".join(f'mount --bind "{installed}/{each}" /{each}' for each in ("etc/udev/rules.d", NETWORKS))
     return ["unshare", "--mount", "--net", "sh", "-euc", f'{mounts}; mount -t sysfs sysfs /sys; exec "$@"', "-"]
 
