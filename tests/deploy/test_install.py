@@ -48,10 +48,14 @@ def test_interfaces_get_the_bit_rates_of_the_layout(installed: Path, install: In
 
 @pytest.mark.heavy
 def test_again_changes_nothing_and_removal_leaves_nothing(install: Install, tmp_path: Path) -> None:
-    assert "installed  /etc/canskin/skin.env" in install(tmp_path).stdout
+    first = install(tmp_path)
+    assert "installed  /etc/canskin/skin.env" in first.stdout
+    restart = "  systemctl restart skin.target\n"
+    assert restart not in first.stdout
     before = {name: (tmp_path / name).read_bytes() for name in files(tmp_path)}
     again = install(tmp_path)
     assert "installed" not in again.stdout
+    assert restart in again.stdout  # what runs has the files of before
     assert {name: (tmp_path / name).read_bytes() for name in files(tmp_path)} == before
     # Another interface: the file of the old interface goes.
     assert (
