@@ -168,3 +168,21 @@ def test_an_environment_is_made_without_a_network(tmp_path: Path) -> None:
     assert scripts.startswith("#!/opt/canskin/bin/python")
     subprocess.run([script, "--root", str(tmp_path), "--remove"], check=True)
     assert files(tmp_path) == set()
+
+
+@pytest.mark.parametrize("words", [[], ["--remove"]])
+@pytest.mark.parametrize("root", ["file", "file/below", ""])
+def test_a_root_that_cannot_be_is_never_the_host(root: str, words: list[str], tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("not a folder")
+    # Without a Python and without systemd's folders the script could change nothing here, were the root lost.
+    calls = {"PATH": os.environ["PATH"], "PYTHON": "/bin/false"}
+    command = [str(ROOT / "deploy/install"), "--root", root and str(tmp_path / root), *words]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, env=calls)
+    assert done.returncode == 2
+    assert done.stderr.startswith("deploy/install: --root")
+    assert files(tmp_path) == {"file"}
+
+
+def test_removal_takes_no_other_options(install: Install, tmp_path: Path) -> None:
+    done = install(tmp_path, "--layout", "fd", "--remove")
+    assert (done.returncode, "got --layout" in done.stderr) == (2, True)
