@@ -6,9 +6,11 @@ CAN interfaces for systemd-networkd, names that stay and queues for udev, and th
 
 import argparse
 import re
+import shlex
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import takewhile
 from pathlib import Path
 from typing import Final
 
@@ -16,7 +18,7 @@ from bus.ip_link import RESTART_MS, TRANSMIT_QUEUE_FRAMES, data_bit_rate_hz, sam
 from bus.options import BusOptions, channels
 from canskin.errors import InputError, SkinError
 from shell.command import WRONG_INPUT
-from skin.layout import SHIPPED, Bus, Layout, load_layout
+from skin.layout import SHIPPED, Bus, Layout, layout_text, load_layout
 
 #: Services that open the CAN interfaces.
 ON_THE_BUSES: Final = ("gateway", "record")
@@ -153,6 +155,33 @@ def files(
         yield f"etc/systemd/system/skin@{verb}.service.d/10-canskin.conf", order + own
 
 
+def host_path(given: str, root: str) -> tuple[str, bool]:
+    """Return a layout's name or path on the host, and whether the layout must be copied there."""
+    if given in SHIPPED:
+        return given, False
+    path = Path(given).resolve()
+    if not root:
+        return str(path), False
+    if path.is_relative_to(root):
+        return f"/{path.relative_to(root)}", False
+    return f"/etc/canskin/{path.stem}.toml", True
+
+
+def check_kept(kept: Path, layout: Layout, where: str, names: Sequence[str]) -> None:
+    """Refuse an environment that stays, for it was changed by hand, and is of another layout or other interfaces."""
+    given = dict(re.findall(r"^(SKIN_\w+)=(.*)$", kept.read_text(), re.MULTILINE))
+    words = shlex.split(given.get("SKIN_gateway", ""))
+    flags = [place for place, word in enumerate(words) if word in {"-c", "--channel"}]
+    there = list(takewhile(lambda word: not word.startswith("-"), words[flags[0] + 1 :])) if flags else list(names)
+    if given.get("SKIN_LAYOUT", where) != where:
+        said, option = f"SKIN_LAYOUT={given['SKIN_LAYOUT']}, and the rest would be of {where}", "--layout"
+    elif channels(layout, BusOptions("socketcan", there)) != list(names):
+        said, option = f"-c {' '.join(there)}, and the rest would be of {' '.join(names)}", "--interface"
+    else:
+        return
+    raise InputError(f"{kept}: changed by hand, and stays: it has {said}: give its {option}, or change that line first")
+
+
 def write(arguments: Sequence[str]) -> None:
     """Write the files that the command line asks for."""
     parser = argparse.ArgumentParser(prog="deploy/install")
@@ -161,9 +190,11 @@ def write(arguments: Sequence[str]) -> None:
     parser.add_argument("--adapter", nargs="*", default=[])
     parser.add_argument("--venv", required=True)
     parser.add_argument("--folder", type=Path, required=True)
+    parser.add_argument("--root", default="")
+    parser.add_argument("--kept", type=Path)
     given = parser.parse_args(arguments)
     layout = load_layout(Path(given.layout))
-    where = given.layout if given.layout in SHIPPED else str(Path(given.layout).resolve())
+    where, is_copied = host_path(given.layout, given.root)
     if where.startswith(tuple(f"{home}/" for home in HOMES)):
         raise InputError(
             f"{where}: the services see no home folders: copy the layout to /etc/canskin, and give that path"
@@ -172,7 +203,11 @@ def write(arguments: Sequence[str]) -> None:
     adapters = [Adapter.from_text(text) for text in given.adapter]
     if unused := [each.name for each in adapters if each.name not in names]:
         raise InputError(f"--adapter {unused[0]}: expected a name of the interfaces, {', '.join(names)}")
-    for path, text in files(layout, where, names, adapters, given.venv):
+    if given.kept is not None:
+        check_kept(given.kept, layout, where, names)
+    # A copy has what the layout takes from other files in itself.
+    copies = [(where[1:], layout_text(layout))] if is_copied else []
+    for path, text in [*files(layout, where, names, adapters, given.venv), *copies]:
         file = given.folder / path
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_text(text)

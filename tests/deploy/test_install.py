@@ -11,6 +11,7 @@ import pytest
 
 from canskin.errors import InputError
 from deploy.configuration import write
+from skin.layout import load_layout
 from tests.deploy.conftest import ROOT, Install
 from tests.layouts import layout_toml
 from tests.processes import Processes
@@ -74,10 +75,10 @@ def test_a_file_that_was_changed_by_hand_stays(install: Install, tmp_path: Path)
     own = environment.read_text().replace("SKIN_view=", "SKIN_view=--port 80")
     environment.write_text(own)
     for _ in range(2):  # the second run must not take the change for its own
-        done = install(tmp_path, "--layout", "fd")
+        done = install(tmp_path)
         assert "kept       /etc/canskin/skin.env" in done.stdout
         assert environment.read_text() == own
-        assert "SKIN_LAYOUT=fd" in environment.with_name("skin.env.new").read_text()
+        assert "SKIN_view=\n" in environment.with_name("skin.env.new").read_text()
     install(tmp_path, "--remove")
     assert files(tmp_path) == {"etc/canskin/skin.env"}
     assert environment.read_text() == own
@@ -186,3 +187,70 @@ def test_a_root_that_cannot_be_is_never_the_host(root: str, words: list[str], tm
 def test_removal_takes_no_other_options(install: Install, tmp_path: Path) -> None:
     done = install(tmp_path, "--layout", "fd", "--remove")
     assert (done.returncode, "got --layout" in done.stderr) == (2, True)
+
+
+@pytest.mark.parametrize(
+    ("words", "means"),
+    [
+        (["--wheels", "nosuchdir"], "--wheels nosuchdir: expected a folder with wheels"),
+        (["--layout", "absent.toml"], "--layout absent.toml: expected a file"),
+        ([], ""),  # pip fails
+    ],
+)
+def test_a_failed_installation_leaves_nothing(words: list[str], means: str, tmp_path: Path) -> None:
+    # A Python whose environments have a python that fails.
+    python = tmp_path / "python"
+    python.write_text('#!/bin/sh\n[ "$2" != venv ] || { mkdir -p "$3/bin"; ln -s /bin/false "$3/bin/python"; }\n')
+    python.chmod(0o755)
+    root = tmp_path / "root"
+    command = [str(ROOT / "deploy/install"), "--root", str(root), *words]
+    done = subprocess.run(
+        command, capture_output=True, text=True, check=False, env=os.environ | {"PYTHON": str(python)}
+    )
+    assert done.returncode != 0
+    assert means in done.stderr
+    assert ("making" in done.stdout) == (not words)
+    assert files(root) == set()
+    assert not (root / "opt/canskin").exists()
+
+
+def test_what_a_killed_installation_left_is_removed(install: Install, tmp_path: Path) -> None:
+    made = tmp_path / "opt/canskin/.made-by-deploy-install"
+    made.parent.mkdir(parents=True)
+    made.touch()
+    assert install(tmp_path, "--remove").returncode == 0
+    assert not made.parent.exists()
+
+
+def configure(folder: Path, *words: str) -> None:
+    write(["--venv", "/opt/canskin", "--folder", str(folder), *words])
+
+
+@pytest.mark.parametrize(
+    ("words", "means"),
+    [
+        (["--layout", "fd", "--interface", "can0"], "SKIN_LAYOUT=default.*give its --layout"),
+        (["--layout", "default", "--interface", "can4"], "-c can0 can1 can2 can3.*give its --interface"),
+    ],
+)
+def test_a_changed_environment_of_another_layout_is_refused(words: list[str], means: str, tmp_path: Path) -> None:
+    configure(tmp_path / "first", "--layout", "default", "--interface", "can0")
+    kept = ["--kept", str(tmp_path / "first/etc/canskin/skin.env")]
+    configure(tmp_path / "again", "--layout", "default", "--interface", "can0", *kept)
+    with pytest.raises(InputError, match=means):
+        configure(tmp_path / "other", *words, *kept)
+    assert files(tmp_path / "other") == set()
+
+
+def test_a_layout_goes_into_the_root_with_the_files_that_it_names(tmp_path: Path) -> None:
+    (tmp_path / "drives.dbc").write_text('VERSION ""\nBO_ 1413 Answer: 8 Drive\n')
+    (tmp_path / "palm.toml").write_text(layout_toml(bus=[{"name": "arm", "nodes": 2, "foreign_dbc": "drives.dbc"}]))
+    root, given = tmp_path / "root", ["--interface", "can0", "--root", str(tmp_path / "root")]
+    configure(root, "--layout", str(tmp_path / "palm.toml"), *given)
+    assert "SKIN_LAYOUT=/etc/canskin/palm.toml\n" in (root / "etc/canskin/skin.env").read_text()
+    copy = root / "etc/canskin/palm.toml"
+    assert load_layout(copy) == load_layout(tmp_path / "palm.toml")
+    # A layout that is in the root already is no copy.
+    configure(tmp_path / "again", "--layout", str(copy), *given)
+    assert "SKIN_LAYOUT=/etc/canskin/palm.toml\n" in (tmp_path / "again/etc/canskin/skin.env").read_text()
+    assert not (tmp_path / "again/etc/canskin/palm.toml").exists()
