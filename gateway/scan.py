@@ -28,8 +28,8 @@ from dbc.canopen import (
 )
 from dbc.frame import ECHO, ERROR, EXTENDED, REMOTE, Frames, frames, one_frame
 from dbc.frame_bits import wire_bits
-from gateway.foreign_sdo import SDO_QUIET_S
-from gateway.sdo import Dialogue, Read, SdoDialogue, SdoError
+from gateway.questions import Questions
+from gateway.sdo import Dialogue, Read, SdoError
 from gateway.strangers import produces_sync
 
 #: Part of the bus that requests and responses take.
@@ -124,9 +124,9 @@ class Scan:
         self.done = False
         self.nodes: dict[int, ScannedNode] = {}
         self._heard: list[Frames] = []
-        self._left = list(range(1, HIGHEST_NODE_ID + 1)) if asks else []
-        self._busy_s: dict[int, float] = {}
-        self._open: dict[int, SdoDialogue] = {}
+        self._questions = Questions(self._ask, self._send_one)
+        if asks:
+            self._questions.ask(range(1, HIGHEST_NODE_ID + 1))
 
     def take(self, arrived: Frames, now_s: float) -> None:
         """Use received frames, in bus order."""
@@ -147,12 +147,9 @@ class Scan:
             self._node(node_id, "heartbeat").state = NmtState(state).name if known else f"state {state}"
         elif base == EMCY_BASE and len(data) == EMCY_BYTES:
             self._node(node_id, "EMCY")
-        elif base == SDO_REQUEST_BASE:
-            self._busy_s[node_id] = now_s + SDO_QUIET_S
         elif base == SDO_RESPONSE_BASE and len(data) == SDO_BYTES:
             self._node(node_id, "SDO")
-            if node_id in self._open:
-                self._open[node_id].take(data, now_s)
+        self._questions.take(base, node_id, data, now_s)
 
     def _node(self, node_id: int, how: str) -> ScannedNode:
         node = self.nodes.setdefault(node_id, ScannedNode(node_id))
@@ -162,19 +159,12 @@ class Scan:
 
     def tick(self, now_s: float) -> None:
         """Go on with the dialogues, and begin the next."""
-        for node_id, dialogue in list(self._open.items()):
-            dialogue.tick(now_s)
-            if dialogue.done:
-                del self._open[node_id]
+        self._questions.tick(now_s)
         if now_s < self.due_s:
             return
-        # A node that another client asks has its turn later.
-        free = [each for each in self._left if now_s >= self._busy_s.get(each, 0.0)]
-        if free:
-            self._left.remove(free[0])
-            self._open[free[0]] = SdoDialogue(free[0], self._ask(free[0]), self._send_one, now_s, attempts=1)
+        self._questions.begin(now_s)
         self.due_s = max(self.due_s, now_s + self._pause_s)
-        self.done = not self._left and not self._open
+        self.done = self._questions.done
 
     def _ask(self, node_id: int) -> Dialogue:
         value = yield Read(od.DEVICE_TYPE)

@@ -1,0 +1,99 @@
+"""Questions to devices that other masters ask, too: they wait, and never end another master's transfer."""
+
+import pytest
+
+from dbc.canopen import HEARTBEAT_BASE, SDO_REQUEST_BASE, SDO_RESPONSE_BASE, SYNC_COB_ID
+from dbc.frame import Frames
+from gateway.foreign_sdo import SDO_QUIET_S
+from gateway.nmt_master import NmtMaster
+from gateway.questions import BUSY_S
+from gateway.scan import Scan
+from gateway.sdo import TIMEOUT_S
+from gateway.strangers import Strangers
+from tests.bus.harness import frame
+from tests.gateway.drives import shared_contract
+
+DRIVE = 5
+#: A segment of another master's upload.
+SEGMENT = b"\x60" + bytes(7)
+PRODUCER = b"\x43\x05\x10\x00\x80\x00\x00\x40"
+
+
+class Asked:
+    """The strangers of a bus with one drive, and what they send."""
+
+    def __init__(self) -> None:
+        self.sent: list[tuple[int, bytes]] = []
+        self.strangers = Strangers(lambda can_id, data: self.sent.append((can_id, data)))
+        self.strangers.heard(DRIVE)
+        self.strangers.find_producers(0.0)
+
+
+def test_strangers_are_asked_when_another_master_has_left_the_channel() -> None:
+    asked = Asked()
+    asked.strangers.take(SDO_REQUEST_BASE, DRIVE, SEGMENT, 0.0)
+    asked.strangers.tick(0.01)
+    assert asked.sent == []
+    asked.strangers.tick(SDO_QUIET_S)
+    assert [can_id for can_id, _ in asked.sent] == [SDO_REQUEST_BASE + DRIVE]
+    asked.strangers.take(SDO_RESPONSE_BASE, DRIVE, PRODUCER, 0.06)
+    assert asked.strangers.tick(0.06)
+    assert "node 5 produces SYNC" in asked.strangers.words
+
+
+@pytest.mark.parametrize("base", [SDO_REQUEST_BASE, SDO_RESPONSE_BASE])
+def test_a_block_upload_of_another_master_keeps_the_channel(base: int) -> None:
+    asked = Asked()
+    asked.strangers.take(base, DRIVE, SEGMENT, 0.0)
+    asked.strangers.tick(0.01)
+    assert asked.sent == []
+
+
+def test_a_question_that_another_master_interrupts_ends_without_an_abort() -> None:
+    asked = Asked()
+    asked.strangers.tick(0.0)
+    asked.strangers.take(SDO_REQUEST_BASE, DRIVE, SEGMENT, 0.1)
+    for now_s in (0.11, 0.12, 2 * TIMEOUT_S):
+        asked.strangers.take(SDO_REQUEST_BASE, DRIVE, SEGMENT, now_s)
+        asked.strangers.tick(now_s)
+    assert [data[0] for _, data in asked.sent] == [0x40]
+
+
+def test_strangers_that_are_always_busy_are_given_up() -> None:
+    asked = Asked()
+    ended = []
+    for turn in range(round(BUSY_S / 0.01) + 2):
+        asked.strangers.take(SDO_REQUEST_BASE, DRIVE, SEGMENT, 0.01 * turn)
+        ended.append(asked.strangers.tick(0.01 * turn))
+    assert asked.sent == []
+    assert ended.count(True) == 1
+
+
+def test_the_master_lets_another_master_finish_with_a_stranger() -> None:
+    sent: list[tuple[int, bytes]] = []
+    lines: list[str] = []
+    master = NmtMaster(
+        shared_contract(), 0, lambda can_id, data: sent.append((can_id, data)), lambda *_: None, lines.append
+    )
+    master.take(frame(HEARTBEAT_BASE + DRIVE, b"\x05"), 0.0)
+    master.take(frame(SDO_REQUEST_BASE + DRIVE, SEGMENT), 0.0)
+    master.strangers.find_producers(0.0)
+    master.strangers.tick(0.01)
+    assert sent == []
+    master.strangers.tick(SDO_QUIET_S)
+    assert sent == [(SDO_REQUEST_BASE + DRIVE, b"\x40\x05\x10\x00\x00\x00\x00\x00")]
+
+
+def test_a_scan_drops_a_dialogue_that_another_master_interrupts() -> None:
+    sent: list[Frames] = []
+    scan = Scan(lambda burst: sent.append(burst) or len(burst), 1_000_000, 0.0, listen_s=0.1)
+    scan.take(frame(SYNC_COB_ID), 0.0)
+    now_s = 0.1
+    while not sent:
+        scan.tick(now_s)
+    first = int(sent[0]["can_id"][0]) - SDO_REQUEST_BASE
+    while now_s < 1.0:
+        now_s += 0.01
+        scan.take(frame(SDO_REQUEST_BASE + first, SEGMENT), now_s)
+        scan.tick(now_s)
+    assert sum(int(each["can_id"][0]) == SDO_REQUEST_BASE + first for each in sent) == 1
