@@ -301,9 +301,9 @@ class NmtMaster:
                     self._heartbeat(node, data[0] & 0x7F, time_ns, now_s)
                 else:
                     self._take_of(node, base, data, now_s)
-            elif identifier > HEARTBEAT_BASE:
-                self.strangers.heard(identifier - HEARTBEAT_BASE)
-            else:
+            elif node_id and base == HEARTBEAT_BASE and len(data) == HEARTBEAT_BYTES:
+                self.strangers.heard(node_id)
+            elif node_id:
                 self.strangers.take(base, node_id, data, now_s)
 
     def _take_of(self, node: NodeRecord, base: int, data: bytes, now_s: float) -> None:

@@ -69,12 +69,27 @@ def test_strangers_that_are_always_busy_are_given_up() -> None:
     assert ended.count(True) == 1
 
 
-def test_the_master_lets_another_master_finish_with_a_stranger() -> None:
+def mastered() -> tuple[NmtMaster, list[tuple[int, bytes]]]:
+    """Return the master of a bus that drives share, and the list of what it sends."""
     sent: list[tuple[int, bytes]] = []
-    lines: list[str] = []
-    master = NmtMaster(
-        shared_contract(), 0, lambda can_id, data: sent.append((can_id, data)), lambda *_: None, lines.append
-    )
+    contract = shared_contract()
+    return NmtMaster(contract, 0, lambda *it: sent.append(it), lambda *_: None, lambda _: None), sent
+
+
+@pytest.mark.parametrize(
+    ("can_id", "data"),
+    [(0x7E5, bytes(8)), (0x7E4, b"\x11" + bytes(7)), (HEARTBEAT_BASE, b"\x05"), (HEARTBEAT_BASE + DRIVE, bytes(2))],
+)
+def test_what_is_no_heartbeat_makes_no_stranger(can_id: int, data: bytes) -> None:
+    master, sent = mastered()
+    master.take(frame(can_id, data), 0.0)
+    master.strangers.find_producers(0.0)
+    master.strangers.tick(1.0)
+    assert sent == []
+
+
+def test_the_master_lets_another_master_finish_with_a_stranger() -> None:
+    master, sent = mastered()
     master.take(frame(HEARTBEAT_BASE + DRIVE, b"\x05"), 0.0)
     master.take(frame(SDO_REQUEST_BASE + DRIVE, SEGMENT), 0.0)
     master.strangers.find_producers(0.0)
