@@ -15,7 +15,8 @@ class Questions:
     """One dialogue with each of some devices: frames and times in, requests out.
 
     A dialogue begins when no frame of another client has come for `SDO_QUIET_S`. When another client asks meanwhile,
-    the dialogue is dropped without an abort, which would end the transfer of that client. The dialogue begins again later.
+    the dialogue is dropped without an abort, which would end the transfer of that client. The dialogue begins
+    again later.
 
     Parameters
     ----------

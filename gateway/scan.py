@@ -57,7 +57,10 @@ _OF_NODE: Final = {
 
 @dataclass
 class ScannedNode:
-    """One CANopen node; None for what it did not tell. `state` is that of its newest heartbeat."""
+    """One CANopen node; None for what it did not tell. `state` is that of its newest heartbeat.
+
+    `is_busy` tells that other masters used its SDO channel all the time, so that it was not asked.
+    """
 
     node_id: int
     heard: list[str] = field(default_factory=list)
@@ -69,6 +72,7 @@ class ScannedNode:
     revision: int | None = None
     serial_number: int | None = None
     sync_cob_id: int | None = None
+    is_busy: bool = False
 
     @property
     def produces_sync(self) -> bool:
@@ -164,7 +168,13 @@ class Scan:
             return
         self._questions.begin(now_s)
         self.due_s = max(self.due_s, now_s + self._pause_s)
+        for node_id in self._questions.busy:
+            self._node(node_id, "SDO").is_busy = True
         self.done = self._questions.done
+
+    def stop(self, now_s: float) -> None:
+        """End the scan before it is done."""
+        self._listen_s, self.done = min(self._listen_s, now_s - self._started_s), True
 
     def _ask(self, node_id: int) -> Dialogue:
         value = yield Read(od.DEVICE_TYPE)

@@ -32,7 +32,8 @@ def scan(
     """List what is on a CAN bus: identifiers with their rates, CANopen nodes with state and identity, SYNC.
 
     Listens, then asks every node-ID for its identity by SDO (1000h, 1018h, 1005h, 1008h), which takes 5 % of the bus at
-    most. Exit code 1: two devices produce SYNC.
+    most. A node that other masters ask all the time is listed as busy. Ctrl-C ends the scan and shows what is known.
+    Exit code 1: two devices produce SYNC.
 
     Parameters
     ----------
@@ -91,7 +92,10 @@ def scan(
 def _run(links: dict[str, Link], scans: dict[str, Scan], stop: StopSignal) -> None:
     while not all(each.done for each in scans.values()):
         if stop.is_set():
-            raise RunError("stopped before the scan was done")
+            say("scan", "stopped before the scan was done: what was heard until now")
+            for each in scans.values():
+                each.stop(time.monotonic())
+            return
         select.select([*links.values()], [], [], TURN_S)
         for name, link in links.items():
             scans[name].take(link.receive(), time.monotonic())
@@ -116,7 +120,7 @@ def _show(found: dict[str, Any]) -> None:
             each["state"] or "-",
             *(_hex(each[key]) for key in ("device_type", "vendor_id", "product_code", "revision")),
             "-" if each["serial_number"] is None else each["serial_number"],
-            each["device_name"] or "-",
+            each["device_name"] or ("busy: another master asks it" if each["is_busy"] else "-"),
             ", ".join(each["heard"]),
         ]
         for each in found["nodes"]
