@@ -33,7 +33,7 @@ def scan(
 
     Listens, then asks every node-ID for its identity by SDO (1000h, 1018h, 1005h, 1008h), which takes 5 % of the bus at
     most. A node that other masters ask all the time is listed as busy. Ctrl-C ends the scan and shows what is known.
-    Exit code 1: two devices produce SYNC.
+    Exit code 1: two nodes whose 1005h says that they produce SYNC; a gateway has no 1005h.
 
     Parameters
     ----------
@@ -145,6 +145,10 @@ def _show(found: dict[str, Any]) -> None:
     print(f"{found['bus']}: {sync}{who}")
     if len(producers) > 1:
         print(f"{found['bus']}: a bus has one SYNC producer: clear bit 30 of 1005h in the others")
+    elif producers and found["sync_rate_hz"]:
+        print(
+            f"{found['bus']}: if a gateway runs there, both produce SYNC: clear bit 30 of 1005h in node {producers[0]}"
+        )
 
 
 def _hex(value: int | None) -> str:

@@ -101,3 +101,12 @@ def test_ctrl_c_shows_what_is_known(run_scan: Callable[..., int], capsys: pytest
     shown = capsys.readouterr()
     assert "heartbeat of 5" in shown.out
     assert "stopped before the scan was done" in shown.err
+
+
+@pytest.mark.parametrize("rate_hz", [100.0, 0.0])
+def test_one_producer_beside_sync_may_be_one_beside_a_gateway(
+    rate_hz: float, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scan_command._show({"bus": "can0", "sync_rate_hz": rate_hz, "sync_producers": [3], "nodes": [], "identifiers": []})
+    hint = "can0: if a gateway runs there, both produce SYNC: clear bit 30 of 1005h in node 3"
+    assert (hint in capsys.readouterr().out.splitlines()) == (rate_hz > 0)
