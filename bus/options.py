@@ -85,6 +85,24 @@ def open_links(
     }
 
 
+def open_channels(options: BusOptions, bitrate: int, data_bitrate: int | None, *, name: str) -> dict[str, Link]:
+    """Open channels that belong to no layout, as they are named; SocketCAN with CAN FD if it is set up for that."""
+    from bus.socketcan import carries_fd
+
+    return {
+        channel: open_link(
+            options.interface,
+            channel,
+            bitrate,
+            fd=data_bitrate is not None or (options.interface == "socketcan" and carries_fd(channel)),
+            data_bitrate=data_bitrate,
+            name=name,
+            options=_typed(options.bus_option),
+        )
+        for channel in options.channel
+    }
+
+
 def _typed(given: list[str]) -> dict[str, str | float | bool]:
     """Return options with their values; raise InputError for what is not NAME=VALUE."""
     from can.util import cast_from_string

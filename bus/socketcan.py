@@ -287,17 +287,24 @@ class SocketCanLink(ReconnectingLink):
             connection.setsockopt(level, _SO_RCVBUFFORCE, RECEIVE_BUFFER_BYTES)
 
 
+def carries_fd(channel: str) -> bool:
+    """Tell whether an interface is set up for CAN FD: its MTU holds a ``struct canfd_frame``."""
+    try:
+        return int(Path("/sys/class/net", channel, "mtu").read_text()) >= FD_BYTES
+    except (OSError, ValueError):
+        return False
+
+
 def _require(channel: str, *, fd: bool) -> None:
     """Check that the interface is up, and carries CAN FD if needed: binding checks neither."""
     about = Path("/sys/class/net", channel)
     try:
         up = int((about / "flags").read_text(), 16) & _IFF_UP
-        mtu = int((about / "mtu").read_text())
     except (OSError, ValueError):
         return  # no sysfs, or no such interface: binding will fail
     if not up:
         raise OSError(errno.ENETDOWN, "the interface is down")
-    if fd and mtu < FD_BYTES:
+    if fd and not carries_fd(channel):
         raise OSError(errno.EMSGSIZE, "the interface carries no CAN FD")
 
 

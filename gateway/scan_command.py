@@ -8,8 +8,8 @@ from typing import Annotated, Any, Final
 
 from cyclopts import Parameter
 
-from bus.link import Link, open_link
-from bus.options import BusOptions, open_links
+from bus.link import Link
+from bus.options import BusOptions, open_channels, open_links
 from canskin.errors import InputError, RunError
 from gateway.scan import Scan
 from shell.service import StopSignal, say
@@ -25,6 +25,7 @@ def scan(
     layout: Path | None = None,
     can: BusOptions | None = None,
     bitrate: int = BITRATE_MAX,
+    data_bitrate: int | None = None,
     seconds: float = 2.0,
     listen: Annotated[bool, Parameter(negative=())] = False,
     json: Json = False,
@@ -43,6 +44,8 @@ def scan(
         CAN interface and channels.
     bitrate
         Without a layout: bit rate of the channels, bit/s. SocketCAN has its own.
+    data_bitrate
+        Without a layout: data bit rate, which makes the channels CAN FD. SocketCAN tells by itself whether it has CAN FD.
     seconds
         Time of listening.
     listen
@@ -64,7 +67,7 @@ def scan(
         links = {lines[number].name: link for number, link in open_links(load_layout(layout), options).items()}
         rates = {line.name: line.bitrate for line in lines}
     elif options.channel:
-        links = {name: open_link(options.interface, name, bitrate, name="scan") for name in options.channel}
+        links = open_channels(options, bitrate, data_bitrate, name="scan")
         rates = dict.fromkeys(links, bitrate)
     else:
         raise InputError("expected -c with the channels of the buses, or --layout")

@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from bus import options
 from bus.link import Send
 from dbc.canopen import HEARTBEAT_BASE, SDO_REQUEST_BASE, SYNC_COB_ID
 from dbc.frame import Frames, frames
@@ -81,7 +82,7 @@ class Clock:
 def run_scan(monkeypatch: pytest.MonkeyPatch) -> Callable[..., int]:
     def run(link: Heard, *arguments: str, turns: int = 10**6) -> int:
         clock = Clock(turns)
-        monkeypatch.setattr(scan_command, "open_link", lambda *_, **__: link)
+        monkeypatch.setattr(options, "open_link", lambda *_, **__: link)
         monkeypatch.setattr(scan_command, "StopSignal", lambda: clock)
         monkeypatch.setattr(scan_command, "time", clock)
         monkeypatch.setattr(scan_command, "select", SimpleNamespace(select=lambda *_: None))
