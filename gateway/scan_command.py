@@ -73,6 +73,8 @@ def scan(
         raise InputError("expected -c with the channels of the buses, or --layout")
     try:
         say("scan", f"listening for {seconds:g} s")
+        for link in links.values():
+            link.receive()  # what came while later links were opened
         now_s = time.monotonic()
         scans = {
             name: Scan(link.send, rates[name], now_s, listen_s=seconds, asks=not listen) for name, link in links.items()

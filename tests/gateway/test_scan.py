@@ -1,10 +1,12 @@
 """``skin scan``: what it lists, and how it ends."""
 
+import json
 import sys
 from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from bus import options
@@ -111,3 +113,13 @@ def test_one_producer_beside_sync_may_be_one_beside_a_gateway(
     scan_command._show({"bus": "can0", "sync_rate_hz": rate_hz, "sync_producers": [3], "nodes": [], "identifiers": []})
     hint = "can0: if a gateway runs there, both produce SYNC: clear bit 30 of 1005h in node 3"
     assert (hint in capsys.readouterr().out.splitlines()) == (rate_hz > 0)
+
+
+@pytest.mark.filterwarnings("ignore:Cyclopts application invoked without tokens")
+def test_what_came_while_the_links_were_opened_counts_for_no_rate(
+    run_scan: Callable[..., int], capsys: pytest.CaptureFixture[str]
+) -> None:
+    waiting = np.concatenate([frame(SYNC_COB_ID)] * 50)
+    assert run_scan(Heard(waiting, frame(SYNC_COB_ID)), "--listen", "--seconds", "0.5", "--json") == 0
+    (found,) = json.loads(capsys.readouterr().out)
+    assert (found["sync_rate_hz"], found["identifiers"][0]["frames"]) == (2.0, 1)
