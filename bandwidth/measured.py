@@ -25,7 +25,9 @@ from dbc.frame import BRS, ERROR, EXTENDED, FD, REMOTE, Frames
 from dbc.frame_bits import frame_time_ns
 from skin.layout import Bus
 
+#: Kinds of identifiers of other devices: not in the layout, and named by the layout.
 FOREIGN: Final = "foreign"
+OTHER_DEVICE: Final = "other device"
 #: With a larger part of unknown frames, a bus does not fit the layout.
 MISFIT_RATIO: Final = 0.2
 _SERVICES: Final = (
@@ -45,13 +47,14 @@ def identifier_name(cob_id: int, *, is_extended: bool) -> str:
 class IdentifierLoad:
     """Load of one identifier: `load_exact` from the bits of its frames, `load_worst` with the most stuff bits.
 
-    `planned_rate_hz` is None for identifiers without a fixed rate and for identifiers that are not planned. The `kind`
-    of a message of another device is the name that the layout gives it.
+    `planned_rate_hz` is None for identifiers without a fixed rate and for identifiers that are not planned. `message`
+    is the name that the layout gives a message of another device, whose kind is `OTHER_DEVICE`; None for other kinds.
     """
 
     cob_id: int
     is_extended: bool
     kind: str
+    message: str | None
     node_id: int | None
     frames: int
     rate_hz: float
@@ -133,12 +136,13 @@ def measure(contract: Contract, bus: int, seen: Frames, planned: BusPlan | Adapt
         other = planned_here.foreign.get((cob_id, is_extended))
         kind, node_id = (FOREIGN, None) if is_extended else planned_here.kind_of(cob_id)
         if other is not None:
-            kind = other.name
+            kind = OTHER_DEVICE
         identifiers.append(
             IdentifierLoad(
                 cob_id=cob_id,
                 is_extended=is_extended,
                 kind=kind,
+                message=None if other is None else other.name,
                 node_id=node_id,
                 frames=int(mine.sum()),
                 rate_hz=float(mine.sum()) / seconds,

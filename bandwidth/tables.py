@@ -58,7 +58,7 @@ def _print_identifiers(load: BusLoad) -> None:
     rows = [
         [
             each.name,
-            each.kind,
+            each.message or each.kind,
             _sender(each.node_id),
             each.frames,
             f"{each.rate_hz:.2f}",

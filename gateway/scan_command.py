@@ -45,7 +45,7 @@ def scan(
     bitrate
         Without a layout: bit rate of the channels, bit/s. SocketCAN has its own.
     data_bitrate
-        Without a layout: data bit rate, which makes the channels CAN FD. SocketCAN tells by itself whether it has CAN FD.
+        Without a layout: data bit rate, which makes the channels CAN FD. SocketCAN knows by itself.
     seconds
         Time of listening.
     listen
