@@ -34,6 +34,7 @@ class Strangers:
         self._known: set[int] = set()
         self._again_s = float("-inf")
         self._producers: set[int] = set()
+        self._told = ""
 
     @property
     def words(self) -> str:
@@ -58,7 +59,7 @@ class Strangers:
             self._questions.ask(sorted(self._known))
 
     def tick(self, now_s: float) -> bool:
-        """Go on with the questions; tell whether the last device has just answered, or will not."""
+        """Go on with the questions; tell whether the last has just ended with new `words`."""
         if self._questions.done:
             return False
         for node_id, dialogue in self._questions.tick(now_s).items():
@@ -67,7 +68,10 @@ class Strangers:
                 self._producers.add(node_id)
         if not self._questions.is_open:
             self._questions.begin(now_s)
-        return self._questions.done
+        if not self._questions.done or self.words == self._told:
+            return False
+        self._told = self.words
+        return True
 
 
 def _ask(_node_id: int) -> Dialogue:

@@ -9,7 +9,7 @@ from gateway.nmt_master import NmtMaster
 from gateway.questions import BUSY_S
 from gateway.scan import Scan
 from gateway.sdo import TIMEOUT_S
-from gateway.strangers import Strangers
+from gateway.strangers import AGAIN_S, Strangers
 from tests.bus.harness import frame
 from tests.gateway.drives import shared_contract
 
@@ -39,6 +39,18 @@ def test_strangers_are_asked_when_another_master_has_left_the_channel() -> None:
     asked.strangers.take(SDO_RESPONSE_BASE, DRIVE, PRODUCER, 0.06)
     assert asked.strangers.tick(0.06)
     assert "node 5 produces SYNC" in asked.strangers.words
+
+
+def test_who_produces_sync_is_told_once() -> None:
+    asked = Asked()
+    told = []
+    for now_s in (0.0, 2 * AGAIN_S, 4 * AGAIN_S):
+        asked.strangers.find_producers(now_s)
+        asked.strangers.tick(now_s)
+        asked.strangers.take(SDO_RESPONSE_BASE, DRIVE, PRODUCER, now_s)
+        told.append(asked.strangers.tick(now_s))
+    assert told == [True, False, False]
+    assert len(asked.sent) == 3
 
 
 @pytest.mark.parametrize("base", [SDO_REQUEST_BASE, SDO_RESPONSE_BASE])
