@@ -61,9 +61,10 @@ def open_links(
     wanted: Iterable[int] | None = None,
     *,
     name: str = "link",
+    sends: bool = True,
     stop: StopSignal | None = None,
 ) -> dict[int, Link]:
-    """Open the links of the buses numbered `wanted`, default all; faults of a virtual bus select them by `name`.
+    """Open the links of the buses numbered `wanted`, default all; `name` and `sends` as of `bus.link.open_link`.
 
     If `stop` is set during the wait for a bus, `canskin.errors.Stopped` is raised.
     """
@@ -77,6 +78,7 @@ def open_links(
             fd=bus.fd,
             data_bitrate=bus.data_bitrate,
             name=name,
+            sends=sends,
             wait_s=OPEN_WAIT_S,
             stop=stop,
             options=typed,
@@ -85,22 +87,40 @@ def open_links(
     }
 
 
-def open_channels(options: BusOptions, bitrate: int, data_bitrate: int | None, *, name: str) -> dict[str, Link]:
-    """Open channels that belong to no layout, as they are named; SocketCAN with CAN FD if it is set up for that."""
-    from bus.socketcan import carries_fd
-
-    return {
-        channel: open_link(
+def open_channels(
+    options: BusOptions, bitrate: int, data_bitrate: int | None, *, name: str, sends: bool = True
+) -> dict[str, Link]:
+    """Open channels that belong to no layout, as they are named; an interface of SocketCAN with its own rates."""
+    found = {}
+    for channel in options.channel:
+        rate, data_rate, fd = bitrate, data_bitrate, data_bitrate is not None
+        if options.interface == "socketcan":
+            rate, data_rate, fd = _own_rates(channel, bitrate, data_bitrate)
+        found[channel] = open_link(
             options.interface,
             channel,
-            bitrate,
-            fd=data_bitrate is not None or (options.interface == "socketcan" and carries_fd(channel)),
-            data_bitrate=data_bitrate,
+            rate,
+            fd=fd,
+            data_bitrate=data_rate,
             name=name,
+            sends=sends,
             options=_typed(options.bus_option),
         )
-        for channel in options.channel
-    }
+    return found
+
+
+def _own_rates(channel: str, bitrate: int, data_bitrate: int | None) -> tuple[int, int | None, bool]:
+    """Return bit rate and data bit rate of an interface where the kernel knows them, and whether it carries CAN FD."""
+    from bus.interface import FD_BYTES, read_interface
+
+    try:
+        about = read_interface(channel)
+    except OSError:  # no such interface: opening will say so
+        return bitrate, data_bitrate, False
+    if (device := about.controller) is not None:
+        bitrate = bitrate if device.timing is None else device.timing.bit_rate_hz
+        data_bitrate = data_bitrate if device.data_timing is None else device.data_timing.bit_rate_hz
+    return bitrate, data_bitrate, about.mtu >= FD_BYTES
 
 
 def _typed(given: list[str]) -> dict[str, str | float | bool]:

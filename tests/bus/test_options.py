@@ -6,8 +6,8 @@ from typing import Any
 import pytest
 
 from bus import options
+from bus.interface import Controller, Interface, Mode, Timing
 from bus.options import BusOptions, channels, open_channels, open_links
-from bus.socketcan import carries_fd
 from canskin.errors import InputError
 from skin.layout import Layout
 from tests.layouts import buses, small_layout
@@ -66,6 +66,7 @@ def test_wanted_buses_are_opened_on_their_channels_for_half_a_minute(monkeypatch
         "fd": False,
         "data_bitrate": layout.bus[0].data_bitrate,
         "name": "gateway",
+        "sends": True,
         "wait_s": 30,
         "stop": None,
         "options": {},
@@ -95,9 +96,16 @@ def test_channels_without_a_layout_are_can_fd_where_the_interface_is(
     monkeypatch.setattr(options, "open_link", lambda *place, **rest: Opened(*place, rest))
     # The loopback's MTU is larger than a frame of CAN FD.
     links: dict[str, Any] = open_channels(BusOptions(interface, ["lo"], ["a=1"]), 500_000, data_bitrate, name="scan")
-    assert links["lo"].rest == {"fd": is_fd, "data_bitrate": data_bitrate, "name": "scan", "options": {"a": 1}}
+    assert links["lo"].rest["fd"] == is_fd
     assert links["lo"].bitrate == 500_000
 
 
-def test_an_interface_that_is_not_there_carries_no_can_fd() -> None:
-    assert not carries_fd("nothing7")
+def test_an_interface_of_socketcan_is_opened_with_its_own_rates(monkeypatch: pytest.MonkeyPatch) -> None:
+    device = Controller(Timing(250_000, 0.875), Timing(2_000_000, 0.75), None, Mode(0), None, None)
+    about = Interface("can", True, True, 72, 10, device)
+    monkeypatch.setattr("bus.interface.read_interface", lambda _channel: about)
+    monkeypatch.setattr(options, "open_link", lambda *place, **rest: Opened(*place, rest))
+    links: dict[str, Any] = open_channels(BusOptions("socketcan", ["can0"]), 1_000_000, None, name="scan", sends=False)
+    link = links["can0"]
+    assert (link.bitrate, link.rest["data_bitrate"], link.rest["fd"]) == (250_000, 2_000_000, True)
+    assert link.rest["sends"] is False
