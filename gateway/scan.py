@@ -14,6 +14,7 @@ from dbc import indices as od
 from dbc.canopen import (
     EMCY_BASE,
     EMCY_BYTES,
+    EXTENDED_ID_MASK,
     HEARTBEAT_BASE,
     HEARTBEAT_BYTES,
     HIGHEST_NODE_ID,
@@ -21,10 +22,11 @@ from dbc.canopen import (
     SDO_BYTES,
     SDO_REQUEST_BASE,
     SDO_RESPONSE_BASE,
+    SERVICES,
     SYNC_COB_ID,
     TIME_COB_ID,
     TPDO_BASES,
-    NmtState,
+    state_text,
 )
 from dbc.frame import ECHO, ERROR, EXTENDED, REMOTE, Frames, frames, one_frame
 from dbc.frame_bits import wire_bits
@@ -46,12 +48,9 @@ _IDENTITY: Final = (
 #: Predefined connection set (CiA 301, 7.3.5).
 _OF_ALL: Final = {NMT_COB_ID: "NMT", SYNC_COB_ID: "SYNC", TIME_COB_ID: "TIME"}
 _OF_NODE: Final = {
-    EMCY_BASE: "EMCY",
+    **SERVICES,
     **{base: f"TPDO {number}" for number, base in enumerate(TPDO_BASES[:4], 1)},
     **{base: f"RPDO {number}" for number, base in enumerate(TPDO_BASES[4:], 1)},
-    SDO_RESPONSE_BASE: "SDO response",
-    SDO_REQUEST_BASE: "SDO request",
-    HEARTBEAT_BASE: "heartbeat",
 }
 
 
@@ -146,9 +145,7 @@ class Scan:
 
     def _take(self, base: int, node_id: int, data: bytes, now_s: float) -> None:
         if base == HEARTBEAT_BASE and len(data) == HEARTBEAT_BYTES:
-            state = data[0] & 0x7F
-            known = state in set(NmtState)
-            self._node(node_id, "heartbeat").state = NmtState(state).name if known else f"state {state}"
+            self._node(node_id, "heartbeat").state = state_text(data[0] & 0x7F)
         elif base == EMCY_BASE and len(data) == EMCY_BYTES:
             self._node(node_id, "EMCY")
         elif base == SDO_RESPONSE_BASE and len(data) == SDO_BYTES:
@@ -200,7 +197,7 @@ class Scan:
         keys = seen["can_id"].astype(np.int64) | (seen["flags"] & EXTENDED != 0).astype(np.int64) << 32
         return [
             ScannedIdentifier(
-                cob_id=int(key & 0x1FFF_FFFF),
+                cob_id=int(key & EXTENDED_ID_MASK),
                 is_extended=bool(key >> 32),
                 frames=int(count),
                 rate_hz=float(count) / self._listen_s,

@@ -11,6 +11,7 @@ from cyclopts import Parameter
 from bus.link import Link
 from bus.options import BusOptions, open_channels, open_links
 from canskin.errors import InputError, RunError
+from dbc.canopen import identifier_text
 from gateway.scan import Scan
 from shell.service import StopSignal, say
 from shell.terminal import Json, print_json, print_table
@@ -64,10 +65,13 @@ def scan(
     options, stop = can or BusOptions(), StopSignal().install()
     if layout is not None:
         lines = load_layout(layout).bus
-        links = {lines[number].name: link for number, link in open_links(load_layout(layout), options).items()}
+        links = {
+            lines[number].name: link
+            for number, link in open_links(load_layout(layout), options, sends=not listen).items()
+        }
         rates = {line.name: line.bitrate for line in lines}
     elif options.channel:
-        links = open_channels(options, bitrate, data_bitrate, name="scan")
+        links = open_channels(options, bitrate, data_bitrate, name="scan", sends=not listen)
         rates = dict.fromkeys(links, bitrate)
     else:
         raise InputError("expected -c with the channels of the buses, or --layout")
@@ -135,7 +139,7 @@ def _show(found: dict[str, Any]) -> None:
     print()
     table = [
         [
-            f"{each['cob_id']:0{8 if each['is_extended'] else 3}X}h",
+            identifier_text(each["cob_id"], is_extended=each["is_extended"]),
             each["meaning"],
             each["frames"],
             f"{each['rate_hz']:.2f}",
