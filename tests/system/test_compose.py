@@ -128,6 +128,13 @@ def image_environment() -> dict[str, str]:
     return {**words, "PATH": f"{Path(sys.executable).parent}:/usr/bin:/bin", "HOME": words["SKIN_CACHE"]}
 
 
+def test_units_and_image_give_the_services_the_same_environment() -> None:
+    lines = re.findall(r"^Environment=(.*)$", (ROOT / "deploy/skin@.service").read_text(), re.MULTILINE)
+    words = " ".join(lines).replace("%t", "/run").replace("%C", "/var/cache").split()
+    of_image = {name: value for name, value in image_environment().items() if name not in {"PATH", "HOME"}}
+    assert dict(word.split("=", 1) for word in words) == of_image
+
+
 @dataclass(frozen=True)
 class Boxes:
     """Runs commands of the compose file as in containers: `folder` has the volumes.
