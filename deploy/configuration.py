@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Final
 
 from bus.ip_link import RESTART_MS, TRANSMIT_QUEUE_FRAMES, data_bit_rate_hz, sample_point
+from bus.link import NAME_MAX, check_channels
 from bus.options import BusOptions, channels
 from canskin.errors import InputError, SkinError
 from shell.command import WRONG_INPUT
@@ -26,8 +27,6 @@ ON_THE_BUSES: Final = ("gateway", "record")
 HOMES: Final = ("/home", "/root", "/run/user")
 #: Type of CAN devices, ARPHRD_CAN of linux/if_arp.h.
 ARPHRD_CAN: Final = 280
-#: Longest name of an interface, IFNAMSIZ - 1 of linux/if.h.
-NAME_MAX: Final = 15
 
 ENVIRONMENT: Final = """\
 # What the services of the skin are given. A change counts from their next start: systemctl restart skin.target
@@ -189,18 +188,23 @@ def write(arguments: Sequence[str]) -> None:
     parser.add_argument("--interface", nargs="+", required=True)
     parser.add_argument("--adapter", nargs="*", default=[])
     parser.add_argument("--venv", required=True)
+    parser.add_argument("--programs", nargs="*", default=[])
     parser.add_argument("--folder", type=Path, required=True)
     parser.add_argument("--root", default="")
     parser.add_argument("--kept", type=Path)
     given = parser.parse_args(arguments)
     layout = load_layout(Path(given.layout))
     where, is_copied = host_path(given.layout, given.root)
-    if where.startswith(tuple(f"{home}/" for home in HOMES)):
-        raise InputError(
-            f"{where}: the services see no home folders: copy the layout to /etc/canskin, and give that path"
-        )
+    remedies = {where: "copy the layout to /etc/canskin, and give that path"}
+    remedies |= dict.fromkeys(
+        given.programs, "expected a Python of the system, PYTHON=/usr/bin/python3 deploy/install …"
+    )
+    for path, remedy in remedies.items():
+        if path.startswith(tuple(f"{home}/" for home in HOMES)):
+            raise InputError(f"{path}: the services see no home folders: {remedy}")
     names = channels(layout, BusOptions("socketcan", given.interface))
     adapters = [Adapter.from_text(text) for text in given.adapter]
+    check_channels("socketcan", [each.name for each in adapters])
     if unused := [each.name for each in adapters if each.name not in names]:
         raise InputError(f"--adapter {unused[0]}: expected a name of the interfaces, {', '.join(names)}")
     if given.kept is not None:
