@@ -107,7 +107,7 @@ def plan(
 
 
 def _timing(layout: Layout, names: list[str], options: TimingOptions, *, as_json: bool) -> int:
-    timings = bus_timings(layout.bus, channels(layout, BusOptions(channel=names)), options)
+    timings = bus_timings(layout.bus, channels(layout, BusOptions("socketcan", names)), options)
     print_json(timings) if as_json else print_timings(timings)
     enough = all if options.clock_hz else any
     return int(not all(enough(not one.problem for one in each.controllers) for each in timings))

@@ -1,5 +1,6 @@
 """The command that sets up a SocketCAN interface for a bus of a layout (iproute2, ip-link(8))."""
 
+import shlex
 from typing import Final
 
 from skin.layout import Bus
@@ -30,7 +31,7 @@ def ip_link(channel: str, bus: Bus) -> str:
     knows it.
     """
     words = f"{timing_options(bus.bitrate, data_bit_rate_hz(bus))} restart-ms {RESTART_MS}"
-    return f"ip link set {channel} up txqueuelen {TRANSMIT_QUEUE_FRAMES} type can {words}"
+    return f"ip link set {shlex.quote(channel)} up txqueuelen {TRANSMIT_QUEUE_FRAMES} type can {words}"
 
 
 def timing_options(bit_rate_hz: int, data_bit_rate_hz: int | None) -> str:

@@ -1,6 +1,8 @@
 """The common interface to all CAN interfaces: batches of FRAME records, with echoes of own frames."""
 
-from collections.abc import Callable, Mapping
+import os
+import re
+from collections.abc import Callable, Mapping, Sequence
 from typing import Final, Protocol
 
 from bus.error_frames import State
@@ -15,6 +17,8 @@ __all__ = ["DISCARDED", "Link", "Send", "State", "open_link"]
 #: Sends frames on a bus; returns how many of them, counted from the first, the transmit queue accepted.
 Send = Callable[[Frames], int]
 
+#: Longest name of a network interface, IFNAMSIZ - 1 of linux/if.h.
+NAME_MAX: Final = 15
 #: The interface name of `skin bus`.
 ARBITRATED: Final = "canskin"
 
@@ -75,6 +79,22 @@ class Link(Protocol):
     def close(self) -> None:
         """Leave the bus."""
         ...
+
+
+def check_channels(interface: str, names: Sequence[str]) -> None:
+    """Refuse names that no channel of the interface can have, and a name for two buses.
+
+    SocketCAN's are those of Linux's network interfaces (``dev_valid_name`` of the kernel), other channels any words.
+    """
+    for name in names:
+        if not name:
+            raise InputError("expected the name of a channel, such as can0, got an empty name")
+        refused = name in {".", ".."} or len(os.fsencode(name)) > NAME_MAX or re.search(r"[/:\s]", name)
+        if interface == "socketcan" and refused:
+            wanted = f"expected an interface's name of 1 to {NAME_MAX} bytes without space, '/' and ':'"
+            raise InputError(f"{wanted}, such as can0, got {name!r}")
+    if twice := [name for name in names if names.count(name) > 1]:
+        raise InputError(f"expected each channel once, got {twice[0]} for {names.count(twice[0])} buses")
 
 
 def open_link(

@@ -7,7 +7,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from bus.link import ARBITRATED, Link, open_link
+from bus.link import ARBITRATED, Link, check_channels, open_link
 from canskin.errors import InputError
 from shell.service import StopSignal
 from skin.layout import Layout
@@ -17,7 +17,7 @@ OPEN_WAIT_S = 30.0
 
 
 #: Names of channels on the command line: ``-c can0 can1`` or ``-c can0 -c can1``.
-Channels = Annotated[list[str], Parameter(alias="-c", negative=(), consume_multiple=True, show_default=False)]
+Channels = Annotated[list[str], Parameter(alias="-c", negative=(), consume_multiple=1, show_default=False)]
 
 
 @Parameter(name="*")
@@ -42,17 +42,17 @@ class BusOptions:
 
 
 def channels(layout: Layout, options: BusOptions) -> list[str]:
-    """Return one channel per bus of the layout; raise InputError for another number of channels."""
-    given = options.channel
-    if not given:
-        return [bus.name for bus in layout.bus]
-    numbered = re.fullmatch(r"(.*?)(\d+)", given[0])
-    if len(given) == 1 and len(layout.bus) > 1 and numbered:
-        stem, first = numbered[1], int(numbered[2])
-        return [f"{stem}{first + index}" for index in range(len(layout.bus))]
-    if len(given) != len(layout.bus):
-        raise InputError(f"expected {len(layout.bus)} channels, one per bus of the layout, got {len(given)}")
-    return given
+    """Return one channel per bus of the layout; raise InputError for another number, or names that cannot be."""
+    names = options.channel
+    numbered = re.fullmatch(r"(.*?)(\d+)", names[0]) if len(names) == 1 else None
+    if not names:
+        names = [bus.name for bus in layout.bus]
+    elif len(layout.bus) > 1 and numbered:
+        names = [f"{numbered[1]}{int(numbered[2]) + index}" for index in range(len(layout.bus))]
+    if len(names) != len(layout.bus):
+        raise InputError(f"expected {len(layout.bus)} channels, one per bus of the layout, got {len(names)}")
+    check_channels(options.interface, names)
+    return names
 
 
 def virtual_bit_rates(layout: Layout) -> tuple[int, int]:
@@ -99,6 +99,7 @@ def open_channels(
     options: BusOptions, bitrate: int, data_bitrate: int | None, *, name: str, sends: bool = True
 ) -> dict[str, Link]:
     """Open channels that belong to no layout, as they are named; an interface of SocketCAN with its own rates."""
+    check_channels(options.interface, options.channel)
     found = {}
     for channel in options.channel:
         rate, data_rate, fd = bitrate, data_bitrate, data_bitrate is not None

@@ -14,6 +14,7 @@ from typing import Final, Self
 import msgspec
 
 from bus.faults import Fault
+from bus.link import ARBITRATED, check_channels
 from bus.protocol import (
     MAX_PACKET,
     Hello,
@@ -106,8 +107,7 @@ class BusServer:
         self._buffer = bytearray(MAX_PACKET + 1)
         frame_time_ns(frames(1), settings.bitrate)  # compile before the first client comes
         folder = folder or runtime_folder()
-        if len(set(channels)) < len(channels):
-            raise InputError(f"expected each bus once, got {' '.join(channels)}")
+        check_channels(ARBITRATED, channels)
         try:
             _own_folder(folder)
             for place, channel in enumerate(channels):

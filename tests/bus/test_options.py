@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import pytest
+from cyclopts import App, CycloptsError
 
 from bus import options
 from bus.interface import Controller, Interface, Mode, Timing
@@ -41,6 +42,44 @@ def test_the_channel_of_a_single_bus_is_taken_as_it_is() -> None:
 def test_another_number_of_channels_is_refused(given: list[str]) -> None:
     with pytest.raises(InputError, match=rf"expected 2 channels.*got {len(given)}"):
         channels(layout_of("left", "right"), BusOptions(channel=given))
+
+
+@pytest.mark.parametrize(
+    ("interface", "given", "says"),
+    [
+        ("socketcan", ["can/0"], "without space"),
+        ("socketcan", ["can 0"], "got 'can 0'"),
+        ("socketcan", ["can0; rm -rf x"], "without space"),
+        ("socketcan", ["..", "can1"], "got '..'"),
+        ("socketcan", ["c" * 16, "can0"], "1 to 15 bytes"),
+        ("socketcan", ["c" * 15 + "0"], "1 to 15 bytes"),
+        ("canskin", ["", "can0"], "empty name"),
+        ("slcan", ["/dev/ttyACM0", "/dev/ttyACM0"], "each channel once, got /dev/ttyACM0 for 2 buses"),
+    ],
+)
+def test_a_channel_that_cannot_be_is_refused(interface: str, given: list[str], says: str) -> None:
+    layout = layout_of(*("left", "right")[: len(given)])
+    with pytest.raises(InputError, match=says):
+        channels(layout, BusOptions(interface, given))
+    with pytest.raises(InputError, match=says):
+        open_channels(BusOptions(interface, given), 500_000, None, name="scan")
+
+
+def test_names_of_adapters_that_are_no_network_interfaces_are_free() -> None:
+    given = ["/dev/serial/by-id/usb-Some_maker-if00", "socket://localhost:5000"]
+    assert channels(layout_of("left", "right"), BusOptions("slcan", given)) == given
+
+
+def test_a_flag_without_a_channel_is_refused() -> None:
+    app = App(result_action="return_value", exit_on_error=False, print_error=False)
+
+    @app.default
+    def verb(can: BusOptions | None = None) -> BusOptions | None:
+        return can
+
+    assert app(["-i", "socketcan", "-c", "can0"]) == BusOptions("socketcan", ["can0"])
+    with pytest.raises(CycloptsError):
+        app(["-i", "socketcan", "-c"])
 
 
 @dataclass

@@ -335,7 +335,7 @@ def test_a_link_may_be_closed_twice() -> None:
 
 
 def test_a_bus_named_twice_is_refused() -> None:
-    with pytest.raises(InputError, match="expected each bus once, got bus0 bus0"):
+    with pytest.raises(InputError, match="expected each channel once, got bus0 for 2 buses"):
         BusServer(["bus0", "bus0"], BusSettings())
 
 

@@ -112,6 +112,8 @@ def test_a_wrong_call_is_one_line_and_installs_nothing(
         (["--interface", "skin0", "--adapter", "skin0"], "NAME=SERIAL"),
         (["--interface", "can0", "--adapter", "can0=0042A7"], "the kernel gives"),
         (["--interface", "can0", "--adapter", "skin0=0042A7"], "can0, can1, can2, can3"),
+        (["--interface", "can/0"], "without space"),
+        (["--interface", "skin0", "--adapter", "skin0=0042A7", "skin0=0042A8"], "each channel once, got skin0"),
         (
             ["--interface", "can0", "--programs", "/usr/bin/python3", "/root/venv/"],
             "/root/venv/: .* a Python of the system",

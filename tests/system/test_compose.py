@@ -40,7 +40,7 @@ def services() -> dict[str, Service]:
 
 def filled(text: str, **settings: str) -> str:
     """Put settings in the places of the variables; each has a line in `.env`."""
-    return re.sub(r"\$\{(\w+)\}", lambda name: {**SETTINGS, **settings}[name[1]], text)
+    return re.sub(r"\$\{(\w+)(?::\?[^}]*)?\}", lambda name: {**SETTINGS, **settings}[name[1]], text)
 
 
 def of_profile(services: dict[str, Service], profile: str) -> dict[str, Service]:
@@ -73,8 +73,16 @@ def test_every_service_of_a_skin_has_the_layout_of_one_variable_and_a_place_for_
         assert words[1:3] == ["--layout", "palm.toml"], name
 
 
+def test_an_interface_without_a_name_is_refused_by_compose(services: dict[str, Service]) -> None:
+    # Not `-c` and nothing after it. `.env` gives the other profiles a value, which compose asks for in each profile.
+    uses = [each["command"] for each in services.values() if "SKIN_CAN" in each["command"]]
+    assert len(uses) == 2
+    assert all("-c ${SKIN_CAN:?" in each for each in uses)
+    assert SETTINGS["SKIN_CAN"]
+
+
 def test_every_setting_is_used(services: dict[str, Service]) -> None:
-    used = set(re.findall(r"\$\{(\w+)\}", COMPOSE.read_text()))
+    used = set(re.findall(r"\$\{(\w+)[}:]", COMPOSE.read_text()))
     assert used == {name for name in SETTINGS if name.startswith("SKIN_")}
 
 
