@@ -1,5 +1,6 @@
 """Objects of a CANopen device by name or number, from its EDS: found, read and written by SDO."""
 
+import configparser
 import difflib
 import io
 import re
@@ -107,8 +108,12 @@ def entries_of_file(path: Path, node_id: int) -> list[Entry]:
 def _entries(text: str, node_id: int, origin: str) -> list[Entry]:
     try:
         dictionary = import_eds(io.StringIO(text), node_id)
-    except Exception as error:  # a parser of configparser, int and canopen: any of their errors
+    except configparser.Error as error:  # its text quotes the file
+        raise InputError(f"{origin}: expected an EDS or DCF (CiA 306), got a file without its sections") from error
+    except Exception as error:  # of int and canopen: any of their errors
         raise InputError(f"{origin}: expected an EDS (CiA 306): {' '.join(str(error).split())}") from error
+    if not dictionary:
+        raise InputError(f"{origin}: expected an EDS or DCF (CiA 306), got a file without objects")
     found = []
     for index, each in sorted(dictionary.items()):
         if isinstance(each, canopen.objectdictionary.ODVariable):
@@ -153,6 +158,9 @@ def parse_writes(entries: Sequence[Entry], texts: Sequence[str]) -> list[tuple[E
         found = find(entries, name) if sign else []
         if len(found) != 1:
             raise InputError(f"expected OBJECT=VALUE with one object, got '{text}'")
+        if not found[0].variable.writable:
+            access = found[0].variable.access_type
+            raise InputError(f"{found[0].name} ({found[0].place}) cannot be written, its access is {access}: {text}")
         writes.append((found[0], found[0].encode(value.strip())))
     return writes
 
@@ -187,6 +195,7 @@ class NodeTransfers:
     ) -> None:
         self._node_id, self._send = node_id, send
         self._left = [*writes, *((each, b"") for each in entries)]
+        self._written: list[str] = []
         self.values: dict[Entry, bytes | str] = {}
         self.done = False
         #: A transfer is looked at in every turn.
@@ -226,8 +235,11 @@ class NodeTransfers:
         (entry, data), *self._left = self._left
         error = self._dialogue.error
         if error is not None and data:
-            raise RunError(f"node {self._node_id}: {entry.name} is not written: {error}")
-        if not data:
+            before = f"; written before: {', '.join(self._written)}" if self._written else ""
+            raise RunError(f"node {self._node_id}: {entry.name} is not written: {error}{before}")
+        if data:
+            self._written.append(entry.name)
+        else:
             result = self._dialogue.result
             self.values[entry] = (
                 str(error) if error is not None else bytes(result) if isinstance(result, bytes) else b""

@@ -106,10 +106,20 @@ def test_a_written_object_is_read_back_and_the_gateway_sets_it_right_again() -> 
     assert all(not world.wrong_blocks(each) for each in world.measured)
 
 
-def test_a_write_that_the_node_refuses_is_told_in_words() -> None:
+def test_a_write_that_the_node_refuses_is_told_in_words_with_what_was_written() -> None:
     world = World(CONTRACT)
-    with pytest.raises(RunError, match=r"Identity\.Vendor-ID is not written: .* abort 06010002h, read only"):
-        transfers(world, [], parse_writes(ENTRIES, ["1018h:1=5"]))
+    ((heartbeat, data),) = parse_writes(ENTRIES, ["1017h=500"])
+    (vendor,) = find(ENTRIES, "1018h:1")
+    refused = r"Identity\.Vendor-ID is not written: .* abort 06010002h, read only"
+    with pytest.raises(RunError, match=f"{refused}$"):
+        transfers(world, [], [(vendor, data)])
+    with pytest.raises(RunError, match=f"{refused}; written before: Producer heartbeat time$"):
+        transfers(world, [], [(heartbeat, data), (vendor, data)])
+
+
+def test_a_write_to_what_is_known_as_read_only_is_refused_before_the_first() -> None:
+    with pytest.raises(InputError, match=r"Vendor-ID .1018h:1. cannot be written, its access is"):
+        parse_writes(ENTRIES, ["1017h=500", "1018h:1=5"])
 
 
 def test_the_eds_of_a_device_gives_the_same_objects(tmp_path: Path) -> None:
@@ -118,9 +128,11 @@ def test_the_eds_of_a_device_gives_the_same_objects(tmp_path: Path) -> None:
     assert entries_of_file(tmp_path / "drive.eds", NODE.node_id) == ENTRIES
 
 
-@pytest.mark.parametrize("content", [None, "[1000]\nParameterName=x\n", "nothing"])
+@pytest.mark.parametrize("content", [None, "[1000]\nParameterName=x\n", "nothing", "", "\x00\xff"])
 def test_a_file_that_is_no_eds_is_refused(content: str | None, tmp_path: Path) -> None:
     if content is not None:
         (tmp_path / "drive.eds").write_text(content)
-    with pytest.raises(InputError, match=r"drive\.eds"):
+    with pytest.raises(InputError, match=r"drive\.eds") as told:
         entries_of_file(tmp_path / "drive.eds", 5)
+    assert "\n" not in str(told.value)
+    assert "ff" not in str(told.value)
