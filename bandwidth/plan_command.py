@@ -67,8 +67,10 @@ def plan(
     skin plan fd --timing --clock-hz 40000000 --bus-length-m 5
     """
     skin = load_layout(layout)
-    if timing and (check is not None or plot is not None):
-        raise InputError("expected --timing, --check or --plot, got --timing with another of them")
+    if timing and (check is not None or plot is not None or node_budget):
+        raise InputError("expected --timing, --check, --plot or --node-budget, got --timing with another of them")
+    if channel and not timing and check is None:
+        raise InputError("--channel is for --check and --timing: the plan of a layout needs no channels")
     if timing:
         return _timing(skin, channel or ["can0"], controllers or TimingOptions(), as_json=json_)
     if controllers is not None:

@@ -107,17 +107,19 @@ def node(
     skin node reset --bus bus0 -i socketcan -c can0
     """
     skin = load_layout(layout)
-    _refuse_unused(action, {"--wiring": wiring, "--live": live}, {"--path": path, "--out": out})
+    _refuse_unused(
+        action,
+        {"--wiring": wiring, "--live": live},
+        {"--path": path, "--out": out},
+        {"--node": node_id, "--bus": bus},
+        {"objects": objects or None, "EDS": eds},
+    )
     if action in _ORDERS:
-        if objects or eds is not None:
-            raise InputError(f"'skin node {action}' takes no objects: expected get or set")
         return _order(skin, action, _bus_number(skin, bus), node_id, can or BusOptions(), as_json=json)
     if action in ("get", "set", "objects"):
         return _objects(
             action, objects, eds=eds, skin=skin, bus=bus, node_id=node_id, can=can or BusOptions(), as_json=json
         )
-    if objects or eds is not None:
-        raise InputError("'skin node check' takes no objects: expected get, set or objects")
     if wiring is not None:
         from gateway.wiring_check import check_wiring
 
@@ -148,14 +150,26 @@ def node(
     return int(bool(check.report.differences))
 
 
-def _refuse_unused(action: str, sources: dict[str, object], others: dict[str, object]) -> None:
-    """Refuse options that an action has no use for; `others` need one of `sources`."""
-    asked = [name for name, each in sources.items() if each is not None]
-    given = [*asked, *(name for name, each in others.items() if each is not None)]
+def _refuse_unused(
+    action: str,
+    sources: dict[str, object],
+    others: dict[str, object],
+    board: dict[str, object],
+    known: dict[str, object],
+) -> None:
+    """Refuse options that an action has no use for; `others` need one of `sources`, which take the whole skin."""
+    asked, more, one, named = (
+        [name for name, each in of.items() if each is not None] for of in (sources, others, board, known)
+    )
+    given = [*asked, *more]
+    if named and action not in ("get", "set", "objects"):
+        raise InputError(f"'skin node {action}' takes no {named[0]}: expected get, set or objects")
     if action != "check" and given:
         raise InputError(f"expected {' and '.join(given)} with 'skin node check' alone, got 'skin node {action}'")
     if (given and not asked) or len(asked) > 1:
         raise InputError(f"expected one of {' and '.join(sources)}, got {' and '.join(given)}")
+    if asked and one:
+        raise InputError(f"expected {' and '.join(one)} of a board, or {asked[0]} of the whole skin, got both")
 
 
 def _board(contract: Contract, number: int, node_id: int) -> NodeContract:
@@ -180,7 +194,12 @@ def _objects(
     """List, read or write objects of a node."""
     from gateway.node_objects import NodeTransfers, entries_of_file, entries_of_node, find, parse_writes
 
-    if node_id is None or not 1 <= node_id <= HIGHEST_NODE_ID:
+    if node_id is None:
+        if action != "objects":
+            raise InputError(f"expected --node with a node-ID from 1 to {HIGHEST_NODE_ID}, got none")
+        bus = bus or skin.bus[0].name
+        node_id = skin.bus[_bus_number(skin, bus)].ids[0]
+    elif not 1 <= node_id <= HIGHEST_NODE_ID:
         raise InputError(f"expected --node with a node-ID from 1 to {HIGHEST_NODE_ID}, got {node_id}")
     # A channel that is named needs no bus of the layout, if the device is none of the layout's.
     is_other = eds is not None and bus is None and len(can.channel) == 1

@@ -25,7 +25,7 @@ def scan(
     *,
     layout: Path | None = None,
     can: BusOptions | None = None,
-    bitrate: int = BITRATE_MAX,
+    bitrate: int | None = None,
     data_bitrate: int | None = None,
     seconds: float = 2.0,
     listen: Annotated[bool, Parameter(negative=())] = False,
@@ -44,7 +44,7 @@ def scan(
     can
         CAN interface and channels.
     bitrate
-        Without a layout: bit rate of the channels, bit/s. SocketCAN has its own.
+        Without a layout: bit rate of the channels, bit/s, by default 1000000. SocketCAN has its own.
     data_bitrate
         Without a layout: data bit rate, which makes the channels CAN FD. SocketCAN knows by itself.
     seconds
@@ -64,6 +64,8 @@ def scan(
         raise InputError(f"expected a finite number of seconds above 0, got {seconds:g}")
     options, stop = can or BusOptions(), StopSignal().install()
     if layout is not None:
+        if (bitrate or data_bitrate) is not None:
+            raise InputError("expected --layout or --bitrate and --data-bitrate, got both: a layout has the rates")
         lines = load_layout(layout).bus
         links = {
             lines[number].name: link
@@ -71,6 +73,7 @@ def scan(
         }
         rates = {line.name: line.bitrate for line in lines}
     elif options.channel:
+        bitrate = bitrate or BITRATE_MAX
         links = open_channels(options, bitrate, data_bitrate, name="scan", sends=not listen)
         rates = dict.fromkeys(links, bitrate)
     else:

@@ -133,8 +133,13 @@ def test_options_of_controllers_want_the_timing(skin: Skin) -> None:
     assert "are for --timing" in said
 
 
-@pytest.mark.parametrize("other", ["--check", "--plot"])
+def test_channels_want_a_log_or_the_timing(skin: Skin) -> None:
+    status, _, said = skin("plan", "fd", "-c", "can0")
+    assert (status, "--channel is for --check and --timing" in said) == (2, True)
+
+
+@pytest.mark.parametrize("other", ["--check", "--plot", "--node-budget"])
 def test_timing_is_not_combined_with_what_it_would_ignore(skin: Skin, other: str) -> None:
-    status, _, said = skin("plan", "fd", "--timing", other, "nothing")
+    status, _, said = skin("plan", "fd", "--timing", other, "3")
     assert (status, said.count("\n")) == (2, 1)
-    assert "expected --timing, --check or --plot" in said
+    assert "expected --timing, --check, --plot or --node-budget" in said

@@ -33,6 +33,11 @@ from shell.command import main
             ["check", "--wiring", "a.mcap", "--live", "3"],
             "expected one of --wiring and --live, got --wiring and --live",
         ),
+        (["check", "--node", "1", "--live", "3"], "expected --node of a board, or --live of the whole skin, got both"),
+        (["check", "--bus", "bus0", "--wiring", "a.mcap"], "got both"),
+        (["check", "--node", "1", "--bus", "bus0", "--eds", "a.eds"], "'skin node check' takes no EDS"),
+        (["reset", "--bus", "bus0", "--eds", "a.eds"], "'skin node reset' takes no EDS"),
+        (["get", "1018h", "--bus", "bus0"], "expected --node with a node-ID from 1 to 127, got none"),
     ],
 )
 @pytest.mark.filterwarnings("ignore:Cyclopts application invoked without tokens")
@@ -46,6 +51,14 @@ def test_wrong_input_is_one_line_and_exit_code_2(
     assert ended.value.code == 2
     assert said in shown.err
     assert len(shown.err.splitlines()) == 1
+
+
+def test_objects_are_listed_without_a_node(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr(sys, "argv", ["skin", "node", "objects", "heartbeat"])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert not ended.value.code
+    assert "1017h:0" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

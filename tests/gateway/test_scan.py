@@ -123,3 +123,11 @@ def test_what_came_while_the_links_were_opened_counts_for_no_rate(
     assert run_scan(Heard(waiting, frame(SYNC_COB_ID)), "--listen", "--seconds", "0.5", "--json") == 0
     (found,) = json.loads(capsys.readouterr().out)
     assert (found["sync_rate_hz"], found["identifiers"][0]["frames"]) == (2.0, 1)
+
+
+@pytest.mark.parametrize("option", ["--bitrate", "--data-bitrate"])
+def test_a_layout_has_the_bit_rates(
+    option: str, run_scan: Callable[..., int], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run_scan(Heard(), "--layout", "fd", option, "500000") == 2
+    assert "a layout has the rates" in capsys.readouterr().err
