@@ -406,12 +406,13 @@ def _check_foreign(contract: Contract) -> None:
             if ours is None:
                 continue
             if each.identifier == SYNC_COB_ID:
-                what = f"two SYNC producers on {bus.name}, '{each.name}' and the gateway: a bus of a skin has one"
+                what = f"two SYNC producers on {bus.name}, {each.label} and the gateway: a bus of a skin has one"
                 do = "clear bit 30 of 1005h in the other, or give its SYNC another identifier there"
             else:
-                what = f"'{each.name}' and {ours} have the same identifier {each.identifier:03X}h on {bus.name}"
+                what = f"{each.label} and {ours} have the same identifier {each.identifier:03X}h on {bus.name}"
                 do = "change `first_node_id` or `node_ids` of the bus, or the identifier in the other device"
-            raise LayoutError(f"{what}: {do} - at `$.bus[{number}].foreign[{index}]`")
+            where = f"at `$.bus[{number}].foreign[{index}]`"
+            raise LayoutError(f"layout {contract.layout.name}: {what}: {do} - {where}")
 
 
 def _table(contract: Contract) -> FrameTable:

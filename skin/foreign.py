@@ -29,6 +29,13 @@ class ForeignMessage(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     length: Annotated[int, msgspec.Meta(ge=0, le=_LONGER[-1])] = _CLASSIC_MAX
     fd: bool = False
     period_s: Annotated[float, msgspec.Meta(ge=1e-4, le=86_400.0)] | None = None
+    # The .dbc that names the message; it fills this in.
+    origin: str | None = None
+
+    @property
+    def label(self) -> str:
+        """The name for messages of errors, with the .dbc that has it."""
+        return f"'{self.name}' of {self.origin}" if self.origin else f"'{self.name}'"
 
     @property
     def key(self) -> tuple[int, bool]:
@@ -60,6 +67,7 @@ def _read_dbc(path: Path) -> list[dict[str, Any]]:
     return [
         {
             "name": each.name,
+            "origin": path.name,
             "identifier": each.frame_id,
             "is_extended": each.is_extended_frame,
             "length": each.length,
@@ -72,17 +80,17 @@ def _read_dbc(path: Path) -> list[dict[str, Any]]:
 
 def check_foreign(messages: Sequence[ForeignMessage], path: str, *, is_fd: bool) -> None:
     """Check the messages of a bus; `path` is their place in the layout."""
-    known: dict[tuple[int, bool], str] = {}
+    known: dict[object, ForeignMessage] = {}
     for index, each in enumerate(messages):
         place = f"at `{path}[{index}]`"
         if not each.is_extended and each.identifier > BASE_ID_MAX:
             limit = f"expected an identifier up to {BASE_ID_MAX} (7FFh), or `is_extended = true`"
-            raise LayoutError(f"{limit}, got {each.identifier} for '{each.name}' - {place}")
+            raise LayoutError(f"{limit}, got {each.identifier} for {each.label} - {place}")
         if each.fd and not is_fd:
-            raise LayoutError(f"'{each.name}' is CAN FD: the bus needs `fd = true` - {place}")
+            raise LayoutError(f"{each.label} is CAN FD: the bus needs `fd = true` - {place}")
         if each.length > _CLASSIC_MAX and not (each.fd and each.length in _LONGER):
             limits = f"expected a length of 0 to {_CLASSIC_MAX}, or with `fd = true` of {', '.join(map(str, _LONGER))}"
-            raise LayoutError(f"{limits}, got {each.length} for '{each.name}' - {place}")
-        if (other := known.get(each.key)) is not None:
-            raise LayoutError(f"'{other}' and '{each.name}' have the same identifier {each.identifier:X}h - {place}")
-        known[each.key] = each.name
+            raise LayoutError(f"{limits}, got {each.length} for {each.label} - {place}")
+        for key, what in ((each.key, f"identifier {each.identifier:X}h"), (each.name, "name")):
+            if (other := known.setdefault(key, each)) is not each:
+                raise LayoutError(f"{other.label} and {each.label} have the same {what} - {place}")

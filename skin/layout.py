@@ -268,8 +268,9 @@ class Bus(_Table, frozen=True, kw_only=True):
     bitrate: Annotated[int, msgspec.Meta(ge=BITRATE_MIN, le=BITRATE_MAX)] = BITRATE_MAX
     fd: bool = False
     data_bitrate: Annotated[int, msgspec.Meta(ge=BITRATE_MIN, le=DATA_BITRATE_MAX)] | None = None
-    # In a file also `foreign_dbc`, the path of a .dbc with more of them.
     foreign: tuple[ForeignMessage, ...] = ()
+    # In a file the path of a .dbc with more of them, which `parse_layout` puts in place of the path.
+    foreign_dbc: str | None = None
 
     @property
     def ids(self) -> tuple[int, ...]:

@@ -72,7 +72,7 @@ def _name(_found: re.Match[str], _table: type, _keys: list[str], value: Any) -> 
 
 
 def _length(found: re.Match[str], _table: type, _keys: list[str], value: Any) -> str:
-    count, of = int(found[3]), "character" if found[1] == "str" else "table"
+    count, of = int(found[3]), "character" if found[1] == "str" else "entry"
     return f"expected {count} {of}{'s' * (count != 1)} {_BOUNDS[found[2]]}, got {len(value)}"
 
 
@@ -92,7 +92,8 @@ def _table(root: type, keys: list[str]) -> type:
     table = root
     for key in keys:
         hint = get_type_hints(table).get(key)
-        if get_origin(hint) is list or NoneType in get_args(hint):  # a list of tables, or a table that may be missing
+        # A list of tables, or a table that may be missing.
+        if get_origin(hint) in {list, tuple} or NoneType in get_args(hint):
             hint = get_args(hint)[0]
         if isinstance(hint, type) and issubclass(hint, msgspec.Struct):
             table = hint

@@ -9,7 +9,7 @@ import tomli_w
 from canskin.errors import LayoutError
 from dbc.contract import Contract
 from skin.layout import layout_text, load_layout, parse_layout
-from tests.layouts import small_layout
+from tests.layouts import layout_toml, small_layout
 
 #: A drive with a cyclic message, one of 29 bits, and one without a period.
 DBC = """VERSION ""
@@ -80,6 +80,37 @@ def test_a_message_that_cannot_be_or_is_the_skins_is_refused_by_name(given: list
 def test_29_bits_collide_with_nothing_of_the_skin_and_the_same_number() -> None:
     given = [message(identifier=0x181, is_extended=True), message(name="b", identifier=0x081, is_extended=True)]
     assert Contract.from_layout(small_layout(8, 8, bus=[bus(foreign=given)])).nodes
+
+
+def test_a_clash_names_the_dbc(tmp_path: Path) -> None:
+    (tmp_path / "drives.dbc").write_text(DBC)
+
+    def layout(**keys: Any) -> Contract:
+        text = tomli_w.dumps({"name": "palm", "taxels": {"rows": 8, "columns": 8}, "bus": [bus(**keys)]})
+        return Contract.from_layout(parse_layout(text.encode(), "palm.toml", tmp_path))
+
+    with pytest.raises(LayoutError, match=r"palm.toml: 'drive' and 'Status' of drives.dbc have the same identifier"):
+        layout(foreign_dbc="drives.dbc", foreign=[message()])
+    with pytest.raises(LayoutError, match=r"layout palm: 'Status' of drives.dbc and TPDO 1 of node 5"):
+        layout(foreign_dbc="drives.dbc", nodes=2, first_node_id=5)
+
+
+@pytest.mark.parametrize(
+    ("keys", "says"),
+    [
+        (
+            {"foreign": [message(period=1)]},
+            r"unknown key `period`: did you mean `period_s`\? - at `\$.bus.0..foreign.0",
+        ),
+        ({"foreign_dbc": 3}, r"expected text in quotes, got 3 - at `\$.bus.0..foreign_dbc"),
+        ({"foreign_dcb": "a.dbc"}, "did you mean `foreign_dbc`"),
+        ({"node_ids": []}, "expected 1 entry or more, got 0 - at"),
+        ({"foreign": [message(), message(identifier=5)]}, "'drive' and 'drive' have the same name"),
+    ],
+)
+def test_a_mistake_in_a_bus_is_told_with_its_remedy(keys: dict[str, Any], says: str) -> None:
+    with pytest.raises(LayoutError, match=f"^palm.toml: .*{says}"):
+        parse_layout(layout_toml(bus=[{"name": "can0", "nodes": 2} | keys]).encode(), "palm.toml")
 
 
 @pytest.mark.parametrize(("name", "content"), [("none.dbc", None), ("wrong.dbc", "BO_ x")])
