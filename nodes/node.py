@@ -25,7 +25,7 @@ from dbc.configuration import Setting, signature
 from dbc.contract import NodeContract
 from dbc.dictionary import HEARTBEATS_WATCHED, ON_COMMAND, SkinState
 from dbc.objects import Object
-from nodes.access import check_write, is_allowed
+from nodes.access import check_write, is_storable, number
 from nodes.emcy import EmcyProducer
 from nodes.hardware import Hardware
 from nodes.heartbeat import HeartbeatConsumer
@@ -35,9 +35,6 @@ from nodes.tpdo import LiveTpdo, read_tpdos
 
 #: Objects whose write is a command; a read tells that the node offers the command.
 _COMMANDS: Final = (od.STORE, od.RESTORE)
-
-#: Objects of the manufacturer whose value is an order to the running node: they are not restored.
-_ORDERS: Final = (od.TEST_PATTERN, od.REFRESH, od.STATE)
 
 #: State after a communication error, by 1029h sub 1 (CiA 301, 7.5.2.33): pre-operational, no change, stopped.
 _ON_ERROR: Final = (NmtState.PRE_OPERATIONAL, None, NmtState.STOPPED)
@@ -127,6 +124,11 @@ class SkinNode:
         """Whether the SDO server works in this state."""
         return self.state in (NmtState.PRE_OPERATIONAL, NmtState.OPERATIONAL)
 
+    @property
+    def lss_address(self) -> tuple[int, ...]:
+        """Vendor-ID, product code, revision and serial number (1018h)."""
+        return tuple(self.local.unsigned(od.IDENTITY, subindex) for subindex in range(1, 5))
+
     def boot(self, now_s: float, *, communication_only: bool = False) -> None:
         """Initialise: restore parameters, send the boot-up message, enter PRE-OPERATIONAL."""
         self._enter(NmtState.INITIALISING)
@@ -152,15 +154,13 @@ class SkinNode:
         part = self.contract.node_id / (HIGHEST_NODE_ID + 1)
         self._beat_due_s = now_s + part * self._beat_period_s if self._beat_period_s else float("inf")
 
+    def end(self) -> None:
+        """Be silent until `boot`: the node has no node-ID."""
+        self._enter(NmtState.INITIALISING)
+
     def _is_stored(self, index: int, subindex: int, data: bytes) -> bool:
-        """Tell whether a stored value fits an object that can be stored; test patterns and refreshes cannot."""
         found = self.local.variable(index, subindex)
-        if found is None or not found.writable or index in _COMMANDS or index == od.ERROR_FIELD:
-            return False
-        if index >= od.MANUFACTURER and od.split_block(index)[1] in _ORDERS:
-            return False
-        is_whole = len(data) * 8 == od.BITS.get(found.data_type or 0)
-        return is_whole and is_allowed(index, _number(found.data_type, data))
+        return found is not None and found.writable and is_storable(index, found.data_type, data)
 
     def _reset_electronics(self) -> None:
         """Set the electronics to the dictionary's calibration and to no test pattern."""
@@ -178,7 +178,7 @@ class SkinNode:
             value: float = int.from_bytes(data, "little", signed=True)
         else:
             found = self.local.variable(index, subindex)
-            value = _number(found.data_type if found else None, data)
+            value = number(found.data_type if found else None, data)
         self._hardware.adjust(self.contract.block + place, first, subindex, value)
 
     def command(self, command: int, now_s: float) -> None:
@@ -194,6 +194,8 @@ class SkinNode:
     @property
     def due_s(self) -> float:
         """When `tick` has work to do next, as things stand."""
+        if self.state is NmtState.INITIALISING:
+            return float("inf")
         if self._has_events or self.emcy.is_waiting:
             return float("-inf")
         return min(self._beat_due_s, self.watched.due_s)
@@ -320,7 +322,7 @@ class SkinNode:
         return int(self._hardware.counts(block)[subindex - 1]) if subindex else None
 
     def _written(self, *, index: int, subindex: int, data: bytes, **entry: Any) -> None:
-        check_write(self.local, index, subindex, _number(entry["od"].data_type, data))
+        check_write(self.local, index, subindex, number(entry["od"].data_type, data))
         if index == od.ERROR_FIELD:
             self.emcy.clear_history()
         elif index == od.STORE:
@@ -353,8 +355,3 @@ def _states_of_tpdos(contract: NodeContract, objects: list[Object]) -> dict[int,
     indices = {each.index for each in objects if od.TPDO_COMMUNICATION <= each.index < od.TPDO_MAPPING}
     numbers = {index - od.TPDO_COMMUNICATION + 1 for index in indices}
     return {number: SkinState.IMAGES if number in own else SkinState.RECOGNITION for number in sorted(numbers)}
-
-
-def _number(data_type: int | None, data: bytes) -> float:
-    """Return the value of an object's bytes; whole numbers as unsigned."""
-    return float(struct.unpack("<f", data)[0]) if data_type == od.REAL32 else int.from_bytes(data, "little")

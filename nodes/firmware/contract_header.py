@@ -16,6 +16,7 @@ from skin.clipping import IDLE_DEVIATION, IDLE_MEAN, REACH, clipped_mean
 _ENUMERATIONS: Final[dict[str, type[IntEnum | IntFlag]]] = {
     "": canopen.NmtState,
     "NMT_": canopen.NmtCommand,
+    "LSS_": canopen.Lss,
     "ABORT_": canopen.Abort,
     "EMERGENCY_": canopen.Emergency,
     "REGISTER_": canopen.ErrorRegister,
