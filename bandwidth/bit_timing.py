@@ -1,13 +1,13 @@
 """Bit timing of CAN controllers: the segments of a bit for a clock and the bit rates of a bus (ISO 11898-1)."""
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Annotated, Final
 
 from cyclopts import Parameter
 
-from bus.ip_link import data_bit_rate_hz, ip_link, sample_point
+from bus.ip_link import data_bit_rate_hz, ip_link
 from canskin.errors import InputError
 from shell.terminal import print_table
 from skin.layout import Bus
@@ -59,8 +59,8 @@ class TimingOptions:
 class PhaseTiming:
     """The bit in the arbitration or the data phase; segments in time quanta, after the quantum of SYNC_SEG.
 
-    `tseg1` is PROP_SEG and PHASE_SEG1 together; the data phase needs no PROP_SEG. `rate_error_ppm` is the error of the
-    bit rate with an exact clock.
+    `tseg1` is PROP_SEG and PHASE_SEG1 together; the data phase needs no PROP_SEG. `sjw` is not longer than PHASE_SEG1
+    and `tseg2` (ISO 11898-1). `rate_error_ppm` is the error of the bit rate with an exact clock.
     """
 
     phase: str
@@ -94,25 +94,33 @@ class ControllerTiming:
 
 
 def controller_timing(bus: Bus, clock_hz: int, options: TimingOptions) -> ControllerTiming:
-    """Compute the bit timing of a bus for a controller's clock.
-
-    Of all timings within the ranges that ISO 11898-1 asks of every controller, the timing with the smallest error of
-    the bit rates is chosen, then the timing nearest to the recommended sample points, then the shortest quantum.
-    """
-    from can import BitTiming, BitTimingFd
+    """Compute the bit timing of a bus for a controller's clock, see `choose_timing`."""
+    from bus.bit_timing import choose_timing, segments
 
     data_hz = data_bit_rate_hz(bus)
     rates_hz = [bus.bitrate] if data_hz is None else [bus.bitrate, data_hz]
-    wanted = [value for rate_hz in rates_hz for value in (rate_hz, 100 * sample_point(rate_hz))]
-    kind = BitTiming if data_hz is None else BitTimingFd
-    found = [
-        (_phases(timing, clock_hz, rates_hz, options.round_trip_ns), timing)
-        for timing in kind.iterate_from_sample_point(clock_hz, *wanted)  # type: ignore[arg-type]
-    ]
-    if not found:
+    best = choose_timing(clock_hz, rates_hz)
+    if best is None:
         rates = " and ".join(f"{rate_hz / 1e3:g} kbit/s" for rate_hz in rates_hz)
         return ControllerTiming(clock_hz, [], 0.0, None, False, f"this clock cannot make {rates}")
-    phases, best = min(found, key=lambda each: _badness(each[0]))
+    phases: list[PhaseTiming] = []
+    for rate_hz, name, each in zip(rates_hz, ("nominal", "data"), segments(best), strict=False):
+        prop_seg = 0 if phases else math.ceil(round(1e-9 * options.round_trip_ns * clock_hz / each.prescaler, 6))
+        phase_seg1 = each.tseg1 - prop_seg
+        phases.append(
+            PhaseTiming(
+                phase=name,
+                bit_rate_hz=rate_hz,
+                prescaler=each.prescaler,
+                prop_seg=prop_seg,
+                phase_seg1=phase_seg1,
+                tseg1=each.tseg1,
+                tseg2=each.tseg2,
+                sjw=min(each.sjw, max(phase_seg1, 1), each.tseg2),
+                sample_point=each.sample_point,
+                rate_error_ppm=each.rate_error_ppm(clock_hz, rate_hz),
+            )
+        )
     tolerance_ppm = _PPM_PER_PERCENT * best.oscillator_tolerance(options.loop_delay_ns, options.bus_length_m)
     last = phases[-1]
     sample_clocks = (1 + last.tseg1) * last.prescaler
@@ -131,41 +139,6 @@ def controller_timing(bus: Bus, clock_hz: int, options: TimingOptions) -> Contro
     return ControllerTiming(
         clock_hz, phases, tolerance_ppm, sample_clocks if has_tdc else None, needs_tdc and has_tdc, problem
     )
-
-
-def _badness(phases: list[PhaseTiming]) -> tuple[float, float, int, int]:
-    prescalers = [each.prescaler for each in phases]
-    return (
-        sum(abs(each.rate_error_ppm) for each in phases),
-        sum(round(abs(each.sample_point - sample_point(each.bit_rate_hz)), 6) for each in phases),
-        max(prescalers) - min(prescalers),
-        sum(prescalers),
-    )
-
-
-def _phases(timing: Mapping[str, int], clock_hz: int, rates_hz: list[int], round_trip_ns: float) -> list[PhaseTiming]:
-    """Return the phases of a `can.BitTiming`, or of a `can.BitTimingFd`, whose names have the phase before them."""
-    phases: list[PhaseTiming] = []
-    for rate_hz, name in zip(rates_hz, ("nominal", "data"), strict=False):
-        prefix = "" if len(rates_hz) == 1 else f"{name.removesuffix('inal')}_"
-        prescaler, tseg1, tseg2, sjw = (timing[f"{prefix}{key}"] for key in ("brp", "tseg1", "tseg2", "sjw"))
-        quanta = 1 + tseg1 + tseg2
-        prop_seg = 0 if phases else math.ceil(round_trip_ns * 1e-9 * clock_hz / prescaler)
-        phases.append(
-            PhaseTiming(
-                phase=name,
-                bit_rate_hz=rate_hz,
-                prescaler=prescaler,
-                prop_seg=prop_seg,
-                phase_seg1=tseg1 - prop_seg,
-                tseg1=tseg1,
-                tseg2=tseg2,
-                sjw=sjw,
-                sample_point=(1 + tseg1) / quanta,
-                rate_error_ppm=1e6 * (clock_hz / (prescaler * quanta) / rate_hz - 1),
-            )
-        )
-    return phases
 
 
 @dataclass(frozen=True)

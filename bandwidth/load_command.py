@@ -69,7 +69,7 @@ def load(
 
 def _listen(layout: Layout, options: BusOptions, seconds: float) -> dict[int, Frames]:
     """Return the frames of the live buses; a stop signal before the measurement ends the program."""
-    links = open_links(layout, options, name="load")
+    links = open_links(layout, options, name="load", sends=False)
     stop = StopSignal().install()
     try:
         say("load", f"listening for {seconds:g} s")

@@ -133,6 +133,7 @@ class ArbitratedLink(ReconnectingLink):
                     break
                 _count_ports(frame_bytes(part), 0, self._sent)
                 sent += len(part)
+            self._is_full |= sent < len(burst)
             return sent
 
     def _fitting(self, burst: Frames) -> int:

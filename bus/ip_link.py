@@ -4,7 +4,7 @@ from typing import Final
 
 from skin.layout import Bus
 
-#: Frames that wait in the interface. The kernel's default of 10 is less than a burst of SDO requests to a bus of nodes.
+#: Frames that wait in the interface. The kernel's default of 10 is less than virtual nodes send at a SYNC.
 TRANSMIT_QUEUE_FRAMES: Final = 1000
 #: Time from bus-off to the controller's restart; the kernel's default is never.
 RESTART_MS: Final = 100
@@ -29,8 +29,13 @@ def ip_link(channel: str, bus: Bus) -> str:
     The kernel computes the bit timing for the controller's clock, and transmitter delay compensation if the driver
     knows it.
     """
-    words = [f"bitrate {bus.bitrate} sample-point {sample_point(bus.bitrate):.3f}"]
-    if data_hz := data_bit_rate_hz(bus):
-        words.append(f"dbitrate {data_hz} dsample-point {sample_point(data_hz):.3f} fd on")
-    words.append(f"restart-ms {RESTART_MS}")
-    return f"ip link set {channel} up txqueuelen {TRANSMIT_QUEUE_FRAMES} type can {' '.join(words)}"
+    words = f"{timing_options(bus.bitrate, data_bit_rate_hz(bus))} restart-ms {RESTART_MS}"
+    return f"ip link set {channel} up txqueuelen {TRANSMIT_QUEUE_FRAMES} type can {words}"
+
+
+def timing_options(bit_rate_hz: int, data_bit_rate_hz: int | None) -> str:
+    """Return the options for the bit rates, the second that of CAN FD; they follow ``type can``."""
+    words = f"bitrate {bit_rate_hz} sample-point {sample_point(bit_rate_hz):.3f}"
+    if data_bit_rate_hz:
+        words += f" dbitrate {data_bit_rate_hz} dsample-point {sample_point(data_bit_rate_hz):.3f} fd on"
+    return words

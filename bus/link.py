@@ -65,6 +65,13 @@ class Link(Protocol):
         """State of the controller."""
         ...
 
+    def explain(self) -> str:
+        """Return what is known beyond `state`: why the connection is lost, or a frame was refused since the last call.
+
+        Empty if nothing is known; a frame that came too late is refused without a reason.
+        """
+        ...
+
     def close(self) -> None:
         """Leave the bus."""
         ...
@@ -78,6 +85,7 @@ def open_link(
     fd: bool = False,
     data_bitrate: int | None = None,
     name: str = "link",
+    sends: bool = True,
     wait_s: float = 0.0,
     stop: StopSignal | None = None,
     options: Mapping[str, str | float | bool] | None = None,
@@ -91,11 +99,13 @@ def open_link(
     channel : str
         Channel of the interface.
     bitrate, data_bitrate : int
-        Bits per second; SocketCAN uses the bit rates that its interface was set up with.
+        Bits per second; an interface of SocketCAN must have been set up with them.
     fd : bool
         Allow CAN FD frames.
     name : str
-        Name by which faults of a virtual bus select this connection.
+        Name by which faults of a virtual bus select this connection, and in the log.
+    sends : bool
+        False for a program that only listens: SocketCAN's listen-only mode serves it.
     wait_s : float
         Longest wait for a virtual bus that is still starting.
     stop : StopSignal, optional
@@ -118,9 +128,10 @@ def open_link(
         hello = Hello(name=name, bitrate=bitrate, data_bitrate=data_bitrate, fd=fd)
         return ArbitratedLink(channel, hello, wait_s=wait_s, stop=stop)
     if interface == "socketcan":
+        from bus.interface import Wanted
         from bus.socketcan import SocketCanLink
 
-        return SocketCanLink(channel, fd=fd)
+        return SocketCanLink(channel, Wanted(bitrate, data_bitrate, fd=fd, sends=sends), name=name)
     from bus.python_can import PythonCanLink
 
     return PythonCanLink(interface, channel, bitrate, fd=fd, data_bitrate=data_bitrate, options=options)

@@ -61,9 +61,10 @@ def open_links(
     wanted: Iterable[int] | None = None,
     *,
     name: str = "link",
+    sends: bool = True,
     stop: StopSignal | None = None,
 ) -> dict[int, Link]:
-    """Open the links of the buses numbered `wanted`, default all; faults of a virtual bus select them by `name`.
+    """Open the links of the buses numbered `wanted`, default all; `name` and `sends` as of `bus.link.open_link`.
 
     If `stop` is set during the wait for a bus, `canskin.errors.Stopped` is raised.
     """
@@ -77,6 +78,7 @@ def open_links(
             fd=bus.fd,
             data_bitrate=bus.data_bitrate,
             name=name,
+            sends=sends,
             wait_s=OPEN_WAIT_S,
             stop=stop,
             options=typed,

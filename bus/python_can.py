@@ -7,17 +7,17 @@ import threading
 import time
 from collections import deque
 from collections.abc import Mapping
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import can
 import numpy as np
 
+from bus.bit_timing import choose_timing
 from bus.error_frames import State
-from bus.ip_link import sample_point
 from bus.messages import to_frame, to_message
 from bus.protocol import check_frames, in_time
-from bus.reconnecting import FIRST_S, LONGEST_S
-from canskin.errors import BusError
+from bus.reconnecting import FIRST_S, LONGEST_S, QUEUE_FULL
+from canskin.errors import BusError, InputError
 from dbc.frame import ECHO, Frames, frames
 
 #: A value of an option of an interface.
@@ -26,22 +26,43 @@ Value = str | int | float | bool
 #: Most frames kept until `receive`; later frames are lost and counted.
 QUEUE_FRAMES: Final = 16384
 FRAMES_PER_CALL: Final = 1024
+#: Longest wait for room on a serial line: the loop of the gateway waits, too.
+SEND_S: Final = 0.05
 #: An interface that is bus-off, or takes no frame, for this time is opened again: that ends bus-off.
 PATIENCE_S: Final = 1.0
-#: Interfaces whose echo of a frame is the controller's report that the frame has been sent, at its place among the
-#: received frames. docs/bus.md has the reasons, and those why the others are not here.
-PROVEN_ECHOES: Final = frozenset({"kvaser"})
-#: What an interface needs besides python-can, and options without which it stays bus-off.
-_NEEDS: Final = {
-    "gs_usb": "pip install gs_usb pyusb, and libusb-1.0",
-    "kvaser": "Kvaser's linuxcan (libcanlib.so)",
-    "neovi": "pip install python-ics",
-    "pcan": "PEAK's PCAN-Basic (libpcanbasic.so) and its driver",
-    "slcan": "pip install pyserial",
+
+
+class _Interface(NamedTuple):
+    """What an interface of python-can is like."""
+
+    #: What to install besides python-can.
+    needs: str = ""
+    #: Arguments that it needs here; those of the user come before them.
+    options: Mapping[str, Value] = {}
+    #: Takes the bit timing of CAN FD; the others take the rates.
+    takes_timing: bool = False
+    #: Its echo of a frame is the controller's report that the frame has been sent, at its place among the received
+    #: frames. docs/bus.md has the reasons, and those why the others have none.
+    proves_echo: bool = False
+    #: Waits for ever for room on a serial line unless it gets a limit. After a failure a part of a frame may be on the
+    #: line: only a new beginning tells the adapter where the next frame begins.
+    is_serial: bool = False
+
+
+_PYSERIAL: Final = "pip install pyserial"
+_INTERFACES: Final[Mapping[str, _Interface]] = {
+    "gs_usb": _Interface("pip install gs_usb pyusb, and libusb-1.0"),
+    "kvaser": _Interface(
+        "Kvaser's linuxcan (libcanlib.so)", {"receive_own_messages": True}, takes_timing=True, proves_echo=True
+    ),
+    "neovi": _Interface("pip install python-ics"),
+    "nixnet": _Interface(takes_timing=True),
+    # Without auto_reset it stays bus-off.
+    "pcan": _Interface("PEAK's PCAN-Basic (libpcanbasic.so) and its driver", {"auto_reset": True}, takes_timing=True),
+    "robotell": _Interface(_PYSERIAL, is_serial=True),
+    "slcan": _Interface(_PYSERIAL, takes_timing=True, is_serial=True),
+    "vector": _Interface(takes_timing=True),
 }
-_OPTIONS: Final[dict[str, dict[str, Value]]] = {"pcan": {"auto_reset": True}, "kvaser": {"receive_own_messages": True}}
-#: Interfaces that take the bit timing of CAN FD; the others take the rates.
-_TAKE_TIMING: Final = frozenset({"kvaser", "nixnet", "pcan", "slcan", "vector"})
 #: Clock for which the bit timing of CAN FD is computed; an interface with another clock converts it.
 _FD_CLOCK_HZ: Final = 80_000_000
 _STATE_OF: Final = {
@@ -49,17 +70,19 @@ _STATE_OF: Final = {
     can.BusState.PASSIVE: State.PASSIVE,
     can.BusState.ERROR: State.BUS_OFF,
 }
-#: What interfaces raise where the library is missing, NameError included, or the device does not work.
-_FAILS: Final = (can.CanError, OSError, ValueError, TypeError, ImportError, NotImplementedError, LookupError, NameError)
+#: What interfaces raise that refuse a frame, or do not tell their state. After any other exception they are lost.
+_REFUSES: Final = (can.CanError, OSError, ValueError, TypeError, NotImplementedError, LookupError)
 # Opening tells what is missing, in one line; what python-can logs besides would go to stderr.
 logging.getLogger("can").addHandler(logging.NullHandler())
+can.interfaces.BACKENDS["slcan"] = ("bus.slcan", "BoundedSlcan")
 
 
 class PythonCanLink:
     """A python-can bus as a link, read by a thread. An interface that was lost is opened again.
 
     Where the interface has no proven echo, the echo of a frame comes when the frame is handed over, before all frames
-    that are received later. A frame that the interface refused has no echo, and may have been sent all the same.
+    that are received later. A frame that the interface refused has no echo, and may have been sent all the same. An
+    adapter on a serial line that takes no frame for `SEND_S` is lost.
 
     Parameters
     ----------
@@ -68,6 +91,8 @@ class PythonCanLink:
 
     Raises
     ------
+    InputError
+        If no bit timing makes the rates.
     BusError
         If python-can cannot open the interface.
     """
@@ -83,16 +108,19 @@ class PythonCanLink:
         options: Mapping[str, Value] | None = None,
     ) -> None:
         self._interface, self._channel, self._fd = interface, channel, fd
-        self._arguments = _arguments(interface, bitrate, data_bitrate or bitrate, dict(options or {}), fd=fd)
-        self._has_echo = interface in PROVEN_ECHOES and not self._arguments.get("single_handle")
+        self._kind = kind = _INTERFACES.get(interface, _Interface())
+        self._arguments = _arguments(kind, bitrate, data_bitrate or bitrate, dict(options or {}), fd=fd)
+        self._send_options = {"timeout": SEND_S} if kind.is_serial else {}
+        self._has_echo = kind.proves_echo and not self._arguments.get("single_handle")
         self.dropped = 0
         self._queue: deque[Frames] = deque()
-        #: Held while a frame is handed over, and while a frame is put into the queue.
-        self._lock = threading.Lock()
+        #: Held while a frame is handed over, while a frame is put into the queue, and while `_bus` changes.
+        self._lock = threading.RLock()
         self._closing = threading.Event()
         #: Since when the interface takes no frame, and since when it is bus-off.
         self._refuses_s: float | None = None
         self._is_off_s: float | None = None
+        self._why_lost = ""
         self._bus: can.BusABC | None = self._open()
         self._wake = os.eventfd(0, os.EFD_NONBLOCK)
         self._thread = threading.Thread(target=self._run, name=f"read {channel}", daemon=True)
@@ -104,7 +132,7 @@ class PythonCanLink:
 
     @property
     def keeps_order(self) -> bool:
-        """Whether the echo of a frame is the controller's report, see `PROVEN_ECHOES`."""
+        """Whether the echo of a frame is the controller's report, if the interface proves that."""
         return self._has_echo
 
     @property
@@ -120,10 +148,19 @@ class PythonCanLink:
             return State.LOST
         try:
             state = _STATE_OF[bus.state]
-        except _FAILS:
+        except _REFUSES:
             return State.ACTIVE  # many interfaces do not tell
+        except Exception:  # noqa: BLE001
+            self._lose(bus)  # or the reader shuts it down
+            return State.LOST
         self._is_off_s = None if state is not State.BUS_OFF else self._is_off_s or time.monotonic()
         return state
+
+    def explain(self) -> str:
+        """Return why the interface is not opened again, or takes no frame."""
+        if self._bus is None:
+            return self._why_lost
+        return "" if self._refuses_s is None else QUEUE_FULL
 
     def receive(self) -> Frames:
         """Return all waiting frames, echoes of sent frames included."""
@@ -142,12 +179,15 @@ class PythonCanLink:
         for place, record in enumerate(burst):
             message = to_message(record, self._channel, 0)
             with self._lock:
-                if self._bus is None:
+                bus = self._bus
+                if bus is None:
                     return place
                 try:
-                    self._bus.send(message)
-                except _FAILS:
+                    bus.send(message, **self._send_options)
+                except Exception as error:  # noqa: BLE001
                     self._refuses_s = self._refuses_s or time.monotonic()
+                    if self._send_options or not isinstance(error, _REFUSES):
+                        self._lose(bus)
                     return place
                 self._refuses_s = None
                 if not self._has_echo:
@@ -167,41 +207,50 @@ class PythonCanLink:
         channel = int(self._channel) if self._channel.isdecimal() else self._channel
         try:
             return can.Bus(channel=channel, interface=self._interface, ignore_config=True, **self._arguments)
-        except _FAILS as error:
-            raise BusError(_why(self._interface, self._channel, error)) from error
+        except Exception as error:
+            raise BusError(
+                f"cannot open {self._channel} of python-can's interface '{self._interface}': "
+                f"{_why(error, self._kind.needs)}"
+            ) from error
 
     def _run(self) -> None:
         """Read until `close`; open a lost interface again, after waits that grow."""
-        wait_s = FIRST_S
+        bus, wait_s = self._bus, FIRST_S
         while not self._closing.is_set():
-            if self._bus is not None:
-                self._take(self._bus)
-            elif not self._closing.wait(wait_s):
-                try:
-                    self._bus, wait_s = self._open(), FIRST_S
-                except BusError:
-                    wait_s = min(2 * wait_s, LONGEST_S)
-        self._lose()
+            if bus is None:
+                if not self._closing.wait(wait_s):
+                    try:
+                        bus = self._bus = self._open()
+                        wait_s = FIRST_S
+                    except BusError as error:
+                        self._why_lost = str(error)
+                        wait_s = min(2 * wait_s, LONGEST_S)
+            elif bus is self._bus:
+                self._take(bus)
+            else:
+                _shut_down(bus)
+                bus = None
+        self._bus = None
+        if bus is not None:
+            _shut_down(bus)
 
     def _take(self, bus: can.BusABC) -> None:
         """Take the messages that wait; wait for the first."""
         now_s = time.monotonic()
         if any(since_s is not None and now_s - since_s > PATIENCE_S for since_s in (self._refuses_s, self._is_off_s)):
-            self._lose()
+            self._lose(bus)
             return
-        for place in range(FRAMES_PER_CALL):
-            try:
+        try:
+            for place in range(FRAMES_PER_CALL):
                 message = bus.recv(0.0 if place else 0.1)
-            except (ValueError, LookupError):  # what came is no frame, as on a serial line after noise
-                self.dropped += 1
-                return
-            except _FAILS:
-                self._lose()
-                return
-            if message is None:
-                return
-            if message.is_rx or self._has_echo:
-                self._take_one(message)
+                if message is None:
+                    return
+                if message.is_rx or self._has_echo:
+                    self._take_one(message)
+        except (ValueError, LookupError, OverflowError):  # what came is no frame, as on a serial line after noise
+            self.dropped += 1
+        except Exception:  # noqa: BLE001
+            self._lose(bus)
 
     def _take_one(self, message: can.Message) -> None:
         frame = to_frame(message, 0)
@@ -211,15 +260,13 @@ class PythonCanLink:
         with self._lock:
             self._put(frame)
 
-    def _lose(self) -> None:
-        """Close the interface: it is gone, or does not work."""
+    def _lose(self, bus: can.BusABC) -> None:
+        """Use an interface no longer, because it is gone or does not work; the reader shuts it down."""
         with self._lock:
-            bus, self._bus = self._bus, None
-            self._refuses_s = self._is_off_s = None
-            self.dropped += not self._closing.is_set()  # what came meanwhile: the gap is told however short it is
-        if bus is not None:
-            with contextlib.suppress(*_FAILS):
-                bus.shutdown()
+            if bus is self._bus:
+                self._bus = None
+                self._refuses_s = self._is_off_s = None
+                self.dropped += 1  # what came meanwhile: the gap is told however short it is
 
     def _put_echo(self, frame: Frames) -> None:
         echo = frame.copy()
@@ -235,28 +282,32 @@ class PythonCanLink:
         os.eventfd_write(self._wake, 1)
 
 
+def _shut_down(bus: can.BusABC) -> None:
+    with contextlib.suppress(Exception):
+        bus.shutdown()
+
+
 def _arguments(
-    interface: str, bitrate: int, data_bitrate: int, options: dict[str, Value], *, fd: bool
+    kind: _Interface, bitrate: int, data_bitrate: int, options: dict[str, Value], *, fd: bool
 ) -> dict[str, Any]:
     """Return the arguments of `can.Bus`; `options` come before what is set here."""
     rates: dict[str, Any] = {"bitrate": bitrate}
     if fd:
         rates |= {"fd": True, "data_bitrate": data_bitrate}
-        if interface in _TAKE_TIMING and not {"f_clock", "f_clock_mhz"} & options.keys():
-            rates["timing"] = can.BitTimingFd.from_sample_point(
-                f_clock=_FD_CLOCK_HZ,
-                nom_bitrate=bitrate,
-                nom_sample_point=100 * sample_point(bitrate),
-                data_bitrate=data_bitrate,
-                data_sample_point=100 * sample_point(data_bitrate),
-            )
-    return rates | _OPTIONS.get(interface, {}) | options
+        if kind.takes_timing and not {"f_clock", "f_clock_mhz"} & options.keys():
+            rates["timing"] = choose_timing(_FD_CLOCK_HZ, [bitrate, data_bitrate])
+            if rates["timing"] is None:
+                raise InputError(
+                    f"expected bit rates that a clock of {_FD_CLOCK_HZ / 1e6:g} MHz can make, got {bitrate / 1e3:g} "
+                    f"and {data_bitrate / 1e3:g} kbit/s: change the layout, or give the adapter's clock and segments "
+                    "with --bus-option f_clock_mhz=..."
+                )
+    return rates | dict(kind.options) | options
 
 
-def _why(interface: str, channel: str, error: Exception) -> str:
-    """Return the error of an interface, and what to install if that is missing."""
+def _why(error: Exception, needs: str) -> str:
+    """Return the reason of an error of an interface, and what to install if that is missing."""
     reason = " ".join(str(error).split())
     is_missing = isinstance(error, (ImportError, can.CanInterfaceNotImplementedError, NameError))
     is_missing |= "library not found" in reason  # PCAN-Basic
-    needs = f"; it needs {_NEEDS[interface]}" if is_missing and interface in _NEEDS else ""
-    return f"cannot open {channel} of python-can's interface '{interface}': {reason}{needs}"
+    return f"{reason}; it needs {needs}" if is_missing and needs else reason

@@ -13,6 +13,8 @@ from canskin.errors import BusError
 #: Waits for a new socket: after the loss, and the longest, to which the wait doubles with each failure in a row.
 FIRST_S: Final = 0.05
 LONGEST_S: Final = 0.2
+#: Why a link takes no frame, of `bus.link.Link.explain`.
+QUEUE_FULL: Final = "its transmit queue is full: is the bus overloaded?"
 
 
 class ReconnectingLink(ABC):
@@ -28,6 +30,8 @@ class ReconnectingLink(ABC):
         self._socket: socket.socket | None = None
         self._state = State.ACTIVE
         self._dropped = self._dropped_before = 0
+        self._is_full = False
+        self._why_lost = ""
         self._epoll = select.epoll()  # one descriptor for select, the same for all sockets
 
     @abstractmethod
@@ -42,6 +46,11 @@ class ReconnectingLink(ABC):
     def state(self) -> State:
         """State of the controller; LOST without a socket."""
         return State.LOST if self._socket is None else self._state
+
+    def explain(self) -> str:
+        """Return what is known beyond the state."""
+        was_full, self._is_full = self._is_full, False
+        return self._why_lost if self._socket is None else QUEUE_FULL if was_full else ""
 
     @property
     def keeps_order(self) -> bool:
@@ -82,6 +91,7 @@ class ReconnectingLink(ABC):
             self._epoll.unregister(connection)
             connection.close()
             self._socket = None
+            self._why_lost = ""
             self._dropped_before, self._dropped = self.dropped, 0  # a new socket counts from 0
             self._fail()
 
@@ -98,6 +108,7 @@ class ReconnectingLink(ABC):
             if self._socket is None and time.monotonic() >= self._next_s:
                 try:
                     self._use(self._connect())
-                except (BusError, OSError):
+                except (BusError, OSError) as error:
+                    self._why_lost = getattr(error, "strerror", None) or str(error)
                     self._fail()
             return self._socket

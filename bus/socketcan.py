@@ -3,7 +3,6 @@
 import contextlib
 import errno
 import socket
-import struct
 import sys
 import time
 from pathlib import Path
@@ -13,7 +12,17 @@ import numpy as np
 import numpy.typing as npt
 
 from bus.device_clock import DeviceClock
-from bus.error_frames import state_of_report
+from bus.error_frames import State, state_of_report
+from bus.interface import (
+    FD_BYTES,
+    Controller,
+    Interface,
+    Wanted,
+    check_interface,
+    describe_interface,
+    errors_text,
+    read_interface,
+)
 from bus.protocol import check_frames, in_time, padded
 from bus.reconnecting import ReconnectingLink
 from bus.recvmmsg import DEVICE_STAMPS, SO_RXQ_OVFL, SO_TIMESTAMPING, SO_TIMESTAMPNS, BatchSocket, Received
@@ -38,6 +47,7 @@ from dbc.frame import (
 )
 from shell.clock import WallOffset, wall_offset
 from shell.compiled import njit
+from shell.service import say
 
 BATCH_FRAMES: Final = 256
 #: Requested receive buffer: about 5,000 frames; the default holds about 250.
@@ -49,22 +59,18 @@ WIRE: Final = np.dtype(
 )
 _WIRE_LENGTH_AT, _WIRE_FLAGS_AT, _WIRE_DATA_AT = 4, 5, 8
 CLASSIC_BYTES: Final = 16
-FD_BYTES: Final = 72
 _EFF, _RTR, _ERR = 0x80000000, 0x40000000, 0x20000000
 _FD_BRS, _FD_ESI = 0x01, 0x02
 #: Flag of the kernel on a frame that this socket sent.
 _MSG_CONFIRM: Final = 0x800
 _SO_RCVBUFFORCE: Final = 33
 _CAN_RAW_ERR_FILTER: Final = 2
-_IFF_UP: Final = 1
-_IFF_ECHO: Final = 0x40000
 #: Drivers of USB adapters that echo a frame when the adapter reports its transmission, one report a frame, in the
 #: stream of received frames. Others echo at the end of the USB transfer (peak_usb), when the firmware has queued the
 #: frame (gs_usb with candleLight), or in groups; docs/bus.md has the table.
 _PROVEN_USB: Final = frozenset({"esd_usb", "esd_usb2", "kvaser_usb"})
 #: Drivers whose interrupt thread passes on received frames before it looks for the end of the transmission.
 _ANSWERS_FIRST: Final = frozenset({"hi3110", "mcp251x"})
-_RTM_GETLINK, _NLM_F_REQUEST, _IFLA_LINKINFO, _IFLA_INFO_KIND, _NLA_TYPE_MASK = 18, 1, 18, 1, 0x3FFF
 
 
 def encode(burst: Frames) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.intp]]:
@@ -139,24 +145,35 @@ class SocketCanLink(ReconnectingLink):
     The time of a frame is that of the kernel (SO_TIMESTAMPNS), taken in the interrupt after its end. The echo of a SYNC
     has the time stamp of the device where the interface has one (SO_TIMESTAMPING), see `bus.device_clock`.
 
+    Parameters
+    ----------
+    channel : str
+        Name of the interface.
+    wanted : Wanted, optional
+        The interface is compared with it at each opening.
+    name : str
+        In whose name the log tells settings of the interface.
+
     Raises
     ------
     BusError
-        If the kernel has no CAN, or no such interface.
+        If the kernel has no CAN, no such interface, or one that cannot work as wanted.
     """
 
-    def __init__(self, channel: str, *, fd: bool = False) -> None:
+    def __init__(self, channel: str, wanted: Wanted | None = None, *, name: str = "link") -> None:
         super().__init__()
         self._channel = channel
-        self._fd = fd
+        self._wanted = wanted or Wanted()
+        self._name = name
+        self._told = ""
         self._offset = wall_offset()
         self._stamp_error_ns: int | None = self._offset.error_ns
         self._device = DeviceClock()
         try:
             self._use(self._connect())
-        except OSError as error:
+        except BusError:
             self._epoll.close()
-            raise BusError(_why(channel, error)) from error
+            raise
 
     @property
     def keeps_order(self) -> bool:
@@ -165,16 +182,25 @@ class SocketCanLink(ReconnectingLink):
         Without IFF_ECHO the kernel echoes a frame when the frame is queued; with it, see `_PROVEN_USB` and
         `_ANSWERS_FIRST`.
         """
-        about = Path("/sys/class/net", self._channel)
-        try:
-            flags = int((about / "flags").read_text(), 16)
-            if not flags & _IFF_ECHO:
-                return _kind(self._channel) == "vcan"
-        except (OSError, ValueError):
-            return False
-        driver = (about / "device/driver").resolve().name
-        is_usb = (about / "device/subsystem").resolve().name == "usb"
+        about, place = self._about(), Path("/sys/class/net", self._channel, "device")
+        if about is None or not about.echoes:
+            return about is not None and about.kind == "vcan"
+        driver = (place / "driver").resolve().name
+        is_usb = (place / "subsystem").resolve().name == "usb"
         return driver in _PROVEN_USB if is_usb else driver not in _ANSWERS_FIRST
+
+    def explain(self) -> str:
+        """Return what is known beyond the state, which is read from the kernel."""
+        device = None if self._socket is None else self._read_controller()
+        if device is None or self._state < State.PASSIVE:
+            return super().explain()
+        known = [] if device.errors is None else [errors_text(device.errors)]
+        if self._state is State.BUS_OFF and device.restart_ms:
+            known.append(f"it restarts after {device.restart_ms} ms")
+        elif self._state is State.BUS_OFF:
+            start = f"'ip link set {self._channel} type can restart' starts it"
+            known.append("plug the adapter in again" if device.restart_ms is None else start)
+        return "; ".join(known)
 
     @property
     def stamp_error_ns(self) -> int | None:
@@ -214,7 +240,7 @@ class SocketCanLink(ReconnectingLink):
 
         A frame whose latest start has passed is not accepted; in the queue that time has no effect.
         """
-        check_frames(burst, fd=self._fd)
+        check_frames(burst, fd=self._wanted.fd)
         rows, lengths = encode(padded(in_time(burst)))
         sent = 0
         with self._lock:
@@ -225,6 +251,7 @@ class SocketCanLink(ReconnectingLink):
                     self._lose(connection)
                     break
                 if not done:
+                    self._is_full = True
                     break
                 sent += done
         return sent
@@ -249,9 +276,30 @@ class SocketCanLink(ReconnectingLink):
             self._lose(connection)
             return None
 
+    def _use(self, connection: socket.socket) -> None:
+        """Start to use a new socket; the controller may be in any state."""
+        super()._use(connection)
+        self._read_controller()
+
+    def _read_controller(self) -> Controller | None:
+        about = self._about()
+        device = None if about is None else about.controller
+        if device is not None and device.state is not None:
+            self._state = device.state
+        return device
+
+    def _about(self) -> Interface | None:
+        try:
+            return read_interface(self._channel)
+        except OSError:
+            return None
+
     def _connect(self) -> socket.socket:
         """Open a socket with its buffers."""
-        connection = self._open()
+        try:
+            connection = self._open()
+        except OSError as error:
+            raise BusError(_why(self._channel, error)) from error
         self._batch = BatchSocket(connection, BATCH_FRAMES, FD_BYTES)
         decode(self._batch.received(0), 0)  # compiled before the first frame
         self._sender = BatchSocket(connection, BATCH_FRAMES, FD_BYTES)
@@ -261,7 +309,7 @@ class SocketCanLink(ReconnectingLink):
         """Open and bind a new socket."""
         if sys.platform != "linux" or not hasattr(socket, "AF_CAN"):
             raise OSError(errno.EAFNOSUPPORT, "no CAN sockets on this system")
-        _require(self._channel, fd=self._fd)
+        self._check()
         connection = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
         try:
             self._configure(connection)
@@ -271,12 +319,23 @@ class SocketCanLink(ReconnectingLink):
             raise
         return connection
 
+    def _check(self) -> None:
+        """Compare the interface with what is wanted: binding does not. Tell its settings once."""
+        about = self._about()
+        if about is None:
+            return  # no such interface: binding will fail
+        doubts = check_interface(self._channel, about, self._wanted)
+        told = doubts or describe_interface(self._channel, about)
+        if told and told != self._told:
+            say(self._name, told)
+        self._told = told
+
     def _configure(self, connection: socket.socket) -> None:
         raw, level = socket.SOL_CAN_RAW, socket.SOL_SOCKET
         connection.setblocking(False)
         connection.setsockopt(raw, socket.CAN_RAW_RECV_OWN_MSGS, 1)
         connection.setsockopt(raw, _CAN_RAW_ERR_FILTER, 0x1FFFFFFF)
-        if self._fd:
+        if self._wanted.fd:
             connection.setsockopt(raw, socket.CAN_RAW_FD_FRAMES, 1)
         connection.setsockopt(level, SO_TIMESTAMPNS, 1)
         with contextlib.suppress(OSError):  # before Linux 2.6.30
@@ -287,52 +346,10 @@ class SocketCanLink(ReconnectingLink):
             connection.setsockopt(level, _SO_RCVBUFFORCE, RECEIVE_BUFFER_BYTES)
 
 
-def _require(channel: str, *, fd: bool) -> None:
-    """Check that the interface is up, and carries CAN FD if needed: binding checks neither."""
-    about = Path("/sys/class/net", channel)
-    try:
-        up = int((about / "flags").read_text(), 16) & _IFF_UP
-        mtu = int((about / "mtu").read_text())
-    except (OSError, ValueError):
-        return  # no sysfs, or no such interface: binding will fail
-    if not up:
-        raise OSError(errno.ENETDOWN, "the interface is down")
-    if fd and mtu < FD_BYTES:
-        raise OSError(errno.EMSGSIZE, "the interface carries no CAN FD")
-
-
-def _kind(channel: str) -> str:
-    """Return the kind of an interface, such as vcan, from the kernel (rtnetlink(7)); "" for one without kind."""
-    asked = struct.pack(
-        "=IHHIIBxHiII", 32, _RTM_GETLINK, _NLM_F_REQUEST, 1, 0, 0, 0, socket.if_nametoindex(channel), 0, 0
-    )
-    with socket.socket(socket.AF_NETLINK, socket.SOCK_RAW, 0) as route:
-        route.send(asked)
-        answer = route.recv(1 << 16)
-    about = _attributes(answer[len(asked) :]).get(_IFLA_LINKINFO, b"")
-    return _attributes(about).get(_IFLA_INFO_KIND, b"").rstrip(b"\0").decode("ascii", "replace")
-
-
-def _attributes(data: bytes) -> dict[int, bytes]:
-    """Return netlink attributes by type: each has a length, a type, and its data, padded to four bytes."""
-    found, place = {}, 0
-    while place + 4 <= len(data):
-        length, kind = struct.unpack_from("=HH", data, place)
-        if length < 4:
-            break
-        found[kind & _NLA_TYPE_MASK] = data[place + 4 : place + length]
-        place += -(-length // 4) * 4
-    return found
-
-
 def _why(channel: str, error: OSError) -> str:
     """Return the error of an interface and what to do about it."""
     if error.errno in {errno.EAFNOSUPPORT, errno.EPROTONOSUPPORT}:
         return f"cannot open {channel}: this system has no CAN sockets; load can_raw, or use --interface canskin"
     if error.errno == errno.ENODEV:
         return f"cannot open {channel}: no such interface; 'ip link' lists them"
-    if error.errno == errno.ENETDOWN:
-        return f"cannot open {channel}: it is down; 'ip link set {channel} up' with its bit rate"
-    if error.errno == errno.EMSGSIZE:
-        return f"cannot open {channel}: it carries no CAN FD; 'ip link set {channel} mtu {FD_BYTES}' while it is down"
     return f"cannot open {channel}: {error.strerror or error}"

@@ -56,6 +56,7 @@ _OF_RUN: Final = (
     od.STORE,
     od.RESTORE,
     od.SIGNATURE,
+    od.CALIBRATION_SIGNATURE,
     od.COUNTS,
     od.TEST_PATTERN,
     od.REFRESH,

@@ -33,7 +33,7 @@ from dbc.contract import Contract, NodeContract
 from dbc.dictionary import REVISION, serial_number
 from dbc.frame import ECHO, ERROR, EXTENDED, REMOTE, Frames, one_frame
 from gateway.node_check import LISTEN_PERIODS, LISTEN_S
-from gateway.proof import Proof, prove
+from gateway.proof import Known, Proof, prove
 from gateway.sdo import Dialogue, Read, SdoAbortedError, SdoDialogue, Write
 
 #: Longest time in which a board answers a request that several boards may answer.
@@ -507,7 +507,10 @@ def _identity() -> Dialogue:
 
 def _prove_and_store(settings: Sequence[Setting]) -> Dialogue:
     """Compare the configuration, write what differs, and store what was written (1010h)."""
-    proof = yield from prove(settings, expected_signature(settings), write=True, doubt=lambda: None)
+    no_gains = Known(())
+    proof = yield from prove(
+        settings, expected_signature(settings), no_gains, write=True, in_use=False, doubt=lambda _reason: None
+    )
     if proof.written and not proof.refusal:
         yield Write(od.STORE, 1, od.SIGNATURE_SAVE.to_bytes(4, "little"))
     return proof

@@ -1,5 +1,6 @@
 """The gateway without its input and output: frames and times in, frames and measurements out."""
 
+import sys
 import time
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
@@ -7,18 +8,20 @@ from typing import Final
 
 import numpy as np
 
-from bus.link import Send, State
+from bus.link import Link, Send, State
 from canskin.messages import BusState, GatewayStatus, Measurement
 from dbc.contract import Contract, NodeContract
-from dbc.frame import Frames, one_frame
+from dbc.frame import Frames
 from dbc.time_of_day import time_frame
 from gateway.adaptive_gathering import RATES_HZ, AdaptiveGathering
 from gateway.commissioning import anybody_without_node_id, has_answer
 from gateway.cycle_gathering import CycleGathering
 from gateway.cycles import LATEST, SyncClock
 from gateway.gathering import Health, Sync
+from gateway.link_watch import LinkWatch
 from gateway.load import LoadMeter
 from gateway.nmt_master import NmtMaster
+from gateway.outgoing import Outgoing
 from gateway.state_gathering import StateGathering
 from gateway.state_switch import StateSwitch
 from skin.ranges import ranges_text
@@ -46,13 +49,11 @@ class _Bus:
     name: str
     send: Send
     master: NmtMaster
+    outgoing: Outgoing
+    watch: LinkWatch
     load: LoadMeter
     places: list[int]
     health: Health = field(default_factory=Health)
-    #: SYNCs in a row that the transmit queue did not accept.
-    refused_syncs: int = 0
-    #: The log names the cause already.
-    is_explained: bool = False
     #: Until when boards without node-ID may answer that they are there.
     asked_until_s: float = -np.inf
 
@@ -98,7 +99,9 @@ class GatewayLoop:
         self.sync = SyncClock(contract.layout.sync.period_s)
         self._contract = contract
         self._say, self._complain = say, complain
-        self._buses = {number: self._bus(number, send, now_s) for number, send in sends.items()}
+        self._buses = {
+            number: self._bus(number, send, now_s, has_echoes=number not in unordered) for number, send in sends.items()
+        }
         self._numbers = sorted(self._buses)
         self.masters = {number: bus.master for number, bus in self._buses.items()}
         self.gathering: Gathering
@@ -153,8 +156,10 @@ class GatewayLoop:
         """
         bus = self._buses[number]
         bus.health.look(arrived, state, dropped, stamp_error_ns)
+        bus.watch.look(state)
         if not len(arrived) and not bus.health.has_gap:
             return
+        bus.outgoing.take(arrived, has_gap=bus.health.has_gap)
         if now_s < bus.asked_until_s and has_answer(arrived):
             bus.asked_until_s = -np.inf
             self._say(f"{bus.name}: boards without node-ID are there: stop the gateway, and run skin commission")
@@ -168,6 +173,7 @@ class GatewayLoop:
     def tick(self, now_s: float) -> None:
         """Do all that is due at `now_s`, except SYNC and measurements."""
         for bus in self._buses.values():
+            bus.outgoing.tick(now_s)
             bus.master.tick(now_s)
             if bus.master.strangers.tick(now_s):
                 self._say(f"another SYNC producer on {bus.name}: {bus.master.strangers.words}")
@@ -210,12 +216,7 @@ class GatewayLoop:
         sync["time_ns"] = sync_ns
         sync["expires_ns"] = sync_ns + round(LATEST * period_s * 1e9)
         for bus in self._buses.values():
-            if bus.send(sync):
-                if bus.refused_syncs:
-                    self._say(f"{bus.name} takes SYNC again, after {bus.refused_syncs} that it did not take")
-                bus.refused_syncs = 0
-            else:
-                bus.refused_syncs += 1
+            bus.watch.count_sync(is_taken=bool(bus.send(sync)))
         self._send_time(now_s, wall_offset_ns)
         return closed
 
@@ -248,6 +249,10 @@ class GatewayLoop:
         for bus in self._buses.values():
             bus.master.stop()
 
+    def flush(self) -> bool:
+        """Send all that waits, without room for SYNC; tell whether frames still wait."""
+        return sum(bus.outgoing.flush(most=sys.maxsize) for bus in self._buses.values()) > 0
+
     def status(self, links: Mapping[int, tuple[State, int]], now_s: float) -> GatewayStatus:
         """Return all counters.
 
@@ -267,21 +272,17 @@ class GatewayLoop:
             **({} if self.states is None else self.states.status()),
         )
 
-    def explain_refused_syncs(self, states: Mapping[int, State]) -> None:
-        """Log once why the transmit queue of a bus accepts no SYNC."""
-        for number, bus in self._buses.items():
-            if bus.refused_syncs and not bus.is_explained:
-                self._say(f"{bus.name} takes no SYNC: {_WHY_REFUSED[states[number]]}")
-            bus.is_explained = bool(bus.refused_syncs)
+    def report_links(self, links: Mapping[int, Link], now_s: float) -> None:
+        """Tell what has happened to the links since the last call; for `status`, too."""
+        for number, link in links.items():
+            self._buses[number].watch.report(link.explain, now_s)
 
-    def _bus(self, number: int, send: Send, now_s: float) -> _Bus:
-        def send_one(can_id: int, data: bytes) -> None:
-            send(one_frame(can_id, data))
-
+    def _bus(self, number: int, send: Send, now_s: float, *, has_echoes: bool) -> _Bus:
         wires = self._contract.layout.bus[number]
-        master = NmtMaster(self._contract, number, send_one, self._trust, self._say)
+        outgoing, watch = Outgoing(send, now_s, has_echoes=has_echoes), LinkWatch(wires.name, self._say)
+        master = NmtMaster(self._contract, number, outgoing.put, self._trust, self._say)
         places = [place for place, node in enumerate(self._contract.nodes) if node.bus == number]
-        return _Bus(wires.name, send, master, LoadMeter(wires, now_s), places)
+        return _Bus(wires.name, send, master, outgoing, watch, LoadMeter(wires, now_s), places)
 
     def _trust(self, node: NodeContract, proven: bool) -> None:
         self.gathering.trust(node, proven=proven)
@@ -321,16 +322,7 @@ class GatewayLoop:
             late=list(late),
             emcy=bus.master.emcy,
             refused=bus.master.refused,
-            link=state.name.lower(),
+            link=max(state, bus.watch.state).name.lower(),
+            trouble=bus.watch.trouble,
             overrun=dropped,
         )
-
-
-#: Why a transmit queue is full, by the state of the controller.
-_WHY_REFUSED: Final = {
-    State.ACTIVE: "its transmit queue is full: is the bus overloaded?",
-    State.WARNING: "its transmit queue is full: is the bus overloaded?",
-    State.PASSIVE: "nobody acknowledges its frames: is any node powered, wired and at the same bit rate?",
-    State.BUS_OFF: "the controller is bus-off: wiring, termination or bit rate",
-    State.LOST: "the connection to the bus is gone",
-}

@@ -16,6 +16,7 @@ from dbc.frame import frames
 from gateway.adaptive_gathering import RATES_HZ
 from gateway.calibration import GatewayCalibration
 from gateway.loop import GatewayLoop
+from gateway.sdo import TIMEOUT_S
 from shell.clock import wall_offset
 from shell.service import RateLimitedLog, StopSignal, request_real_time, say
 from skin.measured_sums import part_of_measurement
@@ -27,6 +28,8 @@ TURN_S: Final = 0.01
 SPARE_S: Final = 0.004
 #: From the last need of images for the zero until they may end.
 ZERO_S: Final = 0.1
+#: Pause between two looks at a transmit queue that is full, at the end.
+FLUSH_S: Final = 0.001
 _NOTHING: Final = frames(0)
 
 
@@ -81,11 +84,14 @@ class GatewayService:
             self.turn()
         self.publish_status()
         self.loop.stop()
+        give_up_s = self._clock() + TIMEOUT_S
+        while self.loop.flush() and self._clock() < give_up_s:
+            time.sleep(FLUSH_S)
 
     def publish_status(self) -> None:
         """Publish all counters."""
+        self.loop.report_links(self._links, self._clock())
         states = {number: (link.state, link.dropped) for number, link in self._links.items()}
-        self.loop.explain_refused_syncs({number: state for number, (state, _) in states.items()})
         status = self.loop.status(states, self._clock())
         if self._calibration is not None:
             status = msgspec.structs.replace(status, calibration=self._calibration.status())

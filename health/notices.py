@@ -20,12 +20,6 @@ NMT_WORDS: Final[dict[int, str]] = {
 #: The states in which a node sends no sums.
 OFF_DUTY: Final = {state: word for state, word in NMT_WORDS.items() if state != NmtState.OPERATIONAL}
 REFUSED: Final = "refused by the gateway: not of this skin"
-#: States of the gateway's controller that a notice reports.
-LINKS: Final = {
-    "lost": "dead: the gateway has lost its interface",
-    "bus_off": "dead: the gateway's controller is bus-off",
-    "passive": "troubled: the gateway's controller is error passive",
-}
 #: Most node-IDs named in one notice, where tiles show the others, and most defects and contacts in doubt.
 NAMED: Final = 8
 
@@ -121,11 +115,11 @@ def _nodes(state: Snapshot) -> Iterator[Notice]:
 def _buses(state: Snapshot) -> Iterator[Notice]:
     if state.gateway is None or state.gateway.stale:
         return
-    for link, text in LINKS.items():
-        names = [bus.name for bus in state.gateway.buses if bus.link == link]
-        if names:
-            named = f"{'buses' if len(names) > 1 else 'bus'} {', '.join(names)} {text}"
-            yield Notice(level="warning" if link == "passive" else "error", text=named)
+    troubles = {bus.trouble: bus for bus in state.gateway.buses if bus.trouble}
+    for text, bus in troubles.items():
+        names = [each.name for each in state.gateway.buses if each.trouble == text]
+        named = f"{'buses' if len(names) > 1 else 'bus'} {', '.join(names)} {text}"
+        yield Notice(level="error" if bus.dead else "warning", text=named)
     if state.image is not None and not state.image.stale and state.image.valid_sums == 0:
         yield Notice(level="error", text="nothing is measured: no block sent its sums")
     for bus in state.gateway.buses:
@@ -141,6 +135,11 @@ def _calibration(state: Snapshot) -> Iterator[Notice]:
     if calibration.state is CalibrationState.TOUCHED:
         text = "the zero of the skin is not measured: something has touched the skin since the start"
         yield Notice(level="info", text=text)
+    if calibration.recalibrated:
+        named, more = calibration.recalibrated[:NAMED], len(calibration.recalibrated) - NAMED
+        nodes = ", ".join(named) + (f" and {more} more" if more > 0 else "")
+        text = f"gains or offsets of {nodes} have changed: no force there until the zero is measured (skin tare)"
+        yield Notice(level="warning", text=text, kind="recalibrated")
     for text in calibration.defects[:NAMED]:
         yield Notice(level="warning", text=text)
     if len(calibration.defects) > NAMED:

@@ -47,8 +47,8 @@ class SkinNode:
     ----------
     objects : list of Object
         The node's object dictionary.
-    settings : sequence of Setting
-        The objects that the configuration signature (2006h) covers.
+    settings, calibration : sequences of Setting
+        The objects that the signature 2006h covers, and those that 2009h covers besides.
     outbox : Outbox
         Where the node sends.
     storage : Storage
@@ -72,6 +72,7 @@ class SkinNode:
         contract: NodeContract,
         objects: list[Object],
         settings: Sequence[Setting],
+        calibration: Sequence[Setting],
         *,
         outbox: Outbox,
         hardware: Hardware,
@@ -83,8 +84,11 @@ class SkinNode:
         self.tpdos: list[LiveTpdo] = []
         self.active_state = self.wanted_state = SkinState.RECOGNITION
         self._states = _states_of_tpdos(contract, objects)
-        self._settings = settings
-        self._signature: int | None = None
+        self._signed = {
+            od.SIGNATURE: settings,
+            od.CALIBRATION_SIGNATURE: sorted([*settings, *calibration], key=lambda each: (each.index, each.subindex)),
+        }
+        self._signatures: dict[int, int] = {}
         self._storage = storage
         self._outbox = outbox
         self._hardware = hardware
@@ -97,7 +101,7 @@ class SkinNode:
             od.ERROR_REGISTER: lambda _: self.emcy.register,
             od.ERROR_FIELD: self._read_error,
             od.HEALTH: self._read_health,
-            od.SIGNATURE: lambda _: self._read_signature(),
+            **{index: partial(self._read_signature, index) for index in self._signed},
             od.TEMPERATURE: lambda _: round(10 * hardware.temperature_k(range(first, first + contract.blocks))),
             od.STATE: lambda subindex: self.wanted_state if subindex == 1 else None,
             **{
@@ -138,7 +142,7 @@ class SkinNode:
         if not communication_only:
             self._reset_electronics()
         self.active_state = self.wanted_state = SkinState.RECOGNITION
-        self._signature = None
+        self._signatures.clear()
         self.emcy.reset()
         self.watched = HeartbeatConsumer()
         self.health[:] = 0
@@ -291,11 +295,12 @@ class SkinNode:
             raise canopen.SdoAbortedError(Abort.NO_DATA)
         return history[subindex - 1]
 
-    def _read_signature(self) -> int:
-        """Return the signature of the present configuration; test patterns are read from the electronics."""
-        if self._signature is None:
-            self._signature = signature((each.index, each.subindex, self._value(each)) for each in self._settings)
-        return self._signature
+    def _read_signature(self, index: int, _subindex: int) -> int:
+        """Return the signature of the present values; test patterns are read from the electronics."""
+        if index not in self._signatures:
+            covered = self._signed[index]
+            self._signatures[index] = signature((each.index, each.subindex, self._value(each)) for each in covered)
+        return self._signatures[index]
 
     def _value(self, setting: Setting) -> bytes:
         if setting.index >= od.MANUFACTURER:
@@ -324,7 +329,7 @@ class SkinNode:
             self._store({at: dict(entries) for at, entries in self.local.data_store.items() if at not in _COMMANDS})
         elif index == od.RESTORE:
             self._store({})
-        self._signature = None
+        self._signatures.clear()
         if index == od.STATE:
             self.wanted_state = SkinState(data[0])
         elif index >= od.MANUFACTURER:

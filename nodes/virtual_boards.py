@@ -27,7 +27,7 @@ from dbc.canopen import (
     NmtState,
     is_of_node,
 )
-from dbc.configuration import configuration
+from dbc.configuration import calibration, configuration
 from dbc.contract import Contract, NodeContract
 from dbc.dictionary import REACTION_NS, SkinState, dictionary
 from dbc.frame import ECHO, ERROR, EXTENDED, REMOTE, Frames, one_frame
@@ -118,6 +118,7 @@ class VirtualBoards:
             node,
             dictionary(self._contract, node),
             configuration(self._contract, node),
+            calibration(self._contract, node),
             outbox=self._outbox,
             hardware=hardware,
             storage=storage,

@@ -63,7 +63,7 @@ def record(
     check_format(out, len(skin.bus))
     contract = Contract.from_layout(skin)
     names = {number: each.name for number, each in enumerate(skin.bus)}
-    links = open_links(skin, bus or BusOptions(), name="recorder", stop=stop)
+    links = open_links(skin, bus or BusOptions(), name="recorder", sends=False, stop=stop)
     joined: list[Fabric] = []
     joining: threading.Thread | None = None
     try:

@@ -387,7 +387,9 @@ class BusState(msgspec.Struct, frozen=True, kw_only=True):
     emcy : list of int
         Error code of each node's newest emergency, 0 for none (CiA 301, 7.2.7.1).
     link : str
-        State of the gateway's controller: active, warning, passive, bus_off, or lost.
+        Worst state of the gateway's controller since the last status: active, warning, passive, bus_off, or lost.
+    trouble : str
+        The fault of the gateway's link to the bus and what mends it, in words that follow the bus's name.
     refused : list of int
         Node-IDs that answer but are not used: their configuration differs from the contract.
     overrun : int
@@ -404,6 +406,7 @@ class BusState(msgspec.Struct, frozen=True, kw_only=True):
     emcy: list[int] = []
     refused: list[int] = []
     link: str = "active"
+    trouble: str = ""
     overrun: int = 0
 
 

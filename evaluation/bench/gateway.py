@@ -24,8 +24,9 @@ import numpy.typing as npt
 from can.interfaces.socketcan import SocketcanBus
 from canopen.objectdictionary.eds import import_eds
 
+from bus.interface import FD_BYTES
 from bus.recvmmsg import SO_RXQ_OVFL, SO_TIMESTAMPNS, BatchSocket
-from bus.socketcan import BATCH_FRAMES, FD_BYTES, RECEIVE_BUFFER_BYTES, SocketCanLink, encode
+from bus.socketcan import BATCH_FRAMES, RECEIVE_BUFFER_BYTES, SocketCanLink, encode
 from canskin.errors import RunError
 from dbc import codec
 from dbc.canopen import SYNC_COB_ID

@@ -28,7 +28,8 @@ class StorageFunction(ctypes.Structure):
 def storage_function(build: Build, storage: Storage) -> StorageFunction:
     """Return the storage function of a board, whose parameters and node-ID `storage` keeps.
 
-    Stored values that do not fit an object are left out: the board has its defaults there.
+    Stored values that do not fit an object are left out: the board has its defaults there. The key of a record is not
+    needed: each node has a file, which knows its skin.
     """
     places, node_id = list(_places(build.objects)), build.node.node_id
 

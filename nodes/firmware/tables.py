@@ -4,7 +4,7 @@ One pair of files holds one board or all boards of a type, for their firmware, o
 that runs them together. What boards of a type share is there once.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -16,7 +16,7 @@ from dbc.adaptive_filter import HORIZON, SWITCHING, Models, make_models
 from dbc.averaging import averaging_models
 from dbc.board import Board, board
 from dbc.canopen import LSS_BIT_RATES_HZ
-from dbc.configuration import configuration, setting_of
+from dbc.configuration import calibration, configuration, setting_of
 from dbc.contract import Contract, NodeContract, sum_frame_bits
 from dbc.dictionary import ERRORS_KEPT, HEARTBEATS_WATCHED, dictionary
 from dbc.frame_bits import frame_time_ns
@@ -24,12 +24,25 @@ from dbc.objects import Object
 from nodes.firmware.c_text import WRITTEN, array, braced, defined, header, real
 
 #: Flags of `skin_object` (``skin_board.h``).
-WRITABLE, MAPPABLE, COVERED, TEXT = 1, 2, 4, 8
+WRITABLE, MAPPABLE, COVERED, TEXT, CALIBRATING = 1, 2, 4, 8, 16
 #: Place of objects that the firmware computes and that have no stored value.
 COMPUTED: Final = 0xFFFF
-_COMPUTED: Final = (od.ERROR_REGISTER, od.ERROR_FIELD, od.STORE, od.RESTORE, od.SIGNATURE, od.HEALTH, od.NODE_NOISE)
+_COMPUTED: Final = (
+    od.ERROR_REGISTER,
+    od.ERROR_FIELD,
+    od.STORE,
+    od.RESTORE,
+    od.SIGNATURE,
+    od.CALIBRATION_SIGNATURE,
+    od.HEALTH,
+    od.NODE_NOISE,
+)
 #: Arrays whose entries are computed, but not their sub-index 0.
 _COMPUTED_ENTRIES: Final = (od.STORE, od.RESTORE, od.HEALTH, od.COARSE, od.FINE)
+
+
+#: The objects of a board, each with the bytes of its value.
+_Dictionary = Sequence[tuple[Object, bytes]]
 
 
 @dataclass(frozen=True)
@@ -102,24 +115,27 @@ def builds(contract: Contract, nodes: Sequence[NodeContract]) -> list[Build]:
         raise InputError('the C firmware adds taxels that are digital: expected taxels.frontend = "digital"')
     is_adaptive = contract.layout.sending == "adaptive"
     of_bus = {bus: _frame_sizes(contract, bus) for bus in {node.bus for node in nodes}}
-    objects = [tuple(dictionary(contract, node)) for node in nodes]
+    boards = [board(contract, node) for node in nodes]
+    dictionaries = [
+        [(each, setting_of(each).data) for each in dictionary(contract, node)]  # each with the bytes of its value
+        for node in nodes
+    ]
     types: dict[object, list[int]] = {}
     for number, node in enumerate(nodes):
-        types.setdefault(_type_of(contract, node, objects[number], of_bus[node.bus]), []).append(number)
+        kind = _type_of(boards[number], node, dictionaries[number], of_bus[node.bus])
+        types.setdefault(kind, []).append(number)
     tables: dict[int, ObjectTable] = {}
     for numbers in types.values():
-        tables |= dict.fromkeys(
-            numbers, _object_table(contract, nodes[numbers[0]], [objects[each] for each in numbers])
-        )
-    held = [int(contract.phi.held[node.block : node.block + node.blocks].sum()) for node in nodes]
+        table = _object_table(contract, nodes[numbers[0]], [dictionaries[each] for each in numbers])
+        tables |= dict.fromkeys(numbers, table)
     return [
         Build(
             node,
-            board(contract, node),
+            boards[number],
             tables[number],
-            _values(tables[number], objects[number]),
+            _values(tables[number], dictionaries[number]),
             is_adaptive,
-            held[number],
+            int(contract.phi.held[node.block : node.block + node.blocks].sum()),
             *of_bus[node.bus],
         )
         for number, node in enumerate(nodes)
@@ -134,9 +150,8 @@ def by_type(boards: Sequence[Build]) -> list[list[Build]]:
     return list(found.values())
 
 
-def _type_of(contract: Contract, node: NodeContract, objects: Sequence[Object], frame_sizes: object) -> object:
+def _type_of(table: Board, node: NodeContract, objects: _Dictionary, frame_sizes: object) -> object:
     """Return what boards of one type have in common: all but values that are constant, or below 2000h."""
-    line = contract.layout.bus[node.bus]
     shape = tuple(
         (
             each.index,
@@ -144,13 +159,13 @@ def _type_of(contract: Contract, node: NodeContract, objects: Sequence[Object], 
             each.access,
             each.pdo,
             each.data_type,
-            len(setting_of(each).data),
-            each.value if each.access == "rw" and each.index >= od.MANUFACTURER else None,
+            len(data),
+            data if each.access == "rw" and each.index >= od.MANUFACTURER else None,
         )
-        for each in objects
+        for each, data in objects
     )
-    first_sums = tuple(each.first_sum for each in board(contract, node).blocks)
-    return shape, first_sums, node.packing, node.flags, frame_sizes, line.bitrate, line.data_bitrate
+    first_sums = tuple(each.first_sum for each in table.blocks)
+    return shape, first_sums, node.packing, node.flags, frame_sizes, table.bitrate, table.data_bitrate
 
 
 def _frame_sizes(contract: Contract, bus: int) -> tuple[int, tuple[int, int]]:
@@ -162,31 +177,32 @@ def _frame_sizes(contract: Contract, bus: int) -> tuple[int, tuple[int, int]]:
     return round(fine * 1e9 / line.bitrate), (coarse, fine)
 
 
-def _object_table(contract: Contract, node: NodeContract, boards: Sequence[tuple[Object, ...]]) -> ObjectTable:
+def _object_table(contract: Contract, node: NodeContract, boards: Sequence[_Dictionary]) -> ObjectTable:
     """Return the table of the objects of boards of one type, the first of them `node`."""
     covered = {(each.index, each.subindex) for each in configuration(contract, node)}
-    objects = boards[0]
+    calibrating = {(each.index, each.subindex) for each in calibration(contract, node)}
     differing = frozenset(
         (each.index, each.subindex or 0)
-        for each, *others in zip(*boards, strict=True)
-        if any(other.value != each.value for other in others)
+        for (each, data), *others in zip(*boards, strict=True)
+        if any(other != data for _, other in others)
     )
 
     def rank(each: Object) -> int:
         """Rank the rows first, in the order of the sums; then what is the board's own besides; then what is shared."""
         return 0 if _is_row(each) else 1 if (each.index, each.subindex or 0) in differing else 2
 
-    stored = sorted((each for each in objects if not _is_computed(each)), key=rank)
-    communication = [each for each in stored if each.access == "rw" and each.index < od.MANUFACTURER]
-    settings = [each for each in stored if each.access == "rw" and each.index >= od.MANUFACTURER]
-    constant = [each for each in stored if each.access != "rw"]
+    kept = [(each, len(data)) for each, data in boards[0] if not _is_computed(each)]
+    stored = sorted(kept, key=lambda pair: rank(pair[0]))
+    communication = [pair for pair in stored if pair[0].access == "rw" and pair[0].index < od.MANUFACTURER]
+    settings = [pair for pair in stored if pair[0].access == "rw" and pair[0].index >= od.MANUFACTURER]
+    constant = [pair for pair in stored if pair[0].access != "rw"]
     places: dict[tuple[int, int | None], int] = {}
     ends = [0]
     for part in (communication, settings, constant):
         end = ends[-1]
-        for each in part:
+        for each, length in part:
             places[each.index, each.subindex] = end
-            end += len(setting_of(each).data)
+            end += length
         ends.append(end)
     entries = tuple(
         (
@@ -195,20 +211,21 @@ def _object_table(contract: Contract, node: NodeContract, boards: Sequence[tuple
             WRITABLE * (each.access == "rw")
             | MAPPABLE * each.pdo
             | COVERED * ((each.index, each.subindex or 0) in covered)
+            | CALIBRATING * ((each.index, each.subindex or 0) in calibrating)
             | TEXT * (each.data_type == od.VISIBLE_STRING),
             places.get((each.index, each.subindex), COMPUTED),
-            len(setting_of(each).data),
+            len(data),
         )
-        for each in objects
+        for each, data in boards[0]
     )
-    own = [sum(len(setting_of(each).data) for each in part if rank(each) < 2) for part in (communication, constant)]
-    return ObjectTable(entries, objects, differing, ends[1], ends[2], *own)
+    own = [sum(length for each, length in part if rank(each) < 2) for part in (communication, constant)]
+    return ObjectTable(entries, tuple(each for each, _ in boards[0]), differing, ends[1], ends[2], *own)
 
 
-def _values(table: ObjectTable, objects: Iterable[Object]) -> bytes:
+def _values(table: ObjectTable, objects: _Dictionary) -> bytes:
     """Return the values of the objects of a board, each at its place."""
-    placed = [(at, each) for (*_, at, _), each in zip(table.entries, objects, strict=True) if at != COMPUTED]
-    return b"".join(setting_of(each).data for _, each in sorted(placed, key=lambda pair: pair[0]))
+    placed = [(at, data) for (*_, at, _), (_, data) in zip(table.entries, objects, strict=True) if at != COMPUTED]
+    return b"".join(data for _, data in sorted(placed))
 
 
 def _is_row(each: Object) -> bool:

@@ -73,8 +73,24 @@ def test_a_clock_that_can_make_a_rate_exactly_does(prescaler: int, quanta: int, 
     (phase,) = controller_timing(bus(bit_rate_hz), clock_hz, SHORT).phases
     assert phase.prescaler * (1 + phase.tseg1 + phase.tseg2) == prescaler * quanta
     assert phase.rate_error_ppm == pytest.approx(0, abs=1e-6)
-    assert 1 <= phase.sjw <= phase.tseg2
+    assert 1 <= phase.sjw <= min(max(phase.phase_seg1, 1), phase.tseg2)
     assert phase.prop_seg + phase.phase_seg1 == phase.tseg1
+
+
+@pytest.mark.parametrize(("round_trip_ns", "quanta"), [(500, 4), (501, 5), (499, 4), (1000, 8), (1125, 9)])
+def test_the_propagation_segment_is_the_round_trip_in_whole_quanta(round_trip_ns: int, quanta: int) -> None:
+    """A quantum of 125 ns, 16 in a bit; a bus of 10 m there and back takes 100 ns."""
+    options = TimingOptions(loop_delay_ns=round_trip_ns / 2 - 50)
+    (phase,) = controller_timing(bus(500_000), 8_000_000, options).phases
+    assert phase.prop_seg == quanta
+
+
+def test_the_jump_is_not_longer_than_either_phase_segment() -> None:
+    """The round trip takes 610 of the 750 ns before the sample point of 1 Mbit/s; ISO 11898-1 on SJW."""
+    for clock_hz in (80_000_000, 40_000_000, 8_000_000):
+        for rates_hz in ((1_000_000, None), (1_000_000, 5_000_000)):
+            for phase in controller_timing(bus(*rates_hz), clock_hz, TimingOptions()).phases:
+                assert 1 <= phase.sjw <= min(max(phase.phase_seg1, 1), phase.tseg2)
 
 
 def test_a_rate_that_is_off_by_more_than_the_clocks_may_be_is_refused() -> None:

@@ -65,6 +65,7 @@ def test_wanted_buses_are_opened_on_their_channels_for_half_a_minute(monkeypatch
         "fd": False,
         "data_bitrate": layout.bus[0].data_bitrate,
         "name": "gateway",
+        "sends": True,
         "wait_s": 30,
         "stop": None,
         "options": {},

@@ -2,6 +2,7 @@
 
 import queue
 import select
+import struct
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -29,9 +30,11 @@ class Interface:
         self.arrived: queue.SimpleQueue[can.Message | Exception] = queue.SimpleQueue()
         self.sent: list[can.Message] = []
         self.shutdowns = 0
+        self.timeout_s: float | None = None
         #: Messages that are accepted before the interface is full.
         self.room = 1000
         self.told: can.BusState | Exception = can.BusState.ACTIVE
+        self.refusal: Exception = can.CanOperationError("full")
 
     @property
     def state(self) -> can.BusState:
@@ -48,14 +51,15 @@ class Interface:
             raise came
         return came
 
-    def send(self, message: can.Message) -> None:
+    def send(self, message: can.Message, timeout: float | None = None) -> None:
+        self.timeout_s = timeout
         if len(self.sent) >= self.room:
-            raise can.CanOperationError("full")
+            raise self.refusal
         self.sent.append(message)
 
     def shutdown(self) -> None:
         self.shutdowns += 1
-        raise can.CanOperationError("the adapter is gone")
+        raise AttributeError("the adapter is gone")
 
 
 @dataclass
@@ -122,6 +126,13 @@ def test_pcan_gets_the_timing_of_can_fd_and_ends_bus_off_by_itself(adapters: Ada
     assert adapters.newest.options["auto_reset"] is False
 
 
+def test_rates_that_the_clock_of_can_fd_cannot_make_are_refused(adapters: Adapters) -> None:
+    """80 MHz are 11.4 periods of 7 Mbit/s."""
+    with pytest.raises(InputError, match="80 MHz can make, got 900 and 7000 kbit/s"):
+        adapters.link("pcan", 900_000, fd=True, data_bitrate=7_000_000)
+    assert not adapters.made
+
+
 def test_channels_of_digits_are_numbers(adapters: Adapters) -> None:
     link = PythonCanLink("gs_usb", "0", 500_000)
     assert adapters.newest.options["channel"] == 0
@@ -144,6 +155,28 @@ def test_what_an_interface_tells_of_its_controller(adapters: Adapters) -> None:
     assert link.keeps_order is False
     assert link.stamp_error_ns is None
     assert link.dropped == 0
+
+
+def test_an_interface_that_breaks_while_it_is_asked_is_opened_again(adapters: Adapters) -> None:
+    """As one does that another thread shuts down meanwhile."""
+    link = adapters.link()
+    for asks_state in (True, False):
+        broken = adapters.newest
+        broken.told = broken.refusal = AttributeError("'NoneType' object has no attribute 'read'")
+        broken.room = 0
+        assert link.state is State.LOST if asks_state else link.send(frame(1)) == 0
+        await_state(link, State.ACTIVE)
+        assert adapters.newest is not broken
+        assert broken.shutdowns == 1
+    assert link.dropped == 2
+
+
+def test_a_message_that_cannot_be_converted_is_counted_and_harms_nothing(adapters: Adapters) -> None:
+    link = adapters.link()
+    adapters.newest.arrived.put(message(8, timestamp=float("nan")))
+    adapters.newest.arrived.put(message(7))
+    assert collect(link, 1)["can_id"].tolist() == [7]
+    assert link.dropped == 1
 
 
 def test_each_accepted_frame_is_echoed_and_wakes_the_reader(adapters: Adapters) -> None:
@@ -207,7 +240,13 @@ def test_can_fd_needs_a_link_with_can_fd(adapters: Adapters) -> None:
     assert (sent.is_fd, sent.bitrate_switch, sent.dlc) == (True, True, 12)
 
 
-@pytest.mark.parametrize("error", [can.CanOperationError("gone"), OSError("gone")])
+@pytest.mark.parametrize(
+    "error",
+    [
+        *(can.CanOperationError("gone"), OSError("gone"), AttributeError("'NoneType' object has no attribute 'read'")),
+        *(struct.error("unpack requires 8 bytes"), RuntimeError("closed"), AssertionError()),
+    ],
+)
 def test_an_adapter_that_was_unplugged_is_opened_again(adapters: Adapters, error: Exception) -> None:
     link, first = adapters.link(), adapters.newest
     adapters.error = can.CanInitializationError("no adapter")
@@ -241,6 +280,17 @@ def test_an_interface_that_is_bus_off_or_takes_nothing_is_opened_again(
         assert link.state in {State.ACTIVE, State.BUS_OFF, State.LOST}
         select.select([link], [], [], 0.01)
     assert first.shutdowns == 1
+
+
+def test_a_serial_line_gets_a_limit_and_others_refuse_at_once(adapters: Adapters) -> None:
+    """With a limit kvaser and neovi would wait until the frame is on the bus."""
+    for interface, limit_s in (("slcan", 0.05), ("robotell", 0.05), ("kvaser", None), ("neovi", None)):
+        assert adapters.link(interface).send(frame(1)) == 1
+        assert adapters.newest.timeout_s == limit_s
+    link = adapters.link("slcan")
+    adapters.newest.room = 0
+    assert link.send(frame(1)) == 0
+    assert link.dropped == 1
 
 
 def test_what_is_no_frame_is_counted_and_harms_nothing(adapters: Adapters) -> None:
@@ -306,6 +356,33 @@ def test_an_slcan_adapter_on_a_terminal_is_unplugged_and_plugged_again(tmp_path:
             adapter.plug()
             await_state(link, State.ACTIVE)
         assert link.dropped == 2
+    finally:
+        link.close()
+        adapter.unplug()
+
+
+def test_an_slcan_adapter_that_takes_nothing_is_lost_and_opened_when_it_does(tmp_path: Path) -> None:
+    """A pseudo-terminal that nobody reads takes some thousand bytes; a part of a frame may be the last."""
+    adapter = SerialAdapter(tmp_path / "ttyACM0")
+    link, other = (
+        open_link("slcan", str(adapter.path), 1_000_000, options={"sleep_after_open": 0.0}) for _ in range(2)
+    )
+    try:
+        sent = burst([0x181] * 100)
+        while link.send(sent) == len(sent):
+            link.receive()
+        assert link.state is State.LOST
+        assert link.dropped == 1
+        other.close()
+        until_s = time.monotonic() + PATIENCE_S
+        while link.state is State.LOST:
+            assert time.monotonic() < until_s
+            adapter.receive()
+        adapter.receive()
+        assert link.send(frame(0x281, b"\x05")) == 1
+        while (arrived := adapter.await_frames())["can_id"][-1] != 0x281:
+            pass
+        assert arrived[-1:].tobytes() == frame(0x281, b"\x05").tobytes()
     finally:
         link.close()
         adapter.unplug()

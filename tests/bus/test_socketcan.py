@@ -9,9 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from bus.interface import FD_BYTES
 from bus.link import open_link
 from bus.recvmmsg import SO_RXQ_OVFL, SO_TIMESTAMPING, SO_TIMESTAMPNS, BatchSocket, Received, _read_control
-from bus.socketcan import FD_BYTES, decode, encode
+from bus.socketcan import decode, encode
 from canskin.errors import BusError
 from dbc.frame import BRS, ECHO, ERROR, ESI, EXTENDED, FD, REMOTE, Frames
 from tests.bus.harness import burst, frame

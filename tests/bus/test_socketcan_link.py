@@ -6,6 +6,7 @@ import socket
 import struct
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ import numpy as np
 import pytest
 
 from bus import socketcan
+from bus.interface import Controller, Interface, Mode, Timing, Wanted
 from bus.link import State
 from bus.recvmmsg import Received
 from bus.socketcan import SocketCanLink
@@ -104,7 +106,7 @@ def test_socket_is_raw_reports_errors_and_own_frames_and_has_stamps_and_room(
 
 def test_fd_is_asked_for(kernel: Kernel) -> None:
     kernel.may_force = False
-    made = SocketCanLink("can7", fd=True)
+    made = SocketCanLink("can7", Wanted(fd=True))
     assert kernel.options[SOL_CAN_RAW, CAN_RAW_FD_FRAMES] == 1
     assert made.send(frame(0x181, bytes(13), FD)) == 1
     sent = kernel.far[0].recv(100)
@@ -196,8 +198,6 @@ def test_lost_interface_is_opened_again(kernel: Kernel, link: SocketCanLink) -> 
     ("number", "words"),
     [
         (errno.ENODEV, "cannot open can7: no such interface; 'ip link' lists them"),
-        (errno.ENETDOWN, "cannot open can7: it is down; 'ip link set can7 up' with its bit rate"),
-        (errno.EMSGSIZE, "cannot open can7: it carries no CAN FD; 'ip link set can7 mtu 72' while it is down"),
         (errno.EAFNOSUPPORT, "cannot open can7: this system has no CAN sockets; load can_raw, or use"),
         (errno.EPROTONOSUPPORT, "cannot open can7: this system has no CAN sockets; load can_raw, or use"),
         (errno.EACCES, "cannot open can7: Permission denied"),
@@ -212,58 +212,103 @@ def test_socket_that_cannot_be_bound_is_closed_and_says_what_to_do(kernel: Kerne
         kernel.far[0].send(b"1")
 
 
+def can7(**changed: Any) -> Interface:
+    """Return an interface without faults, except for what is changed, of it or of its controller."""
+    device = Controller(Timing(1_000_000, 0.75), None, State.ACTIVE, Mode(0), 100, None)
+    ours = {name: changed.pop(name) for name in list(changed) if hasattr(device, name)}
+    return replace(Interface("can", True, True, 16, 10, replace(device, **ours)), **changed)
+
+
+def test_interface_that_cannot_work_is_refused_and_opened_when_it_can(
+    kernel: Kernel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now = [can7()]
+    monkeypatch.setattr(socketcan, "read_interface", lambda _channel: now[0])
+    now[0] = can7(timing=Timing(500_000, 0.875))
+    with pytest.raises(BusError, match="its bit rate is 500000 bit/s"):
+        SocketCanLink("can7", Wanted(1_000_000))
+    assert not kernel.opened
+    now[0] = can7(state=State.PASSIVE)
+    link = SocketCanLink("can7", Wanted(1_000_000))
+    assert link.state is State.PASSIVE  # no error frame has told
+    kernel.far[0].close()
+    assert link.send(burst(range(3))) == 0
+    now[0] = can7(timing=Timing(500_000, 0.875))
+    link._next_s = 0.0
+    assert link.send(burst(range(3))) == 0
+    assert (link.state, link.explain()[:21]) == (State.LOST, "cannot open can7: its")
+    now[0] = can7()
+    link._next_s = 0.0
+    assert link.send(burst(range(3))) == 3
+    assert (link.state, link.explain()) == (State.ACTIVE, "")
+    link.close()
+
+
+def test_settings_and_doubts_are_told_once(
+    kernel: Kernel, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(socketcan, "read_interface", lambda _channel: can7(restart_ms=0))
+    link = SocketCanLink("can7", name="gateway")
+    kernel.far[0].close()
+    link.send(burst(range(3)))
+    link._next_s = 0.0
+    assert link.send(burst(range(3))) == 3
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("gateway: can7: its restart-ms is 0")
+    link.close()
+
+
 @pytest.mark.parametrize(
-    ("flags", "mtu", "fd", "words"),
+    ("state", "about", "words"),
     [
-        ("0x40080", "16", False, "it is down"),
-        ("0x40081", "16", True, "it carries no CAN FD"),
-        ("0x40081", "16", False, None),
-        ("0x40081", "72", True, None),
-        ("0x40080", "72", True, "it is down"),
+        (State.PASSIVE, {"errors": (128, 3)}, "transmit errors 128, receive errors 3"),
+        (State.BUS_OFF, {"errors": (248, 0)}, "transmit errors 248, receive errors 0; it restarts after 100 ms"),
+        (State.BUS_OFF, {"restart_ms": 0}, "'ip link set can7 type can restart' starts it"),
+        (State.BUS_OFF, {"restart_ms": None}, "plug the adapter in again"),
+        (State.ACTIVE, {}, ""),
     ],
 )
-def test_interface_that_is_down_or_without_fd_is_found(
-    kernel: Kernel, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, flags: str, mtu: str, fd: bool, words: str | None
+def test_state_is_that_of_the_kernel_though_no_error_frame_comes(
+    link: SocketCanLink, monkeypatch: pytest.MonkeyPatch, state: State, about: dict[str, Any], words: str
 ) -> None:
-    about = tmp_path / "can7"
-    about.mkdir()
-    (about / "flags").write_text(flags + "\n")
-    (about / "mtu").write_text(mtu + "\n")
-    monkeypatch.setattr(socketcan, "Path", lambda _folder, *names: tmp_path.joinpath(*names))
-    if words is not None:
-        with pytest.raises(BusError, match=words):
-            SocketCanLink("can7", fd=fd)
-    else:
-        SocketCanLink("can7", fd=fd).close()
-        assert kernel.bound == [("can7",)]
+    monkeypatch.setattr(socketcan, "read_interface", lambda _channel: can7(state=state, **about))
+    assert link.explain() == words
+    assert link.state is state
+
+
+def test_full_queue_is_told_apart_from_a_frame_that_comes_too_late(link: SocketCanLink) -> None:
+    late = frame(0x80)
+    late["expires_ns"] = time.monotonic_ns() - 1
+    assert link.send(late) == 0
+    assert link.explain() == ""
+    link.send(np.concatenate([burst(range(100))] * 50))
+    assert link.explain().startswith("its transmit queue is full")
+    assert link.explain() == ""
 
 
 @pytest.mark.parametrize(
-    ("flags", "bus", "driver", "keeps"),
+    ("bus", "driver", "keeps"),
     [
-        ("0x40081", "platform", "m_can", True),
-        ("0x40081", "spi", "mcp251xfd", True),
-        ("0x40081", "usb", "kvaser_usb", True),
-        ("0x40081", "usb", "peak_usb", False),
-        ("0x40081", "usb", "gs_usb", False),
-        ("0x40081", "usb", "made tomorrow", False),
-        ("0x40081", "spi", "mcp251x", False),
-        ("0x40081", None, None, True),
+        ("platform", "m_can", True),
+        ("spi", "mcp251xfd", True),
+        ("usb", "kvaser_usb", True),
+        ("usb", "peak_usb", False),
+        ("usb", "gs_usb", False),
+        ("usb", "made tomorrow", False),
+        ("spi", "mcp251x", False),
+        (None, None, True),
     ],
 )
 def test_the_echo_is_trusted_where_the_driver_gives_it_after_the_bus_and_before_the_answers(
     kernel: Kernel,
     monkeypatch: pytest.MonkeyPatch,
     tmp_path: Path,
-    flags: str,
     bus: str | None,
     driver: str | None,
     keeps: bool,
 ) -> None:
     about = tmp_path / "can7"
     about.mkdir()
-    (about / "flags").write_text(flags + "\n")
-    (about / "mtu").write_text("16\n")
     if bus is not None and driver is not None:
         device = tmp_path / "device"
         for place, name in (("subsystem", bus), ("driver", driver)):
@@ -272,6 +317,7 @@ def test_the_echo_is_trusted_where_the_driver_gives_it_after_the_bus_and_before_
             (device / place).symlink_to(tmp_path / place / name)
         (about / "device").symlink_to(device)
     monkeypatch.setattr(socketcan, "Path", lambda _folder, *names: tmp_path.joinpath(*names))
+    monkeypatch.setattr(socketcan, "read_interface", lambda _channel: can7())
     link = SocketCanLink("can7")
     assert link.keeps_order is keeps
     link.close()

@@ -41,8 +41,8 @@ class Echoing:
     """A link on which nobody else speaks; what is sent comes back."""
 
     dropped = stamp_error_ns = 0
-    state = State.ACTIVE
     keeps_order = True
+    state = State.ACTIVE
 
     def __init__(self, clock: Clock) -> None:
         self._clock = clock
@@ -50,6 +50,10 @@ class Echoing:
         self._waiting: list[Frames] = []
         self.syncs_s: list[float] = []
         self.takes = True
+        self.why = ""
+
+    def explain(self) -> str:
+        return self.why
 
     def fileno(self) -> int:
         return self._near.fileno()
@@ -121,26 +125,70 @@ def test_syncs_do_not_bunch_after_a_stall(small: Contract) -> None:
         link.close()
 
 
-def test_bus_that_takes_no_sync_says_why_once(small: Contract, capsys: object) -> None:
-    service, clock, _, links = running(small)
-    links[1].takes, links[1].state = False, State.PASSIVE
-    for _ in range(50):
+@pytest.mark.parametrize(
+    ("state", "takes", "why", "link", "trouble"),
+    [
+        (State.LOST, False, "cannot open can1", "lost", "dead: the gateway has lost its interface: cannot open can1"),
+        (State.BUS_OFF, True, "", "bus_off", "dead: the gateway's controller is bus-off: wiring, termination or"),
+        (State.PASSIVE, False, "", "passive", "troubled: the gateway's controller is error passive: are nodes powered"),
+        (State.WARNING, False, "its queue is full", "warning", "without SYNC: its queue is full"),
+        (State.ACTIVE, False, "", "active", "without SYNC: the gateway comes too late for it"),
+    ],
+)
+def test_fault_of_a_link_is_told_once_in_log_and_status_and_so_is_its_end(
+    small: Contract,
+    capsys: pytest.CaptureFixture[str],
+    state: State,
+    takes: bool,
+    why: str,
+    link: str,
+    trouble: str,
+) -> None:
+    """It comes and goes some times: that is one fault."""
+    service, clock, fabric, links = running(small)
+
+    def turn_until(end_s: float) -> None:
+        while clock.now_s < end_s:
+            service.turn()
+            clock.now_s += 0.01
+
+    for _ in range(3):
+        links[1].takes, links[1].state, links[1].why = takes, state, why
+        turn_until(clock.now_s + 0.3)
+        buses = fabric.statuses[-1].buses
+        assert [bus.link for bus in buses] == ["active", link]
+        assert not buses[0].trouble
+        assert buses[1].trouble.startswith(trouble)
+        links[1].takes, links[1].state, links[1].why = True, State.ACTIVE, ""
+        turn_until(clock.now_s + 0.6)
+        assert [bus.link for bus in fabric.statuses[-1].buses] == ["active", "active"]
+    turn_until(clock.now_s + 1.5)
+    assert not any(bus.trouble for bus in fabric.statuses[-1].buses)
+    about = [line for line in capsys.readouterr().err.splitlines() if line.startswith("gateway: bus1 ")]
+    assert len(about) == 2, about
+    assert about[0].startswith(f"gateway: bus1 {trouble}")
+    assert about[1].startswith("gateway: bus1 works again, after ")
+    assert ("SYNCs were not sent" in about[1]) is not takes
+    for each in links:
+        each.close()
+
+
+def test_fault_shorter_than_a_look_is_told(small: Contract, capsys: pytest.CaptureFixture[str]) -> None:
+    service, clock, fabric, links = running(small)
+    before = len(fabric.statuses)
+    while len(fabric.statuses) == before:
         service.turn()
-        clock.now_s += 0.02
-    links[1].takes = True
-    for _ in range(20):
+        clock.now_s += 0.01
+    links[1].state = State.BUS_OFF
+    service.turn()
+    links[1].state = State.ACTIVE
+    while clock.now_s < 60:
         service.turn()
-        clock.now_s += 0.02
-    said = capsys.readouterr().err.splitlines()  # type: ignore[attr-defined]
-    about = [line for line in said if "SYNC" in line]
-    assert len(about) == 2
-    assert about[0] == (
-        "gateway: bus1 takes no SYNC: nobody acknowledges its frames:"
-        " is any node powered, wired and at the same bit rate?"
-    )
-    assert about[1].startswith("gateway: bus1 takes SYNC again, after ")
-    for link in links:
-        link.close()
+        clock.now_s += 0.01
+    assert "bus_off" in {status.buses[1].link for status in fabric.statuses}
+    assert capsys.readouterr().err.count("gateway: bus1 dead: the gateway's controller is bus-off") == 1
+    for each in links:
+        each.close()
 
 
 class StopAfter:

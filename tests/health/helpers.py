@@ -87,6 +87,7 @@ class Messages:
         missing: int = 0,
         nmt: tuple[tuple[int, ...], ...] = (),
         links: tuple[str, str] = ("active", "active"),
+        troubles: tuple[str, str] = ("", ""),
         refused: tuple[int, ...] = (),
     ) -> GatewayStatus:
         """``refused`` are nodes of the left bus."""
@@ -99,8 +100,9 @@ class Messages:
                 nodes=list(range(1, bus.nodes + 1)),
                 nmt=bytes(state),
                 link=link,
+                trouble=trouble,
             )
-            for bus, state, link in zip(self.layout.bus, states, links, strict=True)
+            for bus, state, link, trouble in zip(self.layout.bus, states, links, troubles, strict=True)
         ]
         buses[0] = msgspec.structs.replace(buses[0], refused=list(refused))
         return make.gateway_status(cycles, frames=FrameCounts(accepted=16 * cycles, missing=missing), buses=buses)

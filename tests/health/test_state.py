@@ -271,13 +271,14 @@ def test_label_of_a_blind_classifier_does_not_count(state: ViewState, messages: 
 
 def test_dead_buses_are_named_and_not_their_silent_nodes(state: ViewState, messages: Any) -> None:
     silent = (255, 255, 255, 255)
-    state.take(messages.gateway(nmt=(silent, silent), links=("lost", "lost")), 1.0)
-    assert texts(state, 1.1) == ["buses left, right dead: the gateway has lost its interface"]
+    lost, off, passive = "dead: no interface", "dead: bus-off", "troubled: passive"
+    state.take(messages.gateway(nmt=(silent, silent), links=("lost", "lost"), troubles=(lost, lost)), 1.0)
+    assert texts(state, 1.1) == [f"buses left, right {lost}"]
     assert texts(state, 1.1, "warning") == []
-    state.take(messages.gateway(nmt=(silent, silent), links=("passive", "bus_off")), 1.2)
-    assert texts(state, 1.3) == ["bus right dead: the gateway's controller is bus-off"]
+    state.take(messages.gateway(nmt=(silent, silent), links=("passive", "bus_off"), troubles=(passive, off)), 1.2)
+    assert texts(state, 1.3) == [f"bus right {off}"]
     assert texts(state, 1.3, "warning") == [
-        "bus left troubled: the gateway's controller is error passive",
+        f"bus left {passive}",
         "left: all 4 nodes silent",
     ]
     gateway = state.snapshot(1.3)[0].gateway
@@ -389,6 +390,15 @@ def test_a_skin_without_zero_and_its_defects_are_told(state: ViewState, messages
     assert "sum 7 is stuck" in told
     assert "sum 8 is stuck" not in told
     assert "2 more defects: skin calibration show" in told
+
+
+def test_nodes_with_other_gains_are_named_until_they_have_a_zero(state: ViewState, messages: Any) -> None:
+    changed = [f"bus0 node {each}" for each in range(1, 11)]
+    found = CalibrationStatus(state=CalibrationState.FOLLOWING, recalibrated=changed)
+    state.take(msgspec.structs.replace(messages.gateway(), calibration=found), 1.0)
+    (told,) = texts(state, 1.0, "warning")
+    assert told.startswith("gains or offsets of bus0 node 1, ")
+    assert "bus0 node 8 and 2 more have changed: no force there until the zero is measured" in told
 
 
 def test_a_doubtful_contact_is_named_with_what_to_do(state: ViewState, messages: Any) -> None:

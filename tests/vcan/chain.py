@@ -2,7 +2,7 @@
 
 import subprocess
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
@@ -101,9 +101,14 @@ def complete(measurement: Measurement) -> bool:
 
 
 @contextmanager
-def running_chain(folder: Path, identity: str = "alternating") -> Iterator[Chain]:
-    """Start the nodes, then the gateway, on vcan0 to vcan3; wait for the first complete measurements."""
-    path = slow_layout(folder, RATE_HZ, identity)
+def running_chain(
+    folder: Path, identity: str = "alternating", path: Path | None = None, gateway: Sequence[str] = ("vcan0",)
+) -> Iterator[Chain]:
+    """Start the nodes on vcan0 and the next, then the gateway on the same; wait for the first complete measurements.
+
+    Without `path` it is the default skin on four buses; `gateway` are other interfaces of the gateway.
+    """
+    path = path or slow_layout(folder, RATE_HZ, identity)
     layout = load_layout(path)
     endpoint = free_endpoint()
     fabric = Fabric(layout.name, "test", endpoint, hub=True)
@@ -112,10 +117,10 @@ def running_chain(folder: Path, identity: str = "alternating") -> Iterator[Chain
             alive: set[str] = set()
             fabric.watch(lambda name, there: alive.add(name) if there else alive.discard(name))
             chain = Chain(layout, path, processes, fabric)
-            common = ("-i", "socketcan", "-c", "vcan0", "--layout", str(path), "--connect", endpoint)
-            processes.skin("nodes", "nodes", *common)
+            common = ("-i", "socketcan", "--layout", str(path), "--connect", endpoint)
+            processes.skin("nodes", "nodes", *common, "-c", "vcan0")
             processes.until(lambda: "nodes" in alive, "the nodes")
-            processes.skin("gateway", "gateway", *common)
+            processes.skin("gateway", "gateway", *common, "-c", *gateway)
             chain.await_complete()
             yield chain
     finally:

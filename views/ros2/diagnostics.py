@@ -52,7 +52,9 @@ def _bus(state: Snapshot, bus: BusView, *, is_stale: bool) -> Any:
     if is_stale:
         level, words = STALE, "the gateway sends no status"
     elif bus.dead:
-        level, words = ERROR, f"the gateway's controller is {bus.link}"
+        level, words = ERROR, bus.trouble or f"the gateway's controller is {bus.link}"
+    elif bus.trouble:
+        level, words = WARN, bus.trouble
     elif off_duty:
         level, words = WARN, f"{len(off_duty)} of {len(bus.nodes)} nodes not operational"
     values = {

@@ -16,7 +16,7 @@
 skin_od_block skin_od_blocks[SKIN_BLOCKS];
 uint32_t *skin_od_health;
 const skin_board *skin_od_board = &skin_boards[0];
-static OD_extension_t signature_extension, gain_extension[SKIN_BLOCKS], pattern_extension[SKIN_BLOCKS];
+static OD_extension_t signature_extension, calibration_extension, gain_extension[SKIN_BLOCKS], pattern_extension[SKIN_BLOCKS];
 
 void *skin_od_value(uint16_t index, uint8_t subindex, OD_size_t length)
 {
@@ -78,18 +78,18 @@ ODR_t skin_od_put(uint64_t value, uint8_t bytes, void *buf, OD_size_t count, OD_
     return ODR_OK;
 }
 
-/* Read the configuration signature (2006h): CRC-32 over the values in use of the objects that it covers. */
+/* Read a signature (2006h, 2009h): CRC-32 over the values in use of the objects with one of the flags of the extension. */
 static ODR_t read_signature(OD_stream_t *stream, void *buf, OD_size_t count, OD_size_t *countRead)
 {
     uint8_t head[3], value[LONGEST_TEXT];
     uint32_t crc = 0;
+    const uint8_t flags = *(const uint8_t *)stream->object;
     uint16_t each;
 
-    (void)stream;
     for (each = 0; each < skin_od_board->type->object_count; each++) {
         const skin_object *object = &skin_od_board->type->objects[each];
 
-        if ((object->flags & SKIN_OBJECT_COVERED) == 0) {
+        if ((object->flags & flags) == 0) {
             continue;
         }
         if (object->bytes > sizeof value ||
@@ -125,9 +125,13 @@ static ODR_t write_pattern(OD_stream_t *stream, const void *buf, OD_size_t count
 
 int skin_od_connect(void)
 {
+    static uint8_t covered = SKIN_OBJECT_COVERED, calibrated = SKIN_OBJECT_COVERED | SKIN_OBJECT_CALIBRATING;
     int failed = skin_od_extend(&signature_extension, SKIN_OD_SIGNATURE, read_signature, NULL);
     uint8_t each;
 
+    failed |= skin_od_extend(&calibration_extension, SKIN_OD_CALIBRATION_SIGNATURE, read_signature, NULL);
+    signature_extension.object = &covered;
+    calibration_extension.object = &calibrated;
     skin_od_health = skin_od_value(SKIN_OD_HEALTH, 1, sizeof *skin_od_health);
     failed |= skin_od_health == NULL;
     for (each = 0; each < skin_od_board->type->blocks; each++) {

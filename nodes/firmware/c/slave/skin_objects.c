@@ -64,8 +64,8 @@ uint32_t skin_missing(const skin_board *board, uint16_t index)
     return skin_find(board, index, 0) != NULL ? SKIN_ABORT_NO_SUBINDEX : SKIN_ABORT_NO_OBJECT;
 }
 
-/* Signature of the configuration (2006h): CRC-32 over index, sub-index and value of each object that it covers. */
-static uint32_t signature(const skin_node *node)
+/* Signature (2006h, 2009h): CRC-32 over index, sub-index and value of each object with one of these flags. */
+static uint32_t signature(const skin_node *node, uint8_t flags)
 {
     const skin_board *board = node->board;
     uint8_t head[3], scratch[SKIN_NUMBER_BYTES];
@@ -75,7 +75,7 @@ static uint32_t signature(const skin_node *node)
     for (place = 0; place < board->type->object_count; place++) {
         const skin_object *object = &board->type->objects[place];
 
-        if ((object->flags & SKIN_OBJECT_COVERED) != 0) {
+        if ((object->flags & flags) != 0) {
             skin_put(head, object->index, 2);
             head[2] = object->subindex;
             crc = skin_crc32(crc, head, sizeof head);
@@ -102,7 +102,9 @@ static uint32_t computed(const skin_node *node, const skin_object *object)
     case SKIN_OD_RESTORE:
         return ON_COMMAND;
     case SKIN_OD_SIGNATURE:
-        return signature(node);
+        return signature(node, SKIN_OBJECT_COVERED);
+    case SKIN_OD_CALIBRATION_SIGNATURE:
+        return signature(node, SKIN_OBJECT_COVERED | SKIN_OBJECT_CALIBRATING);
     case SKIN_OD_HEALTH:
         return node->health[subindex - 1];
     default: /* the sums */
