@@ -44,7 +44,7 @@ GAP_S: Final = 0.002
 PATIENCE_S: Final = 2.0
 #: Longest time in which a board resets its communication.
 RESET_S: Final = 0.2
-#: Error code of a board that does not know the service; others failed.
+#: Error code of a board that does not know the service or the value; others failed.
 _NOT_SUPPORTED: Final = 1
 
 _Address = tuple[int, int, int, int]
