@@ -1,7 +1,9 @@
 """``skin doctor time``: what it measures, and what it says of settings that are not best."""
 
+import importlib
 import json
 import os
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -54,6 +56,15 @@ def test_nothing_fails_but_a_run_without_wake_ups(late_s: list[float], capsys: p
     for seconds in (0.0, float("nan"), 1e9):
         with pytest.raises(InputError, match="--seconds"):
             doctor("time", seconds=seconds)
+
+
+def test_another_system_than_linux_gets_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Windows has no module resource: the command line is there all the same."""
+    monkeypatch.setitem(sys.modules, "resource", None)
+    importlib.reload(health.doctor_command)
+    monkeypatch.setattr(sys, "platform", "win32")
+    with pytest.raises(InputError, match="expected Linux, got win32"):
+        health.doctor_command.doctor("time", seconds=0.005)
 
 
 @pytest.mark.usefixtures("late_s")
