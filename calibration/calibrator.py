@@ -224,6 +224,18 @@ class Calibrator:
         if self._followed is not None and self._tares and self._is_own:
             self._followed.take_temperatures(kelvin)
 
+    def forget_blocks(self, blocks: Bools) -> None:
+        """Drop the offsets of some blocks, shape (blocks,), whose nodes have begun to correct otherwise.
+
+        They come back with the next zero, or when nothing has touched these blocks for a while.
+        """
+        self._windows.restart()
+        self._waiting = None
+        self._taring.restart()
+        if self._followed is not None and self._is_own:
+            self._followed.forget(blocks)
+            self.revision += 1
+
     def forget(self) -> None:
         """Drop all offsets and measure the zero as at the start, after nodes have begun to correct otherwise."""
         self._start_anew(TareResult(False, "the nodes were written to meanwhile"))

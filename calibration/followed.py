@@ -172,6 +172,12 @@ class FollowedZero:
         self.doubt.take(zero.force_n, window.centre_ns)
         self.support.take(zero, window)
 
+    def forget(self, blocks: Bools) -> None:
+        """Drop the offsets of some blocks, shape (blocks,): they begin anew as blocks that come late."""
+        self.zero.follower.known &= ~self._phi.sums_of_blocks(blocks)
+        self._first_n[~self.zero.follower.known] = np.nan
+        self.support.of_blocks[blocks], self.support.since_ns[blocks] = ZeroSupport.NONE, 0
+
     def audit(self) -> None:
         """Give back what looks like a touch, if it is time for that."""
         if self.zero.needs_audit:

@@ -72,6 +72,10 @@ class Taring:
         self.is_asked, self.forced, self.region, self.has_few_sums = asked, forced, region, True
         self._windows.clear()
 
+    def restart(self) -> None:
+        """Drop the windows so far."""
+        self._windows.clear()
+
     def take(self, window: Window, before_n: Floats | None, settled: Bools, *, has_common: bool) -> MeasuredZero | None:
         """Take the next window; return the zero of the newest windows, None while they are too few.
 

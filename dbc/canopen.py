@@ -19,6 +19,13 @@ HEARTBEAT_BASE: Final = 0x700
 #: TPDO 1 to 4, then the identifiers of RPDO 1 to 4.
 TPDO_BASES: Final = (0x180, 0x280, 0x380, 0x480, 0x200, 0x300, 0x400, 0x500)
 HIGHEST_NODE_ID: Final = 127
+#: LSS (CiA 305): requests of the master and responses of the slaves, always 8 bytes; the node-ID of a node without one.
+LSS_REQUEST_COB_ID: Final = 0x7E5
+LSS_RESPONSE_COB_ID: Final = 0x7E4
+LSS_BYTES: Final = 8
+NO_NODE_ID: Final = 0xFF
+#: Standard bit timings by index, bit/s (CiA 305, table 1); index 5 is reserved.
+LSS_BIT_RATES_HZ: Final = (1_000_000, 800_000, 500_000, 250_000, 125_000, 0, 50_000, 20_000, 10_000)
 #: Of the RPDO that switches all nodes between recognition and images: the EMCY of a node that no bus has then. It comes
 #: before all TPDOs, so that nodes that missed it cannot hold it up.
 STATE_COB_ID: Final = EMCY_BASE + HIGHEST_NODE_ID
@@ -110,6 +117,32 @@ class Abort(IntEnum):
 
 #: Lower abort codes concern the transfer (toggle bit, time-out, command), codes from here on the object.
 FIRST_ABORT_OF_THE_OBJECT: Final = 0x0600_0000
+
+
+class Lss(IntEnum):
+    """Command specifiers of LSS (CiA 305). An address is vendor-ID, product code, revision, serial number (1018h)."""
+
+    SWITCH_GLOBAL = 0x04
+    NODE_ID = 0x11
+    BIT_TIMING = 0x13
+    ACTIVATE_BIT_TIMING = 0x15
+    STORE = 0x17
+    #: Four requests, one for each number of the address.
+    SWITCH_SELECTIVE = 0x40
+    SELECTED = 0x44
+    #: Six requests: vendor-ID, product code, revision from and to, serial number from and to.
+    IDENTIFY = 0x46
+    IDENTIFY_UNNUMBERED = 0x4C
+    IDENTIFIED = 0x4F
+    IDENTIFIED_UNNUMBERED = 0x50
+    FASTSCAN = 0x51
+    #: Four requests, one for each number of the address.
+    INQUIRE_ADDRESS = 0x5A
+    INQUIRE_NODE_ID = 0x5E
+
+
+#: Bit check of the fastscan request that every node without node-ID answers.
+FASTSCAN_ALL: Final = 0x80
 
 
 class Emergency(IntEnum):

@@ -86,8 +86,18 @@ def configuration(contract: Contract, node: NodeContract) -> tuple[Setting, ...]
     return tuple(setting_of(each) for each in objects if _is_compared(each, mapped, of_tpdo))
 
 
+def calibration(contract: Contract, node: NodeContract) -> tuple[Setting, ...]:
+    """Return gains and offsets (2010h, 2011h), in ascending order: a master compares them with what they were.
+
+    The values are the defaults; which are right for a board, its calibration tells.
+    """
+    return tuple(setting_of(each) for each in dictionary(contract, node) if each.subindex and _is_calibration(each))
+
+
 def signature(values: Iterable[tuple[int, int, bytes]]) -> int:
-    """Return the configuration signature (2006h) of index, sub-index and value of each object.
+    """Return the signature of index, sub-index and value of each object.
+
+    2006h is that of `configuration`, 2009h that of `configuration` and `calibration` in ascending order.
 
     CRC-32 (polynomial 04C11DB7h reflected, as in IEEE 802.3) over index (2 bytes), sub-index (1 byte) and value, each
     little endian, of all objects one after another.
@@ -128,6 +138,10 @@ def _is_compared(each: Object, mapped: Mapping[int, int], of_tpdo: tuple[int, ..
         return subindex in _COMPARED[each.index]
     first = od.split_block(each.index)[1] if each.index >= od.MANUFACTURER else each.index
     return first in (*_WHOLE, od.TEST_PATTERN)
+
+
+def _is_calibration(each: Object) -> bool:
+    return each.index >= od.MANUFACTURER and od.split_block(each.index)[1] in (od.GAIN, od.OFFSET)
 
 
 def setting_of(each: Object) -> Setting:

@@ -274,6 +274,7 @@ def _manufacturer(contract: Contract, node: NodeContract) -> list[Object]:
     seed, fingerprint = contract.layout.measurement.seed, contract.phi.fingerprint
     saturated = "Saturated sums" if contract.layout.taxels.is_analogue else "Saturated taxels"
     health = ["SYNC messages seen", "TPDOs sent", "TPDOs dropped outside the window", saturated]
+    calibrated = Object(od.CALIBRATION_SIGNATURE, None, "Signature with gains and offsets", od.UNSIGNED32, "ro", 0)
     whole = [
         Object(od.BLOCK, None, "Block index", od.UNSIGNED16, "ro", node.block),
         Object(od.PHI_SEED, None, "Seed of the measurement operator", od.UNSIGNED32, "ro", seed),
@@ -281,8 +282,9 @@ def _manufacturer(contract: Contract, node: NodeContract) -> list[Object]:
             od.PHI_FINGERPRINT, None, "Fingerprint of the measurement operator", od.VISIBLE_STRING, "ro", fingerprint
         ),
         Object(od.ENCODING, None, "Encoding of the sums", od.UNSIGNED32, "ro", node.encoding),
-        # The node computes the signature, see `dbc.configuration`.
+        # The node computes the signatures, see `dbc.configuration`.
         Object(od.SIGNATURE, None, "Configuration signature", od.UNSIGNED32, "ro", 0),
+        *([] if contract.layout.taxels.is_analogue else [calibrated]),
         *array(od.HEALTH, "Health", health, od.UNSIGNED32, "ro", pdo=True),
     ]
     whole += _state(contract)

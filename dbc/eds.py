@@ -56,6 +56,7 @@ _OF_RUN: Final = (
     od.STORE,
     od.RESTORE,
     od.SIGNATURE,
+    od.CALIBRATION_SIGNATURE,
     od.COUNTS,
     od.TEST_PATTERN,
     od.REFRESH,
@@ -303,7 +304,7 @@ def _device_info(contract: Contract, kind: NodeType, indices: list[int]) -> dict
         "GroupMessaging": "0",
         "NrOfRXPDO": str(indices.count(od.RPDO_COMMUNICATION)),
         "NrOfTXPDO": str(sum(od.TPDO_COMMUNICATION <= index < od.TPDO_MAPPING for index in indices)),
-        "LSS_Supported": "0",
+        "LSS_Supported": "1",
     }
 
 

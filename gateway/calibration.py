@@ -10,11 +10,18 @@ import numpy as np
 
 from calibration.calibrator import LOOK_S, Calibrator
 from calibration.windows import Floats
-from canskin.calibration_messages import CalibrationReply, CalibrationRequest, CalibrationStatus, Region, tare_request
+from canskin.calibration_messages import (
+    CalibrationReply,
+    CalibrationRequest,
+    CalibrationStatus,
+    Region,
+    ZeroSupport,
+    tare_request,
+)
 from canskin.errors import InputError
 from canskin.fabric import Reply
 from canskin.messages import AdaptiveMeasurement, Measurement
-from dbc.contract import Contract
+from dbc.contract import Contract, NodeContract
 from gateway.nmt_master import NmtMaster
 from gateway.node_writing import NodeWriting
 from gateway.temperatures import Temperatures
@@ -93,10 +100,13 @@ class GatewayCalibration:
         #: Adaptive: the newest sums, which hold until others come, and when they are looked at next.
         self._newest: AdaptiveMeasurement | None = None
         self._look_s = float("-inf")
+        #: Nodes whose zero was dropped because their gains or offsets have become others.
+        self._recalibrated: list[NodeContract] = []
         self._requests: deque[_Request] = deque()
         self._taring: list[Reply] = []
         self._wanted: tuple[bool, Region | None] = False, None
         self._tare_until_s = 0.0
+        self._had_offsets = False
         self._writing: tuple[NodeWriting, StoredCalibration, Reply] | None = None
 
     def ask(self, request: CalibrationRequest, reply: Reply) -> None:
@@ -146,7 +156,26 @@ class GatewayCalibration:
 
     def status(self) -> CalibrationStatus:
         """Return what is known, for `canskin.messages.GatewayStatus`."""
-        return msgspec.structs.replace(self._calibrator.status(), told_mono_ns=round(self._now_s * 1e9))
+        status = self._calibrator.status()
+        lacks = (np.frombuffer(status.zero_support, np.uint8) == ZeroSupport.NONE) & self._contract.phi.has_sums
+        self._recalibrated = [each for each in self._recalibrated if lacks[each.block : each.block + each.blocks].any()]
+        names = [f"{self._contract.layout.bus[each.bus].name} node {each.node_id}" for each in self._recalibrated]
+        return msgspec.structs.replace(status, told_mono_ns=round(self._now_s * 1e9), recalibrated=names)
+
+    def _drop_recalibrated(self, masters: Mapping[int, NmtMaster]) -> None:
+        """Drop the zero of nodes whose gains or offsets have become others."""
+        changed = [node for master in masters.values() for node in master.recalibrated]
+        for master in masters.values():
+            master.recalibrated.clear()
+        if not changed:
+            return
+        if self._calibrator.offsets_n is not None and not self._boards_keep_zero:
+            self._recalibrated += [each for each in changed if each not in self._recalibrated]
+        blocks = np.zeros(self._contract.phi.blocks, np.bool_)
+        for each in changed:
+            blocks[each.block : each.block + each.blocks] = True
+        self._keep_at_s = float("-inf")
+        self._calibrator.forget_blocks(blocks)
 
     def keep_zero(self) -> None:
         """Write the zero, if there is a new one, to its file, in the other thread; an error is said once."""
@@ -172,6 +201,7 @@ class GatewayCalibration:
     def tick(self, masters: Mapping[int, NmtMaster], now_s: float) -> None:
         """Answer a request, write to nodes, read temperatures; call it many times a second."""
         self._now_s = now_s
+        self._drop_recalibrated(masters)
         if self._newest is not None and now_s >= self._look_s:
             self._look_s = now_s + LOOK_S
             self._calibrator.take(msgspec.structs.replace(self._newest, sampled_mono_ns=round(now_s * 1e9)))
@@ -245,10 +275,12 @@ class GatewayCalibration:
                 "the calibration has nothing for nodes, neither gains nor taxel_offsets_n: offsets of sums do not tell"
                 " those of taxels, and stay in the gateway"
             )
+        self._had_offsets = self._calibrator.offsets_n is not None
+        self._calibrator.forget()
         self._writing = (NodeWriting(self._contract, masters, gains, offsets, now_s), stored, reply)
 
     def _end_writing(self, writing: NodeWriting, stored: StoredCalibration, reply: Reply) -> None:
-        """Drop the offsets: they are those of sums that the nodes made with other values."""
+        """Drop offsets measured meanwhile: they are those of sums that some nodes made with other values."""
         text = writing.text()
         if writing.is_complete:
             self._stored = msgspec.structs.replace(
@@ -256,12 +288,11 @@ class GatewayCalibration:
                 gains=stored.gains or self._stored.gains,
                 taxel_offsets_n=stored.taxel_offsets_n or self._stored.taxel_offsets_n,
             )
-        had_offsets = self._calibrator.offsets_n is not None
         self._calibrator.forget()
         if not self._boards_keep_zero:
             if self._tares:
                 text += "; the zero is measured anew"
-            elif had_offsets:
+            elif self._had_offsets:
                 text += "; the offsets in the gateway were those of sums before that, and are dropped: see 'skin tare'"
         self._answer(reply, text, is_done=writing.is_complete)
 

@@ -84,6 +84,8 @@ class Gathering(NamedTuple):
         Nodes that sent a TPDO, and those that sent a PDO of the other phase in this cycle.
     swapped_cycles : array of int64, shape (nodes,)
         Cycles in a row in which a node answered with the PDOs of the other phase alone.
+    was_right : array of bool, shape (nodes,)
+        Nodes that have sent a PDO of the right phase since they were last reported.
     """
 
     cycles: OpenCycles
@@ -97,6 +99,7 @@ class Gathering(NamedTuple):
     heard: Flags
     strayed: Flags
     swapped_cycles: Integers
+    was_right: Flags
 
 
 #: Places of `Gathering.counts`.
@@ -201,7 +204,7 @@ def _accept(  # noqa: PLR0917  compiled functions take no keywords
     node = table.node[row]
     state.heard[node] = True
     if is_window:
-        came(row, table, state.outstanding)
+        came(row, time_ns, table, state.outstanding)
     counter = state.syncs.counter[bus]
     slot = slot_of(counter)
     is_right = table.phase[row] == state.cycles.phase[slot]
@@ -249,6 +252,7 @@ def close_cycle(  # noqa: PLR0917  compiled functions take no keywords
                 valid[block_of_sum[place]] = False
     for node in range(len(is_right)):
         has_swapped = state.strayed[node] and not is_right[node]
+        state.was_right[node] |= is_right[node]
         state.swapped_cycles[node] = state.swapped_cycles[node] + 1 if has_swapped else 0
         state.strayed[node] = False
 
@@ -303,7 +307,7 @@ class Collector:
         nodes, buses = len(contract.nodes), len(contract.layout.bus)
         self._times = SyncTimes(contract)
         self.late_of_node, self.missing_of_node, swapped_cycles = np.zeros((3, nodes), np.int64)
-        self.heard, strayed = np.zeros((2, nodes), np.bool_)
+        self.heard, strayed, was_right = np.zeros((3, nodes), np.bool_)
         self._state = Gathering(
             cycles=new_cycles(contract),
             syncs=new_syncs(contract),
@@ -316,6 +320,7 @@ class Collector:
             heard=self.heard,
             strayed=strayed,
             swapped_cycles=swapped_cycles,
+            was_right=was_right,
         )
 
     @property
@@ -352,11 +357,15 @@ class Collector:
         behind[found] = 0
         return [int(node) for node in found]
 
-    def take_swapped(self) -> list[int]:
-        """Return, once, the places of the nodes that answer each SYNC with the PDOs of the other phase."""
+    def take_swapped(self) -> list[tuple[int, bool]]:
+        """Return, once, the nodes that answer each SYNC with the PDOs of the other phase.
+
+        The place of each, and whether it has sent a PDO of the right phase since it was last reported.
+        """
         found = np.flatnonzero(self._state.swapped_cycles >= SWAPPED_CYCLES)
-        self._state.swapped_cycles[found] = 0
-        return [int(node) for node in found]
+        reported = list(zip(found.tolist(), self._state.was_right[found].tolist(), strict=True))
+        self._state.swapped_cycles[found], self._state.was_right[found] = 0, False
+        return reported
 
     def take_foreign_syncs(self, bus: int) -> int:
         """Return the number of foreign SYNCs on a bus since the last call."""

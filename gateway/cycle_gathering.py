@@ -20,6 +20,12 @@ MOST_UNREAD: Final = 64
 #: Why the communication of a node is reset.
 _SWAPPED: Final = "answers SYNC with the PDOs of the other phase, or a cycle late"
 _BEHIND: Final = "an answer to SYNC did not come, or comes after the next SYNC"
+_UNFIT: Final = (
+    "after each reset it answers SYNC with the PDOs of the other phase: its stack cannot keep"
+    ' sync.identity = "alternating"; set sync.identity = "window" in the layout'
+)
+#: Resets of a node that brought no PDO of the right phase before the node is refused.
+MOST_RESETS: Final = 3
 #: A cycle ends at the latest this part of a period after the next SYNC was due.
 GRACE: Final = 0.9
 
@@ -50,6 +56,8 @@ class CycleGathering:
         self._period_s = contract.layout.sync.period_s
         self._place = {(node.bus, node.node_id): place for place, node in enumerate(contract.nodes)}
         self._open_cycles: deque[Sync] = deque()
+        #: By place of a node: resets in a row after which it has sent no PDO of the right phase.
+        self._resets = [0] * len(contract.nodes)
         self._is_proven = np.zeros(len(contract.nodes), np.bool_)
         self._shortest_s = [contract.shortest_s(bus) for bus in range(len(contract.layout.bus))]
         self._has_stamps = [False] * len(contract.layout.bus)
@@ -136,17 +144,26 @@ class CycleGathering:
 
     def look(self, masters: Mapping[int, NmtMaster], now_s: float) -> None:
         """Let cycles wait for operational nodes only; report swapped phases."""
-        for astray, why in ((self.collector.take_swapped(), _SWAPPED), (self.collector.take_behind(), _BEHIND)):
-            for place in astray:
-                node = self._contract.nodes[place]
-                if node.bus in masters:
-                    masters[node.bus].reset_astray(node.node_id, now_s, why)
+        for place in self.collector.take_behind():
+            self._reset(place, masters, now_s, _BEHIND)
+        for place, was_right in self.collector.take_swapped():
+            self._resets[place] = 0 if was_right else self._resets[place]
+            if self._resets[place] < MOST_RESETS:
+                self._resets[place] += 1
+                self._reset(place, masters, now_s, _SWAPPED)
+            elif (node := self._contract.nodes[place]).bus in masters:
+                masters[node.bus].refuse_unfit(node.node_id, now_s, _UNFIT)
         for number, master in masters.items():
             for node_id, state in zip(master.node_ids, master.nmt, strict=True):
                 place = self._place[number, node_id]
                 # A node that sends sums is operational, whatever state its last heartbeat had.
                 self.collector.expected[place] = state == NmtState.OPERATIONAL or self.collector.heard[place]
         self.collector.heard[:] = False
+
+    def _reset(self, place: int, masters: Mapping[int, NmtMaster], now_s: float, why: str) -> None:
+        node = self._contract.nodes[place]
+        if node.bus in masters:
+            masters[node.bus].reset_astray(node.node_id, now_s, why)
 
     def take_foreign_syncs(self, bus: int) -> int:
         """Return the number of foreign SYNCs on a bus since the last call."""

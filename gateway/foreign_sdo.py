@@ -1,9 +1,12 @@
 """SDO requests of another master to a node: a doubt for the gateway, a channel in use, or nothing."""
 
-from collections.abc import Collection
+from collections.abc import Mapping
 from enum import Enum, auto
 from typing import Final
 
+#: What the proof compares.
+CONFIGURATION: Final = "configuration"
+GAINS: Final = "gains or offsets (2010h, 2011h)"
 #: After another client's request the gateway leaves the node's SDO channel alone for this long.
 SDO_QUIET_S: Final = 0.05
 #: A block download of another master has ended when no frame of it comes for this long.
@@ -30,12 +33,18 @@ class ForeignClient:
 
     Parameters
     ----------
-    compared : collection of int
-        Indices of the objects that the proof compares.
+    compared : mapping of int to str
+        Indices of the objects that the proof compares, and what they are.
+
+    Attributes
+    ----------
+    written : str
+        What the newest doubtful write is to.
     """
 
-    def __init__(self, compared: Collection[int]) -> None:
+    def __init__(self, compared: Mapping[int, str]) -> None:
         self._compared = compared
+        self.written = CONFIGURATION
         self._heard_s = float("-inf")
         self._is_suspect = True
         self._in_block_download = False
@@ -56,8 +65,9 @@ class ForeignClient:
         self._in_block_download = may_be_data or kind == 6
         self._heard_s = now_s
         if kind in (1, 6):  # a download begins, in segments or blocks
-            is_compared = int.from_bytes(data[1:3], "little") in self._compared
-            self._is_suspect = is_compared or (may_be_data and self._is_suspect)
+            written = self._compared.get(int.from_bytes(data[1:3], "little"))
+            self.written = written or self.written
+            self._is_suspect = written is not None or (may_be_data and self._is_suspect)
         if (may_be_data or kind in (0, 1, 6)) and self._is_suspect:
             return Effect.DOUBT
         return Effect.BUSY if kind else Effect.NONE

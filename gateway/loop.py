@@ -6,12 +6,15 @@ from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Final
 
+import numpy as np
+
 from bus.link import Link, Send, State
 from canskin.messages import BusState, GatewayStatus, Measurement
 from dbc.contract import Contract, NodeContract
 from dbc.frame import Frames
 from dbc.time_of_day import time_frame
 from gateway.adaptive_gathering import RATES_HZ, AdaptiveGathering
+from gateway.commissioning import anybody_without_node_id, has_answer
 from gateway.cycle_gathering import CycleGathering
 from gateway.cycles import LATEST, SyncClock
 from gateway.gathering import Health, Sync
@@ -29,6 +32,8 @@ LOOK_PERIOD_S: Final = 0.2
 BOOT_PATIENCE_S: Final = 3.0
 #: Time from the start of the last node to the first SYNC.
 SETTLE_S: Final = 0.1
+#: Longest time in which a board without node-ID answers: LSS has the lowest priority.
+UNNUMBERED_S: Final = 1.0
 #: The load of one bus is added up after a measurement, at most this often.
 ACCOUNT_PERIOD_S: Final = 0.05
 
@@ -49,6 +54,8 @@ class _Bus:
     load: LoadMeter
     places: list[int]
     health: Health = field(default_factory=Health)
+    #: Until when boards without node-ID may answer that they are there.
+    asked_until_s: float = -np.inf
 
 
 class GatewayLoop:
@@ -153,6 +160,9 @@ class GatewayLoop:
         if not len(arrived) and not bus.health.has_gap:
             return
         bus.outgoing.take(arrived, has_gap=bus.health.has_gap)
+        if now_s < bus.asked_until_s and has_answer(arrived):
+            bus.asked_until_s = -np.inf
+            self._say(f"{bus.name}: boards without node-ID are there: stop the gateway, and run skin commission")
         # The master first: a frame may make it doubt the node whose sums come next.
         bus.master.take(arrived, now_s)
         if self.states is not None:
@@ -284,6 +294,8 @@ class GatewayLoop:
             absent = bus.master.awaited
             if absent:
                 self._say(f"{bus.name}: no answer yet from node{'s' * (len(absent) > 1)} {ranges_text(absent)}")
+                bus.send(anybody_without_node_id())
+                bus.asked_until_s = now_s + UNNUMBERED_S
 
     def _look_after_nodes(self, now_s: float) -> None:
         """Report emergencies and foreign SYNCs, and let the gathering look at the nodes."""

@@ -38,6 +38,7 @@ from dbc.configuration import (
     QUIET_S,
     TICK_S,
     Setting,
+    calibration,
     configuration,
     expected_signature,
     proof_period_s,
@@ -45,9 +46,9 @@ from dbc.configuration import (
 from dbc.contract import Contract, NodeContract
 from dbc.dictionary import SILENT_AFTER_S
 from dbc.frame import CAN_ID_AT, ECHO, ERROR, EXTENDED, FLAGS_AT, REMOTE, Frames, frame_bytes, frames
-from gateway.foreign_sdo import Effect, ForeignClient
+from gateway.foreign_sdo import CONFIGURATION, GAINS, Effect, ForeignClient
 from gateway.grouped_lines import GroupedLines
-from gateway.proof import Proof, prove
+from gateway.proof import Known, Proof, prove
 from gateway.sdo import ATTEMPTS, TIMEOUT_S, Dialogue, SdoDialogue
 from gateway.strangers import Strangers
 from shell.compiled import njit
@@ -100,6 +101,7 @@ class Event(Enum):
     LOST = auto()  #: The heartbeat is overdue.
     OUTDATED = auto()  #: The newest proof is too old.
     ASTRAY = auto()  #: The node's answers are not those to the newest SYNC.
+    UNFIT = auto()  #: The node's stack cannot do what the layout asks for.
     WRITTEN = auto()  #: Another master writes the configuration.
     BUSY = auto()  #: Another master uses the SDO channel: a node answers one client at a time.
 
@@ -112,6 +114,8 @@ class NodeRecord:
     ----------
     signature : int
         The configuration signature (2006h) that the contract asks for.
+    known : Known
+        The node's gains and offsets, as the newest proof has found them.
     foreign : ForeignClient
         The SDO requests of other masters to the node.
     nmt : int
@@ -145,6 +149,7 @@ class NodeRecord:
     contract: NodeContract
     settings: Sequence[Setting]
     signature: int
+    known: Known
     foreign: ForeignClient
     state: NodeState = NodeState.WAITING
     nmt: int = SILENT
@@ -228,10 +233,14 @@ class NmtMaster:
         self._use = use
         self.nodes = {
             node.node_id: NodeRecord(
-                node, settings, expected_signature(settings), ForeignClient({each.index for each in settings})
+                node,
+                settings,
+                expected_signature(settings),
+                Known(gains),
+                ForeignClient({each.index: CONFIGURATION for each in settings} | {each.index: GAINS for each in gains}),
             )
             for node in contract.on_bus(bus)
-            for settings in [configuration(contract, node)]
+            for settings, gains in [(configuration(contract, node), calibration(contract, node))]
         }
         self.node_ids = list(self.nodes)
         self._round_s = proof_period_s(contract, bus)
@@ -241,6 +250,8 @@ class NmtMaster:
         self.strangers = Strangers(send)
         #: Emergencies since the list was last cleared: node-ID and error code.
         self.emergencies: list[tuple[int, int]] = []
+        #: Nodes whose gains or offsets have become others since the list was last cleared, and not by the gateway.
+        self.recalibrated: list[NodeContract] = []
         _places(frame_bytes(frames(0)))  # compiled before the first frame
 
     @property
@@ -365,7 +376,8 @@ class NmtMaster:
     def _foreign_sdo(self, node: NodeRecord, data: bytes, now_s: float) -> None:
         effect = node.foreign.take(data, now_s)
         if effect is Effect.DOUBT:
-            self._happen(node, Event.WRITTEN, now_s, "doubted: another master writes its configuration")
+            node.known.doubt()
+            self._happen(node, Event.WRITTEN, now_s, f"doubted: another master writes its {node.foreign.written}")
         elif effect is Effect.BUSY:
             node.errand = None
             self._happen(node, Event.BUSY, now_s)
@@ -373,6 +385,10 @@ class NmtMaster:
     def reset_astray(self, node_id: int, now_s: float, why: str) -> None:
         """Reset the communication of a node in use whose answers are not those to the newest SYNC."""
         self._happen(self.nodes[node_id], Event.ASTRAY, now_s, f"{why}: communication reset")
+
+    def refuse_unfit(self, node_id: int, now_s: float, why: str) -> None:
+        """Refuse a node in use whose stack cannot do what the layout asks for."""
+        self._happen(self.nodes[node_id], Event.UNFIT, now_s, why)
 
     # What time calls for
 
@@ -489,14 +505,17 @@ class NmtMaster:
         if not isinstance(proof, Proof):
             self._happen(node, Event.UNANSWERED, now_s)
             return
-        node.cost = 1 if proof.has_signature else len(node.settings) + 1
+        node.cost = proof.cost
         if proof.written:
             self._lines.add(node.contract.node_id, f"set right: {proof.written}", now_s)
         if proof.refusal:
             self._happen(node, Event.WRONG, now_s, proof.refusal)
             return
-        # A proof holds from its oldest read: with a signature the last transfer, without one the first.
-        node.proven_s = dialogue.asked_s if proof.has_signature else node.began_s
+        if node.known.take(proof.gains):
+            self.recalibrated.append(node.contract)
+            self._lines.add(node.contract.node_id, f"{GAINS} have changed: its zero counts no longer", now_s)
+        # A proof holds from its oldest read.
+        node.proven_s = dialogue.asked_s if proof.is_one_read else node.began_s
         self._happen(node, Event.RIGHT, now_s)
 
     def _happen(self, node: NodeRecord, event: Event, now_s: float, why: str = "") -> None:
@@ -540,14 +559,19 @@ class NmtMaster:
         self._stop_using(node, now_s, why)
         self._command(NmtCommand.RESET_COMMUNICATION, node.contract.node_id)
 
+    def _stop_using_and_refuse(self, node: NodeRecord, now_s: float, why: str) -> None:
+        """Leave a node alone until it boots or is written to."""
+        self._stop_using(node, now_s, f"refused: {why}")
+        node.refusal, node.prove_at_s = why, np.inf
+
     def _prove(self, node: NodeRecord, now_s: float, _why: str) -> None:
         """Begin a proof."""
 
-        def differs() -> None:
-            self._happen(node, Event.DIFFERENT, now_s, "doubted: its configuration is not that of the layout")
+        def doubt(why: str) -> None:
+            self._happen(node, Event.DIFFERENT, now_s, why)
 
         node.began_s = now_s
-        steps = prove(node.settings, node.signature, write=self._write, doubt=differs)
+        steps = prove(node.settings, node.signature, node.known, write=self._write, in_use=node.in_use, doubt=doubt)
         # One attempt for a silent node: the boot-up message or heartbeat tells when the node is there.
         attempts = 1 if node.nmt == SILENT else ATTEMPTS
         node.dialogue = SdoDialogue(node.contract.node_id, steps, self._send, now_s, attempts=attempts)
@@ -653,6 +677,7 @@ class NmtMaster:
             Event.LOST: (_stop_using, NodeState.WAITING),
             Event.OUTDATED: (_stop_using, NodeState.WAITING),
             Event.ASTRAY: (_stop_using_and_reset, NodeState.WAITING),
+            Event.UNFIT: (_stop_using_and_refuse, NodeState.REFUSED),
             Event.WRITTEN: (_stop_using, NodeState.WAITING),
         },
         NodeState.IN_USE_CHECKED: {
@@ -664,6 +689,7 @@ class NmtMaster:
             Event.LOST: (_stop_using, NodeState.CHECKED),
             Event.OUTDATED: (_stop_using, NodeState.CHECKED),
             Event.ASTRAY: (_stop_using_and_reset, NodeState.CHECKED),
+            Event.UNFIT: (_stop_using_and_refuse, NodeState.REFUSED),
             Event.WRITTEN: (_stop_using, NodeState.WAITING),
             Event.BUSY: (_give_way, NodeState.IN_USE),
         },

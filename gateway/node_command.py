@@ -1,4 +1,4 @@
-"""``skin node``: compares a board with the contract, or the wiring with the layout; objects of a node by name."""
+"""``skin node``: a board against the contract, the wiring against the layout; objects by name; NMT commands."""
 
 import dataclasses
 import select
@@ -12,7 +12,7 @@ from cyclopts import Parameter
 from bus.link import Link
 from bus.options import BusOptions, open_links
 from canskin.errors import InputError, RunError
-from dbc.canopen import HIGHEST_NODE_ID
+from dbc.canopen import HIGHEST_NODE_ID, NmtCommand, state_text
 from dbc.contract import Contract, NodeContract
 from dbc.frame import Frames
 from gateway.node_check import NodeCheck, NodeReport
@@ -29,10 +29,12 @@ if TYPE_CHECKING:
 
 #: Longest wait for frames in one turn.
 TURN_S: Final = 0.01
+#: NMT commands by the name of the action.
+_ORDERS: Final = {"reset": NmtCommand.RESET_NODE, "stop": NmtCommand.STOP, "start": NmtCommand.START}
 
 
 def node(
-    action: Literal["check", "get", "set", "objects"],
+    action: Literal["check", "get", "set", "objects", "reset", "stop", "start"],
     *objects: str,
     eds: Path | None = None,
     node_id: Annotated[int | None, Parameter(name="--node")] = None,
@@ -46,7 +48,7 @@ def node(
     out: Path | None = None,
     json: Json = False,
 ) -> int:
-    """Check a board; list, read or write the objects of a node by name.
+    """Check a board; list, read or write the objects of a node by name; reset, stop or start nodes.
 
     ``check`` compares the objects of a board, and the bytes that it sends while it shows each test pattern. It needs a
     bus without gateway. The board is left pre-operational, with the test patterns that it had. Ends with 1 if
@@ -58,16 +60,20 @@ def node(
     ``get``, ``set`` and ``objects`` may run beside the gateway, which gives way. After a write to an object that the
     layout fixes, the gateway proves the node again, and writes the layout's value (``configure = "write"``).
 
+    ``reset``, ``stop`` and ``start`` send an NMT command to one node, or without ``--node`` to all nodes of the bus.
+    They end with 1 unless each node tells the new state within 3 s. A running gateway starts nodes of the layout again.
+
     Parameters
     ----------
     action
-        ``check``; ``get`` and ``set``, which read and write objects by SDO; ``objects``, which lists them.
+        ``check``; ``get`` and ``set``, which read and write objects by SDO; ``objects``, which lists them; ``reset``,
+        ``stop`` and ``start``.
     objects
         Of ``get``: names, or index:sub. Of ``set``: OBJECT=VALUE. Of ``objects``: a part of the names.
     eds
         EDS of a device that is no board of the layout.
     node_id
-        Node-ID of the board or device.
+        Node-ID of the board or device. ``reset``, ``stop`` and ``start``: without it all nodes of the bus.
     bus
         Name of its bus in the layout. Default: the only one.
     layout
@@ -97,9 +103,14 @@ def node(
     skin node check --layout palm.toml --live 30 -i socketcan -c can0
     skin node get "Producer heartbeat time" 1018h:4 --bus bus0 --node 3
     skin node set 6060h=3 --eds drive.eds --node 5 -i socketcan -c can0
+    skin node reset --bus bus0 -i socketcan -c can0
     """
     skin = load_layout(layout)
-    if action != "check":
+    if action in _ORDERS:
+        if objects or eds is not None:
+            raise InputError(f"'skin node {action}' takes no objects: expected get or set")
+        return _order(skin, action, _bus_number(skin, bus), node_id, can or BusOptions(), as_json=json)
+    if action in ("get", "set", "objects"):
         return _objects(
             action, objects, eds=eds, skin=skin, bus=bus, node_id=node_id, can=can or BusOptions(), as_json=json
         )
@@ -189,6 +200,28 @@ def _objects(
         link.close()
     _show_objects(list(transfers.values), transfers.values, as_json=as_json)
     return int(any(isinstance(each, str) for each in transfers.values.values()))
+
+
+def _order(skin: Layout, action: str, number: int, node_id: int | None, can: BusOptions, *, as_json: bool) -> int:
+    """Send an NMT command, and show which state the nodes tell."""
+    from gateway.node_orders import NodeOrder
+
+    if node_id is not None and not 1 <= node_id <= HIGHEST_NODE_ID:
+        raise InputError(f"expected --node with a node-ID from 1 to {HIGHEST_NODE_ID}, got {node_id}")
+    awaited = skin.bus[number].ids if node_id is None else [node_id]
+    stop = StopSignal().install()
+    link = _open(skin, can, number, stop)
+    try:
+        order = NodeOrder(_ORDERS[action], node_id or 0, awaited, link.send, time.monotonic())
+        _run(order, link, stop)
+    finally:
+        link.close()
+    told = {each: None if state is None else state_text(state) for each, state in order.states.items()}
+    if as_json:
+        print_json({"bus": skin.bus[number].name, "states": told, "missing": order.missing})
+    else:
+        print_table(["node", "state"], [[str(each), state or "silent"] for each, state in told.items()])
+    return int(bool(order.missing))
 
 
 def _show_objects(entries: "list[Entry]", values: "dict[Entry, bytes | str]", *, as_json: bool) -> None:

@@ -105,6 +105,7 @@ class NodeWriting:
         self._open[number] = still
 
     def _steps(self, node: NodeContract) -> Generator[Transfer, bytes, None]:
+        self._masters[node.bus].nodes[node.node_id].known.write()
         for place in range(node.blocks):
             chain: Sequence[int] = self._chains[node.block + place].tolist()
             for index, values, form in ((od.GAIN, self._gains, "<f"), (od.OFFSET, self._offsets, "<h")):

@@ -1,8 +1,14 @@
 """Window identity: which frames of an earlier cycle may still come after a SYNC.
 
-A frame belongs to the SYNC before it on the bus, because a node gives up what has not gone within 1007h. A stack that
-runs in a timer of 1 ms gives up late: after the next SYNC, if the window ends less than the timer's period before. So a
-frame that did not come in a cycle may come in the next. There it would pass for the answer to the new SYNC.
+A frame belongs to the SYNC before it on the bus, because a node gives up what has not gone within 1007h. But some
+stacks give up late or never, and a board that hangs may send the answers to several SYNCs when it goes on. There they
+would pass for the answers to newer SYNCs. So owed frames are counted: one more for each SYNC, one less for each frame
+that comes. A frame is used only if none was owed when its SYNC came.
+
+A frame that a node has given up never comes. So what is owed ends also when the node has shown that it holds nothing
+back: the windows of the newest two SYNCs have passed, it has sent the frame once since the newest, and then nothing for
+`QUIET_NS`, or the frame has come once for each of `STREAK` SYNCs in a row. A board that goes on sends what it held back
+one frame after the other. What no counting finds is a node that stays a cycle late.
 
 Where nodes have two states, a SYNC asks for the frames of one. A node that missed the switch sends the others.
 So after SYNCs that asked for other frames, the first cycle is doubtful. Where a node strayed (it sent meanwhile), the
@@ -22,7 +28,7 @@ PDO before it is started again, and interfaces send and receive first in, first 
 """
 
 from collections.abc import Collection
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -30,6 +36,11 @@ import numpy.typing as npt
 from dbc.contract import Contract, FrameTable
 from gateway.open_cycles import Flags, Integers
 from shell.compiled import njit
+
+#: A node that goes on after it hung sends what it held back without a pause as long as this.
+QUIET_NS: Final = 2_000_000
+#: SYNCs in a row with one frame each after which a node that sends late in its cycle holds nothing back.
+STREAK: Final = 3
 
 
 class Outstanding(NamedTuple):
@@ -39,8 +50,14 @@ class Outstanding(NamedTuple):
     ----------
     owed : array of int64, shape (rows,)
         How many frames of each row of `Contract.table` may come.
+    came, streak : arrays of int64, shape (rows,)
+        Frames of the row since the newest SYNC, and SYNCs in a row with one frame each.
+    sent_ns : array of int64, shape (nodes,)
+        End of the newest of these frames of a node, 0 if unknown.
     asked_ns, window_ns : arrays of int64, shape (buses,)
         When the newest SYNC ended on each bus, and its window.
+    has_passed : array of bool, shape (buses,)
+        Whether the window of the SYNC before had passed then.
     rests : array of bool, shape (buses,)
         Whether the newest SYNC of a bus asked for none of these frames.
     strayed : array of bool, shape (rows,)
@@ -56,8 +73,12 @@ class Outstanding(NamedTuple):
     """
 
     owed: Integers
+    came: Integers
+    streak: Integers
+    sent_ns: Integers
     asked_ns: Integers
     window_ns: Integers
+    has_passed: Flags
     rests: Flags
     strayed: Flags
     doubtful: Flags
@@ -71,12 +92,18 @@ def new_outstanding(contract: Contract, unordered: Collection[int] = ()) -> Outs
     """Return the state before the first SYNC; `unordered` are numbers of buses."""
     rows, buses = len(contract.table.cob_id), len(contract.layout.bus)
     asked_ns, window_ns = np.zeros((2, buses), np.int64)
+    has_passed, rests = np.zeros((2, buses), np.bool_)
     strayed, doubtful, may_be_old = np.zeros((3, rows), np.bool_)
+    owed, since_sync, streak = np.zeros((3, rows), np.int64)
     return Outstanding(
-        np.zeros(rows, np.int64),
+        owed,
+        since_sync,
+        streak,
+        np.zeros(len(contract.nodes), np.int64),
         asked_ns,
         window_ns,
-        np.zeros(buses, np.bool_),
+        has_passed,
+        rests,
         strayed,
         doubtful,
         may_be_old,
@@ -99,17 +126,23 @@ def ask(bus: int, time_ns: int, window_ns: int, table: FrameTable, frames: Outst
     """
     is_first = frames.rests[bus]
     frames.rests[bus] = False
-    has_passed = _note(bus, time_ns, window_ns, frames) and frames.is_ordered[bus]
+    had_passed = frames.has_passed[bus]
+    frames.has_passed[bus] = _note(bus, time_ns, window_ns, frames)
+    is_over = had_passed and frames.has_passed[bus] and frames.is_ordered[bus]
     if not frames.is_ordered[bus]:
         _count_behind(bus, table, frames)
     for row in range(len(table.bus)):
         if table.bus[row] != bus:
             continue
+        frames.streak[row] = frames.streak[row] + 1 if frames.came[row] == 1 else 0
+        sent_ns = frames.sent_ns[table.node[row]]
+        is_quiet = sent_ns != 0 and time_ns - sent_ns >= QUIET_NS
+        if is_over and frames.came[row] == 1 and (is_quiet or frames.streak[row] >= STREAK):
+            frames.owed[row] = 0
+        frames.came[row] = 0
         frames.may_be_old[row] = is_first or frames.owed[row] > 0 or frames.doubtful[row]
         frames.doubtful[row] = is_first and frames.strayed[row]
         frames.strayed[row] = False
-        if has_passed:
-            frames.owed[row] = 0  # after the window the nodes have given up; see the module for the next cycle
         frames.owed[row] += 1
 
 
@@ -131,7 +164,7 @@ def rest(bus: int, time_ns: int, window_ns: int, table: FrameTable, frames: Outs
     frames.rests[bus] = True
     for row in range(len(table.bus)):
         if table.bus[row] == bus:
-            frames.owed[row] = 0
+            frames.owed[row] = frames.came[row] = 0
 
 
 @njit(cache=True, nogil=True)
@@ -143,9 +176,11 @@ def _note(bus: int, time_ns: int, window_ns: int, frames: Outstanding) -> bool:
 
 
 @njit(cache=True, nogil=True)
-def came(row: int, table: FrameTable, frames: Outstanding) -> None:
-    """Take note of a frame."""
+def came(row: int, time_ns: int, table: FrameTable, frames: Outstanding) -> None:
+    """Take note of a frame that ended at `time_ns`, 0 if unknown."""
     node = table.node[row]
+    frames.came[row] += 1
+    frames.sent_ns[node] = time_ns
     frames.is_silent[node] = False
     frames.owed[row] = max(frames.owed[row] - 1, 0)
     if frames.rests[table.bus[row]]:

@@ -2,24 +2,37 @@
 
 After CiA 302-2, boot NMT slave. One read is enough for a node that computes the signature of its configuration
 (2006h). Every object is read when the node computes none, or when the signature differs.
+
+Only a board knows which gains and offsets (2010h, 2011h) are right for its taxels. So each proof compares them with
+what an earlier one has found. A node that signs them together with its configuration (2009h) is proven by this one
+read while 2009h stays what it was. Of other nodes they are read object by object: all before a node is used, then
+`PART` in each proof.
 """
 
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
 from dbc import indices as od
 from dbc.canopen import COB_ID_INVALID
 from dbc.configuration import Setting
+from gateway.foreign_sdo import CONFIGURATION, GAINS
 from gateway.sdo import Read, SdoAbortedError, Transfer, Write
 
 #: Value of 2006h in a board that computes no signature.
 NO_SIGNATURE: Final = 0
+#: Gains and offsets that are read in each proof of a node in use that does not sign them.
+PART: Final = 2
 #: Most objects that a refusal names; of the others it gives the number.
 NAMED: Final = 3
 
+_OTHER_CONFIGURATION: Final = f"doubted: its {CONFIGURATION} is not that of the layout"
+_OTHER_GAINS: Final = f"doubted: its {GAINS} are not what they were"
+
 Steps = Generator[Transfer, bytes, "Proof"]
 _Part = Generator[Transfer, bytes, None]
+#: Gains and offsets as a proof has found them: 2009h, or the values by index and sub-index. None: not known.
+Gains = int | Mapping[tuple[int, int], bytes] | None
 
 
 @dataclass
@@ -33,15 +46,68 @@ class Proof:
     written : str
         Objects that were written, with their old values.
     has_signature : bool
-        The node computes its signature, so the next proof is one transfer.
+        The node computes the signature of its configuration.
+    gains : Gains
+    is_one_read : bool
+        The proof was one transfer.
+    cost : int
+        Transfers of the next proof.
     """
 
     refusal: str = ""
     written: str = ""
     has_signature: bool = False
+    gains: Gains = None
+    is_one_read: bool = False
+    cost: int = 1
 
 
-def prove(settings: Sequence[Setting], signature: int, *, write: bool, doubt: Callable[[], None]) -> Steps:
+@dataclass
+class Known:
+    """What is known of a node's gains and offsets before a proof.
+
+    Attributes
+    ----------
+    settings : sequence of Setting
+        These objects (`dbc.configuration.calibration`); none where sums are made before the converters.
+    gains : Gains
+        As the newest proof has found them.
+    turn : int
+        Place in `settings` of the next object that is read alone.
+    is_ours : bool
+        The gateway has written since the newest proof.
+    """
+
+    settings: Sequence[Setting]
+    gains: Gains = None
+    turn: int = 0
+    is_ours: bool = False
+
+    def write(self) -> None:
+        """Take note that the gateway writes gains or offsets: what is found next is right."""
+        self.gains, self.is_ours = None, True
+
+    def doubt(self) -> None:
+        """Take note that another master may have written since the gateway has: what is found next is a change."""
+        if self.is_ours:
+            self.gains, self.is_ours = {}, False
+
+    def take(self, gains: Gains) -> bool:
+        """Take what a proof has found; tell whether that is a change."""
+        is_change = self.gains is not None and gains != self.gains
+        self.gains, self.is_ours = gains, False
+        return is_change
+
+
+def prove(
+    settings: Sequence[Setting],
+    signature: int,
+    known: Known,
+    *,
+    write: bool,
+    in_use: bool,
+    doubt: Callable[[str], None],
+) -> Steps:
     """Compare a node with its contract; return the `Proof`.
 
     Parameters
@@ -52,8 +118,10 @@ def prove(settings: Sequence[Setting], signature: int, *, write: bool, doubt: Ca
         Of these settings, see `dbc.configuration.expected_signature`.
     write : bool
         Write the objects that differ, if all of them can be written; else refuse the node.
+    in_use : bool
+        The node's sums are used.
     doubt : callable
-        Called when the first difference is found, before any write.
+        Called with the reason when the first difference is found, before any write.
 
     Raises
     ------
@@ -61,38 +129,100 @@ def prove(settings: Sequence[Setting], signature: int, *, write: bool, doubt: Ca
         If the node does not answer.
     """
     proof = Proof()
-    if (yield from _signature_is_right(signature, proof)):
+    yield from _prove_configuration(settings, signature, known, proof, write=write, doubt=doubt)
+    if proof.refusal or proof.is_one_read or not known.settings:
         return proof
+    if proof.gains is None:
+        proof.gains = yield from _read_gains(known, in_use=in_use and isinstance(known.gains, Mapping), doubt=doubt)
+        proof.cost += PART
+    elif known.gains not in (None, proof.gains):
+        doubt(_OTHER_GAINS)
+    return proof
+
+
+def _prove_configuration(
+    settings: Sequence[Setting],
+    signature: int,
+    known: Known,
+    proof: Proof,
+    *,
+    write: bool,
+    doubt: Callable[[str], None],
+) -> _Part:
+    """Compare all but gains and offsets; note what is found in `proof`."""
+    if (yield from _signature_is_right(signature, known, proof)):
+        return
     try:
         wrong = yield from _differences(settings)
         if wrong or proof.has_signature:
-            doubt()
+            doubt(_OTHER_CONFIGURATION)
         if wrong and write and all(setting.is_writable for setting, _ in wrong):
             yield from _write([setting for setting, _ in wrong], settings)
             proof.written = _in_words(wrong)
-            if (yield from _signature_is_right(signature, proof)):
-                return proof
+            if (yield from _signature_is_right(signature, known, proof)):
+                return
             wrong = yield from _differences(settings)
     except SdoAbortedError as error:
-        doubt()
+        doubt(_OTHER_CONFIGURATION)
         proof.refusal = str(error)
-        return proof
+        return
     fixed = [(setting, data) for setting, data in wrong if not setting.is_writable]
     if wrong:
         proof.refusal = _in_words(fixed or wrong)
     elif proof.has_signature:
         proof.refusal = f"its objects are right, but not their signature ({od.SIGNATURE:04X}h)"
-    return proof
+    if not proof.has_signature:
+        proof.cost = len(settings) + 1
 
 
-def _signature_is_right(expected: int, proof: Proof) -> Generator[Transfer, bytes, bool]:
-    """Read the signature; tell whether it is that of the contract."""
-    try:
-        found = int.from_bytes((yield Read(od.SIGNATURE)), "little")
-    except SdoAbortedError:
-        return False
+def _signature_is_right(expected: int, known: Known, proof: Proof) -> Generator[Transfer, bytes, bool]:
+    """Read the signatures; tell whether the configuration is that of the contract.
+
+    2009h comes first: a configuration that changes between the two reads is then found now or in the next proof.
+    """
+    proof.gains, proof.is_one_read = None, False
+    if known.settings and not isinstance(known.gains, Mapping):
+        whole = yield from _read_signature(od.CALIBRATION_SIGNATURE)
+        proof.gains = whole if whole != NO_SIGNATURE else None
+        if proof.gains is not None and proof.gains == known.gains:
+            proof.has_signature = proof.is_one_read = True
+            return True
+    found = yield from _read_signature(od.SIGNATURE)
     proof.has_signature = found != NO_SIGNATURE
+    proof.is_one_read = not known.settings
     return proof.has_signature and found == expected
+
+
+def _read_signature(index: int) -> Generator[Transfer, bytes, int]:
+    try:
+        return int.from_bytes((yield Read(index)), "little")
+    except SdoAbortedError:
+        return NO_SIGNATURE
+
+
+def _read_gains(known: Known, *, in_use: bool, doubt: Callable[[str], None]) -> Generator[Transfer, bytes, Gains]:
+    """Return gains and offsets, read object by object: `PART` of them of a node in use, unless one of these differs."""
+    before = known.gains if isinstance(known.gains, Mapping) else {}
+    found: dict[tuple[int, int], bytes] = {}
+    if in_use:
+        part = [known.settings[(known.turn + each) % len(known.settings)] for each in range(PART)]
+        known.turn = (known.turn + PART) % len(known.settings)
+        found = yield from _values(part)
+        if all(before.get(place) == data for place, data in found.items()):
+            return before
+        doubt(_OTHER_GAINS)
+    return (yield from _values(known.settings))
+
+
+def _values(settings: Sequence[Setting]) -> Generator[Transfer, bytes, dict[tuple[int, int], bytes]]:
+    """Return the values of objects by index and sub-index; empty for those that a board does not have."""
+    found = {}
+    for each in settings:
+        try:
+            found[each.index, each.subindex] = yield Read(each.index, each.subindex)
+        except SdoAbortedError:
+            found[each.index, each.subindex] = b""
+    return found
 
 
 def _differences(settings: Sequence[Setting]) -> Generator[Transfer, bytes, list[tuple[Setting, bytes]]]:

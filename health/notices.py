@@ -135,6 +135,11 @@ def _calibration(state: Snapshot) -> Iterator[Notice]:
     if calibration.state is CalibrationState.TOUCHED:
         text = "the zero of the skin is not measured: something has touched the skin since the start"
         yield Notice(level="info", text=text)
+    if calibration.recalibrated:
+        named, more = calibration.recalibrated[:NAMED], len(calibration.recalibrated) - NAMED
+        nodes = ", ".join(named) + (f" and {more} more" if more > 0 else "")
+        text = f"gains or offsets of {nodes} have changed: no force there until the zero is measured (skin tare)"
+        yield Notice(level="warning", text=text, kind="recalibrated")
     for text in calibration.defects[:NAMED]:
         yield Notice(level="warning", text=text)
     if len(calibration.defects) > NAMED:

@@ -4,6 +4,7 @@ Each function raises the abort code of the standard (CiA 301, table 22).
 """
 
 import math
+import struct
 from collections.abc import Callable
 from typing import Any, Final
 
@@ -46,10 +47,19 @@ def check_write(node: LocalNode, index: int, subindex: int, value: float) -> Non
         raise SdoAbortedError(Abort.STATE)  # CiA 301, 7.5.2.22
 
 
-def is_allowed(index: int, value: float) -> bool:
-    """Tell whether an object accepts a value in some state of the node."""
+def is_storable(index: int, data_type: int | None, data: bytes) -> bool:
+    """Tell whether a stored value fits an object that can be written; test patterns and refreshes cannot be stored."""
+    if index in (od.STORE, od.RESTORE, od.ERROR_FIELD) or _first_block(index) in _ORDERS:
+        return False
+    if len(data) * 8 != od.BITS.get(data_type or 0):
+        return False
     rule = _VALUES.get(_first_block(index))
-    return rule is None or rule(value)
+    return rule is None or rule(number(data_type, data))
+
+
+def number(data_type: int | None, data: bytes) -> float:
+    """Return the value of an object's bytes; whole numbers as unsigned."""
+    return float(struct.unpack("<f", data)[0]) if data_type == od.REAL32 else int.from_bytes(data, "little")
 
 
 def _first_block(index: int) -> int:
@@ -59,6 +69,9 @@ def _first_block(index: int) -> int:
 def _is_noise(value: float) -> bool:
     return value == 0 or GIVEN_NOISE_N[0] <= value <= GIVEN_NOISE_N[1]
 
+
+#: Objects of the manufacturer whose value is an order to the running node: they are not restored.
+_ORDERS: Final = (od.TEST_PATTERN, od.REFRESH, od.STATE)
 
 #: Accepted values of the objects that do not accept every value of their type.
 _VALUES: Final[dict[int, Callable[[Any], bool]]] = {

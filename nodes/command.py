@@ -33,6 +33,7 @@ def nodes(
     rest: float = 0.0,
     noise_n: float = NOISE_N,
     store: Path | None = None,
+    unnumbered: Annotated[bool, Parameter(negative=())] = False,
     firmware: Annotated[bool, Parameter(negative=())] = False,
 ) -> None:
     """Run the virtual CANopen nodes of a skin.
@@ -59,6 +60,8 @@ def nodes(
         Standard deviation of the sensor noise in newtons. Recordings get none: they contain their own noise.
     store
         Folder for the parameters that 1010h stores, one file per node, like the flash memory of a board.
+    unnumbered
+        Boards begin without node-IDs, unless `store` has them, and wait for ``skin commission``.
     firmware
         Run the C firmware of the boards (``skin export firmware``) in place of nodes in Python. The system's C compiler
         (cc) compiles the firmware once.
@@ -69,14 +72,13 @@ def nodes(
     skin nodes --defect dead=0.02 cross-talk drift
     skin nodes --drift patch12:ramp:0.003:10:60 whole:step:-0.002:5
     skin nodes -i socketcan -c vcan0 --only bus0:1-16
+    skin nodes --unnumbered --store flash
     """
     if not 0 <= noise_n < math.inf:
         raise InputError(f"--noise-n: expected 0 or more, got {noise_n:g}")
     touch.check()
     if touch.input is not None and rest:
         raise InputError("--rest is for objects: a recording begins as it begins")
-    if firmware and store is not None:
-        raise InputError("--store is for nodes in Python: boards with --firmware keep their parameters until they end")
     if store is not None:
         try:
             store.mkdir(parents=True, exist_ok=True)
@@ -91,13 +93,15 @@ def nodes(
     compiled = None
     if firmware:
         require_one_state(skin, "the firmware in C")
-        compiled = Firmware(contract, mine)
+        compiled = Firmware(contract, mine, store=store, unnumbered=unnumbered)
     blocks = [node.block for node in mine]
     hardware = way_of(skin).hardware(contract, blocks, touch.source(skin, rest), compiled, **analogue)
     links = open_links(skin, bus or BusOptions(), chosen, name="nodes", stop=stop)
     mark = contract.phi.fingerprint
     joined = Fabric(skin.name, "nodes", connect, stop=stop, fingerprint=mark) if fabric else None
-    service = NodesService(contract, links, chosen, hardware, joined, store=store, firmware=compiled)
+    service = NodesService(
+        contract, links, chosen, hardware, joined, store=store, unnumbered=unnumbered, firmware=compiled
+    )
     count = sum(map(len, chosen.values()))
     say("nodes", f"{count} node{'s' * (count != 1)} on {len(links)} bus{'es' * (len(links) != 1)}")
     try:

@@ -25,7 +25,7 @@ from dbc.configuration import Setting, signature
 from dbc.contract import NodeContract
 from dbc.dictionary import HEARTBEATS_WATCHED, ON_COMMAND, SkinState
 from dbc.objects import Object
-from nodes.access import check_write, is_allowed
+from nodes.access import check_write, is_storable, number
 from nodes.emcy import EmcyProducer
 from nodes.hardware import Hardware
 from nodes.heartbeat import HeartbeatConsumer
@@ -35,9 +35,6 @@ from nodes.tpdo import LiveTpdo, read_tpdos
 
 #: Objects whose write is a command; a read tells that the node offers the command.
 _COMMANDS: Final = (od.STORE, od.RESTORE)
-
-#: Objects of the manufacturer whose value is an order to the running node: they are not restored.
-_ORDERS: Final = (od.TEST_PATTERN, od.REFRESH, od.STATE)
 
 #: State after a communication error, by 1029h sub 1 (CiA 301, 7.5.2.33): pre-operational, no change, stopped.
 _ON_ERROR: Final = (NmtState.PRE_OPERATIONAL, None, NmtState.STOPPED)
@@ -50,8 +47,8 @@ class SkinNode:
     ----------
     objects : list of Object
         The node's object dictionary.
-    settings : sequence of Setting
-        The objects that the configuration signature (2006h) covers.
+    settings, calibration : sequences of Setting
+        The objects that the signature 2006h covers, and those that 2009h covers besides.
     outbox : Outbox
         Where the node sends.
     storage : Storage
@@ -75,6 +72,7 @@ class SkinNode:
         contract: NodeContract,
         objects: list[Object],
         settings: Sequence[Setting],
+        calibration: Sequence[Setting],
         *,
         outbox: Outbox,
         hardware: Hardware,
@@ -86,8 +84,11 @@ class SkinNode:
         self.tpdos: list[LiveTpdo] = []
         self.active_state = self.wanted_state = SkinState.RECOGNITION
         self._states = _states_of_tpdos(contract, objects)
-        self._settings = settings
-        self._signature: int | None = None
+        self._signed = {
+            od.SIGNATURE: settings,
+            od.CALIBRATION_SIGNATURE: sorted([*settings, *calibration], key=lambda each: (each.index, each.subindex)),
+        }
+        self._signatures: dict[int, int] = {}
         self._storage = storage
         self._outbox = outbox
         self._hardware = hardware
@@ -100,7 +101,7 @@ class SkinNode:
             od.ERROR_REGISTER: lambda _: self.emcy.register,
             od.ERROR_FIELD: self._read_error,
             od.HEALTH: self._read_health,
-            od.SIGNATURE: lambda _: self._read_signature(),
+            **{index: partial(self._read_signature, index) for index in self._signed},
             od.TEMPERATURE: lambda _: round(10 * hardware.temperature_k(range(first, first + contract.blocks))),
             od.STATE: lambda subindex: self.wanted_state if subindex == 1 else None,
             **{
@@ -123,6 +124,11 @@ class SkinNode:
         """Whether the SDO server works in this state."""
         return self.state in (NmtState.PRE_OPERATIONAL, NmtState.OPERATIONAL)
 
+    @property
+    def lss_address(self) -> tuple[int, ...]:
+        """Vendor-ID, product code, revision and serial number (1018h)."""
+        return tuple(self.local.unsigned(od.IDENTITY, subindex) for subindex in range(1, 5))
+
     def boot(self, now_s: float, *, communication_only: bool = False) -> None:
         """Initialise: restore parameters, send the boot-up message, enter PRE-OPERATIONAL."""
         self._enter(NmtState.INITIALISING)
@@ -136,7 +142,7 @@ class SkinNode:
         if not communication_only:
             self._reset_electronics()
         self.active_state = self.wanted_state = SkinState.RECOGNITION
-        self._signature = None
+        self._signatures.clear()
         self.emcy.reset()
         self.watched = HeartbeatConsumer()
         self.health[:] = 0
@@ -148,15 +154,13 @@ class SkinNode:
         part = self.contract.node_id / (HIGHEST_NODE_ID + 1)
         self._beat_due_s = now_s + part * self._beat_period_s if self._beat_period_s else float("inf")
 
+    def end(self) -> None:
+        """Be silent until `boot`: the node has no node-ID."""
+        self._enter(NmtState.INITIALISING)
+
     def _is_stored(self, index: int, subindex: int, data: bytes) -> bool:
-        """Tell whether a stored value fits an object that can be stored; test patterns and refreshes cannot."""
         found = self.local.variable(index, subindex)
-        if found is None or not found.writable or index in _COMMANDS or index == od.ERROR_FIELD:
-            return False
-        if index >= od.MANUFACTURER and od.split_block(index)[1] in _ORDERS:
-            return False
-        is_whole = len(data) * 8 == od.BITS.get(found.data_type or 0)
-        return is_whole and is_allowed(index, _number(found.data_type, data))
+        return found is not None and found.writable and is_storable(index, found.data_type, data)
 
     def _reset_electronics(self) -> None:
         """Set the electronics to the dictionary's calibration and to no test pattern."""
@@ -174,7 +178,7 @@ class SkinNode:
             value: float = int.from_bytes(data, "little", signed=True)
         else:
             found = self.local.variable(index, subindex)
-            value = _number(found.data_type if found else None, data)
+            value = number(found.data_type if found else None, data)
         self._hardware.adjust(self.contract.block + place, first, subindex, value)
 
     def command(self, command: int, now_s: float) -> None:
@@ -190,6 +194,8 @@ class SkinNode:
     @property
     def due_s(self) -> float:
         """When `tick` has work to do next, as things stand."""
+        if self.state is NmtState.INITIALISING:
+            return float("inf")
         if self._has_events or self.emcy.is_waiting:
             return float("-inf")
         return min(self._beat_due_s, self.watched.due_s)
@@ -289,11 +295,12 @@ class SkinNode:
             raise canopen.SdoAbortedError(Abort.NO_DATA)
         return history[subindex - 1]
 
-    def _read_signature(self) -> int:
-        """Return the signature of the present configuration; test patterns are read from the electronics."""
-        if self._signature is None:
-            self._signature = signature((each.index, each.subindex, self._value(each)) for each in self._settings)
-        return self._signature
+    def _read_signature(self, index: int, _subindex: int) -> int:
+        """Return the signature of the present values; test patterns are read from the electronics."""
+        if index not in self._signatures:
+            covered = self._signed[index]
+            self._signatures[index] = signature((each.index, each.subindex, self._value(each)) for each in covered)
+        return self._signatures[index]
 
     def _value(self, setting: Setting) -> bytes:
         if setting.index >= od.MANUFACTURER:
@@ -315,14 +322,14 @@ class SkinNode:
         return int(self._hardware.counts(block)[subindex - 1]) if subindex else None
 
     def _written(self, *, index: int, subindex: int, data: bytes, **entry: Any) -> None:
-        check_write(self.local, index, subindex, _number(entry["od"].data_type, data))
+        check_write(self.local, index, subindex, number(entry["od"].data_type, data))
         if index == od.ERROR_FIELD:
             self.emcy.clear_history()
         elif index == od.STORE:
             self._store({at: dict(entries) for at, entries in self.local.data_store.items() if at not in _COMMANDS})
         elif index == od.RESTORE:
             self._store({})
-        self._signature = None
+        self._signatures.clear()
         if index == od.STATE:
             self.wanted_state = SkinState(data[0])
         elif index >= od.MANUFACTURER:
@@ -348,8 +355,3 @@ def _states_of_tpdos(contract: NodeContract, objects: list[Object]) -> dict[int,
     indices = {each.index for each in objects if od.TPDO_COMMUNICATION <= each.index < od.TPDO_MAPPING}
     numbers = {index - od.TPDO_COMMUNICATION + 1 for index in indices}
     return {number: SkinState.IMAGES if number in own else SkinState.RECOGNITION for number in sorted(numbers)}
-
-
-def _number(data_type: int | None, data: bytes) -> float:
-    """Return the value of an object's bytes; whole numbers as unsigned."""
-    return float(struct.unpack("<f", data)[0]) if data_type == od.REAL32 else int.from_bytes(data, "little")

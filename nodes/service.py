@@ -42,6 +42,8 @@ class NodesService:
         Where counters and true forces are published.
     store : Path, optional
         Folder for the parameters that 1010h stores.
+    unnumbered : bool
+        Whether nodes without a stored node-ID wait for LSS.
     firmware : Firmware, optional
         Compiled for these nodes: C boards run in place of nodes in Python. The hardware is made for them.
     clock : callable, optional
@@ -57,12 +59,13 @@ class NodesService:
         fabric: Fabric | None = None,
         *,
         store: Path | None = None,
+        unnumbered: bool = False,
         firmware: Firmware | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         def new_segment(bus: int, link: Link) -> Segment:
             boards: Boards = (
-                VirtualBoards(contract, bus, node_ids[bus], hardware, store=store)
+                VirtualBoards(contract, bus, node_ids[bus], hardware, store=store, unnumbered=unnumbered)
                 if firmware is None
                 else firmware.boards(bus)
             )

@@ -6,6 +6,7 @@ from typing import Annotated
 import msgspec
 
 from canskin.errors import UNDECODABLE, InputError
+from dbc.contract import Contract, NodeContract
 from shell.output import write_file
 
 #: Values by index and sub-index, in the bytes of an SDO transfer.
@@ -14,11 +15,12 @@ _Place = Annotated[str, msgspec.Meta(pattern="^[0-9A-F]{4}:[0-9A-F]{2}$")]
 _Value = Annotated[str, msgspec.Meta(pattern="^([0-9a-f]{2})*$")]
 
 
-class _Stored(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Content of the file: fingerprint of Φ, and the values in hexadecimal by ``INDEX:SUBINDEX``."""
+class _Stored(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
+    """Content of the file: fingerprint of Φ, the values in hexadecimal by ``INDEX:SUBINDEX``, what LSS stored."""
 
     phi: str
     parameters: dict[_Place, _Value]
+    has_node_id: bool = False
 
 
 class Storage:
@@ -35,12 +37,21 @@ class Storage:
     ----------
     parameters : dict
         The stored values; empty after `clear`.
+    has_node_id : bool
+        Whether LSS has stored the node-ID (CiA 305).
     """
 
     def __init__(self, phi: str, path: Path | None = None) -> None:
         self._phi = phi
         self._path = path
+        self.has_node_id = False
         self.parameters: Parameters = {} if path is None else self._load(path)
+
+    @classmethod
+    def of_node(cls, contract: Contract, node: NodeContract, folder: Path | None) -> "Storage":
+        """Return the storage of a node: its file in `folder`, or memory."""
+        name = f"{contract.layout.bus[node.bus].name}-{node.node_id}.json"
+        return cls(contract.phi.fingerprint, folder / name if folder else None)
 
     def save(self, parameters: Parameters) -> None:
         """Store `parameters`; they replace all stored values.
@@ -50,26 +61,27 @@ class Storage:
         OSError
             If the file cannot be written; the old values stay.
         """
-        if self._path is not None:
+        self._write(parameters, has_node_id=self.has_node_id)
+
+    def save_node_id(self, has_node_id: bool) -> None:
+        """Store whether the node has its node-ID; OSError as of `save`."""
+        self._write(self.parameters, has_node_id=has_node_id)
+
+    def clear(self) -> None:
+        """Delete the stored values: the next reset restores the defaults. OSError as of `save`."""
+        self._write({}, has_node_id=self.has_node_id)
+
+    def _write(self, parameters: Parameters, *, has_node_id: bool) -> None:
+        if self._path is not None and (parameters or has_node_id):
             flat = {
                 f"{index:04X}:{subindex:02X}": data.hex()
                 for index, entries in parameters.items()
                 for subindex, data in entries.items()
             }
-            write_file(self._path, msgspec.json.format(msgspec.json.encode(_Stored(self._phi, flat))))
-        self.parameters = parameters
-
-    def clear(self) -> None:
-        """Delete the stored values: the next reset restores the defaults.
-
-        Raises
-        ------
-        OSError
-            If the file cannot be removed.
-        """
-        if self._path is not None:
+            write_file(self._path, msgspec.json.format(msgspec.json.encode(_Stored(self._phi, flat, has_node_id))))
+        elif self._path is not None:
             self._path.unlink(missing_ok=True)
-        self.parameters = {}
+        self.parameters, self.has_node_id = parameters, has_node_id
 
     def _load(self, path: Path) -> Parameters:
         try:
@@ -89,4 +101,5 @@ class Storage:
                 f"{path}: expected parameters of a skin with Φ {self._phi}, got Φ {stored.phi}:"
                 " give another --store folder, or remove the file"
             )
+        self.has_node_id = stored.has_node_id
         return found

@@ -14,8 +14,11 @@ from dbc.canopen import (
     BASE_ID_MASK,
     HEARTBEAT_BASE,
     HIGHEST_NODE_ID,
+    LSS_REQUEST_COB_ID,
+    LSS_RESPONSE_COB_ID,
     NMT_BYTES,
     NMT_COB_ID,
+    NO_NODE_ID,
     SDO_BYTES,
     SDO_REQUEST_BASE,
     STATE_COB_ID,
@@ -24,13 +27,14 @@ from dbc.canopen import (
     NmtState,
     is_of_node,
 )
-from dbc.configuration import configuration
+from dbc.configuration import calibration, configuration
 from dbc.contract import Contract, NodeContract
 from dbc.dictionary import REACTION_NS, SkinState, dictionary
-from dbc.frame import ECHO, ERROR, EXTENDED, REMOTE, Frames
+from dbc.frame import ECHO, ERROR, EXTENDED, REMOTE, Frames, one_frame
 from dbc.frame_bits import frame_time_ns
 from nodes.burst import Burst
 from nodes.hardware import Hardware
+from nodes.lss import LssSlave
 from nodes.node import SkinNode
 from nodes.objects import Outbox
 from nodes.storage import Storage
@@ -54,6 +58,8 @@ class VirtualBoards:
         Made for the way in which the layout sends (`nodes.ways`).
     store : Path, optional
         Folder for the parameters that 1010h stores, one file per node; without a folder they end with the process.
+    unnumbered : bool
+        Whether the nodes wait for LSS to give them their node-IDs, unless `store` has them.
 
     Attributes
     ----------
@@ -65,7 +71,14 @@ class VirtualBoards:
     """
 
     def __init__(
-        self, contract: Contract, bus: int, node_ids: Collection[int], hardware: Hardware, *, store: Path | None = None
+        self,
+        contract: Contract,
+        bus: int,
+        node_ids: Collection[int],
+        hardware: Hardware,
+        *,
+        store: Path | None = None,
+        unnumbered: bool = False,
     ) -> None:
         wires = contract.layout.bus[bus]
         self.is_pdo = np.zeros(BASE_ID_MASK + 1, np.bool_)
@@ -74,15 +87,18 @@ class VirtualBoards:
         #: Identifier of the RPDO with the state of the nodes; without states none has it.
         self._state_cob_id = -1 if contract.recognition is None else STATE_COB_ID
         self._outbox = Outbox()
-        self.nodes = [
-            self._new_node(
-                node,
-                hardware,
-                Storage(contract.phi.fingerprint, store / f"{wires.name}-{node.node_id}.json" if store else None),
-            )
-            for node in contract.on_bus(bus)
-            if node.node_id in node_ids
-        ]
+        self.nodes: list[SkinNode] = []
+        self._lss: list[tuple[LssSlave, SkinNode]] = []
+        for each in contract.on_bus(bus):
+            if each.node_id in node_ids:
+                storage = Storage.of_node(contract, each, store)
+                node = self._new_node(each, hardware, storage)
+                has_node_id = storage.has_node_id or not unnumbered
+                slave = LssSlave(
+                    node.lss_address, each.node_id, wires.bitrate, storage.save_node_id, has_node_id=has_node_id
+                )
+                self.nodes.append(node)
+                self._lss.append((slave, node))
         self._by_id = {node.contract.node_id: node for node in self.nodes}
         self._sync_length: dict[int, int] = {}
         #: The nodes that watch the heartbeat of a node-ID; most nodes watch none.
@@ -102,16 +118,19 @@ class VirtualBoards:
             node,
             dictionary(self._contract, node),
             configuration(self._contract, node),
+            calibration(self._contract, node),
             outbox=self._outbox,
             hardware=hardware,
             storage=storage,
         )
 
     def power_up(self, now_s: float) -> Frames:
-        """Boot all nodes."""
+        """Boot all nodes that have a node-ID."""
         self.due_s = float("-inf")
-        for node in self.nodes:
-            node.boot(now_s)
+        for slave, node in self._lss:
+            slave.reset()
+            if slave.node_id != NO_NODE_ID:
+                node.boot(now_s)
         self._compile(self.nodes)
         return self._outbox.take()
 
@@ -140,7 +159,7 @@ class VirtualBoards:
         heartbeat = is_of_node(can_id, HEARTBEAT_BASE)
         request = is_of_node(can_id, SDO_REQUEST_BASE)
         # The nodes of this process receive each other's heartbeats as echoes.
-        others = (can_id == NMT_COB_ID) | (can_id == self._state_cob_id)
+        others = (can_id == NMT_COB_ID) | (can_id == self._state_cob_id) | (can_id == LSS_REQUEST_COB_ID)
         for frame in arrived[there & heartbeat | plain & (request | others)]:
             self._handle(frame, now_s)
         return self._outbox.take()
@@ -158,6 +177,9 @@ class VirtualBoards:
 
     def _handle(self, frame: np.void, now_s: float) -> None:
         can_id = int(frame["can_id"])
+        if can_id == LSS_REQUEST_COB_ID:
+            self._take_lss(frame["data"][: frame["length"]].tobytes(), now_s)
+            return
         if can_id > HEARTBEAT_BASE:
             for node in self._watchers.get(can_id - HEARTBEAT_BASE, ()):
                 node.heard(can_id - HEARTBEAT_BASE, now_s)
@@ -222,11 +244,33 @@ class VirtualBoards:
         if len(data) != NMT_BYTES:
             return
         command, node_id = data[0], data[1]
-        addressed = self.nodes if node_id == 0 else [self._by_id[node_id]] if node_id in self._by_id else []
-        for node in addressed:
-            node.command(command, now_s)
+        # Without node-ID there is no NMT slave yet.
+        numbered = [(slave, node) for slave, node in self._lss if slave.node_id != NO_NODE_ID]
+        addressed = [(slave, node) for slave, node in numbered if node_id in {0, slave.node_id}]
+        for slave, node in addressed:
+            if command == NmtCommand.RESET_NODE:
+                slave.reset()
+            elif command == NmtCommand.RESET_COMMUNICATION:
+                slave.initialise()
+            if slave.node_id == NO_NODE_ID:
+                node.end()
+            else:
+                node.command(command, now_s)
         if command in (NmtCommand.RESET_NODE, NmtCommand.RESET_COMMUNICATION):
-            self._compile(addressed)
+            self._compile([node for _, node in addressed])
+
+    def _take_lss(self, data: bytes, now_s: float) -> None:
+        for slave, node in self._lss:
+            answer = slave.take(data)
+            if answer is not None:
+                response = one_frame(LSS_RESPONSE_COB_ID, answer)
+                response["port"] = node.contract.node_id
+                self._outbox.post(response)
+            if slave.is_due:
+                slave.initialise()
+                node.boot(now_s)
+                self.due_s = float("-inf")
+                self._compile([node])
 
     def _sdo(self, can_id: int, data: bytes, now_s: float) -> None:
         node = self._by_id.get(can_id - SDO_REQUEST_BASE)

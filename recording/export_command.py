@@ -67,7 +67,8 @@ def export(
         Recording: new file; of a csv the names of the tables are added; default: the name of the recording. Firmware:
         folder for the files.
     node
-        Firmware: write the constants of these nodes, as BUS:NODE or BUS:FIRST-LAST; default: all nodes.
+        Firmware: write the constants of these nodes, as BUS:NODE or BUS:FIRST-LAST; default: all nodes. Nodes of one
+        type share one program, which takes its own constants by bus and node-ID.
     json
         Firmware: print one JSON list.
 

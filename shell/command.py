@@ -32,6 +32,7 @@ VERBS: Final = {
     "nodes": "nodes.command:nodes",
     "gateway": "gateway.command:gateway",
     "scan": "gateway.scan_command:scan",
+    "commission": "gateway.commission_command:commission",
     "node": "gateway.node_command:node",
     "tare": "calibration.command:tare",
     "calibration": "calibration.command:calibration",

@@ -34,7 +34,7 @@ class Processes:
         # All are told at once and all are ended: what is left running with real-time priority starves the other tests.
         for process in self._running.values():
             if process.poll() is None:
-                process.terminate()
+                os.kill(_inside(process.pid), signal.SIGTERM)
         with ExitStack() as stack:
             for name in self._running:
                 stack.callback(self.stop, name)
@@ -62,7 +62,7 @@ class Processes:
         """End a process and return its exit status."""
         process = self._running.pop(name)
         if process.poll() is None:
-            process.send_signal(number)
+            os.kill(_inside(process.pid), number)
         try:
             return process.wait(PATIENCE_S)
         except subprocess.TimeoutExpired:
@@ -88,6 +88,18 @@ class Processes:
                     pytest.fail(f"{name} ended with {process.returncode}: {said}")
             assert time.monotonic() < give_up_s, f"waited {PATIENCE_S:g} s in vain for {what}"
             time.sleep(every_s)
+
+
+def _inside(process: int) -> int:
+    """Return the process that a box of bubblewrap holds; for any other process, the process itself.
+
+    A box that gets a signal kills the process.
+    """
+    about = Path("/proc", str(process))
+    if not about.exists() or (about / "comm").read_text() != "bwrap\n":
+        return process
+    held = (about / "task" / str(process) / "children").read_text().split()
+    return int(held[0]) if held else process
 
 
 def free_port() -> int:

@@ -1,50 +1,29 @@
-"""Runs a command as a container or a hardened unit runs it: on a read-only root, as a user without rights.
+"""Runs a command as a container or a hardened unit runs it: on a read-only root, as a user without rights (bwrap(1)).
 
-`Confined.words` turns a command into words that any starter of processes can start. They run this file, as root, in a
-mount namespace of its own: it makes the root, gives up root's rights, and becomes the command.
+Not covered: this machine's user has another number in the box and keeps the rights to files. Of the settings of
+systemd.exec(5), only those that `Confined` lists are in force.
 """
 
-import contextlib
 import ctypes
 import errno
-import json
 import os
-import resource
 import shutil
 import subprocess
 import sys
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 ROOT: Final = Path(__file__).parents[1]
-#: prctl(2).
-PR_CAPBSET_DROP: Final = 24
-PR_SET_NO_NEW_PRIVS: Final = 38
+#: What every command of this machine needs.
+SHOWN: Final = ("/usr", "/bin", "/lib", "/lib64", "/sys", "/etc/alternatives", "/etc/ld.so.cache", "/etc/localtime")
 #: seccomp(2): let a call through, or answer it with an error number.
-_ALLOW: Final = 0x7FFF0000
+_ALLOW: Final = ctypes.c_uint32(0x7FFF0000)
 _ERRNO: Final = 0x00050000
 _EQUAL: Final = 4
 #: Above all address families of Linux (socket(2)).
 _FAMILIES: Final = 48
-
-
-def not_here() -> str:
-    """Return why this machine cannot confine a process, empty if it can."""
-    if sys.platform != "linux" or os.geteuid() != 0:
-        return "NOT TESTED: a read-only root is made by root on Linux"
-    mount = "mount -t tmpfs tmpfs /mnt && mount -t overlay overlay -o lowerdir=/mnt:/ /mnt"
-    words = ["unshare", "--mount", "sh", "-c", mount]
-    if not shutil.which("unshare") or subprocess.run(words, check=False, capture_output=True).returncode:
-        return "NOT TESTED: this machine allows no mount namespace with an overlay"
-    return ""
-
-
-def gives_real_time() -> bool:
-    """Tell whether a limit of 1 gives a process of this machine real time."""
-    words = ["prlimit", "--rtprio=1", "setpriv", "--reuid=10001", "--bounding-set=-all", "chrt", "--rr", "1", "true"]
-    return len(os.sched_getaffinity(0)) > 1 and not subprocess.run(words, check=False, capture_output=True).returncode
 
 
 @dataclass(frozen=True)
@@ -53,81 +32,61 @@ class Confined:
 
     Attributes
     ----------
-    root : Path
-        Files that are laid over those of this machine; folders to mount on are made here.
     environment : mapping
         All of the process's environment.
     writable : mapping
-        Folders that the process can write, by name, and where their content is; they are made the user's own.
+        Folders that the process can write, by name, and where their content is.
+    readable : mapping
+        Folders that the process can read beside those of the system and of the tests, by name.
     user_id : int
         User and group.
     rtprio : int
-        Limit of the real-time priority.
-    families : tuple of int
-        Address families of sockets; empty: all.
-    system_calls : tuple of str
-        Allowed system calls; empty: all.
+        Limit of the real-time priority, where this machine can give any.
+    system_calls : Path, optional
+        A filter that `filter_of_calls` wrote.
     """
 
-    root: Path
     environment: Mapping[str, str]
-    writable: Mapping[str, Path] = field(default_factory=dict)
+    writable: Mapping[str, Path]
+    readable: Mapping[str, Path] = field(default_factory=dict)
     user_id: int = 10001
     rtprio: int = 0
-    families: tuple[int, ...] = ()
-    system_calls: tuple[str, ...] = ()
+    system_calls: Path | None = None
 
     def words(self, *command: str) -> list[str]:
-        """Return the words that run `command` here; its first word is an absolute path."""
-        shown = {str(ROOT)} | ({sys.base_prefix} if not sys.base_prefix.startswith("/usr") else set())
-        for folder in (*shown, *self.writable):
-            (self.root / folder.lstrip("/")).mkdir(parents=True, exist_ok=True)
+        """Return the words that run `command` here."""
+        number = str(self.user_id)
+        box = ["bwrap", "--die-with-parent", "--unshare-user", "--uid", number, "--gid", number, "--cap-drop", "ALL"]
+        box += ["--dev", "/dev", "--proc", "/proc", "--tmpfs", "/tmp"]  # noqa: S108 - the process's own
+        readable = {each: Path(each) for each in (*SHOWN, str(ROOT), sys.prefix, sys.base_prefix)} | {**self.readable}
+        for kind, folders in (("--ro-bind-try", readable), ("--bind", self.writable)):
+            for name, folder in folders.items():
+                box += [kind, str(folder), name]
         for folder in self.writable.values():
-            folder.mkdir(parents=True, exist_ok=True)
-            shutil.chown(folder, self.user_id, self.user_id)
-        mounted = self.root.with_name(f"{self.root.name}.mounted")
-        mounted.mkdir(exist_ok=True)
-        of_process = {**asdict(self), "mounted": mounted, "shown": sorted(shown), "command": command}
-        return ["unshare", "--mount", sys.executable, "-I", __file__, json.dumps(of_process, default=str)]
+            folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        box += ["--remount-ro", "/", "--chdir", "/", "--clearenv"]
+        for name, value in self.environment.items():
+            box += ["--setenv", name, value]
+        limit = ["prlimit", f"--rtprio={self.rtprio}"] if self.rtprio else []
+        if limit and subprocess.run([*limit, "true"], check=False, capture_output=True).returncode:
+            limit = []  # only root with CAP_SYS_RESOURCE raises the limit
+        if self.system_calls is None:
+            return [*limit, *box, *command]
+        opened = ["sh", "-c", 'exec "$@" 9<"$0"', str(self.system_calls)]
+        return [*opened, *limit, *box, "--seccomp", "9", *command]
 
 
-def _become(want: dict[str, Any]) -> None:
-    """Make the root, give up all rights, and become the command."""
-    # Layers of an overlay must not contain each other: the files go to a file system of their own.
-    _mount("-t", "tmpfs", "-o", "mode=755", "tmpfs", want["mounted"])
-    files, mounted = f"{want['mounted']}/files", f"{want['mounted']}/root"
-    shutil.copytree(want["root"], files, symlinks=True)
-    Path(files).chmod(0o755)  # a temporary folder is its maker's alone
-    Path(mounted).mkdir()
-    _mount("-t", "overlay", "overlay", "-o", f"lowerdir={files}:/", mounted)  # no upper layer: read-only
-    for folder in ("/dev", "/proc", "/sys"):
-        _mount("--rbind", folder, mounted + folder)
-    _mount("-t", "tmpfs", "-o", "mode=1777", "tmpfs", f"{mounted}/tmp")  # noqa: S108 - the process's own
-    for folder in want["shown"]:
-        _mount("--bind", "-o", "ro", folder, mounted + folder)
-    for name, folder in want["writable"].items():
-        _mount("--bind", folder, mounted + name)
-    os.chroot(mounted)
-    os.chdir("/")
-    with contextlib.suppress(ValueError):  # root without CAP_SYS_RESOURCE cannot raise it: see `gives_real_time`
-        resource.setrlimit(resource.RLIMIT_RTPRIO, (want["rtprio"], want["rtprio"]))
-    libc = ctypes.CDLL(None, use_errno=True)
-    last = int(Path("/proc/sys/kernel/cap_last_cap").read_text())
-    for capability in range(last + 1):
-        libc.prctl(PR_CAPBSET_DROP, capability, 0, 0, 0)
-    os.setgroups([])
-    os.setresgid(*[want["user_id"]] * 3)
-    os.setresuid(*[want["user_id"]] * 3)
-    libc.prctl(PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0)
-    if want["families"] or want["system_calls"]:
-        _filter(want["families"], want["system_calls"])
-    # What tests/processes.py asks every process of: to end with the tests.
-    kept = {name: os.environ[name] for name in ("SKIN_PARENT",) if name in os.environ}
-    os.execve(want["command"][0], want["command"], {**want["environment"], **kept})  # noqa: S606
+def not_here() -> str:
+    """Return why this machine cannot confine a process, empty if it can."""
+    if shutil.which("bwrap") is None or subprocess.run(Confined({}, {}).words("true"), check=False).returncode:
+        return "NOT TESTED: needs bubblewrap (bwrap) and user namespaces"
+    return ""
 
 
-def _mount(*words: str) -> None:
-    subprocess.run(["mount", *words], check=True)
+def gives_real_time() -> bool:
+    """Tell whether a limit of 1 gives a process of this machine real time."""
+    words = Confined({}, {}, rtprio=1).words("chrt", "--rr", "1", "true")
+    return len(os.sched_getaffinity(0)) > 1 and not subprocess.run(words, check=False, capture_output=True).returncode
 
 
 class _Argument(ctypes.Structure):
@@ -136,30 +95,25 @@ class _Argument(ctypes.Structure):
     _fields_ = (("arg", ctypes.c_uint), ("op", ctypes.c_int), ("value", ctypes.c_uint64), ("mask", ctypes.c_uint64))
 
 
-def _filter(families: list[int], system_calls: list[str]) -> None:
-    """Load what RestrictAddressFamilies= and SystemCallFilter= of systemd.exec(5) mean."""
+def filter_of_calls(path: Path, families: Iterable[int], system_calls: Iterable[str]) -> Path:
+    """Write what RestrictAddressFamilies= and SystemCallFilter= of systemd.exec(5) mean, and return the path."""
     library = ctypes.CDLL("libseccomp.so.2")
     library.seccomp_init.restype = ctypes.c_void_p
     number = library.seccomp_syscall_resolve_name
-    if families:
-        context = ctypes.c_void_p(library.seccomp_init(ctypes.c_uint32(_ALLOW)))
-        refused = ctypes.c_uint32(_ERRNO | errno.EAFNOSUPPORT)
-        for family in set(range(_FAMILIES)) - set(families):
-            same = _Argument(0, _EQUAL, family, 0)
-            _done(library.seccomp_rule_add_array(context, refused, number(b"socket"), 1, ctypes.byref(same)))
-        _done(library.seccomp_load(context))
-    if system_calls:
-        context = ctypes.c_void_p(library.seccomp_init(ctypes.c_uint32(_ERRNO | errno.EPERM)))
-        for name in system_calls:
-            if (call := number(name.encode())) >= 0:  # calls of other processors have numbers below 0
-                _done(library.seccomp_rule_add_array(context, ctypes.c_uint32(_ALLOW), call, 0, None))
-        _done(library.seccomp_load(context))
+    context = ctypes.c_void_p(library.seccomp_init(ctypes.c_uint32(_ERRNO | errno.EPERM)))
+    for name in set(system_calls) - {"socket"}:
+        if (call := number(name.encode())) >= 0:  # calls of other processors have numbers below 0
+            _done(library.seccomp_rule_add_array(context, _ALLOW, call, 0, None))
+    for family in range(_FAMILIES):
+        action = _ALLOW if family in families else ctypes.c_uint32(_ERRNO | errno.EAFNOSUPPORT)
+        same = _Argument(0, _EQUAL, family, 0)
+        _done(library.seccomp_rule_add_array(context, action, number(b"socket"), 1, ctypes.byref(same)))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("wb") as file:
+        _done(library.seccomp_export_bpf(context, file.fileno()))
+    return path
 
 
 def _done(status: int) -> None:
     if status:
         raise OSError(-status, f"libseccomp: {os.strerror(-status)}")
-
-
-if __name__ == "__main__":
-    _become(json.loads(sys.argv[1]))

@@ -68,6 +68,8 @@ class CalibrationStatus(msgspec.Struct, frozen=True, kw_only=True):
         uint8, shape (blocks,): `ZeroSupport`. Empty if unknown.
     zero_mono_ns : bytes
         int64, shape (blocks,): when the zero of the block was last measured or told; 0 for never.
+    recalibrated : list of str
+        Nodes whose gains or offsets have become others without the gateway, and which have no zero since.
     doubtful_taxels : int
         Taxels whose force may be an error of the zero, see `canskin.messages.Measurement.doubtful`.
     doubtful_force_n : float
@@ -89,6 +91,7 @@ class CalibrationStatus(msgspec.Struct, frozen=True, kw_only=True):
     revision: int = 0
     zero_support: bytes = b""
     zero_mono_ns: bytes = b""
+    recalibrated: list[str] = []
     doubtful_taxels: int = 0
     doubtful_force_n: float = 0.0
     doubtful_since_mono_ns: int = 0

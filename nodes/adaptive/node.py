@@ -27,6 +27,7 @@ class AdaptiveNode(SkinNode):
         contract: NodeContract,
         objects: list[Object],
         settings: Sequence[Setting],
+        calibration: Sequence[Setting],
         *,
         outbox: Outbox,
         hardware: AdaptiveBoards,
@@ -34,7 +35,7 @@ class AdaptiveNode(SkinNode):
     ) -> None:
         self._boards = hardware
         self._pdo_ids: list[int] = []
-        super().__init__(contract, objects, settings, outbox=outbox, hardware=hardware, storage=storage)
+        super().__init__(contract, objects, settings, calibration, outbox=outbox, hardware=hardware, storage=storage)
         self._live |= {
             index: partial(hardware.read, contract.block, index)
             for index in (od.REFRESH, od.COEFFICIENT_NOISE, od.TAXEL_NOISE, od.NODE_NOISE, od.COARSE, od.FINE)

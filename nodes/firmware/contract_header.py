@@ -16,12 +16,13 @@ from skin.clipping import IDLE_DEVIATION, IDLE_MEAN, REACH, clipped_mean
 _ENUMERATIONS: Final[dict[str, type[IntEnum | IntFlag]]] = {
     "": canopen.NmtState,
     "NMT_": canopen.NmtCommand,
+    "LSS_": canopen.Lss,
     "ABORT_": canopen.Abort,
     "EMERGENCY_": canopen.Emergency,
     "REGISTER_": canopen.ErrorRegister,
 }
 _FRAME_FLAGS: Final = ("EXTENDED", "REMOTE", "ERROR", "FD", "BRS", "ECHO")
-_OBJECT_FLAGS: Final = ("WRITABLE", "MAPPABLE", "COVERED", "TEXT", "COMPUTED")
+_OBJECT_FLAGS: Final = ("WRITABLE", "MAPPABLE", "COVERED", "TEXT", "CALIBRATING", "COMPUTED")
 _PATTERNS: Final = ("PATTERN_OFF", "PATTERN_ZERO", "PATTERN_RAMP", "PATTERN_FULL")
 #: Indices of the object dictionary; the other numbers of `indices` are data types, signatures and a stride.
 _INDICES: Final = range(0x1000, 0x3000)

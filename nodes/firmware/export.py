@@ -8,13 +8,18 @@ from typing import Final
 
 from dbc.choice import choose_nodes
 from dbc.contract import Contract, NodeContract
+from dbc.eds import node_name
 from dbc.generate import write_files
 from nodes.firmware.adaptive_tables import adaptive_header, adaptive_source
 from nodes.firmware.contract_header import contract_header
 from nodes.firmware.object_dictionary import od_header, od_source
-from nodes.firmware.tables import Build, board_header, board_source, builds
+from nodes.firmware.tables import Build, board_header, board_source, builds, by_type
 from skin.layout import load_layout, require_one_state
 
+#: Bytes of a slot before its data (``skin_slots.h``).
+_SLOT_HEAD: Final = 16
+#: Bytes of a `skin_board` on a processor of 32 bits.
+_ENTRY_BYTES: Final = 12
 _SOURCES: Final = files("nodes.firmware").joinpath("c")
 
 
@@ -44,13 +49,9 @@ def export_files(contract: Contract, nodes: Sequence[NodeContract]) -> dict[str,
     """Return the text of every file of ``skin export firmware`` by its path."""
     boards = builds(contract, nodes)
     found = {f"src/{path}": text for path, text in sources(boards, "slave", "canopennode").items()}
-    for build in boards:
-        folder = f"boards/{_folder_of(build)}"
-        found |= {f"{folder}/{name}": text for name, text in constants(contract, [build]).items()}
-        found |= {
-            f"{folder}/OD.h": od_header(contract, build),
-            f"{folder}/OD.c": od_source(contract, build),
-        }
+    for folder, image in images(contract, boards).items():
+        found |= {f"boards/{folder}/{name}": text for name, text in constants(contract, image).items()}
+        found |= {f"boards/{folder}/OD.h": od_header(image), f"boards/{folder}/OD.c": od_source(image)}
     return found | {"README.md": _readme(contract, boards)}
 
 
@@ -76,7 +77,7 @@ def write_firmware(layout: Path | None, names: list[str], out: Path) -> list[str
 
 def _readme(contract: Contract, boards: Sequence[Build]) -> str:
     """Return ``README.md`` for the engineer who builds the firmware, with the figures of the first of `boards`."""
-    node, board = boards[0].node, boards[0].board
+    node, board, objects = boards[0].node, boards[0].board, boards[0].objects
     folder = _SOURCES.joinpath("adaptive") if boards[0].is_adaptive else _SOURCES
     template = Template(folder.joinpath("README.md").read_text(encoding="utf-8"))
     return template.substitute(
@@ -84,13 +85,19 @@ def _readme(contract: Contract, boards: Sequence[Build]) -> str:
         blocks=node.blocks,
         block_size=contract.phi.block_size,
         sums=node.sums,
-        board=_folder_of(boards[0]),
+        board=next(iter(images(contract, boards))),
+        table_bytes=_ENTRY_BYTES + objects.own_writable + objects.own_constant,
         period_us=board.sync_period_us,
         window_us=board.sync_window_us,
         samples=board.samples_per_sync,
+        slot_bytes=_SLOT_HEAD + objects.writable_bytes,
     )
 
 
-def _folder_of(build: Build) -> str:
-    """Return the name of a board's folder."""
-    return f"{build.board.bus}-{build.board.node_id:03}"
+def images(contract: Contract, boards: Sequence[Build]) -> dict[str, list[Build]]:
+    """Return the boards of each program by the name of its folder: one program for all boards of a type."""
+    groups = by_type(boards)
+    if len(groups) == 1 and len(boards) > 1:
+        return {"all": groups[0]}
+    several = {f"type-{number}": group for number, group in enumerate(groups, 1)}
+    return {node_name(contract, group[0].node) if len(group) == 1 else name: group for name, group in several.items()}

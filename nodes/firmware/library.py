@@ -18,7 +18,9 @@ from dbc.contract import Contract, NodeContract
 from dbc.frame import Frames, frames
 from dbc.generate import write_files
 from nodes.firmware.export import constants, sources
+from nodes.firmware.storage import StorageFunction, storage_function
 from nodes.firmware.tables import builds
+from nodes.storage import Storage
 from shell.output import cache_folder
 
 #: Every operation is rounded as it is written.
@@ -29,7 +31,7 @@ _CAPACITY: Final = 4096
 _U32, _I64, _SIZE, _POINTER = ctypes.c_uint32, ctypes.c_int64, ctypes.c_size_t, ctypes.c_void_p
 #: What the functions of ``skin_boards.h`` take; those that return something return a ``size_t``.
 _FUNCTIONS: Final[dict[str, tuple[type, ...]]] = {
-    "skin_power_up": (_POINTER, _U32, _U32, _U32, _POINTER, _SIZE),
+    "skin_power_up": (_POINTER, _U32, _U32, _POINTER, ctypes.c_int, _U32, _POINTER, _SIZE),
     "skin_take": (_POINTER, _U32, _U32, _POINTER, ctypes.c_uint16, _U32, _POINTER, _SIZE, _POINTER, _SIZE),
     "skin_pass_time": (_POINTER, _U32, _U32, _POINTER, _SIZE),
     "skin_refuse": (_POINTER, _U32, _POINTER, _SIZE),
@@ -37,7 +39,7 @@ _FUNCTIONS: Final[dict[str, tuple[type, ...]]] = {
     "skin_node_bytes": (),
 }
 _ADAPTIVE_FUNCTIONS: Final[dict[str, tuple[type, ...]]] = {
-    "skin_prepare": (_POINTER, _U32, _U32),
+    "skin_prepare": (_POINTER, _U32, _U32, _POINTER),
     "skin_take_counts": (_POINTER, _U32, _POINTER),
     "skin_decide_all": (_POINTER, _U32, _U32, _I64),
     "skin_choose": (_POINTER, _U32, _U32, _I64, _I64, _POINTER, _SIZE),
@@ -52,11 +54,23 @@ class Firmware:
     ----------
     nodes : sequence of NodeContract
         The boards, those of each bus one after another.
+    store : Path, optional
+        Folder for the parameters that 1010h stores, one file per node; without a folder they end with the process.
+    unnumbered : bool
+        Whether the boards wait for LSS to give them their node-IDs, unless `store` has them.
     compiler : str
         The C compiler.
     """
 
-    def __init__(self, contract: Contract, nodes: Sequence[NodeContract], *, compiler: str = "cc") -> None:
+    def __init__(
+        self,
+        contract: Contract,
+        nodes: Sequence[NodeContract],
+        *,
+        store: Path | None = None,
+        unnumbered: bool = False,
+        compiler: str = "cc",
+    ) -> None:
         boards = builds(contract, nodes)
         # With the CANopen slave, and what runs many of them together.
         texts = sources(boards, "slave", "host") | constants(contract, boards)
@@ -65,13 +79,19 @@ class Firmware:
             function = getattr(self._library, name)
             function.argtypes, function.restype = types, ctypes.c_size_t
         self._contract, self._nodes = contract, nodes
+        self._unnumbered = unnumbered
+        self._storages = [storage_function(each, Storage.of_node(contract, each.node, store)) for each in boards]
         self._boards: dict[int, CompiledBoards] = {}
 
     def boards(self, bus: int) -> "CompiledBoards":
         """Return the boards of bus number `bus`, which have no power before the first call of `power_up`."""
         if bus not in self._boards:
             nodes = [node for node in self._nodes if node.bus == bus]
-            self._boards[bus] = CompiledBoards(self._library, self._contract, nodes, self._nodes.index(nodes[0]))
+            first = self._nodes.index(nodes[0])
+            storages = self._storages[first : first + len(nodes)]
+            self._boards[bus] = CompiledBoards(
+                self._library, self._contract, nodes, first, storages, unnumbered=self._unnumbered
+            )
         return self._boards[bus]
 
 
@@ -86,6 +106,10 @@ class CompiledBoards:
         The boards, in the order of the library.
     first : int
         The first of them among all boards of the library.
+    storages : sequence of StorageFunction
+        Of each board.
+    unnumbered : bool
+        As for `Firmware`.
 
     Attributes
     ----------
@@ -96,7 +120,16 @@ class CompiledBoards:
         When `pass_time` has work to do: at any time.
     """
 
-    def __init__(self, library: ctypes.CDLL, contract: Contract, nodes: Sequence[NodeContract], first: int) -> None:
+    def __init__(
+        self,
+        library: ctypes.CDLL,
+        contract: Contract,
+        nodes: Sequence[NodeContract],
+        first: int,
+        storages: Sequence[StorageFunction],
+        *,
+        unnumbered: bool,
+    ) -> None:
         self.node_ids = frozenset(node.node_id for node in nodes)
         self.is_pdo = np.zeros(BASE_ID_MASK + 1, np.bool_)
         for node in nodes:
@@ -104,21 +137,33 @@ class CompiledBoards:
         self.due_s = float("-inf")
         self._library = library
         self._first, self._count = first, len(nodes)
+        self._unnumbered = unnumbered
+        self._storages = (StorageFunction * len(nodes))(*storages)
         self._node_bytes = int(library.skin_node_bytes())
         # Eight bytes each, so that the memory is aligned for every C type.
         self._memory = np.zeros(-(-len(nodes) * self._node_bytes // 8), np.uint64)
         self._nodes = self._memory.ctypes.data
         self._taxels, self._block_size = contract.phi.wired.taxels, contract.phi.block_size
+        places = [range(each.block * self._block_size, (each.block + each.blocks) * self._block_size) for each in nodes]
+        self._order = contract.phi.order[np.concatenate(places)]
         self._most_samples = 2 * contract.layout.samples_per_sync
         self._out = frames(_CAPACITY)
         self._sent = self._out.ctypes.data, _CAPACITY
         if contract.layout.sending == "adaptive":
-            self._library.skin_prepare(self._nodes, self._first, self._count)
+            self._library.skin_prepare(self._nodes, self._first, self._count, self._storages)
 
     def power_up(self, now_s: float) -> Frames:
-        """Begin anew, with the default parameters."""
+        """Begin anew, with the stored parameters or the default ones."""
         return self._taken(
-            self._library.skin_power_up(self._nodes, self._first, self._count, _milliseconds(now_s), *self._sent)
+            self._library.skin_power_up(
+                self._nodes,
+                self._first,
+                self._count,
+                self._storages,
+                self._unnumbered,
+                _milliseconds(now_s),
+                *self._sent,
+            )
         )
 
     def take(self, arrived: Frames, now_s: float) -> Frames:
@@ -141,7 +186,7 @@ class CompiledBoards:
             if taxels != self._taxels or not 0 < samples <= self._most_samples:
                 wanted = f"1 to {self._most_samples} samples of {self._taxels} counts"
                 raise InputError(f"expected {wanted}, got {measured.shape}")
-            counts = np.ascontiguousarray(measured, np.uint16)
+            counts = measured[:, self._order].astype(np.uint16, order="C")
             read = counts.ctypes.data
         return self._taken(
             self._library.skin_take(
@@ -150,7 +195,7 @@ class CompiledBoards:
                 _milliseconds(now_s),
                 read,
                 samples,
-                self._taxels,
+                len(self._order),
                 there.ctypes.data,
                 len(there),
                 *self._sent,

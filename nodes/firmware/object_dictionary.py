@@ -13,12 +13,10 @@ from itertools import groupby
 from typing import Final
 
 from dbc import indices as od
-from dbc.contract import Contract
-from dbc.dictionary import dictionary
 from dbc.eds import storage_group
 from dbc.objects import Object
 from nodes.firmware.c_text import WRITTEN
-from nodes.firmware.tables import Build
+from nodes.firmware.tables import Build, names
 
 _TYPES: Final = {
     od.INTEGER8: "int8_t",
@@ -59,9 +57,9 @@ class _Entry:
         return f"x{self.index:04X}_{self.name}"
 
 
-def od_header(contract: Contract, build: Build) -> str:
-    """Return ``OD.h`` of a board."""
-    entries = _entries(contract, build)
+def od_header(boards: Sequence[Build]) -> str:
+    """Return ``OD.h`` of boards of one type."""
+    entries = _entries(boards)
     tpdos = sum(od.TPDO_COMMUNICATION <= each.index < od.TPDO_MAPPING for each in entries)
     counts = {
         **dict.fromkeys(("NMT", "EM", "EM_PROD", "SYNC", "HB_CONS", "HB_PROD", "SDO_SRV", "STORAGE"), 1),
@@ -69,7 +67,7 @@ def od_header(contract: Contract, build: Build) -> str:
         **{f"ARR_{index:04X}": _elements(entries, index) for index in (od.ERROR_FIELD, od.CONSUMER_HEARTBEAT)},
     }
     lines = [
-        *_head(build, "Object dictionary, declarations"),
+        *_head(boards, "Object dictionary, declarations"),
         "#ifndef OD_H",
         "#define OD_H",
         "",
@@ -96,11 +94,11 @@ def od_header(contract: Contract, build: Build) -> str:
     return "\n".join([*lines, "", "#endif", ""])
 
 
-def od_source(contract: Contract, build: Build) -> str:
-    """Return ``OD.c`` of a board."""
-    entries = _entries(contract, build)
+def od_source(boards: Sequence[Build]) -> str:
+    """Return ``OD.c`` of boards of one type, with the values of the first."""
+    entries = _entries(boards)
     lines = [
-        *_head(build, "Object dictionary"),
+        *_head(boards, "Object dictionary"),
         "#define OD_DEFINITION",
         '#include "301/CO_ODinterface.h"',
         '#include "OD.h"',
@@ -133,23 +131,27 @@ def od_source(contract: Contract, build: Build) -> str:
     return "\n".join(lines)
 
 
-def _head(build: Build, what: str) -> list[str]:
-    board = build.board
-    return [f"/* {what} of {board.bus}:{board.node_id} of the skin {board.skin}, for CANopenNode V4. {WRITTEN} */"]
+def _head(boards: Sequence[Build], what: str) -> list[str]:
+    return [f"/* {what} of {names(boards)}, for CANopenNode V4. {WRITTEN} */"]
 
 
-def _entries(contract: Contract, build: Build) -> list[_Entry]:
+def _entries(boards: Sequence[Build]) -> list[_Entry]:
+    table = boards[0].objects
+    differing = {index for index, _ in table.differing}
     entries = []
-    for _, group in groupby(dictionary(contract, build.node), key=lambda each: each.index):
+    for _, group in groupby(table.objects, key=lambda each: each.index):
         objects = tuple(group)
         first = objects[0]
         name = c_name(first.name if first.subindex is None else first.group)
-        entries.append(_Entry(objects, name, _place(objects)))
+        entries.append(_Entry(objects, name, _place(objects, differs=first.index in differing)))
     return entries
 
 
-def _place(objects: Sequence[Object]) -> str:
-    return "" if objects[0].index in _OF_STACK else f"OD_{storage_group(objects)}"
+def _place(objects: Sequence[Object], *, differs: bool) -> str:
+    if objects[0].index in _OF_STACK:
+        return ""
+    place = f"OD_{storage_group(objects)}"
+    return "OD_RAM" if differs and place == _ROM else place  # skin_app_choose writes the board's own values
 
 
 def _places(entries: Iterable[_Entry]) -> list[str]:

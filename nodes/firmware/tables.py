@@ -1,9 +1,10 @@
 """The constants of boards as C: ``board.h`` and ``board.c``, made from `dbc.board` and `dbc.dictionary`.
 
-One pair of files holds one board, for its firmware, or all boards of a skin, for the library that runs them together.
+One pair of files holds one board or all boards of a type, for their firmware, or all boards of a skin, for the library
+that runs them together. What boards of a type share is there once.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -14,7 +15,8 @@ from dbc import indices as od
 from dbc.adaptive_filter import HORIZON, SWITCHING, Models, make_models
 from dbc.averaging import averaging_models
 from dbc.board import Board, board
-from dbc.configuration import configuration, setting_of
+from dbc.canopen import LSS_BIT_RATES_HZ
+from dbc.configuration import calibration, configuration, setting_of
 from dbc.contract import Contract, NodeContract, sum_frame_bits
 from dbc.dictionary import ERRORS_KEPT, HEARTBEATS_WATCHED, dictionary
 from dbc.frame_bits import frame_time_ns
@@ -22,51 +24,89 @@ from dbc.objects import Object
 from nodes.firmware.c_text import WRITTEN, array, braced, defined, header, real
 
 #: Flags of `skin_object` (``skin_board.h``).
-WRITABLE, MAPPABLE, COVERED, TEXT = 1, 2, 4, 8
+WRITABLE, MAPPABLE, COVERED, TEXT, CALIBRATING = 1, 2, 4, 8, 16
 #: Place of objects that the firmware computes and that have no stored value.
 COMPUTED: Final = 0xFFFF
-_COMPUTED: Final = (od.ERROR_REGISTER, od.ERROR_FIELD, od.STORE, od.RESTORE, od.SIGNATURE, od.HEALTH, od.NODE_NOISE)
+_COMPUTED: Final = (
+    od.ERROR_REGISTER,
+    od.ERROR_FIELD,
+    od.STORE,
+    od.RESTORE,
+    od.SIGNATURE,
+    od.CALIBRATION_SIGNATURE,
+    od.HEALTH,
+    od.NODE_NOISE,
+)
 #: Arrays whose entries are computed, but not their sub-index 0.
 _COMPUTED_ENTRIES: Final = (od.STORE, od.RESTORE, od.HEALTH, od.COARSE, od.FINE)
 
 
+#: The objects of a board, each with the bytes of its value.
+_Dictionary = Sequence[tuple[Object, bytes]]
+
+
 @dataclass(frozen=True)
 class ObjectTable:
-    """The dictionary of a board as the firmware holds it.
+    """The dictionary of the boards of a type as the firmware holds it.
 
     Attributes
     ----------
     entries : tuple of (int, int, int, int, int)
         Index, sub-index, flags, place of the value, bytes of the value; ascending.
-    values : bytes
-        Initial values, each little endian: first those of objects that can be written, communication profile before
-        manufacturer, then the others.
+    objects : tuple of Object
+        In the order of `entries`; values are those of the first board.
+    differing : frozenset of (int, int)
+        Index and sub-index of the objects whose values differ between the boards.
     communication_bytes, writable_bytes : int
-        Bytes of `values` that belong to writable objects below 2000h, and to all writable objects.
+        Bytes of the values of writable objects below 2000h, and of all writable objects.
+    own_writable, own_constant : int
+        Bytes of each board's own values at the begin of both, and at the begin of the others: `differing`, and the rows
+        of the sums.
     """
 
     entries: tuple[tuple[int, int, int, int, int], ...]
-    values: bytes
+    objects: tuple[Object, ...]
+    differing: frozenset[tuple[int, int]]
     communication_bytes: int
     writable_bytes: int
+    own_writable: int
+    own_constant: int
 
 
 @dataclass(frozen=True)
 class Build:
     """What the C sources of one board are made from.
 
-    `is_adaptive` tells whether the board sends sums when they carry news, `held` is the number of its taxels,
-    `frame_ns` the longest time of one of its frames. `frame_bits` are those of a coarse and a fine frame of an adaptive
-    board.
+    `objects` is the same for all boards of a type. `values` are the defaults of this board, each little endian: those
+    of objects that can be written, communication profile before manufacturer, then the others; the board's own are the
+    first of each part. `is_adaptive` tells whether the board sends sums when they carry news, `held` is the number of
+    its taxels, `frame_ns` the longest time of one of its frames. `frame_bits` are those of a coarse and a fine frame of
+    an adaptive board.
     """
 
     node: NodeContract
     board: Board
     objects: ObjectTable
+    values: bytes
     is_adaptive: bool
     held: int
     frame_ns: int
     frame_bits: tuple[int, int]
+
+    @property
+    def own(self) -> bytes:
+        """The values that are not shared with other boards of the type."""
+        constant = self.objects.writable_bytes
+        return self.values[: self.objects.own_writable] + self.values[constant : constant + self.objects.own_constant]
+
+    @property
+    def shared(self) -> bytes:
+        """The other values."""
+        table = self.objects
+        return (
+            self.values[table.own_writable : table.writable_bytes]
+            + self.values[table.writable_bytes + table.own_constant :]
+        )
 
 
 def builds(contract: Contract, nodes: Sequence[NodeContract]) -> list[Build]:
@@ -75,11 +115,57 @@ def builds(contract: Contract, nodes: Sequence[NodeContract]) -> list[Build]:
         raise InputError('the C firmware adds taxels that are digital: expected taxels.frontend = "digital"')
     is_adaptive = contract.layout.sending == "adaptive"
     of_bus = {bus: _frame_sizes(contract, bus) for bus in {node.bus for node in nodes}}
-    held = [int(contract.phi.held[node.block : node.block + node.blocks].sum()) for node in nodes]
-    return [
-        Build(node, board(contract, node), _object_table(contract, node), is_adaptive, taxels, *of_bus[node.bus])
-        for node, taxels in zip(nodes, held, strict=True)
+    boards = [board(contract, node) for node in nodes]
+    dictionaries = [
+        [(each, setting_of(each).data) for each in dictionary(contract, node)]  # each with the bytes of its value
+        for node in nodes
     ]
+    types: dict[object, list[int]] = {}
+    for number, node in enumerate(nodes):
+        kind = _type_of(boards[number], node, dictionaries[number], of_bus[node.bus])
+        types.setdefault(kind, []).append(number)
+    tables: dict[int, ObjectTable] = {}
+    for numbers in types.values():
+        table = _object_table(contract, nodes[numbers[0]], [dictionaries[each] for each in numbers])
+        tables |= dict.fromkeys(numbers, table)
+    return [
+        Build(
+            node,
+            boards[number],
+            tables[number],
+            _values(tables[number], dictionaries[number]),
+            is_adaptive,
+            int(contract.phi.held[node.block : node.block + node.blocks].sum()),
+            *of_bus[node.bus],
+        )
+        for number, node in enumerate(nodes)
+    ]
+
+
+def by_type(boards: Sequence[Build]) -> list[list[Build]]:
+    """Return the boards of each type, in their order."""
+    found: dict[int, list[Build]] = {}
+    for each in boards:
+        found.setdefault(id(each.objects), []).append(each)
+    return list(found.values())
+
+
+def _type_of(table: Board, node: NodeContract, objects: _Dictionary, frame_sizes: object) -> object:
+    """Return what boards of one type have in common: all but values that are constant, or below 2000h."""
+    shape = tuple(
+        (
+            each.index,
+            each.subindex,
+            each.access,
+            each.pdo,
+            each.data_type,
+            len(data),
+            data if each.access == "rw" and each.index >= od.MANUFACTURER else None,
+        )
+        for each, data in objects
+    )
+    first_sums = tuple(each.first_sum for each in table.blocks)
+    return shape, first_sums, node.packing, node.flags, frame_sizes, table.bitrate, table.data_bitrate
 
 
 def _frame_sizes(contract: Contract, bus: int) -> tuple[int, tuple[int, int]]:
@@ -91,19 +177,33 @@ def _frame_sizes(contract: Contract, bus: int) -> tuple[int, tuple[int, int]]:
     return round(fine * 1e9 / line.bitrate), (coarse, fine)
 
 
-def _object_table(contract: Contract, node: NodeContract) -> ObjectTable:
+def _object_table(contract: Contract, node: NodeContract, boards: Sequence[_Dictionary]) -> ObjectTable:
+    """Return the table of the objects of boards of one type, the first of them `node`."""
     covered = {(each.index, each.subindex) for each in configuration(contract, node)}
-    objects = dictionary(contract, node)
-    stored = [each for each in objects if not _is_computed(each)]
-    communication = [each for each in stored if each.access == "rw" and each.index < od.MANUFACTURER]
-    settings = [each for each in stored if each.access == "rw" and each.index >= od.MANUFACTURER]
-    values, places = bytearray(), {}
-    ends = []
-    for part in (communication, settings, [each for each in stored if each.access != "rw"]):
-        for each in part:
-            places[each.index, each.subindex] = len(values)
-            values += setting_of(each).data
-        ends.append(len(values))
+    calibrating = {(each.index, each.subindex) for each in calibration(contract, node)}
+    differing = frozenset(
+        (each.index, each.subindex or 0)
+        for (each, data), *others in zip(*boards, strict=True)
+        if any(other != data for _, other in others)
+    )
+
+    def rank(each: Object) -> int:
+        """Rank the rows first, in the order of the sums; then what is the board's own besides; then what is shared."""
+        return 0 if _is_row(each) else 1 if (each.index, each.subindex or 0) in differing else 2
+
+    kept = [(each, len(data)) for each, data in boards[0] if not _is_computed(each)]
+    stored = sorted(kept, key=lambda pair: rank(pair[0]))
+    communication = [pair for pair in stored if pair[0].access == "rw" and pair[0].index < od.MANUFACTURER]
+    settings = [pair for pair in stored if pair[0].access == "rw" and pair[0].index >= od.MANUFACTURER]
+    constant = [pair for pair in stored if pair[0].access != "rw"]
+    places: dict[tuple[int, int | None], int] = {}
+    ends = [0]
+    for part in (communication, settings, constant):
+        end = ends[-1]
+        for each, length in part:
+            places[each.index, each.subindex] = end
+            end += length
+        ends.append(end)
     entries = tuple(
         (
             each.index,
@@ -111,13 +211,25 @@ def _object_table(contract: Contract, node: NodeContract) -> ObjectTable:
             WRITABLE * (each.access == "rw")
             | MAPPABLE * each.pdo
             | COVERED * ((each.index, each.subindex or 0) in covered)
+            | CALIBRATING * ((each.index, each.subindex or 0) in calibrating)
             | TEXT * (each.data_type == od.VISIBLE_STRING),
             places.get((each.index, each.subindex), COMPUTED),
-            len(setting_of(each).data),
+            len(data),
         )
-        for each in objects
+        for each, data in boards[0]
     )
-    return ObjectTable(entries, bytes(values), ends[0], ends[1])
+    own = [sum(length for each, length in part if rank(each) < 2) for part in (communication, constant)]
+    return ObjectTable(entries, tuple(each for each, _ in boards[0]), differing, ends[1], ends[2], *own)
+
+
+def _values(table: ObjectTable, objects: _Dictionary) -> bytes:
+    """Return the values of the objects of a board, each at its place."""
+    placed = [(at, data) for (*_, at, _), (_, data) in zip(table.entries, objects, strict=True) if at != COMPUTED]
+    return b"".join(data for _, data in sorted(placed))
+
+
+def _is_row(each: Object) -> bool:
+    return each.index >= od.MANUFACTURER and od.split_block(each.index)[1] == od.ROWS and bool(each.subindex)
 
 
 def _is_computed(each: Object) -> bool:
@@ -149,16 +261,20 @@ def board_header(contract: Contract, boards: Sequence[Build]) -> str:
         "SKIN_ERRORS_KEPT": (ERRORS_KEPT, "entries of 1003h"),
         "SKIN_WRITABLE_BYTES": (max(each.objects.writable_bytes for each in boards), "values that SDO can write"),
     }
+    rates = {each.board.bitrate for each in boards}
+    timings = sum(1 << index for index, rate in enumerate(LSS_BIT_RATES_HZ) if rate in rates)
+    sizes["SKIN_BIT_TIMINGS"] = timings, "bit n: bit timing n of LSS (CiA 305) is that of a board"
     lines = defined(sizes | _models(make_models(HORIZON) if is_adaptive else averaging_models(), HORIZON * is_adaptive))
+    table = boards[0].board
     if len(boards) == 1:
-        table = boards[0].board
+        lines += [f"#define SKIN_BUS {boards[0].node.bus}", f"#define SKIN_NODE_ID {table.node_id}"]
+    if len(by_type(boards)) == 1:
         lines += [
-            f"#define SKIN_NODE_ID {table.node_id}",
             f"#define SKIN_BITRATE {table.bitrate}",
             *([f"#define SKIN_DATA_BITRATE {table.data_bitrate}"] if table.data_bitrate else []),
         ]
     parts = ['#include "skin_board.h"', "", *lines, "", "extern const skin_board skin_boards[SKIN_BOARDS];"]
-    return header("BOARD_H", f"Sizes of {_names(boards)}.", parts)
+    return header("BOARD_H", f"Sizes of {names(boards)}.", parts)
 
 
 def _models(models: Models, horizon: float) -> dict[str, tuple[object, str]]:
@@ -177,21 +293,25 @@ def _models(models: Models, horizon: float) -> dict[str, tuple[object, str]]:
 
 def board_source(boards: Sequence[Build]) -> str:
     """Return ``board.c``: the constants of `boards`, in their order."""
-    shared: dict[tuple[tuple[int, int, int, int, int], ...], str] = {}
-    parts, rows = [], []
+    types = by_type(boards)
+    number_of = {id(group[0].objects): number for number, group in enumerate(types)}
+    parts = [_objects(number, group[0]) for number, group in enumerate(types)]
+    rows = []
     for number, each in enumerate(boards):
-        entries = each.objects.entries
-        if entries not in shared:
-            shared[entries] = f"objects_{len(shared)}"
-            parts.append(_objects(shared[entries], entries))
-        parts.append(_arrays(each, number))
-        rows.append(_board(each, number, shared[entries]))
+        place = f"/* {each.board.bus}:{each.board.node_id} */"
+        parts.append("\n".join([place, *array("static const uint8_t", f"own_{number}", each.own), ""]))
+        kind = number_of[id(each.objects)]
+        rows.append(f"    {{{each.node.bus}, {each.board.node_id}, {each.held}, &types[{kind}], own_{number}}},")
     return "\n".join(
         [
-            f"/* Constants of {_names(boards)}. {WRITTEN} */",
+            f"/* Constants of {names(boards)}. {WRITTEN} */",
             '#include "board.h"',
             "",
             *parts,
+            "static const skin_type types[] = {",
+            *(_type(group[0], number) for number, group in enumerate(types)),
+            "};",
+            "",
             "const skin_board skin_boards[SKIN_BOARDS] = {",
             *rows,
             "};",
@@ -200,55 +320,47 @@ def board_source(boards: Sequence[Build]) -> str:
     )
 
 
-def _objects(name: str, entries: Iterable[tuple[int, int, int, int, int]]) -> str:
+def _objects(number: int, build: Build) -> str:
+    """Return the arrays of a type."""
     rows = [
         f"    {{0x{index:04X}, {subindex}, 0x{flags:02X}, {at}, {length}}},"
-        for index, subindex, flags, at, length in entries
+        for index, subindex, flags, at, length in build.objects.entries
     ]
-    return "\n".join(
-        ["/* index, sub-index, flags, place, bytes */", f"static const skin_object {name}[] = {{", *rows, "};", ""]
-    )
-
-
-def _arrays(build: Build, number: int) -> str:
-    blocks = build.board.blocks
+    first_sums = [*(each.first_sum for each in build.board.blocks), build.node.sums]
     return "\n".join(
         [
-            f"/* {build.board.bus}:{build.board.node_id} */",
-            *array(
-                "static const uint16_t", f"first_sum_{number}", [*(each.first_sum for each in blocks), build.node.sums]
-            ),
-            *array("static const uint8_t", f"rows_{number}", [row for each in blocks for row in each.rows]),
-            *array("static const uint16_t", f"taxels_{number}", [taxel for each in blocks for taxel in each.taxels]),
-            *array("static const uint8_t", f"values_{number}", build.objects.values),
+            "/* index, sub-index, flags, place, bytes */",
+            f"static const skin_object objects_{number}[] = {{",
+            *rows,
+            "};",
+            *array("static const uint16_t", f"first_sum_{number}", first_sums),
+            *array("static const uint8_t", f"values_{number}", build.shared),
             "",
         ]
     )
 
 
-def _board(build: Build, number: int, objects_name: str) -> str:
+def _type(build: Build, number: int) -> str:
     node, objects = build.node, build.objects
     packing = node.packing
     fields: dict[str, object] = {
-        "node_id": build.board.node_id,
         "blocks": node.blocks,
         "block_size": len(build.board.blocks[0].taxels),
-        "held": build.held,
         "count_max": build.board.count_max,
         "packing": f"{{{packing.bits}, {packing.scale.bit_length() - 1}, {packing.offset}}}",
         "first_sum": f"first_sum_{number}",
-        "rows": f"rows_{number}",
-        "taxels": f"taxels_{number}",
         "tpdos": _tpdos(node),
         "pdo_bytes": node.pdo_bytes,
         "frame_flags": node.flags,
         "frame_ns": build.frame_ns,
         "frame_bits": "{" + ", ".join(map(str, build.frame_bits)) + "}",
-        "objects": objects_name,
+        "objects": f"objects_{number}",
         "object_count": len(objects.entries),
-        "values": f"values_{number}",
         "communication_bytes": objects.communication_bytes,
         "writable_bytes": objects.writable_bytes,
+        "own_writable": objects.own_writable,
+        "own_constant": objects.own_constant,
+        "values": f"values_{number}",
     }
     return "    {" + ", ".join(f".{name} = {value}" for name, value in fields.items()) + "},"
 
@@ -257,7 +369,7 @@ def _tpdos(node: NodeContract) -> int:
     return len(node.tpdos) + len(node.adaptive_tpdos)
 
 
-def _names(boards: Sequence[Build]) -> str:
+def names(boards: Sequence[Build]) -> str:
     """Return the boards as text for a comment."""
     first = boards[0].board
     more = f" and {len(boards) - 1} more boards" if len(boards) > 1 else ""

@@ -10,7 +10,6 @@ import pytest
 
 from bus.error_frames import State
 from bus.link import Link, open_link
-from bus.python_can import PythonCanLink
 from dbc.frame import BRS, ECHO, ERROR, EXTENDED, FD, REMOTE
 from tests.bus.harness import await_state, burst, collect, frame
 
@@ -74,15 +73,6 @@ def test_error_frames_tell_the_state(links: list[Link]) -> None:
         other.send(can.Message(arbitration_id=0x204, is_error_frame=True, is_extended_id=False, data=passive))
         assert collect(links[0], 1)["flags"].tolist() == [ERROR]
     assert links[0].state is State.PASSIVE
-
-
-def test_a_link_through_python_can_receives(links: list[Link]) -> None:
-    link = PythonCanLink("socketcan", "vcan0", 1_000_000)
-    try:
-        links[0].send(frame(0x44))
-        assert collect(link, 1)["can_id"].tolist() == [0x44]
-    finally:
-        link.close()
 
 
 def test_an_interface_that_goes_down_or_away_is_opened_again(links: list[Link]) -> None:

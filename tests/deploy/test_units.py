@@ -1,19 +1,20 @@
 """The units of systemd: valid, careful, and with commands that make a whole skin when they run confined as they say."""
 
+import errno
 import re
 import shutil
 import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-from canskin.fabric import Fabric
-from canskin.messages import IMAGE, LABEL, MEASUREMENT, Image, Label, Measurement
 from tests.deploy.units import UNITS, Unit
 from tests.layouts import slow_layout
 from tests.processes import Processes, free_endpoint, free_port
 from tests.readonly import gives_real_time, not_here
+from tests.system.helpers import first_image
 
 VERBS = ("gateway", "reconstruct", "classify", "view", "record")
 #: Exposure of a unit by `systemd-analyze security`, in tenths: 0 is none, 100 all.
@@ -57,6 +58,30 @@ def test_only_services_of_the_buses_open_can_sockets(installed: Path) -> None:
     assert {verb for verb, families in allowed.items() if "AF_CAN" in families} == {"gateway", "record"}
 
 
+#: Prints the numbers of the errors of what a service must not do, its user, and whether it has a capability.
+TRIES = """
+import os, socket
+for forbidden in (lambda: open("/etc/own", "w"), lambda: socket.socket(socket.AF_PACKET), lambda: os.chroot("/tmp")):
+    try:
+        print(forbidden())
+    except OSError as error:
+        print(error.errno)
+held = [line for line in open("/proc/self/status") if line.startswith("Cap")]
+print(os.getuid(), any(int(line.split()[1], 16) for line in held))
+"""
+
+
+@pytest.mark.heavy
+def test_a_confined_service_can_do_nothing_more(installed: Path, tmp_path: Path) -> None:
+    if why := not_here():
+        pytest.skip(why)
+    words = Unit(installed, "view").confined(tmp_path).words(sys.executable, "-I", "-c", TRIES)
+    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    assert done.stdout.split() == [*map(str, (errno.EROFS, errno.EAFNOSUPPORT, errno.EPERM, 10001)), "False"], (
+        done.stderr
+    )
+
+
 @pytest.fixture(scope="module")
 def endpoint() -> str:
     return free_endpoint()
@@ -90,21 +115,9 @@ def running(installed: Path, endpoint: str, tmp_path_factory: pytest.TempPathFac
 
 @pytest.mark.slow
 def test_units_run_confined_as_they_say(running: Processes, endpoint: str) -> None:
-    measurements: list[Measurement] = []
-    images: list[Image] = []
-    labels: list[Label] = []
     running.await_words("gateway", "scheduling")
-    fabric = Fabric("skin", "test", endpoint)
-    try:
-        fabric.subscribe(MEASUREMENT, measurements.append)
-        fabric.subscribe(IMAGE, images.append)
-        fabric.subscribe(LABEL, labels.append)
-        running.until(lambda: any(min(each.valid) == 1 for each in measurements), "a complete measurement")
-        running.until(lambda: any(min(each.valid) == 1 for each in images), "an image of a complete measurement")
-        running.until(lambda: bool(labels), "a label")
-        running.await_words("view", "web page")
-    finally:
-        fabric.close()
+    first_image(running, endpoint)
+    running.await_words("view", "web page")
     wanted = "scheduling: real time" if gives_real_time() else "scheduling: ordinary"
     for verb in ("gateway", "reconstruct", "classify", "record"):
         assert running.log(verb).read_text().count(wanted) == 1, verb

@@ -8,7 +8,7 @@ from functools import cache
 from pathlib import Path
 from typing import Final
 
-from tests.readonly import Confined
+from tests.readonly import Confined, filter_of_calls
 
 UNITS: Final = "etc/systemd/system"
 SPECIFIERS: Final = {"%t": "/run", "%C": "/var/cache", "%S": "/var/lib", "%%": "%"}
@@ -24,7 +24,7 @@ class Unit:
     """A service of an installation below `root`; `settings` are those of [Service], in order."""
 
     def __init__(self, root: Path, verb: str) -> None:
-        self.root = root
+        self.root, self.verb = root, verb
         self.settings: dict[str, list[str]] = {}
         units = root / UNITS
         for file in (units / "skin@.service", *sorted((units / f"skin@{verb}.service.d").glob("*.conf"))):
@@ -45,12 +45,13 @@ class Unit:
             expanded = {call for name in names.lstrip("~").split() for call in system_calls(name)}
             calls = calls - expanded if names.startswith("~") else calls | expanded
         return Confined(
-            self.root,
             {"PATH": "/usr/bin:/bin", "HOME": "/var/lib/canskin", **places, **self._environment()},
             {place: folders / place.lstrip("/") for place in places.values()},
+            {"/etc/canskin": self.root / "etc/canskin"},
             rtprio=int(self._last("LimitRTPRIO")),
-            families=tuple(int(getattr(socket, name)) for name in families),
-            system_calls=tuple(sorted(calls)),
+            system_calls=filter_of_calls(
+                folders / f"{self.verb}.bpf", {int(getattr(socket, name)) for name in families}, calls
+            ),
         )
 
     def command(self) -> list[str]:

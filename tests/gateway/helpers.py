@@ -4,7 +4,7 @@ import os
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -13,7 +13,7 @@ from hypothesis import HealthCheck, Phase, settings
 from bus.link import State
 from canskin.messages import GatewayStatus, Measurement
 from dbc import indices as od
-from dbc.canopen import NMT_COB_ID, SDO_REQUEST_BASE
+from dbc.canopen import HIGHEST_NODE_ID, NMT_COB_ID, SDO_REQUEST_BASE
 from dbc.configuration import configuration
 from dbc.contract import Contract
 from dbc.dictionary import SILENT_AFTER_S
@@ -49,16 +49,25 @@ class Shaking:
 
 
 class Witness(Electronics):
-    """Electronics that remember the counts behind what a test pattern shows."""
+    """Electronics that remember the counts behind what a test pattern shows, with the gains that the gateway knows."""
 
     counts: npt.NDArray[np.int32]
     reads = 0
+
+    def __init__(self, *given: Any, **named: Any) -> None:
+        super().__init__(*given, **named)
+        self.known_gain, self.known_offset = self.gain.copy(), self.offset.copy()
+
+    def tell(self, taxels: npt.NDArray[np.intp]) -> None:
+        """Note that the gateway knows gains and offsets of these taxels."""
+        self.known_gain[taxels], self.known_offset[taxels] = self.gain[taxels], self.offset[taxels]
 
     def read(self, force_n: npt.NDArray[np.float32], step: int = 0) -> npt.NDArray[np.int32]:
         raw = np.zeros(self.gain.shape, np.int32)
         raw[: force_n.size] = to_counts(force_n.ravel(), self.taxels)
         self.reads += 1
-        self.counts = np.clip(np.rint(self.gain * raw + self.offset), 0, self.taxels.count_max).astype(np.int32)
+        known = self.known_gain * raw + self.known_offset
+        self.counts = np.clip(np.rint(known), 0, self.taxels.count_max).astype(np.int32)
         return super().read(force_n, step)
 
 
@@ -138,16 +147,39 @@ class Wire:
         #: Tells which frames of nodes have to wait: they go when `release` is called.
         self.holds: Callable[[np.void], bool] | None = None
         self._held: list[tuple[EndOfWire | None, Frames]] = []
+        #: By node-ID: when a board that hangs goes on, and what it sends then.
+        self._hung: dict[int, tuple[int, list[Frames]]] = {}
+
+    def hang(self, node_id: int, until_ns: int) -> None:
+        """Let a board hold back all that it sends, unless it hung less than three periods ago."""
+        if until_ns - self._hung.get(node_id, (0, []))[0] > 8 * PERIOD_S * 1e9:
+            self._hung[node_id] = until_ns, []
+
+    def _gone_on(self) -> list[tuple[EndOfWire | None, Frames]]:
+        gone = [each for until_ns, waiting in self._hung.values() if self.now_ns >= until_ns for each in waiting]
+        for until_ns, waiting in self._hung.values():
+            if self.now_ns >= until_ns:
+                waiting.clear()
+        return [(self.nodes, each) for each in gone]
+
+    def _awake(self, burst: Frames) -> Frames:
+        """Return the frames of boards that do not hang; keep the others."""
+        node_ids = burst["can_id"] & HIGHEST_NODE_ID
+        for node_id, (until_ns, waiting) in self._hung.items():
+            if self.now_ns < until_ns and (node_ids == node_id).any():
+                waiting.append(burst[node_ids == node_id])
+                burst, node_ids = burst[node_ids != node_id], node_ids[node_ids != node_id]
+        return burst
 
     def deliver(self) -> bool:
         """Carry what was sent; tell whether there was anything."""
-        sent, self.queue = self.queue, []
+        sent, self.queue = self._gone_on() + self.queue, []
         for sender, given in sent:
-            burst = given
+            burst = self._awake(given) if sender is self.nodes else given
             if self.holds is not None and sender is self.nodes:
-                waits = np.array([self.holds(each) for each in given], np.bool_)
-                self._held.append((sender, given[waits]))
-                burst = given[~waits]
+                waits = np.array([self.holds(each) for each in burst], np.bool_)
+                self._held.append((sender, burst[waits]))
+                burst = burst[~waits]
             self._carry(sender, burst)
         return bool(sent)
 
@@ -194,10 +226,14 @@ class World:
     contract: Contract
     store: Path | None = None
     built: Contract | None = None
+    #: Whether somebody else takes `NmtMaster.recalibrated`.
+    calibrates: bool = False
     now_s: float = 100.0
     lines: list[str] = field(default_factory=list)
     complaints: list[str] = field(default_factory=list)
     measured: list[Measurement] = field(default_factory=list)
+    #: Bus and node-ID of nodes whose gains or offsets have become others.
+    recalibrated: list[tuple[int, int]] = field(default_factory=list)
     step_s: ClassVar[float] = STEP_S
     wire: ClassVar[type[Wire]] = Wire
     #: Buses whose interfaces do not keep the order of SYNC and answers.
@@ -258,6 +294,17 @@ class World:
         for bus, (wire, segment) in enumerate(zip(self.wires, self.segments, strict=True)):
             segment.take(wire.nodes.receive(), self.now_s)
             self.gateway.take(bus, wire.gateway.receive(), self.now_s, stamp_error_ns=0)
+        self.learn()
+
+    def learn(self) -> None:
+        """Let the witness know of gains and offsets what the gateway has found."""
+        for master in self.gateway.masters.values():
+            for node in master.recalibrated:
+                self.recalibrated.append((node.bus, node.node_id))
+                chains = self.contract.phi.taxels_of_blocks[node.block : node.block + node.blocks]
+                self.electronics.tell(chains.ravel())
+            if not self.calibrates:
+                master.recalibrated.clear()
 
     def run(self, seconds: float) -> list[Measurement]:
         """Go on for some time; return the measurements of it."""
@@ -398,13 +445,15 @@ def disturb(world: World, what: tuple, *, gateway_loses: bool) -> list[int]:
             swap_mapping(world, bus, node_id, tpdo % len(world.contract.nodes[0].tpdos))
         case ("pattern", (bus, node_id), pattern):
             world.write(bus, node_id, 0x2021, 0, bytes((pattern,)))
+        case ("hang", (bus, node_id), periods):
+            world.wires[bus].hang(node_id, round((world.now_s + periods * PERIOD_S) * 1e9))
+            return []
         case ("nmt", bus, command, node_id):
             world.nmt(bus, command, node_id)
             return [bus * 2, bus * 2 + 1]
-        case ("store", (bus, node_id)):
-            world.write(bus, node_id, od.STORE, 1, little(od.SIGNATURE_SAVE))
-        case ("restore", (bus, node_id)):
-            world.write(bus, node_id, od.RESTORE, 1, little(od.SIGNATURE_LOAD))
+        case ("store" | "restore" as how, (bus, node_id)):
+            index, word = (od.STORE, od.SIGNATURE_SAVE) if how == "store" else (od.RESTORE, od.SIGNATURE_LOAD)
+            world.write(bus, node_id, index, 1, little(word))
         case ("sync", bus, counter):
             world.wires[bus].put(0x80, bytes((counter,)))
             return [bus * 2, bus * 2 + 1]

@@ -9,9 +9,10 @@ import pytest
 
 import gateway.calibration
 from calibration.calibrator import Calibrator
-from canskin.calibration_messages import CalibrationReply, CalibrationRequest, CalibrationState
+from canskin.calibration_messages import CalibrationReply, CalibrationRequest, CalibrationState, ZeroSupport
 from canskin.errors import InputError
 from canskin.messages import Measurement
+from dbc import indices as od
 from dbc.contract import Contract
 from gateway.calibration import GatewayCalibration, node_values
 from skin.calibration_file import StoredCalibration, encoded, new_calibration, parse_calibration
@@ -164,6 +165,26 @@ def test_offsets_of_sums_are_dropped_when_the_nodes_have_other_gains(
     assert asked.replies[0].is_done
     assert not last.offsets
     assert asked.replies[0].text.endswith("see 'skin tare'") != tares
+
+
+@pytest.mark.parametrize("tares", [True, False])
+def test_the_zero_of_a_node_is_dropped_when_another_master_has_changed_its_gains(
+    small: Contract, stored: StoredCalibration, *, tares: bool
+) -> None:
+    world = World(small, calibrates=True)
+    world.until_whole(2.0)
+    asked = Asked(world, stored, tares=tares)
+    assert asked.run(0.5).offsets
+    world.write(1, 2, od.GAIN, 3, bytes(4))
+    last = asked.run(0.5)
+    is_of_node = small.phi.block_of_sum == 3
+    np.testing.assert_array_equal(np.frombuffer(last.usable, np.uint8), ~is_of_node)
+    assert asked.calibration.status().recalibrated == ["bus1 node 2"]
+    assert asked.calibration.status().zero_support[3] == ZeroSupport.NONE
+    asked.ask(CalibrationRequest(action="tare", force=True))
+    last = asked.run(6.0)
+    assert not last.usable
+    assert asked.calibration.status().recalibrated == []
 
 
 def test_gains_that_no_node_has_taken_are_not_told_as_those_in_use(small: Contract, stored: StoredCalibration) -> None:

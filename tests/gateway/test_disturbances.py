@@ -1,5 +1,6 @@
 """Whatever is written, commanded, stored and lost: no wrong sum is valid, and the skin becomes whole again."""
 
+import struct
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -36,6 +37,7 @@ place = st.one_of(
     st.tuples(st.integers(0x1000, 0x2200), st.integers(0, 8), st.integers(1, 4)),
 )
 value = st.one_of(st.sampled_from(VALUES), st.binary(min_size=1, max_size=4))
+gain = st.sampled_from([0.0, 0.5, 1.0, 2.0]).map(lambda each: struct.pack("<f", each))
 action = st.one_of(
     st.just(("quiet",)),
     st.tuples(st.just("write"), node, place, value),
@@ -43,6 +45,8 @@ action = st.one_of(
     st.tuples(st.just("request"), node, st.integers(0, 255), place, value),
     st.tuples(st.just("swap"), node, st.integers(0, 3)),
     st.tuples(st.just("pattern"), node, st.integers(0, 3)),
+    st.tuples(st.just("write"), node, st.tuples(st.just(od.GAIN), st.integers(1, 8), st.just(4)), gain),
+    st.tuples(st.just("hang"), node, st.integers(1, 5)),
     st.tuples(st.just("nmt"), st.integers(0, 1), st.sampled_from(list(NmtCommand)), st.integers(0, 2)),
     st.tuples(st.just("store"), node),
     st.tuples(st.just("restore"), node),
@@ -76,6 +80,9 @@ def test_a_short_while_of_disturbances(tmp_path: Path, identity: str) -> None:
         ("swap", (1, 2), 1),
         ("lose", 0, 0.5, 3),
         ("sync", 1, 7),
+        ("write", (1, 1), (od.GAIN, 3, 4), bytes(4)),
+        ("hang", (0, 2), 3),
+        *[("quiet",)] * 8,
         ("nmt", 1, NmtCommand.STOP, 0),
         *[("quiet",)] * 10,
     ]

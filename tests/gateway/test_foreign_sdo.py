@@ -2,7 +2,7 @@
 
 import pytest
 
-from gateway.foreign_sdo import Effect, ForeignClient
+from gateway.foreign_sdo import CONFIGURATION, Effect, ForeignClient
 
 COMPARED, OTHER = 0x1A00, 0x2010
 DOWNLOAD, SEGMENT, UPLOAD, UPLOAD_SEGMENT, BLOCK_UPLOAD, BLOCK_DOWNLOAD = 0x23, 0x00, 0x40, 0x60, 0xA0, 0xC2
@@ -10,7 +10,7 @@ DOWNLOAD, SEGMENT, UPLOAD, UPLOAD_SEGMENT, BLOCK_UPLOAD, BLOCK_DOWNLOAD = 0x23, 
 
 @pytest.fixture
 def client() -> ForeignClient:
-    return ForeignClient({0x1800, COMPARED})
+    return ForeignClient({0x1800: CONFIGURATION, COMPARED: CONFIGURATION})
 
 
 def ask(client: ForeignClient, command: int, index: int = OTHER, now_s: float = 10.0) -> Effect:

@@ -18,6 +18,7 @@ from tests.layouts import IDENTITIES, small_contract
 
 PERIOD_NS = round(PERIOD_S * 1e9)
 SYNC_NS = 50_000
+ANSWER_NS = 1_000_000
 CONTRACTS = {identity: small_contract(identity=identity) for identity in IDENTITIES}
 
 both = pytest.mark.parametrize("identity", IDENTITIES)
@@ -50,7 +51,9 @@ class Bus:
         return self.counter
 
     def take(self, *parts: Frames) -> None:
-        self.collector.take(0, np.concatenate(parts), 0)
+        arrived = np.concatenate(parts)
+        arrived["time_ns"][arrived["time_ns"] == 0] = self.counter * PERIOD_NS + ANSWER_NS
+        self.collector.take(0, arrived, 0)
 
     def valid(self, cycle: int) -> list[bool]:
         """Close a cycle; check its valid sums; return whether the blocks of the first bus are valid."""
@@ -178,6 +181,24 @@ def test_frames_held_back_for_two_cycles_are_not_detected_if_the_node_misses_tha
     assert (gathered.sums[bus.contract.phi.block_of_sum == 0] == old).all()
 
 
+def test_old_answers_of_a_board_that_goes_on_at_the_end_of_a_cycle_do_not_end_its_debt() -> None:
+    bus = Bus("window")
+    bus.whole()
+    hung = []
+    for _ in range(2):
+        hung.append(bus.begin())
+        bus.take(bus.sync(), bus.frames_of(hung[-1], 1))
+        assert bus.valid(hung[-1]) == [False, True]
+    last = bus.begin()
+    first_old = bus.frames_of(hung[0], 0)
+    first_old["time_ns"] = (last + 1) * PERIOD_NS - ANSWER_NS
+    bus.take(bus.sync(), bus.frames_of(last, 1), first_old)
+    new = bus.begin()
+    bus.take(bus.sync(), *(bus.frames_of(each, 0) for each in (hung[1], last, new)), bus.frames_of(new, 1))
+    assert bus.valid(last) == bus.valid(new) == [False, True]
+    assert bus.whole() == [True, True]
+
+
 @both
 def test_frames_lost_by_the_gateway_itself_cost_the_cycles_between_which_a_sync_may_be_lost(identity: str) -> None:
     """Without the echo of the second SYNC, the answers to it would pass for those to the first."""
@@ -226,7 +247,7 @@ def test_node_that_ignores_1007h_and_is_late_in_every_cycle_is_detected_by_alter
         bus.take(bus.sync(), bus.frames_of(cycle - 1, 0), bus.frames_of(cycle, 1))
         gathered = bus.collector.close(cycle)
     assert gathered.valid[:2].tolist() == [identity == "window", True]
-    assert bus.collector.take_swapped() == ([0] if identity == "alternating" else [])
+    assert bus.collector.take_swapped() == ([(0, True)] if identity == "alternating" else [])
 
 
 @both

@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 
 from dbc import indices as od
-from dbc.canopen import HEARTBEAT_BASE, SDO_RESPONSE_BASE, SYNC_COB_ID, NmtCommand
+from dbc.canopen import HEARTBEAT_BASE, SDO_RESPONSE_BASE, SYNC_COB_ID, NmtCommand, NmtState
 from dbc.contract import Contract
 from dbc.dictionary import SILENT_AFTER_S
 from dbc.frame import ECHO
 from gateway.loop import LOOK_PERIOD_S
+from nodes.segment import Segment
+from nodes.virtual_boards import VirtualBoards
 from tests.gateway.helpers import PERIOD_S, STEP_S, EndOfWire, World, until_sync, valid
 from tests.layouts import buses, small_contract
 
@@ -219,3 +221,18 @@ def test_analogue_sums_at_the_end_of_their_converter_are_not_usable() -> None:
         np.testing.assert_array_equal(usable, sums < 511 * 32)
         found |= set(usable.tolist())
     assert found == {False, True}
+
+
+@pytest.mark.parametrize("unnumbered", [True, False])
+def test_absent_nodes_are_asked_once_for_boards_without_node_id(unnumbered: bool) -> None:
+    class Fresh(World):
+        def new_segment(self, bus: int, contract: Contract) -> Segment:
+            boards = VirtualBoards(contract, bus, {1} if bus or unnumbered else (), self.sampler, unnumbered=not bus)
+            return Segment(contract, bus, boards, self.sampler, self.wires[bus].nodes.send, complain=print)
+
+    world = Fresh(small_contract())
+    world.run(5.0)
+    fresh = "bus0: boards without node-ID are there: stop the gateway, and run skin commission"
+    assert world.lines.count(fresh) == unnumbered
+    assert [can_id for can_id, _ in world.wires[0].log].count(0x7E5) == 1
+    assert world.segments[1].boards.nodes[0].state == NmtState.OPERATIONAL

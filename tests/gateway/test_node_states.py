@@ -12,6 +12,7 @@ from dbc.configuration import TICK_S, configuration, expected_signature
 from dbc.contract import Contract
 from dbc.frame import ECHO, Frames
 from gateway.nmt_master import NmtMaster, NodeRecord
+from gateway.proof import PART
 from gateway.sdo import Read, SdoTimeoutError, Transfer
 from skin.layout import load_layout
 from tests.bus.harness import frame
@@ -69,7 +70,7 @@ class Boards:
         if node_id in self.plain:
             self._answers.append((ANSWER + node_id, self._plain_answer(node_id, data)))
             return
-        is_signature = int.from_bytes(data[1:3], "little") == od.SIGNATURE
+        is_signature = int.from_bytes(data[1:3], "little") in {od.SIGNATURE, od.CALIBRATION_SIGNATURE}
         if not is_signature:
             answer = b"\x80" + data[1:4] + NO_SUBINDEX.to_bytes(4, "little")
         else:
@@ -98,9 +99,10 @@ class Boards:
             part, self._rest = self._rest[:7], self._rest[7:]
             return bytes((asked[0] & 0x10 | 7 - len(part) << 1 | (not self._rest),)) + part.ljust(7, b"\0")
         index, subindex = int.from_bytes(asked[1:3], "little"), asked[3]
-        if index == od.SIGNATURE:
+        if index in {od.SIGNATURE, od.CALIBRATION_SIGNATURE}:
             return b"\x43" + asked[1:4] + bytes(4)
-        settings = self.master.nodes[node_id].settings
+        record = self.master.nodes[node_id]
+        settings = [*record.settings, *record.known.settings]
         (value,) = {each.data for each in settings if (each.index, each.subindex) == (index, subindex)}
         if len(value) > 4:
             self._rest = value
@@ -175,7 +177,7 @@ def test_write_of_another_master_is_doubted_from_its_first_frame_on(skin: Boards
 
 @pytest.mark.parametrize("command", [0x2F, 0x21, 0xC2], ids=["expedited", "in segments", "in blocks"])
 def test_write_of_what_is_not_compared_is_not_doubted(skin: Boards, command: int) -> None:
-    skin.hear(REQUEST + 1, request(command, od.GAIN, 3))
+    skin.hear(REQUEST + 1, request(command, od.EMCY_INHIBIT_100US))
     skin.run(0.02)
     skin.hear(REQUEST + 1, b"\x01" + bytes(7))  # its data
     assert skin.trusted() == [1, 2]
@@ -385,7 +387,8 @@ def test_a_proof_without_signature_costs_as_much_as_its_transfers(small: Contrac
     skin.plain.add(2)
     skin.run(0.5)
     assert skin.trusted() == [1, 2]
-    transfers = len(skin.node(2).settings) + 1  # every object, and the signature that it has not
+    # Every object, the signature that it has not, and some of its gains and offsets.
+    transfers = len(skin.node(2).settings) + 1 + PART
     assert [skin.node(node_id).cost for node_id in (1, 2)] == [1, transfers]
     # Two rounds of 2 s for a proof of one transfer, and three attempts of 0.3 s.
     assert skin.master.proof_limit_s == pytest.approx(4.0 * (1 + transfers) / 2 + 0.9)
@@ -535,10 +538,11 @@ class Bench:
             if data[0] == 1 and self.boots:
                 self._waiting.append(frame(0x701, b"\0"))
                 self.state = NmtState.PRE_OPERATIONAL
-        elif can_id == 0x601 and data[:4] == b"\x40\x06\x20\0":
-            self.questions.append(round(self.now_s, 2))
+        elif can_id == 0x601 and data[:4] in {b"\x40\x06\x20\0", b"\x40\x09\x20\0"}:
+            if data[1] == od.CALIBRATION_SIGNATURE & 0xFF:  # the first question of a proof
+                self.questions.append(round(self.now_s, 2))
             if self.answers:
-                self._waiting.append(frame(0x581, b"\x43\x06\x20\0" + self.signature.to_bytes(4, "little")))
+                self._waiting.append(frame(0x581, b"\x43" + data[1:4] + self.signature.to_bytes(4, "little")))
 
     def go(self, seconds: float, step_s: float = TICK_S) -> None:
         for _ in range(round(seconds / step_s)):

@@ -1,5 +1,6 @@
 """What a node's PDOs carry is proven before it counts."""
 
+import struct
 from typing import Any
 
 import numpy as np
@@ -7,13 +8,15 @@ import pytest
 
 from dbc import indices as od
 from dbc.canopen import HEARTBEAT_BASE, NMT_COB_ID, SDO_REQUEST_BASE, SDO_RESPONSE_BASE, NmtCommand
-from dbc.configuration import configuration
+from dbc.configuration import calibration, configuration
 from dbc.contract import Contract
 from dbc.frame import ECHO
-from gateway.proof import prove
+from gateway.proof import PART, Known, prove
 from gateway.sdo import Read, SdoAbortedError
 from tests.gateway.helpers import PERIOD_S, STEP_S, World, little, swap_mapping, valid
 from tests.layouts import small_contract
+
+GAINS = [(od.GAIN, 1, struct.pack("<f", 0.0)), (od.OFFSET, 5, little(100, 2))]
 
 
 def deaf_to_writes(world: World, bus: int) -> None:
@@ -89,6 +92,7 @@ def test_test_pattern_is_not_touch(world: World) -> None:
     [
         lambda world: swap_mapping(world, 0, 1),
         lambda world: world.write(0, 1, od.TEST_PATTERN, 0, b"\2"),
+        lambda world: world.write(0, 1, *GAINS[0]),
     ],
 )
 def test_a_change_that_nobody_saw_is_found_within_the_stated_time(world: World, change: object) -> None:
@@ -116,11 +120,59 @@ def test_what_another_master_writes_is_doubted_at_once(world: World) -> None:
         world.until_whole(2.0)
 
 
-def test_offsets_and_gains_may_be_written_while_it_runs(world: World) -> None:
-    world.write(0, 1, 0x2011, 5, little(100, 2))
+@pytest.mark.parametrize("written", GAINS, ids=["gain", "offset"])
+def test_gains_and_offsets_of_another_master_end_validity_at_once(
+    world: World, written: tuple[int, int, bytes]
+) -> None:
+    world.write(0, 1, *written)
+    (first, *_) = came = world.run(2 * PERIOD_S)
+    assert not any(valid(each)[0] for each in (first, came[-1]))
     check(world, 1.0)
-    assert all(valid(each).all() for each in world.measured[-15:])
-    assert world.electronics.offset.any()
+    assert valid(world.measured[-1]).all()
+    assert world.recalibrated == [(0, 1)]
+    assert "node 1 on bus0 doubted: another master writes its gains or offsets (2010h, 2011h)" in world.lines
+    assert "node 1 on bus0 gains or offsets (2010h, 2011h) have changed: its zero counts no longer" in world.lines
+
+
+def test_a_gain_that_is_written_as_it_was_keeps_its_zero(world: World) -> None:
+    world.write(0, 1, od.GAIN, 1, struct.pack("<f", 1.0))
+    check(world, 1.0)
+    assert valid(world.measured[-1]).all()
+    assert world.recalibrated == []
+
+
+@pytest.mark.parametrize("change", ["gains that were not stored", "stored gains that nobody saw"])
+def test_gains_that_change_with_a_reset_are_found(world: World, change: str) -> None:
+    if change == "stored gains that nobody saw":
+        deaf_to_writes(world, 0)
+        world.write(0, 1, *GAINS[0])
+        world.write(0, 1, od.STORE, 1, little(od.SIGNATURE_SAVE))
+    else:
+        world.write(0, 1, *GAINS[0])
+        check(world, 1.0)
+    before = len(world.recalibrated)
+    world.nmt(0, NmtCommand.RESET_NODE, 1)
+    check(world, 1.0)
+    world.until_whole(2.0)
+    assert len(world.recalibrated) == before + 1
+
+
+def test_gains_of_a_board_that_does_not_sign_them_are_read_in_turn(small: Contract) -> None:
+    world = World(small)
+    other_answers(world, {od.CALIBRATION_SIGNATURE: abort(od.CALIBRATION_SIGNATURE, NO_OBJECT)})
+    world.until_whole(3.0)
+    master = world.gateway.masters[0]
+    assert master.nodes[1].cost == 1 + PART
+    aborts = world.wires[0].loses
+    assert aborts is not None
+    deaf_to_writes(world, 0)
+    world.write(0, 1, *GAINS[1])
+    world.step()
+    world.wires[0].loses = aborts
+    world.run(len(master.nodes[1].known.settings) / PART * (1 + PART) * 2.5)
+    assert world.recalibrated == [(0, 1)]
+    assert valid(world.measured[-1]).all()
+    assert not world.wrong_blocks(world.measured[-1])
 
 
 def test_counter_overflow_is_set_right_by_way_of_1006h(world: World) -> None:
@@ -159,17 +211,18 @@ def abort(index: int, code: int, subindex: int = 0) -> bytes:
     return b"\x80" + index.to_bytes(2, "little") + bytes((subindex,)) + little(code)
 
 
+NO_OBJECT = 0x0602_0000
 WRONG_SIGNATURE = read_answer(od.SIGNATURE, little(1))
 
 
 @pytest.mark.parametrize(
     "answer",
-    [read_answer(od.SIGNATURE, little(0)), abort(od.SIGNATURE, 0x0602_0000)],
+    [read_answer(od.SIGNATURE, little(0)), abort(od.SIGNATURE, NO_OBJECT)],
     ids=["no signature", "no object"],
 )
 def test_board_without_signature_is_read_object_by_object(small: Contract, answer: bytes) -> None:
     world = World(small)
-    other_answers(world, {od.SIGNATURE: answer})
+    other_answers(world, {od.SIGNATURE: answer, od.CALIBRATION_SIGNATURE: abort(od.CALIBRATION_SIGNATURE, NO_OBJECT)})
     world.until_whole(3.0)
     swap_mapping(world, 0, 1)
     check(world, 1.0)
@@ -253,11 +306,13 @@ def test_period_is_set_right_where_writing_was_cut_off(world: World) -> None:
 
 def test_a_node_that_aborts_a_read_is_doubted_and_refused(small: Contract) -> None:
     node, doubts = small.nodes[0], []
-    steps = prove(configuration(small, node), 0x1234, write=True, doubt=lambda: doubts.append("doubt"))
-    assert next(steps) == Read(od.SIGNATURE)
+    known = Known(calibration(small, node))
+    steps = prove(configuration(small, node), 0x1234, known, write=True, in_use=True, doubt=doubts.append)
+    assert next(steps) == Read(od.CALIBRATION_SIGNATURE)
+    assert steps.send(little(7)) == Read(od.SIGNATURE)
     read = steps.send(little(0))  # it computes no signature
     assert not doubts
     with pytest.raises(StopIteration) as ended:
         steps.throw(SdoAbortedError(read, 0x0800_0020))
-    assert doubts == ["doubt"]
+    assert doubts == ["doubted: its configuration is not that of the layout"]
     assert "abort 08000020h" in ended.value.value.refusal

@@ -77,7 +77,7 @@ class Adapter(Wire):
             self.gateway.waiting.append(burst)
         return bool(sent or going or arrived)
 
-    def hang(self, node_id: int, delay_ns: int) -> None:
+    def hold_back(self, node_id: int, delay_ns: int) -> None:
         """Let the frames of a board wait, and all behind them."""
         self.hung.setdefault(node_id, Fifo()).delay_ns = delay_ns
 
@@ -130,9 +130,9 @@ def happen(world: AdapterWorld, what: tuple) -> None:
             getattr(world.adapter(bus), way).delay_ns = delay_ns
             world.checked(PERIOD_S)
         case ("hang", (bus, node_id), periods):
-            world.adapter(bus).hang(node_id, round(periods * PERIOD_S * 1e9))
+            world.adapter(bus).hold_back(node_id, round(periods * PERIOD_S * 1e9))
             world.checked(PERIOD_S)
-            world.adapter(bus).hang(node_id, 0)
+            world.adapter(bus).hold_back(node_id, 0)
         case ("lose", (bus, _), periods):
             wire = world.adapter(bus)
             wire.loses = lambda end, each: end is wire.nodes and each["can_id"] == SYNC_COB_ID

@@ -392,6 +392,15 @@ def test_a_skin_without_zero_and_its_defects_are_told(state: ViewState, messages
     assert "2 more defects: skin calibration show" in told
 
 
+def test_nodes_with_other_gains_are_named_until_they_have_a_zero(state: ViewState, messages: Any) -> None:
+    changed = [f"bus0 node {each}" for each in range(1, 11)]
+    found = CalibrationStatus(state=CalibrationState.FOLLOWING, recalibrated=changed)
+    state.take(msgspec.structs.replace(messages.gateway(), calibration=found), 1.0)
+    (told,) = texts(state, 1.0, "warning")
+    assert told.startswith("gains or offsets of bus0 node 1, ")
+    assert "bus0 node 8 and 2 more have changed: no force there until the zero is measured" in told
+
+
 def test_a_doubtful_contact_is_named_with_what_to_do(state: ViewState, messages: Any) -> None:
     found = messages.contacts()
     marked = msgspec.structs.replace(found.contacts[0], force_n=0.4321, doubtful_since_mono_ns=5_000_000_000)

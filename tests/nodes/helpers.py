@@ -77,10 +77,11 @@ def new_segment(
     sampler: Sampler | None = None,
     complain: Callable[[str], None] = lambda _: None,
     store: Path | None = None,
+    unnumbered: bool = False,
 ) -> Segment:
     """Return nodes of bus0, booted."""
     sampler = sampler or new_sampler(contract)
-    boards = VirtualBoards(contract, 0, node_ids, sampler, store=store)
+    boards = VirtualBoards(contract, 0, node_ids, sampler, store=store, unnumbered=unnumbered)
     built = Segment(contract, 0, boards, sampler, link.send, complain=complain)
     built.boot(0.0)
     return built

@@ -159,7 +159,6 @@ def test_adaptive_boards_are_those_of_the_chosen_nodes(parts: Parts) -> None:
         ({"touch": TouchOptions(rate=50.0)}, "--rate is for a recording"),
         ({"touch": TouchOptions(input=Path("mat.npz")), "rest": 1.0}, "--rest is for objects"),
         ({"touch": TouchOptions(input=Path("mat.npz"), stroke="press")}, "--stroke is for objects"),
-        ({"firmware": True, "store": Path("flash")}, "--store is for nodes in Python"),
         ({"touch": TouchOptions(defect=["mismatch=0.1"])}, "mismatch"),  # of boards that make sums in hardware
         ({"store": Path("/proc/none")}, "--store /proc/none: expected a folder that can be written"),
     ],
@@ -176,7 +175,8 @@ def test_the_first_seed_is_0_and_noise_may_be_none(parts: Parts) -> None:
 def test_boards_in_c_are_those_of_the_chosen_nodes(parts: Parts, monkeypatch: pytest.MonkeyPatch) -> None:
     compiled: list[tuple[Contract, list[tuple[int, int]]]] = []
 
-    def firmware(contract: Contract, nodes: list[NodeContract]) -> str:
+    def firmware(contract: Contract, nodes: list[NodeContract], *, store: Path | None) -> str:
+        assert store is None
         compiled.append((contract, [(node.bus, node.node_id) for node in nodes]))
         return "compiled"
 
@@ -198,7 +198,7 @@ def test_adaptive_boards_in_c_get_the_same_options_as_those_in_python(
         given.append((arguments, named))
         return "patches"
 
-    monkeypatch.setattr(command, "Firmware", lambda *_: "compiled")
+    monkeypatch.setattr(command, "Firmware", lambda *_, **__: "compiled")
     monkeypatch.setattr(ways, "FirmwarePatches", patches)
     touch = TouchOptions(seed=4, defect=["dead=0.5"])
     options = {"layout": Path("adaptive"), "only": ["bus0:3"], "noise_n": 0.002}

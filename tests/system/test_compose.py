@@ -19,11 +19,11 @@ import pytest
 from numba.core.caching import UserProvidedCacheLocator
 from ruamel.yaml import YAML
 
-from canskin.fabric import Fabric
-from canskin.messages import IMAGE, MEASUREMENT, Image, Measurement
 from shell.output import cache_folder
 from tests.layouts import slow_layout
 from tests.processes import Processes, free_endpoint, free_port
+from tests.readonly import Confined, not_here
+from tests.system.helpers import first_image
 
 ROOT = Path(__file__).parents[2]
 COMPOSE = ROOT / "docker-compose.yml"
@@ -144,18 +144,10 @@ class Boxes:
         """Return what runs `words` in a box; `caches`: the box has the volume of compiled kernels."""
         uid = re.search(r"--uid (\d+)", (ROOT / "Dockerfile").read_text())
         assert uid is not None
-        box = ["bwrap", "--ro-bind", "/", "/", "--dev", "/dev", "--proc", "/proc", "--die-with-parent"]
-        box += ["--unshare-user", "--uid", uid[1], "--gid", uid[1], "--cap-drop", "ALL", "--tmpfs", "/tmp"]  # noqa: S108
-        for place in (ROOT, Path(sys.prefix)):  # may be below /tmp
-            box += ["--ro-bind", str(place), str(place)]
-        box += ["--tmpfs", "/run", "--bind", str(self.folder / "run"), "/run/canskin", "--tmpfs", "/var"]
-        if caches:
-            box += ["--bind", str(self.folder / "cache"), "/var/cache/canskin"]
-        box += ["--tmpfs", "/etc/canskin"] if Path("/etc/canskin").is_dir() else []
-        box += ["--remount-ro", "/run", "--remount-ro", "/var", "--clearenv"]
-        for name, value in image_environment().items():
-            box += ["--setenv", name, value]
-        return [*box, *map(self._word, words)]
+        volumes = {"/run/canskin": self.folder / "run"} | (
+            {"/var/cache/canskin": self.folder / "cache"} if caches else {}
+        )
+        return Confined(image_environment(), volumes, user_id=int(uid[1])).words(*map(self._word, words))
 
     def _word(self, word: str) -> str:
         word = re.sub(r"^tcp/(gateway|0\.0\.0\.0|127\.0\.0\.1):7447$", self.endpoint, word)
@@ -177,12 +169,10 @@ class Boxes:
 
 @pytest.fixture(scope="module")
 def boxes(tmp_path_factory: pytest.TempPathFactory) -> Boxes:
-    probe = ["bwrap", "--ro-bind", "/", "/", "--unshare-user", "true"]
-    if shutil.which("bwrap") is None or subprocess.run(probe, check=False, capture_output=True).returncode != 0:
-        pytest.skip("NOT TESTED: needs bubblewrap (bwrap) and user namespaces")
+    if why := not_here():
+        pytest.skip(why)
     folder = tmp_path_factory.mktemp("compose")
-    for name in ("run", "cache"):
-        (folder / name).mkdir(mode=0o700)
+    (folder / "run").mkdir(mode=0o700)
     keep_compiled(folder / "cache" / "numba")
     return Boxes(folder, free_endpoint(), str(free_port()))
 
@@ -203,22 +193,12 @@ def test_the_commands_as_written_give_measurements_images_and_health(
     services: dict[str, Service], boxes: Boxes
 ) -> None:
     virtual = of_profile(services, "virtual")
-    measurements: list[Measurement] = []
-    images: list[Image] = []
     with Processes(boxes.folder) as running:
         for name, service in virtual.items():
             running.start(name, *boxes.service(service))
         running.await_words("viewer", "web page")  # the hub is there
-        fabric = Fabric("skin", "test", boxes.endpoint)
-        try:
-            fabric.subscribe(MEASUREMENT, measurements.append)
-            fabric.subscribe(IMAGE, images.append)
-            running.until(lambda: any(min(each.valid) == 1 for each in measurements), "a complete measurement")
-            running.until(lambda: any(min(each.valid) == 1 for each in images), "an image of a complete measurement")
-            running.await_words("classifier", "knows")
-        finally:
-            fabric.close()
-        assert np.frombuffer(images[0].pixels, "<f4").size == 64 * 64
+        image = first_image(running, boxes.endpoint)
+        assert np.frombuffer(image.pixels, "<f4").size == 64 * 64
         for name, service in virtual.items():
             running.until(lambda service=service: boxes.is_healthy(service), f"{name} to be healthy")  # type: ignore[misc]
         running.stop("nodes")

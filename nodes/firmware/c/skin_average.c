@@ -196,7 +196,7 @@ static int32_t nearest(float value)
 /* Sums of one block, rounded to whole counts, of `values`, which are overwritten; otherwise as `skin_block_sums`. */
 static void block_sums(const skin_board *board, uint8_t block, float *values, int32_t *sums)
 {
-    const uint16_t first_sum = board->first_sum[block], end = board->first_sum[block + 1];
+    const uint16_t first_sum = board->type->first_sum[block], end = board->type->first_sum[block + 1];
     uint16_t half, first, place, sum;
 
     for (half = 1; half < SKIN_BLOCK_SIZE; half = (uint16_t)(2 * half)) {
@@ -210,7 +210,7 @@ static void block_sums(const skin_board *board, uint8_t block, float *values, in
         }
     }
     for (sum = first_sum; sum < end; sum++) {
-        sums[sum - first_sum] = nearest(values[board->rows[sum]]);
+        sums[sum - first_sum] = nearest(values[SKIN_ROWS(board)[sum]]);
     }
 }
 
@@ -219,8 +219,8 @@ static void block_sums(const skin_board *board, uint8_t block, float *values, in
 uint16_t skin_measure(const skin_board *board, uint8_t block, skin_average *state, uint16_t *counts, uint16_t samples,
                       const float *gain, const int16_t *offset, uint8_t pattern, int32_t *sums)
 {
-    const uint16_t taxels = (uint16_t)(board->blocks * board->block_size);
-    const uint16_t first = (uint16_t)(block * board->block_size);
+    const uint16_t taxels = (uint16_t)(board->type->blocks * board->type->block_size);
+    const uint16_t first = (uint16_t)(block * board->type->block_size);
     uint16_t *newest = &counts[(uint32_t)(samples - 1) * taxels + first];
     uint16_t saturated;
 #if SKIN_SAMPLES > 1
@@ -229,10 +229,10 @@ uint16_t skin_measure(const skin_board *board, uint8_t block, skin_average *stat
 
     skin_take_samples(state, &counts[first], samples, taxels, averages);
     saturated = skin_read_block(board, newest, gain, offset, pattern);
-    for (place = 0; place < board->block_size; place++) {
+    for (place = 0; place < board->type->block_size; place++) {
         averages[place] = pattern != SKIN_PATTERN_OFF
                               ? (float)newest[place]
-                              : correct(averages[place], gain[place], offset[place], board->count_max);
+                              : correct(averages[place], gain[place], offset[place], board->type->count_max);
     }
     block_sums(board, block, averages, sums);
 #else

@@ -1,4 +1,4 @@
-/* What one board of a skin is made for. A board's constants are in its board.c. */
+/* What the boards of an image are made for: one board, or all boards of a type. Their constants are in board.c. */
 #ifndef SKIN_BOARD_H
 #define SKIN_BOARD_H
 
@@ -17,22 +17,18 @@ typedef struct {
 typedef struct {
     uint16_t index;
     uint8_t subindex;
-    uint8_t flags;   /* SKIN_OBJECT_...: SDO may write, PDOs may carry, 2006h covers the object; text of variable length */
+    uint8_t flags;   /* SKIN_OBJECT_...: SDO may write, PDOs may carry, in 2006h; text of variable length; in 2009h */
     uint16_t at;     /* place of the value in `values` (little endian), first byte, or SKIN_OBJECT_COMPUTED */
     uint8_t bytes;   /* length of the value */
 } skin_object;
 
-/* One board. All arrays are constant and may stay in flash memory. */
+/* What the boards of a type share. All arrays are constant and may stay in flash memory. */
 typedef struct {
-    uint8_t node_id;
     uint8_t blocks;              /* blocks of taxels */
     uint16_t block_size;         /* taxels of a block, a power of two, 2 to 128 */
-    uint16_t held;               /* taxels of all blocks, without empty places */
     uint16_t count_max;          /* largest ADC count */
     skin_packing packing;
     const uint16_t *first_sum;   /* place of each block's first sum, blocks + 1 entries */
-    const uint8_t *rows;         /* Hadamard row of each sum */
-    const uint16_t *taxels;      /* row-major index of the taxel at each place of the chain, block after block */
     uint8_t tpdos;               /* TPDO communication records */
     uint8_t pdo_bytes;           /* longest payload of a PDO: 8, or 64 with CAN FD */
     uint8_t frame_flags;         /* of a PDO's frame: SKIN_FRAME_FD, SKIN_FRAME_BRS */
@@ -40,9 +36,30 @@ typedef struct {
     uint16_t frame_bits[2];      /* of adaptive boards: what a coarse and a fine frame take of a budget */
     const skin_object *objects;  /* ascending by index and sub-index */
     uint16_t object_count;
-    const uint8_t *values;       /* default values of the objects */
-    uint16_t communication_bytes; /* the first bytes of `values`: objects below 2000h that can be written */
+    uint16_t communication_bytes; /* the first places of values: objects below 2000h that can be written */
     uint16_t writable_bytes;      /* communication_bytes and then the other objects that can be written */
+    uint16_t own_writable;        /* the first places of all, and the first behind writable_bytes: values that each board */
+    uint16_t own_constant;        /* has for itself */
+    const uint8_t *values;        /* default values at the other places */
+} skin_type;
+
+/* One board of an image. */
+typedef struct {
+    uint8_t bus;          /* number of the bus in the layout */
+    uint8_t node_id;
+    uint16_t held;        /* taxels of all blocks, without empty places */
+    const skin_type *type;
+    const uint8_t *own;   /* own_writable and then own_constant bytes of values */
 } skin_board;
+
+/* Hadamard row of each sum of a board (2003h): the first of its own constants. */
+#define SKIN_ROWS(board) ((board)->own + (board)->type->own_writable)
+
+/* The board of this image with a node-ID on a bus, NULL if there is none. */
+const skin_board *skin_board_of(uint8_t bus, uint8_t node_id);
+
+/* The default value at a place, and whether it is one of the board's own. */
+const uint8_t *skin_default(const skin_board *board, uint16_t at);
+int skin_is_own(const skin_type *type, uint16_t at);
 
 #endif

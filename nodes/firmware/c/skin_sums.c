@@ -55,37 +55,37 @@ uint16_t skin_read_block(const skin_board *board, uint16_t *counts, const float 
 {
     uint16_t place, saturated = 0;
 
-    for (place = 0; place < board->block_size; place++) {
+    for (place = 0; place < board->type->block_size; place++) {
         switch (pattern) {
         case SKIN_PATTERN_ZERO:
             counts[place] = 0;
             break;
         case SKIN_PATTERN_RAMP:
-            counts[place] = place < board->count_max ? place : board->count_max;
+            counts[place] = place < board->type->count_max ? place : board->type->count_max;
             break;
         case SKIN_PATTERN_FULL:
-            counts[place] = board->count_max;
+            counts[place] = board->type->count_max;
             break;
         default:
-            counts[place] = correct(counts[place], gain[place], offset[place], board->count_max);
+            counts[place] = correct(counts[place], gain[place], offset[place], board->type->count_max);
             break;
         }
-        saturated = (uint16_t)(saturated + (counts[place] >= board->count_max));
+        saturated = (uint16_t)(saturated + (counts[place] >= board->type->count_max));
     }
     return saturated;
 }
 
 void skin_block_sums(const skin_board *board, uint8_t block, const uint16_t *counts, int32_t *work, int32_t *sums)
 {
-    const uint16_t first = board->first_sum[block], end = board->first_sum[block + 1];
+    const uint16_t first = board->type->first_sum[block], end = board->type->first_sum[block + 1];
     uint16_t place, sum;
 
-    for (place = 0; place < board->block_size; place++) {
+    for (place = 0; place < board->type->block_size; place++) {
         work[place] = counts[place];
     }
-    hadamard(work, board->block_size);
+    hadamard(work, board->type->block_size);
     for (sum = first; sum < end; sum++) {
-        sums[sum - first] = work[board->rows[sum]];
+        sums[sum - first] = work[SKIN_ROWS(board)[sum]];
     }
 }
 

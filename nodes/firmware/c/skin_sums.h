@@ -6,7 +6,7 @@
 
 /* What the taxels of one block read.
  *
- * counts: in the order of the chain, board->block_size values; corrected in place, or replaced by the test pattern.
+ * counts: in the order of the chain, board->type->block_size values; corrected in place, or replaced by the test pattern.
  * Returns the number of taxels at the top of their range.
  */
 uint16_t skin_read_block(const skin_board *board, uint16_t *counts, const float *gain, const int16_t *offset,
@@ -14,8 +14,8 @@ uint16_t skin_read_block(const skin_board *board, uint16_t *counts, const float 
 
 /* Sums of one block in ADC counts.
  *
- * counts: what `skin_read_block` leaves. work: room for board->block_size values.
- * sums: room for the sums of the block, board->first_sum[block + 1] - board->first_sum[block].
+ * counts: what `skin_read_block` leaves. work: room for board->type->block_size values.
+ * sums: room for the sums of the block, board->type->first_sum[block + 1] - board->type->first_sum[block].
  */
 void skin_block_sums(const skin_board *board, uint8_t block, const uint16_t *counts, int32_t *work, int32_t *sums);
 

@@ -1,9 +1,10 @@
-"""Boards behind CANopenNode's functions, without the stack itself."""
+"""Exported boards, alone and behind CANopenNode's functions, without the stack itself."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-from dbc.contract import Contract
+from dbc.contract import Contract, NodeContract
 from dbc.generate import write_files
 from nodes.firmware.export import export_files
 from nodes.firmware.library import STANDARD_FLAGS, compile_c
@@ -12,15 +13,25 @@ HERE: Final = Path(__file__).parent / "c"
 STACK: Final = HERE / "stack"
 
 
-def exported(contract: Contract, folder: Path) -> Path:
-    """Export the first board into `folder`; return the folder of its constants."""
-    write_files(export_files(contract, contract.nodes[:1]), folder)
-    return next(folder.joinpath("boards").iterdir())
+def exported(contract: Contract, folder: Path, nodes: Sequence[NodeContract] | None = None) -> Path:
+    """Export the first board or `nodes` of one type into `folder`; return the folder of the constants."""
+    write_files(export_files(contract, nodes or contract.nodes[:1]), folder)
+    (constants,) = folder.joinpath("boards").iterdir()
+    return constants
 
 
-def compile_adapter(contract: Contract, folder: Path, main: str) -> Path:
-    """Compile an exported board, its adapter and a main program; return the program."""
-    constants = exported(contract, folder)
+def compile_slave(contract: Contract, folder: Path, main: Path, nodes: Sequence[NodeContract] | None = None) -> Path:
+    """Compile exported boards, the slave and a main program; return the program."""
+    constants = exported(contract, folder, nodes)
+    texts = [*folder.glob("src/*.[ch]"), *folder.glob("src/slave/*.[ch]"), *folder.glob("src/adaptive/*.[ch]"), main]
+    texts += [path for path in constants.iterdir() if not path.name.startswith("OD")]
+    compile_c(texts, folder / "firmware", ["cc", *STANDARD_FLAGS, "-O2"])
+    return folder / "firmware"
+
+
+def compile_adapter(contract: Contract, folder: Path, main: str, nodes: Sequence[NodeContract] | None = None) -> Path:
+    """Compile exported boards, their adapter and a main program; return the program."""
+    constants = exported(contract, folder, nodes)
     texts = [*folder.glob("src/*.[ch]"), *folder.glob("src/adaptive/*.[ch]"), *folder.glob("src/canopennode/*.[ch]")]
     texts += [*constants.iterdir(), STACK / "dictionary.c", HERE / main]
     command = ["cc", *STANDARD_FLAGS, "-O2", f"-I{STACK}"]

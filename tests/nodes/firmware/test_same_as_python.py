@@ -2,7 +2,6 @@
 
 import os
 from pathlib import Path
-from typing import Any
 
 import msgspec
 import numpy as np
@@ -15,10 +14,10 @@ from dbc.contract import Contract, NodeContract
 from dbc.dictionary import dictionary
 from nodes.electronics import Calibration
 from nodes.firmware.library import CompiledBoards, Firmware
-from skin.layout import Encoding, Sampling, load_layout, validated
+from skin.layout import Encoding, Sampling, load_layout
 from tests.bus.harness import frame
 from tests.layouts import buses
-from tests.nodes.firmware.twins import Twins, needs_compiler, small_contract, windows
+from tests.nodes.firmware.twins import Twins, few_sums, needs_compiler, small_contract, windows
 
 pytestmark = needs_compiler
 
@@ -32,14 +31,6 @@ BATCH = 500
 def eight_bits() -> Contract:
     default = load_layout(Path("default"))
     return Contract.from_layout(msgspec.structs.replace(default, encoding=Encoding(sum_bits=8), sampling=Sampling()))
-
-
-def few_sums(bus: list[dict[str, Any]]) -> Contract:
-    """Three sums of four blocks: one block has none."""
-    layout = small_contract(bus=bus).layout
-    return Contract.from_layout(
-        validated(msgspec.structs.replace(layout, measurement=msgspec.structs.replace(layout.measurement, sums=3)))
-    )
 
 
 TWO_BLOCKS = buses(1, 1, blocks_per_node=2)

@@ -1,25 +1,32 @@
 """The C sources: they compile without a warning, hold the dictionary, and no frame breaks a board's memory."""
 
+import json
 import os
 import shutil
 import subprocess
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
+import msgspec
+import numpy as np
 import pytest
 
 from canskin.errors import InputError
 from dbc import indices as od
+from dbc.board import board
 from dbc.configuration import setting_of
-from dbc.contract import Contract
+from dbc.contract import Contract, NodeContract
 from dbc.dictionary import dictionary
 from dbc.generate import write_files
-from nodes.firmware.export import constants, export_files, sources
+from dbc.vectors import vectors_text
+from nodes.firmware.export import constants, export_files, images, sources
 from nodes.firmware.library import STANDARD_FLAGS, Firmware, compile_c
 from nodes.firmware.tables import builds
-from skin.layout import load_layout
+from skin.layout import Sampling, load_layout
 from tests.layouts import buses
-from tests.nodes.firmware.stack import HERE, STACK, compile_adapter, exported
-from tests.nodes.firmware.twins import needs_compiler, small_contract
+from tests.nodes.firmware.stack import HERE, compile_adapter, compile_slave, exported
+from tests.nodes.firmware.twins import few_sums, needs_compiler, small_contract
 
 NAMES = ("default", "fd", "one-bus-12bit", "adaptive", "adaptive-fd")
 #: Bursts of random frames, and seeds.
@@ -28,8 +35,8 @@ BURSTS, SEEDS = 20_000, range(1, 4)
 ADAPTIVE_BURSTS = 3000
 ARM = "arm-none-eabi-gcc"
 CORTEX_M0_PLUS = ("-mcpu=cortex-m0plus", "-mthumb", "-Os")
-#: Flash memory of the sums, and of sums and slave with the constants of one board, bytes.
-SUMS_BYTES, SLAVE_BYTES = 1024, 12 * 1024
+#: Flash memory, bytes: of the sums; of sums, averages, slave and storage with one board; of a further board.
+SUMS_BYTES, SLAVE_BYTES, BOARD_BYTES = 1024, 14 * 1024, 110
 #: Runs a program without a limit of its memory: a sanitizer reserves more than any machine has.
 UNLIMITED = 'ulimit -S -d "$(ulimit -H -d)" && exec "$0" "$@"'
 SANITIZERS = ("-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
@@ -43,57 +50,113 @@ def contract_of(name: str) -> Contract:
 @needs_compiler
 @pytest.mark.parametrize("name", NAMES)
 def test_an_exported_board_compiles_without_a_warning(name: str, tmp_path: Path) -> None:
-    board = exported(contract_of(name), tmp_path)
     main = tmp_path / "main.c"
     main.write_text("int main(void)\n{\n    return 0;\n}\n")
-    parts = [*tmp_path.glob("src/*.[ch]"), *tmp_path.glob("src/slave/*.[ch]"), *tmp_path.glob("src/adaptive/*.[ch]")]
-    parts += [path for path in board.iterdir() if not path.name.startswith("OD")]
-    compile_c([*parts, main], tmp_path / "firmware", ["cc", *STANDARD_FLAGS, "-O2"])
+    assert compile_slave(contract_of(name), tmp_path, main).exists()
+
+
+def some_of(contract: Contract) -> list[NodeContract]:
+    """Return the first, a middle and the last node."""
+    return [contract.nodes[place] for place in (0, len(contract.nodes) // 2, -1)]
 
 
 @pytest.mark.heavy
 @needs_compiler
 @pytest.mark.parametrize("name", NAMES)
-def test_the_adapter_for_canopennode_compiles_without_a_warning(name: str, tmp_path: Path) -> None:
-    assert compile_adapter(contract_of(name), tmp_path, "print_dictionary.c").exists()
-
-
-@pytest.mark.heavy
-@needs_compiler
-@pytest.mark.parametrize("name", NAMES)
-def test_the_dictionary_for_canopennode_is_that_of_the_contract(name: str, tmp_path: Path) -> None:
+def test_one_image_for_canopennode_has_the_dictionary_of_each_board(name: str, tmp_path: Path) -> None:
     contract = contract_of(name)
-    board = exported(contract, tmp_path)
-    program = tmp_path / "print_dictionary"
-    command = ["cc", *STANDARD_FLAGS, f"-I{STACK}"]
-    compile_c([HERE / "print_dictionary.c", board / "OD.c", board / "OD.h"], program, command)
-    printed = subprocess.run([program], capture_output=True, text=True, check=True).stdout.splitlines()
+    program = compile_adapter(contract, tmp_path, "print_dictionary.c", contract.nodes)
+    for node in some_of(contract):
+        assert printed(program, str(node.bus), str(node.node_id)) == expected_dictionary(contract, node)
+    assert subprocess.run([program, "0", "127"], check=False, stdout=subprocess.DEVNULL).returncode == 1
+
+
+@pytest.mark.heavy
+@needs_compiler
+def test_the_dictionary_of_a_board_alone_is_that_of_the_contract(tmp_path: Path) -> None:
+    contract = contract_of("default")
+    program = compile_adapter(contract, tmp_path, "print_dictionary.c", contract.nodes[5:6])
+    assert printed(program) == expected_dictionary(contract, contract.nodes[5])
+
+
+def printed(program: Path, *arguments: str) -> list[str]:
+    return subprocess.run([program, *arguments], capture_output=True, text=True, check=True).stdout.splitlines()
+
+
+def expected_dictionary(contract: Contract, node: NodeContract) -> list[str]:
+    """Return a line for each object, and the signature."""
     expected = []
-    for each in dictionary(contract, contract.nodes[0]):
+    for each in dictionary(contract, node):
         attribute = 0x03 if each.access == "rw" else 0x01
         attribute |= 0x04 if each.pdo else 0
         attribute |= 0x80 if each.data_type == od.VISIBLE_STRING else 0x40 if od.BITS[each.data_type] > 8 else 0
         data = setting_of(each).data.hex()
         value = "--" * (len(data) // 2) if each.index == od.ERROR_FIELD else data  # the stack's own
         expected.append(f"{each.index:04X} {each.subindex or 0} {attribute:02X} {value}")
-    assert printed == expected
+    return [*expected, str(board(contract, node).signature)]
+
+
+@pytest.mark.heavy
+@needs_compiler
+@pytest.mark.parametrize("name", ["fd", "one-bus-12bit", "forearm"])
+def test_one_image_sends_the_frames_of_the_vectors_as_each_of_several_boards(name: str, tmp_path: Path) -> None:
+    # Averages depend on what came before.
+    contract = Contract.from_layout(msgspec.structs.replace(load_layout(Path(name)), sampling=Sampling()))
+    program = compile_slave(contract, tmp_path, HERE / "run_board.c", contract.nodes)
+    for node in some_of(contract):
+        cases = json.loads(vectors_text(contract, node))["cases"]
+        lines = [" ".join(map(str, [case["pattern"], *read_by_place(case)])) for case in cases]
+        command = [program, str(node.bus), str(node.node_id)]
+        done = subprocess.run(command, input="\n".join(lines), capture_output=True, text=True, check=True)
+        signature, *sent = done.stdout.splitlines()
+        assert int(signature) == board(contract, node).signature
+        for case, line in zip(cases, sent, strict=True):
+            assert set(line.split()) == {f"{each['cob_id']}:{each['data']}" for each in case["frames"]}, case["name"]
+
+
+def read_by_place(case: dict[str, Any]) -> list[int]:
+    """Return count, bits of the gain, and offset of each place of all blocks."""
+    counts, gain, offset = (np.ravel(case[key]) for key in ("counts", "gain", "offset_counts"))
+    table = np.stack([counts, gain.astype(np.float32).view(np.uint32), offset], axis=1)
+    return table.astype(int).ravel().tolist()  # type: ignore[no-any-return]
+
+
+def test_an_export_has_a_program_for_each_type_of_board_or_for_the_chosen_one() -> None:
+    def folders(contract: Contract, nodes: Sequence[NodeContract]) -> dict[str, list[int]]:
+        found = images(contract, builds(contract, nodes)).items()
+        return {name: [each.node.node_id for each in image] for name, image in found}
+
+    contract = small_contract()
+    assert folders(contract, contract.nodes) == {"all": [1, 2, 1, 2]}
+    assert folders(contract, contract.nodes[1:2]) == {"bus0-002": [2]}
+    unequal = few_sums(buses(2, 2))
+    assert folders(unequal, unequal.nodes) == {"type-1": [1, 2, 1], "bus1-002": [2]}
 
 
 @pytest.mark.skipif(shutil.which(ARM) is None, reason=f"NOT TESTED: no {ARM}")
 def test_a_cortex_m0_plus_holds_sums_and_slave(tmp_path: Path) -> None:
-    board = exported(contract_of("default"), tmp_path)
-    texts = [*tmp_path.glob("src/*.c"), *tmp_path.glob("src/slave/*.c"), board / "board.c"]
-    folders = [f"-I{each}" for each in (tmp_path / "src", tmp_path / "src/slave", board)]
+    contract = contract_of("default")
+    sizes, more = (flash_bytes(contract, tmp_path / str(count), count) for count in (1, 33))
+    assert sizes["skin_sums"] < SUMS_BYTES
+    assert sum(sizes.values()) < SLAVE_BYTES
+    assert more["board"] - sizes["board"] <= 32 * BOARD_BYTES + 8  # whole words
+    assert f"{BOARD_BYTES} bytes a board" in (tmp_path / "33/README.md").read_text()
+
+
+def flash_bytes(contract: Contract, folder: Path, count: int) -> dict[str, int]:
+    """Return the bytes of each object file of an image with the first `count` boards."""
+    board = exported(contract, folder, contract.nodes[:count])
+    texts = [*folder.glob("src/*.c"), *folder.glob("src/slave/*.c"), board / "board.c"]
+    folders = [f"-I{each}" for each in (folder / "src", folder / "src/slave", board)]
     sizes = {}
     for text in texts:
-        made = tmp_path / f"{text.stem}.o"
+        made = folder / f"{text.stem}.o"
         command = [ARM, *STANDARD_FLAGS, *CORTEX_M0_PLUS, *folders, "-c", str(text), "-o", str(made)]
         subprocess.run(command, check=True)
         line = subprocess.run(["arm-none-eabi-size", made], capture_output=True, text=True, check=True).stdout
         sizes[text.stem] = sum(map(int, line.splitlines()[1].split()[:2]))
     print(sizes)
-    assert sizes["skin_sums"] < SUMS_BYTES
-    assert sum(sizes.values()) < SLAVE_BYTES
+    return sizes
 
 
 FUZZED = {

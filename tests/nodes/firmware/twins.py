@@ -3,7 +3,9 @@
 import shutil
 from collections.abc import Iterator
 from functools import partial
+from typing import Any
 
+import msgspec
 import numpy as np
 import numpy.typing as npt
 import pytest
@@ -15,12 +17,21 @@ from nodes.firmware.library import Firmware
 from nodes.sampler import CountSampler, Sampler
 from nodes.segment import Segment
 from nodes.virtual_boards import VirtualBoards
+from skin.layout import validated
 from skin.sources import Frame, TaxelSource
 from tests import layouts
 from tests.bus.harness import frame
 
 needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="NOT TESTED: no C compiler")
 small_contract = partial(layouts.small_contract, rate_hz=100.0)
+
+
+def few_sums(bus: list[dict[str, Any]]) -> Contract:
+    """Three sums of four blocks: one block has none."""
+    layout = small_contract(bus=bus).layout
+    return Contract.from_layout(
+        validated(msgspec.structs.replace(layout, measurement=msgspec.structs.replace(layout.measurement, sums=3)))
+    )
 
 
 class Rolling:

@@ -9,8 +9,8 @@ void skin_sender_forget(skin_sender *sender)
 {
     uint8_t number;
 
-    skin_groups_forget(&sender->groups, sender->board->pdo_bytes > 8);
-    for (number = 0; number < sender->board->tpdos; number++) {
+    skin_groups_forget(&sender->groups, sender->board->type->pdo_bytes > 8);
+    for (number = 0; number < sender->board->type->tpdos; number++) {
         sender->tpdos[number].made_at = LONG_AGO;
     }
     sender->is_operational = 0;
@@ -54,7 +54,7 @@ int skin_sender_take(skin_sender *sender, const uint16_t *counts)
 /* Bits that a budget may save up at least. */
 static double least_saved(const skin_sender *sender)
 {
-    return (double)SKIN_SAVED_FRAMES * SKIN_GROUPS * sender->board->frame_bits[0];
+    return (double)SKIN_SAVED_FRAMES * SKIN_GROUPS * sender->board->type->frame_bits[0];
 }
 
 void skin_sender_decide(skin_sender *sender, int64_t passed_ns)
@@ -88,7 +88,7 @@ int64_t skin_sender_expiry(const skin_sender *sender, int64_t now_ns, int64_t pe
     const int64_t next_ns = sender->sync_ns + period_ns, sample_ns = now_ns + SKIN_SAMPLE_NS;
 
     if ((sender->sync_ns <= now_ns && now_ns < sender->sync_ns + SKIN_PAUSE_NS) ||
-        (now_ns < next_ns && next_ns < now_ns + sender->board->frame_ns)) {
+        (now_ns < next_ns && next_ns < now_ns + sender->board->type->frame_ns)) {
         return 0;
     }
     return now_ns < next_ns && next_ns < sample_ns ? next_ns : sample_ns;
@@ -97,7 +97,7 @@ int64_t skin_sender_expiry(const skin_sender *sender, int64_t now_ns, int64_t pe
 /* Tell whether a group may send: refreshes always, news while bits are left, details while news would find some. */
 static int has_budget(const skin_sender *sender, const skin_group *group)
 {
-    const uint16_t *bits = sender->board->frame_bits;
+    const uint16_t *bits = sender->board->type->frame_bits;
     const int frames_of_all = SKIN_GROUPS / skin_groups_of_frame(&sender->groups);
     /* Details leave the bits of a coarse frame for every group. */
     const int kept = group->reason == SKIN_DETAIL ? frames_of_all * bits[0] : 0;
@@ -153,7 +153,7 @@ uint8_t skin_sender_make(skin_sender *sender, uint8_t group, uint8_t *payload)
         return 0;
     }
     sender->tpdos[number].made_at = sender->now;
-    sender->saved -= sender->board->frame_bits[skin_is_fine(&sender->groups, number)];
+    sender->saved -= sender->board->type->frame_bits[skin_is_fine(&sender->groups, number)];
     note_way(sender, group, sender->now + 1 + SKIN_LOST_SAMPLES);
     return skin_make_payload(&sender->groups, group, sender->filter.sums_n, payload);
 }
@@ -163,7 +163,7 @@ static int tpdo_of(const skin_sender *sender, uint32_t cob_id, uint8_t length)
 {
     uint8_t number;
 
-    for (number = 0; number < sender->board->tpdos; number++) {
+    for (number = 0; number < sender->board->type->tpdos; number++) {
         if (cob_id != 0 && sender->tpdos[number].cob_id == cob_id) {
             return length == skin_payload_bytes(&sender->groups, skin_is_fine(&sender->groups, number)) ? number : -1;
         }
@@ -190,7 +190,7 @@ int skin_sender_give_back(skin_sender *sender, uint32_t cob_id, uint8_t length)
     if (number >= 0 && sender->groups.groups[group].under_way > 0) {
         note_way(sender, group, 0);
         sender->tpdos[number].made_at = LONG_AGO;
-        sender->saved += sender->board->frame_bits[skin_is_fine(&sender->groups, (uint8_t)number)];
+        sender->saved += sender->board->type->frame_bits[skin_is_fine(&sender->groups, (uint8_t)number)];
     }
     return number >= 0;
 }
@@ -268,11 +268,11 @@ int skin_sender_allows(uint16_t index, uint8_t subindex, uint32_t value)
 
 int32_t skin_sender_sum(const skin_sender *sender, uint8_t number)
 {
-    const float most = (float)SKIN_BLOCK_SUMS * sender->board->count_max;
+    const float most = (float)SKIN_BLOCK_SUMS * sender->board->type->count_max;
     uint8_t place = 0;
     float counts;
 
-    while (place < SKIN_BLOCK_SUMS - 1 && skin_row_of_sum[place] != sender->board->rows[number]) {
+    while (place < SKIN_BLOCK_SUMS - 1 && skin_row_of_sum[place] != SKIN_ROWS(sender->board)[number]) {
         place++;
     }
     counts = rintf(sender->filter.sums_n[place] / (float)SKIN_NEWTON_PER_COUNT);

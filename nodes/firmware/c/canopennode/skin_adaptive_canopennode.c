@@ -18,7 +18,6 @@ static const uint16_t indices[] = {SKIN_OD_REFRESH, SKIN_OD_SENDING, SKIN_OD_COE
                                    SKIN_OD_BUDGET, SKIN_OD_NODE_NOISE, SKIN_OD_SUMS, SKIN_OD_COARSE, SKIN_OD_FINE};
 #define INDICES (sizeof indices / sizeof indices[0])
 
-static const skin_board *const board = &skin_boards[0];
 static skin_sender sender;
 static int64_t now_ns;
 static uint8_t *coarse; /* 2110h */
@@ -48,7 +47,7 @@ static ODR_t read_value(OD_stream_t *stream, void *buf, OD_size_t count, OD_size
         return skin_od_put(value, bytes, buf, count, countRead);
     }
     if (subindex > 0 && stream->index == SKIN_OD_SUMS) {
-        value = (uint32_t)skin_raw(&board->packing, skin_sender_sum(&sender, (uint8_t)(subindex - 1)));
+        value = (uint32_t)skin_raw(&skin_od_board->type->packing, skin_sender_sum(&sender, (uint8_t)(subindex - 1)));
         return skin_od_put(value, bytes, buf, count, countRead);
     }
     if (subindex > 0 && (stream->index == SKIN_OD_COARSE || stream->index == SKIN_OD_FINE)) {
@@ -119,7 +118,7 @@ int skin_app_init(void)
     uint8_t each;
 
     memset(&sender, 0, sizeof sender);
-    sender.board = board;
+    sender.board = skin_od_board;
     coarse = skin_od_value(SKIN_OD_COARSE, 1, sizeof *coarse);
     fine = skin_od_value(SKIN_OD_FINE, 1, SKIN_GROUP_SUMS);
     for (each = 0; each < INDICES; each++) {
@@ -142,7 +141,7 @@ void skin_app_reset(void)
     skin_sender_forget(&sender);
     sender.sync_ns = LONG_AGO;
     restore_all();
-    for (number = 0; number < board->tpdos; number++) {
+    for (number = 0; number < skin_od_board->type->tpdos; number++) {
         configure(number);
     }
 }
@@ -152,8 +151,8 @@ int skin_app_sample(uint16_t *counts)
     const skin_od_block *block = &skin_od_blocks[0];
 
     is_presented = 0;
-    skin_od_health[3] = skin_read_block(board, counts, block->gain, block->offset, *block->pattern);
-    memcpy(block->counts, counts, board->block_size * sizeof counts[0]);
+    skin_od_health[3] = skin_read_block(skin_od_board, counts, block->gain, block->offset, *block->pattern);
+    memcpy(block->counts, counts, skin_od_board->type->block_size * sizeof counts[0]);
     return skin_sender_take(&sender, counts);
 }
 

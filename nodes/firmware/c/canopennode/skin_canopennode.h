@@ -1,6 +1,6 @@
 /* A board behind CANopenNode V4: where the stack's calls go, and where the application calls.
  *
- * Compile with OD.c and board.c of the board, the sources of src/ and, of adaptive boards, src/adaptive/. None of the functions
+ * Compile with OD.c and board.c, the sources of src/ and, of adaptive boards, src/adaptive/. None of the functions
  * may interrupt another.
  */
 #ifndef SKIN_CANOPENNODE_H
@@ -9,6 +9,12 @@
 #include <stdint.h>
 
 #include "board.h"
+
+/* Of an image for several boards: write what is this board's own into the dictionary, first of all, before CO_CANopenInit and
+ * before stored values are read. `bus` is the number of the bus in the layout. Returns 0 on success, 1 if the image has no such
+ * board.
+ */
+int skin_app_choose(uint8_t bus, uint8_t node_id);
 
 #if !SKIN_ADAPTIVE
 

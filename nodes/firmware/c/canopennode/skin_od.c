@@ -4,6 +4,7 @@
 #include <string.h>
 
 #include "OD.h"
+#include "skin_canopennode.h"
 #include "skin_sums.h"
 
 #ifndef CO_LITTLE_ENDIAN
@@ -14,12 +15,39 @@
 
 skin_od_block skin_od_blocks[SKIN_BLOCKS];
 uint32_t *skin_od_health;
-static const skin_board *const board = &skin_boards[0];
-static OD_extension_t signature_extension, gain_extension[SKIN_BLOCKS], pattern_extension[SKIN_BLOCKS];
+const skin_board *skin_od_board = &skin_boards[0];
+static OD_extension_t signature_extension, calibration_extension, gain_extension[SKIN_BLOCKS], pattern_extension[SKIN_BLOCKS];
 
 void *skin_od_value(uint16_t index, uint8_t subindex, OD_size_t length)
 {
     return OD_getPtr(OD_find(OD, index), subindex, length, NULL);
+}
+
+int skin_app_choose(uint8_t bus, uint8_t node_id)
+{
+    const skin_board *board = skin_board_of(bus, node_id);
+    uint16_t each;
+
+    if (board == NULL) {
+        return 1;
+    }
+    skin_od_board = board;
+    for (each = 0; each < board->type->object_count; each++) {
+        const skin_object *object = &board->type->objects[each];
+
+        if (skin_is_own(board->type, object->at)) {
+            const uint8_t *own = skin_default(board, object->at);
+            void *value = skin_od_value(object->index, object->subindex, object->bytes);
+
+            if (value == NULL) {
+                return 1;
+            }
+            if (memcmp(value, own, object->bytes) != 0) { /* what all boards share may be in flash memory */
+                memcpy(value, own, object->bytes);
+            }
+        }
+    }
+    return 0;
 }
 
 int skin_od_extend(OD_extension_t *extension, uint16_t index, skin_od_reader *read, skin_od_writer *write)
@@ -50,18 +78,18 @@ ODR_t skin_od_put(uint64_t value, uint8_t bytes, void *buf, OD_size_t count, OD_
     return ODR_OK;
 }
 
-/* Read the configuration signature (2006h): CRC-32 over the values in use of the objects that it covers. */
+/* Read a signature (2006h, 2009h): CRC-32 over the values in use of the objects with one of the flags of the extension. */
 static ODR_t read_signature(OD_stream_t *stream, void *buf, OD_size_t count, OD_size_t *countRead)
 {
     uint8_t head[3], value[LONGEST_TEXT];
     uint32_t crc = 0;
+    const uint8_t flags = *(const uint8_t *)stream->object;
     uint16_t each;
 
-    (void)stream;
-    for (each = 0; each < board->object_count; each++) {
-        const skin_object *object = &board->objects[each];
+    for (each = 0; each < skin_od_board->type->object_count; each++) {
+        const skin_object *object = &skin_od_board->type->objects[each];
 
-        if ((object->flags & SKIN_OBJECT_COVERED) == 0) {
+        if ((object->flags & flags) == 0) {
             continue;
         }
         if (object->bytes > sizeof value ||
@@ -97,12 +125,16 @@ static ODR_t write_pattern(OD_stream_t *stream, const void *buf, OD_size_t count
 
 int skin_od_connect(void)
 {
+    static uint8_t covered = SKIN_OBJECT_COVERED, calibrated = SKIN_OBJECT_COVERED | SKIN_OBJECT_CALIBRATING;
     int failed = skin_od_extend(&signature_extension, SKIN_OD_SIGNATURE, read_signature, NULL);
     uint8_t each;
 
+    failed |= skin_od_extend(&calibration_extension, SKIN_OD_CALIBRATION_SIGNATURE, read_signature, NULL);
+    signature_extension.object = &covered;
+    calibration_extension.object = &calibrated;
     skin_od_health = skin_od_value(SKIN_OD_HEALTH, 1, sizeof *skin_od_health);
     failed |= skin_od_health == NULL;
-    for (each = 0; each < board->blocks; each++) {
+    for (each = 0; each < skin_od_board->type->blocks; each++) {
         const uint16_t above = (uint16_t)(SKIN_BLOCK_STRIDE * each);
         skin_od_block *block = &skin_od_blocks[each];
 
@@ -123,7 +155,7 @@ void skin_od_reset(void)
 {
     uint8_t each;
 
-    for (each = 0; each < board->blocks; each++) {
+    for (each = 0; each < skin_od_board->type->blocks; each++) {
         *skin_od_blocks[each].pattern = SKIN_PATTERN_OFF;
     }
     for (each = 0; each < 4; each++) {

@@ -16,6 +16,8 @@ typedef struct {
     uint8_t *pattern;
 } skin_od_block;
 
+/* The board of this image that runs: the first, until skin_app_choose. */
+extern const skin_board *skin_od_board;
 extern skin_od_block skin_od_blocks[SKIN_BLOCKS];
 /* 2020h: SYNCs received, TPDOs sent, TPDOs dropped, saturated taxels. */
 extern uint32_t *skin_od_health;

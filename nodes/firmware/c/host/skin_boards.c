@@ -15,7 +15,7 @@ static skin_outbox new_outbox(skin_frame *out, size_t capacity)
     return outbox;
 }
 
-/* What all taxels of the skin read. */
+/* What the taxels of a board, and then of those behind it, read. */
 typedef struct {
     const uint16_t *counts; /* NULL: nothing */
     uint16_t samples;
@@ -29,13 +29,11 @@ static void sample(skin_node *node, const reading *read)
     (void)read;
 #else
     uint16_t chain[SKIN_MOST_SAMPLES * SKIN_BLOCKS * SKIN_BLOCK_SIZE];
-    const uint16_t size = (uint16_t)(node->board->blocks * node->board->block_size);
-    uint16_t place, each;
+    const uint16_t size = (uint16_t)(node->board->type->blocks * node->board->type->block_size);
+    uint16_t each;
 
     for (each = 0; each < read->samples; each++) {
-        for (place = 0; place < size; place++) {
-            chain[(uint32_t)each * size + place] = read->counts[each * read->taxels + node->board->taxels[place]];
-        }
+        memcpy(&chain[(uint32_t)each * size], &read->counts[each * read->taxels], size * sizeof chain[0]);
     }
     skin_sample(node, chain, read->samples);
 #endif
@@ -89,12 +87,15 @@ static void pass(skin_node *node, const skin_frame *frame, uint32_t now_ms, cons
         skin_sync(node, frame);
     } else if (can_id == 0) {
         skin_nmt(node, frame, now_ms);
+    } else if (can_id == SKIN_LSS_REQUEST_COB_ID) {
+        skin_lss_request(node, frame, now_ms);
     } else if (can_id == SKIN_SDO_REQUEST_BASE + node->board->node_id && frame->length == 8) {
         skin_request(node, frame, now_ms);
     }
 }
 
-size_t skin_power_up(skin_node *nodes, uint32_t first, uint32_t boards, uint32_t now_ms, skin_frame *out, size_t capacity)
+size_t skin_power_up(skin_node *nodes, uint32_t first, uint32_t boards, const skin_storage *storages, int unnumbered,
+                     uint32_t now_ms, skin_frame *out, size_t capacity)
 {
     skin_outbox outbox = new_outbox(out, capacity);
     uint32_t each;
@@ -103,10 +104,15 @@ size_t skin_power_up(skin_node *nodes, uint32_t first, uint32_t boards, uint32_t
 #if SKIN_ADAPTIVE
         nodes[each].outbox = &outbox; /* after skin_prepare and what was learned */
         (void)first;
+        (void)storages;
 #else
-        skin_init(&nodes[each], &skin_boards[first + each], &outbox);
+        skin_init(&nodes[each], &skin_boards[first + each], &outbox, storages == NULL ? NULL : &storages[each]);
 #endif
-        skin_boot(&nodes[each], now_ms, 0);
+        if (unnumbered) {
+            skin_lss_boot(&nodes[each], now_ms);
+        } else {
+            skin_boot(&nodes[each], now_ms, 0);
+        }
     }
     return outbox.count;
 }
@@ -114,7 +120,7 @@ size_t skin_power_up(skin_node *nodes, uint32_t first, uint32_t boards, uint32_t
 size_t skin_take(skin_node *nodes, uint32_t boards, uint32_t now_ms, const uint16_t *counts, uint16_t samples,
                  uint32_t taxels, const skin_frame *frames, size_t count, skin_frame *out, size_t capacity)
 {
-    const reading read = {counts, samples, taxels};
+    reading read = {counts, samples, taxels};
     skin_outbox outbox = new_outbox(out, capacity);
     uint32_t each;
     size_t place;
@@ -127,9 +133,13 @@ size_t skin_take(skin_node *nodes, uint32_t boards, uint32_t now_ms, const uint1
     }
 #endif
     for (place = 0; place < count; place++) {
+        read.counts = counts;
         for (each = 0; each < boards; each++) {
             nodes[each].outbox = &outbox;
             pass(&nodes[each], &frames[place], now_ms, &read);
+            if (counts != NULL) {
+                read.counts += nodes[each].board->type->blocks * nodes[each].board->type->block_size;
+            }
         }
     }
     return outbox.count;
@@ -168,12 +178,12 @@ size_t skin_refuse(skin_node *nodes, uint32_t boards, const skin_frame *frames, 
 
 #if SKIN_ADAPTIVE
 
-void skin_prepare(skin_node *nodes, uint32_t first, uint32_t boards)
+void skin_prepare(skin_node *nodes, uint32_t first, uint32_t boards, const skin_storage *storages)
 {
     uint32_t each;
 
     for (each = 0; each < boards; each++) {
-        skin_init(&nodes[each], &skin_boards[first + each], NULL);
+        skin_init(&nodes[each], &skin_boards[first + each], NULL, storages == NULL ? NULL : &storages[each]);
     }
 }
 
@@ -266,7 +276,7 @@ size_t skin_under_way(const skin_node *nodes, uint32_t boards)
 
 size_t skin_newest_sums(const skin_node *node, int32_t *sums)
 {
-    const uint16_t count = node->board->first_sum[node->board->blocks];
+    const uint16_t count = node->board->type->first_sum[node->board->type->blocks];
 #if SKIN_ADAPTIVE
     uint16_t sum;
 

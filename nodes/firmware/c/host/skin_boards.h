@@ -7,16 +7,18 @@
 /* Two cycles: the boards may miss a SYNC. */
 #define SKIN_MOST_SAMPLES (2 * SKIN_SAMPLES)
 
-/* Power up `boards` boards, from board `first` of board.c on; `nodes` has room for them.
+/* Power up `boards` boards, from board `first` of board.c on; `nodes` has room for them, `storages` has that of each or is
+ * NULL. `unnumbered` boards wait for LSS, unless their storage has a node-ID.
  *
  * Returns the number of frames written to `out`, at most `capacity`; so do the two functions below.
  */
-size_t skin_power_up(skin_node *nodes, uint32_t first, uint32_t boards, uint32_t now_ms, skin_frame *out, size_t capacity);
+size_t skin_power_up(skin_node *nodes, uint32_t first, uint32_t boards, const skin_storage *storages, int unnumbered,
+                     uint32_t now_ms, skin_frame *out, size_t capacity);
 
 /* Pass received frames to the boards of one bus.
  *
- * counts: what all `taxels` taxels of the skin read since the last SYNC, row-major, ADC counts; 1 to SKIN_MOST_SAMPLES
- * `samples`, the last at the SYNC among the frames; NULL without a SYNC. The frames hold one SYNC at most.
+ * counts: what the `taxels` taxels of these boards read since the last SYNC in the order of their chains, ADC counts; 1 to
+ * SKIN_MOST_SAMPLES `samples`, the last at the SYNC among the frames; NULL without a SYNC. The frames hold one SYNC at most.
  */
 size_t skin_take(skin_node *nodes, uint32_t boards, uint32_t now_ms, const uint16_t *counts, uint16_t samples,
                  uint32_t taxels, const skin_frame *frames, size_t count, skin_frame *out, size_t capacity);
@@ -27,7 +29,7 @@ size_t skin_refuse(skin_node *nodes, uint32_t boards, const skin_frame *frames, 
 #if SKIN_ADAPTIVE
 
 /* Connect `boards` boards, from board `first` of board.c on, with their constants; samples come before skin_power_up. */
-void skin_prepare(skin_node *nodes, uint32_t first, uint32_t boards);
+void skin_prepare(skin_node *nodes, uint32_t first, uint32_t boards, const skin_storage *storages);
 
 /* Pass one sample to the boards: SKIN_BLOCK_SUMS counts of each board; overwritten. Returns how many boards are ready to boot. */
 size_t skin_take_counts(skin_node *nodes, uint32_t boards, uint16_t *counts);

@@ -46,7 +46,7 @@ void skin_send_group(skin_node *node, uint8_t group, int64_t now_ns, int64_t exp
 
     frame.time_ns = now_ns;
     frame.expires_ns = expires_ns;
-    frame.flags = node->board->frame_flags;
+    frame.flags = node->board->type->frame_flags;
     frame.length = skin_sender_make(&node->sender, group, frame.data);
     if (frame.length > 0) {
         skin_post(node, &frame);

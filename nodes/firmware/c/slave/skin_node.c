@@ -145,7 +145,7 @@ void skin_refresh(skin_node *node, uint32_t now_ms)
         return;
     }
     node->changed = 0;
-    for (number = 0; number < node->board->tpdos; number++) {
+    for (number = 0; number < node->board->type->tpdos; number++) {
         skin_read_tpdo(node, number);
     }
     read_watched(node);
@@ -157,7 +157,7 @@ void skin_refresh(skin_node *node, uint32_t now_ms)
 
 /* NMT (CiA 301, 7.3.2). */
 
-void skin_init(skin_node *node, const skin_board *board, skin_outbox *outbox)
+void skin_init(skin_node *node, const skin_board *board, skin_outbox *outbox, const skin_storage *storage)
 {
     memset(node, 0, sizeof *node);
     node->board = board;
@@ -165,6 +165,10 @@ void skin_init(skin_node *node, const skin_board *board, skin_outbox *outbox)
 #if SKIN_ADAPTIVE
     node->sender.board = board;
 #endif
+    node->storage = storage;
+    node->lss.node_id = node->lss.wanted = node->lss.lasting = board->node_id;
+    node->lss.bit_timings = SKIN_BIT_TIMINGS;
+    skin_load(node);
 }
 
 void skin_boot(skin_node *node, uint32_t now_ms, int communication_only)
@@ -198,7 +202,8 @@ static void note_state(skin_node *node)
 
 void skin_nmt(skin_node *node, const skin_frame *command, uint32_t now_ms)
 {
-    if (command->length != 2 || (command->data[1] != 0 && command->data[1] != node->board->node_id)) {
+    if (command->length != 2 || (command->data[1] != 0 && command->data[1] != node->board->node_id) ||
+        node->state == SKIN_INITIALISING) {
         return;
     }
     switch (command->data[0]) {
@@ -212,10 +217,8 @@ void skin_nmt(skin_node *node, const skin_frame *command, uint32_t now_ms)
         node->state = SKIN_PRE_OPERATIONAL;
         break;
     case SKIN_NMT_RESET_NODE:
-        skin_boot(node, now_ms, 0);
-        break;
     case SKIN_NMT_RESET_COMMUNICATION:
-        skin_boot(node, now_ms, 1);
+        skin_lss_reset(node, now_ms, command->data[0] == SKIN_NMT_RESET_COMMUNICATION);
         break;
     default:
         break;
@@ -301,6 +304,9 @@ void skin_sync(skin_node *node, const skin_frame *sync)
 
 void skin_tick(skin_node *node, uint32_t now_ms)
 {
+    if (node->state == SKIN_INITIALISING) {
+        return;
+    }
     if (node->heartbeat_ms > 0 && skin_is_due(now_ms, node->heartbeat_due_ms)) {
         send_state(node);
         node->heartbeat_due_ms = now_ms + node->heartbeat_ms;

@@ -11,6 +11,7 @@
 
 #include "board.h"
 #include "skin_average.h"
+#include "skin_storage.h"
 #include "skin_sums.h"
 #if SKIN_ADAPTIVE
 #include "skin_sender.h"
@@ -47,7 +48,7 @@ typedef struct {
     uint8_t mapped;      /* mapped objects */
     uint8_t has_last;    /* whether `last` was sent */
     uint8_t last[SKIN_PDO_BYTES];
-    uint16_t objects[SKIN_PDO_BYTES]; /* places in board->objects */
+    uint16_t objects[SKIN_PDO_BYTES]; /* places in board->type->objects */
     uint32_t syncs;                   /* SYNCs while the PDO existed */
     uint32_t sent_at_ms, inhibit_ms, event_ms;
 } skin_tpdo;
@@ -71,14 +72,30 @@ typedef struct {
     uint8_t data[8]; /* of a download; no object that can be written is longer */
 } skin_sdo;
 
+/* LSS (CiA 305). What follows `is_configured` is between the slave and the driver. */
+typedef struct {
+    uint8_t node_id; /* in use, SKIN_NO_NODE_ID for none */
+    uint8_t lasting; /* at power-up, unless the storage has another */
+    uint8_t wanted;  /* from the next initialisation on */
+    uint8_t matched, in_range, scanned; /* numbers of the address that the master has named right */
+    uint8_t is_configured; /* state LSS configuration: the LED flickers (CiA 303-3) */
+    uint16_t bit_timings;  /* bit n: the driver knows bit timing n; after skin_init SKIN_BIT_TIMINGS */
+    uint8_t bit_timing;    /* index of the bit timing that was given or stored, SKIN_NO_BIT_TIMING for none */
+    uint8_t is_switching;  /* the driver is to be silent for the delay, to switch, to be silent once more, and to clear this */
+    uint16_t switch_delay_ms;
+} skin_lss;
+
+#define SKIN_NO_BIT_TIMING 0xFFu
+
 typedef struct {
     const skin_board *board;
     skin_outbox *outbox;
+    const skin_storage *storage; /* NULL: 1010h is refused */
     uint8_t state;
     uint8_t changed; /* an object below 2000h was written */
     uint8_t has_stored;
     uint8_t values[SKIN_WRITABLE_BYTES]; /* of objects that SDO can write */
-    uint8_t stored[SKIN_WRITABLE_BYTES]; /* what 1010h has stored; a board keeps them in flash memory */
+    uint8_t stored[SKIN_WRITABLE_BYTES]; /* what 1010h has stored */
     float gain[SKIN_BLOCKS * SKIN_BLOCK_SIZE];
     int16_t offset[SKIN_BLOCKS * SKIN_BLOCK_SIZE];
     uint8_t pattern[SKIN_BLOCKS];
@@ -94,6 +111,7 @@ typedef struct {
 #endif
     uint32_t health[4];      /* 2020h: SYNCs received, TPDOs sent, TPDOs dropped, saturated taxels */
     skin_sdo sdo;
+    skin_lss lss;
     skin_watch watched[SKIN_WATCHED];
     uint32_t heartbeat_ms, heartbeat_due_ms;
     uint8_t active[SKIN_ERRORS];
@@ -104,11 +122,18 @@ typedef struct {
     uint32_t emcy_free_ms;
 } skin_node;
 
-/* Connect a node to its board and its outbox; to be called once, before everything else. */
-void skin_init(skin_node *node, const skin_board *board, skin_outbox *outbox);
+/* Connect a node to its board, its outbox and its storage, and read what 1010h has stored; to be called once, before
+ * everything else.
+ */
+void skin_init(skin_node *node, const skin_board *board, skin_outbox *outbox, const skin_storage *storage);
 
 /* Boot: restore parameters, send the boot-up message, enter PRE-OPERATIONAL. Times are milliseconds that may wrap. */
 void skin_boot(skin_node *node, uint32_t now_ms, int communication_only);
+
+/* In place of skin_boot, for a board without switches for its node-ID: boot with the node-ID that LSS has stored, else be silent
+ * until LSS gives one.
+ */
+void skin_lss_boot(skin_node *node, uint32_t now_ms);
 
 /* Do what is due by time: heartbeats, emergencies, event-driven PDOs. To be called every few milliseconds. */
 void skin_tick(skin_node *node, uint32_t now_ms);
@@ -157,6 +182,9 @@ void skin_heard(skin_node *node, uint8_t node_id, uint32_t now_ms);
 void skin_request(skin_node *node, const skin_frame *request, uint32_t now_ms);
 void skin_given_up(skin_node *node, const skin_frame *frame);
 
+/* Answer a request of LSS (SKIN_LSS_REQUEST_COB_ID); the board may boot with a new node-ID. */
+void skin_lss_request(skin_node *node, const skin_frame *request, uint32_t now_ms);
+
 /* Between the parts of the node. */
 int skin_is_due(uint32_t now_ms, uint32_t due_ms); /* whether it is due; both may have wrapped */
 skin_frame skin_new_frame(const skin_node *node, uint32_t can_id, const uint8_t *data, uint8_t length);
@@ -173,6 +201,8 @@ const skin_object *skin_mapped(const skin_node *node, uint32_t entry); /* of a m
 uint8_t skin_watched_node(uint32_t entry); /* of an entry of 1016h, 0 for none */
 uint32_t skin_missing(const skin_board *board, uint16_t index);
 uint32_t skin_write(skin_node *node, uint16_t index, uint8_t subindex, const uint8_t *data, uint16_t length);
+void skin_load(skin_node *node);
+void skin_lss_reset(skin_node *node, uint32_t now_ms, int communication_only);
 void skin_restore(skin_node *node, int communication_only);
 void skin_refresh(skin_node *node, uint32_t now_ms);
 void skin_raise(skin_node *node, uint8_t error, uint64_t field);

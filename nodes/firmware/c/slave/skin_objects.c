@@ -39,11 +39,11 @@ static uint16_t of_first_block(uint16_t index)
 const skin_object *skin_find(const skin_board *board, uint16_t index, uint8_t subindex)
 {
     const uint32_t wanted = ((uint32_t)index << 8) | subindex;
-    uint16_t low = 0, high = board->object_count;
+    uint16_t low = 0, high = board->type->object_count;
 
     while (low < high) {
         const uint16_t middle = (uint16_t)((low + high) / 2);
-        const skin_object *object = &board->objects[middle];
+        const skin_object *object = &board->type->objects[middle];
         const uint32_t found = ((uint32_t)object->index << 8) | object->subindex;
 
         if (found == wanted) {
@@ -64,18 +64,18 @@ uint32_t skin_missing(const skin_board *board, uint16_t index)
     return skin_find(board, index, 0) != NULL ? SKIN_ABORT_NO_SUBINDEX : SKIN_ABORT_NO_OBJECT;
 }
 
-/* Signature of the configuration (2006h): CRC-32 over index, sub-index and value of each object that it covers. */
-static uint32_t signature(const skin_node *node)
+/* Signature (2006h, 2009h): CRC-32 over index, sub-index and value of each object with one of these flags. */
+static uint32_t signature(const skin_node *node, uint8_t flags)
 {
     const skin_board *board = node->board;
     uint8_t head[3], scratch[SKIN_NUMBER_BYTES];
     uint32_t crc = 0;
     uint16_t place;
 
-    for (place = 0; place < board->object_count; place++) {
-        const skin_object *object = &board->objects[place];
+    for (place = 0; place < board->type->object_count; place++) {
+        const skin_object *object = &board->type->objects[place];
 
-        if ((object->flags & SKIN_OBJECT_COVERED) != 0) {
+        if ((object->flags & flags) != 0) {
             skin_put(head, object->index, 2);
             head[2] = object->subindex;
             crc = skin_crc32(crc, head, sizeof head);
@@ -91,7 +91,7 @@ static uint32_t computed(const skin_node *node, const skin_object *object)
     const uint8_t subindex = object->subindex;
 
     if (of_first_block(object->index) == SKIN_OD_COUNTS) {
-        return node->counts[block_of(object->index) * node->board->block_size + subindex - 1];
+        return node->counts[block_of(object->index) * node->board->type->block_size + subindex - 1];
     }
     switch (object->index) {
     case SKIN_OD_ERROR_REGISTER:
@@ -102,15 +102,17 @@ static uint32_t computed(const skin_node *node, const skin_object *object)
     case SKIN_OD_RESTORE:
         return ON_COMMAND;
     case SKIN_OD_SIGNATURE:
-        return signature(node);
+        return signature(node, SKIN_OBJECT_COVERED);
+    case SKIN_OD_CALIBRATION_SIGNATURE:
+        return signature(node, SKIN_OBJECT_COVERED | SKIN_OBJECT_CALIBRATING);
     case SKIN_OD_HEALTH:
         return node->health[subindex - 1];
     default: /* the sums */
 #if SKIN_ADAPTIVE
-        return (uint32_t)skin_raw(&node->board->packing, skin_sender_sum(&node->sender, (uint8_t)(subindex - 1)));
+        return (uint32_t)skin_raw(&node->board->type->packing, skin_sender_sum(&node->sender, (uint8_t)(subindex - 1)));
 #else
-        return (uint32_t)skin_raw(&node->board->packing,
-                                  node->sums[node->board->first_sum[block_of(object->index)] + subindex - 1]);
+        return (uint32_t)skin_raw(&node->board->type->packing,
+                                  node->sums[node->board->type->first_sum[block_of(object->index)] + subindex - 1]);
 #endif
     }
 }
@@ -131,7 +133,8 @@ const uint8_t *skin_value(const skin_node *node, const skin_object *object, uint
         skin_put(scratch, computed(node, object), object->bytes);
         return scratch;
     }
-    return object->at < node->board->writable_bytes ? &node->values[object->at] : &node->board->values[object->at];
+    return object->at < node->board->type->writable_bytes ? &node->values[object->at]
+                                                          : skin_default(node->board, object->at);
 }
 
 uint32_t skin_unsigned(const skin_node *node, uint16_t index, uint8_t subindex)
@@ -147,7 +150,7 @@ uint8_t skin_mapped_bits(const skin_node *node, const skin_object *object)
     if (object == NULL || (object->flags & SKIN_OBJECT_MAPPABLE) == 0) {
         return 0;
     }
-    return of_first_block(object->index) == SKIN_OD_SUMS ? node->board->packing.bits : (uint8_t)(8 * object->bytes);
+    return of_first_block(object->index) == SKIN_OD_SUMS ? node->board->type->packing.bits : (uint8_t)(8 * object->bytes);
 }
 
 const skin_object *skin_mapped(const skin_node *node, uint32_t entry)
@@ -220,7 +223,7 @@ static uint32_t check_mapping(const skin_node *node, uint16_t index, uint8_t sub
         }
         return value == 0 || skin_mapped(node, value) != NULL ? 0 : SKIN_ABORT_NOT_MAPPABLE;
     }
-    if (value > node->board->pdo_bytes) {
+    if (value > node->board->type->pdo_bytes) {
         return SKIN_ABORT_PDO_LENGTH;
     }
     for (place = 1; place <= value; place++) {
@@ -231,7 +234,7 @@ static uint32_t check_mapping(const skin_node *node, uint16_t index, uint8_t sub
         }
         bits += entry & 0xFFu;
     }
-    return bits > 8u * node->board->pdo_bytes ? SKIN_ABORT_PDO_LENGTH : 0;
+    return bits > 8u * node->board->type->pdo_bytes ? SKIN_ABORT_PDO_LENGTH : 0;
 }
 
 uint8_t skin_watched_node(uint32_t entry)
@@ -300,7 +303,7 @@ static void adjust(skin_node *node, const skin_object *object)
 {
     const uint8_t block = block_of(object->index);
     const uint32_t value = skin_get(&node->values[object->at], object->bytes);
-    const uint16_t place = (uint16_t)(block * node->board->block_size + object->subindex - 1);
+    const uint16_t place = (uint16_t)(block * node->board->type->block_size + object->subindex - 1);
 
     switch (of_first_block(object->index)) {
     case SKIN_OD_GAIN:
@@ -318,6 +321,52 @@ static void adjust(skin_node *node, const skin_object *object)
 #endif
         break;
     }
+}
+
+/* What stored values belong to: this skin, this node-ID, and objects at these places. */
+static uint32_t key_of(const skin_node *node)
+{
+    const skin_board *board = node->board;
+    uint8_t head[4], scratch[SKIN_NUMBER_BYTES];
+    const skin_object *object = skin_find(board, SKIN_OD_PHI_FINGERPRINT, 0);
+    uint32_t key = skin_crc32(0, skin_value(node, object, scratch), object->bytes);
+    uint16_t place;
+
+    key = skin_crc32(key, &board->node_id, 1);
+    for (place = 0; place < board->type->object_count; place++) {
+        object = &board->type->objects[place];
+        if ((object->flags & SKIN_OBJECT_WRITABLE) != 0) {
+            skin_put(head, object->index, 2);
+            head[2] = object->subindex;
+            head[3] = object->bytes;
+            key = skin_crc32(key, head, sizeof head);
+        }
+    }
+    return key;
+}
+
+void skin_load(skin_node *node)
+{
+    const skin_storage *storage = node->storage;
+
+    node->has_stored = storage != NULL && storage->load(storage->context, SKIN_RECORD_PARAMETERS, key_of(node),
+                                                        node->stored, node->board->type->writable_bytes) == 0;
+}
+
+/* Store the first `bytes` values: all, or none. */
+static uint32_t save(skin_node *node, uint16_t bytes)
+{
+    const skin_storage *storage = node->storage;
+
+    if (storage == NULL) {
+        return SKIN_ABORT_NOT_STORED;
+    }
+    if (storage->save(storage->context, SKIN_RECORD_PARAMETERS, key_of(node), node->values, bytes) != 0) {
+        return SKIN_ABORT_HARDWARE;
+    }
+    memcpy(node->stored, node->values, bytes);
+    node->has_stored = bytes > 0;
+    return 0;
 }
 
 uint32_t skin_write(skin_node *node, uint16_t index, uint8_t subindex, const uint8_t *data, uint16_t length)
@@ -341,10 +390,9 @@ uint32_t skin_write(skin_node *node, uint16_t index, uint8_t subindex, const uin
     if (index == SKIN_OD_ERROR_FIELD) {
         node->history_count = 0;
     } else if (index == SKIN_OD_STORE) {
-        memcpy(node->stored, node->values, sizeof node->stored);
-        node->has_stored = 1;
+        return save(node, node->board->type->writable_bytes);
     } else if (index == SKIN_OD_RESTORE) {
-        node->has_stored = 0;
+        return save(node, 0);
     } else {
         memcpy(&node->values[object->at], data, length);
     }
@@ -359,10 +407,16 @@ uint32_t skin_write(skin_node *node, uint16_t index, uint8_t subindex, const uin
 void skin_restore(skin_node *node, int communication_only)
 {
     const skin_board *board = node->board;
-    const uint16_t bytes = communication_only ? board->communication_bytes : board->writable_bytes;
+    const uint16_t bytes = communication_only ? board->type->communication_bytes : board->type->writable_bytes;
     uint16_t place;
 
-    memcpy(node->values, node->has_stored ? node->stored : board->values, bytes);
+    if (node->has_stored) {
+        memcpy(node->values, node->stored, bytes);
+    } else {
+        memcpy(node->values, board->own, board->type->own_writable);
+        memcpy(&node->values[board->type->own_writable], board->type->values,
+               (size_t)(bytes - board->type->own_writable));
+    }
     if (communication_only) {
         return;
     }
@@ -371,12 +425,12 @@ void skin_restore(skin_node *node, int communication_only)
     memset(node->sender.filter.given_coefficient_n, 0, sizeof node->sender.filter.given_coefficient_n);
     skin_filter_give(&node->sender.filter);
 #elif SKIN_SAMPLES > 1
-    for (place = 0; place < board->blocks; place++) {
+    for (place = 0; place < board->type->blocks; place++) {
         skin_forget(&node->averages[place]);
     }
 #endif
-    for (place = 0; place < board->object_count; place++) {
-        const skin_object *object = &board->objects[place];
+    for (place = 0; place < board->type->object_count; place++) {
+        const skin_object *object = &board->type->objects[place];
 
         if (object->index >= SKIN_OD_MANUFACTURER && (object->flags & SKIN_OBJECT_WRITABLE) != 0) {
             if (of_first_block(object->index) == SKIN_OD_TEST_PATTERN || object->index == SKIN_OD_REFRESH) {

@@ -33,10 +33,10 @@ void skin_read_tpdo(skin_node *node, uint8_t number)
         if (object == NULL) {
             return;
         }
-        tpdo->objects[place] = (uint16_t)(object - node->board->objects);
+        tpdo->objects[place] = (uint16_t)(object - node->board->type->objects);
         bits += entry & 0xFFu;
     }
-    if (bits > 8u * node->board->pdo_bytes) {
+    if (bits > 8u * node->board->type->pdo_bytes) {
         return;
     }
     tpdo->mapped = (uint8_t)count;
@@ -58,9 +58,9 @@ static skin_frame payload(const skin_node *node, const skin_tpdo *tpdo)
     uint8_t place, scratch[SKIN_NUMBER_BYTES];
 
     frame.length = tpdo->length;
-    frame.flags = node->board->frame_flags;
+    frame.flags = node->board->type->frame_flags;
     for (place = 0; place < tpdo->mapped; place++) {
-        const skin_object *object = &node->board->objects[tpdo->objects[place]];
+        const skin_object *object = &node->board->type->objects[tpdo->objects[place]];
         const uint8_t bits = skin_mapped_bits(node, object);
 
         skin_put_bits(frame.data, at, skin_get(skin_value(node, object, scratch), object->bytes), bits);
@@ -98,16 +98,16 @@ static int is_turn(const skin_tpdo *tpdo, uint8_t counter)
 void skin_sample(skin_node *node, uint16_t *counts, uint16_t samples)
 {
     const skin_board *board = node->board;
-    const uint16_t size = (uint16_t)(board->blocks * board->block_size);
+    const uint16_t size = (uint16_t)(board->type->blocks * board->type->block_size);
     uint8_t block;
 
     node->health[3] = 0;
-    for (block = 0; block < board->blocks; block++) {
-        const uint16_t first = (uint16_t)(block * board->block_size);
+    for (block = 0; block < board->type->blocks; block++) {
+        const uint16_t first = (uint16_t)(block * board->type->block_size);
 
         node->health[3] += skin_measure(board, block, SKIN_AVERAGE_OF(node->averages, block), counts, samples,
                                         &node->gain[first], &node->offset[first], node->pattern[block],
-                                        &node->sums[board->first_sum[block]]);
+                                        &node->sums[board->type->first_sum[block]]);
     }
     memcpy(node->counts, &counts[(uint32_t)(samples - 1) * size], size * sizeof counts[0]);
 }
@@ -122,10 +122,10 @@ void skin_answer(skin_node *node, const skin_frame *sync, uint8_t counter)
         return;
     }
     if (window_us > 0) { /* so that the frame ends inside the window */
-        latest_ns = (int64_t)window_us * 1000 - node->board->frame_ns;
+        latest_ns = (int64_t)window_us * 1000 - node->board->type->frame_ns;
         latest_ns = latest_ns < 1 ? 1 : latest_ns;
     }
-    for (number = 0; number < node->board->tpdos; number++) {
+    for (number = 0; number < node->board->type->tpdos; number++) {
         skin_tpdo *tpdo = &node->tpdos[number];
         skin_frame frame;
 
@@ -150,7 +150,7 @@ void skin_send_events(skin_node *node, uint32_t now_ms)
 {
     uint8_t number;
 
-    for (number = 0; number < node->board->tpdos; number++) {
+    for (number = 0; number < node->board->type->tpdos; number++) {
         skin_tpdo *tpdo = &node->tpdos[number];
         skin_frame frame;
 
@@ -171,7 +171,7 @@ void skin_given_up(skin_node *node, const skin_frame *frame)
 {
     uint8_t number;
 
-    for (number = 0; number < node->board->tpdos; number++) {
+    for (number = 0; number < node->board->type->tpdos; number++) {
         if (node->tpdos[number].length > 0 && node->tpdos[number].cob_id == frame->can_id) {
             node->health[2]++;
             skin_raise(node, SKIN_ERROR_WINDOW, node->health[2]);

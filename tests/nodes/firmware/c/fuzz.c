@@ -23,7 +23,7 @@ static uint32_t drawn(uint32_t below)
 static void draw_frame(skin_frame *frame)
 {
     const skin_board *board = &skin_boards[drawn(SKIN_BOARDS)];
-    const skin_object *object = &board->objects[drawn(board->object_count)];
+    const skin_object *object = &board->type->objects[drawn(board->type->object_count)];
     uint32_t place;
 
     memset(frame, 0, sizeof *frame);
@@ -48,7 +48,11 @@ static void draw_frame(skin_frame *frame)
     case 2: /* heartbeat */
         frame->can_id = 0x700 + drawn(0x80);
         break;
-    case 3: /* anything, and frames that were given up */
+    case 3: /* LSS */
+        frame->can_id = 0x7E5;
+        frame->data[0] = (uint8_t)(0x04 + drawn(0x5B));
+        break;
+    case 4: /* anything, and frames that were given up */
         frame->can_id = drawn(2) ? drawn(0x800) : state;
         frame->flags |= drawn(2) ? SKIN_FRAME_DISCARDED : 0;
         break;
@@ -134,7 +138,7 @@ int main(int count, char **texts)
         counts[place] = (uint16_t)drawn(65536);
     }
 #if SKIN_ADAPTIVE
-    skin_prepare(nodes, 0, SKIN_BOARDS);
+    skin_prepare(nodes, 0, SKIN_BOARDS, NULL);
     for (turn = 0; turn < SKIN_IDLE_SAMPLES + SKIN_SETTLING_SAMPLES; turn++) {
         uint16_t read[SKIN_BOARDS * SKIN_BLOCK_SUMS];
 
@@ -144,7 +148,7 @@ int main(int count, char **texts)
         skin_take_counts(nodes, SKIN_BOARDS, read);
     }
 #endif
-    check(skin_power_up(nodes, 0, SKIN_BOARDS, now_ms, out, ROOM));
+    check(skin_power_up(nodes, 0, SKIN_BOARDS, NULL, 0, now_ms, out, ROOM));
     for (turn = 0; turn < turns; turn++) {
         const uint32_t burst = drawn(BURST) + 1;
 

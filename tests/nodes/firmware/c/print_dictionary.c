@@ -1,8 +1,12 @@
-/* Prints every object of OD.c: index, sub-index, attribute, value in hexadecimal as it travels in an SDO. */
+/* Prints every object of OD.c: index, sub-index, attribute, value in hexadecimal as it travels in an SDO; then the signature
+ * (2006h). Arguments are the number of the bus and the node-ID of a board of the image.
+ */
 #include <stdio.h>
+#include <stdlib.h>
 
 #include "301/CO_ODinterface.h"
 #include "OD.h"
+#include "skin_canopennode.h"
 
 static void print(const OD_entry_t *entry, unsigned subindex, unsigned attribute, const void *data, unsigned length)
 {
@@ -19,11 +23,15 @@ static void print(const OD_entry_t *entry, unsigned subindex, unsigned attribute
     printf("\n");
 }
 
-int main(void)
+int main(int count, char **texts)
 {
+    uint32_t signature = 0;
     uint16_t each;
     unsigned sub;
 
+    if (count == 3 && skin_app_choose((uint8_t)atoi(texts[1]), (uint8_t)atoi(texts[2])) != 0) {
+        return 1;
+    }
     for (each = 0; each < OD->size; each++) {
         const OD_entry_t *entry = &OD->list[each];
 
@@ -45,5 +53,9 @@ int main(void)
             }
         }
     }
+    if (skin_app_init() != 0 || OD_get_value(OD_find(OD, 0x2006), 0, &signature, sizeof signature, false) != ODR_OK) {
+        return 1;
+    }
+    printf("%lu\n", (unsigned long)signature);
     return 0;
 }

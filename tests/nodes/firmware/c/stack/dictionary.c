@@ -102,6 +102,7 @@ ODR_t OD_get_value(const OD_entry_t *entry, uint8_t sub, void *val, OD_size_t le
     if (stream.dataLength != len) {
         return ODR_TYPE_MISMATCH;
     }
+    stream.object = entry->extension == NULL ? NULL : entry->extension->object;
     return odOrig || entry->extension == NULL ? OD_readOriginal(&stream, val, len, &done)
                                               : entry->extension->read(&stream, val, len, &done);
 }

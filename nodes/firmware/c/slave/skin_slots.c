@@ -1,0 +1,91 @@
+#include "skin_slots.h"
+
+#include <string.h>
+
+#include "skin_node.h"
+
+enum { NUMBER = 0, KEY = 4, BYTES = 8, CRC = 12 }; /* places in the head */
+
+/* Read the head of a slot; tell whether head and data are whole. */
+static int is_whole(const skin_flash *flash, uint8_t slot, uint8_t *head)
+{
+    uint8_t part[SKIN_SLOT_HEAD];
+    uint32_t crc, bytes, at;
+
+    if (flash->read(flash->context, slot, 0, head, SKIN_SLOT_HEAD) != 0) {
+        return 0;
+    }
+    bytes = skin_get(&head[BYTES], 4);
+    if (bytes > flash->slot_bytes - SKIN_SLOT_HEAD) {
+        return 0;
+    }
+    crc = skin_crc32(0, head, CRC);
+    for (at = 0; at < bytes; at += sizeof part) {
+        const uint16_t count = (uint16_t)(bytes - at < sizeof part ? bytes - at : sizeof part);
+
+        if (flash->read(flash->context, slot, (uint16_t)(SKIN_SLOT_HEAD + at), part, count) != 0) {
+            return 0;
+        }
+        crc = skin_crc32(crc, part, count);
+    }
+    return crc == skin_get(&head[CRC], 4);
+}
+
+/* The slot with the newest whole record, and its head; 0xFF for none. */
+static uint8_t newest(const skin_flash *flash, uint8_t record, uint8_t *head)
+{
+    uint8_t heads[2][SKIN_SLOT_HEAD], whole[2], each;
+
+    for (each = 0; each < 2; each++) {
+        whole[each] = is_whole(flash, (uint8_t)(2 * record + each), heads[each]) != 0;
+    }
+    if (!whole[0] && !whole[1]) {
+        return 0xFF;
+    }
+    each = whole[0] && whole[1] ? skin_is_due(skin_get(heads[1], 4), skin_get(heads[0], 4)) != 0 : whole[1];
+    memcpy(head, heads[each], SKIN_SLOT_HEAD);
+    return (uint8_t)(2 * record + each);
+}
+
+static int load(void *context, uint8_t record, uint32_t key, uint8_t *data, uint16_t bytes)
+{
+    const skin_flash *flash = context;
+    uint8_t head[SKIN_SLOT_HEAD];
+    const uint8_t slot = newest(flash, record, head);
+
+    if (slot == 0xFF || skin_get(&head[KEY], 4) != key || skin_get(&head[BYTES], 4) != bytes) {
+        return 1;
+    }
+    return flash->read(flash->context, slot, SKIN_SLOT_HEAD, data, bytes);
+}
+
+static int save(void *context, uint8_t record, uint32_t key, const uint8_t *data, uint16_t bytes)
+{
+    const skin_flash *flash = context;
+    uint8_t head[SKIN_SLOT_HEAD];
+    uint8_t slot = newest(flash, record, head);
+    const uint32_t number = slot == 0xFF ? 0 : skin_get(&head[NUMBER], 4) + 1;
+
+    slot = slot == 0xFF ? (uint8_t)(2 * record) : slot ^ 1u;
+    skin_put(&head[NUMBER], number, 4);
+    skin_put(&head[KEY], key, 4);
+    skin_put(&head[BYTES], bytes, 4);
+    skin_put(&head[CRC], skin_crc32(skin_crc32(0, head, CRC), data, bytes), 4);
+    /* The head last: without it the slot is not whole. */
+    if (bytes > flash->slot_bytes - SKIN_SLOT_HEAD || flash->erase(flash->context, slot) != 0 ||
+        (bytes > 0 && flash->write(flash->context, slot, SKIN_SLOT_HEAD, data, bytes) != 0) ||
+        flash->write(flash->context, slot, 0, head, SKIN_SLOT_HEAD) != 0) {
+        return 1;
+    }
+    return is_whole(flash, slot, head) ? 0 : 1;
+}
+
+skin_storage skin_slots(const skin_flash *flash)
+{
+    skin_storage storage;
+
+    storage.load = load;
+    storage.save = save;
+    storage.context = (void *)flash;
+    return storage;
+}

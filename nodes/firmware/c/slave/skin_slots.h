@@ -1,0 +1,24 @@
+/* A storage function over flash memory: two slots for each record, written in turn. The newest whole one counts. */
+#ifndef SKIN_SLOTS_H
+#define SKIN_SLOTS_H
+
+#include "skin_storage.h"
+
+/* Of each slot: number of the record, key, bytes of data, CRC-32 of these and of the data. The data follow. */
+#define SKIN_SLOT_HEAD 16u
+
+/* Flash memory. Slots 2 n and 2 n + 1 belong to record n; each has pages of its own for SKIN_SLOT_HEAD bytes and the data. Parts
+ * begin at multiples of SKIN_SLOT_HEAD; a driver fills up the last word. Functions return 0 on success.
+ */
+typedef struct {
+    int (*erase)(void *context, uint8_t slot);
+    int (*write)(void *context, uint8_t slot, uint16_t at, const uint8_t *data, uint16_t bytes);
+    int (*read)(void *context, uint8_t slot, uint16_t at, uint8_t *data, uint16_t bytes);
+    uint16_t slot_bytes; /* of each slot */
+    void *context;       /* passed to all */
+} skin_flash;
+
+/* The storage function; `flash` must outlive it. */
+skin_storage skin_slots(const skin_flash *flash);
+
+#endif

@@ -1,0 +1,75 @@
+"""The storage function of C boards on this machine (``skin_storage.h``): the files of `nodes.storage`."""
+
+import ctypes
+from collections.abc import Iterator
+from typing import Any, Final
+
+from nodes.access import is_storable
+from nodes.firmware.tables import COMPUTED, WRITABLE, Build, ObjectTable
+from nodes.storage import Parameters, Storage
+
+#: Numbers of the records: of 1010h, and of LSS.
+_PARAMETERS: Final = 0
+_LSS: Final = 1
+#: The bus has one bit rate.
+_NO_BIT_TIMING: Final = 0xFF
+_DATA: Final = ctypes.POINTER(ctypes.c_uint8)
+_FUNCTION: Final = ctypes.CFUNCTYPE(
+    ctypes.c_int, ctypes.c_void_p, ctypes.c_uint8, ctypes.c_uint32, _DATA, ctypes.c_uint16
+)
+
+
+class StorageFunction(ctypes.Structure):
+    """``skin_storage``: functions that load and save a record, and their context."""
+
+    _fields_ = (("load", _FUNCTION), ("save", _FUNCTION), ("context", ctypes.c_void_p))
+
+
+def storage_function(build: Build, storage: Storage) -> StorageFunction:
+    """Return the storage function of a board, whose parameters and node-ID `storage` keeps.
+
+    Stored values that do not fit an object are left out: the board has its defaults there. The key of a record is not
+    needed: each node has a file, which knows its skin.
+    """
+    places, node_id = list(_places(build.objects)), build.node.node_id
+
+    def load(_context: int, record: int, _key: int, data: Any, _bytes: int) -> int:
+        numbered = bytes((node_id, _NO_BIT_TIMING)) if storage.has_node_id else b""
+        kept = numbered if record == _LSS else _values(build, storage)
+        ctypes.memmove(data, kept, len(kept))
+        return int(not kept)
+
+    def save(_context: int, record: int, _key: int, data: Any, length: int) -> int:
+        try:
+            if record == _LSS:
+                storage.save_node_id(data[0] == node_id)
+            elif length:
+                values = ctypes.string_at(data, length)
+                parameters: Parameters = {}
+                for index, subindex, _, at, size in places:
+                    parameters.setdefault(index, {})[subindex] = values[at : at + size]
+                storage.save(parameters)
+            else:
+                storage.clear()
+        except OSError:
+            return 1
+        return 0
+
+    return StorageFunction(_FUNCTION(load), _FUNCTION(save), None)
+
+
+def _values(build: Build, storage: Storage) -> bytes:
+    """Return the stored values, with defaults for those that fit no object; nothing if none are stored."""
+    values = bytearray(build.values[: build.objects.writable_bytes] if storage.parameters else b"")
+    for index, subindex, data_type, at, length in _places(build.objects):
+        found = storage.parameters.get(index, {}).get(subindex, b"")
+        if is_storable(index, data_type, found):
+            values[at : at + length] = found
+    return bytes(values)
+
+
+def _places(table: ObjectTable) -> Iterator[tuple[int, int, int, int, int]]:
+    """Return index, sub-index, data type, place and length of each value that 1010h stores."""
+    for (index, subindex, flags, at, length), each in zip(table.entries, table.objects, strict=True):
+        if flags & WRITABLE and at != COMPUTED:
+            yield index, subindex, each.data_type, at, length
