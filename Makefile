@@ -78,7 +78,7 @@ wheels: wheels/.complete
 
 wheels/.complete: requirements.lock | setup
 	@rm -rf wheels
-	@$(BIN)/python -m pip download --quiet --disable-pip-version-check --only-binary :all: --python-version $(OLDEST) $(ARGS) \
+	@$(BIN)/python -m pip download --quiet --quiet --disable-pip-version-check --only-binary :all: --python-version $(OLDEST) $(ARGS) \
 		--dest wheels --requirement requirements.lock
 	@touch $@
 

@@ -1,23 +1,28 @@
 """``skin bus``: the arbitrated virtual buses."""
 
+from pathlib import Path
 from typing import Final
 
 from bus.faults import parse_fault
+from bus.options import virtual_bit_rates
 from bus.server import BusServer, BusSettings
 from canskin.errors import InputError
 from shell.service import StopSignal, request_real_time, say
 from shell.terminal import Json, print_json
-from skin.layout import BITRATE_MAX, BITRATE_MIN, DATA_BITRATE_MAX
+from skin.layout import BITRATE_MAX, BITRATE_MIN, DATA_BITRATE_MAX, load_layout
 
 #: Far above any real device, and far below the limit of times in 64 bits.
 RESTART_MAX_S: Final = 3600.0
+#: Without a layout, in bit/s: buses that carry CAN FD, too.
+DEFAULT_BIT_RATES: Final = (1_000_000, 5_000_000)
 
 
 def bus(
     channels: list[str] | None = None,
     *,
-    bitrate: int = 1_000_000,
-    data_bitrate: int = 5_000_000,
+    layout: Path | None = None,
+    bitrate: int | None = None,
+    data_bitrate: int | None = None,
     fault: list[str] | None = None,
     seed: int = 0,
     restart_s: float = 0.1,
@@ -32,11 +37,14 @@ def bus(
     Parameters
     ----------
     channels
-        Names of the buses. Default: bus0 to bus3.
+        Names of the buses. Default: those of the layout.
+    layout
+        The layout of the skin. Default: the default skin's.
     bitrate
-        Bits per second, 10000 to 1000000.
+        Bits per second, 10000 to 1000000. Default: that of the layout, else 1000000.
     data_bitrate
         Bits per second in the data phase of CAN FD frames, up to 8000000; 0 for buses without CAN FD.
+        Default: that of the layout, else 5000000.
     fault
         A fault, ``KEY=VALUE,…`` with the keys controller, can_id, mask, loss_ratio,
         duplicate_ratio, delay_ratio, delay_s, bit_error_rate, off. Repeat the option for more faults.
@@ -51,9 +59,14 @@ def bus(
 
     Examples
     --------
-    skin bus bus0 bus1 bus2 bus3
+    skin bus
+    skin bus --layout palm.toml
     skin bus bus0 --bitrate 500000 --fault can_id=0x700,mask=0x780,loss_ratio=0.01
     """
+    contract = load_layout(layout)
+    rates = DEFAULT_BIT_RATES if layout is None else virtual_bit_rates(contract)
+    bitrate = rates[0] if bitrate is None else bitrate
+    data_bitrate = rates[1] if data_bitrate is None else data_bitrate
     if not BITRATE_MIN <= bitrate <= BITRATE_MAX:
         raise InputError(f"expected a bit rate of {BITRATE_MIN} to {BITRATE_MAX} bit/s, got {bitrate}")
     if data_bitrate and not bitrate <= data_bitrate <= DATA_BITRATE_MAX:
@@ -62,7 +75,7 @@ def bus(
     if queue_size < 1 or not 0 <= restart_s <= RESTART_MAX_S:
         wanted = f"a queue of 1 or more frames and a restart after 0 to {RESTART_MAX_S:g} s"
         raise InputError(f"expected {wanted}, got {queue_size} and {restart_s}")
-    names = channels or [f"bus{number}" for number in range(4)]
+    names = channels or [each.name for each in contract.bus]
     settings = BusSettings(
         bitrate=bitrate,
         data_bitrate=data_bitrate or None,

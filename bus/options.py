@@ -55,6 +55,14 @@ def channels(layout: Layout, options: BusOptions) -> list[str]:
     return given
 
 
+def virtual_bit_rates(layout: Layout) -> tuple[int, int]:
+    """Return bit rate and data bit rate of the layout's buses; raise InputError if they differ: one server has one."""
+    rates = {(bus.bitrate, bus.data_bitrate or bus.bitrate) for bus in layout.bus}
+    if len(rates) > 1:
+        raise InputError("virtual buses of one server all have the same bit rates; this layout has several")
+    return rates.pop()
+
+
 def open_links(
     layout: Layout,
     options: BusOptions,

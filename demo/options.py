@@ -6,6 +6,7 @@ from typing import Annotated, Final
 
 from cyclopts import Parameter
 
+from bus.options import virtual_bit_rates
 from canskin.errors import InputError
 from shell.output import check_picture_path
 from shell.service import listen
@@ -57,8 +58,7 @@ class DemoOptions:
             raise InputError(f"expected a positive number of seconds, got {self.seconds:g}")
         if self.firmware:
             require_one_state(layout, "the firmware in C")
-        if len({(bus.bitrate, bus.data_bitrate or bus.bitrate) for bus in layout.bus}) > 1:
-            raise InputError("the demo's virtual buses all have the same bit rates; this layout has several")
+        virtual_bit_rates(layout)
         if self.view and self.port is not None:
             listen("127.0.0.1", self.port).close()
         check_picture_path(self.picture)

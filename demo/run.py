@@ -102,9 +102,12 @@ class Run:
             return None
         return msgspec.structs.replace(report, picture=str(path.resolve()))
 
+    @property
+    def _of_layout(self) -> list[str]:
+        return ["--layout", str(self._options.layout)] if self._options.layout else []
+
     def _common(self, endpoint: str) -> list[str]:
-        layout = ["--layout", str(self._options.layout)] if self._options.layout else []
-        return [*layout, "--connect", endpoint]
+        return [*self._of_layout, "--connect", endpoint]
 
     def _listen(self, fabric: Fabric) -> None:
         for topic, handler in (
@@ -120,10 +123,7 @@ class Run:
 
     def _start_services(self, endpoint: str) -> None:
         options, start, common = self._options, self._supervisor.start, self._common(endpoint)
-        bitrates = {(bus.bitrate, bus.data_bitrate or bus.bitrate) for bus in self._layout.bus}
-        bitrate, data_bitrate = bitrates.pop()
-        names = [bus.name for bus in self._layout.bus]
-        start("bus", "bus", *names, "--bitrate", str(bitrate), "--data-bitrate", str(data_bitrate))
+        start("bus", "bus", *self._of_layout)
         touch = options.touch
         rest = []
         if touch.input is None and options.has_zero_errors(self._layout):

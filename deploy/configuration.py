@@ -160,14 +160,18 @@ def write(arguments: Sequence[str]) -> None:
     parser.add_argument("--interface", nargs="+", required=True)
     parser.add_argument("--adapter", nargs="*", default=[])
     parser.add_argument("--venv", required=True)
+    parser.add_argument("--programs", nargs="*", default=[])
     parser.add_argument("--folder", type=Path, required=True)
     given = parser.parse_args(arguments)
     layout = load_layout(Path(given.layout))
     where = given.layout if given.layout in SHIPPED else str(Path(given.layout).resolve())
-    if where.startswith(tuple(f"{home}/" for home in HOMES)):
-        raise InputError(
-            f"{where}: the services see no home folders: copy the layout to /etc/canskin, and give that path"
-        )
+    remedies = {where: "copy the layout to /etc/canskin, and give that path"}
+    remedies |= dict.fromkeys(
+        given.programs, "expected a Python of the system, PYTHON=/usr/bin/python3 deploy/install …"
+    )
+    for path, remedy in remedies.items():
+        if path.startswith(tuple(f"{home}/" for home in HOMES)):
+            raise InputError(f"{path}: the services see no home folders: {remedy}")
     names = channels(layout, BusOptions("socketcan", given.interface))
     adapters = [Adapter.from_text(text) for text in given.adapter]
     if unused := [each.name for each in adapters if each.name not in names]:

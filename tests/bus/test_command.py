@@ -4,6 +4,7 @@ import json
 import signal
 import subprocess
 import sys
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -11,8 +12,10 @@ import pytest
 from bus.arbitrated import ArbitratedLink
 from bus.command import bus
 from bus.protocol import Hello, Welcome
-from canskin.errors import InputError
+from bus.server import BusServer, BusSettings
+from canskin.errors import BusError, InputError
 from tests.bus.harness import PATIENCE_S, burst, collect
+from tests.layouts import buses, layout_toml
 
 
 def start(*arguments: str) -> subprocess.Popen[str]:
@@ -52,6 +55,26 @@ def test_wrong_input_is_one_line_and_status_2() -> None:
     out, said = process.communicate(timeout=PATIENCE_S)
     assert (process.returncode, out, said.count("\n")) == (2, "", 1)
     assert "1000000 (the bit rate) to 8000000 bit/s, or 0 for no CAN FD" in said
+
+
+def test_the_buses_of_a_layout_have_its_names_and_bit_rates(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    opened: list[tuple[list[str], int, int | None]] = []
+
+    def served(names: list[str], settings: BusSettings) -> BusServer:
+        opened.append((names, settings.bitrate, settings.data_bitrate))
+        raise BusError("seen")
+
+    monkeypatch.setattr("bus.command.BusServer", served)
+    rates = {"bitrate": 500_000, "fd": True, "data_bitrate": 2_000_000}
+    (tmp_path / "palm.toml").write_text(layout_toml(bus=buses(1, 1, names=["left", "right"], **rates)))
+    for options in ({"layout": tmp_path / "palm.toml"}, {"layout": tmp_path / "palm.toml", "bitrate": 250_000}, {}):
+        with pytest.raises(BusError, match="seen"):
+            bus(**options)  # type: ignore[arg-type]
+    assert opened == [
+        (["left", "right"], 500_000, 2_000_000),
+        (["left", "right"], 250_000, 2_000_000),
+        (["bus0", "bus1", "bus2", "bus3"], 1_000_000, 5_000_000),
+    ]
 
 
 @pytest.mark.parametrize(

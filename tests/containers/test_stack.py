@@ -129,7 +129,10 @@ def test_the_page_shows_images_and_labels_and_every_service_is_healthy(stack: St
 @pytest.mark.parametrize("service", ["gateway", "nodes"])
 def test_a_service_that_is_killed_comes_back_and_the_stack_is_whole_again(stack: Stack, service: str) -> None:
     killed = stack.state(service)["Pid"]
-    os.kill(killed, signal.SIGKILL)  # `docker kill` would count as the user's wish
+    try:
+        os.kill(killed, signal.SIGKILL)  # `docker kill` would count as the user's wish
+    except PermissionError:
+        pytest.skip("NOT TESTED: needs root, or an engine of this user, to kill a container's process")
     stack.until(lambda: stack.state(service)["Pid"] not in {0, killed}, f"the {service} to start again")
     stack.until(shows_images_and_labels, "a whole image and a label on the page")
     stack.until(stack.is_whole, "six healthy services")

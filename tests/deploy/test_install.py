@@ -111,9 +111,13 @@ def test_a_wrong_call_is_one_line_and_installs_nothing(
         (["--interface", "skin0", "--adapter", "skin0"], "NAME=SERIAL"),
         (["--interface", "can0", "--adapter", "can0=0042A7"], "the kernel gives"),
         (["--interface", "can0", "--adapter", "skin0=0042A7"], "can0, can1, can2, can3"),
+        (
+            ["--interface", "can0", "--programs", "/usr/bin/python3", "/root/venv/"],
+            "/root/venv/: .* a Python of the system",
+        ),
     ],
 )
-def test_a_wrong_interface_or_adapter_is_refused(tmp_path: Path, words: list[str], means: str) -> None:
+def test_what_the_services_cannot_use_is_refused(tmp_path: Path, words: list[str], means: str) -> None:
     with pytest.raises(InputError, match=means):
         write(["--layout", "default", "--venv", "/opt/canskin", "--folder", str(tmp_path), *words])
     assert files(tmp_path) == set()

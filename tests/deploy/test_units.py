@@ -17,6 +17,8 @@ from tests.readonly import gives_real_time, not_here
 from tests.system.helpers import first_image
 
 VERBS = ("gateway", "reconstruct", "classify", "view", "record")
+#: ROS 2 has no part in the chain that runs here.
+INSTANCES = (*VERBS, "ros2")
 #: Exposure of a unit by `systemd-analyze security`, in tenths: 0 is none, 100 all.
 EXPOSURE_MAX = 20
 pytestmark = pytest.mark.skipif(
@@ -29,14 +31,14 @@ def units(installed: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The installed units, each instance by its name, as `systemctl enable` links them."""
     folder = tmp_path_factory.mktemp("units") / "system"
     shutil.copytree(installed / UNITS, folder)
-    for verb in VERBS:
+    for verb in INSTANCES:
         (folder / f"skin@{verb}.service").symlink_to("skin@.service")
     return folder
 
 
 @pytest.mark.heavy
 def test_systemd_understands_every_unit(units: Path) -> None:
-    names = ["skin.target", *(f"skin@{verb}.service" for verb in VERBS)]
+    names = ["skin.target", *(f"skin@{verb}.service" for verb in INSTANCES)]
     command = ["systemd-analyze", "verify", "--man=no", "--recursive-errors=no", *(str(units / name) for name in names)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     # Of an unknown setting it only warns; units of this machine's own may have warnings of theirs.
@@ -45,7 +47,7 @@ def test_systemd_understands_every_unit(units: Path) -> None:
 
 
 @pytest.mark.heavy
-@pytest.mark.parametrize("verb", VERBS)
+@pytest.mark.parametrize("verb", INSTANCES)
 def test_no_unit_gets_more_than_it_needs(units: Path, verb: str) -> None:
     options = ["--offline=yes", f"--threshold={EXPOSURE_MAX}", "--no-pager"]
     unit = str(units / f"skin@{verb}.service")

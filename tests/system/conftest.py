@@ -47,11 +47,11 @@ class Chain:
 
     def start(self, name: str, verb: str, *arguments: str) -> int:
         """Start a service that joins the fabric, and return its process."""
-        common = () if verb == "bus" else ("--layout", str(self.layout_path), "--connect", self.endpoint)
-        return self.supervisor.start(name, verb, *arguments, *common).process.pid
+        common = () if verb == "bus" else ("--connect", self.endpoint)
+        return self.supervisor.start(name, verb, *arguments, "--layout", str(self.layout_path), *common).process.pid
 
     def start_bus(self, *arguments: str) -> None:
-        self.start("bus", "bus", *(bus.name for bus in self.layout.bus), *arguments)
+        self.start("bus", "bus", *arguments)
 
     def until(self, what: str, holds: Callable[[], bool]) -> None:
         """Wait until something holds; it is looked at whenever a message comes."""

@@ -70,7 +70,7 @@ def test_every_service_of_a_skin_has_the_layout_of_one_variable_and_a_place_for_
     for name, service in services.items():
         assert {"cache:/var/cache/canskin", "${SKIN_FILES}:/etc/canskin:ro"} <= set(service["volumes"]), name
         words = shlex.split(filled(service["command"], SKIN_LAYOUT="palm.toml"))
-        assert words[0] == "bus" or words[1:3] == ["--layout", "palm.toml"], name
+        assert words[1:3] == ["--layout", "palm.toml"], name
 
 
 def test_every_setting_is_used(services: dict[str, Service]) -> None:
@@ -126,6 +126,13 @@ def image_environment() -> dict[str, str]:
     words = dict(re.findall(r"(\w+)=(\S+)", text))
     assert words["NUMBA_CACHE_DIR"].startswith(words["SKIN_CACHE"] + "/")  # one volume keeps both
     return {**words, "PATH": f"{Path(sys.executable).parent}:/usr/bin:/bin", "HOME": words["SKIN_CACHE"]}
+
+
+def test_units_and_image_give_the_services_the_same_environment() -> None:
+    lines = re.findall(r"^Environment=(.*)$", (ROOT / "deploy/skin@.service").read_text(), re.MULTILINE)
+    words = " ".join(lines).replace("%t", "/run").replace("%C", "/var/cache").split()
+    of_image = {name: value for name, value in image_environment().items() if name not in {"PATH", "HOME"}}
+    assert dict(word.split("=", 1) for word in words) == of_image
 
 
 @dataclass(frozen=True)
