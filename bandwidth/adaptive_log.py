@@ -104,7 +104,7 @@ def sum_frames(contract: Contract, bus: int, taken: Frames) -> SumFrames:
     node_id = np.array([owner[int(can_id)] for can_id in mine["can_id"]], np.int64)
     says, is_zero = np.empty(len(mine), np.int64), np.empty(len(mine), np.bool_)
     payloads = np.ascontiguousarray(mine["data"])
-    _follow(parts[:, 0] - 1, parts[:, 2], parts[:, 3] == 1, payloads, groups, is_fd, says, is_zero)
+    _follow(parts[:, 0], parts[:, 2], parts[:, 3] == 1, payloads, groups, is_fd, says, is_zero)
     return SumFrames(mine, node_id, parts[:, 1], parts[:, 2], parts[:, 3] == 1, says, is_zero, is_fd)
 
 

@@ -74,9 +74,9 @@ def foreign(load: BusLoad) -> Iterator[str]:
             yield f"{each.name} is not planned: {each.frames} frames, {each.load_exact:.2%} of the bus"
         elif each.kind == "EMCY":
             yield f"node {each.node_id} sent {each.frames} emergencies"
-        elif each.node_id is None and each.rate_hz > _most_hz(each.planned_rate_hz, load.seconds):
+        elif each.message is not None and each.rate_hz > _most_hz(each.planned_rate_hz, load.seconds):
             planned = f"{each.planned_rate_hz:.2f} a second were planned"
-            yield f"'{each.kind}' of another device comes {each.rate_hz:.2f} times a second, {planned}"
+            yield f"'{each.message}' of another device comes {each.rate_hz:.2f} times a second, {planned}"
 
 
 def _most_hz(planned_hz: float | None, seconds: float) -> float:

@@ -11,13 +11,14 @@ from bandwidth.plan import BusPlan
 from canskin.errors import InputError
 from dbc.canopen import (
     BASE_ID_MASK,
-    EMCY_BASE,
+    EXTENDED_ID_MASK,
     HEARTBEAT_BASE,
     NMT_COB_ID,
     SDO_REQUEST_BASE,
-    SDO_RESPONSE_BASE,
+    SERVICES,
     SYNC_COB_ID,
     TIME_COB_ID,
+    identifier_text,
 )
 from dbc.contract import Contract
 from dbc.dictionary import HEARTBEAT_MS
@@ -25,33 +26,25 @@ from dbc.frame import BRS, ERROR, EXTENDED, FD, REMOTE, Frames
 from dbc.frame_bits import frame_time_ns
 from skin.layout import Bus
 
+#: Kinds of identifiers of other devices: not in the layout, and named by the layout.
 FOREIGN: Final = "foreign"
+OTHER_DEVICE: Final = "other device"
 #: With a larger part of unknown frames, a bus does not fit the layout.
 MISFIT_RATIO: Final = 0.2
-_SERVICES: Final = (
-    (HEARTBEAT_BASE, "heartbeat"),
-    (SDO_REQUEST_BASE, "SDO request"),
-    (SDO_RESPONSE_BASE, "SDO response"),
-    (EMCY_BASE, "EMCY"),
-)
-
-
-def identifier_name(cob_id: int, *, is_extended: bool) -> str:
-    """Return an identifier in three or eight hexadecimal digits, as in logs."""
-    return f"{cob_id:0{8 if is_extended else 3}X}h"
 
 
 @dataclass(frozen=True)
 class IdentifierLoad:
     """Load of one identifier: `load_exact` from the bits of its frames, `load_worst` with the most stuff bits.
 
-    `planned_rate_hz` is None for identifiers without a fixed rate and for identifiers that are not planned. The `kind`
-    of a message of another device is the name that the layout gives it.
+    `planned_rate_hz` is None for identifiers without a fixed rate and for identifiers that are not planned. `message`
+    is the name that the layout gives a message of another device, whose kind is `OTHER_DEVICE`; None for other kinds.
     """
 
     cob_id: int
     is_extended: bool
     kind: str
+    message: str | None
     node_id: int | None
     frames: int
     rate_hz: float
@@ -62,7 +55,7 @@ class IdentifierLoad:
     @property
     def name(self) -> str:
         """The identifier in three or eight hexadecimal digits, as in logs."""
-        return identifier_name(self.cob_id, is_extended=self.is_extended)
+        return identifier_text(self.cob_id, is_extended=self.is_extended)
 
 
 @dataclass(frozen=True)
@@ -129,16 +122,17 @@ def measure(contract: Contract, bus: int, seen: Frames, planned: BusPlan | Adapt
     identifiers = []
     for key in np.unique(keys).tolist():
         mine = keys == key
-        cob_id, is_extended = key & 0x1FFF_FFFF, bool(key >> 31)
+        cob_id, is_extended = key & EXTENDED_ID_MASK, bool(key >> 31)
         other = planned_here.foreign.get((cob_id, is_extended))
         kind, node_id = (FOREIGN, None) if is_extended else planned_here.kind_of(cob_id)
         if other is not None:
-            kind = other.name
+            kind = OTHER_DEVICE
         identifiers.append(
             IdentifierLoad(
                 cob_id=cob_id,
                 is_extended=is_extended,
                 kind=kind,
+                message=None if other is None else other.name,
                 node_id=node_id,
                 frames=int(mine.sum()),
                 rate_hz=float(mine.sum()) / seconds,
@@ -201,7 +195,7 @@ class Identifiers:
             return ("NMT" if cob_id == NMT_COB_ID else "SYNC"), 0
         if cob_id == TIME_COB_ID and self._has_time:
             return "TIME", 0
-        for base, kind in _SERVICES:
+        for base, kind in SERVICES.items():
             if cob_id - base in self._ids:
                 return kind, 0 if base == SDO_REQUEST_BASE else cob_id - base
         return FOREIGN, None

@@ -67,6 +67,8 @@ def plan(
     skin plan fd --timing --clock-hz 40000000 --bus-length-m 5
     """
     skin = load_layout(layout)
+    if timing and (check is not None or plot is not None):
+        raise InputError("expected --timing, --check or --plot, got --timing with another of them")
     if timing:
         return _timing(skin, channel or ["can0"], controllers or TimingOptions(), as_json=json_)
     if controllers is not None:

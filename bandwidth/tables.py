@@ -7,8 +7,9 @@ from typing import Final
 from bandwidth.adaptive_log import AdaptiveLoad
 from bandwidth.adaptive_plan import AdaptiveBusPlan, BudgetPlan
 from bandwidth.alternatives import Alternative
-from bandwidth.measured import BusLoad, identifier_name
+from bandwidth.measured import BusLoad
 from bandwidth.plan import BusPlan
+from dbc.canopen import identifier_text
 from shell.terminal import print_table
 
 #: Columns of the lines that list the nodes of a bus.
@@ -58,7 +59,7 @@ def _print_identifiers(load: BusLoad) -> None:
     rows = [
         [
             each.name,
-            each.kind,
+            each.message or each.kind,
             _sender(each.node_id),
             each.frames,
             f"{each.rate_hz:.2f}",
@@ -78,7 +79,7 @@ def _print_foreign(plans: Sequence[BusPlan] | Sequence[AdaptiveBusPlan]) -> None
         [
             plan.name,
             each.name,
-            identifier_name(each.identifier, is_extended=each.is_extended),
+            identifier_text(each.identifier, is_extended=each.is_extended),
             f"{each.period_ms:g}",
             ms(each.response_ms),
         ]

@@ -80,7 +80,7 @@ class Traffic:
         Sender's node-ID; 0 is the gateway.
     is_cyclic, is_tpdo, is_heartbeat, is_sdo_response : array of bool, shape (n,)
         Cyclic are SYNC and the TPDOs.
-    foreign : array of object, shape (n,)
+    foreign : tuple of ForeignMessage or None, length n
         The messages of other devices; None for streams of the skin.
     """
 

@@ -95,6 +95,42 @@ def open_links(
     }
 
 
+def open_channels(
+    options: BusOptions, bitrate: int, data_bitrate: int | None, *, name: str, sends: bool = True
+) -> dict[str, Link]:
+    """Open channels that belong to no layout, as they are named; an interface of SocketCAN with its own rates."""
+    found = {}
+    for channel in options.channel:
+        rate, data_rate, fd = bitrate, data_bitrate, data_bitrate is not None
+        if options.interface == "socketcan":
+            rate, data_rate, fd = _own_rates(channel, bitrate, data_bitrate)
+        found[channel] = open_link(
+            options.interface,
+            channel,
+            rate,
+            fd=fd,
+            data_bitrate=data_rate,
+            name=name,
+            sends=sends,
+            options=_typed(options.bus_option),
+        )
+    return found
+
+
+def _own_rates(channel: str, bitrate: int, data_bitrate: int | None) -> tuple[int, int | None, bool]:
+    """Return bit rate and data bit rate of an interface where the kernel knows them, and whether it carries CAN FD."""
+    from bus.interface import FD_BYTES, read_interface
+
+    try:
+        about = read_interface(channel)
+    except OSError:  # no such interface: opening will say so
+        return bitrate, data_bitrate, False
+    if (device := about.controller) is not None:
+        bitrate = bitrate if device.timing is None else device.timing.bit_rate_hz
+        data_bitrate = data_bitrate if device.data_timing is None else device.data_timing.bit_rate_hz
+    return bitrate, data_bitrate, about.mtu >= FD_BYTES
+
+
 def _typed(given: list[str]) -> dict[str, str | float | bool]:
     """Return options with their values; raise InputError for what is not NAME=VALUE."""
     from can.util import cast_from_string

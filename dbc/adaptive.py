@@ -187,11 +187,11 @@ def decode_cob_id(identifier: int, groups: int, is_fd: bool) -> tuple[int, int, 
 
 
 def frame_of(identifier: int, *, groups: int, is_fd: bool = False) -> tuple[int, int, int, bool]:
-    """Return 1 + column, level, first group and whether it is fine of an identifier of sums."""
-    kind, group, node = decode_cob_id(identifier, groups, is_fd)
+    """Return column, level, first group and whether it is fine of an identifier of sums."""
+    kind, group, column = decode_cob_id(identifier, groups, is_fd)
     if kind < LEVELS:
-        return node + 1, LEVELS - 1 - kind, group, False
-    return node + 1, KINDS - 1 - kind, group, True
+        return column, LEVELS - 1 - kind, group, False
+    return column, KINDS - 1 - kind, group, True
 
 
 @njit(cache=True, nogil=True)

@@ -7,6 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from canskin.messages import NmtState as NmtState  # noqa: PLC0414 - re-exported
+from skin.foreign import BASE_ID_MAX, EXTENDED_ID_MAX
 
 #: Predefined connection set (CiA 301, 7.3.5): COB-IDs, and bases to which a node adds its node-ID.
 NMT_COB_ID: Final = 0x000
@@ -19,6 +20,13 @@ HEARTBEAT_BASE: Final = 0x700
 #: TPDO 1 to 4, then the identifiers of RPDO 1 to 4.
 TPDO_BASES: Final = (0x180, 0x280, 0x380, 0x480, 0x200, 0x300, 0x400, 0x500)
 HIGHEST_NODE_ID: Final = 127
+#: Names of what each node has besides its PDOs, by base.
+SERVICES: Final = {
+    EMCY_BASE: "EMCY",
+    SDO_RESPONSE_BASE: "SDO response",
+    SDO_REQUEST_BASE: "SDO request",
+    HEARTBEAT_BASE: "heartbeat",
+}
 #: LSS (CiA 305): requests of the master and responses of the slaves, always 8 bytes; the node-ID of a node without one.
 LSS_REQUEST_COB_ID: Final = 0x7E5
 LSS_RESPONSE_COB_ID: Final = 0x7E4
@@ -29,6 +37,11 @@ LSS_BIT_RATES_HZ: Final = (1_000_000, 800_000, 500_000, 250_000, 125_000, 0, 50_
 #: Of the RPDO that switches all nodes between recognition and images: the EMCY of a node that no bus has then. It comes
 #: before all TPDOs, so that nodes that missed it cannot hold it up.
 STATE_COB_ID: Final = EMCY_BASE + HIGHEST_NODE_ID
+
+
+def identifier_text(cob_id: int, *, is_extended: bool = False) -> str:
+    """Return an identifier in three or eight hexadecimal digits, as in logs."""
+    return f"{cob_id:0{8 if is_extended else 3}X}h"
 
 
 def is_of_node(can_id: npt.NDArray[np.uint32], base: int) -> npt.NDArray[np.bool_]:
@@ -52,8 +65,8 @@ COB_ID_NO_RTR: Final = 0x4000_0000
 #: Bit 29 of a COB-ID object: 29-bit identifier.
 COB_ID_EXTENDED: Final = 0x2000_0000
 #: The 11-bit and the 29-bit identifier within a COB-ID object.
-BASE_ID_MASK: Final = 0x7FF
-EXTENDED_ID_MASK: Final = 0x1FFF_FFFF
+BASE_ID_MASK: Final = BASE_ID_MAX
+EXTENDED_ID_MASK: Final = EXTENDED_ID_MAX
 
 #: Highest cyclic synchronous transmission type, and highest value of 1019h (CiA 301, 7.5.2.38 and 7.5.2.22).
 LAST_SYNCHRONOUS: Final = 240

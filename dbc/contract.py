@@ -22,12 +22,9 @@ from canskin.errors import LayoutError
 from dbc.adaptive import FINE_LEVELS, LEVELS, Companding, carried, cob_id, column_of, companding, payload_bytes
 from dbc.adaptive_filter import SAMPLE_NS
 from dbc.canopen import (
-    EMCY_BASE,
-    HEARTBEAT_BASE,
     HIGHEST_NODE_ID,
     NMT_COB_ID,
-    SDO_REQUEST_BASE,
-    SDO_RESPONSE_BASE,
+    SERVICES,
     STATE_COB_ID,
     SYNC_COB_ID,
     TIME_COB_ID,
@@ -49,13 +46,6 @@ PHASES: Final = {"window": 1, "alternating": 2}
 _COMPANDED: Final = 2
 #: The same byte with this added: sums of an analogue front end.
 _ANALOGUE: Final = 4
-#: What each node has besides its TPDOs.
-_SERVICES: Final = (
-    (EMCY_BASE, "EMCY"),
-    (SDO_RESPONSE_BASE, "the SDO response"),
-    (SDO_REQUEST_BASE, "the SDO request"),
-    (HEARTBEAT_BASE, "the heartbeat"),
-)
 
 
 @dataclass(frozen=True)
@@ -235,7 +225,7 @@ class Contract:
         if self.recognition is not None:
             found[STATE_COB_ID] = "the switch of states"
         for node in self.on_bus(bus):
-            found |= {base + node.node_id: f"{what} of node {node.node_id}" for base, what in _SERVICES}
+            found |= {base + node.node_id: f"{what} of node {node.node_id}" for base, what in SERVICES.items()}
             for state in self.states_of(node):
                 found |= {tpdo.cob_id: f"TPDO {tpdo.number} of node {node.node_id}" for tpdo in state.all_tpdos}
         return found

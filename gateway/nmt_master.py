@@ -298,7 +298,8 @@ class NmtMaster:
         for place in _places(frame_bytes(arrived)):
             frame = arrived[place]
             identifier, time_ns = int(frame["can_id"]), int(frame["time_ns"])
-            node = self.nodes.get(identifier & HIGHEST_NODE_ID)
+            base, node_id = identifier & ~HIGHEST_NODE_ID, identifier & HIGHEST_NODE_ID
+            node = self.nodes.get(node_id)
             data = frame["data"][: frame["length"]].tobytes()
             if identifier == NMT_COB_ID and len(data) == NMT_BYTES:
                 if not frame["flags"] & ECHO:
@@ -307,15 +308,14 @@ class NmtMaster:
                     for started in self._addressed(data[1]):
                         started.started_ns = time_ns
             elif node is not None:
-                base = identifier & ~HIGHEST_NODE_ID
                 if base == HEARTBEAT_BASE and len(data) == HEARTBEAT_BYTES:
                     self._heartbeat(node, data[0] & 0x7F, time_ns, now_s)
                 else:
                     self._take_of(node, base, data, now_s)
-            elif identifier > HEARTBEAT_BASE:
-                self.strangers.heard(identifier - HEARTBEAT_BASE)
-            elif identifier & ~HIGHEST_NODE_ID == SDO_RESPONSE_BASE:
-                self.strangers.answered(identifier - SDO_RESPONSE_BASE, data, now_s)
+            elif node_id and base == HEARTBEAT_BASE and len(data) == HEARTBEAT_BYTES:
+                self.strangers.heard(node_id)
+            elif node_id:
+                self.strangers.take(base, node_id, data, now_s)
 
     def _take_of(self, node: NodeRecord, base: int, data: bytes, now_s: float) -> None:
         if base == SDO_RESPONSE_BASE and len(data) == SDO_BYTES:

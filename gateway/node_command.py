@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Protocol
 from cyclopts import Parameter
 
 from bus.link import Link
-from bus.options import BusOptions, open_links
+from bus.options import BusOptions, open_channels, open_links
 from canskin.errors import InputError, RunError
 from dbc.canopen import HIGHEST_NODE_ID, NmtCommand, state_text
 from dbc.contract import Contract, NodeContract
@@ -79,7 +79,8 @@ def node(
     layout
         TOML of the skin; without it the default skin.
     can
-        CAN interface and channels; a single channel is that of the bus.
+        CAN interface and channels of all buses, as for the gateway: with ``-c can0`` the second bus is on can1. With
+        `eds` and without `bus` the single channel is that of the device.
     wiring
         Recording (``skin record``) of one finger that goes over the whole skin, after a time without touch.
     live
@@ -106,6 +107,7 @@ def node(
     skin node reset --bus bus0 -i socketcan -c can0
     """
     skin = load_layout(layout)
+    _refuse_unused(action, {"--wiring": wiring, "--live": live}, {"--path": path, "--out": out})
     if action in _ORDERS:
         if objects or eds is not None:
             raise InputError(f"'skin node {action}' takes no objects: expected get or set")
@@ -133,7 +135,7 @@ def node(
     number = _bus_number(skin, bus)
     contract = Contract.from_layout(skin)
     board = _board(contract, number, node_id)
-    link = _open(skin, can or BusOptions(), number, stop)
+    link = open_links(skin, can or BusOptions(), [number], name="node check", stop=stop)[number]
     try:
         check = NodeCheck(contract, board, link.send, time.monotonic())
         _run(check, link, stop)
@@ -146,18 +148,22 @@ def node(
     return int(bool(check.report.differences))
 
 
+def _refuse_unused(action: str, sources: dict[str, object], others: dict[str, object]) -> None:
+    """Refuse options that an action has no use for; `others` need one of `sources`."""
+    asked = [name for name, each in sources.items() if each is not None]
+    given = [*asked, *(name for name, each in others.items() if each is not None)]
+    if action != "check" and given:
+        raise InputError(f"expected {' and '.join(given)} with 'skin node check' alone, got 'skin node {action}'")
+    if (given and not asked) or len(asked) > 1:
+        raise InputError(f"expected one of {' and '.join(sources)}, got {' and '.join(given)}")
+
+
 def _board(contract: Contract, number: int, node_id: int) -> NodeContract:
     for each in contract.on_bus(number):
         if each.node_id == node_id:
             return each
     line = contract.layout.bus[number]
     raise InputError(f"expected a node-ID of {line.name}, {ranges_text(line.ids)}, got {node_id}")
-
-
-def _open(skin: Layout, options: BusOptions, number: int, stop: StopSignal) -> Link:
-    if len(options.channel) == 1:
-        options = dataclasses.replace(options, channel=options.channel * len(skin.bus))
-    return open_links(skin, options, [number], name="node check", stop=stop)[number]
 
 
 def _objects(
@@ -177,7 +183,8 @@ def _objects(
     if node_id is None or not 1 <= node_id <= HIGHEST_NODE_ID:
         raise InputError(f"expected --node with a node-ID from 1 to {HIGHEST_NODE_ID}, got {node_id}")
     # A channel that is named needs no bus of the layout, if the device is none of the layout's.
-    number = 0 if eds is not None and bus is None and len(can.channel) == 1 else _bus_number(skin, bus)
+    is_other = eds is not None and bus is None and len(can.channel) == 1
+    number = 0 if is_other else _bus_number(skin, bus)
     if eds is None:
         contract = Contract.from_layout(skin)
         known = entries_of_node(contract, _board(contract, number, node_id))
@@ -192,7 +199,10 @@ def _objects(
     writes = parse_writes(known, names) if action == "set" else []
     reads = [entry for entry, _ in writes] or [each for name in names for each in find(known, name)]
     stop = StopSignal().install()
-    link = _open(skin, can, number, stop)
+    if is_other:
+        (link,) = open_channels(can, skin.bus[0].bitrate, skin.bus[0].data_bitrate, name="node check").values()
+    else:
+        link = open_links(skin, can, [number], name="node check", stop=stop)[number]
     try:
         transfers = NodeTransfers(node_id, list(dict.fromkeys(reads)), link.send, time.monotonic(), writes)
         _run(transfers, link, stop)
@@ -210,7 +220,7 @@ def _order(skin: Layout, action: str, number: int, node_id: int | None, can: Bus
         raise InputError(f"expected --node with a node-ID from 1 to {HIGHEST_NODE_ID}, got {node_id}")
     awaited = skin.bus[number].ids if node_id is None else [node_id]
     stop = StopSignal().install()
-    link = _open(skin, can, number, stop)
+    link = open_links(skin, can, [number], name="node check", stop=stop)[number]
     try:
         order = NodeOrder(_ORDERS[action], node_id or 0, awaited, link.send, time.monotonic())
         _run(order, link, stop)

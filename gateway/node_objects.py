@@ -169,7 +169,12 @@ class NodeTransfers:
     ----------
     done : bool
     values : dict of Entry to bytes or str
-        What was read, or why it could not be read. Raise RunError at the first write that fails.
+        What was read, or why it could not be read.
+
+    Raises
+    ------
+    RunError
+        By `take` and `tick`: a write has failed. Nothing is read or written after that.
     """
 
     def __init__(

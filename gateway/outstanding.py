@@ -15,9 +15,8 @@ So after SYNCs that asked for other frames, the first cycle is doubtful. Where a
 second cycle is doubtful, too.
 
 A bus is *unordered* if its interface does not prove that the echo of SYNC comes after SYNC was on the bus and before
-the answers. There a SYNC
-may wait in the interface, and so may a frame, for any time. So nothing ends by time, and SYNC counts from the moment
-before it is handed to the interface:
+the answers. There a SYNC may wait in the interface, and so may a frame, for any time. So nothing ends by time, and SYNC
+counts from the moment before it is handed to the interface:
 
     owed = SYNCs handed over - frames that came >= frames that still may come
 

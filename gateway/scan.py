@@ -14,6 +14,7 @@ from dbc import indices as od
 from dbc.canopen import (
     EMCY_BASE,
     EMCY_BYTES,
+    EXTENDED_ID_MASK,
     HEARTBEAT_BASE,
     HEARTBEAT_BYTES,
     HIGHEST_NODE_ID,
@@ -21,15 +22,16 @@ from dbc.canopen import (
     SDO_BYTES,
     SDO_REQUEST_BASE,
     SDO_RESPONSE_BASE,
+    SERVICES,
     SYNC_COB_ID,
     TIME_COB_ID,
     TPDO_BASES,
-    NmtState,
+    state_text,
 )
 from dbc.frame import ECHO, ERROR, EXTENDED, REMOTE, Frames, frames, one_frame
 from dbc.frame_bits import wire_bits
-from gateway.foreign_sdo import SDO_QUIET_S
-from gateway.sdo import Dialogue, Read, SdoDialogue, SdoError
+from gateway.questions import Questions
+from gateway.sdo import Dialogue, Read, SdoError
 from gateway.strangers import produces_sync
 
 #: Part of the bus that requests and responses take.
@@ -46,18 +48,18 @@ _IDENTITY: Final = (
 #: Predefined connection set (CiA 301, 7.3.5).
 _OF_ALL: Final = {NMT_COB_ID: "NMT", SYNC_COB_ID: "SYNC", TIME_COB_ID: "TIME"}
 _OF_NODE: Final = {
-    EMCY_BASE: "EMCY",
+    **SERVICES,
     **{base: f"TPDO {number}" for number, base in enumerate(TPDO_BASES[:4], 1)},
     **{base: f"RPDO {number}" for number, base in enumerate(TPDO_BASES[4:], 1)},
-    SDO_RESPONSE_BASE: "SDO response",
-    SDO_REQUEST_BASE: "SDO request",
-    HEARTBEAT_BASE: "heartbeat",
 }
 
 
 @dataclass
 class ScannedNode:
-    """One CANopen node; None for what it did not tell. `state` is that of its newest heartbeat."""
+    """One CANopen node; None for what it did not tell. `state` is that of its newest heartbeat.
+
+    `is_busy` tells that other masters used its SDO channel all the time, so that it was not asked.
+    """
 
     node_id: int
     heard: list[str] = field(default_factory=list)
@@ -69,6 +71,7 @@ class ScannedNode:
     revision: int | None = None
     serial_number: int | None = None
     sync_cob_id: int | None = None
+    is_busy: bool = False
 
     @property
     def produces_sync(self) -> bool:
@@ -124,9 +127,9 @@ class Scan:
         self.done = False
         self.nodes: dict[int, ScannedNode] = {}
         self._heard: list[Frames] = []
-        self._left = list(range(1, HIGHEST_NODE_ID + 1)) if asks else []
-        self._busy_s: dict[int, float] = {}
-        self._open: dict[int, SdoDialogue] = {}
+        self._questions = Questions(self._ask, self._send_one)
+        if asks:
+            self._questions.ask(range(1, HIGHEST_NODE_ID + 1))
 
     def take(self, arrived: Frames, now_s: float) -> None:
         """Use received frames, in bus order."""
@@ -142,17 +145,12 @@ class Scan:
 
     def _take(self, base: int, node_id: int, data: bytes, now_s: float) -> None:
         if base == HEARTBEAT_BASE and len(data) == HEARTBEAT_BYTES:
-            state = data[0] & 0x7F
-            known = state in set(NmtState)
-            self._node(node_id, "heartbeat").state = NmtState(state).name if known else f"state {state}"
+            self._node(node_id, "heartbeat").state = state_text(data[0] & 0x7F)
         elif base == EMCY_BASE and len(data) == EMCY_BYTES:
             self._node(node_id, "EMCY")
-        elif base == SDO_REQUEST_BASE:
-            self._busy_s[node_id] = now_s + SDO_QUIET_S
         elif base == SDO_RESPONSE_BASE and len(data) == SDO_BYTES:
             self._node(node_id, "SDO")
-            if node_id in self._open:
-                self._open[node_id].take(data, now_s)
+        self._questions.take(base, node_id, data, now_s)
 
     def _node(self, node_id: int, how: str) -> ScannedNode:
         node = self.nodes.setdefault(node_id, ScannedNode(node_id))
@@ -162,19 +160,18 @@ class Scan:
 
     def tick(self, now_s: float) -> None:
         """Go on with the dialogues, and begin the next."""
-        for node_id, dialogue in list(self._open.items()):
-            dialogue.tick(now_s)
-            if dialogue.done:
-                del self._open[node_id]
+        self._questions.tick(now_s)
         if now_s < self.due_s:
             return
-        # A node that another client asks has its turn later.
-        free = [each for each in self._left if now_s >= self._busy_s.get(each, 0.0)]
-        if free:
-            self._left.remove(free[0])
-            self._open[free[0]] = SdoDialogue(free[0], self._ask(free[0]), self._send_one, now_s, attempts=1)
+        self._questions.begin(now_s)
         self.due_s = max(self.due_s, now_s + self._pause_s)
-        self.done = not self._left and not self._open
+        for node_id in self._questions.busy:
+            self._node(node_id, "SDO").is_busy = True
+        self.done = self._questions.done
+
+    def stop(self, now_s: float) -> None:
+        """End the scan before it is done."""
+        self._listen_s, self.done = min(self._listen_s, now_s - self._started_s), True
 
     def _ask(self, node_id: int) -> Dialogue:
         value = yield Read(od.DEVICE_TYPE)
@@ -200,7 +197,7 @@ class Scan:
         keys = seen["can_id"].astype(np.int64) | (seen["flags"] & EXTENDED != 0).astype(np.int64) << 32
         return [
             ScannedIdentifier(
-                cob_id=int(key & 0x1FFF_FFFF),
+                cob_id=int(key & EXTENDED_ID_MASK),
                 is_extended=bool(key >> 32),
                 frames=int(count),
                 rate_hz=float(count) / self._listen_s,

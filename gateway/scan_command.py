@@ -8,9 +8,10 @@ from typing import Annotated, Any, Final
 
 from cyclopts import Parameter
 
-from bus.link import Link, open_link
-from bus.options import BusOptions, open_links
+from bus.link import Link
+from bus.options import BusOptions, open_channels, open_links
 from canskin.errors import InputError, RunError
+from dbc.canopen import identifier_text
 from gateway.scan import Scan
 from shell.service import StopSignal, say
 from shell.terminal import Json, print_json, print_table
@@ -25,6 +26,7 @@ def scan(
     layout: Path | None = None,
     can: BusOptions | None = None,
     bitrate: int = BITRATE_MAX,
+    data_bitrate: int | None = None,
     seconds: float = 2.0,
     listen: Annotated[bool, Parameter(negative=())] = False,
     json: Json = False,
@@ -32,7 +34,8 @@ def scan(
     """List what is on a CAN bus: identifiers with their rates, CANopen nodes with state and identity, SYNC.
 
     Listens, then asks every node-ID for its identity by SDO (1000h, 1018h, 1005h, 1008h), which takes 5 % of the bus at
-    most. Exit code 1: two devices produce SYNC.
+    most. A node that other masters ask all the time is listed as busy. Ctrl-C ends the scan and shows what is known.
+    Exit code 1: two nodes whose 1005h says that they produce SYNC; a gateway has no 1005h.
 
     Parameters
     ----------
@@ -42,6 +45,8 @@ def scan(
         CAN interface and channels.
     bitrate
         Without a layout: bit rate of the channels, bit/s. SocketCAN has its own.
+    data_bitrate
+        Without a layout: data bit rate, which makes the channels CAN FD. SocketCAN knows by itself.
     seconds
         Time of listening.
     listen
@@ -60,15 +65,20 @@ def scan(
     options, stop = can or BusOptions(), StopSignal().install()
     if layout is not None:
         lines = load_layout(layout).bus
-        links = {lines[number].name: link for number, link in open_links(load_layout(layout), options).items()}
+        links = {
+            lines[number].name: link
+            for number, link in open_links(load_layout(layout), options, sends=not listen).items()
+        }
         rates = {line.name: line.bitrate for line in lines}
     elif options.channel:
-        links = {name: open_link(options.interface, name, bitrate, name="scan") for name in options.channel}
+        links = open_channels(options, bitrate, data_bitrate, name="scan", sends=not listen)
         rates = dict.fromkeys(links, bitrate)
     else:
         raise InputError("expected -c with the channels of the buses, or --layout")
     try:
         say("scan", f"listening for {seconds:g} s")
+        for link in links.values():
+            link.receive()  # what came while later links were opened
         now_s = time.monotonic()
         scans = {
             name: Scan(link.send, rates[name], now_s, listen_s=seconds, asks=not listen) for name, link in links.items()
@@ -91,7 +101,10 @@ def scan(
 def _run(links: dict[str, Link], scans: dict[str, Scan], stop: StopSignal) -> None:
     while not all(each.done for each in scans.values()):
         if stop.is_set():
-            raise RunError("stopped before the scan was done")
+            say("scan", "stopped before the scan was done: what was heard until now")
+            for each in scans.values():
+                each.stop(time.monotonic())
+            return
         select.select([*links.values()], [], [], TURN_S)
         for name, link in links.items():
             scans[name].take(link.receive(), time.monotonic())
@@ -116,7 +129,7 @@ def _show(found: dict[str, Any]) -> None:
             each["state"] or "-",
             *(_hex(each[key]) for key in ("device_type", "vendor_id", "product_code", "revision")),
             "-" if each["serial_number"] is None else each["serial_number"],
-            each["device_name"] or "-",
+            each["device_name"] or ("busy: another master asks it" if each["is_busy"] else "-"),
             ", ".join(each["heard"]),
         ]
         for each in found["nodes"]
@@ -126,7 +139,7 @@ def _show(found: dict[str, Any]) -> None:
     print()
     table = [
         [
-            f"{each['cob_id']:0{8 if each['is_extended'] else 3}X}h",
+            identifier_text(each["cob_id"], is_extended=each["is_extended"]),
             each["meaning"],
             each["frames"],
             f"{each['rate_hz']:.2f}",
@@ -141,6 +154,10 @@ def _show(found: dict[str, Any]) -> None:
     print(f"{found['bus']}: {sync}{who}")
     if len(producers) > 1:
         print(f"{found['bus']}: a bus has one SYNC producer: clear bit 30 of 1005h in the others")
+    elif producers and found["sync_rate_hz"]:
+        print(
+            f"{found['bus']}: if a gateway runs there, both produce SYNC: clear bit 30 of 1005h in node {producers[0]}"
+        )
 
 
 def _hex(value: int | None) -> str:

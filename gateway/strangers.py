@@ -4,8 +4,9 @@ from collections.abc import Callable
 from typing import Final
 
 from dbc import indices as od
-from dbc.canopen import BASE_ID_MASK, SDO_BYTES, SYNC_COB_ID
-from gateway.sdo import Dialogue, Read, SdoDialogue
+from dbc.canopen import BASE_ID_MASK, SYNC_COB_ID
+from gateway.questions import Questions
+from gateway.sdo import Dialogue, Read
 from skin.ranges import ranges_text
 
 #: Bit 30 of 1005h: the node produces SYNC (CiA 301, 7.5.2.5).
@@ -29,12 +30,11 @@ class Strangers:
     """
 
     def __init__(self, send: Callable[[int, bytes], None]) -> None:
-        self._send = send
+        self._questions = Questions(_ask, send)
         self._known: set[int] = set()
-        self._left: list[int] = []
-        self._asked: tuple[int, SdoDialogue] | None = None
         self._again_s = float("-inf")
         self._producers: set[int] = set()
+        self._told = ""
 
     @property
     def words(self) -> str:
@@ -48,35 +48,31 @@ class Strangers:
         """Take note of a heartbeat."""
         self._known.add(node_id)
 
-    def answered(self, node_id: int, data: bytes, now_s: float) -> None:
-        """Take an SDO response."""
-        if self._asked is not None and self._asked[0] == node_id and len(data) == SDO_BYTES:
-            self._asked[1].take(data, now_s)
+    def take(self, base: int, node_id: int, data: bytes, now_s: float) -> None:
+        """Use a frame whose identifier is `base` + `node_id`, of a device or of another master."""
+        self._questions.take(base, node_id, data, now_s)
 
     def find_producers(self, now_s: float) -> None:
         """Ask all devices, one after another, if that was not done a short while ago."""
-        if now_s >= self._again_s and self._asked is None:
+        if now_s >= self._again_s and self._questions.done:
             self._again_s = now_s + AGAIN_S
-            self._left = sorted(self._known)
+            self._questions.ask(sorted(self._known))
 
     def tick(self, now_s: float) -> bool:
-        """Go on with the questions; tell whether the last answer has just come or been missed."""
-        if self._asked is not None:
-            node_id, dialogue = self._asked
-            dialogue.tick(now_s)
-            if not dialogue.done:
-                return False
+        """Go on with the questions; tell whether the last has just ended with new `words`."""
+        if self._questions.done:
+            return False
+        for node_id, dialogue in self._questions.tick(now_s).items():
             self._producers.discard(node_id)
             if dialogue.result is True:
                 self._producers.add(node_id)
-            self._asked = None
-            if not self._left:
-                return True
-        if self._left:
-            node_id = self._left.pop(0)
-            self._asked = node_id, SdoDialogue(node_id, _ask(), self._send, now_s, attempts=1)
-        return False
+        if not self._questions.is_open:
+            self._questions.begin(now_s)
+        if not self._questions.done or self.words == self._told:
+            return False
+        self._told = self.words
+        return True
 
 
-def _ask() -> Dialogue:
+def _ask(_node_id: int) -> Dialogue:
     return produces_sync(int.from_bytes((yield Read(od.SYNC_COB_ID)), "little"))

@@ -131,3 +131,10 @@ def test_options_of_controllers_want_the_timing(skin: Skin) -> None:
     status, _, said = skin("plan", "--bus-length-m", "5")
     assert status == 2
     assert "are for --timing" in said
+
+
+@pytest.mark.parametrize("other", ["--check", "--plot"])
+def test_timing_is_not_combined_with_what_it_would_ignore(skin: Skin, other: str) -> None:
+    status, _, said = skin("plan", "fd", "--timing", other, "nothing")
+    assert (status, said.count("\n")) == (2, 1)
+    assert "expected --timing, --check or --plot" in said

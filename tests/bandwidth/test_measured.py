@@ -10,7 +10,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from bandwidth.departures import departures, sync
+from bandwidth.departures import departures, foreign, sync
 from bandwidth.measured import Identifiers, measure, misfits, planned_rates, whole_cycles
 from bandwidth.plan import BusPlan, plan
 from bus.simulated_bus import SimulatedBus
@@ -18,6 +18,7 @@ from canskin.errors import InputError
 from dbc.contract import Contract
 from dbc.frame import BRS, ERROR, EXTENDED, FD, REMOTE, Frames, frames
 from skin.layout import Layout, load_layout
+from tests.gateway.drives import shared_contract
 from tests.layouts import alternating, buses, small_layout
 
 CYCLES = 200
@@ -362,3 +363,15 @@ def test_the_first_tpdo_of_the_first_bus_is_one_like_the_others(contract: Contra
     assert Identifiers(contract, 0).kind_of(0x181) == ("TPDO", 1)
     seen = made((0x181, 0), (0x182, 1), (0x7F0, 2))
     assert Identifiers(contract, 0).is_right(seen).tolist() == [True, True, False]
+
+
+def test_a_message_of_another_device_may_have_the_name_of_a_service() -> None:
+    table = {"name": "EMCY", "identifier": 0x0C0, "period_s": 0.01}
+    contract = shared_contract(foreign=[table])
+    seen = made(*((0x0C0, 10.0 * number) for number in range(50)))
+    load = measure(contract, 0, seen, plan(contract)[0])
+    assert [(each.kind, each.message) for each in load.identifiers] == [("other device", "EMCY")]
+    assert list(foreign(load)) == []
+    often = made(*((0x0C0, 5.0 * number) for number in range(50)))
+    (line,) = foreign(measure(contract, 0, often, plan(contract)[0]))
+    assert line.startswith("'EMCY' of another device comes 200.00 times a second")

@@ -6,7 +6,8 @@ from typing import Any
 import pytest
 
 from bus import options
-from bus.options import BusOptions, channels, open_links
+from bus.interface import Controller, Interface, Mode, Timing
+from bus.options import BusOptions, channels, open_channels, open_links
 from canskin.errors import InputError
 from skin.layout import Layout
 from tests.layouts import buses, small_layout
@@ -83,3 +84,28 @@ def test_options_of_the_interface_have_the_types_of_python_can(monkeypatch: pyte
     assert links[0].rest["options"] == typed
     with pytest.raises(InputError, match="NAME=VALUE, got 'auto_reset'"):
         open_links(layout_of("only"), BusOptions("slcan", ["x"], ["auto_reset"]))
+
+
+@pytest.mark.parametrize(
+    ("interface", "data_bitrate", "is_fd"),
+    [("socketcan", None, True), ("pcan", None, False), ("pcan", 5_000_000, True), ("canskin", 5_000_000, True)],
+)
+def test_channels_without_a_layout_are_can_fd_where_the_interface_is(
+    interface: str, data_bitrate: int | None, is_fd: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(options, "open_link", lambda *place, **rest: Opened(*place, rest))
+    # The loopback's MTU is larger than a frame of CAN FD.
+    links: dict[str, Any] = open_channels(BusOptions(interface, ["lo"], ["a=1"]), 500_000, data_bitrate, name="scan")
+    assert links["lo"].rest["fd"] == is_fd
+    assert links["lo"].bitrate == 500_000
+
+
+def test_an_interface_of_socketcan_is_opened_with_its_own_rates(monkeypatch: pytest.MonkeyPatch) -> None:
+    device = Controller(Timing(250_000, 0.875), Timing(2_000_000, 0.75), None, Mode(0), None, None)
+    about = Interface("can", True, True, 72, 10, device)
+    monkeypatch.setattr("bus.interface.read_interface", lambda _channel: about)
+    monkeypatch.setattr(options, "open_link", lambda *place, **rest: Opened(*place, rest))
+    links: dict[str, Any] = open_channels(BusOptions("socketcan", ["can0"]), 1_000_000, None, name="scan", sends=False)
+    link = links["can0"]
+    assert (link.bitrate, link.rest["data_bitrate"], link.rest["fd"]) == (250_000, 2_000_000, True)
+    assert link.rest["sends"] is False

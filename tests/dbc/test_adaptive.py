@@ -118,7 +118,7 @@ def test_identifiers_belong_to_one_frame_and_go_from_urgent_to_fine(groups: int,
     nodes = IDENTIFIERS // len(firsts)
     kinds = [*[(level, False) for level in range(LEVELS)], *[(level, True) for level in range(FINE_LEVELS)]]
     for node, group, (level, is_fine) in product(range(nodes), firsts, kinds):
-        found[cob_id(node, level, group, is_fine, groups)] = (node + 1, level, group, is_fine)
+        found[cob_id(node, level, group, is_fine, groups)] = (node, level, group, is_fine)
     assert sorted(found) == list(range(FIRST_COB_ID, 0x581))
     assert all(frame_of(identifier, groups=groups, is_fd=is_fd) == frame for identifier, frame in found.items())
     # Any news before any of a lower level, and before all details, whichever the node.

@@ -45,7 +45,7 @@ def test_every_frame_of_a_bus_has_an_identifier_of_its_own(contract: Contract) -
     assert sorted(identifiers) == list(range(0x181, 0x581))
     for node in contract.on_bus(2):
         for tpdo in node.adaptive_tpdos:
-            assert frame_of(tpdo.cob_id, groups=GROUPS) == (node.node_id, tpdo.level, tpdo.group, tpdo.is_fine)
+            assert frame_of(tpdo.cob_id, groups=GROUPS) == (node.node_id - 1, tpdo.level, tpdo.group, tpdo.is_fine)
 
 
 def test_coarse_frames_go_first_and_the_most_urgent_of_them(contract: Contract) -> None:

@@ -31,7 +31,7 @@ def test_every_frame_of_127_nodes_has_an_identifier_of_its_own() -> None:
     assert len({tpdo.cob_id for _, tpdo in tpdos}) == 8 * 127
     assert all(0x181 <= tpdo.cob_id < 0x580 for _, tpdo in tpdos)
     for node, tpdo in tpdos:
-        assert frame_of(tpdo.cob_id, groups=GROUPS, is_fd=True) == (node.node_id, tpdo.level, 0, tpdo.is_fine)
+        assert frame_of(tpdo.cob_id, groups=GROUPS, is_fd=True) == (node.node_id - 1, tpdo.level, 0, tpdo.is_fine)
     order = [(tpdo.is_fine, -tpdo.level, node.node_id) for node, tpdo in sorted(tpdos, key=lambda each: each[1].cob_id)]
     assert order == sorted(order)
 

@@ -82,12 +82,12 @@ def test_a_scan_lists_drives_and_boards_with_identities_states_and_rates() -> No
     assert set(scan.nodes) == {*DRIVES, *range(33, 49)}
     drive, board = scan.nodes[3], scan.nodes[40]
     assert (drive.state, drive.device_type, drive.serial_number, drive.device_name) == (
-        "OPERATIONAL",
+        "operational",
         0x20192,
         1003,
         "axis",
     )
-    assert (board.state, board.product_code, board.serial_number) == ("OPERATIONAL", 0x534B494E, 8)
+    assert (board.state, board.product_code, board.serial_number) == ("operational", 0x534B494E, 8)
     assert [each.node_id for each in scan.nodes.values() if each.produces_sync] == [OTHER_PRODUCER]
     rates_hz = {each.cob_id: each.rate_hz for each in scan.identifiers}
     assert scan.sync_rate_hz == pytest.approx(100, abs=4)

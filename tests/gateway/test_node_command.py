@@ -1,6 +1,7 @@
 """``skin node check``: its errors and its report."""
 
 import sys
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -21,6 +22,17 @@ from shell.command import main
         (["check", "--node", "1", "--bus", "can7"], "bus3, got 'can7'"),
         (["check", "--node", "33", "--bus", "bus0"], "expected a node-ID of bus0, 1-32, got 33"),
         (["test", "--node", "1"], '"check"'),
+        (
+            ["get", "1018h", "--node", "1", "--live", "3", "--out", "a.csv"],
+            "expected --live and --out with 'skin node check'",
+        ),
+        (["set", "1017h=1", "--node", "1", "--wiring", "a.mcap"], "expected --wiring with 'skin node check' alone"),
+        (["objects", "--node", "1", "--path", "a.csv"], "got 'skin node objects'"),
+        (["check", "--node", "1", "--out", "a.csv"], "expected one of --wiring and --live, got --out"),
+        (
+            ["check", "--wiring", "a.mcap", "--live", "3"],
+            "expected one of --wiring and --live, got --wiring and --live",
+        ),
     ],
 )
 @pytest.mark.filterwarnings("ignore:Cyclopts application invoked without tokens")
@@ -36,14 +48,30 @@ def test_wrong_input_is_one_line_and_exit_code_2(
     assert len(shown.err.splitlines()) == 1
 
 
-def test_a_single_channel_is_that_of_the_bus(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(
+    ("arguments", "channel"),
+    [
+        (["check", "--node", "1", "--bus", "bus2"], "nothing9"),
+        (["get", "1018h", "--node", "1", "--bus", "bus2"], "nothing9"),
+        (["get", "1000h", "--node", "1", "--eds", "drive.eds"], "nothing7"),
+    ],
+)
+def test_a_bus_has_the_channel_that_the_gateway_gives_it(
+    arguments: list[str],
+    channel: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
 ) -> None:
-    arguments = ["check", "--node", "1", "--bus", "bus2", "-i", "socketcan", "-c", "nothing7"]
-    monkeypatch.setattr(sys, "argv", ["skin", "node", *arguments])
+    monkeypatch.chdir(tmp_path)
+    lines = (
+        "[DeviceInfo] [MandatoryObjects] SupportedObjects=1 1=0x1000 [1000] ParameterName=Type ObjectType=7 DataType=7"
+    )
+    Path("drive.eds").write_text(f"{lines} AccessType=ro".replace(" ", "\n"))
+    monkeypatch.setattr(sys, "argv", ["skin", "node", *arguments, "-i", "socketcan", "-c", "nothing7"])
     with pytest.raises(SystemExit):
         main()
-    assert "nothing7" in capsys.readouterr().err
+    assert channel in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -121,7 +121,8 @@ def sums_of(sent: Frames) -> Frames:
 
 
 def meanings(sent: Frames) -> list[tuple[int, int, int, bool]]:
-    return [frame_of(int(one["can_id"]), groups=GROUPS, is_fd=bool(one["flags"] & FD)) for one in sent]
+    found = (frame_of(int(one["can_id"]), groups=GROUPS, is_fd=bool(one["flags"] & FD)) for one in sent)
+    return [(column + 1, level, group, is_fine) for column, level, group, is_fine in found]
 
 
 def back(sent: Frames, flags: int) -> Frames:

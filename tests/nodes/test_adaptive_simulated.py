@@ -36,7 +36,7 @@ def test_the_touched_node_of_the_bus_sends_what_a_receiver_needs() -> None:
     touched = CONTRACT.on_bus(1)[0]
     source = OnePatch(CONTRACT, touched.block)
     sent = touched_frames(CONTRACT, 1, source, 0.6, seed=1)
-    assert {frame_of(int(each["can_id"]), groups=GROUPS)[0] for each in sent} == {touched.node_id}
+    assert {frame_of(int(each["can_id"]), groups=GROUPS)[0] for each in sent} == {touched.node_id - 1}
     assert (np.diff(sent["time_ns"]) > 0).all()
     assert (sent["time_ns"] % 100_000_000 > 2_000_000).all()  # none begins in the pause after a SYNC
     # A step of the touch lasts 10 ms, and the force grows in the step before.

@@ -68,7 +68,7 @@ def test_messages_of_two_buses_are_written_and_read(tmp_path: Path) -> None:
         ([message(period_s=0)], "period_s"),
         ([message(identifier=0x80)], "two SYNC producers on can0, 'drive' and the gateway"),
         ([message(identifier=0x182)], "'drive' and TPDO 1 of node 2 have the same identifier 182h on can0"),
-        ([message(identifier=0x701)], "'drive' and the heartbeat of node 1 have the same identifier 701h"),
+        ([message(identifier=0x701)], "'drive' and heartbeat of node 1 have the same identifier 701h"),
         ([message(identifier=0x000)], "'drive' and NMT"),
     ],
 )
