@@ -7,6 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from canskin.messages import NmtState as NmtState  # noqa: PLC0414 - re-exported
+from skin.foreign import BASE_ID_MAX, EXTENDED_ID_MAX
 
 #: Predefined connection set (CiA 301, 7.3.5): COB-IDs, and bases to which a node adds its node-ID.
 NMT_COB_ID: Final = 0x000
@@ -64,8 +65,8 @@ COB_ID_NO_RTR: Final = 0x4000_0000
 #: Bit 29 of a COB-ID object: 29-bit identifier.
 COB_ID_EXTENDED: Final = 0x2000_0000
 #: The 11-bit and the 29-bit identifier within a COB-ID object.
-BASE_ID_MASK: Final = 0x7FF
-EXTENDED_ID_MASK: Final = 0x1FFF_FFFF
+BASE_ID_MASK: Final = BASE_ID_MAX
+EXTENDED_ID_MASK: Final = EXTENDED_ID_MAX
 
 #: Highest cyclic synchronous transmission type, and highest value of 1019h (CiA 301, 7.5.2.38 and 7.5.2.22).
 LAST_SYNCHRONOUS: Final = 240

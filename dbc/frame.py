@@ -5,6 +5,8 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from skin.foreign import CLASSIC_MAX, FD_ONLY_LENGTHS
+
 #: 29-bit identifier (ISO 11898-1, extended format).
 EXTENDED: Final = 0x01
 #: Remote frame.
@@ -19,10 +21,10 @@ ESI: Final = 0x20
 ECHO: Final = 0x40
 
 #: Longest payload of a classic CAN and of a CAN FD frame.
-CLASSIC_BYTES: Final = 8
-FD_BYTES: Final = 64
+CLASSIC_BYTES: Final = CLASSIC_MAX
+FD_BYTES: Final = FD_ONLY_LENGTHS[-1]
 #: Payload bytes of a CAN FD frame, by DLC (ISO 11898-1:2015, table 5).
-FD_LENGTHS: Final = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
+FD_LENGTHS: Final = (*range(CLASSIC_MAX + 1), *FD_ONLY_LENGTHS)
 
 #: One frame: `time_ns` end of frame (of a frame to send: earliest start), `expires_ns` latest start of a frame to send
 #: (0: no limit), `length` in bytes (not DLC), `port` number of the sending controller on this connection, `data` padded

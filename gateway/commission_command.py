@@ -132,6 +132,6 @@ def _show(found: dict[str, Any]) -> None:
     for text in found["strangers"]:
         print(f"{found['bus']}: {text}")
     if found["error_frames"]:
-        print(f"{found['bus']}: {found['error_frames']} error frames: has a board another bit rate (--bitrate)?")
+        print(f"{found['bus']}: {found['error_frames']} error frames: bit rate (--bitrate), wiring, or no board?")
     complete = sum(each["complete"] for each in found["boards"])
     print(f"{found['bus']}: {complete} of {len(found['boards'])} boards are complete")

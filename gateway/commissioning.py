@@ -44,9 +44,7 @@ GAP_S: Final = 0.002
 PATIENCE_S: Final = 2.0
 #: Longest time in which a board resets its communication.
 RESET_S: Final = 0.2
-#: Attempts of a fastscan in which boards come or go.
-SCANS: Final = 3
-#: Error code of a board that does not know the service; others failed.
+#: Error code of a board that does not know the service or the value; others failed.
 _NOT_SUPPORTED: Final = 1
 
 _Address = tuple[int, int, int, int]
@@ -327,10 +325,10 @@ class Commissioning:
     def _others(self) -> _Steps:
         """Find the boards without node-ID that are left: of another revision, or strangers."""
         found: dict[_Address, int] = {}
-        while (scanned := (yield from self._fastscan())) is not None:
-            address, count = scanned
-            found[address] = found.get(address, 0) + count
-        yield from self._all_waiting()
+        if (yield _scan(0, FASTSCAN_ALL, 0, 0)):
+            yield from self._fastscan((), found)
+            if not found:
+                self.strangers.append("boards without node-ID answer, but the fastscan finds none: run it again")
         device = self._contract.layout.device
         for address, count in found.items():
             vendor, product, revision, serial = address
@@ -429,36 +427,30 @@ class Commissioning:
             raise _TroubleError(f"refuses {what}: {why}")
         return came[0]
 
-    def _fastscan(self) -> Generator[_Step, _Answer, tuple[_Address, int] | None]:
-        """Find a board without node-ID, which then is in the state LSS configuration; return its address.
+    def _fastscan(self, path: tuple[int, ...], found: dict[_Address, int]) -> _Steps:
+        """Find the addresses that begin with the numbers `path`, of boards without node-ID, and count their boards.
 
-        And the number of boards with this address. What the contract expects is asked first.
+        No board changes its state: in LSS configuration CANopenNode would answer every request of a fastscan.
         """
-        device = self._contract.layout.device
-        expected = device.vendor_id, device.product_code, REVISION
-        for _ in range(SCANS):
-            if not (yield _scan(0, FASTSCAN_ALL, 0, 0)):
-                return None
-            address: list[int] = []
-            count = 0
-            for place in range(4):
-                following = (place + 1) % 4
-                if place < len(expected) and (yield _scan(expected[place], 0, place, following)):
-                    address.append(expected[place])
-                    continue
-                number = 0
-                for bit in reversed(range(32)):
-                    if not (yield _scan(number, bit, place, place)):
-                        number |= 1 << bit
-                count = len((yield _scan(number, 0, place, following)))
-                if not count:
-                    break
-                address.append(number)
+        place, begun = len(path), [(0, 32)]
+        yield _scan(0, FASTSCAN_ALL, 0, 0)
+        for before, number in enumerate(path):
+            yield _scan(number, 0, before, before + 1)
+        numbers: dict[int, int] = {}
+        while begun:
+            high, bits = begun.pop()
+            for number in (high | 1 << bits - 1, high):
+                count = len((yield _scan(number, bits - 1, place, place)))
+                if count and bits > 1:
+                    begun.append((number, bits - 1))
+                elif count:
+                    numbers[number] = count
+        for number, count in numbers.items():
+            if place == 3:
+                vendor, product, revision = path
+                found[vendor, product, revision, number] = count
             else:
-                vendor, product, revision, serial = address
-                return (vendor, product, revision, serial), count
-        self.strangers.append("boards without node-ID answer, but no fastscan finds one: run skin commission again")
-        return None
+                yield from self._fastscan((*path, number), found)
 
     def _place(self, node: NodeContract) -> str:
         return f"{self._contract.layout.bus[node.bus].name}, node {node.node_id} (block {node.block})"

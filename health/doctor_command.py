@@ -3,9 +3,9 @@
 import ctypes
 import os
 import re
-import resource
 import select
 import struct
+import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -75,6 +75,8 @@ def doctor(
     skin doctor time --layout palm.toml --seconds 60 --json
     """
     del subject  # cyclopts refuses any other
+    if sys.platform != "linux":
+        raise InputError(f"expected Linux, got {sys.platform}: run 'skin doctor time' on the gateway's host")
     if not 0 < seconds <= SECONDS_MAX:
         raise InputError(f"--seconds: expected above 0 to {SECONDS_MAX:g} s, got {seconds:g}")
     period_s = load_layout(layout).sync.period_s
@@ -142,6 +144,8 @@ def settings(scheduling: str) -> list[Setting]:
 
 
 def _right(scheduling: str) -> Setting:
+    import resource  # of Unix alone
+
     limit = resource.getrlimit(resource.RLIMIT_RTPRIO)[0]
     found = re.search(r"^CapEff:\s*(\w+)", _read("/proc/self/status"), re.MULTILINE)
     capabilities = int(found[1], 16) if found else 0

@@ -12,8 +12,8 @@ from canskin.errors import LayoutError
 BASE_ID_MAX: Final = 0x7FF
 EXTENDED_ID_MAX: Final = 0x1FFF_FFFF
 #: Payloads of CAN FD beyond those of classic CAN, bytes (ISO 11898-1).
-_LONGER: Final = (12, 16, 20, 24, 32, 48, 64)
-_CLASSIC_MAX: Final = 8
+FD_ONLY_LENGTHS: Final = (12, 16, 20, 24, 32, 48, 64)
+CLASSIC_MAX: Final = 8
 
 
 class ForeignMessage(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -26,7 +26,7 @@ class ForeignMessage(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     name: Annotated[str, msgspec.Meta(min_length=1, max_length=128)]
     identifier: Annotated[int, msgspec.Meta(ge=0, le=EXTENDED_ID_MAX)]
     is_extended: bool = False
-    length: Annotated[int, msgspec.Meta(ge=0, le=_LONGER[-1])] = _CLASSIC_MAX
+    length: Annotated[int, msgspec.Meta(ge=0, le=FD_ONLY_LENGTHS[-1])] = CLASSIC_MAX
     fd: bool = False
     period_s: Annotated[float, msgspec.Meta(ge=1e-4, le=86_400.0)] | None = None
     # The .dbc that names the message; it fills this in.
@@ -88,8 +88,9 @@ def check_foreign(messages: Sequence[ForeignMessage], path: str, *, is_fd: bool)
             raise LayoutError(f"{limit}, got {each.identifier} for {each.label} - {place}")
         if each.fd and not is_fd:
             raise LayoutError(f"{each.label} is CAN FD: the bus needs `fd = true` - {place}")
-        if each.length > _CLASSIC_MAX and not (each.fd and each.length in _LONGER):
-            limits = f"expected a length of 0 to {_CLASSIC_MAX}, or with `fd = true` of {', '.join(map(str, _LONGER))}"
+        if each.length > CLASSIC_MAX and not (each.fd and each.length in FD_ONLY_LENGTHS):
+            longer = ", ".join(map(str, FD_ONLY_LENGTHS))
+            limits = f"expected a length of 0 to {CLASSIC_MAX}, or with `fd = true` of {longer}"
             raise LayoutError(f"{limits}, got {each.length} for {each.label} - {place}")
         for key, what in ((each.key, f"identifier {each.identifier:X}h"), (each.name, "name")):
             if (other := known.setdefault(key, each)) is not each:

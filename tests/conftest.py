@@ -13,7 +13,10 @@ from tests.processes import free_endpoint
 #: The folder whose tests compile most of the kernels.
 KERNELS: Final = "tests/reconstructor/"
 #: Whole chains: their services keep time, so they run one after the other and before other tests.
-CHAINS: Final = ("tests/system/", "tests/deploy/test_units.py", "tests/views/page/test_browser.py")
+CHAINS: Final = (
+    *("tests/system/", "tests/deploy/test_units.py", "tests/gateway/test_adapters.py"),
+    "tests/views/page/test_browser.py",
+)
 #: Other tests get a quarter of a core that a chain wants, too.
 NICE: Final = 5
 

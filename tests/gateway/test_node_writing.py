@@ -10,6 +10,7 @@ import pytest
 from dbc.contract import Contract
 from gateway.nmt_master import NmtMaster
 from gateway.node_writing import NodeWriting
+from gateway.proof import Known
 from gateway.sdo import SdoDialogue, Write
 from skin.layout import load_layout
 from tests.layouts import buses, small_contract
@@ -19,7 +20,7 @@ class Master:
     """Takes questions, and answers as the test says."""
 
     def __init__(self, node_ids: list[int]) -> None:
-        self.nodes = {each: SimpleNamespace(errand=None) for each in node_ids}
+        self.nodes = {each: SimpleNamespace(errand=None, known=Known(())) for each in node_ids}
         self.asked: list[int] = []
         self.is_free = True
 

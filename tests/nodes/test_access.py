@@ -8,13 +8,18 @@ from canopen import SdoAbortedError
 
 from dbc import indices as od
 from dbc.contract import Contract
-from nodes.access import check_write, is_allowed
+from nodes.access import _VALUES, _first_block, check_write
 from nodes.segment import Segment
 from skin.layout import load_layout
 from tests.nodes.helpers import ArrayLink, new_segment, write
 
 VALUE, STATE, PDO_LENGTH, NOT_MAPPABLE = 0x0609_0030, 0x0800_0022, 0x0604_0042, 0x0604_0041
 NOT_STORED, INCOMPATIBLE, NO_SUBINDEX = 0x0800_0020, 0x0604_0043, 0x0609_0011
+
+
+def is_allowed(index: int, value: float) -> bool:
+    rule = _VALUES.get(_first_block(index))
+    return rule is None or rule(value)
 
 
 @pytest.mark.parametrize(

@@ -116,7 +116,7 @@ def test_chosen_nodes_join_their_buses_and_the_fabric(
     assert parts.fabric[0] == (contract.layout.name, "nodes", "tcp/far:7")
     assert parts.fabric[1]["fingerprint"] == contract.phi.fingerprint
     assert parts.service[2] == {1: {2}, 3: {1, 2}}
-    assert parts.named == {"store": store, "firmware": None}
+    assert parts.named == {"store": store, "unnumbered": False, "firmware": None}
     assert store.is_dir()
     assert sorted(parts.closed) == ["bus1", "bus3", "fabric"]
     assert capsys.readouterr().err == "nodes: 3 nodes on 2 buses\n"
@@ -175,16 +175,16 @@ def test_the_first_seed_is_0_and_noise_may_be_none(parts: Parts) -> None:
 def test_boards_in_c_are_those_of_the_chosen_nodes(parts: Parts, monkeypatch: pytest.MonkeyPatch) -> None:
     compiled: list[tuple[Contract, list[tuple[int, int]]]] = []
 
-    def firmware(contract: Contract, nodes: list[NodeContract], *, store: Path | None) -> str:
-        assert store is None
+    def firmware(contract: Contract, nodes: list[NodeContract], *, store: Path | None, unnumbered: bool) -> str:
+        assert (store, unnumbered) == (None, True)
         compiled.append((contract, [(node.bus, node.node_id) for node in nodes]))
         return "compiled"
 
     monkeypatch.setattr(command, "Firmware", firmware)
-    boards = parts.run(TouchOptions(["cup"]), only=["bus1:2-3", "bus3:1"], firmware=True, noise_n=0.0)
+    boards = parts.run(TouchOptions(["cup"]), only=["bus1:2-3", "bus3:1"], firmware=True, unnumbered=True, noise_n=0.0)
     assert isinstance(boards, CountSampler)
     assert compiled == [(parts.service[0], [(1, 2), (1, 3), (3, 1)])]
-    assert parts.named == {"store": None, "firmware": "compiled"}
+    assert parts.named == {"store": None, "unnumbered": True, "firmware": "compiled"}
     # The default skin samples ten times in each period of 10 ms.
     assert boards.sample(1, 0).shape == (10, 4096)
 
