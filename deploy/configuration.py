@@ -6,7 +6,6 @@ CAN interfaces for systemd-networkd, names that stay and queues for udev, and th
 
 import argparse
 import re
-import shlex
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -166,15 +165,17 @@ def host_path(given: str, root: str) -> tuple[str, bool]:
     return f"/etc/canskin/{path.stem}.toml", True
 
 
-def check_kept(kept: Path, layout: Layout, where: str, names: Sequence[str]) -> None:
+def check_kept(kept: Path, where: str, names: Sequence[str]) -> None:
     """Refuse an environment that stays, for it was changed by hand, and is of another layout or other interfaces."""
-    given = dict(re.findall(r"^(SKIN_\w+)=(.*)$", kept.read_text(), re.MULTILINE))
-    words = shlex.split(given.get("SKIN_gateway", ""))
-    flags = [place for place, word in enumerate(words) if word in {"-c", "--channel"}]
+    lines = re.findall(r"^(SKIN_\w+)=(.*)$", kept.read_text(errors="replace"), re.MULTILINE)
+    given = {name: value.strip("\"' ") for name, value in lines}  # systemd.exec(5) allows quotes
+    words = given.get("SKIN_gateway", "").split()
+    # Another interface of python-can, such as slcan, is the user's own.
+    flags = [place for place, word in enumerate(words) if word in {"-c", "--channel"} and "socketcan" in words]
     there = list(takewhile(lambda word: not word.startswith("-"), words[flags[0] + 1 :])) if flags else list(names)
     if given.get("SKIN_LAYOUT", where) != where:
         said, option = f"SKIN_LAYOUT={given['SKIN_LAYOUT']}, and the rest would be of {where}", "--layout"
-    elif channels(layout, BusOptions("socketcan", there)) != list(names):
+    elif there != names[:1] and there != list(names):
         said, option = f"-c {' '.join(there)}, and the rest would be of {' '.join(names)}", "--interface"
     else:
         return
@@ -208,7 +209,7 @@ def write(arguments: Sequence[str]) -> None:
     if unused := [each.name for each in adapters if each.name not in names]:
         raise InputError(f"--adapter {unused[0]}: expected a name of the interfaces, {', '.join(names)}")
     if given.kept is not None:
-        check_kept(given.kept, layout, where, names)
+        check_kept(given.kept, where, names)
     # A copy has what the layout takes from other files in itself.
     copies = [(where[1:], layout_text(layout))] if is_copied else []
     for path, text in [*files(layout, where, names, adapters, given.venv), *copies]:

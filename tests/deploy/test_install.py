@@ -248,6 +248,15 @@ def test_a_changed_environment_of_another_layout_is_refused(words: list[str], me
     assert files(tmp_path / "other") == set()
 
 
+def test_a_changed_environment_with_an_adapter_on_a_serial_line_stays(tmp_path: Path) -> None:
+    words = ["--layout", "fd", "--interface", "can0"]
+    configure(tmp_path, *words)
+    environment = tmp_path / "etc/canskin/skin.env"
+    environment.write_text(environment.read_text().replace("-i socketcan -c can0", "-i slcan -c /dev/ttyACM0"))
+    configure(tmp_path / "again", *words, "--kept", str(environment))
+    assert (tmp_path / "again/etc/canskin/skin.env").exists()
+
+
 def test_a_layout_goes_into_the_root_with_the_files_that_it_names(tmp_path: Path) -> None:
     (tmp_path / "drives.dbc").write_text('VERSION ""\nBO_ 1413 Answer: 8 Drive\n')
     (tmp_path / "palm.toml").write_text(layout_toml(bus=[{"name": "arm", "nodes": 2, "foreign_dbc": "drives.dbc"}]))
