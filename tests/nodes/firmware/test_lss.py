@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from nodes.firmware.library import Firmware
 from nodes.virtual_boards import VirtualBoards
 from tests.bus.harness import frame
-from tests.gateway.test_commissioning import Bench, Place, check_commissioning, complete, skin
+from tests.gateway.fresh_boards import Bench, Place, check_commissioning, complete, skin
 from tests.nodes.firmware.twins import needs_compiler, small_contract
 from tests.nodes.helpers import new_sampler
 
