@@ -23,7 +23,8 @@ class Ear:
 def listened(monkeypatch: pytest.MonkeyPatch, links: dict[int, Ear], seen: Any) -> tuple[Any, list[Any]]:
     told: list[Any] = []
 
-    def open_links(_layout: object, options: BusOptions, *, name: str) -> dict[int, Ear]:
+    def open_links(_layout: object, options: BusOptions, *, name: str, sends: bool) -> dict[int, Ear]:
+        assert not sends
         told.append((options.interface, name))
         return links
 

@@ -8,6 +8,7 @@ from hypothesis import event, given, settings
 from hypothesis import strategies as st
 
 from canskin.errors import LayoutError
+from dbc.adaptive import column_of
 from dbc.contract import Contract
 from dbc.frame import frame_bytes
 from gateway.adaptive_state import USED, new_sums, take_all
@@ -49,7 +50,8 @@ def received(contract: Contract, source: Slide) -> tuple[AdaptiveSums, int]:
     frames = 0
     for bus, line in enumerate(contract.layout.bus):
         mine = slice(contract.layout.first_block(bus), contract.layout.first_block(bus) + line.nodes)
-        of_bus, sent = sums.of(mine), touched_frames(contract, bus, source, SECONDS, seed=1)
+        columns = [column_of(each, groups, is_fd=line.fd) for each in line.ids]
+        of_bus, sent = sums.of(mine, columns), touched_frames(contract, bus, source, SECONDS, seed=1)
         take_all(frame_bytes(sent), False, law,
                  np.ones(line.nodes, np.bool_), of_bus, changed[mine], line.fd)  # fmt: skip
         assert of_bus.counts.tolist() == [len(sent), *[0] * 5], "every frame is used"

@@ -100,7 +100,7 @@ def test_the_states_are_shown_and_a_silent_node_ends_with_1(
     def run(order: NodeOrder, *_: object) -> None:
         order.take(frame(0x705, b"\x00"), 0.0)
 
-    monkeypatch.setattr(node_command, "_open", lambda *_: Link())
+    monkeypatch.setattr(node_command, "open_links", lambda *_, **__: {0: Link()})
     monkeypatch.setattr(node_command, "_run", run)
     assert node_command.node("reset", bus="bus0", node_id=5) == 0
     assert node_command.node("reset", bus="bus0", json=True) == 1

@@ -14,6 +14,8 @@ pytestmark = [
     pytest.mark.skipif(CHROMIUM is None, reason="NOT TESTED: the page in a browser, for want of chromium"),
 ]
 
+LOST = "dead: the gateway has lost its interface"
+
 
 def pixels(page: Browser, name: str) -> Any:
     """Colours in the middle of every taxel, shape (16, 16, 3)."""
@@ -121,10 +123,10 @@ def test_dead_skin_is_no_skin_without_contact(page: Browser, chain: Chain) -> No
 
 def test_dead_buses_are_named_and_get_no_sync(page: Browser, chain: Chain) -> None:
     silent = (255, 255, 255, 255)
-    chain.gateway = {"links": ("lost", "active"), "nmt": (silent, (5, 5, 5, 5))}
+    chain.gateway = {"links": ("lost", "active"), "nmt": (silent, (5, 5, 5, 5)), "troubles": (LOST, "")}
     page.until(lambda: "bus left dead" in page.text("#notices"), "no notice")
     assert "SYNC 100.0 Hz on 1 of 2 buses" in page.text("#rate")
-    chain.gateway = {"links": ("lost", "lost"), "nmt": (silent, silent)}
+    chain.gateway = {"links": ("lost", "lost"), "nmt": (silent, silent), "troubles": (LOST, LOST)}
     page.until(lambda: "SYNC reaches no bus" in page.text("#rate"), "SYNC went on")
     assert page.text("#buses .detail") == "dead: no node can be heard"
     assert page.ask("document.querySelectorAll('#buses .tile.unknown').length") == 8
@@ -170,7 +172,7 @@ def test_frozen_reconstructor_is_not_green_and_its_figures_go(page: Browser, cha
 
 def test_figures_of_a_dead_skin_go(page: Browser, chain: Chain) -> None:
     silent = (255, 255, 255, 255)
-    chain.gateway = {"links": ("lost", "lost"), "nmt": (silent, silent)}
+    chain.gateway = {"links": ("lost", "lost"), "nmt": (silent, silent), "troubles": (LOST, LOST)}
     chain.invalid = tuple(range(8))
     page.until(lambda: page.text("#rate .value") == page.text("#latency .value") == "–", "old figures stayed")
     page.until(lambda: page.text("#buses .load") == "–", "the load of a dead bus stayed")

@@ -202,12 +202,14 @@ def test_diagnostics_name_what_is_wrong(hub: Fabric, endpoint: str, messages: Me
     bridge = Bridge(messages.layout, fabric, node, "palm", clock_s=lambda: now_s[0])
     bridge.turn(0)
     topic.next()  # none was there yet
-    publish(hub, GATEWAY, messages.gateway(nmt=((5, 5, 255, 5), (5, 5, 5, 5)), links=("active", "bus_off")))
+    off = "dead: the gateway's controller is bus-off"
+    status = messages.gateway(nmt=((5, 5, 255, 5), (5, 5, 5, 5)), links=("active", "bus_off"), troubles=("", off))
+    publish(hub, GATEWAY, status)
     now_s[0] += 1.0
     bridge.turn(PATIENCE_S)
     skin, left, right = topic.next()[0].status
     assert (left.level, left.message) == (1, "1 of 4 nodes not operational")
-    assert (right.level, right.message) == (2, "the gateway's controller is bus_off")
+    assert (right.level, right.message) == (2, off)
     assert skin.level == 2
     assert "bus-off" in skin.message
     assert {each.key: each.value for each in left.values}["nodes not operational"] == "3"
