@@ -1,9 +1,8 @@
 """``skin commission``: gives the boards of a skin their node-IDs by LSS, and their configuration by SDO."""
 
-import select
 import time
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import Annotated, Any
 
 from cyclopts import Parameter
 
@@ -13,12 +12,10 @@ from canskin.errors import InputError
 from dbc.canopen import LSS_BIT_RATES_HZ
 from dbc.contract import Contract
 from gateway.commissioning import Commissioning
+from gateway.talk import take_turn
 from shell.service import StopSignal, say
 from shell.terminal import Json, print_json, print_table
 from skin.layout import load_layout
-
-#: Longest wait for frames in one turn.
-TURN_S: Final = 0.01
 
 
 def commission(
@@ -92,12 +89,9 @@ def _run(contract: Contract, links: dict[int, Link], runs: dict[int, Commissioni
     said: dict[tuple[int, int], str] = {}
     try:
         while not all(each.done for each in runs.values()) and not stop.is_set():
-            due_s = min(each.due_s for each in runs.values() if not each.done)
-            select.select([*links.values()], [], [], min(TURN_S, max(0.0, due_s - time.monotonic())))
-            for bus, link in links.items():
-                runs[bus].take(link.receive(), time.monotonic())
-                runs[bus].tick(time.monotonic())
-                for node_id, board in runs[bus].boards.items():
+            take_turn(links, runs)
+            for bus, run in runs.items():
+                for node_id, board in run.boards.items():
                     if board.is_touched and said.get((bus, node_id)) != board.text:
                         said[bus, node_id] = board.text
                         say("commission", f"{contract.layout.bus[bus].name}, node {node_id}: {board.text}")

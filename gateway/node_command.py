@@ -14,8 +14,8 @@ from bus.options import BusOptions, open_channels, open_links
 from canskin.errors import InputError, RunError
 from dbc.canopen import HIGHEST_NODE_ID, NmtCommand, state_text
 from dbc.contract import Contract, NodeContract
-from dbc.frame import Frames
 from gateway.node_check import NodeCheck, NodeReport
+from gateway.talk import TURN_S, Talk, take_turn
 from shell.output import write_file
 from shell.service import StopSignal, say
 from shell.terminal import Json, print_json, print_table
@@ -27,8 +27,6 @@ if TYPE_CHECKING:
     from gateway.node_objects import Entry
     from gateway.wiring import Finding
 
-#: Longest wait for frames in one turn.
-TURN_S: Final = 0.01
 #: NMT commands by the name of the action.
 _ORDERS: Final = {"reset": NmtCommand.RESET_NODE, "stop": NmtCommand.STOP, "start": NmtCommand.START}
 
@@ -336,14 +334,9 @@ def _bus_number(skin: Layout, name: str | None) -> int:
     return names.index(name)
 
 
-class _Talk(Protocol):
-    """A talk with a node: a check, or transfers."""
+class _Talk(Talk, Protocol):
+    """A talk with a node: a check, or transfers; `give_up` undoes what would stay."""
 
-    done: bool
-    due_s: float
-
-    def take(self, arrived: Frames, now_s: float) -> None: ...
-    def tick(self, now_s: float) -> None: ...
     def give_up(self) -> None: ...
 
 
@@ -352,9 +345,7 @@ def _run(check: _Talk, link: Link, stop: StopSignal) -> None:
         while not check.done:
             if stop.is_set():
                 raise RunError("stopped before the talk with the node was over")
-            select.select([link], [], [], min(TURN_S, max(0.0, check.due_s - time.monotonic())))
-            check.take(link.receive(), time.monotonic())
-            check.tick(time.monotonic())
+            take_turn({0: link}, {0: check})
     finally:
         if not check.done:
             check.give_up()

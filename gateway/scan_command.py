@@ -1,10 +1,9 @@
 """``skin scan``: lists what is on a bus."""
 
 import dataclasses
-import select
 import time
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import Annotated, Any
 
 from cyclopts import Parameter
 
@@ -13,12 +12,10 @@ from bus.options import BusOptions, open_channels, open_links
 from canskin.errors import InputError, RunError
 from dbc.canopen import identifier_text
 from gateway.scan import Scan
+from gateway.talk import take_turn
 from shell.service import StopSignal, say
 from shell.terminal import Json, print_json, print_table
 from skin.layout import BITRATE_MAX, load_layout
-
-#: Longest wait for frames in one turn.
-TURN_S: Final = 0.01
 
 
 def scan(
@@ -66,11 +63,9 @@ def scan(
     if layout is not None:
         if (bitrate or data_bitrate) is not None:
             raise InputError("expected --layout or --bitrate and --data-bitrate, got both: a layout has the rates")
-        lines = load_layout(layout).bus
-        links = {
-            lines[number].name: link
-            for number, link in open_links(load_layout(layout), options, sends=not listen).items()
-        }
+        skin = load_layout(layout)
+        lines = skin.bus
+        links = {lines[number].name: link for number, link in open_links(skin, options, sends=not listen).items()}
         rates = {line.name: line.bitrate for line in lines}
     elif options.channel:
         bitrate = bitrate or BITRATE_MAX
@@ -108,10 +103,7 @@ def _run(links: dict[str, Link], scans: dict[str, Scan], stop: StopSignal) -> No
             for each in scans.values():
                 each.stop(time.monotonic())
             return
-        select.select([*links.values()], [], [], TURN_S)
-        for name, link in links.items():
-            scans[name].take(link.receive(), time.monotonic())
-            scans[name].tick(time.monotonic())
+        take_turn(links, scans)
 
 
 def _about(name: str, scanned: Scan) -> dict[str, Any]:

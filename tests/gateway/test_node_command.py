@@ -9,7 +9,7 @@ import pytest
 
 from canskin.errors import InputError, RunError
 from dbc.frame import frames
-from gateway import node_command
+from gateway import talk
 from gateway.node_check import NodeReport
 from gateway.node_command import _bus_number, _run, _show
 from shell.command import main
@@ -150,8 +150,8 @@ def test_a_check_gets_the_frames_that_come_until_it_is_done(
 ) -> None:
     """A turn waits 10 ms at most, and not for what is due already."""
     waited_s: list[float] = []
-    monkeypatch.setattr(node_command, "select", SimpleNamespace(select=lambda *given: waited_s.append(given[3])))
-    monkeypatch.setattr(node_command, "time", SimpleNamespace(monotonic=lambda: 50.0))
+    monkeypatch.setattr(talk, "select", SimpleNamespace(select=lambda *given: waited_s.append(given[3])))
+    monkeypatch.setattr(talk, "time", SimpleNamespace(monotonic=lambda: 50.0))
     check, link = Check(2, due_s), SimpleNamespace(receive=lambda: "frames")
     _run(check, link, SimpleNamespace(is_set=lambda: False))  # type: ignore[arg-type]
     assert check.told == ["take frames at 50", "tick at 50"] * 2

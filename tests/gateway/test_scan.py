@@ -13,7 +13,7 @@ from bus import options
 from bus.link import Send
 from dbc.canopen import HEARTBEAT_BASE, SDO_REQUEST_BASE, SYNC_COB_ID
 from dbc.frame import Frames, frames
-from gateway import scan_command
+from gateway import scan_command, talk
 from gateway.scan import Scan
 from shell.command import main
 from tests.bus.harness import frame
@@ -86,8 +86,9 @@ def run_scan(monkeypatch: pytest.MonkeyPatch) -> Callable[..., int]:
         clock = Clock(turns)
         monkeypatch.setattr(options, "open_link", lambda *_, **__: link)
         monkeypatch.setattr(scan_command, "StopSignal", lambda: clock)
-        monkeypatch.setattr(scan_command, "time", clock)
-        monkeypatch.setattr(scan_command, "select", SimpleNamespace(select=lambda *_: None))
+        for module in (scan_command, talk):
+            monkeypatch.setattr(module, "time", clock)
+        monkeypatch.setattr(talk, "select", SimpleNamespace(select=lambda *_: None))
         monkeypatch.setattr(sys, "argv", ["skin", "scan", "-i", "socketcan", "-c", "can0", *arguments])
         with pytest.raises(SystemExit) as ended:
             main()
