@@ -15,7 +15,7 @@ ObjectNames = Annotated[
     list[str],
     Parameter(
         help="Names of the objects, see ``skin objects``, with spaces or commas between; ``paper`` for the paper's"
-        " sixteen; default: a series of five."
+        " sixteen; FILE@UNIT for your own mesh, for example ``cup.stl@mm``; default: a series of five."
     ),
 ]
 FullScale = Annotated[
