@@ -108,12 +108,12 @@ def test_an_own_object_has_the_unit_that_the_user_names(tmp_path: Path, unit: st
     assert object_label(name) == "block"
     assert made_of(name) == "block.stl"
     spheres = spheres_of(name)
-    assert size_m(name) == pytest.approx((0.06, 0.04), abs=2 * spheres.radii_m[0] + 1e-9)
+    assert size_m(name) == pytest.approx((0.06, 0.04), abs=2 * spheres.radii_m[0] + 1e-6)
     places = spheres.centres_m[:, :2]
     assert spheres.radii_m[0] <= 2 * LONGEST_EDGE_M
     assert len(places) > 60 * 40 / 4
     turned = spheres_of(f"{name}:z90:y90")
-    assert turned.footprint_m(0.01) == pytest.approx((0.03, 0.06), abs=2 * spheres.radii_m[0] + 1e-9)
+    assert turned.footprint_m(0.01) == pytest.approx((0.03, 0.06), abs=2 * spheres.radii_m[0] + 1e-6)
 
 
 def test_own_objects_that_cannot_be_used(tmp_path: Path) -> None:
