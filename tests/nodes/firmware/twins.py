@@ -14,7 +14,7 @@ from dbc.contract import Contract
 from dbc.frame import Frames, frames
 from nodes.electronics import Electronics
 from nodes.firmware.library import Firmware
-from nodes.sampler import CountSampler, Sampler
+from nodes.sampler import CountSampler, new_sampler
 from nodes.segment import Segment
 from nodes.virtual_boards import VirtualBoards
 from skin.layout import validated
@@ -98,26 +98,18 @@ class Twins:
         self.now_s = 100.0
         self.wires = Wire(), Wire()
         self.complaints: list[str] = []
-        layout = contract.layout
-        electronics = [
-            Electronics(
-                layout.taxels,
-                noise_n=noise_n,
-                period_s=layout.sync.period_s,
-                samples=layout.samples_per_sync,
-                blocks=blocks,
-                places=contract.phi.wired.taxels,
-            )
-            for blocks in (contract.phi.taxels_of_blocks, None)
-        ]
         nodes = contract.on_bus(bus)
-        sampler = Sampler(contract.phi, source or Rolling(contract), electronics[0])
-        counts = CountSampler(contract.phi, source or Rolling(contract), electronics[1])
-        virtual = VirtualBoards(contract, bus, {node.node_id for node in nodes}, sampler)
+        sums, readings = (
+            new_sampler(
+                contract.layout, contract.phi, source or Rolling(contract), makes_sums=makes_sums, noise_n=noise_n
+            )
+            for makes_sums in (True, False)
+        )
+        virtual = VirtualBoards(contract, bus, {node.node_id for node in nodes}, sums)
         compiled = Firmware(contract, nodes).boards(bus)
         complain = self.complaints.append
-        self.python = Segment(contract, bus, virtual, sampler, self.wires[0].send, complain=complain)
-        self.c = Segment(contract, bus, compiled, counts, self.wires[1].send, complain=complain)
+        self.python = Segment(contract, bus, virtual, sums, self.wires[0].send, complain=complain)
+        self.c = Segment(contract, bus, compiled, readings, self.wires[1].send, complain=complain)
         self.segments = self.python, self.c
         for segment in self.segments:
             segment.boot(self.now_s)
