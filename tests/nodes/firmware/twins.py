@@ -26,6 +26,12 @@ needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="NOT TEST
 small_contract = partial(layouts.small_contract, rate_hz=100.0)
 
 
+def analogue(sum_bits: int = 12, adc_bits: int = 12, **tables: Any) -> Contract:
+    """Return boards with a converter of `adc_bits` for each sum; `tables` are those of the file besides."""
+    taxels = {"frontend": "analogue", "adc_bits": adc_bits}
+    return small_contract(**{"taxels": taxels, "encoding": {"sum_bits": sum_bits}} | tables)
+
+
 def few_sums(bus: list[dict[str, Any]]) -> Contract:
     """Three sums of four blocks: one block has none."""
     layout = small_contract(bus=bus).layout
