@@ -12,7 +12,7 @@ from reconstructor.options import SolverOptions
 from shell.output import check_picture_path
 from shell.service import listen
 from shell.touch_options import NO_TOUCH_OPTIONS, TouchOptions
-from skin.layout import Layout, require_one_state
+from skin.layout import Layout
 
 
 @Parameter(name="*")
@@ -60,8 +60,6 @@ class DemoOptions:
         """Raise InputError unless a run with these options is possible."""
         if not 0 < self.seconds < float("inf"):
             raise InputError(f"expected a positive number of seconds, got {self.seconds:g}")
-        if self.firmware:
-            require_one_state(layout, "the firmware in C")
         virtual_bit_rates(layout)
         if self.view and self.port is not None:
             listen("127.0.0.1", self.port).close()

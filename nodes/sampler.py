@@ -192,35 +192,6 @@ class AnalogueSampler(Sampler):
         return self._analogue.read_sums(force_n, later_n, step)
 
 
-def new_sampler(layout: Layout, phi: Sbhe, source: TaxelSource, **analogue: Any) -> Sampler:
-    """Return the sampler of a skin whose nodes make the sums, with all code compiled.
-
-    Parameters
-    ----------
-    phi : Sbhe
-        Of the layout.
-    **analogue
-        ``noise_n``, ``seed`` and ``defects`` of `Electronics`.
-    """
-
-    def new() -> Sampler:
-        if layout.taxels.is_analogue:
-            return AnalogueSampler(phi, source, AnalogueElectronics(layout, phi, **analogue))
-        electronics = Electronics(
-            layout.taxels,
-            **analogue,
-            period_s=layout.shortest_period_s,
-            samples=layout.samples_per_sync,
-            blocks=phi.taxels_of_blocks,
-            places=phi.wired.taxels,
-        )
-        return Sampler(phi, source, electronics, layout.sync.period_s)
-
-    # A first start compiles for a while: before the nodes are there, and not between two SYNCs.
-    new().sample(1, 0)
-    return new()
-
-
 class CountSampler(Sampler):
     """A sampler for boards that make the sums themselves.
 
@@ -238,3 +209,42 @@ class CountSampler(Sampler):
         counts = np.concatenate(self._electronics.unread)
         self._electronics.unread.clear()
         return counts
+
+
+class CodeSampler(AnalogueSampler):
+    """A sampler for boards that make the sums of their converters' codes: `sample` returns codes, shape (1, m)."""
+
+    def _answer(self, force_n: npt.NDArray[np.float32], step: int) -> npt.NDArray[np.int32]:
+        return super()._answer(force_n, step)[None] // self._analogue.converter.step_counts
+
+
+def new_sampler(layout: Layout, phi: Sbhe, source: TaxelSource, *, makes_sums: bool = True, **analogue: Any) -> Sampler:
+    """Return the sampler of a skin, with all code compiled.
+
+    Parameters
+    ----------
+    phi : Sbhe
+        Of the layout.
+    makes_sums : bool
+        Whether it returns sums; else what the converters read, for boards that make the sums of it.
+    **analogue
+        ``noise_n``, ``seed`` and ``defects`` of `Electronics`.
+    """
+
+    def new() -> Sampler:
+        if layout.taxels.is_analogue:
+            kind = AnalogueSampler if makes_sums else CodeSampler
+            return kind(phi, source, AnalogueElectronics(layout, phi, **analogue))
+        electronics = Electronics(
+            layout.taxels,
+            **analogue,
+            period_s=layout.shortest_period_s,
+            samples=layout.samples_per_sync,
+            blocks=phi.taxels_of_blocks if makes_sums else None,
+            places=phi.wired.taxels,
+        )
+        return (Sampler if makes_sums else CountSampler)(phi, source, electronics, layout.sync.period_s)
+
+    # A first start compiles for a while: before the nodes are there, and not between two SYNCs.
+    new().sample(1, 0)
+    return new()
