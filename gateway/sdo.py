@@ -4,6 +4,7 @@ The client of the ``canopen`` library blocks a thread until the answer comes. Th
 must not block. A dialogue with a node is a generator: it yields `Read` and `Write`, and receives the answers.
 """
 
+import struct
 from collections.abc import Callable, Generator
 from dataclasses import dataclass
 from typing import Final
@@ -26,6 +27,11 @@ class Read:
     index: int
     subindex: int = 0
 
+    @property
+    def request(self) -> bytes:
+        """Payload of the request."""
+        return b"\x40" + self.index.to_bytes(2, "little") + bytes((self.subindex,)) + bytes(4)
+
 
 @dataclass(frozen=True)
 class Write:
@@ -34,6 +40,12 @@ class Write:
     index: int
     subindex: int
     data: bytes
+
+    @property
+    def request(self) -> bytes:
+        """Payload of the request."""
+        command = 0x23 | 4 - len(self.data) << 2
+        return struct.pack("<BHB4s", command, self.index, self.subindex, self.data)
 
 
 Transfer = Read | Write
@@ -182,13 +194,7 @@ class SdoDialogue:
         self.asked_s = now_s
         self._value = None
         self._due_s = now_s + TIMEOUT_S
-        to = self._transfer
-        place = to.index.to_bytes(2, "little") + bytes((to.subindex,))
-        if isinstance(to, Read):
-            self._send(self._cob_id, b"\x40" + place + bytes(4))
-        else:
-            command = 0x23 | 4 - len(to.data) << 2
-            self._send(self._cob_id, bytes((command,)) + place + to.data.ljust(4, b"\0"))
+        self._send(self._cob_id, self._transfer.request)
 
     def _abort(self, code: int) -> None:
         place = self._transfer.index.to_bytes(2, "little") + bytes((self._transfer.subindex,))

@@ -21,7 +21,7 @@ from dbc.canopen import (
     NmtCommand,
     NmtState,
 )
-from dbc.configuration import Setting, signature
+from dbc.configuration import Setting, signature, with_calibration
 from dbc.contract import NodeContract
 from dbc.dictionary import HEARTBEATS_WATCHED, ON_COMMAND, SkinState
 from dbc.objects import Object
@@ -86,7 +86,7 @@ class SkinNode:
         self._states = _states_of_tpdos(contract, objects)
         self._signed = {
             od.SIGNATURE: settings,
-            od.CALIBRATION_SIGNATURE: sorted([*settings, *calibration], key=lambda each: (each.index, each.subindex)),
+            od.CALIBRATION_SIGNATURE: with_calibration(settings, calibration),
         }
         self._signatures: dict[int, int] = {}
         self._storage = storage
