@@ -77,7 +77,7 @@ class Bench:
 
     def is_configured(self, place: int) -> bool:
         """Tell whether a board is in the state LSS configuration: nothing but its LED shows it."""
-        return self.places[place].boards._lss[0][0].is_configured
+        return self.places[place].boards._boards[0].slave.is_configured
 
     @property
     def now_s(self) -> float:

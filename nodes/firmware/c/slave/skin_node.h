@@ -91,6 +91,7 @@ typedef struct {
     const skin_board *board;
     skin_outbox *outbox;
     const skin_storage *storage; /* NULL: 1010h is refused */
+    uint32_t serial_number;      /* 1018h:4; after skin_init that of board.c. A driver may set that of its processor */
     uint8_t state;
     uint8_t changed; /* an object below 2000h was written */
     uint8_t has_stored;
@@ -201,7 +202,7 @@ const skin_object *skin_mapped(const skin_node *node, uint32_t entry); /* of a m
 uint8_t skin_watched_node(uint32_t entry); /* of an entry of 1016h, 0 for none */
 uint32_t skin_missing(const skin_board *board, uint16_t index);
 uint32_t skin_write(skin_node *node, uint16_t index, uint8_t subindex, const uint8_t *data, uint16_t length);
-void skin_load(skin_node *node);
+void skin_become(skin_node *node, const skin_board *board); /* with the constants of another board */
 void skin_lss_reset(skin_node *node, uint32_t now_ms, int communication_only);
 void skin_restore(skin_node *node, int communication_only);
 void skin_refresh(skin_node *node, uint32_t now_ms);
