@@ -21,16 +21,19 @@ static const skin_board *image_of(const skin_node *node, uint8_t node_id)
 
 static void initialise(skin_node *node, uint32_t now_ms, int communication_only)
 {
-    node->lss.node_id = node->lss.wanted;
-    if (node->lss.node_id == SKIN_NO_NODE_ID) {
+    const skin_board *board = image_of(node, node->lss.wanted);
+
+    if (board == NULL) { /* also a node-ID that another program has stored */
+        node->lss.wanted = SKIN_NO_NODE_ID;
         node->state = SKIN_INITIALISING; /* silent */
     } else {
-        if (node->lss.node_id != node->board->node_id) {
-            skin_become(node, image_of(node, node->lss.node_id));
+        if (board != node->board) {
+            skin_become(node, board);
             communication_only = 0;
         }
         skin_boot(node, now_ms, communication_only);
     }
+    node->lss.node_id = node->lss.wanted;
 }
 
 void skin_lss_reset(skin_node *node, uint32_t now_ms, int communication_only)
@@ -43,9 +46,9 @@ void skin_lss_reset(skin_node *node, uint32_t now_ms, int communication_only)
         record[0] = lss->lasting;
         record[1] = SKIN_NO_BIT_TIMING;
         if (storage != NULL) {
-            (void)storage->load(storage->context, SKIN_RECORD_LSS, node->serial_number, record, RECORD_BYTES);
+            (void)storage->load(storage->context, SKIN_RECORD_LSS, 0, record, RECORD_BYTES);
         }
-        lss->wanted = image_of(node, record[0]) != NULL ? record[0] : SKIN_NO_NODE_ID;
+        lss->wanted = record[0];
         lss->bit_timing = record[1];
         lss->is_configured = lss->matched = lss->in_range = lss->scanned = 0;
     }
@@ -110,7 +113,7 @@ static uint8_t save(skin_node *node)
     if (storage == NULL) {
         return NOT_SUPPORTED;
     }
-    if (storage->save(storage->context, SKIN_RECORD_LSS, node->serial_number, record, RECORD_BYTES) != 0) {
+    if (storage->save(storage->context, SKIN_RECORD_LSS, 0, record, RECORD_BYTES) != 0) {
         return FAILED;
     }
     node->lss.lasting = record[0];

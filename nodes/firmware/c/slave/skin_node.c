@@ -162,10 +162,9 @@ void skin_init(skin_node *node, const skin_board *board, skin_outbox *outbox, co
     memset(node, 0, sizeof *node);
     node->outbox = outbox;
     node->storage = storage;
-    skin_become(node, board);
-    node->serial_number = skin_get(skin_default(board, skin_find(board, SKIN_OD_IDENTITY, 4)->at), 4);
     node->lss.node_id = node->lss.wanted = node->lss.lasting = board->node_id;
     node->lss.bit_timings = SKIN_BIT_TIMINGS;
+    skin_become(node, board);
 }
 
 void skin_boot(skin_node *node, uint32_t now_ms, int communication_only)

@@ -91,7 +91,6 @@ typedef struct {
     const skin_board *board;
     skin_outbox *outbox;
     const skin_storage *storage; /* NULL: 1010h is refused */
-    uint32_t serial_number;      /* 1018h:4; after skin_init that of board.c. A driver may set that of its processor */
     uint8_t state;
     uint8_t changed; /* an object below 2000h was written */
     uint8_t has_stored;
@@ -121,6 +120,7 @@ typedef struct {
     uint8_t waiting[SKIN_ERRORS_KEPT][8]; /* emergencies, oldest first */
     uint8_t waiting_count;
     uint32_t emcy_free_ms;
+    uint32_t serial_number; /* 1018h:4, for the driver to set after skin_init; 0: that of board.c for this node-ID */
 } skin_node;
 
 /* Connect a node to its board, its outbox and its storage, and read what 1010h has stored; to be called once, before

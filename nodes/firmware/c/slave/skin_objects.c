@@ -126,7 +126,7 @@ const uint8_t *skin_value(const skin_node *node, const skin_object *object, uint
         return adaptive;
     }
 #endif
-    if (object->index == SKIN_OD_IDENTITY && object->subindex == 4) {
+    if (object->index == SKIN_OD_IDENTITY && object->subindex == 4 && node->serial_number != 0) {
         skin_put(scratch, node->serial_number, object->bytes);
         return scratch;
     }
