@@ -71,7 +71,10 @@ class Firmware:
         unnumbered: bool = False,
         compiler: str = "cc",
     ) -> None:
-        boards = builds(contract, nodes)
+        buses = {node.bus for node in nodes}
+        # LSS gives a board any node-ID of its bus.
+        others = [node for node in contract.nodes if unnumbered and node.bus in buses and node not in nodes]
+        boards = builds(contract, [*nodes, *others])
         # With the CANopen slave, and what runs many of them together.
         texts = sources(boards, "slave", "host") | constants(contract, boards)
         self._library = _loaded(texts, compiler)
@@ -80,7 +83,8 @@ class Firmware:
             function.argtypes, function.restype = types, ctypes.c_size_t
         self._contract, self._nodes = contract, nodes
         self._unnumbered = unnumbered
-        self._storages = [storage_function(each, Storage.of_node(contract, each.node, store)) for each in boards]
+        mine = zip(boards, nodes, strict=False)
+        self._storages = [storage_function(each, Storage.of_node(contract, node, store)) for each, node in mine]
         self._boards: dict[int, CompiledBoards] = {}
 
     def boards(self, bus: int) -> "CompiledBoards":

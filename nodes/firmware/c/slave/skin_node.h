@@ -121,6 +121,7 @@ typedef struct {
     uint8_t waiting[SKIN_ERRORS_KEPT][8]; /* emergencies, oldest first */
     uint8_t waiting_count;
     uint32_t emcy_free_ms;
+    uint32_t serial_number; /* 1018h:4, for the driver to set after skin_init; 0: that of board.c for this node-ID */
 } skin_node;
 
 /* Connect a node to its board, its outbox and its storage, and read what 1010h has stored; to be called once, before
@@ -204,7 +205,7 @@ const skin_object *skin_mapped(const skin_node *node, uint32_t entry); /* of a m
 uint8_t skin_watched_node(uint32_t entry); /* of an entry of 1016h, 0 for none */
 uint32_t skin_missing(const skin_board *board, uint16_t index);
 uint32_t skin_write(skin_node *node, uint16_t index, uint8_t subindex, const uint8_t *data, uint16_t length);
-void skin_load(skin_node *node);
+void skin_become(skin_node *node, const skin_board *board); /* with the constants of another board */
 void skin_lss_reset(skin_node *node, uint32_t now_ms, int communication_only);
 void skin_restore(skin_node *node, int communication_only);
 void skin_refresh(skin_node *node, uint32_t now_ms);

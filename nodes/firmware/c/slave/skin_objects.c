@@ -126,6 +126,10 @@ const uint8_t *skin_value(const skin_node *node, const skin_object *object, uint
         return adaptive;
     }
 #endif
+    if (object->index == SKIN_OD_IDENTITY && object->subindex == 4 && node->serial_number != 0) {
+        skin_put(scratch, node->serial_number, object->bytes);
+        return scratch;
+    }
     if (object->at == SKIN_OBJECT_COMPUTED) {
         if (object->index == SKIN_OD_ERROR_FIELD && object->subindex > node->history_count) {
             return NULL;
@@ -346,10 +350,14 @@ static uint32_t key_of(const skin_node *node)
     return key;
 }
 
-void skin_load(skin_node *node)
+void skin_become(skin_node *node, const skin_board *board)
 {
     const skin_storage *storage = node->storage;
 
+    node->board = board;
+#if SKIN_ADAPTIVE
+    node->sender.board = board;
+#endif
     node->has_stored = storage != NULL && storage->load(storage->context, SKIN_RECORD_PARAMETERS, key_of(node),
                                                         node->stored, node->board->type->writable_bytes) == 0;
 }
