@@ -116,7 +116,8 @@ class VirtualBoards:
     def _new_node(self, node: NodeContract, hardware: Hardware, storage: Storage) -> SkinNode:
         return way_of(self._contract.layout).node(
             node,
-            dictionary(self._contract, node),
+            # Nodes in Python have no program that could be exchanged.
+            [each for each in dictionary(self._contract, node) if not od.is_program_download(each.index)],
             configuration(self._contract, node),
             calibration(self._contract, node),
             outbox=self._outbox,

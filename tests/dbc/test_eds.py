@@ -81,7 +81,7 @@ def same_object(wanted: Object, got: ODVariable, *, alone: bool) -> None:
         wanted.access,
         wanted.pdo,
     )
-    is_mapped = od.TPDO_MAPPING <= wanted.index < od.MANUFACTURER
+    is_mapped = od.TPDO_MAPPING <= wanted.index < od.TPDO_END
     is_own = (first_block(wanted.index) in DIFFERING or is_mapped) and wanted.subindex != 0
     unset = NO_BLOCK if wanted.index == od.BLOCK else 0
     assert got.default == wanted.value or (is_own and not alone and got.default == unset)
