@@ -9,7 +9,6 @@ from typing import Any, Final
 
 from dbc.contract import Contract, NodeContract
 from dbc.dictionary import REVISION, VERSION
-from dbc.eds import node_name
 from dbc.program import Program
 
 #: Bytes of each of the two slots of programs.
@@ -107,5 +106,5 @@ def flash_of_node(contract: Contract, node: NodeContract, folder: Path | None) -
     made_with = Program(device.vendor_id, device.product_code, REVISION, VERSION, b"canskin").image
     head = struct.pack("<3I", 0, 0, len(made_with))  # as skin_slots.c seals a slot
     slot = head + struct.pack("<I", zlib.crc32(made_with, zlib.crc32(head))) + made_with
-    name = node_name(contract, node)
+    name = f"{contract.layout.bus[node.bus].name}-{node.node_id}"
     return Flash([slot, b""], [folder / f"{name}.slot{number}" for number in range(2)] if folder else [])
