@@ -143,7 +143,8 @@ class VirtualBoards:
     def _new_node(self, node: NodeContract, storage: Storage, serial: int) -> SkinNode:
         return way_of(self._contract.layout).node(
             node,
-            dictionary(self._contract, node),
+            # Nodes in Python have no program that could be exchanged.
+            [each for each in dictionary(self._contract, node) if not od.is_program_download(each.index)],
             configuration(self._contract, node),
             calibration(self._contract, node),
             outbox=self._outbox,

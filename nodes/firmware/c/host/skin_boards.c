@@ -93,6 +93,10 @@ static void pass(skin_node *node, const skin_frame *frame, uint32_t now_ms, cons
         skin_lss_request(node, frame, now_ms);
     } else if (can_id == SKIN_SDO_REQUEST_BASE + node->board->node_id && frame->length == 8) {
         skin_request(node, frame, now_ms);
+        if (node->program.is_resetting) {
+            skin_program_init(node, node->program.flash, skin_program_choose(node->program.flash));
+            skin_lss_reset(node, now_ms, 0);
+        }
     }
 }
 
@@ -103,8 +107,8 @@ static void connect(skin_node *node, uint32_t board, const skin_storage *storage
     node->serial_number = skin_unsigned(node, SKIN_OD_IDENTITY, 4);
 }
 
-size_t skin_power_up(skin_node *nodes, uint32_t first, uint32_t boards, const skin_storage *storages, int unnumbered,
-                     uint32_t now_ms, skin_frame *out, size_t capacity)
+size_t skin_power_up(skin_node *nodes, uint32_t first, uint32_t boards, const skin_storage *storages,
+                     const skin_flash *flashes, int unnumbered, uint32_t now_ms, skin_frame *out, size_t capacity)
 {
     skin_outbox outbox = new_outbox(out, capacity);
     uint32_t each;
@@ -117,6 +121,7 @@ size_t skin_power_up(skin_node *nodes, uint32_t first, uint32_t boards, const sk
 #else
         connect(&nodes[each], first + each, storages, each, &outbox);
 #endif
+        skin_program_init(&nodes[each], &flashes[each], skin_program_choose(&flashes[each]));
         if (unnumbered) {
             skin_lss_boot(&nodes[each], now_ms);
         } else {

@@ -321,6 +321,7 @@ void skin_tick(skin_node *node, uint32_t now_ms)
     }
     watch(node, now_ms);
     note_state(node);
+    skin_sdo_tick(node, now_ms);
     if (node->state == SKIN_STOPPED) {
         return;
     }
