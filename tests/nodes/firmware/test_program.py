@@ -9,12 +9,11 @@ import numpy as np
 import pytest
 
 from dbc import indices as od
-from dbc.canopen import NMT_COB_ID
 from dbc.contract import Contract
 from dbc.frame import Frames, frames
 from dbc.program import Program
 from gateway.program_update import ProgramUpdate
-from nodes.firmware.flash import Flash, flash_of_node
+from nodes.firmware.flash import Flash
 from nodes.firmware.library import CompiledBoards, Firmware
 from tests.bus.harness import frame
 from tests.nodes.firmware.twins import needs_compiler, small_contract
