@@ -67,8 +67,8 @@ class Missed:
         A publisher that repeats numbers hides no loss of another.
         """
         totals: Counter[str] = Counter()
-        for (topic, _), count in (+self._counts.copy()).items():
-            totals[topic] += count
+        for (topic, _), missing in (+self._counts.copy()).items():
+            totals[topic] += missing
         return dict(sorted(totals.items()))
 
 
