@@ -88,7 +88,7 @@ class AdaptiveFrames(ExpectedFrames):
         settled = int(syncs[SETTLING - 1]) if picture.is_step else 0
         own = np.flatnonzero(np.isin(came["can_id"], list(self._tpdos)) & (came["flags"] & ECHO == 0))
         sent = [
-            _Sent(self._tpdos[int(each["can_id"])], each["data"].copy(), int(each["length"]), at >= settled)
+            _Sent(self._tpdos[int(each["can_id"])], each["data"].copy(), int(each["length"]), bool(at >= settled))
             for at, each in zip(own, came[own], strict=True)
         ]
         self._report.frames += len(sent)
