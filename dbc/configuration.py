@@ -128,7 +128,7 @@ def proof_period_s(contract: Contract, bus: int) -> float:
 
 
 def _is_mapping(index: int) -> bool:
-    return od.TPDO_MAPPING <= index < od.MANUFACTURER or index == od.RPDO_MAPPING
+    return od.TPDO_MAPPING <= index < od.TPDO_END or index == od.RPDO_MAPPING
 
 
 def _is_compared(each: Object, mapped: Mapping[int, int], of_tpdo: tuple[int, ...]) -> bool:
@@ -154,6 +154,8 @@ def setting_of(each: Object) -> Setting:
     is_text = each.data_type == od.VISIBLE_STRING
     if is_text:
         data = str(each.value).encode("ascii")
+    elif each.data_type == od.DOMAIN:
+        data = b""
     elif each.data_type == od.REAL32:
         data = struct.pack("<f", each.value)
     else:
