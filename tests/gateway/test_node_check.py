@@ -18,12 +18,15 @@ from dbc.dictionary import SkinState
 from dbc.frame import ERROR, REMOTE, Frames
 from gateway.node_check import NodeCheck
 from gateway.node_frames import NodeReport
+from nodes.firmware.library import Firmware
 from nodes.sampler import new_sampler
 from nodes.segment import Segment
 from nodes.virtual_boards import VirtualBoards
+from nodes.ways import way_of
 from tests.bus.harness import frame
 from tests.gateway.helpers import Shaking, Wire
 from tests.layouts import IDENTITIES, buses, small_contract
+from tests.nodes.firmware.twins import needs_compiler
 
 STEP_S = 0.005
 #: 1007h at 20 SYNCs a second: 99 % of the period.
@@ -59,6 +62,33 @@ class Bench:
                 self.segment.take(self.wire.nodes.receive(), self.now_s)
                 check.take(self.wire.gateway.receive(), self.now_s)
         return check.report
+
+
+class BenchInC(Bench):
+    """The same with node 1 in C."""
+
+    def __init__(self, contract: Contract) -> None:
+        super().__init__(contract)
+        firmware = Firmware(contract, contract.nodes[:1])
+        hardware = way_of(contract.layout).hardware(contract, [0], Shaking((8, 16)), firmware)
+        send = self.wire.nodes.send
+        self.segment = Segment(contract, 0, firmware.boards(0), hardware, send, complain=lambda _text: None)
+        self.segment.boot(self.now_s)
+
+
+@needs_compiler
+@pytest.mark.parametrize(
+    ("identity", "tables", "cycles"),
+    [
+        ("window", {}, 16),
+        ("alternating", {"bus": buses(2, 2, fd=True)}, 16),
+        ("window", {"recognition": {"sums": 8, "rate_hz": 40}}, 32),
+        ("window", {"taxels": {"frontend": "analogue"}}, 12),
+    ],
+)
+def test_boards_in_c_keep_the_contract(identity: str, tables: dict[str, Any], cycles: int) -> None:
+    report = BenchInC(small_contract(identity, **tables)).check()
+    assert (report.differences, report.notes, report.cycles) == ([], [], cycles)
 
 
 def pattern_of(bench: Bench) -> int:
