@@ -25,9 +25,9 @@ from canskin.session import HIGHEST_PORT
 #: Lowest real-time priority, above all programs without real-time scheduling.
 REAL_TIME_PRIORITY: Final = 1
 #: Most of the cores that programs at `REAL_TIME_PRIORITY` may take together, with ``--priority auto``.
-REAL_TIME_RATIO: Final = 0.8
+REAL_TIME_RATIO: Final = 0.9
 #: Time between two looks at what they take, seconds.
-WATCH_S: Final = 5.0
+WATCH_S: Final = 10.0
 #: Of loops that let others go first; 0 is that of programs, 19 the most.
 NICENESS: Final = 10
 #: A service that waits checks the stop signal this often.
