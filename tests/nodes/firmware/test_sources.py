@@ -35,7 +35,7 @@ BURSTS, SEEDS = 20_000, range(1, 4)
 ADAPTIVE_BURSTS = 3000
 ARM = "arm-none-eabi-gcc"
 CORTEX_M0_PLUS = ("-mcpu=cortex-m0plus", "-mthumb", "-Os")
-#: Flash memory, bytes: of the sums; of sums, averages, slave, storage and program download with one board; of a further board.
+#: Flash memory, bytes: of the sums; of the whole slave with one board; of a further board.
 SUMS_BYTES, SLAVE_BYTES, BOARD_BYTES = 1024, 16_700, 110
 #: Runs a program without a limit of its memory: a sanitizer reserves more than any machine has.
 UNLIMITED = 'ulimit -S -d "$(ulimit -H -d)" && exec "$0" "$@"'
