@@ -87,6 +87,8 @@ def expected_dictionary(contract: Contract, node: NodeContract) -> list[str]:
     """Return a line for each object, and the signature."""
     expected = []
     for each in dictionary(contract, node):
+        if od.is_program_download(each.index):
+            continue
         attribute = 0x03 if each.access == "rw" else 0x01
         attribute |= 0x04 if each.pdo else 0
         attribute |= 0x80 if each.data_type == od.VISIBLE_STRING else 0x40 if od.BITS[each.data_type] > 8 else 0
