@@ -94,10 +94,15 @@ def calibration(contract: Contract, node: NodeContract) -> tuple[Setting, ...]:
     return tuple(setting_of(each) for each in dictionary(contract, node) if each.subindex and _is_calibration(each))
 
 
+def with_calibration(settings: Iterable[Setting], gains: Iterable[Setting]) -> tuple[Setting, ...]:
+    """Return the objects that 2009h covers, in ascending order: those of `configuration` and of `calibration`."""
+    return tuple(sorted((*settings, *gains), key=lambda each: (each.index, each.subindex)))
+
+
 def signature(values: Iterable[tuple[int, int, bytes]]) -> int:
     """Return the signature of index, sub-index and value of each object.
 
-    2006h is that of `configuration`, 2009h that of `configuration` and `calibration` in ascending order.
+    2006h is that of `configuration`, 2009h that of `with_calibration`.
 
     CRC-32 (polynomial 04C11DB7h reflected, as in IEEE 802.3) over index (2 bytes), sub-index (1 byte) and value, each
     little endian, of all objects one after another.

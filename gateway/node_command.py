@@ -14,13 +14,14 @@ from bus.options import BusOptions, open_channels, open_links
 from canskin.errors import InputError, RunError
 from dbc.canopen import HIGHEST_NODE_ID, NmtCommand, state_text
 from dbc.contract import Contract, NodeContract
-from gateway.node_check import NodeCheck, NodeReport
+from gateway.node_check import NodeCheck
+from gateway.node_frames import NodeReport
 from gateway.talk import TURN_S, Talk, take_turn
 from gateway.update_command import update_nodes
 from shell.output import write_file
 from shell.service import StopSignal, say
 from shell.terminal import Json, print_json, print_table
-from skin.layout import Layout, load_layout, require_boards, require_one_state
+from skin.layout import Layout, load_layout, require_boards
 from skin.ranges import ranges_text
 
 if TYPE_CHECKING:
@@ -50,9 +51,9 @@ def node(
 ) -> int:
     """Check a board; list, read or write the objects of a node by name; reset, stop, start or update nodes.
 
-    ``check`` compares the objects of a board, and the bytes that it sends while it shows each test pattern. It needs a
-    bus without gateway. The board is left pre-operational, with the test patterns that it had. Ends with 1 if
-    the board differs from the contract. Of adaptive boards the objects alone are compared.
+    ``check`` compares the objects of a board, and the frames that it sends while it shows test patterns, and offsets
+    in place of its taxels. It needs a bus without gateway. The board is left pre-operational, with the test patterns,
+    gains and offsets that it had. Ends with 1 if the board differs from the contract.
 
     With ``--wiring`` or ``--live`` the wiring is checked in place of a board: which taxels are not wired as the layout
     says, and which boards are exchanged.
@@ -147,7 +148,6 @@ def node(
         return _show_wiring(skin, check_counts(skin, reading, path), out, as_json=json)
     if node_id is None:
         raise InputError("expected --node with the node-ID of a board, --wiring with a recording, or --live")
-    require_one_state(skin, "'skin node check'")
     number = _bus_number(skin, bus)
     contract = Contract.from_layout(skin)
     board = _board(contract, number, node_id)
@@ -351,20 +351,21 @@ def _bus_number(skin: Layout, name: str | None) -> int:
 
 
 class _Talk(Talk, Protocol):
-    """A talk with a node: a check, or transfers; `give_up` undoes what would stay."""
+    """A talk with a node: a check, or transfers; `give_up` has it put back what it wrote, and end."""
 
-    def give_up(self) -> None: ...
+    def give_up(self, now_s: float) -> None: ...
 
 
 def _run(check: _Talk, link: Link, stop: StopSignal) -> None:
-    try:
-        while not check.done:
-            if stop.is_set():
-                raise RunError("stopped before the talk with the node was over")
+    is_stopped = False
+    while not check.done:
+        if stop.is_set() and not is_stopped:
+            is_stopped = True
+            check.give_up(time.monotonic())
+        else:
             take_turn({0: link}, {0: check})
-    finally:
-        if not check.done:
-            check.give_up()
+    if is_stopped:
+        raise RunError("stopped before the talk with the node was over")
 
 
 def _show(report: NodeReport) -> None:
@@ -376,6 +377,6 @@ def _show(report: NodeReport) -> None:
         print(f"{place}: note: {text}")
     count = len(report.differences)
     verdict = f"{count} difference{'s' * (count != 1)}" if count else "keeps the contract"
-    compared = f"{report.objects} objects, {report.frames} TPDOs of {report.cycles} cycles"
-    late = f", the last {1e3 * report.latest_s:.1f} ms after SYNC" if report.frames else ""
+    compared = f"{report.objects} objects, {report.frames} TPDOs"
+    late = f" of {report.cycles} cycles, the last {1e3 * report.latest_s:.1f} ms after SYNC" if report.cycles else ""
     print(f"{place}: {verdict} ({compared}{late})")

@@ -5,6 +5,7 @@ must not block. A dialogue with a node is a generator: it yields a `Transfer`, a
 """
 
 import binascii
+import struct
 from collections import deque
 from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
@@ -40,6 +41,11 @@ class Read:
     index: int
     subindex: int = 0
 
+    @property
+    def request(self) -> bytes:
+        """Payload of the request."""
+        return b"\x40" + self.index.to_bytes(2, "little") + bytes((self.subindex,)) + bytes(4)
+
 
 @dataclass(frozen=True)
 class Write:
@@ -48,6 +54,12 @@ class Write:
     index: int
     subindex: int
     data: bytes
+
+    @property
+    def request(self) -> bytes:
+        """Payload of the request."""
+        command = 0x23 | 4 - len(self.data) << 2
+        return struct.pack("<BHB4s", command, self.index, self.subindex, self.data)
 
 
 @dataclass(frozen=True)
@@ -250,16 +262,13 @@ class SdoDialogue:
         self._value = self._requests = None
         self.due_s = self._limit_s = now_s + self._timeout_s
         to = self._transfer
-        place = to.index.to_bytes(2, "little") + bytes((to.subindex,))
-        if isinstance(to, Read):
-            self._send(self._cob_id, b"\x40" + place + bytes(4))
-        elif isinstance(to, Download):
+        if isinstance(to, Download):
+            place = to.index.to_bytes(2, "little") + bytes((to.subindex,))
             self._requests = _in_segments(place, to.data) if self._in_segments else _in_blocks(place, to.data)
             self._waiting = deque(next(self._requests))
             self._send_waiting(now_s)
         else:
-            command = 0x23 | 4 - len(to.data) << 2
-            self._send(self._cob_id, bytes((command,)) + place + to.data.ljust(4, b"\0"))
+            self._send(self._cob_id, to.request)
 
     def _abort(self, code: int) -> None:
         place = self._transfer.index.to_bytes(2, "little") + bytes((self._transfer.subindex,))

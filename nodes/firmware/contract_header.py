@@ -7,7 +7,7 @@ import numpy as np
 
 from dbc import averaging, board_sums, canopen, frame, indices, program
 from dbc.adaptive_filter import LEAST_EXPONENT, LEAST_WEIGHT, LOG2_E, POWER
-from dbc.dictionary import REACTION_NS
+from dbc.dictionary import REACTION_NS, SkinState
 from nodes.firmware import tables
 from nodes.firmware.c_text import braced, defined, double, header, real
 from skin.clipping import IDLE_DEVIATION, IDLE_MEAN, REACH, clipped_mean
@@ -20,6 +20,7 @@ _ENUMERATIONS: Final[dict[str, type[IntEnum | IntFlag]]] = {
     "ABORT_": canopen.Abort,
     "EMERGENCY_": canopen.Emergency,
     "REGISTER_": canopen.ErrorRegister,
+    "STATE_": SkinState,
     "PROGRAM_": program.ProgramControl,
     "FLASH_": program.FlashError,
 }

@@ -73,7 +73,10 @@ class Firmware:
         unnumbered: bool = False,
         compiler: str = "cc",
     ) -> None:
-        boards = builds(contract, nodes)
+        buses = {node.bus for node in nodes}
+        # LSS gives a board any node-ID of its bus.
+        others = [node for node in contract.nodes if unnumbered and node.bus in buses and node not in nodes]
+        boards = builds(contract, [*nodes, *others])
         # With the CANopen slave, and what runs many of them together.
         texts = sources(boards, "slave", "host") | constants(contract, boards)
         self._library = _loaded(texts, compiler)
@@ -84,10 +87,10 @@ class Firmware:
         self._unnumbered = unnumbered
         self._memories = [
             (
-                storage_function(each, Storage.of_node(contract, each.node, store)),
-                flash_of_node(contract, each.node, store),
+                storage_function(each, Storage.of_node(contract, node, store)),
+                flash_of_node(contract, node, store),
             )
-            for each in boards
+            for each, node in zip(boards, nodes, strict=False)
         ]
         self._boards: dict[int, CompiledBoards] = {}
 
@@ -141,7 +144,7 @@ class CompiledBoards:
         self.node_ids = frozenset(node.node_id for node in nodes)
         self.is_pdo = np.zeros(BASE_ID_MASK + 1, np.bool_)
         for node in nodes:
-            self.is_pdo[[tpdo.cob_id for tpdo in node.tpdos] + [tpdo.cob_id for tpdo in node.adaptive_tpdos]] = True
+            self.is_pdo[[tpdo.cob_id for state in contract.states_of(node) for tpdo in state.all_tpdos]] = True
         self.due_s = float("-inf")
         self._library = library
         self._first, self._count = first, len(nodes)
@@ -153,9 +156,13 @@ class CompiledBoards:
         # Eight bytes each, so that the memory is aligned for every C type.
         self._memory = np.zeros(-(-len(nodes) * self._node_bytes // 8), np.uint64)
         self._nodes = self._memory.ctypes.data
-        self._taxels, self._block_size = contract.phi.wired.taxels, contract.phi.block_size
-        places = [range(each.block * self._block_size, (each.block + each.blocks) * self._block_size) for each in nodes]
-        self._order = contract.phi.order[np.concatenate(places)]
+        phi, ranges = contract.phi, [(each.block, each.block + each.blocks) for each in nodes]
+        self._block_size = phi.block_size
+        if contract.layout.taxels.is_analogue:
+            self._converters, order = phi.shape[0], [np.arange(*phi.starts[[first, end]]) for first, end in ranges]
+        else:
+            self._converters, order = phi.wired.taxels, [phi.taxels_of_blocks[slice(*each)].ravel() for each in ranges]
+        self._order = np.concatenate(order)
         self._most_samples = 2 * contract.layout.samples_per_sync
         self._out = frames(_CAPACITY)
         self._sent = self._out.ctypes.data, _CAPACITY
@@ -186,19 +193,19 @@ class CompiledBoards:
 
         Parameters
         ----------
-        measured : array of int, shape (samples, n), optional
-            What all taxels of the skin read since the last SYNC, row-major, ADC counts; the last sample is that of the
-            SYNC. At most the samples of two cycles.
+        measured : array of int, shape (samples, n) or (samples, m), optional
+            What all converters of the skin read since the last SYNC: counts of the taxels, row-major, or codes of the
+            sums; the last sample is that of the SYNC. At most the samples of two cycles.
         """
         there = np.ascontiguousarray(sync)
         read, samples = None, 0
         if measured is not None:
-            samples, taxels = measured.shape
-            if taxels != self._taxels or not 0 < samples <= self._most_samples:
-                wanted = f"1 to {self._most_samples} samples of {self._taxels} counts"
+            samples, converters = measured.shape
+            if converters != self._converters or not 0 < samples <= self._most_samples:
+                wanted = f"1 to {self._most_samples} samples of {self._converters} converters"
                 raise InputError(f"expected {wanted}, got {measured.shape}")
-            counts = measured[:, self._order].astype(np.uint16, order="C")
-            read = counts.ctypes.data
+            readings = measured[:, self._order].astype(np.uint16, order="C")  # codes in two's complement
+            read = readings.ctypes.data
         return self._taken(
             self._library.skin_take(
                 self._nodes,
