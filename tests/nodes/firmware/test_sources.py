@@ -37,7 +37,7 @@ ADAPTIVE_BURSTS = 3000
 ARM = "arm-none-eabi-gcc"
 CORTEX_M0_PLUS = ("-mcpu=cortex-m0plus", "-mthumb", "-Os")
 #: Flash memory, bytes: of the sums; of the whole slave with one board; of a further board.
-SUMS_BYTES, SLAVE_BYTES, BOARD_BYTES = 1024, 16_700, 110
+SUMS_BYTES, SLAVE_BYTES, BOARD_BYTES = 1024, 17_000, 110
 #: Runs a program without a limit of its memory: a sanitizer reserves more than any machine has.
 UNLIMITED = 'ulimit -S -d "$(ulimit -H -d)" && exec "$0" "$@"'
 SANITIZERS = ("-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
