@@ -25,7 +25,12 @@ typedef uint16_t skin_reading;
 #endif
 
 /* Readings of one sample of all converters of a board. */
-uint16_t skin_readings(const skin_board *board);
+static inline uint16_t skin_readings(const skin_board *board)
+{
+    const skin_type *type = board->type;
+
+    return (uint16_t)(SKIN_ANALOGUE ? type->first_sum[type->blocks] : type->blocks * type->block_size);
+}
 
 /* Places of a block that have a gain and an offset; analogue boards have neither. */
 #define SKIN_CALIBRATED (SKIN_ANALOGUE ? 1 : SKIN_BLOCK_SIZE)

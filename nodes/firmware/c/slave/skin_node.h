@@ -94,6 +94,7 @@ typedef struct {
     uint8_t state;
     uint8_t changed; /* an object below 2000h was written */
     uint8_t has_stored;
+    uint8_t skin_state; /* 2008h:1 as of the newest SYNC: whose TPDOs are sent */
     uint8_t values[SKIN_WRITABLE_BYTES]; /* of objects that SDO can write */
     uint8_t stored[SKIN_WRITABLE_BYTES]; /* what 1010h has stored */
     float gain[SKIN_BLOCKS][SKIN_CALIBRATED];
@@ -108,7 +109,6 @@ typedef struct {
 #endif
     int32_t sums[SKIN_SUMS]; /* at the newest SYNC, ADC counts */
     skin_tpdo tpdos[SKIN_TPDOS];
-    uint8_t skin_state; /* 2008h:1 as of the newest SYNC: whose TPDOs are sent */
 #endif
     uint32_t health[4];      /* 2020h: SYNCs received, TPDOs sent, TPDOs dropped, saturated taxels */
     skin_sdo sdo;

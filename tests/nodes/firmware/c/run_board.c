@@ -51,7 +51,7 @@ static int start(uint8_t bus, uint8_t node_id)
 
 static void switch_to(uint8_t state)
 {
-    if (skin_od_state != NULL) {
+    if (SKIN_STATES > 1) {
         write_object(SKIN_OD_STATE, 1, state, 1);
     }
 }
