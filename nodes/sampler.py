@@ -78,6 +78,8 @@ class Sampler(Hardware):
         self._newest: dict[int, int] = {}
         self._truth: Truth | None = None
         self._ahead: _Ahead | None = None
+        #: Where boards have exchanged their sites: the taxel that is felt in place of each, shape (places,).
+        self._felt: npt.NDArray[np.intp] | None = None
 
     @property
     def sums(self) -> npt.NDArray[np.int32]:
@@ -88,6 +90,14 @@ class Sampler(Hardware):
         """Return what the taxels of a block read last, in counts."""
         return self._electronics.sampled[self._chain(block)]
 
+    def place(self, block: int, site: int) -> None:
+        """Let the board of a block sit on another block of the skin: it feels the taxels there."""
+        self._drop_answer()
+        super().place(block, site)
+        chains = self._phi.taxels_of_blocks
+        self._felt = np.arange(self._phi.taxels)
+        self._felt[chains] = chains[self._sites]
+
     def adjust(self, block: int, index: int, subindex: int, value: float) -> None:
         """Apply a write to a block's calibration or test pattern (2010h, 2011h, 2021h)."""
         self._drop_answer()
@@ -97,7 +107,7 @@ class Sampler(Hardware):
         """Set a block to the defaults, and begin its averages anew."""
         self._drop_answer()
         super().reset(block)
-        self._electronics.restart(block)
+        self._electronics.restart(int(self._sites[block]))
 
     def sample(self, counter: int, time_ns: int, bus: int = 0) -> npt.NDArray[np.int32]:
         """Return the sums, shape (m,), at the SYNC `counter` (0: a SYNC without counter) seen on `bus` at `time_ns`."""
@@ -147,7 +157,8 @@ class Sampler(Hardware):
 
     def _answer(self, force_n: npt.NDArray[np.float32], step: int) -> npt.NDArray[np.int32]:
         """Return what the boards answer with at `step`: the sums, shape (m,)."""
-        exact: npt.NDArray[Any] = self._phi.forward(self._electronics.read(force_n, step))
+        read = self._electronics.read(force_n, step)
+        exact: npt.NDArray[Any] = self._phi.forward(read if self._felt is None else read[self._felt])
         sums: npt.NDArray[np.int32] = np.rint(exact).astype(np.int32)
         return sums
 

@@ -9,7 +9,7 @@ from typing import Final
 from bus.options import BusOptions, open_links
 from canskin.errors import BusError, InputError, RunError, Stopped
 from canskin.fabric import Fabric
-from canskin.messages import CONTACTS, GATEWAY, IMAGE, LABEL, MEASUREMENT, NODES, TRUTH
+from canskin.messages import CONTACTS, GATEWAY, IMAGE, LABEL, MEASUREMENT, NODES, RECOGNITION, TRUTH
 from canskin.peers import Peer
 from canskin.session import DEFAULT_ENDPOINT
 from dbc.contract import Contract
@@ -20,7 +20,7 @@ from shell.output import check_new_path
 from shell.service import StopSignal, request_real_time, say
 from skin.layout import Layout, load_layout
 
-TOPICS: Final = (MEASUREMENT, IMAGE, CONTACTS, LABEL, GATEWAY, NODES, TRUTH)
+TOPICS: Final = (MEASUREMENT, RECOGNITION, IMAGE, CONTACTS, LABEL, GATEWAY, NODES, TRUTH)
 
 
 def record(

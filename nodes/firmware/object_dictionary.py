@@ -145,7 +145,9 @@ def _entries(boards: Sequence[Build]) -> list[_Entry]:
     table = boards[0].objects
     differing = {index for index, _ in table.differing}
     entries = []
-    for _, group in groupby(table.objects, key=lambda each: each.index):
+    # Program download is a matter of the board's own bootloader.
+    there = [each for each in table.objects if not od.is_program_download(each.index)]
+    for _, group in groupby(there, key=lambda each: each.index):
         objects = tuple(group)
         first = objects[0]
         name = c_name(first.name if first.subindex is None else first.group)

@@ -37,7 +37,17 @@ _COMPUTED: Final = (
     od.NODE_NOISE,
 )
 #: Arrays whose entries are computed, but not their sub-index 0.
-_COMPUTED_ENTRIES: Final = (od.STORE, od.RESTORE, od.HEALTH, od.COARSE, od.FINE)
+_COMPUTED_ENTRIES: Final = (
+    od.STORE,
+    od.RESTORE,
+    od.PROGRAM_DATA,
+    od.PROGRAM_CONTROL,
+    od.PROGRAM_ID,
+    od.FLASH_STATUS,
+    od.HEALTH,
+    od.COARSE,
+    od.FINE,
+)
 
 
 #: The objects of a board, each with the bytes of its value.

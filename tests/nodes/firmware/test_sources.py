@@ -37,7 +37,7 @@ ADAPTIVE_BURSTS = 3000
 ARM = "arm-none-eabi-gcc"
 CORTEX_M0_PLUS = ("-mcpu=cortex-m0plus", "-mthumb", "-Os")
 #: Flash memory, bytes: of the sums; of sums, averages, slave and storage with one board; of a further board.
-SUMS_BYTES, SLAVE_BYTES, BOARD_BYTES = 1024, 14 * 1024, 110
+SUMS_BYTES, SLAVE_BYTES, BOARD_BYTES = 1024, 14_400, 110
 #: Runs a program without a limit of its memory: a sanitizer reserves more than any machine has.
 UNLIMITED = 'ulimit -S -d "$(ulimit -H -d)" && exec "$0" "$@"'
 SANITIZERS = ("-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")

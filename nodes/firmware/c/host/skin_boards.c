@@ -93,11 +93,22 @@ static void pass(skin_node *node, const skin_frame *frame, uint32_t now_ms, cons
         skin_lss_request(node, frame, now_ms);
     } else if (can_id == SKIN_SDO_REQUEST_BASE + node->board->node_id && frame->length == 8) {
         skin_request(node, frame, now_ms);
+        if (node->program.is_resetting) {
+            skin_program_init(node, node->program.flash, skin_program_choose(node->program.flash));
+            skin_lss_reset(node, now_ms, 0);
+        }
     }
 }
 
-size_t skin_power_up(skin_node *nodes, uint32_t first, uint32_t boards, const skin_storage *storages, int unnumbered,
-                     uint32_t now_ms, skin_frame *out, size_t capacity)
+/* Connect a board; its serial number stays whatever node-ID LSS gives. */
+static void connect(skin_node *node, uint32_t board, const skin_storage *storages, uint32_t place, skin_outbox *outbox)
+{
+    skin_init(node, &skin_boards[board], outbox, storages == NULL ? NULL : &storages[place]);
+    node->serial_number = skin_unsigned(node, SKIN_OD_IDENTITY, 4);
+}
+
+size_t skin_power_up(skin_node *nodes, uint32_t first, uint32_t boards, const skin_storage *storages,
+                     const skin_flash *flashes, int unnumbered, uint32_t now_ms, skin_frame *out, size_t capacity)
 {
     skin_outbox outbox = new_outbox(out, capacity);
     uint32_t each;
@@ -108,8 +119,9 @@ size_t skin_power_up(skin_node *nodes, uint32_t first, uint32_t boards, const sk
         (void)first;
         (void)storages;
 #else
-        skin_init(&nodes[each], &skin_boards[first + each], &outbox, storages == NULL ? NULL : &storages[each]);
+        connect(&nodes[each], first + each, storages, each, &outbox);
 #endif
+        skin_program_init(&nodes[each], &flashes[each], skin_program_choose(&flashes[each]));
         if (unnumbered) {
             skin_lss_boot(&nodes[each], now_ms);
         } else {
@@ -185,7 +197,7 @@ void skin_prepare(skin_node *nodes, uint32_t first, uint32_t boards, const skin_
     uint32_t each;
 
     for (each = 0; each < boards; each++) {
-        skin_init(&nodes[each], &skin_boards[first + each], NULL, storages == NULL ? NULL : &storages[each]);
+        connect(&nodes[each], first + each, storages, each, NULL);
     }
 }
 

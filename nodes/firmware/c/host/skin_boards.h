@@ -8,12 +8,12 @@
 #define SKIN_MOST_SAMPLES (2 * SKIN_SAMPLES)
 
 /* Power up `boards` boards, from board `first` of board.c on; `nodes` has room for them, `storages` has that of each or is
- * NULL. `unnumbered` boards wait for LSS, unless their storage has a node-ID.
+ * NULL, `flashes` have their programs. `unnumbered` boards wait for LSS, unless their storage has a node-ID.
  *
  * Returns the number of frames written to `out`, at most `capacity`; so do the two functions below.
  */
-size_t skin_power_up(skin_node *nodes, uint32_t first, uint32_t boards, const skin_storage *storages, int unnumbered,
-                     uint32_t now_ms, skin_frame *out, size_t capacity);
+size_t skin_power_up(skin_node *nodes, uint32_t first, uint32_t boards, const skin_storage *storages,
+                     const skin_flash *flashes, int unnumbered, uint32_t now_ms, skin_frame *out, size_t capacity);
 
 /* Pass received frames to the boards of one bus.
  *

@@ -160,15 +160,11 @@ void skin_refresh(skin_node *node, uint32_t now_ms)
 void skin_init(skin_node *node, const skin_board *board, skin_outbox *outbox, const skin_storage *storage)
 {
     memset(node, 0, sizeof *node);
-    node->board = board;
     node->outbox = outbox;
-#if SKIN_ADAPTIVE
-    node->sender.board = board;
-#endif
     node->storage = storage;
     node->lss.node_id = node->lss.wanted = node->lss.lasting = board->node_id;
     node->lss.bit_timings = SKIN_BIT_TIMINGS;
-    skin_load(node);
+    skin_become(node, board);
 }
 
 void skin_boot(skin_node *node, uint32_t now_ms, int communication_only)
@@ -326,6 +322,7 @@ void skin_tick(skin_node *node, uint32_t now_ms)
     }
     watch(node, now_ms);
     note_state(node);
+    skin_sdo_tick(node, now_ms);
     if (node->state == SKIN_STOPPED) {
         return;
     }

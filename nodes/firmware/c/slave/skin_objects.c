@@ -107,6 +107,11 @@ static uint32_t computed(const skin_node *node, const skin_object *object)
         return signature(node, SKIN_OBJECT_COVERED | SKIN_OBJECT_CALIBRATING);
     case SKIN_OD_HEALTH:
         return node->health[subindex - 1];
+    case SKIN_OD_PROGRAM_DATA:
+    case SKIN_OD_PROGRAM_CONTROL:
+    case SKIN_OD_PROGRAM_ID:
+    case SKIN_OD_FLASH_STATUS:
+        return skin_program_value(&node->program, object->index);
     default: /* the sums */
 #if SKIN_ADAPTIVE
         return (uint32_t)skin_raw(&node->board->type->packing, skin_sender_sum(&node->sender, (uint8_t)(subindex - 1)));
@@ -126,6 +131,10 @@ const uint8_t *skin_value(const skin_node *node, const skin_object *object, uint
         return adaptive;
     }
 #endif
+    if (object->index == SKIN_OD_IDENTITY && object->subindex == 4 && node->serial_number != 0) {
+        skin_put(scratch, node->serial_number, object->bytes);
+        return scratch;
+    }
     if (object->at == SKIN_OBJECT_COMPUTED) {
         if (object->index == SKIN_OD_ERROR_FIELD && object->subindex > node->history_count) {
             return NULL;
@@ -260,7 +269,7 @@ static uint32_t check_write(const skin_node *node, uint16_t index, uint8_t subin
     if (SKIN_OD_TPDO_COMMUNICATION <= index && index < SKIN_OD_TPDO_MAPPING) {
         return check_communication(node, index, subindex, value);
     }
-    if (SKIN_OD_TPDO_MAPPING <= index && index < SKIN_OD_MANUFACTURER) {
+    if (SKIN_OD_TPDO_MAPPING <= index && index < SKIN_OD_TPDO_END) {
         return check_mapping(node, index, subindex, value);
     }
     switch (of_first_block(index)) {
@@ -346,10 +355,14 @@ static uint32_t key_of(const skin_node *node)
     return key;
 }
 
-void skin_load(skin_node *node)
+void skin_become(skin_node *node, const skin_board *board)
 {
     const skin_storage *storage = node->storage;
 
+    node->board = board;
+#if SKIN_ADAPTIVE
+    node->sender.board = board;
+#endif
     node->has_stored = storage != NULL && storage->load(storage->context, SKIN_RECORD_PARAMETERS, key_of(node),
                                                         node->stored, node->board->type->writable_bytes) == 0;
 }
@@ -388,7 +401,9 @@ uint32_t skin_write(skin_node *node, uint16_t index, uint8_t subindex, const uin
     if (abort != 0) {
         return abort;
     }
-    if (index == SKIN_OD_ERROR_FIELD) {
+    if (index == SKIN_OD_PROGRAM_CONTROL) {
+        return skin_program_control(&node->program, data[0]);
+    } else if (index == SKIN_OD_ERROR_FIELD) {
         node->history_count = 0;
     } else if (index == SKIN_OD_STORE) {
         return save(node, node->board->type->writable_bytes);
