@@ -1,4 +1,5 @@
-/* What the converters of a board read, and the average of a taxel's samples between two SYNCs, as far as motion allows ("What a sum is a sum of" in docs/bus.md).
+/* From what the converters of a board read to the sums of a block, with the average of a taxel's samples between two SYNCs, as
+ * far as motion allows ("What a sum is a sum of" in docs/bus.md).
  *
  * The models of skin_models.h run on every sample; their mean, weighted by likelihood, is the average. Noise that the
  * sensor clips at 0 is learned from taxels that nothing touches, and its bias is undone. Needs a floating point unit:
