@@ -204,8 +204,8 @@ def _compare(skin: Layout, source: Path, made: _Rebuilt) -> None:
     mono_ns, near_ns = made.time_ns - wall_offset_ns(source), round(0.5e9 * skin.sync.period_s)
     compared = equal = 0
     for _, _, shown in read_messages(source, [IMAGE], lambda _: None):
-        nearest = int(np.argmin(np.abs(mono_ns - shown.sampled_mono_ns)))
-        if abs(int(mono_ns[nearest]) - shown.sampled_mono_ns) < near_ns:
+        nearest = int(np.searchsorted(mono_ns, shown.sampled_mono_ns - near_ns))
+        if nearest < len(mono_ns) and abs(int(mono_ns[nearest]) - shown.sampled_mono_ns) < near_ns:
             compared += 1
             pixels = made.images[nearest].astype("<f4", copy=False).tobytes()
             equal += same_pixels(pixels, shown.pixels, skin.taxels.force_max_n)
