@@ -16,7 +16,7 @@ from shell.output import cache_folder
 from shell.service import say
 from skin.layout import Layout
 from skin.measurement import Phi
-from skin.sources import DEFAULT_OBJECTS, StrokeKind, load_touches
+from skin.sources import DEFAULT_OBJECTS, StrokeKind, load_touches, object_file
 
 TOUCHES_PER_OBJECT: Final = 600
 #: The features for each kind of stroke: objects at any place, or near one place as in the paper.
@@ -25,8 +25,15 @@ FEATURES: Final[dict[StrokeKind, Features]] = {"slide": "energies", "press": "su
 
 def cached_path(layout: Layout, phi: Phi, objects: Sequence[str], stroke: StrokeKind = "slide") -> Path:
     """Return the path of the model of this skin, these objects and this kind of touch."""
-    about = msgspec.json.encode([layout.taxels, noise_ratios(layout), sorted(objects), *_unusual(layout, stroke)])
+    marks = sorted(map(_mark, objects))
+    about = msgspec.json.encode([layout.taxels, noise_ratios(layout), marks, *_unusual(layout, stroke)])
     return cache_folder() / f"model-{VERSION}-{phi.fingerprint}-{hashlib.sha256(about).hexdigest()[:8]}.npz"
+
+
+def _mark(name: str) -> str:
+    """Return the name of an object, with a digest of the user's own file."""
+    file = object_file(name)
+    return name if file is None or not file.is_file() else f"{name}-{hashlib.sha256(file.read_bytes()).hexdigest()}"
 
 
 def _unusual(layout: Layout, stroke: StrokeKind) -> list[str | int]:

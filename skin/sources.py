@@ -15,6 +15,7 @@ rules do not see this use. So a skin with its own source runs without ``touch``.
 import inspect
 from collections.abc import Callable, Iterable, Sequence
 from importlib.metadata import entry_points
+from pathlib import Path
 from typing import Any, Final, Literal, NamedTuple, Protocol
 
 import numpy as np
@@ -143,13 +144,34 @@ def object_names(given: Iterable[str]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(name for each in split for name in OBJECT_GROUPS.get(each, (each,))))
 
 
+def object_file(name: str) -> Path | None:
+    """Return the file of an object that is the user's own mesh, ``FILE@UNIT``; None for a name."""
+    file, _, unit = name.rpartition("@")
+    return Path(file) if file and unit else None
+
+
+def object_label(name: str) -> str:
+    """Return what labels call an object: its name, or the name of its file without the ending.
+
+    Examples
+    --------
+    >>> object_label("meshes/handle.stl@mm:y90")
+    'handle'
+    """
+    file = object_file(name)
+    return name if file is None else file.stem
+
+
 def known_objects(touching: Iterable[str]) -> tuple[str, ...]:
     """Return the objects of a classifier: those that touch and, for a realistic choice, the default objects.
 
-    A whole group of `OBJECT_GROUPS` is a choice by itself.
+    A whole group of `OBJECT_GROUPS` is a choice by itself. An own object takes the place of the one of its name.
     """
     names = tuple(touching)
-    return names if names in OBJECT_GROUPS.values() else tuple(dict.fromkeys((*DEFAULT_OBJECTS, *names)))
+    if names in OBJECT_GROUPS.values():
+        return names
+    own = {object_label(name) for name in names if object_file(name) is not None}
+    return tuple(dict.fromkeys((*(name for name in DEFAULT_OBJECTS if name not in own), *names)))
 
 
 def load_sender(name: str) -> Callable[..., Any]:

@@ -19,7 +19,7 @@ def objects(
     Parameters
     ----------
     names
-        Comma-separated names: list only these objects, and draw each below the table.
+        Comma-separated names: list only these objects, and draw each below the table. FILE@UNIT is your own mesh.
     meshes
         Folder of meshes (banana, cup, drill, largeclamp, mustard) to use in place of our own shapes.
     figure
@@ -31,6 +31,7 @@ def objects(
     --------
     skin objects
     skin objects drill,cup --meshes ycb-meshes
+    skin objects handle.stl@mm:y90
     skin objects --figure objects.png
     skin objects --json | jq 'max_by(.contact_taxels).name'
     """
@@ -62,11 +63,12 @@ def _press_each(names: Sequence[str], meshes: Path | None) -> dict[str, Force]:
 
 
 def _describe(name: str, meshes: Path | None, force_n: Force) -> dict[str, Any]:
+    from skin.sources import object_label
     from touch.objects import made_of, size_m, spheres_of
 
     length_m, width_m = size_m(name, meshes)
     return {
-        "name": name,
+        "name": object_label(name),
         "made_of": made_of(name, meshes),
         "length_m": length_m,
         "width_m": width_m,

@@ -1,5 +1,7 @@
 """Objects from meshes: one sphere per vertex, as the paper makes its YCB objects (section V)."""
 
+import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,10 +16,15 @@ from touch.contact import TRAVEL_M, FloatArray, Spheres
 #: Largest file and number of vertices; larger meshes are refused. The paper's objects have 0.5 MB and 14 000 vertices.
 MOST_BYTES: Final = 256 * 2**20
 MOST_VERTICES: Final = 300_000
-#: Allowed extent of an object; a file outside these limits is probably not in metres.
+#: Allowed extent of an object; a file outside these limits is probably in another unit.
 SMALLEST_M, LARGEST_M = 0.005, 1.5
 #: Largest radius of a sphere: larger spheres would show the vertices, not the object.
 MOST_RADIUS_M: Final = 0.008
+#: Longest edge of an own object; the edges of a coarser mesh are divided.
+LONGEST_EDGE_M: Final = 0.002
+#: Units of an own object, metres.
+UNITS_M: Final = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "inch": 0.0254}
+_TURN: Final = re.compile(r"([xyz])([+-]?\d+(?:\.\d+)?)")
 
 
 @dataclass(frozen=True)
@@ -30,10 +37,35 @@ class MeshPose:
         File names without suffix; the first file found is used.
     turns : tuple of (str, float)
         Axis and angle (radians) of the rotations, in this order, from the mesh's frame to its position under the array.
+    unit : str
+        One of `UNITS_M`.
+    longest_edge_m : float, optional
+        Longer edges are divided; None: a mesh that is too coarse is refused.
     """
 
     stems: tuple[str, ...]
     turns: tuple[tuple[str, float], ...]
+    unit: str = "m"
+    longest_edge_m: float | None = None
+
+
+def own_pose(name: str) -> MeshPose:
+    """Return the unit and the turns of an own object, ``FILE@UNIT`` or ``FILE@UNIT:AXISDEGREES:...``.
+
+    Examples
+    --------
+    >>> own_pose("handle.stl@mm:y90").unit
+    'mm'
+    """
+    unit, *turned = name.rpartition("@")[2].split(":")
+    turns = [_TURN.fullmatch(each) for each in turned]
+    if unit not in UNITS_M or not all(turns):
+        raise InputError(
+            f"object '{name}': expected FILE@UNIT with a unit of {', '.join(UNITS_M)}, and after it turns about an axis"
+            " in degrees, for example cup.stl@mm:y90"
+        )
+    angles = ((each[1], math.radians(float(each[2]))) for each in turns if each)
+    return MeshPose((), tuple(angles), unit, LONGEST_EDGE_M)
 
 
 def find_mesh(folder: Path, pose: MeshPose) -> Path:
@@ -55,11 +87,11 @@ def load_mesh(path: Path, pose: MeshPose) -> Spheres:
     The mesh is centred at the middle of its extent in x and y and at the mean of z, then rotated. Spheres that reach no
     taxel are left out.
 
-    Raise InputError if the file cannot be read, is too large, empty or open, too coarse, or not in metres.
+    Raise InputError if the file cannot be read, is too large, empty or open, too coarse, or in another unit.
     """
     from scipy.spatial import KDTree
 
-    vertices = _read(path)
+    vertices = _read(path, pose)
     near_m = KDTree(vertices).query(vertices, k=2)[0][:, 1]
     radius_m = 2.0 * float(near_m.mean())
     if radius_m > MOST_RADIUS_M:
@@ -73,11 +105,18 @@ def load_mesh(path: Path, pose: MeshPose) -> Spheres:
     # The array faces down: its columns have the direction of the world's x, its rows the opposite of the world's y.
     placed[:, 1] *= -1.0
     reached = placed[placed[:, 2] > placed[:, 2].max() - TRAVEL_M]
+    if pose.longest_edge_m is not None:
+        # Of spheres with one place across the way, the highest alone is felt.
+        reached = reached[np.argsort(-reached[:, 2], kind="stable")]
+        cells = np.round(reached[:, :2] / (pose.longest_edge_m / 2))
+        reached = reached[np.unique(cells, axis=0, return_index=True)[1]]
     return Spheres(reached, np.full(len(reached), radius_m))
 
 
-def _read(path: Path) -> FloatArray:
+def _read(path: Path, pose: MeshPose) -> FloatArray:
     """Return the vertices of a file, shape (n, 3), after every check."""
+    if not path.is_file():
+        raise InputError(f"no mesh at '{path}': expected a file that trimesh reads, for example .stl, .obj or .ply")
     size = path.stat().st_size
     if size > MOST_BYTES:
         raise InputError(f"'{path}' is too large: {size / 2**20:.0f} MiB, expected at most {MOST_BYTES // 2**20}")
@@ -85,20 +124,28 @@ def _read(path: Path) -> FloatArray:
         mesh: Any = _trimesh().load_mesh(path)
     except Exception as error:  # the readers of trimesh raise any error of their libraries
         raise InputError(f"'{path}' cannot be read as a mesh: {error or type(error).__name__}") from error
-    vertices = np.asarray(getattr(mesh, "vertices", ()), np.float64)
+    vertices = np.asarray(getattr(mesh, "vertices", ()), np.float64) * UNITS_M[pose.unit]
     if len(vertices) < 4 or not len(getattr(mesh, "faces", ())):
         raise InputError(f"'{path}' is empty: expected a mesh with vertices and triangles")
     if not np.isfinite(vertices).all():
         raise InputError(f"'{path}' has vertices that are no finite numbers")
-    if len(vertices) > MOST_VERTICES:
-        raise InputError(f"'{path}' has {len(vertices)} vertices, expected at most {MOST_VERTICES}: decimate it")
+    _check_count(path, len(vertices))
     extent_m = float(np.ptp(vertices, axis=0).max())
     if not SMALLEST_M <= extent_m <= LARGEST_M:
-        hint = "is it in millimetres? scale it by 0.001" if extent_m > LARGEST_M else "scale it to metres"
+        hint = f"is its unit {pose.unit}?" if pose.longest_edge_m else "scale it to metres"
         raise InputError(f"'{path}' is {extent_m:g} m long, expected {SMALLEST_M} to {LARGEST_M} m: {hint}")
     if not mesh.is_watertight:
         raise InputError(f"'{path}' is open: expected a closed surface; fill its holes")
-    return vertices
+    if pose.longest_edge_m is None:
+        return vertices
+    _check_count(path, math.ceil(mesh.area * UNITS_M[pose.unit] ** 2 / pose.longest_edge_m**2))
+    divided: FloatArray = _trimesh().remesh.subdivide_to_size(vertices, mesh.faces, pose.longest_edge_m)[0]
+    return np.unique(divided, axis=0)
+
+
+def _check_count(path: Path, count: int) -> None:
+    if count > MOST_VERTICES:
+        raise InputError(f"'{path}' has {count} vertices, expected at most {MOST_VERTICES}: decimate it")
 
 
 def _turned(points: FloatArray, turns: Sequence[tuple[str, float]]) -> FloatArray:

@@ -3,28 +3,29 @@
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Final
 
 from canskin.errors import InputError
-from skin.sources import OBJECT_GROUPS, object_names
+from skin.sources import OBJECT_GROUPS, object_file, object_label, object_names
 from touch import primitives
 from touch.contact import Spheres
-from touch.meshes import MeshPose, find_mesh, load_mesh
+from touch.meshes import UNITS_M, MeshPose, find_mesh, load_mesh, own_pose
 from touch.shapes import SHAPES
 
 
 @dataclass(frozen=True)
 class TouchObject:
-    """One object of the catalogue.
+    """An object of the catalogue, or the user's own.
 
     Attributes
     ----------
     name, shape : str
         Name of the object, and of its primitive.
-    size_m : tuple of float
-        Length and width of the side that faces the array, metres; of an own shape, those of its upper 10 mm.
+    size_m : tuple of float, optional
+        Length and width of the side that faces the array, metres; of a body of rods, those of its upper 10 mm. None: as
+        the mesh has them.
     build : callable
         Returns its spheres.
     mesh : MeshPose, optional
@@ -33,7 +34,7 @@ class TouchObject:
 
     name: str
     shape: str
-    size_m: tuple[float, float]
+    size_m: tuple[float, float] | None
     build: Callable[[], Spheres]
     mesh: MeshPose | None = None
 
@@ -98,20 +99,28 @@ _KNOWN: Final = ", ".join((*OBJECT_GROUPS, *CATALOGUE))
 def checked_names(names: Iterable[str]) -> tuple[str, ...]:
     """Return `names` as `skin.sources.object_names` does, and refuse names that the catalogue does not have.
 
-    A string may hold several names, separated by commas.
+    A string may hold several names, separated by commas. The user's own objects are ``FILE@UNIT``; two objects with one
+    label are refused.
     """
     listed = object_names([names] if isinstance(names, str) else names)
     if not listed:
         raise InputError(f"no object named: expected one or more of {_KNOWN}")
+    labels: dict[str, str] = {}
     for name in listed:
-        _item(name)
+        if labels.setdefault(_item(name).name, name) != name:
+            raise InputError(f"'{labels[object_label(name)]}' and '{name}' have the same name: rename a file")
     return listed
 
 
 def _item(name: str) -> TouchObject:
-    """Return the object of this one name."""
+    """Return the object of this one name, or of a file."""
+    file = object_file(name)
+    if file is not None:
+        return TouchObject(object_label(name), file.name, None, partial(load_mesh, file, own_pose(name)))
+    if Path(name).suffix:
+        raise InputError(f"in which unit is '{name}'? expected {' or '.join(f'{name}@{unit}' for unit in UNITS_M)}")
     if name not in CATALOGUE:
-        raise InputError(f"unknown object '{name}': expected one of {_KNOWN}")
+        raise InputError(f"unknown object '{name}': expected one of {_KNOWN}, or a mesh as FILE@UNIT")
     return CATALOGUE[name]
 
 
@@ -122,7 +131,7 @@ def spheres_of(name: str, meshes: str | Path | None = None) -> Spheres:
     Parameters
     ----------
     name : str
-        One of `CATALOGUE`.
+        One of `CATALOGUE`, or ``FILE@UNIT``.
     meshes : str or pathlib.Path, optional
         Folder of meshes in metres, in any format that trimesh reads: ``banana.ply``, ``drill.stl``, … Only the objects
         that the paper takes from meshes use this folder.
@@ -144,6 +153,6 @@ def made_of(name: str, meshes: Path | None = None) -> str:
 def size_m(name: str, meshes: Path | None = None) -> tuple[float, float]:
     """Return length and width of the side that faces the array: as built, or of the upper 10 mm of a mesh."""
     item = _item(name)
-    if meshes is None or item.mesh is None:
+    if item.size_m is not None and (meshes is None or item.mesh is None):
         return item.size_m
     return spheres_of(name, meshes).footprint_m(FACING_M)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from canskin.errors import InputError
-from skin.sources import LabelledTouches, StrokeKind
+from skin.sources import LabelledTouches, StrokeKind, object_label
 from skin.surface import Surface
 from touch.contact import PITCH_M, Force, Skin, skin_of
 from touch.objects import checked_names
@@ -45,7 +45,7 @@ def random_touches(
     force_n = np.empty((count, *skin.shape), np.float32)
     for index in range(count):
         _observe(listed[index % len(listed)], skin, random_stream(seed, TRAINING, index), force_n[index], stroke)
-    labels = np.array([listed[index % len(listed)] for index in range(count)], np.str_)
+    labels = np.array([object_label(listed[index % len(listed)]) for index in range(count)], np.str_)
     return LabelledTouches(force_n, labels)
 
 

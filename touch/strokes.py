@@ -10,7 +10,7 @@ from typing import Final, assert_never
 
 import numpy as np
 
-from skin.sources import StrokeKind
+from skin.sources import StrokeKind, object_label
 from skin.taxel import NOISE_N
 from touch.classification_poses import OFFSETS_M, ROTATIONS_RAD
 from touch.contact import FloatArray, Force, Pose, Shell, Skin, Spheres, press, tangents
@@ -87,7 +87,7 @@ class Stroke:
 
 @dataclass(frozen=True, eq=False)
 class Touch:
-    """One object and its stroke over the skin."""
+    """One object, by its label, and its stroke over the skin."""
 
     name: str
     spheres: Spheres
@@ -105,12 +105,12 @@ def random_stream(seed: int, stream: int, index: int) -> np.random.Generator:
 
 def draw_touch(name: str, skin: Skin, rng: np.random.Generator, kind: StrokeKind = "slide") -> Touch:
     """Return a random touch of the object `name`, of a kind of `skin.sources.StrokeKind`."""
-    spheres = spheres_of(name)
+    spheres, label = spheres_of(name), object_label(name)
     match kind:
         case "slide":
-            return Touch(name, spheres, _draw_slide(spheres, skin, rng))
+            return Touch(label, spheres, _draw_slide(spheres, skin, rng))
         case "press":
-            return Touch(name, spheres, _draw_press(skin, rng))
+            return Touch(label, spheres, _draw_press(skin, rng))
         case _:
             assert_never(kind)
 

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Final
 
 from canskin.errors import InputError
+from skin.sources import object_file
 from touch.contact import Force, Grid, Pose, press_along
 from touch.objects import spheres_of
 
@@ -97,7 +98,12 @@ def trajectory(name: str, *, meshes: str | Path | None = None, speed: int = 1, s
 
 
 def start_of(name: str) -> Start:
-    """Return the start of the trajectory of the object `name`; raise InputError if the paper has none."""
+    """Return the start of the trajectory of the object `name`; raise InputError if the paper has none.
+
+    The user's own objects start where the golf ball does.
+    """
+    if object_file(name) is not None:
+        return Start(GOLF_START_M, 0.0, exact=False)
     if name not in ACQUISITION_OBJECTS:
         raise InputError(f"no trajectory of '{name}': expected one of {', '.join(ACQUISITION_OBJECTS)}")
     return ACQUISITION_OBJECTS[name]

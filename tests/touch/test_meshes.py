@@ -8,8 +8,9 @@ import pytest
 import trimesh
 
 from canskin.errors import InputError
-from touch.meshes import MeshPose, find_mesh, load_mesh
-from touch.objects import spheres_of
+from skin.sources import known_objects, object_label
+from touch.meshes import LONGEST_EDGE_M, MeshPose, find_mesh, load_mesh
+from touch.objects import checked_names, made_of, size_m, spheres_of
 
 AS_IT_IS = MeshPose(("thing",), ())
 
@@ -59,7 +60,7 @@ def test_turns_are_made_one_after_the_other_and_y_runs_down(tmp_path: Path) -> N
 @pytest.mark.parametrize(
     ("mesh", "message"),
     [
-        (ball_mesh(30.0), "60 m long.*millimetres.*0.001"),
+        (ball_mesh(30.0), "60 m long.*scale it to metres"),
         (ball_mesh(1e-4), "long.*scale it to metres"),
         (trimesh.creation.box((0.1, 0.1, 0.1)), "too coarse.*100.0 mm apart.*subdivide"),
         (open_mesh(), "open.*closed surface"),
@@ -98,3 +99,34 @@ def test_the_folder_is_named_when_a_mesh_is_missing(tmp_path: Path) -> None:
     assert find_mesh(tmp_path, MeshPose(("clamp", "largeclamp"), ())) == path
     assert len(spheres_of("clamp", tmp_path)) > 100
     assert spheres_of("tuna-can", tmp_path) is not None
+
+
+@pytest.mark.parametrize(("unit", "metres"), [("mm", 1e-3), ("cm", 1e-2), ("m", 1.0), ("inch", 0.0254)])
+def test_an_own_object_has_the_unit_that_the_user_names(tmp_path: Path, unit: str, metres: float) -> None:
+    path = saved(tmp_path / "block.stl", trimesh.creation.box(np.array((0.06, 0.04, 0.03)) / metres))
+    name = f"{path}@{unit}"
+    assert object_label(name) == "block"
+    assert made_of(name) == "block.stl"
+    spheres = spheres_of(name)
+    assert size_m(name) == pytest.approx((0.06, 0.04), abs=2 * spheres.radii_m[0] + 1e-6)
+    places = spheres.centres_m[:, :2]
+    assert spheres.radii_m[0] <= 2 * LONGEST_EDGE_M
+    assert len(places) > 60 * 40 / 4
+    turned = spheres_of(f"{name}:z90:y90")
+    assert turned.footprint_m(0.01) == pytest.approx((0.03, 0.06), abs=2 * spheres.radii_m[0] + 1e-6)
+
+
+def test_own_objects_that_cannot_be_used(tmp_path: Path) -> None:
+    path = saved(tmp_path / "ring.stl", ball_mesh(30.0))
+    for name, message in (
+        (f"{path}", r"in which unit is '.*ring\.stl'\? expected .*ring\.stl@mm or"),
+        (f"{path}@feet", "expected FILE@UNIT with a unit of mm, cm, m, inch"),
+        (f"{path}@mm:w5", "turns about an axis in degrees"),
+        ("nowhere.stl@mm", r"no mesh at 'nowhere\.stl'"),
+        (f"{path}@m", r"60 m long.*is its unit m\?"),
+    ):
+        with pytest.raises(InputError, match=message):
+            spheres_of(name)
+    with pytest.raises(InputError, match=r"'ring' and '.*' have the same name"):
+        checked_names(f"ring,{path}@mm")
+    assert "ring" not in known_objects([f"{path}@mm"])

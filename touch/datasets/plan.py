@@ -14,6 +14,7 @@ import numpy as np
 from canskin.errors import InputError
 from skin.defects import KINDS, Stage, option_name
 from skin.ranges import require_number
+from skin.sources import object_label
 from skin.taxel import TaxelModel
 from touch.classification_poses import CLASSIFICATION_OBJECTS, PERTURBATIONS, observe, poses
 from touch.coarse_arrays import ARRAYS, FINE_SIDE, Kind, averaged, grid_of
@@ -89,14 +90,15 @@ def plan_acquisition(
         start, spheres = start_of(name), spheres_of(name, meshes)
         way = [paper_pose(step, start.start_m, start.rotation_rad) for step in taken]
         for first in range(0, len(way), CHUNK_STEPS):
-            files = _pair(f"{name}/{{}}-{first // CHUNK_STEPS:02d}.npy", {"object": name, "first_step": first})
+            about = {"object": object_label(name), "first_step": first}
+            files = _pair(f"{object_label(name)}/{{}}-{first // CHUNK_STEPS:02d}.npy", about)
             # With the step before, which a damper needs.
             stretch = way[max(first - 1, 0) : first + CHUNK_STEPS]
             tasks.append(Task(files, partial(_steps, spheres, stretch, first, _Sensor(model, seed, tuple(files)))))
     settings = {"speed": speed, "steps": len(taken), **_settings(seed, model)}
     about = _about("acquisition", "step, row, column", settings, listed, meshes)
     about["period_s"] = PAPER_STEP_S
-    about["starts"] = {name: asdict(start_of(name)) for name in listed}
+    about["starts"] = {object_label(name): asdict(start_of(name)) for name in listed}
     return DatasetPlan(about, tuple(tasks))
 
 
@@ -140,8 +142,8 @@ def plan_classification(
     for name in listed:
         files: dict[str, dict[str, Any]] = {}
         for side in once:
-            about = {"object": name, "side": side, "kind": kind}
-            files |= _pair(f"{kind}-{side:02d}x{side:02d}/{name}-{{}}.npy", about)
+            about = {"object": object_label(name), "side": side, "kind": kind}
+            files |= _pair(f"{kind}-{side:02d}x{side:02d}/{object_label(name)}-{{}}.npy", about)
         sensor = _Sensor(model, seed, tuple(files))
         tasks.append(Task(files, partial(_moments, spheres_of(name, meshes), drawn, once, kind, sensor)))
     settings = {
@@ -201,7 +203,7 @@ def _about(
     for each in listed:
         spheres = spheres_of(each, meshes)
         digest = sha256(spheres.centres_m.tobytes() + spheres.radii_m.tobytes()).hexdigest()
-        objects[each] = {"made_of": made_of(each, meshes), "spheres": len(spheres), "sha256": digest}
+        objects[object_label(each)] = {"made_of": made_of(each, meshes), "spheres": len(spheres), "sha256": digest}
     return {
         "data_set": name,
         "made_by": f"canskin {version('canskin')}",
