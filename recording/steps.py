@@ -10,7 +10,7 @@ from typing import Any, Final
 from bandwidth.logs import of_buses, read_log
 from calibration.calibrator import Calibrator
 from canskin.errors import InputError
-from canskin.messages import GATEWAY, IMAGE, LABEL, MEASUREMENT, NODES, TRUTH, Image, Label, Measurement
+from canskin.messages import GATEWAY, IMAGE, LABEL, MARK, MEASUREMENT, NODES, TRUTH, Image, Label, Measurement
 from dbc.contract import Contract
 from dbc.frame import Frames
 from dbc.stored_frames import from_bytes
@@ -43,7 +43,7 @@ from skin.measured_sums import check_fingerprint, check_measurement
 #: Longest time from a measurement to its image and label: the first label waits for compiled code.
 _ANSWERS_NS: Final = 15_000_000_000
 #: Played as they were recorded. Images and contacts, measurements and labels are made anew.
-_AS_RECORDED: Final = {topic.name: topic for topic in (GATEWAY, NODES, TRUTH)}
+_AS_RECORDED: Final = {topic.name: topic for topic in (GATEWAY, NODES, TRUTH, MARK)}
 
 
 def steps_of(
