@@ -9,7 +9,8 @@ import pytest
 
 from canskin.errors import ModelError
 from canskin.fabric import Fabric
-from classifier.decide import FORGET_CYCLES, Classifier
+from classifier.decide import Classifier
+from classifier.newest_sums import FORGET_CYCLES
 from classifier.model import Model
 from classifier.modelfile import load_model, save_model
 from classifier.service import AdaptiveClassifierService
