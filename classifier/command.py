@@ -12,7 +12,7 @@ from canskin.fabric import Fabric
 from canskin.session import DEFAULT_ENDPOINT
 from canskin.state_messages import IMAGES, ImagesRequest
 from classifier.cache import FEATURES, TOUCHES_PER_OBJECT, cached_path, find_or_train, keep_model
-from classifier.model import SIMULATED, Features, Metadata, Model
+from classifier.model import SIMULATED, Features, Metadata, Model, TrainingCard
 from classifier.modelfile import load_model, save_model
 from classifier.used_sums import classified_phi
 from classifier.wake import Wake
@@ -120,7 +120,7 @@ def train(
     """Train a classifier for a skin on simulated touches, or on the labelled touches of recordings.
 
     Of recordings: all cycles of a touch are in one part of the cross-validation, and where each label is in two
-    recordings or more, all cycles of a recording. The table and the model card have the accuracy, the card the warnings.
+    recordings or more, all cycles of a recording. The table is the confusion matrix.
 
     Parameters
     ----------
@@ -263,9 +263,21 @@ def _show(about: Metadata, path: Path, *, as_json: bool) -> None:
         print_table(("object", "right on validation"), [(name, f"{ratio:.1%}") for name, ratio in accuracies.items()])
         say("train", f"C = {card.C:g}, {card.touches} touches, Φ {about.fingerprint}: {path}")
         return
-    names, rows = list(card.per_object), [*card.confusion, [sum(column) for column in zip(*card.confusion, strict=True)]]
-    right = zip([*names, "all"], rows, accuracies.values(), strict=True)
-    print_table(("cycles of", *(f"named {name}" for name in names), "right"), [(n, *r, f"{p:.1%}") for n, r, p in right])
-    by_touch = "" if card.accuracy_by_touch is None else f", by touch {card.accuracy_by_touch:.1%}"
-    say("train", f"right by {card.validated_by} {card.validation_accuracy:.1%}{by_touch}: of cycles whose {card.validated_by} was left out")
-    say("train", f"C = {card.C:g}, {card.touches} touches of {len(card.recordings)} recordings, Φ {about.fingerprint}: {path}")
+    _show_confusion(card)
+    recordings = f"{card.touches} touches of {len(card.recordings)} recordings"
+    say("train", f"C = {card.C:g}, {recordings}, Φ {about.fingerprint}: {path}")
+
+
+def _show_confusion(card: TrainingCard) -> None:
+    """Print how many cycles that were left out of a training got which label."""
+    rows = [*card.confusion, [sum(column) for column in zip(*card.confusion, strict=True)]]
+    accuracies = card.per_object | {"all": card.validation_accuracy}
+    print_table(
+        ("cycles of", *(f"named {name}" for name in card.per_object), "right"),
+        [(name, *row, f"{part:.1%}") for (name, part), row in zip(accuracies.items(), rows, strict=True)],
+    )
+    by_touch = f"{card.accuracy_by_touch:.1%} if its touch" if card.accuracy_by_touch is not None else ""
+    if card.validated_by == "recording":
+        say("train", f"right: {card.validation_accuracy:.1%} if the recording of a cycle was left out, {by_touch}")
+    else:
+        say("train", f"right: {by_touch} was left out")

@@ -1,12 +1,14 @@
 """Models of recorded touches: our own machine, or a linear classifier that a user has made in scikit-learn."""
 
+import warnings
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 from sklearn.base import clone
+from sklearn.exceptions import ConvergenceWarning
 from sklearn.model_selection import LeaveOneGroupOut, StratifiedKFold
 from sklearn.pipeline import Pipeline, make_pipeline
 from sklearn.preprocessing import StandardScaler
@@ -49,8 +51,8 @@ class GlobalScaler(StandardScaler):  # type: ignore[misc]  # scikit-learn is unt
     def fit(self, X: Any, y: Any = None, sample_weight: Any = None) -> "GlobalScaler":
         """Fit the scale: the root mean square of all values becomes 1."""
         super().fit(X, y, sample_weight)
-        self.mean_ = np.zeros_like(self.mean_)
-        self.scale_ = np.full_like(self.scale_, 1 / global_scale(X))
+        width = np.shape(X)[1]
+        self.mean_, self.scale_ = np.zeros(width), np.full(width, 1 / global_scale(X))
         return self
 
 
@@ -101,7 +103,7 @@ def train_recorded(
         if held is None or tried.accuracy > held.accuracy:
             best, held = machine, tried
     say("the final fit", len(machines) / (len(machines) + 1))
-    return _model(best.fit(X, data.labels), data, X, features, seed)
+    return _model(_fitted(best, X, data.labels), data, X, features, seed)
 
 
 def export_model(path: str | Path, estimator: Any, data: LabelledTouches, *, seed: int = 0) -> TrainingCard:
@@ -177,7 +179,7 @@ def _by_touch(data: LabelledTouches, parts: int, seed: int) -> list[Fold]:
     return [(np.flatnonzero(~each), np.flatnonzero(each)) for each in held]
 
 
-def _strict(data: LabelledTouches, seed: int) -> tuple[str, list[Fold]]:
+def _strict(data: LabelledTouches, seed: int) -> tuple[Literal["recording", "touch"], list[Fold]]:
     """Return the strictest folds that leave no label without training: by recording, else by touch."""
     if all(np.unique(data.recording[data.labels == name]).size > 1 for name in np.unique(data.labels)):
         return "recording", list(LeaveOneGroupOut().split(data.labels, groups=data.recording))
@@ -191,12 +193,19 @@ def _touch_folds(data: LabelledTouches, seed: int) -> list[Fold]:
 def _cross_validated(estimator: Any, X: Float64, labels: npt.NDArray[np.str_], folds: Iterable[Fold]) -> _Held:
     rows, margins, said = [], [], []
     for development, held in folds:
-        planes = _planes_of(clone(estimator).fit(X[development], labels[development]))
+        planes = _planes_of(_fitted(clone(estimator), X[development], labels[development]))
         rows.append(held)
         margins.append(planes.margins(X[held]))
         said.append(planes.said(margins[-1]))
     every, names = np.concatenate(rows), np.concatenate(said)
     return _Held(every, np.concatenate(margins), names, float(np.mean(names == labels[every])))
+
+
+def _fitted(estimator: Any, X: Float64, labels: npt.NDArray[np.str_]) -> Any:
+    with warnings.catch_warnings():
+        # Machines that max_iter has stopped are validated like the others.
+        warnings.simplefilter("ignore", ConvergenceWarning)
+        return estimator.fit(X, labels)
 
 
 def _model(estimator: Any, data: LabelledTouches, X: Float64, features: Features, seed: int) -> Model:

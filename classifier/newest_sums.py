@@ -17,7 +17,8 @@ _UNKNOWN: Final = 1e30
 AVERAGED_S: Final = 0.04
 
 
-#: After a gap of more cycles than this, or than three times those that are averaged if these are more, all begins again.
+#: After a gap of more cycles than this, or than three times those that are averaged if these are more, past cycles
+#: count no more.
 FORGET_CYCLES: Final = 10
 
 

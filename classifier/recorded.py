@@ -86,13 +86,17 @@ class LabelledTouches:
 
     def whole(self) -> "LabelledTouches":
         """Return the cycles without a missing block."""
-        rows = self.seen.valid[:, self.phi.has_sums].all(axis=1)
+        rows = np.flatnonzero(self.seen.valid[:, self.phi.has_sums].all(axis=1))
         per_cycle = {name: getattr(self, name)[rows] for name in ("labels", "touch", "recording", "energies")}
         return replace(self, **per_cycle, seen=self.seen.part(rows))
 
 
 def labelled_touches(
-    recordings: Sequence[str | Path] | str | Path, layout: Path | None = None, *, noise_n: float = NOISE_N, seed: int = 0
+    recordings: Sequence[str | Path] | str | Path,
+    layout: Path | None = None,
+    *,
+    noise_n: float = NOISE_N,
+    seed: int = 0,
 ) -> LabelledTouches:
     """Read the labelled touches of recordings of one skin.
 
@@ -124,11 +128,11 @@ def labelled_touches(
         if has_still
         else observe_untouched(skin, phi, noise_n, _DRAWN_STILL, np.random.default_rng(seed))
     )
-    numbers = np.cumsum([0, *(each.touches for each in readers)])
+    first = np.cumsum([0, *(each.touches for each in readers)])
     extractor = FeatureExtractor(skin, phi, untouched.no_touch, seen)
     return LabelledTouches(
         labels=np.array([name for each in readers for name in each.labels], np.str_),
-        touch=np.array([number + first for each, first in zip(readers, numbers, strict=False) for number in each.touch]),
+        touch=np.concatenate([each.touch + number for each, number in zip(readers, first[:-1], strict=True)]),
         recording=np.repeat(np.arange(len(readers)), [len(each.labels) for each in readers]),
         energies=extractor.features(seen.sums, np.zeros(len(seen.sums), np.intp), np.random.default_rng(seed)),
         files=tuple(each.name for each in paths),
@@ -161,8 +165,10 @@ class _Reader:
     ----------
     seen, still : list of tuple
         A `Seen` of one observation each: of labelled touches, and of the untouched skin.
-    labels, touch : list
-        Label of each of `seen`, and the number of its touch in this recording, from 0.
+    labels : list of str
+        Label of each of `seen`.
+    touch : array of int
+        Number of its touch in this recording, from 0.
     touches, unlabelled : int
         Number of touches, and of those without label.
     """
@@ -173,12 +179,11 @@ class _Reader:
         self.seen: list[tuple[Any, ...]] = []
         self.still: list[tuple[Any, ...]] = []
         self.labels: list[str] = []
-        self.touch: list[int] = []
+        of_touch: list[int] = []
         wanted = _wanted(found, MOST_STILL // recordings)
         newest = NewestSums(phi, averaged_cycles(layout))
-        full, chosen = layout.operator(), ...
-        if not layout.sends.in_cycles:
-            chosen = places(layout.phi(), coarse_sums(layout))
+        full = layout.operator()
+        used = np.arange(phi.shape[0]) if layout.sends.in_cycles else places(layout.phi(), coarse_sums(layout))
         before = None
         for _, _, measurement in read_messages(path, (MEASUREMENT,), warn):
             try:
@@ -191,7 +196,7 @@ class _Reader:
             before = measurement.cycle
             if is_gap(step, averaged_cycles(layout)):
                 newest.forget()
-            ratio = newest.take(decoded.counts[chosen], decoded.valid, step)
+            ratio = newest.take(decoded.counts[used], decoded.valid, step)
             touch = wanted.get(CycleKey(measurement.cycle, measurement.sampled_mono_ns))
             if touch is None or ratio < MIN_VALID_RATIO or newest.noise_ratio > _MOST_NOISE_RATIO:
                 continue
@@ -201,7 +206,8 @@ class _Reader:
             else:
                 self.seen.append(one)
                 self.labels.append(found.touches[touch].label)
-                self.touch.append(touch)
+                of_touch.append(touch)
+        self.touch = np.array(of_touch, np.intp)
 
 
 def _wanted(found: Touches, most_still: int) -> dict[CycleKey, int]:

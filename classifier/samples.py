@@ -50,9 +50,9 @@ class Seen(NamedTuple):
     noise_ratio: Float64
     cycle: npt.NDArray[np.int64]
 
-    def part(self, rows: npt.NDArray[np.bool_] | npt.NDArray[np.intp]) -> "Seen":
+    def part(self, rows: npt.NDArray[np.intp]) -> "Seen":
         """Return some of the observations."""
-        return Seen(*(each[rows] for each in self))
+        return Seen(self.sums[rows], self.valid[rows], self.noise_ratio[rows], self.cycle[rows])
 
     @staticmethod
     def of_whole(sums: npt.NDArray[Any], phi: Phi) -> "Seen":

@@ -162,7 +162,7 @@ def read_touches(recording: Path, warn: Warn) -> Touches:
             f"{recording}: holds no contacts: start 'skin reconstruct' before the recorder, or make contacts with"
             " 'skin replay --out'"
         )
-    begin_ns = min(each for each, *_ in (*looks, *marks))
+    begin_ns = min([each.time_ns for each in looks] + [time_ns for time_ns, _ in marks])
     labels = _Labels(marks, read_labels(recording))
     felt = [each for each in looks if each.force_n > 0]
     parts = np.split(np.arange(len(felt)), np.flatnonzero(np.diff([each.time_ns for each in felt]) > GAP_NS) + 1)

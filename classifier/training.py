@@ -212,9 +212,7 @@ def _card(training: _Training, chosen: Chosen, standard: Float64, known: KnownRe
     )
 
 
-def confused(
-    classes: npt.NDArray[np.str_], true: npt.NDArray[np.str_], said: npt.NDArray[np.str_]
-) -> dict[str, Any]:
+def confused(classes: npt.NDArray[np.str_], true: npt.NDArray[np.str_], said: npt.NDArray[np.str_]) -> dict[str, Any]:
     """Return `per_object` and `confusion` of a `TrainingCard`; `classes` are in the order of the alphabet."""
     confusion = np.zeros((classes.size, classes.size), np.int64)
     np.add.at(confusion, (np.searchsorted(classes, true), np.searchsorted(classes, said)), 1)

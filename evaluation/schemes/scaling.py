@@ -13,8 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from classifier.decide import Classifier
-from classifier.newest_sums import FORGET_CYCLES
 from classifier.model import Model
+from classifier.newest_sums import FORGET_CYCLES
 from classifier.samples import simulate_sums
 from classifier.training import TrainingOptions, train
 from dbc.contract import Contract

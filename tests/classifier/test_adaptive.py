@@ -10,9 +10,9 @@ import pytest
 from canskin.errors import ModelError
 from canskin.fabric import Fabric
 from classifier.decide import Classifier
-from classifier.newest_sums import FORGET_CYCLES
 from classifier.model import Model
 from classifier.modelfile import load_model, save_model
+from classifier.newest_sums import FORGET_CYCLES
 from classifier.service import AdaptiveClassifierService
 from classifier.training import TrainingOptions, train
 from classifier.used_sums import classified_phi
