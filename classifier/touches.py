@@ -18,7 +18,7 @@ import numpy as np
 from canskin.errors import UNDECODABLE, InputError
 from canskin.messages import CONTACTS, MARK, Contacts, check_label
 from shell.output import write_file
-from skin.mcap_file import Warn, read_messages
+from skin.mcap_file import Read, Warn, read_messages
 
 #: Contacts that are further apart belong to two touches: messages are lost for shorter times.
 GAP_NS: Final = 100_000_000
@@ -150,18 +150,26 @@ def add_labels(recording: Path, added: Sequence[Span]) -> None:
 
 def read_touches(recording: Path, warn: Warn) -> Touches:
     """Return the touches of a recording that has contacts."""
+    found = touches_of(recording, read_messages(recording, (CONTACTS, MARK), warn), warn)
+    if found is None:
+        raise InputError(
+            f"{recording}: holds no contacts: start 'skin reconstruct' before the recorder, or make contacts with"
+            " 'skin replay --out'"
+        )
+    return found
+
+
+def touches_of(recording: Path, messages: Iterable[Read], warn: Warn) -> Touches | None:
+    """Return the touches of a recording, of its contacts and marks; None without contacts."""
     looks: list[_Look] = []
     marks: list[tuple[int, str]] = []
-    for topic, time_ns, message in read_messages(recording, (CONTACTS, MARK), warn):
+    for topic, time_ns, message in messages:
         if topic is MARK:
             marks.append((time_ns, _checked(message.label, warn)))
         elif not message.blind:
             looks.append(_look(time_ns, message))
     if not looks:
-        raise InputError(
-            f"{recording}: holds no contacts: start 'skin reconstruct' before the recorder, or make contacts with"
-            " 'skin replay --out'"
-        )
+        return None
     begin_ns = min([each.time_ns for each in looks] + [time_ns for time_ns, _ in marks])
     labels = _Labels(marks, read_labels(recording))
     felt = [each for each in looks if each.force_n > 0]
