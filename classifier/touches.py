@@ -20,8 +20,10 @@ from canskin.messages import CONTACTS, MARK, Contacts, check_label
 from shell.output import write_file
 from skin.mcap_file import Read, Warn, read_messages
 
-#: Contacts that are further apart belong to two touches: messages are lost for shorter times.
+#: Without contact for longer, a touch has ended.
 GAP_NS: Final = 100_000_000
+#: Without a message for longer, too: adaptive boards at rest say nothing for 0.1 s, slow skins for a cycle.
+SILENT_NS: Final = 1_000_000_000
 #: Shorter touches are left out.
 LEAST_NS: Final = 50_000_000
 #: A cycle is of the untouched skin if no contact is nearer: an object presses before the image shows a contact.
@@ -172,12 +174,25 @@ def touches_of(recording: Path, messages: Iterable[Read], warn: Warn) -> Touches
         return None
     begin_ns = min([each.time_ns for each in looks] + [time_ns for time_ns, _ in marks])
     labels = _Labels(marks, read_labels(recording))
-    felt = [each for each in looks if each.force_n > 0]
-    parts = np.split(np.arange(len(felt)), np.flatnonzero(np.diff([each.time_ns for each in felt]) > GAP_NS) + 1)
-    groups = [[felt[place] for place in part] for part in parts if part.size]
-    long = [group for group in groups if group[-1].time_ns - group[0].time_ns >= LEAST_NS]
+    long = [group for group in _grouped(looks) if group[-1].time_ns - group[0].time_ns >= LEAST_NS]
     touches = [_touch(number, group, labels) for number, group in enumerate(long, 1)]
     return Touches(begin_ns, touches, _untouched(looks))
+
+
+def _grouped(looks: Iterable[_Look]) -> list[list[_Look]]:
+    """Return what was seen of each touch."""
+    groups: list[list[_Look]] = []
+    is_lifted = True
+    for each in looks:
+        if not each.force_n > 0:
+            is_lifted = True
+            continue
+        apart_ns = each.time_ns - groups[-1][-1].time_ns if groups else 0
+        if not groups or apart_ns > (GAP_NS if is_lifted else SILENT_NS):
+            groups.append([])
+        groups[-1].append(each)
+        is_lifted = False
+    return groups
 
 
 def _look(time_ns: int, message: Contacts) -> _Look:
@@ -216,12 +231,12 @@ def _touch(number: int, group: Sequence[_Look], labels: "_Labels") -> Touch:
 
 
 def _untouched(looks: Sequence[_Look]) -> tuple[CycleKey, ...]:
-    touched_ns = np.array([each.time_ns for each in looks if not each.is_empty] or [-MARGIN_NS], np.int64)
+    touched_ns = np.array([each.time_ns for each in looks if not each.is_empty], np.int64)
     found = []
-    for each in looks:
+    for before, each, after in zip([looks[0], *looks], looks, [*looks[1:], looks[-1]], strict=False):
         place = int(np.searchsorted(touched_ns, each.time_ns))
-        near_ns = touched_ns[max(0, place - 1) : place + 1]
-        if each.is_empty and np.abs(near_ns - each.time_ns).min() > MARGIN_NS:
+        is_far = (np.abs(touched_ns[max(0, place - 1) : place + 1] - each.time_ns) > MARGIN_NS).all()
+        if before.is_empty and each.is_empty and after.is_empty and is_far:
             found.append(each.key)
     return tuple(found)
 

@@ -60,18 +60,24 @@ def test_a_touch_has_times_force_area_and_the_label_of_its_mark(run: Path) -> No
     assert first.force_n == pytest.approx(1.024)
 
 
-def test_lost_messages_part_no_touch_and_a_pause_does(tmp_path: Path, layout: Layout) -> None:
-    times = [0, 20, 40, 140, 160, 400, 420, 460]
-    path = write(tmp_path / "run.mcap", layout, *(felt(each) for each in times))
-    assert seen(path) == [(0, 160), (400, 460)]
+def test_lost_messages_part_no_touch_and_a_lift_does(tmp_path: Path, layout: Layout) -> None:
+    told = [felt(0), felt(40), felt(60, count=0), felt(140), felt(240), felt(1240)]
+    told += [felt(2300), felt(2400), felt(2450, count=0), felt(2520), felt(2600)]
+    assert seen(write(tmp_path / "run.mcap", layout, *told)) == [(0, 1240), (2300, 2400), (2520, 2600)]
+
+
+def test_a_slow_skin_has_whole_touches_and_untouched_cycles_beside_none(tmp_path: Path, layout: Layout) -> None:
+    path = write(tmp_path / "run.mcap", layout, *(felt(500 * place, count=int(3 <= place <= 5)) for place in range(9)))
+    assert seen(path) == [(1500, 2500)]
+    assert [each.cycle for each in read_touches(path, pytest.fail).untouched] == [1, 501, 3501, 4001]
 
 
 def test_short_and_doubtful_contacts_are_no_touch_and_near_them_nothing_is_untouched(
     tmp_path: Path, layout: Layout
 ) -> None:
     told = [felt(0, count=0), felt(90), felt(100), felt(300, doubtful=True), felt(400, doubtful=True)]
-    told += [felt(500, count=0), felt(501, count=0), felt(900, count=0, blind=True), felt(1000, count=2)]
-    told += [felt(1050, count=3)]
+    told += [felt(490, count=0), felt(500, count=0), felt(501, count=0), felt(502, count=0)]
+    told += [felt(900, count=0, blind=True), felt(1000, count=2), felt(1050, count=3)]
     path = write(tmp_path / "run.mcap", layout, *told)
     found = read_touches(path, pytest.fail)
     assert seen(path) == [(1000, 1050)]
@@ -80,7 +86,7 @@ def test_short_and_doubtful_contacts_are_no_touch_and_near_them_nothing_is_untou
 
 
 def test_a_mark_during_a_touch_counts_where_it_holds_for_most_of_the_touch(tmp_path: Path, layout: Layout) -> None:
-    first = [felt(each) for each in (0, 20, 40, 60, 80)]
+    first = [felt(each) for each in (0, 20, 40, 60, 80)] + [felt(200, count=0)]
     second = [felt(each) for each in (300, 320, 340, 360, 380)]
     marks = [(30, MARK, Mark(label="cup")), (350, MARK, Mark(label=""))]
     path = write(tmp_path / "run.mcap", layout, *sorted([*first, *second, *marks], key=lambda each: each[0]))
