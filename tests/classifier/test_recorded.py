@@ -1,5 +1,6 @@
 """Models of recorded touches, our own and those of scikit-learn, judged on touches of another recording."""
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -232,6 +233,17 @@ def test_a_classifier_of_sums_is_taken(
     canskin.export_model(path, LogisticRegression().fit(data.sums, data.labels), data)
     assert load_model(path, layout, phi).metadata.features == "sums"
     assert accuracy(train_recorded(data, features="sums"), layout, phi) > 0.5
+
+
+def test_the_example_of_the_document_makes_a_model(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, layout: Layout, phi: Sbhe
+) -> None:
+    text = Path("docs/client.md").read_text(encoding="utf-8")
+    (code,) = (each for each in re.findall(r"```python\n(.*?)```", text, re.DOTALL) if "labelled_touches" in each)
+    (tmp_path / "touches").symlink_to(folder)
+    monkeypatch.chdir(tmp_path)
+    exec(code, {})  # noqa: S102
+    assert accuracy(load_model(tmp_path / "mine.npz", layout, phi), layout, phi) > 0.9
 
 
 @pytest.mark.parametrize(
