@@ -208,6 +208,8 @@ class _Reader:
                 self.labels.append(found.touches[touch].label)
                 of_touch.append(touch)
         self.touch = np.array(of_touch, np.intp)
+        if before is None:
+            raise InputError(f"{path}: holds contacts, but no measurements: expected a recording of 'skin record'")
 
 
 def _wanted(found: Touches, most_still: int) -> dict[CycleKey, int]:

@@ -26,9 +26,10 @@ def write_touches(
     *,
     seed: int = 0,
     rest: int = REST,
+    hold: int = HOLD,
     lost_block: int | None = None,
 ) -> Path:
-    """Write touches one after the other: `rest` cycles without touch, then `HOLD` cycles with the force.
+    """Write touches one after the other: `rest` cycles without touch, then `hold` cycles with the force.
 
     Parameters
     ----------
@@ -46,7 +47,7 @@ def write_touches(
         valid[lost_block] = False
     cycle = 0
     for touch, label in zip(force_n, labels, strict=True):
-        forces = np.concatenate([np.zeros((rest, *touch.shape), np.float32), np.repeat(touch[None], HOLD, axis=0)])
+        forces = np.concatenate([np.zeros((rest, *touch.shape), np.float32), np.repeat(touch[None], hold, axis=0)])
         for place, sums in enumerate(simulate_sums(forces, layout, phi, 0.001, rng)):
             cycle += 1
             stamps = {"sampled_mono_ns": cycle * period_ns}
@@ -56,8 +57,12 @@ def write_touches(
             counts = np.where(phi.sums_of_blocks(valid), sums, 0).astype("<i4")
             whole = {"sums": counts.tobytes(), "valid": valid.tobytes(), "fingerprint": phi.fingerprint}
             contacts = [make.contact(force_n=float(touch.sum()), taxels=int((touch > 0).sum()))] * (place >= rest)
+            if layout.sends.in_cycles:
+                sent = make.measurement(cycle, **stamps, **whole)
+            else:
+                sent = make.adaptive_measurement(forces[place], layout=layout, cycle=cycle, **stamps)
             for topic, message in (
-                (MEASUREMENT, make.measurement(cycle, **stamps, **whole)),
+                (MEASUREMENT, sent),
                 (CONTACTS, make.contacts(cycle, *contacts, **stamps)),
             ):
                 sink.message(topic, time_ns, msgspec.msgpack.encode(message))

@@ -165,6 +165,21 @@ def test_a_board_that_is_dead_leaves_its_sums_out(tmp_path: Path, layout: Layout
         train_recorded(data, features="sums")
 
 
+def test_means_of_cycles_are_trained_as_they_are_classified(tmp_path: Path) -> None:
+    fast = small_layout(32, 32, **SMALL | {"sync": {"rate_hz": 100.0}})
+    path = write_touches(tmp_path / "run.mcap", fast, *draw(COUNT, 1), rest=30, hold=12)
+    data = labelled_touches(path)
+    model = train_recorded(data)
+    assert (model.metadata.cycles, data.seen.noise_ratio.max() < 1.1) == (4, True)
+    classifier, phi = Classifier(model, fast.phi()), fast.phi()
+    force_n, labels = draw(60, seed=9)
+    last = []
+    for each in force_n:
+        sums = simulate_sums(np.repeat(each[None], 15, axis=0), fast, phi, 0.001, np.random.default_rng(5))
+        last.append([classifier.decide(one, np.ones(phi.blocks, np.bool_)).label for one in sums][-1])
+    assert np.mean(np.array(last) == labels) > 0.95
+
+
 def test_long_touches_give_some_of_their_cycles(
     monkeypatch: pytest.MonkeyPatch, folder: Path, data: LabelledTouches
 ) -> None:
