@@ -131,8 +131,10 @@ def test_a_model_of_recordings_names_touches_of_another(tmp_path: Path, endpoint
     model = train_recorded(data)
     fabric = Fabric("small", "classifier", endpoint, hub=True)
     try:
-        service = AdaptiveClassifierService(Classifier(model, CLASSIFIED), LAYOUT, fabric)
-        assert told_apart(service, unseen) > 0.95
-        test_an_untouched_skin_is_called_nothing(service)
+        of_touches, of_nothing = (
+            AdaptiveClassifierService(Classifier(model, CLASSIFIED), LAYOUT, fabric) for _ in range(2)
+        )
+        assert told_apart(of_touches, unseen) > 0.95
+        test_an_untouched_skin_is_called_nothing(of_nothing)
     finally:
         fabric.close()
