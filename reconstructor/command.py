@@ -33,7 +33,7 @@ def reconstruct(
     connect
         Endpoint of the fabric's hub, usually the gateway.
     solver
-        Solver of the images; a layout with adaptive sending has one of its own.
+        Solver of the images; adaptive sums have one of their own, and take the solvers of one cycle besides.
     gains
         File of ``skin calibration gain``: gains of the taxels that the nodes do not take off (2010h), and of analogue
         sums.

@@ -20,6 +20,7 @@ from canskin.messages import (
     MARK,
     MEASUREMENT,
     NODES,
+    RECOGNITION,
     TRUTH,
     Mark,
     check_label,
@@ -35,7 +36,7 @@ from shell.output import check_new_path
 from shell.service import StopSignal, request_real_time, say
 from skin.layout import RECORDING_SUFFIX, Layout, load_layout
 
-TOPICS: Final = (MEASUREMENT, IMAGE, CONTACTS, LABEL, GATEWAY, NODES, TRUTH, MARK)
+TOPICS: Final = (MEASUREMENT, RECOGNITION, IMAGE, CONTACTS, LABEL, GATEWAY, NODES, TRUTH, MARK)
 
 
 def record(
