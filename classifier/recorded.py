@@ -9,14 +9,14 @@ import numpy as np
 import numpy.typing as npt
 
 from canskin.errors import InputError, tell
-from canskin.messages import MEASUREMENT, MIN_VALID_RATIO
+from canskin.messages import MEASUREMENT, MIN_VALID_RATIO, RECOGNITION
 from classifier.model import Float64
 from classifier.modelfile import difference, skin_of
 from classifier.newest_sums import NewestSums, averaged_cycles, is_gap
 from classifier.samples import FeatureExtractor, Seen, Untouched, observe_untouched, standard_untouched
 from classifier.touches import CycleKey, Touches, read_touches
 from classifier.used_sums import classified_phi, coarse_sums
-from skin.layout import RECORDING_SUFFIX, Layout, load_layout, require_one_state
+from skin.layout import RECORDING_SUFFIX, Layout, load_layout
 from skin.mcap_file import Warn, read_messages
 from skin.measured_sums import decode_adaptive, decode_measurement
 from skin.measurement import Phi, places
@@ -113,7 +113,6 @@ def labelled_touches(
     given = [recordings] if isinstance(recordings, str | Path) else recordings
     paths = recordings_in(Path(each) for each in given)
     skin = load_layout(layout or paths[0])
-    require_one_state(skin, "training from recordings")
     phi = classified_phi(skin)
     wanted = skin_of(skin, phi)
     for path in paths:
@@ -182,12 +181,13 @@ class _Reader:
         of_touch: list[int] = []
         wanted = _wanted(found, MOST_STILL // recordings)
         newest = NewestSums(phi, averaged_cycles(layout))
-        full = layout.operator()
+        topic = MEASUREMENT if layout.recognition is None else RECOGNITION
+        sent = layout.recognising().operator()
         used = np.arange(phi.shape[0]) if layout.sends.in_cycles else places(layout.phi(), coarse_sums(layout))
         before = None
-        for _, _, measurement in read_messages(path, (MEASUREMENT,), warn):
+        for _, _, measurement in read_messages(path, (topic,), warn):
             try:
-                decoded = (decode_measurement if layout.sends.in_cycles else decode_adaptive)(measurement, full)
+                decoded = (decode_measurement if layout.sends.in_cycles else decode_adaptive)(measurement, sent)
             except InputError as error:
                 raise InputError(f"{path}: {error}") from error
             step = 1
@@ -209,7 +209,9 @@ class _Reader:
                 of_touch.append(touch)
         self.touch = np.array(of_touch, np.intp)
         if before is None:
-            raise InputError(f"{path}: holds contacts, but no measurements: expected a recording of 'skin record'")
+            raise InputError(
+                f"{path}: holds contacts, but no sums for the classifier: expected a recording of 'skin record'"
+            )
 
 
 def _wanted(found: Touches, most_still: int) -> dict[CycleKey, int]:
