@@ -4,23 +4,39 @@ import threading
 import time
 from functools import partial
 from pathlib import Path
-from typing import Final
+from typing import Annotated, Final
+
+import msgspec
+from cyclopts import Parameter
 
 from bus.options import BusOptions, open_links
 from canskin.errors import BusError, InputError, RunError, Stopped
 from canskin.fabric import Fabric
-from canskin.messages import CONTACTS, GATEWAY, IMAGE, LABEL, MEASUREMENT, NODES, RECOGNITION, TRUTH
+from canskin.messages import (
+    CONTACTS,
+    GATEWAY,
+    IMAGE,
+    LABEL,
+    MARK,
+    MEASUREMENT,
+    NODES,
+    RECOGNITION,
+    TRUTH,
+    Mark,
+    check_label,
+)
 from canskin.peers import Peer
 from canskin.session import DEFAULT_ENDPOINT
 from dbc.contract import Contract
 from recording.calibration import follow_calibration
+from recording.mark_keys import KEYS, has_keys, mark_keys
 from recording.recorder import Recorder
 from recording.sinks import check_format, open_sink
 from shell.output import check_new_path
 from shell.service import StopSignal, request_real_time, say
-from skin.layout import Layout, load_layout
+from skin.layout import RECORDING_SUFFIX, Layout, load_layout
 
-TOPICS: Final = (MEASUREMENT, RECOGNITION, IMAGE, CONTACTS, LABEL, GATEWAY, NODES, TRUTH)
+TOPICS: Final = (MEASUREMENT, RECOGNITION, IMAGE, CONTACTS, LABEL, GATEWAY, NODES, TRUTH, MARK)
 
 
 def record(
@@ -30,6 +46,7 @@ def record(
     bus: BusOptions | None = None,
     connect: str = DEFAULT_ENDPOINT,
     seconds: float | None = None,
+    label: Annotated[list[str] | None, Parameter(negative=(), consume_multiple=1)] = None,
 ) -> None:
     """Record a running skin: the frames of its buses, measurements, images, contacts, labels, truth and counters.
 
@@ -49,10 +66,16 @@ def record(
         Endpoint of the fabric's hub.
     seconds
         Time to record; default: until a stop signal.
+    label
+        What touches the skin, with commas between several. A single label holds from the start on. On a terminal the
+        keys 1 to 9 set the first to the ninth label, and 0 or the space bar ends it. ``skin label`` corrects labels,
+        ``skin train --recordings`` learns them.
 
     Examples
     --------
     skin record run.mcap
+    skin record cup.mcap --label cup
+    skin record many.mcap --label cup,ball,pen
     skin record run.log -i socketcan -c can0 --seconds 60
     """
     if seconds is not None and not 0 < seconds < float("inf"):
@@ -61,6 +84,7 @@ def record(
     skin = load_layout(layout)
     check_new_path(out, "recording")
     check_format(out, len(skin.bus))
+    labels = _labels(label or [], out)
     contract = Contract.from_layout(skin)
     names = {number: each.name for number, each in enumerate(skin.bus)}
     links = open_links(skin, bus or BusOptions(), name="recorder", sends=False, stop=stop)
@@ -68,13 +92,18 @@ def record(
     joining: threading.Thread | None = None
     try:
         now_ns = time.time_ns()
-        recorder = Recorder(links, open_sink(out, contract, now_ns, now_ns - time.monotonic_ns()), names)
+        sink = open_sink(out, contract, now_ns, now_ns - time.monotonic_ns())
+        recorder = Recorder(links, sink, names)
+        if len(labels) == 1:
+            _mark(recorder, labels[0])
         join = partial(_join, skin, contract.phi.fingerprint, connect, recorder, stop, joined)
-        joining = threading.Thread(target=join, name="join the fabric")
-        joining.start()
+        if sink.has_messages:  # a program that sets marks is to see no recorder that cannot write them
+            joining = threading.Thread(target=join, name="join the fabric")
+            joining.start()
         say("record", f"{', '.join(names.values())} to {out}")
         request_real_time("record")  # else services with it keep messages from coming
-        recorder.run(stop, seconds or float("inf"))
+        with mark_keys(labels, partial(_mark, recorder)) as poll:
+            recorder.run(stop, seconds or float("inf"), poll)
     except OSError as error:
         reason = error.strerror or error
         raise RunError(f"{out}: the recording ends: {reason}; what was written before is readable") from error
@@ -88,6 +117,26 @@ def record(
         for fabric in joined:
             fabric.close()
     _conclude(recorder, out)
+
+
+def _labels(given: list[str], out: Path) -> list[str]:
+    """Return the labels of the keys, checked."""
+    labels = [check_label(each.strip()) for text in given for each in text.split(",") if each.strip()]
+    if labels and out.suffix.lower() != RECORDING_SUFFIX:
+        raise InputError(f"--label: expected a recording that ends in {RECORDING_SUFFIX}: {out} keeps frames alone")
+    if len(labels) > len(KEYS):
+        raise InputError(f"--label: expected up to {len(KEYS)} labels, a key for each, got {len(labels)}")
+    if len(labels) > 1 and not has_keys():
+        raise InputError("--label: several labels are set by keys, and there is no terminal: give one label")
+    if labels and has_keys():
+        keys = ", ".join(f"{key} {each}" for key, each in zip(KEYS, labels, strict=False))
+        say("record", f"keys: {keys}, 0 or space: no label")
+    return labels
+
+
+def _mark(recorder: Recorder, label: str) -> None:
+    say("record", f"label: {label or 'none'}")
+    recorder.take_message(MARK, msgspec.msgpack.encode(Mark(label=label)))
 
 
 def _join(  # noqa: PLR0917 - the arguments of a thread
