@@ -7,18 +7,18 @@ from pathlib import Path
 from typing import Final
 
 from bus.options import BusOptions, open_links
-from canskin.errors import BusError, InputError, RunError, Stopped
+from canskin.errors import BusError, InputError, LayoutError, RunError, Stopped
 from canskin.fabric import Fabric
 from canskin.messages import CONTACTS, GATEWAY, IMAGE, LABEL, MEASUREMENT, NODES, TRUTH
 from canskin.peers import Peer
-from canskin.session import DEFAULT_ENDPOINT
 from dbc.contract import Contract
 from recording.calibration import follow_calibration
 from recording.recorder import Recorder
 from recording.sinks import check_format, open_sink
 from shell.output import check_new_path
 from shell.service import StopSignal, request_real_time, say
-from skin.layout import Layout, load_layout
+from shell.skin_options import SkinOptions
+from skin.layout import Layout
 
 TOPICS: Final = (MEASUREMENT, IMAGE, CONTACTS, LABEL, GATEWAY, NODES, TRUTH)
 
@@ -26,40 +26,40 @@ TOPICS: Final = (MEASUREMENT, IMAGE, CONTACTS, LABEL, GATEWAY, NODES, TRUTH)
 def record(
     out: Path,
     *,
-    layout: Path | None = None,
+    of: SkinOptions | None = None,
     bus: BusOptions | None = None,
-    connect: str = DEFAULT_ENDPOINT,
     seconds: float | None = None,
 ) -> None:
     """Record a running skin: the frames of its buses, measurements, images, contacts, labels, truth and counters.
 
-    The recorder sends nothing on the buses. It needs no other service: frames are recorded from the start, messages
-    as soon as there is a hub. After a crash or on a full disk the file is readable up to its last second.
+    The recorder sends nothing on the buses. With ``--layout`` it needs no other service: frames are recorded from the
+    start, messages as soon as there is a hub. After a crash or on a full disk the file is readable up to its last
+    second.
 
     Parameters
     ----------
     out
         New file: .mcap, with the layout and the contract files attached; or frames alone, in the format of python-can
         that the suffix names: .log (candump), .asc, .blf, .trc, .mf4, .txt, and .csv and .db of a single bus.
-    layout
-        TOML of the skin; without it the default skin.
+    of
+        Which skin.
     bus
         CAN interface and channels, as the gateway's.
-    connect
-        Endpoint of the fabric's hub.
     seconds
         Time to record; default: until a stop signal.
 
     Examples
     --------
     skin record run.mcap
-    skin record run.log -i socketcan -c can0 --seconds 60
+    skin record run.log --layout palm.toml -i socketcan -c can0 --seconds 60
     """
     if seconds is not None and not 0 < seconds < float("inf"):
         raise InputError(f"expected a finite number of seconds above 0, got {seconds:g}")
-    stop = StopSignal().install()
-    skin = load_layout(layout)
+    stop, of = StopSignal().install(), of or SkinOptions()
     check_new_path(out, "recording")
+    skin = of.find(stop)
+    if of.layout is not None:
+        of.compare(skin)
     check_format(out, len(skin.bus))
     contract = Contract.from_layout(skin)
     names = {number: each.name for number, each in enumerate(skin.bus)}
@@ -69,7 +69,7 @@ def record(
     try:
         now_ns = time.time_ns()
         recorder = Recorder(links, open_sink(out, contract, now_ns, now_ns - time.monotonic_ns()), names)
-        join = partial(_join, skin, contract.phi.fingerprint, connect, recorder, stop, joined)
+        join = partial(_join, of, skin, recorder, stop, joined)
         joining = threading.Thread(target=join, name="join the fabric")
         joining.start()
         say("record", f"{', '.join(names.values())} to {out}")
@@ -90,15 +90,13 @@ def record(
     _conclude(recorder, out)
 
 
-def _join(  # noqa: PLR0917 - the arguments of a thread
-    skin: Layout, fingerprint: str, connect: str, recorder: Recorder, stop: StopSignal, joined: list[Fabric]
-) -> None:
+def _join(of: SkinOptions, skin: Layout, recorder: Recorder, stop: StopSignal, joined: list[Fabric]) -> None:
     """Subscribe to everything when there is a hub; frames are recorded meanwhile."""
     try:
-        fabric = Fabric(skin.name, "recorder", connect, stop=stop, fingerprint=fingerprint)
+        fabric = of.join(skin, "recorder", stop)
     except Stopped:
         return
-    except BusError as error:
+    except (BusError, LayoutError) as error:
         say("record", f"frames alone: {error}")
         return
     joined.append(fabric)

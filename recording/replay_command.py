@@ -27,6 +27,7 @@ from recording.step_kinds import Step
 from recording.steps import steps_of
 from shell.output import check_new_path
 from shell.service import StopSignal, say
+from shell.skin_options import join
 from skin.description import describe
 from skin.layout import RECORDING_SUFFIX, load_layout, require_one_state
 from skin.mcap_file import CALIBRATION_FILE, File, newest_file, wall_offset_ns
@@ -105,8 +106,7 @@ def replay(
         sink.attach(File(CALIBRATION_FILE, "application/json", recorded), time.time_ns())
     fabric = None
     if out is None or listen is not None:
-        mark = contract.phi.fingerprint
-        fabric = Fabric(skin.name, "replay", listen or DEFAULT_ENDPOINT, hub=True, fingerprint=mark)
+        fabric = join(skin, "replay", listen or DEFAULT_ENDPOINT, hub=True)
         about = describe(skin)
         fabric.answer(DESCRIPTION, lambda _request, reply: reply(about))
     say("replay", f"{source.name}: {imager.about}")

@@ -25,6 +25,7 @@ from recording.calibration import follow_calibration
 from recording.recorder import MOST_WAITING, Recorder
 from recording.sinks import check_format, open_sink
 from shell.service import StopSignal
+from shell.skin_options import SkinOptions
 from skin.layout import parse_layout
 from skin.mcap_file import CALIBRATION_FILE, EVENTS, RECORDER, File, newest_file, read_about, read_entries
 from tests import messages as make
@@ -242,7 +243,7 @@ def test_no_thread_waits_for_a_hub_when_the_recorder_ends(
     before = set(threading.enumerate())
     try:
         with pytest.raises(RunError, match="nothing came"):
-            record_command.record(out, layout=layout_file, connect=free_endpoint(), seconds=0.01)
+            record_command.record(out, of=SkinOptions(layout=layout_file, connect=free_endpoint()), seconds=0.01)
     finally:
         for number, handler in handlers.items():
             signal.signal(number, handler)
