@@ -135,6 +135,6 @@ def _about(skin: str, peers: list[Peer], endpoint: str) -> dict[str, str]:
 
 
 def _words(layout: Layout) -> str:
-    rate = f"{layout.sync.rate_hz:g} Hz" + (f", {layout.sampling.rate_hz:g} samples/s" * bool(layout.sampling.rate_hz))
     buses = f"{len(layout.bus)} bus{'es' * (len(layout.bus) != 1)}"
-    return f"{layout.taxels.words}, {layout.measurement.sums} sums, {layout.sending}, SYNC {rate}, {buses}"
+    sums = f"{layout.measurement.sums} sums, {layout.sending}"
+    return f"{layout.taxels.words}, {sums}, SYNC {layout.sync.rate_hz:g} Hz, {buses}"

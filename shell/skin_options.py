@@ -94,25 +94,24 @@ class SkinOptions:
         fabric = join(layout, service, self.endpoint, stop=stop, patience_s=patience_s)
         try:
             if self.layout is not None:
-                self._compare(layout, fabric, stop)
+                self.compare(layout, fabric.instance, stop)
         except BaseException:
             fabric.close()
             raise
         return fabric
 
-    def compare(self, layout: Layout) -> None:
-        """Raise as `join` if a hub is there now."""
-        try:
-            fabric = join(layout, "", self.endpoint, patience_s=GLANCE_S)
+    def compare(self, layout: Layout, instance: str = "", stop: Stop | None = None) -> None:
+        """Raise as `join` if a hub is there now, and another service than `instance` tells a layout."""
+        try:  # a connection of its own: that of a service knows the others only after a while
+            fabric = Fabric(layout.name, "", self.endpoint, stop=stop, patience_s=GLANCE_S)
         except BusError:
             return
         with closing(fabric):
-            self._compare(layout, fabric, None)
+            self._compare(layout, fabric, instance, stop)
 
-    def _compare(self, layout: Layout, fabric: Fabric, stop: Stop | None) -> None:
-        """Compare ``--layout`` with the layout on the hub, if any service tells a layout."""
+    def _compare(self, layout: Layout, fabric: Fabric, instance: str, stop: Stop | None) -> None:
         give_up_s = time.monotonic() + PATIENCE_S
-        while others := [each for each in fabric.peers() if each.fingerprint and each.instance != fabric.instance]:
+        while others := [each for each in fabric.peers() if each.fingerprint and each.instance != instance]:
             if own := [each for each in others if each.skin == layout.name]:
                 with suppress(BusError):  # a service of an older version does not tell
                     told = _told(fabric, own, self.endpoint)

@@ -305,7 +305,7 @@ class Fabric:
         self._kept.append(self._session.liveliness().declare_subscriber(EVERY_KEY, receive, history=True))
 
     def peers(self) -> list[Peer]:
-        """Return the services of all skins that are on the hub now."""
+        """Return the services of all skins that are on the hub now; with a name of its own not at once all of them."""
         return peers_of(self._session)
 
     def close(self) -> None:

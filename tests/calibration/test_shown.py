@@ -116,10 +116,11 @@ def test_a_gateway_tells_of_its_zero_too(gateway: Gateway, capsys: pytest.Captur
     assert text["blocks under a touch"] == "7"
     ((name, request, timeout_s),) = gateway.asked
     assert (name, request.action, timeout_s) == ("calibration", "show", 15.0)
-    ((skin, service, connect, named),) = gateway.opened
+    (skin, service, connect, named), looked = gateway.opened
+    assert looked[1] == ""  # at the hub's layout
     assert (skin, service, connect) == (LAYOUT.name, "calibration", "tcp/far:1")
     assert (named["fingerprint"], named["patience_s"]) == (PHI.fingerprint, 5.0)
-    assert gateway.closed == 1
+    assert gateway.closed == len(gateway.opened)
 
 
 def test_the_support_of_the_zero_and_doubtful_taxels_are_shown(
