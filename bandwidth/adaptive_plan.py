@@ -112,12 +112,10 @@ def plan_adaptive(
     allowed : Disturbance, optional
         Disturbances that times include; `jitter_s` is the longest time from a sample until its frame is queued.
     budget_bits_per_s : int
-        Budget of every node (2034h), 0 for none; InputError refuses less.
+        Budget of every node (2034h), 0 for none; InputError refuses a budget below what refreshes take.
     is_touched : bool
         Whether to simulate a touch for `AdaptiveBusPlan.load_touched`.
     """
-    if budget_bits_per_s < 0:
-        raise InputError(f"expected a budget of 0 (none) or more bits a second, got {budget_bits_per_s}")
     lines = contract.layout.bus
     kinds = [(line.fd, line.bitrate, line.data_bitrate) for line in lines]
     # Neighbouring patches are on different buses, so that one bus stands for all like it: the first.
@@ -192,6 +190,11 @@ def _plan_bus(
 def _budget(urgency: Urgency, idle_worst: float, bits_per_s: int) -> BudgetPlan:
     load = idle_worst + urgency.nodes * bits_per_s / urgency.streams.bus.bitrate
     spent = urgency.budgeted(bits_per_s)
+    if bits_per_s < spent.least_bits_per_s:
+        raise InputError(
+            f"expected a budget of 0 (none), or of {spent.least_bits_per_s} bit/s or more, got {bits_per_s}: "
+            f"refreshes take {spent.least_bits_per_s} bit/s of a node, and no budget holds them back"
+        )
     return BudgetPlan(
         bits_per_s, min(1.0, load), *(milliseconds(each) for each in (spent.full_ns, spent.coarse_ns, spent.fine_ns))
     )

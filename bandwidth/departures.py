@@ -1,7 +1,7 @@
 """Differences between a measured bus and its plan: missing, late, wrong or unplanned frames."""
 
-from collections.abc import Iterator
-from itertools import pairwise
+from collections.abc import Iterator, Sequence
+from itertools import compress, pairwise
 from typing import Final
 
 import numpy as np
@@ -9,11 +9,11 @@ import numpy.typing as npt
 
 from bandwidth.adaptive_log import UNREFINED, SumFrames, sum_frames
 from bandwidth.adaptive_plan import AdaptiveBusPlan
-from bandwidth.measured import FOREIGN, BusLoad, Identifiers, cycles_of, is_plain, is_sync, whole_cycles
+from bandwidth.measured import FOREIGN, BusLoad, Identifiers, Measured, cycles_of, is_plain, is_sync, whole_cycles
 from bandwidth.plan import BusPlan
 from dbc.adaptive import PAUSE_MS, SendingRule
 from dbc.canopen import BASE_ID_MASK, HEARTBEAT_BASE
-from dbc.contract import Contract
+from dbc.contract import Contract, Tpdo
 from dbc.dictionary import HEARTBEAT_MS, SILENT_AFTER_S
 from dbc.frame import ERROR, Frames
 from dbc.frame_bits import frame_time_ns
@@ -30,20 +30,27 @@ LATE_MS: Final = 100.0
 CLOCK_NS: Final = 100_000
 
 
-def departures(
-    contract: Contract, bus: int, seen: Frames, planned: BusPlan | AdaptiveBusPlan, load: BusLoad
-) -> list[str]:
+def departures(contract: Contract, bus: int, seen: Frames, parts: Sequence[Measured]) -> list[str]:
     """Return one line for every difference between bus number `bus` and its plan.
 
     Parameters
     ----------
     seen : array of FRAME
         In bus order, with times.
-    planned, load : BusPlan or AdaptiveBusPlan, BusLoad
-        Results of a plan and of `measure` for this bus.
+    parts : sequence of Measured
+        Result of `measure_states` for this bus.
     """
+    lines = [line for part in parts for line in _in_state(contract, bus, part)]
+    # Heartbeats come in all states, each state has a part of them.
+    beats = heartbeats(contract, bus, *whole_cycles(seen))
+    return lines + [f"{contract.layout.bus[bus].name}: {line}" for line in beats]
+
+
+def _in_state(whole: Contract, bus: int, part: Measured) -> list[str]:
+    """Return the differences in one state of the nodes."""
+    contract, seen, planned, load = whole.states[part.state], part.frames, part.plan, part.load
     taken, seconds = whole_cycles(seen)
-    lines = [*_load(planned, load), *foreign(load), *errors(seen)]
+    lines = [*_load(planned, load), *foreign(load), *errors(seen), *_other_state(load)]
     syncs = int(is_sync(seen).sum())
     rest: list[str] = []
     if isinstance(planned, BusPlan):
@@ -58,8 +65,8 @@ def departures(
         lines += [*sync(contract, taken, seconds), *with_syncs]
     else:
         lines.append(f"{'one' if syncs else 'no'} SYNC: {unchecked}")
-    lines += [*_misshapen(contract, bus, taken), *rest, *heartbeats(contract, bus, taken, seconds)]
-    return [f"{planned.name}: {line}" for line in lines]
+    lines += [*_misshapen(whole, bus, taken), *rest]
+    return [f"{load.title}: {line}" for line in lines]
 
 
 def _load(planned: BusPlan | AdaptiveBusPlan, load: BusLoad) -> Iterator[str]:
@@ -77,6 +84,17 @@ def foreign(load: BusLoad) -> Iterator[str]:
         elif each.message is not None and each.rate_hz > _most_hz(each.planned_rate_hz, load.seconds):
             planned = f"{each.planned_rate_hz:.2f} a second were planned"
             yield f"'{each.message}' of another device comes {each.rate_hz:.2f} times a second, {planned}"
+
+
+def _other_state(load: BusLoad) -> Iterator[str]:
+    """Find nodes that send the sums of the state which was not asked for."""
+    if load.state is None:
+        return
+    is_astray = [each.kind == Tpdo.kind and each.planned_rate_hz is None for each in load.identifiers]
+    for node in load.nodes:
+        astray = [each.frames for each in compress(load.identifiers, is_astray) if each.node_id == node.node_id]
+        if astray:
+            yield f"node {node.node_id}: {sum(astray)} TPDOs of the other state"
 
 
 def _most_hz(planned_hz: float | None, seconds: float) -> float:
@@ -229,6 +247,7 @@ def _silent(sums: SumFrames, planned: AdaptiveBusPlan, ended_ns: int) -> Iterato
 
 def _by_node(contract: Contract, bus: int, wrong: Frames) -> dict[int, int]:
     """Return how many of some TPDOs each node sent."""
-    owner = {tpdo.cob_id: node.node_id for node in contract.on_bus(bus) for tpdo in node.all_tpdos}
+    nodes = (node for state in contract.states for node in state.on_bus(bus))
+    owner = {tpdo.cob_id: node.node_id for node in nodes for tpdo in node.all_tpdos}
     senders = [owner[int(can_id)] for can_id in wrong["can_id"]]
     return {node_id: senders.count(node_id) for node_id in sorted(set(senders))}

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from bandwidth.logs import listen, of_buses, read_log
-from bandwidth.measured import measure, misfits
+from bandwidth.measured import measure_states, misfits
 from bandwidth.sending import sending_of
 from bus.options import BusOptions, channels, open_links
 from canskin.errors import InputError, RunError
@@ -12,7 +12,7 @@ from dbc.frame import Frames
 from shell.service import StopSignal, say
 from shell.skin_options import SkinOptions
 from shell.terminal import Json
-from skin.layout import Layout, require_one_state
+from skin.layout import Layout
 
 
 def load(
@@ -26,7 +26,7 @@ def load(
     """Measure the load of the buses of a skin, per node and identifier, from a log or live.
 
     Counts the stuff bits of every frame in whole cycles, CAN FD included, and the most possible stuff bits. A line on
-    standard error tells if the frames do not fit the layout.
+    standard error tells if the frames do not fit the layout. Where nodes have two states, each state has its load.
 
     Parameters
     ----------
@@ -52,7 +52,6 @@ def load(
     if not 0 < seconds < float("inf"):
         raise InputError(f"expected a finite number of seconds above 0, got {seconds:g}")
     skin = (of or SkinOptions()).find(recording=log, needs_hub=False)
-    require_one_state(skin, "'skin load'")
     options = can or BusOptions()
     if log is None:
         seen = _listen(skin, options, seconds)
@@ -63,11 +62,11 @@ def load(
     contract = Contract.from_layout(skin)
     sending = sending_of(contract)
     plans = sending.plan(contract)
-    loads = {number: measure(contract, number, frames, plans[number]) for number, frames in seen.items()}
-    for number, frames in seen.items():
-        for line in misfits(contract, number, frames, loads[number]):
+    parts = {number: measure_states(contract, number, frames, plans) for number, frames in seen.items()}
+    for number, each in ((number, each) for number, found in parts.items() for each in found):
+        for line in misfits(contract, number, each.frames, each.load):
             say("load", line)
-    sending.print_loads(contract, seen, loads, as_json=json_)
+    sending.print_loads(contract, parts, as_json=json_)
 
 
 def _listen(layout: Layout, options: BusOptions, seconds: float) -> dict[int, Frames]:

@@ -17,7 +17,7 @@ from canskin.errors import InputError
 from dbc.contract import Contract
 from shell.service import say
 from shell.terminal import Json, print_json
-from skin.layout import Layout, load_layout, require_one_state, require_sending
+from skin.layout import Layout, load_layout, require_sending
 
 
 def plan(
@@ -83,7 +83,6 @@ def plan(
         require_sending(contract.layout, "synchronous", "--plot is", "it draws cycles, and adaptive nodes send none")
     plans = sending.plan(contract, allowed, node_budget=node_budget, is_touched=check is None)
     if check is not None:
-        require_one_state(contract.layout, "--check")
         return _check(contract, plans, check, channel or [], as_json=json_)
     if plot is not None:
         from bandwidth.plots import write_plot
@@ -125,18 +124,22 @@ def _check(
 ) -> int:
     from bandwidth.departures import departures
     from bandwidth.logs import of_buses, read_log
-    from bandwidth.measured import measure, misfits
+    from bandwidth.measured import measure_states, misfits, switches
 
     wanted = channels(contract.layout, BusOptions(channel=names))
     logged = read_log(log, lambda line: say("plan", line))
     lines = []
     for number, seen in of_buses(contract.layout, wanted, logged, log, named_by_user=bool(names)).items():
-        load = measure(contract, number, seen, plans[number])
-        wanted_load = "" if load.plan_touched is None else f", {load.plan_touched:.1%} planned"
-        say("plan", f"{load.name}: {load.seconds:.2f} s, {load.load_exact:.1%} full{wanted_load}")
-        for line in misfits(contract, number, seen, load):
-            say("plan", line)
-        lines += departures(contract, number, seen, plans[number], load)
+        parts = measure_states(contract, number, seen, plans)
+        for _, frames, _, load in parts:
+            wanted_load = "" if load.plan_touched is None else f", {load.plan_touched:.1%} planned"
+            say("plan", f"{load.title}: {load.seconds:.2f} s, {load.load_exact:.1%} full{wanted_load}")
+            for line in misfits(contract, number, frames, load):
+                say("plan", line)
+        if contract.recognition is not None:
+            found = [f"to {state} after {time_s:.2f} s" for time_s, state in switches(contract, number, seen)]
+            say("plan", f"{contract.layout.bus[number].name}: switches: {', '.join(found) or 'none'}")
+        lines += departures(contract, number, seen, parts)
     if as_json:
         print_json(lines)
     elif lines:

@@ -6,11 +6,10 @@ from typing import Any
 from bandwidth.adaptive_log import measure_adaptive
 from bandwidth.adaptive_plan import AdaptiveBusPlan, plan_adaptive
 from bandwidth.alternatives import alternatives
-from bandwidth.measured import BusLoad
+from bandwidth.measured import Measured
 from bandwidth.plan import BusPlan, plan
 from bandwidth.traffic import Disturbance
 from dbc.contract import Contract
-from dbc.frame import Frames
 from dbc.packing import rounding_error_n
 from shell.terminal import print_json
 
@@ -47,14 +46,12 @@ class InCycles:
             print("\nimages")
         print_plan(plans[:buses], alternatives(contract.layout, allowed))
 
-    def print_loads(
-        self, contract: Contract, seen: Mapping[int, Frames], loads: Mapping[int, BusLoad], *, as_json: bool
-    ) -> None:
-        """Print the loads by identifier; `seen` and `loads` are by number of the bus."""
+    def print_loads(self, contract: Contract, parts: Mapping[int, Sequence[Measured]], *, as_json: bool) -> None:
+        """Print the loads by identifier; `parts` are by number of the bus."""
         from bandwidth.tables import print_loads
 
-        del contract, seen
-        found = list(loads.values())
+        del contract
+        found = [each.load for of_bus in parts.values() for each in of_bus]
         print_json({"buses": found}) if as_json else print_loads(found)
 
 
@@ -79,13 +76,15 @@ class OnNews:
         del contract, allowed
         print_adaptive_plan(plans)
 
-    def print_loads(
-        self, contract: Contract, seen: Mapping[int, Frames], loads: Mapping[int, BusLoad], *, as_json: bool
-    ) -> None:
+    def print_loads(self, contract: Contract, parts: Mapping[int, Sequence[Measured]], *, as_json: bool) -> None:
         """Print the loads by kind and level, and by node."""
         from bandwidth.tables import print_adaptive_loads
 
-        found = [measure_adaptive(contract, number, frames, loads[number]) for number, frames in seen.items()]
+        found = [
+            measure_adaptive(contract, number, each.frames, each.load)
+            for number, of_bus in parts.items()
+            for each in of_bus
+        ]
         if not as_json:
             print_adaptive_loads(found)
             return

@@ -268,6 +268,11 @@ class Budgeted:
         return sum_frame_bits(self.urgency.streams.bus, self.urgency.groups, is_fine=True)
 
     @property
+    def least_bits_per_s(self) -> int:
+        """Bits that the refreshes of a node take, which no budget holds back: a smaller budget limits nothing."""
+        return math.ceil(self.urgency.frames_of_node * self.frame_bits * 1000 / _RULE.refresh_max)
+
+    @property
     def saved_bits(self) -> float:
         """Bits that a node can save up."""
         return max(SAVED_FRAMES * self.urgency.groups * self.frame_bits, SAVING_S * self.bits_per_s)

@@ -26,7 +26,7 @@ from skin.clipping import IDLE_MEAN
 from skin.frontend import sum_step_n
 from skin.layout import Layout
 from skin.measured_sums import used_sums
-from skin.measurement import Sbhe
+from skin.measurement import Sbhe, places
 from skin.taxel import NOISE_N
 
 #: When the zero is measured: as soon as the skin has been untouched for a while, or on request alone.
@@ -173,6 +173,11 @@ class Calibrator:
         self._layout, self._phi, self._tares, self._say = layout, phi, tares, say
         #: Whether offsets are measured and followed here, and not by the boards.
         self._is_own = not layout.sends.boards_keep_zero
+        #: Where the sums of recognition are among those of Φ, by the fingerprint of their Φ; empty with one state.
+        self._parts: dict[str, npt.NDArray[np.intp]] = {}
+        if layout.recognition is not None:
+            few = layout.recognising().phi()
+            self._parts[few.fingerprint] = places(phi, few)
         self._period_s = layout.sync.period_s if self._is_own else LOOK_S
         self._windows = WindowMeans(phi.shape[0], self._period_s, taxels.newton_per_count)
         self._waiting: Window | None = None
@@ -274,16 +279,17 @@ class Calibrator:
         self._windows.restart()
         self.state = CalibrationState.MEASURING
 
-    def apply(self, measurement: Measurement, sums: npt.NDArray[np.intp] | slice = slice(None)) -> Measurement:
-        """Return a measurement with the offsets of its instant, and without sums that are defective or have none.
+    def apply(self, measurement: Measurement) -> Measurement:
+        """Return a measurement, of all sums or of recognition, with the offsets of its instant.
 
-        `sums` are the places of its sums among those of Φ, if it has only some of them.
+        Sums that are defective or have no offset are not usable in it.
         """
+        sums = self._parts.get(measurement.fingerprint, slice(None))
         return self._corrections.apply(measurement, self._followed, self._defects.found.usable, sums)
 
     def take(self, measurement: Measurement) -> None:
-        """Learn from a measurement as it came, without saturated sums; most of it is left to `work`."""
-        if self.state in {CalibrationState.OFF, CalibrationState.LOADED}:
+        """Learn from a measurement of all sums as it came, without saturated sums; most of it is left to `work`."""
+        if self.state in {CalibrationState.OFF, CalibrationState.LOADED} or measurement.fingerprint in self._parts:
             return
         counts = np.frombuffer(measurement.sums, "<i4")
         window = self._windows.take(measurement.sampled_mono_ns, counts, used_sums(measurement, self._phi))

@@ -3,12 +3,16 @@
 The words for the same are in ``docs/firmware.md``. Virtual nodes compute whole skins at once, in `nodes`.
 """
 
+import struct
+from collections.abc import Mapping
 from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
+from dbc import indices as od
 from dbc.codec import encode
+from dbc.configuration import calibration, configuration, signature, with_calibration
 from dbc.contract import Contract, NodeContract
 from skin.measurement import fast_hadamard
 from skin.taxel import corrected
@@ -61,6 +65,33 @@ def shown_counts(
     return shown
 
 
+def calibration_values(
+    gain: npt.NDArray[np.float32], offset: npt.NDArray[Any], pattern: int
+) -> dict[tuple[int, int], bytes]:
+    """Return the objects of gains, offsets and a test pattern, as the bytes of an SDO transfer by index and sub-index.
+
+    Parameters
+    ----------
+    gain, offset : array, shape (blocks, block size)
+        2010h and 2011h, in chain order.
+    pattern : int
+        2021h of all blocks.
+    """
+    values = {(od.of_block(od.TEST_PATTERN, place), 0): bytes((pattern,)) for place in range(len(gain))}
+    for (place, at), value in np.ndenumerate(gain):
+        values[od.of_block(od.GAIN, place), at + 1] = struct.pack("<f", value)
+        values[od.of_block(od.OFFSET, place), at + 1] = struct.pack("<h", int(offset[place, at]))
+    return values
+
+
+def calibration_signature(contract: Contract, node: NodeContract, values: Mapping[tuple[int, int], bytes]) -> int:
+    """Return 2009h of a board with these `values`, where all other objects are those of the contract."""
+    covered = with_calibration(configuration(contract, node), calibration(contract, node))
+    return signature(
+        (each.index, each.subindex, values.get((each.index, each.subindex), each.data)) for each in covered
+    )
+
+
 def node_sums(contract: Contract, node: NodeContract, shown: npt.NDArray[np.float32]) -> npt.NDArray[np.int32]:
     """Return the sums of a board, shape (node.sums,), of values of shape (blocks, block size).
 
@@ -75,7 +106,7 @@ def node_sums(contract: Contract, node: NodeContract, shown: npt.NDArray[np.floa
 
 
 def node_payloads(contract: Contract, node: NodeContract, sums: npt.NDArray[np.int32]) -> dict[int, bytes]:
-    """Return the payload of each TPDO of a synchronous board by its COB-ID, padding included."""
+    """Return the payload of each TPDO of a synchronous board by its COB-ID, whatever the state, padding included."""
     table, first = contract.table, int(contract.phi.starts[node.block])
     rows = np.nonzero((table.bus == node.bus) & (table.node == contract.nodes.index(node)))[0]
     gather = np.where(table.gather[rows] >= 0, table.gather[rows] - first, -1)
@@ -84,4 +115,8 @@ def node_payloads(contract: Contract, node: NodeContract, sums: npt.NDArray[np.i
     for row, payload in zip(rows, packed, strict=True):
         length = int(table.length[row])
         payloads[int(table.cob_id[row])] = payload.tobytes()[:length].ljust(length, b"\0")
+    if contract.recognition is not None:
+        few, starts = contract.states_of(node)[1], contract.recognition.phi.starts
+        own = contract.recognised[starts[few.block] : starts[few.block + few.blocks]]
+        payloads |= node_payloads(contract.recognition, few, sums[own - first])
     return payloads

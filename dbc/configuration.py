@@ -94,10 +94,15 @@ def calibration(contract: Contract, node: NodeContract) -> tuple[Setting, ...]:
     return tuple(setting_of(each) for each in dictionary(contract, node) if each.subindex and _is_calibration(each))
 
 
+def with_calibration(settings: Iterable[Setting], gains: Iterable[Setting]) -> tuple[Setting, ...]:
+    """Return the objects that 2009h covers, in ascending order: those of `configuration` and of `calibration`."""
+    return tuple(sorted((*settings, *gains), key=lambda each: (each.index, each.subindex)))
+
+
 def signature(values: Iterable[tuple[int, int, bytes]]) -> int:
     """Return the signature of index, sub-index and value of each object.
 
-    2006h is that of `configuration`, 2009h that of `configuration` and `calibration` in ascending order.
+    2006h is that of `configuration`, 2009h that of `with_calibration`.
 
     CRC-32 (polynomial 04C11DB7h reflected, as in IEEE 802.3) over index (2 bytes), sub-index (1 byte) and value, each
     little endian, of all objects one after another.
@@ -123,7 +128,7 @@ def proof_period_s(contract: Contract, bus: int) -> float:
 
 
 def _is_mapping(index: int) -> bool:
-    return od.TPDO_MAPPING <= index < od.MANUFACTURER or index == od.RPDO_MAPPING
+    return od.TPDO_MAPPING <= index < od.TPDO_END or index == od.RPDO_MAPPING
 
 
 def _is_compared(each: Object, mapped: Mapping[int, int], of_tpdo: tuple[int, ...]) -> bool:
@@ -149,6 +154,8 @@ def setting_of(each: Object) -> Setting:
     is_text = each.data_type == od.VISIBLE_STRING
     if is_text:
         data = str(each.value).encode("ascii")
+    elif each.data_type == od.DOMAIN:
+        data = b""
     elif each.data_type == od.REAL32:
         data = struct.pack("<f", each.value)
     else:

@@ -22,6 +22,7 @@ from dbc.canopen import (
 )
 from dbc.contract import AdaptiveTpdo, Contract, NodeContract, Tpdo
 from dbc.objects import HIGHEST_SUBINDEX, Access, Object, array, mapping, places, record
+from dbc.program import ProgramControl
 from skin.layout import Layout
 
 
@@ -37,6 +38,8 @@ EVERY_SYNC: Final = 1
 _RPDO_MAPPING: Final = "RPDO 1 mapping parameter"
 
 REVISION: Final = 0x0001_0002
+#: 100Ah of a board whose program was never exchanged.
+VERSION: Final = "1.0"
 HEARTBEAT_MS: Final = 1000
 #: A node is silent after 1.5 heartbeat periods without a heartbeat.
 SILENT_AFTER_S: Final = 1.5 * HEARTBEAT_MS / 1000
@@ -82,6 +85,7 @@ def dictionary(contract: Contract, node: NodeContract) -> list[Object]:
         *(entry for tpdo in node.adaptive_tpdos for entry in _tpdo_communication(tpdo.number, _adaptive(tpdo))),
         *(entry for first, tpdo in tpdos for entry in _tpdo_mapping(contract, node, tpdo, first)),
         *(entry for tpdo in node.adaptive_tpdos for entry in _adaptive_mapping(tpdo)),
+        *_program_download(),
         *_manufacturer(contract, node),
     ]
 
@@ -164,7 +168,7 @@ def _communication(contract: Contract, node: NodeContract) -> list[Object]:
         ),
         Object(od.DEVICE_NAME, None, "Manufacturer device name", od.VISIBLE_STRING, "const", "canskin SBHE block"),
         Object(od.HARDWARE_VERSION, None, "Manufacturer hardware version", od.VISIBLE_STRING, "const", "virtual"),
-        Object(od.SOFTWARE_VERSION, None, "Manufacturer software version", od.VISIBLE_STRING, "const", "1.0"),
+        Object(od.SOFTWARE_VERSION, None, "Manufacturer software version", od.VISIBLE_STRING, "const", VERSION),
         *array(od.STORE, "Store parameters", ["Save all parameters"], od.UNSIGNED32, "rw", value=ON_COMMAND),
         *array(
             od.RESTORE, "Restore default parameters", ["Restore all defaults"], od.UNSIGNED32, "rw", value=ON_COMMAND
@@ -186,6 +190,17 @@ def _communication(contract: Contract, node: NodeContract) -> list[Object]:
                 ("COB-ID server to client", od.UNSIGNED32, "ro", SDO_RESPONSE_BASE + node.node_id),
             ],
         ),
+    ]
+
+
+def _program_download() -> list[Object]:
+    """Return the objects of program download (CiA 302-3) of a board with one program; the board computes the values."""
+    names = ["Program 1"]
+    return [
+        *array(od.PROGRAM_DATA, "Program data", names, od.DOMAIN, "wo"),
+        *array(od.PROGRAM_CONTROL, "Program control", names, od.UNSIGNED8, "rw", value=ProgramControl.START),
+        *array(od.PROGRAM_ID, "Program software identification", names, od.UNSIGNED32, "ro"),
+        *array(od.FLASH_STATUS, "Flash status identification", names, od.UNSIGNED32, "ro"),
     ]
 
 

@@ -55,6 +55,10 @@ _OF_RUN: Final = (
     od.ERROR_FIELD,
     od.STORE,
     od.RESTORE,
+    od.PROGRAM_DATA,
+    od.PROGRAM_CONTROL,
+    od.PROGRAM_ID,
+    od.FLASH_STATUS,
     od.SIGNATURE,
     od.CALIBRATION_SIGNATURE,
     od.COUNTS,
@@ -174,9 +178,11 @@ def _defaults(dictionaries: list[list[Object]], kind: NodeType) -> list[str | No
 
 
 def _default(each: Object, values: list[Value], nodes: tuple[NodeContract, ...]) -> str | None:
-    """Return the default for all `nodes`; None for a fraction, on whose form readers disagree."""
+    """Return the default for all `nodes`; None for a domain, and for a fraction, on whose form readers disagree."""
     if _is_cob_id(each):
         return f"$NODEID+0x{_offset(values[0], nodes[0]):X}"
+    if each.data_type == od.DOMAIN:
+        return None
     value = values[0]
     if any(other != value for other in values):
         value = NO_BLOCK if each.index == od.BLOCK else 0
@@ -192,7 +198,7 @@ def _own_value(each: Object, default: str | None) -> str | None:
     if _first_block(each.index) in _OF_NODE and each.subindex != 0:
         return _number(each, each.value)
     # The rows of recognition differ between nodes of a type, and so do the sums that its TPDOs carry.
-    is_mapped = od.TPDO_MAPPING <= each.index < od.MANUFACTURER
+    is_mapped = od.TPDO_MAPPING <= each.index < od.TPDO_END
     return _number(each, each.value) if is_mapped and default != _number(each, each.value) else None
 
 

@@ -9,6 +9,7 @@ UNSIGNED16: Final = 0x06
 UNSIGNED32: Final = 0x07
 REAL32: Final = 0x08
 VISIBLE_STRING: Final = 0x09
+DOMAIN: Final = 0x0F
 UNSIGNED64: Final = 0x1B
 
 SIGNED: Final = (INTEGER8, INTEGER16)
@@ -38,6 +39,13 @@ RPDO_COMMUNICATION: Final = 0x1400
 RPDO_MAPPING: Final = 0x1600
 TPDO_COMMUNICATION: Final = 0x1800
 TPDO_MAPPING: Final = 0x1A00
+#: First object behind those of TPDOs.
+TPDO_END: Final = 0x1C00
+#: Program download (CiA 302-3): data, control, identification, and status of the flash memory.
+PROGRAM_DATA: Final = 0x1F50
+PROGRAM_CONTROL: Final = 0x1F51
+PROGRAM_ID: Final = 0x1F56
+FLASH_STATUS: Final = 0x1F57
 #: First object behind the communication profile area.
 MANUFACTURER: Final = 0x2000
 BLOCK: Final = 0x2000
@@ -71,6 +79,11 @@ BLOCK_STRIDE: Final = 0x200
 #: Signatures of 1010h and 1011h: the characters "save" and "load", least significant first.
 SIGNATURE_SAVE: Final = 0x6576_6173
 SIGNATURE_LOAD: Final = 0x6461_6F6C
+
+
+def is_program_download(index: int) -> bool:
+    """Tell whether an object is one of program download; a board needs none of them."""
+    return PROGRAM_DATA <= index <= FLASH_STATUS
 
 
 def of_block(index: int, place: int) -> int:

@@ -6,7 +6,7 @@ from typing import Final, Literal
 
 from dbc import indices as od
 
-Access = Literal["ro", "rw", "const"]
+Access = Literal["ro", "rw", "wo", "const"]
 Value = int | float | str
 
 HIGHEST_SUBINDEX: Final = "Highest sub-index supported"

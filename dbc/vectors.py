@@ -8,7 +8,17 @@ import numpy as np
 import numpy.typing as npt
 
 from dbc.board import json_text
-from dbc.board_sums import PATTERN_FULL, PATTERN_OFF, PATTERN_RAMP, PATTERN_ZERO, node_payloads, node_sums, shown_counts
+from dbc.board_sums import (
+    PATTERN_FULL,
+    PATTERN_OFF,
+    PATTERN_RAMP,
+    PATTERN_ZERO,
+    calibration_signature,
+    calibration_values,
+    node_payloads,
+    node_sums,
+    shown_counts,
+)
 from dbc.contract import Contract, NodeContract
 from skin.measurement import fast_hadamard
 
@@ -46,16 +56,14 @@ def _solved(contract: Contract, node: NodeContract, case: _Case) -> dict[str, ob
     shown = shown_counts(contract, case.counts, case.gain, case.offset, np.full(node.blocks, case.pattern))
     sums = node_sums(contract, node, shown)
     payloads = node_payloads(contract, node, sums)
-    if contract.recognition is not None:
-        few, starts = contract.states_of(node)[1], contract.recognition.phi.starts
-        own = contract.recognised[starts[few.block] : starts[few.block + few.blocks]]
-        payloads |= node_payloads(contract.recognition, few, sums[own - contract.phi.starts[node.block]])
+    values = calibration_values(case.gain, case.offset, case.pattern)
     return {
         "name": case.name,
         "pattern": case.pattern,
         "counts": case.counts.tolist(),
         "gain": case.gain.tolist(),
         "offset_counts": case.offset.astype(int).tolist(),
+        "calibration_signature": calibration_signature(contract, node, values),
         "corrected": shown.tolist() if contract.layout.samples_per_sync > 1 else shown.astype(int).tolist(),
         "sums": sums.tolist(),
         "raw": contract.packing.raw(sums).tolist(),

@@ -8,10 +8,11 @@ from cyclopts import Parameter
 
 from bus.options import virtual_bit_rates
 from canskin.errors import InputError
+from reconstructor.options import SolverOptions
 from shell.output import check_picture_path
 from shell.service import listen
 from shell.touch_options import NO_TOUCH_OPTIONS, TouchOptions
-from skin.layout import Layout, require_one_state
+from skin.layout import Layout
 
 
 @Parameter(name="*")
@@ -35,6 +36,8 @@ class DemoOptions:
         Endpoint of the fabric's hub, to which other programs can connect; default: a free port of this machine.
     picture
         File for the picture of true force, sensor signal, rebuilt image and error.
+    solver
+        Solver of the images, see ``skin reconstruct``.
     firmware
         Run the C firmware of the boards in place of nodes in Python, see ``skin nodes``.
     """
@@ -46,6 +49,7 @@ class DemoOptions:
     port: int | None = None
     listen: str | None = None
     picture: Annotated[Path, Parameter(name=("--figure", "--picture"))] = Path("skin-demo.png")
+    solver: SolverOptions | None = None
     firmware: Annotated[bool, Parameter(negative=())] = False
 
     def has_zero_errors(self, layout: Layout) -> bool:
@@ -56,12 +60,12 @@ class DemoOptions:
         """Raise InputError unless a run with these options is possible."""
         if not 0 < self.seconds < float("inf"):
             raise InputError(f"expected a positive number of seconds, got {self.seconds:g}")
-        if self.firmware:
-            require_one_state(layout, "the firmware in C")
         virtual_bit_rates(layout)
         if self.view and self.port is not None:
             listen("127.0.0.1", self.port).close()
         check_picture_path(self.picture)
+        if self.solver is not None:
+            self.solver.check(layout)
         self.touch.check()
         self.touch.defects(layout)
         if self.touch.input is not None:

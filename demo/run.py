@@ -24,7 +24,7 @@ from demo.report import WORDS, Report
 from demo.score import Score
 from demo.supervisor import Supervisor
 from shell.service import StopSignal, Talk, listen, request_real_time, say, talks
-from shell.terminal import progress
+from shell.terminal import arguments, progress
 from skin.layout import Layout
 from skin.psnr import adds_noise
 from skin.sources import DEFAULT_OBJECTS, known_objects
@@ -128,8 +128,9 @@ class Run:
         rest = []
         if touch.input is None and options.has_zero_errors(self._layout):
             rest = ["--rest", str(REST_S + tare_s(self._layout.sync.period_s))]
-        start("nodes", "nodes", *common, *touch.arguments(), *rest, *["--firmware"] * options.firmware)
-        start("reconstructor", "reconstruct", *common, restart=True)
+        start("nodes", "nodes", *common, *arguments(touch), *rest, *["--firmware"] * options.firmware)
+        solver = [] if options.solver is None else arguments(options.solver)
+        start("reconstructor", "reconstruct", *common, *solver, restart=True)
         start("classifier", "classify", *common, *_known_objects(touch.names), "--stroke", touch.stroke, restart=True)
         if self._port is not None:
             start("viewer", "view", *common, "--port", str(self._port), restart=True)

@@ -136,14 +136,13 @@ class GatewayCalibration:
 
     def apply(self, measurement: Measurement) -> Measurement:
         """Return a measurement, of all sums or of those of recognition, with the offsets of its instant."""
-        is_part = measurement.fingerprint != self._contract.phi.fingerprint
-        return self._calibrator.apply(measurement, self._contract.recognised if is_part else slice(None))
+        return self._calibrator.apply(measurement)
 
     def take(self, measurement: Measurement) -> None:
         """Learn from a measurement of all sums, adaptive ones at the next `tick`; most of it is left to `work`."""
         if isinstance(measurement, AdaptiveMeasurement):
             self._newest = measurement
-        elif measurement.fingerprint == self._contract.phi.fingerprint:
+        else:
             self._calibrator.take(measurement)
 
     def take_temperatures(self, kelvin: Floats) -> None:

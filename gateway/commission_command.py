@@ -13,9 +13,10 @@ from dbc.canopen import LSS_BIT_RATES_HZ
 from dbc.contract import Contract
 from gateway.commissioning import Commissioning
 from gateway.talk import take_turn
+from gateway.touch_commissioning import TouchCommissioning, require_patches
 from shell.service import StopSignal, say
 from shell.terminal import Json, print_json, print_table
-from skin.layout import load_layout
+from skin.layout import Layout, load_layout
 
 
 def commission(
@@ -24,6 +25,7 @@ def commission(
     can: BusOptions | None = None,
     bitrate: int | None = None,
     renumber: Annotated[bool, Parameter(negative=())] = False,
+    touch: Annotated[bool, Parameter(negative=())] = False,
     json: Json = False,
 ) -> int:
     """Give the boards of a skin their node-IDs, bit rate and configuration, and print which board is where.
@@ -45,6 +47,10 @@ def commission(
         rate: set it first.
     renumber
         Give a board that has another node-ID than the layout's the right one.
+    touch
+        Serial numbers tell no places: the command asks for a touch on one block after the other, and gives the board
+        that feels it the node-ID of the block. The board's LED flickers until the finger is lifted. Ctrl-C keeps what
+        was touched.
     json
         Print one JSON object.
 
@@ -52,26 +58,30 @@ def commission(
     --------
     skin commission --layout palm.toml -i socketcan -c can0
     skin commission --layout palm.toml -i socketcan -c can0 --bitrate 125000
+    skin commission --layout palm.toml -i socketcan -c can0 --touch
     """
     skin, options, stop = load_layout(layout), can or BusOptions(), StopSignal().install()
-    known = [each for each in LSS_BIT_RATES_HZ if each]
-    for rate in () if bitrate is None else (bitrate, *(line.bitrate for line in skin.bus)):
-        if rate not in known:
-            raise InputError(f"--bitrate: LSS changes between {', '.join(map(str, known))} bit/s, got {rate}")
     contract = Contract.from_layout(skin)
-    links: dict[int, Link] = {}
-    try:
-        if bitrate is None:
-            links = open_links(skin, options, name="commission", stop=stop)
-        else:
-            for bus, name in enumerate(channels(skin, options)):
-                links[bus] = open_link(options.interface, name, bitrate, name="commission")
+    if touch and renumber:
+        raise InputError("expected --touch or --renumber: after a touch a serial number tells no place")
+    if touch:
+        require_patches(contract)
+
+    def new_run(bus: int, link: Link) -> Commissioning:
         now_s = time.monotonic()
-        runs = {
-            bus: Commissioning(contract, bus, link.send, now_s, bit_rate_hz=bitrate, renumber=renumber)
-            for bus, link in links.items()
-        }
-        _run(contract, links, runs, stop)
+        if touch:
+            return TouchCommissioning(contract, bus, link.send, now_s, say=_tell, bit_rate_hz=bitrate)
+        return Commissioning(contract, bus, link.send, now_s, bit_rate_hz=bitrate, renumber=renumber)
+
+    links: dict[int, Link] = {}
+    runs: dict[int, Commissioning] = {}
+    try:
+        links = _opened(skin, options, bitrate, stop)
+        # A finger touches one bus after the other.
+        for together in [{bus: link} for bus, link in links.items()] if touch else [links]:
+            begun = {bus: new_run(bus, link) for bus, link in together.items()}
+            runs |= begun
+            _run(contract, together, begun, stop)
     finally:
         for link in links.values():
             link.close()
@@ -84,6 +94,22 @@ def commission(
     return int(not all(each.is_whole for each in runs.values()))
 
 
+def _opened(skin: Layout, options: BusOptions, bit_rate_hz: int | None, stop: StopSignal) -> dict[int, Link]:
+    """Open the links of all buses, at the bit rate that the boards have now."""
+    if bit_rate_hz is None:
+        return open_links(skin, options, name="commission", stop=stop)
+    known = [each for each in LSS_BIT_RATES_HZ if each]
+    for rate in (bit_rate_hz, *(line.bitrate for line in skin.bus)):
+        if rate not in known:
+            raise InputError(f"--bitrate: LSS changes between {', '.join(map(str, known))} bit/s, got {rate}")
+    names = channels(skin, options)
+    return {bus: open_link(options.interface, name, bit_rate_hz, name="commission") for bus, name in enumerate(names)}
+
+
+def _tell(line: str) -> None:
+    say("commission", line)
+
+
 def _run(contract: Contract, links: dict[int, Link], runs: dict[int, Commissioning], stop: StopSignal) -> None:
     """Commission all buses at the same time; say how far each board has come."""
     said: dict[tuple[int, int], str] = {}
@@ -92,7 +118,7 @@ def _run(contract: Contract, links: dict[int, Link], runs: dict[int, Commissioni
             take_turn(links, runs)
             for bus, run in runs.items():
                 for node_id, board in run.boards.items():
-                    if board.is_touched and said.get((bus, node_id)) != board.text:
+                    if board.is_begun and said.get((bus, node_id)) != board.text:
                         said[bus, node_id] = board.text
                         say("commission", f"{contract.layout.bus[bus].name}, node {node_id}: {board.text}")
     finally:

@@ -28,7 +28,7 @@ from dbc.canopen import (
     Lss,
     NmtCommand,
 )
-from dbc.configuration import Setting, configuration, expected_signature
+from dbc.configuration import DIALOGUES, Setting, configuration, expected_signature
 from dbc.contract import Contract, NodeContract
 from dbc.dictionary import REVISION, serial_number
 from dbc.frame import ECHO, ERROR, EXTENDED, REMOTE, Frames, one_frame
@@ -47,11 +47,11 @@ RESET_S: Final = 0.2
 #: Error code of a board that does not know the service or the value; others failed.
 _NOT_SUPPORTED: Final = 1
 
-_Address = tuple[int, int, int, int]
+Address = tuple[int, int, int, int]
 
 
 @dataclass(frozen=True)
-class _Ask:
+class Ask:
     """Send a frame, and get the answers: frames with `reply_id` whose payload begins with `begins`."""
 
     can_id: int
@@ -62,15 +62,15 @@ class _Ask:
 
 
 @dataclass(frozen=True)
-class _Talk:
-    """Lead SDO dialogues with several nodes at once, and get a `_Talked` for each."""
+class Talk:
+    """Lead SDO dialogues with several nodes at once, and get a `Talked` for each."""
 
     dialogues: dict[int, Dialogue]
     attempts: int = 3
 
 
 @dataclass
-class _Talked:
+class Talked:
     """A dialogue, and the numbers of its requests and answers."""
 
     dialogue: SdoDialogue
@@ -78,13 +78,17 @@ class _Talked:
     answered: int = 0
 
 
-_Step = _Ask | _Talk
-_Answer = list[bytes] | dict[int, _Talked]
-_Steps = Generator[_Step, _Answer, None]
+Step = Ask | Talk
+Answer = list[bytes] | dict[int, Talked]
+Steps = Generator[Step, Answer, None]
 
 
-class _TroubleError(Exception):
+class TroubleError(Exception):
     """A board cannot be commissioned."""
+
+
+class RefusedError(TroubleError):
+    """A board answers a request of LSS with an error code."""
 
 
 @dataclass
@@ -110,7 +114,7 @@ class Board:
     trouble: str = ""
 
     @property
-    def is_touched(self) -> bool:
+    def is_begun(self) -> bool:
         """Whether the board was found, or something went wrong."""
         return bool(self.done or self.trouble)
 
@@ -168,12 +172,15 @@ class Commissioning:
         self.done = False
         self.error_frames = 0
         self._has_sync = False
+        self._now_s = now_s
+        #: Dialogues that wait: the transmit queue of an interface has little room.
+        self._waiting: list[tuple[int, Dialogue]] = []
         #: The board that is worked on.
         self._current: Board | None = None
-        self._step: _Step | None = None
+        self._step: Step | None = None
         self._began_s = self._ends_s = now_s
         self._answers: list[bytes] = []
-        self._talked: dict[int, _Talked] = {}
+        self._talked: dict[int, Talked] = {}
         self._steps = self._commission()
         self._begin(next(self._steps), now_s)
 
@@ -186,8 +193,8 @@ class Commissioning:
 
     @property
     def due_s(self) -> float:
-        """When the open step ends, as things stand; a dialogue is looked at in every turn."""
-        return float("-inf") if self._talked else self._ends_s
+        """When the open step ends, as things stand; that of dialogues is not known."""
+        return float("inf") if self._talked else self._ends_s
 
     def take(self, arrived: Frames, now_s: float) -> None:
         """Use received frames."""
@@ -195,7 +202,7 @@ class Commissioning:
         for each in arrived[arrived["flags"] & (ERROR | REMOTE | EXTENDED | ECHO) == 0]:
             can_id, data = int(each["can_id"]), each["data"][: each["length"]].tobytes()
             self._has_sync |= can_id == SYNC_COB_ID
-            if isinstance(self._step, _Ask):
+            if isinstance(self._step, Ask):
                 if can_id == self._step.reply_id and data.startswith(self._step.begins):
                     self._answers.append(data)
                     self._ends_s = min(self._ends_s, max(now_s, self._began_s + WINDOW_S))
@@ -206,16 +213,18 @@ class Commissioning:
 
     def tick(self, now_s: float) -> None:
         """Do what is due."""
+        self._now_s = now_s
         if self.done:
             return
         for each in self._talked.values():
             each.dialogue.tick(now_s)
-        if isinstance(self._step, _Talk):
+        if isinstance(self._step, Talk):
+            self._open_dialogues(self._step, now_s)
             if not all(each.dialogue.done for each in self._talked.values()):
                 return
         elif now_s < self._ends_s:
             return
-        came: _Answer = self._talked if isinstance(self._step, _Talk) else self._answers
+        came: Answer = self._talked if isinstance(self._step, Talk) else self._answers
         try:
             step = self._steps.send(came)
         except StopIteration:
@@ -229,18 +238,25 @@ class Commissioning:
         self.done = True
         if self._current is not None:
             self._current.trouble = "stopped in the middle: run skin commission again"
-        self._send_one(LSS_REQUEST_COB_ID, _lss(Lss.SWITCH_GLOBAL))
+        self._send_one(LSS_REQUEST_COB_ID, lss_request(Lss.SWITCH_GLOBAL))
 
-    def _begin(self, step: _Step, now_s: float) -> None:
+    def _begin(self, step: Step, now_s: float) -> None:
         self._step, self._began_s, self._answers, self._talked = step, now_s, [], {}
-        if isinstance(step, _Ask):
+        if isinstance(step, Ask):
             self._ends_s = now_s + step.wait_s
-            if step.data:
+            if step.can_id or step.data:
                 self._send_one(step.can_id, step.data)
             return
-        for node_id, steps in step.dialogues.items():
+        self._waiting = [*step.dialogues.items()]
+        self._open_dialogues(step, now_s)
+
+    def _open_dialogues(self, step: Talk, now_s: float) -> None:
+        """Begin the dialogues that wait, up to `DIALOGUES` at once."""
+        free = DIALOGUES - sum(not each.dialogue.done for each in self._talked.values())
+        for node_id, steps in self._waiting[:free]:
             dialogue = SdoDialogue(node_id, steps, self._send_one, now_s, attempts=step.attempts)
-            self._talked[node_id] = _Talked(dialogue, asked=1)
+            self._talked[node_id] = Talked(dialogue, asked=1)
+        del self._waiting[:free]
 
     def _send_one(self, can_id: int, data: bytes) -> None:
         node_id = can_id - SDO_REQUEST_BASE
@@ -250,40 +266,51 @@ class Commissioning:
 
     # What is done
 
-    def _commission(self) -> _Steps:
-        yield _Ask(0, b"", wait_s=max(LISTEN_S, LISTEN_PERIODS * self._contract.layout.sync.period_s))
-        if self._has_sync:
-            self.strangers.append("another program sends SYNC on this bus: stop the gateway, then commission again")
+    def _commission(self) -> Steps:
+        if not (yield from self._is_alone()):
             return
-        yield from self._all_waiting()
-        came = yield _Talk({node_id: _identity() for node_id in self.boards}, attempts=1)
-        numbered = cast("dict[int, _Talked]", came)
-        for node_id, talked in numbered.items():
-            if talked.dialogue.error is None:
-                address = cast("_Address", talked.dialogue.result)
-                yield from self._guarded(self.boards[node_id], self._with_number(self.boards[node_id], talked, address))
+        for node_id, (talked, address) in (yield from self._numbered()).items():
+            yield from self._guarded(self.boards[node_id], self._with_number(self.boards[node_id], talked, address))
         for board in self.boards.values():
-            if not board.is_touched:
+            if not board.is_begun:
                 yield from self._guarded(board, self._fresh(board))
         yield from self._others()
 
-    def _guarded(self, board: Board, steps: _Steps) -> _Steps:
+    def _is_alone(self) -> Generator[Step, Answer, bool]:
+        """Listen for another master; let all boards leave LSS configuration if there is none."""
+        yield Ask(0, b"", wait_s=max(LISTEN_S, LISTEN_PERIODS * self._contract.layout.sync.period_s))
+        if self._has_sync:
+            self.strangers.append("another program sends SYNC on this bus: stop the gateway, then commission again")
+            return False
+        yield from self._all_waiting()
+        return True
+
+    def _numbered(self) -> Generator[Step, Answer, dict[int, tuple[Talked, Address]]]:
+        """Return the addresses of the boards that answer to node-IDs of the layout, by node-ID."""
+        came = yield Talk({node_id: read_identity() for node_id in self.boards}, attempts=1)
+        return {
+            node_id: (talked, cast("Address", talked.dialogue.result))
+            for node_id, talked in cast("dict[int, Talked]", came).items()
+            if talked.dialogue.error is None
+        }
+
+    def _guarded(self, board: Board, steps: Steps) -> Steps:
         """Work on one board; its trouble ends its own steps alone."""
         self._current = board
         try:
             yield from steps
-        except _TroubleError as trouble:
+        except TroubleError as trouble:
             board.trouble = str(trouble)
         yield from self._all_waiting()
         self._current = None
 
-    def _with_number(self, board: Board, talked: _Talked, address: _Address) -> _Steps:
+    def _with_number(self, board: Board, talked: Talked, address: Address) -> Steps:
         """Finish a board that has its node-ID: an earlier run may have been stopped before the end."""
         _require_one(talked, board)
         vendor, product, _, serial = address
         device = self._contract.layout.device
         if (vendor, product) != (device.vendor_id, device.product_code):
-            raise _TroubleError(
+            raise TroubleError(
                 f"has vendor-ID {vendor:X}h, product code {product:X}h: not a board of this skin, which has"
                 f" {device.vendor_id:X}h, {device.product_code:X}h"
             )
@@ -292,7 +319,7 @@ class Commissioning:
             if self._renumber and (yield from self._select(address)):
                 yield from self._take_node_id(board.node.node_id)
                 return
-            raise _TroubleError(f"has serial number {serial}, that of {self._place(owner)}{_HINT}")
+            raise TroubleError(f"has serial number {serial}, that of {self._place(owner)}{_HINT}")
         board.done = f"has its node-ID, serial number {serial}"
         if (yield from self._select(address)):
             yield from self._bit_timing()
@@ -300,7 +327,7 @@ class Commissioning:
             yield from self._all_waiting()
         yield from self._set_up(board)
 
-    def _fresh(self, board: Board) -> _Steps:
+    def _fresh(self, board: Board) -> Steps:
         """Look for a board by its address, and commission it."""
         device = self._contract.layout.device
         address = device.vendor_id, device.product_code, REVISION, board.serial
@@ -309,23 +336,23 @@ class Commissioning:
             if old not in (board.node.node_id, NO_NODE_ID):
                 board.done = f"has node-ID {old}"
                 if not self._renumber:
-                    raise _TroubleError(f"has another node-ID{_HINT}")
+                    raise TroubleError(f"has another node-ID{_HINT}")
                 yield from self._take_node_id(old)
                 yield from self._selected(board, address)
             else:
                 yield from self._give(board)
 
-    def _take_node_id(self, old: int) -> _Steps:
+    def _take_node_id(self, old: int) -> Steps:
         """Make the selected board with node-ID `old` a board without one."""
         yield from self._configure(Lss.NODE_ID, NO_NODE_ID, what="to have no node-ID")
         yield from self._store()
         yield from self._all_waiting()
-        yield _Ask(NMT_COB_ID, bytes((NmtCommand.RESET_COMMUNICATION, old)), wait_s=RESET_S)
+        yield Ask(NMT_COB_ID, bytes((NmtCommand.RESET_COMMUNICATION, old)), wait_s=RESET_S)
 
-    def _others(self) -> _Steps:
+    def _others(self) -> Steps:
         """Find the boards without node-ID that are left: of another revision, or strangers."""
-        found: dict[_Address, int] = {}
-        if (yield _scan(0, FASTSCAN_ALL, 0, 0)):
+        found: dict[Address, int] = {}
+        if (yield scan(0, FASTSCAN_ALL, 0, 0)):
             yield from self._fastscan((), found)
             if not found:
                 self.strangers.append("boards without node-ID answer, but the fastscan finds none: run it again")
@@ -339,21 +366,21 @@ class Commissioning:
                 self.strangers.append(f"{name}: not a board of this skin")
             elif board is None or board.node != owner:
                 self.strangers.append(f"{name}: its place is {self._place(owner)}, on another bus")
-            elif board.is_touched:
+            elif board.is_begun:
                 if not board.trouble:
                     self.strangers.append(f"{name}: {self._place(owner)} has this serial number already")
             elif count > 1:
-                board.trouble = _TWO_SERIALS
+                board.trouble = TWO_SERIALS
             else:
                 board.done = f"found, revision {revision:X}h"
                 yield from self._guarded(board, self._selected(board, address))
 
-    def _selected(self, board: Board, address: _Address) -> _Steps:
+    def _selected(self, board: Board, address: Address) -> Steps:
         if not (yield from self._select(address)):
-            raise _TroubleError("no longer answers")
+            raise TroubleError("no longer answers")
         yield from self._give(board)
 
-    def _give(self, board: Board) -> _Steps:
+    def _give(self, board: Board) -> Steps:
         """Give the selected board its node-ID and bit rate, let it boot, and set it up."""
         node_id = board.node.node_id
         board.done = "found"
@@ -362,85 +389,88 @@ class Commissioning:
         yield from self._bit_timing()
         yield from self._store()
         board.done = "has stored its node-ID"
-        booted = yield _Ask(LSS_REQUEST_COB_ID, _lss(Lss.SWITCH_GLOBAL), b"\0", PATIENCE_S, HEARTBEAT_BASE + node_id)
+        booted = yield Ask(
+            LSS_REQUEST_COB_ID, lss_request(Lss.SWITCH_GLOBAL), b"\0", PATIENCE_S, HEARTBEAT_BASE + node_id
+        )
         if not booted:
-            raise _TroubleError("sends no boot-up message")
+            raise TroubleError("sends no boot-up message")
         if len(booted) > 1:
-            raise _TroubleError(_TWO_SERIALS)
+            raise TroubleError(TWO_SERIALS)
         yield from self._set_up(board)
 
-    def _set_up(self, board: Board) -> _Steps:
+    def _set_up(self, board: Board) -> Steps:
         """Write, verify and store the configuration."""
         if self._changes_rate:
             board.done += f", and {self._bit_rate_hz} bit/s from its next power-up on"
             return
         settings = configuration(self._contract, board.node)
-        came = yield _Talk({board.node.node_id: _prove_and_store(settings)})
-        (talked,) = cast("dict[int, _Talked]", came).values()
+        came = yield Talk({board.node.node_id: _prove_and_store(settings)})
+        (talked,) = cast("dict[int, Talked]", came).values()
         _require_one(talked, board)
         if talked.dialogue.error is not None:
-            raise _TroubleError(f"is not configured: {talked.dialogue.error}")
+            raise TroubleError(f"is not configured: {talked.dialogue.error}")
         proof = cast("Proof", talked.dialogue.result)
         if proof.refusal:
-            raise _TroubleError(f"has another configuration: {proof.refusal}")
+            raise TroubleError(f"has another configuration: {proof.refusal}")
         board.is_complete = True
         board.done = f"complete{f', was written: {proof.written}' if proof.written else ''}"
 
-    def _bit_timing(self) -> _Steps:
+    def _bit_timing(self) -> Steps:
         """Give the bit rate of the layout; CANopenNode drops the request where it knows one bit rate."""
         if self._changes_rate:
             index = LSS_BIT_RATES_HZ.index(self._bit_rate_hz)
             yield from self._configure(Lss.BIT_TIMING, 0, index, what=f"{self._bit_rate_hz} bit/s")
 
-    def _store(self) -> _Steps:
+    def _store(self) -> Steps:
         yield from self._configure(Lss.STORE, what="the storage of its node-ID")
 
     # Requests of LSS
 
-    def _all_waiting(self) -> _Steps:
-        yield _Ask(LSS_REQUEST_COB_ID, _lss(Lss.SWITCH_GLOBAL), wait_s=GAP_S)
+    def _all_waiting(self) -> Steps:
+        yield Ask(LSS_REQUEST_COB_ID, lss_request(Lss.SWITCH_GLOBAL), wait_s=GAP_S)
 
-    def _select(self, address: _Address) -> Generator[_Step, _Answer, bool]:
+    def _select(self, address: Address) -> Generator[Step, Answer, bool]:
         """Switch the board at an address to configuration; tell whether there is one."""
         *first, last = (
-            _lss(Lss.SWITCH_SELECTIVE + place, *number.to_bytes(4, "little")) for place, number in enumerate(address)
+            lss_request(Lss.SWITCH_SELECTIVE + place, *number.to_bytes(4, "little"))
+            for place, number in enumerate(address)
         )
         for each in first:
-            yield _Ask(LSS_REQUEST_COB_ID, each, wait_s=GAP_S)
-        came = yield _Ask(LSS_REQUEST_COB_ID, last, bytes((Lss.SELECTED,)))
+            yield Ask(LSS_REQUEST_COB_ID, each, wait_s=GAP_S)
+        came = yield Ask(LSS_REQUEST_COB_ID, last, bytes((Lss.SELECTED,)))
         if len(came) > 1:
-            raise _TroubleError(_TWO_SERIALS)
+            raise TroubleError(TWO_SERIALS)
         return bool(came)
 
-    def _configure(self, command: Lss, *values: int, what: str = "a request") -> Generator[_Step, _Answer, bytes]:
+    def _configure(self, command: Lss, *values: int, what: str = "a request") -> Generator[Step, Answer, bytes]:
         """Ask the selected board, and return its answer; no answer, two, or an error code is trouble."""
         came = cast(
             "list[bytes]",
-            (yield _Ask(LSS_REQUEST_COB_ID, _lss(command, *values), bytes((command,)), PATIENCE_S)),
+            (yield Ask(LSS_REQUEST_COB_ID, lss_request(command, *values), bytes((command,)), PATIENCE_S)),
         )
         if not came:
-            raise _TroubleError(f"stopped answering at {what}")
+            raise TroubleError(f"stopped answering at {what}")
         if len(came) > 1:
-            raise _TroubleError(_TWO_SERIALS)
+            raise TroubleError(TWO_SERIALS)
         if command != Lss.INQUIRE_NODE_ID and came[0][1]:
             why = "not supported" if came[0][1] == _NOT_SUPPORTED else f"error {came[0][1]}"
-            raise _TroubleError(f"refuses {what}: {why}")
+            raise RefusedError(f"refuses {what}: {why}")
         return came[0]
 
-    def _fastscan(self, path: tuple[int, ...], found: dict[_Address, int]) -> _Steps:
+    def _fastscan(self, path: tuple[int, ...], found: dict[Address, int]) -> Steps:
         """Find the addresses that begin with the numbers `path`, of boards without node-ID, and count their boards.
 
         No board changes its state: in LSS configuration CANopenNode would answer every request of a fastscan.
         """
         place, begun = len(path), [(0, 32)]
-        yield _scan(0, FASTSCAN_ALL, 0, 0)
+        yield scan(0, FASTSCAN_ALL, 0, 0)
         for before, number in enumerate(path):
-            yield _scan(number, 0, before, before + 1)
+            yield scan(number, 0, before, before + 1)
         numbers: dict[int, int] = {}
         while begun:
             high, bits = begun.pop()
             for number in (high | 1 << bits - 1, high):
-                count = len((yield _scan(number, bits - 1, place, place)))
+                count = len((yield scan(number, bits - 1, place, place)))
                 if count and bits > 1:
                     begun.append((number, bits - 1))
                 elif count:
@@ -457,22 +487,23 @@ class Commissioning:
 
 
 _HINT: Final = ": --renumber gives it the right one"
-_TWO_SERIALS: Final = "two boards answer: they have one serial number"
+TWO_SERIALS: Final = "two boards answer: they have one serial number"
 
 
-def _lss(command: int, *values: int) -> bytes:
+def lss_request(command: int, *values: int) -> bytes:
+    """Return a request of LSS: eight bytes."""
     return bytes((command, *values)).ljust(LSS_BYTES, b"\0")
 
 
-def _scan(number: int, bit: int, place: int, following: int) -> _Ask:
+def scan(number: int, bit: int, place: int, following: int) -> Ask:
     """Ask boards without node-ID whether `number` is theirs down to `bit` (CiA 305, fastscan)."""
-    data = _lss(Lss.FASTSCAN, *number.to_bytes(4, "little"), bit, place, following)
-    return _Ask(LSS_REQUEST_COB_ID, data, bytes((Lss.IDENTIFIED,)))
+    data = lss_request(Lss.FASTSCAN, *number.to_bytes(4, "little"), bit, place, following)
+    return Ask(LSS_REQUEST_COB_ID, data, bytes((Lss.IDENTIFIED,)))
 
 
 def anybody_without_node_id() -> Frames:
     """Return the request that every board without node-ID answers."""
-    return one_frame(LSS_REQUEST_COB_ID, _scan(0, FASTSCAN_ALL, 0, 0).data)
+    return one_frame(LSS_REQUEST_COB_ID, scan(0, FASTSCAN_ALL, 0, 0).data)
 
 
 def has_answer(arrived: Frames) -> bool:
@@ -481,12 +512,12 @@ def has_answer(arrived: Frames) -> bool:
     return bool((is_answer & (arrived["flags"] & (ERROR | REMOTE | EXTENDED | ECHO) == 0)).any())
 
 
-def _require_one(talked: _Talked, board: Board) -> None:
+def _require_one(talked: Talked, board: Board) -> None:
     if talked.answered > talked.asked:
-        raise _TroubleError(f"two boards answer: they have node-ID {board.node.node_id}")
+        raise TroubleError(f"two boards answer: they have node-ID {board.node.node_id}")
 
 
-def _identity() -> Dialogue:
+def read_identity() -> Dialogue:
     """Read the address of a node (1018h); 0 for what a device does not have."""
     address = []
     for subindex in range(1, 5):

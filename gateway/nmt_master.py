@@ -436,8 +436,12 @@ class NmtMaster:
         return node.errand
 
     def _begin_due(self, now_s: float) -> None:
-        """Begin the proofs that are due, as many as there may be."""
-        due = [node for node in self.nodes.values() if now_s >= node.prove_at_s and node.dialogue is None]
+        """Begin the proofs that are due, as many as there may be; another master's download goes on undisturbed."""
+        due = [
+            node
+            for node in self.nodes.values()
+            if now_s >= max(node.prove_at_s, node.foreign.free_s) and node.dialogue is None
+        ]
         if not due:
             return
         free = DIALOGUES - sum(node.dialogue is not None for node in self.nodes.values())

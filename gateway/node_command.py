@@ -14,12 +14,14 @@ from bus.options import BusOptions, open_channels, open_links
 from canskin.errors import InputError, RunError
 from dbc.canopen import HIGHEST_NODE_ID, NmtCommand, state_text
 from dbc.contract import Contract, NodeContract
-from gateway.node_check import NodeCheck, NodeReport
+from gateway.node_check import NodeCheck
+from gateway.node_frames import NodeReport
 from gateway.talk import TURN_S, Talk, take_turn
+from gateway.update_command import update_nodes
 from shell.output import write_file
 from shell.service import StopSignal, say
 from shell.terminal import Json, print_json, print_table
-from skin.layout import Layout, load_layout, require_boards, require_one_state
+from skin.layout import Layout, load_layout, require_boards
 from skin.ranges import ranges_text
 
 if TYPE_CHECKING:
@@ -32,13 +34,14 @@ _ORDERS: Final = {"reset": NmtCommand.RESET_NODE, "stop": NmtCommand.STOP, "star
 
 
 def node(
-    action: Literal["check", "get", "set", "objects", "reset", "stop", "start"],
+    action: Literal["check", "get", "set", "objects", "reset", "stop", "start", "update"],
     *objects: str,
     eds: Path | None = None,
     node_id: Annotated[int | None, Parameter(name="--node")] = None,
     bus: str | None = None,
     layout: Path | None = None,
     can: BusOptions | None = None,
+    every: Annotated[bool, Parameter(name="--all", negative=())] = False,
     wiring: Path | None = None,
     live: float | None = None,
     path: Path | None = None,
@@ -46,11 +49,11 @@ def node(
     out: Path | None = None,
     json: Json = False,
 ) -> int:
-    """Check a board; list, read or write the objects of a node by name; reset, stop or start nodes.
+    """Check a board; list, read or write the objects of a node by name; reset, stop, start or update nodes.
 
-    ``check`` compares the objects of a board, and the bytes that it sends while it shows each test pattern. It needs a
-    bus without gateway. The board is left pre-operational, with the test patterns that it had. Ends with 1 if
-    the board differs from the contract. Of adaptive boards the objects alone are compared.
+    ``check`` compares the objects of a board, and the frames that it sends while it shows test patterns, and offsets
+    in place of its taxels. It needs a bus without gateway. The board is left pre-operational, with the test patterns,
+    gains and offsets that it had. Ends with 1 if the board differs from the contract.
 
     With ``--wiring`` or ``--live`` the wiring is checked in place of a board: which taxels are not wired as the layout
     says, and which boards are exchanged.
@@ -61,13 +64,18 @@ def node(
     ``reset``, ``stop`` and ``start`` send an NMT command to one node, or without ``--node`` to all nodes of the bus.
     They end with 1 unless each node tells the new state within 3 s. A running gateway starts nodes of the layout again.
 
+    ``update`` loads a program (``skin export program``) into a board, or with ``--all`` into each board of the bus or
+    of the skin that does not run it, and starts it. It may run beside the gateway. A board whose download was cut keeps
+    its old program. Ends with 1 unless each board runs the program.
+
     Parameters
     ----------
     action
         ``check``; ``get`` and ``set``, which read and write objects by SDO; ``objects``, which lists them; ``reset``,
-        ``stop`` and ``start``.
+        ``stop`` and ``start``; ``update``.
     objects
-        Of ``get``: names, or index:sub. Of ``set``: OBJECT=VALUE. Of ``objects``: a part of the names.
+        Of ``get``: names, or index:sub. Of ``set``: OBJECT=VALUE. Of ``objects``: a part of the names. Of ``update``:
+        the file of the program.
     eds
         EDS of a device that is no board of the layout.
     node_id
@@ -79,6 +87,8 @@ def node(
     can
         CAN interface and channels of all buses, as for the gateway: with ``-c can0`` the second bus is on can1. With
         `eds` and without `bus` the single channel is that of the device.
+    every
+        Of ``update``: all boards, of `bus` or of the skin.
     wiring
         Recording (``skin record``) of one finger that goes over the whole skin, after a time without touch.
     live
@@ -103,6 +113,8 @@ def node(
     skin node get "Producer heartbeat time" 1018h:4 --bus bus0 --node 3
     skin node set 6060h=3 --eds drive.eds --node 5 -i socketcan -c can0
     skin node reset --bus bus0 -i socketcan -c can0
+    skin node update palm-1.1.bin --bus bus0 --node 3 -i socketcan -c can0
+    skin node update palm-1.1.bin --all -i socketcan -c can0
     """
     skin = load_layout(layout)
     _refuse_unused(
@@ -110,8 +122,13 @@ def node(
         {"--wiring": wiring, "--live": live},
         {"--path": path, "--out": out},
         {"--node": node_id, "--bus": bus},
-        {"objects": objects or None, "EDS": eds},
+        {"objects": (action != "update" and objects) or None, "EDS": eds},
     )
+    if every and action != "update":
+        raise InputError(f"expected --all with 'skin node update' alone, got 'skin node {action}'")
+    if action == "update":
+        numbers = range(len(skin.bus)) if every and bus is None else [_bus_number(skin, bus)]
+        return update_nodes(skin, objects, numbers, node_id, can or BusOptions(), every=every, as_json=json)
     if action in _ORDERS:
         return _order(skin, action, _bus_number(skin, bus), node_id, can or BusOptions(), as_json=json)
     if action in ("get", "set", "objects"):
@@ -131,7 +148,6 @@ def node(
         return _show_wiring(skin, check_counts(skin, reading, path), out, as_json=json)
     if node_id is None:
         raise InputError("expected --node with the node-ID of a board, --wiring with a recording, or --live")
-    require_one_state(skin, "'skin node check'")
     number = _bus_number(skin, bus)
     contract = Contract.from_layout(skin)
     board = _board(contract, number, node_id)
@@ -335,20 +351,21 @@ def _bus_number(skin: Layout, name: str | None) -> int:
 
 
 class _Talk(Talk, Protocol):
-    """A talk with a node: a check, or transfers; `give_up` undoes what would stay."""
+    """A talk with a node: a check, or transfers; `give_up` has it put back what it wrote, and end."""
 
-    def give_up(self) -> None: ...
+    def give_up(self, now_s: float) -> None: ...
 
 
 def _run(check: _Talk, link: Link, stop: StopSignal) -> None:
-    try:
-        while not check.done:
-            if stop.is_set():
-                raise RunError("stopped before the talk with the node was over")
+    is_stopped = False
+    while not check.done:
+        if stop.is_set() and not is_stopped:
+            is_stopped = True
+            check.give_up(time.monotonic())
+        else:
             take_turn({0: link}, {0: check})
-    finally:
-        if not check.done:
-            check.give_up()
+    if is_stopped:
+        raise RunError("stopped before the talk with the node was over")
 
 
 def _show(report: NodeReport) -> None:
@@ -360,6 +377,6 @@ def _show(report: NodeReport) -> None:
         print(f"{place}: note: {text}")
     count = len(report.differences)
     verdict = f"{count} difference{'s' * (count != 1)}" if count else "keeps the contract"
-    compared = f"{report.objects} objects, {report.frames} TPDOs of {report.cycles} cycles"
-    late = f", the last {1e3 * report.latest_s:.1f} ms after SYNC" if report.frames else ""
+    compared = f"{report.objects} objects, {report.frames} TPDOs"
+    late = f" of {report.cycles} cycles, the last {1e3 * report.latest_s:.1f} ms after SYNC" if report.cycles else ""
     print(f"{place}: {verdict} ({compared}{late})")

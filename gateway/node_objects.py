@@ -226,8 +226,9 @@ class NodeTransfers:
         self._dialogue.tick(now_s)
         self._look(now_s)
 
-    def give_up(self) -> None:
-        """Do nothing: nothing has to be undone."""
+    def give_up(self, now_s: float) -> None:  # noqa: ARG002  nothing has to be undone
+        """End."""
+        self.done = True
 
     def _look(self, now_s: float) -> None:
         if self.done or not self._dialogue.done:

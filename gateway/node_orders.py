@@ -63,5 +63,6 @@ class NodeOrder:
         """End the wait when it is over."""
         self.done = self.done or now_s >= self.due_s
 
-    def give_up(self) -> None:
-        """Do nothing: nothing has to be undone."""
+    def give_up(self, now_s: float) -> None:  # noqa: ARG002  nothing has to be undone
+        """End."""
+        self.done = True

@@ -284,7 +284,7 @@ def _write_tpdo(tpdo: int, settings: Sequence[Setting]) -> _Part:
 
 def _tpdo(index: int) -> int | None:
     """Return the number of the TPDO that the record at `index` describes; None for other objects."""
-    if od.TPDO_COMMUNICATION <= index < od.MANUFACTURER:
+    if od.TPDO_COMMUNICATION <= index < od.TPDO_END:
         return index % 0x200 + 1
     return None
 

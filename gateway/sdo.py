@@ -1,10 +1,13 @@
 """SDO transfers of a client as a state machine (CiA 301, 7.2.4): frames in, frames out, time as an argument.
 
 The client of the ``canopen`` library blocks a thread until the answer comes. The gateway asks many nodes at once and
-must not block. A dialogue with a node is a generator: it yields `Read` and `Write`, and receives the answers.
+must not block. A dialogue with a node is a generator: it yields a `Transfer`, and receives the answer.
 """
 
-from collections.abc import Callable, Generator
+import binascii
+import struct
+from collections import deque
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -16,7 +19,19 @@ TIMEOUT_S: Final = 0.3
 #: Attempts of a transfer before the node counts as not answering.
 ATTEMPTS: Final = 3
 
+#: Blocks of a download in a row whose first segment is lost; then the download begins anew.
+MOST_LOST: Final = 10
+#: When a full transmit queue is tried again: three frames at 1 Mbit/s.
+ROOM_S: Final = 0.0004
+
 _TOGGLE: Final = 0x10
+#: Bytes of a segment.
+_SEGMENT: Final = 7
+#: First bytes of the answers to a block download, and the bits that count (CiA 301, 7.2.4.3.9 to 7.2.4.3.11).
+_BLOCKS_BEGUN: Final = 0xA0
+_BLOCK_TAKEN: Final = 0xA2
+_BLOCKS_TAKEN: Final = 0xA1
+_BLOCK_BITS: Final = 0xE3
 
 
 @dataclass(frozen=True)
@@ -25,6 +40,11 @@ class Read:
 
     index: int
     subindex: int = 0
+
+    @property
+    def request(self) -> bytes:
+        """Payload of the request."""
+        return b"\x40" + self.index.to_bytes(2, "little") + bytes((self.subindex,)) + bytes(4)
 
 
 @dataclass(frozen=True)
@@ -35,8 +55,25 @@ class Write:
     subindex: int
     data: bytes
 
+    @property
+    def request(self) -> bytes:
+        """Payload of the request."""
+        command = 0x23 | 4 - len(self.data) << 2
+        return struct.pack("<BHB4s", command, self.index, self.subindex, self.data)
 
-Transfer = Read | Write
+
+@dataclass(frozen=True)
+class Download:
+    """Download of any length: in blocks with CRC, or in segments to a node without block transfer."""
+
+    index: int
+    subindex: int
+    data: bytes
+
+
+Transfer = Read | Write | Download
+#: Yields requests of a download, receives an answer.
+_Requests = Generator[Sequence[bytes], bytes, None]
 #: Yields transfers, receives the value read (empty after a write), and returns a result.
 Dialogue = Generator[Transfer, bytes, "object"]
 
@@ -72,11 +109,16 @@ class SdoDialogue:
     steps : generator
         The dialogue; a failed transfer raises `SdoError` inside the generator.
     send : callable
-        Sends a frame: COB-ID and data.
+        Sends a frame: COB-ID and data; returns 0 if the transmit queue is full. Other requests than those of downloads
+        then count as lost.
+    timeout_s : float
+        Time limit of an answer.
 
     Attributes
     ----------
     done : bool
+    due_s : float
+        When `tick` has something to do.
     result : object
         Return value of the generator.
     error : SdoError or None
@@ -89,10 +131,11 @@ class SdoDialogue:
         self,
         node_id: int,
         steps: Dialogue,
-        send: Callable[[int, bytes], None],
+        send: Callable[[int, bytes], int | None],
         now_s: float,
         *,
         attempts: int = ATTEMPTS,
+        timeout_s: float = TIMEOUT_S,
     ) -> None:
         self.done = False
         self.result: object = None
@@ -102,17 +145,25 @@ class SdoDialogue:
         self._steps = steps
         self._send = send
         self._attempts = attempts
+        self._timeout_s = timeout_s
         self._transfer: Transfer = Read(0)
         self._tried = 0
         self._value: bytearray | None = None
         self._toggle = 0
-        self._due_s = float("inf")
+        #: Of a download: its requests, those that have found no room yet, and whether blocks are refused.
+        self._requests: _Requests | None = None
+        self._waiting: deque[bytes] = deque()
+        self._in_segments = False
+        self.due_s = self._limit_s = float("inf")
         self._go_on(lambda: next(steps), now_s)
 
     def tick(self, now_s: float) -> None:
-        """Repeat the transfer when its answer is overdue."""
-        if self.done or now_s < self._due_s:
+        """Repeat the transfer when its answer is overdue, and go on with a download when there is room."""
+        if self._waiting and now_s < self._limit_s:
+            self._send_waiting(now_s)
+        if self.done or now_s < self._limit_s:
             return
+        self._waiting.clear()
         self._abort(Abort.TIMEOUT)
         self._retry(now_s)
 
@@ -123,6 +174,8 @@ class SdoDialogue:
         kind = data[0] & 0xE0
         if kind == 0x80:
             self._aborted(data, now_s)
+        elif self._requests is not None:
+            self._go_on_with(self._requests, data, now_s)
         elif isinstance(self._transfer, Write):
             if kind == 0x60 and self._is_mine(data):
                 self._answered(b"", now_s)
@@ -157,15 +210,41 @@ class SdoDialogue:
             self._toggle ^= _TOGGLE
             self._ask_segment(now_s)
 
+    def _go_on_with(self, requests: _Requests, answer: bytes, now_s: float) -> None:
+        """Pass an answer to a download, and send what follows."""
+        try:
+            following = requests.send(answer)
+        except StopIteration:
+            self._answered(b"", now_s)
+            return
+        except SdoError:  # no block comes whole
+            self._abort(Abort.TIMEOUT)
+            self._retry(now_s)
+            return
+        if following:
+            self._waiting = deque(following)
+            self._send_waiting(now_s)
+
+    def _send_waiting(self, now_s: float) -> None:
+        """Send requests of a download while there is room; the time limit begins anew with each."""
+        while self._waiting and self._send(self._cob_id, self._waiting[0]) != 0:
+            self._waiting.popleft()
+            self._limit_s = now_s + self._timeout_s
+        self.due_s = min(now_s + ROOM_S, self._limit_s) if self._waiting else self._limit_s
+
     def _ask_segment(self, now_s: float) -> None:
-        self._due_s = now_s + TIMEOUT_S
+        self.due_s = self._limit_s = now_s + self._timeout_s
         self._send(self._cob_id, bytes((0x60 | self._toggle, 0, 0, 0, 0, 0, 0, 0)))
 
     def _aborted(self, data: bytes, now_s: float) -> None:
         code = int.from_bytes(data[4:8], "little")
         if not self._is_mine(data) and data[1:4] != bytes(3):
             return
-        if code < FIRST_ABORT_OF_THE_OBJECT:
+        is_download, self._waiting = self._requests is not None, deque()
+        if is_download and code == Abort.COMMAND and not self._in_segments:
+            self._in_segments = True  # the node has no block download
+            self._begin(now_s)
+        elif code < FIRST_ABORT_OF_THE_OBJECT:
             self._retry(now_s)  # the transfer failed, not the access to the object
         else:
             self._fail(SdoAbortedError(self._transfer, code), now_s)
@@ -180,15 +259,16 @@ class SdoDialogue:
     def _begin(self, now_s: float) -> None:
         self._tried += 1
         self.asked_s = now_s
-        self._value = None
-        self._due_s = now_s + TIMEOUT_S
+        self._value = self._requests = None
+        self.due_s = self._limit_s = now_s + self._timeout_s
         to = self._transfer
-        place = to.index.to_bytes(2, "little") + bytes((to.subindex,))
-        if isinstance(to, Read):
-            self._send(self._cob_id, b"\x40" + place + bytes(4))
+        if isinstance(to, Download):
+            place = to.index.to_bytes(2, "little") + bytes((to.subindex,))
+            self._requests = _in_segments(place, to.data) if self._in_segments else _in_blocks(place, to.data)
+            self._waiting = deque(next(self._requests))
+            self._send_waiting(now_s)
         else:
-            command = 0x23 | 4 - len(to.data) << 2
-            self._send(self._cob_id, bytes((command,)) + place + to.data.ljust(4, b"\0"))
+            self._send(self._cob_id, to.request)
 
     def _abort(self, code: int) -> None:
         place = self._transfer.index.to_bytes(2, "little") + bytes((self._transfer.subindex,))
@@ -210,3 +290,40 @@ class SdoDialogue:
         else:
             self._tried = 0
             self._begin(now_s)
+
+
+def _in_blocks(place: bytes, data: bytes) -> _Requests:
+    """Download in blocks (CiA 301, 7.2.4.3.9 to 7.2.4.3.11), with the CRC of 7.2.4.3.16."""
+    answer = yield [b"\xc6" + place + len(data).to_bytes(4, "little")]
+    while answer[0] & _BLOCK_BITS != _BLOCKS_BEGUN or answer[1:4] != place:
+        answer = yield ()
+    at, most, idle = 0, answer[4], 0
+    while at < len(data):
+        segments = range(at, min(at + _SEGMENT * most, len(data)), _SEGMENT)
+        answer = yield [
+            bytes((number | 0x80 * (first + _SEGMENT >= len(data)),)) + data[first : first + _SEGMENT].ljust(7, b"\0")
+            for number, first in enumerate(segments, 1)
+        ]
+        while answer[0] & _BLOCK_BITS != _BLOCK_TAKEN or answer[1] > len(segments):
+            answer = yield ()
+        # What came behind a gap is sent again.
+        at, most, idle = at + _SEGMENT * answer[1], answer[2], 0 if answer[1] else idle + 1
+        if idle > MOST_LOST:
+            raise SdoError
+    unused = -len(data) % _SEGMENT
+    answer = yield [bytes((0xC1 | unused << 2,)) + binascii.crc_hqx(data, 0).to_bytes(2, "little") + bytes(5)]
+    while answer[0] & _BLOCK_BITS != _BLOCKS_TAKEN:
+        answer = yield ()
+
+
+def _in_segments(place: bytes, data: bytes) -> _Requests:
+    """Download in segments (CiA 301, 7.2.4.3.3 and 7.2.4.3.4)."""
+    answer = yield [b"\x21" + place + len(data).to_bytes(4, "little")]
+    while answer[0] != 0x60 or answer[1:4] != place:
+        answer = yield ()
+    for number, at in enumerate(range(0, len(data), _SEGMENT)):
+        part, toggle = data[at : at + _SEGMENT], _TOGGLE * (number % 2)
+        is_last = at + _SEGMENT >= len(data)
+        answer = yield [bytes((toggle | (_SEGMENT - len(part)) << 1 | is_last,)) + part.ljust(_SEGMENT, b"\0")]
+        while answer[0] & 0xF0 != 0x20 | toggle:
+            answer = yield ()

@@ -9,7 +9,7 @@ import msgspec
 
 from bus.link import Link
 from canskin.fabric import Fabric, Reply
-from canskin.messages import GATEWAY, MEASUREMENT, RECOGNITION, Measurement
+from canskin.messages import GATEWAY, Measurement
 from canskin.state_messages import MOST_HOLD_S, ImagesReply, ImagesRequest
 from dbc.contract import Contract
 from dbc.frame import frames
@@ -19,7 +19,7 @@ from gateway.loop import GatewayLoop
 from gateway.sdo import TIMEOUT_S
 from shell.clock import wall_offset
 from shell.service import RateLimitedLog, StopSignal, request_real_time, say
-from skin.measured_sums import part_of_measurement
+from skin.measured_sums import published
 
 STATUS_PERIOD_S: Final = 0.2
 #: Longest wait for frames.
@@ -146,12 +146,10 @@ class GatewayService:
 
     def publish(self, measurements: list[Measurement]) -> None:
         """Publish measurements with their offsets; where the nodes have two states, those of each on its topic."""
-        few = self._contract.recognition
+        few = None if self._contract.recognition is None else self._contract.recognition.phi
         for each in measurements:
             told = each if self._calibration is None else self._calibration.apply(each)
-            if few is None or each.fingerprint != few.phi.fingerprint:
-                self._fabric.publish(MEASUREMENT, told)
-            if few is not None:
-                self._fabric.publish(RECOGNITION, part_of_measurement(told, few.phi, self._contract.recognised))
+            for topic, message in published(told, few, self._contract.recognised):
+                self._fabric.publish(topic, message)
             if self._calibration is not None:
                 self._calibration.take(each)

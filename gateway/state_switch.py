@@ -102,6 +102,17 @@ class StateSwitch:
         if own.any() and np.any(arrived["data"][own, 0] == self._commanded):
             self._echoed.add(bus)
 
+    def follow(self, bus: int, state: SkinState) -> None:
+        """Take note of a recorded RPDO on a bus: the gateway of the run has asked for this state."""
+        if state != self._commanded:
+            self._commanded, self._waited = state, 0
+            self._echoed.clear()
+        self._echoed.add(bus)
+
+    def begin_in(self, state: SkinState) -> None:
+        """Take the state of a recording that begins in it."""
+        self.state = self._commanded = state
+
     @property
     def _next_state(self) -> SkinState:
         """The state with the next SYNC."""

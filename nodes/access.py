@@ -33,7 +33,7 @@ def check_write(node: LocalNode, index: int, subindex: int, value: float) -> Non
     """Raise `canopen.SdoAbortedError` if `value` must not be written now; only REAL32 values may be fractions."""
     if od.TPDO_COMMUNICATION <= index < od.TPDO_MAPPING:
         _communication(node, index, subindex, int(value))
-    elif od.TPDO_MAPPING <= index < od.MANUFACTURER:
+    elif od.TPDO_MAPPING <= index < od.TPDO_END:
         _mapping(node, index, subindex, int(value))
     elif index == od.EMCY_COB_ID:
         _emcy(node, int(value))

@@ -17,7 +17,7 @@ from nodes.ways import way_of
 from shell.service import StopSignal, say
 from shell.skin_options import join
 from shell.touch_options import NO_TOUCH_OPTIONS, TouchOptions
-from skin.layout import load_layout, require_one_state
+from skin.layout import load_layout
 from skin.taxel import NOISE_N
 
 
@@ -92,7 +92,6 @@ def nodes(
     mine = [node for node in contract.nodes if node.node_id in chosen.get(node.bus, ())]
     compiled = None
     if firmware:
-        require_one_state(skin, "the firmware in C")
         compiled = Firmware(contract, mine, store=store, unnumbered=unnumbered)
     blocks = [node.block for node in mine]
     hardware = way_of(skin).hardware(contract, blocks, touch.source(skin, rest), compiled, **analogue)

@@ -23,6 +23,8 @@ class Hardware(ABC):
         self._phi = phi.wired
         self._calibration = calibration
         self._patterns = np.full(phi.blocks, PATTERN_OFF, np.uint8)
+        #: The block of the skin on which the board of a block sits: LSS may give any node-ID to any board.
+        self._sites = np.arange(phi.blocks)
 
     @property
     @abstractmethod
@@ -54,6 +56,10 @@ class Hardware(ABC):
     def first_sum(self, block: int) -> int:
         """Return the index of the first sum of `block`."""
         return int(self._phi.starts[block])
+
+    def place(self, block: int, site: int) -> None:
+        """Let the board of a block sit on another block of the skin: it feels the taxels there."""
+        self._sites[block] = site
 
     def adjust(self, block: int, index: int, subindex: int, value: float) -> None:
         """Apply a write to a block's calibration or test pattern (2010h, 2011h, 2021h)."""
@@ -89,10 +95,10 @@ class Hardware(ABC):
     def temperature_k(self, blocks: range) -> float:
         """Return the simulated temperature of the board of some blocks, kelvin: that which explains their drift."""
         drifted_n = self._drifted_n().ravel()
-        chains = self._phi.taxels_of_blocks[blocks]
+        chains = self._phi.taxels_of_blocks[self._sites[blocks]]
         return REST_K + float(drifted_n[chains[chains < drifted_n.size]].mean()) / DRIFT_N_PER_K
 
     def _chain(self, block: int) -> npt.NDArray[np.intp]:
-        """Return the taxels of a block in chain order."""
-        size = self._phi.block_size
-        return self._phi.order[block * size : (block + 1) * size]
+        """Return the taxels that the board of a block feels, in chain order."""
+        size, site = self._phi.block_size, self._sites[block]
+        return self._phi.order[site * size : (site + 1) * size]

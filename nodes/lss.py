@@ -1,6 +1,6 @@
 """LSS slave of one virtual node (CiA 305): the node gets its node-ID over the bus."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from typing import Final
 
 from dbc.canopen import FASTSCAN_ALL, LSS_BIT_RATES_HZ, LSS_BYTES, NO_NODE_ID, Lss
@@ -19,14 +19,14 @@ class LssSlave:
     ----------
     address : tuple of int, shape (4,)
         Vendor-ID, product code, revision and serial number.
-    node_id : int
-        The only node-ID that the node takes: the virtual node's dictionary is that of this number.
+    known : collection of int
+        The node-IDs that the board takes: its image has constants for them.
     bit_rate_hz : int
         The only bit rate that the node takes: that of its bus.
     store : callable
-        Stores whether the node has its node-ID; OSError if that fails.
-    has_node_id : bool
-        Whether the node-ID is stored already, or set by switches.
+        Stores the node-ID, `NO_NODE_ID` for none; OSError if that fails.
+    stored : int
+        The node-ID that is stored already, or set by switches; `NO_NODE_ID` for none.
 
     Attributes
     ----------
@@ -41,20 +41,20 @@ class LssSlave:
     def __init__(
         self,
         address: tuple[int, ...],
-        node_id: int,
+        known: Collection[int],
         bit_rate_hz: int,
-        store: Callable[[bool], None],
+        store: Callable[[int], None],
         *,
-        has_node_id: bool,
+        stored: int,
     ) -> None:
-        self._address, self._own, self._bit_rate_hz, self._store = address, node_id, bit_rate_hz, store
+        self._address, self._known, self._bit_rate_hz, self._store = address, known, bit_rate_hz, store
         self.node_id = NO_NODE_ID
-        self._has_stored = has_node_id
+        self._stored = stored
         self.reset()
 
     def reset(self) -> None:
         """Power up: the stored node-ID counts."""
-        self.wanted = self._own if self._has_stored else NO_NODE_ID
+        self.wanted = self._stored
         self.is_configured = False
         #: Numbers of the address that the master has named right, in their order.
         self._matched = self._in_range = 0
@@ -131,7 +131,7 @@ class LssSlave:
         """Answer a request to nodes in the state LSS configuration."""
         answer = b""
         if command == Lss.NODE_ID:
-            answer = _DONE if data[1] in (self._own, NO_NODE_ID) else _OUT_OF_RANGE
+            answer = _DONE if data[1] == NO_NODE_ID or data[1] in self._known else _OUT_OF_RANGE
             if answer is _DONE:
                 self.wanted = data[1]
         elif command == Lss.BIT_TIMING:
@@ -146,10 +146,9 @@ class LssSlave:
         return bytes((command,)) + answer if answer else None
 
     def _save(self) -> bytes:
-        has_node_id = self.wanted != NO_NODE_ID
         try:
-            self._store(has_node_id)
+            self._store(self.wanted)
         except OSError:
             return _FAILED
-        self._has_stored = has_node_id
+        self._stored = self.wanted
         return _DONE

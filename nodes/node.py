@@ -21,7 +21,7 @@ from dbc.canopen import (
     NmtCommand,
     NmtState,
 )
-from dbc.configuration import Setting, signature
+from dbc.configuration import Setting, signature, with_calibration
 from dbc.contract import NodeContract
 from dbc.dictionary import HEARTBEATS_WATCHED, ON_COMMAND, SkinState
 from dbc.objects import Object
@@ -53,6 +53,8 @@ class SkinNode:
         Where the node sends.
     storage : Storage
         Parameters that 1010h stored.
+    serial_number : int
+        1018h:4, that of the board.
 
     Attributes
     ----------
@@ -77,6 +79,7 @@ class SkinNode:
         outbox: Outbox,
         hardware: Hardware,
         storage: Storage,
+        serial_number: int,
     ) -> None:
         self.contract = contract
         self.state = NmtState.INITIALISING
@@ -86,7 +89,7 @@ class SkinNode:
         self._states = _states_of_tpdos(contract, objects)
         self._signed = {
             od.SIGNATURE: settings,
-            od.CALIBRATION_SIGNATURE: sorted([*settings, *calibration], key=lambda each: (each.index, each.subindex)),
+            od.CALIBRATION_SIGNATURE: with_calibration(settings, calibration),
         }
         self._signatures: dict[int, int] = {}
         self._storage = storage
@@ -101,6 +104,7 @@ class SkinNode:
             od.ERROR_REGISTER: lambda _: self.emcy.register,
             od.ERROR_FIELD: self._read_error,
             od.HEALTH: self._read_health,
+            od.IDENTITY: lambda subindex: serial_number if subindex == 4 else None,
             **{index: partial(self._read_signature, index) for index in self._signed},
             od.TEMPERATURE: lambda _: round(10 * hardware.temperature_k(range(first, first + contract.blocks))),
             od.STATE: lambda subindex: self.wanted_state if subindex == 1 else None,
@@ -124,18 +128,14 @@ class SkinNode:
         """Whether the SDO server works in this state."""
         return self.state in (NmtState.PRE_OPERATIONAL, NmtState.OPERATIONAL)
 
-    @property
-    def lss_address(self) -> tuple[int, ...]:
-        """Vendor-ID, product code, revision and serial number (1018h)."""
-        return tuple(self.local.unsigned(od.IDENTITY, subindex) for subindex in range(1, 5))
-
     def boot(self, now_s: float, *, communication_only: bool = False) -> None:
         """Initialise: restore parameters, send the boot-up message, enter PRE-OPERATIONAL."""
         self._enter(NmtState.INITIALISING)
         store = self.local.data_store
         for index in [index for index in store if index < od.MANUFACTURER or not communication_only]:
             del store[index]
-        for index, entries in self._storage.parameters.items():
+        stored = self._storage.parameters if self._storage.owner == self.contract.node_id else {}
+        for index, entries in stored.items():
             for subindex, data in entries.items():
                 if (index < od.MANUFACTURER or not communication_only) and self._is_stored(index, subindex, data):
                     store.setdefault(index, {})[subindex] = data
@@ -181,11 +181,9 @@ class SkinNode:
             value = number(found.data_type if found else None, data)
         self._hardware.adjust(self.contract.block + place, first, subindex, value)
 
-    def command(self, command: int, now_s: float) -> None:
-        """Execute an NMT command; unknown commands are ignored."""
-        if command in (NmtCommand.RESET_NODE, NmtCommand.RESET_COMMUNICATION):
-            self.boot(now_s, communication_only=command == NmtCommand.RESET_COMMUNICATION)
-        elif command in COMMANDED:
+    def command(self, command: int) -> None:
+        """Execute an NMT command; others than those to change the state are ignored."""
+        if command in COMMANDED:
             self._enter(COMMANDED[NmtCommand(command)])
 
     def _enter(self, state: NmtState) -> None:

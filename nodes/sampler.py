@@ -78,6 +78,8 @@ class Sampler(Hardware):
         self._newest: dict[int, int] = {}
         self._truth: Truth | None = None
         self._ahead: _Ahead | None = None
+        #: Where boards have exchanged their sites: the taxel that is felt in place of each, shape (places,).
+        self._felt: npt.NDArray[np.intp] | None = None
 
     @property
     def sums(self) -> npt.NDArray[np.int32]:
@@ -88,6 +90,14 @@ class Sampler(Hardware):
         """Return what the taxels of a block read last, in counts."""
         return self._electronics.sampled[self._chain(block)]
 
+    def place(self, block: int, site: int) -> None:
+        """Let the board of a block sit on another block of the skin: it feels the taxels there."""
+        self._drop_answer()
+        super().place(block, site)
+        chains = self._phi.taxels_of_blocks
+        self._felt = np.arange(self._phi.taxels)
+        self._felt[chains] = chains[self._sites]
+
     def adjust(self, block: int, index: int, subindex: int, value: float) -> None:
         """Apply a write to a block's calibration or test pattern (2010h, 2011h, 2021h)."""
         self._drop_answer()
@@ -97,7 +107,7 @@ class Sampler(Hardware):
         """Set a block to the defaults, and begin its averages anew."""
         self._drop_answer()
         super().reset(block)
-        self._electronics.restart(block)
+        self._electronics.restart(int(self._sites[block]))
 
     def sample(self, counter: int, time_ns: int, bus: int = 0) -> npt.NDArray[np.int32]:
         """Return the sums, shape (m,), at the SYNC `counter` (0: a SYNC without counter) seen on `bus` at `time_ns`."""
@@ -147,7 +157,8 @@ class Sampler(Hardware):
 
     def _answer(self, force_n: npt.NDArray[np.float32], step: int) -> npt.NDArray[np.int32]:
         """Return what the boards answer with at `step`: the sums, shape (m,)."""
-        exact: npt.NDArray[Any] = self._phi.forward(self._electronics.read(force_n, step))
+        read = self._electronics.read(force_n, step)
+        exact: npt.NDArray[Any] = self._phi.forward(read if self._felt is None else read[self._felt])
         sums: npt.NDArray[np.int32] = np.rint(exact).astype(np.int32)
         return sums
 
@@ -192,35 +203,6 @@ class AnalogueSampler(Sampler):
         return self._analogue.read_sums(force_n, later_n, step)
 
 
-def new_sampler(layout: Layout, phi: Sbhe, source: TaxelSource, **analogue: Any) -> Sampler:
-    """Return the sampler of a skin whose nodes make the sums, with all code compiled.
-
-    Parameters
-    ----------
-    phi : Sbhe
-        Of the layout.
-    **analogue
-        ``noise_n``, ``seed`` and ``defects`` of `Electronics`.
-    """
-
-    def new() -> Sampler:
-        if layout.taxels.is_analogue:
-            return AnalogueSampler(phi, source, AnalogueElectronics(layout, phi, **analogue))
-        electronics = Electronics(
-            layout.taxels,
-            **analogue,
-            period_s=layout.shortest_period_s,
-            samples=layout.samples_per_sync,
-            blocks=phi.taxels_of_blocks,
-            places=phi.wired.taxels,
-        )
-        return Sampler(phi, source, electronics, layout.sync.period_s)
-
-    # A first start compiles for a while: before the nodes are there, and not between two SYNCs.
-    new().sample(1, 0)
-    return new()
-
-
 class CountSampler(Sampler):
     """A sampler for boards that make the sums themselves.
 
@@ -238,3 +220,42 @@ class CountSampler(Sampler):
         counts = np.concatenate(self._electronics.unread)
         self._electronics.unread.clear()
         return counts
+
+
+class CodeSampler(AnalogueSampler):
+    """A sampler for boards that make the sums of their converters' codes: `sample` returns codes, shape (1, m)."""
+
+    def _answer(self, force_n: npt.NDArray[np.float32], step: int) -> npt.NDArray[np.int32]:
+        return super()._answer(force_n, step)[None] // self._analogue.converter.step_counts
+
+
+def new_sampler(layout: Layout, phi: Sbhe, source: TaxelSource, *, makes_sums: bool = True, **analogue: Any) -> Sampler:
+    """Return the sampler of a skin, with all code compiled.
+
+    Parameters
+    ----------
+    phi : Sbhe
+        Of the layout.
+    makes_sums : bool
+        Whether it returns sums; else what the converters read, for boards that make the sums of it.
+    **analogue
+        ``noise_n``, ``seed`` and ``defects`` of `Electronics`.
+    """
+
+    def new() -> Sampler:
+        if layout.taxels.is_analogue:
+            kind = AnalogueSampler if makes_sums else CodeSampler
+            return kind(phi, source, AnalogueElectronics(layout, phi, **analogue))
+        electronics = Electronics(
+            layout.taxels,
+            **analogue,
+            period_s=layout.shortest_period_s,
+            samples=layout.samples_per_sync,
+            blocks=phi.taxels_of_blocks if makes_sums else None,
+            places=phi.wired.taxels,
+        )
+        return (Sampler if makes_sums else CountSampler)(phi, source, electronics, layout.sync.period_s)
+
+    # A first start compiles for a while: before the nodes are there, and not between two SYNCs.
+    new().sample(1, 0)
+    return new()

@@ -2,6 +2,7 @@
 
 from collections.abc import Collection
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -29,7 +30,7 @@ from dbc.canopen import (
 )
 from dbc.configuration import calibration, configuration
 from dbc.contract import Contract, NodeContract
-from dbc.dictionary import REACTION_NS, SkinState, dictionary
+from dbc.dictionary import REACTION_NS, REVISION, SkinState, dictionary, serial_number
 from dbc.frame import ECHO, ERROR, EXTENDED, REMOTE, Frames, one_frame
 from dbc.frame_bits import frame_time_ns
 from nodes.burst import Burst
@@ -43,6 +44,17 @@ from nodes.ways import way_of
 
 #: Window when 1007h is 0: no limit.
 NO_WINDOW_NS: Final = 1 << 62
+
+
+@dataclass
+class _Board:
+    """A virtual board: the node of the layout on whose site it sits, and the node that its node-ID makes it."""
+
+    site: NodeContract
+    storage: Storage
+    serial: int
+    slave: LssSlave
+    node: SkinNode
 
 
 class VirtualBoards:
@@ -64,6 +76,7 @@ class VirtualBoards:
     Attributes
     ----------
     nodes : list of SkinNode
+        What the boards are by their node-IDs.
     is_pdo : array of bool, shape (BASE_ID_MASK + 1,)
         Whether an identifier is that of a TPDO of these nodes now.
     due_s : float
@@ -87,19 +100,14 @@ class VirtualBoards:
         #: Identifier of the RPDO with the state of the nodes; without states none has it.
         self._state_cob_id = -1 if contract.recognition is None else STATE_COB_ID
         self._outbox = Outbox()
-        self.nodes: list[SkinNode] = []
-        self._lss: list[tuple[LssSlave, SkinNode]] = []
-        for each in contract.on_bus(bus):
-            if each.node_id in node_ids:
-                storage = Storage.of_node(contract, each, store)
-                node = self._new_node(each, hardware, storage)
-                has_node_id = storage.has_node_id or not unnumbered
-                slave = LssSlave(
-                    node.lss_address, each.node_id, wires.bitrate, storage.save_node_id, has_node_id=has_node_id
-                )
-                self.nodes.append(node)
-                self._lss.append((slave, node))
-        self._by_id = {node.contract.node_id: node for node in self.nodes}
+        self._hardware = hardware
+        self._on_bus = {each.node_id: each for each in contract.on_bus(bus)}
+        self._boards = [
+            self._new_board(each, Storage.of_node(contract, each, store), is_numbered=not unnumbered)
+            for each in self._on_bus.values()
+            if each.node_id in node_ids
+        ]
+        self._note_nodes()
         self._sync_length: dict[int, int] = {}
         #: The nodes that watch the heartbeat of a node-ID; most nodes watch none.
         self._watchers: dict[int, list[SkinNode]] = {}
@@ -113,24 +121,58 @@ class VirtualBoards:
         """The node-IDs of the nodes."""
         return self._by_id.keys()
 
-    def _new_node(self, node: NodeContract, hardware: Hardware, storage: Storage) -> SkinNode:
+    def _new_board(self, site: NodeContract, storage: Storage, *, is_numbered: bool) -> _Board:
+        layout = self._contract.layout
+        serial = serial_number(self._contract, site)
+        alike = [
+            each.node_id
+            for each in self._on_bus.values()
+            if (each.blocks, each.sums) == (site.blocks, site.sums) and not layout.taxels.is_analogue
+        ]
+        known = alike or [site.node_id]
+        stored = site.node_id if is_numbered and storage.node_id == NO_NODE_ID else storage.node_id
+        slave = LssSlave(
+            (layout.device.vendor_id, layout.device.product_code, REVISION, serial),
+            known,
+            layout.bus[site.bus].bitrate,
+            storage.save_node_id,
+            stored=stored if stored in known else NO_NODE_ID,
+        )
+        return _Board(site, storage, serial, slave, self._new_node(site, storage, serial))
+
+    def _new_node(self, node: NodeContract, storage: Storage, serial: int) -> SkinNode:
         return way_of(self._contract.layout).node(
             node,
-            dictionary(self._contract, node),
+            # Nodes in Python have no program that could be exchanged.
+            [each for each in dictionary(self._contract, node) if not od.is_program_download(each.index)],
             configuration(self._contract, node),
             calibration(self._contract, node),
             outbox=self._outbox,
-            hardware=hardware,
+            hardware=self._hardware,
             storage=storage,
+            serial_number=serial,
         )
+
+    def _become(self, board: _Board, node_id: int) -> None:
+        """Let a board be the node with a node-ID: it stays where it is, and takes the constants of the node."""
+        if board.node.state is not NmtState.INITIALISING:
+            board.node.end()
+        node = self._on_bus[node_id]
+        for place in range(node.blocks):
+            self._hardware.place(node.block + place, board.site.block + place)
+        board.node = self._new_node(node, board.storage, board.serial)
+        self._note_nodes()
+
+    def _note_nodes(self) -> None:
+        self.nodes = [board.node for board in self._boards]
+        self._by_id = {node.contract.node_id: node for node in self.nodes}
 
     def power_up(self, now_s: float) -> Frames:
         """Boot all nodes that have a node-ID."""
         self.due_s = float("-inf")
-        for slave, node in self._lss:
-            slave.reset()
-            if slave.node_id != NO_NODE_ID:
-                node.boot(now_s)
+        for board in self._boards:
+            board.slave.reset()
+            self._boot(board, now_s)
         self._compile(self.nodes)
         return self._outbox.take()
 
@@ -245,32 +287,44 @@ class VirtualBoards:
             return
         command, node_id = data[0], data[1]
         # Without node-ID there is no NMT slave yet.
-        numbered = [(slave, node) for slave, node in self._lss if slave.node_id != NO_NODE_ID]
-        addressed = [(slave, node) for slave, node in numbered if node_id in {0, slave.node_id}]
-        for slave, node in addressed:
+        numbered = [board for board in self._boards if board.slave.node_id != NO_NODE_ID]
+        addressed = [board for board in numbered if node_id in {0, board.slave.node_id}]
+        is_reset = command in (NmtCommand.RESET_NODE, NmtCommand.RESET_COMMUNICATION)
+        for board in addressed:
             if command == NmtCommand.RESET_NODE:
-                slave.reset()
+                board.slave.reset()
             elif command == NmtCommand.RESET_COMMUNICATION:
-                slave.initialise()
-            if slave.node_id == NO_NODE_ID:
-                node.end()
+                board.slave.initialise()
+            if is_reset:
+                self._boot(board, now_s, communication_only=command == NmtCommand.RESET_COMMUNICATION)
             else:
-                node.command(command, now_s)
-        if command in (NmtCommand.RESET_NODE, NmtCommand.RESET_COMMUNICATION):
-            self._compile([node for _, node in addressed])
+                board.node.command(command)
+        if is_reset:
+            self._compile([board.node for board in addressed])
+
+    def _boot(self, board: _Board, now_s: float, *, communication_only: bool = False) -> None:
+        """Initialise a board with its present node-ID; without one, its node is silent."""
+        node_id = board.slave.node_id
+        if node_id == NO_NODE_ID:
+            board.node.end()
+        elif node_id != board.node.contract.node_id:
+            self._become(board, node_id)
+            board.node.boot(now_s)
+        else:
+            board.node.boot(now_s, communication_only=communication_only)
 
     def _take_lss(self, data: bytes, now_s: float) -> None:
-        for slave, node in self._lss:
-            answer = slave.take(data)
+        for board in self._boards:
+            answer = board.slave.take(data)
             if answer is not None:
                 response = one_frame(LSS_RESPONSE_COB_ID, answer)
-                response["port"] = node.contract.node_id
+                response["port"] = board.node.contract.node_id
                 self._outbox.post(response)
-            if slave.is_due:
-                slave.initialise()
-                node.boot(now_s)
+            if board.slave.is_due:
+                board.slave.initialise()
+                self._boot(board, now_s)
                 self.due_s = float("-inf")
-                self._compile([node])
+                self._compile([board.node])
 
     def _sdo(self, can_id: int, data: bytes, now_s: float) -> None:
         node = self._by_id.get(can_id - SDO_REQUEST_BASE)

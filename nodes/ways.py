@@ -13,11 +13,10 @@ from nodes.adaptive.firmware import FirmwarePatches
 from nodes.adaptive.news import WithNews
 from nodes.adaptive.node import AdaptiveNode
 from nodes.adaptive.vectors import adaptive_vectors_text
-from nodes.electronics import Electronics
 from nodes.firmware.library import Firmware
 from nodes.hardware import Hardware
 from nodes.node import SkinNode
-from nodes.sampler import CountSampler, new_sampler
+from nodes.sampler import new_sampler
 from nodes.sending import AtSync, Sending
 from skin.layout import Layout
 from skin.sources import TaxelSource
@@ -55,19 +54,9 @@ def way_of(layout: Layout) -> Way:
 def _sampler(
     contract: Contract, _blocks: Sequence[int], source: TaxelSource, firmware: Firmware | None, **analogue: Any
 ) -> Hardware:
-    layout = contract.layout
     if source.has_noise:
         analogue = {**analogue, "noise_n": 0.0}
-    if firmware is None:
-        return new_sampler(layout, contract.phi, source, **analogue)
-    electronics = Electronics(
-        layout.taxels,
-        **analogue,
-        period_s=layout.sync.period_s,
-        samples=layout.samples_per_sync,
-        places=contract.phi.wired.taxels,
-    )
-    return CountSampler(contract.phi, source, electronics)
+    return new_sampler(contract.layout, contract.phi, source, makes_sums=firmware is None, **analogue)
 
 
 def _patches(

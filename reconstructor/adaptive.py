@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from reconstructor.engine import Reconstructor
 from reconstructor.walsh import WalshReconstructor
 from skin.layout import Layout
 from skin.measured_sums import AdaptiveSums, decode_adaptive
@@ -22,14 +23,19 @@ class AdaptiveImager:
     ----------
     layout : Layout
         With adaptive sending.
+    solver : Reconstructor, optional
+        Without temporal filter: it makes the images from the rows of Φ whose sums are known.
+    about : str
+        Words for the log.
     """
 
-    about = "adaptive sums"
     depth = 1
     decode = staticmethod(decode_adaptive)
 
-    def __init__(self, layout: Layout) -> None:
+    def __init__(self, layout: Layout, solver: Reconstructor | None = None, about: str = "adaptive sums") -> None:
         taxels = layout.taxels
+        self.about = about
+        self._solver = solver
         self._walsh = WalshReconstructor(layout.patches(), taxels.rows, taxels.columns, NOISE_N, taxels.surface.graph)
         self._shape = (layout.blocks, layout.measurement.block_size)
         #: A patch's sums come by Hadamard row, and are solved group by group.
@@ -38,8 +44,10 @@ class AdaptiveImager:
 
     def solve(self, sums: AdaptiveSums) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.bool_]]:
         """See `reconstructor.imaging.CycleImager.solve`; the image is 0 while no sum is known."""
-        self._walsh.noise_n = sums.noise_n or NOISE_N
         sums_n = np.multiply(sums.counts, self._newton_per_count, dtype=np.float32)
+        if self._solver is not None:
+            return self._solver.solve(sums_n, sums.known), sums.known
+        self._walsh.noise_n = sums.noise_n or NOISE_N
         known = None if sums.known.all() else self._grouped(sums.known)
         return self._walsh.solve(self._grouped(sums_n), known), sums.known
 
@@ -48,6 +56,9 @@ class AdaptiveImager:
 
     def warm_up(self) -> None:
         """Compile the solver, or load the compiled solver."""
+        if self._solver is not None:
+            self._solver.warm_up()
+            return
         blocks, size = self._shape
         nothing = np.zeros(size * blocks, np.int32)
         for known in (np.arange(nothing.size) > 0, np.ones(nothing.size, np.bool_)):

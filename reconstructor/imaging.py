@@ -12,7 +12,9 @@ from reconstructor.gains import GainCorrection, KnownGains
 from reconstructor.options import SolverOptions
 from skin.calibration_file import load_calibration
 from skin.layout import Layout, require_sending
+from skin.matrix import MatrixPhi
 from skin.measured_sums import MeasuredSums, decode_measurement
+from skin.measurement import Sbhe
 
 
 class CycleImager:
@@ -38,23 +40,12 @@ class CycleImager:
     decode = staticmethod(decode_measurement)
 
     def __init__(self, layout: Layout, options: SolverOptions | None = None, gains: KnownGains | None = None) -> None:
-        chosen, phi, taxels = options or SolverOptions(), layout.operator(), layout.taxels
-        settings = chosen.settings()
-        basis = f", basis {settings.prior}" if chosen.basis else ""
-        self.about = f"{settings.iterations} iterations{basis}"
-        self.solver = Reconstructor(
-            phi,
-            taxels.rows,
-            taxels.columns,
-            settings,
-            noise_n=chosen.clipped_noise_n(layout),
-            samples=layout.samples_per_sync,
-            edges=taxels.surface.graph,
-        )
+        chosen = options or SolverOptions()
+        self._phi = layout.operator()
+        self.about, self.solver = _about(chosen), _solver(layout, self._phi, chosen)
         self.warm_up = self.solver.warm_up
-        self._newton_per_count = np.float32(taxels.newton_per_count)
+        self._newton_per_count = np.float32(layout.taxels.newton_per_count)
         self._gains = None if gains is None else GainCorrection(layout.phi(), gains)
-        self._phi = phi
 
     def solve(self, sums: MeasuredSums) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.bool_]]:
         """Return the image, float32, shape (rows, columns), newtons; and which sums it is made from, shape (m,)."""
@@ -65,6 +56,24 @@ class CycleImager:
         image = self.solver.solve(sums_n, valid_sums)
         self._gains.keep(image)
         return image, valid_sums
+
+
+def _about(options: SolverOptions) -> str:
+    settings = options.settings()
+    return f"{settings.iterations} iterations" + (f", basis {settings.prior}" if options.basis else "")
+
+
+def _solver(layout: Layout, phi: Sbhe | MatrixPhi, options: SolverOptions) -> Reconstructor:
+    taxels = layout.taxels
+    return Reconstructor(
+        phi,
+        taxels.rows,
+        taxels.columns,
+        options.settings(),
+        noise_n=options.clipped_noise_n(layout),
+        samples=layout.samples_per_sync,
+        edges=taxels.surface.graph,
+    )
 
 
 #: What makes the images of a skin.
@@ -81,12 +90,12 @@ def make_imager(layout: Layout, options: SolverOptions | None = None, gains: Pat
     """
     if layout.sends.in_cycles:
         return CycleImager(layout, options, None if gains is None else load_gains(gains, layout))
-    if options is not None:
-        flags = "--solver, --iterations, --basis, --penalty-n and --noise-n are"
-        require_sending(layout, "synchronous", flags, "adaptive sums have a solver of their own; leave them out")
     if gains is not None:
         require_sending(layout, "synchronous", "--gains is", "write gains to adaptive boards (2010h)")
-    return AdaptiveImager(layout)
+    if options is None:
+        return AdaptiveImager(layout)
+    options.check(layout)
+    return AdaptiveImager(layout, _solver(layout, layout.operator(), options), f"adaptive sums, {_about(options)}")
 
 
 def load_gains(path: Path, layout: Layout) -> KnownGains:

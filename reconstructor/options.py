@@ -46,6 +46,15 @@ class SolverOptions:
             raise InputError("--noise-n is for taxels that are clipped, not for an analogue front end: leave it out")
         return self.noise_n
 
+    def check(self, layout: Layout) -> None:
+        """Raise InputError if the solver cannot make the images of this skin."""
+        self.clipped_noise_n(layout)
+        if self.settings().temporal_filter and not layout.sends.in_cycles:
+            raise InputError(
+                f"--solver {self.solver} averages the sums of cycles, and adaptive sums have none: expected another,"
+                " such as variation, spun, paper or paper-contourlet, or no option for the solver of adaptive sums"
+            )
+
     def settings(self) -> SolverSettings:
         """Return the settings of the solver, changed by the given options."""
         chosen = preset(self.solver)

@@ -1,4 +1,4 @@
-"""``skin export``: a recording as arrays for a notebook, as a video, or for other programs."""
+"""``skin export``: a recording as arrays, as a video, or for other programs; firmware, and programs for boards."""
 
 import csv
 import io
@@ -11,9 +11,11 @@ import numpy as np
 from cyclopts import Parameter
 
 from canskin.errors import InputError, RunError
+from dbc.dictionary import REVISION
+from dbc.program import VERSION_BYTES, Program, is_version
 from nodes.firmware.export import write_firmware
 from shell.extras import not_installed
-from shell.output import check_new_path, replacing
+from shell.output import check_new_path, replacing, write_file
 from shell.service import say
 from shell.terminal import Json, print_json
 from skin.layout import RECORDING_SUFFIX, layout_text, load_layout
@@ -40,14 +42,18 @@ _GRIDS: Final = ("pixels", "true", "sensor")
 
 def export(
     what: str,
+    binary: Path | None = None,
     *,
     to: Format = "npz",
     layout: Path | None = None,
     out: Path | None = None,
     node: Annotated[list[str] | None, Parameter(negative=(), consume_multiple=True)] = None,
+    release: str | None = None,
     json: Json = False,
 ) -> None:
     """Write a recording as arrays, as a video or as a bag of ROS 2, or C99 sources for the boards of a skin.
+
+    ``program`` puts the header before a compiled program that ``skin node update`` and the boards ask for.
 
     Firmware, without heap: sums, packing, object dictionary, a CANopen slave. Prints the path of every file;
     ``README.md`` among them says what to do with the others.
@@ -55,20 +61,24 @@ def export(
     Parameters
     ----------
     what
-        A recording (.mcap), or the word ``firmware``.
+        A recording (.mcap), or the word ``firmware`` or ``program``.
+    binary
+        Program: what the processor runs, as the linker's output in binary form.
     to
         Recording: ``npz``: arrays ``images_pixels``, ``images_time_ns`` and so on. ``hdf5``: a group per table, gzip;
         needs the extra canskin[hdf5]. ``csv``: a file per table, and of images one line each. ``video``: the images as
         H.264 in .mp4, in real time, with colours and marks of the page. ``ros2``: a bag of ROS 2, a folder with MCAP
         and CDR. ``rerun``, ``foxglove``: a file for their viewers. These four need the extra of their name.
     layout
-        Firmware: TOML of the skin; without it the default skin.
+        Firmware, program: TOML of the skin; without it the default skin.
     out
         Recording: new file; of a csv the names of the tables are added; default: the name of the recording. Firmware:
-        folder for the files.
+        folder for the files. Program: new file.
     node
         Firmware: write the constants of these nodes, as BUS:NODE or BUS:FIRST-LAST; default: all nodes. Nodes of one
         type share one program, which takes its own constants by bus and node-ID.
+    release
+        Program: its version, 1 to 8 characters, which the board tells in 100Ah.
     json
         Firmware: print one JSON list.
 
@@ -79,7 +89,13 @@ def export(
     skin export run.mcap --to ros2 --out run-bag
     skin export firmware --out firmware
     skin export firmware --layout palm.toml --node bus0:5 --out palm-firmware
+    skin export program main.bin --layout palm.toml --release 1.1 --out palm-1.1.bin
     """
+    if what == "program":
+        _export_program(binary, layout, release, out)
+        return
+    if binary is not None or release is not None:
+        raise InputError(f"expected a file and --release with 'skin export program' alone, got 'skin export {what}'")
     if what == "firmware":
         if out is None:
             raise InputError("skin export firmware: expected --out FOLDER for the files")
@@ -92,6 +108,25 @@ def export(
     if layout is not None or node or json:
         raise InputError("--layout, --node and --json are for 'skin export firmware': a recording has its layout")
     _export_recording(Path(what), to, out)
+
+
+def _export_program(binary: Path | None, layout: Path | None, release: str | None, out: Path | None) -> None:
+    """Write a program with its header."""
+    if binary is None or release is None or out is None:
+        raise InputError("skin export program: expected a binary file, --release VERSION and --out FILE")
+    if not is_version(release):
+        raise InputError(f"--release: expected 1 to {VERSION_BYTES} printable characters of ASCII, got '{release}'")
+    try:
+        data = binary.read_bytes()
+    except OSError as error:
+        raise InputError(f"{binary}: cannot read the program: {error.strerror or error}") from error
+    if not data:
+        raise InputError(f"{binary}: expected a compiled program, got an empty file")
+    check_new_path(out, "program")
+    device = load_layout(layout).device
+    program = Program(device.vendor_id, device.product_code, REVISION, release, data)
+    write_file(out, program.image)
+    print(f"{out}: version {release}, {len(program.image)} bytes, identification (1F56h) {program.identification:08X}h")
 
 
 def _export_recording(source: Path, to: Format, out: Path | None) -> None:

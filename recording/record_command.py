@@ -9,7 +9,7 @@ from typing import Final
 from bus.options import BusOptions, open_links
 from canskin.errors import BusError, InputError, LayoutError, RunError, Stopped
 from canskin.fabric import Fabric
-from canskin.messages import CONTACTS, GATEWAY, IMAGE, LABEL, MEASUREMENT, NODES, TRUTH
+from canskin.messages import CONTACTS, GATEWAY, IMAGE, LABEL, MEASUREMENT, NODES, RECOGNITION, TRUTH
 from canskin.peers import Peer
 from dbc.contract import Contract
 from recording.calibration import follow_calibration
@@ -20,7 +20,7 @@ from shell.service import StopSignal, request_real_time, say
 from shell.skin_options import SkinOptions
 from skin.layout import Layout
 
-TOPICS: Final = (MEASUREMENT, IMAGE, CONTACTS, LABEL, GATEWAY, NODES, TRUTH)
+TOPICS: Final = (MEASUREMENT, RECOGNITION, IMAGE, CONTACTS, LABEL, GATEWAY, NODES, TRUTH)
 
 
 def record(

@@ -29,7 +29,7 @@ from shell.output import check_new_path
 from shell.service import StopSignal, say
 from shell.skin_options import join
 from skin.description import describe
-from skin.layout import RECORDING_SUFFIX, load_layout, require_one_state
+from skin.layout import RECORDING_SUFFIX, load_layout
 from skin.mcap_file import CALIBRATION_FILE, File, newest_file, wall_offset_ns
 from skin.sources import DEFAULT_OBJECTS
 
@@ -89,7 +89,6 @@ def replay(
     stop = StopSignal().install()
     is_recording = source.suffix.lower() == RECORDING_SUFFIX
     skin = load_layout(source if is_recording and layout is None else layout)
-    require_one_state(skin, "'skin replay'")
     if channel and is_recording:
         raise InputError("--channel is for logs: a recording names its buses; leave it out")
     contract = Contract.from_layout(skin)

@@ -6,9 +6,10 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 import msgspec
+import numpy as np
 
 from canskin.fabric import Exchange, Mailbox
-from canskin.messages import LABEL, MEASUREMENT, Image, Label, Topic
+from canskin.messages import LABEL, RECOGNITION, Image, Label, Topic
 from classifier.service import AdaptiveClassifierService, ClassifierService
 from reconstructor.imaging import Imager
 from reconstructor.service import ReconstructorService
@@ -16,6 +17,8 @@ from recording.sinks import Sink
 from recording.step_kinds import FramesStep, MeasurementStep, MessageStep, Step
 from shell.service import StopSignal
 from skin.layout import Layout
+from skin.measured_sums import published
+from skin.measurement import places
 
 #: Confidences that differ by less are equal: their sums depend on the labels since the classifier's start.
 CONFIDENCE_ERROR: Final = 1e-9
@@ -97,6 +100,8 @@ class Replay:
         self._fabric, self._sink, self._offset_ns = fabric, sink, offset_ns
         self._reconstructor = ReconstructorService(layout, imager, self, clock_ns=self._published_ns)
         self._classifier = make_classifier(self)
+        self._few = None if layout.recognition is None else layout.recognising().phi()
+        self._places = np.zeros(0, np.intp) if self._few is None else places(layout.phi(), self._few)
         self._now_ns = 0
         self._measured: MeasurementStep | None = None
 
@@ -139,11 +144,13 @@ class Replay:
                 self._take_measurement(step)
 
     def _take_measurement(self, step: MeasurementStep) -> None:
-        self.publish(MEASUREMENT, step.measurement)
+        told = published(step.measurement, self._few, self._places)
+        for topic, message in told:
+            self.publish(topic, message)
         self.report.measurements.add(None if step.recorded is None else step.measurement == step.recorded)
-        if step.makes_image:
+        if step.makes_image and told[0][0] is not RECOGNITION:
             self._reconstructor.take(step.measurement)
-        for label in self._classifier.replay(step.measurement, step.time_ns) if step.makes_label else ():
+        for label in self._classifier.replay(told[-1][1], step.time_ns) if step.makes_label else ():
             self.report.labels.add(_same_label(label, step.label))
             self.publish(LABEL, label)
 

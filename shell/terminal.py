@@ -1,9 +1,10 @@
-"""Output of all verbs: tables, progress bars, and JSON."""
+"""Output of all verbs: tables, progress bars, JSON; their options for another process."""
 
 import io
 import sys
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import fields
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from cyclopts import Parameter
@@ -18,6 +19,13 @@ Json = Annotated[bool, Parameter(name="--json", negative=())]
 
 #: Columns if standard output is no terminal: wider than any table, so no cell is wrapped or cut.
 _UNLIMITED: Final = 10_000
+
+
+def arguments(options: Any) -> list[str]:
+    """Return a dataclass of options as text, for another process."""
+    given = ((each.name.replace("_", "-"), getattr(options, each.name)) for each in fields(options))
+    lists = ((name, value if isinstance(value, list) else [value]) for name, value in given if value is not None)
+    return [f"--{name}={each}" for name, values in lists for each in values]
 
 
 def print_json(document: Any) -> None:

@@ -1,6 +1,6 @@
 """The options that say what touches a skin and what its taxels make of the touch, shared by all verbs."""
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Final
 
@@ -113,12 +113,6 @@ class TouchOptions:
     def defects(self, layout: Layout) -> Defects:
         """Return the defects and drifts."""
         return parse_defects(self.defect, self.drift, self.seed, layout)
-
-    def arguments(self) -> list[str]:
-        """Return the options as text, for another process."""
-        given = ((option_name(each.name), getattr(self, each.name)) for each in fields(self))
-        lists = ((name, value if isinstance(value, list) else [value]) for name, value in given if value is not None)
-        return [f"--{name}={each}" for name, values in lists for each in values]
 
 
 NO_TOUCH_OPTIONS: Final = TouchOptions()

@@ -10,7 +10,15 @@ import numpy as np
 import numpy.typing as npt
 
 from canskin.errors import InputError, tell
-from canskin.messages import AdaptiveMeasurement, BlockState, CycleMeasurement, Measurement
+from canskin.messages import (
+    MEASUREMENT,
+    RECOGNITION,
+    AdaptiveMeasurement,
+    BlockState,
+    CycleMeasurement,
+    Measurement,
+    Topic,
+)
 from canskin.sums import corrected_counts, doubtful_taxels
 from skin.measurement import Phi, Sbhe
 
@@ -112,6 +120,24 @@ def part_of_measurement(measurement: Measurement, part: Sbhe, places: npt.NDArra
         usable=usable[places].tobytes() if usable.size else b"",
         fingerprint=part.fingerprint,
     )
+
+
+def published(
+    measurement: Measurement, part: Sbhe | None, places: npt.NDArray[np.intp]
+) -> list[tuple[Topic, Measurement]]:
+    """Return a measurement as the services get it: with two states, the sums of recognition on a topic of their own.
+
+    Parameters
+    ----------
+    part : Sbhe or None
+        Φ of recognition, None without that state.
+    places : array of int
+        See `part_of_measurement`.
+    """
+    if part is None:
+        return [(MEASUREMENT, measurement)]
+    few = (RECOGNITION, part_of_measurement(measurement, part, places))
+    return [few] if measurement.fingerprint == part.fingerprint else [(MEASUREMENT, measurement), few]
 
 
 def decode_adaptive(measurement: Measurement, phi: Phi) -> AdaptiveSums:

@@ -51,7 +51,8 @@ class AdaptiveBoards(PatchBoards):
         nodes, self._bus_of = len(blocks), {block: contract.nodes[block].bus for block in blocks}
         lines = [contract.layout.bus[bus] for bus in self._bus_of.values()]
         self._flags = {bus: frame_flags(contract.layout.bus[bus]) for bus in self._rows}
-        self._node_id = np.array([contract.nodes[block].node_id for block in blocks], np.uint16)
+        self._node_ids = [node.node_id for node in contract.nodes]
+        self._node_id = np.array([self._node_ids[block] for block in blocks], np.uint16)
         self._room, self._burst = frame_buffer(MOST_FRAMES), frames(MOST_FRAMES)
         #: Number of TPDOs · node + TPDO of an identifier on each bus, -1 for all others.
         self._place_of = {bus: np.full(BASE_ID_MASK + 1, -1, np.int64) for bus in self._rows}
@@ -94,6 +95,12 @@ class AdaptiveBoards(PatchBoards):
         self._threshold_n2 = noise_threshold_n2(
             self._noise.node_n, self.controllers.rule["noise_ratio"], self._phi.block_size
         )
+
+    def place(self, block: int, site: int) -> None:
+        """Let the board of a block sit on another block of the skin."""
+        super().place(block, site)
+        self._bus_of[block] = self._bus_of[site]
+        self._node_id[self._row[block]] = self._node_ids[block]
 
     # --- frames ---------------------------------------------------------------------------------------------
 

@@ -32,10 +32,20 @@ class AdaptiveNode(SkinNode):
         outbox: Outbox,
         hardware: AdaptiveBoards,
         storage: Storage,
+        serial_number: int,
     ) -> None:
         self._boards = hardware
         self._pdo_ids: list[int] = []
-        super().__init__(contract, objects, settings, calibration, outbox=outbox, hardware=hardware, storage=storage)
+        super().__init__(
+            contract,
+            objects,
+            settings,
+            calibration,
+            outbox=outbox,
+            hardware=hardware,
+            storage=storage,
+            serial_number=serial_number,
+        )
         self._live |= {
             index: partial(hardware.read, contract.block, index)
             for index in (od.REFRESH, od.COEFFICIENT_NOISE, od.TAXEL_NOISE, od.NODE_NOISE, od.COARSE, od.FINE)
@@ -45,6 +55,13 @@ class AdaptiveNode(SkinNode):
         """Initialise, and forget what was sent."""
         super().boot(now_s, communication_only=communication_only)
         self._boards.forget(self.contract.block)
+
+    def end(self) -> None:
+        """Be silent, without TPDOs."""
+        super().end()
+        self._pdo_ids = [NO_COB_ID] * len(self._pdo_ids)
+        if self._pdo_ids:
+            self._boards.set_tpdos(self.contract.block, self._pdo_ids, [0] * len(self._pdo_ids))
 
     def _enter(self, state: NmtState) -> None:
         super()._enter(state)

@@ -67,7 +67,9 @@ class PatchBoards(Hardware):
         self.pace_ns = float(SAMPLE_NS)
         self.has_due = False
         self._taxels = taxels
-        self._row = {block: row for row, block in enumerate(blocks)}
+        self._row_of_site = {block: row for row, block in enumerate(blocks)}
+        #: The board that is that of a block.
+        self._row = dict(self._row_of_site)
         #: Which of these boards are those of each bus.
         self._rows: dict[int, slice] = {}
         for row, block in enumerate(blocks):
@@ -111,6 +113,11 @@ class PatchBoards(Hardware):
         self._decided_ns = now_ns
         self.pace_ns += PACE_GAIN * (min(max(passed_ns, PACE_NS[0]), PACE_NS[1]) - self.pace_ns)
         self.has_due = self._decide(now_ns, passed_ns, skipped)
+
+    def place(self, block: int, site: int) -> None:
+        """Let the board of a block sit on another block of the skin: it is the board of that row."""
+        super().place(block, site)
+        self._row[block] = self._row_of_site[site]
 
     @abstractmethod
     def _take(self, sample_n: Floats) -> None:

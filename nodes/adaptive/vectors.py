@@ -32,6 +32,7 @@ from dbc.adaptive_filter import (
     unclip_table,
 )
 from dbc.board import json_text
+from dbc.board_sums import PATTERN_OFF, calibration_signature, calibration_values
 from dbc.contract import Contract, NodeContract
 from nodes.adaptive.filtering import PatchFilter
 from nodes.adaptive.noise import IdleStatistics, Noise
@@ -82,12 +83,21 @@ def adaptive_vectors_text(contract: Contract, node: NodeContract) -> str:
         {
             "bus": contract.layout.bus[node.bus].name,
             "node_id": node.node_id,
+            "signatures": [_signed(contract, node, *values) for values in ((1.0, 0), (0.5, -3))],
             "tables": _tables(),
             "codes": [_coded(contract.law, *sums) for sums in _code_cases(contract, random)],
             "power_up": {"counts": [each.tolist() for each in idle], **board.learned()},
             "samples": [board.take(each) for each in _samples(contract, random)],
         }
     )
+
+
+def _signed(contract: Contract, node: NodeContract, gain: float, offset: int) -> dict[str, object]:
+    """Return 2009h with this gain at the first place, and this offset at the last."""
+    gains, offsets = np.ones((1, contract.phi.block_size), np.float32), np.zeros((1, contract.phi.block_size), int)
+    gains[0, 0], offsets[0, -1] = gain, offset
+    signed = calibration_signature(contract, node, calibration_values(gains, offsets, PATTERN_OFF))
+    return {"gain": gains[0].tolist(), "offset_counts": offsets[0].tolist(), "calibration_signature": signed}
 
 
 def _tables() -> dict[str, object]:

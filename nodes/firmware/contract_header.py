@@ -5,9 +5,9 @@ from typing import Final
 
 import numpy as np
 
-from dbc import averaging, board_sums, canopen, frame, indices
+from dbc import averaging, board_sums, canopen, frame, indices, program
 from dbc.adaptive_filter import LEAST_EXPONENT, LEAST_WEIGHT, LOG2_E, POWER
-from dbc.dictionary import REACTION_NS
+from dbc.dictionary import REACTION_NS, SkinState
 from nodes.firmware import tables
 from nodes.firmware.c_text import braced, defined, double, header, real
 from skin.clipping import IDLE_DEVIATION, IDLE_MEAN, REACH, clipped_mean
@@ -20,6 +20,9 @@ _ENUMERATIONS: Final[dict[str, type[IntEnum | IntFlag]]] = {
     "ABORT_": canopen.Abort,
     "EMERGENCY_": canopen.Emergency,
     "REGISTER_": canopen.ErrorRegister,
+    "STATE_": SkinState,
+    "PROGRAM_": program.ProgramControl,
+    "FLASH_": program.FlashError,
 }
 _FRAME_FLAGS: Final = ("EXTENDED", "REMOTE", "ERROR", "FD", "BRS", "ECHO")
 _OBJECT_FLAGS: Final = ("WRITABLE", "MAPPABLE", "COVERED", "TEXT", "CALIBRATING", "COMPUTED")
@@ -35,6 +38,7 @@ def contract_header() -> str:
     numbers: dict[str, int] = {
         **{f"OD_{name}" if number in _INDICES else name: number for name, number in _whole(indices).items()},
         **_whole(canopen),
+        **_whole(program),
         **{start + each.name: each for start, kind in _ENUMERATIONS.items() for each in kind if each.name},
         **{f"FRAME_{name}": getattr(frame, name) for name in _FRAME_FLAGS},
         **{f"OBJECT_{name}": getattr(tables, name) for name in _OBJECT_FLAGS},

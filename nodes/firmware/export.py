@@ -14,7 +14,7 @@ from nodes.firmware.adaptive_tables import adaptive_header, adaptive_source
 from nodes.firmware.contract_header import contract_header
 from nodes.firmware.object_dictionary import od_header, od_source
 from nodes.firmware.tables import Build, board_header, board_source, builds, by_type
-from skin.layout import load_layout, require_one_state
+from skin.layout import load_layout
 
 #: Bytes of a slot before its data (``skin_slots.h``).
 _SLOT_HEAD: Final = 16
@@ -68,7 +68,6 @@ def write_firmware(layout: Path | None, names: list[str], out: Path) -> list[str
         Folder for the files.
     """
     skin = load_layout(layout)
-    require_one_state(skin, "the firmware in C")
     contract = Contract.from_layout(skin)
     chosen = choose_nodes(contract, names, [])
     nodes = [each for each in contract.nodes if each.node_id in chosen.get(each.bus, ())]

@@ -18,6 +18,7 @@ from dbc.contract import Contract, NodeContract
 from dbc.frame import Frames, frames
 from dbc.generate import write_files
 from nodes.firmware.export import constants, sources
+from nodes.firmware.flash import Flash, FlashDriver, flash_of_node
 from nodes.firmware.storage import StorageFunction, storage_function
 from nodes.firmware.tables import builds
 from nodes.storage import Storage
@@ -31,7 +32,7 @@ _CAPACITY: Final = 4096
 _U32, _I64, _SIZE, _POINTER = ctypes.c_uint32, ctypes.c_int64, ctypes.c_size_t, ctypes.c_void_p
 #: What the functions of ``skin_boards.h`` take; those that return something return a ``size_t``.
 _FUNCTIONS: Final[dict[str, tuple[type, ...]]] = {
-    "skin_power_up": (_POINTER, _U32, _U32, _POINTER, ctypes.c_int, _U32, _POINTER, _SIZE),
+    "skin_power_up": (_POINTER, _U32, _U32, _POINTER, _POINTER, ctypes.c_int, _U32, _POINTER, _SIZE),
     "skin_take": (_POINTER, _U32, _U32, _POINTER, ctypes.c_uint16, _U32, _POINTER, _SIZE, _POINTER, _SIZE),
     "skin_pass_time": (_POINTER, _U32, _U32, _POINTER, _SIZE),
     "skin_refuse": (_POINTER, _U32, _POINTER, _SIZE),
@@ -55,7 +56,8 @@ class Firmware:
     nodes : sequence of NodeContract
         The boards, those of each bus one after another.
     store : Path, optional
-        Folder for the parameters that 1010h stores, one file per node; without a folder they end with the process.
+        Folder for the parameters that 1010h stores, one file per node, and for loaded programs; without a folder they
+        end with the process.
     unnumbered : bool
         Whether the boards wait for LSS to give them their node-IDs, unless `store` has them.
     compiler : str
@@ -71,7 +73,10 @@ class Firmware:
         unnumbered: bool = False,
         compiler: str = "cc",
     ) -> None:
-        boards = builds(contract, nodes)
+        buses = {node.bus for node in nodes}
+        # LSS gives a board any node-ID of its bus.
+        others = [node for node in contract.nodes if unnumbered and node.bus in buses and node not in nodes]
+        boards = builds(contract, [*nodes, *others])
         # With the CANopen slave, and what runs many of them together.
         texts = sources(boards, "slave", "host") | constants(contract, boards)
         self._library = _loaded(texts, compiler)
@@ -80,7 +85,13 @@ class Firmware:
             function.argtypes, function.restype = types, ctypes.c_size_t
         self._contract, self._nodes = contract, nodes
         self._unnumbered = unnumbered
-        self._storages = [storage_function(each, Storage.of_node(contract, each.node, store)) for each in boards]
+        self._memories = [
+            (
+                storage_function(each, Storage.of_node(contract, node, store)),
+                flash_of_node(contract, node, store),
+            )
+            for each, node in zip(boards, nodes, strict=False)
+        ]
         self._boards: dict[int, CompiledBoards] = {}
 
     def boards(self, bus: int) -> "CompiledBoards":
@@ -88,9 +99,9 @@ class Firmware:
         if bus not in self._boards:
             nodes = [node for node in self._nodes if node.bus == bus]
             first = self._nodes.index(nodes[0])
-            storages = self._storages[first : first + len(nodes)]
+            memories = self._memories[first : first + len(nodes)]
             self._boards[bus] = CompiledBoards(
-                self._library, self._contract, nodes, first, storages, unnumbered=self._unnumbered
+                self._library, self._contract, nodes, first, memories, unnumbered=self._unnumbered
             )
         return self._boards[bus]
 
@@ -106,8 +117,8 @@ class CompiledBoards:
         The boards, in the order of the library.
     first : int
         The first of them among all boards of the library.
-    storages : sequence of StorageFunction
-        Of each board.
+    memories : sequence of (StorageFunction, Flash)
+        Of each board: for parameters, and for programs.
     unnumbered : bool
         As for `Firmware`.
 
@@ -126,26 +137,32 @@ class CompiledBoards:
         contract: Contract,
         nodes: Sequence[NodeContract],
         first: int,
-        storages: Sequence[StorageFunction],
+        memories: Sequence[tuple[StorageFunction, Flash]],
         *,
         unnumbered: bool,
     ) -> None:
         self.node_ids = frozenset(node.node_id for node in nodes)
         self.is_pdo = np.zeros(BASE_ID_MASK + 1, np.bool_)
         for node in nodes:
-            self.is_pdo[[tpdo.cob_id for tpdo in node.tpdos] + [tpdo.cob_id for tpdo in node.adaptive_tpdos]] = True
+            self.is_pdo[[tpdo.cob_id for state in contract.states_of(node) for tpdo in state.all_tpdos]] = True
         self.due_s = float("-inf")
         self._library = library
         self._first, self._count = first, len(nodes)
         self._unnumbered = unnumbered
-        self._storages = (StorageFunction * len(nodes))(*storages)
+        self._memories = memories  # the drivers have the addresses of its functions alone
+        self._storages = (StorageFunction * len(nodes))(*(storage for storage, _ in memories))
+        self._drivers = (FlashDriver * len(nodes))(*(flash.driver for _, flash in memories))
         self._node_bytes = int(library.skin_node_bytes())
         # Eight bytes each, so that the memory is aligned for every C type.
         self._memory = np.zeros(-(-len(nodes) * self._node_bytes // 8), np.uint64)
         self._nodes = self._memory.ctypes.data
-        self._taxels, self._block_size = contract.phi.wired.taxels, contract.phi.block_size
-        places = [range(each.block * self._block_size, (each.block + each.blocks) * self._block_size) for each in nodes]
-        self._order = contract.phi.order[np.concatenate(places)]
+        phi, ranges = contract.phi, [(each.block, each.block + each.blocks) for each in nodes]
+        self._block_size = phi.block_size
+        if contract.layout.taxels.is_analogue:
+            self._converters, order = phi.shape[0], [np.arange(*phi.starts[[first, end]]) for first, end in ranges]
+        else:
+            self._converters, order = phi.wired.taxels, [phi.taxels_of_blocks[slice(*each)].ravel() for each in ranges]
+        self._order = np.concatenate(order)
         self._most_samples = 2 * contract.layout.samples_per_sync
         self._out = frames(_CAPACITY)
         self._sent = self._out.ctypes.data, _CAPACITY
@@ -160,6 +177,7 @@ class CompiledBoards:
                 self._first,
                 self._count,
                 self._storages,
+                self._drivers,
                 self._unnumbered,
                 _milliseconds(now_s),
                 *self._sent,
@@ -175,19 +193,19 @@ class CompiledBoards:
 
         Parameters
         ----------
-        measured : array of int, shape (samples, n), optional
-            What all taxels of the skin read since the last SYNC, row-major, ADC counts; the last sample is that of the
-            SYNC. At most the samples of two cycles.
+        measured : array of int, shape (samples, n) or (samples, m), optional
+            What all converters of the skin read since the last SYNC: counts of the taxels, row-major, or codes of the
+            sums; the last sample is that of the SYNC. At most the samples of two cycles.
         """
         there = np.ascontiguousarray(sync)
         read, samples = None, 0
         if measured is not None:
-            samples, taxels = measured.shape
-            if taxels != self._taxels or not 0 < samples <= self._most_samples:
-                wanted = f"1 to {self._most_samples} samples of {self._taxels} counts"
+            samples, converters = measured.shape
+            if converters != self._converters or not 0 < samples <= self._most_samples:
+                wanted = f"1 to {self._most_samples} samples of {self._converters} converters"
                 raise InputError(f"expected {wanted}, got {measured.shape}")
-            counts = measured[:, self._order].astype(np.uint16, order="C")
-            read = counts.ctypes.data
+            readings = measured[:, self._order].astype(np.uint16, order="C")  # codes in two's complement
+            read = readings.ctypes.data
         return self._taken(
             self._library.skin_take(
                 self._nodes,

@@ -31,6 +31,8 @@ _TYPES: Final = {
 #: Structures of the values (`dbc.eds.storage_group`), in their order; the last stays in flash memory.
 _PLACES: Final = ("OD_PERSIST_COMM", "OD_PERSIST_APP", "OD_RAM", "OD_ROM")
 _ROM: Final = _PLACES[-1]
+#: Most PDOs of a direction (CiA 301, table 74).
+_PDOS: Final = 512
 #: Values that the stack keeps itself.
 _OF_STACK: Final = (od.ERROR_FIELD,)
 
@@ -60,9 +62,13 @@ class _Entry:
 def od_header(boards: Sequence[Build]) -> str:
     """Return ``OD.h`` of boards of one type."""
     entries = _entries(boards)
-    tpdos = sum(od.TPDO_COMMUNICATION <= each.index < od.TPDO_MAPPING for each in entries)
+    rpdos, tpdos = (
+        sum(first <= each.index < first + _PDOS for each in entries)
+        for first in (od.RPDO_COMMUNICATION, od.TPDO_COMMUNICATION)
+    )
     counts = {
         **dict.fromkeys(("NMT", "EM", "EM_PROD", "SYNC", "HB_CONS", "HB_PROD", "SDO_SRV", "STORAGE"), 1),
+        **({"RPDO": rpdos} if rpdos else {}),
         "TPDO": tpdos,
         **{f"ARR_{index:04X}": _elements(entries, index) for index in (od.ERROR_FIELD, od.CONSUMER_HEARTBEAT)},
     }
@@ -139,7 +145,9 @@ def _entries(boards: Sequence[Build]) -> list[_Entry]:
     table = boards[0].objects
     differing = {index for index, _ in table.differing}
     entries = []
-    for _, group in groupby(table.objects, key=lambda each: each.index):
+    # Program download is a matter of the board's own bootloader.
+    there = [each for each in table.objects if not od.is_program_download(each.index)]
+    for _, group in groupby(there, key=lambda each: each.index):
         objects = tuple(group)
         first = objects[0]
         name = c_name(first.name if first.subindex is None else first.group)
@@ -253,7 +261,7 @@ def _pointer(entry: _Entry, member: str) -> str:
 def _attribute(each: Object) -> str:
     flags = ["ODA_SDO_RW" if each.access == "rw" else "ODA_SDO_R"]
     if each.pdo:
-        flags.append("ODA_TPDO")
+        flags.append("ODA_TRPDO" if each.access == "rw" else "ODA_TPDO")
     if each.data_type == od.VISIBLE_STRING:
         flags.append("ODA_STR")
     elif od.BITS[each.data_type] > 8:

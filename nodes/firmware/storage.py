@@ -4,6 +4,7 @@ import ctypes
 from collections.abc import Iterator
 from typing import Any, Final
 
+from dbc.canopen import NO_NODE_ID
 from nodes.access import is_storable
 from nodes.firmware.tables import COMPUTED, WRITABLE, Build, ObjectTable
 from nodes.storage import Parameters, Storage
@@ -29,12 +30,12 @@ def storage_function(build: Build, storage: Storage) -> StorageFunction:
     """Return the storage function of a board, whose parameters and node-ID `storage` keeps.
 
     Stored values that do not fit an object are left out: the board has its defaults there. The key of a record is not
-    needed: each node has a file, which knows its skin.
+    needed: each board has a file, which knows its skin and its node-ID.
     """
-    places, node_id = list(_places(build.objects)), build.node.node_id
+    places = list(_places(build.objects))
 
     def load(_context: int, record: int, _key: int, data: Any, _bytes: int) -> int:
-        numbered = bytes((node_id, _NO_BIT_TIMING)) if storage.has_node_id else b""
+        numbered = b"" if storage.node_id == NO_NODE_ID else bytes((storage.node_id, _NO_BIT_TIMING))
         kept = numbered if record == _LSS else _values(build, storage)
         ctypes.memmove(data, kept, len(kept))
         return int(not kept)
@@ -42,7 +43,7 @@ def storage_function(build: Build, storage: Storage) -> StorageFunction:
     def save(_context: int, record: int, _key: int, data: Any, length: int) -> int:
         try:
             if record == _LSS:
-                storage.save_node_id(data[0] == node_id)
+                storage.save_node_id(data[0])
             elif length:
                 values = ctypes.string_at(data, length)
                 parameters: Parameters = {}

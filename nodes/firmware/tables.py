@@ -10,7 +10,6 @@ from typing import Final
 
 import numpy as np
 
-from canskin.errors import InputError
 from dbc import indices as od
 from dbc.adaptive_filter import HORIZON, SWITCHING, Models, make_models
 from dbc.averaging import averaging_models
@@ -38,7 +37,17 @@ _COMPUTED: Final = (
     od.NODE_NOISE,
 )
 #: Arrays whose entries are computed, but not their sub-index 0.
-_COMPUTED_ENTRIES: Final = (od.STORE, od.RESTORE, od.HEALTH, od.COARSE, od.FINE)
+_COMPUTED_ENTRIES: Final = (
+    od.STORE,
+    od.RESTORE,
+    od.PROGRAM_DATA,
+    od.PROGRAM_CONTROL,
+    od.PROGRAM_ID,
+    od.FLASH_STATUS,
+    od.HEALTH,
+    od.COARSE,
+    od.FINE,
+)
 
 
 #: The objects of a board, each with the bytes of its value.
@@ -110,9 +119,7 @@ class Build:
 
 
 def builds(contract: Contract, nodes: Sequence[NodeContract]) -> list[Build]:
-    """Return what the C sources of `nodes` are made from; raise InputError if they make their sums in hardware."""
-    if contract.layout.taxels.is_analogue:
-        raise InputError('the C firmware adds taxels that are digital: expected taxels.frontend = "digital"')
+    """Return what the C sources of `nodes` are made from."""
     is_adaptive = contract.layout.sending == "adaptive"
     of_bus = {bus: _frame_sizes(contract, bus) for bus in {node.bus for node in nodes}}
     boards = [board(contract, node) for node in nodes]
@@ -250,9 +257,10 @@ def board_header(contract: Contract, boards: Sequence[Build]) -> str:
         "SKIN_BLOCKS": (max(each.node.blocks for each in boards), "blocks of a board"),
         "SKIN_BLOCK_SIZE": (contract.phi.block_size, "taxels of a block"),
         "SKIN_SUMS": (max(1, *(each.node.sums for each in boards)), "sums of a board"),
-        "SKIN_TPDOS": (max(1, *(_tpdos(each.node) for each in boards)), "TPDO communication records of a board"),
+        "SKIN_TPDOS": (max(1, *(_tpdos(each.objects) for each in boards)), "TPDO communication records of a board"),
         "SKIN_PDO_BYTES": (max(each.node.pdo_bytes for each in boards), "longest payload of a PDO"),
         "SKIN_ADAPTIVE": (int(is_adaptive), "whether sums are sent when they carry news"),
+        "SKIN_ANALOGUE": (int(contract.layout.taxels.is_analogue), "whether converters read sums, not taxels"),
         "SKIN_SAMPLES": (
             1 if is_adaptive else contract.layout.samples_per_sync,
             "samples of each taxel in a cycle; more than 1 are averaged",
@@ -349,7 +357,8 @@ def _type(build: Build, number: int) -> str:
         "count_max": build.board.count_max,
         "packing": f"{{{packing.bits}, {packing.scale.bit_length() - 1}, {packing.offset}}}",
         "first_sum": f"first_sum_{number}",
-        "tpdos": _tpdos(node),
+        "tpdos": _tpdos(objects),
+        "image_tpdos": len(node.tpdos) if any(each.index == od.STATE for each in objects.objects) else 0,
         "pdo_bytes": node.pdo_bytes,
         "frame_flags": node.flags,
         "frame_ns": build.frame_ns,
@@ -365,8 +374,8 @@ def _type(build: Build, number: int) -> str:
     return "    {" + ", ".join(f".{name} = {value}" for name, value in fields.items()) + "},"
 
 
-def _tpdos(node: NodeContract) -> int:
-    return len(node.tpdos) + len(node.adaptive_tpdos)
+def _tpdos(table: ObjectTable) -> int:
+    return sum(od.TPDO_COMMUNICATION <= each.index < od.TPDO_MAPPING and not each.subindex for each in table.objects)
 
 
 def names(boards: Sequence[Build]) -> str:

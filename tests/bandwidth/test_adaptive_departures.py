@@ -8,7 +8,7 @@ import pytest
 from bandwidth.adaptive_log import AdaptiveLoad, measure_adaptive
 from bandwidth.adaptive_plan import plan_adaptive
 from bandwidth.departures import departures
-from bandwidth.measured import Identifiers, measure
+from bandwidth.measured import Identifiers, Measured, measure
 from dbc.adaptive import check_of, pack_fine
 from dbc.contract import Contract
 from dbc.frame import BRS, ERROR, EXTENDED, FD, REMOTE, Frames, frames
@@ -41,7 +41,7 @@ def said(*more: Frames, refresh_ms: float | None = None) -> list[str]:
     """Return what is said of a log; a refresh ends `refresh_ms` after it is due at most."""
     planned = replace(plan_adaptive(CONTRACT, is_touched=False)[0], refresh_ms=refresh_ms)
     seen = log(*more)
-    return departures(CONTRACT, 0, seen, planned, measure(CONTRACT, 0, seen, planned))
+    return departures(CONTRACT, 0, seen, [Measured(0, seen, planned, measure(CONTRACT, 0, seen, planned))])
 
 
 def fine(time_ms: float, coarse: bytes, *, wrong: int = 0, node: int = 1) -> Frames:
@@ -112,7 +112,7 @@ def test_a_log_with_less_than_two_syncs_has_no_pauses() -> None:
     seen = log()
     for syncs, words in ((2, None), (1, "one"), (0, "no")):
         left = seen[(seen["can_id"] != 0x80) | (np.cumsum(seen["can_id"] == 0x80) <= syncs)]
-        found = departures(CONTRACT, 0, left, planned, measure(CONTRACT, 0, left, planned))
+        found = departures(CONTRACT, 0, left, [Measured(0, left, planned, measure(CONTRACT, 0, left, planned))])
         assert found == ([] if words is None else [f"arm: {words} SYNC: pauses cannot be checked"])
 
 

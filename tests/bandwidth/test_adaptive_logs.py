@@ -114,7 +114,8 @@ def test_a_plan_has_loads_and_bounds(skin: Run) -> None:
     ("arguments", "said"),
     [
         (["plan", "--node-budget", "5000"], "--node-budget is for adaptive sending"),
-        (["plan", "adaptive", "--node-budget", "-1"], "a budget of 0 (none) or more"),
+        (["plan", "adaptive", "--node-budget", "-1"], "expected a budget of 0 (none), or of 528 bit/s or more, got -1"),
+        (["plan", "adaptive", "--node-budget", "527"], "refreshes take 528 bit/s of a node"),
         (["plan", "adaptive", "--plot", "p"], "adaptive nodes send none"),
     ],
 )

@@ -62,11 +62,6 @@ def test_a_budget_is_what_all_nodes_send() -> None:
     assert most.budget.full_ms is None
 
 
-def test_a_budget_below_zero_is_refused() -> None:
-    with pytest.raises(InputError, match=r"budget of 0 \(none\) or more bits a second, got -1"):
-        plan_adaptive(CONTRACT, is_touched=False, budget_bits_per_s=-1)
-
-
 def test_times_are_those_of_the_slowest_node() -> None:
     fast, slow = plan_adaptive(CONTRACT, is_touched=False)
     (node,) = fast.node_plans

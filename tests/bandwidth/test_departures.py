@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bandwidth.departures import departures, errors, foreign, heartbeats, sync
-from bandwidth.measured import measure
+from bandwidth.measured import Measured, measure
 from bandwidth.plan import plan_bus
 from bandwidth.traffic import Disturbance
 from dbc.contract import Contract
@@ -111,7 +111,7 @@ def cycle(*late: tuple[int, float]) -> list[str]:
     end = syncs([10.0])
     seen: Frames = np.concatenate([first[np.argsort(first["time_ns"], kind="stable")], end])
     planned = plan_bus(WINDOW, 0, None, Disturbance())
-    return departures(WINDOW, 0, seen, planned, measure(WINDOW, 0, seen, planned))
+    return departures(WINDOW, 0, seen, [Measured(0, seen, planned, measure(WINDOW, 0, seen, planned))])
 
 
 def test_up_to_four_late_nodes_have_a_line_each() -> None:

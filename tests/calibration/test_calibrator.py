@@ -234,14 +234,19 @@ def test_the_mean_of_clipped_noise_is_left_in_sums_of_single_samples(
     assert np.abs(np.array(offsets_of(skin.run(0.1))) - expected).max() < 0.51
 
 
-def test_a_part_of_the_sums_gets_its_offsets() -> None:
-    skin = tared()
-    places = np.array([3, 200, 9])
-    part = msgspec.structs.replace(skin.measured(COUNTS), usable=b"\1\0\1")
-    applied = skin.made.apply(part, places)
+def test_the_sums_of_recognition_get_their_offsets_and_teach_nothing() -> None:
+    places = np.array([3, 9, 200])
+    rows = [[int(SMALL_PHI.block_of_sum[place]), int(SMALL_PHI.row_of_sum[place])] for place in places]
+    sync, recognition = {"rate_hz": 40.0}, {"rows": rows, "rate_hz": 200.0}
+    layout = small_layout(32, 32, sync=sync, recognition=recognition)
+    skin = tared(layout=layout)
+    few = layout.recognising().phi().fingerprint
+    part = msgspec.structs.replace(skin.measured(COUNTS), usable=b"\1\0\1", fingerprint=few, sums=bytes(12))
+    applied = skin.made.apply(part)
     assert offsets_of(applied) == COUNTS[places].tolist()
     assert applied.usable == b"\1\0\1"
-    assert skin.made.apply(msgspec.structs.replace(part, usable=b""), places).usable == b""
+    assert skin.made.apply(msgspec.structs.replace(part, usable=b"")).usable == b""
+    skin.made.take(part)
 
 
 def test_before_the_first_window_nothing_is_known() -> None:

@@ -15,6 +15,7 @@ DATA_TYPES: Final = {
     "UNSIGNED32": 0x0007,
     "REAL32": 0x0008,
     "VISIBLE_STRING": 0x0009,
+    "DOMAIN": 0x000F,
     "UNSIGNED64": 0x001B,
 }
 #: CiA 301, 7.5.2.
@@ -42,6 +43,11 @@ COMMUNICATION: Final = {
     "RPDO_MAPPING": 0x1600,
     "TPDO_COMMUNICATION": 0x1800,
     "TPDO_MAPPING": 0x1A00,
+    "TPDO_END": 0x1C00,
+    "PROGRAM_DATA": 0x1F50,  # CiA 302-3
+    "PROGRAM_CONTROL": 0x1F51,
+    "PROGRAM_ID": 0x1F56,
+    "FLASH_STATUS": 0x1F57,
 }
 #: docs/bus.md, "Objects of a skin node", and docs/adaptive.md.
 OF_THE_SKIN: Final = {

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -9,13 +10,18 @@ import numpy as np
 from bus.outbox import OTHERS, OWNER, Events
 from bus.simulated_bus import SimulatedBus
 from bus.station import Station
-from dbc.contract import Contract
-from dbc.frame import ECHO, Frames
+from dbc.contract import Contract, NodeContract
+from dbc.frame import ECHO, Frames, frames
 from gateway.commissioning import Commissioning
-from nodes.segment import Boards
+from gateway.touch_commissioning import TouchCommissioning
+from nodes.firmware.library import Firmware
+from nodes.hardware import Hardware
+from nodes.node import SkinNode
+from nodes.segment import Boards, Segment
 from nodes.virtual_boards import VirtualBoards
+from nodes.ways import way_of
+from skin.sources import Frame
 from tests.layouts import buses, small_layout
-from tests.nodes.helpers import new_sampler
 
 #: A board answers after at most this time.
 SLOWEST_NS = 20_000_000
@@ -26,15 +32,42 @@ def skin(nodes: int, **tables: Any) -> Contract:
     return Contract.from_layout(small_layout(8, 4 * nodes, **{"bus": buses(nodes)} | tables))
 
 
+class Finger:
+    """A touch that the test moves: forces on all taxels of some blocks."""
+
+    has_noise = True
+
+    def __init__(self, contract: Contract) -> None:
+        self._taxels, self._chains = contract.layout.taxels, contract.phi.taxels_of_blocks
+        self.blocks: tuple[int, ...] = ()
+
+    def frame(self, step: int) -> Frame:
+        force_n = np.zeros(self._taxels.count, np.float32)
+        # Neighbours differ, so that sums of every Hadamard row do.
+        force_n[self._chains[list(self.blocks), ::3].ravel()] = 0.5 * self._taxels.force_max_n
+        return Frame(force_n.reshape(self._taxels.rows, self._taxels.columns), "")
+
+
 @dataclass
 class Place:
     """A board and its controller."""
 
-    boards: Boards
+    segment: Segment
+    hardware: Hardware
     station: Station
     #: The board has power while this is true; called with each request of LSS before the board takes the request.
     lives: Callable[[bytes], bool] = lambda _: True
     is_alive: bool = True
+
+    @property
+    def boards(self) -> Boards:
+        return self.segment.boards
+
+    @property
+    def node(self) -> SkinNode:
+        """Of a board in Python: what it is by its node-ID."""
+        assert isinstance(self.boards, VirtualBoards)
+        return self.boards.nodes[0]
 
 
 class Bench:
@@ -47,28 +80,68 @@ class Bench:
         self.random = np.random.default_rng(seed)
         self.now_ns = 10**9
         self.places: list[Place] = []
+        self.finger = Finger(contract)
+        #: What the master's controller reports in each turn.
+        self.noise = frames(0)
 
     def add(self, node_id: int, *, contract: Contract | None = None, numbered: bool = False) -> Place:
         """Connect a board and power it up."""
         built = contract or self.contract
-        boards = VirtualBoards(built, 0, {node_id}, new_sampler(built), unnumbered=not numbered)
-        return self.connect(boards)
+        node = built.on_bus(0)[node_id - 1]
+        hardware = self.hardware(built, node)
+        return self.connect(VirtualBoards(built, 0, {node_id}, hardware, unnumbered=not numbered), hardware)
 
-    def connect(self, boards: Boards) -> Place:
-        place = Place(boards, self.wire.attach(f"board {len(self.places)}"))
-        self.places.append(place)
-        self._post(place, boards.power_up(self.now_ns * 1e-9))
-        return place
+    def add_firmware(self, node_id: int, *, contract: Contract | None = None, store: Path | None = None) -> Place:
+        """Connect a board in C without node-ID, and power it up."""
+        built = contract or self.contract
+        node = built.on_bus(0)[node_id - 1]
+        firmware = Firmware(built, [node], store=store, unnumbered=True)
+        return self.connect(firmware.boards(0), self.hardware(built, node, firmware))
 
-    def commission(
-        self, *, stop_after: Callable[[Commissioning], bool] = lambda _: False, **options: bool
-    ) -> Commissioning:
-        """Run to the end; or stop it before."""
+    def hardware(self, contract: Contract, node: NodeContract, firmware: Firmware | None = None) -> Hardware:
+        """Return what samples the taxels of a node: the finger touches them."""
+        return way_of(contract.layout).hardware(contract, [node.block], self.finger, firmware)
+
+    def connect(self, boards: Boards, hardware: Hardware) -> Place:
+        station = self.wire.attach(f"board {len(self.places)}")
 
         def send(burst: Frames) -> int:
-            return self.wire.submit(self.master, burst, self.now_ns)
+            late = burst.copy()
+            late["port"] = late["expires_ns"] = 0
+            late["time_ns"] = self.now_ns + self.random.integers(50_000, SLOWEST_NS)
+            self.wire.submit(station, late, self.now_ns)
+            return len(burst)
 
-        run = Commissioning(self.contract, 0, send, self.now_s, **options)
+        segment = Segment(self.contract, 0, boards, hardware, send, complain=lambda _: None)
+        place = Place(segment, hardware, station)
+        self.places.append(place)
+        segment.boot(self.now_s)
+        return place
+
+    def send(self, burst: Frames) -> int:
+        """Send frames of the master."""
+        return self.wire.submit(self.master, burst, self.now_ns)
+
+    def commission(
+        self, *, stop_after: Callable[[Commissioning], bool] = lambda _: False, **options: Any
+    ) -> Commissioning:
+        """Commission by serial numbers."""
+        return self.run(Commissioning(self.contract, 0, self.send, self.now_s, **options), stop_after=stop_after)
+
+    def touch(
+        self,
+        say: Callable[[str], None],
+        *,
+        stop_after: Callable[[Commissioning], bool] = lambda _: False,
+        **options: Any,
+    ) -> Commissioning:
+        """Commission by touch; `say` moves `finger`."""
+        run = TouchCommissioning(self.contract, 0, self.send, self.now_s, say=say, **options)
+        return self.run(run, stop_after=stop_after)
+
+    def run(
+        self, run: Commissioning, *, stop_after: Callable[[Commissioning], bool] = lambda _: False
+    ) -> Commissioning:
         while not run.done:
             self._step(run)
             if not run.done and stop_after(run):
@@ -77,7 +150,9 @@ class Bench:
 
     def is_configured(self, place: int) -> bool:
         """Tell whether a board is in the state LSS configuration: nothing but its LED shows it."""
-        return self.places[place].boards._lss[0][0].is_configured
+        boards = self.places[place].boards
+        assert isinstance(boards, VirtualBoards)
+        return boards._boards[0].slave.is_configured
 
     @property
     def now_s(self) -> float:
@@ -85,8 +160,12 @@ class Bench:
 
     def _step(self, run: Commissioning) -> None:
         due_ns = [self.now_ns + 20_000_000, self.wire.next_event_ns() or 2**62]
-        due_ns += [round(run.due_s * 1e9) + 1] if run.due_s > self.now_s else []
-        due_ns += [round(each.boards.due_s * 1e9) for each in self.places if self.now_s < each.boards.due_s < 1e9]
+        dues_s = [
+            run.due_s,
+            *(each.boards.due_s for each in self.places),
+            *(each.hardware.due_s for each in self.places),
+        ]
+        due_ns += [round(each * 1e9) + 1 for each in dues_s if self.now_s < each < 1e9]
         self.now_ns = max(min(due_ns), self.now_ns + 1000)
         ended = self.wire.run_until(self.now_ns)
         for place in self.places:
@@ -94,11 +173,10 @@ class Bench:
             for each in arrived:
                 if each["can_id"] == 0x7E5:
                     place.is_alive = place.is_alive and place.lives(each["data"][:8].tobytes())
-            if place.is_alive and len(arrived):
-                self._post(place, place.boards.take(arrived, self.now_s))
-            if place.is_alive and self.now_s >= place.boards.due_s:
-                self._post(place, place.boards.pass_time(self.now_s))
-        run.take(self._of(ended, self.master), self.now_s)
+            if place.is_alive:
+                place.segment.take(arrived, self.now_s)
+                place.segment.tick(self.now_s)
+        run.take(np.concatenate([self._of(ended, self.master), self.noise]), self.now_s)
         run.tick(self.now_s)
 
     def _of(self, ended: Events, station: Station) -> Frames:
@@ -107,12 +185,6 @@ class Bench:
         came = ended.frames[is_mine].copy()
         came["flags"][is_own[is_mine]] |= ECHO
         return came
-
-    def _post(self, place: Place, burst: Frames) -> None:
-        late = burst.copy()
-        late["port"] = 0
-        late["time_ns"] = self.now_ns + self.random.integers(50_000, SLOWEST_NS)
-        self.wire.submit(place.station, late, self.now_ns)
 
 
 def complete(run: Commissioning) -> set[int]:

@@ -63,10 +63,9 @@ def test_a_board_of_another_place_loses_its_node_id() -> None:
     wrong = bench.add(1, contract=skin(2, device={"first_serial": 2}), numbered=True)
     bench.add(1)
     run = bench.commission(renumber=True)
-    assert complete(run) == {1}
-    # A virtual board takes no other node-ID than its own.
-    assert run.boards[2].text == "refuses node-ID 2: not supported (so far: found)"
-    assert wrong.boards.nodes[0].state == 0
+    assert complete(run) == {1, 2}
+    assert run.is_whole
+    assert wrong.boards.nodes[0].contract.node_id == 2
 
 
 def test_boards_at_another_bit_rate_get_that_of_the_layout() -> None:

@@ -2,6 +2,7 @@
 
 import itertools
 import re
+import struct
 from collections.abc import Callable
 from typing import Any
 
@@ -12,22 +13,23 @@ import pytest
 from dbc import indices as od
 from dbc.board_sums import PATTERN_FULL
 from dbc.canopen import Emergency, NmtCommand, NmtState
-from dbc.configuration import setting_of
 from dbc.contract import Contract
-from dbc.dictionary import dictionary
+from dbc.dictionary import SkinState
 from dbc.frame import ERROR, REMOTE, Frames
-from gateway.node_check import NodeCheck, NodeReport
+from gateway.node_check import NodeCheck
+from gateway.node_frames import NodeReport
 from nodes.sampler import new_sampler
 from nodes.segment import Segment
 from nodes.virtual_boards import VirtualBoards
 from tests.bus.harness import frame
-from tests.gateway.boards import Board
 from tests.gateway.helpers import Shaking, Wire
 from tests.layouts import IDENTITIES, buses, small_contract
 
 STEP_S = 0.005
 #: 1007h at 20 SYNCs a second: 99 % of the period.
 WINDOW_US = 49_500
+#: What a board shows after the test patterns.
+OFFSETS = "offsets in place of the taxels"
 
 
 class Bench:
@@ -71,17 +73,17 @@ def test_a_board_that_keeps_the_contract(bus: list[dict[str, Any]], identity: st
     node = bench.contract.nodes[0]
     assert (report.bus, report.node_id, report.differences, report.notes) == ("bus0", 1, [], [])
     due = sum(tpdo.phase == 0 for tpdo in node.tpdos)
-    assert (report.cycles, report.frames) == (12, 12 * due)
+    assert (report.cycles, report.frames) == (16, 16 * due)
     assert report.objects > len(node.tpdos) * 3
     assert 0 < report.latest_s < bench.contract.layout.sync.period_s
     assert (bench.node.state, pattern_of(bench)) == (NmtState.PRE_OPERATIONAL, 0)
     # Patterns are written while the board is PRE-OPERATIONAL, as its writer may expect.
     commands = [data[0] for can_id, data in bench.wire.log if can_id == 0]
     before_start = [first for first, second in itertools.pairwise(commands) if second == NmtCommand.START]
-    assert before_start == [NmtCommand.ENTER_PRE_OPERATIONAL] * 3
+    assert before_start == [NmtCommand.ENTER_PRE_OPERATIONAL] * 4
 
 
-@pytest.mark.parametrize(("pause_s", "cycles"), [(0.0, 12), (0.3, 16)])
+@pytest.mark.parametrize(("pause_s", "cycles"), [(0.0, 16), (0.3, 20)])
 @pytest.mark.parametrize("identity", IDENTITIES)
 def test_a_board_that_leaves_operational_for_a_pause_of_sync_keeps_the_contract(
     identity: str, pause_s: float, cycles: int
@@ -119,8 +121,8 @@ def test_a_board_that_does_not_stay_operational_differs_once_for_each_pattern_an
     why = "its error register (1001h) is 11h, its newest error (1003h:1) 8240h"
     assert report.notes == [why]
     assert report.differences == [
-        f"test pattern {name}: the board left OPERATIONAL for pre-operational; {why}"
-        for name in ("zero", "ramp", "full scale")
+        f"{name}: the board left OPERATIONAL for pre-operational; {why}"
+        for name in (*(f"test pattern {each}" for each in ("zero", "ramp", "full scale")), OFFSETS)
     ]
 
 
@@ -216,10 +218,12 @@ def test_a_check_that_is_stopped_ends_the_pattern() -> None:
             bench.segment.take(bench.wire.nodes.receive(), bench.now_s)
             check.take(bench.wire.gateway.receive(), bench.now_s)
     bench.wire.log.clear()
-    check.give_up()
-    bench.wire.deliver()
-    assert bench.wire.log == [(0x601, bytes.fromhex("2F 21 20 00 00 00 00 00")), (0x000, b"\x80\x01")]
-    bench.segment.take(bench.wire.nodes.receive(), bench.now_s)
+    check.give_up(bench.now_s)
+    while bench.wire.deliver():
+        bench.segment.take(bench.wire.nodes.receive(), bench.now_s)
+        check.take(bench.wire.gateway.receive(), bench.now_s)
+    assert bench.wire.log[:2] == [(0x000, b"\x80\x01"), (0x601, bytes.fromhex("2F 21 20 00 00 00 00 00"))]
+    assert check.done
     assert pattern_of(bench) == 0
 
 
@@ -247,7 +251,7 @@ def test_frames_that_are_read_late_are_used_when_they_were_in_time() -> None:
         bench.wire.gateway.is_held = next(steps) % 20 != 0
 
     report = bench.check(hold)
-    assert (report.differences, report.frames) == ([], 24)
+    assert (report.differences, report.frames) == ([], 32)
     assert report.latest_s < 0.05
 
 
@@ -264,7 +268,7 @@ def test_a_tpdo_after_its_window_differs(after_us: int, *, is_late: bool) -> Non
     report = bench.check()
     said = f"test pattern zero, SYNC 1: TPDO 2 ends {after_us / 1000:.1f} ms after SYNC, after 1007h"
     assert report.differences[:1] == [said] * is_late
-    assert len(report.differences) == 12 * is_late
+    assert len(report.differences) == 16 * is_late
     assert report.latest_s == pytest.approx(after_us / 1e6)
 
 
@@ -279,7 +283,7 @@ def test_a_tpdo_that_comes_twice_differs() -> None:
     bench.wire.loses = loses
     said = bench.check().differences
     assert "test pattern zero, SYNC 1: TPDO 1 (181h) came 2 times, expected 1" in said
-    assert len(said) == 24
+    assert len(said) == 32
 
 
 def test_a_sync_that_never_was_on_the_bus_is_said() -> None:
@@ -287,7 +291,7 @@ def test_a_sync_that_never_was_on_the_bus_is_said() -> None:
     bench.wire.loses = lambda end, each: end is bench.wire.gateway and each["can_id"] == 0x080
     report = bench.check()
     assert report.differences[0] == "test pattern zero, SYNC 1: the SYNC was not sent"
-    assert (len(report.differences), report.cycles, report.frames) == (12, 12, 0)
+    assert (len(report.differences), report.cycles, report.frames) == (16, 16, 0)
 
 
 def answered(change: Callable[[np.ndarray], object], index: int) -> NodeReport:
@@ -318,7 +322,7 @@ def test_a_wrong_signature_differs() -> None:
     found, expected = (int(each, 16) for each in re.findall(r"([0-9A-F]{8})h", said))
     assert found == expected ^ 1
     assert said.startswith("the signature (2006h) is ")
-    assert report.cycles == 12
+    assert report.cycles == 16
 
 
 @pytest.mark.parametrize("change", [aborts, lambda data: data.__setitem__(slice(4, 8), 0)])
@@ -332,41 +336,21 @@ def test_an_object_that_the_board_lacks_differs_and_the_others_are_read() -> Non
     whole, report = Bench(small_contract()).check(), answered(aborts, 0x1017)
     assert len(report.differences) == 1
     assert "1017h:0" in report.differences[0]
-    assert (report.objects, report.cycles) == (whole.objects - 1, 12)
-
-
-def test_objects_of_an_adaptive_board_are_compared_and_no_sync_is_sent(adaptive: Contract) -> None:
-    node = adaptive.nodes[0]
-    board, answers = Board(adaptive, node), list[Frames]()
-    board.objects |= {(each.index, each.subindex): setting_of(each).data for each in dictionary(adaptive, node)}
-    asked: list[int] = []
-
-    def send(burst: Frames) -> int:
-        asked.extend(burst["can_id"].tolist())
-        answers.append(board.take(burst, 0.0))
-        return len(burst)
-
-    check = NodeCheck(adaptive, node, send, 0.0)
-    check.tick(1.0)
-    while answers:
-        check.take(answers.pop(), 1.0)
-    assert check.done
-    assert (check.report.differences, check.report.notes) == ([], [])
-    assert set(asked) == {0x601}
+    assert (report.objects, report.cycles) == (whole.objects - 1, 16)
 
 
 def test_error_frames_and_remote_frames_are_not_those_of_the_board() -> None:
     bench = Bench(small_contract())
     strange = [frame(can_id, bytes(8), flags) for can_id in (0x080, 0x181, 0x581) for flags in (ERROR, REMOTE)]
     report = bench.check(lambda: bench.wire.queue.extend((None, each) for each in strange))
-    assert (report.differences, report.frames) == ([], 24)
+    assert (report.differences, report.frames) == ([], 32)
 
 
 def test_a_test_pattern_that_is_not_taken_differs_and_the_next_is_tried() -> None:
     report = answered(lambda data: aborts(data) if data[0] == 0x60 else None, 0x2021)
-    assert len(report.differences) == 4  # three patterns, and the one that was there
-    assert all("2021h:0" in said for said in report.differences)
-    assert report.cycles == 0
+    # Three patterns, and the one that was there.
+    assert sum(said.startswith("object 2021h:0: abort ") for said in report.differences) == 4
+    assert report.cycles == 4  # of offsets in place of the taxels
 
 
 def test_a_check_that_has_asked_nothing_leaves_nothing_to_undo() -> None:
@@ -376,5 +360,160 @@ def test_a_check_that_has_asked_nothing_leaves_nothing_to_undo() -> None:
         sent.extend((int(each["can_id"]), each["data"][: each["length"]].tobytes()) for each in burst)
         return len(burst)
 
-    NodeCheck(contract, contract.nodes[1], send, 10.0).give_up()
+    NodeCheck(contract, contract.nodes[1], send, 10.0).give_up(10.0)
     assert sent == [(0, b"\x80\2")]
+
+
+def spoiled(spoil: Callable[[Bench], None], **tables: Any) -> str:
+    bench = Bench(small_contract(**tables))
+    spoil(bench)
+    return "\n".join(bench.check().differences)
+
+
+def with_other_sums(alter: Callable[[np.ndarray], object]) -> Callable[[Bench], None]:
+    """A board that alters the sums of its first block."""
+
+    def spoil(bench: Bench) -> None:
+        measure = bench.segment._sending.measure
+
+        def measured(counter: int, time_ns: int) -> np.ndarray | None:
+            sums = measure(counter, time_ns)
+            assert sums is not None
+            altered = sums.copy()
+            alter(altered)
+            return altered
+
+        bench.segment._sending.measure = measured  # type: ignore[method-assign]
+
+    return spoil
+
+
+@pytest.mark.parametrize("one", range(8))
+def test_a_sum_of_wrong_sign_is_named_whatever_its_row(one: int) -> None:
+    """The test patterns show 0 in most rows."""
+    said = spoiled(with_other_sums(lambda sums: sums.__setitem__(one, -sums[one])))
+    assert f"{OFFSETS}, SYNC 1: TPDO {1 + one // 4} " in said
+
+
+@pytest.mark.parametrize(("one", "other"), [(1, 2), (3, 7), (4, 5)])
+def test_exchanged_rows_are_named(one: int, other: int) -> None:
+    def exchange(sums: np.ndarray) -> None:
+        sums[[one, other]] = sums[[other, one]]
+
+    assert f"{OFFSETS}, SYNC 4: TPDO " in spoiled(with_other_sums(exchange))
+
+
+def test_gains_and_offsets_are_as_before_and_their_signature_follows_them() -> None:
+    bench = Bench(small_contract())
+    request = struct.pack("<BHB", 0x23, od.GAIN, 1) + struct.pack("<f", 0.75)
+    bench.wire.put(0x601, request)
+    while bench.wire.deliver():
+        bench.segment.take(bench.wire.nodes.receive(), bench.now_s)
+        bench.wire.gateway.receive()
+
+    def signed() -> int:
+        return int(bench.node._live[od.CALIBRATION_SIGNATURE](0) or 0)
+
+    before, seen = signed(), set[int]()
+    report = bench.check(lambda: seen.add(signed()))
+    assert (report.differences, report.notes) == ([], [])
+    assert (signed(), len(seen)) == (before, 5)  # four patterns besides
+    assert struct.unpack("<f", bench.node.local.get_data(od.GAIN, 1)) == (0.75,)
+    assert bench.node.local.get_data(od.OFFSET, 1) == bytes(2)
+
+
+def frozen(bench: Bench) -> None:
+    """A board that computes 2009h once."""
+    kept = bench.node._live[od.CALIBRATION_SIGNATURE](0)
+    bench.node._live[od.CALIBRATION_SIGNATURE] = lambda _: kept
+
+
+def without_offsets(bench: Bench) -> None:
+    """A board whose 2009h does not cover offsets."""
+    covered = bench.node._signed[od.CALIBRATION_SIGNATURE]
+    bench.node._signed[od.CALIBRATION_SIGNATURE] = [each for each in covered if each.index != od.OFFSET]
+
+
+@pytest.mark.parametrize(
+    ("spoil", "words"), [(frozen, "of its objects, with other gains and offsets"), (without_offsets, "of its objects")]
+)
+def test_a_wrong_signature_of_gains_and_offsets_is_named(spoil: Callable[[Bench], None], words: str) -> None:
+    said = spoiled(spoil).splitlines()
+    assert all(each.startswith("the signature (2009h) is ") for each in said)
+    assert any(each.endswith(words) for each in said)
+
+
+def test_a_board_without_gains_is_noted() -> None:
+    report = answered(aborts, od.GAIN)
+    assert report.differences == []
+    assert report.notes == [
+        "object 2010h:1: abort 06020000h, no object: not every row is compared without gains and offsets"
+    ]
+    assert report.cycles == 12
+
+
+# --- boards of two states
+
+
+def two_states() -> Contract:
+    return small_contract(recognition={"sums": 8, "rate_hz": 40})
+
+
+def test_a_board_of_two_states_keeps_the_contract() -> None:
+    bench = Bench(two_states())
+    report = bench.check()
+    assert (report.differences, report.notes) == ([], [])
+    due = [sum(tpdo.phase == 0 for tpdo in each.tpdos) for each in bench.contract.states_of(bench.contract.nodes[0])]
+    assert all(due)
+    assert (report.cycles, report.frames) == (32, 16 * sum(due))
+    assert bench.node.wanted_state == SkinState.RECOGNITION
+
+
+def stays(state: SkinState) -> Callable[[Bench], None]:
+    """A board that knows one state."""
+
+    def spoil(bench: Bench) -> None:
+        type_of = type(bench.node)
+        bench.node.__class__ = type(
+            "Stuck", (type_of,), {"active_state": property(lambda _: state, lambda _self, _state: None)}
+        )
+
+    return spoil
+
+
+def deaf(bench: Bench) -> None:
+    """A board that does not take the RPDO of the state."""
+    bench.wire.loses = lambda end, each: end is bench.wire.nodes and each["can_id"] == 0x0FF
+
+
+def all_at_once(bench: Bench) -> None:
+    """A board that sends the TPDOs of both states."""
+    bench.segment.boards._burst._state[:] = -1  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        (deaf, ["test pattern zero, images, SYNC 1: TPDO 1 (181h) came 0 times"]),
+        (stays(SkinState.IMAGES), ["test pattern zero, recognition, SYNC 1: TPDO 1 (181h) came 1 times, expected 0"]),
+        (stays(SkinState.RECOGNITION), ["zero, images, SYNC 1: TPDO 3 (381h) came 1 times, expected 0"]),
+        (
+            all_at_once,
+            ["zero, recognition, SYNC 1: TPDO 2 (281h) came 1 times, expected 0", "zero, images, SYNC 1: TPDO 3"],
+        ),
+    ],
+)
+def test_a_board_that_does_not_follow_the_state_is_named(spoil: Callable[[Bench], None], words: list[str]) -> None:
+    bench = Bench(two_states())
+    spoil(bench)
+    said = "\n".join(bench.check().differences)
+    for each in words:
+        assert each in said, said
+
+
+def test_a_board_that_was_in_images_is_there_again() -> None:
+    bench = Bench(two_states())
+    bench.wire.put(0x601, struct.pack("<BHBB3x", 0x2F, od.STATE, 1, SkinState.IMAGES))
+    report = bench.check()
+    assert (report.differences, report.cycles) == ([], 32)
+    assert bench.node.wanted_state == SkinState.IMAGES

@@ -8,10 +8,9 @@ from typing import Any
 import pytest
 
 from canskin.errors import InputError, RunError
-from dbc.frame import frames
 from gateway import talk
-from gateway.node_check import NodeReport
 from gateway.node_command import _bus_number, _run, _show
+from gateway.node_frames import NodeReport
 from shell.command import main
 
 
@@ -105,7 +104,7 @@ def test_milliseconds_are_told_of_tpdos_alone(capsys: pytest.CaptureFixture[str]
     _show(NodeReport("bus1", 7, objects=9, frames=1, cycles=2, latest_s=0.25))
     assert capsys.readouterr().out.endswith("(9 objects, 1 TPDOs of 2 cycles, the last 250.0 ms after SYNC)\n")
     _show(NodeReport("bus1", 7, objects=9))
-    assert capsys.readouterr().out == "bus1, node 7: keeps the contract (9 objects, 0 TPDOs of 0 cycles)\n"
+    assert capsys.readouterr().out == "bus1, node 7: keeps the contract (9 objects, 0 TPDOs)\n"
 
 
 def skin(*names: str) -> Any:
@@ -140,8 +139,8 @@ class Check:
         self.turns -= 1
         self.told.append(f"tick at {now_s:g}")
 
-    def give_up(self) -> None:
-        self.told.append("give up")
+    def give_up(self, now_s: float) -> None:
+        self.told.append(f"give up at {now_s:g}")
 
 
 @pytest.mark.parametrize(("due_s", "timeout_s"), [(49.0, 0.0), (50.0, 0.0), (50.00390625, 0.00390625), (51.0, 0.01)])
@@ -158,8 +157,11 @@ def test_a_check_gets_the_frames_that_come_until_it_is_done(
     assert waited_s == [timeout_s] * 2
 
 
-def test_a_check_that_is_stopped_leaves_the_board_without_test_patterns() -> None:
-    check, link = Check(2, 0.0), SimpleNamespace(receive=lambda: frames(0))
+def test_a_check_that_is_stopped_goes_on_until_it_is_done(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The check is told once, and has the time that it needs to put back what it wrote."""
+    monkeypatch.setattr(talk, "select", SimpleNamespace(select=lambda *_: None))
+    monkeypatch.setattr("time.monotonic", lambda: 50.0)
+    check, link = Check(2, 0.0), SimpleNamespace(receive=lambda: "frames")
     with pytest.raises(RunError, match="stopped before the talk with the node was over"):
         _run(check, link, SimpleNamespace(is_set=lambda: True))  # type: ignore[arg-type]
-    assert check.told == ["give up"]
+    assert check.told == ["give up at 50", *["take frames at 50", "tick at 50"] * 2]

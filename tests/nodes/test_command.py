@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from canskin.errors import InputError, LayoutError
+from canskin.errors import InputError
 from dbc.contract import Contract, NodeContract
 from nodes import command, ways
 from nodes.adaptive.boards import AdaptiveBoards
 from nodes.command import choose_nodes
-from nodes.sampler import CountSampler, Sampler
+from nodes.sampler import Sampler
 from shell.service import StopSignal
 from shell.touch_options import NO_TOUCH_OPTIONS, TouchOptions
 from skin.defects import Defects
@@ -172,7 +172,13 @@ def test_the_first_seed_is_0_and_noise_may_be_none(parts: Parts) -> None:
     parts.run(TouchOptions(["cup"], "press"), only=["bus0:1"], noise_n=0.0)
 
 
-def test_boards_in_c_are_those_of_the_chosen_nodes(parts: Parts, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("layout", "shape"),
+    [("default", (10, 4096)), ("recognise-first", (1, 4096)), ("analogue", (1, 1024))],  # samples in a period
+)
+def test_boards_in_c_are_those_of_the_chosen_nodes_and_get_what_converters_read(
+    layout: str, shape: tuple[int, int], parts: Parts, monkeypatch: pytest.MonkeyPatch
+) -> None:
     compiled: list[tuple[Contract, list[tuple[int, int]]]] = []
 
     def firmware(contract: Contract, nodes: list[NodeContract], *, store: Path | None, unnumbered: bool) -> str:
@@ -181,12 +187,17 @@ def test_boards_in_c_are_those_of_the_chosen_nodes(parts: Parts, monkeypatch: py
         return "compiled"
 
     monkeypatch.setattr(command, "Firmware", firmware)
-    boards = parts.run(TouchOptions(["cup"]), only=["bus1:2-3", "bus3:1"], firmware=True, unnumbered=True, noise_n=0.0)
-    assert isinstance(boards, CountSampler)
-    assert compiled == [(parts.service[0], [(1, 2), (1, 3), (3, 1)])]
+    options = {
+        "layout": Path(layout),
+        "only": ["bus0:1-2", "bus0:4"],
+        "firmware": True,
+        "unnumbered": True,
+        "noise_n": 0.0,
+    }
+    boards = parts.run(TouchOptions(["cup"]), **options)
+    assert compiled == [(parts.service[0], [(0, 1), (0, 2), (0, 4)])]
     assert parts.named == {"store": None, "unnumbered": True, "firmware": "compiled"}
-    # The default skin samples ten times in each period of 10 ms.
-    assert boards.sample(1, 0).shape == (10, 4096)
+    assert boards.sample(1, 0).shape == shape
 
 
 def test_adaptive_boards_in_c_get_the_same_options_as_those_in_python(
@@ -207,11 +218,6 @@ def test_adaptive_boards_in_c_get_the_same_options_as_those_in_python(
     assert blocks == [node.block for node in contract.nodes if (node.bus, node.node_id) == (0, 3)]
     assert compiled == "compiled"
     assert named == {"noise_n": 0.002, "seed": 4, "defects": Defects.of({"dead": 0.5}, 4)}
-
-
-def test_boards_of_two_states_are_not_there_in_c(parts: Parts) -> None:
-    with pytest.raises(LayoutError, match="the firmware in C does not know recognition"):
-        command.nodes(layout=Path("recognise-first"), firmware=True)
 
 
 def test_a_recording_is_played_as_its_options_say(parts: Parts, tmp_path: Path) -> None:

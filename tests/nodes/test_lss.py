@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dbc.contract import Contract
+from dbc.dictionary import REVISION
 from nodes.lss import LssSlave
 from tests.bus.harness import frame
 from tests.nodes.helpers import RESET_COMMUNICATION, RESET_NODE, START, ArrayLink, give, new_segment, read, sync
@@ -18,7 +19,13 @@ REQUEST, RESPONSE = 0x7E5, 0x7E4
 
 
 def slave(*, has_node_id: bool = False, address: tuple[int, ...] = ADDRESS) -> LssSlave:
-    return LssSlave(address, 5, 500_000, lambda _: None, has_node_id=has_node_id)
+    return LssSlave(address, [5], 500_000, lambda _: None, stored=5 if has_node_id else 255)
+
+
+def address_of(contract: Contract, node_id: int) -> tuple[int, ...]:
+    """Return vendor-ID, product code, revision and serial number of a node of bus0."""
+    device = contract.layout.device
+    return device.vendor_id, device.product_code, REVISION, device.first_serial + node_id - 1
 
 
 def request(command: int, number: int) -> bytes:
@@ -92,10 +99,10 @@ def test_a_node_id_that_was_not_stored_is_lost_at_power_up(master: LssMaster) ->
 
 
 def test_a_memory_that_fails_is_told() -> None:
-    def fail(_: bool) -> None:
+    def fail(_: int) -> None:
         raise OSError
 
-    broken = LssSlave(ADDRESS, 5, 500_000, fail, has_node_id=True)
+    broken = LssSlave(ADDRESS, [5], 500_000, fail, stored=5)
     broken.take(bytes((4, 1, 0, 0, 0, 0, 0, 0)))
     assert broken.take(bytes((0x17, 0, 0, 0, 0, 0, 0, 0))) == bytes((0x17, 2, 0, 0, 0, 0, 0, 0))
 
@@ -153,7 +160,7 @@ def test_a_node_boots_with_the_node_id_that_it_was_given(contract: Contract, lin
         assert link.take_sent()["can_id"].tolist() == [0x702] * times
         nothing = give(segment, link, frame(0, bytes((START, 0))), frame(0, bytes((RESET_NODE, 1))), sync(1))
         assert {can_id & 127 for can_id, _ in nothing} == ({2} if times else set())
-        address = segment.boards.nodes[1].lss_address
+        address = address_of(contract, 2)
         give(segment, link, frame(REQUEST, request(4, 0)))
         select = [frame(REQUEST, request(0x40 + at, each)) for at, each in enumerate(address)]
         assert give(segment, link, *select) == [(RESPONSE, bytes((0x44, 0, 0, 0, 0, 0, 0, 0)))]
@@ -167,7 +174,7 @@ def test_a_node_boots_with_the_node_id_that_it_was_given(contract: Contract, lin
 def test_a_node_id_that_was_not_stored_ends_with_a_reset(contract: Contract, link: ArrayLink) -> None:
     segment = new_segment(contract, link, {2}, unnumbered=True)
     scan = [(0x80, 0, 0)] + [(0, place, (place + 1) % 4) for place in range(4)]
-    numbers = (0, *segment.boards.nodes[0].lss_address)
+    numbers = (0, *address_of(contract, 2))
     for number, at in zip(numbers, scan, strict=True):
         give(segment, link, frame(REQUEST, request(0x51, number)[:5] + bytes(at)))
     give(segment, link, frame(REQUEST, request(0x11, 2)), frame(REQUEST, request(4, 0)))

@@ -127,6 +127,6 @@ def test_own_objects_that_cannot_be_used(tmp_path: Path) -> None:
     ):
         with pytest.raises(InputError, match=message):
             spheres_of(name)
-    with pytest.raises(InputError, match="'ring' and '.*' have the same name"):
+    with pytest.raises(InputError, match=r"'ring' and '.*' have the same name"):
         checked_names(f"ring,{path}@mm")
     assert "ring" not in known_objects([f"{path}@mm"])

@@ -1,9 +1,10 @@
 #include "skin_average.h"
 
+#include <string.h>
+
 #if SKIN_SAMPLES > 1 /* boards that sample at the SYNC only need no average */
 
 #include <math.h>
-#include <string.h>
 
 /* Mean of x + N(0, 1) clipped at 0, for x from 0 to SKIN_CLIPPED_REACH. */
 static const float clipped_mean[SKIN_CLIPPED_POINTS] = SKIN_CLIPPED_MEAN;
@@ -216,31 +217,67 @@ static void block_sums(const skin_board *board, uint8_t block, float *values, in
 
 #endif
 
-uint16_t skin_measure(const skin_board *board, uint8_t block, skin_average *state, uint16_t *counts, uint16_t samples,
-                      const float *gain, const int16_t *offset, uint8_t pattern, int32_t *sums)
+uint16_t skin_readings(const skin_board *board)
 {
-    const uint16_t taxels = (uint16_t)(board->type->blocks * board->type->block_size);
-    const uint16_t first = (uint16_t)(block * board->type->block_size);
-    uint16_t *newest = &counts[(uint32_t)(samples - 1) * taxels + first];
+    const skin_type *type = board->type;
+
+    return (uint16_t)(SKIN_ANALOGUE ? type->first_sum[type->blocks] : type->blocks * type->block_size);
+}
+
+#if SKIN_ANALOGUE
+
+uint16_t skin_measure(const skin_board *board, uint8_t number, skin_average *state, skin_reading *readings, uint16_t samples,
+                      const skin_block *block, int32_t *sums)
+{
+    const uint16_t first = board->type->first_sum[number], end = board->type->first_sum[number + 1];
+    const skin_reading *newest = &readings[(uint32_t)(samples - 1) * skin_readings(board)];
+    const int32_t half = ((int32_t)board->type->count_max + 1) / 2;
+    uint16_t shown[SKIN_BLOCK_SIZE], sum, saturated = 0;
+    int32_t work[SKIN_BLOCK_SIZE];
+
+    (void)state;
+    if (*block->pattern != SKIN_PATTERN_OFF) {
+        (void)skin_read_block(board, shown, NULL, NULL, *block->pattern);
+        skin_block_sums(board, number, shown, work, sums);
+    }
+    for (sum = first; sum < end; sum++) {
+        const int32_t code = *block->pattern != SKIN_PATTERN_OFF ? skin_code(board, sums[sum - first]) : newest[sum];
+
+        saturated = (uint16_t)(saturated + (code <= -half || code >= half - 1));
+        sums[sum - first] = code * board->type->block_size;
+    }
+    return saturated;
+}
+
+#else
+
+uint16_t skin_measure(const skin_board *board, uint8_t number, skin_average *state, skin_reading *readings, uint16_t samples,
+                      const skin_block *block, int32_t *sums)
+{
+    const uint16_t taxels = skin_readings(board), first = (uint16_t)(number * board->type->block_size);
+    uint16_t *newest = &readings[(uint32_t)(samples - 1) * taxels + first];
     uint16_t saturated;
 #if SKIN_SAMPLES > 1
     float averages[SKIN_BLOCK_SIZE];
     uint16_t place;
 
-    skin_take_samples(state, &counts[first], samples, taxels, averages);
-    saturated = skin_read_block(board, newest, gain, offset, pattern);
+    skin_take_samples(state, &readings[first], samples, taxels, averages);
+    saturated = skin_read_block(board, newest, block->gain, block->offset, *block->pattern);
     for (place = 0; place < board->type->block_size; place++) {
-        averages[place] = pattern != SKIN_PATTERN_OFF
+        averages[place] = *block->pattern != SKIN_PATTERN_OFF
                               ? (float)newest[place]
-                              : correct(averages[place], gain[place], offset[place], board->type->count_max);
+                              : correct(averages[place], block->gain[place], block->offset[place], board->type->count_max);
     }
-    block_sums(board, block, averages, sums);
+    block_sums(board, number, averages, sums);
 #else
     int32_t work[SKIN_BLOCK_SIZE];
 
     (void)state;
-    saturated = skin_read_block(board, newest, gain, offset, pattern);
-    skin_block_sums(board, block, newest, work, sums);
+    saturated = skin_read_block(board, newest, block->gain, block->offset, *block->pattern);
+    skin_block_sums(board, number, newest, work, sums);
 #endif
+    memcpy(block->counts, newest, board->type->block_size * sizeof newest[0]);
     return saturated;
 }
+
+#endif

@@ -1,4 +1,4 @@
-/* The average of a taxel's samples between two SYNCs, as far as motion allows ("What a sum is a sum of" in docs/bus.md).
+/* What the converters of a board read, and the average of a taxel's samples between two SYNCs, as far as motion allows ("What a sum is a sum of" in docs/bus.md).
  *
  * The models of skin_models.h run on every sample; their mean, weighted by likelihood, is the average. Noise that the
  * sensor clips at 0 is learned from taxels that nothing touches, and its bias is undone. Needs a floating point unit:
@@ -13,7 +13,32 @@
 #include "skin_models.h"
 #include "skin_sums.h"
 
-/* State of one block. */
+/* What one converter reads, and the number of converters of a board: a code of each sum, in two's complement and in the order
+ * of 2003h, block after block, or a count of each taxel in the order of the chains (2004h).
+ */
+#if SKIN_ANALOGUE
+typedef int16_t skin_reading;
+#define SKIN_READINGS SKIN_SUMS
+#else
+typedef uint16_t skin_reading;
+#define SKIN_READINGS (SKIN_BLOCKS * SKIN_BLOCK_SIZE)
+#endif
+
+/* Readings of one sample of all converters of a board. */
+uint16_t skin_readings(const skin_board *board);
+
+/* Places of a block that have a gain and an offset; analogue boards have neither. */
+#define SKIN_CALIBRATED (SKIN_ANALOGUE ? 1 : SKIN_BLOCK_SIZE)
+
+/* Calibration, newest counts and test pattern of a block: 2010h, 2011h, 2012h and 2021h. */
+typedef struct {
+    float *gain;
+    int16_t *offset;
+    uint16_t *counts;
+    uint8_t *pattern;
+} skin_block;
+
+/* Average of one block. */
 typedef struct {
     skin_tracks tracks;                         /* in units of `scale` */
     float last[2][SKIN_BLOCK_SIZE];             /* the two newest samples, counts */
@@ -34,13 +59,14 @@ void skin_forget(skin_average *state);
  */
 void skin_take_samples(skin_average *state, const uint16_t *samples, uint16_t count, uint16_t stride, float *averages);
 
-/* Sums of one block of board.h, SKIN_SAMPLES of 1 or more; returns the number of taxels at the top of their range.
+/* Sums of one block of board.h, SKIN_SAMPLES of 1 or more; returns the number of taxels at the top of their range, or of sums
+ * at an end of it.
  *
- * state: of the block, where samples are averaged, else NULL. counts: what all taxels of the board read, `samples` samples;
- * overwritten. gain, offset, pattern: of the block. sums: room for the sums of the block, ADC counts.
+ * state: where samples are averaged, else NULL. readings: of the board, `samples` samples; overwritten. block: its newest counts
+ * are written. sums: room for the sums of the block, ADC counts.
  */
-uint16_t skin_measure(const skin_board *board, uint8_t block, skin_average *state, uint16_t *counts, uint16_t samples,
-                      const float *gain, const int16_t *offset, uint8_t pattern, int32_t *sums);
+uint16_t skin_measure(const skin_board *board, uint8_t number, skin_average *state, skin_reading *readings, uint16_t samples,
+                      const skin_block *block, int32_t *sums);
 
 /* The state of a block among `states`, or NULL. */
 #if SKIN_SAMPLES > 1

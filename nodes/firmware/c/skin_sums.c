@@ -89,6 +89,18 @@ void skin_block_sums(const skin_board *board, uint8_t block, const uint16_t *cou
     }
 }
 
+int32_t skin_code(const skin_board *board, int32_t sum)
+{
+    const int32_t size = board->type->block_size, half = ((int32_t)board->type->count_max + 1) / 2;
+    const int32_t rest = (sum % size + size) % size;
+    int32_t code = (sum - rest) / size;
+
+    if (2 * rest > size || (2 * rest == size && code % 2 != 0)) {
+        code++;
+    }
+    return code < -half ? -half : code < half ? code : half - 1;
+}
+
 /* Quotient of `value` and 2^shift, rounded down; a shift of negative numbers is left to the compiler by the standard. */
 static int32_t shifted(int32_t value, uint8_t shift)
 {
@@ -97,12 +109,15 @@ static int32_t shifted(int32_t value, uint8_t shift)
 
 int32_t skin_raw(const skin_packing *packing, int32_t sum)
 {
+    const uint8_t bits = (uint8_t)(packing->bits - (packing->offset == 0)); /* without a sign */
+    const int32_t most = ((int32_t)1 << bits) - 1;
     int32_t raw = sum;
 
     if (packing->step_log2 > 0) {
         raw = shifted(sum + ((int32_t)1 << (packing->step_log2 - 1)) - (sum > 0), packing->step_log2);
     }
-    return raw + packing->offset;
+    raw += packing->offset;
+    return raw < most ? raw : most; /* the highest codes of a converter of sums may round to more */
 }
 
 void skin_put_bits(uint8_t *payload, uint16_t at, uint32_t value, uint8_t bits)

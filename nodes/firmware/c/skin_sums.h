@@ -19,6 +19,9 @@ uint16_t skin_read_block(const skin_board *board, uint16_t *counts, const float 
  */
 void skin_block_sums(const skin_board *board, uint8_t block, const uint16_t *counts, int32_t *work, int32_t *sums);
 
+/* What the converter of a sum reads of taxels with this sum in counts: rounded, ties to even, limited to its range. */
+int32_t skin_code(const skin_board *board, int32_t sum);
+
 /* Value in a PDO of a sum in counts; the lowest `bits` of the result are sent. */
 int32_t skin_raw(const skin_packing *packing, int32_t sum);
 

@@ -20,21 +20,24 @@ def exported(contract: Contract, folder: Path, nodes: Sequence[NodeContract] | N
     return constants
 
 
-def compile_slave(contract: Contract, folder: Path, main: Path, nodes: Sequence[NodeContract] | None = None) -> Path:
-    """Compile exported boards, the slave and a main program; return the program."""
+def compile_slave(
+    contract: Contract, folder: Path, main: str | Path, nodes: Sequence[NodeContract] | None = None
+) -> Path:
+    """Compile exported boards, the slave and a main program, of `HERE` or elsewhere; return the program."""
     constants = exported(contract, folder, nodes)
-    texts = [*folder.glob("src/*.[ch]"), *folder.glob("src/slave/*.[ch]"), *folder.glob("src/adaptive/*.[ch]"), main]
+    texts = [*folder.glob("src/*.[ch]"), *folder.glob("src/slave/*.[ch]"), *folder.glob("src/adaptive/*.[ch]")]
+    texts.append(HERE / main)
     texts += [path for path in constants.iterdir() if not path.name.startswith("OD")]
     compile_c(texts, folder / "firmware", ["cc", *STANDARD_FLAGS, "-O2"])
     return folder / "firmware"
 
 
 def compile_adapter(contract: Contract, folder: Path, main: str, nodes: Sequence[NodeContract] | None = None) -> Path:
-    """Compile exported boards, their adapter and a main program; return the program."""
+    """Compile exported boards, their adapter and a main program (``BEHIND_STACK`` is defined); return the program."""
     constants = exported(contract, folder, nodes)
     texts = [*folder.glob("src/*.[ch]"), *folder.glob("src/adaptive/*.[ch]"), *folder.glob("src/canopennode/*.[ch]")]
     texts += [*constants.iterdir(), STACK / "dictionary.c", HERE / main]
-    command = ["cc", *STANDARD_FLAGS, "-O2", f"-I{STACK}"]
+    command = ["cc", *STANDARD_FLAGS, "-O2", f"-I{STACK}", "-DBEHIND_STACK"]
     program = folder / "adapter"
     compile_c(texts, program, command)
     return program

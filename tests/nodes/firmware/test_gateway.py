@@ -38,9 +38,16 @@ class FirmwareWorld(World):
         sums = np.frombuffer(measurement.sums, "<i4")
         if not valid.any():
             return 0
-        there = valid[self.contract.phi.block_of_sum]
-        differ = (sums != self.witness.sums_at(measurement.sampled_mono_ns)) & there
-        return int(np.unique(self.contract.phi.block_of_sum[differ]).size)
+        truth, phi = self.witness.sums_at(measurement.sampled_mono_ns), self.contract.phi
+        if measurement.fingerprint != phi.fingerprint:
+            truth, phi = truth[self.contract.recognised], self.contract.states[-1].phi
+        return int(np.unique(phi.block_of_sum[(sums != truth) & valid[phi.block_of_sum]]).size)
+
+
+class OftenWorld(FirmwareWorld):
+    """Time goes on by a quarter of a period of recognition."""
+
+    step_s = 0.0025
 
 
 @pytest.fixture(params=IDENTITIES)
@@ -67,6 +74,20 @@ def test_first_data_come_within_two_cycles_of_the_start(world: FirmwareWorld) ->
     syncs_before = log[: len(log) - log[::-1].index(NMT_COB_ID)].count(SYNC_COB_ID)
     first = next(place for place, each in enumerate(measured) if is_complete(each))
     assert first < syncs_before + 2
+
+
+def test_boards_of_two_states_switch_on_request_and_back() -> None:
+    contract = small_contract(rate_hz=20.0, recognition={"sums": 8, "rate_hz": 100.0})
+    world = OftenWorld(contract)
+    assert is_complete(world.run(3.0)[-1])
+    assert world.gateway.states is not None
+    world.gateway.states.ask_images(0.5)
+    measured = world.run(1.5)
+    images = [each for each in measured if each.fingerprint == contract.phi.fingerprint]
+    assert 9 <= len(images) <= 11
+    assert all(map(is_complete, images[1:]))
+    assert all(map(is_complete, measured[-50:]))
+    assert not sum(map(world.wrong_blocks, measured))
 
 
 def test_lost_syncs_make_no_valid_block_wrong(world: FirmwareWorld) -> None:

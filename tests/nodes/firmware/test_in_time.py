@@ -3,10 +3,11 @@
 import pytest
 
 from bus.link import DISCARDED
-from dbc.canopen import HEARTBEAT_BASE, NMT_COB_ID, SDO_REQUEST_BASE, SYNC_COB_ID
+from dbc.canopen import HEARTBEAT_BASE, NMT_COB_ID, SDO_REQUEST_BASE, STATE_COB_ID, SYNC_COB_ID
 from dbc.frame import ECHO
 from tests.bus.harness import frame
-from tests.nodes.firmware.twins import Twins, needs_compiler, small_contract
+from tests.gateway.helpers import two_states
+from tests.nodes.firmware.twins import Twins, analogue, needs_compiler, small_contract
 
 pytestmark = needs_compiler
 
@@ -14,10 +15,13 @@ pytestmark = needs_compiler
 STEP_S = 0.007
 
 
-@pytest.fixture
-def twins() -> Twins:
-    made = Twins(small_contract())
+@pytest.fixture(params=[small_contract, two_states, analogue])
+def twins(request: pytest.FixtureRequest) -> Twins:
+    """Return boards that have answered a SYNC; those of two states send images."""
+    made = Twins(request.param())
     made.put(NMT_COB_ID, b"\x01\x00")
+    made.put(STATE_COB_ID, b"\x01")
+    made.sync(1)
     made.answers()
     return made
 
@@ -91,8 +95,6 @@ def test_an_emergency_goes_when_the_lost_node_is_watched_no_longer(twins: Twins)
 
 
 def test_event_driven_pdos_keep_timer_and_inhibit_time(twins: Twins) -> None:
-    twins.sync(1)
-    twins.answers()
     for subindex, value, size in ((1, 0xC0000181, 4), (2, 254, 1), (3, 500, 2), (5, 200, 2), (1, 0x40000181, 4)):
         write(twins, 0x1800, subindex, value, size)
     twins.go_on(1.0, STEP_S)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from nodes.firmware.library import Firmware
 from nodes.virtual_boards import VirtualBoards
 from tests.bus.harness import frame
-from tests.gateway.fresh_boards import Bench, Place, check_commissioning, complete, skin
+from tests.gateway.fresh_boards import Bench, check_commissioning, complete, skin
 from tests.nodes.firmware.twins import needs_compiler, small_contract
 from tests.nodes.helpers import new_sampler
 
@@ -69,16 +69,10 @@ def test_boards_in_c_answer_as_those_in_python(asked: list[tuple[int, bytes]], u
     assert said[0] == said[1]
 
 
-def add(bench: Bench, node_id: int, store: Path | None = None) -> Place:
-    """Connect a board in C without node-ID."""
-    node = bench.contract.on_bus(0)[node_id - 1]
-    return bench.connect(Firmware(bench.contract, [node], store=store, unnumbered=True).boards(0))
-
-
 @pytest.mark.heavy
 def test_boards_in_c_are_commissioned_and_keep_their_node_ids(tmp_path: Path) -> None:
     bench = Bench(skin(2))
-    places = [add(bench, node_id, tmp_path) for node_id in (1, 2)]
+    places = [bench.add_firmware(node_id, store=tmp_path) for node_id in (1, 2)]
     run = bench.commission()
     assert run.is_whole
     assert complete(run) == {1, 2}
@@ -88,4 +82,4 @@ def test_boards_in_c_are_commissioned_and_keep_their_node_ids(tmp_path: Path) ->
 
 @pytest.mark.slow
 def test_boards_in_c_die_and_are_named_like_those_in_python() -> None:
-    assert check_commissioning(4, add) < 30
+    assert check_commissioning(4, Bench.add_firmware) < 30

@@ -9,15 +9,16 @@ import numpy.typing as npt
 import pytest
 
 from dbc import indices as od
-from dbc.canopen import NMT_COB_ID, SDO_REQUEST_BASE, SYNC_COB_ID
+from dbc.canopen import NMT_COB_ID, SDO_REQUEST_BASE, STATE_COB_ID, SYNC_COB_ID
 from dbc.contract import Contract, NodeContract
 from dbc.dictionary import dictionary
 from nodes.electronics import Calibration
 from nodes.firmware.library import CompiledBoards, Firmware
 from skin.layout import Encoding, Sampling, load_layout
 from tests.bus.harness import frame
+from tests.gateway.helpers import two_states
 from tests.layouts import buses
-from tests.nodes.firmware.twins import Twins, few_sums, needs_compiler, small_contract, windows
+from tests.nodes.firmware.twins import Twins, analogue, few_sums, needs_compiler, small_contract, windows
 
 pytestmark = needs_compiler
 
@@ -37,6 +38,7 @@ TWO_BLOCKS = buses(1, 1, blocks_per_node=2)
 CONTRACTS = {
     "16 bits": small_contract,
     "alternating": lambda: small_contract("alternating"),
+    "12 bits": lambda: small_contract(encoding={"sum_bits": 12}),
     "empty places": lambda: small_contract(taxels={"rows": 7, "columns": 17}),
     "positions, unequal boards": lambda: Contract.from_layout(load_layout(Path("forearm"))),
     "one bit": lambda: small_contract(taxels={"adc_bits": 1}),
@@ -46,6 +48,13 @@ CONTRACTS = {
     "fewer sums than blocks": lambda: few_sums(buses(2, 2)),
     "fewer sums than blocks, nodes of two": lambda: few_sums(TWO_BLOCKS),
     "8 bits, default skin": eight_bits,
+    "two states, a board without sums in one": two_states,
+    "two states, 12 bits, nodes of two": lambda: small_contract(
+        recognition={"sums": 8, "rate_hz": 200.0}, encoding={"sum_bits": 12, "offset_binary": True}, bus=TWO_BLOCKS
+    ),
+    "analogue": analogue,
+    "analogue, 8 of 16 bits, nodes of two": lambda: analogue(8, 16, bus=TWO_BLOCKS),
+    "analogue, more bits than codes, fewer sums than blocks": lambda: analogue(16, 6, measurement={"sums": 3}),
 }
 
 
@@ -61,12 +70,14 @@ def test_sums_and_frames_at_every_sync(name: str) -> None:
         twins.now_s += 0.01
         counter = counter % 240 + int(random.integers(1, 3))
         counter = counter if counter <= 240 else 1
+        if random.random() < 0.2:
+            twins.put(STATE_COB_ID, bytes((random.integers(3),)))
         twins.sync(counter)
         python, c = windows(twins)
         assert np.array_equal(c, python)
         sent += len(twins.answers())
     for node in twins.contract.on_bus(0):
-        assert read_counts(twins, node)
+        assert read_counts(twins, node) or twins.contract.layout.taxels.is_analogue  # without 2012h
     assert sent >= 60
 
 
@@ -142,12 +153,14 @@ def random_request(random: np.random.Generator, indices: list[tuple[int, int]]) 
 
 
 @pytest.mark.heavy
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(6))
 def test_random_requests_get_the_same_answers(seed: int) -> None:
-    contract = small_contract(encoding={"sum_bits": 12}) if seed % 2 else small_contract("alternating")
+    asked = ("alternating", "12 bits", "alternating", "12 bits", "two states, a board without sums in one", "analogue")
+    contract = CONTRACTS[asked[seed]]()
     twins = Twins(contract)
     twins.answers()
-    indices = [(each.index, each.subindex or 0) for each in dictionary(contract, contract.nodes[0])]
+    of_both = [each for each in dictionary(contract, contract.nodes[0]) if not od.is_program_download(each.index)]
+    indices = [(each.index, each.subindex or 0) for each in of_both]
     random = np.random.default_rng(seed)
     counter = 0
     for turn in range(1500):
@@ -157,6 +170,7 @@ def test_random_requests_get_the_same_answers(seed: int) -> None:
         if turn % 10 == 0:
             twins.now_s += 0.01
             counter = counter % 240 + 1
+            twins.put(STATE_COB_ID, random.integers(3, size=1 + turn // 10 % 2).astype(np.uint8).tobytes())
             twins.sync(counter)
         twins.answers()
 

@@ -4,7 +4,7 @@ import json
 import os
 import shutil
 import subprocess
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,15 +20,16 @@ from dbc.contract import Contract, NodeContract
 from dbc.dictionary import dictionary
 from dbc.generate import write_files
 from dbc.vectors import vectors_text
-from nodes.firmware.export import constants, export_files, images, sources
+from nodes.firmware.export import constants, images, sources
 from nodes.firmware.library import STANDARD_FLAGS, Firmware, compile_c
 from nodes.firmware.tables import builds
 from skin.layout import Sampling, load_layout
+from tests.gateway.helpers import two_states
 from tests.layouts import buses
 from tests.nodes.firmware.stack import HERE, compile_adapter, compile_slave, exported
-from tests.nodes.firmware.twins import few_sums, needs_compiler, small_contract
+from tests.nodes.firmware.twins import analogue, few_sums, needs_compiler, small_contract
 
-NAMES = ("default", "fd", "one-bus-12bit", "adaptive", "adaptive-fd")
+NAMES = ("default", "fd", "one-bus-12bit", "recognise-first", "analogue", "adaptive", "adaptive-fd")
 #: Bursts of random frames, and seeds.
 BURSTS, SEEDS = 20_000, range(1, 4)
 #: Adaptive boards filter a sample beside each burst.
@@ -36,7 +37,7 @@ ADAPTIVE_BURSTS = 3000
 ARM = "arm-none-eabi-gcc"
 CORTEX_M0_PLUS = ("-mcpu=cortex-m0plus", "-mthumb", "-Os")
 #: Flash memory, bytes: of the sums; of sums, averages, slave and storage with one board; of a further board.
-SUMS_BYTES, SLAVE_BYTES, BOARD_BYTES = 1024, 14 * 1024, 110
+SUMS_BYTES, SLAVE_BYTES, BOARD_BYTES = 1024, 14_400, 110
 #: Runs a program without a limit of its memory: a sanitizer reserves more than any machine has.
 UNLIMITED = 'ulimit -S -d "$(ulimit -H -d)" && exec "$0" "$@"'
 SANITIZERS = ("-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
@@ -88,7 +89,7 @@ def expected_dictionary(contract: Contract, node: NodeContract) -> list[str]:
     expected = []
     for each in dictionary(contract, node):
         attribute = 0x03 if each.access == "rw" else 0x01
-        attribute |= 0x04 if each.pdo else 0
+        attribute |= (0x0C if each.access == "rw" else 0x04) if each.pdo else 0
         attribute |= 0x80 if each.data_type == od.VISIBLE_STRING else 0x40 if od.BITS[each.data_type] > 8 else 0
         data = setting_of(each).data.hex()
         value = "--" * (len(data) // 2) if each.index == od.ERROR_FIELD else data  # the stack's own
@@ -98,11 +99,14 @@ def expected_dictionary(contract: Contract, node: NodeContract) -> list[str]:
 
 @pytest.mark.heavy
 @needs_compiler
-@pytest.mark.parametrize("name", ["fd", "one-bus-12bit", "forearm"])
-def test_one_image_sends_the_frames_of_the_vectors_as_each_of_several_boards(name: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("compiled", [compile_slave, compile_adapter])
+@pytest.mark.parametrize("name", ["fd", "one-bus-12bit", "forearm", "recognise-first", "analogue"])
+def test_one_image_sends_the_frames_of_the_vectors_as_each_of_several_boards(
+    name: str, compiled: Callable[..., Path], tmp_path: Path
+) -> None:
     # Averages depend on what came before.
     contract = Contract.from_layout(msgspec.structs.replace(load_layout(Path(name)), sampling=Sampling()))
-    program = compile_slave(contract, tmp_path, HERE / "run_board.c", contract.nodes)
+    program = compiled(contract, tmp_path, "run_board.c", contract.nodes)
     for node in some_of(contract):
         cases = json.loads(vectors_text(contract, node))["cases"]
         lines = [" ".join(map(str, [case["pattern"], *read_by_place(case)])) for case in cases]
@@ -115,7 +119,9 @@ def test_one_image_sends_the_frames_of_the_vectors_as_each_of_several_boards(nam
 
 
 def read_by_place(case: dict[str, Any]) -> list[int]:
-    """Return count, bits of the gain, and offset of each place of all blocks."""
+    """Return count, bits of the gain, and offset of each place of all blocks; nothing of an analogue board."""
+    if "counts" not in case:
+        return []
     counts, gain, offset = (np.ravel(case[key]) for key in ("counts", "gain", "offset_counts"))
     table = np.stack([counts, gain.astype(np.float32).view(np.uint32), offset], axis=1)
     return table.astype(int).ravel().tolist()  # type: ignore[no-any-return]
@@ -162,6 +168,8 @@ def flash_bytes(contract: Contract, folder: Path, count: int) -> dict[str, int]:
 FUZZED = {
     "classic": small_contract,
     "fd": lambda: small_contract(encoding={"sum_bits": 12}, bus=buses(1, 1, blocks_per_node=2, fd=True)),
+    "two states": two_states,
+    "analogue": analogue,
     "adaptive": lambda: contract_of("adaptive"),
     "adaptive-fd": lambda: contract_of("adaptive-fd"),
 }
@@ -208,12 +216,6 @@ def test_a_damaged_library_in_the_cache_is_made_anew(monkeypatch: pytest.MonkeyP
     monkeypatch.setenv("SKIN_CACHE", str(damaged))
     Firmware(contract, contract.nodes)
     assert damaged.joinpath(kept.name).stat().st_size == kept.stat().st_size
-
-
-def test_boards_that_make_sums_in_hardware_are_refused() -> None:
-    contract = Contract.from_layout(load_layout(Path("analogue")))
-    with pytest.raises(InputError, match="the C firmware adds taxels that are digital"):
-        export_files(contract, contract.nodes[:1])
 
 
 def test_a_machine_without_compiler_is_told() -> None:

@@ -13,16 +13,20 @@ import pytest
 from bus.link import DISCARDED
 from dbc import indices as od
 from dbc.board import board
+from dbc.board_sums import calibration_values
 from dbc.canopen import NMT_COB_ID, SDO_REQUEST_BASE
 from dbc.contract import Contract
 from dbc.frame import ECHO
 from nodes.firmware.library import CompiledBoards, Firmware
-from nodes.ways import vector_files
+from nodes.virtual_boards import VirtualBoards
+from nodes.ways import vector_files, way_of
+from skin.layout import load_layout
 from skin.walsh import grouped_rows
 from tests.bus.harness import frame
 from tests.nodes.firmware.adaptive_twins import SKINS, contract_of
 from tests.nodes.firmware.stack import compile_adapter
 from tests.nodes.firmware.twins import needs_compiler
+from tests.nodes.helpers import Still
 
 pytestmark = needs_compiler
 
@@ -36,7 +40,7 @@ def vectors_of(name: str) -> tuple[Contract, dict[str, Any]]:
     return contract, json.loads(text)
 
 
-def sdo(boards: CompiledBoards, request: bytes) -> bytes:
+def sdo(boards: CompiledBoards | VirtualBoards, request: bytes) -> bytes:
     (answer,) = boards.take(frame(SDO_REQUEST_BASE + 1, request.ljust(8, b"\0")), 0.0)
     data: bytes = answer["data"][:8].tobytes()
     return data
@@ -44,6 +48,36 @@ def sdo(boards: CompiledBoards, request: bytes) -> bytes:
 
 def read_real(boards: CompiledBoards, index: int, subindex: int) -> float:
     return float(struct.unpack_from("<f", sdo(boards, struct.pack("<BHB", 0x40, index, subindex)), 4)[0])
+
+
+def signature_after(boards: CompiledBoards | VirtualBoards, values: dict[tuple[int, int], bytes]) -> int:
+    """Write objects of node 1, and read 2009h."""
+    for (index, subindex), data in values.items():
+        answer = sdo(boards, struct.pack("<BHB", 0x23 | (4 - len(data)) << 2, index, subindex) + data)
+        assert answer[0] == 0x60, (index, subindex)
+    return int(struct.unpack_from("<I", sdo(boards, struct.pack("<BHB", 0x40, od.CALIBRATION_SIGNATURE, 0)), 4)[0])
+
+
+@pytest.mark.parametrize("name", ["adaptive", "fd"])
+def test_gains_and_offsets_of_the_vectors_have_their_signature_in_both_languages(name: str) -> None:
+    contract = Contract.from_layout(load_layout(Path(name)))
+    vectors = json.loads(next(iter(vector_files(contract).values())))
+    blocks = range(contract.nodes[0].blocks)
+    hardware = way_of(contract.layout).hardware(contract, blocks, Still(contract), None)
+    both = VirtualBoards(contract, 0, {1}, hardware), Firmware(contract, contract.nodes[:1]).boards(0)
+    both[0].power_up(0.0)
+    if contract.is_adaptive:
+        for counts in vectors["power_up"]["counts"]:
+            both[1].take_counts(np.array([counts], np.uint16))
+    both[1].power_up(0.0)
+    cases = vectors["signatures" if contract.is_adaptive else "cases"]
+    assert len({case["calibration_signature"] for case in cases}) >= 2
+    for case in cases:
+        shape = len(blocks), contract.phi.block_size
+        gain, offset = np.reshape(case["gain"], shape), np.reshape(case["offset_counts"], shape)
+        values = calibration_values(np.float32(gain), offset, case.get("pattern", 0))
+        found = [signature_after(boards, values) for boards in both]
+        assert found == 2 * [case["calibration_signature"]], case.get("name")
 
 
 @pytest.mark.heavy

@@ -14,7 +14,7 @@ from dbc.contract import Contract
 from dbc.frame import Frames, frames
 from nodes.electronics import Electronics
 from nodes.firmware.library import Firmware
-from nodes.sampler import CountSampler, Sampler
+from nodes.sampler import CountSampler, new_sampler
 from nodes.segment import Segment
 from nodes.virtual_boards import VirtualBoards
 from skin.layout import validated
@@ -24,6 +24,12 @@ from tests.bus.harness import frame
 
 needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="NOT TESTED: no C compiler")
 small_contract = partial(layouts.small_contract, rate_hz=100.0)
+
+
+def analogue(sum_bits: int = 12, adc_bits: int = 12, **tables: Any) -> Contract:
+    """Return boards with a converter of `adc_bits` for each sum; `tables` are those of the file besides."""
+    taxels = {"frontend": "analogue", "adc_bits": adc_bits}
+    return small_contract(**{"taxels": taxels, "encoding": {"sum_bits": sum_bits}} | tables)
 
 
 def few_sums(bus: list[dict[str, Any]]) -> Contract:
@@ -53,9 +59,9 @@ class CountWitness(CountSampler):
 
     def __init__(self, contract: Contract) -> None:
         layout = contract.layout
-        electronics = Electronics(layout.taxels, noise_n=0.0, period_s=layout.sync.period_s)
-        super().__init__(contract.phi, Rolling(contract), electronics)
-        self._half_ns = 0.5e9 * layout.sync.period_s
+        electronics = Electronics(layout.taxels, noise_n=0.0, period_s=layout.shortest_period_s)
+        super().__init__(contract.phi, Rolling(contract), electronics, layout.sync.period_s)
+        self._half_ns = 0.5e9 * layout.shortest_period_s
         self.truths: dict[int, npt.NDArray[np.int32]] = {}
 
     def sample(self, counter: int, time_ns: int, bus: int = 0) -> npt.NDArray[np.int32]:
@@ -98,26 +104,18 @@ class Twins:
         self.now_s = 100.0
         self.wires = Wire(), Wire()
         self.complaints: list[str] = []
-        layout = contract.layout
-        electronics = [
-            Electronics(
-                layout.taxels,
-                noise_n=noise_n,
-                period_s=layout.sync.period_s,
-                samples=layout.samples_per_sync,
-                blocks=blocks,
-                places=contract.phi.wired.taxels,
-            )
-            for blocks in (contract.phi.taxels_of_blocks, None)
-        ]
         nodes = contract.on_bus(bus)
-        sampler = Sampler(contract.phi, source or Rolling(contract), electronics[0])
-        counts = CountSampler(contract.phi, source or Rolling(contract), electronics[1])
-        virtual = VirtualBoards(contract, bus, {node.node_id for node in nodes}, sampler)
+        sums, readings = (
+            new_sampler(
+                contract.layout, contract.phi, source or Rolling(contract), makes_sums=makes_sums, noise_n=noise_n
+            )
+            for makes_sums in (True, False)
+        )
+        virtual = VirtualBoards(contract, bus, {node.node_id for node in nodes}, sums)
         compiled = Firmware(contract, nodes).boards(bus)
         complain = self.complaints.append
-        self.python = Segment(contract, bus, virtual, sampler, self.wires[0].send, complain=complain)
-        self.c = Segment(contract, bus, compiled, counts, self.wires[1].send, complain=complain)
+        self.python = Segment(contract, bus, virtual, sums, self.wires[0].send, complain=complain)
+        self.c = Segment(contract, bus, compiled, readings, self.wires[1].send, complain=complain)
         self.segments = self.python, self.c
         for segment in self.segments:
             segment.boot(self.now_s)

@@ -148,7 +148,7 @@ void skin_app_reset(void)
 
 int skin_app_sample(uint16_t *counts)
 {
-    const skin_od_block *block = &skin_od_blocks[0];
+    const skin_block *block = &skin_od_blocks[0];
 
     is_presented = 0;
     skin_od_health[3] = skin_read_block(skin_od_board, counts, block->gain, block->offset, *block->pattern);

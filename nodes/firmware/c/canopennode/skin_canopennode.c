@@ -3,16 +3,20 @@
 #if !SKIN_ADAPTIVE
 
 #include <stddef.h>
-#include <string.h>
 
-#include "skin_average.h"
 #include "skin_od.h"
 #include "skin_sums.h"
 
 static void *sums[SKIN_BLOCKS]; /* raw values, of 8 or 16 bits */
+static uint8_t state;           /* 2008h:1 as of the newest SYNC */
 #if SKIN_SAMPLES > 1
-static skin_average states[SKIN_BLOCKS];
+static skin_average averages[SKIN_BLOCKS];
 #endif
+
+static uint16_t sums_of(uint8_t block)
+{
+    return (uint16_t)(skin_od_board->type->first_sum[block + 1] - skin_od_board->type->first_sum[block]);
+}
 
 int skin_app_init(void)
 {
@@ -23,33 +27,47 @@ int skin_app_init(void)
         const uint16_t index = (uint16_t)(SKIN_OD_SUMS + SKIN_BLOCK_STRIDE * block);
 
         sums[block] = skin_od_value(index, 1, skin_od_board->type->packing.bits == 8 ? 1 : 2);
-        failed |= sums[block] == NULL;
+        failed |= sums[block] == NULL && sums_of(block) > 0;
 #if SKIN_SAMPLES > 1
-        skin_forget(&states[block]);
+        skin_forget(&averages[block]);
 #endif
     }
+    state = SKIN_STATE_RECOGNITION;
     if (!failed) {
         skin_od_reset();
     }
     return failed;
 }
 
-void skin_app_sync(uint16_t *counts, uint16_t samples)
+int skin_app_sends(uint8_t tpdo)
+{
+    return skin_is_of_state(skin_od_board->type, tpdo, state);
+}
+
+uint32_t *skin_app_window_us(void)
+{
+    return skin_od_state != NULL && state == SKIN_STATE_RECOGNITION ? skin_od_value(SKIN_OD_STATE, 2, sizeof(uint32_t))
+                                                                    : skin_od_value(SKIN_OD_WINDOW_US, 0, sizeof(uint32_t));
+}
+
+void skin_app_sync(skin_reading *readings, uint16_t samples)
 {
     int32_t found[SKIN_SUMS];
     uint16_t each;
     uint8_t block;
 
+    if (skin_od_state != NULL) {
+        if (*skin_od_state > SKIN_STATE_IMAGES) {
+            *skin_od_state = state; /* the stack has not checked an RPDO */
+        }
+        state = *skin_od_state;
+    }
     skin_od_health[0]++;
     skin_od_health[3] = 0;
     for (block = 0; block < skin_od_board->type->blocks; block++) {
-        skin_od_health[3] += skin_measure(skin_od_board, block, SKIN_AVERAGE_OF(states, block), counts, samples,
-                                          skin_od_blocks[block].gain, skin_od_blocks[block].offset,
-                                          *skin_od_blocks[block].pattern, found);
-        memcpy(skin_od_blocks[block].counts,
-               &counts[((uint32_t)(samples - 1) * skin_od_board->type->blocks + block) * skin_od_board->type->block_size],
-               skin_od_board->type->block_size * sizeof counts[0]);
-        for (each = 0; each < skin_od_board->type->first_sum[block + 1] - skin_od_board->type->first_sum[block]; each++) {
+        skin_od_health[3] += skin_measure(skin_od_board, block, SKIN_AVERAGE_OF(averages, block), readings, samples,
+                                          &skin_od_blocks[block], found);
+        for (each = 0; each < sums_of(block); each++) {
             const int32_t raw = skin_raw(&skin_od_board->type->packing, found[each]);
 
             if (skin_od_board->type->packing.bits == 8) {

@@ -9,6 +9,7 @@
 #include <stdint.h>
 
 #include "board.h"
+#include "skin_average.h"
 
 /* Of an image for several boards: write what is this board's own into the dictionary, first of all, before CO_CANopenInit and
  * before stored values are read. `bus` is the number of the bus in the layout. Returns 0 on success, 1 if the image has no such
@@ -19,23 +20,37 @@ int skin_app_choose(uint8_t bus, uint8_t node_id);
 #if !SKIN_ADAPTIVE
 
 /*   after CO_CANopenInitPDO      skin_app_init()
- *   in the SYNC interrupt        sample all taxels (CO_SYNC_initCallbackPre tells that the SYNC has come)
- *   in the real-time task        if (CO_process_SYNC(...) says that a SYNC was, with all taxels read)
- *                                    skin_app_sync(counts, samples);      before CO_process_TPDO(...)
+ *   in the SYNC interrupt        read all converters (CO_SYNC_initCallbackPre tells that the SYNC has come)
+ *   in the real-time task        if (CO_process_SYNC(...) says that a SYNC was, with all converters read)
+ *                                    skin_app_sync(readings, samples);    before CO_process_TPDO(...)
  *   in the CAN driver            skin_app_dropped() in CO_CANclearPendingSyncPDOs, for every frame that is given up
+ *
+ * Boards with two states need CO_process_RPDO(...) before skin_app_sync, and in place of CO_process_TPDO, where all TPDOs would
+ * answer the SYNC:
+ *       co->SYNC->OD_1007_window = skin_app_window_us();
+ *       for (each = 0; each < OD_CNT_TPDO; each++) {
+ *           CO_TPDO_process(&co->TPDO[each], passed_us, NULL,
+ *                           co->NMT->operatingState == CO_NMT_OPERATIONAL && skin_app_sends(each), sync_was);
+ *       }
  *
  * Sums of 12 bits need CO_CONFIG_PDO_BITWISE_MAPPING.
  */
 
-/* Connect the objects of the skin with the dictionary; end test patterns; begin to count anew. Returns 0 on success. */
+/* Connect the objects of the skin with the dictionary; end test patterns; begin with recognition; begin to count anew. Returns 0 on
+ * success.
+ */
 int skin_app_init(void);
+
+/* Whether TPDO `tpdo`, from 0, is sent in the state of the newest SYNC; the window of this state, microseconds. */
+int skin_app_sends(uint8_t tpdo);
+uint32_t *skin_app_window_us(void);
 
 /* Make the sums that the next TPDOs carry.
  *
- * counts: what all taxels read since the last SYNC in the order of the chains (2004h), ADC counts; `samples` samples, the
- * last at this SYNC. Boards with SKIN_SAMPLES of 1 use the last sample, others the average. The counts are overwritten.
+ * readings: what the converters read since the last SYNC, `samples` samples of `skin_readings` values, the last at this SYNC.
+ * Boards with SKIN_SAMPLES of 1 use the last sample, others the average. The readings are overwritten.
  */
-void skin_app_sync(uint16_t *counts, uint16_t samples);
+void skin_app_sync(skin_reading *readings, uint16_t samples);
 
 /* Count a TPDO that could not be sent within the window (1007h); the application reports EMCY FF10h. */
 void skin_app_dropped(void);

@@ -13,10 +13,12 @@
 
 #define LONGEST_TEXT 32
 
-skin_od_block skin_od_blocks[SKIN_BLOCKS];
+skin_block skin_od_blocks[SKIN_BLOCKS];
 uint32_t *skin_od_health;
+uint8_t *skin_od_state;
 const skin_board *skin_od_board = &skin_boards[0];
-static OD_extension_t signature_extension, calibration_extension, gain_extension[SKIN_BLOCKS], pattern_extension[SKIN_BLOCKS];
+static OD_extension_t signature_extension, calibration_extension, state_extension;
+static OD_extension_t gain_extension[SKIN_BLOCKS], pattern_extension[SKIN_BLOCKS];
 
 void *skin_od_value(uint16_t index, uint8_t subindex, OD_size_t length)
 {
@@ -115,38 +117,55 @@ static ODR_t write_gain(OD_stream_t *stream, const void *buf, OD_size_t count, O
     return OD_writeOriginal(stream, buf, count, countWritten);
 }
 
-static ODR_t write_pattern(OD_stream_t *stream, const void *buf, OD_size_t count, OD_size_t *countWritten)
+/* Refuse a byte above the one that the object of the extension is. */
+static ODR_t write_choice(OD_stream_t *stream, const void *buf, OD_size_t count, OD_size_t *countWritten)
 {
-    if (count == 1 && *(const uint8_t *)buf > SKIN_PATTERN_FULL) {
+    if (count == 1 && *(const uint8_t *)buf > *(const uint8_t *)stream->object) {
         return ODR_INVALID_VALUE;
     }
     return OD_writeOriginal(stream, buf, count, countWritten);
 }
 
+/* Connect gains, offsets and counts of a block. */
+static int connect_taxels(uint8_t number)
+{
+    const uint16_t above = (uint16_t)(SKIN_BLOCK_STRIDE * number);
+    skin_block *block = &skin_od_blocks[number];
+
+    block->gain = skin_od_value((uint16_t)(SKIN_OD_GAIN + above), 1, sizeof *block->gain);
+    block->offset = skin_od_value((uint16_t)(SKIN_OD_OFFSET + above), 1, sizeof *block->offset);
+    block->counts = skin_od_value((uint16_t)(SKIN_OD_COUNTS + above), 1, sizeof *block->counts);
+    return block->gain == NULL || block->offset == NULL || block->counts == NULL ||
+           skin_od_extend(&gain_extension[number], (uint16_t)(SKIN_OD_GAIN + above), OD_readOriginal, write_gain);
+}
+
 int skin_od_connect(void)
 {
     static uint8_t covered = SKIN_OBJECT_COVERED, calibrated = SKIN_OBJECT_COVERED | SKIN_OBJECT_CALIBRATING;
+    static uint8_t last_pattern = SKIN_PATTERN_FULL, last_state = SKIN_STATE_IMAGES;
     int failed = skin_od_extend(&signature_extension, SKIN_OD_SIGNATURE, read_signature, NULL);
     uint8_t each;
 
-    failed |= skin_od_extend(&calibration_extension, SKIN_OD_CALIBRATION_SIGNATURE, read_signature, NULL);
     signature_extension.object = &covered;
-    calibration_extension.object = &calibrated;
     skin_od_health = skin_od_value(SKIN_OD_HEALTH, 1, sizeof *skin_od_health);
     failed |= skin_od_health == NULL;
+    skin_od_state = skin_od_value(SKIN_OD_STATE, 1, sizeof *skin_od_state);
+    if (skin_od_state != NULL) {
+        failed |= skin_od_extend(&state_extension, SKIN_OD_STATE, OD_readOriginal, write_choice);
+        state_extension.object = &last_state;
+    }
+    if (!SKIN_ANALOGUE) {
+        failed |= skin_od_extend(&calibration_extension, SKIN_OD_CALIBRATION_SIGNATURE, read_signature, NULL);
+        calibration_extension.object = &calibrated;
+    }
     for (each = 0; each < skin_od_board->type->blocks; each++) {
-        const uint16_t above = (uint16_t)(SKIN_BLOCK_STRIDE * each);
-        skin_od_block *block = &skin_od_blocks[each];
+        const uint16_t index = (uint16_t)(SKIN_OD_TEST_PATTERN + SKIN_BLOCK_STRIDE * each);
 
-        block->gain = skin_od_value((uint16_t)(SKIN_OD_GAIN + above), 1, sizeof *block->gain);
-        block->offset = skin_od_value((uint16_t)(SKIN_OD_OFFSET + above), 1, sizeof *block->offset);
-        block->counts = skin_od_value((uint16_t)(SKIN_OD_COUNTS + above), 1, sizeof *block->counts);
-        block->pattern = skin_od_value((uint16_t)(SKIN_OD_TEST_PATTERN + above), 0, sizeof *block->pattern);
-        failed |= block->gain == NULL || block->offset == NULL || block->counts == NULL || block->pattern == NULL;
-        failed |=
-            skin_od_extend(&gain_extension[each], (uint16_t)(SKIN_OD_GAIN + above), OD_readOriginal, write_gain);
-        failed |= skin_od_extend(&pattern_extension[each], (uint16_t)(SKIN_OD_TEST_PATTERN + above), OD_readOriginal,
-                                 write_pattern);
+        skin_od_blocks[each].pattern = skin_od_value(index, 0, 1);
+        failed |= skin_od_blocks[each].pattern == NULL;
+        failed |= skin_od_extend(&pattern_extension[each], index, OD_readOriginal, write_choice);
+        pattern_extension[each].object = &last_pattern;
+        failed |= !SKIN_ANALOGUE && connect_taxels(each);
     }
     return failed;
 }
@@ -157,6 +176,9 @@ void skin_od_reset(void)
 
     for (each = 0; each < skin_od_board->type->blocks; each++) {
         *skin_od_blocks[each].pattern = SKIN_PATTERN_OFF;
+    }
+    if (skin_od_state != NULL) {
+        *skin_od_state = SKIN_STATE_RECOGNITION;
     }
     for (each = 0; each < 4; each++) {
         skin_od_health[each] = 0;

@@ -4,28 +4,23 @@
 
 #include "301/CO_ODinterface.h"
 #include "board.h"
+#include "skin_average.h"
 
 typedef ODR_t skin_od_reader(OD_stream_t *, void *, OD_size_t, OD_size_t *);
 typedef ODR_t skin_od_writer(OD_stream_t *, const void *, OD_size_t, OD_size_t *);
 
-/* Calibration, counts and pattern of a block: 2010h, 2011h, 2012h and 2021h. */
-typedef struct {
-    float *gain;
-    int16_t *offset;
-    uint16_t *counts;
-    uint8_t *pattern;
-} skin_od_block;
-
 /* The board of this image that runs: the first, until skin_app_choose. */
 extern const skin_board *skin_od_board;
-extern skin_od_block skin_od_blocks[SKIN_BLOCKS];
+extern skin_block skin_od_blocks[SKIN_BLOCKS];
 /* 2020h: SYNCs received, TPDOs sent, TPDOs dropped, saturated taxels. */
 extern uint32_t *skin_od_health;
+/* 2008h:1; NULL in boards of one state. */
+extern uint8_t *skin_od_state;
 
 /* Connect signature, calibration, counts and patterns with the dictionary. Returns 0 on success. */
 int skin_od_connect(void);
 
-/* End test patterns, and begin to count anew. */
+/* End test patterns, begin with recognition, and begin to count anew. */
 void skin_od_reset(void);
 
 /* Where a value of the dictionary is, NULL if there is none of that length. */

@@ -15,11 +15,11 @@ static skin_outbox new_outbox(skin_frame *out, size_t capacity)
     return outbox;
 }
 
-/* What the taxels of a board, and then of those behind it, read. */
+/* What the converters of a board, and then of those behind it, read. */
 typedef struct {
-    const uint16_t *counts; /* NULL: nothing */
+    const skin_reading *values; /* NULL: nothing */
     uint16_t samples;
-    uint32_t taxels;
+    uint32_t stride;
 } reading;
 
 static void sample(skin_node *node, const reading *read)
@@ -28,14 +28,14 @@ static void sample(skin_node *node, const reading *read)
     (void)node; /* samples by its own clock */
     (void)read;
 #else
-    uint16_t chain[SKIN_MOST_SAMPLES * SKIN_BLOCKS * SKIN_BLOCK_SIZE];
-    const uint16_t size = (uint16_t)(node->board->type->blocks * node->board->type->block_size);
+    skin_reading own[SKIN_MOST_SAMPLES * SKIN_READINGS];
+    const uint16_t count = skin_readings(node->board);
     uint16_t each;
 
     for (each = 0; each < read->samples; each++) {
-        memcpy(&chain[(uint32_t)each * size], &read->counts[each * read->taxels], size * sizeof chain[0]);
+        memcpy(&own[(uint32_t)each * count], &read->values[each * read->stride], count * sizeof own[0]);
     }
-    skin_sample(node, chain, read->samples);
+    skin_sample(node, own, read->samples);
 #endif
 }
 
@@ -81,21 +81,34 @@ static void pass(skin_node *node, const skin_frame *frame, uint32_t now_ms, cons
     } else if (is_echo) {
         return;
     } else if (can_id == SKIN_SYNC_COB_ID) {
-        if (read->counts != NULL) {
+        if (read->values != NULL) {
             sample(node, read);
         }
         skin_sync(node, frame);
     } else if (can_id == 0) {
         skin_nmt(node, frame, now_ms);
+    } else if (can_id == SKIN_STATE_COB_ID) {
+        skin_switch(node, frame);
     } else if (can_id == SKIN_LSS_REQUEST_COB_ID) {
         skin_lss_request(node, frame, now_ms);
     } else if (can_id == SKIN_SDO_REQUEST_BASE + node->board->node_id && frame->length == 8) {
         skin_request(node, frame, now_ms);
+        if (node->program.is_resetting) {
+            skin_program_init(node, node->program.flash, skin_program_choose(node->program.flash));
+            skin_lss_reset(node, now_ms, 0);
+        }
     }
 }
 
-size_t skin_power_up(skin_node *nodes, uint32_t first, uint32_t boards, const skin_storage *storages, int unnumbered,
-                     uint32_t now_ms, skin_frame *out, size_t capacity)
+/* Connect a board; its serial number stays whatever node-ID LSS gives. */
+static void connect(skin_node *node, uint32_t board, const skin_storage *storages, uint32_t place, skin_outbox *outbox)
+{
+    skin_init(node, &skin_boards[board], outbox, storages == NULL ? NULL : &storages[place]);
+    node->serial_number = skin_unsigned(node, SKIN_OD_IDENTITY, 4);
+}
+
+size_t skin_power_up(skin_node *nodes, uint32_t first, uint32_t boards, const skin_storage *storages,
+                     const skin_flash *flashes, int unnumbered, uint32_t now_ms, skin_frame *out, size_t capacity)
 {
     skin_outbox outbox = new_outbox(out, capacity);
     uint32_t each;
@@ -106,8 +119,9 @@ size_t skin_power_up(skin_node *nodes, uint32_t first, uint32_t boards, const sk
         (void)first;
         (void)storages;
 #else
-        skin_init(&nodes[each], &skin_boards[first + each], &outbox, storages == NULL ? NULL : &storages[each]);
+        connect(&nodes[each], first + each, storages, each, &outbox);
 #endif
+        skin_program_init(&nodes[each], &flashes[each], skin_program_choose(&flashes[each]));
         if (unnumbered) {
             skin_lss_boot(&nodes[each], now_ms);
         } else {
@@ -117,10 +131,10 @@ size_t skin_power_up(skin_node *nodes, uint32_t first, uint32_t boards, const sk
     return outbox.count;
 }
 
-size_t skin_take(skin_node *nodes, uint32_t boards, uint32_t now_ms, const uint16_t *counts, uint16_t samples,
-                 uint32_t taxels, const skin_frame *frames, size_t count, skin_frame *out, size_t capacity)
+size_t skin_take(skin_node *nodes, uint32_t boards, uint32_t now_ms, const skin_reading *readings, uint16_t samples,
+                 uint32_t stride, const skin_frame *frames, size_t count, skin_frame *out, size_t capacity)
 {
-    reading read = {counts, samples, taxels};
+    reading read = {readings, samples, stride};
     skin_outbox outbox = new_outbox(out, capacity);
     uint32_t each;
     size_t place;
@@ -133,12 +147,12 @@ size_t skin_take(skin_node *nodes, uint32_t boards, uint32_t now_ms, const uint1
     }
 #endif
     for (place = 0; place < count; place++) {
-        read.counts = counts;
+        read.values = readings;
         for (each = 0; each < boards; each++) {
             nodes[each].outbox = &outbox;
             pass(&nodes[each], &frames[place], now_ms, &read);
-            if (counts != NULL) {
-                read.counts += nodes[each].board->type->blocks * nodes[each].board->type->block_size;
+            if (readings != NULL) {
+                read.values += skin_readings(nodes[each].board);
             }
         }
     }
@@ -183,7 +197,7 @@ void skin_prepare(skin_node *nodes, uint32_t first, uint32_t boards, const skin_
     uint32_t each;
 
     for (each = 0; each < boards; each++) {
-        skin_init(&nodes[each], &skin_boards[first + each], NULL, storages == NULL ? NULL : &storages[each]);
+        connect(&nodes[each], first + each, storages, each, NULL);
     }
 }
 

@@ -8,20 +8,20 @@
 #define SKIN_MOST_SAMPLES (2 * SKIN_SAMPLES)
 
 /* Power up `boards` boards, from board `first` of board.c on; `nodes` has room for them, `storages` has that of each or is
- * NULL. `unnumbered` boards wait for LSS, unless their storage has a node-ID.
+ * NULL, `flashes` have their programs. `unnumbered` boards wait for LSS, unless their storage has a node-ID.
  *
  * Returns the number of frames written to `out`, at most `capacity`; so do the two functions below.
  */
-size_t skin_power_up(skin_node *nodes, uint32_t first, uint32_t boards, const skin_storage *storages, int unnumbered,
-                     uint32_t now_ms, skin_frame *out, size_t capacity);
+size_t skin_power_up(skin_node *nodes, uint32_t first, uint32_t boards, const skin_storage *storages,
+                     const skin_flash *flashes, int unnumbered, uint32_t now_ms, skin_frame *out, size_t capacity);
 
 /* Pass received frames to the boards of one bus.
  *
- * counts: what the `taxels` taxels of these boards read since the last SYNC in the order of their chains, ADC counts; 1 to
- * SKIN_MOST_SAMPLES `samples`, the last at the SYNC among the frames; NULL without a SYNC. The frames hold one SYNC at most.
+ * readings: what the converters of these boards read since the last SYNC, `stride` values a sample; 1 to SKIN_MOST_SAMPLES
+ * `samples`, the last at the SYNC among the frames; NULL without a SYNC. The frames hold one SYNC at most.
  */
-size_t skin_take(skin_node *nodes, uint32_t boards, uint32_t now_ms, const uint16_t *counts, uint16_t samples,
-                 uint32_t taxels, const skin_frame *frames, size_t count, skin_frame *out, size_t capacity);
+size_t skin_take(skin_node *nodes, uint32_t boards, uint32_t now_ms, const skin_reading *readings, uint16_t samples,
+                 uint32_t stride, const skin_frame *frames, size_t count, skin_frame *out, size_t capacity);
 
 /* Take note of TPDOs that found no room in the transmit queue; returns `count`. */
 size_t skin_refuse(skin_node *nodes, uint32_t boards, const skin_frame *frames, size_t count);

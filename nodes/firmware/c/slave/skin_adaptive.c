@@ -24,7 +24,7 @@ int skin_sample(skin_node *node, uint16_t *counts)
     if (node->sender.filter.taken == 0) { /* power-up: gains and offsets as they were stored */
         skin_restore(node, 0);
     }
-    node->health[3] = skin_read_block(node->board, counts, node->gain, node->offset, node->pattern[0]);
+    node->health[3] = skin_read_block(node->board, counts, node->gain[0], node->offset[0], node->pattern[0]);
     memcpy(node->counts, counts, sizeof node->counts);
     return skin_sender_take(&node->sender, counts);
 }

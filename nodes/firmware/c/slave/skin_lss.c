@@ -11,14 +11,29 @@ static uint32_t address(const skin_node *node, uint8_t place)
     return skin_unsigned(node, SKIN_OD_IDENTITY, (uint8_t)(place + 1));
 }
 
+/* The board of this image with a node-ID on the bus of this one, NULL if it is none or of another type. */
+static const skin_board *image_of(const skin_node *node, uint8_t node_id)
+{
+    const skin_board *board = skin_board_of(node->board->bus, node_id);
+
+    return board != NULL && board->type == node->board->type ? board : NULL;
+}
+
 static void initialise(skin_node *node, uint32_t now_ms, int communication_only)
 {
-    node->lss.node_id = node->lss.wanted;
-    if (node->lss.node_id == SKIN_NO_NODE_ID) {
+    const skin_board *board = image_of(node, node->lss.wanted);
+
+    if (board == NULL) { /* also a node-ID that another program has stored */
+        node->lss.wanted = SKIN_NO_NODE_ID;
         node->state = SKIN_INITIALISING; /* silent */
     } else {
+        if (board != node->board) {
+            skin_become(node, board);
+            communication_only = 0;
+        }
         skin_boot(node, now_ms, communication_only);
     }
+    node->lss.node_id = node->lss.wanted;
 }
 
 void skin_lss_reset(skin_node *node, uint32_t now_ms, int communication_only)
@@ -31,9 +46,9 @@ void skin_lss_reset(skin_node *node, uint32_t now_ms, int communication_only)
         record[0] = lss->lasting;
         record[1] = SKIN_NO_BIT_TIMING;
         if (storage != NULL) {
-            (void)storage->load(storage->context, SKIN_RECORD_LSS, address(node, 3), record, RECORD_BYTES);
+            (void)storage->load(storage->context, SKIN_RECORD_LSS, 0, record, RECORD_BYTES);
         }
-        lss->wanted = record[0] == node->board->node_id ? record[0] : SKIN_NO_NODE_ID;
+        lss->wanted = record[0];
         lss->bit_timing = record[1];
         lss->is_configured = lss->matched = lss->in_range = lss->scanned = 0;
     }
@@ -98,7 +113,7 @@ static uint8_t save(skin_node *node)
     if (storage == NULL) {
         return NOT_SUPPORTED;
     }
-    if (storage->save(storage->context, SKIN_RECORD_LSS, address(node, 3), record, RECORD_BYTES) != 0) {
+    if (storage->save(storage->context, SKIN_RECORD_LSS, 0, record, RECORD_BYTES) != 0) {
         return FAILED;
     }
     node->lss.lasting = record[0];
@@ -113,7 +128,7 @@ static uint8_t configure(skin_node *node, const uint8_t *data, uint8_t *value)
 
     switch (command) {
     case SKIN_LSS_NODE_ID:
-        *value = data[1] == node->board->node_id || data[1] == SKIN_NO_NODE_ID ? DONE : NOT_SUPPORTED;
+        *value = data[1] == SKIN_NO_NODE_ID || image_of(node, data[1]) != NULL ? DONE : NOT_SUPPORTED;
         lss->wanted = *value == DONE ? data[1] : lss->wanted;
         return command;
     case SKIN_LSS_BIT_TIMING:

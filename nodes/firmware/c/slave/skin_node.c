@@ -160,21 +160,20 @@ void skin_refresh(skin_node *node, uint32_t now_ms)
 void skin_init(skin_node *node, const skin_board *board, skin_outbox *outbox, const skin_storage *storage)
 {
     memset(node, 0, sizeof *node);
-    node->board = board;
     node->outbox = outbox;
-#if SKIN_ADAPTIVE
-    node->sender.board = board;
-#endif
     node->storage = storage;
     node->lss.node_id = node->lss.wanted = node->lss.lasting = board->node_id;
     node->lss.bit_timings = SKIN_BIT_TIMINGS;
-    skin_load(node);
+    skin_become(node, board);
 }
 
 void skin_boot(skin_node *node, uint32_t now_ms, int communication_only)
 {
+    static const uint8_t recognition = SKIN_STATE_RECOGNITION;
+
     node->state = SKIN_INITIALISING;
     skin_restore(node, communication_only);
+    (void)skin_write(node, SKIN_OD_STATE, 1, &recognition, sizeof recognition);
     memset(node->active, 0, sizeof node->active);
     node->history_count = node->waiting_count = 0;
     node->emcy_free_ms = now_ms;
@@ -182,6 +181,8 @@ void skin_boot(skin_node *node, uint32_t now_ms, int communication_only)
     memset(node->health, 0, sizeof node->health);
 #if SKIN_ADAPTIVE
     skin_sender_forget(&node->sender);
+#else
+    node->skin_state = SKIN_STATE_RECOGNITION;
 #endif
     node->changed = 1;
     skin_refresh(node, now_ms);
@@ -302,6 +303,13 @@ void skin_sync(skin_node *node, const skin_frame *sync)
     skin_answer(node, sync, counter);
 }
 
+void skin_switch(skin_node *node, const skin_frame *rpdo)
+{
+    if (node->state == SKIN_OPERATIONAL) {
+        (void)skin_write(node, SKIN_OD_STATE, 1, rpdo->data, rpdo->length);
+    }
+}
+
 void skin_tick(skin_node *node, uint32_t now_ms)
 {
     if (node->state == SKIN_INITIALISING) {
@@ -313,6 +321,7 @@ void skin_tick(skin_node *node, uint32_t now_ms)
     }
     watch(node, now_ms);
     note_state(node);
+    skin_sdo_tick(node, now_ms);
     if (node->state == SKIN_STOPPED) {
         return;
     }

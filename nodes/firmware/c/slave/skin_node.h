@@ -1,8 +1,8 @@
 /* A small CANopen slave (CiA 301) that sends the sums of one board; no heap, no operating system.
  *
  * NMT, heartbeat producer and consumer, SYNC, TPDOs of the transmission types 0 to 240, 254 and 255, or of adaptive sums,
- * EMCY, one SDO server with expedited and segmented transfers, and the objects of a skin node. Every function returns at
- * once.
+ * EMCY, one SDO server with expedited and segmented transfers, program download in blocks, and the objects of a skin node.
+ * Every function returns at once, but for what the driver's flash memory takes.
  */
 #ifndef SKIN_NODE_H
 #define SKIN_NODE_H
@@ -11,6 +11,7 @@
 
 #include "board.h"
 #include "skin_average.h"
+#include "skin_program.h"
 #include "skin_storage.h"
 #include "skin_sums.h"
 #if SKIN_ADAPTIVE
@@ -64,12 +65,16 @@ typedef struct {
 typedef struct {
     uint16_t index;
     uint8_t subindex;
-    uint8_t mode; /* 0: no transfer, 1: upload, 2: download */
+    uint8_t mode; /* 0: no transfer; upload, download, blocks of a download, end of these */
     uint8_t toggle;
     uint16_t done;  /* bytes transferred */
     uint16_t bytes; /* of an upload */
     const uint8_t *source;
     uint8_t data[8]; /* of a download; no object that can be written is longer */
+    uint8_t number;  /* of the newest segment of a block that came in its order */
+    uint8_t has_crc; /* the client sends a CRC */
+    uint16_t crc;    /* of the blocks */
+    uint32_t due_ms; /* the client has given up a block download */
 } skin_sdo;
 
 /* LSS (CiA 305). What follows `is_configured` is between the slave and the driver. */
@@ -96,10 +101,10 @@ typedef struct {
     uint8_t has_stored;
     uint8_t values[SKIN_WRITABLE_BYTES]; /* of objects that SDO can write */
     uint8_t stored[SKIN_WRITABLE_BYTES]; /* what 1010h has stored */
-    float gain[SKIN_BLOCKS * SKIN_BLOCK_SIZE];
-    int16_t offset[SKIN_BLOCKS * SKIN_BLOCK_SIZE];
+    float gain[SKIN_BLOCKS][SKIN_CALIBRATED];
+    int16_t offset[SKIN_BLOCKS][SKIN_CALIBRATED];
     uint8_t pattern[SKIN_BLOCKS];
-    uint16_t counts[SKIN_BLOCKS * SKIN_BLOCK_SIZE]; /* 2012h: the newest sample, corrected */
+    uint16_t counts[SKIN_BLOCKS][SKIN_CALIBRATED]; /* 2012h: the newest sample, corrected */
 #if SKIN_ADAPTIVE
     skin_sender sender;
 #else
@@ -108,10 +113,12 @@ typedef struct {
 #endif
     int32_t sums[SKIN_SUMS]; /* at the newest SYNC, ADC counts */
     skin_tpdo tpdos[SKIN_TPDOS];
+    uint8_t skin_state; /* 2008h:1 as of the newest SYNC: whose TPDOs are sent */
 #endif
     uint32_t health[4];      /* 2020h: SYNCs received, TPDOs sent, TPDOs dropped, saturated taxels */
     skin_sdo sdo;
     skin_lss lss;
+    skin_program program;
     skin_watch watched[SKIN_WATCHED];
     uint32_t heartbeat_ms, heartbeat_due_ms;
     uint8_t active[SKIN_ERRORS];
@@ -120,12 +127,16 @@ typedef struct {
     uint8_t waiting[SKIN_ERRORS_KEPT][8]; /* emergencies, oldest first */
     uint8_t waiting_count;
     uint32_t emcy_free_ms;
+    uint32_t serial_number; /* 1018h:4, for the driver to set after skin_init; 0: that of board.c for this node-ID */
 } skin_node;
 
 /* Connect a node to its board, its outbox and its storage, and read what 1010h has stored; to be called once, before
  * everything else.
  */
 void skin_init(skin_node *node, const skin_board *board, skin_outbox *outbox, const skin_storage *storage);
+
+/* Connect the memory of programs, which must outlive the node, and the slot that runs; after skin_init, or not at all. */
+void skin_program_init(skin_node *node, const skin_flash *flash, uint8_t slot);
 
 /* Boot: restore parameters, send the boot-up message, enter PRE-OPERATIONAL. Times are milliseconds that may wrap. */
 void skin_boot(skin_node *node, uint32_t now_ms, int communication_only);
@@ -165,11 +176,10 @@ void skin_send_group(skin_node *node, uint8_t group, int64_t now_ns, int64_t exp
 
 #else
 
-/* Take what the taxels read since the last SYNC, ADC counts: `samples` samples, the last at this SYNC, each of all taxels
- * in the order of the chains. Boards with SKIN_SAMPLES of 1 use the last sample, others the average. The counts are
- * overwritten.
+/* Take what the converters read since the last SYNC: `samples` samples, the last at this SYNC, each of `skin_readings`
+ * values. Boards with SKIN_SAMPLES of 1 use the last sample, others the average. The readings are overwritten.
  */
-void skin_sample(skin_node *node, uint16_t *counts, uint16_t samples);
+void skin_sample(skin_node *node, skin_reading *readings, uint16_t samples);
 
 #endif
 
@@ -181,6 +191,9 @@ void skin_nmt(skin_node *node, const skin_frame *command, uint32_t now_ms);
 void skin_heard(skin_node *node, uint8_t node_id, uint32_t now_ms);
 void skin_request(skin_node *node, const skin_frame *request, uint32_t now_ms);
 void skin_given_up(skin_node *node, const skin_frame *frame);
+
+/* Take the RPDO with the state of all boards (SKIN_STATE_COB_ID), which holds from the next SYNC on; boards of one state have none. */
+void skin_switch(skin_node *node, const skin_frame *rpdo);
 
 /* Answer a request of LSS (SKIN_LSS_REQUEST_COB_ID); the board may boot with a new node-ID. */
 void skin_lss_request(skin_node *node, const skin_frame *request, uint32_t now_ms);
@@ -201,10 +214,11 @@ const skin_object *skin_mapped(const skin_node *node, uint32_t entry); /* of a m
 uint8_t skin_watched_node(uint32_t entry); /* of an entry of 1016h, 0 for none */
 uint32_t skin_missing(const skin_board *board, uint16_t index);
 uint32_t skin_write(skin_node *node, uint16_t index, uint8_t subindex, const uint8_t *data, uint16_t length);
-void skin_load(skin_node *node);
+void skin_become(skin_node *node, const skin_board *board); /* with the constants of another board */
 void skin_lss_reset(skin_node *node, uint32_t now_ms, int communication_only);
 void skin_restore(skin_node *node, int communication_only);
 void skin_refresh(skin_node *node, uint32_t now_ms);
+void skin_sdo_tick(skin_node *node, uint32_t now_ms);
 void skin_raise(skin_node *node, uint8_t error, uint64_t field);
 void skin_settle(skin_node *node, uint8_t error);
 uint8_t skin_error_register(const skin_node *node);

@@ -91,7 +91,7 @@ static uint32_t computed(const skin_node *node, const skin_object *object)
     const uint8_t subindex = object->subindex;
 
     if (of_first_block(object->index) == SKIN_OD_COUNTS) {
-        return node->counts[block_of(object->index) * node->board->type->block_size + subindex - 1];
+        return node->counts[block_of(object->index)][subindex - 1];
     }
     switch (object->index) {
     case SKIN_OD_ERROR_REGISTER:
@@ -107,6 +107,11 @@ static uint32_t computed(const skin_node *node, const skin_object *object)
         return signature(node, SKIN_OBJECT_COVERED | SKIN_OBJECT_CALIBRATING);
     case SKIN_OD_HEALTH:
         return node->health[subindex - 1];
+    case SKIN_OD_PROGRAM_DATA:
+    case SKIN_OD_PROGRAM_CONTROL:
+    case SKIN_OD_PROGRAM_ID:
+    case SKIN_OD_FLASH_STATUS:
+        return skin_program_value(&node->program, object->index);
     default: /* the sums */
 #if SKIN_ADAPTIVE
         return (uint32_t)skin_raw(&node->board->type->packing, skin_sender_sum(&node->sender, (uint8_t)(subindex - 1)));
@@ -126,6 +131,10 @@ const uint8_t *skin_value(const skin_node *node, const skin_object *object, uint
         return adaptive;
     }
 #endif
+    if (object->index == SKIN_OD_IDENTITY && object->subindex == 4 && node->serial_number != 0) {
+        skin_put(scratch, node->serial_number, object->bytes);
+        return scratch;
+    }
     if (object->at == SKIN_OBJECT_COMPUTED) {
         if (object->index == SKIN_OD_ERROR_FIELD && object->subindex > node->history_count) {
             return NULL;
@@ -260,7 +269,7 @@ static uint32_t check_write(const skin_node *node, uint16_t index, uint8_t subin
     if (SKIN_OD_TPDO_COMMUNICATION <= index && index < SKIN_OD_TPDO_MAPPING) {
         return check_communication(node, index, subindex, value);
     }
-    if (SKIN_OD_TPDO_MAPPING <= index && index < SKIN_OD_MANUFACTURER) {
+    if (SKIN_OD_TPDO_MAPPING <= index && index < SKIN_OD_TPDO_END) {
         return check_mapping(node, index, subindex, value);
     }
     switch (of_first_block(index)) {
@@ -289,6 +298,8 @@ static uint32_t check_write(const skin_node *node, uint16_t index, uint8_t subin
         return (value >> 23 & 0xFFu) == 0xFFu ? SKIN_ABORT_VALUE : 0;
     case SKIN_OD_TEST_PATTERN:
         return value > SKIN_PATTERN_FULL ? SKIN_ABORT_VALUE : 0;
+    case SKIN_OD_STATE:
+        return value > SKIN_STATE_IMAGES ? SKIN_ABORT_VALUE : 0;
     default:
 #if SKIN_ADAPTIVE
         return skin_sender_allows(index, subindex, value) ? 0 : SKIN_ABORT_VALUE;
@@ -303,14 +314,13 @@ static void adjust(skin_node *node, const skin_object *object)
 {
     const uint8_t block = block_of(object->index);
     const uint32_t value = skin_get(&node->values[object->at], object->bytes);
-    const uint16_t place = (uint16_t)(block * node->board->type->block_size + object->subindex - 1);
 
     switch (of_first_block(object->index)) {
     case SKIN_OD_GAIN:
-        memcpy(&node->gain[place], &value, sizeof value); /* both have the same byte order */
+        memcpy(&node->gain[block][object->subindex - 1], &value, sizeof value); /* both have the same byte order */
         break;
     case SKIN_OD_OFFSET:
-        node->offset[place] = (int16_t)(value < 0x8000u ? (int32_t)value : (int32_t)value - 0x10000);
+        node->offset[block][object->subindex - 1] = (int16_t)(value < 0x8000u ? (int32_t)value : (int32_t)value - 0x10000);
         break;
     case SKIN_OD_TEST_PATTERN:
         node->pattern[block] = (uint8_t)value;
@@ -345,10 +355,14 @@ static uint32_t key_of(const skin_node *node)
     return key;
 }
 
-void skin_load(skin_node *node)
+void skin_become(skin_node *node, const skin_board *board)
 {
     const skin_storage *storage = node->storage;
 
+    node->board = board;
+#if SKIN_ADAPTIVE
+    node->sender.board = board;
+#endif
     node->has_stored = storage != NULL && storage->load(storage->context, SKIN_RECORD_PARAMETERS, key_of(node),
                                                         node->stored, node->board->type->writable_bytes) == 0;
 }
@@ -387,7 +401,9 @@ uint32_t skin_write(skin_node *node, uint16_t index, uint8_t subindex, const uin
     if (abort != 0) {
         return abort;
     }
-    if (index == SKIN_OD_ERROR_FIELD) {
+    if (index == SKIN_OD_PROGRAM_CONTROL) {
+        return skin_program_control(&node->program, data[0]);
+    } else if (index == SKIN_OD_ERROR_FIELD) {
         node->history_count = 0;
     } else if (index == SKIN_OD_STORE) {
         return save(node, node->board->type->writable_bytes);

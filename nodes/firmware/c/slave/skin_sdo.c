@@ -1,4 +1,4 @@
-/* The SDO server (CiA 301, 7.2.4): expedited and segmented transfers; block transfer is refused. */
+/* The SDO server (CiA 301, 7.2.4): expedited and segmented transfers; block transfer for programs (1F50h) alone. */
 #include <string.h>
 
 #include "skin_node.h"
@@ -9,10 +9,18 @@ enum { DOWNLOAD_SEGMENT = 0, DOWNLOAD = 1, UPLOAD = 2, UPLOAD_SEGMENT = 3, ABORT
 #define EXPEDITED 0x02u
 #define SIZE_SPECIFIED 0x01u
 #define NO_MORE_DATA 0x01u
-/* More bytes than any object has. */
+#define CRC_SUPPORTED 0x04u
+/* Of block download: answers to the begin, to a block, and to the end. */
+enum { BLOCKS_BEGIN = 0xA0, BLOCK_TAKEN = 0xA2, BLOCKS_TAKEN = 0xA1 };
+/* Segments of a block: at most 127. A board whose flash memory is slow takes fewer. */
+#ifndef SKIN_BLOCK_SEGMENTS
+#define SKIN_BLOCK_SEGMENTS 127u
+#endif
+#define BLOCK_TIMEOUT_MS 1000u
+/* More bytes than any object but a program has. */
 #define LONGEST_VALUE 256u
 
-enum { IDLE, SENDING, TAKING };
+enum { IDLE, SENDING, TAKING, BLOCKS, ENDING };
 
 static void respond(skin_node *node, const uint8_t *response)
 {
@@ -44,16 +52,34 @@ static void accept(skin_node *node, uint8_t command, const uint8_t *data, uint8_
     respond(node, response);
 }
 
+static int is_program(const skin_node *node)
+{
+    return node->sdo.index == SKIN_OD_PROGRAM_DATA && node->sdo.subindex == 1;
+}
+
+/* Abort the transfer with a code other than 0; tell whether the code was 0. */
+static int is_taken(skin_node *node, uint32_t code)
+{
+    if (code != 0) {
+        abort_transfer(node, code);
+    }
+    return code == 0;
+}
+
 /* Answer an upload: a value of more than four bytes follows in segments. */
 static void upload(skin_node *node)
 {
     skin_sdo *sdo = &node->sdo;
     const skin_object *object = skin_find(node->board, sdo->index, sdo->subindex);
-    uint8_t scratch[SKIN_NUMBER_BYTES];
+    uint8_t scratch[SKIN_NUMBER_BYTES], bytes;
     const uint8_t *value;
 
     if (object == NULL) {
         abort_transfer(node, skin_missing(node->board, sdo->index));
+        return;
+    }
+    if (is_program(node)) {
+        abort_transfer(node, SKIN_ABORT_WRITE_ONLY);
         return;
     }
     value = skin_value(node, object, scratch);
@@ -61,20 +87,24 @@ static void upload(skin_node *node)
         abort_transfer(node, SKIN_ABORT_NO_DATA);
         return;
     }
-    if (object->bytes <= 4) {
-        accept(node, (uint8_t)(0x43u | (4u - object->bytes) << 2), value, object->bytes);
+    bytes = object->bytes;
+    if (sdo->index == SKIN_OD_SOFTWARE_VERSION) {
+        value = skin_program_version(&node->program, value, &bytes);
+    }
+    if (bytes <= 4) {
+        accept(node, (uint8_t)(0x43u | (4u - bytes) << 2), value, bytes);
         return;
     }
     if (value == scratch) { /* a number may change during the transfer, a text does not */
-        memcpy(sdo->data, scratch, object->bytes);
+        memcpy(sdo->data, scratch, bytes);
         value = sdo->data;
     }
     sdo->mode = SENDING;
     sdo->toggle = 0;
     sdo->done = 0;
-    sdo->bytes = object->bytes;
+    sdo->bytes = bytes;
     sdo->source = value;
-    skin_put(scratch, object->bytes, 4);
+    skin_put(scratch, bytes, 4);
     accept(node, 0x41u, scratch, 4);
 }
 
@@ -108,12 +138,7 @@ static void upload_segment(skin_node *node, uint8_t command)
 /* Write the data of a download; tell whether the object took them. */
 static int is_written(skin_node *node, const uint8_t *data, uint16_t length)
 {
-    const uint32_t code = skin_write(node, node->sdo.index, node->sdo.subindex, data, length);
-
-    if (code != 0) {
-        abort_transfer(node, code);
-    }
-    return code == 0;
+    return is_taken(node, skin_write(node, node->sdo.index, node->sdo.subindex, data, length));
 }
 
 static void download(skin_node *node, const uint8_t *request)
@@ -123,6 +148,9 @@ static void download(skin_node *node, const uint8_t *request)
     uint8_t size = 4;
 
     if ((command & EXPEDITED) == 0) {
+        if (is_program(node) && !is_taken(node, skin_program_begin(&node->program))) {
+            return;
+        }
         node->sdo.mode = TAKING;
         node->sdo.toggle = 0;
         node->sdo.done = 0;
@@ -161,14 +189,17 @@ static void download_segment(skin_node *node, const uint8_t *request)
         abort_transfer(node, SKIN_ABORT_TOGGLE);
         return;
     }
-    for (place = 0; place < size; place++) {
-        if (sdo->done < sizeof sdo->data) { /* no object that can be written is longer */
+    if (is_program(node) && !is_taken(node, skin_program_take(&node->program, &request[1], size))) {
+        return;
+    }
+    for (place = 0; place < size && !is_program(node); place++) {
+        if (sdo->done < sizeof sdo->data) { /* no other object that can be written is longer */
             sdo->data[sdo->done] = request[1 + place];
         }
         sdo->done++;
     }
     if ((command & NO_MORE_DATA) != 0) {
-        if (!is_written(node, sdo->data, sdo->done)) {
+        if (is_program(node) ? !is_taken(node, skin_program_end(&node->program)) : !is_written(node, sdo->data, sdo->done)) {
             return;
         }
         sdo->mode = IDLE;
@@ -194,6 +225,100 @@ static void block_upload(skin_node *node, const uint8_t *request)
     }
 }
 
+/* Block download (CiA 301, 7.2.4.3.9 to 7.2.4.3.11), of a program alone: other objects are short. */
+
+static void block_download(skin_node *node, const uint8_t *request, uint32_t now_ms)
+{
+    skin_sdo *sdo = &node->sdo;
+    uint8_t block_segments[] = {SKIN_BLOCK_SEGMENTS};
+
+    if ((request[0] & 1u) != 0 || !is_program(node)) {
+        abort_transfer(node, SKIN_ABORT_COMMAND);
+        return;
+    }
+    if (!is_taken(node, skin_program_begin(&node->program))) {
+        return;
+    }
+    sdo->mode = BLOCKS;
+    sdo->number = 0;
+    sdo->done = 0;
+    sdo->crc = 0;
+    sdo->has_crc = request[0] & CRC_SUPPORTED;
+    sdo->due_ms = now_ms + BLOCK_TIMEOUT_MS;
+    accept(node, BLOCKS_BEGIN | CRC_SUPPORTED, block_segments, sizeof block_segments);
+}
+
+/* CRC of block transfers (CiA 301, 7.2.4.3.16): polynomial 1021h, initial value 0. */
+static uint16_t add_to_crc(uint16_t crc, const uint8_t *data, uint8_t bytes)
+{
+    uint8_t bit;
+
+    while (bytes-- > 0) {
+        crc = (uint16_t)(crc ^ *data++ << 8);
+        for (bit = 0; bit < 8; bit++) {
+            crc = (uint16_t)((crc & 0x8000u) != 0 ? crc << 1 ^ 0x1021 : crc << 1);
+        }
+    }
+    return crc;
+}
+
+/* Take the first `bytes` of the segment that waits: how many of the last segment count is told by the end. */
+static int is_waiting_taken(skin_node *node, uint8_t bytes)
+{
+    skin_sdo *sdo = &node->sdo;
+
+    sdo->crc = add_to_crc(sdo->crc, sdo->data, bytes);
+    return is_taken(node, skin_program_take(&node->program, sdo->data, bytes));
+}
+
+static void block_segment(skin_node *node, const uint8_t *request, uint32_t now_ms)
+{
+    skin_sdo *sdo = &node->sdo;
+    const uint8_t number = request[0] & 0x7Fu, is_last = request[0] >> 7;
+    uint8_t response[8] = {BLOCK_TAKEN, 0, SKIN_BLOCK_SEGMENTS};
+
+    sdo->due_ms = now_ms + BLOCK_TIMEOUT_MS;
+    if (number == sdo->number + 1) {
+        if (sdo->done > 0 && !is_waiting_taken(node, (uint8_t)sdo->done)) {
+            return;
+        }
+        sdo->done = 7;
+        memcpy(sdo->data, &request[1], 7);
+        sdo->number = number;
+        sdo->mode = is_last ? ENDING : BLOCKS;
+    }
+    if (is_last || number >= SKIN_BLOCK_SEGMENTS) { /* the client sends again what came after a gap */
+        response[1] = sdo->number;
+        sdo->number = 0;
+        respond(node, response);
+    }
+}
+
+static void end_blocks(skin_node *node, const uint8_t *request)
+{
+    skin_sdo *sdo = &node->sdo;
+    uint8_t response[8] = {BLOCKS_TAKEN};
+
+    if (!is_waiting_taken(node, (uint8_t)(7u - (request[0] >> 2 & 7u)))) {
+        return;
+    }
+    if (sdo->has_crc && sdo->crc != skin_get(&request[1], 2)) {
+        abort_transfer(node, SKIN_ABORT_CRC);
+        return;
+    }
+    if (is_taken(node, skin_program_end(&node->program))) {
+        sdo->mode = IDLE;
+        respond(node, response);
+    }
+}
+
+void skin_sdo_tick(skin_node *node, uint32_t now_ms)
+{
+    if ((node->sdo.mode == BLOCKS || node->sdo.mode == ENDING) && skin_is_due(now_ms, node->sdo.due_ms)) {
+        abort_transfer(node, SKIN_ABORT_TIMEOUT);
+    }
+}
+
 void skin_request(skin_node *node, const skin_frame *request, uint32_t now_ms)
 {
     const uint8_t *data = request->data;
@@ -202,9 +327,23 @@ void skin_request(skin_node *node, const skin_frame *request, uint32_t now_ms)
     if (node->state != SKIN_PRE_OPERATIONAL && node->state != SKIN_OPERATIONAL) {
         return;
     }
+    skin_program_keep(&node->program); /* the program has been reached over the bus */
+    if (node->sdo.mode == BLOCKS && data[0] != ABORT << 5) {
+        block_segment(node, data, now_ms);
+        return;
+    }
+    if (node->sdo.mode == ENDING && specifier == BLOCK_DOWNLOAD && (data[0] & 1u) != 0) {
+        end_blocks(node, data);
+        return;
+    }
     if (specifier == DOWNLOAD || specifier == UPLOAD || specifier == BLOCK_UPLOAD || specifier == BLOCK_DOWNLOAD) {
         node->sdo.index = (uint16_t)skin_get(&data[1], 2);
         node->sdo.subindex = data[3];
+        if (SKIN_OD_PROGRAM_DATA <= node->sdo.index && node->sdo.index <= SKIN_OD_FLASH_STATUS &&
+            node->program.flash == NULL) {
+            abort_transfer(node, SKIN_ABORT_NO_OBJECT);
+            return;
+        }
     }
     switch (specifier) {
     case DOWNLOAD_SEGMENT:
@@ -226,6 +365,10 @@ void skin_request(skin_node *node, const skin_frame *request, uint32_t now_ms)
         break;
     case BLOCK_UPLOAD:
         block_upload(node, data);
+        break;
+    case BLOCK_DOWNLOAD:
+        node->sdo.mode = IDLE;
+        block_download(node, data, now_ms);
         break;
     default:
         abort_transfer(node, SKIN_ABORT_COMMAND);

@@ -6,38 +6,43 @@
 
 enum { NUMBER = 0, KEY = 4, BYTES = 8, CRC = 12 }; /* places in the head */
 
-/* Read the head of a slot; tell whether head and data are whole. */
-static int is_whole(const skin_flash *flash, uint8_t slot, uint8_t *head)
+/* Compute the CRC-32 of head and data of a slot; returns 0 on success. */
+static int compute_crc(const skin_flash *flash, uint8_t slot, const uint8_t *head, uint32_t *crc)
 {
+    const uint32_t bytes = skin_get(&head[BYTES], 4);
     uint8_t part[SKIN_SLOT_HEAD];
-    uint32_t crc, bytes, at;
+    uint32_t at;
 
-    if (flash->read(flash->context, slot, 0, head, SKIN_SLOT_HEAD) != 0) {
-        return 0;
-    }
-    bytes = skin_get(&head[BYTES], 4);
     if (bytes > flash->slot_bytes - SKIN_SLOT_HEAD) {
-        return 0;
+        return 1;
     }
-    crc = skin_crc32(0, head, CRC);
+    *crc = skin_crc32(0, head, CRC);
     for (at = 0; at < bytes; at += sizeof part) {
         const uint16_t count = (uint16_t)(bytes - at < sizeof part ? bytes - at : sizeof part);
 
-        if (flash->read(flash->context, slot, (uint16_t)(SKIN_SLOT_HEAD + at), part, count) != 0) {
-            return 0;
+        if (flash->read(flash->context, slot, SKIN_SLOT_HEAD + at, part, count) != 0) {
+            return 1;
         }
-        crc = skin_crc32(crc, part, count);
+        *crc = skin_crc32(*crc, part, count);
     }
-    return crc == skin_get(&head[CRC], 4);
+    return 0;
+}
+
+int skin_slot_is_whole(const skin_flash *flash, uint8_t slot, uint8_t *head)
+{
+    uint32_t crc;
+
+    return flash->read(flash->context, slot, 0, head, SKIN_SLOT_HEAD) == 0 && compute_crc(flash, slot, head, &crc) == 0 &&
+           crc == skin_get(&head[CRC], 4);
 }
 
 /* The slot with the newest whole record, and its head; 0xFF for none. */
-static uint8_t newest(const skin_flash *flash, uint8_t record, uint8_t *head)
+uint8_t skin_slot_newest(const skin_flash *flash, uint8_t record, uint8_t *head)
 {
     uint8_t heads[2][SKIN_SLOT_HEAD], whole[2], each;
 
     for (each = 0; each < 2; each++) {
-        whole[each] = is_whole(flash, (uint8_t)(2 * record + each), heads[each]) != 0;
+        whole[each] = (uint8_t)skin_slot_is_whole(flash, (uint8_t)(2 * record + each), heads[each]);
     }
     if (!whole[0] && !whole[1]) {
         return 0xFF;
@@ -51,7 +56,7 @@ static int load(void *context, uint8_t record, uint32_t key, uint8_t *data, uint
 {
     const skin_flash *flash = context;
     uint8_t head[SKIN_SLOT_HEAD];
-    const uint8_t slot = newest(flash, record, head);
+    const uint8_t slot = skin_slot_newest(flash, record, head);
 
     if (slot == 0xFF || skin_get(&head[KEY], 4) != key || skin_get(&head[BYTES], 4) != bytes) {
         return 1;
@@ -63,7 +68,7 @@ static int save(void *context, uint8_t record, uint32_t key, const uint8_t *data
 {
     const skin_flash *flash = context;
     uint8_t head[SKIN_SLOT_HEAD];
-    uint8_t slot = newest(flash, record, head);
+    uint8_t slot = skin_slot_newest(flash, record, head);
     const uint32_t number = slot == 0xFF ? 0 : skin_get(&head[NUMBER], 4) + 1;
 
     slot = slot == 0xFF ? (uint8_t)(2 * record) : slot ^ 1u;
@@ -77,7 +82,23 @@ static int save(void *context, uint8_t record, uint32_t key, const uint8_t *data
         flash->write(flash->context, slot, 0, head, SKIN_SLOT_HEAD) != 0) {
         return 1;
     }
-    return is_whole(flash, slot, head) ? 0 : 1;
+    return skin_slot_is_whole(flash, slot, head) ? 0 : 1;
+}
+
+int skin_slot_seal(const skin_flash *flash, uint8_t slot, uint32_t bytes)
+{
+    uint8_t head[SKIN_SLOT_HEAD];
+    const uint32_t number = skin_slot_newest(flash, slot / 2, head) == 0xFF ? 0 : skin_get(&head[NUMBER], 4) + 1;
+    uint32_t crc;
+
+    memset(head, 0, sizeof head);
+    skin_put(&head[NUMBER], number, 4);
+    skin_put(&head[BYTES], bytes, 4);
+    if (compute_crc(flash, slot, head, &crc) != 0) {
+        return 1;
+    }
+    skin_put(&head[CRC], crc, 4);
+    return flash->write(flash->context, slot, 0, head, sizeof head) != 0 || !skin_slot_is_whole(flash, slot, head);
 }
 
 skin_storage skin_slots(const skin_flash *flash)

@@ -12,13 +12,20 @@
  */
 typedef struct {
     int (*erase)(void *context, uint8_t slot);
-    int (*write)(void *context, uint8_t slot, uint16_t at, const uint8_t *data, uint16_t bytes);
-    int (*read)(void *context, uint8_t slot, uint16_t at, uint8_t *data, uint16_t bytes);
-    uint16_t slot_bytes; /* of each slot */
+    int (*write)(void *context, uint8_t slot, uint32_t at, const uint8_t *data, uint16_t bytes);
+    int (*read)(void *context, uint8_t slot, uint32_t at, uint8_t *data, uint16_t bytes);
+    uint32_t slot_bytes; /* of each slot */
     void *context;       /* passed to all */
 } skin_flash;
 
 /* The storage function; `flash` must outlive it. */
 skin_storage skin_slots(const skin_flash *flash);
+
+/* Of program download: whether a slot is whole, its head; the slot of the newest whole record, 0xFF for none; make a slot whole, after
+ * its data. The latter returns 0 on success.
+ */
+int skin_slot_is_whole(const skin_flash *flash, uint8_t slot, uint8_t *head);
+uint8_t skin_slot_newest(const skin_flash *flash, uint8_t record, uint8_t *head);
+int skin_slot_seal(const skin_flash *flash, uint8_t slot, uint32_t bytes);
 
 #endif

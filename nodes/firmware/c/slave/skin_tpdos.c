@@ -95,32 +95,39 @@ static int is_turn(const skin_tpdo *tpdo, uint8_t counter)
     return tpdo->syncs % every == 0;
 }
 
-void skin_sample(skin_node *node, uint16_t *counts, uint16_t samples)
+void skin_sample(skin_node *node, skin_reading *readings, uint16_t samples)
 {
     const skin_board *board = node->board;
-    const uint16_t size = (uint16_t)(board->type->blocks * board->type->block_size);
-    uint8_t block;
+    uint8_t number;
 
     node->health[3] = 0;
-    for (block = 0; block < board->type->blocks; block++) {
-        const uint16_t first = (uint16_t)(block * board->type->block_size);
+    for (number = 0; number < board->type->blocks; number++) {
+        const skin_block block = {node->gain[number], node->offset[number], node->counts[number], &node->pattern[number]};
 
-        node->health[3] += skin_measure(board, block, SKIN_AVERAGE_OF(node->averages, block), counts, samples,
-                                        &node->gain[first], &node->offset[first], node->pattern[block],
-                                        &node->sums[board->type->first_sum[block]]);
+        node->health[3] += skin_measure(board, number, SKIN_AVERAGE_OF(node->averages, number), readings, samples, &block,
+                                        &node->sums[board->type->first_sum[number]]);
     }
-    memcpy(node->counts, &counts[(uint32_t)(samples - 1) * size], size * sizeof counts[0]);
+}
+
+/* Synchronous window of the present state. */
+static uint32_t window_of_state(const skin_node *node)
+{
+    return node->board->type->image_tpdos > 0 && node->skin_state == SKIN_STATE_RECOGNITION
+               ? skin_unsigned(node, SKIN_OD_STATE, 2)
+               : skin_unsigned(node, SKIN_OD_WINDOW_US, 0);
 }
 
 void skin_answer(skin_node *node, const skin_frame *sync, uint8_t counter)
 {
-    const uint32_t window_us = skin_unsigned(node, SKIN_OD_WINDOW_US, 0);
+    uint32_t window_us;
     int64_t latest_ns = NO_WINDOW_NS;
     uint8_t number;
 
     if (node->state != SKIN_OPERATIONAL) {
         return;
     }
+    node->skin_state = (uint8_t)skin_unsigned(node, SKIN_OD_STATE, 1);
+    window_us = window_of_state(node);
     if (window_us > 0) { /* so that the frame ends inside the window */
         latest_ns = (int64_t)window_us * 1000 - node->board->type->frame_ns;
         latest_ns = latest_ns < 1 ? 1 : latest_ns;
@@ -129,7 +136,7 @@ void skin_answer(skin_node *node, const skin_frame *sync, uint8_t counter)
         skin_tpdo *tpdo = &node->tpdos[number];
         skin_frame frame;
 
-        if (tpdo->length == 0) {
+        if (tpdo->length == 0 || !skin_is_of_state(node->board->type, number, node->skin_state)) {
             continue;
         }
         tpdo->syncs++;
@@ -155,6 +162,7 @@ void skin_send_events(skin_node *node, uint32_t now_ms)
         skin_frame frame;
 
         if (tpdo->length == 0 || tpdo->type < SKIN_EVENT_MANUFACTURER ||
+            !skin_is_of_state(node->board->type, number, node->skin_state) ||
             (tpdo->has_last != 0 && !skin_is_due(now_ms, tpdo->sent_at_ms + tpdo->inhibit_ms))) {
             continue;
         }

@@ -34,7 +34,7 @@ static void draw_frame(skin_frame *frame)
     frame->flags = (uint8_t)(drawn(20) == 0 ? drawn(256) : 0);
     frame->port = (uint16_t)drawn(200);
     frame->time_ns = (int64_t)drawn(1000000) * 1000;
-    switch (drawn(10)) {
+    switch (drawn(11)) {
     case 0: /* SYNC */
         frame->can_id = 0x80;
         frame->length = (uint8_t)drawn(3);
@@ -52,7 +52,12 @@ static void draw_frame(skin_frame *frame)
         frame->can_id = 0x7E5;
         frame->data[0] = (uint8_t)(0x04 + drawn(0x5B));
         break;
-    case 4: /* anything, and frames that were given up */
+    case 4: /* the switch of states */
+        frame->can_id = SKIN_STATE_COB_ID;
+        frame->length = (uint8_t)drawn(3);
+        frame->data[0] = (uint8_t)drawn(3);
+        break;
+    case 5: /* anything, and frames that were given up */
         frame->can_id = drawn(2) ? drawn(0x800) : state;
         frame->flags |= drawn(2) ? SKIN_FRAME_DISCARDED : 0;
         break;
@@ -128,14 +133,14 @@ static void check(size_t count)
 
 int main(int count, char **texts)
 {
-    static uint16_t counts[65536 * SKIN_MOST_SAMPLES];
+    static skin_reading counts[65536 * SKIN_MOST_SAMPLES];
     const uint32_t turns = count > 2 ? (uint32_t)strtoul(texts[2], NULL, 10) : 1000;
     uint32_t turn, place, now_ms = 0xFFFF0000u; /* the clock wraps */
     size_t sent = 0, found;
 
     state = count > 1 ? (uint32_t)strtoul(texts[1], NULL, 10) : 1;
     for (place = 0; place < 65536 * SKIN_MOST_SAMPLES; place++) {
-        counts[place] = (uint16_t)drawn(65536);
+        counts[place] = (skin_reading)drawn(65536);
     }
 #if SKIN_ADAPTIVE
     skin_prepare(nodes, 0, SKIN_BOARDS, NULL);

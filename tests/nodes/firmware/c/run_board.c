@@ -1,84 +1,190 @@
-/* One board of an image behind the slave: arguments are the number of the bus and the node-ID. Reads a test pattern and then
- * count, bits of the gain and offset of each place; prints the frames that answer four SYNCs, a line for each reading.
+/* One board of an image behind the slave, or with BEHIND_STACK behind the functions of CANopenNode: arguments are the number of the
+ * bus and the node-ID. Reads a test pattern and then count, bits of the gain and offset of each place, of analogue boards the
+ * pattern alone; prints the frames that answer four SYNCs in each state, a line for each reading.
  */
 #include <stdio.h>
 #include <stdlib.h>
 
-#include "skin_node.h"
+#ifdef BEHIND_STACK
+#include "skin_canopennode.h"
+#include "skin_od.h"
 
-#define PLACES (SKIN_BLOCKS * SKIN_BLOCK_SIZE)
+#include "OD.h"
+#else
+#include "skin_node.h"
+#endif
+
+static void print_frame(unsigned can_id, const uint8_t *data, unsigned length)
+{
+    unsigned byte;
+
+    printf("%u:", can_id);
+    for (byte = 0; byte < length; byte++) {
+        printf("%02x", data[byte]);
+    }
+    printf(" ");
+}
+
+#ifdef BEHIND_STACK
+
+static void write_object(uint16_t index, uint8_t subindex, uint32_t value, uint8_t bytes)
+{
+    if (OD_set_value(OD_find(OD, index), subindex, &value, bytes, false) != ODR_OK) {
+        printf("%04X:%u is refused ", (unsigned)index, subindex);
+    }
+}
+
+static uint32_t read_object(uint16_t index, uint8_t subindex, uint8_t bytes)
+{
+    uint32_t value = 0;
+
+    if (OD_get_value(OD_find(OD, index), subindex, &value, bytes, false) != ODR_OK) {
+        printf("%04X:%u is missing ", (unsigned)index, subindex);
+    }
+    return value;
+}
+
+static int start(uint8_t bus, uint8_t node_id)
+{
+    return skin_app_choose(bus, node_id) || skin_app_init();
+}
+
+static void switch_to(uint8_t state)
+{
+    if (skin_od_state != NULL) {
+        write_object(SKIN_OD_STATE, 1, state, 1);
+    }
+}
+
+/* Print what CO_process_TPDO sends: every TPDO that the adapter lets go. */
+static void answer(skin_reading *readings, uint8_t counter)
+{
+    static const uint8_t fd_lengths[] = SKIN_FD_LENGTHS;
+    uint8_t tpdo, place, length;
+
+    (void)counter;
+    skin_app_sync(readings, 1);
+    for (tpdo = 0; tpdo < OD_CNT_TPDO; tpdo++) {
+        const uint16_t mapping = (uint16_t)(SKIN_OD_TPDO_MAPPING + tpdo), communication = (uint16_t)(SKIN_OD_TPDO_COMMUNICATION + tpdo);
+        uint8_t data[64] = {0};
+        uint16_t bits = 0;
+
+        for (place = 1; place <= read_object(mapping, 0, 1); place++) {
+            const uint32_t entry = read_object(mapping, place, 4), width = entry & 0xFFu;
+
+            skin_put_bits(data, bits, read_object((uint16_t)(entry >> 16), (uint8_t)(entry >> 8), (uint8_t)((width + 7) / 8)),
+                          (uint8_t)width);
+            bits = (uint16_t)(bits + width);
+        }
+        for (length = 0; fd_lengths[length] < (bits + 7) / 8; length++) {
+        }
+        if (skin_app_sends(tpdo)) {
+            print_frame(read_object(communication, 1, 4) & SKIN_BASE_ID_MASK, data, fd_lengths[length]);
+        }
+    }
+}
+
+#else
 
 static skin_node node;
 static skin_frame sent[256];
 static skin_outbox outbox = {sent, 256, 0};
 
-static void set(uint16_t index, unsigned place, uint32_t value, uint8_t bytes)
+static void write_object(uint16_t index, uint8_t subindex, uint32_t value, uint8_t bytes)
 {
-    const uint16_t above = (uint16_t)(SKIN_BLOCK_STRIDE * (place / SKIN_BLOCK_SIZE));
-    uint8_t data[4], subindex = bytes == 1 ? 0 : (uint8_t)(place % SKIN_BLOCK_SIZE + 1);
+    uint8_t data[4];
 
     skin_put(data, value, bytes);
-    if (skin_write(&node, (uint16_t)(index + above), subindex, data, bytes) != 0) {
-        printf("%04X:%u is refused ", (unsigned)index + above, subindex);
+    if (skin_write(&node, index, subindex, data, bytes) != 0) {
+        printf("%04X:%u is refused ", (unsigned)index, subindex);
     }
 }
 
-static void answer(const uint16_t *counts)
+static uint32_t read_object(uint16_t index, uint8_t subindex, uint8_t bytes)
 {
-    skin_frame sync = {0};
-    unsigned each, byte;
-
-    for (each = 1; each <= 4; each++) {
-        uint16_t read[PLACES];
-
-        for (byte = 0; byte < PLACES; byte++) {
-            read[byte] = counts[byte];
-        }
-        sync.length = skin_unsigned(&node, SKIN_OD_SYNC_OVERFLOW, 0) > 0;
-        sync.data[0] = (uint8_t)each;
-        skin_sample(&node, read, 1);
-        skin_sync(&node, &sync);
-    }
-    for (each = 0; each < outbox.count; each++) {
-        printf("%u:", (unsigned)sent[each].can_id);
-        for (byte = 0; byte < sent[each].length; byte++) {
-            printf("%02x", sent[each].data[byte]);
-        }
-        printf(" ");
-    }
-    printf("\n");
-    outbox.count = 0;
+    (void)bytes;
+    return skin_unsigned(&node, index, subindex);
 }
 
-int main(int count, char **texts)
+static int start(uint8_t bus, uint8_t node_id)
 {
-    const skin_board *board = count == 3 ? skin_board_of((uint8_t)atoi(texts[1]), (uint8_t)atoi(texts[2])) : NULL;
-    const skin_frame start = {.length = 2, .data = {SKIN_NMT_START, 0}};
-    uint16_t counts[PLACES];
-    unsigned pattern, x, gain, place;
-    int offset;
+    const skin_frame command = {.length = 2, .data = {SKIN_NMT_START, 0}};
+    const skin_board *board = skin_board_of(bus, node_id);
 
     if (board == NULL) {
         return 1;
     }
     skin_init(&node, board, &outbox, NULL);
     skin_boot(&node, 0, 0);
-    printf("%u\n", (unsigned)skin_unsigned(&node, SKIN_OD_SIGNATURE, 0));
-    skin_nmt(&node, &start, 0);
+    skin_nmt(&node, &command, 0);
     outbox.count = 0;
-    while (scanf("%u", &pattern) == 1) {
-        for (place = 0; place < PLACES; place++) {
-            if (scanf("%u %u %d", &x, &gain, &offset) != 3) {
-                return 1;
+    return 0;
+}
+
+static void switch_to(uint8_t state)
+{
+    const skin_frame rpdo = {.can_id = SKIN_STATE_COB_ID, .length = 1, .data = {state}};
+
+    skin_switch(&node, &rpdo);
+}
+
+static void answer(skin_reading *readings, uint8_t counter)
+{
+    skin_frame sync = {.data = {counter}};
+    size_t each;
+
+    sync.length = skin_unsigned(&node, SKIN_OD_SYNC_OVERFLOW, 0) > 0;
+    skin_sample(&node, readings, 1);
+    skin_sync(&node, &sync);
+    for (each = 0; each < outbox.count; each++) {
+        print_frame(sent[each].can_id, sent[each].data, sent[each].length);
+    }
+    outbox.count = 0;
+}
+
+#endif
+
+/* Read counts and calibration of all places; tell whether they were there. */
+static int has_read(skin_reading *counts)
+{
+    unsigned place, x, gain;
+    int offset;
+
+    for (place = 0; !SKIN_ANALOGUE && place < SKIN_READINGS; place++) {
+        const uint16_t above = (uint16_t)(SKIN_BLOCK_STRIDE * (place / SKIN_BLOCK_SIZE));
+        const uint8_t subindex = (uint8_t)(place % SKIN_BLOCK_SIZE + 1);
+
+        if (scanf("%u %u %d", &x, &gain, &offset) != 3) {
+            return 0;
+        }
+        counts[place] = (skin_reading)x;
+        write_object((uint16_t)(SKIN_OD_GAIN + above), subindex, gain, 4);
+        write_object((uint16_t)(SKIN_OD_OFFSET + above), subindex, (uint32_t)offset, 2);
+    }
+    return 1;
+}
+
+int main(int count, char **texts)
+{
+    skin_reading counts[SKIN_READINGS] = {0}, read[SKIN_READINGS];
+    unsigned pattern, place, turn;
+
+    if (count != 3 || start((uint8_t)atoi(texts[1]), (uint8_t)atoi(texts[2])) != 0) {
+        return 1;
+    }
+    printf("%u\n", (unsigned)read_object(SKIN_OD_SIGNATURE, 0, 4));
+    while (scanf("%u", &pattern) == 1 && has_read(counts)) {
+        for (place = 0; place < SKIN_BLOCKS; place++) {
+            write_object((uint16_t)(SKIN_OD_TEST_PATTERN + SKIN_BLOCK_STRIDE * place), 0, pattern, 1);
+        }
+        for (turn = 0; turn < 8; turn++) {
+            switch_to(turn < 4 ? SKIN_STATE_RECOGNITION : SKIN_STATE_IMAGES);
+            for (place = 0; place < SKIN_READINGS; place++) {
+                read[place] = counts[place];
             }
-            counts[place] = (uint16_t)x;
-            set(SKIN_OD_GAIN, place, gain, 4);
-            set(SKIN_OD_OFFSET, place, (uint32_t)offset, 2);
+            answer(read, (uint8_t)(turn + 1));
         }
-        for (place = 0; place < PLACES; place += SKIN_BLOCK_SIZE) {
-            set(SKIN_OD_TEST_PATTERN, place, pattern, 1);
-        }
-        answer(counts);
+        printf("\n");
     }
     return 0;
 }

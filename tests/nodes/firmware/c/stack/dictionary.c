@@ -23,6 +23,7 @@ static ODR_t find(const OD_entry_t *entry, uint8_t sub, OD_stream_t *stream)
     memset(stream, 0, sizeof *stream);
     stream->index = entry->index;
     stream->subIndex = sub;
+    stream->object = entry->extension == NULL ? NULL : entry->extension->object;
     if (entry->odObjectType == ODT_VAR && sub == 0) {
         const OD_obj_var_t *object = entry->odObject;
         stream->dataOrig = object->dataOrig;
@@ -102,7 +103,6 @@ ODR_t OD_get_value(const OD_entry_t *entry, uint8_t sub, void *val, OD_size_t le
     if (stream.dataLength != len) {
         return ODR_TYPE_MISMATCH;
     }
-    stream.object = entry->extension == NULL ? NULL : entry->extension->object;
     return odOrig || entry->extension == NULL ? OD_readOriginal(&stream, val, len, &done)
                                               : entry->extension->read(&stream, val, len, &done);
 }

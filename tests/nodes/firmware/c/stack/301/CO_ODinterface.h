@@ -14,7 +14,7 @@ typedef uint8_t OD_attr_t;
 typedef uint32_t OD_size_t;
 typedef bool bool_t;
 
-enum { ODA_SDO_R = 1, ODA_SDO_RW = 3, ODA_TPDO = 4, ODA_MB = 0x40, ODA_STR = 0x80 };
+enum { ODA_SDO_R = 1, ODA_SDO_RW = 3, ODA_TPDO = 4, ODA_TRPDO = 12, ODA_MB = 0x40, ODA_STR = 0x80 };
 enum { ODT_VAR = 1, ODT_ARR = 2, ODT_REC = 3 };
 
 typedef enum {

@@ -1,0 +1,72 @@
+"""Which of several boards is touched, by the sums (2100h) that they tell while they are PRE-OPERATIONAL."""
+
+from collections.abc import Mapping, Sequence
+from typing import Final
+
+import numpy as np
+
+from skin.surface import Floats, Indices
+
+#: A touch changes the sums of a board by this many deviations of their noise,
+NOISES: Final = 8.0
+#: by this part of the range of a taxel, root mean square,
+PART: Final = 0.02
+#: and by this many of the largest rounding errors.
+ROUNDINGS: Final = 4.0
+#: Another board is touched, too, where its change is at least this part of the largest.
+TOO: Final = 0.5
+#: How fast the sums of boards that nothing touches are learned anew: zeros drift.
+LEARNING: Final = 0.05
+#: Columns and rows of a map.
+MAP: Final = (60, 20)
+
+
+class TouchSensing:
+    """Compares the sums of boards with those without touch.
+
+    Parameters
+    ----------
+    rest : sequence of mapping of int to array
+        Rounds without touch: the sums of each board, counts, by node-ID. A board has to be in all of them.
+    count_max : int
+        Largest ADC count of a taxel.
+    rounding_counts : int
+        Largest rounding error of a sum.
+    """
+
+    def __init__(self, rest: Sequence[Mapping[int, Floats]], count_max: int, rounding_counts: int) -> None:
+        boards = set.intersection(*(set(each) for each in rest))
+        told = {node_id: np.array([each[node_id] for each in rest], np.float64) for node_id in boards}
+        self._mean = {node_id: sums.mean(axis=0) for node_id, sums in told.items()}
+        least = max(PART * count_max, ROUNDINGS * rounding_counts)
+        self._least = {
+            node_id: max(least, NOISES * float(np.sqrt(sums.var(axis=0).mean()))) for node_id, sums in told.items()
+        }
+
+    def touched(self, told: Mapping[int, Floats]) -> tuple[int, ...]:
+        """Return the node-IDs of the boards that are touched in a round; the others' sums without touch are learned."""
+        changes = {node_id: told[node_id] - mean for node_id, mean in self._mean.items() if node_id in told}
+        sizes = {node_id: float(np.sqrt((each**2).mean())) for node_id, each in changes.items()}
+        for node_id, size in sizes.items():
+            if size < self._least[node_id] / 2:
+                self._mean[node_id] += LEARNING * changes[node_id]
+        largest = max(sizes.values(), default=0.0)
+        return tuple(
+            sorted(each for each, size in sizes.items() if size >= self._least[each] and size >= TOO * largest)
+        )
+
+
+def map_of(positions_m: Floats, taxels: Indices) -> list[str]:
+    """Return a map of a skin as lines of text: ``#`` for `taxels`, ``.`` for others; the two longest axes are shown.
+
+    Columns are those of x of a flat skin, rows those of y, downwards.
+    """
+    spans_m = np.ptp(positions_m, axis=0)
+    axes = np.sort(np.argsort(-spans_m, kind="stable")[:2])
+    spans_m, places_m = spans_m[axes], positions_m[:, axes] - positions_m[:, axes].min(axis=0)
+    cells = np.minimum(np.array(MAP), np.maximum(1, [len(np.unique(each)) for each in np.round(places_m.T, 6)]))
+    at = np.round(places_m / np.where(spans_m > 0, spans_m, 1.0) * (cells - 1)).astype(np.intp)
+    shown = np.full((cells[1], cells[0]), " ")
+    shown[at[:, 1], at[:, 0]] = "."
+    shown[at[taxels, 1], at[taxels, 0]] = "#"
+    return ["".join(row) for row in shown]
