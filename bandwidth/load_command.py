@@ -52,14 +52,13 @@ def load(
     if not 0 < seconds < float("inf"):
         raise InputError(f"expected a finite number of seconds above 0, got {seconds:g}")
     skin = (of or SkinOptions()).find(recording=log, needs_hub=False)
-    options = can or BusOptions()
+    contract, options = Contract.from_layout(skin), can or BusOptions()
     if log is None:
         seen = _listen(skin, options, seconds)
     else:
         names = channels(skin, options)
         logged = read_log(log, lambda line: say("load", line))
         seen = of_buses(skin, names, logged, log, named_by_user=bool(options.channel))
-    contract = Contract.from_layout(skin)
     sending = sending_of(contract)
     plans = sending.plan(contract)
     parts = {number: measure_states(contract, number, frames, plans) for number, frames in seen.items()}

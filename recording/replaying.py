@@ -13,6 +13,7 @@ from canskin.messages import LABEL, RECOGNITION, Image, Label, Topic
 from classifier.service import AdaptiveClassifierService, ClassifierService
 from reconstructor.imaging import Imager
 from reconstructor.service import ReconstructorService
+from recording.answers import same_pixels
 from recording.sinks import Sink
 from recording.step_kinds import FramesStep, MeasurementStep, MessageStep, Step
 from shell.service import StopSignal
@@ -46,8 +47,8 @@ class Report:
     Attributes
     ----------
     measurements, images, labels : Agreement
-        Measurements are compared byte for byte; images by their pixels, validity and number of sums; labels by all but
-        their number.
+        Measurements are compared byte for byte; images by their pixels (`recording.answers.same_pixels`), validity and
+        number of sums; labels by all but their number.
     """
 
     measurements: Agreement = field(default_factory=Agreement)
@@ -100,6 +101,7 @@ class Replay:
         self._fabric, self._sink, self._offset_ns = fabric, sink, offset_ns
         self._reconstructor = ReconstructorService(layout, imager, self, clock_ns=self._published_ns)
         self._classifier = make_classifier(self)
+        self._force_max_n = layout.taxels.force_max_n
         self._few = None if layout.recognition is None else layout.recognising().phi()
         self._places = np.zeros(0, np.intp) if self._few is None else places(layout.phi(), self._few)
         self._now_ns = 0
@@ -108,7 +110,7 @@ class Replay:
     def publish(self, topic: Topic, message: msgspec.Struct) -> None:
         """Pass a message to the fabric and to the sink, with the time of its step."""
         if self._measured is not None and isinstance(message, Image):
-            self.report.images.add(_same_image(message, self._measured.image))
+            self.report.images.add(_same_image(message, self._measured.image, self._force_max_n))
         if self._fabric is not None:
             self._fabric.publish(topic, message)
         if self._sink is not None:
@@ -172,7 +174,8 @@ def _same_label(made: Label, recorded: Label | None) -> bool | None:
     )
 
 
-def _same_image(made: Image, recorded: Image | None) -> bool | None:
+def _same_image(made: Image, recorded: Image | None, force_max_n: float) -> bool | None:
     if recorded is None:
         return None
-    return (made.pixels, made.valid, made.valid_sums) == (recorded.pixels, recorded.valid, recorded.valid_sums)
+    is_as_valid = (made.valid, made.valid_sums) == (recorded.valid, recorded.valid_sums)
+    return is_as_valid and same_pixels(made.pixels, recorded.pixels, force_max_n)

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from canskin.errors import InputError, RunError
-from canskin.messages import CONTACTS, IMAGE, LABEL, MEASUREMENT, TRUTH, Contact, Measurement
+from canskin.messages import CONTACTS, IMAGE, LABEL, MEASUREMENT, RECOGNITION, TRUTH, Contact, Measurement
 from skin.layout import Layout
 from skin.mcap_file import Warn, read_messages
 from skin.wall_times import Clocks, WallTimes
@@ -39,6 +39,8 @@ class Tables:
     measurements : dict
         ``sums`` and ``offsets`` int32 (n, m) in ADC counts, ``usable`` bool (n, m), ``valid``,
         ``cycle`` and times.
+    recognition : dict
+        The same of the sums of recognition, where the nodes have two states: in cycles of images a part of the sums.
     contacts : dict
         One row per contact and image: the fields of `canskin.messages.Contact`, its position as ``x_m``, ``y_m``,
         ``z_m`` and its normal as ``nx``, ``ny``, ``nz``, ``cycle`` and times.
@@ -53,6 +55,7 @@ class Tables:
 
     images: Table = field(default_factory=dict)
     measurements: Table = field(default_factory=dict)
+    recognition: Table = field(default_factory=dict)
     contacts: Table = field(default_factory=dict)
     labels: Table = field(default_factory=dict)
     truth: Table = field(default_factory=dict)
@@ -76,15 +79,14 @@ def read_tables(path: Path, layout: Layout, offset_ns: int, warn: Warn) -> Table
     RunError
         If there is nothing to read.
     """
-    topics = IMAGE, MEASUREMENT, CONTACTS, LABEL, TRUTH
+    topics = IMAGE, MEASUREMENT, RECOGNITION, CONTACTS, LABEL, TRUTH
     read: dict[str, list[Any]] = {topic.name: [] for topic in topics}
     for topic, _, message in read_messages(path, topics, warn):
         read[topic.name].append(message)
     if not any(read.values()):
         raise RunError(f"{path}: holds no messages of the services, frames at most: play it with 'skin replay --out'")
     shape = (layout.taxels.rows, layout.taxels.columns)
-    wall = _wall_times(read["measurement"], offset_ns)
-    none, all_usable = bytes(4 * layout.measurement.sums), b"\1" * layout.measurement.sums
+    wall = _wall_times(read["measurement"] + read["recognition"], offset_ns)
     try:
         return Tables(
             # The pixels first: programs that read one array of a file take the first.
@@ -94,15 +96,8 @@ def read_tables(path: Path, layout: Layout, offset_ns: int, warn: Warn) -> Table
                 "valid": _stack([each.valid for each in read["image"]], np.bool_, (layout.blocks,)),
                 "valid_sums": np.array([each.valid_sums for each in read["image"]], np.int64),
             },
-            measurements=_times(read["measurement"], wall)
-            | {
-                "sums": _stack([each.sums for each in read["measurement"]], "<i4", (layout.measurement.sums,)),
-                "offsets": _stack([each.offsets or none for each in read["measurement"]], "<i4", (len(none) // 4,)),
-                "usable": _stack(
-                    [each.usable or all_usable for each in read["measurement"]], np.bool_, (len(all_usable),)
-                ),
-                "valid": _stack([each.valid for each in read["measurement"]], np.bool_, (layout.blocks,)),
-            },
+            measurements=_measurements(read["measurement"], wall, layout),
+            recognition=_measurements(read["recognition"], wall, layout.recognising()),
             contacts=_contacts(read["contacts"], wall),
             labels=_times(read["label"], wall)
             | {
@@ -119,6 +114,18 @@ def read_tables(path: Path, layout: Layout, offset_ns: int, warn: Warn) -> Table
         )
     except ValueError as error:
         raise InputError(f"{path}: its messages do not fit the layout '{layout.name}': {error}") from error
+
+
+def _measurements(messages: list[Measurement], wall: WallTimes, layout: Layout) -> Table:
+    """Return the table of measurements; `layout` is that of their state."""
+    sums = layout.measurement.sums
+    none, all_usable = bytes(4 * sums), b"\1" * sums
+    return _times(messages, wall) | {
+        "sums": _stack([each.sums for each in messages], "<i4", (sums,)),
+        "offsets": _stack([each.offsets or none for each in messages], "<i4", (sums,)),
+        "usable": _stack([each.usable or all_usable for each in messages], np.bool_, (sums,)),
+        "valid": _stack([each.valid for each in messages], np.bool_, (layout.blocks,)),
+    }
 
 
 def _taxels(layout: Layout) -> Table:
