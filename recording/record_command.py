@@ -4,23 +4,39 @@ import threading
 import time
 from functools import partial
 from pathlib import Path
-from typing import Final
+from typing import Annotated, Final
+
+import msgspec
+from cyclopts import Parameter
 
 from bus.options import BusOptions, open_links
 from canskin.errors import BusError, InputError, LayoutError, RunError, Stopped
 from canskin.fabric import Fabric
-from canskin.messages import CONTACTS, GATEWAY, IMAGE, LABEL, MEASUREMENT, NODES, RECOGNITION, TRUTH
+from canskin.messages import (
+    CONTACTS,
+    GATEWAY,
+    IMAGE,
+    LABEL,
+    MARK,
+    MEASUREMENT,
+    NODES,
+    RECOGNITION,
+    TRUTH,
+    Mark,
+    check_label,
+)
 from canskin.peers import Peer
 from dbc.contract import Contract
 from recording.calibration import follow_calibration
+from recording.mark_keys import KEYS, has_keys, mark_keys
 from recording.recorder import Recorder
 from recording.sinks import check_format, open_sink
 from shell.output import check_new_path
 from shell.service import StopSignal, request_real_time, say
 from shell.skin_options import SkinOptions
-from skin.layout import Layout
+from skin.layout import RECORDING_SUFFIX, Layout
 
-TOPICS: Final = (MEASUREMENT, RECOGNITION, IMAGE, CONTACTS, LABEL, GATEWAY, NODES, TRUTH)
+TOPICS: Final = (MEASUREMENT, RECOGNITION, IMAGE, CONTACTS, LABEL, GATEWAY, NODES, TRUTH, MARK)
 
 
 def record(
@@ -29,6 +45,7 @@ def record(
     of: SkinOptions | None = None,
     bus: BusOptions | None = None,
     seconds: float | None = None,
+    label: Annotated[list[str] | None, Parameter(negative=(), consume_multiple=1)] = None,
 ) -> None:
     """Record a running skin: the frames of its buses, measurements, images, contacts, labels, truth and counters.
 
@@ -47,16 +64,23 @@ def record(
         CAN interface and channels, as the gateway's.
     seconds
         Time to record; default: until a stop signal.
+    label
+        What touches the skin, with commas between several. A single label holds from the start on. On a terminal the
+        keys 1 to 9 set the first to the ninth label, and 0 or the space bar ends it. ``skin label`` corrects labels,
+        ``skin train --recordings`` learns them.
 
     Examples
     --------
     skin record run.mcap
+    skin record cup.mcap --label cup
+    skin record many.mcap --label cup,ball,pen
     skin record run.log --layout palm.toml -i socketcan -c can0 --seconds 60
     """
     if seconds is not None and not 0 < seconds < float("inf"):
         raise InputError(f"expected a finite number of seconds above 0, got {seconds:g}")
     stop, of = StopSignal().install(), of or SkinOptions()
     check_new_path(out, "recording")
+    labels = _labels(label or [], out)
     skin = of.find(stop)
     if of.layout is not None:
         of.compare(skin)
@@ -69,12 +93,15 @@ def record(
     try:
         now_ns = time.time_ns()
         recorder = Recorder(links, open_sink(out, contract, now_ns, now_ns - time.monotonic_ns()), names)
+        if len(labels) == 1:
+            _mark(recorder, labels[0])
         join = partial(_join, of, skin, recorder, stop, joined)
         joining = threading.Thread(target=join, name="join the fabric")
         joining.start()
         say("record", f"{', '.join(names.values())} to {out}")
         request_real_time("record")  # else services with it keep messages from coming
-        recorder.run(stop, seconds or float("inf"))
+        with mark_keys(labels, partial(_mark, recorder)) as poll:
+            recorder.run(stop, seconds or float("inf"), poll)
     except OSError as error:
         reason = error.strerror or error
         raise RunError(f"{out}: the recording ends: {reason}; what was written before is readable") from error
@@ -88,6 +115,26 @@ def record(
         for fabric in joined:
             fabric.close()
     _conclude(recorder, out)
+
+
+def _labels(given: list[str], out: Path) -> list[str]:
+    """Return the labels of the keys, checked."""
+    labels = [check_label(each.strip()) for text in given for each in text.split(",") if each.strip()]
+    if labels and out.suffix.lower() != RECORDING_SUFFIX:
+        raise InputError(f"--label: expected a recording that ends in {RECORDING_SUFFIX}: {out} keeps frames alone")
+    if len(labels) > len(KEYS):
+        raise InputError(f"--label: expected up to {len(KEYS)} labels, a key for each, got {len(labels)}")
+    if len(labels) > 1 and not has_keys():
+        raise InputError("--label: several labels are set by keys, and there is no terminal: give one label")
+    if labels and has_keys():
+        keys = ", ".join(f"{key} {each}" for key, each in zip(KEYS, labels, strict=False))
+        say("record", f"keys: {keys}, 0 or space: no label")
+    return labels
+
+
+def _mark(recorder: Recorder, label: str) -> None:
+    say("record", f"label: {label or 'none'}")
+    recorder.take_message(MARK, msgspec.msgpack.encode(Mark(label=label)))
 
 
 def _join(of: SkinOptions, skin: Layout, recorder: Recorder, stop: StopSignal, joined: list[Fabric]) -> None:

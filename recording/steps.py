@@ -12,7 +12,19 @@ from typing import Any, Final
 from bandwidth.logs import of_buses, read_log
 from calibration.calibrator import Calibrator
 from canskin.errors import InputError
-from canskin.messages import GATEWAY, IMAGE, LABEL, MEASUREMENT, NODES, RECOGNITION, TRUTH, Image, Label, Measurement
+from canskin.messages import (
+    GATEWAY,
+    IMAGE,
+    LABEL,
+    MARK,
+    MEASUREMENT,
+    NODES,
+    RECOGNITION,
+    TRUTH,
+    Image,
+    Label,
+    Measurement,
+)
 from dbc.contract import Contract
 from dbc.frame import Frames
 from dbc.stored_frames import from_bytes
@@ -48,7 +60,7 @@ _ANSWERS_NS: Final = 15_000_000_000
 #: The sums of recognition of a cycle of images come before so many further cycles of images.
 _FEW_CYCLES: Final = 8
 #: Played as they were recorded. Images and contacts, measurements and labels are made anew.
-_AS_RECORDED: Final = {topic.name: topic for topic in (GATEWAY, NODES, TRUTH)}
+_AS_RECORDED: Final = {topic.name: topic for topic in (GATEWAY, NODES, TRUTH, MARK)}
 
 
 def steps_of(

@@ -10,9 +10,10 @@ import numpy as np
 import numpy.typing as npt
 
 from canskin.errors import InputError, RunError
-from canskin.messages import CONTACTS, IMAGE, LABEL, MEASUREMENT, RECOGNITION, TRUTH, Contact, Measurement
+from canskin.messages import CONTACTS, IMAGE, LABEL, MARK, MEASUREMENT, RECOGNITION, TRUTH, Contact, Measurement
+from classifier.touches import Touches, touches_of
 from skin.layout import Layout
-from skin.mcap_file import Warn, read_messages
+from skin.mcap_file import Read, Warn, read_messages
 from skin.wall_times import Clocks, WallTimes
 
 Table = dict[str, npt.NDArray[Any]]
@@ -49,6 +50,8 @@ class Tables:
     taxels : dict
         Of each taxel, row-major: ``row``, ``column``, where it lies, ``x_m``, ``y_m``, ``z_m``, its normal, ``nx``,
         ``ny``, ``nz``, and ``block``, the place of its block in ``valid``. A skin that is no grid has one row.
+    touches : dict
+        One row per touch: the fields of `classifier.touches.Touch`, with the label of marks or of ``skin label``.
     truth : dict
         ``true`` and ``sensor`` float32 (n, rows, columns) in newtons, ``label``, ``time_ns``; of simulated nodes.
     """
@@ -58,6 +61,7 @@ class Tables:
     recognition: Table = field(default_factory=dict)
     contacts: Table = field(default_factory=dict)
     labels: Table = field(default_factory=dict)
+    touches: Table = field(default_factory=dict)
     truth: Table = field(default_factory=dict)
     taxels: Table = field(default_factory=dict)
 
@@ -81,8 +85,12 @@ def read_tables(path: Path, layout: Layout, offset_ns: int, warn: Warn) -> Table
     """
     topics = IMAGE, MEASUREMENT, RECOGNITION, CONTACTS, LABEL, TRUTH
     read: dict[str, list[Any]] = {topic.name: [] for topic in topics}
-    for topic, _, message in read_messages(path, topics, warn):
-        read[topic.name].append(message)
+    told: list[Read] = []
+    for each in read_messages(path, (*topics, MARK), warn):
+        if each.topic is not MARK:
+            read[each.topic.name].append(each.message)
+        if each.topic in {CONTACTS, MARK}:
+            told.append(each)
     if not any(read.values()):
         raise RunError(f"{path}: holds no messages of the services, frames at most: play it with 'skin replay --out'")
     shape = (layout.taxels.rows, layout.taxels.columns)
@@ -104,6 +112,7 @@ def read_tables(path: Path, layout: Layout, offset_ns: int, warn: Warn) -> Table
                 "label": np.array([each.label for each in read["label"]], np.str_),
                 "confidence": np.array([each.confidence for each in read["label"]], np.float64),
             },
+            touches=_touches(touches_of(path, told, warn)),
             truth={
                 "time_ns": _wall_ns(read["truth"], wall),
                 "true": _stack([each.true for each in read["truth"]], "<f4", shape),
@@ -126,6 +135,11 @@ def _measurements(messages: list[Measurement], wall: WallTimes, layout: Layout) 
         "usable": _stack([each.usable or all_usable for each in messages], np.bool_, (sums,)),
         "valid": _stack([each.valid for each in messages], np.bool_, (layout.blocks,)),
     }
+
+
+def _touches(found: Touches | None) -> Table:
+    fields = ("number", "begin_ns", "end_ns", "force_n", "taxels", "contacts", "label")
+    return {name: np.array([getattr(each, name) for each in found.touches]) for name in fields} if found else {}
 
 
 def _taxels(layout: Layout) -> Table:

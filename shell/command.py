@@ -44,6 +44,7 @@ VERBS: Final = {
     "show": "views.show.command:show",
     "record": "recording.record_command:record",
     "replay": "recording.replay_command:replay",
+    "label": "recording.label_command:label",
     "export": "recording.export_command:export",
     "rebuild": "recording.rebuild_command:rebuild",
     "dbc": "nodes.contract_command:dbc",

@@ -12,7 +12,7 @@ from canskin.description import DESCRIPTION, Description, DescriptionRequest
 from canskin.errors import BusError, InputError, RunError, SkinError
 from canskin.fabric import Fabric
 from canskin.frame import Frame, FrameBuilder
-from canskin.messages import CONTACTS, GATEWAY, IMAGE, LABEL, MEASUREMENT, GatewayStatus
+from canskin.messages import CONTACTS, GATEWAY, IMAGE, LABEL, MARK, MEASUREMENT, GatewayStatus, Mark
 from canskin.peers import Peer, client_version
 from canskin.session import DEFAULT_ENDPOINT, close_with_program, find_skin, peers_at
 from canskin.skin import CLOSED, FrameHub, Frames, Health, Skin
@@ -24,6 +24,8 @@ NAME: Final = "client"
 ASK_AGAIN_S: Final = 1.0
 #: Services that know a skin's geometry.
 GATEWAYS: Final = ("gateway", "replay")
+#: Name of a recorder on the fabric.
+RECORDER: Final = "recorder"
 
 
 def connect(endpoint: str = DEFAULT_ENDPOINT, skin: str | None = None, *, timeout_s: float = 5.0) -> Skin:
@@ -95,6 +97,7 @@ class ConnectedSkin(Skin):
         self._status: GatewayStatus | None = None
         self._builder = FrameBuilder(layout)
         self._lock = threading.Lock()
+        self._came = threading.Condition()
         self._hub = FrameHub(timeout_s, self._silence)
         fabric.watch_peers(self._note)
         fabric.subscribe(GATEWAY, self._take_status)
@@ -129,6 +132,19 @@ class ConnectedSkin(Skin):
         reply: ImagesReply = self._fabric.ask(IMAGES, ImagesRequest(hold_s=hold_s), ANSWER_S)
         if not reply.is_done:
             raise RunError(reply.text)
+
+    def mark(self, label: str) -> None:
+        """See `Skin.mark`."""
+        super().mark(label)
+        if self._hub.is_closed:
+            raise BusError(CLOSED)
+        with self._came:
+            if not self._came.wait_for(lambda: RECORDER in self._services(), self._timeout_s):
+                raise BusError(
+                    f"no recorder of skin '{self.layout.name}' is at {self._endpoint}: start 'skin record run.mcap', or"
+                    " the mark is lost"
+                )
+        self._fabric.publish(MARK, Mark(label=label))
 
     @property
     def health(self) -> Health:
@@ -173,10 +189,12 @@ class ConnectedSkin(Skin):
     def _note(self, peer: Peer, is_alive: bool) -> None:
         if peer.skin != self.layout.name:
             return
-        if is_alive:
-            self._peers[peer.key] = peer
-        else:
-            self._peers.pop(peer.key, None)
+        with self._came:
+            if is_alive:
+                self._peers[peer.key] = peer
+            else:
+                self._peers.pop(peer.key, None)
+            self._came.notify_all()
 
     def _services(self) -> list[str]:
         return sorted({peer.service for peer in self._peers.copy().values()} - {NAME})
