@@ -59,7 +59,8 @@ def nodes(
     noise_n
         Standard deviation of the sensor noise in newtons. Recordings get none: they contain their own noise.
     store
-        Folder for the parameters that 1010h stores, one file per node, like the flash memory of a board.
+        Folder for the parameters that 1010h stores, one file per node, like the flash memory of a board. With
+        `firmware` loaded programs are kept, too.
     unnumbered
         Boards begin without node-IDs, unless `store` has them, and wait for ``skin commission``.
     firmware

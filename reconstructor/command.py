@@ -52,5 +52,5 @@ def reconstruct(
     with closing(of.join(skin, "reconstructor", stop)) as fabric:
         service = ReconstructorService(skin, imager, fabric)
         say("reconstructor", f"{skin.taxels.words}, {imager.about}")
-        fabric.tell_scheduling(service.schedule())
+        service.schedule(fabric.tell_scheduling)
         service.run(stop)

@@ -52,19 +52,25 @@ class Missed:
 
     def __init__(self) -> None:
         self._expected: dict[tuple[str, str], int] = {}
-        self._counts: Counter[str] = Counter()
+        self._counts: Counter[tuple[str, str]] = Counter()
 
     def take(self, topic: str, origin: Origin) -> None:
         """Take note of a message."""
         key = topic, origin.publisher
         expected = self._expected.get(key, origin.number)
         # A number below the expected one was counted as missed, and came after its successor.
-        self._counts[topic] += origin.number - expected if origin.number >= expected else -1
+        self._counts[key] += origin.number - expected if origin.number >= expected else -1
         self._expected[key] = max(expected, origin.number + 1)
 
     def counts(self) -> dict[str, int]:
-        """Return the numbers of messages that did not come, by topic, without those that all came."""
-        return {topic: count for topic, count in sorted(self._counts.copy().items()) if count > 0}
+        """Return the numbers of messages that did not come, by topic, without those that all came.
+
+        A publisher that repeats numbers hides no loss of another.
+        """
+        totals: Counter[str] = Counter()
+        for (topic, _), missing in (+self._counts.copy()).items():
+            totals[topic] += missing
+        return dict(sorted(totals.items()))
 
 
 class Mailbox(Generic[Message]):

@@ -202,7 +202,7 @@ class _Ours:
     def end(self) -> Integers:
         (made,) = self._made
         if not all(made.valid):
-            raise RunError("expected a complete measurement, got one with blocks that are not valid")
+            raise RunError("expected a complete measurement, got late frames: other programs held this up, try again")
         return np.frombuffer(made.sums, "<i4").astype(np.int64)
 
 

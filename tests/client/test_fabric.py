@@ -14,7 +14,7 @@ from canskin import fabric as fabric_module
 from canskin import session as session_module
 from canskin.calibration_messages import CALIBRATION, CalibrationReply, CalibrationRequest
 from canskin.errors import BusError, Stopped
-from canskin.fabric import Fabric, Mailbox, Origin, Reply
+from canskin.fabric import Fabric, Mailbox, Missed, Origin, Reply
 from canskin.messages import LABEL, Label
 from canskin.peers import Peer, Roll, new_peer, peer_of_key
 from tests.client.conftest import Log
@@ -315,3 +315,13 @@ def test_a_mailbox_decodes_what_is_taken_and_passes_over_what_is_no_message() ->
 def test_endpoint_of_no_known_form_is_one_clear_line(endpoint: str) -> None:
     with pytest.raises(BusError, match=rf"expected an endpoint such as tcp/127\.0\.0\.1:7447, got '{endpoint}'"):
         Fabric("test", "lonely", endpoint)
+
+
+def test_messages_that_did_not_come_are_counted_and_no_repetition_hides_them() -> None:
+    missed = Missed()
+    for number in (1, 2, 6, 4):  # 3 and 5 did not come, 4 came late
+        missed.take("image", Origin("reconstructor", number))
+    for _ in range(100):
+        missed.take("image", Origin("noise", 1))
+    missed.take("label", Origin("classifier", 7))
+    assert missed.counts() == {"image": 2}
