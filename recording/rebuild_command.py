@@ -114,7 +114,8 @@ def rebuild(
     about: dict[str, Any]
     if not skin.sends.in_cycles:
         _require_run(skin, source, device, is_recording=is_recording)
-        made, about = _of_news(skin, source, channel, make_imager(skin, solver, gains))
+        made = _of_news(skin, source, channel, make_imager(skin, solver, gains), every=solver is not None)
+        about = {"solver": "adaptive sums", "settings": {}}
     else:
         settings = options.settings()
         # A recording of forces has one frame for each cycle.
@@ -134,7 +135,8 @@ def rebuild(
         made = _Rebuilt(_solved(skin, solve, cycles), cycles.valid, cycles.time_ns, cycles.cycle)
         if is_run and solver is None and device == "cpu":
             _compare(skin, source, made)
-        about = {"solver": options.solver, "settings": asdict(settings)}
+    if solver is not None or skin.sends.in_cycles:
+        about = {"solver": options.solver, "settings": asdict(options.settings())}
     metadata = {
         "format": "canskin images 1",
         "version": version("canskin"),
@@ -171,13 +173,11 @@ def _require_run(skin: Layout, source: Path, device: str, *, is_recording: bool)
         what = f"{source}: a recording of forces or of sums in cycles is"
         require_sending(skin, "synchronous", what, "play it with 'skin demo --input', and record that")
     if device != "cpu":
-        require_sending(
-            skin, "synchronous", "--device gpu is", "adaptive sums have a solver of their own; leave it out"
-        )
+        require_sending(skin, "synchronous", "--device gpu is", "adaptive sums are solved one by one; leave it out")
 
 
-def _of_news(skin: Layout, source: Path, channel: list[str] | None, imager: Imager) -> tuple[_Rebuilt, dict[str, Any]]:
-    """Make the images of adaptive sums: those that the run has shown, with the sums of its frames."""
+def _of_news(skin: Layout, source: Path, channel: list[str] | None, imager: Imager, *, every: bool) -> _Rebuilt:
+    """Make the images of adaptive sums, those that the run has shown or of `every` measurement, of its frames."""
     contract = Contract.from_layout(skin)
     offset_ns = wall_offset_ns(source) if source.suffix.lower() == RECORDING_SUFFIX else 0
     made: list[tuple[Images, Bools, int, int]] = []
@@ -185,14 +185,14 @@ def _of_news(skin: Layout, source: Path, channel: list[str] | None, imager: Imag
     imager.warm_up()
     say("rebuild", f"solver {imager.about}, on the cpu")
     with progress("solving", None) as bar:
-        for step in steps_of(source, contract, channel, service="rebuild"):
+        for step in steps_of(source, contract, channel, every=every, service="rebuild"):
             if not isinstance(step, MeasurementStep) or not step.makes_image:
                 continue
             sums: Any = imager.decode(step.measurement, contract.phi)
             image, _ = imager.solve(sums)
             at_ns = step.measurement.sampled_mono_ns + offset_ns
             made.append((image, sums.valid, at_ns, step.measurement.cycle))
-            if step.image is not None:
+            if step.image is not None and not every:
                 compared += 1
                 pixels = image.astype("<f4", copy=False).tobytes()
                 equal += same_pixels(pixels, step.image.pixels, skin.taxels.force_max_n)
@@ -202,7 +202,7 @@ def _of_news(skin: Layout, source: Path, channel: list[str] | None, imager: Imag
     _tell(equal, compared)
     images, valid, time_ns, cycle = zip(*made, strict=True)
     numbers = np.array(time_ns, np.int64), np.array(cycle, np.int64)
-    return _Rebuilt(np.stack(images), np.stack(valid), *numbers), {"solver": imager.about}
+    return _Rebuilt(np.stack(images), np.stack(valid), *numbers)
 
 
 def _numbered(skin: Layout, source: Path, made: _Rebuilt) -> _Rebuilt:
@@ -229,8 +229,8 @@ def _compare(skin: Layout, source: Path, made: _Rebuilt) -> None:
     mono_ns, near_ns = made.time_ns - wall_offset_ns(source), round(0.5e9 * skin.sync.period_s)
     compared = equal = 0
     for _, _, shown in read_messages(source, [IMAGE], lambda _: None):
-        nearest = int(np.argmin(np.abs(mono_ns - shown.sampled_mono_ns)))
-        if abs(int(mono_ns[nearest]) - shown.sampled_mono_ns) < near_ns:
+        nearest = int(np.searchsorted(mono_ns, shown.sampled_mono_ns - near_ns))
+        if nearest < len(mono_ns) and abs(int(mono_ns[nearest]) - shown.sampled_mono_ns) < near_ns:
             compared += 1
             pixels = made.images[nearest].astype("<f4", copy=False).tobytes()
             equal += same_pixels(pixels, shown.pixels, skin.taxels.force_max_n)

@@ -419,12 +419,6 @@ def require_boards(layout: Layout) -> None:
         raise LayoutError(f"{layout.name}: {OTHER_HARDWARE} - at `$.measurement.ensemble`")
 
 
-def require_one_state(layout: Layout, what: str) -> None:
-    """Check that a layout has no state of recognition, which `what` does not know."""
-    if layout.recognition is not None:
-        raise LayoutError(f"{what} does not know recognition: expected a layout without it - at `$.recognition`")
-
-
 def _read(path: Path | None, name: str) -> tuple[bytes, str, Path]:
     """Return content and origin of a layout, and the folder of the files that it names."""
     if path is None or (name in SHIPPED and not path.is_file()):

@@ -470,17 +470,16 @@ def test_an_adaptive_run_is_rebuilt_as_it_was_shown(
     assert images[1].mean() == pytest.approx(3e-3, rel=0.1)
     assert about["solver"] == "adaptive sums"
     assert "2 of 2 images equal to the recorded" in capsys.readouterr().err
+    rebuild(adaptive_run, out=out.with_name("other.npz"), solver=SolverOptions("variation"))
+    images, _, _, about = loaded(out.with_name("other.npz"))
+    assert (len(images), about["solver"]) == (3, "variation")
 
 
 def test_what_adaptive_sums_are_not_made_from_is_one_clear_line(adaptive_run: Path, tmp_path: Path, out: Path) -> None:
     np.save(tmp_path / "mat.npy", np.ones((2, 8, 16)))
     for source, options, says in (
         (adaptive_run, {"device": "gpu"}, "--device gpu is for synchronous sending"),
-        (
-            adaptive_run,
-            {"solver": SolverOptions()},
-            "adaptive sums have a solver of their own",
-        ),
+        (adaptive_run, {"solver": SolverOptions()}, "averages the sums of cycles, and adaptive sums have none"),
         (tmp_path / "mat.npy", {"layout": adaptive_run}, "play it with 'skin demo --input'"),
     ):
         with pytest.raises(InputError, match=says):
