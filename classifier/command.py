@@ -9,7 +9,6 @@ from cyclopts import Parameter
 
 from canskin.errors import InputError, RunError
 from canskin.fabric import Fabric
-from canskin.session import DEFAULT_ENDPOINT
 from canskin.state_messages import IMAGES, ImagesRequest
 from classifier.cache import FEATURES, TOUCHES_PER_OBJECT, cached_path, find_or_train, keep_model
 from classifier.model import SIMULATED, Features, Metadata, Model, TrainingCard
@@ -18,6 +17,7 @@ from classifier.used_sums import classified_phi
 from classifier.wake import Wake
 from shell.output import check_output_path, write_file
 from shell.service import StopSignal, request_real_time, say
+from shell.skin_options import SkinOptions
 from shell.terminal import Json, print_json, print_table, progress
 from shell.touch_options import ObjectNames
 from skin.layout import Layout, Recognition, layout_text, load_layout
@@ -30,8 +30,7 @@ ASK_S: Final = 1.0
 
 def classify(
     *,
-    layout: Path | None = None,
-    connect: str = DEFAULT_ENDPOINT,
+    of: SkinOptions | None = None,
     model: Path | None = None,
     objects: ObjectNames | None = None,
     stroke: StrokeKind | None = None,
@@ -43,10 +42,8 @@ def classify(
 
     Parameters
     ----------
-    layout
-        TOML of the skin; without it the default skin.
-    connect
-        Endpoint of the fabric's hub.
+    of
+        Which skin.
     model
         Model file from ``skin train`` for this skin.
     objects
@@ -63,13 +60,13 @@ def classify(
     from classifier.decide import Classifier  # compiled parts take a moment to load
     from classifier.service import make_service
 
-    stop = StopSignal().install()
-    skin = load_layout(layout)
-    classified = classified_phi(skin)
+    stop, of = StopSignal().install(), of or SkinOptions()
     if model is not None and objects:
         raise InputError("--model contains its objects: leave --objects out")
     if model is not None and stroke is not None:
         raise InputError("--model contains what it was trained on: leave --stroke out")
+    skin = of.find(stop)
+    classified = classified_phi(skin)
     if model is not None:
         trained = load_model(model, skin, classified)
     else:
@@ -77,7 +74,7 @@ def classify(
     # A first decision compiles for a while: before the service is there, and not between two measurements.
     still = np.zeros(classified.shape[0], np.int32), np.ones(classified.blocks, np.bool_)
     Classifier(trained, classified).decide(*still)
-    fabric = Fabric(skin.name, "classifier", connect, stop=stop, fingerprint=skin.operator().fingerprint)
+    fabric = of.join(skin, "classifier", stop)
     say("classifier", f"knows {', '.join(trained.metadata.classes)}")
     wake = None if skin.recognition is None else _wake(skin.recognition, fabric)
     try:

@@ -18,10 +18,14 @@ _Answer = TypeVar("_Answer", Image, Label)
 
 def same_pixels(made: bytes, recorded: bytes, force_max_n: float) -> bool:
     """Tell whether two images, float32, newtons, are equal but for rounding."""
-    if made == recorded or len(made) != len(recorded):
-        return made == recorded
-    difference = np.frombuffer(made, "<f4") - np.frombuffer(recorded, "<f4")
-    return bool(np.abs(difference).max() < PIXEL_ERROR * force_max_n)
+    return made == recorded or largest_difference_n(made, recorded) < PIXEL_ERROR * force_max_n
+
+
+def largest_difference_n(made: bytes, recorded: bytes) -> float:
+    """Return the largest difference of two images, float32, newtons; infinite if their sizes differ."""
+    if len(made) != len(recorded):
+        return float("inf")
+    return float(np.abs(np.frombuffer(made, "<f4") - np.frombuffer(recorded, "<f4")).max())
 
 
 class Answers(Generic[_Answer]):

@@ -32,7 +32,8 @@ from shell.service import say
 from shell.terminal import progress
 from shell.touch_options import ArrayNames, FullScale
 from skin.layout import RECORDING_SUFFIX, Layout, load_layout, require_sending
-from skin.mcap_file import read_messages, wall_offset_ns
+from skin.mcap_file import read_messages, recording_id, wall_offset_ns
+from skin.wall_times import recorded_clocks, recorded_wall_times
 from touch.reading import array_names
 
 #: ``--calibration none``: take nothing off.
@@ -78,7 +79,7 @@ def rebuild(
         ``sums``, counts, shape (cycles, sums), and what is known of ``valid``, ``cycle`` and ``time_ns``.
     out
         New .npz for the images: ``images`` float32 (cycles, rows, columns) in newtons, ``valid`` bool (cycles,
-        blocks), ``time_ns`` int64 (cycles,), ``metadata`` JSON.
+        blocks), ``time_ns`` and ``cycle`` int64 (cycles,), ``recording``, ``metadata`` JSON.
     layout
         TOML of the skin; default: the layout in the .mcap, else the default skin.
     device
@@ -131,7 +132,7 @@ def rebuild(
         if calibrator is not None:
             cycles = _calibrated(skin, cycles, calibrator)
         say("rebuild", f"solver {options.solver}, {settings.iterations} iterations, on the {device}")
-        made = _Rebuilt(_solved(skin, solve, cycles), cycles.valid, cycles.time_ns)
+        made = _Rebuilt(_solved(skin, solve, cycles), cycles.valid, cycles.time_ns, cycles.cycle)
         if is_run and solver is None and device == "cpu":
             _compare(skin, source, made)
     if solver is not None or skin.sends.in_cycles:
@@ -146,7 +147,9 @@ def rebuild(
         "noise_n": options.noise_n,
         "device": device,
     }
-    arrays: dict[str, Any] = made._asdict()
+    if source.suffix.lower() == RECORDING_SUFFIX:
+        made = _numbered(skin, source, made)
+    arrays: dict[str, Any] = made._asdict() | {"recording": np.array(recording_id(source))}
     try:
         with replacing(out) as file:
             np.savez(file, **arrays, metadata=np.array(msgspec.json.encode(metadata).decode()))
@@ -161,6 +164,7 @@ class _Rebuilt(NamedTuple):
     images: Images
     valid: Bools
     time_ns: Numbers
+    cycle: Numbers
 
 
 def _require_run(skin: Layout, source: Path, device: str, *, is_recording: bool) -> None:
@@ -176,7 +180,7 @@ def _of_news(skin: Layout, source: Path, channel: list[str] | None, imager: Imag
     """Make the images of adaptive sums, those that the run has shown or of `every` measurement, of its frames."""
     contract = Contract.from_layout(skin)
     offset_ns = wall_offset_ns(source) if source.suffix.lower() == RECORDING_SUFFIX else 0
-    made: list[tuple[Images, Bools, int]] = []
+    made: list[tuple[Images, Bools, int, int]] = []
     compared = equal = 0
     imager.warm_up()
     say("rebuild", f"solver {imager.about}, on the cpu")
@@ -186,17 +190,38 @@ def _of_news(skin: Layout, source: Path, channel: list[str] | None, imager: Imag
                 continue
             sums: Any = imager.decode(step.measurement, contract.phi)
             image, _ = imager.solve(sums)
-            made.append((image, sums.valid, step.measurement.sampled_mono_ns + offset_ns))
+            at_ns = step.measurement.sampled_mono_ns + offset_ns
+            made.append((image, sums.valid, at_ns, step.measurement.cycle))
             if step.image is not None and not every:
                 compared += 1
                 pixels = image.astype("<f4", copy=False).tobytes()
                 equal += same_pixels(pixels, step.image.pixels, skin.taxels.force_max_n)
             bar.advance(1)
-    if not any(valid.any() for _, valid, _ in made):
+    if not any(valid.any() for _, valid, _, _ in made):
         raise RunError(f"{source}: no block is complete in any measurement: is this the skin's layout?")
     _tell(equal, compared)
-    images, valid, time_ns = zip(*made, strict=True)
-    return _Rebuilt(np.stack(images), np.stack(valid), np.array(time_ns, np.int64))
+    images, valid, time_ns, cycle = zip(*made, strict=True)
+    numbers = np.array(time_ns, np.int64), np.array(cycle, np.int64)
+    return _Rebuilt(np.stack(images), np.stack(valid), *numbers)
+
+
+def _numbered(skin: Layout, source: Path, made: _Rebuilt) -> _Rebuilt:
+    """Give the cycles of a run the numbers and times of its measurements, as `skin export` has them.
+
+    A cycle whose measurement was not recorded has the number -1.
+    """
+    clocks = recorded_clocks(source)
+    if not clocks:
+        return made
+    wall, at_ns = recorded_wall_times(source, clocks), np.array([each.sampled_mono_ns for each in clocks], np.int64)
+    mono_ns, near_ns = made.time_ns - wall_offset_ns(source), 0.5e9 * skin.shortest_period_s
+    time_ns, cycle = made.time_ns.copy(), np.full(len(made.cycle), -1, np.int64)
+    for place, wanted_ns in enumerate(mono_ns):
+        nearest = int(np.argmin(np.abs(at_ns - wanted_ns)))
+        told_ns = wall.time_ns(int(at_ns[nearest]))
+        if abs(at_ns[nearest] - wanted_ns) < near_ns and told_ns is not None:
+            time_ns[place], cycle[place] = told_ns, clocks[nearest].cycle
+    return made._replace(time_ns=time_ns, cycle=cycle)
 
 
 def _compare(skin: Layout, source: Path, made: _Rebuilt) -> None:

@@ -10,7 +10,7 @@ import msgspec
 from cyclopts import Parameter
 
 from bus.options import BusOptions, open_links
-from canskin.errors import BusError, InputError, RunError, Stopped
+from canskin.errors import BusError, InputError, LayoutError, RunError, Stopped
 from canskin.fabric import Fabric
 from canskin.messages import (
     CONTACTS,
@@ -26,7 +26,6 @@ from canskin.messages import (
     check_label,
 )
 from canskin.peers import Peer
-from canskin.session import DEFAULT_ENDPOINT
 from dbc.contract import Contract
 from recording.calibration import follow_calibration
 from recording.mark_keys import KEYS, has_keys, mark_keys
@@ -34,7 +33,8 @@ from recording.recorder import Recorder
 from recording.sinks import check_format, open_sink
 from shell.output import check_new_path
 from shell.service import StopSignal, request_real_time, say
-from skin.layout import RECORDING_SUFFIX, Layout, load_layout
+from shell.skin_options import SkinOptions
+from skin.layout import RECORDING_SUFFIX, Layout
 
 TOPICS: Final = (MEASUREMENT, RECOGNITION, IMAGE, CONTACTS, LABEL, GATEWAY, NODES, TRUTH, MARK)
 
@@ -42,28 +42,26 @@ TOPICS: Final = (MEASUREMENT, RECOGNITION, IMAGE, CONTACTS, LABEL, GATEWAY, NODE
 def record(
     out: Path,
     *,
-    layout: Path | None = None,
+    of: SkinOptions | None = None,
     bus: BusOptions | None = None,
-    connect: str = DEFAULT_ENDPOINT,
     seconds: float | None = None,
     label: Annotated[list[str] | None, Parameter(negative=(), consume_multiple=1)] = None,
 ) -> None:
     """Record a running skin: the frames of its buses, measurements, images, contacts, labels, truth and counters.
 
-    The recorder sends nothing on the buses. It needs no other service: frames are recorded from the start, messages
-    as soon as there is a hub. After a crash or on a full disk the file is readable up to its last second.
+    The recorder sends nothing on the buses. With ``--layout`` it needs no other service: frames are recorded from the
+    start, messages as soon as there is a hub. After a crash or on a full disk the file is readable up to its last
+    second.
 
     Parameters
     ----------
     out
         New file: .mcap, with the layout and the contract files attached; or frames alone, in the format of python-can
         that the suffix names: .log (candump), .asc, .blf, .trc, .mf4, .txt, and .csv and .db of a single bus.
-    layout
-        TOML of the skin; without it the default skin.
+    of
+        Which skin.
     bus
         CAN interface and channels, as the gateway's.
-    connect
-        Endpoint of the fabric's hub.
     seconds
         Time to record; default: until a stop signal.
     label
@@ -76,15 +74,17 @@ def record(
     skin record run.mcap
     skin record cup.mcap --label cup
     skin record many.mcap --label cup,ball,pen
-    skin record run.log -i socketcan -c can0 --seconds 60
+    skin record run.log --layout palm.toml -i socketcan -c can0 --seconds 60
     """
     if seconds is not None and not 0 < seconds < float("inf"):
         raise InputError(f"expected a finite number of seconds above 0, got {seconds:g}")
-    stop = StopSignal().install()
-    skin = load_layout(layout)
+    stop, of = StopSignal().install(), of or SkinOptions()
     check_new_path(out, "recording")
-    check_format(out, len(skin.bus))
     labels = _labels(label or [], out)
+    skin = of.find(stop)
+    if of.layout is not None:
+        of.compare(skin)
+    check_format(out, len(skin.bus))
     contract = Contract.from_layout(skin)
     names = {number: each.name for number, each in enumerate(skin.bus)}
     links = open_links(skin, bus or BusOptions(), name="recorder", sends=False, stop=stop)
@@ -96,7 +96,7 @@ def record(
         recorder = Recorder(links, sink, names)
         if len(labels) == 1:
             _mark(recorder, labels[0])
-        join = partial(_join, skin, contract.phi.fingerprint, connect, recorder, stop, joined)
+        join = partial(_join, of, skin, recorder, stop, joined)
         if sink.has_messages:  # a program that sets marks is to see no recorder that cannot write them
             joining = threading.Thread(target=join, name="join the fabric")
             joining.start()
@@ -139,15 +139,13 @@ def _mark(recorder: Recorder, label: str) -> None:
     recorder.take_message(MARK, msgspec.msgpack.encode(Mark(label=label)))
 
 
-def _join(  # noqa: PLR0917 - the arguments of a thread
-    skin: Layout, fingerprint: str, connect: str, recorder: Recorder, stop: StopSignal, joined: list[Fabric]
-) -> None:
+def _join(of: SkinOptions, skin: Layout, recorder: Recorder, stop: StopSignal, joined: list[Fabric]) -> None:
     """Subscribe to everything when there is a hub; frames are recorded meanwhile."""
     try:
-        fabric = Fabric(skin.name, "recorder", connect, stop=stop, fingerprint=fingerprint)
+        fabric = of.join(skin, "recorder", stop)
     except Stopped:
         return
-    except BusError as error:
+    except (BusError, LayoutError) as error:
         say("record", f"frames alone: {error}")
         return
     joined.append(fabric)

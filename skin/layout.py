@@ -445,6 +445,15 @@ def _read_attached(path: Path) -> bytes:
     return content
 
 
+def layout_tables(path: Path | None) -> tuple[dict[str, Any], str]:
+    """Return what the file of a layout says, without any default, and the file's name; a path as `load_layout` takes.
+
+    Only for a layout that `load_layout` has read.
+    """
+    content, origin, _ = _read(path, "default" if path is None else str(path))
+    return msgspec.toml.decode(content), origin
+
+
 def parse_layout(content: bytes, origin: str, folder: Path = Path()) -> Layout:
     """Decode and check a layout; `origin` names the file in messages, and `folder` holds the files that it names."""
     try:

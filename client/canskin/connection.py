@@ -14,7 +14,7 @@ from canskin.fabric import Fabric
 from canskin.frame import Frame, FrameBuilder
 from canskin.messages import CONTACTS, GATEWAY, IMAGE, LABEL, MARK, MEASUREMENT, GatewayStatus, Mark
 from canskin.peers import Peer, client_version
-from canskin.session import DEFAULT_ENDPOINT, close_with_program, peers_at
+from canskin.session import DEFAULT_ENDPOINT, close_with_program, find_skin, peers_at
 from canskin.skin import CLOSED, FrameHub, Frames, Health, Skin
 from canskin.state_messages import IMAGES, MOST_HOLD_S, ImagesReply, ImagesRequest
 
@@ -56,7 +56,7 @@ def connect(endpoint: str = DEFAULT_ENDPOINT, skin: str | None = None, *, timeou
     if not isinstance(timeout_s, int | float) or not timeout_s > 0:
         raise InputError(f"timeout_s: expected seconds above 0, got {timeout_s!r}")
     give_up_s = time.monotonic() + timeout_s
-    name = _skin_at(endpoint, skin, timeout_s)
+    name = find_skin(endpoint, skin, timeout_s, _knows)[0].skin
     fabric = Fabric(name, NAME, endpoint, patience_s=max(1.0, give_up_s - time.monotonic()))
     try:
         layout: Description = fabric.ask(DESCRIPTION, DescriptionRequest(), max(1.0, give_up_s - time.monotonic()))
@@ -78,23 +78,11 @@ def skins_at(endpoint: str = DEFAULT_ENDPOINT, *, timeout_s: float = 1.0) -> lis
 
 
 def _skins_of(peers: list[Peer]) -> list[str]:
-    return sorted({peer.skin for peer in peers if peer.service in GATEWAYS})
+    return sorted({peer.skin for peer in peers if _knows(peer)})
 
 
-def _skin_at(endpoint: str, wanted: str | None, patience_s: float) -> str:
-    """Return the name of the skin on a hub whose gateway is there."""
-    peers = peers_at(
-        endpoint, patience_s, lambda peers: wanted in _skins_of(peers) if wanted else bool(_skins_of(peers))
-    )
-    skins = _skins_of(peers)
-    if wanted in skins or (wanted is None and len(skins) == 1):
-        return wanted or skins[0]
-    found = ", ".join(f"'{name}'" for name in skins)
-    if wanted is None and skins:
-        raise BusError(f"several skins at {endpoint}: {found}; expected the name of one of them: skin=...")
-    looked_for = f"no skin '{wanted}'" if wanted else "no skin"
-    found = found or ", ".join(sorted({f"{peer.service} of '{peer.skin}'" for peer in peers}))
-    raise BusError(f"{looked_for} at {endpoint}, found {found or 'no service'}: is 'skin gateway' running?")
+def _knows(peer: Peer) -> bool:
+    return peer.service in GATEWAYS
 
 
 class ConnectedSkin(Skin):

@@ -18,6 +18,7 @@ from classifier.cache import cached_path, find_or_train
 from classifier.command import classify, train
 from classifier.model import Model
 from classifier.modelfile import load_model, save_model
+from shell.skin_options import SkinOptions
 from skin import sources
 from skin.layout import Layout, load_layout
 from skin.measurement import Sbhe
@@ -192,11 +193,11 @@ def test_wrong_options(small: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="cannot write the model there"):
         train(layout=small, out=tmp_path)
     with pytest.raises(InputError, match="leave --objects out"):
-        classify(layout=small, model=tmp_path / "x.npz", objects=["ring"])
+        classify(of=SkinOptions(layout=small), model=tmp_path / "x.npz", objects=["ring"])
     with pytest.raises(InputError, match="leave --stroke out"):
         classify(model=Path("palm.npz"), stroke="press")
     with pytest.raises(ModelError, match="cannot read the model"):
-        classify(layout=small, model=tmp_path / "x.npz")
+        classify(of=SkinOptions(layout=small), model=tmp_path / "x.npz")
 
 
 @pytest.mark.heavy

@@ -90,7 +90,7 @@ def test_what_is_no_recording_and_a_full_disk_are_told(
 
 def test_an_export_has_the_touches_with_their_labels(touched: Path) -> None:
     label(touched, "3=ball")
-    table = read_tables(touched, SLOW, 0, pytest.fail).named()["touches"]
+    table = read_tables(touched, SLOW, pytest.fail).named()["touches"]
     assert table["label"].tolist() == ["cup", "", "ball"]
     assert table["number"].tolist() == [1, 2, 3]
     assert (table["end_ns"] - table["begin_ns"]).tolist() == [50_000_000 * (HOLD - 1)] * 3

@@ -43,7 +43,7 @@ def live_images(contract: Contract, sums: np.ndarray, valid: np.ndarray) -> np.n
 
 def loaded(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
     with np.load(path, allow_pickle=False) as made:
-        assert set(made.files) == {"images", "valid", "time_ns", "metadata"}
+        assert set(made.files) == {"images", "valid", "time_ns", "cycle", "recording", "metadata"}
         return made["images"], made["valid"], made["time_ns"], msgspec.json.decode(str(made["metadata"]))
 
 

@@ -25,6 +25,7 @@ from recording.calibration import follow_calibration
 from recording.recorder import MOST_WAITING, Recorder
 from recording.sinks import check_format, open_sink
 from shell.service import StopSignal
+from shell.skin_options import SkinOptions
 from skin.layout import parse_layout
 from skin.mcap_file import CALIBRATION_FILE, EVENTS, RECORDER, File, newest_file, read_about, read_entries
 from tests import messages as make
@@ -238,7 +239,8 @@ def test_a_label_holds_from_the_start_of_a_recording_and_is_not_what_was_recorde
     monkeypatch.setattr(record_command, "open_links", lambda *_, **__: links)
     monkeypatch.setattr(StopSignal, "install", lambda self: self)
     one, none = tmp_path / "one.mcap", tmp_path / "none.mcap"
-    recorded = partial(record_command.record, layout=layout_file, connect=free_endpoint(), seconds=0.01, label=label)
+    of = SkinOptions(layout=layout_file, connect=free_endpoint())
+    recorded = partial(record_command.record, of=of, seconds=0.01, label=label)
     with pytest.raises(RunError, match="nothing came"):
         recorded(none)
     brought(links, bus_frames)
@@ -286,7 +288,7 @@ def test_no_thread_waits_for_a_hub_when_the_recorder_ends(
     before = set(threading.enumerate())
     try:
         with pytest.raises(RunError, match="nothing came"):
-            record_command.record(out, layout=layout_file, connect=free_endpoint(), seconds=0.01)
+            record_command.record(out, of=SkinOptions(layout=layout_file, connect=free_endpoint()), seconds=0.01)
     finally:
         for number, handler in handlers.items():
             signal.signal(number, handler)

@@ -137,7 +137,7 @@ def test_images_are_rebuilt_and_recognition_is_exported(
     assert f"{images} of {images} images equal to the recorded" in said
     with np.load(tmp_path / "images.npz") as made:
         assert made["images"].shape == (images, 8, 16)
-    tables = read_tables(recording, load_layout(recording), 0, pytest.fail)
+    tables = read_tables(recording, load_layout(recording), pytest.fail)
     assert tables.recognition["sums"].shape == (len(run.measured), FEW.phi.shape[0])
     assert len(tables.measurements["sums"]) == images
 
