@@ -130,14 +130,13 @@ class TouchCommissioning(Commissioning):
     def _commission(self) -> Steps:
         if not (yield from self._is_alone()):
             return
+        for node_id in (yield from self._numbered()):
+            yield from self._has_stored(node_id)
+        # A board that stored the node-ID of its place in a run that was killed has this node-ID from now on.
         numbered = yield from self._numbered()
-        kept: set[Address] = set()
         for node_id, (talked, address) in numbered.items():
-            if (yield from self._has_stored(node_id)):
-                kept.add(address)
-                board = self.boards[node_id]
-                yield from self._guarded(board, self._with_number(board, talked, address))
-        yield from self._lend_all(kept)
+            yield from self._guarded(self.boards[node_id], self._with_number(self.boards[node_id], talked, address))
+        yield from self._lend_all({address for _, address in numbered.values()})
         if self._lent:
             yield from self._touches()
             yield from self._take_places()

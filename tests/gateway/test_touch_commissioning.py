@@ -109,6 +109,26 @@ def test_a_run_that_is_stopped_keeps_what_was_touched() -> None:
     assert sum(line.startswith("touch block") for line in person.heard) == 1
 
 
+def test_a_run_that_was_killed_is_taken_up() -> None:
+    bench = mixed(patches(3))
+    person = Person(bench)
+
+    def kill(run: Commissioning) -> bool:
+        if run.boards[2].done:
+            raise InterruptedError
+        return False
+
+    with pytest.raises(InterruptedError):
+        bench.touch(person, stop_after=kill)
+    bench.finger.blocks = ()
+    person.heard.clear()
+    # The boards that were touched have other node-IDs than those that they have stored.
+    check_places(bench, bench.touch(person))
+    assert [line for line in person.heard if line.startswith("touch block")] == [
+        "touch block 2, # on the map: x 8 mm, y 8 mm, z 0 mm"
+    ]
+
+
 def test_a_hand_that_was_there_from_the_begin_gives_no_node_id() -> None:
     bench = mixed(patches(2))
     bench.finger.blocks = (1,)
