@@ -123,7 +123,7 @@ class Board:
         """State of the board in words."""
         if self.trouble:
             return f"{self.trouble}{f' (so far: {self.done})' if self.done else ''}"
-        return self.done or "not found: is the board powered, on this bus, at this bit rate, with LSS?"
+        return self.done or "not looked for: the run ended before"
 
 
 class Commissioning:
@@ -229,6 +229,9 @@ class Commissioning:
             step = self._steps.send(came)
         except StopIteration:
             self.done = True
+            for board in self.boards.values():
+                if not (board.is_begun or self._has_sync):
+                    board.trouble = _NOT_FOUND
         else:
             self._begin(step, now_s)
 
@@ -487,6 +490,7 @@ class Commissioning:
 
 
 _HINT: Final = ": --renumber gives it the right one"
+_NOT_FOUND: Final = "not found: is the board powered, on this bus, at this bit rate, with LSS?"
 TWO_SERIALS: Final = "two boards answer: they have one serial number"
 
 

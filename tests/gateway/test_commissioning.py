@@ -21,7 +21,7 @@ def test_a_run_that_was_stopped_goes_on() -> None:
     assert run.boards[2].text == (
         "stopped in the middle: run skin commission again (so far: has node-ID 2 until its power is cut)"
     )
-    assert "not found" in run.boards[3].text
+    assert run.boards[3].text == "not looked for: the run ended before"
     again = bench.commission()
     assert complete(again) == {1, 2, 3}
     assert again.is_whole
@@ -90,6 +90,7 @@ def test_no_board_is_touched_while_a_gateway_runs() -> None:
     bench.wire.submit(sync, frame(0x80, b""), bench.now_ns)
     run = bench.commission()
     assert run.strangers == ["another program sends SYNC on this bus: stop the gateway, then commission again"]
+    assert run.boards[1].text == "not looked for: the run ended before"
     assert bench.places[0].boards.nodes[0].state == 0
 
 
