@@ -31,6 +31,13 @@ def test_a_run_that_was_stopped_goes_on() -> None:
     assert [board.boards.nodes[0].state for board in bench.places] == [127, 127, 127]
 
 
+def test_a_response_of_lss_that_is_too_short_is_no_answer() -> None:
+    bench = Bench(skin(1))
+    bench.add(1)
+    bench.noise = frame(0x7E4, b"\x5e")
+    assert complete(bench.commission()) == {1}
+
+
 def test_the_configuration_is_written_and_stored() -> None:
     bench = Bench(skin(2, sync={"rate_hz": 20}))
     first = bench.add(1, contract=skin(2, sync={"rate_hz": 10}))

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from dbc import indices as od
-from dbc.canopen import Abort
+from dbc.canopen import Abort, NmtCommand
 from dbc.eds import eds, node_types
 from dbc.frame import Frames, frames
 from dbc.program import FlashError, Program
@@ -299,8 +299,27 @@ def test_what_a_board_says_of_a_wrong_program(image: bytes, code: Abort, error: 
 
 def test_a_board_gives_up_a_block_download_that_its_master_left() -> None:
     bench = Bench()
+    bench.passes = lambda number, data: data if number <= 40 else None
     bench.update(NEW, until=lambda: bench.requests > 40)
+    bench.boards.take(frame(0x601, b"\x40\x08\x10".ljust(8, b"\0")), bench.now_s + 1)  # of another master
     bench.waiting = bench.boards.pass_time(bench.now_s + 2)
     aborts = [bytes(each["data"][:8]) for each in bench.waiting if each["can_id"] == 0x581]
     assert aborts == [b"\x80\x50\x1f\x01" + Abort.TIMEOUT.to_bytes(4, "little")]
     assert bench.running == OLD
+
+
+def test_a_reset_ends_a_block_download() -> None:
+    bench = Bench()
+    bench.passes = lambda number, data: data if number <= 40 else None
+    bench.update(NEW, until=lambda: bench.requests > 40)
+    bench.boards.take(frame(0, bytes((NmtCommand.RESET_COMMUNICATION, 1))), bench.now_s)
+    assert bench.running == OLD
+
+
+def test_a_program_that_is_started_twice_starts() -> None:
+    bench = Bench()
+    bench.passes = lambda _number, data: None if data[:5] == b"\x2f\x51\x1f\1\1" else data
+    bench.update(NEW, until=lambda: bench.waiting.size == 0 and bench.read(od.FLASH_STATUS, 1) == bytes(4))
+    start = frame(0x601, b"\x2f\x51\x1f\1\1".ljust(8, b"\0"))
+    bench.boards.take(np.concatenate([start, start]), bench.now_s)
+    assert bench.running == NEW
