@@ -21,7 +21,7 @@ from dbc.canopen import SDO_RESPONSE_BASE
 from dbc.contract import Contract, NodeContract
 from dbc.eds import eds, node_types
 from dbc.frame import ECHO, ERROR, EXTENDED, REMOTE, Frames, one_frame
-from gateway.sdo import Dialogue, Read, SdoDialogue, Write
+from gateway.sdo import Read, SdoDialogue, Write, one
 
 #: Names of CANopen's data types (CiA 301, table 44).
 _TYPES: Final = {value: name for name, value in vars(datatypes).items() if name.isupper() and isinstance(value, int)}
@@ -205,11 +205,7 @@ class NodeTransfers:
     def _begin(self, now_s: float) -> None:
         entry, data = self._left[0]
         transfer = Write(entry.index, entry.subindex, data) if data else Read(entry.index, entry.subindex)
-
-        def steps() -> Dialogue:
-            return (yield transfer)
-
-        self._dialogue = SdoDialogue(self._node_id, steps(), self._send_one, now_s)
+        self._dialogue = SdoDialogue(self._node_id, one(transfer), self._send_one, now_s)
 
     def _send_one(self, can_id: int, data: bytes) -> None:
         self._send(one_frame(can_id, data))

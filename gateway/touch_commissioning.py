@@ -45,7 +45,7 @@ from gateway.commissioning import (
     lss_request,
     scan,
 )
-from gateway.sdo import Dialogue, Read
+from gateway.sdo import Dialogue, Read, SdoError
 from gateway.touch_sensing import TouchSensing, map_of
 from skin.surface import Floats, Indices
 from skin.sync_counter import next_counter
@@ -343,5 +343,7 @@ def _read_sums(contract: Contract, node: NodeContract) -> Dialogue:
     raw = []
     for place, subindex in sums[:: -(-len(sums) // MOST_SUMS)]:
         value = yield Read(od.of_block(od.SUMS, place), subindex)
+        if not 1 <= len(value) <= 2:
+            raise SdoError(f"sum {subindex} has {len(value)} bytes, expected 1 or 2")
         raw.append(int.from_bytes(value, "little", signed=not node.packing.offset))
     return raw
