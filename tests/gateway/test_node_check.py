@@ -298,7 +298,7 @@ def test_frames_that_are_read_late_are_used_when_they_were_in_time() -> None:
 
 @pytest.mark.parametrize(("after_us", "is_late"), [(WINDOW_US, False), (WINDOW_US + 100, True)])
 def test_a_tpdo_after_its_window_differs(after_us: int, *, is_late: bool) -> None:
-    bench = Bench(small_contract(**tables))
+    bench = Bench(small_contract())
 
     def loses(end: object, each: np.void) -> bool:
         if end is bench.wire.gateway and each["can_id"] == 0x281:
