@@ -82,7 +82,7 @@ def classify(
     try:
         decides = Classifier(trained, classified)
         service = make_service(decides, skin, fabric, (lambda _label: None) if wake is None else wake.take)
-        fabric.tell_scheduling(request_real_time("classifier"))
+        request_real_time("classifier", fabric.tell_scheduling)
         service.run(stop)
     finally:
         if wake is not None:

@@ -77,7 +77,7 @@ class Run:
             self._start_services(endpoint)
             self._await_services(stop)
             if not stop.is_set():
-                fabric.tell_scheduling(request_real_time("demo"))  # all messages go through this process
+                request_real_time("demo", fabric.tell_scheduling)  # all messages go through this process
                 tare = "at-start" if self._options.has_zero_errors(self._layout) else "never"
                 self._supervisor.start("gateway", "gateway", *self._common(endpoint), "--tare", tare)
                 self._follow(stop, endpoint)

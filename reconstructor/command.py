@@ -58,5 +58,5 @@ def reconstruct(
     ) as fabric:
         service = ReconstructorService(skin, imager, fabric)
         say("reconstructor", f"{skin.taxels.words}, {imager.about}")
-        fabric.tell_scheduling(service.schedule())
+        service.schedule(fabric.tell_scheduling)
         service.run(stop)

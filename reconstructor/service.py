@@ -64,11 +64,12 @@ class ReconstructorService:
         self._fabric = fabric
         self._mailbox = fabric.mailbox(MEASUREMENT, imager.depth)
 
-    def schedule(self) -> str:
-        """Ask for the scheduling that images need; return what was obtained."""
+    def schedule(self, tell: Callable[[str], None]) -> None:
+        """Ask for the scheduling that images need; `tell` is called with what was obtained, and when it changes."""
         if self._phi.shape[0] >= self._phi.blocks:
-            return request_real_time("reconstructor")
-        return yield_processor()  # fewer sums than blocks give poor images: the label counts
+            request_real_time("reconstructor", tell)
+        else:
+            tell(yield_processor())  # fewer sums than blocks give poor images: the label counts
 
     def run(self, stop: StopSignal) -> None:
         """Serve until `stop`."""

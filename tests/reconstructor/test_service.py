@@ -77,10 +77,12 @@ class Exchange:
 def test_images_of_fewer_sums_than_blocks_let_other_services_go_first(
     hub: Fabric, monkeypatch: pytest.MonkeyPatch, sums: int, scheduling: str
 ) -> None:
-    monkeypatch.setattr("reconstructor.service.request_real_time", lambda _service: "realtime")
+    monkeypatch.setattr("reconstructor.service.request_real_time", lambda _service, tell: tell("realtime"))
     monkeypatch.setattr("reconstructor.service.yield_processor", lambda: "ordinary")
     layout = msgspec.structs.replace(LAYOUT, measurement=msgspec.structs.replace(LAYOUT.measurement, sums=sums))
-    assert ReconstructorService(layout, make_imager(layout), hub).schedule() == scheduling
+    told: list[str] = []
+    ReconstructorService(layout, make_imager(layout), hub).schedule(told.append)
+    assert told == [scheduling]
 
 
 def test_image_of_a_measurement(hub: Fabric, service: ReconstructorService, golf: Scene) -> None:

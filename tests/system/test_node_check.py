@@ -31,7 +31,7 @@ def test_boards_on_a_bus_are_checked(tmp_path: Path) -> None:
         assert (good.returncode, nobody.returncode) == (0, 1)
         report = json.loads(good.stdout)
         assert (report["bus"], report["node_id"], report["differences"]) == ("bus0", 2, [])
-        assert report["frames"] >= report["cycles"] == 12
+        assert report["frames"] >= report["cycles"] == 16
         assert "no answer" in json.loads(nobody.stdout)["differences"][0]
 
 
