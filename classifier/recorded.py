@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from canskin.errors import InputError, tell
+from canskin.errors import InputError, LayoutError, tell
 from canskin.messages import MEASUREMENT, MIN_VALID_RATIO
 from classifier.model import Float64
 from classifier.modelfile import difference, skin_of
@@ -16,7 +16,7 @@ from classifier.newest_sums import NewestSums, averaged_cycles, is_gap
 from classifier.samples import FeatureExtractor, Seen, Untouched, observe_untouched, standard_untouched
 from classifier.touches import CycleKey, Touches, read_touches
 from classifier.used_sums import classified_phi, coarse_sums
-from skin.layout import RECORDING_SUFFIX, Layout, load_layout, require_one_state
+from skin.layout import RECORDING_SUFFIX, Layout, load_layout
 from skin.mcap_file import Warn, read_messages
 from skin.measured_sums import decode_adaptive, decode_measurement
 from skin.measurement import Phi, places
@@ -113,7 +113,8 @@ def labelled_touches(
     given = [recordings] if isinstance(recordings, str | Path) else recordings
     paths = recordings_in(Path(each) for each in given)
     skin = load_layout(layout or paths[0])
-    require_one_state(skin, "training from recordings")
+    if skin.recognition is not None:
+        raise LayoutError("training from recordings does not know recognition: expected a layout without it")
     phi = classified_phi(skin)
     wanted = skin_of(skin, phi)
     for path in paths:
