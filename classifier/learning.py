@@ -25,7 +25,7 @@ from classifier.novelty import Regions
 from classifier.recorded import LabelledTouches
 from classifier.regions import KnownRegions, fit_known
 from classifier.samples import draw_missing_counts
-from classifier.training import C_GRID, Progress, confused, describe
+from classifier.training import C_GRID, Progress, confused, metadata_of
 from classifier.validation import global_scale
 from shell.output import check_output_path
 
@@ -238,7 +238,7 @@ def _model(estimator: Any, data: LabelledTouches, X: Float64, features: Features
         accuracy_by_touch=by_touch.accuracy,
         warnings=_warnings(data),
     )
-    about = describe(
+    about = metadata_of(
         data.layout,
         data.phi,
         features=features,

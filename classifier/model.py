@@ -27,13 +27,13 @@ class TrainingCard(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     data : str
         Source of the touches.
     touches, no_touches : int
-        Number of labelled observations, and of draws of the untouched skin.
+        Number of labelled touches, and of draws or recorded cycles of the untouched skin; 0: too few were recorded.
     development, validation : int
         Number of touches in each set, the same part of every object. The final model is trained on both sets.
     noise_n : float
-        Standard deviation of the taxel noise, clipped to the taxels' range.
+        Standard deviation of the taxel noise, clipped to the taxels' range; 0 for recorded touches.
     C : float
-        The C with the best accuracy on the validation set.
+        The C with the best accuracy on the validation set; 0 of a classifier of scikit-learn without C.
     validation_accuracy : float
         Accuracy on the validation set, with this C and training on the development set.
     per_object : dict

@@ -8,8 +8,8 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from canskin.errors import InputError, LayoutError, tell
-from canskin.messages import MEASUREMENT, MIN_VALID_RATIO
+from canskin.errors import InputError, tell
+from canskin.messages import MEASUREMENT, MIN_VALID_RATIO, RECOGNITION
 from classifier.model import Float64
 from classifier.modelfile import difference, skin_of
 from classifier.newest_sums import NewestSums, averaged_cycles, is_gap
@@ -113,8 +113,6 @@ def labelled_touches(
     given = [recordings] if isinstance(recordings, str | Path) else recordings
     paths = recordings_in(Path(each) for each in given)
     skin = load_layout(layout or paths[0])
-    if skin.recognition is not None:
-        raise LayoutError("training from recordings does not know recognition: expected a layout without it")
     phi = classified_phi(skin)
     wanted = skin_of(skin, phi)
     for path in paths:
@@ -183,12 +181,13 @@ class _Reader:
         of_touch: list[int] = []
         wanted = _wanted(found, MOST_STILL // recordings)
         newest = NewestSums(phi, averaged_cycles(layout))
-        full = layout.operator()
+        topic = MEASUREMENT if layout.recognition is None else RECOGNITION
+        sent = layout.recognising().operator()
         used = np.arange(phi.shape[0]) if layout.sends.in_cycles else places(layout.phi(), coarse_sums(layout))
         before = None
-        for _, _, measurement in read_messages(path, (MEASUREMENT,), warn):
+        for _, _, measurement in read_messages(path, (topic,), warn):
             try:
-                decoded = (decode_measurement if layout.sends.in_cycles else decode_adaptive)(measurement, full)
+                decoded = (decode_measurement if layout.sends.in_cycles else decode_adaptive)(measurement, sent)
             except InputError as error:
                 raise InputError(f"{path}: {error}") from error
             step = 1
@@ -210,7 +209,9 @@ class _Reader:
                 of_touch.append(touch)
         self.touch = np.array(of_touch, np.intp)
         if before is None:
-            raise InputError(f"{path}: holds contacts, but no measurements: expected a recording of 'skin record'")
+            raise InputError(
+                f"{path}: holds contacts, but no sums for the classifier: expected a recording of 'skin record'"
+            )
 
 
 def _wanted(found: Touches, most_still: int) -> dict[CycleKey, int]:

@@ -140,7 +140,7 @@ def train(
     held = training.split.validation
     margins = chosen.development_machine.margins(standard[held])
     slope = confidence_slope(margins, chosen.development_machine.classes_, names[held])
-    about = describe(
+    about = metadata_of(
         layout,
         phi,
         features=options.features,
@@ -155,7 +155,7 @@ def train(
     return Model(about, layout.taxels.surface, *learnt)
 
 
-def describe(
+def metadata_of(
     layout: Layout,
     phi: Phi,
     *,

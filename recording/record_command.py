@@ -92,12 +92,14 @@ def record(
     joining: threading.Thread | None = None
     try:
         now_ns = time.time_ns()
-        recorder = Recorder(links, open_sink(out, contract, now_ns, now_ns - time.monotonic_ns()), names)
+        sink = open_sink(out, contract, now_ns, now_ns - time.monotonic_ns())
+        recorder = Recorder(links, sink, names)
         if len(labels) == 1:
             _mark(recorder, labels[0])
         join = partial(_join, of, skin, recorder, stop, joined)
-        joining = threading.Thread(target=join, name="join the fabric")
-        joining.start()
+        if sink.has_messages:  # a program that sets marks is to see no recorder that cannot write them
+            joining = threading.Thread(target=join, name="join the fabric")
+            joining.start()
         say("record", f"{', '.join(names.values())} to {out}")
         request_real_time("record")  # else services with it keep messages from coming
         with mark_keys(labels, partial(_mark, recorder)) as poll:

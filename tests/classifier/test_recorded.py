@@ -4,6 +4,7 @@ import re
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 from sklearn.discriminant_analysis import LinearDiscriminantAnalysis
@@ -15,6 +16,7 @@ from sklearn.svm import SVC, LinearSVC
 
 import canskin
 from canskin.errors import InputError
+from canskin.messages import CONTACTS
 from classifier.dag import walked
 from classifier.dagsvm import DagSvm
 from classifier.decide import Classifier
@@ -23,8 +25,11 @@ from classifier.model import Model
 from classifier.modelfile import load_model
 from classifier.recorded import MOST_PER_TOUCH, LabelledTouches, labelled_touches
 from classifier.samples import simulate_sums
+from dbc.contract import Contract
+from recording.sinks import McapSink
 from skin.layout import Layout
 from skin.measurement import Sbhe
+from tests import messages as make
 from tests.classifier.conftest import SMALL, draw
 from tests.layouts import small_layout
 from tests.recordings import HOLD, REST, write_touches
@@ -178,6 +183,22 @@ def test_means_of_cycles_are_trained_as_they_are_classified(tmp_path: Path) -> N
         sums = simulate_sums(np.repeat(each[None], 15, axis=0), fast, phi, 0.001, np.random.default_rng(5))
         last.append([classifier.decide(one, np.ones(phi.blocks, np.bool_)).label for one in sums][-1])
     assert np.mean(np.array(last) == labels) > 0.95
+
+
+def test_a_skin_with_two_states_is_trained_on_the_sums_of_recognition(tmp_path: Path) -> None:
+    skin = small_layout(32, 32, **SMALL, recognition={"sums": 128, "rate_hz": 100.0})
+    data = labelled_touches(write_touches(tmp_path / "run.mcap", skin, *draw(COUNT, 1)))
+    assert (data.sums.shape, data.phi.shape[0]) == ((COUNT * HOLD, 128), 128)
+    assert accuracy(train_recorded(data), skin, skin.recognising().phi()) > 0.9
+
+
+def test_a_recording_without_measurements_is_refused(tmp_path: Path, layout: Layout) -> None:
+    path = tmp_path / "run.mcap"
+    sink = McapSink(path, Contract.from_layout(layout), 1, 1)
+    sink.message(CONTACTS, 1, msgspec.msgpack.encode(make.contacts(1)))
+    sink.close()
+    with pytest.raises(InputError, match=r"run\.mcap: holds contacts, but no sums for the classifier"):
+        labelled_touches(path)
 
 
 def test_long_touches_give_some_of_their_cycles(
