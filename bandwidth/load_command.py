@@ -10,14 +10,15 @@ from canskin.errors import InputError, RunError
 from dbc.contract import Contract
 from dbc.frame import Frames
 from shell.service import StopSignal, say
+from shell.skin_options import SkinOptions
 from shell.terminal import Json
-from skin.layout import Layout, load_layout
+from skin.layout import Layout
 
 
 def load(
     log: Path | None = None,
     *,
-    layout: Path | None = None,
+    of: SkinOptions | None = None,
     can: BusOptions | None = None,
     seconds: float = 5.0,
     json_: Json = False,
@@ -30,9 +31,11 @@ def load(
     Parameters
     ----------
     log
-        Log of candump (-l), ASC, BLF, MF4 or any other format that python-can reads; default: measure the live buses.
-    layout
-        TOML of the skin; without it the default skin.
+        A recording (.mcap), or a log of candump (-l), ASC, BLF, MF4 or any other format that python-can reads; default:
+        measure the live buses.
+    of
+        Which skin. Without an option the layout is that of the recording (.mcap), else the default skin; ``--connect``
+        asks a hub.
     can
         Live: the CAN interfaces. In a log: the channel of each bus. Default: the names of the buses, else all
         channels in their order.
@@ -48,15 +51,14 @@ def load(
     """
     if not 0 < seconds < float("inf"):
         raise InputError(f"expected a finite number of seconds above 0, got {seconds:g}")
-    skin = load_layout(layout)
-    options = can or BusOptions()
+    skin = (of or SkinOptions()).find(recording=log, needs_hub=False)
+    contract, options = Contract.from_layout(skin), can or BusOptions()
     if log is None:
         seen = _listen(skin, options, seconds)
     else:
         names = channels(skin, options)
         logged = read_log(log, lambda line: say("load", line))
         seen = of_buses(skin, names, logged, log, named_by_user=bool(options.channel))
-    contract = Contract.from_layout(skin)
     sending = sending_of(contract)
     plans = sending.plan(contract)
     parts = {number: measure_states(contract, number, frames, plans) for number, frames in seen.items()}

@@ -10,7 +10,8 @@ from typing import Final, Protocol, cast
 
 import can
 import numpy as np
-from can.io.generic import TextIOMessageReader
+from can.io.generic import MessageReader, TextIOMessageReader
+from can.io.player import MESSAGE_READERS
 
 from bus.link import DISCARDED, Link
 from bus.messages import to_logged_frames
@@ -25,6 +26,8 @@ _LATEST_S: Final = 9.2e9
 #: An error frame of SocketCAN in a log of candump: the identifier contains CAN_ERR_FLAG.
 _ERROR_FRAME: Final = re.compile(r"(\s*\(\S+\)\s+\S+\s+)([23][0-9A-Fa-f]{7})(#.*)", re.DOTALL)
 _ERROR_FLAG: Final = 0x20000000
+#: A line of candump -l: time, channel, identifier, data.
+_LOGGED: Final = re.compile(r"\s*\(\d+(\.\d+)?\)\s+\S+\s+[0-9A-Fa-f]{3,8}#")
 #: A line that candump prints on a terminal: length in brackets, then data.
 _PRINTED: Final = re.compile(r"\s*(\(\S+( \S+)?\)\s+)?\S+\s+([TR]X\s+\S+\s+\S+\s+)?[0-9A-Fa-f]{3,8}\s+\[\d+\]")
 #: Period of the check whether to end a live measurement.
@@ -88,7 +91,7 @@ def read_log(path: Path, warn: Callable[[str], None]) -> dict[str, Frames]:
     ----------
     path : pathlib.Path
         ``.mcap`` of ``skin record``, ``.log`` (candump -l), ``.asc``, ``.blf``, ``.trc``, ``.csv``, ``.db`` or, with
-        asammdf installed, ``.mf4``.
+        asammdf installed, ``.mf4``. A log of candump may have any other suffix.
     warn : callable
         Receives one line of text if the log is cut.
     """
@@ -99,7 +102,7 @@ def read_log(path: Path, warn: Callable[[str], None]) -> dict[str, Frames]:
     of_channel: dict[str, list[can.Message]] = {}
     lines: _Lines | None = None
     try:
-        with can.LogReader(path) as reader:
+        with _reader(path) as reader:
             if isinstance(reader, TextIOMessageReader):
                 cast("TextIOWrapper", reader.file).reconfigure(encoding="utf-8", errors="replace")
                 lines = reader.file = _Lines(reader.file)  # type: ignore[assignment]
@@ -121,6 +124,16 @@ def read_log(path: Path, warn: Callable[[str], None]) -> dict[str, Frames]:
     if not of_channel:
         raise InputError(f"{path}: holds no CAN frame")
     return {channel: to_logged_frames(messages) for channel, messages in of_channel.items()}
+
+
+def _reader(path: Path) -> MessageReader:
+    """Return the reader of a log: by its suffix, or where no format has this suffix, that of candump by the content."""
+    if path.suffix.lower() not in {*MESSAGE_READERS, ".gz"}:
+        with path.open(encoding="utf-8", errors="replace") as file:
+            first = next((line for line in file if line.strip()), "")
+        if _LOGGED.match(first) or _PRINTED.match(first):
+            return can.CanutilsLogReader(path)
+    return can.LogReader(path)
 
 
 def _read_recording(path: Path, warn: Callable[[str], None]) -> dict[str, Frames]:

@@ -33,6 +33,8 @@ from skin.layout import Bus
 #: Kinds of identifiers of other devices: not in the layout, and named by the layout.
 FOREIGN: Final = "foreign"
 OTHER_DEVICE: Final = "other device"
+#: Kind of the identifier that asks nodes for a state.
+STATE: Final = "state"
 #: With a larger part of unknown frames, a bus does not fit the layout.
 MISFIT_RATIO: Final = 0.2
 
@@ -290,7 +292,7 @@ class Identifiers:
         if cob_id == TIME_COB_ID and self._has_time:
             return "TIME", 0
         if cob_id == STATE_COB_ID and self._has_states:
-            return "state", 0
+            return STATE, 0
         for base, kind in SERVICES.items():
             if cob_id - base in self._ids:
                 return kind, 0 if base == SDO_REQUEST_BASE else cob_id - base

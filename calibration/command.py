@@ -17,10 +17,9 @@ from canskin.calibration_messages import (
     tare_request,
 )
 from canskin.errors import InputError, RunError
-from canskin.fabric import Fabric
-from canskin.session import DEFAULT_ENDPOINT
 from shell.output import check_output_path, write_file
 from shell.service import say
+from shell.skin_options import PATIENCE_S, SkinOptions
 from shell.terminal import Json, print_json, print_table
 from skin.calibration_file import (
     StoredCalibration,
@@ -29,10 +28,9 @@ from skin.calibration_file import (
     most_offset_n,
     parse_calibration,
 )
-from skin.layout import Layout, load_layout
+from skin.layout import Layout, require_boards
 
-#: Longest wait for the hub, and for the answer to ``write``: writing to nodes takes up to a minute.
-PATIENCE_S: Final = 5.0
+#: Longest wait for the answer to ``write``: writing to nodes takes up to a minute.
 WRITING_S: Final = 300.0
 
 Action = Literal["show", "save", "load", "gain"]
@@ -40,8 +38,7 @@ Action = Literal["show", "save", "load", "gain"]
 
 def tare(
     *,
-    layout: Path | None = None,
-    connect: str = DEFAULT_ENDPOINT,
+    of: SkinOptions | None = None,
     force: Annotated[bool, Parameter(negative=())] = False,
     region: str | None = None,
     json: Json = False,
@@ -52,10 +49,8 @@ def tare(
 
     Parameters
     ----------
-    layout
-        TOML of the skin; without it the default skin.
-    connect
-        Endpoint of the fabric's hub.
+    of
+        Which skin.
     force
         Whatever touches the skin now becomes part of its zero.
     region
@@ -71,10 +66,12 @@ def tare(
     skin tare --force
     skin tare --region 12,20,19,31
     """
-    skin = load_layout(layout)
+    of = of or SkinOptions()
+    skin = of.find()
+    require_boards(skin)
     named = None if region is None else region.split(",")
     request = tare_request(skin.taxels.rows, skin.taxels.columns, force=force, region=named)
-    reply = _ask(skin, connect, request, ANSWER_S)
+    reply = _ask(skin, of, request, ANSWER_S)
     if json:
         print_json({"is_done": reply.is_done, "text": reply.text, "status": msgspec.to_builtins(reply.status)})
     else:
@@ -86,8 +83,7 @@ def calibration(
     action: Action,
     path: Path | None = None,
     *,
-    layout: Path | None = None,
-    connect: str = DEFAULT_ENDPOINT,
+    of: SkinOptions | None = None,
     to_nodes: Annotated[bool, Parameter(negative=())] = False,
     force_n: float | None = None,
     before: Path | None = None,
@@ -104,10 +100,9 @@ def calibration(
     path
         File (.json). It belongs to its layout: other layouts refuse it. Of ``gain``: a recording (.mcap) of a round
         weight that was rolled over a tared skin, or a .csv with the gains, one row of taxels a line.
-    layout
-        TOML of the skin; without it the default skin.
-    connect
-        Endpoint of the fabric's hub.
+    of
+        Which skin. A recording has its layout in itself; any other file of ``show`` and ``gain`` is of the default skin
+        without an option.
     to_nodes
         Of ``load``: write gains (2010h) and offsets of taxels (2011h) to all nodes, which store them (1010h).
     force_n
@@ -123,27 +118,27 @@ def calibration(
     Examples
     --------
     skin calibration show
-    skin calibration save palm.json --layout palm.toml
+    skin calibration save palm.json
     skin calibration gain rolled.mcap --force-n 0.4 --out gains.json
-    skin calibration load gains.json --layout palm.toml --to-nodes
+    skin calibration load gains.json --to-nodes
     """
-    skin = load_layout(layout)
+    of = of or SkinOptions()
     if action != "show" and path is None:
         raise InputError(f"expected a file: skin calibration {action} FILE")
     if to_nodes and action != "load":
         raise InputError("--to-nodes is for 'skin calibration load'")
     if action != "gain" and (force_n, before, out) != (None, None, None):
         raise InputError("--force-n, --before and --out are for 'skin calibration gain'")
+    _check_written(action, path, out)
+    reads = path if action in {"show", "gain"} else None
+    skin = of.find(recording=reads, needs_hub=reads is None)
+    require_boards(skin)
     if path is None or action == "show":
-        _show(skin, connect, path, as_json=json)
-    elif action == "gain":
-        if out is None:
-            raise InputError("expected a file for the gains: --out FILE")
-        check_output_path(out, "calibration")
+        _show(skin, of, path, as_json=json)
+    elif out is not None:
         _save(skin, out, stored_gains(skin, path, force_n, before))
     elif action == "save":
-        check_output_path(path, "calibration")
-        stored, status = _gateways(skin, connect)
+        stored, status = _gateways(skin, of)
         if not stored.offsets_n and not stored.gains:
             is_off = status is not None and status.state is CalibrationState.OFF
             why = "and measures none: start it with --tare at-start." if is_off else "yet: is the skin untouched?"
@@ -152,15 +147,23 @@ def calibration(
     else:
         content = encoded(load_calibration(path, skin))
         request = CalibrationRequest(action="write" if to_nodes else "load", content=content)
-        reply = _ask(skin, connect, request, WRITING_S if to_nodes else ANSWER_S)
+        reply = _ask(skin, of, request, WRITING_S if to_nodes else ANSWER_S)
         if not reply.is_done:
             raise RunError(reply.text)
         say("calibration", reply.text)
 
 
-def _gateways(skin: Layout, connect: str) -> tuple[StoredCalibration, CalibrationStatus | None]:
+def _check_written(action: Action, path: Path | None, out: Path | None) -> None:
+    if action == "gain" and out is None:
+        raise InputError("expected a file for the gains: --out FILE")
+    written = {"gain": out, "save": path}.get(action)
+    if written is not None:
+        check_output_path(written, "calibration")
+
+
+def _gateways(skin: Layout, of: SkinOptions) -> tuple[StoredCalibration, CalibrationStatus | None]:
     """Return the calibration of the gateway, and its status."""
-    reply = _ask(skin, connect, CalibrationRequest(action="show"), ANSWER_S)
+    reply = _ask(skin, of, CalibrationRequest(action="show"), ANSWER_S)
     return parse_calibration(reply.content, skin, "the gateway", is_shown=True), reply.status
 
 
@@ -178,8 +181,8 @@ def _beyond(skin: Layout, stored: StoredCalibration) -> str:
     return f"{len(places)} offsets beyond ±{1e3 * most_n:g} mN, first of sum {places[0]}: no gateway loads them"
 
 
-def _ask(skin: Layout, connect: str, request: CalibrationRequest, timeout_s: float) -> CalibrationReply:
-    fabric = Fabric(skin.name, "calibration", connect, fingerprint=skin.phi().fingerprint, patience_s=PATIENCE_S)
+def _ask(skin: Layout, of: SkinOptions, request: CalibrationRequest, timeout_s: float) -> CalibrationReply:
+    fabric = of.join(skin, "calibration", patience_s=PATIENCE_S)
     try:
         reply: CalibrationReply = fabric.ask(CALIBRATION, request, timeout_s)
     finally:
@@ -195,11 +198,11 @@ def _words(stored: StoredCalibration) -> str:
     return ", ".join(parts) or "nothing"
 
 
-def _show(skin: Layout, connect: str, path: Path | None, *, as_json: bool) -> None:
+def _show(skin: Layout, of: SkinOptions, path: Path | None, *, as_json: bool) -> None:
     """Print the calibration of a file, or of the gateway."""
     status = None
     if path is None:
-        stored, status = _gateways(skin, connect)
+        stored, status = _gateways(skin, of)
     else:
         stored = load_calibration(path, skin, is_shown=True)
     if as_json:

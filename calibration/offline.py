@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import numpy.typing as npt
 
@@ -44,28 +45,33 @@ def calibrated(measurements: Iterable[Measurement], calibrator: OffsetSource | N
 def calibrated_cycles(
     layout: Layout,
     counts: npt.NDArray[np.int32],
-    valid: Bools,
+    valid_sums: Bools,
     time_ns: npt.NDArray[np.int64],
     calibrator: OffsetSource,
-) -> tuple[npt.NDArray[np.int32], Bools]:
-    """Return the sums of all cycles less their offsets, and the validity of their blocks.
+) -> tuple[npt.NDArray[np.int32], Bools, Bools]:
+    """Return the sums of all cycles less their offsets, and the validity of their blocks and of the sums.
 
     Parameters
     ----------
     counts : array of int32, shape (cycles, m)
-    valid : array of bool, shape (cycles, blocks)
+    valid_sums : array of bool, shape (cycles, m)
+        Sums that came and are usable.
     time_ns : array of int64, shape (cycles,)
     """
     phi = layout.phi()
-    corrected, whole = np.empty_like(counts), np.empty_like(valid)
-    cycles = enumerate(zip(counts, valid, time_ns.tolist(), strict=True))
-    measured = (
-        measurement_of(layout, phi, cycle, sums, blocks, time_ns=at_ns) for cycle, (sums, blocks, at_ns) in cycles
-    )
-    for cycle, made in enumerate(calibrated(measured, calibrator)):
-        sums = decode_measurement(made, phi)
-        corrected[cycle], whole[cycle] = sums.counts, sums.valid
-    return corrected, whole
+    corrected, used, whole = np.empty_like(counts), valid_sums.copy(), np.empty((len(counts), phi.blocks), np.bool_)
+
+    def measured() -> Iterator[Measurement]:
+        for cycle, (sums, valid, at_ns) in enumerate(zip(counts, valid_sums, time_ns.tolist(), strict=True)):
+            blocks = np.bincount(phi.block_of_sum, valid, phi.blocks) > 0
+            came = measurement_of(layout, phi, cycle, sums, blocks, time_ns=at_ns)
+            unusable = blocks[phi.block_of_sum] & ~valid
+            yield msgspec.structs.replace(came, usable=(~unusable).tobytes()) if unusable.any() else came
+
+    for cycle, made in enumerate(calibrated(measured(), calibrator)):
+        decoded = decode_measurement(made, phi)
+        corrected[cycle], whole[cycle], used[cycle] = decoded.counts, decoded.valid, decoded.valid_sums
+    return corrected, whole, used
 
 
 def measurement_of(

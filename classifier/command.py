@@ -1,22 +1,23 @@
 """The verbs ``skin classify`` and ``skin train``."""
 
 from pathlib import Path
-from typing import Final
+from typing import Annotated, Final
 
 import msgspec
 import numpy as np
+from cyclopts import Parameter
 
 from canskin.errors import InputError, RunError
 from canskin.fabric import Fabric
-from canskin.session import DEFAULT_ENDPOINT
 from canskin.state_messages import IMAGES, ImagesRequest
 from classifier.cache import FEATURES, TOUCHES_PER_OBJECT, cached_path, find_or_train, keep_model
-from classifier.model import SIMULATED, Features, Metadata, Model
+from classifier.model import SIMULATED, Features, Metadata, Model, TrainingCard
 from classifier.modelfile import load_model, save_model
 from classifier.used_sums import classified_phi
 from classifier.wake import Wake
 from shell.output import check_output_path, write_file
 from shell.service import StopSignal, request_real_time, say
+from shell.skin_options import SkinOptions
 from shell.terminal import Json, print_json, print_table, progress
 from shell.touch_options import ObjectNames
 from skin.layout import Layout, Recognition, layout_text, load_layout
@@ -29,8 +30,7 @@ ASK_S: Final = 1.0
 
 def classify(
     *,
-    layout: Path | None = None,
-    connect: str = DEFAULT_ENDPOINT,
+    of: SkinOptions | None = None,
     model: Path | None = None,
     objects: ObjectNames | None = None,
     stroke: StrokeKind | None = None,
@@ -42,10 +42,8 @@ def classify(
 
     Parameters
     ----------
-    layout
-        TOML of the skin; without it the default skin.
-    connect
-        Endpoint of the fabric's hub.
+    of
+        Which skin.
     model
         Model file from ``skin train`` for this skin.
     objects
@@ -62,13 +60,13 @@ def classify(
     from classifier.decide import Classifier  # compiled parts take a moment to load
     from classifier.service import make_service
 
-    stop = StopSignal().install()
-    skin = load_layout(layout)
-    classified = classified_phi(skin)
+    stop, of = StopSignal().install(), of or SkinOptions()
     if model is not None and objects:
         raise InputError("--model contains its objects: leave --objects out")
     if model is not None and stroke is not None:
         raise InputError("--model contains what it was trained on: leave --stroke out")
+    skin = of.find(stop)
+    classified = classified_phi(skin)
     if model is not None:
         trained = load_model(model, skin, classified)
     else:
@@ -76,13 +74,13 @@ def classify(
     # A first decision compiles for a while: before the service is there, and not between two measurements.
     still = np.zeros(classified.shape[0], np.int32), np.ones(classified.blocks, np.bool_)
     Classifier(trained, classified).decide(*still)
-    fabric = Fabric(skin.name, "classifier", connect, stop=stop, fingerprint=skin.operator().fingerprint)
+    fabric = of.join(skin, "classifier", stop)
     say("classifier", f"knows {', '.join(trained.metadata.classes)}")
     wake = None if skin.recognition is None else _wake(skin.recognition, fabric)
     try:
         decides = Classifier(trained, classified)
         service = make_service(decides, skin, fabric, (lambda _label: None) if wake is None else wake.take)
-        fabric.tell_scheduling(request_real_time("classifier"))
+        request_real_time("classifier", fabric.tell_scheduling)
         service.run(stop)
     finally:
         if wake is not None:
@@ -113,9 +111,13 @@ def train(
     out: Path | None = None,
     choose: int = 0,
     layout_out: Path | None = None,
+    recordings: Annotated[list[Path] | None, Parameter(negative=())] = None,
     json: Json = False,
 ) -> None:
-    """Train a classifier for a skin on simulated touches.
+    """Train a classifier for a skin on simulated touches, or on the labelled touches of recordings.
+
+    Of recordings: all cycles of a touch are in one part of the cross-validation, and where each label is in two
+    recordings or more, all cycles of a recording. The table is the confusion matrix.
 
     Parameters
     ----------
@@ -141,16 +143,27 @@ def train(
         has this table; needs ``--layout-out``.
     layout_out
         Layout file with the chosen rows: the model is for this layout.
+    recordings
+        Recordings (.mcap), or folders of them, whose touches have labels (``skin record --label``, ``skin label``);
+        needs ``--out``.
     json
         Print the model card as one JSON object.
 
     Examples
     --------
+    skin train --recordings touches/ --out mine.npz
     skin train --objects golf-ball,ring,tuna-can
     skin train --objects paper --stroke press
     skin train --layout palm.toml --touches 4000 --out palm.npz --json
     skin train --choose 64 --layout-out palm-64.toml --features sums
     """
+    if recordings is not None:
+        if objects or touches or choose or layout_out:
+            raise InputError(
+                "--recordings contain their objects and touches: leave --objects, --touches, --choose, --layout-out out"
+            )
+        _train_recorded(recordings, layout, out, features or "energies", noise_n=noise_n, seed=seed, as_json=json)
+        return
     skin = load_layout(layout)
     names = _named(objects)
     if touches < 0 or seed < 0:
@@ -174,6 +187,34 @@ def train(
         write_file(layout_out, layout_text(skin))
         say("train", f"layout with the {choose} chosen rows: {layout_out}")
     _show(model.metadata, path, as_json=json)
+
+
+def _train_recorded(
+    recordings: list[Path],
+    layout: Path | None,
+    out: Path | None,
+    features: Features,
+    *,
+    noise_n: float,
+    seed: int,
+    as_json: bool,
+) -> None:
+    """Train on the touches of recordings."""
+    from classifier.learning import train_recorded  # scikit-learn takes a second to load
+    from classifier.recorded import labelled_touches
+
+    if out is None:
+        raise InputError("--recordings: expected --out FILE for the model, for 'skin classify --model FILE'")
+    check_output_path(out, "model")
+    with progress("reading recordings", 1.0) as bar:
+        data = labelled_touches(recordings, layout, noise_n=noise_n, seed=seed)
+        model = train_recorded(
+            data, features=features, seed=seed, progress=lambda doing, ratio: bar.update(ratio, doing)
+        )
+    save_model(model, out)
+    for line in model.metadata.card.warnings:
+        say("train", line)
+    _show(model.metadata, out, as_json=as_json)
 
 
 def _named(objects: list[str] | None) -> list[str]:
@@ -215,5 +256,25 @@ def _show(about: Metadata, path: Path, *, as_json: bool) -> None:
         return
     card = about.card
     accuracies = card.per_object | {"all": card.validation_accuracy}
-    print_table(("object", "right on validation"), [(name, f"{ratio:.1%}") for name, ratio in accuracies.items()])
-    say("train", f"C = {card.C:g}, {card.touches} touches, Φ {about.fingerprint}: {path}")
+    if not card.validated_by:
+        print_table(("object", "right on validation"), [(name, f"{ratio:.1%}") for name, ratio in accuracies.items()])
+        say("train", f"C = {card.C:g}, {card.touches} touches, Φ {about.fingerprint}: {path}")
+        return
+    _show_confusion(card)
+    recordings = f"{card.touches} touches of {len(card.recordings)} recordings"
+    say("train", f"C = {card.C:g}, {recordings}, Φ {about.fingerprint}: {path}")
+
+
+def _show_confusion(card: TrainingCard) -> None:
+    """Print how many cycles that were left out of a training got which label."""
+    rows = [*card.confusion, [sum(column) for column in zip(*card.confusion, strict=True)]]
+    accuracies = card.per_object | {"all": card.validation_accuracy}
+    print_table(
+        ("cycles of", *(f"named {name}" for name in card.per_object), "right"),
+        [(name, *row, f"{part:.1%}") for (name, part), row in zip(accuracies.items(), rows, strict=True)],
+    )
+    by_touch = f"{card.accuracy_by_touch:.1%} if its touch" if card.accuracy_by_touch is not None else ""
+    if card.validated_by == "recording":
+        say("train", f"right: {card.validation_accuracy:.1%} if the recording of a cycle was left out, {by_touch}")
+    else:
+        say("train", f"right: {by_touch} was left out")

@@ -6,26 +6,26 @@ import numpy as np
 import numpy.typing as npt
 
 from classifier.dag import Float64, walked
-from classifier.dagsvm import DagSvm
 
 #: An error is added to the observations, with margins of this quantile.
 _PRETENDED_ERROR: Final = 0.05
 
 
-def confidence_slope(machine: DagSvm, features: Float64, names: npt.NDArray[np.str_]) -> float:
+def confidence_slope(margins: Float64, classes: npt.NDArray[np.str_], names: npt.NDArray[np.str_]) -> float:
     """Fit the slope of confidence against margins by maximum likelihood on a fine grid.
 
     The added error, with small margins, keeps the slope finite if every observation is right.
 
     Parameters
     ----------
-    features : array, shape (count, features)
-        Observations that were not in the training.
+    margins : array, shape (count, pairs)
+        Of observations that were not in the training, see `classifier.dag.walked`.
+    classes : array, shape (M,)
     names : array, shape (count,)
         Their labels.
     """
-    winners, paths = walked(machine.margins(features), machine.classes_.size)
-    right = np.append(machine.classes_[winners] == names, False)
+    winners, paths = walked(margins, classes.size)
+    right = np.append(classes[winners] == names, False)
     paths = np.vstack([paths, np.quantile(paths, _PRETENDED_ERROR, axis=0)])
     slopes = np.geomspace(0.01, 1000, 300)
     costs = []

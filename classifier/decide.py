@@ -1,7 +1,5 @@
 """The decision on a measurement: contact or not, the object or an unknown object."""
 
-from typing import Final
-
 import numpy as np
 import numpy.typing as npt
 
@@ -9,16 +7,12 @@ from canskin.messages import MIN_VALID_RATIO
 from classifier.descent import descend
 from classifier.missing import Completion, Factors
 from classifier.model import Model
-from classifier.newest_sums import NewestSums
+from classifier.newest_sums import NewestSums, is_gap
 from classifier.novelty import Regions, novelty
 from classifier.observer import Observer
 from classifier.settling import SETTLING, Decision, Seen, Settling, logistic
 from skin.measurement import Phi
 from skin.sending import SENDINGS
-
-#: After a gap of more cycles than this, or than three times those that are averaged if these are more, the decision
-#: starts again.
-FORGET_CYCLES: Final = 10
 
 
 class Classifier:
@@ -63,7 +57,7 @@ class Classifier:
         valid : array of bool, shape (blocks,)
             Sums of blocks that are False here are ignored; see `classifier.newest_sums`.
         cycle : int, optional
-            Number of the cycle; after a gap (see `FORGET_CYCLES`) or a step back, past cycles are dropped.
+            Number of the cycle; after a gap (`classifier.newest_sums.is_gap`) or a step back, past cycles are dropped.
         time_ns : int, optional
             When the sums were sampled, by the same clock in all calls. Default: 10 ms after the last.
         """
@@ -71,7 +65,7 @@ class Classifier:
         if cycle is not None:
             step = 1 if self._cycle is None else cycle - self._cycle
             self._cycle = cycle
-        if not 0 < step <= max(FORGET_CYCLES, 3 * self._model.metadata.cycles):
+        if is_gap(step, self._model.metadata.cycles):
             self._settling.forget()
             self._newest.forget()
         valid_ratio = self._newest.take(sums, valid, step)

@@ -33,6 +33,10 @@ class Factors(NamedTuple):
     noise: float
 
 
+#: Of a model whose features are no sums.
+NO_FACTORS: Final = Factors(np.zeros(0), np.zeros((0, 0)), 0.0)
+
+
 def fit_factors(sums: Float64) -> Factors:
     """Return the factors of `sums`, shape (count, m), 2 observations or more: the largest principal components."""
     if len(sums) < 2:

@@ -27,13 +27,13 @@ class TrainingCard(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     data : str
         Source of the touches.
     touches, no_touches : int
-        Number of labelled observations, and of draws of the untouched skin.
+        Number of labelled touches, and of draws or recorded cycles of the untouched skin; 0: too few were recorded.
     development, validation : int
         Number of touches in each set, the same part of every object. The final model is trained on both sets.
     noise_n : float
-        Standard deviation of the taxel noise, clipped to the taxels' range.
+        Standard deviation of the taxel noise, clipped to the taxels' range; 0 for recorded touches.
     C : float
-        The C with the best accuracy on the validation set.
+        The C with the best accuracy on the validation set; 0 of a classifier of scikit-learn without C.
     validation_accuracy : float
         Accuracy on the validation set, with this C and training on the development set.
     per_object : dict
@@ -42,6 +42,17 @@ class TrainingCard(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         Number of validation touches by true class (row) and decided class (column), of the same model.
     unknown_ratio : float
         Part of the validation touches beyond all limits, each cycle decided alone.
+    cycles : int
+        Of recorded touches: number of their cycles. `development`, `validation`, `confusion` and the accuracies count
+        cycles; each was decided by a machine that was trained without its touch, or without its recording.
+    recordings : list of str
+        Names of the recordings; none for simulated touches.
+    validated_by : {"", "touch", "recording"}
+        What was left out of the training for its validation; empty for simulated touches.
+    accuracy_by_touch : float or None
+        Accuracy if only the touch is left out.
+    warnings : list of str
+        Why the accuracy may be worse on other touches.
     """
 
     data: str
@@ -56,6 +67,11 @@ class TrainingCard(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     per_object: dict[str, float]
     confusion: list[list[int]]
     unknown_ratio: float
+    cycles: int = 0
+    recordings: list[str] = []
+    validated_by: Literal["", "touch", "recording"] = ""
+    accuracy_by_touch: float | None = None
+    warnings: list[str] = []
 
 
 class Metadata(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

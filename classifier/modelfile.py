@@ -6,8 +6,9 @@ Its entries are the arrays of `classifier.model.Model` by name, ``metadata`` (ui
 
 import hashlib
 import io
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import msgspec
 import numpy as np
@@ -23,6 +24,17 @@ from skin.layout import Layout
 from skin.measurement import Phi
 
 Arrays = dict[str, npt.NDArray[Any]]
+#: The fields of `skin_of` in words.
+_WORDS: Final = {
+    "sending": "sending",
+    "fingerprint": "Φ",
+    "sums": "sums",
+    "rows": "rows",
+    "columns": "columns",
+    "surface": "positions",
+    "newton_per_count": "newton per count",
+    "cycles": "averaged cycles",
+}
 
 
 class _Version(msgspec.Struct):
@@ -95,24 +107,33 @@ def _entries(path: Path) -> Arrays:
     return entries
 
 
-def _check_skin(path: Path, about: Metadata, layout: Layout, phi: Phi) -> None:
+def skin_of(layout: Layout, phi: Phi) -> dict[str, Any]:
+    """Return the fields of `Metadata` that a model and its skin have in common; `phi` is the classified Φ."""
     taxels = layout.taxels
-    expected = {
-        "sending": (about.sending, layout.sending),
-        "Φ": (about.fingerprint, phi.fingerprint),
-        "sums": (about.sums, phi.shape[0]),
-        "rows": (about.rows, taxels.rows),
-        "columns": (about.columns, taxels.columns),
-        "positions": (about.surface, taxels.surface.fingerprint),
-        "newton per count": (about.newton_per_count, taxels.newton_per_count),
-        "averaged cycles": (about.cycles, averaged_cycles(layout)),
+    return {
+        "sending": layout.sending,
+        "fingerprint": phi.fingerprint,
+        "sums": phi.shape[0],
+        "rows": taxels.rows,
+        "columns": taxels.columns,
+        "surface": taxels.surface.fingerprint,
+        "newton_per_count": taxels.newton_per_count,
+        "cycles": averaged_cycles(layout),
     }
-    for what, (has, wants) in expected.items():
-        if has != wants:
-            raise ModelError(
-                f"{path}: trained for another skin ({what} {has}, this skin has {wants});"
-                " train one with 'skin train --layout'"
-            )
+
+
+def difference(has: Mapping[str, Any], wants: Mapping[str, Any]) -> str:
+    """Return in words how one skin differs from another (`skin_of`); empty if it does not."""
+    for name, words in _WORDS.items():
+        if has[name] != wants[name]:
+            return f"{words} {has[name]}, this skin has {wants[name]}"
+    return ""
+
+
+def _check_skin(path: Path, about: Metadata, layout: Layout, phi: Phi) -> None:
+    differs = difference(msgspec.structs.asdict(about), skin_of(layout, phi))
+    if differs:
+        raise ModelError(f"{path}: trained for another skin ({differs}); train one with 'skin train --layout'")
 
 
 def _check_arrays(path: Path, about: Metadata, arrays: Arrays, widths: int) -> None:

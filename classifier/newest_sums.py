@@ -17,6 +17,16 @@ _UNKNOWN: Final = 1e30
 AVERAGED_S: Final = 0.04
 
 
+#: After a gap of more cycles than this, or than three times those that are averaged if these are more, past cycles
+#: count no more.
+FORGET_CYCLES: Final = 10
+
+
+def is_gap(step: int, cycles: int) -> bool:
+    """Tell whether sums, `step` cycles after the last, have nothing to do with them; `cycles` are averaged."""
+    return not 0 < step <= max(FORGET_CYCLES, 3 * cycles)
+
+
 def averaged_cycles(layout: Layout) -> int:
     """Return over how many cycles the classifier averages sums: 1 where nodes average, and where rates or Φ change."""
     if layout.samples_per_sync > 1 or layout.recognition is not None or len(layout.measurement.matrix or ()) > 1:

@@ -1,7 +1,7 @@
 """Training of `classifier.novelty`: a Gaussian mixture per object, limits from validation touches."""
 
 import warnings
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -48,7 +48,7 @@ class KnownRegions(NamedTuple):
 
 
 def fit_known(
-    sums: npt.NDArray[np.int32],
+    sums: npt.NDArray[Any],
     names: npt.NDArray[np.str_],
     split: tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]],
     extractor: FeatureExtractor,
@@ -58,7 +58,7 @@ def fit_known(
 
     Parameters
     ----------
-    sums : array of int32, shape (count, m)
+    sums : array of int32 or float32, shape (count, m)
         Sums of touches, with noise.
     names : array, shape (count,)
     split : (array of int, array of int)

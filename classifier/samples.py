@@ -1,6 +1,6 @@
 """Features for training: simulated sums of true forces, and the features of these sums."""
 
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -31,6 +31,35 @@ class Untouched(NamedTuple):
 
     no_touch: Float64
     contact_threshold: float
+
+
+class Seen(NamedTuple):
+    """Observations as `classifier.newest_sums` has them, and the conditions of each.
+
+    Attributes
+    ----------
+    sums : array of int32 or float32, shape (count, m)
+    valid : array of float32, shape (count, blocks)
+    noise_ratio : array, shape (count,)
+    cycle : array of int, shape (count,)
+        From 1.
+    """
+
+    sums: npt.NDArray[Any]
+    valid: npt.NDArray[np.float32]
+    noise_ratio: Float64
+    cycle: npt.NDArray[np.int64]
+
+    def part(self, rows: npt.NDArray[np.intp]) -> "Seen":
+        """Return some of the observations."""
+        return Seen(self.sums[rows], self.valid[rows], self.noise_ratio[rows], self.cycle[rows])
+
+    @staticmethod
+    def of_whole(sums: npt.NDArray[Any], phi: Phi) -> "Seen":
+        """Return observations of cycles in order from 1, without missing blocks."""
+        count = len(sums)
+        whole = np.broadcast_to(np.float32(1), (count, phi.blocks))
+        return Seen(sums, whole, np.ones(count), np.arange(1, count + 1))
 
 
 def simulate_sums(
@@ -112,14 +141,18 @@ def observe_untouched(layout: Layout, phi: Phi, noise_n: float, count: int, rng:
 
     `FALSE_ALARM_RATIO` of the draws have a largest standardised peak above the threshold.
     """
-    taxels = layout.taxels
-    still = np.broadcast_to(np.float32(0), (count, taxels.count))
-    ignorant = np.ones((4, len(widths_for(taxels.surface))))
-    observer = Observer(phi, taxels.surface, ignorant, means=not layout.sends.in_cycles)
-    whole = np.ones(phi.blocks, np.float32)
-    seen = np.empty((count, 2, ignorant.shape[1]))
-    for cycle, (one, sums) in enumerate(zip(seen, simulate_means(still, layout, phi, noise_n, rng), strict=True), 1):
-        observer.look(sums, whole, 1.0, cycle=cycle)
+    still = np.broadcast_to(np.float32(0), (count, layout.taxels.count))
+    return standard_untouched(Seen.of_whole(simulate_means(still, layout, phi, noise_n, rng), phi), layout, phi)
+
+
+def standard_untouched(still: Seen, layout: Layout, phi: Phi) -> Untouched:
+    """Return what observations of the untouched skin show; see `observe_untouched`."""
+    ignorant = np.ones((4, len(widths_for(layout.taxels.surface))))
+    observer = Observer(phi, layout.taxels.surface, ignorant, means=not layout.sends.in_cycles)
+    sending = np.flatnonzero(phi.has_sums)
+    seen = np.empty((len(still.sums), 2, ignorant.shape[1]))
+    for one, sums, valid, noise_ratio, cycle in zip(seen, *still, strict=True):
+        observer.look(sums, valid, float(valid[sending].mean()), noise_ratio, cycle)
         one[:] = observer.smoothed.energies, observer.smoothed.peaks
     mean = seen.mean(axis=0)
     sd = np.maximum(seen.std(axis=0), np.finfo(np.float32).tiny)
@@ -134,11 +167,14 @@ class FeatureExtractor:
     Parameters
     ----------
     no_touch : array, shape (4, widths)
+    recorded : Seen, optional
+        Conditions of the observations, by their number; default: no block is missing, and cycles count from 1.
     """
 
-    def __init__(self, layout: Layout, phi: Phi, no_touch: Float64) -> None:
+    def __init__(self, layout: Layout, phi: Phi, no_touch: Float64, recorded: Seen | None = None) -> None:
         taxels, means = layout.taxels, not layout.sends.in_cycles
         self._observer = Observer(phi, taxels.surface, no_touch, means=means)
+        self._recorded = recorded
         self._valid = np.ones(phi.blocks, np.float32)
         self._sending = np.flatnonzero(phi.has_sums)
 
@@ -149,22 +185,28 @@ class FeatureExtractor:
 
     def features(
         self,
-        sums: npt.NDArray[np.int32],
+        sums: npt.NDArray[Any],
         lost: npt.NDArray[np.intp],
         rng: np.random.Generator,
         which: npt.NDArray[np.intp] | None = None,
     ) -> Float64:
-        """Return the features of `sums`, shape (count, 2 widths), with `lost` missing blocks in each.
+        """Return the features of `sums`, shape (count, 2 widths), with `lost` more missing blocks in each.
 
-        `which` are the numbers of the observations among those of `simulate_sums`; default: all, in order.
+        `which` are the numbers of the observations among those of `simulate_sums`, or among the recorded; default: all,
+        in order.
         """
         seen = np.empty((len(sums), self._observer.features.size))
-        cycles = np.arange(len(sums)) if which is None else which
-        for one, gone, made, cycle in zip(sums, lost, seen, cycles.tolist(), strict=True):
+        numbers, recorded = np.arange(len(sums)) if which is None else which, self._recorded
+        for one, gone, made, number in zip(sums, lost, seen, numbers.tolist(), strict=True):
+            noise_ratio, cycle = 1.0, number + 1
             self._valid.fill(1)
+            if recorded is not None:
+                noise_ratio, cycle = float(recorded.noise_ratio[number]), int(recorded.cycle[number])
+                np.copyto(self._valid, recorded.valid[number])
             if gone:
-                self._valid[self._sending[rng.permutation(self.blocks)[:gone]]] = 0
-            self._observer.look(one, self._valid, float(self._valid[self._sending].mean()), cycle=cycle + 1)
+                present = self._sending[self._valid[self._sending] != 0]
+                self._valid[present[rng.permutation(present.size)[: min(gone, present.size - 1)]]] = 0
+            self._observer.look(one, self._valid, float(self._valid[self._sending].mean()), noise_ratio, cycle)
             made[:] = self._observer.features
         return seen
 

@@ -9,7 +9,8 @@ import numpy.typing as npt
 
 from canskin.fabric import Exchange
 from canskin.messages import LABEL, MEASUREMENT, RECOGNITION, Label, Measurement, Topic
-from classifier.decide import FORGET_CYCLES, Classifier
+from classifier.decide import Classifier
+from classifier.newest_sums import FORGET_CYCLES
 from classifier.settling import Decision
 from classifier.used_sums import classified_phi, coarse_sums
 from shell.service import StopSignal

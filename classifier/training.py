@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import msgspec
 import numpy as np
@@ -12,9 +12,9 @@ from canskin.errors import InputError
 from canskin.messages import UNKNOWN_OBJECT
 from classifier.confidence import confidence_slope
 from classifier.features import Float32
-from classifier.missing import Factors, fit_factors
+from classifier.missing import NO_FACTORS, Factors, fit_factors
 from classifier.model import VERSION, Features, Float64, Metadata, Model, TrainingCard
-from classifier.newest_sums import averaged_cycles
+from classifier.modelfile import skin_of
 from classifier.regions import KnownRegions, fit_known
 from classifier.samples import (
     FALSE_ALARM_RATIO,
@@ -138,28 +138,46 @@ def train(
     quieter = training.sums(force_n, draw_noise_levels(len(names), options.noise_n, _QUIET_RATIO, rng))
     known = fit_known(quieter, names, training.split, extractor, rng)
     held = training.split.validation
-    slope = confidence_slope(chosen.development_machine, standard[held], names[held])
-    about = Metadata(
-        version=VERSION,
-        fingerprint=phi.fingerprint,
-        sums=phi.shape[0],
-        rows=layout.taxels.rows,
-        columns=layout.taxels.columns,
-        newton_per_count=layout.taxels.newton_per_count,
+    margins = chosen.development_machine.margins(standard[held])
+    slope = confidence_slope(margins, chosen.development_machine.classes_, names[held])
+    about = metadata_of(
+        layout,
+        phi,
         features=options.features,
-        classes=[str(name) for name in chosen.machine.classes_],
+        classes=chosen.machine.classes_,
         contact_threshold=untouched.contact_threshold,
-        false_alarm_ratio=FALSE_ALARM_RATIO,
-        unknown_slack=known.slack,
-        sum_noise=factors.noise,
+        known=known,
+        factors=factors,
         card=_card(training, chosen, standard, known),
-        sending=layout.sending,
-        cycles=averaged_cycles(layout),
-        surface=layout.taxels.surface.fingerprint,
     )
     planes = chosen.machine.weights_ * slope, chosen.machine.biases_ * slope
     learnt = *planes, offset, scale, untouched.no_touch, *known.regions, factors.mean, factors.loadings
     return Model(about, layout.taxels.surface, *learnt)
+
+
+def metadata_of(
+    layout: Layout,
+    phi: Phi,
+    *,
+    features: Features,
+    classes: npt.NDArray[np.str_],
+    contact_threshold: float,
+    known: KnownRegions,
+    factors: Factors,
+    card: TrainingCard,
+) -> Metadata:
+    """Return the metadata of a model of a skin."""
+    return Metadata(
+        version=VERSION,
+        **skin_of(layout, phi),
+        features=features,
+        classes=[str(name) for name in classes],
+        contact_threshold=contact_threshold,
+        false_alarm_ratio=FALSE_ALARM_RATIO,
+        unknown_slack=known.slack,
+        sum_noise=factors.noise,
+        card=card,
+    )
 
 
 def _features(training: _Training, force_n: Float32, plain: npt.NDArray[np.int32]) -> tuple[Float64, Factors]:
@@ -173,15 +191,12 @@ def _features(training: _Training, force_n: Float32, plain: npt.NDArray[np.int32
     count, rng = len(force_n), training.rng
     sums = training.sums(force_n, draw_noise_levels(count, training.options.noise_n, 0.0, rng))
     features = training.extractor.features(sums, draw_missing_counts(count, training.extractor.blocks, rng), rng)
-    return features, Factors(np.zeros(0), np.zeros((0, 0)), 0.0)
+    return features, NO_FACTORS
 
 
 def _card(training: _Training, chosen: Chosen, standard: Float64, known: KnownRegions) -> TrainingCard:
     options, held, classes = training.options, training.split.validation, chosen.development_machine.classes_
     true, said = training.names[held], chosen.development_machine.predict(standard[held])
-    confusion = np.zeros((classes.size, classes.size), np.int64)
-    np.add.at(confusion, (np.searchsorted(classes, true), np.searchsorted(classes, said)), 1)
-    per_object = confusion.diagonal() / confusion.sum(axis=1)
     return TrainingCard(
         data=options.data,
         touches=len(training.names),
@@ -192,10 +207,18 @@ def _card(training: _Training, chosen: Chosen, standard: Float64, known: KnownRe
         noise_n=options.noise_n,
         C=chosen.C,
         validation_accuracy=chosen.accuracy,
-        per_object={str(name): float(part) for name, part in zip(classes, per_object, strict=True)},
-        confusion=confusion.tolist(),
+        **confused(classes, true, said),
         unknown_ratio=known.unknown_ratio,
     )
+
+
+def confused(classes: npt.NDArray[np.str_], true: npt.NDArray[np.str_], said: npt.NDArray[np.str_]) -> dict[str, Any]:
+    """Return `per_object` and `confusion` of a `TrainingCard`; `classes` are in the order of the alphabet."""
+    confusion = np.zeros((classes.size, classes.size), np.int64)
+    np.add.at(confusion, (np.searchsorted(classes, true), np.searchsorted(classes, said)), 1)
+    ratios = confusion.diagonal() / confusion.sum(axis=1)
+    per_object = {str(name): float(part) for name, part in zip(classes, ratios, strict=True)}
+    return {"per_object": per_object, "confusion": confusion.tolist()}
 
 
 def _check(force_n: Float32, names: npt.NDArray[np.str_], layout: Layout, options: TrainingOptions) -> None:

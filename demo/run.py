@@ -77,7 +77,7 @@ class Run:
             self._start_services(endpoint)
             self._await_services(stop)
             if not stop.is_set():
-                fabric.tell_scheduling(request_real_time("demo"))  # all messages go through this process
+                request_real_time("demo", fabric.tell_scheduling)  # all messages go through this process
                 tare = "at-start" if self._options.has_zero_errors(self._layout) else "never"
                 self._supervisor.start("gateway", "gateway", *self._common(endpoint), "--tare", tare)
                 self._follow(stop, endpoint)
@@ -104,7 +104,7 @@ class Run:
 
     @property
     def _of_layout(self) -> list[str]:
-        return ["--layout", str(self._options.layout)] if self._options.layout else []
+        return ["--layout", str(self._options.layout or "default")]
 
     def _common(self, endpoint: str) -> list[str]:
         return [*self._of_layout, "--connect", endpoint]
@@ -155,7 +155,7 @@ class Run:
         if self._port is not None:
             self._console.print(f"web page: http://127.0.0.1:{self._port}/")
         self._console.print(f"fabric: {endpoint}", highlight=False)
-        record = ["skin", "record", "run.mcap", *self._common(endpoint)]
+        record = ["skin", "record", "run.mcap", "--connect", endpoint]
         self._console.print(
             f"to record: SKIN_BUS_DIR={self._folder} {shlex.join(record)}", highlight=False, soft_wrap=True
         )

@@ -11,7 +11,7 @@ from typing import Final
 from canskin.errors import InputError, RunError
 from demo.processor_time import ProcessorTime, processor_time
 from shell.command import WRONG_INPUT
-from shell.service import ordinary_scheduling
+from shell.service import given_priority, ordinary_scheduling
 
 #: A process that has ended is started again after this time; the page shows its absence until then.
 RESTART_AFTER_S: Final = 0.5
@@ -119,7 +119,7 @@ class Supervisor:
         environment = {**os.environ, **threads, "SKIN_BUS_DIR": str(self.folder), "SKIN_PARENT": str(os.getpid())}
         with log.open("ab") as sink, ordinary_scheduling():
             return subprocess.Popen(  # noqa: S603 - our own command, no shell
-                [sys.executable, "-m", "skin", *arguments],
+                [sys.executable, "-m", "skin", f"--priority={given_priority().value}", *arguments],
                 stdin=subprocess.DEVNULL,
                 stdout=sink,
                 stderr=sink,

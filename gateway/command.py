@@ -10,7 +10,6 @@ from calibration.calibrator import Tare
 from canskin.calibration_messages import CALIBRATION
 from canskin.description import DESCRIPTION
 from canskin.errors import InputError
-from canskin.fabric import Fabric
 from canskin.session import DEFAULT_ENDPOINT
 from canskin.state_messages import IMAGES
 from dbc.contract import Contract
@@ -18,6 +17,7 @@ from gateway.adaptive_gathering import publishing_rates
 from gateway.calibration import GatewayCalibration, kept_zero
 from gateway.service import GatewayService
 from shell.service import StopSignal, say
+from shell.skin_options import join
 from skin.calibration_file import load_calibration
 from skin.description import describe
 from skin.layout import Layout, load_layout, require_sending
@@ -90,8 +90,7 @@ def gateway(
     require_order(skin, links)
     answers = ThreadPoolExecutor(1, "calibration")
     calibrates = GatewayCalibration(contract, stored, tares=tare == "at-start", submit=answers.submit, keeps=keep_zero)
-    hub, mark = connect or listen, contract.phi.fingerprint
-    fabric = Fabric(skin.name, "gateway", hub, hub=connect is None, stop=stop, fingerprint=mark)
+    fabric = join(skin, "gateway", connect or listen, hub=connect is None, stop=stop)
     fabric.answer(CALIBRATION, calibrates.ask)
     about = describe(skin)
     fabric.answer(DESCRIPTION, lambda _request, reply: reply(about))

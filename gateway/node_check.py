@@ -50,10 +50,12 @@ LONGEST_GAP: Final = 1.5
 SHOWN: Final = 3
 #: Serial number: a maker may have numbers of its own.
 _SERIAL: Final = (od.IDENTITY, 4)
-#: Objects without which nothing is shown: read, and not compared with their defaults.
-_FREE: Final = (od.GAIN, od.OFFSET)
 #: Objects that a user may have set.
-_ALLOWED: Final = (od.TEST_PATTERN, od.SENDING)
+_ALLOWED: Final = (od.TEST_PATTERN, od.SENDING, od.BUDGET)
+#: Objects that are read, and compared with nothing: state, noise of an adaptive board.
+_ONLY_READ: Final = ((od.STATE, 1), (od.NODE_NOISE, 0))
+#: Only a board knows which values are right.
+_GAINS: Final = (od.GAIN, od.OFFSET)
 
 
 @dataclass(frozen=True)
@@ -218,16 +220,17 @@ class NodeCheck:
         self._sync_s = -np.inf
         for picture in self._expected.pictures(has_gains=(od.GAIN, 1) in self._values):
             if not (yield from self._show(picture)):
-                self._nmt(NmtCommand.RESET_NODE if self._undo else NmtCommand.ENTER_PRE_OPERATIONAL)
+                self._nmt(NmtCommand.RESET_NODE)
                 return
         yield from self._restore()
 
     def _restore(self) -> _Steps:
         """Put back what was written."""
         self._nmt(NmtCommand.ENTER_PRE_OPERATIONAL)
-        has_gains = any(_of_first_block(index) in _FREE for index, _ in self._undo)
+        has_gains = any(_of_first_block(index) in _GAINS for index, _ in self._undo)
         for place, data in list(self._undo.items()):
             if not (yield from self._write(place, data)):
+                self._nmt(NmtCommand.RESET_NODE)
                 return
         self._undo.clear()
         if has_gains:
@@ -247,7 +250,7 @@ class NodeCheck:
                 return False
             self.report.objects += 1
             self._values[setting.index, setting.subindex] = data
-            if not setting.matches(data) and setting.index not in (od.STATE, od.NODE_NOISE):
+            if not setting.matches(data) and (setting.index, setting.subindex) not in _ONLY_READ:
                 text = f"{setting} is {setting.text(data)}, expected {setting.text()}"
                 is_allowed = _of_first_block(setting.index) in _ALLOWED or (setting.index, setting.subindex) == _SERIAL
                 (self.report.notes if is_allowed else self.report.differences).append(text)
@@ -265,7 +268,8 @@ class NodeCheck:
         for setting in settings:
             data = yield Read(setting.index, setting.subindex)
             if not isinstance(data, bytes):
-                self.report.notes.append(f"{data}: not every row is compared without gains and offsets")
+                note = f"{data}: not every row is compared without gains and offsets"
+                (self.report.notes if isinstance(data, SdoAbortedError) else self.report.differences).append(note)
                 return
             found[setting.index, setting.subindex] = data
         self.report.objects += len(found)
@@ -307,7 +311,7 @@ class NodeCheck:
                     return False
             if len(self.report.differences) > before:
                 return True
-            if any(_of_first_block(index) in _FREE for index, _ in picture.values):
+            if any(_of_first_block(index) in _GAINS for index, _ in picture.values):
                 yield from self._gains_signature(", with other gains and offsets")
             if self._expected.rest_s:
                 yield _Listen(self._expected.rest_s)
@@ -391,8 +395,7 @@ def _one(transfer: Transfer) -> Dialogue:
 
 def _is_of_board(each: Object) -> bool:
     """Tell whether an object is read besides those that the gateway compares: wiring, rows, way of sending, serial."""
-    place = each.index, each.subindex or 0
-    if place in (_SERIAL, (od.STATE, 1), (od.NODE_NOISE, 0)):
+    if (each.index, each.subindex or 0) in (_SERIAL, (od.BUDGET, 0), *_ONLY_READ):
         return True
     return _of_first_block(each.index) in (od.ROWS, od.TAXELS, od.SENDING) and each.subindex != 0
 

@@ -13,7 +13,17 @@ from dbc import indices as od
 from dbc.canopen import HEARTBEAT_BASE, NMT_COB_ID, SDO_REQUEST_BASE, SDO_RESPONSE_BASE, Abort, NmtCommand, NmtState
 from dbc.frame import ECHO, ERROR, EXTENDED, REMOTE, Frames, one_frame
 from dbc.program import FlashError, Program, ProgramControl
-from gateway.sdo import Dialogue, Download, Read, SdoAbortedError, SdoDialogue, SdoError, Transfer, Write
+from gateway.sdo import (
+    Dialogue,
+    Download,
+    Read,
+    SdoAbortedError,
+    SdoDialogue,
+    SdoError,
+    SdoTimeoutError,
+    Transfer,
+    Write,
+)
 
 #: A board answers within this time, also when it erases its memory or checks a program.
 SLOW_S: Final = 5.0
@@ -21,7 +31,7 @@ SLOW_S: Final = 5.0
 BOOT_S: Final = 10.0
 #: Pause between two questions whether a board is ready. A gateway leaves a board alone that is asked as often.
 PAUSE_S: Final = 0.03
-#: Attempts for each board.
+#: Attempts for each board that answers.
 ATTEMPTS: Final = 3
 
 
@@ -186,7 +196,8 @@ class ProgramUpdate:
             outcome.result = str(error)
         except SdoError as error:
             outcome.result = str(error)
-            if self._tried < ATTEMPTS:
+            is_silent = isinstance(error, SdoTimeoutError) and outcome.before is None
+            if self._tried < ATTEMPTS and not is_silent:
                 self._begin_board(now_s)
                 return
         else:

@@ -76,7 +76,7 @@ class GatewayService:
 
     def run(self, stop: StopSignal) -> None:
         """Boot the nodes, then serve until `stop`; open cycles are finished before the return."""
-        self._fabric.tell_scheduling(request_real_time("gateway"))
+        request_real_time("gateway", self._fabric.tell_scheduling)
         while not stop.is_set():
             self.turn()
         self.loop.sync.stop()

@@ -3,7 +3,8 @@
 All boards without node-ID get one of the node-IDs that are free, for a while. PRE-OPERATIONAL, they tell their sums,
 and the user touches one place after the other. The board that is touched stores the node-ID of the place by LSS, and
 takes it with the next reset: until all places are done, no board has to be found anew, and a run that is stopped
-loses nothing. While the finger stays, the board is in the state LSS configuration, in which its LED flickers.
+loses nothing. While the finger stays, the board is in the state LSS configuration, in which its LED flickers. It
+stores the node-ID when the finger has been lifted.
 """
 
 from collections.abc import Callable, Generator, Sequence
@@ -51,6 +52,8 @@ from skin.sync_counter import next_counter
 
 #: Rounds without touch at the begin.
 REST_ROUNDS: Final = 10
+#: Time to take the hands away before.
+AWAY_S: Final = 2.0
 #: Rounds in a row that tell the same touch, or none.
 HELD_ROUNDS: Final = 3
 #: Longest wait for a touch on a place: from map to skin.
@@ -109,6 +112,8 @@ class TouchCommissioning(Commissioning):
         self._lent: dict[int, Address] = {}
         self._placed: dict[int, Board] = {}
         self._counter = 0
+        #: The skin was touched when nothing had to touch it.
+        self._is_disturbed = False
         super().__init__(contract, bus, send, now_s, **options)
         # A serial number tells no place.
         self._serials = {}
@@ -202,13 +207,14 @@ class TouchCommissioning(Commissioning):
     def _touches(self) -> Steps:
         """Ask for a touch on each place without board."""
         self._say(f"{len(self._lent)} boards without node-ID: leave the skin alone")
+        yield Ask(0, b"", wait_s=AWAY_S)
         rest: list[dict[int, Floats]] = []
         while len(rest) < REST_ROUNDS:
             rest += [(yield from self._round())]
         packing = self._contract.packing
         sensing = TouchSensing(rest, self._contract.layout.taxels.count_max, packing.rounding_counts)
         for board in self.boards.values():
-            if not self._lent.keys() - self._placed.keys():
+            if self._is_disturbed or not self._lent.keys() - self._placed.keys():
                 return
             if not board.is_begun:
                 yield from self._guarded(board, self._touch(board, sensing))
@@ -221,39 +227,39 @@ class TouchCommissioning(Commissioning):
         until_s = self._now_s + self._patience_s
         while True:
             touched = yield from self._held(sensing, until_s, bool)
-            if not touched:
-                raise TroubleError(
-                    f"no touch came in {self._patience_s:g} s: is its board on this bus? Run the command again"
-                )
+            if touched is None:
+                raise TroubleError(f"no touch came in {self._patience_s:g} s: is its board on this bus? Run it again")
             owner = self._placed.get(touched[0]) or (None if touched[0] in self._lent else self.boards[touched[0]])
             if len(touched) > 1:
                 self._say(f"{len(touched)} boards are touched at once: lift")
             elif owner is not None:
                 self._say(f"this is {_place(owner.node)}, whose board has its node-ID already: lift")
             else:
+                address = self._lent[touched[0]]
+                if not (yield from self._select(address)):  # its LED flickers from now on
+                    raise TroubleError("no longer answers")
+                self._say(f"{_place(board.node)}: felt by the board with serial number {address[3]}: lift")
+            # A hand that was there in the rounds without touch, and leaves, looks like a touch that does not end.
+            if (yield from self._held(sensing, self._now_s + self._patience_s, lambda each: not each)) is None:
+                self._is_disturbed = True
+                raise TroubleError("a touch does not end: was the skin touched at the begin? Run it again")
+            if owner is None and len(touched) == 1:
                 yield from self._give_place(board, touched[0])
-                self._say(f"{_place(board.node)}: serial number {board.serial}, node-ID {board.node.node_id}; lift")
-            yield from self._held(sensing, self._now_s + self._patience_s, lambda touched: not touched)
-            if board.done:
                 return
             self._say(f"touch {_place(board.node)} alone")
 
     def _give_place(self, board: Board, lent: int) -> Steps:
-        """Let the board with the node-ID `lent` store that of its place; its LED flickers from now on."""
-        address = self._lent[lent]
-        if not (yield from self._select(address)):
-            raise TroubleError("no longer answers")
-        node_id = board.node.node_id
-        yield from self._configure(Lss.NODE_ID, node_id, what=f"node-ID {node_id}")
+        """Let the selected board with the node-ID `lent` store that of its place."""
+        yield from self._configure(Lss.NODE_ID, board.node.node_id, what=f"node-ID {board.node.node_id}")
         yield from self._bit_timing()
         yield from self._store()
-        board.serial, board.done = address[3], "has stored its node-ID"
+        board.serial, board.done = self._lent[lent][3], "has stored its node-ID"
         self._placed[lent] = board
 
     def _held(
         self, sensing: TouchSensing, until_s: float, is_wanted: Callable[[tuple[int, ...]], bool]
-    ) -> Generator[Step, Answer, tuple[int, ...]]:
-        """Return the boards that are touched, once some rounds in a row tell the same; none when the time is over."""
+    ) -> Generator[Step, Answer, tuple[int, ...] | None]:
+        """Return the boards that are touched, once some rounds in a row tell the same; None when the time is over."""
         last: tuple[int, ...] | None = None
         times = 0
         while self._now_s < until_s:
@@ -262,7 +268,7 @@ class TouchCommissioning(Commissioning):
             last = touched
             if times >= HELD_ROUNDS and is_wanted(touched):
                 return touched
-        return ()
+        return None
 
     def _round(self) -> Generator[Step, Answer, dict[int, Floats]]:
         """Let the boards sample, and return the sums of each, counts; a board that is silent is named once."""

@@ -8,7 +8,6 @@ from cyclopts import Parameter
 
 from bus.options import BusOptions, open_links
 from canskin.errors import InputError
-from canskin.fabric import Fabric
 from canskin.session import DEFAULT_ENDPOINT
 from dbc.choice import choose_nodes
 from dbc.contract import Contract
@@ -16,6 +15,7 @@ from nodes.firmware.library import Firmware
 from nodes.service import NodesService
 from nodes.ways import way_of
 from shell.service import StopSignal, say
+from shell.skin_options import join
 from shell.touch_options import NO_TOUCH_OPTIONS, TouchOptions
 from skin.layout import load_layout
 from skin.taxel import NOISE_N
@@ -59,7 +59,8 @@ def nodes(
     noise_n
         Standard deviation of the sensor noise in newtons. Recordings get none: they contain their own noise.
     store
-        Folder for the parameters that 1010h stores, one file per node, like the flash memory of a board.
+        Folder for the parameters that 1010h stores, one file per node, like the flash memory of a board. With
+        `firmware` loaded programs are kept, too.
     unnumbered
         Boards begin without node-IDs, unless `store` has them, and wait for ``skin commission``.
     firmware
@@ -96,8 +97,7 @@ def nodes(
     blocks = [node.block for node in mine]
     hardware = way_of(skin).hardware(contract, blocks, touch.source(skin, rest), compiled, **analogue)
     links = open_links(skin, bus or BusOptions(), chosen, name="nodes", stop=stop)
-    mark = contract.phi.fingerprint
-    joined = Fabric(skin.name, "nodes", connect, stop=stop, fingerprint=mark) if fabric else None
+    joined = join(skin, "nodes", connect, stop=stop) if fabric else None
     service = NodesService(
         contract, links, chosen, hardware, joined, store=store, unnumbered=unnumbered, firmware=compiled
     )

@@ -85,9 +85,7 @@ class NodesService:
         """Boot the nodes, then serve until `stop`."""
         for segment in self.segments.values():
             segment.boot(self._clock())
-        scheduling = request_real_time("nodes")
-        if self._fabric is not None:
-            self._fabric.tell_scheduling(scheduling)
+        request_real_time("nodes", None if self._fabric is None else self._fabric.tell_scheduling)
         while not stop.is_set():
             self.turn()
         self._await_frames()

@@ -5,13 +5,11 @@ from contextlib import closing
 from pathlib import Path
 from typing import Final
 
-from canskin.fabric import Fabric
-from canskin.session import DEFAULT_ENDPOINT
 from reconstructor.imaging import make_imager
 from reconstructor.options import SolverOptions
 from reconstructor.service import ReconstructorService, warm_up
 from shell.service import StopSignal, say
-from skin.layout import load_layout
+from shell.skin_options import SkinOptions
 
 #: A start that takes longer logs the reason.
 SILENT_S: Final = 4.0
@@ -19,8 +17,7 @@ SILENT_S: Final = 4.0
 
 def reconstruct(
     *,
-    layout: Path | None = None,
-    connect: str = DEFAULT_ENDPOINT,
+    of: SkinOptions | None = None,
     solver: SolverOptions | None = None,
     gains: Path | None = None,
 ) -> None:
@@ -28,10 +25,8 @@ def reconstruct(
 
     Parameters
     ----------
-    layout
-        TOML of the skin; without it the default skin.
-    connect
-        Endpoint of the fabric's hub, usually the gateway.
+    of
+        Which skin.
     solver
         Solver of the images; adaptive sums have one of their own, and take the solvers of one cycle besides.
     gains
@@ -44,8 +39,9 @@ def reconstruct(
     skin reconstruct --gains gains.json
     skin reconstruct --layout palm.toml --solver paper --iterations 5
     """
-    stop = StopSignal().install()
-    skin = load_layout(layout)
+    stop, of = StopSignal().install(), of or SkinOptions()
+    (solver or SolverOptions()).settings()  # its errors before any wait
+    skin = of.find(stop)
     imager = make_imager(skin, solver, gains)
     patience = threading.Timer(SILENT_S, say, ("reconstructor", "compiles its solver, as on every first start"))
     patience.start()
@@ -53,10 +49,8 @@ def reconstruct(
         warm_up(skin, imager)
     finally:
         patience.cancel()
-    with closing(
-        Fabric(skin.name, "reconstructor", connect, stop=stop, fingerprint=skin.operator().fingerprint)
-    ) as fabric:
+    with closing(of.join(skin, "reconstructor", stop)) as fabric:
         service = ReconstructorService(skin, imager, fabric)
         say("reconstructor", f"{skin.taxels.words}, {imager.about}")
-        fabric.tell_scheduling(service.schedule())
+        service.schedule(fabric.tell_scheduling)
         service.run(stop)

@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from canskin.errors import InputError
 from reconstructor.checks import check_grid_of
+from reconstructor.gains import GainCorrection, KnownGains
 from reconstructor.kernels.contourlet import ContourletSolver
 from reconstructor.kernels.fused import FusedSolver
 from reconstructor.kernels.matrix import MatrixSolver
@@ -201,6 +202,7 @@ def reconstruct(
     cycles: npt.NDArray[np.integer[Any]] | None = None,
     noise_n: float | None = None,
     samples: int = 1,
+    gains: KnownGains | None = None,
     advance: Callable[[int], None] = lambda _: None,
 ) -> npt.NDArray[np.float32]:
     """Return the images of sums, frame after frame, as the service makes them: newtons, shape (frames, rows, columns).
@@ -219,6 +221,8 @@ def reconstruct(
         Number of each frame's cycle, for a Φ that changes; default: 1, 2, 3 and so on.
     noise_n, samples
         As of `Reconstructor`.
+    gains : KnownGains, optional
+        Of taxels and sums: they are taken off. Not with a `MatrixPhi`.
     advance : callable
         Called with the number of further images.
 
@@ -228,11 +232,15 @@ def reconstruct(
     >>> images = reconstruct(sums_n, MatrixPhi(codes), grid_surface(10, 10, 0.004, gaps=np.arange(0)))
     """
     engine = Reconstructor(phi, *surface.shape, settings, noise_n=noise_n, samples=samples, edges=surface.graph)
+    correction = None if gains is None or isinstance(phi, MatrixPhi) else GainCorrection(phi, gains)
     whole = np.ones(sums_n.shape, np.bool_) if valid_sums is None else valid_sums
     numbers = np.arange(1, len(sums_n) + 1) if cycles is None else cycles
     images = np.empty((len(sums_n), *surface.shape), np.float32)
-    for place, (sums, valid, cycle) in enumerate(zip(sums_n, whole, numbers.tolist(), strict=True), 1):
+    for place, (came, came_valid, cycle) in enumerate(zip(sums_n, whole, numbers.tolist(), strict=True), 1):
+        sums, valid = (came, came_valid) if correction is None else correction.apply(came, came_valid)
         images[place - 1] = engine.solve(sums, valid, phi.of_cycle(cycle))
+        if correction is not None:
+            correction.keep(images[place - 1])
         if place % CHUNK == 0:
             advance(CHUNK)
     return images

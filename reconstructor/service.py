@@ -40,6 +40,8 @@ class ReconstructorService:
         Of the layout.
     clock_ns : callable, optional
         Monotonic time: when an image is published.
+    timer : callable, optional
+        Seconds: how long an image and its contacts take.
 
     Attributes
     ----------
@@ -54,9 +56,10 @@ class ReconstructorService:
         fabric: Exchange,
         *,
         clock_ns: Callable[[], int] = time.monotonic_ns,
+        timer: Callable[[], float] = time.perf_counter,
     ) -> None:
         self.images = 0
-        self._clock_ns = clock_ns
+        self._clock_ns, self._timer = clock_ns, timer
         self._imager = imager
         self._phi = layout.operator()
         self._reader: MeasurementReader[Any] = MeasurementReader(self._phi, "reconstructor", imager.decode)
@@ -64,11 +67,12 @@ class ReconstructorService:
         self._fabric = fabric
         self._mailbox = fabric.mailbox(MEASUREMENT, imager.depth)
 
-    def schedule(self) -> str:
-        """Ask for the scheduling that images need; return what was obtained."""
+    def schedule(self, tell: Callable[[str], None]) -> None:
+        """Ask for the scheduling that images need; `tell` is called with what was obtained, and when it changes."""
         if self._phi.shape[0] >= self._phi.blocks:
-            return request_real_time("reconstructor")
-        return yield_processor()  # fewer sums than blocks give poor images: the label counts
+            request_real_time("reconstructor", tell)
+        else:
+            tell(yield_processor())  # fewer sums than blocks give poor images: the label counts
 
     def run(self, stop: StopSignal) -> None:
         """Serve until `stop`."""
@@ -82,9 +86,9 @@ class ReconstructorService:
         sums = self._reader.read(measurement)
         if sums is None:
             return
-        started_s = time.perf_counter()
+        started_s = self._timer()
         image, used_sums = self._imager.solve(sums)
-        solve_s = time.perf_counter() - started_s
+        solve_s = self._timer() - started_s
         self.images += 1
         message = Image(
             cycle=measurement.cycle,
@@ -104,7 +108,7 @@ class ReconstructorService:
 
     def _contacts(self, message: Image, image: Image_n) -> Contacts:
         """Find the contacts of an image; an image without any valid sum says nothing of them."""
-        started_s = time.perf_counter()
+        started_s = self._timer()
         is_blind = message.valid_sums == 0
         phi = self._phi.of_cycle(message.cycle)
         valid = phi.valid_taxels(np.frombuffer(message.valid, np.bool_)).reshape(image.shape)
@@ -117,6 +121,6 @@ class ReconstructorService:
             sampled_error_ns=message.sampled_error_ns,
             contacts=found,
             ended=ended,
-            find_s=time.perf_counter() - started_s,
+            find_s=self._timer() - started_s,
             blind=is_blind,
         )

@@ -2,12 +2,30 @@
 
 from typing import Final, Generic, TypeVar
 
+import numpy as np
+
 from canskin.messages import Image, Label, Measurement
 
 #: Most images and labels that wait for their measurements.
 _MOST_KEPT: Final = 10_000
 
+#: Images whose forces differ by less than this part of the range are equal: solvers begin with the image before, so
+#: rounding depends on the images since the reconstructor's start. A converter of 10 bits has steps of 0.001.
+PIXEL_ERROR: Final = 5e-5
+
 _Answer = TypeVar("_Answer", Image, Label)
+
+
+def same_pixels(made: bytes, recorded: bytes, force_max_n: float) -> bool:
+    """Tell whether two images, float32, newtons, are equal but for rounding."""
+    return made == recorded or largest_difference_n(made, recorded) < PIXEL_ERROR * force_max_n
+
+
+def largest_difference_n(made: bytes, recorded: bytes) -> float:
+    """Return the largest difference of two images, float32, newtons; infinite if their sizes differ."""
+    if len(made) != len(recorded):
+        return float("inf")
+    return float(np.abs(np.frombuffer(made, "<f4") - np.frombuffer(recorded, "<f4")).max())
 
 
 class Answers(Generic[_Answer]):

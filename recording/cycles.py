@@ -19,7 +19,7 @@ from nodes.analogue import AnalogueElectronics
 from nodes.electronics import Electronics
 from skin.layout import Layout
 from skin.matrix import MatrixPhi
-from skin.measured_sums import used_blocks
+from skin.measured_sums import used_blocks, used_sums
 from touch.sources import recording
 
 #: The array of an .npz of sums, and those that may stand beside it.
@@ -37,7 +37,9 @@ class Cycles:
     counts : array of int32, shape (cycles, m)
         Sums in ADC counts, 0 where invalid.
     valid : array of bool, shape (cycles, blocks)
-        True if every sum of the block came in this cycle.
+        True if every sum of the block came in this cycle, and all are usable.
+    valid_sums : array of bool, shape (cycles, m)
+        True if the sum came and is usable: one that saturates costs its block, and none of the others.
     time_ns : array of int64, shape (cycles,)
         Time of the SYNC: on the clock of the log; of a recording, from 0.
     cycle : array of int64, shape (cycles,)
@@ -46,6 +48,7 @@ class Cycles:
 
     counts: npt.NDArray[np.int32]
     valid: npt.NDArray[np.bool_]
+    valid_sums: npt.NDArray[np.bool_]
     time_ns: npt.NDArray[np.int64]
     cycle: npt.NDArray[np.int64]
 
@@ -53,7 +56,7 @@ class Cycles:
 def decode_log(
     contract: Contract, logged: Mapping[int, Frames], advance: Callable[[int], None]
 ) -> tuple[Cycles, FrameCounts]:
-    """Return the cycles of a log, and how its frames were counted.
+    """Return the cycles of a log, with two states those of images, and how its frames were counted.
 
     See `gateway.playback` for which blocks are valid.
 
@@ -66,8 +69,11 @@ def decode_log(
     """
     made: list[Measurement] = []
     for part in play(contract, logged):
-        made += part.measurements
-        advance(len(part.measurements))
+        images = [each for each in part.measurements if each.fingerprint == contract.phi.fingerprint]
+        made += images
+        advance(len(images))
+    if not made and contract.recognition is not None:
+        raise InputError("the log holds no cycle of images: recognition alone makes none")
     if not made:
         identity = contract.layout.sync.identity
         length = "without data" if identity == "window" else "with a counter, 1 byte"
@@ -76,11 +82,11 @@ def decode_log(
             "it cannot be cut into cycles"
         )
     counts = np.stack([np.frombuffer(each.sums, "<i4") for each in made])
-    valid = np.stack([used_blocks(each, contract.phi) for each in made])
+    valid, valid_sums = (np.stack([of(each, contract.phi) for each in made]) for of in (used_blocks, used_sums))
     time_ns, cycle = (
         np.array(each, np.int64) for each in zip(*((m.sampled_mono_ns, m.cycle) for m in made), strict=True)
     )
-    return Cycles(counts, valid, time_ns, cycle), part.status.frames
+    return Cycles(counts, valid, valid_sums, time_ns, cycle), part.status.frames
 
 
 def read_sums(layout: Layout, path: Path) -> Cycles:
@@ -118,7 +124,7 @@ def read_sums(layout: Layout, path: Path) -> Cycles:
             raise InputError(f"{path}: '{name}': expected {wanted} of shape {shape}, got {each.dtype} of {each.shape}")
     blocks = np.array([phi.all_of_blocks(each) for each in valid]) & phi.has_sums
     counts = np.where(blocks[:, phi.block_of_sum], sums, 0).astype(np.int32)
-    return Cycles(counts, blocks, time_ns.astype(np.int64), cycle.astype(np.int64))
+    return Cycles(counts, blocks, blocks[:, phi.block_of_sum], time_ns.astype(np.int64), cycle.astype(np.int64))
 
 
 def measure_forces(
@@ -150,15 +156,17 @@ def measure_forces(
     read, packed = _reader(layout), None if isinstance(phi, MatrixPhi) else packing(layout)
     counts = np.empty((source.frames, phi.shape[0]), np.int32)
     valid = np.tile(phi.has_sums, (source.frames, 1))
+    valid_sums = np.ones(counts.shape, np.bool_)
     for step in range(source.frames):
         counts[step] = read(source.frame(step).force_n, step + 1)
         if packed is not None:
             counts[step] = packed.counts(packed.raw(counts[step]))
         if packed is not None and (usable := packed.usable(counts[step])):
-            valid[step, phi.block_of_sum[np.frombuffer(usable, np.uint8) == 0]] = False
+            valid_sums[step] = np.frombuffer(usable, np.bool_)
+            valid[step, phi.block_of_sum[~valid_sums[step]]] = False
         advance(1)
     time_ns = np.rint(np.arange(source.frames) * (1e9 * layout.sync.period_s)).astype(np.int64)
-    return Cycles(counts, valid, time_ns, np.arange(1, source.frames + 1))
+    return Cycles(counts, valid, valid_sums, time_ns, np.arange(1, source.frames + 1))
 
 
 def _reader(layout: Layout) -> Callable[[npt.NDArray[np.float32], int], npt.NDArray[np.int32]]:

@@ -19,16 +19,17 @@ from shell.output import check_new_path, replacing, write_file
 from shell.service import say
 from shell.terminal import Json, print_json
 from skin.layout import RECORDING_SUFFIX, layout_text, load_layout
-from skin.mcap_file import read_about, wall_offset_ns
+from skin.mcap_file import read_about
 
 if TYPE_CHECKING:
     from recording.tables import Table, Tables
 
-Format = Literal["npz", "hdf5", "csv", "video", "ros2", "rerun", "foxglove"]
+Format = Literal["npz", "hdf5", "csv", "parquet", "video", "ros2", "rerun", "foxglove"]
 _SUFFIXES: Final[Mapping[Format, str]] = {
     "npz": ".npz",
     "hdf5": ".h5",
     "csv": ".csv",
+    "parquet": ".parquet",
     "video": ".mp4",
     "ros2": "",
     "rerun": ".rrd",
@@ -66,7 +67,8 @@ def export(
         Program: what the processor runs, as the linker's output in binary form.
     to
         Recording: ``npz``: arrays ``images_pixels``, ``images_time_ns`` and so on. ``hdf5``: a group per table, gzip;
-        needs the extra canskin[hdf5]. ``csv``: a file per table, and of images one line each. ``video``: the images as
+        needs the extra canskin[hdf5]. ``csv``: a file per table, and of images one line each. ``parquet``: a file per
+        table, images as lists; needs the extra canskin[parquet]. ``video``: the images as
         H.264 in .mp4, in real time, with colours and marks of the page. ``ros2``: a bag of ROS 2, a folder with MCAP
         and CDR. ``rerun``, ``foxglove``: a file for their viewers. These four need the extra of their name.
     layout
@@ -142,13 +144,15 @@ def _export_recording(source: Path, to: Format, out: Path | None) -> None:
         return
     from recording.tables import read_tables
 
-    save = {"npz": _save_npz, "hdf5": _save_hdf5, "csv": _save_csv}[to]
+    save = {"npz": _save_npz, "hdf5": _save_hdf5, "csv": _save_csv, "parquet": _save_parquet}[to]
     if to == "hdf5":
         _h5py()
+    if to == "parquet":
+        _pyarrow()
     check_new_path(path, "arrays")
     about = read_about(source)
     layout = load_layout(source)
-    tables = read_tables(source, layout, wall_offset_ns(source), lambda line: say("export", line))
+    tables = read_tables(source, layout, lambda line: say("export", line))
     metadata = {"format": "canskin arrays 1", "source": source.name, **about.metadata, "layout": layout_text(layout)}
     try:
         written = save(path, tables, metadata)
@@ -260,6 +264,34 @@ def _write_rows(text: io.TextIOWrapper, table: "Table") -> None:
     rows = csv.writer(text)
     rows.writerow(columns)
     rows.writerows(zip(*columns.values(), strict=True))
+
+
+def _save_parquet(path: Path, tables: "Tables", metadata: Mapping[str, str]) -> list[Path]:
+    from pyarrow import parquet
+
+    arrow, written = _pyarrow(), list[Path]()
+    for name, table in tables.named().items():
+        target = path.with_name(f"{path.stem}-{name}{path.suffix}")
+        check_new_path(target, "table")
+        rows = {
+            column: arrow.array(values)
+            if values.ndim == 1
+            else arrow.FixedSizeListArray.from_arrays(arrow.array(values.ravel()), int(np.prod(values.shape[1:])))
+            for column, values in table.items()
+        }
+        with replacing(target) as file:
+            parquet.write_table(arrow.table(rows).replace_schema_metadata(metadata), file)
+        written.append(target)
+    return written
+
+
+def _pyarrow() -> Any:
+    """Return the library."""
+    try:
+        import pyarrow as pa
+    except ImportError as error:
+        raise not_installed("--to parquet needs pyarrow", "parquet") from error
+    return pa
 
 
 def _h5py() -> Any:

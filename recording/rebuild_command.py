@@ -5,7 +5,7 @@ from collections.abc import Callable
 from dataclasses import asdict, replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Any, Final, Literal, NamedTuple
 
 import msgspec
 import numpy as np
@@ -16,18 +16,24 @@ from calibration.calibrator import Tare
 from calibration.offline import OffsetSource, calibrated_cycles, make_calibrator
 from calibration.recorded import RecordedOffsets
 from canskin.errors import InputError, RunError
-from canskin.messages import FrameCounts
+from canskin.messages import IMAGE, FrameCounts
 from dbc.contract import Contract
 from reconstructor.array_api import BatchSolver, gpu_library
 from reconstructor.engine import reconstruct
+from reconstructor.gains import KnownGains
+from reconstructor.imaging import Imager, load_gains, make_imager
 from reconstructor.options import SolverOptions
+from recording.answers import same_pixels
 from recording.cycles import SUMS, Cycles, decode_log, measure_forces, read_sums
-from recording.steps import frames_of_log
+from recording.step_kinds import MeasurementStep
+from recording.steps import frames_of_log, steps_of
 from shell.output import check_new_path, replacing
 from shell.service import say
 from shell.terminal import progress
 from shell.touch_options import ArrayNames, FullScale
-from skin.layout import RECORDING_SUFFIX, Layout, load_layout, require_one_state, require_sending
+from skin.layout import RECORDING_SUFFIX, Layout, load_layout, require_sending
+from skin.mcap_file import read_messages, recording_id, wall_offset_ns
+from skin.wall_times import recorded_clocks, recorded_wall_times
 from touch.reading import array_names
 
 #: ``--calibration none``: take nothing off.
@@ -55,13 +61,15 @@ def rebuild(
     full_scale: FullScale = None,
     calibration: Path | None = None,
     tare: Tare = "never",
+    gains: Path | None = None,
 ) -> None:
     """Make the tactile image of every cycle of a recording or a CAN log, and write all images to one file.
 
     A CAN log is decoded as in the gateway: blocks with late, damaged or missing frames are not valid in that cycle.
     The offsets in a run of ``skin record`` are taken off. A recording is measured as in the nodes, one frame per
     cycle. Images equal those of ``skin reconstruct``, but for rounding on a GPU and at the beginnings of the up to 256
-    parts that are solved there together.
+    parts that are solved there together; the log tells how many equal those of the run. With two states the cycles of
+    images make images. Of adaptive sums the images of the run are made again, of a log one every 10 ms.
 
     Parameters
     ----------
@@ -71,7 +79,7 @@ def rebuild(
         ``sums``, counts, shape (cycles, sums), and what is known of ``valid``, ``cycle`` and ``time_ns``.
     out
         New .npz for the images: ``images`` float32 (cycles, rows, columns) in newtons, ``valid`` bool (cycles,
-        blocks), ``time_ns`` int64 (cycles,), ``metadata`` JSON.
+        blocks), ``time_ns`` and ``cycle`` int64 (cycles,), ``recording``, ``metadata`` JSON.
     layout
         TOML of the skin; default: the layout in the .mcap, else the default skin.
     device
@@ -85,6 +93,8 @@ def rebuild(
         Default: the offsets that were recorded with each cycle.
     tare
         ``at-start``: measure the offsets as the gateway does, once the skin is untouched for 2 s or 64 cycles.
+    gains
+        As of ``skin reconstruct``.
 
     Examples
     --------
@@ -98,44 +108,138 @@ def rebuild(
     if layout is None and source.suffix.lower() == RECORDING_SUFFIX:
         layout = source
     skin = load_layout(layout)
-    require_one_state(skin, "'skin rebuild'")
-    require_sending(skin, "synchronous", "'skin rebuild' is", "'skin replay --out' makes the images of adaptive sums")
     stored = None if calibration == NO_CALIBRATION else calibration
     calibrator = make_calibrator(skin, stored, tare, "rebuild")
     options = solver or SolverOptions()
-    settings = options.settings()
-    # A recording of forces has one frame for each cycle.
-    has_sums = is_recording and array is None and SUMS in array_names(source)
-    samples = skin.samples_per_sync if has_sums or not is_recording else 1
-    solve = _solver(skin, options, device, samples=samples)
-    if has_sums:
-        cycles = read_sums(skin, source)
+    about: dict[str, Any]
+    if not skin.sends.in_cycles:
+        _require_run(skin, source, device, is_recording=is_recording)
+        made = _of_news(skin, source, channel, make_imager(skin, solver, gains), every=solver is not None)
+        about = {"solver": "adaptive sums", "settings": {}}
     else:
-        cycles = _measured(skin, source, array, full_scale) if is_recording else _logged(skin, source, channel)
-    if calibrator is None and calibration is None and source.suffix.lower() == RECORDING_SUFFIX:
-        cycles = _as_live(skin, source, cycles)
-    if calibrator is not None:
-        cycles = _calibrated(skin, cycles, calibrator)
-    say("rebuild", f"solver {options.solver}, {settings.iterations} iterations, on the {device}")
-    images = _solved(skin, solve, cycles)
+        settings = options.settings()
+        # A recording of forces has one frame for each cycle.
+        has_sums = is_recording and array is None and SUMS in array_names(source)
+        samples = skin.samples_per_sync if has_sums or not is_recording else 1
+        solve = _solver(skin, options, device, None if gains is None else load_gains(gains, skin), samples=samples)
+        if has_sums:
+            cycles = read_sums(skin, source)
+        else:
+            cycles = _measured(skin, source, array, full_scale) if is_recording else _logged(skin, source, channel)
+        is_run = source.suffix.lower() == RECORDING_SUFFIX
+        if calibrator is None and calibration is None and is_run:
+            cycles = _as_live(skin, source, cycles)
+        if calibrator is not None:
+            cycles = _calibrated(skin, cycles, calibrator)
+        say("rebuild", f"solver {options.solver}, {settings.iterations} iterations, on the {device}")
+        made = _Rebuilt(_solved(skin, solve, cycles), cycles.valid, cycles.time_ns, cycles.cycle)
+        if is_run and solver is None and device == "cpu":
+            _compare(skin, source, made)
+    if solver is not None or skin.sends.in_cycles:
+        about = {"solver": options.solver, "settings": asdict(options.settings())}
     metadata = {
         "format": "canskin images 1",
         "version": version("canskin"),
         "source": source.name,
         "layout": skin.name,
         "fingerprint": skin.operator().fingerprint,
-        "solver": options.solver,
-        "settings": asdict(settings),
+        **about,
         "noise_n": options.noise_n,
         "device": device,
     }
-    arrays: dict[str, Any] = {"images": images, "valid": cycles.valid, "time_ns": cycles.time_ns}
+    if source.suffix.lower() == RECORDING_SUFFIX:
+        made = _numbered(skin, source, made)
+    arrays: dict[str, Any] = made._asdict() | {"recording": np.array(recording_id(source))}
     try:
         with replacing(out) as file:
             np.savez(file, **arrays, metadata=np.array(msgspec.json.encode(metadata).decode()))
     except OSError as error:
         raise RunError(f"{out}: the images cannot be written: {error.strerror or error}") from error
-    say("rebuild", f"{len(images)} images written to {out}")
+    say("rebuild", f"{len(made.images)} images written to {out}")
+
+
+class _Rebuilt(NamedTuple):
+    """The arrays of the file."""
+
+    images: Images
+    valid: Bools
+    time_ns: Numbers
+    cycle: Numbers
+
+
+def _require_run(skin: Layout, source: Path, device: str, *, is_recording: bool) -> None:
+    """Refuse what adaptive sums are not made from: they follow from what boards send over time."""
+    if is_recording:
+        what = f"{source}: a recording of forces or of sums in cycles is"
+        require_sending(skin, "synchronous", what, "play it with 'skin demo --input', and record that")
+    if device != "cpu":
+        require_sending(skin, "synchronous", "--device gpu is", "adaptive sums are solved one by one; leave it out")
+
+
+def _of_news(skin: Layout, source: Path, channel: list[str] | None, imager: Imager, *, every: bool) -> _Rebuilt:
+    """Make the images of adaptive sums, those that the run has shown or of `every` measurement, of its frames."""
+    contract = Contract.from_layout(skin)
+    offset_ns = wall_offset_ns(source) if source.suffix.lower() == RECORDING_SUFFIX else 0
+    made: list[tuple[Images, Bools, int, int]] = []
+    compared = equal = 0
+    imager.warm_up()
+    say("rebuild", f"solver {imager.about}, on the cpu")
+    with progress("solving", None) as bar:
+        for step in steps_of(source, contract, channel, every=every, service="rebuild"):
+            if not isinstance(step, MeasurementStep) or not step.makes_image:
+                continue
+            sums: Any = imager.decode(step.measurement, contract.phi)
+            image, _ = imager.solve(sums)
+            at_ns = step.measurement.sampled_mono_ns + offset_ns
+            made.append((image, sums.valid, at_ns, step.measurement.cycle))
+            if step.image is not None and not every:
+                compared += 1
+                pixels = image.astype("<f4", copy=False).tobytes()
+                equal += same_pixels(pixels, step.image.pixels, skin.taxels.force_max_n)
+            bar.advance(1)
+    if not any(valid.any() for _, valid, _, _ in made):
+        raise RunError(f"{source}: no block is complete in any measurement: is this the skin's layout?")
+    _tell(equal, compared)
+    images, valid, time_ns, cycle = zip(*made, strict=True)
+    numbers = np.array(time_ns, np.int64), np.array(cycle, np.int64)
+    return _Rebuilt(np.stack(images), np.stack(valid), *numbers)
+
+
+def _numbered(skin: Layout, source: Path, made: _Rebuilt) -> _Rebuilt:
+    """Give the cycles of a run the numbers and times of its measurements, as `skin export` has them.
+
+    A cycle whose measurement was not recorded has the number -1.
+    """
+    clocks = recorded_clocks(source)
+    if not clocks:
+        return made
+    wall, at_ns = recorded_wall_times(source, clocks), np.array([each.sampled_mono_ns for each in clocks], np.int64)
+    mono_ns, near_ns = made.time_ns - wall_offset_ns(source), 0.5e9 * skin.shortest_period_s
+    time_ns, cycle = made.time_ns.copy(), np.full(len(made.cycle), -1, np.int64)
+    for place, wanted_ns in enumerate(mono_ns):
+        nearest = int(np.argmin(np.abs(at_ns - wanted_ns)))
+        told_ns = wall.time_ns(int(at_ns[nearest]))
+        if abs(at_ns[nearest] - wanted_ns) < near_ns and told_ns is not None:
+            time_ns[place], cycle[place] = told_ns, clocks[nearest].cycle
+    return made._replace(time_ns=time_ns, cycle=cycle)
+
+
+def _compare(skin: Layout, source: Path, made: _Rebuilt) -> None:
+    """Tell how many images of a run are those that it has shown."""
+    mono_ns, near_ns = made.time_ns - wall_offset_ns(source), round(0.5e9 * skin.sync.period_s)
+    compared = equal = 0
+    for _, _, shown in read_messages(source, [IMAGE], lambda _: None):
+        nearest = int(np.searchsorted(mono_ns, shown.sampled_mono_ns - near_ns))
+        if nearest < len(mono_ns) and abs(int(mono_ns[nearest]) - shown.sampled_mono_ns) < near_ns:
+            compared += 1
+            pixels = made.images[nearest].astype("<f4", copy=False).tobytes()
+            equal += same_pixels(pixels, shown.pixels, skin.taxels.force_max_n)
+    _tell(equal, compared)
+
+
+def _tell(equal: int, compared: int) -> None:
+    if compared:
+        say("rebuild", f"{equal} of {compared} images equal to the recorded")
 
 
 def _as_live(skin: Layout, source: Path, cycles: Cycles) -> Cycles:
@@ -149,8 +253,8 @@ def _as_live(skin: Layout, source: Path, cycles: Cycles) -> Cycles:
 
 
 def _calibrated(skin: Layout, cycles: Cycles, source: OffsetSource) -> Cycles:
-    counts, valid = calibrated_cycles(skin, cycles.counts, cycles.valid, cycles.time_ns, source)
-    return replace(cycles, counts=counts, valid=valid)
+    counts, valid, valid_sums = calibrated_cycles(skin, cycles.counts, cycles.valid_sums, cycles.time_ns, source)
+    return replace(cycles, counts=counts, valid=valid, valid_sums=valid_sums)
 
 
 def _is_recording(source: Path) -> bool:
@@ -202,8 +306,10 @@ def _counted(counts: FrameCounts) -> str:
     return "frames " + ", ".join(f"{getattr(counts, word)} {word}" for word in words)
 
 
-def _solver(skin: Layout, options: SolverOptions, device: str, *, samples: int) -> _Solve:
+def _solver(skin: Layout, options: SolverOptions, device: str, gains: KnownGains | None, *, samples: int) -> _Solve:
     """Return what makes the images of all cycles."""
+    if device == "gpu" and gains is not None:
+        raise InputError("--gains takes the image of the cycle before, and a GPU solves cycles together: leave one out")
     taxels, settings, noise_n = skin.taxels, options.settings(), options.clipped_noise_n(skin)
     if device == "gpu":
         library = gpu_library()
@@ -220,6 +326,7 @@ def _solver(skin: Layout, options: SolverOptions, device: str, *, samples: int) 
             cycles=cycle,
             noise_n=noise_n,
             samples=samples,
+            gains=gains,
             advance=advance,
         )
 
@@ -229,7 +336,7 @@ def _solver(skin: Layout, options: SolverOptions, device: str, *, samples: int) 
 def _solved(skin: Layout, solve: _Solve, cycles: Cycles) -> Images:
     """Return the images, and log the time."""
     sums_n = np.multiply(cycles.counts, np.float32(skin.taxels.newton_per_count), dtype=np.float32)
-    valid = cycles.valid[:, skin.operator().block_of_sum]
+    valid = cycles.valid_sums
     solve(sums_n[:1], valid[:1], cycles.cycle[:1], lambda _: None)  # compiles the solver, or loads the compiled solver
     started_s = time.perf_counter()
     with progress("solving", len(sums_n)) as bar:

@@ -4,62 +4,86 @@ import threading
 import time
 from functools import partial
 from pathlib import Path
-from typing import Final
+from typing import Annotated, Final
+
+import msgspec
+from cyclopts import Parameter
 
 from bus.options import BusOptions, open_links
-from canskin.errors import BusError, InputError, RunError, Stopped
+from canskin.errors import BusError, InputError, LayoutError, RunError, Stopped
 from canskin.fabric import Fabric
-from canskin.messages import CONTACTS, GATEWAY, IMAGE, LABEL, MEASUREMENT, NODES, RECOGNITION, TRUTH
+from canskin.messages import (
+    CONTACTS,
+    GATEWAY,
+    IMAGE,
+    LABEL,
+    MARK,
+    MEASUREMENT,
+    NODES,
+    RECOGNITION,
+    TRUTH,
+    Mark,
+    check_label,
+)
 from canskin.peers import Peer
-from canskin.session import DEFAULT_ENDPOINT
 from dbc.contract import Contract
 from recording.calibration import follow_calibration
+from recording.mark_keys import KEYS, has_keys, mark_keys
 from recording.recorder import Recorder
 from recording.sinks import check_format, open_sink
 from shell.output import check_new_path
 from shell.service import StopSignal, request_real_time, say
-from skin.layout import Layout, load_layout
+from shell.skin_options import SkinOptions
+from skin.layout import RECORDING_SUFFIX, Layout
 
-TOPICS: Final = (MEASUREMENT, RECOGNITION, IMAGE, CONTACTS, LABEL, GATEWAY, NODES, TRUTH)
+TOPICS: Final = (MEASUREMENT, RECOGNITION, IMAGE, CONTACTS, LABEL, GATEWAY, NODES, TRUTH, MARK)
 
 
 def record(
     out: Path,
     *,
-    layout: Path | None = None,
+    of: SkinOptions | None = None,
     bus: BusOptions | None = None,
-    connect: str = DEFAULT_ENDPOINT,
     seconds: float | None = None,
+    label: Annotated[list[str] | None, Parameter(negative=(), consume_multiple=1)] = None,
 ) -> None:
     """Record a running skin: the frames of its buses, measurements, images, contacts, labels, truth and counters.
 
-    The recorder sends nothing on the buses. It needs no other service: frames are recorded from the start, messages
-    as soon as there is a hub. After a crash or on a full disk the file is readable up to its last second.
+    The recorder sends nothing on the buses. With ``--layout`` it needs no other service: frames are recorded from the
+    start, messages as soon as there is a hub. After a crash or on a full disk the file is readable up to its last
+    second.
 
     Parameters
     ----------
     out
         New file: .mcap, with the layout and the contract files attached; or frames alone, in the format of python-can
         that the suffix names: .log (candump), .asc, .blf, .trc, .mf4, .txt, and .csv and .db of a single bus.
-    layout
-        TOML of the skin; without it the default skin.
+    of
+        Which skin.
     bus
         CAN interface and channels, as the gateway's.
-    connect
-        Endpoint of the fabric's hub.
     seconds
         Time to record; default: until a stop signal.
+    label
+        What touches the skin, with commas between several. A single label holds from the start on. On a terminal the
+        keys 1 to 9 set the first to the ninth label, and 0 or the space bar ends it. ``skin label`` corrects labels,
+        ``skin train --recordings`` learns them.
 
     Examples
     --------
     skin record run.mcap
-    skin record run.log -i socketcan -c can0 --seconds 60
+    skin record cup.mcap --label cup
+    skin record many.mcap --label cup,ball,pen
+    skin record run.log --layout palm.toml -i socketcan -c can0 --seconds 60
     """
     if seconds is not None and not 0 < seconds < float("inf"):
         raise InputError(f"expected a finite number of seconds above 0, got {seconds:g}")
-    stop = StopSignal().install()
-    skin = load_layout(layout)
+    stop, of = StopSignal().install(), of or SkinOptions()
     check_new_path(out, "recording")
+    labels = _labels(label or [], out)
+    skin = of.find(stop)
+    if of.layout is not None:
+        of.compare(skin)
     check_format(out, len(skin.bus))
     contract = Contract.from_layout(skin)
     names = {number: each.name for number, each in enumerate(skin.bus)}
@@ -68,13 +92,18 @@ def record(
     joining: threading.Thread | None = None
     try:
         now_ns = time.time_ns()
-        recorder = Recorder(links, open_sink(out, contract, now_ns, now_ns - time.monotonic_ns()), names)
-        join = partial(_join, skin, contract.phi.fingerprint, connect, recorder, stop, joined)
-        joining = threading.Thread(target=join, name="join the fabric")
-        joining.start()
+        sink = open_sink(out, contract, now_ns, now_ns - time.monotonic_ns())
+        recorder = Recorder(links, sink, names)
+        if len(labels) == 1:
+            _mark(recorder, labels[0])
+        join = partial(_join, of, skin, recorder, stop, joined)
+        if sink.has_messages:  # a program that sets marks is to see no recorder that cannot write them
+            joining = threading.Thread(target=join, name="join the fabric")
+            joining.start()
         say("record", f"{', '.join(names.values())} to {out}")
         request_real_time("record")  # else services with it keep messages from coming
-        recorder.run(stop, seconds or float("inf"))
+        with mark_keys(labels, partial(_mark, recorder)) as poll:
+            recorder.run(stop, seconds or float("inf"), poll)
     except OSError as error:
         reason = error.strerror or error
         raise RunError(f"{out}: the recording ends: {reason}; what was written before is readable") from error
@@ -90,15 +119,33 @@ def record(
     _conclude(recorder, out)
 
 
-def _join(  # noqa: PLR0917 - the arguments of a thread
-    skin: Layout, fingerprint: str, connect: str, recorder: Recorder, stop: StopSignal, joined: list[Fabric]
-) -> None:
+def _labels(given: list[str], out: Path) -> list[str]:
+    """Return the labels of the keys, checked."""
+    labels = [check_label(each.strip()) for text in given for each in text.split(",") if each.strip()]
+    if labels and out.suffix.lower() != RECORDING_SUFFIX:
+        raise InputError(f"--label: expected a recording that ends in {RECORDING_SUFFIX}: {out} keeps frames alone")
+    if len(labels) > len(KEYS):
+        raise InputError(f"--label: expected up to {len(KEYS)} labels, a key for each, got {len(labels)}")
+    if len(labels) > 1 and not has_keys():
+        raise InputError("--label: several labels are set by keys, and there is no terminal: give one label")
+    if labels and has_keys():
+        keys = ", ".join(f"{key} {each}" for key, each in zip(KEYS, labels, strict=False))
+        say("record", f"keys: {keys}, 0 or space: no label")
+    return labels
+
+
+def _mark(recorder: Recorder, label: str) -> None:
+    say("record", f"label: {label or 'none'}")
+    recorder.take_message(MARK, msgspec.msgpack.encode(Mark(label=label)))
+
+
+def _join(of: SkinOptions, skin: Layout, recorder: Recorder, stop: StopSignal, joined: list[Fabric]) -> None:
     """Subscribe to everything when there is a hub; frames are recorded meanwhile."""
     try:
-        fabric = Fabric(skin.name, "recorder", connect, stop=stop, fingerprint=fingerprint)
+        fabric = of.join(skin, "recorder", stop)
     except Stopped:
         return
-    except BusError as error:
+    except (BusError, LayoutError) as error:
         say("record", f"frames alone: {error}")
         return
     joined.append(fabric)

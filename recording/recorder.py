@@ -7,7 +7,7 @@ from typing import Any, Final, NamedTuple
 
 from bus.link import Link, State
 from canskin.fabric import Missed, Origin
-from canskin.messages import Topic
+from canskin.messages import MARK, Topic
 from recording.sinks import Sink
 from shell.service import StopSignal, say
 from skin.mcap_file import EVENTS, RECORDER, File
@@ -43,7 +43,7 @@ class Recorder:
     Attributes
     ----------
     frames, messages : int
-        Written so far.
+        Written so far; marks do not count.
     missed : Missed
         Messages that did not come.
     """
@@ -86,8 +86,10 @@ class Recorder:
         """Take an attachment; from any thread."""
         self._files.append(file)
 
-    def run(self, stop: StopSignal, until_s: float = float("inf")) -> None:
-        """Record until `stop`, or for `until_s` seconds.
+    def run(
+        self, stop: StopSignal, until_s: float = float("inf"), each_turn: Callable[[], None] = lambda: None
+    ) -> None:
+        """Record until `stop`, or for `until_s` seconds; call `each_turn` in every turn.
 
         Raises
         ------
@@ -98,6 +100,7 @@ class Recorder:
         try:
             while not stop.is_set() and time.monotonic() < end_s:
                 time.sleep(TURN_S)
+                each_turn()
                 self.turn()
             self.turn()
             self._tell_counters()
@@ -127,7 +130,7 @@ class Recorder:
         for _ in range(len(self._waiting)):
             time_ns, topic, content = self._waiting.popleft()
             if topic is not None and isinstance(content, bytes):
-                self.messages += 1
+                self.messages += topic is not MARK
                 self._sink.message(topic, time_ns, content)
             elif not isinstance(content, bytes):
                 self._sink.note(EVENTS, time_ns, content)

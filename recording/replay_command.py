@@ -1,6 +1,5 @@
 """``skin replay``: a recorded run through gateway, reconstructor and classifier."""
 
-import time
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
@@ -27,9 +26,10 @@ from recording.step_kinds import Step
 from recording.steps import steps_of
 from shell.output import check_new_path
 from shell.service import StopSignal, say
+from shell.skin_options import join
 from skin.description import describe
 from skin.layout import RECORDING_SUFFIX, load_layout
-from skin.mcap_file import CALIBRATION_FILE, File, newest_file, wall_offset_ns
+from skin.mcap_file import CALIBRATION_FILE, File, newest_file, recording_id, wall_offset_ns
 from skin.sources import DEFAULT_OBJECTS
 
 
@@ -98,14 +98,14 @@ def replay(
     classified = classified_phi(skin)
     trained = load_model(model, skin, classified) if model else find_or_train(skin, classified, DEFAULT_OBJECTS)
     steps = steps_of(source, contract, channel, every=solver is not None, calibrator=calibrator)
-    sink = McapSink(out, contract, time.time_ns(), offset_ns) if out is not None else None
+    # Attachments have no time: the same file gives the same bytes.
+    sink = McapSink(out, contract, 0, offset_ns, recording_id(source)) if out is not None else None
     recorded = newest_file(source, CALIBRATION_FILE) if is_recording else None
     if sink is not None and recorded is not None:
-        sink.attach(File(CALIBRATION_FILE, "application/json", recorded), time.time_ns())
+        sink.attach(File(CALIBRATION_FILE, "application/json", recorded), 0)
     fabric = None
     if out is None or listen is not None:
-        mark = contract.phi.fingerprint
-        fabric = Fabric(skin.name, "replay", listen or DEFAULT_ENDPOINT, hub=True, fingerprint=mark)
+        fabric = join(skin, "replay", listen or DEFAULT_ENDPOINT, hub=True)
         about = describe(skin)
         fabric.answer(DESCRIPTION, lambda _request, reply: reply(about))
     say("replay", f"{source.name}: {imager.about}")

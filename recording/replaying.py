@@ -13,6 +13,7 @@ from canskin.messages import LABEL, RECOGNITION, Image, Label, Topic
 from classifier.service import AdaptiveClassifierService, ClassifierService
 from reconstructor.imaging import Imager
 from reconstructor.service import ReconstructorService
+from recording.answers import largest_difference_n, same_pixels
 from recording.sinks import Sink
 from recording.step_kinds import FramesStep, MeasurementStep, MessageStep, Step
 from shell.service import StopSignal
@@ -22,21 +23,61 @@ from skin.measurement import places
 
 #: Confidences that differ by less are equal: their sums depend on the labels since the classifier's start.
 CONFIDENCE_ERROR: Final = 1e-9
+#: Field of a label whose difference is one of the model.
+LABEL_NAME: Final = "label"
+#: What differs, in newtons.
+PIXELS: Final = "forces (N)"
+
+
+#: How a message differs from the recorded one: what, and the amount of numbers. Empty: it is equal.
+Difference = dict[str, float]
 
 
 @dataclass
 class Agreement:
-    """How many messages of a kind were made, had a recorded one to be compared with, and were equal to it."""
+    """How many messages of a kind were made, had a recorded one to be compared with, and were equal to it.
+
+    Attributes
+    ----------
+    first : int
+        Messages compared up to the last that differs.
+    differs : dict of str to float
+        What differs, and the largest amount.
+    last : dict of str to float
+        How the last message that was compared differs.
+    """
 
     made: int = 0
     compared: int = 0
     equal: int = 0
+    first: int = 0
+    differs: Difference = field(default_factory=dict)
+    last: Difference = field(default_factory=dict)
 
-    def add(self, is_equal: bool | None) -> None:
+    def add(self, difference: Difference | None) -> None:
         """Count a message; None if nothing was recorded of it."""
         self.made += 1
-        self.compared += is_equal is not None
-        self.equal += bool(is_equal)
+        if difference is None:
+            return
+        self.compared += 1
+        self.equal += not difference
+        self.last = difference
+        if difference:
+            self.first = self.compared
+        for what, amount in difference.items():
+            self.differs[what] = max(amount, self.differs.get(what, 0.0))
+
+    def verdict(self) -> str:
+        """Tell "equal", "equal but for the start", or "different", and what differs; empty without comparison."""
+        if not self.compared:
+            return ""
+        what = ", ".join(f"{name} by up to {most:.2g}" if most else name for name, most in self.differs.items())
+        if not self.differs:
+            return "equal"
+        if 2 * self.first <= self.compared:
+            return f"equal but for the start, the first {self.first}: {what}"
+        end = ", ".join(f"{name} by {most:.2g}" if most else name for name, most in self.last.items())
+        return f"different: {what}; at the end {end or 'equal'}"
 
 
 @dataclass
@@ -46,8 +87,8 @@ class Report:
     Attributes
     ----------
     measurements, images, labels : Agreement
-        Measurements are compared byte for byte; images by their pixels, validity and number of sums; labels by all but
-        their number.
+        Measurements are compared byte for byte; images by their pixels (`recording.answers.same_pixels`), validity and
+        number of sums; labels by all but their number.
     """
 
     measurements: Agreement = field(default_factory=Agreement)
@@ -61,13 +102,11 @@ class Report:
             one: Agreement = getattr(self, name)
             if one.made:
                 of_recorded = f", {one.equal} of {one.compared} equal to the recorded" if one.compared else ""
-                told.append(f"{one.made} {name}{of_recorded}")
-        if self.labels.equal < self.labels.compared:
-            told.append(
-                "labels differ at first, and where the run had another model or other objects: give it with --model"
-            )
-        if self.images.equal < self.images.compared:
-            told.append("images differ at first: the solver and the filter begin anew where the recording begins")
+                told.append(f"{one.made} {name}{of_recorded}{one.verdict() and ': '}{one.verdict()}")
+        if self.images.differs or self.labels.differs:
+            told.append("solver, temporal filter and classifier begin anew where the recording begins")
+        if LABEL_NAME in self.labels.differs:
+            told.append("other names: where the run had another model or other objects, give the model with --model")
         return told
 
 
@@ -98,8 +137,10 @@ class Replay:
     ) -> None:
         self.report = Report()
         self._fabric, self._sink, self._offset_ns = fabric, sink, offset_ns
-        self._reconstructor = ReconstructorService(layout, imager, self, clock_ns=self._published_ns)
+        timer = time.perf_counter if sink is None else lambda: 0.0  # the same file again gives the same bytes
+        self._reconstructor = ReconstructorService(layout, imager, self, clock_ns=self._published_ns, timer=timer)
         self._classifier = make_classifier(self)
+        self._force_max_n = layout.taxels.force_max_n
         self._few = None if layout.recognition is None else layout.recognising().phi()
         self._places = np.zeros(0, np.intp) if self._few is None else places(layout.phi(), self._few)
         self._now_ns = 0
@@ -108,7 +149,7 @@ class Replay:
     def publish(self, topic: Topic, message: msgspec.Struct) -> None:
         """Pass a message to the fabric and to the sink, with the time of its step."""
         if self._measured is not None and isinstance(message, Image):
-            self.report.images.add(_same_image(message, self._measured.image))
+            self.report.images.add(_image_difference(message, self._measured.image, self._force_max_n))
         if self._fabric is not None:
             self._fabric.publish(topic, message)
         if self._sink is not None:
@@ -147,11 +188,12 @@ class Replay:
         told = published(step.measurement, self._few, self._places)
         for topic, message in told:
             self.publish(topic, message)
-        self.report.measurements.add(None if step.recorded is None else step.measurement == step.recorded)
+        recorded = step.recorded
+        self.report.measurements.add(None if recorded is None else _fields_that_differ(step.measurement, recorded))
         if step.makes_image and told[0][0] is not RECOGNITION:
             self._reconstructor.take(step.measurement)
         for label in self._classifier.replay(told[-1][1], step.time_ns) if step.makes_label else ():
-            self.report.labels.add(_same_label(label, step.label))
+            self.report.labels.add(_label_difference(label, step.label))
             self.publish(LABEL, label)
 
     def _published_ns(self) -> int:
@@ -162,17 +204,25 @@ class Replay:
         return self._measured.measurement.sampled_mono_ns if image is None else image.published_mono_ns
 
 
-def _same_label(made: Label, recorded: Label | None) -> bool | None:
+def _fields_that_differ(made: msgspec.Struct, recorded: msgspec.Struct) -> Difference:
+    return {name: 0.0 for name in made.__struct_fields__ if getattr(made, name) != getattr(recorded, name, None)}
+
+
+def _label_difference(made: Label, recorded: Label | None) -> Difference | None:
     """Compare labels of one instant; numbers are not compared: a classifier that is started counts from 1."""
     if recorded is None:
         return None
-    is_as_sure = abs(made.confidence - recorded.confidence) < CONFIDENCE_ERROR
-    return (
-        is_as_sure and msgspec.structs.replace(made, confidence=recorded.confidence, number=recorded.number) == recorded
-    )
+    error = abs(made.confidence - recorded.confidence)
+    same = msgspec.structs.replace(made, confidence=recorded.confidence, number=recorded.number)
+    return _fields_that_differ(same, recorded) | ({"confidence": error} if error >= CONFIDENCE_ERROR else {})
 
 
-def _same_image(made: Image, recorded: Image | None) -> bool | None:
+def _image_difference(made: Image, recorded: Image | None, force_max_n: float) -> Difference | None:
     if recorded is None:
         return None
-    return (made.pixels, made.valid, made.valid_sums) == (recorded.pixels, recorded.valid, recorded.valid_sums)
+    found: Difference = {} if made.valid == recorded.valid else {"validity": 0.0}
+    if made.valid_sums != recorded.valid_sums:
+        found["valid_sums"] = float(abs(made.valid_sums - recorded.valid_sums))
+    if not same_pixels(made.pixels, recorded.pixels, force_max_n):
+        found[PIXELS] = largest_difference_n(made.pixels, recorded.pixels)
+    return found

@@ -3,6 +3,7 @@
 import contextlib
 import platform
 from collections.abc import Mapping
+from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final, Protocol
@@ -19,7 +20,7 @@ from dbc.frame import CLASSIC_BYTES, FD_BYTES, Frames, frames
 from dbc.generate import contract_files
 from dbc.stored_frames import RECORD_TEXT, to_bytes
 from skin.layout import RECORDING_SUFFIX, Layout, layout_text
-from skin.mcap_file import FINGERPRINT, FRAMES, LAYOUT_FILE, WALL_OFFSET_NS, File, RecordingWriter
+from skin.mcap_file import FINGERPRINT, FRAMES, LAYOUT_FILE, RECORDING, WALL_OFFSET_NS, File, RecordingWriter
 
 #: Formats of python-can that do not keep the channel of a frame.
 WITHOUT_CHANNELS: Final = (".csv", ".db")
@@ -74,14 +75,21 @@ class Sink(Protocol):
 
 
 class McapSink(RecordingWriter):
-    """Writes frames and messages to an MCAP file."""
+    """Writes frames and messages to an MCAP file.
+
+    Parameters
+    ----------
+    recording : str
+        See `skin.mcap_file.RECORDING`; default: name of the skin and time.
+    """
 
     has_messages = True
 
-    def __init__(self, path: Path, contract: Contract, now_ns: int, offset_ns: int) -> None:
+    def __init__(self, path: Path, contract: Contract, now_ns: int, offset_ns: int, recording: str = "") -> None:
         layout = contract.layout
         metadata = {
             "skin": layout.name,
+            RECORDING: recording or f"{layout.name}-{datetime.fromtimestamp(now_ns * 1e-9, UTC):%Y%m%dT%H%M%S.%f}Z",
             FINGERPRINT: contract.phi.fingerprint,
             WALL_OFFSET_NS: str(offset_ns),
             "python": platform.python_version(),

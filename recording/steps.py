@@ -5,13 +5,26 @@ from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
 from bandwidth.logs import of_buses, read_log
 from calibration.calibrator import Calibrator
 from canskin.errors import InputError
-from canskin.messages import GATEWAY, IMAGE, LABEL, MEASUREMENT, NODES, RECOGNITION, TRUTH, Image, Label, Measurement
+from canskin.messages import (
+    GATEWAY,
+    IMAGE,
+    LABEL,
+    MARK,
+    MEASUREMENT,
+    NODES,
+    RECOGNITION,
+    TRUTH,
+    Image,
+    Label,
+    Measurement,
+)
 from dbc.contract import Contract
 from dbc.frame import Frames
 from dbc.stored_frames import from_bytes
@@ -47,7 +60,7 @@ _ANSWERS_NS: Final = 15_000_000_000
 #: The sums of recognition of a cycle of images come before so many further cycles of images.
 _FEW_CYCLES: Final = 8
 #: Played as they were recorded. Images and contacts, measurements and labels are made anew.
-_AS_RECORDED: Final = {topic.name: topic for topic in (GATEWAY, NODES, TRUTH)}
+_AS_RECORDED: Final = {topic.name: topic for topic in (GATEWAY, NODES, TRUTH, MARK)}
 
 
 def steps_of(
@@ -57,6 +70,7 @@ def steps_of(
     *,
     every: bool = False,
     calibrator: Calibrator | None = None,
+    service: str = "replay",
 ) -> Iterator[Step]:
     """Return the steps of a recording or of a CAN log, in the order of time.
 
@@ -68,16 +82,19 @@ def steps_of(
         Every measurement makes an image, whether the live one did or not.
     calibrator : Calibrator, optional
         Puts offsets into measurements that are made of frames alone; recorded ones have their own.
+    service : str
+        Name of the service in the log lines.
     """
+    warn = partial(say, service)
     if path.suffix.lower() != RECORDING_SUFFIX:
-        return _logged(contract, frames_of_log(contract.layout, path, channel, _warn), calibrator)
+        return _logged(contract, frames_of_log(contract.layout, path, channel, warn), calibrator)
     topics = read_topics(path)
     measured = {MEASUREMENT.name, RECOGNITION.name} & topics
     if calibrator is not None and measured:
         raise InputError(f"{path}: its measurements have the offsets of the run: leave out --calibration and --tare")
     if not any(topic.startswith(FRAMES) for topic in topics) and not measured:
         raise InputError(f"{path}: holds neither frames nor measurements: there is nothing to play")
-    return _Recorded(path, contract, topics, every=every, calibrator=calibrator).steps()
+    return _Recorded(path, contract, topics, warn, every=every, calibrator=calibrator).steps()
 
 
 def frames_of_log(layout: Layout, path: Path, channel: list[str] | None, warn: Warn) -> dict[int, Frames]:
@@ -112,9 +129,16 @@ class _Recorded:
     """The steps of a recording. Frames and messages come a little after their time, so steps wait for them."""
 
     def __init__(
-        self, path: Path, contract: Contract, topics: set[str], *, every: bool, calibrator: Calibrator | None
+        self,
+        path: Path,
+        contract: Contract,
+        topics: set[str],
+        warn: Warn,
+        *,
+        every: bool,
+        calibrator: Calibrator | None,
     ) -> None:
-        self._path, self._contract = path, contract
+        self._path, self._contract, self._warn = path, contract, warn
         self._check_fingerprint()
         self._decoders: dict[str, Callable[[bytes], Any]] = {
             topic.name: message_decoder(path, topic)
@@ -149,7 +173,7 @@ class _Recorded:
     def steps(self) -> Iterator[Step]:
         """Yield the steps in the order of time."""
         newest_ns = advanced_ns = 0
-        for entry in read_entries(self._path, _warn):
+        for entry in read_entries(self._path, self._warn):
             newest_ns = max(newest_ns, entry.time_ns)
             self._take(entry)
             if newest_ns - advanced_ns >= FRAMES_NS:
@@ -158,7 +182,7 @@ class _Recorded:
         yield from self._ripe(None)
         remark = self._measurements.remark()
         if remark:
-            say("replay", remark)
+            self._warn(remark)
 
     def _take(self, entry: Entry) -> None:
         if entry.topic in self._buses:
@@ -242,7 +266,3 @@ class _Recorded:
             yield
         except InputError as error:
             raise InputError(f"{self._path}: {error}") from error
-
-
-def _warn(line: str) -> None:
-    say("replay", line)

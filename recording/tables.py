@@ -10,10 +10,11 @@ import numpy as np
 import numpy.typing as npt
 
 from canskin.errors import InputError, RunError
-from canskin.messages import CONTACTS, IMAGE, LABEL, MEASUREMENT, TRUTH, Contact, Measurement
+from canskin.messages import CONTACTS, IMAGE, LABEL, MARK, MEASUREMENT, RECOGNITION, TRUTH, Contact, Measurement
+from classifier.touches import Touches, touches_of
 from skin.layout import Layout
-from skin.mcap_file import Warn, read_messages
-from skin.wall_times import Clocks, WallTimes
+from skin.mcap_file import Read, Warn, read_messages, recording_id
+from skin.wall_times import WallTimes, recorded_wall_times
 
 Table = dict[str, npt.NDArray[Any]]
 
@@ -39,6 +40,8 @@ class Tables:
     measurements : dict
         ``sums`` and ``offsets`` int32 (n, m) in ADC counts, ``usable`` bool (n, m), ``valid``,
         ``cycle`` and times.
+    recognition : dict
+        The same of the sums of recognition, where the nodes have two states: in cycles of images a part of the sums.
     contacts : dict
         One row per contact and image: the fields of `canskin.messages.Contact`, its position as ``x_m``, ``y_m``,
         ``z_m`` and its normal as ``nx``, ``ny``, ``nz``, ``cycle`` and times.
@@ -47,44 +50,56 @@ class Tables:
     taxels : dict
         Of each taxel, row-major: ``row``, ``column``, where it lies, ``x_m``, ``y_m``, ``z_m``, its normal, ``nx``,
         ``ny``, ``nz``, and ``block``, the place of its block in ``valid``. A skin that is no grid has one row.
+    touches : dict
+        One row per touch: the fields of `classifier.touches.Touch`, with the label of marks or of ``skin label``.
     truth : dict
-        ``true`` and ``sensor`` float32 (n, rows, columns) in newtons, ``label``, ``time_ns``; of simulated nodes.
+        ``true`` and ``sensor`` float32 (n, rows, columns) in newtons, ``label``, ``time_ns`` and ``cycle``, -1 where
+        there is no measurement; of simulated nodes.
+    recording : str
+        `skin.mcap_file.RECORDING`: a column of each table.
     """
 
     images: Table = field(default_factory=dict)
     measurements: Table = field(default_factory=dict)
+    recognition: Table = field(default_factory=dict)
     contacts: Table = field(default_factory=dict)
     labels: Table = field(default_factory=dict)
+    touches: Table = field(default_factory=dict)
     truth: Table = field(default_factory=dict)
     taxels: Table = field(default_factory=dict)
+    recording: str = ""
 
     def named(self) -> dict[str, Table]:
-        """Return the tables that have rows, by name."""
-        return {name: table for name, table in vars(self).items() if table and len(next(iter(table.values())))}
+        """Return the tables that have rows, by name, each with the column ``recording``."""
+        tables = {name: table for name, table in vars(self).items() if isinstance(table, dict) and table}
+        rows = {name: len(next(iter(table.values()))) for name, table in tables.items()}
+        return {
+            name: table | {"recording": np.full(rows[name], self.recording)}
+            for name, table in tables.items()
+            if rows[name]
+        }
 
 
-def read_tables(path: Path, layout: Layout, offset_ns: int, warn: Warn) -> Tables:
+def read_tables(path: Path, layout: Layout, warn: Warn) -> Tables:
     """Return the tables of a recording.
-
-    Parameters
-    ----------
-    offset_ns : int
-        Wall clock minus CLOCK_MONOTONIC at the beginning: for messages without a measurement that has its own.
 
     Raises
     ------
     RunError
         If there is nothing to read.
     """
-    topics = IMAGE, MEASUREMENT, CONTACTS, LABEL, TRUTH
+    topics = IMAGE, MEASUREMENT, RECOGNITION, CONTACTS, LABEL, TRUTH
     read: dict[str, list[Any]] = {topic.name: [] for topic in topics}
-    for topic, _, message in read_messages(path, topics, warn):
-        read[topic.name].append(message)
+    told: list[Read] = []
+    for each in read_messages(path, (*topics, MARK), warn):
+        if each.topic is not MARK:
+            read[each.topic.name].append(each.message)
+        if each.topic in {CONTACTS, MARK}:
+            told.append(each)
     if not any(read.values()):
         raise RunError(f"{path}: holds no messages of the services, frames at most: play it with 'skin replay --out'")
     shape = (layout.taxels.rows, layout.taxels.columns)
-    wall = _wall_times(read["measurement"], offset_ns)
-    none, all_usable = bytes(4 * layout.measurement.sums), b"\1" * layout.measurement.sums
+    wall = recorded_wall_times(path)
     try:
         return Tables(
             # The pixels first: programs that read one array of a file take the first.
@@ -94,31 +109,51 @@ def read_tables(path: Path, layout: Layout, offset_ns: int, warn: Warn) -> Table
                 "valid": _stack([each.valid for each in read["image"]], np.bool_, (layout.blocks,)),
                 "valid_sums": np.array([each.valid_sums for each in read["image"]], np.int64),
             },
-            measurements=_times(read["measurement"], wall)
-            | {
-                "sums": _stack([each.sums for each in read["measurement"]], "<i4", (layout.measurement.sums,)),
-                "offsets": _stack([each.offsets or none for each in read["measurement"]], "<i4", (len(none) // 4,)),
-                "usable": _stack(
-                    [each.usable or all_usable for each in read["measurement"]], np.bool_, (len(all_usable),)
-                ),
-                "valid": _stack([each.valid for each in read["measurement"]], np.bool_, (layout.blocks,)),
-            },
+            measurements=_measurements(read["measurement"], wall, layout),
+            recognition=_measurements(read["recognition"], wall, layout.recognising()),
             contacts=_contacts(read["contacts"], wall),
             labels=_times(read["label"], wall)
             | {
                 "label": np.array([each.label for each in read["label"]], np.str_),
                 "confidence": np.array([each.confidence for each in read["label"]], np.float64),
             },
-            truth={
-                "time_ns": _wall_ns(read["truth"], wall),
+            touches=_touches(touches_of(path, told, warn), wall),
+            truth=_truth_times(read["truth"], read["measurement"] + read["recognition"], layout, wall)
+            | {
                 "true": _stack([each.true for each in read["truth"]], "<f4", shape),
                 "sensor": _stack([each.sensor for each in read["truth"]], "<f4", shape),
                 "label": np.array([each.label for each in read["truth"]], np.str_),
             },
             taxels=_taxels(layout),
+            recording=recording_id(path),
         )
     except ValueError as error:
         raise InputError(f"{path}: its messages do not fit the layout '{layout.name}': {error}") from error
+
+
+def _measurements(messages: list[Measurement], wall: WallTimes, layout: Layout) -> Table:
+    """Return the table of measurements; `layout` is that of their state."""
+    sums = layout.measurement.sums
+    none, all_usable = bytes(4 * sums), b"\1" * sums
+    return _times(messages, wall) | {
+        "sums": _stack([each.sums for each in messages], "<i4", (sums,)),
+        "offsets": _stack([each.offsets or none for each in messages], "<i4", (sums,)),
+        "usable": _stack([each.usable or all_usable for each in messages], np.bool_, (sums,)),
+        "valid": _stack([each.valid for each in messages], np.bool_, (layout.blocks,)),
+    }
+
+
+def _touches(found: Touches | None, wall: WallTimes) -> Table:
+    """Return the table of touches; `cycle` and `time_ns` are of the first image of a touch."""
+    fields = ("number", "begin_ns", "end_ns", "force_n", "taxels", "contacts", "label")
+    if not found:
+        return {}
+    first = [each.cycles[0] for each in found.touches]
+    return {name: np.array([getattr(each, name) for each in found.touches]) for name in fields} | {
+        "cycle": np.array([each.cycle for each in first], np.int64),
+        "last_cycle": np.array([each.cycles[-1].cycle for each in found.touches], np.int64),
+        "time_ns": _wall_ns(first, wall),
+    }
 
 
 def _taxels(layout: Layout) -> Table:
@@ -139,18 +174,24 @@ def _columns(name: str, points: npt.NDArray[np.float64]) -> Table:
     return dict(zip(_POINTS[name], points.T, strict=True))
 
 
-def _wall_times(measurements: list[Measurement], offset_ns: int) -> WallTimes:
-    """Return the wall clock of a run."""
-    wall = WallTimes(offset_ns, kept=len(measurements))
-    for each in sorted(measurements, key=lambda each: each.sampled_mono_ns):
-        wall.take(Clocks(each.sampled_mono_ns, each.wall_offset_ns or None))
-    return wall
-
-
 def _wall_ns(messages: list[Any], wall: WallTimes) -> npt.NDArray[np.int64]:
     """Return the sampling instants on the wall clock; -1 where no clock has them."""
     times_ns = (wall.time_ns(each.sampled_mono_ns) for each in messages)
     return np.array([-1 if time_ns is None else time_ns for time_ns in times_ns], np.int64)
+
+
+def _truth_times(messages: list[Any], measurements: list[Measurement], layout: Layout, wall: WallTimes) -> Table:
+    """Return number and time of the measurement of each truth; -1 and the nodes' own time where there is none."""
+    cycle, time_ns = np.full(len(messages), -1, np.int64), _wall_ns(messages, wall)
+    if layout.sends.in_cycles and measurements:
+        made = sorted(measurements, key=lambda each: each.sampled_mono_ns)
+        at_ns = np.array([each.sampled_mono_ns for each in made], np.int64)
+        of_made_ns, near_ns = _wall_ns(made, wall), 0.5e9 * layout.shortest_period_s
+        for place, each in enumerate(messages):
+            nearest = int(np.argmin(np.abs(at_ns - each.sampled_mono_ns)))
+            if abs(int(at_ns[nearest]) - each.sampled_mono_ns) < near_ns:
+                cycle[place], time_ns[place] = made[nearest].cycle, of_made_ns[nearest]
+    return {"cycle": cycle, "time_ns": time_ns}
 
 
 def _times(messages: list[Any], wall: WallTimes) -> Table:

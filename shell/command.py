@@ -14,7 +14,7 @@ from types import FrameType
 from typing import TYPE_CHECKING, Annotated, Final
 
 from canskin.errors import InputError, RunError, SkinError, Stopped
-from shell.service import Talk, set_talk
+from shell.service import REAL_TIME_RATIO, Priority, Talk, set_priority, set_talk
 
 if TYPE_CHECKING:
     import cyclopts
@@ -38,17 +38,20 @@ VERBS: Final = {
     "calibration": "calibration.command:calibration",
     "reconstruct": "reconstructor.command:reconstruct",
     "classify": "classifier.command:classify",
+    "list": "health.list_command:list_",
     "view": "views.page.command:view",
     "ros2": "views.ros2.command:ros2",
     "show": "views.show.command:show",
     "record": "recording.record_command:record",
     "replay": "recording.replay_command:replay",
+    "label": "recording.label_command:label",
     "export": "recording.export_command:export",
     "rebuild": "recording.rebuild_command:rebuild",
     "dbc": "nodes.contract_command:dbc",
     "contract": "nodes.contract_command:contract",
     "dbc-check": "nodes.contract_command:dbc_check",
     "plan": "bandwidth.plan_command:plan",
+    "config": "demo.config_command:config",
     "design": "demo.design_command:design",
     "layout": "demo.layout_command:layout",
     "load": "bandwidth.load_command:load",
@@ -59,6 +62,10 @@ VERBS: Final = {
     "evaluate": "evaluation.command:evaluate",
     "bench": "evaluation.bench.command:bench",
 }
+_PRIORITY: Final = (
+    f"Scheduling of services. auto: real time while all programs with real time take at most {REAL_TIME_RATIO:.0%} of"
+    " the cores. realtime: always. normal: never."
+)
 HELP_FLAGS: Final = ("--help", "-h")
 
 
@@ -99,6 +106,7 @@ def build_app(arguments: Sequence[str] = ()) -> "cyclopts.App":
         verbose: Annotated[bool, cyclopts.Parameter(alias="-v", group=everywhere, negative=())] = False,
         quiet: Annotated[bool, cyclopts.Parameter(alias="-q", group=everywhere, negative=())] = False,
         log_json: Annotated[bool, cyclopts.Parameter(group=everywhere, negative=())] = False,
+        priority: Annotated[Priority, cyclopts.Parameter(group=everywhere, help=_PRIORITY)] = Priority.AUTO,
     ) -> object:
         """Run a verb.
 
@@ -114,6 +122,7 @@ def build_app(arguments: Sequence[str] = ()) -> "cyclopts.App":
         if verbose and quiet:
             raise InputError("expected --verbose or --quiet, got both")
         set_talk(Talk.VERBOSE if verbose else Talk.QUIET if quiet else Talk.NORMAL, as_json=log_json)
+        set_priority(priority)
         if verbose:
             logging.basicConfig(level=logging.INFO, format="%(name)s: %(message)s")
         return app(tokens)

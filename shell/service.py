@@ -11,8 +11,9 @@ import os
 import signal
 import socket
 import sys
+import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from types import FrameType
 from typing import Final
@@ -23,6 +24,10 @@ from canskin.session import HIGHEST_PORT
 
 #: Lowest real-time priority, above all programs without real-time scheduling.
 REAL_TIME_PRIORITY: Final = 1
+#: Most of the cores that programs at `REAL_TIME_PRIORITY` may take together, with ``--priority auto``.
+REAL_TIME_RATIO: Final = 0.9
+#: Time between two looks at what they take, seconds.
+WATCH_S: Final = 10.0
 #: Of loops that let others go first; 0 is that of programs, 19 the most.
 NICENESS: Final = 10
 #: A service that waits checks the stop signal this often.
@@ -32,6 +37,14 @@ _BACKLOG: Final = 64
 _IS_LINUX: Final = sys.platform.startswith("linux")
 #: prctl(2).
 PR_SET_PDEATHSIG: Final = 1
+
+
+class Priority(enum.Enum):
+    """What services ask for: real time within `REAL_TIME_RATIO` of the cores, real time, ordinary scheduling."""
+
+    AUTO = "auto"
+    REALTIME = "realtime"
+    NORMAL = "normal"
 
 
 class StopSignal:
@@ -131,7 +144,7 @@ def listen(host: str, port: int) -> socket.socket:
     return listener
 
 
-def request_real_time(service: str) -> str:
+def request_real_time(service: str, tell: Callable[[str], None] | None = None) -> str:
     """Request real-time scheduling for every thread of this process, for loops that must keep the SYNC period.
 
     All threads get real-time scheduling or none does: an ordinary thread of the fabric would starve behind a real-time
@@ -140,7 +153,14 @@ def request_real_time(service: str) -> str:
     default (``sched_rt_runtime_us``). Without permission (root, or an ``rtprio`` limit) the scheduling stays as it is,
     and one line says what gives the permission. On a single core it stays, too: there real-time threads take turns of
     100 ms, ordinary threads shorter ones.
+    With ``--priority auto``, the default, a thread looks every `WATCH_S` what all programs at this priority take. Above
+    `REAL_TIME_RATIO` of the cores the program that takes most goes back to ordinary scheduling, and says so.
     Objects that exist now are excluded from garbage collection, because its pauses would make cycles late.
+
+    Parameters
+    ----------
+    tell : callable, optional
+        Called with what the process has obtained, and again when it goes back to ordinary scheduling.
 
     Returns
     -------
@@ -149,9 +169,59 @@ def request_real_time(service: str) -> str:
     """
     gc.collect()
     gc.freeze()
-    is_real_time = _IS_LINUX and not _has_one_core() and _schedule(os.SCHED_RR, REAL_TIME_PRIORITY)
-    say(service, "scheduling: real time" if is_real_time else f"scheduling: ordinary; {way_to_real_time()}")
-    return REAL_TIME if is_real_time else ORDINARY
+    wanted, tell = _Setting.priority, tell or (lambda _: None)
+    can_have = wanted is not Priority.NORMAL and _IS_LINUX and not _has_one_core()
+    obtained = REAL_TIME if can_have and _schedule(os.SCHED_RR, REAL_TIME_PRIORITY) else ORDINARY
+    why = "as --priority normal asks" if wanted is Priority.NORMAL else way_to_real_time()
+    say(service, "scheduling: real time" if obtained == REAL_TIME else f"scheduling: ordinary; {why}")
+    tell(obtained)
+    if obtained == REAL_TIME and wanted is Priority.AUTO:
+        threading.Thread(target=_watch, args=(service, tell), name="share of real time", daemon=True).start()
+    return obtained
+
+
+def _watch(service: str, tell: Callable[[str], None]) -> None:
+    """Go back to ordinary scheduling while this is the program that takes most, and all take too much."""
+    cores, before, before_s = os.cpu_count() or 1, _real_time_s(), time.monotonic()
+    while True:
+        time.sleep(WATCH_S)
+        taken, now_s = _real_time_s(), time.monotonic()
+        shares = {each: (taken[each] - before[each]) / (now_s - before_s) for each in taken.keys() & before.keys()}
+        if takes_too_much(shares, os.getpid(), cores) and _schedule(os.SCHED_OTHER, 0):
+            say(
+                service,
+                f"scheduling: ordinary, because programs with real time took {sum(shares.values()) / cores:.0%} of"
+                f" {cores} cores, expected at most {REAL_TIME_RATIO:.0%}; --priority realtime keeps real time",
+            )
+            tell(ORDINARY)
+            return
+        before, before_s = taken, now_s
+
+
+def takes_too_much(shares: Mapping[int, float], mine: int, cores: int) -> bool:
+    """Tell whether a program has to leave real time: all take too much of the cores, and it takes most.
+
+    Parameters
+    ----------
+    shares : mapping of int to float
+        Processor time / wall time of each program with real time, by process.
+    mine : int
+        The process that asks.
+    """
+    return mine in shares and sum(shares.values()) > REAL_TIME_RATIO * cores and shares[mine] == max(shares.values())
+
+
+def _real_time_s() -> dict[int, float]:
+    """Return the processor time of each process at `REAL_TIME_PRIORITY`, seconds (proc_pid_stat(5))."""
+    tick_s = 1 / os.sysconf("SC_CLK_TCK")
+    found = {}
+    for folder in Path("/proc").glob("[0-9]*"):
+        with contextlib.suppress(OSError, ValueError, IndexError):
+            fields = (folder / "stat").read_text(encoding="utf-8", errors="replace").rpartition(")")[2].split()
+            user, system, priority, policy = (int(fields[at]) for at in (11, 12, 37, 38))
+            if policy == os.SCHED_RR and priority == REAL_TIME_PRIORITY:
+                found[int(folder.name)] = (user + system) * tick_s
+    return found
 
 
 def _has_one_core() -> bool:
@@ -227,6 +297,7 @@ class _Setting:
 
     talk = Talk.NORMAL
     as_json = False
+    priority = Priority.AUTO
 
 
 class _Lines(logging.Handler):
@@ -248,6 +319,16 @@ def set_talk(talk: Talk, *, as_json: bool = False) -> None:
     log.addHandler(_LINES)
     log.setLevel(logging.INFO)
     log.propagate = False
+
+
+def set_priority(priority: Priority) -> None:
+    """Choose what `request_real_time` asks for."""
+    _Setting.priority = priority
+
+
+def given_priority() -> Priority:
+    """Return what `request_real_time` asks for."""
+    return _Setting.priority
 
 
 def talks(talk: Talk) -> bool:

@@ -419,12 +419,6 @@ def require_boards(layout: Layout) -> None:
         raise LayoutError(f"{layout.name}: {OTHER_HARDWARE} - at `$.measurement.ensemble`")
 
 
-def require_one_state(layout: Layout, what: str) -> None:
-    """Check that a layout has no state of recognition, which `what` does not know."""
-    if layout.recognition is not None:
-        raise LayoutError(f"{what} does not know recognition: expected a layout without it - at `$.recognition`")
-
-
 def _read(path: Path | None, name: str) -> tuple[bytes, str, Path]:
     """Return content and origin of a layout, and the folder of the files that it names."""
     if path is None or (name in SHIPPED and not path.is_file()):
@@ -449,6 +443,15 @@ def _read_attached(path: Path) -> bytes:
     if content is None:
         raise LayoutError(f"{path}: this recording has no layout, or a damaged one: give the layout's own file")
     return content
+
+
+def layout_tables(path: Path | None) -> tuple[dict[str, Any], str]:
+    """Return what the file of a layout says, without any default, and the file's name; a path as `load_layout` takes.
+
+    Only for a layout that `load_layout` has read.
+    """
+    content, origin, _ = _read(path, "default" if path is None else str(path))
+    return msgspec.toml.decode(content), origin
 
 
 def parse_layout(content: bytes, origin: str, folder: Path = Path()) -> Layout:

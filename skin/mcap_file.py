@@ -24,6 +24,7 @@ from mcap.writer import Writer
 
 from canskin.errors import UNDECODABLE, InputError
 from canskin.messages import Topic
+from skin.layout import RECORDING_SUFFIX
 
 #: Profile in the header: what the topics and messages are.
 PROFILE: Final = "canskin"
@@ -37,6 +38,8 @@ FRAMES: Final = "frames/"
 WALL_OFFSET_NS: Final = "wall_offset_ns"
 #: Key of the metadata: fingerprint of the Φ of the skin.
 FINGERPRINT: Final = "fingerprint"
+#: Key of the metadata: what distinguishes the run from all others; the same in all that is made of the run.
+RECORDING: Final = "recording"
 #: What happened: services that came and went, buses that were lost.
 EVENTS: Final = "events"
 #: The recorder's own counters.
@@ -224,6 +227,13 @@ def _sound(path: Path, name: str, found: bytes | None, is_damaged: bool) -> byte
 def wall_offset_ns(path: Path) -> int:
     """Return wall clock minus the clock of the frames and messages of a recording."""
     return int(read_about(path).metadata.get(WALL_OFFSET_NS, 0))
+
+
+def recording_id(path: Path) -> str:
+    """Return what distinguishes a recorded run from others; of a log, or an older recording, the name of the file."""
+    if path.suffix.lower() != RECORDING_SUFFIX:
+        return path.stem
+    return read_about(path).metadata.get(RECORDING) or path.stem
 
 
 class Read(NamedTuple):

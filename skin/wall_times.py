@@ -1,11 +1,14 @@
 """Sampling instants on the wall clock, for programs that read images: only measurements tell both clocks."""
 
 from bisect import bisect_right
+from collections.abc import Sequence
+from pathlib import Path
 from typing import Final
 
 import msgspec
 
-from canskin.messages import MEASUREMENT, Topic
+from canskin.messages import MEASUREMENT, RECOGNITION, Topic
+from skin.mcap_file import read_messages, wall_offset_ns
 
 #: Times on the wall clock end here, in 2038: ROS 2 has int32 seconds.
 END_NS: Final = 2**31 * 1_000_000_000
@@ -18,6 +21,7 @@ class Clocks(msgspec.Struct, frozen=True):
 
     sampled_mono_ns: int
     wall_offset_ns: int | None = None
+    cycle: int = 0
 
 
 #: The clocks of every measurement.
@@ -62,3 +66,28 @@ class WallTimes:
         if offset_ns is None or not 0 <= sampled_mono_ns + offset_ns < END_NS:
             return None
         return sampled_mono_ns + offset_ns
+
+
+def recorded_clocks(path: Path) -> list[Clocks]:
+    """Return the clocks of all measurements of a recording, in the order of their sampling."""
+    topics = CLOCKS, Topic(RECOGNITION.name, Clocks)
+    return sorted((read.message for read in read_messages(path, topics, lambda _: None)), key=_sampled_ns)
+
+
+def recorded_wall_times(path: Path, clocks: Sequence[Clocks] | None = None) -> WallTimes:
+    """Return the wall clock of a recorded run: a sampling instant has the same time in every export.
+
+    Parameters
+    ----------
+    clocks : sequence of Clocks, optional
+        As `recorded_clocks` returns them; default: they are read.
+    """
+    clocks = recorded_clocks(path) if clocks is None else clocks
+    wall = WallTimes(wall_offset_ns(path), kept=max(1, len(clocks)))
+    for each in clocks:
+        wall.take(Clocks(each.sampled_mono_ns, each.wall_offset_ns or None))
+    return wall
+
+
+def _sampled_ns(clocks: Clocks) -> int:
+    return clocks.sampled_mono_ns

@@ -12,6 +12,7 @@ from canskin.frame import Frame
 from canskin.messages import Contact, EndedContact
 from canskin.simulation import simulate
 from canskin.skin import Frames, Health, Skin
+from canskin.training import export_model, labelled_touches
 
 __all__ = [
     "BusError",
@@ -26,6 +27,8 @@ __all__ = [
     "Skin",
     "SkinError",
     "connect",
+    "export_model",
+    "labelled_touches",
     "simulate",
     "skins_at",
 ]

@@ -12,9 +12,9 @@ from canskin.description import DESCRIPTION, Description, DescriptionRequest
 from canskin.errors import BusError, InputError, RunError, SkinError
 from canskin.fabric import Fabric
 from canskin.frame import Frame, FrameBuilder
-from canskin.messages import CONTACTS, GATEWAY, IMAGE, LABEL, MEASUREMENT, GatewayStatus
+from canskin.messages import CONTACTS, GATEWAY, IMAGE, LABEL, MARK, MEASUREMENT, GatewayStatus, Mark
 from canskin.peers import Peer, client_version
-from canskin.session import DEFAULT_ENDPOINT, close_with_program, peers_at
+from canskin.session import DEFAULT_ENDPOINT, close_with_program, find_skin, peers_at
 from canskin.skin import CLOSED, FrameHub, Frames, Health, Skin
 from canskin.state_messages import IMAGES, MOST_HOLD_S, ImagesReply, ImagesRequest
 
@@ -24,6 +24,8 @@ NAME: Final = "client"
 ASK_AGAIN_S: Final = 1.0
 #: Services that know a skin's geometry.
 GATEWAYS: Final = ("gateway", "replay")
+#: Name of a recorder on the fabric.
+RECORDER: Final = "recorder"
 
 
 def connect(endpoint: str = DEFAULT_ENDPOINT, skin: str | None = None, *, timeout_s: float = 5.0) -> Skin:
@@ -54,7 +56,7 @@ def connect(endpoint: str = DEFAULT_ENDPOINT, skin: str | None = None, *, timeou
     if not isinstance(timeout_s, int | float) or not timeout_s > 0:
         raise InputError(f"timeout_s: expected seconds above 0, got {timeout_s!r}")
     give_up_s = time.monotonic() + timeout_s
-    name = _skin_at(endpoint, skin, timeout_s)
+    name = find_skin(endpoint, skin, timeout_s, _knows)[0].skin
     fabric = Fabric(name, NAME, endpoint, patience_s=max(1.0, give_up_s - time.monotonic()))
     try:
         layout: Description = fabric.ask(DESCRIPTION, DescriptionRequest(), max(1.0, give_up_s - time.monotonic()))
@@ -76,23 +78,11 @@ def skins_at(endpoint: str = DEFAULT_ENDPOINT, *, timeout_s: float = 1.0) -> lis
 
 
 def _skins_of(peers: list[Peer]) -> list[str]:
-    return sorted({peer.skin for peer in peers if peer.service in GATEWAYS})
+    return sorted({peer.skin for peer in peers if _knows(peer)})
 
 
-def _skin_at(endpoint: str, wanted: str | None, patience_s: float) -> str:
-    """Return the name of the skin on a hub whose gateway is there."""
-    peers = peers_at(
-        endpoint, patience_s, lambda peers: wanted in _skins_of(peers) if wanted else bool(_skins_of(peers))
-    )
-    skins = _skins_of(peers)
-    if wanted in skins or (wanted is None and len(skins) == 1):
-        return wanted or skins[0]
-    found = ", ".join(f"'{name}'" for name in skins)
-    if wanted is None and skins:
-        raise BusError(f"several skins at {endpoint}: {found}; expected the name of one of them: skin=...")
-    looked_for = f"no skin '{wanted}'" if wanted else "no skin"
-    found = found or ", ".join(sorted({f"{peer.service} of '{peer.skin}'" for peer in peers}))
-    raise BusError(f"{looked_for} at {endpoint}, found {found or 'no service'}: is 'skin gateway' running?")
+def _knows(peer: Peer) -> bool:
+    return peer.service in GATEWAYS
 
 
 class ConnectedSkin(Skin):
@@ -107,6 +97,7 @@ class ConnectedSkin(Skin):
         self._status: GatewayStatus | None = None
         self._builder = FrameBuilder(layout)
         self._lock = threading.Lock()
+        self._came = threading.Condition()
         self._hub = FrameHub(timeout_s, self._silence)
         fabric.watch_peers(self._note)
         fabric.subscribe(GATEWAY, self._take_status)
@@ -141,6 +132,19 @@ class ConnectedSkin(Skin):
         reply: ImagesReply = self._fabric.ask(IMAGES, ImagesRequest(hold_s=hold_s), ANSWER_S)
         if not reply.is_done:
             raise RunError(reply.text)
+
+    def mark(self, label: str) -> None:
+        """See `Skin.mark`."""
+        super().mark(label)
+        if self._hub.is_closed:
+            raise BusError(CLOSED)
+        with self._came:
+            if not self._came.wait_for(lambda: RECORDER in self._services(), self._timeout_s):
+                raise BusError(
+                    f"no recorder of skin '{self.layout.name}' is at {self._endpoint}: start 'skin record run.mcap', or"
+                    " the mark is lost"
+                )
+        self._fabric.publish(MARK, Mark(label=label))
 
     @property
     def health(self) -> Health:
@@ -185,10 +189,12 @@ class ConnectedSkin(Skin):
     def _note(self, peer: Peer, is_alive: bool) -> None:
         if peer.skin != self.layout.name:
             return
-        if is_alive:
-            self._peers[peer.key] = peer
-        else:
-            self._peers.pop(peer.key, None)
+        with self._came:
+            if is_alive:
+                self._peers[peer.key] = peer
+            else:
+                self._peers.pop(peer.key, None)
+            self._came.notify_all()
 
     def _services(self) -> list[str]:
         return sorted({peer.service for peer in self._peers.copy().values()} - {NAME})

@@ -113,6 +113,26 @@ class Description(msgspec.Struct, frozen=True, kw_only=True):
         return np.nonzero(np.frombuffer(self.kept, np.uint8).reshape(self.blocks, -1))[1]
 
 
+class LayoutRequest(msgspec.Struct, frozen=True):
+    """Asks for the layout.
+
+    Attributes
+    ----------
+    instance : str
+        Of the service that is to answer (`canskin.peers.Peer`); empty: each service that knows the layout.
+    """
+
+    instance: str = ""
+
+
+class LayoutReply(msgspec.Struct, frozen=True):
+    """The layout of a service as TOML, with the content of all files that it names."""
+
+    toml: str
+
+
+#: The answer of every service whose token tells a fingerprint.
+LAYOUT: Final = Question("layout", LayoutRequest, LayoutReply)
 #: The gateway's answer.
 DESCRIPTION: Final = Question("description", DescriptionRequest, Description)
 

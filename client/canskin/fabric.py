@@ -18,11 +18,12 @@ from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 import msgspec
 import zenoh
 
+from canskin.description import LAYOUT, LayoutReply, LayoutRequest
 from canskin.errors import UNDECODABLE, BusError, tell
 from canskin.messages import Topic
 from canskin.peers import EVERY_KEY, Peer, Roll, new_peer, peer_of_key
 from canskin.question import Question
-from canskin.session import DEFAULT_ENDPOINT, Stop, first_sentence, open_client, open_hub
+from canskin.session import DEFAULT_ENDPOINT, Stop, first_sentence, open_client, open_hub, peers_of
 
 Message = TypeVar("Message", bound=msgspec.Struct)
 #: Sends the answer to a request, once.
@@ -142,6 +143,8 @@ class Fabric:
     fingerprint : str
         Of this service's Φ. The other services see the fingerprint. Services with another Φ, another skin or another
         version are named in the log.
+    layout : str
+        The layout as TOML, for whoever asks; empty if this service does not know the layout.
     patience_s : float
         Longest wait for the hub. By default a service waits without limit, so services start in any order.
 
@@ -167,6 +170,7 @@ class Fabric:
         hub: bool = False,
         stop: Stop | None = None,
         fingerprint: str = "",
+        layout: str = "",
         patience_s: float = math.inf,
     ) -> None:
         self.malformed = 0
@@ -180,9 +184,16 @@ class Fabric:
         self._numbers: dict[str, count[int]] = {}
         self._kept: list[Any] = []
         self._session = open_hub(endpoint) if hub else open_client(endpoint, service, stop, patience_s)
+        if layout:  # before the token: who sees the token may ask
+            self.answer(LAYOUT, partial(self._tell_layout, LayoutReply(layout)))
         self._token: Any = self._session.liveliness().declare_token(self._peer.key) if service else None
         if fingerprint:
             self.watch_peers(self._compare)
+
+    @property
+    def instance(self) -> str:
+        """What distinguishes this service from others of its name, see `canskin.peers.Peer`."""
+        return self._peer.instance
 
     def tell_scheduling(self, scheduling: str) -> None:
         """Tell the other services how this service is scheduled; see `canskin.peers.Peer`."""
@@ -266,7 +277,9 @@ class Fabric:
             If no service answers in time, or the answer cannot be decoded.
         """
         key, payload = f"{self._prefix}/{question.name}", self._encoder.encode(request)
-        for reply in self._session.get(key, payload=payload, timeout=timeout_s):
+        # Without consolidation: the first answer counts, while another service may hang.
+        each = zenoh.ConsolidationMode.NONE
+        for reply in self._session.get(key, payload=payload, timeout=timeout_s, consolidation=each):
             if reply.ok is not None:
                 try:
                     return msgspec.msgpack.decode(reply.ok.payload.to_bytes(), type=question.reply)
@@ -297,9 +310,17 @@ class Fabric:
 
         self._kept.append(self._session.liveliness().declare_subscriber(EVERY_KEY, receive, history=True))
 
+    def peers(self) -> list[Peer]:
+        """Return the services of all skins that are on the hub now; with a name of its own not at once all of them."""
+        return peers_of(self._session)
+
     def close(self) -> None:
         """Close the connection after all published messages are sent."""
         self._session.close()
+
+    def _tell_layout(self, layout: LayoutReply, request: LayoutRequest, reply: Reply) -> None:
+        if request.instance in {"", self._peer.instance}:
+            reply(layout)
 
     def _receive(self, topic: Topic, receive: Callable[[Any], None]) -> None:
         def note(sample: Any) -> None:

@@ -14,6 +14,7 @@ from typing import Any, Final
 import msgspec
 
 from canskin.calibration_messages import CalibrationStatus
+from canskin.errors import InputError
 
 #: `sampled_error_ns` of a sampling instant whose error has no proven bound.
 UNKNOWN_ERROR_NS: Final = -1
@@ -302,6 +303,33 @@ class Label(msgspec.Struct, frozen=True, kw_only=True):
         return not self.blind and self.valid_sums >= MIN_VALID_RATIO * (self.sums or sums)
 
 
+#: Most characters of the label of a mark.
+LONGEST_LABEL: Final = 60
+
+
+class Mark(msgspec.Struct, frozen=True, kw_only=True):
+    """What touches the skin from now on, until the next mark: a person or a program says so, and recorders keep it.
+
+    Attributes
+    ----------
+    label : str
+        The name of the object (`check_label`); empty: nothing is said from now on.
+    """
+
+    label: str
+
+
+def check_label(label: str) -> str:
+    """Return `label`, if an object can have this name; the empty one names none."""
+    is_name = isinstance(label, str) and label.isprintable() and label == label.strip() and len(label) <= LONGEST_LABEL
+    if not is_name or label == UNKNOWN_OBJECT:
+        raise InputError(
+            f"label {label!r}: expected printable text of up to {LONGEST_LABEL} characters without spaces at its ends,"
+            f" other than '{UNKNOWN_OBJECT}', or none"
+        )
+    return label
+
+
 class Truth(msgspec.Struct, frozen=True, kw_only=True):
     """True forces of one cycle; only simulated nodes publish them.
 
@@ -485,5 +513,6 @@ IMAGE: Final = Topic("image", Image)
 CONTACTS: Final = Topic("contacts", Contacts)
 LABEL: Final = Topic("label", Label)
 TRUTH: Final = Topic("truth", Truth)
+MARK: Final = Topic("marks", Mark)
 GATEWAY: Final = Topic("gateway", GatewayStatus)
 NODES: Final = Topic("nodes", NodesStatus)

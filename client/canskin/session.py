@@ -157,8 +157,27 @@ def first_sentence(error: BaseException) -> str:
     return str(error).split(" at ")[0].strip().rstrip(".")
 
 
-def peers_at(endpoint: str, patience_s: float, is_enough: Callable[[list[Peer]], bool]) -> list[Peer]:
+def peers_of(session: Any) -> list[Peer]:
+    """Return the services of all skins on the hub of a session."""
+    tokens = session.liveliness().get(EVERY_KEY, timeout=TRY_S)
+    return [peer_of_key(str(each.ok.key_expr)) for each in tokens if each.ok is not None]
+
+
+def peers_at(
+    endpoint: str,
+    patience_s: float,
+    is_enough: Callable[[list[Peer]], bool],
+    option: str = "address",
+    stop: Stop | None = None,
+) -> list[Peer]:
     """Return the services of all skins on a hub: as soon as `is_enough`, else those after `patience_s`.
+
+    Parameters
+    ----------
+    option : str
+        What gives the endpoint, for the message.
+    stop : Stop, optional
+        If set meanwhile, `canskin.errors.Stopped` is raised.
 
     Raises
     ------
@@ -166,13 +185,68 @@ def peers_at(endpoint: str, patience_s: float, is_enough: Callable[[list[Peer]],
         If the endpoint cannot be used, or no hub answers in time.
     """
     give_up_s = time.monotonic() + patience_s
-    session = open_client(endpoint, "client", None, patience_s, Listener(option="address"))
+    session = open_client(endpoint, "client", stop, patience_s, Listener(option=option))
     try:
         while True:
-            tokens = session.liveliness().get(EVERY_KEY, timeout=TRY_S)
-            peers = [peer_of_key(str(each.ok.key_expr)) for each in tokens if each.ok is not None]
+            peers = peers_of(session)
             if is_enough(peers) or time.monotonic() + LOOK_S > give_up_s:
                 return peers
+            if stop is not None and stop.is_set():
+                raise Stopped
             time.sleep(LOOK_S)
     finally:
         session.close()
+
+
+class Words(NamedTuple):
+    """Words of the messages about a skin that is looked for: what gives the address, the name, and what else to do."""
+
+    address: str = "address"
+    name: str = "skin=..."
+    advice: str = "is 'skin gateway' running?"
+
+
+def find_skin(
+    endpoint: str,
+    wanted: str | None,
+    patience_s: float,
+    knows: Callable[[Peer], bool],
+    *,
+    words: Words = Words(),  # noqa: B008 - immutable
+    stop: Stop | None = None,
+) -> list[Peer]:
+    """Return the services of a skin on a hub that know the skin.
+
+    Parameters
+    ----------
+    wanted : str or None
+        Name of the skin; None: the only skin there.
+    patience_s : float
+        Longest wait for the hub and the skin.
+    knows : callable
+        Tells whether a service knows its skin.
+    stop : Stop, optional
+        If set meanwhile, `canskin.errors.Stopped` is raised.
+
+    Raises
+    ------
+    BusError
+        If there is no such hub or skin in time, or several skins are there and none is named.
+    """
+
+    def known(peers: list[Peer]) -> list[str]:
+        return sorted({peer.skin for peer in peers if knows(peer)})
+
+    def is_found(peers: list[Peer]) -> bool:
+        return wanted in known(peers) if wanted else bool(known(peers))
+
+    peers = peers_at(endpoint, patience_s, is_found, words.address, stop)
+    skins = known(peers)
+    if wanted in skins or (wanted is None and len(skins) == 1):
+        return [peer for peer in peers if peer.skin == (wanted or skins[0]) and knows(peer)]
+    found = ", ".join(f"'{name}'" for name in skins)
+    if wanted is None and skins:
+        raise BusError(f"several skins at {endpoint}: {found}; expected the name of one of them: {words.name}")
+    looked_for = f"no skin '{wanted}'" if wanted else "no skin"
+    found = found or ", ".join(sorted({f"{peer.service} of '{peer.skin}'" for peer in peers}))
+    raise BusError(f"{looked_for} at {endpoint}, found {found or 'no service'}: {words.advice}")

@@ -1,9 +1,8 @@
 """A simulated skin, where the application is installed."""
 
-from importlib.metadata import entry_points
 from typing import Final
 
-from canskin.errors import InputError
+from canskin.application import from_application
 from canskin.skin import Skin
 
 #: Group and name of the application's entry point.
@@ -29,11 +28,6 @@ def simulate(layout: str | None = None, *, objects: list[str] | None = None, see
     InputError
         If the application is not installed here.
     """
-    found = list(entry_points(group=GROUP, name="simulate"))
-    if not found:
-        raise InputError(
-            "canskin.simulate() needs the application 'canskin', and this environment has the client only: install"
-            " the application here, or run 'skin demo' and use canskin.connect()"
-        )
-    skin: Skin = found[0].load()(layout, objects=objects, seed=seed)
+    make = from_application(GROUP, "simulate", ", or run 'skin demo' and use canskin.connect()")
+    skin: Skin = make(layout, objects=objects, seed=seed)
     return skin

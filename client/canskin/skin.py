@@ -18,7 +18,7 @@ from canskin.calibration_messages import Region
 from canskin.description import Description
 from canskin.errors import BusError
 from canskin.frame import Frame
-from canskin.messages import GatewayStatus
+from canskin.messages import GatewayStatus, check_label
 
 #: Of what is asked for after `close`.
 CLOSED: Final = "the connection to the skin is closed: connect again"
@@ -210,6 +210,20 @@ class Skin(ABC):
         BusError
             If no gateway answers.
         """
+
+    def mark(self, label: str) -> None:
+        """Say what touches the skin from now on, for the recordings that are being made; ``""`` ends it.
+
+        Labels of recordings train a classifier (``skin train --recordings``). A simulated skin is not recorded.
+
+        Raises
+        ------
+        InputError
+            If the label is longer than `canskin.messages.LONGEST_LABEL`, or not printable.
+        BusError
+            If no recorder is there.
+        """
+        check_label(label)
 
     @property
     @abstractmethod

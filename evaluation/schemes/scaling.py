@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Final, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from classifier.decide import FORGET_CYCLES, Classifier
+from classifier.decide import Classifier
 from classifier.model import Model
+from classifier.newest_sums import FORGET_CYCLES
 from classifier.samples import simulate_sums
 from classifier.training import TrainingOptions, train
 from dbc.contract import Contract

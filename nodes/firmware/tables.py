@@ -261,6 +261,7 @@ def board_header(contract: Contract, boards: Sequence[Build]) -> str:
         "SKIN_PDO_BYTES": (max(each.node.pdo_bytes for each in boards), "longest payload of a PDO"),
         "SKIN_ADAPTIVE": (int(is_adaptive), "whether sums are sent when they carry news"),
         "SKIN_ANALOGUE": (int(contract.layout.taxels.is_analogue), "whether converters read sums, not taxels"),
+        "SKIN_STATES": (len(contract.states), "states of a board (2008h); in each others of its TPDOs are sent"),
         "SKIN_SAMPLES": (
             1 if is_adaptive else contract.layout.samples_per_sync,
             "samples of each taxel in a cycle; more than 1 are averaged",
@@ -358,7 +359,7 @@ def _type(build: Build, number: int) -> str:
         "packing": f"{{{packing.bits}, {packing.scale.bit_length() - 1}, {packing.offset}}}",
         "first_sum": f"first_sum_{number}",
         "tpdos": _tpdos(objects),
-        "image_tpdos": len(node.tpdos) if any(each.index == od.STATE for each in objects.objects) else 0,
+        "image_tpdos": len(node.tpdos),
         "pdo_bytes": node.pdo_bytes,
         "frame_flags": node.flags,
         "frame_ns": build.frame_ns,

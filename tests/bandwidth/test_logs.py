@@ -125,6 +125,16 @@ def test_listening_looks_five_times_a_second_whether_to_end(monkeypatch: pytest.
     assert len(waits) == 3
 
 
+@pytest.mark.parametrize("name", ["can.txt", "can.candump", "can"])
+def test_a_log_of_candump_may_have_any_name(tmp_path: Path, name: str) -> None:
+    path = tmp_path / name
+    path.write_bytes(b"\n" + LINES)
+    assert list(seen(read_log(path, refuse_warning))["can_id"]) == [0x181, 0x182]
+    path.write_bytes(b"  can0  181   [3]  01 02 03\n")
+    with pytest.raises(InputError, match="'candump -l'"):
+        read_log(path, refuse_warning)
+
+
 LINES = b"(1.0) can0 181#0102030405060708\n(1.1) can0 182#0102030405060708\n"
 
 

@@ -24,14 +24,16 @@ def test_cycles_lose_their_offsets_when_the_zero_is_measured() -> None:
     touch_n = np.zeros((500, PHI.shape[0]))
     touch_n[400:] = PHI.forward(pressed(20, 20, 9, 5e-3))
     counts = np.rint((OFFSETS + noise + touch_n) / NEWTON_PER_COUNT).astype(np.int32)
-    valid = np.ones((500, PHI.blocks), np.bool_)
-    valid[450, 7] = False
+    valid = np.ones(counts.shape, np.bool_)
+    valid[450, PHI.block_of_sum == 7] = False
+    valid[460, 5] = False  # a sum that saturates is lost alone
     time_ns = np.arange(1, 501) * 25_000_000
-    corrected, whole = calibrated_cycles(LAYOUT, counts, valid, time_ns, Calibrator(LAYOUT))
-    assert (whole == valid).all()
+    corrected, whole, used = calibrated_cycles(LAYOUT, counts, valid, time_ns, Calibrator(LAYOUT))
+    assert (used == valid).all()
+    assert np.argwhere(~whole).tolist() == [[450, 7], [460, PHI.block_of_sum[5]]]
     np.testing.assert_array_equal(corrected[:100], counts[:100])
     error_n = corrected[350:] * NEWTON_PER_COUNT - touch_n[350:]
-    error_n[100, PHI.block_of_sum == 7] = 0
+    error_n[~valid[350:]] = 0
     assert error_n.std() < 3e-4
     assert not corrected[450, PHI.block_of_sum == 7].any()
 
@@ -39,7 +41,7 @@ def test_cycles_lose_their_offsets_when_the_zero_is_measured() -> None:
 def test_the_zero_is_measured_over_true_times() -> None:
     """At half the SYNC rate of the layout, the zero takes as many seconds and half as many cycles."""
     counts = np.tile(np.rint(OFFSETS / NEWTON_PER_COUNT).astype(np.int32), (100, 1))
-    valid = np.ones((100, PHI.blocks), np.bool_)
+    valid = np.ones(counts.shape, np.bool_)
     tared = [
         calibrated_cycles(LAYOUT, counts, valid, np.arange(100) * period_ns, Calibrator(LAYOUT))[0][-1].any()
         for period_ns in (25_000_000, 50_000_000)
@@ -67,8 +69,8 @@ def test_cycles_lose_the_offsets_that_were_recorded_with_them(tmp_path: Path) ->
         recorded(tmp_path / "run.mcap", list(zip(times_ns.tolist(), offsets, strict=True))), LAYOUT
     )
     counts = np.full((6, PHI.shape[0]), 10_000, np.int32)
-    valid = np.ones((6, PHI.blocks), np.bool_)
-    corrected, _ = calibrated_cycles(LAYOUT, counts, valid, times_ns + 1000 - 300_000, source)  # other time stamps
+    valid = np.ones(counts.shape, np.bool_)
+    corrected, _, _ = calibrated_cycles(LAYOUT, counts, valid, times_ns + 1000 - 300_000, source)  # other time stamps
     for cycle, known in enumerate(offsets):
         np.testing.assert_array_equal(corrected[cycle], 10_000 - (0 if known is None else known))
     assert source.applied == 5

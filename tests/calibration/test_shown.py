@@ -8,7 +8,6 @@ import msgspec
 import numpy as np
 import pytest
 
-from calibration import command
 from calibration.command import calibration
 from canskin.calibration_messages import (
     CalibrationReply,
@@ -18,11 +17,14 @@ from canskin.calibration_messages import (
     ZeroSupport,
 )
 from canskin.errors import InputError, RunError
+from shell import skin_options
+from shell.skin_options import SkinOptions
 from skin.calibration_file import StoredCalibration, encoded, new_calibration
 from skin.defects import SumGains
 from tests.calibration.helpers import LAYOUT, PHI
 
 SUMS, TAXELS = PHI.shape
+FAR = SkinOptions(layout=Path("default"), connect="tcp/far:1")
 
 
 class Gateway:
@@ -40,6 +42,11 @@ class Gateway:
         gateway = self
 
         class Fabric:
+            instance = "own"
+
+            def peers(self) -> list[Any]:
+                return []
+
             def __init__(self, *given: Any, **named: Any) -> None:
                 gateway.opened.append((*given, named))
 
@@ -51,7 +58,7 @@ class Gateway:
             def close(self) -> None:
                 gateway.closed += 1
 
-        monkeypatch.setattr(command, "Fabric", Fabric)
+        monkeypatch.setattr(skin_options, "Fabric", Fabric)
 
 
 @pytest.fixture
@@ -101,7 +108,7 @@ def test_a_file_without_gains_or_offsets_shows_none(tmp_path: Path, capsys: pyte
 
 
 def test_a_gateway_tells_of_its_zero_too(gateway: Gateway, capsys: pytest.CaptureFixture[str]) -> None:
-    calibration("show", connect="tcp/far:1")
+    calibration("show", of=FAR)
     text = shown(capsys)
     assert text["zero"] == "touched"
     assert text["drift"] == "12.300 mN/s rms"
@@ -109,16 +116,17 @@ def test_a_gateway_tells_of_its_zero_too(gateway: Gateway, capsys: pytest.Captur
     assert text["blocks under a touch"] == "7"
     ((name, request, timeout_s),) = gateway.asked
     assert (name, request.action, timeout_s) == ("calibration", "show", 15.0)
-    ((skin, service, connect, named),) = gateway.opened
+    (skin, service, connect, named), looked = gateway.opened
+    assert looked[1] == ""  # at the hub's layout
     assert (skin, service, connect) == (LAYOUT.name, "calibration", "tcp/far:1")
-    assert named == {"fingerprint": PHI.fingerprint, "patience_s": 5.0}
-    assert gateway.closed == 1
+    assert (named["fingerprint"], named["patience_s"]) == (PHI.fingerprint, 5.0)
+    assert gateway.closed == len(gateway.opened)
 
 
 def test_the_support_of_the_zero_and_doubtful_taxels_are_shown(
     gateway: Gateway, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    calibration("show")
+    calibration("show", of=FAR)
     text = shown(capsys)
     assert "zero of the blocks" not in text
     assert text["doubtful taxels"] == "none"
@@ -131,7 +139,7 @@ def test_the_support_of_the_zero_and_doubtful_taxels_are_shown(
         doubtful_since_mono_ns=20_000_000_000,
         told_mono_ns=40_000_000_000,
     )
-    calibration("show")
+    calibration("show", of=FAR)
     text = shown(capsys)
     assert text["zero of the blocks"] == "120 measured, 8 stored; oldest 35 s"
     assert text["doubtful taxels"] == "3, with 0.02 N for 20 s"
@@ -144,27 +152,27 @@ def test_offsets_that_no_sum_can_have_are_shown_saved_and_named_but_not_loaded(
     offsets_n[[2, 7, 9]] = 0.64, 0.65, -7.0
     gateway.stored, path = new_calibration(LAYOUT, offsets_n=offsets_n), tmp_path / "it.json"
     named = "2 offsets beyond ±640 mN, first of sum 7: no gateway loads them"
-    calibration("show")
+    calibration("show", of=FAR)
     assert shown(capsys)["out of range"] == named
-    calibration("save", path)
+    calibration("save", path, of=FAR)
     assert capsys.readouterr().err == f"calibration: {path}: offsets of 3 of 1024 sums: {named}\n"
     assert path.read_bytes() == encoded(gateway.stored)
-    calibration("show", path)
+    calibration("show", path, of=FAR)
     assert shown(capsys)["out of range"] == named
     with pytest.raises(InputError, match=r"it.json: 2 offsets_n that this skin cannot have: expected -0.64 to 0.64"):
-        calibration("load", path)
+        calibration("load", path, of=FAR)
 
 
 def test_json_holds_calibration_and_status(
     gateway: Gateway, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     gateway.stored = of_all()
-    calibration("show", json=True)
+    calibration("show", json=True, of=FAR)
     document = json.loads(capsys.readouterr().out)
     assert document["calibration"] == msgspec.to_builtins(gateway.stored)
     assert document["status"]["held_blocks"] == 7
     (tmp_path / "it.json").write_bytes(encoded(of_all()))
-    calibration("show", tmp_path / "it.json", json=True)
+    calibration("show", tmp_path / "it.json", json=True, of=FAR)
     assert json.loads(capsys.readouterr().out)["status"] is None
 
 
@@ -180,7 +188,7 @@ def test_what_is_saved_is_said(
     gateway: Gateway, tmp_path: Path, stored: StoredCalibration, words: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     gateway.stored = stored
-    calibration("save", tmp_path / "it.json")
+    calibration("save", tmp_path / "it.json", of=FAR)
     assert capsys.readouterr().err == f"calibration: {tmp_path / 'it.json'}: {words}\n"
     assert (tmp_path / "it.json").read_bytes() == encoded(stored)
 
@@ -188,7 +196,7 @@ def test_what_is_saved_is_said(
 def test_a_gateway_without_status_that_has_nothing_is_asked_for_patience(gateway: Gateway, tmp_path: Path) -> None:
     gateway.status = None
     with pytest.raises(RunError, match=r"no calibration yet: is the skin untouched\? See 'skin calibration show'"):
-        calibration("save", tmp_path / "it.json")
+        calibration("save", tmp_path / "it.json", of=FAR)
 
 
 @pytest.mark.parametrize(("to_nodes", "action", "patience_s"), [(False, "load", 15.0), (True, "write", 300.0)])
@@ -202,13 +210,13 @@ def test_writing_to_nodes_may_take_minutes(
 ) -> None:
     stored = of_all()
     (tmp_path / "it.json").write_bytes(encoded(stored))
-    calibration("load", tmp_path / "it.json", to_nodes=to_nodes)
+    calibration("load", tmp_path / "it.json", to_nodes=to_nodes, of=FAR)
     assert capsys.readouterr().err == "calibration: words\n"
     ((_, request, timeout_s),) = gateway.asked
     assert (request.action, timeout_s, request.content) == (action, patience_s, encoded(stored))
     gateway.is_done = False
     with pytest.raises(RunError, match="words"):
-        calibration("load", tmp_path / "it.json", to_nodes=to_nodes)
+        calibration("load", tmp_path / "it.json", to_nodes=to_nodes, of=FAR)
 
 
 @pytest.mark.parametrize("given", [{"force_n": 0.0}, {"before": Path("a.json")}, {"out": Path("a.json")}])

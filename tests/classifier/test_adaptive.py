@@ -9,17 +9,21 @@ import pytest
 
 from canskin.errors import ModelError
 from canskin.fabric import Fabric
-from classifier.decide import FORGET_CYCLES, Classifier
+from classifier.decide import Classifier
+from classifier.learning import train_recorded
 from classifier.model import Model
 from classifier.modelfile import load_model, save_model
+from classifier.newest_sums import FORGET_CYCLES
+from classifier.recorded import labelled_touches
 from classifier.service import AdaptiveClassifierService
 from classifier.training import TrainingOptions, train
 from classifier.used_sums import classified_phi
 from skin.layout import Layout
 from skin.measurement import places
-from tests.classifier.conftest import Touches
+from tests.classifier.conftest import Touches, draw
 from tests.layouts import ADAPTIVE, small_layout
 from tests.messages import adaptive_measurement
+from tests.recordings import write_touches
 
 LAYOUT = small_layout(32, 32, **ADAPTIVE)
 PHI, CLASSIFIED = LAYOUT.phi(), classified_phi(LAYOUT)
@@ -49,14 +53,19 @@ def test_the_coarse_sums_are_the_means_of_2_x_2_taxels() -> None:
     np.testing.assert_allclose(image, np.kron(means, np.ones((2, 2))))
 
 
-def test_objects_are_told_apart(service: AdaptiveClassifierService, unseen: Touches) -> None:
+def told_apart(service: AdaptiveClassifierService, unseen: Touches) -> float:
+    """Return which part of the touches gets its label."""
     right = 0
     for force_n, name in zip(*unseen, strict=True):
         for _ in range(5):  # until the touch before counts no more
             label = service.label(adaptive_measurement(force_n, layout=LAYOUT))
         assert label is not None
         right += label.label == name
-    assert right >= 0.97 * len(unseen.labels)
+    return right / len(unseen.labels)
+
+
+def test_objects_are_told_apart(service: AdaptiveClassifierService, unseen: Touches) -> None:
+    assert told_apart(service, unseen) >= 0.97
 
 
 def test_an_untouched_skin_is_called_nothing(service: AdaptiveClassifierService) -> None:
@@ -112,3 +121,20 @@ def test_a_model_tells_how_its_skin_sends(tmp_path: Path, coarse_model: Model, m
         load_model(tmp_path / "synchronous.npz", LAYOUT, CLASSIFIED)
     with pytest.raises(ModelError, match="sending adaptive, this skin has synchronous"):
         load_model(tmp_path / "adaptive.npz", layout, layout.phi())
+
+
+@pytest.mark.heavy
+def test_a_model_of_recordings_names_touches_of_another(tmp_path: Path, endpoint: str, unseen: Touches) -> None:
+    write_touches(tmp_path / "run.mcap", LAYOUT, *draw(40, 1))
+    data = labelled_touches(tmp_path)
+    assert (data.sums.shape[1], data.still) == (256, 0)  # boards that nothing touches are silent
+    model = train_recorded(data)
+    fabric = Fabric("small", "classifier", endpoint, hub=True)
+    try:
+        of_touches, of_nothing = (
+            AdaptiveClassifierService(Classifier(model, CLASSIFIED), LAYOUT, fabric) for _ in range(2)
+        )
+        assert told_apart(of_touches, unseen) > 0.95
+        test_an_untouched_skin_is_called_nothing(of_nothing)
+    finally:
+        fabric.close()

@@ -18,12 +18,14 @@ from classifier.cache import cached_path, find_or_train
 from classifier.command import classify, train
 from classifier.model import Model
 from classifier.modelfile import load_model, save_model
+from shell.skin_options import SkinOptions
 from skin import sources
 from skin.layout import Layout, load_layout
 from skin.measurement import Sbhe
 from skin.sources import load_touches
-from tests.classifier.conftest import SMALL
+from tests.classifier.conftest import SMALL, draw
 from tests.layouts import layout_toml
+from tests.recordings import HOLD, write_touches
 
 NAMES = ("dome", "plate")
 
@@ -155,6 +157,33 @@ def test_no_touches_offered(monkeypatch: pytest.MonkeyPatch, layout: Layout) -> 
         load_touches(NAMES, 20, layout, seed=0)
 
 
+@pytest.mark.heavy
+def test_train_takes_recordings_and_tells_their_confusion(
+    layout: Layout, small: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for seed in (1, 2):
+        write_touches(tmp_path / f"run{seed}.mcap", layout, *draw(12, seed), seed=seed)
+    out = tmp_path / "mine.npz"
+    train(recordings=[tmp_path], out=out)
+    told = capsys.readouterr()
+    table = [line.split() for line in told.out.splitlines()]
+    assert table[0] == ["cycles", "of", "named", "dome", "named", "plate", "right"]
+    assert [line[0] for line in table[1:]] == ["dome", "plate", "all"]
+    assert sum(int(each) for line in table[1:3] for each in line[1:3]) == 2 * 12 * HOLD
+    assert "if the recording of a cycle was left out" in told.err
+    skin = load_layout(small)
+    assert load_model(out, skin, skin.phi()).metadata.card.recordings == ["run1.mcap", "run2.mcap"]
+    train(recordings=[tmp_path], out=out, json=True)
+    assert json.loads(capsys.readouterr().out)["card"]["validated_by"] == "recording"
+
+
+def test_options_that_recordings_do_not_take(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="--recordings: expected --out FILE"):
+        train(recordings=[tmp_path])
+    with pytest.raises(InputError, match="--recordings contain their objects"):
+        train(recordings=[tmp_path], objects=["ring"], out=tmp_path / "m.npz")
+
+
 def test_wrong_options(small: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="--touches -1"):
         train(layout=small, touches=-1)
@@ -164,11 +193,11 @@ def test_wrong_options(small: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="cannot write the model there"):
         train(layout=small, out=tmp_path)
     with pytest.raises(InputError, match="leave --objects out"):
-        classify(layout=small, model=tmp_path / "x.npz", objects=["ring"])
+        classify(of=SkinOptions(layout=small), model=tmp_path / "x.npz", objects=["ring"])
     with pytest.raises(InputError, match="leave --stroke out"):
         classify(model=Path("palm.npz"), stroke="press")
     with pytest.raises(ModelError, match="cannot read the model"):
-        classify(layout=small, model=tmp_path / "x.npz")
+        classify(of=SkinOptions(layout=small), model=tmp_path / "x.npz")
 
 
 @pytest.mark.heavy

@@ -10,7 +10,10 @@ import pytest
 
 import canskin
 from canskin.fabric import Fabric
+from canskin.messages import MARK, Mark
 from tests.client.helpers import Chain
+
+PATIENCE_S = 20.0
 
 
 @pytest.fixture
@@ -101,6 +104,26 @@ def test_tare_tells_success_and_raises_otherwise(chain: Chain) -> None:
         with pytest.raises(canskin.InputError, match=r"region 0,0,4,3: expected .* rows of 0 to 3"):
             skin.tare(region=(0, 0, 4, 3))
     assert chain.tares == [False, True, (0, 1, 2, 3)]
+
+
+@pytest.mark.heavy
+def test_marks_reach_a_recorder_and_are_refused_without(chain: Chain) -> None:
+    with canskin.connect(chain.endpoint, timeout_s=20) as skin:
+        with pytest.raises(canskin.InputError, match="expected printable text of up to 60"):
+            skin.mark("cup\n")
+        recorder = Fabric("palm", "recorder", chain.endpoint)
+        marks = recorder.mailbox(MARK)
+        skin.mark("cup")
+        skin.mark("")
+        assert [marks.get(PATIENCE_S), marks.get(PATIENCE_S)] == [Mark(label="cup"), Mark(label="")]
+        recorder.close()
+    with pytest.raises(canskin.BusError, match="closed"):
+        skin.mark("cup")
+    with (
+        canskin.connect(chain.endpoint, "palm", timeout_s=1.0) as skin,
+        pytest.raises(canskin.BusError, match=r"no recorder of skin 'palm' is at .*: start 'skin record"),
+    ):
+        skin.mark("cup")
 
 
 @pytest.mark.heavy

@@ -76,6 +76,6 @@ def test_a_program_is_the_source_of_sums() -> None:
 def test_simulation_without_the_application_is_one_clear_error(monkeypatch: pytest.MonkeyPatch) -> None:
     import canskin
 
-    monkeypatch.setattr("canskin.simulation.entry_points", lambda **_selected: ())
+    monkeypatch.setattr("canskin.application.entry_points", lambda **_selected: ())
     with pytest.raises(InputError, match=r"needs the application 'canskin'.*canskin.connect"):
         canskin.simulate()

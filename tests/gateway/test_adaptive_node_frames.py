@@ -1,5 +1,6 @@
 """`skin node check` compares the frames of adaptive boards: right boards pass, and each mutant is named."""
 
+import struct
 from collections.abc import Callable
 from typing import Any
 
@@ -222,3 +223,12 @@ def test_a_wrong_board_on_can_fd_is_named(spoil: Callable[[Bench], None]) -> Non
     bench = Bench(contract_of("adaptive-fd"))
     spoil(bench)
     assert any(" mN as sum " in each for each in bench.check().differences)
+
+
+def test_another_rule_of_sending_is_noted() -> None:
+    bench = Bench(contract_of("8"))
+    for index, subindex, value in ((od.SENDING, 6, 2), (od.BUDGET, 0, 9000)):
+        bench.wire.put(0x601, struct.pack("<BHBI", 0x23, index, subindex, value))
+    report = bench.check()
+    assert report.differences == []
+    assert [each.split(" ", 1)[0] for each in report.notes] == ["2031h:6", "2034h:0"]

@@ -11,6 +11,7 @@ from canskin.calibration_messages import CALIBRATION, Question
 from canskin.description import DESCRIPTION
 from canskin.errors import InputError
 from gateway import command
+from shell import skin_options
 from shell.service import StopSignal
 from skin.calibration_file import encoded, new_calibration
 from skin.layout import load_layout
@@ -58,7 +59,7 @@ class Parts:
                 raise KeyboardInterrupt
 
         monkeypatch.setattr(command, "open_links", open_links)
-        monkeypatch.setattr(command, "Fabric", fabric)
+        monkeypatch.setattr(skin_options, "Fabric", fabric)
         monkeypatch.setattr(command, "GatewayService", Service)
 
 

@@ -18,12 +18,15 @@ from dbc.dictionary import SkinState
 from dbc.frame import ERROR, REMOTE, Frames
 from gateway.node_check import NodeCheck
 from gateway.node_frames import NodeReport
+from nodes.firmware.library import Firmware
 from nodes.sampler import new_sampler
 from nodes.segment import Segment
 from nodes.virtual_boards import VirtualBoards
+from nodes.ways import way_of
 from tests.bus.harness import frame
 from tests.gateway.helpers import Shaking, Wire
 from tests.layouts import IDENTITIES, buses, small_contract
+from tests.nodes.firmware.twins import needs_compiler
 
 STEP_S = 0.005
 #: 1007h at 20 SYNCs a second: 99 % of the period.
@@ -59,6 +62,33 @@ class Bench:
                 self.segment.take(self.wire.nodes.receive(), self.now_s)
                 check.take(self.wire.gateway.receive(), self.now_s)
         return check.report
+
+
+class BenchInC(Bench):
+    """The same with node 1 in C."""
+
+    def __init__(self, contract: Contract) -> None:
+        super().__init__(contract)
+        firmware = Firmware(contract, contract.nodes[:1])
+        hardware = way_of(contract.layout).hardware(contract, [0], Shaking((8, 16)), firmware)
+        send = self.wire.nodes.send
+        self.segment = Segment(contract, 0, firmware.boards(0), hardware, send, complain=lambda _text: None)
+        self.segment.boot(self.now_s)
+
+
+@needs_compiler
+@pytest.mark.parametrize(
+    ("identity", "tables", "cycles"),
+    [
+        ("window", {}, 16),
+        ("alternating", {"bus": buses(2, 2, fd=True)}, 16),
+        ("window", {"recognition": {"sums": 8, "rate_hz": 40}}, 32),
+        ("window", {"taxels": {"frontend": "analogue"}}, 12),
+    ],
+)
+def test_boards_in_c_keep_the_contract(identity: str, tables: dict[str, Any], cycles: int) -> None:
+    report = BenchInC(small_contract(identity, **tables)).check()
+    assert (report.differences, report.notes, report.cycles) == ([], [], cycles)
 
 
 def pattern_of(bench: Bench) -> int:
@@ -197,6 +227,7 @@ def test_a_board_that_leaves_is_asked_once_more_and_not_again() -> None:
     bench.wire.loses = loses
     report = bench.check()
     assert report.differences[-1].startswith("no answer to object 2021h:0")
+    assert bench.wire.log[-1] == (0x000, bytes((NmtCommand.RESET_NODE, 1)))
     assert sum("no answer" in text for text in report.differences) == 1
     assert report.cycles == 4
 
@@ -208,23 +239,33 @@ def test_the_bus_of_a_running_gateway_is_refused() -> None:
     assert all(can_id == 0x080 or can_id > 0x700 for can_id, _ in bench.wire.log)
 
 
-def test_a_check_that_is_stopped_ends_the_pattern() -> None:
+def gain_of(bench: Bench) -> float:
+    return float(struct.unpack("<f", bench.node.local.get_data(od.GAIN, 32))[0])
+
+
+@pytest.mark.parametrize(
+    "is_time", [lambda bench: pattern_of(bench) == PATTERN_FULL, lambda bench: gain_of(bench) == 0]
+)
+def test_a_check_that_is_stopped_puts_back_what_it_wrote(is_time: Callable[[Bench], bool]) -> None:
     bench = Bench(small_contract())
     check = NodeCheck(bench.contract, bench.contract.nodes[0], bench.wire.gateway.send, bench.now_s)
-    while not pattern_of(bench):
-        bench.now_s += STEP_S
-        check.tick(bench.now_s)
+
+    def carry() -> None:
         while bench.wire.deliver():
             bench.segment.take(bench.wire.nodes.receive(), bench.now_s)
             check.take(bench.wire.gateway.receive(), bench.now_s)
+
+    while not is_time(bench):
+        bench.now_s += STEP_S
+        bench.wire.now_ns = round(bench.now_s * 1e9)
+        check.tick(bench.now_s)
+        carry()
     bench.wire.log.clear()
     check.give_up(bench.now_s)
-    while bench.wire.deliver():
-        bench.segment.take(bench.wire.nodes.receive(), bench.now_s)
-        check.take(bench.wire.gateway.receive(), bench.now_s)
-    assert bench.wire.log[:2] == [(0x000, b"\x80\x01"), (0x601, bytes.fromhex("2F 21 20 00 00 00 00 00"))]
+    carry()
     assert check.done
-    assert pattern_of(bench) == 0
+    assert bench.wire.log[0] == (0x000, b"\x80\x01")
+    assert (pattern_of(bench), gain_of(bench), bench.node.local.get_data(od.OFFSET, 32)) == (0, 1.0, bytes(2))
 
 
 @pytest.mark.parametrize(("rate_hz", "listens_s"), [(5.0, 0.6), (20.0, 0.2), (100.0, 0.2)])

@@ -5,7 +5,7 @@ from collections.abc import Generator
 import pytest
 
 from dbc.canopen import Abort
-from gateway.sdo import Read, SdoAbortedError, SdoDialogue, SdoTimeoutError, Transfer, Write
+from gateway.sdo import MOST_LOST, Download, Read, SdoAbortedError, SdoDialogue, SdoTimeoutError, Transfer, Write
 
 
 class Far:
@@ -238,3 +238,92 @@ def test_transfer_of_nothing_without_end_is_left() -> None:
     answer(dialogue, "4108100000000000")
     answer(dialogue, "0e00000000000000")
     assert isinstance(dialogue.error, SdoAbortedError)
+
+
+class Server:
+    """A block server of three segments a block that loses what it is told to, and says so."""
+
+    def __init__(self, lost: set[int], room: int = 1 << 30) -> None:
+        self.lost, self.room = lost, room
+        self.data = bytearray()
+        self.answers: list[bytes] = []
+        self.seen = self.number = 0
+        self.end = b""
+
+    def __call__(self, _cob_id: int, request: bytes) -> int:
+        if not self.room:
+            return 0
+        self.room -= 1
+        self.seen += 1
+        if request[0] == 0xC6:
+            self.answers.append(b"\xa4" + request[1:4] + b"\x03" + bytes(3))
+        elif self.end:
+            assert request[0] & 0xE3 == 0xC1
+            self.data = self.data[: len(self.data) - (request[0] >> 2 & 7)]
+            assert int.from_bytes(request[1:3], "little") == CRC_OF_DATA
+            self.answers.append(b"\xa1" + bytes(7))
+        else:
+            number = request[0] & 0x7F
+            if number == self.number + 1 and self.seen not in self.lost:
+                self.number = number
+                self.data += request[1:]
+                self.end = request if request[0] & 0x80 else b""
+            if number == 3 or request[0] & 0x80:
+                self.answers.append(bytes((0xA2, self.number, 3)) + bytes(5))
+                self.number = 0
+        return 1
+
+
+DATA = bytes(range(40))
+#: CRC-16/XMODEM of 0, 1, … 39, bit by bit.
+CRC_OF_DATA = 0
+for _byte in DATA:
+    CRC_OF_DATA ^= _byte << 8
+    for _ in range(8):
+        CRC_OF_DATA = (CRC_OF_DATA << 1 ^ (0x1021 if CRC_OF_DATA & 0x8000 else 0)) & 0xFFFF
+
+
+def run(server: Server) -> SdoDialogue:
+    dialogue, now_s = SdoDialogue(5, one(Download(0x1F50, 1, DATA)), server, 0.0), 0.0
+    while not dialogue.done:
+        while server.answers:
+            dialogue.take(server.answers.pop(0), now_s)
+        now_s += 0.001
+        server.room = 2 if server.room < 100 else server.room
+        dialogue.tick(now_s)
+    return dialogue
+
+
+@pytest.mark.parametrize("lost", [set(), {2}, {3}, {4}, {3, 5, 6}, {7}])
+def test_download_in_blocks_sends_again_what_was_lost(lost: set[int]) -> None:
+    server = Server(lost)
+    assert run(server).error is None
+    assert server.data == DATA
+    assert server.seen >= 1 + 6 + 1
+
+
+def test_a_full_transmit_queue_slows_a_download_down() -> None:
+    server = Server(set(), room=1)
+    assert run(server).error is None
+    assert server.data == DATA
+
+
+def test_a_download_whose_blocks_never_come_is_given_up() -> None:
+    server = Server(set(range(2, 1000)))
+    assert isinstance(run(server).error, SdoTimeoutError)
+    assert server.seen < 3 * (2 + 3 * (MOST_LOST + 2))
+
+
+def test_download_in_segments_where_the_node_refuses_blocks() -> None:
+    dialogue, far = begin(Download(0x1F50, 1, bytes(range(10))))
+    assert far.take() == ["c6501f010a000000"]
+    answer(dialogue, "80501f0101000405")
+    assert far.take() == ["21501f010a000000"]
+    answer(dialogue, "60501f0100000000")
+    assert far.take() == ["0000010203040506"]
+    answer(dialogue, "2000000000000000")
+    assert far.take() == ["1907080900000000"]
+    answer(dialogue, "2000000000000000")  # the answer to the first again
+    assert not dialogue.done
+    answer(dialogue, "3000000000000000")
+    assert (dialogue.done, dialogue.error) == (True, None)

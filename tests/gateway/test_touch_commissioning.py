@@ -82,7 +82,7 @@ def test_a_touch_tells_where_a_board_sits() -> None:
 
 
 def test_boards_whose_taxels_are_scattered_are_refused() -> None:
-    with pytest.raises(LayoutError, match="bus0, node 1 do not lie together"):
+    with pytest.raises(LayoutError, match="do not lie together"):
         require_patches(skin(2))
     require_patches(patches(2))
 
@@ -107,6 +107,20 @@ def test_a_run_that_is_stopped_keeps_what_was_touched() -> None:
     person.heard.clear()
     check_places(bench, bench.touch(person))
     assert sum(line.startswith("touch block") for line in person.heard) == 1
+
+
+def test_a_hand_that_was_there_from_the_begin_gives_no_node_id() -> None:
+    bench = mixed(patches(2))
+    bench.finger.blocks = (1,)
+
+    def hear(line: str) -> None:
+        if line.startswith("touch"):
+            bench.finger.blocks = ()
+
+    run = bench.touch(hear, patience_s=3.0)
+    assert "a touch does not end: was the skin touched at the begin?" in run.boards[1].text
+    assert not complete(run)
+    assert [place.node.state for place in bench.places] == [0, 0]
 
 
 def test_places_without_touch_and_boards_without_place_are_named() -> None:
@@ -147,7 +161,7 @@ def test_a_board_that_dies_and_two_with_one_serial_number_are_named() -> None:
 
 @pytest.mark.heavy
 def test_adaptive_boards_are_commissioned_by_touch() -> None:
-    check = mixed(Contract.from_layout(small_boards(32, 8, 12)))
+    check = mixed(Contract.from_layout(small_boards(32, 8, 8)))
     check_places(check, check.touch(Person(check)))
 
 
@@ -155,7 +169,7 @@ def test_adaptive_boards_are_commissioned_by_touch() -> None:
 @needs_compiler
 @pytest.mark.parametrize("is_adaptive", [False, True])
 def test_boards_in_c_are_commissioned_by_touch(is_adaptive: bool) -> None:
-    contract = Contract.from_layout(small_boards(32, 8, 12)) if is_adaptive else patches(3)
+    contract = Contract.from_layout(small_boards(32, 8, 8)) if is_adaptive else patches(2)
     bench = mixed(contract, firmware=True)
     check_places(bench, bench.touch(Person(bench)))
 

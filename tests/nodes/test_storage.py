@@ -231,3 +231,17 @@ def test_a_reset_of_communication_brings_stored_communication_back_alone(board: 
     board.write(od.OFFSET, 3, 7, 2)
     board.reset(RESET_COMMUNICATION)
     assert (board.read(od.HEARTBEAT_MS), board.read(od.OFFSET, 3), board.offset) == (400, 7, 7.0)
+
+
+def test_the_values_of_another_node_id_are_deleted(tmp_path: Path) -> None:
+    storage = Storage("abc", tmp_path / "bus0-1.json", own=1)
+    values = {0x1017: {0: b"\1\0"}}
+    storage.save(values)
+    storage.save_node_id(1)
+    assert Storage("abc", tmp_path / "bus0-1.json", own=1).parameters == values
+    storage.save_node_id(2)
+    kept = Storage("abc", tmp_path / "bus0-1.json", own=1)
+    assert (kept.parameters, kept.node_id, kept.owner) == ({}, 2, 2)
+    kept.save(values)
+    kept.save_node_id(255)
+    assert not (tmp_path / "bus0-1.json").exists()

@@ -22,6 +22,7 @@ from reconstructor.imaging import make_imager
 from reconstructor.options import SolverOptions
 from reconstructor.service import ReconstructorService
 from shell.service import StopSignal
+from shell.skin_options import SkinOptions
 from skin.layout import load_layout
 from skin.measured_sums import decode_adaptive
 from tests.layouts import ADAPTIVE_SKIN
@@ -77,10 +78,12 @@ class Exchange:
 def test_images_of_fewer_sums_than_blocks_let_other_services_go_first(
     hub: Fabric, monkeypatch: pytest.MonkeyPatch, sums: int, scheduling: str
 ) -> None:
-    monkeypatch.setattr("reconstructor.service.request_real_time", lambda _service: "realtime")
+    monkeypatch.setattr("reconstructor.service.request_real_time", lambda _service, tell: tell("realtime"))
     monkeypatch.setattr("reconstructor.service.yield_processor", lambda: "ordinary")
     layout = msgspec.structs.replace(LAYOUT, measurement=msgspec.structs.replace(LAYOUT.measurement, sums=sums))
-    assert ReconstructorService(layout, make_imager(layout), hub).schedule() == scheduling
+    told: list[str] = []
+    ReconstructorService(layout, make_imager(layout), hub).schedule(told.append)
+    assert told == [scheduling]
 
 
 def test_image_of_a_measurement(hub: Fabric, service: ReconstructorService, golf: Scene) -> None:
@@ -226,7 +229,7 @@ def test_adaptive_sums_take_each_solver_without_a_memory_of_cycles(golf: Scene) 
 @pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_verb_is_ready_and_ends_quietly(hub: Fabric, endpoint: str, golf: Scene, number: signal.Signals) -> None:
-    verb = [sys.executable, "-m", "skin", "reconstruct", "--connect", endpoint, "--iterations", "5"]
+    verb = [sys.executable, "-m", "skin", "reconstruct", "--layout=default", "--connect", endpoint, "--iterations=5"]
     with subprocess.Popen(verb, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
         assert process.stderr is not None
         line = process.stderr.readline()
@@ -255,7 +258,7 @@ def test_a_long_start_says_why(
     monkeypatch.setattr(command.StopSignal, "install", lambda stop: stop)
     monkeypatch.setattr(Reconstructor, "warm_up", lambda _: said.wait(10))
     monkeypatch.setattr(command.ReconstructorService, "run", lambda *_: None)
-    command.reconstruct(connect=endpoint)
+    command.reconstruct(of=SkinOptions(layout=Path("default"), connect=endpoint))
     first, ready = capfd.readouterr().out.splitlines()
     assert first == "reconstructor: compiles its solver, as on every first start"
     assert ready == "reconstructor: 64 x 64 taxels, 10 iterations"

@@ -65,7 +65,7 @@ def test_a_skin_that_is_no_grid_says_where_its_taxels_lie(out: Path) -> None:
     played = recording(out.with_name("run-images.csv"), 1, 96, full_scale=1.0, force_max_n=1.0)
     np.testing.assert_allclose(played.frame(0).force_n.ravel(), forces_n, rtol=1e-6)
     head, first = out.with_name("run-taxels.csv").read_text().splitlines()[:2]
-    assert head == "row,column,x_m,y_m,z_m,nx,ny,nz,block"
+    assert head == "row,column,x_m,y_m,z_m,nx,ny,nz,block,recording"
     assert first.startswith("0,0,0.0198")
 
 
@@ -110,7 +110,7 @@ def test_a_message_of_another_version_is_refused_in_one_line(contract: Contract,
     sink.message(LABEL, 1, msgspec.msgpack.encode({"cycle": 1, "sync_counter": 1, "sync_mono_ns": 1}))
     sink.close()
     with pytest.raises(InputError, match=r"'label' cannot be decoded, it is of another version.*sampled_mono_ns"):
-        read_tables(path, contract.layout, 0, pytest.fail)
+        read_tables(path, contract.layout, pytest.fail)
 
 
 def test_frames_alone_are_no_arrays(contract: Contract, out: Path) -> None:

@@ -2,6 +2,7 @@
 
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import msgspec
@@ -9,16 +10,25 @@ import numpy as np
 import pytest
 
 from canskin.errors import InputError, LayoutError, RunError
+from canskin.messages import IMAGE, MEASUREMENT, Image
 from dbc.contract import Contract
 from dbc.packing import packing
 from nodes.electronics import Electronics
 from nodes.sampler import Sampler
 from reconstructor.engine import Reconstructor
+from reconstructor.imaging import CycleImager, load_gains, make_imager
 from reconstructor.options import SolverOptions
+from reconstructor.service import ReconstructorService
 from recording import rebuild_command
+from recording.cycles import measure_forces
 from recording.rebuild_command import rebuild
+from recording.sinks import McapSink
+from skin.calibration_file import encoded, new_calibration
 from skin.layout import layout_text, load_layout
+from skin.measured_sums import MeasuredSums
+from tests.gateway.boards import small_adaptive
 from tests.layouts import buses, layout_toml, small_layout, with_identity
+from tests.messages import adaptive_measurement
 from tests.recording.helpers import CYCLES, SMALL, START_S, message, messages, write_log
 from touch.sources import recording
 
@@ -33,7 +43,7 @@ def live_images(contract: Contract, sums: np.ndarray, valid: np.ndarray) -> np.n
 
 def loaded(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
     with np.load(path, allow_pickle=False) as made:
-        assert set(made.files) == {"images", "valid", "time_ns", "metadata"}
+        assert set(made.files) == {"images", "valid", "time_ns", "cycle", "recording", "metadata"}
         return made["images"], made["valid"], made["time_ns"], msgspec.json.decode(str(made["metadata"]))
 
 
@@ -403,3 +413,74 @@ def test_a_log_has_no_sums_of_a_matrix(contract: Contract, sums: np.ndarray, tmp
     log = write_log(tmp_path / "can.log", messages(contract, sums))
     with pytest.raises(LayoutError, match="made by other hardware, not by boards on a bus"):
         rebuild(log, out=out, layout=wire_layout(tmp_path, np.ones((64, 256))))
+
+
+def test_known_gains_of_analogue_sums_are_taken_off_and_one_sum_is_lost_alone(
+    force_n: np.ndarray, tmp_path: Path, out: Path
+) -> None:
+    """The last cycle is beyond the converters of some sums: the others make its image."""
+    path, file, gains = tmp_path / "mat.npy", tmp_path / "analogue.toml", tmp_path / "gains.json"
+    np.save(path, np.concatenate([force_n, np.full((1, 16, 16), 0.02, np.float32)]))
+    layout = small_layout(16, 16, **SMALL, taxels={"frontend": "analogue"})
+    file.write_text(layout_text(layout))
+    known = 1 + 0.1 * np.random.default_rng(1).standard_normal(256)
+    gains.write_bytes(encoded(new_calibration(layout, gains=known)))
+    rebuild(path, out=out, layout=file, full_scale=0.02, gains=gains)
+    cycles = measure_forces(layout, path, None, 0.02, lambda _: None)
+    sums = zip(cycles.counts, cycles.valid, cycles.valid_sums, strict=True)
+    imager = CycleImager(layout, gains=load_gains(gains, layout))
+    expected = [imager.solve(MeasuredSums(*each))[0] for each in sums]
+    np.testing.assert_array_equal(loaded(out)[0], expected)
+    phi = layout.phi()
+    assert cycles.valid_sums[-1].sum() == phi.shape[0] - np.count_nonzero(phi.kept[:, 0])
+    with pytest.raises(InputError, match="a GPU solves cycles together"):
+        rebuild(path, out=tmp_path / "b.npz", layout=file, gains=gains, device="gpu", solver=SolverOptions("paper"))
+
+
+@pytest.fixture
+def adaptive_run(tmp_path: Path) -> Path:
+    """Return a recording of adaptive measurements and of the images of a live reconstructor."""
+    contract = small_adaptive()
+    shown: list[Image] = []
+    live = SimpleNamespace(
+        mailbox=lambda *_: None,
+        publish=lambda topic, message: shown.append(message) if topic is IMAGE else None,
+    )
+    service = ReconstructorService(contract.layout, make_imager(contract.layout), live)
+    sink = McapSink(tmp_path / "run.mcap", contract, 1, 1000)
+    for cycle in range(1, 4):
+        made = adaptive_measurement(
+            np.full(128, 1e-3 * cycle), layout=contract.layout, cycle=cycle, sampled_mono_ns=cycle * 10**6
+        )
+        sink.message(MEASUREMENT, cycle * 10**6, msgspec.msgpack.encode(made))
+        if cycle != 2:  # the live reconstructor was busy
+            service.take(made)
+            sink.message(IMAGE, cycle * 10**6, msgspec.msgpack.encode(shown[-1]))
+    sink.close()
+    return tmp_path / "run.mcap"
+
+
+def test_an_adaptive_run_is_rebuilt_as_it_was_shown(
+    adaptive_run: Path, out: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rebuild(adaptive_run, out=out)
+    images, valid, time_ns, about = loaded(out)
+    assert time_ns.tolist() == [1_001_000, 3_001_000]
+    assert (images.shape, valid.shape, valid.all()) == ((2, 8, 16), (2, 4), True)
+    assert images[1].mean() == pytest.approx(3e-3, rel=0.1)
+    assert about["solver"] == "adaptive sums"
+    assert "2 of 2 images equal to the recorded" in capsys.readouterr().err
+    rebuild(adaptive_run, out=out.with_name("other.npz"), solver=SolverOptions("variation"))
+    images, _, _, about = loaded(out.with_name("other.npz"))
+    assert (len(images), about["solver"]) == (3, "variation")
+
+
+def test_what_adaptive_sums_are_not_made_from_is_one_clear_line(adaptive_run: Path, tmp_path: Path, out: Path) -> None:
+    np.save(tmp_path / "mat.npy", np.ones((2, 8, 16)))
+    for source, options, says in (
+        (adaptive_run, {"device": "gpu"}, "--device gpu is for synchronous sending"),
+        (adaptive_run, {"solver": SolverOptions()}, "averages the sums of cycles, and adaptive sums have none"),
+        (tmp_path / "mat.npy", {"layout": adaptive_run}, "play it with 'skin demo --input'"),
+    ):
+        with pytest.raises(InputError, match=says):
+            rebuild(source, out=out, **options)

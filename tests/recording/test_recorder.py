@@ -15,7 +15,7 @@ from bus.link import State
 from canskin.calibration_messages import CalibrationReply, CalibrationRequest, CalibrationState, CalibrationStatus
 from canskin.errors import BusError, InputError, RunError
 from canskin.fabric import Fabric, Origin
-from canskin.messages import IMAGE, LABEL, GatewayStatus, Topic
+from canskin.messages import IMAGE, LABEL, MARK, GatewayStatus, Topic
 from canskin.question import Question
 from dbc.contract import Contract
 from dbc.frame import Frames
@@ -25,11 +25,12 @@ from recording.calibration import follow_calibration
 from recording.recorder import MOST_WAITING, Recorder
 from recording.sinks import check_format, open_sink
 from shell.service import StopSignal
+from shell.skin_options import SkinOptions
 from skin.layout import parse_layout
 from skin.mcap_file import CALIBRATION_FILE, EVENTS, RECORDER, File, newest_file, read_about, read_entries
 from tests import messages as make
 from tests.processes import free_endpoint
-from tests.recording.helpers import OFFSET_NS, FakeLink
+from tests.recording.helpers import OFFSET_NS, FakeLink, messages_of
 
 START_NS = 1_700_000_000_000_000_000
 
@@ -223,6 +224,51 @@ def test_too_many_messages_are_counted(contract: Contract, links: dict[int, Fake
     run.sink.abandon()
 
 
+@pytest.mark.heavy
+@pytest.mark.parametrize(("label", "marks"), [(["cup"], ["cup"]), (None, [])])
+def test_a_label_holds_from_the_start_of_a_recording_and_is_not_what_was_recorded(
+    contract: Contract,
+    links: dict[int, FakeLink],
+    bus_frames: dict[int, Frames],
+    layout_file: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    label: list[str] | None,
+    marks: list[str],
+) -> None:
+    monkeypatch.setattr(record_command, "open_links", lambda *_, **__: links)
+    monkeypatch.setattr(StopSignal, "install", lambda self: self)
+    one, none = tmp_path / "one.mcap", tmp_path / "none.mcap"
+    of = SkinOptions(layout=layout_file, connect=free_endpoint())
+    recorded = partial(record_command.record, of=of, seconds=0.01, label=label)
+    with pytest.raises(RunError, match="nothing came"):
+        recorded(none)
+    brought(links, bus_frames)
+    recorded(one)
+    assert [each.label for each in messages_of(one, MARK)] == marks
+
+
+@pytest.mark.parametrize(
+    ("name", "labels", "says"),
+    [
+        ("run.log", ["cup"], "keeps frames alone"),
+        ("run.mcap", ["cup,ball"], "several labels are set by keys, and there is no terminal"),
+        ("run.mcap", ["a\n"], None),
+        ("run.mcap", ["a\nb"], "expected printable text"),
+        ("run.mcap", [",".join("abcdefghij")], "up to 9 labels, a key for each, got 10"),
+    ],
+)
+def test_labels_that_cannot_be_recorded_are_refused(
+    layout_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, labels: list[str], says: str | None
+) -> None:
+    monkeypatch.setattr(record_command, "has_keys", lambda: False)
+    if says is None:
+        assert record_command._labels(labels, tmp_path / name) == ["a"]
+        return
+    with pytest.raises(InputError, match=says):
+        record_command._labels(labels, tmp_path / name)
+
+
 @pytest.mark.parametrize(
     ("name", "buses", "words"), [("run.xyz", 1, "expected a file that ends in"), ("run.csv", 2, "does not tell")]
 )
@@ -242,7 +288,7 @@ def test_no_thread_waits_for_a_hub_when_the_recorder_ends(
     before = set(threading.enumerate())
     try:
         with pytest.raises(RunError, match="nothing came"):
-            record_command.record(out, layout=layout_file, connect=free_endpoint(), seconds=0.01)
+            record_command.record(out, of=SkinOptions(layout=layout_file, connect=free_endpoint()), seconds=0.01)
     finally:
         for number, handler in handlers.items():
             signal.signal(number, handler)

@@ -11,7 +11,7 @@ import time
 
 import pytest
 
-from shell.service import REAL_TIME_PRIORITY, StopSignal, request_real_time
+from shell.service import REAL_TIME_PRIORITY, REAL_TIME_RATIO, StopSignal, request_real_time, takes_too_much
 
 MANY_CORES = sys.platform == "linux" and len(os.sched_getaffinity(0)) > 1
 
@@ -97,6 +97,49 @@ def test_a_refusal_that_no_limit_explains_is_said_to_be_one(
     monkeypatch.setattr("resource.getrlimit", lambda _: (REAL_TIME_PRIORITY, REAL_TIME_PRIORITY))
     assert request_real_time("test") == "ordinary"  # the tests' process is refused, see tests/conftest.py
     assert "cpu.rt_runtime_us" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("cores", [2, 8])
+def test_the_program_that_takes_most_leaves_real_time_where_all_take_too_much(cores: int) -> None:
+    most, rest = 0.6 * REAL_TIME_RATIO * cores, 0.4 * REAL_TIME_RATIO * cores
+    assert not takes_too_much({7: most, 8: rest - 0.01}, 7, cores)
+    assert takes_too_much({7: most, 8: rest + 0.01}, 7, cores)
+    assert not takes_too_much({7: most, 8: rest + 0.01}, 8, cores)
+    assert not takes_too_much({8: 0.99 * cores}, 7, cores)
+
+
+WATCHED = """
+import threading, time, shell.service as service
+{setting}
+service.WATCH_S, service.REAL_TIME_RATIO = 0.05, 1e-9
+told = threading.Event()
+heard = []
+def tell(scheduling):
+    heard.append(scheduling)
+    if scheduling == "ordinary":
+        told.set()
+service.request_real_time("test", tell)
+while {going}:
+    sum(range(10**5))
+print(heard)
+"""
+
+
+def test_real_time_is_given_back_where_programs_take_too_much() -> None:
+    code = WATCHED.format(setting="", going="not told.is_set()")
+    answer = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True, text=True)
+    if answer.stdout == "['ordinary']\n":
+        pytest.skip("NOT TESTED: no real time here")
+    assert answer.stdout == "['realtime', 'ordinary']\n"
+    assert "expected at most" in answer.stderr
+    assert "--priority realtime keeps real time" in answer.stderr
+
+
+def test_priority_normal_asks_for_nothing() -> None:
+    code = WATCHED.format(setting="service.set_priority(service.Priority.NORMAL)", going="False")
+    answer = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True, text=True)
+    assert answer.stdout == "['ordinary']\n"
+    assert answer.stderr == "test: scheduling: ordinary; as --priority normal asks\n"
 
 
 @pytest.mark.heavy

@@ -1,4 +1,4 @@
-"""``skin node check`` on a bus."""
+"""``skin node check`` and ``skin node update`` on a bus."""
 
 import json
 import subprocess
@@ -10,6 +10,7 @@ import pytest
 
 from tests.gateway.wiring_errors import stroke
 from tests.layouts import buses, layout_toml, small_layout
+from tests.nodes.firmware.twins import needs_compiler
 from tests.processes import PATIENCE_S, Processes
 
 
@@ -30,8 +31,45 @@ def test_boards_on_a_bus_are_checked(tmp_path: Path) -> None:
         assert (good.returncode, nobody.returncode) == (0, 1)
         report = json.loads(good.stdout)
         assert (report["bus"], report["node_id"], report["differences"]) == ("bus0", 2, [])
-        assert report["frames"] >= report["cycles"] == 12
+        assert report["frames"] >= report["cycles"] == 16
         assert "no answer" in json.loads(nobody.stdout)["differences"][0]
+
+
+@needs_compiler
+@pytest.mark.slow
+def test_boards_in_c_get_a_program_over_the_bus_and_keep_it(tmp_path: Path) -> None:
+    (tmp_path / "main.bin").write_bytes(bytes(range(256)) * 8)
+    program, store = str(tmp_path / "new.bin"), str(tmp_path / "flash")
+    (tmp_path / "palm.toml").write_text(layout_toml(8, 16, bus=buses(4)), encoding="utf-8")
+    palm = ["--layout", str(tmp_path / "palm.toml")]
+    with Processes(tmp_path) as processes, pytest.MonkeyPatch.context() as patch:
+        patch.setenv("SKIN_BUS_DIR", str(tmp_path))
+
+        def skin(*arguments: str) -> "subprocess.CompletedProcess[str]":
+            command = [sys.executable, "-m", "skin", *arguments, *palm]
+            return subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
+
+        exported = skin("export", "program", str(tmp_path / "main.bin"), "--release", "1.1", "--out", program)
+        assert "2080 bytes" in exported.stdout, exported.stderr
+        processes.skin("bus", "bus", "bus0")
+        processes.await_words("bus", "ready")
+        boards = ["nodes", "--firmware", "--only", "bus0:1-2", "--no-fabric", "--store", store, *palm]
+        processes.skin("nodes", *boards)
+        processes.await_words("nodes", "nodes")
+        one = skin("node", "update", program, "--bus", "bus0", "--node", "2", "--json")
+        assert one.returncode == 0, one.stderr
+        (board,) = json.loads(one.stdout)["boards"]
+        assert (board["node"], board["result"], board["before"] == board["after"]) == (2, "started", False)
+        again = skin("node", "update", program, "--bus", "bus0", "--all")
+        assert again.returncode == 1  # the other boards of the bus are not there
+        assert [line.split()[1] for line in again.stdout.splitlines() if "run" in line][:1] == ["2"]
+        assert "2 of 4 boards run version 1.1" in again.stdout
+        assert "no answer to object 1F56h:1" in again.stdout
+        processes.stop("nodes")
+        processes.skin("nodes", *boards)
+        processes.await_words("nodes", "nodes")
+        version = skin("node", "get", "100Ah", "--bus", "bus0", "--node", "1", "--json")
+        assert json.loads(version.stdout)[0]["value"] == "1.1"
 
 
 @pytest.mark.slow

@@ -4,15 +4,13 @@ import socket
 from collections.abc import Collection
 from contextlib import closing
 from ipaddress import ip_address
-from pathlib import Path
 from typing import Final
 
 import uvicorn
 
-from canskin.fabric import Fabric
-from canskin.session import DEFAULT_ENDPOINT
 from shell.service import StopSignal, listen, say
-from skin.layout import load_layout
+from shell.skin_options import SkinOptions
+from skin.layout import require_boards
 from views.page.app import build_app
 from views.page.feed import Feed
 from views.page.guard import LOOPBACK
@@ -25,8 +23,7 @@ MESSAGE_LIMIT_BYTES: Final = 1024
 
 def view(
     *,
-    layout: Path | None = None,
-    connect: str = DEFAULT_ENDPOINT,
+    of: SkinOptions | None = None,
     host: str = "127.0.0.1",
     port: int = 8765,
 ) -> None:
@@ -34,10 +31,8 @@ def view(
 
     Parameters
     ----------
-    layout
-        TOML of the skin; without it the default skin.
-    connect
-        Endpoint of the fabric's hub, usually the gateway.
+    of
+        Which skin.
     host
         Address to listen on. With an address other than loopback, everybody on the network can see the skin.
     port
@@ -46,13 +41,13 @@ def view(
     Examples
     --------
     skin view
-    skin view --layout palm.toml --connect tcp/10.0.0.5:7447 --port 0
+    skin view --connect tcp/10.0.0.5:7447 --port 0
     """
-    stop = StopSignal().install()
-    skin = load_layout(layout)
+    stop, of = StopSignal().install(), of or SkinOptions()
     with listen(host, port) as listener:
-        fabric = Fabric(skin.name, "viewer", connect, stop=stop, fingerprint=skin.phi().fingerprint)
-        with closing(fabric):
+        skin = of.find(stop)
+        require_boards(skin)
+        with closing(of.join(skin, "viewer", stop)) as fabric:
             if not stop.is_set():
                 feed = Feed(skin)
                 feed.join(fabric)

@@ -8,8 +8,8 @@ from typing import Any, Final
 from canskin.errors import RunError
 from health.state import ViewState
 from skin.layout import Layout
-from skin.mcap_file import Warn, read_messages, wall_offset_ns
-from skin.wall_times import WallTimes
+from skin.mcap_file import Warn, read_messages
+from skin.wall_times import CLOCKS, recorded_wall_times
 from views.ros2.bridge import DIAGNOSTICS_S
 from views.ros2.names import Node, Qos
 from views.ros2.topics import DIAGNOSTIC_ARRAY, SKIN_TOPICS, RosTopic, Translator
@@ -53,8 +53,8 @@ def write_bag(source: Path, folder: Path, layout: Layout, warn: Warn) -> dict[st
 def _write(source: Path, folder: Path, layout: Layout, warn: Warn) -> dict[str, int]:
     from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
-    node, offset_ns = Node(0, "", f"/{layout.name}", "canskin"), wall_offset_ns(source)
-    translator = Translator(layout, layout.name, ViewState(layout), wall=WallTimes(offset_ns))
+    node = Node(0, "", f"/{layout.name}", "canskin")
+    translator = Translator(layout, layout.name, ViewState(layout), wall=recorded_wall_times(source))
     made: Counter[str] = Counter()
     connections: dict[RosTopic, Any] = {}
     bag = Writer(folder, version=_BAG_VERSION, storage_plugin=StoragePlugin.MCAP)
@@ -72,7 +72,7 @@ def _write(source: Path, folder: Path, layout: Layout, warn: Warn) -> dict[str, 
 
     with bag:
         due_s = 0.0
-        for _, time_ns, message in read_messages(source, SKIN_TOPICS, warn):
+        for _, time_ns, message in read_messages(source, [each for each in SKIN_TOPICS if each is not CLOCKS], warn):
             now_s = time_ns * 1e-9
             for topic, make in translator.take(message, now_s):
                 write(topic, time_ns, make())

@@ -1,15 +1,14 @@
 """``skin ros2``: a running skin on ROS 2's wire, without ROS."""
 
 from contextlib import closing
-from pathlib import Path
 from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from canskin.fabric import Fabric
 from canskin.session import DEFAULT_ENDPOINT
 from shell.service import StopSignal, say
-from skin.layout import load_layout
+from shell.skin_options import SkinOptions
+from skin.layout import require_boards
 from views.ros2.bridge import TARE, Bridge
 from views.ros2.names import check_domain, check_namespace
 from views.ros2.node import SERVICE, RosNode
@@ -19,8 +18,7 @@ from views.ros2.types import store
 
 def ros2(
     *,
-    layout: Path | None = None,
-    connect: str = DEFAULT_ENDPOINT,
+    of: SkinOptions | None = None,
     router: str = DEFAULT_ENDPOINT,
     domain: int | None = None,
     namespace: Annotated[str | None, Parameter(name=("--namespace", "--ns"))] = None,
@@ -34,10 +32,8 @@ def ros2(
 
     Parameters
     ----------
-    layout
-        TOML of the skin; without it the default skin.
-    connect
-        Endpoint of the fabric's hub.
+    of
+        Which skin.
     router
         Endpoint of the ROS network's zenoh router. The hub of the fabric is a zenoh router, too: nodes of ROS may use
         the hub.
@@ -57,10 +53,14 @@ def ros2(
     skin ros2 --router tcp/robot:7447 --domain 42 --namespace /arm/palm
     """
     store()
-    skin = load_layout(layout)
-    number, space = check_domain(domain), check_namespace(skin.name if namespace is None else namespace)
+    number, of = check_domain(domain), of or SkinOptions()
+    if namespace is not None:
+        check_namespace(namespace)
     stop = StopSignal().install()
-    with closing(Fabric(skin.name, SERVICE, connect, stop=stop, fingerprint=skin.phi().fingerprint)) as fabric:
+    skin = of.find(stop)
+    require_boards(skin)
+    space = check_namespace(skin.name if namespace is None else namespace)
+    with closing(of.join(skin, SERVICE, stop)) as fabric:
         node = RosNode(router, domain=number, namespace=space, name="canskin", stop=stop, has_hashes=distro != "humble")
         with closing(node):
             bridge = Bridge(skin, fabric, node, frame or skin.name)

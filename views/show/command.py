@@ -3,17 +3,16 @@
 import time
 from collections.abc import Callable
 from contextlib import closing
-from pathlib import Path
 from typing import Annotated
 
 from cyclopts import Parameter
 
 from canskin.errors import InputError
 from canskin.fabric import Fabric
-from canskin.session import DEFAULT_ENDPOINT
 from health.arrivals import Arrivals
 from shell.service import LOOK_S, StopSignal, say
-from skin.layout import Layout, load_layout
+from shell.skin_options import SkinOptions
+from skin.layout import Layout, require_boards
 from views.show.foxglove_canvas import FoxgloveCanvas
 from views.show.painter import SERVICE, TOPICS, Canvas, Painter
 from views.show.rerun_canvas import RerunCanvas
@@ -25,8 +24,7 @@ def show(
     *,
     rerun: Annotated[bool, Parameter(negative=())] = False,
     foxglove: Annotated[bool, Parameter(negative=())] = False,
-    layout: Path | None = None,
-    connect: str = DEFAULT_ENDPOINT,
+    of: SkinOptions | None = None,
 ) -> None:
     """Show a running skin in Rerun or Foxglove: image, taxels in their places, contacts, curves, log.
 
@@ -42,10 +40,8 @@ def show(
         Show the skin in Rerun; needs the extra canskin[rerun].
     foxglove
         Show the skin in Foxglove; needs the extra canskin[foxglove].
-    layout
-        TOML of the skin; without it the default skin.
-    connect
-        Endpoint of the fabric's hub.
+    of
+        Which skin.
 
     Examples
     --------
@@ -57,11 +53,11 @@ def show(
     if rerun == foxglove:
         raise InputError(f"skin show: expected --rerun or --foxglove, got {'both' if rerun else 'neither'}")
     open_canvas = _opener(target, for_rerun=rerun)
-    skin = load_layout(layout)
-    stop = StopSignal().install()
-    mark = skin.phi().fingerprint
+    stop, of = StopSignal().install(), of or SkinOptions()
+    skin = of.find(stop)
+    require_boards(skin)
     with (
-        closing(Fabric(skin.name, SERVICE, connect, stop=stop, fingerprint=mark)) as fabric,
+        closing(of.join(skin, SERVICE, stop)) as fabric,
         closing(open_canvas(skin)) as canvas,
     ):
         draw_live(skin, fabric, canvas, stop)

@@ -67,8 +67,9 @@ class FoxgloveCanvas:
         self._context, self._foxglove = context, foxglove
         self._figures: dict[str, Any] = {}
 
-    def image(self, time_ns: int, _cycle: int, measured_n: Forces) -> None:
+    def image(self, time_ns: int, cycle: int, measured_n: Forces) -> None:
         """Draw the forces: of a grid as an image in newtons and as cells in their places, else as points."""
+        self.figure(time_ns, "cycle", cycle)
         draw = self._draw_grid if self._surface.is_grid else self._draw_points
         draw(time_ns, measured_n)
 

@@ -5,8 +5,8 @@ from pathlib import Path
 
 from canskin.errors import RunError
 from skin.layout import Layout
-from skin.mcap_file import Warn, read_messages, wall_offset_ns
-from skin.wall_times import WallTimes
+from skin.mcap_file import Warn, read_messages
+from skin.wall_times import CLOCKS, recorded_wall_times
 from views.show.foxglove_canvas import FoxgloveCanvas
 from views.show.painter import TOPICS, Canvas, Painter
 from views.show.rerun_canvas import RerunCanvas
@@ -24,8 +24,8 @@ def write_view(source: Path, path: Path, layout: Layout, for_rerun: bool, warn: 
     with ExitStack() as undo:
         undo.callback(path.unlink, missing_ok=True)
         with closing(canvas):
-            painter = Painter(layout, canvas, WallTimes(wall_offset_ns(source)))
-            for _, time_ns, message in read_messages(source, TOPICS, warn):
+            painter = Painter(layout, canvas, recorded_wall_times(source))
+            for _, time_ns, message in read_messages(source, [each for each in TOPICS if each is not CLOCKS], warn):
                 now_s = time_ns * 1e-9
                 painter.look(now_s, time_ns)  # before the message: it may end a gap
                 painter.take(message, now_s, time_ns)

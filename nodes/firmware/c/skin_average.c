@@ -217,13 +217,6 @@ static void block_sums(const skin_board *board, uint8_t block, float *values, in
 
 #endif
 
-uint16_t skin_readings(const skin_board *board)
-{
-    const skin_type *type = board->type;
-
-    return (uint16_t)(SKIN_ANALOGUE ? type->first_sum[type->blocks] : type->blocks * type->block_size);
-}
-
 #if SKIN_ANALOGUE
 
 uint16_t skin_measure(const skin_board *board, uint8_t number, skin_average *state, skin_reading *readings, uint16_t samples,

@@ -1,4 +1,5 @@
-/* What the converters of a board read, and the average of a taxel's samples between two SYNCs, as far as motion allows ("What a sum is a sum of" in docs/bus.md).
+/* From what the converters of a board read to the sums of a block, with the average of a taxel's samples between two SYNCs, as
+ * far as motion allows ("What a sum is a sum of" in docs/bus.md).
  *
  * The models of skin_models.h run on every sample; their mean, weighted by likelihood, is the average. Noise that the
  * sensor clips at 0 is learned from taxels that nothing touches, and its bias is undone. Needs a floating point unit:
@@ -25,7 +26,12 @@ typedef uint16_t skin_reading;
 #endif
 
 /* Readings of one sample of all converters of a board. */
-uint16_t skin_readings(const skin_board *board);
+static inline uint16_t skin_readings(const skin_board *board)
+{
+    const skin_type *type = board->type;
+
+    return (uint16_t)(SKIN_ANALOGUE ? type->first_sum[type->blocks] : type->blocks * type->block_size);
+}
 
 /* Places of a block that have a gain and an offset; analogue boards have neither. */
 #define SKIN_CALIBRATED (SKIN_ANALOGUE ? 1 : SKIN_BLOCK_SIZE)

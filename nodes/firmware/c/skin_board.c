@@ -14,11 +14,6 @@ const skin_board *skin_board_of(uint8_t bus, uint8_t node_id)
     return NULL;
 }
 
-int skin_is_of_state(const skin_type *type, uint8_t tpdo, uint8_t state)
-{
-    return type->image_tpdos == 0 || (tpdo < type->image_tpdos) == (state == SKIN_STATE_IMAGES);
-}
-
 int skin_is_own(const skin_type *type, uint16_t at)
 {
     return at < type->own_writable ||

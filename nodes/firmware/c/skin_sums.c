@@ -89,6 +89,8 @@ void skin_block_sums(const skin_board *board, uint8_t block, const uint16_t *cou
     }
 }
 
+#if SKIN_ANALOGUE
+
 int32_t skin_code(const skin_board *board, int32_t sum)
 {
     const int32_t size = board->type->block_size, half = ((int32_t)board->type->count_max + 1) / 2;
@@ -100,6 +102,8 @@ int32_t skin_code(const skin_board *board, int32_t sum)
     }
     return code < -half ? -half : code < half ? code : half - 1;
 }
+
+#endif
 
 /* Quotient of `value` and 2^shift, rounded down; a shift of negative numbers is left to the compiler by the standard. */
 static int32_t shifted(int32_t value, uint8_t shift)
@@ -117,7 +121,7 @@ int32_t skin_raw(const skin_packing *packing, int32_t sum)
         raw = shifted(sum + ((int32_t)1 << (packing->step_log2 - 1)) - (sum > 0), packing->step_log2);
     }
     raw += packing->offset;
-    return raw < most ? raw : most; /* the highest codes of a converter of sums may round to more */
+    return SKIN_ANALOGUE && raw > most ? most : raw; /* the highest codes may round to more */
 }
 
 void skin_put_bits(uint8_t *payload, uint16_t at, uint32_t value, uint8_t bits)

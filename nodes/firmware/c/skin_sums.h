@@ -2,7 +2,7 @@
 #ifndef SKIN_SUMS_H
 #define SKIN_SUMS_H
 
-#include "skin_board.h"
+#include "board.h"
 
 /* What the taxels of one block read.
  *

@@ -7,10 +7,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nodes.firmware.library import Firmware
+from nodes.segment import Segment
+from nodes.storage import Storage
 from nodes.virtual_boards import VirtualBoards
+from nodes.ways import way_of
 from tests.bus.harness import frame
 from tests.gateway.fresh_boards import Bench, check_commissioning, complete, skin
-from tests.nodes.firmware.twins import needs_compiler, small_contract
+from tests.nodes.firmware.twins import Rolling, Wire, needs_compiler, small_contract
 from tests.nodes.helpers import new_sampler
 
 pytestmark = needs_compiler
@@ -67,6 +70,25 @@ def test_boards_in_c_answer_as_those_in_python(asked: list[tuple[int, bytes]], u
         sent = [each.power_up(0.0), *(each.take(frame(can_id, data), 0.0) for can_id, data in asked)]
         said.append([[(int(one["can_id"]), one["data"][: one["length"]].tobytes()) for one in burst] for burst in sent])
     assert said[0] == said[1]
+
+
+def test_boards_that_have_exchanged_their_node_ids_feel_the_taxels_of_their_own_places(tmp_path: Path) -> None:
+    contract = small_contract()
+    first, second = contract.on_bus(0)
+    Storage.of_node(contract, first, tmp_path).save_node_id(2)
+    Storage.of_node(contract, second, tmp_path).save_node_id(1)
+    sent = []
+    for firmware in (None, Firmware(contract, [first, second], store=tmp_path, unnumbered=True)):
+        hardware = way_of(contract.layout).hardware(contract, [0, 1], Rolling(contract), firmware)
+        boards = firmware.boards(0) if firmware else VirtualBoards(contract, 0, {1, 2}, hardware, store=tmp_path)
+        wire = Wire()
+        segment = Segment(contract, 0, boards, hardware, wire.send, complain=lambda _: None)
+        segment.boot(0.0)
+        for each in (frame(0, bytes((1, 0))), contract.sync(1), contract.sync(2)):
+            segment.take(each, 0.0)
+        sent.append(sorted(wire.take()))
+    assert sent[0] == sent[1]
+    assert len(sent[0]) == 2 + 2 * sum(len(node.tpdos) for node in (first, second))
 
 
 @pytest.mark.heavy

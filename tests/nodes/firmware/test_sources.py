@@ -36,8 +36,8 @@ BURSTS, SEEDS = 20_000, range(1, 4)
 ADAPTIVE_BURSTS = 3000
 ARM = "arm-none-eabi-gcc"
 CORTEX_M0_PLUS = ("-mcpu=cortex-m0plus", "-mthumb", "-Os")
-#: Flash memory, bytes: of the sums; of sums, averages, slave and storage with one board; of a further board.
-SUMS_BYTES, SLAVE_BYTES, BOARD_BYTES = 1024, 14_400, 110
+#: Flash memory, bytes: of the sums; of the whole slave with one board; of a further board.
+SUMS_BYTES, SLAVE_BYTES, BOARD_BYTES = 1024, 17_000, 110
 #: Runs a program without a limit of its memory: a sanitizer reserves more than any machine has.
 UNLIMITED = 'ulimit -S -d "$(ulimit -H -d)" && exec "$0" "$@"'
 SANITIZERS = ("-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
@@ -88,6 +88,8 @@ def expected_dictionary(contract: Contract, node: NodeContract) -> list[str]:
     """Return a line for each object, and the signature."""
     expected = []
     for each in dictionary(contract, node):
+        if od.is_program_download(each.index):
+            continue
         attribute = 0x03 if each.access == "rw" else 0x01
         attribute |= (0x0C if each.access == "rw" else 0x04) if each.pdo else 0
         attribute |= 0x80 if each.data_type == od.VISIBLE_STRING else 0x40 if od.BITS[each.data_type] > 8 else 0

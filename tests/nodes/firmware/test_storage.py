@@ -12,6 +12,7 @@ from dbc import indices as od
 from dbc.canopen import NMT_COB_ID, SDO_REQUEST_BASE, Abort, NmtCommand
 from dbc.generate import write_files
 from nodes.firmware.export import constants, sources
+from nodes.firmware.flash import Flash
 from nodes.firmware.library import STANDARD_FLAGS, CompiledBoards, Firmware, compile_c
 from nodes.firmware.storage import StorageFunction
 from nodes.firmware.tables import builds
@@ -86,51 +87,30 @@ def test_values_that_fit_no_object_stay_at_their_defaults(tmp_path: Path) -> Non
 
 
 SLOT_BYTES = 64
-_SLOT, _PART = ctypes.c_uint8, ctypes.POINTER(ctypes.c_uint8)
-_ERASE = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, _SLOT)
-_MOVE = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, _SLOT, ctypes.c_uint16, _PART, ctypes.c_uint16)
 
 
-class _Flash(ctypes.Structure):
-    _fields_ = (
-        ("erase", _ERASE),
-        ("write", _MOVE),
-        ("read", _MOVE),
-        ("slot_bytes", ctypes.c_uint16),
-        ("context", ctypes.c_void_p),
-    )
-
-
-class Flash:
-    """Flash memory whose power ends after `steps_left` bytes that were erased or written; bits are only cleared."""
+class Cut(Flash):
+    """Flash memory whose power ends after `steps_left` bytes that were erased or written."""
 
     def __init__(self, slots: Callable[..., StorageFunction]) -> None:
-        self.slots = [bytearray(SLOT_BYTES) for _ in range(4)]
+        super().__init__([bytes(SLOT_BYTES)] * 4, [], SLOT_BYTES)
         self.steps_left = 1 << 30
-        # Kept here: C has the address alone.
-        self._driver = _Flash(_ERASE(self._erase), _MOVE(self._write), _MOVE(self._read), SLOT_BYTES, None)
-        self._storage = slots(ctypes.byref(self._driver))
+        self._storage = slots(ctypes.byref(self.driver))
 
     def _has_power(self) -> bool:
         self.steps_left -= 1
         return self.steps_left >= 0
 
-    def _erase(self, _: int, slot: int) -> int:
+    def erase(self, slot: int) -> None:
         for at in range(SLOT_BYTES):
             if self._has_power():
                 self.slots[slot][at] = 0xFF
-        return 0
 
-    def _write(self, _: int, slot: int, at: int, data: "ctypes._Pointer[ctypes.c_uint8]", count: int) -> int:
+    def write(self, slot: int, at: int, data: bytes) -> None:
         assert at % 16 == 0
-        for place in range(count):
+        for place, byte in enumerate(data, at):
             if self._has_power():
-                self.slots[slot][at + place] &= data[place]
-        return 0
-
-    def _read(self, _: int, slot: int, at: int, data: "ctypes._Pointer[ctypes.c_uint8]", count: int) -> int:
-        ctypes.memmove(data, bytes(self.slots[slot][at : at + count]), count)
-        return 0
+                super().write(slot, place, bytes((byte,)))
 
     def save(self, data: bytes, record: int = 0, key: int = 7) -> bool:
         there = (ctypes.c_uint8 * max(1, len(data)))(*data)
@@ -154,14 +134,14 @@ def _compiled(folder: Path) -> Callable[..., StorageFunction]:
 
 
 @pytest.fixture
-def flash(tmp_path_factory: pytest.TempPathFactory) -> Flash:
-    return Flash(_compiled(tmp_path_factory.getbasetemp() / "slots"))
+def flash(tmp_path_factory: pytest.TempPathFactory) -> Cut:
+    return Cut(_compiled(tmp_path_factory.getbasetemp() / "slots"))
 
 
 OLD, NEW = bytes(range(40)), bytes(range(100, 140))
 
 
-def test_a_power_cut_at_any_byte_leaves_the_old_record_or_the_new_one(flash: Flash) -> None:
+def test_a_power_cut_at_any_byte_leaves_the_old_record_or_the_new_one(flash: Cut) -> None:
     assert flash.load(40) is None
     flash.save(b"other", record=1)
     outcomes = []
@@ -178,14 +158,14 @@ def test_a_power_cut_at_any_byte_leaves_the_old_record_or_the_new_one(flash: Fla
     assert flash.load(5, record=1) == b"other"
 
 
-def test_the_newest_record_counts_beyond_the_last_number(flash: Flash) -> None:
+def test_the_newest_record_counts_beyond_the_last_number(flash: Cut) -> None:
     flash.save(OLD)
     for number in range(5):
         assert flash.save(bytes((number,)) * 8)
         assert flash.load(8) == bytes((number,)) * 8
 
 
-def test_a_record_of_another_key_or_length_or_a_forgotten_one_is_not_found(flash: Flash) -> None:
+def test_a_record_of_another_key_or_length_or_a_forgotten_one_is_not_found(flash: Cut) -> None:
     flash.save(OLD)
     assert (flash.load(40, key=8), flash.load(39)) == (None, None)
     assert not flash.save(bytes(SLOT_BYTES))

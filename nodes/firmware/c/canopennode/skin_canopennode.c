@@ -41,12 +41,12 @@ int skin_app_init(void)
 
 int skin_app_sends(uint8_t tpdo)
 {
-    return skin_is_of_state(skin_od_board->type, tpdo, state);
+    return SKIN_IS_OF_STATE(skin_od_board->type, tpdo, state);
 }
 
 uint32_t *skin_app_window_us(void)
 {
-    return skin_od_state != NULL && state == SKIN_STATE_RECOGNITION ? skin_od_value(SKIN_OD_STATE, 2, sizeof(uint32_t))
+    return SKIN_STATES > 1 && state == SKIN_STATE_RECOGNITION ? skin_od_value(SKIN_OD_STATE, 2, sizeof(uint32_t))
                                                                     : skin_od_value(SKIN_OD_WINDOW_US, 0, sizeof(uint32_t));
 }
 
@@ -56,7 +56,7 @@ void skin_app_sync(skin_reading *readings, uint16_t samples)
     uint16_t each;
     uint8_t block;
 
-    if (skin_od_state != NULL) {
+    if (SKIN_STATES > 1) {
         if (*skin_od_state > SKIN_STATE_IMAGES) {
             *skin_od_state = state; /* the stack has not checked an RPDO */
         }

@@ -36,8 +36,9 @@ int skin_app_choose(uint8_t bus, uint8_t node_id);
  * Sums of 12 bits need CO_CONFIG_PDO_BITWISE_MAPPING.
  */
 
-/* Connect the objects of the skin with the dictionary; end test patterns; begin with recognition; begin to count anew. Returns 0 on
- * success.
+/* Connect the objects of the skin with the dictionary; end test patterns; begin with recognition; begin to count anew.
+ *
+ * Returns 0 on success.
  */
 int skin_app_init(void);
 

@@ -149,8 +149,9 @@ int skin_od_connect(void)
     signature_extension.object = &covered;
     skin_od_health = skin_od_value(SKIN_OD_HEALTH, 1, sizeof *skin_od_health);
     failed |= skin_od_health == NULL;
-    skin_od_state = skin_od_value(SKIN_OD_STATE, 1, sizeof *skin_od_state);
-    if (skin_od_state != NULL) {
+    if (SKIN_STATES > 1) {
+        skin_od_state = skin_od_value(SKIN_OD_STATE, 1, sizeof *skin_od_state);
+        failed |= skin_od_state == NULL;
         failed |= skin_od_extend(&state_extension, SKIN_OD_STATE, OD_readOriginal, write_choice);
         state_extension.object = &last_state;
     }
@@ -177,7 +178,7 @@ void skin_od_reset(void)
     for (each = 0; each < skin_od_board->type->blocks; each++) {
         *skin_od_blocks[each].pattern = SKIN_PATTERN_OFF;
     }
-    if (skin_od_state != NULL) {
+    if (SKIN_STATES > 1) {
         *skin_od_state = SKIN_STATE_RECOGNITION;
     }
     for (each = 0; each < 4; each++) {

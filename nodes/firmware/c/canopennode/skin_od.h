@@ -14,7 +14,7 @@ extern const skin_board *skin_od_board;
 extern skin_block skin_od_blocks[SKIN_BLOCKS];
 /* 2020h: SYNCs received, TPDOs sent, TPDOs dropped, saturated taxels. */
 extern uint32_t *skin_od_health;
-/* 2008h:1; NULL in boards of one state. */
+/* 2008h:1 of boards with two states. */
 extern uint8_t *skin_od_state;
 
 /* Connect signature, calibration, counts and patterns with the dictionary. Returns 0 on success. */

@@ -173,7 +173,10 @@ void skin_boot(skin_node *node, uint32_t now_ms, int communication_only)
 
     node->state = SKIN_INITIALISING;
     skin_restore(node, communication_only);
-    (void)skin_write(node, SKIN_OD_STATE, 1, &recognition, sizeof recognition);
+    if (SKIN_STATES > 1) {
+        (void)skin_write(node, SKIN_OD_STATE, 1, &recognition, sizeof recognition);
+        node->skin_state = recognition;
+    }
     memset(node->active, 0, sizeof node->active);
     node->history_count = node->waiting_count = 0;
     node->emcy_free_ms = now_ms;
@@ -181,8 +184,6 @@ void skin_boot(skin_node *node, uint32_t now_ms, int communication_only)
     memset(node->health, 0, sizeof node->health);
 #if SKIN_ADAPTIVE
     skin_sender_forget(&node->sender);
-#else
-    node->skin_state = SKIN_STATE_RECOGNITION;
 #endif
     node->changed = 1;
     skin_refresh(node, now_ms);
@@ -305,7 +306,7 @@ void skin_sync(skin_node *node, const skin_frame *sync)
 
 void skin_switch(skin_node *node, const skin_frame *rpdo)
 {
-    if (node->state == SKIN_OPERATIONAL) {
+    if (SKIN_STATES > 1 && node->state == SKIN_OPERATIONAL) {
         (void)skin_write(node, SKIN_OD_STATE, 1, rpdo->data, rpdo->length);
     }
 }

@@ -112,9 +112,8 @@ void skin_sample(skin_node *node, skin_reading *readings, uint16_t samples)
 /* Synchronous window of the present state. */
 static uint32_t window_of_state(const skin_node *node)
 {
-    return node->board->type->image_tpdos > 0 && node->skin_state == SKIN_STATE_RECOGNITION
-               ? skin_unsigned(node, SKIN_OD_STATE, 2)
-               : skin_unsigned(node, SKIN_OD_WINDOW_US, 0);
+    return SKIN_STATES > 1 && node->skin_state == SKIN_STATE_RECOGNITION ? skin_unsigned(node, SKIN_OD_STATE, 2)
+                                                                         : skin_unsigned(node, SKIN_OD_WINDOW_US, 0);
 }
 
 void skin_answer(skin_node *node, const skin_frame *sync, uint8_t counter)
@@ -126,7 +125,9 @@ void skin_answer(skin_node *node, const skin_frame *sync, uint8_t counter)
     if (node->state != SKIN_OPERATIONAL) {
         return;
     }
-    node->skin_state = (uint8_t)skin_unsigned(node, SKIN_OD_STATE, 1);
+    if (SKIN_STATES > 1) {
+        node->skin_state = (uint8_t)skin_unsigned(node, SKIN_OD_STATE, 1);
+    }
     window_us = window_of_state(node);
     if (window_us > 0) { /* so that the frame ends inside the window */
         latest_ns = (int64_t)window_us * 1000 - node->board->type->frame_ns;
@@ -136,7 +137,7 @@ void skin_answer(skin_node *node, const skin_frame *sync, uint8_t counter)
         skin_tpdo *tpdo = &node->tpdos[number];
         skin_frame frame;
 
-        if (tpdo->length == 0 || !skin_is_of_state(node->board->type, number, node->skin_state)) {
+        if (tpdo->length == 0 || !SKIN_IS_OF_STATE(node->board->type, number, node->skin_state)) {
             continue;
         }
         tpdo->syncs++;
@@ -162,7 +163,7 @@ void skin_send_events(skin_node *node, uint32_t now_ms)
         skin_frame frame;
 
         if (tpdo->length == 0 || tpdo->type < SKIN_EVENT_MANUFACTURER ||
-            !skin_is_of_state(node->board->type, number, node->skin_state) ||
+            !SKIN_IS_OF_STATE(node->board->type, number, node->skin_state) ||
             (tpdo->has_last != 0 && !skin_is_due(now_ms, tpdo->sent_at_ms + tpdo->inhibit_ms))) {
             continue;
         }

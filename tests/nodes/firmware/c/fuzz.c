@@ -12,6 +12,35 @@ static skin_node nodes[SKIN_BOARDS];
 static skin_frame in[BURST], out[ROOM];
 static uint32_t state;
 
+/* Memory for programs, one byte too small for the longest download. */
+#define SLOT_BYTES 256
+static uint8_t slots[SKIN_BOARDS][2][SLOT_BYTES];
+static skin_flash flashes[SKIN_BOARDS];
+
+static int erase(void *context, uint8_t slot)
+{
+    memset((uint8_t *)context + slot * SLOT_BYTES, 0xFF, SLOT_BYTES);
+    return 0;
+}
+
+static int write_part(void *context, uint8_t slot, uint32_t at, const uint8_t *data, uint16_t bytes)
+{
+    if (slot > 1 || at + bytes > SLOT_BYTES) {
+        abort();
+    }
+    memcpy((uint8_t *)context + slot * SLOT_BYTES + at, data, bytes);
+    return 0;
+}
+
+static int read_part(void *context, uint8_t slot, uint32_t at, uint8_t *data, uint16_t bytes)
+{
+    if (slot > 1 || at + bytes > SLOT_BYTES) {
+        abort();
+    }
+    memcpy(data, (const uint8_t *)context + slot * SLOT_BYTES + at, bytes);
+    return 0;
+}
+
 static uint32_t drawn(uint32_t below)
 {
     state ^= state << 13;
@@ -64,16 +93,38 @@ static void draw_frame(skin_frame *frame)
     default: /* SDO, mostly of an object that there is */
         frame->can_id = 0x600u + board->node_id;
         if (drawn(4) > 0) {
-            frame->data[0] = (uint8_t[]){0x40, 0x23, 0x2B, 0x2F, 0x21, 0x60, 0x70, 0x00, 0x11, 0x0D, 0xA0}[drawn(11)];
+            frame->data[0] = (uint8_t[]){0x40, 0x23, 0x2B, 0x2F, 0x21, 0x60, 0x70, 0x00, 0x11, 0x0D, 0xA0, 0xC6}[drawn(12)];
         }
         if (drawn(8) > 0) {
-            skin_put(&frame->data[1], object->index, 2);
-            frame->data[3] = object->subindex;
+            const int is_program = drawn(6) == 0;
+
+            skin_put(&frame->data[1], is_program ? SKIN_OD_PROGRAM_DATA : object->index, 2);
+            frame->data[3] = is_program ? 1 : object->subindex;
         }
         if (drawn(2) > 0) { /* small values are taken more often */
             skin_put(&frame->data[4], drawn(300), 4);
         }
         break;
+    }
+}
+
+/* Let a frame of a download be the next segment, with a header of this board: the other bytes are random. */
+static void go_on(skin_frame *frame)
+{
+    const skin_node *node = &nodes[drawn(SKIN_BOARDS)];
+    uint8_t head[SKIN_PROGRAM_HEAD] = {0}, place;
+
+    skin_put(&head[SKIN_PROGRAM_AT_MAGIC], SKIN_PROGRAM_MAGIC, 4);
+    skin_put(&head[SKIN_PROGRAM_AT_VENDOR], node->program.vendor_id, 4);
+    skin_put(&head[SKIN_PROGRAM_AT_PRODUCT], node->program.product_code, 4);
+    skin_put(&head[SKIN_PROGRAM_AT_SIZE], drawn(SLOT_BYTES), 4);
+    frame->can_id = 0x600u + node->board->node_id;
+    frame->length = 8;
+    frame->data[0] = drawn(2) ? (uint8_t)(node->sdo.number + 1) : (uint8_t)(drawn(2) ? node->sdo.toggle : 0xC1);
+    for (place = 0; place < 7; place++) {
+        const uint32_t at = node->program.bytes + (frame->data[0] != node->sdo.toggle ? node->sdo.done : 0) + place;
+
+        frame->data[1 + place] = at < SKIN_PROGRAM_HEAD ? head[at] : frame->data[1 + place];
     }
 }
 
@@ -153,12 +204,18 @@ int main(int count, char **texts)
         skin_take_counts(nodes, SKIN_BOARDS, read);
     }
 #endif
-    check(skin_power_up(nodes, 0, SKIN_BOARDS, NULL, 0, now_ms, out, ROOM));
+    for (place = 0; place < SKIN_BOARDS; place++) {
+        flashes[place] = (skin_flash){erase, write_part, read_part, SLOT_BYTES, slots[place]};
+    }
+    check(skin_power_up(nodes, 0, SKIN_BOARDS, NULL, flashes, 0, now_ms, out, ROOM));
     for (turn = 0; turn < turns; turn++) {
         const uint32_t burst = drawn(BURST) + 1;
 
         for (place = 0; place < burst; place++) {
             draw_frame(&in[place]);
+            if (drawn(3) == 0) {
+                go_on(&in[place]);
+            }
         }
         found = skin_take(nodes, SKIN_BOARDS, now_ms, drawn(2) ? counts : NULL,
                           (uint16_t)(1 + drawn(SKIN_MOST_SAMPLES)), 65536, in, burst, out, drawn(9) ? ROOM : 3);

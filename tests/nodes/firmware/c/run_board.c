@@ -51,7 +51,7 @@ static int start(uint8_t bus, uint8_t node_id)
 
 static void switch_to(uint8_t state)
 {
-    if (skin_od_state != NULL) {
+    if (SKIN_STATES > 1) {
         write_object(SKIN_OD_STATE, 1, state, 1);
     }
 }
@@ -65,7 +65,8 @@ static void answer(skin_reading *readings, uint8_t counter)
     (void)counter;
     skin_app_sync(readings, 1);
     for (tpdo = 0; tpdo < OD_CNT_TPDO; tpdo++) {
-        const uint16_t mapping = (uint16_t)(SKIN_OD_TPDO_MAPPING + tpdo), communication = (uint16_t)(SKIN_OD_TPDO_COMMUNICATION + tpdo);
+        const uint16_t communication = (uint16_t)(SKIN_OD_TPDO_COMMUNICATION + tpdo);
+        const uint16_t mapping = (uint16_t)(SKIN_OD_TPDO_MAPPING + tpdo);
         uint8_t data[64] = {0};
         uint16_t bits = 0;
 

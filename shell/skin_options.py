@@ -1,0 +1,193 @@
+"""Which skin a verb is for: its layout comes from ``--layout``, from the recording that is read, or from the hub."""
+
+import math
+import time
+from collections.abc import Iterator
+from contextlib import closing, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import msgspec
+from cyclopts import Parameter
+
+from canskin.connection import GATEWAYS
+from canskin.description import LAYOUT, LayoutReply, LayoutRequest
+from canskin.errors import BusError, InputError, LayoutError, Stopped
+from canskin.fabric import Fabric
+from canskin.peers import Peer
+from canskin.session import DEFAULT_ENDPOINT, LOOK_S, Stop, Words, find_skin
+from skin.layout import RECORDING_SUFFIX, Layout, layout_text, load_layout, parse_layout
+
+#: Longest wait for the hub, the skin and its layout: that of `canskin.connect`.
+PATIENCE_S: Final = 5.0
+#: Longest wait for a hub that is there already.
+GLANCE_S: Final = 0.5
+#: Most differences of two layouts that a message names, and most characters of a value.
+_DIFFERENCES: Final = 4
+_CHARACTERS: Final = 40
+_WORDS: Final = Words("--connect", "--skin NAME", "start 'skin gateway', or give --layout FILE")
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class SkinOptions:
+    """Which skin.
+
+    Attributes
+    ----------
+    layout
+        TOML of the skin, a recording (.mcap) of the skin, or the name of a layout that comes with canskin; default: the
+        layout that the hub tells. A service with ``--layout`` waits for its hub.
+    connect
+        Endpoint of the fabric's hub, usually the gateway; default: tcp/127.0.0.1:7447.
+    skin
+        Name of the skin, where the hub has several, see ``skin list``.
+    """
+
+    layout: Path | None = None
+    connect: str | None = None
+    skin: str | None = None
+
+    @property
+    def endpoint(self) -> str:
+        """The hub's endpoint."""
+        return self.connect or DEFAULT_ENDPOINT
+
+    def find(self, stop: Stop | None = None, recording: Path | None = None, *, needs_hub: bool = True) -> Layout:
+        """Return the layout.
+
+        Parameters
+        ----------
+        stop : Stop, optional
+            If set while the hub is asked, `canskin.errors.Stopped` is raised.
+        recording : pathlib.Path, optional
+            What the verb reads; a recording has its layout in itself.
+        needs_hub : bool
+            False for a verb that works without services: without an option the layout is the default one.
+
+        Raises
+        ------
+        BusError
+            If the hub is asked, and there is no hub or no such skin in `PATIENCE_S`, or several skins are there.
+        """
+        given = self.layout
+        if given is None and recording is not None and recording.suffix.lower() == RECORDING_SUFFIX:
+            given = recording
+        if given is None and (needs_hub or self.connect or self.skin):
+            return hub_layout(self.endpoint, self.skin, stop)
+        layout = load_layout(given)
+        if self.skin not in {None, layout.name}:
+            raise InputError(f"--skin {self.skin}: {given} is of skin '{layout.name}': leave one of both out")
+        return layout
+
+    def join(self, layout: Layout, service: str, stop: Stop | None = None, patience_s: float = math.inf) -> Fabric:
+        """Return the connection of a service to the hub; see `Fabric`.
+
+        Raises
+        ------
+        LayoutError
+            If ``--layout`` differs from the layout on the hub.
+        BusError
+            If only other skins are on the hub.
+        """
+        fabric = join(layout, service, self.endpoint, stop=stop, patience_s=patience_s)
+        try:
+            if self.layout is not None:
+                self.compare(layout, fabric.instance, stop)
+        except BaseException:
+            fabric.close()
+            raise
+        return fabric
+
+    def compare(self, layout: Layout, instance: str = "", stop: Stop | None = None) -> None:
+        """Raise as `join` if a hub is there now, and another service than `instance` tells a layout."""
+        try:  # a connection of its own: that of a service knows the others only after a while
+            fabric = Fabric(layout.name, "", self.endpoint, stop=stop, patience_s=GLANCE_S)
+        except BusError:
+            return
+        with closing(fabric):
+            self._compare(layout, fabric, instance, stop)
+
+    def _compare(self, layout: Layout, fabric: Fabric, instance: str, stop: Stop | None) -> None:
+        give_up_s = time.monotonic() + PATIENCE_S
+        while others := [each for each in fabric.peers() if each.fingerprint and each.instance != instance]:
+            if own := [each for each in others if each.skin == layout.name]:
+                with suppress(BusError):  # a service of an older version does not tell
+                    told = _told(fabric, own, self.endpoint)
+                    if named := list(differences(msgspec.to_builtins(layout), msgspec.to_builtins(told))):
+                        more = f"; and {len(named) - _DIFFERENCES} more" * (len(named) > _DIFFERENCES)
+                        raise LayoutError(
+                            f"{self.layout} is not the layout of skin '{layout.name}' at {self.endpoint}:"
+                            f" {'; '.join(named[:_DIFFERENCES])}{more}. Leave --layout out, or start the other"
+                            " services with it"
+                        )
+                return
+            if stop is not None and stop.is_set():
+                raise Stopped
+            if time.monotonic() > give_up_s:
+                found = ", ".join(sorted({f"'{each.skin}'" for each in others}))
+                raise BusError(
+                    f"no skin '{layout.name}' ({self.layout}) at {self.endpoint}, found {found}: leave --layout out, or"
+                    " give another --connect"
+                )
+            time.sleep(LOOK_S)
+
+
+def join(
+    layout: Layout,
+    service: str,
+    endpoint: str,
+    *,
+    hub: bool = False,
+    stop: Stop | None = None,
+    patience_s: float = math.inf,
+) -> Fabric:
+    """Return the connection of a service that knows its layout, and tells it whoever asks; see `Fabric`."""
+    return Fabric(
+        layout.name,
+        service,
+        endpoint,
+        hub=hub,
+        stop=stop,
+        fingerprint=layout.operator().fingerprint,
+        layout=layout_text(layout),
+        patience_s=patience_s,
+    )
+
+
+def hub_layout(endpoint: str, skin: str | None, stop: Stop | None = None) -> Layout:
+    """Return the layout of a skin on a hub; see `SkinOptions.find`."""
+    peers = find_skin(endpoint, skin, PATIENCE_S, lambda peer: bool(peer.fingerprint), words=_WORDS, stop=stop)
+    with closing(Fabric(peers[0].skin, "", endpoint, stop=stop, patience_s=PATIENCE_S)) as fabric:
+        return _told(fabric, peers, endpoint)
+
+
+def _told(fabric: Fabric, peers: list[Peer], endpoint: str) -> Layout:
+    """Return the layout that the gateway tells, else any other of the services that know the layout."""
+    peer = min(peers, key=lambda each: each.service not in GATEWAYS)
+    try:
+        reply: LayoutReply = fabric.ask(LAYOUT, LayoutRequest(peer.instance), PATIENCE_S)
+    except BusError as error:
+        raise BusError(
+            f"{peer.service} of skin '{peer.skin}', canskin {peer.version}, tells no layout at {endpoint}: give"
+            " --layout FILE"
+        ) from error
+    return parse_layout(reply.toml.encode(), f"the layout of {peer.service} at {endpoint}")
+
+
+def differences(here: Any, there: Any, path: str = "$") -> Iterator[str]:
+    """Yield the path of each value that differs in two documents, with both values."""
+    if isinstance(here, dict) and isinstance(there, dict):
+        for key in {**here, **there}:
+            yield from differences(here.get(key), there.get(key), f"{path}.{key}")
+    elif isinstance(here, list) and isinstance(there, list) and len(here) == len(there) and path == "$.bus":
+        for place, pair in enumerate(zip(here, there, strict=True)):
+            yield from differences(*pair, f"{path}[{place}]")
+    elif here != there:
+        yield f"`{path}` is {_short(here)}, there {_short(there)}"
+
+
+def _short(value: Any) -> str:
+    text = "not given" if value is None else repr(value)
+    return text if len(text) <= _CHARACTERS else f"{text[:_CHARACTERS]}..."

@@ -1,0 +1,73 @@
+"""``skin list``: skins, services, what they send, and services of another layout."""
+
+import json
+import threading
+from contextlib import closing
+
+import msgspec
+import pytest
+
+from canskin.errors import BusError, InputError
+from canskin.fabric import Fabric
+from canskin.messages import GATEWAY, IMAGE, MEASUREMENT
+from health.list_command import list_
+from shell.skin_options import join
+from skin.layout import parse_layout
+from tests.layouts import layout_toml
+from tests.messages import gateway_status, image, measurement
+
+PALM = parse_layout(layout_toml(16, 16, name="palm").encode(), "palm.toml")
+SEED = msgspec.structs.replace(PALM, measurement=msgspec.structs.replace(PALM.measurement, seed=7))
+
+
+def test_services_are_listed_with_what_they_send(endpoint: str, capsys: pytest.CaptureFixture[str]) -> None:
+    stop = threading.Event()
+    with (
+        closing(join(PALM, "gateway", endpoint, hub=True)) as gateway,
+        closing(join(SEED, "classifier", endpoint)),
+        closing(join(PALM, "reconstructor", endpoint)) as reconstructor,
+        closing(Fabric("hand", "recorder", endpoint)),
+    ):
+
+        def send() -> None:
+            cycle = 0
+            while not stop.wait(0.005):
+                cycle += 1
+                gateway.publish(GATEWAY, gateway_status(cycle))
+                gateway.publish(MEASUREMENT, measurement(cycle))
+                reconstructor.publish(IMAGE, image(cycle))
+
+        sender = threading.Thread(target=send)
+        sender.start()
+        try:
+            list_(connect=endpoint, seconds=0.5, json=True)
+            list_(connect=endpoint, seconds=0.1)
+        finally:
+            stop.set()
+            sender.join()
+    document, table = capsys.readouterr().out.split("\n", 1)
+    found = json.loads(document)
+    by_name = {each["service"]: each for each in found["services"]}
+    assert found["skins"]["palm"]["layout"].startswith("16 x 16 taxels, 64 sums, synchronous, SYNC 100 Hz")
+    assert found["skins"]["hand"] == {"error": "no service that knows its layout"}
+    assert by_name["gateway"]["rate_hz"] > 0 < by_name["reconstructor"]["rate_hz"]
+    assert by_name["gateway"]["state"].endswith("nodes operational")
+    assert by_name["reconstructor"]["state"] == "sends"
+    assert by_name["classifier"]["state"] == "has another layout than the gateway"
+    assert by_name["classifier"]["rate_hz"] == 0
+    assert by_name["recorder"]["rate_hz"] is None
+    assert by_name["gateway"]["fingerprint"] == PALM.phi().fingerprint != by_name["classifier"]["fingerprint"]
+    assert [line.split()[:2] for line in table.splitlines()[3:]] == [
+        ["hand", "recorder"],
+        ["palm", "classifier"],
+        ["palm", "gateway"],
+        ["palm", "reconstructor"],
+    ]
+
+
+def test_a_hub_without_services_and_a_wrong_time_are_errors(endpoint: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(InputError, match="--seconds: expected above 0"):
+        list_(connect=endpoint, seconds=0)
+    monkeypatch.setattr("health.list_command.PATIENCE_S", 0.2)
+    with closing(Fabric("palm", "", endpoint, hub=True)), pytest.raises(BusError, match="no service at"):
+        list_(connect=endpoint)

@@ -1,0 +1,154 @@
+"""Where a verb's layout comes from: its options, the recording that it reads, or the services on a hub."""
+
+import sys
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from canskin.errors import BusError, InputError, LayoutError
+from canskin.fabric import Fabric
+from shell import skin_options
+from shell.command import main
+from shell.skin_options import SkinOptions, differences, join
+from skin.layout import Layout, layout_text, load_layout, parse_layout
+from tests.layouts import layout_toml
+
+PALM = parse_layout(layout_toml(16, 16, name="palm").encode(), "palm.toml")
+OTHER = msgspec.structs.replace(PALM, sync=msgspec.structs.replace(PALM.sync, rate_hz=50.0))
+HAND = msgspec.structs.replace(PALM, name="hand")
+
+
+@pytest.fixture(autouse=True)
+def little_patience(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(skin_options, "PATIENCE_S", 0.4)
+
+
+@contextmanager
+def hub(endpoint: str, layout: Layout, service: str = "gateway") -> Iterator[Fabric]:
+    with closing(join(layout, service, endpoint, hub=True)) as fabric:
+        yield fabric
+
+
+def written(layout: Layout, folder: Path) -> Path:
+    path = folder / "given.toml"
+    path.write_text(layout_text(layout))
+    return path
+
+
+@pytest.mark.parametrize("service", ["gateway", "reconstructor"])
+def test_any_service_of_the_skin_tells_its_layout(endpoint: str, service: str) -> None:
+    with hub(endpoint, PALM, service):
+        assert SkinOptions(connect=endpoint).find() == PALM
+        assert SkinOptions(connect=endpoint, skin="palm").find() == PALM
+
+
+def test_the_gateway_counts_where_services_have_different_layouts(endpoint: str) -> None:
+    first = join(OTHER, "reconstructor", endpoint, hub=True)
+    with closing(first), closing(join(OTHER, "viewer", endpoint)), closing(join(PALM, "gateway", endpoint)):
+        assert SkinOptions(connect=endpoint).find() == PALM
+
+
+def test_several_skins_need_a_name(endpoint: str) -> None:
+    with hub(endpoint, PALM), closing(join(HAND, "gateway", endpoint)):
+        with pytest.raises(BusError, match=r"several skins at .*: 'hand', 'palm'; .* --skin NAME"):
+            SkinOptions(connect=endpoint).find()
+        assert SkinOptions(connect=endpoint, skin="hand").find() == HAND
+        with pytest.raises(BusError, match=r"no skin 'foot' at .*, found 'hand', 'palm': start 'skin gateway'"):
+            SkinOptions(connect=endpoint, skin="foot").find()
+
+
+def test_a_hub_of_services_that_know_no_layout_is_told_from_a_skin(endpoint: str) -> None:
+    with (
+        closing(Fabric("palm", "gateway", endpoint, hub=True)),
+        pytest.raises(BusError, match=r"no skin at .*, found gateway of 'palm': .* give --layout FILE"),
+    ):
+        SkinOptions(connect=endpoint).find()
+
+
+def test_a_service_of_a_version_that_tells_no_layout_is_named(endpoint: str) -> None:
+    with (
+        closing(Fabric("palm", "gateway", endpoint, hub=True, fingerprint="12ab")),
+        pytest.raises(BusError, match=r"gateway of skin 'palm', canskin .*, tells no layout at .*: give --layout FILE"),
+    ):
+        SkinOptions(connect=endpoint).find()
+
+
+@pytest.mark.parametrize(
+    "verb",
+    [
+        ["record", "run.mcap"],
+        ["reconstruct"],
+        ["classify"],
+        ["view", "--port", "0"],
+        ["show", "--foxglove", "run-foxglove.mcap"],
+        ["ros2"],
+        ["load"],
+        ["tare"],
+        ["calibration", "show"],
+        ["calibration", "save", "it.json"],
+        ["config"],
+    ],
+    ids=" ".join,
+)
+def test_every_verb_that_connects_needs_no_layout_and_tells_one_error_without_a_hub(
+    verb: list[str],
+    endpoint: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("shell.service.StopSignal.install", lambda self: self)
+    monkeypatch.setattr(sys, "argv", ["skin", *verb, "--connect", endpoint])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 2
+    assert capsys.readouterr().err == f"skin: no hub at {endpoint}: start 'skin gateway', or give another --connect\n"
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_layout_that_differs_is_refused_with_what_differs(endpoint: str, tmp_path: Path) -> None:
+    options = SkinOptions(layout=written(OTHER, tmp_path), connect=endpoint)
+    with hub(endpoint, PALM):
+        for refused in (lambda: options.join(options.find(), "viewer"), lambda: options.compare(options.find())):
+            with pytest.raises(LayoutError, match=r"`\$.sync.rate_hz` is 50.0, there 100.0. Leave --layout out"):
+                refused()
+        same = SkinOptions(layout=written(PALM, tmp_path), connect=endpoint)
+        same.join(same.find(), "viewer").close()
+
+
+def test_a_layout_of_another_skin_than_those_of_the_hub_is_refused(endpoint: str, tmp_path: Path) -> None:
+    options = SkinOptions(layout=written(HAND, tmp_path), connect=endpoint)
+    with hub(endpoint, PALM), pytest.raises(BusError, match=r"no skin 'hand' \(.*given.toml\) at .*, found 'palm'"):
+        options.join(options.find(), "viewer")
+
+
+def test_a_hub_that_knows_no_skin_yet_is_joined(endpoint: str, tmp_path: Path) -> None:
+    options = SkinOptions(layout=written(PALM, tmp_path), connect=endpoint)
+    options.compare(PALM)  # no hub is there
+    with closing(Fabric("demo", "demo", endpoint, hub=True)), closing(options.join(PALM, "reconstructor")):
+        assert SkinOptions(connect=endpoint).find() == PALM
+
+
+def test_two_names_are_refused() -> None:
+    with pytest.raises(InputError, match="--skin palm: default is of skin 'skin': leave one of both out"):
+        SkinOptions(layout=Path("default"), skin="palm").find()
+
+
+def test_verbs_without_services_take_the_default_skin() -> None:
+    assert SkinOptions().find(needs_hub=False) == load_layout()
+    assert SkinOptions().find(recording=Path("run.log"), needs_hub=False) == load_layout()
+
+
+def test_differences_name_the_path_and_both_values() -> None:
+    buses = [msgspec.structs.replace(PALM.bus[0], bitrate=500_000), *PALM.bus[1:]]
+    other = msgspec.structs.replace(PALM, bus=buses, taxels=msgspec.structs.replace(PALM.taxels, untouchable=[3]))
+    pair = msgspec.to_builtins(PALM), msgspec.to_builtins(other)
+    assert list(differences(*pair)) == [
+        "`$.taxels.untouchable` is not given, there [3]",
+        "`$.bus[0].bitrate` is 1000000, there 500000",
+    ]
+    assert list(differences(*pair[:1] * 2)) == []
