@@ -367,13 +367,24 @@ class Commissioning:
             elif board is None or board.node != owner:
                 self.strangers.append(f"{name}: its place is {self._place(owner)}, on another bus")
             elif board.is_begun:
-                if not board.trouble:
+                if not board.trouble and not (yield from self._is_numbered(board, address)):
                     self.strangers.append(f"{name}: {self._place(owner)} has this serial number already")
             elif count > 1:
                 board.trouble = TWO_SERIALS
             else:
                 board.done = f"found, revision {revision:X}h"
                 yield from self._guarded(board, self._selected(board, address))
+
+    def _is_numbered(self, board: Board, address: Address) -> Generator[Step, Answer, bool]:
+        """Tell whether one board has the address, with its node-ID: Lely answers the fastscan then, too."""
+        found = NO_NODE_ID
+        try:
+            if (yield from self._select(address)):
+                found = (yield from self._configure(Lss.INQUIRE_NODE_ID))[1]
+        except TroubleError:  # two boards answer
+            pass
+        yield from self._all_waiting()
+        return found == board.node.node_id
 
     def _selected(self, board: Board, address: Address) -> Steps:
         if not (yield from self._select(address)):

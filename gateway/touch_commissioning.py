@@ -92,8 +92,8 @@ class TouchCommissioning(Commissioning):
         Takes a line for the person who touches.
     patience_s : float
         Longest wait for a touch on a place, and for its end.
-
-    The others are those of `Commissioning`.
+    **options
+        The other parameters of `Commissioning`.
     """
 
     def __init__(
