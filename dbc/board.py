@@ -126,6 +126,8 @@ class Board(_Table, frozen=True, kw_only=True):
         ``window`` or ``alternating``, see `dbc.contract`.
     sync_cob_id, sync_period_us, sync_window_us, sync_overflow : int
         1005h, 1006h, 1007h and 1019h; with `sync_overflow` 0, SYNC has no counter.
+    recognition_window_us : int
+        2008h:2 of boards with two states.
     emcy_cob_id, sdo_request_cob_id, sdo_response_cob_id, heartbeat_cob_id, heartbeat_ms : int
     sending : str
         ``synchronous`` or ``adaptive``.
@@ -168,6 +170,7 @@ class Board(_Table, frozen=True, kw_only=True):
     sync_cob_id: int
     sync_period_us: int
     sync_window_us: int
+    recognition_window_us: int | None = None
     sync_overflow: int
     emcy_cob_id: int
     sdo_request_cob_id: int
@@ -213,6 +216,7 @@ def board(contract: Contract, node: NodeContract) -> Board:
         sync_cob_id=int(values[od.SYNC_COB_ID, 0]),
         sync_period_us=int(values[od.CYCLE_PERIOD_US, 0]),
         sync_window_us=int(values[od.WINDOW_US, 0]),
+        recognition_window_us=None if contract.recognition is None else int(values[od.STATE, 2]),
         sync_overflow=int(values[od.SYNC_OVERFLOW, 0]),
         emcy_cob_id=int(values[od.EMCY_COB_ID, 0]),
         sdo_request_cob_id=SDO_REQUEST_BASE + node.node_id,

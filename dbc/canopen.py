@@ -156,6 +156,16 @@ class Lss(IntEnum):
     INQUIRE_NODE_ID = 0x5E
 
 
+class LssError(IntEnum):
+    """Error codes of LSS responses (CiA 305); a value out of range is not supported."""
+
+    NONE = 0
+    NOT_SUPPORTED = 1
+    STORAGE = 2
+
+
+#: Index of a bit timing that is not known.
+NO_BIT_TIMING: Final = 0xFF
 #: Bit check of the fastscan request that every node without node-ID answers.
 FASTSCAN_ALL: Final = 0x80
 

@@ -5,6 +5,10 @@ from typing import Final, NamedTuple
 
 import msgspec
 
+from canskin.peers import ORDINARY
+
+#: Part of the cores above which a chain has too little of them.
+FULL_RATIO: Final = 0.85
 #: Most nodes that the table names when frames are missing.
 NAMED: Final = 5
 
@@ -128,6 +132,10 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
     cpu_ratio : dict of str to float
         Processor time, user and system, of each process / wall time; one processor is 1. Empty where the system does
         not tell.
+    cores : int
+        Of the machine.
+    scheduling : str
+        Of the demo's process at the end, see `canskin.peers.Peer`; empty where it did not ask.
     states : dict of str to StateFigures
         Of the states ``recognition`` and ``images``, where the nodes have them.
     switches : int
@@ -165,6 +173,8 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
     bus_load: list[float]
     kbit_per_s: float | None = None
     cpu_ratio: dict[str, float] = {}
+    cores: int = 0
+    scheduling: str = ""
     states: dict[str, StateFigures] = {}
     switches: int = 0
     switch_ms: Percentiles = Percentiles(p50=None, p99=None)
@@ -180,18 +190,23 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
         because = f": nodes gave up {self.frames_dropped} TPDOs that did not get on the bus in time"
         return words.incomplete.format(because=because if self.frames_dropped else "")
 
+    @property
+    def likely_cause(self) -> str:
+        """What this machine lacks that may explain incomplete cycles; empty if it lacks nothing known."""
+        used = sum(self.cpu_ratio.values())
+        if self.cores and used > FULL_RATIO * self.cores:
+            return f"no processor is left: the chain takes {used:.1f} of {self.cores} cores"
+        if self.scheduling == ORDINARY:
+            return "no real-time priority, so other programs delay the nodes: 'skin doctor time' says what gives it"
+        return ""
+
     def rows(self) -> list[tuple[str, str]]:
         """Return the rows of the table: name and text of each figure."""
         words = WORDS[self.sending]
         name, counts = words.counts
         counted = counts.format(cycles=self.cycles, complete=self.cycles_complete, rate_hz=self.sync_rate_hz)
         frames = f"{self.frames_sent} sent, {self.frames_received} received, {self.frames_lost} lost"
-        rows = [(name, counted), ("frames", frames)]
-        if self.frames_missing:
-            late = f"{self.frames_dropped} given up by their nodes, {self.frames_late} late"
-            rows.append(("missing", f"{self.frames_missing} frames missed their cycle: {late}"))
-            worst = (f"{each.bus}:{each.node} ({each.missing})" for each in self.nodes_missing[:NAMED])
-            rows.append(("missing most", f"node {', '.join(worst)}"))
+        rows = [(name, counted), ("frames", frames), *self._rows_of_missing()]
         bits = f"; {self.kbit_per_s:.0f} kbit/s on all" if self.kbit_per_s is not None else ""
         rows.append(("bus load", ", ".join(f"{load:.1%}" for load in self.bus_load) + bits))
         latency = self.latency_ms
@@ -226,6 +241,17 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
         if self.picture:
             rows.append(("picture", self.picture))
         return rows
+
+    def _rows_of_missing(self) -> list[tuple[str, str]]:
+        if not self.frames_missing:
+            return []
+        late = f"{self.frames_dropped} given up by their nodes, {self.frames_late} late"
+        worst = (f"{each.bus}:{each.node} ({each.missing})" for each in self.nodes_missing[:NAMED])
+        rows = [
+            ("missing", f"{self.frames_missing} frames missed their cycle: {late}"),
+            ("missing most", f"node {', '.join(worst)}"),
+        ]
+        return [*rows, ("likely cause", self.likely_cause)] if self.likely_cause else rows
 
     def _rows_of_states(self) -> list[tuple[str, str]]:
         rows = []

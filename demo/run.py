@@ -77,7 +77,7 @@ class Run:
             self._start_services(endpoint)
             self._await_services(stop)
             if not stop.is_set():
-                request_real_time("demo", fabric.tell_scheduling)  # all messages go through this process
+                request_real_time("demo", self._obtained)  # all messages go through this process
                 tare = "at-start" if self._options.has_zero_errors(self._layout) else "never"
                 self._supervisor.start("gateway", "gateway", *self._common(endpoint), "--tare", tare)
                 self._follow(stop, endpoint)
@@ -89,6 +89,12 @@ class Run:
                 self._supervisor.stop(name)
                 time.sleep(TURN_S)  # wait for the last frames and counters
         return self.score.report()
+
+    def _obtained(self, scheduling: str) -> None:
+        """Tell page and summary the scheduling of this process."""
+        self.score.scheduling = scheduling
+        if self._fabric is not None:
+            self._fabric.tell_scheduling(scheduling)
 
     def save_picture(self, report: Report) -> Report | None:
         """Save the picture if there was contact; return the report with its path, None if the file was not written."""

@@ -4,6 +4,7 @@ PSNR follows the paper's equation with the skin's largest force as peak, per cyc
 adaptive sending, for each truth, 100 a second, of the image that was on show at its instant.
 """
 
+import os
 import threading
 from collections import deque
 from collections.abc import Collection, Sequence
@@ -64,6 +65,8 @@ class Score:
         Labels at such truths, and right labels.
     cpu_ratio : dict of str to float
         Processor time / wall time of each process; set by the run.
+    scheduling : str
+        Of the demo's process; set by the run.
     """
 
     layout: Layout
@@ -82,6 +85,7 @@ class Score:
     snapshot: Snapshot | None = None
     last_label: Label | None = None
     cpu_ratio: dict[str, float] = field(default_factory=dict)
+    scheduling: str = ""
     _images: ImagePairs = field(init=False)
     _labels: LabelPairs = field(init=False)
     _measurements: Pairing[CycleMeasurement] = field(init=False)
@@ -247,6 +251,8 @@ class Score:
             bus_load=[round(load, 4) for load in loads],
             kbit_per_s=self._kbit_per_s(loads),
             cpu_ratio=self.cpu_ratio,
+            cores=os.cpu_count() or 0,
+            scheduling=self.scheduling,
             states=self._states.figures(),
             switches=self._states.switches,
             switch_ms=_percentiles(self._states.switch_ms),

@@ -80,7 +80,11 @@ class AdaptiveFrames(ExpectedFrames):
 
     def compare(self, came: Frames, picture: Picture, state: int, values: Values) -> None:  # noqa: ARG002
         """Compare every frame of a picture, and what came with what had to come."""
-        noise_n = float(np.frombuffer(values.get((od.NODE_NOISE, 0), bytes(4)), "<f4")[0])
+        told = values.get((od.NODE_NOISE, 0), bytes(4))
+        noise_n = float(np.frombuffer(told, "<f4")[0]) if len(told) == 4 else np.nan
+        if not 0 <= noise_n < np.inf:
+            self._differs(f"{picture.name}: the noise ({od.NODE_NOISE:04X}h) is no number of newtons: {told.hex(' ')}")
+            return
         syncs = syncs_of(came)
         if len(syncs) < SETTLING:
             self._differs(f"{picture.name}: the SYNC was not sent")

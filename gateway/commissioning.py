@@ -26,6 +26,7 @@ from dbc.canopen import (
     SDO_RESPONSE_BASE,
     SYNC_COB_ID,
     Lss,
+    LssError,
     NmtCommand,
 )
 from dbc.configuration import DIALOGUES, Setting, configuration, expected_signature
@@ -44,8 +45,6 @@ GAP_S: Final = 0.002
 PATIENCE_S: Final = 2.0
 #: Longest time in which a board resets its communication.
 RESET_S: Final = 0.2
-#: Error code of a board that does not know the service or the value; others failed.
-_NOT_SUPPORTED: Final = 1
 
 Address = tuple[int, int, int, int]
 
@@ -203,7 +202,8 @@ class Commissioning:
             can_id, data = int(each["can_id"]), each["data"][: each["length"]].tobytes()
             self._has_sync |= can_id == SYNC_COB_ID
             if isinstance(self._step, Ask):
-                if can_id == self._step.reply_id and data.startswith(self._step.begins):
+                is_whole = can_id != LSS_RESPONSE_COB_ID or len(data) == LSS_BYTES
+                if can_id == self._step.reply_id and is_whole and data.startswith(self._step.begins):
                     self._answers.append(data)
                     self._ends_s = min(self._ends_s, max(now_s, self._began_s + WINDOW_S))
             elif can_id & ~HIGHEST_NODE_ID == SDO_RESPONSE_BASE and can_id & HIGHEST_NODE_ID in self._talked:
@@ -370,13 +370,24 @@ class Commissioning:
             elif board is None or board.node != owner:
                 self.strangers.append(f"{name}: its place is {self._place(owner)}, on another bus")
             elif board.is_begun:
-                if not board.trouble:
+                if not board.trouble and not (yield from self._is_numbered(board, address)):
                     self.strangers.append(f"{name}: {self._place(owner)} has this serial number already")
             elif count > 1:
                 board.trouble = TWO_SERIALS
             else:
                 board.done = f"found, revision {revision:X}h"
                 yield from self._guarded(board, self._selected(board, address))
+
+    def _is_numbered(self, board: Board, address: Address) -> Generator[Step, Answer, bool]:
+        """Tell whether one board has the address, with its node-ID: Lely answers the fastscan then, too."""
+        found = NO_NODE_ID
+        try:
+            if (yield from self._select(address)):
+                found = (yield from self._configure(Lss.INQUIRE_NODE_ID))[1]
+        except TroubleError:  # two boards answer
+            pass
+        yield from self._all_waiting()
+        return found == board.node.node_id
 
     def _selected(self, board: Board, address: Address) -> Steps:
         if not (yield from self._select(address)):
@@ -456,7 +467,7 @@ class Commissioning:
         if len(came) > 1:
             raise TroubleError(TWO_SERIALS)
         if command != Lss.INQUIRE_NODE_ID and came[0][1]:
-            why = "not supported" if came[0][1] == _NOT_SUPPORTED else f"error {came[0][1]}"
+            why = "not supported" if came[0][1] == LssError.NOT_SUPPORTED else f"error {came[0][1]}"
             raise RefusedError(f"refuses {what}: {why}")
         return came[0]
 

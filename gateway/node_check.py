@@ -32,12 +32,12 @@ from dbc.canopen import (
 from dbc.configuration import Setting, calibration, configuration, setting_of, signature, with_calibration
 from dbc.contract import Contract, NodeContract
 from dbc.dictionary import SILENT_AFTER_S, dictionary
-from dbc.frame import ECHO, ERROR, REMOTE, Frames, frames, one_frame
+from dbc.frame import ECHO, ERROR, EXTENDED, REMOTE, Frames, frames, one_frame
 from dbc.objects import Object
 from gateway.adaptive_node_frames import AdaptiveFrames
 from gateway.node_frames import CYCLES, SETTLING, NodeReport, Picture, SynchronousFrames, syncs_of
 from gateway.proof import NO_SIGNATURE
-from gateway.sdo import Dialogue, Read, SdoAbortedError, SdoDialogue, SdoError, Transfer, Write
+from gateway.sdo import Read, SdoAbortedError, SdoDialogue, SdoError, Transfer, Write, one
 
 #: Time in which another SYNC producer must be heard, in periods, and at least in seconds.
 LISTEN_PERIODS: Final = 3
@@ -121,7 +121,7 @@ class NodeCheck:
 
     def take(self, arrived: Frames, now_s: float) -> None:
         """Use received frames, with the echoes of own frames."""
-        arrived = arrived[(arrived["flags"] & (ERROR | REMOTE)) == 0]
+        arrived = arrived[(arrived["flags"] & (ERROR | REMOTE | EXTENDED)) == 0]
         if self.done or not len(arrived):
             return
         self._heard.append(arrived)
@@ -200,7 +200,7 @@ class NodeCheck:
             self._ends_s, self._wanted = np.inf, SETTLING + CYCLES + 1
         else:
             self._ends_s = np.inf
-            self._dialogue = SdoDialogue(self._node.node_id, _one(step), self._send_one, now_s)
+            self._dialogue = SdoDialogue(self._node.node_id, one(step), self._send_one, now_s)
         self.due_s = min(self._ends_s, self._sync_s)
 
     def _send_one(self, can_id: int, data: bytes) -> None:
@@ -254,7 +254,12 @@ class NodeCheck:
                 text = f"{setting} is {setting.text(data)}, expected {setting.text()}"
                 is_allowed = _of_first_block(setting.index) in _ALLOWED or (setting.index, setting.subindex) == _SERIAL
                 (self.report.notes if is_allowed else self.report.differences).append(text)
-        self._state = self._values.get((od.STATE, 1), bytes((self._state,)))[0]
+        state = int.from_bytes(self._values.get((od.STATE, 1), bytes((self._state,))), "little")
+        if state in self._expected.states:
+            self._state = state
+        else:
+            expected = " or ".join(f"{each:d}" for each in self._expected.states)
+            self._differs(f"the state ({od.STATE:04X}h:1) is {state}, expected {expected}")
         yield from self._signature(od.SIGNATURE, configuration(self._contract, self._node))
         yield from self._gains()
         if errors := (yield from self._errors()):
@@ -386,11 +391,6 @@ class NodeCheck:
 
     def _differs(self, text: str) -> None:
         self.report.differences.append(text)
-
-
-def _one(transfer: Transfer) -> Dialogue:
-    """Do one transfer."""
-    return (yield transfer)
 
 
 def _is_of_board(each: Object) -> bool:

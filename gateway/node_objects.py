@@ -21,7 +21,7 @@ from dbc.canopen import SDO_RESPONSE_BASE
 from dbc.contract import Contract, NodeContract
 from dbc.eds import eds, node_types
 from dbc.frame import ECHO, ERROR, EXTENDED, REMOTE, Frames, one_frame
-from gateway.sdo import Dialogue, Read, SdoDialogue, Write
+from gateway.sdo import Read, SdoDialogue, Write, one
 
 #: Names of CANopen's data types (CiA 301, table 44).
 _TYPES: Final = {value: name for name, value in vars(datatypes).items() if name.isupper() and isinstance(value, int)}
@@ -78,7 +78,7 @@ class Entry:
         kind, variable, place = self.variable.data_type, self.variable, f"{self.name} ({self.place})"
         is_whole = kind in datatypes.INTEGER_TYPES or kind == datatypes.BOOLEAN
         try:
-            value = int(text, 0) if is_whole else float(text) if kind in datatypes.FLOAT_TYPES else text
+            value = _whole(text) if is_whole else float(text) if kind in datatypes.FLOAT_TYPES else text
             data = bytes(variable.encode_raw(value))
         except (ValueError, struct.error, OverflowError, TypeError, canopen.ObjectDictionaryError) as error:
             raise InputError(f"{place}: expected a value of {self.type_name}, got '{text}'") from error
@@ -89,6 +89,11 @@ class Entry:
         if not 1 <= len(data) <= _EXPEDITED:
             raise InputError(f"{place}: expected a value of 1 to {_EXPEDITED} bytes, got {len(data)}")
         return data
+
+
+def _whole(text: str) -> int:
+    """Return the number of ``1635``, ``0x663`` or, as CiA 301 writes it, ``663h``."""
+    return int(text[:-1], 16) if text.lower().endswith("h") else int(text, 0)
 
 
 def entries_of_node(contract: Contract, node: NodeContract) -> list[Entry]:
@@ -205,11 +210,7 @@ class NodeTransfers:
     def _begin(self, now_s: float) -> None:
         entry, data = self._left[0]
         transfer = Write(entry.index, entry.subindex, data) if data else Read(entry.index, entry.subindex)
-
-        def steps() -> Dialogue:
-            return (yield transfer)
-
-        self._dialogue = SdoDialogue(self._node_id, steps(), self._send_one, now_s)
+        self._dialogue = SdoDialogue(self._node_id, one(transfer), self._send_one, now_s)
 
     def _send_one(self, can_id: int, data: bytes) -> None:
         self._send(one_frame(can_id, data))

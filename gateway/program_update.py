@@ -14,7 +14,6 @@ from dbc.canopen import HEARTBEAT_BASE, NMT_COB_ID, SDO_REQUEST_BASE, SDO_RESPON
 from dbc.frame import ECHO, ERROR, EXTENDED, REMOTE, Frames, one_frame
 from dbc.program import FlashError, Program, ProgramControl
 from gateway.sdo import (
-    Dialogue,
     Download,
     Read,
     SdoAbortedError,
@@ -23,6 +22,7 @@ from gateway.sdo import (
     SdoTimeoutError,
     Transfer,
     Write,
+    one,
 )
 
 #: A board answers within this time, also when it erases its memory or checks a program.
@@ -172,9 +172,9 @@ class ProgramUpdate:
             return
         self._has_booted = False
         if isinstance(step, Read):
-            self._dialogue = SdoDialogue(self._node_id, _one(step), self._send_one, now_s)
+            self._dialogue = SdoDialogue(self._node_id, one(step), self._send_one, now_s)
         else:  # as long as the memory takes
-            self._dialogue = SdoDialogue(self._node_id, _one(step), self._send_one, now_s, attempts=1, timeout_s=SLOW_S)
+            self._dialogue = SdoDialogue(self._node_id, one(step), self._send_one, now_s, attempts=1, timeout_s=SLOW_S)
         self.due_s = self._dialogue.due_s
 
     def _look(self, now_s: float) -> None:
@@ -243,10 +243,6 @@ class ProgramUpdate:
         if outcome.after != self._wanted:
             raise SdoError("the board has started another program than the new one")
         return "started"
-
-
-def _one(transfer: Transfer) -> Dialogue:
-    return (yield transfer)
 
 
 def _until_ready() -> range:

@@ -25,6 +25,8 @@ MOST_LOST: Final = 10
 ROOM_S: Final = 0.0004
 
 _TOGGLE: Final = 0x10
+#: Most segments of a block.
+_MOST_SEGMENTS: Final = 127
 #: Bytes of a segment.
 _SEGMENT: Final = 7
 #: First bytes of the answers to a block download, and the bits that count (CiA 301, 7.2.4.3.9 to 7.2.4.3.11).
@@ -76,6 +78,11 @@ Transfer = Read | Write | Download
 _Requests = Generator[Sequence[bytes], bytes, None]
 #: Yields transfers, receives the value read (empty after a write), and returns a result.
 Dialogue = Generator[Transfer, bytes, "object"]
+
+
+def one(transfer: Transfer) -> Dialogue:
+    """Do one transfer; the result is the value read."""
+    return (yield transfer)
 
 
 class SdoError(Exception):
@@ -297,7 +304,7 @@ def _in_blocks(place: bytes, data: bytes) -> _Requests:
     answer = yield [b"\xc6" + place + len(data).to_bytes(4, "little")]
     while answer[0] & _BLOCK_BITS != _BLOCKS_BEGUN or answer[1:4] != place:
         answer = yield ()
-    at, most, idle = 0, answer[4], 0
+    at, most, idle = 0, min(answer[4], _MOST_SEGMENTS), 0
     while at < len(data):
         segments = range(at, min(at + _SEGMENT * most, len(data)), _SEGMENT)
         answer = yield [
@@ -307,7 +314,7 @@ def _in_blocks(place: bytes, data: bytes) -> _Requests:
         while answer[0] & _BLOCK_BITS != _BLOCK_TAKEN or answer[1] > len(segments):
             answer = yield ()
         # What came behind a gap is sent again.
-        at, most, idle = at + _SEGMENT * answer[1], answer[2], 0 if answer[1] else idle + 1
+        at, most, idle = at + _SEGMENT * answer[1], min(answer[2], _MOST_SEGMENTS), 0 if answer[1] else idle + 1
         if idle > MOST_LOST:
             raise SdoError
     unused = -len(data) % _SEGMENT

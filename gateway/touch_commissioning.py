@@ -45,14 +45,14 @@ from gateway.commissioning import (
     lss_request,
     scan,
 )
-from gateway.sdo import Dialogue, Read
+from gateway.sdo import Dialogue, Read, SdoError
 from gateway.touch_sensing import TouchSensing, map_of
 from skin.surface import Floats, Indices
 from skin.sync_counter import next_counter
 
 #: Rounds without touch at the begin.
 REST_ROUNDS: Final = 10
-#: Time to take the hands away before.
+#: Time to take the hands away before these rounds.
 AWAY_S: Final = 2.0
 #: Rounds in a row that tell the same touch, or none.
 HELD_ROUNDS: Final = 3
@@ -92,8 +92,8 @@ class TouchCommissioning(Commissioning):
         Takes a line for the person who touches.
     patience_s : float
         Longest wait for a touch on a place, and for its end.
-
-    The others are those of `Commissioning`.
+    **options
+        The other parameters of `Commissioning`.
     """
 
     def __init__(
@@ -232,12 +232,12 @@ class TouchCommissioning(Commissioning):
             if len(touched) > 1:
                 self._say(f"{len(touched)} boards are touched at once: lift")
             elif owner is not None:
-                self._say(f"this is {_place(owner.node)}, whose board has its node-ID already: lift")
+                self._say(f"this is {_blocks_text(owner.node)}, whose board has its node-ID already: lift")
             else:
                 address = self._lent[touched[0]]
                 if not (yield from self._select(address)):  # its LED flickers from now on
                     raise TroubleError("no longer answers")
-                self._say(f"{_place(board.node)}: felt by the board with serial number {address[3]}: lift")
+                self._say(f"{_blocks_text(board.node)}: felt by the board with serial number {address[3]}: lift")
             # A hand that was there in the rounds without touch, and leaves, looks like a touch that does not end.
             if (yield from self._held(sensing, self._now_s + self._patience_s, lambda each: not each)) is None:
                 self._is_disturbed = True
@@ -245,7 +245,7 @@ class TouchCommissioning(Commissioning):
             if owner is None and len(touched) == 1:
                 yield from self._give_place(board, touched[0])
                 return
-            self._say(f"touch {_place(board.node)} alone")
+            self._say(f"touch {_blocks_text(board.node)} alone")
 
     def _give_place(self, board: Board, lent: int) -> Steps:
         """Let the selected board with the node-ID `lent` store that of its place."""
@@ -299,7 +299,7 @@ class TouchCommissioning(Commissioning):
             self._say(f"  {line}")
         middle_m = positions_m[taxels].mean(axis=0)
         where = ", ".join(f"{axis} {1e3 * at_m + 0:.0f} mm" for axis, at_m in zip("xyz", middle_m, strict=True))
-        self._say(f"touch {_place(node)}, # on the map: {where}")
+        self._say(f"touch {_blocks_text(node)}, # on the map: {where}")
 
     # The end
 
@@ -325,7 +325,7 @@ def _name(address: Address) -> str:
     return f"the board with serial number {address[3]} (vendor-ID {address[0]:X}h, product code {address[1]:X}h)"
 
 
-def _place(node: NodeContract) -> str:
+def _blocks_text(node: NodeContract) -> str:
     return f"block {node.block}" if node.blocks == 1 else f"blocks {node.block} to {node.block + node.blocks - 1}"
 
 
@@ -342,5 +342,7 @@ def _read_sums(contract: Contract, node: NodeContract) -> Dialogue:
     raw = []
     for place, subindex in sums[:: -(-len(sums) // MOST_SUMS)]:
         value = yield Read(od.of_block(od.SUMS, place), subindex)
+        if not 1 <= len(value) <= 2:
+            raise SdoError(f"sum {subindex} has {len(value)} bytes, expected 1 or 2")
         raw.append(int.from_bytes(value, "little", signed=not node.packing.offset))
     return raw

@@ -7,18 +7,17 @@ import numpy as np
 
 from skin.surface import Floats, Indices
 
-#: A touch changes the sums of a board by this many deviations of their noise,
-NOISES: Final = 8.0
-#: by this part of the range of a taxel, root mean square,
-PART: Final = 0.02
-#: and by this many of the largest rounding errors.
-ROUNDINGS: Final = 4.0
-#: Another board is touched, too, where its change is at least this part of the largest.
-TOO: Final = 0.5
-#: How fast the sums of boards that nothing touches are learned anew: zeros drift.
-LEARNING: Final = 0.05
-#: Columns and rows of a map.
-MAP: Final = (60, 20)
+#: Least change of the sums of a board that is touched, root mean square: in standard deviations of their noise, as
+#: part of the range of a taxel, and in largest rounding errors. The largest of the three counts.
+LEAST_DEVIATIONS: Final = 8.0
+LEAST_PART: Final = 0.02
+LEAST_ROUNDINGS: Final = 4.0
+#: Of several boards that change, those are touched whose change is at least this part of the largest.
+PART_OF_LARGEST: Final = 0.5
+#: Part of the difference by which the sums without touch follow in a round: zeros drift.
+LEARNING_GAIN: Final = 0.05
+#: Most columns and rows of a map.
+MOST_CELLS: Final = (60, 20)
 
 
 class TouchSensing:
@@ -38,9 +37,10 @@ class TouchSensing:
         boards = set.intersection(*(set(each) for each in rest))
         told = {node_id: np.array([each[node_id] for each in rest], np.float64) for node_id in boards}
         self._mean = {node_id: sums.mean(axis=0) for node_id, sums in told.items()}
-        least = max(PART * count_max, ROUNDINGS * rounding_counts)
+        least = max(LEAST_PART * count_max, LEAST_ROUNDINGS * rounding_counts)
         self._least = {
-            node_id: max(least, NOISES * float(np.sqrt(sums.var(axis=0).mean()))) for node_id, sums in told.items()
+            node_id: max(least, LEAST_DEVIATIONS * float(np.sqrt(sums.var(axis=0).mean())))
+            for node_id, sums in told.items()
         }
 
     def touched(self, told: Mapping[int, Floats]) -> tuple[int, ...]:
@@ -49,10 +49,12 @@ class TouchSensing:
         sizes = {node_id: float(np.sqrt((each**2).mean())) for node_id, each in changes.items()}
         for node_id, size in sizes.items():
             if size < self._least[node_id] / 2:
-                self._mean[node_id] += LEARNING * changes[node_id]
+                self._mean[node_id] += LEARNING_GAIN * changes[node_id]
         largest = max(sizes.values(), default=0.0)
         return tuple(
-            sorted(each for each, size in sizes.items() if size >= self._least[each] and size >= TOO * largest)
+            sorted(
+                each for each, size in sizes.items() if size >= self._least[each] and size >= PART_OF_LARGEST * largest
+            )
         )
 
 
@@ -64,7 +66,7 @@ def map_of(positions_m: Floats, taxels: Indices) -> list[str]:
     spans_m = np.ptp(positions_m, axis=0)
     axes = np.sort(np.argsort(-spans_m, kind="stable")[:2])
     spans_m, places_m = spans_m[axes], positions_m[:, axes] - positions_m[:, axes].min(axis=0)
-    cells = np.minimum(np.array(MAP), np.maximum(1, [len(np.unique(each)) for each in np.round(places_m.T, 6)]))
+    cells = np.minimum(np.array(MOST_CELLS), np.maximum(1, [len(np.unique(each)) for each in np.round(places_m.T, 6)]))
     at = np.round(places_m / np.where(spans_m > 0, spans_m, 1.0) * (cells - 1)).astype(np.intp)
     shown = np.full((cells[1], cells[0]), " ")
     shown[at[:, 1], at[:, 0]] = "."

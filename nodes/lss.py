@@ -3,10 +3,8 @@
 from collections.abc import Callable, Collection
 from typing import Final
 
-from dbc.canopen import FASTSCAN_ALL, LSS_BIT_RATES_HZ, LSS_BYTES, NO_NODE_ID, Lss
+from dbc.canopen import FASTSCAN_ALL, LSS_BIT_RATES_HZ, LSS_BYTES, NO_NODE_ID, Lss, LssError
 
-#: Error codes of responses: done, value out of range, value or storage not supported, memory failed.
-_DONE, _OUT_OF_RANGE, _FAILED = b"\0", b"\1", b"\2"
 _ADDRESS: Final = range(Lss.SWITCH_SELECTIVE, Lss.SWITCH_SELECTIVE + 4)
 _RANGES: Final = range(Lss.IDENTIFY, Lss.IDENTIFY + 6)
 _INQUIRIES: Final = range(Lss.INQUIRE_ADDRESS, Lss.INQUIRE_ADDRESS + 4)
@@ -131,12 +129,13 @@ class LssSlave:
         """Answer a request to nodes in the state LSS configuration."""
         answer = b""
         if command == Lss.NODE_ID:
-            answer = _DONE if data[1] == NO_NODE_ID or data[1] in self._known else _OUT_OF_RANGE
-            if answer is _DONE:
-                self.wanted = data[1]
+            is_known = data[1] == NO_NODE_ID or data[1] in self._known
+            self.wanted = data[1] if is_known else self.wanted
+            answer = _error(LssError.NONE if is_known else LssError.NOT_SUPPORTED)
         elif command == Lss.BIT_TIMING:
             rates = LSS_BIT_RATES_HZ if data[1] == 0 else ()
-            answer = _DONE if self._bit_rate_hz in rates[data[2] : data[2] + 1] else _OUT_OF_RANGE
+            is_known = self._bit_rate_hz in rates[data[2] : data[2] + 1]
+            answer = _error(LssError.NONE if is_known else LssError.NOT_SUPPORTED)
         elif command == Lss.STORE:
             answer = self._save()
         elif command in _INQUIRIES:
@@ -149,6 +148,10 @@ class LssSlave:
         try:
             self._store(self.wanted)
         except OSError:
-            return _FAILED
+            return _error(LssError.STORAGE)
         self._stored = self.wanted
-        return _DONE
+        return _error(LssError.NONE)
+
+
+def _error(error: LssError) -> bytes:
+    return bytes((error,))

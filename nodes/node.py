@@ -131,6 +131,7 @@ class SkinNode:
     def boot(self, now_s: float, *, communication_only: bool = False) -> None:
         """Initialise: restore parameters, send the boot-up message, enter PRE-OPERATIONAL."""
         self._enter(NmtState.INITIALISING)
+        self.local.sdo.reset()
         store = self.local.data_store
         for index in [index for index in store if index < od.MANUFACTURER or not communication_only]:
             del store[index]

@@ -57,8 +57,13 @@ class StrictSdoServer(SdoServer):
     def __init__(self, rx_cobid: int, tx_cobid: int, node: "LocalNode") -> None:
         super().__init__(rx_cobid, tx_cobid, node)  # type: ignore[no-untyped-call]
         self._local = node
-        self._index = self._subindex = 0  # what an abort before the first transfer names
         self._is_upload = False
+        self.reset()
+
+    def reset(self) -> None:
+        """End an open transfer without an answer: the node is initialised (CiA 301, 7.3.2.2)."""
+        self._buffer = None
+        self._index = self._subindex = 0  # what an abort before the first transfer names
 
     def init_upload(self, request: bytes) -> None:
         """Begin an upload (7.2.4.3.5); a value of more than four bytes follows in segments."""
@@ -129,7 +134,7 @@ class LocalNode(canopen.LocalNode):
         super().__init__(node_id, dictionary)
         self.sum_bits = sum_bits
         self.pdo_bytes = pdo_bytes
-        self.sdo = StrictSdoServer(self.sdo.rx_cobid, self.sdo.tx_cobid, self)
+        self.sdo: StrictSdoServer = StrictSdoServer(self.sdo.rx_cobid, self.sdo.tx_cobid, self)
         # The library would start a thread per node for the heartbeat.
         self._write_callbacks.clear()
 

@@ -107,7 +107,7 @@ class VirtualBoards:
             for each in self._on_bus.values()
             if each.node_id in node_ids
         ]
-        self._note_nodes()
+        self.nodes = [board.node for board in self._boards]
         self._sync_length: dict[int, int] = {}
         #: The nodes that watch the heartbeat of a node-ID; most nodes watch none.
         self._watchers: dict[int, list[SkinNode]] = {}
@@ -161,11 +161,7 @@ class VirtualBoards:
         for place in range(node.blocks):
             self._hardware.place(node.block + place, board.site.block + place)
         board.node = self._new_node(node, board.storage, board.serial)
-        self._note_nodes()
-
-    def _note_nodes(self) -> None:
         self.nodes = [board.node for board in self._boards]
-        self._by_id = {node.contract.node_id: node for node in self.nodes}
 
     def power_up(self, now_s: float) -> Frames:
         """Boot all nodes that have a node-ID."""
@@ -340,6 +336,9 @@ class VirtualBoards:
 
         Plain TPDOs are sent as arrays (`Burst`), the others one by one.
         """
+        # A silent node may be of a node-ID that another board has.
+        by_state = sorted(self.nodes, key=lambda node: node.state is not NmtState.INITIALISING)
+        self._by_id = {node.contract.node_id: node for node in by_state}
         for node in changed:
             self._sync_length[node.contract.node_id] = 1 if node.local.unsigned(od.SYNC_OVERFLOW) else 0
         self._node_ids = [node.contract.node_id for node in self.nodes]
@@ -348,6 +347,8 @@ class VirtualBoards:
         plain: list[tuple[int, NodeContract, LiveTpdo]] = []
         self._mixed: list[tuple[SkinNode, LiveTpdo]] = []
         for place, node in enumerate(self.nodes):
+            if self._by_id[node.contract.node_id] is not node:
+                continue
             for node_id in node.watched.watches:
                 self._watchers.setdefault(node_id, []).append(node)
             self.is_pdo[node.pdo_ids] = True

@@ -43,6 +43,8 @@ class Agreement:
         Messages compared up to the last that differs.
     differs : dict of str to float
         What differs, and the largest amount.
+    last : dict of str to float
+        How the last message that was compared differs.
     """
 
     made: int = 0
@@ -50,6 +52,7 @@ class Agreement:
     equal: int = 0
     first: int = 0
     differs: Difference = field(default_factory=dict)
+    last: Difference = field(default_factory=dict)
 
     def add(self, difference: Difference | None) -> None:
         """Count a message; None if nothing was recorded of it."""
@@ -58,6 +61,7 @@ class Agreement:
             return
         self.compared += 1
         self.equal += not difference
+        self.last = difference
         if difference:
             self.first = self.compared
         for what, amount in difference.items():
@@ -72,7 +76,8 @@ class Agreement:
             return "equal"
         if 2 * self.first <= self.compared:
             return f"equal but for the start, the first {self.first}: {what}"
-        return f"different: {what}"
+        end = ", ".join(f"{name} by {most:.2g}" if most else name for name, most in self.last.items())
+        return f"different: {what}; at the end {end or 'equal'}"
 
 
 @dataclass

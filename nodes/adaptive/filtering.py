@@ -32,11 +32,10 @@ class ForceFilter:
     Parameters
     ----------
     noise : Noise
-        What the nodes know of their noise; patches of one taxel are filtered taxel by taxel.
+        What the nodes know of their noise; patches of one taxel are filtered taxel by taxel. The noise is learned on
+        while nothing touches, and so are the offsets of taxels, see `nodes.adaptive.following`.
     taxels : array of int, shape (nodes,), optional
         How many taxels each node has; without it no place is empty.
-
-    Its size is learned on while nothing touches, and so are the offsets of taxels, see `nodes.adaptive.following`.
 
     Attributes
     ----------

@@ -22,8 +22,8 @@ class FirmwarePatches(PatchBoards):
     ----------
     firmware : Firmware
         Compiled for these boards.
-
-    The others are those of `PatchBoards`.
+    **analogue
+        Those of `PatchBoards`.
     """
 
     def __init__(

@@ -7,6 +7,7 @@ import numpy as np
 
 from dbc import averaging, board_sums, canopen, frame, indices, program
 from dbc.adaptive_filter import LEAST_EXPONENT, LEAST_WEIGHT, LOG2_E, POWER
+from dbc.contract import LONGEST_VALUE
 from dbc.dictionary import REACTION_NS, SkinState
 from nodes.firmware import tables
 from nodes.firmware.c_text import braced, defined, double, header, real
@@ -17,6 +18,7 @@ _ENUMERATIONS: Final[dict[str, type[IntEnum | IntFlag]]] = {
     "": canopen.NmtState,
     "NMT_": canopen.NmtCommand,
     "LSS_": canopen.Lss,
+    "LSS_ERROR_": canopen.LssError,
     "ABORT_": canopen.Abort,
     "EMERGENCY_": canopen.Emergency,
     "REGISTER_": canopen.ErrorRegister,
@@ -39,6 +41,7 @@ def contract_header() -> str:
         **{f"OD_{name}" if number in _INDICES else name: number for name, number in _whole(indices).items()},
         **_whole(canopen),
         **_whole(program),
+        "LONGEST_VALUE": LONGEST_VALUE,
         **{start + each.name: each for start, kind in _ENUMERATIONS.items() for each in kind if each.name},
         **{f"FRAME_{name}": getattr(frame, name) for name in _FRAME_FLAGS},
         **{f"OBJECT_{name}": getattr(tables, name) for name in _OBJECT_FLAGS},

@@ -3,10 +3,10 @@
 import ctypes
 import struct
 import zlib
-from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
+from canskin.errors import InputError
 from dbc.contract import Contract, NodeContract
 from dbc.dictionary import REVISION, VERSION
 from dbc.program import Program
@@ -52,8 +52,12 @@ class Flash:
         self.slots = [bytearray(each) for each in slots]
         self._paths = paths
         for slot, path in enumerate(paths):
-            with suppress(FileNotFoundError):
+            try:
                 self.slots[slot] = bytearray(path.read_bytes()[:slot_bytes])
+            except FileNotFoundError:
+                continue
+            except OSError as error:
+                raise InputError(f"{path}: cannot read the stored program: {error.strerror or error}") from error
         self.driver = FlashDriver(_ERASE(self._erase), _MOVE(self._write), _MOVE(self._read), slot_bytes, None)
 
     def erase(self, slot: int) -> None:

@@ -31,8 +31,6 @@ _TYPES: Final = {
 #: Structures of the values (`dbc.eds.storage_group`), in their order; the last stays in flash memory.
 _PLACES: Final = ("OD_PERSIST_COMM", "OD_PERSIST_APP", "OD_RAM", "OD_ROM")
 _ROM: Final = _PLACES[-1]
-#: Most PDOs of a direction (CiA 301, table 74).
-_PDOS: Final = 512
 #: Values that the stack keeps itself.
 _OF_STACK: Final = (od.ERROR_FIELD,)
 
@@ -63,8 +61,8 @@ def od_header(boards: Sequence[Build]) -> str:
     """Return ``OD.h`` of boards of one type."""
     entries = _entries(boards)
     rpdos, tpdos = (
-        sum(first <= each.index < first + _PDOS for each in entries)
-        for first in (od.RPDO_COMMUNICATION, od.TPDO_COMMUNICATION)
+        sum(first <= each.index < end for each in entries)
+        for first, end in ((od.RPDO_COMMUNICATION, od.RPDO_MAPPING), (od.TPDO_COMMUNICATION, od.TPDO_MAPPING))
     )
     counts = {
         **dict.fromkeys(("NMT", "EM", "EM_PROD", "SYNC", "HB_CONS", "HB_PROD", "SDO_SRV", "STORAGE"), 1),

@@ -4,16 +4,13 @@ import ctypes
 from collections.abc import Iterator
 from typing import Any, Final
 
-from dbc.canopen import NO_NODE_ID
+from dbc.canopen import NO_BIT_TIMING, NO_NODE_ID
 from nodes.access import is_storable
 from nodes.firmware.tables import COMPUTED, WRITABLE, Build, ObjectTable
 from nodes.storage import Parameters, Storage
 
-#: Numbers of the records: of 1010h, and of LSS.
-_PARAMETERS: Final = 0
+#: Number of the record of LSS (``SKIN_RECORD_LSS``); the other is that of 1010h.
 _LSS: Final = 1
-#: The bus has one bit rate.
-_NO_BIT_TIMING: Final = 0xFF
 _DATA: Final = ctypes.POINTER(ctypes.c_uint8)
 _FUNCTION: Final = ctypes.CFUNCTYPE(
     ctypes.c_int, ctypes.c_void_p, ctypes.c_uint8, ctypes.c_uint32, _DATA, ctypes.c_uint16
@@ -35,7 +32,7 @@ def storage_function(build: Build, storage: Storage) -> StorageFunction:
     places = list(_places(build.objects))
 
     def load(_context: int, record: int, _key: int, data: Any, _bytes: int) -> int:
-        numbered = b"" if storage.node_id == NO_NODE_ID else bytes((storage.node_id, _NO_BIT_TIMING))
+        numbered = b"" if storage.node_id == NO_NODE_ID else bytes((storage.node_id, NO_BIT_TIMING))
         kept = numbered if record == _LSS else _values(build, storage)
         ctypes.memmove(data, kept, len(kept))
         return int(not kept)

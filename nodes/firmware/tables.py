@@ -37,17 +37,7 @@ _COMPUTED: Final = (
     od.NODE_NOISE,
 )
 #: Arrays whose entries are computed, but not their sub-index 0.
-_COMPUTED_ENTRIES: Final = (
-    od.STORE,
-    od.RESTORE,
-    od.PROGRAM_DATA,
-    od.PROGRAM_CONTROL,
-    od.PROGRAM_ID,
-    od.FLASH_STATUS,
-    od.HEALTH,
-    od.COARSE,
-    od.FINE,
-)
+_COMPUTED_ENTRIES: Final = (od.STORE, od.RESTORE, od.HEALTH, od.COARSE, od.FINE)
 
 
 #: The objects of a board, each with the bytes of its value.
@@ -240,7 +230,7 @@ def _is_row(each: Object) -> bool:
 
 
 def _is_computed(each: Object) -> bool:
-    if each.index in _COMPUTED_ENTRIES or _is_measured(each.index):
+    if each.index in _COMPUTED_ENTRIES or _is_measured(each.index) or od.is_program_download(each.index):
         return each.subindex != 0
     return each.index in _COMPUTED
 

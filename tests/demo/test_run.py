@@ -63,6 +63,21 @@ def test_run_that_measured_nothing_fails_and_says_why() -> None:
     assert names.index("missing") < names.index("bus load")
 
 
+@pytest.mark.parametrize(
+    ("scheduling", "bus", "expected"),
+    [
+        ("ordinary", 0.5, "no real-time priority"),
+        ("realtime", 1.8, "the chain takes 1.8 of 2 cores"),
+        ("realtime", 0.5, ""),
+    ],
+)
+def test_incomplete_cycles_have_a_likely_cause(scheduling: str, bus: float, expected: str) -> None:
+    figures = {"cycles": 9, "frames_missing": 1, "cores": 2, "scheduling": scheduling, "cpu_ratio": {"bus": bus}}
+    rows = dict(msgspec.structs.replace(Score(LAYOUT).report(), **figures).rows())
+    assert expected in rows.get("likely cause", "")
+    assert ("likely cause" in rows) == bool(expected)
+
+
 def test_report_as_json_has_a_picture_only_where_one_was_saved() -> None:
     report = Score(LAYOUT).report()
     assert "picture" not in json.loads(msgspec.json.encode(report))

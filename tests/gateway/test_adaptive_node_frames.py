@@ -122,6 +122,15 @@ def deaf_rule(bench: Bench) -> None:
     bench.hardware.controllers.rule["noise_ratio"] *= 30
 
 
+def infinite_noise(bench: Bench) -> None:
+    """A board whose noise is infinite."""
+    bench.wire.loses = lambda end, each: (
+        end is bench.wire.gateway
+        and each["data"][1:3].tobytes() == od.NODE_NOISE.to_bytes(2, "little")
+        and each["data"].__setitem__(slice(4, 8), (0, 0, 0x80, 0x7F))
+    )
+
+
 def ignores(index: int) -> Callable[[Bench], None]:
     """A board that takes the writes of an object, and does not follow."""
 
@@ -193,6 +202,7 @@ MUTANTS = [
     (wrong_sign, " as sum 21, expected ", ""),
     (swapped_identifiers, "full scale: TPDO 5 (201h) tells 640.00 mN as sum 1, expected ", ""),
     (other_code, "offsets in place of the taxels: TPDO ", ""),
+    (infinite_noise, "full scale: the noise (2035h) is no number of newtons: 00 00 80 7f", ""),
     (deaf_rule, "test pattern zero: no coarse frame of group 1 came as news of the step", ""),
     (ignores(od.TEST_PATTERN), "test pattern full scale: half of the taxels read less than half of full scale", ""),
     (ignores(od.GAIN), "offsets in place of the taxels: TPDO ", ""),

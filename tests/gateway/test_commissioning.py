@@ -2,6 +2,8 @@
 
 import pytest
 
+from dbc.canopen import NO_NODE_ID
+from nodes.lss import LssSlave
 from tests.bus.harness import frame
 from tests.gateway.fresh_boards import Bench, check_commissioning, complete, skin
 from tests.layouts import buses
@@ -31,6 +33,13 @@ def test_a_run_that_was_stopped_goes_on() -> None:
     assert [board.boards.nodes[0].state for board in bench.places] == [127, 127, 127]
 
 
+def test_a_response_of_lss_that_is_too_short_is_no_answer() -> None:
+    bench = Bench(skin(1))
+    bench.add(1)
+    bench.noise = frame(0x7E4, b"\x5e")
+    assert complete(bench.commission()) == {1}
+
+
 def test_the_configuration_is_written_and_stored() -> None:
     bench = Bench(skin(2, sync={"rate_hz": 20}))
     first = bench.add(1, contract=skin(2, sync={"rate_hz": 10}))
@@ -56,6 +65,25 @@ def test_what_has_a_node_id_and_is_not_the_board_of_the_layout_is_named() -> Non
         run.boards[3].text == "has serial number 4, that of bus0, node 4 (block 3): --renumber gives it the right one"
     )
     assert "two boards answer: they have node-ID 4" in run.boards[4].text
+
+
+def test_a_board_that_answers_a_fastscan_in_spite_of_its_node_id_is_no_stranger(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    scan = LssSlave._scan
+
+    def of_lely(slave: LssSlave, *asked: int) -> bytes | None:
+        wanted, slave.wanted = slave.wanted, NO_NODE_ID
+        answer = scan(slave, *asked)
+        slave.wanted = wanted
+        return answer
+
+    monkeypatch.setattr(LssSlave, "_scan", of_lely)
+    bench = Bench(skin(2))
+    for node_id in (1, 2):
+        bench.add(node_id, numbered=True)
+    assert bench.commission().is_whole
+    assert not any(bench.is_configured(place) for place in range(2))
 
 
 def test_a_board_of_another_place_loses_its_node_id() -> None:

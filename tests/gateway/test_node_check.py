@@ -15,7 +15,7 @@ from dbc.board_sums import PATTERN_FULL
 from dbc.canopen import Emergency, NmtCommand, NmtState
 from dbc.contract import Contract
 from dbc.dictionary import SkinState
-from dbc.frame import ERROR, REMOTE, Frames
+from dbc.frame import ERROR, EXTENDED, REMOTE, Frames
 from gateway.node_check import NodeCheck
 from gateway.node_frames import NodeReport
 from nodes.firmware.library import Firmware
@@ -335,9 +335,9 @@ def test_a_sync_that_never_was_on_the_bus_is_said() -> None:
     assert (len(report.differences), report.cycles, report.frames) == (16, 16, 0)
 
 
-def answered(change: Callable[[np.ndarray], object], index: int) -> NodeReport:
+def answered(change: Callable[[np.ndarray], object], index: int, **tables: Any) -> NodeReport:
     """Check a board whose answer about an object is another."""
-    bench = Bench(small_contract())
+    bench = Bench(small_contract(**tables))
 
     def loses(end: object, each: np.void) -> bool:
         if (
@@ -380,9 +380,11 @@ def test_an_object_that_the_board_lacks_differs_and_the_others_are_read() -> Non
     assert (report.objects, report.cycles) == (whole.objects - 1, 16)
 
 
-def test_error_frames_and_remote_frames_are_not_those_of_the_board() -> None:
+def test_frames_of_other_kinds_are_not_those_of_the_board() -> None:
     bench = Bench(small_contract())
-    strange = [frame(can_id, bytes(8), flags) for can_id in (0x080, 0x181, 0x581) for flags in (ERROR, REMOTE)]
+    strange = [
+        frame(can_id, bytes(8), flags) for can_id in (0x080, 0x181, 0x581) for flags in (ERROR, EXTENDED, REMOTE)
+    ]
     report = bench.check(lambda: bench.wire.queue.extend((None, each) for each in strange))
     assert (report.differences, report.frames) == ([], 32)
 
@@ -508,6 +510,13 @@ def test_a_board_of_two_states_keeps_the_contract() -> None:
     assert all(due)
     assert (report.cycles, report.frames) == (32, 16 * sum(due))
     assert bench.node.wanted_state == SkinState.RECOGNITION
+
+
+def test_a_state_that_is_none_is_named() -> None:
+    recognition = {"sums": 8, "rate_hz": 40}
+    report = answered(lambda data: data[3] == 1 and data.__setitem__(4, 5), od.STATE, recognition=recognition)
+    assert report.differences == ["the state (2008h:1) is 5, expected 0 or 1"]
+    assert report.cycles == 32
 
 
 def stays(state: SkinState) -> Callable[[Bench], None]:

@@ -74,6 +74,7 @@ def test_what_names_no_object_or_several_is_refused(text: str, says: str) -> Non
         ("1017h", "expected OBJECT=VALUE"),
         ("1018h=3", "expected OBJECT=VALUE with one object"),
         ("1017h=fast", "expected a value of UNSIGNED16, got 'fast'"),
+        ("1017h=h", "expected a value of UNSIGNED16, got 'h'"),
         ("1017h=65536", "65536"),
         ("1017h=-1", "-1"),
     ],
@@ -108,7 +109,7 @@ def test_a_written_object_is_read_back_and_the_gateway_sets_it_right_again() -> 
 
 def test_a_write_that_the_node_refuses_is_told_in_words_with_what_was_written() -> None:
     world = World(CONTRACT)
-    ((heartbeat, data),) = parse_writes(ENTRIES, ["1017h=500"])
+    ((heartbeat, data),) = parse_writes(ENTRIES, ["1017h=1F4h"])
     (vendor,) = find(ENTRIES, "1018h:1")
     refused = r"Identity\.Vendor-ID is not written: .* abort 06010002h, read only"
     with pytest.raises(RunError, match=f"{refused}$"):

@@ -5,7 +5,7 @@ from collections.abc import Generator
 import pytest
 
 from dbc.canopen import Abort
-from gateway.sdo import MOST_LOST, Download, Read, SdoAbortedError, SdoDialogue, SdoTimeoutError, Transfer, Write
+from gateway.sdo import MOST_LOST, Download, Read, SdoAbortedError, SdoDialogue, SdoTimeoutError, Transfer, Write, one
 
 
 class Far:
@@ -21,10 +21,6 @@ class Far:
     def take(self) -> list[str]:
         sent, self.sent = self.sent, []
         return sent
-
-
-def one(transfer: Transfer) -> Generator[Transfer, bytes, bytes]:
-    return (yield transfer)
 
 
 def begin(transfer: Transfer) -> tuple[SdoDialogue, Far]:
@@ -306,6 +302,14 @@ def test_a_full_transmit_queue_slows_a_download_down() -> None:
     server = Server(set(), room=1)
     assert run(server).error is None
     assert server.data == DATA
+
+
+@pytest.mark.parametrize("size", ["80", "ff"])
+def test_a_block_has_at_most_127_segments(size: str) -> None:
+    dialogue, far = begin(Download(0x1F50, 1, bytes(2000)))
+    far.take()
+    answer(dialogue, f"a4501f01{size}000000")
+    assert [each[:2] for each in far.take()] == [f"{number:02x}" for number in range(1, 128)]
 
 
 def test_a_download_whose_blocks_never_come_is_given_up() -> None:

@@ -13,6 +13,7 @@ from nodes import command, ways
 from nodes.adaptive.boards import AdaptiveBoards
 from nodes.command import choose_nodes
 from nodes.sampler import Sampler
+from shell import skin_options
 from shell.service import StopSignal
 from shell.touch_options import NO_TOUCH_OPTIONS, TouchOptions
 from skin.defects import Defects
@@ -90,7 +91,7 @@ class Parts:
                 raise KeyboardInterrupt
 
         monkeypatch.setattr(command, "open_links", open_links)
-        monkeypatch.setattr(command, "Fabric", fabric)
+        monkeypatch.setattr(skin_options, "Fabric", fabric)
         monkeypatch.setattr(command, "NodesService", Service)
 
     def run(self, touch: TouchOptions = NO_TOUCH_OPTIONS, **options: Any) -> Any:

@@ -171,6 +171,14 @@ def test_a_node_boots_with_the_node_id_that_it_was_given(contract: Contract, lin
     assert read(segment, link, 2, 0x1018, 4) == address[3]
 
 
+def test_a_board_answers_with_the_node_id_of_a_site_whose_board_has_none(contract: Contract, link: ArrayLink) -> None:
+    segment = new_segment(contract, link, {1, 2}, unnumbered=True)
+    address = address_of(contract, 1)
+    give(segment, link, *(frame(REQUEST, request(0x40 + at, each)) for at, each in enumerate(address)))
+    give(segment, link, frame(REQUEST, request(0x11, 2)), frame(REQUEST, request(4, 0)))
+    assert read(segment, link, 2, 0x1018, 4) == address[3]
+
+
 def test_a_node_id_that_was_not_stored_ends_with_a_reset(contract: Contract, link: ArrayLink) -> None:
     segment = new_segment(contract, link, {2}, unnumbered=True)
     scan = [(0x80, 0, 0)] + [(0, place, (place + 1) % 4) for place in range(4)]

@@ -108,7 +108,7 @@ def test_two_replays_are_equal_files(run: Path, contract: Contract, tmp_path: Pa
             [{"forces (N)": 2e-3}, {}, {"forces (N)": 4e-3}, *[{}] * 3],
             "equal but for the start, the first 3: forces (N) by up to 0.004",
         ),
-        ([{}, {"forces (N)": 4e-7}, {"label": 0.0}], "different: forces (N) by up to 4e-07, label"),
+        ([{}, {"forces (N)": 4e-7}, {"label": 0.0}], "different: forces (N) by up to 4e-07, label; at the end label"),
         ([None, None], ""),
     ],
 )

@@ -1,5 +1,6 @@
 """Program download to boards in C: a board starts with the old or the new program, whatever interrupts the download."""
 
+import binascii
 import os
 import random
 from collections.abc import Callable
@@ -11,7 +12,7 @@ import numpy as np
 import pytest
 
 from dbc import indices as od
-from dbc.canopen import Abort
+from dbc.canopen import Abort, NmtCommand
 from dbc.eds import eds, node_types
 from dbc.frame import Frames, frames
 from dbc.program import FlashError, Program
@@ -299,8 +300,40 @@ def test_what_a_board_says_of_a_wrong_program(image: bytes, code: Abort, error: 
 
 def test_a_board_gives_up_a_block_download_that_its_master_left() -> None:
     bench = Bench()
+    bench.passes = lambda number, data: data if number <= 40 else None
     bench.update(NEW, until=lambda: bench.requests > 40)
+    bench.boards.take(frame(0x601, b"\x40\x08\x10".ljust(8, b"\0")), bench.now_s + 1)  # of another master
     bench.waiting = bench.boards.pass_time(bench.now_s + 2)
     aborts = [bytes(each["data"][:8]) for each in bench.waiting if each["can_id"] == 0x581]
     assert aborts == [b"\x80\x50\x1f\x01" + Abort.TIMEOUT.to_bytes(4, "little")]
     assert bench.running == OLD
+
+
+def test_a_reset_ends_a_block_download() -> None:
+    bench = Bench()
+    bench.passes = lambda number, data: data if number <= 40 else None
+    bench.update(NEW, until=lambda: bench.requests > 40)
+    bench.boards.take(frame(0, bytes((NmtCommand.RESET_COMMUNICATION, 1))), bench.now_s)
+    assert bench.running == OLD
+
+
+@pytest.mark.parametrize(("error", "end"), [(0, "a100000000000000"), (1, "80501f0104000405")])
+def test_blocks_are_acknowledged_up_to_a_gap_and_their_crc_counts(error: int, end: str) -> None:
+    bench, image = Bench(), replace(NEW, data=b"12345678").image  # 40 bytes, 6 segments, 2 bytes of the last unused
+    segments = [image[at : at + 7].ljust(7, b"\0") for at in range(0, 40, 7)]
+
+    def ask(*requests: bytes) -> list[str]:
+        sent = [bench.boards.take(frame(0x601, each), bench.now_s) for each in requests]
+        return [bytes(each["data"][:8]).hex() for burst in sent for each in burst]
+
+    def block(first: int, lost: int | None = None) -> list[str]:
+        left = list(enumerate(segments[first:], 1))
+        return ask(*(bytes((n | 0x80 * (n == len(left)),)) + each for n, each in left if n != lost))
+
+    assert ask(b"\xc6\x50\x1f\x01" + (40).to_bytes(4, "little")) == ["a4501f017f000000"]
+    assert block(0, lost=2) == ["a2017f0000000000"]
+    assert block(1, lost=5) == []  # the end of the block is lost
+    assert ask(b"\x85" + segments[5]) == ["a2057f0000000000"]
+    crc = binascii.crc_hqx(image, 0) ^ error
+    assert ask(b"\xc9" + crc.to_bytes(2, "little") + bytes(5)) == [end]
+    assert bench.read(od.FLASH_STATUS, 1) == bytes((FlashError.NO_PROGRAM << 1 if error else 0, 0, 0, 0))

@@ -1,8 +1,6 @@
 /* LSS slave (CiA 305): the board gets its node-ID and its bit rate over the bus. Twin of nodes/lss.py. */
 #include "skin_node.h"
 
-/* Error codes of answers. */
-enum { DONE = 0, NOT_SUPPORTED = 1, FAILED = 2 };
 /* Of the record that storage keeps: node-ID and index of the bit timing. */
 enum { RECORD_BYTES = 2 };
 
@@ -111,13 +109,13 @@ static uint8_t save(skin_node *node)
     const skin_storage *storage = node->storage;
 
     if (storage == NULL) {
-        return NOT_SUPPORTED;
+        return SKIN_LSS_ERROR_NOT_SUPPORTED;
     }
     if (storage->save(storage->context, SKIN_RECORD_LSS, 0, record, RECORD_BYTES) != 0) {
-        return FAILED;
+        return SKIN_LSS_ERROR_STORAGE;
     }
     node->lss.lasting = record[0];
-    return DONE;
+    return SKIN_LSS_ERROR_NONE;
 }
 
 /* Answer a request to boards in the state LSS configuration: command, and the value or the error code behind it. */
@@ -128,12 +126,14 @@ static uint8_t configure(skin_node *node, const uint8_t *data, uint8_t *value)
 
     switch (command) {
     case SKIN_LSS_NODE_ID:
-        *value = data[1] == SKIN_NO_NODE_ID || image_of(node, data[1]) != NULL ? DONE : NOT_SUPPORTED;
-        lss->wanted = *value == DONE ? data[1] : lss->wanted;
+        *value = data[1] == SKIN_NO_NODE_ID || image_of(node, data[1]) != NULL ? SKIN_LSS_ERROR_NONE
+                                                                               : SKIN_LSS_ERROR_NOT_SUPPORTED;
+        lss->wanted = *value == SKIN_LSS_ERROR_NONE ? data[1] : lss->wanted;
         return command;
     case SKIN_LSS_BIT_TIMING:
-        *value = data[1] == 0 && data[2] < 16 && (lss->bit_timings >> data[2] & 1) != 0 ? DONE : NOT_SUPPORTED;
-        lss->bit_timing = *value == DONE ? data[2] : lss->bit_timing;
+        *value = data[1] == 0 && data[2] < 16 && (lss->bit_timings >> data[2] & 1) != 0 ? SKIN_LSS_ERROR_NONE
+                                                                                        : SKIN_LSS_ERROR_NOT_SUPPORTED;
+        lss->bit_timing = *value == SKIN_LSS_ERROR_NONE ? data[2] : lss->bit_timing;
         return command;
     case SKIN_LSS_ACTIVATE_BIT_TIMING:
         lss->switch_delay_ms = (uint16_t)skin_get(&data[1], 2);

@@ -177,6 +177,7 @@ void skin_boot(skin_node *node, uint32_t now_ms, int communication_only)
         (void)skin_write(node, SKIN_OD_STATE, 1, &recognition, sizeof recognition);
         node->skin_state = recognition;
     }
+    memset(&node->sdo, 0, sizeof node->sdo);
     memset(node->active, 0, sizeof node->active);
     node->history_count = node->waiting_count = 0;
     node->emcy_free_ms = now_ms;
@@ -322,10 +323,10 @@ void skin_tick(skin_node *node, uint32_t now_ms)
     }
     watch(node, now_ms);
     note_state(node);
-    skin_sdo_tick(node, now_ms);
     if (node->state == SKIN_STOPPED) {
         return;
     }
+    skin_sdo_tick(node, now_ms);
     flush_emergencies(node, now_ms);
 #if !SKIN_ADAPTIVE /* adaptive boards send after each sample */
     if (node->state == SKIN_OPERATIONAL) {

@@ -90,8 +90,6 @@ typedef struct {
     uint16_t switch_delay_ms;
 } skin_lss;
 
-#define SKIN_NO_BIT_TIMING 0xFFu
-
 typedef struct {
     const skin_board *board;
     skin_outbox *outbox;

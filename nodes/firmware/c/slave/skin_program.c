@@ -174,13 +174,17 @@ uint32_t skin_program_take(skin_program *program, const uint8_t *data, uint8_t b
     return abort;
 }
 
-/* Compare the CRC-32 of the head with that of the download as the memory has it, the place of the CRC left out. */
-static int has_crc(const skin_program *program)
+/* Read the head back; compare its CRC-32 with that of the download as the memory has it, the place of the CRC left out. */
+static int has_crc(skin_program *program)
 {
     const skin_flash *flash = program->flash;
     uint8_t part[SKIN_SLOT_HEAD];
-    uint32_t crc = skin_crc32(0, program->taken_head, SKIN_PROGRAM_AT_CRC), at;
+    uint32_t crc, at;
 
+    if (flash->read(flash->context, other(program), SKIN_SLOT_HEAD, program->taken_head, SKIN_PROGRAM_HEAD) != 0) {
+        return 0;
+    }
+    crc = skin_crc32(0, program->taken_head, SKIN_PROGRAM_AT_CRC);
     for (at = SKIN_PROGRAM_HEAD; at < program->bytes; at += sizeof part) {
         const uint16_t count = (uint16_t)(program->bytes - at < sizeof part ? program->bytes - at : sizeof part);
 
@@ -215,6 +219,7 @@ static uint32_t activate(skin_program *program)
     if (skin_slot_seal(program->flash, other(program), program->bytes) != 0) {
         return fail(program, SKIN_FLASH_WRITE_ERROR, SKIN_ABORT_HARDWARE);
     }
+    program->is_ready = 0; /* a slot is sealed once */
     program->is_resetting = 1;
     return 0;
 }

@@ -8,8 +8,6 @@
 #include "contract.h"
 #include "skin_slots.h"
 
-#define SKIN_NO_SLOT 0xFFu
-
 typedef struct {
     const skin_flash *flash; /* of slots 0 and 1, for programs alone; NULL: the board has no program download */
     uint32_t vendor_id, product_code;

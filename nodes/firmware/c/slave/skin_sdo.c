@@ -17,8 +17,6 @@ enum { BLOCKS_BEGIN = 0xA0, BLOCK_TAKEN = 0xA2, BLOCKS_TAKEN = 0xA1 };
 #define SKIN_BLOCK_SEGMENTS 127u
 #endif
 #define BLOCK_TIMEOUT_MS 1000u
-/* More bytes than any object but a program has. */
-#define LONGEST_VALUE 256u
 
 enum { IDLE, SENDING, TAKING, BLOCKS, ENDING };
 
@@ -181,7 +179,7 @@ static void download_segment(skin_node *node, const uint8_t *request)
         abort_transfer(node, SKIN_ABORT_COMMAND);
         return;
     }
-    if (sdo->done > LONGEST_VALUE) {
+    if (sdo->done > SKIN_LONGEST_VALUE) {
         abort_transfer(node, SKIN_ABORT_TOO_LONG);
         return;
     }
@@ -277,8 +275,8 @@ static void block_segment(skin_node *node, const uint8_t *request, uint32_t now_
     const uint8_t number = request[0] & 0x7Fu, is_last = request[0] >> 7;
     uint8_t response[8] = {BLOCK_TAKEN, 0, SKIN_BLOCK_SEGMENTS};
 
-    sdo->due_ms = now_ms + BLOCK_TIMEOUT_MS;
-    if (number == sdo->number + 1) {
+    if (number == sdo->number + 1) { /* requests of another client keep no transfer open */
+        sdo->due_ms = now_ms + BLOCK_TIMEOUT_MS;
         if (sdo->done > 0 && !is_waiting_taken(node, (uint8_t)sdo->done)) {
             return;
         }

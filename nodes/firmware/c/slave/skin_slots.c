@@ -36,7 +36,6 @@ int skin_slot_is_whole(const skin_flash *flash, uint8_t slot, uint8_t *head)
            crc == skin_get(&head[CRC], 4);
 }
 
-/* The slot with the newest whole record, and its head; 0xFF for none. */
 uint8_t skin_slot_newest(const skin_flash *flash, uint8_t record, uint8_t *head)
 {
     uint8_t heads[2][SKIN_SLOT_HEAD], whole[2], each;
@@ -45,7 +44,7 @@ uint8_t skin_slot_newest(const skin_flash *flash, uint8_t record, uint8_t *head)
         whole[each] = (uint8_t)skin_slot_is_whole(flash, (uint8_t)(2 * record + each), heads[each]);
     }
     if (!whole[0] && !whole[1]) {
-        return 0xFF;
+        return SKIN_NO_SLOT;
     }
     each = whole[0] && whole[1] ? skin_is_due(skin_get(heads[1], 4), skin_get(heads[0], 4)) != 0 : whole[1];
     memcpy(head, heads[each], SKIN_SLOT_HEAD);
@@ -58,7 +57,7 @@ static int load(void *context, uint8_t record, uint32_t key, uint8_t *data, uint
     uint8_t head[SKIN_SLOT_HEAD];
     const uint8_t slot = skin_slot_newest(flash, record, head);
 
-    if (slot == 0xFF || skin_get(&head[KEY], 4) != key || skin_get(&head[BYTES], 4) != bytes) {
+    if (slot == SKIN_NO_SLOT || skin_get(&head[KEY], 4) != key || skin_get(&head[BYTES], 4) != bytes) {
         return 1;
     }
     return flash->read(flash->context, slot, SKIN_SLOT_HEAD, data, bytes);
@@ -69,9 +68,9 @@ static int save(void *context, uint8_t record, uint32_t key, const uint8_t *data
     const skin_flash *flash = context;
     uint8_t head[SKIN_SLOT_HEAD];
     uint8_t slot = skin_slot_newest(flash, record, head);
-    const uint32_t number = slot == 0xFF ? 0 : skin_get(&head[NUMBER], 4) + 1;
+    const uint32_t number = slot == SKIN_NO_SLOT ? 0 : skin_get(&head[NUMBER], 4) + 1;
 
-    slot = slot == 0xFF ? (uint8_t)(2 * record) : slot ^ 1u;
+    slot = slot == SKIN_NO_SLOT ? (uint8_t)(2 * record) : slot ^ 1u;
     skin_put(&head[NUMBER], number, 4);
     skin_put(&head[KEY], key, 4);
     skin_put(&head[BYTES], bytes, 4);
@@ -88,7 +87,7 @@ static int save(void *context, uint8_t record, uint32_t key, const uint8_t *data
 int skin_slot_seal(const skin_flash *flash, uint8_t slot, uint32_t bytes)
 {
     uint8_t head[SKIN_SLOT_HEAD];
-    const uint32_t number = skin_slot_newest(flash, slot / 2, head) == 0xFF ? 0 : skin_get(&head[NUMBER], 4) + 1;
+    const uint32_t number = skin_slot_newest(flash, slot / 2, head) == SKIN_NO_SLOT ? 0 : skin_get(&head[NUMBER], 4) + 1;
     uint32_t crc;
 
     memset(head, 0, sizeof head);

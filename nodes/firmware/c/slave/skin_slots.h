@@ -6,6 +6,7 @@
 
 /* Of each slot: number of the record, key, bytes of data, CRC-32 of these and of the data. The data follow. */
 #define SKIN_SLOT_HEAD 16u
+#define SKIN_NO_SLOT 0xFFu
 
 /* Flash memory. Slots 2 n and 2 n + 1 belong to record n; each has pages of its own for SKIN_SLOT_HEAD bytes and the data. Parts
  * begin at multiples of SKIN_SLOT_HEAD; a driver fills up the last word. Functions return 0 on success.
@@ -21,7 +22,7 @@ typedef struct {
 /* The storage function; `flash` must outlive it. */
 skin_storage skin_slots(const skin_flash *flash);
 
-/* Of program download: whether a slot is whole, its head; the slot of the newest whole record, 0xFF for none; make a slot whole, after
+/* Of program download: whether a slot is whole, its head; the slot of the newest whole record, SKIN_NO_SLOT for none, and its head; make a slot whole, after
  * its data. The latter returns 0 on success.
  */
 int skin_slot_is_whole(const skin_flash *flash, uint8_t slot, uint8_t *head);
