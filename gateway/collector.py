@@ -210,6 +210,9 @@ def _accept(  # noqa: PLR0917  compiled functions take no keywords
     is_right = table.phase[row] == state.cycles.phase[slot]
     if counter and not is_right:
         state.strayed[node] = True
+        # A board that goes on after it hung sends frames of both phases: those of this one may be of an earlier cycle.
+        for other in range(len(table.node)):
+            state.cycles.spoilt[slot, other] |= table.node[other] == node
     if not is_right or not is_open(counter, state.cycles):
         state.counts[LATE] += 1
         state.late_of_node[node] += 1

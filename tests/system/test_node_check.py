@@ -87,7 +87,7 @@ def test_swapped_taxels_are_named_while_a_finger_strokes_the_skin(tmp_path: Path
         touch = ["--input", str(tmp_path / "stroke.npy"), "--defect", "swapped=0.02"]
         processes.skin("nodes", "nodes", *palm, *touch, "--no-fabric")
         processes.await_words("nodes", "nodes")
-        command = [sys.executable, "-m", "skin", "node", "check", *palm, "--live", "36", "--rest", "0.7", "--json"]
+        command = [sys.executable, "-m", "skin", "node", "check", *palm, "--live", "54", "--rest", "0.7", "--json"]
         done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
     assert done.returncode == 1, done.stderr
     assert [each["kind"] for each in json.loads(done.stdout)] == ["swapped", "swapped"]
