@@ -54,9 +54,9 @@ def tare(
     force
         Whatever touches the skin now becomes part of its zero.
     region
-        First row, first column, last row, last column, from 0: whatever stands there now becomes part of its
-        zero, and the rest of the skin keeps its zero. The page names the region of a doubtful contact. A skin of
-        positions has one row, row 0, and the numbers of its taxels are columns.
+        First row, first column, last row, last column, from 0, or the name of a region: whatever stands there now
+        becomes part of its zero, and the rest of the skin keeps its zero. The page names the region of a doubtful
+        contact. A skin of positions has one row, row 0, and the numbers of its taxels are columns.
     json
         Print one JSON object.
 
@@ -65,11 +65,12 @@ def tare(
     skin tare
     skin tare --force
     skin tare --region 12,20,19,31
+    skin tare --region thumb
     """
     of = of or SkinOptions()
     skin = of.find()
     require_boards(skin)
-    named = None if region is None else region.split(",")
+    named = region.split(",") if region and "," in region else region
     request = tare_request(skin.taxels.rows, skin.taxels.columns, force=force, region=named)
     reply = _ask(skin, of, request, ANSWER_S)
     if json:
