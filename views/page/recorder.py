@@ -1,11 +1,13 @@
 """``skin record`` as a process of its own, which the page starts and stops."""
 
+import os
 import subprocess
 import sys
 import tempfile
 import threading
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import IO, Final
 
@@ -30,8 +32,10 @@ class RecorderProcess:
     """
 
     def __init__(self, folder: Path, endpoint: str, skin: str) -> None:
-        self._folder, self._endpoint, self._skin = folder, endpoint, skin
+        self._folder, self._endpoint, self._skin = folder.resolve(), endpoint, skin
         self._lock = threading.Lock()
+        # A recorder ends with the thread that started it (PR_SET_PDEATHSIG): threads of requests do not last.
+        self._parent = ThreadPoolExecutor(1, "recorder")
         self._process: subprocess.Popen[bytes] | None = None
         self._log: IO[bytes] | None = None
         self._state: RecorderState | None = None
@@ -61,20 +65,16 @@ class RecorderProcess:
             command = ["record", str(path), "--no-frames", "--connect", self._endpoint, "--skin", self._skin]
             self._close_log()
             self._log = tempfile.TemporaryFile()  # noqa: SIM115 - open while the process runs
-            self._process = process = subprocess.Popen(  # noqa: S603 - our own command, no shell
-                [sys.executable, "-m", "skin", *command],
-                stdin=subprocess.DEVNULL,
-                stdout=self._log,
-                stderr=self._log,
-                process_group=0,  # Ctrl-C reaches the page's server only, which ends the recording
-            )
+            self._process = process = self._parent.submit(_launch, command, self._log).result()
             give_up_s = time.monotonic() + PATIENCE_S
             while not has_joined():
                 if process.poll() is not None:
                     self._process = None
                     raise RunError(f"no recording: {self._last_line()}")
                 if time.monotonic() > give_up_s:
-                    self._end()
+                    process.kill()
+                    process.wait()
+                    self._process = None
                     raise RunError(f"no recording: it has not begun in {PATIENCE_S:g} s")
                 time.sleep(_LOOK_S)
             self._state, self.notices = RecorderState(path=str(path), since_time_s=time.time()), []
@@ -99,6 +99,7 @@ class RecorderProcess:
             if self._process is not None and self._process.poll() is None:
                 self._end()
             self._close_log()
+            self._parent.shutdown()
 
     def _end(self) -> str:
         process, self._process = self._process, None
@@ -125,6 +126,17 @@ class RecorderProcess:
         if self._log is not None:
             self._log.close()
             self._log = None
+
+
+def _launch(arguments: list[str], log: IO[bytes]) -> subprocess.Popen[bytes]:
+    return subprocess.Popen(  # noqa: S603 - our own command, no shell
+        [sys.executable, "-m", "skin", *arguments],
+        stdin=subprocess.DEVNULL,
+        stdout=log,
+        stderr=log,
+        env={**os.environ, "SKIN_PARENT": str(os.getpid())},
+        process_group=0,  # Ctrl-C reaches the page's server only, which ends the recording
+    )
 
 
 def _free(folder: Path, skin: str) -> Path:
