@@ -70,7 +70,7 @@ def tare(
     of = of or SkinOptions()
     skin = of.find()
     require_boards(skin)
-    named = region.split(",") if region and "," in region else region
+    named = region if region is None or region[:1].isalpha() else region.split(",")
     request = tare_request(skin.taxels.rows, skin.taxels.columns, force=force, region=named)
     reply = _ask(skin, of, request, ANSWER_S)
     if json:

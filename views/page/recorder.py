@@ -13,6 +13,7 @@ from typing import IO, Final
 
 from canskin.errors import RunError
 from health.snapshot import Notice, RecorderState
+from shell.service import say
 from skin.layout import RECORDING_SUFFIX
 
 #: Longest wait for a recorder that starts, and that ends.
@@ -97,7 +98,10 @@ class RecorderProcess:
         """End the recording, if there is one."""
         with self._lock:
             if self._process is not None and self._process.poll() is None:
-                self._end()
+                try:
+                    say("viewer", self._end())
+                except RunError as error:
+                    say("viewer", str(error))
             self._close_log()
             self._parent.shutdown()
 
