@@ -29,6 +29,7 @@ from skin.calibration_file import (
     parse_calibration,
 )
 from skin.layout import Layout, require_boards
+from skin.regions import taxels_of
 
 #: Longest wait for the answer to ``write``: writing to nodes takes up to a minute.
 WRITING_S: Final = 300.0
@@ -72,6 +73,8 @@ def tare(
     require_boards(skin)
     named = region if region is None or region[:1].isalpha() else region.split(",")
     request = tare_request(skin.taxels.rows, skin.taxels.columns, force=force, region=named)
+    if request.region is not None:
+        taxels_of(skin, request.region)
     reply = _ask(skin, of, request, ANSWER_S)
     if json:
         print_json({"is_done": reply.is_done, "text": reply.text, "status": msgspec.to_builtins(reply.status)})
