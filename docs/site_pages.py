@@ -17,6 +17,8 @@ BESIDE: Final = {
 #: A document that the text names, or a file beside the documents that it links to.
 _NAMED: Final = re.compile(r"`docs/([\w-]+\.md)`")
 _LINKED: Final = re.compile(r"\]\(docs/")
+#: The mark of a block says to `tests/documents.py` who runs the block.
+_MARK: Final = re.compile(r"^(```\w+) .*$", re.MULTILINE)
 
 
 def on_config(config: "MkDocsConfig") -> None:
@@ -39,9 +41,10 @@ def on_files(files: "Files", config: "MkDocsConfig") -> "Files":
 
 
 def on_page_markdown(markdown: str, **_: object) -> str:
-    """Make links of the documents that a text names."""
+    """Make links of the documents that a text names, and leave out the marks of the blocks."""
     for path, name in BESIDE.items():
         markdown = markdown.replace(f"](../{path})", f"]({name})")
+    markdown = _MARK.sub(r"\1", markdown)
     return _NAMED.sub(r"[`\1`](\1)", markdown)
 
 
