@@ -120,7 +120,7 @@ class ConnectedSkin(Skin):
         """See `Skin.latest`."""
         return self._hub.latest(max_age_s)
 
-    def tare(self, *, force: bool = False, region: Region | None = None) -> str:
+    def tare(self, *, force: bool = False, region: Region | str | None = None) -> str:
         """See `Skin.tare`."""
         if self._hub.is_closed:
             raise BusError(CLOSED)
