@@ -57,11 +57,15 @@ class Options:
 
 
 class Finding(NamedTuple):
-    """A number of ours, how many measurements are behind it, and the paper's number, None where the paper has none."""
+    """A number of ours, how many measurements are behind it, the paper's number, and the deviation over draws.
+
+    The last two are None where there is none.
+    """
 
     ours: float
     runs: int
     paper: float | None = None
+    spread: float | None = None
 
 
 @dataclass(frozen=True)

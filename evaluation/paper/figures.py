@@ -5,7 +5,6 @@ from typing import Final
 import numpy as np
 
 from evaluation.paper.pictures import draw_curves, draw_images, draw_series
-from evaluation.paper.printed import SAMPLE_RECONSTRUCTED_DB, SAMPLE_SENSOR_DB, TABLE_TWO
 from evaluation.paper.runs import (
     RECONSTRUCTIONS,
     SIDE,
@@ -19,6 +18,7 @@ from evaluation.paper.runs import (
     true_force,
 )
 from evaluation.paper.tables import QUICK_STRIDES, STRIDES, SUMS, TABLE_ITERATIONS, TABLE_SUMS
+from evaluation.printed import paper_psnr, paper_value
 from evaluation.result import Options, Picture, Result, Row, beside
 from evaluation.result_cache import measure_cells
 from reconstructor.checks import Values
@@ -54,8 +54,10 @@ def evaluate(options: Options) -> Result:
     shown = {f"{each} iterations, {converged[each][0]:.1f} dB": converged[each][1] for each in SHOWN}
     rows = [
         *_series_rows(series, stride),
-        _row("sample images, drill", "rebuilt from 1024 sums", rebuilt_db, SAMPLE_RECONSTRUCTED_DB),
-        _row("sample images, drill", "sensor signal", sensor_db, SAMPLE_SENSOR_DB),
+        *(
+            _row("sample images, drill", what, level_db, paper_value("figures", what=what))
+            for what, level_db in (("rebuilt from 1024 sums", rebuilt_db), ("sensor signal", sensor_db))
+        ),
         *(
             _row("convergence from zero, clamp", f"{count} iterations", converged[count][0], None)
             for count in (*SHOWN, LONGEST)
@@ -90,10 +92,11 @@ def _row(figure: str, what: str, ours_db: float, paper_db: float | None) -> Row:
 def _series_rows(series: dict[str, Decibels], stride: int) -> list[Row]:
     rows = []
     for sums, (name, levels) in zip(SUMS, series.items(), strict=True):
+        printed = paper_psnr("compression", object="clamp", matrix="sbhe", sums=sums, basis="contourlet")
         parts = (
             ("before the touch", levels[: max(1, TOUCHED_MS // stride)], None),
             ("slide", levels[SLIDES_MS // stride :], None),
-            ("all steps", levels, TABLE_TWO["clamp", "sbhe", sums]["contourlet"].mean),
+            ("all steps", levels, printed.mean),
         )
         rows += [_row("PSNR over time, clamp", f"{name}, {part}", each.mean(), paper) for part, each, paper in parts]
     return rows
