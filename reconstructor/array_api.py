@@ -215,7 +215,7 @@ class BatchSolver:
         send, kind = library.send, self.dtype
         step = 1 / (settings.lipschitz_ratio * phi.norm_squared)
         self._threshold = settings.penalty_n * step
-        self._momentum = momentum(settings.iterations).tolist()
+        self._momentum = [send(each, kind) for each in momentum(settings.iterations).reshape(-1, 1)]
         self._is_scaled = settings.scaled_start
         self._zero = library.zeros((1,), kind)
         self._floor = self._zero if settings.nonnegative else None
@@ -272,11 +272,11 @@ class BatchSolver:
         sums = np.where(counts, sums.reshape(counts.shape), 0)
         gain = xp.take(send(counting.reshape(counts.shape), kind), self._slot, axis=1) * self._steps
         target = xp.take(send(sums, kind), self._slot, axis=1) * gain
-        limit = send(np.broadcast_to(self._threshold * np.asarray(relative_penalty), self.streams), kind)
+        limit = send(np.full(self.streams, self._threshold) * relative_penalty, kind)
         lives = counts.any(axis=1)
         self._solve(estimate, gain, target, xp.reshape(limit, (-1, 1, 1)))
         if not lives.all():
-            self._scale(estimate, xp.reshape(send(lives, kind), (-1, 1, 1)))
+            self._scale(estimate, xp.reshape(send(np.asarray(lives), kind), (-1, 1, 1)))
         return int(np.count_nonzero(counts))
 
     def reset(self) -> None:
@@ -294,11 +294,18 @@ class BatchSolver:
         made = ahead = estimate
         for turn, weight in enumerate(self._momentum):
             before = made
-            made = self._prior(ahead - self._slope(ahead, gain, target), self._dual, limit, turn)
-            if self._floor is not None:
-                made = self._library.xp.maximum(made, self._floor)
-            ahead = made + weight * (made - before)
+            made, ahead = self._iterate(before, ahead, (gain, target, limit), weight, turn)
         estimate[...] = made
+
+    def _iterate(
+        self, before: Any, ahead: Any, problem: tuple[Any, Any, Any], weight: Any, turn: int
+    ) -> tuple[Any, Any]:
+        """Return the estimates after one iteration, and where the next gradient is taken."""
+        gain, target, limit = problem
+        made = self._prior(ahead - self._slope(ahead, gain, target), self._dual, limit, turn)
+        if self._floor is not None:
+            made = self._library.xp.maximum(made, self._floor)
+        return made, made + weight * (made - before)
 
     def _scale(self, estimate: Any, factor: Any) -> None:
         """Scale the start of each stream, and the dual, which belongs to the start; `factor` has 3 axes."""
