@@ -132,4 +132,4 @@ export class Regions {
 }
 
 /** Whether the centre of pressure is that of a touch: of a skin that nothing touches it is a centre of noise. */
-export const hasCentre = (snapshot) => !snapshot.contacts || touching(snapshot).length > 0;
+export const hasCentre = (snapshot) => touching(snapshot).length > 0;
