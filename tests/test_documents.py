@@ -162,6 +162,20 @@ def test_each_python_block_is_taken_by_a_test() -> None:
             assert any(word in each.code for word in words), f"{each}: no test takes this block"
 
 
+def test_each_picture_is_shown_and_has_its_command() -> None:
+    text = "".join((ROOT / document).read_text("utf-8") for document in DOCUMENTS)
+    shown = set(re.findall(r"!\[[^]]*\]\((?:docs/)?([^)]+)\)", text))
+    assert shown == {path.name for ending in ("png", "svg") for path in (ROOT / "docs").glob(f"*.{ending}")}
+    assert shown == set(re.findall(r'^    "([\w.-]+)": ', (ROOT / "docs/figures.py").read_text(), re.MULTILINE))
+
+
+@pytest.mark.parametrize("document", DOCUMENTS)
+def test_files_that_the_text_names_are_there(document: str) -> None:
+    folders = "|".join(path.name for path in ROOT.iterdir() if path.is_dir())
+    named = re.findall(rf"`((?:{folders})/[a-z_\d./-]+\.(?:py|md|c|h|js))`", (ROOT / document).read_text("utf-8"))
+    assert [path for path in named if not (ROOT / path).exists()] == []
+
+
 @pytest.fixture(scope="module")
 def prepared(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The files that commands of the documents name."""
