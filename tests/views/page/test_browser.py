@@ -126,7 +126,8 @@ def test_the_past_is_shown_and_said_until_live_again(page: Browser, chain: Chain
     page.call("Input.dispatchMouseEvent", type="mousePressed", **at)
     page.until(lambda: page.text("#instant").startswith("the past"), "the pointer did not scrub")
     page.call("Input.dispatchMouseEvent", type="mouseReleased", **at)
-    page.ask("document.querySelector('#live').click()")
+    assert page.text("#pause") == "Live"
+    page.ask("document.querySelector('#pause').click()")
     page.until(lambda: page.text("#instant").startswith("now"), "the page is not live again")
 
 
@@ -260,15 +261,15 @@ CONTRAST = r"""(() => {
   };
   const found = [];
   for (const element of document.querySelectorAll("body *")) {
-    const isShown = element.checkVisibility() && [...element.childNodes].some((node) => node.nodeType === 3 && node.data.trim());
-    if (!isShown || element.closest(".stale, script, noscript")) continue;
+    const hasText = [...element.childNodes].some((node) => node.nodeType === 3 && node.data.trim());
+    if (!hasText || !element.checkVisibility() || element.closest(".stale, script, noscript")) continue;
     const { color, fontSize, fontWeight } = getComputedStyle(element);
     let behind = element;
-    while (behind && /^(transparent|rgba\(0, 0, 0, 0\))$/.test(getComputedStyle(behind).backgroundColor)) behind = behind.parentElement;
+    while (behind && getComputedStyle(behind).backgroundColor === "rgba(0, 0, 0, 0)") behind = behind.parentElement;
     const [one, other] = [luminance(color), luminance(getComputedStyle(behind ?? document.body).backgroundColor)];
     const ratio = (Math.max(one, other) + 0.05) / (Math.min(one, other) + 0.05);
     const isLarge = parseFloat(fontSize) >= 24 || (parseFloat(fontSize) >= 18.66 && fontWeight >= 700);
-    if (ratio < (isLarge ? 3 : 4.5)) found.push(`${element.className} ${element.textContent.trim()}: ${ratio.toFixed(2)}`);
+    if (ratio < (isLarge ? 3 : 4.5)) found.push(`${element.className} ${element.textContent}: ${ratio}`);
   }
   return found;
 })()"""
@@ -292,6 +293,25 @@ def test_the_keyboard_reaches_all_and_the_focus_is_seen(page: Browser) -> None:
     wanted = ["scheme", "help", "scaling", "pause", "mark", "record", "scrub", "tare", "contacts", "buses"]
     assert [name for name in dict.fromkeys(reached) if name in wanted] == wanted
     assert not bare
+
+
+REGIONS = [
+    {"name": "heel", "box": [0, 0, 15, 7], "threshold_n": 0.05},
+    {"name": "toe", "box": [0, 8, 15, 15]},
+]
+
+
+@pytest.mark.parametrize("messages", [{"region": REGIONS}], indirect=True)
+def test_a_region_over_its_threshold_is_marked(page: Browser) -> None:
+    page.until(lambda: len(rows(page, "regions")) == 2, "no regions")
+    heel, toe = rows(page, "regions")
+    assert [heel[0], heel[3], toe[0], toe[3]] == ["heel", "over 50.0 mN", "toe", ""]
+    assert page.ask("[...document.querySelectorAll('#regions tr.over')].map((row) => row.cells[0].innerText)") == ["heel"]
+    assert "on heel: more than its threshold of 0.05 N" in page.text("#notices")
+    press(page, "t")
+    assert page.ask("[...document.querySelectorAll('#taring option')].map((each) => each.text)") == [
+        "whole skin", "heel", "toe",
+    ]  # fmt: skip
 
 
 def test_pointer_names_force_block_and_node(page: Browser, messages: Any) -> None:

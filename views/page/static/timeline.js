@@ -32,14 +32,13 @@ export class Timeline {
   constructor(history, { show, fetchFrame, play }) {
     Object.assign(this, { history, show, fetchFrame, play });
     const part = (id) => document.getElementById(id);
-    [this.root, this.instant, this.scrub, this.pauseButton, this.liveButton] = ["time", "instant", "scrub", "pause", "live"].map(part);
+    [this.root, this.instant, this.scrub, this.button] = ["time", "instant", "scrub", "pause"].map(part);
     this.canvas = this.scrub.querySelector("canvas");
     this.cursor = this.scrub.querySelector("i");
     this.list = this.root.querySelector("dl");
     this.past = null;
     this.playback = null;
-    this.pauseButton.onclick = () => this.toggle();
-    this.liveButton.onclick = () => this.goLive();
+    this.button.onclick = () => this.toggle();
     this.speed = part("speed").querySelector("select");
     this.speed.replaceChildren(...SPEEDS.map((speed) => new Option(`${speed} ×`, speed, speed === 1, speed === 1)));
     this.speed.onchange = () => play({ speed: Number(this.speed.value) });
@@ -144,9 +143,7 @@ export class Timeline {
 
   drawState() {
     const { past, playback } = this;
-    const isHeld = Boolean(past || playback?.is_paused);
-    write(this.pauseButton, isHeld ? "Go on" : playback ? "Hold" : "Pause");
-    this.liveButton.hidden = !past;
+    write(this.button, playback ? (playback.is_paused ? "Go on" : "Hold") : past ? "Live" : "Pause");
     document.body.classList.toggle("past", Boolean(past));
     this.speed.parentElement.hidden = !playback;
     if (playback && document.activeElement !== this.speed) this.speed.value = playback.speed;
