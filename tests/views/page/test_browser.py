@@ -306,7 +306,9 @@ def test_a_region_over_its_threshold_is_marked(page: Browser) -> None:
     page.until(lambda: len(rows(page, "regions")) == 2, "no regions")
     heel, toe = rows(page, "regions")
     assert [heel[0], heel[3], toe[0], toe[3]] == ["heel", "over 50.0 mN", "toe", ""]
-    assert page.ask("[...document.querySelectorAll('#regions tr.over')].map((row) => row.cells[0].innerText)") == ["heel"]
+    assert page.ask("[...document.querySelectorAll('#regions tr.over')].map((row) => row.cells[0].innerText)") == [
+        "heel"
+    ]
     assert "on heel: more than its threshold of 0.05 N" in page.text("#notices")
     press(page, "t")
     assert page.ask("[...document.querySelectorAll('#taring option')].map((each) => each.text)") == [

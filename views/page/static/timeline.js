@@ -22,6 +22,12 @@ const TRACKS = [
 const STEPS_S = [1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 1800, 3600];
 const STEP_PX = 70;
 
+// In a window with room for the history beside the images the curves grow with its height, up to `MOST_TIMES`.
+const BROAD = matchMedia("(min-width: 1700px)");
+const LOW_PX = 1100;
+const TIMES_PX = 220;
+const MOST_TIMES = 3;
+
 const isKnown = (value) => value !== null && value !== undefined;
 
 export class Timeline {
@@ -135,9 +141,11 @@ export class Timeline {
   /** Draw where the page is; `snapshot` is the newest, and `now_s` the time at the server. */
   draw(snapshot) {
     this.now_s = snapshot.time_s;
-    if (snapshot.playback && this.isBringing) snapshot.playback.position_s = this.playback.position_s;
-    this.playback = snapshot.playback;
-    if (this.playback) this.origin_s = snapshot.time_s - snapshot.playback.position_s;
+    const { playback } = snapshot;
+    if (playback) this.origin_s = snapshot.time_s - playback.position_s;
+    // Until it is there, the place where the user is going is shown.
+    if (playback && this.isBringing) playback.position_s = this.playback.position_s;
+    this.playback = playback;
     this.drawState();
   }
 
@@ -185,7 +193,8 @@ export class Timeline {
   /** Draw the curves anew: moments have come, or the place has another size or other colours. */
   drawTracks() {
     const { moments } = this.history;
-    const tracks = TRACKS.filter(({ key }) => moments.some((moment) => isKnown(moment[key])));
+    const times = BROAD.matches ? Math.max(1, Math.min(MOST_TIMES, 1 + (innerHeight - LOW_PX) / TIMES_PX)) : 1;
+    const tracks = TRACKS.filter(({ key }) => moments.some((moment) => isKnown(moment[key]))).map((track) => (track.isBand ? track : { ...track, px: Math.round(track.px * times) }));
     this.root.classList.toggle("empty", !tracks.length);
     this.arrange(tracks);
     const height = tracks.reduce((sum, { px }) => sum + px + GAP_PX, AXIS_PX);
@@ -212,7 +221,7 @@ export class Timeline {
 
   /** Name the tracks beside them. */
   arrange(tracks) {
-    const wanted = tracks.map(({ key }) => key).join();
+    const wanted = tracks.map(({ key, px }) => `${key} ${px}`).join();
     if (wanted === this.arranged) return;
     this.arranged = wanted;
     this.rows = tracks.map((track) => ({ ...track, value: make("dd") }));
