@@ -7,7 +7,7 @@
 # make mutants  small faults put into the code that no test notices, slow ones apart (docs/develop.md); hours without PATHS or ARGS
 # make figures  every picture of the README and of docs/, with today's code (ARGS="demo.png page.png" for some)
 # make paper    docs/paper.md from docs/paper.json, or with RESULTS=report/paper.json from a run of skin evaluate paper
-# make docs     the documents and the API as a site, in site/, without a network
+# make docs     the documents and the API as a site, in build/site/, without a network
 # make setup    the environment of all of them, in .venv; make demo makes a smaller one, without the test tools
 
 PYTHON ?= python3
@@ -61,8 +61,9 @@ paper: setup
 	@$(BIN)/python -m docs.paper $(RESULTS)
 
 docs: setup
-	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
-	@echo "site/index.html"
+	@$(BIN)/python -m docs.site_pages build/site
+	@$(BIN)/zensical build --strict --config-file build/site/mkdocs.yml
+	@echo "build/site/site/index.html"
 
 # On several cores. One worker compiles the kernels, then runs whole chains (tests/conftest.py); others go by file.
 BY_FILE := --dist loadfile --no-loadscope-reorder --max-worker-restart 0
