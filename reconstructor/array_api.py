@@ -260,9 +260,7 @@ class BatchSolver:
         relative_penalty : float, or array of shape (streams,)
             λ of this solve / λ of the settings.
         """
-        shape = (self.streams, *self.shape)
-        if tuple(getattr(estimate, "shape", ())) != shape:
-            raise InputError(f"estimate: expected an array of shape {shape}, as `new_estimate` returns")
+        self._check(estimate)
         lead = (self.streams,) if self.streams > 1 or np.ndim(sums_n) > 1 else ()
         sums, counting = checked(sums_n, weights, (*lead, self.sums), self.dtype)
         if not np.all(np.isfinite(relative_penalty)) or np.any(np.asarray(relative_penalty) < 0):
@@ -285,8 +283,14 @@ class BatchSolver:
 
     def deliver(self, estimate: Any) -> npt.NDArray[np.float32]:
         """Return new NumPy images of shape (streams, rows, columns), negative forces as 0."""
+        self._check(estimate)
         images: npt.NDArray[np.float32] = np.maximum(self._library.fetch(estimate), 0).astype(np.float32)
         return images
+
+    def _check(self, estimate: Any) -> None:
+        shape = (self.streams, *self.shape)
+        if tuple(getattr(estimate, "shape", ())) != shape:
+            raise InputError(f"estimate: expected an array of shape {shape}, as `new_estimate` returns")
 
     def _solve(self, estimate: Any, gain: Any, target: Any, limit: Any) -> None:
         if self._is_scaled:
