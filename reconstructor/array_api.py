@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from importlib import import_module
 from math import isqrt
 from types import ModuleType
-from typing import Any, Final, Literal, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -25,7 +25,7 @@ from reconstructor.kernels.addresses import spin_shifts
 from reconstructor.kernels.graph import graph_of
 from reconstructor.kernels.problem import checked
 from reconstructor.kernels.variation import INNER
-from reconstructor.settings import SolverSettings
+from reconstructor.settings import Device, LibraryName, SolverSettings
 from shell.extras import not_installed
 from skin.matrix import MatrixPhi
 from skin.measurement import Sbhe, fast_hadamard
@@ -41,8 +41,6 @@ MOST: Final = 1 << 26
 
 Bools = npt.NDArray[np.bool_]
 Indices = npt.NDArray[np.intp]
-Device = Literal["cpu", "gpu"]
-LibraryName = Literal["cupy", "torch", "numpy"]
 
 
 @dataclass(frozen=True)
