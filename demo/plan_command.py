@@ -110,23 +110,21 @@ def plan(
             "fits": does_fit,
             "buses": plans[: len(contract.layout.bus)],
             "wiring": wiring(contract.layout),
-            **({} if images is None else {"quality": images._asdict()}),
         }
-        print_json(facts | sending.facts(contract, plans, allowed))
+        print_json(facts | {"quality": each._asdict() for each in images} | sending.facts(contract, plans, allowed))
     else:
         sending.print_plan(contract, plans, allowed)
-        print(f"\n{wiring(contract.layout)}")
-        if images is not None:
-            print(f"images of simulated touches: {images.words}")
+        predicted = (f"images of simulated touches: {each.words}" for each in images)
+        print("", wiring(contract.layout), *predicted, sep="\n")
     return int(not does_fit)
 
 
-def _images(layout: Layout, *, asked: bool) -> "Quality | None":
+def _images(layout: Layout, *, asked: bool) -> "list[Quality]":
     if not asked:
-        return None
+        return []
     from demo.quality import quality  # compiles a solver, which no other plan needs
 
-    return quality(layout)
+    return [quality(layout)]
 
 
 def _timing(layout: Layout, names: list[str], options: TimingOptions, *, as_json: bool) -> int:

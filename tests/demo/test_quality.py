@@ -6,8 +6,7 @@ import pytest
 from canskin.errors import InputError, RunError
 from demo.quality import qualities, quality
 from skin.matrix import signs_of
-from tests.adaptive_skin import small_boards
-from tests.layouts import ADAPTIVE_SKIN, small_layout
+from tests.layouts import ADAPTIVE_SKIN, small_boards, small_layout
 
 MAT = small_layout(15, 17, sampling={"rate_hz": 1000.0})
 
