@@ -110,8 +110,9 @@ def plan(
             "fits": does_fit,
             "buses": plans[: len(contract.layout.bus)],
             "wiring": wiring(contract.layout),
+            "quality": [each._asdict() for each in images],
         }
-        print_json(facts | {"quality": each._asdict() for each in images} | sending.facts(contract, plans, allowed))
+        print_json(facts | sending.facts(contract, plans, allowed))
     else:
         sending.print_plan(contract, plans, allowed)
         predicted = (f"images of simulated touches: {each.words}" for each in images)

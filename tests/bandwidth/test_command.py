@@ -109,7 +109,7 @@ def test_a_search_writes_the_layout(skin: Skin, tmp_path: Path) -> None:
     assert (layout.taxels.count, len(layout.bus), layout.sync.rate_hz) == (1024, 1, 100.0)
     assert layout.samples_per_sync == 10
     status, text, _ = skin("plan", path, "--quality", "--json")
-    predicted = json.loads(text)["quality"]
+    (predicted,) = json.loads(text)["quality"]
     assert f"images, 256 sums: {predicted['psnr_image_db']:.1f} dB" in said
     assert predicted["psnr_image_db"] > predicted["psnr_sensor_db"] + 10
 
