@@ -85,6 +85,7 @@ class Run:
             self._listen(fabric)
             while not self._try_rate(stop, endpoint):
                 self._supervisor.stop()
+                self._supervisor.children.clear()  # services that were ended are not missed
                 self._take_rate(self._layout.sync.rate_hz / 2)
             if stop.is_set() and not self._has_started():
                 self._supervisor.stop_at_once()
