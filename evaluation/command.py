@@ -43,10 +43,11 @@ Subject = Literal[
 
 
 class _Subject(NamedTuple):
-    """Where the function ``options -> Result`` of a subject is, and whether it averages over draws of Φ."""
+    """The function ``options -> Result`` of a subject; whether it averages over draws of Φ, and takes objects."""
 
     function: str
     draws: bool = False
+    objects: bool = False
 
 
 #: In the order of the report.
@@ -59,13 +60,13 @@ SUBJECTS: Final[dict[str, _Subject]] = {
     "figures": _Subject("evaluation.paper.figures:evaluate"),
     "solvers": _Subject("evaluation.paper.solvers:evaluate"),
     "noiselets": _Subject("evaluation.paper.noiselets:evaluate"),
-    "rivals": _Subject("evaluation.schemes.comparison:evaluate"),
+    "rivals": _Subject("evaluation.schemes.comparison:evaluate", objects=True),
     "drawn-rivals": _Subject("evaluation.schemes.comparison:evaluate_drawn"),
-    "rates": _Subject("evaluation.schemes.rates:evaluate"),
-    "contacts": _Subject("evaluation.schemes.contacts:evaluate"),
+    "rates": _Subject("evaluation.schemes.rates:evaluate", objects=True),
+    "contacts": _Subject("evaluation.schemes.contacts:evaluate", objects=True),
     "calibration": _Subject("evaluation.schemes.zero_scenes:evaluate"),
     "offsets": _Subject("evaluation.schemes.offsets:evaluate"),
-    "wiring": _Subject("evaluation.schemes.wiring:evaluate"),
+    "wiring": _Subject("evaluation.schemes.wiring:evaluate", objects=True),
     "frontend": _Subject("evaluation.schemes.frontend:evaluate"),
     "scaling": _Subject("evaluation.schemes.scaling:evaluate"),
     "classification": _Subject("evaluation.recognition.classification:evaluate", draws=True),
@@ -79,6 +80,7 @@ def evaluate(
     *,
     quick: bool = False,
     meshes: Path | None = None,
+    objects: str | None = None,
     recordings: Path | None = None,
     out: Path | None = None,
     jobs: int | None = None,
@@ -101,6 +103,9 @@ def evaluate(
     meshes
         Folder of meshes (banana, cup, drill, largeclamp, mustard) in place of the shapes that ship. Live rows of
         ``claims`` and ``recognition`` that name objects keep these shapes.
+    objects
+        Comma-separated: what slides in ``rivals``, ``rates``, ``contacts`` and ``wiring`` in place of the paper's five
+        objects. Of these, or your own mesh as FILE@UNIT.
     recordings
         Folder of real pressure recordings (S1.npz and so on), for the parts that use them.
     out
@@ -129,18 +134,30 @@ def evaluate(
     --------
     skin evaluate all --quick
     skin evaluate all --meshes ycb-meshes --out report
+    skin evaluate contacts --objects handle.stl@mm:y90,cup
     skin evaluate sparsity --basis sym4-tensor coif1-tensor
     """
     from evaluation.result import Options
     from reconstructor.bases.names import wavelet_basis_name
+    from touch.trajectory import checked_slides
 
     names = _names(subject)
-    _check(subject, names, draws, has_recordings=recordings is not None, has_scenes=scenes > 0 or quick, basis=basis)
+    _check(
+        subject,
+        names,
+        draws,
+        has_recordings=recordings is not None,
+        has_scenes=scenes > 0 or quick,
+        basis=basis,
+        objects=objects,
+    )
     if out is None and len(names) > 1:
         out = Path("skin-evaluation")
     processes = jobs if jobs is not None else os.cpu_count() or 1
     bases = tuple(map(wavelet_basis_name, basis or ()))
     options = Options(quick, meshes, recordings, out, processes, draws, seed, scenes, scene_seed, bases)
+    if objects is not None:
+        options = replace(options, objects=checked_slides(objects))
     results: dict[str, Result] = {}
     for name in names:
         asked = options if SUBJECTS[name].draws else replace(options, draws=None)
@@ -178,6 +195,7 @@ def _check(
     has_recordings: bool,
     has_scenes: bool,
     basis: list[str] | None,
+    objects: str | None,
 ) -> None:
     """Raise InputError for an option that is missing or that no subject takes."""
     if subject == "postures" and not has_recordings:
@@ -188,6 +206,9 @@ def _check(
         raise InputError(f"'{subject}' averages over no draws of Φ, got {draws} draws: leave out --draws")
     if basis and "sparsity" not in names:
         raise InputError(f"only 'sparsity' takes bases, not '{subject}': leave out --basis")
+    if objects is not None and not any(SUBJECTS[name].objects for name in names):
+        takers = ", ".join(name for name, each in SUBJECTS.items() if each.objects)
+        raise InputError(f"'{subject}' takes no objects, expected one of {takers}, got --objects {objects}")
 
 
 def _print(found: "Result") -> None:

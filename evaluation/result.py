@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from canskin.errors import InputError
 from shell.output import write_file
+from touch.trajectory import ACQUISITION_OBJECTS
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -20,7 +21,7 @@ class Options:
     """What every evaluation is asked: the options of ``skin evaluate``.
 
     Without `out` nothing is kept; without `draws` each subject has its own number. `bases` are full names of wavelet
-    bases.
+    bases. `objects` slide in place of the paper's five.
     """
 
     quick: bool = False
@@ -33,6 +34,7 @@ class Options:
     scenes: int = 10
     scene_seed: int = 0
     bases: tuple[str, ...] = ()
+    objects: tuple[str, ...] = tuple(ACQUISITION_OBJECTS)
 
     def __post_init__(self) -> None:
         for what, folder in (("meshes", self.meshes), ("recordings", self.recordings)):

@@ -1,6 +1,7 @@
 """Since when a node is not whole, and why, from the gateway's counters."""
 
 from collections import defaultdict
+from collections.abc import Mapping
 from typing import Final
 
 from canskin.messages import SILENT, BusState, GatewayStatus, NmtState
@@ -37,12 +38,13 @@ class NodeTroubles:
     def take(self, status: GatewayStatus, now_s: float) -> None:
         """Take the next counters."""
         before, self._troubles = self._troubles, defaultdict(dict)
+        missed, self._missing = self._missing, {}
         for bus in status.buses:
             known = before.get(bus.name, {})
             emergencies = dict(zip(bus.nodes, bus.emcy, strict=False))
             missing = dict(zip(bus.nodes, bus.missing, strict=False))
             for node, nmt in zip(bus.nodes, bus.nmt, strict=True):
-                loses = self._loses((bus.name, node), missing.get(node, 0), now_s)
+                loses = self._loses(missed, (bus.name, node), missing.get(node, 0), now_s)
                 why = "its bus is down" if bus.link in DEAD_LINKS else word_of(bus, node, nmt)
                 if not why and loses:
                     why = "frames with sums are missing"
@@ -59,8 +61,10 @@ class NodeTroubles:
             for bus, nodes in self._troubles.items()
         }
 
-    def _loses(self, key: tuple[str, int], missing: int, now_s: float) -> bool:
-        before, last_s = self._missing.get(key, (missing, -LOSS_S))
+    def _loses(
+        self, missed: Mapping[tuple[str, int], tuple[int, float]], key: tuple[str, int], missing: int, now_s: float
+    ) -> bool:
+        before, last_s = missed.get(key, (missing, -LOSS_S))
         if missing > before:
             last_s = now_s
         self._missing[key] = missing, last_s

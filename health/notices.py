@@ -159,8 +159,8 @@ def _doubts(state: Snapshot, *, is_grid: bool) -> Iterator[Notice]:
 def _thresholds(state: Snapshot) -> Iterator[Notice]:
     """Name the regions whose force is above their threshold."""
     for each in state.patches:
-        if each.is_over and each.force_n is not None:
-            text = f"{each.force_n:.3g} N on {each.name}: more than its threshold of {each.threshold_n:g} N"
+        if each.is_over and each.peak_n is not None:
+            text = f"up to {each.peak_n:.3g} N on {each.name}: more than its threshold of {each.threshold_n:g} N"
             yield Notice(
                 level="warning", text=text, since_time_s=each.over_since_time_s, kind=f"threshold of {each.name}"
             )

@@ -25,6 +25,7 @@ class Patches:
         surface, phi = layout.taxels.surface, layout.phi()
         self._surface, self._regions = surface, regions_of(layout)
         self._inside: Floats = np.stack([each.taxels for each in self._regions]).astype(np.float32)
+        self._limited = [number for number, each in enumerate(self._regions) if each.threshold_n is not None]
         rows, columns = np.indices(surface.shape).reshape(2, -1)
         self._places: Floats = np.column_stack((rows, columns, surface.positions_m)).astype(np.float32)
         self._of_blocks: Floats = np.zeros((len(self._regions), phi.blocks), np.float32)
@@ -40,6 +41,18 @@ class Patches:
     def total_n(self, image: Image) -> float | None:
         """Return the force on the whole skin, newtons; None if nothing was measured."""
         return float(np.frombuffer(image.pixels, "<f4") @ self._inside[0]) if image.valid_sums else None
+
+    def over(self, image: Image) -> list[tuple[str, float]]:
+        """Return name and force of each region whose total force is above its threshold."""
+        if not self._limited or not image.valid_sums:
+            return []
+        total_n = (self._inside[self._limited] @ np.frombuffer(image.pixels, "<f4")).tolist()
+        regions = [self._regions[number] for number in self._limited]
+        return [
+            (each.name, force_n)
+            for each, force_n in zip(regions, total_n, strict=True)
+            if each.threshold_n is not None and force_n > each.threshold_n
+        ]
 
     def of(self, image: Image) -> list[PatchState]:
         """Return the regions in an image."""
@@ -60,7 +73,6 @@ class Patches:
                 name=region.name,
                 force_n=whole_n,
                 threshold_n=region.threshold_n,
-                is_over=region.threshold_n is not None and whole_n > region.threshold_n,
                 is_doubtful=bool(is_doubtful[number]),
             )
             found.append(patch if whole_n <= 0 else self._with_centre(patch, moments[number] / whole_n))

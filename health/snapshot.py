@@ -98,8 +98,9 @@ class PatchState(msgspec.Struct, frozen=True, kw_only=True):
     ----------
     force_n : float or None
         Total force, newtons; None if no taxel of the region was measured.
-    is_over, over_since_time_s : bool, float or None
-        The force is above `threshold_n`, and the wall-clock time since when.
+    is_over, over_since_time_s, peak_n : bool, float or None, float or None
+        In an image of the last second the force was above `threshold_n`; wall-clock time since when, and the largest
+        force since then.
     row, column, position_m
         Centre of pressure, see `canskin.messages.Contact`; None without force.
     is_doubtful : bool
@@ -112,6 +113,7 @@ class PatchState(msgspec.Struct, frozen=True, kw_only=True):
     threshold_n: float | None = None
     is_over: bool = False
     over_since_time_s: float | None = None
+    peak_n: float | None = None
     row: float | None = None
     column: float | None = None
     position_m: tuple[float, float, float] | None = None

@@ -71,6 +71,14 @@ class Last(NamedTuple, Generic[Message]):
     at_s: float
 
 
+class Excess(NamedTuple):
+    """A force above the threshold of a region: since when, when last, and the largest force, newtons."""
+
+    since_s: float
+    last_s: float
+    peak_n: float
+
+
 class Moment(NamedTuple):
     """A skin at one instant, for curves: None for what was not measured then.
 
@@ -130,7 +138,7 @@ class ViewState:
         self._latency_s = Window(LATENCY_SPAN_S)
         self._valid, self._rate = Window(SPAN_S), Rate(SPAN_S)
         self._patches, self._troubles = Patches(layout), NodeTroubles()
-        self._over_since_s: dict[str, float] = {}
+        self._over: dict[str, Excess] = {}
         #: Image, truth, and when their pair was found; a pair is compared when a snapshot needs its PSNR.
         self._pairs: deque[tuple[Image, Truth, float]] = deque()
         self._psnr_image_db, self._psnr_sensor_db = Window(SPAN_S), Window(SPAN_S)
@@ -171,6 +179,11 @@ class ViewState:
             self._rate.add(now_s, image.sampled_mono_ns * 1e-9)
         if image.valid_sums and is_new:
             self._latency_s.add(now_s, (image.published_mono_ns - image.sampled_mono_ns) * 1e-9)
+        for name, force_n in self._patches.over(image):
+            before = self._over.get(name)
+            if before is None or now_s - before.last_s > SPAN_S:
+                before = Excess(now_s, now_s, force_n)
+            self._over[name] = Excess(before.since_s, now_s, max(before.peak_n, force_n))
         self._keep(self._pairing.take(image), now_s)
 
     def _keep(self, pairs: list[tuple[Image, Truth]], now_s: float) -> None:
@@ -284,16 +297,17 @@ class ViewState:
     def _patches_state(self, now_s: float) -> list[PatchState]:
         if self._image is None:
             return []
-        found = self._patches.of(self._image.message)
-        if self._is_stale("reconstructor", self._image.at_s, now_s, FRESH_S):
-            return [msgspec.structs.replace(each, is_over=False) for each in found]
-        over = [each.name for each in found if each.is_over]
-        self._over_since_s = {name: self._over_since_s.get(name, now_s) for name in over}
+        over = {name: each for name, each in self._over.items() if now_s - each.last_s <= SPAN_S}
         return [
-            msgspec.structs.replace(each, over_since_time_s=self._epoch_s + self._over_since_s[each.name])
-            if each.is_over
-            else each
-            for each in found
+            msgspec.structs.replace(
+                patch,
+                is_over=True,
+                over_since_time_s=self._epoch_s + over[patch.name].since_s,
+                peak_n=over[patch.name].peak_n,
+            )
+            if patch.name in over
+            else patch
+            for patch in self._patches.of(self._image.message)
         ]
 
     def moment(self, now_s: float) -> Moment:

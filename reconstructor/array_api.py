@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from importlib import import_module
 from math import isqrt
 from types import ModuleType
-from typing import Any, Final, Literal, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -25,7 +25,7 @@ from reconstructor.kernels.addresses import spin_shifts
 from reconstructor.kernels.graph import graph_of
 from reconstructor.kernels.problem import checked
 from reconstructor.kernels.variation import INNER
-from reconstructor.settings import SolverSettings
+from reconstructor.settings import Device, LibraryName, SolverSettings
 from shell.extras import not_installed
 from skin.matrix import MatrixPhi
 from skin.measurement import Sbhe, fast_hadamard
@@ -41,8 +41,6 @@ MOST: Final = 1 << 26
 
 Bools = npt.NDArray[np.bool_]
 Indices = npt.NDArray[np.intp]
-Device = Literal["cpu", "gpu"]
-LibraryName = Literal["cupy", "torch", "numpy"]
 
 
 @dataclass(frozen=True)
@@ -215,7 +213,7 @@ class BatchSolver:
         send, kind = library.send, self.dtype
         step = 1 / (settings.lipschitz_ratio * phi.norm_squared)
         self._threshold = settings.penalty_n * step
-        self._momentum = momentum(settings.iterations).tolist()
+        self._momentum = [send(each, kind) for each in momentum(settings.iterations).reshape(-1, 1)]
         self._is_scaled = settings.scaled_start
         self._zero = library.zeros((1,), kind)
         self._floor = self._zero if settings.nonnegative else None
@@ -260,9 +258,7 @@ class BatchSolver:
         relative_penalty : float, or array of shape (streams,)
             λ of this solve / λ of the settings.
         """
-        shape = (self.streams, *self.shape)
-        if tuple(getattr(estimate, "shape", ())) != shape:
-            raise InputError(f"estimate: expected an array of shape {shape}, as `new_estimate` returns")
+        self._check(estimate)
         lead = (self.streams,) if self.streams > 1 or np.ndim(sums_n) > 1 else ()
         sums, counting = checked(sums_n, weights, (*lead, self.sums), self.dtype)
         if not np.all(np.isfinite(relative_penalty)) or np.any(np.asarray(relative_penalty) < 0):
@@ -272,11 +268,11 @@ class BatchSolver:
         sums = np.where(counts, sums.reshape(counts.shape), 0)
         gain = xp.take(send(counting.reshape(counts.shape), kind), self._slot, axis=1) * self._steps
         target = xp.take(send(sums, kind), self._slot, axis=1) * gain
-        limit = send(np.broadcast_to(self._threshold * np.asarray(relative_penalty), self.streams), kind)
+        limit = send(np.full(self.streams, self._threshold) * relative_penalty, kind)
         lives = counts.any(axis=1)
         self._solve(estimate, gain, target, xp.reshape(limit, (-1, 1, 1)))
         if not lives.all():
-            self._scale(estimate, xp.reshape(send(lives, kind), (-1, 1, 1)))
+            self._scale(estimate, xp.reshape(send(np.asarray(lives), kind), (-1, 1, 1)))
         return int(np.count_nonzero(counts))
 
     def reset(self) -> None:
@@ -285,8 +281,14 @@ class BatchSolver:
 
     def deliver(self, estimate: Any) -> npt.NDArray[np.float32]:
         """Return new NumPy images of shape (streams, rows, columns), negative forces as 0."""
+        self._check(estimate)
         images: npt.NDArray[np.float32] = np.maximum(self._library.fetch(estimate), 0).astype(np.float32)
         return images
+
+    def _check(self, estimate: Any) -> None:
+        shape = (self.streams, *self.shape)
+        if tuple(getattr(estimate, "shape", ())) != shape:
+            raise InputError(f"estimate: expected an array of shape {shape}, as `new_estimate` returns")
 
     def _solve(self, estimate: Any, gain: Any, target: Any, limit: Any) -> None:
         if self._is_scaled:
@@ -294,11 +296,18 @@ class BatchSolver:
         made = ahead = estimate
         for turn, weight in enumerate(self._momentum):
             before = made
-            made = self._prior(ahead - self._slope(ahead, gain, target), self._dual, limit, turn)
-            if self._floor is not None:
-                made = self._library.xp.maximum(made, self._floor)
-            ahead = made + weight * (made - before)
+            made, ahead = self._iterate(before, ahead, (gain, target, limit), weight, turn)
         estimate[...] = made
+
+    def _iterate(
+        self, before: Any, ahead: Any, problem: tuple[Any, Any, Any], weight: Any, turn: int
+    ) -> tuple[Any, Any]:
+        """Return the estimates after one iteration, and where the next gradient is taken."""
+        gain, target, limit = problem
+        made = self._prior(ahead - self._slope(ahead, gain, target), self._dual, limit, turn)
+        if self._floor is not None:
+            made = self._library.xp.maximum(made, self._floor)
+        return made, made + weight * (made - before)
 
     def _scale(self, estimate: Any, factor: Any) -> None:
         """Scale the start of each stream, and the dual, which belongs to the start; `factor` has 3 axes."""

@@ -66,7 +66,9 @@ def rebuild(
     A CAN log is decoded as in the gateway: blocks with late, damaged or missing frames are not valid in that cycle.
     The offsets in a run of ``skin record`` are taken off. A recording is measured as in the nodes, one frame per
     cycle. Images equal those of ``skin reconstruct``, but for rounding on a GPU and in the first images of the parts
-    that are solved there together; the log tells how many equal those of the run. With two states the cycles of
+    that are solved there together; the log tells how many equal those of the run. Each image begins with the one
+    before. So after the beginning of a recording of a touched skin, and after a cycle that the live reconstructor left
+    out, images differ for up to hundreds of cycles, longest where sums are saturated. With two states the cycles of
     images make images. Of adaptive sums the images of the run are made again, of a log one every 10 ms.
 
     Parameters
@@ -233,7 +235,8 @@ def _compare(skin: Layout, source: Path, made: _Rebuilt) -> None:
 
 def _tell(equal: int, compared: int) -> None:
     if compared:
-        say("rebuild", f"{equal} of {compared} images equal to the recorded")
+        why = "" if equal == compared else ": others may follow from images of before the recording, or left out live"
+        say("rebuild", f"{equal} of {compared} images equal to the recorded{why}")
 
 
 def _as_live(skin: Layout, source: Path, cycles: Cycles) -> Cycles:

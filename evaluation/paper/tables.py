@@ -32,7 +32,7 @@ TABLE_SUMS, TABLE_ITERATIONS = 1024, 20
 #: Draws of Φ and of the noise that are averaged, without --draws; of the noiselet in Table III fewer, because the
 #: noiselet only shows of which Φ the paper's table is.
 DRAWS: Final = 5
-NOISELET_DRAWS: Final = 2
+NOISELET_DRAWS: Final = 1
 #: Every how many steps are rebuilt. Fewer iterations need a nearer step as their start, at least with contourlets;
 #: every 4th step in place of every step moves the clamp's mean by 0.04 dB (SBHE, 1024 sums, 20 iterations).
 STRIDES: Final[dict[tuple[BasisName, int], int]] = {

@@ -5,12 +5,12 @@ from typing import Final
 
 from evaluation.observations import OBJECTS, TAXELS
 from evaluation.recognition.accuracy import FULL, ONE_PERCENT, THREE_PERCENT, measure_accuracy
-from evaluation.recognition.classification import printed_accuracy
+from evaluation.recognition.classification import cells_of, printed_accuracy
 from evaluation.recognition.sixteen import measure_sixteen
 from evaluation.result import Finding, Options, Row, grouped
 from evaluation.result_cache import measure_cells
 
-#: Splits of the observations, one for each draw of Φ, and draws of the running classifier, without --draws.
+#: Draws of the running classifier, without --draws; `classification` has its own of the observations.
 DRAWS: Final = 10
 #: Signals whose accuracy is measured: kind, size, and development and validation set.
 SIGNALS: Final = {
@@ -30,25 +30,17 @@ def claimed(options: Options) -> dict[str, Finding]:
 
 
 def _accuracies(options: Options) -> dict[str, Finding]:
-    draws = options.draws_or(DRAWS)
-    # Taxels are not drawn: one call has all their splits.
-    drawn = {name: [[draw] for draw in range(draws)] for name in SIGNALS}
-    drawn |= {name: [list(range(draws))] for name, (kind, *_) in SIGNALS.items() if kind == "averaged"}
-    calls = [
-        {"kind": kind, "size": size, "draw": draw, "splits": splits}
-        | {"development": parts[0], "validation": parts[1], **options.shared}
-        for name, (kind, size, parts) in SIGNALS.items()
-        for draw, splits in enumerate(drawn[name])
-    ]
+    cells = {name: cells_of(*signal, options) for name, signal in SIGNALS.items()}
+    calls = [cell for each in cells.values() for cell in each]
     found = iter(measure_cells(measure_accuracy, calls, options, "classification"))
-    percent = {name: [100 * each for _ in parts for each in next(found)["accuracy"]] for name, parts in drawn.items()}
+    percent = {name: [100 * one for _ in each for one in next(found)["accuracy"]] for name, each in cells.items()}
     ours = {name: mean(each) for name, each in percent.items()}
     printed = {name: printed_accuracy(*signal) for name, signal in SIGNALS.items()}
-    figures = {name: Finding(ours[name], draws, printed[name], pstdev(percent[name])) for name in SIGNALS}
+    figures = {name: Finding(ours[name], len(each), printed[name], pstdev(each)) for name, each in percent.items()}
     for sums, sensor in (("64 sums", "all taxels"), ("64 sums", "64 taxels"), ("16 sums", "16 taxels")):
         of_sums, of_sensor = printed[sums], printed[sensor]
         difference = None if of_sums is None or of_sensor is None else of_sums - of_sensor
-        figures[f"{sums} - {sensor}"] = Finding(ours[sums] - ours[sensor], draws, difference)
+        figures[f"{sums} - {sensor}"] = Finding(ours[sums] - ours[sensor], len(percent[sums]), difference)
     return figures
 
 

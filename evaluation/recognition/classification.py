@@ -90,12 +90,17 @@ def _cells(options: Options) -> list[Row]:
     wanted += [(kind, CONFUSION_SIZE, THREE_PERCENT) for kind in ("sbhe", "noiselet")]
     if options.quick:
         wanted = [one for one in wanted if one[1] in _COMPARED_SIZES and one[2] in {FULL, THREE_PERCENT}]
-    draws = options.draws_or(DRAWS)
+    return [cell for kind, size, shares in wanted for cell in cells_of(kind, size, shares, options)]
+
+
+def cells_of(kind: str, size: int, shares: tuple[float, float], options: Options) -> list[Row]:
+    """Return one cell for each draw of Φ of a signal and training size."""
+    development, validation = shares
+    draws = _draws(kind, size, options.draws_or(DRAWS), is_few=_is_few(kind, size, development, options))
     return [
         {"kind": kind, "size": size, "draw": draw, "splits": _splits(kind, size, draw, development, options)}
         | {"development": development, "validation": validation, **options.shared}
-        for kind, size, (development, validation) in wanted
-        for draw in range(_draws(kind, size, draws, is_few=_is_few(kind, size, development, options)))
+        for draw in range(draws)
     ]
 
 

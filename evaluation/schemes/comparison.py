@@ -1,13 +1,14 @@
 """``skin evaluate rivals``: our sums, at a fixed rate and adaptive, against scans, coarse arrays and events."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from statistics import mean
 from typing import Final
 
 from evaluation.result import Options, Result, Row, grouped
 from evaluation.result_cache import measure_cells
-from evaluation.schemes.scenes import OWN, SIDE, SLAP, SLIDES, Touch, recordings_in
+from evaluation.schemes.scenes import OWN, SIDE, SLAP, Touch, recordings_in
 from evaluation.schemes.schemes import Adaptive, FilteredEvents, Scan, Scheme, Sums, measure_scheme
+from skin.sources import object_label
 
 OURS: Final = Adaptive()
 #: Thresholds in newtons that filtered taxels are tried with.
@@ -59,7 +60,7 @@ def evaluate(options: Options) -> Result:
         {"touch": cell["touch"].words, "scheme": cell["scheme"].name} | {key: result[key] for key in DIGITS}
         for cell, result in zip(cells, results, strict=True)
     ]
-    found = slides_together(found) + found
+    found = slides_together(found, options.objects) + found
     return Result(
         "Schemes on the same four classic buses; those with a rate at the bits a second of the default skin",
         [row | {key: None if row[key] is None else round(row[key], DIGITS[key]) for key in DIGITS} for row in found],
@@ -130,11 +131,11 @@ def _counts(rows: list[Row], rival: str, prefix: str) -> str:
 def _touches(options: Options) -> Iterator[Touch]:
     meshes = options.shared["meshes"]
     if options.quick:
-        yield Touch("golf-ball", ticks=600, seed=options.seed)
+        yield Touch(options.objects[0], ticks=600, seed=options.seed)
         yield Touch(SLAP, ticks=400, seed=options.seed)
         yield Touch("golf-ball", ticks=600, noise_n=2e-3, seed=options.seed)
         return
-    for name in (*SLIDES, *OWN):
+    for name in (*options.objects, *OWN):
         yield Touch(name, meshes=meshes, seed=options.seed)
     yield Touch("golf-ball", noise_n=0.5e-3, seed=options.seed)
     yield Touch("golf-ball", noise_n=2e-3, seed=options.seed)
@@ -143,14 +144,15 @@ def _touches(options: Options) -> Iterator[Touch]:
         yield Touch(path, seed=options.seed)
 
 
-def slides_together(rows: list[Row]) -> list[Row]:
-    """Return a row for each scheme that was shown all of the paper's slides: its means over them."""
-    of_schemes = grouped((row for row in rows if row["touch"] in SLIDES), "scheme")
+def slides_together(rows: list[Row], objects: Sequence[str]) -> list[Row]:
+    """Return a row for each scheme that was shown the slides of all `objects`: its means over them."""
+    slides = set(map(object_label, objects))
+    of_schemes = grouped((row for row in rows if row["touch"] in slides), "scheme")
     return [
-        {"touch": "five slides", "scheme": scheme}
+        {"touch": f"{len(slides)} slides", "scheme": scheme}
         | {key: None if group[0][key] is None else mean(row[key] for row in group) for key in DIGITS}
         for (scheme,), group in of_schemes.items()
-        if len(group) == len(SLIDES)
+        if len(group) == len(slides) > 1
     ]
 
 

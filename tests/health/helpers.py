@@ -15,13 +15,16 @@ from tests.layouts import buses, small_layout
 SECOND_NS = 1_000_000_000
 
 
+def palm_layout(**tables: Any) -> Layout:
+    """Return the layout of the small skin, with more tables."""
+    return small_layout(16, 16, name="palm", bus=buses(4, 4, names=("left", "right")), **tables)
+
+
 @dataclass
 class Messages:
     """Builds messages that fit the small skin; ``force_n`` is the peak of a round contact."""
 
-    layout: Layout = field(
-        default_factory=lambda: small_layout(16, 16, name="palm", bus=buses(4, 4, names=("left", "right")))
-    )
+    layout: Layout = field(default_factory=palm_layout)
 
     def grid(self, force_n: float = 0.01) -> npt.NDArray[np.float32]:
         rows, columns = np.mgrid[0 : self.layout.taxels.rows, 0 : self.layout.taxels.columns]

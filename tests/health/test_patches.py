@@ -40,19 +40,21 @@ def test_a_single_force_is_in_its_region_at_its_place(row: int, column: int, for
     assert (free.force_n, free.row, free.column, free.position_m) == (0.0, None, None, None)
 
 
-def test_a_region_over_its_threshold_is_named_since_when(messages: Messages) -> None:
+def test_a_region_over_its_threshold_in_any_image_is_named_for_a_second(messages: Messages) -> None:
     state = ViewState(messages.layout, 1000.0)
-    for at_s, force_n in ((1.0, 0.01), (1.1, 0.012), (1.2, 1e-4), (1.3, 0.01)):
+    top_n = float(messages.grid()[:8].sum())
+    for at_s, force_n in ((1.0, 1e-4), (1.25, 0.01), (1.5, 0.02), (1.75, 1e-4)):  # nobody looks meanwhile
         state.take(messages.image(1, sync_s=at_s, pixels=messages.grid(force_n)), at_s)
-        snapshot, _ = state.snapshot(at_s)
-        (top,) = (each for each in snapshot.patches if each.name == "top")
-        since_s = {1.0: 1001.0, 1.1: 1001.0, 1.2: None, 1.3: 1001.3}[at_s]
-        assert (top.is_over, top.over_since_time_s) == (since_s is not None, since_s)
-        told = [each for each in snapshot.notices if each.kind == "threshold of top"]
-        assert [each.since_time_s for each in told] == ([since_s] if since_s else [])
-    assert "on top: more than its threshold of 0.1 N" in told[0].text
-    old, _ = state.snapshot(3.0)
-    assert not [each for each in old.patches if each.is_over]  # an old image tells nothing of now
+    for now_s, is_over in ((1.75, True), (2.5, True), (2.5625, False)):
+        snapshot, _ = state.snapshot(now_s)
+        top, bottom = snapshot.patches[1:]
+        assert (top.is_over, top.over_since_time_s) == (is_over, 1001.25 if is_over else None)
+        assert not bottom.is_over
+        told = [(each.text, each.since_time_s) for each in snapshot.notices if each.kind == "threshold of top"]
+        text = f"up to {2 * top_n:.3g} N on top: more than its threshold of 0.1 N"
+        assert told == ([(text, 1001.25)] if is_over else [])
+    state.take(messages.image(1, sync_s=3.0), 3.0)
+    assert state.snapshot(3.0)[0].patches[1].over_since_time_s == 1003.0
 
 
 def test_what_was_not_measured_has_no_force_and_part_of_it_is_doubtful(messages: Messages) -> None:

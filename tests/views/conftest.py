@@ -5,12 +5,13 @@ from collections.abc import Iterator
 import pytest
 
 from canskin.fabric import Fabric
-from tests.health.helpers import Messages
+from tests.health.helpers import Messages, palm_layout
 
 
 @pytest.fixture
-def messages() -> Messages:
-    return Messages()
+def messages(request: pytest.FixtureRequest) -> Messages:
+    """Messages of the small skin, with the parameter's tables in its layout."""
+    return Messages(palm_layout(**getattr(request, "param", {})))
 
 
 @pytest.fixture

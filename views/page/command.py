@@ -58,7 +58,7 @@ def view(
     control
         The page can tare, record and mark also if it listens on another address than loopback.
     recordings
-        Folder of the recordings that the page makes; default: this one.
+        Folder of the recordings that the page makes.
 
     Examples
     --------

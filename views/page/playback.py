@@ -17,8 +17,9 @@ from views.page.feed import Shown
 
 SPEED_MIN: Final = 0.05
 SPEED_MAX: Final = 20.0
-#: While no page looks, the recording is held: from one look to the next no more time passes.
-HELD_S: Final = 0.5
+#: From one look of a page to the next no more of the recording passes: it is held while no page looks, and a machine
+#: that is too slow for a speed plays slower.
+STEP_S: Final = 0.8
 
 
 class Playback(Shown):
@@ -55,9 +56,9 @@ class Playback(Shown):
 
     def _read(self) -> float:
         now_s = self._clock_s()
-        passed_s, self._looked_s = min(now_s - self._looked_s, HELD_S), now_s
+        passed_s, self._looked_s = (now_s - self._looked_s) * self._speed, now_s
         if not self._is_paused:
-            self._go_to(self._position_s + passed_s * self._speed)
+            self._go_to(self._position_s + min(passed_s, STEP_S))
         return self._position_s
 
     def _seek(self, position_s: float) -> None:

@@ -13,7 +13,7 @@ from typing import IO, Final
 
 from canskin.errors import RunError
 from health.snapshot import Notice, RecorderState
-from shell.service import say
+from shell.service import given_priority, say
 from skin.layout import RECORDING_SUFFIX
 
 #: Longest wait for a recorder that starts, and that ends.
@@ -134,7 +134,7 @@ class RecorderProcess:
 
 def _launch(arguments: list[str], log: IO[bytes]) -> subprocess.Popen[bytes]:
     return subprocess.Popen(  # noqa: S603 - our own command, no shell
-        [sys.executable, "-m", "skin", *arguments],
+        [sys.executable, "-m", "skin", f"--priority={given_priority().value}", *arguments],
         stdin=subprocess.DEVNULL,
         stdout=log,
         stderr=log,

@@ -68,10 +68,10 @@ def test_slides_have_a_row_of_means_and_losses_are_named_as_plainly_as_wins() ->
         return dict.fromkeys(DIGITS, 1.0) | {"rate_hz": None, "touch": touch, "scheme": scheme} | figures
 
     rows = [row(name, "scan", 40 + place, 0.8, 3000) for place, name in enumerate(SLIDES)]
-    (together,) = slides_together(rows)
-    assert (together["touch"], together["scheme"], together["psnr_mean_db"]) == ("five slides", "scan", 42)
+    (together,) = slides_together(rows, SLIDES)
+    assert (together["touch"], together["scheme"], together["psnr_mean_db"]) == ("5 slides", "scan", 42)
     assert together["rate_hz"] is None
-    assert not slides_together(rows[:4])
+    assert not slides_together(rows[:4], SLIDES)
     rows = [row("ball", "adaptive sums", 50, 0.3, 100), row("ball", "scan", 40, 0.8, 3000)]
     rows += [row("ball", "events", 45, 0.9, 200)]
     rows += [row("box", "adaptive sums", 50, 0.3, 100), row("box", "scan", 51, 0.2, 3000)]

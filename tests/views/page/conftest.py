@@ -7,12 +7,17 @@ import time
 from collections.abc import Iterator
 from typing import Any
 
+import msgspec
 import pytest
 import uvicorn
 
+from canskin.errors import RunError
 from canskin.fabric import Fabric
 from canskin.messages import CONTACTS, GATEWAY, IMAGE, LABEL, TRUTH
+from health.snapshot import Pictures, PlaybackState, RecorderState, Snapshot
+from skin.layout import Layout
 from tests.browser import Browser, chromium
+from views.page.actions import Action, Play, Record, SetMark, Tare
 from views.page.app import build_app
 from views.page.feed import Feed
 
@@ -25,6 +30,7 @@ class Chain:
         self.invalid: tuple[int, ...] = ()
         self.gateway: dict[str, Any] = {}
         self.label: dict[str, Any] = {}
+        self.force_n = 0.01
         self.fingerprint = messages.layout.phi().fingerprint
         self._messages, self._hub = messages, hub
         self.reconstructor = Fabric(messages.layout.name, "reconstructor", endpoint, fingerprint=self.fingerprint)
@@ -36,9 +42,11 @@ class Chain:
         for cycle in itertools.count(1):
             sync_s = time.monotonic()
             if self.truths:
-                self._hub.publish(TRUTH, self._messages.truth(cycle, sync_s=sync_s))
+                truth = self._messages.truth(cycle, sync_s=sync_s, true=self._messages.grid(self.force_n))
+                self._hub.publish(TRUTH, truth)
             if self.images:
-                image = self._messages.image(cycle, sync_s=sync_s, invalid=self.invalid)
+                pixels = self._messages.grid(self.force_n)
+                image = self._messages.image(cycle, sync_s=sync_s, invalid=self.invalid, pixels=pixels)
                 self._hub.publish(IMAGE, image)
             if self.contacts:
                 self._hub.publish(CONTACTS, self._messages.contacts(cycle, doubtful=self.doubtful))
@@ -53,18 +61,60 @@ class Chain:
         self.reconstructor.close()
 
 
+class ShownFeed(Feed):
+    """A feed whose snapshots also show what a test sets."""
+
+    def __init__(self, layout: Layout) -> None:
+        super().__init__(layout)
+        self.shows: dict[str, RecorderState | PlaybackState | None] = {}
+
+    def snapshot(self) -> tuple[Snapshot, Pictures]:
+        snapshot, pictures = super().snapshot()
+        return msgspec.structs.replace(snapshot, **self.shows), pictures
+
+
+class Doer:
+    """Stands for what the page can ask for: notes each request, and refuses as the services do."""
+
+    def __init__(self, feed: ShownFeed) -> None:
+        self.asked: list[Any] = []
+        self._feed = feed
+
+    def actions(self, *names: str) -> dict[str, Action]:
+        all_ = {"tare": Tare, "record": Record, "mark": SetMark, "play": Play}
+        return {name: Action(all_[name], self._do) for name in names}
+
+    def _do(self, asked: Any) -> str:
+        self.asked.append(asked)
+        match asked:
+            case Tare(force=False, region=None):
+                raise RunError("something touches the skin; by force, what touches it becomes part of the zero")
+            case Record(on=on):
+                self._feed.shows["recorder"] = RecorderState(path="palm.mcap", since_time_s=time.time()) if on else None
+                return "recording to palm.mcap" if on else "12 messages in palm.mcap"
+            case SetMark() if not self._feed.shows.get("recorder"):
+                raise RunError("nothing is recorded")
+            case Play():
+                changed = {name: each for name in asked.__struct_fields__ if (each := getattr(asked, name)) is not None}
+                self._feed.shows["playback"] = msgspec.structs.replace(self._feed.shows["playback"], **changed)
+        return "done"
+
+
 class Server:
     """The page's server in this process, on a port that stays the same when it is started again."""
 
-    def __init__(self, feed: Feed) -> None:
-        self._feed = feed
+    def __init__(self, feed: ShownFeed) -> None:
+        self.feed, self.doer = feed, Doer(feed)
+        self.actions = self.doer.actions("tare", "record", "mark")
         self.port = 0
         self.start()
 
     def start(self) -> None:
         listener = socket.create_server(("127.0.0.1", self.port))
         self.port = listener.getsockname()[1]
-        config = uvicorn.Config(build_app(self._feed), log_config=None, timeout_graceful_shutdown=1)
+        config = uvicorn.Config(
+            build_app(self.feed, actions=self.actions), log_config=None, timeout_graceful_shutdown=1
+        )
         self._server = uvicorn.Server(config)
         self._thread = threading.Thread(target=self._server.run, args=([listener],))
         self._thread.start()
@@ -90,7 +140,7 @@ def chain(messages: Any, hub: Fabric, endpoint: str) -> Iterator[Chain]:
 @pytest.fixture
 def server(messages: Any, chain: Chain, endpoint: str) -> Iterator[Server]:
     fabric = Fabric(messages.layout.name, "viewer", endpoint)
-    feed = Feed(messages.layout)
+    feed = ShownFeed(messages.layout)
     feed.join(fabric)
     server = Server(feed)
     yield server

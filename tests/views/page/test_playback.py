@@ -13,7 +13,7 @@ from shell.skin_options import SkinOptions
 from skin.layout import layout_text
 from skin.mcap_file import LAYOUT_FILE, File, RecordingWriter
 from views.page import command
-from views.page.playback import Playback
+from views.page.playback import STEP_S, Playback
 
 FIRST_S = 1_700_000_000
 CYCLES = 1000
@@ -108,7 +108,7 @@ def test_the_end_is_held_and_the_beginning_follows_it(player: Player) -> None:
 def test_no_time_passes_while_no_page_looks(player: Player) -> None:
     player.after(1.0)
     player.now_s += 3600
-    assert player.playback.snapshot()[0].playback.position_s == pytest.approx(1.505)
+    assert player.playback.snapshot()[0].playback.position_s == pytest.approx(1.005 + STEP_S)
 
 
 def test_the_history_is_that_of_the_recording_and_begins_anew_elsewhere(player: Player, messages: Any) -> None:

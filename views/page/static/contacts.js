@@ -36,7 +36,7 @@ export class Contacts {
     const { contacts, playback } = snapshot;
     this.hasBeen ||= Boolean(contacts);
     this.root.hidden = !this.hasBeen && Boolean(playback);
-    const list = touching(snapshot);
+    const list = touching(snapshot).toSorted((one, other) => one.identity - other.identity); // rows keep their places
     const state = !contacts ? "none known yet" : contacts.blind ? "the skin is not measured" : contacts.stale ? `${span(contacts.age_s)} old` : String(list.length || "none");
     this.root.classList.toggle("stale", Boolean(contacts?.stale || contacts?.blind));
     write(this.heading, `Contacts, mN · ${state}`);
@@ -132,4 +132,4 @@ export class Regions {
 }
 
 /** Whether the centre of pressure is that of a touch: of a skin that nothing touches it is a centre of noise. */
-export const hasCentre = (snapshot) => !snapshot.contacts || touching(snapshot).length > 0;
+export const hasCentre = (snapshot) => touching(snapshot).length > 0;

@@ -1,6 +1,6 @@
 // The tactile images, their common scale, and the readout of the taxel under the pointer.
 
-import { hasCentre, touching } from "./contacts.js";
+import { touching } from "./contacts.js";
 import { Heatmap } from "./heatmap.js";
 import { Scale } from "./scale.js";
 import { SurfacePicture } from "./surface.js";
@@ -87,7 +87,7 @@ export class Images {
       const [contacts, centre] = [touching(snapshot), snapshot.patches[0]];
       this.maps.image.markContacts(contacts);
       // The centre of pressure of a skin with one contact is that of the contact.
-      if (centre && centre.row !== null && hasCentre(snapshot) && contacts.length !== 1) this.maps.image.markCentre(centre);
+      if (centre && centre.row !== null && contacts.length > 1) this.maps.image.markCentre(centre);
     }
     this.past.hidden = !past;
     write(this.past, past);
@@ -103,7 +103,7 @@ export class Images {
     rebuilt.setStale(veil || (image ? (image.stale ? old(image.age_s) : "") : "no image yet"));
     const object = truth?.label ? spoken(truth.label) : "no object named";
     write(real.caption, truth ? object : "");
-    write(sensor.caption, truth ? (figures.sensor_adds_noise ? "with noise" : "in ADC steps") : "");
+    write(sensor.caption, !truth || figures.sensor_adds_noise === null ? "" : figures.sensor_adds_noise ? "with noise" : "in ADC steps");
     for (const map of [real, sensor]) {
       map.setStale(veil || (truth?.stale ? old(truth.age_s) : ""));
       if (!veil && !truth) map.setNone("none of this cycle");

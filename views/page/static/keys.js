@@ -1,8 +1,8 @@
 // The keys of the page, and the dialog that lists them.
 
+import { keep, kept } from "./kept.js";
 import { make } from "./words.js";
 
-const CHOICE = "canskin.keys";
 const dialog = document.getElementById("keys");
 const box = dialog.querySelector("input");
 
@@ -48,7 +48,7 @@ function open() {
   if (!dialog.open) dialog.showModal();
 }
 
-box.checked = localStorage.getItem(CHOICE) !== "off";
-box.onchange = () => localStorage.setItem(CHOICE, box.checked ? "on" : "off");
+box.checked = kept("keys") !== "off";
+box.onchange = () => keep("keys", box.checked ? "on" : "off");
 dialog.querySelector(".close").onclick = () => dialog.close();
 document.getElementById("help").onclick = open;

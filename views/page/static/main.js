@@ -130,6 +130,7 @@ const connection = new Connection(setSkin, (newest) => {
   schedule();
 });
 setInterval(schedule, 250);
+addEventListener("resize", schedule);
 addEventListener("schemechange", () => {
   timeline.drawTracks();
   parts?.contacts.drawCurves();

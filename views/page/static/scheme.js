@@ -3,6 +3,13 @@
   const KEY = "canskin.scheme";
   const NEXT = { auto: "dark", dark: "light", light: "auto" };
   const root = document.documentElement;
+  const keep = (use) => {
+    try {
+      return use(localStorage);
+    } catch {
+      return null; // the browser keeps nothing
+    }
+  };
   const choose = (scheme) => {
     root.dataset.scheme = scheme;
     const button = document.getElementById("scheme");
@@ -12,11 +19,11 @@
   };
   const change = () => {
     const scheme = NEXT[root.dataset.scheme];
-    localStorage.setItem(KEY, scheme);
+    keep((storage) => storage.setItem(KEY, scheme));
     choose(scheme);
     dispatchEvent(new Event("schemechange"));
   };
-  const kept = localStorage.getItem(KEY);
+  const kept = keep((storage) => storage.getItem(KEY));
   choose(kept in NEXT ? kept : "auto");
   document.addEventListener("DOMContentLoaded", () => {
     choose(root.dataset.scheme);

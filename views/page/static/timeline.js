@@ -22,6 +22,12 @@ const TRACKS = [
 const STEPS_S = [1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 1800, 3600];
 const STEP_PX = 70;
 
+// In a window with room for the history beside the images the curves grow with its height, up to `MOST_TIMES`.
+const BROAD = matchMedia("(min-width: 1700px)");
+const LOW_PX = 1100;
+const TIMES_PX = 220;
+const MOST_TIMES = 3;
+
 const isKnown = (value) => value !== null && value !== undefined;
 
 export class Timeline {
@@ -32,14 +38,13 @@ export class Timeline {
   constructor(history, { show, fetchFrame, play }) {
     Object.assign(this, { history, show, fetchFrame, play });
     const part = (id) => document.getElementById(id);
-    [this.root, this.instant, this.scrub, this.pauseButton, this.liveButton] = ["time", "instant", "scrub", "pause", "live"].map(part);
+    [this.root, this.instant, this.scrub, this.button] = ["time", "instant", "scrub", "pause"].map(part);
     this.canvas = this.scrub.querySelector("canvas");
     this.cursor = this.scrub.querySelector("i");
     this.list = this.root.querySelector("dl");
     this.past = null;
     this.playback = null;
-    this.pauseButton.onclick = () => this.toggle();
-    this.liveButton.onclick = () => this.goLive();
+    this.button.onclick = () => this.toggle();
     this.speed = part("speed").querySelector("select");
     this.speed.replaceChildren(...SPEEDS.map((speed) => new Option(`${speed} ×`, speed, speed === 1, speed === 1)));
     this.speed.onchange = () => play({ speed: Number(this.speed.value) });
@@ -136,17 +141,17 @@ export class Timeline {
   /** Draw where the page is; `snapshot` is the newest, and `now_s` the time at the server. */
   draw(snapshot) {
     this.now_s = snapshot.time_s;
-    if (snapshot.playback && this.isBringing) snapshot.playback.position_s = this.playback.position_s;
-    this.playback = snapshot.playback;
-    if (this.playback) this.origin_s = snapshot.time_s - snapshot.playback.position_s;
+    const { playback } = snapshot;
+    if (playback) this.origin_s = snapshot.time_s - playback.position_s;
+    // Until it is there, the place where the user is going is shown.
+    if (playback && this.isBringing) playback.position_s = this.playback.position_s;
+    this.playback = playback;
     this.drawState();
   }
 
   drawState() {
     const { past, playback } = this;
-    const isHeld = Boolean(past || playback?.is_paused);
-    write(this.pauseButton, isHeld ? "Go on" : playback ? "Hold" : "Pause");
-    this.liveButton.hidden = !past;
+    write(this.button, playback ? (playback.is_paused ? "Go on" : "Hold") : past ? "Live" : "Pause");
     document.body.classList.toggle("past", Boolean(past));
     this.speed.parentElement.hidden = !playback;
     if (playback && document.activeElement !== this.speed) this.speed.value = playback.speed;
@@ -188,7 +193,8 @@ export class Timeline {
   /** Draw the curves anew: moments have come, or the place has another size or other colours. */
   drawTracks() {
     const { moments } = this.history;
-    const tracks = TRACKS.filter(({ key }) => moments.some((moment) => isKnown(moment[key])));
+    const times = BROAD.matches ? Math.max(1, Math.min(MOST_TIMES, 1 + (innerHeight - LOW_PX) / TIMES_PX)) : 1;
+    const tracks = TRACKS.filter(({ key }) => moments.some((moment) => isKnown(moment[key]))).map((track) => (track.isBand ? track : { ...track, px: Math.round(track.px * times) }));
     this.root.classList.toggle("empty", !tracks.length);
     this.arrange(tracks);
     const height = tracks.reduce((sum, { px }) => sum + px + GAP_PX, AXIS_PX);
@@ -215,7 +221,7 @@ export class Timeline {
 
   /** Name the tracks beside them. */
   arrange(tracks) {
-    const wanted = tracks.map(({ key }) => key).join();
+    const wanted = tracks.map(({ key, px }) => `${key} ${px}`).join();
     if (wanted === this.arranged) return;
     this.arranged = wanted;
     this.rows = tracks.map((track) => ({ ...track, value: make("dd") }));
