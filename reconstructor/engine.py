@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from canskin.errors import InputError
 from reconstructor.checks import check_grid_of
+from reconstructor.coded_memory import CodedMemory
 from reconstructor.gains import GainCorrection, KnownGains
 from reconstructor.kernels.contourlet import ContourletSolver
 from reconstructor.kernels.fused import FusedSolver
@@ -60,7 +61,8 @@ class Reconstructor:
     images are dropped.
 
     A Φ that changes from frame to frame is an argument of each solve. Its sums are not averaged: those of two frames
-    have nothing in common but the force. The image before is the memory, without `scaled_start`.
+    have nothing in common but the force. The image before is the memory, without `scaled_start`, and only a part of the
+    iterations is made (`reconstructor.coded_memory`).
 
     Parameters
     ----------
@@ -101,6 +103,7 @@ class Reconstructor:
             )
         self._correct = ClipCorrection(noise_n) if noise_n else None
         self._is_coded = phi.frames > 1
+        self._memory = CodedMemory(*phi.shape[::-1], self._kernel.dtype)
         self._comes_averaged = samples > 1 or self._is_coded
         self._filter = TemporalFilter(phi.shape[0], self._kernel.dtype, averages=not self._comes_averaged)
         self._sum_noise_n = SUM_NOISE_N if samples == 1 else averaged_sum_noise_n(samples)
@@ -134,34 +137,43 @@ class Reconstructor:
             If a shape or dtype does not fit, or a valid sum is not finite or above 1e6 N.
         """
         filtered, kernel = self._filter, self._kernel
+        self._check(sums_n, valid_sums)
+        phi = phi or self._phi
+        if phi.frames > 1 or phi.shape != self._phi.shape or not (self._is_coded or phi is self._phi):
+            raise InputError("expected the Φ of this frame where Φ changes from frame to frame, else that of the skin")
+        if not self._settings.temporal_filter:
+            filtered.reset()
+        elif self._is_coded and isinstance(phi, MatrixPhi):
+            filtered.expect(self._memory.expect(self._estimate, phi))
+        with np.errstate(over="ignore"):  # invalid sums may hold any value
+            sums_n = np.ascontiguousarray(sums_n, kernel.dtype)
+        taken = filtered.take(sums_n, np.ascontiguousarray(valid_sums))
+        if not taken:
+            raise InputError("a valid sum is not finite, or above 1e6: expected newtons")
+        if not valid_sums.any():
+            self.reset()
+        else:
+            solve = kernel.solve
+            if isinstance(kernel, MatrixSolver):
+                remembers = self._is_coded and self._settings.temporal_filter
+                part = self._memory.follow(self._estimate, sums_n, valid_sums) if remembers else 1.0
+                solve = partial(kernel.solve, phi=phi, part=part)
+            solve(self._estimate, filtered.sums, filtered.weights, relative_penalty=self._relative_penalty())
+        image = kernel.deliver(self._estimate)
+        return image if self._correct is None else self._correct(image)
+
+    def _check(self, sums_n: npt.NDArray[np.floating[Any]], valid_sums: npt.NDArray[np.bool_]) -> None:
+        """Raise InputError for sums or a validity of another shape or dtype."""
         for each in (sums_n, valid_sums):
             if not isinstance(each, np.ndarray):
                 raise InputError(f"expected arrays, got {type(each).__name__}")
-        expected = filtered.sums.shape
+        expected = self._filter.sums.shape
         if sums_n.shape != expected or valid_sums.shape != expected:
             raise InputError(
                 f"Φ gives {expected[0]} sums: got sums of shape {sums_n.shape} and validity of {valid_sums.shape}"
             )
         if sums_n.dtype.kind != "f" or valid_sums.dtype != np.bool_:
             raise InputError(f"expected floats and bools, got {sums_n.dtype} and {valid_sums.dtype}")
-        phi = phi or self._phi
-        if phi.frames > 1 or phi.shape != self._phi.shape or not (self._is_coded or phi is self._phi):
-            raise InputError("expected the Φ of this frame where Φ changes from frame to frame, else that of the skin")
-        if not self._settings.temporal_filter:
-            filtered.reset()
-        elif self._is_coded:
-            filtered.expect(phi.forward(self._estimate))
-        with np.errstate(over="ignore"):  # invalid sums may hold any value
-            taken = filtered.take(np.ascontiguousarray(sums_n, kernel.dtype), np.ascontiguousarray(valid_sums))
-        if not taken:
-            raise InputError("a valid sum is not finite, or above 1e6: expected newtons")
-        if not valid_sums.any():
-            self.reset()
-        else:
-            solve = partial(kernel.solve, phi=phi) if isinstance(kernel, MatrixSolver) else kernel.solve
-            solve(self._estimate, filtered.sums, filtered.weights, relative_penalty=self._relative_penalty())
-        image = kernel.deliver(self._estimate)
-        return image if self._correct is None else self._correct(image)
 
     def _relative_penalty(self) -> float:
         """Return the factor of λ: proportional to the noise of the averaged sums."""
@@ -178,6 +190,7 @@ class Reconstructor:
         self._estimate[:] = 0
         self._kernel.reset()
         self._filter.reset()
+        self._memory.reset()
 
     def restart(self) -> None:
         """Return to the state after construction."""
