@@ -2,6 +2,7 @@
 
 import os
 import sys
+from collections.abc import Mapping
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
@@ -11,6 +12,7 @@ from cyclopts import Parameter
 
 from canskin.errors import InputError
 from shell.terminal import Json, print_json, print_table
+from shell.touch_options import FullScale
 
 if TYPE_CHECKING:
     from evaluation.result import Result
@@ -36,6 +38,8 @@ Subject = Literal[
     "classification",
     "recognition",
     "postures",
+    "single-wire",
+    "recordings",
 ]
 
 
@@ -67,15 +71,23 @@ SUBJECTS: Final[dict[str, _Subject]] = {
     "classification": _Subject("evaluation.recognition.classification:evaluate", draws=True),
     "recognition": _Subject("evaluation.recognition.methods_compared:evaluate", draws=True),
     "postures": _Subject("evaluation.recognition.postures:evaluate", draws=True),
+    "single-wire": _Subject("evaluation.single_wire:evaluate"),
+    "recordings": _Subject("evaluation.schemes.recordings:evaluate"),
+}
+#: Subjects that measure recordings alone, and the recordings that each needs.
+RECORDED: Final = {
+    "postures": "the recordings of a pressure mat",
+    "single-wire": "a copy of github.com/aslepyan/SPTS",
+    "recordings": "recordings of a pressure mat, glove or skin",
 }
 
 
 def evaluate(
     subject: Subject,
+    recordings: Path | None = None,
     *,
     quick: bool = False,
     meshes: Path | None = None,
-    recordings: Path | None = None,
     out: Path | None = None,
     jobs: int | None = None,
     draws: int | None = None,
@@ -83,6 +95,8 @@ def evaluate(
     scenes: int = 10,
     scene_seed: int = 0,
     basis: Annotated[list[str] | None, Parameter(negative=(), consume_multiple=True)] = None,
+    full_scale: FullScale = None,
+    rate: float | None = None,
     json: Json = False,
 ) -> None:
     """Make tables and figures of the paper again and print ours beside the paper's numbers.
@@ -91,13 +105,14 @@ def evaluate(
     ----------
     subject
         What to evaluate; ``all`` writes ``report.html`` into the folder `out`.
+    recordings
+        Folder of real recordings, for the subjects that use them: ``recordings`` and ``rates`` take .npz, .npy, .csv
+        and .mcap, ``postures`` S1.npz and so on, ``single-wire`` a copy of github.com/aslepyan/SPTS.
     quick
         A look at everything in a small fraction of the time, with fewer steps and draws.
     meshes
         Folder of meshes (banana, cup, drill, largeclamp, mustard) in place of the shapes that ship. Live rows of
         ``claims`` and ``recognition`` that name objects keep these shapes.
-    recordings
-        Folder of real pressure recordings (S1.npz and so on), for the parts that use them.
     out
         Folder for the report and for measured results, which a later run takes up. Default for ``all``:
         skin-evaluation.
@@ -117,6 +132,10 @@ def evaluate(
     basis
         Orthogonal wavelets that ``sparsity`` counts beside the paper's bases: ``sym4`` for Mallat's pyramid,
         ``sym4-tensor`` for the form of the paper's table.
+    full_scale
+        Recorded value that becomes the skin's largest force, for ``recordings``.
+    rate
+        Frames per second of the recordings, for ``recordings``; default: 10.
     json
         Print JSON instead of tables.
 
@@ -125,28 +144,28 @@ def evaluate(
     skin evaluate all --quick
     skin evaluate all --meshes ycb-meshes --out report
     skin evaluate sparsity --basis sym4-tensor coif1-tensor
+    skin evaluate recordings mats/ --full-scale 4095 --rate 25
     """
     from evaluation.result import Options
     from reconstructor.bases.names import wavelet_basis_name
 
-    if subject == "postures" and recordings is None:
-        raise InputError("postures needs the recordings of a pressure mat: give their folder with --recordings")
-    if subject == "drawn-rivals" and scenes == 0 and not quick:
+    _check(subject, recordings, draws, basis, {"--full-scale": full_scale, "--rate": rate})
+    if not scenes and not quick and subject == "drawn-rivals":
         raise InputError("drawn-rivals needs --scenes of 1 or more: got 0")
-    if draws is not None and subject != "all" and not SUBJECTS[subject].draws:
-        raise InputError(f"'{subject}' averages over no draws of Φ, got {draws} draws: leave out --draws")
-    if basis and subject not in {"all", "sparsity"}:
-        raise InputError(f"only 'sparsity' takes bases, not '{subject}': leave out --basis")
     if out is None and subject == "all":
         out = Path("skin-evaluation")
     processes = jobs if jobs is not None else os.cpu_count() or 1
     bases = tuple(map(wavelet_basis_name, basis or ()))
-    options = Options(quick, meshes, recordings, out, processes, draws, seed, scenes, scene_seed, bases)
+    options = Options(
+        quick, meshes, recordings, out, processes, draws, seed, scenes, scene_seed, bases, full_scale, rate
+    )
     results: dict[str, Result] = {}
     for name in SUBJECTS if subject == "all" else [subject]:
         asked = options if SUBJECTS[name].draws else replace(options, draws=None)
         module, _, function = SUBJECTS[name].function.partition(":")
         found = results[name] = getattr(import_module(module), function)(asked)
+        if not found.rows and subject != "all":
+            raise InputError(f"'{subject}' measured nothing: {found.note or found.title}")
         if not json:
             print_table(list(found.rows[0]) if found.rows else [], map(dict.values, found.rows), title=found.title)
             print(f"{found.note}\n" if found.note else "")
@@ -157,3 +176,22 @@ def evaluate(
     if json:
         rows = [{"subject": name, **row} for name, found in results.items() for row in found.rows]
         print_json({"rows": rows, "notes": [found.note for found in results.values() if found.note]})
+
+
+def _check(
+    subject: Subject,
+    recordings: Path | None,
+    draws: int | None,
+    basis: list[str] | None,
+    of_recordings: Mapping[str, float | None],
+) -> None:
+    """Raise InputError for options that a subject lacks, or does not take."""
+    if subject in RECORDED and recordings is None:
+        raise InputError(f"{subject} needs {RECORDED[subject]}: give the folder, skin evaluate {subject} DIR")
+    if draws is not None and subject != "all" and not SUBJECTS[subject].draws:
+        raise InputError(f"'{subject}' averages over no draws of Φ, got {draws} draws: leave out --draws")
+    if basis and subject not in {"all", "sparsity"}:
+        raise InputError(f"only 'sparsity' takes bases, not '{subject}': leave out --basis")
+    for flag, value in of_recordings.items():
+        if value is not None and subject not in {"all", "recordings"}:
+            raise InputError(f"only 'recordings' takes {flag}, not '{subject}': leave out {flag}")

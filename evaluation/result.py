@@ -20,7 +20,8 @@ class Options:
     """What every evaluation is asked: the options of ``skin evaluate``.
 
     Without `out` nothing is kept; without `draws` each subject has its own number. `bases` are full names of wavelet
-    bases.
+    bases. `full_scale` and `frame_rate_hz` are of the recordings: the value that becomes the largest force, and frames
+    per second.
     """
 
     quick: bool = False
@@ -33,6 +34,8 @@ class Options:
     scenes: int = 10
     scene_seed: int = 0
     bases: tuple[str, ...] = ()
+    full_scale: float | None = None
+    frame_rate_hz: float | None = None
 
     def __post_init__(self) -> None:
         for what, folder in (("meshes", self.meshes), ("recordings", self.recordings)):
