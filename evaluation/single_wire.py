@@ -37,6 +37,8 @@ FRAMES_BEFORE: Final = 1000
 PRESSES: Final = tuple(range(5, 15))
 JUDGED: Final = range(500, 700)
 TRUTH_FRAME, TRUTH_PRESS = 599, 9
+#: Every tenth frame is judged, where the authors judge all.
+STEP: Final = 10
 #: A taxel is touched where it is above this part of the largest.
 SUPPORT_RATIO: Final = 0.23
 #: Atoms of matching pursuit.
@@ -46,6 +48,9 @@ SIZES: Final = (7, 15, 30, 50)
 UNSEEN: Final = slice(50, SUMS)
 #: Frames before the touch, whose mean is the zero.
 IDLE: Final = slice(0, 100)
+#: Names of methods.
+OURS: Final = "ours"
+PLAIN: Final = "pursuit, codes 0/1"
 SOURCE: Final = "github.com/aslepyan/SPTS"
 _MEASURED: Final = "Measurements_Collected"
 _DICTIONARY: Final = "Dictionary_Learning/dictionary.mat"
@@ -72,7 +77,7 @@ def evaluate(options: Options) -> Result:
     Parameters
     ----------
     options : Options
-        `recordings` is the folder of the data; `quick` looks at one press of each object, and at each 20th frame.
+        `recordings` is the folder of the data; `quick` looks at one press of each object.
     """
     title = "Sums of a single-wire skin: our solver beside its authors' method"
     folder = None if options.recordings is None else _data_in(options.recordings)
@@ -80,7 +85,7 @@ def evaluate(options: Options) -> Result:
         return Result(title, [], note=f"no {_MEASURED} in {options.recordings}: expected a copy of {SOURCE}")
     names, left_out = objects_in(folder)
     cells: list[Row] = [
-        {"folder": str(folder), "name": name, "press": press, "step": 20 if options.quick else 1}
+        {"folder": str(folder), "name": name, "press": press, "step": STEP * (2 if options.quick else 1)}
         for name in names
         for press in (PRESSES[:1] if options.quick else PRESSES)
     ]
@@ -130,14 +135,14 @@ def measure_press(*, folder: str, name: str, press: int, step: int) -> Row:
         for method, images in {
             OURS: ours(seen, size, zero),
             "ours, one frame": ours(seen, size, zero, judged),
-            "pursuit, codes 0/1": pursuits(seen, size, zero, dictionary, judged, is_signed=False),
+            PLAIN: pursuits(seen, size, zero, dictionary, judged, is_signed=False),
             "pursuit, codes ±1": pursuits(seen, size, zero, dictionary, judged),
             f"pursuit, codes ±1, the last {SUMS} sums": pursuits(
                 seen, size, zero, dictionary, judged, frames=-(-SUMS // size)
             ),
         }.items():
             kept = {frame: image for frame, image in images if frame in judged}
-            errors = [_unseen_error(seen, frame, zero, image) for frame, image in kept.items()]
+            errors = [_unseen_error(seen, frame, zero, image, method != PLAIN) for frame, image in kept.items()]
             rows.append(
                 {
                     "object": name,
@@ -149,9 +154,6 @@ def measure_press(*, folder: str, name: str, press: int, step: int) -> Row:
                 }
             )
     return {"rows": rows}
-
-
-OURS: Final = "ours"
 
 
 def ours(seen: Press, size: int, zero: float, alone: range | None = None) -> Iterator[tuple[int, Values]]:
@@ -211,11 +213,11 @@ def support(image: Values) -> npt.NDArray[np.bool_]:
     return touched
 
 
-def _unseen_error(seen: Press, frame: int, zero: float, image: Values) -> float:
-    """Return ‖y - Φx‖ / ‖y‖ of the sums of a frame that no method saw."""
-    volts = seen.sums[frame, UNSEEN] - zero
-    error = volts - (2.0 * seen.codes[frame, UNSEEN] - 1) @ image
-    return float(np.sqrt(np.nansum(error**2) / np.nansum(volts**2)))
+def _unseen_error(seen: Press, frame: int, zero: float, image: Values, is_signed: bool) -> float:
+    """Return ‖y - Φx‖ / ‖y‖ of the sums of a frame that no method saw, Φ and y as the method takes them."""
+    codes, volts = seen.codes[frame, UNSEEN], seen.sums[frame, UNSEEN] - zero
+    expected = (2.0 * codes - 1) @ image if is_signed else codes @ image - zero
+    return float(np.sqrt(np.nansum((volts - expected) ** 2) / np.nansum(volts**2)))
 
 
 def drawn_codes(first: int, frames: int) -> npt.NDArray[np.int8]:

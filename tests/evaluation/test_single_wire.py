@@ -9,7 +9,7 @@ from scipy.io import savemat
 from canskin.errors import InputError
 from evaluation.command import evaluate as command
 from evaluation.result import Options
-from evaluation.single_wire import JUDGED, OURS, SIZES, drawn_codes, evaluate, read_press, support
+from evaluation.single_wire import JUDGED, OURS, SIZES, STEP, drawn_codes, evaluate, read_press, support
 
 FRAMES, PRESSES = 1000, 10
 #: Press 6, the first that is judged, begins at this frame of codes.
@@ -70,7 +70,7 @@ def test_our_solver_and_pursuit_are_judged_on_the_same_frames(data: Path) -> Non
     found = evaluate(Options(quick=True, recordings=data))
     figures = {(row["method"], row["sums"]): row for row in found.rows}
     assert len({row["method"] for row in found.rows}) == 5
-    assert {row["images"] for row in found.rows} == {len(JUDGED) // 20}
+    assert {row["images"] for row in found.rows} == {len(JUDGED) // (2 * STEP)}
     for size in SIZES:
         assert figures[OURS, size]["support"] > 0.98
         assert figures[OURS, size]["unseen_error"] < figures["pursuit, codes ±1", size]["unseen_error"]
