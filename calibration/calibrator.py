@@ -27,6 +27,7 @@ from skin.frontend import sum_step_n
 from skin.layout import Layout
 from skin.measured_sums import used_sums
 from skin.measurement import Sbhe, places
+from skin.regions import taxels_of
 from skin.taxel import NOISE_N
 
 #: When the zero is measured: as soon as the skin has been untouched for a while, or on request alone.
@@ -256,25 +257,22 @@ class Calibrator:
         if not self._tares:
             self.state = CalibrationState.OFF
 
-    def tare(self, *, force: bool = False, region: Region | None = None, asked: bool = True) -> None:
+    def tare(self, *, force: bool = False, region: Region | str | None = None, asked: bool = True) -> None:
         """Measure the zero anew; `result` has the outcome, None meanwhile.
 
         Parameters
         ----------
         force : bool
             Whatever touches the skin is part of its zero.
-        region : tuple of int, optional
-            Whatever stands in this part of the skin is part of its zero; the rest of the skin keeps its zero.
+        region : tuple of int, or str, optional
+            Box or name (`skin.regions.taxels_of`). Whatever stands in this part of the skin is part of its zero; the
+            rest of the skin keeps its zero.
         asked : bool
             What stands still and is doubtful is part of the new zero: who asks for one says that nothing touches the
             skin.
         """
-        self.result, chosen = None, None
-        if region is not None:
-            top, left, bottom, right = region
-            chosen = np.zeros((self._layout.taxels.rows, self._layout.taxels.columns), np.bool_)
-            chosen[top : bottom + 1, left : right + 1] = True
-        self._taring.begin(asked=asked, forced=force, region=None if chosen is None else chosen.ravel())
+        self.result, chosen = None, None if region is None else taxels_of(self._layout, region)
+        self._taring.begin(asked=asked, forced=force, region=chosen)
         self._waiting = None
         self._windows.restart()
         self.state = CalibrationState.MEASURING

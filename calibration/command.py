@@ -29,6 +29,7 @@ from skin.calibration_file import (
     parse_calibration,
 )
 from skin.layout import Layout, require_boards
+from skin.regions import taxels_of
 
 #: Longest wait for the answer to ``write``: writing to nodes takes up to a minute.
 WRITING_S: Final = 300.0
@@ -54,9 +55,9 @@ def tare(
     force
         Whatever touches the skin now becomes part of its zero.
     region
-        First row, first column, last row, last column, from 0: whatever stands there now becomes part of its
-        zero, and the rest of the skin keeps its zero. The page names the region of a doubtful contact. A skin of
-        positions has one row, row 0, and the numbers of its taxels are columns.
+        First row, first column, last row, last column, from 0, or the name of a region: whatever stands there now
+        becomes part of its zero, and the rest of the skin keeps its zero. The page names the region of a doubtful
+        contact. A skin of positions has one row, row 0, and the numbers of its taxels are columns.
     json
         Print one JSON object.
 
@@ -65,12 +66,15 @@ def tare(
     skin tare
     skin tare --force
     skin tare --region 12,20,19,31
+    skin tare --region thumb
     """
     of = of or SkinOptions()
     skin = of.find()
     require_boards(skin)
-    named = None if region is None else region.split(",")
+    named = region if region is None or region[:1].isalpha() else region.split(",")
     request = tare_request(skin.taxels.rows, skin.taxels.columns, force=force, region=named)
+    if request.region is not None:
+        taxels_of(skin, request.region)
     reply = _ask(skin, of, request, ANSWER_S)
     if json:
         print_json({"is_done": reply.is_done, "text": reply.text, "status": msgspec.to_builtins(reply.status)})

@@ -6,9 +6,8 @@ Its entries are the arrays of `classifier.model.Model` by name, ``metadata`` (ui
 
 import hashlib
 import io
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -20,21 +19,11 @@ from classifier.features import widths_for
 from classifier.model import ARRAYS, VERSION, Metadata, Model
 from classifier.newest_sums import averaged_cycles
 from shell.output import write_file
+from skin.difference import difference
 from skin.layout import Layout
 from skin.measurement import Phi
 
 Arrays = dict[str, npt.NDArray[Any]]
-#: The fields of `skin_of` in words.
-_WORDS: Final = {
-    "sending": "sending",
-    "fingerprint": "Φ",
-    "sums": "sums",
-    "rows": "rows",
-    "columns": "columns",
-    "surface": "positions",
-    "newton_per_count": "newton per count",
-    "cycles": "averaged cycles",
-}
 
 
 class _Version(msgspec.Struct):
@@ -122,17 +111,9 @@ def skin_of(layout: Layout, phi: Phi) -> dict[str, Any]:
     }
 
 
-def difference(has: Mapping[str, Any], wants: Mapping[str, Any]) -> str:
-    """Return in words how one skin differs from another (`skin_of`); empty if it does not."""
-    for name, words in _WORDS.items():
-        if has[name] != wants[name]:
-            return f"{words} {has[name]}, this skin has {wants[name]}"
-    return ""
-
-
 def _check_skin(path: Path, about: Metadata, layout: Layout, phi: Phi) -> None:
-    differs = difference(msgspec.structs.asdict(about), skin_of(layout, phi))
-    if differs:
+    wants = skin_of(layout, phi)
+    if differs := difference({name: getattr(about, name) for name in wants}, wants, "model", "this skin has"):
         raise ModelError(f"{path}: trained for another skin ({differs}); train one with 'skin train --layout'")
 
 

@@ -11,11 +11,12 @@ import numpy.typing as npt
 from canskin.errors import InputError, tell
 from canskin.messages import MEASUREMENT, MIN_VALID_RATIO, RECOGNITION
 from classifier.model import Float64
-from classifier.modelfile import difference, skin_of
+from classifier.modelfile import skin_of
 from classifier.newest_sums import NewestSums, averaged_cycles, is_gap
 from classifier.samples import FeatureExtractor, Seen, Untouched, observe_untouched, standard_untouched
 from classifier.touches import CycleKey, Touches, read_touches
 from classifier.used_sums import classified_phi, coarse_sums
+from skin.difference import difference
 from skin.layout import RECORDING_SUFFIX, Layout, load_layout
 from skin.mcap_file import Warn, read_messages
 from skin.measured_sums import decode_adaptive, decode_measurement
@@ -117,7 +118,7 @@ def labelled_touches(
     wanted = skin_of(skin, phi)
     for path in paths:
         own = load_layout(path)
-        if differs := difference(skin_of(own, classified_phi(own)), wanted):
+        if differs := difference(skin_of(own, classified_phi(own)), wanted, "recording"):
             raise InputError(f"{path}: a recording of another skin than {layout or paths[0]} ({differs}): leave it out")
     readers = [_Reader(path, skin, phi, lambda line: tell("train", line), len(paths)) for path in paths]
     seen, still = (_joined([getattr(each, name) for each in readers], phi) for name in ("seen", "still"))

@@ -95,7 +95,7 @@ class SimulatedSkin(Skin):
             self._reconstructor.take(measurement)
             return [frame for message in self._messages.kept for frame in self._builder.take(message)][-1]
 
-    def tare(self, *, force: bool = False, region: Region | None = None) -> str:
+    def tare(self, *, force: bool = False, region: Region | str | None = None) -> str:
         """Do nothing: simulated sums have no offsets."""
         del force, region
         return "a simulated skin has no offsets"

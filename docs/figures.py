@@ -20,7 +20,7 @@ import httpx
 
 from docs.rerun_picture import rerun
 from shell.output import write_file
-from tests.browser import CHROMIUM, Browser, chromium
+from tests.browser import CHROMIUM, chromium
 from tests.processes import Processes, free_port
 
 DOCS: Final = Path(__file__).parent
@@ -52,14 +52,14 @@ def page(path: Path, layout: str = "default") -> None:
         processes.skin("demo", "demo", *touch, "--port", str(port), "--figure", figure)
         processes.until(lambda: "fabric:" in processes.log("demo").read_text(), "the web page")
         address = f"http://127.0.0.1:{port}/"
+        is_named = partial(_is_named, address)
         # Chromium takes a whole core, so it starts only when the ball touches.
-        processes.until(lambda: _object(address) == "golf-ball", "the golf ball to be named")
+        processes.until(is_named, "the golf ball to be named")
         profile = Path(folder) / "chromium"
         profile.mkdir()
         with chromium(profile) as browser:
             browser.open(address, width=PAGE_WIDTH, height=PAGE_HEIGHT)
             touches = "the golf ball was not named"
-            is_named = partial(_is_named, browser)
             while True:  # a touch may end before its picture
                 browser.until(is_named, touches, PATIENCE_S)
                 browser.wait(TOUCHED_S)
@@ -70,14 +70,10 @@ def page(path: Path, layout: str = "default") -> None:
         processes.stop("demo", signal.SIGINT)
 
 
-def _is_named(browser: Browser) -> bool:
-    return browser.text("#object .value") == "golf ball"
-
-
-def _object(address: str) -> str:
-    """Return the object that a page names now."""
+def _is_named(address: str) -> bool:
+    """Whether a page names the golf ball now."""
     label = httpx.get(f"{address}api/state").json()["label"]
-    return label["label"] if label and not label["stale"] else ""
+    return bool(label) and not label["stale"] and label["label"] == "golf-ball"
 
 
 def missing_data(path: Path) -> None:

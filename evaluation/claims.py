@@ -4,30 +4,24 @@ from typing import Final, Literal, NamedTuple
 
 from evaluation.bench.claimed import claimed as processing
 from evaluation.paper.claimed import claimed as images
-from evaluation.paper.printed import RATE_HZ
+from evaluation.printed import paper_value
 from evaluation.recognition.claimed import claimed as recognition
 from evaluation.result import Finding, Options, Result, Row, beside
 from evaluation.schemes.claimed import claimed as hardware
 
 
 class Claim(NamedTuple):
-    """A row of the table: the claim in short words, the quantity, the name of its figure, a command that shows more.
-
-    `paper` is the number of the paper's text, where no table has it.
-    """
+    """A row of the table: the claim in short words, the quantity, the name of its figure, a command that shows more."""
 
     words: str
     quantity: str
     figure: str
     command: str
     mode: Literal["offline", "live"] = "offline"
-    paper: float | None = None
 
 
 #: Functions of the options that make figures, by name.
 MAKERS: Final = (images, hardware, recognition, processing)
-#: Taxels for each sum in the paper.
-COMPRESSION: Final = 4.0
 AS_GOOD: Final = "1024 sums are as good as all 4096 taxels"
 QUARTER: Final = "a quality signal from a fourth of its size"
 FAST: Final = "4096 taxels at over 100 Hz"
@@ -65,9 +59,9 @@ CLAIMS: Final = (
     ),
     Claim(FAST, "images a second, haar, 20 iterations", "rate haar", _TIMES),
     Claim(FAST, "images a second, contourlet, 20 iterations", "rate contourlet", _TIMES),
-    Claim(FAST, "complete cycles a second, simulated buses", "complete cycles", "skin plan", "live", RATE_HZ),
-    Claim(FAST, "cycles a second that four buses of 1 Mbit/s carry", "carried cycles", "skin plan", paper=RATE_HZ),
-    Claim(LESS, "taxels / sums", "compression", _RIVALS, paper=COMPRESSION),
+    Claim(FAST, "complete cycles a second, simulated buses", "complete cycles", "skin plan", "live"),
+    Claim(FAST, "cycles a second that four buses of 1 Mbit/s carry", "carried cycles", "skin plan"),
+    Claim(LESS, "taxels / sums", "compression", _RIVALS),
     Claim(LESS, "bits on the bus: scan of all taxels, 10 bits / sums, 16 bits", "bits", _RIVALS, "live"),
     Claim(
         LESS,
@@ -91,9 +85,7 @@ CLAIMS: Final = (
     Claim(SAME, "accuracy of 16 sums - accuracy of 16 coarse taxels, points", "16 sums - 16 taxels", _NAMES),
     Claim(HARDWARE, f"{_CONVERTER}, same λ, 5 objects, dB", "analogue, same λ", _FRONT_ENDS),
     Claim(HARDWARE, f"{_CONVERTER}, λ that fits the noise of each, 5 objects, dB", "analogue", _FRONT_ENDS),
-    Claim(
-        HARDWARE, "conversions in a cycle, for each taxel / for each sum", "conversions", _FRONT_ENDS, paper=COMPRESSION
-    ),
+    Claim(HARDWARE, "conversions in a cycle, for each taxel / for each sum", "conversions", _FRONT_ENDS),
     Claim(WIRES, "taxels / chains of taxels", "chains", _CHAINS),
     Claim(
         WIRES,
@@ -113,13 +105,15 @@ def evaluate(options: Options) -> Result:
     rows: list[Row] = []
     for claim in CLAIMS:
         figure = made[claim.figure]
-        printed = claim.paper if figure.paper is None else round(float(figure.paper), 2)
-        numbers = beside(float(figure.ours), printed)
+        printed = paper_value("claims", quantity=claim.quantity) if figure.paper is None else figure.paper
+        numbers = beside(float(figure.ours), None if printed is None else round(float(printed), 2))
+        numbers |= {"spread": None if figure.spread is None else round(float(figure.spread), 2)}
         about = {"mode": claim.mode, "runs": figure.runs, "command": claim.command}
         rows.append({"claim": claim.words, "quantity": claim.quantity} | numbers | about)
     note = (
         "paper: the number of the text, or of the table on which the claim rests, its over 80 % and under 60 % as 80 "
         "and 60; empty where the paper has none. "
+        "spread: standard deviation over runs. "
         "offline: arrays, or arithmetic. live: the code of boards, frames, solver and classifier of the running skin, "
         "in one process; those of the default skin also on simulated buses. runs: trajectories, splits, cycles, "
         "images, touches or decisions behind the figure. Live images are ours: solver, and averages on the boards. "

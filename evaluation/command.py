@@ -2,7 +2,7 @@
 
 import os
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
@@ -15,10 +15,12 @@ from shell.terminal import Json, print_json, print_table
 from shell.touch_options import FullScale
 
 if TYPE_CHECKING:
-    from evaluation.result import Result
+    from evaluation.result import Options, Result
 
 Subject = Literal[
     "all",
+    "paper",
+    "settings",
     "claims",
     "sparsity",
     "compression",
@@ -44,14 +46,16 @@ Subject = Literal[
 
 
 class _Subject(NamedTuple):
-    """Where the function ``options -> Result`` of a subject is, and whether it averages over draws of Φ."""
+    """The function ``options -> Result`` of a subject; whether it averages over draws of Φ, and takes objects."""
 
     function: str
     draws: bool = False
+    objects: bool = False
 
 
 #: In the order of the report.
 SUBJECTS: Final[dict[str, _Subject]] = {
+    "settings": _Subject("evaluation.settings:evaluate"),
     "claims": _Subject("evaluation.claims:evaluate", draws=True),
     "sparsity": _Subject("evaluation.paper.sparsity:evaluate"),
     "compression": _Subject("evaluation.paper.tables:compression", draws=True),
@@ -59,13 +63,13 @@ SUBJECTS: Final[dict[str, _Subject]] = {
     "figures": _Subject("evaluation.paper.figures:evaluate"),
     "solvers": _Subject("evaluation.paper.solvers:evaluate"),
     "noiselets": _Subject("evaluation.paper.noiselets:evaluate"),
-    "rivals": _Subject("evaluation.schemes.comparison:evaluate"),
+    "rivals": _Subject("evaluation.schemes.comparison:evaluate", objects=True),
     "drawn-rivals": _Subject("evaluation.schemes.comparison:evaluate_drawn"),
-    "rates": _Subject("evaluation.schemes.rates:evaluate"),
-    "contacts": _Subject("evaluation.schemes.contacts:evaluate"),
+    "rates": _Subject("evaluation.schemes.rates:evaluate", objects=True),
+    "contacts": _Subject("evaluation.schemes.contacts:evaluate", objects=True),
     "calibration": _Subject("evaluation.schemes.zero_scenes:evaluate"),
     "offsets": _Subject("evaluation.schemes.offsets:evaluate"),
-    "wiring": _Subject("evaluation.schemes.wiring:evaluate"),
+    "wiring": _Subject("evaluation.schemes.wiring:evaluate", objects=True),
     "frontend": _Subject("evaluation.schemes.frontend:evaluate"),
     "scaling": _Subject("evaluation.schemes.scaling:evaluate"),
     "classification": _Subject("evaluation.recognition.classification:evaluate", draws=True),
@@ -88,6 +92,7 @@ def evaluate(
     *,
     quick: bool = False,
     meshes: Path | None = None,
+    objects: str | None = None,
     out: Path | None = None,
     jobs: int | None = None,
     draws: int | None = None,
@@ -104,7 +109,8 @@ def evaluate(
     Parameters
     ----------
     subject
-        What to evaluate; ``all`` writes ``report.html`` into the folder `out`.
+        What to evaluate. ``paper``: all subjects with numbers that the paper prints; ``all``: every subject. Both
+        compare every printed number with ours, and write ``report.html`` and ``paper.json`` into the folder `out`.
     recordings
         Folder of real recordings, for the subjects that use them: ``recordings`` and ``rates`` take .npz, .npy, .csv
         and .mcap, ``postures`` S1.npz and so on, ``single-wire`` a copy of github.com/aslepyan/SPTS.
@@ -113,15 +119,18 @@ def evaluate(
     meshes
         Folder of meshes (banana, cup, drill, largeclamp, mustard) in place of the shapes that ship. Live rows of
         ``claims`` and ``recognition`` that name objects keep these shapes.
+    objects
+        Comma-separated: what slides in ``rivals``, ``rates``, ``contacts`` and ``wiring`` in place of the paper's five
+        objects. Of these, or your own mesh as FILE@UNIT.
     out
-        Folder for the report and for measured results, which a later run takes up. Default for ``all``:
+        Folder for the report and for measured results, which a later run takes up. Default for ``all`` and ``paper``:
         skin-evaluation.
     jobs
         Processes at the same time. Default: one per core.
     draws
-        Draws of Φ to average over. Default: each subject's own. ``sparsity``, ``figures``, ``solvers``, ``noiselets``,
-        ``rivals``, ``drawn-rivals``, ``rates``, ``contacts``, ``calibration``, ``offsets``, ``wiring``, ``frontend``
-        and ``scaling`` average over none; ``all`` hands them to the others.
+        Draws of Φ to average over. Default: each subject's own. ``settings``, ``sparsity``, ``figures``, ``solvers``,
+        ``noiselets``, ``rivals``, ``drawn-rivals``, ``rates``, ``contacts``, ``calibration``, ``offsets``, ``wiring``,
+        ``frontend`` and ``scaling`` average over none; ``all`` and ``paper`` hand them to the others.
     seed
         Of all random numbers but those that draw scenes.
     scenes
@@ -143,32 +152,46 @@ def evaluate(
     --------
     skin evaluate all --quick
     skin evaluate all --meshes ycb-meshes --out report
+    skin evaluate contacts --objects handle.stl@mm:y90,cup
     skin evaluate sparsity --basis sym4-tensor coif1-tensor
     skin evaluate recordings mats/ --full-scale 4095 --rate 25
     """
     from evaluation.result import Options
     from reconstructor.bases.names import wavelet_basis_name
+    from touch.trajectory import checked_slides
 
-    _check(subject, recordings, draws, basis, {"--full-scale": full_scale, "--rate": rate})
-    if not scenes and not quick and subject == "drawn-rivals":
-        raise InputError("drawn-rivals needs --scenes of 1 or more: got 0")
-    if out is None and subject == "all":
+    names = _names(subject)
+    _check(
+        subject,
+        names,
+        draws,
+        has_recordings=recordings is not None,
+        has_scenes=scenes > 0 or quick,
+        basis=basis,
+        objects=objects,
+        of_recordings={"--full-scale": full_scale, "--rate": rate},
+    )
+    if out is None and len(names) > 1:
         out = Path("skin-evaluation")
     processes = jobs if jobs is not None else os.cpu_count() or 1
     bases = tuple(map(wavelet_basis_name, basis or ()))
-    options = Options(
-        quick, meshes, recordings, out, processes, draws, seed, scenes, scene_seed, bases, full_scale, rate
-    )
+    options = Options(quick, meshes, recordings, out, processes, draws, seed, scenes, scene_seed, bases)
+    options = replace(options, full_scale=full_scale, frame_rate_hz=rate)
+    if objects is not None:
+        options = replace(options, objects=checked_slides(objects))
     results: dict[str, Result] = {}
-    for name in SUBJECTS if subject == "all" else [subject]:
+    for name in names:
         asked = options if SUBJECTS[name].draws else replace(options, draws=None)
         module, _, function = SUBJECTS[name].function.partition(":")
         found = results[name] = getattr(import_module(module), function)(asked)
         if not found.rows and subject != "all":
             raise InputError(f"'{subject}' measured nothing: {found.note or found.title}")
         if not json:
-            print_table(list(found.rows[0]) if found.rows else [], map(dict.values, found.rows), title=found.title)
-            print(f"{found.note}\n" if found.note else "")
+            _print(found)
+    if len(names) > 1:
+        results = {"paper": _compare(results, options, subject), **results}
+        if not json:
+            _print(results["paper"])
     if out is not None:
         from evaluation.report import write_report
 
@@ -178,20 +201,53 @@ def evaluate(
         print_json({"rows": rows, "notes": [found.note for found in results.values() if found.note]})
 
 
+def _names(subject: Subject) -> list[str]:
+    """Return the subjects that are evaluated, in the order of the report."""
+    if subject == "paper":
+        from evaluation.reached import SUBJECTS as PRINTED
+
+        return [name for name in SUBJECTS if name in PRINTED]
+    return list(SUBJECTS) if subject == "all" else [subject]
+
+
 def _check(
     subject: Subject,
-    recordings: Path | None,
+    names: Sequence[str],
     draws: int | None,
+    *,
+    has_recordings: bool,
+    has_scenes: bool,
     basis: list[str] | None,
+    objects: str | None,
     of_recordings: Mapping[str, float | None],
 ) -> None:
-    """Raise InputError for options that a subject lacks, or does not take."""
-    if subject in RECORDED and recordings is None:
+    """Raise InputError for an option that is missing or that no subject takes."""
+    if subject in RECORDED and not has_recordings:
         raise InputError(f"{subject} needs {RECORDED[subject]}: give the folder, skin evaluate {subject} DIR")
-    if draws is not None and subject != "all" and not SUBJECTS[subject].draws:
+    if subject == "drawn-rivals" and not has_scenes:
+        raise InputError("drawn-rivals needs --scenes of 1 or more: got 0")
+    if draws is not None and not any(SUBJECTS[name].draws for name in names):
         raise InputError(f"'{subject}' averages over no draws of Φ, got {draws} draws: leave out --draws")
-    if basis and subject not in {"all", "sparsity"}:
+    if basis and "sparsity" not in names:
         raise InputError(f"only 'sparsity' takes bases, not '{subject}': leave out --basis")
+    if objects is not None and not any(SUBJECTS[name].objects for name in names):
+        takers = ", ".join(name for name, each in SUBJECTS.items() if each.objects)
+        raise InputError(f"'{subject}' takes no objects, expected one of {takers}, got --objects {objects}")
     for flag, value in of_recordings.items():
-        if value is not None and subject not in {"all", "recordings"}:
+        if value is not None and "recordings" not in names:
             raise InputError(f"only 'recordings' takes {flag}, not '{subject}': leave out {flag}")
+
+
+def _print(found: "Result") -> None:
+    print_table(list(found.rows[0]) if found.rows else [], map(dict.values, found.rows), title=found.title)
+    print(f"{found.note}\n" if found.note else "")
+
+
+def _compare(results: "dict[str, Result]", options: "Options", subject: str) -> "Result":
+    """Compare every number that the paper prints with ours, and keep the comparison."""
+    from evaluation import reached
+
+    kept = reached.stored({name: found.rows for name, found in results.items()}, options, subject)
+    if options.out is not None:
+        reached.write(kept, options.out / reached.FILE)
+    return reached.result(kept.numbers)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from canskin.errors import InputError
 from shell.output import write_file
+from touch.trajectory import ACQUISITION_OBJECTS
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -20,8 +21,8 @@ class Options:
     """What every evaluation is asked: the options of ``skin evaluate``.
 
     Without `out` nothing is kept; without `draws` each subject has its own number. `bases` are full names of wavelet
-    bases. `full_scale` and `frame_rate_hz` are of the recordings: the value that becomes the largest force, and frames
-    per second.
+    bases. `objects` slide in place of the paper's five. `full_scale` and `frame_rate_hz` are of the recordings: the
+    value that becomes the largest force, and frames per second.
     """
 
     quick: bool = False
@@ -34,6 +35,7 @@ class Options:
     scenes: int = 10
     scene_seed: int = 0
     bases: tuple[str, ...] = ()
+    objects: tuple[str, ...] = tuple(ACQUISITION_OBJECTS)
     full_scale: float | None = None
     frame_rate_hz: float | None = None
 
@@ -60,11 +62,15 @@ class Options:
 
 
 class Finding(NamedTuple):
-    """A number of ours, how many measurements are behind it, and the paper's number, None where the paper has none."""
+    """A number of ours, how many measurements are behind it, the paper's number, and the deviation over draws.
+
+    The last two are None where there is none.
+    """
 
     ours: float
     runs: int
     paper: float | None = None
+    spread: float | None = None
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,7 @@ _FOLDERS: Final = (
     "demo",
     "evaluation",
 )
-_LIBRARIES: Final = ("numpy", "scipy", "numba", "scikit-learn", "PyWavelets")
+LIBRARIES: Final = ("numpy", "scipy", "numba", "scikit-learn", "PyWavelets")
 
 
 def measure_cells(
@@ -86,7 +86,7 @@ def _remembering(measure: Callable[..., Row], folder: Path | None) -> Any:
 @cache
 def code_digest() -> str:
     """Return a digest of our own source and of the libraries' versions."""
-    digest = hashlib.sha256(" ".join(map(version, _LIBRARIES)).encode())
+    digest = hashlib.sha256(" ".join(map(version, LIBRARIES)).encode())
     for name in _FOLDERS:
         spec = find_spec(name)
         for folder in (spec.submodule_search_locations or []) if spec else []:

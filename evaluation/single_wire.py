@@ -87,7 +87,7 @@ def evaluate(options: Options) -> Result:
     cells: list[Row] = [
         {"folder": str(folder), "name": name, "press": press, "step": STEP * (2 if options.quick else 1)}
         for name in names
-        for press in (PRESSES[:1] if options.quick else PRESSES)
+        for press in (PRESSES[:1] if options.quick else _presses(folder, name))
     ]
     found = [row for rows in measure_cells(measure_press, cells, options, "presses") for row in rows["rows"]]
     rows = []
@@ -264,6 +264,12 @@ def _is_whole(folder: Path, name: str) -> bool:
 
 def _file(folder: Path, name: str, what: str) -> Path:
     return folder / _MEASURED / name / f"{name}_{what}.mat"
+
+
+def _presses(folder: Path, name: str) -> list[int]:
+    """Return the presses of `PRESSES` that there are: one object has 14 presses."""
+    count = _array(_file(folder, name, "random2"), "C", (SUMS, JUDGED.stop, PRESSES[0] + 1)).shape[2]
+    return [press for press in PRESSES if press < count]
 
 
 def read_press(folder: Path, name: str, press: int) -> Press:

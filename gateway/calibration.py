@@ -36,6 +36,7 @@ from skin.calibration_file import (
     parse_calibration,
 )
 from skin.layout import Layout
+from skin.regions import taxels_of
 
 #: Answer to what makes no sense for boards that look after themselves.
 _ADAPTIVE: Final = (
@@ -104,7 +105,7 @@ class GatewayCalibration:
         self._recalibrated: list[NodeContract] = []
         self._requests: deque[_Request] = deque()
         self._taring: list[Reply] = []
-        self._wanted: tuple[bool, Region | None] = False, None
+        self._wanted: tuple[bool, Region | str | None] = False, None
         self._tare_until_s = 0.0
         self._had_offsets = False
         self._writing: tuple[NodeWriting, StoredCalibration, Reply] | None = None
@@ -123,6 +124,8 @@ class GatewayCalibration:
         layout = self._contract.layout
         if request.action == "tare":
             tare_request(layout.taxels.rows, layout.taxels.columns, force=request.force, region=request.region)
+            if request.region is not None:
+                taxels_of(layout, request.region)
         if request.action not in {"load", "write"}:
             return None
         most = _NUMBER_BYTES * (self._contract.phi.shape[0] + 2 * layout.taxels.count) + _OTHER_BYTES

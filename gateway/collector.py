@@ -44,7 +44,7 @@ from gateway.open_cycles import (
     slot_of,
     spoil_bus,
 )
-from gateway.outstanding import Outstanding, ask, came, doubt, new_outstanding, prove, rest
+from gateway.outstanding import EVERY, Outstanding, ask, came, doubt, new_outstanding, prove, rest
 from gateway.proven_blocks import ProvenBlocks
 from gateway.sync_times import NO_STAMPS, SampledTimes, SyncNotes, SyncTimes, note_answer, note_echo
 from shell.compiled import borrowed, njit
@@ -75,7 +75,7 @@ class Gathering(NamedTuple):
     Attributes
     ----------
     cycles, syncs, outstanding, notes
-        See their classes. `outstanding` is used with one phase; with two, the phase tells of which cycle a frame is.
+        See their classes.
     counts : array of int64, shape (6,)
         By `ACCEPTED` to `FOREIGN`, see `FrameCounts`.
     foreign_syncs : array of int64, shape (buses,)
@@ -107,9 +107,7 @@ ACCEPTED, LATE, DUPLICATE, MALFORMED, MISSING, FOREIGN = range(6)
 
 
 @njit(cache=True, nogil=True)
-def take_all(  # noqa: PLR0917  compiled functions take no keywords
-    rows: npt.NDArray[np.uint8], bus: int, stamp_error_ns: int, is_window: bool, table: FrameTable, state: Gathering
-) -> None:
+def take_all(rows: npt.NDArray[np.uint8], bus: int, stamp_error_ns: int, table: FrameTable, state: Gathering) -> None:
     """Use the frames that arrived on a bus, in bus order.
 
     Parameters
@@ -117,8 +115,6 @@ def take_all(  # noqa: PLR0917  compiled functions take no keywords
     rows : array of uint8, shape (frames, bytes of a FRAME)
     stamp_error_ns : int
         Bound of the error of the clock of their time stamps, `NO_STAMPS` if they have none.
-    is_window : bool
-        There is one phase.
     """
     (rows,), table, state = borrowed((rows,)), borrowed(table), borrowed(state)
     is_ordered = state.outstanding.is_ordered[bus]
@@ -127,18 +123,13 @@ def take_all(  # noqa: PLR0917  compiled functions take no keywords
         flags = row[FLAGS_AT]
         can_id, ended_ns = field(row, CAN_ID_AT, 4), field(row, TIME_AT, 8)
         if can_id == SYNC_COB_ID and not flags & (ERROR | EXTENDED | REMOTE):
-            if flags & ECHO:
-                if is_window and not is_ordered:
-                    continue  # `begin_unordered` has begun the cycle
-                # An echo that may come before SYNC has ended tells no end.
-                error_ns = stamp_error_ns if is_ordered else NO_STAMPS
-                _begin(bus, int(row[DATA_AT]), ended_ns, error_ns, table, state)
-            else:
-                # A foreign SYNC: nodes answer it outside the gateway's cycles.
+            if not flags & ECHO:
+                # A foreign SYNC: nodes answer it outside the gateway's cycles, and in any phase.
                 state.foreign_syncs[bus] += 1
                 spoil_bus(bus, table, state.cycles)
-            if is_window:
-                _ask(bus, ended_ns, table, state)
+                _ask(bus, EVERY, ended_ns, table, state)
+            elif is_ordered:  # else `begin_unordered` has begun the cycle
+                _begin(bus, int(row[DATA_AT]), ended_ns, stamp_error_ns, table, state)
         if flags & (ERROR | ECHO):
             continue
         frame = table.row_of[bus, can_id] if can_id <= BASE_ID_MASK else -1
@@ -147,7 +138,7 @@ def take_all(  # noqa: PLR0917  compiled functions take no keywords
         elif row[LENGTH_AT] != table.length[frame]:
             state.counts[MALFORMED] += 1
         else:
-            _accept(bus, frame, row[DATA_AT:], ended_ns, stamp_error_ns, is_window, table, state)
+            _accept(bus, frame, row[DATA_AT:], ended_ns, stamp_error_ns, table, state)
 
 
 @njit(cache=True, nogil=True)
@@ -160,29 +151,30 @@ def _begin(  # noqa: PLR0917  compiled functions take no keywords
     now = state.syncs.counter[bus]
     if is_open(now, state.cycles):
         note_echo(slot_of(now), bus, time_ns, stamp_error_ns, state.notes)
+    _ask(bus, state.cycles.phase[slot_of(now)], time_ns, table, state)
 
 
 @njit(cache=True, nogil=True)
 def begin_unordered(counter: int, sent_ns: int, table: FrameTable, state: Gathering) -> None:
-    """With one phase, begin a cycle on the unordered buses; `sent_ns` is a time before its SYNC is handed over."""
+    """Begin a cycle on the unordered buses; `sent_ns` is a time before its SYNC is handed over."""
     table, state = borrowed(table), borrowed(state)
     for bus in range(len(state.foreign_syncs)):
         if not state.outstanding.is_ordered[bus]:
             begin_on_bus(bus, counter, 0, state.syncs)
             note_echo(slot_of(counter), bus, sent_ns, NO_STAMPS, state.notes)
-            _ask(bus, 0, table, state)
+            _ask(bus, state.cycles.phase[slot_of(counter)], 0, table, state)
 
 
 @njit(cache=True, nogil=True)
-def _ask(bus: int, time_ns: int, table: FrameTable, state: Gathering) -> None:
-    """With one phase: use no frame in the new cycle that may be of an earlier one."""
+def _ask(bus: int, phase: int, time_ns: int, table: FrameTable, state: Gathering) -> None:
+    """Use no frame after a SYNC that may answer an earlier one."""
     counter = state.syncs.counter[bus]
     slot = slot_of(counter)
     window_ns = state.syncs.window_ns[slot]
     if state.syncs.rests[slot]:
         rest(bus, time_ns, window_ns, table, state.outstanding)
         return
-    ask(bus, time_ns, window_ns, table, state.outstanding)
+    ask(bus, phase, time_ns, window_ns, table, state.outstanding)
     if is_open(counter, state.cycles):
         for row in range(len(table.bus)):
             if table.bus[row] == bus:
@@ -196,23 +188,18 @@ def _accept(  # noqa: PLR0917  compiled functions take no keywords
     data: npt.NDArray[np.uint8],
     time_ns: int,
     stamp_error_ns: int,
-    is_window: bool,
     table: FrameTable,
     state: Gathering,
 ) -> None:
     """Use the data of a frame whose row in the table is known, if the frame is in time."""
     node = table.node[row]
     state.heard[node] = True
-    if is_window:
-        came(row, time_ns, table, state.outstanding)
+    came(row, time_ns, table, state.outstanding)
     counter = state.syncs.counter[bus]
     slot = slot_of(counter)
     is_right = table.phase[row] == state.cycles.phase[slot]
     if counter and not is_right:
         state.strayed[node] = True
-        # A board that goes on after it hung sends frames of both phases: those of this one may be of an earlier cycle.
-        for other in range(len(table.node)):
-            state.cycles.spoilt[slot, other] |= table.node[other] == node
     if not is_right or not is_open(counter, state.cycles):
         state.counts[LATE] += 1
         state.late_of_node[node] += 1
@@ -271,8 +258,8 @@ class Collector:
     Parameters
     ----------
     unordered : collection of int
-        Numbers of the buses whose interface may echo a SYNC before it has been on the bus. With one phase, a cycle ends
-        there when the next SYNC is about to be sent.
+        Numbers of the buses whose interface may echo a SYNC before it has been on the bus. A cycle ends there when the
+        next SYNC is about to be sent.
 
     Attributes
     ----------
@@ -296,7 +283,6 @@ class Collector:
         self._node_of_block = np.repeat(np.arange(nodes), [node.blocks for node in contract.nodes])
         self._bus_of_node = np.array([node.bus for node in contract.nodes])
         self._proven = ProvenBlocks(contract.phi.blocks, SLOTS)
-        self._is_window = contract.phases == 1
         self._begin_anew()
         # What runs in each cycle is compiled before the first.
         self.open(1)
@@ -385,7 +371,7 @@ class Collector:
         self._times.open(counter, due_ns, sent_ns)
         send_sync(counter, due_ns, period_s, self._state.syncs, rests=False)
         begin_cycle(counter, self.expected, self._table, self._state.cycles)
-        if self._is_window and self._unordered:
+        if self._unordered:
             begin_unordered(counter, max(due_ns if sent_ns is None else sent_ns, 1), self._table, self._state)
         self._proven.begin(slot_of(counter))
 
@@ -410,11 +396,11 @@ class Collector:
         `stamp_error_ns` is the bound of the error of the clock of their time stamps, None if they have none.
         """
         error_ns = NO_STAMPS if stamp_error_ns is None else stamp_error_ns
-        take_all(frame_bytes(arrived), bus, error_ns, self._is_window, self._table, self._state)
+        take_all(frame_bytes(arrived), bus, error_ns, self._table, self._state)
 
     def lost(self, bus: int) -> None:
         """Take note that frames of a bus were lost; with one phase, the lost frame may be a SYNC between two cycles."""
-        if self._is_window:
+        if self._contract.phases == 1:
             spoil_bus(bus, self._table, self._state.cycles)
         # A command to a node behind would be lost, too: it has some cycles when the bus is back.
         self._state.outstanding.cycles_behind[self._bus_of_node == bus] = 0

@@ -1,8 +1,15 @@
-"""SDO requests of another master to a node: a doubt for the gateway, a channel in use, or nothing."""
+"""SDO requests of another master to a node: a doubt for the gateway, a channel in use, or nothing.
 
+A board that hangs may answer the gateway's question of before a write after the write. So the answers that are still to
+come at a write that counts are not used, and the gateway asks again.
+"""
+
+from collections import Counter
 from collections.abc import Mapping
 from enum import Enum, auto
 from typing import Final
+
+from gateway.sdo import ATTEMPTS
 
 #: What the proof compares.
 CONFIGURATION: Final = "configuration"
@@ -48,6 +55,9 @@ class ForeignClient:
         self._heard_s = float("-inf")
         self._is_suspect = True
         self._in_block_download = False
+        #: By the object's place in a request: reads of the gateway without an answer, and those of before a write.
+        self._open: Counter[bytes] = Counter()
+        self._old: Counter[bytes] = Counter()
 
     @property
     def free_s(self) -> float:
@@ -69,10 +79,32 @@ class ForeignClient:
             self.written = written or self.written
             self._is_suspect = written is not None or (may_be_data and self._is_suspect)
         if (may_be_data or kind in (0, 1, 6)) and self._is_suspect:
+            self._old |= self._open
             return Effect.DOUBT
         return Effect.BUSY if kind else Effect.NONE
 
-    def take_answer(self, data: bytes) -> None:
-        """Note that the node ends or refuses a block download: what follows are requests again."""
+    def ask(self, data: bytes) -> None:
+        """Take note of a request of the gateway; of one object the attempts of one transfer count."""
+        place = data[1:4]
+        if data[0] >> 5 == 2:  # an upload begins
+            self._open[place] = min(self._open[place] + 1, ATTEMPTS)
+
+    def take_answer(self, data: bytes) -> bool:
+        """Take note of an answer; tell whether the answer may be older than a write that counts.
+
+        An answer that ends or refuses a block download ends it: what follows are requests again.
+        """
         if data[0] in (_ABORT, _BLOCK_DOWNLOAD_ENDED):
             self._in_block_download = False
+        if data[0] >> 5 not in (2, 4):  # neither the answer to an upload nor an abort
+            return False
+        place = data[1:4]
+        is_old = self._old[place] > 0
+        for each in (self._open, self._old):
+            each[place] = max(each[place] - 1, 0)
+        return is_old
+
+    def booted(self) -> None:
+        """Take note of the boot-up message of the node, after which no older answer comes."""
+        self._open.clear()
+        self._old.clear()

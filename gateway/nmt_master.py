@@ -10,6 +10,7 @@ frames are arguments; no function waits.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import Enum, IntEnum, auto
+from functools import partial
 from typing import ClassVar, Final
 
 import numpy as np
@@ -319,7 +320,8 @@ class NmtMaster:
 
     def _take_of(self, node: NodeRecord, base: int, data: bytes, now_s: float) -> None:
         if base == SDO_RESPONSE_BASE and len(data) == SDO_BYTES:
-            node.foreign.take_answer(data)
+            if node.foreign.take_answer(data):
+                return
             if node.dialogue is not None:
                 node.dialogue.take(data, now_s)
                 self._finish(node, now_s)
@@ -356,6 +358,7 @@ class NmtMaster:
     def _booted(self, node: NodeRecord, now_s: float) -> None:
         if node.nmt == SILENT or node.refusal or node.hint:  # somebody has worked on the node
             node.tries = 0
+        node.foreign.booted()
         why = f"booted again{node.hint or node.explanation(now_s)}"
         node.nmt, node.hint = NmtState.PRE_OPERATIONAL, ""
         self._happen(node, Event.BOOTED, now_s, why)
@@ -432,7 +435,7 @@ class NmtMaster:
         node = self.nodes[node_id]
         if not node.in_use or not node.is_free or now_s < node.foreign.free_s:
             return None
-        node.errand = SdoDialogue(node_id, steps, self._send, now_s, attempts=1)
+        node.errand = SdoDialogue(node_id, steps, partial(self._ask, node), now_s, attempts=1)
         return node.errand
 
     def _begin_due(self, now_s: float) -> None:
@@ -578,7 +581,11 @@ class NmtMaster:
         steps = prove(node.settings, node.signature, node.known, write=self._write, in_use=node.in_use, doubt=doubt)
         # One attempt for a silent node: the boot-up message or heartbeat tells when the node is there.
         attempts = 1 if node.nmt == SILENT else ATTEMPTS
-        node.dialogue = SdoDialogue(node.contract.node_id, steps, self._send, now_s, attempts=attempts)
+        node.dialogue = SdoDialogue(node.contract.node_id, steps, partial(self._ask, node), now_s, attempts=attempts)
+
+    def _ask(self, node: NodeRecord, can_id: int, data: bytes) -> None:
+        node.foreign.ask(data)
+        self._send(can_id, data)
 
     def _try(self, node: NodeRecord, now_s: float, why: str) -> None:
         """Begin to prove a node that is not in use."""

@@ -6,20 +6,9 @@ from typing import Final
 import msgspec
 
 from canskin.calibration_messages import CalibrationState
-from canskin.messages import SILENT, NmtState
+from health.nodes_why import NMT_WORDS, REFUSED, word_of
 from health.snapshot import BusView, Notice, Service, Snapshot
 
-#: Names of the NMT states on the page (CiA 301, 7.2.8.3.2).
-NMT_WORDS: Final[dict[int, str]] = {
-    NmtState.INITIALISING: "booting",
-    NmtState.STOPPED: "stopped",
-    NmtState.OPERATIONAL: "operational",
-    NmtState.PRE_OPERATIONAL: "pre-operational",
-    SILENT: "silent",
-}
-#: The states in which a node sends no sums.
-OFF_DUTY: Final = {state: word for state, word in NMT_WORDS.items() if state != NmtState.OPERATIONAL}
-REFUSED: Final = "refused by the gateway: not of this skin"
 #: Most node-IDs named in one notice, where tiles show the others, and most defects and contacts in doubt.
 NAMED: Final = 8
 
@@ -43,7 +32,7 @@ def notices(state: Snapshot, own: str, *, is_grid: bool) -> Snapshot:
             *_nodes(state),
             *_buses(state),
         ]
-        found += [*_calibration(state), *_doubts(state, is_grid=is_grid)]
+        found += [*_calibration(state), *_doubts(state, is_grid=is_grid), *_thresholds(state)]
     found += _ignored(state)
     grave = ("error", "warning", "info")
     return msgspec.structs.replace(state, notices=sorted(found, key=lambda notice: grave.index(notice.level)))
@@ -167,6 +156,16 @@ def _doubts(state: Snapshot, *, is_grid: bool) -> Iterator[Notice]:
         yield Notice(level="warning", text=text, kind="more doubtful contacts")
 
 
+def _thresholds(state: Snapshot) -> Iterator[Notice]:
+    """Name the regions whose force is above their threshold."""
+    for each in state.patches:
+        if each.is_over and each.peak_n is not None:
+            text = f"up to {each.peak_n:.3g} N on {each.name}: more than its threshold of {each.threshold_n:g} N"
+            yield Notice(
+                level="warning", text=text, since_time_s=each.over_since_time_s, kind=f"threshold of {each.name}"
+            )
+
+
 def _off_duty(bus: BusView) -> Iterator[Notice]:
     """Name the nodes of a bus that do not measure, one notice for each reason."""
     for word, nodes in _nodes_of_word(bus).items():
@@ -181,12 +180,10 @@ def _off_duty(bus: BusView) -> Iterator[Notice]:
 
 def _nodes_of_word(bus: BusView) -> dict[str, list[int]]:
     """Sort a bus's nodes by why they do not measure."""
-    found: dict[str, list[int]] = {word: [] for word in (*OFF_DUTY.values(), REFUSED)}
+    found: dict[str, list[int]] = {word: [] for word in (*NMT_WORDS.values(), REFUSED)}
     for node, nmt in zip(bus.nodes, bus.nmt, strict=True):
-        if node in bus.refused and nmt != SILENT:
-            found[REFUSED].append(node)
-        elif nmt in OFF_DUTY:
-            found[OFF_DUTY[nmt]].append(node)
+        if word := word_of(bus, node, nmt):
+            found[word].append(node)
     return found
 
 

@@ -1,5 +1,6 @@
 """State of a skin at one instant: the answer of ``/api/state`` and the header of every frame of the page."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final, TypeVar
 
@@ -82,13 +83,41 @@ class ImageState(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class TruthState(msgspec.Struct, frozen=True, kw_only=True):
-    """The true and the sensor image; ``of_image`` when they belong to the cycle of the image shown."""
+    """The true and the sensor image of the cycle of the image shown, and the age of the image."""
 
     step: int
     label: str
     age_s: float
     stale: bool
-    of_image: bool
+
+
+class PatchState(msgspec.Struct, frozen=True, kw_only=True):
+    """The force on a region of the skin (`skin.regions`) in the newest image.
+
+    Attributes
+    ----------
+    force_n : float or None
+        Total force, newtons; None if no taxel of the region was measured.
+    is_over, over_since_time_s, peak_n : bool, float or None, float or None
+        In an image of the last second the force was above `threshold_n`; wall-clock time since when, and the largest
+        force since then.
+    row, column, position_m
+        Centre of pressure, see `canskin.messages.Contact`; None without force.
+    is_doubtful : bool
+        More than `health.patches.DOUBT_RATIO` of its taxels are of blocks that were not measured, or as much of its
+        force is on taxels whose zero is in doubt.
+    """
+
+    name: str
+    force_n: float | None
+    threshold_n: float | None = None
+    is_over: bool = False
+    over_since_time_s: float | None = None
+    peak_n: float | None = None
+    row: float | None = None
+    column: float | None = None
+    position_m: tuple[float, float, float] | None = None
+    is_doubtful: bool = False
 
 
 class ContactsState(Contacts, frozen=True, kw_only=True):
@@ -118,7 +147,8 @@ class Figures(msgspec.Struct, frozen=True, kw_only=True):
     Attributes
     ----------
     images_hz : float
-        Rate of the images with at least one valid sum.
+        Rate of the images with at least one valid sum, by the clock of their sampling instants: images that come in a
+        burst after a stall are no more than the cycles of the skin.
     latency_p50_s, latency_p99_s : float or None
         Time from SYNC to the publication of such an image, median and 99th percentile.
     psnr_image_db, psnr_sensor_db : float or None
@@ -140,6 +170,14 @@ class Figures(msgspec.Struct, frozen=True, kw_only=True):
     blocks: int
 
 
+class NodeTrouble(msgspec.Struct, frozen=True):
+    """Why a node is not whole, in words, and the wall-clock time since when."""
+
+    node: int
+    since_time_s: float
+    why: str
+
+
 class BusView(BusState, frozen=True, kw_only=True):
     """One bus: the gateway's counters, and conclusions from them.
 
@@ -151,11 +189,14 @@ class BusView(BusState, frozen=True, kw_only=True):
         The gateway can neither send nor receive on this bus.
     synced : bool
         SYNC reaches at least one node: without nodes no frame of the gateway is acknowledged.
+    nodes_why : list of NodeTrouble
+        Of each node that is not whole.
     """
 
     nmt: list[int]  # type: ignore[assignment]  # numbers in JSON, where bytes would be Base64
     dead: bool
     synced: bool
+    nodes_why: list[NodeTrouble]
 
 
 class GatewayState(GatewayStatus, frozen=True, kw_only=True):
@@ -180,11 +221,30 @@ class NodesState(NodesStatus, frozen=True, kw_only=True):
     stale: bool
 
 
+class RecorderState(msgspec.Struct, frozen=True, kw_only=True):
+    """The recording that the page's server is making."""
+
+    path: str
+    since_time_s: float
+
+
+class PlaybackState(msgspec.Struct, frozen=True, kw_only=True):
+    """The recording that is shown, and the position in it, seconds from its first message."""
+
+    path: str
+    position_s: float
+    duration_s: float
+    is_paused: bool
+    speed: float
+
+
 class Snapshot(msgspec.Struct, frozen=True, kw_only=True):
     """Content of the page without pixels; ``cut_off`` when the viewer has lost the hub.
 
     Attributes
     ----------
+    patches : list of PatchState
+        The whole skin, then its regions; empty before the first image.
     other_skins : list of str
         Names of other skins whose services are on the hub.
     """
@@ -194,6 +254,7 @@ class Snapshot(msgspec.Struct, frozen=True, kw_only=True):
     image: ImageState | None
     contacts: ContactsState | None
     truth: TruthState | None
+    patches: list[PatchState]
     label: LabelState | None
     figures: Figures
     gateway: GatewayState | None
@@ -203,6 +264,8 @@ class Snapshot(msgspec.Struct, frozen=True, kw_only=True):
     cut_off: bool
     ignored: int
     notices: list[Notice]
+    recorder: RecorderState | None = None
+    playback: PlaybackState | None = None
 
 
 @dataclass(frozen=True)
@@ -219,17 +282,21 @@ def aged(kind: type[Aged], message: msgspec.Struct, age_s: float, *, stale: bool
     return kind(**{**msgspec.structs.asdict(message), "age_s": age_s, "stale": stale, **more})
 
 
-def gateway_state(status: GatewayStatus, age_s: float, *, stale: bool) -> GatewayState:
-    """Return the gateway's counters as the page shows them."""
+def gateway_state(
+    status: GatewayStatus, troubles: Mapping[str, list[NodeTrouble]], age_s: float, *, stale: bool
+) -> GatewayState:
+    """Return the gateway's counters as the page shows them; `troubles` of the nodes by the name of their bus."""
     zero = status.calibration.zero_words if status.calibration else ""
-    return aged(GatewayState, status, age_s, stale=stale, buses=list(map(_bus_view, status.buses)), zero=zero)
+    buses = [_bus_view(bus, troubles.get(bus.name, [])) for bus in status.buses]
+    return aged(GatewayState, status, age_s, stale=stale, buses=buses, zero=zero)
 
 
-def _bus_view(bus: BusState) -> BusView:
+def _bus_view(bus: BusState, troubles: list[NodeTrouble]) -> BusView:
     is_dead = bus.link in DEAD_LINKS
     more = {
         "nmt": list(bus.nmt),
         "dead": is_dead,
+        "nodes_why": troubles,
         "synced": not is_dead and not (bus.link == "passive" and set(bus.nmt) == {SILENT}),
     }
     return BusView(**{**msgspec.structs.asdict(bus), **more})

@@ -22,7 +22,9 @@ from canskin.messages import (
 )
 from canskin.peers import Peer, new_peer
 from health.checks import fits
+from health.nodes_why import NodeTroubles
 from health.notices import display_name, notices
+from health.patches import Patches
 from health.snapshot import (
     ContactsState,
     Figures,
@@ -30,6 +32,7 @@ from health.snapshot import (
     ImageState,
     LabelState,
     NodesState,
+    PatchState,
     Pictures,
     Pixels,
     Service,
@@ -38,7 +41,7 @@ from health.snapshot import (
     aged,
     gateway_state,
 )
-from health.window import Window
+from health.window import Rate, Window
 from skin.ground_truth import ImagePairs, image_pairs, in_contact
 from skin.layout import Layout
 from skin.psnr import adds_noise, psnr_db
@@ -49,8 +52,6 @@ TOPICS: Final = (IMAGE, CONTACTS, TRUTH, LABEL, GATEWAY, NODES)
 FRESH_S: Final = 0.5
 #: Counters older than this are stale; the gateway and the nodes publish theirs five times a second.
 STATUS_FRESH_S: Final = 1.5
-#: A truth older than this is hidden.
-TRUTH_GONE_S: Final = 3.0
 #: Most processes of nodes shown; the one with the oldest message is dropped first.
 PROCESSES: Final = 64
 #: Most services kept; the service that has been gone for longest is dropped first.
@@ -68,6 +69,41 @@ class Last(NamedTuple, Generic[Message]):
 
     message: Message
     at_s: float
+
+
+class Excess(NamedTuple):
+    """A force above the threshold of a region: since when, when last, and the largest force, newtons."""
+
+    since_s: float
+    last_s: float
+    peak_n: float
+
+
+class Moment(NamedTuple):
+    """A skin at one instant, for curves: None for what was not measured then.
+
+    Attributes
+    ----------
+    force_n : float or None
+        On the whole skin.
+    latency_s : float or None
+        Of the newest image, from SYNC to its publication.
+    load_ratio : float or None
+        The largest of the buses.
+    missing : int or None
+        Frames with sums that did not come, since the start of the gateway.
+    label : str or None
+        Empty without contact.
+    contacts : list of (int, float), or None
+        Identity and force in newtons of each contact.
+    """
+
+    force_n: float | None
+    latency_s: float | None
+    load_ratio: float | None
+    missing: int | None
+    label: str | None
+    contacts: list[tuple[int, float]] | None
 
 
 class ViewState:
@@ -100,7 +136,9 @@ class ViewState:
         self._peers: dict[str, Peer] = {}
         self._pairing: ImagePairs = image_pairs(layout)
         self._latency_s = Window(LATENCY_SPAN_S)
-        self._valid, self._rate = Window(SPAN_S), Window(SPAN_S)
+        self._valid, self._rate = Window(SPAN_S), Rate(SPAN_S)
+        self._patches, self._troubles = Patches(layout), NodeTroubles()
+        self._over: dict[str, Excess] = {}
         #: Image, truth, and when their pair was found; a pair is compared when a snapshot needs its PSNR.
         self._pairs: deque[tuple[Image, Truth, float]] = deque()
         self._psnr_image_db, self._psnr_sensor_db = Window(SPAN_S), Window(SPAN_S)
@@ -122,6 +160,7 @@ class ViewState:
                 self._label = Last(message, now_s)
             case GatewayStatus():
                 self._gateway = Last(message, now_s)
+                self._troubles.take(message, now_s)
             case NodesStatus():
                 self._nodes.pop(message.process, None)
                 self._nodes[message.process] = Last(message, now_s)
@@ -134,10 +173,17 @@ class ViewState:
         is_new = self._image is None or self._image.message.sampled_mono_ns != image.sampled_mono_ns
         self._image = Last(image, now_s)
         self._valid.add(now_s, self._valid_blocks(image))
-        if image.valid_sums:
-            self._rate.add(now_s, 1.0)
+        if image.valid_sums and not self._layout.sends.in_cycles:  # a quiet skin has images without new sums
+            self._rate.add(now_s, image.published_mono_ns * 1e-9)
+        elif image.valid_sums and is_new:
+            self._rate.add(now_s, image.sampled_mono_ns * 1e-9)
         if image.valid_sums and is_new:
             self._latency_s.add(now_s, (image.published_mono_ns - image.sampled_mono_ns) * 1e-9)
+        for name, force_n in self._patches.over(image):
+            before = self._over.get(name)
+            if before is None or now_s - before.last_s > SPAN_S:
+                before = Excess(now_s, now_s, force_n)
+            self._over[name] = Excess(before.since_s, now_s, max(before.peak_n, force_n))
         self._keep(self._pairing.take(image), now_s)
 
     def _keep(self, pairs: list[tuple[Image, Truth]], now_s: float) -> None:
@@ -167,10 +213,20 @@ class ViewState:
             there = any(each.skin == peer.skin and each.service == peer.service for each in self._peers.values())
             self.take_service(peer.service, there, now_s)
 
-    def snapshot(self, now_s: float, undecodable: int = 0) -> tuple[Snapshot, Pictures]:
-        """Return snapshot and pictures at `now_s`; `undecodable` messages count as ignored."""
-        while self._pairs:
-            self._compare(*self._pairs.popleft())
+    def running(self, service: str) -> int:
+        """Return how many services of this name the skin has."""
+        return sum((each.skin, each.service) == (self._layout.name, service) for each in self._peers.values())
+
+    def snapshot(self, now_s: float, undecodable: int = 0, *, is_single: bool = False) -> tuple[Snapshot, Pictures]:
+        """Return snapshot and pictures at `now_s`; `undecodable` messages count as ignored.
+
+        The PSNR of a single snapshot is that of its image, not the mean of the last second, which costs more.
+        """
+        while self._pairs and not is_single:
+            compared, true, at_s = self._pairs.popleft()
+            if errors_db := self._compare(compared, true):
+                self._psnr_image_db.add(at_s, errors_db[0])
+                self._psnr_sensor_db.add(at_s, errors_db[1])
         truth, gateway = self._truth_shown(now_s), self._gateway_state(now_s)
         bare = Snapshot(
             time_s=self._epoch_s + now_s,
@@ -178,8 +234,9 @@ class ViewState:
             image=self._image_state(now_s),
             contacts=self._contacts_state(now_s),
             truth=truth[0] if truth else None,
+            patches=self._patches_state(now_s),
             label=self._label_state(now_s),
-            figures=self._figures(now_s),
+            figures=self._figures(now_s, truth[1] if truth and is_single else None),
             gateway=gateway,
             nodes=self._nodes_states(now_s),
             services={name: self._service(name, gateway, now_s) for name in sorted(self._services)},
@@ -196,14 +253,17 @@ class ViewState:
         is_grid = self._layout.taxels.surface.is_grid
         return notices(bare, self._service_name, is_grid=is_grid), pictures
 
-    def _compare(self, image: Image, truth: Truth, now_s: float) -> None:
+    def _compare(self, image: Image, truth: Truth) -> tuple[float, float] | None:
+        """Return the PSNR of an image and of the sensor's; None without contact."""
         peak_n = self._layout.taxels.force_max_n
         true = self._grid(truth.true)
         if not in_contact(true, peak_n):
-            return
+            return None
         there = self._layout.taxels.without_gaps
-        self._psnr_image_db.add(now_s, psnr_db(there(true), there(self._grid(image.pixels)), peak_n))
-        self._psnr_sensor_db.add(now_s, psnr_db(there(true), there(self._grid(truth.sensor)), peak_n))
+        image_db, sensor_db = (
+            psnr_db(there(true), there(self._grid(each)), peak_n) for each in (image.pixels, truth.sensor)
+        )
+        return image_db, sensor_db
 
     def _image_state(self, now_s: float) -> ImageState | None:
         if self._image is None:
@@ -227,17 +287,49 @@ class ViewState:
         return aged(ContactsState, contacts, now_s - at_s, stale=self._is_stale("reconstructor", at_s, now_s, FRESH_S))
 
     def _truth_shown(self, now_s: float) -> tuple[TruthState, Truth] | None:
-        """Return the truth of the image shown if images come, else the newest truth; None if there is none."""
-        if self._truth is None or now_s - self._truth.at_s > TRUTH_GONE_S:
+        """Return the truth of the cycle of the image shown; None if it has not come, or was too long ago."""
+        shown = None if self._image is None else self._pairing.truth_of(self._image.message)
+        if self._image is None or shown is None:
             return None
-        age_s = now_s - self._truth.at_s
-        shown, of_image = self._truth.message, False
-        if self._image is not None and now_s - self._image.at_s <= FRESH_S:
-            own = self._pairing.truth_of(self._image.message)
-            shown, of_image = own or shown, own is not None
-        return TruthState(
-            step=shown.step, label=shown.label, age_s=age_s, stale=age_s > FRESH_S, of_image=of_image
-        ), shown
+        age_s = now_s - self._image.at_s
+        return TruthState(step=shown.step, label=shown.label, age_s=age_s, stale=age_s > FRESH_S), shown
+
+    def _patches_state(self, now_s: float) -> list[PatchState]:
+        if self._image is None:
+            return []
+        over = {name: each for name, each in self._over.items() if now_s - each.last_s <= SPAN_S}
+        return [
+            msgspec.structs.replace(
+                patch,
+                is_over=True,
+                over_since_time_s=self._epoch_s + over[patch.name].since_s,
+                peak_n=over[patch.name].peak_n,
+            )
+            if patch.name in over
+            else patch
+            for patch in self._patches.of(self._image.message)
+        ]
+
+    def moment(self, now_s: float) -> Moment:
+        """Return what curves show of `now_s`."""
+        image, contacts, gateway, label = self._image, self._contacts, self._gateway, self._label
+        if image is None or self._is_stale("reconstructor", image.at_s, now_s, FRESH_S) or not image.message.valid_sums:
+            image = None
+        if contacts is None or self._is_stale("reconstructor", contacts.at_s, now_s, FRESH_S) or contacts.message.blind:
+            contacts = None
+        if gateway is None or self._is_stale("gateway", gateway.at_s, now_s, STATUS_FRESH_S):
+            gateway = None
+        if label is None or self._is_stale("classifier", label.at_s, now_s, FRESH_S):
+            label = None
+        is_labelled = label is not None and label.message.is_measured(self._layout.measurement.sums)
+        return Moment(
+            force_n=image and self._patches.total_n(image.message),
+            latency_s=image and (image.message.published_mono_ns - image.message.sampled_mono_ns) * 1e-9,
+            load_ratio=gateway and max((bus.load_ratio for bus in gateway.message.buses), default=None),
+            missing=gateway and gateway.message.frames.missing,
+            label=label.message.label if label is not None and is_labelled else None,
+            contacts=contacts and [(each.identity, each.force_n) for each in contacts.message.contacts],
+        )
 
     def _label_state(self, now_s: float) -> LabelState | None:
         if self._label is None:
@@ -247,15 +339,17 @@ class ViewState:
         stale = self._is_stale("classifier", at_s, now_s, FRESH_S)
         return aged(LabelState, label, now_s - at_s, stale=stale, measured=measured)
 
-    def _figures(self, now_s: float) -> Figures:
+    def _figures(self, now_s: float, single: Truth | None) -> Figures:
         latency_s = self._latency_s.values(now_s)
         low = self._valid.values(now_s)
-        sensor_db = self._psnr_sensor_db.mean(now_s)
+        image_db, sensor_db = self._psnr_image_db.mean(now_s), self._psnr_sensor_db.mean(now_s)
+        if single is not None and self._image is not None:
+            image_db, sensor_db = self._compare(self._image.message, single) or (None, None)
         return Figures(
-            images_hz=self._rate.rate_hz(now_s),
+            images_hz=self._rate.per_s(now_s),
             latency_p50_s=float(np.percentile(latency_s, 50)) if latency_s else None,
             latency_p99_s=float(np.percentile(latency_s, 99)) if latency_s else None,
-            psnr_image_db=self._psnr_image_db.mean(now_s),
+            psnr_image_db=image_db,
             psnr_sensor_db=sensor_db,
             sensor_adds_noise=None if sensor_db is None else adds_noise(sensor_db, self._layout.taxels.adc_bits),
             valid_blocks=self._valid_blocks(self._image.message) if self._image else None,
@@ -295,7 +389,10 @@ class ViewState:
         if self._gateway is None:
             return None
         status, at_s = self._gateway
-        return gateway_state(status, now_s - at_s, stale=self._is_stale("gateway", at_s, now_s, STATUS_FRESH_S))
+        troubles = self._troubles.of(self._epoch_s)
+        return gateway_state(
+            status, troubles, now_s - at_s, stale=self._is_stale("gateway", at_s, now_s, STATUS_FRESH_S)
+        )
 
     def _nodes_states(self, now_s: float) -> list[NodesState]:
         found = (self._nodes[name] for name in sorted(self._nodes))

@@ -1,210 +1,475 @@
-"""FISTA on whole recordings with any library of the Python array API: NumPy, or CuPy on a GPU.
+"""FISTA of many streams at once with any library of the Python array API: NumPy, or CuPy or PyTorch on a GPU.
 
-Every step is a matrix product or an elementwise operation on (frames, …) arrays; wavelets and Hadamard blocks are
-applied as small dense matrices, which are faster on a GPU than butterflies. A recording is divided into parts of equal
-length, which are solved side by side. Every part except the first begins `RUN_IN` cycles early, so that its first image
-has a warm start.
+array-api-compat makes the libraries alike. Every step is a matrix product, a gather or an elementwise operation on
+(streams, …) arrays; wavelets, Hadamard blocks and noiselets are applied as small dense matrices, which are faster on a
+GPU than butterflies.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
+from copy import copy
+from dataclasses import dataclass
+from importlib import import_module
+from math import isqrt
 from types import ModuleType
-from typing import Any, Final
+from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from array_api_compat import to_device
 
 from canskin.errors import InputError
 from reconstructor.bases import wavelet_basis
-from reconstructor.checks import LARGEST_N, check_grid_of, float_kind
+from reconstructor.checks import Values, check_grid_of, float_kind
 from reconstructor.fista import momentum
+from reconstructor.kernels.addresses import spin_shifts
+from reconstructor.kernels.graph import graph_of
+from reconstructor.kernels.problem import checked
+from reconstructor.kernels.variation import INNER
 from reconstructor.settings import SolverSettings
 from shell.extras import not_installed
-from skin.clipping import ClipCorrection
+from skin.matrix import MatrixPhi
 from skin.measurement import Sbhe, fast_hadamard
+from skin.surface import grid_surface
 
-#: Cycles solved ahead of each part.
-RUN_IN: Final = 12
-#: Most parts: a part is still long compared with `RUN_IN`, and a batch fills a GPU.
-PARTS: Final = 256
-_LEAST_PART: Final = 4 * RUN_IN
+#: Cycles solved ahead of each part of a recording, and least cycles of a part.
+RUN_IN: Final = 24
+LEAST_PART: Final = 8
+#: Taxels of all streams with which a GPU computes as long as it takes to start its operations.
+FILLING: Final = 1 << 22
+#: Taxels of all streams at most; each needs some 100 bytes.
+MOST: Final = 1 << 26
 
 Bools = npt.NDArray[np.bool_]
+Indices = npt.NDArray[np.intp]
+Device = Literal["cpu", "gpu"]
+LibraryName = Literal["cupy", "torch", "numpy"]
 
 
-def gpu_library() -> ModuleType:
-    """Return CuPy; raise InputError if CuPy is not installed or finds no GPU."""
+@dataclass(frozen=True)
+class ArrayLibrary:
+    """An array library and where its arrays are.
+
+    Attributes
+    ----------
+    xp : module
+        With the functions of the array standard.
+    about : str
+        Library, version and device in words.
+    device : object
+        Of the library; None for its default.
+    on_gpu : bool
+    """
+
+    xp: ModuleType
+    about: str
+    device: Any = None
+    on_gpu: bool = False
+
+    def send(self, values: npt.NDArray[Any], kind: np.dtype[Any] | None = None) -> Any:
+        """Return NumPy's values as an array of the library, with NumPy's dtype or another."""
+        wanted = np.require(values, kind, ["C", "W"])  # PyTorch warns of memory that it may not write
+        return self.xp.asarray(wanted, dtype=getattr(self.xp, wanted.dtype.name), device=self.device)
+
+    def zeros(self, shape: tuple[int, ...], kind: np.dtype[Any]) -> Any:
+        """Return zeros of the library."""
+        return self.xp.zeros(shape, dtype=getattr(self.xp, kind.name), device=self.device)
+
+    def fetch(self, values: Any) -> npt.NDArray[Any]:
+        """Return an array of the library as one of NumPy."""
+        return np.asarray(to_device(values, "cpu") if self.on_gpu else values)
+
+
+NUMPY: Final = ArrayLibrary(np, f"NumPy {np.__version__} on the CPU")
+
+
+def array_library(device: Device, name: LibraryName | None = None) -> ArrayLibrary:
+    """Return an array library that computes on a device.
+
+    Parameters
+    ----------
+    device : {"cpu", "gpu"}
+    name : {"cupy", "torch", "numpy"}, optional
+        Default: of a GPU CuPy, else PyTorch; of a CPU NumPy.
+
+    Raises
+    ------
+    InputError
+        If the library is not installed, finds no GPU, or has nothing to do with this device.
+    """
+    if device == "cpu" and name == "cupy":
+        raise InputError("CuPy computes on a GPU: expected --device gpu, or the library torch or numpy")
+    if device == "gpu" and name == "numpy":
+        raise InputError("NumPy computes on a CPU: expected --device cpu, or the library cupy or torch")
+    if device == "cpu":
+        return _torch("cpu") if name == "torch" else NUMPY
+    if name is not None:
+        return _torch("gpu") if name == "torch" else _cupy()
+    try:
+        return _cupy()
+    except InputError as error:
+        try:
+            return _torch("gpu")
+        except InputError as other:
+            raise InputError(f"{error}; {other}") from error
+
+
+def _cupy() -> ArrayLibrary:
     try:
         import cupy
     except ImportError as error:
         raise not_installed(f"CuPy cannot be loaded ({error})", "gpu") from error
     try:
         cupy.cuda.runtime.getDeviceCount()
+        name = cupy.cuda.runtime.getDeviceProperties(0)["name"].decode()
     except cupy.cuda.runtime.CUDARuntimeError as error:
         raise InputError(f"CuPy finds no GPU: {error}") from error
-    return cupy  # type: ignore[no-any-return]  # cupy has no types
+    return ArrayLibrary(import_module("array_api_compat.cupy"), f"CuPy {cupy.__version__} on {name}", on_gpu=True)
+
+
+def _torch(device: Device) -> ArrayLibrary:
+    try:
+        import torch
+    except ImportError as error:
+        raise not_installed(f"PyTorch cannot be loaded ({error})", "torch") from error
+    xp, about = import_module("array_api_compat.torch"), f"PyTorch {torch.__version__} on"
+    if device == "cpu":
+        return ArrayLibrary(xp, f"{about} the CPU")
+    if not torch.cuda.is_available():
+        raise InputError(f"PyTorch {torch.__version__} finds no GPU")
+    return ArrayLibrary(xp, f"{about} {torch.cuda.get_device_name(0)}", torch.device("cuda", 0), on_gpu=True)
+
+
+class Ensemble(NamedTuple):
+    """Φ = Q T P of rows of an orthogonal transform T; T X is left X right of the taxels as a matrix X.
+
+    Attributes
+    ----------
+    order : array of int, shape (places,)
+        P: the taxel at each place of X, row by row; from the number of taxels on, an empty place.
+    left, right : array, shape (a, a) and (b, b)
+        Symmetric; None for the unit matrix. a · b = places.
+    sent : array of int, shape (m,)
+        Q: the place in T X of each sum, ascending.
+    norm_squared : float
+        Largest eigenvalue of ΦᵀΦ.
+    """
+
+    order: Indices
+    left: Values | None
+    right: Values
+    sent: Indices
+    norm_squared: float
+
+
+def ensemble_of(phi: Sbhe) -> Ensemble:
+    """Return an SBHE as an `Ensemble`: a row of X for each block."""
+    hadamard = np.asarray(fast_hadamard(np.eye(phi.block_size)))
+    return Ensemble(phi.order, None, hadamard, np.flatnonzero(phi.kept), phi.norm_squared)
 
 
 class BatchSolver:
-    """min ½‖Φx_f - y_f‖² + λ‖Ψᵀx_f‖₁ for all frames f at once, Ψ a tensor basis: the paper's solver for recordings.
+    """min ½‖Φx - y‖² + λ R(x) by FISTA as `reconstructor.kernels.fused.FusedSolver`, for many streams at once.
 
     Parameters
     ----------
+    phi : Sbhe or Ensemble
+        Not a MatrixPhi.
     rows, columns : int
-        Powers of two, 8 to 256.
+        1 to 256; for a wavelet powers of two from 8.
     settings : SolverSettings
-        With a prior of the form "tensor", without spins, scaled start and temporal filter.
-    library : module
-        NumPy, CuPy or another library of the array API.
-    noise_n : float, optional
-        See `reconstructor.engine.Reconstructor`.
+        Any prior except the contourlet.
+    library : ArrayLibrary
+    edges : array of int, shape (edges, 2), optional
+        As of `reconstructor.kernels.fused.FusedSolver`.
+
+    Attributes
+    ----------
+    streams : int
+        Images that are solved together, each from its own sums and start: 1, see `of_streams`.
     """
 
     def __init__(
         self,
-        phi: Sbhe,
+        phi: Sbhe | MatrixPhi | Ensemble,
         rows: int,
         columns: int,
         settings: SolverSettings,
         *,
-        library: ModuleType = np,
-        noise_n: float | None = None,
+        library: ArrayLibrary = NUMPY,
+        edges: Indices | None = None,
         dtype: npt.DTypeLike = np.float32,
     ) -> None:
-        check_grid_of(phi, rows, columns, settings.prior)
-        is_tensor = settings.prior.endswith("-tensor")
-        if not is_tensor or settings.spins > 1 or settings.scaled_start or settings.temporal_filter:
+        if settings.prior == "contourlet" or isinstance(phi, MatrixPhi):
+            got = "contourlets" if settings.prior == "contourlet" else "a matrix"
             raise InputError(
-                "a GPU needs a prior of the form 'tensor' without spins, scaled start and temporal filter, "
-                f"as the solver 'paper' has them: got {settings}"
+                f"a GPU solves sums of blocks, with total variation or a wavelet: got {got}; leave out --device gpu"
             )
-        self._xp: Final = library
-        self._correct = ClipCorrection(noise_n) if noise_n else None
-        self._kind = getattr(library, float_kind(dtype).name)
-        self._grid, self._blocks = (rows, columns), (phi.blocks, phi.block_size)
-        self._step = 1 / (settings.lipschitz_ratio * phi.block_size)
-        self._threshold = settings.penalty_n * self._step
-        self._nonnegative = settings.nonnegative
-        self._momentum = [float(weight) for weight in momentum(settings.iterations)]
-        self._down, self._across = map(self._send, wavelet_basis(settings.prior, rows, columns).steps[0])
-        self._hadamard = self._send(fast_hadamard(np.eye(phi.block_size)))
-        self._order = library.asarray(phi.order)
-        self._place = library.asarray(np.argsort(phi.order))
-        self._spot = library.asarray(np.flatnonzero(phi.kept.reshape(-1)))
-        self._slot = library.asarray(np.maximum(np.cumsum(phi.kept.reshape(-1)) - 1, 0))
-        self._kept = self._send(phi.kept.reshape(-1))
+        if not isinstance(phi, Ensemble):
+            check_grid_of(phi, rows, columns, settings.prior, edges)
+            phi = ensemble_of(phi)
+        self.dtype: Final = float_kind(dtype)
+        self.sums: Final = phi.sent.size
+        self.shape: Final = (rows, columns)
+        self.streams = 1
+        self._library, taxels, places = library, rows * columns, phi.order.size
+        send, kind = library.send, self.dtype
+        step = 1 / (settings.lipschitz_ratio * phi.norm_squared)
+        self._threshold = settings.penalty_n * step
+        self._momentum = [send(each, kind) for each in momentum(settings.iterations).reshape(-1, 1)]
+        self._is_scaled = settings.scaled_start
+        self._zero = library.zeros((1,), kind)
+        self._floor = self._zero if settings.nonnegative else None
+        self._left = None if phi.left is None else send(phi.left, kind)
+        self._right = send(phi.right, kind)
+        self._order, self._empty = send(phi.order), int((phi.order >= taxels).sum())
+        held = phi.order < taxels
+        place, is_wired = np.zeros(taxels, np.intp), np.zeros(taxels, np.bool_)
+        place[phi.order[held]], is_wired[phi.order[held]] = np.flatnonzero(held), True
+        self._place = send(place)
+        self._wired = None if is_wired.all() else send(np.asarray(is_wired), kind)
+        is_sent, slot = np.zeros(places, np.bool_), np.zeros(places, np.intp)
+        is_sent[phi.sent], slot[phi.sent] = True, np.arange(self.sums)
+        self._slot, self._steps = send(slot), send(np.asarray(step * is_sent), kind)
+        self._prior: _Variation | _Wavelet = (
+            _Variation(library, kind, self.shape, gaps=np.flatnonzero(~is_wired), edges=edges, floor=self._floor)
+            if settings.prior == "variation"
+            else _Wavelet(library, kind, settings, self.shape)
+        )
+        self._dual = self._prior.new_dual(1)
 
-    def solve_recording(
-        self, sums_n: npt.NDArray[np.floating[Any]], valid: Bools, advance: Callable[[int], None]
-    ) -> npt.NDArray[np.float32]:
-        """Return the images of a recording, newtons, shape (cycles, rows, columns); without a valid sum they are zero.
+    def of_streams(self, streams: int) -> "BatchSolver":
+        """Return a solver of as many streams, with a state of its own."""
+        made = copy(self)
+        made.streams = streams
+        made.reset()
+        return made
+
+    def new_estimate(self) -> Any:
+        """Return estimates of zeros, an array of the library of shape (streams, rows, columns)."""
+        return self._library.zeros((self.streams, *self.shape), self.dtype)
+
+    def solve(self, estimate: Any, sums_n: Values, weights: Values, *, relative_penalty: float | Values = 1.0) -> int:
+        """Solve in place from `estimate` and return the number of sums used.
 
         Parameters
         ----------
-        sums_n : array, shape (cycles, m)
-            Newtons; values of sums that are not valid have no effect.
-        valid : array of bool, shape (cycles, m)
-        advance : callable
-            Called with the number of further images that are finished.
+        estimate : array of the library, shape (streams, rows, columns)
+            Start and result in newtons. A stream without any sum becomes 0, and its state is reset.
+        sums_n, weights : NumPy arrays of `dtype`, shape (streams, m), or (m,) for one stream
+            As of `reconstructor.kernels.fused.FusedSolver.solve`.
+        relative_penalty : float, or array of shape (streams,)
+            λ of this solve / λ of the settings.
         """
-        images = np.empty((len(sums_n), *self._grid), np.float32)
-        estimate = None
-        for taken, used, is_kept in _turns(len(sums_n), max(1, min(PARTS, len(sums_n) // _LEAST_PART))):
-            counted = valid[taken] & used[:, None]
-            estimate = self.solve(sums_n[taken], counted, estimate)
-            estimate = self._without(estimate, np.any(counted, axis=1))
-            if is_kept:
-                images[taken[used]] = self.deliver(estimate)[used]
-                advance(int(used.sum()))
-        return images
+        shape = (self.streams, *self.shape)
+        if tuple(getattr(estimate, "shape", ())) != shape:
+            raise InputError(f"estimate: expected an array of shape {shape}, as `new_estimate` returns")
+        lead = (self.streams,) if self.streams > 1 or np.ndim(sums_n) > 1 else ()
+        sums, counting = checked(sums_n, weights, (*lead, self.sums), self.dtype)
+        if not np.all(np.isfinite(relative_penalty)) or np.any(np.asarray(relative_penalty) < 0):
+            raise InputError(f"the relative penalty needs numbers of 0 or above: got {relative_penalty}")
+        counts = counting.reshape(-1, self.sums) > 0
+        xp, send, kind = self._library.xp, self._library.send, self.dtype
+        sums = np.where(counts, sums.reshape(counts.shape), 0)
+        gain = xp.take(send(counting.reshape(counts.shape), kind), self._slot, axis=1) * self._steps
+        target = xp.take(send(sums, kind), self._slot, axis=1) * gain
+        limit = send(np.full(self.streams, self._threshold) * relative_penalty, kind)
+        lives = counts.any(axis=1)
+        self._solve(estimate, gain, target, xp.reshape(limit, (-1, 1, 1)))
+        if not lives.all():
+            self._scale(estimate, xp.reshape(send(np.asarray(lives), kind), (-1, 1, 1)))
+        return int(np.count_nonzero(counts))
 
-    def solve(self, sums_n: Any, valid: Any, start: Any = None) -> Any:
-        """Return estimates, shape (frames, rows, columns), as an array of the library; `deliver` returns images.
-
-        Parameters
-        ----------
-        sums_n : array, shape (frames, m)
-            Newtons; an array that the library can convert.
-        valid : array of bool, shape (frames, m)
-            Sums that are not valid have no effect.
-        start : array, shape (frames, rows, columns), optional
-            Estimates to start from, zeros without.
-        """
-        mask, target = self._load(sums_n, valid)
-        ahead = estimate = self._begin(start, mask.shape[0])
-        for weight in self._momentum:
-            previous = estimate
-            estimate = self._shrink(ahead - self._slope(ahead, mask, target))
-            ahead = estimate + weight * (estimate - previous)
-        return estimate
-
-    def _without(self, estimate: Any, kept: Bools) -> Any:
-        """Return the estimates, with zeros in frames that are not `kept`, shape (frames,)."""
-        mask = self._xp.reshape(self._xp.asarray(kept), (-1, 1, 1))
-        return self._xp.where(mask, estimate, self._xp.zeros_like(estimate))
+    def reset(self) -> None:
+        """Reset the state besides the estimates."""
+        self._dual = self._prior.new_dual(self.streams)
 
     def deliver(self, estimate: Any) -> npt.NDArray[np.float32]:
-        """Return estimates as NumPy images, shape (frames, rows, columns), negative forces as 0."""
-        if hasattr(estimate, "get"):  # CuPy copies from the GPU only by `get`
-            estimate = estimate.get()
-        images: npt.NDArray[np.float32] = np.maximum(np.asarray(estimate), 0).astype(np.float32)
-        return images if self._correct is None else self._correct(images)
-
-    def _send(self, values: npt.NDArray[Any]) -> Any:
-        return self._xp.asarray(values, dtype=self._kind)
-
-    def _begin(self, start: Any, frames: int) -> Any:
-        """Return the images to start from."""
-        xp, shape = self._xp, (frames, *self._grid)
-        if start is None:
-            return xp.zeros(shape, dtype=self._kind)
-        images = xp.asarray(start, dtype=self._kind)
-        if images.shape != shape or not bool(xp.all(xp.isfinite(images))):
-            raise InputError(f"expected a start of finite newtons of shape {shape}: got {images.shape}")
+        """Return new NumPy images of shape (streams, rows, columns), negative forces as 0."""
+        images: npt.NDArray[np.float32] = np.maximum(self._library.fetch(estimate), 0).astype(np.float32)
         return images
 
-    def _load(self, sums_n: Any, valid: Any) -> tuple[Any, Any]:
-        """Return mask and masked sums over all Hadamard rows, both times 1 / L, shape (frames, n)."""
-        xp = self._xp
-        sums, told = xp.asarray(sums_n), xp.asarray(valid)
-        count = self._spot.shape[0]
-        if sums.ndim != 2 or sums.shape[1] != count or told.shape != sums.shape:
-            raise InputError(f"expected sums and validity of shape (frames, {count}): got {sums.shape}, {told.shape}")
-        # Compared in a tuple: NumPy's dtypes equal float32 and so on, but have another hash.
-        if sums.dtype not in (xp.float32, xp.float64) or told.dtype != xp.asarray(True).dtype:
-            raise InputError(f"expected floats and bools, got {sums.dtype} and {told.dtype}")
-        sums = xp.where(told, sums, xp.zeros_like(sums))
-        if not bool(xp.all(xp.abs(sums) <= LARGEST_N)):  # NaN fails this form of the test
-            raise InputError("a valid sum is not finite, or above 1e6: expected newtons")
-        # asarray with a dtype, because CuPy 13 has no function astype.
-        counts, sums = xp.asarray(told, dtype=self._kind), xp.asarray(sums, dtype=self._kind)
-        mask = xp.take(counts, self._slot, axis=1) * (self._kept * self._step)
-        return mask, xp.take(sums, self._slot, axis=1) * mask
+    def _solve(self, estimate: Any, gain: Any, target: Any, limit: Any) -> None:
+        if self._is_scaled:
+            self._scale(estimate, self._kept(estimate, gain, target))
+        made = ahead = estimate
+        for turn, weight in enumerate(self._momentum):
+            before = made
+            made, ahead = self._iterate(before, ahead, (gain, target, limit), weight, turn)
+        estimate[...] = made
 
-    def _slope(self, images: Any, mask: Any, target: Any) -> Any:
+    def _iterate(
+        self, before: Any, ahead: Any, problem: tuple[Any, Any, Any], weight: Any, turn: int
+    ) -> tuple[Any, Any]:
+        """Return the estimates after one iteration, and where the next gradient is taken."""
+        gain, target, limit = problem
+        made = self._prior(ahead - self._slope(ahead, gain, target), self._dual, limit, turn)
+        if self._floor is not None:
+            made = self._library.xp.maximum(made, self._floor)
+        return made, made + weight * (made - before)
+
+    def _scale(self, estimate: Any, factor: Any) -> None:
+        """Scale the start of each stream, and the dual, which belongs to the start; `factor` has 3 axes."""
+        for each in (estimate, *self._dual):
+            each[...] = each * factor
+
+    def _kept(self, start: Any, gain: Any, target: Any) -> Any:
+        """Return the factor of each start, see `SolverSettings.scaled_start`, shape (streams, 1, 1)."""
+        xp = self._library.xp
+        seen = gain * self._transform(self._placed(start))
+        explained, energy = xp.sum(seen * target, axis=1), xp.sum(seen * seen, axis=1)
+        excess, one = explained + explained - energy, self._zero + 1
+        ratio = xp.maximum(excess, self._zero) / xp.where(energy > 0, energy, one)
+        return xp.reshape(xp.where(excess >= energy, one, ratio), (-1, 1, 1))
+
+    def _slope(self, images: Any, gain: Any, target: Any) -> Any:
         """Return Φᵀ W (Φ x - y) / L."""
-        xp = self._xp
-        frames = images.shape[0]
-        taxels = xp.take(xp.reshape(images, (frames, -1)), self._order, axis=1)
-        residual = mask * self._transform(taxels) - target
-        return xp.reshape(xp.take(self._transform(residual), self._place, axis=1), images.shape)
+        xp = self._library.xp
+        residual = gain * self._transform(self._placed(images)) - target
+        slope = xp.take(self._transform(residual), self._place, axis=1)
+        return xp.reshape(slope if self._wired is None else slope * self._wired, images.shape)
+
+    def _placed(self, images: Any) -> Any:
+        """Return P x, shape (streams, places)."""
+        xp = self._library.xp
+        taxels = xp.reshape(images, (images.shape[0], -1))
+        if self._empty:
+            nothing = self._library.zeros((images.shape[0], self._empty), self.dtype)
+            taxels = xp.concat((taxels, nothing), axis=1)
+        return xp.take(taxels, self._order, axis=1)
 
     def _transform(self, values: Any) -> Any:
-        xp = self._xp
-        blocks = xp.reshape(values, (values.shape[0], *self._blocks))
-        return xp.reshape(xp.matmul(blocks, self._hadamard), values.shape)
-
-    def _shrink(self, images: Any) -> Any:
-        xp = self._xp
-        s = xp.matmul(xp.matmul(self._down, images), self._across.T)
-        s = s - xp.clip(s, -self._threshold, self._threshold)
-        made = xp.matmul(xp.matmul(self._down.T, s), self._across)
-        return xp.where(made > 0, made, xp.zeros_like(made)) if self._nonnegative else made
+        """Return T x, which is Tᵀ x, shape (streams, places)."""
+        xp = self._library.xp
+        made = xp.matmul(xp.reshape(values, (values.shape[0], -1, self._right.shape[0])), self._right)
+        return xp.reshape(made if self._left is None else xp.matmul(self._left, made), values.shape)
 
 
-def _turns(cycles: int, parts: int) -> Iterator[tuple[npt.NDArray[np.intp], Bools, bool]]:
+class _Wavelet:
+    """Ψ soft(Ψᵀ X) of an orthogonal wavelet."""
+
+    def __init__(
+        self, library: ArrayLibrary, kind: np.dtype[Any], settings: SolverSettings, shape: tuple[int, int]
+    ) -> None:
+        self._xp = library.xp
+        steps = wavelet_basis(settings.prior, *shape).steps
+        self._steps = [tuple(library.send(each, kind) for each in (h, h.T, k, k.T)) for h, k in steps]
+        self._shifts = spin_shifts(settings.spins, *shape)
+
+    def new_dual(self, streams: int) -> tuple[Any, ...]:
+        """Return no dual."""
+        del streams
+        return ()
+
+    def __call__(self, images: Any, dual: tuple[Any, ...], limit: Any, turn: int) -> Any:
+        """Shrink the images, which are overwritten."""
+        del dual
+        xp, (down, right) = self._xp, self._shifts[turn % len(self._shifts)]
+        s = xp.roll(images, (down, right), axis=(1, 2)) if down or right else images
+        for h, _, _, k_t in self._steps:
+            rows, columns = h.shape[0], k_t.shape[0]
+            s[:, :rows, :columns] = xp.matmul(xp.matmul(h, s[:, :rows, :columns]), k_t)
+        s = s - xp.maximum(xp.minimum(s, limit), -limit)
+        for _, h_t, k, _ in reversed(self._steps):
+            rows, columns = h_t.shape[0], k.shape[0]
+            s[:, :rows, :columns] = xp.matmul(xp.matmul(h_t, s[:, :rows, :columns]), k)
+        return xp.roll(s, (-down, -right), axis=(1, 2)) if down or right else s
+
+
+class _Variation:
+    """Less total variation by a few steps on the dual, as `reconstructor.kernels.variation.denoise`.
+
+    On a full grid the dual has an element at every border between two taxels, and at the edge of the grid, where it
+    stays 0. On any other skin it has shape (streams, 1, edges): taxels are gathered by edge, and edges by taxel.
+    """
+
+    def __init__(
+        self,
+        library: ArrayLibrary,
+        kind: np.dtype[Any],
+        shape: tuple[int, int],
+        *,
+        gaps: Indices,
+        edges: Indices | None,
+        floor: Any,
+    ) -> None:
+        self._library, self._kind, self._shape, self._floor = library, kind, shape, floor
+        graph = graph_of(*shape, gaps, edges)
+        self._is_grid, self._step = graph.is_grid, 1 / graph.bound
+        pairs = grid_surface(*shape, 1.0, gaps).edges if edges is None else np.sort(edges, axis=1)
+        self._edges, taxels = len(pairs), shape[0] * shape[1]
+        self._low, self._high = library.send(pairs[:, 0]), library.send(pairs[:, 1])
+        self._of_taxel = library.send(_edges_of_taxels(pairs, taxels).ravel())
+
+    def new_dual(self, streams: int) -> tuple[Any, ...]:
+        """Return the dual of images of this shape, zeros."""
+        zeros, kind, (rows, columns) = self._library.zeros, self._kind, self._shape
+        if self._is_grid:
+            return zeros((streams, rows + 1, columns), kind), zeros((streams, rows, columns + 1), kind)
+        return (zeros((streams, 1, self._edges), kind),)
+
+    def __call__(self, images: Any, dual: tuple[Any, ...], limit: Any, turn: int) -> Any:
+        """Return the images with less total variation, and change the dual."""
+        del turn
+        xp, smooth, ascend = self._library.xp, self._smooth_graph, self._ascend_graph
+        if self._is_grid:
+            smooth, ascend = self._smooth_grid, self._ascend_grid
+        for _ in range(INNER):
+            made = smooth(images, dual)
+            ascend(made if self._floor is None else xp.maximum(made, self._floor), dual, limit)
+        return smooth(images, dual)
+
+    def _smooth_grid(self, images: Any, dual: tuple[Any, ...]) -> Any:
+        down, right = dual
+        made = images + down[:, 1:, :] - down[:, :-1, :]
+        return made + right[:, :, 1:] - right[:, :, :-1]
+
+    def _ascend_grid(self, made: Any, dual: tuple[Any, ...], limit: Any) -> None:
+        down, right = dual
+        down[:, 1:-1, :] = self._climbed(down[:, 1:-1, :], made[:, 1:, :] - made[:, :-1, :], limit)
+        right[:, :, 1:-1] = self._climbed(right[:, :, 1:-1], made[:, :, 1:] - made[:, :, :-1], limit)
+
+    def _smooth_graph(self, images: Any, dual: tuple[Any, ...]) -> Any:
+        xp, (along,), streams = self._library.xp, dual, images.shape[0]
+        signed = xp.concat((along, -along, self._library.zeros((streams, 1, 1), self._kind)), axis=2)
+        gathered = xp.reshape(xp.take(signed, self._of_taxel, axis=2), (*images.shape, -1))
+        return images + xp.sum(gathered, axis=3)
+
+    def _ascend_graph(self, made: Any, dual: tuple[Any, ...], limit: Any) -> None:
+        xp, (along,) = self._library.xp, dual
+        flat = xp.reshape(made, (made.shape[0], 1, -1))
+        slope = xp.take(flat, self._high, axis=2) - xp.take(flat, self._low, axis=2)
+        along[...] = self._climbed(along, slope, limit)
+
+    def _climbed(self, dual: Any, slope: Any, limit: Any) -> Any:
+        xp = self._library.xp
+        return xp.maximum(xp.minimum(dual + self._step * slope, limit), -limit)
+
+
+def _edges_of_taxels(pairs: Indices, taxels: int) -> Indices:
+    """Return a row for each taxel, shape (taxels, K), of its places in [dual, -dual, 0]: at low or high ends."""
+    count = len(pairs)
+    ends = pairs.T.ravel()
+    order = np.argsort(ends, kind="stable")
+    degrees = np.bincount(ends, minlength=taxels)
+    table = np.full((taxels, max(1, degrees.max(initial=0))), 2 * count, np.intp)
+    table[ends[order], np.arange(ends.size) - np.repeat(np.cumsum(degrees) - degrees, degrees)] = order
+    return table
+
+
+def parts_of(cycles: int, taxels: int) -> int:
+    """Return into how many parts a recording is best divided.
+
+    P parts of N cycles take (N / P + `RUN_IN`) (F + P), F streams fill the GPU: least at P = √(N F / `RUN_IN`).
+    """
+    best = isqrt(cycles * (FILLING // taxels) // RUN_IN)
+    return max(1, min(best, cycles // LEAST_PART, MOST // taxels))
+
+
+def turns(cycles: int, parts: int) -> Iterator[tuple[Indices, Bools, bool]]:
     """Yield for each turn the cycle of every part, whether this cycle is in the recording, and if images are kept.
 
-    A part whose cycle is outside the recording gets another cycle; its image is not used.
+    Parts have equal lengths. All begin `RUN_IN` cycles early, so that the first image of each has a warm start. A part
+    whose cycle is outside the recording gets another cycle; its image is not used.
     """
     length = -(-cycles // parts)
     starts = np.arange(parts) * length

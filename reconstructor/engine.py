@@ -8,7 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from canskin.errors import InputError
-from reconstructor.checks import check_grid_of
+from reconstructor.array_api import ArrayLibrary, BatchSolver, parts_of, turns
+from reconstructor.checks import Values, check_grid_of
 from reconstructor.coded_memory import CodedMemory
 from reconstructor.gains import GainCorrection, KnownGains
 from reconstructor.kernels.contourlet import ContourletSolver
@@ -78,6 +79,8 @@ class Reconstructor:
         than one, sums come averaged and without the bias of clipping, and `noise_n` has to be left out or 0.
     edges : array of int, shape (edges, 2), optional
         Pairs of neighbours of a skin that is no grid (`skin.surface.Surface.graph`).
+    library : ArrayLibrary, optional
+        Solves in place of the compiled solver (`reconstructor.array_api`).
     """
 
     def __init__(
@@ -90,12 +93,15 @@ class Reconstructor:
         noise_n: float | None = None,
         samples: int = 1,
         edges: npt.NDArray[np.intp] | None = None,
+        library: ArrayLibrary | None = None,
     ) -> None:
-        self._kernel: FusedSolver | ContourletSolver | MatrixSolver = (
-            MatrixSolver(phi, rows, columns, settings, edges=edges)
-            if isinstance(phi, MatrixPhi)
-            else make_solver(phi, rows, columns, settings, edges)
-        )
+        self._kernel: FusedSolver | ContourletSolver | MatrixSolver | BatchSolver
+        if library is not None:
+            self._kernel = BatchSolver(phi, rows, columns, settings, edges=edges, library=library)
+        elif isinstance(phi, MatrixPhi):
+            self._kernel = MatrixSolver(phi, rows, columns, settings, edges=edges)
+        else:
+            self._kernel = make_solver(phi, rows, columns, settings, edges)
         if noise_n and samples > 1:
             raise InputError(
                 f"nodes that average (sampling.rate_hz of the layout) undo the bias of clipping themselves:"
@@ -136,44 +142,86 @@ class Reconstructor:
         InputError
             If a shape or dtype does not fit, or a valid sum is not finite or above 1e6 N.
         """
-        filtered, kernel = self._filter, self._kernel
-        self._check(sums_n, valid_sums)
-        phi = phi or self._phi
+        phi, kernel = phi or self._phi, self._kernel
         if phi.frames > 1 or phi.shape != self._phi.shape or not (self._is_coded or phi is self._phi):
             raise InputError("expected the Φ of this frame where Φ changes from frame to frame, else that of the skin")
-        if not self._settings.temporal_filter:
-            filtered.reset()
-        elif self._is_coded and isinstance(phi, MatrixPhi):
-            filtered.expect(self._memory.expect(self._estimate, phi))
-        with np.errstate(over="ignore"):  # invalid sums may hold any value
-            sums_n = np.ascontiguousarray(sums_n, kernel.dtype)
-        taken = filtered.take(sums_n, np.ascontiguousarray(valid_sums))
-        if not taken:
-            raise InputError("a valid sum is not finite, or above 1e6: expected newtons")
+        remembers = self._is_coded and self._settings.temporal_filter
+        if remembers and isinstance(phi, MatrixPhi):
+            self._filter.expect(self._memory.expect(self._estimate, phi))
+        sums, weights, relative_penalty = self.average(sums_n, valid_sums)
         if not valid_sums.any():
             self.reset()
         else:
             solve = kernel.solve
             if isinstance(kernel, MatrixSolver):
-                remembers = self._is_coded and self._settings.temporal_filter
-                part = self._memory.follow(self._estimate, sums_n, valid_sums) if remembers else 1.0
+                part = self._memory.follow(self._estimate, sums, valid_sums) if remembers else 1.0
                 solve = partial(kernel.solve, phi=phi, part=part)
-            solve(self._estimate, filtered.sums, filtered.weights, relative_penalty=self._relative_penalty())
-        image = kernel.deliver(self._estimate)
+            solve(self._estimate, sums, weights, relative_penalty=relative_penalty)
+        image = kernel.deliver(self._estimate).reshape(kernel.shape)
         return image if self._correct is None else self._correct(image)
 
-    def _check(self, sums_n: npt.NDArray[np.floating[Any]], valid_sums: npt.NDArray[np.bool_]) -> None:
-        """Raise InputError for sums or a validity of another shape or dtype."""
+    def average(
+        self, sums_n: npt.NDArray[np.floating[Any]], valid_sums: npt.NDArray[np.bool_]
+    ) -> tuple[Values, Values, float]:
+        """Return what one cycle is solved from: averaged sums, their weights, both views, and the factor of λ.
+
+        The temporal filter knows no image, so it can be run ahead of the solver. Parameters and errors are those of
+        `solve`.
+        """
+        filtered = self._filter
         for each in (sums_n, valid_sums):
             if not isinstance(each, np.ndarray):
                 raise InputError(f"expected arrays, got {type(each).__name__}")
-        expected = self._filter.sums.shape
+        expected = filtered.sums.shape
         if sums_n.shape != expected or valid_sums.shape != expected:
             raise InputError(
                 f"Φ gives {expected[0]} sums: got sums of shape {sums_n.shape} and validity of {valid_sums.shape}"
             )
         if sums_n.dtype.kind != "f" or valid_sums.dtype != np.bool_:
             raise InputError(f"expected floats and bools, got {sums_n.dtype} and {valid_sums.dtype}")
+        if not self._settings.temporal_filter:
+            filtered.reset()
+        with np.errstate(over="ignore"):  # invalid sums may hold any value
+            sums = np.ascontiguousarray(sums_n, self._kernel.dtype)
+        if not filtered.take(sums, np.ascontiguousarray(valid_sums)):
+            raise InputError("a valid sum is not finite, or above 1e6: expected newtons")
+        if not valid_sums.any():
+            filtered.reset()
+        return filtered.sums, filtered.weights, self._relative_penalty()
+
+    def solve_together(
+        self,
+        sums_n: npt.NDArray[np.floating[Any]],
+        valid_sums: npt.NDArray[np.bool_],
+        advance: Callable[[int], None] = lambda _: None,
+    ) -> npt.NDArray[np.float32]:
+        """Return the images of cycles that follow each other, shape (cycles, rows, columns); see `reconstruct`.
+
+        Parameters
+        ----------
+        sums_n, valid_sums : arrays, shape (cycles, m)
+            As of `solve`.
+        advance : callable
+            Called with the number of further images.
+        """
+        if not isinstance(self._kernel, BatchSolver):
+            raise InputError(f"expected a library of arrays, and got a {type(self._kernel).__name__}")
+        cycles, kind = len(sums_n), self._kernel.dtype
+        sums, weights = np.empty(sums_n.shape, kind), np.empty(sums_n.shape, kind)
+        penalties = np.empty(cycles, kind)
+        for cycle, (came, came_valid) in enumerate(zip(sums_n, valid_sums, strict=True)):
+            sums[cycle], weights[cycle], penalties[cycle] = self.average(came, came_valid)
+        parts = parts_of(cycles, self._phi.shape[1])
+        kernel = self._kernel.of_streams(parts)
+        estimate, images = kernel.new_estimate(), np.empty((cycles, *kernel.shape), np.float32)
+        for taken, used, is_kept in turns(cycles, parts):
+            counting = weights[taken] * used[:, None].astype(kind)
+            kernel.solve(estimate, sums[taken], counting, relative_penalty=penalties[taken])
+            if is_kept:
+                made = kernel.deliver(estimate)[used]
+                images[taken[used]] = made if self._correct is None else self._correct(made)
+                advance(len(made))
+        return images
 
     def _relative_penalty(self) -> float:
         """Return the factor of λ: proportional to the noise of the averaged sums."""
@@ -187,7 +235,7 @@ class Reconstructor:
 
     def reset(self) -> None:
         """Drop previous images and sums."""
-        self._estimate[:] = 0
+        self._estimate[...] = 0
         self._kernel.reset()
         self._filter.reset()
         self._memory.reset()
@@ -216,9 +264,14 @@ def reconstruct(
     noise_n: float | None = None,
     samples: int = 1,
     gains: KnownGains | None = None,
+    library: ArrayLibrary | None = None,
     advance: Callable[[int], None] = lambda _: None,
 ) -> npt.NDArray[np.float32]:
     """Return the images of sums, frame after frame, as the service makes them: newtons, shape (frames, rows, columns).
+
+    A library solves parts of the recording side by side (`reconstructor.array_api.parts_of`). The temporal filter runs
+    over the whole recording before, so only the image from which a part starts is another. Each part is started
+    `reconstructor.array_api.RUN_IN` cycles early.
 
     Parameters
     ----------
@@ -235,7 +288,9 @@ def reconstruct(
     noise_n, samples
         As of `Reconstructor`.
     gains : KnownGains, optional
-        Of taxels and sums: they are taken off. Not with a `MatrixPhi`.
+        Of taxels and sums: they are taken off. Not with a `MatrixPhi`, and not with a library.
+    library : ArrayLibrary, optional
+        As of `Reconstructor`.
     advance : callable
         Called with the number of further images.
 
@@ -244,9 +299,17 @@ def reconstruct(
     >>> codes = np.random.default_rng(1).integers(0, 2, (500, 15, 100))
     >>> images = reconstruct(sums_n, MatrixPhi(codes), grid_surface(10, 10, 0.004, gaps=np.arange(0)))
     """
-    engine = Reconstructor(phi, *surface.shape, settings, noise_n=noise_n, samples=samples, edges=surface.graph)
-    correction = None if gains is None or isinstance(phi, MatrixPhi) else GainCorrection(phi, gains)
+    known = {"noise_n": noise_n, "samples": samples, "edges": surface.graph, "library": library}
+    engine = Reconstructor(phi, *surface.shape, settings, **known)  # type: ignore[arg-type]  # of several types
     whole = np.ones(sums_n.shape, np.bool_) if valid_sums is None else valid_sums
+    if library is not None:
+        if gains is not None:
+            raise InputError(
+                "known gains are taken off with the image of the cycle before, and a GPU solves cycles together:"
+                " leave out --gains or --device gpu"
+            )
+        return engine.solve_together(sums_n, whole, advance)
+    correction = None if gains is None or isinstance(phi, MatrixPhi) else GainCorrection(phi, gains)
     numbers = np.arange(1, len(sums_n) + 1) if cycles is None else cycles
     images = np.empty((len(sums_n), *surface.shape), np.float32)
     for place, (came, came_valid, cycle) in enumerate(zip(sums_n, whole, numbers.tolist(), strict=True), 1):

@@ -60,7 +60,8 @@ class CycleImager:
 
 def _about(options: SolverOptions) -> str:
     settings = options.settings()
-    return f"{settings.iterations} iterations" + (f", basis {settings.prior}" if options.basis else "")
+    basis = f", basis {settings.prior}" if options.basis else ""
+    return f"{settings.iterations} iterations{basis}, on the {options.device}"
 
 
 def _solver(layout: Layout, phi: Sbhe | MatrixPhi, options: SolverOptions) -> Reconstructor:
@@ -73,6 +74,7 @@ def _solver(layout: Layout, phi: Sbhe | MatrixPhi, options: SolverOptions) -> Re
         noise_n=options.clipped_noise_n(layout),
         samples=layout.samples_per_sync,
         edges=taxels.surface.graph,
+        library=options.library(),
     )
 
 

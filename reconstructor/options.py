@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from cyclopts import Parameter
 
 from canskin.errors import InputError
+from reconstructor.array_api import ArrayLibrary, Device, array_library
 from reconstructor.bases.names import wavelet_basis_name
 from reconstructor.settings import SolverSettings, preset
 from skin.layout import Layout
@@ -32,6 +33,9 @@ class SolverOptions:
         Standard deviation of the noise of a sensor that clips at 0, newtons; corrects the bias of clipping.
         Nodes that average (``sampling.rate_hz``) learn the noise and correct the bias themselves; an analogue front end
         (``taxels.frontend``) clips no taxel and has no bias.
+    device : {"cpu", "gpu"}
+        ``gpu``: an NVIDIA GPU, with CuPy (extra ``gpu``) or PyTorch (extra ``torch``); any solver except contourlets.
+        Whole recordings gain; the single images of a live skin are faster on the CPU.
     """
 
     solver: str = "live"
@@ -39,6 +43,11 @@ class SolverOptions:
     basis: str | None = None
     penalty_n: float | None = None
     noise_n: float | None = None
+    device: Device = "cpu"
+
+    def library(self) -> ArrayLibrary | None:
+        """Return the array library of the GPU, None for the compiled solvers of the CPU."""
+        return None if self.device == "cpu" else array_library(self.device)
 
     def clipped_noise_n(self, layout: Layout) -> float | None:
         """Return `noise_n`; raise InputError if the taxels of the layout are not clipped."""

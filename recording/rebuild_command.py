@@ -5,7 +5,7 @@ from collections.abc import Callable
 from dataclasses import asdict, replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Final, Literal, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import msgspec
 import numpy as np
@@ -18,7 +18,6 @@ from calibration.recorded import RecordedOffsets
 from canskin.errors import InputError, RunError
 from canskin.messages import IMAGE, FrameCounts
 from dbc.contract import Contract
-from reconstructor.array_api import BatchSolver, gpu_library
 from reconstructor.engine import reconstruct
 from reconstructor.gains import KnownGains
 from reconstructor.imaging import Imager, load_gains, make_imager
@@ -54,7 +53,6 @@ def rebuild(
     *,
     out: Path,
     layout: Path | None = None,
-    device: Literal["cpu", "gpu"] = "cpu",
     solver: SolverOptions | None = None,
     channel: Channels | None = None,
     array: ArrayNames = None,
@@ -67,8 +65,10 @@ def rebuild(
 
     A CAN log is decoded as in the gateway: blocks with late, damaged or missing frames are not valid in that cycle.
     The offsets in a run of ``skin record`` are taken off. A recording is measured as in the nodes, one frame per
-    cycle. Images equal those of ``skin reconstruct``, but for rounding on a GPU and at the beginnings of the up to 256
-    parts that are solved there together; the log tells how many equal those of the run. With two states the cycles of
+    cycle. Images equal those of ``skin reconstruct``, but for rounding on a GPU and in the first images of the parts
+    that are solved there together; the log tells how many equal those of the run. Each image begins with the one
+    before. So after the beginning of a recording of a touched skin, and after a cycle that the live reconstructor left
+    out, images differ for up to hundreds of cycles, longest where sums are saturated. With two states the cycles of
     images make images. Of adaptive sums the images of the run are made again, of a log one every 10 ms.
 
     Parameters
@@ -82,8 +82,6 @@ def rebuild(
         blocks), ``time_ns`` and ``cycle`` int64 (cycles,), ``recording``, ``metadata`` JSON.
     layout
         TOML of the skin; default: the layout in the .mcap, else the default skin.
-    device
-        ``gpu`` needs an NVIDIA GPU, the extra canskin[gpu], and ``--solver paper``; ``--basis`` may name a tensor.
     solver
         Solver of the images.
     channel
@@ -113,7 +111,7 @@ def rebuild(
     options = solver or SolverOptions()
     about: dict[str, Any]
     if not skin.sends.in_cycles:
-        _require_run(skin, source, device, is_recording=is_recording)
+        _require_run(skin, source, is_recording=is_recording)
         made = _of_news(skin, source, channel, make_imager(skin, solver, gains), every=solver is not None)
         about = {"solver": "adaptive sums", "settings": {}}
     else:
@@ -121,7 +119,7 @@ def rebuild(
         # A recording of forces has one frame for each cycle.
         has_sums = is_recording and array is None and SUMS in array_names(source)
         samples = skin.samples_per_sync if has_sums or not is_recording else 1
-        solve = _solver(skin, options, device, None if gains is None else load_gains(gains, skin), samples=samples)
+        solve = _solver(skin, options, None if gains is None else load_gains(gains, skin), samples=samples)
         if has_sums:
             cycles = read_sums(skin, source)
         else:
@@ -131,9 +129,9 @@ def rebuild(
             cycles = _as_live(skin, source, cycles)
         if calibrator is not None:
             cycles = _calibrated(skin, cycles, calibrator)
-        say("rebuild", f"solver {options.solver}, {settings.iterations} iterations, on the {device}")
+        say("rebuild", f"solver {options.solver}, {settings.iterations} iterations, on the {options.device}")
         made = _Rebuilt(_solved(skin, solve, cycles), cycles.valid, cycles.time_ns, cycles.cycle)
-        if is_run and solver is None and device == "cpu":
+        if is_run and solver is None:
             _compare(skin, source, made)
     if solver is not None or skin.sends.in_cycles:
         about = {"solver": options.solver, "settings": asdict(options.settings())}
@@ -145,7 +143,7 @@ def rebuild(
         "fingerprint": skin.operator().fingerprint,
         **about,
         "noise_n": options.noise_n,
-        "device": device,
+        "device": options.device,
     }
     if source.suffix.lower() == RECORDING_SUFFIX:
         made = _numbered(skin, source, made)
@@ -167,13 +165,11 @@ class _Rebuilt(NamedTuple):
     cycle: Numbers
 
 
-def _require_run(skin: Layout, source: Path, device: str, *, is_recording: bool) -> None:
+def _require_run(skin: Layout, source: Path, *, is_recording: bool) -> None:
     """Refuse what adaptive sums are not made from: they follow from what boards send over time."""
     if is_recording:
         what = f"{source}: a recording of forces or of sums in cycles is"
         require_sending(skin, "synchronous", what, "play it with 'skin demo --input', and record that")
-    if device != "cpu":
-        require_sending(skin, "synchronous", "--device gpu is", "adaptive sums are solved one by one; leave it out")
 
 
 def _of_news(skin: Layout, source: Path, channel: list[str] | None, imager: Imager, *, every: bool) -> _Rebuilt:
@@ -183,7 +179,7 @@ def _of_news(skin: Layout, source: Path, channel: list[str] | None, imager: Imag
     made: list[tuple[Images, Bools, int, int]] = []
     compared = equal = 0
     imager.warm_up()
-    say("rebuild", f"solver {imager.about}, on the cpu")
+    say("rebuild", f"solver {imager.about}")
     with progress("solving", None) as bar:
         for step in steps_of(source, contract, channel, every=every, service="rebuild"):
             if not isinstance(step, MeasurementStep) or not step.makes_image:
@@ -239,7 +235,8 @@ def _compare(skin: Layout, source: Path, made: _Rebuilt) -> None:
 
 def _tell(equal: int, compared: int) -> None:
     if compared:
-        say("rebuild", f"{equal} of {compared} images equal to the recorded")
+        why = "" if equal == compared else ": others may follow from images of before the recording, or left out live"
+        say("rebuild", f"{equal} of {compared} images equal to the recorded{why}")
 
 
 def _as_live(skin: Layout, source: Path, cycles: Cycles) -> Cycles:
@@ -306,27 +303,22 @@ def _counted(counts: FrameCounts) -> str:
     return "frames " + ", ".join(f"{getattr(counts, word)} {word}" for word in words)
 
 
-def _solver(skin: Layout, options: SolverOptions, device: str, gains: KnownGains | None, *, samples: int) -> _Solve:
+def _solver(skin: Layout, options: SolverOptions, gains: KnownGains | None, *, samples: int) -> _Solve:
     """Return what makes the images of all cycles."""
-    if device == "gpu" and gains is not None:
-        raise InputError("--gains takes the image of the cycle before, and a GPU solves cycles together: leave one out")
-    taxels, settings, noise_n = skin.taxels, options.settings(), options.clipped_noise_n(skin)
-    if device == "gpu":
-        library = gpu_library()
-        batch = BatchSolver(skin.phi(), taxels.rows, taxels.columns, settings, library=library, noise_n=noise_n)
-        return lambda sums_n, valid, _cycle, advance: batch.solve_recording(sums_n, valid, advance)
+    settings, noise_n, library = options.settings(), options.clipped_noise_n(skin), options.library()
 
     def solve(sums_n: Sums, valid: Bools, cycle: Numbers, advance: Callable[[int], None]) -> Images:
         return reconstruct(
             sums_n,
             skin.operator(),
-            taxels.surface,
+            skin.taxels.surface,
             settings,
             valid_sums=valid,
             cycles=cycle,
             noise_n=noise_n,
             samples=samples,
             gains=gains,
+            library=library,
             advance=advance,
         )
 

@@ -46,6 +46,7 @@ def record(
     bus: BusOptions | None = None,
     seconds: float | None = None,
     label: Annotated[list[str] | None, Parameter(negative=(), consume_multiple=1)] = None,
+    frames: bool = True,
 ) -> None:
     """Record a running skin: the frames of its buses, measurements, images, contacts, labels, truth and counters.
 
@@ -68,6 +69,8 @@ def record(
         What touches the skin, with commas between several. A single label holds from the start on. On a terminal the
         keys 1 to 9 set the first to the ninth label, and 0 or the space bar ends it. ``skin label`` corrects labels,
         ``skin train --recordings`` learns them.
+    frames
+        ``--no-frames`` opens no bus and records the messages alone, as the page does.
 
     Examples
     --------
@@ -81,13 +84,16 @@ def record(
     stop, of = StopSignal().install(), of or SkinOptions()
     check_new_path(out, "recording")
     labels = _labels(label or [], out)
+    if not frames and out.suffix.lower() != RECORDING_SUFFIX:
+        raise InputError(f"--no-frames: expected a recording that ends in {RECORDING_SUFFIX}: {out} keeps frames alone")
     skin = of.find(stop)
     if of.layout is not None:
         of.compare(skin)
     check_format(out, len(skin.bus))
     contract = Contract.from_layout(skin)
     names = {number: each.name for number, each in enumerate(skin.bus)}
-    links = open_links(skin, bus or BusOptions(), name="recorder", sends=False, stop=stop)
+    opened = range(len(skin.bus) if frames else 0)
+    links = open_links(skin, bus or BusOptions(), opened, name="recorder", sends=False, stop=stop)
     joined: list[Fabric] = []
     joining: threading.Thread | None = None
     try:
@@ -100,7 +106,7 @@ def record(
         if sink.has_messages:  # a program that sets marks is to see no recorder that cannot write them
             joining = threading.Thread(target=join, name="join the fabric")
             joining.start()
-        say("record", f"{', '.join(names.values())} to {out}")
+        say("record", f"{', '.join(names.values()) if frames else 'messages'} to {out}")
         request_real_time("record")  # else services with it keep messages from coming
         with mark_keys(labels, partial(_mark, recorder)) as poll:
             recorder.run(stop, seconds or float("inf"), poll)

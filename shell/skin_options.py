@@ -2,11 +2,10 @@
 
 import math
 import time
-from collections.abc import Iterator
 from contextlib import closing, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import msgspec
 from cyclopts import Parameter
@@ -17,15 +16,13 @@ from canskin.errors import BusError, InputError, LayoutError, Stopped
 from canskin.fabric import Fabric
 from canskin.peers import Peer
 from canskin.session import DEFAULT_ENDPOINT, LOOK_S, Stop, Words, find_skin
+from skin.difference import difference
 from skin.layout import RECORDING_SUFFIX, Layout, layout_text, load_layout, parse_layout
 
 #: Longest wait for the hub, the skin and its layout: that of `canskin.connect`.
 PATIENCE_S: Final = 5.0
 #: Longest wait for a hub that is there already.
 GLANCE_S: Final = 0.5
-#: Most differences of two layouts that a message names, and most characters of a value.
-_DIFFERENCES: Final = 4
-_CHARACTERS: Final = 40
 _WORDS: Final = Words("--connect", "--skin NAME", "start 'skin gateway', or give --layout FILE")
 
 
@@ -115,11 +112,10 @@ class SkinOptions:
             if own := [each for each in others if each.skin == layout.name]:
                 with suppress(BusError):  # a service of an older version does not tell
                     told = _told(fabric, own, self.endpoint)
-                    if named := list(differences(msgspec.to_builtins(layout), msgspec.to_builtins(told))):
-                        more = f"; and {len(named) - _DIFFERENCES} more" * (len(named) > _DIFFERENCES)
+                    if differs := difference(msgspec.to_builtins(layout), msgspec.to_builtins(told)):
                         raise LayoutError(
                             f"{self.layout} is not the layout of skin '{layout.name}' at {self.endpoint}:"
-                            f" {'; '.join(named[:_DIFFERENCES])}{more}. Leave --layout out, or start the other"
+                            f" {differs}. Leave --layout out, or start the other"
                             " services with it"
                         )
                 return
@@ -174,20 +170,3 @@ def _told(fabric: Fabric, peers: list[Peer], endpoint: str) -> Layout:
             " --layout FILE"
         ) from error
     return parse_layout(reply.toml.encode(), f"the layout of {peer.service} at {endpoint}")
-
-
-def differences(here: Any, there: Any, path: str = "$") -> Iterator[str]:
-    """Yield the path of each value that differs in two documents, with both values."""
-    if isinstance(here, dict) and isinstance(there, dict):
-        for key in {**here, **there}:
-            yield from differences(here.get(key), there.get(key), f"{path}.{key}")
-    elif isinstance(here, list) and isinstance(there, list) and len(here) == len(there) and path == "$.bus":
-        for place, pair in enumerate(zip(here, there, strict=True)):
-            yield from differences(*pair, f"{path}[{place}]")
-    elif here != there:
-        yield f"`{path}` is {_short(here)}, there {_short(there)}"
-
-
-def _short(value: Any) -> str:
-    text = "not given" if value is None else repr(value)
-    return text if len(text) <= _CHARACTERS else f"{text[:_CHARACTERS]}..."

@@ -279,6 +279,20 @@ class Bus(_Table, frozen=True, kw_only=True):
         return self.node_ids or tuple(range(first, first + self.nodes))
 
 
+class Region(_Table, frozen=True, kw_only=True):
+    """A part of the skin with a name; `skin.regions` tells which taxels are of it.
+
+    `box` is the first row, first column, last row and last column of a region, the last ones in it; taxels at positions
+    are one row. `part` is the number of a connected part of the skin. A region without both is the whole skin. Above
+    `threshold_n` the total force of the region is told.
+    """
+
+    name: Name
+    box: tuple[Annotated[int, msgspec.Meta(ge=0)], ...] | None = None
+    part: Annotated[int, msgspec.Meta(ge=0)] | None = None
+    threshold_n: Annotated[float, msgspec.Meta(gt=0)] | None = None
+
+
 class Layout(_Table, frozen=True, kw_only=True):
     """The layout of a skin: all settings that its services and nodes share.
 
@@ -301,6 +315,8 @@ class Layout(_Table, frozen=True, kw_only=True):
     # Without it the nodes send all sums in every cycle.
     recognition: Recognition | None = None
     device: Device = msgspec.field(default_factory=Device)
+    # Without them, the connected parts of the skin.
+    region: list[Region] | None = None
     # None if other hardware makes the sums.
     bus: list[Bus]
 
@@ -570,6 +586,8 @@ def layout_text(layout: Layout) -> str:
     # TOML has no null, so such keys are left out. tomli-w would write short tables in lists inline.
     buses = [_bus_text(_given(bus)) for bus in tables.pop("bus")]
     tables = {key: _given(value) if isinstance(value, dict) else value for key, value in _given(tables).items()}
+    if "region" in tables:
+        tables["region"] = [_given(each) for each in tables["region"]]
     return "\n[[bus]]\n".join([tomli_w.dumps({key: each for key, each in tables.items() if each != {}}), *buses])
 
 
@@ -589,6 +607,7 @@ def _check(layout: Layout) -> None:
         raise LayoutError(f"expected {TAXELS_MIN} taxels or more, got {layout.taxels.there} - at `$.taxels`")
     _check_positions(layout.taxels, layout.measurement)
     _check_untouchable(layout)
+    _check_regions(layout)
     if (layout.measurement.ensemble == "matrix") != (layout.measurement.matrix is not None):
         wanted = f"`matrix` and ensemble = 'matrix' belong together, got '{layout.measurement.ensemble}'"
         raise LayoutError(f"{wanted} - at `$.measurement.ensemble`")
@@ -733,6 +752,17 @@ def _check_untouchable(layout: Layout) -> None:
         wrong = f"{outside[0]}" if outside else f"{twice[0]} twice" if twice else "all taxels"
         limit = f"expected some of the taxels 0 to {count - 1}, each once and not all"
         raise LayoutError(f"{limit}, got {wrong} - at `$.taxels.untouchable`")
+
+
+def _check_regions(layout: Layout) -> None:
+    from skin.regions import regions_of  # it needs the tables above
+
+    given = layout.region or []
+    names = [each.name for each in given]
+    if twice := [name for name, times in Counter(names).items() if times > 1]:
+        raise LayoutError(f"region name '{twice[0]}' is used twice - at `$.region`")
+    if given:
+        regions_of(layout)
 
 
 def _check_recognition(layout: Layout, state: Recognition) -> None:

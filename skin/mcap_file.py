@@ -18,8 +18,9 @@ import zstandard
 from mcap.data_stream import RecordBuilder
 from mcap.exceptions import McapError
 from mcap.reader import make_reader
-from mcap.records import Attachment, Channel, Chunk, Header, Message, Metadata
+from mcap.records import Attachment, Channel, Chunk, ChunkIndex, Header, Message, Metadata
 from mcap.stream_reader import MAGIC_SIZE, StreamReader, breakup_chunk
+from mcap.summary import Summary
 from mcap.writer import Writer
 
 from canskin.errors import UNDECODABLE, InputError
@@ -244,14 +245,14 @@ class Read(NamedTuple):
     message: Any
 
 
-def read_messages(path: Path, topics: Iterable[Topic], warn: Warn) -> Iterator[Read]:
-    """Yield the messages of some topics of a recording in the order of the file.
+def read_messages(path: Path, topics: Iterable[Topic], warn: Warn, from_ns: int = 0) -> Iterator[Read]:
+    """Yield the messages of some topics of a recording in the order of the file, from a time on.
 
     Raise InputError at a message that does not fit its topic.
     """
     wanted = {topic.name: (topic, message_decoder(path, topic)) for topic in topics}
-    for entry in read_entries(path, warn):
-        if entry.topic in wanted:
+    for entry in read_entries(path, warn, from_ns):
+        if entry.topic in wanted and entry.time_ns >= from_ns:
             topic, decode = wanted[entry.topic]
             yield Read(topic, entry.time_ns, decode(entry.data))
 
@@ -270,11 +271,11 @@ def message_decoder(path: Path, topic: Topic) -> Callable[[bytes], Any]:
     return decoded
 
 
-def read_entries(path: Path, warn: Warn) -> Iterator[Entry]:
-    """Yield the messages of a recording in the order of the file."""
+def read_entries(path: Path, warn: Warn, from_ns: int = 0) -> Iterator[Entry]:
+    """Yield the messages of a recording in the order of the file; with an index, without most before a time."""
     channels: Mapping[int, Channel] = {}
     first_ns = last_ns = unknown = 0
-    for record in _records(path):
+    for record in _records_from(path, from_ns) if from_ns > 0 else _records(path):
         if isinstance(record, Channel):
             channels = {**channels, record.id: record}
         elif isinstance(record, Message):
@@ -315,6 +316,37 @@ def read_topics(path: Path) -> set[str]:
             counts = summary.statistics.channel_message_counts
             return {summary.channels[number].topic for number, count in counts.items() if count}
     return {entry.topic for entry in read_entries(path, lambda _: None)}
+
+
+def span_ns(path: Path) -> tuple[int, int]:
+    """Return the times of the first and the last message of a recording; InputError if it has none."""
+    read_about(path)
+    with path.open("rb") as file, contextlib.suppress(*_DAMAGE):
+        summary = make_reader(file).get_summary()
+        if summary is not None and summary.statistics is not None and summary.statistics.message_count:
+            return summary.statistics.message_start_time, summary.statistics.message_end_time
+    times_ns = [entry.time_ns for entry in read_entries(path, lambda _: None)]
+    if not times_ns:
+        raise InputError(f"{path}: this recording has no messages")
+    return min(times_ns), max(times_ns)
+
+
+def _records_from(path: Path, from_ns: int) -> Iterator[Any]:
+    """Yield records as `_records`; with an index, those of the chunks that end at a time or later."""
+    summary = None
+    with path.open("rb") as file:
+        with contextlib.suppress(*_DAMAGE):
+            summary = make_reader(file).get_summary()
+        if summary is None or not summary.chunk_indexes:
+            yield from _records(path)
+            return
+        yield from summary.channels.values()
+        yield from _indexed_records(file, sum(each.message_end_time < from_ns for each in _in_order(summary)[:-1]))
+
+
+def _in_order(summary: Summary | None) -> list[ChunkIndex]:
+    """Return the chunks of a recording in the order of the file; none without an index."""
+    return sorted(summary.chunk_indexes, key=lambda each: each.chunk_start_offset) if summary is not None else []
 
 
 def _records(path: Path) -> Iterator[Any]:
@@ -367,8 +399,7 @@ def _indexed_records(file: BinaryIO, chunks: int) -> Iterator[Any]:
     indexes = []
     file.seek(0)
     with contextlib.suppress(*_DAMAGE):
-        summary = make_reader(file).get_summary()
-        indexes = sorted(summary.chunk_indexes, key=lambda each: each.chunk_start_offset) if summary is not None else []
+        indexes = _in_order(make_reader(file).get_summary())
     if len(indexes) <= chunks:
         yield Gap(0, 0, is_rest=True, has_end=_has_end(file))
     for index in indexes[chunks:]:

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Final
 
 import pytest
+from hypothesis.internal.conjecture import providers
 from xdist.scheduler import LoadFileScheduling
 
 from tests.processes import free_endpoint
@@ -19,6 +20,11 @@ CHAINS: Final = (
 )
 #: Other tests get a quarter of a core that a chain wants, too.
 NICE: Final = 5
+
+
+# The same examples in every run: hypothesis also draws from the constants of the modules that are imported so far. They
+# are others in a run of one file, on another number of cores, and after a change of any module.
+providers._get_local_constants = lambda: providers._local_constants
 
 
 class ChainsInTurn(LoadFileScheduling):

@@ -8,7 +8,7 @@ from typing import Final
 from canskin.errors import InputError
 from skin.sources import object_file
 from touch.contact import Force, Grid, Pose, press_along
-from touch.objects import spheres_of
+from touch.objects import checked_names, spheres_of
 
 #: The paper's trajectory: 1 kHz, 1100 steps of pressing at 0.01 m/s from a gap of 1 mm, 3100 steps of sliding.
 PAPER_STEP_S: Final = 1e-3
@@ -79,7 +79,7 @@ def trajectory(name: str, *, meshes: str | Path | None = None, speed: int = 1, s
     Parameters
     ----------
     name : str
-        One of `ACQUISITION_OBJECTS`.
+        One of `ACQUISITION_OBJECTS`, or ``FILE@UNIT``.
     meshes : str or pathlib.Path, optional
         Folder of meshes, see `touch.objects.spheres_of`.
     speed : int
@@ -97,6 +97,15 @@ def trajectory(name: str, *, meshes: str | Path | None = None, speed: int = 1, s
     return press_along(Grid(), spheres, (paper_pose(step, start.start_m, start.rotation_rad) for step in taken))
 
 
+def checked_slides(names: str) -> tuple[str, ...]:
+    """Return names that are separated by commas; raise InputError unless each has a trajectory."""
+    listed = checked_names(names)
+    for name in listed:
+        start_of(name)
+        spheres_of(name)
+    return listed
+
+
 def start_of(name: str) -> Start:
     """Return the start of the trajectory of the object `name`; raise InputError if the paper has none.
 
@@ -105,7 +114,7 @@ def start_of(name: str) -> Start:
     if object_file(name) is not None:
         return Start(GOLF_START_M, 0.0, exact=False)
     if name not in ACQUISITION_OBJECTS:
-        raise InputError(f"no trajectory of '{name}': expected one of {', '.join(ACQUISITION_OBJECTS)}")
+        raise InputError(f"no trajectory of '{name}': expected one of {', '.join(ACQUISITION_OBJECTS)}, or FILE@UNIT")
     return ACQUISITION_OBJECTS[name]
 
 

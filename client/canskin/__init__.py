@@ -1,5 +1,7 @@
 """Images, contacts and labels of a canskin robot skin, for programs.
 
+Examples
+--------
 >>> import canskin
 >>> with canskin.connect("tcp/127.0.0.1:7447") as skin:
 ...     print(skin.latest().contacts)

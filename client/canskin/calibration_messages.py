@@ -130,16 +130,16 @@ class CalibrationRequest(msgspec.Struct, frozen=True, kw_only=True):
         ``tare``: measure the zero; ``show``: tell it; ``load``: use another; ``write``: write it to the nodes.
     force : bool
         Of ``tare``: whatever touches the skin is part of its zero.
-    region : tuple of int, optional
-        Of ``tare``: first row, first column, last row, last column, both included. Whatever stands there now is part of
-        its zero; the rest of the skin keeps its zero.
+    region : tuple of int, or str, optional
+        Of ``tare``: first row, first column, last row, last column, both included, or the name of a region of the
+        layout. Whatever stands there now is part of its zero; the rest of the skin keeps its zero.
     content : bytes
         Of ``load`` and ``write``: a file of `skin.calibration_file`.
     """
 
     action: Literal["tare", "show", "load", "write"]
     force: bool = False
-    region: Region | None = None
+    region: Region | str | None = None
     content: bytes = b""
 
 
@@ -169,14 +169,14 @@ ANSWER_S: Final = 15.0
 
 
 def tare_request(
-    rows: int, columns: int, *, force: bool = False, region: Sequence[object] | None = None
+    rows: int, columns: int, *, force: bool = False, region: Sequence[object] | str | None = None
 ) -> CalibrationRequest:
     """Return a request for a new zero of a skin of `rows` by `columns` taxels.
 
     Parameters
     ----------
-    region : sequence of int or str, optional
-        See `CalibrationRequest`; numbers or their texts.
+    region : sequence of int or str, or str, optional
+        See `CalibrationRequest`; numbers or their texts, or a name.
 
     Raises
     ------
@@ -187,6 +187,8 @@ def tare_request(
         return CalibrationRequest(action="tare", force=force)
     if force:
         raise InputError("a tare of a region, and by force: expected one of both")
+    if isinstance(region, str):
+        return CalibrationRequest(action="tare", region=region)
     try:
         top, left, bottom, right = (int(str(each)) for each in region)
     except ValueError:

@@ -69,6 +69,13 @@ def connect(endpoint: str = DEFAULT_ENDPOINT, skin: str | None = None, *, timeou
 def skins_at(endpoint: str = DEFAULT_ENDPOINT, *, timeout_s: float = 1.0) -> list[str]:
     """Return the names of the skins on a hub, in the order of the alphabet.
 
+    Parameters
+    ----------
+    endpoint : str
+        Address of the hub, which ``skin demo`` or ``skin gateway`` prints.
+    timeout_s : float
+        How long to wait for the first skin.
+
     Raises
     ------
     BusError
@@ -113,7 +120,7 @@ class ConnectedSkin(Skin):
         """See `Skin.latest`."""
         return self._hub.latest(max_age_s)
 
-    def tare(self, *, force: bool = False, region: Region | None = None) -> str:
+    def tare(self, *, force: bool = False, region: Region | str | None = None) -> str:
         """See `Skin.tare`."""
         if self._hub.is_closed:
             raise BusError(CLOSED)

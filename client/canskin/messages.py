@@ -218,6 +218,8 @@ class EndedContact(msgspec.Struct, frozen=True):
 
     Attributes
     ----------
+    identity, onset_mono_ns : int
+        Those of its `Contact`.
     end_mono_ns : int
         Time of the last image with this contact; of the joining, if it joined another contact.
     joined : int

@@ -178,11 +178,12 @@ class Skin(ABC):
         """
 
     @abstractmethod
-    def tare(self, *, force: bool = False, region: Region | None = None) -> str:
+    def tare(self, *, force: bool = False, region: Region | str | None = None) -> str:
         """Measure the zero of the skin anew; return the gateway's report. Nothing may touch the skin for 2 s.
 
         With `force`, whatever touches the skin becomes part of its zero. With `region` (first row, first column, last
-        row, last column), whatever stands there now does, and the rest of the skin keeps its zero.
+        row, last column, or the name of a region of the layout), whatever stands there now does, and the rest of the
+        skin keeps its zero.
 
         Raises
         ------

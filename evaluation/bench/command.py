@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any, Final, Literal, get_args
 
 from canskin.errors import InputError
+from reconstructor.array_api import Device, LibraryName, array_library
 from shell.output import check_picture_path
 from shell.terminal import Json, print_json, print_table, progress
 
@@ -18,6 +19,8 @@ def bench(
     rounds: int | None = None,
     meshes: Path | None = None,
     figure: Path | None = None,
+    device: Device | None = None,
+    library: LibraryName | None = None,
     json: Json = False,
 ) -> None:
     """Measure one part of the system and print a table.
@@ -25,7 +28,9 @@ def bench(
     ``reconstruct`` solves one problem with our solver, with the paper's dense FISTA and with every peer of the extra
     ``bench`` that is installed, in turn and on one thread: median milliseconds of 20 iterations from a warm start,
     the gap (F - F*) / F* each is left with, the PSNR, and the ratio to ours of the same precision; then the same for
-    the contourlet; then total variation on the default skin as a grid and as a graph, and on triangles. ``images``
+    the contourlet; then total variation on the default skin as a grid and as a graph, and on triangles. With
+    ``--device`` it times the solvers on arrays in place of these, on batches and on a recording: µs of an image, and
+    the compiled solver's time / this time. ``images``
     gives the PSNR of every solver on the paper's five objects, at its speed of motion and ten times faster.
     ``missing`` gives it with dead nodes and with lost frames. ``skins`` times one cycle of several
     skins in one process, each with its own Φ, on one thread and on more. ``classify`` times one decision between 16
@@ -45,12 +50,17 @@ def bench(
         Folder of meshes (cup, drill, largeclamp) in place of the shapes that ship, for ``images``.
     figure
         File for the curves of ``missing``: .svg, .png or .pdf.
+    device
+        Of ``reconstruct``: where arrays are solved. ``cpu`` only checks the code.
+    library
+        Of ``--device``; default: of a GPU CuPy, else PyTorch; of the CPU NumPy.
     json
         Print JSON instead of tables.
 
     Examples
     --------
     skin bench reconstruct
+    skin bench reconstruct --device gpu --library torch
     skin bench images --meshes ycb-meshes
     skin bench missing --json --figure missing-data.svg
     """
@@ -60,6 +70,10 @@ def bench(
         check_picture_path(figure)
     arguments = _arguments(subject, rounds, meshes)
     module = import_module(_MODULES[subject])
+    if device is not None or library is not None:
+        if subject != "reconstruct" or device is None:
+            raise InputError("--device is of 'reconstruct', and --library of --device: leave them out")
+        module, arguments["library"] = import_module("evaluation.bench.arrays"), array_library(device, library)
     with progress(f"measuring {subject}", None):
         result: dict[str, Any] = module.run(**arguments)
     if figure is not None:

@@ -8,7 +8,6 @@ import numpy as np
 import numpy.typing as npt
 
 from evaluation.paper.figures import convergence
-from evaluation.paper.printed import SENSOR, TABLE_THREE, TABLE_TWO, BasisName
 from evaluation.paper.runs import OBJECTS, RECONSTRUCTIONS, Method, cell, measure
 from evaluation.paper.tables import (
     QUICK_STRIDES,
@@ -20,6 +19,7 @@ from evaluation.paper.tables import (
     measure_sensor,
     measure_times,
 )
+from evaluation.printed import BasisName, paper_psnr, paper_value, sensor_psnr
 from evaluation.result import Finding, Options, Row
 from evaluation.result_cache import measure_cells
 
@@ -47,9 +47,10 @@ def claimed(options: Options) -> dict[str, Finding]:
     (times_ms,) = measure_cells(measure_times, [{**options.shared, "steps": steps}], options, "times", jobs=1)
     found, runs = {"from zero": Finding(convergence(options)[FROM_ZERO][0], 1)}, len(OBJECTS) * draws
     for basis, level_db in zip(bases, image_db, strict=True):
-        printed_db = np.array([TABLE_TWO[name, "sbhe", TABLE_SUMS][basis].mean for name in OBJECTS])
-        gain_db, printed_gain_db = level_db - sensor_db, printed_db - [SENSOR[name].mean for name in OBJECTS]
-        printed_ms = mean(TABLE_THREE[name, basis, TABLE_ITERATIONS].ms for name in OBJECTS)
+        cells = [{"object": name, "matrix": "sbhe", "basis": basis} for name in OBJECTS]
+        printed_db = np.array([paper_psnr("compression", sums=TABLE_SUMS, **cell).mean for cell in cells])
+        gain_db, printed_gain_db = level_db - sensor_db, printed_db - [sensor_psnr(name).mean for name in OBJECTS]
+        printed_ms = mean(paper_value("iterations", "ms", iterations=TABLE_ITERATIONS, **cell) or 0.0 for cell in cells)
         found |= {
             f"gain {basis}": Finding(gain_db.mean(), runs, printed_gain_db.mean()),
             f"least gain {basis}": Finding(gain_db.min(), runs, printed_gain_db.min()),

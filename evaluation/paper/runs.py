@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from evaluation.paper.printed import BasisName, Matrix
+from evaluation.printed import BasisName, Matrix
 from evaluation.result import Options, Row
 from evaluation.solvers.noiselet import noiselet
 from evaluation.solvers.noiselet_solver import NoiseletSolver

@@ -6,8 +6,8 @@ import numpy as np
 from scipy import fft
 
 from evaluation.paper.pictures import draw_counts
-from evaluation.paper.printed import TABLE_ONE
 from evaluation.paper.runs import OBJECTS, SIDE, true_force
+from evaluation.printed import paper_value
 from evaluation.result import Options, Picture, Result, Row, beside
 from evaluation.result_cache import measure_cells
 from evaluation.solvers.pursuit import basis_pursuit
@@ -44,8 +44,8 @@ def evaluate(options: Options) -> Result:
     rows = []
     for cell, counts in zip(cells, measure_cells(count, cells, options, "sparsity"), strict=True):
         name, basis = cell["name"], cell["basis"]
-        table = TABLE_ONE[basis][name] if basis in TABLE_ONE else (None, None)
-        for quantity, printed in zip(("mean", "max"), table, strict=True):
+        for quantity in ("mean", "max"):
+            printed = paper_value("sparsity", object=name, basis=basis, quantity=quantity)
             percent = None if printed is None else round(100 * (counts[quantity] / printed - 1), 1) + 0.0  # no -0.0
             within = None if percent is None or quantity != "mean" else abs(percent) <= TOLERANCE_PERCENT[basis]
             rows.append(

@@ -1,18 +1,17 @@
 """Figures of the paper's claims on recognition: accuracies, and labels of the running classifier, in percent."""
 
-from statistics import mean
+from statistics import mean, pstdev
 from typing import Final
 
 from evaluation.observations import OBJECTS, TAXELS
-from evaluation.recognition.accuracy import measure_accuracy
-from evaluation.recognition.printed import ACCURACIES, FULL, ONE_PERCENT, THREE_PERCENT
+from evaluation.recognition.accuracy import FULL, ONE_PERCENT, THREE_PERCENT, measure_accuracy
+from evaluation.recognition.classification import cells_of, printed_accuracy
 from evaluation.recognition.sixteen import measure_sixteen
 from evaluation.result import Finding, Options, Row, grouped
 from evaluation.result_cache import measure_cells
 
-#: Splits of the observations, one for each draw of Φ, and draws of the running classifier, without --draws.
-DRAWS: Final = 5
-LIVE_DRAWS: Final = 2
+#: Draws of the running classifier, without --draws; `classification` has its own of the observations.
+DRAWS: Final = 10
 #: Signals whose accuracy is measured: kind, size, and development and validation set.
 SIGNALS: Final = {
     "64 sums": ("sbhe", 64, FULL),
@@ -31,37 +30,32 @@ def claimed(options: Options) -> dict[str, Finding]:
 
 
 def _accuracies(options: Options) -> dict[str, Finding]:
-    draws = options.draws_or(DRAWS)
-    runs = {name: 1 if name == "all taxels" else draws for name in SIGNALS}
-    calls = [
-        {"kind": kind, "size": size, "draw": draw if kind == "sbhe" else 0, "splits": [draw]}
-        | {"development": parts[0], "validation": parts[1], **options.shared}
-        for name, (kind, size, parts) in SIGNALS.items()
-        for draw in range(runs[name])
-    ]
+    cells = {name: cells_of(*signal, options) for name, signal in SIGNALS.items()}
+    calls = [cell for each in cells.values() for cell in each]
     found = iter(measure_cells(measure_accuracy, calls, options, "classification"))
-    ours = {name: mean(100 * next(found)["accuracy"][0] for _ in range(count)) for name, count in runs.items()}
-    printed = {name: ACCURACIES.get(signal) for name, signal in SIGNALS.items()}
-    figures = {name: Finding(ours[name], runs[name], printed[name]) for name in SIGNALS}
+    percent = {name: [100 * one for _ in each for one in next(found)["accuracy"]] for name, each in cells.items()}
+    ours = {name: mean(each) for name, each in percent.items()}
+    printed = {name: printed_accuracy(*signal) for name, signal in SIGNALS.items()}
+    figures = {name: Finding(ours[name], len(each), printed[name], pstdev(each)) for name, each in percent.items()}
     for sums, sensor in (("64 sums", "all taxels"), ("64 sums", "64 taxels"), ("16 sums", "16 taxels")):
         of_sums, of_sensor = printed[sums], printed[sensor]
         difference = None if of_sums is None or of_sensor is None else of_sums - of_sensor
-        figures[f"{sums} - {sensor}"] = Finding(ours[sums] - ours[sensor], runs[sensor], difference)
+        figures[f"{sums} - {sensor}"] = Finding(ours[sums] - ours[sensor], len(percent[sums]), difference)
     return figures
 
 
 def _labels(options: Options) -> dict[str, Finding]:
     extent = {"touches": OBJECTS, "per_object": 100} if options.quick else {"touches": 3 * OBJECTS, "per_object": 600}
     cells: list[Row] = [
-        {"stroke": "press", "sums": sums, "samples": 1, "draw": draw, "seed": options.seed, **extent}
+        {"stroke": "press", "sums": sums, "samples": 1, "draw": draw, "seed": options.seed + draw, **extent}
         for sums in (64, 16)
-        for draw in range(options.draws_or(LIVE_DRAWS))
+        for draw in range(options.draws_or(DRAWS))
     ]
     found = measure_cells(measure_sixteen, cells, options, "live")
     groups = grouped((cell | each for cell, each in zip(cells, found, strict=True)), "sums")
-    return {
-        f"live, {sums} sums": Finding(
-            100 * mean(each["held"] for each in group), extent["touches"] * len(group), ACCURACIES["sbhe", sums, FULL]
-        )
-        for (sums,), group in groups.items()
-    }
+    figures = {}
+    for (sums,), group in groups.items():
+        percent = [100 * each["held"] for each in group]
+        runs, paper = extent["touches"] * len(group), printed_accuracy("sbhe", sums, FULL)
+        figures[f"live, {sums} sums"] = Finding(mean(percent), runs, paper, pstdev(percent))
+    return figures

@@ -12,8 +12,7 @@ from classifier.missing import Completion, fit_factors
 from classifier.rows import choose_rows
 from classifier.validation import choose_C, global_scale
 from evaluation.observations import LABELS, Split, all_rows, draw_split, drawn_sbhe, measured, sensed
-from evaluation.recognition.accuracy import score, trained
-from evaluation.recognition.printed import FULL
+from evaluation.recognition.accuracy import FULL, score, trained
 from evaluation.result import Row
 from reconstructor.checks import Values
 from skin.measurement import Sbhe

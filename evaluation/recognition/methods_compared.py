@@ -27,10 +27,10 @@ DRAWS: Final = 10
 #: The sixteen live: kind of touch, sums, samples of a taxel in a cycle (the paper has one), draws of Φ.
 SIXTEEN: Final[tuple[tuple[StrokeKind, int, int, int], ...]] = (
     ("slide", 1024, 10, 1),
-    ("press", 64, 10, 2),
-    ("press", 16, 10, 2),
-    ("press", 64, 1, 2),
-    ("press", 16, 1, 2),
+    ("press", 64, 10, DRAWS),
+    ("press", 16, 10, DRAWS),
+    ("press", 64, 1, DRAWS),
+    ("press", 16, 1, DRAWS),
 )
 #: Touches of each of the sixteen.
 SIXTEEN_TOUCHES: Final = 3
@@ -91,8 +91,11 @@ def _live_rows(options: Options) -> list[Row]:
     """Return the rows of the live service: of objects it knows, and of objects the model never met."""
     conditions = CONDITIONS[:1] if options.quick else CONDITIONS
     touches = 1 if options.quick else 3
+    # A draw has touches, training and noise of its own; the conditions of a draw share its model.
     known: list[Row] = [
-        {"names": list(DEFAULT_OBJECTS), "touches": 5, "lost_ratio": lost, "noise_ratio": noise, "seed": options.seed}
+        {"names": list(DEFAULT_OBJECTS), "touches": 5, "lost_ratio": lost, "noise_ratio": noise}
+        | {"seed": options.seed + draw}
+        for draw in range(options.draws_or(DRAWS))
         for lost, noise in conditions
     ]
     unmet: list[Row] = [
@@ -100,24 +103,24 @@ def _live_rows(options: Options) -> list[Row]:
         for name in (UNMET[:1] if options.quick else UNMET)
     ]
     results = measure_cells(measure_live, known + unmet, options, "live")
+    measured = [cell | result for cell, result in zip(known + unmet, results, strict=True)]
     rows = []
-    for cell, result in zip(known, results, strict=False):
-        lost, noise = cell["lost_ratio"], cell["noise_ratio"]
+    for (lost, noise), group in grouped(measured[: len(known)], "lost_ratio", "noise_ratio").items():
         named = f"live, known objects, {lost:.0%} of the blocks dead, {noise:g} of the noise"
         rows += [
-            _live_row(f"{named}: right", cell, result, "right"),
-            _live_row(f"{named}: called unknown", cell, result, "unknown"),
+            _live_row(f"{named}: right", group, "right"),
+            _live_row(f"{named}: called unknown", group, "unknown"),
         ]
     return rows + [
-        _live_row(f"live, {cell['names'][0]}, never met: called unknown", cell, result, "unknown")
-        for cell, result in zip(unmet, results[len(known) :], strict=True)
+        _live_row(f"live, {each['names'][0]}, never met: called unknown", [each], "unknown")
+        for each in measured[len(known) :]
     ]
 
 
 def _sixteen_rows(options: Options) -> list[Row]:
-    """Return the rows of the paper's sixteen objects live, means over draws of Φ."""
+    """Return the rows of the paper's sixteen objects live; a draw of Φ has touches, training and noise of its own."""
     cells: list[Row] = [
-        {"stroke": stroke, "sums": sums, "samples": samples, "draw": draw, "seed": options.seed}
+        {"stroke": stroke, "sums": sums, "samples": samples, "draw": draw, "seed": options.seed + draw}
         for stroke, sums, samples, draws in (SIXTEEN[-2:-1] if options.quick else SIXTEEN)
         for draw in range(1 if options.quick else draws)
     ]
@@ -145,5 +148,8 @@ _SHARES: Final = {
 }
 
 
-def _live_row(what: str, cell: Row, result: Row, share: str) -> Row:
-    return gain_row(what, result["sums"], runs=cell["touches"], ours=100 * result[share])
+def _live_row(what: str, group: list[Row], share: str) -> Row:
+    """Return the mean share of a group of draws; `runs` counts touches."""
+    percent = [100 * each[share] for each in group]
+    parts = percent if len(percent) > 1 else ()
+    return gain_row(what, group[0]["sums"], runs=sum(each["touches"] for each in group), ours=percent, parts=parts)

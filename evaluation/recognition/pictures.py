@@ -55,7 +55,7 @@ def draw_confusions(matrices: Mapping[str, Any], names: Sequence[str]) -> "Figur
 
 
 def gain_row(what: str, sums: int, *, runs: int, ours: Any, plain: Any = None, parts: Sequence[float] = ()) -> Row:
-    """Return a row: mean accuracy of a method and of the plain one, percent, and the range over `parts`.
+    """Return a row: mean accuracy of a method and of the plain one, percent; deviation and range over `parts`.
 
     `ours` and `plain` are numbers, or arrays with one for each run. Without `plain` or `parts` their columns are None.
     """
@@ -66,6 +66,7 @@ def gain_row(what: str, sums: int, *, runs: int, ours: Any, plain: Any = None, p
         "ours": round(float(np.mean(ours)), 2),
         "plain": None if plain is None else round(float(np.mean(plain)), 2),
         "gain": None if plain is None else round(float(np.mean(ours - plain)), 2),
+        "deviation": round(float(np.std(parts)), 2) if parts else None,
         "least": round(min(parts), 2) if parts else None,
         "most": round(max(parts), 2) if parts else None,
     }

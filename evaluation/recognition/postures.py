@@ -25,7 +25,7 @@ from evaluation.result_cache import measure_cells
 from touch.reading import read_counts
 
 SIZES: Final = (4096, 256, 64, 16)
-DRAWS: Final = 3
+DRAWS: Final = 10
 #: Most rows that are chosen: the time to choose them grows with the square.
 _MOST_CHOSEN: Final = 64
 #: One frame in `STRIDE` is used: neighbours hardly differ.

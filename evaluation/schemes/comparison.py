@@ -6,8 +6,9 @@ from typing import Final
 
 from evaluation.result import Options, Result, Row, grouped
 from evaluation.result_cache import measure_cells
-from evaluation.schemes.scenes import OWN, SIDE, SLAP, SLIDES, Touch
+from evaluation.schemes.scenes import OWN, SIDE, SLAP, Touch
 from evaluation.schemes.schemes import Adaptive, FilteredEvents, Scan, Scheme, Sums, measure_scheme
+from skin.sources import object_label
 
 OURS: Final = Adaptive()
 #: Thresholds in newtons that filtered taxels are tried with.
@@ -55,7 +56,9 @@ def evaluate(options: Options) -> Result:
         `quick` looks at three touches, cut short.
     """
     found = measured(_touches(options), options, "rivals")
-    return compared("Schemes", means_of(found, SLIDES, "five slides") + found)
+    slides = set(map(object_label, options.objects))
+    together = means_of(found, slides, f"{len(slides)} slides") if len(slides) > 1 else []
+    return compared("Schemes", together + found)
 
 
 def measured(touches: Iterable[Touch], options: Options, what: str) -> list[Row]:
@@ -141,11 +144,11 @@ def _counts(rows: list[Row], rival: str, prefix: str) -> str:
 def _touches(options: Options) -> Iterator[Touch]:
     meshes = options.shared["meshes"]
     if options.quick:
-        yield Touch("golf-ball", ticks=600, seed=options.seed)
+        yield Touch(options.objects[0], ticks=600, seed=options.seed)
         yield Touch(SLAP, ticks=400, seed=options.seed)
         yield Touch("golf-ball", ticks=600, noise_n=2e-3, seed=options.seed)
         return
-    for name in (*SLIDES, *OWN):
+    for name in (*options.objects, *OWN):
         yield Touch(name, meshes=meshes, seed=options.seed)
     yield Touch("golf-ball", noise_n=0.5e-3, seed=options.seed)
     yield Touch("golf-ball", noise_n=2e-3, seed=options.seed)

@@ -13,10 +13,11 @@ from canskin.messages import Contact
 from dbc.contract import Contract
 from evaluation.result import Options, Result, Row
 from evaluation.result_cache import measure_cells
-from evaluation.schemes.scenes import SIDE, SLIDES, Touch
+from evaluation.schemes.scenes import SIDE, Touch
 from evaluation.schemes.sums import run_sums
 from reconstructor.contacts import ONSET_N, ContactTracker
 from skin.layout import Taxels, load_layout
+from skin.sources import object_label
 from skin.taxel import to_counts
 from touch.contact import Force, Grid, Pose, press
 from touch.objects import spheres_of
@@ -59,13 +60,13 @@ def evaluate(options: Options) -> Result:
     options : Options
         `quick` looks at one slide.
     """
-    names = [SLIDES[0]] if options.quick else [*SLIDES, MEETING, "nothing"]
+    names = [options.objects[0]] if options.quick else [*options.objects, MEETING, "nothing"]
     ticks = QUICK_TICKS if options.quick else TICKS
     cells = [{"name": name, "ticks": ticks, **options.shared} for name in names]
     rows = measure_cells(measure_contacts, cells, options, "contacts")
     return Result(
         "Contacts of the default skin: centre in pitches, force / true force - 1, identities",
-        [{"touch": name, **row} for name, row in zip(names, rows, strict=True)],
+        [{"touch": object_label(name), **row} for name, row in zip(names, rows, strict=True)],
         note="A cycle counts for centre and force when the touch has been pressed in and the number of contacts is"
         " that of the touched regions.",
     )

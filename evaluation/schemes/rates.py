@@ -14,7 +14,7 @@ from canskin.errors import LayoutError
 from dbc.contract import Contract
 from evaluation.result import Options, Result, Row, write_text
 from evaluation.result_cache import measure_cells
-from evaluation.schemes.scenes import SHAKING, SLIDES, Touch, recordings_in
+from evaluation.schemes.scenes import SHAKING, Touch, recordings_in
 from evaluation.schemes.schemes import Shown
 from evaluation.schemes.sums import run_sums
 from skin.layout import SUM_BITS, Bus, Layout, layout_text, load_layout, validated
@@ -87,10 +87,10 @@ def measure_point(layout: Layout, touch: Touch) -> Row:
 def _touches(options: Options) -> dict[str, list[Touch]]:
     """Return the touches of each kind that is looked at."""
     if options.quick:
-        return {"slides": [Touch("golf-ball", ticks=QUICK_TICKS, seed=options.seed)]}
+        return {"slides": [Touch(options.objects[0], ticks=QUICK_TICKS, seed=options.seed)]}
     meshes = options.shared["meshes"]
     found = {
-        "slides": [Touch(name, ticks=TICKS, meshes=meshes, seed=options.seed) for name in SLIDES],
+        "slides": [Touch(name, ticks=TICKS, meshes=meshes, seed=options.seed) for name in options.objects],
         "shaking": [Touch(SHAKING, ticks=TICKS // 2, meshes=meshes, seed=options.seed)],
         "recordings": [Touch(path, ticks=TICKS, seed=options.seed) for path in recordings_in(options.recordings)],
     }

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from canskin.errors import InputError
 from skin.layout import RECORDING_SUFFIX, Taxels
-from skin.sources import OBJECT_GROUPS
+from skin.sources import OBJECT_GROUPS, object_file, object_label
 from skin.taxel import FORCE_MAX_N, NOISE_N, sense, to_counts
 from touch.contact import Force, Grid, Pose, press
 from touch.objects import spheres_of
@@ -164,7 +164,7 @@ class Touch:
     Attributes
     ----------
     name : str
-        Of `SLIDES` or `OWN`, or the path of a recording; of a drawn scene its number.
+        Of `SLIDES` or `OWN`, a mesh as ``FILE@UNIT``, or the path of a recording; of a drawn scene its number.
     ticks : int, optional
         Number of milliseconds from the start; without it, all of the scene.
     noise_n : float
@@ -205,7 +205,7 @@ class Touch:
         if self.scene_seed is not None:
             strokes = _drawn(int(self.name), self.scene_seed)
             return " and ".join(f"{each.name} at {each.speed_m_per_s:.2f} m/s" for each in strokes)
-        said = [f"recording {Path(self.name).name}" if self.is_recorded else self.name]
+        said = [f"recording {Path(self.name).name}" if self.is_recorded else object_label(self.name)]
         said += [f"noise {1e3 * self.noise_n:g} mN"] if self.noise_n != NOISE_N else []
         said += [f"{self.loss_ratio:.0%} of frames lost"] if self.loss_ratio else []
         return ", ".join(said)
@@ -237,7 +237,7 @@ class Touch:
 @lru_cache(maxsize=1)
 def _scene(touch: Touch) -> Scene:
     meshes, ticks = Path(touch.meshes) if touch.meshes else None, touch.ticks or TICKS
-    if touch.name in SLIDES:
+    if touch.name in SLIDES or object_file(touch.name) is not None:
         true = trajectory(touch.name, meshes=meshes, steps=touch.ticks or SLIDE_TICKS)
     elif touch.scene_seed is not None:
         strokes = _drawn(int(touch.name), touch.scene_seed)

@@ -13,7 +13,7 @@ from reconstructor.settings import VARIATION
 from skin.layout import parse_layout
 from skin.psnr import psnr_series_db
 from skin.taxel import sense
-from touch.trajectory import ACQUISITION_OBJECTS, trajectory
+from touch.trajectory import trajectory
 
 #: Taxels of a block, and the region that holds a block as the keys of a layout; 64 x 64 taxels, 1024 sums.
 WIRINGS: Final[dict[str, tuple[int, str]]] = {
@@ -26,14 +26,13 @@ SPEED: Final = 10
 QUICK_SPEED: Final = 300
 #: Draws of a dead board. The board is one that the object touches.
 DEAD_BOARDS: Final = 4
-OBJECTS: Final = tuple(ACQUISITION_OBJECTS)
 
 
 def evaluate(options: Options) -> Result:
     """Return a row for each wiring: metres, mean PSNR of total variation over the objects, loss by a dead board."""
     asked: Row = {**options.shared, "speed": QUICK_SPEED if options.quick else SPEED}
     asked["dead_boards"] = 1 if options.quick else DEAD_BOARDS
-    cells = [{**asked, "name": name, "wiring": each} for name in OBJECTS for each in WIRINGS]
+    cells = [{**asked, "name": name, "wiring": each} for name in options.objects for each in WIRINGS]
     found = measure_cells(measure, cells, options, "images")
     rows = []
     for (name,), group in grouped(found, "wiring").items():

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from reconstructor.array_api import Ensemble
 from skin.measurement import seeded
 from skin.operator import check_vectors
 
@@ -89,6 +90,11 @@ class Noiselet:
         spread = np.zeros((*y.shape[:-1], self.shape[1]), work.dtype)
         spread[..., self.kept] = work
         return self._transform(spread)  # both matrices are symmetric
+
+    def ensemble(self) -> Ensemble:
+        """Return the matrices of the noiselet, for `reconstructor.array_api.BatchSolver`."""
+        down, across = (np.asarray(fast_noiselet(np.eye(size))) for size in (self.rows, self.columns))
+        return Ensemble(np.arange(self.shape[1]), down, across, self.kept, self.norm_squared)
 
     def _transform(self, taxels: npt.NDArray[Any]) -> npt.NDArray[Any]:
         along_rows = fast_noiselet(taxels.reshape(*taxels.shape[:-1], self.rows, self.columns))

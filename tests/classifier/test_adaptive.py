@@ -117,9 +117,9 @@ def test_a_model_tells_how_its_skin_sends(tmp_path: Path, coarse_model: Model, m
     for each in (coarse_model, model):
         save_model(each, tmp_path / f"{each.metadata.sending}.npz")
     assert load_model(tmp_path / "adaptive.npz", LAYOUT, CLASSIFIED).metadata == coarse_model.metadata
-    with pytest.raises(ModelError, match="sending synchronous, this skin has adaptive"):
+    with pytest.raises(ModelError, match=r"`model\.sending` is 'synchronous', this skin has 'adaptive'"):
         load_model(tmp_path / "synchronous.npz", LAYOUT, CLASSIFIED)
-    with pytest.raises(ModelError, match="sending adaptive, this skin has synchronous"):
+    with pytest.raises(ModelError, match=r"`model\.sending` is 'adaptive', this skin has 'synchronous'"):
         load_model(tmp_path / "adaptive.npz", layout, layout.phi())
 
 

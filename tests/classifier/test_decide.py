@@ -261,7 +261,7 @@ def test_a_model_that_averages_otherwise_is_refused(
     layout: Layout, averaging_model: Model, phi: Sbhe, tmp_path: Path
 ) -> None:
     save_model(averaging_model, tmp_path / "model.npz")
-    with pytest.raises(ModelError, match="averaged cycles 4, this skin has 1"):
+    with pytest.raises(ModelError, match=r"`model\.cycles` is 4, this skin has 1"):
         load_model(tmp_path / "model.npz", layout, phi)
 
 

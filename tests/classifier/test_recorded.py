@@ -1,6 +1,5 @@
 """Models of recorded touches, our own and those of scikit-learn, judged on touches of another recording."""
 
-import re
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +30,7 @@ from skin.layout import Layout
 from skin.measurement import Sbhe
 from tests import messages as make
 from tests.classifier.conftest import SMALL, draw
+from tests.documents import block
 from tests.layouts import small_layout
 from tests.recordings import HOLD, REST, write_touches
 
@@ -214,7 +214,7 @@ def test_long_touches_give_some_of_their_cycles(
 def test_recordings_of_another_skin_are_refused(tmp_path: Path, folder: Path) -> None:
     other = small_layout(32, 32, **SMALL | {"measurement": {"sums": 512, "seed": 2}})
     path = write_touches(tmp_path / "other.mcap", other, *draw(2, 1))
-    with pytest.raises(InputError, match=r"other\.mcap: a recording of another skin than .*run1\.mcap \(Φ "):
+    with pytest.raises(InputError, match=r"other\.mcap: .* another skin than .*run1\.mcap \(`recording\.fingerprint`"):
         labelled_touches([folder, path])
 
 
@@ -274,11 +274,9 @@ def test_a_classifier_of_sums_is_taken(
 def test_the_example_of_the_document_makes_a_model(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, layout: Layout, phi: Sbhe
 ) -> None:
-    text = Path("docs/client.md").read_text(encoding="utf-8")
-    (code,) = (each for each in re.findall(r"```python\n(.*?)```", text, re.DOTALL) if "labelled_touches" in each)
     (tmp_path / "touches").symlink_to(folder)
     monkeypatch.chdir(tmp_path)
-    exec(code, {})  # noqa: S102
+    exec(block("docs/client.md", "labelled_touches"), {})  # noqa: S102
     assert accuracy(load_model(tmp_path / "mine.npz", layout, phi), layout, phi) > 0.9
 
 

@@ -70,7 +70,7 @@ def test_a_skin_of_positions_is_trained_and_its_model_is_for_its_surface_alone(t
     loaded = load_model(tmp_path / "tube.npz", skin, skin.phi())
     assert accuracy(loaded, skin, skin.phi(), on_tube(skin, 20, 2)) > 0.95
     assert other.phi().fingerprint == skin.phi().fingerprint
-    with pytest.raises(ModelError, match=r"trained for another skin \(positions"):
+    with pytest.raises(ModelError, match=r"trained for another skin \(`model.surface` is"):
         load_model(tmp_path / "tube.npz", other, other.phi())
 
 

@@ -43,8 +43,10 @@ def test_a_region_by_force_is_refused() -> None:
 
 
 def test_a_request_keeps_its_region_on_the_wire() -> None:
-    request = tare_request(4, 8, region=(0, 1, 2, 3))
-    assert msgspec.msgpack.decode(msgspec.msgpack.encode(request), type=CalibrationRequest) == request
+    for region in ((0, 1, 2, 3), "thumb"):
+        request = tare_request(4, 8, region=region)
+        assert request.region == region
+        assert msgspec.msgpack.decode(msgspec.msgpack.encode(request), type=CalibrationRequest) == request
 
 
 def test_the_zero_in_words() -> None:

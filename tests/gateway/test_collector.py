@@ -145,7 +145,6 @@ def with_other_data(sent: Frames) -> Frames:
 LOSSES = {
     "lost": lambda sent: [echo(1), sent[1:]],
     "before its SYNC": lambda sent: [sent[:1], echo(1), sent[1:]],
-    "after the next SYNC": lambda sent: [echo(1), sent[1:], echo(2), sent[:1]],
     "shorter": lambda sent: [echo(1), changed(sent, length=7), sent[1:]],
     "longer": lambda sent: [echo(1), changed(sent, length=12), sent[1:]],
     "extended": lambda sent: [echo(1), changed(sent, flags=EXTENDED), sent[1:]],

@@ -15,8 +15,6 @@ from tests.gateway.helpers import DISTURBANCES, RANDOM, World, drive
 from tests.layouts import IDENTITIES, small_contract
 
 STEPS = 200
-#: A defect that is known, and not mended.
-KNOWN = "a board that hung and misses the SYNCs on which it goes on may have an old block called valid"
 
 SMALL = small_contract()
 CONTRACTS = {identity: small_contract(identity=identity) for identity in IDENTITIES}
@@ -58,15 +56,8 @@ action = st.one_of(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("gateway_loses", "identity"),
-    [
-        (False, "window"),
-        pytest.param(False, "alternating", marks=pytest.mark.xfail(reason=KNOWN, strict=False)),
-        (True, "window"),
-        (True, "alternating"),
-    ],
-)
+@pytest.mark.parametrize("gateway_loses", [False, True])
+@pytest.mark.parametrize("identity", IDENTITIES)
 def test_random_disturbances(gateway_loses: bool, identity: str) -> None:
     @settings(RANDOM, max_examples=max(1, DISTURBANCES // STEPS))
     @given(st.lists(action, min_size=STEPS, max_size=STEPS))

@@ -87,3 +87,25 @@ def test_a_download_within_a_block_download_is_read_both_ways(client: ForeignCli
     assert ask(client, DOWNLOAD, OTHER) is Effect.DOUBT  # may be data of what is written
     client.take_answer(b"\xa1" + bytes(7))
     assert ask(client, DOWNLOAD, OTHER) is Effect.BUSY
+
+
+READ, ANSWER = b"\x40\x09\x20\x00", b"\x43\x09\x20\x00"
+
+
+def test_an_answer_that_was_under_way_at_a_write_is_old_and_the_next_is_not(client: ForeignClient) -> None:
+    client.ask(READ + bytes(4))
+    ask(client, DOWNLOAD, OTHER)
+    assert not client.take_answer(ANSWER + bytes(4))
+    client.ask(READ + bytes(4))
+    ask(client, DOWNLOAD, COMPARED)
+    client.ask(READ + bytes(4))
+    assert client.take_answer(ANSWER + bytes(4))
+    assert not client.take_answer(ANSWER + bytes(4))
+
+
+def test_no_answer_of_before_a_boot_is_expected_after_it(client: ForeignClient) -> None:
+    client.ask(READ + bytes(4))
+    ask(client, DOWNLOAD, COMPARED)
+    client.booted()
+    client.ask(READ + bytes(4))
+    assert not client.take_answer(ANSWER + bytes(4))

@@ -13,6 +13,7 @@ from gateway.collector import Collector
 from gateway.command import require_order
 from gateway.cycle_gathering import CycleGathering
 from gateway.gathering import Health
+from gateway.outstanding import QUIET_NS
 from tests.gateway.helpers import PERIOD_S, World, two_states, until_sync, valid
 from tests.layouts import IDENTITIES, small_contract
 
@@ -27,7 +28,8 @@ both = pytest.mark.parametrize("identity", IDENTITIES)
 class Bus:
     """A collector whose second bus is always in order; every sum of cycle n is n, so a valid block tells its cycle."""
 
-    def __init__(self, identity: str, collector: Collector | None = None) -> None:
+    def __init__(self, identity: str, collector: Collector | None = None, *, answer_ns: int = ANSWER_NS) -> None:
+        self._answer_ns = answer_ns
         self.contract = CONTRACTS[identity]
         self.collector = collector or Collector(self.contract)
         self.collector.trust(slice(None), proven=True)
@@ -52,7 +54,7 @@ class Bus:
 
     def take(self, *parts: Frames) -> None:
         arrived = np.concatenate(parts)
-        arrived["time_ns"][arrived["time_ns"] == 0] = self.counter * PERIOD_NS + ANSWER_NS
+        arrived["time_ns"][arrived["time_ns"] == 0] = self.counter * PERIOD_NS + self._answer_ns
         self.collector.take(0, arrived, 0)
 
     def valid(self, cycle: int) -> list[bool]:
@@ -102,7 +104,7 @@ def test_late_frames_beside_the_answer_to_the_new_sync_are_not_used(identity: st
         assert bus.collector.is_settled(new)  # the late frames pass for the answer: the block must not be valid
     bus.take(bus.frames_of(new, 0))
     assert bus.valid(old) == [False, True]
-    assert bus.valid(new) == [False, True]
+    assert bus.valid(new) == [identity == "alternating", True]
     assert bus.whole() == [True, True]
 
 
@@ -181,6 +183,42 @@ def test_frames_held_back_for_two_cycles_are_not_detected_if_the_node_misses_tha
     assert (gathered.sums[bus.contract.phi.block_of_sum == 0] == old).all()
 
 
+@both
+def test_board_that_hung_and_misses_the_syncs_on_which_it_goes_on_is_valid_when_all_has_come(
+    identity: str,
+) -> None:
+    bus = Bus(identity)
+    bus.whole()
+    hung = bus.begin()
+    bus.take(bus.sync(), bus.frames_of(hung, 1))
+    assert bus.valid(hung) == [False, True]
+    missed = bus.begin()
+    bus.take(bus.sync(), bus.frames_of(missed, 1))
+    assert bus.valid(missed) == [False, True]
+    goes_on = bus.begin()  # in the phase of the SYNC that it answers only now
+    bus.take(bus.sync(), bus.frames_of(hung, 0), bus.frames_of(goes_on, 1))
+    assert bus.valid(goes_on) == [False, True]
+    assert bus.whole() == [True, True]
+
+
+@pytest.mark.parametrize("missed", [1, 2, 3])
+@pytest.mark.parametrize("rest_ns", [QUIET_NS, 1], ids=["a rest before SYNC", "none"])
+def test_with_two_phases_a_node_loses_a_cycle_more_only_after_two_missed_syncs(missed: int, rest_ns: int) -> None:
+    bus = Bus("alternating", answer_ns=PERIOD_NS + SYNC_NS - rest_ns)
+    bus.whole()
+    for _ in range(missed):
+        cycle = bus.begin()
+        bus.take(bus.sync(), bus.frames_of(cycle, 1))
+        assert bus.valid(cycle) == [False, True]
+    after = [bus.whole()[0] for _ in range(8)]
+    if missed == 1:
+        assert after == [True] * 8
+    elif rest_ns == QUIET_NS:
+        assert after == [False] + [True] * 7
+    else:
+        assert after == [False] * 5 + [True] * 3
+
+
 def test_old_answers_of_a_board_that_goes_on_at_the_end_of_a_cycle_do_not_end_its_debt() -> None:
     bus = Bus("window")
     bus.whole()
@@ -211,7 +249,7 @@ def test_frames_lost_by_the_gateway_itself_cost_the_cycles_between_which_a_sync_
     health = Health()
     health.look(frames(0), State.ACTIVE, 1, 0)
     gathering.take(0, bus.frames_of(new, 0, 1), health, 0.0)
-    assert bus.valid(old) == [False, False]
+    assert bus.valid(old) == ([False, True] if identity == "alternating" else [False, False])
     assert bus.valid(new) == [False, False]
 
 

@@ -27,7 +27,7 @@ from gateway.loop import LOOK_PERIOD_S
 from gateway.nmt_master import PAUSES_S, NmtMaster
 from gateway.sdo import TIMEOUT_S
 from tests.bus.harness import frame
-from tests.gateway.helpers import PERIOD_S, EndOfWire, World, valid
+from tests.gateway.helpers import PERIOD_S, EndOfWire, World, swap_mapping, valid
 from tests.layouts import buses, small_contract, small_layout
 
 HEARTBEAT_S = 1.0
@@ -242,6 +242,22 @@ def test_command_of_another_master_during_a_proof_is_not_forgotten(world: World)
     world.step()
     world.until_whole(SOON_S + 2 * PERIOD_S)
     assert state_of(world, 0, 1) is NmtState.OPERATIONAL
+
+
+def test_answer_that_a_board_gave_before_a_write_and_sends_after_it_proves_nothing(world: World) -> None:
+    world.until_whole(2.0)
+    node = world.gateway.masters[0].nodes[1]
+    world.wires[0].holds = lambda each: each["can_id"] == SDO_RESPONSE_BASE + 1
+    while node.dialogue is None:
+        world.step()
+    swap_mapping(world, 0, 1)
+    while node.dialogue is not None:
+        world.step()
+    while node.dialogue is None:  # the proof after the write
+        world.step()
+    world.wires[0].holds = None
+    world.wires[0].release(world.wires[0].waiting)
+    assert not any(world.wrong_blocks(each) for each in world.run(2.0))
 
 
 def wide_contract(*nodes: int) -> Contract:

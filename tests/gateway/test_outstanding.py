@@ -21,7 +21,7 @@ class Asking:
 
     def ask(self, time_ns: int, window_ns: int = WINDOW_NS) -> list[int]:
         self.now_ns = time_ns
-        ask(0, time_ns, window_ns, self.table, self.outstanding)
+        ask(0, 0, time_ns, window_ns, self.table, self.outstanding)
         return np.flatnonzero(self.outstanding.may_be_old).tolist()
 
     def rest(self, time_ns: int) -> None:

@@ -1,4 +1,4 @@
-"""Stock boards behind adapters whose echo of SYNC proves nothing: whatever waits where, no valid block is wrong."""
+"""Boards behind adapters whose echo of SYNC proves nothing: whatever waits where, no valid block is wrong."""
 
 from collections import deque
 from dataclasses import dataclass
@@ -14,11 +14,13 @@ from dbc.canopen import SYNC_COB_ID
 from dbc.frame import ECHO, Frames
 from gateway.collector import BEHIND_CYCLES
 from tests.gateway.helpers import BOUND_S, PERIOD_S, RANDOM, EndOfWire, Wire, World, skip_pauses, valid
-from tests.layouts import small_contract
+from tests.layouts import IDENTITIES, small_contract
 
-CONTRACT = small_contract()
-NODES = [(node.bus, node.node_id) for node in CONTRACT.nodes]
+CONTRACTS = {identity: small_contract(identity=identity) for identity in IDENTITIES}
+NODES = [(node.bus, node.node_id) for node in CONTRACTS["window"].nodes]
 STEPS_PER_PERIOD = 4
+
+both = pytest.mark.parametrize("identity", IDENTITIES)
 
 
 class Fifo:
@@ -143,9 +145,9 @@ def happen(world: AdapterWorld, what: tuple) -> None:
 
 
 @settings(RANDOM, max_examples=25)
-@given(st.lists(EVENTS, min_size=1, max_size=12))
-def test_whatever_waits_in_adapters_and_boards_no_valid_block_is_wrong(events: list[tuple]) -> None:
-    world = AdapterWorld(CONTRACT)
+@given(st.sampled_from(IDENTITIES), st.lists(EVENTS, min_size=1, max_size=12))
+def test_whatever_waits_in_adapters_and_boards_no_valid_block_is_wrong(identity: str, events: list[tuple]) -> None:
+    world = AdapterWorld(CONTRACTS[identity])
     world.until_whole(3.0)
     for what in events:
         happen(world, what)
@@ -159,9 +161,10 @@ def test_whatever_waits_in_adapters_and_boards_no_valid_block_is_wrong(events: l
     world.until_whole(BOUND_S)
 
 
+@both
 @pytest.mark.parametrize("delay", [(0, 0), (1, 0), (0, 1), (1, 1)])
-def test_behind_an_adapter_that_is_quick_enough_every_block_is_valid(delay: tuple[int, int]) -> None:
-    world = AdapterWorld(CONTRACT)
+def test_behind_an_adapter_that_is_quick_enough_every_block_is_valid(delay: tuple[int, int], identity: str) -> None:
+    world = AdapterWorld(CONTRACTS[identity])
     for bus in (0, 1):
         wire = world.adapter(bus)
         wire.transmit.delay_ns, wire.receive.delay_ns = (round(each * world.step_s * 1e9) for each in delay)
@@ -172,14 +175,20 @@ def test_behind_an_adapter_that_is_quick_enough_every_block_is_valid(delay: tupl
         assert each.sampled_error_ns == (pytest.approx(late_ns, abs=2e6) if late_ns else UNKNOWN_ERROR_NS)
 
 
-def test_a_late_board_is_valid_again_when_it_has_paid_and_a_lost_answer_costs_a_reset() -> None:
-    world = AdapterWorld(CONTRACT)
+@both
+def test_a_late_board_is_valid_again_when_it_has_paid_and_lost_answers_cost_a_reset(identity: str) -> None:
+    """With two phases, one lost answer costs no reset."""
+    world = AdapterWorld(CONTRACTS[identity])
     world.until_whole(3.0)
     happen(world, ("hang", NODES[0], 2))
     assert world.checked(3 * PERIOD_S) < 1.0
     assert world.checked(3 * PERIOD_S) == 1.0
+    if identity == "alternating":
+        happen(world, ("lose", NODES[0], 1))
+        world.checked(PERIOD_S)
+        assert world.checked((BEHIND_CYCLES + 8) * PERIOD_S) == 1.0
     assert not any("reset" in line for line in world.lines)
-    happen(world, ("lose", NODES[0], 1))
+    happen(world, ("lose", NODES[0], CONTRACTS[identity].phases))
     world.checked((BEHIND_CYCLES + 8) * PERIOD_S)
     world.until_whole(BOUND_S)
     assert any("an answer to SYNC did not come" in line and "communication reset" in line for line in world.lines)

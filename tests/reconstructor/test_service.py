@@ -17,6 +17,7 @@ from canskin.errors import InputError
 from canskin.fabric import Fabric
 from canskin.messages import CONTACTS, IMAGE, MEASUREMENT, Contacts, Image, Measurement
 from reconstructor import command
+from reconstructor.array_api import NUMPY
 from reconstructor.engine import Reconstructor
 from reconstructor.imaging import make_imager
 from reconstructor.options import SolverOptions
@@ -210,12 +211,16 @@ def test_unclipped_noise_has_no_bias_to_correct() -> None:
         make_imager(load_layout(Path("analogue")), SolverOptions(noise_n=1e-3))
 
 
-def test_adaptive_sums_take_each_solver_without_a_memory_of_cycles(golf: Scene) -> None:
+def test_adaptive_sums_take_each_solver_without_a_memory_of_cycles(
+    golf: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """NumPy stands for a GPU."""
+    monkeypatch.setattr("reconstructor.options.array_library", lambda _: NUMPY)
     true, layout = golf.true[30], ADAPTIVE_SKIN
     sums = decode_adaptive(adaptive_measurement(true, layout=layout), layout.operator())
     half = np.arange(len(sums.known)) % 2 == 0
     for name in ("variation", "spun", "paper", "paper-contourlet"):
-        imager = make_imager(layout, SolverOptions(solver=name))
+        imager = make_imager(layout, SolverOptions(solver=name, device="gpu" if name == "variation" else "cpu"))
         image, used = imager.solve(sums)
         assert used.all()
         assert psnr_db(image[None], true[None])[0] > 40, name

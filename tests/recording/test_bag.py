@@ -1,6 +1,5 @@
 """A recording as a bag of ROS 2, read by rosbags, and by the mcap library and pycdr2."""
 
-import re
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +12,7 @@ from canskin.errors import InputError, RunError
 from dbc.contract import Contract
 from recording.export_command import export
 from recording.sinks import McapSink
+from tests.documents import block
 from tests.recording.helpers import COUNT, OFFSET_NS, SET_NS, pixels
 from tests.views.ros2 import reader
 
@@ -54,7 +54,7 @@ def test_bag_has_the_topics_of_skin_ros2(bag: Path) -> None:
 
 
 def test_the_code_of_the_page_reads_a_bag(bag: Path) -> None:
-    *_, code = re.findall(r"```python\n(.*?)```", Path("docs/ros2.md").read_text(), re.DOTALL)
+    code = block("docs/ros2.md", "AnyReader(")
     shapes = []
     names = {"on_image": lambda image: shapes.append((image.height, image.width))}
     exec(code.replace("run-bag", str(bag)).replace("/skin/", "/small/"), names)  # noqa: S102 - our own page

@@ -1,7 +1,6 @@
 """One key: recording, cycle and time_ns are the same in every table, array, bag and view of a run."""
 
 import hashlib
-import re
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +8,6 @@ import pandas as pd
 import pyarrow.parquet
 import pytest
 
-from calibration import recorded
 from dbc.contract import Contract
 from reconstructor.imaging import make_imager
 from recording import rebuild_command
@@ -20,9 +18,9 @@ from recording.steps import steps_of
 from shell.service import StopSignal
 from skin.mcap_file import RECORDING, read_about, recording_id, wall_offset_ns
 from skin.wall_times import recorded_wall_times
+from tests.documents import block
 from tests.recording.helpers import COUNT, OFFSET_NS, SET_NS
 
-DOCUMENT = Path(recorded.__file__).parents[1] / "docs" / "recording.md"
 TIMES_NS = [OFFSET_NS + 10 * cycle + SET_NS * (cycle > 2) for cycle in range(1, COUNT + 1)]
 KEY = ["recording", "cycle", "time_ns"]
 
@@ -32,9 +30,7 @@ def test_the_document_joins_the_tables(
 ) -> None:
     monkeypatch.chdir(run.parent)
     export(str(run), to="parquet")
-    found = re.search(r"```python\n(import pandas.*?)```", DOCUMENT.read_text(), re.DOTALL)
-    assert found is not None
-    exec(found[1], {})  # noqa: S102
+    exec(block("docs/recording.md", "pandas"), {})  # noqa: S102
     assert capsys.readouterr().out.split()[:3] == ["label", "cup", "0.25"]
 
 

@@ -269,6 +269,15 @@ def test_labels_that_cannot_be_recorded_are_refused(
         record_command._labels(labels, tmp_path / name)
 
 
+def test_messages_alone_are_no_log_of_frames(
+    layout_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(StopSignal, "install", lambda self: self)
+    of = SkinOptions(layout=layout_file, connect=free_endpoint())
+    with pytest.raises(InputError, match="--no-frames: expected a recording that ends in"):
+        record_command.record(tmp_path / "run.log", of=of, frames=False)
+
+
 @pytest.mark.parametrize(
     ("name", "buses", "words"), [("run.xyz", 1, "expected a file that ends in"), ("run.csv", 2, "does not tell")]
 )

@@ -12,7 +12,7 @@ from canskin.errors import BusError, InputError, LayoutError
 from canskin.fabric import Fabric
 from shell import skin_options
 from shell.command import main
-from shell.skin_options import SkinOptions, differences, join
+from shell.skin_options import SkinOptions, join
 from skin.layout import Layout, layout_text, load_layout, parse_layout
 from tests.layouts import layout_toml
 
@@ -141,14 +141,3 @@ def test_two_names_are_refused() -> None:
 def test_verbs_without_services_take_the_default_skin() -> None:
     assert SkinOptions().find(needs_hub=False) == load_layout()
     assert SkinOptions().find(recording=Path("run.log"), needs_hub=False) == load_layout()
-
-
-def test_differences_name_the_path_and_both_values() -> None:
-    buses = [msgspec.structs.replace(PALM.bus[0], bitrate=500_000), *PALM.bus[1:]]
-    other = msgspec.structs.replace(PALM, bus=buses, taxels=msgspec.structs.replace(PALM.taxels, untouchable=[3]))
-    pair = msgspec.to_builtins(PALM), msgspec.to_builtins(other)
-    assert list(differences(*pair)) == [
-        "`$.taxels.untouchable` is not given, there [3]",
-        "`$.bus[0].bitrate` is 1000000, there 500000",
-    ]
-    assert list(differences(*pair[:1] * 2)) == []

@@ -18,6 +18,7 @@ from skin.layout import (
     Layout,
     PhiParameters,
     Recognition,
+    Region,
     Sync,
     Taxels,
     layout_text,
@@ -270,6 +271,7 @@ def test_the_page_names_every_key() -> None:
         "recognition": Recognition,
         "encoding": Encoding,
         "device": Device,
+        "region": Region,
         "bus": Bus,
         "bus.foreign": ForeignMessage,
     }

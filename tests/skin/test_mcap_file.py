@@ -20,6 +20,7 @@ from skin.mcap_file import (
     read_about,
     read_entries,
     read_topics,
+    span_ns,
 )
 
 COUNT = 20
@@ -68,6 +69,21 @@ def test_readers_of_others_find_index_and_messages(tmp_path: Path) -> None:
     assert [each.topic for each in summary.channels.values()] == ["frames/left"]
     late = reader.iter_messages(starting_at=1_000_000_000 + COUNT - 2)
     assert [message.data[0] for _, _, message in late] == [COUNT - 2, COUNT - 1]
+
+
+@pytest.mark.parametrize("closes", [True, False])
+def test_what_comes_from_a_time_on_is_read_alone(tmp_path: Path, *, closes: bool) -> None:
+    path = written(tmp_path / "run.mcap", closes=closes)
+    assert span_ns(path) == (1_000_000_000, 1_000_000_000 + COUNT - 1)
+    late = [entry.data[0] for entry in read_entries(path, lambda _: None, 1_000_000_000 + 17)]
+    assert late[-3:] == [17, 18, 19]
+    assert len(late) == (3 if closes else COUNT)  # without an index all of the file is read
+
+
+def test_a_recording_without_messages_has_no_span(tmp_path: Path) -> None:
+    RecordingWriter(tmp_path / "run.mcap", {}, [], 0).close()
+    with pytest.raises(InputError, match="has no messages"):
+        span_ns(tmp_path / "run.mcap")
 
 
 def test_a_file_without_end_holds_all_that_was_flushed(tmp_path: Path) -> None:

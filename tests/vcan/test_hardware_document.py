@@ -1,7 +1,6 @@
 """The commands of docs/hardware.md run as they stand, from top to bottom, on a virtual interface of a real kernel."""
 
 import os
-import re
 import shutil
 import signal
 import subprocess
@@ -9,7 +8,8 @@ import sys
 from pathlib import Path
 from typing import Final
 
-DOCUMENT: Final = Path(__file__).parents[2] / "docs/hardware.md"
+from tests.documents import ROOT, blocks
+
 #: All blocks together: a guest kernel on a shared processor takes minutes to start twenty commands.
 PATIENCE_S: Final = 840.0
 #: Stops at the first command that fails; ends what runs in the background. The test is root, so sudo is not needed.
@@ -22,12 +22,13 @@ set -x
 
 
 def test_every_block_that_needs_no_hardware_runs(tmp_path: Path) -> None:
-    blocks = re.findall(r"^```sh\n(.*?)^```$", DOCUMENT.read_text(), re.MULTILINE | re.DOTALL)
-    assert len(blocks) >= 6
+    own = Path(__file__).relative_to(ROOT).as_posix()
+    here = [each.code for each in blocks("docs/hardware.md", "sh") if each.mark == own]
+    assert len(here) >= 6
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
     log = tmp_path / "log"
     with log.open("w") as said:
-        command = [shutil.which("bash") or "bash", "-c", BEGIN + "".join(blocks)]
+        command = [shutil.which("bash") or "bash", "-c", BEGIN + "".join(here)]
         running = subprocess.Popen(
             command,
             cwd=tmp_path,

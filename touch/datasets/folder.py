@@ -18,6 +18,7 @@ import numpy as np
 
 from canskin.errors import UNDECODABLE, InputError, RunError
 from shell.output import write_file
+from skin.difference import difference
 from touch.contact import Force
 
 FORMAT: Final = "canskin data set 1"
@@ -94,14 +95,9 @@ class DatasetFolder:
         mend = "delete it or give another --out"
         if not isinstance(found, dict) or not isinstance(found.get("chunks"), dict):
             raise InputError(f"{where} a manifest that is not of '{FORMAT}': {mend}")
-        for name in ("format", "data_set", "made_by", "settings"):
-            theirs, ours = _given(found.get(name)), _given(self._manifest[name])
-            if theirs == ours:
-                continue
-            what = name, theirs, ours
-            if name == "settings" and isinstance(theirs, dict):
-                what = _first_difference(theirs, ours)
-            raise InputError(f"{where} a data set with {what[0]} {_short(what[1])}, not {_short(what[2])}: {mend}")
+        parts = ("format", "data_set", "made_by", "settings")
+        if differs := difference(*({name: each.get(name) for name in parts} for each in (found, self._manifest))):
+            raise InputError(f"{where} another data set ({differs}): {mend}")
 
     def _save_manifest(self) -> None:
         self._write(MANIFEST, msgspec.json.format(msgspec.json.encode(self._manifest), indent=1))
@@ -134,31 +130,3 @@ def alone(folder: Path) -> Iterator[None]:
         yield
     finally:
         os.close(handle)
-
-
-def _given(value: Any) -> Any:
-    """Return the settings that are on: older manifests may lack newer settings."""
-    if not isinstance(value, dict):
-        return value
-    return {name: each for name, each in value.items() if each is not None}
-
-
-def _first_difference(theirs: dict[str, Any], ours: dict[str, Any]) -> tuple[str, Any, Any]:
-    for name in sorted({*theirs, *ours}):
-        if theirs.get(name) != ours.get(name):
-            if name == "objects" and isinstance(theirs.get(name), dict):
-                return _other_objects(theirs[name], ours[name])
-            return name, theirs.get(name), ours.get(name)
-    return "settings", theirs, ours
-
-
-def _other_objects(theirs: dict[str, Any], ours: dict[str, Any]) -> tuple[str, Any, Any]:
-    if list(theirs) != list(ours):
-        return "objects", ", ".join(theirs), ", ".join(ours)
-    name = next((name for name in ours if theirs[name] != ours[name]), "")
-    return name, theirs.get(name), ours.get(name)
-
-
-def _short(value: Any) -> str:
-    text = value if isinstance(value, str) else msgspec.json.encode(value).decode()
-    return text if len(text) <= 80 else text[:77] + "..."

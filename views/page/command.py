@@ -1,57 +1,106 @@
-"""``skin view``: the web page of a skin."""
+"""``skin view``: the web page of a skin, or of a recording."""
 
 import socket
+import subprocess
+import sys
 from collections.abc import Collection
-from contextlib import closing
+from contextlib import ExitStack, closing
 from ipaddress import ip_address
-from typing import Final
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Annotated, Final
 
 import uvicorn
+from cyclopts import Parameter
+from starlette.applications import Starlette
 
+from canskin.errors import InputError, RunError
+from canskin.messages import IMAGE
 from shell.service import StopSignal, listen, say
 from shell.skin_options import SkinOptions
-from skin.layout import require_boards
+from skin.layout import RECORDING_SUFFIX, require_boards
+from skin.mcap_file import read_topics
+from views.page.actions import live_actions, playback_actions
 from views.page.app import build_app
 from views.page.feed import Feed
 from views.page.guard import LOOPBACK
+from views.page.playback import Playback
+from views.page.recorder import RecorderProcess
 
 #: When the server ends, pages get this long to close their connections.
 FAREWELL_S: Final = 1
-#: Pages send acknowledgements only.
+#: Pages send acknowledgements only over the WebSocket.
 MESSAGE_LIMIT_BYTES: Final = 1024
 
 
 def view(
+    recording: Path | None = None,
     *,
     of: SkinOptions | None = None,
     host: str = "127.0.0.1",
     port: int = 8765,
+    control: Annotated[bool, Parameter(negative=())] = False,
+    recordings: Path = Path(),
 ) -> None:
-    """Show the skin in a browser: images, label, buses and nodes.
+    """Show a skin in a browser: images, forces, label, buses and nodes; or a recording, held, moved and hurried.
 
     Parameters
     ----------
+    recording
+        A recording (.mcap): its images as they were recorded. Where it has none, ``skin replay`` makes them first.
+        Nothing is sent to a hub.
     of
         Which skin.
     host
         Address to listen on. With an address other than loopback, everybody on the network can see the skin.
     port
         Port to listen on; 0 takes a free port and prints it.
+    control
+        The page can tare, record and mark also if it listens on another address than loopback.
+    recordings
+        Folder of the recordings that the page makes; default: this one.
 
     Examples
     --------
     skin view
     skin view --connect tcp/10.0.0.5:7447 --port 0
+    skin view run.mcap
     """
     stop, of = StopSignal().install(), of or SkinOptions()
-    with listen(host, port) as listener:
+    if not recordings.is_dir():
+        raise InputError(f"--recordings {recordings}: expected a folder that exists")
+    with listen(host, port) as listener, ExitStack() as closes:
+        if recording is not None:
+            if of.connect or of.skin:
+                raise InputError("a recording has no hub: leave --connect and --skin out")
+            playback = _open(recording, of, Path(closes.enter_context(TemporaryDirectory(prefix="skin-view-"))))
+            _serve(build_app(playback, _hosts(host), playback_actions(playback)), listener)
+            return
         skin = of.find(stop)
         require_boards(skin)
-        with closing(of.join(skin, "viewer", stop)) as fabric:
-            if not stop.is_set():
-                feed = Feed(skin)
-                feed.join(fabric)
-                _serve(feed, listener, host)
+        fabric = closes.enter_context(closing(of.join(skin, "viewer", stop)))
+        if stop.is_set():
+            return
+        feed = Feed(skin)
+        feed.recorder = closes.enter_context(closing(RecorderProcess(recordings, of.endpoint, skin.name)))
+        feed.join(fabric)
+        actions = live_actions(feed, fabric, feed.recorder) if control or _is_loopback(host) else {}
+        _serve(build_app(feed, _hosts(host), actions), listener)
+
+
+def _open(recording: Path, of: SkinOptions, folder: Path) -> Playback:
+    """Return the playback of a recording; of one without images, that of its replay, which is made in `folder`."""
+    if not recording.is_file():
+        raise InputError(f"no file '{recording}': expected a recording of 'skin record'")
+    layout = of.find(recording=recording, needs_hub=False)
+    if recording.suffix.lower() != RECORDING_SUFFIX or IMAGE.name not in read_topics(recording):
+        made, given = folder / f"{recording.stem}{RECORDING_SUFFIX}", ["--layout", str(of.layout)] if of.layout else []
+        say("viewer", f"{recording} has no images: 'skin replay' makes them")
+        command = [sys.executable, "-m", "skin", "replay", str(recording), "--out", str(made), *given]
+        if subprocess.run(command, check=False).returncode:  # noqa: S603 - our own command, no shell
+            raise RunError(f"{recording}: no images can be made of it")
+        recording = made
+    return Playback(recording, layout)
 
 
 class _Server(uvicorn.Server):
@@ -65,10 +114,10 @@ class _Server(uvicorn.Server):
             say("viewer", f"web page at http://{f'[{host}]' if ':' in host else host}:{port}/")
 
 
-def _serve(feed: Feed, listener: socket.socket, host: str) -> None:
+def _serve(app: Starlette, listener: socket.socket) -> None:
     """Serve until SIGINT or SIGTERM."""
     config = uvicorn.Config(
-        build_app(feed, _hosts(host)),
+        app,
         log_config=None,
         access_log=False,
         lifespan="on",
@@ -79,6 +128,14 @@ def _serve(feed: Feed, listener: socket.socket, host: str) -> None:
         timeout_graceful_shutdown=FAREWELL_S,
     )
     _Server(config).run(sockets=[listener])
+
+
+def _is_loopback(host: str) -> bool:
+    """Tell whether a server bound to `host` is seen by programs of this machine alone."""
+    try:
+        return ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
 
 
 def _hosts(host: str) -> Collection[str] | None:

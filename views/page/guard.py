@@ -1,6 +1,8 @@
 """Access to the page's server: which hosts and origins are served, and the security headers for browsers."""
 
+import socket
 from collections.abc import Collection
+from ipaddress import ip_address
 from typing import Final
 from urllib.parse import urlsplit
 
@@ -45,7 +47,7 @@ class Guard:
             await self._app(scope, receive, send)
             return
         headers = Headers(scope=scope)
-        refusal = self._refusal(headers, scope["type"])
+        refusal = self._refusal(headers, scope.get("method", "") if scope["type"] == "http" else "websocket")
         if refusal and scope["type"] == "websocket":
             await WebSocketClose(code=1008, reason=refusal)(scope, receive, send)
         elif refusal:
@@ -53,14 +55,35 @@ class Guard:
         else:
             await self._app(scope, receive, _with_headers(send))
 
-    def _refusal(self, headers: Headers, kind: str) -> str:
+    def _refusal(self, headers: Headers, method: str) -> str:
         host = headers.get("host", "")
-        if self._hosts is not None and (urlsplit(f"//{host}").hostname or "") not in self._hosts:
+        name = urlsplit(f"//{host}").hostname or ""
+        if self._hosts is not None and name not in self._hosts:
             return f"this server does not answer to the host '{host}'"
         origin = headers.get("origin")
-        if kind == "websocket" and origin is not None and urlsplit(origin).netloc != host:
+        is_own = origin is not None and urlsplit(origin).netloc == host
+        if method == "websocket" and origin is not None and not is_own:
             return f"pages of {origin} may not read this skin"
+        return self._refusal_to_act(headers, host, name, is_own=is_own) if method == "POST" else ""
+
+    def _refusal_to_act(self, headers: Headers, host: str, name: str, *, is_own: bool) -> str:
+        if not is_own:
+            return f"only the page itself may ask for this, not {headers.get('origin', 'a program')}"
+        if self._hosts is None and not _is_this_machine(name):
+            return f"nothing is done for the host '{host}': open the page by the address of the machine"
+        if headers.get("content-type", "").partition(";")[0].strip() != "application/json":
+            return "expected Content-Type: application/json"
         return ""
+
+
+def _is_this_machine(name: str) -> bool:
+    """Tell whether a name of a host cannot have been pointed at this machine by somebody else."""
+    try:
+        ip_address(name)
+    except ValueError:
+        own = socket.gethostname().lower()
+        return name in {*LOOPBACK, own, f"{own.partition('.')[0]}.local"}
+    return True
 
 
 def _with_headers(send: Send) -> Send:

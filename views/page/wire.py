@@ -6,15 +6,17 @@ four bytes, then each picture as float32, shape (rows, columns), newtons. All li
 """
 
 import struct
+from collections.abc import Sequence
 from typing import Any
 
 import msgspec
 import numpy as np
 
-from health.notices import NMT_WORDS
+from health.nodes_why import NMT_WORDS
 from health.snapshot import Pictures, Snapshot
 from skin.layout import Layout
 from skin.plane import view_of
+from skin.regions import regions_of
 from skin.surface import Surface
 
 
@@ -31,9 +33,10 @@ def frame(snapshot: Snapshot, pictures: Pictures) -> bytes:
     return b"".join((struct.pack("<I", len(header)), header, *content))
 
 
-def greeting(layout: Layout) -> dict[str, Any]:
+def greeting(layout: Layout, actions: Sequence[str] = ()) -> dict[str, Any]:
     """Return the skin's constants for the page: sending, taxels, buses, block of each taxel, names of the NMT states.
 
+    ``actions`` are the names of what the page may ask for, ``regions`` those of parts of the skin.
     ``surface`` is None of a grid. Else it has positions and normals; `skin.plane.view_of` at first; what is then in the
     middle; and the space that the skin needs, in pitches, if it is turned to any side unless it is flat.
     """
@@ -61,6 +64,8 @@ def greeting(layout: Layout) -> dict[str, Any]:
         "blocks": layout.blocks,
         "block_of_taxel": np.where(phi.is_wired, phi.block_of_taxel, -1).tolist(),
         "buses": buses,
+        "actions": list(actions),
+        "regions": [each.name for each in regions_of(layout)[1:]],
         "nmt": {str(int(state)): word for state, word in NMT_WORDS.items()},
     }
 

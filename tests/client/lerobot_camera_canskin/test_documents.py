@@ -7,9 +7,10 @@ import pytest
 
 pytest.importorskip("lerobot", reason="NOT TESTED: the code of docs/lerobot.md, for want of lerobot")
 
-from tests.client.lerobot_camera_canskin.conftest import ROOT, LiveChain
+from tests.client.lerobot_camera_canskin.conftest import LiveChain
+from tests.documents import block
 
-RECORD, READ = re.findall(r"```python\n(.*?)```", (ROOT / "docs/lerobot.md").read_text(), re.DOTALL)
+RECORD, READ = block("docs/lerobot.md", "CanskinCamera("), block("docs/lerobot.md", "forces(")
 
 
 def test_touch_of_a_running_skin_is_recorded_and_read(

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from canskin.errors import InputError
-from evaluation.bench import missing, reconstruct, skins
+from evaluation.bench import arrays, missing, reconstruct, skins
 from evaluation.bench.command import bench
 from evaluation.bench.problem import Method, compare, make_problem
 from evaluation.bench.scenes import make_scenes, mean_over
@@ -41,6 +41,11 @@ def test_what_does_not_fit_is_refused(tmp_path: Path) -> None:
         bench("missing", meshes=tmp_path)
     with pytest.raises(InputError, match="expected a folder of meshes"):
         bench("images", meshes=tmp_path / "none")
+    for subject, options in (("skins", {"device": "gpu"}), ("reconstruct", {"library": "torch"})):
+        with pytest.raises(InputError, match="--device is of 'reconstruct', and --library of --device"):
+            bench(subject, **options)  # type: ignore[arg-type]  # of a loop
+    with pytest.raises(InputError, match="NumPy computes on a CPU"):
+        bench("reconstruct", device="gpu", library="numpy")
 
 
 @pytest.mark.slow
@@ -104,6 +109,21 @@ def test_ours_is_as_close_to_the_minimum_as_dense_fista() -> None:
             if row["method"] == "canskin":
                 assert row["gap"] == pytest.approx(dense[row["dtype"]]["gap"], rel=0.05)
     assert json.loads(json.dumps(result)) == result
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("_brief")
+def test_arrays_are_timed_against_the_compiled_solvers_and_equal_them(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(arrays, "CYCLES", {False: 40})
+    bench("reconstruct", rounds=1, device="cpu", json=True)
+    result = json.loads(capsys.readouterr().out)
+    assert "NumPy" in result["device"][0]["library"]
+    assert {row["images"] for row in result["batches"]} == set(arrays.BATCHES[False])
+    assert all(row["ratio"] > 0 and row["difference_un"] < 1 for row in result["batches"])
+    assert [row["solver"] for row in result["recordings"]] == ["live", "paper"]
+    assert all(row["difference_un"] < 50 and row["largest_loss_db"] < 0.01 for row in result["recordings"])
 
 
 @pytest.mark.slow

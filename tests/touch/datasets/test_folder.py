@@ -56,14 +56,14 @@ def test_a_damaged_file_does_not_count(tmp_path: Path, harm: str) -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"data_set": "classification"}, "with data_set acquisition, not classification"),
-        ({"made_by": "canskin 2"}, "with made_by canskin 1, not canskin 2"),
-        ({"settings": {**ABOUT["settings"], "seed": 1}}, "with seed 0, not 1: delete it or give another --out"),
-        ({"settings": {**ABOUT["settings"], "dead": 0.5}}, r"with dead null, not 0\.5"),
-        ({"settings": {"seed": 0, "objects": {"cup": {"spheres": 3}}}}, "with objects cup, drill, not cup"),
+        ({"data_set": "classification"}, "`.*data_set` is 'acquisition', there 'classification'"),
+        ({"made_by": "canskin 2"}, "made_by` is 'canskin 1', there 'canskin 2'"),
+        ({"settings": {**ABOUT["settings"], "seed": 1}}, "seed` is 0, there 1.: delete it or give another --out"),
+        ({"settings": {**ABOUT["settings"], "dead": 0.5}}, r"dead` is not given, there 0\.5"),
+        ({"settings": {"seed": 0, "objects": {"cup": {"spheres": 3}}}}, "objects.drill` is {.*}, there not given"),
         (
             {"settings": {"seed": 0, "objects": {"cup": {"spheres": 3}, "drill": {"spheres": 9}}}},
-            r"with drill {\"spheres\":4}, not {\"spheres\":9}",
+            "drill.spheres` is 4, there 9",
         ),
     ],
 )

@@ -1,21 +1,20 @@
 """The code of docs/ros2.md."""
 
 import queue
-import re
-from pathlib import Path
 
 import numpy as np
 
 from canskin.fabric import Fabric
 from canskin.messages import IMAGE
 from skin.wall_times import CLOCKS, Clocks
+from tests.documents import block
 from tests.health.helpers import Messages
 from tests.views.ros2.reader import PATIENCE_S, publish
 from views.ros2.bridge import Bridge
 from views.ros2.node import RosNode
 from views.ros2.topics import FORCE_IMAGE
 
-CODE = re.findall(r"```python\n(.*?)```", Path("docs/ros2.md").read_text(), re.DOTALL)
+CODE = block("docs/ros2.md", "def on_image") + "\n" + block("docs/ros2.md", "RosReader(")
 
 
 def test_a_reader_without_ros_gets_the_images(hub: Fabric, endpoint: str, messages: Messages) -> None:
@@ -23,7 +22,7 @@ def test_a_reader_without_ros_gets_the_images(hub: Fabric, endpoint: str, messag
     node = RosNode(endpoint, domain=0, namespace="/skin", name="canskin")
     bridge = Bridge(messages.layout, fabric, node, "palm")
     came: queue.Queue[tuple[float, int]] = queue.Queue()
-    code = "\n".join(CODE[:2]).replace("tcp/127.0.0.1:7447", endpoint).replace(", on_image)", ", note)")
+    code = CODE.replace("tcp/127.0.0.1:7447", endpoint).replace(", on_image)", ", note)")
     names: dict = {"note": lambda message: came.put(names["on_image"](message))}
     exec(code, names)  # noqa: S102 - our own page
     while not bridge._publishers[FORCE_IMAGE].has_readers:

@@ -42,7 +42,7 @@ export class Heatmap extends Picture {
     const brush = this.canvas.getContext("2d");
     brush.imageSmoothingEnabled = false;
     brush.drawImage(this.small, 0, 0, this.canvas.width, this.canvas.height);
-    brush.fillStyle = getComputedStyle(document.body).backgroundColor;
+    if (this.gaps.length) brush.fillStyle = getComputedStyle(document.body).backgroundColor;
     for (const each of this.gaps) this.onCell(each, (x, y) => brush.fillRect(x, y, this.cell, this.cell));
     if (hatched.length) {
       brush.fillStyle = this.hatching(brush);

@@ -1,47 +1,38 @@
-// The tactile images side by side, their common scale, and the readout of the taxel under the pointer.
+// The tactile images, their common scale, and the readout of the taxel under the pointer.
 
+import { hasCentre, touching } from "./contacts.js";
 import { Heatmap } from "./heatmap.js";
 import { Scale } from "./scale.js";
 import { SurfacePicture } from "./surface.js";
 import { View } from "./view.js";
-import { span, spoken, write } from "./words.js";
+import { spaced, span, spoken, write } from "./words.js";
 
 const NAMES = ["image", "true", "sensor"];
+// The true and the sensor image are half as large as the reconstructed one.
+const HALF = 0.5;
 const BAR_PX = 64;
 const GAP_PX = 12;
-// Height of everything above and below the images; smallest size of a taxel, or of the image of a skin that is no grid.
-const AROUND_PX = { beside: 400, alone: 240 };
-const SMALLEST_PX = 5;
-const SMALLEST_IMAGE_PX = 320;
-const CAPTION_PX = 30;
-// Contacts described in words below the images; all are marked.
-const MOST_DESCRIBED = 3;
-
-/** The contacts that are known now. */
-const touching = ({ contacts }) => (contacts && !contacts.stale && !contacts.blind ? contacts.contacts : []);
+const CAPTION_PX = 31;
+// Narrower windows have one column; below `PHONE_PX` the images have all of its width, and the scale lies below.
+const WIDE_PX = 1000;
+const PHONE_PX = 700;
+// What the images leave to what is beside, and above and below: from `BROAD_PX` on, the history is beside them. Part of
+// the height of a window of one column.
+const BROAD_PX = 1700;
+const SIDE_PX = { broad: 560, wide: 400 };
+const AROUND_PX = { broad: 206, wide: 456 };
+const HIGH_RATIO = 0.75;
+const SMALLEST_IMAGE_PX = 384;
 
 /** Bound of the error of the sampling instant, where one is proven. */
 const bound = (error_ns) => (error_ns < 0 ? "" : `, sampled within ${(error_ns / 1000).toFixed(0)} µs`);
-
-/** Text of a place in the frame of the skin. */
-const spaced = (position_m) => `x ${position_m.map((value) => (1000 * value).toFixed(1)).join(", ")} mm`.replace(/, (.*), /, ", y $1, z ");
-
-/** Text of the strongest contacts. */
-function described(contacts, isGrid) {
-  const each = contacts.slice(0, MOST_DESCRIBED).map(({ identity, force_n, row, column, position_m, taxels, invalid_taxels, doubtful_since_mono_ns }) => {
-    const where = isGrid ? `row ${row.toFixed(1)}, column ${column.toFixed(1)}` : spaced(position_m);
-    const guessed = (invalid_taxels ? `, ${invalid_taxels} not measured` : "") + (doubtful_since_mono_ns ? ", in doubt" : "");
-    return `${identity}: ${(1000 * force_n).toFixed(0)} mN at ${where}, ${taxels} taxels${guessed}`;
-  });
-  const more = contacts.length > MOST_DESCRIBED ? [`${contacts.length - MOST_DESCRIBED} more`] : [];
-  return each.length ? `contact ${[...each, ...more].join(" · ")}` : "";
-}
 
 export class Images {
   /** `redraw()` is called when the skin was turned. */
   constructor(skin, buses, redraw) {
     this.skin = skin;
     this.view = skin.surface && new View(skin.surface);
+    const small = this.view && new View(skin.surface, this.view);
     this.buses = buses;
     this.taxel = null;
     this.block = null;
@@ -51,11 +42,16 @@ export class Images {
     this.maps = Object.fromEntries(
       NAMES.map((name) => {
         const figure = document.getElementById(`map-${name}`);
-        return [name, this.view ? new SurfacePicture(figure, this.view, pointed, redraw) : new Heatmap(figure, skin, pointed)];
+        if (!this.view) return [name, new Heatmap(figure, skin, pointed)];
+        return [name, new SurfacePicture(figure, name === "image" ? this.view : small, pointed, redraw)];
       }),
     );
     this.scale = new Scale(document.getElementById("scale"), document.getElementById("scaling"), skin);
     this.sized = "";
+    const page = document.querySelector("main");
+    this.width = page.clientWidth;
+    new ResizeObserver(() => (this.width = page.clientWidth)).observe(page);
+    this.past = document.querySelector("#map-image .past");
   }
 
   point(taxel) {
@@ -71,10 +67,13 @@ export class Images {
     this.buses.mark(block);
   }
 
-  /** Draw a frame; `lost` is the text to show when frames have stopped, else empty. */
-  draw({ snapshot, pictures }, lost) {
-    this.show(snapshot);
-    this.fit(Boolean(snapshot.truth));
+  /**
+   * Draw a frame; `hasTruth` tells whether the run has true images. `veil` says why the image is not to be trusted, and
+   * `past` of which instant it is; both may be empty.
+   */
+  draw({ snapshot, pictures }, hasTruth, veil, past) {
+    for (const name of ["true", "sensor"]) this.maps[name].figure.hidden = !hasTruth;
+    this.fit(hasTruth);
     const forces = Object.values(pictures);
     const peak = forces.reduce((most, each) => each.reduce((high, value) => Math.max(high, value), most), 0);
     const top = this.scale.top(peak);
@@ -82,33 +81,38 @@ export class Images {
     const marked = this.block === null ? [] : this.taxelsOf[this.block];
     for (const name of NAMES) {
       if (pictures[name]) this.maps[name].draw(pictures[name], top, name === "image" ? hatched : [], marked, this.taxel);
+      else this.maps[name].clear();
     }
-    if (pictures.image && !lost) this.maps.image.markContacts(touching(snapshot));
-    this.explain(snapshot, lost);
+    if (pictures.image && !veil) {
+      const [contacts, centre] = [touching(snapshot), snapshot.patches[0]];
+      this.maps.image.markContacts(contacts);
+      // The centre of pressure of a skin with one contact is that of the contact.
+      if (centre && centre.row !== null && hasCentre(snapshot) && contacts.length !== 1) this.maps.image.markCentre(centre);
+    }
+    this.past.hidden = !past;
+    write(this.past, past);
+    this.explain(snapshot, veil);
     write(document.getElementById("readout"), this.readout(snapshot, pictures));
   }
 
-  show({ truth }) {
-    document.body.classList.toggle("alone", !truth);
-    for (const name of ["true", "sensor"]) this.maps[name].figure.hidden = !truth;
-  }
-
   /** Write captions and stale marks. */
-  explain({ image, truth, figures }, lost) {
+  explain({ image, truth, figures }, veil) {
     const old = (age_s) => `stale: ${span(age_s)} old`;
     const { image: rebuilt, true: real, sensor } = this.maps;
     write(rebuilt.caption, image ? `cycle ${image.cycle}${bound(image.sampled_error_ns)}` : "");
-    rebuilt.setStale(lost || (image ? (image.stale ? old(image.age_s) : "") : "no image yet"));
-    if (!truth) return;
-    const object = truth.label ? spoken(truth.label) : "no object named";
-    write(real.caption, `${truth.of_image ? "same cycle" : `step ${truth.step}`}, ${object}`);
-    write(sensor.caption, figures.sensor_adds_noise ? "true with noise, in ADC steps" : "true in ADC steps");
-    for (const map of [real, sensor]) map.setStale(lost || (truth.stale ? old(truth.age_s) : ""));
+    rebuilt.setStale(veil || (image ? (image.stale ? old(image.age_s) : "") : "no image yet"));
+    const object = truth?.label ? spoken(truth.label) : "no object named";
+    write(real.caption, truth ? object : "");
+    write(sensor.caption, truth ? (figures.sensor_adds_noise ? "with noise" : "in ADC steps") : "");
+    for (const map of [real, sensor]) {
+      map.setStale(veil || (truth?.stale ? old(truth.age_s) : ""));
+      if (!veil && !truth) map.setNone("none of this cycle");
+    }
   }
 
   readout(snapshot, pictures) {
     const { image } = snapshot;
-    if (this.block === null) return described(touching(snapshot), !this.view) || this.advice();
+    if (this.block === null) return this.advice();
     const measured = image && !image.invalid_blocks.includes(this.block) ? "" : ", not measured";
     const where = `block ${this.block} · ${this.buses.place(this.block)}, ${this.buses.state(this.block)}${measured}`;
     if (this.taxel === null) return `${where} · ${this.taxelsOf[this.block].length} taxels outlined`;
@@ -130,33 +134,36 @@ export class Images {
     return `row ${Math.floor(taxel / this.skin.columns)}, column ${taxel % this.skin.columns}`;
   }
 
-  /** Choose the largest number of device pixels per taxel that fits the window: a whole number on a grid. */
-  fit(beside) {
-    const width = document.getElementById("images").clientWidth;
-    const wanted = `${width} ${innerHeight} ${innerWidth} ${devicePixelRatio} ${beside}`;
+  /**
+   * Choose the largest number of device pixels per taxel that fits the window: a whole number on a grid. The small
+   * images are beside the large one or below it, whichever makes the images larger.
+   */
+  fit(hasTruth) {
+    const full = this.width;
+    const wanted = `${full} ${innerHeight} ${devicePixelRatio} ${hasTruth}`;
     if (wanted === this.sized) return;
     this.sized = wanted;
     const [rows, columns] = this.view ? [this.skin.surface.height, this.skin.surface.width] : [this.skin.rows, this.skin.columns];
-    const smallest = this.view ? SMALLEST_IMAGE_PX / rows : SMALLEST_PX;
-    const images = beside ? NAMES.length : 1;
-    const wide = (perRow) => ((beside || innerWidth < 960 ? width : innerWidth * 0.5) - BAR_PX - (perRow - 1) * GAP_PX) / perRow / columns;
-    const high = (perRow) => {
-      const lines = Math.ceil(images / perRow);
-      return Math.max(smallest, ((innerHeight - AROUND_PX[beside ? "beside" : "alone"]) / lines - (lines > 1 ? CAPTION_PX : 0)) / rows);
-    };
-    // A narrow window scrolls. In a wide window choose the number of images per row that makes them largest.
-    let perRow = Math.min(images, innerWidth < 560 ? 1 : 2);
-    let size = wide(perRow);
-    if (innerWidth >= 960) {
-      size = 0;
-      for (let each = images; each >= 1; each--) {
-        const fits = Math.min(wide(each), high(each));
-        if (fits > size + 0.01) [perRow, size] = [each, fits];
-      }
-    }
-    const cell = this.view ? size * devicePixelRatio : Math.max(1, Math.floor(size * devicePixelRatio));
-    for (const map of Object.values(this.maps)) map.resize(cell);
-    this.scale.resize((rows * cell) / devicePixelRatio);
-    document.getElementById("pictures").style.setProperty("--per-row", perRow);
+    const [isPhone, isWide] = [innerWidth < PHONE_PX, innerWidth >= WIDE_PX];
+    const around = innerWidth >= BROAD_PX ? "broad" : "wide";
+    const width = full - (isPhone ? 0 : BAR_PX) - (isWide ? SIDE_PX[around] : 0);
+    const height = Math.max(SMALLEST_IMAGE_PX, isWide ? innerHeight - AROUND_PX[around] : innerHeight * HIGH_RATIO);
+    const alone = Math.min(width / columns, height / rows);
+    const beside = Math.min((width - GAP_PX) / columns / (1 + HALF), height / rows);
+    const below = Math.min(width / columns, (height - CAPTION_PX) / rows / (isPhone ? 1 : 1 + HALF));
+    const isBelow = hasTruth && (isPhone || below > beside);
+    const size = hasTruth ? (isBelow ? below : beside) : alone;
+    for (const [name, map] of Object.entries(this.maps)) this.resize(map, name === "image" ? size : size * HALF, columns, isPhone && isBelow, name);
+    document.getElementById("pictures").className = hasTruth ? (isBelow ? "below" : "beside") : "alone";
+    this.scale.resize(isPhone ? null : this.maps.image.canvas.clientHeight);
+  }
+
+  /** On a phone a grid has a few pixels more than its place, and is drawn a little smaller: no stripe stays empty. */
+  resize(map, size, columns, isFilled, name) {
+    const pixels = size * devicePixelRatio;
+    const shown = isFilled && name !== "image" ? (size * columns * 2 - GAP_PX) / 2 : size * columns;
+    if (this.view) map.resize(pixels);
+    else map.resize(Math.max(1, innerWidth < PHONE_PX ? Math.ceil(pixels) : Math.floor(pixels)));
+    if (innerWidth < PHONE_PX) map.showAt(shown);
   }
 }

@@ -1,29 +1,70 @@
-// The page: takes frames from the connection and draws the newest once per screen refresh.
+// The page: takes frames from the connection, and draws the newest, or that of the past, once per screen refresh.
 
+import { Actions, Answer, ask, drawPlaying } from "./actions.js";
 import { Buses } from "./buses.js";
-import { drawFigures } from "./figures.js";
+import { Contacts, Regions } from "./contacts.js";
+import { Figures } from "./figures.js";
+import { History } from "./history.js";
 import { Images } from "./images.js";
+import { listen } from "./keys.js";
 import { drawNotices, drawServices } from "./notices.js";
-import { Connection } from "./socket.js";
-import { write } from "./words.js";
+import { Connection, parse } from "./socket.js";
+import { Timeline } from "./timeline.js";
+import { clockTenths, write } from "./words.js";
 
 // Frames come 25 times a second. Without frames for this long, the page is stale.
 const LOST_MS = 1000;
+// Images change with every frame, figures and tables less often: nobody reads faster, and layout is dear.
+const READABLE_MS = 180;
+// A true image is missing in a frame or two when it comes late; its place stays for this time.
+const TRUTH_S = 3;
 
-let skin = "";
-let images = null;
-let buses = null;
-let frame = null;
+let skin = null;
+let parts = null; // what draws the skin
+let frame = null; // the newest
 let isDue = false;
 let lastFrameTime = Date.now();
+let readAt = -Infinity; // performance.now() when figures were last written
+let readFrame = null; // the frame that they were of
+let truthAt_s = -Infinity; // time of the newest frame with a true image
+
+const answer = new Answer();
+const history = new History(() => {
+  timeline.drawTracks();
+  parts?.contacts.drawCurves();
+});
+const timeline = new Timeline(history, { show: schedule, fetchFrame, play });
+
+async function fetchFrame(time_s) {
+  try {
+    const found = await fetch(`/api/frame?time_s=${time_s}`);
+    return found.ok ? parse(await found.arrayBuffer(), skin.rows * skin.columns) : null;
+  } catch {
+    return null;
+  }
+}
+
+async function play(request) {
+  const said = await ask("play", request);
+  if (!said.isDone) answer.say(said);
+}
 
 function setSkin(greeting) {
-  const content = JSON.stringify(greeting);
-  if (content === skin) return;
-  skin = content;
+  if (JSON.stringify(greeting) === JSON.stringify(skin)) return;
+  skin = greeting;
   frame = null;
-  buses = new Buses(greeting, (block) => images.pointBlock(block));
-  images = new Images(greeting, buses, schedule);
+  readAt = truthAt_s = -Infinity;
+  history.clear();
+  timeline.past = null;
+  const buses = new Buses(greeting, (block) => parts.images.pointBlock(block));
+  parts = {
+    buses,
+    images: new Images(greeting, buses, schedule),
+    figures: new Figures(greeting),
+    contacts: new Contacts(greeting, history),
+    regions: new Regions(greeting),
+    actions: new Actions(greeting, answer),
+  };
   document.title = `${greeting.skin} – canskin`;
   const { rows, columns, blocks, sums, block_of_taxel, surface } = greeting;
   const there = block_of_taxel.filter((block) => block >= 0).length;
@@ -51,18 +92,57 @@ function draw() {
   }
   if (!frame) return;
   const { snapshot } = frame;
-  if (!isLost) {
-    drawNotices(snapshot.notices, snapshot.time_s);
-    drawServices(snapshot);
-    drawFigures(snapshot);
-    buses.draw(snapshot.gateway);
+  const { past } = timeline;
+  const shown = past?.frame ?? frame;
+  if (shown.snapshot.truth) truthAt_s = shown.snapshot.time_s;
+  const hasTruth = Math.abs(shown.snapshot.time_s - truthAt_s) < TRUTH_S;
+  const isRead = performance.now() - readAt < READABLE_MS && !(past && shown !== readFrame);
+  if (!isRead) {
+    readAt = performance.now();
+    readFrame = shown;
+    if (!isLost) drawNews(snapshot);
+    if (past || !isLost) drawInstant(shown.snapshot, hasTruth);
   }
-  images.draw(frame, isLost ? "stale: connection lost" : "");
+  const veil = past?.isMissing ? "no picture of this instant" : isLost && !past ? "stale: connection lost" : "";
+  parts.images.draw(shown, hasTruth, veil, past ? `the past: ${clockTenths(timeline.shown_s)}` : "");
+}
+
+/** Draw what is of now, whatever instant is shown. */
+function drawNews(snapshot) {
+  drawNotices(snapshot.notices, snapshot.time_s);
+  drawServices(snapshot);
+  drawPlaying(snapshot);
+  timeline.draw(snapshot);
+  parts.actions.draw(snapshot);
+}
+
+/** Draw what belongs to one instant. */
+function drawInstant(snapshot, hasTruth) {
+  parts.figures.draw(snapshot, hasTruth);
+  parts.contacts.draw(snapshot);
+  parts.regions.draw(snapshot);
+  parts.buses.draw(snapshot);
 }
 
 const connection = new Connection(setSkin, (newest) => {
-  frame = newest;
+  frame = history.frame = newest;
   lastFrameTime = Date.now();
   schedule();
 });
 setInterval(schedule, 250);
+addEventListener("schemechange", () => {
+  timeline.drawTracks();
+  parts?.contacts.drawCurves();
+  schedule();
+});
+listen({
+  toggle: () => timeline.toggle(),
+  live: () => timeline.goLive(),
+  step: (seconds) => timeline.step(seconds),
+  record: () => parts?.actions.record(),
+  mark: () => document.querySelector("#mark input").focus(),
+  tare: () => parts?.actions.allows("tare") && parts.actions.tare.open(),
+  scale: () => document.querySelector("#scaling input:not(:checked)").click(),
+  scheme: () => document.getElementById("scheme").click(),
+  close: () => answer.close(),
+});

@@ -34,8 +34,8 @@ const about = (service) =>
     .filter(Boolean).join(", ");
 
 /** One chip per service; its title shows the version, Φ and scheduling of the service. */
-export function drawServices({ services, cut_off: isCutOff }) {
-  const names = [...EXPECTED, ...Object.keys(services).filter((name) => name.startsWith("nodes"))];
+export function drawServices({ services, cut_off: isCutOff, playback }) {
+  const names = playback ? [] : [...EXPECTED, ...Object.keys(services).filter((name) => name.startsWith("nodes") || (name === "recorder" && services[name].alive))];
   const chips = names.map((name) => ({ name, state: state(services[name], isCutOff), title: about(services[name]) }));
   const wanted = JSON.stringify(chips);
   if (list.dataset.written === wanted) return;

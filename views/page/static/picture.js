@@ -1,5 +1,7 @@
 // One tactile image on a canvas: what heat maps of grids and pictures of other skins have in common.
 
+import { write } from "./words.js";
+
 export const HATCH = { ground: "#8a9097", line: "#4d535a" };
 
 export class Picture {
@@ -23,16 +25,32 @@ export class Picture {
     this.canvas.style.height = `${height / devicePixelRatio}px`;
   }
 
+  /** Show the canvas so many CSS pixels wide, whatever pixels it has. */
+  showAt(width) {
+    this.canvas.style.width = `${width}px`;
+    this.canvas.style.height = `${(width * this.canvas.height) / this.canvas.width}px`;
+  }
+
+  /** Draw no image. */
+  clear() {
+    this.canvas.getContext("2d").clearRect(0, 0, this.canvas.width, this.canvas.height);
+  }
+
   /** The pointer's place, 0 to 1 to the right and down. */
   placeOf(event) {
     const box = this.canvas.getBoundingClientRect();
     return [(event.clientX - box.left) / box.width, (event.clientY - box.top) / box.height];
   }
 
+  /** Half the size of a mark: that of a taxel, within limits. */
+  arm() {
+    return Math.max(5, Math.min(12, this.cell / devicePixelRatio)) * devicePixelRatio;
+  }
+
   /** Draw a cross and the identity at the centre of force of each contact; those in doubt get a dashed line around. */
   markContacts(contacts) {
     const brush = this.canvas.getContext("2d");
-    const arm = Math.max(4 * devicePixelRatio, this.cell);
+    const arm = this.arm();
     brush.font = `600 ${Math.round(12 * devicePixelRatio)}px system-ui, "DejaVu Sans", sans-serif`;
     for (const contact of contacts) {
       const spot = this.spotOf(contact);
@@ -63,10 +81,37 @@ export class Picture {
     }
   }
 
+  /** Draw a diamond at the centre of pressure. */
+  markCentre(place) {
+    const spot = this.spotOf(place);
+    if (!spot) return;
+    const [x, y] = spot;
+    const brush = this.canvas.getContext("2d");
+    const arm = this.arm();
+    for (const [style, width] of [["#000000c0", 4], ["#ffd479", 1.5]]) {
+      brush.strokeStyle = style;
+      brush.lineWidth = width * devicePixelRatio;
+      brush.beginPath();
+      for (const [right, down] of [[0, -arm], [arm, 0], [0, arm], [-arm, 0]]) brush.lineTo(x + right, y + down);
+      brush.closePath();
+      brush.stroke();
+    }
+  }
+
   /** Mark the image as stale with `text`; an empty text removes the mark. */
   setStale(text) {
     this.figure.classList.toggle("stale", Boolean(text));
+    this.say(text, "veil");
+  }
+
+  /** Say why there is no image. */
+  setNone(text) {
+    this.say(text, "veil calm");
+  }
+
+  say(text, kind) {
+    this.veil.className = kind;
     this.veil.hidden = !text;
-    if (this.veil.textContent !== text) this.veil.textContent = text;
+    write(this.veil, text);
   }
 }

@@ -15,6 +15,7 @@ const HOLD_MS = 1500;
 
 export class Scale {
   constructor(root, choice, skin) {
+    this.root = root;
     this.skin = skin;
     this.canvas = root.querySelector("canvas");
     this.labels = root.querySelector("ol");
@@ -22,11 +23,13 @@ export class Scale {
     this.auto = 0;
     this.lowSince = null;
     this.shown = null;
-    this.paint();
   }
 
+  /** Stand beside an image of this height, or lie below it. */
   resize(height) {
-    this.canvas.style.height = this.labels.style.height = `${height}px`;
+    this.root.classList.toggle("lies", height === null);
+    this.canvas.style.height = this.labels.style.height = height === null ? "" : `${height}px`;
+    this.paint(height === null);
   }
 
   /** The top of the scale in newtons for images whose largest force is `peak`. */
@@ -62,14 +65,13 @@ export class Scale {
     }
   }
 
-  paint() {
+  paint(lies) {
     const steps = COLOURS.length / 3;
-    this.canvas.width = 1;
-    this.canvas.height = steps;
+    [this.canvas.width, this.canvas.height] = lies ? [steps, 1] : [1, steps];
     const brush = this.canvas.getContext("2d");
     for (let step = 0; step < steps; step++) {
       brush.fillStyle = `rgb(${COLOURS.slice(3 * step, 3 * step + 3).join(" ")})`;
-      brush.fillRect(0, steps - 1 - step, 1, 1);
+      brush.fillRect(lies ? step : 0, lies ? 0 : steps - 1 - step, 1, 1);
     }
   }
 }

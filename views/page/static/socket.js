@@ -5,7 +5,7 @@ const LONGEST_DELAY_MS = 2000;
 const SILENT_MS = 5000;
 
 /** Decode a frame: the snapshot, and the pictures by name. */
-function parse(buffer, taxels) {
+export function parse(buffer, taxels) {
   const length = new DataView(buffer).getUint32(0, true);
   const header = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 4, length)));
   const pictures = {};

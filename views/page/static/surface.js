@@ -106,6 +106,7 @@ export class SurfacePicture extends Picture {
     return [pixel - 1, pixel + 1, pixel - width, pixel + width].some((beside) => seen[beside] !== taxel);
   }
 
+  /** The pixel of a place; null where its normal faces away. */
   spotOf({ position_m, normal }) {
     return this.view.spotOf(position_m, normal);
   }

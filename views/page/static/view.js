@@ -11,11 +11,16 @@ export const BACK = -2;
 const dot = (axis, [x, y, z]) => axis[0] * x + axis[1] * y + axis[2] * z;
 
 export class View {
-  /** `surface` is that of the greeting, see views/page/wire.py. */
-  constructor(surface) {
+  /** `surface` is that of the greeting, see views/page/wire.py; a view of another size turns with `main`. */
+  constructor(surface, main = null) {
     this.surface = surface;
-    this.places = surface.positions_m.map((place) => this.scaled(place));
-    this.home();
+    this.places = main?.places ?? surface.positions_m.map((place) => this.scaled(place));
+    this.pose = main?.pose ?? {};
+    if (!main) this.home();
+  }
+
+  get axes() {
+    return this.pose.axes;
   }
 
   scaled(position_m) {
@@ -25,8 +30,7 @@ export class View {
 
   /** Look at the skin as at first: the axes are unit vectors to the right, down and away. */
   home() {
-    this.axes = this.surface.view;
-    this.isOld = true;
+    this.pose.axes = this.surface.view;
   }
 
   /** Turn the side that is seen to the right and down, radians. */
@@ -38,8 +42,7 @@ export class View {
     let [x, y, away] = this.axes;
     [x, away] = turned(x, away, toRight);
     [y, away] = turned(y, away, down);
-    this.axes = [x, y, away];
-    this.isOld = true;
+    this.pose.axes = [x, y, away];
   }
 
   /** Give a pitch `cell` device pixels. */
@@ -49,12 +52,12 @@ export class View {
     this.height = Math.round(this.surface.height * cell);
     this.taxels = new Int32Array(this.width * this.height);
     this.depths = new Float32Array(this.width * this.height);
-    this.isOld = true;
+    this.drawn = null; // the axes of `taxels`
   }
 
-  /** The pixel of a place on the skin with this normal; null where it faces away. */
-  spotOf(position_m, normal) {
-    if (dot(this.axes[2], normal) > 0) return null;
+  /** The pixel of a place on the skin; null where its normal, if it has one, faces away. */
+  spotOf(position_m, normal = null) {
+    if (normal && dot(this.axes[2], normal) > 0) return null;
     return this.pixelOf(this.scaled(position_m));
   }
 
@@ -64,12 +67,12 @@ export class View {
 
   /** The taxel at each pixel, row by row, or NOTHING or BACK. */
   seen() {
-    if (this.isOld) {
+    if (this.drawn !== this.axes) {
       this.taxels.fill(NOTHING);
       this.depths.fill(Infinity);
       this.places.forEach((place, taxel) => this.put(taxel, place, this.axes.map((axis) => dot(axis, this.surface.normals[taxel]))));
       this.runs = this.runsOf(this.taxels);
-      this.isOld = false;
+      this.drawn = this.axes;
     }
     return this.taxels;
   }

@@ -1,0 +1,129 @@
+"""``skin bench reconstruct --device``: the solvers on arrays against the compiled solvers of one core of the CPU."""
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from typing import Any, Final
+
+import numpy as np
+
+from evaluation.bench.timing import race
+from evaluation.result import Row
+from evaluation.solvers.noiselet import Noiselet, noiselet
+from evaluation.solvers.noiselet_solver import NoiseletSolver
+from reconstructor.array_api import ArrayLibrary, BatchSolver
+from reconstructor.checks import Values
+from reconstructor.engine import make_solver, reconstruct
+from reconstructor.settings import PAPER, PRESETS, SPUN, VARIATION, SolverSettings
+from skin.layout import load_layout
+from skin.measurement import Sbhe
+from skin.psnr import psnr_series_db
+from skin.taxel import sense
+from touch.contact import Grid, press_along
+from touch.objects import spheres_of
+from touch.trajectory import paper_pose
+
+#: Images solved together, on a GPU and on a CPU.
+BATCHES: Final = {True: (1, 128, 1024, 4096), False: (1, 32)}
+#: Cycles of the recording, likewise: the frames forwards and backwards, each with noise of its own.
+CYCLES: Final = {True: 6000, False: 120}
+#: Frames of the paper's trajectory, and its steps from frame to frame.
+FRAMES: Final = 60
+STEP: Final = 7
+#: Where the ball has been pressed in, and slides.
+FIRST: Final = 1500
+
+
+def run(rounds: int, library: ArrayLibrary) -> dict[str, Any]:
+    """Return the library, a row for each solver and batch, and a row for each solver of a whole recording.
+
+    ``ratio`` is the time of the compiled solver / that of the library: above 1 the library is faster. Times of a batch
+    contain the copies of sums and images to and from the device; those of a recording the temporal filter, too.
+    """
+    true = press_along(Grid(), spheres_of("golf-ball"), [paper_pose(FIRST + STEP * k) for k in range(FRAMES)])
+    phi, products = load_layout().phi(), noiselet(64, 64, 1024)
+    solvers: dict[str, tuple[Sbhe | Noiselet, SolverSettings]] = {
+        "variation": (phi, VARIATION),
+        "spun": (phi, SPUN),
+        "paper": (phi, PAPER),
+        "paper, sym4-tensor": (phi, replace(PAPER, prior="sym4-tensor")),
+        "paper, noiselets": (products, PAPER),
+    }
+    batches = [
+        row for name, (of, settings) in solvers.items() for row in _batches(name, of, settings, true, library, rounds)
+    ]
+    recordings = [_recording(name, phi, true, library) for name in ("live", "paper")]
+    return {"device": [{"library": library.about}], "batches": batches, "recordings": recordings}
+
+
+def _batches(  # noqa: PLR0917
+    name: str, phi: Sbhe | Noiselet, settings: SolverSettings, true: Values, library: ArrayLibrary, rounds: int
+) -> list[Row]:
+    """Return the time of one image in batches of several sizes, and the largest difference from the compiled solver."""
+    sizes = BATCHES[library.on_gpu]
+    sums_n = _sums(phi, true, max(sizes))
+    compiled = make_solver(phi, 64, 64, settings) if isinstance(phi, Sbhe) else NoiseletSolver(phi, settings)
+    solver = BatchSolver(phi if isinstance(phi, Sbhe) else phi.ensemble(), 64, 64, settings, library=library)
+    batches = [solver.of_streams(size) for size in sizes]
+    calls = [_call(compiled, sums_n[0]), *(_call(each, sums_n[: each.streams]) for each in batches)]
+    wanted = calls[0]()
+    differences = [float(np.abs(call()[0] - wanted).max()) for call in calls[1:]]
+    own_s, *times_s = (float(np.median(each)) for each in race(calls, rounds))
+    return [
+        {
+            "solver": name,
+            "images": size,
+            "us_of_image": 1e6 * each_s / size,
+            "us_compiled": 1e6 * own_s,
+            "ratio": own_s * size / each_s,
+            "difference_un": 1e6 * difference,
+        }
+        for size, each_s, difference in zip(sizes, times_s, differences, strict=True)
+    ]
+
+
+def _call(solver: Any, sums_n: Values) -> Callable[[], Any]:
+    """Return a solve of sums from the image before it, to an image of NumPy; the first starts from 0."""
+    estimate = solver.new_estimate()
+
+    def solve() -> Any:
+        solver.solve(estimate, sums_n, np.ones_like(sums_n))
+        return solver.deliver(estimate)
+
+    return solve
+
+
+def _recording(name: str, phi: Sbhe, true: Values, library: ArrayLibrary) -> Row:
+    cycles = CYCLES[library.on_gpu]
+    sums_n = _sums(phi, true, cycles)
+    solve = partial(reconstruct, phi=phi, surface=load_layout().taxels.surface, settings=PRESETS[name])
+    images, times_s = [], []
+    for own in (None, library):
+        solve(sums_n, library=own)  # compiles, and takes memory
+        started_s = time.perf_counter()
+        images.append(solve(sums_n, library=own))
+        times_s.append(time.perf_counter() - started_s)
+    compiled, made = images
+    forces = _forces(true, cycles)
+    loss_db = psnr_series_db(forces, compiled) - psnr_series_db(forces, made)
+    return {
+        "solver": name,
+        "cycles": cycles,
+        "images_per_s": cycles / times_s[1],
+        "images_per_s_compiled": cycles / times_s[0],
+        "ratio": times_s[0] / times_s[1],
+        "difference_un": 1e6 * float(np.abs(made - compiled).max()),
+        "largest_loss_db": float(loss_db.max()),
+    }
+
+
+def _forces(true: Values, count: int) -> Values:
+    """Return the frames forwards, backwards, forwards and so on."""
+    there_and_back = np.concatenate((np.arange(FRAMES), np.arange(FRAMES)[::-1]))
+    return true[np.resize(there_and_back, count)]
+
+
+def _sums(phi: Sbhe | Noiselet, true: Values, count: int) -> Values:
+    felt = sense(_forces(true, count), np.random.default_rng(1))
+    return np.asarray(phi.forward(felt.reshape(count, -1)), np.float32)

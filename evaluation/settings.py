@@ -1,0 +1,60 @@
+"""``skin evaluate settings``: the settings that the paper prints, as our code has them."""
+
+import math
+from typing import Final
+
+from evaluation.observations import LABELS, OBJECTS, TAXELS, draw_split
+from evaluation.paper.pictures import SCALE_N
+from evaluation.paper.runs import NOISELET_PENALTY_N
+from evaluation.paper.sparsity import THRESHOLD_N
+from evaluation.printed import paper_value
+from evaluation.recognition.accuracy import FULL
+from evaluation.recognition.classification import CONFUSION_SIZE, SPLITS
+from evaluation.result import Options, Result, beside
+from reconstructor.bases.contourlet import LEVELS
+from reconstructor.settings import PAPER
+from skin.measurement import sbhe
+from skin.taxel import FORCE_MAX_N, NOISE_N
+from touch.classification_poses import OFFSETS_M, PERTURBATIONS, ROTATIONS_RAD
+from touch.coarse_arrays import ARRAYS, SIDE_M
+from touch.trajectory import PAPER_STEP_S, PAPER_STEPS
+
+_SPLIT: Final = draw_split(0, *FULL)
+#: Ours, by the name of the setting in ``printed.toml``.
+SETTINGS: Final[dict[str, float]] = {
+    "taxels": TAXELS,
+    "objects": OBJECTS,
+    "side of the array, mm": 1e3 * SIDE_M,
+    "steps of a trajectory": PAPER_STEPS,
+    "frequency of the steps, Hz": 1 / PAPER_STEP_S,
+    "deviation of the noise, N": NOISE_N,
+    "largest force of a taxel, N": FORCE_MAX_N,
+    "end of the colour scale, N": SCALE_N,
+    "perturbations": PERTURBATIONS,
+    "observations": len(LABELS),
+    "offsets along rows and along columns": len(OFFSETS_M),
+    "largest offset, mm": 1e3 * max(OFFSETS_M),
+    "rotations": len(ROTATIONS_RAD),
+    "largest rotation, degrees": math.degrees(max(ROTATIONS_RAD)),
+    "arrays": len(ARRAYS),
+    "threshold of Table I, N": THRESHOLD_N,
+    "taxels of a group of an SBHE": sbhe(TAXELS, TAXELS).block_size,
+    "L / largest eigenvalue": PAPER.lipschitz_ratio,
+    "λ for SBHE, N": PAPER.penalty_n,
+    "λ for noiselets, N": NOISELET_PENALTY_N,
+    "exponent of the contourlet's directions": LEVELS,
+    "observations of the development set": len(_SPLIT.development),
+    "observations of the validation set": len(_SPLIT.validation),
+    "observations of the test set": len(_SPLIT.test),
+    "splits": SPLITS,
+    "sums of the confusions": CONFUSION_SIZE,
+}
+
+
+def evaluate(_options: Options) -> Result:
+    """Return a row for each setting."""
+    rows = [
+        {"setting": name} | beside(ours, paper_value("settings", setting=name), digits=6)
+        for name, ours in SETTINGS.items()
+    ]
+    return Result("Settings that the paper prints", rows)

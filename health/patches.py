@@ -1,0 +1,86 @@
+"""The total force and the centre of pressure of each region of a skin."""
+
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+from msgspec.structs import replace
+
+from canskin.messages import Image
+from canskin.sums import doubtful_taxels
+from health.snapshot import PatchState
+from skin.layout import Layout
+from skin.regions import regions_of
+
+#: A force is doubtful if more than this part of the taxels is not measured, or of the force on doubtful taxels.
+DOUBT_RATIO: Final = 0.1
+
+Floats = npt.NDArray[np.float32]
+
+
+class Patches:
+    """Sums the forces of images by region."""
+
+    def __init__(self, layout: Layout) -> None:
+        surface, phi = layout.taxels.surface, layout.phi()
+        self._surface, self._regions = surface, regions_of(layout)
+        self._inside: Floats = np.stack([each.taxels for each in self._regions]).astype(np.float32)
+        self._limited = [number for number, each in enumerate(self._regions) if each.threshold_n is not None]
+        rows, columns = np.indices(surface.shape).reshape(2, -1)
+        self._places: Floats = np.column_stack((rows, columns, surface.positions_m)).astype(np.float32)
+        self._of_blocks: Floats = np.zeros((len(self._regions), phi.blocks), np.float32)
+        for number, region in enumerate(self._regions):
+            held = np.bincount(phi.block_of_taxel[region.taxels & phi.is_wired], minlength=phi.blocks)
+            self._of_blocks[number] = held * phi.has_sums / region.taxels.sum()
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the regions, the whole skin first."""
+        return [each.name for each in self._regions]
+
+    def total_n(self, image: Image) -> float | None:
+        """Return the force on the whole skin, newtons; None if nothing was measured."""
+        return float(np.frombuffer(image.pixels, "<f4") @ self._inside[0]) if image.valid_sums else None
+
+    def over(self, image: Image) -> list[tuple[str, float]]:
+        """Return name and force of each region whose total force is above its threshold."""
+        if not self._limited or not image.valid_sums:
+            return []
+        total_n = (self._inside[self._limited] @ np.frombuffer(image.pixels, "<f4")).tolist()
+        regions = [self._regions[number] for number in self._limited]
+        return [
+            (each.name, force_n)
+            for each, force_n in zip(regions, total_n, strict=True)
+            if each.threshold_n is not None and force_n > each.threshold_n
+        ]
+
+    def of(self, image: Image) -> list[PatchState]:
+        """Return the regions in an image."""
+        force_n = np.frombuffer(image.pixels, "<f4")
+        total_n = self._inside @ force_n
+        moments = self._inside @ (force_n[:, None] * self._places)
+        measured = self._of_blocks @ np.frombuffer(image.valid, np.uint8).astype(np.float32)
+        doubtful = doubtful_taxels(image, force_n.size)
+        in_doubt_n = np.zeros_like(total_n) if doubtful is None else self._inside @ (force_n * doubtful)
+        is_doubtful = (measured < 1 - DOUBT_RATIO) | (in_doubt_n > DOUBT_RATIO * total_n)
+        found = []
+        for number, region in enumerate(self._regions):
+            if not measured[number] or not image.valid_sums:
+                found.append(PatchState(name=region.name, force_n=None, threshold_n=region.threshold_n))
+                continue
+            whole_n = float(total_n[number])
+            patch = PatchState(
+                name=region.name,
+                force_n=whole_n,
+                threshold_n=region.threshold_n,
+                is_doubtful=bool(is_doubtful[number]),
+            )
+            found.append(patch if whole_n <= 0 else self._with_centre(patch, moments[number] / whole_n))
+        return found
+
+    def _with_centre(self, patch: PatchState, centre: Floats) -> PatchState:
+        row, column, x_m, y_m, z_m = centre.tolist()
+        if not self._surface.is_grid:
+            apart_m = np.linalg.norm(self._surface.positions_m - centre[2:], axis=1)
+            row, column = 0.0, float(apart_m.argmin())
+        return replace(patch, row=row, column=column, position_m=(x_m, y_m, z_m))

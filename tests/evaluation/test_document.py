@@ -1,0 +1,26 @@
+"""The document on the paper, the printed numbers and the stored run agree."""
+
+from docs.paper import DOCUMENT, PARTS, RESULTS, made
+from evaluation.claims import CLAIMS
+from evaluation.printed import printed
+from evaluation.reached import VERDICTS, judged, read
+
+STORED = read(RESULTS)
+
+
+def test_the_document_is_made_from_the_stored_run() -> None:
+    text = DOCUMENT.read_text("utf-8")
+    assert made(text, STORED) == text
+    assert all(f"<!-- made: {name} -->" in text for name in PARTS)
+
+
+def test_the_stored_run_has_every_printed_number_and_claim() -> None:
+    assert {each.number for each in STORED.numbers} == {each.name for each in printed().numbers}
+    assert "not measured" not in {each.verdict for each in judged(STORED.numbers)}
+    assert [row["quantity"] for row in STORED.claims] == [claim.quantity for claim in CLAIMS]
+
+
+def test_every_number_that_is_not_reached_has_a_cause_and_every_cause_a_number() -> None:
+    causes = [each.cause for each in judged(STORED.numbers) if each.verdict == VERDICTS[0]]
+    assert all(causes)
+    assert set(causes) == {each.words for each in printed().causes}
