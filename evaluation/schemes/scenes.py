@@ -33,7 +33,8 @@ SLIDE_TICKS: Final = 2400
 TICKS: Final = 1500
 #: Time for which a recorded frame is shown: a tenth of that between two readings of the mats.
 RECORDED_MS: Final = 100
-RECORDED_FRAMES: Final = 24
+#: Most milliseconds of a recording.
+RECORDED_TICKS: Final = 2400
 #: When the slap begins.
 SLAP_MS: Final = 300
 SLAP: Final = "three boxes slapped on"
@@ -267,21 +268,22 @@ def _recorded(touch: Touch) -> Force:
     """Return a recording, each frame for `Touch.frame_ms`, on the whole skin.
 
     A recording smaller than the skin is laid beside itself as often as there is room: with the next array of the file
-    each time, and from a frame that is drawn, so that no scheme sends taxels that never feel anything.
+    each time, and from a frame that is drawn, so that no scheme sends taxels that never feel anything. A recording
+    that is shown whole begins anywhere, and after its last frame the first follows.
     """
     path, random = Path(touch.name), np.random.default_rng(touch.seed)
     arrays = _arrays_of(path)
     high, wide = arrays[0].shape[1:]
     if high > SIDE or wide > SIDE:
         raise InputError(f"'{path}' has {high} x {wide} taxels: expected at most {SIDE} x {SIDE}")
-    frames = min(RECORDED_FRAMES, *map(len, arrays))
+    frames = min(max(1, RECORDED_TICKS // touch.frame_ms), *map(len, arrays))
     places = list(np.ndindex(SIDE // high, SIDE // wide))
     laid = np.zeros((frames, SIDE // high * high, SIDE // wide * wide), arrays[0].dtype)
     for number, (row, column) in enumerate(places):
         played = arrays[number % len(arrays)]
-        first = int(random.integers(len(played) - frames + 1))
-        part = laid[:, row * high : (row + 1) * high, column * wide : (column + 1) * wide]
-        part[:] = played[first : first + frames]
+        spare = len(played) - frames
+        shown_frames = (int(random.integers(spare + 1 if spare else frames)) + np.arange(frames)) % len(played)
+        laid[:, row * high : (row + 1) * high, column * wide : (column + 1) * wide] = played[shown_frames]
     largest = FORCE_MAX_N if path.suffix.lower() == RECORDING_SUFFIX else float(max(map(np.max, arrays)))
     shown = Recording((laid,), SIDE, SIDE, full_scale=touch.full_scale or largest or None)
     ticks = min(touch.ticks or frames * touch.frame_ms, frames * touch.frame_ms)

@@ -31,7 +31,7 @@ def folder(tmp_path: Path) -> Path:
 def test_a_small_recording_fills_the_skin_with_frames_drawn_by_seed(folder: Path) -> None:
     path = str(folder / "glove.csv")
     force_n = Touch(path, seed=1, frame_ms=40).load().true_n
-    assert force_n.shape == (24 * 40, 4096)
+    assert force_n.shape == (30 * 40, 4096)
     tiles = force_n[0].reshape(4, 16, 4, 16).swapaxes(1, 2).reshape(16, 256)
     assert len(np.unique(tiles, axis=0)) > 1
     lines = np.loadtxt(path, delimiter=",")
