@@ -2,16 +2,22 @@
 
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
 from canskin.errors import InputError
+from canskin.messages import IMAGE
+from dbc.contract import Contract
 from evaluation.command import evaluate as command
 from evaluation.result import Options, Row
 from evaluation.schemes.comparison import DIGITS
 from evaluation.schemes.recordings import evaluate
 from evaluation.schemes.scenes import Touch
 from evaluation.schemes.schemes import Scheme
+from recording.sinks import McapSink
+from skin.layout import load_layout
+from tests import messages as make
 
 
 @pytest.fixture
@@ -46,6 +52,17 @@ def test_the_full_scale_is_the_largest_value_or_the_given_one(folder: Path) -> N
     assert Touch(path).load().true_n.max() == pytest.approx(0.02)
     assert Touch(path, full_scale=4095.0).load().true_n.max() == pytest.approx(0.02 * 500 / 4095)
     assert Touch(path, full_scale=100.0).load().true_n.max() == pytest.approx(0.02)  # a sensor ends there
+
+
+def test_a_recording_of_a_skin_stays_in_newtons(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    sink = McapSink(path, Contract.from_layout(load_layout()), 0, 0)
+    pixels = np.zeros((64, 64), np.float32)
+    pixels[20:30, 20:30] = 0.005
+    for cycle in (1, 2):
+        sink.message(IMAGE, cycle, msgspec.msgpack.encode(make.image(cycle, pixels=pixels.tobytes())))
+    sink.close()
+    np.testing.assert_allclose(Touch(str(path)).load().true_n, np.tile(pixels.ravel(), (200, 1)))
 
 
 def test_every_scheme_has_its_verdict_and_units_are_stated(
