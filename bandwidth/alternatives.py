@@ -18,6 +18,8 @@ FD_BITRATES: Final = (2_000_000, 5_000_000, 8_000_000)
 BLOCKS_PER_NODE: Final = (1, 2, 4, 8)
 #: Blocks per node whose 16-bit sums fill a CAN FD frame.
 FD_BLOCKS: Final = 4
+#: Most samples of a taxel in a second where boards average, as in the layouts that ship.
+AVERAGED_HZ: Final = 1000.0
 
 
 @dataclass(frozen=True)
@@ -82,6 +84,18 @@ def with_sums(layout: Layout, sums: int) -> Layout:
 def with_rate(layout: Layout, rate_hz: float) -> Layout:
     """Return the layout with another rate of SYNC."""
     return msgspec.structs.replace(layout, sync=msgspec.structs.replace(layout.sync, rate_hz=rate_hz))
+
+
+def with_averages(layout: Layout) -> Layout:
+    """Return the layout of boards in cycles that average: as many whole samples a cycle as `AVERAGED_HZ` allows.
+
+    As it is where fewer than two fit, and where the taxels have no converters of their own.
+    """
+    samples = int(AVERAGED_HZ / layout.sync.rate_hz)
+    if samples < 2 or layout.taxels.is_analogue:
+        return layout
+    sampling = msgspec.structs.replace(layout.sampling, rate_hz=samples * layout.sync.rate_hz)
+    return msgspec.structs.replace(layout, sampling=sampling)
 
 
 def with_buses(layout: Layout, buses: int, like: Bus) -> Layout:

@@ -9,7 +9,7 @@ from typing import Final, Literal
 import msgspec
 
 from bandwidth.adaptive_plan import plan_adaptive, touched_load
-from bandwidth.alternatives import BLOCKS_PER_NODE, FD_BITRATES, with_bits, with_buses, with_sums
+from bandwidth.alternatives import BLOCKS_PER_NODE, FD_BITRATES, with_averages, with_bits, with_buses, with_sums
 from bandwidth.highest_rate import highest_rate_hz
 from bandwidth.plan import bus_time
 from bandwidth.response import UNBOUNDED
@@ -214,7 +214,7 @@ def _layouts(required: Requirement) -> Iterator[Layout]:
     )
     start = with_sums(start, start.places // COMPRESSIONS[0])
     if required.sending != "adaptive":
-        yield from _in_cycles(start, required)
+        yield from _in_cycles(with_averages(start), required)
     if required.sending != "synchronous" and required.rate_hz <= ADAPTIVE.default_rates_hz["sampling"]:
         yield from _on_news(start, required)
 

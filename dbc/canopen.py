@@ -79,6 +79,11 @@ SDO_BYTES: Final = 8
 EMCY_BYTES: Final = 8
 HEARTBEAT_BYTES: Final = 1
 
+#: First bytes of the answers to a block download (CiA 301, 7.2.4.3.9 to 7.2.4.3.11).
+SDO_BLOCKS_BEGUN: Final = 0xA0
+SDO_BLOCK_TAKEN: Final = 0xA2
+SDO_BLOCKS_TAKEN: Final = 0xA1
+
 
 class NmtCommand(IntEnum):
     """NMT command specifiers (CiA 301, 7.2.8.3.1)."""

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import tomli_w
 
@@ -15,10 +15,13 @@ from shell.output import check_new_path, write_file
 from shell.service import say
 from shell.terminal import Json, print_json
 from skin.importing import tables_of
-from skin.layout import Taxels, layout_text, parse_layout, validated
+from skin.layout import Layout, Taxels, layout_text, parse_layout, validated
 
 if TYPE_CHECKING:
     from demo.quality import Quality
+
+#: Most taxels whose images are predicted without being asked, in some seconds.
+PREDICTED_MAX: Final = 8192
 
 
 def design(
@@ -36,8 +39,10 @@ def design(
 ) -> int:
     """Search for a layout whose buses carry a number of taxels at a rate.
 
-    Exit code 1: no layout was found. With ``--min-psnr`` images of simulated touches are judged with 16, 8, 4, 2 and 1
-    taxels to a sum, beside the paper's bound, and the layout has the fewest sums whose images are good enough.
+    Exit code 1: no layout was found. Images of simulated touches are judged where that takes some seconds; of adaptive
+    sums, and of more than 8192 taxels, by ``skin plan --quality``. With ``--min-psnr`` they are judged with 16, 8, 4, 2
+    and 1 taxels to a sum, and the layout has the fewest sums whose images are good enough. Boards of sums in cycles
+    average up to 1000 samples a second; without the table ``sampling`` of the layout they do not.
 
     Parameters
     ----------
@@ -74,11 +79,8 @@ def design(
         check_new_path(out, "layout", ".toml")
     required = Requirement(_taxels(taxels), rate_hz=rate, buses=buses, budget=budget, can=can, sending=sending)
     found = search(required, disturbance)
-    judged: list[Quality] = []
-    if min_psnr is not None and found.layout is not None:
-        from demo.quality import qualities  # compiles a solver, which no other design needs
-
-        judged = qualities(found.layout)
+    judged: list[Quality] = [] if found.layout is None else _judged(found.layout, every=min_psnr is not None)
+    if min_psnr is not None:
         found = _good_enough(found, judged, min_psnr)
     text = None if found.layout is None else layout_text(found.layout)
     if text is not None and out is not None:
@@ -101,12 +103,28 @@ def design(
     if text is None or found.chosen is None:
         raise RunError(found.missing() or "")
     for each in judged:
-        error_mn, bound = 1e3 * each.touched_error_n, f"the paper's bound is {each.bound_sums:.0f} sums"
-        say("design", f"{each.sums} sums: {each.psnr_image_db:.1f} dB, {error_mn:.2f} mN where touched; {bound}")
+        say("design", f"images, {each.sums} sums: {each.words}; the paper's bound is {each.bound_sums:.0f} sums")
+    if not judged:
+        say("design", "images: not predicted, which takes longer than the search: 'skin plan FILE --quality'")
+    if found.layout is not None and found.layout.sends.in_cycles and found.layout.samples_per_sync > 1:
+        samples = f"{found.layout.samples_per_sync} samples of each taxel between two SYNCs"
+        say(
+            "design",
+            f"boards average {samples}, for less noise; without the table [sampling] they take one",
+        )
     unfit = sum(not each.fits for each in found.candidates)
     say("design", f"{found.chosen.words}: {found.chosen.load_words}; {unfit} others do not fit")
     print(str(out) if out is not None else text, end="\n" if out is not None else "")
     return 0
+
+
+def _judged(layout: Layout, *, every: bool) -> "list[Quality]":
+    """Return the quality of the layout, or with `every` number of sums; none where the simulation takes long."""
+    from demo.quality import qualities, quality  # compiles a solver
+
+    if every:
+        return qualities(layout)
+    return [quality(layout)] if layout.sends.in_cycles and layout.taxels.there <= PREDICTED_MAX else []
 
 
 def _good_enough(found: Search, judged: "Sequence[Quality]", min_psnr_db: float) -> Search:

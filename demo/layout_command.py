@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import tomli_w
 
-from bandwidth.alternatives import planned, with_buses
+from bandwidth.alternatives import planned, with_averages, with_buses
 from bandwidth.search import BUSES_MAX
 from bandwidth.traffic import Disturbance
 from bandwidth.wiring import wiring
@@ -28,10 +28,6 @@ from skin.surface import Surface
 
 #: Pixels between neighbours in the picture of a skin that is no grid.
 _SCALE: Final = 16
-
-
-#: Samples a second of new skins in cycles: averages of ten have less noise.
-SAMPLING_HZ: Final = 1000.0
 
 
 def layout(
@@ -104,7 +100,7 @@ def _new(taxels: Path | None, out: Path | None, modules: Path | None, sending: S
         tables.setdefault("measurement", {"wiring": "board"})
     skin = parse_layout(tomli_w.dumps(tables).encode(), str(taxels))
     if skin.sends.in_cycles:
-        tables["sampling"] = {"rate_hz": SAMPLING_HZ}
+        tables["sampling"] = {"rate_hz": with_averages(skin).sampling.rate_hz}
         if skin.measurement.chains is not None:  # boards of neighbours, of which a part of the sums is not enough
             tables["measurement"]["sums"] = skin.places
         skin = _on_buses(parse_layout(tomli_w.dumps(tables).encode(), str(taxels)))

@@ -8,11 +8,12 @@ from cyclopts import Parameter
 
 from bus.options import virtual_bit_rates
 from canskin.errors import InputError
+from demo.rate import at_rate
 from reconstructor.options import SolverOptions
 from shell.output import check_picture_path
 from shell.service import listen
 from shell.touch_options import NO_TOUCH_OPTIONS, TouchOptions
-from skin.layout import Layout
+from skin.layout import Layout, require_sending
 
 
 @Parameter(name="*")
@@ -38,6 +39,9 @@ class DemoOptions:
         File for the picture of true force, sensor signal, rebuilt image and error.
     solver
         Solver of the images, see ``skin reconstruct``.
+    sync_rate
+        SYNC rate, hertz, with as many samples in a cycle as the layout has. Default: the layout's; where too few cycles
+        are complete in the first seconds of a run of 10 s or longer, half of it, at the least an eighth.
     firmware
         Run the C firmware of the boards in place of nodes in Python, see ``skin nodes``.
     """
@@ -50,6 +54,7 @@ class DemoOptions:
     listen: str | None = None
     picture: Annotated[Path, Parameter(name=("--figure", "--picture"))] = Path("skin-demo.png")
     solver: SolverOptions | None = None
+    sync_rate: float | None = None
     firmware: Annotated[bool, Parameter(negative=())] = False
 
     def has_zero_errors(self, layout: Layout) -> bool:
@@ -61,6 +66,9 @@ class DemoOptions:
         if not 0 < self.seconds < float("inf"):
             raise InputError(f"expected a positive number of seconds, got {self.seconds:g}")
         virtual_bit_rates(layout)
+        if self.sync_rate is not None:
+            require_sending(layout, "synchronous", "--sync-rate is", "adaptive boards send as they have news")
+            at_rate(layout, self.sync_rate)
         if self.view and self.port is not None:
             listen("127.0.0.1", self.port).close()
         check_picture_path(self.picture)

@@ -1,20 +1,29 @@
-"""How good the images of a skin are with several numbers of sums: simulated touches, its nodes, its solver."""
+"""How good the images of a skin are, with its sums or other numbers of sums: simulated touches, nodes, solver."""
 
 import math
 from collections.abc import Iterator
+from itertools import pairwise
 from typing import Final, NamedTuple
 
 import msgspec
 import numpy as np
+import numpy.typing as npt
 
 from canskin.errors import LayoutError, RunError
+from dbc.adaptive import column_of
+from dbc.contract import Contract
+from dbc.frame import frame_bytes
 from demo.chain import REST_S, Nodes
+from gateway.adaptive_state import new_sums, take_all
+from nodes.adaptive.simulated import touched_frames
 from reconstructor.imaging import CycleImager
+from reconstructor.walsh import WalshReconstructor
 from skin.ground_truth import in_contact
 from skin.layout import Layout, require_sending, validated
 from skin.measured_sums import decode_measurement
 from skin.psnr import decibels
 from skin.sources import load_objects, step_rate_hz
+from skin.taxel import NOISE_N, sense, to_counts
 
 #: Time of the simulated touches: each of the five default objects touches.
 TOUCHES_S: Final = 12.0
@@ -22,6 +31,9 @@ TOUCHES_S: Final = 12.0
 TAXELS_PER_SUM: Final = (16, 8, 4, 2, 1)
 #: The constant of the paper's m ≥ 0.28 k log(p / k) (section III).
 BOUND: Final = 0.28
+
+#: Image, true forces and what the sensor reads at one instant, newtons, shape (n,).
+Moment = tuple[npt.NDArray[np.float32], npt.NDArray[np.float32], npt.NDArray[np.float32]]
 
 
 class Quality(NamedTuple):
@@ -47,6 +59,12 @@ class Quality(NamedTuple):
     touched_error_n: float
     bound_sums: float
 
+    @property
+    def words(self) -> str:
+        """PSNR and error as text."""
+        against = f"{self.psnr_image_db:.1f} dB, the sensor's {self.psnr_sensor_db:.1f} dB"
+        return f"{against}, {1e3 * self.touched_error_n:.2f} mN where touched"
+
 
 def qualities(layout: Layout, *, touches_s: float = TOUCHES_S, seed: int = 0) -> list[Quality]:
     """Return the quality of a layout with one sum for each of `TAXELS_PER_SUM` places, fewest sums first.
@@ -59,7 +77,7 @@ def qualities(layout: Layout, *, touches_s: float = TOUCHES_S, seed: int = 0) ->
         If no object touches in `touches_s`.
     """
     require_sending(layout, "synchronous", "the quality by the number of sums is", "adaptive boards send all sums")
-    return [_quality(each, touches_s, seed) for each in _layouts(layout)]
+    return [quality(each, touches_s=touches_s, seed=seed) for each in _layouts(layout)]
 
 
 def _layouts(layout: Layout) -> Iterator[Layout]:
@@ -77,31 +95,72 @@ def _layouts(layout: Layout) -> Iterator[Layout]:
             continue
 
 
-def _quality(layout: Layout, touches_s: float, seed: int) -> Quality:
-    taxels, phi, imager = layout.taxels, layout.operator(), CycleImager(layout)
-    nodes = Nodes(layout, load_objects(layout, seed=seed, rest_s=REST_S), seed=seed)
+def quality(layout: Layout, *, touches_s: float = TOUCHES_S, seed: int = 0) -> Quality:
+    """Return the quality of a layout as it is; with two states, of its images.
+
+    Boards that send in cycles lose no frame. Adaptive boards send on simulated buses, and an image is of all that has
+    come.
+
+    Raises
+    ------
+    RunError
+        If no object touches in `touches_s`.
+    """
+    taxels, wired = layout.taxels, layout.operator().is_wired
+    moments = _cycles if layout.sends.in_cycles else _news
     imaged_n2, sensed_n2, touched_n2, touched = [], [], 0.0, []
-    for _ in range(round((REST_S + touches_s) * step_rate_hz(layout))):
-        measurement = nodes.measurement(nodes.sample())
-        image_n = imager.solve(decode_measurement(measurement, phi))[0].ravel()
-        truth = nodes.truth()
-        true_n, sensor_n = (np.frombuffer(each, "<f4") for each in (truth.true, truth.sensor))
+    for image_n, true_n, sensor_n in moments(layout, touches_s, seed):
         if not in_contact(true_n, taxels.force_max_n):
             continue
-        error_n = (image_n - true_n)[phi.is_wired]
+        error_n = (image_n - true_n)[wired]
         imaged_n2.append(float(np.mean(error_n**2)))
-        sensed_n2.append(float(np.mean((sensor_n - true_n)[phi.is_wired] ** 2)))
-        is_touched = true_n[phi.is_wired] > 0
+        sensed_n2.append(float(np.mean((sensor_n - true_n)[wired] ** 2)))
+        is_touched = true_n[wired] > 0
         touched_n2 += float((error_n[is_touched] ** 2).sum())
         touched.append(int(is_touched.sum()))
     if not touched:
         raise RunError(f"nothing touched '{layout.name}' within {touches_s:g} s: expected a longer time")
     bounds = [BOUND * count * math.log(taxels.there / count) for count in touched]
+    sums = layout.operator().shape[0]
     return Quality(
-        sums=phi.shape[0],
-        sums_per_taxel=phi.shape[0] / taxels.there,
+        sums=sums,
+        sums_per_taxel=sums / taxels.there,
         psnr_image_db=float(decibels(imaged_n2, taxels.force_max_n).mean()),
         psnr_sensor_db=float(decibels(sensed_n2, taxels.force_max_n).mean()),
         touched_error_n=math.sqrt(touched_n2 / sum(touched)),
         bound_sums=float(np.median(bounds)),
     )
+
+
+def _cycles(layout: Layout, touches_s: float, seed: int) -> Iterator[Moment]:
+    """Yield each cycle of boards that send in cycles."""
+    layout = msgspec.structs.replace(layout, recognition=None)
+    phi, imager = layout.operator(), CycleImager(layout)
+    nodes = Nodes(layout, load_objects(layout, seed=seed, rest_s=REST_S), seed=seed)
+    for _ in range(round((REST_S + touches_s) * step_rate_hz(layout))):
+        measurement = nodes.measurement(nodes.sample())
+        image_n = imager.solve(decode_measurement(measurement, phi))[0].ravel()
+        truth = nodes.truth()
+        yield image_n, np.frombuffer(truth.true, "<f4"), np.frombuffer(truth.sensor, "<f4")
+
+
+def _news(layout: Layout, touches_s: float, seed: int) -> Iterator[Moment]:
+    """Yield what a receiver knows of the sums of adaptive boards at each step of a touch."""
+    contract, taxels, rng = Contract.from_layout(layout), layout.taxels, np.random.default_rng(seed)
+    source, sums = load_objects(layout, seed=seed), new_sums(layout.blocks, layout.groups)
+    proven, changed = np.ones(layout.blocks, np.bool_), np.zeros((layout.blocks, layout.groups), np.bool_)
+    step_ns, steps, buses = round(1e9 / step_rate_hz(layout)), round(touches_s * step_rate_hz(layout)), []
+    for bus, line in enumerate(layout.bus):
+        mine = slice(layout.first_block(bus), layout.first_block(bus) + line.nodes)
+        columns = [column_of(each, layout.groups, is_fd=line.fd) for each in line.ids]
+        frames = touched_frames(contract, bus, source, touches_s, seed)
+        ends = np.searchsorted(frames["time_ns"], np.arange(-1, steps) * step_ns, side="right").tolist()
+        buses.append((line.fd, mine, sums.of(mine, columns), frames, list(pairwise(ends))))
+    walsh = WalshReconstructor(layout.patches(), taxels.rows, taxels.columns, NOISE_N, taxels.surface.graph)
+    for step in range(steps):
+        for is_fd, mine, of_bus, frames, parts in buses:
+            rows = frame_bytes(frames[slice(*parts[step])])
+            take_all(rows, False, contract.law, proven[mine], of_bus, changed[mine], is_fd)
+        true_n = source.frame(step).force_n.ravel()
+        sensor_n = to_counts(sense(true_n, rng, NOISE_N, taxels.force_max_n), taxels) * taxels.newton_per_count
+        yield walsh.solve(sums.value_n.astype(np.float32)).ravel(), true_n, sensor_n.astype(np.float32)

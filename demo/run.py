@@ -3,11 +3,12 @@
 import contextlib
 import shlex
 import time
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from contextlib import ExitStack
+from functools import partial
 from math import inf
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import msgspec
 from rich.console import Console
@@ -15,17 +16,18 @@ from rich.console import Console
 from calibration.windows import tare_s
 from canskin.errors import InputError, RunError, SkinError
 from canskin.fabric import Fabric
-from canskin.messages import GATEWAY, IMAGE, LABEL, MEASUREMENT, NODES, TRUTH
+from canskin.messages import GATEWAY, IMAGE, LABEL, MEASUREMENT, NODES, TRUTH, GatewayStatus, Topic
 from canskin.state_messages import IMAGES, ImagesRequest
 from demo.options import DemoOptions
 from demo.picture import save_picture
 from demo.processor_time import ratios
+from demo.rate import JUDGED_S, LEAST_PART, LEAST_RUN_S, SETTLED_S, at_rate, is_kept
 from demo.report import WORDS, Report
 from demo.score import Score
 from demo.supervisor import Supervisor
 from shell.service import StopSignal, Talk, listen, request_real_time, say, talks
 from shell.terminal import arguments, progress
-from skin.layout import Layout
+from skin.layout import Layout, layout_text
 from skin.psnr import adds_noise
 from skin.sources import DEFAULT_OBJECTS, known_objects
 
@@ -53,10 +55,17 @@ class Run:
         self._supervisor = Supervisor(folder)
         self._alive: set[str] = set()
         self._fabric: Fabric | None = None
+        #: State of the gateway at `SETTLED_S`, with which the rate is judged.
+        self._earlier: GatewayStatus | None = None
+        self._judge_at_s = inf
         #: When images are asked for next, seconds since the first cycle.
         self._ask_at_s = 0.0
         self._console = Console(stderr=True, quiet=not talks(Talk.NORMAL))
         self._port = _page_port(options.port) if options.view else None
+        self._path = str(options.layout or "default")
+        self._lowest_hz = layout.sync.rate_hz * LEAST_PART
+        if options.sync_rate is not None:
+            self._take_rate(options.sync_rate)
 
     def execute(self, stop: StopSignal) -> Report:
         """Run the chain until the end of its time or `stop`, and return the figures.
@@ -74,13 +83,10 @@ class Run:
             last.callback(self._supervisor.stop)
             self._fabric = fabric
             self._listen(fabric)
-            self._start_services(endpoint)
-            self._await_services(stop)
-            if not stop.is_set():
-                request_real_time("demo", self._obtained)  # all messages go through this process
-                tare = "at-start" if self._options.has_zero_errors(self._layout) else "never"
-                self._supervisor.start("gateway", "gateway", *self._common(endpoint), "--tare", tare)
-                self._follow(stop, endpoint)
+            while not self._try_rate(stop, endpoint):
+                self._supervisor.stop()
+                self._supervisor.children.clear()  # services that were ended are not missed
+                self._take_rate(self._layout.sync.rate_hz / 2)
             if stop.is_set() and not self._has_started():
                 self._supervisor.stop_at_once()
                 raise KeyboardInterrupt
@@ -89,6 +95,26 @@ class Run:
                 self._supervisor.stop(name)
                 time.sleep(TURN_S)  # wait for the last frames and counters
         return self.score.report()
+
+    def _try_rate(self, stop: StopSignal, endpoint: str) -> bool:
+        """Run the chain to the end of its time; tell at once if the machine does not keep the rate."""
+        self._start_services(endpoint)
+        self._await_services(stop)
+        if stop.is_set():
+            return True
+        if not self.score.scheduling:
+            request_real_time("demo", self._obtained)  # all messages go through this process
+        tare = "at-start" if self._options.has_zero_errors(self._layout) else "never"
+        self._supervisor.start("gateway", "gateway", *self._common(endpoint), "--tare", tare)
+        return self._follow(stop, endpoint)
+
+    def _take_rate(self, rate_hz: float) -> None:
+        """Go on with a layout of another rate."""
+        self._layout = at_rate(self._layout, rate_hz)
+        path = self._folder / "layout.toml"
+        path.write_text(layout_text(self._layout))
+        self._path, self._earlier = str(path), None
+        self.score = Score(self._layout, scheduling=self.score.scheduling)
 
     def _obtained(self, scheduling: str) -> None:
         """Tell page and summary the scheduling of this process."""
@@ -110,22 +136,27 @@ class Run:
 
     @property
     def _of_layout(self) -> list[str]:
-        return ["--layout", str(self._options.layout or "default")]
+        return ["--layout", self._path]
 
     def _common(self, endpoint: str) -> list[str]:
         return [*self._of_layout, "--connect", endpoint]
 
     def _listen(self, fabric: Fabric) -> None:
-        for topic, handler in (
-            (GATEWAY, self.score.take_gateway),
-            (NODES, self.score.take_nodes),
-            (TRUTH, self.score.take_truth),
-            (MEASUREMENT, self.score.take_measurement),
-            (IMAGE, self.score.take_image),
-            (LABEL, self.score.take_label),
-        ):
-            fabric.subscribe(topic, handler)
+        takes: list[tuple[Topic, Callable[[Score, Any], None]]] = [
+            (GATEWAY, Score.take_gateway),
+            (NODES, Score.take_nodes),
+            (TRUTH, Score.take_truth),
+            (MEASUREMENT, Score.take_measurement),
+            (IMAGE, Score.take_image),
+            (LABEL, Score.take_label),
+        ]
+        for topic, take in takes:
+            fabric.subscribe(topic, partial(self._take, take))
         fabric.watch(lambda name, alive: self._alive.add(name) if alive else self._alive.discard(name))
+
+    def _take(self, take: Callable[[Score, Any], None], message: Any) -> None:
+        """Let the score of the present rate take a message."""
+        take(self.score, message)
 
     def _start_services(self, endpoint: str) -> None:
         options, start, common = self._options, self._supervisor.start, self._common(endpoint)
@@ -156,8 +187,8 @@ class Run:
                 if time.monotonic() > patience_s:
                     raise RunError(f"{', '.join(sorted(missing))} did not become ready in {READY_PATIENCE_S:g} s")
 
-    def _follow(self, stop: StopSignal, endpoint: str) -> None:
-        """Show progress until the end of the run."""
+    def _follow(self, stop: StopSignal, endpoint: str) -> bool:
+        """Show progress until the end of the run, or until the rate is not kept; tell whether it was."""
         if self._port is not None:
             self._console.print(f"web page: http://127.0.0.1:{self._port}/")
         self._console.print(f"fabric: {endpoint}", highlight=False)
@@ -178,7 +209,34 @@ class Run:
                         bar.print(event)
                 bar.update(elapsed_s, self._line())
                 self._ask_images(elapsed_s)
+                if not self._keeps_rate(elapsed_s):
+                    self.score.cpu_ratio = ratios(before, self._supervisor.processor_times(), elapsed_s)
+                    self._say_slower()
+                    return False
             self.score.cpu_ratio = ratios(before, self._supervisor.processor_times(), time.monotonic() - start_s)
+        return True
+
+    def _keeps_rate(self, elapsed_s: float) -> bool:
+        """Judge the rate once, by cycles of the first seconds; a rate that was given or is the least is kept."""
+        options, gateway = self._options, self.score.gateway
+        can_choose = options.sync_rate is None and options.seconds >= LEAST_RUN_S and self._layout.sends.in_cycles
+        if not can_choose or gateway is None or not SETTLED_S <= elapsed_s <= 2 * JUDGED_S:
+            return True
+        if self._earlier is None:
+            self._earlier, self._judge_at_s = gateway, elapsed_s + JUDGED_S - SETTLED_S
+        if elapsed_s < self._judge_at_s:
+            return True
+        self._judge_at_s = inf
+        return is_kept(self._earlier, gateway) or self._layout.sync.rate_hz / 2 < self._lowest_hz
+
+    def _say_slower(self) -> None:
+        report, rate_hz = self.score.report(), self._layout.sync.rate_hz
+        why = report.likely_cause or "other programs delay the chain"
+        say(
+            "demo",
+            f"this machine does not keep {rate_hz:g} Hz, {report.cycles_complete} of {report.cycles} cycles were"
+            f" complete: {why}. Starting again with {rate_hz / 2:g} Hz; --sync-rate {rate_hz:g} keeps the rate",
+        )
 
     def _ask_images(self, elapsed_s: float) -> None:
         """Ask for images now and then, where a skin that recognises first leaves that to programs."""

@@ -20,7 +20,7 @@ DOCS: Final = Path(__file__).parent
 DOCUMENT, RESULTS = DOCS / "paper.md", DOCS / "paper.json"
 #: A part that is made, between comments of the document.
 _PART: Final = re.compile(r"(<!-- made: (?P<name>[\w-]+) -->\n).*?(<!-- end -->)", re.DOTALL)
-_NOT_REACHED, _, _LOWER, _ = VERDICTS
+_NOT_REACHED, _, _WORSE, _ = VERDICTS
 
 
 def run(stored: Stored) -> str:
@@ -33,11 +33,10 @@ def run(stored: Stored) -> str:
 def counts(stored: Stored) -> str:
     """Count the numbers of each place by verdict."""
     rows = [{"where": each.number.where, "verdict": each.verdict} for each in judged(stored.numbers)]
-    every = sorted(grouped(rows, "where").items())
+    places = [(str(where), group) for (where,), group in sorted(grouped(rows, "where").items())]
     lines = [
         [where, len(group), *(sum(row["verdict"] == verdict for row in group) for verdict in VERDICTS)]
-        for where, group in [*every, ("all", rows)]
-        for where in [where if isinstance(where, str) else where[0]]
+        for where, group in [*places, ("all", rows)]
     ]
     return _table(["place", "numbers", *VERDICTS], lines)
 
@@ -52,9 +51,9 @@ def not_reached(stored: Stored) -> str:
     return table + "\n" + "".join(f"* **{letter}**: {cause}.\n" for cause, letter in letters.items())
 
 
-def lower(stored: Stored) -> str:
-    """Sum up what is lower than printed within the tolerance."""
-    found = [each for each in judged(stored.numbers) if each.verdict == _LOWER]
+def worse(stored: Stored) -> str:
+    """Sum up what is worse than printed, within the tolerance."""
+    found = [each for each in judged(stored.numbers) if each.verdict == _WORSE]
     groups: dict[tuple[str, ...], list[Compared]] = {}
     for each in found:
         number = each.number
@@ -99,7 +98,7 @@ def table_three(stored: Stored) -> str:
 PARTS: Final[dict[str, Callable[[Stored], str]]] = {
     "run": run,
     "not-reached": not_reached,
-    "lower": lower,
+    "worse": worse,
     "counts": counts,
     "claims": claims,
     "table-1": table_one,

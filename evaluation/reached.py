@@ -13,9 +13,9 @@ from evaluation.printed import Number, Rule, printed
 from evaluation.result import Options, Result, Row, write_text
 from evaluation.result_cache import LIBRARIES, code_digest
 
-Verdict = Literal["not reached", "not measured", "lower, within the tolerance", "reached"]
+Verdict = Literal["not reached", "not measured", "worse, within the tolerance", "reached"]
 #: In the order in which they are shown.
-VERDICTS: Final[tuple[Verdict, ...]] = ("not reached", "not measured", "lower, within the tolerance", "reached")
+VERDICTS: Final[tuple[Verdict, ...]] = ("not reached", "not measured", "worse, within the tolerance", "reached")
 #: Subjects whose rows have numbers that the paper prints.
 SUBJECTS: Final = tuple(dict.fromkeys(each.subject for each in printed().numbers))
 #: The file of a comparison in the folder of a report.
@@ -75,7 +75,7 @@ class Compared(NamedTuple):
             return "not measured"
         if self.short > self.tolerance + 1e-9:
             return "not reached"
-        return "lower, within the tolerance" if self.short > 0 else "reached"
+        return "worse, within the tolerance" if self.short > 0 else "reached"
 
     @property
     def cause(self) -> str:

@@ -12,6 +12,7 @@ from canskin.errors import InputError
 from dbc.canopen import LSS_BIT_RATES_HZ
 from dbc.contract import Contract
 from gateway.commissioning import Commissioning
+from gateway.serial_commissioning import SerialCommissioning
 from gateway.talk import take_turn
 from gateway.touch_commissioning import TouchCommissioning, require_patches
 from shell.service import StopSignal, say
@@ -71,7 +72,7 @@ def commission(
         now_s = time.monotonic()
         if touch:
             return TouchCommissioning(contract, bus, link.send, now_s, say=_tell, bit_rate_hz=bitrate)
-        return Commissioning(contract, bus, link.send, now_s, bit_rate_hz=bitrate, renumber=renumber)
+        return SerialCommissioning(contract, bus, link.send, now_s, bit_rate_hz=bitrate, renumber=renumber)
 
     links: dict[int, Link] = {}
     runs: dict[int, Commissioning] = {}

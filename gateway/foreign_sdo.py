@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from enum import Enum, auto
 from typing import Final
 
+from dbc.canopen import SDO_BLOCKS_TAKEN
 from gateway.sdo import ATTEMPTS
 
 #: What the proof compares.
@@ -20,8 +21,6 @@ SDO_QUIET_S: Final = 0.05
 BLOCK_DOWNLOAD_S: Final = 1.0
 #: First byte of an abort (CiA 301, 7.2.4.3.17); no segment of a block download begins with it.
 _ABORT: Final = 0x80
-#: First byte of the answer that ends a block download (CiA 301, 7.2.4.3.11).
-_BLOCK_DOWNLOAD_ENDED: Final = 0xA1
 
 
 class Effect(Enum):
@@ -94,7 +93,7 @@ class ForeignClient:
 
         An answer that ends or refuses a block download ends it: what follows are requests again.
         """
-        if data[0] in (_ABORT, _BLOCK_DOWNLOAD_ENDED):
+        if data[0] in (_ABORT, SDO_BLOCKS_TAKEN):
             self._in_block_download = False
         if data[0] >> 5 not in (2, 4):  # neither the answer to an upload nor an abort
             return False

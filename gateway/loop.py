@@ -14,12 +14,12 @@ from dbc.contract import Contract, NodeContract
 from dbc.frame import Frames
 from dbc.time_of_day import time_frame
 from gateway.adaptive_gathering import RATES_HZ, AdaptiveGathering
-from gateway.commissioning import anybody_without_node_id, has_answer
 from gateway.cycle_gathering import CycleGathering
 from gateway.cycles import LATEST, SyncClock
 from gateway.gathering import Health, Sync
 from gateway.link_watch import LinkWatch
 from gateway.load import LoadMeter
+from gateway.lss_steps import anybody_without_node_id, has_answer
 from gateway.nmt_master import NmtMaster
 from gateway.outgoing import Outgoing
 from gateway.state_gathering import StateGathering

@@ -5,6 +5,7 @@ patterns alone are equal in most rows of Φ; these counts are different in every
 """
 
 from abc import ABC, abstractmethod
+from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Final
@@ -196,34 +197,37 @@ class SynchronousFrames(ExpectedFrames):
         window_us = round(window_s(self._layouts[SkinState(state)]) * 1e6)
         name = picture.name + f", {SkinState(state).name.lower()}" * (len(self.states) > 1)
         syncs = [*syncs_of(came)[SETTLING:].tolist(), len(came)]
+        #: What differs, by its kind and TPDO.
+        found: defaultdict[tuple[str, int], list[str]] = defaultdict(list)
         for counter in range(1, CYCLES + 1):
             place = f"{name}, SYNC {counter}"
             self._report.cycles += 1
             if counter >= len(syncs):
-                self._differs(f"{place}: the SYNC was not sent")
+                found["SYNC", 0].append(f"{place}: the SYNC was not sent")
                 continue
             cycle = came[syncs[counter - 1] : syncs[counter]]
             for tpdo in self._tpdos:
                 copies = cycle[(cycle["can_id"] == tpdo.cob_id) & (cycle["flags"] & ECHO == 0)]
                 is_due = tpdo.state in (None, state) and _is_due(tpdo, counter)
-                self._compare_tpdo(copies, tpdo, payloads[tpdo.cob_id], is_due, place)
-                if len(copies):
-                    late_s = (int(copies["time_ns"].max()) - int(cycle["time_ns"][0])) / 1e9
-                    self._report.latest_s = max(self._report.latest_s, late_s)
-                    if late_s * 1e6 > window_us:
-                        where = "2008h:2" if state == SkinState.RECOGNITION and len(self.states) > 1 else "1007h"
-                        late = f"TPDO {tpdo.number} ends {late_s * 1e3:.1f} ms after SYNC"
-                        self._differs(f"{place}: {late}, after {where}")
-
-    def _compare_tpdo(self, copies: Frames, tpdo: BoardTpdo, payload: bytes, is_due: bool, place: str) -> None:
-        what = f"{place}: TPDO {tpdo.number} ({tpdo.cob_id:03X}h)"
-        if len(copies) != is_due:
-            self._differs(f"{what} came {len(copies)} times, expected {int(is_due)}")
-        for each in copies[:1]:
-            self._report.frames += 1
-            data = each["data"][: each["length"]].tobytes()
-            if data != payload:
-                self._differs(f"{what} is {data.hex(' ')}, expected {payload.hex(' ')}")
+                what = f"{place}: TPDO {tpdo.number} ({tpdo.cob_id:03X}h)"
+                if len(copies) != is_due:
+                    text = f"{what} came {len(copies)} times, expected {int(is_due)}"
+                    found["came", tpdo.number].append(text)
+                if not len(copies):
+                    continue
+                self._report.frames += 1
+                data, payload = copies[0]["data"][: copies[0]["length"]].tobytes(), payloads[tpdo.cob_id]
+                if data != payload:
+                    text = f"{what} is {data.hex(' ')}, expected {payload.hex(' ')}"
+                    found["is", tpdo.number].append(text)
+                late_s = (int(copies["time_ns"].max()) - int(cycle["time_ns"][0])) / 1e9
+                self._report.latest_s = max(self._report.latest_s, late_s)
+                if late_s * 1e6 > window_us:
+                    where = "2008h:2" if state == SkinState.RECOGNITION and len(self.states) > 1 else "1007h"
+                    late = f"TPDO {tpdo.number} ends {late_s * 1e3:.1f} ms after SYNC"
+                    found["late", tpdo.number].append(f"{place}: {late}, after {where}")
+        for first, *others in found.values():
+            self._differs(first + (f", and so in {len(others)} more of {CYCLES} cycles" if others else ""))
 
 
 def _is_due(tpdo: BoardTpdo, counter: int) -> bool:

@@ -11,7 +11,15 @@ from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from dbc.canopen import FIRST_ABORT_OF_THE_OBJECT, SDO_BYTES, SDO_REQUEST_BASE, Abort
+from dbc.canopen import (
+    FIRST_ABORT_OF_THE_OBJECT,
+    SDO_BLOCK_TAKEN,
+    SDO_BLOCKS_BEGUN,
+    SDO_BLOCKS_TAKEN,
+    SDO_BYTES,
+    SDO_REQUEST_BASE,
+    Abort,
+)
 from dbc.contract import LONGEST_VALUE
 
 #: Time limit of an answer. Answers wait for the whole burst of sums: less than one period, 10 ms at 100 Hz.
@@ -29,10 +37,7 @@ _TOGGLE: Final = 0x10
 _MOST_SEGMENTS: Final = 127
 #: Bytes of a segment.
 _SEGMENT: Final = 7
-#: First bytes of the answers to a block download, and the bits that count (CiA 301, 7.2.4.3.9 to 7.2.4.3.11).
-_BLOCKS_BEGUN: Final = 0xA0
-_BLOCK_TAKEN: Final = 0xA2
-_BLOCKS_TAKEN: Final = 0xA1
+#: The bits that count of the first bytes of answers to a block download.
 _BLOCK_BITS: Final = 0xE3
 
 
@@ -302,7 +307,7 @@ class SdoDialogue:
 def _in_blocks(place: bytes, data: bytes) -> _Requests:
     """Download in blocks (CiA 301, 7.2.4.3.9 to 7.2.4.3.11), with the CRC of 7.2.4.3.16."""
     answer = yield [b"\xc6" + place + len(data).to_bytes(4, "little")]
-    while answer[0] & _BLOCK_BITS != _BLOCKS_BEGUN or answer[1:4] != place:
+    while answer[0] & _BLOCK_BITS != SDO_BLOCKS_BEGUN or answer[1:4] != place:
         answer = yield ()
     at, most, idle = 0, min(answer[4], _MOST_SEGMENTS), 0
     while at < len(data):
@@ -311,7 +316,7 @@ def _in_blocks(place: bytes, data: bytes) -> _Requests:
             bytes((number | 0x80 * (first + _SEGMENT >= len(data)),)) + data[first : first + _SEGMENT].ljust(7, b"\0")
             for number, first in enumerate(segments, 1)
         ]
-        while answer[0] & _BLOCK_BITS != _BLOCK_TAKEN or answer[1] > len(segments):
+        while answer[0] & _BLOCK_BITS != SDO_BLOCK_TAKEN or answer[1] > len(segments):
             answer = yield ()
         # What came behind a gap is sent again.
         at, most, idle = at + _SEGMENT * answer[1], min(answer[2], _MOST_SEGMENTS), 0 if answer[1] else idle + 1
@@ -319,7 +324,7 @@ def _in_blocks(place: bytes, data: bytes) -> _Requests:
             raise SdoError
     unused = -len(data) % _SEGMENT
     answer = yield [bytes((0xC1 | unused << 2,)) + binascii.crc_hqx(data, 0).to_bytes(2, "little") + bytes(5)]
-    while answer[0] & _BLOCK_BITS != _BLOCKS_TAKEN:
+    while answer[0] & _BLOCK_BITS != SDO_BLOCKS_TAKEN:
         answer = yield ()
 
 

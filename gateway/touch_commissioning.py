@@ -16,7 +16,6 @@ from bus.link import Send
 from canskin.errors import LayoutError
 from dbc import indices as od
 from dbc.canopen import (
-    FASTSCAN_ALL,
     HEARTBEAT_BASE,
     LSS_REQUEST_COB_ID,
     NMT_COB_ID,
@@ -27,15 +26,14 @@ from dbc.canopen import (
 )
 from dbc.contract import Contract, NodeContract
 from dbc.dictionary import REVISION
-from gateway.commissioning import (
+from gateway.commissioning import Board, Commissioning
+from gateway.lss_steps import (
     PATIENCE_S,
     RESET_S,
     TWO_SERIALS,
     Address,
     Answer,
     Ask,
-    Board,
-    Commissioning,
     RefusedError,
     Step,
     Steps,
@@ -43,7 +41,6 @@ from gateway.commissioning import (
     Talked,
     TroubleError,
     lss_request,
-    scan,
 )
 from gateway.sdo import Dialogue, Read, SdoError
 from gateway.touch_sensing import TouchSensing, map_of
@@ -127,7 +124,7 @@ class TouchCommissioning(Commissioning):
     def _reset(self, node_id: int) -> None:
         self._send_one(NMT_COB_ID, bytes((NmtCommand.RESET_NODE, node_id)))
 
-    def _commission(self) -> Steps:
+    def _work(self) -> Steps:
         if not (yield from self._is_alone()):
             return
         for node_id in (yield from self._numbered()):
@@ -157,9 +154,7 @@ class TouchCommissioning(Commissioning):
         # To select the serial numbers of the layout takes less time than a fastscan.
         likely = [(*mine, REVISION, board.serial) for board in self.boards.values()]
         yield from self._lend_some([each for each in likely if each not in numbered], free, is_sure=False)
-        found: dict[Address, int] = {}
-        if (yield scan(0, FASTSCAN_ALL, 0, 0)):
-            yield from self._fastscan((), found)
+        found = yield from self._unnumbered()
         for address in [each for each in found if each[:2] != mine]:
             self.strangers.append(f"{_name(address)}: not a board of this skin")
             del found[address]

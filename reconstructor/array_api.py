@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from importlib import import_module
 from math import isqrt
 from types import ModuleType
-from typing import Any, Final, Literal, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -25,7 +25,7 @@ from reconstructor.kernels.addresses import spin_shifts
 from reconstructor.kernels.graph import graph_of
 from reconstructor.kernels.problem import checked
 from reconstructor.kernels.variation import INNER
-from reconstructor.settings import SolverSettings
+from reconstructor.settings import Device, LibraryName, SolverSettings
 from shell.extras import not_installed
 from skin.matrix import MatrixPhi
 from skin.measurement import Sbhe, fast_hadamard
@@ -41,8 +41,6 @@ MOST: Final = 1 << 26
 
 Bools = npt.NDArray[np.bool_]
 Indices = npt.NDArray[np.intp]
-Device = Literal["cpu", "gpu"]
-LibraryName = Literal["cupy", "torch", "numpy"]
 
 
 @dataclass(frozen=True)
@@ -260,9 +258,7 @@ class BatchSolver:
         relative_penalty : float, or array of shape (streams,)
             λ of this solve / λ of the settings.
         """
-        shape = (self.streams, *self.shape)
-        if tuple(getattr(estimate, "shape", ())) != shape:
-            raise InputError(f"estimate: expected an array of shape {shape}, as `new_estimate` returns")
+        self._check(estimate)
         lead = (self.streams,) if self.streams > 1 or np.ndim(sums_n) > 1 else ()
         sums, counting = checked(sums_n, weights, (*lead, self.sums), self.dtype)
         if not np.all(np.isfinite(relative_penalty)) or np.any(np.asarray(relative_penalty) < 0):
@@ -285,8 +281,14 @@ class BatchSolver:
 
     def deliver(self, estimate: Any) -> npt.NDArray[np.float32]:
         """Return new NumPy images of shape (streams, rows, columns), negative forces as 0."""
+        self._check(estimate)
         images: npt.NDArray[np.float32] = np.maximum(self._library.fetch(estimate), 0).astype(np.float32)
         return images
+
+    def _check(self, estimate: Any) -> None:
+        shape = (self.streams, *self.shape)
+        if tuple(getattr(estimate, "shape", ())) != shape:
+            raise InputError(f"estimate: expected an array of shape {shape}, as `new_estimate` returns")
 
     def _solve(self, estimate: Any, gain: Any, target: Any, limit: Any) -> None:
         if self._is_scaled:

@@ -178,8 +178,6 @@ class Reconstructor:
             sums = np.ascontiguousarray(sums_n, self._kernel.dtype)
         if not filtered.take(sums, np.ascontiguousarray(valid_sums)):
             raise InputError("a valid sum is not finite, or above 1e6: expected newtons")
-        if not valid_sums.any():
-            filtered.reset()
         return filtered.sums, filtered.weights, self._relative_penalty()
 
     def solve_together(
@@ -204,6 +202,9 @@ class Reconstructor:
         penalties = np.empty(cycles, kind)
         for cycle, (came, came_valid) in enumerate(zip(sums_n, valid_sums, strict=True)):
             sums[cycle], weights[cycle], penalties[cycle] = self.average(came, came_valid)
+            if not came_valid.any():
+                self.reset()
+                weights[cycle] = 0
         parts = parts_of(cycles, self._phi.shape[1])
         kernel = self._kernel.of_streams(parts)
         estimate, images = kernel.new_estimate(), np.empty((cycles, *kernel.shape), np.float32)

@@ -1,14 +1,17 @@
 """Options of the solver, common to ``skin reconstruct`` and ``skin rebuild``."""
 
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 from cyclopts import Parameter
 
 from canskin.errors import InputError
-from reconstructor.array_api import ArrayLibrary, Device, array_library
 from reconstructor.bases.names import wavelet_basis_name
-from reconstructor.settings import SolverSettings, preset
+from reconstructor.settings import Device, SolverSettings, preset
 from skin.layout import Layout
+
+if TYPE_CHECKING:
+    from reconstructor.array_api import ArrayLibrary
 
 
 @Parameter(name="*")
@@ -45,9 +48,13 @@ class SolverOptions:
     noise_n: float | None = None
     device: Device = "cpu"
 
-    def library(self) -> ArrayLibrary | None:
+    def library(self) -> "ArrayLibrary | None":
         """Return the array library of the GPU, None for the compiled solvers of the CPU."""
-        return None if self.device == "cpu" else array_library(self.device)
+        if self.device == "cpu":
+            return None
+        from reconstructor.array_api import array_library  # compiled parts take a moment to load
+
+        return array_library(self.device)
 
     def clipped_noise_n(self, layout: Layout) -> float | None:
         """Return `noise_n`; raise InputError if the taxels of the layout are not clipped."""

@@ -244,12 +244,12 @@ def _save_csv(path: Path, tables: "Tables", _metadata: Mapping[str, str]) -> lis
 
 
 def _grid_lines(table: "Table", column: str) -> Iterator[str]:
-    """Yield the lines of images, which ``--input`` of ``skin demo`` and ``skin rebuild`` read."""
+    """Yield the lines of images with their key, which ``--input`` of ``skin demo`` and ``skin rebuild`` read."""
     _, rows, columns = table[column].shape
-    yield f"# shape: {rows} {columns}\n"
-    yield ",".join(["time_ns", *(f"r{row}c{place}" for row in range(rows) for place in range(columns))]) + "\n"
-    for time_ns, image in zip(table["time_ns"], table[column], strict=True):
-        yield ",".join([str(time_ns), *(f"{value:.7g}" for value in image.ravel().tolist())]) + "\n"
+    yield f"# shape: {rows} {columns}\n# recording: {table['recording'][0]}\n"
+    yield ",".join(["time_ns", "cycle", *(f"r{row}c{place}" for row in range(rows) for place in range(columns))]) + "\n"
+    for time_ns, cycle, image in zip(table["time_ns"], table["cycle"], table[column], strict=True):
+        yield ",".join([str(time_ns), str(cycle), *(f"{value:.7g}" for value in image.ravel().tolist())]) + "\n"
 
 
 def _write_rows(text: io.TextIOWrapper, table: "Table") -> None:

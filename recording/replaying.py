@@ -23,6 +23,8 @@ from skin.measurement import places
 
 #: Confidences that differ by less are equal: their sums depend on the labels since the classifier's start.
 CONFIDENCE_ERROR: Final = 1e-9
+#: Messages that are equal at the end of a run whose start takes most of the run.
+SETTLED: Final = 10
 #: Field of a label whose difference is one of the model.
 LABEL_NAME: Final = "label"
 #: What differs, in newtons.
@@ -74,7 +76,8 @@ class Agreement:
         what = ", ".join(f"{name} by up to {most:.2g}" if most else name for name, most in self.differs.items())
         if not self.differs:
             return "equal"
-        if 2 * self.first <= self.compared:
+        alike = self.compared - self.first  # up to the end
+        if alike >= self.first or (alike >= SETTLED and self.equal - alike <= self.first / 2):
             return f"equal but for the start, the first {self.first}: {what}"
         end = ", ".join(f"{name} by {most:.2g}" if most else name for name, most in self.last.items())
         return f"different: {what}; at the end {end or 'equal'}"

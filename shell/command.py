@@ -50,7 +50,7 @@ VERBS: Final = {
     "dbc": "nodes.contract_command:dbc",
     "contract": "nodes.contract_command:contract",
     "dbc-check": "nodes.contract_command:dbc_check",
-    "plan": "bandwidth.plan_command:plan",
+    "plan": "demo.plan_command:plan",
     "config": "demo.config_command:config",
     "design": "demo.design_command:design",
     "layout": "demo.layout_command:layout",

@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Sequence
+from itertools import takewhile
 from pathlib import Path
 from typing import Any, BinaryIO, Final
 
@@ -18,7 +19,8 @@ Counts = npt.NDArray[Any]
 _SHAPE: Final = re.compile(r"#.*?\bshape\s*[:=]?\s*\(?\s*(\d{1,6})\s*[,xX ]\s*(\d{1,6})")
 #: Possible delimiters, tried in this order.
 _DELIMITERS: Final = (";", "\t", ",")
-_TIME: Final = re.compile(r"time.*|date.*|t|t_m?s|t\s*[\[(/].*", re.IGNORECASE)
+#: Names of the first columns of a .csv that hold no force.
+_BESIDE: Final = re.compile(r"cycle|time.*|date.*|t|t_m?s|t\s*[\[(/].*", re.IGNORECASE)
 #: Arrays of a recording of ``skin record``: its images, and of simulated nodes the true forces and the sensor's.
 IN_MCAP: Final = {"image": (IMAGE, "pixels"), "true": (TRUTH, "true"), "sensor": (TRUTH, "sensor")}
 _CAN_LOGS: Final = (".log", ".asc", ".blf", ".trc", ".mf4")
@@ -134,14 +136,18 @@ def _read_csv(path: Path, skin_shape: tuple[int, int]) -> dict[str, Counts]:
     delimiter = next((each for each in _DELIMITERS if each in last), ",")
     if delimiter != ",":  # a comma is then a decimal comma
         frames = {number: text.replace(",", ".") for number, text in frames.items()}
-    header = _pop_header(frames, delimiter)
+    names = _pop_header(frames, delimiter)
     if not frames:
         raise InputError(f"'{path}' holds no frame: expected one line per frame")
     values = _values(path, frames, delimiter)
     grows = bool((np.diff(values[:, 0]) >= 0).all())
-    if _TIME.fullmatch(header) or (values.shape[1] == rows * columns + 1 and grows):
-        values = values[:, 1:]
-        say("recording", f"the first column of {path.name} is taken for the time and left out")
+    beside = sum(1 for _ in takewhile(_BESIDE.fullmatch, names))
+    if beside == 0 and values.shape[1] == rows * columns + 1 and grows:
+        beside = 1
+    if beside:
+        named = " and ".join(names[:beside]) or "the first column"
+        say("recording", f"{path.name}: {named} left out, not taken for forces")
+    values = values[:, beside:]
     if values.shape[1] != rows * columns:
         raise InputError(
             f"'{path}' has {values.shape[1]} values per line: expected {rows} x {columns} = {rows * columns}; "
@@ -150,15 +156,15 @@ def _read_csv(path: Path, skin_shape: tuple[int, int]) -> dict[str, Counts]:
     return {"": values.reshape(-1, rows, columns)}
 
 
-def _pop_header(frames: dict[int, str], delimiter: str) -> str:
-    """Remove the header line, if any, from `frames` (text by line number); return its first name."""
+def _pop_header(frames: dict[int, str], delimiter: str) -> list[str]:
+    """Remove the header line, if any, from `frames` (text by line number); return its names."""
     for number, text in frames.items():
-        first = text.split(delimiter)[0].strip().strip('"')
-        if _is_number(first):
-            return ""
+        names = [each.strip().strip('"') for each in text.split(delimiter)]
+        if _is_number(names[0]):
+            return []
         del frames[number]
-        return first
-    return ""
+        return names
+    return []
 
 
 def _values(path: Path, frames: dict[int, str], delimiter: str) -> npt.NDArray[np.float64]:

@@ -12,10 +12,10 @@ from evaluation.bench.timing import race
 from evaluation.result import Row
 from evaluation.solvers.noiselet import Noiselet, noiselet
 from evaluation.solvers.noiselet_solver import NoiseletSolver
-from reconstructor.array_api import ArrayLibrary, BatchSolver
+from reconstructor.array_api import ArrayLibrary, BatchSolver, array_library
 from reconstructor.checks import Values
 from reconstructor.engine import make_solver, reconstruct
-from reconstructor.settings import PAPER, PRESETS, SPUN, VARIATION, SolverSettings
+from reconstructor.settings import PAPER, PRESETS, SPUN, VARIATION, Device, LibraryName, SolverSettings
 from skin.layout import load_layout
 from skin.measurement import Sbhe
 from skin.psnr import psnr_series_db
@@ -35,12 +35,13 @@ STEP: Final = 7
 FIRST: Final = 1500
 
 
-def run(rounds: int, library: ArrayLibrary) -> dict[str, Any]:
+def run(rounds: int, device: Device, library: LibraryName | None) -> dict[str, Any]:
     """Return the library, a row for each solver and batch, and a row for each solver of a whole recording.
 
     ``ratio`` is the time of the compiled solver / that of the library: above 1 the library is faster. Times of a batch
     contain the copies of sums and images to and from the device; those of a recording the temporal filter, too.
     """
+    arrays = array_library(device, library)
     true = press_along(Grid(), spheres_of("golf-ball"), [paper_pose(FIRST + STEP * k) for k in range(FRAMES)])
     phi, products = load_layout().phi(), noiselet(64, 64, 1024)
     solvers: dict[str, tuple[Sbhe | Noiselet, SolverSettings]] = {
@@ -51,10 +52,10 @@ def run(rounds: int, library: ArrayLibrary) -> dict[str, Any]:
         "paper, noiselets": (products, PAPER),
     }
     batches = [
-        row for name, (of, settings) in solvers.items() for row in _batches(name, of, settings, true, library, rounds)
+        row for name, (of, settings) in solvers.items() for row in _batches(name, of, settings, true, arrays, rounds)
     ]
-    recordings = [_recording(name, phi, true, library) for name in ("live", "paper")]
-    return {"device": [{"library": library.about}], "batches": batches, "recordings": recordings}
+    recordings = [_recording(name, phi, true, arrays) for name in ("live", "paper")]
+    return {"device": [{"library": arrays.about}], "batches": batches, "recordings": recordings}
 
 
 def _batches(  # noqa: PLR0917

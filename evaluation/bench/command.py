@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any, Final, Literal, get_args
 
 from canskin.errors import InputError
-from reconstructor.array_api import Device, LibraryName, array_library
+from reconstructor.settings import Device, LibraryName
 from shell.output import check_picture_path
 from shell.terminal import Json, print_json, print_table, progress
 
@@ -73,7 +73,8 @@ def bench(
     if device is not None or library is not None:
         if subject != "reconstruct" or device is None:
             raise InputError("--device is of 'reconstruct', and --library of --device: leave them out")
-        module, arguments["library"] = import_module("evaluation.bench.arrays"), array_library(device, library)
+        module = import_module("evaluation.bench.arrays")
+        arguments |= {"device": device, "library": library}
     with progress(f"measuring {subject}", None):
         result: dict[str, Any] = module.run(**arguments)
     if figure is not None:

@@ -5,7 +5,7 @@ from typing import Final
 
 import numpy as np
 
-from dbc import averaging, board_sums, canopen, frame, indices, program
+from dbc import averaging, board_sums, canopen, frame, indices, program, slots
 from dbc.adaptive_filter import LEAST_EXPONENT, LEAST_WEIGHT, LOG2_E, POWER
 from dbc.contract import LONGEST_VALUE
 from dbc.dictionary import REACTION_NS, SkinState
@@ -25,6 +25,7 @@ _ENUMERATIONS: Final[dict[str, type[IntEnum | IntFlag]]] = {
     "STATE_": SkinState,
     "PROGRAM_": program.ProgramControl,
     "FLASH_": program.FlashError,
+    "RECORD_": slots.Record,
 }
 _FRAME_FLAGS: Final = ("EXTENDED", "REMOTE", "ERROR", "FD", "BRS", "ECHO")
 _OBJECT_FLAGS: Final = ("WRITABLE", "MAPPABLE", "COVERED", "TEXT", "CALIBRATING", "COMPUTED")
@@ -41,6 +42,7 @@ def contract_header() -> str:
         **{f"OD_{name}" if number in _INDICES else name: number for name, number in _whole(indices).items()},
         **_whole(canopen),
         **_whole(program),
+        **_whole(slots),
         "LONGEST_VALUE": LONGEST_VALUE,
         **{start + each.name: each for start, kind in _ENUMERATIONS.items() for each in kind if each.name},
         **{f"FRAME_{name}": getattr(frame, name) for name in _FRAME_FLAGS},

@@ -10,14 +10,13 @@ from dbc.choice import choose_nodes
 from dbc.contract import Contract, NodeContract
 from dbc.eds import node_name
 from dbc.generate import write_files
+from dbc.slots import SLOT_HEAD
 from nodes.firmware.adaptive_tables import adaptive_header, adaptive_source
 from nodes.firmware.contract_header import contract_header
 from nodes.firmware.object_dictionary import od_header, od_source
 from nodes.firmware.tables import Build, board_header, board_source, builds, by_type
 from skin.layout import load_layout
 
-#: Bytes of a slot before its data (``skin_slots.h``).
-_SLOT_HEAD: Final = 16
 #: Bytes of a `skin_board` on a processor of 32 bits.
 _ENTRY_BYTES: Final = 12
 _SOURCES: Final = files("nodes.firmware").joinpath("c")
@@ -89,7 +88,7 @@ def _readme(contract: Contract, boards: Sequence[Build]) -> str:
         period_us=board.sync_period_us,
         window_us=board.sync_window_us,
         samples=board.samples_per_sync,
-        slot_bytes=_SLOT_HEAD + objects.writable_bytes,
+        slot_bytes=SLOT_HEAD + objects.writable_bytes,
     )
 
 

@@ -1,8 +1,6 @@
 """Flash memory of C boards on this machine (``skin_flash``), with the slots of programs: in memory, and in files."""
 
 import ctypes
-import struct
-import zlib
 from pathlib import Path
 from typing import Any, Final
 
@@ -10,6 +8,7 @@ from canskin.errors import InputError
 from dbc.contract import Contract, NodeContract
 from dbc.dictionary import REVISION, VERSION
 from dbc.program import Program
+from dbc.slots import sealed
 
 #: Bytes of each of the two slots of programs.
 SLOT_BYTES: Final = 1 << 18
@@ -108,7 +107,6 @@ def flash_of_node(contract: Contract, node: NodeContract, folder: Path | None) -
     """
     device = contract.layout.device
     made_with = Program(device.vendor_id, device.product_code, REVISION, VERSION, b"canskin").image
-    head = struct.pack("<3I", 0, 0, len(made_with))  # as skin_slots.c seals a slot
-    slot = head + struct.pack("<I", zlib.crc32(made_with, zlib.crc32(head))) + made_with
+    slot = sealed(0, 0, made_with)
     name = f"{contract.layout.bus[node.bus].name}-{node.node_id}"
     return Flash([slot, b""], [folder / f"{name}.slot{number}" for number in range(2)] if folder else [])

@@ -5,12 +5,11 @@ from collections.abc import Iterator
 from typing import Any, Final
 
 from dbc.canopen import NO_BIT_TIMING, NO_NODE_ID
+from dbc.slots import Record
 from nodes.access import is_storable
 from nodes.firmware.tables import COMPUTED, WRITABLE, Build, ObjectTable
 from nodes.storage import Parameters, Storage
 
-#: Number of the record of LSS (``SKIN_RECORD_LSS``); the other is that of 1010h.
-_LSS: Final = 1
 _DATA: Final = ctypes.POINTER(ctypes.c_uint8)
 _FUNCTION: Final = ctypes.CFUNCTYPE(
     ctypes.c_int, ctypes.c_void_p, ctypes.c_uint8, ctypes.c_uint32, _DATA, ctypes.c_uint16
@@ -33,13 +32,13 @@ def storage_function(build: Build, storage: Storage) -> StorageFunction:
 
     def load(_context: int, record: int, _key: int, data: Any, _bytes: int) -> int:
         numbered = b"" if storage.node_id == NO_NODE_ID else bytes((storage.node_id, NO_BIT_TIMING))
-        kept = numbered if record == _LSS else _values(build, storage)
+        kept = numbered if record == Record.LSS else _values(build, storage)
         ctypes.memmove(data, kept, len(kept))
         return int(not kept)
 
     def save(_context: int, record: int, _key: int, data: Any, length: int) -> int:
         try:
-            if record == _LSS:
+            if record == Record.LSS:
                 storage.save_node_id(data[0])
             elif length:
                 values = ctypes.string_at(data, length)

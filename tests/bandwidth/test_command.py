@@ -103,10 +103,15 @@ def test_a_search_writes_the_layout(skin: Skin, tmp_path: Path) -> None:
     status, out, said = skin("design", "--taxels", 1024, "--rate", 100, "--buses", 1, "--out", path)
     assert (status, out) == (0, f"{path}\n")
     assert "at worst" in said
+    assert "images, 256 sums: 4" in said
+    assert "without the table [sampling]" in said
     layout = parse_layout(path.read_bytes(), "palm")
     assert (layout.taxels.count, len(layout.bus), layout.sync.rate_hz) == (1024, 1, 100.0)
-    status, text, _ = skin("design", "--taxels", 1024, "--rate", 100, "--buses", 1)
-    assert parse_layout(text.encode(), "printed") == layout
+    assert layout.samples_per_sync == 10
+    status, text, _ = skin("plan", path, "--quality", "--json")
+    (predicted,) = json.loads(text)["quality"]
+    assert f"images, 256 sums: {predicted['psnr_image_db']:.1f} dB" in said
+    assert predicted["psnr_image_db"] > predicted["psnr_sensor_db"] + 10
 
 
 def test_a_search_without_a_result_says_what_is_missing(skin: Skin) -> None:

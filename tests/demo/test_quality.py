@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from canskin.errors import InputError, RunError
-from demo.quality import qualities
+from demo.quality import qualities, quality
 from skin.matrix import signs_of
-from tests.layouts import ADAPTIVE_SKIN, small_layout
+from tests.layouts import ADAPTIVE_SKIN, small_boards, small_layout
 
 MAT = small_layout(15, 17, sampling={"rate_hz": 1000.0})
 
@@ -35,3 +35,21 @@ def test_a_matrix_is_judged_as_it_is() -> None:
     (found,) = qualities(wire, touches_s=3.0)
     assert (found.sums, found.sums_per_taxel) == (20, 0.2)
     assert found.psnr_image_db > found.psnr_sensor_db
+
+
+def test_the_figures_of_a_layout_are_those_of_its_number_of_sums() -> None:
+    mat = small_layout(15, 17, sampling={"rate_hz": 1000.0}, measurement={"sums": 64})
+    assert quality(mat, touches_s=3.0) == qualities(MAT, touches_s=3.0)[2]
+
+
+def test_averages_of_ten_samples_make_better_images() -> None:
+    once = small_layout(15, 17, measurement={"sums": 64})
+    averaged = small_layout(15, 17, measurement={"sums": 64}, sampling={"rate_hz": 1000.0})
+    one, ten = (quality(each, touches_s=3.0) for each in (once, averaged))
+    assert ten.psnr_image_db > one.psnr_image_db + 4
+
+
+def test_adaptive_boards_send_on_simulated_buses() -> None:
+    found = quality(small_boards(16, 10, 10), touches_s=3.0)
+    assert found.psnr_image_db > found.psnr_sensor_db + 10
+    assert found.touched_error_n < 1e-3

@@ -13,6 +13,7 @@ from bus.station import Station
 from dbc.contract import Contract, NodeContract
 from dbc.frame import ECHO, Frames, frames
 from gateway.commissioning import Commissioning
+from gateway.serial_commissioning import SerialCommissioning
 from gateway.touch_commissioning import TouchCommissioning
 from nodes.firmware.library import Firmware
 from nodes.hardware import Hardware
@@ -126,7 +127,7 @@ class Bench:
         self, *, stop_after: Callable[[Commissioning], bool] = lambda _: False, **options: Any
     ) -> Commissioning:
         """Commission by serial numbers."""
-        return self.run(Commissioning(self.contract, 0, self.send, self.now_s, **options), stop_after=stop_after)
+        return self.run(SerialCommissioning(self.contract, 0, self.send, self.now_s, **options), stop_after=stop_after)
 
     def touch(
         self,

@@ -28,16 +28,17 @@ STRICT = ArrayLibrary(array_api_strict, "array-api-strict")
 PHI = sbhe(512, 128, block_size=16, selection="uniform", seed=3)
 
 
-def library_of(name: str) -> ArrayLibrary:
-    if name == "torch":
-        pytest.importorskip("torch", reason='PyTorch is not installed: pip install ./client ".[torch]"')
-        return array_library("cpu", "torch")
-    return {"numpy": NUMPY, "strict": STRICT}[name]
+LIBRARIES = {"numpy": NUMPY, "strict": STRICT}
 
 
-@pytest.fixture(params=["numpy", "strict", "torch"])
+@pytest.fixture(params=[*LIBRARIES, ("cpu", "torch"), ("gpu", "torch"), ("gpu", "cupy")], ids=str)
 def library(request: pytest.FixtureRequest) -> ArrayLibrary:
-    return library_of(request.param)
+    if request.param in LIBRARIES:
+        return LIBRARIES[request.param]
+    try:
+        return array_library(*request.param)
+    except InputError as missing:
+        pytest.skip(str(missing))
 
 
 @st.composite
@@ -100,7 +101,7 @@ def assert_equals_the_compiled_solver(skin: dict[str, Any], library: ArrayLibrar
 @given(skins(), st.sampled_from(["numpy", "strict"]))
 @settings(max_examples=40, deadline=None)
 def test_equals_the_compiled_solver_on_any_layout(skin: dict[str, Any], library: str) -> None:
-    assert_equals_the_compiled_solver(skin, library_of(library), np.float64, 1e-14)
+    assert_equals_the_compiled_solver(skin, LIBRARIES[library], np.float64, 1e-14)
 
 
 @pytest.mark.parametrize("solver", [VARIATION, SPUN, PAPER, replace(PAPER, prior="sym4-tensor")])

@@ -215,7 +215,7 @@ def test_adaptive_sums_take_each_solver_without_a_memory_of_cycles(
     golf: Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """NumPy stands for a GPU."""
-    monkeypatch.setattr("reconstructor.options.array_library", lambda _: NUMPY)
+    monkeypatch.setattr("reconstructor.array_api.array_library", lambda _: NUMPY)
     true, layout = golf.true[30], ADAPTIVE_SKIN
     sums = decode_adaptive(adaptive_measurement(true, layout=layout), layout.operator())
     half = np.arange(len(sums.known)) % 2 == 0

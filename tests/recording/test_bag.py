@@ -48,9 +48,22 @@ def test_rosbags_reads_every_image_bit_for_bit(bag: Path) -> None:
 def test_bag_has_the_topics_of_skin_ros2(bag: Path) -> None:
     with AnyReader([bag]) as found:
         counts = {topic: about.msgcount for topic, about in found.topics.items()}
-    every = ("image", "heat_map", "points", "contacts", "contact_markers")
+    every = ("image", "heat_map", "points", "contacts", "contact_markers", "key")
     assert counts == {f"/small/{name}": COUNT for name in every} | {"/diagnostics": 1}
     assert (bag / "metadata.yaml").is_file()
+
+
+def test_the_key_joins_stamps_with_the_cycles_of_the_export(bag: Path) -> None:
+    with AnyReader([bag]) as found:
+        keys = [
+            (reader.time_ns(told.header), told.status[0].name, {each.key: each.value for each in told.status[0].values})
+            for each, _, content in found.messages()
+            if each.topic == "/small/key"
+            for told in [found.deserialize(content, each.msgtype)]
+        ]
+    assert keys == [
+        (OFFSET_NS + 10 * cycle + SET_NS * (cycle > 2), "image", {"cycle": str(cycle)}) for cycle in range(1, COUNT + 1)
+    ]
 
 
 def test_the_code_of_the_page_reads_a_bag(bag: Path) -> None:

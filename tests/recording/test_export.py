@@ -14,6 +14,7 @@ from recording.export_command import export
 from recording.sinks import McapSink
 from recording.tables import read_tables
 from skin.layout import load_layout
+from skin.mcap_file import recording_id
 from tests import messages as make
 from tests.layouts import tube_layout
 from tests.recording.helpers import COUNT, OFFSET_NS, SET_NS, pixels
@@ -83,6 +84,10 @@ def test_csv_can_be_played(run: Path, tmp_path: Path) -> None:
     played = recording(tmp_path / "run-images.csv", 16, 16, full_scale=1.0, force_max_n=1.0)
     assert played.frames == COUNT
     np.testing.assert_allclose(played.frame(2).force_n, pixels(3), rtol=1e-6)
+    shape, recorded, names, first, *_ = (tmp_path / "run-images.csv").read_text().splitlines()
+    assert (shape, recorded) == ("# shape: 16 16", f"# recording: {recording_id(run)}")
+    assert names.startswith("time_ns,cycle,r0c0,")
+    assert first.split(",")[1] == "1"
     rows = (tmp_path / "run-contacts.csv").read_text().splitlines()
     assert len(rows) == 2
     assert rows[0].startswith("cycle,time_ns")

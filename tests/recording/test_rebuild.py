@@ -15,11 +15,12 @@ from dbc.contract import Contract
 from dbc.packing import packing
 from nodes.electronics import Electronics
 from nodes.sampler import Sampler
-from reconstructor.array_api import NUMPY, Device
+from reconstructor.array_api import NUMPY
 from reconstructor.engine import Reconstructor
 from reconstructor.imaging import CycleImager, load_gains, make_imager
 from reconstructor.options import SolverOptions
 from reconstructor.service import ReconstructorService
+from reconstructor.settings import Device
 from recording import rebuild_command
 from recording.cycles import measure_forces
 from recording.rebuild_command import rebuild
@@ -234,7 +235,7 @@ def test_the_gpu_path_on_a_cpu(
 ) -> None:
     """NumPy in the place of CuPy: the images of the default solver are those of the CPU, but for rounding."""
     np.save(tmp_path / "mat.npy", force_n)
-    monkeypatch.setattr("reconstructor.options.array_library", lambda _: NUMPY)
+    monkeypatch.setattr("reconstructor.array_api.array_library", lambda _: NUMPY)
     made: dict[str, np.ndarray] = {}
     for device in get_args(Device):
         out = tmp_path / f"{device}.npz"
@@ -252,7 +253,7 @@ def test_without_a_gpu_the_extra_is_named(
         monkeypatch.setitem(sys.modules, name, None)
     with pytest.raises(InputError, match=r"\[gpu\].*\[torch\]"):
         rebuild(tmp_path / "mat.npy", out=out, layout=layout_file, solver=SolverOptions(device="gpu"))
-    monkeypatch.setattr("reconstructor.options.array_library", lambda _: NUMPY)
+    monkeypatch.setattr("reconstructor.array_api.array_library", lambda _: NUMPY)
     contourlets = SolverOptions("paper-contourlet", device="gpu")
     with pytest.raises(InputError, match="got contourlets; leave out --device gpu"):
         rebuild(tmp_path / "mat.npy", out=out, layout=layout_file, solver=contourlets)
@@ -430,7 +431,7 @@ def test_known_gains_of_analogue_sums_are_taken_off_and_one_sum_is_lost_alone(
     np.testing.assert_array_equal(loaded(out)[0], expected)
     phi = layout.phi()
     assert cycles.valid_sums[-1].sum() == phi.shape[0] - np.count_nonzero(phi.kept[:, 0])
-    monkeypatch.setattr("reconstructor.options.array_library", lambda _: NUMPY)
+    monkeypatch.setattr("reconstructor.array_api.array_library", lambda _: NUMPY)
     with pytest.raises(InputError, match="a GPU solves cycles together"):
         rebuild(path, out=tmp_path / "b.npz", layout=file, gains=gains, solver=SolverOptions(device="gpu"))
 

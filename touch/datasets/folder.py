@@ -96,7 +96,8 @@ class DatasetFolder:
         if not isinstance(found, dict) or not isinstance(found.get("chunks"), dict):
             raise InputError(f"{where} a manifest that is not of '{FORMAT}': {mend}")
         parts = ("format", "data_set", "made_by", "settings")
-        if differs := difference(*({name: each.get(name) for name in parts} for each in (found, self._manifest))):
+        theirs, ours = ({name: each.get(name) for name in parts} for each in (found, self._manifest))
+        if differs := difference(theirs, ours):
             raise InputError(f"{where} another data set ({differs}): {mend}")
 
     def _save_manifest(self) -> None:

@@ -19,6 +19,11 @@ def diagnostics(head: Any, state: Snapshot) -> Any:
     return message(DIAGNOSTICS, header=head, status=list(_statuses(state)))
 
 
+def key(head: Any, skin: str, of: str, values: dict[str, Any]) -> Any:
+    """Return stamped values that join a message with tables of ``skin export``; `of` names what they belong to."""
+    return message(DIAGNOSTICS, header=head, status=[_status(OK, of, "", skin, values)])
+
+
 def _statuses(state: Snapshot) -> Iterator[Any]:
     figures, label, gateway = state.figures, state.label, state.gateway
     calibration = gateway.calibration if gateway else None

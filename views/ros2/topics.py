@@ -13,7 +13,7 @@ from skin.layout import Layout
 from skin.taxel_places import Grid
 from skin.wall_times import CLOCKS, Clocks, WallTimes
 from views.ros2 import content
-from views.ros2.diagnostics import diagnostics
+from views.ros2.diagnostics import diagnostics, key
 from views.ros2.names import RELIABLE, SENSOR_DATA, Qos
 from views.ros2.types import DIAGNOSTICS, IMAGE, MARKERS, POINT_CLOUD, TEXT
 
@@ -32,10 +32,12 @@ TAXEL_CLOUD: Final = RosTopic("points", POINT_CLOUD)
 CONTACT_CLOUD: Final = RosTopic("contacts", POINT_CLOUD)
 CONTACT_MARKERS: Final = RosTopic("contact_markers", MARKERS)
 LABEL_TEXT: Final = RosTopic("label", TEXT)
+#: Cycle of each image and label, with the sampling instant as stamp: images and texts have no place for them.
+KEY: Final = RosTopic("key", DIAGNOSTICS)
 DIAGNOSTIC_ARRAY: Final = RosTopic("/diagnostics", DIAGNOSTICS, RELIABLE)
 ROS_TOPICS: Final = (
     *(FORCE_IMAGE, HEAT_MAP, TAXEL_CLOUD),
-    *(CONTACT_CLOUD, CONTACT_MARKERS, LABEL_TEXT, DIAGNOSTIC_ARRAY),
+    *(CONTACT_CLOUD, CONTACT_MARKERS, LABEL_TEXT, KEY, DIAGNOSTIC_ARRAY),
 )
 
 
@@ -102,6 +104,7 @@ class Translator:
             yield FORCE_IMAGE, lambda: content.force_image(head, measured_n())
             yield HEAT_MAP, lambda: content.heat_map(head, measured_n(), taxels.force_max_n)
         yield TAXEL_CLOUD, lambda: content.taxel_cloud(head, taxels.surface, grid.forces_n(image), grid.valid(image))
+        yield KEY, lambda: key(head, self._layout.name, "image", {"cycle": image.cycle})
 
     def _contacts(self, contacts: Contacts) -> Iterator[Draft]:
         taxels, found, sampled_ns = self._layout.taxels, contacts.contacts, contacts.sampled_mono_ns
@@ -114,3 +117,6 @@ class Translator:
     def _label(self, label: Label) -> Iterator[Draft]:
         if label.is_measured(self._layout.measurement.sums):
             yield LABEL_TEXT, lambda: content.text(label.label)
+            if (head := self._header(label.sampled_mono_ns)) is not None:
+                values = {"cycle": label.cycle, "label": label.label, "confidence": label.confidence}
+                yield KEY, lambda: key(head, self._layout.name, "label", values)

@@ -355,7 +355,7 @@ def test_no_image_goes_out_before_the_clocks_of_the_gateway_are_known(messages: 
         len(list(translator.take(each, 0.0)))
         for each in (messages.image(), messages.contacts(), clocks, messages.image())
     ]
-    assert drafts == [0, 0, 0, 3]
+    assert drafts == [0, 0, 0, 4]
 
 
 def test_diagnostics_count_what_is_ignored(messages: Messages) -> None:
@@ -384,5 +384,5 @@ def test_images_out_of_range_are_ignored(messages: Messages, wrong: dict[str, An
     state = ViewState(messages.layout)
     translator = Translator(messages.layout, "palm", state, wall=WallTimes(WALL_NS))
     bad = msgspec.structs.replace(messages.image(), **wrong)
-    assert [len(list(translator.take(each, 0.0))) for each in (bad, messages.image())] == [0, 3]
+    assert [len(list(translator.take(each, 0.0))) for each in (bad, messages.image())] == [0, 4]
     assert state.ignored == 1

@@ -14,7 +14,7 @@ from tests.health.helpers import Messages
 from tests.layouts import tube_layout
 from views.ros2.content import contact_cloud, contact_markers, header
 from views.ros2.diagnostics import diagnostics
-from views.ros2.topics import FORCE_IMAGE, HEAT_MAP, TAXEL_CLOUD, Translator
+from views.ros2.topics import FORCE_IMAGE, HEAT_MAP, KEY, LABEL_TEXT, TAXEL_CLOUD, Translator
 
 
 def test_an_image_without_readers_is_not_computed(messages: Messages, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -23,11 +23,24 @@ def test_an_image_without_readers_is_not_computed(messages: Messages, monkeypatc
     monkeypatch.setattr(Grid, "measured_n", lambda *args: made.append(1) or measured_n(*args))
     translator = Translator(messages.layout, "palm", ViewState(messages.layout), wall=WallTimes(10**18))
     drafts = dict(translator.take(messages.image(1), 0.0))
-    assert list(drafts) == [FORCE_IMAGE, HEAT_MAP, TAXEL_CLOUD]
+    assert list(drafts) == [FORCE_IMAGE, HEAT_MAP, TAXEL_CLOUD, KEY]
     assert made == []
     drafts[FORCE_IMAGE]()
     drafts[HEAT_MAP]()
     assert made == [1]
+
+
+def test_a_label_has_a_stamp_and_its_cycle_beside_the_text(messages: Messages) -> None:
+    translator = Translator(messages.layout, "palm", ViewState(messages.layout), wall=WallTimes(10**18))
+    label = msgspec.structs.replace(messages.label("cup"), cycle=7, sampled_mono_ns=5, confidence=0.5)
+    drafts = dict(translator.take(label, 0.0))
+    assert drafts[LABEL_TEXT]().data == "cup"
+    told = drafts[KEY]()
+    assert (told.header.stamp.sec, told.header.stamp.nanosec) == (10**9, 5)
+    values = {each.key: each.value for each in told.status[0].values}
+    assert (told.status[0].name, values) == ("label", {"cycle": "7", "label": "cup", "confidence": "0.5"})
+    unknown = Translator(messages.layout, "palm", ViewState(messages.layout))
+    assert list(dict(unknown.take(label, 0.0))) == [LABEL_TEXT]  # no clock yet
 
 
 def test_a_skin_that_is_no_grid_is_points_without_images() -> None:
@@ -35,7 +48,7 @@ def test_a_skin_that_is_no_grid_is_points_without_images() -> None:
     surface = messages.layout.taxels.surface
     translator = Translator(messages.layout, "tube", ViewState(messages.layout), wall=WallTimes(10**18))
     drafts = dict(translator.take(messages.image(1), 0.0))
-    assert list(drafts) == [TAXEL_CLOUD]
+    assert list(drafts) == [TAXEL_CLOUD, KEY]
     cloud = drafts[TAXEL_CLOUD]()
     assert (cloud.height, cloud.width) == (1, 96)
     offsets = {each.name: each.offset // 4 for each in cloud.fields}

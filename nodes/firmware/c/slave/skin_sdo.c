@@ -10,8 +10,6 @@ enum { DOWNLOAD_SEGMENT = 0, DOWNLOAD = 1, UPLOAD = 2, UPLOAD_SEGMENT = 3, ABORT
 #define SIZE_SPECIFIED 0x01u
 #define NO_MORE_DATA 0x01u
 #define CRC_SUPPORTED 0x04u
-/* Of block download: answers to the begin, to a block, and to the end. */
-enum { BLOCKS_BEGIN = 0xA0, BLOCK_TAKEN = 0xA2, BLOCKS_TAKEN = 0xA1 };
 /* Segments of a block: at most 127. A board whose flash memory is slow takes fewer. */
 #ifndef SKIN_BLOCK_SEGMENTS
 #define SKIN_BLOCK_SEGMENTS 127u
@@ -243,7 +241,7 @@ static void block_download(skin_node *node, const uint8_t *request, uint32_t now
     sdo->crc = 0;
     sdo->has_crc = request[0] & CRC_SUPPORTED;
     sdo->due_ms = now_ms + BLOCK_TIMEOUT_MS;
-    accept(node, BLOCKS_BEGIN | CRC_SUPPORTED, block_segments, sizeof block_segments);
+    accept(node, SKIN_SDO_BLOCKS_BEGUN | CRC_SUPPORTED, block_segments, sizeof block_segments);
 }
 
 /* CRC of block transfers (CiA 301, 7.2.4.3.16): polynomial 1021h, initial value 0. */
@@ -273,7 +271,7 @@ static void block_segment(skin_node *node, const uint8_t *request, uint32_t now_
 {
     skin_sdo *sdo = &node->sdo;
     const uint8_t number = request[0] & 0x7Fu, is_last = request[0] >> 7;
-    uint8_t response[8] = {BLOCK_TAKEN, 0, SKIN_BLOCK_SEGMENTS};
+    uint8_t response[8] = {SKIN_SDO_BLOCK_TAKEN, 0, SKIN_BLOCK_SEGMENTS};
 
     if (number == sdo->number + 1) { /* requests of another client keep no transfer open */
         sdo->due_ms = now_ms + BLOCK_TIMEOUT_MS;
@@ -295,7 +293,7 @@ static void block_segment(skin_node *node, const uint8_t *request, uint32_t now_
 static void end_blocks(skin_node *node, const uint8_t *request)
 {
     skin_sdo *sdo = &node->sdo;
-    uint8_t response[8] = {BLOCKS_TAKEN};
+    uint8_t response[8] = {SKIN_SDO_BLOCKS_TAKEN};
 
     if (!is_waiting_taken(node, (uint8_t)(7u - (request[0] >> 2 & 7u)))) {
         return;

@@ -4,8 +4,7 @@
 
 #include "skin_storage.h"
 
-/* Of each slot: number of the record, key, bytes of data, CRC-32 of these and of the data. The data follow. */
-#define SKIN_SLOT_HEAD 16u
+/* The first SKIN_SLOT_HEAD bytes of a slot: number of the record, key, bytes of data, CRC-32 of these and of the data. The data follow. */
 #define SKIN_NO_SLOT 0xFFu
 
 /* Flash memory. Slots 2 n and 2 n + 1 belong to record n; each has pages of its own for SKIN_SLOT_HEAD bytes and the data. Parts

@@ -6,11 +6,11 @@
 
 #include <stdint.h>
 
-/* What a board keeps: the values that 1010h stores, and the node-ID with the bit rate that LSS has given. */
-enum { SKIN_RECORD_PARAMETERS, SKIN_RECORD_LSS, SKIN_RECORDS };
+#include "contract.h"
 
 typedef struct {
-    /* Read the newest whole record of `bytes` bytes that was saved with this key. Returns 0 on success, else 1 without a
+    /* `record` is SKIN_RECORD_PARAMETERS, the values that 1010h stores, or SKIN_RECORD_LSS, the node-ID with the bit rate.
+     * Read the newest whole record of `bytes` bytes that was saved with this key. Returns 0 on success, else 1 without a
      * change of `data`.
      */
     int (*load)(void *context, uint8_t record, uint32_t key, uint8_t *data, uint16_t bytes);

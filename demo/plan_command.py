@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
@@ -19,6 +19,9 @@ from shell.service import say
 from shell.terminal import Json, print_json
 from skin.layout import Layout, load_layout, require_sending
 
+if TYPE_CHECKING:
+    from demo.quality import Quality
+
 
 def plan(
     layout: Path | None = None,
@@ -28,6 +31,7 @@ def plan(
     plot: Path | None = None,
     node_budget: int = 0,
     disturbance: Disturbance | None = None,
+    quality: Annotated[bool, Parameter(negative=())] = False,
     timing: Annotated[bool, Parameter(negative=())] = False,
     controllers: TimingOptions | None = None,
     json_: Json = False,
@@ -52,6 +56,9 @@ def plan(
         Adaptive sending: bits a second that each node may send (object 2034h); 0 for no budget.
     disturbance
         Disturbances that response times include.
+    quality
+        Predict the images, too: PSNR and error under twelve seconds of simulated touches. Takes some seconds, with
+        thousands of adaptive taxels a minute.
     timing
         Print the bit timing of CAN controllers, and the ``ip link`` command of each bus, in place of the load.
     controllers
@@ -63,12 +70,15 @@ def plan(
     --------
     skin plan palm.toml --plot pictures
     skin plan palm.toml --check candump-2026-11-20_120000.log
+    skin plan palm.toml --quality
     skin plan adaptive --node-budget 24000
     skin plan fd --timing --clock-hz 40000000 --bus-length-m 5
     """
     skin = load_layout(layout)
-    if timing and (check is not None or plot is not None or node_budget):
-        raise InputError("expected --timing, --check, --plot or --node-budget, got --timing with another of them")
+    if timing and (check is not None or plot is not None or node_budget or quality):
+        raise InputError(
+            "expected --timing, --check, --plot, --quality or --node-budget, got --timing with another of them"
+        )
     if channel and not timing and check is None:
         raise InputError("--channel is for --check and --timing: the plan of a layout needs no channels")
     if timing:
@@ -89,6 +99,7 @@ def plan(
 
         say("plan", f"wrote {write_plot(contract, plot)}")
     does_fit = not any(each.problems for each in plans)
+    images = _images(contract.layout, asked=quality)
     if json_:
         facts = {
             "name": contract.layout.name,
@@ -99,12 +110,22 @@ def plan(
             "fits": does_fit,
             "buses": plans[: len(contract.layout.bus)],
             "wiring": wiring(contract.layout),
+            "quality": [each._asdict() for each in images],
         }
         print_json(facts | sending.facts(contract, plans, allowed))
     else:
         sending.print_plan(contract, plans, allowed)
-        print(f"\n{wiring(contract.layout)}")
+        predicted = (f"images of simulated touches: {each.words}" for each in images)
+        print("", wiring(contract.layout), *predicted, sep="\n")
     return int(not does_fit)
+
+
+def _images(layout: Layout, *, asked: bool) -> "list[Quality]":
+    if not asked:
+        return []
+    from demo.quality import quality  # compiles a solver, which no other plan needs
+
+    return [quality(layout)]
 
 
 def _timing(layout: Layout, names: list[str], options: TimingOptions, *, as_json: bool) -> int:
