@@ -28,7 +28,7 @@ SKIN: Final = (sys.executable, "-m", "skin")
 #: Time from the label of the golf ball to the picture, so that all figures on the page are those of a touch.
 TOUCHED_S: Final = 1.5
 PATIENCE_S: Final = 120.0
-PAGE_WIDTH, PAGE_HEIGHT = 1280, 720
+PAGE_WIDTH, PAGE_HEIGHT = 1280, 860
 
 
 def demo(path: Path) -> None:

@@ -157,7 +157,7 @@ export class Buses {
       const value = gateway.frames[key];
       rows.push([name, count(value), isBad && value > 0]);
     }
-    if (gateway.zero) rows.push(["zero of the blocks", gateway.zero, false]);
+    if (gateway.zero) rows.push(["zero of blocks", gateway.zero, false]);
     if (this.counters.childElementCount !== rows.length) this.counters.replaceChildren(...rows.map(([name]) => counter(name)));
     rows.forEach(([, value, isBad], place) => {
       const cell = this.counters.children[place].lastChild;

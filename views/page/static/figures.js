@@ -29,8 +29,8 @@ function pressure(snapshot, { row, column, position_m, threshold_n, is_over: isO
   const limit = threshold_n === null ? "" : `${isOver ? "over" : "threshold"} ${force(threshold_n)}`;
   const doubt = isDoubtful ? "in doubt" : "";
   const isPlaced = hasCentre(snapshot) && row !== null && force_n > 0;
-  const place = snapshot.isGrid ? `row ${row?.toFixed(1)}, column ${column?.toFixed(1)}` : position_m && spaced(position_m);
-  return [limit, doubt, isPlaced ? `centre ${place}` : "", !isPlaced && !doubt && snapshot.contacts ? "nothing touches" : ""].filter(Boolean).join(" · ");
+  const place = snapshot.isGrid ? `centre row ${row?.toFixed(1)}, column ${column?.toFixed(1)}` : position_m && spaced(position_m);
+  return [limit, doubt, isPlaced ? place : "", !isPlaced && !doubt && snapshot.contacts ? "nothing touches" : ""].filter(Boolean).join(" · ");
 }
 
 export class Figures {

@@ -265,7 +265,10 @@ function drawTrack(brush, points, x, { px, least, width, ink, isFilled, isBar, k
   if (isBar) {
     brush.fillStyle = ink.warning;
     for (const piece of pieces(points, x)) {
-      for (const [at, , high] of piece) if (high > 0) brush.fillRect(Math.floor(at) - 1, Math.min(px - 3, y(high)), 2, px);
+      for (const [at, , high] of piece) {
+        const tip = Math.min(px - 3, y(high));
+        if (high > 0) brush.fillRect(Math.floor(at) - 1, tip, 2, px - tip);
+      }
     }
     return;
   }
