@@ -2,7 +2,7 @@
 
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
@@ -12,6 +12,7 @@ from cyclopts import Parameter
 
 from canskin.errors import InputError
 from shell.terminal import Json, print_json, print_table
+from shell.touch_options import FullScale
 
 if TYPE_CHECKING:
     from evaluation.result import Options, Result
@@ -39,6 +40,8 @@ Subject = Literal[
     "classification",
     "recognition",
     "postures",
+    "single-wire",
+    "recordings",
 ]
 
 
@@ -72,16 +75,24 @@ SUBJECTS: Final[dict[str, _Subject]] = {
     "classification": _Subject("evaluation.recognition.classification:evaluate", draws=True),
     "recognition": _Subject("evaluation.recognition.methods_compared:evaluate", draws=True),
     "postures": _Subject("evaluation.recognition.postures:evaluate", draws=True),
+    "single-wire": _Subject("evaluation.single_wire:evaluate"),
+    "recordings": _Subject("evaluation.schemes.recordings:evaluate"),
+}
+#: Subjects that measure recordings alone, and the recordings that each needs.
+RECORDED: Final = {
+    "postures": "the recordings of a pressure mat",
+    "single-wire": "a copy of github.com/aslepyan/SPTS",
+    "recordings": "recordings of a pressure mat, glove or skin",
 }
 
 
 def evaluate(
     subject: Subject,
+    recordings: Path | None = None,
     *,
     quick: bool = False,
     meshes: Path | None = None,
     objects: str | None = None,
-    recordings: Path | None = None,
     out: Path | None = None,
     jobs: int | None = None,
     draws: int | None = None,
@@ -89,6 +100,8 @@ def evaluate(
     scenes: int = 10,
     scene_seed: int = 0,
     basis: Annotated[list[str] | None, Parameter(negative=(), consume_multiple=True)] = None,
+    full_scale: FullScale = None,
+    rate: float | None = None,
     json: Json = False,
 ) -> None:
     """Make tables and figures of the paper again and print ours beside the paper's numbers.
@@ -98,6 +111,9 @@ def evaluate(
     subject
         What to evaluate. ``paper``: all subjects with numbers that the paper prints; ``all``: every subject. Both
         compare every printed number with ours, and write ``report.html`` and ``paper.json`` into the folder `out`.
+    recordings
+        Folder of real recordings, for the subjects that use them: ``recordings`` and ``rates`` take .npz, .npy, .csv
+        and .mcap, ``postures`` S1.npz and so on, ``single-wire`` a copy of github.com/aslepyan/SPTS.
     quick
         A look at everything in a small fraction of the time, with fewer steps and draws.
     meshes
@@ -106,8 +122,6 @@ def evaluate(
     objects
         Comma-separated: what slides in ``rivals``, ``rates``, ``contacts`` and ``wiring`` in place of the paper's five
         objects. Of these, or your own mesh as FILE@UNIT.
-    recordings
-        Folder of real pressure recordings (S1.npz and so on), for the parts that use them.
     out
         Folder for the report and for measured results, which a later run takes up. Default for ``all`` and ``paper``:
         skin-evaluation.
@@ -127,6 +141,10 @@ def evaluate(
     basis
         Orthogonal wavelets that ``sparsity`` counts beside the paper's bases: ``sym4`` for Mallat's pyramid,
         ``sym4-tensor`` for the form of the paper's table.
+    full_scale
+        Recorded value that becomes the skin's largest force, for ``recordings``.
+    rate
+        Frames per second of the recordings, for ``recordings``; default: 10.
     json
         Print JSON instead of tables.
 
@@ -136,6 +154,7 @@ def evaluate(
     skin evaluate all --meshes ycb-meshes --out report
     skin evaluate contacts --objects handle.stl@mm:y90,cup
     skin evaluate sparsity --basis sym4-tensor coif1-tensor
+    skin evaluate recordings mats/ --full-scale 4095 --rate 25
     """
     from evaluation.result import Options
     from reconstructor.bases.names import wavelet_basis_name
@@ -150,12 +169,14 @@ def evaluate(
         has_scenes=scenes > 0 or quick,
         basis=basis,
         objects=objects,
+        of_recordings={"--full-scale": full_scale, "--rate": rate},
     )
     if out is None and len(names) > 1:
         out = Path("skin-evaluation")
     processes = jobs if jobs is not None else os.cpu_count() or 1
     bases = tuple(map(wavelet_basis_name, basis or ()))
     options = Options(quick, meshes, recordings, out, processes, draws, seed, scenes, scene_seed, bases)
+    options = replace(options, full_scale=full_scale, frame_rate_hz=rate)
     if objects is not None:
         options = replace(options, objects=checked_slides(objects))
     results: dict[str, Result] = {}
@@ -163,6 +184,8 @@ def evaluate(
         asked = options if SUBJECTS[name].draws else replace(options, draws=None)
         module, _, function = SUBJECTS[name].function.partition(":")
         found = results[name] = getattr(import_module(module), function)(asked)
+        if not found.rows and subject != "all":
+            raise InputError(f"'{subject}' measured nothing: {found.note or found.title}")
         if not json:
             _print(found)
     if len(names) > 1:
@@ -196,10 +219,11 @@ def _check(
     has_scenes: bool,
     basis: list[str] | None,
     objects: str | None,
+    of_recordings: Mapping[str, float | None],
 ) -> None:
     """Raise InputError for an option that is missing or that no subject takes."""
-    if subject == "postures" and not has_recordings:
-        raise InputError("postures needs the recordings of a pressure mat: give their folder with --recordings")
+    if subject in RECORDED and not has_recordings:
+        raise InputError(f"{subject} needs {RECORDED[subject]}: give the folder, skin evaluate {subject} DIR")
     if subject == "drawn-rivals" and not has_scenes:
         raise InputError("drawn-rivals needs --scenes of 1 or more: got 0")
     if draws is not None and not any(SUBJECTS[name].draws for name in names):
@@ -209,6 +233,9 @@ def _check(
     if objects is not None and not any(SUBJECTS[name].objects for name in names):
         takers = ", ".join(name for name, each in SUBJECTS.items() if each.objects)
         raise InputError(f"'{subject}' takes no objects, expected one of {takers}, got --objects {objects}")
+    for flag, value in of_recordings.items():
+        if value is not None and "recordings" not in names:
+            raise InputError(f"only 'recordings' takes {flag}, not '{subject}': leave out {flag}")
 
 
 def _print(found: "Result") -> None:

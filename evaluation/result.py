@@ -21,7 +21,8 @@ class Options:
     """What every evaluation is asked: the options of ``skin evaluate``.
 
     Without `out` nothing is kept; without `draws` each subject has its own number. `bases` are full names of wavelet
-    bases. `objects` slide in place of the paper's five.
+    bases. `objects` slide in place of the paper's five. `full_scale` and `frame_rate_hz` are of the recordings: the
+    value that becomes the largest force, and frames per second.
     """
 
     quick: bool = False
@@ -35,6 +36,8 @@ class Options:
     scene_seed: int = 0
     bases: tuple[str, ...] = ()
     objects: tuple[str, ...] = tuple(ACQUISITION_OBJECTS)
+    full_scale: float | None = None
+    frame_rate_hz: float | None = None
 
     def __post_init__(self) -> None:
         for what, folder in (("meshes", self.meshes), ("recordings", self.recordings)):

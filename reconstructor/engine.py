@@ -10,6 +10,7 @@ import numpy.typing as npt
 from canskin.errors import InputError
 from reconstructor.array_api import ArrayLibrary, BatchSolver, parts_of, turns
 from reconstructor.checks import Values, check_grid_of
+from reconstructor.coded_memory import CodedMemory
 from reconstructor.gains import GainCorrection, KnownGains
 from reconstructor.kernels.contourlet import ContourletSolver
 from reconstructor.kernels.fused import FusedSolver
@@ -61,7 +62,8 @@ class Reconstructor:
     images are dropped.
 
     A Φ that changes from frame to frame is an argument of each solve. Its sums are not averaged: those of two frames
-    have nothing in common but the force. The image before is the memory, without `scaled_start`.
+    have nothing in common but the force. The image before is the memory, without `scaled_start`, and only a part of the
+    iterations is made (`reconstructor.coded_memory`).
 
     Parameters
     ----------
@@ -107,6 +109,7 @@ class Reconstructor:
             )
         self._correct = ClipCorrection(noise_n) if noise_n else None
         self._is_coded = phi.frames > 1
+        self._memory = CodedMemory(*phi.shape[::-1], self._kernel.dtype)
         self._comes_averaged = samples > 1 or self._is_coded
         self._filter = TemporalFilter(phi.shape[0], self._kernel.dtype, averages=not self._comes_averaged)
         self._sum_noise_n = SUM_NOISE_N if samples == 1 else averaged_sum_noise_n(samples)
@@ -142,13 +145,17 @@ class Reconstructor:
         phi, kernel = phi or self._phi, self._kernel
         if phi.frames > 1 or phi.shape != self._phi.shape or not (self._is_coded or phi is self._phi):
             raise InputError("expected the Φ of this frame where Φ changes from frame to frame, else that of the skin")
-        if self._is_coded and self._settings.temporal_filter:
-            self._filter.expect(phi.forward(self._estimate))
+        remembers = self._is_coded and self._settings.temporal_filter
+        if remembers and isinstance(phi, MatrixPhi):
+            self._filter.expect(self._memory.expect(self._estimate, phi))
         sums, weights, relative_penalty = self.average(sums_n, valid_sums)
         if not valid_sums.any():
             self.reset()
         else:
-            solve = partial(kernel.solve, phi=phi) if isinstance(kernel, MatrixSolver) else kernel.solve
+            solve = kernel.solve
+            if isinstance(kernel, MatrixSolver):
+                part = self._memory.follow(self._estimate, sums, valid_sums) if remembers else 1.0
+                solve = partial(kernel.solve, phi=phi, part=part)
             solve(self._estimate, sums, weights, relative_penalty=relative_penalty)
         image = kernel.deliver(self._estimate).reshape(kernel.shape)
         return image if self._correct is None else self._correct(image)
@@ -232,6 +239,7 @@ class Reconstructor:
         self._estimate[...] = 0
         self._kernel.reset()
         self._filter.reset()
+        self._memory.reset()
 
     def restart(self) -> None:
         """Return to the state after construction."""

@@ -30,7 +30,7 @@ class MatrixSolver:
     Sums of 0/1 codes feel the total force much more than its pattern: the iterations are then more by the root of
     largest / mean eigenvalue of ΦΦᵀ, rounded, which is 1 for an SBHE. With 40 sums of 100 taxels, 46 in place of 10
     iterations halve the error. With a Φ that changes each frame is one step of many, and has the iterations of the
-    settings.
+    settings or fewer.
 
     With a Φ that changes, no start is scaled: a few sums of one frame tell too little of the image before. With 15 sums
     of 100 taxels, random 0/1 codes, scaled starts cost 3 dB.
@@ -85,6 +85,7 @@ class MatrixSolver:
         *,
         relative_penalty: float = 1.0,
         phi: Phi | None = None,
+        part: float = 1.0,
     ) -> int:
         """Solve in place from `estimate` and return the number of sums used.
 
@@ -96,6 +97,8 @@ class MatrixSolver:
             As `reconstructor.kernels.fused.FusedSolver.solve`.
         phi : MatrixPhi, optional
             That of these sums, with the shape of the first; default: the first.
+        part : float
+            Of the iterations, above 0 and at most 1; one iteration is made at least.
         """
         phi = phi or self._phi
         if not isinstance(phi, MatrixPhi) or phi.shape != self._phi.shape:
@@ -106,7 +109,7 @@ class MatrixSolver:
         step = 1 / (self._settings.lipschitz_ratio * phi.norm_squared)
         numbers = np.array((step, self._settings.penalty_n * step * relative_penalty), self.dtype)
         matrix, memory = phi.dense.astype(self.dtype, copy=False), (self._dual, self._work)
-        schedule = self._momentum, self._is_scaled
+        schedule = self._momentum[: max(1, round(part * self._momentum.size))], self._is_scaled
         return int(solve_matrix(estimate, sums, counting, matrix, numbers, schedule, self._graph, memory))
 
     def reset(self) -> None:
