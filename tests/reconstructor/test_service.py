@@ -266,7 +266,7 @@ def test_a_long_start_says_why(
     command.reconstruct(of=SkinOptions(layout=Path("default"), connect=endpoint))
     first, ready = capfd.readouterr().out.splitlines()
     assert first == "reconstructor: compiles its solver, as on every first start"
-    assert ready == "reconstructor: 64 x 64 taxels, 10 iterations"
+    assert ready == "reconstructor: 64 x 64 taxels, 10 iterations, on the cpu"
 
 
 @pytest.mark.heavy

@@ -106,6 +106,8 @@ def test_all_hands_draws_only_to_those_that_average(
         "wiring",
         "noiselets",
         "frontend",
+        "recordings",
+        "single_wire",
     }
 
 
