@@ -3,7 +3,7 @@
 import contextlib
 import shlex
 import time
-from collections.abc import Callable, Collection
+from collections.abc import Collection
 from contextlib import ExitStack
 from functools import partial
 from math import inf
@@ -16,7 +16,7 @@ from rich.console import Console
 from calibration.windows import tare_s
 from canskin.errors import InputError, RunError, SkinError
 from canskin.fabric import Fabric
-from canskin.messages import GATEWAY, IMAGE, LABEL, MEASUREMENT, NODES, TRUTH, GatewayStatus, Topic
+from canskin.messages import GATEWAY, IMAGE, LABEL, MEASUREMENT, NODES, TRUTH, GatewayStatus
 from canskin.state_messages import IMAGES, ImagesRequest
 from demo.options import DemoOptions
 from demo.picture import save_picture
@@ -142,21 +142,20 @@ class Run:
         return [*self._of_layout, "--connect", endpoint]
 
     def _listen(self, fabric: Fabric) -> None:
-        takes: list[tuple[Topic, Callable[[Score, Any], None]]] = [
-            (GATEWAY, Score.take_gateway),
-            (NODES, Score.take_nodes),
-            (TRUTH, Score.take_truth),
-            (MEASUREMENT, Score.take_measurement),
-            (IMAGE, Score.take_image),
-            (LABEL, Score.take_label),
-        ]
-        for topic, take in takes:
+        for topic, take in (
+            (GATEWAY, "take_gateway"),
+            (NODES, "take_nodes"),
+            (TRUTH, "take_truth"),
+            (MEASUREMENT, "take_measurement"),
+            (IMAGE, "take_image"),
+            (LABEL, "take_label"),
+        ):
             fabric.subscribe(topic, partial(self._take, take))
         fabric.watch(lambda name, alive: self._alive.add(name) if alive else self._alive.discard(name))
 
-    def _take(self, take: Callable[[Score, Any], None], message: Any) -> None:
+    def _take(self, take: str, message: Any) -> None:
         """Let the score of the present rate take a message."""
-        take(self.score, message)
+        getattr(self.score, take)(message)
 
     def _start_services(self, endpoint: str) -> None:
         options, start, common = self._options, self._supervisor.start, self._common(endpoint)

@@ -7,7 +7,7 @@ from evaluation.bench import chain
 
 def test_processes_and_steps_of_a_run(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(chain, "LAYOUTS", (None,))
-    monkeypatch.setattr(chain, "RUN_S", 5.0)
+    monkeypatch.setattr(chain, "RUN_S", 2.0)
     processors, steps = chain.run(rounds=1).values()
     assert processors[0].keys() == {"skin", "bus", "nodes", "reconstructor", "classifier", "viewer", "gateway"}
     assert all(ratio > 0 for name, ratio in processors[0].items() if name not in {"skin", "viewer"})
