@@ -240,7 +240,7 @@ def test_verb_is_ready_and_ends_quietly(hub: Fabric, endpoint: str, golf: Scene,
         line = process.stderr.readline()
         if "compiles its solver" in line:
             line = process.stderr.readline()
-        assert line == "reconstructor: 64 x 64 taxels, 5 iterations\n"
+        assert line == "reconstructor: 64 x 64 taxels, 5 iterations, on the cpu\n"
         assert process.stderr.readline().startswith("reconstructor: scheduling: ")
         assert Exchange(hub).image_of(measurement(1, golf.sensor[30])).valid_sums == 1024
         process.send_signal(number)
