@@ -8,7 +8,6 @@ GPU than butterflies.
 from collections.abc import Iterator
 from copy import copy
 from dataclasses import dataclass
-from importlib import import_module
 from math import isqrt
 from types import ModuleType
 from typing import Any, Final, NamedTuple
@@ -121,15 +120,18 @@ def _cupy() -> ArrayLibrary:
         name = cupy.cuda.runtime.getDeviceProperties(0)["name"].decode()
     except cupy.cuda.runtime.CUDARuntimeError as error:
         raise InputError(f"CuPy finds no GPU: {error}") from error
-    return ArrayLibrary(import_module("array_api_compat.cupy"), f"CuPy {cupy.__version__} on {name}", on_gpu=True)
+    import array_api_compat.cupy as xp
+
+    return ArrayLibrary(xp, f"CuPy {cupy.__version__} on {name}", on_gpu=True)
 
 
 def _torch(device: Device) -> ArrayLibrary:
     try:
+        import array_api_compat.torch as xp
         import torch
     except ImportError as error:
         raise not_installed(f"PyTorch cannot be loaded ({error})", "torch") from error
-    xp, about = import_module("array_api_compat.torch"), f"PyTorch {torch.__version__} on"
+    about = f"PyTorch {torch.__version__} on"
     if device == "cpu":
         return ArrayLibrary(xp, f"{about} the CPU")
     if not torch.cuda.is_available():

@@ -22,10 +22,10 @@ import trimesh
 from dbc.contract import Contract
 from shell.command import build_app
 from skin.layout import load_layout
+from tests.descriptions import URDF, icub
 from tests.documents import DOCUMENTS, REASONS, ROOT, Block, blocks
 from tests.layouts import layout_toml
 from tests.recording.helpers import SMALL, messages, write_log
-from tests.skin.test_importing import URDF, icub
 
 COMMANDS: Final = [each for document in DOCUMENTS for each in blocks(document, "sh")]
 #: Words in capitals stand for a value of the user.

@@ -1,16 +1,18 @@
-"""A golf ball in closed form, measurements of forces, and what refuses wrong input."""
+"""A golf ball in closed form, measurements of forces, graphs of taxels, and what refuses wrong input."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+from hypothesis import strategies as st
 
 from canskin.errors import InputError
 from canskin.fabric import Mailbox
 from canskin.messages import IMAGE, Image, Measurement, Topic
 from skin.layout import Layout, load_layout
 from skin.measurement import Sbhe
+from skin.surface import grid_surface
 from tests import messages as make
 
 LAYOUT: Layout = load_layout()
@@ -91,3 +93,17 @@ def one_line(call: Callable[[], Any], says: str) -> None:
     with pytest.raises(InputError, match=says) as caught:
         call()
     assert "\n" not in str(caught.value)
+
+
+@st.composite
+def graphs(draw: st.DrawFn, taxels: int) -> np.ndarray:
+    """Draw neighbours: some of a lattice, whose taxels have any numbers, and some at random."""
+    rng = np.random.default_rng(draw(st.integers(0, 2**31)))
+    rows = draw(st.sampled_from([1, 2, 7]))
+    lattice = grid_surface(rows, -(-taxels // rows), 1.0, np.zeros(0, np.intp)).edges
+    lattice = lattice[(lattice < taxels).all(axis=1)]
+    more = rng.integers(0, taxels, (draw(st.integers(0, taxels)), 2))
+    both_kinds = np.concatenate((lattice, more[more[:, 0] != more[:, 1]]))
+    kept = both_kinds[rng.random(len(both_kinds)) >= draw(st.sampled_from([0.0, 0.05]))]
+    named = rng.permutation(taxels) if draw(st.booleans()) else np.arange(taxels)
+    return np.unique(np.sort(named[kept], axis=1), axis=0)

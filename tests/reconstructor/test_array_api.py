@@ -20,8 +20,7 @@ from reconstructor.kernels.fused import FusedSolver
 from reconstructor.settings import LIVE, PAPER, SPUN, VARIATION, SolverSettings
 from skin.measurement import Sbhe, sbhe
 from skin.surface import grid_surface
-from tests.reconstructor.helpers import Scene, psnr_db
-from tests.reconstructor.test_kernel import graphs
+from tests.reconstructor.helpers import Scene, graphs, psnr_db
 
 #: Allows the array standard alone: what runs on it runs on CuPy, too.
 STRICT = ArrayLibrary(array_api_strict, "array-api-strict")

@@ -16,6 +16,7 @@ from reconstructor.kernels.fused import FusedSolver
 from reconstructor.settings import SolverSettings
 from skin.measurement import Sbhe, sbhe
 from skin.surface import grid_surface
+from tests.reconstructor.helpers import graphs
 from tests.reconstructor.reference import Proximal, Shrinkage, Variation, fista_image
 
 PRIORS = ("haar-pyramid", "haar-tensor", "d4-pyramid", "d4-tensor", "sym4-pyramid", "coif1-tensor", "variation")
@@ -35,20 +36,6 @@ class Rows:
         full = np.zeros(self._kept.size, y.dtype)
         full[self._kept] = y
         return self._phi.adjoint(full)
-
-
-@st.composite
-def graphs(draw: st.DrawFn, taxels: int) -> np.ndarray:
-    """Draw neighbours: some of a lattice, whose taxels have any numbers, and some at random."""
-    rng = np.random.default_rng(draw(st.integers(0, 2**31)))
-    rows = draw(st.sampled_from([1, 2, 7]))
-    lattice = grid_surface(rows, -(-taxels // rows), 1.0, np.zeros(0, np.intp)).edges
-    lattice = lattice[(lattice < taxels).all(axis=1)]
-    more = rng.integers(0, taxels, (draw(st.integers(0, taxels)), 2))
-    both_kinds = np.concatenate((lattice, more[more[:, 0] != more[:, 1]]))
-    kept = both_kinds[rng.random(len(both_kinds)) >= draw(st.sampled_from([0.0, 0.05]))]
-    named = rng.permutation(taxels) if draw(st.booleans()) else np.arange(taxels)
-    return np.unique(np.sort(named[kept], axis=1), axis=0)
 
 
 @st.composite

@@ -7,11 +7,10 @@ from evaluation.schemes import wiring
 
 
 def test_shorter_wires_cost_quality(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(wiring, "OBJECTS", ("golf-ball",))
     monkeypatch.setattr(wiring, "QUICK_SPEED", 700)
     kept = {name: wiring.WIRINGS[name] for name in ("whole skin, B = 32", "16 x 16, B = 32", "4 x 8 neighbours")}
     monkeypatch.setattr(wiring, "WIRINGS", kept)
-    found = wiring.evaluate(Options(quick=True))
+    found = wiring.evaluate(Options(quick=True, objects=("golf-ball",)))
     scattered, patch, neighbours = found.rows
     assert [row["wiring"] for row in found.rows] == list(kept)
     assert [row["boards"] for row in found.rows] == [128] * 3
