@@ -113,7 +113,7 @@ def evaluate(options: Options) -> Result:
     note = (
         "paper: the number of the text, or of the table on which the claim rests, its over 80 % and under 60 % as 80 "
         "and 60; empty where the paper has none. "
-        "spread: standard deviation over runs. "
+        "spread: standard deviation over draws and splits. "
         "offline: arrays, or arithmetic. live: the code of boards, frames, solver and classifier of the running skin, "
         "in one process; those of the default skin also on simulated buses. runs: trajectories, splits, cycles, "
         "images, touches or decisions behind the figure. Live images are ours: solver, and averages on the boards. "

@@ -1,5 +1,6 @@
 """Which of the numbers that the paper prints ours reach, and the file that keeps a run's comparison."""
 
+import math
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -160,7 +161,7 @@ def read(path: Path) -> Stored:
 
 def _ours(number: Number, rows: Sequence[Row]) -> Ours:
     row = _row(rows, number.cell)
-    if row is None or row[number.column] is None:
+    if row is None or row[number.column] is None or not math.isfinite(row[number.column]):
         return Ours(number.name, None)
     ours = float(row[number.column])
     if number.minus:

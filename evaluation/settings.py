@@ -8,7 +8,7 @@ from evaluation.paper.pictures import SCALE_N
 from evaluation.paper.runs import NOISELET_PENALTY_N
 from evaluation.paper.sparsity import THRESHOLD_N
 from evaluation.printed import paper_value
-from evaluation.recognition.accuracy import FULL
+from evaluation.recognition.accuracy import FULL, TRAINING
 from evaluation.recognition.classification import CONFUSION_SIZE, SPLITS
 from evaluation.result import Options, Result, beside
 from reconstructor.bases.contourlet import LEVELS
@@ -47,6 +47,9 @@ SETTINGS: Final[dict[str, float]] = {
     "observations of the validation set": len(_SPLIT.validation),
     "observations of the test set": len(_SPLIT.test),
     "splits": SPLITS,
+    **{f"development set {number} of 6, %": 100 * share for number, (share, _) in enumerate(TRAINING, 1)},
+    "validation set of the largest development set, %": 100 * FULL[1],
+    "validation set of the smallest development set, %": 100 * TRAINING[-1][1],
     "sums of the confusions": CONFUSION_SIZE,
 }
 

@@ -18,11 +18,10 @@ import numpy.typing as npt
 from canskin.errors import InputError
 from evaluation.result import Options, Result, Row, grouped
 from evaluation.result_cache import measure_cells
+from reconstructor.checks import Values
 from reconstructor.engine import Reconstructor
 from skin.matrix import MatrixPhi
 from skin.taxel import FORCE_MAX_N
-
-Values = npt.NDArray[np.float64]
 
 #: Taxels of a side, and of all; sums of a frame.
 SIDE: Final = 10

@@ -42,14 +42,6 @@ STRIDES: Final[dict[tuple[BasisName, int], int]] = {
     ("contourlet", 5): 1,
 }
 QUICK_STRIDES: Final[dict[BasisName, int]] = {"haar": 10, "contourlet": 20}
-#: Largest difference from the paper that counts as equal, dB, see ``docs/paper.md``.
-TOLERANCE_DB: Final[dict[tuple[Matrix, BasisName], float]] = {
-    ("sbhe", "haar"): 0.4,
-    ("noiselet", "haar"): 0.5,
-    ("sbhe", "contourlet"): 1.0,
-    ("noiselet", "contourlet"): 1.0,
-}
-SENSOR_TOLERANCE_DB: Final = 0.15
 #: Steps that are timed, one after the other in the middle of the slide, and those before them that do not count.
 TIMED_STEPS, QUICK_TIMED_STEPS, UNTIMED_STEPS = 200, 20, 5
 TIMED_FROM: Final = 2000
@@ -131,11 +123,7 @@ def _rows(cells: Sequence[Cell], options: Options) -> list[Row]:
         for draw in range(each.draws)
     ]
     results = iter(measure_cells(measure, calls, options, RECONSTRUCTIONS))
-    rows = []
-    for each in cells:
-        tolerance_db = TOLERANCE_DB[each.method.matrix, each.method.basis]
-        rows.append(each.labels | psnr_columns(list(islice(results, each.draws)), each.printed, tolerance_db))
-    return rows
+    return [each.labels | psnr_columns(list(islice(results, each.draws)), each.printed) for each in cells]
 
 
 def _sensor_rows(options: Options, draws: int) -> list[Row]:
@@ -146,20 +134,17 @@ def _sensor_rows(options: Options, draws: int) -> list[Row]:
     results = iter(measure_cells(measure_sensor, calls, options, "sensor"))
     labels = {"matrix": SENSOR, "sums": 4096, "basis": ""}
     return [
-        {"object": name, **labels} | psnr_columns(list(islice(results, draws)), sensor_psnr(name), SENSOR_TOLERANCE_DB)
-        for name in OBJECTS
+        {"object": name, **labels} | psnr_columns(list(islice(results, draws)), sensor_psnr(name)) for name in OBJECTS
     ]
 
 
-def psnr_columns(found: list[Row], printed: Psnr, tolerance_db: float) -> Row:
+def psnr_columns(found: list[Row], printed: Psnr) -> Row:
     """Return the columns of one cell from its draws: the mean beside the paper's, the spread over draws, the range.
 
-    ``within`` tells whether the difference is at most `tolerance_db`; ``least`` and ``most`` are means of the draws'.
+    ``least`` and ``most`` are means of the draws'.
     """
     mean, least, most = (np.array([each[key] for each in found]) for key in ("mean", "least", "most"))
-    columns = beside(float(mean.mean()), printed.mean)
-    return columns | {
-        "within": bool(abs(columns["difference"]) <= tolerance_db + 1e-9),
+    return beside(float(mean.mean()), printed.mean) | {
         "spread": round(float(mean.std()), 2),
         "least": round(float(least.mean()), 2),
         "least_spread": round(float(least.std()), 2),

@@ -26,7 +26,7 @@ SCHEMES: Final[tuple[Scheme, ...]] = (
 _QUICK: Final[tuple[Scheme, ...]] = (OURS, Sums(), Scan(SIDE), Scan(32, "solved"), FilteredEvents(0.5e-3))
 #: Those that scenes drawn at random are shown; plain scans are 9 dB behind in all of them.
 _DRAWN: Final[tuple[Scheme, ...]] = (OURS, Sums(), Scan(SIDE, "solved"), *map(FilteredEvents, THRESHOLDS_N))
-#: Bits that differ by less are equal: scans have whole frames.
+#: Bits of schemes with a rate that differ by less are equal: scans have whole frames.
 EQUAL_BITS: Final = 0.05
 #: Less is not told apart.
 LEVEL_DB: Final = 0.5
@@ -200,6 +200,7 @@ def _verdict(touch: str, ours: Row, others: list[Row]) -> str:
         worse += [] if ours["touched_error_mn"] < nearest["touched_error_mn"] else ["touched error"]
         said += f"; touched {ours['touched_error_mn']:.2f} mN, "
         said += f"{nearest['touched_error_mn']:.2f} {nearest['scheme']}"
-    worse += [] if ours["kbit_per_s"] < best["kbit_per_s"] * (1 + EQUAL_BITS) else ["bits"]
+    more = 0.0 if ours["rate_hz"] is None else EQUAL_BITS
+    worse += [] if ours["kbit_per_s"] < best["kbit_per_s"] * (1 + more) else ["bits"]
     said += f"; {ours['kbit_per_s']:.0f} kbit/s, {best['kbit_per_s']:.0f} {best['scheme']}"
     return f"{'LOSS in ' + ', '.join(worse) if worse else 'win'}: {touch}: {said}"

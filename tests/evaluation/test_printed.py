@@ -81,6 +81,8 @@ def test_ours_is_the_one_row_that_has_the_cell() -> None:
     assert found[name] == Ours(name, 91.5, 2.0)
     assert found["section VII-B-2, accuracy of 4096 taxels - of 16 SBHE, 60 % training"].ours == 8.25
     assert found["section VII-B-1, accuracy, 16 noiselet products"].ours is None
+    unmeasured = reached.compare({"classification": [rows[0] | {"ours": float("nan")}]})
+    assert {each.ours for each in unmeasured} == {None}
     with pytest.raises(ValueError, match=r"expected one row with .*'signal': 'SBHE'.*, got 2"):
         reached.compare({"classification": [rows[0], *rows]})
 

@@ -56,11 +56,10 @@ def test_sensor_signal_of_the_golf_ball() -> None:
 
 def test_columns_are_means_over_draws() -> None:
     found = [{"mean": 30.0, "least": 28.0, "most": 33.0}, {"mean": 31.0, "least": 29.0, "most": 34.0}]
-    assert psnr_columns(found, Psnr(30.3, 28.0, 34.0), 0.2) == {
+    assert psnr_columns(found, Psnr(30.3, 28.0, 34.0)) == {
         "ours": 30.5,
         "paper": 30.3,
         "difference": 0.2,
-        "within": True,
         "spread": 0.5,
         "least": 28.5,
         "least_spread": 0.5,

@@ -80,9 +80,11 @@ def test_slides_have_a_row_of_means_and_losses_are_named_as_plainly_as_wins() ->
     rows += [row("ball", "events", 45, 0.9, 200)]
     rows += [row("box", "adaptive sums", 50, 0.3, 100), row("box", "scan", 51, 0.2, 3000)]
     rows += [row("box", "sums", 52, 0.1, 3050)]
-    _, first, second, _, third = wins_and_losses(rows).splitlines()
+    rows += [row("cup", "adaptive sums", 50, 0.3, 100), row("cup", "events", 45, 0.9, 98)]
+    _, first, second, more, _, third = wins_and_losses(rows).splitlines()
     assert first == "win: ball: +5.0 dB to events; touched 0.30 mN, 0.80 scan; 100 kbit/s, 200 events"
     assert second.startswith("LOSS in PSNR, touched error: box: -2.0 dB to sums")
+    assert more.startswith("LOSS in bits: cup: +5.0 dB to events")  # only of schemes with a rate 98 are as many as 100
     assert third.startswith("win: box: +1.0 dB to scan")  # 3050 kbit/s are as many as 3000
 
 
