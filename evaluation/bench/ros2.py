@@ -55,7 +55,7 @@ def run(rounds: int) -> dict[str, Any]:
 
 
 def _latency(layout: Layout, hub: Fabric, endpoint: str, topics: tuple[RosTopic, ...], count: int) -> dict[str, Any]:
-    """Return how many of `count` images came, and their latency; the newest image of each topic is awaited."""
+    """Return the latency of `count` images that came, and how many others did not; each is awaited before the next."""
     reader, came = RosReader(endpoint), {topic.name: queue.Queue[tuple[int, bytes]]() for topic in topics}
 
     def note(name: str, message: Any) -> None:
@@ -66,22 +66,25 @@ def _latency(layout: Layout, hub: Fabric, endpoint: str, topics: tuple[RosTopic,
     try:
         pixels = np.random.default_rng(1).random(layout.taxels.count, np.float32)
         _await_first(layout, hub, came[FORCE_IMAGE.name], pixels)
-        latencies_s, equal = [], 0
-        for number in range(count):
+        latencies_s, equal, lost = list[float](), 0, 0
+        while len(latencies_s) < count:
             started_ns = time.monotonic_ns()
-            pixels[0] = number
-            hub.publish(IMAGE, _image(layout, number, pixels))
+            pixels[0] = len(latencies_s)
+            hub.publish(IMAGE, _image(layout, len(latencies_s) + lost, pixels))
             try:
                 arrived_ns, content = came[FORCE_IMAGE.name].get(timeout=_PATIENCE_S)
             except queue.Empty as error:
-                raise RunError(f"image {number} did not come") from error
+                lost += 1  # best effort: a machine whose processors are all busy may lose an image
+                if lost > count / 10:
+                    raise RunError(f"{lost} images did not come") from error
+                continue
             latencies_s.append((arrived_ns - started_ns) * 1e-9)
             equal += content == pixels.tobytes()
             time.sleep(max(0.0, layout.sync.period_s - (time.monotonic_ns() - started_ns) * 1e-9))
     finally:
         reader.close()
     p50_s, p99_s = np.percentile(latencies_s, (50, 99))
-    return {"images": count, "equal": equal, "median_ms": 1e3 * p50_s, "p99_ms": 1e3 * p99_s}
+    return {"images": count, "lost": lost, "equal": equal, "median_ms": 1e3 * p50_s, "p99_ms": 1e3 * p99_s}
 
 
 def _await_first(layout: Layout, hub: Fabric, came: "queue.Queue[tuple[int, bytes]]", pixels: Any) -> None:
