@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Final
 
+from canskin.errors import InputError
 from evaluation.printed import Key
 from evaluation.reached import VERDICTS, Compared, Stored, judged, read
 from evaluation.result import grouped
@@ -142,9 +143,21 @@ def _table(headings: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     return "".join(f"| {' | '.join(map(str, line))} |\n" for line in lines)
 
 
+def _whole(path: Path) -> Stored:
+    stored = read(path)
+    if missing := [each.number.name for each in judged(stored.numbers) if each.ours is None]:
+        raise InputError(f"'{path}' lacks numbers: {len(missing)}, such as {missing[0]}; give a whole run")
+    return stored
+
+
 def main(arguments: Sequence[str]) -> int:
     """Write the document; return the exit status."""
-    stored = read(Path(arguments[0]) if arguments else RESULTS)
+    path = Path(arguments[0]) if arguments else RESULTS
+    try:
+        stored = _whole(path)
+    except InputError as error:
+        print(f"paper: {error}", file=sys.stderr)
+        return 2
     if arguments:
         write_file(RESULTS, Path(arguments[0]).read_text(encoding="utf-8"))
     write_file(DOCUMENT, made(DOCUMENT.read_text(encoding="utf-8"), stored))

@@ -1,6 +1,11 @@
 """The document on the paper, the printed numbers and the stored run agree."""
 
-from docs.paper import DOCUMENT, PARTS, RESULTS, made
+import json
+from pathlib import Path
+
+import pytest
+
+from docs.paper import DOCUMENT, PARTS, RESULTS, made, main
 from evaluation.claims import CLAIMS
 from evaluation.printed import printed
 from evaluation.reached import VERDICTS, judged, read
@@ -24,3 +29,14 @@ def test_every_number_that_is_not_reached_has_a_cause_and_every_cause_a_number()
     causes = [each.cause for each in judged(STORED.numbers) if each.verdict == VERDICTS[0]]
     assert all(causes)
     assert set(causes) == {each.words for each in printed().causes}
+
+
+def test_a_run_that_lacks_a_number_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    lacking = json.loads(RESULTS.read_text("utf-8"))
+    lacking["numbers"][5]["ours"] = None
+    path = tmp_path / "paper.json"
+    path.write_text(json.dumps(lacking))
+    before = RESULTS.read_text("utf-8")
+    assert main([str(path)]) == 2
+    assert "lacks numbers: 1, such as" in capsys.readouterr().err
+    assert RESULTS.read_text("utf-8") == before
