@@ -111,7 +111,7 @@ def array_library(device: Device, name: LibraryName | None = None) -> ArrayLibra
     ----------
     device : {"cpu", "gpu"}
     name : {"cupy", "torch", "numpy"}, optional
-        Default: of a GPU CuPy, else PyTorch; of a CPU NumPy.
+        Default: of a GPU PyTorch, which has CUDA graphs here, else CuPy; of a CPU NumPy.
 
     Raises
     ------
@@ -127,10 +127,10 @@ def array_library(device: Device, name: LibraryName | None = None) -> ArrayLibra
     if name is not None:
         return _torch("gpu") if name == "torch" else _cupy()
     try:
-        return _cupy()
+        return _torch("gpu")
     except InputError as error:
         try:
-            return _torch("gpu")
+            return _cupy()
         except InputError as other:
             raise InputError(f"{error}; {other}") from error
 
@@ -266,7 +266,8 @@ class BatchSolver:
     def of_streams(self, streams: int) -> "BatchSolver":
         """Return a solver of as many streams, with a state of its own."""
         made = copy(self)
-        made.streams, made._dual, made._run = streams, made._prior.new_dual(streams), None
+        made.streams = streams
+        made.reset()
         return made
 
     def new_estimate(self) -> Any:
@@ -307,8 +308,7 @@ class BatchSolver:
 
     def reset(self) -> None:
         """Reset the state besides the estimates."""
-        for each in self._dual:
-            each[...] = 0
+        self._dual, self._run = self._prior.new_dual(self.streams), None
 
     def deliver(self, estimate: Any) -> npt.NDArray[np.float32]:
         """Return new NumPy images of shape (streams, rows, columns), negative forces as 0."""
