@@ -251,7 +251,7 @@ def test_without_a_gpu_the_extra_is_named(
     np.save(tmp_path / "mat.npy", force_n)
     for name in ("cupy", "torch"):
         monkeypatch.setitem(sys.modules, name, None)
-    with pytest.raises(InputError, match=r"\[gpu\].*\[torch\]"):
+    with pytest.raises(InputError, match=r"\[torch\].*\[gpu\]"):
         rebuild(tmp_path / "mat.npy", out=out, layout=layout_file, solver=SolverOptions(device="gpu"))
     monkeypatch.setattr("reconstructor.array_api.array_library", lambda _: NUMPY)
     contourlets = SolverOptions("paper-contourlet", device="gpu")
