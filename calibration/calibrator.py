@@ -420,19 +420,19 @@ class Calibrator:
         self._tell(is_done=True, text=text)
 
     def _refuse(self, where: str) -> None:
-        """Keep the zero there is; try again with the next window unless there is one."""
-        text = (
-            f"something touches the skin or moves on it, around {where}: its zero is"
-            f" measured when it has been untouched for {self.tare_s:.3g} s"
-        )
-        if self._tares and (self._tared_ns or not self._is_own):
-            self.state = CalibrationState.FOLLOWING
-            self._taring.begin()
-            self._tell(is_done=False, text=text.split(":", maxsplit=1)[0] + ": the zero stays as it was")
+        """Keep the zero there is; a skin that measures its zero by itself and has none tries again."""
+        touched = f"something touches the skin or moves on it, around {where}"
+        if self._tares and not self._tared_ns and self._is_own:
+            if self.state is not CalibrationState.TOUCHED:
+                self.state = CalibrationState.TOUCHED
+                wanted = f"its zero is measured when it has been untouched for {self.tare_s:.3g} s"
+                self._tell(is_done=False, text=f"{touched}: {wanted}")
             return
-        if self.state is not CalibrationState.TOUCHED:
-            self.state = CalibrationState.TOUCHED
-            self._tell(is_done=False, text=text)
+        has_zero = self._followed is not None and (self._is_own or self._tared_ns)
+        unasked = CalibrationState.LOADED if has_zero else CalibrationState.OFF
+        self.state = CalibrationState.FOLLOWING if self._tares else unasked
+        self._taring.begin()
+        self._tell(is_done=False, text=f"{touched}: the zero stays as it was")
 
     def _tell(self, *, is_done: bool, text: str) -> None:
         self.result = TareResult(is_done, text)

@@ -108,7 +108,7 @@ def test_a_tare_by_force_settles_what_a_plain_one_refuses(*, tares: bool) -> Non
     assert skin.run(3.0, WEIGHT).offsets == b""
     assert skin.made.result is not None
     assert not skin.made.result.is_done
-    assert skin.made.state is (CalibrationState.FOLLOWING if tares else CalibrationState.TOUCHED)
+    assert skin.made.state is (CalibrationState.FOLLOWING if tares else CalibrationState.OFF)
     skin.made.tare(force=True)
     assert np.abs(picture_n(skin.run(3.0, WEIGHT))).max() < 0.5e-3
     assert skin.made.state is (CalibrationState.FOLLOWING if tares else CalibrationState.LOADED)

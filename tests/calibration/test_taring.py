@@ -152,6 +152,18 @@ def test_a_touch_during_a_later_zero_leaves_the_old_one() -> None:
     assert skin.made.status().revision == 1
 
 
+def test_a_tare_that_is_refused_is_over_where_nothing_is_measured_unasked() -> None:
+    skin = Cycles(tares=False)
+    hand = COUNTS + pressed_counts(10, 20, 5, 300)
+    skin.made.tare()
+    skin.run(14, hand)
+    assert skin.made.result is not None
+    assert skin.made.result.text.endswith(": the zero stays as it was")
+    assert skin.made.state is CalibrationState.OFF
+    skin.run(20, COUNTS)
+    assert skin.made.status().known_sums == 0
+
+
 def test_a_forced_zero_takes_a_touch_for_its_own_once() -> None:
     skin = tared()
     hand = COUNTS + pressed_counts(10, 20, 5, 300)
