@@ -99,8 +99,8 @@ class ForeignClient:
             return False
         place = data[1:4]
         is_old = self._old[place] > 0
-        for each in (self._open, self._old):
-            each[place] = max(each[place] - 1, 0)
+        self._open -= Counter((place,))
+        self._old -= Counter((place,))
         return is_old
 
     def booted(self) -> None:

@@ -4,7 +4,7 @@ import socket
 from collections.abc import Collection
 from ipaddress import ip_address
 from typing import Final
-from urllib.parse import urlsplit
+from urllib.parse import SplitResult, urlsplit
 
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.responses import PlainTextResponse
@@ -57,11 +57,11 @@ class Guard:
 
     def _refusal(self, headers: Headers, method: str) -> str:
         host = headers.get("host", "")
-        name = urlsplit(f"//{host}").hostname or ""
+        name = _split(f"//{host}").hostname or ""
         if self._hosts is not None and name not in self._hosts:
             return f"this server does not answer to the host '{host}'"
         origin = headers.get("origin")
-        is_own = origin is not None and urlsplit(origin).netloc == host
+        is_own = origin is not None and _split(origin).netloc == host
         if method == "websocket" and origin is not None and not is_own:
             return f"pages of {origin} may not read this skin"
         return self._refusal_to_act(headers, host, name, is_own=is_own) if method == "POST" else ""
@@ -74,6 +74,14 @@ class Guard:
         if headers.get("content-type", "").partition(";")[0].strip() != "application/json":
             return "expected Content-Type: application/json"
         return ""
+
+
+def _split(address: str) -> SplitResult:
+    """Return the parts of an address, empty ones if it is none."""
+    try:
+        return urlsplit(address)
+    except ValueError:
+        return urlsplit("")
 
 
 def _is_this_machine(name: str) -> bool:

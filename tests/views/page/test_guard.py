@@ -47,6 +47,7 @@ LOCAL = ("localhost", "::1")
         ("LOCALHOST", 200),
         ("[::1]:80", 200),
         ("evil.example", 403),
+        ("[::1", 403),
         ("", 403),
     ],
 )
@@ -61,7 +62,10 @@ def test_a_request_without_a_host_is_refused() -> None:
 
 @pytest.mark.parametrize(
     ("origin", "code"),
-    [("http://localhost:8765", 200), ("http://localhost", 1008), ("http://evil.example", 1008), ("null", 1008)],
+    [
+        ("http://localhost:8765", 200),
+        *((other, 1008) for other in ("http://localhost", "http://evil.example", "http://[::1", "null")),
+    ],
 )
 def test_pages_of_other_origins_open_no_websocket(origin: str, code: int) -> None:
     for hosts in (LOCAL, None):
