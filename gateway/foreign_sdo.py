@@ -1,7 +1,8 @@
 """SDO requests of another master to a node: a doubt for the gateway, a channel in use, or nothing.
 
 A board that hangs may answer the gateway's question of before a write after the write. So the answers that are still to
-come at a write that counts are not used, and the gateway asks again.
+come at a write that counts are not used, and the gateway asks again. A question that a stopped node never answered is
+still open then, and costs one more question.
 """
 
 from collections import Counter

@@ -321,8 +321,9 @@ class NmtMaster:
     def _take_of(self, node: NodeRecord, base: int, data: bytes, now_s: float) -> None:
         if base == SDO_RESPONSE_BASE and len(data) == SDO_BYTES:
             if node.foreign.take_answer(data):
-                return
-            if node.dialogue is not None:
+                if (asking := node.dialogue or node.errand) is not None:
+                    asking.ask_again(data, now_s)
+            elif node.dialogue is not None:
                 node.dialogue.take(data, now_s)
                 self._finish(node, now_s)
                 self._begin_due(now_s)

@@ -197,6 +197,12 @@ class SdoDialogue:
         elif kind == 0x00:
             self._segment(self._value, data, now_s)
 
+    def ask_again(self, data: bytes, now_s: float) -> None:
+        """Repeat a read at once if `data`, which must not be used, answers it; the attempt does not count."""
+        if not self.done and isinstance(self._transfer, Read) and self._value is None and self._is_mine(data):
+            self._tried -= 1
+            self._begin(now_s)
+
     def _is_mine(self, data: bytes) -> bool:
         return (int.from_bytes(data[1:3], "little"), data[3]) == (self._transfer.index, self._transfer.subindex)
 

@@ -260,6 +260,24 @@ def test_answer_that_a_board_gave_before_a_write_and_sends_after_it_proves_nothi
     assert not any(world.wrong_blocks(each) for each in world.run(2.0))
 
 
+def test_questions_that_were_lost_before_a_write_keep_no_node_out(world: World) -> None:
+    world.until_whole(2.0)
+    node, wire = world.gateway.masters[0].nodes[1], world.wires[0]
+    wire.loses = lambda end, each: bool(end is wire.nodes and each["can_id"] == SDO_REQUEST_BASE + 1)
+    while node.dialogue is None:
+        world.step()
+    while node.dialogue is not None:  # all its questions are lost
+        world.step()
+    wire.loses = None
+    swap_mapping(world, 0, 1)
+    world.step()
+    assert not node.in_use
+    assert world.until_whole(2.0) < SOON_S + 2 * PERIOD_S
+    world.run(0.5)
+    assert len(world.lines) == 3, world.lines  # doubted, set right, back
+    assert node.tries == 1
+
+
 def wide_contract(*nodes: int) -> Contract:
     """Return the contract of a skin of 64 x 64 taxels with so many nodes on its buses."""
     return Contract.from_layout(small_layout(64, 64, bus=buses(*nodes)))

@@ -5,7 +5,18 @@ from collections.abc import Generator
 import pytest
 
 from dbc.canopen import Abort
-from gateway.sdo import MOST_LOST, Download, Read, SdoAbortedError, SdoDialogue, SdoTimeoutError, Transfer, Write, one
+from gateway.sdo import (
+    ATTEMPTS,
+    MOST_LOST,
+    Download,
+    Read,
+    SdoAbortedError,
+    SdoDialogue,
+    SdoTimeoutError,
+    Transfer,
+    Write,
+    one,
+)
 
 
 class Far:
@@ -48,6 +59,16 @@ def test_expedited_upload(came: str, value: bytes) -> None:
     answer(dialogue, came)
     assert dialogue.done
     assert dialogue.result == value
+
+
+def test_a_read_whose_answer_must_not_be_used_is_asked_again_at_once() -> None:
+    dialogue, far = begin(Read(0x1017))
+    for _ in range(ATTEMPTS + 1):
+        dialogue.ask_again(bytes.fromhex("4f17100005000000"), 0.0)
+    dialogue.ask_again(bytes.fromhex("4f16100005000000"), 0.0)  # the answer to something else
+    assert far.take() == ["4017100000000000"] * (ATTEMPTS + 2)
+    answer(dialogue, "4f17100006000000")
+    assert dialogue.result == b"\6"
 
 
 def test_upload_in_segments() -> None:
