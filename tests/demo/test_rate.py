@@ -88,7 +88,8 @@ def test_a_run_takes_the_rate_that_the_machine_keeps(
 
 def test_services_of_another_rate_are_not_taken_for_those_that_start(tmp_path: Path) -> None:
     run = Run(LAYOUT, DemoOptions(view=False), tmp_path)
-    before, after = ([new_peer(LAYOUT.name, name, "") for name in ("nodes", "reconstructor", "classifier")] for _ in "12")
+    names = "nodes", "reconstructor", "classifier"
+    before, after = ([new_peer(LAYOUT.name, name, "") for name in names] for _ in range(2))
     for peer in before:
         run._note(peer, True)
     assert run._missing() == ""
