@@ -5,7 +5,7 @@ import math
 import msgspec
 import numpy as np
 
-from canskin.messages import Contact, Contacts, GatewayStatus, Image, Label, Truth
+from canskin.messages import Contact, Contacts, GatewayStatus, Image, Label, Mark, Truth, is_label
 from skin.layout import Layout
 from skin.wall_times import END_NS
 
@@ -22,7 +22,8 @@ def fits(message: msgspec.Struct, layout: Layout) -> bool:
     """Tell whether a message has this skin's sizes, and only numbers that programs can show.
 
     Images and truths: finite forces of this skin's taxels; times and cycles in range. Contacts: centres on this skin,
-    finite forces, numbers in range. Labels: a confidence of 0 to 1. Counters of the gateway: a state of each node.
+    finite forces, numbers in range. Labels: a confidence of 0 to 1. Marks: a name that an object can have. Counters of
+    the gateway: a state of each node.
     """
     match message:
         case Image():
@@ -44,6 +45,8 @@ def fits(message: msgspec.Struct, layout: Layout) -> bool:
             )
         case Label():
             return 0.0 <= message.confidence <= 1.0 and _moment_fits(message)
+        case Mark():
+            return is_label(message.label)
         case GatewayStatus():
             loads = (load for bus in message.buses for load in (bus.load_ratio, bus.mean_load_ratio))
             has_states = all(len(bus.nmt) == len(bus.nodes) for bus in message.buses)

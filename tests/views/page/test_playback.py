@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from canskin.errors import InputError, RunError
-from canskin.messages import CONTACTS, GATEWAY, IMAGE, LABEL, TRUTH, Topic
+from canskin.messages import CONTACTS, GATEWAY, IMAGE, LABEL, MARK, TRUTH, Mark, Topic
 from shell.skin_options import SkinOptions
 from skin.layout import layout_text
 from skin.mcap_file import LAYOUT_FILE, File, RecordingWriter
@@ -36,6 +36,8 @@ def recorded(messages: Any, path: Path, *, closes: bool = True) -> Path:
         write(LABEL, at_s, messages.label())
         if cycle % 20 == 0:
             write(GATEWAY, at_s, messages.gateway(cycles=cycle + 1))
+        if cycle == 250:
+            write(MARK, at_s, Mark(label="cup"))
         if cycle % 50 == 49:
             writer.flush()
     if closes:
@@ -120,6 +122,15 @@ def test_the_history_is_that_of_the_recording_and_begins_anew_elsewhere(player: 
     player.playback.play(position_s=8.0)
     assert player.playback.history(float("-inf"))["time_s"][0] == pytest.approx(FIRST_S + 6.5, abs=0.2)
     assert player.playback.frame(told["time_s"][0]) is None
+
+
+def test_the_mark_before_a_position_holds_there(player: Player) -> None:
+    marks = []
+    for position_s in (1.0, 9.0, 2.0):
+        player.playback.play(position_s=position_s)
+        player.after(0.2)
+        marks.append(player.playback.history(float("-inf"))["mark"][-1])
+    assert marks == [None, "cup", None]
 
 
 def test_a_recording_after_a_crash_is_shown_and_moved(messages: Any, tmp_path: Path, capfd: Any) -> None:
