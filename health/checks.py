@@ -45,13 +45,11 @@ def fits(message: msgspec.Struct, layout: Layout) -> bool:
             )
         case Label():
             return 0.0 <= message.confidence <= 1.0 and _moment_fits(message)
-        case Mark():
-            return is_label(message.label)
         case GatewayStatus():
             loads = (load for bus in message.buses for load in (bus.load_ratio, bus.mean_load_ratio))
             has_states = all(len(bus.nmt) == len(bus.nodes) for bus in message.buses)
             return has_states and all(map(math.isfinite, (message.sync_rate_hz, *loads)))
-    return True
+    return not isinstance(message, Mark) or is_label(message.label)
 
 
 def _contact_fits(contact: Contact, layout: Layout) -> bool:

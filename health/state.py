@@ -339,7 +339,7 @@ class ViewState:
             load_ratio=gateway and max((bus.load_ratio for bus in gateway.message.buses), default=None),
             missing=gateway and gateway.message.frames.missing,
             label=label.message.label if label is not None and is_labelled else None,
-            mark=self._mark and self._mark.label,
+            mark=None if self._mark is None else self._mark.label,
             contacts=contacts and [(each.identity, each.force_n) for each in contacts.message.contacts],
         )
 
