@@ -139,9 +139,9 @@ def _is_loopback(host: str) -> bool:
 
 
 def _hosts(host: str) -> Collection[str] | None:
-    """Return the host names that a server bound to `host` answers to; None for a host bound to all addresses."""
+    """Return the names of the server that is bound to `host`, as browsers write them; None for all addresses."""
     try:
         address = ip_address(host)
     except ValueError:
-        return (*LOOPBACK, host)
-    return None if address.is_unspecified else (*LOOPBACK, host)
+        return (*LOOPBACK, host.lower())
+    return None if address.is_unspecified else (*LOOPBACK, str(address))

@@ -174,7 +174,7 @@ def test_five_minutes_are_drawn_with_their_gaps(browser: Browser, server: Server
 def test_a_recording_is_said_and_moved(page: Browser, server: Server) -> None:
     assert page.ask("document.querySelector('#playing').hidden")
     server.feed.shows["playback"] = PlaybackState(
-        path="runs/cup.mcap", position_s=12.0, duration_s=60.0, is_paused=False, speed=1.0
+        path="runs/cup.mcap", position_s=12.0, duration_s=59.97, is_paused=False, speed=1.0
     )
     server.actions.clear()
     server.actions.update(server.doer.actions("play"))
