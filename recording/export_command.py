@@ -137,6 +137,9 @@ def _export_recording(source: Path, to: Format, out: Path | None) -> None:
     if source.suffix.lower() != RECORDING_SUFFIX or not source.is_file():
         raise InputError(f"{source}: expected a recording of 'skin record' (.mcap)")
     path = out or source.with_name(source.stem + _SUFFIXES[to])
+    of_others = {suffix for other, suffix in _SUFFIXES.items() if suffix and other != to}
+    if path.suffix.lower() in of_others:
+        raise InputError(f"{path}: --to {to} writes no '{path.suffix}': expected another --to, or another suffix")
     if to == "video":
         _export_video(source, path)
         return

@@ -94,6 +94,12 @@ def test_csv_can_be_played(run: Path, tmp_path: Path) -> None:
     assert rows[0].startswith("cycle,time_ns")
 
 
+def test_a_file_is_what_its_suffix_says(run: Path, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"--to npz writes no '\.csv': expected another --to"):
+        export(str(run), out=tmp_path / "run.csv")
+    export(str(run), out=tmp_path / "run.dat")
+
+
 @pytest.mark.parametrize("to", ["csv", "parquet"])
 def test_nothing_is_written_if_a_table_is_there_already(
     run: Path, tmp_path: Path, to: Literal["csv", "parquet"]

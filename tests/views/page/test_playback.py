@@ -172,15 +172,16 @@ def test_a_recording_without_images_is_replayed_first(
             self.returncode = status
 
     monkeypatch.setattr(command.subprocess, "run", Done)
-    for name in ("one", "two"):
-        (tmp_path / name).mkdir()
+    (tmp_path / "one").mkdir()
     made = command._open(bare, SkinOptions(), tmp_path / "one")
     assert made.path == tmp_path / "one" / "bare.mcap"
     assert called == [["replay", str(bare), "--out", str(made.path)]]
     assert command._open(made.path, SkinOptions(), tmp_path).path == made.path
     assert len(called) == 1
-    status = 1
-    with pytest.raises(RunError, match="no images can be made of it"):
-        command._open(bare, SkinOptions(), tmp_path / "two")
+    for code, kind in ((1, RunError), (2, InputError)):
+        status, folder = code, tmp_path / str(code)
+        folder.mkdir()
+        with pytest.raises(kind, match="no images can be made of it"):
+            command._open(bare, SkinOptions(), folder)
     with pytest.raises(InputError, match="no file"):
         command._open(tmp_path / "none.mcap", SkinOptions(), tmp_path)
