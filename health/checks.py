@@ -10,9 +10,11 @@ from skin.layout import Layout
 from skin.wall_times import END_NS
 
 FLOAT_BYTES = 4
+#: Numbers of contacts end here: the clouds of ROS 2 have float32.
+FLOAT_MAX = float(np.finfo(np.float32).max)
 #: Most contacts of a message that the page shows.
 MOST_CONTACTS = 256
-#: Numbers of contacts end here: the clouds of ROS 2 have uint32.
+#: Identities of contacts end here: the clouds of ROS 2 have uint32.
 IDENTITY_END = 2**32
 #: Numbers of cycles end here: Rerun has int64.
 CYCLE_END = 2**63
@@ -29,6 +31,7 @@ def fits(message: msgspec.Struct, layout: Layout) -> bool:
         case Image():
             return (
                 len(message.valid) == layout.blocks
+                and len(message.doubtful) in {0, (layout.taxels.count + 7) // 8}
                 and _pixels_fit(message.pixels, layout)
                 and math.isfinite(message.solve_s)
                 and _moment_fits(message)
@@ -57,7 +60,7 @@ def _contact_fits(contact: Contact, layout: Layout) -> bool:
     return (
         0 <= contact.row < taxels.rows
         and 0 <= contact.column < taxels.columns
-        and all(map(math.isfinite, (contact.force_n, contact.peak_n, *contact.position_m, *contact.normal)))
+        and all(abs(each) <= FLOAT_MAX for each in (contact.force_n, contact.peak_n, *contact.position_m, *contact.normal))
         and 0 <= contact.identity < IDENTITY_END
         and 0 <= contact.taxels <= taxels.count
         and 0 <= contact.invalid_taxels <= taxels.count
