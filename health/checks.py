@@ -57,10 +57,11 @@ def fits(message: msgspec.Struct, layout: Layout) -> bool:
 
 def _contact_fits(contact: Contact, layout: Layout) -> bool:
     taxels = layout.taxels
+    floats = contact.force_n, contact.peak_n, *contact.position_m, *contact.normal
     return (
         0 <= contact.row < taxels.rows
         and 0 <= contact.column < taxels.columns
-        and all(abs(each) <= FLOAT_MAX for each in (contact.force_n, contact.peak_n, *contact.position_m, *contact.normal))
+        and all(abs(each) <= FLOAT_MAX for each in floats)
         and 0 <= contact.identity < IDENTITY_END
         and 0 <= contact.taxels <= taxels.count
         and 0 <= contact.invalid_taxels <= taxels.count
