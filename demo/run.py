@@ -182,7 +182,10 @@ class Run:
                 status.update(f"starting: waiting for {', '.join(sorted(missing))}")
                 if time.monotonic() > told_s:
                     told_s = inf
-                    say("demo", "the first start compiles the solver and trains the classifier: one to two minutes")
+                    say(
+                        "demo",
+                        "still starting; a first start compiles the solver and trains the classifier: one to two minutes",
+                    )
                 if time.monotonic() > patience_s:
                     raise RunError(f"{', '.join(sorted(missing))} did not become ready in {READY_PATIENCE_S:g} s")
 

@@ -61,7 +61,7 @@ def open_hub(endpoint: str) -> Any:
     try:
         return zenoh.open(_config(endpoint, hub=True))
     except zenoh.ZError as error:
-        raise BusError(f"cannot listen on {endpoint}: {first_sentence(error)}") from error
+        raise BusError(f"cannot listen on {endpoint}: {first_sentence(error)}") from None  # the message says all
     finally:
         if is_ours:
             del os.environ["ZENOH_RUNTIME"]  # the processes that this process starts are no hubs
@@ -114,7 +114,7 @@ def open_client(
             if waited_s >= patience_s:
                 raise BusError(
                     f"no {listener.name} at {endpoint}: start {listener.starter}, or give another {listener.option}"
-                ) from error
+                ) from None  # that of zenoh says no more, and has paths of its build
         else:
             if said:
                 tell(service, f"the {listener.name} is there")
