@@ -107,7 +107,7 @@ def open_client(
         left_s = patience_s - (time.monotonic() - started_s)
         try:
             session = zenoh.open(_config(endpoint, patience_s=max(0.0, min(TRY_S, left_s))))
-        except zenoh.ZError as error:
+        except zenoh.ZError:
             if stop is not None and stop.is_set():
                 raise Stopped from None
             waited_s = time.monotonic() - started_s
