@@ -184,7 +184,7 @@ class Run:
                     told_s = inf
                     say(
                         "demo",
-                        "still starting; a first start compiles the solver and trains the classifier: one to two minutes",
+                        "starting; a first start compiles the solver and trains the classifier: one to two minutes",
                     )
                 if time.monotonic() > patience_s:
                     raise RunError(f"{', '.join(sorted(missing))} did not become ready in {READY_PATIENCE_S:g} s")
