@@ -97,7 +97,10 @@ def _open(recording: Path, of: SkinOptions, folder: Path) -> Playback:
         made, given = folder / f"{recording.stem}{RECORDING_SUFFIX}", ["--layout", str(of.layout)] if of.layout else []
         say("viewer", f"{recording} has no images: 'skin replay' makes them")
         command = [sys.executable, "-m", "skin", "replay", str(recording), "--out", str(made), *given]
-        if subprocess.run(command, check=False).returncode:  # noqa: S603 - our own command, no shell
+        code = subprocess.run(command, check=False).returncode  # noqa: S603 - our own command, no shell
+        if code == 2:  # the replay has said what is wrong with the file
+            raise SystemExit(code)
+        if code:
             raise RunError(f"{recording}: no images can be made of it")
         recording = made
     return Playback(recording, layout)

@@ -161,13 +161,16 @@ def test_a_recording_without_images_is_replayed_first(
             self.returncode = status
 
     monkeypatch.setattr(command.subprocess, "run", Done)
-    for name in ("one", "two"):
+    for name in ("one", "two", "three"):
         (tmp_path / name).mkdir()
     made = command._open(bare, SkinOptions(), tmp_path / "one")
     assert made.path == tmp_path / "one" / "bare.mcap"
     assert called == [["replay", str(bare), "--out", str(made.path)]]
     assert command._open(made.path, SkinOptions(), tmp_path).path == made.path
     assert len(called) == 1
+    status = 2
+    with pytest.raises(SystemExit, match="2"):
+        command._open(bare, SkinOptions(), tmp_path / "three")
     status = 1
     with pytest.raises(RunError, match="no images can be made of it"):
         command._open(bare, SkinOptions(), tmp_path / "two")
