@@ -5,7 +5,6 @@ from collections.abc import Iterator
 from itertools import pairwise
 from typing import Final, NamedTuple
 
-import msgspec
 import numpy as np
 import numpy.typing as npt
 
@@ -19,7 +18,7 @@ from nodes.adaptive.simulated import touched_frames
 from reconstructor.imaging import CycleImager
 from reconstructor.walsh import WalshReconstructor
 from skin.ground_truth import in_contact
-from skin.layout import Layout, require_sending, validated
+from skin.layout import Layout, changed, require_sending, validated
 from skin.measured_sums import decode_measurement
 from skin.psnr import decibels
 from skin.sources import load_objects, step_rate_hz
@@ -86,11 +85,9 @@ def _layouts(layout: Layout) -> Iterator[Layout]:
         yield layout
         return
     for each in TAXELS_PER_SUM:
-        measurement = msgspec.structs.replace(
-            layout.measurement, sums=layout.places // each, rows=None, selection="balanced"
-        )
+        drawn = {"sums": layout.places // each, "rows": None, "selection": "balanced"}
         try:
-            yield validated(msgspec.structs.replace(layout, measurement=measurement, recognition=None))
+            yield validated(changed(layout, measurement=drawn, recognition=None))
         except LayoutError:  # such sums cannot be shared evenly by the blocks
             continue
 
@@ -134,7 +131,7 @@ def quality(layout: Layout, *, touches_s: float = TOUCHES_S, seed: int = 0) -> Q
 
 def _cycles(layout: Layout, touches_s: float, seed: int) -> Iterator[Moment]:
     """Yield each cycle of boards that send in cycles."""
-    layout = msgspec.structs.replace(layout, recognition=None)
+    layout = changed(layout, recognition=None)
     phi, imager = layout.operator(), CycleImager(layout)
     nodes = Nodes(layout, load_objects(layout, seed=seed, rest_s=REST_S), seed=seed)
     for _ in range(round((REST_S + touches_s) * step_rate_hz(layout))):

@@ -18,7 +18,6 @@ from typing import Any, Final, Protocol
 
 import can
 import canopen
-import msgspec
 import numpy as np
 import numpy.typing as npt
 from can.interfaces.socketcan import SocketcanBus
@@ -36,7 +35,7 @@ from dbc.frame import ECHO, Frames
 from evaluation.result import Row
 from gateway.gathering import Sync
 from gateway.loop import GatewayLoop
-from skin.layout import load_layout
+from skin.layout import changed, load_layout
 from skin.sync_counter import next_counter
 
 #: Frames that wait on each bus when the reader wakes.
@@ -78,9 +77,7 @@ class _Method(Protocol):
 
 def run(rounds: int) -> dict[str, Any]:
     """Return ``{"rows": […]}``: frames per second of one core for each number of frames a wake-up, and our ratio."""
-    layout = load_layout()
-    slow = msgspec.structs.replace(layout, sync=msgspec.structs.replace(layout.sync, rate_hz=RATE_HZ))
-    contract = Contract.from_layout(slow)
+    contract = Contract.from_layout(changed(load_layout(), sync={"rate_hz": RATE_HZ}))
     return {"rows": [_row(contract, frames, rounds) for frames in WAKE_UPS]}
 
 
