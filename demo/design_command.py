@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Final
 
 import tomli_w
 
-from bandwidth.alternatives import with_sums
 from bandwidth.search import Candidate, CanKind, Requirement, Search, SendingKind, search
 from bandwidth.traffic import Disturbance
 from canskin.errors import InputError, LayoutError, RunError
@@ -15,7 +14,7 @@ from shell.output import check_new_path, write_file
 from shell.service import say
 from shell.terminal import Json, print_json
 from skin.importing import tables_of
-from skin.layout import Layout, Taxels, layout_text, parse_layout, validated
+from skin.layout import Layout, Taxels, changed, layout_text, parse_layout, validated
 
 if TYPE_CHECKING:
     from demo.quality import Quality
@@ -148,7 +147,8 @@ def _good_enough(found: Search, judged: "Sequence[Quality]", min_psnr_db: float)
             " allow more buses or a higher budget, or ask for less"
         )
     fewer = min(enough)
-    return replace(found, chosen=replace(chosen, sums=fewer), layout=validated(with_sums(layout, fewer)))
+    reduced = validated(changed(layout, measurement={"sums": fewer}))
+    return replace(found, chosen=replace(chosen, sums=fewer), layout=reduced)
 
 
 def _taxels(text: str) -> int | Taxels:

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 import tomli_w
 
-from bandwidth.alternatives import planned, with_averages, with_buses, with_sums
+from bandwidth.alternatives import planned, with_averages, with_buses
 from bandwidth.search import BUSES_MAX
 from bandwidth.traffic import Disturbance
 from bandwidth.wiring import wiring
@@ -21,7 +21,7 @@ from shell.service import say
 from shell.terminal import Json, print_json, print_table
 from skin.chains import positions_text
 from skin.importing import tables_of
-from skin.layout import Layout, load_layout, parse_layout
+from skin.layout import Layout, changed, load_layout, parse_layout
 from skin.matrix import MatrixPhi
 from skin.measurement import Sbhe
 from skin.plane import Plane
@@ -148,7 +148,7 @@ def _on_buses(skin: Layout) -> Layout:
 def _sums(skin: Layout) -> int:
     """Return as many sums as there are places, or half as many, if that leaves `_SPARE` of each bus; else its sums."""
     for sums in (skin.places, skin.places // 2):
-        more = with_sums(skin, sums)
+        more = changed(skin, measurement={"sums": sums})
         with suppress(LayoutError):
             if sums > skin.measurement.sums and all(
                 each.load_worst < 1 - _SPARE and not each.problems for each in planned(more, Disturbance())
