@@ -361,10 +361,10 @@ class Layout(_Table, frozen=True, kw_only=True):
         if rows is None:
             part = part_of(self.phi(), state.sums or 0, measurement.seed)
             rows = tuple(zip(part.block_of_sum.tolist(), part.row_of_sum.tolist(), strict=True))
-        return msgspec.structs.replace(
+        return changed(
             self,
-            measurement=msgspec.structs.replace(measurement, sums=len(rows), rows=rows, selection="balanced"),
-            sync=msgspec.structs.replace(self.sync, rate_hz=state.rate_hz),
+            measurement={"sums": len(rows), "rows": rows, "selection": "balanced"},
+            sync={"rate_hz": state.rate_hz},
             recognition=None,
         )
 
@@ -423,6 +423,20 @@ def load_layout(path: Path | None = None) -> Layout:
     """Read a layout: a file, that of a recording, or one of `SHIPPED` by its bare name; without a path, the default."""
     name = "default" if path is None else str(path)
     return parse_layout(*_read(path, name))
+
+
+def changed(layout: Layout, **tables: Any) -> Layout:
+    """Return the layout, not checked, with other tables, or with other values of the keys in a dict.
+
+    Examples
+    --------
+    >>> changed(layout, sync={"rate_hz": 50.0}, recognition=None)
+    """
+    given = {
+        name: msgspec.structs.replace(getattr(layout, name), **keys) if isinstance(keys, dict) else keys
+        for name, keys in tables.items()
+    }
+    return msgspec.structs.replace(layout, **given)
 
 
 def require_sending(layout: Layout, sending: SendingName, what: str, why: str) -> None:

@@ -243,6 +243,7 @@ def test_texts_have_contrast_and_controls_names(page: Browser, chain: Chain, sch
     assert not faint
     page.ask("document.querySelector('#help').click()")
     assert not page.ask(CONTRAST)
+    assert page.ask("document.activeElement.textContent") == "Close"  # no key that is tried there turns anything off
     page.ask("document.querySelector('#keys').close()")
     tree = page.call("Accessibility.getFullAXTree")["nodes"]
     controls = [
