@@ -2,6 +2,7 @@
 
 from bisect import bisect_right
 from collections.abc import Sequence
+from operator import attrgetter
 from pathlib import Path
 from typing import Final
 
@@ -71,7 +72,9 @@ class WallTimes:
 def recorded_clocks(path: Path) -> list[Clocks]:
     """Return the clocks of all measurements of a recording, in the order of their sampling."""
     topics = CLOCKS, Topic(RECOGNITION.name, Clocks)
-    return sorted((read.message for read in read_messages(path, topics, lambda _: None)), key=_sampled_ns)
+    return sorted(
+        (read.message for read in read_messages(path, topics, lambda _: None)), key=attrgetter("sampled_mono_ns")
+    )
 
 
 def recorded_wall_times(path: Path, clocks: Sequence[Clocks] | None = None) -> WallTimes:
@@ -87,7 +90,3 @@ def recorded_wall_times(path: Path, clocks: Sequence[Clocks] | None = None) -> W
     for each in clocks:
         wall.take(Clocks(each.sampled_mono_ns, each.wall_offset_ns or None))
     return wall
-
-
-def _sampled_ns(clocks: Clocks) -> int:
-    return clocks.sampled_mono_ns
