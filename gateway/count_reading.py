@@ -24,7 +24,7 @@ from gateway.wiring import MOMENTS
 from skin.surface import Floats
 from skin.sync_counter import next_counter
 
-#: Time between a SYNC and the first request: that of a board to read its taxels.
+#: Shortest time between a SYNC and the first request: that of a board to read its taxels.
 SAMPLED_S: Final = 0.002
 #: Rounds without touch that are needed to know the noise.
 LEAST_REST: Final = 10

@@ -15,7 +15,7 @@ from canopen.objectdictionary import datatypes
 from canopen.objectdictionary.eds import import_eds
 
 from bus.link import Send
-from canskin.errors import InputError, RunError
+from canskin.errors import InputError, RunError, reasoned
 from dbc import indices as od
 from dbc.canopen import SDO_RESPONSE_BASE
 from dbc.contract import Contract, NodeContract
@@ -104,10 +104,8 @@ def entries_of_node(contract: Contract, node: NodeContract) -> list[Entry]:
 
 def entries_of_file(path: Path, node_id: int) -> list[Entry]:
     """Return the objects of an EDS or DCF file."""
-    try:
+    with reasoned(InputError, f"{path}: cannot read the objects"):
         return _entries(path.read_text(encoding="utf-8", errors="replace"), node_id, str(path))
-    except OSError as error:
-        raise InputError(f"{path}: cannot read the objects: {error.strerror or error}") from error
 
 
 def _entries(text: str, node_id: int, origin: str) -> list[Entry]:

@@ -27,6 +27,7 @@ from dbc.canopen import (
 from dbc.contract import Contract, NodeContract
 from dbc.dictionary import REVISION
 from gateway.commissioning import Board, Commissioning
+from gateway.count_reading import SAMPLED_S
 from gateway.lss_steps import (
     PATIENCE_S,
     RESET_S,
@@ -55,8 +56,6 @@ AWAY_S: Final = 2.0
 HELD_ROUNDS: Final = 3
 #: Longest wait for a touch on a place: from map to skin.
 PATIENCE_OF_TOUCH_S: Final = 60.0
-#: Shortest time between a SYNC and the first request: that of a board to read its taxels.
-SAMPLED_S: Final = 0.002
 #: Taxels around the middle of a board, and part of them that has to be its own.
 NEAREST: Final = 5
 LEAST_OWN: Final = 0.5

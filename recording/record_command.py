@@ -35,6 +35,7 @@ from shell.output import check_new_path
 from shell.service import StopSignal, request_real_time, say
 from shell.skin_options import SkinOptions
 from skin.layout import RECORDING_SUFFIX, Layout
+from skin.ranges import require_above_zero
 
 TOPICS: Final = (MEASUREMENT, RECOGNITION, IMAGE, CONTACTS, LABEL, GATEWAY, NODES, TRUTH, MARK)
 
@@ -79,8 +80,8 @@ def record(
     skin record many.mcap --label cup,ball,pen
     skin record run.log --layout palm.toml -i socketcan -c can0 --seconds 60
     """
-    if seconds is not None and not 0 < seconds < float("inf"):
-        raise InputError(f"expected a finite number of seconds above 0, got {seconds:g}")
+    if seconds is not None:
+        require_above_zero("--seconds", seconds)
     stop, of = StopSignal().install(), of or SkinOptions()
     check_new_path(out, "recording")
     labels = _labels(label or [], out)
