@@ -20,7 +20,7 @@ from dbc import indices as od
 from dbc.canopen import SDO_RESPONSE_BASE
 from dbc.contract import Contract, NodeContract
 from dbc.eds import eds, node_types
-from dbc.frame import ECHO, ERROR, EXTENDED, REMOTE, Frames, one_frame
+from dbc.frame import Frames, one_frame, received
 from gateway.sdo import Read, SdoDialogue, Write, one
 
 #: Names of CANopen's data types (CiA 301, table 44).
@@ -217,7 +217,7 @@ class NodeTransfers:
 
     def take(self, arrived: Frames, now_s: float) -> None:
         """Use received frames."""
-        plain = arrived[arrived["flags"] & (ERROR | REMOTE | EXTENDED | ECHO) == 0]
+        plain = received(arrived)
         for each in plain[plain["can_id"] == SDO_RESPONSE_BASE + self._node_id]:
             self._dialogue.take(each["data"][: each["length"]].tobytes(), now_s)
             self._look(now_s)

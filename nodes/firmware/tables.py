@@ -226,7 +226,7 @@ def _values(table: ObjectTable, objects: _Dictionary) -> bytes:
 
 
 def _is_row(each: Object) -> bool:
-    return each.index >= od.MANUFACTURER and od.split_block(each.index)[1] == od.ROWS and bool(each.subindex)
+    return od.split_block(each.index)[1] == od.ROWS and bool(each.subindex)
 
 
 def _is_computed(each: Object) -> bool:
@@ -236,7 +236,7 @@ def _is_computed(each: Object) -> bool:
 
 
 def _is_measured(index: int) -> bool:
-    return index >= od.MANUFACTURER and od.split_block(index)[1] in (od.SUMS, od.COUNTS)
+    return od.split_block(index)[1] in (od.SUMS, od.COUNTS)
 
 
 def board_header(contract: Contract, boards: Sequence[Build]) -> str:
