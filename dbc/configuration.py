@@ -71,6 +71,11 @@ class Setting:
             return data == self.data
         return int.from_bytes(data, "little") == int.from_bytes(self.data, "little")
 
+    def sized(self, data: bytes) -> bytes:
+        """Return `data` with the bytes of the value: an expedited answer without size has four (CiA 301, 7.2.4.3.6)."""
+        size = len(self.data)
+        return data if self.is_text else data[:size].ljust(size, b"\0")
+
     def text(self, data: bytes | None = None) -> str:
         """Return `data`, by default the value itself, as text for the user."""
         value = self.data if data is None else data

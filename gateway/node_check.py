@@ -249,7 +249,7 @@ class NodeCheck:
                 self._differs(f"{data}: is the board on this bus, at this bit rate, with node-ID {self._node.node_id}?")
                 return False
             self.report.objects += 1
-            self._values[setting.index, setting.subindex] = data
+            self._values[setting.index, setting.subindex] = setting.sized(data)
             if not setting.matches(data) and (setting.index, setting.subindex) not in _ONLY_READ:
                 text = f"{setting} is {setting.text(data)}, expected {setting.text()}"
                 is_allowed = (
@@ -278,7 +278,7 @@ class NodeCheck:
                 note = f"{data}: not every row is compared without gains and offsets"
                 (self.report.notes if isinstance(data, SdoAbortedError) else self.report.differences).append(note)
                 return
-            found[setting.index, setting.subindex] = data
+            found[setting.index, setting.subindex] = setting.sized(data)
         self.report.objects += len(found)
         self._values |= found
         if settings:
