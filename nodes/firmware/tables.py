@@ -23,7 +23,7 @@ from dbc.objects import Object
 from nodes.firmware.c_text import WRITTEN, array, braced, defined, header, real
 
 #: Flags of `skin_object` (``skin_board.h``).
-WRITABLE, MAPPABLE, COVERED, TEXT, CALIBRATING = 1, 2, 4, 8, 16
+WRITABLE, MAPPABLE, COVERED, CALIBRATING = 1, 2, 4, 8
 #: Place of objects that the firmware computes and that have no stored value.
 COMPUTED: Final = 0xFFFF
 _COMPUTED: Final = (
@@ -208,8 +208,7 @@ def _object_table(contract: Contract, node: NodeContract, boards: Sequence[_Dict
             WRITABLE * (each.access == "rw")
             | MAPPABLE * each.pdo
             | COVERED * ((each.index, each.subindex or 0) in covered)
-            | CALIBRATING * ((each.index, each.subindex or 0) in calibrating)
-            | TEXT * (each.data_type == od.VISIBLE_STRING),
+            | CALIBRATING * ((each.index, each.subindex or 0) in calibrating),
             places.get((each.index, each.subindex), COMPUTED),
             len(data),
         )
