@@ -1,9 +1,10 @@
 """Options for CAN interfaces: python-can's own flags."""
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import Annotated
+from typing import Annotated, TypeVar
 
 from cyclopts import Parameter
 
@@ -15,6 +16,7 @@ from skin.layout import Layout
 #: Longest wait of a service for a bus server that is still starting.
 OPEN_WAIT_S = 30.0
 
+_Bus = TypeVar("_Bus")
 
 #: Names of channels on the command line: ``-c can0 can1`` or ``-c can0 -c can1``.
 Channels = Annotated[list[str], Parameter(alias="-c", negative=(), consume_multiple=1, show_default=False)]
@@ -94,6 +96,16 @@ def open_links(
         )
         for number in numbers
     }
+
+
+@contextmanager
+def closing_links(links: dict[_Bus, Link]) -> Iterator[dict[_Bus, Link]]:
+    """Close all links at the end of a ``with`` block."""
+    try:
+        yield links
+    finally:
+        for link in links.values():
+            link.close()
 
 
 def open_channels(

@@ -9,7 +9,7 @@ import tomli_w
 
 from bandwidth.search import Candidate, CanKind, Requirement, Search, SendingKind, search
 from bandwidth.traffic import Disturbance
-from canskin.errors import InputError, LayoutError, RunError
+from canskin.errors import InputError, LayoutError, RunError, reasoned
 from shell.output import check_new_path, write_file
 from shell.service import say
 from shell.terminal import Json, print_json
@@ -83,10 +83,8 @@ def design(
         found = _good_enough(found, judged, min_psnr)
     text = None if found.layout is None else layout_text(found.layout)
     if text is not None and out is not None:
-        try:
+        with reasoned(InputError, f"{out}: cannot write the layout"):
             write_file(out, text)
-        except OSError as error:
-            raise InputError(f"{out}: cannot write the layout: {error.strerror or error}") from error
     if json_:
         print_json(
             {

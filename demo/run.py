@@ -191,7 +191,8 @@ class Run:
                 status.update(f"starting: waiting for {missing}")
                 if time.monotonic() > slow_s:
                     slow_s = inf
-                    say("demo", "a first start compiles the solver and trains the classifier: one to two minutes")
+                    why = "a first start compiles the solver, and new objects train the classifier: minutes"
+                    say("demo", f"waits for {missing}; {why}")
                 if time.monotonic() > patience_s:
                     raise RunError(f"{missing} did not become ready in {READY_PATIENCE_S:g} s")
 

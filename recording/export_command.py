@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 from cyclopts import Parameter
 
-from canskin.errors import InputError, RunError
+from canskin.errors import InputError, RunError, reasoned
 from dbc.dictionary import REVISION
 from dbc.program import VERSION_BYTES, Program, is_version
 from nodes.firmware.export import write_firmware
@@ -119,10 +119,8 @@ def _export_program(binary: Path | None, layout: Path | None, release: str | Non
         raise InputError("skin export program: expected a binary file, --release VERSION and --out FILE")
     if not is_version(release):
         raise InputError(f"--release: expected 1 to {VERSION_BYTES} printable characters of ASCII, got '{release}'")
-    try:
+    with reasoned(InputError, f"{binary}: cannot read the program"):
         data = binary.read_bytes()
-    except OSError as error:
-        raise InputError(f"{binary}: cannot read the program: {error.strerror or error}") from error
     if not data:
         raise InputError(f"{binary}: expected a compiled program, got an empty file")
     check_new_path(out, "program")
@@ -158,10 +156,8 @@ def _export_recording(source: Path, to: Format, out: Path | None) -> None:
     layout = load_layout(source)
     tables = read_tables(source, layout, lambda line: say("export", line))
     metadata = {"format": "canskin arrays 1", "source": source.name, **about.metadata, "layout": layout_text(layout)}
-    try:
+    with reasoned(RunError, f"{path}: the arrays cannot be written"):
         written = save(path, tables, metadata)
-    except OSError as error:
-        raise RunError(f"{path}: the arrays cannot be written: {error.strerror or error}") from error
     counts = ", ".join(f"{len(next(iter(table.values())))} {name}" for name, table in tables.named().items())
     say("export", f"{counts} in {', '.join(map(str, written))}")
 
@@ -172,10 +168,8 @@ def _export_video(source: Path, path: Path) -> None:
     require_libraries()
     check_new_path(path, "video", _SUFFIXES["video"])
     layout = load_layout(source)
-    try:
+    with reasoned(RunError, f"{path}: the video cannot be written"):
         made = save_video(path, source, layout, lambda line: say("export", line))
-    except OSError as error:
-        raise RunError(f"{path}: the video cannot be written: {error.strerror or error}") from error
     say(
         "export",
         f"{made.images} images in {made.seconds:.2f} s of {path}, gaps: {made.gaps}, colours from 0 to"
@@ -191,7 +185,7 @@ def _save_view(source: Path, path: Path, to: Format) -> None:
     def warn(line: str) -> None:
         say("export", line)
 
-    try:
+    with reasoned(RunError, f"{path}: cannot be written"):
         if to == "ros2":
             from views.ros2.bag import write_bag
 
@@ -200,8 +194,6 @@ def _save_view(source: Path, path: Path, to: Format) -> None:
             from views.show.recording import write_view
 
             made = f"{write_view(source, path, layout, to == 'rerun', warn)} images"
-    except OSError as error:
-        raise RunError(f"{path}: cannot be written: {error.strerror or error}") from error
     say("export", f"{made} in {path}")
 
 

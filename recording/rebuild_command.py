@@ -16,7 +16,7 @@ from bus.options import Channels
 from calibration.calibrator import Tare
 from calibration.offline import OffsetSource, calibrated_cycles, make_calibrator
 from calibration.recorded import RecordedOffsets
-from canskin.errors import InputError, RunError
+from canskin.errors import InputError, RunError, reasoned
 from canskin.messages import IMAGE, FrameCounts
 from dbc.contract import Contract
 from reconstructor.engine import reconstruct
@@ -150,11 +150,8 @@ def rebuild(
     if source.suffix.lower() == RECORDING_SUFFIX:
         made = _numbered(skin, source, made)
     arrays: dict[str, Any] = made._asdict() | {"recording": np.array(recording_id(source))}
-    try:
-        with replacing(out) as file:
-            np.savez(file, **arrays, metadata=np.array(msgspec.json.encode(metadata).decode()))
-    except OSError as error:
-        raise RunError(f"{out}: the images cannot be written: {error.strerror or error}") from error
+    with reasoned(RunError, f"{out}: the images cannot be written"), replacing(out) as file:
+        np.savez(file, **arrays, metadata=np.array(msgspec.json.encode(metadata).decode()))
     say("rebuild", f"{len(made.images)} images written to {out}")
 
 
@@ -261,11 +258,8 @@ def _is_recording(source: Path) -> bool:
     suffix = source.suffix.lower()
     if suffix != ".csv":
         return suffix in {".npz", ".npy"}
-    try:
-        with source.open("rb") as file:
-            return file.read(len(_CAN_CSV)) != _CAN_CSV
-    except OSError as error:
-        raise InputError(f"{source}: cannot be read: {error.strerror or error}") from error
+    with reasoned(InputError, f"{source}: cannot be read"), source.open("rb") as file:
+        return file.read(len(_CAN_CSV)) != _CAN_CSV
 
 
 def _check_options(

@@ -18,7 +18,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Final
 
-from canskin.errors import LOG, InputError
+from canskin.errors import LOG, InputError, reasoned
 from canskin.peers import ORDINARY, REAL_TIME
 from canskin.session import HIGHEST_PORT
 
@@ -125,11 +125,9 @@ def listen(host: str, port: int) -> socket.socket:
     """Open a socket on which a page is served; port 0 is a free port."""
     if not 0 <= port <= HIGHEST_PORT:
         raise InputError(f"--port: expected 0 to {HIGHEST_PORT}, got {port}")
-    try:
+    with reasoned(InputError, f"--host {host}: cannot listen there"):
         family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
         listener = socket.socket(family, kind, protocol)
-    except OSError as error:
-        raise InputError(f"--host {host}: cannot listen there: {error.strerror or error}") from error
     try:
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         listener.bind(address)

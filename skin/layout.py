@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 import tomli_w
 
-from canskin.errors import UNDECODABLE, InputError, LayoutError
+from canskin.errors import UNDECODABLE, InputError, LayoutError, reasoned
 from skin.chains import MOST, check_chains, order_of, read_chains, read_positions
 from skin.foreign import ForeignMessage, check_foreign, with_foreign_dbc
 from skin.matrix import KEY, MatrixPhi, entries_of, read_matrix
@@ -458,10 +458,8 @@ def _read(path: Path | None, name: str) -> tuple[bytes, str, Path]:
         return folder.joinpath(f"{name}.toml").read_bytes(), f"{name}.toml", Path(str(folder))
     if path.suffix.lower() == RECORDING_SUFFIX:
         return _read_attached(path), name, path.parent
-    try:
+    with reasoned(LayoutError, f"{path}: cannot read the layout"):
         return path.read_bytes(), name, path.parent
-    except OSError as error:
-        raise LayoutError(f"{path}: cannot read the layout: {error.strerror or error}") from error
 
 
 def _read_attached(path: Path) -> bytes:

@@ -2,6 +2,7 @@
 
 from bisect import bisect_right
 from collections.abc import Iterable, Sequence
+from operator import attrgetter
 from pathlib import Path
 from typing import Final
 
@@ -78,7 +79,9 @@ class WallTimes:
 def recorded_clocks(path: Path) -> list[Clocks]:
     """Return the clocks of all measurements of a recording, in the order of their sampling."""
     topics = CLOCKS, Topic(RECOGNITION.name, Clocks)
-    return sorted((read.message for read in read_messages(path, topics, lambda _: None)), key=_sampled_ns)
+    return sorted(
+        (read.message for read in read_messages(path, topics, lambda _: None)), key=attrgetter("sampled_mono_ns")
+    )
 
 
 def recorded_wall_times(path: Path, clocks: Sequence[Clocks] | None = None) -> WallTimes:
@@ -101,7 +104,3 @@ def nearest(times_ns: npt.NDArray[np.int64], wanted_ns: npt.NDArray[np.int64]) -
     after = np.searchsorted(times_ns, wanted_ns).clip(max=len(times_ns) - 1)
     before = (after - 1).clip(min=0)
     return np.where(wanted_ns - times_ns[before] <= times_ns[after] - wanted_ns, before, after)
-
-
-def _sampled_ns(clocks: Clocks) -> int:
-    return clocks.sampled_mono_ns
