@@ -61,11 +61,11 @@ def _changes(layout: Layout) -> Iterator[tuple[str, Layout]]:
     if is_drawn and sums % (2 * layout.blocks) == 0:
         yield f"{sums // 2} sums", changed(layout, measurement={"sums": sums // 2})
     for per_node in BLOCKS_PER_NODE:
-        if per_node > first.blocks_per_node:
+        if per_node > first.blocks_per_node and layout.blocks % per_node == 0:
             larger = msgspec.structs.replace(first, blocks_per_node=per_node)
             yield f"{per_node} blocks per node", with_buses(layout, buses, larger)
     for per_node in sorted({first.blocks_per_node, FD_BLOCKS}):
-        for rate in FD_BITRATES:
+        for rate in FD_BITRATES if layout.blocks % per_node == 0 else ():
             fast = msgspec.structs.replace(first, fd=True, data_bitrate=rate, blocks_per_node=per_node)
             if fast != first:
                 yield f"CAN FD {rate // 1_000_000} Mbit/s, {per_node} per node", with_buses(layout, buses, fast)

@@ -163,22 +163,31 @@ class Search:
         kind = {"any": "CAN or CAN FD", "classic": "classic CAN", "fd": "CAN FD"}[required.can]
         asked = f"{required.count} taxels {required.rate_hz:g} times a second"
         lines = [f"no layout carries {asked} over {most} of {kind}, each at most {required.budget:.0%} full"]
-        judged = [each for each in seen if each.load_worst is not None and each.sending == "synchronous"]
-        if judged:
-            nearest = min(judged, key=lambda each: each.load_worst or 0.0)
-            layout = next(layout for layout, each in zip(_layouts(required), seen, strict=False) if each is nearest)
-            rate_hz = highest_rate_hz(layout, required.budget, self.allowed)
-            would = f"; it fits at up to {rate_hz:g} Hz" if rate_hz else "; it fits at no rate"
-            lines.append(f"the nearest, {nearest.words}, lacks: {nearest.problem}{would}")
+        nearest = self.nearest_in_cycles()
+        lines += [nearest] if nearest else []
         short = [each for each in seen if each.missing_node_ids]
         if short:
             least = min(short, key=lambda each: each.missing_node_ids)
             lines.append(
                 f"{len(short)} of {len(seen)} lack node-IDs, {least.missing_node_ids} of them or more on a bus"
             )
-        if not judged and not short:
+        if not nearest and not short:
             lines += [f"{each.words}: {each.problem}" for each in seen[-1:]]
         return "; ".join(lines)
+
+    def nearest_in_cycles(self) -> str | None:
+        """Return what the nearest layout of synchronous sums that does not fit lacks; None if none was judged."""
+        judged = [
+            (each, layout)
+            for each, layout in zip(self.candidates, _layouts(self.required), strict=False)
+            if each.load_worst is not None and each.sending == "synchronous" and not each.fits
+        ]
+        if not judged:
+            return None
+        nearest, layout = min(judged, key=lambda each: each[0].load_worst or 0.0)
+        rate_hz = highest_rate_hz(layout, self.required.budget, self.allowed)
+        would = f"it fits at up to {rate_hz:g} Hz" if rate_hz else "it fits at no rate"
+        return f"the nearest, {nearest.words}, lacks: {nearest.problem}; {would}"
 
 
 def search(required: Requirement, allowed: Disturbance | None = None) -> Search:

@@ -35,7 +35,8 @@ class BusOptions:
         The channel of each bus, in the order of the layout. From a single channel with a number the others follow:
         ``-c can0`` means can0 to can3 for four buses. Default: the names of the buses.
     bus_option : list of str
-        An argument of the python-can interface, for each bus: ``--bus-option tty_baudrate=1000000``.
+        An argument of the python-can interface, for each bus: ``--bus-option tty_baudrate=1000000``. Most interfaces
+        ignore names that they do not know.
     """
 
     interface: Annotated[str, Parameter(alias="-i")] = ARBITRATED

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 import tomli_w
 
-from bandwidth.search import CanKind, Requirement, Search, SendingKind, search
+from bandwidth.search import Candidate, CanKind, Requirement, Search, SendingKind, search
 from bandwidth.traffic import Disturbance
 from canskin.errors import InputError, LayoutError, RunError, reasoned
 from shell.output import check_new_path, write_file
@@ -99,6 +99,13 @@ def design(
         return int(text is None)
     if text is None or found.chosen is None:
         raise RunError(found.missing() or "")
+    _tell(found, found.chosen, judged)
+    print(str(out) if out is not None else text, end="\n" if out is not None else "")
+    return 0
+
+
+def _tell(found: Search, chosen: Candidate, judged: "Sequence[Quality]") -> None:
+    """Tell what is known of a layout that fits."""
     for each in judged:
         say("design", f"images, {each.sums} sums: {each.words}; the paper's bound is {each.bound_sums:.0f} sums")
     if not judged:
@@ -110,9 +117,9 @@ def design(
             f"boards average {samples}, for less noise; without the table [sampling] they take one",
         )
     unfit = sum(not each.fits for each in found.candidates)
-    say("design", f"{found.chosen.words}: {found.chosen.load_words}; {unfit} others do not fit")
-    print(str(out) if out is not None else text, end="\n" if out is not None else "")
-    return 0
+    say("design", f"{chosen.words}: {chosen.load_words}; {unfit} others do not fit")
+    if chosen.sending == "adaptive" and (lacking := found.nearest_in_cycles()):
+        say("design", f"of synchronous sums {lacking}")
 
 
 def _judged(layout: Layout, *, every: bool) -> "list[Quality]":

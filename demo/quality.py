@@ -60,9 +60,11 @@ class Quality(NamedTuple):
 
     @property
     def words(self) -> str:
-        """PSNR and error as text."""
+        """PSNR and error as text, and advice where the taxels alone are better."""
         against = f"{self.psnr_image_db:.1f} dB, the sensor's {self.psnr_sensor_db:.1f} dB"
-        return f"{against}, {1e3 * self.touched_error_n:.2f} mN where touched"
+        is_worse = self.psnr_image_db < self.psnr_sensor_db
+        advice = "; worse than the taxels themselves: these are too few sums (measurement.sums)" if is_worse else ""
+        return f"{against}, {1e3 * self.touched_error_n:.2f} mN where touched{advice}"
 
 
 def qualities(layout: Layout, *, touches_s: float = TOUCHES_S) -> list[Quality]:

@@ -2,9 +2,10 @@
 
 import csv
 import io
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
+from typing import TYPE_CHECKING, Annotated, Any, BinaryIO, Final, Literal
 
 import msgspec
 import numpy as np
@@ -134,6 +135,9 @@ def _export_recording(source: Path, to: Format, out: Path | None) -> None:
     if source.suffix.lower() != RECORDING_SUFFIX or not source.is_file():
         raise InputError(f"{source}: expected a recording of 'skin record' (.mcap)")
     path = out or source.with_name(source.stem + _SUFFIXES[to])
+    of_others = {suffix for other, suffix in _SUFFIXES.items() if suffix and other != to}
+    if path.suffix.lower() in of_others:
+        raise InputError(f"{path}: --to {to} writes no '{path.suffix}': expected another --to, or another suffix")
     if to == "video":
         _export_video(source, path)
         return
@@ -217,22 +221,35 @@ def _save_hdf5(path: Path, tables: "Tables", metadata: Mapping[str, str]) -> lis
 
 
 def _save_csv(path: Path, tables: "Tables", _metadata: Mapping[str, str]) -> list[Path]:
-    written = []
+    parts = {}
     for name, table in tables.named().items():
         grids = [column for column in table if column in _GRIDS]
         for column in grids or [""]:
-            target = path.with_name(f"{path.stem}-{column if column in ('true', 'sensor') else name}{path.suffix}")
-            check_new_path(target, "table")
-            with replacing(target) as file:
-                text = io.TextIOWrapper(file, "utf-8", newline="")
-                if column:
-                    text.writelines(_grid_lines(table, column))
-                else:
-                    _write_rows(text, table)
-                text.flush()
-                text.detach()
-            written.append(target)
-    return written
+            part = column if column in {"true", "sensor"} else name
+            parts[part] = partial(_write_csv, table, column)
+    return _save_parts(path, parts)
+
+
+def _write_csv(table: "Table", column: str, file: BinaryIO) -> None:
+    """Write a table, or its column of images."""
+    text = io.TextIOWrapper(file, "utf-8", newline="")
+    if column:
+        text.writelines(_grid_lines(table, column))
+    else:
+        _write_rows(text, table)
+    text.flush()
+    text.detach()
+
+
+def _save_parts(path: Path, parts: Mapping[str, Callable[[BinaryIO], None]]) -> list[Path]:
+    """Write a file for each part, unless any of them is there already."""
+    targets = {path.with_name(f"{path.stem}-{name}{path.suffix}"): write for name, write in parts.items()}
+    for target in targets:
+        check_new_path(target, "table")
+    for target, write in targets.items():
+        with replacing(target) as file:
+            write(file)
+    return [*targets]
 
 
 def _grid_lines(table: "Table", column: str) -> Iterator[str]:
@@ -261,20 +278,18 @@ def _write_rows(text: io.TextIOWrapper, table: "Table") -> None:
 def _save_parquet(path: Path, tables: "Tables", metadata: Mapping[str, str]) -> list[Path]:
     from pyarrow import parquet
 
-    arrow, written = _pyarrow(), list[Path]()
-    for name, table in tables.named().items():
-        target = path.with_name(f"{path.stem}-{name}{path.suffix}")
-        check_new_path(target, "table")
+    arrow = _pyarrow()
+
+    def write(table: "Table", file: BinaryIO) -> None:
         rows = {
             column: arrow.array(values)
             if values.ndim == 1
             else arrow.FixedSizeListArray.from_arrays(arrow.array(values.ravel()), int(np.prod(values.shape[1:])))
             for column, values in table.items()
         }
-        with replacing(target) as file:
-            parquet.write_table(arrow.table(rows).replace_schema_metadata(metadata), file)
-        written.append(target)
-    return written
+        parquet.write_table(arrow.table(rows).replace_schema_metadata(metadata), file)
+
+    return _save_parts(path, {name: partial(write, table) for name, table in tables.named().items()})
 
 
 def _pyarrow() -> Any:

@@ -32,7 +32,7 @@ from shell.terminal import progress
 from shell.touch_options import ArrayNames, FullScale
 from skin.layout import RECORDING_SUFFIX, Layout, load_layout, require_sending
 from skin.mcap_file import read_messages, recording_id, wall_offset_ns
-from skin.wall_times import recorded_clocks, recorded_wall_times
+from skin.wall_times import nearest, recorded_clocks, recorded_wall_times
 from touch.reading import array_names
 
 #: ``--calibration none``: take nothing off.
@@ -206,14 +206,12 @@ def _numbered(skin: Layout, source: Path, made: _Rebuilt) -> _Rebuilt:
     clocks = recorded_clocks(source)
     if not clocks:
         return made
-    wall, at_ns = recorded_wall_times(source, clocks), np.array([each.sampled_mono_ns for each in clocks], np.int64)
-    mono_ns, near_ns = made.time_ns - wall_offset_ns(source), 0.5e9 * skin.shortest_period_s
-    time_ns, cycle = made.time_ns.copy(), np.full(len(made.cycle), -1, np.int64)
-    for place, wanted_ns in enumerate(mono_ns):
-        nearest = int(np.argmin(np.abs(at_ns - wanted_ns)))
-        told_ns = wall.time_ns(int(at_ns[nearest]))
-        if abs(at_ns[nearest] - wanted_ns) < near_ns and told_ns is not None:
-            time_ns[place], cycle[place] = told_ns, clocks[nearest].cycle
+    at_ns, number = np.array([(each.sampled_mono_ns, each.cycle) for each in clocks], np.int64).T
+    told_ns = recorded_wall_times(source, clocks).times_ns(at_ns.tolist())
+    mono_ns = made.time_ns - wall_offset_ns(source)
+    place = nearest(at_ns, mono_ns)
+    is_told = (np.abs(at_ns[place] - mono_ns) < 0.5e9 * skin.shortest_period_s) & (told_ns[place] >= 0)
+    time_ns, cycle = np.where(is_told, told_ns[place], made.time_ns), np.where(is_told, number[place], -1)
     return made._replace(time_ns=time_ns, cycle=cycle)
 
 
@@ -222,10 +220,10 @@ def _compare(skin: Layout, source: Path, made: _Rebuilt) -> None:
     mono_ns, near_ns = made.time_ns - wall_offset_ns(source), round(0.5e9 * skin.sync.period_s)
     compared = equal = 0
     for _, _, shown in read_messages(source, [IMAGE], lambda _: None):
-        nearest = int(np.searchsorted(mono_ns, shown.sampled_mono_ns - near_ns))
-        if nearest < len(mono_ns) and abs(int(mono_ns[nearest]) - shown.sampled_mono_ns) < near_ns:
+        place = int(nearest(mono_ns, np.array(shown.sampled_mono_ns)))
+        if abs(int(mono_ns[place]) - shown.sampled_mono_ns) < near_ns:
             compared += 1
-            pixels = made.images[nearest].astype("<f4", copy=False).tobytes()
+            pixels = made.images[place].astype("<f4", copy=False).tobytes()
             equal += same_pixels(pixels, shown.pixels, skin.taxels.force_max_n)
     _tell(equal, compared)
 

@@ -69,7 +69,7 @@ def tables_of(text: str, modules: Path | None = None) -> tuple[dict[str, Any], l
         What the file has, and was left out.
     """
     path = Path(text)
-    if found := re.fullmatch(r"(\d+)[x×](\d+)", text):
+    if found := re.fullmatch(r"(\d+)[xX×*](\d+)", text):
         return {"taxels": dict(zip(("rows", "columns"), map(int, found.groups()), strict=True))}, []
     match path.suffix.lower():
         case ".csv":

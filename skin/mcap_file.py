@@ -257,6 +257,17 @@ def read_messages(path: Path, topics: Iterable[Topic], warn: Warn, from_ns: int 
             yield Read(topic, entry.time_ns, decode(entry.data))
 
 
+def read_few(path: Path, topic: Topic) -> Iterator[Read]:
+    """Yield the messages of a topic that has few, without the parts of the file that have none; none without an index.
+
+    Raise InputError at a message that does not fit its topic.
+    """
+    decode = message_decoder(path, topic)
+    with path.open("rb") as file, contextlib.suppress(*_DAMAGE):
+        for _, _, each in make_reader(file).iter_messages([topic.name]):
+            yield Read(topic, each.log_time, decode(each.data))
+
+
 def message_decoder(path: Path, topic: Topic) -> Callable[[bytes], Any]:
     """Return what decodes the messages of a topic of a recording; it raises InputError for one that does not fit."""
     decode = topic.decoder()

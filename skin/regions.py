@@ -73,7 +73,8 @@ def taxels_of(layout: Layout, region: Box | str) -> npt.NDArray[np.bool_]:
     known = regions_of(layout)
     found = next((each.taxels for each in known if each.name == region), None)
     if found is None:
-        raise InputError(f"no region '{region[:64]}': expected one of {', '.join(each.name for each in known)}")
+        names = ", ".join(f"'{each.name}'" for each in known)
+        raise InputError(f"no region '{region[:64]}': expected {names}; [[region]] in the layout names more")
     return found
 
 

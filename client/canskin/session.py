@@ -61,7 +61,7 @@ def open_hub(endpoint: str) -> Any:
     try:
         return zenoh.open(_config(endpoint, hub=True))
     except zenoh.ZError as error:
-        raise BusError(f"cannot listen on {endpoint}: {first_sentence(error)}") from error
+        raise BusError(f"cannot listen on {endpoint}: {first_sentence(error)}") from None  # the message says all
     finally:
         if is_ours:
             del os.environ["ZENOH_RUNTIME"]  # the processes that this process starts are no hubs
@@ -107,14 +107,14 @@ def open_client(
         left_s = patience_s - (time.monotonic() - started_s)
         try:
             session = zenoh.open(_config(endpoint, patience_s=max(0.0, min(TRY_S, left_s))))
-        except zenoh.ZError as error:
+        except zenoh.ZError:
             if stop is not None and stop.is_set():
                 raise Stopped from None
             waited_s = time.monotonic() - started_s
             if waited_s >= patience_s:
                 raise BusError(
                     f"no {listener.name} at {endpoint}: start {listener.starter}, or give another {listener.option}"
-                ) from error
+                ) from None  # that of zenoh says no more, and has paths of its build
         else:
             if said:
                 tell(service, f"the {listener.name} is there")

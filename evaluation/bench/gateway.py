@@ -35,17 +35,13 @@ from dbc.frame import ECHO, Frames
 from evaluation.result import Row
 from gateway.gathering import Sync
 from gateway.loop import GatewayLoop
-from skin.layout import changed, load_layout
+from skin.layout import load_layout
 from skin.sync_counter import next_counter
 
 #: Frames that wait on each bus when the reader wakes.
 WAKE_UPS: Final = (1, 8, 64)
 #: Cycles of a round; before the first round, as many run and do not count.
 CYCLES: Final = 5
-#: Cycles in a second: a cycle lasts long enough for every frame to have a wake-up of its own.
-RATE_HZ: Final = 10.0
-#: Part of a period from one SYNC to the next, at the least: SYNCs that are nearer spoil a cycle.
-_APART: Final = 0.5
 #: Longest wait for the threads of a peer to take what was sent.
 _PATIENCE_S: Final = 10.0
 #: Pause between two looks at whether they have.
@@ -77,7 +73,7 @@ class _Method(Protocol):
 
 def run(rounds: int) -> dict[str, Any]:
     """Return ``{"rows": […]}``: frames per second of one core for each number of frames a wake-up, and our ratio."""
-    contract = Contract.from_layout(changed(load_layout(), sync={"rate_hz": RATE_HZ}))
+    contract = Contract.from_layout(load_layout())
     return {"rows": [_row(contract, frames, rounds) for frames in WAKE_UPS]}
 
 
@@ -110,7 +106,6 @@ def _used_us(
             since_s = method.used_s
             for _ in range(CYCLES):
                 sums = random.integers(low, high + 1, contract.phi.shape[0], np.int32)
-                started_s = time.monotonic()
                 method.begin()
                 wires = [_wire(contract, bus, sums) for bus in buses]
                 for begin in range(0, max(len(lengths) for _, lengths in wires), frames):
@@ -119,7 +114,6 @@ def _used_us(
                     method.wake(begin + frames)
                 if not np.array_equal(method.end(), sums):
                     raise RunError("expected the sums that were sent, got others")
-                time.sleep(max(0.0, started_s + _APART * contract.layout.sync.period_s - time.monotonic()))
             taken_us.append(1e6 * (method.used_s - since_s) / count)
     return float(np.median(taken_us[1:]))
 
@@ -140,7 +134,15 @@ def _sender(far: socket.socket) -> BatchSocket:
 
 
 class _DatagramLink(SocketCanLink):
-    """Our SocketCAN link on a datagram socket; the kernel marks no echo there, so SYNC is marked here."""
+    """Our SocketCAN link on a datagram socket; the kernel marks no echo there, so SYNC is marked here.
+
+    Attributes
+    ----------
+    cycle_ns : int
+        When the frames came, in place of the kernel's time: a cycle lasts as long as its wake-ups take.
+    """
+
+    cycle_ns = 0
 
     def __init__(self, near: socket.socket) -> None:
         self._near = near
@@ -156,16 +158,18 @@ class _DatagramLink(SocketCanLink):
         """Return all waiting frames, SYNC as echo."""
         arrived = super().receive()
         arrived["flags"][arrived["can_id"] == SYNC_COB_ID] = ECHO
+        arrived["time_ns"] = self.cycle_ns
         return arrived
 
 
 class _Ours:
     """The gateway's loop; nodes are proven, and its commands go nowhere."""
 
-    def __init__(self, contract: Contract, links: Sequence[SocketCanLink]) -> None:
+    def __init__(self, contract: Contract, links: Sequence[_DatagramLink]) -> None:
         self._links = dict(enumerate(links))
+        self._now_s, self._period_s = 1.0, contract.layout.sync.period_s
         self._loop = GatewayLoop(
-            contract, dict.fromkeys(self._links, len), time.monotonic(), say=lambda _: None, complain=lambda _: None
+            contract, dict.fromkeys(self._links, len), self._now_s, say=lambda _: None, complain=lambda _: None
         )
         for node in contract.nodes:
             self._loop.gathering.trust(node, proven=True)
@@ -174,7 +178,11 @@ class _Ours:
         self.used_s = 0.0
 
     def begin(self) -> None:
-        started_s, now_ns = time.thread_time(), time.monotonic_ns()
+        started_s = time.thread_time()
+        self._now_s += self._period_s
+        now_ns = round(1e9 * self._now_s)
+        for link in self._links.values():
+            link.cycle_ns = now_ns
         self._number, self._counter = self._number + 1, next_counter(self._counter)
         self._made = self._loop.gathering.begin(Sync(self._number, self._counter, now_ns, now_ns, 0))
         self.used_s += time.thread_time() - started_s
@@ -184,22 +192,21 @@ class _Ours:
         ready = select(list(self._links.values()), [], [], 0.0)[0]
         for number, link in self._links.items():
             if link in ready:
-                now_s = time.monotonic()
                 self._loop.take(
                     number,
                     link.receive(),
-                    now_s,
+                    self._now_s,
                     state=link.state,
                     dropped=link.dropped,
                     stamp_error_ns=link.stamp_error_ns,
                 )
-        self._made += self._loop.measurements(time.monotonic())
+        self._made += self._loop.measurements(self._now_s)
         self.used_s += time.thread_time() - started_s
 
     def end(self) -> Integers:
         (made,) = self._made
         if not all(made.valid):
-            raise RunError("expected a complete measurement, got late frames: other programs held this up, try again")
+            raise RunError("expected a complete measurement, got blocks that are not valid")
         return np.frombuffer(made.sums, "<i4").astype(np.int64)
 
 

@@ -60,6 +60,10 @@ def test_narrower_sums_and_bigger_nodes_than_the_given_are_compared() -> None:
     ]
 
 
+def test_nodes_of_more_blocks_than_the_skin_can_fill_are_left_out() -> None:
+    assert [each for each in changes(small_layout(8, 8)) if "per node" in each] == ["2 blocks per node", *FAST[:3]]
+
+
 def test_the_figures_are_those_of_the_fullest_bus_and_the_frames_of_all() -> None:
     """Two TPDOs of 8 bytes a node: 55 + 12 * 135 bits at 100 Hz and six heartbeats of 65 bits on the right bus."""
     first = next(alternatives(LAYOUT))

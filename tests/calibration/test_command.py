@@ -109,7 +109,10 @@ def test_a_hub_without_gateway_is_named(endpoint: str) -> None:
             "region 0,0,64,3: expected first row, first column, last row and",
         ),
         (["tare", "--layout=default", "--region", "12"], "rows of 0 to 63 and columns of 0 to 63"),
-        (["tare", "--layout=default", "--region", "palm"], "no region 'palm': expected one of whole skin"),
+        (
+            ["tare", "--layout=default", "--region", "palm"],
+            "no region 'palm': expected 'whole skin'; [[region]] in the layout names more",
+        ),
         (
             ["tare", "--layout=default", "--region", "0,0,1,1", "--force"],
             "a tare of a region, and by force: expected one of both",

@@ -72,28 +72,34 @@ class Witness(Electronics):
 
 
 class WitnessSampler(Sampler):
-    """A sampler that remembers the sums of these counts by SYNC counter and by the time of SYNC; newest wins."""
+    """A sampler that remembers the sums of these counts by bus and SYNC counter, and by the time of SYNC; newest wins.
+
+    Where another master counts ahead on one bus, the sums that the boards of another bus get may be older than theirs.
+    """
 
     def __init__(self, phi: Sbhe, electronics: Witness, longest_period_s: float | None = None) -> None:
         taxels = electronics.taxels
         super().__init__(phi, Shaking((taxels.rows, taxels.columns)), electronics, longest_period_s)
-        self.truths: dict[int, npt.NDArray[np.int32]] = {}
+        self.truths: dict[tuple[int, int], npt.NDArray[np.int32]] = {}
         self.truths_by_ns: dict[int, npt.NDArray[np.int32]] = {}
         self._witness = electronics
+        #: By the identity of what the boards got.
+        self._true: dict[int, npt.NDArray[np.int32]] = {}
 
     def sample(self, counter: int, time_ns: int, bus: int = 0) -> npt.NDArray[np.int32]:
         before = self._witness.reads
         sums = super().sample(counter, time_ns, bus)
         if self._witness.reads > before:
-            self.truths[counter] = self._phi.wired.forward(self._witness.counts)
+            self._true[id(sums)] = self._phi.wired.forward(self._witness.counts)
             if not counter:  # with SYNCs that do not count, a SYNC that counts is another master's
-                self.truths_by_ns[time_ns] = self.truths[counter]
+                self.truths_by_ns[time_ns] = self._true[id(sums)]
+        self.truths[bus, counter] = self._true[id(sums)]
         return sums
 
-    def truth_of(self, measurement: Measurement) -> npt.NDArray[np.int32] | None:
-        """Return the sums of the cycle of a measurement, None if no node has sampled in it."""
-        if 0 not in self.truths:
-            return self.truths.get(measurement.sync_counter)
+    def truth_of(self, measurement: Measurement, bus: int) -> npt.NDArray[np.int32] | None:
+        """Return the sums of the cycle of a measurement, None if no node of the bus has sampled in it."""
+        if not self.truths_by_ns:
+            return self.truths.get((bus, measurement.sync_counter))
         later = {time_ns - measurement.sampled_mono_ns: sums for time_ns, sums in self.truths_by_ns.items()}
         found = [each for each in later if -0.25 < each / self._period_ns < 0.75]
         return later[max(found)] if found else None
@@ -338,12 +344,15 @@ class World:
         sums = np.frombuffer(measurement.sums, "<i4")
         phi = next(each.phi for each in self.contract.states if each.phi.fingerprint == measurement.fingerprint)
         differs = np.zeros(phi.blocks, np.bool_)
-        truth = self.sampler.truth_of(measurement)
-        if truth is None:  # no node has sampled in this cycle
-            return np.flatnonzero(valid(measurement)).tolist()
-        if phi is not self.contract.phi:
-            truth = truth[self.contract.recognised]
-        differs[phi.block_of_sum[sums != truth]] = True
+        for bus in range(len(self.wires)):
+            blocks = [node.block + each for node in self.contract.on_bus(bus) for each in range(node.blocks)]
+            truth = self.sampler.truth_of(measurement, bus)
+            if truth is None:
+                differs[blocks] = True
+                continue
+            if phi is not self.contract.phi:
+                truth = truth[self.contract.recognised]
+            differs[blocks] = np.isin(blocks, phi.block_of_sum[sums != truth])
         return np.flatnonzero(differs & valid(measurement)).tolist()
 
     # What another master does

@@ -390,7 +390,7 @@ def test_a_tare_is_of_all_of_the_skin_or_of_a_region_on_it_and_one_at_a_time(sma
     assert asked.replies[0].text.startswith(f"region 0,0,{taxels.rows},0: expected first row, first column")
     assert asked.replies[1].text == "a tare of a region, and by force: expected one of both"
     asked.ask(CalibrationRequest(action="tare", region="thumb"))
-    assert asked.replies[2].text == "no region 'thumb': expected one of whole skin"
+    assert asked.replies[2].text == "no region 'thumb': expected 'whole skin'; [[region]] in the layout names more"
 
 
 def test_answers_are_given_in_another_thread(small: Contract) -> None:

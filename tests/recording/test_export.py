@@ -1,6 +1,7 @@
 """Recordings as arrays: every format holds the same."""
 
 from pathlib import Path
+from typing import Literal
 
 import h5py
 import msgspec
@@ -91,6 +92,22 @@ def test_csv_can_be_played(run: Path, tmp_path: Path) -> None:
     rows = (tmp_path / "run-contacts.csv").read_text().splitlines()
     assert len(rows) == 2
     assert rows[0].startswith("cycle,time_ns")
+
+
+def test_a_file_is_what_its_suffix_says(run: Path, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"--to npz writes no '\.csv': expected another --to"):
+        export(str(run), out=tmp_path / "run.csv")
+    export(str(run), out=tmp_path / "run.dat")
+
+
+@pytest.mark.parametrize("to", ["csv", "parquet"])
+def test_nothing_is_written_if_a_table_is_there_already(
+    run: Path, tmp_path: Path, to: Literal["csv", "parquet"]
+) -> None:
+    (tmp_path / f"out-labels.{to}").touch()
+    with pytest.raises(InputError, match="is there already"):
+        export(str(run), to=to, out=tmp_path / f"out.{to}")
+    assert not list(tmp_path.glob("out-[!l]*"))
 
 
 def test_the_images_of_a_run_can_be_played(run: Path) -> None:

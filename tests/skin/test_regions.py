@@ -58,7 +58,7 @@ def test_a_box_and_a_name_tell_taxels() -> None:
     box = np.flatnonzero(taxels_of(layout, (1, 2, 2, 3)))
     assert box.tolist() == [18, 19, 34, 35]
     assert np.flatnonzero(taxels_of(layout, "top")).tolist() == list(range(128))
-    with pytest.raises(InputError, match="no region 'thumb': expected one of palm, top"):
+    with pytest.raises(InputError, match="no region 'thumb': expected 'palm', 'top'"):
         taxels_of(layout, "thumb")
 
 

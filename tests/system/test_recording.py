@@ -80,7 +80,9 @@ def test_a_replay_gives_the_live_measurements_images_and_labels(chain: Chain, tm
     recorded = {topic.name: messages(run, topic) for topic in (MEASUREMENT, IMAGE, CONTACTS, LABEL, TRUTH)}
     assert all(len(each) > 40 for each in recorded.values())
     live = {each.cycle: each for each in chain.measurements}
-    assert all(live[each.cycle] == each for each in recorded["measurement"])
+    both = [each for each in recorded["measurement"] if each.cycle in live]  # a busy machine loses some on either way
+    assert len(both) > 20
+    assert all(live[each.cycle] == each for each in both)
 
     out = tmp_path / "out.mcap"
     said = replayed(run, out)
@@ -94,7 +96,7 @@ def test_a_replay_gives_the_live_measurements_images_and_labels(chain: Chain, tm
         compared = [each for each in recorded[name] if each.cycle < end]
         assert len(compared) > 20, said
         for each in compared:
-            assert by_cycle[each.cycle] == as_compared(each), said
+            assert by_cycle.get(each.cycle) == as_compared(each), f"{name}: {said}"
 
     sources = {"again": (out,), **{path.suffix[1:]: (path, "--layout", str(chain.layout_path)) for path in (log, blf)}}
     with ThreadPoolExecutor() as threads:

@@ -109,7 +109,8 @@ def drag(page: Browser, right: float, down: float) -> None:
 
 @pytest.mark.parametrize("messages", [CURVED, FLAT], ids=["curved", "flat"], indirect=True)
 def test_taxels_are_drawn_in_their_places(page: Browser, messages: SurfaceMessages) -> None:
-    page.until(lambda: bool(colours(page, messages)[:, 3].all()), "no image was drawn")
+    for name in ("image", "true"):
+        page.until(lambda name=name: bool(colours(page, messages, name)[:, 3].all()), f"no {name} image was drawn")
     assert "palm · 256 taxels" in page.text("#skin")
     luminance = colours(page, messages)[:, :3] @ [0.2126, 0.7152, 0.0722]
     order = np.argsort(messages.grid(), axis=None)
