@@ -1,7 +1,6 @@
 """``skin layout``: explains a layout, draws its boards, and tells how many sums are enough."""
 
 import os
-import re
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final, Literal
@@ -20,7 +19,7 @@ from shell.output import check_new_path, check_picture_path, save_figure, write_
 from shell.service import say
 from shell.terminal import Json, print_json, print_table
 from skin.chains import positions_text
-from skin.importing import tables_of
+from skin.importing import name_of, tables_of
 from skin.layout import Layout, changed, load_layout, parse_layout
 from skin.matrix import MatrixPhi
 from skin.measurement import Sbhe
@@ -98,9 +97,7 @@ def _new(taxels: Path | None, out: Path | None, modules: Path | None, sending: S
     tables, told = tables_of(str(taxels), modules)
     for words in told:
         say("layout", words)
-    name = re.sub(r"[^a-z0-9_]", "_", (taxels if out is None else out).stem.lower())
-    name = name if name[:1].isalpha() else f"skin_{name}"
-    tables = {"name": name[:64], "sending": sending, **tables}
+    tables = {"name": name_of((taxels if out is None else out).stem, "skin"), "sending": sending, **tables}
     if sending == "adaptive":
         tables.setdefault("measurement", {"wiring": "board"})
     skin = parse_layout(tomli_w.dumps(tables).encode(), str(taxels))

@@ -224,9 +224,10 @@ class ViewState:
             if peer.service == RECORDER and not there:
                 self._mark = None  # nobody keeps it
 
-    def running(self, service: str) -> int:
-        """Return how many services of this name the skin has."""
-        return sum((each.skin, each.service) == (self._layout.name, service) for each in self._peers.values())
+    def running(self, service: str) -> set[str]:
+        """Return the services of this name that the skin has, each as `canskin.peers.Peer.instance`."""
+        name = self._layout.name, service
+        return {each.instance for each in self._peers.values() if (each.skin, each.service) == name}
 
     def snapshot(self, now_s: float, undecodable: int = 0, *, is_single: bool = False) -> tuple[Snapshot, Pictures]:
         """Return snapshot and pictures at `now_s`; `undecodable` messages count as ignored.

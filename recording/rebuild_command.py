@@ -3,6 +3,7 @@
 import time
 from collections.abc import Callable
 from dataclasses import asdict, replace
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -23,15 +24,15 @@ from reconstructor.gains import KnownGains
 from reconstructor.imaging import Imager, load_gains, make_imager
 from reconstructor.options import SolverOptions
 from recording.answers import same_pixels
-from recording.cycles import SUMS, Cycles, decode_log, measure_forces, read_sums
+from recording.cycles import SUMS, Cycles, decode_log, measure_forces, read_sums, recorded_cycles
 from recording.step_kinds import MeasurementStep
-from recording.steps import frames_of_log, steps_of
+from recording.steps import frames_of_log, has_frames, steps_of
 from shell.output import check_new_path, replacing
 from shell.service import say
 from shell.terminal import progress
 from shell.touch_options import ArrayNames, FullScale
 from skin.layout import RECORDING_SUFFIX, Layout, load_layout, require_sending
-from skin.mcap_file import read_messages, recording_id, wall_offset_ns
+from skin.mcap_file import read_messages, read_topics, recording_id, wall_offset_ns
 from skin.wall_times import nearest, recorded_clocks, recorded_wall_times
 from touch.reading import array_names
 
@@ -74,9 +75,10 @@ def rebuild(
     Parameters
     ----------
     source
-        A CAN log (.mcap of ``skin record``, candump -l, .asc, .blf or any other that python-can reads); a recording
-        of forces: .npz, .npy or .csv of shape (time, rows, columns); or sums that a program has written: .npz with
-        ``sums``, counts, shape (cycles, sums), and what is known of ``valid``, ``cycle`` and ``time_ns``.
+        A CAN log: candump -l, .asc, .blf or any other that python-can reads; a recording (.mcap), by its measurements
+        where it has no frames, as those of the page; a recording of forces: .npz, .npy or .csv of shape (time, rows,
+        columns); or sums that a program has written: .npz with ``sums``, counts, shape (cycles, sums), and what is
+        known of ``valid``, ``cycle`` and ``time_ns``.
     out
         New .npz for the images: ``images`` float32 (cycles, rows, columns) in newtons, ``valid`` bool (cycles,
         blocks), ``time_ns`` and ``cycle`` int64 (cycles,), ``recording``, ``metadata`` JSON.
@@ -277,15 +279,19 @@ def _measured(skin: Layout, source: Path, array: list[str] | None, full_scale: f
 
 
 def _logged(skin: Layout, source: Path, channel: list[str] | None) -> Cycles:
-    """Read and decode a log."""
-    contract = Contract.from_layout(skin)
+    """Read and decode a log; of a recording without frames read the measurements."""
+    contract, warn = Contract.from_layout(skin), partial(say, "rebuild")
     with progress(f"reading {source.name}", None) as bar:
-        logged = frames_of_log(skin, source, channel, lambda line: say("rebuild", line))
-        cycles, counts = decode_log(contract, logged, bar.advance)
+        if source.suffix.lower() == RECORDING_SUFFIX and not has_frames(read_topics(source)):
+            cycles, counted = recorded_cycles(contract, source, warn), "recorded measurements, without frames"
+        else:
+            logged = frames_of_log(skin, source, channel, warn)
+            cycles, counts = decode_log(contract, logged, bar.advance)
+            counted = _counted(counts)
     if not cycles.valid.any():
-        raise RunError(f"{source}: no block of any cycle is complete ({_counted(counts)}): is this the skin's layout?")
+        raise RunError(f"{source}: no block of any cycle is complete ({counted}): is this the skin's layout?")
     complete = int(cycles.valid[:, contract.phi.has_sums].all(axis=1).sum())
-    say("rebuild", f"{complete} of {len(cycles.valid)} cycles are complete: {_counted(counts)}")
+    say("rebuild", f"{complete} of {len(cycles.valid)} cycles are complete: {counted}")
     return cycles
 
 

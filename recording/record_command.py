@@ -148,22 +148,24 @@ def _mark(recorder: Recorder, label: str) -> None:
 
 def _join(of: SkinOptions, skin: Layout, recorder: Recorder, stop: StopSignal, joined: list[Fabric]) -> None:
     """Subscribe to everything when there is a hub; frames are recorded meanwhile."""
+
+    def note(peer: Peer, alive: bool) -> None:
+        if peer.skin == skin.name:
+            recorder.take_event(peer.service, f"{'is there' if alive else 'has left'}, version {peer.version}")
+
+    def subscribe(fabric: Fabric) -> None:  # before a program sees the recorder, and sends it marks
+        fabric.watch_peers(note)
+        for topic in TOPICS:
+            fabric.subscribe_bytes(topic, partial(recorder.take_message, topic))
+
     try:
-        fabric = of.join(skin, "recorder", stop)
+        fabric = of.join(skin, "recorder", stop, prepare=subscribe)
     except Stopped:
         return
     except (BusError, LayoutError) as error:
         say("record", f"frames alone: {error}")
         return
     joined.append(fabric)
-
-    def note(peer: Peer, alive: bool) -> None:
-        if peer.skin == skin.name:
-            recorder.take_event(peer.service, f"{'is there' if alive else 'has left'}, version {peer.version}")
-
-    fabric.watch_peers(note)
-    for topic in TOPICS:
-        fabric.subscribe_bytes(topic, partial(recorder.take_message, topic))
     follow_calibration(fabric, recorder.take_file, stop)
 
 

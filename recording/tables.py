@@ -127,7 +127,7 @@ def read_tables(path: Path, layout: Layout, warn: Warn) -> Tables:
             taxels=_taxels(layout),
             recording=recording_id(path),
         )
-    except ValueError as error:
+    except (ValueError, OverflowError) as error:
         raise InputError(f"{path}: its messages do not fit the layout '{layout.name}': {error}") from error
 
 

@@ -2,6 +2,7 @@
 
 import math
 import time
+from collections.abc import Callable
 from contextlib import closing, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -78,7 +79,14 @@ class SkinOptions:
             raise InputError(f"--skin {self.skin}: {given} is of skin '{layout.name}': leave one of both out")
         return layout
 
-    def join(self, layout: Layout, service: str, stop: Stop | None = None, patience_s: float = math.inf) -> Fabric:
+    def join(
+        self,
+        layout: Layout,
+        service: str,
+        stop: Stop | None = None,
+        patience_s: float = math.inf,
+        prepare: Callable[[Fabric], None] = lambda _: None,
+    ) -> Fabric:
         """Return the connection of a service to the hub; see `Fabric`.
 
         Raises
@@ -88,7 +96,7 @@ class SkinOptions:
         BusError
             If only other skins are on the hub.
         """
-        fabric = join(layout, service, self.endpoint, stop=stop, patience_s=patience_s)
+        fabric = join(layout, service, self.endpoint, stop=stop, patience_s=patience_s, prepare=prepare)
         try:
             if self.layout is not None:
                 self.compare(layout, fabric.instance, stop)
@@ -138,6 +146,7 @@ def join(
     hub: bool = False,
     stop: Stop | None = None,
     patience_s: float = math.inf,
+    prepare: Callable[[Fabric], None] = lambda _: None,
 ) -> Fabric:
     """Return the connection of a service that knows its layout, and tells it whoever asks; see `Fabric`."""
     return Fabric(
@@ -149,6 +158,7 @@ def join(
         fingerprint=layout.operator().fingerprint,
         layout=layout_text(layout),
         patience_s=patience_s,
+        prepare=prepare,
     )
 
 

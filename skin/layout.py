@@ -78,7 +78,9 @@ SumBits = Literal[16, 12, 8]
 SUM_BITS: Final[tuple[int, ...]] = get_args(SumBits)
 
 Positive = Annotated[int, msgspec.Meta(gt=0)]
-Name = Annotated[str, msgspec.Meta(pattern=r"^[a-z][a-z0-9_]*$", max_length=64)]
+#: Longest name.
+NAME_CHARACTERS: Final = 64
+Name = Annotated[str, msgspec.Meta(pattern=r"^[a-z][a-z0-9_]*$", max_length=NAME_CHARACTERS)]
 
 
 class _Table(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

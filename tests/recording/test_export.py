@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from canskin.errors import InputError, RunError
-from canskin.messages import IMAGE, LABEL
+from canskin.messages import IMAGE, LABEL, Topic
 from dbc.contract import Contract
 from recording.export_command import export
 from recording.sinks import McapSink
@@ -133,6 +133,17 @@ def test_a_message_of_another_version_is_refused_in_one_line(contract: Contract,
     sink.close()
     with pytest.raises(InputError, match=r"'label' cannot be decoded, it is of another version.*sampled_mono_ns"):
         read_tables(path, contract.layout, pytest.fail)
+
+
+@pytest.mark.parametrize(("topic", "message"), [(LABEL, make.label(2**63)), (IMAGE, make.image(1, pixels=b"1234"))])
+def test_messages_that_no_array_of_the_layout_holds_are_refused(
+    contract: Contract, out: Path, topic: Topic, message: msgspec.Struct
+) -> None:
+    sink = McapSink(out, contract, 1, 0)
+    sink.message(topic, 1, msgspec.msgpack.encode(message))
+    sink.close()
+    with pytest.raises(InputError, match="its messages do not fit the layout 'small'"):
+        read_tables(out, contract.layout, pytest.fail)
 
 
 def test_frames_alone_are_no_arrays(contract: Contract, out: Path) -> None:

@@ -77,10 +77,10 @@ class Playback(Shown):
         self._go_to(position_s)
 
     def _readable(self, messages: Iterator[Read]) -> Iterator[Read]:
-        """Yield messages up to one that is damaged."""
+        """Yield messages up to one that is damaged; none if the file has gone."""
         try:
             yield from messages
-        except InputError as error:
+        except (InputError, OSError) as error:
             self._warn(str(error))
 
     def _go_to(self, position_s: float) -> None:

@@ -143,6 +143,15 @@ def test_a_recording_after_a_crash_is_shown_and_moved(messages: Any, tmp_path: P
     assert capfd.readouterr().err.count("has no end") == 1
 
 
+def test_a_recording_that_was_removed_can_be_moved_and_shows_nothing(
+    player: Player, capfd: pytest.CaptureFixture[str]
+) -> None:
+    player.playback.path.unlink()
+    assert player.playback.play(position_s=5.0) == "played at 1 times its speed at 5.0 s of 10.0 s"
+    assert player.after(1.0).image is None
+    assert capfd.readouterr().err.count("run.mcap") == 1
+
+
 def test_a_message_that_cannot_be_read_ends_what_is_shown(messages: Any, tmp_path: Path, capfd: Any) -> None:
     writer = RecordingWriter(tmp_path / "odd.mcap", {}, [], 0)
     writer.message(IMAGE, 1_000_000_000, msgspec.msgpack.encode(messages.image(5)))

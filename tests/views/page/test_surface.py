@@ -60,12 +60,13 @@ def messages(request: pytest.FixtureRequest) -> SurfaceMessages:
 
 
 @pytest.fixture
-def page(browser: Browser, server: Server, chain: Chain) -> Iterator[Browser]:
+def page(browser: Browser, server: Server, chain: Chain, messages: SurfaceMessages) -> Iterator[Browser]:
     chain.contacts = False
     browser.complaints.clear()
     browser.open(f"http://127.0.0.1:{server.port}/")
     browser.until(lambda: "golf ball" in browser.text("#object"), "no label was shown")
     browser.until(lambda: browser.ask("!document.querySelector('#map-true').hidden"), "no truth was shown")
+    browser.until(lambda: bool(colours(browser, messages)[:, 3].all()), "no image was drawn")
     yield browser
     assert not browser.complaints
     browser.open("about:blank")  # before the server stops, of which the page would complain
@@ -96,6 +97,12 @@ def colours(page: Browser, messages: SurfaceMessages, name: str = "image") -> np
     return np.array(page.ask(script)).reshape(-1, 4)
 
 
+def differing(page: Browser, messages: SurfaceMessages) -> set[int]:
+    """Return the taxels whose colour is another in the true image, all while a frame came without one."""
+    differs = (colours(page, messages) != colours(page, messages, "true")).any(axis=1)
+    return set(np.flatnonzero(differs).tolist())
+
+
 def drag(page: Browser, right: float, down: float) -> None:
     """Drag the image by parts of its size."""
     box = box_of(page)
@@ -109,14 +116,12 @@ def drag(page: Browser, right: float, down: float) -> None:
 
 @pytest.mark.parametrize("messages", [CURVED, FLAT], ids=["curved", "flat"], indirect=True)
 def test_taxels_are_drawn_in_their_places(page: Browser, messages: SurfaceMessages) -> None:
-    for name in ("image", "true"):
-        page.until(lambda name=name: bool(colours(page, messages, name)[:, 3].all()), f"no {name} image was drawn")
     assert "palm · 256 taxels" in page.text("#skin")
     luminance = colours(page, messages)[:, :3] @ [0.2126, 0.7152, 0.0722]
     order = np.argsort(messages.grid(), axis=None)
     assert (np.diff(luminance[order]) >= -1.0).all()
     assert luminance[order[-1]] > luminance[order[0]] + 40
-    np.testing.assert_array_equal(colours(page, messages, "image"), colours(page, messages, "true"))
+    page.until(lambda: not differing(page, messages), "the true image is drawn otherwise")
     assert page.ask(
         "document.querySelector('#map-image canvas').getContext('2d').getImageData(0, 0, 1, 1).data[3]"
     ) == (255 if messages.surface.is_flat else 0)
@@ -125,8 +130,8 @@ def test_taxels_are_drawn_in_their_places(page: Browser, messages: SurfaceMessag
 def test_taxels_of_invalid_blocks_are_hatched(page: Browser, chain: Chain, messages: SurfaceMessages) -> None:
     chain.invalid = (3,)
     page.until(lambda: "7 / 8" in page.text("#blocks"), "the invalid block was not counted")
-    differs = (colours(page, messages) != colours(page, messages, "true")).any(axis=1)
-    np.testing.assert_array_equal(differs, messages.layout.phi().block_of_taxel == 3)
+    hatched = set(np.flatnonzero(messages.layout.phi().block_of_taxel == 3).tolist())
+    page.until(lambda: differing(page, messages) == hatched, "others are hatched")
 
 
 def test_the_pointer_names_a_taxel_and_where_it_lies(page: Browser, messages: SurfaceMessages) -> None:
@@ -158,18 +163,13 @@ def test_contacts_are_marked_on_the_side_that_is_seen(page: Browser, chain: Chai
     chain.contacts = True
     x, y, z = 1e3 * messages.surface.positions_m[TOUCHED]
     page.until(lambda: f"{x:.1f}, {y:.1f}, {z:.1f}" in page.text("#contacts tbody .place"), "no contact")
-
-    def marked() -> set[int]:
-        differs = (colours(page, messages) != colours(page, messages, "true")).any(axis=1)
-        return set(np.flatnonzero(differs).tolist())
-
-    page.until(lambda: TOUCHED in marked(), "the contact has no mark")
-    beside = np.linalg.norm(messages.surface.positions_m - messages.surface.positions_m[TOUCHED], axis=1)
-    assert max(beside[list(marked())]) < 4 * messages.surface.pitch_m
+    away_m = np.linalg.norm(messages.surface.positions_m - messages.surface.positions_m[TOUCHED], axis=1)
+    beside = set(np.flatnonzero(away_m < 4 * messages.surface.pitch_m).tolist())
+    page.until(lambda: {TOUCHED} <= differing(page, messages) <= beside, "the contact has no mark, or others have")
     chain.doubtful = True
     page.until(lambda: "in doubt" in page.text("#contacts tbody"), "no doubt was told")
     drag(page, 1.0, 0.0)
-    page.until(lambda: not marked(), "the contact is marked on the other side")
+    page.until(lambda: not differing(page, messages), "the contact is marked on the other side")
 
 
 @pytest.mark.parametrize("messages", [FLAT], indirect=True)
