@@ -79,9 +79,8 @@ class WallTimes:
 def recorded_clocks(path: Path) -> list[Clocks]:
     """Return the clocks of all measurements of a recording, in the order of their sampling."""
     topics = CLOCKS, Topic(RECOGNITION.name, Clocks)
-    return sorted(
-        (read.message for read in read_messages(path, topics, lambda _: None)), key=attrgetter("sampled_mono_ns")
-    )
+    found = (read.message for read in read_messages(path, topics, lambda _: None))
+    return sorted(found, key=attrgetter("sampled_mono_ns"))
 
 
 def recorded_wall_times(path: Path, clocks: Sequence[Clocks] | None = None) -> WallTimes:
