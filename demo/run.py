@@ -55,6 +55,8 @@ class Run:
         self._folder = folder
         self._supervisor = Supervisor(folder)
         self._there = Roll()
+        #: Services were started before, at another rate.
+        self._has_begun = False
         self._fabric: Fabric | None = None
         #: State of the gateway at `SETTLED_S`, with which the rate is judged.
         self._earlier: GatewayStatus | None = None
@@ -180,14 +182,15 @@ class Run:
 
     def _await_services(self, stop: StopSignal) -> None:
         """Wait until every service is on the fabric."""
-        told_s = time.monotonic() + SLOW_START_S
+        slow_s = inf if self._has_begun else time.monotonic() + SLOW_START_S
+        self._has_begun = True
         patience_s = time.monotonic() + READY_PATIENCE_S
         with self._console.status("starting") as status:
             while (missing := self._missing()) and not stop.wait(TURN_S):
                 self._supervisor.look(starting=True)
                 status.update(f"starting: waiting for {missing}")
-                if time.monotonic() > told_s:
-                    told_s = inf
+                if time.monotonic() > slow_s:
+                    slow_s = inf
                     why = "a first start compiles the solver, and new objects train the classifier: minutes"
                     say("demo", f"waits for {missing}; {why}")
                 if time.monotonic() > patience_s:

@@ -123,8 +123,8 @@ class Score:
                 self._compare_times(measurement, true)
 
     def take_measurement(self, measurement: Measurement) -> None:
-        """Compare the sampling instant of a cycle with that of the nodes."""
-        if not isinstance(measurement, CycleMeasurement):
+        """Compare the sampling instant of a cycle with that of the nodes; times of another size are ignored."""
+        if not isinstance(measurement, CycleMeasurement) or len(measurement.bus_sampled_ns) % np.int64().nbytes:
             return
         with self._lock:
             for mine, truth in self._measurements.take(measurement):
