@@ -260,7 +260,8 @@ def _problems(
     if needed_ms is not None and needed_ms > window_ms:
         found.append(
             f"{bus.name}: the last TPDO may end {needed_ms:.2f} ms after SYNC, "
-            f"but the window (1007h) is {window_ms:.2f} ms; {needed_ms - window_ms:.2f} ms are missing"
+            f"but the window (1007h) is {window_ms:.2f} ms; {needed_ms - window_ms:.2f} ms are missing: fewer sums,"
+            ' more buses, identity = "alternating" in [sync], or the --jitter-s of your boards where it is shorter'
         )
     return found
 

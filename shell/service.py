@@ -171,8 +171,10 @@ def request_real_time(service: str, tell: Callable[[str], None] | None = None) -
     can_have = wanted is not Priority.NORMAL and _IS_LINUX and not _has_one_core()
     obtained = REAL_TIME if can_have and _schedule(os.SCHED_RR, REAL_TIME_PRIORITY) else ORDINARY
     why = "as --priority normal asks" if wanted is Priority.NORMAL else way_to_real_time()
-    told = "real time; --priority normal leaves others more" if obtained == REAL_TIME else f"ordinary; {why}"
-    say(service, f"scheduling: {told}")
+    if obtained == REAL_TIME:
+        say(service, "scheduling: real time; --priority normal leaves others more")
+    else:
+        say(service, f"scheduling: ordinary; {why}")
     tell(obtained)
     if obtained == REAL_TIME and wanted is Priority.AUTO:
         threading.Thread(target=_watch, args=(service, tell), name="share of real time", daemon=True).start()

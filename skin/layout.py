@@ -106,7 +106,7 @@ class Taxels(_Table, frozen=True, kw_only=True):
     positions: Annotated[tuple[tuple[float, ...], ...], msgspec.Meta(max_length=PLACES_MAX)] | None = None
     # Taxels at positions are neighbours up to this times their median spacing.
     link_ratio: Annotated[float, msgspec.Meta(ge=1, le=4)] = LINK_RATIO
-    pitch_m: Annotated[float, msgspec.Meta(ge=1e-6, le=10)] = 0.004
+    pitch_m: Annotated[float, msgspec.Meta(ge=1e-6, le=0.5)] = 0.004
     force_max_n: Annotated[float, msgspec.Meta(ge=1e-6, le=1e6)] = 0.02
     adc_bits: Annotated[int, msgspec.Meta(ge=1, le=16)] = 10
     frontend: Literal["digital", "analogue"] = "digital"
@@ -458,6 +458,8 @@ def _read(path: Path | None, name: str) -> tuple[bytes, str, Path]:
         return folder.joinpath(f"{name}.toml").read_bytes(), f"{name}.toml", Path(str(folder))
     if path.suffix.lower() == RECORDING_SUFFIX:
         return _read_attached(path), name, path.parent
+    if not path.suffix and not path.exists():
+        raise LayoutError(f"{path}: no such file, and no layout of canskin: expected {', '.join(SHIPPED)}, or a file")
     with reasoned(LayoutError, f"{path}: cannot read the layout"):
         return path.read_bytes(), name, path.parent
 
@@ -489,7 +491,7 @@ def parse_layout(content: bytes, origin: str, folder: Path = Path()) -> Layout:
     try:
         document = _with_sizes(_with_devices(_with_files(_with_shape(msgspec.toml.decode(content)), folder), folder))
     except UNDECODABLE as error:
-        raise LayoutError(f"{origin}: {error}") from error
+        raise LayoutError(f"{origin}: expected TOML: {error}") from error
     try:
         layout = msgspec.convert(document, Layout)
     except msgspec.ValidationError as error:

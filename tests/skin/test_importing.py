@@ -123,5 +123,5 @@ def test_words_and_layouts_are_taxels_too() -> None:
     assert tables_of("24x32") == ({"taxels": {"rows": 24, "columns": 32}}, [])
     tables, _ = tables_of("hand")
     assert tables["taxels"]["rows"] == 16
-    with pytest.raises(LayoutError, match="cannot read the layout"):
+    with pytest.raises(LayoutError, match="no such file, and no layout of canskin"):
         tables_of("24 by 32")

@@ -232,7 +232,7 @@ def test_small_skin() -> None:
         ("rows = 64", "rows = '64'", 'expected a whole number, got "64" - at `$.taxels.rows`'),
         ("rows = 64", "rows = 6.5", "expected a whole number, got 6.5"),
         ("rows = 64", "rows = 0", "expected 1 or more, got 0"),
-        ("pitch_m = 0.004", "pitch_m = inf", "expected 10.0 or less, got inf"),
+        ("pitch_m = 0.004", "pitch_m = inf", "expected 0.5 or less, got inf"),
         ("sum_bits = 16", "sum_bits = 16\noffset_binary = 1", "expected true or false, got 1"),
         ('name = "bus1"', 'name = "Bus 1"', 'begins with a letter, got "Bus 1" - at `$.bus[1].name`'),
         ('name = "bus1"', f'name = "{70 * "b"}"', "expected 64 characters or less, got 70"),
