@@ -1,10 +1,8 @@
 """``skin demo`` as a user runs it, and every wrong input with one clear line."""
 
 import os
-import signal
 import socket
 import sys
-from collections.abc import Iterator
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -96,15 +94,6 @@ def test_recordings_given_from_outside(slow_layout: Path, tmp_path: Path) -> Non
     common = ("--layout", str(slow_layout), "--full-scale", "4095", "--seconds", "3", "--json", "--no-view")
     figures = report(skin("demo", *options, *common, cwd=tmp_path))
     assert figures["psnr_image_db"] > 30
-
-
-@pytest.fixture
-def own_signals() -> Iterator[None]:
-    """Give this process back what it does at a signal."""
-    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-    yield
-    for number, handler in handlers.items():
-        signal.signal(number, handler)
 
 
 @pytest.fixture
