@@ -67,10 +67,12 @@ docs: setup
 
 # On several cores. One worker compiles the kernels, then runs whole chains (tests/conftest.py); others go by file.
 BY_FILE := --dist loadfile --no-loadscope-reorder --max-worker-restart 0
+# The cores have enough to do without threads of BLAS, and a hundred services start from the Python that one has compiled.
+ON_CORES := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 PYTHONDONTWRITEBYTECODE= $(BIN)/pytest -q $(BY_FILE)
 
 # One worker more than cores: whole chains wait more than they compute.
 test: check
-	$(BIN)/pytest -q --numprocesses $$(($$(nproc) + 1)) $(BY_FILE)
+	$(ON_CORES) --numprocesses $$(($$(nproc) + 1))
 
 test-vcan: setup
 	tests/vcan/run
@@ -97,7 +99,7 @@ mutants: .venv/.mutants
 
 # The quick loop while working: no heavy tests and no slow ones; it names the longest: those that compile, or have become heavy.
 loop: setup
-	$(BIN)/pytest -q -m "not heavy and not slow" --durations 5 --numprocesses auto $(BY_FILE)
+	$(ON_CORES) --numprocesses auto -m "not heavy and not slow" --durations 5
 
 check: setup
 	$(BIN)/ruff check .

@@ -15,8 +15,8 @@ from tests.processes import free_endpoint
 KERNELS: Final = "tests/reconstructor/"
 #: Whole chains: their services keep time, so they run one after the other and before other tests.
 CHAINS: Final = (
-    *("tests/system/", "tests/deploy/test_units.py", "tests/gateway/test_adapters.py"),
-    "tests/views/page/test_browser.py",
+    *("tests/system/", "tests/gateway/test_adapters.py", "tests/views/page/test_browser.py"),
+    "tests/deploy/test_units.py",  # at the end: its services take over the kernels that others have made
 )
 #: Other tests get a quarter of a core that a chain wants, too.
 NICE: Final = 5
@@ -34,11 +34,15 @@ class ChainsInTurn(LoadFileScheduling):
     """
 
     def _split_scope(self, nodeid: str) -> str:
-        return KERNELS if _is_first(nodeid) else super()._split_scope(nodeid)
+        return KERNELS if _turn(nodeid) < OTHERS else super()._split_scope(nodeid)
 
 
-def _is_first(nodeid: str) -> bool:
-    return nodeid.startswith((KERNELS, *CHAINS))
+#: The turn of all other files.
+OTHERS: Final = 1 + len(CHAINS)
+
+
+def _turn(nodeid: str) -> int:
+    return next((turn for turn, begin in enumerate((KERNELS, *CHAINS)) if nodeid.startswith(begin)), OTHERS)
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -49,12 +53,12 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> ChainsInT
 @pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Begin with the kernels, go on with the chains."""
-    items.sort(key=lambda item: (not item.nodeid.startswith(KERNELS), not item.nodeid.startswith(CHAINS)))
+    items.sort(key=lambda item: _turn(item.nodeid))
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:
     """On several cores, make way for the first worker."""
-    if hasattr(item.config, "workerinput") and not _is_first(item.nodeid):
+    if hasattr(item.config, "workerinput") and _turn(item.nodeid) == OTHERS:
         os.nice(max(NICE - os.nice(0), 0))
 
 

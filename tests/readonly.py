@@ -15,6 +15,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
+from numba.core.caching import UserProvidedCacheLocator
+
+from shell.output import cache_folder
+
 ROOT: Final = Path(__file__).parents[1]
 #: What every command of this machine needs.
 SHOWN: Final = ("/usr", "/bin", "/lib", "/lib64", "/sys", "/etc/alternatives", "/etc/ld.so.cache", "/etc/localtime")
@@ -87,6 +91,22 @@ def gives_real_time() -> bool:
     """Tell whether a limit of 1 gives a process of this machine real time."""
     words = Confined({}, {}, rtprio=1).words("chrt", "--rr", "1", "true")
     return len(os.sched_getaffinity(0)) > 1 and not subprocess.run(words, check=False, capture_output=True).returncode
+
+
+def give_compiled(cache: Path, but: str = "") -> None:
+    """Give a service's cache the kernels and classifiers that are made here, as an image gives those of its build.
+
+    `but` names a module whose kernels the service has to make.
+    """
+    for source in {path.parent for path in ROOT.glob("[a-z]*/**/__pycache__/*.nbi")}:
+        place = UserProvidedCacheLocator.get_suitable_cache_subpath(str(source.parent / "kernel.py"))
+        given = cache / "numba" / place
+        given.mkdir(parents=True)
+        for path in source.glob("*.nb?"):
+            if path.name.split(".")[0] != but:
+                shutil.copy(path, given)
+    for path in cache_folder().glob("model-*.npz"):
+        shutil.copy(path, cache)
 
 
 class _Argument(ctypes.Structure):

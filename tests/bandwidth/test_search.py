@@ -102,9 +102,9 @@ def test_a_skin_of_too_many_nodes_lacks_node_ids_alone() -> None:
 
 
 def test_a_missing_window_is_named() -> None:
-    text, _ = failed(Requirement(4096, 172, buses=1, budget=1.0, can="classic"))
+    text, _ = failed(Requirement(4096, 172, buses=1, budget=1.0, can="classic", sending="synchronous"))
     assert "window" in text
-    whole = Requirement(1024, 218, buses=1, budget=1.0, can="classic")
+    whole = Requirement(1024, 218, buses=1, budget=1.0, can="classic", sending="synchronous")
     tight = [each for each in search(whole).candidates if each.missing_window_ms]
     assert tight
     assert all("ms of window (1007h" in str(each.problem) for each in tight)

@@ -13,7 +13,7 @@ import pytest
 from tests.deploy.units import UNITS, Unit
 from tests.layouts import slow_layout
 from tests.processes import Processes, free_endpoint, free_port
-from tests.readonly import gives_real_time, not_here
+from tests.readonly import give_compiled, gives_real_time, not_here
 from tests.system.helpers import first_image
 
 VERBS = ("gateway", "reconstruct", "classify", "view", "record")
@@ -21,6 +21,8 @@ VERBS = ("gateway", "reconstruct", "classify", "view", "record")
 INSTANCES = (*VERBS, "ros2")
 #: Exposure of a unit by `systemd-analyze security`, in tenths: 0 is none, 100 all.
 EXPOSURE_MAX = 20
+#: Where the services keep kernels, and the module of the gateway whose kernels are not there before.
+CACHE, COMPILED_THERE = "writable/var/cache/canskin", "gathering"
 pytestmark = pytest.mark.skipif(
     shutil.which("systemd-analyze") is None, reason="NOT TESTED: systemd-analyze is missing (Debian: systemd)"
 )
@@ -98,6 +100,7 @@ def running(installed: Path, endpoint: str, tmp_path_factory: pytest.TempPathFac
     root = folder / "root"
     shutil.copytree(installed, root)
     slow_layout(root / "etc/canskin", 20).rename(root / "etc/canskin/slow.toml")
+    give_compiled(folder / CACHE, but=COMPILED_THERE)
     environment = root / "etc/canskin/skin.env"
     text = environment.read_text().replace("SKIN_LAYOUT=default", "SKIN_LAYOUT=/etc/canskin/slow.toml")
     text = re.sub("-i socketcan -c .*", "-i canskin", text)
@@ -127,4 +130,4 @@ def test_units_run_confined_as_they_say(running: Processes, endpoint: str) -> No
         assert running.stop(verb) == 0, running.log(verb).read_text()
     kept = running.folder / "writable/var/lib/canskin"
     assert len(list(kept.glob("*.mcap"))) == 1
-    assert list((running.folder / "writable/var/cache/canskin/numba").rglob("*.nbi"))
+    assert list((running.folder / CACHE).rglob(f"{COMPILED_THERE}.*.nbi"))

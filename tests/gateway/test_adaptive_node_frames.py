@@ -44,13 +44,14 @@ class Bench:
 
     def __init__(self, contract: Contract, *, in_c: bool = False, noise_n: float = 0.0, offset_n: float = 0.0) -> None:
         self.contract, self.now_s, self.wire = contract, 10.0, Wire()
-        node = contract.nodes[0]
         source = Untouched(contract, offset_n)
         self.hardware: Any
         boards: Any
         if in_c:
-            firmware = Firmware(contract, [node])
-            self.hardware = FirmwarePatches(contract, [0], source, firmware, noise_n=noise_n)
+            mine = contract.on_bus(0)[:3]  # as `AdaptiveTwins`: one library is compiled for both
+            firmware = Firmware(contract, mine)
+            blocks = [node.block for node in mine]
+            self.hardware = FirmwarePatches(contract, blocks, source, firmware, noise_n=noise_n)
             boards = firmware.boards(0)
         else:
             self.hardware = AdaptiveBoards(contract, [0], source, noise_n=noise_n)

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 import tomli_w
-from hypothesis import event, given
+from hypothesis import event, given, settings
 from hypothesis import strategies as st
 
 from bandwidth.plan import plan
@@ -73,6 +73,7 @@ def read(document: dict[str, Any]) -> Layout | LayoutError:
 
 @pytest.mark.slow
 @given(documents())
+@settings(max_examples=40)
 def test_a_layout_is_refused_or_runs(document: dict[str, Any]) -> None:
     layout = read(document)
     if isinstance(layout, LayoutError):

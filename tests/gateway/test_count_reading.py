@@ -103,33 +103,32 @@ def smooth(layout: Layout, steps: int) -> Floats:
     return np.concatenate((np.zeros((REST, 3)), low + (high - low) * way))
 
 
-#: What a skin with each defect is found to be.
-KINDS = {"swapped": ["swapped", "swapped"], "doubled": ["dead", "doubled"], "dead": ["dead"], None: []}
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("wrong", "knows_path"), [("swapped", True), ("doubled", True), ("dead", True), ("swapped", False), (None, False)]
+    ("wrong", "knows_path", "kinds"),
+    [
+        (("swapped", "doubled", "dead"), True, ["dead", "dead", "doubled", "swapped", "swapped"]),
+        (("swapped",), False, ["swapped", "swapped"]),
+    ],
 )
-def test_boards_that_sample_at_sync(wrong: str | None, knows_path: bool, tmp_path: Path) -> None:
+def test_boards_that_sample_at_sync(wrong: tuple[str, ...], knows_path: bool, kinds: list[str], tmp_path: Path) -> None:
     layout = small_layout(bus=buses(1, 1))
     passes = 5 if knows_path else 7
     path_m, force_n = stroke(layout, layout.phi(), np.random.default_rng(0), passes)
-    bench = Bench(layout, path_m, force_n, **{wrong: 0.02} if wrong else {})
+    bench = Bench(layout, path_m, force_n, **dict.fromkeys(wrong, 0.02))
     reading = bench.read(stroke_s=passes * 0.64)
     found = bench.findings(reading, tmp_path if knows_path else None)
-    assert sorted(each.kind for each in found) == KINDS[wrong]
+    assert sorted(each.kind for each in found) == kinds
     assert "readings a second: now stroke all of the skin" in bench.said[0]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("wrong", ["swapped", None])
-def test_boards_with_a_clock_of_their_own(wrong: str | None, tmp_path: Path) -> None:
+def test_boards_with_a_clock_of_their_own(tmp_path: Path) -> None:
     layout = small_layout(**ADAPTIVE)
     path_m = smooth(layout, 500)
-    bench = Bench(layout, path_m, pressed(layout, layout.phi(), path_m), **{wrong: 0.02} if wrong else {})
+    bench = Bench(layout, path_m, pressed(layout, layout.phi(), path_m), swapped=0.02)
     found = bench.findings(bench.read(stroke_s=5.0), tmp_path)
-    assert sorted(each.kind for each in found) == KINDS[wrong]
+    assert [each.kind for each in found] == ["swapped", "swapped"]
 
 
 def still(**tables: Any) -> Bench:

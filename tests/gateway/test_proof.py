@@ -169,7 +169,10 @@ def test_gains_of_a_board_that_does_not_sign_them_are_read_in_turn(small: Contra
     world.write(0, 1, *GAINS[1])
     world.step()
     world.wires[0].loses = aborts
-    world.run(len(master.nodes[1].known.settings) / PART * (1 + PART) * 2.5)
+    until_s = world.now_s + len(master.nodes[1].known.settings) / PART * (1 + PART) * 2.5
+    while not world.recalibrated and world.now_s < until_s:
+        world.step()
+    world.run(2.0)
     assert world.recalibrated == [(0, 1)]
     assert valid(world.measured[-1]).all()
     assert not world.wrong_blocks(world.measured[-1])

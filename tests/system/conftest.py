@@ -1,5 +1,8 @@
 """A whole skin of real processes, at a SYNC rate that a busy machine carries."""
 
+import signal
+import subprocess
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -10,6 +13,7 @@ import pytest
 from canskin.fabric import Fabric
 from canskin.messages import GATEWAY, IMAGE, LABEL, MEASUREMENT, GatewayStatus, Image, Label, Measurement
 from demo.supervisor import Supervisor
+from shell.command import main
 from skin.layout import load_layout
 from tests import layouts
 from tests.processes import free_endpoint
@@ -96,3 +100,33 @@ def chain(slow_layout: Path, tmp_path: Path) -> Iterator[Chain]:
     made = Chain(slow_layout, tmp_path)
     yield made
     made.close()
+
+
+@pytest.fixture
+def own_signals() -> Iterator[None]:
+    """Give this process back what it does at a signal."""
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    yield
+    for number, handler in handlers.items():
+        signal.signal(number, handler)
+
+
+#: Runs ``skin`` with arguments, as a process does.
+Command = Callable[..., "subprocess.CompletedProcess[str]"]
+
+
+@pytest.fixture
+def command(
+    own_signals: None, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> Command:
+    """``skin`` in this process, with the virtual buses of `tmp_path`."""
+    monkeypatch.setenv("SKIN_BUS_DIR", str(tmp_path))
+
+    def run(*arguments: str) -> "subprocess.CompletedProcess[str]":
+        monkeypatch.setattr(sys, "argv", ["skin", *arguments])
+        capfd.readouterr()
+        with pytest.raises(SystemExit) as ended:
+            main()
+        return subprocess.CompletedProcess(sys.argv, int(ended.value.code or 0), *capfd.readouterr())
+
+    return run

@@ -13,8 +13,11 @@ from tests.system.helpers import report, skin
 
 @pytest.mark.slow
 def test_golf_ball_on_can_fd(tmp_path: Path) -> None:
+    """Also where the taxels do not fill the blocks, the patches of boards are no rectangles, and the grid has gaps."""
     path = tmp_path / "small.toml"
-    path.write_text(layout_toml(16, 32, **ADAPTIVE, name="small", bus=buses(16, fd=True, data_bitrate=5_000_000)))
+    taxels = {"shape": [*["#" * 14 + "." * 4 + "#" * 14] * 8, *["#" * 30 + ".."] * 10]}
+    bus = buses(17, fd=True, data_bitrate=5_000_000)
+    path.write_text(layout_toml(18, 32, **ADAPTIVE, name="small", taxels=taxels, bus=bus))
     options = ("--layout", str(path), "--objects", "golf-ball", "--seconds", "5", "--json", "--no-view")
     figures = report(skin("demo", *options, cwd=tmp_path))
     assert figures["sending"] == "adaptive"
@@ -26,26 +29,15 @@ def test_golf_ball_on_can_fd(tmp_path: Path) -> None:
     assert (tmp_path / figures["picture"]).read_bytes().startswith(b"\x89PNG")
 
 
-@needs_compiler
-@pytest.mark.slow
-def test_boards_in_c_show_a_touch_that_rests(tmp_path: Path) -> None:
-    with resting_skin(tmp_path) as started:
-        started.start_bus()
-        started.start("nodes", "--firmware")
-        started.start("gateway")
-        held_n = started.await_rest()
-        assert started.is_true(held_n)
-        assert np.count_nonzero(held_n[:, 0]) >= 4
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("options", [(), pytest.param(("--firmware",), marks=needs_compiler)], ids=["Python", "C"])
 def test_a_gateway_that_follows_a_killed_one_shows_the_whole_touch(tmp_path: Path, options: tuple[str, ...]) -> None:
     with resting_skin(tmp_path) as started:
         started.start_bus()
         started.start("nodes", *options)
-        started.start("gateway")
-        started.await_rest()
-        started.kill("gateway")
-        started.start("gateway")
-        assert started.is_true(started.await_rest())
+        for _ in range(2):
+            started.start("gateway")
+            held_n = started.await_rest()
+            assert started.is_true(held_n)
+            assert np.count_nonzero(held_n[:, 0]) >= 4
+            started.kill("gateway")

@@ -6,7 +6,6 @@ as the image's user and with its environment. `tests/containers` has the engine.
 
 import re
 import shlex
-import shutil
 import subprocess
 import sys
 import tomllib
@@ -16,13 +15,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numba.core.caching import UserProvidedCacheLocator
 from ruamel.yaml import YAML
 
-from shell.output import cache_folder
 from tests.layouts import slow_layout
 from tests.processes import Processes, free_endpoint, free_port
-from tests.readonly import Confined, not_here
+from tests.readonly import Confined, give_compiled, not_here
 from tests.system.helpers import first_image
 
 ROOT = Path(__file__).parents[2]
@@ -188,19 +185,8 @@ def boxes(tmp_path_factory: pytest.TempPathFactory) -> Boxes:
         pytest.skip(why)
     folder = tmp_path_factory.mktemp("compose")
     (folder / "run").mkdir(mode=0o700)
-    keep_compiled(folder / "cache" / "numba")
+    give_compiled(folder / "cache")
     return Boxes(folder, free_endpoint(), str(free_port()))
-
-
-def keep_compiled(cache: Path) -> None:
-    """Give the volume the kernels and classifiers that are made here, as the image gives those of its build."""
-    for source in {path.parent for path in ROOT.glob("[a-z]*/**/__pycache__/*.nbi")}:
-        given = cache / UserProvidedCacheLocator.get_suitable_cache_subpath(str(source.parent / "kernel.py"))
-        given.mkdir(parents=True)
-        for path in source.glob("*.nb?"):
-            shutil.copy(path, given)
-    for path in cache_folder().glob("model-*.npz"):
-        shutil.copy(path, cache.parent)
 
 
 @pytest.mark.slow

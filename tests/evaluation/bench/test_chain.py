@@ -1,12 +1,15 @@
 """The bench of the chain: every process and every step has a figure, and the steps make up the whole."""
 
+from pathlib import Path
+
 import pytest
 
 from evaluation.bench import chain
+from tests.layouts import slow_layout
 
 
-def test_processes_and_steps_of_a_run(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(chain, "LAYOUTS", (None,))
+def test_processes_and_steps_of_a_run(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(chain, "LAYOUTS", (slow_layout(tmp_path, 20),))
     monkeypatch.setattr(chain, "RUN_S", 2.0)
     processors, steps = chain.run(rounds=1).values()
     assert processors[0].keys() == {"skin", "bus", "nodes", "reconstructor", "classifier", "viewer", "gateway"}

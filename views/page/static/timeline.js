@@ -129,7 +129,7 @@ export class Timeline {
     while (this.wanted_s !== null) {
       const time_s = this.wanted_s;
       this.wanted_s = null;
-      if (this.playback) await this.play({ position_s: time_s - this.origin_s });
+      if (this.playback) await this.play({ position_s: Math.max(0, time_s - this.origin_s) });
       else {
         const frame = await this.fetchFrame(time_s);
         if (this.past) Object.assign(this.past, { frame: frame ?? this.past.frame, isMissing: !frame });
