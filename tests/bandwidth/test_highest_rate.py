@@ -49,5 +49,5 @@ def test_no_rate_keeps_the_window_of_a_bus_full_of_errors() -> None:
 
 @pytest.mark.parametrize("wrong", [{"jitter_s": -1.0}, {"sdo_per_s": float("nan")}, {"errors_per_s": float("inf")}])
 def test_disturbances_that_no_bus_has(wrong: dict[str, float]) -> None:
-    with pytest.raises(InputError, match="expected"):
+    with pytest.raises(InputError, match="needs a number from 0"):
         Disturbance(**wrong)
