@@ -1,4 +1,4 @@
-# make demo     the whole chain on this machine, about 20 s
+# make demo     the whole chain on this machine for 20 s; the first start takes one to two minutes more
 # make test     everything that must hold: style, types, imports, tests
 # make test-vcan  the tests on a real CAN kernel, a guest's where this machine has none
 # make test-containers  the skin in containers, on this machine's engine or one of its own (docs/containers.md)

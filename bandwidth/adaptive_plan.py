@@ -18,7 +18,7 @@ from bandwidth.plan import (
 )
 from bandwidth.response import UNBOUNDED
 from bandwidth.traffic import Disturbance
-from bandwidth.urgency import Urgency
+from bandwidth.urgency import Budgeted, Urgency
 from canskin.errors import InputError
 from dbc.adaptive import SendingRule
 from dbc.contract import Contract, sum_frame
@@ -189,7 +189,7 @@ def _plan_bus(
 
 def _budget(urgency: Urgency, idle_worst: float, bits_per_s: int) -> BudgetPlan:
     load = idle_worst + urgency.nodes * bits_per_s / urgency.streams.bus.bitrate
-    spent = urgency.budgeted(bits_per_s)
+    spent = Budgeted(urgency, bits_per_s)
     if bits_per_s < spent.least_bits_per_s:
         raise InputError(
             f"expected a budget of 0 (none), or of {spent.least_bits_per_s} bit/s or more, got {bits_per_s}: "

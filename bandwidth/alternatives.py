@@ -11,7 +11,7 @@ from bandwidth.traffic import Disturbance
 from canskin.errors import SkinError
 from dbc.contract import Contract
 from dbc.packing import rounding_error_n
-from skin.layout import SUM_BITS, Bus, Layout, validated
+from skin.layout import SUM_BITS, Bus, Layout, changed, validated
 
 #: Data bit rates of CAN FD, and blocks per node, that are compared.
 FD_BITRATES: Final = (2_000_000, 5_000_000, 8_000_000)
@@ -43,8 +43,8 @@ class Alternative:
 def alternatives(layout: Layout, allowed: Disturbance | None = None) -> Iterator[Alternative]:
     """Yield the given layout, then layouts with other buses, widths and numbers of sums, blocks per node, or CAN FD."""
     allowed = allowed or Disturbance()
-    for change, changed in _changes(layout):
-        yield _judge(change, changed, allowed)
+    for change, other in _changes(layout):
+        yield _judge(change, other, allowed)
 
 
 def _changes(layout: Layout) -> Iterator[tuple[str, Layout]]:
@@ -53,49 +53,34 @@ def _changes(layout: Layout) -> Iterator[tuple[str, Layout]]:
     yield f"{2 * buses} buses", with_buses(layout, 2 * buses, first)
     for bits in SUM_BITS:
         if bits < layout.encoding.sum_bits:
-            yield f"{bits}-bit sums", with_bits(layout, bits)
+            yield f"{bits}-bit sums", changed(layout, encoding={"sum_bits": bits})
     sums = layout.measurement.sums
     is_drawn = layout.measurement.rows is None  # named rows have one number of sums
     if is_drawn and 2 * sums <= layout.places:
-        yield f"{2 * sums} sums", with_sums(layout, 2 * sums)
+        yield f"{2 * sums} sums", changed(layout, measurement={"sums": 2 * sums})
     if is_drawn and sums % (2 * layout.blocks) == 0:
-        yield f"{sums // 2} sums", with_sums(layout, sums // 2)
+        yield f"{sums // 2} sums", changed(layout, measurement={"sums": sums // 2})
     for per_node in BLOCKS_PER_NODE:
-        if per_node > first.blocks_per_node:
-            changed = with_buses(layout, buses, msgspec.structs.replace(first, blocks_per_node=per_node))
-            yield f"{per_node} blocks per node", changed
+        if per_node > first.blocks_per_node and layout.blocks % per_node == 0:
+            larger = msgspec.structs.replace(first, blocks_per_node=per_node)
+            yield f"{per_node} blocks per node", with_buses(layout, buses, larger)
     for per_node in sorted({first.blocks_per_node, FD_BLOCKS}):
-        for rate in FD_BITRATES:
+        for rate in FD_BITRATES if layout.blocks % per_node == 0 else ():
             fast = msgspec.structs.replace(first, fd=True, data_bitrate=rate, blocks_per_node=per_node)
             if fast != first:
                 yield f"CAN FD {rate // 1_000_000} Mbit/s, {per_node} per node", with_buses(layout, buses, fast)
 
 
-def with_bits(layout: Layout, bits: int) -> Layout:
-    """Return the layout with sums of another width."""
-    return msgspec.structs.replace(layout, encoding=msgspec.structs.replace(layout.encoding, sum_bits=bits))
-
-
-def with_sums(layout: Layout, sums: int) -> Layout:
-    """Return the layout with another number of sums."""
-    return msgspec.structs.replace(layout, measurement=msgspec.structs.replace(layout.measurement, sums=sums))
-
-
-def with_rate(layout: Layout, rate_hz: float) -> Layout:
-    """Return the layout with another rate of SYNC."""
-    return msgspec.structs.replace(layout, sync=msgspec.structs.replace(layout.sync, rate_hz=rate_hz))
-
-
-def with_averages(layout: Layout) -> Layout:
+def with_averages(layout: Layout, most: int | None = None) -> Layout:
     """Return the layout of boards in cycles that average: as many whole samples a cycle as `AVERAGED_HZ` allows.
 
-    As it is where fewer than two fit, and where the taxels have no converters of their own.
+    At most `most`. As it is where the taxels have no converters of their own.
     """
     samples = int(AVERAGED_HZ / layout.sync.rate_hz)
-    if samples < 2 or layout.taxels.is_analogue:
+    samples = samples if most is None else min(samples, most)
+    if layout.taxels.is_analogue:
         return layout
-    sampling = msgspec.structs.replace(layout.sampling, rate_hz=samples * layout.sync.rate_hz)
-    return msgspec.structs.replace(layout, sampling=sampling)
+    return changed(layout, sampling={"rate_hz": samples * layout.sync.rate_hz if samples > 1 else None})
 
 
 def with_buses(layout: Layout, buses: int, like: Bus) -> Layout:
@@ -108,7 +93,7 @@ def with_buses(layout: Layout, buses: int, like: Bus) -> Layout:
     lines = [
         msgspec.structs.replace(like, name=f"bus{number}", nodes=count) for number, count in enumerate(share) if count
     ]
-    return msgspec.structs.replace(layout, bus=lines)
+    return changed(layout, bus=lines)
 
 
 def planned(layout: Layout, allowed: Disturbance) -> list[BusPlan]:

@@ -8,9 +8,9 @@ from typing import Annotated, Final
 from cyclopts import Parameter
 
 from bus.ip_link import data_bit_rate_hz, ip_link
-from canskin.errors import InputError
 from shell.terminal import print_table
 from skin.layout import Bus
+from skin.ranges import require_above_zero
 
 #: Usual clocks of CAN controllers: CAN FD with 80 and 40 MHz (CiA 601-3), classic CAN with 8 MHz or multiples.
 CLOCKS_HZ: Final = (80_000_000, 40_000_000, 8_000_000)
@@ -41,13 +41,10 @@ class TimingOptions:
     loop_delay_ns: float = 255.0
 
     def __post_init__(self) -> None:
-        for option, value, most, unit in (
-            *(("clock-hz", clock_hz, 1e9, "Hz") for clock_hz in self.clock_hz),
-            ("bus-length-m", self.bus_length_m, 1e4, "m"),
-            ("loop-delay-ns", self.loop_delay_ns, 1e4, "ns"),
-        ):
-            if not 0 < value <= most:
-                raise InputError(f"--{option}: expected above 0 to {most:g} {unit}, got {value:g}")
+        for clock_hz in self.clock_hz:
+            require_above_zero("--clock-hz", clock_hz, 1e9)
+        require_above_zero("--bus-length-m", self.bus_length_m, 1e4)
+        require_above_zero("--loop-delay-ns", self.loop_delay_ns, 1e4)
 
     @property
     def round_trip_ns(self) -> float:

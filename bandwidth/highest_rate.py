@@ -3,12 +3,11 @@
 from dataclasses import replace
 from typing import Final
 
-from bandwidth.alternatives import with_rate
 from bandwidth.plan import bus_time
 from bandwidth.traffic import Disturbance, traffic
 from dbc.contract import Contract
 from dbc.dictionary import window_s
-from skin.layout import RATE_MAX_HZ, Layout, validated
+from skin.layout import RATE_MAX_HZ, Layout, changed, validated
 
 #: Resolution of the search.
 STEP_HZ: Final = 0.5
@@ -38,7 +37,7 @@ def highest_rate_hz(layout: Layout, budget: float = 0.8, allowed: Disturbance | 
     low, high = 0, int(min(most_hz, RATE_MAX_HZ) / STEP_HZ)
     while low < high:
         middle = (low + high + 1) // 2
-        faster = replace(contract, layout=with_rate(contract.layout, middle * STEP_HZ))
+        faster = replace(contract, layout=changed(contract.layout, sync={"rate_hz": middle * STEP_HZ}))
         if all(_keeps_window(faster, bus, allowed) for bus in buses):
             low = middle
         else:

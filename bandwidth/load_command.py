@@ -5,14 +5,15 @@ from pathlib import Path
 from bandwidth.logs import listen, of_buses, read_log
 from bandwidth.measured import measure_states, misfits
 from bandwidth.sending import sending_of
-from bus.options import BusOptions, channels, open_links
-from canskin.errors import InputError, RunError
+from bus.options import BusOptions, channels, closing_links, open_links
+from canskin.errors import RunError
 from dbc.contract import Contract
 from dbc.frame import Frames
 from shell.service import StopSignal, say
 from shell.skin_options import SkinOptions
 from shell.terminal import Json
 from skin.layout import Layout
+from skin.ranges import require_above_zero
 
 
 def load(
@@ -49,8 +50,7 @@ def load(
     skin load candump-2026-11-20_120000.log
     skin load -i socketcan -c can0 --seconds 10 --json
     """
-    if not 0 < seconds < float("inf"):
-        raise InputError(f"expected a finite number of seconds above 0, got {seconds:g}")
+    require_above_zero("--seconds", seconds)
     skin = (of or SkinOptions()).find(recording=log, needs_hub=False)
     contract, options = Contract.from_layout(skin), can or BusOptions()
     if log is None:
@@ -70,15 +70,11 @@ def load(
 
 def _listen(layout: Layout, options: BusOptions, seconds: float) -> dict[int, Frames]:
     """Return the frames of the live buses; a stop signal before the measurement ends the program."""
-    links = open_links(layout, options, name="load", sends=False)
-    stop = StopSignal().install()
-    try:
+    with closing_links(open_links(layout, options, name="load", sends=False)) as links:
+        stop = StopSignal().install()
         say("load", f"listening for {seconds:g} s")
         seen = listen(links, seconds, stop.is_set)
         dropped = sum(link.dropped for link in links.values())
-    finally:
-        for link in links.values():
-            link.close()
     if dropped:
         raise RunError(f"{dropped} frames were lost on the way to this program: the load would be too low")
     return seen

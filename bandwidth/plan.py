@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from statistics import fmean
 from typing import Final
 
 import numpy as np
@@ -142,15 +143,15 @@ def plan_bus(contract: Contract, bus: int, touched: npt.NDArray[np.float64] | No
         data_bitrate=line.data_bitrate,
         frames_per_cycle=per_cycle,
         bits_per_cycle_touched=None if felt is None else felt.cycle_bits,
-        bits_per_cycle_random=_mean([each.cycle_bits for each in random]),
+        bits_per_cycle_random=fmean(each.cycle_bits for each in random),
         bits_per_cycle_worst=round(worst.cycle_bits),
         load_touched=None if felt is None else felt.load(rate_hz),
-        load_random=_mean([each.load(rate_hz) for each in random]),
+        load_random=fmean(each.load(rate_hz) for each in random),
         load_worst=worst.load(rate_hz),
-        max_rate_hz_random=_mean([each.rate_hz() for each in random]),
+        max_rate_hz_random=fmean(each.rate_hz() for each in random),
         max_rate_hz_touched=None if felt is None else felt.rate_hz(),
         max_rate_hz_worst=worst.rate_hz(),
-        max_rate_hz_random_80=_mean([each.rate_hz(CAUTION) for each in random]),
+        max_rate_hz_random_80=fmean(each.rate_hz(CAUTION) for each in random),
         max_rate_hz_worst_80=worst.rate_hz(CAUTION),
         window_ms=window_ms,
         window_needed_ms=needed,
@@ -259,7 +260,8 @@ def _problems(
     if needed_ms is not None and needed_ms > window_ms:
         found.append(
             f"{bus.name}: the last TPDO may end {needed_ms:.2f} ms after SYNC, "
-            f"but the window (1007h) is {window_ms:.2f} ms; {needed_ms - window_ms:.2f} ms are missing"
+            f"but the window (1007h) is {window_ms:.2f} ms; {needed_ms - window_ms:.2f} ms are missing: fewer sums,"
+            ' more buses, identity = "alternating" in [sync], or the --jitter-s of your boards where it is shorter'
         )
     return found
 
@@ -268,7 +270,3 @@ def milliseconds(responses_ns: "npt.NDArray[np.int64] | int") -> float | None:
     """Return the longest of some response times, None without a bound."""
     longest = int(np.max(responses_ns, initial=0))
     return longest * 1e-6 if 0 < longest < UNBOUNDED else None
-
-
-def _mean(values: Sequence[float]) -> float:
-    return sum(values) / len(values)

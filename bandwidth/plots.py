@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from bandwidth.traffic import traffic
-from canskin.errors import InputError
+from canskin.errors import InputError, reasoned
 from dbc.contract import Contract
 from dbc.dictionary import window_s
 from shell.output import save_figure
@@ -15,11 +15,9 @@ from shell.output import save_figure
 def write_plot(contract: Contract, folder: Path) -> Path:
     """Write ``cycle.png`` and return its path; raise InputError if the file cannot be written."""
     path = folder / "cycle.png"
-    try:
+    with reasoned(InputError, f"{folder}: cannot write the plot"):
         folder.mkdir(parents=True, exist_ok=True)
         save_figure(cycle_figure(contract), path, dpi=120, bbox_inches="tight")
-    except OSError as error:
-        raise InputError(f"{folder}: cannot write the plot: {error.strerror or error}") from error
     return path
 
 

@@ -9,7 +9,7 @@ from typing import Final, Literal
 import msgspec
 
 from bandwidth.adaptive_plan import plan_adaptive, touched_load
-from bandwidth.alternatives import BLOCKS_PER_NODE, FD_BITRATES, with_averages, with_bits, with_buses, with_sums
+from bandwidth.alternatives import BLOCKS_PER_NODE, FD_BITRATES, with_averages, with_buses
 from bandwidth.highest_rate import highest_rate_hz
 from bandwidth.plan import bus_time
 from bandwidth.response import UNBOUNDED
@@ -18,7 +18,7 @@ from canskin.errors import InputError, LayoutError
 from dbc.canopen import HIGHEST_NODE_ID
 from dbc.contract import Contract
 from dbc.dictionary import window_s
-from skin.layout import GAP, RATE_MAX_HZ, SUM_BITS, TAXEL, Bus, Layout, PhiParameters, Sync, Taxels, validated
+from skin.layout import GAP, RATE_MAX_HZ, SUM_BITS, TAXEL, Bus, Layout, PhiParameters, Sync, Taxels, changed, validated
 from skin.sending import ADAPTIVE, SUMS_PART, SendingName
 
 CanKind = Literal["any", "classic", "fd"]
@@ -163,22 +163,31 @@ class Search:
         kind = {"any": "CAN or CAN FD", "classic": "classic CAN", "fd": "CAN FD"}[required.can]
         asked = f"{required.count} taxels {required.rate_hz:g} times a second"
         lines = [f"no layout carries {asked} over {most} of {kind}, each at most {required.budget:.0%} full"]
-        judged = [each for each in seen if each.load_worst is not None and each.sending == "synchronous"]
-        if judged:
-            nearest = min(judged, key=lambda each: each.load_worst or 0.0)
-            layout = next(layout for layout, each in zip(_layouts(required), seen, strict=False) if each is nearest)
-            rate_hz = highest_rate_hz(layout, required.budget, self.allowed)
-            would = f"; it fits at up to {rate_hz:g} Hz" if rate_hz else "; it fits at no rate"
-            lines.append(f"the nearest, {nearest.words}, lacks: {nearest.problem}{would}")
+        nearest = self.nearest_in_cycles()
+        lines += [nearest] if nearest else []
         short = [each for each in seen if each.missing_node_ids]
         if short:
             least = min(short, key=lambda each: each.missing_node_ids)
             lines.append(
                 f"{len(short)} of {len(seen)} lack node-IDs, {least.missing_node_ids} of them or more on a bus"
             )
-        if not judged and not short:
+        if not nearest and not short:
             lines += [f"{each.words}: {each.problem}" for each in seen[-1:]]
         return "; ".join(lines)
+
+    def nearest_in_cycles(self) -> str | None:
+        """Return what the nearest layout of synchronous sums that does not fit lacks; None if none was judged."""
+        judged = [
+            (each, layout)
+            for each, layout in zip(self.candidates, _layouts(self.required), strict=False)
+            if each.load_worst is not None and each.sending == "synchronous" and not each.fits
+        ]
+        if not judged:
+            return None
+        nearest, layout = min(judged, key=lambda each: each[0].load_worst or 0.0)
+        rate_hz = highest_rate_hz(layout, self.required.budget, self.allowed)
+        would = f"it fits at up to {rate_hz:g} Hz" if rate_hz else "it fits at no rate"
+        return f"the nearest, {nearest.words}, lacks: {nearest.problem}; {would}"
 
 
 def search(required: Requirement, allowed: Disturbance | None = None) -> Search:
@@ -212,7 +221,7 @@ def _layouts(required: Requirement) -> Iterator[Layout]:
         sync=Sync(rate_hz=required.rate_hz),
         bus=[Bus(name="bus0", nodes=1)],
     )
-    start = with_sums(start, start.places // COMPRESSIONS[0])
+    start = changed(start, measurement={"sums": start.places // COMPRESSIONS[0]})
     if required.sending != "adaptive":
         yield from _in_cycles(with_averages(start), required)
     if required.sending != "synchronous" and required.rate_hz <= ADAPTIVE.default_rates_hz["sampling"]:
@@ -228,20 +237,13 @@ def _in_cycles(start: Layout, required: Requirement) -> Iterator[Layout]:
             like = msgspec.structs.replace(
                 start.bus[0], fd=rate is not None, data_bitrate=rate, blocks_per_node=per_node
             )
-            yield with_bits(with_buses(start, buses, like), bits)
+            yield changed(with_buses(start, buses, like), encoding={"sum_bits": bits})
 
 
 def _on_news(start: Layout, required: Requirement) -> Iterator[Layout]:
     """Yield layouts of adaptive sums: a patch of neighbours on a node, and all its sums."""
-    patches = msgspec.structs.replace(with_sums(start, start.places).measurement, wiring="board")
-    rates_hz = ADAPTIVE.default_rates_hz
-    start = msgspec.structs.replace(
-        start,
-        sending="adaptive",
-        measurement=patches,
-        sync=msgspec.structs.replace(start.sync, rate_hz=rates_hz["sync"]),
-        sampling=msgspec.structs.replace(start.sampling, rate_hz=rates_hz["sampling"]),
-    )
+    rates = {table: {"rate_hz": rate_hz} for table, rate_hz in ADAPTIVE.default_rates_hz.items()}
+    start = changed(start, sending="adaptive", measurement={"sums": start.places, "wiring": "board"}, **rates)
     for buses, rate in product(range(1, required.buses + 1), DATA_BITRATES[required.can]):
         if start.blocks >= buses:
             yield with_buses(
@@ -256,7 +258,7 @@ def _denser(least: Layout) -> Iterator[Layout]:
     if first.data_bitrate is not None:
         rates += [rate for rate in FD_BITRATES if first.data_bitrate < rate <= COMMON_DATA_BITRATE]
     for taxels_per_sum, rate in product(COMPRESSIONS[:0:-1], rates):
-        dense = with_sums(least, least.places // taxels_per_sum)
+        dense = changed(least, measurement={"sums": least.places // taxels_per_sum})
         yield with_buses(dense, len(least.bus), msgspec.structs.replace(first, data_bitrate=rate))
 
 

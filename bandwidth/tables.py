@@ -28,10 +28,10 @@ def print_plan(plans: Sequence[BusPlan], others: Iterable[Alternative]) -> None:
     _print_foreign(plans)
     print()
     _print_alternatives(tried)
-    print_problems(plans)
     for each in tried:
         if each.load_worst is None:
             print(f"{each.change} cannot be: {each.problem}")
+    print_problems(plans)
 
 
 def print_loads(loads: Sequence[BusLoad]) -> None:

@@ -22,28 +22,20 @@ SAMPLES: Final = 400
 STRIDE_S: Final = 0.137
 
 
-def touched_bits(contract: Contract, *, samples: int = SAMPLES, seed: int = 0) -> npt.NDArray[np.float64]:
-    """Return the mean bits of all TPDOs of one cycle, shape (buses, phases, 2): nominal and data.
-
-    Parameters
-    ----------
-    samples : int
-        Number of steps of the simulated touches to average.
-    seed : int
-        Seed of touches and noise.
-    """
+def touched_bits(contract: Contract) -> npt.NDArray[np.float64]:
+    """Return the mean bits of all TPDOs of one cycle of touches, shape (buses, phases, 2): nominal and data."""
     layout, table = contract.layout, contract.table
-    source = load_objects(layout, seed=seed)
-    random = np.random.default_rng(seed)
+    source = load_objects(layout)
+    random = np.random.default_rng(0)
     burst = frames(len(table.cob_id))
     burst["can_id"], burst["length"], burst["flags"] = table.cob_id, table.length, table.flags
     total = np.zeros((len(layout.bus), contract.phases, 2))
     stride = max(1, round(STRIDE_S * layout.sync.rate_hz))
-    for sample in range(samples):
+    for sample in range(SAMPLES):
         payloads = encode(_sums(contract, source, sample * stride, random), table.gather, contract.packing)
         burst["data"][:, : payloads.shape[1]] = payloads
         np.add.at(total, (table.bus, table.phase), np.stack(wire_bits(burst), axis=1))
-    mean: npt.NDArray[np.float64] = total / samples
+    mean: npt.NDArray[np.float64] = total / SAMPLES
     return mean
 
 

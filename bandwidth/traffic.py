@@ -9,7 +9,6 @@ import numpy.typing as npt
 from cyclopts import Parameter
 
 from bandwidth.response import blocking_ns, response_times_ns
-from canskin.errors import InputError
 from dbc.canopen import HEARTBEAT_BASE, SDO_REQUEST_BASE, SDO_RESPONSE_BASE, TIME_COB_ID, NmtState
 from dbc.contract import Contract
 from dbc.dictionary import HEARTBEAT_MS
@@ -18,6 +17,7 @@ from dbc.frame_bits import frame_time_ns, nominal_ns
 from dbc.time_of_day import time_frame
 from skin.foreign import ForeignMessage
 from skin.layout import Bus, Layout
+from skin.ranges import require_number
 
 #: Upper limit of both rates: more than the frames per second of a classic bus.
 PER_SECOND_MAX: Final = 20_000.0
@@ -51,13 +51,9 @@ class Disturbance:
     errors_per_s: float = 0.0
 
     def __post_init__(self) -> None:
-        for what, value, most, unit in (
-            ("a jitter", self.jitter_s or 0.0, JITTER_MAX_S, "s"),
-            ("SDO transfers", self.sdo_per_s, PER_SECOND_MAX, "a second"),
-            ("errors", self.errors_per_s, PER_SECOND_MAX, "a second"),
-        ):
-            if not 0 <= value <= most:
-                raise InputError(f"expected {what} of 0 to {most:g} {unit}, got {value:g}")
+        require_number("--jitter-s", self.jitter_s or 0.0, JITTER_MAX_S)
+        require_number("--sdo-per-s", self.sdo_per_s, PER_SECOND_MAX)
+        require_number("--errors-per-s", self.errors_per_s, PER_SECOND_MAX)
 
     def of(self, layout: Layout) -> "Disturbance":
         """Return these disturbances with the jitter that the boards of `layout` have by default, where none is set."""

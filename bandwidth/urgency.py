@@ -213,10 +213,6 @@ class Urgency:
         started_ns = quiet_ns + round(TICK_S * 1e9) + answer_ns + 2 * self.nodes * longest_ns
         return _sum(started_ns, self.settled_ns[0]), _sum(started_ns, int(self.refresh_ns.max()))
 
-    def budgeted(self, bits_per_s: int) -> "Budgeted":
-        """Return the times of a bus whose nodes all have this budget (2034h)."""
-        return Budgeted(self, bits_per_s)
-
     @cached_property
     def service_ns(self) -> Nanoseconds:
         """Response time of each of `streams` but SYNC, when sums leave them the pauses only, shape (n,).
@@ -254,7 +250,7 @@ class Urgency:
 
 @dataclass(frozen=True)
 class Budgeted:
-    """The waiting times of one bus whose nodes all have a budget of `bits_per_s`; `UNBOUNDED` where nothing bounds it.
+    """The waiting times of a bus whose nodes have a budget of `bits_per_s` (2034h); `UNBOUNDED` without a bound.
 
     A frame takes `frame_bits` of its node's budget. A node saves up `saved_bits`.
     """

@@ -1,6 +1,5 @@
 """Conversion between python-can's messages and FRAME records."""
 
-import time
 from collections.abc import Sequence
 from typing import Final
 
@@ -17,8 +16,6 @@ _FLAG_OF: Final = (
     ("bitrate_switch", BRS),
     ("error_state_indicator", ESI),
 )
-#: A time stamp within this time of the wall clock counts as wall-clock time.
-_PLAUSIBLE_NS: Final = 3600 * 10**9
 
 
 def to_message(record: np.void, channel: str, offset_ns: int) -> can.Message:
@@ -37,20 +34,15 @@ def to_message(record: np.void, channel: str, offset_ns: int) -> can.Message:
     return message
 
 
-def to_frame(message: can.Message, offset_ns: int) -> Frames:
-    """Convert a message to one record; without a plausible wall-clock time stamp the time is now.
-
-    `offset_ns` is the wall clock minus CLOCK_MONOTONIC.
-    """
+def to_frame(message: can.Message, time_ns: int) -> Frames:
+    """Convert a message to one record, with a time in place of its own."""
     frame = frames(1)
+    frame["time_ns"] = time_ns
     frame["can_id"] = message.arbitration_id
     frame["flags"] = flags_of(message)
     frame["length"] = message.dlc
     data = bytes(message.data or b"")[:64]
     frame["data"][0, : len(data)] = np.frombuffer(data, np.uint8)
-    now_ns = time.monotonic_ns()
-    stamp_ns = round(message.timestamp * 1e9) - offset_ns
-    frame["time_ns"] = stamp_ns if abs(now_ns - stamp_ns) < _PLAUSIBLE_NS else now_ns
     return frame
 
 

@@ -1,9 +1,10 @@
 """Options for CAN interfaces: python-can's own flags."""
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import Annotated
+from typing import Annotated, TypeVar
 
 from cyclopts import Parameter
 
@@ -15,6 +16,7 @@ from skin.layout import Layout
 #: Longest wait of a service for a bus server that is still starting.
 OPEN_WAIT_S = 30.0
 
+_Bus = TypeVar("_Bus")
 
 #: Names of channels on the command line: ``-c can0 can1`` or ``-c can0 -c can1``.
 Channels = Annotated[list[str], Parameter(alias="-c", negative=(), consume_multiple=1, show_default=False)]
@@ -33,7 +35,8 @@ class BusOptions:
         The channel of each bus, in the order of the layout. From a single channel with a number the others follow:
         ``-c can0`` means can0 to can3 for four buses. Default: the names of the buses.
     bus_option : list of str
-        An argument of the python-can interface, for each bus: ``--bus-option tty_baudrate=1000000``.
+        An argument of the python-can interface, for each bus: ``--bus-option tty_baudrate=1000000``. Most interfaces
+        ignore names that they do not know.
     """
 
     interface: Annotated[str, Parameter(alias="-i")] = ARBITRATED
@@ -93,6 +96,16 @@ def open_links(
         )
         for number in numbers
     }
+
+
+@contextmanager
+def closing_links(links: dict[_Bus, Link]) -> Iterator[dict[_Bus, Link]]:
+    """Close all links at the end of a ``with`` block."""
+    try:
+        yield links
+    finally:
+        for link in links.values():
+            link.close()
 
 
 def open_channels(

@@ -104,7 +104,6 @@ class ArbitratedBus(can.BusABC):
             If the transmit queue is full, the controller is bus-off, or the bus is gone.
         """
         frame = to_frame(msg, 0)
-        frame["time_ns"] = 0
         until_s = time.monotonic() + (timeout or 0.0)
         while True:
             self._check(sending=True)

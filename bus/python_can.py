@@ -253,8 +253,7 @@ class PythonCanLink:
             self._lose(bus)
 
     def _take_one(self, message: can.Message) -> None:
-        frame = to_frame(message, 0)
-        frame["time_ns"] = time.monotonic_ns()
+        frame = to_frame(message, time.monotonic_ns())
         if not message.is_rx:
             frame["flags"] |= ECHO
         with self._lock:

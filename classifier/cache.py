@@ -7,7 +7,7 @@ from typing import Final
 
 import msgspec
 
-from canskin.errors import ModelError
+from canskin.errors import ModelError, reasoned
 from classifier.model import SIMULATED, VERSION, Features, Model
 from classifier.modelfile import load_model, save_model
 from classifier.newest_sums import averaged_cycles
@@ -43,10 +43,8 @@ def _unusual(layout: Layout, stroke: StrokeKind) -> list[str | int]:
 
 def keep_model(model: Model, path: Path) -> None:
     """Write `model` to the cache; make the folder if needed. Raise ModelError if the file cannot be written."""
-    try:
+    with reasoned(ModelError, f"{path}: cannot make the cache folder"):
         path.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ModelError(f"{path}: cannot make the cache folder: {error.strerror or error}") from error
     save_model(model, path)
 
 

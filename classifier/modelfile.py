@@ -13,7 +13,7 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from canskin.errors import UNDECODABLE, ModelError
+from canskin.errors import UNDECODABLE, ModelError, reasoned
 from classifier.dag import pairs
 from classifier.features import widths_for
 from classifier.model import ARRAYS, VERSION, Metadata, Model
@@ -48,10 +48,8 @@ def save_model(model: Model, path: Path) -> None:
         digest=np.frombuffer(_digest(metadata, arrays), np.uint8),
         **arrays,
     )
-    try:
+    with reasoned(ModelError, f"{path}: cannot write the model"):
         write_file(path, content.getvalue())
-    except OSError as error:
-        raise ModelError(f"{path}: cannot write the model: {error.strerror or error}") from error
 
 
 def load_model(path: Path, layout: Layout, phi: Phi) -> Model:
@@ -81,10 +79,8 @@ def load_model(path: Path, layout: Layout, phi: Phi) -> Model:
 
 def _entries(path: Path) -> Arrays:
     wanted = (*ARRAYS, "metadata", "digest")
-    try:
+    with reasoned(ModelError, f"{path}: cannot read the model"):
         content = io.BytesIO(path.read_bytes())
-    except OSError as error:
-        raise ModelError(f"{path}: cannot read the model: {error.strerror or error}") from error
     try:
         with np.lib.npyio.NpzFile(content, allow_pickle=False) as file:
             missing = [name for name in wanted if name not in file]

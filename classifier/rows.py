@@ -8,14 +8,13 @@ the mean covariance of a pair, two objects at Mahalanobis distance d are confuse
 from dataclasses import replace
 from typing import Any, Final
 
-import msgspec
 import numpy as np
 import numpy.typing as npt
 
 from canskin.errors import InputError
 from classifier.dag import pairs
 from classifier.samples import simulate_means
-from skin.layout import Layout, require_sending, validated
+from skin.layout import Layout, changed, require_sending, validated
 from skin.measurement import Sbhe
 
 #: A row counts as noise if the selected rows leave less than this part of its variance unexplained, or if its variance
@@ -80,10 +79,8 @@ def with_chosen_rows(
     chosen = choose_rows(every, sums, labels, count)
     rows = tuple(zip(chosen.block_of_sum.tolist(), chosen.row_of_sum.tolist(), strict=True))
     if layout.recognition is not None:
-        recognition = msgspec.structs.replace(layout.recognition, sums=None, rows=rows)
-        return validated(msgspec.structs.replace(layout, recognition=recognition))
-    measurement = msgspec.structs.replace(layout.measurement, sums=count, rows=rows, selection="balanced")
-    return validated(msgspec.structs.replace(layout, measurement=measurement))
+        return validated(changed(layout, recognition={"sums": None, "rows": rows}))
+    return validated(changed(layout, measurement={"sums": count, "rows": rows, "selection": "balanced"}))
 
 
 def _chosen(observed: list[npt.NDArray[np.float32]], count: int) -> list[int]:

@@ -5,7 +5,7 @@ The words for the same are in ``docs/firmware.md``. Virtual nodes compute whole 
 
 import struct
 from collections.abc import Mapping
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -19,7 +19,6 @@ from skin.taxel import corrected
 
 #: Test patterns (2021h): measured counts; 0; the place in the chain; full scale.
 PATTERN_OFF, PATTERN_ZERO, PATTERN_RAMP, PATTERN_FULL = range(4)
-PATTERNS: Final = (PATTERN_ZERO, PATTERN_RAMP, PATTERN_FULL)
 
 
 def pattern_counts(pattern: int, size: int, count_max: int) -> npt.NDArray[np.int32] | None:

@@ -48,6 +48,8 @@ TICK_S: Final = 0.01
 READ_S: Final = 0.001
 #: Shortest time between PRE-OPERATIONAL and NMT start of all nodes: a slave may keep the newest command only.
 QUIET_S: Final = 0.01
+#: Shortest time between a SYNC and the first request for what was sampled: that of a board to read its taxels.
+SAMPLED_S: Final = 0.002
 #: A block is not valid after this number of rounds without answer of its node.
 PROOF_ROUNDS: Final = 2
 
@@ -68,6 +70,11 @@ class Setting:
         if self.is_text:
             return data == self.data
         return int.from_bytes(data, "little") == int.from_bytes(self.data, "little")
+
+    def sized(self, data: bytes) -> bytes:
+        """Return `data` with the bytes of the value: an expedited answer without size has four (CiA 301, 7.2.4.3.6)."""
+        size = len(self.data)
+        return data if self.is_text else data[:size].ljust(size, b"\0")
 
     def text(self, data: bytes | None = None) -> str:
         """Return `data`, by default the value itself, as text for the user."""
@@ -141,12 +148,11 @@ def _is_compared(each: Object, mapped: Mapping[int, int], of_tpdo: tuple[int, ..
         return subindex <= mapped[each.index]
     if each.index in _COMPARED:
         return subindex in _COMPARED[each.index]
-    first = od.split_block(each.index)[1] if each.index >= od.MANUFACTURER else each.index
-    return first in (*_WHOLE, od.TEST_PATTERN)
+    return od.split_block(each.index)[1] in (*_WHOLE, od.TEST_PATTERN)
 
 
 def _is_calibration(each: Object) -> bool:
-    return each.index >= od.MANUFACTURER and od.split_block(each.index)[1] in (od.GAIN, od.OFFSET)
+    return od.split_block(each.index)[1] in (od.GAIN, od.OFFSET)
 
 
 def setting_of(each: Object) -> Setting:

@@ -195,7 +195,7 @@ def _own_value(each: Object, default: str | None) -> str | None:
     """Return the value of one node for its DCF, None where the default of the EDS holds."""
     if each.data_type == od.REAL32:
         return f"0x{int.from_bytes(struct.pack('<f', each.value), 'little'):08X}"
-    if _first_block(each.index) in _OF_NODE and each.subindex != 0:
+    if od.split_block(each.index)[1] in _OF_NODE and each.subindex != 0:
         return _number(each, each.value)
     # The rows of recognition differ between nodes of a type, and so do the sums that its TPDOs carry.
     is_mapped = od.TPDO_MAPPING <= each.index < od.TPDO_END
@@ -206,10 +206,6 @@ def _number(each: Object, value: Value) -> str:
     if each.data_type == od.VISIBLE_STRING or each.data_type in od.SIGNED:
         return str(value)
     return f"0x{int(value):X}"
-
-
-def _first_block(index: int) -> int:
-    return od.split_block(index)[1] if index >= od.MANUFACTURER else index
 
 
 def _section(name: str, entries: dict[str, str]) -> str:
@@ -243,7 +239,7 @@ def _object_sections(entries: list[_Described]) -> list[str]:
 def storage_group(entries: Sequence[Object]) -> str:
     """Return CANopenEditor's storage group of one index; CANopenNode's own program expects 1018h in PERSIST_COMM."""
     index = entries[0].index
-    if _first_block(index) in _OF_RUN or any(each.pdo for each in entries):
+    if od.split_block(index)[1] in _OF_RUN or any(each.pdo for each in entries):
         return "RAM"
     if index < od.MANUFACTURER:
         return "PERSIST_COMM"

@@ -55,6 +55,12 @@ def frames(count: int) -> Frames:
     return np.zeros(count, FRAME)
 
 
+def received(arrived: Frames) -> Frames:
+    """Return the data frames with identifiers of 11 bits that other stations have sent."""
+    plain: Frames = arrived[arrived["flags"] & (ERROR | REMOTE | EXTENDED | ECHO) == 0]
+    return plain
+
+
 def frame_bytes(burst: Frames) -> npt.NDArray[np.uint8]:
     """Return frames as rows of bytes, shape (n, bytes of FRAME), for compiled code; a view where possible."""
     # Not `view`: NumPy compares the fields of both types each time, which takes three times as long.

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
 
-from canskin.errors import InputError
+from canskin.errors import InputError, reasoned
 from dbc.board import board, board_text
 from dbc.contract import Contract
 from dbc.database import database
@@ -40,26 +40,22 @@ def node_files(contract: Contract) -> dict[str, str]:
 def write_files(files: Mapping[str, str], folder: Path) -> list[Path]:
     """Write texts by path inside `folder`, and return their paths; raise InputError if one cannot be written."""
     written = []
-    try:
+    with reasoned(InputError, f"{folder}: cannot write the files"):
         for name, text in files.items():
             path = folder / name
             path.parent.mkdir(parents=True, exist_ok=True)
             write_file(path, text.encode("ascii"))
             written.append(path)
-    except OSError as error:
-        raise InputError(f"{folder}: cannot write the files: {error.strerror or error}") from error
     return written
 
 
 def drifted(wanted: Mapping[str, str], folder: Path) -> list[str]:
     """Return one line for each file of `folder` that differs from `wanted`, texts by path inside the folder."""
-    try:
+    with reasoned(InputError, f"{folder}: cannot read the contract files"):
         there = {path.name: path.read_bytes() for path in folder.iterdir() if path.suffix in SUFFIXES}
         for inner in (NODE_FOLDER, VECTOR_FOLDER):
             paths = [path for path in folder.glob(f"{inner}/*") if path.suffix in NODE_SUFFIXES]
             there |= {f"{inner}/{path.name}": path.read_bytes() for path in paths}
-    except OSError as error:
-        raise InputError(f"{folder}: cannot read the contract files: {error.strerror or error}") from error
     lines = []
     for name in sorted({*wanted, *there}):
         if name not in there:

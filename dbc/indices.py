@@ -92,6 +92,11 @@ def of_block(index: int, place: int) -> int:
 
 
 def split_block(index: int) -> tuple[int, int]:
-    """Return the place of the block that the object belongs to, and the object's index for the first block."""
+    """Return the place of the block that the object belongs to, and the object's index for the first block.
+
+    Objects below 2000h belong to no block: place 0, and their own index.
+    """
+    if index < MANUFACTURER:
+        return 0, index
     place, rest = divmod(index - MANUFACTURER, BLOCK_STRIDE)
     return place, MANUFACTURER + rest

@@ -10,7 +10,7 @@ from enum import IntEnum
 from pathlib import Path
 from typing import Final, Self
 
-from canskin.errors import InputError
+from canskin.errors import InputError, reasoned
 
 #: The characters "SKNP", first byte first.
 PROGRAM_MAGIC: Final = 0x504E_4B53
@@ -84,10 +84,8 @@ class Program:
     @classmethod
     def read(cls, path: Path) -> Self:
         """Read a program file; InputError if it is none, or damaged."""
-        try:
+        with reasoned(InputError, f"{path}: cannot read the program"):
             image = path.read_bytes()
-        except OSError as error:
-            raise InputError(f"{path}: cannot read the program: {error.strerror or error}") from error
         wanted = "expected a program with the header of 'skin export program'"
         if len(image) <= PROGRAM_HEAD or int.from_bytes(image[:4], "little") != PROGRAM_MAGIC:
             raise InputError(f"{path}: {wanted}, got {len(image)} bytes without it")

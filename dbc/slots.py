@@ -5,7 +5,8 @@ import zlib
 from enum import IntEnum
 from typing import Final
 
-#: Bytes before the data of a slot: number of the record, key, bytes of data, CRC-32 of these and of the data.
+#: Bytes before the data of a slot: number of the copy, 1 above that of the older one, key, bytes of data, and CRC-32 of
+#: these and of the data.
 SLOT_HEAD: Final = 16
 
 
@@ -16,7 +17,7 @@ class Record(IntEnum):
     LSS = 1
 
 
-def sealed(record: int, key: int, data: bytes) -> bytes:
+def sealed(number: int, key: int, data: bytes) -> bytes:
     """Return a whole slot, little endian: its head and its data."""
-    head = struct.pack("<3I", record, key, len(data))
+    head = struct.pack("<3I", number, key, len(data))
     return head + struct.pack("<I", zlib.crc32(data, zlib.crc32(head))) + data

@@ -7,15 +7,14 @@ from typing import TYPE_CHECKING, Final
 
 import tomli_w
 
-from bandwidth.alternatives import with_sums
-from bandwidth.search import CanKind, Requirement, Search, SendingKind, search
+from bandwidth.search import Candidate, CanKind, Requirement, Search, SendingKind, search
 from bandwidth.traffic import Disturbance
-from canskin.errors import InputError, LayoutError, RunError
+from canskin.errors import InputError, LayoutError, RunError, reasoned
 from shell.output import check_new_path, write_file
 from shell.service import say
 from shell.terminal import Json, print_json
 from skin.importing import tables_of
-from skin.layout import Layout, Taxels, layout_text, parse_layout, validated
+from skin.layout import Layout, Taxels, changed, layout_text, parse_layout, validated
 
 if TYPE_CHECKING:
     from demo.quality import Quality
@@ -84,10 +83,8 @@ def design(
         found = _good_enough(found, judged, min_psnr)
     text = None if found.layout is None else layout_text(found.layout)
     if text is not None and out is not None:
-        try:
+        with reasoned(InputError, f"{out}: cannot write the layout"):
             write_file(out, text)
-        except OSError as error:
-            raise InputError(f"{out}: cannot write the layout: {error.strerror or error}") from error
     if json_:
         print_json(
             {
@@ -102,6 +99,13 @@ def design(
         return int(text is None)
     if text is None or found.chosen is None:
         raise RunError(found.missing() or "")
+    _tell(found, found.chosen, judged)
+    print(str(out) if out is not None else text, end="\n" if out is not None else "")
+    return 0
+
+
+def _tell(found: Search, chosen: Candidate, judged: "Sequence[Quality]") -> None:
+    """Tell what is known of a layout that fits."""
     for each in judged:
         say("design", f"images, {each.sums} sums: {each.words}; the paper's bound is {each.bound_sums:.0f} sums")
     if not judged:
@@ -113,9 +117,9 @@ def design(
             f"boards average {samples}, for less noise; without the table [sampling] they take one",
         )
     unfit = sum(not each.fits for each in found.candidates)
-    say("design", f"{found.chosen.words}: {found.chosen.load_words}; {unfit} others do not fit")
-    print(str(out) if out is not None else text, end="\n" if out is not None else "")
-    return 0
+    say("design", f"{chosen.words}: {chosen.load_words}; {unfit} others do not fit")
+    if chosen.sending == "adaptive" and (lacking := found.nearest_in_cycles()):
+        say("design", f"of synchronous sums {lacking}")
 
 
 def _judged(layout: Layout, *, every: bool) -> "list[Quality]":
@@ -141,7 +145,8 @@ def _good_enough(found: Search, judged: "Sequence[Quality]", min_psnr_db: float)
             " allow more buses or a higher budget, or ask for less"
         )
     fewer = min(enough)
-    return replace(found, chosen=replace(chosen, sums=fewer), layout=validated(with_sums(layout, fewer)))
+    reduced = validated(changed(layout, measurement={"sums": fewer}))
+    return replace(found, chosen=replace(chosen, sums=fewer), layout=reduced)
 
 
 def _taxels(text: str) -> int | Taxels:

@@ -1,7 +1,7 @@
 """``skin layout``: explains a layout, draws its boards, and tells how many sums are enough."""
 
 import os
-import re
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final, Literal
 
@@ -13,13 +13,14 @@ from bandwidth.alternatives import planned, with_averages, with_buses
 from bandwidth.search import BUSES_MAX
 from bandwidth.traffic import Disturbance
 from bandwidth.wiring import wiring
-from canskin.errors import InputError
+from canskin.errors import InputError, LayoutError
+from dbc.contract import Contract
 from shell.output import check_new_path, check_picture_path, save_figure, write_file
 from shell.service import say
 from shell.terminal import Json, print_json, print_table
 from skin.chains import positions_text
-from skin.importing import tables_of
-from skin.layout import Layout, load_layout, parse_layout
+from skin.importing import name_of, tables_of
+from skin.layout import Layout, changed, load_layout, parse_layout
 from skin.matrix import MatrixPhi
 from skin.measurement import Sbhe
 from skin.plane import Plane
@@ -28,6 +29,8 @@ from skin.surface import Surface
 
 #: Pixels between neighbours in the picture of a skin that is no grid.
 _SCALE: Final = 16
+#: Part of a bus that a new layout leaves to others before it has more than a sum for four places.
+_SPARE: Final = 0.5
 
 
 def layout(
@@ -75,6 +78,7 @@ def layout(
         raise InputError("--out is for 'skin layout new' and 'skin layout draw': leave it out")
     if action == "quality":
         return _print_quality(skin, as_json=json_)
+    Contract.from_layout(skin)  # refuses what its buses cannot have
     about = _about(skin)
     if action == "draw":
         about["picture"] = str(_draw(skin, out or Path(f"{skin.name}.png")))
@@ -93,18 +97,12 @@ def _new(taxels: Path | None, out: Path | None, modules: Path | None, sending: S
     tables, told = tables_of(str(taxels), modules)
     for words in told:
         say("layout", words)
-    name = re.sub(r"[^a-z0-9_]", "_", (taxels if out is None else out).stem.lower())
-    name = name if name[:1].isalpha() else f"skin_{name}"
-    tables = {"name": name[:64], "sending": sending, **tables}
+    tables = {"name": name_of((taxels if out is None else out).stem, "skin"), "sending": sending, **tables}
     if sending == "adaptive":
         tables.setdefault("measurement", {"wiring": "board"})
     skin = parse_layout(tomli_w.dumps(tables).encode(), str(taxels))
     if skin.sends.in_cycles:
-        tables["sampling"] = {"rate_hz": with_averages(skin).sampling.rate_hz}
-        if skin.measurement.chains is not None:  # boards of neighbours, of which a part of the sums is not enough
-            tables["measurement"]["sums"] = skin.places
-        skin = _on_buses(parse_layout(tomli_w.dumps(tables).encode(), str(taxels)))
-        tables["bus"] = [{"name": bus.name, "nodes": bus.nodes} for bus in skin.bus]
+        skin = _complete(tables, skin, str(taxels))
     if out is not None and skin.taxels.positions is not None:
         tables["taxels"]["positions"] = _beside(taxels, out, skin)
         if skin.measurement.chains is not None:  # the file of positions has them
@@ -118,6 +116,22 @@ def _new(taxels: Path | None, out: Path | None, modules: Path | None, sending: S
     return 0
 
 
+def _complete(tables: dict[str, Any], skin: Layout, name: str) -> Layout:
+    """Add averages, sums and buses to the tables of a skin that sends in cycles; return the layout."""
+
+    def read() -> Layout:
+        return parse_layout(tomli_w.dumps(tables).encode(), name)
+
+    tables["sampling"] = {"rate_hz": with_averages(skin).sampling.rate_hz}
+    if skin.measurement.chains is not None:  # boards of neighbours, of which a part of the sums is not enough
+        tables["measurement"]["sums"] = skin.places
+    skin = _on_buses(read())
+    if (sums := _sums(skin)) != skin.measurement.sums:
+        tables.setdefault("measurement", {})["sums"] = sums
+    tables["bus"] = [{"name": bus.name, "nodes": bus.nodes} for bus in skin.bus]
+    return read()
+
+
 def _on_buses(skin: Layout) -> Layout:
     """Return a layout with the fewest classic buses that carry its sums; as it is if none do."""
     for count in range(len(skin.bus), min(BUSES_MAX, skin.blocks) + 1):
@@ -126,6 +140,18 @@ def _on_buses(skin: Layout) -> Layout:
             return spread
     say("layout", f"no {BUSES_MAX} buses carry its sums at {skin.sync.rate_hz:g} Hz: see skin design")
     return skin
+
+
+def _sums(skin: Layout) -> int:
+    """Return as many sums as there are places, or half as many, if that leaves `_SPARE` of each bus; else its sums."""
+    for sums in (skin.places, skin.places // 2):
+        more = changed(skin, measurement={"sums": sums})
+        with suppress(LayoutError):
+            if sums > skin.measurement.sums and all(
+                each.load_worst < 1 - _SPARE and not each.problems for each in planned(more, Disturbance())
+            ):
+                return sums
+    return skin.measurement.sums
 
 
 def _beside(taxels: Path, out: Path, skin: Layout) -> str:

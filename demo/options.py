@@ -7,13 +7,13 @@ from typing import Annotated, Final
 from cyclopts import Parameter
 
 from bus.options import virtual_bit_rates
-from canskin.errors import InputError
 from demo.rate import at_rate
 from reconstructor.options import SolverOptions
 from shell.output import check_picture_path
 from shell.service import listen
 from shell.touch_options import NO_TOUCH_OPTIONS, TouchOptions
 from skin.layout import Layout, require_sending
+from skin.ranges import require_above_zero
 
 
 @Parameter(name="*")
@@ -63,8 +63,7 @@ class DemoOptions:
 
     def check(self, layout: Layout) -> None:
         """Raise InputError unless a run with these options is possible."""
-        if not 0 < self.seconds < float("inf"):
-            raise InputError(f"expected a positive number of seconds, got {self.seconds:g}")
+        require_above_zero("--seconds", self.seconds)
         virtual_bit_rates(layout)
         if self.sync_rate is not None:
             require_sending(layout, "synchronous", "--sync-rate is", "adaptive boards send as they have news")

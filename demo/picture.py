@@ -5,7 +5,7 @@ from typing import Final
 
 from matplotlib.figure import Figure
 
-from demo.score import Snapshot
+from demo.score import CycleImages
 from shell.output import save_figure
 from skin.layout import Taxels
 from skin.plane import Plane
@@ -15,7 +15,7 @@ from skin.psnr import psnr_db
 _SCALE: Final = 8
 
 
-def save_picture(snapshot: Snapshot, taxels: Taxels, path: Path, *, noisy: bool = True) -> None:
+def save_picture(images: CycleImages, taxels: Taxels, path: Path, *, noisy: bool = True) -> None:
     """Draw true force, sensor signal, rebuilt image and its error side by side.
 
     Parameters
@@ -35,17 +35,15 @@ def save_picture(snapshot: Snapshot, taxels: Taxels, path: Path, *, noisy: bool 
     """
     to_mn, peak_n = 1e3, taxels.force_max_n
     plane, scale = Plane(taxels.surface), 1 if taxels.surface.is_grid else _SCALE
-    top = float(snapshot.true.max()) * to_mn
-    error = snapshot.image - snapshot.true
+    top = float(images.true.max()) * to_mn
+    error = images.image - images.true
     there = taxels.without_gaps
-    sensor_db, image_db = (
-        psnr_db(there(snapshot.true), there(each), peak_n) for each in (snapshot.sensor, snapshot.image)
-    )
+    sensor_db, image_db = (psnr_db(there(images.true), there(each), peak_n) for each in (images.sensor, images.image))
     of_sensor = f", {sensor_db:.1f} dB" if noisy else ", no noise"
     panels = (
-        ("true", snapshot.true, "viridis", 0.0, top),
-        (f"sensor{of_sensor}", snapshot.sensor, "viridis", 0.0, top),
-        (f"rebuilt, {image_db:.1f} dB", snapshot.image, "viridis", 0.0, top),
+        ("true", images.true, "viridis", 0.0, top),
+        (f"sensor{of_sensor}", images.sensor, "viridis", 0.0, top),
+        (f"rebuilt, {image_db:.1f} dB", images.image, "viridis", 0.0, top),
         ("rebuilt minus true", error, "RdBu_r", -top / 4, top / 4),
     )
     figure = Figure(figsize=(13, 3.4), layout="constrained")

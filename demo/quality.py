@@ -5,7 +5,6 @@ from collections.abc import Iterator
 from itertools import pairwise
 from typing import Final, NamedTuple
 
-import msgspec
 import numpy as np
 import numpy.typing as npt
 
@@ -19,7 +18,7 @@ from nodes.adaptive.simulated import touched_frames
 from reconstructor.imaging import CycleImager
 from reconstructor.walsh import WalshReconstructor
 from skin.ground_truth import in_contact
-from skin.layout import Layout, require_sending, validated
+from skin.layout import Layout, changed, require_sending, validated
 from skin.measured_sums import decode_measurement
 from skin.psnr import decibels
 from skin.sources import load_objects, step_rate_hz
@@ -61,12 +60,14 @@ class Quality(NamedTuple):
 
     @property
     def words(self) -> str:
-        """PSNR and error as text."""
+        """PSNR and error as text, and advice where the taxels alone are better."""
         against = f"{self.psnr_image_db:.1f} dB, the sensor's {self.psnr_sensor_db:.1f} dB"
-        return f"{against}, {1e3 * self.touched_error_n:.2f} mN where touched"
+        is_worse = self.psnr_image_db < self.psnr_sensor_db
+        advice = "; worse than the taxels themselves: these are too few sums (measurement.sums)" if is_worse else ""
+        return f"{against}, {1e3 * self.touched_error_n:.2f} mN where touched{advice}"
 
 
-def qualities(layout: Layout, *, touches_s: float = TOUCHES_S, seed: int = 0) -> list[Quality]:
+def qualities(layout: Layout, *, touches_s: float = TOUCHES_S) -> list[Quality]:
     """Return the quality of a layout with one sum for each of `TAXELS_PER_SUM` places, fewest sums first.
 
     Raises
@@ -77,7 +78,7 @@ def qualities(layout: Layout, *, touches_s: float = TOUCHES_S, seed: int = 0) ->
         If no object touches in `touches_s`.
     """
     require_sending(layout, "synchronous", "the quality by the number of sums is", "adaptive boards send all sums")
-    return [quality(each, touches_s=touches_s, seed=seed) for each in _layouts(layout)]
+    return [quality(each, touches_s=touches_s) for each in _layouts(layout)]
 
 
 def _layouts(layout: Layout) -> Iterator[Layout]:
@@ -86,16 +87,14 @@ def _layouts(layout: Layout) -> Iterator[Layout]:
         yield layout
         return
     for each in TAXELS_PER_SUM:
-        measurement = msgspec.structs.replace(
-            layout.measurement, sums=layout.places // each, rows=None, selection="balanced"
-        )
+        drawn = {"sums": layout.places // each, "rows": None, "selection": "balanced"}
         try:
-            yield validated(msgspec.structs.replace(layout, measurement=measurement, recognition=None))
+            yield validated(changed(layout, measurement=drawn, recognition=None))
         except LayoutError:  # such sums cannot be shared evenly by the blocks
             continue
 
 
-def quality(layout: Layout, *, touches_s: float = TOUCHES_S, seed: int = 0) -> Quality:
+def quality(layout: Layout, *, touches_s: float = TOUCHES_S) -> Quality:
     """Return the quality of a layout as it is; with two states, of its images.
 
     Boards that send in cycles lose no frame. Adaptive boards send on simulated buses, and an image is of all that has
@@ -109,7 +108,7 @@ def quality(layout: Layout, *, touches_s: float = TOUCHES_S, seed: int = 0) -> Q
     taxels, wired = layout.taxels, layout.operator().is_wired
     moments = _cycles if layout.sends.in_cycles else _news
     imaged_n2, sensed_n2, touched_n2, touched = [], [], 0.0, []
-    for image_n, true_n, sensor_n in moments(layout, touches_s, seed):
+    for image_n, true_n, sensor_n in moments(layout, touches_s):
         if not in_contact(true_n, taxels.force_max_n):
             continue
         error_n = (image_n - true_n)[wired]
@@ -132,11 +131,11 @@ def quality(layout: Layout, *, touches_s: float = TOUCHES_S, seed: int = 0) -> Q
     )
 
 
-def _cycles(layout: Layout, touches_s: float, seed: int) -> Iterator[Moment]:
+def _cycles(layout: Layout, touches_s: float) -> Iterator[Moment]:
     """Yield each cycle of boards that send in cycles."""
-    layout = msgspec.structs.replace(layout, recognition=None)
+    layout = changed(layout, recognition=None)
     phi, imager = layout.operator(), CycleImager(layout)
-    nodes = Nodes(layout, load_objects(layout, seed=seed, rest_s=REST_S), seed=seed)
+    nodes = Nodes(layout, load_objects(layout, rest_s=REST_S), seed=0)
     for _ in range(round((REST_S + touches_s) * step_rate_hz(layout))):
         measurement = nodes.measurement(nodes.sample())
         image_n = imager.solve(decode_measurement(measurement, phi))[0].ravel()
@@ -144,16 +143,16 @@ def _cycles(layout: Layout, touches_s: float, seed: int) -> Iterator[Moment]:
         yield image_n, np.frombuffer(truth.true, "<f4"), np.frombuffer(truth.sensor, "<f4")
 
 
-def _news(layout: Layout, touches_s: float, seed: int) -> Iterator[Moment]:
+def _news(layout: Layout, touches_s: float) -> Iterator[Moment]:
     """Yield what a receiver knows of the sums of adaptive boards at each step of a touch."""
-    contract, taxels, rng = Contract.from_layout(layout), layout.taxels, np.random.default_rng(seed)
-    source, sums = load_objects(layout, seed=seed), new_sums(layout.blocks, layout.groups)
+    contract, taxels, rng = Contract.from_layout(layout), layout.taxels, np.random.default_rng(0)
+    source, sums = load_objects(layout), new_sums(layout.blocks, layout.groups)
     proven, changed = np.ones(layout.blocks, np.bool_), np.zeros((layout.blocks, layout.groups), np.bool_)
     step_ns, steps, buses = round(1e9 / step_rate_hz(layout)), round(touches_s * step_rate_hz(layout)), []
     for bus, line in enumerate(layout.bus):
         mine = slice(layout.first_block(bus), layout.first_block(bus) + line.nodes)
         columns = [column_of(each, layout.groups, is_fd=line.fd) for each in line.ids]
-        frames = touched_frames(contract, bus, source, touches_s, seed)
+        frames = touched_frames(contract, bus, source, touches_s)
         ends = np.searchsorted(frames["time_ns"], np.arange(-1, steps) * step_ns, side="right").tolist()
         buses.append((line.fd, mine, sums.of(mine, columns), frames, list(pairwise(ends))))
     walsh = WalshReconstructor(layout.patches(), taxels.rows, taxels.columns, NOISE_N, taxels.surface.graph)

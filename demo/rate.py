@@ -2,12 +2,10 @@
 
 from typing import Final
 
-import msgspec
-
-from bandwidth.alternatives import AVERAGED_HZ, with_rate
+from bandwidth.alternatives import with_averages
 from canskin.errors import InputError, LayoutError
 from canskin.messages import GatewayStatus
-from skin.layout import Layout, validated
+from skin.layout import Layout, changed, validated
 
 #: Since the first cycle of a run: services that start take more of the processor until `SETTLED_S`; cycles from then to
 #: `JUDGED_S` judge the rate. Runs shorter than `LEAST_RUN_S` keep the layout's.
@@ -28,14 +26,11 @@ def at_rate(layout: Layout, rate_hz: float) -> Layout:
     InputError
         If the layout cannot have this rate.
     """
-    changed = with_rate(layout, rate_hz)
+    other = changed(layout, sync={"rate_hz": rate_hz})
     if layout.samples_per_sync > 1 and rate_hz > 0:
-        samples = max(1, min(layout.samples_per_sync, int(AVERAGED_HZ / rate_hz)))
-        changed = msgspec.structs.replace(
-            changed, sampling=msgspec.structs.replace(layout.sampling, rate_hz=samples * rate_hz)
-        )
+        other = with_averages(other, layout.samples_per_sync)
     try:
-        return validated(changed)
+        return validated(other)
     except LayoutError as error:
         raise InputError(f"--sync-rate {rate_hz:g}: {error}") from error
 

@@ -3,7 +3,7 @@
 import contextlib
 import shlex
 import time
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from contextlib import ExitStack
 from functools import partial
 from math import inf
@@ -17,6 +17,7 @@ from calibration.windows import tare_s
 from canskin.errors import InputError, RunError, SkinError
 from canskin.fabric import Fabric
 from canskin.messages import GATEWAY, IMAGE, LABEL, MEASUREMENT, NODES, TRUTH, GatewayStatus
+from canskin.peers import Peer, Roll
 from canskin.state_messages import IMAGES, ImagesRequest
 from demo.options import DemoOptions
 from demo.picture import save_picture
@@ -53,7 +54,9 @@ class Run:
         self.score = Score(layout)
         self._folder = folder
         self._supervisor = Supervisor(folder)
-        self._alive: set[str] = set()
+        self._there = Roll()
+        #: Services were started before, at another rate.
+        self._has_begun = False
         self._fabric: Fabric | None = None
         #: State of the gateway at `SETTLED_S`, with which the rate is judged.
         self._earlier: GatewayStatus | None = None
@@ -104,17 +107,19 @@ class Run:
             return True
         if not self.score.scheduling:
             request_real_time("demo", self._obtained)  # all messages go through this process
+        # Messages of services that were ended may have come late: the next cycles are those of a new gateway.
+        self.score = Score(self._layout, scheduling=self.score.scheduling)
         tare = "at-start" if self._options.has_zero_errors(self._layout) else "never"
         self._supervisor.start("gateway", "gateway", *self._common(endpoint), "--tare", tare)
         return self._follow(stop, endpoint)
 
     def _take_rate(self, rate_hz: float) -> None:
-        """Go on with a layout of another rate."""
+        """Go on with a layout of another rate, and with services that are not there yet."""
         self._layout = at_rate(self._layout, rate_hz)
         path = self._folder / "layout.toml"
         path.write_text(layout_text(self._layout))
         self._path, self._earlier = str(path), None
-        self.score = Score(self._layout, scheduling=self.score.scheduling)
+        self._there, self.score = Roll(), Score(self._layout, scheduling=self.score.scheduling)
 
     def _obtained(self, scheduling: str) -> None:
         """Tell page and summary the scheduling of this process."""
@@ -143,19 +148,23 @@ class Run:
 
     def _listen(self, fabric: Fabric) -> None:
         for topic, take in (
-            (GATEWAY, "take_gateway"),
-            (NODES, "take_nodes"),
-            (TRUTH, "take_truth"),
-            (MEASUREMENT, "take_measurement"),
-            (IMAGE, "take_image"),
-            (LABEL, "take_label"),
+            (GATEWAY, Score.take_gateway),
+            (NODES, Score.take_nodes),
+            (TRUTH, Score.take_truth),
+            (MEASUREMENT, Score.take_measurement),
+            (IMAGE, Score.take_image),
+            (LABEL, Score.take_label),
         ):
             fabric.subscribe(topic, partial(self._take, take))
-        fabric.watch(lambda name, alive: self._alive.add(name) if alive else self._alive.discard(name))
+        fabric.watch_peers(self._note)
 
-    def _take(self, take: str, message: Any) -> None:
+    def _take(self, take: Callable[[Score, Any], None], message: Any) -> None:
         """Let the score of the present rate take a message."""
-        getattr(self.score, take)(message)
+        take(self.score, message)
+
+    def _note(self, peer: Peer, is_there: bool) -> None:
+        if peer.skin == self._layout.name:
+            self._there.note(peer.service, peer.key, is_there)
 
     def _start_services(self, endpoint: str) -> None:
         options, start, common = self._options, self._supervisor.start, self._common(endpoint)
@@ -173,21 +182,24 @@ class Run:
 
     def _await_services(self, stop: StopSignal) -> None:
         """Wait until every service is on the fabric."""
-        told_s = time.monotonic() + SLOW_START_S
-        wanted = {"nodes", "reconstructor", "classifier"} | ({"viewer"} if self._port is not None else set())
+        slow_s = inf if self._has_begun else time.monotonic() + SLOW_START_S
+        self._has_begun = True
         patience_s = time.monotonic() + READY_PATIENCE_S
         with self._console.status("starting") as status:
-            while (missing := wanted - self._alive) and not stop.wait(TURN_S):
+            while (missing := self._missing()) and not stop.wait(TURN_S):
                 self._supervisor.look(starting=True)
-                status.update(f"starting: waiting for {', '.join(sorted(missing))}")
-                if time.monotonic() > told_s:
-                    told_s = inf
-                    say(
-                        "demo",
-                        "starting; a first start compiles the solver and trains the classifier: one to two minutes",
-                    )
+                status.update(f"starting: waiting for {missing}")
+                if time.monotonic() > slow_s:
+                    slow_s = inf
+                    why = "a first start compiles the solver, and new objects train the classifier: minutes"
+                    say("demo", f"waits for {missing}; {why}")
                 if time.monotonic() > patience_s:
-                    raise RunError(f"{', '.join(sorted(missing))} did not become ready in {READY_PATIENCE_S:g} s")
+                    raise RunError(f"{missing} did not become ready in {READY_PATIENCE_S:g} s")
+
+    def _missing(self) -> str:
+        """Name the services that the gateway waits for and that are not on the fabric."""
+        wanted = ["classifier", "nodes", "reconstructor", *["viewer"] * (self._port is not None)]
+        return ", ".join(name for name in wanted if not self._there.holds(name))
 
     def _follow(self, stop: StopSignal, endpoint: str) -> bool:
         """Show progress until the end of the run, or until the rate is not kept; tell whether it was."""

@@ -31,7 +31,7 @@ FULL_CONTACT_RATIO: Final = 0.95
 
 
 @dataclass(frozen=True)
-class Snapshot:
+class CycleImages:
     """The images of one cycle, newtons, shape (rows, columns)."""
 
     true: npt.NDArray[np.float32]
@@ -82,7 +82,7 @@ class Score:
     named_contacts: int = 0
     labelled: int = 0
     labelled_right: int = 0
-    snapshot: Snapshot | None = None
+    snapshot: CycleImages | None = None
     last_label: Label | None = None
     cpu_ratio: dict[str, float] = field(default_factory=dict)
     scheduling: str = ""
@@ -123,8 +123,8 @@ class Score:
                 self._compare_times(measurement, true)
 
     def take_measurement(self, measurement: Measurement) -> None:
-        """Compare the sampling instant of a cycle with that of the nodes."""
-        if not isinstance(measurement, CycleMeasurement):
+        """Compare the sampling instant of a cycle with that of the nodes; times of another size are ignored."""
+        if not isinstance(measurement, CycleMeasurement) or len(measurement.bus_sampled_ns) % np.int64().nbytes:
             return
         with self._lock:
             for mine, truth in self._measurements.take(measurement):
@@ -198,7 +198,7 @@ class Score:
         peak_n = float(true.max())
         self._peak_n = max(self._peak_n, peak_n)
         if peak_n >= FULL_CONTACT_RATIO * self._peak_n:
-            self.snapshot = Snapshot(true, sensor, image_n)
+            self.snapshot = CycleImages(true, sensor, image_n)
 
     def _grid(self, content: bytes) -> npt.NDArray[np.float32]:
         return np.frombuffer(content, "<f4").reshape(self.layout.taxels.rows, self.layout.taxels.columns)

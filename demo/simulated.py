@@ -73,7 +73,7 @@ class SimulatedSkin(Skin):
         for _ in range(round(REST_S * step_rate_hz(skin))):
             self._nodes.sample()
         self._nodes.cycle = 0  # the first frame is that of cycle 1
-        self._is_closed = False
+        self.is_closed = False
 
     def frames(self, queue: int = 1) -> Frames:
         """Return the frames of all cycles from now on; `queue` has no effect, because none waits."""
@@ -107,12 +107,7 @@ class SimulatedSkin(Skin):
 
     def close(self) -> None:
         """End all iterations."""
-        self._is_closed = True
-
-    @property
-    def is_closed(self) -> bool:
-        """Whether the skin was closed."""
-        return self._is_closed
+        self.is_closed = True
 
 
 class _Steps(Frames):

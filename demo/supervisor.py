@@ -83,7 +83,7 @@ class Supervisor:
 
     def stop(self, *names: str) -> None:
         """End services, by default all, in the given order; kill services that do not end in time."""
-        for child in [self.children[name] for name in names if name in self.children] or self.children.values():
+        for child in [self.children[name] for name in names or self.children if name in self.children]:
             child.restart = False
             if child.process.poll() is None:
                 child.process.terminate()

@@ -157,9 +157,14 @@ def paper_value(subject: str, column: str = "ours", **cell: Key) -> float | None
     return _values().get((subject, column, frozenset(cell.items())))
 
 
+def printed_value(subject: str, column: str = "ours", **cell: Key) -> float:
+    """Return the first number printed for a cell of a subject; raise KeyError where the paper has none."""
+    return _values()[subject, column, frozenset(cell.items())]
+
+
 def paper_psnr(subject: str, **cell: Key) -> Psnr:
     """Return the PSNR printed for a cell of a subject; raise KeyError where the paper has none."""
-    return Psnr(*(_values()[subject, column, frozenset(cell.items())] for column in ("ours", "least", "most")))
+    return Psnr(*(printed_value(subject, column, **cell) for column in ("ours", "least", "most")))
 
 
 def sensor_psnr(name: str) -> Psnr:

@@ -66,6 +66,11 @@ def measure_cells(
     return [measured[place] if place in measured else known(**cell) for place, cell in enumerate(cells)]
 
 
+def measured_rows(measure: Callable[..., Row], cells: Sequence[Row], options: Options, what: str) -> list[Row]:
+    """Return every cell together with what `measure_cells` finds for it."""
+    return [cell | found for cell, found in zip(cells, measure_cells(measure, cells, options, what), strict=True)]
+
+
 def _on_one_thread(known: Callable[..., Row], cell: Row) -> Row:
     with threadpool_limits(1):
         return known(**cell)

@@ -57,7 +57,6 @@ class AdaptiveFrames(ExpectedFrames):
 
     rest_s = _REST_S
     _patterns = (PATTERN_FULL, PATTERN_OFF, PATTERN_ZERO)
-    _step = PATTERN_ZERO
 
     def __init__(self, contract: Contract, node: NodeContract, report: NodeReport) -> None:
         super().__init__(contract, node, report)

@@ -399,7 +399,11 @@ class Collector:
         take_all(frame_bytes(arrived), bus, error_ns, self._table, self._state)
 
     def lost(self, bus: int) -> None:
-        """Take note that frames of a bus were lost; with one phase, the lost frame may be a SYNC between two cycles."""
+        """Take note that frames of a bus were lost.
+
+        With one phase the lost frame may be a SYNC between two cycles. With two phases the answers to this SYNC are of
+        the other phase, and those to the SYNC after it come when the older cycle of their phase is closed.
+        """
         if self._contract.phases == 1:
             spoil_bus(bus, self._table, self._state.cycles)
         # A command to a node behind would be lost, too: it has some cycles when the bus is back.

@@ -5,7 +5,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from bus.link import Link
-from bus.options import BusOptions, open_links
+from bus.options import BusOptions, closing_links, open_links
 from calibration.calibrator import Tare
 from canskin.calibration_messages import CALIBRATION
 from canskin.description import DESCRIPTION
@@ -99,10 +99,9 @@ def gateway(
     try:
         service = GatewayService(contract, links, fabric, calibration=calibrates, rates_hz=rates_hz)
         fabric.answer(IMAGES, service.ask_images)
-        service.run(stop)
+        with closing_links(links):
+            service.run(stop)
     finally:
-        for link in links.values():
-            link.close()
         calibrates.keep_zero()
         answers.shutdown()
         fabric.close()

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 from cyclopts import Parameter
 
 from bus.link import Link, open_link
-from bus.options import BusOptions, channels, open_links
+from bus.options import BusOptions, channels, closing_links, open_links
 from canskin.errors import InputError
 from dbc.canopen import LSS_BIT_RATES_HZ
 from dbc.contract import Contract
@@ -74,18 +74,13 @@ def commission(
             return TouchCommissioning(contract, bus, link.send, now_s, say=_tell, bit_rate_hz=bitrate)
         return SerialCommissioning(contract, bus, link.send, now_s, bit_rate_hz=bitrate, renumber=renumber)
 
-    links: dict[int, Link] = {}
     runs: dict[int, Commissioning] = {}
-    try:
-        links = _opened(skin, options, bitrate, stop)
+    with closing_links(_opened(skin, options, bitrate, stop)) as links:
         # A finger touches one bus after the other.
         for together in [{bus: link} for bus, link in links.items()] if touch else [links]:
             begun = {bus: new_run(bus, link) for bus, link in together.items()}
             runs |= begun
             _run(contract, together, begun, stop)
-    finally:
-        for link in links.values():
-            link.close()
     found = [_about(contract, bus, each) for bus, each in runs.items()]
     if json:
         print_json(found)

@@ -15,17 +15,15 @@ from bus.link import Send
 from canskin.errors import InputError, RunError
 from dbc import indices as od
 from dbc.canopen import NMT_COB_ID, SDO_RESPONSE_BASE, SYNC_COB_ID, NmtCommand, is_of_node
-from dbc.configuration import DIALOGUES
+from dbc.configuration import DIALOGUES, SAMPLED_S
 from dbc.contract import Contract, NodeContract
-from dbc.frame import ECHO, ERROR, REMOTE, Frames, one_frame
+from dbc.frame import Frames, one_frame, received
 from gateway.node_check import LISTEN_PERIODS, LISTEN_S
 from gateway.sdo import Dialogue, Read, SdoDialogue
 from gateway.wiring import MOMENTS
 from skin.surface import Floats
 from skin.sync_counter import next_counter
 
-#: Time between a SYNC and the first request: that of a board to read its taxels.
-SAMPLED_S: Final = 0.002
 #: Rounds without touch that are needed to know the noise.
 LEAST_REST: Final = 10
 
@@ -83,7 +81,7 @@ class CountReading:
     def take(self, bus: int, arrived: Frames, now_s: float) -> None:
         """Use received frames of a bus."""
         self._now_s = now_s
-        arrived = arrived[(arrived["flags"] & (ERROR | REMOTE | ECHO)) == 0]
+        arrived = received(arrived)
         if (arrived["can_id"] == SYNC_COB_ID).any():
             self._foreign = self._contract.layout.bus[bus].name
         for each in arrived[is_of_node(arrived["can_id"], SDO_RESPONSE_BASE)]:

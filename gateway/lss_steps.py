@@ -24,7 +24,7 @@ from dbc.canopen import (
     LssError,
 )
 from dbc.configuration import DIALOGUES
-from dbc.frame import ECHO, ERROR, EXTENDED, REMOTE, Frames, one_frame
+from dbc.frame import ECHO, ERROR, Frames, one_frame, received
 from gateway.sdo import Dialogue, SdoDialogue
 
 #: Longest time in which a board answers a request that several boards may answer.
@@ -125,7 +125,7 @@ class LssSteps:
     def take(self, arrived: Frames, now_s: float) -> None:
         """Use received frames."""
         self.error_frames += int((arrived["flags"] & (ERROR | ECHO) == ERROR).sum())
-        for each in arrived[arrived["flags"] & (ERROR | REMOTE | EXTENDED | ECHO) == 0]:
+        for each in received(arrived):
             can_id, data = int(each["can_id"]), each["data"][: each["length"]].tobytes()
             self._has_sync |= can_id == SYNC_COB_ID
             if isinstance(self._step, Ask):
@@ -284,5 +284,5 @@ def anybody_without_node_id() -> Frames:
 
 def has_answer(arrived: Frames) -> bool:
     """Tell whether a board answers `anybody_without_node_id`."""
-    is_answer = (arrived["can_id"] == LSS_RESPONSE_COB_ID) & (arrived["data"][:, 0] == Lss.IDENTIFIED)
-    return bool((is_answer & (arrived["flags"] & (ERROR | REMOTE | EXTENDED | ECHO) == 0)).any())
+    plain = received(arrived)
+    return bool(((plain["can_id"] == LSS_RESPONSE_COB_ID) & (plain["data"][:, 0] == Lss.IDENTIFIED)).any())

@@ -227,7 +227,7 @@ class NodeCheck:
     def _restore(self) -> _Steps:
         """Put back what was written."""
         self._nmt(NmtCommand.ENTER_PRE_OPERATIONAL)
-        has_gains = any(_of_first_block(index) in _GAINS for index, _ in self._undo)
+        has_gains = any(od.split_block(index)[1] in _GAINS for index, _ in self._undo)
         for place, data in list(self._undo.items()):
             if not (yield from self._write(place, data)):
                 self._nmt(NmtCommand.RESET_NODE)
@@ -249,10 +249,12 @@ class NodeCheck:
                 self._differs(f"{data}: is the board on this bus, at this bit rate, with node-ID {self._node.node_id}?")
                 return False
             self.report.objects += 1
-            self._values[setting.index, setting.subindex] = data
+            self._values[setting.index, setting.subindex] = setting.sized(data)
             if not setting.matches(data) and (setting.index, setting.subindex) not in _ONLY_READ:
                 text = f"{setting} is {setting.text(data)}, expected {setting.text()}"
-                is_allowed = _of_first_block(setting.index) in _ALLOWED or (setting.index, setting.subindex) == _SERIAL
+                is_allowed = (
+                    od.split_block(setting.index)[1] in _ALLOWED or (setting.index, setting.subindex) == _SERIAL
+                )
                 (self.report.notes if is_allowed else self.report.differences).append(text)
         state = int.from_bytes(self._values.get((od.STATE, 1), bytes((self._state,))), "little")
         if state in self._expected.states:
@@ -276,7 +278,7 @@ class NodeCheck:
                 note = f"{data}: not every row is compared without gains and offsets"
                 (self.report.notes if isinstance(data, SdoAbortedError) else self.report.differences).append(note)
                 return
-            found[setting.index, setting.subindex] = data
+            found[setting.index, setting.subindex] = setting.sized(data)
         self.report.objects += len(found)
         self._values |= found
         if settings:
@@ -316,7 +318,7 @@ class NodeCheck:
                     return False
             if len(self.report.differences) > before:
                 return True
-            if any(_of_first_block(index) in _GAINS for index, _ in picture.values):
+            if any(od.split_block(index)[1] in _GAINS for index, _ in picture.values):
                 yield from self._gains_signature(", with other gains and offsets")
             if self._expected.rest_s:
                 yield _Listen(self._expected.rest_s)
@@ -397,12 +399,7 @@ def _is_of_board(each: Object) -> bool:
     """Tell whether an object is read besides those that the gateway compares: wiring, rows, way of sending, serial."""
     if (each.index, each.subindex or 0) in (_SERIAL, (od.BUDGET, 0), *_ONLY_READ):
         return True
-    return _of_first_block(each.index) in (od.ROWS, od.TAXELS, od.SENDING) and each.subindex != 0
-
-
-def _of_first_block(index: int) -> int:
-    """Return the index of the same object of the board's first block."""
-    return od.split_block(index)[1] if index >= od.MANUFACTURER else index
+    return od.split_block(each.index)[1] in (od.ROWS, od.TAXELS, od.SENDING) and each.subindex != 0
 
 
 def _longest_gap_s(came: Frames) -> float:

@@ -4,13 +4,14 @@ import dataclasses
 import select
 import time
 from collections.abc import Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Protocol
 
 from cyclopts import Parameter
 
 from bus.link import Link
-from bus.options import BusOptions, open_channels, open_links
+from bus.options import BusOptions, closing_links, open_channels, open_links
 from canskin.errors import InputError, RunError
 from dbc.canopen import HIGHEST_NODE_ID, NmtCommand, state_text
 from dbc.contract import Contract, NodeContract
@@ -151,12 +152,9 @@ def node(
     number = _bus_number(skin, bus)
     contract = Contract.from_layout(skin)
     board = _board(contract, number, node_id)
-    link = open_links(skin, can or BusOptions(), [number], name="node check", stop=stop)[number]
-    try:
+    with closing(open_links(skin, can or BusOptions(), [number], name="node check", stop=stop)[number]) as link:
         check = NodeCheck(contract, board, link.send, time.monotonic())
         _run(check, link, stop)
-    finally:
-        link.close()
     if json:
         print_json(dataclasses.asdict(check.report))
     else:
@@ -236,11 +234,9 @@ def _objects(
         (link,) = open_channels(can, skin.bus[0].bitrate, skin.bus[0].data_bitrate, name="node check").values()
     else:
         link = open_links(skin, can, [number], name="node check", stop=stop)[number]
-    try:
+    with closing(link):
         transfers = NodeTransfers(node_id, list(dict.fromkeys(reads)), link.send, time.monotonic(), writes)
         _run(transfers, link, stop)
-    finally:
-        link.close()
     _show_objects(list(transfers.values), transfers.values, as_json=as_json)
     return int(any(isinstance(each, str) for each in transfers.values.values()))
 
@@ -253,12 +249,9 @@ def _order(skin: Layout, action: str, number: int, node_id: int | None, can: Bus
         raise InputError(f"expected --node with a node-ID from 1 to {HIGHEST_NODE_ID}, got {node_id}")
     awaited = skin.bus[number].ids if node_id is None else [node_id]
     stop = StopSignal().install()
-    link = open_links(skin, can, [number], name="node check", stop=stop)[number]
-    try:
+    with closing(open_links(skin, can, [number], name="node check", stop=stop)[number]) as link:
         order = NodeOrder(_ORDERS[action], node_id or 0, awaited, link.send, time.monotonic())
         _run(order, link, stop)
-    finally:
-        link.close()
     told = {each: None if state is None else state_text(state) for each, state in order.states.items()}
     if as_json:
         print_json({"bus": skin.bus[number].name, "states": told, "missing": order.missing})
@@ -301,8 +294,7 @@ def _read_live(skin: Layout, can: BusOptions, stroke_s: float, rest_s: float, st
     require_boards(skin)
     if skin.taxels.is_analogue:
         raise InputError("analogue boards have no counts of taxels: check a recording of sums, --wiring")
-    links = open_links(skin, can, name="node check", stop=stop)
-    try:
+    with closing_links(open_links(skin, can, name="node check", stop=stop)) as links:
         say("node check", f"leave the skin alone for {rest_s:g} s")
         reading = CountReading(
             Contract.from_layout(skin),
@@ -319,9 +311,6 @@ def _read_live(skin: Layout, can: BusOptions, stroke_s: float, rest_s: float, st
             for bus, link in links.items():
                 reading.take(bus, link.receive(), time.monotonic())
             reading.tick(time.monotonic())
-    finally:
-        for link in links.values():
-            link.close()
     return reading
 
 

@@ -132,7 +132,6 @@ class ExpectedFrames(ABC):
 
     rest_s: float = 0.0
     _patterns: tuple[int, ...]
-    _step: int | None = None
 
     def __init__(self, contract: Contract, node: NodeContract, report: NodeReport) -> None:
         self.states: tuple[int, ...] = (SkinState.RECOGNITION,)

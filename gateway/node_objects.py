@@ -15,13 +15,13 @@ from canopen.objectdictionary import datatypes
 from canopen.objectdictionary.eds import import_eds
 
 from bus.link import Send
-from canskin.errors import InputError, RunError
+from canskin.errors import InputError, RunError, reasoned
 from dbc import indices as od
 from dbc.canopen import SDO_RESPONSE_BASE
-from dbc.contract import Contract, NodeContract
+from dbc.contract import LONGEST_VALUE, Contract, NodeContract
 from dbc.eds import eds, node_types
-from dbc.frame import ECHO, ERROR, EXTENDED, REMOTE, Frames, one_frame
-from gateway.sdo import Read, SdoDialogue, Write, one
+from dbc.frame import Frames, one_frame, received
+from gateway.sdo import Download, Read, SdoDialogue, Transfer, Write, one
 
 #: Names of CANopen's data types (CiA 301, table 44).
 _TYPES: Final = {value: name for name, value in vars(datatypes).items() if name.isupper() and isinstance(value, int)}
@@ -86,8 +86,8 @@ class Entry:
         is_low = not isinstance(value, str) and least is not None and value < least
         if is_low or (not isinstance(value, str) and most is not None and value > most):
             raise InputError(f"{place}: expected {least} to {most}, got {text}")
-        if not 1 <= len(data) <= _EXPEDITED:
-            raise InputError(f"{place}: expected a value of 1 to {_EXPEDITED} bytes, got {len(data)}")
+        if not 1 <= len(data) <= LONGEST_VALUE:
+            raise InputError(f"{place}: expected a value of 1 to {LONGEST_VALUE} bytes, got {len(data)}")
         return data
 
 
@@ -104,10 +104,8 @@ def entries_of_node(contract: Contract, node: NodeContract) -> list[Entry]:
 
 def entries_of_file(path: Path, node_id: int) -> list[Entry]:
     """Return the objects of an EDS or DCF file."""
-    try:
+    with reasoned(InputError, f"{path}: cannot read the objects"):
         return _entries(path.read_text(encoding="utf-8", errors="replace"), node_id, str(path))
-    except OSError as error:
-        raise InputError(f"{path}: cannot read the objects: {error.strerror or error}") from error
 
 
 def _entries(text: str, node_id: int, origin: str) -> list[Entry]:
@@ -209,7 +207,12 @@ class NodeTransfers:
 
     def _begin(self, now_s: float) -> None:
         entry, data = self._left[0]
-        transfer = Write(entry.index, entry.subindex, data) if data else Read(entry.index, entry.subindex)
+        if not data:
+            transfer: Transfer = Read(entry.index, entry.subindex)
+        elif len(data) <= _EXPEDITED:
+            transfer = Write(entry.index, entry.subindex, data)
+        else:
+            transfer = Download(entry.index, entry.subindex, data, in_blocks=False)
         self._dialogue = SdoDialogue(self._node_id, one(transfer), self._send_one, now_s)
 
     def _send_one(self, can_id: int, data: bytes) -> None:
@@ -217,7 +220,7 @@ class NodeTransfers:
 
     def take(self, arrived: Frames, now_s: float) -> None:
         """Use received frames."""
-        plain = arrived[arrived["flags"] & (ERROR | REMOTE | EXTENDED | ECHO) == 0]
+        plain = received(arrived)
         for each in plain[plain["can_id"] == SDO_RESPONSE_BASE + self._node_id]:
             self._dialogue.take(each["data"][: each["length"]].tobytes(), now_s)
             self._look(now_s)

@@ -13,7 +13,7 @@ from dbc.canopen import (
     NmtState,
     is_of_node,
 )
-from dbc.frame import ECHO, ERROR, EXTENDED, REMOTE, Frames, one_frame
+from dbc.frame import Frames, one_frame, received
 
 #: Three heartbeats of a skin's nodes.
 WAIT_S: Final = 3.0
@@ -49,9 +49,9 @@ class NodeOrder:
 
     def take(self, arrived: Frames, now_s: float) -> None:  # noqa: ARG002  a talk's frames come with the time
         """Use received frames."""
-        is_plain = arrived["flags"] & (ERROR | REMOTE | EXTENDED | ECHO) == 0
-        told = is_plain & is_of_node(arrived["can_id"], HEARTBEAT_BASE) & (arrived["length"] == HEARTBEAT_BYTES)
-        for each in arrived[told]:
+        plain = received(arrived)
+        told = is_of_node(plain["can_id"], HEARTBEAT_BASE) & (plain["length"] == HEARTBEAT_BYTES)
+        for each in plain[told]:
             node_id, state = int(each["can_id"]) - HEARTBEAT_BASE, int(each["data"][0]) & 0x7F
             if node_id in self.missing:
                 self.states[node_id] = state

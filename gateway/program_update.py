@@ -11,7 +11,7 @@ from typing import Final
 from bus.link import Send
 from dbc import indices as od
 from dbc.canopen import HEARTBEAT_BASE, NMT_COB_ID, SDO_REQUEST_BASE, SDO_RESPONSE_BASE, Abort, NmtCommand, NmtState
-from dbc.frame import ECHO, ERROR, EXTENDED, REMOTE, Frames, one_frame
+from dbc.frame import Frames, one_frame, received
 from dbc.program import FlashError, Program, ProgramControl
 from gateway.sdo import (
     Download,
@@ -124,8 +124,7 @@ class ProgramUpdate:
 
     def take(self, arrived: Frames, now_s: float) -> None:
         """Use received frames."""
-        plain = arrived[arrived["flags"] & (ERROR | REMOTE | EXTENDED | ECHO) == 0]
-        for each in plain:
+        for each in received(arrived):
             if self.done:
                 return
             can_id, data = int(each["can_id"]), each["data"][: each["length"]].tobytes()

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 from cyclopts import Parameter
 
 from bus.link import Link
-from bus.options import BusOptions, open_channels, open_links
+from bus.options import BusOptions, closing_links, open_channels, open_links
 from canskin.errors import InputError, RunError
 from dbc.canopen import identifier_text
 from gateway.scan import Scan
@@ -16,6 +16,7 @@ from gateway.talk import take_turn
 from shell.service import StopSignal, say
 from shell.terminal import Json, print_json, print_table
 from skin.layout import BITRATE_MAX, load_layout
+from skin.ranges import require_above_zero
 
 
 def scan(
@@ -57,8 +58,7 @@ def scan(
     skin scan -i socketcan -c can0 can1 --listen --seconds 10
     skin scan -c bus0 --json
     """
-    if not 0 < seconds < float("inf"):
-        raise InputError(f"expected a finite number of seconds above 0, got {seconds:g}")
+    require_above_zero("--seconds", seconds)
     options, stop = can or BusOptions(), StopSignal().install()
     if layout is not None:
         if (bitrate or data_bitrate) is not None:
@@ -73,7 +73,7 @@ def scan(
         rates = dict.fromkeys(links, bitrate)
     else:
         raise InputError("expected -c with the channels of the buses, or --layout")
-    try:
+    with closing_links(links):
         say("scan", f"listening for {seconds:g} s")
         for link in links.values():
             link.receive()  # what came while later links were opened
@@ -82,9 +82,6 @@ def scan(
             name: Scan(link.send, rates[name], now_s, listen_s=seconds, asks=not listen) for name, link in links.items()
         }
         _run(links, scans, stop)
-    finally:
-        for link in links.values():
-            link.close()
     found = [_about(name, each) for name, each in scans.items()]
     if json:
         print_json(found)

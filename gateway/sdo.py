@@ -71,11 +71,12 @@ class Write:
 
 @dataclass(frozen=True)
 class Download:
-    """Download of any length: in blocks with CRC, or in segments to a node without block transfer."""
+    """Download of any length: in blocks with CRC, or in segments, also to a node without block transfer."""
 
     index: int
     subindex: int
     data: bytes
+    in_blocks: bool = True
 
 
 Transfer = Read | Write | Download
@@ -282,7 +283,8 @@ class SdoDialogue:
         to = self._transfer
         if isinstance(to, Download):
             place = to.index.to_bytes(2, "little") + bytes((to.subindex,))
-            self._requests = _in_segments(place, to.data) if self._in_segments else _in_blocks(place, to.data)
+            begin = _in_blocks if to.in_blocks and not self._in_segments else _in_segments
+            self._requests = begin(place, to.data)
             self._waiting = deque(next(self._requests))
             self._send_waiting(now_s)
         else:

@@ -1,10 +1,10 @@
 """Commissioning of boards whose places nobody knows: a touch on a board tells where it sits.
 
-All boards without node-ID get one of the node-IDs that are free, for a while. PRE-OPERATIONAL, they tell their sums,
-and the user touches one place after the other. The board that is touched stores the node-ID of the place by LSS, and
-takes it with the next reset: until all places are done, no board has to be found anew, and a run that is stopped
-loses nothing. While the finger stays, the board is in the state LSS configuration, in which its LED flickers. It
-stores the node-ID when the finger has been lifted.
+All boards without node-ID get one of the node-IDs that are free, for a while. PRE-OPERATIONAL, they tell counts of
+their taxels, and the user touches one place after the other. The board that is touched stores the node-ID of the place
+by LSS, and takes it with the next reset: until all places are done, no board has to be found anew, and a run that is
+stopped loses nothing. While the finger stays, the board is in the state LSS configuration, in which its LED flickers.
+It stores the node-ID when the finger has been lifted.
 """
 
 from collections.abc import Callable, Generator, Sequence
@@ -24,6 +24,7 @@ from dbc.canopen import (
     Lss,
     NmtCommand,
 )
+from dbc.configuration import SAMPLED_S
 from dbc.contract import Contract, NodeContract
 from dbc.dictionary import REVISION
 from gateway.commissioning import Board, Commissioning
@@ -42,7 +43,7 @@ from gateway.lss_steps import (
     TroubleError,
     lss_request,
 )
-from gateway.sdo import Dialogue, Read, SdoError
+from gateway.sdo import Dialogue, Read, SdoAbortedError, SdoError, Transfer
 from gateway.touch_sensing import TouchSensing, map_of
 from skin.surface import Floats, Indices
 from skin.sync_counter import next_counter
@@ -55,13 +56,11 @@ AWAY_S: Final = 2.0
 HELD_ROUNDS: Final = 3
 #: Longest wait for a touch on a place: from map to skin.
 PATIENCE_OF_TOUCH_S: Final = 60.0
-#: Shortest time between a SYNC and the first request: that of a board to read its taxels.
-SAMPLED_S: Final = 0.002
 #: Taxels around the middle of a board, and part of them that has to be its own.
 NEAREST: Final = 5
 LEAST_OWN: Final = 0.5
-#: Sums that are read of a board.
-MOST_SUMS: Final = 8
+#: Counts or sums that are read of a board, about: every n-th, n odd, so that they are not those of one column.
+READ_OF_BOARD: Final = 16
 
 
 def require_patches(contract: Contract) -> None:
@@ -150,7 +149,6 @@ class TouchCommissioning(Commissioning):
         device = self._contract.layout.device
         mine = device.vendor_id, device.product_code
         free = [board.node for board in self.boards.values() if not board.is_begun]
-        free.sort(key=lambda node: not node.sums)
         # To select the serial numbers of the layout takes less time than a fastscan.
         likely = [(*mine, REVISION, board.serial) for board in self.boards.values()]
         yield from self._lend_some([each for each in likely if each not in numbered], free, is_sure=False)
@@ -215,8 +213,6 @@ class TouchCommissioning(Commissioning):
 
     def _touch(self, board: Board, sensing: TouchSensing) -> Steps:
         """Wait for a touch on a place, and give the board there the node-ID of the place."""
-        if not board.node.sums:
-            raise TroubleError("sends no sums: no touch on it can be felt. Give the node-ID by its serial number")
         self._ask_for(board.node)
         until_s = self._now_s + self._patience_s
         while True:
@@ -265,19 +261,17 @@ class TouchCommissioning(Commissioning):
         return None
 
     def _round(self) -> Generator[Step, Answer, dict[int, Floats]]:
-        """Let the boards sample, and return the sums of each, counts; a board that is silent is named once."""
+        """Let the boards sample, and return what each tells, counts; a board that is silent is named once."""
         self._counter = next_counter(self._counter)
         (sync,) = self._contract.sync(self._counter)
         data = sync["data"][: sync["length"]].tobytes()
         yield Ask(SYNC_COB_ID, data, wait_s=max(SAMPLED_S, self._contract.layout.sync.period_s))
         asked = {*self._lent} | {node_id for node_id, board in self.boards.items() if board.is_complete}
-        nodes = [self.boards[node_id].node for node_id in sorted(asked)]
-        came = yield Talk({node.node_id: _read_sums(self._contract, node) for node in nodes if node.sums})
+        came = yield Talk({each: _read_touch(self._contract, self.boards[each].node) for each in sorted(asked)})
         told: dict[int, Floats] = {}
         for node_id, talked in cast("dict[int, Talked]", came).items():
             if talked.dialogue.error is None:
-                raw = np.array(talked.dialogue.result, np.int32)
-                told[node_id] = self._contract.packing.counts(raw).astype(np.float64)
+                told[node_id] = np.array(talked.dialogue.result, np.float64)
             elif node_id in self._lent:
                 address = self._lent.pop(node_id)
                 if node_id not in self._placed:
@@ -330,14 +324,29 @@ def _taxels(contract: Contract, node: NodeContract) -> Indices:
     return taxels[taxels < contract.layout.taxels.count]
 
 
-def _read_sums(contract: Contract, node: NodeContract) -> Dialogue:
-    """Read some sums of a node, evenly chosen: raw values."""
-    counts = np.diff(contract.phi.starts[node.block : node.block + node.blocks + 1])
-    sums = [(place, k + 1) for place, count in enumerate(counts.tolist()) for k in range(count)]
-    raw = []
-    for place, subindex in sums[:: -(-len(sums) // MOST_SUMS)]:
-        value = yield Read(od.of_block(od.SUMS, place), subindex)
+def _read_touch(contract: Contract, node: NodeContract) -> Dialogue:
+    """Read some counts of a node (2012h), of a board without counts some sums (2100h).
+
+    A finger as wide as the board leaves most sums as they were, and changes those of its neighbours.
+    """
+    try:
+        return (yield from _read_some(od.COUNTS, [contract.phi.block_size] * node.blocks, is_signed=False))
+    except SdoAbortedError:
+        starts = contract.phi.starts[node.block : node.block + node.blocks + 1]
+        raw = yield from _read_some(od.SUMS, np.diff(starts).tolist(), is_signed=node.packing.is_signed)
+    return node.packing.counts(np.array(raw, np.int32))
+
+
+def _read_some(index: int, counts: Sequence[int], *, is_signed: bool) -> Generator[Transfer, bytes, list[int]]:
+    """Read some of the numbers of the blocks of a node: `counts` tells how many each block has."""
+    there = [(place, k + 1) for place, count in enumerate(counts) for k in range(count)]
+    if not there:
+        raise SdoError("tells neither counts of taxels (2012h) nor sums (2100h)")
+    numbers = []
+    for place, subindex in there[:: len(there) // READ_OF_BOARD | 1]:
+        read = Read(od.of_block(index, place), subindex)
+        value = yield read
         if not 1 <= len(value) <= 2:
-            raise SdoError(f"sum {subindex} has {len(value)} bytes, expected 1 or 2")
-        raw.append(int.from_bytes(value, "little", signed=not node.packing.offset))
-    return raw
+            raise SdoError(f"object {read.index:04X}h:{subindex} has {len(value)} bytes, expected 1 or 2")
+        numbers.append(int.from_bytes(value, "little", signed=is_signed))
+    return numbers

@@ -1,4 +1,4 @@
-"""Which of several boards is touched, by the sums (2100h) that they tell while they are PRE-OPERATIONAL."""
+"""Which of several boards is touched, by the counts (2012h) or sums that they tell while they are PRE-OPERATIONAL."""
 
 from collections.abc import Mapping, Sequence
 from typing import Final
@@ -7,26 +7,26 @@ import numpy as np
 
 from skin.surface import Floats, Indices
 
-#: Least change of the sums of a board that is touched, root mean square: in standard deviations of their noise, as
-#: part of the range of a taxel, and in largest rounding errors. The largest of the three counts.
+#: Least change of the counts of a board that is touched, root mean square: in standard deviations of their noise, as
+#: part of the range of a taxel, and in largest rounding errors of sums. The largest of the three counts.
 LEAST_DEVIATIONS: Final = 8.0
 LEAST_PART: Final = 0.02
 LEAST_ROUNDINGS: Final = 4.0
 #: Of several boards that change, those are touched whose change is at least this part of the largest.
 PART_OF_LARGEST: Final = 0.5
-#: Part of the difference by which the sums without touch follow in a round: zeros drift.
+#: Part of the difference by which the counts without touch follow in a round: zeros drift.
 LEARNING_GAIN: Final = 0.05
 #: Most columns and rows of a map.
 MOST_CELLS: Final = (60, 20)
 
 
 class TouchSensing:
-    """Compares the sums of boards with those without touch.
+    """Compares the counts of boards with those without touch.
 
     Parameters
     ----------
     rest : sequence of mapping of int to array
-        Rounds without touch: the sums of each board, counts, by node-ID. A board has to be in all of them.
+        Rounds without touch: counts of taxels or of sums of each board, by node-ID. A board has to be in all of them.
     count_max : int
         Largest ADC count of a taxel.
     rounding_counts : int
@@ -44,7 +44,7 @@ class TouchSensing:
         }
 
     def touched(self, told: Mapping[int, Floats]) -> tuple[int, ...]:
-        """Return the node-IDs of the boards that are touched in a round; the others' sums without touch are learned."""
+        """Return the node-IDs of the boards that are touched in a round; learn the others' counts without touch."""
         changes = {node_id: told[node_id] - mean for node_id, mean in self._mean.items() if node_id in told}
         sizes = {node_id: float(np.sqrt((each**2).mean())) for node_id, each in changes.items()}
         for node_id, size in sizes.items():

@@ -4,7 +4,7 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from bus.options import BusOptions, open_links
+from bus.options import BusOptions, closing_links, open_links
 from canskin.errors import InputError, RunError
 from dbc.program import Program
 from gateway.program_update import ProgramUpdate
@@ -44,8 +44,7 @@ def update_nodes(
         return lambda node, text: say("node update", f"{skin.bus[bus].name} node {node}: {text}")
 
     stop = StopSignal().install()
-    links = open_links(skin, can, buses, name="node update", stop=stop)
-    try:
+    with closing_links(open_links(skin, can, buses, name="node update", stop=stop)) as links:
         updates = {
             bus: ProgramUpdate(
                 program,
@@ -60,9 +59,6 @@ def update_nodes(
             take_turn(links, updates)
         for each in updates.values():
             each.give_up()
-    finally:
-        for link in links.values():
-            link.close()
     _show(skin, program, updates, as_json=as_json)
     if stop.is_set():
         raise RunError("stopped: boards keep their old programs; 'skin node update' again completes it")

@@ -5,14 +5,16 @@ import math
 import msgspec
 import numpy as np
 
-from canskin.messages import Contact, Contacts, GatewayStatus, Image, Label, Truth
+from canskin.messages import Contact, Contacts, GatewayStatus, Image, Label, Mark, Truth, is_label
 from skin.layout import Layout
 from skin.wall_times import END_NS
 
 FLOAT_BYTES = 4
+#: Numbers of contacts end here: the clouds of ROS 2 have float32.
+FLOAT_MAX = float(np.finfo(np.float32).max)
 #: Most contacts of a message that the page shows.
 MOST_CONTACTS = 256
-#: Numbers of contacts end here: the clouds of ROS 2 have uint32.
+#: Identities of contacts end here: the clouds of ROS 2 have uint32.
 IDENTITY_END = 2**32
 #: Numbers of cycles end here: Rerun has int64.
 CYCLE_END = 2**63
@@ -22,12 +24,14 @@ def fits(message: msgspec.Struct, layout: Layout) -> bool:
     """Tell whether a message has this skin's sizes, and only numbers that programs can show.
 
     Images and truths: finite forces of this skin's taxels; times and cycles in range. Contacts: centres on this skin,
-    finite forces, numbers in range. Labels: a confidence of 0 to 1. Counters of the gateway: a state of each node.
+    finite forces, numbers in range. Labels: a confidence of 0 to 1. Marks: a name that an object can have. Counters of
+    the gateway: a state of each node.
     """
     match message:
         case Image():
             return (
                 len(message.valid) == layout.blocks
+                and len(message.doubtful) in {0, (layout.taxels.count + 7) // 8}
                 and _pixels_fit(message.pixels, layout)
                 and math.isfinite(message.solve_s)
                 and _moment_fits(message)
@@ -48,15 +52,16 @@ def fits(message: msgspec.Struct, layout: Layout) -> bool:
             loads = (load for bus in message.buses for load in (bus.load_ratio, bus.mean_load_ratio))
             has_states = all(len(bus.nmt) == len(bus.nodes) for bus in message.buses)
             return has_states and all(map(math.isfinite, (message.sync_rate_hz, *loads)))
-    return True
+    return not isinstance(message, Mark) or is_label(message.label)
 
 
 def _contact_fits(contact: Contact, layout: Layout) -> bool:
     taxels = layout.taxels
+    floats = contact.force_n, contact.peak_n, *contact.position_m, *contact.normal
     return (
         0 <= contact.row < taxels.rows
         and 0 <= contact.column < taxels.columns
-        and all(map(math.isfinite, (contact.force_n, contact.peak_n, *contact.position_m, *contact.normal)))
+        and all(abs(each) <= FLOAT_MAX for each in floats)
         and 0 <= contact.identity < IDENTITY_END
         and 0 <= contact.taxels <= taxels.count
         and 0 <= contact.invalid_taxels <= taxels.count

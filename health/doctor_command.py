@@ -19,6 +19,7 @@ from canskin.peers import REAL_TIME
 from shell.service import StopSignal, request_real_time, way_to_real_time
 from shell.terminal import Json, print_json, print_table
 from skin.layout import load_layout
+from skin.ranges import require_above_zero
 
 SECONDS_MAX: Final = 3600.0
 #: Clock sources that the kernel reads from a slow device, or that count ticks of the timer.
@@ -77,8 +78,7 @@ def doctor(
     del subject  # cyclopts refuses any other
     if sys.platform != "linux":
         raise InputError(f"expected Linux, got {sys.platform}: run 'skin doctor time' on the gateway's host")
-    if not 0 < seconds <= SECONDS_MAX:
-        raise InputError(f"--seconds: expected above 0 to {SECONDS_MAX:g} s, got {seconds:g}")
+    require_above_zero("--seconds", seconds, SECONDS_MAX)
     period_s = load_layout(layout).sync.period_s
     scheduling = request_real_time("doctor")
     late_s = wake_ups(period_s, seconds, StopSignal().install())

@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import msgspec
 
-from canskin.errors import BusError, InputError
+from canskin.errors import BusError
 from canskin.fabric import Fabric
 from canskin.messages import GATEWAY, IMAGE, LABEL, MEASUREMENT, TRUTH, GatewayStatus, NmtState, Topic
 from canskin.peers import Peer
@@ -16,6 +16,7 @@ from canskin.session import DEFAULT_ENDPOINT, peers_at
 from shell.skin_options import PATIENCE_S, hub_layout
 from shell.terminal import Json, print_json, print_table
 from skin.layout import Layout
+from skin.ranges import require_above_zero
 
 #: What the services send, from which their rates are counted.
 SENT: Final[dict[str, Topic]] = {
@@ -57,8 +58,7 @@ def list_(*, connect: str = DEFAULT_ENDPOINT, seconds: float = 1.0, json: Json =
     skin list
     skin list --connect tcp/10.0.0.5:7447 --json
     """
-    if not 0 < seconds <= SECONDS_MAX:
-        raise InputError(f"--seconds: expected above 0 to {SECONDS_MAX:g} s, got {seconds:g}")
+    require_above_zero("--seconds", seconds, SECONDS_MAX)
     peers = sorted(peers_at(connect, PATIENCE_S, bool, "--connect"), key=lambda peer: (peer.skin, peer.service))
     if not peers:
         raise BusError(f"no service at {connect}: start 'skin gateway', or give another --connect")

@@ -33,11 +33,6 @@ class Patches:
             held = np.bincount(phi.block_of_taxel[region.taxels & phi.is_wired], minlength=phi.blocks)
             self._of_blocks[number] = held * phi.has_sums / region.taxels.sum()
 
-    @property
-    def names(self) -> list[str]:
-        """Names of the regions, the whole skin first."""
-        return [each.name for each in self._regions]
-
     def total_n(self, image: Image) -> float | None:
         """Return the force on the whole skin, newtons; None if nothing was measured."""
         return float(np.frombuffer(image.pixels, "<f4") @ self._inside[0]) if image.valid_sums else None

@@ -6,17 +6,20 @@ from typing import Final, Generic, NamedTuple, TypeVar
 import msgspec
 import numpy as np
 
+from canskin.connection import RECORDER
 from canskin.messages import (
     CONTACTS,
     GATEWAY,
     IMAGE,
     LABEL,
+    MARK,
     NODES,
     TRUTH,
     Contacts,
     GatewayStatus,
     Image,
     Label,
+    Mark,
     NodesStatus,
     Truth,
 )
@@ -47,7 +50,7 @@ from skin.layout import Layout
 from skin.psnr import adds_noise, psnr_db
 
 #: What a `ViewState` takes.
-TOPICS: Final = (IMAGE, CONTACTS, TRUTH, LABEL, GATEWAY, NODES)
+TOPICS: Final = (IMAGE, CONTACTS, TRUTH, LABEL, MARK, GATEWAY, NODES)
 #: Images, contacts, labels and truths older than this are stale.
 FRESH_S: Final = 0.5
 #: Counters older than this are stale; the gateway and the nodes publish theirs five times a second.
@@ -94,6 +97,8 @@ class Moment(NamedTuple):
         Frames with sums that did not come, since the start of the gateway.
     label : str or None
         Empty without contact.
+    mark : str or None
+        What touches the skin, as the newest mark says; empty where that says nothing.
     contacts : list of (int, float), or None
         Identity and force in newtons of each contact.
     """
@@ -103,6 +108,7 @@ class Moment(NamedTuple):
     load_ratio: float | None
     missing: int | None
     label: str | None
+    mark: str | None
     contacts: list[tuple[int, float]] | None
 
 
@@ -129,6 +135,7 @@ class ViewState:
         self._contacts: Last[Contacts] | None = None
         self._truth: Last[Truth] | None = None
         self._label: Last[Label] | None = None
+        self._mark: Mark | None = None
         self._gateway: Last[GatewayStatus] | None = None
         self._nodes: dict[str, Last[NodesStatus]] = {}
         self._services: dict[str, Service] = {}
@@ -158,6 +165,8 @@ class ViewState:
                 self._keep(self._pairing.take_truth(message), now_s)
             case Label():
                 self._label = Last(message, now_s)
+            case Mark():
+                self._mark = message
             case GatewayStatus():
                 self._gateway = Last(message, now_s)
                 self._troubles.take(message, now_s)
@@ -212,10 +221,13 @@ class ViewState:
         if peer.skin == self._layout.name:
             there = any(each.skin == peer.skin and each.service == peer.service for each in self._peers.values())
             self.take_service(peer.service, there, now_s)
+            if peer.service == RECORDER and not there:
+                self._mark = None  # nobody keeps it
 
-    def running(self, service: str) -> int:
-        """Return how many services of this name the skin has."""
-        return sum((each.skin, each.service) == (self._layout.name, service) for each in self._peers.values())
+    def running(self, service: str) -> set[str]:
+        """Return the services of this name that the skin has, each as `canskin.peers.Peer.instance`."""
+        name = self._layout.name, service
+        return {each.instance for each in self._peers.values() if (each.skin, each.service) == name}
 
     def snapshot(self, now_s: float, undecodable: int = 0, *, is_single: bool = False) -> tuple[Snapshot, Pictures]:
         """Return snapshot and pictures at `now_s`; `undecodable` messages count as ignored.
@@ -328,6 +340,7 @@ class ViewState:
             load_ratio=gateway and max((bus.load_ratio for bus in gateway.message.buses), default=None),
             missing=gateway and gateway.message.frames.missing,
             label=label.message.label if label is not None and is_labelled else None,
+            mark=None if self._mark is None else self._mark.label,
             contacts=contacts and [(each.identity, each.force_n) for each in contacts.message.contacts],
         )
 

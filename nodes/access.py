@@ -39,7 +39,7 @@ def check_write(node: LocalNode, index: int, subindex: int, value: float) -> Non
         _emcy(node, int(value))
     elif index == od.CONSUMER_HEARTBEAT:
         _consumer_heartbeat(node, subindex, int(value))
-    elif (rule := _VALUES.get(_first_block(index))) is not None and not rule(value):
+    elif (rule := _VALUES.get(od.split_block(index)[1])) is not None and not rule(value):
         raise SdoAbortedError(Abort.NOT_STORED if index in (od.STORE, od.RESTORE) else Abort.VALUE)
     elif index == od.REFRESH and value >= 1 << node.unsigned(od.FINE, 0):  # a bit for each group
         raise SdoAbortedError(Abort.VALUE)
@@ -49,21 +49,17 @@ def check_write(node: LocalNode, index: int, subindex: int, value: float) -> Non
 
 def is_storable(index: int, data_type: int | None, data: bytes) -> bool:
     """Tell whether a stored value fits an object that can be written; test patterns and refreshes cannot be stored."""
-    if index in (od.STORE, od.RESTORE, od.ERROR_FIELD) or _first_block(index) in _ORDERS:
+    if index in (od.STORE, od.RESTORE, od.ERROR_FIELD) or od.split_block(index)[1] in _ORDERS:
         return False
     if len(data) * 8 != od.BITS.get(data_type or 0):
         return False
-    rule = _VALUES.get(_first_block(index))
+    rule = _VALUES.get(od.split_block(index)[1])
     return rule is None or rule(number(data_type, data))
 
 
 def number(data_type: int | None, data: bytes) -> float:
     """Return the value of an object's bytes; whole numbers as unsigned."""
     return float(struct.unpack("<f", data)[0]) if data_type == od.REAL32 else int.from_bytes(data, "little")
-
-
-def _first_block(index: int) -> int:
-    return od.split_block(index)[1] if index >= od.MANUFACTURER else index
 
 
 def _is_noise(value: float) -> bool:

@@ -302,10 +302,9 @@ class SkinNode:
         return self._signatures[index]
 
     def _value(self, setting: Setting) -> bytes:
-        if setting.index >= od.MANUFACTURER:
-            place, first = od.split_block(setting.index)
-            if first == od.TEST_PATTERN:
-                return bytes((self._hardware.pattern(self.contract.block + place),))
+        place, first = od.split_block(setting.index)
+        if first == od.TEST_PATTERN:
+            return bytes((self._hardware.pattern(self.contract.block + place),))
         return self.local.get_data(setting.index, setting.subindex)
 
     def _read_health(self, subindex: int) -> int | None:

@@ -10,6 +10,7 @@ factor ½. In this convention the paper's tables follow with the printed λ = 1 
 """
 
 from collections.abc import Callable
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -23,6 +24,7 @@ from skin.ranges import require_above_zero, require_number
 
 #: Called with the number of the iteration, from 1, and the estimate after it.
 Observer = Callable[[int, Values], None]
+_RELATIVE_ERROR: Final = 1e-4
 
 
 def soft(values: Values, threshold: float) -> Values:
@@ -80,14 +82,13 @@ def fista(
     return estimate
 
 
-def largest_eigenvalue(phi: Operator, psi: Basis, relative_error: float = 1e-4) -> float:
-    """Return the largest eigenvalue of (ΦΨ)ᵀΦΨ, from above by `relative_error` (Lanczos).
+def largest_eigenvalue(phi: Operator, psi: Basis) -> float:
+    """Return the largest eigenvalue of (ΦΨ)ᵀΦΨ, from above by 1e-4 of it (Lanczos).
 
     Computed from ΦΨΨᵀΦᵀ, a smaller matrix with the same eigenvalue. Leaving out rows of Φ never increases the
     eigenvalue, so it is a valid L for every mask.
     """
     check_sizes(phi, psi)
-    require_above_zero("the relative error", relative_error)
 
     def gram(y: Values) -> Values:
         image = phi.adjoint(y).reshape(psi.image_shape)
@@ -98,8 +99,8 @@ def largest_eigenvalue(phi: Operator, psi: Basis, relative_error: float = 1e-4) 
         return float(gram(np.ones(1))[0])
     start = np.random.default_rng(0).normal(size=size)
     operator = LinearOperator((size, size), matvec=gram, dtype=np.float64)
-    (value,) = eigsh(operator, k=1, tol=relative_error / 10, v0=start, return_eigenvectors=False)
-    return float(value) * (1 + relative_error)
+    (value,) = eigsh(operator, k=1, tol=_RELATIVE_ERROR / 10, v0=start, return_eigenvectors=False)
+    return float(value) * (1 + _RELATIVE_ERROR)
 
 
 def check_sizes(phi: Operator, psi: Basis) -> None:

@@ -1,7 +1,7 @@
 """The sums of every cycle: of a CAN log, decoded by the gateway's loop, of a recording of forces, or of a file."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from canskin.errors import InputError
-from canskin.messages import FrameCounts, Measurement
+from canskin.messages import MEASUREMENT, CycleMeasurement, FrameCounts, Measurement
 from dbc.canopen import SYNC_COB_ID
 from dbc.contract import Contract
 from dbc.frame import Frames
@@ -19,7 +19,9 @@ from nodes.analogue import AnalogueElectronics
 from nodes.electronics import Electronics
 from skin.layout import Layout
 from skin.matrix import MatrixPhi
-from skin.measured_sums import used_blocks, used_sums
+from skin.mcap_file import Warn, read_messages, wall_offset_ns
+from skin.measured_sums import check_measurement, used_blocks, used_sums
+from skin.measurement import Phi
 from touch.sources import recording
 
 #: The array of an .npz of sums, and those that may stand beside it.
@@ -81,12 +83,28 @@ def decode_log(
             f'the log holds no SYNC {length} (COB-ID {SYNC_COB_ID:02X}h, sync.identity = "{identity}" of the layout): '
             "it cannot be cut into cycles"
         )
+    return _of_measurements(made, contract.phi), part.status.frames
+
+
+def recorded_cycles(contract: Contract, path: Path, warn: Warn) -> Cycles:
+    """Return the cycles of a recording by its measurements, with two states those of images; times as of its frames."""
+    phi = contract.phi
+    read = [each.message for each in read_messages(path, [MEASUREMENT], warn)]
+    made = [check_measurement(each, phi, CycleMeasurement) for each in read if each.fingerprint == phi.fingerprint]
+    if not made:
+        why = "they are of another Φ: is this the skin's layout?" if read else "there is nothing to rebuild"
+        raise InputError(f"{path}: holds neither frames nor measurements of images of '{contract.layout.name}': {why}")
+    cycles = _of_measurements(made, phi)
+    return replace(cycles, time_ns=cycles.time_ns + wall_offset_ns(path))
+
+
+def _of_measurements(made: Sequence[Measurement], phi: Phi) -> Cycles:
     counts = np.stack([np.frombuffer(each.sums, "<i4") for each in made])
-    valid, valid_sums = (np.stack([of(each, contract.phi) for each in made]) for of in (used_blocks, used_sums))
+    valid, valid_sums = (np.stack([of(each, phi) for each in made]) for of in (used_blocks, used_sums))
     time_ns, cycle = (
         np.array(each, np.int64) for each in zip(*((m.sampled_mono_ns, m.cycle) for m in made), strict=True)
     )
-    return Cycles(counts, valid, valid_sums, time_ns, cycle), part.status.frames
+    return Cycles(counts, valid, valid_sums, time_ns, cycle)
 
 
 def read_sums(layout: Layout, path: Path) -> Cycles:

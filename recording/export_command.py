@@ -2,15 +2,16 @@
 
 import csv
 import io
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
+from typing import TYPE_CHECKING, Annotated, Any, BinaryIO, Final, Literal
 
 import msgspec
 import numpy as np
 from cyclopts import Parameter
 
-from canskin.errors import InputError, RunError
+from canskin.errors import InputError, RunError, reasoned
 from dbc.dictionary import REVISION
 from dbc.program import VERSION_BYTES, Program, is_version
 from nodes.firmware.export import write_firmware
@@ -118,10 +119,8 @@ def _export_program(binary: Path | None, layout: Path | None, release: str | Non
         raise InputError("skin export program: expected a binary file, --release VERSION and --out FILE")
     if not is_version(release):
         raise InputError(f"--release: expected 1 to {VERSION_BYTES} printable characters of ASCII, got '{release}'")
-    try:
+    with reasoned(InputError, f"{binary}: cannot read the program"):
         data = binary.read_bytes()
-    except OSError as error:
-        raise InputError(f"{binary}: cannot read the program: {error.strerror or error}") from error
     if not data:
         raise InputError(f"{binary}: expected a compiled program, got an empty file")
     check_new_path(out, "program")
@@ -136,6 +135,9 @@ def _export_recording(source: Path, to: Format, out: Path | None) -> None:
     if source.suffix.lower() != RECORDING_SUFFIX or not source.is_file():
         raise InputError(f"{source}: expected a recording of 'skin record' (.mcap)")
     path = out or source.with_name(source.stem + _SUFFIXES[to])
+    of_others = {suffix for other, suffix in _SUFFIXES.items() if suffix and other != to}
+    if path.suffix.lower() in of_others:
+        raise InputError(f"{path}: --to {to} writes no '{path.suffix}': expected another --to, or another suffix")
     if to == "video":
         _export_video(source, path)
         return
@@ -154,10 +156,8 @@ def _export_recording(source: Path, to: Format, out: Path | None) -> None:
     layout = load_layout(source)
     tables = read_tables(source, layout, lambda line: say("export", line))
     metadata = {"format": "canskin arrays 1", "source": source.name, **about.metadata, "layout": layout_text(layout)}
-    try:
+    with reasoned(RunError, f"{path}: the arrays cannot be written"):
         written = save(path, tables, metadata)
-    except OSError as error:
-        raise RunError(f"{path}: the arrays cannot be written: {error.strerror or error}") from error
     counts = ", ".join(f"{len(next(iter(table.values())))} {name}" for name, table in tables.named().items())
     say("export", f"{counts} in {', '.join(map(str, written))}")
 
@@ -168,10 +168,8 @@ def _export_video(source: Path, path: Path) -> None:
     require_libraries()
     check_new_path(path, "video", _SUFFIXES["video"])
     layout = load_layout(source)
-    try:
+    with reasoned(RunError, f"{path}: the video cannot be written"):
         made = save_video(path, source, layout, lambda line: say("export", line))
-    except OSError as error:
-        raise RunError(f"{path}: the video cannot be written: {error.strerror or error}") from error
     say(
         "export",
         f"{made.images} images in {made.seconds:.2f} s of {path}, gaps: {made.gaps}, colours from 0 to"
@@ -187,7 +185,7 @@ def _save_view(source: Path, path: Path, to: Format) -> None:
     def warn(line: str) -> None:
         say("export", line)
 
-    try:
+    with reasoned(RunError, f"{path}: cannot be written"):
         if to == "ros2":
             from views.ros2.bag import write_bag
 
@@ -196,8 +194,6 @@ def _save_view(source: Path, path: Path, to: Format) -> None:
             from views.show.recording import write_view
 
             made = f"{write_view(source, path, layout, to == 'rerun', warn)} images"
-    except OSError as error:
-        raise RunError(f"{path}: cannot be written: {error.strerror or error}") from error
     say("export", f"{made} in {path}")
 
 
@@ -225,22 +221,35 @@ def _save_hdf5(path: Path, tables: "Tables", metadata: Mapping[str, str]) -> lis
 
 
 def _save_csv(path: Path, tables: "Tables", _metadata: Mapping[str, str]) -> list[Path]:
-    written = []
+    parts = {}
     for name, table in tables.named().items():
         grids = [column for column in table if column in _GRIDS]
         for column in grids or [""]:
-            target = path.with_name(f"{path.stem}-{column if column in ('true', 'sensor') else name}{path.suffix}")
-            check_new_path(target, "table")
-            with replacing(target) as file:
-                text = io.TextIOWrapper(file, "utf-8", newline="")
-                if column:
-                    text.writelines(_grid_lines(table, column))
-                else:
-                    _write_rows(text, table)
-                text.flush()
-                text.detach()
-            written.append(target)
-    return written
+            part = column if column in {"true", "sensor"} else name
+            parts[part] = partial(_write_csv, table, column)
+    return _save_parts(path, parts)
+
+
+def _write_csv(table: "Table", column: str, file: BinaryIO) -> None:
+    """Write a table, or its column of images."""
+    text = io.TextIOWrapper(file, "utf-8", newline="")
+    if column:
+        text.writelines(_grid_lines(table, column))
+    else:
+        _write_rows(text, table)
+    text.flush()
+    text.detach()
+
+
+def _save_parts(path: Path, parts: Mapping[str, Callable[[BinaryIO], None]]) -> list[Path]:
+    """Write a file for each part, unless any of them is there already."""
+    targets = {path.with_name(f"{path.stem}-{name}{path.suffix}"): write for name, write in parts.items()}
+    for target in targets:
+        check_new_path(target, "table")
+    for target, write in targets.items():
+        with replacing(target) as file:
+            write(file)
+    return [*targets]
 
 
 def _grid_lines(table: "Table", column: str) -> Iterator[str]:
@@ -269,20 +278,18 @@ def _write_rows(text: io.TextIOWrapper, table: "Table") -> None:
 def _save_parquet(path: Path, tables: "Tables", metadata: Mapping[str, str]) -> list[Path]:
     from pyarrow import parquet
 
-    arrow, written = _pyarrow(), list[Path]()
-    for name, table in tables.named().items():
-        target = path.with_name(f"{path.stem}-{name}{path.suffix}")
-        check_new_path(target, "table")
+    arrow = _pyarrow()
+
+    def write(table: "Table", file: BinaryIO) -> None:
         rows = {
             column: arrow.array(values)
             if values.ndim == 1
             else arrow.FixedSizeListArray.from_arrays(arrow.array(values.ravel()), int(np.prod(values.shape[1:])))
             for column, values in table.items()
         }
-        with replacing(target) as file:
-            parquet.write_table(arrow.table(rows).replace_schema_metadata(metadata), file)
-        written.append(target)
-    return written
+        parquet.write_table(arrow.table(rows).replace_schema_metadata(metadata), file)
+
+    return _save_parts(path, {name: partial(write, table) for name, table in tables.named().items()})
 
 
 def _pyarrow() -> Any:

@@ -3,6 +3,7 @@
 import time
 from collections.abc import Callable
 from dataclasses import asdict, replace
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -15,7 +16,7 @@ from bus.options import Channels
 from calibration.calibrator import Tare
 from calibration.offline import OffsetSource, calibrated_cycles, make_calibrator
 from calibration.recorded import RecordedOffsets
-from canskin.errors import InputError, RunError
+from canskin.errors import InputError, RunError, reasoned
 from canskin.messages import IMAGE, FrameCounts
 from dbc.contract import Contract
 from reconstructor.engine import reconstruct
@@ -23,16 +24,16 @@ from reconstructor.gains import KnownGains
 from reconstructor.imaging import Imager, load_gains, make_imager
 from reconstructor.options import SolverOptions
 from recording.answers import same_pixels
-from recording.cycles import SUMS, Cycles, decode_log, measure_forces, read_sums
+from recording.cycles import SUMS, Cycles, decode_log, measure_forces, read_sums, recorded_cycles
 from recording.step_kinds import MeasurementStep
-from recording.steps import frames_of_log, steps_of
+from recording.steps import frames_of_log, has_frames, steps_of
 from shell.output import check_new_path, replacing
 from shell.service import say
 from shell.terminal import progress
 from shell.touch_options import ArrayNames, FullScale
 from skin.layout import RECORDING_SUFFIX, Layout, load_layout, require_sending
-from skin.mcap_file import read_messages, recording_id, wall_offset_ns
-from skin.wall_times import recorded_clocks, recorded_wall_times
+from skin.mcap_file import read_messages, read_topics, recording_id, wall_offset_ns
+from skin.wall_times import nearest, recorded_clocks, recorded_wall_times
 from touch.reading import array_names
 
 #: ``--calibration none``: take nothing off.
@@ -74,9 +75,10 @@ def rebuild(
     Parameters
     ----------
     source
-        A CAN log (.mcap of ``skin record``, candump -l, .asc, .blf or any other that python-can reads); a recording
-        of forces: .npz, .npy or .csv of shape (time, rows, columns); or sums that a program has written: .npz with
-        ``sums``, counts, shape (cycles, sums), and what is known of ``valid``, ``cycle`` and ``time_ns``.
+        A CAN log: candump -l, .asc, .blf or any other that python-can reads; a recording (.mcap), by its measurements
+        where it has no frames, as those of the page; a recording of forces: .npz, .npy or .csv of shape (time, rows,
+        columns); or sums that a program has written: .npz with ``sums``, counts, shape (cycles, sums), and what is
+        known of ``valid``, ``cycle`` and ``time_ns``.
     out
         New .npz for the images: ``images`` float32 (cycles, rows, columns) in newtons, ``valid`` bool (cycles,
         blocks), ``time_ns`` and ``cycle`` int64 (cycles,), ``recording``, ``metadata`` JSON.
@@ -148,11 +150,8 @@ def rebuild(
     if source.suffix.lower() == RECORDING_SUFFIX:
         made = _numbered(skin, source, made)
     arrays: dict[str, Any] = made._asdict() | {"recording": np.array(recording_id(source))}
-    try:
-        with replacing(out) as file:
-            np.savez(file, **arrays, metadata=np.array(msgspec.json.encode(metadata).decode()))
-    except OSError as error:
-        raise RunError(f"{out}: the images cannot be written: {error.strerror or error}") from error
+    with reasoned(RunError, f"{out}: the images cannot be written"), replacing(out) as file:
+        np.savez(file, **arrays, metadata=np.array(msgspec.json.encode(metadata).decode()))
     say("rebuild", f"{len(made.images)} images written to {out}")
 
 
@@ -209,14 +208,12 @@ def _numbered(skin: Layout, source: Path, made: _Rebuilt) -> _Rebuilt:
     clocks = recorded_clocks(source)
     if not clocks:
         return made
-    wall, at_ns = recorded_wall_times(source, clocks), np.array([each.sampled_mono_ns for each in clocks], np.int64)
-    mono_ns, near_ns = made.time_ns - wall_offset_ns(source), 0.5e9 * skin.shortest_period_s
-    time_ns, cycle = made.time_ns.copy(), np.full(len(made.cycle), -1, np.int64)
-    for place, wanted_ns in enumerate(mono_ns):
-        nearest = int(np.argmin(np.abs(at_ns - wanted_ns)))
-        told_ns = wall.time_ns(int(at_ns[nearest]))
-        if abs(at_ns[nearest] - wanted_ns) < near_ns and told_ns is not None:
-            time_ns[place], cycle[place] = told_ns, clocks[nearest].cycle
+    at_ns, number = np.array([(each.sampled_mono_ns, each.cycle) for each in clocks], np.int64).T
+    told_ns = recorded_wall_times(source, clocks).times_ns(at_ns.tolist())
+    mono_ns = made.time_ns - wall_offset_ns(source)
+    place = nearest(at_ns, mono_ns)
+    is_told = (np.abs(at_ns[place] - mono_ns) < 0.5e9 * skin.shortest_period_s) & (told_ns[place] >= 0)
+    time_ns, cycle = np.where(is_told, told_ns[place], made.time_ns), np.where(is_told, number[place], -1)
     return made._replace(time_ns=time_ns, cycle=cycle)
 
 
@@ -225,10 +222,10 @@ def _compare(skin: Layout, source: Path, made: _Rebuilt) -> None:
     mono_ns, near_ns = made.time_ns - wall_offset_ns(source), round(0.5e9 * skin.sync.period_s)
     compared = equal = 0
     for _, _, shown in read_messages(source, [IMAGE], lambda _: None):
-        nearest = int(np.searchsorted(mono_ns, shown.sampled_mono_ns - near_ns))
-        if nearest < len(mono_ns) and abs(int(mono_ns[nearest]) - shown.sampled_mono_ns) < near_ns:
+        place = int(nearest(mono_ns, np.array(shown.sampled_mono_ns)))
+        if abs(int(mono_ns[place]) - shown.sampled_mono_ns) < near_ns:
             compared += 1
-            pixels = made.images[nearest].astype("<f4", copy=False).tobytes()
+            pixels = made.images[place].astype("<f4", copy=False).tobytes()
             equal += same_pixels(pixels, shown.pixels, skin.taxels.force_max_n)
     _tell(equal, compared)
 
@@ -261,11 +258,8 @@ def _is_recording(source: Path) -> bool:
     suffix = source.suffix.lower()
     if suffix != ".csv":
         return suffix in {".npz", ".npy"}
-    try:
-        with source.open("rb") as file:
-            return file.read(len(_CAN_CSV)) != _CAN_CSV
-    except OSError as error:
-        raise InputError(f"{source}: cannot be read: {error.strerror or error}") from error
+    with reasoned(InputError, f"{source}: cannot be read"), source.open("rb") as file:
+        return file.read(len(_CAN_CSV)) != _CAN_CSV
 
 
 def _check_options(
@@ -285,15 +279,19 @@ def _measured(skin: Layout, source: Path, array: list[str] | None, full_scale: f
 
 
 def _logged(skin: Layout, source: Path, channel: list[str] | None) -> Cycles:
-    """Read and decode a log."""
-    contract = Contract.from_layout(skin)
+    """Read and decode a log; of a recording without frames read the measurements."""
+    contract, warn = Contract.from_layout(skin), partial(say, "rebuild")
     with progress(f"reading {source.name}", None) as bar:
-        logged = frames_of_log(skin, source, channel, lambda line: say("rebuild", line))
-        cycles, counts = decode_log(contract, logged, bar.advance)
+        if source.suffix.lower() == RECORDING_SUFFIX and not has_frames(read_topics(source)):
+            cycles, counted = recorded_cycles(contract, source, warn), "recorded measurements, without frames"
+        else:
+            logged = frames_of_log(skin, source, channel, warn)
+            cycles, counts = decode_log(contract, logged, bar.advance)
+            counted = _counted(counts)
     if not cycles.valid.any():
-        raise RunError(f"{source}: no block of any cycle is complete ({_counted(counts)}): is this the skin's layout?")
+        raise RunError(f"{source}: no block of any cycle is complete ({counted}): is this the skin's layout?")
     complete = int(cycles.valid[:, contract.phi.has_sums].all(axis=1).sum())
-    say("rebuild", f"{complete} of {len(cycles.valid)} cycles are complete: {_counted(counts)}")
+    say("rebuild", f"{complete} of {len(cycles.valid)} cycles are complete: {counted}")
     return cycles
 
 

@@ -35,6 +35,7 @@ from shell.output import check_new_path
 from shell.service import StopSignal, request_real_time, say
 from shell.skin_options import SkinOptions
 from skin.layout import RECORDING_SUFFIX, Layout
+from skin.ranges import require_above_zero
 
 TOPICS: Final = (MEASUREMENT, RECOGNITION, IMAGE, CONTACTS, LABEL, GATEWAY, NODES, TRUTH, MARK)
 
@@ -79,8 +80,8 @@ def record(
     skin record many.mcap --label cup,ball,pen
     skin record run.log --layout palm.toml -i socketcan -c can0 --seconds 60
     """
-    if seconds is not None and not 0 < seconds < float("inf"):
-        raise InputError(f"expected a finite number of seconds above 0, got {seconds:g}")
+    if seconds is not None:
+        require_above_zero("--seconds", seconds)
     stop, of = StopSignal().install(), of or SkinOptions()
     check_new_path(out, "recording")
     labels = _labels(label or [], out)
@@ -147,22 +148,24 @@ def _mark(recorder: Recorder, label: str) -> None:
 
 def _join(of: SkinOptions, skin: Layout, recorder: Recorder, stop: StopSignal, joined: list[Fabric]) -> None:
     """Subscribe to everything when there is a hub; frames are recorded meanwhile."""
+
+    def note(peer: Peer, alive: bool) -> None:
+        if peer.skin == skin.name:
+            recorder.take_event(peer.service, f"{'is there' if alive else 'has left'}, version {peer.version}")
+
+    def subscribe(fabric: Fabric) -> None:  # before a program sees the recorder, and sends it marks
+        fabric.watch_peers(note)
+        for topic in TOPICS:
+            fabric.subscribe_bytes(topic, partial(recorder.take_message, topic))
+
     try:
-        fabric = of.join(skin, "recorder", stop)
+        fabric = of.join(skin, "recorder", stop, prepare=subscribe)
     except Stopped:
         return
     except (BusError, LayoutError) as error:
         say("record", f"frames alone: {error}")
         return
     joined.append(fabric)
-
-    def note(peer: Peer, alive: bool) -> None:
-        if peer.skin == skin.name:
-            recorder.take_event(peer.service, f"{'is there' if alive else 'has left'}, version {peer.version}")
-
-    fabric.watch_peers(note)
-    for topic in TOPICS:
-        fabric.subscribe_bytes(topic, partial(recorder.take_message, topic))
     follow_calibration(fabric, recorder.take_file, stop)
 
 

@@ -27,6 +27,8 @@ CONFIDENCE_ERROR: Final = 1e-9
 SETTLED: Final = 10
 #: Field of a label whose difference is one of the model.
 LABEL_NAME: Final = "label"
+#: What else of a label may differ.
+CONFIDENCE: Final = "confidence"
 #: What differs, in newtons.
 PIXELS: Final = "forces (N)"
 
@@ -105,7 +107,8 @@ class Report:
             one: Agreement = getattr(self, name)
             if one.made:
                 of_recorded = f", {one.equal} of {one.compared} equal to the recorded" if one.compared else ""
-                told.append(f"{one.made} {name}{of_recorded}{one.verdict() and ': '}{one.verdict()}")
+                names = "all names equal; " if name == "labels" and one.differs.keys() == {CONFIDENCE} else ""
+                told.append(f"{one.made} {name}{of_recorded}{one.verdict() and ': '}{names}{one.verdict()}")
         if self.images.differs or self.labels.differs:
             told.append("solver, temporal filter and classifier begin anew where the recording begins")
         if LABEL_NAME in self.labels.differs:
@@ -217,7 +220,7 @@ def _label_difference(made: Label, recorded: Label | None) -> Difference | None:
         return None
     error = abs(made.confidence - recorded.confidence)
     same = msgspec.structs.replace(made, confidence=recorded.confidence, number=recorded.number)
-    return _fields_that_differ(same, recorded) | ({"confidence": error} if error >= CONFIDENCE_ERROR else {})
+    return _fields_that_differ(same, recorded) | ({CONFIDENCE: error} if error >= CONFIDENCE_ERROR else {})
 
 
 def _image_difference(made: Image, recorded: Image | None, force_max_n: float) -> Difference | None:

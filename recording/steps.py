@@ -2,7 +2,7 @@
 
 import heapq
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
@@ -92,9 +92,14 @@ def steps_of(
     measured = {MEASUREMENT.name, RECOGNITION.name} & topics
     if calibrator is not None and measured:
         raise InputError(f"{path}: its measurements have the offsets of the run: leave out --calibration and --tare")
-    if not any(topic.startswith(FRAMES) for topic in topics) and not measured:
+    if not has_frames(topics) and not measured:
         raise InputError(f"{path}: holds neither frames nor measurements: there is nothing to play")
     return _Recorded(path, contract, topics, warn, every=every, calibrator=calibrator).steps()
+
+
+def has_frames(topics: Iterable[str]) -> bool:
+    """Tell whether a recording with these topics has frames."""
+    return any(topic.startswith(FRAMES) for topic in topics)
 
 
 def frames_of_log(layout: Layout, path: Path, channel: list[str] | None, warn: Warn) -> dict[int, Frames]:
@@ -163,12 +168,13 @@ class _Recorded:
 
     def _measurements_of(self, topics: set[str], calibrator: Calibrator | None) -> RecordedMeasurements:
         contract, buses = self._contract, self._buses.values()
-        has_frames = any(topic.startswith(FRAMES) for topic in topics)
         if not topics & self._phi.keys():
             return FrameMeasurements(contract, buses, wall_offset_ns(self._path), calibrator=calibrator)
         if not contract.layout.sends.in_cycles:
             return AdaptiveMeasurements(contract, buses)
-        return RunMeasurements(contract, buses, wall_offset_ns(self._path)) if has_frames else RecordedMeasurements()
+        if not has_frames(topics):
+            return RecordedMeasurements()
+        return RunMeasurements(contract, buses, wall_offset_ns(self._path))
 
     def steps(self) -> Iterator[Step]:
         """Yield the steps in the order of time."""

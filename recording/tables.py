@@ -14,7 +14,7 @@ from canskin.messages import CONTACTS, IMAGE, LABEL, MARK, MEASUREMENT, RECOGNIT
 from classifier.touches import Touches, touches_of
 from skin.layout import Layout
 from skin.mcap_file import Read, Warn, read_messages, recording_id
-from skin.wall_times import WallTimes, recorded_wall_times
+from skin.wall_times import WallTimes, nearest, recorded_wall_times
 
 Table = dict[str, npt.NDArray[Any]]
 
@@ -127,7 +127,7 @@ def read_tables(path: Path, layout: Layout, warn: Warn) -> Tables:
             taxels=_taxels(layout),
             recording=recording_id(path),
         )
-    except ValueError as error:
+    except (ValueError, OverflowError) as error:
         raise InputError(f"{path}: its messages do not fit the layout '{layout.name}': {error}") from error
 
 
@@ -152,7 +152,7 @@ def _touches(found: Touches | None, wall: WallTimes) -> Table:
     return {name: np.array([getattr(each, name) for each in found.touches]) for name in fields} | {
         "cycle": np.array([each.cycle for each in first], np.int64),
         "last_cycle": np.array([each.cycles[-1].cycle for each in found.touches], np.int64),
-        "time_ns": _wall_ns(first, wall),
+        "time_ns": wall.times_ns(each.sampled_mono_ns for each in first),
     }
 
 
@@ -174,32 +174,27 @@ def _columns(name: str, points: npt.NDArray[np.float64]) -> Table:
     return dict(zip(_POINTS[name], points.T, strict=True))
 
 
-def _wall_ns(messages: list[Any], wall: WallTimes) -> npt.NDArray[np.int64]:
-    """Return the sampling instants on the wall clock; -1 where no clock has them."""
-    times_ns = (wall.time_ns(each.sampled_mono_ns) for each in messages)
-    return np.array([-1 if time_ns is None else time_ns for time_ns in times_ns], np.int64)
-
-
 def _truth_times(messages: list[Any], measurements: list[Measurement], layout: Layout, wall: WallTimes) -> Table:
     """Return number and time of the measurement of each truth; -1 and the nodes' own time where there is none."""
-    cycle, time_ns = np.full(len(messages), -1, np.int64), _wall_ns(messages, wall)
+    wanted_ns = np.array([each.sampled_mono_ns for each in messages], np.int64)
+    cycle, time_ns = np.full(len(messages), -1, np.int64), wall.times_ns(wanted_ns.tolist())
     if layout.sends.in_cycles and measurements:
-        made = sorted(measurements, key=lambda each: each.sampled_mono_ns)
-        at_ns = np.array([each.sampled_mono_ns for each in made], np.int64)
-        of_made_ns, near_ns = _wall_ns(made, wall), 0.5e9 * layout.shortest_period_s
-        for place, each in enumerate(messages):
-            nearest = int(np.argmin(np.abs(at_ns - each.sampled_mono_ns)))
-            if abs(int(at_ns[nearest]) - each.sampled_mono_ns) < near_ns:
-                cycle[place], time_ns[place] = made[nearest].cycle, of_made_ns[nearest]
+        made = sorted((each.sampled_mono_ns, each.cycle) for each in measurements)
+        at_ns, number = np.array(made, np.int64).T
+        place = nearest(at_ns, wanted_ns)
+        is_near = np.abs(at_ns[place] - wanted_ns) < 0.5e9 * layout.shortest_period_s
+        time_ns = np.where(is_near, wall.times_ns(at_ns.tolist())[place], time_ns)
+        cycle = np.where(is_near, number[place], -1)
     return {"cycle": cycle, "time_ns": time_ns}
 
 
 def _times(messages: list[Any], wall: WallTimes) -> Table:
     """Return number, times and error in time of messages; of a contact those of its image."""
+    sampled_ns = [each.sampled_mono_ns for each in messages]
     return {
         "cycle": np.array([each.cycle for each in messages], np.int64),
-        "time_ns": _wall_ns(messages, wall),
-        "sampled_mono_ns": np.array([each.sampled_mono_ns for each in messages], np.int64),
+        "time_ns": wall.times_ns(sampled_ns),
+        "sampled_mono_ns": np.array(sampled_ns, np.int64),
         "sampled_error_ns": np.array([each.sampled_error_ns for each in messages], np.int64),
     }
 

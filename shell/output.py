@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, BinaryIO, Final
 
-from canskin.errors import InputError
+from canskin.errors import InputError, reasoned
 
 PICTURE_SUFFIXES: Final = (".png", ".svg", ".pdf")
 
@@ -43,12 +43,10 @@ def check_output_path(path: Path, what: str) -> None:
     if not path.resolve().parent.is_dir():
         raise InputError(f"{path}: the folder for the {what} does not exist: make the folder, or give another path")
     is_new = not path.exists()
-    try:
+    with reasoned(InputError, f"{path}: cannot write the {what} there"):
         path.open("ab").close()
         if is_new:
             path.unlink()
-    except OSError as error:
-        raise InputError(f"{path}: cannot write the {what} there: {error.strerror or error}") from error
 
 
 def save_figure(figure: Any, path: Path, **options: Any) -> None:

@@ -18,7 +18,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Final
 
-from canskin.errors import LOG, InputError
+from canskin.errors import LOG, InputError, reasoned
 from canskin.peers import ORDINARY, REAL_TIME
 from canskin.session import HIGHEST_PORT
 
@@ -125,11 +125,9 @@ def listen(host: str, port: int) -> socket.socket:
     """Open a socket on which a page is served; port 0 is a free port."""
     if not 0 <= port <= HIGHEST_PORT:
         raise InputError(f"--port: expected 0 to {HIGHEST_PORT}, got {port}")
-    try:
+    with reasoned(InputError, f"--host {host}: cannot listen there"):
         family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
         listener = socket.socket(family, kind, protocol)
-    except OSError as error:
-        raise InputError(f"--host {host}: cannot listen there: {error.strerror or error}") from error
     try:
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         listener.bind(address)
@@ -173,8 +171,10 @@ def request_real_time(service: str, tell: Callable[[str], None] | None = None) -
     can_have = wanted is not Priority.NORMAL and _IS_LINUX and not _has_one_core()
     obtained = REAL_TIME if can_have and _schedule(os.SCHED_RR, REAL_TIME_PRIORITY) else ORDINARY
     why = "as --priority normal asks" if wanted is Priority.NORMAL else way_to_real_time()
-    told = "real time; --priority normal leaves others more" if obtained == REAL_TIME else f"ordinary; {why}"
-    say(service, f"scheduling: {told}")
+    if obtained == REAL_TIME:
+        say(service, "scheduling: real time; --priority normal leaves others more")
+    else:
+        say(service, f"scheduling: ordinary; {why}")
     tell(obtained)
     if obtained == REAL_TIME and wanted is Priority.AUTO:
         threading.Thread(target=_watch, args=(service, tell), name="share of real time", daemon=True).start()

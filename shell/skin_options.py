@@ -2,6 +2,7 @@
 
 import math
 import time
+from collections.abc import Callable
 from contextlib import closing, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +22,8 @@ from skin.layout import RECORDING_SUFFIX, Layout, layout_text, load_layout, pars
 
 #: Longest wait for the hub, the skin and its layout: that of `canskin.connect`.
 PATIENCE_S: Final = 5.0
+#: The same of a service: a gateway that is started with it needs up to 22 s beside a busy skin.
+SERVICE_PATIENCE_S: Final = 30.0
 #: Longest wait for a hub that is there already.
 GLANCE_S: Final = 0.5
 _WORDS: Final = Words("--connect", "--skin NAME", "start 'skin gateway', or give --layout FILE")
@@ -57,7 +60,7 @@ class SkinOptions:
         Parameters
         ----------
         stop : Stop, optional
-            If set while the hub is asked, `canskin.errors.Stopped` is raised.
+            Of a service, which has more patience; if set meanwhile, `canskin.errors.Stopped` is raised.
         recording : pathlib.Path, optional
             What the verb reads; a recording has its layout in itself.
         needs_hub : bool
@@ -66,7 +69,8 @@ class SkinOptions:
         Raises
         ------
         BusError
-            If the hub is asked, and there is no hub or no such skin in `PATIENCE_S`, or several skins are there.
+            If the hub is asked, and no hub or no such skin comes in `PATIENCE_S`, with `stop` in `SERVICE_PATIENCE_S`;
+            or if several skins are there.
         """
         given = self.layout
         if given is None and recording is not None and recording.suffix.lower() == RECORDING_SUFFIX:
@@ -78,7 +82,14 @@ class SkinOptions:
             raise InputError(f"--skin {self.skin}: {given} is of skin '{layout.name}': leave one of both out")
         return layout
 
-    def join(self, layout: Layout, service: str, stop: Stop | None = None, patience_s: float = math.inf) -> Fabric:
+    def join(
+        self,
+        layout: Layout,
+        service: str,
+        stop: Stop | None = None,
+        patience_s: float = math.inf,
+        prepare: Callable[[Fabric], None] = lambda _: None,
+    ) -> Fabric:
         """Return the connection of a service to the hub; see `Fabric`.
 
         Raises
@@ -88,7 +99,7 @@ class SkinOptions:
         BusError
             If only other skins are on the hub.
         """
-        fabric = join(layout, service, self.endpoint, stop=stop, patience_s=patience_s)
+        fabric = join(layout, service, self.endpoint, stop=stop, patience_s=patience_s, prepare=prepare)
         try:
             if self.layout is not None:
                 self.compare(layout, fabric.instance, stop)
@@ -138,6 +149,7 @@ def join(
     hub: bool = False,
     stop: Stop | None = None,
     patience_s: float = math.inf,
+    prepare: Callable[[Fabric], None] = lambda _: None,
 ) -> Fabric:
     """Return the connection of a service that knows its layout, and tells it whoever asks; see `Fabric`."""
     return Fabric(
@@ -149,12 +161,14 @@ def join(
         fingerprint=layout.operator().fingerprint,
         layout=layout_text(layout),
         patience_s=patience_s,
+        prepare=prepare,
     )
 
 
 def hub_layout(endpoint: str, skin: str | None, stop: Stop | None = None) -> Layout:
     """Return the layout of a skin on a hub; see `SkinOptions.find`."""
-    peers = find_skin(endpoint, skin, PATIENCE_S, lambda peer: bool(peer.fingerprint), words=_WORDS, stop=stop)
+    patience_s = PATIENCE_S if stop is None else SERVICE_PATIENCE_S
+    peers = find_skin(endpoint, skin, patience_s, lambda peer: bool(peer.fingerprint), words=_WORDS, stop=stop)
     with closing(Fabric(peers[0].skin, "", endpoint, stop=stop, patience_s=PATIENCE_S)) as fabric:
         return _told(fabric, peers, endpoint)
 

@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from canskin.errors import UNDECODABLE, InputError, tell
+from canskin.errors import UNDECODABLE, InputError, reasoned, tell
 from canskin.messages import MEASUREMENT, Measurement
 from skin.defects import SumGains
 from skin.layout import RECORDING_SUFFIX, Layout
@@ -130,10 +130,8 @@ def load_calibration(path: Path, layout: Layout, *, is_shown: bool = False) -> S
     """Read a file, or the calibration of a recording; to be shown, with offsets beyond `most_offset_n`, too."""
     if path.suffix.lower() == RECORDING_SUFFIX:
         return _recorded(path, layout, is_shown=is_shown)
-    try:
+    with reasoned(InputError, f"{path}: cannot read the calibration"):
         content = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{path}: cannot read the calibration: {error.strerror or error}") from error
     return parse_calibration(content, layout, str(path), is_shown=is_shown)
 
 

@@ -3,7 +3,8 @@
 import contextlib
 import re
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from itertools import accumulate
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -13,7 +14,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from canskin.errors import LayoutError
 from skin.chains import chains_of, read_positions
-from skin.layout import load_layout
+from skin.layout import NAME_CHARACTERS, load_layout
 from skin.surface import LINK_RATIO, surface_of_positions
 
 #: Channels of a converter of the iCub's skin, and those of a triangle that measure temperature in place of touch.
@@ -43,11 +44,14 @@ class Imported(NamedTuple):
         Board of each taxel, and its place there; None where the file does not tell.
     told : list of str
         What the file has, and was left out.
+    sensors : sequence of (str, int)
+        Name of each sensor, and its number of taxels, in their order; empty where the file has no sensors.
     """
 
     places: list[list[float]]
     boards: list[tuple[int, int]] | None
     told: list[str]
+    sensors: Sequence[tuple[str, int]] = ()
 
 
 def tables_of(text: str, modules: Path | None = None) -> tuple[dict[str, Any], list[str]]:
@@ -64,12 +68,12 @@ def tables_of(text: str, modules: Path | None = None) -> tuple[dict[str, Any], l
     Returns
     -------
     tables : dict
-        ``taxels``, and ``measurement`` if the boards are known.
+        ``taxels``, ``measurement`` if the boards are known, and ``region`` if there are several sensors.
     told : list of str
         What the file has, and was left out.
     """
     path = Path(text)
-    if found := re.fullmatch(r"(\d+)[x×](\d+)", text):
+    if found := re.fullmatch(r"(\d+)[xX×*](\d+)", text):
         return {"taxels": dict(zip(("rows", "columns"), map(int, found.groups()), strict=True))}, []
     match path.suffix.lower():
         case ".csv":
@@ -87,7 +91,20 @@ def tables_of(text: str, modules: Path | None = None) -> tuple[dict[str, Any], l
     tables: dict[str, Any] = {"taxels": {"positions": found_here.places, **_linked(found_here.places)}}
     if chains is not None:
         tables["measurement"] = {"wiring": "file", "chains": chains}
+    names = {name_of(name, "sensor") for name, _ in found_here.sensors}
+    if 1 < len(names) == len(found_here.sensors):
+        ends = accumulate(count for _, count in found_here.sensors)
+        tables["region"] = [
+            {"name": name_of(name, "sensor"), "box": [0, end - count, 0, end - 1]}
+            for (name, count), end in zip(found_here.sensors, ends, strict=True)
+        ]
     return tables, found_here.told
+
+
+def name_of(text: str, kind: str) -> str:
+    """Return a name that layouts take for one of others; `kind` comes before a name that begins with no letter."""
+    name = re.sub(r"[^a-z0-9_]", "_", text.lower())
+    return (name if name[:1].isalpha() else f"{kind}_{name}")[:NAME_CHARACTERS]
 
 
 def _linked(places: list[list[float]]) -> dict[str, float]:
@@ -197,17 +214,18 @@ def read_urdf(path: Path) -> Imported:
             _named(joint, "child", "link"): joint for joint in robot.iter("joint") if joint.find("child") is not None
         }
         _check_links(robot)
-        places = [
-            [*pose.translation, *pose.rotation.as_matrix()[:, 2]]
+        of_sensors = [
+            (sensor.get("name", ""), [*_taxels(sensor, _of_link(_named(sensor, "parent", "link"), parents))])
             for sensor in robot.iter("sensor")
             if sensor.find("tactile") is not None
-            for pose in _taxels(sensor, _of_link(_named(sensor, "parent", "link"), parents))
         ]
     except (KeyError, ValueError, RecursionError) as error:
         raise LayoutError(f"{path}: not a description with tactile sensors: {error!r}") from error
-    if not places:
+    sensors = [(name, len(poses)) for name, poses in of_sensors if poses]
+    if not sensors:
         raise LayoutError(f"{path}: expected a <sensor> with <tactile>, found none; expand xacro files first")
-    return Imported([[float(value) for value in place] for place in places], None, [])
+    places = [[*pose.translation, *pose.rotation.as_matrix()[:, 2]] for _, poses in of_sensors for pose in poses]
+    return Imported([[float(value) for value in place] for place in places], None, [], sensors)
 
 
 def _check_links(robot: ET.Element) -> None:

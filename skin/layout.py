@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 import tomli_w
 
-from canskin.errors import UNDECODABLE, InputError, LayoutError
+from canskin.errors import UNDECODABLE, InputError, LayoutError, reasoned
 from skin.chains import MOST, check_chains, order_of, read_chains, read_positions
 from skin.foreign import ForeignMessage, check_foreign, with_foreign_dbc
 from skin.matrix import KEY, MatrixPhi, entries_of, read_matrix
@@ -78,7 +78,9 @@ SumBits = Literal[16, 12, 8]
 SUM_BITS: Final[tuple[int, ...]] = get_args(SumBits)
 
 Positive = Annotated[int, msgspec.Meta(gt=0)]
-Name = Annotated[str, msgspec.Meta(pattern=r"^[a-z][a-z0-9_]*$", max_length=64)]
+#: Longest name.
+NAME_CHARACTERS: Final = 64
+Name = Annotated[str, msgspec.Meta(pattern=r"^[a-z][a-z0-9_]*$", max_length=NAME_CHARACTERS)]
 
 
 class _Table(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -104,7 +106,7 @@ class Taxels(_Table, frozen=True, kw_only=True):
     positions: Annotated[tuple[tuple[float, ...], ...], msgspec.Meta(max_length=PLACES_MAX)] | None = None
     # Taxels at positions are neighbours up to this times their median spacing.
     link_ratio: Annotated[float, msgspec.Meta(ge=1, le=4)] = LINK_RATIO
-    pitch_m: Annotated[float, msgspec.Meta(ge=1e-6, le=10)] = 0.004
+    pitch_m: Annotated[float, msgspec.Meta(ge=1e-6, le=0.5)] = 0.004
     force_max_n: Annotated[float, msgspec.Meta(ge=1e-6, le=1e6)] = 0.02
     adc_bits: Annotated[int, msgspec.Meta(ge=1, le=16)] = 10
     frontend: Literal["digital", "analogue"] = "digital"
@@ -359,10 +361,10 @@ class Layout(_Table, frozen=True, kw_only=True):
         if rows is None:
             part = part_of(self.phi(), state.sums or 0, measurement.seed)
             rows = tuple(zip(part.block_of_sum.tolist(), part.row_of_sum.tolist(), strict=True))
-        return msgspec.structs.replace(
+        return changed(
             self,
-            measurement=msgspec.structs.replace(measurement, sums=len(rows), rows=rows, selection="balanced"),
-            sync=msgspec.structs.replace(self.sync, rate_hz=state.rate_hz),
+            measurement={"sums": len(rows), "rows": rows, "selection": "balanced"},
+            sync={"rate_hz": state.rate_hz},
             recognition=None,
         )
 
@@ -423,6 +425,20 @@ def load_layout(path: Path | None = None) -> Layout:
     return parse_layout(*_read(path, name))
 
 
+def changed(layout: Layout, **tables: Any) -> Layout:
+    """Return the layout, not checked, with other tables, or with other values of the keys in a dict.
+
+    Examples
+    --------
+    >>> changed(layout, sync={"rate_hz": 50.0}, recognition=None)
+    """
+    given = {
+        name: msgspec.structs.replace(getattr(layout, name), **keys) if isinstance(keys, dict) else keys
+        for name, keys in tables.items()
+    }
+    return msgspec.structs.replace(layout, **given)
+
+
 def require_sending(layout: Layout, sending: SendingName, what: str, why: str) -> None:
     """Check that a layout has the way of sending that `what` is for; `why` is the reason, or what to do."""
     if layout.sending != sending:
@@ -442,10 +458,10 @@ def _read(path: Path | None, name: str) -> tuple[bytes, str, Path]:
         return folder.joinpath(f"{name}.toml").read_bytes(), f"{name}.toml", Path(str(folder))
     if path.suffix.lower() == RECORDING_SUFFIX:
         return _read_attached(path), name, path.parent
-    try:
+    if not path.suffix and not path.exists():
+        raise LayoutError(f"{path}: no such file, and no layout of canskin: expected {', '.join(SHIPPED)}, or a file")
+    with reasoned(LayoutError, f"{path}: cannot read the layout"):
         return path.read_bytes(), name, path.parent
-    except OSError as error:
-        raise LayoutError(f"{path}: cannot read the layout: {error.strerror or error}") from error
 
 
 def _read_attached(path: Path) -> bytes:
@@ -475,7 +491,7 @@ def parse_layout(content: bytes, origin: str, folder: Path = Path()) -> Layout:
     try:
         document = _with_sizes(_with_devices(_with_files(_with_shape(msgspec.toml.decode(content)), folder), folder))
     except UNDECODABLE as error:
-        raise LayoutError(f"{origin}: {error}") from error
+        raise LayoutError(f"{origin}: expected TOML: {error}") from error
     try:
         layout = msgspec.convert(document, Layout)
     except msgspec.ValidationError as error:

@@ -23,7 +23,7 @@ from mcap.stream_reader import MAGIC_SIZE, StreamReader, breakup_chunk
 from mcap.summary import Summary
 from mcap.writer import Writer
 
-from canskin.errors import UNDECODABLE, InputError
+from canskin.errors import UNDECODABLE, InputError, reasoned
 from canskin.messages import Topic
 from skin.layout import RECORDING_SUFFIX
 
@@ -257,6 +257,17 @@ def read_messages(path: Path, topics: Iterable[Topic], warn: Warn, from_ns: int 
             yield Read(topic, entry.time_ns, decode(entry.data))
 
 
+def read_few(path: Path, topic: Topic) -> Iterator[Read]:
+    """Yield the messages of a topic that has few, without the parts of the file that have none; none without an index.
+
+    Raise InputError at a message that does not fit its topic.
+    """
+    decode = message_decoder(path, topic)
+    with path.open("rb") as file, contextlib.suppress(*_DAMAGE):
+        for _, _, each in make_reader(file).iter_messages([topic.name]):
+            yield Read(topic, each.log_time, decode(each.data))
+
+
 def message_decoder(path: Path, topic: Topic) -> Callable[[bytes], Any]:
     """Return what decodes the messages of a topic of a recording; it raises InputError for one that does not fit."""
     decode = topic.decoder()
@@ -351,31 +362,26 @@ def _in_order(summary: Summary | None) -> list[ChunkIndex]:
 
 def _records(path: Path) -> Iterator[Any]:
     """Yield the records of a file, and a `Gap` in the place of what is damaged or missing."""
-    try:
-        with path.open("rb") as file:
-            records = StreamReader(
-                file, emit_chunks=True, validate_crcs=True, record_size_limit=_LONGEST_RECORD
-            ).records
-            try:
-                header = next(records)
-            except (*_DAMAGE, StopIteration) as error:
-                raise InputError(f"{path}: is no MCAP file: expected a recording of 'skin record'") from error
-            if not isinstance(header, Header) or header.profile != PROFILE:
-                raise InputError(f"{path}: is no recording of a skin: expected a file of 'skin record'")
-            chunks = 0
-            try:
-                for record in records:
-                    chunks += isinstance(record, Chunk)
-                    if isinstance(record, Attachment) and not _is_whole(record, file):
-                        yield Damage(f"its file '{record.name}' is left out", record.name)
-                        continue
-                    yield from _records_of(record) if isinstance(record, Chunk) else (record,)
-                if file.read(1):
-                    yield Damage("more comes after its end, as of two files in one, which is not read")
-            except _DAMAGE:
-                yield from _indexed_records(file, chunks)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
+    with reasoned(InputError, f"{path}: cannot be read"), path.open("rb") as file:
+        records = StreamReader(file, emit_chunks=True, validate_crcs=True, record_size_limit=_LONGEST_RECORD).records
+        try:
+            header = next(records)
+        except (*_DAMAGE, StopIteration) as error:
+            raise InputError(f"{path}: is no MCAP file: expected a recording of 'skin record'") from error
+        if not isinstance(header, Header) or header.profile != PROFILE:
+            raise InputError(f"{path}: is no recording of a skin: expected a file of 'skin record'")
+        chunks = 0
+        try:
+            for record in records:
+                chunks += isinstance(record, Chunk)
+                if isinstance(record, Attachment) and not _is_whole(record, file):
+                    yield Damage(f"its file '{record.name}' is left out", record.name)
+                    continue
+                yield from _records_of(record) if isinstance(record, Chunk) else (record,)
+            if file.read(1):
+                yield Damage("more comes after its end, as of two files in one, which is not read")
+        except _DAMAGE:
+            yield from _indexed_records(file, chunks)
 
 
 def _is_whole(attachment: Attachment, file: BinaryIO) -> bool:

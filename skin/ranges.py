@@ -14,10 +14,11 @@ def ranges_text(numbers: Iterable[int]) -> str:
     return ", ".join(f"{run[0]}-{run[-1]}" if len(run) > 1 else str(run[0]) for run in runs)
 
 
-def require_above_zero(name: str, value: float) -> None:
-    """Check a number above 0."""
-    if not (math.isfinite(value) and value > 0):
-        raise InputError(f"{name} needs a number above 0: got {value}")
+def require_above_zero(name: str, value: float, most: float = math.inf) -> None:
+    """Check a number above 0, up to `most`."""
+    if not (math.isfinite(value) and 0 < value <= most):
+        expected = "a number above 0" if most == math.inf else f"a number above 0, up to {most:g}"
+        raise InputError(f"{name} needs {expected}: got {value}")
 
 
 def require_number(name: str, value: float, most: float = math.inf) -> None:

@@ -50,7 +50,8 @@ def _unknown(found: re.Match[str], table: type, _keys: list[str], _value: Any) -
 
 
 def _missing(found: re.Match[str], _table: type, _keys: list[str], _value: Any) -> str:
-    return f"the key `{found[1]}` is missing"
+    advice = ": give [[bus]], or [taxels] alone, whose buses are made" if found[1] == "bus" else ""
+    return f"the key `{found[1]}` is missing{advice}"
 
 
 def _choice(_found: re.Match[str], table: type, keys: list[str], value: Any) -> str:

@@ -1,11 +1,14 @@
 """Sampling instants on the wall clock, for programs that read images: only measurements tell both clocks."""
 
 from bisect import bisect_right
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from operator import attrgetter
 from pathlib import Path
 from typing import Final
 
 import msgspec
+import numpy as np
+import numpy.typing as npt
 
 from canskin.messages import MEASUREMENT, RECOGNITION, Topic
 from skin.mcap_file import read_messages, wall_offset_ns
@@ -67,11 +70,17 @@ class WallTimes:
             return None
         return sampled_mono_ns + offset_ns
 
+    def times_ns(self, sampled_mono_ns: Iterable[int]) -> npt.NDArray[np.int64]:
+        """Return sampling instants on the wall clock as `time_ns` does; -1 in place of None."""
+        found = map(self.time_ns, sampled_mono_ns)
+        return np.array([-1 if time_ns is None else time_ns for time_ns in found], np.int64)
+
 
 def recorded_clocks(path: Path) -> list[Clocks]:
     """Return the clocks of all measurements of a recording, in the order of their sampling."""
     topics = CLOCKS, Topic(RECOGNITION.name, Clocks)
-    return sorted((read.message for read in read_messages(path, topics, lambda _: None)), key=_sampled_ns)
+    found = (read.message for read in read_messages(path, topics, lambda _: None))
+    return sorted(found, key=attrgetter("sampled_mono_ns"))
 
 
 def recorded_wall_times(path: Path, clocks: Sequence[Clocks] | None = None) -> WallTimes:
@@ -89,5 +98,8 @@ def recorded_wall_times(path: Path, clocks: Sequence[Clocks] | None = None) -> W
     return wall
 
 
-def _sampled_ns(clocks: Clocks) -> int:
-    return clocks.sampled_mono_ns
+def nearest(times_ns: npt.NDArray[np.int64], wanted_ns: npt.NDArray[np.int64]) -> npt.NDArray[np.intp]:
+    """Return for each wanted time the place of the nearest of one or more ascending times."""
+    after = np.searchsorted(times_ns, wanted_ns).clip(max=len(times_ns) - 1)
+    before = (after - 1).clip(min=0)
+    return np.where(wanted_ns - times_ns[before] <= times_ns[after] - wanted_ns, before, after)

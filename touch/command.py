@@ -8,9 +8,7 @@ from shell.terminal import Json, print_json, print_table
 from touch.contact import Force
 
 
-def objects(
-    names: str | None = None, *, meshes: Path | None = None, figure: Path | None = None, json: Json = False
-) -> None:
+def objects(*names: str, meshes: Path | None = None, figure: Path | None = None, json: Json = False) -> None:
     """List and draw the objects that can touch the simulated skin.
 
     The figures are for the object in the middle of a skin of 64 x 64 taxels, 4 mm apart, pressed in by 9.99 mm, the
@@ -19,7 +17,7 @@ def objects(
     Parameters
     ----------
     names
-        Comma-separated names: list only these objects, and draw each below the table. FILE@UNIT is your own mesh.
+        List only these objects, and draw each below the table; with spaces or commas. FILE@UNIT is your own mesh.
     meshes
         Folder of meshes (banana, cup, drill, largeclamp, mustard) to use in place of our own shapes.
     figure
@@ -41,13 +39,13 @@ def objects(
 
     if figure is not None:
         check_picture_path(figure)
-    images = _press_each(tuple(CATALOGUE) if names is None else checked_names(names), meshes)
+    images = _press_each(checked_names(names) if names else tuple(CATALOGUE), meshes)
     rows = [_describe(name, meshes, force_n) for name, force_n in images.items()]
     if json:
         print_json(rows)
     else:
         _print_table(rows)
-        for name in images if names is not None else ():
+        for name in images if names else ():
             print(f"\n{name}\n{as_text(images[name])}")
     if figure is not None:
         save_images(images, figure)

@@ -66,7 +66,6 @@ class Recording:
         require_above_zero("force_max_n", force_max_n)
         self.steps_per_frame, self.force_max_n = steps_per_frame, force_max_n
         self.full_scale = _scale_of(arrays, full_scale, self.force_max_n)
-        self._is_whole = all(counts.dtype.kind in "ui" for counts in arrays)
         self._skin_shape = rows, columns
         self.shape = _shape(arrays)
         self.corner = _corner(self.shape, rows, columns)
@@ -86,11 +85,6 @@ class Recording:
 
     def _newtons(self, counts: Counts) -> npt.NDArray[np.float64]:
         return counts.astype(np.float64) / self.full_scale * self.force_max_n
-
-    def counts(self, force_n: npt.ArrayLike) -> npt.NDArray[np.float64]:
-        """Convert newtons to recorded values, integers if the recording has integers; same shape."""
-        values = np.asarray(force_n, np.float64) * (self.full_scale / self.force_max_n)
-        return np.rint(values) if self._is_whole else values
 
 
 def _scale_of(arrays: tuple[Counts, ...], full_scale: float | None, force_max_n: float) -> float:

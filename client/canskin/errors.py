@@ -15,6 +15,8 @@ not plain from its parameters.
 """
 
 import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Final
 
 import msgspec
@@ -52,6 +54,15 @@ class RunError(SkinError):
 
 class BusError(SkinError):
     """A CAN interface or the fabric cannot be opened or reached."""
+
+
+@contextmanager
+def reasoned(kind: type[SkinError], what: str) -> Iterator[None]:
+    """Raise an OSError of the ``with`` block as `kind`: `what` says which file and what failed, the system why."""
+    try:
+        yield
+    except OSError as error:
+        raise kind(f"{what}: {error.strerror or error}") from error
 
 
 def tell(service: str, text: str, level: int = logging.WARNING) -> None:

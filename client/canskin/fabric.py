@@ -147,6 +147,8 @@ class Fabric:
         The layout as TOML, for whoever asks; empty if this service does not know the layout.
     patience_s : float
         Longest wait for the hub. By default a service waits without limit, so services start in any order.
+    prepare : callable, optional
+        Called with this connection before the others see the service: subscribes to what they send as soon as they do.
 
     Attributes
     ----------
@@ -172,6 +174,7 @@ class Fabric:
         fingerprint: str = "",
         layout: str = "",
         patience_s: float = math.inf,
+        prepare: "Callable[[Fabric], None]" = lambda _: None,
     ) -> None:
         self.malformed = 0
         self.missed = Missed()
@@ -186,6 +189,7 @@ class Fabric:
         self._session = open_hub(endpoint) if hub else open_client(endpoint, service, stop, patience_s)
         if layout:  # before the token: who sees the token may ask
             self.answer(LAYOUT, partial(self._tell_layout, LayoutReply(layout)))
+        prepare(self)
         self._token: Any = self._session.liveliness().declare_token(self._peer.key) if service else None
         if fingerprint:
             self.watch_peers(self._compare)

@@ -133,17 +133,13 @@ class FrameBuilder:
         self._wall_offset_ns: int | None = None
         self._contacts: OrderedDict[tuple[int, int], Contacts] = OrderedDict()
         self._image: Image | None = None
-        self._is_outdated = False
-
-    @property
-    def is_outdated(self) -> bool:
-        """Whether the newest measurement is of another Φ than the description: no frames are made then."""
-        return self._is_outdated
+        #: Whether the newest measurement is of another Φ than the description: no frames are made then.
+        self.is_outdated = False
 
     def take(self, message: msgspec.Struct) -> list[Frame]:
         """Take a message, of any topic in any order; return the frames that it completes."""
         if isinstance(message, Measurement):
-            self._is_outdated = message.fingerprint != self._about.fingerprint
+            self.is_outdated = message.fingerprint != self._about.fingerprint
             self._wall_offset_ns = message.wall_offset_ns
             _keep(self._measurements, message)
         elif isinstance(message, Label):
@@ -167,7 +163,7 @@ class FrameBuilder:
         about = self._about
         if image is None:
             return []
-        if self._is_outdated or len(image.pixels) != 4 * about.rows * about.columns or len(image.valid) != about.blocks:
+        if self.is_outdated or len(image.pixels) != 4 * about.rows * about.columns or len(image.valid) != about.blocks:
             self.refused += 1
             return []
         try:

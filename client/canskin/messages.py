@@ -321,10 +321,15 @@ class Mark(msgspec.Struct, frozen=True, kw_only=True):
     label: str
 
 
-def check_label(label: str) -> str:
-    """Return `label`, if an object can have this name; the empty one names none."""
+def is_label(label: str) -> bool:
+    """Tell whether an object can have this name; the empty one names none."""
     is_name = isinstance(label, str) and label.isprintable() and label == label.strip() and len(label) <= LONGEST_LABEL
-    if not is_name or label == UNKNOWN_OBJECT:
+    return is_name and label != UNKNOWN_OBJECT
+
+
+def check_label(label: str) -> str:
+    """Return `label`, if an object can have this name (`is_label`)."""
+    if not is_label(label):
         raise InputError(
             f"label {label!r}: expected printable text of up to {LONGEST_LABEL} characters without spaces at its ends,"
             f" other than '{UNKNOWN_OBJECT}', or none"

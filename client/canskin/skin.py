@@ -268,12 +268,7 @@ class FrameHub:
         self._readers: weakref.WeakSet[Frames] = weakref.WeakSet()
         self._timeout_s = timeout_s
         self._explain = explain
-        self._is_closed = False
-
-    @property
-    def is_closed(self) -> bool:
-        """Whether `close` was called."""
-        return self._is_closed
+        self.is_closed = False
 
     def put(self, frame: Frame) -> None:
         """Hand on a frame."""
@@ -289,7 +284,7 @@ class FrameHub:
         """Return a new reader."""
         reader = Frames(max(1, queue), self._timeout_s, self._explain)
         with self._changed:
-            if self._is_closed:
+            if self.is_closed:
                 reader.close()
             self._readers.add(reader)
         return reader
@@ -306,7 +301,7 @@ class FrameHub:
         with self._changed:
             first = self._newest
             while True:
-                if self._is_closed:
+                if self.is_closed:
                     raise BusError(CLOSED)
                 newest = self._newest
                 if newest is not None and (max_age_s == math.inf or newest.age <= max_age_s):  # no age: too old
@@ -322,7 +317,7 @@ class FrameHub:
     def close(self) -> None:
         """End all readers."""
         with self._changed:
-            self._is_closed = True
+            self.is_closed = True
             self._changed.notify_all()
             readers = list(self._readers)
         for reader in readers:

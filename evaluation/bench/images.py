@@ -5,7 +5,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from evaluation.bench.scenes import make_scenes, mean_over, solved
+from evaluation.bench.scenes import make_scenes, mean_psnr, solved
 from reconstructor.engine import Reconstructor
 from reconstructor.settings import LIVE, PRESETS, SolverSettings
 from skin.layout import load_layout
@@ -31,4 +31,4 @@ def run(meshes: Path | None = None) -> dict[str, Any]:
             for method, images in shown.items():
                 psnr_db = float(psnr_series_db(scene.true, images).mean())
                 rows.append({"method": method, "object": scene.name, "speed": speed, "psnr_db": psnr_db})
-    return {"rows": rows, "means": mean_over(rows, "psnr_db", "method", "speed")}
+    return {"rows": rows, "means": mean_psnr(rows, "method", "speed")}

@@ -7,7 +7,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from evaluation.bench.scenes import make_scenes, mean_over, solved
+from evaluation.bench.scenes import make_scenes, mean_psnr, solved
 from evaluation.result import new_figure
 from reconstructor.engine import Reconstructor
 from reconstructor.settings import preset
@@ -39,7 +39,7 @@ def run(rounds: int) -> dict[str, Any]:
             images = solved(Reconstructor(phi, 64, 64, preset(method)), scene, blocks[:, phi.block_of_sum])
             psnr_db = float(psnr_series_db(scene.true, images).mean())
             rows.append({"method": method, "kind": kind, "amount": amount, "psnr_db": psnr_db})
-    return {"rows": mean_over(rows, "psnr_db", "method", "kind", "amount")}
+    return {"rows": mean_psnr(rows, "method", "kind", "amount")}
 
 
 def _present(phi: Sbhe, kind: str, amount: float, frames: int, seed: int) -> Validity:

@@ -25,12 +25,12 @@ class Scene:
     sums: npt.NDArray[np.float32]
 
 
-def make_scenes(phi: Sbhe, speed: int, meshes: Path | None = None, seed: int = 11) -> Iterator[Scene]:
+def make_scenes(phi: Sbhe, speed: int, meshes: Path | None = None) -> Iterator[Scene]:
     """Yield every scene at `speed` times the paper's 0.045 mm a cycle: one in `speed` of the paper's 4200 steps.
 
-    `phi` is of the 64 x 64 array; `meshes` as in `touch.objects.spheres_of`; `seed` is of the noise.
+    `phi` is of the 64 x 64 array; `meshes` as in `touch.objects.spheres_of`.
     """
-    random = np.random.default_rng(seed)
+    random = np.random.default_rng(11)
     for name in ACQUISITION_OBJECTS:
         true = trajectory(name, meshes=meshes, speed=speed)
         felt = sense(true, random)
@@ -43,9 +43,9 @@ def solved(engine: Reconstructor, scene: Scene, valid: npt.NDArray[np.bool_]) ->
         yield engine.solve(sums_n, present)
 
 
-def mean_over(rows: list[Row], value: str, *keys: str) -> list[Row]:
-    """Return one row for each combination of `keys`, in order of appearance, with the mean of `value`."""
+def mean_psnr(rows: list[Row], *keys: str) -> list[Row]:
+    """Return one row for each combination of `keys`, in order of appearance, with the mean of ``psnr_db``."""
     return [
-        {**dict(zip(keys, group, strict=True)), value: float(np.mean([row[value] for row in found]))}
+        {**dict(zip(keys, group, strict=True)), "psnr_db": float(np.mean([row["psnr_db"] for row in found]))}
         for group, found in grouped(rows, *keys).items()
     ]

@@ -79,7 +79,7 @@ def evaluate(options: Options) -> Result:
         ),
         Picture(
             "PSNR of one image of the clamp against the number of iterations, contourlet, started from zero.",
-            lambda: draw_curves(curve, "iterations", "PSNR, dB"),
+            lambda: draw_curves(curve, "iterations"),
         ),
         Picture(
             "The same image after some of its iterations, each with its PSNR.",

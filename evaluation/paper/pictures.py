@@ -88,13 +88,13 @@ def draw_images(images: Mapping[str, npt.NDArray[Any]]) -> "Figure":
     return figure
 
 
-def draw_curves(curves: Mapping[str, tuple[Sequence[float], Sequence[float]]], xlabel: str, ylabel: str) -> "Figure":
-    """Return lines of (x, y) by name, x on a logarithmic scale."""
+def draw_curves(curves: Mapping[str, tuple[Sequence[float], Sequence[float]]], xlabel: str) -> "Figure":
+    """Return lines of (x, PSNR) by name, x on a logarithmic scale."""
     figure = new_figure(8, 4.2)
     axes = figure.add_subplot()
     for name, (across, up) in curves.items():
         axes.plot(across, up, marker=".", label=name)
-    axes.set(xscale="log", xlabel=xlabel, ylabel=ylabel)
+    axes.set(xscale="log", xlabel=xlabel, ylabel="PSNR, dB")
     axes.xaxis.set_major_formatter("{x:g}")
     axes.xaxis.set_minor_formatter(lambda x, _: f"{x:g}" if f"{x:e}"[0] in "25" else "")
     axes.grid(alpha=0.3, which="both")

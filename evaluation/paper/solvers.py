@@ -209,4 +209,4 @@ def _draw(rows: list[Row]) -> "Figure":
             across, up = curves.setdefault(row["method"], ([], []))
             across.append(row["ms"])
             up.append(row["ours"])
-    return draw_curves(curves, "time, ms", "PSNR, dB")
+    return draw_curves(curves, "time, ms")

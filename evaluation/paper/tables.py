@@ -83,7 +83,8 @@ def iterations(options: Options) -> Result:
             {"object": name, "matrix": matrix, "basis": basis, "iterations": count},
             Method(matrix, TABLE_SUMS, basis, count),
             draws[matrix],
-            _table_three(name, basis, count),
+            # Of SBHE, as the paper says; its numbers stand beside the noiselet's, too.
+            paper_psnr("iterations", object=name, matrix="sbhe", basis=basis, iterations=count),
         )
         for name, basis, count, matrix in product(OBJECTS, get_args(BasisName), ITERATIONS, get_args(Matrix))
     ]
@@ -96,11 +97,6 @@ def iterations(options: Options) -> Result:
         labels = {key: row[key] for key in ("object", "matrix", "basis", "iterations")}
         row["paper_ms"] = paper_value("iterations", "ms", **labels)
     return _result("Table III: quality and time with fewer iterations, 1024 sums", rows)
-
-
-def _table_three(name: str, basis: BasisName, count: int) -> Psnr:
-    """Return the printed PSNR: of SBHE, as the paper says; its numbers stand beside the noiselet's, too."""
-    return paper_psnr("iterations", object=name, matrix="sbhe", basis=basis, iterations=count)
 
 
 def _result(title: str, rows: list[Row]) -> Result:

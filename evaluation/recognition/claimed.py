@@ -8,7 +8,7 @@ from evaluation.recognition.accuracy import FULL, ONE_PERCENT, THREE_PERCENT, me
 from evaluation.recognition.classification import cells_of, printed_accuracy
 from evaluation.recognition.sixteen import measure_sixteen
 from evaluation.result import Finding, Options, Row, grouped
-from evaluation.result_cache import measure_cells
+from evaluation.result_cache import measure_cells, measured_rows
 
 #: Draws of the running classifier, without --draws; `classification` has its own of the observations.
 DRAWS: Final = 10
@@ -51,10 +51,8 @@ def _labels(options: Options) -> dict[str, Finding]:
         for sums in (64, 16)
         for draw in range(options.draws_or(DRAWS))
     ]
-    found = measure_cells(measure_sixteen, cells, options, "live")
-    groups = grouped((cell | each for cell, each in zip(cells, found, strict=True)), "sums")
     figures = {}
-    for (sums,), group in groups.items():
+    for (sums,), group in grouped(measured_rows(measure_sixteen, cells, options, "live"), "sums").items():
         percent = [100 * each["held"] for each in group]
         runs, paper = extent["touches"] * len(group), printed_accuracy("sbhe", sums, FULL)
         figures[f"live, {sums} sums"] = Finding(mean(percent), runs, paper, pstdev(percent))

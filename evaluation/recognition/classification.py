@@ -12,11 +12,11 @@ from typing import Final
 import numpy as np
 
 from evaluation.observations import KINDS
-from evaluation.printed import paper_value
+from evaluation.printed import paper_value, printed_value
 from evaluation.recognition.accuracy import FULL, THREE_PERCENT, TRAINING, measure_accuracy
 from evaluation.recognition.pictures import draw_accuracies, draw_confusions
 from evaluation.result import Options, Picture, Result, Row, beside, grouped
-from evaluation.result_cache import measure_cells
+from evaluation.result_cache import measured_rows
 from touch.classification_poses import CLASSIFICATION_OBJECTS
 
 NAMES: Final = {"sbhe": "SBHE", "noiselet": "noiselet", "averaged": "sensor", "large": "sensor, large taxels"}
@@ -44,9 +44,7 @@ _COMPARED_SIZES: Final = (64, 16)
 
 def evaluate(options: Options) -> Result:
     """Measure accuracies over signal size and training size, and the confusion matrices."""
-    cells = _cells(options)
-    results = measure_cells(measure_accuracy, cells, options, "classification")
-    measured = [{**cell, **result} for cell, result in zip(cells, results, strict=True)]
+    measured = measured_rows(measure_accuracy, _cells(options), options, "classification")
     sizes = _rows([one for one in measured if one["development"] == FULL[0]], "signal size")
     training = _rows([one for one in measured if (one["kind"], one["size"]) in _CURVES], "training size")
     confusions = {
@@ -137,9 +135,9 @@ def _reaching(measured: list[Row]) -> str:
     """Return how many draws of 16 sums reach what the paper has with its one draw."""
     lines = []
     for kind in ("sbhe", "noiselet"):
-        paper = printed_accuracy(kind, _FEW, FULL)
+        paper = printed_value("classification", signal=NAMES[kind], size=_FEW, training_percent=_percent(FULL))
         drawn = [100 * float(np.mean(one["accuracy"])) for one in measured if _is(one, kind, _FEW, FULL)]
-        reaching = sum(percent >= (paper or 0) for percent in drawn)
+        reaching = sum(percent >= paper for percent in drawn)
         mean, sd = float(np.mean(drawn)), float(np.std(drawn))
         lines.append(
             f"{_FEW} sums, {NAMES[kind]}: mean of {len(drawn)} draws {mean:.1f}, standard deviation {sd:.1f}; "

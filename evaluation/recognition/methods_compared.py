@@ -16,7 +16,7 @@ from evaluation.recognition.methods import CYCLES, METHODS, PLAIN, measure_metho
 from evaluation.recognition.pictures import draw_gains, gain_row
 from evaluation.recognition.sixteen import measure_sixteen
 from evaluation.result import Options, Picture, Result, Row, grouped
-from evaluation.result_cache import measure_cells
+from evaluation.result_cache import measure_cells, measured_rows
 from skin.sources import DEFAULT_OBJECTS, OBJECT_GROUPS, StrokeKind
 from touch.objects import CATALOGUE
 
@@ -68,9 +68,8 @@ def _method_rows(options: Options) -> list[Row]:
         if (size > min(SIZES) or method in _FOR_FEW) and (size < max(SIZES) or method not in _NOT_FOR_MANY)
         for draw in range(draws)
     ]
-    results = measure_cells(measure_method, cells, options, "recognition")
+    measured = measured_rows(measure_method, cells, options, "recognition")
     rows = []
-    measured = ({**cell, **result} for cell, result in zip(cells, results, strict=True))
     for (method, size), group in grouped(measured, "method", "size").items():
         ours, plain = (100 * np.concatenate([each[key] for each in group]) for key in ("accuracy", "plain"))
         rows.append(gain_row(method, size, runs=len(ours), ours=ours, plain=plain, parts=ours.tolist()))
@@ -102,8 +101,7 @@ def _live_rows(options: Options) -> list[Row]:
         {"names": [name], "touches": touches, "lost_ratio": 0.0, "noise_ratio": 1.0, "seed": options.seed}
         for name in (UNMET[:1] if options.quick else UNMET)
     ]
-    results = measure_cells(measure_live, known + unmet, options, "live")
-    measured = [cell | result for cell, result in zip(known + unmet, results, strict=True)]
+    measured = measured_rows(measure_live, known + unmet, options, "live")
     rows = []
     for (lost, noise), group in grouped(measured[: len(known)], "lost_ratio", "noise_ratio").items():
         named = f"live, known objects, {lost:.0%} of the blocks dead, {noise:g} of the noise"
@@ -128,8 +126,7 @@ def _sixteen_rows(options: Options) -> list[Row]:
         "touches": len(OBJECT_GROUPS["paper"]) * (1 if options.quick else SIXTEEN_TOUCHES),
         "per_object": TOUCHES_PER_OBJECT // (6 if options.quick else 1),
     }
-    results = measure_cells(measure_sixteen, [cell | extent for cell in cells], options, "sixteen live")
-    measured = [cell | result for cell, result in zip(cells, results, strict=True)]
+    measured = measured_rows(measure_sixteen, [cell | extent for cell in cells], options, "sixteen live")
     rows = []
     for (stroke, sums, samples), group in grouped(measured, "stroke", "sums", "samples").items():
         named = f"live, our shapes of the paper's 16, {stroke}, samples a cycle {samples}"

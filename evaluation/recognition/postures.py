@@ -21,7 +21,7 @@ from evaluation.observations import TAXELS, all_rows, drawn_sbhe, measured
 from evaluation.recognition.accuracy import MOST_ITERATIONS
 from evaluation.recognition.pictures import draw_gains, gain_row
 from evaluation.result import Options, Picture, Result, Row, grouped
-from evaluation.result_cache import measure_cells
+from evaluation.result_cache import measured_rows
 from touch.reading import read_counts
 
 SIZES: Final = (4096, 256, 64, 16)
@@ -68,9 +68,7 @@ def evaluate(options: Options) -> Result:
         for draw in range(1 if size == TAXELS else draws)
         for person in people
     ]
-    results = measure_cells(measure_postures, cells, options, "postures")
-    percent = [{**cell, "percent": 100 * result["accuracy"]} for cell, result in zip(cells, results, strict=True)]
-    groups = grouped(percent, "variant", "size")
+    groups = grouped(measured_rows(measure_postures, cells, options, "postures"), "variant", "size")
     plain = {size: _mean(found) for (name, size), found in groups.items() if name == next(iter(VARIANTS))}
     rows = []
     for (name, size), found in groups.items():
@@ -141,7 +139,7 @@ def _centred(counts: npt.NDArray[Any], path: Path) -> npt.NDArray[np.float32]:
 
 
 def _mean(found: list[Row]) -> float:
-    return float(np.mean([row["percent"] for row in found]))
+    return float(100 * np.mean([row["accuracy"] for row in found]))
 
 
 _CAPTION: Final = (

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from typing import Final
 
-import msgspec
 import numpy as np
 
 from canskin.messages import UNKNOWN_OBJECT
@@ -12,7 +11,7 @@ from classifier.decide import Classifier
 from classifier.training import TrainingOptions, train
 from demo.chain import REST_S, Nodes
 from evaluation.result import Row
-from skin.layout import Layout, load_layout
+from skin.layout import Layout, changed, load_layout
 from skin.measured_sums import decode_measurement
 from skin.sources import OBJECT_GROUPS, StrokeKind, load_touches, step_rate_hz
 from touch.sources import objects
@@ -27,15 +26,11 @@ def skin_of(sums: int, samples: int, draw: int) -> Layout:
     Fewer sums than blocks are drawn as in the paper: some blocks then send nothing.
     """
     layout = load_layout()
-    measurement = msgspec.structs.replace(
-        layout.measurement,
-        sums=sums,
-        selection="uniform" if sums < layout.blocks else "balanced",
-        seed=layout.measurement.seed + draw,
-    )
-    rate_hz = layout.sync.rate_hz * samples if samples > 1 else None
-    return msgspec.structs.replace(
-        layout, measurement=measurement, sampling=msgspec.structs.replace(layout.sampling, rate_hz=rate_hz)
+    selection = "uniform" if sums < layout.blocks else "balanced"
+    return changed(
+        layout,
+        measurement={"sums": sums, "selection": selection, "seed": layout.measurement.seed + draw},
+        sampling={"rate_hz": layout.sync.rate_hz * samples if samples > 1 else None},
     )
 
 

@@ -1,11 +1,12 @@
 """``skin evaluate rivals``: our sums, at a fixed rate and adaptive, against scans, coarse arrays and events."""
 
 from collections.abc import Collection, Iterable, Iterator
+from operator import itemgetter
 from statistics import mean
 from typing import Final
 
 from evaluation.result import Options, Result, Row, grouped
-from evaluation.result_cache import measure_cells
+from evaluation.result_cache import measure_cells, measured_rows
 from evaluation.schemes.scenes import OWN, SIDE, SLAP, Touch
 from evaluation.schemes.schemes import Adaptive, FilteredEvents, Scan, Scheme, Sums, measure_scheme
 from skin.sources import object_label
@@ -65,10 +66,9 @@ def measured(touches: Iterable[Touch], options: Options, what: str) -> list[Row]
     """Return the figures of every scheme on every touch, a row each."""
     schemes = _QUICK if options.quick else SCHEMES
     cells: list[Row] = [{"scheme": scheme, "touch": touch} for touch in touches for scheme in schemes]
-    results = measure_cells(measure_scheme, cells, options, what)
     return [
-        {"touch": cell["touch"].words, "scheme": cell["scheme"].name} | {key: result[key] for key in DIGITS}
-        for cell, result in zip(cells, results, strict=True)
+        {"touch": row["touch"].words, "scheme": row["scheme"].name} | {key: row[key] for key in DIGITS}
+        for row in measured_rows(measure_scheme, cells, options, what)
     ]
 
 
@@ -103,7 +103,7 @@ def evaluate_drawn(options: Options) -> Result:
         ours, *rivals = scene
         psnrs_db = [float(each["psnr_mean_db"]) for each in rivals]
         tuned = psnrs_db.index(max(psnrs_db))
-        nearest = min(rivals, key=_touched_error_mn)
+        nearest = min(rivals, key=itemgetter("touched_error_mn"))
         rows.append(
             {"scene": touch.words, "psnr_db": round(ours["psnr_mean_db"], 1), "best_rival": schemes[1 + tuned].name}
             | _against(ours, rivals[tuned], nearest, "")
@@ -113,10 +113,6 @@ def evaluate_drawn(options: Options) -> Result:
     note = [f"{schemes[fixed].name} is the best fixed rival."]
     note += [_counts(rows, rival, prefix) for rival, prefix in (("the best of each scene", ""), ("it", "fixed_"))]
     return Result(title, rows, note="\n".join(note))
-
-
-def _touched_error_mn(row: Row) -> float:
-    return float(row["touched_error_mn"])
 
 
 def _against(ours: Row, rival: Row, nearest: Row, prefix: str) -> Row:
@@ -180,23 +176,20 @@ def wins_and_losses(shown: list[Row]) -> str:
         lines += [title]
         for (touch,), rows in grouped(shown, "touch").items():
             mine = next((row for row in rows if row["scheme"] == ours), None)
-            rivals = [row for row in rows if not row["scheme"].startswith(ours) and _is_rival(row, ours)]
+            others = [row for row in rows if not row["scheme"].startswith(ours)]
+            rivals = [row for row in others if ours == OURS.name or row["rate_hz"] is not None]
             lines += [_verdict(touch, mine, rivals)] if mine and rivals else []
     return "\n".join(lines)
 
 
-def _is_rival(row: Row, ours: str) -> bool:
-    return ours == OURS.name or row["rate_hz"] is not None
-
-
 def _verdict(touch: str, ours: Row, others: list[Row]) -> str:
     """Return a line that begins with ``win``, or with ``LOSS`` and where ours is worse."""
-    best = max(others, key=lambda row: float(row["psnr_mean_db"]))
+    best = max(others, key=itemgetter("psnr_mean_db"))
     gain_db = ours["psnr_mean_db"] - best["psnr_mean_db"]
     worse = [] if gain_db > 0 else ["PSNR"]
     said = f"{gain_db:+.1f} dB to {best['scheme']}"
     if ours["touched_error_mn"] is not None:
-        nearest = min(others, key=lambda row: float(row["touched_error_mn"]))
+        nearest = min(others, key=itemgetter("touched_error_mn"))
         worse += [] if ours["touched_error_mn"] < nearest["touched_error_mn"] else ["touched error"]
         said += f"; touched {ours['touched_error_mn']:.2f} mN, "
         said += f"{nearest['touched_error_mn']:.2f} {nearest['scheme']}"

@@ -7,7 +7,7 @@ from typing import Final
 import msgspec
 import numpy as np
 
-from bandwidth.alternatives import BLOCKS_PER_NODE, planned, with_buses, with_rate, with_sums
+from bandwidth.alternatives import BLOCKS_PER_NODE, planned, with_buses
 from bandwidth.highest_rate import highest_rate_hz
 from bandwidth.traffic import Disturbance
 from canskin.errors import LayoutError
@@ -17,7 +17,7 @@ from evaluation.result_cache import measure_cells
 from evaluation.schemes.scenes import SHAKING, Touch, recordings_in
 from evaluation.schemes.schemes import Shown
 from evaluation.schemes.sums import run_sums
-from skin.layout import SUM_BITS, Bus, Layout, layout_text, load_layout, validated
+from skin.layout import SUM_BITS, Bus, Layout, changed, layout_text, load_layout, validated
 
 #: Part of each bus that frames with the most stuff bits may use; the default skin uses 0.87.
 BUDGET: Final = 0.9
@@ -144,8 +144,8 @@ def _layouts(wires: str, rows: int, bits: int) -> Iterator[Layout]:
     """Yield one layout for each number of blocks per node that is possible, each at its highest rate."""
     start = load_layout()
     buses, like = WIRES[wires]
-    encoding = msgspec.structs.replace(start.encoding, sum_bits=bits, offset_binary=True)
-    start = msgspec.structs.replace(with_sums(start, rows * start.blocks), encoding=encoding)
+    encoding = {"sum_bits": bits, "offset_binary": True}
+    start = changed(start, measurement={"sums": rows * start.blocks}, encoding=encoding)
     for per_node in BLOCKS_PER_NODE:
         layout = with_buses(start, buses, msgspec.structs.replace(like, blocks_per_node=per_node))
         try:
@@ -153,4 +153,4 @@ def _layouts(wires: str, rows: int, bits: int) -> Iterator[Layout]:
         except LayoutError:
             continue  # more nodes than node-IDs, or more frames than identifiers
         if rate_hz > 0:
-            yield validated(with_rate(layout, rate_hz))
+            yield validated(changed(layout, sync={"rate_hz": rate_hz}))

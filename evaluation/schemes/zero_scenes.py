@@ -8,7 +8,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
-import msgspec
 import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import binary_dilation
@@ -23,7 +22,7 @@ from evaluation.result import Options, Result, Row
 from evaluation.result_cache import measure_cells
 from reconstructor.imaging import CycleImager
 from skin.defects import Defects, Stage, creep
-from skin.layout import Layout, load_layout
+from skin.layout import Layout, changed, load_layout
 from skin.measured_sums import decode_measurement
 from skin.zero_drift import DRIFT_N_PER_K, REST_K, Place, ZeroDrift
 
@@ -204,7 +203,7 @@ def _layout_of(scene: Scene) -> Layout:
     taxels = np.arange(layout.taxels.count).reshape(layout.taxels.rows, layout.taxels.columns)
     ends = np.r_[:REFERENCE_SIDE, -REFERENCE_SIDE:0]
     untouchable = tuple(taxels[np.ix_(ends, ends)].ravel().tolist())
-    return msgspec.structs.replace(layout, taxels=msgspec.structs.replace(layout.taxels, untouchable=untouchable))
+    return changed(layout, taxels={"untouchable": untouchable})
 
 
 def _cycles(layout: Layout, scene: Scene, rest_n: Floats, seed: int) -> Iterator[tuple[_Cycle, Measurement]]:

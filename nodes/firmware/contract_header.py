@@ -28,7 +28,7 @@ _ENUMERATIONS: Final[dict[str, type[IntEnum | IntFlag]]] = {
     "RECORD_": slots.Record,
 }
 _FRAME_FLAGS: Final = ("EXTENDED", "REMOTE", "ERROR", "FD", "BRS", "ECHO")
-_OBJECT_FLAGS: Final = ("WRITABLE", "MAPPABLE", "COVERED", "TEXT", "CALIBRATING", "COMPUTED")
+_OBJECT_FLAGS: Final = ("WRITABLE", "MAPPABLE", "COVERED", "CALIBRATING", "COMPUTED")
 _PATTERNS: Final = ("PATTERN_OFF", "PATTERN_ZERO", "PATTERN_RAMP", "PATTERN_FULL")
 #: Indices of the object dictionary; the other numbers of `indices` are data types, signatures and a stride.
 _INDICES: Final = range(0x1000, 0x3000)

@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from canskin.errors import InputError
+from canskin.errors import InputError, reasoned
 from dbc.canopen import BASE_ID_MASK
 from dbc.contract import Contract, NodeContract
 from dbc.frame import Frames, frames
@@ -289,15 +289,13 @@ def _compiled(texts: dict[str, str], compiler: str) -> Path:
     path = cache_folder() / f"firmware-{digest}.so"
     if path.exists():
         return path
-    try:
+    with reasoned(InputError, f"{path}: cannot keep the compiled firmware"):
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=path.parent) as name:
             folder = Path(name)
             made = folder / "firmware.so"
             compile_c(write_files(texts, folder), made, [program, *_FLAGS])
             made.replace(path)  # in one step: another process may look for the file
-    except OSError as error:
-        raise InputError(f"{path}: cannot keep the compiled firmware: {error.strerror or error}") from error
     return path
 
 

@@ -1,10 +1,14 @@
 """The storage function of C boards on this machine (``skin_storage.h``): the files of `nodes.storage`."""
 
 import ctypes
+import struct
+import zlib
 from collections.abc import Iterator
 from typing import Any, Final
 
+from dbc import indices as od
 from dbc.canopen import NO_BIT_TIMING, NO_NODE_ID
+from dbc.configuration import setting_of
 from dbc.slots import Record
 from nodes.access import is_storable
 from nodes.firmware.tables import COMPUTED, WRITABLE, Build, ObjectTable
@@ -25,14 +29,15 @@ class StorageFunction(ctypes.Structure):
 def storage_function(build: Build, storage: Storage) -> StorageFunction:
     """Return the storage function of a board, whose parameters and node-ID `storage` keeps.
 
-    Stored values that do not fit an object are left out: the board has its defaults there. The key of a record is not
-    needed: each board has a file, which knows its skin and its node-ID.
+    Stored values that do not fit an object are left out: the board has its defaults there.
     """
     places = list(_places(build.objects))
 
-    def load(_context: int, record: int, _key: int, data: Any, _bytes: int) -> int:
-        numbered = b"" if storage.node_id == NO_NODE_ID else bytes((storage.node_id, NO_BIT_TIMING))
-        kept = numbered if record == Record.LSS else _values(build, storage)
+    def load(_context: int, record: int, key: int, data: Any, _bytes: int) -> int:
+        if record == Record.LSS:
+            kept = b"" if storage.node_id == NO_NODE_ID else bytes((storage.node_id, NO_BIT_TIMING))
+        else:
+            kept = _values(build, storage) if key == _key(build.objects, storage.owner) else b""
         ctypes.memmove(data, kept, len(kept))
         return int(not kept)
 
@@ -53,6 +58,16 @@ def storage_function(build: Build, storage: Storage) -> StorageFunction:
         return 0
 
     return StorageFunction(_FUNCTION(load), _FUNCTION(save), None)
+
+
+def _key(table: ObjectTable, node_id: int) -> int:
+    """Return the key of the values that a node-ID has stored (`key_of` of ``skin_objects.c``)."""
+    (fingerprint,) = (setting_of(each).data for each in table.objects if each.index == od.PHI_FINGERPRINT)
+    key = zlib.crc32(bytes((node_id,)), zlib.crc32(fingerprint))
+    for index, subindex, flags, _, size in table.entries:
+        if flags & WRITABLE:
+            key = zlib.crc32(struct.pack("<HBB", index, subindex, size), key)
+    return key
 
 
 def _values(build: Build, storage: Storage) -> bytes:

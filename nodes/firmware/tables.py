@@ -23,7 +23,7 @@ from dbc.objects import Object
 from nodes.firmware.c_text import WRITTEN, array, braced, defined, header, real
 
 #: Flags of `skin_object` (``skin_board.h``).
-WRITABLE, MAPPABLE, COVERED, TEXT, CALIBRATING = 1, 2, 4, 8, 16
+WRITABLE, MAPPABLE, COVERED, CALIBRATING = 1, 2, 4, 8
 #: Place of objects that the firmware computes and that have no stored value.
 COMPUTED: Final = 0xFFFF
 _COMPUTED: Final = (
@@ -208,8 +208,7 @@ def _object_table(contract: Contract, node: NodeContract, boards: Sequence[_Dict
             WRITABLE * (each.access == "rw")
             | MAPPABLE * each.pdo
             | COVERED * ((each.index, each.subindex or 0) in covered)
-            | CALIBRATING * ((each.index, each.subindex or 0) in calibrating)
-            | TEXT * (each.data_type == od.VISIBLE_STRING),
+            | CALIBRATING * ((each.index, each.subindex or 0) in calibrating),
             places.get((each.index, each.subindex), COMPUTED),
             len(data),
         )
@@ -226,7 +225,7 @@ def _values(table: ObjectTable, objects: _Dictionary) -> bytes:
 
 
 def _is_row(each: Object) -> bool:
-    return each.index >= od.MANUFACTURER and od.split_block(each.index)[1] == od.ROWS and bool(each.subindex)
+    return od.split_block(each.index)[1] == od.ROWS and bool(each.subindex)
 
 
 def _is_computed(each: Object) -> bool:
@@ -236,7 +235,7 @@ def _is_computed(each: Object) -> bool:
 
 
 def _is_measured(index: int) -> bool:
-    return index >= od.MANUFACTURER and od.split_block(index)[1] in (od.SUMS, od.COUNTS)
+    return od.split_block(index)[1] in (od.SUMS, od.COUNTS)
 
 
 def board_header(contract: Contract, boards: Sequence[Build]) -> str:

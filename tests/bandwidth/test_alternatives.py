@@ -5,10 +5,10 @@ from typing import Any
 import msgspec
 import pytest
 
-from bandwidth.alternatives import Alternative, alternatives, planned, with_bits, with_buses, with_rate, with_sums
+from bandwidth.alternatives import Alternative, alternatives, planned, with_buses
 from bandwidth.traffic import Disturbance
 from canskin.errors import LayoutError
-from skin.layout import Layout, load_layout
+from skin.layout import Layout, changed, load_layout
 from tests.layouts import buses, small_layout
 
 #: Eight blocks, one to a node; the second bus has three times the nodes of the first.
@@ -49,8 +49,8 @@ def test_sums_are_doubled_up_to_the_taxels_and_halved_down_to_one_a_block(
 
 def test_narrower_sums_and_bigger_nodes_than_the_given_are_compared() -> None:
     layout = LAYOUT
-    assert {"12-bit sums", "8-bit sums"} & set(changes(with_bits(layout, 12))) == {"8-bit sums"}
-    assert {"12-bit sums", "8-bit sums"} & set(changes(with_bits(layout, 8))) == set()
+    assert {"12-bit sums", "8-bit sums"} & set(changes(changed(layout, encoding={"sum_bits": 12}))) == {"8-bit sums"}
+    assert {"12-bit sums", "8-bit sums"} & set(changes(changed(layout, encoding={"sum_bits": 8}))) == set()
     like = msgspec.structs.replace(layout.bus[0], fd=True, data_bitrate=5_000_000, blocks_per_node=4)
     of_fast = changes(with_buses(layout, 1, like))
     assert [each for each in of_fast if "per node" in each] == [
@@ -58,6 +58,10 @@ def test_narrower_sums_and_bigger_nodes_than_the_given_are_compared() -> None:
         "CAN FD 2 Mbit/s, 4 per node",
         "CAN FD 8 Mbit/s, 4 per node",
     ]
+
+
+def test_nodes_of_more_blocks_than_the_skin_can_fill_are_left_out() -> None:
+    assert [each for each in changes(small_layout(8, 8)) if "per node" in each] == ["2 blocks per node", *FAST[:3]]
 
 
 def test_the_figures_are_those_of_the_fullest_bus_and_the_frames_of_all() -> None:
@@ -98,7 +102,7 @@ def test_figures_of_each_alternative_are_those_of_its_own_layout() -> None:
 
 
 def test_problems_of_all_buses_are_told() -> None:
-    first = next(alternatives(with_rate(LAYOUT, 2000.0)))
+    first = next(alternatives(changed(LAYOUT, sync={"rate_hz": 2000.0})))
     assert first.problem is not None
     left, _, right = first.problem.partition("; right: ")
     # 55 + 4 * 135 bits 2000 times a second, two heartbeats; then 12 TPDOs, six heartbeats.
@@ -132,25 +136,13 @@ def test_nodes_are_divided_evenly_and_buses_without_nodes_are_left_out(
 
 
 def test_a_block_that_is_left_over_has_a_node() -> None:
-    odd = msgspec.structs.replace(LAYOUT, taxels=msgspec.structs.replace(load_layout().taxels, columns=10))
+    odd = changed(LAYOUT, taxels=msgspec.structs.replace(load_layout().taxels, columns=10))
     assert odd.blocks == 20
     made = with_buses(odd, 2, msgspec.structs.replace(odd.bus[0], blocks_per_node=8))
     assert [bus.nodes for bus in made.bus] == [2, 1]
 
 
-def test_one_key_is_changed_and_nothing_else() -> None:
-    layout = LAYOUT
-    for made, table, key, value in (
-        (with_bits(layout, 12), "encoding", "sum_bits", 12),
-        (with_sums(layout, 32), "measurement", "sums", 32),
-        (with_rate(layout, 40.0), "sync", "rate_hz", 40.0),
-    ):
-        before, after = msgspec.to_builtins(layout), msgspec.to_builtins(made)
-        before[table][key] = value
-        assert after == before
-
-
 def test_a_layout_that_a_program_has_built_is_checked() -> None:
     assert [each.name for each in planned(LAYOUT, Disturbance())] == ["left", "right"]
     with pytest.raises(LayoutError, match="sums"):
-        planned(with_sums(LAYOUT, 512), Disturbance())
+        planned(changed(LAYOUT, measurement={"sums": 512}), Disturbance())

@@ -123,7 +123,7 @@ def test_json_timing_has_every_bus_and_its_interface(skin: Skin) -> None:
 
 @pytest.mark.parametrize("wrong", [{"clock_hz": [0]}, {"bus_length_m": float("nan")}, {"loop_delay_ns": -1.0}])
 def test_controllers_that_cannot_be_are_refused(wrong: dict[str, float]) -> None:
-    with pytest.raises(InputError, match="expected above 0"):
+    with pytest.raises(InputError, match="needs a number above 0, up to"):
         TimingOptions(**wrong)
 
 

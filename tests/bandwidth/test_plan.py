@@ -3,11 +3,10 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-import msgspec
 import numpy as np
 import pytest
 
-from bandwidth.alternatives import alternatives, with_bits, with_buses
+from bandwidth.alternatives import alternatives, with_buses
 from bandwidth.plan import BusTime, bus_time, plan, plan_bus
 from bandwidth.traffic import Disturbance, traffic
 from bandwidth.wiring import wiring
@@ -16,7 +15,7 @@ from dbc.codec import encode
 from dbc.contract import Contract
 from dbc.frame import frames
 from nodes.electronics import Electronics
-from skin.layout import SHIPPED, Layout, layout_text, load_layout, parse_layout
+from skin.layout import SHIPPED, Layout, changed, layout_text, load_layout, parse_layout
 from skin.sources import load_source
 from skin.sync_counter import SYNC_OVERFLOW
 from tests.layouts import alternating, buses, small_layout
@@ -93,9 +92,7 @@ def test_heartbeats_that_fill_a_bus_leave_no_rate() -> None:
 
 def with_time(name: str, time_s: float | None) -> Contract:
     layout = load_layout(Path(name))
-    return Contract.from_layout(
-        msgspec.structs.replace(layout, sync=msgspec.structs.replace(layout.sync, time_s=time_s))
-    )
+    return Contract.from_layout(changed(layout, sync={"time_s": time_s}))
 
 
 def load_worst(contract: Contract) -> float:
@@ -148,7 +145,7 @@ def heartbeats(nodes: tuple[object, ...], time_ns: int) -> np.ndarray:
 
 
 def faster(layout: Layout, rate_hz: float) -> Layout:
-    return msgspec.structs.replace(layout, sync=msgspec.structs.replace(layout.sync, rate_hz=rate_hz))
+    return changed(layout, sync={"rate_hz": rate_hz})
 
 
 @pytest.mark.heavy
@@ -191,8 +188,8 @@ def test_alternatives_are_layouts_or_say_why_not() -> None:
 
 
 def test_an_impossible_alternative_names_the_key() -> None:
-    crowded = with_bits(with_buses(alternating(load_layout()), 2, load_layout().bus[0]), 16)
-    crowded = msgspec.structs.replace(crowded, measurement=msgspec.structs.replace(crowded.measurement, sums=4096))
+    crowded = with_buses(alternating(load_layout()), 2, load_layout().bus[0])
+    crowded = changed(crowded, encoding={"sum_bits": 16}, measurement={"sums": 4096})
     first = next(alternatives(crowded))
     assert first.load_worst is None
     assert first.problem is not None

@@ -59,6 +59,8 @@ def test_adaptive_sums_are_chosen_where_synchronous_sums_do_not_fit_or_when_aske
     assert found.layout is not None
     assert found.chosen is not None
     assert found.chosen.words == "1 bus of classic CAN, 32 nodes of 1 block, 1024 sums, adaptive"
+    assert "lacks: " in (why := found.nearest_in_cycles() or "")
+    assert "it fits at up to " in why
     assert not any(each.fits for each in found.candidates if each.sending == "synchronous")
     assert found.chosen.load_touched is not None
     assert 0 < found.chosen.load_touched < 0.8

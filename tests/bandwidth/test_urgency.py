@@ -12,7 +12,7 @@ import pytest
 
 from bandwidth.response import UNBOUNDED
 from bandwidth.traffic import Disturbance
-from bandwidth.urgency import Urgency
+from bandwidth.urgency import Budgeted, Urgency
 from dbc.adaptive import FIRST_COB_ID, GROUP_SUMS, LEVELS, SendingRule, coarse_value, decode_cob_id
 from dbc.canopen import HEARTBEAT_BASE
 from dbc.contract import Contract
@@ -232,11 +232,11 @@ def test_a_slow_bus_has_no_bound_but_for_the_first_groups() -> None:
 
 def test_a_budget_bounds_the_load_and_lengthens_coarse_waits() -> None:
     limit = bounds()
-    small, fair = limit.budgeted(5_000), limit.budgeted(24_000)
+    small, fair = Budgeted(limit, 5_000), Budgeted(limit, 24_000)
     assert small.coarse_ns == UNBOUNDED  # four groups every 24 ms take 22.5 kbit/s
     assert int(limit.news_ns.max()) < fair.coarse_ns < UNBOUNDED
-    assert small.full_ns < fair.full_ns < UNBOUNDED == limit.budgeted(40_000).full_ns
-    assert small.fine_ns < UNBOUNDED == limit.budgeted(40_000).fine_ns
+    assert small.full_ns < fair.full_ns < UNBOUNDED == Budgeted(limit, 40_000).full_ns
+    assert small.fine_ns < UNBOUNDED == Budgeted(limit, 40_000).fine_ns
 
 
 def of_nodes(nodes: int, allowed: Disturbance = QUIET, *, fd: bool = False) -> Urgency:
@@ -321,7 +321,7 @@ def test_heartbeats_and_answers_wait_for_the_room_of_a_pause() -> None:
 
 @pytest.mark.parametrize(("bits_per_s", "saved_bits"), [(4_000, 8 * 135), (5_000, 1_250), (24_000, 6_000)])
 def test_a_node_saves_up_a_quarter_of_a_second_or_eight_frames(bits_per_s: int, saved_bits: int) -> None:
-    budgeted = bounds().budgeted(bits_per_s)
+    budgeted = Budgeted(bounds(), bits_per_s)
     assert (budgeted.frame_bits, budgeted.saved_bits) == (135, saved_bits)
 
 
@@ -332,11 +332,11 @@ def test_a_budget_makes_a_node_alone_wait_for_its_bits() -> None:
     Coarse: five frames are owed, and while the last group waits the three others come four times in 24 ms each:
     (5 + 4 * 3 + 1) frames. Fine: 8 + 4 + 1 frames.
     """
-    budgeted = of_nodes(1).budgeted(24_000)
+    budgeted = Budgeted(of_nodes(1), 24_000)
     assert budgeted.full_ns == round((6_000 + 540 + 135 + 2_200) * 1000 / (1 - 0.024 - 0.022))
     assert budgeted.coarse_ns == 24_000_000 + 18 * 5_625_000 + 2_875_000
     assert budgeted.fine_ns == 4_000_000 + 13 * 5_625_000 + budgeted.full_ns
-    rough = of_nodes(1, ROUGH).budgeted(24_000)
+    rough = Budgeted(of_nodes(1, ROUGH), 24_000)
     at_once_us = 6_000 + 540 + 135 + 2_200 * 1.005 + 166 * 1.00135
     assert rough.full_ns == pytest.approx(at_once_us * 1000 / (1 - 0.024 - 0.022 - 0.00166), abs=1)
     assert rough.fine_ns == 4_000_000 + 13 * 5_625_000 + 500_000 + rough.full_ns

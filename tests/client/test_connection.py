@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 import canskin
-from canskin.fabric import Fabric
+from canskin.fabric import Fabric, Mailbox
 from canskin.messages import MARK, Mark
 from tests.client.helpers import Chain
 
@@ -112,8 +112,9 @@ def test_marks_reach_a_recorder_and_are_refused_without(chain: Chain) -> None:
     with canskin.connect(chain.endpoint, timeout_s=240) as skin:
         with pytest.raises(canskin.InputError, match="expected printable text of up to 60"):
             skin.mark("cup\n")
-        recorder = Fabric("palm", "recorder", chain.endpoint)
-        marks = recorder.mailbox(MARK)
+        boxes: list[Mailbox[Mark]] = []
+        recorder = Fabric("palm", "recorder", chain.endpoint, prepare=lambda fabric: boxes.append(fabric.mailbox(MARK)))
+        (marks,) = boxes
         skin.mark("cup")
         skin.mark("")
         assert [marks.get(PATIENCE_S), marks.get(PATIENCE_S)] == [Mark(label="cup"), Mark(label="")]

@@ -206,6 +206,15 @@ def test_a_service_is_there_while_any_of_its_name_is(notes: list[tuple[str, str,
     assert {service for service in "ab" if roll.holds(service)} == {service for service, _ in there}
 
 
+def test_who_sees_a_service_is_heard_by_it(hub: Fabric, endpoint: str) -> None:
+    other, boxes = Fabric("test", "other", endpoint), list[Mailbox[Label]]()
+    other.watch(lambda service, alive: other.publish(LABEL, label(1)) if (service, alive) == ("late", True) else None)
+    late = Fabric("test", "late", endpoint, prepare=lambda fabric: boxes.append(fabric.mailbox(LABEL)))
+    assert boxes[0].get(20.0) is not None
+    late.close()
+    other.close()
+
+
 def test_endpoint_in_use_is_one_clear_line(hub: Fabric, endpoint: str) -> None:
     with pytest.raises(BusError, match="cannot listen on tcp/127") as caught:
         Fabric("test", "second", endpoint, hub=True)

@@ -82,14 +82,10 @@ def same_object(wanted: Object, got: ODVariable, *, alone: bool) -> None:
         wanted.pdo,
     )
     is_mapped = od.TPDO_MAPPING <= wanted.index < od.TPDO_END
-    is_own = (first_block(wanted.index) in DIFFERING or is_mapped) and wanted.subindex != 0
+    is_own = (od.split_block(wanted.index)[1] in DIFFERING or is_mapped) and wanted.subindex != 0
     unset = NO_BLOCK if wanted.index == od.BLOCK else 0
     value = None if wanted.data_type == od.DOMAIN else wanted.value
     assert got.default == value or (is_own and not alone and got.default == unset)
-
-
-def first_block(index: int) -> int:
-    return od.split_block(index)[1] if index >= od.MANUFACTURER else index
 
 
 @pytest.mark.heavy

@@ -104,3 +104,9 @@ def test_signatures_are_words_with_the_first_letter_lowest() -> None:
 def test_objects_of_further_blocks_are_200h_apart(first: int, place: int, index: int) -> None:
     assert od.of_block(first, place) == index
     assert od.split_block(index) == (place, first)
+
+
+@pytest.mark.parametrize("index", [0x1010, 0x1810, 0x1A10, 0x1900, 0x1FFF])
+def test_objects_of_the_communication_profile_belong_to_no_block(index: int) -> None:
+    """1A10h, a mapping, is not the gains of a block before the first."""
+    assert od.split_block(index) == (0, index)

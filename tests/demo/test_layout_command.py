@@ -1,4 +1,4 @@
-"""``skin layout draw``: boards in their colours, on any skin."""
+"""``skin layout``: what is made, refused and drawn, on any skin."""
 
 from pathlib import Path
 
@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from canskin.errors import LayoutError
 from demo.layout_command import layout
 from skin.layout import load_layout
 from tests import surfaces
@@ -37,3 +38,20 @@ def test_a_curved_skin_is_drawn_in_space_too(tmp_path: Path) -> None:
     _, flat = drawn(tmp_path, FLAT)
     _, curved = drawn(tmp_path, HALF_TUBE)
     assert curved.shape[0] / curved.shape[1] > flat.shape[0] / flat.shape[1] + 0.5
+
+
+@pytest.mark.heavy
+@pytest.mark.parametrize(("grid", "sums"), [("8x8", 64), ("16x16", 128), ("24x32", 192)])
+def test_a_new_skin_has_as_many_sums_as_its_buses_carry_easily(tmp_path: Path, grid: str, sums: int) -> None:
+    out = tmp_path / "new.toml"
+    assert layout("new", Path(grid), out=out) == 0
+    made = load_layout(out)
+    assert (made.measurement.sums, len(made.bus)) == (sums, 1)
+
+
+def test_a_message_of_another_device_with_the_identifier_of_a_sum_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "arm.toml"
+    foreign = "[[bus.foreign]]\nname = 'drive'\nidentifier = 0x181\nlength = 8\nperiod_s = 0.01\n"
+    path.write_text(f"taxels = {{rows = 8, columns = 8}}\n[[bus]]\nname = 'arm'\nnodes = 2\n{foreign}")
+    with pytest.raises(LayoutError, match="181h"):
+        layout("check", path)

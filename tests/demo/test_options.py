@@ -30,8 +30,8 @@ def options(folder: Path, **changes: Any) -> DemoOptions:
 @pytest.mark.parametrize(
     ("changes", "says"),
     [
-        ({"seconds": 0.0}, "positive number of seconds"),
-        ({"seconds": float("nan")}, "positive number of seconds"),
+        ({"seconds": 0.0}, "--seconds needs a number above 0"),
+        ({"seconds": float("nan")}, "--seconds needs a number above 0"),
         ({"seed": -1}, "--seed: expected 0 or more"),
         ({"port": -3}, "--port: expected 0 to 65535, got -3"),
         ({"port": 65536}, "--port: expected 0 to 65535, got 65536"),

@@ -7,6 +7,7 @@ import pytest
 
 from canskin.errors import InputError
 from canskin.messages import GatewayStatus
+from canskin.peers import new_peer
 from demo.options import DemoOptions
 from demo.rate import JUDGED_S, LEAST_RUN_S, SETTLED_S, at_rate, is_kept
 from demo.run import Run
@@ -83,3 +84,19 @@ def test_a_run_takes_the_rate_that_the_machine_keeps(
     assert rates.tried_hz == tried_hz
     assert rates.run.score.gateway is not None
     assert SETTLED_S < JUDGED_S < LEAST_RUN_S
+
+
+def test_services_of_another_rate_are_not_taken_for_those_that_start(tmp_path: Path) -> None:
+    run = Run(LAYOUT, DemoOptions(view=False), tmp_path)
+    names = "nodes", "reconstructor", "classifier"
+    before, after = ([new_peer(LAYOUT.name, name, "") for name in names] for _ in range(2))
+    for peer in before:
+        run._note(peer, True)
+    assert run._missing() == ""
+    run._take_rate(50.0)
+    assert run._missing() == "classifier, nodes, reconstructor"
+    for peer in after:
+        run._note(peer, True)
+    for peer in before:  # the fabric tells that late
+        run._note(peer, False)
+    assert run._missing() == ""

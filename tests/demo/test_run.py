@@ -14,7 +14,7 @@ import pytest
 from demo.folder import PREFIX
 from demo.options import DemoOptions
 from demo.run import Run
-from demo.score import Score, Snapshot
+from demo.score import CycleImages, Score
 from skin.layout import load_layout
 from tests.processes import Processes
 
@@ -25,7 +25,7 @@ def run_with_contact(picture: Path, folder: Path) -> Run:
     options = DemoOptions(view=False, picture=picture)
     run = Run(LAYOUT, options, folder)
     force_n = np.full((64, 64), 0.01, np.float32)
-    run.score.snapshot = Snapshot(force_n, force_n, force_n)
+    run.score.snapshot = CycleImages(force_n, force_n, force_n)
     return run
 
 

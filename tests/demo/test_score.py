@@ -143,7 +143,9 @@ def test_nothing_measured_is_none_and_not_zero(score: Score) -> None:
 def test_messages_of_another_size_are_left_alone(score: Score) -> None:
     score.take_truth(msgspec.structs.replace(truth(1), true=b"1234"))
     score.take_image(msgspec.structs.replace(image(1), pixels=b""))
-    assert score.report().contact_cycles == 0
+    score.take_truth(truth(2))
+    score.take_measurement(make.measurement(2, sampled_mono_ns=truth(2).sampled_mono_ns, bus_sampled_ns=b"123"))
+    assert (score.report().contact_cycles, score.report().sampling_error_us.p50) == (0, None)
 
 
 def test_what_the_newest_label_tells(score: Score) -> None:

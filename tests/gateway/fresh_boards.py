@@ -41,11 +41,19 @@ class Finger:
     def __init__(self, contract: Contract) -> None:
         self._taxels, self._chains = contract.layout.taxels, contract.phi.taxels_of_blocks
         self.blocks: tuple[int, ...] = ()
+        #: Deviation of a bell of force around the middle of each block; None: some taxels of the block alone.
+        self.width_m: float | None = None
 
     def frame(self, step: int) -> Frame:
         force_n = np.zeros(self._taxels.count, np.float32)
-        # Neighbours differ, so that sums of every Hadamard row do.
-        force_n[self._chains[list(self.blocks), ::3].ravel()] = 0.5 * self._taxels.force_max_n
+        if self.width_m is None:
+            # Neighbours differ, so that sums of every Hadamard row do.
+            force_n[self._chains[list(self.blocks), ::3].ravel()] = 0.5 * self._taxels.force_max_n
+        else:
+            positions_m = self._taxels.surface.positions_m
+            for block in self.blocks:
+                away_m = np.linalg.norm(positions_m - positions_m[self._chains[block]].mean(axis=0), axis=1)
+                force_n += 0.5 * self._taxels.force_max_n * np.exp(-0.5 * (away_m / self.width_m) ** 2)
         return Frame(force_n.reshape(self._taxels.rows, self._taxels.columns), "")
 
 

@@ -10,6 +10,7 @@ import pytest
 from canskin.errors import InputError, RunError
 from dbc.configuration import DIALOGUES
 from dbc.contract import Contract
+from dbc.frame import EXTENDED
 from gateway.count_reading import CountReading
 from gateway.node_command import node
 from gateway.wiring import Finding
@@ -20,6 +21,7 @@ from nodes.ways import way_of
 from skin.defects import Defects
 from skin.layout import Layout
 from skin.surface import Floats
+from tests.bus.harness import frame
 from tests.gateway.helpers import Wire
 from tests.gateway.wiring_errors import REST, Finger, pressed, stroke
 from tests.layouts import ADAPTIVE, buses, layout_toml, small_layout
@@ -141,6 +143,14 @@ def test_another_master_is_refused() -> None:
     with pytest.raises(InputError, match="bus0: another program sends SYNC: stop the gateway"):
         bench.read(stroke_s=1.0)
     assert all(can_id in (0x080, 0x701, 0x702) for can_id, _ in bench.wires[0].log)
+
+
+def test_frames_with_identifiers_of_29_bits_are_no_sync_of_another_master(small: Contract) -> None:
+    sends = dict.fromkeys(range(len(small.layout.bus)), len)
+    reading = CountReading(small, sends, 0.0, rest_s=1.0, stroke_s=1.0, say=lambda _: None)
+    reading.take(0, frame(0x080, b"", EXTENDED), 0.0)
+    reading.tick(0.0)
+    assert not reading.done
 
 
 @pytest.mark.heavy

@@ -253,6 +253,23 @@ def test_frames_lost_by_the_gateway_itself_cost_the_cycles_between_which_a_sync_
     assert bus.valid(new) == [False, False]
 
 
+@both
+def test_without_the_echoes_of_two_syncs_no_answer_counts_in_an_older_cycle(identity: str) -> None:
+    """With two phases nothing is spoilt: the cycle of the same phase is closed before its next SYNC is sent."""
+    gathering = CycleGathering(CONTRACTS[identity])
+    bus = Bus(identity, gathering.collector)
+    bus.whole()
+    old = bus.begin()
+    bus.take(bus.sync())
+    lost = bus.begin()
+    assert bus.valid(old) == [False, False]
+    newest = bus.begin()
+    health = Health()
+    health.look(frames(0), State.ACTIVE, 1, 0)
+    gathering.take(0, bus.frames_of(newest, 0, 1), health, 0.0)
+    assert bus.valid(lost) == bus.valid(newest) == [False, False]
+
+
 def test_while_syncs_come_within_the_window_a_node_behind_stays_behind() -> None:
     """Its window (1007h) has not passed: each frame may be the answer to the SYNC before."""
     bus = Bus("window")

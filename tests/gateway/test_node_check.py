@@ -373,6 +373,39 @@ def test_a_board_without_signature_is_noted(change: Callable[[np.ndarray], objec
     assert report.notes == ["no signature (2006h): a proof reads every object"]
 
 
+def test_a_board_that_tells_no_size_of_its_objects_keeps_the_contract() -> None:
+    """An expedited answer without size has four bytes (CiA 301, 7.2.4.3.6), those behind the value are 0."""
+    bench = Bench(small_contract())
+    bench.node.local.set_data(od.TEST_PATTERN, 0, b"\1")
+
+    def without_size(_end: object, each: np.void) -> bool:
+        if each["can_id"] == 0x581 and each["data"][0] & 0xF3 == 0x43:
+            each["data"][0] = 0x42
+        return False
+
+    bench.wire.loses = without_size
+    report = bench.check()
+    assert report.differences == []
+    assert pattern_of(bench) == 1
+
+
+def test_a_test_pattern_longer_than_its_type_differs() -> None:
+    bench = Bench(small_contract())
+
+    def longer(_end: object, each: np.void) -> bool:
+        """Tell 2021h in segments."""
+        data = each["data"]
+        if each["can_id"] == 0x581 and bytes(data[1:4]) == b"\x21\x20\0" and data[0] == 0x4F:
+            data[:8] = (0x41, 0x21, 0x20, 0, 7, 0, 0, 0)
+        elif each["can_id"] == 0x581 and data[0] == 0x80 and bytes(data[1:4]) == b"\x21\x20\0":
+            data[:8] = (0x01, 1, 0, 0, 0, 0, 0, 9)
+        return False
+
+    bench.wire.loses = longer
+    assert any("2021h:0 (Test pattern) is 9" in each for each in bench.check().notes)
+    assert bench.node.state == NmtState.PRE_OPERATIONAL
+
+
 def test_an_object_that_the_board_lacks_differs_and_the_others_are_read() -> None:
     whole, report = Bench(small_contract()).check(), answered(aborts, 0x1017)
     assert len(report.differences) == 1

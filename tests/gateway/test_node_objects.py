@@ -6,9 +6,12 @@ from pathlib import Path
 import pytest
 
 from canskin.errors import InputError, RunError
+from dbc import indices as od
 from dbc.eds import eds, node_types
 from dbc.frame import Frames
+from dbc.objects import Object
 from gateway.node_objects import Entry, NodeTransfers, entries_of_file, entries_of_node, find, parse_writes
+from nodes.objects import LocalNode, Outbox, object_dictionary
 from tests.bus.harness import frame
 from tests.gateway.helpers import World
 from tests.layouts import small_contract
@@ -121,6 +124,23 @@ def test_a_write_that_the_node_refuses_is_told_in_words_with_what_was_written() 
 def test_a_write_to_what_is_known_as_read_only_is_refused_before_the_first() -> None:
     with pytest.raises(InputError, match=r"Vendor-ID .1018h:1. cannot be written, its access is"):
         parse_writes(ENTRIES, ["1017h=500", "1018h:1=5"])
+
+
+def test_a_value_of_more_than_four_bytes_is_written_and_read_in_segments() -> None:
+    device = LocalNode(5, object_dictionary([Object(0x3000, None, "Name", od.VISIBLE_STRING, "rw", "unnamed")]), 16, 8)
+    outbox = Outbox()
+    outbox[5] = device
+    entry = Entry(0x3000, 0, "Name", device.object_dictionary[0x3000])
+
+    def send(burst: Frames) -> int:
+        outbox.notify(int(burst["can_id"][0]), bytearray(burst["data"][0, :8]), 0.0)
+        return 1
+
+    talk = NodeTransfers(5, [entry], send, 0.0, parse_writes([entry], ["Name=left forearm"]))
+    for _ in range(10):
+        talk.take(outbox.take(), 0.0)
+    assert talk.done
+    assert talk.values == {entry: b"left forearm"}
 
 
 def test_the_eds_of_a_device_gives_the_same_objects(tmp_path: Path) -> None:

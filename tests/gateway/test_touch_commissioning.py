@@ -81,6 +81,13 @@ def test_a_touch_tells_where_a_board_sits() -> None:
     assert bench.touch(person).is_whole
 
 
+def test_a_finger_as_wide_as_a_board_touches_the_board_below_its_middle() -> None:
+    """The sums of the board alone tell little of such a touch, those of its neighbours much."""
+    bench = mixed(patches(4))
+    bench.finger.width_m = 1.5 * bench.contract.layout.taxels.surface.pitch_m
+    check_places(bench, bench.touch(Person(bench), patience_s=3.0))
+
+
 def test_boards_whose_taxels_are_scattered_are_refused() -> None:
     with pytest.raises(LayoutError, match="do not lie together"):
         require_patches(skin(2))

@@ -66,7 +66,7 @@ def test_services_are_listed_with_what_they_send(endpoint: str, capsys: pytest.C
 
 
 def test_a_hub_without_services_and_a_wrong_time_are_errors(endpoint: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(InputError, match="--seconds: expected above 0"):
+    with pytest.raises(InputError, match="--seconds needs a number above 0, up to 60"):
         list_(connect=endpoint, seconds=0)
     monkeypatch.setattr("health.list_command.PATIENCE_S", 0.2)
     with closing(Fabric("palm", "", endpoint, hub=True)), pytest.raises(BusError, match="no service at"):

@@ -58,12 +58,16 @@ def test_what_fits_the_skin_and_what_does_not_is_told_to_the_caller(state: ViewS
     assert state.take(messages.contacts(), 1.0)
     assert state.take(messages.label(), 1.0)
     assert state.take(messages.gateway(), 1.0)
-    assert not state.take(msgspec.structs.replace(messages.image(), valid=b""), 1.0)
+    for field in ("valid", "doubtful"):
+        assert not state.take(msgspec.structs.replace(messages.image(), **{field: b"\0"}), 1.0)
+    (contact,) = messages.contacts().contacts
+    huge = msgspec.structs.replace(contact, force_n=1e39)
+    assert not state.take(msgspec.structs.replace(messages.contacts(), contacts=[huge]), 1.0)
     assert not state.take(messages.contacts(row=16.0), 1.0)
     assert not state.take(messages.label(confidence=float("nan")), 1.0)
     status = msgspec.structs.replace(messages.gateway(), sync_rate_hz=float("inf"))
     assert not state.take(status, 1.0)
-    assert state.ignored == 4
+    assert state.ignored == 6
 
 
 # Figures

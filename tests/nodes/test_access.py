@@ -8,7 +8,7 @@ from canopen import SdoAbortedError
 
 from dbc import indices as od
 from dbc.contract import Contract
-from nodes.access import _VALUES, _first_block, check_write
+from nodes.access import _VALUES, check_write
 from nodes.segment import Segment
 from skin.layout import load_layout
 from tests.nodes.helpers import ArrayLink, new_segment, write
@@ -18,7 +18,7 @@ NOT_STORED, INCOMPATIBLE, NO_SUBINDEX = 0x0800_0020, 0x0604_0043, 0x0609_0011
 
 
 def is_allowed(index: int, value: float) -> bool:
-    rule = _VALUES.get(_first_block(index))
+    rule = _VALUES.get(od.split_block(index)[1])
     return rule is None or rule(value)
 
 

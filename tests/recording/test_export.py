@@ -1,6 +1,7 @@
 """Recordings as arrays: every format holds the same."""
 
 from pathlib import Path
+from typing import Literal
 
 import h5py
 import msgspec
@@ -8,7 +9,7 @@ import numpy as np
 import pytest
 
 from canskin.errors import InputError, RunError
-from canskin.messages import IMAGE, LABEL
+from canskin.messages import IMAGE, LABEL, Topic
 from dbc.contract import Contract
 from recording.export_command import export
 from recording.sinks import McapSink
@@ -93,6 +94,22 @@ def test_csv_can_be_played(run: Path, tmp_path: Path) -> None:
     assert rows[0].startswith("cycle,time_ns")
 
 
+def test_a_file_is_what_its_suffix_says(run: Path, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"--to npz writes no '\.csv': expected another --to"):
+        export(str(run), out=tmp_path / "run.csv")
+    export(str(run), out=tmp_path / "run.dat")
+
+
+@pytest.mark.parametrize("to", ["csv", "parquet"])
+def test_nothing_is_written_if_a_table_is_there_already(
+    run: Path, tmp_path: Path, to: Literal["csv", "parquet"]
+) -> None:
+    (tmp_path / f"out-labels.{to}").touch()
+    with pytest.raises(InputError, match="is there already"):
+        export(str(run), to=to, out=tmp_path / f"out.{to}")
+    assert not list(tmp_path.glob("out-[!l]*"))
+
+
 def test_the_images_of_a_run_can_be_played(run: Path) -> None:
     played = recording(run, 16, 16, force_max_n=0.02)
     assert (played.frames, played.full_scale) == (COUNT, 0.02)
@@ -116,6 +133,17 @@ def test_a_message_of_another_version_is_refused_in_one_line(contract: Contract,
     sink.close()
     with pytest.raises(InputError, match=r"'label' cannot be decoded, it is of another version.*sampled_mono_ns"):
         read_tables(path, contract.layout, pytest.fail)
+
+
+@pytest.mark.parametrize(("topic", "message"), [(LABEL, make.label(2**63)), (IMAGE, make.image(1, pixels=b"1234"))])
+def test_messages_that_no_array_of_the_layout_holds_are_refused(
+    contract: Contract, out: Path, topic: Topic, message: msgspec.Struct
+) -> None:
+    sink = McapSink(out, contract, 1, 0)
+    sink.message(topic, 1, msgspec.msgpack.encode(message))
+    sink.close()
+    with pytest.raises(InputError, match="its messages do not fit the layout 'small'"):
+        read_tables(out, contract.layout, pytest.fail)
 
 
 def test_frames_alone_are_no_arrays(contract: Contract, out: Path) -> None:

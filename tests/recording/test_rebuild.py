@@ -30,8 +30,8 @@ from skin.layout import layout_text, load_layout
 from skin.measured_sums import MeasuredSums
 from tests.gateway.boards import small_adaptive
 from tests.layouts import buses, layout_toml, small_layout, with_identity
-from tests.messages import adaptive_measurement
-from tests.recording.helpers import CYCLES, SMALL, START_S, message, messages, write_log
+from tests.messages import adaptive_measurement, measurement
+from tests.recording.helpers import CYCLES, OFFSET_NS, SMALL, START_S, message, messages, write_log
 from touch.sources import recording
 
 
@@ -129,6 +129,31 @@ def test_a_log_gives_the_images_of_the_live_gateway(
     if suffix == ".log":
         assert time_ns[0] == pytest.approx(START_S * 1e9, abs=1e4)
     assert about["source"] == path.name
+
+
+def test_a_recording_without_frames_gives_the_images_of_its_measurements(
+    contract: Contract, sums: np.ndarray, tmp_path: Path, out: Path
+) -> None:
+    phi = contract.phi
+    valid = np.ones((CYCLES, phi.blocks), np.bool_)
+    valid[3, 5] = False
+
+    def recorded(name: str, fingerprint: str) -> Path:
+        sink = McapSink(tmp_path / name, contract, 1, OFFSET_NS)
+        for cycle, (each, kept) in enumerate(zip(sums, valid, strict=True)):
+            about = {"sampled_mono_ns": cycle * 10_000_000, "fingerprint": fingerprint, "wall_offset_ns": OFFSET_NS}
+            made = measurement(7 + cycle, sums=each.astype("<i4").tobytes(), valid=kept.tobytes(), **about)
+            sink.message(MEASUREMENT, OFFSET_NS + cycle * 10_000_000, msgspec.msgpack.encode(made))
+        sink.close()
+        return tmp_path / name
+
+    rebuild(recorded("page.mcap", phi.fingerprint), out=out)
+    images, told, time_ns, _ = loaded(out)
+    np.testing.assert_array_equal(told, valid)
+    np.testing.assert_array_equal(images, live_images(contract, sums, valid))
+    np.testing.assert_array_equal(time_ns, OFFSET_NS + np.arange(CYCLES) * 10_000_000)
+    with pytest.raises(InputError, match="they are of another Φ"):
+        rebuild(recorded("other.mcap", "another"), out=tmp_path / "other.npz")
 
 
 def test_a_csv_of_frames_is_a_log(

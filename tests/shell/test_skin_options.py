@@ -102,6 +102,8 @@ def test_every_verb_that_connects_needs_no_layout_and_tells_one_error_without_a_
 ) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("shell.service.StopSignal.install", lambda self: self)
+    monkeypatch.setattr(skin_options, "PATIENCE_S", 0.5)
+    monkeypatch.setattr(skin_options, "SERVICE_PATIENCE_S", 0.6)
     monkeypatch.setattr(sys, "argv", ["skin", *verb, "--connect", endpoint])
     with pytest.raises(SystemExit) as ended:
         main()

@@ -2,11 +2,14 @@
 
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
 from canskin.errors import LayoutError
 from skin.importing import read_icub, read_urdf, tables_of
+from skin.layout import parse_layout
+from skin.regions import regions_of
 from tests.descriptions import NO_TAXEL, URDF, icub
 
 
@@ -70,6 +73,24 @@ def test_taxels_of_a_urdf_are_in_the_frame_of_its_root(tmp_path: Path) -> None:
     assert np.array(read_urdf(path).places)[1, :2] == pytest.approx((0.003, 0))
 
 
+def test_sensors_of_a_urdf_are_regions_if_each_has_a_name(tmp_path: Path) -> None:
+    path = tmp_path / "hand.urdf"
+    for names, expected in ((("Left-Palm", "3"), {"left_palm": 6, "sensor_3": 2}), (("palm", "Palm"), {})):
+        text = URDF.format(order="row-major")
+        for old, new in zip(("palm", "tip"), names, strict=True):
+            text = text.replace(f'<sensor name="{old}"', f'<sensor name="{new}"')
+        path.write_text(text)
+        tables, _ = tables_of(str(path))
+        layout = parse_layout(
+            msgspec.toml.encode({"name": "hand", "sending": "adaptive", "measurement": {"wiring": "board"}} | tables),
+            "hand.toml",
+        )
+        regions = regions_of(layout)[1:] if "region" in tables else []
+        assert {each.name: each.taxels.sum() for each in regions} == expected
+        if regions:
+            assert regions[0].taxels[:6].all()
+
+
 @pytest.mark.parametrize(
     ("old", "new", "says"),
     [
@@ -102,5 +123,5 @@ def test_words_and_layouts_are_taxels_too() -> None:
     assert tables_of("24x32") == ({"taxels": {"rows": 24, "columns": 32}}, [])
     tables, _ = tables_of("hand")
     assert tables["taxels"]["rows"] == 16
-    with pytest.raises(LayoutError, match="cannot read the layout"):
+    with pytest.raises(LayoutError, match="no such file, and no layout of canskin"):
         tables_of("24 by 32")

@@ -21,6 +21,7 @@ from skin.layout import (
     Region,
     Sync,
     Taxels,
+    changed,
     layout_text,
     load_layout,
     parse_layout,
@@ -231,7 +232,7 @@ def test_small_skin() -> None:
         ("rows = 64", "rows = '64'", 'expected a whole number, got "64" - at `$.taxels.rows`'),
         ("rows = 64", "rows = 6.5", "expected a whole number, got 6.5"),
         ("rows = 64", "rows = 0", "expected 1 or more, got 0"),
-        ("pitch_m = 0.004", "pitch_m = inf", "expected 10.0 or less, got inf"),
+        ("pitch_m = 0.004", "pitch_m = inf", "expected 0.5 or less, got inf"),
         ("sum_bits = 16", "sum_bits = 16\noffset_binary = 1", "expected true or false, got 1"),
         ('name = "bus1"', 'name = "Bus 1"', 'begins with a letter, got "Bus 1" - at `$.bus[1].name`'),
         ('name = "bus1"', f'name = "{70 * "b"}"', "expected 64 characters or less, got 70"),
@@ -424,3 +425,13 @@ def test_numbers_of_taxels_and_empty_places_fit_16_bits() -> None:
     layout = Layout(taxels=taxels, measurement=measurement, bus=[Bus(name=f"bus{k}", nodes=64) for k in range(8)])
     with pytest.raises(LayoutError, match="expected at most 65536 taxels, gaps and empty places, got 130304"):
         validated(layout)
+
+
+@pytest.mark.parametrize(
+    ("table", "key", "value"), [("encoding", "sum_bits", 12), ("measurement", "sums", 32), ("sync", "rate_hz", 40.0)]
+)
+def test_one_key_is_changed_and_nothing_else(table: str, key: str, value: float) -> None:
+    layout = load_layout()
+    before, after = msgspec.to_builtins(layout), msgspec.to_builtins(changed(layout, **{table: {key: value}}))
+    before[table][key] = value
+    assert after == before

@@ -1,8 +1,11 @@
 """Sampling instants on the wall clock."""
 
+import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from skin.wall_times import Clocks, WallTimes
+from skin.wall_times import Clocks, WallTimes, nearest
 
 
 def test_the_newest_measurement_that_is_not_later_tells_the_offset() -> None:
@@ -32,3 +35,13 @@ def test_after_a_restart_of_the_machine_its_new_clock_counts() -> None:
     for sampled_ns, offset_ns in ((1000, 10), (2000, 20), (3000, 30), (100, 5000), (200, 6000)):
         wall.take(Clocks(sampled_mono_ns=sampled_ns, wall_offset_ns=offset_ns))
     assert [wall.time_ns(each) for each in (100, 150, 200)] == [5100, 5150, 6200]
+
+
+@given(
+    st.lists(st.integers(-(2**40), 2**62), min_size=1, unique=True), st.lists(st.integers(-(2**40), 2**62), min_size=1)
+)
+def test_the_nearest_time_is_found(times_ns: list[int], wanted_ns: list[int]) -> None:
+    ascending = np.array(sorted(times_ns), np.int64)
+    wanted = np.array(wanted_ns, np.int64)
+    apart = np.abs(ascending[:, None] - wanted)
+    np.testing.assert_array_equal(np.abs(ascending[nearest(ascending, wanted)] - wanted), apart.min(axis=0))

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from evaluation.printed import paper_value, sensor_psnr
+from evaluation.printed import printed_value, sensor_psnr
 from skin.taxel import sense
 from tests.touch.table_one import haar_counts
 from touch.contact import Force, Grid, Pose, press
@@ -50,7 +50,7 @@ def test_meshes_give_the_papers_numbers(name: str) -> None:
 
 
 def papers_mean(name: str) -> float:
-    return paper_value("sparsity", object=name, basis="haar", quantity="mean") or 0.0
+    return printed_value("sparsity", object=name, basis="haar", quantity="mean")
 
 
 def check_psnr(name: str, true: Force) -> None:

@@ -31,7 +31,7 @@ def pair(tmp_path: Path) -> Path:
 
 
 def placed(source: Recording, step: int) -> npt.NDArray[np.float64]:
-    return source.counts(source.frame(step).force_n)
+    return np.rint(source.frame(step).force_n.astype(np.float64) * source.full_scale / source.force_max_n)
 
 
 def test_it_is_the_source_registered_as_recording(pair: Path) -> None:

@@ -69,7 +69,7 @@ def live_actions(feed: Feed, fabric: Fabric, recorder: RecorderProcess) -> dict[
         if not asked.on:
             return recorder.stop()
         before = feed.running(RECORDER)
-        return recorder.start(lambda: feed.running(RECORDER) > before)
+        return recorder.start(lambda: bool(feed.running(RECORDER) - before))
 
     def mark(asked: SetMark) -> str:
         label = check_label(asked.label)

@@ -16,6 +16,7 @@ from starlette.applications import Starlette
 
 from canskin.errors import InputError, RunError
 from canskin.messages import IMAGE
+from shell.command import WRONG_INPUT
 from shell.service import StopSignal, listen, say
 from shell.skin_options import SkinOptions
 from skin.layout import RECORDING_SUFFIX, require_boards
@@ -97,11 +98,9 @@ def _open(recording: Path, of: SkinOptions, folder: Path) -> Playback:
         made, given = folder / f"{recording.stem}{RECORDING_SUFFIX}", ["--layout", str(of.layout)] if of.layout else []
         say("viewer", f"{recording} has no images: 'skin replay' makes them")
         command = [sys.executable, "-m", "skin", "replay", str(recording), "--out", str(made), *given]
-        code = subprocess.run(command, check=False).returncode  # noqa: S603 - our own command, no shell
-        if code == 2:  # the replay has said what is wrong with the file
-            raise SystemExit(code)
-        if code:
-            raise RunError(f"{recording}: no images can be made of it")
+        if status := subprocess.run(command, check=False).returncode:  # noqa: S603 - our own command, no shell
+            kind = InputError if status == WRONG_INPUT else RunError
+            raise kind(f"{recording}: no images can be made of it")
         recording = made
     return Playback(recording, layout)
 
@@ -142,9 +141,9 @@ def _is_loopback(host: str) -> bool:
 
 
 def _hosts(host: str) -> Collection[str] | None:
-    """Return the host names that a server bound to `host` answers to; None for a host bound to all addresses."""
+    """Return the names of the server that is bound to `host`, as browsers write them; None for all addresses."""
     try:
         address = ip_address(host)
     except ValueError:
-        return (*LOOPBACK, host)
-    return None if address.is_unspecified else (*LOOPBACK, host)
+        return (*LOOPBACK, host.lower())
+    return None if address.is_unspecified else (*LOOPBACK, str(address))

@@ -92,8 +92,8 @@ class Feed(Shown):
             fabric.subscribe_unread(topic, self._note)
         fabric.watch_peers(self._changed)
 
-    def running(self, service: str) -> int:
-        """Return how many services of this name the skin has now."""
+    def running(self, service: str) -> set[str]:
+        """Return the services of this name that the skin has now, see `ViewState.running`."""
         with self._lock:
             return self._state.running(service)
 

@@ -53,6 +53,7 @@ class History:
             "load_ratio": [_rounded(moment.load_ratio) for _, moment, _ in kept],
             "lost": [lost for _, _, lost in kept],
             "label": [moment.label for _, moment, _ in kept],
+            "mark": [moment.mark for _, moment, _ in kept],
             "contacts": [
                 None if moment.contacts is None else [(name, _rounded(force_n)) for name, force_n in moment.contacts]
                 for _, moment, _ in kept

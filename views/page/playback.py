@@ -8,11 +8,12 @@ from typing import Final
 import msgspec
 
 from canskin.errors import InputError
+from canskin.messages import MARK
 from health.snapshot import Pictures, PlaybackState, Snapshot
 from health.state import STATUS_FRESH_S, TOPICS
 from shell.service import say
 from skin.layout import Layout
-from skin.mcap_file import Read, read_messages, span_ns
+from skin.mcap_file import Read, read_few, read_messages, span_ns
 from views.page.feed import Shown
 
 SPEED_MIN: Final = 0.05
@@ -38,6 +39,7 @@ class Playback(Shown):
         self._clock_s, self._looked_s = clock_s, clock_s()
         self._position_s, self._is_paused, self._speed = 0.0, False, 1.0
         self._said: set[str] = set()
+        self._marks = [*self._readable(read_few(path, MARK))]
         super().__init__(layout, self._first_ns * 1e-9)
         self._seek(0.0)
 
@@ -62,18 +64,23 @@ class Playback(Shown):
         return self._position_s
 
     def _seek(self, position_s: float) -> None:
-        """Begin anew with the messages shortly before a position: states of nodes come five times a second."""
+        """Begin anew with the messages shortly before a position: states of nodes come five times a second.
+
+        The newest mark before holds, however old it is.
+        """
         self._begin()
         from_ns = self._first_ns + round((position_s - STATUS_FRESH_S) * 1e9)
+        for mark in [each for each in self._marks if each.time_ns < from_ns][-1:]:
+            self._state.take(mark.message, 0.0)
         self._messages = self._readable(read_messages(self.path, TOPICS, self._warn, from_ns))
         self._ahead = next(self._messages, None)
         self._go_to(position_s)
 
     def _readable(self, messages: Iterator[Read]) -> Iterator[Read]:
-        """Yield messages up to one that is damaged."""
+        """Yield messages up to one that is damaged; none if the file has gone."""
         try:
             yield from messages
-        except InputError as error:
+        except (InputError, OSError) as error:
             self._warn(str(error))
 
     def _go_to(self, position_s: float) -> None:

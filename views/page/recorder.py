@@ -45,11 +45,14 @@ class RecorderProcess:
     @property
     def state(self) -> RecorderState | None:
         """The recording that is being made; None without."""
-        process = self._process
-        if process is not None and process.poll() not in {None, 0} and not self.notices:
+        process, state = self._process, self._state
+        if process is None or state is None:
+            return None
+        status = process.poll()
+        if status and not self.notices:
             text = f"the recording has ended: {self._last_line()}"
             self.notices = [Notice(level="error", text=text, since_time_s=time.time())]
-        return None if process is None or process.poll() is not None else self._state
+        return state if status is None else None
 
     def start(self, has_joined: Callable[[], bool]) -> str:
         """Start a recording; return what was done, as soon as `has_joined` tells that messages come.
@@ -65,6 +68,7 @@ class RecorderProcess:
             path = _free(self._folder, self._skin)
             command = ["record", str(path), "--no-frames", "--connect", self._endpoint, "--skin", self._skin]
             self._close_log()
+            self._state = None  # until it has begun: a start that fails is told to who asked, in no notice
             self._log = tempfile.TemporaryFile()  # noqa: SIM115 - open while the process runs
             self._process = process = self._parent.submit(_launch, command, self._log).result()
             give_up_s = time.monotonic() + PATIENCE_S

@@ -27,8 +27,8 @@ def ros2(
 ) -> None:
     """Publish a running skin on ROS 2, in the form of rmw_zenoh; neither ROS nor a bridge is needed here.
 
-    Topics: ``image`` (32FC1, newtons), ``heat_map`` (rgb8), ``points``, ``contacts``, ``contact_markers``, ``label``
-    and ``/diagnostics``; service: ``tare``.
+    Topics: ``image`` (32FC1, newtons), ``heat_map`` (rgb8), ``points``, ``contacts``, ``contact_markers``, ``label``,
+    ``key`` (cycles of images and labels) and ``/diagnostics``; service: ``tare``.
 
     Parameters
     ----------

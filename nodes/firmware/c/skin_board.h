@@ -17,7 +17,7 @@ typedef struct {
 typedef struct {
     uint16_t index;
     uint8_t subindex;
-    uint8_t flags;   /* SKIN_OBJECT_...: SDO may write, PDOs may carry, in 2006h; text of variable length; in 2009h */
+    uint8_t flags;   /* SKIN_OBJECT_...: SDO may write, PDOs may carry, in 2006h and 2009h, in 2009h alone */
     uint16_t at;     /* place of the value in `values` (little endian), first byte, or SKIN_OBJECT_COMPUTED */
     uint8_t bytes;   /* length of the value */
 } skin_object;

@@ -11,7 +11,7 @@ from canskin.errors import InputError
 from evaluation.bench import arrays, missing, reconstruct, skins
 from evaluation.bench.command import bench
 from evaluation.bench.problem import Method, compare, make_problem
-from evaluation.bench.scenes import make_scenes, mean_over
+from evaluation.bench.scenes import make_scenes, mean_psnr
 from reconstructor.bases import wavelet_basis
 from skin.layout import load_layout
 from skin.psnr import psnr_series_db
@@ -76,8 +76,8 @@ def test_images_are_judged_on_the_papers_objects_and_their_noise() -> None:
 
 
 def test_means() -> None:
-    rows = [{"a": 1, "b": 2.0}, {"a": 2, "b": 5.0}, {"a": 1, "b": 4.0}]
-    assert mean_over(rows, "b", "a") == [{"a": 1, "b": 3.0}, {"a": 2, "b": 5.0}]
+    rows = [{"a": 1, "psnr_db": 2.0}, {"a": 2, "psnr_db": 5.0}, {"a": 1, "psnr_db": 4.0}]
+    assert mean_psnr(rows, "a") == [{"a": 1, "psnr_db": 3.0}, {"a": 2, "psnr_db": 5.0}]
 
 
 def test_skins_are_timed_on_one_thread_and_on_more(monkeypatch: pytest.MonkeyPatch) -> None:

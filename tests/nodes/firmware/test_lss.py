@@ -91,6 +91,25 @@ def test_boards_that_have_exchanged_their_node_ids_feel_the_taxels_of_their_own_
     assert len(sent[0]) == 2 + 2 * sum(len(node.tpdos) for node in (first, second))
 
 
+def test_a_board_with_another_node_id_for_a_while_has_not_what_its_own_has_stored(tmp_path: Path) -> None:
+    """Stored COB-IDs are those of a node-ID: the board would send the frames of two."""
+    contract = small_contract()
+    node = contract.on_bus(0)[0]
+    Storage.of_node(contract, node, tmp_path).save({0x1014: {0: bytes((0x81, 0, 0, 0))}, 0x1017: {0: b"\x07\0"}})
+    select = [*SELECT[:3], bytes((0x43, node.node_id)).ljust(8, b"\0")]
+    given = [*select, bytes((0x11, 2)).ljust(8, b"\0"), bytes((0x04,)).ljust(8, b"\0")]
+    for boards in (
+        VirtualBoards(contract, 0, {1}, new_sampler(contract), store=tmp_path, unnumbered=True),
+        Firmware(contract, [node], store=tmp_path, unnumbered=True).boards(0),
+    ):
+        boards.power_up(0.0)
+        for each in given:
+            boards.take(frame(REQUEST, each), 0.0)
+        read = [boards.take(frame(0x602, bytes((0x40, index, 0x10)).ljust(8, b"\0")), 0.0) for index in (0x14, 0x17)]
+        values = [int.from_bytes(bytes(each["data"][0, 4:8]), "little") for each in read]
+        assert values == [0x82, 1000], type(boards).__name__
+
+
 @pytest.mark.heavy
 def test_boards_in_c_are_commissioned_and_keep_their_node_ids(tmp_path: Path) -> None:
     bench = Bench(skin(2))

@@ -13,7 +13,7 @@ from canskin.calibration_messages import CALIBRATION, CalibrationReply, Calibrat
 from canskin.errors import RunError
 from canskin.fabric import Fabric
 from canskin.messages import GATEWAY, MARK
-from canskin.peers import new_peer
+from canskin.peers import Peer, new_peer
 from shell.skin_options import join
 from tests.recording.helpers import messages_of
 from views.page.actions import live_actions, playback_actions
@@ -77,8 +77,10 @@ class Skin:
             "content-type"
         ] == "application/json" else answer.text
 
-    def recorder_joins(self) -> None:
-        self.feed._changed(new_peer(self.feed.layout.name, "recorder", ""), True)
+    def recorder_joins(self) -> Peer:
+        peer = new_peer(self.feed.layout.name, "recorder", "")
+        self.feed._changed(peer, True)
+        return peer
 
 
 @pytest.fixture
@@ -115,10 +117,12 @@ def test_a_mark_needs_a_recorder(skin: Skin) -> None:
     assert skin.post("mark", {"label": " cup"})[0] == 409
 
 
-def test_a_recording_has_begun_when_one_more_recorder_is_there(skin: Skin) -> None:
-    skin.recorder_joins()
+def test_a_recording_has_begun_when_another_recorder_is_there(skin: Skin) -> None:
+    older = skin.recorder_joins()
     assert skin.post("record", {"on": True}) == (200, {"text": "recording to run.mcap"})
+    skin.feed._changed(msgspec.structs.replace(older, scheduling="realtime"), True)
     assert not skin.recorder.joined()
+    skin.feed._changed(older, False)
     skin.recorder_joins()
     assert skin.recorder.joined()
     assert skin.post("record", {"on": False}) == (409, {"error": "no recording is being made"})

@@ -13,7 +13,7 @@ from starlette.exceptions import StarletteDeprecationWarning
 from starlette.websockets import WebSocketDisconnect
 
 from canskin.fabric import Fabric
-from canskin.messages import GATEWAY, IMAGE, LABEL, NODES, TRUTH
+from canskin.messages import GATEWAY, IMAGE, LABEL, LONGEST_LABEL, NODES, TRUTH
 from views.page.app import build_app
 from views.page.feed import Feed
 
@@ -54,6 +54,10 @@ def test_page_fetches_nothing_from_elsewhere(client: TestClient) -> None:
             assert '="/static/' in line
     assert "style=" not in page
     assert "<script>" not in page
+
+
+def test_the_field_of_marks_takes_the_longest_label(client: TestClient) -> None:
+    assert f'name="label" list="labels" maxlength="{LONGEST_LABEL}"' in client.get("/").text
 
 
 def test_state_is_json(client: TestClient) -> None:

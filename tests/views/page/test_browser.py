@@ -143,7 +143,14 @@ def test_five_minutes_are_drawn_with_their_gaps(browser: Browser, server: Server
     moments = np.arange(3000) / 10
     known = [None if 120 <= moment < 180 else True for moment in moments]
     columns: dict[str, list[Any]] = {"time_s": (time.time() - 300 + moments).tolist()}
-    for name, value in (("force_n", 1.5), ("latency_s", 0.01), ("load_ratio", 0.8), ("label", "cup"), ("contacts", [])):
+    for name, value in (
+        ("force_n", 1.5),
+        ("latency_s", 0.01),
+        ("load_ratio", 0.8),
+        ("label", "cup"),
+        ("contacts", []),
+        ("mark", "mug"),
+    ):
         columns[name] = [each and value for each in known]
     columns["lost"] = [each and (9 if 240 <= moment < 250 else 0) for each, moment in zip(known, moments, strict=True)]
     script = f"""(() => {{
@@ -159,11 +166,11 @@ def test_five_minutes_are_drawn_with_their_gaps(browser: Browser, server: Server
     finally:
         browser.call("Page.removeScriptToEvaluateOnNewDocument", identifier=identifier)
     assert re.sub(r"\s+", " ", browser.text("#tracks dl")) == (
-        "Force 1.50 N Latency 10.0 ms Load 80.0 % Frames lost 0 Label cup"
+        "Force 1.50 N Latency 10.0 ms Load 80.0 % Frames lost 0 Label cup Mark mug"
     )
-    force, latency, lost, label = (0.05, 0.2), (0.26, 0.36), (0.62, 0.72), (0.78, 0.86)
-    assert all(ink(browser, "#scrub canvas", 0.3, track) for track in (force, latency, label))
-    assert not any(ink(browser, "#scrub canvas", 0.53, track) for track in (force, latency, lost, label))
+    force, latency, lost, label, mark = (0.05, 0.17), (0.25, 0.36), (0.54, 0.63), (0.69, 0.75), (0.81, 0.88)
+    assert all(ink(browser, "#scrub canvas", 0.3, track) for track in (force, latency, label, mark))
+    assert not any(ink(browser, "#scrub canvas", 0.53, track) for track in (force, latency, lost, label, mark))
     assert ink(browser, "#scrub canvas", 0.81, lost)
     assert not ink(browser, "#scrub canvas", 0.87, lost)
 
@@ -171,7 +178,7 @@ def test_five_minutes_are_drawn_with_their_gaps(browser: Browser, server: Server
 def test_a_recording_is_said_and_moved(page: Browser, server: Server) -> None:
     assert page.ask("document.querySelector('#playing').hidden")
     server.feed.shows["playback"] = PlaybackState(
-        path="runs/cup.mcap", position_s=12.0, duration_s=60.0, is_paused=False, speed=1.0
+        path="runs/cup.mcap", position_s=12.0, duration_s=59.97, is_paused=False, speed=1.0
     )
     server.actions.clear()
     server.actions.update(server.doer.actions("play"))

@@ -5,6 +5,7 @@ from typing import Any
 
 import pytest
 
+from views.page.command import _hosts
 from views.page.guard import Guard
 
 
@@ -54,6 +55,13 @@ LOCAL = ("localhost", "::1")
 def test_only_known_hosts_are_served(host: str, code: int) -> None:
     assert status("http", LOCAL, host=host) == code
     assert status("http", None, host=host) == 200
+
+
+@pytest.mark.parametrize(
+    ("bound", "host"), [("Palm.local", "palm.local:8765"), ("FD00:0::1", "[fd00::1]:8765"), ("10.0.0.5", "10.0.0.5")]
+)
+def test_the_address_of_the_server_is_served_as_browsers_write_it(bound: str, host: str) -> None:
+    assert status("http", tuple(_hosts(bound) or ()), host=host) == 200
 
 
 def test_a_request_without_a_host_is_refused() -> None:

@@ -6,10 +6,13 @@ from typing import Any
 import msgspec
 import pytest
 
+from canskin.connection import RECORDER
+from canskin.messages import Mark
+from canskin.peers import new_peer
 from health.state import Moment, ViewState
 from views.page.history import FRAMES_BYTES, PERIOD_S, SPAN_S, History
 
-NOTHING = Moment(None, None, None, None, None, None)
+NOTHING = Moment(None, None, None, None, None, None, None)
 
 
 def history_of(state: ViewState, size: int = 100) -> History:
@@ -37,16 +40,26 @@ def test_moments_tell_what_was_measured_and_null_in_a_gap(state: ViewState, mess
     force_n = float(messages.grid().sum())
     assert told["force_n"][:9] == pytest.approx([force_n] * 9, rel=1e-4)
     assert told["latency_s"][:9] == pytest.approx([0.004] * 9)
-    assert (told["load_ratio"][0], told["label"][0], told["contacts"][0]) == (
-        0.8,
-        "golf-ball",
-        [(7, round(force_n, 6))],
-    )
+    first = [told[name][0] for name in ("load_ratio", "label", "mark", "contacts")]
+    assert first == [0.8, "golf-ball", None, [(7, round(force_n, 6))]]
     assert sum(each or 0 for each in told["lost"]) == 3
     for name, column in told.items():
         assert len(column) == 40
         assert name == "time_s" or column[-1] is None  # no zero where nothing came
     assert history.since(6.0)["time_s"] == []
+
+
+def test_a_mark_lasts_until_the_next_or_the_end_of_the_recorder(state: ViewState) -> None:
+    recorder = new_peer("palm", RECORDER, "")
+    state.take_peer(recorder, True, 1.0)
+    marks = []
+    for label in ("cup", "x" * 65, "ball\n"):
+        assert state.take(Mark(label=label), 2.0) == (label == "cup")
+        marks.append(state.moment(2.0).mark)
+    state.take(Mark(label=""), 3.0)
+    marks.append(state.moment(1e6).mark)
+    state.take_peer(recorder, False, 1e6)
+    assert [*marks, state.moment(1e6).mark] == ["cup", "cup", "cup", "", None]
 
 
 def test_a_skin_of_which_nothing_is_measured_has_no_force_and_no_zero(state: ViewState, messages: Any) -> None:

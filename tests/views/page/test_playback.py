@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from canskin.errors import InputError, RunError
-from canskin.messages import CONTACTS, GATEWAY, IMAGE, LABEL, TRUTH, Topic
+from canskin.messages import CONTACTS, GATEWAY, IMAGE, LABEL, MARK, TRUTH, Mark, Topic
 from shell.skin_options import SkinOptions
 from skin.layout import layout_text
 from skin.mcap_file import LAYOUT_FILE, File, RecordingWriter
@@ -36,6 +36,8 @@ def recorded(messages: Any, path: Path, *, closes: bool = True) -> Path:
         write(LABEL, at_s, messages.label())
         if cycle % 20 == 0:
             write(GATEWAY, at_s, messages.gateway(cycles=cycle + 1))
+        if cycle == 250:
+            write(MARK, at_s, Mark(label="cup"))
         if cycle % 50 == 49:
             writer.flush()
     if closes:
@@ -122,6 +124,15 @@ def test_the_history_is_that_of_the_recording_and_begins_anew_elsewhere(player: 
     assert player.playback.frame(told["time_s"][0]) is None
 
 
+def test_the_mark_before_a_position_holds_there(player: Player) -> None:
+    marks = []
+    for position_s in (1.0, 9.0, 2.0):
+        player.playback.play(position_s=position_s)
+        player.after(0.2)
+        marks.append(player.playback.history(float("-inf"))["mark"][-1])
+    assert marks == [None, "cup", None]
+
+
 def test_a_recording_after_a_crash_is_shown_and_moved(messages: Any, tmp_path: Path, capfd: Any) -> None:
     player = Player(recorded(messages, tmp_path / "cut.mcap", closes=False), messages)
     player.playback.play(position_s=6.005)
@@ -130,6 +141,15 @@ def test_a_recording_after_a_crash_is_shown_and_moved(messages: Any, tmp_path: P
     player.playback.play(position_s=6.005)
     player.after(10.0)
     assert capfd.readouterr().err.count("has no end") == 1
+
+
+def test_a_recording_that_was_removed_can_be_moved_and_shows_nothing(
+    player: Player, capfd: pytest.CaptureFixture[str]
+) -> None:
+    player.playback.path.unlink()
+    assert player.playback.play(position_s=5.0) == "played at 1 times its speed at 5.0 s of 10.0 s"
+    assert player.after(1.0).image is None
+    assert capfd.readouterr().err.count("run.mcap") == 1
 
 
 def test_a_message_that_cannot_be_read_ends_what_is_shown(messages: Any, tmp_path: Path, capfd: Any) -> None:
@@ -161,18 +181,16 @@ def test_a_recording_without_images_is_replayed_first(
             self.returncode = status
 
     monkeypatch.setattr(command.subprocess, "run", Done)
-    for name in ("one", "two", "three"):
-        (tmp_path / name).mkdir()
+    (tmp_path / "one").mkdir()
     made = command._open(bare, SkinOptions(), tmp_path / "one")
     assert made.path == tmp_path / "one" / "bare.mcap"
     assert called == [["replay", str(bare), "--out", str(made.path)]]
     assert command._open(made.path, SkinOptions(), tmp_path).path == made.path
     assert len(called) == 1
-    status = 2
-    with pytest.raises(SystemExit, match="2"):
-        command._open(bare, SkinOptions(), tmp_path / "three")
-    status = 1
-    with pytest.raises(RunError, match="no images can be made of it"):
-        command._open(bare, SkinOptions(), tmp_path / "two")
+    for code, kind in ((1, RunError), (2, InputError)):
+        status, folder = code, tmp_path / str(code)
+        folder.mkdir()
+        with pytest.raises(kind, match="no images can be made of it"):
+            command._open(bare, SkinOptions(), folder)
     with pytest.raises(InputError, match="no file"):
         command._open(tmp_path / "none.mcap", SkinOptions(), tmp_path)

@@ -52,6 +52,24 @@ def test_a_recorder_that_does_not_begin_tells_why(make: Make) -> None:
         made.stop()
 
 
+def test_a_page_that_looks_during_a_start_sees_no_recording_and_keeps_no_notice(make: Make) -> None:
+    made = make(RUNS)
+    made.start(lambda: made._last_line() != "it said nothing")
+    made.stop()
+    seen = []
+
+    def look() -> bool:
+        seen.append(made.state)
+        process_of(made).wait()
+        seen.append(made.state)
+        return False
+
+    make(FAILS)
+    with pytest.raises(RunError, match="no recording: the disk is full"):
+        made.start(look)
+    assert (seen, made.notices) == ([None, None], [])
+
+
 def test_a_recorder_that_ends_by_itself_is_told_until_the_next_begins(make: Make) -> None:
     made = make(FAILS)
     made.start(lambda: True)

@@ -69,7 +69,7 @@ export class Figures {
       const detail = skin.force_n === null ? "nothing is measured" : pressure({ ...snapshot, isGrid: this.isGrid }, skin);
       const state = { stale, alert: skin.is_over && isMeasured, doubtful: skin.is_doubtful };
       this.set("force", true, isMeasured ? force(skin.force_n) : "–", stale ? "" : detail, state);
-    }
+    } else this.set("force", false, "–", "", { stale: true }); // an instant before the first image
     const hasPsnr = !nothing && figures.psnr_image_db !== null;
     this.parts.psnr.root.hidden = !hasTruth;
     this.set("psnr", hasTruth, hasPsnr ? `${fixed(figures.psnr_image_db, 1)} dB` : "–", comparison(snapshot, stale), { stale });

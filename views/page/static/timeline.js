@@ -17,6 +17,7 @@ const TRACKS = [
   { key: "load_ratio", name: "Load", px: 24, least: 1, words: (value) => percent(value, 1) },
   { key: "lost", name: "Frames lost", px: 24, least: 4, words: (value) => String(value), isBar: true },
   { key: "label", name: "Label", px: 20, words: (value) => (value ? spoken(value) : "none"), isBand: true },
+  { key: "mark", name: "Mark", px: 20, words: (value) => value || "none", isBand: true },
 ];
 // Steps between the times on the axis, seconds, and their least distance.
 const STEPS_S = [1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 1800, 3600];
@@ -211,7 +212,7 @@ export class Timeline {
       brush.save();
       brush.translate(0, top);
       const points = shown.map((moment) => [moment.time_s, moment[track.key]]);
-      if (track.isBand) drawBand(brush, points, x, track.px, ink);
+      if (track.isBand) drawBand(brush, points, x, { ...track, ink });
       else drawTrack(brush, points, x, { ...track, width, ink });
       brush.restore();
       top += track.px + GAP_PX;
@@ -280,7 +281,7 @@ function drawTrack(brush, points, x, { px, least, width, ink, isFilled, isBar, k
 }
 
 /** Draw what was named, as long as it was. */
-function drawBand(brush, points, x, px, ink) {
+function drawBand(brush, points, x, { px, words, ink }) {
   brush.font = '11px system-ui, "Segoe UI", "DejaVu Sans", sans-serif';
   for (let first = 0, last = 0; first < points.length; first = last + 1) {
     const label = points[first][1];
@@ -291,7 +292,7 @@ function drawBand(brush, points, x, px, ink) {
     const wide = Math.max(1, x(points[last][0] + 0.1) - left);
     brush.fillStyle = label ? ink["accent-soft"] : ink.track;
     brush.fillRect(left, label ? 0 : px - 3, wide - (wide > 3 ? 1 : 0), label ? px : 3);
-    const text = label && spoken(label);
+    const text = label && words(label);
     if (!text || brush.measureText(text).width > wide - 8) continue;
     brush.fillStyle = ink.text;
     brush.fillText(text, left + 4, px - 6);

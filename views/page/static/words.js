@@ -8,7 +8,10 @@ export const count = (value) => value.toLocaleString("en").replaceAll(",", "\u20
 export const clock = (time_s) => new Date(1000 * time_s).toLocaleTimeString("en-GB");
 export const clockTenths = (time_s) => `${clock(time_s)}.${Math.floor(10 * time_s) % 10}`;
 /** Text of a place in a recording, or of the time that it takes: 1:07.3. */
-export const stopwatch = (seconds, digits = 0) => `${Math.floor(seconds / 60)}:${(seconds % 60).toFixed(digits).padStart(digits ? 3 + digits : 2, "0")}`;
+export function stopwatch(seconds, digits = 0) {
+  const rounded = Number(seconds.toFixed(digits)); // 59.97 is 1:00.0
+  return `${Math.floor(rounded / 60)}:${(rounded % 60).toFixed(digits).padStart(digits ? 3 + digits : 2, "0")}`;
+}
 /** Text of a number of millinewtons with three digits or more. */
 export const millinewtons = (force_n) => (Math.abs(force_n) < 0.1 ? (1000 * force_n).toFixed(1) : count(Math.round(1000 * force_n)));
 export const force = (force_n) => (Math.abs(force_n) < 1 ? `${millinewtons(force_n)} mN` : `${force_n.toFixed(2)} N`);

@@ -205,7 +205,7 @@ static void note_state(skin_node *node)
 
 void skin_nmt(skin_node *node, const skin_frame *command, uint32_t now_ms)
 {
-    if (command->length != 2 || (command->data[1] != 0 && command->data[1] != node->board->node_id) ||
+    if (command->length != SKIN_NMT_BYTES || (command->data[1] != 0 && command->data[1] != node->board->node_id) ||
         node->state == SKIN_INITIALISING) {
         return;
     }

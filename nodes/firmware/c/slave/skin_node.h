@@ -190,7 +190,9 @@ void skin_heard(skin_node *node, uint8_t node_id, uint32_t now_ms);
 void skin_request(skin_node *node, const skin_frame *request, uint32_t now_ms);
 void skin_given_up(skin_node *node, const skin_frame *frame);
 
-/* Take the RPDO with the state of all boards (SKIN_STATE_COB_ID), which holds from the next SYNC on. Boards of one state ignore it. */
+/* Take the RPDO with the state of all boards (SKIN_STATE_COB_ID), which holds from the next SYNC on. Boards of one state
+ * ignore it.
+ */
 void skin_switch(skin_node *node, const skin_frame *rpdo);
 
 /* Answer a request of LSS (SKIN_LSS_REQUEST_COB_ID); the board may boot with a new node-ID. */

@@ -4,7 +4,9 @@
 
 #include "skin_storage.h"
 
-/* The first SKIN_SLOT_HEAD bytes of a slot: number of the record, key, bytes of data, CRC-32 of these and of the data. The data follow. */
+/* The first SKIN_SLOT_HEAD bytes of a slot: number of the copy, 1 above that of the older one; key; bytes of data;
+ * CRC-32 of these and of the data. The data follow.
+ */
 #define SKIN_NO_SLOT 0xFFu
 
 /* Flash memory. Slots 2 n and 2 n + 1 belong to record n; each has pages of its own for SKIN_SLOT_HEAD bytes and the data. Parts
@@ -21,11 +23,13 @@ typedef struct {
 /* The storage function; `flash` must outlive it. */
 skin_storage skin_slots(const skin_flash *flash);
 
-/* Of program download: whether a slot is whole, its head; the slot of the newest whole record, SKIN_NO_SLOT for none, and its head; make a slot whole, after
- * its data. The latter returns 0 on success.
- */
+/* Of program download. `head` takes the first SKIN_SLOT_HEAD bytes of the slot. */
+
+/* Whether a slot is whole. */
 int skin_slot_is_whole(const skin_flash *flash, uint8_t slot, uint8_t *head);
+/* The slot of the newest whole copy of a record, SKIN_NO_SLOT for none. */
 uint8_t skin_slot_newest(const skin_flash *flash, uint8_t record, uint8_t *head);
+/* Write the head of a slot, whose data of `bytes` bytes are there. Returns 0 on success: the slot is whole then. */
 int skin_slot_seal(const skin_flash *flash, uint8_t slot, uint32_t bytes);
 
 #endif
