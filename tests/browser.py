@@ -105,7 +105,7 @@ def chromium(profile: Path, flags: Sequence[str] = FLAGS, patience_s: float = PA
                 assert process.poll() is None, (profile / "stderr").read_text()
                 assert time.monotonic() < deadline_s, "chromium does not start"
                 time.sleep(0.05)
-            pages = httpx.get(f"http://127.0.0.1:{port_file.read_text().split()[0]}/json").json()
+            pages = httpx.get(f"http://127.0.0.1:{port_file.read_text().split()[0]}/json", timeout=PATIENCE_S).json()
             address = next(page["webSocketDebuggerUrl"] for page in pages if page["type"] == "page")
             with connect(address, max_size=None, ping_interval=None) as devtools:
                 yield Browser(devtools, patience_s)

@@ -1,5 +1,6 @@
 """What the tests of several folders need, and who runs which on several cores."""
 
+import gc
 import os
 from collections.abc import Iterator
 from pathlib import Path
@@ -54,6 +55,12 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> ChainsInT
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Begin with the kernels, go on with the chains."""
     items.sort(key=lambda item: _turn(item.nodeid))
+
+
+def pytest_collection_finish() -> None:
+    """Take what was collected, which stays to the end, out of the sight of the garbage collector."""
+    gc.collect()
+    gc.freeze()
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:

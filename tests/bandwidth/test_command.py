@@ -222,7 +222,7 @@ def test_waiting_for_a_bus_ends_with_a_signal(number: int, status: int, tmp_path
         assert process.stderr is not None
         assert process.stderr.readline() == "load: waits for bus 'bus0'\n"
         process.send_signal(number)
-        out, said = process.communicate(timeout=60)
+        out, said = process.communicate(timeout=240)
     assert (process.returncode, out, said) == (status, "", "")
 
 

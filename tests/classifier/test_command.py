@@ -228,7 +228,7 @@ def test_service_comes_alive_and_ends_quietly(
     try:
         assert alive.wait(30)
         process.send_signal(number)
-        _, said = process.communicate(timeout=30)
+        _, said = process.communicate(timeout=240)
     finally:
         process.kill()
     assert process.returncode == 0

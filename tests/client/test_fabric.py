@@ -184,7 +184,7 @@ def test_scheduling_is_told_while_the_service_stays(hub: Fabric, endpoint: str) 
     other.tell_scheduling("realtime")
     seen = []
     while not seen or seen[-1][1]:
-        peer, is_alive = peers.get(timeout=60)
+        peer, is_alive = peers.get(timeout=240)
         seen += [(peer, is_alive)] * (peer.service == "other")
     assert [(peer.scheduling, peer.fingerprint, is_alive) for peer, is_alive in seen] == [
         ("", "12ab", True),

@@ -97,7 +97,7 @@ def test_interruption_before_the_first_cycle_has_no_summary(number: signal.Signa
     try:
         Processes(tmp_path).until(lambda: bool(list(tmp_path.glob(f"{PREFIX}*/bus.log"))), "a process of the run")
         process.send_signal(number)
-        out, said = process.communicate(timeout=60)
+        out, said = process.communicate(timeout=240)
     finally:
         process.kill()
     assert process.returncode == 130

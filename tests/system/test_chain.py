@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from tests.processes import free_port
-from tests.system.conftest import Chain, invalid_blocks
+from tests.system.conftest import PATIENCE_S, Chain, invalid_blocks
 
 pytestmark = pytest.mark.slow
 
@@ -77,7 +77,7 @@ def is_complete(chain: Chain) -> bool:
 
 
 def notices(port: int) -> str:
-    with urllib.request.urlopen(f"http://127.0.0.1:{port}/api/state", timeout=10) as answer:
+    with urllib.request.urlopen(f"http://127.0.0.1:{port}/api/state", timeout=PATIENCE_S) as answer:
         state: dict[str, Any] = json.load(answer)
     return json.dumps(state)
 

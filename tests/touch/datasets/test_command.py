@@ -107,7 +107,7 @@ def test_ctrl_c_is_quiet_and_the_run_goes_on_later(tmp_path: Path) -> None:
             with contextlib.suppress(subprocess.TimeoutExpired):
                 run.wait(0.05)
         os.killpg(run.pid, signal.SIGINT)
-        out, err = run.communicate(timeout=60)
+        out, err = run.communicate(timeout=240)
     assert (run.returncode, out, err) == (130, b"", b"")
     before = listed(manifest)
     done = subprocess.run([*command, "--jobs", "2", "--json"], capture_output=True, check=True, timeout=120)

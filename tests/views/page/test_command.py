@@ -44,9 +44,9 @@ def test_port_0_is_told_and_signals_end_it_quietly(
         line = process.stderr.readline()
         assert line.startswith("viewer: web page at http://127.0.0.1:")
         address = line.split()[-1]
-        assert httpx.get(f"{address}api/state").json()["skin"] == "palm"
+        assert httpx.get(f"{address}api/state", timeout=240).json()["skin"] == "palm"
         process.send_signal(number)
-        out, err = process.communicate(timeout=20)
+        out, err = process.communicate(timeout=240)
     assert (process.returncode, out, err) == (0, "", "")
 
 
@@ -56,7 +56,7 @@ def test_port_in_use_is_one_line_and_exit_2() -> None:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         with running("--port", str(taken.getsockname()[1])) as process:
-            out, err = process.communicate(timeout=60)
+            out, err = process.communicate(timeout=240)
     assert (process.returncode, out, err.count("\n")) == (2, "", 1)
     assert "is in use: give another with --port" in err
 
