@@ -3,7 +3,7 @@
 import contextlib
 import shlex
 import time
-from collections.abc import Callable, Collection
+from collections.abc import Collection
 from contextlib import ExitStack
 from functools import partial
 from math import inf
@@ -108,7 +108,7 @@ class Run:
         if not self.score.scheduling:
             request_real_time("demo", self._obtained)  # all messages go through this process
         # Messages of services that were ended may have come late: the next cycles are those of a new gateway.
-        self.score = Score(self._layout, scheduling=self.score.scheduling)
+        self.score = self._new_score()
         tare = "at-start" if self._options.has_zero_errors(self._layout) else "never"
         self._supervisor.start("gateway", "gateway", *self._common(endpoint), "--tare", tare)
         return self._follow(stop, endpoint)
@@ -119,7 +119,11 @@ class Run:
         path = self._folder / "layout.toml"
         path.write_text(layout_text(self._layout))
         self._path, self._earlier = str(path), None
-        self._there, self.score = Roll(), Score(self._layout, scheduling=self.score.scheduling)
+        self._there, self.score = Roll(), self._new_score()
+
+    def _new_score(self) -> Score:
+        """Return a score of the present layout that has taken no message."""
+        return type(self.score)(self._layout, scheduling=self.score.scheduling)
 
     def _obtained(self, scheduling: str) -> None:
         """Tell page and summary the scheduling of this process."""
@@ -148,19 +152,19 @@ class Run:
 
     def _listen(self, fabric: Fabric) -> None:
         for topic, take in (
-            (GATEWAY, Score.take_gateway),
-            (NODES, Score.take_nodes),
-            (TRUTH, Score.take_truth),
-            (MEASUREMENT, Score.take_measurement),
-            (IMAGE, Score.take_image),
-            (LABEL, Score.take_label),
+            (GATEWAY, "take_gateway"),
+            (NODES, "take_nodes"),
+            (TRUTH, "take_truth"),
+            (MEASUREMENT, "take_measurement"),
+            (IMAGE, "take_image"),
+            (LABEL, "take_label"),
         ):
             fabric.subscribe(topic, partial(self._take, take))
         fabric.watch_peers(self._note)
 
-    def _take(self, take: Callable[[Score, Any], None], message: Any) -> None:
-        """Let the score of the present rate take a message."""
-        take(self.score, message)
+    def _take(self, take: str, message: Any) -> None:
+        """Let the score of the present rate, or of whoever times the chain, take a message."""
+        getattr(self.score, take)(message)
 
     def _note(self, peer: Peer, is_there: bool) -> None:
         if peer.skin == self._layout.name:

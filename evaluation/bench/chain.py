@@ -99,11 +99,11 @@ def _timed(layout: Path | None) -> _Timed:
     skin = load_layout(layout)
     with run_folder() as folder:
         chain = Run(skin, options, folder)
-        chain.score = timed = _Timed(skin)
+        chain.score = _Timed(skin)
         chain.execute(StopSignal())
-    if not timed.steps:
+    if not isinstance(chain.score, _Timed) or not chain.score.steps:
         raise RunError(f"no image came in {RUN_S:g} s of the {layout or 'default'} skin")
-    return timed
+    return chain.score
 
 
 def _processors(runs: Sequence[Score]) -> dict[str, float]:
