@@ -97,9 +97,9 @@ def gateway(
     few = "" if contract.recognition is None else f", {contract.recognition.layout.sync.rate_hz:g} Hz in recognition"
     say("gateway", f"{len(links)} bus{'es' * (len(links) != 1)}, SYNC {skin.sync.rate_hz:g} Hz{few}")
     try:
-        service = GatewayService(contract, links, fabric, calibration=calibrates, rates_hz=rates_hz)
-        fabric.answer(IMAGES, service.ask_images)
         with closing_links(links):
+            service = GatewayService(contract, links, fabric, calibration=calibrates, rates_hz=rates_hz)
+            fabric.answer(IMAGES, service.ask_images)
             service.run(stop)
     finally:
         calibrates.keep_zero()
