@@ -117,19 +117,15 @@ def _new(taxels: Path | None, out: Path | None, modules: Path | None, sending: S
 
 
 def _complete(tables: dict[str, Any], skin: Layout, name: str) -> Layout:
-    """Add averages, sums and buses to the tables of a skin that sends in cycles; return the layout."""
-
-    def read() -> Layout:
-        return parse_layout(tomli_w.dumps(tables).encode(), name)
-
+    """Add averages, sums and buses to the tables of a skin that sends in cycles; return the layout on its buses."""
     tables["sampling"] = {"rate_hz": with_averages(skin).sampling.rate_hz}
     if skin.measurement.chains is not None:  # boards of neighbours, of which a part of the sums is not enough
         tables["measurement"]["sums"] = skin.places
-    skin = _on_buses(read())
+    skin = _on_buses(parse_layout(tomli_w.dumps(tables).encode(), name))
     if (sums := _sums(skin)) != skin.measurement.sums:
         tables.setdefault("measurement", {})["sums"] = sums
     tables["bus"] = [{"name": bus.name, "nodes": bus.nodes} for bus in skin.bus]
-    return read()
+    return skin
 
 
 def _on_buses(skin: Layout) -> Layout:
@@ -144,14 +140,13 @@ def _on_buses(skin: Layout) -> Layout:
 
 def _sums(skin: Layout) -> int:
     """Return as many sums as there are places, or half as many, if that leaves `_SPARE` of each bus; else its sums."""
-    for sums in (skin.places, skin.places // 2):
-        more = changed(skin, measurement={"sums": sums})
+    own = skin.measurement.sums
+    for sums in (each for each in (skin.places, skin.places // 2) if each > own):
         with suppress(LayoutError):
-            if sums > skin.measurement.sums and all(
-                each.load_worst < 1 - _SPARE and not each.problems for each in planned(more, Disturbance())
-            ):
+            plans = planned(changed(skin, measurement={"sums": sums}), Disturbance())
+            if all(each.load_worst < 1 - _SPARE and not each.problems for each in plans):
                 return sums
-    return skin.measurement.sums
+    return own
 
 
 def _beside(taxels: Path, out: Path, skin: Layout) -> str:

@@ -147,7 +147,7 @@ def _news(layout: Layout, touches_s: float) -> Iterator[Moment]:
     """Yield what a receiver knows of the sums of adaptive boards at each step of a touch."""
     contract, taxels, rng = Contract.from_layout(layout), layout.taxels, np.random.default_rng(0)
     source, sums = load_objects(layout), new_sums(layout.blocks, layout.groups)
-    proven, changed = np.ones(layout.blocks, np.bool_), np.zeros((layout.blocks, layout.groups), np.bool_)
+    proven, has_news = np.ones(layout.blocks, np.bool_), np.zeros((layout.blocks, layout.groups), np.bool_)
     step_ns, steps, buses = round(1e9 / step_rate_hz(layout)), round(touches_s * step_rate_hz(layout)), []
     for bus, line in enumerate(layout.bus):
         mine = slice(layout.first_block(bus), layout.first_block(bus) + line.nodes)
@@ -159,7 +159,7 @@ def _news(layout: Layout, touches_s: float) -> Iterator[Moment]:
     for step in range(steps):
         for is_fd, mine, of_bus, frames, parts in buses:
             rows = frame_bytes(frames[slice(*parts[step])])
-            take_all(rows, False, contract.law, proven[mine], of_bus, changed[mine], is_fd)
+            take_all(rows, False, contract.law, proven[mine], of_bus, has_news[mine], is_fd)
         true_n = source.frame(step).force_n.ravel()
         sensor_n = to_counts(sense(true_n, rng, NOISE_N, taxels.force_max_n), taxels) * taxels.newton_per_count
         yield walsh.solve(sums.value_n.astype(np.float32)).ravel(), true_n, sensor_n.astype(np.float32)

@@ -210,9 +210,8 @@ def _numbered(skin: Layout, source: Path, made: _Rebuilt) -> _Rebuilt:
         return made
     at_ns, number = np.array([(each.sampled_mono_ns, each.cycle) for each in clocks], np.int64).T
     told_ns = recorded_wall_times(source, clocks).times_ns(at_ns.tolist())
-    mono_ns = made.time_ns - wall_offset_ns(source)
-    place = nearest(at_ns, mono_ns)
-    is_told = (np.abs(at_ns[place] - mono_ns) < 0.5e9 * skin.shortest_period_s) & (told_ns[place] >= 0)
+    place, is_near = nearest(at_ns, made.time_ns - wall_offset_ns(source), 0.5e9 * skin.shortest_period_s)
+    is_told = is_near & (told_ns[place] >= 0)
     time_ns, cycle = np.where(is_told, told_ns[place], made.time_ns), np.where(is_told, number[place], -1)
     return made._replace(time_ns=time_ns, cycle=cycle)
 
@@ -222,8 +221,8 @@ def _compare(skin: Layout, source: Path, made: _Rebuilt) -> None:
     mono_ns, near_ns = made.time_ns - wall_offset_ns(source), round(0.5e9 * skin.sync.period_s)
     compared = equal = 0
     for _, _, shown in read_messages(source, [IMAGE], lambda _: None):
-        place = int(nearest(mono_ns, np.array(shown.sampled_mono_ns)))
-        if abs(int(mono_ns[place]) - shown.sampled_mono_ns) < near_ns:
+        place, is_near = nearest(mono_ns, np.array(shown.sampled_mono_ns), near_ns)
+        if is_near:
             compared += 1
             pixels = made.images[place].astype("<f4", copy=False).tobytes()
             equal += same_pixels(pixels, shown.pixels, skin.taxels.force_max_n)

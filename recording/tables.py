@@ -181,8 +181,7 @@ def _truth_times(messages: list[Any], measurements: list[Measurement], layout: L
     if layout.sends.in_cycles and measurements:
         made = sorted((each.sampled_mono_ns, each.cycle) for each in measurements)
         at_ns, number = np.array(made, np.int64).T
-        place = nearest(at_ns, wanted_ns)
-        is_near = np.abs(at_ns[place] - wanted_ns) < 0.5e9 * layout.shortest_period_s
+        place, is_near = nearest(at_ns, wanted_ns, 0.5e9 * layout.shortest_period_s)
         time_ns = np.where(is_near, wall.times_ns(at_ns.tolist())[place], time_ns)
         cycle = np.where(is_near, number[place], -1)
     return {"cycle": cycle, "time_ns": time_ns}

@@ -98,8 +98,11 @@ def recorded_wall_times(path: Path, clocks: Sequence[Clocks] | None = None) -> W
     return wall
 
 
-def nearest(times_ns: npt.NDArray[np.int64], wanted_ns: npt.NDArray[np.int64]) -> npt.NDArray[np.intp]:
-    """Return for each wanted time the place of the nearest of one or more ascending times."""
+def nearest(
+    times_ns: npt.NDArray[np.int64], wanted_ns: npt.NDArray[np.int64], within_ns: float
+) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.bool_]]:
+    """Return for each wanted time the place of the nearest of one or more ascending times, and whether that is near."""
     after = np.searchsorted(times_ns, wanted_ns).clip(max=len(times_ns) - 1)
     before = (after - 1).clip(min=0)
-    return np.where(wanted_ns - times_ns[before] <= times_ns[after] - wanted_ns, before, after)
+    place = np.where(wanted_ns - times_ns[before] <= times_ns[after] - wanted_ns, before, after)
+    return place, np.abs(times_ns[place] - wanted_ns) < within_ns

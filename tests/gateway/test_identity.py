@@ -237,6 +237,13 @@ def test_old_answers_of_a_board_that_goes_on_at_the_end_of_a_cycle_do_not_end_it
     assert bus.whole() == [True, True]
 
 
+def take_after_a_loss(gathering: CycleGathering, arrived: Frames) -> None:
+    """Take frames of a link that has dropped a frame before them."""
+    health = Health()
+    health.look(frames(0), State.ACTIVE, 1, 0)
+    gathering.take(0, arrived, health, 0.0)
+
+
 @both
 def test_frames_lost_by_the_gateway_itself_cost_the_cycles_between_which_a_sync_may_be_lost(identity: str) -> None:
     """Without the echo of the second SYNC, the answers to it would pass for those to the first."""
@@ -246,9 +253,7 @@ def test_frames_lost_by_the_gateway_itself_cost_the_cycles_between_which_a_sync_
     old = bus.begin()
     bus.take(bus.sync(), bus.frames_of(old, 1))
     new = bus.begin()
-    health = Health()
-    health.look(frames(0), State.ACTIVE, 1, 0)
-    gathering.take(0, bus.frames_of(new, 0, 1), health, 0.0)
+    take_after_a_loss(gathering, bus.frames_of(new, 0, 1))
     assert bus.valid(old) == ([False, True] if identity == "alternating" else [False, False])
     assert bus.valid(new) == [False, False]
 
@@ -264,9 +269,7 @@ def test_without_the_echoes_of_two_syncs_no_answer_counts_in_an_older_cycle(iden
     lost = bus.begin()
     assert bus.valid(old) == [False, False]
     newest = bus.begin()
-    health = Health()
-    health.look(frames(0), State.ACTIVE, 1, 0)
-    gathering.take(0, bus.frames_of(newest, 0, 1), health, 0.0)
+    take_after_a_loss(gathering, bus.frames_of(newest, 0, 1))
     assert bus.valid(lost) == bus.valid(newest) == [False, False]
 
 

@@ -44,4 +44,6 @@ def test_the_nearest_time_is_found(times_ns: list[int], wanted_ns: list[int]) ->
     ascending = np.array(sorted(times_ns), np.int64)
     wanted = np.array(wanted_ns, np.int64)
     apart = np.abs(ascending[:, None] - wanted)
-    np.testing.assert_array_equal(np.abs(ascending[nearest(ascending, wanted)] - wanted), apart.min(axis=0))
+    place, is_near = nearest(ascending, wanted, 1000)
+    np.testing.assert_array_equal(np.abs(ascending[place] - wanted), apart.min(axis=0))
+    np.testing.assert_array_equal(is_near, apart.min(axis=0) < 1000)

@@ -2,7 +2,6 @@
 
 import os
 import socket
-import sys
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -10,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from shell.command import main
 from tests import layouts
+from tests.system.conftest import Command
 from tests.system.helpers import report, skin
 
 
@@ -138,31 +137,24 @@ def wrong_files(tmp_path: Path) -> Path:
     ],
     ids=" ".join,
 )
-@pytest.mark.usefixtures("own_signals")
 def test_wrong_input_is_one_line_and_exit_code_2(
-    arguments: tuple[str, ...], wrong_files: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+    arguments: tuple[str, ...], wrong_files: Path, monkeypatch: pytest.MonkeyPatch, command: Command
 ) -> None:
     quiet = ("--no-view", "--seconds", "1") if arguments[0] == "demo" and "--seconds" not in arguments else ()
     monkeypatch.chdir(wrong_files)
-    monkeypatch.setattr(sys, "argv", ["skin", *arguments, *quiet])
-    with pytest.raises(SystemExit) as ended:
-        main()
-    said = capfd.readouterr()
-    assert ended.value.code == 2, said.err
-    assert not said.out
-    lines = [line for line in said.err.splitlines() if line.strip()]
-    assert len(lines) == 1, said.err
+    said = command(*arguments, *quiet)
+    assert said.returncode == 2, said.stderr
+    assert not said.stdout
+    lines = [line for line in said.stderr.splitlines() if line.strip()]
+    assert len(lines) == 1, said.stderr
     assert lines[0].startswith("skin: ")
 
 
-@pytest.mark.usefixtures("own_signals")
-def test_port_in_use(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
+def test_port_in_use(command: Command) -> None:
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
-        monkeypatch.setattr(sys, "argv", ["skin", "demo", "--port", str(taken.getsockname()[1]), "--seconds", "1"])
-        with pytest.raises(SystemExit, match="2"):
-            main()
-    said = capfd.readouterr().err
-    assert "in use" in said
-    assert "Traceback" not in said
+        done = command("demo", "--port", str(taken.getsockname()[1]), "--seconds", "1")
+    assert done.returncode == 2
+    assert "in use" in done.stderr
+    assert "Traceback" not in done.stderr
