@@ -27,6 +27,8 @@ def demo(*, options: DemoOptions = DEFAULTS, json: Json = False) -> int:
     skin demo --seconds 60 --objects paper
     skin demo --solver paper
     skin demo --defect dead=0.05 stuck=0.02
+    skin demo --objects cup.stl@mm --no-classify
+    skin demo --objects cup.stl@mm --model mine.npz
     skin demo --drift patch12:ramp:0.003:10:60
     skin demo --input S1.npz --array posture_01 posture_02 --full-scale 4095 --json
     """

@@ -7,6 +7,7 @@ from typing import Annotated, Final
 from cyclopts import Parameter
 
 from bus.options import virtual_bit_rates
+from canskin.errors import InputError
 from demo.rate import at_rate
 from reconstructor.options import SolverOptions
 from shell.output import check_picture_path
@@ -35,6 +36,10 @@ class DemoOptions:
         Port of the web page, 0 for a free port; default 8765, or a free port if 8765 is in use.
     listen
         Endpoint of the fabric's hub, to which other programs can connect; default: a free port of this machine.
+    classify
+        ``--no-classify`` runs without classifier, for example to record touches of own objects: no model is trained.
+    model
+        Model file from ``skin train`` for this skin, in place of a model of the objects that touch.
     picture
         File for the picture of true force, sensor signal, rebuilt image and error.
     solver
@@ -52,6 +57,8 @@ class DemoOptions:
     view: bool = True
     port: int | None = None
     listen: str | None = None
+    classify: bool = True
+    model: Path | None = None
     picture: Annotated[Path, Parameter(name=("--figure", "--picture"))] = Path("skin-demo.png")
     solver: SolverOptions | None = None
     sync_rate: float | None = None
@@ -67,10 +74,17 @@ class DemoOptions:
         virtual_bit_rates(layout)
         if self.sync_rate is not None:
             require_sending(layout, "synchronous", "--sync-rate is", "adaptive boards send as they have news")
-            at_rate(layout, self.sync_rate)
+            layout = at_rate(layout, self.sync_rate)
         if self.view and self.port is not None:
             listen("127.0.0.1", self.port).close()
         check_picture_path(self.picture)
+        if self.model is not None:
+            if not self.classify:
+                raise InputError("--model is for the classifier: leave --no-classify out")
+            from classifier.modelfile import load_model  # compiled parts take a moment to load
+            from classifier.used_sums import classified_phi
+
+            load_model(self.model, layout, classified_phi(layout))
         if self.solver is not None:
             self.solver.check(layout)
         self.touch.check()

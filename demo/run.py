@@ -180,7 +180,11 @@ class Run:
         start("nodes", "nodes", *common, *arguments(touch), *rest, *["--firmware"] * options.firmware)
         solver = [] if options.solver is None else arguments(options.solver)
         start("reconstructor", "reconstruct", *common, *solver, restart=True)
-        start("classifier", "classify", *common, *_known_objects(touch.names), "--stroke", touch.stroke, restart=True)
+        known = [*_known_objects(touch.names), "--stroke", touch.stroke]
+        if options.model is not None:
+            known = ["--model", str(options.model)]
+        if options.classify:
+            start("classifier", "classify", *common, *known, restart=True)
         if self._port is not None:
             start("viewer", "view", *common, "--port", str(self._port), restart=True)
 
@@ -196,13 +200,15 @@ class Run:
                 if time.monotonic() > slow_s:
                     slow_s = inf
                     why = "a first start compiles the solver, and new objects train the classifier: minutes"
+                    why += "; --no-classify trains none" * ("classifier" in missing)
                     say("demo", f"waits for {missing}; {why}")
                 if time.monotonic() > patience_s:
                     raise RunError(f"{missing} did not become ready in {READY_PATIENCE_S:g} s")
 
     def _missing(self) -> str:
         """Name the services that the gateway waits for and that are not on the fabric."""
-        wanted = ["classifier", "nodes", "reconstructor", *["viewer"] * (self._port is not None)]
+        wanted = ["classifier"] * self._options.classify + ["nodes", "reconstructor"]
+        wanted += ["viewer"] * (self._port is not None)
         return ", ".join(name for name in wanted if not self._there.holds(name))
 
     def _follow(self, stop: StopSignal, endpoint: str) -> bool:

@@ -151,7 +151,9 @@ class Score:
 
     def label_text(self) -> str:
         """Return the newest label as text."""
-        if self.last_label is None or not self.last_label.is_measured(self.layout.measurement.sums):
+        if self.last_label is None:
+            return "no label"
+        if not self.last_label.is_measured(self.layout.measurement.sums):
             return "not measured"
         return self.last_label.label or "no contact"
 

@@ -42,6 +42,7 @@ def options(folder: Path, **changes: Any) -> DemoOptions:
         ({"defect": ["dead=0.1", "worn"]}, "--defect worn: expected KIND or KIND=AMOUNT"),
         ({"drift": ["whole:step"]}, "--drift whole:step: expected PLACE:COURSE:AMOUNT_N"),
         ({"input": Path("missing.npz")}, "no recording at 'missing.npz'"),
+        ({"model": Path("mine.npz"), "classify": False}, "--model is for the classifier"),
         ({"picture": Path("/proc/x.png")}, "/proc/x.png: cannot write the picture there"),
     ],
 )

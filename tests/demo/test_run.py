@@ -15,6 +15,7 @@ from demo.folder import PREFIX
 from demo.options import DemoOptions
 from demo.run import Run
 from demo.score import CycleImages, Score
+from demo.supervisor import Supervisor
 from skin.layout import load_layout
 from tests.processes import Processes
 
@@ -84,6 +85,25 @@ def test_report_as_json_has_a_picture_only_where_one_was_saved() -> None:
     saved = msgspec.structs.replace(report, picture="x.png")
     assert json.loads(msgspec.json.encode(saved))["picture"] == "x.png"
     assert list(json.loads(msgspec.json.encode(saved))["latency_ms"]) == ["p50", "p99"]
+
+
+@pytest.mark.parametrize(
+    ("options", "known"),
+    [
+        (DemoOptions(view=False), ["--stroke", "slide"]),
+        (DemoOptions(view=False, model=Path("mine.npz")), ["--model", "mine.npz"]),
+        (DemoOptions(view=False, classify=False), None),
+    ],
+)
+def test_a_run_has_the_classifier_that_is_asked_for(
+    options: DemoOptions, known: list[str] | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    started: dict[str, tuple[str, ...]] = {}
+    monkeypatch.setattr(Supervisor, "start", lambda _self, name, *given, **_: started.update({name: given}))
+    run = Run(LAYOUT, options, tmp_path)
+    run._start_services("tcp/hub")
+    assert list(started.get("classifier", ())[-2:]) == (known or [])
+    assert ("classifier" in run._missing()) == ("classifier" in started) == (known is not None)
 
 
 @pytest.mark.heavy

@@ -78,6 +78,9 @@ def test_labels_count_while_an_object_touches(score: Score) -> None:
 def test_contact_cycles_without_a_label_count_as_not_right(score: Score) -> None:
     score.take_truth(truth(1))
     assert (score.report().label_accuracy, score.report().labelled_ratio) == (None, 0.0)
+    for running, said in (({}, "no label came"), ({"bus": 0.3}, "no label came: no classifier ran")):
+        score.cpu_ratio = running
+        assert ("label", said) in score.report().rows()
     for cycle in (2, 3, 4):
         score.take_truth(truth(cycle))
     score.take_label(label(2, "cup"))
@@ -149,7 +152,7 @@ def test_messages_of_another_size_are_left_alone(score: Score) -> None:
 
 
 def test_what_the_newest_label_tells(score: Score) -> None:
-    assert score.label_text() == "not measured"
+    assert score.label_text() == "no label"
     for name, said in (("cup", "cup"), ("", "no contact")):
         score.take_label(label(1, name))
         assert score.label_text() == said

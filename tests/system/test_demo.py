@@ -66,16 +66,16 @@ def test_golf_ball(slow_layout: Path, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_recording(tmp_path: Path) -> None:
-    """A recording in counts, on a larger skin whose taxels do not fill the blocks."""
+    """A recording in counts, without classifier, on a larger skin whose taxels do not fill the blocks."""
     rows, columns = np.mgrid[0:17, 0:12]
     frames = [3000 * np.exp(-((rows - 8) ** 2 + (columns - 3 - step) ** 2) / 20) for step in range(6)]
     np.savez(tmp_path / "mat.npz", standing=np.zeros((3, 17, 12), np.uint16), lying=np.round(frames).astype(np.uint16))
     rates = {"sampling": {"rate_hz": 20.0}, "sync": {"rate_hz": 20.0}}
     (tmp_path / "mat.toml").write_text(layouts.layout_toml(17, 23, **rates))
     touch = ("--input", "mat.npz", "--array", "lying", "--full-scale", "4095")
-    figures = report(
-        skin("demo", "--layout", "mat.toml", *touch, "--seconds", "3", "--json", "--no-view", cwd=tmp_path)
-    )
+    less = ("--seconds", "3", "--json", "--no-view", "--no-classify")
+    figures = report(skin("demo", "--layout", "mat.toml", *touch, *less, cwd=tmp_path))
+    assert "classifier" not in figures["cpu_ratio"]
     check_frames(figures, of_a_cycle=26)
     assert figures["nodes_missing"] == []
     assert figures["psnr_sensor_db"] > 60
@@ -121,6 +121,7 @@ def wrong_files(tmp_path: Path) -> Path:
         ("demo", "--layout", "missing.toml"),
         ("demo", "--layout", "unknown.toml"),
         ("demo", "--objects", "unicorn"),
+        ("demo", "--model", "model.npz"),
         ("demo", "--seconds", "0"),
         ("demo", "--seconds", "soon"),
         ("demo", "--picture", "no/folder/x.png"),
