@@ -13,7 +13,8 @@ LEAST_CYCLES: Final = 8
 TARE_WINDOWS: Final = 8
 #: From the moment a sum is valid until it counts: nodes that average learn their noise first.
 SETTLE_S: Final = 0.5
-#: Part of a window's cycles in which a sum has to be valid to count.
+#: Part of a window's cycles in which a sum has to be valid to count. A sum that was away for more cycles in a row
+#: settles again: its node may have started anew. Lost frames cost their cycles alone.
 LEAST_PART: Final = 0.5
 #: Mean of |a - b| over the standard deviation of normal a and b.
 _SIZE_OF_DIFFERENCE: Final = 2 / math.sqrt(math.pi)
@@ -61,7 +62,7 @@ class Window(NamedTuple):
     mean_n : array, shape (m,)
         Mean of each sum, newtons; 0 where `known` is False.
     noise_n : array, shape (m,)
-        Standard deviation of one cycle's sum, from differences of consecutive cycles, newtons.
+        Standard deviation of one cycle's sum, from differences between one valid cycle and the next, newtons.
     difference_n : array, shape (m,)
         Change of each sum in the last cycle, newtons.
     known : array of bool, shape (m,)
@@ -94,7 +95,8 @@ class WindowMeans:
         self._total, self._difference = np.zeros((2, sums))
         self._last, self._newest = np.zeros((2, sums))
         self._count = np.zeros(sums, np.int64)
-        self._was_valid = np.zeros(sums, np.bool_)
+        #: Cycles in a row, up to the newest, in which each sum was not valid.
+        self._missed = np.full(sums, round(self._cycles))
         self._valid_since_ns = np.zeros(sums, np.int64)
 
     def take(self, time_ns: int, counts: npt.NDArray[np.int32], valid: Bools) -> Window | None:
@@ -115,16 +117,15 @@ class WindowMeans:
             if time_ns < self._begin_ns:
                 self._valid_since_ns[:] = time_ns
             self._begin(time_ns)
-        newly = valid & ~self._was_valid
-        self._valid_since_ns[newly] = time_ns
+        self._valid_since_ns[valid & (self._missed > LEAST_PART * self._cycles)] = time_ns
         settled = valid & (time_ns - self._valid_since_ns >= SETTLE_S * 1e9)
         self._total += np.where(settled, counts, 0)
         np.subtract(counts, self._last, out=self._newest)
-        self._newest[~settled] = 0  # what has settled was valid in the cycle before, too
+        self._newest[~settled] = 0
         self._difference += np.abs(self._newest)
         self._count += settled
-        self._last[:] = counts
-        self._was_valid[:] = valid
+        np.copyto(self._last, counts, where=valid)
+        self._missed = np.where(valid, 0, self._missed + 1)
         return ended
 
     def restart(self) -> None:

@@ -194,19 +194,23 @@ def _accept(  # noqa: PLR0917  compiled functions take no keywords
     """Use the data of a frame whose row in the table is known, if the frame is in time."""
     node = table.node[row]
     state.heard[node] = True
+    is_owed = state.outstanding.owed[row] > 0
     came(row, time_ns, table, state.outstanding)
     counter = state.syncs.counter[bus]
     slot = slot_of(counter)
     is_right = table.phase[row] == state.cycles.phase[slot]
     if counter and not is_right:
         state.strayed[node] = True
-    if not is_right or not is_open(counter, state.cycles):
-        state.counts[LATE] += 1
-        state.late_of_node[node] += 1
-        return
-    if not (state.cycles.spoilt[slot, row] or (stamp_error_ns != NO_STAMPS and state.outstanding.is_ordered[bus])):
-        note_answer(slot, bus, time_ns + max(stamp_error_ns, 0), state.notes)
-    state.counts[ACCEPTED if keep_frame(slot, bus, row, data, state.cycles) else DUPLICATE] += 1
+    kind = LATE
+    if is_right and is_open(counter, state.cycles):
+        if not (state.cycles.spoilt[slot, row] or (stamp_error_ns != NO_STAMPS and state.outstanding.is_ordered[bus])):
+            note_answer(slot, bus, time_ns + max(stamp_error_ns, 0), state.notes)
+        if keep_frame(slot, bus, row, data, state.cycles):
+            kind = ACCEPTED
+        elif not is_owed:  # else the frame before it answered an older SYNC, and was late
+            kind = DUPLICATE
+    state.counts[kind] += 1
+    state.late_of_node[node] += kind == LATE
 
 
 @njit(cache=True, nogil=True)

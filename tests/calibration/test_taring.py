@@ -22,6 +22,7 @@ from tests.calibration.helpers import (
     SMALL_COUNT_N,
     SMALL_PHI,
     SMALL_SUMS,
+    Counts,
     Cycles,
     Skin,
     error_n,
@@ -97,7 +98,33 @@ def test_a_zero_waits_for_half_of_the_sums() -> None:
     skin.run(10.1)
     assert skin.made.state is FOLLOWING
     assert skin.said[0].startswith(f"zero of {SMALL_SUMS // 2} of {SMALL_SUMS} sums")
+    assert skin.said[0].endswith("; the others get theirs when nothing has touched them for 2 s")
     assert np.isnan(skin.made.offsets_n).sum() == SMALL_SUMS // 2  # type: ignore[arg-type]
+
+
+def losing(skin: Cycles, windows: int, counts: Counts = COUNTS) -> Measurement:
+    """Go on while every block in its turn misses two of 32 cycles, as it does after a lost frame."""
+    for _ in range(10 * windows):
+        skin.missing = [skin.cycle % 32, (skin.cycle - 1) % 32]
+        applied = skin.run(0.1, counts)
+    return applied
+
+
+def test_lost_frames_leave_no_block_of_a_skin_at_rest_without_a_zero() -> None:
+    skin = Cycles()
+    losing(skin, 11)
+    assert skin.made.state is FOLLOWING
+    skin.missing = []
+    touched = skin.run(1, COUNTS + pressed_counts(0, 0, 20, 300))
+    assert touched.usable == b""
+    assert np.abs(np.array(offsets_of(touched)) - COUNTS).max() <= 1
+
+
+def test_a_touch_among_lost_frames_is_no_zero() -> None:
+    skin = Cycles()
+    losing(skin, 6)
+    assert not losing(skin, 10, COUNTS + pressed_counts(0, 0, 20, 300)).offsets
+    assert skin.made.state is TOUCHED
 
 
 def test_has_few_sums_until_a_window_has_them() -> None:

@@ -91,15 +91,23 @@ def test_half_of_a_window_s_cycles_are_enough() -> None:
     assert found.known.tolist() == [True, True, False]
 
 
-def test_a_sum_that_was_missing_for_a_cycle_has_to_settle_again() -> None:
-    made = Collected((10,))
-    made.take_all(range(10, 700, 10))
-    made.means.take(700 * MS, np.zeros(1, np.int32), np.zeros(1, np.bool_))
-    found = made.take_all(range(710, 1520, 10))
-    assert [window.known.tolist() for window in found] == [[True], [False], [False], [True]]
-    # 510 to 690 ms, and from 1260 ms on: 500 ms after 710 ms it has settled.
-    assert found[0].mean_n == pytest.approx([0.5 * (np.arange(51, 70) ** 2).mean()])
-    assert found[3].mean_n == pytest.approx([0.5 * (np.arange(126, 151) ** 2).mean()])
+@pytest.mark.parametrize(("missed", "knows"), [(12, [True] * 4), (13, [False, False, False, True])])
+def test_a_sum_settles_again_when_it_was_away_for_more_than_half_a_window(missed: int, knows: list[bool]) -> None:
+    """Away from 520 ms on: 12 cycles leave 13 of the third window; after 13 the sum has settled 500 ms later."""
+    made, back_ms = Collected((10,)), 520 + 10 * missed
+    made.take_all(range(10, 520, 10))
+    for time_ms in range(520, back_ms, 10):
+        made.means.take(time_ms * MS, np.zeros(1, np.int32), np.zeros(1, np.bool_))
+    found = made.take_all(range(back_ms, 1520, 10))
+    assert [window.known.all() for window in found] == knows
+    whole = np.arange(126, 151)
+    assert found[3].mean_n == pytest.approx([0.5 * (whole**2).mean()])
+    if knows[0]:
+        came = np.r_[51, 64:76]
+        assert found[0].mean_n == pytest.approx([0.5 * (came**2).mean()])
+        # From each valid cycle to the next, whatever is between them.
+        noise_n = 0.5 * np.diff(np.r_[50, came] ** 2).mean() * np.pi**0.5 / 2
+        assert found[0].noise_n == pytest.approx([noise_n])
 
 
 @pytest.mark.parametrize(("time_ms", "comes"), [(259.9, False), (260, True), (509.9, True), (510, False)])

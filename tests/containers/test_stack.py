@@ -45,8 +45,8 @@ class Stack:
             "SKIN_IMAGE": IMAGE,
             "SKIN_FILES": str(files),
             "SKIN_LAYOUT": "slow.toml",
-            # A block that misses a frame while the zero is measured has none until nothing touches for 3.2 s, which the
-            # touches here do not leave. A busy machine loses frames at the start.
+            # A block that misses over half of a window while the zero is measured (0.2 s at 20 Hz) has none
+            # until nothing touches for 3.2 s, which the touches here do not leave. A busy machine may stall so long.
             "SKIN_GATEWAY_OPTIONS": "--tare never",
             "SKIN_RTPRIO": "1" if can_give.returncode == 0 else "0",
         }

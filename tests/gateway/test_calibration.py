@@ -1,5 +1,6 @@
 """What the gateway answers to those who ask for its calibration, and what it writes to nodes."""
 
+import itertools
 from collections.abc import Callable
 from pathlib import Path
 
@@ -73,7 +74,14 @@ def test_the_calibration_in_use_is_told(world: World, stored: StoredCalibration)
     assert told.gains == stored.gains
 
 
-def test_a_forced_tare_is_answered_when_it_is_done(world: World) -> None:
+@pytest.mark.parametrize("loses", [False, True])
+def test_a_forced_tare_is_answered_when_it_is_done(world: World, *, loses: bool) -> None:
+    """Every 37th frame of sums is lost, each of the four of a bus in its turn; that leaves no block without a zero."""
+    for wire in world.wires if loses else []:
+        sums, count = world.contract.table.cob_id.tolist(), itertools.count()
+        wire.loses = lambda end, each, wire=wire, sums=sums, count=count: (
+            end is wire.gateway and each["can_id"] in sums and next(count) % 37 == 0
+        )
     asked = Asked(world)
     asked.ask(CalibrationRequest(action="tare", force=True))
     last = asked.run(8.0)

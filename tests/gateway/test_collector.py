@@ -15,7 +15,7 @@ from gateway.collector import Collector, Gathered
 from skin.layout import load_layout
 from skin.sync_counter import next_counter
 from tests.bus.harness import frame
-from tests.layouts import alternating
+from tests.layouts import alternating, small_contract
 
 CONTRACT = Contract.from_layout(alternating(load_layout()))
 TABLE = CONTRACT.table
@@ -201,6 +201,23 @@ def test_frames_after_the_close_are_late() -> None:
     collector.close(1)
     collector.take(0, sent[60:], 0)
     assert (collector.counts.accepted, collector.counts.late, collector.counts.missing) == (60, 4, 196)
+
+
+@pytest.mark.parametrize(("missed", "late"), [(0, 0), (1, 1)])
+def test_the_second_of_two_frames_in_a_cycle_tells_that_one_was_late_or_is_a_duplicate(missed: int, late: int) -> None:
+    """Cycles have one phase: nothing but what the node owed tells an answer to the SYNC before from a repeated one."""
+    contract = small_contract()
+    collector, table = Collector(contract), contract.table
+    answer = frames(1)
+    answer["can_id"], answer["length"] = table.cob_id[0], table.length[0]
+    collector.trust(slice(None), proven=True)
+    for counter, answers in ((1, 1 - missed), (2, 2)):
+        collector.open(counter)
+        collector.take(0, np.concatenate((echo(counter), *[answer] * answers)), 0)
+        collector.close(counter)
+    counts = collector.counts
+    assert (counts.late, counts.duplicate) == (late, 1 - late)
+    assert collector.late_of_node.tolist() == [late, 0, 0, 0]
 
 
 def test_cycle_waits_for_expected_nodes_only() -> None:

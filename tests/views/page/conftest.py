@@ -1,5 +1,6 @@
 """The page in a real browser, and stand-ins for the services that it shows."""
 
+import asyncio
 import itertools
 import socket
 import threading
@@ -100,6 +101,16 @@ class Doer:
         return "done"
 
 
+class _Server(uvicorn.Server):
+    """Leaves no connection open: a browser may connect while the server ends, or take more time to close."""
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        await super().shutdown(sockets)
+        for connection in list(self.server_state.connections):
+            connection.transport.abort()
+        await asyncio.sleep(0)  # the transports close
+
+
 class Server:
     """The page's server in this process, on a port that stays the same when it is started again."""
 
@@ -115,7 +126,7 @@ class Server:
         config = uvicorn.Config(
             build_app(self.feed, actions=self.actions), log_config=None, timeout_graceful_shutdown=1
         )
-        self._server = uvicorn.Server(config)
+        self._server = _Server(config)
         self._thread = threading.Thread(target=self._server.run, args=([listener],))
         self._thread.start()
 
