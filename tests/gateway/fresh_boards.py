@@ -185,10 +185,13 @@ class Bench:
             if place.is_alive:
                 place.segment.take(arrived, self.now_s)
                 place.segment.tick(self.now_s)
-        run.take(np.concatenate([self._of(ended, self.master), self.noise]), self.now_s)
+        arrived = self._of(ended, self.master)
+        run.take(np.concatenate([arrived, self.noise]) if len(self.noise) else arrived, self.now_s)
         run.tick(self.now_s)
 
     def _of(self, ended: Events, station: Station) -> Frames:
+        if not len(ended.frames):
+            return ended.frames
         is_own = ended.owner == station.number
         is_mine = ended.audience & np.where(is_own, OWNER, OTHERS) != 0
         came = ended.frames[is_mine].copy()

@@ -121,8 +121,10 @@ class EndOfWire:
         return bool(self.waiting) and not self.is_held
 
     def receive(self) -> Frames:
-        if self.is_held:
+        if self.is_held or not self.waiting:
             return frames(0)
+        if len(self.waiting) == 1:
+            return self.waiting.pop()
         # Not np.concatenate, which compares the fields of the records each time.
         arrived, begin = frames(sum(map(len, self.waiting))), 0
         for burst in self.waiting:
@@ -179,6 +181,8 @@ class Wire:
 
     def deliver(self) -> bool:
         """Carry what was sent; tell whether there was anything."""
+        if not self.queue and not self._hung:
+            return False
         sent, self.queue = self._gone_on() + self.queue, []
         for sender, given in sent:
             burst = self._awake(given) if sender is self.nodes else given
@@ -190,8 +194,11 @@ class Wire:
         return bool(sent)
 
     def _carry(self, sender: EndOfWire | None, burst: Frames) -> None:
-        for each in burst:
-            self.log.append((int(each["can_id"]), each["data"][: each["length"]].tobytes()))
+        ids_and_lengths = zip(burst["can_id"].tolist(), burst["length"].tolist(), strict=True)
+        self.log += [
+            (can_id, data[:length].tobytes())
+            for (can_id, length), data in zip(ids_and_lengths, burst["data"], strict=True)
+        ]
         for end in (self.gateway, self.nodes):
             copy = burst.copy()
             copy["time_ns"][copy["time_ns"] == 0] = self.now_ns
@@ -298,8 +305,10 @@ class World:
 
     def _receive(self) -> None:
         for bus, (wire, segment) in enumerate(zip(self.wires, self.segments, strict=True)):
-            segment.take(wire.nodes.receive(), self.now_s)
-            self.gateway.take(bus, wire.gateway.receive(), self.now_s, stamp_error_ns=0)
+            if wire.nodes.has_news:
+                segment.take(wire.nodes.receive(), self.now_s)
+            if wire.gateway.has_news:
+                self.gateway.take(bus, wire.gateway.receive(), self.now_s, stamp_error_ns=0)
         self.learn()
 
     def learn(self) -> None:

@@ -26,7 +26,7 @@ from nodes.firmware.tables import builds
 from skin.layout import Sampling, load_layout
 from tests.gateway.helpers import two_states
 from tests.layouts import buses
-from tests.nodes.firmware.stack import HERE, compile_adapter, compile_slave, exported
+from tests.nodes.firmware.stack import HERE, OPTIMIZED, compile_adapter, compile_slave, exported
 from tests.nodes.firmware.twins import analogue, few_sums, needs_compiler, small_contract
 
 NAMES = ("default", "fd", "one-bus-12bit", "recognise-first", "analogue", "adaptive", "adaptive-fd")
@@ -40,7 +40,7 @@ CORTEX_M0_PLUS = ("-mcpu=cortex-m0plus", "-mthumb", "-Os")
 SUMS_BYTES, SLAVE_BYTES, BOARD_BYTES = 1024, 17_000, 110
 #: Runs a program without a limit of its memory: a sanitizer reserves more than any machine has.
 UNLIMITED = 'ulimit -S -d "$(ulimit -H -d)" && exec "$0" "$@"'
-SANITIZERS = ("-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
+SANITIZERS = ("-g1", "-O0", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 
 
 def contract_of(name: str) -> Contract:
@@ -53,7 +53,7 @@ def contract_of(name: str) -> Contract:
 def test_an_exported_board_compiles_without_a_warning(name: str, tmp_path: Path) -> None:
     main = tmp_path / "main.c"
     main.write_text("int main(void)\n{\n    return 0;\n}\n")
-    assert compile_slave(contract_of(name), tmp_path, main).exists()
+    assert compile_slave(contract_of(name), tmp_path, main, optimization=OPTIMIZED).exists()
 
 
 def some_of(contract: Contract) -> list[NodeContract]:
@@ -66,7 +66,7 @@ def some_of(contract: Contract) -> list[NodeContract]:
 @pytest.mark.parametrize("name", NAMES)
 def test_one_image_for_canopennode_has_the_dictionary_of_each_board(name: str, tmp_path: Path) -> None:
     contract = contract_of(name)
-    program = compile_adapter(contract, tmp_path, "print_dictionary.c", contract.nodes)
+    program = compile_adapter(contract, tmp_path, "print_dictionary.c", contract.nodes, OPTIMIZED)
     for node in some_of(contract):
         assert printed(program, str(node.bus), str(node.node_id)) == expected_dictionary(contract, node)
     assert subprocess.run([program, "0", "127"], check=False, stdout=subprocess.DEVNULL).returncode == 1
