@@ -395,7 +395,8 @@ class Calibrator:
         )
         begun.centre_ns = self._newest_ns
         self._use(begun)
-        late = "" if known.all() else f"; the others get theirs when nothing has touched them for {self.tare_s:.3g} s"
+        later = f"when nothing has touched them for {self.tare_s:.3g} s" if self._tares else "at the next 'skin tare'"
+        late = "" if known.all() else f"; the others get theirs {later}"
         self._end(
             f"zero of {int(known.sum())} of {known.size} sums: offsets {1e3 * rms(level_n[known]):.2f} mN rms,"
             f" up to {1e3 * float(np.abs(level_n[known]).max()):.2f} mN; noise {1e3 * self._noise.noise_n:.2f} mN{late}"

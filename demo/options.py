@@ -39,7 +39,8 @@ class DemoOptions:
     classify
         ``--no-classify`` runs without classifier, for example to record touches of own objects: no model is trained.
     model
-        Model file from ``skin train`` for this skin, in place of a model of the objects that touch.
+        Model file from ``skin train`` for this skin, in place of a model of the objects that touch. A model for
+        means of cycles (`docs/classification.md`, "Averages") is for one rate, which the run keeps.
     picture
         File for the picture of true force, sensor signal, rebuilt image and error.
     solver

@@ -232,8 +232,8 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
             came = f"; {self.labelled_ratio:.1%} got a label" if self.labelled_ratio is not None else ""
             rows.append(("label", f"right on {self.label_accuracy:.1%} of the {words.moments}{came}"))
         elif self.labelled_ratio == 0:
-            is_known = not self.cpu_ratio or "classifier" in self.cpu_ratio
-            rows.append(("label", "no label came" if is_known else "no label came: no classifier ran"))
+            why = ": no classifier ran" if self.cpu_ratio and "classifier" not in self.cpu_ratio else ""
+            rows.append(("label", f"no label came{why}"))
         if self.doubtful_taxels:
             why = "a still force, or a zero that has risen: 'skin tare --region'"
             rows.append(("in doubt", f"{self.doubtful_taxels} taxels at the end: {why}"))

@@ -19,6 +19,7 @@ from canskin.fabric import Fabric
 from canskin.messages import GATEWAY, IMAGE, LABEL, MEASUREMENT, NODES, TRUTH, GatewayStatus
 from canskin.peers import Peer, Roll
 from canskin.state_messages import IMAGES, ImagesRequest
+from classifier.newest_sums import averaged_cycles
 from demo.options import DemoOptions
 from demo.picture import save_picture
 from demo.processor_time import ratios
@@ -199,9 +200,10 @@ class Run:
                 status.update(f"starting: waiting for {missing}")
                 if time.monotonic() > slow_s:
                     slow_s = inf
-                    why = "a first start compiles the solver, and new objects train the classifier: minutes"
-                    why += "; --no-classify trains none" * ("classifier" in missing)
-                    say("demo", f"waits for {missing}; {why}")
+                    why = "a first start compiles the solver"
+                    if "classifier" in missing and self._options.model is None:
+                        why += ", and new objects train the classifier (not with --no-classify)"
+                    say("demo", f"waits for {missing}; {why}: minutes")
                 if time.monotonic() > patience_s:
                     raise RunError(f"{missing} did not become ready in {READY_PATIENCE_S:g} s")
 
@@ -241,9 +243,13 @@ class Run:
         return True
 
     def _keeps_rate(self, elapsed_s: float) -> bool:
-        """Judge the rate once, by cycles of the first seconds; a rate that was given or is the least is kept."""
+        """Judge the rate once, by cycles of the first seconds; a rate that was given or is the least is kept.
+
+        So is the rate of a model that knows means of cycles.
+        """
         options, gateway = self._options, self.score.gateway
-        can_choose = options.sync_rate is None and options.seconds >= LEAST_RUN_S and self._layout.sends.in_cycles
+        is_given = options.sync_rate is not None or (options.model is not None and averaged_cycles(self._layout) > 1)
+        can_choose = not is_given and options.seconds >= LEAST_RUN_S and self._layout.sends.in_cycles
         if not can_choose or gateway is None or not SETTLED_S <= elapsed_s <= 2 * JUDGED_S:
             return True
         if self._earlier is None:

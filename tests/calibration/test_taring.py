@@ -102,6 +102,16 @@ def test_a_zero_waits_for_half_of_the_sums() -> None:
     assert np.isnan(skin.made.offsets_n).sum() == SMALL_SUMS // 2  # type: ignore[arg-type]
 
 
+def test_sums_without_a_zero_wait_for_another_request_where_nothing_is_measured_unasked() -> None:
+    skin = Cycles(tares=False)
+    skin.missing = [0]
+    skin.made.tare()
+    skin.run(10.1)
+    assert skin.said[-1].endswith("; the others get theirs at the next 'skin tare'")
+    skin.missing = []
+    assert skin.run(10.1).usable  # some sums are still left out
+
+
 def losing(skin: Cycles, windows: int, counts: Counts = COUNTS) -> Measurement:
     """Go on while every block in its turn misses two of 32 cycles, as it does after a lost frame."""
     for _ in range(10 * windows):

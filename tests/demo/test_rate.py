@@ -11,7 +11,7 @@ from canskin.peers import new_peer
 from demo.options import DemoOptions
 from demo.rate import JUDGED_S, LEAST_RUN_S, SETTLED_S, at_rate, is_kept
 from demo.run import Run
-from skin.layout import load_layout
+from skin.layout import Layout, load_layout
 from tests.layouts import ADAPTIVE_SKIN
 from tests.messages import gateway_status
 
@@ -47,8 +47,8 @@ def test_impossible_rates_are_refused(rate_hz: float) -> None:
 class Rates:
     """Runs in which all cycles are complete at `most_hz` or less."""
 
-    def __init__(self, most_hz: float, options: DemoOptions, folder: Path) -> None:
-        self.run, self.most_hz = Run(LAYOUT, options, folder), most_hz
+    def __init__(self, most_hz: float, options: DemoOptions, folder: Path, layout: Layout = LAYOUT) -> None:
+        self.run, self.most_hz = Run(layout, options, folder), most_hz
         self.tried_hz: list[float] = []
 
     def execute(self) -> None:
@@ -84,6 +84,13 @@ def test_a_run_takes_the_rate_that_the_machine_keeps(
     assert rates.tried_hz == tried_hz
     assert rates.run.score.gateway is not None
     assert SETTLED_S < JUDGED_S < LEAST_RUN_S
+
+
+@pytest.mark.parametrize(("name", "tried_hz"), [("default", [100.0, 50.0, 25.0]), ("fd", [100.0])])
+def test_a_run_keeps_the_rate_of_a_model_for_means_of_cycles(tmp_path: Path, name: str, tried_hz: list[float]) -> None:
+    rates = Rates(30.0, DemoOptions(view=False, model=Path("mine.npz")), tmp_path, load_layout(Path(name)))
+    rates.execute()
+    assert rates.tried_hz == tried_hz
 
 
 def test_services_of_another_rate_are_not_taken_for_those_that_start(tmp_path: Path) -> None:
