@@ -25,6 +25,7 @@ from skin.measurement import Sbhe
 from skin.sources import load_touches
 from tests.classifier.conftest import SMALL, draw
 from tests.layouts import layout_toml
+from tests.processes import PATIENCE_S
 from tests.recordings import HOLD, write_touches
 
 NAMES = ("dome", "plate")
@@ -226,7 +227,7 @@ def test_service_comes_alive_and_ends_quietly(
     options = ["--layout", str(small), "--model", str(out), "--connect", endpoint]
     process = subprocess.Popen([*command, *options], stderr=subprocess.PIPE, text=True, env=dict(os.environ))
     try:
-        assert alive.wait(30)
+        assert alive.wait(PATIENCE_S)
         process.send_signal(number)
         _, said = process.communicate(timeout=240)
     finally:

@@ -19,6 +19,7 @@ from canskin.messages import LABEL, Label
 from canskin.peers import Peer, Roll, new_peer, peer_of_key
 from tests.client.conftest import Log
 from tests.messages import label
+from tests.processes import PATIENCE_S
 
 
 @pytest.fixture
@@ -30,7 +31,7 @@ def hub(endpoint: str) -> Iterator[Fabric]:
 
 def send_until_heard(sender: Fabric, heard: threading.Event) -> None:
     """Publish until a subscriber, whose declaration takes its time, has heard."""
-    for cycle in range(500):
+    for cycle in range(12_000):  # four minutes at most
         sender.publish(LABEL, label(cycle))
         if heard.wait(0.02):
             return
@@ -110,7 +111,7 @@ def test_garbage_is_counted_and_other_skins_are_not_heard(hub: Fabric, endpoint:
     other = Fabric("test", "other", endpoint)
     stranger = Fabric("another", "other", endpoint)
     session: zenoh.Session = other._session
-    for _ in range(500):
+    for _ in range(12_000):  # four minutes at most
         session.put("canskin/test/label", garbage)
         stranger.publish(LABEL, label(0))
         if hub.malformed:
@@ -140,10 +141,10 @@ def test_services_are_seen_coming_and_going(hub: Fabric, endpoint: str) -> None:
     hub.watch(handler)
     other = Fabric("test", "reconstructor", endpoint)
     with changed:
-        assert changed.wait_for(lambda: "reconstructor" in alive, 10)
+        assert changed.wait_for(lambda: "reconstructor" in alive, PATIENCE_S)
     other.close()
     with changed:
-        assert changed.wait_for(lambda: "reconstructor" not in alive, 10)
+        assert changed.wait_for(lambda: "reconstructor" not in alive, PATIENCE_S)
 
 
 def test_one_of_two_services_of_a_name_may_leave(hub: Fabric, endpoint: str) -> None:
@@ -157,7 +158,7 @@ def test_one_of_two_services_of_a_name_may_leave(hub: Fabric, endpoint: str) -> 
 
     def await_event(name: str, is_alive: bool) -> None:
         with changed:
-            assert changed.wait_for(lambda: (name, is_alive) in events, 10)
+            assert changed.wait_for(lambda: (name, is_alive) in events, PATIENCE_S)
 
     first, second = Fabric("test", "viewer", endpoint), Fabric("test", "viewer", endpoint)
     hub.watch(handler)

@@ -8,6 +8,7 @@ import pytest
 
 from canskin.errors import InputError, RunError
 from demo.supervisor import Supervisor
+from tests.processes import PATIENCE_S
 
 
 @pytest.fixture
@@ -16,7 +17,7 @@ def supervisor(tmp_path: Path) -> Supervisor:
 
 
 def until(holds: Callable[[], object]) -> None:
-    for _ in range(3000):
+    for _ in range(round(PATIENCE_S / 0.01)):
         if holds():
             return
         time.sleep(0.01)
@@ -26,7 +27,7 @@ def until(holds: Callable[[], object]) -> None:
 @pytest.mark.heavy
 def test_wrong_input_of_a_service_is_that_of_the_run(supervisor: Supervisor) -> None:
     child = supervisor.start("nodes", "nodes", "--layout", "missing.toml")
-    child.process.wait(30)
+    child.process.wait(PATIENCE_S)
     with pytest.raises(InputError, match=r"^missing\.toml: cannot read the layout"):
         supervisor.look()
 
@@ -36,7 +37,7 @@ def test_service_that_the_run_needs_ends_it(supervisor: Supervisor) -> None:
     child = supervisor.start("bus", "bus", "only_for_this_test")
     until(lambda: "ready" in child.log.read_text())
     child.process.kill()
-    child.process.wait(30)
+    child.process.wait(PATIENCE_S)
     with pytest.raises(RunError, match=r"bus ended \(status -9\)"):
         supervisor.look()
 
@@ -47,7 +48,7 @@ def test_restart_and_end(supervisor: Supervisor) -> None:
     first = child.process.pid
     until(lambda: "ready" in child.log.read_text())
     child.process.kill()
-    child.process.wait(30)
+    child.process.wait(PATIENCE_S)
     events: list[str] = []
     until(lambda: events.extend(supervisor.look()) or child.process.pid != first)
     assert len(events) == 2

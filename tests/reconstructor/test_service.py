@@ -261,7 +261,7 @@ def test_a_long_start_says_why(
     monkeypatch.setattr(command, "SILENT_S", 0.0)
     monkeypatch.setattr(command, "say", tell)
     monkeypatch.setattr(command.StopSignal, "install", lambda stop: stop)
-    monkeypatch.setattr(Reconstructor, "warm_up", lambda _: said.wait(10))
+    monkeypatch.setattr(Reconstructor, "warm_up", lambda _: said.wait(60))
     monkeypatch.setattr(command.ReconstructorService, "run", lambda *_: None)
     command.reconstruct(of=SkinOptions(layout=Path("default"), connect=endpoint))
     first, ready = capfd.readouterr().out.splitlines()

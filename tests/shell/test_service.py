@@ -167,7 +167,7 @@ def test_signals_are_caught_after_install() -> None:
     try:
         stop = StopSignal().install()
         os.kill(os.getpid(), signal.SIGTERM)
-        assert stop.wait(10)
+        assert stop.wait(60)
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)

@@ -13,6 +13,7 @@ from canskin.peers import new_peer
 from shell.service import StopSignal
 from skin.wall_times import Clocks
 from tests.health.helpers import Messages
+from tests.processes import PATIENCE_S
 from views.show.command import draw_live
 from views.show.painter import Painter
 
@@ -159,7 +160,7 @@ def test_a_service_that_does_not_fit_is_in_the_log_of_a_live_skin(
     ]
     drawing = threading.Thread(target=draw_live, args=(messages.layout, fabrics[0], drawn, stop))
     drawing.start()
-    has_come = came.wait(20.0)
+    has_come = came.wait(PATIENCE_S)
     stop.set()
     drawing.join()
     for each in fabrics:
