@@ -82,8 +82,6 @@ class Segment:
 
     def take(self, arrived: Frames, now_s: float) -> None:
         """Handle received frames in their order, with echoes of sent frames and discarded frames."""
-        if not len(arrived):
-            return
         sent, dropped, others = self._sending.count(arrived, self.boards.is_pdo)
         self.frames_sent += sent
         self.frames_dropped += dropped

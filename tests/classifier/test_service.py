@@ -19,6 +19,7 @@ from shell.service import StopSignal
 from skin.layout import Layout, Sync
 from skin.measurement import Sbhe
 from tests import messages as make
+from tests.processes import PATIENCE_S
 
 
 @pytest.fixture
@@ -86,13 +87,13 @@ def test_over_the_fabric_until_told_to_stop(service: ClassifierService, hub: Fab
     thread = threading.Thread(target=service.run, args=(stop,))
     thread.start()
     try:
-        for _ in range(12_000):  # four minutes at most
+        for _ in range(round(PATIENCE_S / 0.02)):
             hub.publish(MEASUREMENT, measurement)
             if heard.wait(0.02):
                 break
     finally:
         stop.set()
-        thread.join(60)
+        thread.join(PATIENCE_S)
     assert not thread.is_alive()
     assert got[0].label == "plate"
 

@@ -31,7 +31,7 @@ def hub(endpoint: str) -> Iterator[Fabric]:
 
 def send_until_heard(sender: Fabric, heard: threading.Event) -> None:
     """Publish until a subscriber, whose declaration takes its time, has heard."""
-    for cycle in range(12_000):  # four minutes at most
+    for cycle in range(round(PATIENCE_S / 0.02)):
         sender.publish(LABEL, label(cycle))
         if heard.wait(0.02):
             return
@@ -111,7 +111,7 @@ def test_garbage_is_counted_and_other_skins_are_not_heard(hub: Fabric, endpoint:
     other = Fabric("test", "other", endpoint)
     stranger = Fabric("another", "other", endpoint)
     session: zenoh.Session = other._session
-    for _ in range(12_000):  # four minutes at most
+    for _ in range(round(PATIENCE_S / 0.02)):
         session.put("canskin/test/label", garbage)
         stranger.publish(LABEL, label(0))
         if hub.malformed:

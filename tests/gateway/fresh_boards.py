@@ -183,7 +183,8 @@ class Bench:
                 if each["can_id"] == 0x7E5:
                     place.is_alive = place.is_alive and place.lives(each["data"][:8].tobytes())
             if place.is_alive:
-                place.segment.take(arrived, self.now_s)
+                if len(arrived):
+                    place.segment.take(arrived, self.now_s)
                 place.segment.tick(self.now_s)
         arrived = self._of(ended, self.master)
         run.take(np.concatenate([arrived, self.noise]) if len(self.noise) else arrived, self.now_s)

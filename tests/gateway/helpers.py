@@ -121,7 +121,7 @@ class EndOfWire:
         return bool(self.waiting) and not self.is_held
 
     def receive(self) -> Frames:
-        if self.is_held or not self.waiting:
+        if not self.has_news:
             return frames(0)
         if len(self.waiting) == 1:
             return self.waiting.pop()

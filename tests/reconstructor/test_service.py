@@ -28,6 +28,7 @@ from skin.layout import load_layout
 from skin.measured_sums import decode_adaptive
 from tests.layouts import ADAPTIVE_SKIN
 from tests.messages import adaptive_measurement
+from tests.processes import PATIENCE_S
 from tests.reconstructor.helpers import LAYOUT, Images, Scene, measurement, psnr_db
 
 
@@ -261,7 +262,7 @@ def test_a_long_start_says_why(
     monkeypatch.setattr(command, "SILENT_S", 0.0)
     monkeypatch.setattr(command, "say", tell)
     monkeypatch.setattr(command.StopSignal, "install", lambda stop: stop)
-    monkeypatch.setattr(Reconstructor, "warm_up", lambda _: said.wait(60))
+    monkeypatch.setattr(Reconstructor, "warm_up", lambda _: said.wait(PATIENCE_S))
     monkeypatch.setattr(command.ReconstructorService, "run", lambda *_: None)
     command.reconstruct(of=SkinOptions(layout=Path("default"), connect=endpoint))
     first, ready = capfd.readouterr().out.splitlines()

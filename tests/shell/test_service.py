@@ -12,6 +12,7 @@ import time
 import pytest
 
 from shell.service import REAL_TIME_PRIORITY, REAL_TIME_RATIO, StopSignal, request_real_time, takes_too_much
+from tests.processes import PATIENCE_S
 
 MANY_CORES = sys.platform == "linux" and len(os.sched_getaffinity(0)) > 1
 
@@ -167,7 +168,7 @@ def test_signals_are_caught_after_install() -> None:
     try:
         stop = StopSignal().install()
         os.kill(os.getpid(), signal.SIGTERM)
-        assert stop.wait(60)
+        assert stop.wait(PATIENCE_S)
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
