@@ -40,7 +40,10 @@ def folder(tmp_path: Path) -> Path:
 def result(folder: Path, *, factor: int, constant: str) -> list[int]:
     """Write the callee, run the caller, and return its result and how often the cache had it."""
     (folder / "callee.py").write_text(CALLEE.format(factor=factor, constant=constant))
-    done = subprocess.run([sys.executable, "caller.py"], cwd=folder, check=True, capture_output=True, text=True)
+    # Python takes its own bytecode of a file for that of a later one of the same size and the same second.
+    environment = {**os.environ, "PYTHONDONTWRITEBYTECODE": "1"}
+    command = [sys.executable, "caller.py"]
+    done = subprocess.run(command, cwd=folder, check=True, capture_output=True, text=True, env=environment)
     return [int(word) for word in done.stdout.split()]
 
 
