@@ -9,9 +9,9 @@ import msgspec
 from bandwidth.plan import BusPlan, plan_bus
 from bandwidth.traffic import Disturbance
 from canskin.errors import SkinError
-from dbc.contract import Contract
+from dbc.contract import Contract, useful_widths
 from dbc.packing import rounding_error_n
-from skin.layout import SUM_BITS, Bus, Layout, changed, validated
+from skin.layout import Bus, Layout, changed, validated
 
 #: Data bit rates of CAN FD, and blocks per node, that are compared.
 FD_BITRATES: Final = (2_000_000, 5_000_000, 8_000_000)
@@ -51,7 +51,7 @@ def _changes(layout: Layout) -> Iterator[tuple[str, Layout]]:
     yield "as it is", layout
     buses, first = len(layout.bus), layout.bus[0]
     yield f"{2 * buses} buses", with_buses(layout, 2 * buses, first)
-    for bits in SUM_BITS:
+    for bits in useful_widths(-(-layout.measurement.sums // layout.blocks) * first.blocks_per_node, fd=first.fd):
         if bits < layout.encoding.sum_bits:
             yield f"{bits}-bit sums", changed(layout, encoding={"sum_bits": bits})
     sums = layout.measurement.sums

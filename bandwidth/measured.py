@@ -259,8 +259,7 @@ def planned_rates(contract: Contract, bus: int) -> dict[tuple[int, bool], float]
         rates[TIME_COB_ID] = 1 / contract.layout.sync.time_s
     for node in contract.on_bus(bus):
         rates[HEARTBEAT_BASE + node.node_id] = 1000 / HEARTBEAT_MS
-        phases = len({tpdo.phase for tpdo in node.tpdos})
-        rates |= {tpdo.cob_id: rate_hz / phases for tpdo in node.tpdos}
+        rates |= {tpdo.cob_id: rate_hz / contract.turns for tpdo in node.tpdos}
     others = {each.key: 1 / each.period_s for each in contract.layout.bus[bus].foreign if each.period_s is not None}
     return {(cob_id, False): each_hz for cob_id, each_hz in rates.items()} | others
 

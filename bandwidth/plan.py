@@ -118,16 +118,16 @@ def plan(contract: Contract, *, allowed: Disturbance | None = None) -> list[BusP
 def plan_bus(contract: Contract, bus: int, touched: npt.NDArray[np.float64] | None, allowed: Disturbance) -> BusPlan:
     """Plan one bus; `touched` holds the mean nominal and data bits of the TPDOs of a simulated touched skin."""
     layout, line = contract.layout, contract.layout.bus[bus]
-    phases = [traffic(contract, bus, phase, allowed) for phase in range(contract.phases)]
-    random = [random_bus_time(each) for each in phases]
-    worst = bus_time(phases[0], "worst")
-    felt = None if touched is None else _mean_bus_time(phases[0], touched)
+    turns = [traffic(contract, bus, turn, allowed) for turn in range(contract.turns)]
+    random = [random_bus_time(each) for each in turns]
+    worst = max((bus_time(each, "worst") for each in turns), key=lambda each: each.cycle_bits)
+    felt = None if touched is None else _mean_bus_time(turns[0], touched)
     rate_hz = layout.sync.rate_hz
-    found = [each.responses_ns(allowed.errors_per_s) for each in phases]
-    # Messages of other devices have other places in each phase.
-    ours = [each[~streams.is_foreign] for each, streams in zip(found, phases, strict=True)]
-    theirs = [each[streams.is_foreign] for each, streams in zip(found, phases, strict=True)]
-    last, responses = phases[0], np.zeros(len(found[0]), np.int64)
+    found = [each.responses_ns(allowed.errors_per_s) for each in turns]
+    # Messages of other devices have other places in each turn.
+    ours = [each[~streams.is_foreign] for each, streams in zip(found, turns, strict=True)]
+    theirs = [each[streams.is_foreign] for each, streams in zip(found, turns, strict=True)]
+    last, responses = turns[0], np.zeros(len(found[0]), np.int64)
     responses[~last.is_foreign] = np.max(ours, axis=0)
     nodes = _node_plans(last, responses)
     foreign = foreign_plans(last, np.max(theirs, axis=0))
@@ -261,7 +261,7 @@ def _problems(
         found.append(
             f"{bus.name}: the last TPDO may end {needed_ms:.2f} ms after SYNC, "
             f"but the window (1007h) is {window_ms:.2f} ms; {needed_ms - window_ms:.2f} ms are missing: fewer sums,"
-            ' more buses, identity = "alternating" in [sync], or the --jitter-s of your boards where it is shorter'
+            " more buses, or `device.jitter_s` (--jitter-s) of your boards where it is shorter"
         )
     return found
 

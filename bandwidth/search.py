@@ -16,16 +16,29 @@ from bandwidth.response import UNBOUNDED
 from bandwidth.traffic import Disturbance, traffic
 from canskin.errors import InputError, LayoutError
 from dbc.canopen import HIGHEST_NODE_ID
-from dbc.contract import Contract
+from dbc.contract import Contract, useful_widths
 from dbc.dictionary import window_s
-from skin.layout import GAP, RATE_MAX_HZ, SUM_BITS, TAXEL, Bus, Layout, PhiParameters, Sync, Taxels, changed, validated
+from skin.layout import (
+    GAP,
+    RATE_MAX_HZ,
+    SUM_BITS_MAX,
+    SUM_BITS_MIN,
+    TAXEL,
+    Bus,
+    Layout,
+    PhiParameters,
+    Sync,
+    Taxels,
+    changed,
+    validated,
+)
 from skin.sending import ADAPTIVE, SUMS_PART, SendingName
 
 CanKind = Literal["any", "classic", "fd"]
 SendingKind = Literal["any", "synchronous", "adaptive"]
 
-#: Widths to try. The rounding of 8 bits is not small compared with the sensor noise, so 8 bits come last.
-_WIDTHS: Final = (SUM_BITS[:-1], SUM_BITS[-1:])
+#: Widths to try. The rounding of 8 bits is not small compared with the sensor noise, so 8 bits and fewer come last.
+_WIDTHS: Final = (range(SUM_BITS_MAX, 8, -1), range(8, SUM_BITS_MIN - 1, -1))
 DATA_BITRATES: Final[dict[CanKind, tuple[int | None, ...]]] = {
     "classic": (None,),
     "fd": FD_BITRATES,
@@ -233,7 +246,10 @@ def _in_cycles(start: Layout, required: Requirement) -> Iterator[Layout]:
         product(range(1, required.buses + 1), DATA_BITRATES[required.can], bits, BLOCKS_PER_NODE) for bits in _WIDTHS
     )
     for buses, rate, bits, per_node in chain.from_iterable(ways):
-        if start.blocks % per_node == 0 and start.blocks // per_node >= buses:
+        sums = -(-start.measurement.sums // start.blocks) * per_node
+        if start.blocks % per_node or bits not in useful_widths(sums, fd=rate is not None):
+            continue
+        if start.blocks // per_node >= buses:
             like = msgspec.structs.replace(
                 start.bus[0], fd=rate is not None, data_bitrate=rate, blocks_per_node=per_node
             )

@@ -15,6 +15,7 @@ from dbc.frame import frames
 from dbc.frame_bits import wire_bits
 from skin.frontend import converter
 from skin.sources import TaxelSource, load_objects
+from skin.sync_counter import SYNC_OVERFLOW
 from skin.taxel import NOISE_N, sense, to_counts
 
 #: Number of steps, and distance between them: several touches of every object, each at another place.
@@ -23,18 +24,19 @@ STRIDE_S: Final = 0.137
 
 
 def touched_bits(contract: Contract) -> npt.NDArray[np.float64]:
-    """Return the mean bits of all TPDOs of one cycle of touches, shape (buses, phases, 2): nominal and data."""
+    """Return the mean bits of all TPDOs of one cycle of touches, shape (buses, turns, 2): nominal and data."""
     layout, table = contract.layout, contract.table
     source = load_objects(layout)
     random = np.random.default_rng(0)
     burst = frames(len(table.cob_id))
     burst["can_id"], burst["length"], burst["flags"] = table.cob_id, table.length, table.flags
-    total = np.zeros((len(layout.bus), contract.phases, 2))
+    total = np.zeros((len(layout.bus), contract.turns, 2))
     stride = max(1, round(STRIDE_S * layout.sync.rate_hz))
     for sample in range(SAMPLES):
-        payloads = encode(_sums(contract, source, sample * stride, random), table.gather, contract.packing)
+        counter = 1 + sample % SYNC_OVERFLOW
+        payloads = encode(counter, _sums(contract, source, sample * stride, random), table.gather, contract.packing)
         burst["data"][:, : payloads.shape[1]] = payloads
-        np.add.at(total, (table.bus, table.phase), np.stack(wire_bits(burst), axis=1))
+        np.add.at(total, (table.bus, table.turn), np.stack(wire_bits(burst), axis=1))
     mean: npt.NDArray[np.float64] = total / SAMPLES
     return mean
 

@@ -21,9 +21,8 @@ from skin.ranges import require_number
 
 #: Upper limit of both rates: more than the frames per second of a classic bus.
 PER_SECOND_MAX: Final = 20_000.0
-#: Default of the jitter: a stock CANopen stack handles SYNC in a timer of 1 ms; firmware of one's own answers at once.
-STOCK_JITTER_S: Final = 1e-3
-OWN_JITTER_S: Final = 100e-6
+#: Jitter of adaptive boards, which answer no SYNC.
+ADAPTIVE_JITTER_S: Final = 100e-6
 #: Any instant, for the TIME of a plan: stuff bits of its data hardly differ from day to day.
 _ANY_NS: Final = 1_750_000_000 * 10**9
 #: Upper limit of the jitter: a later answer is no answer to this SYNC.
@@ -38,8 +37,8 @@ class Disturbance:
     Parameters
     ----------
     jitter_s : float
-        Response times: time from SYNC until the slowest node has queued its TPDOs, seconds. Default: 0.001 where stock
-        boards can keep the contract (`sync.identity = "window"`), whose stacks run in a timer of 1 ms; else 0.0001.
+        Response times: time from SYNC until the slowest node has queued its TPDOs, seconds. Default: `device.jitter_s`
+        of the layout; of adaptive boards 0.0001.
     sdo_per_s : float
         Response times: SDO transfers per second, each a request and a response of 8 bytes.
     errors_per_s : float
@@ -59,12 +58,12 @@ class Disturbance:
         """Return these disturbances with the jitter that the boards of `layout` have by default, where none is set."""
         if self.jitter_s is not None:
             return self
-        return replace(self, jitter_s=STOCK_JITTER_S if layout.is_stock else OWN_JITTER_S)
+        return replace(self, jitter_s=layout.device.jitter_s if layout.sends.in_cycles else ADAPTIVE_JITTER_S)
 
 
 @dataclass(frozen=True, eq=False)
 class Traffic:
-    """The frames of one bus in cycles of one phase; frames of another phase have the same lengths.
+    """The frames of one bus in cycles of one turn.
 
     Attributes
     ----------
@@ -142,11 +141,11 @@ class Traffic:
         )
 
 
-def traffic(contract: Contract, bus: int, phase: int = 0, allowed: Disturbance | None = None) -> Traffic:
-    """Return the streams of bus number `bus` in cycles of `phase`; SDO transfers are with the highest node-ID."""
+def traffic(contract: Contract, bus: int, turn: int = 0, allowed: Disturbance | None = None) -> Traffic:
+    """Return the streams of bus number `bus` in cycles of `turn`; SDO transfers are with the highest node-ID."""
     allowed = (allowed or Disturbance()).of(contract.layout)
     nodes = contract.on_bus(bus)
-    cycle = contract.cycle(bus, phase)
+    cycle = contract.cycle(bus, turn)
     owner = {tpdo.cob_id: node.node_id for node in nodes for tpdo in node.tpdos}
     beats = frames(len(nodes))
     beats["can_id"] = [HEARTBEAT_BASE + node.node_id for node in nodes]

@@ -47,7 +47,7 @@ class Link(Protocol):
         ...
 
     @property
-    def keeps_order(self) -> bool:
+    def proves_echo(self) -> bool:
         """Whether an echo comes when its frame has been on the bus, at its place among the received frames."""
         ...
 

@@ -111,7 +111,7 @@ class PythonCanLink:
         self._kind = kind = _INTERFACES.get(interface, _Interface())
         self._arguments = _arguments(kind, bitrate, data_bitrate or bitrate, dict(options or {}), fd=fd)
         self._send_options = {"timeout": SEND_S} if kind.is_serial else {}
-        self._has_echo = kind.proves_echo and not self._arguments.get("single_handle")
+        self._proves_echo = kind.proves_echo and not self._arguments.get("single_handle")
         self.dropped = 0
         self._queue: deque[Frames] = deque()
         #: Held while a frame is handed over, while a frame is put into the queue, and while `_bus` changes.
@@ -131,9 +131,9 @@ class PythonCanLink:
         return self._wake
 
     @property
-    def keeps_order(self) -> bool:
+    def proves_echo(self) -> bool:
         """Whether the echo of a frame is the controller's report, if the interface proves that."""
-        return self._has_echo
+        return self._proves_echo
 
     @property
     def stamp_error_ns(self) -> int | None:
@@ -190,7 +190,7 @@ class PythonCanLink:
                         self._lose(bus)
                     return place
                 self._refuses_s = None
-                if not self._has_echo:
+                if not self._proves_echo:
                     self._put_echo(burst[place : place + 1])
         return len(burst)
 
@@ -245,7 +245,7 @@ class PythonCanLink:
                 message = bus.recv(0.0 if place else 0.1)
                 if message is None:
                     return
-                if message.is_rx or self._has_echo:
+                if message.is_rx or self._proves_echo:
                     self._take_one(message)
         except (ValueError, LookupError, OverflowError):  # what came is no frame, as on a serial line after noise
             self.dropped += 1

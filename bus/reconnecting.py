@@ -53,7 +53,7 @@ class ReconnectingLink(ABC):
         return self._why_lost if self._socket is None else QUEUE_FULL if was_full else ""
 
     @property
-    def keeps_order(self) -> bool:
+    def proves_echo(self) -> bool:
         """Whether an echo comes when its frame has been on the bus, at its place among the received frames."""
         return True
 

@@ -176,7 +176,7 @@ class SocketCanLink(ReconnectingLink):
             raise
 
     @property
-    def keeps_order(self) -> bool:
+    def proves_echo(self) -> bool:
         """Whether the driver echoes a frame after its transmission, or the interface has no wire (vcan).
 
         Without IFF_ECHO the kernel echoes a frame when the frame is queued; with it, see `_PROVEN_USB` and

@@ -122,10 +122,8 @@ class Board(_Table, frozen=True, kw_only=True):
         PDOs are CAN FD frames; all other frames are classic.
     vendor_id, product_code, revision, serial : int
         Identity (1018h).
-    sync_identity : str
-        ``window`` or ``alternating``, see `dbc.contract`.
     sync_cob_id, sync_period_us, sync_window_us, sync_overflow : int
-        1005h, 1006h, 1007h and 1019h; with `sync_overflow` 0, SYNC has no counter.
+        1005h, 1006h, 1007h and 1019h, the largest SYNC counter.
     recognition_window_us : int
         2008h:2 of boards with two states.
     emcy_cob_id, sdo_request_cob_id, sdo_response_cob_id, heartbeat_cob_id, heartbeat_ms : int
@@ -166,7 +164,6 @@ class Board(_Table, frozen=True, kw_only=True):
     product_code: int
     revision: int
     serial: int
-    sync_identity: str
     sync_cob_id: int
     sync_period_us: int
     sync_window_us: int
@@ -212,7 +209,6 @@ def board(contract: Contract, node: NodeContract) -> Board:
         product_code=int(values[od.IDENTITY, 2]),
         revision=int(values[od.IDENTITY, 3]),
         serial=int(values[od.IDENTITY, 4]),
-        sync_identity=layout.sync.identity,
         sync_cob_id=int(values[od.SYNC_COB_ID, 0]),
         sync_period_us=int(values[od.CYCLE_PERIOD_US, 0]),
         sync_window_us=int(values[od.WINDOW_US, 0]),

@@ -104,12 +104,14 @@ def node_sums(contract: Contract, node: NodeContract, shown: npt.NDArray[np.floa
     return np.rint(sums).astype(np.int32)
 
 
-def node_payloads(contract: Contract, node: NodeContract, sums: npt.NDArray[np.int32]) -> dict[int, bytes]:
-    """Return the payload of each TPDO of a synchronous board by its COB-ID, whatever the state, padding included."""
+def node_payloads(
+    contract: Contract, node: NodeContract, sync_counter: int, sums: npt.NDArray[np.int32]
+) -> dict[int, bytes]:
+    """Return the payload of each TPDO of a synchronous board by its COB-ID, whatever its turn, padding included."""
     table, first = contract.table, int(contract.phi.starts[node.block])
     rows = np.nonzero((table.bus == node.bus) & (table.node == contract.nodes.index(node)))[0]
     gather = np.where(table.gather[rows] >= 0, table.gather[rows] - first, -1)
-    packed = encode(sums, gather, contract.packing)
+    packed = encode(sync_counter, sums, gather, contract.packing)
     payloads = {}
     for row, payload in zip(rows, packed, strict=True):
         length = int(table.length[row])
@@ -117,5 +119,5 @@ def node_payloads(contract: Contract, node: NodeContract, sums: npt.NDArray[np.i
     if contract.recognition is not None:
         few, starts = contract.states_of(node)[1], contract.recognition.phi.starts
         own = contract.recognised[starts[few.block] : starts[few.block + few.blocks]]
-        payloads |= node_payloads(contract.recognition, few, sums[own - first])
+        payloads |= node_payloads(contract.recognition, few, sync_counter, sums[own - first])
     return payloads

@@ -1,4 +1,4 @@
-"""Sums ⇄ bytes: raw values of `dbc.packing`, one after another from the lowest bit of the first byte.
+"""Sums ⇄ bytes: the SYNC counter, then raw values of `dbc.packing`, one after another from the lowest bit on.
 
 This is the order of mapped objects in a PDO (CiA 301, 7.3.4) and of Intel signals in a DBC. A sum never spans two
 frames; bits behind the last sum are 0.
@@ -7,15 +7,19 @@ frames; bits behind the last sum are 0.
 import numpy as np
 import numpy.typing as npt
 
-from dbc.packing import Packing
+from dbc.packing import COUNTER_BYTES, Packing
 from shell.compiled import njit
 
 
-def encode(sums: npt.NDArray[np.integer], gather: npt.NDArray[np.intp], packing: Packing) -> npt.NDArray[np.uint8]:
-    """Pack sums into payloads.
+def encode(
+    sync_counter: int, sums: npt.NDArray[np.integer], gather: npt.NDArray[np.intp], packing: Packing
+) -> npt.NDArray[np.uint8]:
+    """Pack sums of one cycle into payloads.
 
     Parameters
     ----------
+    sync_counter : int
+        Of the SYNC at which they were sampled; 0 for a SYNC without counter.
     sums : array of int, shape (m,)
         In ADC counts, within the range of `packing`.
     gather : array of int, shape (frames, width)
@@ -23,16 +27,17 @@ def encode(sums: npt.NDArray[np.integer], gather: npt.NDArray[np.intp], packing:
 
     Returns
     -------
-    array of uint8, shape (frames, ceil(width * bits / 8))
+    array of uint8, shape (frames, 1 + ceil(width * bits / 8))
     """
-    raw = np.append(packing.raw(sums), np.int32(0))[gather]
-    count, width = gather.shape
-    if packing.bits == 16:
-        return raw.astype("<u2").view(np.uint8).reshape(count, 2 * width)
-    if packing.bits == 8:
-        return raw.astype(np.uint8)
-    bits = np.unpackbits(raw.astype("<u2").view(np.uint8).reshape(count, width, 2), axis=2, bitorder="little")
-    return np.packbits(bits[:, :, : packing.bits].reshape(count, width * packing.bits), axis=1, bitorder="little")
+    packed = packed_values(np.append(packing.raw(sums), np.int32(0))[gather], packing.bits)
+    return np.pad(packed, ((0, 0), (COUNTER_BYTES, 0)), constant_values=sync_counter)
+
+
+def packed_values(raw: npt.NDArray[np.integer], bits: int) -> npt.NDArray[np.uint8]:
+    """Return the bytes of rows of integers of `bits` bits, shape (frames, width): (frames, ceil(width * bits / 8))."""
+    count, width = raw.shape
+    spread = np.unpackbits(raw.astype("<u2").view(np.uint8).reshape(count, width, 2), axis=2, bitorder="little")
+    return np.packbits(spread[:, :, :bits].reshape(count, width * bits), axis=1, bitorder="little")
 
 
 def decode(
@@ -54,7 +59,7 @@ def read_raw(
     for index in range(len(places)):
         if places[index] < 0:
             continue
-        first, shift = divmod(index * bits, 8)
+        first, shift = divmod(8 * COUNTER_BYTES + index * bits, 8)
         word = 0
         for byte in range((shift + bits + 7) // 8):
             word |= int(payload[first + byte]) << (8 * byte)

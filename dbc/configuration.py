@@ -18,10 +18,9 @@ from dbc.objects import Object
 
 #: Sub-indices of an object that are compared; objects without an entry are compared whole.
 _COMPARED: Final = {od.IDENTITY: (1, 2), od.STATE: (2,)}
-#: COB-ID, transmission type, and the SYNC start value where SYNC has a counter; the other sub-indices concern
-#: event-driven PDOs only.
-_COMPARED_OF_TPDO: Final = (1, 2)
-_SYNC_START: Final = 6
+#: COB-ID, transmission type and, of TPDOs, the SYNC start value; the other sub-indices concern event-driven PDOs only.
+_COMPARED_OF_RPDO: Final = (1, 2)
+_COMPARED_OF_TPDO: Final = (1, 2, 6)
 _WHOLE: Final = (
     od.SYNC_COB_ID,
     od.CYCLE_PERIOD_US,
@@ -89,8 +88,7 @@ def configuration(contract: Contract, node: NodeContract) -> tuple[Setting, ...]
     """Return the objects that a master compares and that the signature covers, in ascending order."""
     objects = dictionary(contract, node)
     mapped = {each.index: int(each.value) for each in objects if each.subindex == 0 and _is_mapping(each.index)}
-    of_tpdo = (*_COMPARED_OF_TPDO, _SYNC_START) if contract.sync_overflow else _COMPARED_OF_TPDO
-    return tuple(setting_of(each) for each in objects if _is_compared(each, mapped, of_tpdo))
+    return tuple(setting_of(each) for each in objects if _is_compared(each, mapped))
 
 
 def calibration(contract: Contract, node: NodeContract) -> tuple[Setting, ...]:
@@ -138,12 +136,12 @@ def _is_mapping(index: int) -> bool:
     return od.TPDO_MAPPING <= index < od.TPDO_END or index == od.RPDO_MAPPING
 
 
-def _is_compared(each: Object, mapped: Mapping[int, int], of_tpdo: tuple[int, ...]) -> bool:
+def _is_compared(each: Object, mapped: Mapping[int, int]) -> bool:
     subindex = each.subindex or 0
     if od.TPDO_COMMUNICATION <= each.index < od.TPDO_MAPPING:
-        return subindex in of_tpdo
-    if each.index == od.RPDO_COMMUNICATION:
         return subindex in _COMPARED_OF_TPDO
+    if each.index == od.RPDO_COMMUNICATION:
+        return subindex in _COMPARED_OF_RPDO
     if _is_mapping(each.index):
         return subindex <= mapped[each.index]
     if each.index in _COMPARED:

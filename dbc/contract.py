@@ -1,12 +1,10 @@
 """The bus contract: which node sends which sums in which frame of which SYNC cycle.
 
-A TPDO contains no cycle number. The layout's `sync.identity` tells how the gateway knows the cycle of a frame:
+The first byte of every TPDO is 2022h: the SYNC counter (1019h) of the cycle in which its sums were sampled. So a frame
+names its cycle, however late it comes.
 
-- ``window``: a frame belongs to the SYNC before it on the bus, because a node gives up what has not gone within 1007h.
-  Transmission type 1, SYNC without counter: CiA 301 as every stack has it.
-- ``alternating``: every node has one set of TPDOs per *phase*. With two phases, frames of odd and of even SYNC counters
-  have different COB-IDs. This is transmission type 2 with SYNC start value `phase + 1`, and needs no payload bit. A
-  frame that is one SYNC late has the wrong COB-ID and is not used in the new cycle.
+With `sync.turns` = t the TPDOs of a node take turns: TPDO k answers the SYNCs of turn k mod t, which is transmission
+type t with SYNC start value turn + 1.
 """
 
 import math
@@ -32,16 +30,15 @@ from dbc.canopen import (
 )
 from dbc.frame import BRS, CLASSIC_BYTES, FD, FD_BYTES, FD_LENGTHS, Frames, frames, one_frame
 from dbc.frame_bits import frame_time_ns, wire_bits
-from dbc.packing import Packing, packing
-from skin.layout import Bus, Layout
+from dbc.packing import COUNTER_BYTES, Packing, packing
+from skin.layout import SUM_BITS_MAX, SUM_BITS_MIN, Bus, Layout
 from skin.measurement import Sbhe, places
 from skin.sending import COARSE_STEP_RATIO
-from skin.sync_counter import SYNC_OVERFLOW
 
 #: Most bytes of one object in an SDO transfer; far above the size of any object of a node.
 LONGEST_VALUE: Final = 256
-#: Number of sets of TPDOs by `sync.identity`, see the module's docstring.
-PHASES: Final = {"window": 1, "alternating": 2}
+#: Most sums of a TPDO: 64 objects can be mapped (CiA 301, 7.5.2.38), and the counter is the first.
+SUMS_MAX: Final = 63
 #: The byte of 2005h that tells offset binary (1) tells companded sums by this.
 _COMPANDED: Final = 2
 #: The same byte with this added: sums of an analogue front end.
@@ -50,14 +47,14 @@ _ANALOGUE: Final = 4
 
 @dataclass(frozen=True)
 class Tpdo:
-    """One transmit PDO: `sums` consecutive sums from `first_sum` on, when the SYNC counter is in `phase`.
+    """One transmit PDO: the SYNC counter and `sums` consecutive sums from `first_sum` on, at the SYNCs of its `turn`.
 
-    With one phase `phase` is 0. `length` is the payload in bytes, with the padding of CAN FD.
+    With one turn `turn` is 0. `length` is the payload in bytes, with the padding of CAN FD.
     """
 
     number: int
     cob_id: int
-    phase: int
+    turn: int
     first_sum: int
     sums: int
     length: int
@@ -196,22 +193,13 @@ class Contract:
         return companding(taxels.force_max_n, COARSE_STEP_RATIO * taxels.force_max_n, self.phi.block_size)
 
     @property
-    def phases(self) -> int:
-        """Number of sets of TPDOs of each node: cycles in which a set is sent once."""
-        return PHASES[self.layout.sync.identity]
+    def turns(self) -> int:
+        """Number of SYNCs in which every TPDO is sent once."""
+        return self.layout.sync.turns
 
-    @property
-    def sync_overflow(self) -> int:
-        """Synchronous counter overflow value (1019h): 0 for SYNC without counter."""
-        return SYNC_OVERFLOW if self.phases > 1 or self.is_adaptive else 0
-
-    def phase_of(self, sync_counter: int) -> int:
-        """Return the phase of a SYNC counter value (1 to 240)."""
-        return (sync_counter - 1) % self.phases
-
-    def sync(self, sync_counter: int) -> Frames:
-        """Return the SYNC frame of a counter value, in one byte or, where SYNC has no counter, without data."""
-        return one_frame(SYNC_COB_ID, bytes((sync_counter,)) if self.sync_overflow else b"")
+    def turn_of(self, sync_counter: int) -> int:
+        """Return the turn of a SYNC counter value (1 to 240)."""
+        return (sync_counter - 1) % self.turns
 
     def on_bus(self, bus: int) -> tuple[NodeContract, ...]:
         """Return the nodes of bus number `bus`, by node-ID."""
@@ -230,15 +218,15 @@ class Contract:
                 found |= {tpdo.cob_id: f"TPDO {tpdo.number} of node {node.node_id}" for tpdo in state.all_tpdos}
         return found
 
-    def cycle(self, bus: int, phase: int = 0) -> Frames:
+    def cycle(self, bus: int, turn: int = 0) -> Frames:
         """Return the frames of one cycle on a bus, SYNC first, then the TPDOs by identifier; all data 0."""
-        sent = [(tpdo, node.flags) for node in self.on_bus(bus) for tpdo in node.tpdos if tpdo.phase == phase]
+        sent = [(tpdo, node.flags) for node in self.on_bus(bus) for tpdo in node.tpdos if tpdo.turn == turn]
         sent.sort(key=lambda pair: pair[0].cob_id)
         tpdos = frames(len(sent))
         tpdos["can_id"] = [tpdo.cob_id for tpdo, _ in sent]
         tpdos["length"] = [tpdo.length for tpdo, _ in sent]
         tpdos["flags"] = [flags for _, flags in sent]
-        cycle: Frames = np.concatenate([self.sync(0), tpdos])
+        cycle: Frames = np.concatenate([sync_frame(0), tpdos])
         return cycle
 
     def shortest_s(self, bus: int) -> float:
@@ -258,7 +246,7 @@ class FrameTable(NamedTuple):
 
     Attributes
     ----------
-    bus, node, phase, cob_id, length, flags : arrays of int, shape (rows,)
+    bus, node, turn, cob_id, length, flags : arrays of int, shape (rows,)
         `node` is the index in `Contract.nodes`.
     gather : array of int, shape (rows, width)
         Indices of the sums in each frame, padded with -1.
@@ -268,12 +256,17 @@ class FrameTable(NamedTuple):
 
     bus: npt.NDArray[np.intp]
     node: npt.NDArray[np.intp]
-    phase: npt.NDArray[np.intp]
+    turn: npt.NDArray[np.intp]
     cob_id: npt.NDArray[np.uint32]
     length: npt.NDArray[np.uint8]
     flags: npt.NDArray[np.uint8]
     gather: npt.NDArray[np.intp]
     row_of: npt.NDArray[np.intp]
+
+
+def sync_frame(sync_counter: int) -> Frames:
+    """Return the SYNC frame of a counter value, which is its one byte."""
+    return one_frame(SYNC_COB_ID, bytes((sync_counter,)))
 
 
 def frame_flags(line: Bus) -> int:
@@ -309,7 +302,7 @@ def _phi_and_nodes(
 ) -> tuple[Sbhe, Packing, tuple[NodeContract, ...]]:
     """Return Φ, packing and nodes; `taken` has the number of TPDOs that a node has besides, by bus and node-ID."""
     phi, pack = layout.phi(), packing(layout)
-    is_adaptive, phases = layout.sending == "adaptive", PHASES[layout.sync.identity]
+    is_adaptive = layout.sending == "adaptive"
     nodes: list[NodeContract] = []
     for number, bus in enumerate(layout.bus):
         flags = frame_flags(bus)
@@ -321,7 +314,7 @@ def _phi_and_nodes(
             sums = range(first, last)
             tpdos: tuple[Tpdo, ...] = ()
             if not is_adaptive:
-                tpdos = _tpdos(bus, number, place, sums, pack.bits, phases=phases, others=others)
+                tpdos = _tpdos(bus, number, place, sums, pack.bits, turns=layout.sync.turns, others=others)
             nodes.append(
                 NodeContract(number, node_id, block, bus.blocks_per_node, last - first, pack, flags, tpdos, adaptive)
             )
@@ -341,41 +334,46 @@ def _adaptive_tpdos(node_id: int, groups: int, *, is_fd: bool) -> tuple[Adaptive
     return tuple(AdaptiveTpdo(number, *each) for number, each in enumerate(found, 1))
 
 
-def _tpdos(bus: Bus, number: int, place: int, sums: range, bits: int, *, phases: int, others: int) -> tuple[Tpdo, ...]:
-    """Divide the sums of the node at a place of a bus into frames, once per phase; `others` TPDOs come before."""
-    parts = _spread(sums, bits, fd=bus.fd)
-    tpdos = []
-    for index in range(phases * len(parts)):
-        phase, frame = divmod(index, len(parts))
-        part = parts[frame]
-        tpdos.append(
-            Tpdo(
-                number=others + index + 1,
-                cob_id=_cob_id(bus, number, place, others + index),
-                phase=phase,
-                first_sum=part.start,
-                sums=len(part),
-                length=_length(len(part), bits, fd=bus.fd),
-            )
+def _tpdos(bus: Bus, number: int, place: int, sums: range, bits: int, *, turns: int, others: int) -> tuple[Tpdo, ...]:
+    """Divide the sums of the node at a place of a bus into frames; `others` TPDOs come before."""
+    return tuple(
+        Tpdo(
+            number=others + index + 1,
+            cob_id=_cob_id(bus, number, place, others + index),
+            turn=index % turns,
+            first_sum=part.start,
+            sums=len(part),
+            length=_length(len(part), bits, fd=bus.fd),
         )
-    return tuple(tpdos)
+        for index, part in enumerate(_spread(sums, bits, fd=bus.fd, turns=turns))
+    )
 
 
-def _spread(sums: range, bits: int, *, fd: bool) -> list[range]:
-    """Divide sums into the smallest number of frames, with the smallest number of bytes."""
-    most = 8 * (FD_BYTES if fd else CLASSIC_BYTES) // bits
-    fewest = -(-len(sums) // most)
+def useful_widths(sums: int, *, fd: bool) -> list[int]:
+    """Return widths for `sums` sums of a node, the widest first: of those that take the same frames the widest."""
+    found: dict[tuple[int, ...], int] = {}
+    for bits in range(SUM_BITS_MAX, SUM_BITS_MIN - 1, -1):
+        parts = _spread(range(sums), bits, fd=fd)
+        found.setdefault(tuple(_length(len(part), bits, fd=fd) for part in parts), bits)
+    return list(found.values())
+
+
+def _spread(sums: range, bits: int, *, fd: bool, turns: int = 1) -> list[range]:
+    """Divide sums into the smallest number of frames, as many in each turn, with the smallest number of bytes."""
+    most = min(8 * ((FD_BYTES if fd else CLASSIC_BYTES) - COUNTER_BYTES) // bits, SUMS_MAX)
+    fewest = -(-len(sums) // (most * turns)) * turns
     ways = [
         [sums[start : start + size] for start in range(0, len(sums), size)]
         for size in range(most, 0, -1)
         if -(-len(sums) // size) == fewest
     ]
+    ways.append([sums[len(sums) * each // fewest : len(sums) * (each + 1) // fewest] for each in range(fewest)])
     return min(ways, key=lambda parts: sum(_length(len(part), bits, fd=fd) for part in parts))
 
 
 def _length(sums: int, bits: int, *, fd: bool) -> int:
-    """Return the payload bytes of a frame with `sums` sums, padding included."""
-    length = -(-sums * bits // 8)
+    """Return the payload bytes of a frame with `sums` sums, counter and padding included."""
+    length = COUNTER_BYTES - (-sums * bits // 8)
     return next(each for each in FD_LENGTHS if each >= length) if fd else length
 
 
@@ -426,7 +424,7 @@ def _table(contract: Contract) -> FrameTable:
     return FrameTable(
         bus=np.array([node.bus for node, _ in rows], np.intp),
         node=np.array(node_of_row, np.intp),
-        phase=np.array([tpdo.phase for _, tpdo in rows], np.intp),
+        turn=np.array([tpdo.turn for _, tpdo in rows], np.intp),
         cob_id=np.array([tpdo.cob_id for _, tpdo in rows], np.uint32),
         length=np.array([tpdo.length for _, tpdo in rows], np.uint8),
         flags=np.array([node.flags for node, _ in rows], np.uint8),

@@ -27,7 +27,7 @@ from dbc.canopen import (
 from dbc.contract import AdaptiveTpdo, Contract, NodeContract, Tpdo
 from dbc.dictionary import HEARTBEAT_MS, SkinState
 from dbc.frame import FD
-from dbc.packing import rounding_error_n
+from dbc.packing import COUNTER_BYTES, rounding_error_n
 from skin.sync_counter import SYNC_OVERFLOW
 from skin.walsh import grouped_rows
 
@@ -184,7 +184,6 @@ def _network(contract: Contract) -> list["Message"]:
     """Return the messages that the gateway sends to all nodes."""
     command = _signal("Command", 0, 8, receiver=None, meanings=_in_words(NmtCommand))
     node_id = _signal("NodeId", 8, 8, receiver=None)
-    is_counted = contract.sync_overflow > 0
     time_s = contract.layout.sync.time_s
     parts = [
         _signal("AfterMidnight", 0, 28, receiver=None, unit="ms"),
@@ -200,10 +199,10 @@ def _network(contract: Contract) -> list["Message"]:
         _message(
             "SYNC",
             SYNC_COB_ID,
-            int(is_counted),
+            COUNTER_BYTES,
             GATEWAY,
-            [_signal("Counter", 0, 8, receiver=None)] if is_counted else [],
-            comment="All blocks measure now" + (f"; the counter goes from 1 to {SYNC_OVERFLOW}" if is_counted else ""),
+            [_signal("Counter", 0, 8 * COUNTER_BYTES, receiver=None)],
+            comment=f"All blocks measure now; the counter goes from 1 to {SYNC_OVERFLOW}",
             cycle_ms=_milliseconds(contract.layout.sync.period_s),
         ),
         *(
@@ -244,18 +243,17 @@ def _transfer(receiver: str) -> list["Signal"]:
 
 
 def _sums(contract: Contract, node: NodeContract, tpdo: Tpdo, suffix: str = "") -> "Message":
-    """Return a TPDO with its sums; `suffix` ends its name."""
+    """Return a TPDO with its counter and sums; `suffix` ends its name."""
     pack, name, sums = contract.packing, _name(node), range(tpdo.first_sum, tpdo.first_sum + tpdo.sums)
-    if contract.phases > 1:
-        counters = ", ".join(str(tpdo.phase + 1 + turn * contract.phases) for turn in range(3))
-        when = f" in phase {tpdo.phase + 1} of {contract.phases}: after SYNC counters {counters}, ..."
-        suffix = f"_Phase{tpdo.phase + 1}"
-    else:
-        when = " of recognition, after every SYNC" if suffix else ", after every SYNC"
+    when = " of recognition, after every SYNC" if suffix else ", after every SYNC"
+    if contract.turns > 1:
+        counters = ", ".join(str(tpdo.turn + 1 + each * contract.turns) for each in range(3))
+        when = f", after SYNC counters {counters}, ..."
+    counter = _signal("Counter", 0, 8 * COUNTER_BYTES, receiver=GATEWAY)
     signals = [
         _signal(
             signal_name(contract, number),
-            place * pack.bits,
+            8 * COUNTER_BYTES + place * pack.bits,
             pack.bits,
             receiver=GATEWAY,
             is_signed=pack.is_signed,
@@ -270,9 +268,9 @@ def _sums(contract: Contract, node: NodeContract, tpdo: Tpdo, suffix: str = "") 
         tpdo.cob_id,
         tpdo.length,
         name,
-        signals,
+        [counter, *signals],
         comment=f"Sums {sums[0]} to {sums[-1]}{when}",
-        cycle_ms=_milliseconds(contract.phases * contract.layout.sync.period_s),
+        cycle_ms=_milliseconds(contract.turns * contract.layout.sync.period_s),
         is_fd=bool(node.flags & FD),
     )
 

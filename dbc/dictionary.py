@@ -22,8 +22,10 @@ from dbc.canopen import (
 )
 from dbc.contract import AdaptiveTpdo, Contract, NodeContract, Tpdo
 from dbc.objects import HIGHEST_SUBINDEX, Access, Object, array, mapping, places, record
+from dbc.packing import COUNTER_BYTES
 from dbc.program import ProgramControl
 from skin.layout import Layout
+from skin.sync_counter import SYNC_OVERFLOW
 
 
 class SkinState(IntEnum):
@@ -37,7 +39,7 @@ class SkinState(IntEnum):
 EVERY_SYNC: Final = 1
 _RPDO_MAPPING: Final = "RPDO 1 mapping parameter"
 
-REVISION: Final = 0x0001_0002
+REVISION: Final = 0x0002_0001
 #: 100Ah of a board whose program was never exchanged.
 VERSION: Final = "1.0"
 HEARTBEAT_MS: Final = 1000
@@ -45,19 +47,8 @@ HEARTBEAT_MS: Final = 1000
 SILENT_AFTER_S: Final = 1.5 * HEARTBEAT_MS / 1000
 #: Time from the end of the SYNC frame to a node's answer, on the clock of the bus; typical of a microcontroller.
 REACTION_NS: Final = 100_000
-#: Part of the cycle in which TPDOs may be sent (1007h); the bus is then free at the next SYNC. The longer one leaves
-#: stock boards, which answer up to 1 ms late, the time that the default skin needs.
-WINDOW_RATIO: Final = 0.98
-STOCK_WINDOW_RATIO: Final = 0.99
-#: Data type of a sum's raw value, by width and sign; 12 bits are mapped from an object of 16 bits.
-SUM_TYPES: Final = {
-    (16, True): od.INTEGER16,
-    (16, False): od.UNSIGNED16,
-    (12, True): od.INTEGER16,
-    (12, False): od.UNSIGNED16,
-    (8, True): od.INTEGER8,
-    (8, False): od.UNSIGNED8,
-}
+#: Part of the cycle in which TPDOs may be sent (1007h); the bus is then free at the next SYNC.
+WINDOW_RATIO: Final = 0.99
 #: Least time between two frames of an adaptive TPDO.
 INHIBIT_100US: Final = 10
 #: Entries of the pre-defined error field.
@@ -72,7 +63,7 @@ ON_COMMAND: Final = 1
 
 def window_s(layout: Layout) -> float:
     """Return the synchronous window (1007h): TPDOs that have not gone within it after SYNC are given up."""
-    return (STOCK_WINDOW_RATIO if layout.is_stock else WINDOW_RATIO) * layout.sync.period_s
+    return WINDOW_RATIO * layout.sync.period_s
 
 
 def dictionary(contract: Contract, node: NodeContract) -> list[Object]:
@@ -178,9 +169,7 @@ def _communication(contract: Contract, node: NodeContract) -> list[Object]:
         *array(od.CONSUMER_HEARTBEAT, "Consumer heartbeat time", watched, od.UNSIGNED32, "rw"),
         Object(od.HEARTBEAT_MS, None, "Producer heartbeat time", od.UNSIGNED16, "rw", HEARTBEAT_MS),
         *_identity(contract, node),
-        Object(
-            od.SYNC_OVERFLOW, None, "Synchronous counter overflow value", od.UNSIGNED8, "rw", contract.sync_overflow
-        ),
+        Object(od.SYNC_OVERFLOW, None, "Synchronous counter overflow value", od.UNSIGNED8, "rw", SYNC_OVERFLOW),
         *array(od.ERROR_BEHAVIOUR, "Error behaviour", ["Communication error"], od.UNSIGNED8, "rw"),
         *record(
             od.SDO_SERVER,
@@ -236,8 +225,8 @@ class _Communication:
 
 
 def _synchronous(contract: Contract, tpdo: Tpdo) -> _Communication:
-    """Return type 1 for one phase, else the type that a set of `Contract.phases` has, with its SYNC start value."""
-    return _Communication(tpdo.cob_id, contract.phases, start=tpdo.phase + 1 if contract.phases > 1 else 0)
+    """Return type 1 for one turn, else the number of turns, with the SYNC start value of the TPDO's turn."""
+    return _Communication(tpdo.cob_id, contract.turns, start=tpdo.turn + 1 if contract.turns > 1 else 0)
 
 
 def _adaptive(tpdo: AdaptiveTpdo) -> _Communication:
@@ -275,13 +264,13 @@ def _adaptive_mapping(tpdo: AdaptiveTpdo) -> list[Object]:
 
 
 def _tpdo_mapping(contract: Contract, node: NodeContract, tpdo: Tpdo, sums: Sequence[int]) -> list[Object]:
-    """Return the mapping record (from 1A00h): index, sub-index and length in bits of each of `sums`."""
-    mapped = []
+    """Return the mapping record (from 1A00h): index, sub-index and bits of the SYNC counter and of each of `sums`."""
+    mapped = [od.SYNC_COUNTER << 16 | 8 * COUNTER_BYTES]
     for each in sums:
         block = int(contract.phi.block_of_sum[each])
         subindex = each - int(contract.phi.starts[block]) + 1
         mapped.append(od.of_block(od.SUMS, block - node.block) << 16 | subindex << 8 | contract.packing.bits)
-    return mapping(tpdo.number, tpdo.sums, mapped + [0] * (node.pdo_bytes - tpdo.sums))
+    return mapping(tpdo.number, len(mapped), mapped + [0] * (node.pdo_bytes - len(mapped)))
 
 
 def _manufacturer(contract: Contract, node: NodeContract) -> list[Object]:
@@ -303,6 +292,8 @@ def _manufacturer(contract: Contract, node: NodeContract) -> list[Object]:
         *array(od.HEALTH, "Health", health, od.UNSIGNED32, "ro", pdo=True),
     ]
     whole += _state(contract)
+    if node.tpdos:
+        whole.append(Object(od.SYNC_COUNTER, None, "SYNC counter of the sums", od.UNSIGNED8, "ro", 0, pdo=True))
     if node.is_adaptive:
         whole += _adaptive_objects(contract)
     if contract.layout.taxels.has_thermometers:
@@ -355,7 +346,8 @@ def _block(contract: Contract, block: int, place: int) -> list[Object]:
     def at(index: int) -> int:
         return od.of_block(index, place)
 
-    sum_type = SUM_TYPES[contract.packing.bits, contract.packing.is_signed]
+    wide, narrow = (od.INTEGER16, od.INTEGER8) if contract.packing.is_signed else (od.UNSIGNED16, od.UNSIGNED8)
+    sum_type = wide if contract.packing.bits > od.BITS[narrow] else narrow
     of_taxels = [
         *array(at(od.GAIN), f"Gain{of}", chain, od.REAL32, "rw", value=1.0),
         *array(at(od.OFFSET), f"Offset in ADC counts{of}", chain, od.INTEGER16, "rw"),

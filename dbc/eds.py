@@ -300,7 +300,7 @@ def _device_info(contract: Contract, kind: NodeType, indices: list[int]) -> dict
         **{f"BaudRate_{rate}": str(int(1000 * rate in rates)) for rate in _BITRATES},
         "SimpleBootUpMaster": "0",
         "SimpleBootUpSlave": "1",
-        # Sums of 12 bits begin in the middle of a byte.
+        # Sums of other widths than 8 and 16 bits begin in the middle of a byte.
         "Granularity": str(math.gcd(contract.packing.bits, 8)),
         "DynamicChannelsSupported": "0",
         "GroupMessaging": "0",

@@ -6,12 +6,16 @@ its converter, and the scale is the converter's step or a multiple of it.
 """
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
 from skin.frontend import SumConverter, converter
 from skin.layout import Layout
+
+#: Bytes before the sums of a frame: the SYNC counter of their cycle.
+COUNTER_BYTES: Final = 1
 
 
 @dataclass(frozen=True)
@@ -21,7 +25,7 @@ class Packing:
     Attributes
     ----------
     bits : int
-        Width in a PDO: 8, 12 or 16.
+        Width in a PDO: 7 to 16.
     scale : int
         Counts per step, a power of two; 1 is exact.
     offset : int

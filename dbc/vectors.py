@@ -24,6 +24,8 @@ from skin.measurement import fast_hadamard
 
 #: No sum of averages is nearer to a tie of rounding: any float32 arithmetic then gives the same sum.
 _TIE_MARGIN: Final = 0.02
+#: Of the SYNC of every case: a byte with its highest bit set.
+_SYNC_COUNTER: Final = 0xA5
 _FLOAT_MAX: Final = float(np.finfo(np.float32).max)
 
 _PATTERN_NAMES: Final = {"zero": PATTERN_ZERO, "ramp": PATTERN_RAMP, "full scale": PATTERN_FULL}
@@ -55,7 +57,7 @@ def _solved(contract: Contract, node: NodeContract, case: _Case) -> dict[str, ob
     """Return inputs, intermediate results and frames of a case."""
     shown = shown_counts(contract, case.counts, case.gain, case.offset, np.full(node.blocks, case.pattern))
     sums = node_sums(contract, node, shown)
-    payloads = node_payloads(contract, node, sums)
+    payloads = node_payloads(contract, node, _SYNC_COUNTER, sums)
     values = calibration_values(case.gain, case.offset, case.pattern)
     return {
         "name": case.name,
@@ -67,6 +69,7 @@ def _solved(contract: Contract, node: NodeContract, case: _Case) -> dict[str, ob
         "corrected": shown.tolist() if contract.layout.samples_per_sync > 1 else shown.astype(int).tolist(),
         "sums": sums.tolist(),
         "raw": contract.packing.raw(sums).tolist(),
+        "sync_counter": _SYNC_COUNTER,
         "frames": [{"cob_id": cob_id, "data": data.hex()} for cob_id, data in payloads.items()],
     }
 
@@ -74,7 +77,7 @@ def _solved(contract: Contract, node: NodeContract, case: _Case) -> dict[str, ob
 def _pattern(contract: Contract, node: NodeContract, case: _Case) -> dict[str, object]:
     """Return the pattern, the sums and the frames of a case."""
     solved = _solved(contract, node, case)
-    return {key: solved[key] for key in ("name", "pattern", "sums", "raw", "frames")}
+    return {key: solved[key] for key in ("name", "pattern", "sums", "raw", "sync_counter", "frames")}
 
 
 def _cases(contract: Contract, node: NodeContract) -> Iterator[_Case]:

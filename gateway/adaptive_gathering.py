@@ -218,7 +218,7 @@ class AdaptiveGathering:
             )
         ]
 
-    def look(self, masters: Mapping[int, NmtMaster], now_s: float) -> None:
+    def look(self, masters: Mapping[int, NmtMaster]) -> None:
         """Do nothing: a node that is alive may be silent."""
 
     def take_foreign_syncs(self, bus: int) -> int:

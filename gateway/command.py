@@ -1,10 +1,8 @@
 """``skin gateway``: bus master and collector."""
 
-from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from bus.link import Link
 from bus.options import BusOptions, closing_links, open_links
 from calibration.calibrator import Tare
 from canskin.calibration_messages import CALIBRATION
@@ -20,7 +18,7 @@ from shell.service import StopSignal, say
 from shell.skin_options import join
 from skin.calibration_file import load_calibration
 from skin.description import describe
-from skin.layout import Layout, load_layout, require_sending
+from skin.layout import load_layout, require_sending
 
 
 def gateway(
@@ -87,7 +85,6 @@ def gateway(
     if keep_zero is not None:
         stored = kept_zero(keep_zero, skin, stored)
     links = open_links(skin, bus or BusOptions(), name="gateway", stop=stop)
-    require_order(skin, links)
     answers = ThreadPoolExecutor(1, "calibration")
     calibrates = GatewayCalibration(contract, stored, tares=tare == "at-start", submit=answers.submit, keeps=keep_zero)
     fabric = join(skin, "gateway", connect or listen, hub=connect is None, stop=stop)
@@ -105,21 +102,3 @@ def gateway(
         calibrates.keep_zero()
         answers.shutdown()
         fabric.close()
-
-
-def require_order(layout: Layout, links: Mapping[int, Link]) -> None:
-    """Check that every link tells which frames came before a SYNC, where nodes have two states.
-
-    Raises
-    ------
-    InputError
-        If a link does not; all links are closed then.
-    """
-    unordered = [layout.bus[number].name for number, link in links.items() if not link.keeps_order]
-    if layout.recognition is not None and unordered:
-        for link in links.values():
-            link.close()
-        raise InputError(
-            f"the interface of {', '.join(unordered)} may report SYNC before it has been on the bus: with recognition "
-            "expected a SocketCAN driver that tells when a frame has been sent, or a layout without recognition"
-        )

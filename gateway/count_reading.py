@@ -16,7 +16,7 @@ from canskin.errors import InputError, RunError
 from dbc import indices as od
 from dbc.canopen import NMT_COB_ID, SDO_RESPONSE_BASE, SYNC_COB_ID, NmtCommand, is_of_node
 from dbc.configuration import DIALOGUES, SAMPLED_S
-from dbc.contract import Contract, NodeContract
+from dbc.contract import Contract, NodeContract, sync_frame
 from dbc.frame import Frames, one_frame, received
 from gateway.node_check import LISTEN_PERIODS, LISTEN_S
 from gateway.sdo import Dialogue, Read, SdoDialogue
@@ -133,7 +133,7 @@ class CountReading:
             if not self._times_s:
                 for node in self._contract.on_bus(bus):  # node-ID 0 would stop other devices on the bus
                     send(one_frame(NMT_COB_ID, bytes((NmtCommand.ENTER_PRE_OPERATIONAL, node.node_id))))
-            send(self._contract.sync(self._counter))
+            send(sync_frame(self._counter))
             self._waiting[bus] = list(self._contract.on_bus(bus))
         self._times_s.append(now_s)
         self._counts.append(np.zeros(self._is_wired.shape))

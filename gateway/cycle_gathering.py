@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from canskin.messages import CycleMeasurement, FrameCounts, Measurement
-from dbc.canopen import HEARTBEAT_BASE, HEARTBEAT_BYTES, NmtState, is_of_node
+from dbc.canopen import NmtState
 from dbc.contract import Contract, NodeContract
 from dbc.frame import Frames
 from gateway.collector import Collector
@@ -17,15 +17,6 @@ from gateway.open_cycles import slot_of
 
 #: Frames of a bus that may wait unread: receive buffers hold twice as many.
 MOST_UNREAD: Final = 64
-#: Why the communication of a node is reset.
-_SWAPPED: Final = "answers SYNC with the PDOs of the other phase, or a cycle late"
-_BEHIND: Final = "an answer to SYNC did not come, or comes after the next SYNC"
-_UNFIT: Final = (
-    "after each reset it answers SYNC with the PDOs of the other phase: its stack cannot keep"
-    ' sync.identity = "alternating"; set sync.identity = "window" in the layout'
-)
-#: Resets of a node that brought no PDO of the right phase before the node is refused.
-MOST_RESETS: Final = 3
 #: A cycle ends at the latest this part of a period after the next SYNC was due.
 GRACE: Final = 0.9
 
@@ -35,7 +26,7 @@ class CycleGathering:
 
     Parameters
     ----------
-    unordered : collection of int
+    early_echoes : collection of int
         See `gateway.collector.Collector`.
 
     Attributes
@@ -48,16 +39,13 @@ class CycleGathering:
     #: What another SYNC producer does to the sums of its bus.
     disturbance = "its cycles are not valid"
 
-    def __init__(self, contract: Contract, unordered: Collection[int] = ()) -> None:
-        self.collector = Collector(contract, unordered)
-        self._unordered = frozenset(unordered)
+    def __init__(self, contract: Contract, early_echoes: Collection[int] = ()) -> None:
+        self.collector = Collector(contract, early_echoes)
         self.published = self.complete = 0
         self._contract = contract
         self._period_s = contract.layout.sync.period_s
         self._place = {(node.bus, node.node_id): place for place, node in enumerate(contract.nodes)}
         self._open_cycles: deque[Sync] = deque()
-        #: By place of a node: resets in a row after which it has sent no PDO of the right phase.
-        self._resets = [0] * len(contract.nodes)
         self._is_proven = np.zeros(len(contract.nodes), np.bool_)
         self._shortest_s = [contract.shortest_s(bus) for bus in range(len(contract.layout.bus))]
         self._has_stamps = [False] * len(contract.layout.bus)
@@ -103,10 +91,6 @@ class CycleGathering:
         if health.has_gap:
             self.collector.lost(bus)
         self.collector.take(bus, arrived, health.stamp_error_ns)
-        if bus in self._unordered:
-            for node_id in _booted(arrived):
-                if (bus, node_id) in self._place:
-                    self.collector.booted(self._place[bus, node_id])
         self._has_stamps[bus] = health.stamp_error_ns is not None
         if self._open_cycles:
             # The first of the frames that are yet to come may be at its end.
@@ -120,13 +104,11 @@ class CycleGathering:
         while any(slot_of(each.counter) == slot for each in self._open_cycles):
             closed.append(self._close(self._open_cycles.popleft()))
         if is_asked:
-            self.collector.open(sync.counter, sync.due_ns, sync.sent_ns, sync.period_s)
+            self.collector.open(sync.counter, sync.due_ns, sync.sent_ns)
             self._open_cycles.append(sync)
             if sync.sent_ns is not None:
                 for bus, waiting in enumerate(self.collector.waiting(sync.counter).tolist()):
                     self._incomplete_until_s[bus] = self._busy_until_s(bus, waiting, sync.sent_ns * 1e-9)
-        else:
-            self.collector.rest(sync.counter, sync.due_ns, sync.period_s)
         return closed
 
     def tick(self, now_s: float) -> None:
@@ -142,28 +124,14 @@ class CycleGathering:
             closed.append(self._close(self._open_cycles.popleft()))
         return closed
 
-    def look(self, masters: Mapping[int, NmtMaster], now_s: float) -> None:
-        """Let cycles wait for operational nodes only; report swapped phases."""
-        for place in self.collector.take_behind():
-            self._reset(place, masters, now_s, _BEHIND)
-        for place, was_right in self.collector.take_swapped():
-            self._resets[place] = 0 if was_right else self._resets[place]
-            if self._resets[place] < MOST_RESETS:
-                self._resets[place] += 1
-                self._reset(place, masters, now_s, _SWAPPED)
-            elif (node := self._contract.nodes[place]).bus in masters:
-                masters[node.bus].refuse_unfit(node.node_id, now_s, _UNFIT)
+    def look(self, masters: Mapping[int, NmtMaster]) -> None:
+        """Let cycles wait for operational nodes only."""
         for number, master in masters.items():
             for node_id, state in zip(master.node_ids, master.nmt, strict=True):
                 place = self._place[number, node_id]
                 # A node that sends sums is operational, whatever state its last heartbeat had.
                 self.collector.expected[place] = state == NmtState.OPERATIONAL or self.collector.heard[place]
         self.collector.heard[:] = False
-
-    def _reset(self, place: int, masters: Mapping[int, NmtMaster], now_s: float, why: str) -> None:
-        node = self._contract.nodes[place]
-        if node.bus in masters:
-            masters[node.bus].reset_astray(node.node_id, now_s, why)
 
     def take_foreign_syncs(self, bus: int) -> int:
         """Return the number of foreign SYNCs on a bus since the last call."""
@@ -198,11 +166,3 @@ class CycleGathering:
             fingerprint=self._contract.phi.fingerprint,
             usable=self._contract.packing.usable(gathered.sums),
         )
-
-
-def _booted(arrived: Frames) -> list[int]:
-    """Return the node-IDs of boot-up messages (CiA 301, 7.2.8.3.3) among frames of a bus."""
-    is_boot = is_of_node(arrived["can_id"], HEARTBEAT_BASE) & (arrived["length"] == HEARTBEAT_BYTES)
-    is_boot &= (arrived["flags"] == 0) & (arrived["data"][:, 0] == 0)
-    node_ids: list[int] = (arrived["can_id"][is_boot] - HEARTBEAT_BASE).tolist()
-    return node_ids

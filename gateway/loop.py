@@ -10,7 +10,7 @@ import numpy as np
 
 from bus.link import Link, Send, State
 from canskin.messages import BusState, GatewayStatus, Measurement
-from dbc.contract import Contract, NodeContract
+from dbc.contract import Contract, NodeContract, sync_frame
 from dbc.frame import Frames
 from dbc.time_of_day import time_frame
 from gateway.adaptive_gathering import RATES_HZ, AdaptiveGathering
@@ -71,8 +71,8 @@ class GatewayLoop:
         Write a line to the log: `say` for a change, `complain` for a line that may come many times.
     rates_hz : tuple of float
         Of adaptive sums: most and least measurements in a second.
-    unordered : collection of int
-        Numbers of the buses whose links do not keep the order of SYNC and answers; none where nodes have two states.
+    early_echoes : collection of int
+        Numbers of the buses whose interface may echo a frame before the frame has been on the bus.
 
     Attributes
     ----------
@@ -94,13 +94,14 @@ class GatewayLoop:
         say: Callable[[str], None],
         complain: Callable[[str], None],
         rates_hz: tuple[float, float] = RATES_HZ,
-        unordered: Collection[int] = (),
+        early_echoes: Collection[int] = (),
     ) -> None:
         self.sync = SyncClock(contract.layout.sync.period_s)
         self._contract = contract
         self._say, self._complain = say, complain
         self._buses = {
-            number: self._bus(number, send, now_s, has_echoes=number not in unordered) for number, send in sends.items()
+            number: self._bus(number, send, now_s, has_echoes=number not in early_echoes)
+            for number, send in sends.items()
         }
         self._numbers = sorted(self._buses)
         self.masters = {number: bus.master for number, bus in self._buses.items()}
@@ -108,9 +109,9 @@ class GatewayLoop:
         if not contract.layout.sends.in_cycles:
             self.gathering = AdaptiveGathering(contract, self.masters, now_s, rates_hz)
         elif contract.recognition is not None:
-            self.gathering = StateGathering(contract)
+            self.gathering = StateGathering(contract, early_echoes)
         else:
-            self.gathering = CycleGathering(contract, unordered)
+            self.gathering = CycleGathering(contract, early_echoes)
         self.states = None if contract.recognition is None else StateSwitch(contract, sends)
         #: Known from the first tick on: what comes before may take long.
         self._patience_s: float | None = None
@@ -211,7 +212,7 @@ class GatewayLoop:
             self.states.take_sync(now_s)
             begun = replace(begun, state=self.states.state)
         closed = self._noted(self.gathering.begin(begun), now_s)
-        sync = self._contract.sync(self.sync.counter)
+        sync = sync_frame(self.sync.counter)
         # The due time: on a virtual bus a late turn of the loop adds no jitter to SYNC.
         sync["time_ns"] = sync_ns
         sync["expires_ns"] = sync_ns + round(LATEST * period_s * 1e9)
@@ -299,7 +300,7 @@ class GatewayLoop:
 
     def _look_after_nodes(self, now_s: float) -> None:
         """Report emergencies and foreign SYNCs, and let the gathering look at the nodes."""
-        self.gathering.look(self.masters, now_s)
+        self.gathering.look(self.masters)
         for number, bus in self._buses.items():
             for node_id, code in bus.master.emergencies:
                 self._complain(f"EMCY {code:04X}h from node {node_id} on {bus.name}")

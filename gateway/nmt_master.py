@@ -101,8 +101,6 @@ class Event(Enum):
     RUNNING = auto()  #: A refused node is OPERATIONAL.
     LOST = auto()  #: The heartbeat is overdue.
     OUTDATED = auto()  #: The newest proof is too old.
-    ASTRAY = auto()  #: The node's answers are not those to the newest SYNC.
-    UNFIT = auto()  #: The node's stack cannot do what the layout asks for.
     WRITTEN = auto()  #: Another master writes the configuration.
     BUSY = auto()  #: Another master uses the SDO channel: a node answers one client at a time.
 
@@ -386,14 +384,6 @@ class NmtMaster:
             node.errand = None
             self._happen(node, Event.BUSY, now_s)
 
-    def reset_astray(self, node_id: int, now_s: float, why: str) -> None:
-        """Reset the communication of a node in use whose answers are not those to the newest SYNC."""
-        self._happen(self.nodes[node_id], Event.ASTRAY, now_s, f"{why}: communication reset")
-
-    def refuse_unfit(self, node_id: int, now_s: float, why: str) -> None:
-        """Refuse a node in use whose stack cannot do what the layout asks for."""
-        self._happen(self.nodes[node_id], Event.UNFIT, now_s, why)
-
     # What time calls for
 
     def tick(self, now_s: float) -> None:
@@ -563,15 +553,6 @@ class NmtMaster:
         self._lines.add(node.contract.node_id, why, now_s)
         self._pause(node, now_s, why)
 
-    def _stop_using_and_reset(self, node: NodeRecord, now_s: float, why: str) -> None:
-        self._stop_using(node, now_s, why)
-        self._command(NmtCommand.RESET_COMMUNICATION, node.contract.node_id)
-
-    def _stop_using_and_refuse(self, node: NodeRecord, now_s: float, why: str) -> None:
-        """Leave a node alone until it boots or is written to."""
-        self._stop_using(node, now_s, f"refused: {why}")
-        node.refusal, node.prove_at_s = why, np.inf
-
     def _prove(self, node: NodeRecord, now_s: float, _why: str) -> None:
         """Begin a proof."""
 
@@ -688,8 +669,6 @@ class NmtMaster:
             Event.LEFT: (_stop_using, NodeState.WAITING),
             Event.LOST: (_stop_using, NodeState.WAITING),
             Event.OUTDATED: (_stop_using, NodeState.WAITING),
-            Event.ASTRAY: (_stop_using_and_reset, NodeState.WAITING),
-            Event.UNFIT: (_stop_using_and_refuse, NodeState.REFUSED),
             Event.WRITTEN: (_stop_using, NodeState.WAITING),
         },
         NodeState.IN_USE_CHECKED: {
@@ -700,8 +679,6 @@ class NmtMaster:
             Event.LEFT: (_stop_using, NodeState.CHECKED),
             Event.LOST: (_stop_using, NodeState.CHECKED),
             Event.OUTDATED: (_stop_using, NodeState.CHECKED),
-            Event.ASTRAY: (_stop_using_and_reset, NodeState.CHECKED),
-            Event.UNFIT: (_stop_using_and_refuse, NodeState.REFUSED),
             Event.WRITTEN: (_stop_using, NodeState.WAITING),
             Event.BUSY: (_give_way, NodeState.IN_USE),
         },

@@ -38,6 +38,7 @@ from gateway.adaptive_node_frames import AdaptiveFrames
 from gateway.node_frames import CYCLES, SETTLING, NodeReport, Picture, SynchronousFrames, syncs_of
 from gateway.proof import NO_SIGNATURE
 from gateway.sdo import Read, SdoAbortedError, SdoDialogue, SdoError, Transfer, Write, one
+from skin.sync_counter import SYNC_OVERFLOW
 
 #: Time in which another SYNC producer must be heard, in periods, and at least in seconds.
 LISTEN_PERIODS: Final = 3
@@ -102,7 +103,7 @@ class NodeCheck:
         self.done = False
         self.due_s = now_s
         table = board(contract, node)
-        self._cob_ids, self._overflow = [tpdo.cob_id for tpdo in table.tpdos], table.sync_overflow
+        self._cob_ids = [tpdo.cob_id for tpdo in table.tpdos]
         #: When the next SYNC goes; infinite before the first pattern.
         self._sync_s = np.inf
         self._counter = self._idle = 1 + max(tpdo.sync_start_value for tpdo in table.tpdos)
@@ -148,9 +149,8 @@ class NodeCheck:
 
     def _sync(self, now_s: float) -> None:
         """Send a SYNC; in the cycles of a pattern the counter is the number of the cycle, else no start value."""
-        overflow = self._overflow
-        self._send_one(SYNC_COB_ID, bytes((self._counter,)) if overflow else b"")
-        self._counter = self._counter + 1 if self._counter < overflow else self._idle
+        self._send_one(SYNC_COB_ID, bytes((self._counter,)))
+        self._counter = self._counter + 1 if self._counter < SYNC_OVERFLOW else self._idle
         if self._wanted is not None:
             self._wanted -= 1
             if self._wanted == CYCLES + 1:

@@ -192,7 +192,7 @@ class SynchronousFrames(ExpectedFrames):
 
     def compare(self, came: Frames, picture: Picture, state: int, values: Values) -> None:  # noqa: ARG002
         """Compare the TPDOs of all cycles of a picture."""
-        payloads = node_payloads(self._contract, self._node, node_sums(self._contract, self._node, picture.counts))
+        sums = node_sums(self._contract, self._node, picture.counts)
         window_us = round(window_s(self._layouts[SkinState(state)]) * 1e6)
         name = picture.name + f", {SkinState(state).name.lower()}" * (len(self.states) > 1)
         syncs = [*syncs_of(came)[SETTLING:].tolist(), len(came)]
@@ -205,6 +205,7 @@ class SynchronousFrames(ExpectedFrames):
                 found["SYNC", 0].append(f"{place}: the SYNC was not sent")
                 continue
             cycle = came[syncs[counter - 1] : syncs[counter]]
+            payloads = node_payloads(self._contract, self._node, int(cycle["data"][0, 0]), sums)
             for tpdo in self._tpdos:
                 copies = cycle[(cycle["can_id"] == tpdo.cob_id) & (cycle["flags"] & ECHO == 0)]
                 is_due = tpdo.state in (None, state) and _is_due(tpdo, counter)

@@ -7,6 +7,7 @@ import numpy.typing as npt
 
 from dbc.contract import Contract, FrameTable
 from shell.compiled import njit
+from skin.sync_counter import SYNC_OVERFLOW, next_counter
 
 #: Cycles that are gathered at once.
 SLOTS: Final = 2
@@ -14,10 +15,12 @@ SLOTS: Final = 2
 Integers = npt.NDArray[np.int64]
 Flags = npt.NDArray[np.bool_]
 
+following = njit(cache=True, nogil=True)(next_counter)
+
 
 @njit(cache=True, nogil=True)
 def slot_of(counter: int) -> int:
-    """Return the slot of a cycle; with two phases it is the phase."""
+    """Return the slot of a cycle."""
     return (counter - 1) % SLOTS
 
 
@@ -26,26 +29,28 @@ class OpenCycles(NamedTuple):
 
     Attributes
     ----------
-    counter, phase : arrays of int64, shape (SLOTS,)
-        Counter of the SYNC of each slot, 0 for none; and the phase of its cycles.
+    counter : array of int64, shape (SLOTS,)
+        Counter of the SYNC of each slot, 0 for none.
     payload : array of uint8, shape (SLOTS, rows, bytes)
         Data of the frames.
     seen, spoilt, awaited : arrays of bool, shape (SLOTS, rows)
         Whether a frame came, whether its sums are not to be used, and whether the cycle waits for it.
     waiting : array of int64, shape (SLOTS, buses)
         How many of the awaited frames have not come.
-    is_disturbed : array of bool, shape (buses,)
-        Buses whose next cycle is spoilt, too.
+    passed : array of bool, shape (SLOTS, buses)
+        Whether a frame of the next cycle came on the bus: its nodes have given up what they have not sent (1007h).
+    tainted : array of bool, shape (buses, SYNC_OVERFLOW + 1)
+        Counters of coming cycles that a foreign SYNC on the bus had.
     """
 
     counter: Integers
-    phase: Integers
     payload: npt.NDArray[np.uint8]
     seen: Flags
     spoilt: Flags
     awaited: Flags
     waiting: Integers
-    is_disturbed: Flags
+    passed: Flags
+    tainted: Flags
 
 
 def new_cycles(contract: Contract) -> OpenCycles:
@@ -53,30 +58,33 @@ def new_cycles(contract: Contract) -> OpenCycles:
     rows, buses = len(contract.table.cob_id), len(contract.layout.bus)
     return OpenCycles(
         counter=np.zeros(SLOTS, np.int64),
-        phase=np.array([contract.phase_of(1 + slot) for slot in range(SLOTS)]),
-        payload=np.zeros((SLOTS, rows, int(contract.table.length.max())), np.uint8),
+        payload=np.zeros((SLOTS, rows, int(contract.table.length.max(initial=0))), np.uint8),
         seen=np.zeros((SLOTS, rows), np.bool_),
         spoilt=np.zeros((SLOTS, rows), np.bool_),
         awaited=np.zeros((SLOTS, rows), np.bool_),
         waiting=np.zeros((SLOTS, buses), np.int64),
-        is_disturbed=np.zeros(buses, np.bool_),
+        passed=np.zeros((SLOTS, buses), np.bool_),
+        tainted=np.zeros((buses, SYNC_OVERFLOW + 1), np.bool_),
     )
 
 
 @njit(cache=True, nogil=True)
-def begin_cycle(counter: int, expected: Flags, table: FrameTable, cycles: OpenCycles) -> None:
-    """Begin a cycle that waits for the frames of the nodes `expected`."""
+def begin_cycle(counter: int, turn: int, expected: Flags, table: FrameTable, cycles: OpenCycles) -> None:
+    """Begin a cycle that waits for the frames of its turn of the nodes `expected`."""
     slot = slot_of(counter)
     cycles.counter[slot] = counter
     cycles.seen[slot] = False
     cycles.waiting[slot] = 0
+    cycles.passed[slot] = False
     for row in range(len(table.bus)):
         bus = table.bus[row]
-        cycles.spoilt[slot, row] = cycles.is_disturbed[bus]
-        is_awaited = table.phase[row] == cycles.phase[slot] and expected[table.node[row]]
+        cycles.spoilt[slot, row] = cycles.tainted[bus, counter]
+        is_awaited = table.turn[row] == turn and expected[table.node[row]]
         cycles.awaited[slot, row] = is_awaited
         cycles.waiting[slot, bus] += is_awaited
-    cycles.is_disturbed[:] = False
+    cycles.tainted[:, counter] = False
+    # A foreign SYNC may be ahead, or behind: what was not met within half of all counters was behind.
+    cycles.tainted[:, (counter + SYNC_OVERFLOW // 2 - 1) % SYNC_OVERFLOW + 1] = False
 
 
 @njit(cache=True, nogil=True)
@@ -87,8 +95,7 @@ def is_open(counter: int, cycles: OpenCycles) -> bool:
 
 @njit(cache=True, nogil=True)
 def spoil_bus(bus: int, table: FrameTable, cycles: OpenCycles) -> None:
-    """Use no sums of a bus in the open cycles, nor in the next cycle."""
-    cycles.is_disturbed[bus] = True
+    """Use no sums of a bus in the open cycles."""
     for row in range(len(table.bus)):
         if table.bus[row] == bus:
             cycles.spoilt[:, row] = True
@@ -96,10 +103,13 @@ def spoil_bus(bus: int, table: FrameTable, cycles: OpenCycles) -> None:
 
 @njit(cache=True, nogil=True)
 def keep_frame(slot: int, bus: int, row: int, data: npt.NDArray[np.uint8], cycles: OpenCycles) -> bool:
-    """Keep a frame of a bus that came in an open cycle; return whether it came for the first time.
+    """Keep a frame of a bus that names an open cycle; return whether it came for the first time.
 
     A repeated frame with other data (two nodes share a node-ID) spoils its row.
     """
+    other = slot_of(slot + SLOTS)
+    if cycles.counter[other] and following(cycles.counter[other]) == cycles.counter[slot]:
+        cycles.passed[other, bus] = True
     payload = cycles.payload[slot, row]
     if cycles.seen[slot, row]:
         for byte in range(len(payload)):

@@ -29,7 +29,7 @@ class Outgoing:
     send : callable
     now_s : float
     has_echoes : bool
-        Whether an echo comes when its frame has been on the bus (`bus.link.Link.keeps_order`).
+        Whether an echo comes when its frame has been on the bus (`bus.link.Link.proves_echo`).
     """
 
     def __init__(self, send: Send, now_s: float, *, has_echoes: bool = True) -> None:

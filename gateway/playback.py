@@ -29,7 +29,7 @@ from gateway.inferred_proofs import Change, InferredProofs
 from gateway.loop import GatewayLoop
 from gateway.state_gathering import StateGathering
 from skin.measured_sums import check_measurement
-from skin.sync_counter import SYNC_OVERFLOW, next_counter
+from skin.sync_counter import SYNC_OVERFLOW
 
 #: A late SYNC of one bus may come after the next SYNC of another bus, but not later.
 _CYCLES_IN_FLIGHT: Final = 2
@@ -79,7 +79,6 @@ class Playback:
         self._wall_offset_ns = wall_offset_ns
         self._contract = contract
         self._grace_ns = _grace_ns(contract.layout.sync.period_s)
-        self._is_counted = contract.sync_overflow > 0
         self._near_ns = round(contract.layout.shortest_period_s * 1e9 / 2)
         sends = dict.fromkeys(sorted(buses), len)  # all is accepted, nothing is sent
         self._loop = GatewayLoop(contract, sends, start_ns * 1e-9, say=lambda _: None, complain=lambda _: None)
@@ -107,7 +106,7 @@ class Playback:
 
     def feed(self, bus: int, logged: Frames) -> None:
         """Take frames of a bus, in bus order; they are used by `advance`."""
-        self._waiting[bus].append(with_echoes(logged, self._is_counted))
+        self._waiting[bus].append(with_echoes(logged))
 
     def advance(self, until_ns: int) -> list[Measurement]:
         """Use all frames up to a time, of which none is missing; return the measurements that were made.
@@ -169,16 +168,13 @@ class Playback:
         """Begin the cycle of a SYNC, or take note that its SYNC has come on one more bus."""
         counter = int(self._ready[number].frames["data"][place, 0])
         for known, begun_ns, buses in self._open:
-            is_same = known == counter if self._is_counted else time_ns - begun_ns < self._near_ns
             # The same SYNC twice is no new cycle: the collector does not use its sums.
-            is_again = number in buses and self._is_counted and time_ns - begun_ns < self._near_ns
-            if is_same and (number not in buses or is_again):
+            if known == counter and (number not in buses or time_ns - begun_ns < self._near_ns):
                 buses.add(number)
                 return
         if self._sync_ns is not None and self._sync_ns + self._grace_ns < time_ns:
             self._go_to(self._sync_ns + self._grace_ns)
         self._go_to(time_ns, {number: place})
-        counter = counter or (next_counter(self._open[-1][0]) if self._open else 1)
         self.cycles += 1
         self._sync_ns = time_ns
         if self._first_sync_ns is None:
@@ -336,13 +332,11 @@ def play(contract: Contract, logged: Mapping[int, Frames], calibrator: Calibrato
     yield Part({}, playback.finish(), playback.status())
 
 
-def with_echoes(logged: Frames, is_counted: bool) -> Frames:
-    """Return frames whose SYNCs, with or without counter, are marked as echoes, as the gateway that sent them sees."""
-    plain = logged["flags"] & (EXTENDED | REMOTE | ERROR | FD) == 0
-    is_sync = plain & (logged["can_id"] == SYNC_COB_ID) & (logged["length"] == int(is_counted))
-    if is_counted:
-        counter = logged["data"][:, 0]
-        is_sync &= (counter >= 1) & (counter <= SYNC_OVERFLOW)
+def with_echoes(logged: Frames) -> Frames:
+    """Return frames whose SYNCs, those with a counter, are marked as echoes, as the gateway that sent them sees."""
+    counter = logged["data"][:, 0]
+    is_sync = (logged["can_id"] == SYNC_COB_ID) & (logged["length"] == 1) & (counter >= 1) & (counter <= SYNC_OVERFLOW)
+    is_sync &= logged["flags"] & (EXTENDED | REMOTE | ERROR | FD) == 0
     marked: Frames = logged.copy()
     marked["flags"][is_sync] |= ECHO
     return marked

@@ -66,7 +66,7 @@ class GatewayService:
             say=lambda text: say("gateway", text),
             complain=RateLimitedLog("gateway").say,
             rates_hz=rates_hz,
-            unordered=[number for number, link in links.items() if not link.keeps_order],
+            early_echoes=[number for number, link in links.items() if not link.proves_echo],
         )
         self._contract = contract
         self._links = dict(links)

@@ -3,7 +3,7 @@
 The frames of the two states have identifiers of their own, so a frame tells by its identifier what it carries.
 """
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 
 import msgspec
 
@@ -23,6 +23,8 @@ class StateGathering:
     ----------
     contract : Contract
         With recognition.
+    early_echoes : collection of int
+        See `gateway.collector.Collector`.
     """
 
     #: See `gateway.cycle_gathering.CycleGathering`.
@@ -30,8 +32,8 @@ class StateGathering:
     replay_step_ns = None
     disturbance = CycleGathering.disturbance
 
-    def __init__(self, contract: Contract) -> None:
-        images, recognition = map(CycleGathering, contract.states)
+    def __init__(self, contract: Contract, early_echoes: Collection[int] = ()) -> None:
+        images, recognition = (CycleGathering(state, early_echoes) for state in contract.states)
         self.of_state = {SkinState.RECOGNITION: recognition, SkinState.IMAGES: images}
         self._both = images, recognition
 
@@ -90,10 +92,10 @@ class StateGathering:
         made = [measurement for each in self._both for measurement in each.measurements(now_s, wall_offset_ns)]
         return sorted(made, key=lambda measurement: measurement.cycle)
 
-    def look(self, masters: Mapping[int, NmtMaster], now_s: float) -> None:
+    def look(self, masters: Mapping[int, NmtMaster]) -> None:
         """Let cycles wait for operational nodes only."""
         for each in self._both:
-            each.look(masters, now_s)
+            each.look(masters)
 
     def take_foreign_syncs(self, bus: int) -> int:
         """Return the number of foreign SYNCs on a bus since the last call."""

@@ -7,23 +7,24 @@ Boards sample at the end of SYNC. The gateway knows two times of it: its own sen
 because a frame waits for the frame that is on the bus, and an interrupt comes after the end of its frame. The wait is
 rare, for the bus is free at the end of a window, and the latency of the interrupt is small beside the wait. So the time
 stamp is the estimate, and the whole interval is the bound of its error. Where an interface gives no time stamps, or
-echoes SYNC before SYNC has ended, the estimate is the send call plus the time of the frame, and the first frame that is
-certainly an answer is the upper limit.
+echoes SYNC before SYNC has ended, the estimate is the send call plus the time of the frame, and the first frame that
+names the cycle is the upper limit.
 
 A time stamp that contradicts this order is of a clock that was set or is wrong: no bound is proven. On a virtual bus
 the order does not hold, because a SYNC that was sent late ends as if sent when it was due. Nodes have the same time
 stamp, so this time stamp is exact.
 """
 
+from collections.abc import Collection
 from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from canskin.messages import UNKNOWN_ERROR_NS
-from dbc.contract import Contract
+from dbc.contract import Contract, sync_frame
 from dbc.frame_bits import INTERMISSION_BITS, frame_time_ns, nominal_ns
-from gateway.open_cycles import SLOTS, Integers, slot_of
+from gateway.open_cycles import SLOTS, Flags, Integers, slot_of
 from shell.compiled import njit
 
 #: The error of a clock that gives no time stamps.
@@ -54,18 +55,25 @@ class SyncNotes(NamedTuple):
         End of SYNC, and of its first answer, by their time stamps; 0 if there is none.
     stamp_error_ns : array of int64, shape (SLOTS, buses)
         Of the echo: bound of the error of its clock, `NO_STAMPS` if it has no time stamp.
+    has_early_echo : array of bool, shape (buses,)
+        Whether the interface may echo SYNC before SYNC has ended: the hand-over takes the place of the echo.
     """
 
     echo_ns: Integers
     answer_ns: Integers
     stamp_error_ns: Integers
+    has_early_echo: Flags
 
 
 @njit(cache=True, nogil=True)
-def note_echo(slot: int, bus: int, time_ns: int, stamp_error_ns: int, notes: SyncNotes) -> None:
-    """Take note of the end of SYNC on a bus; the first counts."""
-    if not notes.echo_ns[slot, bus]:
-        notes.echo_ns[slot, bus], notes.stamp_error_ns[slot, bus] = time_ns, stamp_error_ns
+def note_echo(slot: int, bus: int, time_ns: int, stamp_error_ns: int, notes: SyncNotes) -> bool:
+    """Take note of the end of SYNC on a bus; tell whether it is the first of this cycle, as far as echoes tell."""
+    if notes.has_early_echo[bus]:
+        return True
+    if notes.echo_ns[slot, bus]:
+        return False
+    notes.echo_ns[slot, bus], notes.stamp_error_ns[slot, bus] = time_ns, stamp_error_ns
+    return True
 
 
 @njit(cache=True, nogil=True)
@@ -78,20 +86,27 @@ def note_answer(slot: int, bus: int, time_ns: int, notes: SyncNotes) -> None:
 class SyncTimes:
     """Times of the open cycles.
 
+    Parameters
+    ----------
+    early_echoes : collection of int
+        Numbers of the buses whose interface may echo a SYNC before it has been on the bus.
+
     Attributes
     ----------
     notes : SyncNotes
     """
 
-    def __init__(self, contract: Contract) -> None:
-        sync = contract.sync(1)
+    def __init__(self, contract: Contract, early_echoes: Collection[int] = ()) -> None:
+        sync = sync_frame(1)
         #: Shortest time of a SYNC frame to its end.
         self._frame_ns = [
             int(frame_time_ns(sync, bus.bitrate, bus.data_bitrate, "none")[0])
             - nominal_ns(INTERMISSION_BITS, bus.bitrate)
             for bus in contract.layout.bus
         ]
-        self.notes = SyncNotes(*np.zeros((3, SLOTS, len(self._frame_ns)), np.int64))
+        is_early = np.array([bus in early_echoes for bus in range(len(self._frame_ns))], np.bool_)
+        echo_ns, answer_ns, stamp_error_ns = np.zeros((3, SLOTS, len(self._frame_ns)), np.int64)
+        self.notes = SyncNotes(echo_ns, answer_ns, stamp_error_ns, is_early)
         #: By slot: when SYNC was due, and a time before the first send call; None in a replay.
         self._due_ns: list[int] = [0] * SLOTS
         self._sent_ns: list[int | None] = [None] * SLOTS
@@ -100,8 +115,11 @@ class SyncTimes:
         """Begin a cycle; `sent_ns` is a time before its SYNC is sent, None if nobody knows."""
         slot = slot_of(counter)
         self._due_ns[slot], self._sent_ns[slot] = due_ns, sent_ns
-        for noted in self.notes:
+        notes = self.notes
+        for noted in (notes.echo_ns, notes.answer_ns):
             noted[slot] = 0
+        notes.echo_ns[slot, notes.has_early_echo] = max(due_ns if sent_ns is None else sent_ns, 1)
+        notes.stamp_error_ns[slot] = NO_STAMPS
 
     def close(self, counter: int) -> SampledTimes:
         """End a cycle and return its sampling instant; if no bus has had its SYNC, when that was due."""
@@ -109,7 +127,7 @@ class SyncTimes:
         sent = self._sent_ns[slot]
         found = [
             self._end_of(sent, *told)
-            for told in zip(self._frame_ns, *(noted[slot].tolist() for noted in self.notes), strict=True)
+            for told in zip(self._frame_ns, *(noted[slot].tolist() for noted in self.notes[:3]), strict=True)
         ]
         bus_ns = np.array([end_ns for end_ns, _ in found], np.int64)
         sent_ns = 0 if sent is None else sent + sum(self._frame_ns) // len(self._frame_ns)

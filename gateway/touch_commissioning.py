@@ -25,7 +25,7 @@ from dbc.canopen import (
     NmtCommand,
 )
 from dbc.configuration import SAMPLED_S
-from dbc.contract import Contract, NodeContract
+from dbc.contract import Contract, NodeContract, sync_frame
 from dbc.dictionary import REVISION
 from gateway.commissioning import Board, Commissioning
 from gateway.lss_steps import (
@@ -263,7 +263,7 @@ class TouchCommissioning(Commissioning):
     def _round(self) -> Generator[Step, Answer, dict[int, Floats]]:
         """Let the boards sample, and return what each tells, counts; a board that is silent is named once."""
         self._counter = next_counter(self._counter)
-        (sync,) = self._contract.sync(self._counter)
+        (sync,) = sync_frame(self._counter)
         data = sync["data"][: sync["length"]].tobytes()
         yield Ask(SYNC_COB_ID, data, wait_s=max(SAMPLED_S, self._contract.layout.sync.period_s))
         asked = {*self._lent} | {node_id for node_id, board in self.boards.items() if board.is_complete}

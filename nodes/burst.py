@@ -29,9 +29,9 @@ class Burst:
         self._node = np.array([place for place, _, _ in tpdos], np.intp)
         self._every = np.array([tpdo.every for *_, tpdo in tpdos], np.intp)
         self._start = np.array([tpdo.start for *_, tpdo in tpdos], np.intp)
-        self._gather = np.full((len(tpdos), max((len(tpdo.mapped) for *_, tpdo in tpdos), default=0)), -1, np.intp)
+        self._gather = np.full((len(tpdos), max((len(tpdo.mapped) - 1 for *_, tpdo in tpdos), default=0)), -1, np.intp)
         for row, (_, node, tpdo) in enumerate(tpdos):
-            for column, (index, subindex, _) in enumerate(tpdo.mapped):
+            for column, (index, subindex, _) in enumerate(tpdo.mapped[1:]):
                 block = node.block + od.split_block(index)[0]
                 self._gather[row, column] = contract.phi.starts[block] + subindex - 1
         self._state = np.array([_ANY_STATE if tpdo.state is None else tpdo.state for *_, tpdo in tpdos], np.intp)
@@ -65,6 +65,6 @@ class Burst:
         if states is not None:
             due &= (self._state == _ANY_STATE) | (self._state == states[self._node])
         burst: Frames = self._template[due]
-        payloads = encode(sums, self._gather[due], self._packing)
+        payloads = encode(counter, sums, self._gather[due], self._packing)
         burst["data"][:, : payloads.shape[1]] = payloads
         return burst

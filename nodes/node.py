@@ -67,6 +67,8 @@ class SkinNode:
         The state whose TPDOs are sent from the next SYNC on: 2008h:1.
     active_state : int
         The state whose TPDOs are sent: `wanted_state` as of the newest SYNC.
+    sync_counter : int
+        2022h: counter of the SYNC at which the sums were sampled.
     """
 
     def __init__(
@@ -86,6 +88,7 @@ class SkinNode:
         self.health = np.zeros(4, np.int64)
         self.tpdos: list[LiveTpdo] = []
         self.active_state = self.wanted_state = SkinState.RECOGNITION
+        self.sync_counter = 0
         self._states = _states_of_tpdos(contract, objects)
         self._signed = {
             od.SIGNATURE: settings,
@@ -104,6 +107,7 @@ class SkinNode:
             od.ERROR_REGISTER: lambda _: self.emcy.register,
             od.ERROR_FIELD: self._read_error,
             od.HEALTH: self._read_health,
+            od.SYNC_COUNTER: lambda _: self.sync_counter,
             od.IDENTITY: lambda subindex: serial_number if subindex == 4 else None,
             **{index: partial(self._read_signature, index) for index in self._signed},
             od.TEMPERATURE: lambda _: round(10 * hardware.temperature_k(range(first, first + contract.blocks))),

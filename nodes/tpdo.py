@@ -45,10 +45,10 @@ class LiveTpdo:
 
     @property
     def is_plain(self) -> bool:
-        """Whether the PDO is cyclic and carries sums only, so that `Burst` can send it."""
-        return 1 <= self.every <= LAST_SYNCHRONOUS and all(
-            od.split_block(index)[1] == od.SUMS for index, _, _ in self.mapped
-        )
+        """Whether the PDO is cyclic and carries the SYNC counter and then sums only, so that `Burst` can send it."""
+        indices = [od.split_block(index)[1] for index, _, _ in self.mapped]
+        is_plain = indices[0] == od.SYNC_COUNTER and set(indices[1:]) == {od.SUMS}
+        return 1 <= self.every <= LAST_SYNCHRONOUS and is_plain
 
     def payload(self, node: LocalNode) -> bytes:
         """Return the bytes to send now."""

@@ -242,6 +242,8 @@ class VirtualBoards:
             node.active_state = node.wanted_state
         if measured is not None:
             counter = int(sync["data"][0, 0]) if length == 1 else 0
+            for node in self.nodes:
+                node.sync_counter = counter
             self._send_sums(counter, int(sync["time_ns"][0]), measured)
         return self._outbox.take()
 

@@ -77,11 +77,9 @@ def decode_log(
     if not made and contract.recognition is not None:
         raise InputError("the log holds no cycle of images: recognition alone makes none")
     if not made:
-        identity = contract.layout.sync.identity
-        length = "without data" if identity == "window" else "with a counter, 1 byte"
         raise InputError(
-            f'the log holds no SYNC {length} (COB-ID {SYNC_COB_ID:02X}h, sync.identity = "{identity}" of the layout): '
-            "it cannot be cut into cycles"
+            f"the log holds no SYNC with a counter (COB-ID {SYNC_COB_ID:02X}h, 1 byte): it cannot be cut into cycles;"
+            " logs of before the counter in each frame cannot be used any more"
         )
     return _of_measurements(made, contract.phi), part.status.frames
 

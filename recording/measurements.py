@@ -120,8 +120,6 @@ class RunMeasurements(FrameMeasurements):
         #: By fingerprint: Φ of the states of the nodes, and their periods.
         self._phi = {state.phi.fingerprint: state.phi for state in contract.states}
         self._period_ns = {state.phi.fingerprint: round(state.layout.sync.period_s * 1e9) for state in contract.states}
-        #: Without counter a SYNC is known by its time alone.
-        self._is_counted = contract.sync_overflow > 0
         #: By fingerprint and counter.
         self._unpaired: dict[tuple[str, int], deque[CycleMeasurement]] = {}
         #: The header of the newest cycle, and the time of the newest measurement that was read.
@@ -167,7 +165,7 @@ class RunMeasurements(FrameMeasurements):
     def _recorded(self, made: Measurement) -> CycleMeasurement | None:
         """Return the recorded measurement of the same SYNC."""
         candidates = self._unpaired.get(self._key(made), deque())
-        far_ns = (_FAR_CYCLES if self._is_counted else 0.5) * self._period_ns[made.fingerprint]
+        far_ns = _FAR_CYCLES * self._period_ns[made.fingerprint]
         while candidates and made.sampled_mono_ns - candidates[0].sampled_mono_ns > far_ns:
             candidates.popleft()
         if candidates and abs(made.sampled_mono_ns - candidates[0].sampled_mono_ns) <= far_ns:
@@ -175,8 +173,8 @@ class RunMeasurements(FrameMeasurements):
         return None
 
     def _key(self, measurement: Measurement) -> tuple[str, int]:
-        """Return Φ and counter by which a SYNC is known; the counter is 0 if its frame has none."""
-        return measurement.fingerprint, measurement.sync_counter if self._is_counted else 0
+        """Return Φ and counter by which a SYNC is known."""
+        return measurement.fingerprint, measurement.sync_counter
 
     def _header_between(self, made: Measurement) -> CycleMeasurement | None:
         """Return the header of a measurement that was lost between two others: one cycle after the one before.
@@ -190,7 +188,7 @@ class RunMeasurements(FrameMeasurements):
         counter = next_counter(before.sync_counter)
         later_ns = made.sampled_mono_ns - before.sampled_mono_ns
         is_next = later_ns <= 2 * self._period_ns[made.fingerprint]
-        if (self._is_counted and made.sync_counter != counter) or not is_next:
+        if made.sync_counter != counter or not is_next:
             return None
         return msgspec.structs.replace(
             before,

@@ -9,7 +9,7 @@ from functools import cache
 from importlib.resources import files
 from itertools import combinations
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal, get_args
+from typing import Annotated, Any, Final, Literal
 
 import msgspec
 import numpy as np
@@ -73,9 +73,9 @@ OTHER_HARDWARE: Final = (
     "the sums of a matrix are made by other hardware, not by boards on a bus: 'skin rebuild', 'skin reconstruct',"
     " 'skin classify', 'skin train' and 'skin layout' take them"
 )
-#: Widths of a sum in a PDO.
-SumBits = Literal[16, 12, 8]
-SUM_BITS: Final[tuple[int, ...]] = get_args(SumBits)
+#: Least and largest width of a sum in a PDO.
+SUM_BITS_MIN: Final = 7
+SUM_BITS_MAX: Final = 16
 
 Positive = Annotated[int, msgspec.Meta(gt=0)]
 #: Longest name.
@@ -190,14 +190,14 @@ class PhiParameters(_Table, frozen=True, kw_only=True):
 class Sync(_Table, frozen=True, kw_only=True):
     """The SYNC producer: `rate_hz` cycles a second (CiA 301, 1005h and 1006h).
 
-    `identity` tells how the gateway knows the cycle of a frame: by the SYNC before it (``window``), or besides by the
-    identifiers of odd and even cycles (``alternating``). Adaptive sending has no cycles and does not use the key.
-    With `time_s` the gateway produces TIME, too (CiA 301, 7.2.6): after a SYNC, every `time_s` seconds.
+    A node sends all its sums in every cycle, or, with two `turns`, half of its frames in odd cycles and half in even
+    ones. Adaptive sending has no cycles and does not use the key. With `time_s` the gateway produces TIME, too
+    (CiA 301, 7.2.6): after a SYNC, every `time_s` seconds.
     """
 
     # The lower limit keeps the period of 1006h, microseconds in 32 bits, far from overflow.
     rate_hz: Annotated[float, msgspec.Meta(ge=0.1, le=RATE_MAX_HZ)] = 100.0
-    identity: Literal["window", "alternating"] = "window"
+    turns: Literal[1, 2] = 1
     time_s: Annotated[float, msgspec.Meta(ge=0.1, le=86_400.0)] | None = None
 
     @property
@@ -237,19 +237,21 @@ class Sampling(_Table, frozen=True, kw_only=True):
 class Encoding(_Table, frozen=True, kw_only=True):
     """Encoding of a sum in a PDO: `sum_bits`, in two's complement or, with fewer stuff bits, `offset_binary`."""
 
-    sum_bits: SumBits = 16
+    sum_bits: Annotated[int, msgspec.Meta(ge=SUM_BITS_MIN, le=SUM_BITS_MAX)] = 14
     offset_binary: bool = False
 
 
 class Device(_Table, frozen=True, kw_only=True):
-    """Identity of the boards (CiA 301, 1018h): numbers of their maker, and serial number of the board of block 0.
+    """The boards: identity (CiA 301, 1018h), the numbers of their maker and the serial number of the board of block 0.
 
     The serial number of a board is `first_serial` + its first block. Vendor-ID 0 means that CiA has assigned none.
+    `jitter_s` is the longest time from SYNC until a board has queued its TPDOs: stock stacks run in a timer of 1 ms.
     """
 
     vendor_id: Annotated[int, msgspec.Meta(ge=0, le=IDENTITY_MAX)] = 0
     product_code: Annotated[int, msgspec.Meta(ge=0, le=IDENTITY_MAX)] = PRODUCT_CODE
     first_serial: Annotated[int, msgspec.Meta(ge=1, le=IDENTITY_MAX)] = 1
+    jitter_s: Annotated[float, msgspec.Meta(ge=0, le=1)] = 1e-3
 
 
 NodeId = Annotated[int, msgspec.Meta(ge=1, le=NODES_MAX)]
@@ -367,11 +369,6 @@ class Layout(_Table, frozen=True, kw_only=True):
             sync={"rate_hz": state.rate_hz},
             recognition=None,
         )
-
-    @property
-    def is_stock(self) -> bool:
-        """Whether boards with any CANopen stack can keep the bus protocol: sums in each cycle, one set of TPDOs."""
-        return self.sends.in_cycles and self.sync.identity == "window"
 
     def operator(self) -> Sbhe | MatrixPhi:
         """Return the skin's measurement operator, for what takes any; the same layout always gives the same Φ."""
@@ -782,8 +779,8 @@ def _check_regions(layout: Layout) -> None:
 
 
 def _check_recognition(layout: Layout, state: Recognition) -> None:
-    if not layout.is_stock:
-        raise LayoutError('recognition needs `sending = "synchronous"` and `identity = "window"` - at `$.recognition`')
+    if not layout.sends.in_cycles or layout.sync.turns > 1:
+        raise LayoutError('recognition needs `sending = "synchronous"` and `turns = 1` - at `$.recognition`')
     if layout.sampling.rate_hz is not None:
         raise LayoutError("recognition and averages of samples exclude each other - at `$.sampling.rate_hz`")
     if layout.taxels.is_analogue:

@@ -2,8 +2,8 @@
 
 from typing import Final
 
-#: Largest SYNC counter, and synchronous counter overflow value (1019h) where SYNC has a counter: a multiple of two, so
-#: phases alternate across the overflow, too.
+#: Largest SYNC counter, and synchronous counter overflow value (1019h): a multiple of two, so turns go on across the
+#: overflow, too.
 SYNC_OVERFLOW: Final = 240
 
 

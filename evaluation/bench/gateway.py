@@ -13,7 +13,6 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from functools import partial
 from select import select
-from struct import Struct
 from typing import Any, Final, Protocol
 
 import can
@@ -32,6 +31,7 @@ from dbc.canopen import SYNC_COB_ID
 from dbc.contract import Contract
 from dbc.eds import dcfs, node_types
 from dbc.frame import ECHO, Frames
+from dbc.packing import COUNTER_BYTES
 from evaluation.result import Row
 from gateway.gathering import Sync
 from gateway.loop import GatewayLoop
@@ -47,7 +47,6 @@ _PATIENCE_S: Final = 10.0
 #: Pause between two looks at whether they have.
 _LOOK_S: Final = 2e-4
 #: A frame of the default skin: four sums of 16 bits.
-_FOUR: Final = Struct("<4h")
 
 Integers = npt.NDArray[np.int64]
 
@@ -101,13 +100,14 @@ def _used_us(
             opened.enter_context(each)
         method = opened.enter_context(make(contract, [near for near, _ in pairs]))
         senders = [_sender(far) for _, far in pairs]
-        taken_us, count = [], CYCLES * sum(len(contract.cycle(bus)) for bus in buses)
+        counter, taken_us, count = 0, [], CYCLES * sum(len(contract.cycle(bus)) for bus in buses)
         for _ in range(rounds + 1):
             since_s = method.used_s
             for _ in range(CYCLES):
                 sums = random.integers(low, high + 1, contract.phi.shape[0], np.int32)
                 method.begin()
-                wires = [_wire(contract, bus, sums) for bus in buses]
+                counter = next_counter(counter)
+                wires = [_wire(contract, bus, counter, sums) for bus in buses]
                 for begin in range(0, max(len(lengths) for _, lengths in wires), frames):
                     for sender, (rows, lengths) in zip(senders, wires, strict=True):
                         sender.send(rows[begin : begin + frames], lengths[begin : begin + frames])
@@ -119,12 +119,13 @@ def _used_us(
 
 
 def _wire(
-    contract: Contract, bus: int, sums: npt.NDArray[np.int32]
+    contract: Contract, bus: int, counter: int, sums: npt.NDArray[np.int32]
 ) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.intp]]:
     """Return the datagrams of one cycle on a bus, and their lengths."""
     table, cycle = contract.table, contract.cycle(bus)
     row = table.row_of[bus, cycle["can_id"][1:]]
-    cycle["data"][1:, : table.length[0]] = codec.encode(sums, table.gather[row], contract.packing)
+    cycle["data"][0, 0] = counter
+    cycle["data"][1:, : table.length[0]] = codec.encode(counter, sums, table.gather[row], contract.packing)
     return encode(cycle)
 
 
@@ -267,6 +268,18 @@ class _Threads:
         return self._result
 
 
+def _unpacking(contract: Contract) -> Callable[[bytes], tuple[int, ...]]:
+    """Return what a user would write for the sums of a frame: shifts of one integer."""
+    bits, count = contract.packing.bits, contract.nodes[0].tpdos[0].sums
+    sign, mask = 1 << bits - 1, (1 << bits) - 1
+
+    def unpacked(data: bytes) -> tuple[int, ...]:
+        packed = int.from_bytes(data[COUNTER_BYTES:], "little")
+        return tuple((packed >> bits * place & mask ^ sign) - sign for place in range(count))
+
+    return unpacked
+
+
 class _DatagramBus(SocketcanBus):
     """python-can's SocketCAN interface on a datagram socket."""
 
@@ -285,13 +298,14 @@ class _DatagramBus(SocketcanBus):
 def _python_can(contract: Contract, sockets: list[socket.socket]) -> Iterator[_Method]:
     """Gather sums in a listener of a Notifier."""
     threads, notifiers = _Threads(contract), []
+    unpacked = _unpacking(contract)
 
     def listen(first_of: dict[int, int], message: can.Message) -> None:
         first = first_of.get(message.arbitration_id)
         if first is None:
             threads.note_thread()  # SYNC
         else:
-            threads.take(first, _FOUR.unpack(message.data))
+            threads.take(first, unpacked(bytes(message.data)))
 
     buses = [_DatagramBus(near, number) for number, near in enumerate(sockets)]
     try:
@@ -313,7 +327,8 @@ def _canopen(contract: Contract, sockets: list[socket.socket]) -> Iterator[_Meth
     files = {node: text for kind in node_types(contract) for node, text in dcfs(contract, kind)}
 
     def take(first: int, pdo: Any) -> None:
-        threads.take(first, tuple(variable.raw for variable in pdo))
+        _, *sums = pdo  # the first is the counter
+        threads.take(first, tuple(variable.raw for variable in sums))
 
     for number, near in enumerate(sockets):
         network = canopen.Network(_DatagramBus(near, number))

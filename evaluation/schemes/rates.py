@@ -17,7 +17,7 @@ from evaluation.result_cache import measure_cells
 from evaluation.schemes.scenes import SHAKING, Touch, recordings_in
 from evaluation.schemes.schemes import Shown
 from evaluation.schemes.sums import run_sums
-from skin.layout import SUM_BITS, Bus, Layout, changed, layout_text, load_layout, validated
+from skin.layout import Bus, Layout, changed, layout_text, load_layout, validated
 
 #: Part of each bus that frames with the most stuff bits may use; the default skin uses 0.87.
 BUDGET: Final = 0.9
@@ -35,8 +35,10 @@ WIRES: Final = {
 #: Milliseconds of a slide and of a recording; boxes shake for half as long.
 TICKS: Final = 2000
 QUICK_TICKS: Final = 500
+#: Widths of a sum: those of four, five and seven sums in a classic frame.
+BITS: Final = (8, 11, 14)
 #: Points of a quick look.
-QUICK_SUMS, QUICK_BITS = (512, 1024), (8, 16)
+QUICK_SUMS, QUICK_BITS = (512, 1024), (8, 14)
 #: PSNR columns, and the touches they are the mean of; recordings come on top.
 _KINDS: Final = ("slides", "shaking", "recordings")
 
@@ -134,7 +136,7 @@ def points() -> Iterator[tuple[str, Layout]]:
 
     Each layout has the highest rate that keeps `BUDGET` and the window (1007h).
     """
-    for wires, rows, bits in product(WIRES, ROWS, sorted(SUM_BITS)):
+    for wires, rows, bits in product(WIRES, ROWS, BITS):
         found = list(_layouts(wires, rows, bits))
         if found:
             yield wires, max(found, key=lambda layout: layout.sync.rate_hz)

@@ -17,7 +17,7 @@ from classifier.model import Model
 from classifier.newest_sums import FORGET_CYCLES
 from classifier.samples import simulate_sums
 from classifier.training import TrainingOptions, train
-from dbc.contract import Contract
+from dbc.contract import Contract, sync_frame
 from dbc.frame import ECHO, Frames
 from dbc.frame_bits import wire_bits
 from demo.chain import REST_S, Nodes
@@ -96,7 +96,7 @@ def measure(*, side: int, cycles: int, touches: int, untouched: int, seed: int) 
     psnrs_db, sensed_db, bits = list[float](), list[float](), list[int]()
     for number in range(1, begin + cycles + 1):
         sample_s, counts = _timed(nodes.sample)
-        truth, on_wire = nodes.truth(), buses.frames(counts)
+        truth, on_wire = nodes.truth(), buses.frames(counts, nodes.counter)
         collect_s, gathered = _timed(partial(buses.collected, on_wire, nodes.counter))
         if not gathered.complete or not np.array_equal(gathered.sums, counts):
             raise RuntimeError("the collector lost sums of a simulated cycle")
@@ -162,11 +162,11 @@ class _Buses:
         self._collector.trust(slice(None), proven=True)
         self._rows = [np.flatnonzero(contract.table.bus == bus) for bus in range(len(contract.layout.bus))]
 
-    def frames(self, counts: npt.NDArray[np.int32]) -> list[Frames]:
+    def frames(self, counts: npt.NDArray[np.int32], counter: int) -> list[Frames]:
         """Return the SYNC of each bus and the TPDOs that answer it."""
-        echo = self._contract.sync(0)
+        echo = sync_frame(counter)
         echo["flags"] |= ECHO
-        return [np.concatenate([echo, burst(self._contract, counts, rows)]) for rows in self._rows]
+        return [np.concatenate([echo, burst(self._contract, counts, rows, counter)]) for rows in self._rows]
 
     def collected(self, on_wire: Sequence[Frames], counter: int) -> Gathered:
         """Return what the collector makes of a cycle."""

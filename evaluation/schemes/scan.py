@@ -9,9 +9,8 @@ import numpy.typing as npt
 from scipy.ndimage import zoom
 
 from dbc.canopen import TPDO_BASES
-from dbc.codec import encode
+from dbc.codec import packed_values
 from dbc.frame import Frames, frames
-from dbc.packing import Packing
 from evaluation.schemes.judge import Images, Updates, ValueRun
 from evaluation.schemes.scenes import SIDE
 from evaluation.schemes.wire import BUSES, TICK_NS, Nanoseconds, carry, lines_of, patches, syncs
@@ -76,7 +75,7 @@ def _frames(raw: npt.NDArray[np.int64], bits: int, turns: int) -> Frames:
     """Return the frames of values of shape (scans, buses, nodes, values), shape (scans, buses, nodes, turns)."""
     scans, buses, nodes, values = raw.shape
     sent = frames(scans * buses * nodes * turns).reshape(scans, buses, nodes, turns)
-    payloads = encode(raw.ravel(), np.arange(raw.size).reshape(-1, values), Packing(bits, scale=1, offset=0))
+    payloads = packed_values(raw.reshape(-1, values), bits)
     padded = np.pad(payloads, ((0, 0), (0, turns * 8 - payloads.shape[1])))
     sent["data"][..., :8] = padded.reshape(*sent.shape, 8)
     sent["length"] = np.minimum(8, -(-(values * bits - FRAME_BITS * np.arange(turns)) // 8))

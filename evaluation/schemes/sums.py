@@ -14,6 +14,7 @@ from evaluation.schemes.wire import TICK_NS, Nanoseconds, Sent, carry, syncs
 from nodes.averaging import SampleFilter
 from reconstructor.engine import Reconstructor
 from reconstructor.settings import LIVE
+from skin.sync_counter import SYNC_OVERFLOW
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,9 +76,10 @@ def run_sums(
     sampled = np.minimum(np.rint(sync_ns / TICK_NS).astype(np.int64), len(counts) - 1)
     sums = _sums(contract, counts, sampled, idle_counts)
     table = contract.table
-    rows = [np.flatnonzero(table.phase == phase) for phase in range(contract.phases)]
-    bursts = [burst(contract, each, rows[cycle % contract.phases]) for cycle, each in enumerate(sums)]
-    due = np.stack([rows[cycle % contract.phases] for cycle in range(cycles)])
+    rows = [np.flatnonzero(table.turn == turn) for turn in range(contract.turns)]
+    counters = [1 + cycle % SYNC_OVERFLOW for cycle in range(cycles)]
+    bursts = [burst(contract, each, rows[cycle % contract.turns], counters[cycle]) for cycle, each in enumerate(sums)]
+    due = np.stack([rows[cycle % contract.turns] for cycle in range(cycles)])
     calls, buses = syncs(sync_ns, len(contract.layout.bus))
     asked = np.concatenate([*bursts, calls])
     asked["time_ns"][: due.size] = np.repeat(sync_ns, due.shape[1])
@@ -112,12 +114,12 @@ def _sums(
     return sums
 
 
-def burst(contract: Contract, sums: npt.NDArray[np.integer], rows: npt.NDArray[np.intp]) -> Frames:
-    """Return the TPDOs of the rows of the contract's table, with `sums`, shape (m,)."""
+def burst(contract: Contract, sums: npt.NDArray[np.integer], rows: npt.NDArray[np.intp], sync_counter: int) -> Frames:
+    """Return the TPDOs of the rows of the contract's table, with `sums`, shape (m,), of a cycle."""
     table = contract.table
     made = frames(len(rows))
     made["can_id"], made["length"], made["flags"] = table.cob_id[rows], table.length[rows], table.flags[rows]
-    payloads = encode(sums, table.gather[rows], contract.packing)
+    payloads = encode(sync_counter, sums, table.gather[rows], contract.packing)
     made["data"][:, : payloads.shape[1]] = payloads
     return made
 
