@@ -7,11 +7,11 @@ it comes from its own bus and has the length of its PDO. Every other frame is co
 of one identifier in the order in which they were made. So a frame that is late by 240 SYNCs comes after its identifier
 was silent for more than `SILENCE`: then the next frames are doubtful, until after each of `PROVING` SYNCs exactly one
 has come, and named an open cycle. A node that goes on after it hung sends what it held back one frame after the other,
-and not one for each SYNC. A wrong sum is used only of a node that is late by a multiple of 240 SYNCs for good, and sends
-one frame for each SYNC: the node has to hold back 240 frames of an identifier, 2.4 s at 100 Hz.
+and not one for each SYNC. A wrong sum is used only of a node that is late by a multiple of 240 SYNCs for good, and
+sends one frame for each SYNC: the node has to hold back 240 frames of an identifier, 2.4 s at 100 Hz.
 
-**Turns.** With `sync.turns` > 1 a cycle brings a part of the sums. A measurement has the newest of every sum; a block is
-valid if each of its frames came in the newest cycle of its turn.
+**Turns.** With `sync.turns` > 1 a cycle brings a part of the sums. A measurement has the newest of every sum; a block
+is valid if each of its frames came in the newest cycle of its turn.
 """
 
 from collections.abc import Collection
