@@ -359,16 +359,24 @@ def useful_widths(sums: int, *, fd: bool) -> list[int]:
 
 
 def _spread(sums: range, bits: int, *, fd: bool, turns: int = 1) -> list[range]:
-    """Divide sums into the smallest number of frames, as many in each turn, with the smallest number of bytes."""
+    """Divide sums into the smallest number of frames, as many in each turn, with the fewest bytes in the longest turn.
+
+    No frame is without sums, so fewer sums than turns are a frame each.
+    """
     most = min(8 * ((FD_BYTES if fd else CLASSIC_BYTES) - COUNTER_BYTES) // bits, SUMS_MAX)
-    fewest = -(-len(sums) // (most * turns)) * turns
+    fewest = min(-(-len(sums) // (most * turns)) * turns, len(sums))
     ways = [
         [sums[start : start + size] for start in range(0, len(sums), size)]
         for size in range(most, 0, -1)
         if -(-len(sums) // size) == fewest
     ]
     ways.append([sums[len(sums) * each // fewest : len(sums) * (each + 1) // fewest] for each in range(fewest)])
-    return min(ways, key=lambda parts: sum(_length(len(part), bits, fd=fd) for part in parts))
+
+    def turn_bytes(parts: list[range]) -> list[int]:
+        lengths = [_length(len(part), bits, fd=fd) for part in parts]
+        return sorted((sum(lengths[turn::turns]) for turn in range(turns)), reverse=True)
+
+    return min(ways, key=turn_bytes)
 
 
 def _length(sums: int, bits: int, *, fd: bool) -> int:
