@@ -350,11 +350,11 @@ def _tpdos(bus: Bus, number: int, place: int, sums: range, bits: int, *, turns: 
 
 
 def useful_widths(sums: int, *, fd: bool) -> list[int]:
-    """Return widths for `sums` sums of a node, the widest first: of those that take the same frames the widest."""
-    found: dict[tuple[int, ...], int] = {}
+    """Return widths for `sums` sums of a node, the widest first: of those that take as many frames and bytes the widest."""
+    found: dict[tuple[int, int], int] = {}
     for bits in range(SUM_BITS_MAX, SUM_BITS_MIN - 1, -1):
         parts = _spread(range(sums), bits, fd=fd)
-        found.setdefault(tuple(_length(len(part), bits, fd=fd) for part in parts), bits)
+        found.setdefault((len(parts), sum(_length(len(part), bits, fd=fd) for part in parts)), bits)
     return list(found.values())
 
 

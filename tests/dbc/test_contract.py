@@ -219,10 +219,16 @@ def test_no_frame_is_empty_or_too_long_and_no_other_way_has_fewer(sums: int, bit
 
 @pytest.mark.parametrize(
     ("sums", "fd", "widths"),
-    [(8, False, [16, 14, 12, 11, 10, 9, 8, 7]), (4, False, [16, 14, 12, 10, 8]), (32, True, [16, 15, 11, 7])],
+    [
+        # 3 frames with 19 bytes, then 2 with 16, 14, 12 (10 and 9 bits) and 10, and 1 with 8.
+        (8, False, [16, 14, 12, 10, 8, 7]),
+        # 2 frames with 10 bytes (16 and 15 bits), then 1 with 8, 7, 6 and 5.
+        (4, False, [16, 14, 12, 10, 8]),
+        # 67 bytes, then 64, 48 and 32.
+        (32, True, [16, 15, 11, 7]),
+    ],
 )
 def test_of_the_widths_that_take_the_same_frames_the_widest_is_useful(sums: int, fd: bool, widths: list[int]) -> None:
-    """32 sums take 3 frames' bytes more with 16 bits, 64 with 15 to 12, 48 (45 used) with 11 to 8, 32 with 7."""
     assert useful_widths(sums, fd=fd) == widths
 
 
