@@ -1,4 +1,4 @@
-"""Small layouts, and the two ways to know a frame's cycle (`sync.identity`)."""
+"""Small layouts."""
 
 from collections.abc import Sequence
 from importlib.resources import files
@@ -20,7 +20,6 @@ ADAPTIVE_SKIN: Final = load_layout(Path("adaptive"))
 BLOCK_SUMS, GROUPS, TPDOS, NODES = 32, 4, 32, 32
 #: A skin of three patches: 12 x 14 with gaps, 132 taxels.
 TWO_FINGERS: Final = [*["######..######"] * 6, "." * 14, *["############.."] * 5]
-IDENTITIES: Final = ("window", "alternating")
 
 
 def layout_toml(rows: int = 8, columns: int = 8, **tables: Any) -> str:
@@ -51,9 +50,9 @@ def tube_layout(rings: int = 8, around: int = 12, **tables: Any) -> Layout:
     return parse_layout(tomli_w.dumps(tables).encode(), "tube.toml")
 
 
-def small_contract(identity: str = "window", rate_hz: float = 20.0, **tables: Any) -> Contract:
+def small_contract(rate_hz: float = 20.0, **tables: Any) -> Contract:
     """Return the contract of two buses of two nodes; each has 32 taxels, and eight sums in two frames."""
-    sync = {"rate_hz": rate_hz, "identity": identity}
+    sync = {"rate_hz": rate_hz}
     return Contract.from_layout(small_layout(8, 16, **{"name": "small", "sync": sync, "bus": buses(2, 2)} | tables))
 
 
