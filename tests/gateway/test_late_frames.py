@@ -184,10 +184,10 @@ def test_after_a_short_silence_the_first_answer_counts(silent: int) -> None:
 
 
 @turns
-def test_after_121_silent_cycles_two_cycles_prove_that_a_node_is_not_a_round_of_the_counter_late(turns: int) -> None:
+def test_after_120_silent_cycles_two_cycles_prove_that_a_node_is_not_a_round_of_the_counter_late(turns: int) -> None:
     skin = Skin(turns)
     skin.run(2, 0, 1, 2, 3)
-    skin.run(121, 1, 2, 3)
+    skin.run(120, 1, 2, 3)
     after = [skin.whole()[0] for _ in range(6)]
     assert after == ([False, False, True, True, True, True] if turns == 1 else [False] * 5 + [True])
 
@@ -226,6 +226,27 @@ def test_what_the_counter_does_not_tell_is_a_node_that_is_240_cycles_late_for_go
         gathered = skin.collector.close(counter_of(cycle))
         assert gathered.valid.tolist() == [place == 2, True, True, True]
     assert (gathered.sums[skin.contract.phi.block_of_sum == 0] == 4 * (cycle - 240)).all()
+
+
+def test_a_stack_that_counts_syncs_may_exchange_its_turns() -> None:
+    skin = Skin(2)
+    skin.run(4, 0, 1, 2, 3)
+    table = skin.contract.table
+    for _ in range(6):
+        cycle = skin.begin()
+        exchanged = node_frames(skin.contract, 0, counter_of(cycle + 1), cycle)
+        exchanged["data"][:, 0] = counter_of(cycle)
+        skin.take(0, exchanged, skin.answers(cycle, 1))
+        skin.take(1, skin.answers(cycle, 2, 3))
+        is_settled = skin.collector.is_settled(counter_of(cycle))
+        gathered = skin.collector.close(counter_of(cycle))
+    assert is_settled
+    assert gathered.complete
+    missing = skin.collector.missing_of_node[0]
+    sums = gathered.sums[table.gather[table.node == 0]] // 4
+    assert sorted(sums[:, 0].tolist()) == [cycle - 1, cycle]
+    skin.whole()
+    assert missing <= 2
 
 
 def test_a_sync_that_was_never_on_the_bus_costs_its_cycle_alone() -> None:
