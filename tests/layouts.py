@@ -50,7 +50,7 @@ def tube_layout(rings: int = 8, around: int = 12, **tables: Any) -> Layout:
     return parse_layout(tomli_w.dumps(tables).encode(), "tube.toml")
 
 
-def small_contract(turns: int = 1, rate_hz: float = 20.0, **tables: Any) -> Contract:
+def small_contract(rate_hz: float = 20.0, turns: int = 1, **tables: Any) -> Contract:
     """Return the contract of two buses of two nodes; each has 32 taxels, and eight sums in two frames."""
     sync = {"rate_hz": rate_hz, "turns": turns}
     return Contract.from_layout(small_layout(8, 16, **{"name": "small", "sync": sync, "bus": buses(2, 2)} | tables))

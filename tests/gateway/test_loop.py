@@ -57,7 +57,7 @@ def test_frames_that_are_read_after_the_next_sync_was_sent_still_count(world: Wo
     assert not any(world.wrong_blocks(each) for each in world.measured[first:])
 
 
-def test_cycle_is_closed_before_its_phase_is_opened_again(world: World) -> None:
+def test_cycle_is_closed_before_its_slot_is_opened_again(world: World) -> None:
     """A bus shows no SYNC, and the loop comes to nothing but to send the next."""
     gateway = world.gateway
     world.wires[1].gateway.takes = False
