@@ -414,17 +414,17 @@ def little(value: int, size: int = 4) -> bytes:
 
 
 def swap_mapping(world: World, bus: int, node_id: int, tpdo: int = 0, *, back: bool = False) -> None:
-    """Swap the first two sums of a TPDO, or swap them back, as CiA 301, 7.5.2.38, wants it done."""
+    """Swap the first two sums of a TPDO, behind the counter, or swap them back, as CiA 301, 7.5.2.38, wants it done."""
     node = next(each for each in world.contract.on_bus(bus) if each.node_id == node_id)
     cob_id = node.tpdos[tpdo].cob_id | 0x4000_0000
     entries = [each.data for each in configuration(world.contract, node) if each.index == od.TPDO_MAPPING + tpdo]
-    count, first, second = entries[0], *(entries[2:0:-1] if back else entries[1:3])
+    count, first, second = entries[0], *(entries[3:1:-1] if back else entries[2:4])
     communication, mapping = od.TPDO_COMMUNICATION + tpdo, od.TPDO_MAPPING + tpdo
     for index, subindex, data in (
         (communication, 1, little(cob_id | 0x8000_0000)),
         (mapping, 0, b"\0"),
-        (mapping, 1, second),
-        (mapping, 2, first),
+        (mapping, 2, second),
+        (mapping, 3, first),
         (mapping, 0, count),
         (communication, 1, little(cob_id)),
     ):

@@ -24,10 +24,11 @@ IMAGES, FEW = CONTRACT.states
 START_NS = 100_000_000_000
 
 
-def answers(contract: Contract, bus: int) -> Frames:
+def answers(contract: Contract, bus: int, counter: int) -> Frames:
     rows = np.flatnonzero(contract.table.bus == bus)
     burst = frames(len(rows))
     burst["can_id"], burst["length"] = contract.table.cob_id[rows], contract.table.length[rows]
+    burst["data"][:, 0] = counter
     return burst
 
 
@@ -44,12 +45,11 @@ class Skin:
     def sync(self, state: SkinState) -> list[Measurement]:
         """Send a SYNC 60 ms after the one before."""
         self.number += 1
-        period_s = 0.05 if state == SkinState.IMAGES else 0.01
         self.now_ns += 60_000_000
-        sync = Sync(self.number, self.number, self.now_ns, self.now_ns, 3, state=state, period_s=period_s)
+        sync = Sync(self.number, self.number, self.now_ns, self.now_ns, 3, state=state)
         closed = self.gathering.begin(sync)
         for bus in (0, 1):
-            self.take(bus, frame(0x80, b"", ECHO, time_ns=self.now_ns + 1000))
+            self.take(bus, frame(0x80, bytes((self.number,)), ECHO, time_ns=self.now_ns + 1000))
         return closed
 
     def take(self, bus: int, burst: Frames) -> None:
@@ -57,7 +57,7 @@ class Skin:
 
     def answer(self, contract: Contract) -> None:
         for bus in (0, 1):
-            self.take(bus, answers(contract, bus))
+            self.take(bus, answers(contract, bus, self.number))
 
     def cycle(self, state: SkinState) -> list[Measurement]:
         """Go through a cycle in which every node answers."""
