@@ -235,6 +235,13 @@ class Contract:
         one["length"], one["flags"] = self.table.length[self.table.bus == bus].min(initial=FD_BYTES), frame_flags(line)
         return float(frame_time_ns(one, line.bitrate, line.data_bitrate, "none")[0]) * 1e-9
 
+    def longest_ns(self, bus: int) -> int:
+        """Return the most time of a TPDO of any state on a bus, with all stuff bits that there may be, nanoseconds."""
+        line, one = self.layout.bus[bus], frames(1)
+        longest = max(state.table.length[state.table.bus == bus].max(initial=0) for state in self.states)
+        one["length"], one["flags"] = longest, frame_flags(line)
+        return int(frame_time_ns(one, line.bitrate, line.data_bitrate, "worst")[0])
+
     @cached_property
     def table(self) -> "FrameTable":
         """All TPDOs of all buses as arrays."""
@@ -368,7 +375,8 @@ def _spread(sums: range, bits: int, *, fd: bool, turns: int = 1) -> list[range]:
         if -(-len(sums) // size) == fewest
     ]
     ways.append([sums[len(sums) * each // fewest : len(sums) * (each + 1) // fewest] for each in range(fewest)])
-    return min(ways, key=lambda parts: sum(_length(len(part), bits, fd=fd) for part in parts))
+    least = min(ways, key=lambda parts: sum(_length(len(part), bits, fd=fd) for part in parts))
+    return [part for part in least if part]  # fewer sums than turns
 
 
 def _length(sums: int, bits: int, *, fd: bool) -> int:

@@ -1,4 +1,4 @@
-"""Boards in C before the real gateway, in both identities of a cycle."""
+"""Boards in C before the real gateway, with all sums in each cycle and in turns."""
 
 from dataclasses import dataclass, field
 
@@ -11,7 +11,7 @@ from dbc.contract import Contract
 from nodes.firmware.library import Firmware
 from nodes.segment import Segment
 from tests.gateway.helpers import World
-from tests.layouts import IDENTITIES, with_identity
+from tests.layouts import TURNS
 from tests.nodes.firmware.twins import CountWitness, needs_compiler, small_contract
 
 pytestmark = needs_compiler
@@ -50,10 +50,9 @@ class OftenWorld(FirmwareWorld):
     step_s = 0.0025
 
 
-@pytest.fixture(params=IDENTITIES)
+@pytest.fixture(params=TURNS)
 def world(request: pytest.FixtureRequest) -> FirmwareWorld:
-    contract = small_contract()
-    return FirmwareWorld(Contract.from_layout(with_identity(contract.layout, request.param)))
+    return FirmwareWorld(small_contract(request.param))
 
 
 def is_complete(measurement: Measurement) -> bool:

@@ -105,7 +105,7 @@ def test_event_driven_pdos_keep_timer_and_inhibit_time(twins: Twins) -> None:
 
 
 def test_what_the_controllers_refuse_is_counted() -> None:
-    twins = Twins(small_contract("alternating"))
+    twins = Twins(small_contract())
     twins.put(NMT_COB_ID, b"\x01\x00")
     for wire in twins.wires:
         wire.room = 3
