@@ -36,7 +36,7 @@ def eight_bits() -> Contract:
 TWO_BLOCKS = buses(1, 1, blocks_per_node=2)
 CONTRACTS = {
     "14 bits": small_contract,
-    "in turns": lambda: small_contract(2),
+    "in turns": lambda: small_contract(turns=2),
     "empty places": lambda: small_contract(taxels={"rows": 7, "columns": 17}),
     "positions, unequal boards": lambda: Contract.from_layout(load_layout(Path("forearm"))),
     "one bit": lambda: small_contract(taxels={"adc_bits": 1}),
