@@ -78,9 +78,9 @@ class WitnessSampler(Sampler):
     Where another master counts ahead on one bus, the sums that the boards of another bus get may be older than theirs.
     """
 
-    def __init__(self, phi: Sbhe, electronics: Witness, longest_period_s: float | None = None) -> None:
+    def __init__(self, phi: Sbhe, electronics: Witness) -> None:
         taxels = electronics.taxels
-        super().__init__(phi, Shaking((taxels.rows, taxels.columns)), electronics, longest_period_s)
+        super().__init__(phi, Shaking((taxels.rows, taxels.columns)), electronics)
         self.truths: dict[tuple[int, int], npt.NDArray[np.int32]] = {}
         self._witness = electronics
         #: By the identity of what the boards got.
@@ -246,7 +246,7 @@ class World:
         layout = self.contract.layout
         places = self.contract.phi.wired.taxels
         self.electronics = Witness(layout.taxels, noise_n=0.0, period_s=layout.shortest_period_s, places=places)
-        self.sampler = WitnessSampler(self.contract.phi, self.electronics, layout.sync.period_s)
+        self.sampler = WitnessSampler(self.contract.phi, self.electronics)
         self.wires = [self.wire() for _ in self.contract.layout.bus]
         self.segments = [self.new_segment(bus, self.built or self.contract) for bus in range(len(self.wires))]
         self.power_up()
