@@ -2,7 +2,7 @@
 
 import math
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,6 +13,21 @@ from sklearn.exceptions import ConvergenceWarning
 from classifier.dagsvm import DagSvm
 
 Indices = npt.NDArray[np.intp]
+
+
+def not_validated(touches: Mapping[str, int], recordings: Mapping[str, int]) -> dict[str, str]:
+    """Return the labels because of which no accuracy of recorded touches holds, and why; empty if one holds.
+
+    Touches of one recording have its day, place and person in common. So an accuracy holds when whole recordings were
+    left out of the training, which takes two of each label.
+
+    Parameters
+    ----------
+    touches, recordings : mapping of str to int
+        Number of touches of each label, and of the recordings that have such touches.
+    """
+    why = "{} touches of this label, in one recording"
+    return {name: why.format(count) for name, count in touches.items() if recordings[name] < 2}
 
 
 class Chosen(NamedTuple):
