@@ -274,7 +274,7 @@ def _warnings(data: LabelledTouches) -> list[str]:
     few = [f"'{name}' {count}" for name, count in counts.items() if count < FEW_TOUCHES]
     if few:
         told.append(
-            f"fewer than {FEW_TOUCHES} touches: {', '.join(few)}; no accuracy and no unknown objects are told: record more"
+            f"fewer than {FEW_TOUCHES} touches: {', '.join(few)}; no accuracy or unknown object is told: record more"
         )
     if alone := [name for name, count in _recordings_of_labels(data).items() if count < 2]:
         told.append(
