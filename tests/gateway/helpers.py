@@ -153,6 +153,10 @@ class Wire:
         if until_ns - self._hung.get(node_id, (0, []))[0] > 8 * PERIOD_S * 1e9:
             self._hung[node_id] = until_ns, []
 
+    def wake(self) -> None:
+        """Let every board go on that hangs."""
+        self._hung = {node: (min(until_ns, self.now_ns), waiting) for node, (until_ns, waiting) in self._hung.items()}
+
     def _gone_on(self) -> list[tuple[EndOfWire | None, Frames]]:
         gone = [each for until_ns, waiting in self._hung.values() if self.now_ns >= until_ns for each in waiting]
         for until_ns, waiting in self._hung.values():
@@ -505,6 +509,7 @@ def drive(world: World, actions: list[tuple], *, gateway_loses: bool, pause_s: f
                 assert ago_s < limit_s, f"block {block} is wrong, changed {ago_s:.2f} s ago"
     for wire in world.wires:
         wire.loses = None
+        wire.wake()
     world.run(SILENT_AFTER_S)  # the next heartbeat shows a command that the gateway has lost
     skip_pauses(world)
     world.until_whole(BOUND_S)
