@@ -18,8 +18,9 @@ from canskin.errors import InputError, LayoutError
 from dbc.canopen import HIGHEST_NODE_ID
 from dbc.contract import Contract
 from dbc.dictionary import window_s
+from skin.choice import BUSES_MAX, COMPRESSIONS, ROOM
 from skin.layout import GAP, RATE_MAX_HZ, SUM_BITS, TAXEL, Bus, Layout, PhiParameters, Sync, Taxels, changed, validated
-from skin.sending import ADAPTIVE, SUMS_PART, SendingName
+from skin.sending import ADAPTIVE, SendingName
 
 CanKind = Literal["any", "classic", "fd"]
 SendingKind = Literal["any", "synchronous", "adaptive"]
@@ -33,10 +34,7 @@ DATA_BITRATES: Final[dict[CanKind, tuple[int | None, ...]]] = {
 }
 #: Fastest data phase of every CAN FD transceiver (ISO 11898-2:2016): the limit of the search for more sums.
 COMMON_DATA_BITRATE: Final = 5_000_000
-#: Taxels per sum: the first is required, the others give better images if the same buses carry them.
-COMPRESSIONS: Final = (SUMS_PART, 2, 1)
 TAXELS_MIN, TAXELS_MAX = 64, 65536
-BUSES_MAX: Final = 16
 
 
 @dataclass(frozen=True)
@@ -62,7 +60,7 @@ class Requirement:
     taxels: int | Taxels
     rate_hz: float
     buses: int = 4
-    budget: float = 0.8
+    budget: float = ROOM
     can: CanKind = "any"
     sending: SendingKind = "any"
 

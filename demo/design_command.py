@@ -13,6 +13,7 @@ from canskin.errors import InputError, LayoutError, RunError, reasoned
 from shell.output import check_new_path, write_file
 from shell.service import say
 from shell.terminal import Json, print_json
+from skin.choice import ROOM
 from skin.importing import tables_of
 from skin.layout import Layout, Taxels, changed, layout_text, parse_layout, validated
 
@@ -28,7 +29,7 @@ def design(
     *,
     rate: float = 100.0,
     buses: int = 4,
-    budget: float = 0.8,
+    budget: float = ROOM,
     can: CanKind = "any",
     sending: SendingKind = "any",
     min_psnr: float | None = None,
