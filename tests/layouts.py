@@ -56,6 +56,11 @@ def small_layout(rows: int = 8, columns: int = 8, **tables: Any) -> Layout:
     return parse_layout(layout_toml(rows, columns, **tables).encode(), "small.toml")
 
 
+def any_layout(rows: int, columns: int, **tables: Any) -> Layout:
+    """Return the layout of a file with these tables: what is not given is chosen."""
+    return parse_layout(tomli_w.dumps({"taxels": {"rows": rows, "columns": columns}, **tables}).encode(), "any.toml")
+
+
 def tube_layout(rings: int = 8, around: int = 12, **tables: Any) -> Layout:
     """Return a skin that is no grid: half a tube of 20 mm radius around z, `rings` times `around` taxels.
 
