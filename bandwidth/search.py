@@ -1,7 +1,7 @@
 """Search for a layout that meets a requirement: few buses first, then slow data phases, wide sums, small nodes."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from itertools import chain, product
 from typing import Final, Literal
@@ -188,8 +188,12 @@ class Search:
         return f"the nearest, {nearest.words}, lacks: {nearest.problem}; {would}"
 
 
-def search(required: Requirement, allowed: Disturbance | None = None) -> Search:
+def search(
+    required: Requirement, allowed: Disturbance | None = None, tell: Callable[[Candidate], None] = lambda _: None
+) -> Search:
     """Search for the first layout that meets a requirement, then for more sums on the same buses and nodes.
+
+    `tell` is called with each layout that was tried.
 
     The smallest number of taxels per sum of `COMPRESSIONS` that fits is taken. For more sums the data phase of CAN FD
     may become faster, up to `COMMON_DATA_BITRATE`.
@@ -199,6 +203,7 @@ def search(required: Requirement, allowed: Disturbance | None = None) -> Search:
 
     def fits(layout: Layout) -> bool:
         candidates.append(_judge(layout, required, allowed))
+        tell(candidates[-1])
         return candidates[-1].fits
 
     least = next(filter(fits, _layouts(required)), None)
@@ -318,5 +323,7 @@ def _lacks(missing_bits: float, load: float, missing_ms: float | None, window_ms
     if missing_ms is None:
         found.append("a window of any length (1007h): TPDOs of one cycle would still be sent in the next")
     elif missing_ms > 0:
-        found.append(f"{missing_ms:.2f} ms of window (1007h, {window_ms:.2f} ms)")
+        found.append(
+            f"{missing_ms:.2f} ms of window (1007h, {window_ms:.2f} ms), or boards that answer sooner (--jitter-s)"
+        )
     return found

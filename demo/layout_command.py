@@ -18,7 +18,7 @@ from shell.service import say
 from shell.terminal import Json, print_json, print_table
 from skin.chains import positions_text
 from skin.choice import BUSES_MAX, chosen
-from skin.importing import name_of, tables_of
+from skin.importing import new_name, tables_of
 from skin.layout import Layout, layout_tables, load_layout, parse_layout
 from skin.matrix import MatrixPhi
 from skin.measurement import Sbhe
@@ -94,7 +94,7 @@ def _new(taxels: Path | None, out: Path | None, modules: Path | None, sending: S
     tables, told = tables_of(str(taxels), modules)
     for words in told:
         say("layout", words)
-    tables = {"name": name_of((taxels if out is None else out).stem, "skin"), "sending": sending, **tables}
+    tables = {"name": new_name(str(taxels), out), "sending": sending, **tables}
     if sending == "adaptive":
         tables.setdefault("measurement", {"wiring": "board"})
     skin = parse_layout(tomli_w.dumps(tables).encode(), str(taxels))
@@ -135,8 +135,10 @@ def _beside(taxels: Path, out: Path, skin: Layout) -> str:
 
 
 def _print_quality(skin: Layout, *, as_json: bool) -> int:
+    from demo.prediction import say_of_host
     from demo.quality import qualities
 
+    say_of_host("layout", skin)
     found = qualities(skin)
     if as_json:
         print_json([each._asdict() for each in found])

@@ -7,7 +7,7 @@ upper bound of the load that `skin plan` computes.
 
 import math
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from skin.foreign import CLASSIC_MAX, FD_ONLY_LENGTHS
 from skin.sending import SUMS_PART
@@ -27,9 +27,8 @@ BUSES_MAX: Final = 16
 STOCK_JITTER_S: Final = 1e-3
 #: Payload of a frame of sums, bytes: classic CAN, CAN FD.
 _PDO_BYTES: Final = (CLASSIC_MAX, FD_ONLY_LENGTHS[-1])
-#: Identifiers of sums on a bus: eight kinds of PDO of 127 node-IDs.
-_PDO_KINDS: Final = 8
-_IDENTIFIERS: Final = _PDO_KINDS * 127
+#: A bus has identifiers of sums for eight kinds of PDO of each node-ID.
+_PDO_KINDS, _NODE_IDS = 8, 127
 #: A heartbeat of each node in a second.
 _BEATS_HZ: Final = 2.0
 
@@ -74,35 +73,62 @@ def carries_enough(layout: "Layout", *, has_sums: bool) -> bool:
 
 def carries(layout: "Layout", sums: int, room: float = 1.0) -> bool:
     """Tell whether each bus is at most `room` full with this number of sums, and all come before the next SYNC."""
-    return all(
-        load <= room and STOCK_JITTER_S + cycle_s <= layout.sync.period_s
-        for load, cycle_s in (_bus_time(layout, bus, sums) for bus in layout.bus)
-    )
+    times = [_bus_time(layout, bus, sums) for bus in layout.bus]
+    rate_hz, left_s = layout.sync.rate_hz, layout.sync.period_s - STOCK_JITTER_S
+    return all(each.load(rate_hz) <= room and each.longest_s <= left_s for each in times)
 
 
 def worst_load(layout: "Layout", sums: int) -> float:
     """Return the load of the fullest bus with this number of sums and the most stuff bits; inf without identifiers."""
-    return max(_bus_time(layout, bus, sums)[0] for bus in layout.bus)
+    return max(_bus_time(layout, bus, sums).load(layout.sync.rate_hz) for bus in layout.bus)
 
 
-def _bus_time(layout: "Layout", bus: "Bus", sums: int) -> tuple[float, float]:
-    """Return the load of a bus, and the longest time in which SYNC and all sums go, others before them."""
+def scan_words(layout: "Layout") -> str:
+    """Say how often the buses carry all taxels with room to spare, and whether that serves as well as sums; or nothing.
+
+    At the rate of the sums a scan from boards with the same filter tells all that sums tell. Adaptive boards look at
+    their taxels at their own rate.
+    """
+    if layout.taxels.is_analogue or layout.measurement.matrix is not None:
+        return ""
+    bits = layout.taxels.adc_bits
+    times = [_bus_time(layout, bus, layout.places, bits) for bus in layout.bus]
+    rate_hz = min((ROOM - each.others) / each.cycle_s for each in times)
+    of_sums_hz = layout.sync.rate_hz if layout.sends.in_cycles else layout.sends.default_rates_hz["sampling"]
+    is_as_good = rate_hz >= of_sums_hz
+    good = " and is as good: sums gain nothing here" if is_as_good else f", sums at {of_sums_hz:g} Hz"
+    return f"a scan of all taxels, filtered on the boards, fits these buses at {rate_hz:.1f} Hz{good}"
+
+
+class _BusTime(NamedTuple):
+    """Time of a cycle on a bus, seconds; part of the bus that others take; longest frame that may come before."""
+
+    cycle_s: float
+    others: float
+    blocked_s: float
+
+    def load(self, rate_hz: float) -> float:
+        return self.cycle_s * rate_hz + self.others
+
+    @property
+    def longest_s(self) -> float:
+        return (self.cycle_s + self.blocked_s) / max(1 - self.others, 1e-9)
+
+
+def _bus_time(layout: "Layout", bus: "Bus", sums: int, bits: int | None = None) -> _BusTime:
+    """Return the time of a bus with a number of sums of the skin; inf where it lacks identifiers."""
+    bits = bits or layout.encoding.sum_bits
     of_node = -(-sums * bus.blocks_per_node // layout.blocks)
-    bits = layout.encoding.sum_bits
     frames = -(-of_node // (8 * _PDO_BYTES[bus.fd] // bits))
     of_frame = -(-of_node // frames)
     each_s = _frame_s(bus, (of_frame * bits + 7) // 8, is_fd=bus.fd)
-    sync_s, beat_s = _frame_s(bus, 0), _frame_s(bus, 1)
-    known = [message for message in bus.foreign if message.period_s is not None]
-    foreign_s = [_frame_s(bus, each.length, is_fd=each.fd, is_extended=each.is_extended) for each in known]
-    others = bus.nodes * beat_s * _BEATS_HZ + sum(
-        time_s / (each.period_s or 1.0) for each, time_s in zip(known, foreign_s, strict=True)
-    )
-    own_s = sync_s + bus.nodes * frames * each_s
-    if others >= 1 or bus.nodes * frames > _IDENTIFIERS - len(bus.foreign) * _PDO_KINDS:
-        return math.inf, math.inf
-    blocked_s = max([each_s, _frame_s(bus, 8), *foreign_s])
-    return own_s / layout.sync.period_s + others, (own_s + blocked_s) / (1 - others)
+    known = [(each, each.period_s) for each in bus.foreign if each.period_s]
+    foreign = [(_frame_s(bus, each.length, is_fd=each.fd, is_extended=each.is_extended), s) for each, s in known]
+    cycle_s = _frame_s(bus, 0) + bus.nodes * frames * each_s
+    if bus.nodes * frames > _PDO_KINDS * (_NODE_IDS - len(bus.foreign)):
+        cycle_s = math.inf
+    others = bus.nodes * _frame_s(bus, 1) * _BEATS_HZ + sum(time_s / period_s for time_s, period_s in foreign)
+    return _BusTime(cycle_s, others, max([each_s, _frame_s(bus, CLASSIC_MAX), *(time_s for time_s, _ in foreign)]))
 
 
 def _frame_s(bus: "Bus", length: int, *, is_fd: bool = False, is_extended: bool = False) -> float:
