@@ -1,18 +1,27 @@
 """What `quality` predicts is what a simulated bus gives: frames that carry the sums, arbitration, decoding."""
 
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 
 from dbc.codec import decode
 from dbc.contract import Contract
 from dbc.dictionary import window_s
+from demo import prediction
 from demo.chain import REST_S, Nodes
-from demo.quality import quality
+from demo.options import DemoOptions
+from demo.prediction import with_prediction
+from demo.quality import is_quick, quality
+from demo.report import Report
+from demo.score import Score
 from evaluation.schemes.sums import burst
 from evaluation.schemes.wire import carry
 from reconstructor.imaging import CycleImager
+from shell.touch_options import TouchOptions
 from skin.ground_truth import in_contact
 from skin.layout import SHIPPED, Layout, changed, load_layout
 from skin.measured_sums import MeasuredSums
@@ -80,3 +89,67 @@ def test_a_shipped_layout_is_predicted(name: str) -> None:
 def test_a_drawn_layout_is_predicted(seed: int) -> None:
     layout = drawn(seed)
     assert quality(layout, touches_s=TOUCHES_S).psnr_image_db == pytest.approx(on_simulated_buses(layout), abs=BOUND_DB)
+
+
+PAD = any_layout(10, 12)
+#: A run without a fault whose first images have 30 dB.
+RUN = msgspec.structs.replace(
+    Score(PAD).report(), cycles=400, cycles_complete=400, sync_rate_hz=100.0, psnr_image_db=30.0, psnr_sensor_db=26.0
+)
+
+
+def predicted(live_db: float, options: DemoOptions, **figures: Any) -> Report:
+    run = msgspec.structs.replace(RUN, **figures)
+    return with_prediction(run, PAD, options, live_db)
+
+
+@pytest.mark.heavy
+@pytest.mark.parametrize(
+    ("figures", "defect", "cause"),
+    [
+        ({"cycles_complete": 300}, [], "100 of 400 cycles were incomplete"),
+        ({"sync_rate_hz": 50.0}, [], "50.0 of 100 Hz were kept"),
+        ({}, ["dead=0.1"], "the taxels had defects"),
+        ({}, [], "no known cause"),
+    ],
+)
+def test_a_run_tells_its_prediction_where_the_two_differ(
+    figures: dict[str, Any], defect: list[str], cause: str
+) -> None:
+    options = DemoOptions(seconds=3.0, touch=TouchOptions(defect=defect))
+    found = predicted(20.0, options, **figures)
+    assert found.psnr_predicted_db is not None
+    words = f"{found.psnr_predicted_db:.1f} dB, 20.0 dB came of the same touches: {cause}"
+    assert dict(found.rows())["image predicted"] == words
+    near = predicted(found.psnr_predicted_db - 0.9, options, **figures)
+    assert "image predicted" not in dict(near.rows())
+
+
+def test_what_is_not_predicted() -> None:
+    recording = DemoOptions(touch=TouchOptions(input=Path("touch.npy")))
+    assert predicted(30.0, recording) == RUN
+    assert with_prediction(RUN, PAD, DemoOptions(), None) == RUN
+    assert predicted(30.0, DemoOptions(seconds=0.02)) == RUN  # nothing touches
+    assert not is_quick(load_layout(Path("adaptive")))
+    assert is_quick(load_layout())
+
+
+@pytest.mark.heavy
+def test_lost_cycles_are_part_of_a_prediction(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture) -> None:
+    fast = any_layout(8, 8, sync={"rate_hz": 500.0}, bus=[{"name": "bus0", "nodes": 2, "fd": True}])
+    valid = [b"\1\1", b"\1\1", b"\0\0", b"\1\0"]
+    lossy = quality(fast, valid=valid)
+    assert lossy.psnr_image_db < quality(fast).psnr_image_db - 1
+
+    class Chain:
+        def __init__(self, layout: Layout, *_: Any, **__: Any) -> None:
+            self.score = SimpleNamespace(valid=valid)
+
+        def execute(self, _stop: Any) -> Report:
+            return msgspec.structs.replace(RUN, cycles=4, cycles_complete=2, sync_rate_hz=480.0)
+
+    monkeypatch.setattr(prediction, "Run", Chain)
+    prediction.say_of_host("design", fast)
+    prediction.say_of_host("design", PAD)
+    kept = "this host keeps 2 of 4 cycles of simulated boards, at 480 Hz"
+    assert capsys.readouterr().err == f"design: {kept}; images then have {lossy.psnr_image_db:.1f} dB\n"
