@@ -104,10 +104,11 @@ def test_a_search_writes_the_layout(skin: Skin, tmp_path: Path) -> None:
     assert (status, out) == (0, f"{path}\n")
     assert "at worst" in said
     assert "images, 256 sums: 4" in said
-    assert "without the table [sampling]" in said
+    assert "a scan of all taxels, filtered on the boards, fits these buses at" in said
+    assert "longest chain of taxels" in said
     layout = parse_layout(path.read_bytes(), "palm")
     assert (layout.taxels.count, len(layout.bus), layout.sync.rate_hz) == (1024, 1, 100.0)
-    assert layout.samples_per_sync == 10
+    assert (layout.samples_per_sync, layout.name) == (10, "palm")
     status, text, _ = skin("plan", path, "--quality", "--json")
     (predicted,) = json.loads(text)["quality"]
     assert f"images, 256 sums: {predicted['psnr_image_db']:.1f} dB" in said
