@@ -52,8 +52,6 @@ def carried_sums(layout: "Layout") -> int:
     An analogue front end has a converter for each sum: it has the fewest.
     """
     tried = [layout.blocks * max(1, layout.measurement.block_size // each) for each in COMPRESSIONS]
-    if not layout.sends.in_cycles:
-        return tried[-1]
     if layout.taxels.is_analogue:
         return tried[0]
     in_time = [sums for sums in tried if carries(layout, sums, ROOM)]
