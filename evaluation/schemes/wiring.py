@@ -10,7 +10,7 @@ from evaluation.result import Options, Result, Row, grouped
 from evaluation.result_cache import measure_cells
 from reconstructor.engine import Reconstructor
 from reconstructor.settings import VARIATION
-from skin.layout import NODES_PER_BUS, parse_layout
+from skin.layout import parse_layout
 from skin.psnr import psnr_series_db
 from skin.taxel import sense
 from touch.trajectory import trajectory
@@ -55,18 +55,12 @@ def evaluate(options: Options) -> Result:
     return Result("Wires: length, quality and dead boards, 64 x 64 taxels, 1024 sums", rows, note=note)
 
 
-def _buses(blocks: int) -> str:
-    """Return the fewest buses of 32 boards."""
-    each = min(blocks, NODES_PER_BUS)
-    return "".join(f"[[bus]]\nname = 'bus{number}'\nnodes = {each}\n" for number in range(blocks // each))
-
-
 def measure(*, name: str, meshes: str | None, seed: int, speed: int, wiring: str, dead_boards: int) -> Row:
     """Return metres and PSNR of one object and wiring, and the loss by each dead board while the object touches it."""
     size, keys = WIRINGS[wiring]
     text = f"[taxels]\nrows = 64\ncolumns = 64\n[measurement]\nsums = 1024\nblock_size = {size}\n{keys}\n"
-    text += f"[sampling]\nrate_hz = 100.0\n{_buses(64 * 64 // size)}"
-    layout = parse_layout(text.encode(), wiring)
+    # At this rate the fewest buses carry the sums: wires are judged here.
+    layout = parse_layout(f"{text}[sync]\nrate_hz = 1.0\n[sampling]\nrate_hz = 1.0\n".encode(), wiring)
     phi, wires = layout.phi(), bandwidth.wiring.wiring(layout)
     true = trajectory(name, meshes=meshes, speed=speed)
     random = np.random.default_rng(seed)
