@@ -71,6 +71,7 @@ def say_of_host(verb: str, layout: Layout) -> None:
     """
     if not layout.sends.in_cycles or layout.measurement.matrix is not None or layout.sync.rate_hz <= FAST_HZ:
         return
+    say(verb, "the chain of simulated boards runs, to see which cycles this host keeps")
     layout = changed(layout, recognition=None)
     with run_folder() as folder:
         path = folder / "designed.toml"
