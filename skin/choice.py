@@ -154,7 +154,9 @@ def chosen(layout: "Layout", given: Mapping[str, Any]) -> list[str]:
     measurement = given.get("measurement", {})
     if "sums" not in measurement and layout.measurement.rows is None:
         sums = layout.measurement.sums
-        more = "" if sums == layout.places else f"; {2 * sums} would take {worst_load(layout, 2 * sums):.0%} or more"
+        load = worst_load(layout, 2 * sums)
+        late = "lack identifiers" if load == math.inf else f"take {load:.0%}" if load > ROOM else "come late"
+        more = "" if sums == layout.places else f"; {2 * sums} would {late}"
         full = f"buses up to {worst_load(layout, sums):.0%} full{more}"
         if layout.taxels.is_analogue:
             full = "each needs a converter"

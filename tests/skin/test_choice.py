@@ -85,10 +85,22 @@ def test_what_was_chosen_is_told_with_its_reason() -> None:
     assert chosen(any_layout(24, 32, **tables), tables) == [
         "bus: 1 of classic CAN, the fewest that carry the sums",
         "sampling.rate_hz = 1000: 20 in a cycle, averaged for less noise",
-        "measurement.sums = 384, one for 2 taxels: buses up to 65% full; 768 would take 130% or more",
+        "measurement.sums = 384, one for 2 taxels: buses up to 65% full; 768 would take 130%",
     ]
     whole = {"bus": buses(24), "sampling": {"rate_hz": 100.0}, "measurement": {"sums": 192}}
     assert chosen(any_layout(24, 32, **whole), whole) == []
+
+
+@pytest.mark.parametrize(
+    ("tables", "why"),
+    [
+        ({"sync": {"rate_hz": 300.0}, "bus": buses(4)}, "64 would come late"),
+        ({"sync": {"rate_hz": 0.1}, "bus": buses(16, blocks_per_node=8)}, "4096 would lack identifiers"),
+    ],
+)
+def test_why_there_are_no_more_sums(tables: dict[str, Any], why: str) -> None:
+    side = 64 if "identifiers" in why else 11
+    assert any(why in words for words in chosen(any_layout(side, side, **tables), tables))
 
 
 def test_a_scan_that_serves_as_well_is_told() -> None:
