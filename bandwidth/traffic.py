@@ -15,14 +15,14 @@ from dbc.dictionary import HEARTBEAT_MS
 from dbc.frame import BRS, CLASSIC_BYTES, EXTENDED, FD, Frames, frames
 from dbc.frame_bits import frame_time_ns, nominal_ns
 from dbc.time_of_day import time_frame
+from skin.choice import STOCK_JITTER_S
 from skin.foreign import ForeignMessage
 from skin.layout import Bus, Layout
 from skin.ranges import require_number
 
 #: Upper limit of both rates: more than the frames per second of a classic bus.
 PER_SECOND_MAX: Final = 20_000.0
-#: Default of the jitter: a stock CANopen stack handles SYNC in a timer of 1 ms; firmware of one's own answers at once.
-STOCK_JITTER_S: Final = 1e-3
+#: Default of the jitter of firmware of one's own, which answers at once; of a stock stack `STOCK_JITTER_S`.
 OWN_JITTER_S: Final = 100e-6
 #: Any instant, for the TIME of a plan: stuff bits of its data hardly differ from day to day.
 _ANY_NS: Final = 1_750_000_000 * 10**9
