@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from dbc.packing import packing
 from demo.chain import REST_S, Nodes
 from reconstructor.imaging import CycleImager
 from skin.psnr import psnr_db
@@ -24,6 +25,13 @@ class Bump:
         return Frame((touch * (step >= REST_CYCLES)).astype(np.float32), "bump" * (step >= REST_CYCLES))
 
 
+class Bump16(Bump):
+    """The quarter of the bump that a smaller skin has."""
+
+    def frame(self, step: int) -> Frame:
+        return Frame(super().frame(step + REST_CYCLES).force_n[8:24, 8:24], "bump")
+
+
 @pytest.mark.parametrize(("taxels", "gain_db"), [(8, 9), (16, 10), (32, 10), (64, 10)])
 def test_images_are_closer_to_the_forces_than_the_sensors(taxels: int, gain_db: int) -> None:
     layout = small_layout(32, 32, sampling={"rate_hz": 1000.0}, measurement={"block_size": taxels})
@@ -38,6 +46,16 @@ def test_images_are_closer_to_the_forces_than_the_sensors(taxels: int, gain_db: 
     true_n, sensor_n = (np.frombuffer(each, "<f4").reshape(32, 32) for each in (truth.true, truth.sensor))
     force_max_n = layout.taxels.force_max_n
     assert psnr_db(true_n, image, force_max_n) > psnr_db(true_n, sensor_n, force_max_n) + gain_db
+
+
+def test_sums_are_those_that_frames_carry() -> None:
+    layout = small_layout(16, 16, encoding={"sum_bits": 8, "offset_binary": True})
+    nodes, step = Nodes(layout, Bump16(), seed=1), packing(layout).scale
+    exact = nodes.sample()
+    sent = np.frombuffer(nodes.measurement(exact).sums, "<i4")
+    assert step == 256
+    assert not (sent % step).any()
+    assert 0 < np.abs(sent - exact).max() <= step // 2
 
 
 def test_the_same_seed_gives_the_same_sums() -> None:
