@@ -208,7 +208,7 @@ def test_block_runs(commands: Block, prepared: Path, tmp_path: Path, monkeypatch
 def rows_below(text: str, *words: str) -> list[list[str]]:
     """Return the cells of the first table whose head begins with `words`, without the line of dashes."""
     head = "| " + " | ".join(words)
-    lines = text[text.index(head) :].split("\n\n")[0].splitlines()
+    lines = text[text.index(head) :].split("\n\n", maxsplit=1)[0].splitlines()
     rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
     assert {len(row) for row in rows} == {len(rows[0])}
     return [rows[0], *rows[2:]]
