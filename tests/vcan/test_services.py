@@ -164,7 +164,8 @@ def watch(run: Run, port: int) -> None:
         processes.stop(name)
     report = run.score.report()
     print(
-        f"image {report.psnr_image_db} dB, sensor {report.psnr_sensor_db} dB, label right {report.label_accuracy:.0%}"
+        f"image {report.psnr_image_db} dB, one raw sample {report.psnr_sensor_db} dB,"
+        f" label right {report.label_accuracy:.0%}"
     )
 
 
