@@ -129,6 +129,7 @@ def quality(
     RunError
         If no object touches in `touches_s`.
     """
+    layout = changed(layout, recognition=None)  # whose period is not that of images
     taxels, wired = layout.taxels, layout.operator().is_wired
     if source is None:
         rest_s = REST_S if layout.sends.in_cycles else 0.0

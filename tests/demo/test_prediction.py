@@ -33,9 +33,8 @@ from skin.psnr import decibels
 from skin.sources import load_objects
 from tests.layouts import any_layout
 
-#: Touches of a layout, seconds; the first on the slow `recognise-first` comes after 8 s.
+#: Touches of a layout, seconds.
 TOUCHES_S = 4.0
-SLOW_TOUCHES_S = 12.0
 #: What prediction and bus may differ by, decibels.
 BOUND_DB = 0.5
 
@@ -56,7 +55,7 @@ def drawn(seed: int) -> Layout:
     )
 
 
-def on_simulated_buses(layout: Layout, touches_s: float = TOUCHES_S) -> float:
+def on_simulated_buses(layout: Layout) -> float:
     """Return the PSNR of the images of sums that simulated buses have carried within their window, decibels.
 
     Touches and noise are those of the prediction: another noise alone changes four seconds by up to 2 dB.
@@ -66,7 +65,7 @@ def on_simulated_buses(layout: Layout, touches_s: float = TOUCHES_S) -> float:
     nodes = Nodes(layout, load_objects(layout, rest_s=REST_S), seed=0)
     imager, wired, table = CycleImager(layout), contract.phi.is_wired, contract.table
     errors_n2 = []
-    for cycle in range(round((REST_S + touches_s) * layout.sync.rate_hz)):
+    for cycle in range(round((REST_S + TOUCHES_S) * layout.sync.rate_hz)):
         rows = np.arange(len(table.bus))
         sent = carry(burst(contract, nodes.sample(), rows, cycle % 240 + 1), table.bus[rows], layout.bus, ticks=1)
         assert sent.ended_ns[: rows.size].max() <= 1e9 * window_s(layout)
@@ -112,9 +111,8 @@ def at_the_gateway(layout: Layout) -> float:
 @pytest.mark.parametrize("name", SHIPPED)
 def test_a_shipped_layout_is_predicted(name: str) -> None:
     layout = load_layout(Path(name))
-    touches_s = SLOW_TOUCHES_S if layout.recognition else TOUCHES_S
-    carried_db = on_simulated_buses(layout, touches_s) if layout.sends.in_cycles else at_the_gateway(layout)
-    assert quality(layout, touches_s=touches_s).psnr_image_db == pytest.approx(carried_db, abs=BOUND_DB)
+    carried_db = (on_simulated_buses if layout.sends.in_cycles else at_the_gateway)(layout)
+    assert quality(layout, touches_s=TOUCHES_S).psnr_image_db == pytest.approx(carried_db, abs=BOUND_DB)
 
 
 @pytest.mark.heavy
