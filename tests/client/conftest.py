@@ -1,12 +1,15 @@
 """What the tests of the client share. They use nothing of the application, and run on Python 3.10, too."""
 
 import logging
+import math
 import threading
 from collections.abc import Iterator
 
 import pytest
 
+from canskin import session
 from canskin.errors import LOG
+from tests.processes import PATIENCE_S
 
 
 class Log(logging.Handler):
@@ -26,7 +29,7 @@ class Log(logging.Handler):
         """Wait until every expected text begins a line."""
         with self._changed:
             all_there = self._changed.wait_for(
-                lambda: all(any(line.startswith(text) for line in self.lines) for text in expected), 20
+                lambda: all(any(line.startswith(text) for line in self.lines) for text in expected), PATIENCE_S
             )
             assert all_there, self.lines
 
@@ -37,3 +40,10 @@ def log() -> Iterator[Log]:
     logging.getLogger(LOG).addHandler(lines)
     yield lines
     logging.getLogger(LOG).removeHandler(lines)
+
+
+@pytest.fixture
+def one_look(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Have a search for services end with the first answer of the hub, which may take its time."""
+    monkeypatch.setattr(session, "LOOK_S", math.inf)
+    monkeypatch.setattr(session, "TRY_S", PATIENCE_S)
