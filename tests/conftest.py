@@ -1,6 +1,7 @@
 """What the tests of several folders need, and who runs which on several cores."""
 
 import gc
+import math
 import os
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,7 +11,8 @@ import pytest
 from hypothesis.internal.conjecture import providers
 from xdist.scheduler import LoadFileScheduling
 
-from tests.processes import free_endpoint
+from canskin import session
+from tests.processes import PATIENCE_S, free_endpoint
 
 #: The folder whose tests compile most of the kernels.
 KERNELS: Final = "tests/reconstructor/"
@@ -84,6 +86,13 @@ def _refuse(*_: object) -> None:
 @pytest.fixture
 def endpoint() -> str:
     return free_endpoint()
+
+
+@pytest.fixture
+def one_look(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Have a search for services end with the first answer of the hub, which may take its time."""
+    monkeypatch.setattr(session, "LOOK_S", math.inf)
+    monkeypatch.setattr(session, "TRY_S", PATIENCE_S)
 
 
 @pytest.fixture

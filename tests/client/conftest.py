@@ -1,13 +1,11 @@
 """What the tests of the client share. They use nothing of the application, and run on Python 3.10, too."""
 
 import logging
-import math
 import threading
 from collections.abc import Iterator
 
 import pytest
 
-from canskin import session
 from canskin.errors import LOG
 from tests.processes import PATIENCE_S
 
@@ -40,10 +38,3 @@ def log() -> Iterator[Log]:
     logging.getLogger(LOG).addHandler(lines)
     yield lines
     logging.getLogger(LOG).removeHandler(lines)
-
-
-@pytest.fixture
-def one_look(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Have a search for services end with the first answer of the hub, which may take its time."""
-    monkeypatch.setattr(session, "LOOK_S", math.inf)
-    monkeypatch.setattr(session, "TRY_S", PATIENCE_S)

@@ -3,7 +3,6 @@
 import itertools
 import subprocess
 import sys
-import threading
 import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -16,7 +15,7 @@ from canskin.connection import ConnectedSkin
 from canskin.fabric import Fabric, Mailbox
 from canskin.messages import MARK, Mark
 from canskin.skin import Skin
-from tests.client.helpers import Chain
+from tests.client.helpers import Chain, await_peers
 from tests.processes import PATIENCE_S
 
 
@@ -156,10 +155,8 @@ def test_an_absent_hub_and_a_wrong_address_are_named(endpoint: str) -> None:
 def test_a_skin_that_is_not_there_is_told_with_those_that_are(chain: Chain, one_look: None) -> None:
     with pytest.raises(canskin.BusError, match=r"no skin 'hand' at .*, found 'palm'"):
         canskin.connect(chain.endpoint, "hand", timeout_s=PATIENCE_S)
-    is_there = threading.Event()
-    chain.gateway.watch_peers(lambda peer, _alive: is_there.set() if peer.skin == "hand" else None)
     other = Fabric("hand", "gateway", chain.endpoint)
-    assert is_there.wait(PATIENCE_S)
+    await_peers(chain.gateway, "hand/gateway")
     with pytest.raises(canskin.BusError, match=r"several skins at .*: 'hand', 'palm'; expected the name of one"):
         canskin.connect(chain.endpoint, timeout_s=PATIENCE_S)
     other.close()
