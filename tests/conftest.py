@@ -3,6 +3,7 @@
 import gc
 import math
 import os
+import signal
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
@@ -46,6 +47,11 @@ OTHERS: Final = 1 + len(CHAINS)
 
 def _turn(nodeid: str) -> int:
     return next((turn for turn, begin in enumerate((KERNELS, *CHAINS)) if nodeid.startswith(begin)), OTHERS)
+
+
+def pytest_configure() -> None:
+    """Let SIGINT end the programs of the tests, also where a shell runs the tests in the background."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.hookimpl(optionalhook=True)
