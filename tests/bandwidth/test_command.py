@@ -164,7 +164,7 @@ def test_load_of_a_log(skin: Skin, log: Path) -> None:
     assert status == 0
     assert [each["name"] for each in loads] == ["bus0", "bus1", "bus2", "bus3"]
     for each in loads:
-        assert each["load_exact"] == pytest.approx(0.7362, rel=0.005)  # random sums, no heartbeats
+        assert each["load_exact"] == pytest.approx(0.7405, rel=0.001)  # random sums, no heartbeats
         assert each["load_worst"] == pytest.approx(0.8705, rel=0.0005)
     table = skin("load", log)[1]
     assert "load planned, touched" in table
