@@ -350,7 +350,7 @@ def _tpdos(bus: Bus, number: int, place: int, sums: range, bits: int, *, turns: 
 
 
 def useful_widths(sums: int, *, fd: bool) -> list[int]:
-    """Return widths for `sums` sums of a node, the widest first: of those that take as many frames and bytes the widest."""
+    """Return widths for `sums` sums of a node, the widest first: the widest of those with as many frames and bytes."""
     found: dict[tuple[int, int], int] = {}
     for bits in range(SUM_BITS_MAX, SUM_BITS_MIN - 1, -1):
         parts = _spread(range(sums), bits, fd=fd)

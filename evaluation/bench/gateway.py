@@ -46,8 +46,6 @@ CYCLES: Final = 5
 _PATIENCE_S: Final = 10.0
 #: Pause between two looks at whether they have.
 _LOOK_S: Final = 2e-4
-#: A frame of the default skin: four sums of 16 bits.
-
 Integers = npt.NDArray[np.int64]
 
 
@@ -322,13 +320,16 @@ def _python_can(contract: Contract, sockets: list[socket.socket]) -> Iterator[_M
 
 @contextmanager
 def _canopen(contract: Contract, sockets: list[socket.socket]) -> Iterator[_Method]:
-    """Gather sums in callbacks of the PDOs that the nodes' DCFs describe."""
+    """Gather sums in callbacks of the PDOs that the nodes' DCFs describe.
+
+    The library reads a variable of up to 16 bits from two bytes, and a sum may lie in three: sums are unpacked here.
+    """
     threads, networks = _Threads(contract), []
+    unpacked = _unpacking(contract)
     files = {node: text for kind in node_types(contract) for node, text in dcfs(contract, kind)}
 
     def take(first: int, pdo: Any) -> None:
-        _, *sums = pdo  # the first is the counter
-        threads.take(first, tuple(variable.raw for variable in sums))
+        threads.take(first, unpacked(bytes(pdo.data)))
 
     for number, near in enumerate(sockets):
         network = canopen.Network(_DatagramBus(near, number))

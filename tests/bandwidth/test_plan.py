@@ -55,7 +55,7 @@ def test_time_does_not_fit_a_full_window() -> None:
 
 
 def test_a_plan_is_that_of_its_frames() -> None:
-    """Two nodes with two TPDOs of 8 bytes: 135 bits at most, SYNC 65 (57.64 in the mean of its counters), heartbeats 65 (58).
+    """Two nodes with two TPDOs of 8 bytes: 135 bits at most, SYNC 65 (57.64 in the mean), heartbeats 65 (58).
 
     From SYNC: 1 ms of jitter, a frame on its way, SYNC, TPDOs in their order. An SDO response waits for the request on
     its way, SYNC and TPDOs; a heartbeat for both SDO frames and the other heartbeat, too.

@@ -7,7 +7,7 @@ import pytest
 from dbc.canopen import HEARTBEAT_BASE, Abort, NmtState
 from nodes.segment import Segment
 from tests.bus.harness import frame
-from tests.nodes.helpers import ArrayLink, give, read, sdo, write, sync
+from tests.nodes.helpers import ArrayLink, give, read, sdo, sync, write
 
 START_1 = bytes((1, 1))
 

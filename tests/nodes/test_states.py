@@ -9,7 +9,7 @@ from dbc.frame import Frames
 from nodes.segment import Segment
 from skin.layout import load_layout
 from tests.bus.harness import frame
-from tests.nodes.helpers import ArrayLink, give, new_segment, read, write, sync
+from tests.nodes.helpers import ArrayLink, give, new_segment, read, sync, write
 
 START, PRE_OPERATIONAL, RESET_NODE, RESET_COMMUNICATION = (frame(0, bytes((code, 0))) for code in (1, 128, 129, 130))
 TO_RECOGNITION, TO_IMAGES = frame(0xFF, b"\0"), frame(0xFF, b"\1")

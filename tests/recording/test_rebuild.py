@@ -337,7 +337,7 @@ def without_frame_counter(sent: list[can.Message]) -> list[can.Message]:
 
 @pytest.mark.parametrize(
     ("aged", "says"),
-    [(without_sync_counter, "the log holds no SYNC with a counter"), (without_frame_counter, "name no cycle of the log")],
+    [(without_sync_counter, "holds no SYNC with a counter"), (without_frame_counter, "name no cycle of the log")],
 )
 def test_logs_of_before_the_counter_are_refused_with_one_line(
     contract: Contract,
