@@ -102,7 +102,7 @@ def _used_us(
         for _ in range(rounds + 1):
             since_s = method.used_s
             for _ in range(CYCLES):
-                sums = random.integers(low, high + 1, contract.phi.shape[0], np.int32)
+                sums = contract.packing.counts(random.integers(low, high + 1, contract.phi.shape[0], np.int32))
                 method.begin()
                 counter = next_counter(counter)
                 wires = [_wire(contract, bus, counter, sums) for bus in buses]
@@ -222,6 +222,7 @@ class _Threads:
     """Sums that the threads of a peer gather: `take` is called with the first sum of a frame and its sums."""
 
     def __init__(self, contract: Contract) -> None:
+        self._packing = contract.packing
         self._sums = [0] * contract.phi.shape[0]
         self._expected = sum(len(node.tpdos) for node in contract.nodes)
         self._buses = len(contract.layout.bus)
@@ -247,7 +248,7 @@ class _Threads:
             self._came += 1
             is_whole = self._came == self._expected
         if is_whole:
-            self._result = np.array(self._sums)
+            self._result = self._packing.counts(np.array(self._sums, np.int32)).astype(np.int64)
             self._is_whole.set()
 
     def begin(self) -> None:

@@ -80,7 +80,7 @@ class Chain:
         return (blocks >= first) & (blocks < first + self.layout.bus[bus].nodes)
 
     def true_sums(self, measurement: Measurement) -> npt.NDArray[np.int32]:
-        """Return the sums of what the nodes say their taxels showed at the SYNC of a measurement, rounded as in frames."""
+        """Return the sums of what the nodes say their taxels showed at the SYNC of a measurement, rounded as sent."""
         truth = self.truth_of(measurement)
         assert truth is not None, f"no truth of cycle {measurement.cycle}"
         felt_n = np.frombuffer(truth.sensor, "<f4")
