@@ -235,6 +235,13 @@ class Contract:
         one["length"], one["flags"] = self.table.length[self.table.bus == bus].min(initial=FD_BYTES), frame_flags(line)
         return float(frame_time_ns(one, line.bitrate, line.data_bitrate, "none")[0]) * 1e-9
 
+    def longest_ns(self, bus: int) -> int:
+        """Return the most time of a TPDO of any state on a bus, with all stuff bits that there may be, nanoseconds."""
+        line, one = self.layout.bus[bus], frames(1)
+        longest = max(state.table.length[state.table.bus == bus].max(initial=0) for state in self.states)
+        one["length"], one["flags"] = longest, frame_flags(line)
+        return int(frame_time_ns(one, line.bitrate, line.data_bitrate, "worst")[0])
+
     @cached_property
     def table(self) -> "FrameTable":
         """All TPDOs of all buses as arrays."""
@@ -350,7 +357,7 @@ def _tpdos(bus: Bus, number: int, place: int, sums: range, bits: int, *, turns: 
 
 
 def useful_widths(sums: int, *, fd: bool) -> list[int]:
-    """Return widths for `sums` sums of a node, the widest first: the widest of those with as many frames and bytes."""
+    """Return widths for `sums` sums of a node, the widest first: of those with the same frames and bytes the widest."""
     found: dict[tuple[int, int], int] = {}
     for bits in range(SUM_BITS_MAX, SUM_BITS_MIN - 1, -1):
         parts = _spread(range(sums), bits, fd=fd)
@@ -376,7 +383,7 @@ def _spread(sums: range, bits: int, *, fd: bool, turns: int = 1) -> list[range]:
         lengths = [_length(len(part), bits, fd=fd) for part in parts]
         return sorted((sum(lengths[turn::turns]) for turn in range(turns)), reverse=True)
 
-    return min(ways, key=turn_bytes)
+    return [part for part in min(ways, key=turn_bytes) if part]  # fewer sums than turns
 
 
 def _length(sums: int, bits: int, *, fd: bool) -> int:

@@ -14,7 +14,7 @@ NAMED: Final = 5
 
 
 class _Words(NamedTuple):
-    """How a run is told; the templates take `cycles`, `complete`, `rate_hz` and `because`."""
+    """How a run is told; the templates take `cycles`, `complete`, `at` and `because`."""
 
     newest: str
     nothing: str
@@ -30,7 +30,7 @@ WORDS: Final = {
         "cycle {cycles}, {complete} complete",
         "no cycle: SYNC never came",
         "no cycle was complete{because}; 'skin plan' says what a layout does to its buses",
-        ("cycles", "{complete} of {cycles} complete, at {rate_hz:.1f} Hz"),
+        ("cycles", "{complete} of {cycles} complete{at}"),
         "SYNC to image",
         "contact cycles",
     ),
@@ -204,7 +204,8 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
         """Return the rows of the table: name and text of each figure."""
         words = WORDS[self.sending]
         name, counts = words.counts
-        counted = counts.format(cycles=self.cycles, complete=self.cycles_complete, rate_hz=self.sync_rate_hz)
+        at = f", at {self.sync_rate_hz:.1f} Hz" if self.sync_rate_hz else ""
+        counted = counts.format(cycles=self.cycles, complete=self.cycles_complete, at=at)
         frames = f"{self.frames_sent} sent, {self.frames_received} received, {self.frames_lost} lost"
         rows = [(name, counted), ("frames", frames), *self._rows_of_missing()]
         bits = f"; {self.kbit_per_s:.0f} kbit/s on all" if self.kbit_per_s is not None else ""

@@ -89,7 +89,8 @@ class Answers(NamedTuple):
     doubtful : array of int64, shape (rows,)
         For how many SYNCs a single frame has to come before frames are used; 0: they are used.
     turn : array of int64, shape (rows,)
-        Turn of the newest frame that named an open cycle. A stack that counts SYNCs changes its turns when it misses one.
+        Turn of the newest frame that named an open cycle. A stack that counts SYNCs exchanges its turns when it misses
+        a SYNC.
     age : array of int64, shape (rows,)
         How many cycles the sums are old that are held.
     """

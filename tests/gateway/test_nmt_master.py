@@ -133,7 +133,7 @@ def test_absent_nodes_do_not_keep_sync_waiting(small: Contract) -> None:
 
 
 def test_other_syncs_spoil_the_cycles_of_their_bus(world: World) -> None:
-    world.wires[1].put(SYNC_COB_ID, b"")
+    world.wires[1].put(SYNC_COB_ID, bytes((world.gateway.sync.counter + 2,)))
     came = world.run(4 * PERIOD_S)
     assert any(not valid(each)[2:].any() for each in came)
     assert all(valid(each)[:2].all() for each in came)

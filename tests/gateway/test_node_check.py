@@ -177,7 +177,7 @@ def test_a_test_pattern_that_was_on_is_noted_and_on_again() -> None:
     ("tables", "words"),
     [
         ({"device": {"vendor_id": 7}}, ["1018h:1 (Identity, Vendor-ID) is 7h, expected 0h"]),
-        ({"encoding": {"offset_binary": True}}, ["2005h:0", "test pattern zero, SYNC 1: TPDO 1 (181h) is 55 55"]),
+        ({"encoding": {"offset_binary": True}}, ["2005h:0", "test pattern zero, SYNC 1: TPDO 1 (181h) is 01 55 55"]),
     ],
 )
 def test_a_board_for_another_layout(tables: dict[str, Any], words: list[str]) -> None:
