@@ -65,6 +65,7 @@ class Nodes:
         phi = layout.operator()
         self._period_ns = round(layout.sync.period_s * 1e9)
         self._clock_ns = clock_ns or (lambda: self.time_ns + self._period_ns)
+        self._is_other = isinstance(phi, MatrixPhi)
         self._sampler: Sampler | _OtherHardware = (
             _OtherHardware(layout, phi, source, seed)
             if isinstance(phi, MatrixPhi)
@@ -74,11 +75,12 @@ class Nodes:
         self._packing = None if isinstance(phi, MatrixPhi) else packing(layout)
 
     def sample(self) -> npt.NDArray[np.int32]:
-        """Return the sums of the next cycle, ADC counts, shape (m,)."""
+        """Return the sums of the next cycle, ADC counts, shape (m,), rounded as boards send them."""
         self.cycle += 1
         self.counter = next_counter(self.counter)
         self.time_ns = self._clock_ns()
-        return self._sampler.sample(self.counter, self.time_ns)
+        sums = self._sampler.sample(self.counter, self.time_ns)
+        return sums if self._is_other else self._packing.counts(self._packing.raw(sums))
 
     def measurement(self, counts: npt.NDArray[np.int32]) -> CycleMeasurement:
         """Return the measurement of the newest cycle, as frames carry its sums; no frame was lost."""

@@ -106,7 +106,7 @@ def start(processes: Processes, name: str, *arguments: str) -> None:
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Run]:
     folder, port, endpoint = tmp_path_factory.mktemp("services"), free_port(), free_endpoint()
-    paths = {rate_hz: slow_layout(tmp_path_factory.mktemp("layout"), rate_hz, "alternating") for rate_hz in RATES_HZ}
+    paths = {rate_hz: slow_layout(tmp_path_factory.mktemp("layout"), rate_hz) for rate_hz in RATES_HZ}
     fabric = Fabric(load_layout().name, "test", endpoint, hub=True)
     try:
         with Processes(folder) as processes:

@@ -103,9 +103,10 @@ def test_sums_of_a_still_skin_and_a_lost_frame() -> None:
     contract = Contract.from_layout(load_layout())
     counts = np.tile(np.random.default_rng(1).integers(0, 1024, 4096).astype(np.int16), (30, 1))
     run = run_sums(contract, counts)
-    exact = contract.phi.forward(counts[0].astype(np.int32)) * contract.layout.taxels.newton_per_count
+    pack = contract.packing
+    exact = pack.counts(pack.raw(contract.phi.forward(counts[0].astype(np.int32))))
     assert run.sums_n.shape == (3, 1024)
-    np.testing.assert_allclose(run.sums_n[0], exact, rtol=1e-6, atol=1e-7)
+    np.testing.assert_allclose(run.sums_n[0], exact * contract.layout.taxels.newton_per_count, rtol=1e-6, atol=1e-7)
     assert run.valid.all()
     assert run.closed_ns[0] == run.latency_ns[:256].max()
     lost = run_sums(contract, counts, loss_ratio=0.05, seed=3)
