@@ -7,6 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from canskin.messages import CycleMeasurement, Truth
+from dbc.contract import Contract
 from dbc.packing import packing
 from nodes.electronics import Electronics
 from nodes.sampler import Sampler, new_sampler
@@ -72,13 +73,24 @@ class Nodes:
         )
         self._valid, self._fingerprint = phi.has_sums.tobytes(), phi.fingerprint
         self._packing = packing(layout)
+        self._newest: npt.NDArray[np.int32] | None = None
+        #: The sums that come in each turn.
+        self._of_turn = [np.arange(phi.shape[0])]
+        if layout.sync.turns > 1:
+            table = Contract.from_layout(layout).table
+            parts = (table.gather[table.turn == turn] for turn in range(layout.sync.turns))
+            self._of_turn = [part[part >= 0] for part in parts]
 
     def sample(self) -> npt.NDArray[np.int32]:
-        """Return the sums of the next cycle, ADC counts, shape (m,)."""
+        """Return the newest of each sum after the next cycle, ADC counts, shape (m,); of the first cycle all are new."""
         self.cycle += 1
         self.counter = next_counter(self.counter)
         self.time_ns = self._clock_ns()
-        return self._sampler.sample(self.counter, self.time_ns)
+        sums = self._sampler.sample(self.counter, self.time_ns)
+        came = self._of_turn[(self.counter - 1) % len(self._of_turn)]
+        self._newest = sums.copy() if self._newest is None else self._newest.copy()
+        self._newest[came] = sums[came]
+        return self._newest
 
     def measurement(self, counts: npt.NDArray[np.int32]) -> CycleMeasurement:
         """Return the measurement of the newest cycle; no frame was lost."""
