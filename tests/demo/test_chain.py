@@ -5,6 +5,7 @@ import pytest
 
 from dbc.contract import Contract
 from demo.chain import REST_S, Nodes
+from reconstructor.engine import Reconstructor
 from reconstructor.imaging import CycleImager
 from skin.layout import changed
 from skin.psnr import psnr_db
@@ -40,6 +41,16 @@ def test_images_are_closer_to_the_forces_than_the_sensors(taxels: int, gain_db: 
     true_n, sensor_n = (np.frombuffer(each, "<f4").reshape(32, 32) for each in (truth.true, truth.sensor))
     force_max_n = layout.taxels.force_max_n
     assert psnr_db(true_n, image, force_max_n) > psnr_db(true_n, sensor_n, force_max_n) + gain_db
+
+
+def test_images_in_turns_are_solved_as_such() -> None:
+    turns = changed(LAYOUT, sync={"turns": 2})
+    nodes, imager = Nodes(turns, Bump(), seed=1), CycleImager(turns)
+    engine = Reconstructor(turns.phi(), 32, 32, samples=10, turns=2)
+    for _ in range(10):
+        sums = imager.decode(nodes.measurement(nodes.sample()), turns.phi())
+        sums_n = np.multiply(sums.counts, turns.taxels.newton_per_count, dtype=np.float32)
+        np.testing.assert_array_equal(imager.solve(sums)[0], engine.solve(sums_n, sums.valid_sums))
 
 
 def test_in_turns_half_of_the_sums_are_new_in_each_cycle() -> None:

@@ -105,7 +105,8 @@ def test_sums_of_a_still_skin_and_a_lost_frame() -> None:
     run = run_sums(contract, counts)
     exact = contract.phi.forward(counts[0].astype(np.int32)) * contract.layout.taxels.newton_per_count
     assert run.sums_n.shape == (3, 1024)
-    np.testing.assert_allclose(run.sums_n[0], exact, rtol=1e-6, atol=1e-7)
+    # 14 bits are steps of four counts.
+    np.testing.assert_allclose(run.sums_n[0], exact, rtol=0, atol=2.01 * contract.layout.taxels.newton_per_count)
     assert run.valid.all()
     assert run.closed_ns[0] == run.latency_ns[:256].max()
     lost = run_sums(contract, counts, loss_ratio=0.05, seed=3)
