@@ -12,10 +12,8 @@ from bandwidth.mean_bits import mean_wire_bits
 from bandwidth.response import UNBOUNDED
 from bandwidth.touched_bits import touched_bits
 from bandwidth.traffic import Disturbance, Traffic, traffic
-from dbc.canopen import SYNC_COB_ID
-from dbc.contract import Contract
+from dbc.contract import Contract, sync_frame
 from dbc.dictionary import window_s
-from dbc.frame import frames
 from dbc.frame_bits import Stuffing, wire_bits
 from skin.layout import Bus
 from skin.sync_counter import SYNC_OVERFLOW
@@ -208,19 +206,15 @@ def random_bus_time(streams: Traffic) -> BusTime:
     return _mean_bus_time(streams, bits)
 
 
-def _sync_bits(length: int) -> float:
-    """Return the bits of a SYNC frame of `length` bytes, with a counter (1) as the mean of all counter values."""
-    syncs = frames(SYNC_OVERFLOW)
-    syncs["can_id"], syncs["length"] = SYNC_COB_ID, length
-    if length:
-        syncs["data"][:, 0] = np.arange(1, SYNC_OVERFLOW + 1)
+def _sync_bits() -> float:
+    """Return the bits of a SYNC frame as the mean of all counters."""
+    syncs = np.concatenate([sync_frame(counter) for counter in range(1, SYNC_OVERFLOW + 1)])
     return float(wire_bits(syncs)[0].mean())
 
 
 def _mean_bus_time(streams: Traffic, tpdo_bits: npt.NDArray[np.float64]) -> BusTime:
     """Add SYNC, heartbeats, TIME and other devices to the mean bits of the TPDOs."""
-    sync = _sync_bits(int(streams.frames["length"][streams.is_cyclic & ~streams.is_tpdo][0]))
-    return _bus_time(streams, float(tpdo_bits[0]) + sync, float(tpdo_bits[1]), "exact")
+    return _bus_time(streams, float(tpdo_bits[0]) + _sync_bits(), float(tpdo_bits[1]), "exact")
 
 
 def _bus_time(streams: Traffic, nominal: float, data: float, stuffing: Stuffing) -> BusTime:

@@ -37,8 +37,8 @@ from skin.sending import ADAPTIVE, SUMS_PART, SendingName
 CanKind = Literal["any", "classic", "fd"]
 SendingKind = Literal["any", "synchronous", "adaptive"]
 
-#: Widths to try. The rounding of 8 bits is not small compared with the sensor noise, so 8 bits and fewer come last.
-_WIDTHS: Final = (range(SUM_BITS_MAX, 8, -1), range(8, SUM_BITS_MIN - 1, -1))
+#: Widths to try. The rounding of 9 bits is nearly the noise of averages of ten, so 9 bits and fewer come last.
+_WIDTHS: Final = (range(SUM_BITS_MAX, 9, -1), range(9, SUM_BITS_MIN - 1, -1))
 DATA_BITRATES: Final[dict[CanKind, tuple[int | None, ...]]] = {
     "classic": (None,),
     "fd": FD_BITRATES,

@@ -235,6 +235,13 @@ class Contract:
         one["length"], one["flags"] = self.table.length[self.table.bus == bus].min(initial=FD_BYTES), frame_flags(line)
         return float(frame_time_ns(one, line.bitrate, line.data_bitrate, "none")[0]) * 1e-9
 
+    def longest_ns(self, bus: int) -> int:
+        """Return the most time of a TPDO of any state on a bus, with all stuff bits that there may be, nanoseconds."""
+        line, one = self.layout.bus[bus], frames(1)
+        longest = max(state.table.length[state.table.bus == bus].max(initial=0) for state in self.states)
+        one["length"], one["flags"] = longest, frame_flags(line)
+        return int(frame_time_ns(one, line.bitrate, line.data_bitrate, "worst")[0])
+
     @cached_property
     def table(self) -> "FrameTable":
         """All TPDOs of all buses as arrays."""
@@ -350,25 +357,33 @@ def _tpdos(bus: Bus, number: int, place: int, sums: range, bits: int, *, turns: 
 
 
 def useful_widths(sums: int, *, fd: bool) -> list[int]:
-    """Return widths for `sums` sums of a node, the widest first: of those that take the same frames the widest."""
-    found: dict[tuple[int, ...], int] = {}
+    """Return widths for `sums` sums of a node, the widest first: of those with the same frames and bytes the widest."""
+    found: dict[tuple[int, int], int] = {}
     for bits in range(SUM_BITS_MAX, SUM_BITS_MIN - 1, -1):
         parts = _spread(range(sums), bits, fd=fd)
-        found.setdefault(tuple(_length(len(part), bits, fd=fd) for part in parts), bits)
+        found.setdefault((len(parts), sum(_length(len(part), bits, fd=fd) for part in parts)), bits)
     return list(found.values())
 
 
 def _spread(sums: range, bits: int, *, fd: bool, turns: int = 1) -> list[range]:
-    """Divide sums into the smallest number of frames, as many in each turn, with the smallest number of bytes."""
+    """Divide sums into the smallest number of frames, as many in each turn, with the fewest bytes in the longest turn.
+
+    No frame is without sums, so fewer sums than turns are a frame each.
+    """
     most = min(8 * ((FD_BYTES if fd else CLASSIC_BYTES) - COUNTER_BYTES) // bits, SUMS_MAX)
-    fewest = -(-len(sums) // (most * turns)) * turns
+    fewest = min(-(-len(sums) // (most * turns)) * turns, len(sums))
     ways = [
         [sums[start : start + size] for start in range(0, len(sums), size)]
         for size in range(most, 0, -1)
         if -(-len(sums) // size) == fewest
     ]
     ways.append([sums[len(sums) * each // fewest : len(sums) * (each + 1) // fewest] for each in range(fewest)])
-    return min(ways, key=lambda parts: sum(_length(len(part), bits, fd=fd) for part in parts))
+
+    def turn_bytes(parts: list[range]) -> list[int]:
+        lengths = [_length(len(part), bits, fd=fd) for part in parts]
+        return sorted((sum(lengths[turn::turns]) for turn in range(turns)), reverse=True)
+
+    return [part for part in min(ways, key=turn_bytes) if part]  # fewer sums than turns
 
 
 def _length(sums: int, bits: int, *, fd: bool) -> int:

@@ -24,7 +24,7 @@ from skin.measurement import fast_hadamard
 
 #: No sum of averages is nearer to a tie of rounding: any float32 arithmetic then gives the same sum.
 _TIE_MARGIN: Final = 0.02
-#: Of the SYNC of every case: a byte with its highest bit set.
+#: Of the SYNC of every case: a byte with its highest bit set. TPDOs of the second turn answer the next SYNC.
 _SYNC_COUNTER: Final = 0xA5
 _FLOAT_MAX: Final = float(np.finfo(np.float32).max)
 
@@ -57,7 +57,8 @@ def _solved(contract: Contract, node: NodeContract, case: _Case) -> dict[str, ob
     """Return inputs, intermediate results and frames of a case."""
     shown = shown_counts(contract, case.counts, case.gain, case.offset, np.full(node.blocks, case.pattern))
     sums = node_sums(contract, node, shown)
-    payloads = node_payloads(contract, node, _SYNC_COUNTER, sums)
+    of_turns = [node_payloads(contract, node, _SYNC_COUNTER + turn, sums) for turn in range(contract.turns)]
+    turns = {tpdo.cob_id: tpdo.turn for tpdo in node.tpdos}  # those of recognition have none
     values = calibration_values(case.gain, case.offset, case.pattern)
     return {
         "name": case.name,
@@ -70,7 +71,7 @@ def _solved(contract: Contract, node: NodeContract, case: _Case) -> dict[str, ob
         "sums": sums.tolist(),
         "raw": contract.packing.raw(sums).tolist(),
         "sync_counter": _SYNC_COUNTER,
-        "frames": [{"cob_id": cob_id, "data": data.hex()} for cob_id, data in payloads.items()],
+        "frames": [{"cob_id": each, "data": of_turns[turns.get(each, 0)][each].hex()} for each in of_turns[0]],
     }
 
 

@@ -5,7 +5,7 @@ it comes from its own bus and has the length of its PDO. Every other frame is co
 
 **What the counter proves.** The counter comes again after 240 SYNCs. A node, an interface and a bus hand on the frames
 of one identifier in the order in which they were made. So a frame that is late by 240 SYNCs comes after its identifier
-was silent for more than `SILENCE`: then the next frames are doubtful, until after each of `PROVING` SYNCs exactly one
+was silent for `SILENCE` or more: then the next frames are doubtful, until after each of `PROVING` SYNCs exactly one
 has come, and named an open cycle. A node that goes on after it hung sends what it held back one frame after the other,
 and not one for each SYNC. A wrong sum is used only of a node that is late by a multiple of 240 SYNCs for good, and
 sends one frame for each SYNC: the node has to hold back 240 frames of an identifier, 2.4 s at 100 Hz.
@@ -88,6 +88,9 @@ class Answers(NamedTuple):
         Frames since the newest SYNC; and SYNCs since a frame that named an open cycle.
     doubtful : array of int64, shape (rows,)
         For how many SYNCs a single frame has to come before frames are used; 0: they are used.
+    turn : array of int64, shape (rows,)
+        Turn of the newest frame that named an open cycle. A stack that counts SYNCs exchanges its turns when it misses
+        a SYNC.
     age : array of int64, shape (rows,)
         How many cycles the sums are old that are held.
     """
@@ -95,6 +98,7 @@ class Answers(NamedTuple):
     came: Integers
     silent: Integers
     doubtful: Integers
+    turn: Integers
     age: Integers
 
 
@@ -131,7 +135,9 @@ ACCEPTED, LATE, DUPLICATE, MALFORMED, MISSING, FOREIGN = range(6)
 
 
 @njit(cache=True, nogil=True)
-def take_all(rows: npt.NDArray[np.uint8], bus: int, stamp_error_ns: int, table: FrameTable, state: Gathering) -> None:
+def take_all(  # noqa: PLR0917  compiled functions take no keywords
+    rows: npt.NDArray[np.uint8], bus: int, stamp_error_ns: int, turns: int, table: FrameTable, state: Gathering
+) -> None:
     """Use the frames that arrived on a bus, in bus order.
 
     Parameters
@@ -155,7 +161,7 @@ def take_all(rows: npt.NDArray[np.uint8], bus: int, stamp_error_ns: int, table: 
         elif row[LENGTH_AT] != table.length[frame] or not 1 <= row[DATA_AT] <= SYNC_OVERFLOW:
             state.counts[MALFORMED] += 1
         else:
-            _accept(bus, frame, row[DATA_AT:], ended_ns, stamp_error_ns, table, state)
+            _accept(bus, frame, row[DATA_AT:], ended_ns, stamp_error_ns, turns, table, state)
 
 
 @njit(cache=True, nogil=True)
@@ -187,6 +193,7 @@ def _accept(  # noqa: PLR0917  compiled functions take no keywords
     data: npt.NDArray[np.uint8],
     time_ns: int,
     stamp_error_ns: int,
+    turns: int,
     table: FrameTable,
     state: Gathering,
 ) -> None:
@@ -198,6 +205,7 @@ def _accept(  # noqa: PLR0917  compiled functions take no keywords
     if is_open(counter, state.cycles):
         slot = slot_of(counter)
         answers.silent[row] = 0
+        answers.turn[row] = (counter - 1) % turns
         state.cycles.spoilt[slot, row] |= answers.doubtful[row] > 0
         if not state.cycles.spoilt[slot, row]:
             note_answer(slot, bus, time_ns + max(stamp_error_ns, 0), state.notes)
@@ -243,7 +251,7 @@ def close_cycle(  # noqa: PLR0917  compiled functions take no keywords
         is_proven = proven[block_of_sum[table.gather[row, 0]]]
         age[row] = min(age[row] + 1, _NEVER) if is_proven else _NEVER
         if not cycles.seen[slot, row]:
-            if table.turn[row] == turn:
+            if state.answers.turn[row] == turn:
                 state.counts[MISSING] += 1
                 state.missing_of_node[table.node[row]] += 1
         elif is_proven and not (cycles.spoilt[slot, row] and leaves_out_doubtful):
@@ -296,9 +304,10 @@ class Collector:
         self.late_of_node, self.missing_of_node = np.zeros((2, len(contract.nodes)), np.int64)
         self.heard = np.zeros(len(contract.nodes), np.bool_)
         came, silent, doubtful = np.zeros((3, rows), np.int64)
+        turn = self._table.turn.astype(np.int64)
         self._state = Gathering(
             cycles=new_cycles(contract),
-            answers=Answers(came, silent, doubtful, np.full(rows, _NEVER, np.int64)),
+            answers=Answers(came, silent, doubtful, turn, np.full(rows, _NEVER, np.int64)),
             notes=self._times.notes,
             counts=np.zeros(6, np.int64),
             foreign_syncs=np.zeros(len(contract.layout.bus), np.int64),
@@ -338,8 +347,13 @@ class Collector:
         """
         self._times.open(counter, due_ns, sent_ns)
         count_answers(self._state.answers)
-        begin_cycle(counter, self._contract.turn_of(counter), self.expected, self._table, self._state.cycles)
+        is_awaited = (self._state.answers.turn == self._contract.turn_of(counter)) & self.expected[self._table.node]
+        begin_cycle(counter, is_awaited, self._table, self._state.cycles)
         self._proven.begin(slot_of(counter))
+
+    def rest(self) -> None:
+        """Take note of a SYNC that asks for no frame of this contract."""
+        count_answers(self._state.answers)
 
     def waiting(self, counter: int) -> Integers:
         """Return how many frames a cycle waits for, shape (buses,); a view."""
@@ -356,7 +370,7 @@ class Collector:
         `stamp_error_ns` is the bound of the error of the clock of their time stamps, None if they have none.
         """
         error_ns = NO_STAMPS if stamp_error_ns is None else stamp_error_ns
-        take_all(frame_bytes(arrived), bus, error_ns, self._table, self._state)
+        take_all(frame_bytes(arrived), bus, error_ns, self._contract.turns, self._table, self._state)
 
     def lost(self, bus: int) -> None:
         """Take note that frames of a bus were lost, a foreign SYNC perhaps."""

@@ -109,6 +109,8 @@ class CycleGathering:
             if sync.sent_ns is not None:
                 for bus, waiting in enumerate(self.collector.waiting(sync.counter).tolist()):
                     self._incomplete_until_s[bus] = self._busy_until_s(bus, waiting, sync.sent_ns * 1e-9)
+        else:
+            self.collector.rest()
         return closed
 
     def tick(self, now_s: float) -> None:

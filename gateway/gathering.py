@@ -38,8 +38,6 @@ class Sync:
         Wall clock minus monotonic clock.
     state : int
         2008h:1 of the nodes from this SYNC on, where they have it.
-    period_s : float or None
-        Time to the next SYNC; None: that of the layout.
     """
 
     number: int
@@ -48,7 +46,6 @@ class Sync:
     sent_ns: int | None
     wall_offset_ns: int
     state: SkinState = SkinState.IMAGES
-    period_s: float | None = None
 
     @property
     def due_s(self) -> float:

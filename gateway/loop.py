@@ -206,8 +206,8 @@ class GatewayLoop:
         due_s = self.sync.take(now_s)
         if due_s is None:
             return []
-        sync_ns, period_s = round(due_s * 1e9), self.sync.period_s
-        begun = Sync(self.sync.sent, self.sync.counter, sync_ns, round(now_s * 1e9), wall_offset_ns, period_s=period_s)
+        sync_ns = round(due_s * 1e9)
+        begun = Sync(self.sync.sent, self.sync.counter, sync_ns, round(now_s * 1e9), wall_offset_ns)
         if self.states is not None:
             self.states.take_sync(now_s)
             begun = replace(begun, state=self.states.state)
@@ -215,7 +215,7 @@ class GatewayLoop:
         sync = sync_frame(self.sync.counter)
         # The due time: on a virtual bus a late turn of the loop adds no jitter to SYNC.
         sync["time_ns"] = sync_ns
-        sync["expires_ns"] = sync_ns + round(LATEST * period_s * 1e9)
+        sync["expires_ns"] = sync_ns + round(LATEST * self.sync.period_s * 1e9)
         for bus in self._buses.values():
             bus.watch.count_sync(is_taken=bool(bus.send(sync)))
         self._send_time(now_s, wall_offset_ns)

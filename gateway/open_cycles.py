@@ -69,8 +69,8 @@ def new_cycles(contract: Contract) -> OpenCycles:
 
 
 @njit(cache=True, nogil=True)
-def begin_cycle(counter: int, turn: int, expected: Flags, table: FrameTable, cycles: OpenCycles) -> None:
-    """Begin a cycle that waits for the frames of its turn of the nodes `expected`."""
+def begin_cycle(counter: int, is_awaited: Flags, table: FrameTable, cycles: OpenCycles) -> None:
+    """Begin a cycle that waits for the frames of the rows `is_awaited`."""
     slot = slot_of(counter)
     cycles.counter[slot] = counter
     cycles.seen[slot] = False
@@ -79,9 +79,8 @@ def begin_cycle(counter: int, turn: int, expected: Flags, table: FrameTable, cyc
     for row in range(len(table.bus)):
         bus = table.bus[row]
         cycles.spoilt[slot, row] = cycles.tainted[bus, counter]
-        is_awaited = table.turn[row] == turn and expected[table.node[row]]
-        cycles.awaited[slot, row] = is_awaited
-        cycles.waiting[slot, bus] += is_awaited
+        cycles.awaited[slot, row] = is_awaited[row]
+        cycles.waiting[slot, bus] += is_awaited[row]
     cycles.tainted[:, counter] = False
     # A foreign SYNC may be ahead, or behind: what was not met within half of all counters was behind.
     cycles.tainted[:, (counter + SYNC_OVERFLOW // 2 - 1) % SYNC_OVERFLOW + 1] = False

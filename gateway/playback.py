@@ -181,10 +181,9 @@ class Playback:
             self._first_sync_ns = time_ns
         sync = Sync(self.cycles, counter, time_ns, None, self._wall_offset_ns)
         if (states := self._loop.states) is not None:
-            period_s = states.next_period_s
+            self._grace_ns = _grace_ns(states.next_period_s)
             states.take_sync(time_ns * 1e-9)
-            self._grace_ns = _grace_ns(period_s)
-            sync = replace(sync, state=states.state, period_s=period_s)
+            sync = replace(sync, state=states.state)
         self._made += self._loop.gathering.begin(sync)
         self._open = [*self._open[1 - _CYCLES_IN_FLIGHT :], (counter, time_ns, {number})]
 

@@ -32,7 +32,6 @@ from dbc.configuration import calibration, configuration
 from dbc.contract import Contract, NodeContract
 from dbc.dictionary import REACTION_NS, REVISION, SkinState, dictionary, serial_number
 from dbc.frame import ECHO, ERROR, EXTENDED, REMOTE, Frames, one_frame
-from dbc.frame_bits import frame_time_ns
 from nodes.burst import Burst
 from nodes.hardware import Hardware
 from nodes.lss import LssSlave
@@ -93,7 +92,6 @@ class VirtualBoards:
         store: Path | None = None,
         unnumbered: bool = False,
     ) -> None:
-        wires = contract.layout.bus[bus]
         self.is_pdo = np.zeros(BASE_ID_MASK + 1, np.bool_)
         self.due_s = float("-inf")
         self._contract = contract
@@ -111,7 +109,7 @@ class VirtualBoards:
         self._sync_length: dict[int, int] = {}
         #: The nodes that watch the heartbeat of a node-ID; most nodes watch none.
         self._watchers: dict[int, list[SkinNode]] = {}
-        self._frame_ns = int(frame_time_ns(contract.cycle(bus), wires.bitrate, wires.data_bitrate, "worst").max())
+        self._frame_ns = contract.longest_ns(bus)
         # Latest start of a frame after the SYNC, so that the frame ends inside the window: by node-ID and state.
         self._window_ns = np.zeros((HIGHEST_NODE_ID + 1, 2), np.int64)
         self._compile(self.nodes)

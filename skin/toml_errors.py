@@ -18,6 +18,11 @@ _KINDS: Final = {
     "array": "a list, of tables or values",
     "object": "a table",
 }
+#: Keys of before, and what became of them.
+_GONE: Final = {
+    "identity": "went, because every frame now names its cycle: leave it out; logs and recordings of before cannot be"
+    " used any more",
+}
 _BOUNDS: Final = {">=": "or more", "<=": "or less", ">": "or more, exclusive", "<": "or less, exclusive"}
 
 
@@ -43,6 +48,8 @@ def in_words(problem: str, document: Any, root: type[msgspec.Struct]) -> str:
 
 
 def _unknown(found: re.Match[str], table: type, _keys: list[str], _value: Any) -> str:
+    if found[1] in _GONE:
+        return f"the key `{found[1]}` {_GONE[found[1]]}"
     known = [field.encode_name for field in msgspec.structs.fields(table)]
     near = difflib.get_close_matches(found[1], known, 1)
     expected = f"did you mean `{near[0]}`?" if near else f"expected one of {', '.join(known)}"

@@ -1,16 +1,14 @@
-"""Small layouts, and the two ways to know a frame's cycle (`sync.identity`)."""
+"""Small layouts, and skins whose sums come in turns (`sync.turns`)."""
 
 from collections.abc import Sequence
-from importlib.resources import files
 from pathlib import Path
 from typing import Any, Final
 
-import msgspec
 import numpy as np
 import tomli_w
 
 from dbc.contract import Contract
-from skin.layout import Layout, Sync, load_layout, parse_layout
+from skin.layout import Layout, changed, layout_text, load_layout, parse_layout
 
 #: Tables of adaptive boards.
 ADAPTIVE: Final = {"sending": "adaptive", "measurement": {"wiring": "board"}}
@@ -20,7 +18,8 @@ ADAPTIVE_SKIN: Final = load_layout(Path("adaptive"))
 BLOCK_SUMS, GROUPS, TPDOS, NODES = 32, 4, 32, 32
 #: A skin of three patches: 12 x 14 with gaps, 132 taxels.
 TWO_FINGERS: Final = [*["######..######"] * 6, "." * 14, *["############.."] * 5]
-IDENTITIES: Final = ("window", "alternating")
+#: Values of `sync.turns`.
+TURNS: Final = (1, 2)
 
 
 def layout_toml(rows: int = 8, columns: int = 8, **tables: Any) -> str:
@@ -51,9 +50,9 @@ def tube_layout(rings: int = 8, around: int = 12, **tables: Any) -> Layout:
     return parse_layout(tomli_w.dumps(tables).encode(), "tube.toml")
 
 
-def small_contract(identity: str = "window", rate_hz: float = 20.0, **tables: Any) -> Contract:
+def small_contract(rate_hz: float = 20.0, turns: int = 1, **tables: Any) -> Contract:
     """Return the contract of two buses of two nodes; each has 32 taxels, and eight sums in two frames."""
-    sync = {"rate_hz": rate_hz, "identity": identity}
+    sync = {"rate_hz": rate_hz, "turns": turns}
     return Contract.from_layout(small_layout(8, 16, **{"name": "small", "sync": sync, "bus": buses(2, 2)} | tables))
 
 
@@ -70,28 +69,17 @@ def buses(*nodes: int, names: Sequence[str] = (), **keys: Any) -> list[dict[str,
     return [{"name": name, "nodes": count, **keys} for name, count in zip(called, nodes, strict=True)]
 
 
-def with_identity(layout: Layout, identity: str) -> Layout:
-    """Return the layout with another identity of cycles."""
-    return msgspec.structs.replace(
-        layout, sync=msgspec.convert({"rate_hz": layout.sync.rate_hz, "identity": identity}, Sync)
-    )
+def in_turns(layout: Layout, turns: int = 2) -> Layout:
+    """Return the layout with half of the frames of a node in odd and half in even cycles, or with other `turns`."""
+    return changed(layout, sync={"turns": turns})
 
 
-def alternating(layout: Layout) -> Layout:
-    """Return the layout with one set of TPDOs for odd and one for even cycles."""
-    return with_identity(layout, "alternating")
-
-
-def slow_layout(folder: Path, rate_hz: float, identity: str = "window") -> Path:
+def slow_layout(folder: Path, rate_hz: float, turns: int = 1) -> Path:
     """Write the default skin's layout at a rate that every machine keeps; return its path.
 
-    Nodes take one sample a SYNC, so that sums are exactly those of the sensor's counts.
+    Nodes take one sample a SYNC, so that sums are those of the sensor's counts, rounded once.
     """
-    text = files("skin.layouts").joinpath("default.toml").read_text()
-    for default_hz, slow_hz in ((100.0, rate_hz), (1000.0, rate_hz)):
-        assert f"rate_hz = {default_hz}" in text
-        text = text.replace(f"rate_hz = {default_hz}", f"rate_hz = {slow_hz:.1f}")
-    text = text.replace('identity = "window"', f'identity = "{identity}"')
-    path = folder / f"slow-{identity}.toml"
-    path.write_text(text)
+    slow = changed(load_layout(), sync={"rate_hz": rate_hz, "turns": turns}, sampling={"rate_hz": rate_hz})
+    path = folder / f"slow-{turns}.toml"
+    path.write_text(layout_text(slow))
     return path

@@ -18,7 +18,6 @@ from dbc.canopen import LSS_BIT_RATES_HZ
 from dbc.configuration import calibration, configuration, setting_of
 from dbc.contract import Contract, NodeContract, sum_frame_bits
 from dbc.dictionary import ERRORS_KEPT, HEARTBEATS_WATCHED, dictionary
-from dbc.frame_bits import frame_time_ns
 from dbc.objects import Object
 from nodes.firmware.c_text import WRITTEN, array, braced, defined, header, real
 
@@ -34,6 +33,7 @@ _COMPUTED: Final = (
     od.SIGNATURE,
     od.CALIBRATION_SIGNATURE,
     od.HEALTH,
+    od.SYNC_COUNTER,
     od.NODE_NOISE,
 )
 #: Arrays whose entries are computed, but not their sub-index 0.
@@ -169,7 +169,7 @@ def _frame_sizes(contract: Contract, bus: int) -> tuple[int, tuple[int, int]]:
     """Return `frame_ns` and `frame_bits` of `Build` for the boards of a bus."""
     line = contract.layout.bus[bus]
     if contract.layout.sending != "adaptive":
-        return int(frame_time_ns(contract.cycle(bus), line.bitrate, line.data_bitrate, "worst").max()), (0, 0)
+        return contract.longest_ns(bus), (0, 0)
     coarse, fine = (sum_frame_bits(line, contract.layout.groups, is_fine=is_fine) for is_fine in (False, True))
     return round(fine * 1e9 / line.bitrate), (coarse, fine)
 

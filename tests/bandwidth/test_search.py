@@ -18,16 +18,16 @@ from skin.layout import Taxels, validated
 @pytest.mark.parametrize(
     ("required", "words"),
     [
-        (Requirement(4096, 20, buses=1), "1 bus of classic CAN, 64 nodes of 2 blocks, 1024 sums of 16 bits"),
+        (Requirement(4096, 20, buses=1), "1 bus of classic CAN, 64 nodes of 2 blocks, 1024 sums of 14 bits"),
         (
             Requirement(4096, 100, buses=8, can="classic"),
-            "4 buses of classic CAN, 128 nodes of 1 block, 1024 sums of 12 bits",
+            "4 buses of classic CAN, 64 nodes of 2 blocks, 1024 sums of 11 bits",
         ),
-        (Requirement(4096, 100), "1 bus of CAN FD 5 Mbit/s, 64 nodes of 2 blocks, 1024 sums of 16 bits"),
-        (Requirement(1024, 100), "1 bus of classic CAN, 32 nodes of 1 block, 256 sums of 12 bits"),
+        (Requirement(4096, 100), "1 bus of CAN FD 5 Mbit/s, 32 nodes of 4 blocks, 1024 sums of 16 bits"),
+        (Requirement(1024, 100), "1 bus of classic CAN, 16 nodes of 2 blocks, 256 sums of 11 bits"),
         (
             Requirement(Taxels(rows=24, columns=32), 100),
-            "1 bus of classic CAN, 24 nodes of 1 block, 192 sums of 16 bits",
+            "1 bus of classic CAN, 24 nodes of 1 block, 192 sums of 14 bits",
         ),
         (Requirement(101, 100), "1 bus of classic CAN, 4 nodes of 1 block, 128 sums of 16 bits"),
     ],
@@ -50,7 +50,7 @@ def test_as_many_sums_are_sent_as_the_buses_carry() -> None:
     assert found.chosen is not None
     assert found.chosen.words == "1 bus of CAN FD 5 Mbit/s, 16 nodes of 1 block, 512 sums of 16 bits"
     assert [(each.sums, each.fits) for each in found.candidates] == [(128, True), (512, False), (512, True)]
-    assert found.chosen.load_worst == pytest.approx(0.548, abs=0.001)
+    assert found.chosen.load_worst == pytest.approx(0.693, abs=0.001)
 
 
 @pytest.mark.heavy
@@ -83,7 +83,7 @@ def test_missing_bits_and_node_ids_are_named() -> None:
     nearest = min((each for each in found.candidates if each.load_worst), key=lambda each: each.load_worst or 0)
     assert nearest.missing_bits_per_s == pytest.approx((nearest.load_worst or 0) * 1e6 - 0.8e6)
     assert f"{nearest.missing_bits_per_s:.0f} bits a second" in text
-    assert "3 of 12 lack node-IDs, 1 of them or more on a bus" in text
+    assert "6 of 30 lack node-IDs, 1 of them or more on a bus" in text
     assert "window" in text
 
 
@@ -97,7 +97,7 @@ def test_the_rate_that_is_named_fits_and_a_higher_one_does_not() -> None:
 def test_a_skin_of_too_many_nodes_lacks_node_ids_alone() -> None:
     text, found = failed(Requirement(65536, 1, buses=1, can="classic", sending="synchronous"))
     # 2048 blocks, eight to a node, are 256 nodes: 129 more than node-IDs.
-    assert "12 of 12 lack node-IDs, 129 of them or more on a bus" in text
+    assert "30 of 30 lack node-IDs, 129 of them or more on a bus" in text
     assert all(each.load_worst is None for each in found.candidates)
 
 

@@ -152,7 +152,7 @@ def test_what_an_interface_tells_of_its_controller(adapters: Adapters) -> None:
         adapters.newest.told = told
         states.append(link.state)
     assert states == [State.ACTIVE, State.PASSIVE, State.BUS_OFF, State.ACTIVE, State.ACTIVE]
-    assert link.keeps_order is False
+    assert link.proves_echo is False
     assert link.stamp_error_ns is None
     assert link.dropped == 0
 
@@ -204,7 +204,7 @@ def test_each_accepted_frame_is_echoed_and_wakes_the_reader(adapters: Adapters) 
 def test_an_echo_of_the_interface_is_used_where_it_is_proven_and_else_not(adapters: Adapters) -> None:
     for interface, is_proven in (("kvaser", True), ("gs_usb", False), ("pcan", False)):
         link = adapters.link(interface)
-        assert link.keeps_order is is_proven
+        assert link.proves_echo is is_proven
         assert bool(adapters.newest.options.get("receive_own_messages")) is is_proven
         link.send(frame(0x80))
         adapters.newest.arrived.put(message(0x80, is_rx=False))
@@ -212,7 +212,7 @@ def test_an_echo_of_the_interface_is_used_where_it_is_proven_and_else_not(adapte
         arrived = collect(link, 2)
         assert arrived["can_id"].tolist() == [0x80, 0x181]
         assert arrived["flags"].tolist() == [ECHO, 0]
-    assert adapters.link("kvaser", options={"single_handle": True}).keeps_order is False
+    assert adapters.link("kvaser", options={"single_handle": True}).proves_echo is False
 
 
 def test_times_are_those_of_the_read_whatever_the_clock_of_the_adapter_says(adapters: Adapters) -> None:

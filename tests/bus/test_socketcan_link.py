@@ -287,7 +287,7 @@ def test_full_queue_is_told_apart_from_a_frame_that_comes_too_late(link: SocketC
 
 
 @pytest.mark.parametrize(
-    ("bus", "driver", "keeps"),
+    ("bus", "driver", "is_proven"),
     [
         ("platform", "m_can", True),
         ("spi", "mcp251xfd", True),
@@ -305,7 +305,7 @@ def test_the_echo_is_trusted_where_the_driver_gives_it_after_the_bus_and_before_
     tmp_path: Path,
     bus: str | None,
     driver: str | None,
-    keeps: bool,
+    is_proven: bool,
 ) -> None:
     about = tmp_path / "can7"
     about.mkdir()
@@ -319,5 +319,5 @@ def test_the_echo_is_trusted_where_the_driver_gives_it_after_the_bus_and_before_
     monkeypatch.setattr(socketcan, "Path", lambda _folder, *names: tmp_path.joinpath(*names))
     monkeypatch.setattr(socketcan, "read_interface", lambda _channel: can7())
     link = SocketCanLink("can7")
-    assert link.keeps_order is keeps
+    assert link.proves_echo is is_proven
     link.close()

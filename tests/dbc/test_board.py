@@ -43,16 +43,18 @@ def test_frames_made_from_the_table_are_those_of_the_contract(name: str) -> None
     contract = contract_of(name)
     sums = contract.phi.forward(np.random.default_rng(4).integers(0, 1024, contract.phi.shape[1]))
     frames = contract.table
-    payloads = encode(sums, frames.gather, contract.packing)
+    payloads = encode(0xA5, sums, frames.gather, contract.packing)
     for row, (payload, length) in enumerate(zip(payloads, frames.length, strict=True)):
         node = contract.nodes[frames.node[row]]
         if node.node_id > 2:
             continue
         table = board(contract, node)
         (tpdo,) = (each for each in table.tpdos if each.cob_id == frames.cob_id[row])
-        packed, bits = 0, 0
+        counter, *mapped = tpdo.mapping
+        assert (counter.index, counter.subindex, counter.bits) == (od.SYNC_COUNTER, 0, 8)
+        packed, bits = 0xA5, counter.bits
         assert table.packing is not None
-        for entry in tpdo.mapping:
+        for entry in mapped:
             place, index = od.split_block(entry.index)
             assert (index, entry.bits) == (od.SUMS, table.packing.bits)
             value = int(sums[contract.phi.starts[node.block + place] + entry.subindex - 1])

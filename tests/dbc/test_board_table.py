@@ -5,7 +5,7 @@ import pytest
 
 from dbc.board import Board, MappedObject, board, board_text, json_text
 from dbc.contract import Contract
-from skin.layout import Layout
+from skin.layout import Layout, changed
 from tests.layouts import ADAPTIVE, buses, small_layout
 
 #: Two sums from the second block of the second board: rows 1 and 31, an odd number of bits each.
@@ -26,7 +26,8 @@ FEW = small_layout(
     ],
 )
 FAST = small_layout(
-    sync={"rate_hz": 25.0, "identity": "alternating"},
+    sync={"rate_hz": 25.0, "turns": 2},
+    encoding={"sum_bits": 15},
     bus=buses(1, names=["arm"], blocks_per_node=2, fd=True, data_bitrate=2_000_000),
 )
 ANALOGUE = small_layout(taxels={"frontend": "analogue"})
@@ -54,13 +55,12 @@ def test_a_table_names_every_constant_of_the_board() -> None:
         "is_fd": False,
         "vendor_id": 42,
         "product_code": 7,
-        "revision": 0x0001_0002,
+        "revision": 0x0002_0001,
         "serial": 101,
-        "sync_identity": "window",
         "sync_cob_id": 0x80,
         "sync_period_us": 20_000,
         "sync_window_us": 19_800,
-        "sync_overflow": 0,
+        "sync_overflow": 240,
         "emcy_cob_id": 0x81,
         "sdo_request_cob_id": 0x601,
         "sdo_response_cob_id": 0x581,
@@ -82,8 +82,9 @@ def test_a_table_names_every_constant_of_the_board() -> None:
                 "sync_start_value": 0,
                 "inhibit_100us": 0,
                 "event_timer_ms": 0,
-                "length": 3,
+                "length": 4,
                 "mapping": [
+                    {"index": 0x2022, "subindex": 0, "bits": 8},
                     {"index": 0x2300, "subindex": 1, "bits": 12},
                     {"index": 0x2300, "subindex": 2, "bits": 12},
                 ],
@@ -117,18 +118,24 @@ def test_a_board_without_sums_has_no_tpdos() -> None:
     assert (table.tpdos, [(each.block, each.rows, each.first_sum) for each in table.blocks]) == ([], [(3, [], 0)])
 
 
-def test_boards_of_two_phases_have_a_start_value_for_each() -> None:
-    """Type 2: every second SYNC, counted from 1 and from 2 on. The window is 98 % of 40 ms where it is not stock."""
+def test_boards_that_send_in_turns_have_a_start_value_for_each() -> None:
+    """Type 2: every second SYNC, counted from 1 and from 2 on. A byte and eight sums of 15 bits: 16 bytes."""
     _, table = table_of(FAST)
     assert (table.is_fd, table.data_bitrate, table.bitrate) == (True, 2_000_000, 1_000_000)
-    assert (table.sync_identity, table.sync_overflow, table.sync_window_us) == ("alternating", 240, 39_200)
+    assert (table.sync_overflow, table.sync_window_us) == (240, 39_600)
     assert [(each.first_sum, len(each.rows)) for each in table.blocks] == [(0, 8), (8, 8)]
-    mapped = [MappedObject(index=index, subindex=place, bits=16) for index in (0x2100, 0x2300) for place in range(1, 9)]
     for number, (tpdo, cob_id) in enumerate(zip(table.tpdos, (0x181, 0x281), strict=True), 1):
-        assert (tpdo.number, tpdo.cob_id, tpdo.length) == (number, cob_id, 32)
+        assert (tpdo.number, tpdo.cob_id, tpdo.length) == (number, cob_id, 16)
         assert (tpdo.transmission_type, tpdo.sync_start_value) == (2, number)
-        assert tpdo.mapping == mapped
+        counter, sums = MappedObject(index=0x2022, subindex=0, bits=8), range(1, 9)
+        index = (0x2100, 0x2300)[number - 1]
+        assert tpdo.mapping == [counter, *(MappedObject(index=index, subindex=place, bits=15) for place in sums)]
         assert (tpdo.level, tpdo.group, tpdo.is_fine, tpdo.state) == (None, None, None, None)
+
+
+def test_a_board_with_one_sum_has_one_tpdo_however_many_turns_there_are() -> None:
+    _, table = table_of(changed(FEW, measurement={"rows": [[2, 1]]}, sync={"turns": 2}), 1)
+    assert [(each.transmission_type, each.sync_start_value, len(each.mapping)) for each in table.tpdos] == [(2, 1, 2)]
 
 
 def test_adaptive_boards_have_urgencies_a_code_and_no_packing() -> None:
@@ -154,9 +161,9 @@ def test_adaptive_boards_have_urgencies_a_code_and_no_packing() -> None:
 
 
 def test_analogue_boards_have_no_calibration_of_taxels() -> None:
-    """2005h: 16 bits, steps of 2^5, form 4, one block."""
+    """2005h: 14 bits, steps of 2^5, form 4, one block."""
     _, table = table_of(ANALOGUE)
-    assert (table.frontend, table.encoding, table.node_id, table.serial) == ("analogue", 0x01_04_05_10, 2, 2)
+    assert (table.frontend, table.encoding, table.node_id, table.serial) == ("analogue", 0x01_04_05_0E, 2, 2)
     assert [(each.block, each.gain, each.offset_counts) for each in table.blocks] == [(1, [], [])]
     assert (table.emcy_cob_id, table.sdo_request_cob_id, table.sdo_response_cob_id) == (0x82, 0x602, 0x582)
     assert (table.heartbeat_cob_id, table.companding, table.sending_rule, table.grouped_rows) == (
@@ -165,14 +172,14 @@ def test_analogue_boards_have_no_calibration_of_taxels() -> None:
 
 
 def test_boards_with_two_states_tell_the_state_of_each_tpdo() -> None:
-    """Value of 2008h:1: 1 while images are wanted, 0 for the few sums of recognition, which come last."""
+    """Value of 2008h:1: 1 while images are wanted, 0 for the few sums of recognition, whose TPDO comes last."""
     _, table = table_of(RECOGNITION)
     assert [(each.number, each.cob_id, each.length, each.state) for each in table.tpdos] == [
         (1, 0x181, 8, 1),
-        (2, 0x281, 2, 1),
-        (3, 0x381, 4, 0),
+        (2, 0x281, 3, 1),
+        (3, 0x381, 5, 0),
     ]
-    assert [each.subindex for each in table.tpdos[2].mapping] == [1, 5]
+    assert [each.subindex for each in table.tpdos[2].mapping] == [0, 1, 5]
 
 
 def test_a_text_has_a_line_for_each_value_and_each_table_of_a_list() -> None:

@@ -7,7 +7,7 @@ import pytest
 from dbc.configuration import Setting, configuration, expected_signature, proof_period_s, signature
 from dbc.contract import Contract
 from skin.layout import load_layout
-from tests.layouts import buses, small_layout, with_identity
+from tests.layouts import TURNS, buses, in_turns, small_layout
 
 #: Objects of the whole node, as docs/bus.md lists them: index and sub-index.
 OF_THE_NODE = [
@@ -16,13 +16,13 @@ OF_THE_NODE = [
 ]
 
 
-@pytest.mark.parametrize(("identity", "of_tpdo"), [("window", (1, 2)), ("alternating", (1, 2, 6))])
+@pytest.mark.parametrize("turns", TURNS)
 @pytest.mark.parametrize("name", ["default", "fd"])
-def test_what_is_compared_is_what_the_bus_document_lists(name: str, identity: str, of_tpdo: tuple[int, ...]) -> None:
-    contract = Contract.from_layout(with_identity(load_layout(Path(name)), identity))
+def test_what_is_compared_is_what_the_bus_document_lists(name: str, turns: int) -> None:
+    contract = Contract.from_layout(in_turns(load_layout(Path(name)), turns))
     node = contract.nodes[0]
-    communication = [(0x17FF + tpdo.number, each) for tpdo in node.tpdos for each in of_tpdo]
-    mapping = [(0x19FF + tpdo.number, each) for tpdo in node.tpdos for each in range(tpdo.sums + 1)]
+    communication = [(0x17FF + tpdo.number, each) for tpdo in node.tpdos for each in (1, 2, 6)]
+    mapping = [(0x19FF + tpdo.number, each) for tpdo in node.tpdos for each in range(tpdo.sums + 2)]
     patterns = [(0x2021 + 0x200 * place, 0) for place in range(node.blocks)]
     compared = [(each.index, each.subindex) for each in configuration(contract, node)]
     assert compared == sorted(compared)

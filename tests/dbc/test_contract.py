@@ -1,5 +1,6 @@
-"""The contract: identifiers, phases and the codec."""
+"""The contract: identifiers, turns, frames and the codec."""
 
+import math
 from pathlib import Path
 
 import msgspec
@@ -13,15 +14,28 @@ from dbc import indices as od
 from dbc.adaptive import coarse_value
 from dbc.canopen import SYNC_COB_ID
 from dbc.codec import decode, encode
-from dbc.contract import PHASES, Contract, _cob_id, _length, _spread, sample_age_ns, sum_frame_bits
+from dbc.contract import (
+    SUMS_MAX,
+    Contract,
+    _cob_id,
+    _length,
+    _spread,
+    sample_age_ns,
+    sum_frame_bits,
+    sync_frame,
+    useful_widths,
+)
 from dbc.dictionary import dictionary
 from dbc.frame import BRS, FD, FD_LENGTHS
-from skin.layout import Bus, Encoding, Layout, PhiParameters, Taxels, load_layout
+from dbc.packing import Packing
+from skin.layout import SUM_BITS_MAX, SUM_BITS_MIN, Bus, Encoding, Layout, PhiParameters, Taxels, load_layout
 from skin.sync_counter import SYNC_OVERFLOW, next_counter
-from tests.layouts import GROUPS, IDENTITIES, alternating, with_identity
+from tests.layouts import GROUPS, TURNS, buses, in_turns, small_layout
 
 CONTRACT = Contract.from_layout(load_layout())
-ALTERNATING = Contract.from_layout(alternating(load_layout()))
+IN_TURNS = Contract.from_layout(in_turns(load_layout()))
+#: 2022h, sub-index 0, 8 bits: the entry before the sums of a mapping.
+COUNTER_ENTRY = 0x2022_00_08
 
 
 def changed(**measurement: object) -> Layout:
@@ -33,55 +47,61 @@ def test_default_skin_uses_the_predefined_connection_set() -> None:
     node = CONTRACT.on_bus(1)[5]
     assert (node.node_id, node.block, node.sums) == (6, 37, 8)
     assert [tpdo.cob_id for tpdo in node.tpdos] == [0x186, 0x286]
-    assert [tpdo.phase for tpdo in node.tpdos] == [0, 0]
-    assert {tpdo.length for tpdo in node.tpdos} == {8}
+    assert [tpdo.turn for tpdo in node.tpdos] == [0, 0]
+    assert {(tpdo.sums, tpdo.length) for tpdo in node.tpdos} == {(4, 8)}
 
 
-def test_alternating_skin_has_a_set_of_tpdos_for_odd_and_one_for_even_cycles() -> None:
-    node = ALTERNATING.on_bus(1)[5]
-    assert [tpdo.cob_id for tpdo in node.tpdos] == [0x186, 0x286, 0x386, 0x486]
-    assert [tpdo.phase for tpdo in node.tpdos] == [0, 0, 1, 1]
+def test_in_turns_half_of_the_same_frames_answers_odd_and_half_even_cycles() -> None:
+    for node, taken in zip(CONTRACT.nodes, IN_TURNS.nodes, strict=True):
+        assert [(each.cob_id, each.first_sum, each.sums) for each in node.tpdos] == [
+            (each.cob_id, each.first_sum, each.sums) for each in taken.tpdos
+        ]
+        assert [tpdo.turn for tpdo in taken.tpdos] == [0, 1]
 
 
 @pytest.mark.parametrize(
-    ("contract", "kind"),
-    [(CONTRACT, (0, 1, 0)), (ALTERNATING, (240, 2, 1))],
-    ids=IDENTITIES,
+    ("contract", "kinds"),
+    [(CONTRACT, [(1, 0), (1, 0)]), (IN_TURNS, [(2, 1), (2, 2)])],
+    ids=TURNS,
 )
-def test_stock_boards_need_no_counter_and_no_start_value(contract: Contract, kind: tuple[int, int, int]) -> None:
+def test_transmission_type_is_the_number_of_turns_and_the_start_value_names_the_turn(
+    contract: Contract, kinds: list[tuple[int, int]]
+) -> None:
     objects = {(each.index, each.subindex): each.value for each in dictionary(contract, contract.nodes[0])}
-    assert (objects[0x1019, None], objects[0x1800, 2], objects[0x1800, 6]) == kind
-    assert contract.sync(7)["length"].tolist() == [int(kind[0] > 0)]
+    assert [(objects[index, 2], objects[index, 6]) for index in (0x1800, 0x1801)] == kinds
+    assert objects[0x1019, None] == 240
 
 
-def test_adaptive_nodes_have_a_counter_whatever_the_identity() -> None:
-    contract = Contract.from_layout(load_layout(Path("adaptive")))
-    assert (contract.sync_overflow, contract.layout.is_stock) == (SYNC_OVERFLOW, False)
+def test_sync_is_its_counter_whatever_makes_boards_send() -> None:
+    sync = sync_frame(0xA5)
+    assert (sync["can_id"][0], sync["length"][0], sync["data"][0, 0], sync["flags"][0]) == (0x80, 1, 0xA5, 0)
+    adaptive = Contract.from_layout(load_layout(Path("adaptive")))
+    assert {each.value for each in dictionary(adaptive, adaptive.nodes[0]) if each.index == od.SYNC_OVERFLOW} == {240}
 
 
-def test_one_cycle_is_256_frames() -> None:
-    for contract in (CONTRACT, ALTERNATING):
-        for phase in range(contract.phases):
-            assert (contract.table.phase == phase).sum() == 256
+def test_every_sum_is_sent_once_a_cycle_or_once_in_two() -> None:
+    assert np.bincount(CONTRACT.table.turn).tolist() == [256]
+    assert np.bincount(IN_TURNS.table.turn).tolist() == [128, 128]
+    for contract in (CONTRACT, IN_TURNS):
+        assert sorted(contract.table.gather.ravel()) == list(range(1024))
 
 
 @pytest.mark.parametrize("seed", range(1, 12))
 def test_uniform_rows_find_identifiers(seed: int) -> None:
-    contract = Contract.from_layout(alternating(changed(selection="uniform", seed=seed)))
+    contract = Contract.from_layout(in_turns(changed(selection="uniform", seed=seed)))
     assert contract.phi.shape[0] == 1024
     for bus in range(4):
         ids = [tpdo.cob_id for node in contract.on_bus(bus) for tpdo in node.tpdos]
         assert len(ids) == len(set(ids))
         # Outside what CiA 301, table 38 restricts.
         assert all(0x181 <= cob_id < 0x580 for cob_id in ids)
-    for phase in range(contract.phases):
-        gathered = contract.table.gather[contract.table.phase == phase]
-        assert sorted(gathered[gathered >= 0]) == list(range(1024))
+    gathered = contract.table.gather
+    assert sorted(gathered[gathered >= 0]) == list(range(1024))
 
 
 def test_too_many_frames_for_one_bus_is_an_error() -> None:
     text = (
-        '[sync]\nidentity = "alternating"\n[measurement]\nsums = 2560\n'
+        "[encoding]\nsum_bits = 16\n[measurement]\nsums = 4096\n"
         '[[bus]]\nname = "a"\nnodes = 127\n[[bus]]\nname = "b"\nnodes = 1\n'
     )
     layout = msgspec.toml.decode(text, type=Layout)
@@ -89,24 +109,27 @@ def test_too_many_frames_for_one_bus_is_an_error() -> None:
         Contract.from_layout(layout)
 
 
-def test_phases_take_turns_across_the_overflow() -> None:
+def test_turns_go_on_across_the_overflow() -> None:
     counter, seen = 1, []
     for _ in range(2 * SYNC_OVERFLOW):
-        seen.append(ALTERNATING.phase_of(counter))
+        seen.append(IN_TURNS.turn_of(counter))
         counter = next_counter(counter)
     assert seen == [0, 1] * SYNC_OVERFLOW
 
 
-@given(st.integers(0, 2**32 - 1))
-def test_codec_round_trip_is_exact(seed: int) -> None:
-    sums = np.random.default_rng(seed).integers(-(2**15), 2**15, 1024).astype(np.int16)
-    rows = CONTRACT.table.gather[CONTRACT.table.phase == 0]
+@given(st.integers(0, 2**32 - 1), st.integers(0, 255))
+def test_codec_round_trip_is_exact(seed: int, counter: int) -> None:
+    assert CONTRACT.packing == Packing(14, 4, 0)
+    sums = 4 * np.random.default_rng(seed).integers(-(2**13), 2**13, 1024)
+    rows = CONTRACT.table.gather
     back = np.zeros(1024, np.int32)
-    decode(encode(sums, rows, CONTRACT.packing), rows, CONTRACT.packing, back)
+    payloads = encode(counter, sums, rows, CONTRACT.packing)
+    assert (payloads[:, 0] == counter).all()
+    decode(payloads, rows, CONTRACT.packing, back)
     assert np.array_equal(back, sums)
 
 
-def test_dictionary_maps_each_sum_once_per_phase() -> None:
+def test_dictionary_maps_the_counter_first_and_each_sum_once() -> None:
     contract: Contract = Contract.from_layout(changed(selection="uniform"))
     for node in contract.nodes[:16]:
         objects = {(each.index, each.subindex): each for each in dictionary(contract, node)}
@@ -116,25 +139,41 @@ def test_dictionary_maps_each_sum_once_per_phase() -> None:
             for (index, subindex), each in objects.items()
             if 0x1A00 <= index < 0x1C00 and subindex and each.value
         ]
-        wanted = [od.SUMS << 16 | place << 8 | 16 for place in range(1, node.sums + 1)]
-        assert sorted(mapped) == sorted(wanted * contract.phases)
+        wanted = [od.SUMS << 16 | place << 8 | 14 for place in range(1, node.sums + 1)]
+        assert sorted(mapped) == sorted(wanted + [COUNTER_ENTRY] * len(node.tpdos))
+        assert {objects[0x1A00 + place, 1].value for place in range(len(node.tpdos))} == {COUNTER_ENTRY}
+        assert [objects[0x1A00 + place, 0].value for place in range(len(node.tpdos))] == [
+            1 + tpdo.sums for tpdo in node.tpdos
+        ]
 
 
 @pytest.mark.parametrize(
     ("sums", "bits", "fd", "parts", "lengths"),
     [
-        (8, 16, False, [4, 4], [8, 8]),
-        (5, 16, False, [4, 1], [8, 2]),
-        (8, 12, False, [4, 4], [6, 6]),
-        (9, 12, False, [5, 4], [8, 6]),
-        (5, 12, False, [5], [8]),
-        (8, 8, False, [8], [8]),
-        (0, 16, False, [], []),
-        (8, 16, True, [8], [16]),
-        (32, 16, True, [32], [64]),
-        (64, 12, True, [32, 32], [48, 48]),
-        (64, 8, True, [64], [64]),
-        (33, 16, True, [32, 1], [64, 2]),
+        # 56 bits of a classic frame: 8 of 7, 7 of 8, 6 of 9, 5 of 11, 4 of 14, 3 of 16.
+        (8, 14, False, [4, 4], [8, 8]),
+        (5, 14, False, [4, 1], [8, 3]),
+        (4, 14, False, [4], [8]),
+        (4, 15, False, [3, 1], [7, 3]),
+        (8, 16, False, [3, 3, 2], [7, 7, 5]),
+        (8, 12, False, [4, 4], [7, 7]),
+        (9, 11, False, [5, 4], [8, 7]),
+        (5, 11, False, [5], [8]),
+        (6, 9, False, [6], [8]),
+        (8, 8, False, [7, 1], [8, 2]),
+        (8, 7, False, [8], [8]),
+        (0, 14, False, [], []),
+        # 504 bits of a CAN FD frame, and 63 sums at most.
+        (8, 16, True, [8], [20]),
+        (32, 15, True, [32], [64]),
+        (33, 15, True, [33], [64]),
+        (34, 15, True, [33, 1], [64, 3]),
+        (32, 16, True, [31, 1], [64, 3]),
+        (64, 12, True, [42, 22], [64, 48]),
+        (63, 8, True, [63], [64]),
+        (64, 8, True, [63, 1], [64, 2]),
+        (63, 7, True, [63], [64]),
+        (64, 7, True, [53, 11], [48, 12]),
     ],
 )
 def test_sums_go_in_few_frames_of_few_bytes(
@@ -146,19 +185,67 @@ def test_sums_go_in_few_frames_of_few_bytes(
     assert [_length(len(part), bits, fd=fd) for part in spread] == lengths
 
 
+@pytest.mark.parametrize(
+    ("sums", "bits", "fd", "parts"),
+    [
+        (8, 14, False, [4, 4]),
+        (9, 14, False, [2, 2, 2, 3]),
+        (4, 14, False, [2, 2]),
+        (1, 14, False, [1]),  # no frame is a counter alone
+        (0, 14, False, []),
+        # One frame of 61 bytes goes as two of 31; halves last as long as the turn that is longer.
+        (32, 15, True, [16, 16]),
+        (126, 7, True, [63, 63]),
+        (127, 7, True, [35, 35, 35, 22]),
+    ],
+)
+def test_two_turns_have_as_many_frames_each(sums: int, bits: int, fd: bool, parts: list[int]) -> None:
+    spread = _spread(range(sums), bits, fd=fd, turns=2)
+    assert [len(part) for part in spread] == parts
+    assert [each for part in spread for each in part] == list(range(sums))
+
+
+@given(st.integers(1, 300), st.integers(SUM_BITS_MIN, SUM_BITS_MAX), st.booleans(), st.sampled_from(TURNS))
+def test_no_frame_is_empty_or_too_long_and_no_other_way_has_fewer(sums: int, bits: int, fd: bool, turns: int) -> None:
+    spread = _spread(range(sums), bits, fd=fd, turns=turns)
+    assert [each for part in spread for each in part] == list(range(sums))
+    sizes, room_bits = [len(part) for part in spread], 8 * (63 if fd else 7)
+    assert min(sizes) >= 1
+    assert max(sizes) * bits <= room_bits
+    assert max(sizes) <= SUMS_MAX
+    most = min(room_bits // bits, 63)
+    assert len(sizes) == min(sums, turns * math.ceil(sums / (turns * most)))
+
+
+@pytest.mark.parametrize(
+    ("sums", "fd", "widths"),
+    [
+        # 3 frames with 19 bytes, then 2 with 16, 14, 12 (10 and 9 bits) and 10, and 1 with 8.
+        (8, False, [16, 14, 12, 10, 8, 7]),
+        # 2 frames with 10 bytes (16 and 15 bits), then 1 with 8, 7, 6 and 5.
+        (4, False, [16, 14, 12, 10, 8]),
+        # 67 bytes, then 64, 48 and 32.
+        (32, True, [16, 15, 11, 7]),
+    ],
+)
+def test_of_the_widths_that_take_the_same_frames_the_widest_is_useful(sums: int, fd: bool, widths: list[int]) -> None:
+    assert useful_widths(sums, fd=fd) == widths
+
+
 def test_cycle_of_a_bus_is_its_sync_and_its_frames_by_priority() -> None:
-    classic, fd = ALTERNATING.cycle(2, 1), Contract.from_layout(load_layout(Path("fd"))).cycle(0)
-    assert len(classic) == 65
+    classic, fd = IN_TURNS.cycle(2, 1), Contract.from_layout(load_layout(Path("fd"))).cycle(0)
+    assert len(classic) == 33
+    assert set(classic["can_id"][1:] & 0x780) == {0x280}
     assert (classic["can_id"][0], classic["length"][0]) == (SYNC_COB_ID, 1)
     assert (np.diff(classic["can_id"].astype(int)) > 0).all()
     assert not classic["flags"].any()
     assert len(fd) == 33
     assert fd["flags"].tolist() == [0] + 32 * [FD | BRS]
-    assert fd["length"].tolist() == [0] + 32 * [64]
+    assert fd["length"].tolist() == [1] + 32 * [64]
 
 
 @pytest.mark.parametrize("name", ["fd", "one-bus-12bit"])
-def test_nodes_of_several_blocks_map_every_sum_once_per_phase(name: str) -> None:
+def test_nodes_of_several_blocks_map_every_sum_once(name: str) -> None:
     contract = Contract.from_layout(load_layout(Path(name)))
     ids = [tpdo.cob_id for node in contract.nodes for tpdo in node.tpdos]
     assert len(set(ids)) == len(ids)
@@ -173,8 +260,8 @@ def test_nodes_of_several_blocks_map_every_sum_once_per_phase(name: str) -> None
             for place in range(node.blocks)
             for sum_ in range(1, len(contract.phi.rows_of(node.block + place)) + 1)
         ]
-        assert sorted(mapped) == sorted(wanted * contract.phases)
-        assert all(by_place[entry >> 16, entry >> 8 & 0xFF].pdo for entry in mapped)
+        assert sorted(mapped) == sorted(wanted + [COUNTER_ENTRY] * len(node.tpdos))
+        assert all(by_place[entry >> 16, entry >> 8 & 0xFF or None].pdo for entry in mapped)
 
 
 def test_encoding_tells_nodes_apart_that_frames_do_not() -> None:
@@ -183,23 +270,23 @@ def test_encoding_tells_nodes_apart_that_frames_do_not() -> None:
         Contract.from_layout(msgspec.structs.replace(layout, encoding=Encoding(sum_bits=bits, offset_binary=offset)))
         .nodes[0]
         .encoding
-        for bits in (16, 12, 8)
+        for bits in range(SUM_BITS_MIN, SUM_BITS_MAX + 1)
         for offset in (False, True)
     }
-    assert len(encodings) == 6
+    assert len(encodings) == 20
 
 
 @settings(max_examples=60, deadline=None)
 @given(
-    bits=st.sampled_from([16, 12, 8]),
+    bits=st.integers(SUM_BITS_MIN, SUM_BITS_MAX),
     blocks_per_node=st.sampled_from([1, 2, 4, 8]),
     fd=st.booleans(),
     sums=st.integers(8, 256),
     seed=st.integers(0, 99),
-    identity=st.sampled_from(IDENTITIES),
+    turns=st.sampled_from(TURNS),
 )
-def test_any_skin_sends_every_sum_once_per_phase(
-    bits: int, blocks_per_node: int, fd: bool, sums: int, seed: int, identity: str
+def test_any_skin_sends_every_sum_once_in_its_turns(
+    bits: int, blocks_per_node: int, fd: bool, sums: int, seed: int, turns: int
 ) -> None:
     layout = Layout(
         taxels=Taxels(rows=16, columns=16),
@@ -207,16 +294,33 @@ def test_any_skin_sends_every_sum_once_per_phase(
         encoding=Encoding(sum_bits=bits),
         bus=[Bus(name="a", nodes=8 // blocks_per_node, blocks_per_node=blocks_per_node, fd=fd)],
     )
-    contract = Contract.from_layout(with_identity(layout, identity))
-    assert contract.phases == PHASES[identity]
+    contract = Contract.from_layout(in_turns(layout, turns))
     table = contract.table
     assert len(set(table.cob_id.tolist())) == len(table.cob_id)
-    for phase in range(contract.phases):
-        gathered = table.gather[table.phase == phase]
-        assert sorted(gathered[gathered >= 0]) == list(range(sums))
-        lengths = table.length[table.phase == phase]
-        assert set(lengths.tolist()) <= set(FD_LENGTHS if fd else range(1, 9))
-        assert (8 * lengths.astype(int) >= (gathered >= 0).sum(1) * bits).all()
+    gathered = table.gather
+    assert sorted(gathered[gathered >= 0]) == list(range(sums))
+    assert set(table.length.tolist()) <= set(FD_LENGTHS if fd else range(1, 9))
+    assert (8 * table.length.astype(int) >= 8 + (gathered >= 0).sum(1) * bits).all()
+    for node in contract.nodes:
+        of_turn = [sum(tpdo.turn == turn for tpdo in node.tpdos) for turn in range(turns)]
+        assert max(of_turn) == min(of_turn) or node.sums < turns
+
+
+@pytest.mark.parametrize(("sums", "frames"), [(63, [63]), (64, [53, 11])])
+def test_a_can_fd_frame_maps_64_objects_at_most(sums: int, frames: list[int]) -> None:
+    """Of 7 bits 72 sums would fit."""
+    line = buses(1, fd=True, blocks_per_node=8)
+    measurement = {"sums": sums, "block_size": 16, "selection": "uniform"}
+    layout = small_layout(8, 16, measurement=measurement, encoding={"sum_bits": 7}, bus=line)
+    contract = Contract.from_layout(layout)
+    (node,) = contract.nodes
+    objects = {(each.index, each.subindex): each.value for each in dictionary(contract, node)}
+    assert [tpdo.sums for tpdo in node.tpdos] == frames
+    for tpdo in node.tpdos:
+        entries = [objects[0x19FF + tpdo.number, place] for place in range(1, 65)]
+        assert objects[0x19FF + tpdo.number, 0] == 1 + tpdo.sums
+        assert (0x19FF + tpdo.number, 65) not in objects
+        assert [bool(each) for each in entries] == [True] * (1 + tpdo.sums) + [False] * (63 - tpdo.sums)
 
 
 @pytest.mark.parametrize(
@@ -234,7 +338,13 @@ def test_pdos_switch_the_rate_only_where_the_bus_has_a_second_one(
 
 @pytest.mark.parametrize(
     ("bits", "offset_binary", "encoding"),
-    [(16, False, 0x01_00_00_10), (16, True, 0x01_01_00_10), (12, False, 0x01_00_04_0C), (12, True, 0x01_01_04_0C)],
+    [
+        (16, False, 0x01_00_00_10),
+        (16, True, 0x01_01_00_10),
+        (14, False, 0x01_00_02_0E),
+        (12, True, 0x01_01_04_0C),
+        (7, False, 0x01_00_0A_07),
+    ],
 )
 def test_encoding_is_width_scale_sign_and_blocks_by_byte(bits: int, offset_binary: bool, encoding: int) -> None:
     layout = msgspec.structs.replace(load_layout(), encoding=Encoding(sum_bits=bits, offset_binary=offset_binary))

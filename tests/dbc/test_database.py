@@ -13,22 +13,23 @@ from dbc.codec import encode
 from dbc.contract import Contract
 from dbc.database import database, signal_name
 from skin.layout import Encoding, load_layout
-from tests.layouts import alternating, buses, small_layout
+from tests.layouts import buses, in_turns, small_layout
 
 CASES = [
     ("default", {}),
     ("default", {"offset_binary": True}),
-    ("default", {"sum_bits": 12}),
-    ("default", {"sum_bits": 8, "offset_binary": True}),
+    *(("default", {"sum_bits": bits, "offset_binary": bits % 2 == 0}) for bits in range(7, 17)),
     ("fd", {}),
-    ("fd", {"sum_bits": 12, "offset_binary": True}),
+    *(("fd", {"sum_bits": bits, "offset_binary": bits % 2 == 1}) for bits in (7, 12, 16)),
     ("one-bus-12bit", {}),
-    ("alternating", {}),
+    ("in turns", {}),
 ]
+#: SYNC counter of the frames: its highest bit is set.
+COUNTER = 0xA5
 
 
 def made_of(name: str, encoding: dict[str, object]) -> Contract:
-    layout = alternating(load_layout()) if name == "alternating" else load_layout(Path(name))
+    layout = in_turns(load_layout()) if name == "in turns" else load_layout(Path(name))
     return Contract.from_layout(msgspec.structs.replace(layout, encoding=Encoding(**encoding)) if encoding else layout)
 
 
@@ -38,31 +39,29 @@ def read(contract: Contract, bus: int) -> Any:
 
 @pytest.mark.heavy
 @pytest.mark.parametrize(("name", "encoding"), CASES)
-def test_cantools_decodes_exactly_the_sums(name: str, encoding: dict[str, object]) -> None:
+def test_cantools_decodes_the_counter_and_exactly_the_sums(name: str, encoding: dict[str, object]) -> None:
     contract = made_of(name, encoding)
     sums = np.random.default_rng(5).integers(-16368, 16369, 1024).astype(np.int32)
     wanted = contract.packing.counts(contract.packing.raw(sums))
     names = {signal_name(contract, number): number for number in range(1024)}
-    payloads = encode(sums, contract.table.gather, contract.packing)
+    payloads = encode(COUNTER, sums, contract.table.gather, contract.packing)
     for bus in range(1 if encoding else len(contract.layout.bus)):  # buses differ in node-IDs only
         described = read(contract, bus)
-        got: dict[tuple[int, int], int] = {}
+        got: dict[int, int] = {}
         for row in np.flatnonzero(contract.table.bus == bus):
             message = described.get_message_by_frame_id(int(contract.table.cob_id[row]))
             assert message.length == contract.table.length[row]
             assert message.is_fd == contract.layout.bus[bus].fd
             payload = np.zeros(message.length, np.uint8)
             payload[: payloads.shape[1]] = payloads[row, : message.length]
-            phase = int(contract.table.phase[row])
-            if contract.phases > 1:
-                assert f"_Phase{phase + 1}" in message.name
-                assert f"in phase {phase + 1} of 2" in message.comment
-            else:
-                assert "after every SYNC" in message.comment
-            for signal, value in message.decode(payload.tobytes()).items():
-                got[phase, names[signal]] = value
+            turn = "SYNC counters 1, 3, 5, ..." if contract.table.turn[row] == 0 else "SYNC counters 2, 4, 6, ..."
+            assert message.comment.endswith(f", after {turn if contract.turns > 1 else 'every SYNC'}")
+            signals = message.decode(payload.tobytes())
+            assert signals.pop("Counter") == COUNTER
+            for signal, value in signals.items():
+                got[names[signal]] = value
         there = [number for node in contract.on_bus(bus) for number in range(*sums_of(contract, node))]
-        assert got == {(phase, number): wanted[number] for phase in range(contract.phases) for number in there}
+        assert got == {number: wanted[number] for number in there}
 
 
 def sums_of(contract: Contract, node: Any) -> tuple[int, int]:
@@ -70,12 +69,14 @@ def sums_of(contract: Contract, node: Any) -> tuple[int, int]:
 
 
 def test_signals_say_what_they_are() -> None:
-    contract = Contract.from_layout(alternating(made_of("default", {"sum_bits": 12, "offset_binary": True}).layout))
+    contract = Contract.from_layout(in_turns(made_of("default", {"sum_bits": 12, "offset_binary": True}).layout))
     described = read(contract, 1)
-    message = described.get_message_by_name("Node6_TPDO3_Phase2")
+    message = described.get_message_by_name("Node6_TPDO2")
     assert (message.senders, message.cycle_time) == (["Node6"], 20)
     assert "after SYNC counters 2, 4, 6, ..." in message.comment
-    first = message.signals[0]
+    counter, first, *_ = message.signals
+    assert (counter.name, counter.start, counter.length, counter.is_signed) == ("Counter", 0, 8, False)
+    assert (first.start, first.length) == (8, 12)
     assert (first.scale, first.offset, first.unit) == (16, -0x555 * 16, "count")
     assert (first.minimum, first.maximum) == (-0x555 * 16, (4095 - 0x555) * 16)
     assert first.name.startswith("Block037_Row")
@@ -94,7 +95,7 @@ def test_every_frame_on_a_bus_is_described() -> None:
         assert set(range(base + 1, base + 33)) <= ids
     assert len(ids) == 2 + 32 * 2 + 4 * 32
     sync = described.get_message_by_frame_id(SYNC_COB_ID)
-    assert (sync.cycle_time, sync.length) == (10, 0)
+    assert (sync.cycle_time, sync.length) == (10, 1)
     assert described.decode_message("Node7_Heartbeat", b"\x05") == {"State": "Operational"}
     assert described.decode_message("NMT", b"\x81\x00") == {"Command": "Reset node", "NodeId": 0}
 
@@ -114,7 +115,7 @@ def test_can_fd_frames_say_whether_they_switch_the_bit_rate(rate: int | None, sw
 ARM: dict[str, Any] = {
     "name": "small",
     "measurement": {"sums": 5, "block_size": 64},
-    "sync": {"rate_hz": 50.0, "identity": "alternating", "time_s": 2.5},
+    "sync": {"rate_hz": 50.0, "turns": 2, "time_s": 2.5},
     "encoding": {"sum_bits": 12},
     "bus": buses(1, names=["arm"], bitrate=500_000, fd=True, data_bitrate=2_000_000),
 }
@@ -161,14 +162,17 @@ def test_services_are_written_field_by_field() -> None:
     assert SERVICES in text
     assert TRANSFERS in text
     lines = text.splitlines()
-    tpdo = lines[lines.index("BO_ 641 Node1_TPDO2_Phase2: 8 Node1") + 1 :][:5]
-    assert [line.split(" : ")[1] for line in tpdo] == [
-        f'{start}|12@1- (32,0) [-65536|65504] "count"  Gateway' for start in (0, 12, 24, 36, 48)
-    ]
+    for head, starts in (("BO_ 385 Node1_TPDO1: 6 Node1", (8, 20, 32)), ("BO_ 641 Node1_TPDO2: 4 Node1", (8, 20))):
+        begin = lines.index(head) + 1
+        counter, *sums = lines[begin : lines.index("", begin)]
+        assert counter == ' SG_ Counter : 0|8@1+ (1,0) [0|255] ""  Gateway'
+        assert [line.split(" : ")[1] for line in sums] == [
+            f'{start}|12@1- (32,0) [-65536|65504] "count"  Gateway' for start in starts
+        ]
 
 
 def test_attributes_tell_rates_formats_and_periods() -> None:
-    """VFrameFormat 14 is StandardCAN_FD; a TPDO of one of two phases comes every second cycle of 20 ms."""
+    """VFrameFormat 14 is StandardCAN_FD; a TPDO of one of two turns comes every second cycle of 20 ms."""
     text = database(Contract.from_layout(small_layout(**ARM)), 0)
     kinds = "BA_DEF_ ", "BA_DEF_DEF_ ", "BA_ ", "VAL_ "
     lines = [line for line in text.splitlines() if line.startswith(kinds) and "PhiFingerprint" not in line]
@@ -221,19 +225,19 @@ def test_comments_say_what_a_frame_is() -> None:
     assert bus.startswith('CM_ "Bus arm of skin small: blocks 0 to 0 of Phi ')
     exact = "Sums are in ADC counts, 1.95503e-05 N each; "
     assert bus.endswith(f'{exact}rounded to 32, which adds at most 0.000313 N to a sum.";')
-    wide = comments(encoding={})
+    wide = comments(encoding={"sum_bits": 16})
     assert wide[0].endswith(f'{exact}rounded to 2, which adds at most 1.96e-05 N to a sum.";')
-    small = {"measurement": {"sums": 4}, "bus": buses(2, names=["arm"], fd=True), "encoding": {}}
+    small = {"measurement": {"sums": 4}, "bus": buses(2, names=["arm"], fd=True), "encoding": {"sum_bits": 16}}
     assert comments(**small)[0].endswith(f'{exact}they are exact.";')
     assert messages == [
         'CM_ BO_ 0 "NMT command; node-ID 0 is all nodes";',
         'CM_ BO_ 128 "All blocks measure now; the counter goes from 1 to 240";',
         'CM_ BO_ 256 "TIME_OF_DAY in UTC; days since 1984-01-01";',
-        'CM_ BO_ 385 "Sums 0 to 4 in phase 1 of 2: after SYNC counters 1, 3, 5, ...";',
-        'CM_ BO_ 641 "Sums 0 to 4 in phase 2 of 2: after SYNC counters 2, 4, 6, ...";',
+        'CM_ BO_ 385 "Sums 0 to 2, after SYNC counters 1, 3, 5, ...";',
+        'CM_ BO_ 641 "Sums 3 to 4, after SYNC counters 2, 4, 6, ...";',
     ]
     plain = comments(sync={"rate_hz": 50.0})[1:]
-    assert plain[1:] == ['CM_ BO_ 128 "All blocks measure now";', 'CM_ BO_ 385 "Sums 0 to 4, after every SYNC";']
+    assert plain[1:] == [messages[1], 'CM_ BO_ 385 "Sums 0 to 4, after every SYNC";']
 
 
 def test_a_skin_that_recognises_has_frames_of_its_own_for_that() -> None:
@@ -243,8 +247,8 @@ def test_a_skin_that_recognises_has_frames_of_its_own_for_that() -> None:
     assert state in text
     lines = text.splitlines()
     assert [line for line in lines if "TPDO" in line] == [
-        "BO_ 385 Node1_TPDO1: 8 Node1",
-        "BO_ 641 Node1_TPDO2_Recognition: 3 Node1",
+        "BO_ 385 Node1_TPDO1: 12 Node1",
+        "BO_ 641 Node1_TPDO2_Recognition: 4 Node1",
     ]
     said = ("BO_ 255", "BO_ 385", "BO_ 641", "255 State")
     assert [

@@ -34,11 +34,11 @@ def told(found: dict[tuple[int, int | None], Object], index: int) -> list[tuple[
 
 
 def test_adaptive_nodes_have_their_settings_and_no_sums() -> None:
-    """1007h is 98 % of the period; 2005h: 8 bits, step 1, form 2 (companded), one block."""
+    """1007h is 99 % of the period; 2005h: 8 bits, step 1, form 2 (companded), one block."""
     found = objects(ADAPTIVE_ARM)
     values = {index: found[index, None].value for index in (0x1006, 0x1007, 0x1019, 0x2005, 0x2030, 0x2034, 0x2035)}
     assert values == {
-        0x1006: 100_000, 0x1007: 98_000, 0x1019: 240, 0x2005: 0x01_02_00_08, 0x2030: 0, 0x2034: 0, 0x2035: 0.0
+        0x1006: 100_000, 0x1007: 99_000, 0x1019: 240, 0x2005: 0x01_02_00_08, 0x2030: 0, 0x2034: 0, 0x2035: 0.0
     }  # fmt: skip
     kinds = {index: (found[index, None].data_type, found[index, None].access) for index in (0x2030, 0x2034, 0x2035)}
     assert kinds == {0x2030: (U8, "rw"), 0x2034: (U32, "rw"), 0x2035: (REAL, "ro")}
@@ -89,7 +89,7 @@ def test_an_rpdo_switches_the_state_at_the_next_sync() -> None:
     assert [found[index, None].value for index in (0x1006, 0x1007, 0x1019, 0x2005)] == [
         40_000,
         39_600,
-        0,
+        240,
         0x01_00_05_0C,
     ]
     assert told(found, 0x1400) == [(U8, "const", 2), (U32, "const", 0x0FF), (U8, "const", 1)]
@@ -102,13 +102,22 @@ def test_an_rpdo_switches_the_state_at_the_next_sync() -> None:
         rest = [(U8, "rw", 1), (U16, "rw", 0), (U16, "rw", 0), (U8, "rw", 0)]
         assert told(found, index) == [(U8, "const", 6), (U32, "rw", 0x4000_0000 | cob_id), *rest]
     mapped = [(index, each.value) for (index, _), each in found.items() if index in {0x1A00, 0x1A01} and each.value]
-    of_images = [(0x1A00, 5), *((0x1A00, 0x2100_00_0C | place << 8) for place in range(1, 6))]
-    assert mapped == [*of_images, (0x1A01, 2), (0x1A01, 0x2100_01_0C), (0x1A01, 0x2100_05_0C)]
+    counter = 0x2022_00_08
+    of_images = [(0x1A00, 6), (0x1A00, counter), *((0x1A00, 0x2100_00_0C | place << 8) for place in range(1, 6))]
+    of_recognition = [(0x1A01, each) for each in (3, counter, 0x2100_01_0C, 0x2100_05_0C)]
+    assert mapped == of_images + of_recognition
+    assert told(found, 0x2022) == [(U8, "ro", 0)]
+    assert found[0x2022, None].pdo
+    assert (0x2022, None) not in objects(ADAPTIVE_ARM)
 
 
 @pytest.mark.parametrize(
     ("bits", "offset", "kind"),
-    [(16, False, 3), (16, True, 6), (12, False, 3), (12, True, 6), (8, False, 2), (8, True, 5)],
+    [
+        (bits, *kind)
+        for bits in range(7, 17)
+        for kind in (((False, 3), (True, 6)) if bits > 8 else ((False, 2), (True, 5)))
+    ],
 )
 def test_sums_have_the_type_of_their_width_and_sign(bits: int, offset: bool, kind: int) -> None:
     encoding = {"sum_bits": bits, "offset_binary": offset}

@@ -1,5 +1,6 @@
 """The EDS and DCF files, read by two libraries that share no code: both find the dictionary of the node."""
 
+import math
 import warnings
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,7 @@ from dbc.dictionary import dictionary
 from dbc.eds import NO_BLOCK, NodeType, dcfs, eds, node_name, node_types
 from dbc.objects import Object
 from skin.layout import Layout, load_layout
-from tests.layouts import alternating, small_layout
+from tests.layouts import buses, in_turns, small_layout
 
 MIXED = small_layout(
     16,
@@ -31,7 +32,7 @@ MIXED = small_layout(
 DIFFERING = {od.IDENTITY, od.BLOCK, od.ROWS, od.TAXELS}
 SHIPPED = "default", "fd", "one-bus-12bit", "recognition", "recognise-first"
 LAYOUTS: dict[str, Layout] = {name: load_layout(Path(name)) for name in SHIPPED}
-LAYOUTS["alternating"] = alternating(load_layout())
+LAYOUTS["in turns"] = in_turns(load_layout())
 LAYOUTS["mixed"] = MIXED
 
 
@@ -162,9 +163,10 @@ def test_lely_reads_the_dictionary_and_has_no_complaint(name: str, tmp_path: Pat
 
 def same_pdo(contract: Contract, node: NodeContract, tpdo: Any, got: Any) -> None:
     assert got.cob_id == 0x4000_0000 | tpdo.cob_id
-    turn = (2, tpdo.phase + 1) if contract.phases > 1 else (1, 0)
-    assert (got.transmission_type, got.sync_start_value, got.n) == (*turn, tpdo.sums)
-    names = [entry.name for entry in got.mapping.values()]
+    turn = (2, tpdo.turn + 1) if contract.turns > 1 else (1, 0)
+    assert (got.transmission_type, got.sync_start_value, got.n) == (*turn, 1 + tpdo.sums)
+    counter, *names = (entry.name for entry in got.mapping.values())
+    assert counter == "SYNC counter of the sums"
     blocks = contract.phi.block_of_sum[tpdo.first_sum : tpdo.first_sum + tpdo.sums]
     starts = contract.phi.starts[blocks]
     assert names == [f"Sum {tpdo.first_sum + place - start + 1}" for place, start in enumerate(starts)]
@@ -181,6 +183,32 @@ def test_both_readers_find_the_same_values(tmp_path: Path) -> None:
             assert device[each.index][each.subindex].parse_value() == each.default
             compared += 1
     assert compared > 100
+
+
+@pytest.mark.parametrize("bits", range(7, 17))
+def test_a_stock_stack_maps_the_counter_and_then_the_sums_of_any_width(bits: int, tmp_path: Path) -> None:
+    """Names, places and lengths as canopen maps them from the DCF; Granularity is the unit of both lengths."""
+    line = buses(1, fd=bits % 2 == 1, blocks_per_node=2)
+    layout = in_turns(small_layout(encoding={"sum_bits": bits}, bus=line), 1 + bits % 2)
+    contract = Contract.from_layout(layout)
+    (kind,) = node_types(contract)
+    ((node, text),) = dcfs(contract, kind)
+    path = tmp_path / "node.dcf"
+    path.write_text(text, "ascii")
+    assert f"Granularity={math.gcd(bits, 8)}\n" in eds(contract, kind)
+    found = canopen.import_od(str(path))
+    wanted = [(od.of_block(od.SUMS, block), place) for block in (0, 1) for place in range(1, 9)]
+    for tpdo in node.tpdos:
+        communication, mapping = found[0x17FF + tpdo.number], found[0x19FF + tpdo.number]
+        kind_and_start = (communication[2].value, communication[6].value)
+        assert kind_and_start == ((2, tpdo.turn + 1) if contract.turns > 1 else (1, 0))
+        counter, *sums = [mapping[place].value for place in range(1, mapping[0].value + 1)]
+        assert counter == 0x2022_00_08
+        assert [each & 0xFF for each in sums] == [bits] * tpdo.sums
+        places = [(each >> 16, each >> 8 & 0xFF) for each in sums]
+        assert places == wanted[tpdo.first_sum : tpdo.first_sum + tpdo.sums]
+    assert found[0x2022].pdo_mappable
+    assert (found[0x2022].data_type, found[0x2022].access_type) == (od.UNSIGNED8, "ro")
 
 
 def test_nodes_that_differ_in_values_are_one_type() -> None:

@@ -1,4 +1,4 @@
-"""Packings: nothing saturates, the rounding error is what it says, and what is packed comes back."""
+"""Packings of 7 to 16 bits: nothing saturates, the rounding error is what it says, and what is packed comes back."""
 
 from itertools import product
 
@@ -13,10 +13,13 @@ from dbc.contract import Contract
 from dbc.frame import frames
 from dbc.frame_bits import wire_bits
 from dbc.packing import Packing, packing, rounding_error_n
-from skin.layout import Layout, load_layout
+from skin.layout import SUM_BITS_MAX, SUM_BITS_MIN, Layout, load_layout
 
 TRIPS = 10_000
-ENCODINGS = list(product((16, 12, 8), (False, True)))
+WIDTHS = range(SUM_BITS_MIN, SUM_BITS_MAX + 1)
+ENCODINGS = list(product(WIDTHS, (False, True)))
+#: SYNC counter of the frames: its highest bit is set.
+COUNTER = 0xA5
 
 
 def layout_with(bits: int, offset_binary: bool, adc_bits: int = 10, block_size: int = 32, **taxels: str) -> Layout:
@@ -38,12 +41,19 @@ def layout_with(bits: int, offset_binary: bool, adc_bits: int = 10, block_size: 
         (16, False, 12, 4, 0),
         (16, True, 12, 4, 0x5555),
         (16, False, 16, 64, 0),
+        (15, False, 10, 2, 0),
+        (14, False, 10, 4, 0),
+        # 5461 of 16384 codes are below zero, 10922 above: 32736 / 4 = 8184 of them are used.
+        (14, True, 10, 4, 0x1555),
+        (13, True, 10, 8, 0xAAA),
         (12, False, 10, 16, 0),
         (12, True, 10, 16, 0x555),
         (12, False, 12, 64, 0),
         # 32736 / 256 rounds to 128, one more than a signed byte holds; the offset divides the range as sums need it.
         (8, False, 10, 512, 0),
         (8, True, 10, 256, 0x55),
+        (7, False, 10, 1024, 0),
+        (7, True, 10, 512, 0x2A),
     ],
 )
 def test_scale_is_the_smallest_that_fits(
@@ -108,13 +118,14 @@ def test_no_sum_of_any_touch_saturates(encoding: tuple[int, bool], adc_bits: int
 def test_ten_thousand_round_trips(bits: int, offset_binary: bool) -> None:
     layout = layout_with(bits, offset_binary)
     pack = packing(layout)
-    width = 64 // bits
+    width = 56 // bits
     random = np.random.default_rng(bits)
     sums = random.integers(-16368, 32737, TRIPS * width).astype(np.int32)
     sums[:4] = -16368, 32736, 0, -1
     gather = random.permutation(TRIPS * width).reshape(TRIPS, width)
-    payloads = encode(sums, gather, pack)
-    assert payloads.shape == (TRIPS, (width * bits + 7) // 8)
+    payloads = encode(COUNTER, sums, gather, pack)
+    assert payloads.shape == (TRIPS, 1 + (width * bits + 7) // 8)
+    assert (payloads[:, 0] == COUNTER).all()
     back = np.zeros_like(sums)
     decode(payloads, gather, pack, back)
     error = np.abs(back - sums)
@@ -131,7 +142,7 @@ def test_frames_with_fewer_sums_leave_the_others_alone(bits: int, offset_binary:
     sums = sums[np.abs(sums) <= 16368]
     gather = np.array([[0, 1, 2, -1], [-1, -1, -1, -1], [3, -1, -1, -1]])
     back = np.full(len(sums), 7, np.int32)
-    decode(encode(sums, gather, pack), gather, pack, back)
+    decode(encode(COUNTER, sums, gather, pack), gather, pack, back)
     assert np.array_equal(back[:4], sums[:4])
     assert (back[4:] == 7).all()
 
@@ -143,40 +154,68 @@ def test_halves_round_towards_zero() -> None:
 
 def test_bits_follow_each_other_from_the_lowest_on() -> None:
     sums, gather = np.array([0x123, 0x456, -1, 0]), np.array([[0, 1, 2, 3]])
-    assert encode(sums, gather, Packing(12, 1, 0)).tobytes().hex() == "236145ff0f00"
-    assert encode(sums, gather, Packing(16, 1, 0)).tobytes().hex() == "23015604ffff0000"
-    assert encode(np.array([1, 2, -1, 0]), gather, Packing(8, 1, 0)).tobytes().hex() == "0102ff00"
+    assert encode(COUNTER, sums, gather, Packing(16, 1, 0)).tobytes().hex() == "a523015604ffff0000"
+    assert encode(COUNTER, sums, gather, Packing(14, 1, 0)).tobytes().hex() == "a5238115f1ff0300"
+    assert encode(COUNTER, sums, gather, Packing(12, 1, 0)).tobytes().hex() == "a5236145ff0f00"
+    few = np.array([1, 2, -1, 0])
+    assert encode(COUNTER, few, gather, Packing(8, 1, 0)).tobytes().hex() == "a50102ff00"
+    assert encode(COUNTER, few, gather, Packing(7, 1, 0)).tobytes().hex() == "a501c11f00"
 
 
-@pytest.mark.parametrize("bits", [16, 12, 8])
+@given(st.data(), st.integers(SUM_BITS_MIN, SUM_BITS_MAX), st.booleans(), st.integers(0, 255))
+def test_a_payload_is_its_counter_and_one_number_of_all_sums(
+    data: st.DataObject, bits: int, offset_binary: bool, counter: int
+) -> None:
+    """The packer of frames of CAN FD, too: 63 bytes of sums, 63 sums at most."""
+    pack = Packing(bits, 1, (2**bits - 1) // 3 if offset_binary else 0)
+    low, high = (
+        (-pack.offset, 2**bits - 1 - pack.offset) if offset_binary else (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1)
+    )
+    values = data.draw(st.lists(st.integers(low, high), min_size=1, max_size=min(504 // bits, 63)))
+    sums, gather = np.array(values, np.int32), np.arange(len(values))[None]
+    payload = encode(counter, sums, gather, pack)
+    number = sum(((value + pack.offset) % 2**bits) << place * bits for place, value in enumerate(values))
+    wanted = counter.to_bytes() + number.to_bytes(-(-len(values) * bits // 8), "little")
+    assert payload.tobytes() == wanted
+    back = np.zeros(len(values), np.int32)
+    decode(np.pad(payload, ((0, 0), (0, 64 - len(wanted))), constant_values=0xFF), gather, pack, back)
+    assert back.tolist() == values
+
+
+@pytest.mark.parametrize("bits", WIDTHS)
 def test_offset_binary_of_an_idle_skin_has_no_run_to_stuff(bits: int) -> None:
+    """Even widths alternate throughout; of an odd width the last bit of a sum and the first of the next are 0."""
     pack = packing(layout_with(bits, offset_binary=True))
-    gather = np.arange(4 if bits == 12 else 64 // bits)[None]
-    assert set(encode(np.zeros(8, np.int32), gather, pack).tobytes()) == {0x55}
+    sums = 56 // bits
+    payload = encode(COUNTER, np.zeros(sums, np.int32), np.arange(sums)[None], pack)[0, 1:]
+    idle = "".join(map(str, np.unpackbits(payload, bitorder="little")[: sums * bits]))
+    assert "11" not in idle
+    assert "000" not in idle
+    assert idle.count("00") == (sums - 1 if bits % 2 else 0)
 
 
 def test_offset_binary_shortens_the_frames_of_an_idle_skin() -> None:
     mean = {}
     for offset_binary in (False, True):
-        contract = Contract.from_layout(layout_with(16, offset_binary))
+        contract = Contract.from_layout(layout_with(14, offset_binary))
         table = contract.table
         cycle = frames(len(table.cob_id))
         cycle["can_id"], cycle["length"] = table.cob_id, table.length
-        cycle["data"][:, :8] = encode(np.zeros(1024, np.int32), table.gather, contract.packing)
+        cycle["data"][:, :8] = encode(COUNTER, np.zeros(1024, np.int32), table.gather, contract.packing)
         mean[offset_binary] = float(wire_bits(cycle)[0].mean())
-    assert mean[False] > 124
+    assert mean[False] > 122
     assert mean[True] < 113
 
 
-@pytest.mark.parametrize("bits", [16, 12, 8])
+@pytest.mark.parametrize("bits", WIDTHS)
 def test_bits_behind_the_last_sum_are_zero(bits: int) -> None:
-    payload = encode(np.array([-1]), np.array([[0, -1, -1, -1]]), Packing(bits, 1, 0))
-    assert int.from_bytes(payload.tobytes(), "little") == (1 << bits) - 1
+    payload = encode(0, np.array([-1]), np.array([[0, -1, -1, -1]]), Packing(bits, 1, 0))
+    assert int.from_bytes(payload.tobytes(), "little") == ((1 << bits) - 1) << 8
 
 
 @pytest.mark.parametrize(
     ("bits", "offset", "low", "high"),
-    [(16, 0, -32768, 32767), (16, 0x5555, 0, 65535), (12, 0, -2048, 2047), (8, 0x55, 0, 255)],
+    [(16, 0, -32768, 32767), (16, 0x5555, 0, 65535), (14, 0, -8192, 8191), (7, 0x2A, 0, 127)],
 )
 def test_raw_values_are_what_the_width_holds(bits: int, offset: int, low: int, high: int) -> None:
     assert Packing(bits, 1, offset).raw_range == (low, high)

@@ -10,12 +10,13 @@ from dbc.board import board
 from dbc.board_sums import node_payloads
 from dbc.contract import Contract
 from dbc.vectors import vectors_text
-from skin.layout import load_layout
+from skin.layout import changed, load_layout
 
 
-@pytest.mark.parametrize("name", ["fd", "recognise-first"])
-def test_frames_of_all_states_are_listed_and_carry_the_sums_of_the_case(name: str) -> None:
-    contract = Contract.from_layout(load_layout(Path(name)))
+@pytest.mark.parametrize(("name", "turns"), [("fd", 1), ("recognise-first", 1), ("forearm", 2)])
+def test_frames_of_all_states_are_listed_and_carry_the_sums_of_the_case(name: str, turns: int) -> None:
+    """The first byte is the counter of the SYNC: that of the case, or in the second turn the next."""
+    contract = Contract.from_layout(changed(load_layout(Path(name)), sync={"turns": turns}))
     node = contract.nodes[1]
     for case in json.loads(vectors_text(contract, node))["cases"]:
         frames = {each["cob_id"]: bytes.fromhex(each["data"]) for each in case["frames"]}
@@ -28,4 +29,8 @@ def test_frames_of_all_states_are_listed_and_carry_the_sums_of_the_case(name: st
             own = state.nodes[1]
             of_state = sums if state is contract else sums[contract.recognised]
             begin, end = (int(state.phi.starts[each]) for each in (own.block, own.block + own.blocks))
-            assert frames.items() >= node_payloads(state, own, of_state[begin:end]).items()
+            for tpdo in own.tpdos:
+                counter = case["sync_counter"] + tpdo.turn
+                assert state.turn_of(counter) == tpdo.turn
+                assert frames[tpdo.cob_id] == node_payloads(state, own, counter, of_state[begin:end])[tpdo.cob_id]
+                assert frames[tpdo.cob_id][0] == counter

@@ -26,6 +26,7 @@ from nodes.segment import Segment
 from nodes.virtual_boards import VirtualBoards
 from skin.measurement import Sbhe
 from skin.sources import Frame
+from skin.sync_counter import SYNC_OVERFLOW
 from skin.taxel import to_counts
 from tests.bus.harness import frame
 from tests.layouts import small_contract
@@ -72,7 +73,7 @@ class Witness(Electronics):
 
 
 class WitnessSampler(Sampler):
-    """A sampler that remembers the sums of these counts by bus and SYNC counter, and by the time of SYNC; newest wins.
+    """A sampler that remembers the sums of these counts by bus and SYNC counter; the newest wins.
 
     Where another master counts ahead on one bus, the sums that the boards of another bus get may be older than theirs.
     """
@@ -81,7 +82,6 @@ class WitnessSampler(Sampler):
         taxels = electronics.taxels
         super().__init__(phi, Shaking((taxels.rows, taxels.columns)), electronics, longest_period_s)
         self.truths: dict[tuple[int, int], npt.NDArray[np.int32]] = {}
-        self.truths_by_ns: dict[int, npt.NDArray[np.int32]] = {}
         self._witness = electronics
         #: By the identity of what the boards got.
         self._true: dict[int, npt.NDArray[np.int32]] = {}
@@ -91,18 +91,8 @@ class WitnessSampler(Sampler):
         sums = super().sample(counter, time_ns, bus)
         if self._witness.reads > before:
             self._true[id(sums)] = self._phi.wired.forward(self._witness.counts)
-            if not counter:  # with SYNCs that do not count, a SYNC that counts is another master's
-                self.truths_by_ns[time_ns] = self._true[id(sums)]
         self.truths[bus, counter] = self._true[id(sums)]
         return sums
-
-    def truth_of(self, measurement: Measurement, bus: int) -> npt.NDArray[np.int32] | None:
-        """Return the sums of the cycle of a measurement, None if no node of the bus has sampled in it."""
-        if not self.truths_by_ns:
-            return self.truths.get((bus, measurement.sync_counter))
-        later = {time_ns - measurement.sampled_mono_ns: sums for time_ns, sums in self.truths_by_ns.items()}
-        found = [each for each in later if -0.25 < each / self._period_ns < 0.75]
-        return later[max(found)] if found else None
 
 
 class EndOfWire:
@@ -249,8 +239,8 @@ class World:
     recalibrated: list[tuple[int, int]] = field(default_factory=list)
     step_s: ClassVar[float] = STEP_S
     wire: ClassVar[type[Wire]] = Wire
-    #: Buses whose interfaces do not keep the order of SYNC and answers.
-    unordered: ClassVar[tuple[int, ...]] = ()
+    #: Buses whose interfaces echo a frame before it has been on the bus.
+    early_echoes: ClassVar[tuple[int, ...]] = ()
 
     def __post_init__(self) -> None:
         layout = self.contract.layout
@@ -279,7 +269,7 @@ class World:
             self.now_s,
             say=self.lines.append,
             complain=self.complaints.append,
-            unordered=self.unordered,
+            early_echoes=self.early_echoes,
         )
 
     def step(self) -> list[Measurement]:
@@ -355,7 +345,7 @@ class World:
         differs = np.zeros(phi.blocks, np.bool_)
         for bus in range(len(self.wires)):
             blocks = [node.block + each for node in self.contract.on_bus(bus) for each in range(node.blocks)]
-            truth = self.sampler.truth_of(measurement, bus)
+            truth = self._truth(measurement.sync_counter, bus)
             if truth is None:
                 differs[blocks] = True
                 continue
@@ -363,6 +353,22 @@ class World:
                 truth = truth[self.contract.recognised]
             differs[blocks] = np.isin(blocks, phi.block_of_sum[sums != truth])
         return np.flatnonzero(differs & valid(measurement)).tolist()
+
+    def _truth(self, counter: int, bus: int) -> npt.NDArray[np.int32] | None:
+        """Return the sums that a measurement has of a bus, those of each turn of its newest cycle.
+
+        None if no node of the bus has sampled in one of these cycles.
+        """
+        table, packing = self.contract.table, self.contract.packing
+        truth = np.zeros(self.contract.phi.shape[0], np.int32)
+        for age in range(self.contract.turns):
+            cycle = (counter - 1 - age) % SYNC_OVERFLOW + 1
+            sums = self.sampler.truths.get((bus, cycle))
+            if sums is None:
+                return None
+            places = table.gather[table.turn == self.contract.turn_of(cycle)]
+            truth[places[places >= 0]] = sums[places[places >= 0]]
+        return packing.counts(packing.raw(truth))
 
     # What another master does
 
@@ -408,17 +414,17 @@ def little(value: int, size: int = 4) -> bytes:
 
 
 def swap_mapping(world: World, bus: int, node_id: int, tpdo: int = 0, *, back: bool = False) -> None:
-    """Swap the first two sums of a TPDO, or swap them back, as CiA 301, 7.5.2.38, wants it done."""
+    """Swap the first two sums of a TPDO, behind the counter, or swap them back, as CiA 301, 7.5.2.38, wants it done."""
     node = next(each for each in world.contract.on_bus(bus) if each.node_id == node_id)
     cob_id = node.tpdos[tpdo].cob_id | 0x4000_0000
     entries = [each.data for each in configuration(world.contract, node) if each.index == od.TPDO_MAPPING + tpdo]
-    count, first, second = entries[0], *(entries[2:0:-1] if back else entries[1:3])
+    count, first, second = entries[0], *(entries[3:1:-1] if back else entries[2:4])
     communication, mapping = od.TPDO_COMMUNICATION + tpdo, od.TPDO_MAPPING + tpdo
     for index, subindex, data in (
         (communication, 1, little(cob_id | 0x8000_0000)),
         (mapping, 0, b"\0"),
-        (mapping, 1, second),
-        (mapping, 2, first),
+        (mapping, 2, second),
+        (mapping, 3, first),
         (mapping, 0, count),
         (communication, 1, little(cob_id)),
     ):

@@ -38,9 +38,9 @@ class Skin:
         self._segment = Segment(contract, 0, boards, self.sampler, self._send, complain=print)
         self._link, self._far, self.is_plugged = link, far, True
         self._segment.boot(time.monotonic())
-        unordered = [] if link.keeps_order else [0]
+        early = [] if link.proves_echo else [0]
         now_s = time.monotonic()
-        self.gateway = GatewayLoop(contract, {0: link.send}, now_s, say=print, complain=print, unordered=unordered)
+        self.gateway = GatewayLoop(contract, {0: link.send}, now_s, say=print, complain=print, early_echoes=early)
 
     def turn(self) -> list[Measurement]:
         select.select([self._link], [], [], 0.002)
@@ -63,7 +63,8 @@ class Skin:
         """Check that the valid sums are those of one SYNC."""
         is_valid = valid(measurement)[CONTRACT.phi.block_of_sum]
         sums = np.frombuffer(measurement.sums, "<i4")[is_valid]
-        assert not len(sums) or any((truth[is_valid] == sums).all() for truth in self.sampler.truths_by_ns.values())
+        packing, truth = CONTRACT.packing, self.sampler.truths.get((0, measurement.sync_counter))
+        assert not len(sums) or (truth is not None and (packing.counts(packing.raw(truth))[is_valid] == sums).all())
 
     def until_whole(self) -> None:
         """Go on until all blocks are valid."""

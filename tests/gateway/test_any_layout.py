@@ -59,8 +59,7 @@ def documents(draw: st.DrawFn) -> dict[str, Any]:
     measurement["wiring"] = wiring
     if draw(st.sampled_from((False, False, True))):
         measurement["sums"] = draw(st.integers(1, 2 * count + 1))
-    sync = {"rate_hz": 20.0, "identity": draw(st.sampled_from(("window", "alternating")))}
-    # With 8 bits the sums of 128 places fit 16 bits exactly.
+    sync = {"rate_hz": 20.0, "turns": draw(st.sampled_from((1, 2)))}
     return {"taxels": taxels | {"adc_bits": 8}, "measurement": measurement, "sync": sync}
 
 

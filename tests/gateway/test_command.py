@@ -28,7 +28,7 @@ class Parts:
         self.answered: list[Question] = []
 
         class Closing:
-            keeps_order = True
+            proves_echo = True
 
             def __init__(self, name: str) -> None:
                 self.name = name

@@ -25,7 +25,7 @@ def begun(contract: Contract, *, stamp_error_ns: int | None = 0) -> CycleGatheri
 
 
 def test_frames_may_wait_as_long_as_the_bus_needs_for_them(small: Contract) -> None:
-    frames_of_bus = len(small.cycle(0, small.phase_of(1))) - 1
+    frames_of_bus = len(small.cycle(0)) - 1
     expected_s = 1.0 + frames_of_bus * FRAME_BITS / small.layout.bus[0].bitrate
     assert begun(small).may_sleep_until_s == pytest.approx(expected_s, abs=1e-9)
 

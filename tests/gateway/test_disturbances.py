@@ -12,12 +12,12 @@ from dbc import indices as od
 from dbc.canopen import NmtCommand
 from dbc.configuration import configuration
 from tests.gateway.helpers import DISTURBANCES, RANDOM, World, drive
-from tests.layouts import IDENTITIES, small_contract
+from tests.layouts import small_contract
 
 STEPS = 200
 
 SMALL = small_contract()
-CONTRACTS = {identity: small_contract(identity=identity) for identity in IDENTITIES}
+CONTRACTS = {1: SMALL, 2: small_contract(sync={"rate_hz": 40.0, "turns": 2})}
 PLACES = sorted(
     {
         (each.index, each.subindex, len(each.data))
@@ -46,7 +46,7 @@ action = st.one_of(
     st.tuples(st.just("swap"), node, st.integers(0, 3)),
     st.tuples(st.just("pattern"), node, st.integers(0, 3)),
     st.tuples(st.just("write"), node, st.tuples(st.just(od.GAIN), st.integers(1, 8), st.just(4)), gain),
-    st.tuples(st.just("hang"), node, st.integers(1, 5)),
+    st.tuples(st.just("hang"), node, st.integers(1, 5) | st.integers(1, 300)),
     st.tuples(st.just("nmt"), st.integers(0, 1), st.sampled_from(list(NmtCommand)), st.integers(0, 2)),
     st.tuples(st.just("store"), node),
     st.tuples(st.just("restore"), node),
@@ -57,19 +57,19 @@ action = st.one_of(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("gateway_loses", [False, True])
-@pytest.mark.parametrize("identity", IDENTITIES)
-def test_random_disturbances(gateway_loses: bool, identity: str) -> None:
+@pytest.mark.parametrize("turns", CONTRACTS)
+def test_random_disturbances(gateway_loses: bool, turns: int) -> None:
     @settings(RANDOM, max_examples=max(1, DISTURBANCES // STEPS))
     @given(st.lists(action, min_size=STEPS, max_size=STEPS))
     def run(actions: list[tuple]) -> None:
         with TemporaryDirectory() as folder:
-            drive(World(CONTRACTS[identity], Path(folder)), actions, gateway_loses=gateway_loses)
+            drive(World(CONTRACTS[turns], Path(folder)), actions, gateway_loses=gateway_loses)
 
     run()
 
 
-@pytest.mark.parametrize("identity", IDENTITIES)
-def test_a_short_while_of_disturbances(tmp_path: Path, identity: str) -> None:
+@pytest.mark.parametrize("turns", CONTRACTS)
+def test_a_short_while_of_disturbances(tmp_path: Path, turns: int) -> None:
     """The same in little, for the quick loop: one fixed draw."""
     actions = [
         ("pattern", (0, 1), 2),
@@ -87,4 +87,4 @@ def test_a_short_while_of_disturbances(tmp_path: Path, identity: str) -> None:
     for gateway_loses in (False, True):
         folder = tmp_path / str(gateway_loses)
         folder.mkdir()
-        drive(World(CONTRACTS[identity], folder), actions, gateway_loses=gateway_loses)
+        drive(World(CONTRACTS[turns], folder), actions, gateway_loses=gateway_loses)

@@ -57,7 +57,7 @@ def test_frames_that_are_read_after_the_next_sync_was_sent_still_count(world: Wo
     assert not any(world.wrong_blocks(each) for each in world.measured[first:])
 
 
-def test_cycle_is_closed_before_its_phase_is_opened_again(world: World) -> None:
+def test_cycle_is_closed_before_its_slot_is_opened_again(world: World) -> None:
     """A bus shows no SYNC, and the loop comes to nothing but to send the next."""
     gateway = world.gateway
     world.wires[1].gateway.takes = False
@@ -91,7 +91,7 @@ def test_status_counts_closed_cycles_complete_cycles_and_skipped_syncs(world: Wo
     world.run(3 * PERIOD_S)
     before = world.status()
     assert before.cycles == len(world.measured)
-    assert before.cycles_complete == sum(bool(valid(each).all()) for each in world.measured) == before.cycles - 2
+    assert before.cycles_complete == sum(bool(valid(each).all()) for each in world.measured) == before.cycles - 1
     world.wires[0].gateway.is_held = True
     until_sync(world)
     assert world.gateway.in_flight == 1
@@ -196,8 +196,8 @@ def test_all_blocks_of_a_node_are_used_and_given_up_together() -> None:
     world = World(small_contract(bus=buses(1, 1, blocks_per_node=2)))
     world.until_whole(2.0)
     world.nmt(0, NmtCommand.STOP, 1)
-    came = world.run(2 * PERIOD_S)
-    assert valid(came[-1]).tolist() == [False, False, True, True]
+    came = world.run(4 * PERIOD_S)
+    assert [False, False, True, True] in [valid(each).tolist() for each in came]
     world.until_whole(1.0)
     assert not any(world.wrong_blocks(each) for each in world.measured)
 

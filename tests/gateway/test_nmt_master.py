@@ -1,7 +1,5 @@
 """Nodes that leave OPERATIONAL, whatever took them out, and how they come back."""
 
-from typing import Final
-
 import numpy as np
 import pytest
 
@@ -21,14 +19,12 @@ from dbc.configuration import DIALOGUES, TICK_S, configuration, expected_signatu
 from dbc.contract import Contract
 from dbc.dictionary import SILENT_AFTER_S
 from dbc.frame import ECHO, ERROR, EXTENDED, REMOTE
-from gateway.collector import SWAPPED_CYCLES
-from gateway.cycle_gathering import MOST_RESETS
 from gateway.loop import LOOK_PERIOD_S
 from gateway.nmt_master import PAUSES_S, NmtMaster
 from gateway.sdo import TIMEOUT_S
 from tests.bus.harness import frame
 from tests.gateway.helpers import PERIOD_S, EndOfWire, World, swap_mapping, valid
-from tests.layouts import buses, small_contract, small_layout
+from tests.layouts import buses, small_layout
 
 HEARTBEAT_S = 1.0
 #: From the event that tells that a node is out to its first valid block: a pause, a proof, a cycle to start in.
@@ -137,7 +133,7 @@ def test_absent_nodes_do_not_keep_sync_waiting(small: Contract) -> None:
 
 
 def test_other_syncs_spoil_the_cycles_of_their_bus(world: World) -> None:
-    world.wires[1].put(SYNC_COB_ID, b"")
+    world.wires[1].put(SYNC_COB_ID, bytes((world.gateway.sync.counter + 2,)))
     came = world.run(4 * PERIOD_S)
     assert any(not valid(each)[2:].any() for each in came)
     assert all(valid(each)[:2].all() for each in came)
@@ -165,63 +161,6 @@ def test_heartbeat_time_is_kept(world: World) -> None:
     world.run(5.0)
     assert valid(world.measured[-1]).all()
     assert "node 1 on bus0 set right: 1017h:0 (Producer heartbeat time) was 0h, not 3E8h" in world.lines
-
-
-class CountsSyncs:
-    """Node 1 of bus0 as a board that uses its SYNC start values once: after a lost SYNC its sets are swapped."""
-
-    SWAPPED: Final = {0x181: 0x381, 0x281: 0x481, 0x381: 0x181, 0x481: 0x281}
-
-    def __init__(self, world: World) -> None:
-        self._wire = world.wires[0]
-        self._wire.loses = self
-        self.is_swapped = True
-        self.resets = 0
-
-    def __call__(self, end: EndOfWire, each: np.void) -> bool:
-        data = bytes(each["data"][:2])
-        if end is self._wire.nodes and each["can_id"] == NMT_COB_ID and data[0] == NmtCommand.RESET_COMMUNICATION:
-            self.is_swapped = False
-            self.resets += 1
-        if end is self._wire.gateway and self.is_swapped:
-            each["can_id"] = self.SWAPPED.get(int(each["can_id"]), int(each["can_id"]))
-        return False
-
-
-@pytest.fixture
-def alternating_world() -> World:
-    """Return a skin of two phases all of whose blocks are valid."""
-    built = World(small_contract(identity="alternating"))
-    built.until_whole(2.0)
-    return built
-
-
-def test_node_with_swapped_phases_is_named_and_set_right(alternating_world: World) -> None:
-    world = alternating_world
-    board = CountsSyncs(world)
-    came = world.run((SWAPPED_CYCLES + 3) * PERIOD_S + LOOK_PERIOD_S)
-    assert board.resets == 1
-    assert not any(world.wrong_blocks(each) for each in world.measured)
-    assert sum(not valid(each)[0] for each in came) >= SWAPPED_CYCLES
-    assert all(valid(each)[1] for each in came)
-    world.until_whole(SOON_S + 2 * PERIOD_S)
-    world.run(0.5)
-    assert world.lines[0] == (
-        "node 1 on bus0 answers SYNC with the PDOs of the other phase, or a cycle late: communication reset"
-    )
-    assert board.resets == 1
-
-
-def test_node_whose_phases_stay_swapped_is_refused_after_some_resets(alternating_world: World) -> None:
-    world = alternating_world
-    board = CountsSyncs(world)
-    world.wires[0].loses = lambda end, each: (setattr(board, "is_swapped", True), board(end, each))[1]
-    world.run(12)
-    assert board.resets == MOST_RESETS
-    assert world.gateway.masters[0].refused == [1]
-    (line,) = (line for line in world.lines if "refused" in line)
-    assert line.endswith('set sync.identity = "window" in the layout')
-    assert not any(world.wrong_blocks(each) for each in world.measured[-200:])
 
 
 def test_node_that_was_without_power_for_long_comes_back_at_once(world: World) -> None:

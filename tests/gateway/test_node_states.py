@@ -317,17 +317,9 @@ def test_emergencies_are_kept_with_their_codes(skin: Boards) -> None:
     assert (skin.master.emergencies, skin.master.emcy) == ([(2, 0x8130)], [0, 0])
 
 
-def test_swapped_phases_reset_the_communication_of_a_node_in_use(skin: Boards) -> None:
-    skin.commands.clear()
-    skin.master.reset_astray(2, skin.now_s, "astray")
-    skin.master.reset_astray(2, skin.now_s, "astray")
-    assert skin.commands == [(RESET_COMMUNICATION, 2)]
-    assert skin.trusted() == [1]
-
-
 def test_stop_commands_all_nodes_to_pre_operational_and_tells_what_waits(skin: Boards) -> None:
     skin.commands.clear()
-    skin.master.reset_astray(1, skin.now_s, "astray")
+    skin.hear(0x701, b"\0")
     assert skin.lines == []
     skin.master.stop()
     assert skin.commands[-2:] == [(PRE_OPERATIONAL, 1), (PRE_OPERATIONAL, 2)]

@@ -7,28 +7,24 @@ from dbc.contract import Contract
 from dbc.frame import Frames, frames
 from gateway.playback import Playback, play
 from tests.bus.harness import frame
-from tests.layouts import small_contract
 
 START_NS = 1_000_000_000_000
 MS = 1_000_000
 
 
-@pytest.fixture(scope="module")
-def counted() -> Contract:
-    """The small skin, 20 Hz, whose SYNC has a counter."""
-    return small_contract(identity="alternating")
+def sync(at_ms: float, counter: int | None = None) -> Frames:
+    """Return a SYNC; without `counter`, that of its time at 20 Hz."""
+    known = 1 + round(at_ms // 50) % 240 if counter is None else counter
+    return frame(0x80, bytes((known,)), time_ns=START_NS + round(at_ms * MS))
 
 
-def sync(at_ms: float, counter: int = 0) -> Frames:
-    return frame(0x80, bytes((counter,)) if counter else b"", time_ns=START_NS + round(at_ms * MS))
-
-
-def answers(contract: Contract, bus: int, at_ms: float, counter: int = 1) -> Frames:
-    """Return the frames of all nodes of a bus in the cycle of a SYNC."""
+def answers(contract: Contract, bus: int, at_ms: float, counter: int | None = None) -> Frames:
+    """Return the frames of all nodes of a bus in the cycle of a SYNC; without `counter`, that of their time."""
     table = contract.table
-    rows = np.flatnonzero((table.bus == bus) & (table.phase == contract.phase_of(counter)))
+    rows = np.flatnonzero(table.bus == bus)
     burst = frames(len(rows))
     burst["can_id"], burst["length"] = table.cob_id[rows], table.length[rows]
+    burst["data"][:, 0] = 1 + round(at_ms // 50) % 240 if counter is None else counter
     burst["time_ns"] = START_NS + round(at_ms * MS)
     return burst
 
@@ -40,25 +36,25 @@ def playback_of(contract: Contract, *logged: list[Frames]) -> Playback:
     return playback
 
 
-def test_a_sync_of_one_bus_may_come_after_the_next_of_another_and_not_later(counted: Contract) -> None:
+def test_a_sync_of_one_bus_may_come_after_the_next_of_another_and_not_later(small: Contract) -> None:
     first = [sync(0, 1), sync(50, 2), sync(100, 3)]
-    playback = playback_of(counted, first, [sync(60, 1), sync(70, 2), sync(110, 3)])
+    playback = playback_of(small, first, [sync(60, 1), sync(70, 2), sync(110, 3)])
     assert [each.sync_counter for each in playback.finish()] == [1, 2, 3]
     assert playback.cycles == 3
-    playback = playback_of(counted, first, [sync(110, 1), sync(120, 2), sync(130, 3)])
+    playback = playback_of(small, first, [sync(110, 1), sync(120, 2), sync(130, 3)])
     playback.finish()
     assert playback.cycles == 6
 
 
-def test_a_counted_sync_twice_on_a_bus_is_one_within_half_a_period(counted: Contract) -> None:
+def test_a_sync_twice_on_a_bus_is_one_within_half_a_period(small: Contract) -> None:
     for again_ms, cycles in ((24.9, 1), (25.0, 2)):
-        playback = playback_of(counted, [sync(0, 7), sync(again_ms, 7)], [])
+        playback = playback_of(small, [sync(0, 7), sync(again_ms, 7)], [])
         playback.finish()
         assert playback.cycles == cycles
 
 
-def test_each_bus_has_a_counted_sync_once_in_a_cycle(counted: Contract) -> None:
-    playback = playback_of(counted, [sync(0, 7)], [sync(1, 7), sync(30, 7)])
+def test_each_bus_has_a_sync_once_in_a_cycle(small: Contract) -> None:
+    playback = playback_of(small, [sync(0, 7)], [sync(1, 7), sync(30, 7)])
     playback.finish()
     assert playback.cycles == 2
 
@@ -66,7 +62,7 @@ def test_each_bus_has_a_counted_sync_once_in_a_cycle(counted: Contract) -> None:
 @pytest.mark.parametrize("start_s", [1_000, 1_037, 4_071, 1_700_000_000, 1_700_000_111])
 def test_the_last_cycle_of_a_log_is_made_on_any_clock(small: Contract, start_s: int) -> None:
     playback = Playback(small, [0], start_s * 1000 * MS)
-    playback.feed(0, frame(0x80, time_ns=start_s * 1000 * MS))
+    playback.feed(0, frame(0x80, b"\1", time_ns=start_s * 1000 * MS))
     assert len(playback.finish()) == 1
 
 
@@ -77,20 +73,7 @@ def test_the_newest_emergency_of_a_log_is_told(small: Contract) -> None:
     assert playback.status().buses[0].emcy == [0x8130, 0]
 
 
-def test_syncs_without_counter_are_one_within_half_a_period_of_each_other(small: Contract) -> None:
-    for later_ms, cycles in ((24.9, 1), (25.0, 2)):
-        playback = playback_of(small, [sync(0)], [sync(later_ms)])
-        playback.finish()
-        assert playback.cycles == cycles
-
-
-def test_a_sync_without_counter_twice_on_a_bus_is_two(small: Contract) -> None:
-    playback = playback_of(small, [sync(0), sync(20)], [])
-    playback.finish()
-    assert playback.cycles == 2
-
-
-def test_cycles_without_counter_are_counted_from_one(small: Contract) -> None:
+def test_counters_go_round(small: Contract) -> None:
     playback = playback_of(small, [sync(50 * place) for place in range(243)], [])
     made = playback.finish()
     assert [each.sync_counter for each in made] == [*range(1, 241), 1, 2, 3]
@@ -113,7 +96,7 @@ def test_a_cycle_ends_with_its_last_frame_or_nine_tenths_of_a_period_after_the_n
 
 def test_a_frame_that_comes_when_its_cycle_is_over_is_late(small: Contract) -> None:
     """The next SYNC, three periods later, does not keep it open."""
-    late = [sync(0), answers(small, 1, 96), sync(150), answers(small, 1, 151)]
+    late = [sync(0), answers(small, 1, 96, 1), sync(150), answers(small, 1, 151)]
     playback = playback_of(small, [sync(0), answers(small, 0, 1), sync(150), answers(small, 0, 151)], late)
     made = playback.finish()
     assert [each.valid[:2] for each in made] == [b"\1\1", b"\1\1"]
@@ -171,7 +154,7 @@ def test_a_log_is_cut_where_tenths_of_a_second_begin(small: Contract) -> None:
     times_ns = [START_NS, START_NS + 100 * MS - 1, START_NS + 100 * MS, START_NS + 350 * MS]
     logged = {
         0: np.concatenate([frame(0x555, time_ns=time_ns) for time_ns in times_ns]),
-        1: np.concatenate([frame(0x80, time_ns=START_NS + 450 * MS)]),
+        1: np.concatenate([frame(0x80, b"\1", time_ns=START_NS + 450 * MS)]),
     }
     parts = list(play(small, logged))
     lengths = [[len(part.frames[bus]) for bus in (0, 1)] for part in parts[:-1]]

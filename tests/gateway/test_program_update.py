@@ -177,5 +177,5 @@ def test_a_program_file_is_read_as_it_was_written(tmp_path: Path) -> None:
     (tmp_path / "program.bin").write_bytes(NEW.image)
     assert Program.read(tmp_path / "program.bin") == NEW
     head = NEW.image[:32]
-    assert head[:28].hex() == "534b4e50" + "00000000" + "4e494b53" + "02000100" + "64000000" + b"1.1".hex() + "00" * 5
+    assert head[:28].hex() == "534b4e50" + "00000000" + "4e494b53" + "01000200" + "64000000" + b"1.1".hex() + "00" * 5
     assert int.from_bytes(head[28:], "little") == zlib.crc32(head[:28] + NEW.data)

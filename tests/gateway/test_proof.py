@@ -40,7 +40,7 @@ def test_swapped_mapping_that_was_saved_never_counts(world: World) -> None:
     world.nmt(0, NmtCommand.RESET_NODE, 1)
     check(world, 3.0)
     assert valid(world.measured[-1]).all()
-    assert any("set right: 1A00h:1 (TPDO 1 mapping parameter, Mapped object 1) was 21000210h" in x for x in world.lines)
+    assert any("set right: 1A00h:2 (TPDO 1 mapping parameter, Mapped object 2) was 2100020Eh" in x for x in world.lines)
 
 
 def test_swapped_mapping_is_refused_where_the_layout_says_so() -> None:
@@ -53,7 +53,7 @@ def test_swapped_mapping_is_refused_where_the_layout_says_so() -> None:
     assert world.gateway.masters[0].refused == [1]
     refused = [line for line in world.lines if "refused" in line]
     assert len(refused) == 1
-    assert "1A00h:1" in refused[0]
+    assert "1A00h:2" in refused[0]
     swap_mapping(world, 0, 1, back=True)
     world.until_whole(1.0)
     assert world.gateway.masters[0].refused == []
@@ -184,7 +184,7 @@ def test_counter_overflow_is_set_right_by_way_of_1006h(world: World) -> None:
     check(world, 2.0)
     assert valid(world.measured[-1]).all()
     node = world.segments[0].boards.nodes[1]
-    assert node.local.unsigned(od.SYNC_OVERFLOW) == 0
+    assert node.local.unsigned(od.SYNC_OVERFLOW) == 240
     assert node.local.unsigned(0x1006) == 50_000
 
 
@@ -230,7 +230,7 @@ def test_board_without_signature_is_read_object_by_object(small: Contract, answe
     swap_mapping(world, 0, 1)
     check(world, 1.0)
     assert valid(world.measured[-1]).all()
-    assert any("set right: 1A00h:1" in line for line in world.lines)
+    assert any("set right: 1A00h:2" in line for line in world.lines)
     assert world.gateway.masters[0].nodes[1].cost > 10
 
 

@@ -41,7 +41,7 @@ class Echoing:
     """A link on which nobody else speaks; what is sent comes back."""
 
     dropped = stamp_error_ns = 0
-    keeps_order = True
+    proves_echo = True
     state = State.ACTIVE
 
     def __init__(self, clock: Clock) -> None:

@@ -24,10 +24,11 @@ IMAGES, FEW = CONTRACT.states
 START_NS = 100_000_000_000
 
 
-def answers(contract: Contract, bus: int) -> Frames:
+def answers(contract: Contract, bus: int, counter: int) -> Frames:
     rows = np.flatnonzero(contract.table.bus == bus)
     burst = frames(len(rows))
     burst["can_id"], burst["length"] = contract.table.cob_id[rows], contract.table.length[rows]
+    burst["data"][:, 0] = counter
     return burst
 
 
@@ -44,12 +45,11 @@ class Skin:
     def sync(self, state: SkinState) -> list[Measurement]:
         """Send a SYNC 60 ms after the one before."""
         self.number += 1
-        period_s = 0.05 if state == SkinState.IMAGES else 0.01
         self.now_ns += 60_000_000
-        sync = Sync(self.number, self.number, self.now_ns, self.now_ns, 3, state=state, period_s=period_s)
+        sync = Sync(self.number, self.number, self.now_ns, self.now_ns, 3, state=state)
         closed = self.gathering.begin(sync)
         for bus in (0, 1):
-            self.take(bus, frame(0x80, b"", ECHO, time_ns=self.now_ns + 1000))
+            self.take(bus, frame(0x80, bytes((self.number,)), ECHO, time_ns=self.now_ns + 1000))
         return closed
 
     def take(self, bus: int, burst: Frames) -> None:
@@ -57,7 +57,7 @@ class Skin:
 
     def answer(self, contract: Contract) -> None:
         for bus in (0, 1):
-            self.take(bus, answers(contract, bus))
+            self.take(bus, answers(contract, bus, self.number))
 
     def cycle(self, state: SkinState) -> list[Measurement]:
         """Go through a cycle in which every node answers."""
@@ -80,12 +80,11 @@ def test_a_cycle_has_the_sums_of_the_state_of_its_sync(skin: Skin) -> None:
     assert (few.cycle, few.fingerprint, few.wall_offset_ns) == (1, FEW.phi.fingerprint, 3)
     assert few.valid == bytes((1, 1, 1, 0))
     assert (skin.gathering.published, skin.gathering.complete) == (1, 1)
-    (doubtful,) = skin.cycle(SkinState.IMAGES)  # a node that missed the switch would answer late
-    assert (doubtful.cycle, doubtful.fingerprint) == (2, IMAGES.phi.fingerprint)
-    assert doubtful.valid == bytes(4)
+    (first,) = skin.cycle(SkinState.IMAGES)
+    assert (first.cycle, first.fingerprint, first.valid) == (2, IMAGES.phi.fingerprint, bytes((1, 1, 1, 1)))
     (image,) = skin.cycle(SkinState.IMAGES)
     assert image.valid == bytes((1, 1, 1, 1))
-    assert (skin.gathering.published, skin.gathering.complete) == (3, 2)
+    assert (skin.gathering.published, skin.gathering.complete) == (3, 3)
     assert skin.gathering.in_flight == 0
 
 
@@ -99,8 +98,8 @@ def test_frames_of_the_other_state_are_late_and_not_foreign(skin: Skin) -> None:
     counts = skin.gathering.counts
     assert (counts.accepted, counts.foreign, counts.late, counts.missing) == (11, 1, 3, 0)
     skin.sync(SkinState.IMAGES)
-    skin.take(0, np.concatenate([answers(IMAGES, 0)[:1]] * 2))
-    malformed = answers(FEW, 1)[:1]
+    skin.take(0, np.concatenate([answers(IMAGES, 0, skin.number)[:1]] * 2))
+    malformed = answers(FEW, 1, skin.number)[:1]
     malformed["length"] -= 1
     skin.take(1, malformed)
     skin.gathering.measurements(skin.now_s + 1, 0)
@@ -150,11 +149,11 @@ def test_cycles_of_both_states_wait_for_operational_nodes_alone(skin: Skin) -> N
         number: cast("NmtMaster", SimpleNamespace(node_ids=[1, 2], nmt=np.array(states, np.uint8)))
         for number, states in enumerate([(NmtState.OPERATIONAL, NmtState.STOPPED), (NmtState.STOPPED,) * 2])
     }
-    skin.gathering.look(masters, skin.now_s)
+    skin.gathering.look(masters)
     for state, contract in ((SkinState.IMAGES, IMAGES), (SkinState.RECOGNITION, FEW)):
         skin.sync(state)
         assert skin.gathering.measurements(skin.now_s, 0) == []
-        skin.take(0, answers(contract, 0)[contract.table.node[contract.table.bus == 0] == 0])
+        skin.take(0, answers(contract, 0, skin.number)[contract.table.node[contract.table.bus == 0] == 0])
         assert len(skin.gathering.measurements(skin.now_s, 0)) == 1
 
 

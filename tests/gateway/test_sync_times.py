@@ -9,8 +9,8 @@ from gateway.open_cycles import slot_of
 from gateway.sync_times import NO_STAMPS, SampledTimes, SyncTimes, note_answer, note_echo
 
 SENT_NS = 1_000_000_000
-#: A SYNC without data and without stuff bits at 1 Mbit/s: 44 bits, to the last bit of end of frame.
-FRAME_NS = 44_000
+#: A SYNC of one byte without stuff bits at 1 Mbit/s: 52 bits, to the last bit of end of frame.
+FRAME_NS = 52_000
 BUSES = 4
 
 

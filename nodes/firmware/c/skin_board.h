@@ -8,7 +8,7 @@
 
 /* Conversion of a sum in ADC counts to the value in a PDO: raw = round(sum / 2^step_log2) + offset. */
 typedef struct {
-    uint8_t bits;       /* width in a PDO: 8, 12 or 16 */
+    uint8_t bits;       /* width in a PDO: 7 to 16 */
     uint8_t step_log2;  /* binary logarithm of the counts per step */
     uint16_t offset;    /* raw value of a sum of 0; 0: raw values are two's complement */
 } skin_packing;

@@ -28,6 +28,9 @@ int32_t skin_raw(const skin_packing *packing, int32_t sum);
 /* Write the lowest `bits` (1 to 32) of `value` into `payload` behind its first `at` bits; the bits there must be 0. */
 void skin_put_bits(uint8_t *payload, uint16_t at, uint32_t value, uint8_t bits);
 
+/* Whether a PDO of a cyclic transmission type answers the SYNC of a counter, by its SYNC start value (18xxh:2, 18xxh:6). */
+int skin_is_turn(uint8_t every, uint8_t start, uint8_t counter);
+
 /* CRC-32 (IEEE 802.3) of more bytes; begin with 0. */
 uint32_t skin_crc32(uint32_t crc, const uint8_t *data, uint16_t length);
 

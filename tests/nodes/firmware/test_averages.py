@@ -16,7 +16,7 @@ from tests.nodes.firmware.twins import Twins, needs_compiler, small_contract
 
 pytestmark = needs_compiler
 
-AVERAGING = {"sampling": {"rate_hz": 1000.0}}
+AVERAGING = {"sampling": {"rate_hz": 1000.0}, "encoding": {"sum_bits": 16}}
 #: Two thirds of the force below which an average is taken for noise, in counts: what one taxel may differ by.
 EDGE_COUNTS = 16
 
@@ -87,9 +87,9 @@ def test_gains_act_on_averages_patterns_replace_them_and_a_reset_begins_anew() -
             twins.put(NMT_COB_ID, b"\x01\x01")
         else:
             twins.put(SDO_REQUEST_BASE + 1, request)
-        for _ in range(30):
+        for cycle in range(30):
             twins.now_s += 0.01
-            twins.sync(turn + 1)
+            twins.sync(30 * turn + cycle + 1)
             python, c = sums_of(twins)
             assert np.abs(python - c)[: contract.phi.starts[2]].max() <= EDGE_COUNTS
         if turn == 2:  # the pattern is exact

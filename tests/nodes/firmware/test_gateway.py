@@ -1,4 +1,4 @@
-"""Boards in C before the real gateway, in both identities of a cycle."""
+"""Boards in C before the real gateway, with all sums in each cycle and in turns."""
 
 from dataclasses import dataclass, field
 
@@ -10,8 +10,8 @@ from dbc.canopen import NMT_COB_ID, SDO_REQUEST_BASE, SYNC_COB_ID, NmtCommand
 from dbc.contract import Contract
 from nodes.firmware.library import Firmware
 from nodes.segment import Segment
-from tests.gateway.helpers import World
-from tests.layouts import IDENTITIES, with_identity
+from tests.gateway.helpers import PERIOD_S, World
+from tests.layouts import TURNS
 from tests.nodes.firmware.twins import CountWitness, needs_compiler, small_contract
 
 pytestmark = needs_compiler
@@ -33,15 +33,22 @@ class FirmwareWorld(World):
         return Segment(contract, bus, boards, self.witness, send, complain=self.complaints.append)
 
     def wrong_blocks(self, measurement: Measurement) -> int:
-        """Count the valid blocks whose sums are not those of their cycle's counts."""
-        valid = np.frombuffer(measurement.valid, np.uint8) == 1
-        sums = np.frombuffer(measurement.sums, "<i4")
-        if not valid.any():
-            return 0
-        truth, phi = self.witness.sums_at(measurement.sampled_mono_ns), self.contract.phi
-        if measurement.fingerprint != phi.fingerprint:
-            truth, phi = truth[self.contract.recognised], self.contract.states[-1].phi
-        return int(np.unique(phi.block_of_sum[(sums != truth) & valid[phi.block_of_sum]]).size)
+        """Count the valid blocks whose sums are not those of the counts in the newest cycle of their turn."""
+        state = next(each for each in self.contract.states if each.phi.fingerprint == measurement.fingerprint)
+        block_of_sum, table = state.phi.block_of_sum, state.table
+        is_valid = (np.frombuffer(measurement.valid, np.uint8) == 1)[block_of_sum]
+        turn = np.zeros(len(block_of_sum), np.intp)
+        for row, places in enumerate(table.gather):
+            turn[places[places >= 0]] = table.turn[row]
+        age = (state.turn_of(measurement.sync_counter) - turn) % state.turns
+        right = np.zeros(len(block_of_sum), np.bool_)
+        for cycles in np.unique(age[is_valid]).tolist():
+            then_ns = measurement.sampled_mono_ns - round(cycles * state.layout.sync.period_s * 1e9)
+            truth = self.witness.sums_at(then_ns)
+            truth = truth if state is self.contract else truth[self.contract.recognised]
+            sent = state.packing.counts(state.packing.raw(truth))
+            right |= (age == cycles) & (np.frombuffer(measurement.sums, "<i4") == sent)
+        return int(np.unique(block_of_sum[is_valid & ~right]).size)
 
 
 class OftenWorld(FirmwareWorld):
@@ -50,10 +57,9 @@ class OftenWorld(FirmwareWorld):
     step_s = 0.0025
 
 
-@pytest.fixture(params=IDENTITIES)
+@pytest.fixture(params=TURNS)
 def world(request: pytest.FixtureRequest) -> FirmwareWorld:
-    contract = small_contract()
-    return FirmwareWorld(Contract.from_layout(with_identity(contract.layout, request.param)))
+    return FirmwareWorld(small_contract(request.param, rate_hz=1 / PERIOD_S))
 
 
 def is_complete(measurement: Measurement) -> bool:

@@ -6,6 +6,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from dbc.contract import sync_frame
+from dbc.dictionary import REVISION
 from nodes.firmware.library import Firmware
 from nodes.segment import Segment
 from nodes.storage import Storage
@@ -19,14 +21,14 @@ from tests.nodes.helpers import new_sampler
 pytestmark = needs_compiler
 
 REQUEST = 0x7E5
-NUMBERS = (0, 1, 2, 0x10002, 0x534B494E, 0x534B494F, 0x80000000)
+NUMBERS = (0, 1, 2, REVISION, 0x534B494E, 0x534B494F, 0x80000000)
 COMMANDS = (0x04, 0x11, 0x13, 0x15, 0x17, *range(0x40, 0x44), *range(0x46, 0x4D), 0x51, *range(0x5A, 0x5F))
 #: Vendor-ID, product code, revision and serial number of node 2.
-ADDRESS = (0, 0x534B494E, 0x10002, 2)
+ADDRESS = (0, 0x534B494E, REVISION, 2)
 SELECT = [bytes((0x40 + place,)) + number.to_bytes(4, "little") + bytes(3) for place, number in enumerate(ADDRESS)]
 IDENTIFY = [
     bytes((0x46 + place,)) + number.to_bytes(4, "little") + bytes(3)
-    for place, number in enumerate((*ADDRESS[:2], 0, 0x10002, 1, 2))
+    for place, number in enumerate((*ADDRESS[:2], 0, REVISION, 1, 2))
 ]
 SCAN = [
     bytes((0x51,)) + number.to_bytes(4, "little") + bytes(at)
@@ -84,7 +86,7 @@ def test_boards_that_have_exchanged_their_node_ids_feel_the_taxels_of_their_own_
         wire = Wire()
         segment = Segment(contract, 0, boards, hardware, wire.send, complain=lambda _: None)
         segment.boot(0.0)
-        for each in (frame(0, bytes((1, 0))), contract.sync(1), contract.sync(2)):
+        for each in (frame(0, bytes((1, 0))), sync_frame(1), sync_frame(2)):
             segment.take(each, 0.0)
         sent.append(sorted(wire.take()))
     assert sent[0] == sent[1]

@@ -13,6 +13,7 @@ import pytest
 
 from dbc import indices as od
 from dbc.canopen import Abort, NmtCommand
+from dbc.dictionary import REVISION
 from dbc.eds import eds, node_types
 from dbc.frame import Frames, frames
 from dbc.program import FlashError, Program
@@ -25,8 +26,8 @@ from tests.nodes.helpers import ArrayLink, new_segment
 
 pytestmark = needs_compiler
 
-OLD = Program(0, 0x534B494E, 0x10002, "1.0", b"canskin")
-NEW = Program(0, 0x534B494E, 0x10002, "2.0-rc1", random.Random(1).randbytes(500))
+OLD = Program(0, 0x534B494E, REVISION, "1.0", b"canskin")
+NEW = Program(0, 0x534B494E, REVISION, "2.0-rc1", random.Random(1).randbytes(500))
 
 
 def _whole(_number: int, data: bytes) -> bytes:

@@ -8,7 +8,6 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import numpy as np
 import pytest
 
@@ -23,7 +22,7 @@ from dbc.vectors import vectors_text
 from nodes.firmware.export import constants, images, sources
 from nodes.firmware.library import STANDARD_FLAGS, Firmware, compile_c
 from nodes.firmware.tables import builds
-from skin.layout import Sampling, load_layout
+from skin.layout import Sampling, changed, load_layout
 from tests.gateway.helpers import two_states
 from tests.layouts import buses
 from tests.nodes.firmware.stack import HERE, OPTIMIZED, compile_adapter, compile_slave, exported
@@ -102,17 +101,20 @@ def expected_dictionary(contract: Contract, node: NodeContract) -> list[str]:
 @pytest.mark.heavy
 @needs_compiler
 @pytest.mark.parametrize("compiled", [compile_slave, compile_adapter])
-@pytest.mark.parametrize("name", ["fd", "one-bus-12bit", "forearm", "recognise-first", "analogue"])
+@pytest.mark.parametrize(
+    ("name", "turns"), [("fd", 1), ("one-bus-12bit", 1), ("forearm", 2), ("recognise-first", 1), ("analogue", 2)]
+)
 def test_one_image_sends_the_frames_of_the_vectors_as_each_of_several_boards(
-    name: str, compiled: Callable[..., Path], tmp_path: Path
+    name: str, turns: int, compiled: Callable[..., Path], tmp_path: Path
 ) -> None:
     # Averages depend on what came before.
-    contract = Contract.from_layout(msgspec.structs.replace(load_layout(Path(name)), sampling=Sampling()))
+    layout = changed(load_layout(Path(name)), sampling=Sampling(), sync={"turns": turns})
+    contract = Contract.from_layout(layout)
     program = compiled(contract, tmp_path, "run_board.c", contract.nodes)
     for node in some_of(contract):
         cases = json.loads(vectors_text(contract, node))["cases"]
-        lines = [" ".join(map(str, [case["pattern"], *read_by_place(case)])) for case in cases]
-        command = [program, str(node.bus), str(node.node_id)]
+        lines = [" ".join(map(str, [case["pattern"], case["sync_counter"], *read_by_place(case)])) for case in cases]
+        command = [program, str(node.bus), str(node.node_id), str(turns)]
         done = subprocess.run(command, input="\n".join(lines), capture_output=True, text=True, check=True)
         signature, *sent = done.stdout.splitlines()
         assert int(signature) == board(contract, node).signature

@@ -5,11 +5,11 @@ from collections.abc import Iterator
 from functools import partial
 from typing import Any
 
-import msgspec
 import numpy as np
 import numpy.typing as npt
 import pytest
 
+from dbc.canopen import SYNC_COB_ID
 from dbc.contract import Contract
 from dbc.frame import Frames, frames
 from nodes.electronics import Electronics
@@ -17,7 +17,6 @@ from nodes.firmware.library import Firmware
 from nodes.sampler import CountSampler, new_sampler
 from nodes.segment import Segment
 from nodes.virtual_boards import VirtualBoards
-from skin.layout import validated
 from skin.sources import Frame, TaxelSource
 from tests import layouts
 from tests.bus.harness import frame
@@ -32,12 +31,9 @@ def analogue(sum_bits: int = 12, adc_bits: int = 12, **tables: Any) -> Contract:
     return small_contract(**{"taxels": taxels, "encoding": {"sum_bits": sum_bits}} | tables)
 
 
-def few_sums(bus: list[dict[str, Any]]) -> Contract:
+def few_sums(bus: list[dict[str, Any]], turns: int = 1) -> Contract:
     """Three sums of four blocks: one block has none."""
-    layout = small_contract(bus=bus).layout
-    return Contract.from_layout(
-        validated(msgspec.structs.replace(layout, measurement=msgspec.structs.replace(layout.measurement, sums=3)))
-    )
+    return small_contract(turns, bus=bus, measurement={"sums": 3})
 
 
 class Rolling:
@@ -104,15 +100,15 @@ class Twins:
         self.now_s = 100.0
         self.wires = Wire(), Wire()
         self.complaints: list[str] = []
-        nodes = contract.on_bus(bus)
+        self.nodes = contract.on_bus(bus)
         sums, readings = (
             new_sampler(
                 contract.layout, contract.phi, source or Rolling(contract), makes_sums=makes_sums, noise_n=noise_n
             )
             for makes_sums in (True, False)
         )
-        virtual = VirtualBoards(contract, bus, {node.node_id for node in nodes}, sums)
-        compiled = Firmware(contract, nodes).boards(bus)
+        virtual = VirtualBoards(contract, bus, {node.node_id for node in self.nodes}, sums)
+        compiled = Firmware(contract, contract.nodes).boards(bus)  # one library for all buses
         complain = self.complaints.append
         self.python = Segment(contract, bus, virtual, sums, self.wires[0].send, complain=complain)
         self.c = Segment(contract, bus, compiled, readings, self.wires[1].send, complain=complain)
@@ -130,10 +126,8 @@ class Twins:
             segment.take(burst.copy(), self.now_s)
 
     def sync(self, counter: int) -> None:
-        """Send a SYNC, with the counter if the layout has one."""
-        burst = self.contract.sync(counter)
-        burst["time_ns"] = round(self.now_s * 1e9)
-        self.put_all(burst)
+        """Send a SYNC; 0: one without counter."""
+        self.put_all(frame(SYNC_COB_ID, bytes((counter,) if counter else ()), time_ns=round(self.now_s * 1e9)))
 
     def go_on(self, seconds: float, step_s: float = 0.005) -> None:
         """Let time pass."""

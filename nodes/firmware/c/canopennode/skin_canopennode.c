@@ -8,6 +8,7 @@
 #include "skin_sums.h"
 
 static void *sums[SKIN_BLOCKS]; /* raw values, of 8 or 16 bits */
+static uint8_t *sync_counter;   /* 2022h; NULL of a board without sums */
 static uint8_t state;           /* 2008h:1 as of the newest SYNC */
 #if SKIN_SAMPLES > 1
 static skin_average averages[SKIN_BLOCKS];
@@ -23,10 +24,12 @@ int skin_app_init(void)
     int failed = skin_od_connect();
     uint8_t block;
 
+    sync_counter = skin_od_value(SKIN_OD_SYNC_COUNTER, 0, sizeof *sync_counter);
+    failed |= sync_counter == NULL && skin_od_board->type->tpdos > 0;
     for (block = 0; block < skin_od_board->type->blocks; block++) {
         const uint16_t index = (uint16_t)(SKIN_OD_SUMS + SKIN_BLOCK_STRIDE * block);
 
-        sums[block] = skin_od_value(index, 1, skin_od_board->type->packing.bits == 8 ? 1 : 2);
+        sums[block] = skin_od_value(index, 1, skin_od_board->type->packing.bits <= 8 ? 1 : 2);
         failed |= sums[block] == NULL && sums_of(block) > 0;
 #if SKIN_SAMPLES > 1
         skin_forget(&averages[block]);
@@ -50,7 +53,7 @@ uint32_t *skin_app_window_us(void)
                                                                     : skin_od_value(SKIN_OD_WINDOW_US, 0, sizeof(uint32_t));
 }
 
-void skin_app_sync(skin_reading *readings, uint16_t samples)
+void skin_app_sync(skin_reading *readings, uint16_t samples, uint8_t counter)
 {
     int32_t found[SKIN_SUMS];
     uint16_t each;
@@ -62,6 +65,9 @@ void skin_app_sync(skin_reading *readings, uint16_t samples)
         }
         state = *skin_od_state;
     }
+    if (sync_counter != NULL) {
+        *sync_counter = counter;
+    }
     skin_od_health[0]++;
     skin_od_health[3] = 0;
     for (block = 0; block < skin_od_board->type->blocks; block++) {
@@ -70,7 +76,7 @@ void skin_app_sync(skin_reading *readings, uint16_t samples)
         for (each = 0; each < sums_of(block); each++) {
             const int32_t raw = skin_raw(&skin_od_board->type->packing, found[each]);
 
-            if (skin_od_board->type->packing.bits == 8) {
+            if (skin_od_board->type->packing.bits <= 8) {
                 ((uint8_t *)sums[block])[each] = (uint8_t)raw;
             } else {
                 ((uint16_t *)sums[block])[each] = (uint16_t)raw;

@@ -10,6 +10,7 @@
 
 #include "board.h"
 #include "skin_average.h"
+#include "skin_sums.h"
 
 /* Of an image for several boards: write what is this board's own into the dictionary, first of all, before CO_CANopenInit and
  * before stored values are read. `bus` is the number of the bus in the layout. Returns 0 on success, 1 if the image has no such
@@ -20,9 +21,10 @@ int skin_app_choose(uint8_t bus, uint8_t node_id);
 #if !SKIN_ADAPTIVE
 
 /*   after CO_CANopenInitPDO      skin_app_init()
- *   in the SYNC interrupt        read all converters (CO_SYNC_initCallbackPre tells that the SYNC has come)
+ *   in the SYNC interrupt        read all converters, and keep counter = co->SYNC->counter (CO_SYNC_initCallbackPre tells that the
+ *                                SYNC has come)
  *   in the real-time task        if (CO_process_SYNC(...) says that a SYNC was, with all converters read)
- *                                    skin_app_sync(readings, samples);    before CO_process_TPDO(...)
+ *                                    skin_app_sync(readings, samples, counter);    before CO_process_TPDO(...)
  *   in the CAN driver            skin_app_dropped() in CO_CANclearPendingSyncPDOs, for every frame that is given up
  *
  * Boards with two states need CO_process_RPDO(...) before skin_app_sync, and in place of CO_process_TPDO, where all TPDOs would
@@ -33,7 +35,14 @@ int skin_app_choose(uint8_t bus, uint8_t node_id);
  *                           co->NMT->operatingState == CO_NMT_OPERATIONAL && skin_app_sends(each), sync_was);
  *       }
  *
- * Sums of 12 bits need CO_CONFIG_PDO_BITWISE_MAPPING.
+ * Boards that send in turns (18xxh:2 above 1), between skin_app_sync and CO_process_TPDO, since the stack counts the SYNCs that it
+ * gets, and a lost one would exchange the turns for good:
+ *       for (each = 0; each < OD_CNT_TPDO; each++) {
+ *           CO_TPDO_t *tpdo = &co->TPDO[each];
+ *           tpdo->syncCounter = skin_is_turn(tpdo->transmissionType, tpdo->syncStartValue, counter) ? 1 : 2;
+ *       }
+ *
+ * Sums of other widths than 8 and 16 bits need CO_CONFIG_PDO_BITWISE_MAPPING.
  */
 
 /* Connect the objects of the skin with the dictionary; end test patterns; begin with recognition; begin to count anew.
@@ -46,12 +55,12 @@ int skin_app_init(void);
 int skin_app_sends(uint8_t tpdo);
 uint32_t *skin_app_window_us(void);
 
-/* Make the sums that the next TPDOs carry.
+/* Make the sums that the next TPDOs carry, behind `counter` (2022h), that of the SYNC of the last sample.
  *
  * readings: what the converters read since the last SYNC, `samples` samples of `skin_readings` values, the last at this SYNC.
  * Boards with SKIN_SAMPLES of 1 use the last sample, others the average. The readings are overwritten.
  */
-void skin_app_sync(skin_reading *readings, uint16_t samples);
+void skin_app_sync(skin_reading *readings, uint16_t samples, uint8_t counter);
 
 /* Count a TPDO that could not be sent within the window (1007h); the application reports EMCY FF10h. */
 void skin_app_dropped(void);

@@ -17,25 +17,29 @@ static skin_outbox new_outbox(skin_frame *out, size_t capacity)
 
 /* What the converters of a board, and then of those behind it, read. */
 typedef struct {
-    const skin_reading *values; /* NULL: nothing */
+    const skin_reading *values; /* NULL: nothing, and no SYNC is answered */
     uint16_t samples;
     uint32_t stride;
 } reading;
 
-static void sample(skin_node *node, const reading *read)
+/* Pass a SYNC to a board. */
+static void pass_sync(skin_node *node, const skin_frame *sync, const reading *read)
 {
 #if SKIN_ADAPTIVE
-    (void)node; /* samples by its own clock */
-    (void)read;
+    (void)read; /* samples by its own clock */
+    skin_sync(node, sync);
 #else
     skin_reading own[SKIN_MOST_SAMPLES * SKIN_READINGS];
     const uint16_t count = skin_readings(node->board);
     uint16_t each;
 
+    if (read->values == NULL) {
+        return;
+    }
     for (each = 0; each < read->samples; each++) {
         memcpy(&own[(uint32_t)each * count], &read->values[each * read->stride], count * sizeof own[0]);
     }
-    skin_sample(node, own, read->samples);
+    skin_sync(node, sync, own, read->samples);
 #endif
 }
 
@@ -81,10 +85,7 @@ static void pass(skin_node *node, const skin_frame *frame, uint32_t now_ms, cons
     } else if (is_echo) {
         return;
     } else if (can_id == SKIN_SYNC_COB_ID) {
-        if (read->values != NULL) {
-            sample(node, read);
-        }
-        skin_sync(node, frame);
+        pass_sync(node, frame, read);
     } else if (can_id == SKIN_NMT_COB_ID) {
         skin_nmt(node, frame, now_ms);
     } else if (can_id == SKIN_STATE_COB_ID) {

@@ -13,10 +13,11 @@ void skin_read_tpdo(skin_node *node, uint8_t number)
                           skin_unsigned(node, communication, 3));
 }
 
-void skin_answer(skin_node *node, const skin_frame *sync, uint8_t counter)
+void skin_sync(skin_node *node, const skin_frame *sync)
 {
-    (void)counter;
-    node->sender.sync_ns = sync->time_ns;
+    if (skin_take_sync(node, sync) >= 0) {
+        node->sender.sync_ns = sync->time_ns;
+    }
 }
 
 int skin_sample(skin_node *node, uint16_t *counts)

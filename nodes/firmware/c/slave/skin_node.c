@@ -286,13 +286,13 @@ static void watch(skin_node *node, uint32_t now_ms)
     }
 }
 
-void skin_sync(skin_node *node, const skin_frame *sync)
+int skin_take_sync(skin_node *node, const skin_frame *sync)
 {
     const uint8_t counter = sync->length == 1 ? sync->data[0] : 0;
     const uint8_t expected = skin_unsigned(node, SKIN_OD_SYNC_OVERFLOW, 0) > 0 ? 1 : 0;
 
     if (sync->length == 1 && (counter == 0 || counter > SKIN_LAST_SYNCHRONOUS)) {
-        return;
+        return -1;
     }
     if (node->state == SKIN_OPERATIONAL) {
         node->health[0]++;
@@ -302,7 +302,7 @@ void skin_sync(skin_node *node, const skin_frame *sync)
             skin_raise(node, SKIN_ERROR_SYNC_LENGTH, sync->length);
         }
     }
-    skin_answer(node, sync, counter);
+    return counter;
 }
 
 void skin_switch(skin_node *node, const skin_frame *rpdo)

@@ -111,6 +111,7 @@ typedef struct {
     skin_average averages[SKIN_BLOCKS];
 #endif
     int32_t sums[SKIN_SUMS]; /* at the newest SYNC, ADC counts */
+    uint8_t sync_counter;    /* 2022h: of this SYNC; 0 if it had none */
     skin_tpdo tpdos[SKIN_TPDOS];
 #endif
     uint32_t health[4];      /* 2020h: SYNCs received, TPDOs sent, TPDOs dropped, saturated taxels */
@@ -172,17 +173,18 @@ void skin_refused(skin_node *node, const skin_frame *frame);
 uint16_t skin_due(const skin_node *node, uint8_t group);
 void skin_send_group(skin_node *node, uint8_t group, int64_t now_ns, int64_t expires_ns);
 
+/* Heed a SYNC. */
+void skin_sync(skin_node *node, const skin_frame *sync);
+
 #else
 
-/* Take what the converters read since the last SYNC: `samples` samples, the last at this SYNC, each of `skin_readings`
- * values. Boards with SKIN_SAMPLES of 1 use the last sample, others the average. The readings are overwritten.
+/* Answer a SYNC with the sums of what the converters have read since the SYNC before: `samples` samples of `skin_readings`
+ * values each, the last at this SYNC. Boards with SKIN_SAMPLES of 1 use the last sample, others the average. The readings are
+ * overwritten.
  */
-void skin_sample(skin_node *node, skin_reading *readings, uint16_t samples);
+void skin_sync(skin_node *node, const skin_frame *sync, skin_reading *readings, uint16_t samples);
 
 #endif
-
-/* Answer a SYNC; boards that are not adaptive do so after `skin_sample`. */
-void skin_sync(skin_node *node, const skin_frame *sync);
 
 /* Obey an NMT command; heed a heartbeat; answer an SDO request; count a frame that was given up. */
 void skin_nmt(skin_node *node, const skin_frame *command, uint32_t now_ms);
@@ -204,7 +206,7 @@ skin_frame skin_new_frame(const skin_node *node, uint32_t can_id, const uint8_t 
 void skin_post(skin_node *node, const skin_frame *frame);
 void skin_send(skin_node *node, uint32_t can_id, const uint8_t *data, uint8_t length);
 void skin_read_tpdo(skin_node *node, uint8_t number);
-void skin_answer(skin_node *node, const skin_frame *sync, uint8_t counter);
+int skin_take_sync(skin_node *node, const skin_frame *sync); /* its counter, 0 without; -1: it is to be ignored */
 void skin_send_events(skin_node *node, uint32_t now_ms);
 const skin_object *skin_find(const skin_board *board, uint16_t index, uint8_t subindex);
 const uint8_t *skin_value(const skin_node *node, const skin_object *object, uint8_t *scratch);

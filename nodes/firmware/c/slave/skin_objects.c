@@ -112,10 +112,13 @@ static uint32_t computed(const skin_node *node, const skin_object *object)
     case SKIN_OD_PROGRAM_ID:
     case SKIN_OD_FLASH_STATUS:
         return skin_program_value(&node->program, object->index);
-    default: /* the sums */
 #if SKIN_ADAPTIVE
+    default: /* the sums */
         return (uint32_t)skin_raw(&node->board->type->packing, skin_sender_sum(&node->sender, (uint8_t)(subindex - 1)));
 #else
+    case SKIN_OD_SYNC_COUNTER:
+        return node->sync_counter;
+    default: /* the sums */
         return (uint32_t)skin_raw(&node->board->type->packing,
                                   node->sums[node->board->type->first_sum[block_of(object->index)] + subindex - 1]);
 #endif

@@ -83,23 +83,20 @@ static void send_tpdo(skin_node *node, skin_tpdo *tpdo, const skin_frame *frame)
 }
 
 /* Tell whether a cyclic PDO is due: with a SYNC start value the counter of the SYNC decides. */
-static int is_turn(const skin_tpdo *tpdo, uint8_t counter)
+static int is_due(const skin_tpdo *tpdo, uint8_t counter)
 {
     const uint8_t every = tpdo->type == ACYCLIC ? 1 : tpdo->type;
 
-    if (tpdo->start > 0 && counter > 0) {
-        const int turn = (counter - tpdo->start) % (int)SKIN_LAST_SYNCHRONOUS;
-
-        return (turn < 0 ? turn + (int)SKIN_LAST_SYNCHRONOUS : turn) % every == 0;
-    }
-    return tpdo->syncs % every == 0;
+    return tpdo->start > 0 && counter > 0 ? skin_is_turn(every, tpdo->start, counter) : tpdo->syncs % every == 0;
 }
 
-void skin_sample(skin_node *node, skin_reading *readings, uint16_t samples)
+/* Make the sums of a SYNC. */
+static void measure(skin_node *node, skin_reading *readings, uint16_t samples, uint8_t counter)
 {
     const skin_board *board = node->board;
     uint8_t number;
 
+    node->sync_counter = counter;
     node->health[3] = 0;
     for (number = 0; number < board->type->blocks; number++) {
         const skin_block block = {node->gain[number], node->offset[number], node->counts[number], &node->pattern[number]};
@@ -116,12 +113,17 @@ static uint32_t window_of_state(const skin_node *node)
                                                                          : skin_unsigned(node, SKIN_OD_WINDOW_US, 0);
 }
 
-void skin_answer(skin_node *node, const skin_frame *sync, uint8_t counter)
+void skin_sync(skin_node *node, const skin_frame *sync, skin_reading *readings, uint16_t samples)
 {
     uint32_t window_us;
     int64_t latest_ns = NO_WINDOW_NS;
+    const int counter = skin_take_sync(node, sync);
     uint8_t number;
 
+    if (counter < 0) {
+        return;
+    }
+    measure(node, readings, samples, (uint8_t)counter);
     if (node->state != SKIN_OPERATIONAL) {
         return;
     }
@@ -141,7 +143,7 @@ void skin_answer(skin_node *node, const skin_frame *sync, uint8_t counter)
             continue;
         }
         tpdo->syncs++;
-        if (tpdo->type > SKIN_LAST_SYNCHRONOUS || !is_turn(tpdo, counter)) {
+        if (tpdo->type > SKIN_LAST_SYNCHRONOUS || !is_due(tpdo, (uint8_t)counter)) {
             continue;
         }
         frame = payload(node, tpdo);

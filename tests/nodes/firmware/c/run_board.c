@@ -1,6 +1,7 @@
 /* One board of an image behind the slave, or with BEHIND_STACK behind the functions of CANopenNode: arguments are the number of the
- * bus and the node-ID. Reads a test pattern and then count, bits of the gain and offset of each place, of analogue boards the
- * pattern alone; prints the frames that answer four SYNCs in each state, a line for each reading.
+ * bus, the node-ID and the number of turns. Reads a test pattern, the counter of a SYNC, and then count, bits of the gain and offset
+ * of each place, of analogue boards the first two alone; prints the frames that answer a SYNC of each turn in each state, a line for
+ * each reading.
  */
 #include <stdio.h>
 #include <stdlib.h>
@@ -62,8 +63,7 @@ static void answer(skin_reading *readings, uint8_t counter)
     static const uint8_t fd_lengths[] = SKIN_FD_LENGTHS;
     uint8_t tpdo, place, length;
 
-    (void)counter;
-    skin_app_sync(readings, 1);
+    skin_app_sync(readings, 1, counter);
     for (tpdo = 0; tpdo < OD_CNT_TPDO; tpdo++) {
         const uint16_t communication = (uint16_t)(SKIN_OD_TPDO_COMMUNICATION + tpdo);
         const uint16_t mapping = (uint16_t)(SKIN_OD_TPDO_MAPPING + tpdo);
@@ -79,7 +79,8 @@ static void answer(skin_reading *readings, uint8_t counter)
         }
         for (length = 0; fd_lengths[length] < (bits + 7) / 8; length++) {
         }
-        if (skin_app_sends(tpdo)) {
+        if (skin_app_sends(tpdo) && skin_is_turn((uint8_t)read_object(communication, 2, 1),
+                                                 (uint8_t)read_object(communication, 6, 1), counter)) {
             print_frame(read_object(communication, 1, 4) & SKIN_BASE_ID_MASK, data, fd_lengths[length]);
         }
     }
@@ -131,12 +132,10 @@ static void switch_to(uint8_t state)
 
 static void answer(skin_reading *readings, uint8_t counter)
 {
-    skin_frame sync = {.data = {counter}};
+    const skin_frame sync = {.length = 1, .data = {counter}};
     size_t each;
 
-    sync.length = skin_unsigned(&node, SKIN_OD_SYNC_OVERFLOW, 0) > 0;
-    skin_sample(&node, readings, 1);
-    skin_sync(&node, &sync);
+    skin_sync(&node, &sync, readings, 1);
     for (each = 0; each < outbox.count; each++) {
         print_frame(sent[each].can_id, sent[each].data, sent[each].length);
     }
@@ -168,22 +167,23 @@ static int has_read(skin_reading *counts)
 int main(int count, char **texts)
 {
     skin_reading counts[SKIN_READINGS] = {0}, read[SKIN_READINGS];
-    unsigned pattern, place, turn;
+    unsigned pattern, counter, place, turn, turns;
 
-    if (count != 3 || start((uint8_t)atoi(texts[1]), (uint8_t)atoi(texts[2])) != 0) {
+    if (count != 4 || start((uint8_t)atoi(texts[1]), (uint8_t)atoi(texts[2])) != 0) {
         return 1;
     }
     printf("%u\n", (unsigned)read_object(SKIN_OD_SIGNATURE, 0, 4));
-    while (scanf("%u", &pattern) == 1 && has_read(counts)) {
+    turns = (unsigned)atoi(texts[3]);
+    while (scanf("%u %u", &pattern, &counter) == 2 && has_read(counts)) {
         for (place = 0; place < SKIN_BLOCKS; place++) {
             write_object((uint16_t)(SKIN_OD_TEST_PATTERN + SKIN_BLOCK_STRIDE * place), 0, pattern, 1);
         }
-        for (turn = 0; turn < 8; turn++) {
-            switch_to(turn < 4 ? SKIN_STATE_RECOGNITION : SKIN_STATE_IMAGES);
+        for (turn = 0; turn < 2 * turns; turn++) {
+            switch_to(turn < turns ? SKIN_STATE_RECOGNITION : SKIN_STATE_IMAGES);
             for (place = 0; place < SKIN_READINGS; place++) {
                 read[place] = counts[place];
             }
-            answer(read, (uint8_t)(turn + 1));
+            answer(read, (uint8_t)(counter + turn % turns));
         }
         printf("\n");
     }
