@@ -82,7 +82,7 @@ class Nodes:
             self._of_turn = [part[part >= 0] for part in parts]
 
     def sample(self) -> npt.NDArray[np.int32]:
-        """Return the newest of each sum after the next cycle, ADC counts, shape (m,); of the first cycle all are new."""
+        """Return the newest of each sum after the next cycle, all of the first, ADC counts, shape (m,)."""
         self.cycle += 1
         self.counter = next_counter(self.counter)
         self.time_ns = self._clock_ns()

@@ -119,7 +119,7 @@ class Reconstructor:
         self._is_coded = phi.frames > 1
         self._memory = CodedMemory(*phi.shape[::-1], self._kernel.dtype)
         self._comes_averaged = samples > 1 or self._is_coded
-        #: One for each turn, that of the next cycle first: all sums are new to it, also where half of them come in turn.
+        #: One for each turn, that of the next cycle first: all sums are new to each of them.
         self._filters = deque(
             TemporalFilter(phi.shape[0], self._kernel.dtype, averages=not self._comes_averaged) for _ in range(turns)
         )

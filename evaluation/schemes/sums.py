@@ -44,8 +44,8 @@ class SumsRun:
     def images(self, contract: Contract) -> Images:
         """Return the live reconstruction of every cycle."""
         layout, taxels = contract.layout, contract.layout.taxels
-        known = {"samples": layout.samples_per_sync, "turns": layout.sync.turns}
-        engine = Reconstructor(contract.phi, taxels.rows, taxels.columns, LIVE, **known)
+        samples, turns = layout.samples_per_sync, layout.sync.turns
+        engine = Reconstructor(contract.phi, taxels.rows, taxels.columns, LIVE, samples=samples, turns=turns)
         images = np.empty((len(self.sums_n), taxels.count), np.float32)
         for cycle, (sums_n, valid) in enumerate(zip(self.sums_n, self.valid, strict=True)):
             images[cycle] = engine.solve(sums_n, valid).ravel()
@@ -133,9 +133,7 @@ def _decoded(contract: Contract, sent: Frames, due: npt.NDArray[np.intp]) -> npt
     return sums
 
 
-def _valid(
-    contract: Contract, due: npt.NDArray[np.intp], lost: npt.NDArray[np.bool_]
-) -> npt.NDArray[np.bool_]:
+def _valid(contract: Contract, due: npt.NDArray[np.intp], lost: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
     """Return which sums count after every cycle, shape (cycles, m), with the `lost` of the frames that were `due`."""
     table, valid = contract.table, np.ones((len(due), contract.phi.blocks), np.bool_)
     age = np.full(len(table.node), contract.turns)
