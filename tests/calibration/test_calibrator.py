@@ -53,9 +53,9 @@ def test_an_untouched_skin_reads_nothing_after_its_start() -> None:
 
 def test_in_turns_it_learns_from_measurements_whose_sums_are_all_new() -> None:
     """Those between them hold half of the sums: as new ones they would halve the noise, and take twice the time."""
-    together = Calibrator(SMALL)
-    apart = Calibrator(changed(SMALL, sync={"rate_hz": 2 * SMALL.sync.rate_hz, "turns": 2}))
-    held, period_ns = np.arange(SMALL_SUMS) % 8 < 4, round(1e9 * SMALL.sync.period_s)
+    together = Calibrator(changed(SMALL, sync={"rate_hz": 20.0}))
+    apart = Calibrator(changed(SMALL, sync={"rate_hz": 40.0, "turns": 2}))
+    held, period_ns = np.arange(SMALL_SUMS) % 8 < 4, 50 * MS
     before = COUNTS
     for cycle in range(101):
         sums = COUNTS + np.random.default_rng(cycle).integers(-9, 10, SMALL_SUMS).astype(np.int32)
