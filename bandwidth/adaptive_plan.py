@@ -7,7 +7,6 @@ from typing import Final
 import numpy as np
 
 from bandwidth.plan import (
-    CAUTION,
     CYCLES_BUFFERED,
     RECEIVED_FRAME_BYTES,
     ForeignPlan,
@@ -23,6 +22,7 @@ from canskin.errors import InputError
 from dbc.adaptive import SendingRule
 from dbc.contract import Contract, sum_frame
 from dbc.frame_bits import frame_time_ns
+from skin.choice import ROOM
 from skin.sources import load_objects, load_sender
 
 #: Length of the simulated touches.
@@ -156,7 +156,7 @@ def _plan_bus(
     )[0]
     buffered = math.ceil(CYCLES_BUFFERED * 1e9 / (rate_hz * shortest_ns))
     frames_fill = math.ceil((1 - idle_worst) * 1e9 / (_SAMPLES_PER_S * urgency.coarse_frame_ns))
-    free = CAUTION - idle_worst
+    free = ROOM - idle_worst
     return AdaptiveBusPlan(
         name=line.name,
         nodes=line.nodes,

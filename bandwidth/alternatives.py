@@ -11,6 +11,7 @@ from bandwidth.traffic import Disturbance
 from canskin.errors import SkinError
 from dbc.contract import Contract, useful_widths
 from dbc.packing import rounding_error_n
+from skin.choice import averaged_hz
 from skin.layout import Bus, Layout, changed, validated
 
 #: Data bit rates of CAN FD, and blocks per node, that are compared.
@@ -18,8 +19,6 @@ FD_BITRATES: Final = (2_000_000, 5_000_000, 8_000_000)
 BLOCKS_PER_NODE: Final = (1, 2, 4, 8)
 #: Blocks per node whose 16-bit sums fill a CAN FD frame.
 FD_BLOCKS: Final = 4
-#: Most samples of a taxel in a second where boards average, as in the layouts that ship.
-AVERAGED_HZ: Final = 1000.0
 
 
 @dataclass(frozen=True)
@@ -72,15 +71,8 @@ def _changes(layout: Layout) -> Iterator[tuple[str, Layout]]:
 
 
 def with_averages(layout: Layout, most: int | None = None) -> Layout:
-    """Return the layout of boards in cycles that average: as many whole samples a cycle as `AVERAGED_HZ` allows.
-
-    At most `most`. As it is where the taxels have no converters of their own.
-    """
-    samples = int(AVERAGED_HZ / layout.sync.rate_hz)
-    samples = samples if most is None else min(samples, most)
-    if layout.taxels.is_analogue:
-        return layout
-    return changed(layout, sampling={"rate_hz": samples * layout.sync.rate_hz if samples > 1 else None})
+    """Return the layout of boards in cycles that average, see `skin.choice.averaged_hz`."""
+    return changed(layout, sampling={"rate_hz": averaged_hz(layout, most)})
 
 
 def with_buses(layout: Layout, buses: int, like: Bus) -> Layout:

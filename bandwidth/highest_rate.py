@@ -7,13 +7,14 @@ from bandwidth.plan import bus_time
 from bandwidth.traffic import Disturbance, traffic
 from dbc.contract import Contract
 from dbc.dictionary import window_s
+from skin.choice import ROOM
 from skin.layout import RATE_MAX_HZ, Layout, changed, validated
 
 #: Resolution of the search.
 STEP_HZ: Final = 0.5
 
 
-def highest_rate_hz(layout: Layout, budget: float = 0.8, allowed: Disturbance | None = None) -> float:
+def highest_rate_hz(layout: Layout, budget: float = ROOM, allowed: Disturbance | None = None) -> float:
     """Return the highest SYNC rate, in steps of `STEP_HZ`, at which every bus keeps `budget` and window.
 
     Parameters

@@ -15,11 +15,10 @@ from bandwidth.traffic import Disturbance, Traffic, traffic
 from dbc.contract import Contract, sync_frame
 from dbc.dictionary import window_s
 from dbc.frame_bits import Stuffing, wire_bits
+from skin.choice import ROOM
 from skin.layout import Bus
 from skin.sync_counter import SYNC_OVERFLOW
 
-#: Bus load of a plan with reserve.
-CAUTION: Final = 0.8
 #: Bytes that Linux counts for one received frame (struct sk_buff, a small page fragment, padding), rounded up.
 RECEIVED_FRAME_BYTES: Final = 896
 #: Cycles in the receive buffer of a reader that was delayed by one cycle.
@@ -149,8 +148,8 @@ def plan_bus(contract: Contract, bus: int, touched: npt.NDArray[np.float64] | No
         max_rate_hz_random=fmean(each.rate_hz() for each in random),
         max_rate_hz_touched=None if felt is None else felt.rate_hz(),
         max_rate_hz_worst=worst.rate_hz(),
-        max_rate_hz_random_80=fmean(each.rate_hz(CAUTION) for each in random),
-        max_rate_hz_worst_80=worst.rate_hz(CAUTION),
+        max_rate_hz_random_80=fmean(each.rate_hz(ROOM) for each in random),
+        max_rate_hz_worst_80=worst.rate_hz(ROOM),
         window_ms=window_ms,
         window_needed_ms=needed,
         sdo_response_ms=milliseconds(responses[last.is_sdo_response]),

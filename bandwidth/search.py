@@ -1,7 +1,7 @@
 """Search for a layout that meets a requirement: few buses first, then slow data phases, wide sums, small nodes."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from itertools import chain, product
 from typing import Final, Literal
@@ -18,6 +18,7 @@ from canskin.errors import InputError, LayoutError
 from dbc.canopen import HIGHEST_NODE_ID
 from dbc.contract import Contract, useful_widths
 from dbc.dictionary import window_s
+from skin.choice import BUSES_MAX, COMPRESSIONS, ROOM
 from skin.layout import (
     GAP,
     RATE_MAX_HZ,
@@ -32,7 +33,7 @@ from skin.layout import (
     changed,
     validated,
 )
-from skin.sending import ADAPTIVE, SUMS_PART, SendingName
+from skin.sending import ADAPTIVE, SendingName
 
 CanKind = Literal["any", "classic", "fd"]
 SendingKind = Literal["any", "synchronous", "adaptive"]
@@ -46,10 +47,7 @@ DATA_BITRATES: Final[dict[CanKind, tuple[int | None, ...]]] = {
 }
 #: Fastest data phase of every CAN FD transceiver (ISO 11898-2:2016): the limit of the search for more sums.
 COMMON_DATA_BITRATE: Final = 5_000_000
-#: Taxels per sum: the first is required, the others give better images if the same buses carry them.
-COMPRESSIONS: Final = (SUMS_PART, 2, 1)
 TAXELS_MIN, TAXELS_MAX = 64, 65536
-BUSES_MAX: Final = 16
 
 
 @dataclass(frozen=True)
@@ -75,7 +73,7 @@ class Requirement:
     taxels: int | Taxels
     rate_hz: float
     buses: int = 4
-    budget: float = 0.8
+    budget: float = ROOM
     can: CanKind = "any"
     sending: SendingKind = "any"
 
@@ -203,8 +201,12 @@ class Search:
         return f"the nearest, {nearest.words}, lacks: {nearest.problem}; {would}"
 
 
-def search(required: Requirement, allowed: Disturbance | None = None) -> Search:
+def search(
+    required: Requirement, allowed: Disturbance | None = None, tell: Callable[[Candidate], None] = lambda _: None
+) -> Search:
     """Search for the first layout that meets a requirement, then for more sums on the same buses and nodes.
+
+    `tell` is called with each layout that was tried.
 
     The smallest number of taxels per sum of `COMPRESSIONS` that fits is taken. For more sums the data phase of CAN FD
     may become faster, up to `COMMON_DATA_BITRATE`.
@@ -214,6 +216,7 @@ def search(required: Requirement, allowed: Disturbance | None = None) -> Search:
 
     def fits(layout: Layout) -> bool:
         candidates.append(_judge(layout, required, allowed))
+        tell(candidates[-1])
         return candidates[-1].fits
 
     least = next(filter(fits, _layouts(required)), None)
@@ -336,5 +339,7 @@ def _lacks(missing_bits: float, load: float, missing_ms: float | None, window_ms
     if missing_ms is None:
         found.append("a window of any length (1007h): TPDOs of one cycle would still be sent in the next")
     elif missing_ms > 0:
-        found.append(f"{missing_ms:.2f} ms of window (1007h, {window_ms:.2f} ms)")
+        found.append(
+            f"{missing_ms:.2f} ms of window (1007h, {window_ms:.2f} ms), or boards that answer sooner (--jitter-s)"
+        )
     return found

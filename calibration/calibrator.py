@@ -96,18 +96,16 @@ class Corrections:
     def __init__(self, layout: Layout) -> None:
         self._is_own = not layout.sends.boards_keep_zero
         self._newton_per_count = layout.taxels.newton_per_count
-        self._every_taxel = np.packbits(np.ones(layout.taxels.count, np.bool_)).tobytes()
+        #: Taxels, shape (n,), that are doubtful whatever stands on them.
+        self.unaccepted = np.zeros(layout.taxels.count, np.bool_)
         #: Packed for measurements: doubtful taxels; offsets of adaptive sums, which change in some windows only.
         self._doubtful = self._offsets = b""
 
     def take(self, followed: FollowedZero | None, *, tares: bool) -> None:
         """Pack what a window has changed; without a zero that is to be measured, all taxels are doubtful."""
-        if followed is None:
-            self._doubtful = self._every_taxel if tares else b""
-            return
-        doubtful = followed.doubt.taxels
+        doubtful = self.unaccepted | (tares if followed is None else followed.doubt.taxels)
         self._doubtful = np.packbits(doubtful).tobytes() if doubtful.any() else b""
-        if not self._is_own:
+        if followed is not None and not self._is_own:
             offsets = self._counts(followed.zero.follower.level_n)
             self._offsets = offsets.tobytes() if offsets.any() else b""
 
@@ -194,7 +192,7 @@ class Calibrator:
         temperature = TemperatureModel(phi.blocks)
         self._new_zero = partial(FollowedZero, layout, self._finder, temperature, self._windows.length_ns)
         self._log = ZeroLog(say, taxels.surface, taxels.force_max_n)
-        self._corrections = Corrections(layout)
+        self._corrections, self._unaccepted_ns = Corrections(layout), 0
         self._followed: FollowedZero | None = None
         self.state = CalibrationState.MEASURING if tares else CalibrationState.OFF
         self.revision = 0
@@ -243,6 +241,12 @@ class Calibrator:
         if self._followed is not None and self._is_own:
             self._followed.forget(blocks)
             self.revision += 1
+
+    def doubt_blocks(self, blocks: Bools, time_ns: int) -> None:
+        """Doubt all forces on some blocks, shape (blocks,), from `time_ns` to the next call."""
+        self._unaccepted_ns = (self._unaccepted_ns or time_ns) if blocks.any() else 0
+        self._corrections.unaccepted = self._phi.of_taxels(blocks)
+        self._corrections.take(self._followed, tares=self._tares)
 
     def forget(self) -> None:
         """Drop all offsets and measure the zero as at the start, after nodes have begun to correct otherwise."""
@@ -348,11 +352,14 @@ class Calibrator:
             zero_support=bytes(self._phi.blocks),
             zero_mono_ns=bytes(8 * self._phi.blocks),
         )
+        unaccepted = self._corrections.unaccepted
         if self._followed is None:
-            return status
+            count = int(unaccepted.sum())
+            return msgspec.structs.replace(status, doubtful_taxels=count, doubtful_since_mono_ns=self._unaccepted_ns)
         zero, doubt, support = self._followed.zero, self._followed.doubt, self._followed.support
         known_n = zero.follower.level_n[zero.follower.known]
         per_s = 1e9 / self._windows.length_ns
+        doubtful = doubt.taxels | unaccepted
         return msgspec.structs.replace(
             status,
             known_sums=known_n.size,
@@ -361,9 +368,9 @@ class Calibrator:
             held_blocks=int(zero.held.sum()),
             zero_support=support.of_blocks.tobytes(),
             zero_mono_ns=support.since_ns.astype("<i8").tobytes(),
-            doubtful_taxels=int(doubt.taxels.sum()),
-            doubtful_force_n=doubt.force_n,
-            doubtful_since_mono_ns=doubt.since_ns,
+            doubtful_taxels=int(doubtful.sum()),
+            doubtful_force_n=float(zero.force_n[doubtful].sum()),
+            doubtful_since_mono_ns=min(filter(None, (doubt.since_ns, self._unaccepted_ns)), default=0),
         )
 
     def _follow(self, followed: FollowedZero, window: Window) -> None:

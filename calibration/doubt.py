@@ -37,8 +37,6 @@ class Doubt:
     ----------
     taxels : array of bool, shape (n,)
         Whose force is doubtful.
-    force_n : float
-        Sum of the forces of these taxels, newtons.
     since_ns : int
         When the first of them became doubtful; 0 without any.
     """
@@ -46,7 +44,7 @@ class Doubt:
     def __init__(self, taxels: int, force_max_n: float, window_s: float) -> None:
         windows = max(3, math.ceil(STILL_S / window_s))
         self.taxels = np.zeros(taxels, np.bool_)
-        self.force_n, self.since_ns = 0.0, 0
+        self.since_ns = 0
         self._range_n = force_max_n
         self._seen_n = np.zeros((windows, taxels), np.float32)
         self._is_quiet = np.zeros((windows, taxels), np.bool_)
@@ -68,7 +66,6 @@ class Doubt:
             found = (still_n > least_n) & (still_n >= CONSTANT_PART * force_n) & (still_n < MOST_RATIO * self._range_n)
             found &= self._is_quiet.mean(axis=0) >= QUIET_PART
         self.taxels = found
-        self.force_n = float(force_n[found].sum())
         self.since_ns = (self.since_ns or time_ns) if found.any() else 0
 
     def move(self, change_n: Floats) -> None:

@@ -41,6 +41,8 @@ class Support:
         Sums that have a zero.
     support : ZeroSupport
         Of their blocks.
+    boards_keep_zero : bool
+        Boards that have not sent yet have no known zero.
 
     Attributes
     ----------
@@ -50,10 +52,14 @@ class Support:
         When the zero was last measured or told; 0 for never.
     """
 
-    def __init__(self, phi: Sbhe, known: Bools, support: ZeroSupport, time_ns: int) -> None:
+    def __init__(
+        self, phi: Sbhe, known: Bools, support: ZeroSupport, time_ns: int, *, boards_keep_zero: bool = False
+    ) -> None:
         self._phi = phi
         whole = self._whole(known)
-        self.of_blocks = np.where(whole, support, ZeroSupport.NONE).astype(np.uint8)
+        self._boards_keep_zero = boards_keep_zero
+        begun = ZeroSupport.NONE if boards_keep_zero else support
+        self.of_blocks = np.where(whole, begun, ZeroSupport.NONE).astype(np.uint8)
         self.since_ns: npt.NDArray[np.int64] = np.where(whole & (support > ZeroSupport.STORED), time_ns, 0)
 
     def tell(self, taxels: Bools, time_ns: int) -> None:
@@ -62,9 +68,12 @@ class Support:
         self.of_blocks[blocks], self.since_ns[blocks] = ZeroSupport.TOLD, time_ns
 
     def take(self, zero: Zero, window: Window) -> None:
-        """Look at the zero after a window. A person's word counts until the zero falls."""
-        self.of_blocks[self._phi.blocks_of(zero.fallen)] = ZeroSupport.CORRECTED
+        """Look at the zero after a window, in the blocks that came. A person's word counts until the zero falls."""
         came = self._whole(zero.follower.known & window.known)
+        if self._boards_keep_zero:
+            self.of_blocks[came & (self.of_blocks == ZeroSupport.NONE)] = ZeroSupport.STORED
+        fallen = self._phi.blocks_of(zero.fallen)
+        self.of_blocks[fallen[came[fallen]]] = ZeroSupport.CORRECTED
         if zero.calm_windows >= CALM_WINDOWS:
             self.of_blocks[came & (self.of_blocks != ZeroSupport.TOLD)] = ZeroSupport.MEASURED
         self.since_ns[came & ~zero.held & (self.of_blocks == ZeroSupport.MEASURED)] = window.centre_ns
@@ -140,7 +149,8 @@ class FollowedZero:
             follows=not layout.sends.boards_keep_zero,
         )
         self.doubt = Doubt(taxels.count, taxels.force_max_n, length_ns * 1e-9)
-        self.support = Support(phi, known, support, time_ns)
+        keeps = layout.sends.boards_keep_zero
+        self.support = Support(phi, known, support, time_ns, boards_keep_zero=keeps)
         self.centre_ns, self.was_doubtful = 0, False
         self._phi, self._length_ns = phi, length_ns
         self._temperature = temperature

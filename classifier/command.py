@@ -117,7 +117,8 @@ def train(
     """Train a classifier for a skin on simulated touches, or on the labelled touches of recordings.
 
     Of recordings: all cycles of a touch are in one part of the cross-validation, and where each label is in two
-    recordings or more, all cycles of a recording. The table is the confusion matrix.
+    recordings or more, all cycles of a recording. The table is the confusion matrix, or
+    tells which labels have too few of both for an accuracy.
 
     Parameters
     ----------
@@ -255,26 +256,29 @@ def _show(about: Metadata, path: Path, *, as_json: bool) -> None:
         print_json({"model": str(path), **msgspec.to_builtins(about)})
         return
     card = about.card
-    accuracies = card.per_object | {"all": card.validation_accuracy}
-    if not card.validated_by:
+    if card.validation_accuracy is None:
+        rows = [(name, f"not validated: {why}") for name, why in card.not_validated.items()]
+        print_table(("object", "right on validation"), rows)
+    elif card.validated_by:
+        _show_confusion(card, card.validation_accuracy)
+    else:
+        accuracies = card.per_object | {"all": card.validation_accuracy}
         print_table(("object", "right on validation"), [(name, f"{ratio:.1%}") for name, ratio in accuracies.items()])
         say("train", f"C = {card.C:g}, {card.touches} touches, Φ {about.fingerprint}: {path}")
         return
-    _show_confusion(card)
     recordings = f"{card.touches} touches of {len(card.recordings)} recordings"
     say("train", f"C = {card.C:g}, {recordings}, Φ {about.fingerprint}: {path}")
 
 
-def _show_confusion(card: TrainingCard) -> None:
+def _show_confusion(card: TrainingCard, accuracy: float) -> None:
     """Print how many cycles that were left out of a training got which label."""
     rows = [*card.confusion, [sum(column) for column in zip(*card.confusion, strict=True)]]
-    accuracies = card.per_object | {"all": card.validation_accuracy}
+    accuracies = card.per_object | {"all": accuracy}
     print_table(
         ("cycles of", *(f"named {name}" for name in card.per_object), "right"),
         [(name, *row, f"{part:.1%}") for (name, part), row in zip(accuracies.items(), rows, strict=True)],
     )
-    by_touch = f"{card.accuracy_by_touch:.1%} if its touch" if card.accuracy_by_touch is not None else ""
-    if card.validated_by == "recording":
-        say("train", f"right: {card.validation_accuracy:.1%} if the recording of a cycle was left out, {by_touch}")
-    else:
-        say("train", f"right: {by_touch} was left out")
+    say(
+        "train",
+        f"right: {accuracy:.1%} if the recording of a cycle was left out, {card.accuracy_by_touch:.1%} if its touch",
+    )

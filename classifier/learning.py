@@ -26,13 +26,11 @@ from classifier.recorded import LabelledTouches
 from classifier.regions import KnownRegions, fit_known
 from classifier.samples import draw_missing_counts
 from classifier.training import C_GRID, Progress, confused, metadata_of
-from classifier.validation import global_scale
+from classifier.validation import FEW_TOUCHES, global_scale, not_validated
 from shell.output import check_output_path
 
 #: Fewer touches of a label are refused.
 LEAST_TOUCHES: Final = 3
-#: Fewer touches of a label are told; of fewer, no unknown objects are reported.
-FEW_TOUCHES: Final = 10
 #: Parts of the touches, of which each is left out of one training.
 _FOLDS: Final = 5
 #: Part of the decisions of an estimator that its planes must repeat: a vote of pairs (SVC) may differ from the graph.
@@ -179,9 +177,13 @@ def _by_touch(data: LabelledTouches, parts: int, seed: int) -> list[Fold]:
     return [(np.flatnonzero(~each), np.flatnonzero(each)) for each in held]
 
 
+def _recordings_of_labels(data: LabelledTouches) -> dict[str, int]:
+    return {str(name): np.unique(data.recording[data.labels == name]).size for name in np.unique(data.labels)}
+
+
 def _strict(data: LabelledTouches, seed: int) -> tuple[Literal["recording", "touch"], list[Fold]]:
     """Return the strictest folds that leave no label without training: by recording, else by touch."""
-    if all(np.unique(data.recording[data.labels == name]).size > 1 for name in np.unique(data.labels)):
+    if min(_recordings_of_labels(data).values()) > 1:
         return "recording", list(LeaveOneGroupOut().split(data.labels, groups=data.recording))
     return "touch", _touch_folds(data, seed)
 
@@ -216,7 +218,9 @@ def _model(estimator: Any, data: LabelledTouches, X: Float64, features: Features
         raise InputError(f"{_name(estimator)} decides otherwise than by its planes in {1 - same:.0%}: {_EXPECTED}")
     kind, folds = _strict(data, seed)
     held = _cross_validated(estimator, X, data.labels, folds)
-    by_touch = held if kind == "touch" else _cross_validated(estimator, X, data.labels, _touch_folds(data, seed))
+    lacks = not_validated(_touches_of_labels(data), _recordings_of_labels(data))
+    is_told = not lacks
+    by_touch = _cross_validated(estimator, X, data.labels, _touch_folds(data, seed)).accuracy if is_told else None
     known = _known(data, seed)
     factors = fit_factors(X) if features == "sums" else NO_FACTORS
     true = data.labels[held.rows]
@@ -229,13 +233,14 @@ def _model(estimator: Any, data: LabelledTouches, X: Float64, features: Features
         seed=seed,
         noise_n=0.0,
         C=float(getattr(_last(estimator), "C", 0.0)),
-        validation_accuracy=held.accuracy,
-        **confused(np.unique(data.labels), true, held.said),
+        validation_accuracy=held.accuracy if is_told else None,
+        **(confused(np.unique(data.labels), true, held.said) if is_told else {"per_object": {}, "confusion": []}),
         unknown_ratio=known.unknown_ratio,
         cycles=len(data.labels),
         recordings=list(data.files),
         validated_by=kind,
-        accuracy_by_touch=by_touch.accuracy,
+        accuracy_by_touch=by_touch,
+        not_validated=lacks,
         warnings=_warnings(data),
     )
     about = metadata_of(
@@ -269,16 +274,13 @@ def _warnings(data: LabelledTouches) -> list[str]:
     few = [f"'{name}' {count}" for name, count in counts.items() if count < FEW_TOUCHES]
     if few:
         told.append(
-            f"fewer than {FEW_TOUCHES} touches: {', '.join(few)}; unknown objects are not reported: record more"
+            f"fewer than {FEW_TOUCHES} touches: {', '.join(few)}; no accuracy or unknown object is told: record more"
         )
-    if len(data.files) == 1:
-        told.append("all touches are of one recording: another day, person or skin is not tested; record again")
-    else:
-        alone = [f"'{name}'" for name in counts if np.unique(data.recording[data.labels == name]).size == 1]
-        if alone:
-            told.append(
-                f"in one recording only: {', '.join(alone)}; a difference of recordings may pass for one of objects"
-            )
+    if alone := [name for name, count in _recordings_of_labels(data).items() if count < 2]:
+        told.append(
+            f"in one recording only: {', '.join(map(repr, alone))}; a difference of recordings may pass for one of"
+            " objects, so no accuracy is told: record them again, another day"
+        )
     if data.unlabelled:
         told.append(f"{data.unlabelled} touches have no label and are not used: see 'skin label'")
     if not data.still:

@@ -34,10 +34,10 @@ class TrainingCard(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         Standard deviation of the taxel noise, clipped to the taxels' range; 0 for recorded touches.
     C : float
         The C with the best accuracy on the validation set; 0 of a classifier of scikit-learn without C.
-    validation_accuracy : float
-        Accuracy on the validation set, with this C and training on the development set.
+    validation_accuracy : float or None
+        Accuracy on the validation set, with this C and training on the development set; None if none holds.
     per_object : dict
-        This accuracy for each object.
+        This accuracy for each object; empty if none holds, as `confusion`.
     confusion : list of list of int
         Number of validation touches by true class (row) and decided class (column), of the same model.
     unknown_ratio : float
@@ -50,7 +50,9 @@ class TrainingCard(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     validated_by : {"", "touch", "recording"}
         What was left out of the training for its validation; empty for simulated touches.
     accuracy_by_touch : float or None
-        Accuracy if only the touch is left out.
+        Accuracy if only the touch is left out; for comparison with that by recording.
+    not_validated : dict
+        The labels because of which no accuracy holds, and why (`classifier.validation.not_validated`).
     warnings : list of str
         Why the accuracy may be worse on other touches.
     """
@@ -63,7 +65,7 @@ class TrainingCard(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     seed: int
     noise_n: float
     C: float
-    validation_accuracy: float
+    validation_accuracy: float | None
     per_object: dict[str, float]
     confusion: list[list[int]]
     unknown_ratio: float
@@ -71,6 +73,7 @@ class TrainingCard(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     recordings: list[str] = []
     validated_by: Literal["", "touch", "recording"] = ""
     accuracy_by_touch: float | None = None
+    not_validated: dict[str, str] = {}
     warnings: list[str] = []
 
 

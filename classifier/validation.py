@@ -2,8 +2,8 @@
 
 import math
 import warnings
-from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -13,6 +13,27 @@ from sklearn.exceptions import ConvergenceWarning
 from classifier.dagsvm import DagSvm
 
 Indices = npt.NDArray[np.intp]
+#: Fewer touches of a label are told, and leave no accuracy; of fewer, no unknown objects are reported.
+FEW_TOUCHES: Final = 10
+
+
+def not_validated(touches: Mapping[str, int], recordings: Mapping[str, int]) -> dict[str, str]:
+    """Return the labels because of which no accuracy of recorded touches holds, and why; empty if one holds.
+
+    Touches of one recording have its day, place and person in common. So an accuracy holds when whole recordings were
+    left out of the training, which takes two of each label. That of fewer than `FEW_TOUCHES` is chance.
+
+    Parameters
+    ----------
+    touches, recordings : mapping of str to int
+        Number of touches of each label, and of the recordings that have such touches.
+    """
+    told = {name: "one recording" if count < 2 else f"{count} recordings" for name, count in recordings.items()}
+    return {
+        name: f"{count} touches of this label, in {told[name]}"
+        for name, count in touches.items()
+        if count < FEW_TOUCHES or recordings[name] < 2
+    }
 
 
 class Chosen(NamedTuple):

@@ -31,14 +31,13 @@ from dbc.canopen import (
 from dbc.frame import BRS, CLASSIC_BYTES, FD, FD_BYTES, FD_LENGTHS, Frames, frames, one_frame
 from dbc.frame_bits import frame_time_ns, wire_bits
 from dbc.packing import COUNTER_BYTES, Packing, packing
+from skin.choice import SUMS_MAX
 from skin.layout import SUM_BITS_MAX, SUM_BITS_MIN, Bus, Layout
 from skin.measurement import Sbhe, places
 from skin.sending import COARSE_STEP_RATIO
 
 #: Most bytes of one object in an SDO transfer; far above the size of any object of a node.
 LONGEST_VALUE: Final = 256
-#: Most sums of a TPDO: 64 objects can be mapped (CiA 301, 7.5.2.38), and the counter is the first.
-SUMS_MAX: Final = 63
 #: The byte of 2005h that tells offset binary (1) tells companded sums by this.
 _COMPANDED: Final = 2
 #: The same byte with this added: sums of an analogue front end.

@@ -72,7 +72,7 @@ class Nodes:
             else new_sampler(layout, phi, source, seed=seed)
         )
         self._valid, self._fingerprint = phi.has_sums.tobytes(), phi.fingerprint
-        self._packing = packing(layout)
+        self._packing = None if isinstance(phi, MatrixPhi) else packing(layout)
         self._newest: npt.NDArray[np.int32] | None = None
         #: The sums that come in each turn.
         self._of_turn = [np.arange(phi.shape[0])]
@@ -93,14 +93,18 @@ class Nodes:
         return self._newest
 
     def measurement(self, counts: npt.NDArray[np.int32]) -> CycleMeasurement:
-        """Return the measurement of the newest cycle; no frame was lost."""
+        """Return the measurement of the newest cycle, as frames carry its sums; no frame was lost."""
+        usable = b""
+        if self._packing is not None:
+            counts = self._packing.counts(self._packing.raw(counts))
+            usable = self._packing.usable(counts)
         return CycleMeasurement(
             cycle=self.cycle,
             sync_counter=self.counter,
             sampled_mono_ns=self.time_ns,
             sums=counts.astype("<i4").tobytes(),
             valid=self._valid,
-            usable=self._packing.usable(counts),
+            usable=usable,
             fingerprint=self._fingerprint,
         )
 

@@ -3,24 +3,23 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 import tomli_w
 
 from bandwidth.search import Candidate, CanKind, Requirement, Search, SendingKind, search
 from bandwidth.traffic import Disturbance
+from bandwidth.wiring import wiring
 from canskin.errors import InputError, LayoutError, RunError, reasoned
 from shell.output import check_new_path, write_file
 from shell.service import say
-from shell.terminal import Json, print_json
-from skin.importing import tables_of
+from shell.terminal import Json, print_json, progress
+from skin.choice import ROOM, scan_words
+from skin.importing import new_name, tables_of
 from skin.layout import Layout, Taxels, changed, layout_text, parse_layout, validated
 
 if TYPE_CHECKING:
     from demo.quality import Quality
-
-#: Most taxels whose images are predicted without being asked, in some seconds.
-PREDICTED_MAX: Final = 8192
 
 
 def design(
@@ -28,7 +27,7 @@ def design(
     *,
     rate: float = 100.0,
     buses: int = 4,
-    budget: float = 0.8,
+    budget: float = ROOM,
     can: CanKind = "any",
     sending: SendingKind = "any",
     min_psnr: float | None = None,
@@ -38,10 +37,11 @@ def design(
 ) -> int:
     """Search for a layout whose buses carry a number of taxels at a rate.
 
-    Exit code 1: no layout was found. Images of simulated touches are judged where that takes some seconds; of adaptive
-    sums, and of more than 8192 taxels, by ``skin plan --quality``. With ``--min-psnr`` they are judged with 16, 8, 4, 2
-    and 1 taxels to a sum, and the layout has the fewest sums whose images are good enough. Boards of sums in cycles
-    average up to 1000 samples a second; without the table ``sampling`` of the layout they do not.
+    Exit code 1: no layout was found. Images of simulated touches are judged where that takes some seconds; of more than
+    512 adaptive taxels, and of more than 8192 taxels, by ``skin plan --quality``. Above 250 Hz the chain of simulated
+    boards runs for some seconds, too, to find which cycles this host keeps. With ``--min-psnr`` images are judged with
+    16, 8, 4, 2 and 1 taxels to a sum, and the layout has the fewest sums whose images are good enough. Boards of sums
+    in cycles average up to 1000 samples a second.
 
     Parameters
     ----------
@@ -77,7 +77,10 @@ def design(
     if out is not None:
         check_new_path(out, "layout", ".toml")
     required = Requirement(_taxels(taxels), rate_hz=rate, buses=buses, budget=budget, can=can, sending=sending)
-    found = search(required, disturbance)
+    with progress("search", None) as bar:
+        found = search(required, disturbance, lambda tried: bar.update(0, f"search: {tried.words}"))
+    if found.layout is not None:
+        found = replace(found, layout=changed(found.layout, name=new_name(taxels, out)))
     judged: list[Quality] = [] if found.layout is None else _judged(found.layout, every=min_psnr is not None)
     if min_psnr is not None:
         found = _good_enough(found, judged, min_psnr)
@@ -114,8 +117,12 @@ def _tell(found: Search, chosen: Candidate, judged: "Sequence[Quality]") -> None
         samples = f"{found.layout.samples_per_sync} samples of each taxel between two SYNCs"
         say(
             "design",
-            f"boards average {samples}, for less noise; without the table [sampling] they take one",
+            f"boards average {samples}, for less noise",
         )
+    if found.layout is not None:
+        say("design", str(wiring(found.layout)))
+        if scan := scan_words(found.layout):
+            say("design", scan)
     unfit = sum(not each.fits for each in found.candidates)
     say("design", f"{chosen.words}: {chosen.load_words}; {unfit} others do not fit")
     if chosen.sending == "adaptive" and (lacking := found.nearest_in_cycles()):
@@ -124,11 +131,13 @@ def _tell(found: Search, chosen: Candidate, judged: "Sequence[Quality]") -> None
 
 def _judged(layout: Layout, *, every: bool) -> "list[Quality]":
     """Return the quality of the layout, or with `every` number of sums; none where the simulation takes long."""
-    from demo.quality import qualities, quality  # compiles a solver
+    from demo.prediction import say_of_host  # compiles a solver
+    from demo.quality import is_quick, qualities, quality
 
-    if every:
-        return qualities(layout)
-    return [quality(layout)] if layout.sends.in_cycles and layout.taxels.there <= PREDICTED_MAX else []
+    found = qualities(layout) if every else [quality(layout)] if is_quick(layout) else []
+    if found:
+        say_of_host("design", layout)
+    return found
 
 
 def _good_enough(found: Search, judged: "Sequence[Quality]", min_psnr_db: float) -> Search:

@@ -1,7 +1,6 @@
 """``skin layout``: explains a layout, draws its boards, and tells how many sums are enough."""
 
 import os
-from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final, Literal
 
@@ -9,18 +8,18 @@ import numpy as np
 import numpy.typing as npt
 import tomli_w
 
-from bandwidth.alternatives import planned, with_averages, with_buses
-from bandwidth.search import BUSES_MAX
+from bandwidth.alternatives import planned
 from bandwidth.traffic import Disturbance
 from bandwidth.wiring import wiring
-from canskin.errors import InputError, LayoutError
+from canskin.errors import InputError
 from dbc.contract import Contract
 from shell.output import check_new_path, check_picture_path, save_figure, write_file
 from shell.service import say
 from shell.terminal import Json, print_json, print_table
 from skin.chains import positions_text
-from skin.importing import name_of, tables_of
-from skin.layout import Layout, changed, load_layout, parse_layout
+from skin.choice import BUSES_MAX, chosen
+from skin.importing import new_name, tables_of
+from skin.layout import Layout, layout_tables, load_layout, parse_layout
 from skin.matrix import MatrixPhi
 from skin.measurement import Sbhe
 from skin.plane import Plane
@@ -29,8 +28,6 @@ from skin.surface import Surface
 
 #: Pixels between neighbours in the picture of a skin that is no grid.
 _SCALE: Final = 16
-#: Part of a bus that a new layout leaves to others before it has more than a sum for four places.
-_SPARE: Final = 0.5
 
 
 def layout(
@@ -79,7 +76,7 @@ def layout(
     if action == "quality":
         return _print_quality(skin, as_json=json_)
     Contract.from_layout(skin)  # refuses what its buses cannot have
-    about = _about(skin)
+    about = _about(skin, file)
     if action == "draw":
         about["picture"] = str(_draw(skin, out or Path(f"{skin.name}.png")))
     if json_:
@@ -97,12 +94,12 @@ def _new(taxels: Path | None, out: Path | None, modules: Path | None, sending: S
     tables, told = tables_of(str(taxels), modules)
     for words in told:
         say("layout", words)
-    tables = {"name": name_of((taxels if out is None else out).stem, "skin"), "sending": sending, **tables}
+    tables = {"name": new_name(str(taxels), out), "sending": sending, **tables}
     if sending == "adaptive":
         tables.setdefault("measurement", {"wiring": "board"})
     skin = parse_layout(tomli_w.dumps(tables).encode(), str(taxels))
     if skin.sends.in_cycles:
-        skin = _complete(tables, skin, str(taxels))
+        _complete(tables, skin)
     if out is not None and skin.taxels.positions is not None:
         tables["taxels"]["positions"] = _beside(taxels, out, skin)
         if skin.measurement.chains is not None:  # the file of positions has them
@@ -112,41 +109,19 @@ def _new(taxels: Path | None, out: Path | None, modules: Path | None, sending: S
         print(text, end="")
         return 0
     write_file(out, text.encode())
-    print_table((), [(key.replace("_", " "), _words(value)) for key, value in _about(load_layout(out)).items()])
+    print_table((), [(key.replace("_", " "), _words(value)) for key, value in _about(load_layout(out), out).items()])
     return 0
 
 
-def _complete(tables: dict[str, Any], skin: Layout, name: str) -> Layout:
-    """Add averages, sums and buses to the tables of a skin that sends in cycles; return the layout on its buses."""
-    tables["sampling"] = {"rate_hz": with_averages(skin).sampling.rate_hz}
-    if skin.measurement.chains is not None:  # boards of neighbours, of which a part of the sums is not enough
-        tables["measurement"]["sums"] = skin.places
-    skin = _on_buses(parse_layout(tomli_w.dumps(tables).encode(), name))
-    if (sums := _sums(skin)) != skin.measurement.sums:
-        tables.setdefault("measurement", {})["sums"] = sums
+def _complete(tables: dict[str, Any], skin: Layout) -> None:
+    """Write what was chosen for a skin that sends in cycles into its tables, and say why."""
+    for words in chosen(skin, tables):
+        say("layout", words)
+    if any(each.problems for each in planned(skin, Disturbance())):
+        say("layout", f"no {BUSES_MAX} buses carry its sums at {skin.sync.rate_hz:g} Hz: see skin design")
+    tables.setdefault("measurement", {})["sums"] = skin.measurement.sums
+    tables["sampling"] = {"rate_hz": skin.samples_per_sync * skin.sync.rate_hz}
     tables["bus"] = [{"name": bus.name, "nodes": bus.nodes} for bus in skin.bus]
-    return skin
-
-
-def _on_buses(skin: Layout) -> Layout:
-    """Return a layout with the fewest classic buses that carry its sums; as it is if none do."""
-    for count in range(len(skin.bus), min(BUSES_MAX, skin.blocks) + 1):
-        spread = with_buses(skin, count, skin.bus[0])
-        if not any(each.problems for each in planned(spread, Disturbance())):
-            return spread
-    say("layout", f"no {BUSES_MAX} buses carry its sums at {skin.sync.rate_hz:g} Hz: see skin design")
-    return skin
-
-
-def _sums(skin: Layout) -> int:
-    """Return as many sums as there are places, or half as many, if that leaves `_SPARE` of each bus; else its sums."""
-    own = skin.measurement.sums
-    for sums in (each for each in (skin.places, skin.places // 2) if each > own):
-        with suppress(LayoutError):
-            plans = planned(changed(skin, measurement={"sums": sums}), Disturbance())
-            if all(each.load_worst < 1 - _SPARE and not each.problems for each in plans):
-                return sums
-    return own
 
 
 def _beside(taxels: Path, out: Path, skin: Layout) -> str:
@@ -160,8 +135,10 @@ def _beside(taxels: Path, out: Path, skin: Layout) -> str:
 
 
 def _print_quality(skin: Layout, *, as_json: bool) -> int:
+    from demo.prediction import say_of_host
     from demo.quality import qualities
 
+    say_of_host("layout", skin)
     found = qualities(skin)
     if as_json:
         print_json([each._asdict() for each in found])
@@ -182,7 +159,7 @@ def _print_quality(skin: Layout, *, as_json: bool) -> int:
     return 0
 
 
-def _about(skin: Layout) -> dict[str, Any]:
+def _about(skin: Layout, path: Path | None) -> dict[str, Any]:
     phi = skin.operator()
     return {
         "skin": skin.name,
@@ -193,6 +170,7 @@ def _about(skin: Layout) -> dict[str, Any]:
         **(_about_matrix(phi) if isinstance(phi, MatrixPhi) else _about_boards(skin, phi)),
         "sums": phi.shape[0],
         "sums_per_taxel": round(phi.shape[0] / skin.taxels.there, 3),
+        **({"chosen": words} if (words := chosen(skin, layout_tables(path)[0])) else {}),
         "fingerprint": phi.fingerprint,
     }
 
@@ -220,7 +198,9 @@ def _about_matrix(phi: MatrixPhi) -> dict[str, Any]:
 def _words(value: Any) -> str:
     if isinstance(value, dict):
         return ", ".join(f"{name}: {each}" for name, each in value.items())
-    return " to ".join(map(str, value)) if isinstance(value, list) else str(value)
+    if isinstance(value, list):
+        return ("; " if isinstance(value[0], str) else " to ").join(map(str, value))
+    return str(value)
 
 
 def _draw(skin: Layout, path: Path) -> Path:

@@ -17,7 +17,8 @@ from canskin.errors import InputError
 from dbc.contract import Contract
 from shell.service import say
 from shell.terminal import Json, print_json
-from skin.layout import Layout, load_layout, require_sending
+from skin.choice import chosen, scan_words
+from skin.layout import Layout, layout_tables, load_layout, require_sending
 
 if TYPE_CHECKING:
     from demo.quality import Quality
@@ -100,6 +101,8 @@ def plan(
         say("plan", f"wrote {write_plot(contract, plot)}")
     does_fit = not any(each.problems for each in plans)
     images = _images(contract.layout, asked=quality)
+    scan = scan_words(skin)
+    words = chosen(skin, layout_tables(layout)[0])
     if json_:
         facts = {
             "name": contract.layout.name,
@@ -110,21 +113,25 @@ def plan(
             "fits": does_fit,
             "buses": plans[: len(contract.layout.bus)],
             "wiring": wiring(contract.layout),
+            "chosen": words,
+            "scan": scan,
             "quality": [each._asdict() for each in images],
         }
         print_json(facts | sending.facts(contract, plans, allowed))
     else:
         sending.print_plan(contract, plans, allowed)
         predicted = (f"images of simulated touches: {each.words}" for each in images)
-        print("", wiring(contract.layout), *predicted, sep="\n")
+        print("", wiring(contract.layout), *predicted, *words, *[scan] * bool(scan), sep="\n")
     return int(not does_fit)
 
 
 def _images(layout: Layout, *, asked: bool) -> "list[Quality]":
     if not asked:
         return []
-    from demo.quality import quality  # compiles a solver, which no other plan needs
+    from demo.prediction import say_of_host  # compiles a solver, which no other plan needs
+    from demo.quality import quality
 
+    say_of_host("plan", layout)
     return [quality(layout)]
 
 

@@ -1,10 +1,12 @@
 """How good the images of a skin are, with its sums or other numbers of sums: simulated touches, nodes, solver."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from functools import partial
 from itertools import pairwise
 from typing import Final, NamedTuple
 
+import msgspec
 import numpy as np
 import numpy.typing as npt
 
@@ -13,6 +15,7 @@ from dbc.adaptive import column_of
 from dbc.contract import Contract
 from dbc.frame import frame_bytes
 from demo.chain import REST_S, Nodes
+from demo.score import FIRST_S
 from gateway.adaptive_state import new_sums, take_all
 from nodes.adaptive.simulated import touched_frames
 from reconstructor.imaging import CycleImager
@@ -21,11 +24,14 @@ from skin.ground_truth import in_contact
 from skin.layout import Layout, changed, require_sending, validated
 from skin.measured_sums import decode_measurement
 from skin.psnr import decibels
-from skin.sources import load_objects, step_rate_hz
+from skin.sources import TaxelSource, load_objects, step_rate_hz
 from skin.taxel import NOISE_N, sense, to_counts
 
 #: Time of the simulated touches: each of the five default objects touches.
-TOUCHES_S: Final = 12.0
+TOUCHES_S: Final = FIRST_S
+#: Most taxels whose images are predicted without being asked, in some seconds: of sums in cycles, of adaptive sums.
+PREDICTED_MAX: Final = 8192
+ADAPTIVE_MAX: Final = 512
 #: Taxels per sum that are tried.
 TAXELS_PER_SUM: Final = (16, 8, 4, 2, 1)
 #: The constant of the paper's m ≥ 0.28 k log(p / k) (section III).
@@ -94,11 +100,29 @@ def _layouts(layout: Layout) -> Iterator[Layout]:
             continue
 
 
-def quality(layout: Layout, *, touches_s: float = TOUCHES_S) -> Quality:
+def is_quick(layout: Layout) -> bool:
+    """Tell whether the images of a layout are predicted in some seconds."""
+    return layout.taxels.there <= (PREDICTED_MAX if layout.sends.in_cycles else ADAPTIVE_MAX)
+
+
+def quality(
+    layout: Layout,
+    *,
+    touches_s: float = TOUCHES_S,
+    source: TaxelSource | None = None,
+    valid: Sequence[bytes] = (),
+) -> Quality:
     """Return the quality of a layout as it is; with two states, of its images.
 
     Boards that send in cycles lose no frame. Adaptive boards send on simulated buses, and an image is of all that has
     come.
+
+    Parameters
+    ----------
+    source : TaxelSource, optional
+        What touches; default: the default objects, on boards in cycles after a rest of `REST_S`.
+    valid : sequence of bytes
+        Which blocks come in a cycle, again and again (`CycleMeasurement.valid`); default: all.
 
     Raises
     ------
@@ -106,9 +130,12 @@ def quality(layout: Layout, *, touches_s: float = TOUCHES_S) -> Quality:
         If no object touches in `touches_s`.
     """
     taxels, wired = layout.taxels, layout.operator().is_wired
-    moments = _cycles if layout.sends.in_cycles else _news
+    if source is None:
+        rest_s = REST_S if layout.sends.in_cycles else 0.0
+        source, touches_s = load_objects(layout, rest_s=rest_s), rest_s + touches_s
+    moments = partial(_cycles, valid=valid) if layout.sends.in_cycles else _news
     imaged_n2, sensed_n2, touched_n2, touched = [], [], 0.0, []
-    for image_n, true_n, sensor_n in moments(layout, touches_s):
+    for image_n, true_n, sensor_n in moments(layout, source, touches_s):
         if not in_contact(true_n, taxels.force_max_n):
             continue
         error_n = (image_n - true_n)[wired]
@@ -131,28 +158,30 @@ def quality(layout: Layout, *, touches_s: float = TOUCHES_S) -> Quality:
     )
 
 
-def _cycles(layout: Layout, touches_s: float) -> Iterator[Moment]:
+def _cycles(layout: Layout, source: TaxelSource, seconds: float, valid: Sequence[bytes]) -> Iterator[Moment]:
     """Yield each cycle of boards that send in cycles."""
     layout = changed(layout, recognition=None)
     phi, imager = layout.operator(), CycleImager(layout)
-    nodes = Nodes(layout, load_objects(layout, rest_s=REST_S), seed=0)
-    for _ in range(round((REST_S + touches_s) * step_rate_hz(layout))):
+    nodes = Nodes(layout, source, seed=0)
+    for _ in range(round(seconds * step_rate_hz(layout))):
         measurement = nodes.measurement(nodes.sample())
+        if valid:
+            measurement = msgspec.structs.replace(measurement, valid=valid[nodes.cycle % len(valid)])
         image_n = imager.solve(decode_measurement(measurement, phi))[0].ravel()
         truth = nodes.truth()
         yield image_n, np.frombuffer(truth.true, "<f4"), np.frombuffer(truth.sensor, "<f4")
 
 
-def _news(layout: Layout, touches_s: float) -> Iterator[Moment]:
+def _news(layout: Layout, source: TaxelSource, seconds: float) -> Iterator[Moment]:
     """Yield what a receiver knows of the sums of adaptive boards at each step of a touch."""
     contract, taxels, rng = Contract.from_layout(layout), layout.taxels, np.random.default_rng(0)
-    source, sums = load_objects(layout), new_sums(layout.blocks, layout.groups)
+    sums = new_sums(layout.blocks, layout.groups)
     proven, has_news = np.ones(layout.blocks, np.bool_), np.zeros((layout.blocks, layout.groups), np.bool_)
-    step_ns, steps, buses = round(1e9 / step_rate_hz(layout)), round(touches_s * step_rate_hz(layout)), []
+    step_ns, steps, buses = round(1e9 / step_rate_hz(layout)), round(seconds * step_rate_hz(layout)), []
     for bus, line in enumerate(layout.bus):
         mine = slice(layout.first_block(bus), layout.first_block(bus) + line.nodes)
         columns = [column_of(each, layout.groups, is_fd=line.fd) for each in line.ids]
-        frames = touched_frames(contract, bus, source, touches_s)
+        frames = touched_frames(contract, bus, source, seconds)
         ends = np.searchsorted(frames["time_ns"], np.arange(-1, steps) * step_ns, side="right").tolist()
         buses.append((line.fd, mine, sums.of(mine, columns), frames, list(pairwise(ends))))
     walsh = WalshReconstructor(layout.patches(), taxels.rows, taxels.columns, NOISE_N, taxels.surface.graph)

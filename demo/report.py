@@ -9,12 +9,14 @@ from canskin.peers import ORDINARY
 
 #: Part of the cores above which a chain has too little of them.
 FULL_RATIO: Final = 0.85
+#: A prediction that is this near needs no words, decibels.
+PREDICTED_WITHIN_DB: Final = 1.0
 #: Most nodes that the table names when frames are missing.
 NAMED: Final = 5
 
 
 class _Words(NamedTuple):
-    """How a run is told; the templates take `cycles`, `complete`, `rate_hz` and `because`."""
+    """How a run is told; the templates take `cycles`, `complete`, `at` and `because`."""
 
     newest: str
     nothing: str
@@ -30,7 +32,7 @@ WORDS: Final = {
         "cycle {cycles}, {complete} complete",
         "no cycle: SYNC never came",
         "no cycle was complete{because}; 'skin plan' says what a layout does to its buses",
-        ("cycles", "{complete} of {cycles} complete, at {rate_hz:.1f} Hz"),
+        ("cycles", "{complete} of {cycles} complete{at}"),
         "SYNC to image",
         "contact cycles",
     ),
@@ -144,6 +146,10 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
         Time from the request for images to their first complete cycle.
     doubtful_taxels : int
         Taxels in doubt at the end: their force may be an error of the zero (`docs/calibration.md`).
+    psnr_predicted_db, psnr_first_db : float or None
+        PSNR that `skin plan --quality` predicts of the first touches, and PSNR of their images in this run.
+    why_not_predicted : str
+        In what the run differed from its prediction.
     picture : str
         Path of the picture; absent without contact, or if the file could not be written.
     """
@@ -179,6 +185,9 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
     switches: int = 0
     switch_ms: Percentiles = Percentiles(p50=None, p99=None)
     doubtful_taxels: int = 0
+    psnr_predicted_db: float | None = None
+    psnr_first_db: float | None = None
+    why_not_predicted: str = ""
     picture: str | msgspec.UnsetType = msgspec.UNSET
 
     @property
@@ -204,7 +213,8 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
         """Return the rows of the table: name and text of each figure."""
         words = WORDS[self.sending]
         name, counts = words.counts
-        counted = counts.format(cycles=self.cycles, complete=self.cycles_complete, rate_hz=self.sync_rate_hz)
+        at = f", at {self.sync_rate_hz:.1f} Hz" if self.sync_rate_hz else ""
+        counted = counts.format(cycles=self.cycles, complete=self.cycles_complete, at=at)
         frames = f"{self.frames_sent} sent, {self.frames_received} received, {self.frames_lost} lost"
         rows = [(name, counted), ("frames", frames), *self._rows_of_missing()]
         bits = f"; {self.kbit_per_s:.0f} kbit/s on all" if self.kbit_per_s is not None else ""
@@ -228,6 +238,7 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
             against = sensor if self.sensor_adds_noise else "what was played, which has no noise"
             over = f"over {self.contact_cycles} {words.moments}"
             rows.append(("image", f"{self.psnr_image_db:.1f} dB, against {against}, {over}"))
+        rows += self._rows_of_prediction()
         if self.label_accuracy is not None:
             came = f"; {self.labelled_ratio:.1%} got a label" if self.labelled_ratio is not None else ""
             rows.append(("label", f"right on {self.label_accuracy:.1%} of the {words.moments}{came}"))
@@ -244,6 +255,13 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
         if self.picture:
             rows.append(("picture", self.picture))
         return rows
+
+    def _rows_of_prediction(self) -> list[tuple[str, str]]:
+        predicted_db, first_db = self.psnr_predicted_db, self.psnr_first_db
+        if predicted_db is None or first_db is None or abs(predicted_db - first_db) <= PREDICTED_WITHIN_DB:
+            return []
+        both = f"{predicted_db:.1f} dB, {first_db:.1f} dB came of the same touches"
+        return [("image predicted", f"{both}: {self.why_not_predicted}")]
 
     def _rows_of_missing(self) -> list[tuple[str, str]]:
         if not self.frames_missing:

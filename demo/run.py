@@ -49,7 +49,7 @@ SLOW_START_S: Final = 8.0
 class Run:
     """Starts the services, watches them, and reports; the options are checked before."""
 
-    def __init__(self, layout: Layout, options: DemoOptions, folder: Path) -> None:
+    def __init__(self, layout: Layout, options: DemoOptions, folder: Path, *, quiet: bool = False) -> None:
         self._layout = layout
         self._options = options
         self.score = Score(layout)
@@ -64,7 +64,7 @@ class Run:
         self._judge_at_s = inf
         #: When images are asked for next, seconds since the first cycle.
         self._ask_at_s = 0.0
-        self._console = Console(stderr=True, quiet=not talks(Talk.NORMAL))
+        self._console = Console(stderr=True, quiet=quiet or not talks(Talk.NORMAL))
         self._port = _page_port(options.port) if options.view else None
         self._path = str(options.layout or "default")
         self._lowest_hz = layout.sync.rate_hz * LEAST_PART

@@ -1,7 +1,7 @@
 """The calibration of a running gateway: offsets for its measurements, and answers to requests."""
 
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -9,13 +9,12 @@ import msgspec
 import numpy as np
 
 from calibration.calibrator import LOOK_S, Calibrator
-from calibration.windows import Floats
+from calibration.windows import Bools, Floats
 from canskin.calibration_messages import (
     CalibrationReply,
     CalibrationRequest,
     CalibrationStatus,
     Region,
-    ZeroSupport,
     tare_request,
 )
 from canskin.errors import InputError
@@ -101,7 +100,7 @@ class GatewayCalibration:
         #: Adaptive: the newest sums, which hold until others come, and when they are looked at next.
         self._newest: AdaptiveMeasurement | None = None
         self._look_s = float("-inf")
-        #: Nodes whose zero was dropped because their gains or offsets have become others.
+        #: Nodes whose gains or offsets nobody has accepted.
         self._recalibrated: list[NodeContract] = []
         self._requests: deque[_Request] = deque()
         self._taring: list[Reply] = []
@@ -158,26 +157,42 @@ class GatewayCalibration:
 
     def status(self) -> CalibrationStatus:
         """Return what is known, for `canskin.messages.GatewayStatus`."""
-        status = self._calibrator.status()
-        lacks = (np.frombuffer(status.zero_support, np.uint8) == ZeroSupport.NONE) & self._contract.phi.has_sums
-        self._recalibrated = [each for each in self._recalibrated if lacks[each.block : each.block + each.blocks].any()]
         names = [f"{self._contract.layout.bus[each.bus].name} node {each.node_id}" for each in self._recalibrated]
+        status = self._calibrator.status()
         return msgspec.structs.replace(status, told_mono_ns=round(self._now_s * 1e9), recalibrated=names)
 
-    def _drop_recalibrated(self, masters: Mapping[int, NmtMaster]) -> None:
-        """Drop the zero of nodes whose gains or offsets have become others."""
+    def look(self, masters: Mapping[int, NmtMaster], now_s: float) -> None:
+        """Drop the zero of nodes whose gains or offsets have become others; call it before measurements are applied."""
         changed = [node for master in masters.values() for node in master.recalibrated]
-        for master in masters.values():
-            master.recalibrated.clear()
         if not changed:
             return
-        if self._calibrator.offsets_n is not None and not self._boards_keep_zero:
-            self._recalibrated += [each for each in changed if each not in self._recalibrated]
-        blocks = np.zeros(self._contract.phi.blocks, np.bool_)
-        for each in changed:
-            blocks[each.block : each.block + each.blocks] = True
+        for master in masters.values():
+            master.recalibrated.clear()
         self._keep_at_s = float("-inf")
-        self._calibrator.forget_blocks(blocks)
+        self._calibrator.forget_blocks(self._blocks_of(changed))
+        self._doubt(masters, now_s)
+
+    def _accept(self, masters: Mapping[int, NmtMaster], now_s: float, region: Region | str | None = None) -> None:
+        """Accept the gains and offsets of all nodes, or of those whose taxels are all in a region."""
+        others = np.zeros(self._contract.phi.blocks, np.bool_)
+        if region is not None:
+            others[self._contract.phi.blocks_of(~taxels_of(self._contract.layout, region))] = True
+        for node in (each for master in masters.values() for each in master.nodes.values()):
+            if not (others & self._blocks_of([node.contract])).any():
+                node.known.accept()
+        self._doubt(masters, now_s)
+
+    def _doubt(self, masters: Mapping[int, NmtMaster], now_s: float) -> None:
+        """Doubt the forces of nodes whose gains or offsets nobody has accepted."""
+        nodes = (each for master in masters.values() for each in master.nodes.values())
+        self._recalibrated = [each.contract for each in nodes if each.known.is_doubtful]
+        self._calibrator.doubt_blocks(self._blocks_of(self._recalibrated), round(now_s * 1e9))
+
+    def _blocks_of(self, nodes: Iterable[NodeContract]) -> Bools:
+        blocks = np.zeros(self._contract.phi.blocks, np.bool_)
+        for each in nodes:
+            blocks[each.block : each.block + each.blocks] = True
+        return blocks
 
     def keep_zero(self) -> None:
         """Write the zero, if there is a new one, to its file, in the other thread; an error is said once."""
@@ -203,7 +218,6 @@ class GatewayCalibration:
     def tick(self, masters: Mapping[int, NmtMaster], now_s: float) -> None:
         """Answer a request, write to nodes, read temperatures; call it many times a second."""
         self._now_s = now_s
-        self._drop_recalibrated(masters)
         if self._newest is not None and now_s >= self._look_s:
             self._look_s = now_s + LOOK_S
             self._calibrator.take(msgspec.structs.replace(self._newest, sampled_mono_ns=round(now_s * 1e9)))
@@ -217,6 +231,8 @@ class GatewayCalibration:
         result = self._calibrator.result
         if self._taring and (result is not None or now_s > self._tare_until_s):
             text = self._why_late() if result is None else result.text
+            if result is not None and result.is_done:
+                self._accept(masters, now_s, self._wanted[1])
             for reply in self._taring:
                 self._answer(reply, text, is_done=result is not None and result.is_done)
             self._taring.clear()
@@ -225,6 +241,7 @@ class GatewayCalibration:
             writing.tick(now_s)
             if writing.done:
                 self._writing = None
+                self._doubt(masters, now_s)
                 self._end_writing(writing, stored, reply)
 
     def _take(
@@ -239,7 +256,7 @@ class GatewayCalibration:
             if stored is not None and request.action == "write":
                 self._write(stored, reply, masters, now_s)
             elif stored is not None:
-                self._load(stored, reply)
+                self._load(stored, reply, masters, now_s)
             elif request.action == "tare":
                 self._tare(request, reply, now_s)
             else:
@@ -256,12 +273,13 @@ class GatewayCalibration:
         self._taring.append(reply)
         self._wanted, self._tare_until_s = wanted, now_s + PATIENCE_S
 
-    def _load(self, stored: StoredCalibration, reply: Reply) -> None:
-        """Use a calibration."""
+    def _load(self, stored: StoredCalibration, reply: Reply, masters: Mapping[int, NmtMaster], now_s: float) -> None:
+        """Use a calibration, and accept what the nodes correct by themselves."""
         offsets_n = stored.required_offsets_n("calibration")
         if self._boards_keep_zero:
             raise InputError(_ADAPTIVE)
         self._calibrator.load(offsets_n)
+        self._accept(masters, now_s)
         until = f"in use until the skin has been untouched for {self._calibrator.tare_s:.3g} s and has a new zero"
         self._answer(reply, until if self._tares else "in use", is_done=True)
 

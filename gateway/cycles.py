@@ -6,6 +6,8 @@ from skin.sync_counter import next_counter
 
 #: Part of a period. A SYNC is skipped when it is later than this, or nearer than this to the SYNC before.
 LATEST: Final = 0.5
+#: Fewer SYNCs have no rate: that of n SYNCs is up to 1 / n too high.
+RATE_SYNCS: Final = 20
 
 
 class SyncClock:
@@ -64,6 +66,10 @@ class SyncClock:
         return due_s
 
     def rate_hz(self, now_s: float) -> float:
-        """Return the mean rate of the SYNCs sent so far."""
-        elapsed_s = now_s - self._start_s
-        return self.sent / elapsed_s if 0 < elapsed_s < float("inf") else 0.0
+        """Return the mean rate of the SYNCs sent so far, 0 of too few."""
+        return mean_rate_hz(self.sent, now_s - self._start_s)
+
+
+def mean_rate_hz(syncs: int, elapsed_s: float) -> float:
+    """Return the mean rate of SYNCs since the first; 0 of fewer than `RATE_SYNCS`."""
+    return syncs / elapsed_s if syncs >= RATE_SYNCS and elapsed_s > 0 else 0.0

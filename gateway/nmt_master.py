@@ -511,7 +511,8 @@ class NmtMaster:
             return
         if node.known.take(proof.gains):
             self.recalibrated.append(node.contract)
-            self._lines.add(node.contract.node_id, f"{GAINS} have changed: its zero counts no longer", now_s)
+            doubt = ", and its forces are doubtful until 'skin tare'" if node.known.is_doubtful else ""
+            self._lines.add(node.contract.node_id, f"{GAINS} have changed: its zero counts no longer{doubt}", now_s)
         # A proof holds from its oldest read.
         node.proven_s = dialogue.asked_s if proof.is_one_read else node.began_s
         self._happen(node, Event.RIGHT, now_s)

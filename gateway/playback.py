@@ -24,6 +24,7 @@ from dbc.dictionary import SkinState
 from dbc.frame import ECHO, ERROR, EXTENDED, FD, REMOTE, Frames, frames
 from dbc.state_frames import asked_states, sent_state
 from gateway.cycle_gathering import GRACE, CycleGathering
+from gateway.cycles import mean_rate_hz
 from gateway.gathering import Sync
 from gateway.inferred_proofs import Change, InferredProofs
 from gateway.loop import GatewayLoop
@@ -161,7 +162,7 @@ class Playback:
         """Return the counters of the gateway; the states of nodes are those of their newest heartbeats."""
         status = self._loop.status(dict.fromkeys(self._ready, (State.ACTIVE, 0)), self._now_ns * 1e-9)
         elapsed_s = (self._now_ns - (self._first_sync_ns or self._now_ns)) * 1e-9
-        rate_hz = self.cycles / elapsed_s if elapsed_s > 0 else 0.0
+        rate_hz = mean_rate_hz(self.cycles, elapsed_s)
         return msgspec.structs.replace(status, time_ns=self._now_ns + self._wall_offset_ns, sync_rate_hz=rate_hz)
 
     def _take_sync(self, time_ns: int, number: int, place: int) -> None:

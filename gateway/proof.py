@@ -72,6 +72,8 @@ class Known:
         These objects (`dbc.configuration.calibration`); none where sums are made before the converters.
     gains : Gains
         As the newest proof has found them.
+    accepted : Gains
+        As somebody has accepted them; None: those that the next proof finds.
     turn : int
         Place in `settings` of the next object that is read alone.
     is_ours : bool
@@ -80,22 +82,36 @@ class Known:
 
     settings: Sequence[Setting]
     gains: Gains = None
+    accepted: Gains = None
     turn: int = 0
     is_ours: bool = False
 
+    @property
+    def is_doubtful(self) -> bool:
+        """Whether the node has other gains or offsets than those that somebody has accepted."""
+        return self.accepted is not None and self.gains != self.accepted
+
+    def accept(self) -> None:
+        """Take note that somebody accepts what the newest proof has found."""
+        self.accepted = self.gains
+
     def write(self) -> None:
         """Take note that the gateway writes gains or offsets: what is found next is right."""
-        self.gains, self.is_ours = None, True
+        self.gains = self.accepted = None
+        self.is_ours = True
 
     def doubt(self) -> None:
         """Take note that another master may have written since the gateway has: what is found next is a change."""
         if self.is_ours:
-            self.gains, self.is_ours = {}, False
+            self.gains = self.accepted = {}
+            self.is_ours = False
 
     def take(self, gains: Gains) -> bool:
         """Take what a proof has found; tell whether that is a change."""
         is_change = self.gains is not None and gains != self.gains
         self.gains, self.is_ours = gains, False
+        if self.accepted is None:
+            self.accept()
         return is_change
 
 

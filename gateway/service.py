@@ -119,6 +119,8 @@ class GatewayService:
                 stamp_error_ns=link.stamp_error_ns,
             )
         self.loop.tick(self._clock())
+        if self._calibration is not None:
+            self._calibration.look(self.loop.masters, self._clock())
         wall_offset_ns = wall_offset().ns
         self.publish(self.loop.send_sync(self._clock(), wall_offset_ns))
         self.publish(self.loop.measurements(self._clock(), wall_offset_ns))

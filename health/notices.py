@@ -108,7 +108,7 @@ def _buses(state: Snapshot) -> Iterator[Notice]:
     for text, bus in troubles.items():
         names = [each.name for each in state.gateway.buses if each.trouble == text]
         named = f"{'buses' if len(names) > 1 else 'bus'} {', '.join(names)} {text}"
-        yield Notice(level="error" if bus.dead else "warning", text=named)
+        yield Notice(level=bus.level, text=named)
     if state.image is not None and not state.image.stale and state.image.valid_sums == 0:
         yield Notice(level="error", text="nothing is measured: no block sent its sums")
     for bus in state.gateway.buses:
@@ -127,7 +127,7 @@ def _calibration(state: Snapshot) -> Iterator[Notice]:
     if calibration.recalibrated:
         named, more = calibration.recalibrated[:NAMED], len(calibration.recalibrated) - NAMED
         nodes = ", ".join(named) + (f" and {more} more" if more > 0 else "")
-        text = f"gains or offsets of {nodes} have changed: no force there until the zero is measured (skin tare)"
+        text = f"gains or offsets of {nodes} have changed: forces there are doubtful until that is accepted (skin tare)"
         yield Notice(level="warning", text=text, kind="recalibrated")
     for text in calibration.defects[:NAMED]:
         yield Notice(level="warning", text=text)
@@ -170,12 +170,12 @@ def _off_duty(bus: BusView) -> Iterator[Notice]:
     """Name the nodes of a bus that do not measure, one notice for each reason."""
     for word, nodes in _nodes_of_word(bus).items():
         if nodes and len(nodes) == len(bus.nodes):
-            yield Notice(level="warning", text=f"{bus.name}: all {len(nodes)} nodes {word}")
+            yield Notice(level=bus.level, text=f"{bus.name}: all {len(nodes)} nodes {word}")
         elif nodes:
             named = ", ".join(map(str, nodes[:NAMED]))
             more = f" and {len(nodes) - NAMED} more" if len(nodes) > NAMED else ""
             plural = "s" if len(nodes) > 1 else ""
-            yield Notice(level="warning", text=f"{bus.name}: node{plural} {named}{more} {word}")
+            yield Notice(level=bus.level, text=f"{bus.name}: node{plural} {named}{more} {word}")
 
 
 def _nodes_of_word(bus: BusView) -> dict[str, list[int]]:

@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from canskin.messages import SILENT, BusState, Contacts, GatewayStatus, Label, NodesStatus
+from canskin.messages import SILENT, BusState, Contacts, GatewayStatus, Label, NmtState, NodesStatus
 
 Pixels = npt.NDArray[np.float32]
 #: States of the gateway's controller in which it neither sends nor receives.
@@ -191,12 +191,15 @@ class BusView(BusState, frozen=True, kw_only=True):
         SYNC reaches at least one node: without nodes no frame of the gateway is acknowledged.
     nodes_why : list of NodeTrouble
         Of each node that is not whole.
+    level : str
+        As of a `Notice`, "info" for nothing wrong. A bus without any operational node is an error once SYNC runs.
     """
 
     nmt: list[int]  # type: ignore[assignment]  # numbers in JSON, where bytes would be Base64
     dead: bool
     synced: bool
     nodes_why: list[NodeTrouble]
+    level: str
 
 
 class GatewayState(GatewayStatus, frozen=True, kw_only=True):
@@ -287,16 +290,19 @@ def gateway_state(
 ) -> GatewayState:
     """Return the gateway's counters as the page shows them; `troubles` of the nodes by the name of their bus."""
     zero = status.calibration.zero_words if status.calibration else ""
-    buses = [_bus_view(bus, troubles.get(bus.name, [])) for bus in status.buses]
+    buses = [_bus_view(bus, troubles.get(bus.name, []), runs=status.cycles > 0) for bus in status.buses]
     return aged(GatewayState, status, age_s, stale=stale, buses=buses, zero=zero)
 
 
-def _bus_view(bus: BusState, troubles: list[NodeTrouble]) -> BusView:
+def _bus_view(bus: BusState, troubles: list[NodeTrouble], *, runs: bool) -> BusView:
     is_dead = bus.link in DEAD_LINKS
+    is_gone = is_dead or (runs and NmtState.OPERATIONAL not in bus.nmt)
+    has_trouble = bus.trouble or set(bus.nmt) != {NmtState.OPERATIONAL}
     more = {
         "nmt": list(bus.nmt),
         "dead": is_dead,
         "nodes_why": troubles,
+        "level": "error" if is_gone else "warning" if has_trouble else "info",
         "synced": not is_dead and not (bus.link == "passive" and set(bus.nmt) == {SILENT}),
     }
     return BusView(**{**msgspec.structs.asdict(bus), **more})

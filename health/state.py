@@ -392,7 +392,7 @@ class ViewState:
         if name == "reconstructor" and gateway.state == "recognition":
             return False  # its input comes when somebody asks for images
         last = {"reconstructor": self._image, "classifier": self._label}.get(name)
-        has_input = not gateway.stale and gateway.cycles > STATUS_FRESH_S * gateway.sync_rate_hz
+        has_input = not gateway.stale and 0 < STATUS_FRESH_S * gateway.sync_rate_hz < gateway.cycles
         is_new = now_s + self._epoch_s - self._services[name].since_time_s < STATUS_FRESH_S
         if name not in {"reconstructor", "classifier"} or not has_input or is_new:
             return False

@@ -19,11 +19,6 @@ from skin.sync_counter import SYNC_OVERFLOW
 #: Longest time between the SYNC frames of one cycle, with the same counter, on different buses. A busy master delays
 #: frames. A counter returns after 240 periods, 120 ms or more.
 NUMBERED_SYNC_SPREAD_NS: Final = 100_000_000
-#: SYNC without counter: part of a period by which it may come early, measured from the first SYNC. A master delays SYNC
-#: by half a period at most.
-EARLY: Final = 0.25
-#: After this number of periods without SYNC, the master has begun anew.
-ANEW_AFTER: Final = 2.5
 #: Cycles whose sums are kept, because some buses are read later than others.
 KEPT_CYCLES: Final = 8
 
@@ -32,10 +27,10 @@ KEPT_CYCLES: Final = 8
 class _Cycle:
     """The sums of a cycle, for the buses that have not asked for them yet.
 
-    `number` is the SYNC counter or, without counter, below 0: a step that no counter equals.
+    `counter` is that of SYNC, 0 for a SYNC without counter.
     """
 
-    number: int
+    counter: int
     time_ns: int
     sums: npt.NDArray[np.int32]
     buses: set[int] = field(default_factory=set)
@@ -54,27 +49,19 @@ class _Ahead:
 class Sampler(Hardware):
     """Turns SYNCs into sums, once per cycle for all buses.
 
-    The step of the taxel source follows the SYNC counter or, without counter, the time of SYNC in periods. So all
-    processes of nodes that were started before the first SYNC measure the same touch, even if one misses a SYNC.
-    Between SYNCs without counter there may be several periods, up to `longest_period_s`.
+    The step of the taxel source follows the SYNC counter. So all processes of nodes that were started before the first
+    SYNC measure the same touch, even if one misses a SYNC. A SYNC without counter, another master's, is no step.
     """
 
-    def __init__(
-        self, phi: Sbhe, source: TaxelSource, electronics: Electronics, longest_period_s: float | None = None
-    ) -> None:
+    def __init__(self, phi: Sbhe, source: TaxelSource, electronics: Electronics) -> None:
         super().__init__(phi, electronics)
         self._sums = np.zeros(phi.shape[0], np.int32)
         self._source = source
         self._electronics = electronics
         self._step = -1
         self._counter = 0
-        self._period_ns = electronics.period_s * 1e9
-        self._anew_ns = ANEW_AFTER * (longest_period_s or electronics.period_s) * 1e9
-        #: Time of step 0, by the SYNCs without counter since the master began.
-        self._zero_ns = 0.0
-        self._sync_ns = 0
         self._kept: deque[_Cycle] = deque(maxlen=KEPT_CYCLES)
-        #: Number of the newest cycle of each bus.
+        #: Counter of the newest cycle of each bus.
         self._newest: dict[int, int] = {}
         self._truth: Truth | None = None
         self._ahead: _Ahead | None = None
@@ -111,26 +98,25 @@ class Sampler(Hardware):
 
     def sample(self, counter: int, time_ns: int, bus: int = 0) -> npt.NDArray[np.int32]:
         """Return the sums, shape (m,), at the SYNC `counter` (0: a SYNC without counter) seen on `bus` at `time_ns`."""
-        number = counter or -1 - self._step_at(time_ns)
-        cycle = self._known(number, time_ns, bus)
+        cycle = self._known(counter, time_ns, bus)
         if cycle is None:
-            cycle = _Cycle(number, time_ns, self._begin(counter, -1 - number, time_ns))
+            cycle = _Cycle(counter, time_ns, self._begin(counter, time_ns))
             self._kept.append(cycle)
         cycle.buses.add(bus)
-        self._newest[bus] = number
+        self._newest[bus] = counter
         return cycle.sums
 
-    def _known(self, number: int, time_ns: int, bus: int) -> _Cycle | None:
+    def _known(self, counter: int, time_ns: int, bus: int) -> _Cycle | None:
         """Return a kept cycle; a bus that has had others since has a master that begins to count anew."""
         for cycle in reversed(self._kept):
-            if cycle.number == number and abs(time_ns - cycle.time_ns) < NUMBERED_SYNC_SPREAD_NS:
-                return None if bus in cycle.buses and self._newest[bus] != number else cycle
+            if cycle.counter == counter and abs(time_ns - cycle.time_ns) < NUMBERED_SYNC_SPREAD_NS:
+                return None if bus in cycle.buses and self._newest[bus] != counter else cycle
         return None
 
-    def _begin(self, counter: int, timed_step: int, time_ns: int) -> npt.NDArray[np.int32]:
-        """Sample a cycle, at `timed_step` if its SYNC has no counter; return its sums."""
+    def _begin(self, counter: int, time_ns: int) -> npt.NDArray[np.int32]:
+        """Sample a cycle; return its sums."""
         if not counter:
-            step = timed_step
+            step = max(self._step, 0)
         elif self._step < 0:
             step = counter - 1
         else:
@@ -144,16 +130,9 @@ class Sampler(Hardware):
                 self._electronics.prepare(self._source.frame(step - 1).force_n, step - 1)
             frame = self._source.frame(step)
             self._sums = self._answer(frame.force_n, step)
-        self._step, self._counter = step, counter
+        self._step, self._counter = step, counter or self._counter
         self._truth = self._electronics.truth(frame, self._step, counter, time_ns)
         return self._sums
-
-    def _step_at(self, time_ns: int) -> int:
-        """Return the step of the taxel source at a SYNC without counter."""
-        if self._step < 0 or time_ns - self._sync_ns > self._anew_ns:
-            self._zero_ns = time_ns - (self._step + 1) * self._period_ns
-        self._sync_ns = max(self._sync_ns, time_ns)
-        return max(0, int((time_ns - self._zero_ns) / self._period_ns + EARLY))
 
     def _answer(self, force_n: npt.NDArray[np.float32], step: int) -> npt.NDArray[np.int32]:
         """Return what the boards answer with at `step`: the sums, shape (m,)."""
@@ -254,7 +233,7 @@ def new_sampler(layout: Layout, phi: Sbhe, source: TaxelSource, *, makes_sums: b
             blocks=phi.taxels_of_blocks if makes_sums else None,
             places=phi.wired.taxels,
         )
-        return (Sampler if makes_sums else CountSampler)(phi, source, electronics, layout.sync.period_s)
+        return (Sampler if makes_sums else CountSampler)(phi, source, electronics)
 
     # A first start compiles for a while: before the nodes are there, and not between two SYNCs.
     new().sample(1, 0)

@@ -183,4 +183,4 @@ def _told(fabric: Fabric, peers: list[Peer], endpoint: str) -> Layout:
             f"{peer.service} of skin '{peer.skin}', canskin {peer.version}, tells no layout at {endpoint}: give"
             " --layout FILE"
         ) from error
-    return parse_layout(reply.toml.encode(), f"the layout of {peer.service} at {endpoint}")
+    return parse_layout(reply.toml.encode(), f"the layout of {peer.service} at {endpoint}", is_whole=True)

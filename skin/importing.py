@@ -101,6 +101,11 @@ def tables_of(text: str, modules: Path | None = None) -> tuple[dict[str, Any], l
     return tables, found_here.told
 
 
+def new_name(taxels: str, out: Path | None) -> str:
+    """Return the name of a new skin: of the file that is written, else of its taxels."""
+    return name_of((Path(taxels) if out is None else out).stem, "skin")
+
+
 def name_of(text: str, kind: str) -> str:
     """Return a name that layouts take for one of others; `kind` comes before a name that begins with no letter."""
     name = re.sub(r"[^a-z0-9_]", "_", text.lower())

@@ -18,6 +18,7 @@ import tomli_w
 
 from canskin.errors import UNDECODABLE, InputError, LayoutError, reasoned
 from skin.chains import MOST, check_chains, order_of, read_chains, read_positions
+from skin.choice import BUSES_MAX, averaged_hz, carried_sums, carries_enough
 from skin.foreign import ForeignMessage, check_foreign, with_foreign_dbc
 from skin.matrix import KEY, MatrixPhi, entries_of, read_matrix
 from skin.measurement import Sbhe, of_rows, part_of, sbhe
@@ -419,7 +420,7 @@ class Layout(_Table, frozen=True, kw_only=True):
 def load_layout(path: Path | None = None) -> Layout:
     """Read a layout: a file, that of a recording, or one of `SHIPPED` by its bare name; without a path, the default."""
     name = "default" if path is None else str(path)
-    return parse_layout(*_read(path, name))
+    return parse_layout(*_read(path, name), is_whole=is_recording(path))
 
 
 def changed(layout: Layout, **tables: Any) -> Layout:
@@ -448,12 +449,17 @@ def require_boards(layout: Layout) -> None:
         raise LayoutError(f"{layout.name}: {OTHER_HARDWARE} - at `$.measurement.ensemble`")
 
 
+def is_recording(path: Path | None) -> bool:
+    """Tell whether a file is a recording of ``skin record``, by its name."""
+    return path is not None and path.suffix.lower() == RECORDING_SUFFIX
+
+
 def _read(path: Path | None, name: str) -> tuple[bytes, str, Path]:
     """Return content and origin of a layout, and the folder of the files that it names."""
     if path is None or (name in SHIPPED and not path.is_file()):
         folder = files("skin.layouts")
         return folder.joinpath(f"{name}.toml").read_bytes(), f"{name}.toml", Path(str(folder))
-    if path.suffix.lower() == RECORDING_SUFFIX:
+    if is_recording(path):
         return _read_attached(path), name, path.parent
     if not path.suffix and not path.exists():
         raise LayoutError(f"{path}: no such file, and no layout of canskin: expected {', '.join(SHIPPED)}, or a file")
@@ -483,10 +489,14 @@ def layout_tables(path: Path | None) -> tuple[dict[str, Any], str]:
     return msgspec.toml.decode(content), origin
 
 
-def parse_layout(content: bytes, origin: str, folder: Path = Path()) -> Layout:
-    """Decode and check a layout; `origin` names the file in messages, and `folder` holds the files that it names."""
+def parse_layout(content: bytes, origin: str, folder: Path = Path(), *, is_whole: bool = False) -> Layout:
+    """Decode and check a layout; `origin` names the file in messages, and `folder` holds the files that it names.
+
+    With `is_whole` the content is that of `layout_text`, perhaps of an older version: no rate of samples is chosen.
+    """
     try:
-        document = _with_sizes(_with_devices(_with_files(_with_shape(msgspec.toml.decode(content)), folder), folder))
+        document = _with_devices(_with_files(_with_shape(msgspec.toml.decode(content)), folder), folder)
+        document = _with_sizes(document, is_whole=is_whole)
     except UNDECODABLE as error:
         raise LayoutError(f"{origin}: expected TOML: {error}") from error
     try:
@@ -544,8 +554,8 @@ def _with_devices(tables: dict[str, Any], folder: Path) -> dict[str, Any]:
     return tables
 
 
-def _with_sizes(tables: dict[str, Any]) -> dict[str, Any]:
-    """Fill in the defaults that depend on other keys: rates of adaptive sending, sums, buses."""
+def _with_sizes(tables: dict[str, Any], *, is_whole: bool) -> dict[str, Any]:
+    """Fill in the defaults that depend on other keys: rates, sums, buses; see `skin.choice`."""
     sends = SENDINGS.get(str(tables.get("sending")), IN_CYCLES)
     for name, rate_hz in sends.default_rates_hz.items():
         table = tables.setdefault(name, {})
@@ -563,15 +573,45 @@ def _with_sizes(tables: dict[str, Any]) -> dict[str, Any]:
         tables["measurement"].setdefault("sums", max([1, *map(len, parameters.matrix)]))
         tables.setdefault("bus", [])
         return tables
-    blocks = _blocks(taxels, parameters)
+    return _with_choices(tables, parameters, _blocks(taxels, parameters), is_whole=is_whole)
+
+
+def _with_choices(tables: dict[str, Any], parameters: PhiParameters, blocks: int, *, is_whole: bool) -> dict[str, Any]:
+    """Fill in sums, buses, and the rate of samples."""
+    sends = SENDINGS.get(str(tables.get("sending")), IN_CYCLES)
     of_block = max(1, parameters.block_size // sends.taxels_per_sum)
-    sums = blocks * of_block if parameters.rows is None else len(parameters.rows)
-    tables.setdefault("measurement", {}).setdefault("sums", sums)
+    least = blocks * of_block if parameters.rows is None else len(parameters.rows)
+    measurement, has_buses = tables.setdefault("measurement", {}), "bus" in tables
+    has_sums = "sums" in measurement or parameters.rows is not None
+    measurement.setdefault("sums", least)
+    if "taxels" not in tables and not has_buses:  # without taxels and buses the file is no layout
+        return tables
     most = NODES_PER_BUS if sends.in_cycles else min(NODES_PER_BUS, IDENTIFIERS * GROUP_ROWS // parameters.block_size)
-    buses = -(-blocks // most)
-    if "taxels" in tables:  # without taxels and buses the file is no layout
-        tables.setdefault("bus", [{"name": f"bus{each}", "nodes": (blocks + each) // buses} for each in range(buses)])
+    fewest = -(-blocks // most)
+    tables.setdefault("bus", _even_buses(blocks, fewest))
+    try:
+        layout = msgspec.convert(tables, Layout)
+    except msgspec.ValidationError:  # the check of the whole layout names the path
+        return tables
+    if not layout.sends.in_cycles or not layout.bus:
+        return tables
+    if not has_buses:
+        counts = range(fewest, min(BUSES_MAX, blocks) + 1)
+        spread = (changed(layout, bus=msgspec.convert(_even_buses(blocks, count), list[Bus])) for count in counts)
+        layout = next((each for each in spread if carries_enough(each, has_sums=has_sums)), layout)
+        tables["bus"] = _even_buses(blocks, len(layout.bus))
+    if not has_sums:
+        measurement["sums"] = carried_sums(layout)
+    sampling = tables.setdefault("sampling", {})
+    if sampling.get("rate_hz") == layout.sync.rate_hz:  # one sample a SYNC
+        del sampling["rate_hz"]
+    elif not is_whole and (averaged := averaged_hz(layout)):
+        sampling.setdefault("rate_hz", averaged)
     return tables
+
+
+def _even_buses(blocks: int, buses: int) -> list[dict[str, Any]]:
+    return [{"name": f"bus{each}", "nodes": (blocks + each) // buses} for each in range(buses)]
 
 
 def _blocks(taxels: Taxels, measurement: PhiParameters) -> int:
@@ -599,6 +639,8 @@ def layout_text(layout: Layout) -> str:
     # TOML has no null, so such keys are left out. tomli-w would write short tables in lists inline.
     buses = [_bus_text(_given(bus)) for bus in tables.pop("bus")]
     tables = {key: _given(value) if isinstance(value, dict) else value for key, value in _given(tables).items()}
+    if layout.samples_per_sync == 1 and averaged_hz(layout):  # a missing key would mean averages
+        tables["sampling"] = {"rate_hz": layout.sync.rate_hz}
     if "region" in tables:
         tables["region"] = [_given(each) for each in tables["region"]]
     return "\n[[bus]]\n".join([tomli_w.dumps({key: each for key, each in tables.items() if each != {}}), *buses])

@@ -69,9 +69,10 @@ class CalibrationStatus(msgspec.Struct, frozen=True, kw_only=True):
     zero_mono_ns : bytes
         int64, shape (blocks,): when the zero of the block was last measured or told; 0 for never.
     recalibrated : list of str
-        Nodes whose gains or offsets have become others without the gateway, and which have no zero since.
+        Nodes whose gains or offsets have become others without the gateway, and which nobody has accepted since: all
+        their forces are doubtful.
     doubtful_taxels : int
-        Taxels whose force may be an error of the zero, see `canskin.messages.Measurement.doubtful`.
+        Taxels whose force may be an error of the zero or of gains, see `canskin.messages.Measurement.doubtful`.
     doubtful_force_n : float
         Force on them.
     doubtful_since_mono_ns : int

@@ -69,7 +69,8 @@ class Measurement(msgspec.Struct, frozen=True, kw_only=True):
         uint8, shape (m,): 0 for sums that are defective, or have no offset while others have. Empty if all are 1.
     doubtful : bytes
         Bits of `numpy.packbits`, row-major, shape (ceil(n / 8),): 1 for taxels whose force may be an error of the zero,
-        for example of a warm patch. Empty if no taxel is doubtful. `canskin.sums.doubtful_taxels` decodes them.
+        for example of a warm patch, or of gains that nobody has accepted. Empty if no taxel is doubtful.
+        `canskin.sums.doubtful_taxels` decodes them.
     """
 
     cycle: int
@@ -452,6 +453,8 @@ class GatewayStatus(msgspec.Struct, frozen=True, kw_only=True):
     ----------
     cycles, cycles_complete : int
         Number of cycles that have ended, and of cycles in which every block that sends sums was valid.
+    sync_rate_hz : float
+        Mean rate of the SYNCs since the first; 0 while they are too few for a rate.
     syncs_skipped : int
         Number of SYNCs that were not sent because they were too late.
     calibration : CalibrationStatus or None

@@ -9,8 +9,9 @@ import pytest
 from calibration.calibrator import Calibrator
 from calibration.offline import measurement_of
 from canskin.calibration_messages import CalibrationState, CalibrationStatus, ZeroSupport
+from canskin.sums import doubtful_taxels
 from skin.clipping import IDLE_MEAN
-from skin.layout import changed
+from skin.layout import Layout, changed
 from skin.taxel import NOISE_N as SENSOR_NOISE_N
 from tests.calibration.helpers import (
     COUNTS,
@@ -31,6 +32,7 @@ from tests.calibration.helpers import (
     tared,
 )
 from tests.layouts import ADAPTIVE_SKIN, small_layout
+from tests.messages import adaptive_measurement
 
 MS = 1_000_000
 MEASURING, TOUCHED = CalibrationState.MEASURING, CalibrationState.TOUCHED
@@ -176,8 +178,42 @@ def test_nodes_with_adaptive_sending_have_their_own_zero() -> None:
     assert made.state is FOLLOWING
     assert made.offsets_n is not None
     assert not made.offsets_n.any()
-    assert set(made.status().zero_support) == {ZeroSupport.STORED}
     assert Calibrator(layout, tares=False).state is OFF
+
+
+def test_the_zero_of_an_adaptive_board_is_known_from_its_first_sums_on() -> None:
+    made, blocks = Calibrator(ADAPTIVE_SKIN), ADAPTIVE_SKIN.phi().blocks
+    assert set(made.status().zero_support) == {ZeroSupport.NONE}
+    known = np.ones(ADAPTIVE_SKIN.phi().kept.shape, np.bool_)
+    known[3] = False
+    force_n = np.zeros(ADAPTIVE_SKIN.taxels.count)
+    for look in range(1, 40):
+        came = adaptive_measurement(force_n, known, layout=ADAPTIVE_SKIN, sampled_mono_ns=look * 25_000_000)
+        made.take(came)
+        made.work()
+    expected = [ZeroSupport.NONE if block == 3 else ZeroSupport.STORED for block in range(blocks)]
+    assert list(made.status().zero_support) == expected
+
+
+@pytest.mark.parametrize("tares", [True, False])
+@pytest.mark.parametrize("layout", [SMALL, ADAPTIVE_SKIN], ids=["synchronous", "adaptive"])
+def test_blocks_are_doubted_until_the_next_call(layout: Layout, *, tares: bool) -> None:
+    made, phi = Calibrator(layout, tares=tares), layout.phi()
+    if not layout.sends.boards_keep_zero:
+        made.load(np.zeros(phi.shape[0]))
+    came = measurement_of(layout, phi, 0, np.zeros(phi.shape[0], np.int32), np.ones(phi.blocks, np.bool_), time_ns=1)
+    changed = np.arange(phi.blocks) == 2
+    made.doubt_blocks(changed, 7)
+    marked = doubtful_taxels(made.apply(came), phi.shape[1])
+    assert marked is not None
+    np.testing.assert_array_equal(marked, phi.of_taxels(changed))
+    status = made.status()
+    assert (status.doubtful_taxels, status.doubtful_since_mono_ns) == (marked.sum(), 7)
+    made.doubt_blocks(changed, 9)
+    assert made.status().doubtful_since_mono_ns == 7
+    made.doubt_blocks(~np.ones_like(changed), 9)
+    assert made.apply(came).doubtful == b""
+    assert (made.status().doubtful_taxels, made.status().doubtful_since_mono_ns) == (0, 0)
 
 
 def test_the_mean_of_clipped_noise_is_no_offset_where_nodes_do_not_average() -> None:

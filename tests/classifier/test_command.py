@@ -178,6 +178,23 @@ def test_train_takes_recordings_and_tells_their_confusion(
     assert json.loads(capsys.readouterr().out)["card"]["validated_by"] == "recording"
 
 
+@pytest.mark.heavy
+def test_train_tells_no_accuracy_of_touches_of_one_recording(
+    layout: Layout, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run, out = write_touches(tmp_path / "run.mcap", layout, *draw(12, 1)), tmp_path / "mine.npz"
+    train(recordings=[run], out=out)
+    told = capsys.readouterr()
+    table = [line.split(maxsplit=1) for line in told.out.splitlines()]
+    why = "not validated: 6 touches of this label, in one recording"
+    assert [(name, text.strip()) for name, text in table[1:]] == [("dome", why), ("plate", why)]
+    assert "%" not in told.out + told.err
+    train(recordings=[run], out=out, json=True)
+    card = json.loads(capsys.readouterr().out)["card"]
+    assert (card["validation_accuracy"], card["accuracy_by_touch"], card["per_object"]) == (None, None, {})
+    assert b"not_validated" in np.load(out)["metadata"].tobytes()
+
+
 def test_options_that_recordings_do_not_take(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="--recordings: expected --out FILE"):
         train(recordings=[tmp_path])

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from dbc.contract import Contract
+from dbc.packing import packing
 from demo.chain import REST_S, Nodes
 from reconstructor.engine import Reconstructor
 from reconstructor.imaging import CycleImager
@@ -25,6 +26,13 @@ class Bump:
         i, j = np.indices((32, 32))
         touch = 0.01 * np.exp(-((i - 12) ** 2 + (j - 20) ** 2) / 20)
         return Frame((touch * (step >= REST_CYCLES)).astype(np.float32), "bump" * (step >= REST_CYCLES))
+
+
+class Bump16(Bump):
+    """The quarter of the bump that a smaller skin has."""
+
+    def frame(self, step: int) -> Frame:
+        return Frame(super().frame(step + REST_CYCLES).force_n[8:24, 8:24], "bump")
 
 
 @pytest.mark.parametrize(("taxels", "gain_db"), [(8, 9), (16, 10), (32, 10), (64, 10)])
@@ -67,6 +75,16 @@ def test_in_turns_half_of_the_sums_are_new_in_each_cycle() -> None:
         before = newest.copy()
     assert 0 < came.size < new.size
     assert (new != newest).any()
+
+
+def test_sums_are_those_that_frames_carry() -> None:
+    layout = small_layout(16, 16, encoding={"sum_bits": 8, "offset_binary": True})
+    nodes, step = Nodes(layout, Bump16(), seed=1), packing(layout).scale
+    exact = nodes.sample()
+    sent = np.frombuffer(nodes.measurement(exact).sums, "<i4")
+    assert step == 256
+    assert not (sent % step).any()
+    assert 0 < np.abs(sent - exact).max() <= step // 2
 
 
 def test_the_same_seed_gives_the_same_sums() -> None:

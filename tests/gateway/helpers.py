@@ -78,9 +78,9 @@ class WitnessSampler(Sampler):
     Where another master counts ahead on one bus, the sums that the boards of another bus get may be older than theirs.
     """
 
-    def __init__(self, phi: Sbhe, electronics: Witness, longest_period_s: float | None = None) -> None:
+    def __init__(self, phi: Sbhe, electronics: Witness) -> None:
         taxels = electronics.taxels
-        super().__init__(phi, Shaking((taxels.rows, taxels.columns)), electronics, longest_period_s)
+        super().__init__(phi, Shaking((taxels.rows, taxels.columns)), electronics)
         self.truths: dict[tuple[int, int], npt.NDArray[np.int32]] = {}
         self._witness = electronics
         #: By the identity of what the boards got.
@@ -152,6 +152,10 @@ class Wire:
         """Let a board hold back all that it sends, unless it hung less than three periods ago."""
         if until_ns - self._hung.get(node_id, (0, []))[0] > 8 * PERIOD_S * 1e9:
             self._hung[node_id] = until_ns, []
+
+    def wake(self) -> None:
+        """Let every board go on that hangs."""
+        self._hung = {node: (min(until_ns, self.now_ns), waiting) for node, (until_ns, waiting) in self._hung.items()}
 
     def _gone_on(self) -> list[tuple[EndOfWire | None, Frames]]:
         gone = [each for until_ns, waiting in self._hung.values() if self.now_ns >= until_ns for each in waiting]
@@ -246,7 +250,7 @@ class World:
         layout = self.contract.layout
         places = self.contract.phi.wired.taxels
         self.electronics = Witness(layout.taxels, noise_n=0.0, period_s=layout.shortest_period_s, places=places)
-        self.sampler = WitnessSampler(self.contract.phi, self.electronics, layout.sync.period_s)
+        self.sampler = WitnessSampler(self.contract.phi, self.electronics)
         self.wires = [self.wire() for _ in self.contract.layout.bus]
         self.segments = [self.new_segment(bus, self.built or self.contract) for bus in range(len(self.wires))]
         self.power_up()
@@ -505,6 +509,7 @@ def drive(world: World, actions: list[tuple], *, gateway_loses: bool, pause_s: f
                 assert ago_s < limit_s, f"block {block} is wrong, changed {ago_s:.2f} s ago"
     for wire in world.wires:
         wire.loses = None
+        wire.wake()
     world.run(SILENT_AFTER_S)  # the next heartbeat shows a command that the gateway has lost
     skip_pauses(world)
     world.until_whole(BOUND_S)

@@ -33,7 +33,7 @@ class Skin:
     def __init__(self, contract: Contract, link: Link, far: Any) -> None:
         layout = contract.layout
         electronics = Witness(layout.taxels, noise_n=0.0, period_s=layout.shortest_period_s)
-        self.sampler = WitnessSampler(contract.phi, electronics, layout.sync.period_s)
+        self.sampler = WitnessSampler(contract.phi, electronics)
         boards = VirtualBoards(contract, 0, {node.node_id for node in contract.nodes}, self.sampler)
         self._segment = Segment(contract, 0, boards, self.sampler, self._send, complain=print)
         self._link, self._far, self.is_plugged = link, far, True

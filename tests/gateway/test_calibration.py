@@ -1,11 +1,13 @@
 """What the gateway answers to those who ask for its calibration, and what it writes to nodes."""
 
 import itertools
+import struct
 from collections.abc import Callable
 from pathlib import Path
 
 import msgspec
 import numpy as np
+import numpy.typing as npt
 import pytest
 
 import gateway.calibration
@@ -13,13 +15,15 @@ from calibration.calibrator import Calibrator
 from canskin.calibration_messages import CalibrationReply, CalibrationRequest, CalibrationState, ZeroSupport
 from canskin.errors import InputError
 from canskin.messages import Measurement
+from canskin.sums import doubtful_taxels
 from dbc import indices as od
+from dbc.canopen import NmtCommand
 from dbc.contract import Contract
 from gateway.calibration import GatewayCalibration, node_values
 from skin.calibration_file import StoredCalibration, encoded, new_calibration, parse_calibration
 from tests.calibration.helpers import pressed
 from tests.gateway.boards import small_adaptive
-from tests.gateway.helpers import World
+from tests.gateway.helpers import World, valid
 from tests.layouts import ADAPTIVE_SKIN, small_contract
 from tests.messages import adaptive_measurement
 
@@ -31,6 +35,7 @@ class Asked:
         self.world = world
         self.calibration = GatewayCalibration(world.contract, stored, tares=tares)
         self.replies: list[CalibrationReply] = []
+        self.told: list[Measurement] = []
 
     def ask(self, request: CalibrationRequest) -> None:
         self.calibration.ask(request, self.replies.append)  # type: ignore[arg-type]
@@ -38,8 +43,11 @@ class Asked:
     def run(self, seconds: float, *, measured: bool = True) -> Measurement:
         last: Measurement | None = None
         for _ in range(round(seconds / self.world.step_s)):
-            for each in self.world.step():
+            came = self.world.step()
+            self.calibration.look(self.world.gateway.masters, self.world.now_s)
+            for each in came:
                 last = self.calibration.apply(each)
+                self.told.append(last)
                 if measured:
                     self.calibration.take(each)
                     self.calibration.work()
@@ -193,6 +201,76 @@ def test_the_zero_of_a_node_is_dropped_when_another_master_has_changed_its_gains
     last = asked.run(6.0)
     assert not last.usable
     assert asked.calibration.status().recalibrated == []
+
+
+def doubted(told: Measurement, contract: Contract) -> npt.NDArray[np.bool_]:
+    """Return the blocks whose taxels are doubtful; all of a block's are, or none."""
+    found = doubtful_taxels(told, contract.phi.shape[1])
+    taxels = np.zeros(contract.phi.shape[1], np.bool_) if found is None else found
+    blocks = np.isin(np.arange(contract.phi.blocks), contract.phi.blocks_of(taxels))
+    np.testing.assert_array_equal(contract.phi.of_taxels(blocks), taxels)
+    return blocks
+
+
+ACCEPTING: dict[str, Callable[[Asked, StoredCalibration], None]] = {
+    "nobody": lambda _, __: None,
+    "tare": lambda asked, _: asked.ask(CalibrationRequest(action="tare", force=True)),
+    "tare of a region with all its taxels": lambda asked, _: asked.ask(
+        CalibrationRequest(action="tare", region=(0, 0, 7, 15))
+    ),
+    "load": lambda asked, stored: asked.ask(CalibrationRequest(action="load", content=encoded(stored))),
+    "write": lambda asked, stored: asked.ask(CalibrationRequest(action="write", content=encoded(stored))),
+    "reset, which gives its stored gains back": lambda asked, _: asked.world.nmt(1, NmtCommand.RESET_NODE, 2),
+    "written back": lambda asked, _: asked.world.write(1, 2, od.GAIN, 3, struct.pack("<f", 1.0)),
+}
+
+
+@pytest.mark.parametrize("how", ACCEPTING)
+def test_a_block_is_doubtful_from_the_first_cycle_with_other_gains_until_somebody_accepts_them(
+    small: Contract, stored: StoredCalibration, how: str
+) -> None:
+    world = World(small, calibrates=True)
+    world.until_whole(2.0)
+    asked = Asked(world, stored if "region" in how else None, tares=False)
+    asked.run(0.5)
+    assert not any(doubted(each, small).any() for each in asked.told)
+    asked.told.clear()
+    world.write(1, 2, od.GAIN, 3, bytes(4))
+    asked.run(5.5)
+    changed = [doubted(each, small) for each in asked.told if valid(each)[3]]
+    assert len(changed) >= 100
+    assert all(each.tolist() == [False, False, False, True] for each in changed)
+    assert asked.calibration.status().recalibrated == ["bus1 node 2"]
+    assert asked.calibration.status().doubtful_taxels == 32
+    ACCEPTING[how](asked, stored)
+    last = asked.run(6.0)
+    assert valid(last)[3]
+    assert doubted(last, small)[3] == (how == "nobody")
+    assert asked.calibration.status().recalibrated == (["bus1 node 2"] if how == "nobody" else [])
+
+
+def test_who_tares_a_part_of_a_board_does_not_accept_its_gains(small: Contract, stored: StoredCalibration) -> None:
+    world = World(small, calibrates=True)
+    world.until_whole(2.0)
+    asked = Asked(world, stored, tares=False)
+    world.write(1, 2, od.GAIN, 3, bytes(4))
+    asked.run(1.0)
+    asked.ask(CalibrationRequest(action="tare", region=(0, 0, 7, 14)))
+    last = asked.run(5.0)
+    assert [each.is_done for each in asked.replies] == [True]
+    assert doubted(last, small).tolist() == [False, False, False, True]
+
+
+def test_a_gateway_that_starts_accepts_what_it_finds(small: Contract) -> None:
+    world = World(small, calibrates=True)
+    world.until_whole(2.0)
+    world.write(1, 2, od.GAIN, 3, bytes(4))
+    Asked(world, tares=False).run(1.0)
+    world.gateway = world.new_gateway()
+    asked = Asked(world, tares=False)
+    last = asked.run(3.0)
+    assert valid(last).all()
+    assert not last.doubtful
 
 
 def test_gains_that_no_node_has_taken_are_not_told_as_those_in_use(small: Contract, stored: StoredCalibration) -> None:

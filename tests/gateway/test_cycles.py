@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.cycles import LATEST, SyncClock
+from gateway.cycles import LATEST, RATE_SYNCS, SyncClock
 
 PERIOD_S = 0.01
 
@@ -81,13 +81,14 @@ def test_the_rate_is_that_of_the_syncs_sent_since_the_start() -> None:
     assert SyncClock(PERIOD_S).rate_hz(5.0) == 0.0
     clock = started()
     assert clock.rate_hz(0.5) == clock.rate_hz(1.0) == 0.0
-    clock.take(1.0)
-    clock.take(1.01)
-    assert clock.rate_hz(3.0) == 1.0
+    for number in range(RATE_SYNCS):
+        assert clock.rate_hz(1.0 + number * PERIOD_S) == 0.0  # too few
+        assert clock.take(1.0 + (number + 0.1) * PERIOD_S) is not None
+    assert clock.rate_hz(1.0 + RATE_SYNCS) == 1.0
     clock.stop()
     assert not clock.runs
     assert clock.take(1e9) is None
-    assert clock.rate_hz(5.0) == 0.5
+    assert clock.rate_hz(1.0 + 2 * RATE_SYNCS) == 0.5
 
 
 def test_a_period_that_changes_counts_from_the_next_sync_on() -> None:

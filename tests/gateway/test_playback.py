@@ -36,7 +36,6 @@ def test_measurements_are_the_sums_of_the_nodes(
     assert made[0].sampled_error_ns == UNKNOWN_ERROR_NS  # frames do not tell when the SYNC was sent
     status = playback.status()
     assert status.cycles_complete == len(sums)
-    assert status.sync_rate_hz == pytest.approx(100, rel=0.15)
     assert status.buses[0].mean_load_ratio > 0
 
 
@@ -141,7 +140,7 @@ def test_syncs_of_the_gateway_are_told_by_their_form(data: bytes, flags: int, *,
     assert (logged["flags"] == flags).all()
 
 
-def test_the_rate_is_that_of_the_syncs_since_the_first(contract: Contract, bus_frames: dict[int, Frames]) -> None:
+def test_a_few_syncs_have_no_rate(contract: Contract, bus_frames: dict[int, Frames]) -> None:
     seen = bus_frames[0]
     first_ns = int(seen["time_ns"][0])
     playback = Playback(contract, [0], first_ns - 1_000_000_000, OFFSET_NS)
@@ -151,7 +150,7 @@ def test_the_rate_is_that_of_the_syncs_since_the_first(contract: Contract, bus_f
     status = playback.status()
     syncs = int(np.count_nonzero((seen["can_id"] == 0x80) & (seen["time_ns"] <= until_ns)))
     assert playback.cycles == syncs
-    assert status.sync_rate_hz == pytest.approx(syncs / 0.1)
+    assert status.sync_rate_hz == 0.0
     assert status.time_ns == until_ns + OFFSET_NS
 
 

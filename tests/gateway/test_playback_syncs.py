@@ -5,6 +5,7 @@ import pytest
 
 from dbc.contract import Contract
 from dbc.frame import Frames, frames
+from gateway.cycles import RATE_SYNCS
 from gateway.playback import Playback, play
 from tests.bus.harness import frame
 
@@ -126,13 +127,15 @@ def test_status_counts_the_recorded_frames_alone(small: Contract) -> None:
 
 
 def test_the_rate_counts_from_the_first_sync(small: Contract) -> None:
-    playback = playback_of(small, [sync(100), sync(150), sync(200)], [])
+    playback = playback_of(small, [sync(100 + 50 * number) for number in range(RATE_SYNCS)], [])
     playback.advance(START_NS + 50 * MS)
     assert playback.status().sync_rate_hz == 0.0
     playback.advance(START_NS + 100 * MS)
     assert playback.status().sync_rate_hz == 0.0
-    playback.advance(START_NS + 250 * MS)
-    assert playback.status().sync_rate_hz == pytest.approx(3 / 0.15)
+    playback.advance(START_NS + 1000 * MS)
+    assert playback.status().sync_rate_hz == 0.0  # one is still to come
+    playback.advance(START_NS + 1100 * MS)
+    assert playback.status().sync_rate_hz == pytest.approx(RATE_SYNCS)
 
 
 def test_a_node_that_boots_is_not_valid_until_it_is_started(small: Contract) -> None:

@@ -122,11 +122,27 @@ def test_virtual_nodes_that_leave_are_told(state: ViewState) -> None:
 
 def test_nodes_off_duty_are_named(state: ViewState, messages: Any) -> None:
     state.take(messages.gateway(nmt=((5, 255, 127, 255), (4, 4, 4, 4))), 1.0)
-    assert texts(state, 1.1, "warning") == [
-        "left: node 3 pre-operational",
-        "left: nodes 2, 4 silent",
-        "right: all 4 nodes stopped",
-    ]
+    assert texts(state, 1.1, "warning") == ["left: node 3 pre-operational", "left: nodes 2, 4 silent"]
+    assert texts(state, 1.1) == ["right: all 4 nodes stopped"]
+
+
+def test_a_bus_without_any_operational_node_is_an_error_once_sync_runs(state: ViewState, messages: Any) -> None:
+    gone = ((255, 4, 127, 255), (5, 5, 5, 5))
+    found = ["left: node 3 pre-operational", "left: node 2 stopped", "left: nodes 1, 4 silent"]
+    state.take(messages.gateway(cycles=0, nmt=gone), 1.0)
+    assert sorted(texts(state, 1.1, "warning")) == sorted(found)
+    state.take(messages.gateway(cycles=1, nmt=gone), 1.2)
+    assert sorted(texts(state, 1.3)) == sorted(found)
+    gateway = state.snapshot(1.3)[0].gateway
+    assert gateway is not None
+    assert [bus.level for bus in gateway.buses] == ["error", "info"]
+
+
+def test_a_service_without_output_is_not_blamed_while_the_rate_is_unknown(state: ViewState, messages: Any) -> None:
+    state.take_peer(new_peer("palm", "reconstructor", ""), True, 0.0)
+    for rate_hz, is_silent in ((0.0, False), (100.0, True)):
+        state.take(msgspec.structs.replace(messages.gateway(cycles=1000), sync_rate_hz=rate_hz), 9.0)
+        assert state.snapshot(9.1)[0].services["reconstructor"].silent == is_silent
 
 
 def test_sync_that_has_not_started_is_no_error(state: ViewState, messages: Any) -> None:
@@ -276,11 +292,8 @@ def test_dead_buses_are_named_and_not_their_silent_nodes(state: ViewState, messa
     assert texts(state, 1.1) == [f"buses left, right {lost}"]
     assert texts(state, 1.1, "warning") == []
     state.take(messages.gateway(nmt=(silent, silent), links=("passive", "bus_off"), troubles=(passive, off)), 1.2)
-    assert texts(state, 1.3) == [f"bus right {off}"]
-    assert texts(state, 1.3, "warning") == [
-        f"bus left {passive}",
-        "left: all 4 nodes silent",
-    ]
+    assert texts(state, 1.3) == [f"bus left {passive}", f"bus right {off}", "left: all 4 nodes silent"]
+    assert texts(state, 1.3, "warning") == []
     gateway = state.snapshot(1.3)[0].gateway
     assert gateway is not None
     assert [(bus.dead, bus.synced) for bus in gateway.buses] == [(False, False), (True, False)]
@@ -392,13 +405,13 @@ def test_a_skin_without_zero_and_its_defects_are_told(state: ViewState, messages
     assert "2 more defects: skin calibration show" in told
 
 
-def test_nodes_with_other_gains_are_named_until_they_have_a_zero(state: ViewState, messages: Any) -> None:
+def test_nodes_with_other_gains_are_named_until_somebody_accepts_it(state: ViewState, messages: Any) -> None:
     changed = [f"bus0 node {each}" for each in range(1, 11)]
     found = CalibrationStatus(state=CalibrationState.FOLLOWING, recalibrated=changed)
     state.take(msgspec.structs.replace(messages.gateway(), calibration=found), 1.0)
     (told,) = texts(state, 1.0, "warning")
     assert told.startswith("gains or offsets of bus0 node 1, ")
-    assert "bus0 node 8 and 2 more have changed: no force there until the zero is measured" in told
+    assert "bus0 node 8 and 2 more have changed: forces there are doubtful until that is accepted" in told
 
 
 def test_a_doubtful_contact_is_named_with_what_to_do(state: ViewState, messages: Any) -> None:

@@ -68,14 +68,14 @@ def test_steps_follow_the_counter_across_missed_syncs_and_the_overflow(sampler: 
     assert source.asked == [0, 1, 4, 239, 240, 241]
 
 
-def test_syncs_without_counter_count_one_each(sampler: Sampler, source: Steps) -> None:
-    for cycle in range(3):
-        sampler.sample(0, cycle * PERIOD_NS)
-    assert source.asked == [0, 1, 2]
+def test_a_sync_without_counter_is_no_step(sampler: Sampler, source: Steps) -> None:
+    for cycle, counter in enumerate((1, 0, 2, 0, 3)):
+        sampler.sample(counter, cycle * 20 * PERIOD_NS)
+    assert source.asked == [0, 0, 1, 1, 2]
 
 
 def test_syncs_of_one_counter_belong_together_for_100_ms(source: Steps) -> None:
-    sampler, first_ns = Sampler(PHI, source, Electronics(LAYOUT.taxels, noise_n=0.0), 1.0), 1_000_000_000
+    sampler, first_ns = Sampler(PHI, source, Electronics(LAYOUT.taxels, noise_n=0.0)), 1_000_000_000
     first = sampler.sample(7, first_ns)
     assert sampler.sample(7, first_ns + 99_999_999, 1) is first
     assert sampler.sample(7, first_ns - 99_999_999, 2) is first
@@ -92,43 +92,17 @@ def test_a_bus_may_be_seven_cycles_late(sampler: Sampler, source: Steps) -> None
     assert source.asked == [*range(9), 8 + 232]  # counter 1 follows 9 in the next turn
 
 
-@pytest.mark.parametrize(
-    ("longest_s", "times_ms", "steps"),
-    [
-        # a quarter of a period early is the next step
-        (None, (0, 7.499_999, 7.5, 17.499_999, 17.5), [0, 1, 2]),
-        # SYNCs may be missing
-        (None, (0, 20, 40, 65), [0, 2, 4, 6]),
-        # after two and a half periods of silence a master begins anew
-        (None, (0, 25.000_001, 35, 40), [0, 1, 2]),
-        (None, (0, 25.000_001, 35, 43), [0, 1, 2, 3]),
-        (0.04, (0, 90, 190, 290.000_001), [0, 9, 19, 20]),
-        # one that another bus saw before the first
-        (None, (0, -10, -30, 10), [0, 1]),
-        # the time of an old SYNC is not that of the newest
-        (None, (0, 20, 2, 45), [0, 2, 4]),
-    ],
-)
-def test_steps_without_counter_follow_the_time(
-    source: Steps, longest_s: float | None, times_ms: tuple[float, ...], steps: list[int]
-) -> None:
-    sampler = Sampler(PHI, source, Electronics(LAYOUT.taxels, noise_n=0.0), longest_s)
-    for bus, at_ms in enumerate(times_ms):
-        sampler.sample(0, round(at_ms * 1e6), bus)
-    assert source.asked == steps
-
-
 def test_the_truth_says_when_it_was(sampler: Sampler) -> None:
     for step, time_ns in ((0, 12_345), (1, 12_345 + 3 * PERIOD_NS)):
-        sampler.sample(0, time_ns)
+        sampler.sample(step + 1, time_ns)
         truth = sampler.take_truth()
         assert truth is not None
         told = truth.step, truth.sync_counter, truth.sampled_mono_ns, truth.label
-        assert told == (step, 0, time_ns, "steps")
+        assert told == (step, step + 1, time_ns, "steps")
     sampler.sample(5, 4 * PERIOD_NS)
     truth = sampler.take_truth()
     assert truth is not None
-    assert (truth.step, truth.sync_counter) == (6, 5)
+    assert (truth.step, truth.sync_counter) == (4, 5)
 
 
 def test_an_answer_made_ahead_is_asked_for_once_and_shows_when_its_sync_comes(sampler: Sampler, source: Steps) -> None:

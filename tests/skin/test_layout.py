@@ -283,10 +283,10 @@ def test_the_page_names_every_key() -> None:
 
 def test_sums_and_buses_follow_the_size_of_the_skin() -> None:
     small = parse_layout(b"[taxels]\nrows = 16\ncolumns = 16\n", "small.toml")
-    assert (small.measurement.sums, [(bus.name, bus.nodes) for bus in small.bus]) == (64, [("bus0", 8)])
-    assert parse_layout(b"[taxels]\n[sampling]\nrate_hz = 1000.0\n", "default.toml") == load_layout()
+    assert (small.measurement.sums, [(bus.name, bus.nodes) for bus in small.bus]) == (128, [("bus0", 8)])
+    assert parse_layout(b"[taxels]\n", "default.toml") == load_layout()
     least = parse_layout(b"[taxels]\nrows = 8\ncolumns = 8\n[measurement]\nblock_size = 2\n", "least.toml")
-    assert least.measurement.sums == least.blocks == 32
+    assert (least.measurement.sums, least.blocks) == (64, 32)
 
 
 def test_a_shipped_name_is_no_folder_of_that_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -310,14 +310,16 @@ def test_a_layout_of_a_program_is_checked_like_a_file() -> None:
 
 
 def test_samples_between_syncs_are_averaged_and_the_table_survives_writing() -> None:
-    plain = parse_layout(b"[taxels]\n", "plain.toml")
-    assert plain.samples_per_sync == 1
-    assert "sampling" not in layout_text(plain)
+    single = parse_layout(b"[taxels]\n[sampling]\nrate_hz = 100.0\n", "single.toml")
+    assert single.samples_per_sync == 1
+    assert parse_layout(layout_text(single).encode(), "again.toml") == single
     default = load_layout()
     assert default.samples_per_sync == 10
     assert parse_layout(layout_text(default).encode(), "again.toml") == default
     odd = parse_layout(b"[taxels]\n[sync]\nrate_hz = 30.0\n[sampling]\nrate_hz = 1000.0\n", "odd.toml")
     assert odd.samples_per_sync == 33
+    whole = parse_layout(b"[taxels]\n", "from a recording", is_whole=True)
+    assert whole.samples_per_sync == 1
 
 
 def test_nodes_do_not_sample_less_often_than_they_send() -> None:

@@ -53,15 +53,15 @@ def _statuses(state: Snapshot) -> Iterator[Any]:
 
 def _bus(state: Snapshot, bus: BusView, *, is_stale: bool) -> Any:
     off_duty = [node for node, nmt in zip(bus.nodes, bus.nmt, strict=True) if nmt != NmtState.OPERATIONAL]
-    level, words = OK, "all nodes operational"
+    level, words = _LEVELS[bus.level], "all nodes operational"
     if is_stale:
         level, words = STALE, "the gateway sends no status"
     elif bus.dead:
-        level, words = ERROR, bus.trouble or f"the gateway's controller is {bus.link}"
+        words = bus.trouble or f"the gateway's controller is {bus.link}"
     elif bus.trouble:
-        level, words = WARN, bus.trouble
+        words = bus.trouble
     elif off_duty:
-        level, words = WARN, f"{len(off_duty)} of {len(bus.nodes)} nodes not operational"
+        words = f"{len(off_duty)} of {len(bus.nodes)} nodes not operational"
     values = {
         "load": f"{bus.load_ratio:.3f}",
         "controller": bus.link,

@@ -213,6 +213,12 @@ def test_diagnostics_name_what_is_wrong(hub: Fabric, endpoint: str, messages: Me
     assert skin.level == 2
     assert "bus-off" in skin.message
     assert {each.key: each.value for each in left.values}["nodes not operational"] == "3"
+    publish(hub, GATEWAY, messages.gateway(nmt=((255, 255, 255, 255), (5, 5, 5, 5))))
+    now_s[0] += 1.0
+    bridge.turn(PATIENCE_S)
+    skin, left, right = topic.next()[0].status
+    assert (left.level, left.message) == (2, "4 of 4 nodes not operational")
+    assert (skin.level, right.level) == (2, 0)
     now_s[0] += 5.0
     bridge.turn(0)
     assert topic.next()[0].status[1].level == 3

@@ -21,7 +21,7 @@ function sync(gateway) {
   const reached = gateway.buses.filter(({ synced }) => synced).length;
   if (reached === 0) return "SYNC reaches no bus";
   const where = reached < gateway.buses.length ? ` on ${reached} of ${gateway.buses.length} buses` : "";
-  return `SYNC ${fixed(gateway.sync_rate_hz, 1)} Hz${where}`;
+  return `SYNC${gateway.sync_rate_hz ? ` ${fixed(gateway.sync_rate_hz, 1)} Hz` : ""}${where}`;
 }
 
 /** Text below the total force. */

@@ -1,0 +1,188 @@
+"""What `quality` predicts is what a simulated bus gives: frames that carry the sums, arbitration, decoding."""
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+
+from dbc.codec import decode
+from dbc.contract import Contract
+from dbc.dictionary import window_s
+from demo import prediction
+from demo.chain import REST_S, Nodes
+from demo.options import DemoOptions
+from demo.prediction import with_prediction
+from demo.quality import is_quick, quality
+from demo.report import Report
+from demo.score import Score
+from evaluation.schemes.sums import burst
+from evaluation.schemes.wire import carry
+from gateway.gathering import Health
+from gateway.loop import GatewayLoop
+from nodes.adaptive.simulated import touched_frames
+from reconstructor.adaptive import AdaptiveImager
+from reconstructor.imaging import CycleImager
+from shell.touch_options import TouchOptions
+from skin.ground_truth import in_contact
+from skin.layout import SHIPPED, Layout, changed, load_layout
+from skin.measured_sums import MeasuredSums, decode_adaptive
+from skin.psnr import decibels
+from skin.sources import load_objects
+from tests.layouts import any_layout
+
+#: Touches of a layout, seconds.
+TOUCHES_S = 4.0
+#: What prediction and bus may differ by, decibels.
+BOUND_DB = 0.5
+
+
+def drawn(seed: int) -> Layout:
+    """Return a layout of any size, width of sums, rate and wires; sums and samples are chosen."""
+    random = np.random.default_rng(seed)
+    rows, columns = random.integers(8, 30, 2).tolist()
+    size = int(random.choice([16, 32, 64]))
+    fd = {"fd": True, "data_bitrate": 2_000_000} if random.random() < 0.5 else {}
+    return any_layout(
+        rows,
+        columns,
+        measurement={"block_size": size, "seed": seed},
+        encoding={"sum_bits": int(random.choice([16, 12, 8])), "offset_binary": bool(random.random() < 0.5)},
+        sync={"rate_hz": float(random.choice([40.0, 100.0, 125.0]))},
+        bus=[{"name": "bus0", "nodes": -(-rows * columns // size), **fd}],
+    )
+
+
+def on_simulated_buses(layout: Layout) -> float:
+    """Return the PSNR of the images of sums that simulated buses have carried within their window, decibels.
+
+    Touches and noise are those of the prediction: another noise alone changes four seconds by up to 2 dB.
+    """
+    layout = changed(layout, recognition=None)
+    contract, taxels = Contract.from_layout(layout), layout.taxels
+    nodes = Nodes(layout, load_objects(layout, rest_s=REST_S), seed=0)
+    imager, wired, table = CycleImager(layout), contract.phi.is_wired, contract.table
+    errors_n2 = []
+    for cycle in range(round((REST_S + TOUCHES_S) * layout.sync.rate_hz)):
+        rows = np.flatnonzero(table.phase == cycle % contract.phases)
+        sent = carry(burst(contract, nodes.sample(), rows), table.bus[rows], layout.bus, ticks=1)
+        assert sent.ended_ns[: rows.size].max() <= 1e9 * window_s(layout)
+        counts = np.zeros(contract.phi.shape[0], np.int32)
+        decode(sent.frames["data"][: rows.size], table.gather[rows], contract.packing, counts)
+        usable = np.frombuffer(contract.packing.usable(counts), np.bool_)
+        valid = usable if usable.size else np.ones(counts.size, np.bool_)
+        sums = MeasuredSums(counts, contract.phi.all_of_blocks(valid), valid, cycle + 1)
+        image_n, true_n = imager.solve(sums)[0].ravel(), np.frombuffer(nodes.truth().true, "<f4")
+        if in_contact(true_n, taxels.force_max_n):
+            errors_n2.append(np.mean((image_n - true_n)[wired] ** 2))
+    return float(decibels(errors_n2, taxels.force_max_n).mean())
+
+
+def at_the_gateway(layout: Layout) -> float:
+    """Return the PSNR of images of what the gateway publishes of adaptive sums on simulated buses, decibels."""
+    contract, taxels, source = Contract.from_layout(layout), layout.taxels, load_objects(layout)
+    buses = range(len(layout.bus))
+    said: list[str] = []
+    sends = dict.fromkeys(buses, lambda _: None)
+    gathering = GatewayLoop(contract, sends, 0.0, say=said.append, complain=said.append).gathering
+    for node in contract.nodes:
+        gathering.trust(node, proven=True)
+    sent = [touched_frames(contract, bus, source, TOUCHES_S) for bus in buses]
+    for bus, frames in enumerate(sent):
+        gathering.take(bus, frames[:0], Health(), 0.0)
+    gathering._sums.check[:] = 0  # the boards have answered the gateway, which asks for all sums when it joins
+    imager, wired, errors_n2, step_s = AdaptiveImager(layout), contract.phi.is_wired, [], 0.01
+    for step in range(round(TOUCHES_S / step_s)):
+        for bus, frames in enumerate(sent):
+            first, last = np.searchsorted(frames["time_ns"], [round((step - 1) * 1e7), round(step * 1e7)], side="right")
+            gathering.take(bus, frames[first:last], Health(), step * step_s)
+        came = gathering.measurements(step * step_s, 0)
+        if came:
+            image_n = imager.solve(decode_adaptive(came[-1], contract.phi))[0].ravel()
+        true_n = source.frame(step).force_n.ravel()
+        if in_contact(true_n, taxels.force_max_n):
+            errors_n2.append(np.mean((image_n - true_n)[wired] ** 2))
+    return float(decibels(errors_n2, taxels.force_max_n).mean())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SHIPPED)
+def test_a_shipped_layout_is_predicted(name: str) -> None:
+    layout = load_layout(Path(name))
+    carried_db = (on_simulated_buses if layout.sends.in_cycles else at_the_gateway)(layout)
+    assert quality(layout, touches_s=TOUCHES_S).psnr_image_db == pytest.approx(carried_db, abs=BOUND_DB)
+
+
+@pytest.mark.heavy
+@pytest.mark.parametrize("seed", range(10))
+def test_a_drawn_layout_is_predicted(seed: int) -> None:
+    layout = drawn(seed)
+    assert quality(layout, touches_s=TOUCHES_S).psnr_image_db == pytest.approx(on_simulated_buses(layout), abs=BOUND_DB)
+
+
+PAD = any_layout(10, 12)
+#: A run without a fault whose first images have 30 dB.
+RUN = msgspec.structs.replace(
+    Score(PAD).report(), cycles=400, cycles_complete=400, sync_rate_hz=100.0, psnr_image_db=30.0, psnr_sensor_db=26.0
+)
+
+
+def predicted(live_db: float, options: DemoOptions, **figures: Any) -> Report:
+    run = msgspec.structs.replace(RUN, **figures)
+    return with_prediction(run, PAD, options, live_db)
+
+
+@pytest.mark.heavy
+@pytest.mark.parametrize(
+    ("figures", "defect", "cause"),
+    [
+        ({"cycles_complete": 300}, [], "100 of 400 cycles were incomplete"),
+        ({"sync_rate_hz": 50.0}, [], "50.0 of 100 Hz were kept"),
+        ({}, ["dead=0.1"], "the taxels had defects"),
+        ({}, [], "no known cause"),
+    ],
+)
+def test_a_run_tells_its_prediction_where_the_two_differ(
+    figures: dict[str, Any], defect: list[str], cause: str
+) -> None:
+    options = DemoOptions(seconds=3.0, touch=TouchOptions(defect=defect))
+    found = predicted(20.0, options, **figures)
+    assert found.psnr_predicted_db is not None
+    words = f"{found.psnr_predicted_db:.1f} dB, 20.0 dB came of the same touches: {cause}"
+    assert dict(found.rows())["image predicted"] == words
+    near = predicted(found.psnr_predicted_db - 0.9, options, **figures)
+    assert "image predicted" not in dict(near.rows())
+
+
+def test_what_is_not_predicted() -> None:
+    recording = DemoOptions(touch=TouchOptions(input=Path("touch.npy")))
+    assert predicted(30.0, recording) == RUN
+    assert with_prediction(RUN, PAD, DemoOptions(), None) == RUN
+    assert predicted(30.0, DemoOptions(seconds=0.02)) == RUN  # nothing touches
+    assert not is_quick(load_layout(Path("adaptive")))
+    assert is_quick(load_layout())
+
+
+@pytest.mark.heavy
+def test_lost_cycles_are_part_of_a_prediction(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture) -> None:
+    fast = any_layout(8, 8, sync={"rate_hz": 500.0}, bus=[{"name": "bus0", "nodes": 2, "fd": True}])
+    valid = [b"\1\1", b"\1\1", b"\0\0", b"\1\0"]
+    lossy = quality(fast, valid=valid)
+    assert lossy.psnr_image_db < quality(fast).psnr_image_db - 1
+
+    class Chain:
+        def __init__(self, layout: Layout, *_: Any, **__: Any) -> None:
+            self.score = SimpleNamespace(valid=valid)
+
+        def execute(self, _stop: Any) -> Report:
+            return msgspec.structs.replace(RUN, cycles=4, cycles_complete=2, sync_rate_hz=480.0)
+
+    monkeypatch.setattr(prediction, "Run", Chain)
+    prediction.say_of_host("design", fast)
+    prediction.say_of_host("design", PAD)
+    kept = "this host keeps 2 of 4 cycles of simulated boards, at 480 Hz"
+    begins, found = capsys.readouterr().err.splitlines()
+    assert begins == "design: the chain of simulated boards runs, to see which cycles this host keeps"
+    assert found == f"design: {kept}; images then have {lossy.psnr_image_db:.1f} dB"
