@@ -113,10 +113,11 @@ def simulate_means(
 ) -> npt.NDArray[np.int32]:
     """Return simulated sums as the classifier averages them; see `simulate_sums`.
 
-    The noise is that of one cycle less what `averaged_cycles` leave; clipped noise keeps its mean.
+    The noise is that of one cycle less what `averaged_cycles` leave; clipped noise keeps its mean. In turns a sum is in
+    several of them.
     """
-    sums, cycles = simulate_sums(force_n, layout, phi, noise_n, rng), averaged_cycles(layout)
-    if cycles == 1:
+    sums, cycles = simulate_sums(force_n, layout, phi, noise_n, rng), averaged_cycles(layout) / layout.sync.turns
+    if cycles <= 1:
         return sums
     expected = _expected_counts(force_n, layout, phi, noise_n)
     return np.rint(expected + (sums - expected) * np.float32(cycles**-0.5)).astype(np.int32)

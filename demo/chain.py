@@ -7,6 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from canskin.messages import CycleMeasurement, Truth
+from dbc.contract import Contract
 from dbc.packing import packing
 from nodes.electronics import Electronics
 from nodes.sampler import Sampler, new_sampler
@@ -65,7 +66,6 @@ class Nodes:
         phi = layout.operator()
         self._period_ns = round(layout.sync.period_s * 1e9)
         self._clock_ns = clock_ns or (lambda: self.time_ns + self._period_ns)
-        self._is_other = isinstance(phi, MatrixPhi)
         self._sampler: Sampler | _OtherHardware = (
             _OtherHardware(layout, phi, source, seed)
             if isinstance(phi, MatrixPhi)
@@ -73,21 +73,33 @@ class Nodes:
         )
         self._valid, self._fingerprint = phi.has_sums.tobytes(), phi.fingerprint
         self._packing = None if isinstance(phi, MatrixPhi) else packing(layout)
+        self._newest: npt.NDArray[np.int32] | None = None
+        #: The sums that come in each turn.
+        self._of_turn = [np.arange(phi.shape[0])]
+        if layout.sync.turns > 1:
+            table = Contract.from_layout(layout).table
+            parts = (table.gather[table.turn == turn] for turn in range(layout.sync.turns))
+            self._of_turn = [part[part >= 0] for part in parts]
 
     def sample(self) -> npt.NDArray[np.int32]:
-        """Return the sums of the next cycle, ADC counts, shape (m,), rounded as boards send them."""
+        """Return the newest of each sum after the next cycle, all of the first, ADC counts, shape (m,).
+
+        They are rounded as boards send them.
+        """
         self.cycle += 1
         self.counter = next_counter(self.counter)
         self.time_ns = self._clock_ns()
         sums = self._sampler.sample(self.counter, self.time_ns)
-        return sums if self._is_other else self._packing.counts(self._packing.raw(sums))
+        if self._packing is not None:
+            sums = self._packing.counts(self._packing.raw(sums))
+        came = self._of_turn[(self.counter - 1) % len(self._of_turn)]
+        self._newest = sums.copy() if self._newest is None else self._newest.copy()
+        self._newest[came] = sums[came]
+        return self._newest
 
     def measurement(self, counts: npt.NDArray[np.int32]) -> CycleMeasurement:
         """Return the measurement of the newest cycle, as frames carry its sums; no frame was lost."""
-        usable = b""
-        if self._packing is not None:
-            counts = self._packing.counts(self._packing.raw(counts))
-            usable = self._packing.usable(counts)
+        usable = b"" if self._packing is None else self._packing.usable(counts)
         return CycleMeasurement(
             cycle=self.cycle,
             sync_counter=self.counter,

@@ -73,6 +73,7 @@ def _solver(layout: Layout, phi: Sbhe | MatrixPhi, options: SolverOptions) -> Re
         options.settings(),
         noise_n=options.clipped_noise_n(layout),
         samples=layout.samples_per_sync,
+        turns=layout.sync.turns,
         edges=taxels.surface.graph,
         library=options.library(),
     )

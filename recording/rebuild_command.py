@@ -120,8 +120,8 @@ def rebuild(
         settings = options.settings()
         # A recording of forces has one frame for each cycle.
         has_sums = is_recording and array is None and SUMS in array_names(source)
-        samples = skin.samples_per_sync if has_sums or not is_recording else 1
-        solve = _solver(skin, options, None if gains is None else load_gains(gains, skin), samples=samples)
+        of_boards = has_sums or not is_recording
+        solve = _solver(skin, options, None if gains is None else load_gains(gains, skin), of_boards=of_boards)
         if has_sums:
             cycles = read_sums(skin, source)
         else:
@@ -300,8 +300,8 @@ def _counted(counts: FrameCounts) -> str:
     return "frames " + ", ".join(f"{getattr(counts, word)} {word}" for word in words)
 
 
-def _solver(skin: Layout, options: SolverOptions, gains: KnownGains | None, *, samples: int) -> _Solve:
-    """Return what makes the images of all cycles."""
+def _solver(skin: Layout, options: SolverOptions, gains: KnownGains | None, *, of_boards: bool) -> _Solve:
+    """Return what makes the images of all cycles: of sums `of_boards`, or of one instant that are no averages."""
     settings, noise_n, library = options.settings(), options.clipped_noise_n(skin), options.library()
 
     def solve(sums_n: Sums, valid: Bools, cycle: Numbers, advance: Callable[[int], None]) -> Images:
@@ -313,7 +313,8 @@ def _solver(skin: Layout, options: SolverOptions, gains: KnownGains | None, *, s
             valid_sums=valid,
             cycles=cycle,
             noise_n=noise_n,
-            samples=samples,
+            samples=skin.samples_per_sync if of_boards else 1,
+            turns=skin.sync.turns if of_boards else 1,
             gains=gains,
             library=library,
             advance=advance,

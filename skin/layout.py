@@ -720,6 +720,7 @@ def _check_matrix(layout: Layout) -> None:
     for path, (got, expected) in {
         "sending": (layout.sending, "synchronous"),
         "taxels.frontend": (layout.taxels.frontend, "digital"),
+        "sync.turns": (layout.sync.turns, 1),
         "sampling.rate_hz": (layout.sampling.rate_hz, None),
         "recognition": (layout.recognition, None),
         "bus": (layout.bus, []),
@@ -857,6 +858,7 @@ def _check_adaptive(layout: Layout) -> None:
         "measurement.wiring": (measurement.wiring, "file" if measurement.chains else "board"),
         "measurement.sums": (measurement.sums, layout.places),
         "sync.rate_hz": (layout.sync.rate_hz, layout.sends.default_rates_hz["sync"]),
+        "sync.turns": (layout.sync.turns, 1),
         "sampling.rate_hz": (layout.sampling.rate_hz, layout.sends.default_rates_hz["sampling"]),
     }
     for path, (got, expected) in wanted.items():

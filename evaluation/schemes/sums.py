@@ -26,9 +26,9 @@ class SumsRun:
     sent : Sent
         TPDOs first, cycle by cycle.
     sums_n : array of float32, shape (cycles, m)
-        As the gateway decodes them, newtons.
+        The newest of each sum, as the gateway decodes them, newtons.
     valid : array of bool, shape (cycles, m)
-        Whether every frame of their node came.
+        Whether every frame of their node came in the newest cycle of its turn.
     closed_ns : array of int64, shape (cycles,)
         When the gateway had all of a cycle, or waited no longer.
     latency_ns : array of int64, shape (sums' frames,)
@@ -43,9 +43,9 @@ class SumsRun:
 
     def images(self, contract: Contract) -> Images:
         """Return the live reconstruction of every cycle."""
-        taxels = contract.layout.taxels
-        samples = contract.layout.samples_per_sync
-        engine = Reconstructor(contract.phi, taxels.rows, taxels.columns, LIVE, samples=samples)
+        layout, taxels = contract.layout, contract.layout.taxels
+        samples, turns = layout.samples_per_sync, layout.sync.turns
+        engine = Reconstructor(contract.phi, taxels.rows, taxels.columns, LIVE, samples=samples, turns=turns)
         images = np.empty((len(self.sums_n), taxels.count), np.float32)
         for cycle, (sums_n, valid) in enumerate(zip(self.sums_n, self.valid, strict=True)):
             images[cycle] = engine.solve(sums_n, valid).ravel()
@@ -87,7 +87,7 @@ def run_sums(
     arrived = sent.ended_ns[: due.size].reshape(due.shape)
     lost = np.random.default_rng(seed).random(due.shape) < loss_ratio
     closed = np.where(lost.any(axis=1), sync_ns + round(window_s(contract.layout) * 1e9), arrived.max(axis=1))
-    valid = np.stack([_valid(contract, row[gone]) for row, gone in zip(due, lost, strict=True)])
+    valid = _valid(contract, due, lost)
     received = _decoded(contract, sent.frames[: due.size].reshape(due.shape), due)
     sums_n = (received * contract.layout.taxels.newton_per_count).astype(np.float32)
     return SumsRun(sent, sums_n, valid, closed, (arrived - sync_ns[:, None]).ravel())
@@ -125,17 +125,22 @@ def burst(contract: Contract, sums: npt.NDArray[np.integer], rows: npt.NDArray[n
 
 
 def _decoded(contract: Contract, sent: Frames, due: npt.NDArray[np.intp]) -> npt.NDArray[np.int32]:
-    """Return the sums that the frames of every cycle carry, counts, shape (cycles, m)."""
-    sums = np.zeros((len(due), contract.phi.shape[0]), np.int32)
+    """Return the newest of each sum after every cycle, counts, shape (cycles, m)."""
+    sums, newest = np.empty((len(due), contract.phi.shape[0]), np.int32), np.zeros(contract.phi.shape[0], np.int32)
     for cycle, rows in enumerate(due):
-        decode(sent[cycle]["data"], contract.table.gather[rows], contract.packing, sums[cycle])
+        decode(sent[cycle]["data"], contract.table.gather[rows], contract.packing, newest)
+        sums[cycle] = newest
     return sums
 
 
-def _valid(contract: Contract, lost: npt.NDArray[np.intp]) -> npt.NDArray[np.bool_]:
-    """Return which sums count when the frames of the table's rows `lost` do not come."""
-    blocks = np.ones(contract.phi.blocks, np.bool_)
-    for place in np.unique(contract.table.node[lost]).tolist():
-        node = contract.nodes[place]
-        blocks[node.block : node.block + node.blocks] = False
-    return contract.phi.sums_of_blocks(blocks)
+def _valid(contract: Contract, due: npt.NDArray[np.intp], lost: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+    """Return which sums count after every cycle, shape (cycles, m), with the `lost` of the frames that were `due`."""
+    table, valid = contract.table, np.ones((len(due), contract.phi.blocks), np.bool_)
+    age = np.full(len(table.node), contract.turns)
+    for blocks, rows, gone in zip(valid, due, lost, strict=True):
+        age += 1
+        age[rows[~gone]] = 0
+        for place in np.unique(table.node[age >= contract.turns]).tolist():
+            node = contract.nodes[place]
+            blocks[node.block : node.block + node.blocks] = False
+    return valid[:, contract.phi.block_of_sum]

@@ -11,7 +11,7 @@ from calibration.offline import measurement_of
 from canskin.calibration_messages import CalibrationState, CalibrationStatus, ZeroSupport
 from canskin.sums import doubtful_taxels
 from skin.clipping import IDLE_MEAN
-from skin.layout import Layout
+from skin.layout import Layout, changed
 from skin.taxel import NOISE_N as SENSOR_NOISE_N
 from tests.calibration.helpers import (
     COUNTS,
@@ -51,6 +51,27 @@ def test_an_untouched_skin_reads_nothing_after_its_start() -> None:
     assert error_n(last, ZERO) < 1.2 * SUM_NOISE_N
     assert skin.calibrator.status().known_sums == PHI.shape[0]
     assert skin.calibrator.status().noise_n == pytest.approx(SUM_NOISE_N, rel=0.1)
+
+
+def test_in_turns_it_learns_from_measurements_whose_sums_are_all_new() -> None:
+    """Those between them hold half of the sums: as new ones they would halve the noise, and take twice the time."""
+    together = Calibrator(changed(SMALL, sync={"rate_hz": 20.0}))
+    apart = Calibrator(changed(SMALL, sync={"rate_hz": 40.0, "turns": 2}))
+    held, period_ns = np.arange(SMALL_SUMS) % 8 < 4, 50 * MS
+    before = COUNTS
+    for cycle in range(101):
+        sums = COUNTS + np.random.default_rng(cycle).integers(-9, 10, SMALL_SUMS).astype(np.int32)
+        half = measurement_of(SMALL, SMALL_PHI, 2 * cycle, np.where(held, before, sums))
+        whole = measurement_of(SMALL, SMALL_PHI, 2 * cycle + 1, sums)
+        begin_ns, before = cycle * period_ns, sums
+        apart.take(msgspec.structs.replace(half, sampled_mono_ns=begin_ns + period_ns // 2))
+        for each in (apart, together):
+            each.take(msgspec.structs.replace(whole, sampled_mono_ns=begin_ns + period_ns))
+            each.work()
+    assert apart.state is FOLLOWING
+    assert apart.tare_s == together.tare_s
+    assert apart.status() == together.status()
+    np.testing.assert_array_equal(apart.offsets_n, together.offsets_n)
 
 
 def test_saturated_sums_have_no_part_in_the_zero() -> None:

@@ -145,6 +145,7 @@ def test_one_eds_describes_all_boards(contract: Contract) -> None:
         ),
         (('wiring = "board"', 'wiring = "board"\nsums = 1024'), "$.measurement.sums"),
         (("rate_hz = 10.0", "rate_hz = 100.0"), "$.sync.rate_hz"),
+        (("[sync]", "[sync]\nturns = 2"), "$.sync.turns"),
         (("[sync]", "[sampling]\nrate_hz = 500\n[sync]"), "$.sampling.rate_hz"),
         (("[sync]", '[[bus]]\nname = "a"\nnodes = 64\n[[bus]]\nname = "b"\nnodes = 64\n[sync]'), "$.bus[0]"),
         (("[sync]", '[[bus]]\nname = "a"\nnodes = 128\nfd = true\n[sync]'), "$.bus[0]"),

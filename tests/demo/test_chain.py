@@ -3,9 +3,12 @@
 import numpy as np
 import pytest
 
+from dbc.contract import Contract
 from dbc.packing import packing
 from demo.chain import REST_S, Nodes
+from reconstructor.engine import Reconstructor
 from reconstructor.imaging import CycleImager
+from skin.layout import changed
 from skin.psnr import psnr_db
 from skin.sources import Frame
 from tests.layouts import small_layout
@@ -46,6 +49,32 @@ def test_images_are_closer_to_the_forces_than_the_sensors(taxels: int, gain_db: 
     true_n, sensor_n = (np.frombuffer(each, "<f4").reshape(32, 32) for each in (truth.true, truth.sensor))
     force_max_n = layout.taxels.force_max_n
     assert psnr_db(true_n, image, force_max_n) > psnr_db(true_n, sensor_n, force_max_n) + gain_db
+
+
+def test_images_in_turns_are_solved_as_such() -> None:
+    turns = changed(LAYOUT, sync={"turns": 2})
+    nodes, imager = Nodes(turns, Bump(), seed=1), CycleImager(turns)
+    engine = Reconstructor(turns.phi(), 32, 32, samples=10, turns=2)
+    for _ in range(10):
+        sums = imager.decode(nodes.measurement(nodes.sample()), turns.phi())
+        sums_n = np.multiply(sums.counts, turns.taxels.newton_per_count, dtype=np.float32)
+        np.testing.assert_array_equal(imager.solve(sums)[0], engine.solve(sums_n, sums.valid_sums))
+
+
+def test_in_turns_half_of_the_sums_are_new_in_each_cycle() -> None:
+    turns = changed(LAYOUT, sync={"turns": 2})
+    together, apart = Nodes(LAYOUT, Bump(), seed=1), Nodes(turns, Bump(), seed=1)
+    contract = Contract.from_layout(turns)
+    before = None
+    for _ in range(REST_CYCLES + 6):
+        new, newest = together.sample(), apart.sample()
+        came = contract.table.gather[contract.table.turn == contract.turn_of(apart.counter)].ravel()
+        expected = new.copy() if before is None else before
+        expected[came] = new[came]
+        np.testing.assert_array_equal(newest, expected)
+        before = newest.copy()
+    assert 0 < came.size < new.size
+    assert (new != newest).any()
 
 
 def test_sums_are_those_that_frames_carry() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from canskin.errors import InputError
-from reconstructor.engine import Reconstructor
+from reconstructor.engine import TURNS_PENALTY, Reconstructor
 from reconstructor.settings import LIVE, PAPER, PAPER_CONTOURLET, SPUN, VARIATION, SolverSettings, preset
 from skin.measurement import Sbhe
 from tests.reconstructor.helpers import Scene, ball, psnr_db, sense
@@ -101,6 +101,31 @@ def test_warm_start_is_better_than_a_cold_one_on_a_slow_touch(phi: Sbhe, golf: S
     settings = replace(LIVE, iterations=5)
     warm, cold = (psnr_db(images(phi, golf, settings, cold=each), golf.true).mean() for each in (False, True))
     assert warm > cold + 0.2
+
+
+def test_in_turns_each_measurement_is_averaged_with_the_one_before_it_in_its_turn(phi: Sbhe) -> None:
+    """So a measurement that comes once in each turn gives what it gives in one instant, but for a smaller λ."""
+    sums_n = (0.05 + np.random.default_rng(3).normal(0, 5e-5, (20, 1024))).astype(np.float32)
+    for samples, factor in ((10, TURNS_PENALTY), (1, 1.0)):
+        together = Reconstructor(phi, 64, 64, samples=samples)
+        apart = Reconstructor(phi, 64, 64, samples=max(1, samples // 2), turns=2)
+        for each in sums_n:
+            sums, weights, penalty = together.average(each, ALL_VALID)
+            for _ in range(2):
+                in_turns = apart.average(each, ALL_VALID)
+                np.testing.assert_array_equal(in_turns[:2], (sums, weights))
+                assert in_turns[2] == pytest.approx(factor * penalty, rel=1e-12)
+
+
+def test_halves_that_come_in_turns_have_the_noise_of_sums_that_come_together(phi: Sbhe) -> None:
+    noise_n, quiet_n = 2e-4, np.random.default_rng(4).normal(0, 1.0, (400, 1024)).astype(np.float32)
+    together = Reconstructor(phi, 64, 64, samples=10)
+    apart = Reconstructor(phi, 64, 64, samples=5, turns=2)
+    newest_n, half = np.zeros(1024, np.float32), np.arange(1024) % 8 < 4
+    for number, each in enumerate(0.05 + noise_n * quiet_n):
+        newest_n[half == number % 2] = each[half == number % 2]
+        expected, found = together.average(each, ALL_VALID)[2], apart.average(newest_n, ALL_VALID)[2]
+    assert found == pytest.approx(TURNS_PENALTY * expected, rel=0.05)
 
 
 def loudest_block(phi: Sbhe, image: np.ndarray) -> int:

@@ -39,7 +39,7 @@ from touch.sources import recording
 
 def live_images(contract: Contract, sums: np.ndarray, valid: np.ndarray) -> np.ndarray:
     """What the reconstructor would publish."""
-    engine = Reconstructor(contract.phi, 16, 16)
+    engine = Reconstructor(contract.phi, 16, 16, turns=contract.layout.sync.turns)
     sums_n = np.multiply(sums, np.float32(contract.layout.taxels.newton_per_count), dtype=np.float32)
     pairs = zip(sums_n, valid, strict=True)
     return np.stack([engine.solve(each, contract.phi.sums_of_blocks(kept)) for each, kept in pairs])
@@ -457,6 +457,15 @@ def test_sums_that_a_program_kept_give_the_images_of_the_live_chain(
     np.testing.assert_array_equal(images, live_images(contract, sums, valid))
     assert valid.all()
     np.testing.assert_array_equal(time_ns, np.arange(CYCLES) * 7)
+
+
+def test_sums_that_came_in_turns_give_the_images_of_the_live_chain(sums: np.ndarray, tmp_path: Path, out: Path) -> None:
+    layout, file = small_layout(16, 16, **SMALL | {"sync": {"turns": 2}}), tmp_path / "turns.toml"
+    file.write_text(layout_text(layout))
+    np.savez(tmp_path / "sums.npz", sums=sums)
+    rebuild(tmp_path / "sums.npz", out=out, layout=file)
+    images, valid, *_ = loaded(out)
+    np.testing.assert_array_equal(images, live_images(Contract.from_layout(layout), sums, valid))
 
 
 @pytest.mark.parametrize(

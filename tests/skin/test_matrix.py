@@ -152,6 +152,7 @@ def test_a_bad_npz_is_refused_in_one_line(tmp_path: Path, named: dict[str, np.nd
         ),
         (f"matrix = {list(SIGNS)}\nseed = 2", "leave the key out - at `$.measurement.seed`"),
         (f"matrix = {list(SIGNS)}\n[[bus]]\nname = 'can0'\nnodes = 1", "leave the key out - at `$.bus`"),
+        (f"matrix = {list(SIGNS)}\n[sync]\nturns = 2", "leave the key out - at `$.sync.turns`"),
         (f"matrix = {list(SIGNS)}\n[sampling]\nrate_hz = 1000", "leave the key out - at `$.sampling.rate_hz`"),
     ],
 )

@@ -12,9 +12,9 @@ from evaluation.schemes.judge import LATENESS_NS, Images, Updates, quality
 from evaluation.schemes.scan import refined, run_scan, smoothed, solved
 from evaluation.schemes.scenes import NEWTON_PER_COUNT, SLAP, SLAP_MS, Touch
 from evaluation.schemes.schemes import FilteredEvents, Sums, measure_scheme
-from evaluation.schemes.sums import run_sums
+from evaluation.schemes.sums import SumsRun, run_sums
 from evaluation.schemes.wire import TICK_NS, carry, patches
-from skin.layout import Bus, load_layout
+from skin.layout import Bus, changed, load_layout
 
 
 def steps(*levels: int, ticks: int = 20) -> np.ndarray:
@@ -154,3 +154,35 @@ def test_drawn_scenes_differ_by_number_and_seed_and_stay_on_the_skin() -> None:
         true_n = touch.load().true_n
         assert not true_n[0].any()
         assert true_n[400:].any(axis=1).all()
+
+
+def _run(turns: int, loss_ratio: float = 0.0) -> tuple[Contract, SumsRun]:
+    """Return what the default skin's boards sent in 60 ms of a rising force, at 200 Hz."""
+    contract = Contract.from_layout(changed(load_layout(), sync={"rate_hz": 200.0, "turns": turns}))
+    rising = np.repeat(np.arange(60, dtype=np.int16)[:, None], 4096, axis=1)
+    return contract, run_sums(contract, rising, loss_ratio, seed=3)
+
+
+def test_in_turns_each_sum_is_the_newest_that_was_sent() -> None:
+    (contract, apart), (_, together) = _run(2), _run(1)
+    turn_of_sum = np.repeat(contract.table.turn, (contract.table.gather >= 0).sum(axis=1))
+    assert np.bincount(turn_of_sum).tolist() == [512, 512]
+    for cycle in range(1, len(apart.sums_n)):
+        expected = np.where(turn_of_sum == cycle % 2, together.sums_n[cycle], together.sums_n[cycle - 1])
+        np.testing.assert_array_equal(apart.sums_n[cycle], expected)
+    assert not apart.valid[0].any()  # one half has not come yet
+    assert apart.valid[1:].all()
+    assert len(apart.latency_ns) == 256 / 2 * len(apart.sums_n)
+
+
+def test_in_turns_a_lost_frame_costs_its_block_two_cycles() -> None:
+    contract, run = _run(2, loss_ratio=0.02)
+    lost = np.random.default_rng(3).random((len(run.sums_n), 128)) < 0.02
+    assert lost.any()
+    block_of_row = contract.phi.block_of_sum[contract.table.gather[:, 0]]
+    expected = np.ones((len(lost) + 1, contract.phi.blocks), np.bool_)
+    expected[0] = False
+    for cycle, place in np.argwhere(lost).tolist():
+        block = block_of_row[np.flatnonzero(contract.table.turn == cycle % 2)[place]]
+        expected[cycle : cycle + 2, block] = False
+    np.testing.assert_array_equal(run.valid, expected[:-1, contract.phi.block_of_sum])
