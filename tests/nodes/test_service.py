@@ -119,7 +119,7 @@ def test_adaptive_nodes_turn_once_for_each_sample(links: dict[int, ReadyLink]) -
     samples = boards.decision
     assert [len(link.take_sent()) for link in links.values()] == [4, 4]
     for link in links.values():
-        link.put(sync(10_000))
+        link.put(sync(240))
     for _ in range(30):
         now_s += 1e-3
         service.turn()
