@@ -52,9 +52,10 @@ def departures(contract: Contract, bus: int, seen: Frames, parts: Sequence[Measu
         Result of `measure_states` for this bus.
     """
     lines = [line for part in parts for line in _in_state(contract, bus, part)]
-    # Heartbeats come in all states, each state has a part of them.
-    beats = heartbeats(contract, bus, *whole_cycles(seen))
-    return lines + [f"{contract.layout.bus[bus].name}: {line}" for line in beats]
+    # Counters and heartbeats go on from state to state, each of which has a part of them.
+    taken, seconds = whole_cycles(seen)
+    rest = [*counters(taken), *heartbeats(contract, bus, taken, seconds)]
+    return lines + [f"{contract.layout.bus[bus].name}: {line}" for line in rest]
 
 
 def _in_state(whole: Contract, bus: int, part: Measured) -> list[str]:
@@ -123,7 +124,7 @@ def errors(seen: Frames) -> Iterator[str]:
 
 
 def sync(contract: Contract, taken: Frames, seconds: float) -> Iterator[str]:
-    """Compare period, length and counters of SYNC with the layout."""
+    """Compare period and length of SYNC with the layout."""
     syncs = taken[is_sync(taken)]
     period_s = seconds / len(syncs)
     if abs(period_s / contract.layout.sync.period_s - 1) > PERIOD_TOLERANCE:
@@ -131,8 +132,12 @@ def sync(contract: Contract, taken: Frames, seconds: float) -> Iterator[str]:
     others = int((syncs["length"] != COUNTER_BYTES).sum())
     if others:
         yield f"{others} SYNCs have another length than the planned {COUNTER_BYTES} byte"
-    counters = syncs["data"][:, 0].tolist()
-    skips = sum(after != next_counter(before) for before, after in pairwise(counters))
+
+
+def counters(taken: Frames) -> Iterator[str]:
+    """Find SYNC counters that do not follow each other."""
+    found = taken["data"][is_sync(taken), 0].tolist()
+    skips = sum(after != next_counter(before) for before, after in pairwise(found))
     if skips:
         yield f"{skips} SYNC counters do not follow each other"
 

@@ -382,7 +382,7 @@ def _spread(sums: range, bits: int, *, fd: bool, turns: int = 1) -> list[range]:
         lengths = [_length(len(part), bits, fd=fd) for part in parts]
         return sorted((sum(lengths[turn::turns]) for turn in range(turns)), reverse=True)
 
-    return [part for part in min(ways, key=turn_bytes) if part]  # fewer sums than turns
+    return min(ways, key=turn_bytes)
 
 
 def _length(sums: int, bits: int, *, fd: bool) -> int:

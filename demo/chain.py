@@ -82,11 +82,16 @@ class Nodes:
             self._of_turn = [part[part >= 0] for part in parts]
 
     def sample(self) -> npt.NDArray[np.int32]:
-        """Return the newest of each sum after the next cycle, all of the first, ADC counts, shape (m,)."""
+        """Return the newest of each sum after the next cycle, all of the first, ADC counts, shape (m,).
+
+        They are rounded as boards send them.
+        """
         self.cycle += 1
         self.counter = next_counter(self.counter)
         self.time_ns = self._clock_ns()
         sums = self._sampler.sample(self.counter, self.time_ns)
+        if self._packing is not None:
+            sums = self._packing.counts(self._packing.raw(sums))
         came = self._of_turn[(self.counter - 1) % len(self._of_turn)]
         self._newest = sums.copy() if self._newest is None else self._newest.copy()
         self._newest[came] = sums[came]
@@ -94,10 +99,7 @@ class Nodes:
 
     def measurement(self, counts: npt.NDArray[np.int32]) -> CycleMeasurement:
         """Return the measurement of the newest cycle, as frames carry its sums; no frame was lost."""
-        usable = b""
-        if self._packing is not None:
-            counts = self._packing.counts(self._packing.raw(counts))
-            usable = self._packing.usable(counts)
+        usable = b"" if self._packing is None else self._packing.usable(counts)
         return CycleMeasurement(
             cycle=self.cycle,
             sync_counter=self.counter,

@@ -143,7 +143,7 @@ def _print_quality(skin: Layout, *, as_json: bool) -> int:
     if as_json:
         print_json([each._asdict() for each in found])
         return 0
-    headings = ("sums", "per taxel", "PSNR, dB", "sensor, dB", "error where touched, mN", "paper's bound, sums")
+    headings = ("sums", "per taxel", "PSNR, dB", "raw sample, dB", "error where touched, mN", "paper's bound, sums")
     rows = [
         (
             each.sums,

@@ -42,7 +42,7 @@ class DemoOptions:
         Model file from ``skin train`` for this skin, in place of a model of the objects that touch. A model for
         means of cycles (`docs/classification.md`, "Averages") is for one rate, which the run keeps.
     picture
-        File for the picture of true force, sensor signal, rebuilt image and error.
+        File for the picture of true force, one raw sample, rebuilt image and error.
     solver
         Solver of the images, see ``skin reconstruct``.
     sync_rate

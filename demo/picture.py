@@ -1,4 +1,4 @@
-"""The picture of a run: true force, sensor signal, rebuilt image, and error."""
+"""The picture of a run: true force, one raw sample, rebuilt image, and error."""
 
 from pathlib import Path
 from typing import Final
@@ -16,7 +16,7 @@ _SCALE: Final = 8
 
 
 def save_picture(images: CycleImages, taxels: Taxels, path: Path, *, noisy: bool = True) -> None:
-    """Draw true force, sensor signal, rebuilt image and its error side by side.
+    """Draw true force, one raw sample of the sensor, rebuilt image and its error side by side.
 
     Parameters
     ----------
@@ -42,7 +42,7 @@ def save_picture(images: CycleImages, taxels: Taxels, path: Path, *, noisy: bool
     of_sensor = f", {sensor_db:.1f} dB" if noisy else ", no noise"
     panels = (
         ("true", images.true, "viridis", 0.0, top),
-        (f"sensor{of_sensor}", images.sensor, "viridis", 0.0, top),
+        (f"one raw sample{of_sensor}", images.sensor, "viridis", 0.0, top),
         (f"rebuilt, {image_db:.1f} dB", images.image, "viridis", 0.0, top),
         ("rebuilt minus true", error, "RdBu_r", -top / 4, top / 4),
     )

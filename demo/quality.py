@@ -49,7 +49,7 @@ class Quality(NamedTuple):
     sums : int
     sums_per_taxel : float
     psnr_image_db, psnr_sensor_db : float
-        Means over the cycles in contact, of the image and of the sensor's own signal.
+        Means over the cycles in contact, of the image and of one raw sample of every taxel.
     touched_error_n : float
         Root mean square error of the taxels that something touches.
     bound_sums : float
@@ -67,7 +67,7 @@ class Quality(NamedTuple):
     @property
     def words(self) -> str:
         """PSNR and error as text, and advice where the taxels alone are better."""
-        against = f"{self.psnr_image_db:.1f} dB, the sensor's {self.psnr_sensor_db:.1f} dB"
+        against = f"{self.psnr_image_db:.1f} dB, one raw sample's {self.psnr_sensor_db:.1f} dB"
         is_worse = self.psnr_image_db < self.psnr_sensor_db
         advice = "; worse than the taxels themselves: these are too few sums (measurement.sums)" if is_worse else ""
         return f"{against}, {1e3 * self.touched_error_n:.2f} mN where touched{advice}"
@@ -129,6 +129,7 @@ def quality(
     RunError
         If no object touches in `touches_s`.
     """
+    layout = changed(layout, recognition=None)  # whose period is not that of images
     taxels, wired = layout.taxels, layout.operator().is_wired
     if source is None:
         rest_s = REST_S if layout.sends.in_cycles else 0.0

@@ -109,7 +109,7 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
     nodes_missing : list of NodeMissing
         The worst nodes first.
     psnr_sensor_db, psnr_image_db : float or None
-        PSNR against the true force, means over cycles with contact.
+        PSNR of one raw sample of the sensor and of the image against the true force, means over cycles with contact.
     sensor_adds_noise : bool or None
         False when the sensor only rounds to ADC counts, as with a recording.
     label_accuracy : float or None
@@ -234,7 +234,7 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
             stamped = f"99 % within {bus_us:.1f} µs of the nodes', mean of the buses {mean_us:.0f} µs"
             rows.append(("sampling instant", f"{stamped}; without time stamps {sent_us:.0f} µs"))
         if self.psnr_image_db is not None:
-            sensor = f"the sensor's {self.psnr_sensor_db:.1f} dB"
+            sensor = f"one raw sample's {self.psnr_sensor_db:.1f} dB"
             against = sensor if self.sensor_adds_noise else "what was played, which has no noise"
             over = f"over {self.contact_cycles} {words.moments}"
             rows.append(("image", f"{self.psnr_image_db:.1f} dB, against {against}, {over}"))

@@ -302,7 +302,7 @@ class Run:
         if score.psnr_image_db:
             sensor_db = score.psnr_sensor_db[-1]
             noisy = adds_noise(sensor_db, self._layout.taxels.adc_bits)
-            parts.append(f"image {score.psnr_image_db[-1]:.1f} dB" + f", sensor {sensor_db:.1f} dB" * noisy)
+            parts.append(f"image {score.psnr_image_db[-1]:.1f} dB" + f", one raw sample {sensor_db:.1f} dB" * noisy)
         parts.append(score.label_text())
         return " | ".join(parts)
 

@@ -484,7 +484,7 @@ def _edges_of_taxels(pairs: Indices, taxels: int) -> Indices:
     ends = pairs.T.ravel()
     order = np.argsort(ends, kind="stable")
     degrees = np.bincount(ends, minlength=taxels)
-    table = np.full((taxels, max(1, degrees.max(initial=0))), 2 * count, np.intp)
+    table = np.full((taxels, degrees.max(initial=1)), 2 * count, np.intp)
     table[ends[order], np.arange(ends.size) - np.repeat(np.cumsum(degrees) - degrees, degrees)] = order
     return table
 

@@ -30,6 +30,11 @@ _BESIDE: Final = ("valid", "cycle", "time_ns")
 _MOST_COUNTS: Final = int(np.iinfo(np.int32).max)
 
 
+#: A log whose frames with sums are used less often than one time in so many is another skin's, or an old one: the first
+#: byte of a frame without counter is that of an open cycle by chance.
+_USED: Final = 10
+
+
 @dataclass(frozen=True, eq=False)
 class Cycles:
     """Measured cycles of one skin, in the order of time.
@@ -81,7 +86,13 @@ def decode_log(
             f"the log holds no SYNC with a counter (COB-ID {SYNC_COB_ID:02X}h, 1 byte): it cannot be cut into cycles;"
             " logs of before the counter in each frame cannot be used any more"
         )
-    return _of_measurements(made, contract.phi), part.status.frames
+    counts = part.status.frames
+    if counts.accepted < counts.received / _USED:
+        raise InputError(
+            f"{counts.received - counts.accepted} of {counts.received} frames with sums name no cycle of the log: is"
+            " this the skin's layout? Logs of before the counter in each frame cannot be used any more"
+        )
+    return _of_measurements(made, contract.phi), counts
 
 
 def recorded_cycles(contract: Contract, path: Path, warn: Warn) -> Cycles:

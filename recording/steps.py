@@ -178,13 +178,16 @@ class _Recorded:
 
     def steps(self) -> Iterator[Step]:
         """Yield the steps in the order of time."""
-        newest_ns = advanced_ns = 0
+        newest_ns = 0
+        # What comes while the recorder stands still is recorded later: bus by bus, then the messages. So a time is over
+        # when the recorder has gone on since a later one.
+        passed_ns = deque((0, 0), maxlen=2)
         for entry in read_entries(self._path, self._warn):
             newest_ns = max(newest_ns, entry.time_ns)
             self._take(entry)
-            if newest_ns - advanced_ns >= FRAMES_NS:
-                advanced_ns = newest_ns
-                yield from self._ripe(newest_ns - FRAMES_NS)
+            if newest_ns - passed_ns[-1] >= FRAMES_NS:
+                yield from self._ripe(passed_ns[0])
+                passed_ns.append(newest_ns)
         yield from self._ripe(None)
         remark = self._measurements.remark()
         if remark:

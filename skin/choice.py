@@ -118,16 +118,19 @@ def _bus_time(layout: "Layout", bus: "Bus", sums: int, bits: int | None = None) 
     bits = bits or layout.encoding.sum_bits
     of_node = -(-sums * bus.blocks_per_node // layout.blocks)
     turns = layout.sync.turns
-    frames = turns * -(-of_node // (turns * min(8 * (_PDO_BYTES[bus.fd] - 1) // bits, SUMS_MAX)))
-    of_frame = -(-of_node // frames)
-    each_s = _frame_s(bus, 1 + (of_frame * bits + 7) // 8, is_fd=bus.fd)
+    most = min(8 * (_PDO_BYTES[bus.fd] - 1) // bits, SUMS_MAX)
+    frames = turns * -(-of_node // (turns * most))
+    most = -(-of_node // frames) if turns > 1 else most
+    # The last frame has what is left; in turns all frames are alike.
+    of_frames = [min(most, of_node - most * each) for each in range(frames)]
+    times_s = [_frame_s(bus, 1 + (of_frame * bits + 7) // 8, is_fd=bus.fd) for of_frame in of_frames if of_frame > 0]
     known = [(each, each.period_s) for each in bus.foreign if each.period_s]
     foreign = [(_frame_s(bus, each.length, is_fd=each.fd, is_extended=each.is_extended), s) for each, s in known]
-    cycle_s = _frame_s(bus, 1) + bus.nodes * frames * each_s / turns
+    cycle_s = _frame_s(bus, 1) + bus.nodes * sum(times_s) / turns
     if bus.nodes * frames > _PDO_KINDS * (_NODE_IDS - len(bus.foreign)):
         cycle_s = math.inf
     others = bus.nodes * _frame_s(bus, 1) * _BEATS_HZ + sum(time_s / period_s for time_s, period_s in foreign)
-    return _BusTime(cycle_s, others, max([each_s, _frame_s(bus, CLASSIC_MAX), *(time_s for time_s, _ in foreign)]))
+    return _BusTime(cycle_s, others, max([*times_s, _frame_s(bus, CLASSIC_MAX), *(time_s for time_s, _ in foreign)]))
 
 
 def _frame_s(bus: "Bus", length: int, *, is_fd: bool = False, is_extended: bool = False) -> float:

@@ -119,7 +119,9 @@ class Phi(ABC):
             raise InputError(f"expected {self.blocks} booleans, one a block, got {valid.dtype} of shape {valid.shape}")
         return valid[self.block_of_sum]
 
-    def total_of_blocks(self, values: npt.NDArray[np.generic]) -> npt.NDArray[np.float64]:
+    def total_of_blocks(
+        self, values: npt.NDArray[np.bool_ | np.integer[Any] | np.floating[Any]]
+    ) -> npt.NDArray[np.float64]:
         """Return the total of one value per sum, shape (m,), over each block, shape (blocks,)."""
         return np.bincount(self.block_of_sum, values, self.blocks).astype(np.float64, copy=False)
 

@@ -14,6 +14,8 @@ from typing import Any
 import httpx
 from websockets.sync.client import ClientConnection, connect
 
+from tests.processes import PATIENCE_S
+
 CHROMIUM = shutil.which("chromium")
 FLAGS = (
     "--headless",
@@ -27,7 +29,6 @@ FLAGS = (
     "--hide-scrollbars",
     "--remote-debugging-port=0",
 )
-PATIENCE_S = 240.0
 
 
 class Browser:

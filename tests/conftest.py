@@ -1,7 +1,9 @@
 """What the tests of several folders need, and who runs which on several cores."""
 
 import gc
+import math
 import os
+import signal
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
@@ -10,7 +12,8 @@ import pytest
 from hypothesis.internal.conjecture import providers
 from xdist.scheduler import LoadFileScheduling
 
-from tests.processes import free_endpoint
+from canskin import session
+from tests.processes import PATIENCE_S, free_endpoint
 
 #: The folder whose tests compile most of the kernels.
 KERNELS: Final = "tests/reconstructor/"
@@ -44,6 +47,11 @@ OTHERS: Final = 1 + len(CHAINS)
 
 def _turn(nodeid: str) -> int:
     return next((turn for turn, begin in enumerate((KERNELS, *CHAINS)) if nodeid.startswith(begin)), OTHERS)
+
+
+def pytest_configure() -> None:
+    """Let SIGINT end the programs of the tests, also where a shell runs the tests in the background."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -84,6 +92,13 @@ def _refuse(*_: object) -> None:
 @pytest.fixture
 def endpoint() -> str:
     return free_endpoint()
+
+
+@pytest.fixture
+def one_look(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Have a search for services end with the first answer of the hub, which may take its time."""
+    monkeypatch.setattr(session, "LOOK_S", math.inf)
+    monkeypatch.setattr(session, "TRY_S", PATIENCE_S)
 
 
 @pytest.fixture

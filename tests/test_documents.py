@@ -203,3 +203,27 @@ def test_block_runs(commands: Block, prepared: Path, tmp_path: Path, monkeypatch
         for program, *arguments in commands_of(line):
             assert program == "skin", f"{commands}: only commands of skin are run here"
             assert build_app(arguments).meta(arguments) in (None, 0), line
+
+
+def rows_below(text: str, *words: str) -> list[list[str]]:
+    """Return the cells of the first table whose head begins with `words`, without the line of dashes."""
+    head = "| " + " | ".join(words)
+    lines = text[text.index(head) :].split("\n\n", maxsplit=1)[0].splitlines()
+    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
+    assert {len(row) for row in rows} == {len(rows[0])}
+    return [rows[0], *rows[2:]]
+
+
+def test_comparisons_of_the_readme_follow_from_the_table_of_rivals() -> None:
+    """A row of the README reads "five slides: PSNR of the default, of the best scan | 46.0 dB, 48.9 dB"."""
+    (_, *columns), *rivals = rows_below((ROOT / "docs/bandwidth.md").read_text("utf-8"), "scheme", "kbit/s")
+    table = {name: dict(zip(columns, cells, strict=True)) for name, *cells in rivals}
+    compared = [
+        (*quantity.split(": PSNR of "), figure)
+        for quantity, figure, command in rows_below((ROOT / "README.md").read_text("utf-8"), "quantity", "figure")
+        if re.search("evaluate (rivals|drawn-rivals|recordings)", command)
+    ]
+    assert {column for column, *_ in compared} >= {"five slides", "four recordings"}
+    for column, names, figure in compared:
+        assert figure == ", ".join(f"{table[name][column].split()[0]} dB" for name in names.split(", of "))
+        assert {"the best scan", "the best scan at 460 kbit/s"} & set(names.split(", of ")), "name the best rival"

@@ -46,8 +46,6 @@ CYCLES: Final = 5
 _PATIENCE_S: Final = 10.0
 #: Pause between two looks at whether they have.
 _LOOK_S: Final = 2e-4
-#: A frame of the default skin: four sums of 16 bits.
-
 Integers = npt.NDArray[np.int64]
 
 
@@ -104,7 +102,7 @@ def _used_us(
         for _ in range(rounds + 1):
             since_s = method.used_s
             for _ in range(CYCLES):
-                sums = random.integers(low, high + 1, contract.phi.shape[0], np.int32)
+                sums = contract.packing.counts(random.integers(low, high + 1, contract.phi.shape[0], np.int32))
                 method.begin()
                 counter = next_counter(counter)
                 wires = [_wire(contract, bus, counter, sums) for bus in buses]
@@ -224,6 +222,7 @@ class _Threads:
     """Sums that the threads of a peer gather: `take` is called with the first sum of a frame and its sums."""
 
     def __init__(self, contract: Contract) -> None:
+        self._packing = contract.packing
         self._sums = [0] * contract.phi.shape[0]
         self._expected = sum(len(node.tpdos) for node in contract.nodes)
         self._buses = len(contract.layout.bus)
@@ -249,7 +248,7 @@ class _Threads:
             self._came += 1
             is_whole = self._came == self._expected
         if is_whole:
-            self._result = np.array(self._sums)
+            self._result = self._packing.counts(np.array(self._sums, np.int32)).astype(np.int64)
             self._is_whole.set()
 
     def begin(self) -> None:
@@ -322,13 +321,16 @@ def _python_can(contract: Contract, sockets: list[socket.socket]) -> Iterator[_M
 
 @contextmanager
 def _canopen(contract: Contract, sockets: list[socket.socket]) -> Iterator[_Method]:
-    """Gather sums in callbacks of the PDOs that the nodes' DCFs describe."""
+    """Gather sums in callbacks of the PDOs that the nodes' DCFs describe.
+
+    The library reads a variable of up to 16 bits from two bytes, and a sum may lie in three: sums are unpacked here.
+    """
     threads, networks = _Threads(contract), []
+    unpacked = _unpacking(contract)
     files = {node: text for kind in node_types(contract) for node, text in dcfs(contract, kind)}
 
     def take(first: int, pdo: Any) -> None:
-        _, *sums = pdo  # the first is the counter
-        threads.take(first, tuple(variable.raw for variable in sums))
+        threads.take(first, unpacked(bytes(pdo.data)))
 
     for number, near in enumerate(sockets):
         network = canopen.Network(_DatagramBus(near, number))

@@ -8,26 +8,22 @@ import numpy as np
 import numpy.typing as npt
 
 from dbc.adaptive import FIRST_COB_ID, GROUP_SUMS, Companding, SendingRule, companding
-from dbc.adaptive_filter import SETTLING_SAMPLES
 from dbc.canopen import HEARTBEAT_BASE
 from dbc.frame import Frames, frame_bytes
+from evaluation.schemes.board import Counts, newtons, settled
 from evaluation.schemes.judge import Images
-from evaluation.schemes.scenes import IDLE_TICKS_SHORT, NEWTON_PER_COUNT, SIDE, TAXELS, Touch
+from evaluation.schemes.scenes import SIDE
 from evaluation.schemes.wire import NODE_CELLS, TICK_NS, Nanoseconds, Sent, carry_polled, patches
 from gateway.adaptive_state import new_sums, take_all
-from nodes.adaptive.filtering import ForceFilter, PatchFilter
-from nodes.adaptive.noise import IdleStatistics, Noise
+from nodes.adaptive.filtering import PatchFilter
 from nodes.adaptive.sending import noise_threshold_n2
 from nodes.adaptive.simulated import Sample, SimulatedNodes, sync_frames
-from reconstructor.kernels.graph import graph_of
-from reconstructor.walsh import LIMIT_RATIO, VariationFilter, WalshReconstructor
+from reconstructor.walsh import WalshReconstructor
 from skin.layout import Bus
 from skin.sending import COARSE_STEP_RATIO
 from skin.taxel import FORCE_MAX_N
 from touch.contact import Force
 
-Counts = npt.NDArray[np.int16]
-Cells = npt.NDArray[np.int64]
 _GROUPS: Final = NODE_CELLS // GROUP_SUMS
 _LAW: Companding = companding(FORCE_MAX_N, COARSE_STEP_RATIO * FORCE_MAX_N, NODE_CELLS)
 
@@ -86,12 +82,11 @@ def run_adaptive(counts: Counts, idle: Counts, lines: Sequence[Bus]) -> Adaptive
     """
     held, ticks = patches(SIDE), len(counts)
     cells = held.reshape(-1, held.shape[2])
-    node_filter = PatchFilter(_learned(idle, cells))
-    _settle(node_filter, idle, cells)
+    node_filter = settled(PatchFilter, idle, cells)
     sums_n, variance_n2 = np.empty((2, ticks, *cells.shape), np.float32)
     node_n = np.empty((ticks, len(cells)))
     for tick, sample in enumerate(counts):
-        node_filter.take(_newtons(sample[cells]))
+        node_filter.take(newtons(sample[cells]))
         sums_n[tick], variance_n2[tick] = node_filter.sums_n, node_filter.variance_n2
         node_n[tick] = node_filter.noise.node_n
     threshold_n2 = noise_threshold_n2(node_n, SendingRule().noise_ratio, NODE_CELLS)
@@ -112,52 +107,3 @@ def run_adaptive(counts: Counts, idle: Counts, lines: Sequence[Bus]) -> Adaptive
     latency = sent.ended_ns[is_sums][told] - since[told] * TICK_NS
     waiting = np.concatenate([each.groups.since[each.groups.since >= 0] for each in nodes])
     return AdaptiveRun(sent, np.concatenate([latency, (ticks - waiting) * TICK_NS]), float(np.median(node_n)))
-
-
-def filtered_counts(touch: Touch) -> tuple[Counts, float]:
-    """Return what the nodes' filter makes of single taxels, and the median noise of a taxel, newtons.
-
-    The filter and what it learns are those of adaptive sums, with every taxel a patch of its own.
-    """
-    counts = touch.load().counts
-    cells = np.arange(counts.shape[1])[:, None]
-    noise = _learned(idle_of(touch), cells)
-    taxel_filter = ForceFilter(noise)
-    _settle(taxel_filter, idle_of(touch), cells)
-    filtered = np.empty_like(counts)
-    for tick, sample in enumerate(counts):
-        taxel_filter.take(_newtons(sample[cells]))
-        shown = np.clip(taxel_filter.force_n[:, 0], 0, np.float32(FORCE_MAX_N))
-        filtered[tick] = np.rint(shown / np.float32(NEWTON_PER_COUNT))
-    return filtered, float(np.median(noise.node_n))
-
-
-def idle_of(touch: Touch) -> Counts:
-    """Return what nodes learn from; a recording's own noise is not known, so its nodes learn from zeros."""
-    idle = touch.idle()
-    return np.zeros((IDLE_TICKS_SHORT, TAXELS), np.int16) if idle is None else idle
-
-
-def less_variation(held: Images, noise_n: float) -> Images:
-    """Return images as the receiver of adaptive sums would smooth them."""
-    smooth = VariationFilter(graph_of(SIDE, SIDE, np.zeros(0, np.intp), None))
-    limit_n = LIMIT_RATIO * noise_n
-    images: list[Force] = [smooth(each.reshape(SIDE, SIDE), limit_n).ravel() for each in held.force_n]
-    return Images(held.ready_ns, np.stack(images))
-
-
-def _learned(idle: Counts, cells: Cells) -> Noise:
-    """Return what nodes learn of an idle skin; `cells` of shape (nodes, taxels of a node)."""
-    statistics = IdleStatistics(*cells.shape)
-    for sample in idle:
-        statistics.take(_newtons(sample[cells]))
-    return statistics.noise()
-
-
-def _settle(node_filter: ForceFilter, idle: Counts, cells: Cells) -> None:
-    for sample in idle[-SETTLING_SAMPLES:]:
-        node_filter.take(_newtons(sample[cells]))
-
-
-def _newtons(counts: npt.NDArray[np.integer]) -> Force:
-    return counts.astype(np.float32) * np.float32(NEWTON_PER_COUNT)

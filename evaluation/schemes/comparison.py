@@ -1,36 +1,46 @@
-"""``skin evaluate rivals``: our sums, at a fixed rate and adaptive, against scans, coarse arrays and events."""
+"""``skin evaluate rivals``: our sums against scans, coarse arrays and events of the same boards."""
 
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from operator import itemgetter
-from statistics import mean
+from statistics import mean, pstdev
 from typing import Final
 
 from evaluation.result import Options, Result, Row, grouped
-from evaluation.result_cache import measure_cells, measured_rows
-from evaluation.schemes.scenes import OWN, SIDE, SLAP, Touch
-from evaluation.schemes.schemes import Adaptive, FilteredEvents, Scan, Scheme, Sums, measure_scheme
+from evaluation.result_cache import measured_rows
+from evaluation.schemes.scenes import OWN, SLAP, Touch
+from evaluation.schemes.schemes import (
+    AVERAGED_SCAN,
+    BEST_SCAN,
+    COARSE_ARRAYS,
+    RAW_SCAN,
+    THIN_SCAN,
+    Adaptive,
+    FilteredEvents,
+    Scheme,
+    Sums,
+    measure_scheme,
+)
 from skin.sources import object_label
 
 OURS: Final = Adaptive()
-#: Thresholds in newtons that filtered taxels are tried with.
-THRESHOLDS_N: Final = (0.2e-3, 0.3e-3, 0.5e-3, 0.8e-3, 1.2e-3)
+#: Thresholds in newtons that events are tried with.
+EVENTS: Final = tuple(map(FilteredEvents, (0.2e-3, 0.3e-3, 0.5e-3, 0.8e-3)))
 SCHEMES: Final[tuple[Scheme, ...]] = (
     OURS,
     Adaptive(is_fd=True),
     Sums(),
-    Scan(SIDE),
-    Scan(SIDE, "solved"),
-    Scan(32, "solved"),
-    Scan(16),
-    *map(FilteredEvents, THRESHOLDS_N),
+    BEST_SCAN,
+    AVERAGED_SCAN,
+    RAW_SCAN,
+    THIN_SCAN,
+    *COARSE_ARRAYS,
+    *EVENTS,
 )
-_QUICK: Final[tuple[Scheme, ...]] = (OURS, Sums(), Scan(SIDE), Scan(32, "solved"), FilteredEvents(0.5e-3))
-#: Those that scenes drawn at random are shown; plain scans are 9 dB behind in all of them.
-_DRAWN: Final[tuple[Scheme, ...]] = (OURS, Sums(), Scan(SIDE, "solved"), *map(FilteredEvents, THRESHOLDS_N))
+_QUICK: Final[tuple[Scheme, ...]] = (OURS, Sums(), BEST_SCAN, RAW_SCAN, COARSE_ARRAYS[0], FilteredEvents(0.5e-3))
+#: Those that scenes drawn at random are shown: the best of each kind. The largest threshold is for boxes that shake.
+_DRAWN: Final[tuple[Scheme, ...]] = (OURS, Sums(), BEST_SCAN, *EVENTS[:-1])
 #: Bits of schemes with a rate that differ by less are equal: scans have whole frames.
 EQUAL_BITS: Final = 0.05
-#: Less is not told apart.
-LEVEL_DB: Final = 0.5
 #: Columns of the table, and places after the point.
 DIGITS: Final = {
     "kbit_per_s": 0,
@@ -38,6 +48,7 @@ DIGITS: Final = {
     "load": 3,
     "load_peak": 3,
     "psnr_mean_db": 1,
+    "psnr_plain_db": 1,
     "psnr_least_db": 1,
     "psnr_peak_db": 1,
     "error_mn": 2,
@@ -62,12 +73,15 @@ def evaluate(options: Options) -> Result:
     return compared("Schemes", together + found)
 
 
-def measured(touches: Iterable[Touch], options: Options, what: str) -> list[Row]:
-    """Return the figures of every scheme on every touch, a row each."""
-    schemes = _QUICK if options.quick else SCHEMES
-    cells: list[Row] = [{"scheme": scheme, "touch": touch} for touch in touches for scheme in schemes]
+def measured(
+    touches: Iterable[Touch], options: Options, what: str, schemes: Sequence[Scheme] | None = None
+) -> list[Row]:
+    """Return the figures of every scheme on every touch, a row each; `_QUICK` schemes for a quick look."""
+    shown = _QUICK if options.quick else schemes or SCHEMES
+    cells: list[Row] = [{"scheme": scheme, "touch": touch} for touch in touches for scheme in shown]
     return [
-        {"touch": row["touch"].words, "scheme": row["scheme"].name} | {key: row[key] for key in DIGITS}
+        {"touch": row["touch"].words, "scheme": row["scheme"].name, "receiver": row["receiver"], "psnr_spread_db": None}
+        | {key: row[key] for key in DIGITS}
         for row in measured_rows(measure_scheme, cells, options, what)
     ]
 
@@ -75,66 +89,23 @@ def measured(touches: Iterable[Touch], options: Options, what: str) -> list[Row]
 def compared(title: str, found: list[Row], note: str = "") -> Result:
     """Return the result of rows that were measured: rounded, and with a verdict for each touch."""
     return Result(
-        f"{title} on the same four classic buses; those with a rate at the bits a second of the default skin",
+        f"{title} on the same boards and four classic buses; scans and coarse arrays at the bits of the default skin",
         [row | {key: None if row[key] is None else round(row[key], DIGITS[key]) for key in DIGITS} for row in found],
         note=note + wins_and_losses(found),
     )
 
 
 def evaluate_drawn(options: Options) -> Result:
-    """Measure adaptive sums and their rivals on scenes drawn at random, `scenes` of `scene_seed`.
-
-    Each scene has two rivals: of all schemes that with the best PSNR, so that the threshold of events is tuned to the
-    scene, and the one scheme with the best mean PSNR over all scenes.
-    """
+    """Measure adaptive sums, the default and their best rivals on scenes drawn at random, `scenes` of `scene_seed`."""
     count, ticks = (2, 400) if options.quick else (options.scenes, None)
     if count == 0:  # of all subjects together
         return Result("No drawn scenes were asked for", [])
     touches = [
         Touch(str(number), ticks=ticks, scene_seed=options.scene_seed, **options.shared) for number in range(count)
     ]
-    schemes = _QUICK if options.quick else _DRAWN
-    cells: list[Row] = [{"scheme": scheme, "touch": touch} for touch in touches for scheme in schemes]
-    found = iter(measure_cells(measure_scheme, cells, options, "drawn scenes"))
-    scenes = [[next(found) for _ in schemes] for _ in touches]
-    fixed = max(range(1, len(schemes)), key=lambda each: mean(float(scene[each]["psnr_mean_db"]) for scene in scenes))
-    rows = []
-    for touch, scene in zip(touches, scenes, strict=True):
-        ours, *rivals = scene
-        psnrs_db = [float(each["psnr_mean_db"]) for each in rivals]
-        tuned = psnrs_db.index(max(psnrs_db))
-        nearest = min(rivals, key=itemgetter("touched_error_mn"))
-        rows.append(
-            {"scene": touch.words, "psnr_db": round(ours["psnr_mean_db"], 1), "best_rival": schemes[1 + tuned].name}
-            | _against(ours, rivals[tuned], nearest, "")
-            | _against(ours, scene[fixed], scene[fixed], "fixed_")
-        )
-    title = f"Adaptive sums on {count} drawn scenes of seed {options.scene_seed}, each against its best rival"
-    note = [f"{schemes[fixed].name} is the best fixed rival."]
-    note += [_counts(rows, rival, prefix) for rival, prefix in (("the best of each scene", ""), ("it", "fixed_"))]
-    return Result(title, rows, note="\n".join(note))
-
-
-def _against(ours: Row, rival: Row, nearest: Row, prefix: str) -> Row:
-    """Return gains over a rival, above 0 or below 1 where ours is better; `nearest` has the least error of touches."""
-    return {
-        f"{prefix}gain_db": round(ours["psnr_mean_db"] - rival["psnr_mean_db"], 2),
-        f"{prefix}error_ratio": round(ours["touched_error_mn"] / nearest["touched_error_mn"], 3),
-        f"{prefix}bits_ratio": round(ours["kbit_per_s"] / rival["kbit_per_s"], 3),
-    }
-
-
-def _counts(rows: list[Row], rival: str, prefix: str) -> str:
-    """Return in how many scenes adaptive sums are as good as a rival, and the scenes where they are not."""
-    said = []
-    for what, is_missed in (
-        (f"PSNR at most {LEVEL_DB} dB below", [row[f"{prefix}gain_db"] < -LEVEL_DB for row in rows]),
-        ("touched error smaller", [row[f"{prefix}error_ratio"] >= 1 for row in rows]),
-        ("fewer bits", [row[f"{prefix}bits_ratio"] >= 1 for row in rows]),
-    ):
-        missed = [str(row["scene"]) for row, wrong in zip(rows, is_missed, strict=True) if wrong]
-        said.append(f"{what} in {len(rows) - len(missed)}" + (f" (not: {'; '.join(missed)})" if missed else ""))
-    return f"Against {rival}, of {len(rows)} scenes: {', '.join(said)}."
+    title = f"Schemes on {count} scenes drawn by seed {options.scene_seed}"
+    found = measured(touches, options, "drawn scenes", _DRAWN)
+    return compared(title, means_of(found, {touch.words for touch in touches}, "all scenes") + found)
 
 
 def _touches(options: Options) -> Iterator[Touch]:
@@ -152,10 +123,18 @@ def _touches(options: Options) -> Iterator[Touch]:
 
 
 def means_of(rows: list[Row], touches: Collection[str], words: str) -> list[Row]:
-    """Return a row for each scheme that was shown all of `touches`: its means over them."""
+    """Return a row for each scheme that was shown all of `touches`: its means over them.
+
+    ``psnr_spread_db`` is the standard deviation of the touches' mean PSNR, ``receiver`` names all that were best.
+    """
     of_schemes = grouped((row for row in rows if row["touch"] in touches), "scheme")
     return [
-        {"touch": words, "scheme": scheme}
+        {
+            "touch": words,
+            "scheme": scheme,
+            "receiver": ", ".join(sorted({row["receiver"] for row in group})),
+            "psnr_spread_db": round(pstdev(row["psnr_mean_db"] for row in group), 1),
+        }
         | {key: None if any(row[key] is None for row in group) else mean(row[key] for row in group) for key in DIGITS}
         for (scheme,), group in of_schemes.items()
         if len(group) == len(touches)

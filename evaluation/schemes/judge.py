@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from evaluation.result import Row
-from evaluation.schemes.scenes import Touch
+from evaluation.schemes.board import Board
 from evaluation.schemes.wire import TICK_NS, Nanoseconds, Sent
 from skin.psnr import decibels
 from skin.taxel import FORCE_MAX_N
@@ -92,9 +92,14 @@ class ValueRun:
     frame_of: npt.NDArray[np.int64]
     latency_ns: Nanoseconds
 
-    def received(self, touch: Touch) -> Updates:
+    def received(self, board: Board) -> Updates:
         """Return the updates whose frames reach the receiver."""
-        return self.updates.kept(touch.arrives(len(self.sent.frames))[self.frame_of])
+        return self.updates.kept(board.arrives(len(self.sent.frames))[self.frame_of])
+
+
+def moments_ns(ticks: int) -> npt.NDArray[np.int64]:
+    """Return when the image must be ready that is in use at each tick."""
+    return np.arange(ticks, dtype=np.int64) * TICK_NS - LATENESS_NS
 
 
 def quality(true_n: Force, shown: Images | Updates) -> Row:
@@ -114,7 +119,7 @@ def quality(true_n: Force, shown: Images | Updates) -> Row:
     """
     ticks, taxels = true_n.shape
     times_ns = np.arange(ticks, dtype=np.int64) * TICK_NS
-    images = shown.held(times_ns - LATENESS_NS, taxels) if isinstance(shown, Updates) else shown
+    images = shown.held(moments_ns(ticks), taxels) if isinstance(shown, Updates) else shown
     total, touched = np.empty(ticks), np.empty(ticks)
     wrong_ms, longest_wrong_ms, nothing = np.zeros(taxels, np.int64), 0, np.zeros(taxels, np.float32)
     for tick, (true, used) in enumerate(zip(true_n, images.used(times_ns).tolist(), strict=True)):

@@ -11,12 +11,10 @@ from bandwidth.alternatives import BLOCKS_PER_NODE, planned, with_buses
 from bandwidth.highest_rate import highest_rate_hz
 from bandwidth.traffic import Disturbance
 from canskin.errors import LayoutError
-from dbc.contract import Contract
 from evaluation.result import Options, Result, Row, write_text
 from evaluation.result_cache import measure_cells
 from evaluation.schemes.scenes import SHAKING, Touch, recordings_in
-from evaluation.schemes.schemes import Shown
-from evaluation.schemes.sums import run_sums
+from evaluation.schemes.schemes import Sums, measure_scheme
 from skin.layout import Bus, Layout, changed, layout_text, load_layout, validated
 
 #: Part of each bus that frames with the most stuff bits may use; the default skin uses 0.87.
@@ -81,9 +79,7 @@ def _is_quick(layout: Layout) -> bool:
 
 def measure_point(layout: Layout, touch: Touch) -> Row:
     """Return the figures of a layout on one touch."""
-    what, contract = touch.load(), Contract.from_layout(layout)
-    run = run_sums(contract, what.counts, idle_counts=touch.idle())
-    return Shown(run.sent, run.latency_ns, run.images(contract), contract.layout.sync.rate_hz).figures(what)
+    return measure_scheme(Sums(layout), touch)
 
 
 def _touches(options: Options) -> dict[str, list[Touch]]:

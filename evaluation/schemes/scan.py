@@ -1,6 +1,6 @@
 """Full acquisition: every value of an array is sent in turn, as often as the buses allow; and images of that."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
 from typing import Final
 
@@ -14,26 +14,18 @@ from dbc.frame import Frames, frames
 from evaluation.schemes.judge import Images, Updates, ValueRun
 from evaluation.schemes.scenes import SIDE
 from evaluation.schemes.wire import BUSES, TICK_NS, Nanoseconds, carry, lines_of, patches, syncs
-from reconstructor.engine import Reconstructor
+from reconstructor.engine import AVERAGED_SAMPLES, Reconstructor
+from reconstructor.kernels.graph import graph_of
 from reconstructor.settings import LIVE
+from reconstructor.walsh import VariationFilter
 from skin.measurement import Sbhe, sbhe
 from skin.taxel import FORCE_MAX_N
 from touch.contact import Force
 
 FRAME_BITS: Final = 64
-#: λ for complete arrays in newtons, with the best mean PSNR over the slides: of 6 to 36 mN, and of 3 to 24.
-SCAN_PENALTY_N: Final = 0.018
-CELLS_PENALTY_N: Final = 0.012
 
 
-@dataclass(frozen=True, eq=False)
-class ScanRun(ValueRun):
-    """What a scanned array sent; `scan_ns`, shape (scans,): when the last value of each scan had arrived."""
-
-    scan_ns: Nanoseconds
-
-
-def run_scan(felt_n: Force, bits: int, rate_hz: float) -> ScanRun:
+def run_scan(felt_n: Force, bits: int, rate_hz: float) -> ValueRun:
     """Scan an array `rate_hz` times a second.
 
     Frame k of every node is sent at the k-th of as many evenly spaced SYNCs as a node has frames, with values sampled
@@ -67,8 +59,7 @@ def run_scan(felt_n: Force, bits: int, rate_hz: float) -> ScanRun:
     force = (raw * (FORCE_MAX_N / top)).astype(np.float32)
     updates = Updates(ready.ravel(), np.broadcast_to(held, raw.shape).ravel(), force.ravel())
     latency = ready - sync_ns[:, None, None, first]
-    scan_ns = ready.reshape(len(ready), -1).max(axis=1)
-    return ScanRun(wire, updates, frame_of.ravel(), latency.ravel(), scan_ns)
+    return ValueRun(wire, updates, frame_of.ravel(), latency.ravel())
 
 
 def _frames(raw: npt.NDArray[np.int64], bits: int, turns: int) -> Frames:
@@ -97,32 +88,40 @@ def _complete(cells: int) -> Sbhe:
     return sbhe(cells, cells)
 
 
-def smoothed(held: Images, penalty_n: float) -> Images:
-    """Return what the live reconstruction makes of complete images, as if every sum of every block had come.
+def solved(held: Images, penalty_n: float) -> Images:
+    """Return what the live reconstruction makes of images, as if every sum of every block had come.
 
     The array is a square of 8 x 8 cells or more.
     """
     cells = held.force_n.shape[1]
     side, phi = round(cells**0.5), _complete(cells)
-    engine = Reconstructor(phi, side, side, replace(LIVE, penalty_n=penalty_n))
+    engine = Reconstructor(phi, side, side, replace(LIVE, penalty_n=penalty_n), samples=AVERAGED_SAMPLES)
     valid = np.ones(cells, np.bool_)
     sums = np.asarray(phi.forward(held.force_n), np.float32)
     images = np.stack([engine.solve(each, valid).ravel() for each in sums])
     return Images(held.ready_ns, images)
 
 
-def refined(held: Images, order: int) -> Images:
-    """Return a coarse array's images as fine as the skin, not below 0: splines, bilinear (`order` 1) or bicubic (3)."""
+def smoothed(held: Images, limit_n: float) -> Images:
+    """Return images of a square as the receiver of adaptive sums smooths them: neighbours differ by less, or not."""
+    side = round(held.force_n.shape[1] ** 0.5)
+    smooth = VariationFilter(graph_of(side, side, np.zeros(0, np.intp), None))
+    images: list[Force] = [smooth(each.reshape(side, side), limit_n).ravel() for each in held.force_n]
+    return Images(held.ready_ns, np.stack(images))
+
+
+def refined(held: Images) -> Images:
+    """Return a coarse array's images as fine as the skin, not below 0: bicubic splines."""
     side = round(held.force_n.shape[1] ** 0.5)
     if side == SIDE:
         return held
-    spread = _spread(side, order)
+    spread = _spread(side)
     fine: Force = np.maximum(spread @ held.force_n.reshape(-1, side, side) @ spread.T, 0)
     return Images(held.ready_ns, fine.reshape(len(fine), -1))
 
 
 @cache
-def _spread(side: int, order: int) -> npt.NDArray[np.float32]:
+def _spread(side: int) -> npt.NDArray[np.float32]:
     """Return the matrix that interpolates `side` cells at `SIDE` places, cell by cell from the edge."""
-    columns = [zoom(each, SIDE / side, order=order, mode="nearest", grid_mode=True) for each in np.eye(side)]
+    columns = [zoom(each, SIDE / side, order=3, mode="nearest", grid_mode=True) for each in np.eye(side)]
     return np.stack(columns, axis=1).astype(np.float32)

@@ -211,24 +211,20 @@ class Touch:
         said += [f"{self.loss_ratio:.0%} of frames lost"] if self.loss_ratio else []
         return ", ".join(said)
 
-    def arrives(self, frames: int) -> npt.NDArray[np.bool_]:
-        """Draw which of `frames` frames reach the receiver."""
-        return np.random.default_rng(self.seed).random(frames) >= self.loss_ratio
-
     def sensed(self, force_n: Force, rng: np.random.Generator) -> Force:
         """Return what sensors make of true forces, shape (ticks, taxels)."""
         felt: Force = sense(force_n, rng, self.noise_n)
         return felt
 
-    def idle(self) -> npt.NDArray[np.int16] | None:
-        """Return what every taxel reads before the touch, counts, shape (ticks, TAXELS): noise alone.
+    def idle(self, cells: int = TAXELS) -> npt.NDArray[np.int16]:
+        """Return what every cell reads before the touch, counts, shape (ticks, cells): noise alone.
 
-        A recording has no before: None.
+        A recording's own noise is not known: zeros.
         """
+        force_n = np.zeros((IDLE_TICKS_SHORT if self.ticks or self.is_recorded else IDLE_TICKS, cells), np.float32)
         if self.is_recorded:
-            return None
-        force_n = np.zeros((IDLE_TICKS_SHORT if self.ticks else IDLE_TICKS, TAXELS), np.float32)
-        return _counts(self.sensed(force_n, np.random.default_rng([self.seed, 1])))
+            return counts_of(force_n)
+        return counts_of(self.sensed(force_n, np.random.default_rng([self.seed, 1])))
 
     def load(self) -> Scene:
         """Return the scene itself; the last one is kept."""
@@ -248,10 +244,10 @@ def _scene(touch: Touch) -> Scene:
         true = np.stack([_pressed(OWN[touch.name](tick), meshes) for tick in range(ticks)])
     else:
         felt = _recorded(touch)
-        return Scene(felt, felt, _counts(felt), is_recorded=True)
+        return Scene(felt, felt, counts_of(felt), is_recorded=True)
     flat = true.reshape(len(true), TAXELS)
     felt = touch.sensed(flat, np.random.default_rng(touch.seed))
-    return Scene(flat, felt, _counts(felt))
+    return Scene(flat, felt, counts_of(felt))
 
 
 def _pressed(objects: Iterator[tuple[str, Pose]], meshes: Path | None) -> Force:
@@ -260,7 +256,8 @@ def _pressed(objects: Iterator[tuple[str, Pose]], meshes: Path | None) -> Force:
     return press(Grid(), named)
 
 
-def _counts(felt_n: Force) -> npt.NDArray[np.int16]:
+def counts_of(felt_n: Force) -> npt.NDArray[np.int16]:
+    """Return what 10-bit converters make of forces."""
     return to_counts(felt_n, _ARRAY).astype(np.int16)
 
 

@@ -279,7 +279,7 @@ class _Judge:
         self._ghost_n = max(self._ghost_n, float(ghost_n[~in_doubt].max(initial=0.0)))
         self._doubted_n = max(self._doubted_n, float(ghost_n[in_doubt].max(initial=0.0)))
         if forces.any():
-            self._felt.append((time_s, float(image_n[forces].sum() / max(ideal_n[forces].sum(), 1e-9))))
+            self._felt.append((time_s, float(image_n[forces].sum() / max(float(ideal_n[forces].sum()), 1e-9))))
         self._judge_zero(
             time_s,
             zero_n,

@@ -36,6 +36,8 @@ class ForceFilter:
         while nothing touches, and so are the offsets of taxels, see `nodes.adaptive.following`.
     taxels : array of int, shape (nodes,), optional
         How many taxels each node has; without it no place is empty.
+    horizon : float
+        Samples that a forecast looks ahead.
 
     Attributes
     ----------
@@ -45,10 +47,10 @@ class ForceFilter:
         What the nodes know by now.
     """
 
-    def __init__(self, noise: Noise, taxels: npt.NDArray[np.intp] | None = None) -> None:
+    def __init__(self, noise: Noise, taxels: npt.NDArray[np.intp] | None = None, *, horizon: float = HORIZON) -> None:
         shape = noise.taxel_n.shape
         self._taxels = np.full(shape[0], shape[1]) if taxels is None else taxels
-        self._models = make_models(HORIZON)
+        self._models, self._horizon = make_models(horizon), np.float32(horizon)
         self._tracks = new_tracks(self._models, noise.taxel_n.size)
         self._forecast, self._variance = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
         self._table = unclip_table()
@@ -71,7 +73,7 @@ class ForceFilter:
         known = noise.taxel_n, noise.coefficient_n
         learning = self._sums, self._offsets
         models = self._models, self._tracks, self._forecast, self._variance
-        _take(sample_n, known, learning, models, np.float32(HORIZON), self._table, self._work, self.force_n)
+        _take(sample_n, known, learning, models, self._horizon, self._table, self._work, self.force_n)
         self._in_window += 1
         if self._in_window == WINDOW:
             self._in_window = 0

@@ -67,7 +67,7 @@ def graph_of(rows: int, columns: int, gaps: Indices, edges: Indices | None) -> G
         runs=np.stack((low[starts], high[starts], numbers, lengths[is_long])).astype(np.uint64),
         singles=np.stack((low[~kept], high[~kept], np.arange(kept.sum(), kept.size))).astype(np.uint64),
         size=second + rows * columns if is_grid else low.size,
-        bound=8 if is_grid else int(max(2, degree[edges].sum(axis=1).max(initial=0))),
+        bound=8 if is_grid else int(degree[edges].sum(axis=1).max(initial=2)),
     )
 
 

@@ -63,7 +63,7 @@ def _table(pairs: Any) -> npt.NDArray[np.int32]:
     taxel, other = pairs.row[order], pairs.col[order]
     taxel, other = taxel[taxel != other], other[taxel != other]
     degrees = np.bincount(taxel, minlength=pairs.shape[0])
-    table = np.repeat(np.arange(len(degrees), dtype=np.int32)[:, None], max(1, degrees.max(initial=0)), axis=1)
+    table = np.repeat(np.arange(len(degrees), dtype=np.int32)[:, None], degrees.max(initial=1), axis=1)
     table[taxel, np.arange(len(taxel)) - np.repeat(np.cumsum(degrees) - degrees, degrees)] = other
     return table
 

@@ -1,7 +1,7 @@
 """What a search tries, in which order, what each try lacks, and how that is said.
 
-SYNC and heartbeats have 65 bits at most, a TPDO 135 with 8 bytes, 125 with 7, 105 with 5, 85 with 3. A stock board answers up to 1 ms late,
-and its window is 99 % of the period.
+SYNC and heartbeats have 65 bits at most, a TPDO 135 with 8 bytes, 125 with 7, 105 with 5, 85 with 3. A stock board
+answers up to 1 ms late, and its window is 99 % of the period.
 """
 
 from typing import Any

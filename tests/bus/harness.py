@@ -12,9 +12,7 @@ import numpy as np
 from bus.link import Link, open_link
 from bus.server import BusServer, BusSettings
 from dbc.frame import Frames, frames
-
-#: Nothing in these tests takes longer unless it hangs.
-PATIENCE_S = 60.0
+from tests.processes import PATIENCE_S
 
 
 def frame(can_id: int, data: bytes = b"", flags: int = 0, *, port: int = 0, time_ns: int = 0) -> Frames:

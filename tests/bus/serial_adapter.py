@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from dbc.frame import Frames, frames
-from tests.bus.harness import PATIENCE_S, frame
+from tests.bus.harness import frame
+from tests.processes import PATIENCE_S
 
 
 class SerialAdapter:

@@ -14,8 +14,9 @@ from bus.command import bus
 from bus.protocol import Hello, Welcome
 from bus.server import BusServer, BusSettings
 from canskin.errors import BusError, InputError
-from tests.bus.harness import PATIENCE_S, burst, collect
+from tests.bus.harness import burst, collect
 from tests.layouts import buses, layout_toml
+from tests.processes import PATIENCE_S
 
 
 def start(*arguments: str) -> subprocess.Popen[str]:

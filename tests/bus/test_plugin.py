@@ -11,7 +11,8 @@ import pytest
 from bus.faults import Fault
 from bus.plugin import ArbitratedBus
 from dbc.frame import FD
-from tests.bus.harness import PATIENCE_S, collect, frame, linked, serving
+from tests.bus.harness import collect, frame, linked, serving
+from tests.processes import PATIENCE_S
 
 
 def open_bus(**options: object) -> can.BusABC:

@@ -18,8 +18,9 @@ from bus.link import open_link
 from bus.python_can import PythonCanLink
 from canskin.errors import BusError, InputError
 from dbc.frame import BRS, ECHO, EXTENDED, FD
-from tests.bus.harness import PATIENCE_S, await_state, burst, collect, frame
+from tests.bus.harness import await_state, burst, collect, frame
 from tests.bus.serial_adapter import SerialAdapter
+from tests.processes import PATIENCE_S
 
 
 class Interface:

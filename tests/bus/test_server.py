@@ -22,7 +22,8 @@ from canskin.errors import BusError, InputError, Stopped
 from dbc.frame import BRS, ECHO, ERROR, FD
 from dbc.frame_bits import INTERMISSION_BITS, frame_time_ns
 from shell.service import StopSignal
-from tests.bus.harness import PATIENCE_S, await_state, burst, collect, frame, linked, serving
+from tests.bus.harness import await_state, burst, collect, frame, linked, serving
+from tests.processes import PATIENCE_S
 
 
 def test_a_burst_arrives_in_order_and_in_its_exact_time() -> None:

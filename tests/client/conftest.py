@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import pytest
 
 from canskin.errors import LOG
+from tests.processes import PATIENCE_S
 
 
 class Log(logging.Handler):
@@ -26,7 +27,7 @@ class Log(logging.Handler):
         """Wait until every expected text begins a line."""
         with self._changed:
             all_there = self._changed.wait_for(
-                lambda: all(any(line.startswith(text) for line in self.lines) for text in expected), 20
+                lambda: all(any(line.startswith(text) for line in self.lines) for text in expected), PATIENCE_S
             )
             assert all_there, self.lines
 

@@ -9,7 +9,9 @@ from canskin.calibration_messages import CALIBRATION, CalibrationReply, Calibrat
 from canskin.description import DESCRIPTION, Description, DescriptionRequest
 from canskin.fabric import Fabric, Reply
 from canskin.messages import CONTACTS, GATEWAY, IMAGE, LABEL, MEASUREMENT, Contacts, Image, Label, Measurement
+from canskin.peers import Peer
 from tests import messages as make
+from tests.processes import PATIENCE_S
 
 ROWS, COLUMNS, BLOCKS = 4, 4, 2
 
@@ -117,3 +119,17 @@ class Chain:
         if self._sending is not None:
             self._sending.join()
         self.gateway.close()
+
+
+def await_peers(hub: Fabric, *names: str) -> None:
+    """Wait until services, each as SKIN/SERVICE, are on a hub, which hears of them a little after their start."""
+    there, changed = set[str](), threading.Condition()
+
+    def note(peer: Peer, alive: bool) -> None:
+        with changed:
+            (there.add if alive else there.discard)(f"{peer.skin}/{peer.service}")
+            changed.notify()
+
+    hub.watch_peers(note)
+    with changed:
+        assert changed.wait_for(lambda: there >= set(names), PATIENCE_S), there

@@ -78,14 +78,15 @@ def test_an_attachment_of_another_program_is_no_origin(attachment: bytes) -> Non
 
 @pytest.mark.heavy
 def test_an_answer_to_someone_who_has_left_is_no_error(hub: Fabric, endpoint: str, log: Log) -> None:
-    replies: list[Reply] = []
-    hub.answer(CALIBRATION, lambda _request, reply: replies.append(reply))
+    replies: queue.Queue[Reply] = queue.Queue()
+    hub.answer(CALIBRATION, lambda _request, reply: replies.put(reply))
     other = Fabric("test", "other", endpoint)
     with pytest.raises(BusError, match="no service of skin 'test' answers"):
         other.ask(CALIBRATION, CalibrationRequest(action="show"), 1.0)
+    reply = replies.get(timeout=PATIENCE_S)
     other.close()
     for _ in range(2):  # the second is one too many
-        replies[0](CalibrationReply(is_done=True, text=""))
+        reply(CalibrationReply(is_done=True, text=""))
     assert any("hub: an answer to 'calibration' is lost" in line for line in log.lines)
 
 
@@ -93,7 +94,7 @@ def test_an_answer_that_cannot_be_decoded_is_named(hub: Fabric, endpoint: str) -
     hub.answer(CALIBRATION, lambda _request, reply: reply(label(1)))
     other = Fabric("test", "other", endpoint)
     with pytest.raises(BusError, match="of another version of canskin"):
-        other.ask(CALIBRATION, CalibrationRequest(action="show"), 5.0)
+        other.ask(CALIBRATION, CalibrationRequest(action="show"), PATIENCE_S)
     other.close()
 
 
@@ -185,7 +186,7 @@ def test_scheduling_is_told_while_the_service_stays(hub: Fabric, endpoint: str) 
     other.tell_scheduling("realtime")
     seen = []
     while not seen or seen[-1][1]:
-        peer, is_alive = peers.get(timeout=240)
+        peer, is_alive = peers.get(timeout=PATIENCE_S)
         seen += [(peer, is_alive)] * (peer.service == "other")
     assert [(peer.scheduling, peer.fingerprint, is_alive) for peer, is_alive in seen] == [
         ("", "12ab", True),
@@ -211,7 +212,7 @@ def test_who_sees_a_service_is_heard_by_it(hub: Fabric, endpoint: str) -> None:
     other, boxes = Fabric("test", "other", endpoint), list[Mailbox[Label]]()
     other.watch(lambda service, alive: other.publish(LABEL, label(1)) if (service, alive) == ("late", True) else None)
     late = Fabric("test", "late", endpoint, prepare=lambda fabric: boxes.append(fabric.mailbox(LABEL)))
-    assert boxes[0].get(20.0) is not None
+    assert boxes[0].get(PATIENCE_S) is not None
     late.close()
     other.close()
 
@@ -237,6 +238,7 @@ def test_hub_that_comes_later_is_found_and_both_are_told(
 
     def start_hub() -> None:
         log.wait_for("early: waits")
+        monkeypatch.setattr(session_module, "TRY_S", PATIENCE_S)
         hubs.append(Fabric("test", "hub", endpoint, hub=True))
 
     starting = threading.Thread(target=start_hub)
@@ -287,11 +289,11 @@ def test_a_stop_while_waiting_for_the_hub_ends_quietly(
     monkeypatch.setattr(session_module, "TRY_S", 0.05)
     monkeypatch.setattr(session_module, "SILENT_S", 0.0)
     stop = threading.Event()
-    later = threading.Timer(0.2, stop.set)
-    later.start()
+    stopping = threading.Thread(target=lambda: (log.wait_for("lonely: waits"), stop.set()))
+    stopping.start()
     with pytest.raises(Stopped):
         Fabric("test", "lonely", endpoint, stop=stop)
-    later.join()
+    stopping.join()
     assert log.lines == [f"lonely: waits for the fabric's hub at {endpoint}, usually 'skin gateway'"]
 
 

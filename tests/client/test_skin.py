@@ -3,6 +3,7 @@
 import asyncio
 import gc
 import threading
+from types import SimpleNamespace
 
 import pytest
 
@@ -10,6 +11,7 @@ from canskin.errors import BusError
 from canskin.frame import Frame, FrameBuilder
 from canskin.skin import FrameHub, Frames
 from tests.client.helpers import contacts, description, image
+from tests.processes import PATIENCE_S
 
 
 def frame(cycle: int) -> Frame:
@@ -65,8 +67,21 @@ def test_the_latest_frame_is_given_while_it_is_young_enough(hub: FrameHub) -> No
     assert hub.latest(float("inf")).cycle == 1
 
 
+def test_images_that_are_too_old_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    hub = FrameHub(1.0, lambda: "nothing came")
+    times_s = iter((0.0, 0.999, 2.0))  # of the beginning, and after a look at the frame before and at the newest
+
+    def monotonic() -> float:
+        hub.put(frame(hub.count + 1))
+        return next(times_s)
+
+    monkeypatch.setattr("canskin.skin.time", SimpleNamespace(monotonic=monotonic))
+    with pytest.raises(BusError, match=r"the newest image is .* s old, asked for 0 s at most"):
+        hub.latest(0.0)
+
+
 def test_a_reader_that_waits_is_woken() -> None:
-    hub = FrameHub(20.0, lambda: "nothing came")
+    hub = FrameHub(PATIENCE_S, lambda: "nothing came")
     reader = hub.frames(1)
     later = threading.Timer(0.01, hub.put, (frame(4),))
     later.start()
@@ -75,7 +90,7 @@ def test_a_reader_that_waits_is_woken() -> None:
 
 
 def test_async_readers_get_each_frame_and_end_with_the_skin() -> None:
-    hub = FrameHub(20.0, lambda: "nothing came")
+    hub = FrameHub(PATIENCE_S, lambda: "nothing came")
 
     async def read() -> list[int]:
         reader = hub.frames(10)
@@ -90,7 +105,7 @@ def test_async_readers_get_each_frame_and_end_with_the_skin() -> None:
 
 
 def test_a_cancelled_wait_loses_no_frame() -> None:
-    hub = FrameHub(20.0, lambda: "nothing came")
+    hub = FrameHub(PATIENCE_S, lambda: "nothing came")
 
     async def read() -> int:
         reader = hub.frames(4)
@@ -121,7 +136,7 @@ def test_a_reader_that_nobody_keeps_is_forgotten(hub: FrameHub) -> None:
 
 
 def test_after_the_end_nothing_waits(hub: FrameHub) -> None:
-    patient = FrameHub(20.0, lambda: "nothing came")
+    patient = FrameHub(PATIENCE_S, lambda: "nothing came")
     later = threading.Timer(0.05, patient.close)
     later.start()
     with pytest.raises(BusError, match="closed"):
@@ -131,7 +146,7 @@ def test_after_the_end_nothing_waits(hub: FrameHub) -> None:
 
 
 def test_two_tasks_share_a_reader() -> None:
-    hub = FrameHub(20.0, lambda: "nothing came")
+    hub = FrameHub(PATIENCE_S, lambda: "nothing came")
 
     async def read() -> list[int]:
         reader = hub.frames(4)

@@ -15,9 +15,10 @@ from canskin.messages import IMAGE, Image
 from tests import messages
 from tests.processes import Processes
 
-#: Half of the time for which zenoh waits in the close of a connection with unsent data.
-PATIENCE_S = 5.0
-TRIES = 10
+#: Clients that stop: they silence a hub of one thread for more than a minute.
+STOPPED = 24
+PATIENCE_S = 60.0
+TRIES = 120
 #: Enough to fill the buffers of a connection in few messages.
 PIXELS = bytes(60_000)
 HUB = """
@@ -27,11 +28,11 @@ fabric = Fabric("test", "hub", sys.argv[1], hub=True)
 print("there", flush=True)
 threading.Event().wait()
 """
-#: Twelve clients, whose hub gives them up when they have been silent for a second.
+#: Clients, whose hub gives them up when they have been silent for a second.
 CLIENTS = """
 import json, sys, threading, zenoh
 kept = []
-for number in range(12):
+for number in range(int(sys.argv[2])):
     config = zenoh.Config()
     for key, value in {
         "mode": "client", "connect/endpoints": [sys.argv[1]], "scouting/multicast/enabled": False,
@@ -72,7 +73,7 @@ def test_clients_that_are_stopped_hold_nobody_up(tmp_path: Path, endpoint: str) 
                     return
             pytest.fail(f"the reader got nothing for {PATIENCE_S:g} s")
 
-        started.start("clients", sys.executable, "-c", CLIENTS, endpoint)
+        started.start("clients", sys.executable, "-c", CLIENTS, endpoint, str(STOPPED))
         started.await_words("clients", "subscribed")
         send()
         started.send_signal("clients", signal.SIGSTOP)

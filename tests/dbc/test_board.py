@@ -102,8 +102,7 @@ def test_the_signature_follows_from_the_table_and_the_list_of_the_documents(name
         communication, mapping = od.TPDO_COMMUNICATION + tpdo.number - 1, od.TPDO_MAPPING + tpdo.number - 1
         put(communication, 1, tpdo.cob_id | COB_ID_NO_RTR)
         put(communication, 2, tpdo.transmission_type, 1)
-        if table.sync_overflow:
-            put(communication, 6, tpdo.sync_start_value, 1)
+        put(communication, 6, tpdo.sync_start_value, 1)
         put(mapping, 0, len(tpdo.mapping), 1)
         for subindex, each in enumerate(tpdo.mapping, 1):
             put(mapping, subindex, each.index << 16 | each.subindex << 8 | each.bits)

@@ -45,7 +45,7 @@ def test_picture_that_cannot_be_written_after_all_is_a_failure(
 @pytest.mark.parametrize(
     ("adds_noise", "expected"),
     [
-        (True, "51.6 dB, against the sensor's 26.0 dB, over 7 contact cycles"),
+        (True, "51.6 dB, against one raw sample's 26.0 dB, over 7 contact cycles"),
         (False, "51.6 dB, against what was played, which has no noise, over 7 contact cycles"),
     ],
 )

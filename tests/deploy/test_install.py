@@ -136,16 +136,20 @@ def test_a_layout_in_a_home_folder_is_refused(tmp_path: Path, monkeypatch: pytes
 
 
 @pytest.fixture
-def host(installed: Path) -> list[str]:
-    """Words for a program that sees the installed configuration as that of its host, in a network of its own."""
+def host(installed: Path, request: pytest.FixtureRequest) -> list[str]:
+    """Words for a program that sees an installed folder as that of its host, in a network of its own."""
+    folder = request.param
+    if not Path("/", folder).is_dir():
+        pytest.skip(f"NOT TESTED: needs a host with /{folder}")
     if os.geteuid() != 0 or subprocess.run(["unshare", "--mount", "--net", "true"], check=False).returncode:
         pytest.skip("NOT TESTED: needs root, and namespaces of mounts and networks")
-    mounts = "; ".join(f'mount --bind "{installed}/{each}" /{each}' for each in ("etc/udev/rules.d", NETWORKS))
-    return ["unshare", "--mount", "--net", "sh", "-euc", f'{mounts}; mount -t sysfs sysfs /sys; exec "$@"', "-"]
+    mounts = f'mount --bind "{installed}/{folder}" /{folder}; mount -t sysfs sysfs /sys'
+    return ["unshare", "--mount", "--net", "sh", "-euc", f'{mounts}; exec "$@"', "-"]
 
 
 @pytest.mark.heavy
 @pytest.mark.skipif(shutil.which("udevadm") is None, reason="NOT TESTED: udevadm is missing (Debian: udev)")
+@pytest.mark.parametrize("host", ["etc/udev/rules.d"], indirect=True)
 def test_udev_understands_the_rules(host: list[str], installed: Path) -> None:
     done = subprocess.run([*host, "udevadm", "test", "/sys/class/net/lo"], capture_output=True, text=True, check=False)
     said = done.stdout + done.stderr
@@ -155,6 +159,7 @@ def test_udev_understands_the_rules(host: list[str], installed: Path) -> None:
 
 @pytest.mark.heavy
 @pytest.mark.skipif(not NETWORKD.exists(), reason="NOT TESTED: systemd-networkd is missing (Debian: systemd)")
+@pytest.mark.parametrize("host", [NETWORKS], indirect=True)
 def test_networkd_understands_the_interfaces(host: list[str], tmp_path: Path) -> None:
     quiet = {"SYSTEMD_LOG_TARGET": "console", "SYSTEMD_LOG_LEVEL": "debug"}
     with Processes(tmp_path) as processes:

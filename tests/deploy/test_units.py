@@ -112,6 +112,7 @@ def running(installed: Path, endpoint: str, tmp_path_factory: pytest.TempPathFac
         bus = Unit(root, "bus")
         skin = bus.command()[0]
         processes.start("bus", *bus.confined(folder / "writable").words(skin, "bus"))
+        processes.await_words("bus", "ready")
         for verb in ("nodes", *VERBS):
             unit = Unit(root, verb)
             processes.start(verb, *unit.confined(folder / "writable").words(*unit.command()))

@@ -18,10 +18,10 @@ from dbc.frame import ECHO
 from gateway.loop import GatewayLoop
 from nodes.segment import Segment
 from nodes.virtual_boards import VirtualBoards
-from tests.bus.harness import PATIENCE_S
 from tests.bus.serial_adapter import SerialAdapter
 from tests.gateway.helpers import Witness, WitnessSampler, valid
 from tests.layouts import buses, small_contract
+from tests.processes import PATIENCE_S
 
 pytestmark = pytest.mark.heavy
 CONTRACT = small_contract(bus=buses(4))

@@ -12,12 +12,19 @@ import pytest
 
 from canskin.fabric import Fabric
 from canskin.messages import GATEWAY, IMAGE, LABEL, MEASUREMENT, RECOGNITION, Topic
-from health.alive import trouble
+from health.alive import main, trouble
 from tests.messages import gateway_status, image, label, measurement
+from tests.processes import PATIENCE_S
 
 ALIVE = str(Path(sys.executable).with_name("skin-alive"))
 Message = tuple[Topic, msgspec.Struct]
 ONE_OF_TWO, NONE_OF_TWO = b"\x00\x01", b"\x00\x00"
+
+
+@pytest.fixture(autouse=True)
+def much_patience(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("PATIENCE_S", "WORK_S"):
+        monkeypatch.setattr(f"health.alive.{name}", PATIENCE_S)
 
 
 @contextmanager
@@ -45,11 +52,21 @@ def hub(endpoint: str, *services: str, messages: tuple[Message, ...] = ()) -> It
 @pytest.mark.parametrize(
     ("asked", "status"), [(["viewer"], 0), (["viewer", "palm"], 0), (["viewer", "hand"], 1), (["recorder"], 1)]
 )
-def test_service_is_found_whatever_the_name_of_its_skin(asked: list[str], status: int, endpoint: str) -> None:
+def test_service_is_found_whatever_the_name_of_its_skin(
+    asked: list[str],
+    status: int,
+    endpoint: str,
+    request: pytest.FixtureRequest,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     service, *skin = asked
+    monkeypatch.setattr(sys, "argv", ["skin-alive", service, endpoint, *skin])
+    if status:
+        request.getfixturevalue("one_look")
     with hub(endpoint, "gateway", "viewer"):
-        done = subprocess.run([ALIVE, service, endpoint, *skin], capture_output=True, text=True, check=False)
-    assert (done.returncode, "is not there" in done.stderr) == (status, status == 1)
+        assert main() == status
+    assert capsys.readouterr().err == f"skin-alive: {service} is not there\n" * status
 
 
 @pytest.mark.heavy

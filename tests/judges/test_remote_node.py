@@ -19,7 +19,7 @@ NODES = 3
 SUMS, TEST_PATTERN, GAIN, FINGERPRINT = 0x2100, 0x2021, 0x2010, 0x2002
 RAMP = 2
 BOOT_UP, PRE_OPERATIONAL = 0, 127
-ERROR_FIELD = 0x1003
+ERROR_FIELD, SYNC_COUNTER = 0x1003, 0x2022
 SYNC_LENGTH, HEARTBEAT_LOST, NO_ERROR = 0x8240, 0x8130, 0x0000
 
 
@@ -157,29 +157,33 @@ def test_sums_arrive_as_the_master_mapped_them(node: canopen.RemoteNode, network
     node.tpdo.read()
     tpdo = node.tpdo[1]
     tpdo.clear()
+    tpdo.add_variable(SYNC_COUNTER)
     for subindex in (8, 1, 5):
-        tpdo.add_variable(SUMS, subindex)
+        tpdo.add_variable(SUMS, subindex, 14)
     tpdo.add_variable(0x1001)
     tpdo.trans_type, tpdo.sync_start_value, tpdo.enabled = 1, 0, True
     tpdo.save()
     node.sdo[TEST_PATTERN].raw = RAMP
     node.nmt.state = "OPERATIONAL"
-    Arrivals(tpdo.add_callback, attrgetter("cob_id")).expect(tpdo.cob_id, network.sync.transmit)
-    assert len(tpdo.data) == 7
-    carried = [variable.raw for variable in tpdo]
-    assert carried == [*(node.sdo[SUMS][subindex].raw for subindex in (8, 1, 5)), 0]
+    Arrivals(tpdo.add_callback, attrgetter("cob_id")).expect(tpdo.cob_id, lambda: network.sync.transmit(7))
+    assert len(tpdo.data) == 8
+    # The library reads a variable from two bytes, and a sum of 14 bits may lie in three.
+    packed = int.from_bytes(tpdo.data, "little")
+    carried = [packed >> begin & 0x3FFF for begin in (8, 22, 36)]
+    assert carried == [node.sdo[SUMS][subindex].raw & 0x3FFF for subindex in (8, 1, 5)]
     assert any(carried)
+    assert (tpdo.data[0], packed >> 50) == (7, 0)
 
 
 def test_a_sync_of_the_wrong_length_is_an_emergency_until_it_is_right(
     node: canopen.RemoteNode, network: canopen.Network, emergencies: Arrivals[canopen.emcy.EmcyError]
 ) -> None:
     node.nmt.state = "OPERATIONAL"
-    wrong = emergencies.expect(SYNC_LENGTH, lambda: network.sync.transmit(1))  # 1019h wants no counter
+    wrong = emergencies.expect(SYNC_LENGTH, network.sync.transmit)  # 1019h wants a counter
     assert wrong.register & 0x11 == 0x11
     assert node.sdo[0x1003][1].raw & 0xFFFF == SYNC_LENGTH
     assert node.sdo[0x1001].raw & 0x10
-    assert emergencies.expect(NO_ERROR, network.sync.transmit).register == 0
+    assert emergencies.expect(NO_ERROR, lambda: network.sync.transmit(1)).register == 0
 
 
 @pytest.mark.heavy

@@ -23,8 +23,8 @@ pytestmark = [
     ),
 ]
 
-LAYOUT = layout_toml(16, 16, name="judged", sync={"rate_hz": 10.0, "identity": "alternating"})
-NODES, TPDOS, CYCLES = 8, 4, 20
+LAYOUT = layout_toml(16, 16, name="judged", sync={"rate_hz": 10.0, "turns": 2})
+NODES, TPDOS, CYCLES = 8, 2, 20
 #: Function codes as the dissector numbers them.
 NMT, SYNC_OR_EMCY, PDO1_TX, PDO2_TX, PDO3_TX, PDO4_TX, SDO_TX, SDO_RX, NMT_ERROR_CONTROL = 0, 1, 3, 5, 7, 9, 11, 12, 14
 PDOS_TX = {PDO1_TX, PDO2_TX, PDO3_TX, PDO4_TX}

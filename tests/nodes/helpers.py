@@ -95,11 +95,7 @@ def give(segment: Segment, link: ArrayLink, *arrived: Frames, now_s: float = 0.0
     return [(int(one["can_id"]), one["data"][: one["length"]].tobytes()) for one in link.take_sent()]
 
 
-def sync(cycle: int) -> Frames:
-    return frame(0x80, b"", time_ns=cycle * 10 * MILLISECOND_NS)
-
-
-def numbered_sync(counter: int) -> Frames:
+def sync(counter: int) -> Frames:
     return frame(0x80, bytes((counter,)), time_ns=counter * 10 * MILLISECOND_NS)
 
 

@@ -116,11 +116,11 @@ def test_inhibit_time_and_start_value_change_while_the_pdo_is_off(
 
 def test_a_mapping_changes_while_the_pdo_is_off_and_entries_while_it_is_open(segment: Segment, link: ArrayLink) -> None:
     assert write(segment, link, 0x1A00, 0, 0, 1) == STATE
-    assert write(segment, link, 0x1A00, 1, 0x2100_0110, 4) == STATE
+    assert write(segment, link, 0x1A00, 1, 0x2100_010E, 4) == STATE
     assert write(segment, link, 0x1800, 1, 0xC000_0181, 4) == 0
-    assert write(segment, link, 0x1A00, 1, 0x2100_0110, 4) == STATE
+    assert write(segment, link, 0x1A00, 1, 0x2100_010E, 4) == STATE
     assert write(segment, link, 0x1A00, 0, 0, 1) == 0
-    assert write(segment, link, 0x1A00, 1, 0x2100_0110, 4) == 0
+    assert write(segment, link, 0x1A00, 1, 0x2100_010E, 4) == 0
     assert write(segment, link, 0x1A00, 2, 0, 4) == 0  # an entry may be empty, ...
     assert write(segment, link, 0x1A00, 0, 2, 1) == NOT_MAPPABLE  # ... but not be used
     assert write(segment, link, 0x1A01, 0, 0, 1) == STATE  # another PDO, which exists
@@ -129,13 +129,13 @@ def test_a_mapping_changes_while_the_pdo_is_off_and_entries_while_it_is_open(seg
 @pytest.mark.parametrize(
     ("entry", "code"),
     [
-        (0x2100_0110, 0),
-        (0x2100_0810, 0),
+        (0x2100_010E, 0),
+        (0x2100_080E, 0),
         (0x1001_0008, 0),
-        (0x2100_0111, NOT_MAPPABLE),
+        (0x2100_010F, NOT_MAPPABLE),
         (0x2100_0108, NOT_MAPPABLE),
-        (0x2100_0010, NOT_MAPPABLE),  # the number of entries
-        (0x2100_0910, NOT_MAPPABLE),  # of eight sums
+        (0x2100_000E, NOT_MAPPABLE),  # the number of entries
+        (0x2100_090E, NOT_MAPPABLE),  # of eight sums
         (0x1018_0120, NOT_MAPPABLE),
         (0x5000_0008, NOT_MAPPABLE),
     ],
@@ -155,8 +155,8 @@ def test_a_classic_frame_holds_eight_bytes(segment: Segment, link: ArrayLink) ->
     assert write(segment, link, 0x1A00, 0, 8, 1) == 0
     assert write(segment, link, 0x1A00, 0, 9, 1) == PDO_LENGTH
     assert write(segment, link, 0x1A00, 0, 0, 1) == 0
-    assert write(segment, link, 0x1A00, 1, 0x2100_0110, 4) == 0
-    assert write(segment, link, 0x1A00, 0, 8, 1) == PDO_LENGTH  # 72 bits
+    assert write(segment, link, 0x1A00, 1, 0x2100_010E, 4) == 0
+    assert write(segment, link, 0x1A00, 0, 8, 1) == PDO_LENGTH  # 70 bits
     assert write(segment, link, 0x1A00, 0, 7, 1) == 0
 
 

@@ -7,7 +7,7 @@ import pytest
 from dbc.canopen import HEARTBEAT_BASE, Abort, NmtState
 from nodes.segment import Segment
 from tests.bus.harness import frame
-from tests.nodes.helpers import ArrayLink, give, numbered_sync, read, sdo, write
+from tests.nodes.helpers import ArrayLink, give, read, sdo, sync, write
 
 START_1 = bytes((1, 1))
 
@@ -138,6 +138,6 @@ def test_nmt_command_has_two_bytes(segment: Segment, link: ArrayLink, data: byte
 @pytest.mark.parametrize("counter", [0, 241, 255])
 def test_sync_counter_outside_1_to_240_calls_for_nothing(segment: Segment, link: ArrayLink, counter: int) -> None:
     give(segment, link, frame(0, START_1))
-    assert give(segment, link, numbered_sync(counter)) == []
+    assert give(segment, link, sync(counter)) == []
     assert segment.syncs_seen == 0
-    assert len(give(segment, link, numbered_sync(240))) == 2
+    assert len(give(segment, link, sync(240))) == 2

@@ -10,7 +10,7 @@ from dbc.dictionary import REACTION_NS
 from dbc.frame import ECHO, ERROR, EXTENDED, FRAME, REMOTE
 from nodes.segment import Segment
 from tests.bus.harness import frame
-from tests.layouts import alternating
+from tests.layouts import in_turns
 from tests.nodes.helpers import (
     MILLISECOND_NS,
     PRE_OPERATIONAL,
@@ -21,7 +21,6 @@ from tests.nodes.helpers import (
     ArrayLink,
     give,
     new_segment,
-    numbered_sync,
     read,
     sdo,
     sync,
@@ -65,27 +64,40 @@ def test_every_sync_is_answered_with_the_same_pdos(segment: Segment, link: Array
     assert [[can_id for can_id, _ in give(segment, link, sync(cycle))] for cycle in (1, 2, 4)] == 3 * [[0x181, 0x281]]
 
 
-@pytest.fixture
-def alternating_segment(contract: Contract, link: ArrayLink) -> Segment:
-    return new_segment(Contract.from_layout(alternating(contract.layout)), link, {1, 2, 3, 4})
-
-
-def test_phases_take_turns_and_carry_the_sums(alternating_segment: Segment, link: ArrayLink) -> None:
-    segment = alternating_segment
-    give(segment, link, frame(0, bytes((START, 0))))
-    odd, even = give(segment, link, numbered_sync(1)), give(segment, link, numbered_sync(2))
-    assert [can_id for can_id, _ in odd] == [0x181, 0x281, 0x182, 0x282, 0x183, 0x283, 0x184, 0x284]
-    assert [can_id - 0x200 for can_id, _ in even] == [can_id for can_id, _ in odd]
-    assert [payload for _, payload in odd] == [payload for _, payload in even]
-    first = np.frombuffer(odd[0][1], "<i2")
-    assert [read(segment, link, 1, 0x2100, place) for place in range(1, 5)] == [int(v) & 0xFFFF for v in first]
-
-
-def test_a_missed_sync_does_not_shift_the_turn(alternating_segment: Segment, link: ArrayLink) -> None:
-    segment = alternating_segment
+def test_frames_name_the_sync_that_they_answer(segment: Segment, link: ArrayLink) -> None:
     give(segment, link, frame(0, bytes((START, 1))))
-    seen = {counter: give(segment, link, numbered_sync(counter))[0][0] for counter in (1, 2, 4, 5, 8, 239, 240)}
-    assert seen == {1: 0x181, 2: 0x381, 4: 0x381, 5: 0x181, 8: 0x381, 239: 0x181, 240: 0x381}
+    for counter in (1, 239, 240, 1):
+        assert [payload[0] for _, payload in give(segment, link, sync(counter))] == [counter, counter]
+        assert read(segment, link, 1, 0x2022) == counter
+    assert [payload[0] for _, payload in give(segment, link, frame(0x80))] == [0, 0]  # a SYNC without counter
+    assert read(segment, link, 1, 0x2022) == 0
+
+
+@pytest.fixture
+def segment_in_turns(contract: Contract, link: ArrayLink) -> Segment:
+    return new_segment(Contract.from_layout(in_turns(contract.layout)), link, {1, 2, 3, 4})
+
+
+def test_half_of_the_sums_go_in_odd_and_half_in_even_cycles(segment_in_turns: Segment, link: ArrayLink) -> None:
+    segment = segment_in_turns
+    give(segment, link, frame(0, bytes((START, 0))))
+    odd, even = give(segment, link, sync(1)), give(segment, link, sync(2))
+    assert [can_id for can_id, _ in odd] == [0x181, 0x182, 0x183, 0x184]
+    assert [can_id for can_id, _ in even] == [0x281, 0x282, 0x283, 0x284]
+    for first, ((_, payload), counter) in ((1, (odd[0], 1)), (5, (even[0], 2))):
+        assert payload[0] == counter
+        packed = int.from_bytes(payload[1:], "little")
+        raw = [packed >> 14 * place & 0x3FFF for place in range(4)]
+        assert [read(segment, link, 1, 0x2100, first + place) & 0x3FFF for place in range(4)] == raw
+
+
+def test_a_missed_sync_does_not_shift_the_turn(segment_in_turns: Segment, link: ArrayLink) -> None:
+    segment = segment_in_turns
+    give(segment, link, frame(0, bytes((START, 1))))
+    seen = {counter: give(segment, link, sync(counter)) for counter in (1, 2, 4, 5, 8, 239, 240)}
+    assert {counter: [can_id for can_id, _ in sent] for counter, sent in seen.items()} == {
+        1: [0x181], 2: [0x281], 4: [0x281], 5: [0x181], 8: [0x281], 239: [0x181], 240: [0x281],
+    }  # fmt: skip
 
 
 def test_stopped_node_answers_no_sdo(segment: Segment, link: ArrayLink) -> None:
@@ -166,7 +178,7 @@ def test_heartbeat_that_comes_back_unsent_is_no_missed_window(segment: Segment, 
 
 def test_remapping_changes_what_is_sent(segment: Segment, link: ArrayLink) -> None:
     pdo, mapping = 0x1800, 0x1A00
-    entry = 0x2100 << 16 | 8 << 8 | 16
+    entry = 0x2100 << 16 | 8 << 8 | 14
     assert write(segment, link, mapping, 0, 0, 1) == 0x0800_0022  # the PDO exists
     assert write(segment, link, pdo, 1, 0xC000_0181, 4) == 0
     assert write(segment, link, mapping, 1, entry, 4) == 0x0800_0022  # the mapping is not open
@@ -183,7 +195,7 @@ def test_remapping_changes_what_is_sent(segment: Segment, link: ArrayLink) -> No
     for counter in (1, 2, 3):
         answers = dict(give(segment, link, sync(counter)))
         assert 0x181 not in answers
-        assert int.from_bytes(answers[0x3A5][:2], "little") == read(segment, link, 1, 0x2100, 8)
+        assert int.from_bytes(answers[0x3A5][:2], "little") & 0x3FFF == read(segment, link, 1, 0x2100, 8) & 0x3FFF
         assert len(answers[0x3A5]) == 3
 
 
@@ -247,4 +259,4 @@ def test_frames_of_any_kind(segment: Segment, link: ArrayLink) -> None:
         link.sent.clear()
         link.waiting.clear()
     give(segment, link, frame(0, bytes((RESET_NODE, 0))), frame(0, bytes((START, 0))))
-    assert len(give(segment, link, sync(10**6))) == 8
+    assert len(give(segment, link, frame(0x80, b"\1", time_ns=10**13))) == 8

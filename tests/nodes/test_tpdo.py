@@ -6,7 +6,7 @@ from nodes.sampler import Sampler
 from nodes.segment import Segment
 from nodes.tpdo import LiveTpdo, is_turn, read_tpdos
 from tests.bus.harness import frame
-from tests.nodes.helpers import START, ArrayLink, give, numbered_sync, read, sync, write
+from tests.nodes.helpers import START, ArrayLink, give, read, sync, write
 
 COB_ID = 0x181
 
@@ -32,14 +32,14 @@ def map_sum_and_error_register(segment: Segment, link: ArrayLink) -> None:
     """Such a PDO is put together object by object."""
     assert write(segment, link, 0x1800, 1, 0xC000_0000 | COB_ID, 4) == 0
     assert write(segment, link, 0x1A00, 0, 0, 1) == 0
-    for place, entry in enumerate((0x2100_0310, 0x1001_0008), 1):
+    for place, entry in enumerate((0x2100_030E, 0x1001_0008), 1):
         assert write(segment, link, 0x1A00, place, entry, 4) == 0
     assert write(segment, link, 0x1A00, 0, 2, 1) == 0
 
 
 def sent_at(segment: Segment, link: ArrayLink, *counters: int) -> list[int]:
     """Return those of the SYNC counters that the PDO answers."""
-    return [counter for counter in counters if COB_ID in dict(give(segment, link, numbered_sync(counter)))]
+    return [counter for counter in counters if COB_ID in dict(give(segment, link, sync(counter)))]
 
 
 def test_start_value_and_counter_decide_also_where_the_cycle_does_not_divide_240() -> None:
@@ -64,6 +64,7 @@ def test_cyclic_pdo_without_start_value(segment: Segment, link: ArrayLink) -> No
 
 
 def test_acyclic_pdo_is_sent_at_a_sync_after_a_change(segment: Segment, link: ArrayLink) -> None:
+    map_sum_and_error_register(segment, link)
     set_up(segment, link, every=0)
     assert sent_at(segment, link, 1, 2, 3) == [1]
     write(segment, link, 0x2021, 0, 2, 1)
@@ -76,7 +77,7 @@ def test_event_driven_pdo_keeps_its_inhibit_time_to_the_microsecond(
 ) -> None:
     tpdo, node = set_up(segment, link, every=every, inhibit_100us=7), segment.boards.nodes[0].local
     assert tpdo.at_event(10.0, node) is not None
-    sampler.sums[:] += 1
+    sampler.sums[:] += 4
     assert tpdo.at_event(10.000_699, node) is None
     assert tpdo.at_event(10.000_701, node) is not None
     assert tpdo.at_event(11.0, node) is None  # nothing has changed
@@ -87,7 +88,7 @@ def test_event_timer_is_kept_to_the_microsecond(segment: Segment, link: ArrayLin
     assert tpdo.at_event(10.0, node) is not None
     assert tpdo.at_event(10.019_999, node) is None
     assert tpdo.at_event(10.020_001, node) is not None
-    sampler.sums[:] += 1
+    sampler.sums[:] += 4
     assert tpdo.at_event(10.020_002, node) is not None  # a change does not wait for it
 
 
@@ -110,13 +111,13 @@ def test_each_object_stays_within_its_bits(segment: Segment, link: ArrayLink, sa
     """Negative sums beside an error register: two's complement does not run into the next object."""
     write(segment, link, 0x1800, 1, 0xC000_0181, 4)
     write(segment, link, 0x1A00, 0, 0, 1)
-    for place, entry in enumerate((0x2100_0110, 0x1001_0008, 0x2100_0210), 1):
+    for place, entry in enumerate((0x2100_010E, 0x1001_0008, 0x2100_020E), 1):
         assert write(segment, link, 0x1A00, place, entry, 4) == 0
     assert write(segment, link, 0x1A00, 0, 3, 1) == 0
     set_up(segment, link, every=1)
-    sampler.sums[:2] = -1, -2
+    sampler.sums[:2] = -4, -8
     payload = segment.boards.nodes[0].tpdos[0].payload(segment.boards.nodes[0].local)
-    assert payload.hex() == "ffff00feff"
+    assert payload.hex() == "ff3f80ff0f"
     assert read(segment, link, 1, 0x2100, 2) == 0xFFFE
 
 
@@ -125,7 +126,8 @@ def test_a_pdo_with_another_object_shows_it_as_it_is_now(segment: Segment, link:
     set_up(segment, link, every=1)
     for arrived, register in ((sync(1), 0x00), (frame(0x80, b"\1\2"), 0x11), (sync(2), 0x00)):
         payload = dict(give(segment, link, arrived))[COB_ID]
-        assert payload == read(segment, link, 1, 0x2100, 3).to_bytes(2, "little") + bytes((register,))
+        shown = read(segment, link, 1, 0x2100, 3) & 0x3FFF | register << 14
+        assert payload == shown.to_bytes(3, "little")
 
 
 def test_a_pdo_with_another_object_is_sent_in_operational_only(segment: Segment, link: ArrayLink) -> None:
@@ -158,7 +160,7 @@ def test_cyclic_pdos_of_sums_are_sent_together(segment: Segment, link: ArrayLink
 def test_timers_end_at_their_very_time(segment: Segment, link: ArrayLink, sampler: Sampler) -> None:
     tpdo, node = set_up(segment, link, every=255, inhibit_100us=5000, event_ms=1000), segment.boards.nodes[0].local
     assert tpdo.at_event(10.0, node) is not None
-    sampler.sums[:] += 1
+    sampler.sums[:] += 4
     assert tpdo.at_event(10.5, node) is not None
     assert tpdo.at_event(11.0, node) is None
     assert tpdo.at_event(11.5, node) is not None
@@ -172,12 +174,12 @@ def test_a_pdo_that_does_not_exist_hides_no_other(segment: Segment) -> None:
 @pytest.mark.parametrize(
     ("cob_id", "entries"),
     [
-        (0x8000_0181, (0x2100_0110,)),  # switched off
+        (0x8000_0181, (0x2100_010E,)),  # switched off
         (0x181, ()),
         (0x181, (0x2100_0108,)),  # half a sum
-        (0x181, (0x2100_0111,)),  # a bit more than a sum
-        (0x181, (0x2100_0110, 0x1018_0120)),  # no object for PDOs
-        (0x181, (0x2100_0110,) * 4 + (0x1001_0008,)),  # nine bytes
+        (0x181, (0x2100_010F,)),  # a bit more than a sum
+        (0x181, (0x2100_010E, 0x1018_0120)),  # no object for PDOs
+        (0x181, (0x2100_010E,) * 4 + (0x1001_0008,) * 2),  # nine bytes
     ],
 )
 def test_a_pdo_that_cannot_be_sent_does_not_exist(segment: Segment, cob_id: int, entries: tuple[int, ...]) -> None:
@@ -189,5 +191,5 @@ def test_a_pdo_that_cannot_be_sent_does_not_exist(segment: Segment, cob_id: int,
         local.data_store[0x1A00] = {0: bytes((len(entries),)), **packed}
         return [tpdo.length for tpdo in read_tpdos(local, {1: None})]
 
-    assert put(0x181, (0x2100_0110, 0x2100_0810, 0x1001_0008)) == [5]
+    assert put(0x181, (0x2100_010E, 0x2100_080E, 0x1001_0008)) == [5]
     assert put(cob_id, entries) == []

@@ -52,9 +52,10 @@ def test_a_virtual_board_matches_the_vectors(name: str) -> None:
         sums = sampler.sample(1, 0)
         assert electronics.sampled[chains].tolist() == case["corrected"]
         assert sums[: node.sums].tolist() == case["sums"], case["name"]
-        payloads = encode(sums, table.gather, contract.packing)
+        assert case["sync_counter"] == 0xA5
+        payloads = encode(case["sync_counter"], sums, table.gather, contract.packing)
         sent = {
-            int(table.cob_id[row]): payloads[row, : table.length[row]].tobytes().hex()
+            int(table.cob_id[row]): payloads[row, : table.length[row]].tobytes().ljust(table.length[row], b"\0").hex()
             for row in np.nonzero(table.node == 0)[0]
         }
         assert {frame["cob_id"]: frame["data"] for frame in case["frames"]} == sent

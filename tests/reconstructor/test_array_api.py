@@ -37,7 +37,7 @@ def library(request: pytest.FixtureRequest) -> ArrayLibrary:
     try:
         return array_library(*request.param)
     except InputError as missing:
-        pytest.skip(str(missing))
+        pytest.skip(f"NOT TESTED: {missing}")
 
 
 @st.composite

@@ -64,7 +64,7 @@ class Exchange:
 
     def image_of(self, sent: Measurement) -> Image:
         """Send until the image of that cycle comes; the first subscriptions take their time."""
-        for _ in range(100):
+        for _ in range(round(PATIENCE_S / 0.1)):
             self._hub.publish(MEASUREMENT, sent)
             try:
                 while True:

@@ -23,7 +23,7 @@ from tests.layouts import buses
 SMALL: dict[str, Any] = {
     "name": "small",
     "measurement": {"block_size": 16, "sums": 128},
-    "sync": {"identity": "alternating"},
+    "encoding": {"sum_bits": 15},  # exact
     "bus": buses(8, 8, names=("left", "right")),
 }
 CYCLES = 12
@@ -39,11 +39,10 @@ def messages(contract: Contract, sums: np.ndarray) -> list[can.Message]:
     table, sent = contract.table, []
     for cycle, each in enumerate(sums):
         counter, start_s = (237 + cycle) % 240 + 1, START_S + 0.01 * cycle
-        rows = np.flatnonzero(table.phase == contract.phase_of(counter))
-        sync = bytes([counter]) if contract.sync_overflow else b""
-        payloads = encode(each, table.gather[rows], contract.packing)
+        rows = np.flatnonzero(table.turn == contract.turn_of(counter))
+        payloads = encode(counter, each, table.gather[rows], contract.packing)
         for number, bus in enumerate(contract.layout.bus):
-            sent.append(message(start_s + 1e-5 * number, SYNC_COB_ID, sync, bus.name))
+            sent.append(message(start_s + 1e-5 * number, SYNC_COB_ID, bytes([counter]), bus.name))
         for place, row in enumerate(rows):
             bus = contract.layout.bus[table.bus[row]]
             payload = payloads[place, : table.length[row]].tobytes()

@@ -1,10 +1,12 @@
 """``skin rebuild``: the images of a recording and of a log are those of the live chain."""
 
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, get_args
 
+import can
 import msgspec
 import numpy as np
 import pytest
@@ -21,7 +23,7 @@ from reconstructor.imaging import CycleImager, load_gains, make_imager
 from reconstructor.options import SolverOptions
 from reconstructor.service import ReconstructorService
 from reconstructor.settings import Device
-from recording import rebuild_command
+from recording import rebuild_command, sinks
 from recording.cycles import measure_forces
 from recording.rebuild_command import rebuild
 from recording.sinks import McapSink
@@ -29,7 +31,7 @@ from skin.calibration_file import encoded, new_calibration
 from skin.layout import layout_text, load_layout
 from skin.measured_sums import MeasuredSums
 from tests.gateway.boards import small_adaptive
-from tests.layouts import buses, layout_toml, small_layout, with_identity
+from tests.layouts import buses, layout_toml, small_layout
 from tests.messages import adaptive_measurement, measurement
 from tests.recording.helpers import CYCLES, OFFSET_NS, SMALL, START_S, message, messages, write_log
 from touch.sources import recording
@@ -86,7 +88,7 @@ def test_a_recording_gives_the_images_of_live_nodes(
 
 
 def test_sums_of_a_recording_are_rounded_as_on_the_bus(force_n: np.ndarray, tmp_path: Path, out: Path) -> None:
-    layout = small_layout(16, 16, **SMALL, encoding={"sum_bits": 8})
+    layout = small_layout(16, 16, **SMALL | {"encoding": {"sum_bits": 8}})
     assert packing(layout).scale > 1
     path, file = tmp_path / "mat.npy", tmp_path / "8bit.toml"
     np.save(path, force_n)
@@ -177,7 +179,9 @@ def test_only_what_the_gateway_would_use_counts(
     out: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """Lost, late, cut, foreign and doubled frames, a SYNC that one bus lacks, and frames before the first SYNC."""
+    """Lost, late, cut, foreign and doubled frames, and frames before the first SYNC. A SYNC that one bus lacks costs
+    nothing, and a frame that comes after the next SYNC is used in the cycle that it names.
+    """
     sent = messages(contract, sums)
     of_cycle = [sent[k : k + len(sent) // CYCLES] for k in range(0, len(sent), len(sent) // CYCLES)]
     first_tpdo = len(contract.layout.bus)
@@ -191,15 +195,16 @@ def test_only_what_the_gateway_would_use_counts(
     lost = of_cycle[1].pop(first_tpdo)
     expected[1, block_of(lost)] = False
     late = of_cycle[3].pop(first_tpdo + 3)
-    expected[3, block_of(late)] = False  # the phase of its identifier tells that it is no answer to the next SYNC
-    of_cycle[4].insert(first_tpdo + 1, message(of_cycle[4][0].timestamp, late.arbitration_id, late.data, late.channel))
-    cut = of_cycle[5][first_tpdo + 4]
-    of_cycle[5][first_tpdo + 4] = message(cut.timestamp, cut.arbitration_id, cut.data[:-1], cut.channel)
+    expected[3, block_of(late)] = False
+    of_cycle[5].insert(first_tpdo + 1, message(of_cycle[5][0].timestamp, late.arbitration_id, late.data, late.channel))
+    slow = of_cycle[9].pop()
+    of_cycle[10].insert(first_tpdo, message(of_cycle[10][0].timestamp, slow.arbitration_id, slow.data, slow.channel))
+    cut = of_cycle[5][first_tpdo + 5]
+    of_cycle[5][first_tpdo + 5] = message(cut.timestamp, cut.arbitration_id, cut.data[:-1], cut.channel)
     expected[5, block_of(cut)] = False
     of_cycle[6].append(message(of_cycle[6][-1].timestamp, 0x7F0, b"\5", "left"))
     of_cycle[6].append(of_cycle[6][first_tpdo])  # the same again
-    del of_cycle[8][1]  # the SYNC of the right bus: its frames belong to no cycle
-    expected[8, 8:] = False
+    del of_cycle[8][1]  # the SYNC of the right bus
     before = [message(START_S - 1, each.arbitration_id, each.data, each.channel) for each in of_cycle[2][first_tpdo:]]
     path = write_log(tmp_path / "can.log", [*before, *(each for cycle in of_cycle for each in cycle)])
 
@@ -209,7 +214,7 @@ def test_only_what_the_gateway_would_use_counts(
     kept = sums * expected[:, contract.phi.block_of_sum]
     np.testing.assert_array_equal(images, live_images(contract, kept, expected))
     said = capsys.readouterr().err
-    assert "rebuild: 8 of 12 cycles are complete" in said
+    assert "rebuild: 9 of 12 cycles are complete" in said
     assert "1 duplicate, 1 malformed, 1 foreign" in said
     assert "solver live, 10 iterations, on the cpu" in said
     assert f"12 images written to {out}" in said
@@ -303,22 +308,65 @@ def test_places_that_cannot_be_written_are_refused_before_the_work(
     assert there.read_bytes() == b"precious"
 
 
-def test_cycles_without_counter_are_told_by_the_time_of_their_sync(
-    contract: Contract, sums: np.ndarray, tmp_path: Path, out: Path
+def test_a_block_that_missed_a_frame_is_valid_again_in_the_next_cycle(
+    contract: Contract, sums: np.ndarray, layout_file: Path, tmp_path: Path, out: Path
 ) -> None:
-    """A block that missed a frame is not used in the next cycle either, as in the gateway."""
-    contract = Contract.from_layout(with_identity(contract.layout, "window"))
-    layout = tmp_path / "window.toml"
-    layout.write_text(layout_text(contract.layout))
     sent = messages(contract, sums)
     of_cycle = [sent[k : k + len(sent) // CYCLES] for k in range(0, len(sent), len(sent) // CYCLES)]
     del of_cycle[1][len(contract.layout.bus)]
-    rebuild(write_log(tmp_path / "can.log", [each for cycle in of_cycle for each in cycle]), out=out, layout=layout)
-    _, valid, time_ns, _ = loaded(out)
+    path = write_log(tmp_path / "can.log", [each for cycle in of_cycle for each in cycle])
+    rebuild(path, out=out, layout=layout_file)
     expected = np.ones((CYCLES, 16), np.bool_)
-    expected[1:3, 0] = False
-    np.testing.assert_array_equal(valid, expected)
-    np.testing.assert_allclose(np.diff(time_ns), 10_000_000, atol=200)
+    expected[1, 0] = False
+    np.testing.assert_array_equal(loaded(out)[1], expected)
+
+
+def without_sync_counter(sent: list[can.Message]) -> list[can.Message]:
+    return [message(each.timestamp, 0x80, b"", each.channel) if each.arbitration_id == 0x80 else each for each in sent]
+
+
+def without_frame_counter(sent: list[can.Message]) -> list[can.Message]:
+    """Return frames as those of before: sums from the first byte on."""
+    return [
+        each
+        if each.arbitration_id == 0x80
+        else message(each.timestamp, each.arbitration_id, each.data[1:] + b"\0", each.channel)
+        for each in sent
+    ]
+
+
+@pytest.mark.parametrize(
+    ("aged", "says"),
+    [(without_sync_counter, "holds no SYNC with a counter"), (without_frame_counter, "name no cycle of the log")],
+)
+def test_logs_of_before_the_counter_are_refused_with_one_line(
+    contract: Contract,
+    sums: np.ndarray,
+    layout_file: Path,
+    tmp_path: Path,
+    out: Path,
+    aged: Callable[[list[can.Message]], list[can.Message]],
+    says: str,
+) -> None:
+    log = write_log(tmp_path / "old.log", aged(messages(contract, sums)))
+    with pytest.raises(InputError, match=says) as refused:
+        rebuild(log, out=out, layout=layout_file)
+    assert str(refused.value).endswith("ogs of before the counter in each frame cannot be used any more")
+    assert "\n" not in str(refused.value)
+    assert not out.exists()
+
+
+def test_a_recording_of_before_the_counter_is_refused_with_one_line(
+    contract: Contract, tmp_path: Path, out: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    old = layout_text(contract.layout).replace("[sync]\n", '[sync]\nidentity = "window"\n')
+    with monkeypatch.context() as patch:
+        patch.setattr(sinks, "layout_text", lambda _: old)
+        McapSink(path := tmp_path / "run.mcap", contract, 1, OFFSET_NS).close()
+    with pytest.raises(LayoutError, match="the key `identity` went") as refused:
+        rebuild(path, out=out)
+    assert "logs and recordings of before cannot be used any more" in str(refused.value)
+    assert "\n" not in str(refused.value)
 
 
 def test_what_cannot_be_used_is_named(
@@ -337,7 +385,7 @@ def test_what_cannot_be_used_is_named(
         ({"source": log, "solver": SolverOptions("best")}, "unknown solver 'best'"),
         ({"source": log, "solver": SolverOptions(basis="sim4")}, "unknown basis 'sim4': did you mean 'sym4'"),
         ({"source": log, "solver": SolverOptions("paper-contourlet", basis="sym4")}, "take another --solver"),
-        ({"source": no_sync}, "no SYNC with a counter, 1 byte"),
+        ({"source": no_sync}, r"no SYNC with a counter \(COB-ID 80h, 1 byte\)"),
     ):
         with pytest.raises(InputError, match=says):
             rebuild(**arguments, out=out, layout=layout_file)

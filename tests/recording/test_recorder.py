@@ -79,6 +79,24 @@ def test_every_frame_is_in_the_file(
             assert late_ns[0] == OFFSET_NS
 
 
+@pytest.mark.parametrize("name", ["run.mcap", "run.log"])
+def test_a_file_without_an_end_lacks_the_last_second_at_most(
+    contract: Contract, links: dict[int, FakeLink], bus_frames: dict[int, Frames], tmp_path: Path, name: str
+) -> None:
+    run = Run(tmp_path / name, contract, links)
+    for _ in range(50):
+        for number, link in links.items():
+            one = bus_frames[number][:1].copy()
+            one["time_ns"] = run.wall_ns - OFFSET_NS
+            link.coming.append(one)
+        run.turn()
+        if run.wall_ns - START_NS > 1e9:
+            newest_ns = [int(seen["time_ns"][-1]) for seen in read_log(tmp_path / name, lambda _: None).values()]
+            assert len(newest_ns) == 2
+            assert run.wall_ns - min(newest_ns) < 1e9
+    run.sink.close()
+
+
 def test_messages_events_and_counters_are_in_the_file(
     contract: Contract, links: dict[int, FakeLink], bus_frames: dict[int, Frames], out: Path
 ) -> None:

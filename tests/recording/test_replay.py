@@ -1,6 +1,6 @@
 """A replay makes of a recording what the services made live, and of a log what its frames tell."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +25,7 @@ from recording.sinks import McapSink, open_sink
 from recording.step_kinds import FramesStep, MeasurementStep
 from recording.steps import steps_of
 from shell.service import StopSignal
-from skin.mcap_file import File, RecordingWriter, read_about, read_entries
+from skin.mcap_file import FRAMES, Entry, File, RecordingWriter, read_about, read_entries
 from tests import messages as make
 from tests.gateway.boards import small_adaptive
 from tests.messages import adaptive_measurement
@@ -208,21 +208,39 @@ def test_sums_come_from_the_frames(
     assert wrong[0].valid.count(0) == 2
 
 
-def without(run: Path, path: Path, topic: Topic, cycle: int) -> Path:
-    """Copy a run but for a message that did not come to the recorder."""
+def copy(run: Path, path: Path, entries: Iterable[Entry]) -> Path:
+    """Copy a run with other entries."""
     about = read_about(run)
     writer = RecordingWriter(path, about.metadata, [File(name, "", each) for name, each in about.files.items()], 1)
-    decode = topic.decoder()
     known: set[str] = set()
-    for entry in read_entries(run, pytest.fail):
-        if entry.topic == topic.name and decode(entry.data).cycle == cycle:
-            continue
+    for entry in entries:
         if entry.topic not in known:
             known.add(entry.topic)
             writer.add_topic(entry.topic, "", entry.about)
         writer.add(entry.topic, entry.time_ns, entry.data)
     writer.close()
     return path
+
+
+def without(run: Path, path: Path, topic: Topic, cycle: int) -> Path:
+    """Copy a run but for a message that did not come to the recorder."""
+    decode, entries = topic.decoder(), read_entries(run, pytest.fail)
+    return copy(run, path, (each for each in entries if each.topic != topic.name or decode(each.data).cycle != cycle))
+
+
+@pytest.mark.parametrize("stands_s", [0.5, 5.0])
+def test_a_recorder_that_stands_still_changes_nothing(
+    run: Path, replayed: Callable[..., tuple[Replay, Path]], tmp_path: Path, stands_s: float
+) -> None:
+    """All comes, but what came meanwhile is recorded later: bus by bus, then the messages."""
+    entries = list(read_entries(run, pytest.fail))
+    half = len(entries) // 2
+    went_on_ns = entries[-1].time_ns + round(stands_s * 1e9)
+    late = sorted(entries[half:], key=lambda each: (not each.topic.startswith(FRAMES), each.topic))
+    stood = copy(run, tmp_path / "stood.mcap", [*entries[:half], *(each._replace(time_ns=went_on_ns) for each in late)])
+    _, out = replayed(stood)
+    assert messages_of(out, MEASUREMENT) == messages_of(run, MEASUREMENT)
+    assert [each.pixels for each in messages_of(out, IMAGE)] == [each.pixels for each in messages_of(run, IMAGE)]
 
 
 @pytest.mark.parametrize("topic", [MEASUREMENT, IMAGE])

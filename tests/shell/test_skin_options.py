@@ -14,7 +14,9 @@ from shell import skin_options
 from shell.command import main
 from shell.skin_options import SkinOptions, join
 from skin.layout import Layout, layout_text, load_layout, parse_layout
+from tests.client.helpers import await_peers
 from tests.layouts import layout_toml
+from tests.processes import PATIENCE_S
 
 PALM = parse_layout(layout_toml(16, 16, name="palm").encode(), "palm.toml")
 OTHER = msgspec.structs.replace(PALM, sync=msgspec.structs.replace(PALM.sync, rate_hz=50.0))
@@ -22,8 +24,9 @@ HAND = msgspec.structs.replace(PALM, name="hand")
 
 
 @pytest.fixture(autouse=True)
-def little_patience(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(skin_options, "PATIENCE_S", 0.4)
+def much_patience(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("PATIENCE_S", "GLANCE_S"):
+        monkeypatch.setattr(skin_options, name, PATIENCE_S)
 
 
 @contextmanager
@@ -48,11 +51,13 @@ def test_any_service_of_the_skin_tells_its_layout(endpoint: str, service: str) -
 def test_the_gateway_counts_where_services_have_different_layouts(endpoint: str) -> None:
     first = join(OTHER, "reconstructor", endpoint, hub=True)
     with closing(first), closing(join(OTHER, "viewer", endpoint)), closing(join(PALM, "gateway", endpoint)):
+        await_peers(first, "palm/viewer", "palm/gateway")
         assert SkinOptions(connect=endpoint).find() == PALM
 
 
-def test_several_skins_need_a_name(endpoint: str) -> None:
-    with hub(endpoint, PALM), closing(join(HAND, "gateway", endpoint)):
+def test_several_skins_need_a_name(endpoint: str, one_look: None) -> None:
+    with hub(endpoint, PALM) as first, closing(join(HAND, "gateway", endpoint)):
+        await_peers(first, "hand/gateway")
         with pytest.raises(BusError, match=r"several skins at .*: 'hand', 'palm'; .* --skin NAME"):
             SkinOptions(connect=endpoint).find()
         assert SkinOptions(connect=endpoint, skin="hand").find() == HAND
@@ -60,7 +65,7 @@ def test_several_skins_need_a_name(endpoint: str) -> None:
             SkinOptions(connect=endpoint, skin="foot").find()
 
 
-def test_a_hub_of_services_that_know_no_layout_is_told_from_a_skin(endpoint: str) -> None:
+def test_a_hub_of_services_that_know_no_layout_is_told_from_a_skin(endpoint: str, one_look: None) -> None:
     with (
         closing(Fabric("palm", "gateway", endpoint, hub=True)),
         pytest.raises(BusError, match=r"no skin at .*, found gateway of 'palm': .* give --layout FILE"),
@@ -122,15 +127,20 @@ def test_a_layout_that_differs_is_refused_with_what_differs(endpoint: str, tmp_p
         same.join(same.find(), "viewer").close()
 
 
-def test_a_layout_of_another_skin_than_those_of_the_hub_is_refused(endpoint: str, tmp_path: Path) -> None:
+def test_a_layout_of_another_skin_than_those_of_the_hub_is_refused(
+    endpoint: str, tmp_path: Path, one_look: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(skin_options, "PATIENCE_S", 0.0)
     options = SkinOptions(layout=written(HAND, tmp_path), connect=endpoint)
     with hub(endpoint, PALM), pytest.raises(BusError, match=r"no skin 'hand' \(.*given.toml\) at .*, found 'palm'"):
         options.join(options.find(), "viewer")
 
 
-def test_a_hub_that_knows_no_skin_yet_is_joined(endpoint: str, tmp_path: Path) -> None:
+def test_a_hub_that_knows_no_skin_yet_is_joined(endpoint: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     options = SkinOptions(layout=written(PALM, tmp_path), connect=endpoint)
-    options.compare(PALM)  # no hub is there
+    with monkeypatch.context() as patch:
+        patch.setattr(skin_options, "GLANCE_S", 0.1)
+        options.compare(PALM)  # no hub is there
     with closing(Fabric("demo", "demo", endpoint, hub=True)), closing(options.join(PALM, "reconstructor")):
         assert SkinOptions(connect=endpoint).find() == PALM
 

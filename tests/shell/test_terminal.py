@@ -66,6 +66,7 @@ def test_without_a_terminal_only_printed_lines_show(capsys: pytest.CaptureFixtur
 
 
 def test_on_a_terminal_the_bar_counts(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TERM", "xterm")
     monkeypatch.setenv("FORCE_COLOR", "1")
     monkeypatch.setenv("COLUMNS", "100")
     with progress("measuring", 40, done=2) as bar:

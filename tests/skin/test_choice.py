@@ -104,9 +104,9 @@ def test_why_there_are_no_more_sums(tables: dict[str, Any], why: str) -> None:
 
 
 def test_a_scan_that_serves_as_well_is_told() -> None:
-    """One bus of two boards: 12 frames of 10-bit taxels and a SYNC, 0.8 of a second less four heartbeats."""
+    """One bus of two boards: frames of five 10-bit taxels, six and a rest of two each, SYNC, and four heartbeats."""
     small = any_layout(8, 8)
-    rate_hz = (0.8 - 4 * 65e-6) / (55e-6 + 12 * 135e-6)
+    rate_hz = (0.8 - 4 * 65e-6) / (65e-6 + 12 * 135e-6 + 2 * 95e-6)
     assert f"fits these buses at {rate_hz:.1f} Hz and is as good" in scan_words(small)
     assert "is as good" not in scan_words(load_layout())
     assert not scan_words(any_layout(8, 8, taxels={"rows": 8, "columns": 8, "frontend": "analogue"}))

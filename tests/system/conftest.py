@@ -4,6 +4,7 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -16,9 +17,7 @@ from demo.supervisor import Supervisor
 from shell.command import main
 from skin.layout import load_layout
 from tests import layouts
-from tests.processes import free_endpoint
-
-PATIENCE_S = 240.0
+from tests.processes import PATIENCE_S, free_endpoint
 
 
 @pytest.fixture(scope="session")
@@ -56,13 +55,26 @@ class Chain:
 
     def start_bus(self, *arguments: str) -> None:
         self.start("bus", "bus", *arguments)
+        self.await_words("bus", "ready")
+
+    def await_words(self, name: str, words: str) -> None:
+        """Wait until a service has said `words`."""
+        log = self.supervisor.children[name].log
+        self.poll(f"{name}: {words}", lambda: words in log.read_text())
+
+    def poll(self, what: str, holds: Callable[[], bool]) -> None:
+        """Wait until something holds of which no message tells."""
+        give_up_s = time.monotonic() + PATIENCE_S
+        while not holds():
+            if time.monotonic() > give_up_s:
+                self._fail(what)
+            time.sleep(0.05)
 
     def until(self, what: str, holds: Callable[[], bool]) -> None:
         """Wait until something holds; it is looked at whenever a message comes."""
         with self._news:
             if not self._news.wait_for(holds, PATIENCE_S):
-                logs = "\n".join(f"{one.name}: {one.log.read_text()}" for one in self.supervisor.children.values())
-                pytest.fail(f"in {PATIENCE_S:g} s: not {what}\n{logs}")
+                self._fail(what)
 
     def until_alive(self, *services: str) -> None:
         self.until(f"alive: {', '.join(services)}", lambda: self.alive >= set(services))
@@ -76,6 +88,10 @@ class Chain:
     def close(self) -> None:
         self.supervisor.stop()
         self.fabric.close()
+
+    def _fail(self, what: str) -> None:
+        logs = "\n".join(f"{one.name}: {one.log.read_text()}" for one in self.supervisor.children.values())
+        pytest.fail(f"in {PATIENCE_S:g} s: not {what}\n{logs}")
 
     def _keep(self, use: Callable[..., None]) -> Callable[..., None]:
         def handler(message: object) -> None:

@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 
-from tests.processes import free_port
-from tests.system.conftest import PATIENCE_S, Chain, invalid_blocks
+from tests.processes import PATIENCE_S, free_port
+from tests.system.conftest import Chain, invalid_blocks
 
 pytestmark = pytest.mark.slow
 

@@ -18,7 +18,7 @@ import pytest
 from ruamel.yaml import YAML
 
 from tests.layouts import slow_layout
-from tests.processes import Processes, free_endpoint, free_port
+from tests.processes import PATIENCE_S, Processes, free_endpoint, free_port
 from tests.readonly import Confined, give_compiled, not_here
 from tests.system.helpers import first_image
 
@@ -176,7 +176,7 @@ class Boxes:
         """Run a health check as written."""
         kind, *command = service["healthcheck"]["test"]
         assert kind == "CMD"
-        return subprocess.run(self.command(command), check=False, timeout=120).returncode == 0
+        return subprocess.run(self.command(command), check=False, timeout=PATIENCE_S).returncode == 0
 
 
 @pytest.fixture(scope="module")
@@ -197,6 +197,7 @@ def test_the_commands_as_written_give_measurements_images_and_health(
     with Processes(boxes.folder) as running:
         for name, service in virtual.items():
             running.start(name, *boxes.service(service))
+            running.await_words("bus", "ready")
         running.await_words("viewer", "web page")  # the hub is there
         image = first_image(running, boxes.endpoint)
         assert np.frombuffer(image.pixels, "<f4").size == 64 * 64

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from canskin.messages import TRUTH, Measurement, Truth
+from dbc.packing import packing
 from skin.ground_truth import of_one_cycle
 from tests.system.conftest import Chain, invalid_blocks
 
@@ -21,9 +22,10 @@ FAULTS = (
 
 
 def check(chain: Chain, measurement: Measurement, truth: Truth) -> None:
-    """Compare the sums of valid blocks with those of the sensor image."""
+    """Compare the sums of valid blocks with those of the sensor image, rounded as sent."""
+    carried = packing(chain.layout)
     sensor = np.frombuffer(truth.sensor, "<f4") / chain.layout.taxels.newton_per_count
-    expected = chain.phi.forward(np.rint(sensor).astype(np.int32))
+    expected = carried.counts(carried.raw(chain.phi.forward(np.rint(sensor).astype(np.int32))))
     valid = np.frombuffer(measurement.valid, np.uint8) != 0
     wanted = chain.phi.sums_of_blocks(valid)
     sums = np.frombuffer(measurement.sums, "<i4")

@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from canskin.fabric import Fabric
 from canskin.messages import GATEWAY, MEASUREMENT, TRUTH, GatewayStatus, Measurement, Truth
+from dbc.packing import packing
 from skin.ground_truth import of_one_cycle
 from skin.layout import Layout, load_layout
 from tests.layouts import slow_layout
@@ -79,12 +80,13 @@ class Chain:
         return (blocks >= first) & (blocks < first + self.layout.bus[bus].nodes)
 
     def true_sums(self, measurement: Measurement) -> npt.NDArray[np.int32]:
-        """Return the sums of what the nodes say their taxels showed at the SYNC of a measurement."""
+        """Return the sums of what the nodes say their taxels showed at the SYNC of a measurement, rounded as sent."""
         truth = self.truth_of(measurement)
         assert truth is not None, f"no truth of cycle {measurement.cycle}"
         felt_n = np.frombuffer(truth.sensor, "<f4")
         counts = np.rint(felt_n / self.layout.taxels.newton_per_count).astype(np.int32)
-        return np.asarray(self.phi.forward(counts), np.int32)
+        carried = packing(self.layout)
+        return carried.counts(carried.raw(np.asarray(self.phi.forward(counts), np.int32)))
 
     def truth_of(self, measurement: Measurement) -> Truth | None:
         """Return the truth of the cycle of a measurement, None if it has not come."""
@@ -101,14 +103,12 @@ def complete(measurement: Measurement) -> bool:
 
 
 @contextmanager
-def running_chain(
-    folder: Path, identity: str = "alternating", path: Path | None = None, gateway: Sequence[str] = ("vcan0",)
-) -> Iterator[Chain]:
+def running_chain(folder: Path, path: Path | None = None, gateway: Sequence[str] = ("vcan0",)) -> Iterator[Chain]:
     """Start the nodes on vcan0 and the next, then the gateway on the same; wait for the first complete measurements.
 
     Without `path` it is the default skin on four buses; `gateway` are other interfaces of the gateway.
     """
-    path = path or slow_layout(folder, RATE_HZ, identity)
+    path = path or slow_layout(folder, RATE_HZ)
     layout = load_layout(path)
     endpoint = free_endpoint()
     fabric = Fabric(layout.name, "test", endpoint, hub=True)

@@ -112,7 +112,7 @@ def elapsed(statuses: list[GatewayStatus]) -> npt.NDArray[np.float64]:
 def frames_per_s(contract: Contract) -> list[float]:
     """Return the frames on each bus: SYNCs and TPDOs, heartbeats, and the two frames of each proof."""
     table = contract.table
-    tpdos = np.bincount(table.bus[table.phase == 0])
+    tpdos = np.bincount(table.bus)
     return [
         RATE_HZ * (1 + tpdos[number]) + bus.nodes * (1000 / HEARTBEAT_MS + 2 / proof_period_s(contract, number))
         for number, bus in enumerate(contract.layout.bus)

@@ -46,8 +46,7 @@ def adapter() -> Iterator[Adapter]:
 def bench(adapter: Adapter, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
     folder = tmp_path_factory.mktemp("faults")
     path = folder / "faults.toml"
-    sync = {"rate_hz": float(RATE_HZ), "identity": "alternating"}
-    path.write_text(layout_toml(8, 16, name="faults", sync=sync, bus=buses(2, 2)))
+    path.write_text(layout_toml(8, 16, name="faults", sync={"rate_hz": float(RATE_HZ)}, bus=buses(2, 2)))
     with running_chain(folder, path=path, gateway=(NAME, "vcan1")) as chain:
         yield Bench(chain, adapter)
 

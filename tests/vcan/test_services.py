@@ -106,7 +106,7 @@ def start(processes: Processes, name: str, *arguments: str) -> None:
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Run]:
     folder, port, endpoint = tmp_path_factory.mktemp("services"), free_port(), free_endpoint()
-    paths = {rate_hz: slow_layout(tmp_path_factory.mktemp("layout"), rate_hz, "alternating") for rate_hz in RATES_HZ}
+    paths = {rate_hz: slow_layout(tmp_path_factory.mktemp("layout"), rate_hz) for rate_hz in RATES_HZ}
     fabric = Fabric(load_layout().name, "test", endpoint, hub=True)
     try:
         with Processes(folder) as processes:
@@ -164,7 +164,8 @@ def watch(run: Run, port: int) -> None:
         processes.stop(name)
     report = run.score.report()
     print(
-        f"image {report.psnr_image_db} dB, sensor {report.psnr_sensor_db} dB, label right {report.label_accuracy:.0%}"
+        f"image {report.psnr_image_db} dB, one raw sample {report.psnr_sensor_db} dB,"
+        f" label right {report.label_accuracy:.0%}"
     )
 
 

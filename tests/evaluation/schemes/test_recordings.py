@@ -71,7 +71,8 @@ def test_every_scheme_has_its_verdict_and_units_are_stated(
     def measured(scheme: Scheme, touch: Touch) -> Row:
         clocked = {"kbit_per_s": 3000.0, "rate_hz": 40.0, "psnr_mean_db": 30.0 + len(scheme.name)}
         events = {"kbit_per_s": 100.0, "rate_hz": None, "psnr_mean_db": 35.0}
-        return dict.fromkeys(DIGITS, touch.load().true_n.max()) | (clocked if scheme.name[0] == "s" else events)
+        figures = dict.fromkeys(DIGITS, touch.load().true_n.max()) | {"receiver": "plain"}
+        return figures | (clocked if scheme.name[0] == "s" else events)
 
     monkeypatch.setattr("evaluation.schemes.comparison.measure_scheme", measured)
     found = evaluate(Options(quick=True, recordings=folder, frame_rate_hz=25.0))

@@ -14,6 +14,7 @@ from starlette.websockets import WebSocketDisconnect
 
 from canskin.fabric import Fabric
 from canskin.messages import GATEWAY, IMAGE, LABEL, LONGEST_LABEL, NODES, TRUTH
+from tests.processes import PATIENCE_S
 from views.page.app import build_app
 from views.page.feed import Feed
 
@@ -135,7 +136,7 @@ def test_messages_from_the_fabric_are_shown(messages: Any, hub: Fabric, endpoint
     feed = Feed(messages.layout)
     feed.join(fabric)
     pause = threading.Event()
-    for cycle in range(1, 500):
+    for cycle in range(1, round(PATIENCE_S / 0.02)):
         hub.publish(IMAGE, messages.image(cycle))
         hub.publish(TRUTH, messages.truth(cycle))
         hub.publish(LABEL, messages.label())

@@ -15,8 +15,7 @@ from zenoh_ros2_sdk.utils import ros2_to_dds_type
 
 from canskin.fabric import Fabric
 from canskin.messages import Topic as FabricTopic
-
-PATIENCE_S = 240.0
+from tests.processes import PATIENCE_S
 
 #: Of ROS 2 Jazzy, as its nodes tell them (`ros2 topic info -v`): the repository copper-project/copper-rs lists those of
 #: every type in ``all_rihs.md``, made by a script on an installation of Jazzy.

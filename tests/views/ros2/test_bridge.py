@@ -3,6 +3,7 @@
 import math
 import threading
 from collections.abc import Iterator
+from itertools import count
 from typing import Any
 
 import msgspec
@@ -286,7 +287,7 @@ def test_tare_asks_the_gateway(setup: Setup, is_done: bool) -> None:
 
     setup.hub.answer(CALIBRATION, answer)
     # Until both services are known, nobody answers, or the node says that no gateway does.
-    answered = next(each for _ in range(20) for each in ask(setup, "/arm/palm/tare") if asked)
+    answered = next(each for _ in count() for each in ask(setup, "/arm/palm/tare") if asked)
     reply = TriggerReply.deserialize(answered.ok.payload.to_bytes())
     attached = Attachment.from_bytes(answered.ok.attachment.to_bytes())
     assert (reply.success, reply.message) == (is_done, "the words")
@@ -299,7 +300,7 @@ def test_every_error_of_a_service_is_an_answer(setup: Setup) -> None:
         raise ValueError("the reason")
 
     setup.node.serve_trigger("fail", fail)
-    answered = next(each for _ in range(20) for each in ask(setup, "/arm/palm/fail"))
+    answered = next(each for _ in count() for each in ask(setup, "/arm/palm/fail"))
     reply = TriggerReply.deserialize(answered.ok.payload.to_bytes())
     assert (reply.success, reply.message) == (False, "the reason")
 
@@ -309,7 +310,7 @@ def test_closing_does_not_wait_for_an_answer(setup: Setup) -> None:
 
     def act() -> tuple[bool, str]:
         began.set()
-        ended.append(may_end.wait(2.0))
+        ended.append(may_end.wait(PATIENCE_S))
         return True, ""
 
     setup.node.serve_trigger("slow", act)

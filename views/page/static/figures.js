@@ -5,13 +5,13 @@ import { fixed, force, percent, spaced, span, spoken, write } from "./words.js";
 
 const ms = (seconds) => (seconds === null ? "–" : `${(1000 * seconds).toFixed(1)} ms`);
 
-/** Text below the PSNR: the sensor's PSNR and the difference, if the sensor adds noise. */
+/** Text below the PSNR: that of one raw sample and the difference, if the sensor adds noise. */
 function comparison({ figures, truth }, stale) {
   const { psnr_image_db: image, psnr_sensor_db: sensor, sensor_adds_noise: isNoisy } = figures;
   if (!truth && image === null) return "no truth of this cycle";
   if (image === null) return stale ? "no image in the last second" : "no contact in the last second";
   if (!isNoisy) return "against a truth without noise";
-  return `sensor ${fixed(sensor, 1)} dB · ${image < sensor ? "−" : "+"}${Math.abs(image - sensor).toFixed(1)} dB`;
+  return `raw sample ${fixed(sensor, 1)} dB · ${image < sensor ? "−" : "+"}${Math.abs(image - sensor).toFixed(1)} dB`;
 }
 
 /** Text of the SYNC rate and of the buses that SYNC reaches. */

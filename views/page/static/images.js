@@ -103,7 +103,7 @@ export class Images {
     rebuilt.setStale(veil || (image ? (image.stale ? old(image.age_s) : "") : "no image yet"));
     const object = truth?.label ? spoken(truth.label) : "no object named";
     write(real.caption, truth ? object : "");
-    write(sensor.caption, !truth || figures.sensor_adds_noise === null ? "" : figures.sensor_adds_noise ? "with noise" : "in ADC steps");
+    write(sensor.caption, !truth || figures.sensor_adds_noise === null ? "" : figures.sensor_adds_noise ? "one raw sample" : "in ADC steps");
     for (const map of [real, sensor]) {
       map.setStale(veil || (truth?.stale ? old(truth.age_s) : ""));
       if (!veil && !truth) map.setNone("none of this cycle");
