@@ -177,9 +177,7 @@ class Calibrator:
         if layout.recognition is not None:
             few = layout.recognising().phi()
             self._parts[few.fingerprint] = places(phi, few)
-        #: Cycles from one measurement that is learnt from to the next: then all sums are new.
-        self._turns = layout.sync.turns if self._is_own else 1
-        self._period_s = self._turns * layout.sync.period_s if self._is_own else LOOK_S
+        self._period_s = layout.sync.round_s if self._is_own else LOOK_S
         self._windows = WindowMeans(phi.shape[0], self._period_s, taxels.newton_per_count)
         self._waiting: Window | None = None
         self._newest_ns = self._needs_until_ns = self._tared_ns = 0
@@ -295,7 +293,7 @@ class Calibrator:
         """Learn from a measurement of all sums as it came, without saturated sums; most of it is left to `work`."""
         if self.state in {CalibrationState.OFF, CalibrationState.LOADED} or measurement.fingerprint in self._parts:
             return
-        if measurement.cycle % self._turns:
+        if measurement.cycle % self._layout.sync.turns:  # half of its sums come once more in the next one
             return
         counts = np.frombuffer(measurement.sums, "<i4")
         window = self._windows.take(measurement.sampled_mono_ns, counts, used_sums(measurement, self._phi))

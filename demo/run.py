@@ -177,7 +177,7 @@ class Run:
         touch = options.touch
         rest = []
         if touch.input is None and options.has_zero_errors(self._layout):
-            rest = ["--rest", str(REST_S + tare_s(self._layout.sync.period_s))]
+            rest = ["--rest", str(REST_S + tare_s(self._layout.sync.round_s))]
         start("nodes", "nodes", *common, *arguments(touch), *rest, *["--firmware"] * options.firmware)
         solver = [] if options.solver is None else arguments(options.solver)
         start("reconstructor", "reconstruct", *common, *solver, restart=True)

@@ -133,7 +133,7 @@ def _mapping(node: LocalNode, index: int, subindex: int, value: int) -> None:
         if value:
             _check_mappable(node, value)
         return
-    if value > node.pdo_bytes:  # an object has one byte or more
+    if node.variable(index, value) is None:
         raise SdoAbortedError(Abort.PDO_LENGTH)
     entries = [node.unsigned(index, place) for place in range(1, value + 1)]
     for entry in entries:

@@ -206,6 +206,11 @@ class Sync(_Table, frozen=True, kw_only=True):
         """Communication cycle period (1006h) in seconds."""
         return 1 / self.rate_hz
 
+    @property
+    def round_s(self) -> float:
+        """Time in which every sum comes once, seconds."""
+        return self.turns * self.period_s
+
 
 class Recognition(_Table, frozen=True, kw_only=True):
     """A state in which the nodes send a few of their sums at a higher rate; all sums, for images, come when asked for.

@@ -248,6 +248,7 @@ def board_header(contract: Contract, boards: Sequence[Build]) -> str:
         "SKIN_SUMS": (max(1, *(each.node.sums for each in boards)), "sums of a board"),
         "SKIN_TPDOS": (max(1, *(_tpdos(each.objects) for each in boards)), "TPDO communication records of a board"),
         "SKIN_PDO_BYTES": (max(each.node.pdo_bytes for each in boards), "longest payload of a PDO"),
+        "SKIN_MAPPED": (max(1, *(_mapped(each.objects) for each in boards)), "most objects of a PDO"),
         "SKIN_ADAPTIVE": (int(is_adaptive), "whether sums are sent when they carry news"),
         "SKIN_ANALOGUE": (int(contract.layout.taxels.is_analogue), "whether converters read sums, not taxels"),
         "SKIN_STATES": (len(contract.states), "states of a board (2008h); in each others of its TPDOs are sent"),
@@ -366,6 +367,11 @@ def _type(build: Build, number: int) -> str:
 
 def _tpdos(table: ObjectTable) -> int:
     return sum(od.TPDO_COMMUNICATION <= each.index < od.TPDO_MAPPING and not each.subindex for each in table.objects)
+
+
+def _mapped(table: ObjectTable) -> int:
+    """Return the room for mapped objects in the largest mapping record."""
+    return max((each.subindex or 0 for each in table.objects if od.TPDO_MAPPING <= each.index < od.TPDO_END), default=0)
 
 
 def names(boards: Sequence[Build]) -> str:

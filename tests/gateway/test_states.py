@@ -137,31 +137,22 @@ TURNS = int(os.environ.get("SKIN_SWITCHES", "240")) // 4
 
 
 class Chance:
-    """Loses RPDOs and SYNCs at the nodes, and holds frames of sums back until after the next SYNC, at random.
-
-    A node that is late in two cycles in a row is not detected (docs/bus.md), so no frame is.
-    """
+    """Loses RPDOs and SYNCs at the nodes, and holds frames of sums back until after the next SYNC, at random."""
 
     def __init__(self, skin: Skin, seed: int) -> None:
         self.draw = np.random.default_rng(seed)
         self.is_on = False
         self._skin = skin
-        self._held_at: dict[tuple[int, int], int] = {}
-        for bus, wire in enumerate(skin.wires):
+        for wire in skin.wires:
             wire.loses = partial(self._loses, wire.nodes)
-            wire.holds = partial(self._holds, bus)
+            wire.holds = self._holds
 
     def _loses(self, nodes: EndOfWire, end: EndOfWire, each: np.void) -> bool:
         part = {STATE_COB_ID: 0.4, SYNC_COB_ID: 0.2}.get(int(each["can_id"]), 0.0)
         return self.is_on and end is nodes and self.draw.random() < part
 
-    def _holds(self, bus: int, each: np.void) -> bool:
-        can_id, syncs = int(each["can_id"]), self._skin.gateway.sync.sent
-        is_free = self.is_on and 0x180 < can_id < 0x580 and syncs - self._held_at.get((bus, can_id), -2) > 1
-        if not is_free or self.draw.random() > 0.3:
-            return False
-        self._held_at[bus, can_id] = syncs
-        return True
+    def _holds(self, each: np.void) -> bool:
+        return bool(self.is_on and 0x180 < each["can_id"] < 0x580 and self.draw.random() < 0.3)
 
     def step(self) -> list[Measurement]:
         """Go on; after a SYNC let the frames go that were held before."""

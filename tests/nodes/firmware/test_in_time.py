@@ -104,6 +104,19 @@ def test_event_driven_pdos_keep_timer_and_inhibit_time(twins: Twins) -> None:
     assert 0x181 in identifiers(twins.answers())
 
 
+def test_the_counter_decides_the_turn_also_where_it_does_not_divide_240() -> None:
+    twins = Twins(small_contract())
+    twins.answers()
+    for subindex, value, size in ((1, 0xC0000181, 4), (2, 7, 1), (6, 5, 1), (1, 0x40000181, 4)):
+        write(twins, 0x1800, subindex, value, size)
+    twins.put(NMT_COB_ID, b"\x01\x00")
+    answered = []
+    for counter in range(1, 241):
+        twins.sync(counter)
+        answered += [data[0] for can_id, _, data in twins.answers() if can_id == 0x181]
+    assert answered == [3, *range(5, 240, 7)]
+
+
 def test_what_the_controllers_refuse_is_counted() -> None:
     twins = Twins(small_contract())
     twins.put(NMT_COB_ID, b"\x01\x00")

@@ -83,7 +83,7 @@ def check_syncs(twins: Twins) -> None:
     random = np.random.default_rng(3)
     is_averaged = twins.contract.layout.samples_per_sync > 1
     pdo_ids = np.flatnonzero(twins.c.boards.is_pdo)
-    counter, sent = 0, 0
+    counter, sent = 200, 0  # 240 and 1 come, too
     for _ in range(60):
         twins.now_s += 0.01
         counter = counter % 240 + (1 if is_averaged else int(random.integers(1, 3)))

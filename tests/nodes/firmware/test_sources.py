@@ -102,19 +102,25 @@ def expected_dictionary(contract: Contract, node: NodeContract) -> list[str]:
 @needs_compiler
 @pytest.mark.parametrize("compiled", [compile_slave, compile_adapter])
 @pytest.mark.parametrize(
-    ("name", "turns"), [("fd", 1), ("one-bus-12bit", 1), ("forearm", 2), ("recognise-first", 1), ("analogue", 2)]
+    ("name", "tables"),
+    [
+        ("fd", {}),
+        ("one-bus-12bit", {}),
+        ("forearm", {"sync": {"turns": 2}, "encoding": {"sum_bits": 7}}),
+        ("recognise-first", {}),
+        ("analogue", {"sync": {"turns": 2}}),
+    ],
 )
 def test_one_image_sends_the_frames_of_the_vectors_as_each_of_several_boards(
-    name: str, turns: int, compiled: Callable[..., Path], tmp_path: Path
+    name: str, tables: dict[str, Any], compiled: Callable[..., Path], tmp_path: Path
 ) -> None:
     # Averages depend on what came before.
-    layout = changed(load_layout(Path(name)), sampling=Sampling(), sync={"turns": turns})
-    contract = Contract.from_layout(layout)
+    contract = Contract.from_layout(changed(load_layout(Path(name)), sampling=Sampling(), **tables))
     program = compiled(contract, tmp_path, "run_board.c", contract.nodes)
     for node in some_of(contract):
         cases = json.loads(vectors_text(contract, node))["cases"]
         lines = [" ".join(map(str, [case["pattern"], case["sync_counter"], *read_by_place(case)])) for case in cases]
-        command = [program, str(node.bus), str(node.node_id), str(turns)]
+        command = [program, str(node.bus), str(node.node_id), str(contract.turns)]
         done = subprocess.run(command, input="\n".join(lines), capture_output=True, text=True, check=True)
         signature, *sent = done.stdout.splitlines()
         assert int(signature) == board(contract, node).signature

@@ -49,8 +49,8 @@ typedef struct {
     uint8_t mapped;      /* mapped objects */
     uint8_t has_last;    /* whether `last` was sent */
     uint8_t last[SKIN_PDO_BYTES];
-    uint16_t objects[SKIN_PDO_BYTES]; /* places in board->type->objects */
-    uint32_t syncs;                   /* SYNCs while the PDO existed */
+    uint16_t objects[SKIN_MAPPED]; /* places in board->type->objects */
+    uint32_t syncs;                /* SYNCs while the PDO existed */
     uint32_t sent_at_ms, inhibit_ms, event_ms;
 } skin_tpdo;
 #endif

@@ -235,7 +235,7 @@ static uint32_t check_mapping(const skin_node *node, uint16_t index, uint8_t sub
         }
         return value == 0 || skin_mapped(node, value) != NULL ? 0 : SKIN_ABORT_NOT_MAPPABLE;
     }
-    if (value > node->board->type->pdo_bytes) {
+    if (skin_find(node->board, index, (uint8_t)value) == NULL) {
         return SKIN_ABORT_PDO_LENGTH;
     }
     for (place = 1; place <= value; place++) {

@@ -23,7 +23,7 @@ void skin_read_tpdo(skin_node *node, uint8_t number)
     uint8_t place;
 
     memset(tpdo, 0, sizeof *tpdo);
-    if ((cob_id & SKIN_COB_ID_INVALID) != 0 || count == 0 || count > SKIN_PDO_BYTES) {
+    if ((cob_id & SKIN_COB_ID_INVALID) != 0 || count == 0 || count > SKIN_MAPPED) {
         return;
     }
     for (place = 0; place < count; place++) {
