@@ -22,7 +22,7 @@ from nodes.sampler import CountSampler, Sampler
 from nodes.service import STATUS_PERIOD_S, NodesService
 from skin.layout import load_layout
 from tests.bus.harness import frame
-from tests.nodes.helpers import START, ArrayLink, Still, new_sampler, sync
+from tests.nodes.helpers import MILLISECOND_NS, START, ArrayLink, Still, new_sampler, sync
 
 
 class ReadyLink(ArrayLink):
@@ -119,7 +119,7 @@ def test_adaptive_nodes_turn_once_for_each_sample(links: dict[int, ReadyLink]) -
     samples = boards.decision
     assert [len(link.take_sent()) for link in links.values()] == [4, 4]
     for link in links.values():
-        link.put(sync(240))
+        link.put(frame(0x80, b"\1", time_ns=100_000 * MILLISECOND_NS))
     for _ in range(30):
         now_s += 1e-3
         service.turn()
