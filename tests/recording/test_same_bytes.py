@@ -118,9 +118,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     run(1.0)
     late = Loss(sums_frame(world, 0, 1))
     world.wires[0].loses = late
-    run(1.9 * PERIOD_S)  # the frame comes after its cycle has been measured
+    run(2 * PERIOD_S)  # the frame comes after its cycle has been measured
     world.wires[0].put(late.cob_id, late.kept)
-    run(4 * PERIOD_S)
+    run(3.5 * PERIOD_S)
     world.wires[1].loses = Loss(sums_frame(world, 1, 2))
     run(10 * PERIOD_S)
     world.nmt(0, NmtCommand.RESET_NODE, 2)
