@@ -123,6 +123,8 @@ def plan_bus(contract: Contract, bus: int, touched: npt.NDArray[np.float64] | No
     found = [each.responses_ns(allowed.errors_per_s) for each in turns]
     # Messages of other devices have other places in each turn.
     ours = [each[~streams.is_foreign] for each, streams in zip(found, turns, strict=True)]
+    # A node with one frame has none in the second turn.
+    ours = [each for each in ours if len(each) == len(ours[0])]
     theirs = [each[streams.is_foreign] for each, streams in zip(found, turns, strict=True)]
     last, responses = turns[0], np.zeros(len(found[0]), np.int64)
     responses[~last.is_foreign] = np.max(ours, axis=0)

@@ -117,8 +117,8 @@ def train(
     """Train a classifier for a skin on simulated touches, or on the labelled touches of recordings.
 
     Of recordings: all cycles of a touch are in one part of the cross-validation, and where each label is in two
-    recordings or more, all cycles of a recording. The table is the confusion matrix, or
-    tells which labels have too few of both for an accuracy.
+    recordings or more, all cycles of a recording. The table is the confusion matrix, or tells which labels have too few
+    of both for an accuracy.
 
     Parameters
     ----------

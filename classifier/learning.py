@@ -219,8 +219,7 @@ def _model(estimator: Any, data: LabelledTouches, X: Float64, features: Features
     kind, folds = _strict(data, seed)
     held = _cross_validated(estimator, X, data.labels, folds)
     lacks = not_validated(_touches_of_labels(data), _recordings_of_labels(data))
-    is_told = not lacks
-    by_touch = _cross_validated(estimator, X, data.labels, _touch_folds(data, seed)).accuracy if is_told else None
+    by_touch = _cross_validated(estimator, X, data.labels, _touch_folds(data, seed)).accuracy if not lacks else None
     known = _known(data, seed)
     factors = fit_factors(X) if features == "sums" else NO_FACTORS
     true = data.labels[held.rows]
@@ -233,8 +232,8 @@ def _model(estimator: Any, data: LabelledTouches, X: Float64, features: Features
         seed=seed,
         noise_n=0.0,
         C=float(getattr(_last(estimator), "C", 0.0)),
-        validation_accuracy=held.accuracy if is_told else None,
-        **(confused(np.unique(data.labels), true, held.said) if is_told else {"per_object": {}, "confusion": []}),
+        validation_accuracy=held.accuracy if not lacks else None,
+        **(confused(np.unique(data.labels), true, held.said) if not lacks else {"per_object": {}, "confusion": []}),
         unknown_ratio=known.unknown_ratio,
         cycles=len(data.labels),
         recordings=list(data.files),

@@ -97,20 +97,23 @@ class CycleGathering:
             waiting = int(self.collector.waiting(self._open_cycles[0].counter)[bus])
             self._incomplete_until_s[bus] = self._busy_until_s(bus, waiting - 1, now_s)
 
-    def begin(self, sync: Sync, *, is_asked: bool = True) -> list[Measurement]:
-        """Open the cycle of a SYNC, if it asks for these sums; return the measurements of cycles closed for it."""
+    def begin(self, sync: Sync, asked: "CycleGathering | None" = None) -> list[Measurement]:
+        """Open the cycle of a SYNC; return the measurements of cycles closed for it.
+
+        `asked` gathers the sums that the SYNC asks for in place of these, and has begun.
+        """
         closed = []
         slot = slot_of(sync.counter)
         while any(slot_of(each.counter) == slot for each in self._open_cycles):
             closed.append(self._close(self._open_cycles.popleft()))
-        if is_asked:
+        if asked is None:
             self.collector.open(sync.counter, sync.due_ns, sync.sent_ns)
             self._open_cycles.append(sync)
             if sync.sent_ns is not None:
                 for bus, waiting in enumerate(self.collector.waiting(sync.counter).tolist()):
                     self._incomplete_until_s[bus] = self._busy_until_s(bus, waiting, sync.sent_ns * 1e-9)
         else:
-            self.collector.rest()
+            self.collector.rest(sync.counter, asked.collector.silent_of_node)
         return closed
 
     def tick(self, now_s: float) -> None:

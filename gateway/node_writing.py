@@ -102,6 +102,8 @@ class NodeWriting:
                 self._waiting[number].append((node, tried))
             else:
                 self._failed[number].append(node.node_id)
+                # It may have a part of what was written, or none: what is found next is no value that somebody accepts.
+                self._masters[number].nodes[node.node_id].known.doubt()
         self._open[number] = still
 
     def _steps(self, node: NodeContract) -> Generator[Transfer, bytes, None]:

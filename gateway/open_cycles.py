@@ -69,6 +69,13 @@ def new_cycles(contract: Contract) -> OpenCycles:
 
 
 @njit(cache=True, nogil=True)
+def forget_foreign(counter: int, cycles: OpenCycles) -> None:
+    """Forget, at a SYNC, foreign SYNCs with its counter, and those that were behind: not met within 120 SYNCs."""
+    cycles.tainted[:, counter] = False
+    cycles.tainted[:, (counter + SYNC_OVERFLOW // 2 - 1) % SYNC_OVERFLOW + 1] = False
+
+
+@njit(cache=True, nogil=True)
 def begin_cycle(counter: int, is_awaited: Flags, table: FrameTable, cycles: OpenCycles) -> None:
     """Begin a cycle that waits for the frames of the rows `is_awaited`."""
     slot = slot_of(counter)
@@ -81,9 +88,7 @@ def begin_cycle(counter: int, is_awaited: Flags, table: FrameTable, cycles: Open
         cycles.spoilt[slot, row] = cycles.tainted[bus, counter]
         cycles.awaited[slot, row] = is_awaited[row]
         cycles.waiting[slot, bus] += is_awaited[row]
-    cycles.tainted[:, counter] = False
-    # A foreign SYNC may be ahead, or behind: what was not met within half of all counters was behind.
-    cycles.tainted[:, (counter + SYNC_OVERFLOW // 2 - 1) % SYNC_OVERFLOW + 1] = False
+    forget_foreign(counter, cycles)
 
 
 @njit(cache=True, nogil=True)
@@ -106,7 +111,7 @@ def keep_frame(slot: int, bus: int, row: int, data: npt.NDArray[np.uint8], cycle
 
     A repeated frame with other data (two nodes share a node-ID) spoils its row.
     """
-    other = slot_of(slot + SLOTS)
+    other = 1 - slot
     if cycles.counter[other] and following(cycles.counter[other]) == cycles.counter[slot]:
         cycles.passed[other, bus] = True
     payload = cycles.payload[slot, row]

@@ -78,11 +78,9 @@ class StateGathering:
 
     def begin(self, sync: Sync) -> list[Measurement]:
         """Open the cycle of a SYNC in its state; return the measurements of cycles that were closed for it."""
-        return [
-            measurement
-            for state, each in self.of_state.items()
-            for measurement in each.begin(sync, is_asked=state == sync.state)
-        ]
+        asked = self.of_state[sync.state]
+        (other,) = (each for each in self._both if each is not asked)
+        return asked.begin(sync) + other.begin(sync, asked)
 
     def tick(self, now_s: float) -> None:
         """Do nothing: cycles end by frames and time alone."""

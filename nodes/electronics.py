@@ -58,7 +58,7 @@ class Electronics(Calibration):
     seed : int
         Same seed, same noise.
     period_s : float
-        Time between two steps of the touch, the period of SYNC; drift, damper, creep and SYNCs without counter need it.
+        Time between two steps of the touch, the period of SYNC; drift, damper and creep need it.
     samples : int
         Samples of every taxel in one step, the last one at the step's instant. Between two steps the force is
         interpolated. More than one are averaged (`nodes.averaging`).

@@ -29,9 +29,8 @@ SUMS: Final = "sums"
 _BESIDE: Final = ("valid", "cycle", "time_ns")
 _MOST_COUNTS: Final = int(np.iinfo(np.int32).max)
 
-
-#: A log whose frames with sums are used less often than one time in so many is another skin's, or an old one: the first
-#: byte of a frame without counter is that of an open cycle by chance.
+#: Of this number of frames with sums at least one is used, or the log is another skin's or an old one: the first byte
+#: of a frame without counter is that of an open cycle by chance.
 _USED: Final = 10
 
 

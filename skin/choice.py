@@ -25,12 +25,16 @@ COMPRESSIONS: Final = (SUMS_PART, 2, 1)
 BUSES_MAX: Final = 16
 #: Payload of a frame of sums, bytes, the SYNC counter first: classic CAN, CAN FD.
 _PDO_BYTES: Final = (CLASSIC_MAX, FD_ONLY_LENGTHS[-1])
+#: Part of the rate of sums in cycles at which the best scan is as good: measured at 0.52, with 2.6 dB to spare.
+AS_GOOD: Final = 0.5
+#: Bits of a taxel in the best scan of all that were tried (`docs/bandwidth.md`).
+SCAN_BITS: Final = 7
 #: Most sums of a frame: 64 objects can be mapped (CiA 301, 7.5.2.38), and the counter is the first.
 SUMS_MAX: Final = 63
 #: A bus has identifiers of sums for eight kinds of PDO of each node-ID.
 _PDO_KINDS, _NODE_IDS = 8, 127
 #: A heartbeat of each node in a second.
-_BEATS_HZ: Final = 2.0
+_BEATS_HZ: Final = 1.0
 
 
 def averaged_hz(layout: "Layout", most: int | None = None) -> float | None:
@@ -84,18 +88,19 @@ def worst_load(layout: "Layout", sums: int) -> float:
 def scan_words(layout: "Layout") -> str:
     """Say how often the buses carry all taxels with room to spare, and whether that serves as well as sums; or nothing.
 
-    At the rate of the sums a scan from boards with the same filter tells all that sums tell. Adaptive boards look at
-    their taxels at their own rate.
+    At `AS_GOOD` of the rate of sums in cycles a scan behind the filter of adaptive boards is as good. Adaptive
+    boards look at their taxels at their own rate.
     """
     if layout.taxels.is_analogue or layout.measurement.matrix is not None:
         return ""
-    bits = layout.taxels.adc_bits
+    bits = min(SCAN_BITS, layout.taxels.adc_bits)
+    room = max(ROOM, worst_load(layout, layout.measurement.sums)) if layout.sends.in_cycles else ROOM
     times = [_bus_time(layout, bus, layout.places, bits) for bus in layout.bus]
-    rate_hz = min((ROOM - each.others) / each.cycle_s for each in times)
-    of_sums_hz = layout.sync.rate_hz if layout.sends.in_cycles else layout.sends.default_rates_hz["sampling"]
-    is_as_good = rate_hz >= of_sums_hz
+    rate_hz = min((room - each.others) / each.cycle_s for each in times) / layout.sync.turns
+    of_sums_hz = 1 / layout.sync.round_s if layout.sends.in_cycles else layout.sends.default_rates_hz["sampling"]
+    is_as_good = rate_hz >= of_sums_hz * (AS_GOOD if layout.sends.in_cycles else 1)
     good = " and is as good: sums gain nothing here" if is_as_good else f", sums at {of_sums_hz:g} Hz"
-    return f"a scan of all taxels, filtered on the boards, fits these buses at {rate_hz:.1f} Hz{good}"
+    return f"a scan of all taxels of {bits} bits, filtered on the boards, fits these buses at {rate_hz:.1f} Hz{good}"
 
 
 class _BusTime(NamedTuple):

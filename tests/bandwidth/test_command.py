@@ -104,7 +104,7 @@ def test_a_search_writes_the_layout(skin: Skin, tmp_path: Path) -> None:
     assert (status, out) == (0, f"{path}\n")
     assert "at worst" in said
     assert "images, 256 sums: 4" in said
-    assert "a scan of all taxels, filtered on the boards, fits these buses at" in said
+    assert "a scan of all taxels of 7 bits, filtered on the boards, fits these buses at" in said
     assert "longest chain of taxels" in said
     layout = parse_layout(path.read_bytes(), "palm")
     assert (layout.taxels.count, len(layout.bus), layout.sync.rate_hz) == (1024, 1, 100.0)

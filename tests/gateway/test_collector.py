@@ -234,6 +234,6 @@ def test_frames_after_a_sync_that_asks_for_none_are_late() -> None:
     collector = new_collector()
     whole_cycle(collector, 1)
     whole_cycle(collector, 2)
-    collector.rest()
+    collector.rest(3, collector.silent_of_node)
     collector.take(0, np.concatenate((echo(3), burst(0, 3))), 0)
     assert (collector.counts.accepted, collector.counts.late) == (512, 64)

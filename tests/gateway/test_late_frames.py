@@ -364,8 +364,6 @@ class Disturbed(Skin):
         #: By bus: counters of SYNCs of another master in this cycle; and part of the SYNCs and frames that are lost.
         self.foreign: list[list[int]] = [[], []]
         self.loses = [0.0, 0.0]
-        #: Cycles in which something happened to a bus, the newest last.
-        self.hit: list[set[int]] = [set(), set()]
         self._open: deque[int] = deque()
 
     def disturb(self) -> None:

@@ -170,3 +170,20 @@ def test_missing_and_late_frames_of_a_node_are_those_of_both_states(skin: Skin) 
 def test_a_foreign_sync_is_counted_once_though_two_states_see_it(skin: Skin) -> None:
     skin.take(1, np.concatenate([frame(0x80)] * 3))
     assert [skin.gathering.take_foreign_syncs(bus) for bus in (0, 1, 1)] == [0, 3, 0]
+
+
+def test_foreign_syncs_are_forgotten_while_the_other_state_is_asked_for(skin: Skin) -> None:
+    for counter in range(1, 241):
+        skin.take(0, frame(0x80, bytes((counter,))))
+    for _ in range(239):
+        skin.cycle(SkinState.RECOGNITION)
+    skin.number = 0
+    # The fourth block has no sum in recognition: nothing told that its node holds back no image.
+    assert [skin.cycle(SkinState.IMAGES)[0].valid[:3] for _ in range(3)] == [bytes((1, 1, 1))] * 3
+
+
+def test_after_a_silence_in_both_states_two_cycles_prove_the_node(skin: Skin) -> None:
+    for _ in range(130):
+        skin.sync(SkinState.RECOGNITION)
+        skin.gathering.measurements(skin.now_s + 1, 0)
+    assert [skin.cycle(SkinState.IMAGES)[0].valid for _ in range(3)] == [bytes(4)] * 2 + [bytes((1, 1, 1, 1))]

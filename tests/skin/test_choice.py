@@ -1,5 +1,6 @@
 """What a layout gets that leaves keys out: the choice agrees with the plan of the buses."""
 
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -104,9 +105,12 @@ def test_why_there_are_no_more_sums(tables: dict[str, Any], why: str) -> None:
 
 
 def test_a_scan_that_serves_as_well_is_told() -> None:
-    """One bus of two boards: frames of five 10-bit taxels, six and a rest of two each, SYNC, and four heartbeats."""
+    """One bus of two boards: four frames of eight 7-bit taxels each, SYNC, and two heartbeats."""
     small = any_layout(8, 8)
-    rate_hz = (0.8 - 4 * 65e-6) / (65e-6 + 12 * 135e-6 + 2 * 95e-6)
+    rate_hz = (0.8 - 2 * 65e-6) / (65e-6 + 8 * 135e-6)
     assert f"fits these buses at {rate_hz:.1f} Hz and is as good" in scan_words(small)
-    assert "is as good" not in scan_words(load_layout())
+    assert "fits these buses at 50.2 Hz and is as good" in scan_words(load_layout())
+    assert "is as good" not in scan_words(load_layout(Path("adaptive")))
+    in_turns = any_layout(8, 8, sync={"rate_hz": 200.0, "turns": 2})
+    assert scan_words(in_turns).split(" and ")[0] == scan_words(small).split(" and ")[0]
     assert not scan_words(any_layout(8, 8, taxels={"rows": 8, "columns": 8, "frontend": "analogue"}))

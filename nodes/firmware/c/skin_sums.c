@@ -141,7 +141,7 @@ void skin_put_bits(uint8_t *payload, uint16_t at, uint32_t value, uint8_t bits)
 
 int skin_is_turn(uint8_t every, uint8_t start, uint8_t counter)
 {
-    return (counter + 2u * SKIN_LAST_SYNCHRONOUS - start) % SKIN_LAST_SYNCHRONOUS % every == 0; /* not below 0 */
+    return every > 0 && (counter + 2u * SKIN_LAST_SYNCHRONOUS - start) % SKIN_LAST_SYNCHRONOUS % every == 0; /* not below 0 */
 }
 
 uint32_t skin_crc32(uint32_t crc, const uint8_t *data, uint16_t length)
