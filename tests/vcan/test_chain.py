@@ -195,20 +195,17 @@ def end_of(log: Path) -> str:
 
 
 def sums_in_log(chain: Chain, log: Path) -> dict[int, dict[str, int]]:
-    """Decode a candump log with the skin's DBC files: sums by name, by counter of the SYNC before them on their bus."""
+    """Decode a candump log with the skin's DBC files: sums by name, by the SYNC counter of their frames."""
     folder = log.parent / "dbc"
     subprocess.run([sys.executable, "-m", "skin", "dbc", str(chain.path), "--out", str(folder)], check=True)
     databases = {f"vcan{number}": load_file(folder / f"{bus.name}.dbc") for number, bus in enumerate(chain.layout.bus)}
-    counter: dict[str, int] = {}
     found: dict[int, dict[str, int]] = {}
     with log.open() as lines:
         for frame in Parser(lines):
             message = databases[frame.channel].get_message_by_frame_id(frame.frame_id)
             signals = message.decode(frame.data, decode_choices=False)
-            if message.name == "SYNC":
-                counter[frame.channel] = signals["Counter"]
-            elif "TPDO" in message.name and frame.channel in counter:
-                found.setdefault(counter[frame.channel], {}).update(signals)
+            if "TPDO" in message.name:
+                found.setdefault(signals.pop("Counter"), {}).update(signals)
     return found
 
 

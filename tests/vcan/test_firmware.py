@@ -78,7 +78,9 @@ class Skin:
         """
         known = there[self.contract.phi.block_of_sum]
         sums = np.frombuffer(measurement.sums, "<i4")[known]
-        found = [time_ns for time_ns, truth in self.witness.truths.items() if np.array_equal(truth[known], sums)]
+        packing = self.contract.packing
+        carried = {at_ns: packing.counts(packing.raw(truth)) for at_ns, truth in self.witness.truths.items()}
+        found = [at_ns for at_ns, truth in carried.items() if np.array_equal(truth[known], sums)]
         assert found, f"cycle {measurement.cycle}: {there.sum()} valid blocks are of no one cycle"
         assert max(found) - min(found) < 1e9 * self.contract.layout.sync.period_s, f"cycle {measurement.cycle}: {found}"
         later = [time_ns for time_ns in found if time_ns > after_ns]

@@ -59,7 +59,7 @@ class OftenWorld(FirmwareWorld):
 
 @pytest.fixture(params=TURNS)
 def world(request: pytest.FixtureRequest) -> FirmwareWorld:
-    return FirmwareWorld(small_contract(request.param, rate_hz=1 / PERIOD_S))
+    return FirmwareWorld(small_contract(turns=request.param, rate_hz=1 / PERIOD_S))
 
 
 def is_complete(measurement: Measurement) -> bool:

@@ -33,7 +33,7 @@ def analogue(sum_bits: int = 12, adc_bits: int = 12, **tables: Any) -> Contract:
 
 def few_sums(bus: list[dict[str, Any]], turns: int = 1) -> Contract:
     """Three sums of four blocks: one block has none."""
-    return small_contract(turns, bus=bus, measurement={"sums": 3})
+    return small_contract(turns=turns, bus=bus, measurement={"sums": 3})
 
 
 class Rolling:
@@ -56,7 +56,7 @@ class CountWitness(CountSampler):
     def __init__(self, contract: Contract) -> None:
         layout = contract.layout
         electronics = Electronics(layout.taxels, noise_n=0.0, period_s=layout.shortest_period_s)
-        super().__init__(contract.phi, Rolling(contract), electronics, layout.sync.period_s)
+        super().__init__(contract.phi, Rolling(contract), electronics)
         self._half_ns = 0.5e9 * layout.shortest_period_s
         self.truths: dict[int, npt.NDArray[np.int32]] = {}
 
