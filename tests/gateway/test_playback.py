@@ -99,7 +99,7 @@ def test_a_block_of_two_nodes_with_one_identifier_is_valid_for_those_who_know_be
     seen = bus_frames[0]
     place = int(np.flatnonzero(seen["can_id"] != 0x80)[20])
     again = seen[place : place + 1].copy()
-    again["data"][0, 0] ^= 1
+    again["data"][0, 1] ^= 1
     logged = {0: np.insert(seen, place + 1, again), 1: bus_frames[1]}
     playback = Playback(contract, logged.keys(), int(seen["time_ns"][0]), leaves_out_doubtful=leaves_out_doubtful)
     for bus, each in logged.items():
