@@ -80,7 +80,9 @@ def design(
     with progress("search", None) as bar:
         found = search(required, disturbance, lambda tried: bar.update(0, f"search: {tried.words}"))
     if found.layout is not None:
-        found = replace(found, layout=changed(found.layout, name=new_name(taxels, out)))
+        asked_s = disturbance.jitter_s if disturbance is not None else None
+        device = {} if asked_s is None else {"jitter_s": asked_s}
+        found = replace(found, layout=changed(found.layout, name=new_name(taxels, out), device=device))
     judged: list[Quality] = [] if found.layout is None else _judged(found.layout, every=min_psnr is not None)
     if min_psnr is not None:
         found = _good_enough(found, judged, min_psnr)

@@ -8,7 +8,7 @@ from canskin.errors import RunError
 from demo.folder import run_folder
 from demo.options import DemoOptions
 from demo.quality import TOUCHES_S, is_quick, quality
-from demo.report import Report
+from demo.report import PREDICTED_WITHIN_DB, Report
 from demo.run import Run
 from shell.service import StopSignal, say
 from skin.layout import Layout, changed, layout_text
@@ -43,7 +43,9 @@ def with_prediction(report: Report, layout: Layout, options: DemoOptions, live_d
         report,
         psnr_predicted_db=round(predicted_db, 2),
         psnr_first_db=round(live_db, 2),
-        why_not_predicted=_causes(report, layout, options),
+        why_not_predicted=""
+        if abs(predicted_db - live_db) <= PREDICTED_WITHIN_DB
+        else _causes(report, layout, options),
     )
 
 

@@ -62,7 +62,7 @@ CLAIMS: Final = (
     Claim(FAST, "complete cycles a second, simulated buses", "complete cycles", "skin plan", "live"),
     Claim(FAST, "cycles a second that four buses of 1 Mbit/s carry", "carried cycles", "skin plan"),
     Claim(LESS, "taxels / sums", "compression", _RIVALS),
-    Claim(LESS, "bits on the bus: scan of all taxels, 10 bits / sums, 16 bits", "bits", _RIVALS, "live"),
+    Claim(LESS, "bits on the bus: scan of all taxels, 10 bits / sums", "bits", _RIVALS, "live"),
     Claim(
         LESS,
         "cycles of 64 sums a second that one bus of 1 Mbit/s carries",

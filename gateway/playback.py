@@ -17,6 +17,7 @@ import numpy as np
 from bus.link import State
 from calibration.calibrator import Calibrator
 from calibration.offline import calibrated
+from canskin.errors import InputError
 from canskin.messages import AdaptiveMeasurement, GatewayStatus, Measurement
 from dbc.canopen import SYNC_COB_ID
 from dbc.contract import Contract, NodeContract
@@ -38,6 +39,9 @@ _CYCLES_IN_FLIGHT: Final = 2
 _ADAPTIVE_TURN_S: Final = 10.0
 #: Time stamps of the gateway and of the recorder differ by less. The shortest frame takes longer.
 _STAMP_NS: Final = 5_000
+#: Of this number of frames with sums at least one is used: the first byte of a frame without counter is that of an open
+#: cycle by chance.
+_NAMED: Final = 10
 #: Length of the parts of a log.
 _PART_NS: Final = 100_000_000
 
@@ -330,6 +334,23 @@ def play(contract: Contract, logged: Mapping[int, Frames], calibrator: Calibrato
             playback.feed(bus, mine[bus])
         yield Part(mine, playback.advance(until_ns), playback.status())
     yield Part({}, playback.finish(), playback.status())
+
+
+def check_named(status: GatewayStatus) -> None:
+    """Check, by the status after a log of frames, that its frames name the cycles of the log.
+
+    Raises
+    ------
+    InputError
+        If they do not: the log is another skin's, or of before the counter in each frame.
+    """
+    old = "logs of before the counter in each frame cannot be used any more"
+    if not status.cycles:
+        raise InputError(f"the log holds no SYNC with a counter (COB-ID {SYNC_COB_ID:02X}h, 1 byte): {old}")
+    counts = status.frames
+    if counts.accepted < counts.received / _NAMED:
+        unnamed = f"{counts.received - counts.accepted} of {counts.received} frames with sums name no cycle of the log"
+        raise InputError(f"{unnamed}: is this the skin's layout? And {old}")
 
 
 def with_echoes(logged: Frames) -> Frames:

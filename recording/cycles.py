@@ -10,11 +10,10 @@ import numpy.typing as npt
 
 from canskin.errors import InputError
 from canskin.messages import MEASUREMENT, CycleMeasurement, FrameCounts, Measurement
-from dbc.canopen import SYNC_COB_ID
 from dbc.contract import Contract
 from dbc.frame import Frames
 from dbc.packing import packing
-from gateway.playback import play
+from gateway.playback import check_named, play
 from nodes.analogue import AnalogueElectronics
 from nodes.electronics import Electronics
 from skin.layout import Layout
@@ -28,10 +27,6 @@ from touch.sources import recording
 SUMS: Final = "sums"
 _BESIDE: Final = ("valid", "cycle", "time_ns")
 _MOST_COUNTS: Final = int(np.iinfo(np.int32).max)
-
-#: Of this number of frames with sums at least one is used, or the log is another skin's or an old one: the first byte
-#: of a frame without counter is that of an open cycle by chance.
-_USED: Final = 10
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,20 +73,10 @@ def decode_log(
         images = [each for each in part.measurements if each.fingerprint == contract.phi.fingerprint]
         made += images
         advance(len(images))
-    if not made and contract.recognition is not None:
-        raise InputError("the log holds no cycle of images: recognition alone makes none")
+    check_named(part.status)
     if not made:
-        raise InputError(
-            f"the log holds no SYNC with a counter (COB-ID {SYNC_COB_ID:02X}h, 1 byte): it cannot be cut into cycles;"
-            " logs of before the counter in each frame cannot be used any more"
-        )
-    counts = part.status.frames
-    if counts.accepted < counts.received / _USED:
-        raise InputError(
-            f"{counts.received - counts.accepted} of {counts.received} frames with sums name no cycle of the log: is"
-            " this the skin's layout? Logs of before the counter in each frame cannot be used any more"
-        )
-    return _of_measurements(made, contract.phi), counts
+        raise InputError("the log holds no cycle of images: recognition alone makes none")
+    return _of_measurements(made, contract.phi), part.status.frames
 
 
 def recorded_cycles(contract: Contract, path: Path, warn: Warn) -> Cycles:

@@ -28,7 +28,7 @@ from canskin.messages import (
 from dbc.contract import Contract
 from dbc.frame import Frames
 from dbc.stored_frames import from_bytes
-from gateway.playback import play
+from gateway.playback import check_named, play
 from recording.answers import Answers
 from recording.measurements import (
     FRAMES_NS,
@@ -128,6 +128,8 @@ def _logged(contract: Contract, logged: Mapping[int, Frames], calibrator: Calibr
             yield MeasurementStep(each.time_ns, each)
             if pace.is_due(each.time_ns):
                 yield MessageStep(each.time_ns, GATEWAY, part.status)
+    if contract.layout.sends.in_cycles:
+        check_named(part.status)
 
 
 class _Recorded:
