@@ -246,7 +246,9 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
             why = ": no classifier ran" if self.cpu_ratio and "classifier" not in self.cpu_ratio else ""
             rows.append(("label", f"no label came{why}"))
         if self.doubtful_taxels:
-            why = "a still force, or a zero that has risen: 'skin tare --region'"
+            why = (
+                "a still force, a zero that has risen, or gains of another master: 'skin tare' or 'skin tare --region'"
+            )
             rows.append(("in doubt", f"{self.doubtful_taxels} taxels at the end: {why}"))
         rows += self._rows_of_states()
         if self.cpu_ratio:
