@@ -15,6 +15,9 @@ from xdist.scheduler import LoadFileScheduling
 from canskin import session
 from tests.processes import PATIENCE_S, free_endpoint
 
+# A peer of the ROS 2 tests imports GitPython, which fails without a program that no test runs.
+os.environ.setdefault("GIT_PYTHON_REFRESH", "quiet")
+
 #: The folder whose tests compile most of the kernels.
 KERNELS: Final = "tests/reconstructor/"
 #: Whole chains: their services keep time, so they run one after the other and before other tests.

@@ -121,7 +121,7 @@ def test_fault_is_told_once_and_the_skin_is_whole_again(bench: Bench, fault: str
     mended_s, before = time.monotonic(), len(chain.measurements)
     chain.processes.until(lambda: any(map(complete, chain.measurements[before:])), "a complete measurement")
     print(f"{fault}: whole again after {time.monotonic() - mended_s:.1f} s")
-    chain.processes.until(lambda: "works again" in log.read_text()[first:], "the end of the fault")
+    chain.processes.until(lambda: f"bus{bus} works again" in log.read_text()[first:], "the end of the fault")
     told = [line for line in log.read_text()[first:].splitlines() if line.startswith(f"gateway: bus{bus} ")]
     # While somebody mends a lost interface, it may have other reasons.
     assert [sum(words in line for line in told), "works again" in told[-1], len(set(told))] == [1, True, len(told)]
