@@ -241,6 +241,8 @@ class World:
     measured: list[Measurement] = field(default_factory=list)
     #: Bus and node-ID of nodes whose gains or offsets have become others.
     recalibrated: list[tuple[int, int]] = field(default_factory=list)
+    #: `wrong_blocks` of the identities of `measured`.
+    _wrong: dict[int, list[int]] = field(default_factory=dict)
     step_s: ClassVar[float] = STEP_S
     wire: ClassVar[type[Wire]] = Wire
     #: Buses whose interfaces echo a frame before it has been on the bus.
@@ -281,14 +283,19 @@ class World:
         self.now_s += self.step_s
         came: list[Measurement] = []
         self.gateway.tick(self.now_s)
-        came += self.gateway.send_sync(self.now_s)
+        came += self._compared(self.gateway.send_sync(self.now_s))
         self.carry()
         for segment in self.segments:
             segment.tick(self.now_s)
         self.carry()
-        came += self.gateway.measurements(self.now_s)
+        came += self._compared(self.gateway.measurements(self.now_s))
         self.measured += came
         return came
+
+    def _compared(self, made: list[Measurement]) -> list[Measurement]:
+        """Compare measurements when they are made: a later SYNC, a foreign one, too, may have a counter of theirs."""
+        self._wrong |= {id(each): self._wrong_blocks(each) for each in made}
+        return made
 
     def carry(self) -> None:
         """Carry what was sent, and let everybody answer, until nobody says anything more."""
@@ -344,6 +351,10 @@ class World:
 
     def wrong_blocks(self, measurement: Measurement) -> list[int]:
         """Return the blocks that are called valid and are not Φ of that cycle's counts."""
+        found = self._wrong.get(id(measurement))
+        return self._wrong_blocks(measurement) if found is None else found
+
+    def _wrong_blocks(self, measurement: Measurement) -> list[int]:
         sums = np.frombuffer(measurement.sums, "<i4")
         phi = next(each.phi for each in self.contract.states if each.phi.fingerprint == measurement.fingerprint)
         differs = np.zeros(phi.blocks, np.bool_)
