@@ -41,8 +41,8 @@ class _Interface(NamedTuple):
     options: Mapping[str, Value] = {}
     #: Takes the bit timing of CAN FD; the others take the rates.
     takes_timing: bool = False
-    #: Its echo of a frame is the controller's report that the frame has been sent, at its place among the received
-    #: frames. docs/bus.md has the reasons, and those why the others have none.
+    #: Its echo of a frame is the controller's report that the frame has been sent (CANlib's TXACK), at its place among
+    #: the received frames.
     proves_echo: bool = False
     #: Waits for ever for room on a serial line unless it gets a limit. After a failure a part of a frame may be on the
     #: line: only a new beginning tells the adapter where the next frame begins.

@@ -101,7 +101,7 @@ class LinkWorld(World):
 
 
 def measured(world: World) -> Cycles:
-    """Go through a run: boards hang, and go on before or after later SYNCs, and the boards of a bus miss SYNCs."""
+    """Go through a run in which no two samples are alike: boards hang for up to three periods, or miss a SYNC."""
     random = np.random.default_rng(1)
     for count in range(ORDERLY + DISTURBED + AFTER):
         until_sync(world)
