@@ -41,8 +41,8 @@ class _Interface(NamedTuple):
     options: Mapping[str, Value] = {}
     #: Takes the bit timing of CAN FD; the others take the rates.
     takes_timing: bool = False
-    #: Its echo of a frame is the controller's report that the frame has been sent, at its place among the received
-    #: frames. docs/bus.md has the reasons, and those why the others have none.
+    #: Its echo of a frame is the controller's report that the frame has been sent (CANlib's TXACK), at its place among
+    #: the received frames.
     proves_echo: bool = False
     #: Waits for ever for room on a serial line unless it gets a limit. After a failure a part of a frame may be on the
     #: line: only a new beginning tells the adapter where the next frame begins.
@@ -61,6 +61,7 @@ _INTERFACES: Final[Mapping[str, _Interface]] = {
     "pcan": _Interface("PEAK's PCAN-Basic (libpcanbasic.so) and its driver", {"auto_reset": True}, takes_timing=True),
     "robotell": _Interface(_PYSERIAL, is_serial=True),
     "slcan": _Interface(_PYSERIAL, takes_timing=True, is_serial=True),
+    "udp_multicast": _Interface("pip install msgpack"),
     "vector": _Interface(takes_timing=True),
 }
 #: Clock for which the bit timing of CAN FD is computed; an interface with another clock converts it.
@@ -74,7 +75,7 @@ _STATE_OF: Final = {
 _REFUSES: Final = (can.CanError, OSError, ValueError, TypeError, NotImplementedError, LookupError)
 # Opening tells what is missing, in one line; what python-can logs besides would go to stderr.
 logging.getLogger("can").addHandler(logging.NullHandler())
-can.interfaces.BACKENDS["slcan"] = ("bus.slcan", "BoundedSlcan")
+can.interfaces.BACKENDS |= {"slcan": ("bus.slcan", "BoundedSlcan"), "udp_multicast": ("bus.multicast", "OneGroup")}
 
 
 class PythonCanLink:

@@ -67,7 +67,7 @@ _SO_RCVBUFFORCE: Final = 33
 _CAN_RAW_ERR_FILTER: Final = 2
 #: Drivers of USB adapters that echo a frame when the adapter reports its transmission, one report a frame, in the
 #: stream of received frames. Others echo at the end of the USB transfer (peak_usb), when the firmware has queued the
-#: frame (gs_usb with candleLight), or in groups; docs/bus.md has the table.
+#: frame (gs_usb with candleLight), or in groups (ucan, etas_es58x).
 _PROVEN_USB: Final = frozenset({"esd_usb", "esd_usb2", "kvaser_usb"})
 #: Drivers whose interrupt thread passes on received frames before it looks for the end of the transmission.
 _ANSWERS_FIRST: Final = frozenset({"hi3110", "mcp251x"})

@@ -22,7 +22,7 @@ os.environ.setdefault("GIT_PYTHON_REFRESH", "quiet")
 KERNELS: Final = "tests/reconstructor/"
 #: Whole chains: their services keep time, so they run one after the other and before other tests.
 CHAINS: Final = (
-    *("tests/system/", "tests/gateway/test_adapters.py", "tests/views/page/test_browser.py"),
+    *("tests/system/", "tests/views/page/test_browser.py"),
     "tests/deploy/test_units.py",  # at the end: its services take over the kernels that others have made
 )
 #: Other tests get a quarter of a core that a chain wants, too.

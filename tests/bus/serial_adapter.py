@@ -40,6 +40,10 @@ class SerialAdapter:
         os.close(self._slave)
         os.close(self._master)
 
+    def fileno(self) -> int:
+        """Return a file descriptor that is readable when the adapter is told something."""
+        return self._master
+
     def receive(self) -> Frames:
         """Return the frames that the adapter was told to send; never wait."""
         try:

@@ -194,13 +194,18 @@ class Wire:
             for (can_id, length), data in zip(ids_and_lengths, burst["data"], strict=True)
         ]
         for end in (self.gateway, self.nodes):
-            copy = burst.copy()
-            copy["time_ns"][copy["time_ns"] == 0] = self.now_ns
-            if end is sender:
-                copy["flags"] |= ECHO
+            arrived = self._arrived(end, sender, burst)
             if self.loses is not None:
-                copy = copy[[not self.loses(end, each) for each in copy]]
-            end.waiting.append(copy)
+                arrived = arrived[[not self.loses(end, each) for each in arrived]]
+            end.waiting.append(arrived)
+
+    def _arrived(self, end: EndOfWire, sender: EndOfWire | None, burst: Frames) -> Frames:
+        """Return what comes to an end of these frames, its own as echoes."""
+        copy = burst.copy()
+        copy["time_ns"][copy["time_ns"] == 0] = self.now_ns
+        if end is sender:
+            copy["flags"] |= ECHO
+        return copy
 
     @property
     def waiting(self) -> int:
@@ -253,10 +258,13 @@ class World:
         places = self.contract.phi.wired.taxels
         self.electronics = Witness(layout.taxels, noise_n=0.0, period_s=layout.shortest_period_s, places=places)
         self.sampler = WitnessSampler(self.contract.phi, self.electronics)
-        self.wires = [self.wire() for _ in self.contract.layout.bus]
+        self.wires = [self.new_wire(bus) for bus in range(len(self.contract.layout.bus))]
         self.segments = [self.new_segment(bus, self.built or self.contract) for bus in range(len(self.wires))]
         self.power_up()
         self.gateway = self.new_gateway()
+
+    def new_wire(self, bus: int) -> Wire:
+        return self.wire()
 
     def new_segment(self, bus: int, contract: Contract) -> Segment:
         ids = {node.node_id for node in contract.on_bus(bus)}
