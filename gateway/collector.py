@@ -90,8 +90,8 @@ class Answers(NamedTuple):
     doubtful : array of int64, shape (rows,)
         For how many SYNCs a single frame has to come before frames are used; 0: they are used.
     turn : array of int64, shape (rows,)
-        Turn of the newest frame that named an open cycle. A stack that counts SYNCs exchanges its turns when it misses
-        a SYNC.
+        Turn of the newest frame, also of one that came after its cycle: a stack that counts SYNCs exchanges its turns
+        when it misses a SYNC, and its frames then come when no cycle waits for them.
     age : array of int64, shape (rows,)
         How many cycles the sums are old that are held.
     """
@@ -202,11 +202,11 @@ def _accept(  # noqa: PLR0917  compiled functions take no keywords
     node, counter, answers = table.node[row], int(data[0]), state.answers
     state.heard[node] = True
     answers.came[row] += 1
+    answers.turn[row] = (counter - 1) % turns
     kind = LATE
     if is_open(counter, state.cycles):
         slot = slot_of(counter)
         answers.silent[row] = 0
-        answers.turn[row] = (counter - 1) % turns
         state.cycles.spoilt[slot, row] |= answers.doubtful[row] > 0
         if not state.cycles.spoilt[slot, row]:
             note_answer(slot, bus, time_ns + max(stamp_error_ns, 0), state.notes)

@@ -22,7 +22,7 @@ int skin_app_choose(uint8_t bus, uint8_t node_id);
 
 /*   after CO_CANopenInitPDO      skin_app_init()
  *   in the SYNC interrupt        read all converters, and keep counter = co->SYNC->counter (CO_SYNC_initCallbackPre tells that the
- *                                SYNC has come)
+ *                                SYNC has come); both stay as they are until skin_app_sync has returned
  *   in the real-time task        if (CO_process_SYNC(...) says that a SYNC was, with all converters read)
  *                                    skin_app_sync(readings, samples, counter);    before CO_process_TPDO(...)
  *   in the CAN driver            skin_app_dropped() in CO_CANclearPendingSyncPDOs, for every frame that is given up
