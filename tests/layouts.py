@@ -1,4 +1,4 @@
-"""Small layouts, and skins whose sums come in turns (`sync.turns`)."""
+"""Small layouts, skins whose sums come in turns (`sync.turns`), and the default skin in one instant."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -95,6 +95,11 @@ def buses(*nodes: int, names: Sequence[str] = (), **keys: Any) -> list[dict[str,
 def in_turns(layout: Layout, turns: int = 2) -> Layout:
     """Return the layout with half of the frames of a node in odd and half in even cycles, or with other `turns`."""
     return changed(layout, sync={"turns": turns})
+
+
+def in_one_instant(rate_hz: float = 100.0) -> Layout:
+    """Return the default skin with all sums of a SYNC: what a file gets that says nothing."""
+    return changed(load_layout(), sync={"rate_hz": rate_hz, "turns": 1}, device={"jitter_s": 1e-3})
 
 
 def slow_layout(folder: Path, rate_hz: float, turns: int = 1) -> Path:
