@@ -103,7 +103,7 @@ def in_one_instant(rate_hz: float = 100.0) -> Layout:
 
 
 def slow_layout(folder: Path, rate_hz: float, turns: int = 1) -> Path:
-    """Write the default skin's layout at a rate that every machine keeps; return its path.
+    """Write the default skin's layout, in one instant if not in `turns`, at a rate that every machine keeps.
 
     Nodes take one sample a SYNC, so that sums are those of the sensor's counts, rounded once.
     """

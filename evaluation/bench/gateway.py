@@ -98,7 +98,7 @@ def _used_us(
             opened.enter_context(each)
         method = opened.enter_context(make(contract, [near for near, _ in pairs]))
         senders = [_sender(far) for _, far in pairs]
-        counter, taken_us, sums = 0, [], np.zeros(contract.phi.shape[0], np.int64)
+        counter, taken_us, sums = 0, [], np.zeros(contract.phi.shape[0], np.int32)
         for number in range(rounds + 1):
             since_s, count = method.used_s, 0
             for _ in range(CYCLES):
