@@ -200,6 +200,12 @@ class Contract:
         """Return the turn of a SYNC counter value (1 to 240)."""
         return (sync_counter - 1) % self.turns
 
+    @cached_property
+    def sums_of_turn(self) -> list[npt.NDArray[np.intp]]:
+        """Numbers of the sums that come in each turn."""
+        parts = (self.table.gather[self.table.turn == turn] for turn in range(self.turns))
+        return [part[part >= 0] for part in parts]
+
     def on_bus(self, bus: int) -> tuple[NodeContract, ...]:
         """Return the nodes of bus number `bus`, by node-ID."""
         return tuple(node for node in self.nodes if node.bus == bus)

@@ -77,9 +77,7 @@ class Nodes:
         #: The sums that come in each turn.
         self._of_turn = [np.arange(phi.shape[0])]
         if layout.sync.turns > 1:
-            table = Contract.from_layout(layout).table
-            parts = (table.gather[table.turn == turn] for turn in range(layout.sync.turns))
-            self._of_turn = [part[part >= 0] for part in parts]
+            self._of_turn = Contract.from_layout(layout).sums_of_turn
 
     def sample(self) -> npt.NDArray[np.int32]:
         """Return the newest of each sum after the next cycle, all of the first, ADC counts, shape (m,).

@@ -8,7 +8,7 @@ from canskin.errors import RunError
 from demo.folder import run_folder
 from demo.options import DemoOptions
 from demo.quality import TOUCHES_S, is_quick, quality
-from demo.report import PREDICTED_WITHIN_DB, Report
+from demo.report import PREDICTED_WITHIN_DB, WORDS, Report
 from demo.run import Run
 from shell.service import StopSignal, say
 from skin.layout import Layout, changed, layout_text
@@ -61,8 +61,8 @@ def _causes(report: Report, layout: Layout, options: DemoOptions) -> str:
         causes.append("the taxels had defects")
     if options.solver is not None:
         causes.append("another solver was chosen")
-    if not layout.sends.in_cycles:
-        causes.append(f"images came {report.latency_ms.p50 or 0:.0f} ms after their frames")
+    if not layout.is_of_one_instant:
+        causes.append(f"{WORDS[report.sending].latency} took {report.latency_ms.p50 or 0:.0f} ms")
     return "; ".join(causes) or "no known cause"
 
 

@@ -3,14 +3,17 @@
 import math
 from collections.abc import Iterator, Sequence
 from functools import partial
-from itertools import pairwise
+from itertools import pairwise, product
 from typing import Final, NamedTuple
 
 import msgspec
 import numpy as np
 import numpy.typing as npt
 
+from bandwidth.plan import random_bus_time
+from bandwidth.traffic import traffic
 from canskin.errors import LayoutError, RunError
+from canskin.messages import Image
 from dbc.adaptive import column_of
 from dbc.contract import Contract
 from dbc.frame import frame_bytes
@@ -20,7 +23,7 @@ from gateway.adaptive_state import new_sums, take_all
 from nodes.adaptive.simulated import touched_frames
 from reconstructor.imaging import CycleImager
 from reconstructor.walsh import WalshReconstructor
-from skin.ground_truth import in_contact
+from skin.ground_truth import LATENESS_NS, image_pairs, in_contact
 from skin.layout import Layout, changed, require_sending, validated
 from skin.measured_sums import decode_measurement
 from skin.psnr import decibels
@@ -160,17 +163,38 @@ def quality(
 
 
 def _cycles(layout: Layout, source: TaxelSource, seconds: float, valid: Sequence[bytes]) -> Iterator[Moment]:
-    """Yield each cycle of boards that send in cycles."""
+    """Yield each truth of boards that send in cycles, with the image that a run compares with it."""
     layout = changed(layout, recognition=None)
-    phi, imager = layout.operator(), CycleImager(layout)
-    nodes = Nodes(layout, source, seed=0)
+    phi, imager, pairs = layout.operator(), CycleImager(layout), image_pairs(layout)
+    nodes, late_ns = Nodes(layout, source, seed=0), _late_ns(layout)
     for _ in range(round(seconds * step_rate_hz(layout))):
         measurement = nodes.measurement(nodes.sample())
         if valid:
             measurement = msgspec.structs.replace(measurement, valid=valid[nodes.cycle % len(valid)])
-        image_n = imager.solve(decode_measurement(measurement, phi))[0].ravel()
-        truth = nodes.truth()
-        yield image_n, np.frombuffer(truth.true, "<f4"), np.frombuffer(truth.sensor, "<f4")
+        image = Image(
+            cycle=measurement.cycle,
+            sync_counter=measurement.sync_counter,
+            sampled_mono_ns=measurement.sampled_mono_ns,
+            published_mono_ns=measurement.sampled_mono_ns + late_ns,
+            pixels=imager.solve(decode_measurement(measurement, phi))[0].tobytes(),
+            valid=measurement.valid,
+            valid_sums=phi.shape[0],
+            solve_s=0.0,
+        )
+        for shown, truth in (*pairs.take_truth(nodes.truth()), *pairs.take(image)):
+            image_n, true_n, sensor_n = (
+                np.frombuffer(each, "<f4") for each in (shown.pixels, truth.true, truth.sensor)
+            )
+            yield image_n, true_n, sensor_n
+
+
+def _late_ns(layout: Layout) -> int:
+    """Return the time from SYNC to the image of sums in turns; the images of one instant are judged as if at once."""
+    if layout.is_of_one_instant:
+        return 0
+    contract = Contract.from_layout(layout)
+    lines = product(range(len(layout.bus)), range(contract.turns))
+    return round(max(random_bus_time(traffic(contract, *each)).cycle_s for each in lines) * 1e9) + LATENESS_NS
 
 
 def _news(layout: Layout, source: TaxelSource, seconds: float) -> Iterator[Moment]:

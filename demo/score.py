@@ -1,7 +1,7 @@
 """The figures of a run: messages in, a `demo.report.Report` out.
 
-PSNR follows the paper's equation with the skin's largest force as peak, per cycle, averaged over contact cycles. With
-adaptive sending, for each truth, 100 a second, of the image that was on show at its instant.
+PSNR follows the paper's equation with the skin's largest force as peak, for each truth with contact, of the image that
+`skin.ground_truth.image_pairs` finds: of the truth's cycle, or on show at its instant where sums are of no single one.
 """
 
 import os

@@ -25,7 +25,7 @@ COMPRESSIONS: Final = (SUMS_PART, 2, 1)
 BUSES_MAX: Final = 16
 #: Payload of a frame of sums, bytes, the SYNC counter first: classic CAN, CAN FD.
 _PDO_BYTES: Final = (CLASSIC_MAX, FD_ONLY_LENGTHS[-1])
-#: Part of the rate of sums in cycles at which the best scan is as good: measured at 0.52, with 2.6 dB to spare.
+#: Part of the rate of sums in cycles at which the best scan is as good: measured at 0.52, with 0.9 dB to spare.
 AS_GOOD: Final = 0.5
 #: Bits of a taxel in the best scan of all that were tried (`docs/bandwidth.md`).
 SCAN_BITS: Final = 7

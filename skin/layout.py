@@ -356,6 +356,11 @@ class Layout(_Table, frozen=True, kw_only=True):
         return round((self.sampling.rate_hz or self.sync.rate_hz) / self.sync.rate_hz)
 
     @property
+    def is_of_one_instant(self) -> bool:
+        """Whether all sums of a measurement were sampled at one SYNC."""
+        return self.sends.in_cycles and self.sync.turns == 1
+
+    @property
     def shortest_period_s(self) -> float:
         """Shortest time from SYNC to SYNC: that of recognition if the layout has it."""
         return 1 / self.recognition.rate_hz if self.recognition else self.sync.period_s

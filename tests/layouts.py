@@ -1,4 +1,4 @@
-"""Small layouts, and skins whose sums come in turns (`sync.turns`)."""
+"""Small layouts, skins whose sums come in turns (`sync.turns`), and the default skin in one instant."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -97,8 +97,13 @@ def in_turns(layout: Layout, turns: int = 2) -> Layout:
     return changed(layout, sync={"turns": turns})
 
 
+def in_one_instant(rate_hz: float = 100.0) -> Layout:
+    """Return the default skin with all sums of a SYNC: what a file gets that says nothing."""
+    return changed(load_layout(), sync={"rate_hz": rate_hz, "turns": 1}, device={"jitter_s": 1e-3})
+
+
 def slow_layout(folder: Path, rate_hz: float, turns: int = 1) -> Path:
-    """Write the default skin's layout at a rate that every machine keeps; return its path.
+    """Write the default skin's layout, in one instant if not in `turns`, at a rate that every machine keeps.
 
     Nodes take one sample a SYNC, so that sums are those of the sensor's counts, rounded once.
     """

@@ -46,7 +46,7 @@ def _skin(options: Options) -> dict[str, Finding]:
     complete = sum(each["complete"] for each in found) / cycles
     return {
         "live gain": Finding(mean(each["image_db"] - each["sensor_db"] for each in found), cycles),
-        "complete cycles": Finding(layout.sync.rate_hz * complete, cycles),
+        "complete cycles": Finding(complete / layout.sync.round_s, cycles),
         "carried cycles": Finding(mean_rate_hz(layout), 1),
         "carried cycles of 64": Finding(mean_rate_hz(load_layout(Path("recognition"))), 1),
         "compression": Finding(layout.taxels.count / layout.measurement.sums, 1),
@@ -55,8 +55,8 @@ def _skin(options: Options) -> dict[str, Finding]:
 
 
 def mean_rate_hz(layout: Layout) -> float:
-    """Return the cycles a second that the buses of a layout carry with random data."""
-    return min(bus.max_rate_hz_random for bus in plan(Contract.from_layout(layout)))
+    """Return how often in a second the buses of a layout carry all sums, with random data."""
+    return min(bus.max_rate_hz_random for bus in plan(Contract.from_layout(layout))) / layout.sync.turns
 
 
 def _converters(options: Options) -> dict[str, Finding]:
@@ -81,7 +81,7 @@ def _wires() -> dict[str, Finding]:
 
 
 def measure_skin(*, name: str, ticks: int, meshes: str | None, seed: int) -> Row:
-    """Return what the default skin makes of a slide: PSNR, cycles, and kbit/s beside those of a scan at its rate.
+    """Return what the default skin makes of a slide: PSNR, cycles, and kbit/s beside those of a scan as often.
 
     Returns
     -------
@@ -95,7 +95,7 @@ def measure_skin(*, name: str, ticks: int, meshes: str | None, seed: int) -> Row
     run = run_sums(contract, scene.counts, idle_counts=touch.idle())
     errors_n2 = np.mean((scene.felt_n.astype(np.float64) - scene.true_n) ** 2, axis=1)
     late_ns = run.latency_ns.reshape(len(run.sums_n), -1).max(axis=1)
-    scan = run_scan(scene.felt_n, SCAN_BITS, layout.sync.rate_hz)
+    scan = run_scan(scene.felt_n, SCAN_BITS, 1 / layout.sync.round_s)
     return {
         "image_db": quality(scene.true_n, run.images(contract))["psnr_mean_db"],
         "sensor_db": float(decibels(errors_n2, FORCE_MAX_N).mean()),

@@ -9,15 +9,13 @@ import numpy.typing as npt
 from evaluation.result import Row
 from evaluation.schemes.board import Board
 from evaluation.schemes.wire import TICK_NS, Nanoseconds, Sent
+from skin.ground_truth import LATENESS_NS
 from skin.psnr import decibels
 from skin.taxel import FORCE_MAX_N
 from touch.contact import Force
 
 #: No image of a 10-bit converter is better: PSNR is not counted above it, or an idle skin's would be infinite.
 PSNR_MOST_DB: Final = 71.0
-#: From the end of a frame to its image at a client: gateway, fabric and solver, the median of a running adaptive skin
-#: (`skin bench chain`: 1.6 to 1.8 ms, of which the solver takes 0.06 ms). Every scheme has the same way, and pays it.
-LATENESS_NS: Final = 1_800_000
 #: A taxel that is off by more shows something that is not there: four times the sensor noise.
 WRONG_N: Final = 0.004
 
@@ -29,7 +27,7 @@ class Images:
     Attributes
     ----------
     ready_ns : array of int64, shape (k,)
-        When the last frame of each had come, ascending; `LATENESS_NS` later it is in use.
+        When the last frame of each had come, ascending; `LATENESS_NS` later it is in use, whatever the scheme.
     force_n : array of float32, shape (k, n)
     """
 

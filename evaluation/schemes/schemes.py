@@ -110,7 +110,7 @@ class Sums:
         """Measure in every cycle."""
         contract = Contract.from_layout(self.layout or load_layout())
         run = run_sums(contract, board.counts, board.loss_ratio, board.seed, board.idle)
-        return Shown(run.sent, run.latency_ns, {OURS: run.images(contract)}, contract.layout.sync.rate_hz)
+        return Shown(run.sent, run.latency_ns, {OURS: run.images(contract)}, 1 / contract.layout.sync.round_s)
 
 
 @dataclass(frozen=True)

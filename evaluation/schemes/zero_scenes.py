@@ -1,7 +1,8 @@
 """``skin evaluate calibration``: what a skin shows while its zero drifts, scene by scene, in one process.
 
-The boards' averages are replaced by noise of their strength and memory: cycles come as in the default skin. Every taxel
-reads at least `PEDESTAL_N` without a touch, so that a zero which falls stays within the range of the converter.
+The boards' averages are replaced by noise of their strength and memory. A cycle is a round of the default skin, all its
+sums: the zero is found from means, so it does not matter that sums come in turns. Every taxel reads at least
+`PEDESTAL_N` without a touch, so that a zero which falls stays within the range of the converter.
 """
 
 from collections.abc import Iterator
@@ -196,8 +197,9 @@ def judge_scene(scene: Scene, seed: int) -> Row:
 
 
 def _layout_of(scene: Scene) -> Layout:
-    """Return the default skin, with references if the scene has some."""
+    """Return the default skin, a cycle for each of its rounds, with references if the scene has some."""
     layout = load_layout()
+    layout = changed(layout, sync={"rate_hz": 1 / layout.sync.round_s, "turns": 1})
     if not scene.has_references:
         return layout
     taxels = np.arange(layout.taxels.count).reshape(layout.taxels.rows, layout.taxels.columns)

@@ -11,10 +11,10 @@ from bandwidth.plan import plan_bus
 from bandwidth.traffic import Disturbance
 from dbc.contract import Contract
 from dbc.frame import ERROR, EXTENDED, REMOTE, Frames, frames
-from skin.layout import load_layout
+from tests.layouts import in_one_instant
 
 MS = 1_000_000
-SKIN = Contract.from_layout(load_layout())
+SKIN = Contract.from_layout(in_one_instant())
 
 
 def made(rows: list[tuple[float, int, int]]) -> Frames:

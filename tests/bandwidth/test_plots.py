@@ -40,7 +40,7 @@ def test_a_cycle_shows_frames_one_after_another_and_the_window(contract: Contrac
         assert ((colours >= 0) & (colours <= 1)).all()
     lines = {str(line.get_label()): line.get_xdata()[0] for line in panel.get_lines()}
     # 1007h is 99 % of the period.
-    assert lines == {"next SYNC": 10.0, "window (1007h)": pytest.approx(9.9)}
+    assert lines == {"next SYNC": 5.0, "window (1007h)": pytest.approx(4.95)}
     assert panel.get_xlim()[0] == 0
     assert panel.yaxis_inverted()
 

@@ -12,7 +12,7 @@ from canskin.errors import InputError
 from dbc.contract import Contract
 from dbc.frame import frames
 from skin.layout import Layout, changed, load_layout
-from tests.layouts import ADAPTIVE, buses, small_layout
+from tests.layouts import ADAPTIVE, buses, in_one_instant, small_layout
 
 
 def skin(nodes: list[int], rate_hz: float, bits: int = 14) -> Contract:
@@ -46,10 +46,11 @@ def test_published_table(
 
 
 def test_streams_are_all_that_the_bus_carries() -> None:
-    contract = Contract.from_layout(load_layout())
+    contract = Contract.from_layout(in_one_instant())
     streams = traffic(contract, 3)
     assert list(streams.frames["can_id"]) == sorted(streams.frames["can_id"])
     assert len(streams.frames) == 1 + 64 + 2 + 32
+    assert len(traffic(Contract.from_layout(load_layout()), 3).frames) == 1 + 32 + 2 + 32
     assert streams.is_heartbeat.sum() == 32
     assert set(streams.node[streams.is_tpdo]) == set(range(1, 33))
     assert (streams.node[streams.is_sdo_response] == 32).all()

@@ -30,16 +30,16 @@ from dbc.frame import BRS, FD, FD_LENGTHS
 from dbc.packing import Packing
 from skin.layout import SUM_BITS_MAX, SUM_BITS_MIN, Bus, Encoding, Layout, PhiParameters, Taxels, load_layout
 from skin.sync_counter import SYNC_OVERFLOW, next_counter
-from tests.layouts import GROUPS, TURNS, buses, in_turns, small_layout
+from tests.layouts import GROUPS, TURNS, buses, in_one_instant, in_turns, small_layout
 
-CONTRACT = Contract.from_layout(load_layout())
-IN_TURNS = Contract.from_layout(in_turns(load_layout()))
+CONTRACT = Contract.from_layout(in_one_instant())
+IN_TURNS = Contract.from_layout(load_layout())
 #: 2022h, sub-index 0, 8 bits: the entry before the sums of a mapping.
 COUNTER_ENTRY = 0x2022_00_08
 
 
 def changed(**measurement: object) -> Layout:
-    layout = load_layout()
+    layout = in_one_instant()
     return msgspec.structs.replace(layout, measurement=msgspec.structs.replace(layout.measurement, **measurement))
 
 

@@ -13,7 +13,7 @@ from dbc.codec import encode
 from dbc.contract import Contract
 from dbc.database import database, signal_name
 from skin.layout import Encoding, load_layout
-from tests.layouts import buses, in_turns, small_layout
+from tests.layouts import buses, in_one_instant, small_layout
 
 CASES = [
     ("default", {}),
@@ -22,14 +22,14 @@ CASES = [
     ("fd", {}),
     *(("fd", {"sum_bits": bits, "offset_binary": bits % 2 == 1}) for bits in (7, 12, 16)),
     ("one-bus-12bit", {}),
-    ("in turns", {}),
+    ("one instant", {}),
 ]
 #: SYNC counter of the frames: its highest bit is set.
 COUNTER = 0xA5
 
 
 def made_of(name: str, encoding: dict[str, object]) -> Contract:
-    layout = in_turns(load_layout()) if name == "in turns" else load_layout(Path(name))
+    layout = in_one_instant() if name == "one instant" else load_layout(Path(name))
     return Contract.from_layout(msgspec.structs.replace(layout, encoding=Encoding(**encoding)) if encoding else layout)
 
 
@@ -69,10 +69,10 @@ def sums_of(contract: Contract, node: Any) -> tuple[int, int]:
 
 
 def test_signals_say_what_they_are() -> None:
-    contract = Contract.from_layout(in_turns(made_of("default", {"sum_bits": 12, "offset_binary": True}).layout))
+    contract = made_of("default", {"sum_bits": 12, "offset_binary": True})
     described = read(contract, 1)
     message = described.get_message_by_name("Node6_TPDO2")
-    assert (message.senders, message.cycle_time) == (["Node6"], 20)
+    assert (message.senders, message.cycle_time) == (["Node6"], 10)
     assert "after SYNC counters 2, 4, 6, ..." in message.comment
     counter, first, *_ = message.signals
     assert (counter.name, counter.start, counter.length, counter.is_signed) == ("Counter", 0, 8, False)
@@ -95,7 +95,7 @@ def test_every_frame_on_a_bus_is_described() -> None:
         assert set(range(base + 1, base + 33)) <= ids
     assert len(ids) == 2 + 32 * 2 + 4 * 32
     sync = described.get_message_by_frame_id(SYNC_COB_ID)
-    assert (sync.cycle_time, sync.length) == (10, 1)
+    assert (sync.cycle_time, sync.length) == (5, 1)
     assert described.decode_message("Node7_Heartbeat", b"\x05") == {"State": "Operational"}
     assert described.decode_message("NMT", b"\x81\x00") == {"Command": "Reset node", "NodeId": 0}
 

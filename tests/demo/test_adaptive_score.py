@@ -8,6 +8,7 @@ from canskin.messages import FrameCounts, GatewayStatus, Image, Label, Truth
 from demo.processor_time import ProcessorTime, processor_time, ratios
 from demo.report import Percentiles
 from demo.score import Score
+from skin.layout import Layout, load_layout
 from tests import messages as make
 from tests.demo.helpers import pixels
 from tests.layouts import ADAPTIVE_SKIN
@@ -46,7 +47,9 @@ def score() -> Score:
     return Score(ADAPTIVE_SKIN)
 
 
-def test_the_image_on_show_is_compared_at_each_truth(score: Score) -> None:
+@pytest.mark.parametrize("layout", [ADAPTIVE_SKIN, load_layout()], ids=["adaptive", "in turns"])
+def test_the_image_on_show_is_compared_at_each_truth(layout: Layout) -> None:
+    score = Score(layout)
     # Many bad images between two truths count for nothing; so does what comes later.
     for each in (11, 12, 13):
         score.take_image(image(each, error_n=0.02))

@@ -46,4 +46,4 @@ def test_the_table_has_a_line_for_each_value(capsys: pytest.CaptureFixture[str])
     config()
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].split() == ["setting", "value", "from"]
-    assert any(line.split() == ["sync.rate_hz", "100.0", "default.toml"] for line in lines)
+    assert any(line.split() == ["sync.rate_hz", "200.0", "default.toml"] for line in lines)

@@ -26,11 +26,12 @@ from nodes.adaptive.simulated import touched_frames
 from reconstructor.adaptive import AdaptiveImager
 from reconstructor.imaging import CycleImager
 from shell.touch_options import TouchOptions
-from skin.ground_truth import in_contact
+from skin.ground_truth import LATENESS_NS, image_pairs, in_contact
 from skin.layout import SHIPPED, Layout, changed, load_layout
 from skin.measured_sums import MeasuredSums, decode_adaptive
 from skin.psnr import decibels
 from skin.sources import load_objects
+from tests import messages as make
 from tests.layouts import any_layout
 
 #: Touches of a layout, seconds.
@@ -40,7 +41,7 @@ BOUND_DB = 0.5
 
 
 def drawn(seed: int) -> Layout:
-    """Return a layout of any size, width of sums, rate and wires; sums and samples are chosen."""
+    """Return a layout of any size, width of sums, rate, turns and wires; sums and samples are chosen."""
     random = np.random.default_rng(seed)
     rows, columns = random.integers(8, 30, 2).tolist()
     size = int(random.choice([16, 32, 64]))
@@ -50,7 +51,7 @@ def drawn(seed: int) -> Layout:
         columns,
         measurement={"block_size": size, "seed": seed},
         encoding={"sum_bits": int(random.integers(7, 17)), "offset_binary": bool(random.random() < 0.5)},
-        sync={"rate_hz": float(random.choice([40.0, 100.0, 125.0]))},
+        sync={"rate_hz": float(random.choice([40.0, 100.0, 125.0])), "turns": 1 + seed % 2},
         bus=[{"name": "bus0", "nodes": -(-rows * columns // size), **fd}],
     )
 
@@ -64,19 +65,26 @@ def on_simulated_buses(layout: Layout) -> float:
     contract, taxels = Contract.from_layout(layout), layout.taxels
     nodes = Nodes(layout, load_objects(layout, rest_s=REST_S), seed=0)
     imager, wired, table = CycleImager(layout), contract.phi.is_wired, contract.table
-    errors_n2 = []
+    pairs, counts, errors_n2 = image_pairs(layout), np.zeros(contract.phi.shape[0], np.int32), []
     for cycle in range(round((REST_S + TOUCHES_S) * layout.sync.rate_hz)):
-        rows = np.arange(len(table.bus))
+        rows = np.flatnonzero(table.turn == contract.turn_of(cycle % 240 + 1))
         sent = carry(burst(contract, nodes.sample(), rows, cycle % 240 + 1), table.bus[rows], layout.bus, ticks=1)
-        assert sent.ended_ns[: rows.size].max() <= 1e9 * window_s(layout)
-        counts = np.zeros(contract.phi.shape[0], np.int32)
+        ended_ns = int(sent.ended_ns[: rows.size].max())
+        assert ended_ns <= 1e9 * window_s(layout)
         decode(sent.frames["data"][: rows.size], table.gather[rows], contract.packing, counts)
         usable = np.frombuffer(contract.packing.usable(counts), np.bool_)
         valid = usable if usable.size else np.ones(counts.size, np.bool_)
         sums = MeasuredSums(counts, contract.phi.all_of_blocks(valid), valid, cycle + 1)
-        image_n, true_n = imager.solve(sums)[0].ravel(), np.frombuffer(nodes.truth().true, "<f4")
-        if in_contact(true_n, taxels.force_max_n):
-            errors_n2.append(np.mean((image_n - true_n)[wired] ** 2))
+        image = make.image(
+            sync_counter=cycle % 240 + 1,
+            sampled_mono_ns=nodes.time_ns,
+            published_mono_ns=nodes.time_ns + ended_ns + LATENESS_NS,
+            pixels=imager.solve(sums)[0].tobytes(),
+        )
+        for shown, true in (*pairs.take_truth(nodes.truth()), *pairs.take(image)):
+            image_n, true_n = (np.frombuffer(each, "<f4") for each in (shown.pixels, true.true))
+            if in_contact(true_n, taxels.force_max_n):
+                errors_n2.append(np.mean((image_n - true_n)[wired] ** 2))
     return float(decibels(errors_n2, taxels.force_max_n).mean())
 
 

@@ -29,9 +29,9 @@ def test_cycles_since_the_start_has_settled_judge_the_rate(complete: int, kept: 
 
 
 def test_another_rate_keeps_the_samples_of_a_cycle_where_boards_can() -> None:
-    slow, fast = at_rate(LAYOUT, 25.0), at_rate(LAYOUT, 200.0)
-    assert (slow.sync.rate_hz, slow.sampling.rate_hz, slow.samples_per_sync) == (25.0, 250.0, 10)
-    assert (fast.sync.rate_hz, fast.sampling.rate_hz, fast.samples_per_sync) == (200.0, 1000.0, 5)
+    slow, fast = at_rate(LAYOUT, 25.0), at_rate(LAYOUT, 500.0)
+    assert (slow.sync.rate_hz, slow.sampling.rate_hz, slow.samples_per_sync) == (25.0, 125.0, 5)
+    assert (fast.sync.rate_hz, fast.sampling.rate_hz, fast.samples_per_sync) == (500.0, 1000.0, 2)
     once = msgspec.structs.replace(LAYOUT, sampling=msgspec.structs.replace(LAYOUT.sampling, rate_hz=None))
     assert at_rate(once, 25.0).sampling.rate_hz is None
 
@@ -69,11 +69,11 @@ class Rates:
 @pytest.mark.parametrize(
     ("most_hz", "options", "tried_hz"),
     [
-        (100.0, DemoOptions(view=False), [100.0]),
-        (30.0, DemoOptions(view=False), [100.0, 50.0, 25.0]),
-        (1.0, DemoOptions(view=False), [100.0, 50.0, 25.0, 12.5]),
+        (200.0, DemoOptions(view=False), [200.0]),
+        (60.0, DemoOptions(view=False), [200.0, 100.0, 50.0]),
+        (1.0, DemoOptions(view=False), [200.0, 100.0, 50.0, 25.0]),
         (30.0, DemoOptions(view=False, sync_rate=80.0), [80.0]),
-        (30.0, DemoOptions(view=False, seconds=LEAST_RUN_S - 1), [100.0]),
+        (30.0, DemoOptions(view=False, seconds=LEAST_RUN_S - 1), [200.0]),
     ],
 )
 def test_a_run_takes_the_rate_that_the_machine_keeps(
@@ -86,9 +86,11 @@ def test_a_run_takes_the_rate_that_the_machine_keeps(
     assert SETTLED_S < JUDGED_S < LEAST_RUN_S
 
 
-@pytest.mark.parametrize(("name", "tried_hz"), [("default", [100.0, 50.0, 25.0]), ("fd", [100.0])])
+@pytest.mark.parametrize(("name", "tried_hz"), [("default", [200.0, 100.0, 50.0, 25.0]), ("fd", [100.0])])
 def test_a_run_keeps_the_rate_of_a_model_for_means_of_cycles(tmp_path: Path, name: str, tried_hz: list[float]) -> None:
-    rates = Rates(30.0, DemoOptions(view=False, model=Path("mine.npz")), tmp_path, load_layout(Path(name)))
+    rates = Rates(
+        30.0, DemoOptions(layout=Path(name), view=False, model=Path("mine.npz")), tmp_path, load_layout(Path(name))
+    )
     rates.execute()
     assert rates.tried_hz == tried_hz
 

@@ -8,11 +8,11 @@ from canskin.calibration_messages import CalibrationState, CalibrationStatus
 from canskin.messages import FrameCounts, Image, Label, Truth
 from demo.report import Percentiles
 from demo.score import HISTORY, Score
-from skin.layout import load_layout
 from tests import messages as make
 from tests.demo.helpers import pixels
+from tests.layouts import in_one_instant
 
-LAYOUT = load_layout()
+LAYOUT = in_one_instant()
 PERIOD_NS = 10_000_000
 
 

@@ -15,8 +15,9 @@ from gateway.collector import Collector, Gathered
 from skin.layout import load_layout
 from skin.sync_counter import next_counter
 from tests.bus.harness import frame
+from tests.layouts import in_one_instant
 
-CONTRACT = Contract.from_layout(load_layout())
+CONTRACT = Contract.from_layout(in_one_instant())
 TABLE = CONTRACT.table
 RANDOM = np.random.default_rng(7)
 SUMS = 4 * RANDOM.integers(-4092, 4093, 1024).astype(np.int16)

@@ -76,7 +76,7 @@ def test_it_runs_the_hub_unless_it_joins_another(
     assert options["hub"] is (connect is None)
     assert options["fingerprint"] == service[0].phi.fingerprint
     assert links["stop"] is options["stop"] is stop
-    assert capsys.readouterr().err == "gateway: 2 buses, SYNC 100 Hz\n"
+    assert capsys.readouterr().err == "gateway: 2 buses, SYNC 200 Hz\n"
     assert sorted(parts.closed) == ["bus0", "bus1", "fabric"]
 
 

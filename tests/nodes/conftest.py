@@ -7,14 +7,14 @@ import pytest
 from dbc.contract import Contract
 from nodes.sampler import Sampler
 from nodes.segment import Segment
-from skin.layout import load_layout
+from tests.layouts import in_one_instant
 from tests.nodes.adaptive_bus import Bus
 from tests.nodes.helpers import ArrayLink, new_sampler, new_segment
 
 
 @pytest.fixture(scope="session")
 def contract() -> Contract:
-    return Contract.from_layout(load_layout())
+    return Contract.from_layout(in_one_instant())
 
 
 @pytest.fixture

@@ -5,7 +5,7 @@ import pytest
 from dbc.contract import Contract
 from nodes.adaptive.boards import AdaptiveBoards
 from nodes.adaptive.news import WithNews
-from skin.layout import load_layout
+from tests.layouts import in_one_instant
 from tests.nodes.helpers import Still
 
 MS, SECOND = 1_000_000, 1_000_000_000
@@ -13,7 +13,7 @@ MS, SECOND = 1_000_000, 1_000_000_000
 
 def new() -> WithNews:
     """Classic CAN at 1 Mbit/s: every frame of sums lasts 135 µs at most."""
-    contract = Contract.from_layout(load_layout())
+    contract = Contract.from_layout(in_one_instant())
     return WithNews(contract, 0, AdaptiveBoards(contract, [], Still(contract)))
 
 

@@ -9,6 +9,7 @@ from dbc.frame import Frames
 from nodes.segment import Segment
 from skin.layout import load_layout
 from tests.bus.harness import frame
+from tests.layouts import in_one_instant
 from tests.nodes.helpers import ArrayLink, give, new_segment, read, sync, write
 
 START, PRE_OPERATIONAL, RESET_NODE, RESET_COMMUNICATION = (frame(0, bytes((code, 0))) for code in (1, 128, 129, 130))
@@ -100,7 +101,7 @@ def test_the_few_sums_are_those_that_their_mapping_names(segment: Segment, link:
 
 
 def test_nodes_without_states_take_no_switch(link: ArrayLink) -> None:
-    nodes = new_segment(Contract.from_layout(load_layout()), link, {1})
+    nodes = new_segment(Contract.from_layout(in_one_instant()), link, {1})
     give(nodes, link, START, TO_IMAGES, sync(1))
     assert nodes.boards.nodes[0].active_state == 0
     assert answers(nodes, link, sync(2)) == {0x181, 0x281}

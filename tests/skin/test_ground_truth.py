@@ -1,4 +1,4 @@
-"""With adaptive sending a truth belongs to the image on show at its instant, and a label to the truth nearest to it."""
+"""Without a single instant a truth belongs to the image on show; an adaptive label belongs to the nearest truth."""
 
 import random
 from pathlib import Path
@@ -23,6 +23,7 @@ from skin.ground_truth import (
 from skin.layout import load_layout
 from skin.sync_counter import SYNC_OVERFLOW
 from tests import messages as make
+from tests.layouts import in_one_instant
 
 MS = 1_000_000
 
@@ -44,8 +45,10 @@ def times_ms(found: list[tuple[Image, Truth]]) -> list[tuple[float, float]]:
 
 
 def test_each_way_of_sending_has_its_pairs() -> None:
-    assert isinstance(image_pairs(load_layout()), Pairing)
-    assert isinstance(label_pairs(load_layout()), Pairing)
+    assert isinstance(image_pairs(in_one_instant()), Pairing)
+    assert isinstance(image_pairs(load_layout()), ShownImages)
+    for layout in (in_one_instant(), load_layout()):
+        assert isinstance(label_pairs(layout), Pairing)
     adaptive = load_layout(Path("adaptive"))
     assert isinstance(image_pairs(adaptive), ShownImages)
     assert isinstance(label_pairs(adaptive), NearestTruths)

@@ -28,7 +28,7 @@ from skin.layout import (
     require_sending,
     validated,
 )
-from tests.layouts import ADAPTIVE, TWO_FINGERS, small_layout
+from tests.layouts import ADAPTIVE, TWO_FINGERS, in_one_instant, small_layout
 
 DEFAULT = Path(__file__).parents[2].joinpath("skin/layouts/default.toml").read_text()
 
@@ -39,7 +39,8 @@ def test_default_skin() -> None:
     assert layout.taxels.newton_per_count == pytest.approx(0.02 / 1023)
     assert layout.blocks == 128
     assert [bus.nodes for bus in layout.bus] == [32] * 4
-    assert layout.sync.period_s == pytest.approx(0.01)
+    assert (layout.sync.rate_hz, layout.sync.turns, layout.samples_per_sync) == (200.0, 2, 5)
+    assert not layout.is_of_one_instant
     assert layout.phi().shape == (1024, 4096)
     assert (layout.phi().kept.sum(axis=1) == 8).all()
 
@@ -77,18 +78,18 @@ def test_same_layout_same_phi_and_another_seed_another() -> None:
         ("[taxels]", "[taxels]\nuntouchable = [1.5]", "$.taxels.untouchable[0]"),
         ("[taxels]", "[taxels]\nhas_thermometers = 1", "$.taxels.has_thermometers"),
         ('sums = 1024\nselection = "balanced"', 'rows = [[0, 1]]\nselection = "uniform"', "$.measurement.selection"),
-        ("rate_hz = 100.0", "rate_hz = -1.0", "$.sync.rate_hz"),
-        ("rate_hz = 100.0", "rate_hz = 1e-9", "$.sync.rate_hz"),
+        ("rate_hz = 200.0", "rate_hz = -1.0", "$.sync.rate_hz"),
+        ("rate_hz = 200.0", "rate_hz = 1e-9", "$.sync.rate_hz"),
         ("force_max_n = 0.02", "force_max_n = 1e308", "$.taxels.force_max_n"),
         ("force_max_n = 0.02", "force_max_n = 1e-300", "$.taxels.force_max_n"),
         ("pitch_m = 0.004", "pitch_m = inf", "$.taxels.pitch_m"),
-        ("[sync]", "[device]\nvendor_id = 4294967296\n[sync]", "$.device.vendor_id"),
-        ("[sync]", "[device]\nfirst_serial = 0\n[sync]", "$.device.first_serial"),
-        ("[sync]", "[device]\nfirst_serial = 4294967295\n[sync]", "$.device.first_serial"),
+        ("[device]", "[device]\nvendor_id = 4294967296", "$.device.vendor_id"),
+        ("[device]", "[device]\nfirst_serial = 0", "$.device.first_serial"),
+        ("[device]", "[device]\nfirst_serial = 4294967295", "$.device.first_serial"),
         ("sum_bits = 14", "sum_bits = 17", "$.encoding.sum_bits"),
         ("sum_bits = 14", "sum_bits = 6", "$.encoding.sum_bits"),
-        ("rate_hz = 100.0", "rate_hz = 100.0\nturns = 3", "$.sync.turns"),
-        ("[sync]", "[device]\njitter_s = 1.5\n[sync]", "$.device.jitter_s"),
+        ("turns = 2", "turns = 3", "$.sync.turns"),
+        ("jitter_s = 0.0004", "jitter_s = 1.5", "$.device.jitter_s"),
         ("sum_bits = 14", "sum_bits = 14\noffset_binary = 1", "$.encoding.offset_binary"),
         ("block_size = 32", "block_size = 256", "$.measurement.block_size"),
         ('name = "bus1"', 'name = "bus0"', "$.bus[1].name"),
@@ -293,7 +294,7 @@ def test_the_page_names_every_key() -> None:
 def test_sums_and_buses_follow_the_size_of_the_skin() -> None:
     small = parse_layout(b"[taxels]\nrows = 16\ncolumns = 16\n", "small.toml")
     assert (small.measurement.sums, [(bus.name, bus.nodes) for bus in small.bus]) == (128, [("bus0", 8)])
-    assert parse_layout(b"[taxels]\n", "default.toml") == load_layout()
+    assert parse_layout(b"[taxels]\n", "default.toml") == in_one_instant()
     least = parse_layout(b"[taxels]\nrows = 8\ncolumns = 8\n[measurement]\nblock_size = 2\n", "least.toml")
     assert (least.measurement.sums, least.blocks) == (64, 32)
 
@@ -322,7 +323,7 @@ def test_samples_between_syncs_are_averaged_and_the_table_survives_writing() -> 
     single = parse_layout(b"[taxels]\n[sampling]\nrate_hz = 100.0\n", "single.toml")
     assert single.samples_per_sync == 1
     assert parse_layout(layout_text(single).encode(), "again.toml") == single
-    default = load_layout()
+    default = in_one_instant()
     assert default.samples_per_sync == 10
     assert parse_layout(layout_text(default).encode(), "again.toml") == default
     odd = parse_layout(b"[taxels]\n[sync]\nrate_hz = 30.0\n[sampling]\nrate_hz = 1000.0\n", "odd.toml")

@@ -15,6 +15,7 @@ from evaluation.schemes.schemes import FilteredEvents, Sums, measure_scheme
 from evaluation.schemes.sums import SumsRun, run_sums
 from evaluation.schemes.wire import TICK_NS, carry, patches
 from skin.layout import Bus, changed, load_layout
+from tests.layouts import in_one_instant
 
 
 def steps(*levels: int, ticks: int = 20) -> np.ndarray:
@@ -100,7 +101,7 @@ def test_a_scan_brings_every_value_of_a_still_skin() -> None:
 
 
 def test_sums_of_a_still_skin_and_a_lost_frame() -> None:
-    contract = Contract.from_layout(load_layout())
+    contract = Contract.from_layout(in_one_instant())
     counts = np.tile(np.random.default_rng(1).integers(0, 1024, 4096).astype(np.int16), (30, 1))
     run = run_sums(contract, counts)
     pack = contract.packing
@@ -140,7 +141,7 @@ def test_finer_and_smoother_images_keep_a_flat_touch() -> None:
 @pytest.mark.heavy
 def test_the_first_image_of_a_slap_is_that_of_the_next_sync() -> None:
     # SYNC comes 10 ms after the slap began, frames take 7 to 9 ms, and LATENESS_NS passes until the image is in use.
-    (images,) = Sums().show(board_of(Touch(SLAP, ticks=400))).images.values()
+    (images,) = Sums(in_one_instant()).show(board_of(Touch(SLAP, ticks=400))).images.values()
     assert isinstance(images, Images)
     times_ns = (SLAP_MS + 10 + np.array([7, 9])) * TICK_NS + LATENESS_NS
     before, after = (images.force_n[used].max() for used in images.used(times_ns))
