@@ -8,6 +8,7 @@ import numpy as np
 
 from canskin.messages import CycleMeasurement, FrameCounts, Measurement
 from dbc.canopen import NmtState
+from dbc.configuration import READ_S
 from dbc.contract import Contract, NodeContract
 from dbc.frame import Frames
 from gateway.collector import Collector
@@ -19,6 +20,9 @@ from gateway.open_cycles import slot_of
 MOST_UNREAD: Final = 64
 #: A cycle ends at the latest this part of a period after the next SYNC was due.
 GRACE: Final = 0.9
+#: What the part of the stuff bits of the worst case, after which the frames of a cycle are read, changes by: up when
+#: the cycle is not whole by then, down when it is closed. So two of three cycles are read at once.
+STUFFING_UP, STUFFING_DOWN = 0.02, 0.01
 
 
 class CycleGathering:
@@ -46,22 +50,24 @@ class CycleGathering:
         self._period_s = contract.layout.sync.period_s
         self._place = {(node.bus, node.node_id): place for place, node in enumerate(contract.nodes)}
         self._open_cycles: deque[Sync] = deque()
-        self._is_proven = np.zeros(len(contract.nodes), np.bool_)
-        self._shortest_s = [contract.shortest_s(bus) for bus in range(len(contract.layout.bus))]
-        self._has_stamps = [False] * len(contract.layout.bus)
-        #: By bus: the oldest open cycle is not complete before.
-        self._incomplete_until_s = [float("-inf")] * len(contract.layout.bus)
+        self._unproven = set(range(len(contract.nodes)))
+        buses = range(len(contract.layout.bus))
+        #: Without stuff bits, and the time of most stuff bits.
+        self._frame_s = [(contract.shortest_s(bus), contract.longest_ns(bus) * 1e-9) for bus in buses]
+        self._stuffing = 0.0
+        self._has_stamps = [False] * len(buses)
+        self._unread_until_s = float("-inf")
 
     @property
     def may_sleep_until_s(self) -> float:
-        """Until when frames may wait unread: the frames that a cycle waits for take longer on the bus.
+        """Until when frames may wait unread: until a cycle is whole, and then for `READ_S`.
 
         While a node is not proven, frames are answers, and the next question waits for them. The times of frames
         without stamps are those of the read.
         """
-        if len(self._open_cycles) != 1 or not self._is_proven.all() or not all(self._has_stamps):
+        if len(self._open_cycles) > 1 or self._unproven or not all(self._has_stamps):
             return float("-inf")
-        return max(self._incomplete_until_s)
+        return self._unread_until_s
 
     @property
     def counts(self) -> FrameCounts:
@@ -82,20 +88,18 @@ class CycleGathering:
         """Use the sums of a node from the next cycle on if `proven`; else stop at once."""
         place = self._place[node.bus, node.node_id]
         self.collector.trust(slice(node.block, node.block + node.blocks), proven=proven)
-        self._is_proven[place] = proven
         if proven:
+            self._unproven.discard(place)
             self.collector.expected[place] = True
+        else:
+            self._unproven.add(place)
 
-    def take(self, bus: int, arrived: Frames, health: Health, now_s: float) -> None:
+    def take(self, bus: int, arrived: Frames, health: Health, _now_s: float) -> None:
         """Use the frames that arrived on a bus, in bus order."""
         if health.has_gap:
             self.collector.lost(bus)
         self.collector.take(bus, arrived, health.stamp_error_ns)
         self._has_stamps[bus] = health.stamp_error_ns is not None
-        if self._open_cycles:
-            # The first of the frames that are yet to come may be at its end.
-            waiting = int(self.collector.waiting(self._open_cycles[0].counter)[bus])
-            self._incomplete_until_s[bus] = self._busy_until_s(bus, waiting - 1, now_s)
 
     def begin(self, sync: Sync, asked: "CycleGathering | None" = None) -> list[Measurement]:
         """Open the cycle of a SYNC; return the measurements of cycles closed for it.
@@ -110,8 +114,7 @@ class CycleGathering:
             self.collector.open(sync.counter, sync.due_ns, sync.sent_ns)
             self._open_cycles.append(sync)
             if sync.sent_ns is not None:
-                for bus, waiting in enumerate(self.collector.waiting(sync.counter).tolist()):
-                    self._incomplete_until_s[bus] = self._busy_until_s(bus, waiting, sync.sent_ns * 1e-9)
+                self._unread_until_s = sync.sent_ns * 1e-9 + self._busy_s(sync.counter)
         else:
             self.collector.rest(sync.counter, asked.collector.silent_of_node)
         return closed
@@ -125,8 +128,13 @@ class CycleGathering:
         while self._open_cycles:
             oldest = self._open_cycles[0]
             if not self.collector.is_settled(oldest.counter) and now_s < self._closes_s(oldest):
+                if now_s >= self._unread_until_s:
+                    self._stuffing = min(1.0, self._stuffing + STUFFING_UP)
+                    self._unread_until_s = now_s + self._busy_s(oldest.counter, under_way=1)
                 break
             closed.append(self._close(self._open_cycles.popleft()))
+            self._stuffing = max(0.0, self._stuffing - STUFFING_DOWN)
+            self._unread_until_s = now_s + READ_S
         return closed
 
     def look(self, masters: Mapping[int, NmtMaster]) -> None:
@@ -146,9 +154,11 @@ class CycleGathering:
         """Return how many frames of the node at `place` did not come in their cycle, and came too late."""
         return int(self.collector.missing_of_node[place]), int(self.collector.late_of_node[place])
 
-    def _busy_until_s(self, bus: int, frames: int, now_s: float) -> float:
-        """Return when frames of a bus that begin now end at the earliest; without frames no time is too late."""
-        return now_s + min(frames, MOST_UNREAD) * self._shortest_s[bus] if frames > 0 else float("-inf")
+    def _busy_s(self, counter: int, under_way: int = 0) -> float:
+        """Return how long the buses need for the frames that a cycle waits for; `under_way` may be at their ends."""
+        frames = (min(count - under_way, MOST_UNREAD) for count in self.collector.waiting(counter).tolist())
+        times_s = zip(frames, self._frame_s, strict=True)
+        return max(count * (least_s + self._stuffing * (most_s - least_s)) for count, (least_s, most_s) in times_s)
 
     def _closes_s(self, sync: Sync) -> float:
         return sync.due_s + (1 + GRACE) * self._period_s
