@@ -20,9 +20,9 @@ from gateway.open_cycles import slot_of
 MOST_UNREAD: Final = 64
 #: A cycle ends at the latest this part of a period after the next SYNC was due.
 GRACE: Final = 0.9
-#: What the part of the stuff bits of the worst case, after which the frames of a cycle are read, changes by: up when
-#: the cycle is not whole by then, down when it is closed. So two of three cycles are read at once.
-STUFFING_UP, STUFFING_DOWN = 0.02, 0.01
+#: Changes of `_stuffing`: up at each look at a cycle that should be whole, down when it is closed. So four cycles take
+#: five looks.
+STUFFING_UP, STUFFING_DOWN = 0.04, 0.01
 
 
 class CycleGathering:
@@ -52,11 +52,14 @@ class CycleGathering:
         self._open_cycles: deque[Sync] = deque()
         self._unproven = set(range(len(contract.nodes)))
         buses = range(len(contract.layout.bus))
-        #: Without stuff bits, and the time of most stuff bits.
+        #: By bus: the least and the most time of a frame.
         self._frame_s = [(contract.shortest_s(bus), contract.longest_ns(bus) * 1e-9) for bus in buses]
+        self._most_unread_s = MOST_UNREAD * min(most_s for _, most_s in self._frame_s)
+        #: What frames take beyond the least time, as a part of the most stuff bits; learnt.
         self._stuffing = 0.0
         self._has_stamps = [False] * len(buses)
-        self._unread_until_s = float("-inf")
+        #: When the newest cycle should be whole, and until when its frames may wait.
+        self._whole_s = self._unread_until_s = float("-inf")
 
     @property
     def may_sleep_until_s(self) -> float:
@@ -114,7 +117,8 @@ class CycleGathering:
             self.collector.open(sync.counter, sync.due_ns, sync.sent_ns)
             self._open_cycles.append(sync)
             if sync.sent_ns is not None:
-                self._unread_until_s = sync.sent_ns * 1e-9 + self._busy_s(sync.counter)
+                self._whole_s = sync.sent_ns * 1e-9 + self._busy_s(sync.counter)
+                self._wait(sync.sent_ns * 1e-9)
         else:
             self.collector.rest(sync.counter, asked.collector.silent_of_node)
         return closed
@@ -128,13 +132,14 @@ class CycleGathering:
         while self._open_cycles:
             oldest = self._open_cycles[0]
             if not self.collector.is_settled(oldest.counter) and now_s < self._closes_s(oldest):
-                if now_s >= self._unread_until_s:
+                if now_s >= self._whole_s:
                     self._stuffing = min(1.0, self._stuffing + STUFFING_UP)
-                    self._unread_until_s = now_s + self._busy_s(oldest.counter, under_way=1)
+                self._wait(now_s)
                 break
             closed.append(self._close(self._open_cycles.popleft()))
             self._stuffing = max(0.0, self._stuffing - STUFFING_DOWN)
-            self._unread_until_s = now_s + READ_S
+            if not self._open_cycles:
+                self._unread_until_s = now_s + READ_S
         return closed
 
     def look(self, masters: Mapping[int, NmtMaster]) -> None:
@@ -154,11 +159,14 @@ class CycleGathering:
         """Return how many frames of the node at `place` did not come in their cycle, and came too late."""
         return int(self.collector.missing_of_node[place]), int(self.collector.late_of_node[place])
 
-    def _busy_s(self, counter: int, under_way: int = 0) -> float:
-        """Return how long the buses need for the frames that a cycle waits for; `under_way` may be at their ends."""
-        frames = (min(count - under_way, MOST_UNREAD) for count in self.collector.waiting(counter).tolist())
-        times_s = zip(frames, self._frame_s, strict=True)
-        return max(count * (least_s + self._stuffing * (most_s - least_s)) for count, (least_s, most_s) in times_s)
+    def _busy_s(self, counter: int) -> float:
+        """Return how long the buses need for the frames of a cycle."""
+        counts = zip(self.collector.waiting(counter).tolist(), self._frame_s, strict=True)
+        return max(count * (least_s + self._stuffing * (most_s - least_s)) for count, (least_s, most_s) in counts)
+
+    def _wait(self, now_s: float) -> None:
+        """Let frames wait until the newest cycle should be whole, or buffers may be half full."""
+        self._unread_until_s = min(self._whole_s, now_s + self._most_unread_s)
 
     def _closes_s(self, sync: Sync) -> float:
         return sync.due_s + (1 + GRACE) * self._period_s
