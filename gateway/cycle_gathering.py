@@ -2,6 +2,7 @@
 
 from collections import deque
 from collections.abc import Collection, Mapping
+from operator import mul
 from typing import Final
 
 import numpy as np
@@ -52,14 +53,14 @@ class CycleGathering:
         self._open_cycles: deque[Sync] = deque()
         self._unproven = set(range(len(contract.nodes)))
         buses = range(len(contract.layout.bus))
-        #: By bus: the least and the most time of a frame.
+        #: By bus: the least and the most time of a TPDO.
         self._frame_s = [(contract.shortest_s(bus), contract.longest_ns(bus) * 1e-9) for bus in buses]
         self._most_unread_s = MOST_UNREAD * min(most_s for _, most_s in self._frame_s)
         #: What frames take beyond the least time, as a part of the most stuff bits; learnt.
         self._stuffing = 0.0
         self._has_stamps = [False] * len(buses)
-        #: When the newest cycle should be whole, and until when its frames may wait.
-        self._whole_s = self._unread_until_s = float("-inf")
+        #: When the newest cycle should be whole, and when frames were read.
+        self._whole_s = self._looked_s = float("-inf")
 
     @property
     def may_sleep_until_s(self) -> float:
@@ -70,7 +71,7 @@ class CycleGathering:
         """
         if len(self._open_cycles) > 1 or self._unproven or not all(self._has_stamps):
             return float("-inf")
-        return self._unread_until_s
+        return min(self._whole_s, self._looked_s + self._most_unread_s)
 
     @property
     def counts(self) -> FrameCounts:
@@ -91,11 +92,9 @@ class CycleGathering:
         """Use the sums of a node from the next cycle on if `proven`; else stop at once."""
         place = self._place[node.bus, node.node_id]
         self.collector.trust(slice(node.block, node.block + node.blocks), proven=proven)
+        (self._unproven.discard if proven else self._unproven.add)(place)
         if proven:
-            self._unproven.discard(place)
             self.collector.expected[place] = True
-        else:
-            self._unproven.add(place)
 
     def take(self, bus: int, arrived: Frames, health: Health, _now_s: float) -> None:
         """Use the frames that arrived on a bus, in bus order."""
@@ -117,8 +116,10 @@ class CycleGathering:
             self.collector.open(sync.counter, sync.due_ns, sync.sent_ns)
             self._open_cycles.append(sync)
             if sync.sent_ns is not None:
-                self._whole_s = sync.sent_ns * 1e-9 + self._busy_s(sync.counter)
-                self._wait(sync.sent_ns * 1e-9)
+                waiting = self.collector.waiting(sync.counter).tolist()
+                frame_s = (least_s + self._stuffing * (most_s - least_s) for least_s, most_s in self._frame_s)
+                self._looked_s = sync.sent_ns * 1e-9
+                self._whole_s = self._looked_s + max(map(mul, waiting, frame_s))
         else:
             self.collector.rest(sync.counter, asked.collector.silent_of_node)
         return closed
@@ -128,18 +129,17 @@ class CycleGathering:
 
     def measurements(self, now_s: float, _wall_offset_ns: int) -> list[Measurement]:
         """End the cycles that are settled or out of time; return their measurements."""
-        closed = []
+        closed, self._looked_s = [], now_s
         while self._open_cycles:
             oldest = self._open_cycles[0]
             if not self.collector.is_settled(oldest.counter) and now_s < self._closes_s(oldest):
                 if now_s >= self._whole_s:
                     self._stuffing = min(1.0, self._stuffing + STUFFING_UP)
-                self._wait(now_s)
                 break
             closed.append(self._close(self._open_cycles.popleft()))
             self._stuffing = max(0.0, self._stuffing - STUFFING_DOWN)
             if not self._open_cycles:
-                self._unread_until_s = now_s + READ_S
+                self._whole_s = now_s + READ_S
         return closed
 
     def look(self, masters: Mapping[int, NmtMaster]) -> None:
@@ -158,15 +158,6 @@ class CycleGathering:
     def missing_and_late(self, place: int) -> tuple[int, int]:
         """Return how many frames of the node at `place` did not come in their cycle, and came too late."""
         return int(self.collector.missing_of_node[place]), int(self.collector.late_of_node[place])
-
-    def _busy_s(self, counter: int) -> float:
-        """Return how long the buses need for the frames of a cycle."""
-        counts = zip(self.collector.waiting(counter).tolist(), self._frame_s, strict=True)
-        return max(count * (least_s + self._stuffing * (most_s - least_s)) for count, (least_s, most_s) in counts)
-
-    def _wait(self, now_s: float) -> None:
-        """Let frames wait until the newest cycle should be whole, or buffers may be half full."""
-        self._unread_until_s = min(self._whole_s, now_s + self._most_unread_s)
 
     def _closes_s(self, sync: Sync) -> float:
         return sync.due_s + (1 + GRACE) * self._period_s

@@ -103,9 +103,7 @@ class GatewayService:
 
         The clock is read before each step: any step may be delayed, and the lateness of SYNC must be known.
         """
-        rest_s = min(self.loop.may_sleep_until_s - self._clock(), TURN_S)
-        if rest_s > 0:
-            time.sleep(rest_s)
+        time.sleep(max(0.0, min(self.loop.may_sleep_until_s - self._clock(), TURN_S)))
         timeout_s = max(0.0, min(self.loop.due_s - self._clock(), TURN_S))
         # select() and not epoll: the timeout of select() has a resolution of microseconds.
         ready, _, _ = select.select(list(self._links.values()), [], [], timeout_s)
