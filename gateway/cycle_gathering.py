@@ -21,8 +21,7 @@ from gateway.open_cycles import slot_of
 MOST_UNREAD: Final = 64
 #: A cycle ends at the latest this part of a period after the next SYNC was due.
 GRACE: Final = 0.9
-#: Changes of `_stuffing`: up at each look at a cycle that should be whole, down when it is closed. So four cycles take
-#: five looks.
+#: Changes of `_stuffing`, at each look at a cycle that should be whole, and at its end: four cycles take five looks.
 STUFFING_UP, STUFFING_DOWN = 0.04, 0.01
 
 
