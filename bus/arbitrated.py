@@ -126,19 +126,16 @@ class ArbitratedLink(ReconnectingLink):
             if connection is None:
                 return 0
             sent = 0
-            for first in range(0, self._fitting(burst), MAX_FRAMES):
-                part = burst[first : min(first + MAX_FRAMES, len(burst))]
-                part = part[: self._fitting(part)]
-                if not self._send(connection, pack(Kind.FRAMES, part.tobytes(), count=len(part))):
+            while sent < len(burst):
+                part = burst[sent : sent + MAX_FRAMES]
+                rows = frame_bytes(part)
+                count = int(_count_fitting(rows, self.welcome.queue_size - (self._sent - self._returned)))
+                if not count or not self._send(connection, pack(Kind.FRAMES, part[:count].tobytes(), count=count)):
                     break
-                _count_ports(frame_bytes(part), 0, self._sent)
-                sent += len(part)
+                _count_ports(rows[:count], 0, self._sent)
+                sent += count
             self._is_full |= sent < len(burst)
             return sent
-
-    def _fitting(self, burst: Frames) -> int:
-        """Count the leading frames that fit their transmit queues."""
-        return int(_count_fitting(frame_bytes(burst), self.welcome.queue_size - (self._sent - self._returned)))
 
     def _send(self, connection: socket.socket, packet: bytes) -> bool:
         try:

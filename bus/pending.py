@@ -61,9 +61,9 @@ class Pending:
         return max(free_ns, self._future[0][0]) if self._future else None
 
     @property
-    def crowded(self) -> bool:
-        """Whether released frames wait."""
-        return bool(self._ready)
+    def ready_ns(self) -> int:
+        """Time of the released frames that wait."""
+        return sum(item.duration_ns for item in self._ready)
 
     def winner(self, start_ns: int) -> Waiting | None:
         """Remove and return the winner of the arbitration at `start_ns`; None if all ready frames have expired."""

@@ -188,9 +188,8 @@ class BusServer:
         event_ns = line.bus.next_event_ns()
         if event_ns is None:
             return None
-        if line.bus.crowded:
-            return max(event_ns, (line.delivered_ns // TICK_NS + 1) * TICK_NS)
-        return max(event_ns, line.delivered_ns + LEAST_NS)
+        tick_ns = (line.delivered_ns // TICK_NS + 1) * TICK_NS
+        return max(event_ns, line.delivered_ns + LEAST_NS, min(line.bus.idle_from_ns, tick_ns))
 
     def _open(self, channel: str, place: int, folder: Path) -> _Line:
         path = socket_path(channel, folder)

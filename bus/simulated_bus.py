@@ -64,9 +64,9 @@ class SimulatedBus:
         return self._queues.counts
 
     @property
-    def crowded(self) -> bool:
-        """Whether released frames wait."""
-        return self._queues.pending.crowded
+    def idle_from_ns(self) -> int:
+        """When the released frames that wait will have been sent, if no other comes, and none fails."""
+        return self._free_ns + self._queues.pending.ready_ns
 
     # --- who is on the bus -------------------------------------------------------------------------------
 

@@ -2,12 +2,14 @@
 
 from collections import deque
 from collections.abc import Collection, Mapping
+from operator import mul
 from typing import Final
 
 import numpy as np
 
 from canskin.messages import CycleMeasurement, FrameCounts, Measurement
 from dbc.canopen import NmtState
+from dbc.configuration import READ_S
 from dbc.contract import Contract, NodeContract
 from dbc.frame import Frames
 from gateway.collector import Collector
@@ -19,6 +21,8 @@ from gateway.open_cycles import slot_of
 MOST_UNREAD: Final = 64
 #: A cycle ends at the latest this part of a period after the next SYNC was due.
 GRACE: Final = 0.9
+#: Changes of `_stuffing`, at each look at a cycle that should be whole, and at its end: four cycles take five looks.
+STUFFING_UP, STUFFING_DOWN = 0.04, 0.01
 
 
 class CycleGathering:
@@ -46,22 +50,27 @@ class CycleGathering:
         self._period_s = contract.layout.sync.period_s
         self._place = {(node.bus, node.node_id): place for place, node in enumerate(contract.nodes)}
         self._open_cycles: deque[Sync] = deque()
-        self._is_proven = np.zeros(len(contract.nodes), np.bool_)
-        self._shortest_s = [contract.shortest_s(bus) for bus in range(len(contract.layout.bus))]
-        self._has_stamps = [False] * len(contract.layout.bus)
-        #: By bus: the oldest open cycle is not complete before.
-        self._incomplete_until_s = [float("-inf")] * len(contract.layout.bus)
+        self._unproven = set(range(len(contract.nodes)))
+        buses = range(len(contract.layout.bus))
+        #: By bus: the least and the most time of a TPDO.
+        self._frame_s = [(contract.shortest_s(bus), contract.longest_ns(bus) * 1e-9) for bus in buses]
+        self._most_unread_s = MOST_UNREAD * min(most_s for _, most_s in self._frame_s)
+        #: What frames take beyond the least time, as a part of the most stuff bits; learnt.
+        self._stuffing = 0.0
+        self._has_stamps = [False] * len(buses)
+        #: When the newest cycle should be whole, and when frames were read.
+        self._whole_s = self._looked_s = float("-inf")
 
     @property
     def may_sleep_until_s(self) -> float:
-        """Until when frames may wait unread: the frames that a cycle waits for take longer on the bus.
+        """Until when frames may wait unread: until a cycle is whole, and then for `READ_S`.
 
         While a node is not proven, frames are answers, and the next question waits for them. The times of frames
         without stamps are those of the read.
         """
-        if len(self._open_cycles) != 1 or not self._is_proven.all() or not all(self._has_stamps):
+        if len(self._open_cycles) > 1 or self._unproven or not all(self._has_stamps):
             return float("-inf")
-        return max(self._incomplete_until_s)
+        return min(self._whole_s, self._looked_s + self._most_unread_s)
 
     @property
     def counts(self) -> FrameCounts:
@@ -82,20 +91,16 @@ class CycleGathering:
         """Use the sums of a node from the next cycle on if `proven`; else stop at once."""
         place = self._place[node.bus, node.node_id]
         self.collector.trust(slice(node.block, node.block + node.blocks), proven=proven)
-        self._is_proven[place] = proven
+        (self._unproven.discard if proven else self._unproven.add)(place)
         if proven:
             self.collector.expected[place] = True
 
-    def take(self, bus: int, arrived: Frames, health: Health, now_s: float) -> None:
+    def take(self, bus: int, arrived: Frames, health: Health, _now_s: float) -> None:
         """Use the frames that arrived on a bus, in bus order."""
         if health.has_gap:
             self.collector.lost(bus)
         self.collector.take(bus, arrived, health.stamp_error_ns)
         self._has_stamps[bus] = health.stamp_error_ns is not None
-        if self._open_cycles:
-            # The first of the frames that are yet to come may be at its end.
-            waiting = int(self.collector.waiting(self._open_cycles[0].counter)[bus])
-            self._incomplete_until_s[bus] = self._busy_until_s(bus, waiting - 1, now_s)
 
     def begin(self, sync: Sync, asked: "CycleGathering | None" = None) -> list[Measurement]:
         """Open the cycle of a SYNC; return the measurements of cycles closed for it.
@@ -110,8 +115,10 @@ class CycleGathering:
             self.collector.open(sync.counter, sync.due_ns, sync.sent_ns)
             self._open_cycles.append(sync)
             if sync.sent_ns is not None:
-                for bus, waiting in enumerate(self.collector.waiting(sync.counter).tolist()):
-                    self._incomplete_until_s[bus] = self._busy_until_s(bus, waiting, sync.sent_ns * 1e-9)
+                waiting = self.collector.waiting(sync.counter).tolist()
+                frame_s = (least_s + self._stuffing * (most_s - least_s) for least_s, most_s in self._frame_s)
+                self._looked_s = sync.sent_ns * 1e-9
+                self._whole_s = self._looked_s + max(map(mul, waiting, frame_s))
         else:
             self.collector.rest(sync.counter, asked.collector.silent_of_node)
         return closed
@@ -121,12 +128,17 @@ class CycleGathering:
 
     def measurements(self, now_s: float, _wall_offset_ns: int) -> list[Measurement]:
         """End the cycles that are settled or out of time; return their measurements."""
-        closed = []
+        closed, self._looked_s = [], now_s
         while self._open_cycles:
             oldest = self._open_cycles[0]
             if not self.collector.is_settled(oldest.counter) and now_s < self._closes_s(oldest):
+                if now_s >= self._whole_s:
+                    self._stuffing = min(1.0, self._stuffing + STUFFING_UP)
                 break
             closed.append(self._close(self._open_cycles.popleft()))
+            self._stuffing = max(0.0, self._stuffing - STUFFING_DOWN)
+            if not self._open_cycles:
+                self._whole_s = now_s + READ_S
         return closed
 
     def look(self, masters: Mapping[int, NmtMaster]) -> None:
@@ -145,10 +157,6 @@ class CycleGathering:
     def missing_and_late(self, place: int) -> tuple[int, int]:
         """Return how many frames of the node at `place` did not come in their cycle, and came too late."""
         return int(self.collector.missing_of_node[place]), int(self.collector.late_of_node[place])
-
-    def _busy_until_s(self, bus: int, frames: int, now_s: float) -> float:
-        """Return when frames of a bus that begin now end at the earliest; without frames no time is too late."""
-        return now_s + min(frames, MOST_UNREAD) * self._shortest_s[bus] if frames > 0 else float("-inf")
 
     def _closes_s(self, sync: Sync) -> float:
         return sync.due_s + (1 + GRACE) * self._period_s

@@ -286,8 +286,7 @@ class NmtMaster:
     @property
     def proof_limit_s(self) -> float:
         """How long a block stays valid after the last proof of its node."""
-        nodes = self.nodes.values()
-        mean_cost = sum(node.cost for node in nodes) / len(nodes)
+        mean_cost = sum([node.cost for node in self.nodes.values()]) / len(self.nodes)
         return PROOF_ROUNDS * self._round_s * mean_cost + ATTEMPTS * TIMEOUT_S
 
     # What arrives
@@ -431,11 +430,8 @@ class NmtMaster:
 
     def _begin_due(self, now_s: float) -> None:
         """Begin the proofs that are due, as many as there may be; another master's download goes on undisturbed."""
-        due = [
-            node
-            for node in self.nodes.values()
-            if now_s >= max(node.prove_at_s, node.foreign.free_s) and node.dialogue is None
-        ]
+        tried = [node for node in self.nodes.values() if now_s >= node.prove_at_s and node.dialogue is None]
+        due = [node for node in tried if now_s >= node.foreign.free_s]
         if not due:
             return
         free = DIALOGUES - sum(node.dialogue is not None for node in self.nodes.values())

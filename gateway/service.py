@@ -73,6 +73,7 @@ class GatewayService:
         self._fabric = fabric
         self._clock = clock
         self._status_at_s = 0.0
+        self._wall_offset_ns = wall_offset().ns
 
     def run(self, stop: StopSignal) -> None:
         """Boot the nodes, then serve until `stop`; open cycles are finished before the return."""
@@ -98,16 +99,17 @@ class GatewayService:
         self._fabric.publish(GATEWAY, status)
 
     def turn(self) -> None:
-        """Wait for frames until the next SYNC or measurement, use them, and do what is due.
+        """Wait for the next SYNC, for frames, or for a measurement, and do what is due: SYNC first.
 
         The clock is read before each step: any step may be delayed, and the lateness of SYNC must be known.
         """
-        rest_s = min(self.loop.may_sleep_until_s - self._clock(), TURN_S)
-        if rest_s > 0:
-            time.sleep(rest_s)
+        time.sleep(max(0.0, min(self.loop.may_sleep_until_s - self._clock(), TURN_S)))
         timeout_s = max(0.0, min(self.loop.due_s - self._clock(), TURN_S))
         # select() and not epoll: the timeout of select() has a resolution of microseconds.
         ready, _, _ = select.select(list(self._links.values()), [], [], timeout_s)
+        if self.loop.due_s <= self._clock():
+            self._wall_offset_ns = wall_offset().ns
+        closed = self.loop.send_sync(self._clock(), self._wall_offset_ns)
         for number, link in self._links.items():
             arrived = link.receive() if link in ready else _NOTHING
             self.loop.take(
@@ -121,9 +123,7 @@ class GatewayService:
         self.loop.tick(self._clock())
         if self._calibration is not None:
             self._calibration.look(self.loop.masters, self._clock())
-        wall_offset_ns = wall_offset().ns
-        self.publish(self.loop.send_sync(self._clock(), wall_offset_ns))
-        self.publish(self.loop.measurements(self._clock(), wall_offset_ns))
+        self.publish(closed + self.loop.measurements(self._clock(), self._wall_offset_ns))
         if self._calibration is not None:
             self._calibration.tick(self.loop.masters, self._clock())
             if self.loop.states is not None and self._calibration.needs_images(self._clock()):
