@@ -26,7 +26,6 @@ Subject = Literal[
     "compression",
     "iterations",
     "figures",
-    "solvers",
     "noiselets",
     "rivals",
     "drawn-rivals",
@@ -61,7 +60,6 @@ SUBJECTS: Final[dict[str, _Subject]] = {
     "compression": _Subject("evaluation.paper.tables:compression", draws=True),
     "iterations": _Subject("evaluation.paper.tables:iterations", draws=True),
     "figures": _Subject("evaluation.paper.figures:evaluate"),
-    "solvers": _Subject("evaluation.paper.solvers:evaluate"),
     "noiselets": _Subject("evaluation.paper.noiselets:evaluate"),
     "rivals": _Subject("evaluation.schemes.comparison:evaluate", objects=True),
     "drawn-rivals": _Subject("evaluation.schemes.comparison:evaluate_drawn"),
@@ -128,7 +126,7 @@ def evaluate(
     jobs
         Processes at the same time. Default: one per core.
     draws
-        Draws of Φ to average over. Default: each subject's own. ``settings``, ``sparsity``, ``figures``, ``solvers``,
+        Draws of Φ to average over. Default: each subject's own. ``settings``, ``sparsity``, ``figures``,
         ``noiselets``, ``rivals``, ``drawn-rivals``, ``rates``, ``contacts``, ``calibration``, ``offsets``, ``wiring``,
         ``frontend`` and ``scaling`` average over none; ``all`` and ``paper`` hand them to the others.
     seed
