@@ -26,7 +26,6 @@ Subject = Literal[
     "compression",
     "iterations",
     "figures",
-    "noiselets",
     "rivals",
     "drawn-rivals",
     "rates",
@@ -60,7 +59,6 @@ SUBJECTS: Final[dict[str, _Subject]] = {
     "compression": _Subject("evaluation.paper.tables:compression", draws=True),
     "iterations": _Subject("evaluation.paper.tables:iterations", draws=True),
     "figures": _Subject("evaluation.paper.figures:evaluate"),
-    "noiselets": _Subject("evaluation.paper.noiselets:evaluate"),
     "rivals": _Subject("evaluation.schemes.comparison:evaluate", objects=True),
     "drawn-rivals": _Subject("evaluation.schemes.comparison:evaluate_drawn"),
     "rates": _Subject("evaluation.schemes.rates:evaluate", objects=True),
@@ -127,7 +125,7 @@ def evaluate(
         Processes at the same time. Default: one per core.
     draws
         Draws of Φ to average over. Default: each subject's own. ``settings``, ``sparsity``, ``figures``,
-        ``noiselets``, ``rivals``, ``drawn-rivals``, ``rates``, ``contacts``, ``calibration``, ``offsets``, ``wiring``,
+        ``rivals``, ``drawn-rivals``, ``rates``, ``contacts``, ``calibration``, ``offsets``, ``wiring``,
         ``frontend`` and ``scaling`` average over none; ``all`` and ``paper`` hand them to the others.
     seed
         Of all random numbers but those that draw scenes.
