@@ -28,7 +28,6 @@ Subject = Literal[
     "figures",
     "rivals",
     "drawn-rivals",
-    "rates",
     "contacts",
     "calibration",
     "offsets",
@@ -61,7 +60,6 @@ SUBJECTS: Final[dict[str, _Subject]] = {
     "figures": _Subject("evaluation.paper.figures:evaluate"),
     "rivals": _Subject("evaluation.schemes.comparison:evaluate", objects=True),
     "drawn-rivals": _Subject("evaluation.schemes.comparison:evaluate_drawn"),
-    "rates": _Subject("evaluation.schemes.rates:evaluate", objects=True),
     "contacts": _Subject("evaluation.schemes.contacts:evaluate", objects=True),
     "calibration": _Subject("evaluation.schemes.zero_scenes:evaluate"),
     "offsets": _Subject("evaluation.schemes.offsets:evaluate"),
@@ -108,15 +106,15 @@ def evaluate(
         What to evaluate. ``paper``: all subjects with numbers that the paper prints; ``all``: every subject. Both
         compare every printed number with ours, and write ``report.html`` and ``paper.json`` into the folder `out`.
     recordings
-        Folder of real recordings, for the subjects that use them: ``recordings`` and ``rates`` take .npz, .npy, .csv
-        and .mcap, ``postures`` S1.npz and so on, ``single-wire`` a copy of github.com/aslepyan/SPTS.
+        Folder of real recordings, for the subjects that use them: ``recordings`` takes .npz, .npy, .csv and .mcap,
+        ``postures`` S1.npz and so on, ``single-wire`` a copy of github.com/aslepyan/SPTS.
     quick
         A look at everything in a small fraction of the time, with fewer steps and draws.
     meshes
         Folder of meshes (banana, cup, drill, largeclamp, mustard) in place of the shapes that ship. Live rows of
         ``claims`` and ``recognition`` that name objects keep these shapes.
     objects
-        Comma-separated: what slides in ``rivals``, ``rates``, ``contacts`` and ``wiring`` in place of the paper's five
+        Comma-separated: what slides in ``rivals``, ``contacts`` and ``wiring`` in place of the paper's five
         objects. Of these, or your own mesh as FILE@UNIT.
     out
         Folder for the report and for measured results, which a later run takes up. Default for ``all`` and ``paper``:
@@ -125,7 +123,7 @@ def evaluate(
         Processes at the same time. Default: one per core.
     draws
         Draws of Φ to average over. Default: each subject's own. ``settings``, ``sparsity``, ``figures``,
-        ``rivals``, ``drawn-rivals``, ``rates``, ``contacts``, ``calibration``, ``offsets``, ``wiring``,
+        ``rivals``, ``drawn-rivals``, ``contacts``, ``calibration``, ``offsets``, ``wiring``,
         ``frontend`` and ``scaling`` average over none; ``all`` and ``paper`` hand them to the others.
     seed
         Of all random numbers but those that draw scenes.

@@ -5,17 +5,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bandwidth.alternatives import planned
-from bandwidth.traffic import Disturbance
 from canskin.errors import InputError
 from evaluation.command import evaluate
 from evaluation.result import Options, Result, Row
 from evaluation.schemes.comparison import DIGITS, evaluate_drawn, means_of, wins_and_losses
 from evaluation.schemes.comparison import evaluate as evaluate_schemes
-from evaluation.schemes.rates import evaluate as evaluate_rates
 from evaluation.schemes.scenes import SLAP, SLIDES, Touch, recordings_in
 from evaluation.schemes.schemes import BEST_SCAN, COARSE_ARRAYS, RAW_SCAN, default_kbit_per_s
-from skin.layout import parse_layout
 
 CLOCKED = (BEST_SCAN.name, RAW_SCAN.name, COARSE_ARRAYS[0].name)
 
@@ -101,21 +97,6 @@ def test_slides_have_a_row_of_means_and_losses_are_named_as_plainly_as_wins() ->
     assert second.startswith("LOSS in PSNR, touched error: box: -2.0 dB to sums")
     assert more.startswith("LOSS in bits: cup: +5.0 dB to events")  # only of schemes with a rate 98 are as many as 100
     assert third.startswith("win: box: +1.0 dB to scan")  # 3050 kbit/s are as many as 3000
-
-
-@pytest.mark.slow
-def test_recommended_layouts_are_planned_without_a_problem(tmp_path: Path) -> None:
-    found = evaluate_rates(Options(quick=True, out=tmp_path))
-    assert {row["wires"] for row in found.rows if row["best_for"]} == {row["wires"] for row in found.rows}
-    written = sorted(tmp_path.glob("*.toml"))
-    assert [path.stem for path in written] == ["four-classic-buses", "one-FD-bus", "one-classic-bus"]
-    for path in written:
-        layout = parse_layout(path.read_bytes(), str(path))
-        row = next(row for row in found.rows if row["wires"] == path.stem.replace("-", " ") and row["best_for"])
-        plans = planned(layout, Disturbance())
-        assert not any(plan.problems for plan in plans)
-        assert max(plan.load_worst for plan in plans) == pytest.approx(row["load_worst"], abs=6e-4)
-        assert (layout.sync.rate_hz, layout.measurement.sums) == (row["rate_hz"], row["sums"])
 
 
 def test_recordings_are_played_as_they_are(tmp_path: Path) -> None:
