@@ -21,7 +21,6 @@ Subject = Literal[
     "all",
     "paper",
     "settings",
-    "claims",
     "sparsity",
     "compression",
     "iterations",
@@ -53,7 +52,6 @@ class _Subject(NamedTuple):
 #: In the order of the report.
 SUBJECTS: Final[dict[str, _Subject]] = {
     "settings": _Subject("evaluation.settings:evaluate"),
-    "claims": _Subject("evaluation.claims:evaluate", draws=True),
     "sparsity": _Subject("evaluation.paper.sparsity:evaluate"),
     "compression": _Subject("evaluation.paper.tables:compression", draws=True),
     "iterations": _Subject("evaluation.paper.tables:iterations", draws=True),
@@ -112,7 +110,7 @@ def evaluate(
         A look at everything in a small fraction of the time, with fewer steps and draws.
     meshes
         Folder of meshes (banana, cup, drill, largeclamp, mustard) in place of the shapes that ship. Live rows of
-        ``claims`` and ``recognition`` that name objects keep these shapes.
+        ``recognition`` that name objects keep these shapes.
     objects
         Comma-separated: what slides in ``rivals``, ``contacts`` and ``wiring`` in place of the paper's five
         objects. Of these, or your own mesh as FILE@UNIT.

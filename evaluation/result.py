@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 from canskin.errors import InputError
 from shell.output import write_file
@@ -59,18 +59,6 @@ class Options:
     def draws_or(self, draws: int) -> int:
         """Return the draws that were asked for, else 1 for a quick look, else `draws`."""
         return self.draws or (1 if self.quick else draws)
-
-
-class Finding(NamedTuple):
-    """A number of ours, how many measurements are behind it, the paper's number, and the deviation over draws.
-
-    The last two are None where there is none.
-    """
-
-    ours: float
-    runs: int
-    paper: float | None = None
-    spread: float | None = None
 
 
 @dataclass(frozen=True)
