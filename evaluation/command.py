@@ -30,7 +30,6 @@ Subject = Literal[
     "contacts",
     "calibration",
     "offsets",
-    "wiring",
     "frontend",
     "scaling",
     "classification",
@@ -61,7 +60,6 @@ SUBJECTS: Final[dict[str, _Subject]] = {
     "contacts": _Subject("evaluation.schemes.contacts:evaluate", objects=True),
     "calibration": _Subject("evaluation.schemes.zero_scenes:evaluate"),
     "offsets": _Subject("evaluation.schemes.offsets:evaluate"),
-    "wiring": _Subject("evaluation.schemes.wiring:evaluate", objects=True),
     "frontend": _Subject("evaluation.schemes.frontend:evaluate"),
     "scaling": _Subject("evaluation.schemes.scaling:evaluate"),
     "classification": _Subject("evaluation.recognition.classification:evaluate", draws=True),
@@ -112,7 +110,7 @@ def evaluate(
         Folder of meshes (banana, cup, drill, largeclamp, mustard) in place of the shapes that ship. Live rows of
         ``recognition`` that name objects keep these shapes.
     objects
-        Comma-separated: what slides in ``rivals``, ``contacts`` and ``wiring`` in place of the paper's five
+        Comma-separated: what slides in ``rivals`` and ``contacts`` in place of the paper's five
         objects. Of these, or your own mesh as FILE@UNIT.
     out
         Folder for the report and for measured results, which a later run takes up. Default for ``all`` and ``paper``:
@@ -121,7 +119,7 @@ def evaluate(
         Processes at the same time. Default: one per core.
     draws
         Draws of Φ to average over. Default: each subject's own. ``settings``, ``sparsity``, ``figures``,
-        ``rivals``, ``drawn-rivals``, ``contacts``, ``calibration``, ``offsets``, ``wiring``,
+        ``rivals``, ``drawn-rivals``, ``contacts``, ``calibration``, ``offsets``,
         ``frontend`` and ``scaling`` average over none; ``all`` and ``paper`` hand them to the others.
     seed
         Of all random numbers but those that draw scenes.
