@@ -30,7 +30,6 @@ Subject = Literal[
     "contacts",
     "calibration",
     "offsets",
-    "frontend",
     "scaling",
     "classification",
     "recognition",
@@ -60,7 +59,6 @@ SUBJECTS: Final[dict[str, _Subject]] = {
     "contacts": _Subject("evaluation.schemes.contacts:evaluate", objects=True),
     "calibration": _Subject("evaluation.schemes.zero_scenes:evaluate"),
     "offsets": _Subject("evaluation.schemes.offsets:evaluate"),
-    "frontend": _Subject("evaluation.schemes.frontend:evaluate"),
     "scaling": _Subject("evaluation.schemes.scaling:evaluate"),
     "classification": _Subject("evaluation.recognition.classification:evaluate", draws=True),
     "recognition": _Subject("evaluation.recognition.methods_compared:evaluate", draws=True),
@@ -120,7 +118,7 @@ def evaluate(
     draws
         Draws of Φ to average over. Default: each subject's own. ``settings``, ``sparsity``, ``figures``,
         ``rivals``, ``drawn-rivals``, ``contacts``, ``calibration``, ``offsets``,
-        ``frontend`` and ``scaling`` average over none; ``all`` and ``paper`` hand them to the others.
+        ``scaling`` average over none; ``all`` and ``paper`` hand them to the others.
     seed
         Of all random numbers but those that draw scenes.
     scenes

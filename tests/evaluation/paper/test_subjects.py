@@ -99,7 +99,6 @@ def test_all_hands_draws_only_to_those_that_average(
         "contacts",
         "offsets",
         "zero_scenes",
-        "frontend",
         "recordings",
         "single_wire",
     }
