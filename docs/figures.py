@@ -95,13 +95,6 @@ def paper_psnr(path: Path) -> None:
     write_file(path, _from_report("PSNR of the clamp's images over time"))
 
 
-def scaling(path: Path) -> None:
-    """Take times and memory over the number of taxels from a report of their own."""
-    folder = DOCS.parent / "build/figures/scaling"
-    _run("evaluate", "scaling", "--out", str(folder))
-    write_file(path, _picture(folder / "report.html", "Time of each step"))
-
-
 #: File in docs/, and the function that makes it.
 FIGURES: Final[dict[str, Callable[[Path], None]]] = {
     "demo.png": demo,
@@ -113,7 +106,6 @@ FIGURES: Final[dict[str, Callable[[Path], None]]] = {
     "missing-data.svg": missing_data,
     "paper-images.png": paper_images,
     "paper-psnr.png": paper_psnr,
-    "scaling.png": scaling,
 }
 
 

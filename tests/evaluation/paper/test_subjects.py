@@ -94,7 +94,6 @@ def test_all_hands_draws_only_to_those_that_average(
         "settings",
         "sparsity",
         "figures",
-        "scaling",
         "comparison",
         "contacts",
         "offsets",
