@@ -32,7 +32,6 @@ Subject = Literal[
     "offsets",
     "classification",
     "recognition",
-    "postures",
     "single-wire",
     "recordings",
 ]
@@ -60,13 +59,11 @@ SUBJECTS: Final[dict[str, _Subject]] = {
     "offsets": _Subject("evaluation.schemes.offsets:evaluate"),
     "classification": _Subject("evaluation.recognition.classification:evaluate", draws=True),
     "recognition": _Subject("evaluation.recognition.methods_compared:evaluate", draws=True),
-    "postures": _Subject("evaluation.recognition.postures:evaluate", draws=True),
     "single-wire": _Subject("evaluation.single_wire:evaluate"),
     "recordings": _Subject("evaluation.schemes.recordings:evaluate"),
 }
 #: Subjects that measure recordings alone, and the recordings that each needs.
 RECORDED: Final = {
-    "postures": "the recordings of a pressure mat",
     "single-wire": "a copy of github.com/aslepyan/SPTS",
     "recordings": "recordings of a pressure mat, glove or skin",
 }
@@ -99,7 +96,7 @@ def evaluate(
         compare every printed number with ours, and write ``report.html`` and ``paper.json`` into the folder `out`.
     recordings
         Folder of real recordings, for the subjects that use them: ``recordings`` takes .npz, .npy, .csv and .mcap,
-        ``postures`` S1.npz and so on, ``single-wire`` a copy of github.com/aslepyan/SPTS.
+        ``single-wire`` a copy of github.com/aslepyan/SPTS.
     quick
         A look at everything in a small fraction of the time, with fewer steps and draws.
     meshes
