@@ -88,7 +88,7 @@ def test_all_hands_draws_only_to_those_that_average(
     evaluate("all", draws=3, out=tmp_path, json=True)
     assert {row["verdict"] for row in json.loads(capsys.readouterr().out)["rows"]} == {"not measured"}
     assert (tmp_path / "paper.json").is_file()
-    averaging = {"tables", "classification", "methods_compared", "postures"}
+    averaging = {"tables", "classification", "methods_compared"}
     assert {name for name, draws in asked.items() if draws == 3} == averaging
     assert {name for name, draws in asked.items() if draws is None} == {
         "settings",
