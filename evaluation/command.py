@@ -29,7 +29,6 @@ Subject = Literal[
     "drawn-rivals",
     "contacts",
     "calibration",
-    "offsets",
     "classification",
     "recognition",
     "single-wire",
@@ -56,7 +55,6 @@ SUBJECTS: Final[dict[str, _Subject]] = {
     "drawn-rivals": _Subject("evaluation.schemes.comparison:evaluate_drawn"),
     "contacts": _Subject("evaluation.schemes.contacts:evaluate", objects=True),
     "calibration": _Subject("evaluation.schemes.zero_scenes:evaluate"),
-    "offsets": _Subject("evaluation.schemes.offsets:evaluate"),
     "classification": _Subject("evaluation.recognition.classification:evaluate", draws=True),
     "recognition": _Subject("evaluation.recognition.methods_compared:evaluate", draws=True),
     "single-wire": _Subject("evaluation.single_wire:evaluate"),
@@ -112,7 +110,7 @@ def evaluate(
         Processes at the same time. Default: one per core.
     draws
         Draws of Φ to average over. Default: each subject's own. ``settings``, ``sparsity``, ``figures``,
-        ``rivals``, ``drawn-rivals``, ``contacts``, ``calibration``, ``offsets``,
+        ``rivals``, ``drawn-rivals``, ``contacts``, ``calibration``,
         ``scaling`` average over none; ``all`` and ``paper`` hand them to the others.
     seed
         Of all random numbers but those that draw scenes.

@@ -26,8 +26,8 @@ def test_an_own_mesh_slides_and_is_called_by_its_file(puck: str, capsys: pytest.
 
 
 def test_what_takes_no_objects_says_so_and_unknown_objects_are_refused(puck: str) -> None:
-    with pytest.raises(InputError, match="'offsets' takes no objects, expected one of rivals, contacts"):
-        evaluate("offsets", objects=puck)
+    with pytest.raises(InputError, match="'calibration' takes no objects, expected one of rivals, contacts"):
+        evaluate("calibration", objects=puck)
     with pytest.raises(InputError, match=r"no mesh at 'none\.stl'"):
         evaluate("rivals", objects="none.stl@mm")
     with pytest.raises(InputError, match="no trajectory of 'ring'"):

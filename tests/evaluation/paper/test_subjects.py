@@ -96,7 +96,6 @@ def test_all_hands_draws_only_to_those_that_average(
         "figures",
         "comparison",
         "contacts",
-        "offsets",
         "zero_scenes",
         "recordings",
         "single_wire",
