@@ -27,7 +27,6 @@ Subject = Literal[
     "figures",
     "rivals",
     "drawn-rivals",
-    "contacts",
     "calibration",
     "classification",
     "recognition",
@@ -53,7 +52,6 @@ SUBJECTS: Final[dict[str, _Subject]] = {
     "figures": _Subject("evaluation.paper.figures:evaluate"),
     "rivals": _Subject("evaluation.schemes.comparison:evaluate", objects=True),
     "drawn-rivals": _Subject("evaluation.schemes.comparison:evaluate_drawn"),
-    "contacts": _Subject("evaluation.schemes.contacts:evaluate", objects=True),
     "calibration": _Subject("evaluation.schemes.zero_scenes:evaluate"),
     "classification": _Subject("evaluation.recognition.classification:evaluate", draws=True),
     "recognition": _Subject("evaluation.recognition.methods_compared:evaluate", draws=True),
@@ -101,8 +99,7 @@ def evaluate(
         Folder of meshes (banana, cup, drill, largeclamp, mustard) in place of the shapes that ship. Live rows of
         ``recognition`` that name objects keep these shapes.
     objects
-        Comma-separated: what slides in ``rivals`` and ``contacts`` in place of the paper's five
-        objects. Of these, or your own mesh as FILE@UNIT.
+        Comma-separated: what slides in ``rivals`` in place of the paper's five objects. Of these, or your own mesh as FILE@UNIT.
     out
         Folder for the report and for measured results, which a later run takes up. Default for ``all`` and ``paper``:
         skin-evaluation.
@@ -110,7 +107,7 @@ def evaluate(
         Processes at the same time. Default: one per core.
     draws
         Draws of Φ to average over. Default: each subject's own. ``settings``, ``sparsity``, ``figures``,
-        ``rivals``, ``drawn-rivals``, ``contacts``, ``calibration``,
+        ``rivals``, ``drawn-rivals``, ``calibration``,
         ``scaling`` average over none; ``all`` and ``paper`` hand them to the others.
     seed
         Of all random numbers but those that draw scenes.
@@ -133,7 +130,7 @@ def evaluate(
     --------
     skin evaluate all --quick
     skin evaluate all --meshes ycb-meshes --out report
-    skin evaluate contacts --objects handle.stl@mm:y90,cup
+    skin evaluate rivals --objects handle.stl@mm:y90,cup
     skin evaluate sparsity --basis sym4-tensor coif1-tensor
     skin evaluate recordings mats/ --full-scale 4095 --rate 25
     """

@@ -66,7 +66,7 @@ def test_figures_show_what_the_paper_says_of_them() -> None:
         assert picture.draw().get_axes()
 
 
-@pytest.mark.parametrize("subject", ["sparsity", "figures", "rivals", "contacts"])
+@pytest.mark.parametrize("subject", ["sparsity", "figures", "rivals"])
 def test_draws_are_refused_where_nothing_is_averaged(subject: str) -> None:
     with pytest.raises(InputError, match=f"'{subject}' averages over no draws of Φ, got 3 draws"):
         evaluate(subject, draws=3)  # type: ignore[arg-type]
@@ -95,7 +95,6 @@ def test_all_hands_draws_only_to_those_that_average(
         "sparsity",
         "figures",
         "comparison",
-        "contacts",
         "zero_scenes",
         "recordings",
         "single_wire",
