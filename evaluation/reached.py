@@ -127,10 +127,10 @@ def result(stored: Sequence[Ours]) -> Result:
     return Result("Every number that the paper prints, and ours", rows, note=note)
 
 
-def stored(found: Mapping[str, Sequence[Row]], options: Options, subject: str) -> Stored:
-    """Return what is kept of a run of a subject: its rows by subject, and how they were made."""
+def stored(found: Mapping[str, Sequence[Row]], options: Options) -> Stored:
+    """Return what is kept of a run: its numbers from rows by subject, and how they were made."""
     given = {"--meshes": options.meshes and options.meshes.name, "--draws": options.draws, "--seed": options.seed}
-    command = f"skin evaluate {subject}" + "".join(f" {name} {value}" for name, value in given.items() if value)
+    command = "skin evaluate paper" + "".join(f" {name} {value}" for name, value in given.items() if value)
     command += " --quick" if options.quick else ""
     versions = {name: version(name) for name in ("canskin", *LIBRARIES)}
     made = Made(command, datetime.now(UTC).date().isoformat(), options.seed, versions, code_digest())

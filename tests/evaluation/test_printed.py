@@ -103,7 +103,7 @@ def test_ours_is_the_one_row_that_has_the_cell() -> None:
 @pytest.mark.heavy
 def test_what_is_not_reached_comes_first_and_a_file_keeps_all(tmp_path: Path, settings: dict[str, float]) -> None:
     rows = [{"setting": name, "ours": 0.0 if name == "rotations" else ours} for name, ours in settings.items()]
-    kept = reached.stored({"settings": rows}, Options(meshes=tmp_path, seed=3), "paper")
+    kept = reached.stored({"settings": rows}, Options(meshes=tmp_path, seed=3))
     reached.write(kept, tmp_path / "a" / "paper.json")
     assert reached.read(tmp_path / "a" / "paper.json") == kept
     assert kept.made.command == f"skin evaluate paper --meshes {tmp_path.name} --seed 3"

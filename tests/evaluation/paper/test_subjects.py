@@ -72,7 +72,7 @@ def test_draws_are_refused_where_nothing_is_averaged(subject: str) -> None:
         evaluate(subject, draws=3)  # type: ignore[arg-type]
 
 
-def test_all_hands_draws_only_to_those_that_average(
+def test_paper_hands_draws_only_to_those_that_average(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     asked: dict[str, int | None] = {}
@@ -80,25 +80,17 @@ def test_all_hands_draws_only_to_those_that_average(
     def subject_of(module: str) -> SimpleNamespace:
         def subject(options: Options) -> Result:
             asked[module.rpartition(".")[2]] = options.draws
-            return Result(module, [])
+            return Result(module, [{"measured": False}])
 
-        return SimpleNamespace(evaluate=subject, evaluate_drawn=subject, compression=subject, iterations=subject)
+        return SimpleNamespace(evaluate=subject, compression=subject, iterations=subject)
 
     monkeypatch.setattr(command, "import_module", subject_of)
-    evaluate("all", draws=3, out=tmp_path, json=True)
-    assert {row["verdict"] for row in json.loads(capsys.readouterr().out)["rows"]} == {"not measured"}
+    evaluate("paper", draws=3, out=tmp_path, json=True)
+    compared = [row for row in json.loads(capsys.readouterr().out)["rows"] if row["subject"] == "paper"]
+    assert {row["verdict"] for row in compared} == {"not measured"}
     assert (tmp_path / "paper.json").is_file()
-    averaging = {"tables", "classification", "methods_compared"}
-    assert {name for name, draws in asked.items() if draws == 3} == averaging
-    assert {name for name, draws in asked.items() if draws is None} == {
-        "settings",
-        "sparsity",
-        "figures",
-        "comparison",
-        "zero_scenes",
-        "recordings",
-        "single_wire",
-    }
+    assert {name for name, draws in asked.items() if draws == 3} == {"tables", "classification"}
+    assert {name for name, draws in asked.items() if draws is None} == {"settings", "sparsity", "figures"}
 
 
 def test_table_three_averages_as_many_draws_as_asked(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,16 +1,13 @@
-"""The two subjects, quick: what they compare, what they recommend, and what they leave out."""
+"""The rivals, quick: what is compared, and how verdicts read."""
 
-from pathlib import Path
-
-import numpy as np
 import pytest
 
 from canskin.errors import InputError
 from evaluation.command import evaluate
 from evaluation.result import Options, Result, Row
-from evaluation.schemes.comparison import DIGITS, evaluate_drawn, means_of, wins_and_losses
+from evaluation.schemes.comparison import DIGITS, means_of, wins_and_losses
 from evaluation.schemes.comparison import evaluate as evaluate_schemes
-from evaluation.schemes.scenes import SLAP, SLIDES, Touch, recordings_in
+from evaluation.schemes.scenes import SLAP, SLIDES
 from evaluation.schemes.schemes import BEST_SCAN, COARSE_ARRAYS, RAW_SCAN, default_kbit_per_s
 
 CLOCKED = (BEST_SCAN.name, RAW_SCAN.name, COARSE_ARRAYS[0].name)
@@ -56,13 +53,15 @@ def test_a_filter_is_worth_more_than_sums_and_scans_get_the_best_receiver(compar
 
 @pytest.mark.slow
 def test_drawn_scenes_have_a_row_for_each_scheme_and_their_mean() -> None:
-    found = evaluate_drawn(Options(quick=True, scene_seed=3))
+    found = evaluate_schemes(Options(quick=True, scene_seed=3))
     assert len({row["touch"] for row in found.rows}) == 3
     for row in found.rows:
         assert (row["psnr_spread_db"] is None) == (row["touch"] != "all scenes")
-    assert not evaluate_drawn(Options(scenes=0)).rows
-    with pytest.raises(InputError, match="scenes of 1 or more: got 0"):
-        evaluate("drawn-rivals", scenes=0)
+
+
+def test_no_drawn_scene_is_refused() -> None:
+    with pytest.raises(InputError, match="expected 1 drawn scene or more"):
+        evaluate("rivals", scenes=0, scene_seed=3)
 
 
 @pytest.mark.slow
@@ -97,17 +96,3 @@ def test_slides_have_a_row_of_means_and_losses_are_named_as_plainly_as_wins() ->
     assert second.startswith("LOSS in PSNR, touched error: box: -2.0 dB to sums")
     assert more.startswith("LOSS in bits: cup: +5.0 dB to events")  # only of schemes with a rate 98 are as many as 100
     assert third.startswith("win: box: +1.0 dB to scan")  # 3050 kbit/s are as many as 3000
-
-
-def test_recordings_are_played_as_they_are(tmp_path: Path) -> None:
-    frames = np.arange(2 * 64 * 32, dtype=np.uint16).reshape(2, 64, 32)
-    np.savez(tmp_path / "S1.npz", first=frames, second=frames[::-1])
-    (path,) = recordings_in(tmp_path)
-    played = Touch(path).load()
-    assert played.true_n.shape == (200, 4096)
-    assert played.true_n is played.felt_n
-    shown = played.true_n[[0, 100], 1] * frames.max() / 0.02
-    assert sorted(shown) == pytest.approx(sorted(frames[:, 0, 1]), rel=1e-5)
-    assert played.true_n.max() == pytest.approx(0.02)
-    with pytest.raises(InputError, match="no recording"):
-        recordings_in(tmp_path.parent / "nothing")
