@@ -80,11 +80,6 @@ def _object(address: str) -> str:
     return label["label"] if label and not label["stale"] else ""
 
 
-def missing_data(path: Path) -> None:
-    """Draw PSNR against dead nodes and lost frames."""
-    _run("bench", "missing", "--figure", str(path))
-
-
 def paper_images(path: Path) -> None:
     """Take the drill's sample images from the report of the paper's figures."""
     write_file(path, _from_report("The drill"))
@@ -103,7 +98,6 @@ FIGURES: Final[dict[str, Callable[[Path], None]]] = {
     "hand-page.png": partial(page, layout="hand"),
     "forearm-page.png": partial(page, layout="forearm"),
     "rerun.png": rerun,
-    "missing-data.svg": missing_data,
     "paper-images.png": paper_images,
     "paper-psnr.png": paper_psnr,
 }
