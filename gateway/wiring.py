@@ -116,7 +116,7 @@ def prove(phi: Sbhe, surface: Surface, counts: Floats, path_m: Floats | None, re
     def pressed(radius: float, some: slice, is_right: npt.NDArray[Any] | float = 1.0) -> npt.NDArray[np.float32]:
         of_own = felt[some, own_place] * is_right
         known_m = locate(of_own, places_m, pitch_m, radius)[0] if given_m is None else given_m[some]
-        return _scaled(_pressed(_away(known_m, places_m, pitch_m), radius), of_own)
+        return _scaled(_pressed(_away(known_m, places_m, pitch_m), radius), felt[some])
 
     some, every = slice(None, None, -(-len(felt) // TRIED)), slice(None)
     radius = max(FINGERS, key=lambda each: float(_likeness(felt[some], pressed(each, some)).max(axis=1).mean()))
