@@ -80,11 +80,6 @@ def _object(address: str) -> str:
     return label["label"] if label and not label["stale"] else ""
 
 
-def missing_data(path: Path) -> None:
-    """Draw PSNR against dead nodes and lost frames."""
-    _run("bench", "missing", "--figure", str(path))
-
-
 def paper_images(path: Path) -> None:
     """Take the drill's sample images from the report of the paper's figures."""
     write_file(path, _from_report("The drill"))
@@ -95,13 +90,6 @@ def paper_psnr(path: Path) -> None:
     write_file(path, _from_report("PSNR of the clamp's images over time"))
 
 
-def scaling(path: Path) -> None:
-    """Take times and memory over the number of taxels from a report of their own."""
-    folder = DOCS.parent / "build/figures/scaling"
-    _run("evaluate", "scaling", "--out", str(folder))
-    write_file(path, _picture(folder / "report.html", "Time of each step"))
-
-
 #: File in docs/, and the function that makes it.
 FIGURES: Final[dict[str, Callable[[Path], None]]] = {
     "demo.png": demo,
@@ -110,10 +98,8 @@ FIGURES: Final[dict[str, Callable[[Path], None]]] = {
     "hand-page.png": partial(page, layout="hand"),
     "forearm-page.png": partial(page, layout="forearm"),
     "rerun.png": rerun,
-    "missing-data.svg": missing_data,
     "paper-images.png": paper_images,
     "paper-psnr.png": paper_psnr,
-    "scaling.png": scaling,
 }
 
 

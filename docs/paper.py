@@ -67,19 +67,6 @@ def worse(stored: Stored) -> str:
     return _table(["numbers", "count", "largest difference", "tolerance there"], rows)
 
 
-def claims(stored: Stored) -> str:
-    """List the claims of abstract and conclusion."""
-    rows = []
-    before = ""
-    for row in stored.claims:
-        claim = row["claim"] if row["claim"] != before else ""
-        before = row["claim"]
-        spread = f" ± {row['spread']:g}" if row["spread"] is not None else ""
-        paper = "" if row["paper"] is None else f"{row['paper']:g}"
-        rows.append([claim, row["quantity"], paper, f"{row['ours']:g}{spread}", row["mode"], row["runs"]])
-    return _table(["claim", "quantity", "paper", "ours", "mode", "runs"], rows)
-
-
 def table_one(stored: Stored) -> str:
     """Lay out the means of Table I."""
     return _pivot(stored, "Table I", ("basis",), ("object",))
@@ -101,7 +88,6 @@ PARTS: Final[dict[str, Callable[[Stored], str]]] = {
     "not-reached": not_reached,
     "worse": worse,
     "counts": counts,
-    "claims": claims,
     "table-1": table_one,
     "table-2": table_two,
     "table-3": table_three,

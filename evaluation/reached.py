@@ -42,11 +42,10 @@ class Made(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Stored(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A comparison as kept: every printed number with ours, and the rows of ``claims``."""
+    """A comparison as kept: every printed number with ours."""
 
     made: Made
     numbers: list[Ours]
-    claims: list[Row]
 
 
 class Compared(NamedTuple):
@@ -128,27 +127,21 @@ def result(stored: Sequence[Ours]) -> Result:
     return Result("Every number that the paper prints, and ours", rows, note=note)
 
 
-def stored(found: Mapping[str, Sequence[Row]], options: Options, subject: str) -> Stored:
-    """Return what is kept of a run of a subject: its rows by subject, and how they were made."""
+def stored(found: Mapping[str, Sequence[Row]], options: Options) -> Stored:
+    """Return what is kept of a run: its numbers from rows by subject, and how they were made."""
     given = {"--meshes": options.meshes and options.meshes.name, "--draws": options.draws, "--seed": options.seed}
-    command = f"skin evaluate {subject}" + "".join(f" {name} {value}" for name, value in given.items() if value)
+    command = "skin evaluate paper" + "".join(f" {name} {value}" for name, value in given.items() if value)
     command += " --quick" if options.quick else ""
     versions = {name: version(name) for name in ("canskin", *LIBRARIES)}
     made = Made(command, datetime.now(UTC).date().isoformat(), options.seed, versions, code_digest())
-    return Stored(made, compare(found), list(found.get("claims", ())))
+    return Stored(made, compare(found))
 
 
 def write(kept: Stored, path: Path) -> None:
     """Write a comparison, a number a line; raise InputError if the file cannot be written."""
     encoded = msgspec.json.encode
-    parts = [
-        f'"made":{encoded(kept.made).decode()}',
-        *(
-            f'"{name}":[\n' + ",\n".join(encoded(each).decode() for each in rows) + "\n]"
-            for name, rows in (("numbers", kept.numbers), ("claims", kept.claims))
-        ),
-    ]
-    write_text(path, "{\n" + ",\n".join(parts) + "\n}\n")
+    numbers = ",\n".join(encoded(each).decode() for each in kept.numbers)
+    write_text(path, f'{{\n"made":{encoded(kept.made).decode()},\n"numbers":[\n{numbers}\n]\n}}\n')
 
 
 def read(path: Path) -> Stored:

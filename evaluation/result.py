@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 from canskin.errors import InputError
 from shell.output import write_file
@@ -20,9 +20,8 @@ Row = dict[str, Any]
 class Options:
     """What every evaluation is asked: the options of ``skin evaluate``.
 
-    Without `out` nothing is kept; without `draws` each subject has its own number. `bases` are full names of wavelet
-    bases. `objects` slide in place of the paper's five. `full_scale` and `frame_rate_hz` are of the recordings: the
-    value that becomes the largest force, and frames per second.
+    Without `out` nothing is kept; without `draws` each subject has its own number. `objects` slide in place of the
+    paper's five.
     """
 
     quick: bool = False
@@ -33,11 +32,8 @@ class Options:
     draws: int | None = None
     seed: int = 0
     scenes: int = 10
-    scene_seed: int = 0
-    bases: tuple[str, ...] = ()
+    scene_seed: int | None = None
     objects: tuple[str, ...] = tuple(ACQUISITION_OBJECTS)
-    full_scale: float | None = None
-    frame_rate_hz: float | None = None
 
     def __post_init__(self) -> None:
         for what, folder in (("meshes", self.meshes), ("recordings", self.recordings)):
@@ -59,18 +55,6 @@ class Options:
     def draws_or(self, draws: int) -> int:
         """Return the draws that were asked for, else 1 for a quick look, else `draws`."""
         return self.draws or (1 if self.quick else draws)
-
-
-class Finding(NamedTuple):
-    """A number of ours, how many measurements are behind it, the paper's number, and the deviation over draws.
-
-    The last two are None where there is none.
-    """
-
-    ours: float
-    runs: int
-    paper: float | None = None
-    spread: float | None = None
 
 
 @dataclass(frozen=True)

@@ -147,7 +147,7 @@ class CountReading:
             dialogue.tick(now_s)
             if dialogue.error is not None:
                 name = self._contract.layout.bus[bus].name
-                raise RunError(f"{name}, node {node_id}: {dialogue.error}: without counts, check a recording of sums")
+                raise RunError(f"{name}, node {node_id}: {dialogue.error}: the check needs its counts")
             if dialogue.done:
                 del dialogues[node_id]
 

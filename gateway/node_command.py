@@ -43,7 +43,6 @@ def node(
     layout: Path | None = None,
     can: BusOptions | None = None,
     every: Annotated[bool, Parameter(name="--all", negative=())] = False,
-    wiring: Path | None = None,
     live: float | None = None,
     path: Path | None = None,
     rest: float = 1.0,
@@ -56,8 +55,8 @@ def node(
     in place of its taxels. It needs a bus without gateway. The board is left pre-operational, with the test patterns,
     gains and offsets that it had. Ends with 1 if the board differs from the contract.
 
-    With ``--wiring`` or ``--live`` the wiring is checked in place of a board: which taxels are not wired as the layout
-    says, and which boards are exchanged.
+    With ``--live`` the wiring is checked in place of a board: which taxels are not wired as the layout says, and which
+    boards are exchanged.
 
     ``get``, ``set`` and ``objects`` may run beside the gateway, which gives way. After a write to an object that the
     layout fixes, the gateway proves the node again, and writes the layout's value (``configure = "write"``).
@@ -90,13 +89,11 @@ def node(
         `eds` and without `bus` the single channel is that of the device.
     every
         Of ``update``: all boards, of `bus` or of the skin.
-    wiring
-        Recording (``skin record``) of one finger that goes over the whole skin, after a time without touch.
     live
         Seconds in which one finger goes over the whole skin, after `rest`: the counts of all taxels are read from all
         boards. Ctrl-C ends the stroke.
     path
-        CSV with the columns time_s, x_m, y_m, z_m: where the finger is after the first measurement or reading.
+        CSV with the columns time_s, x_m, y_m, z_m: where the finger is after the first reading.
         Without it the place of the finger is estimated, too.
     rest
         Time without touch at the begin, seconds.
@@ -109,8 +106,8 @@ def node(
     --------
     skin node check --bus bus0 --node 3 -i socketcan -c can0
     skin node check --layout palm.toml --node 1 --json
-    skin node check --layout palm.toml --wiring stroke.mcap --path finger.csv --out boards.csv
     skin node check --layout palm.toml --live 30 -i socketcan -c can0
+    skin node check --layout palm.toml --live 30 --path finger.csv --out boards.csv
     skin node get "Producer heartbeat time" 1018h:4 --bus bus0 --node 3
     skin node set 6060h=3 --eds drive.eds --node 5 -i socketcan -c can0
     skin node reset --bus bus0 -i socketcan -c can0
@@ -120,7 +117,7 @@ def node(
     skin = load_layout(layout)
     _refuse_unused(
         action,
-        {"--wiring": wiring, "--live": live},
+        live,
         {"--path": path, "--out": out},
         {"--node": node_id, "--bus": bus},
         {"objects": (action != "update" and objects) or None, "EDS": eds},
@@ -136,11 +133,6 @@ def node(
         return _objects(
             action, objects, eds=eds, skin=skin, bus=bus, node_id=node_id, can=can or BusOptions(), as_json=json
         )
-    if wiring is not None:
-        from gateway.wiring_check import check_wiring
-
-        require_boards(skin)
-        return _show_wiring(skin, check_wiring(skin, wiring, path, rest), out, as_json=json)
     stop = StopSignal().install()
     if live is not None:
         from gateway.wiring_check import check_counts
@@ -148,7 +140,7 @@ def node(
         reading = _read_live(skin, can or BusOptions(), live, rest, stop)
         return _show_wiring(skin, check_counts(skin, reading, path), out, as_json=json)
     if node_id is None:
-        raise InputError("expected --node with the node-ID of a board, --wiring with a recording, or --live")
+        raise InputError("expected --node with the node-ID of a board, or --live")
     number = _bus_number(skin, bus)
     contract = Contract.from_layout(skin)
     board = _board(contract, number, node_id)
@@ -164,24 +156,23 @@ def node(
 
 def _refuse_unused(
     action: str,
-    sources: dict[str, object],
+    live: float | None,
     others: dict[str, object],
     board: dict[str, object],
     known: dict[str, object],
 ) -> None:
-    """Refuse options that an action has no use for; `others` need one of `sources`, which take the whole skin."""
-    asked, more, one, named = (
-        [name for name, each in of.items() if each is not None] for of in (sources, others, board, known)
+    """Refuse options that an action has no use for; `others` need `live`, which takes the whole skin."""
+    given, one, named = (
+        [name for name, each in of.items() if each is not None] for of in ({"--live": live} | others, board, known)
     )
-    given = [*asked, *more]
     if named and action not in ("get", "set", "objects"):
         raise InputError(f"'skin node {action}' takes no {named[0]}: expected get, set or objects")
     if action != "check" and given:
         raise InputError(f"expected {' and '.join(given)} with 'skin node check' alone, got 'skin node {action}'")
-    if (given and not asked) or len(asked) > 1:
-        raise InputError(f"expected one of {' and '.join(sources)}, got {' and '.join(given)}")
-    if asked and one:
-        raise InputError(f"expected {' and '.join(one)} of a board, or {asked[0]} of the whole skin, got both")
+    if given and live is None:
+        raise InputError(f"expected {' and '.join(given)} with --live alone")
+    if given and one:
+        raise InputError(f"expected {' and '.join(one)} of a board, or --live of the whole skin, got both")
 
 
 def _board(contract: Contract, number: int, node_id: int) -> NodeContract:
@@ -293,7 +284,7 @@ def _read_live(skin: Layout, can: BusOptions, stroke_s: float, rest_s: float, st
 
     require_boards(skin)
     if skin.taxels.is_analogue:
-        raise InputError("analogue boards have no counts of taxels: check a recording of sums, --wiring")
+        raise InputError("analogue boards have no counts of taxels: their wiring cannot be checked")
     with closing_links(open_links(skin, can, name="node check", stop=stop)) as links:
         say("node check", f"leave the skin alone for {rest_s:g} s")
         reading = CountReading(

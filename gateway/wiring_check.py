@@ -1,4 +1,4 @@
-"""``skin node check --wiring``, ``--live``: what a recording, or the counts of the boards, say of the wiring."""
+"""``skin node check --live``: what the counts of the boards say of the wiring."""
 
 import csv
 import io
@@ -9,14 +9,10 @@ from typing import Final
 import numpy as np
 
 from canskin.errors import InputError
-from canskin.messages import MEASUREMENT, AdaptiveMeasurement
 from gateway.count_reading import CountReading
-from gateway.wiring import Finding, Place, counts_as_sums, prove
-from shell.service import say
+from gateway.wiring import Finding, Place, prove
 from skin.chains import read_lines
 from skin.layout import Layout
-from skin.mcap_file import read_messages
-from skin.measured_sums import decode_adaptive, decode_measurement
 from skin.measurement import Sbhe
 from skin.surface import Floats
 
@@ -24,47 +20,17 @@ from skin.surface import Floats
 _PATH: Final = ("time_s", "x_m", "y_m", "z_m")
 
 
-def check_wiring(layout: Layout, recording: Path, path: Path | None, rest_s: float) -> list[Finding]:
-    """Return what is not wired as the layout says.
+def check_counts(layout: Layout, reading: CountReading, path: Path | None) -> list[Finding]:
+    """Return what is not wired as the layout says, by the counts of the boards.
 
     Parameters
     ----------
-    recording : pathlib.Path
-        Measurements while one finger goes over the skin.
     path : pathlib.Path or None
-        CSV: where the finger is, seconds after the first measurement.
-    rest_s : float
-        Time without touch at the begin.
+        CSV: where the finger is, seconds after the first reading.
     """
-    phi = layout.phi()
-    times_s, sums = _sums(recording, phi)
-    path_m = None if path is None else _path(path, times_s)
-    return prove(phi, layout.taxels.surface, sums, path_m, int((times_s < rest_s).sum()))
-
-
-def check_counts(layout: Layout, reading: CountReading, path: Path | None) -> list[Finding]:
-    """Return what is not wired as the layout says, by the counts of the boards; `path` as for `check_wiring`."""
     times_s, counts = reading.readings()
-    phi, sums = counts_as_sums(layout.phi(), counts)
     path_m = None if path is None else _path(path, times_s)
-    return prove(phi, layout.taxels.surface, sums, path_m, reading.rest)
-
-
-def _sums(recording: Path, phi: Sbhe) -> tuple[Floats, Floats]:
-    """Return the complete measurements: seconds since the first, and sums in counts, shape (moments, m)."""
-    times_ns, sums = [], []
-    for read in read_messages(recording, [MEASUREMENT], lambda line: say("node check", line)):
-        if isinstance(read.message, AdaptiveMeasurement):
-            is_whole = decode_adaptive(read.message, phi).known.all()
-        else:
-            is_whole = decode_measurement(read.message, phi).valid_sums.all()
-        if is_whole:
-            times_ns.append(read.message.sampled_mono_ns)
-            # As they came: the gateway's offsets follow a finger that stays on the skin.
-            sums.append(np.frombuffer(read.message.sums, "<i4"))
-    if not sums:
-        raise InputError(f"{recording}: expected measurements in which all sums are valid, got none")
-    return (np.array(times_ns) - times_ns[0]) / 1e9, np.array(sums, np.float64)
+    return prove(layout.phi(), layout.taxels.surface, counts, path_m, reading.rest)
 
 
 def _path(path: Path, times_s: Floats) -> Floats:
@@ -91,7 +57,7 @@ def text_of(finding: Finding) -> str:
         "swapped": f"{taxel}, is wired to {found}",
         "doubled": f"{taxel}, is wired to {found}",
         "dead": f"{taxel}, is felt by no place",
-        "unclear": f"{taxel}, is not wired so; the sums do not tell where it is",
+        "unclear": f"{taxel}, is not wired so; the counts do not tell where it is",
     }[finding.kind]
 
 

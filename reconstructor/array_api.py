@@ -1,8 +1,8 @@
 """FISTA of many streams at once with any library of the Python array API: NumPy, or CuPy or PyTorch on a GPU.
 
 array-api-compat makes the libraries alike. Every step is a matrix product, a gather or an elementwise operation on
-(streams, …) arrays; wavelets, Hadamard blocks and noiselets are applied as small dense matrices, which are faster on a
-GPU than butterflies.
+(streams, …) arrays; wavelets and Hadamard blocks are applied as small dense matrices, which are faster on a GPU than
+butterflies.
 """
 
 from collections.abc import Callable, Iterator
@@ -10,7 +10,7 @@ from copy import copy
 from dataclasses import dataclass
 from math import isqrt
 from types import ModuleType
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -164,40 +164,12 @@ def _torch(device: Device) -> ArrayLibrary:
     return ArrayLibrary(xp, f"{about} {torch.cuda.get_device_name(0)}", torch.device("cuda", 0), on_gpu=True)
 
 
-class Ensemble(NamedTuple):
-    """Φ = Q T P of rows of an orthogonal transform T; T X is left X right of the taxels as a matrix X.
-
-    Attributes
-    ----------
-    order : array of int, shape (places,)
-        P: the taxel at each place of X, row by row; from the number of taxels on, an empty place.
-    left, right : array, shape (a, a) and (b, b)
-        Symmetric; None for the unit matrix. a · b = places.
-    sent : array of int, shape (m,)
-        Q: the place in T X of each sum, ascending.
-    norm_squared : float
-        Largest eigenvalue of ΦᵀΦ.
-    """
-
-    order: Indices
-    left: Values | None
-    right: Values
-    sent: Indices
-    norm_squared: float
-
-
-def ensemble_of(phi: Sbhe) -> Ensemble:
-    """Return an SBHE as an `Ensemble`: a row of X for each block."""
-    hadamard = np.asarray(fast_hadamard(np.eye(phi.block_size)))
-    return Ensemble(phi.order, None, hadamard, np.flatnonzero(phi.kept), phi.norm_squared)
-
-
 class BatchSolver:
     """min ½‖Φx - y‖² + λ R(x) by FISTA as `reconstructor.kernels.fused.FusedSolver`, for many streams at once.
 
     Parameters
     ----------
-    phi : Sbhe or Ensemble
+    phi : Sbhe
         Not a MatrixPhi.
     rows, columns : int
         1 to 256; for a wavelet powers of two from 8.
@@ -215,7 +187,7 @@ class BatchSolver:
 
     def __init__(
         self,
-        phi: Sbhe | MatrixPhi | Ensemble,
+        phi: Sbhe | MatrixPhi,
         rows: int,
         columns: int,
         settings: SolverSettings,
@@ -229,11 +201,9 @@ class BatchSolver:
             raise InputError(
                 f"a GPU solves sums of blocks, with total variation or a wavelet: got {got}; leave out --device gpu"
             )
-        if not isinstance(phi, Ensemble):
-            check_grid_of(phi, rows, columns, settings.prior, edges)
-            phi = ensemble_of(phi)
+        check_grid_of(phi, rows, columns, settings.prior, edges)
         self.dtype: Final = float_kind(dtype)
-        self.sums: Final = phi.sent.size
+        self.sums: Final = phi.shape[0]
         self.shape: Final = (rows, columns)
         self.streams = 1
         self._library, taxels, places = library, rows * columns, phi.order.size
@@ -244,8 +214,7 @@ class BatchSolver:
         self._is_scaled = settings.scaled_start
         self._zero = library.zeros((1,), kind)
         self._floor = self._zero if settings.nonnegative else None
-        self._left = None if phi.left is None else send(phi.left, kind)
-        self._right = send(phi.right, kind)
+        self._hadamard = send(np.asarray(fast_hadamard(np.eye(phi.block_size))), kind)
         self._order, self._empty = send(phi.order), int((phi.order >= taxels).sum())
         held = phi.order < taxels
         place, is_wired = np.zeros(taxels, np.intp), np.zeros(taxels, np.bool_)
@@ -253,7 +222,8 @@ class BatchSolver:
         self._place = send(place)
         self._wired = None if is_wired.all() else send(np.asarray(is_wired), kind)
         is_sent, slot = np.zeros(places, np.bool_), np.zeros(places, np.intp)
-        is_sent[phi.sent], slot[phi.sent] = True, np.arange(self.sums)
+        sent = np.flatnonzero(phi.kept)
+        is_sent[sent], slot[sent] = True, np.arange(self.sums)
         self._slot, self._steps = send(slot), send(np.asarray(step * is_sent), kind)
         self._prior: _Variation | _Wavelet = (
             _Variation(library, kind, self.shape, gaps=np.flatnonzero(~is_wired), edges=edges, floor=self._floor)
@@ -362,7 +332,7 @@ class BatchSolver:
         return xp.reshape(slope if self._wired is None else slope * self._wired, images.shape)
 
     def _placed(self, images: Any) -> Any:
-        """Return P x, shape (streams, places)."""
+        """Return the taxels in block order, shape (streams, places)."""
         xp = self._library.xp
         taxels = xp.reshape(images, (images.shape[0], -1))
         if self._empty:
@@ -371,10 +341,10 @@ class BatchSolver:
         return xp.take(taxels, self._order, axis=1)
 
     def _transform(self, values: Any) -> Any:
-        """Return T x, which is Tᵀ x, shape (streams, places)."""
+        """Return the Hadamard transform of each block, shape (streams, places)."""
         xp = self._library.xp
-        made = xp.matmul(xp.reshape(values, (values.shape[0], -1, self._right.shape[0])), self._right)
-        return xp.reshape(made if self._left is None else xp.matmul(self._left, made), values.shape)
+        blocks = xp.reshape(values, (values.shape[0], -1, self._hadamard.shape[0]))
+        return xp.reshape(xp.matmul(blocks, self._hadamard), values.shape)
 
 
 class _Wavelet:

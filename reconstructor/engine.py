@@ -14,7 +14,7 @@ from reconstructor.checks import Values, check_grid_of
 from reconstructor.coded_memory import CodedMemory
 from reconstructor.gains import GainCorrection, KnownGains
 from reconstructor.kernels.contourlet import ContourletSolver
-from reconstructor.kernels.fused import FusedSolver
+from reconstructor.kernels.fused import COMPILED, FusedSolver
 from reconstructor.kernels.matrix import MatrixSolver
 from reconstructor.settings import LIVE, SolverSettings
 from reconstructor.temporal_filter import TemporalFilter
@@ -351,9 +351,11 @@ def averaged_sum_noise_n(samples: int) -> float:
 
 def make_solver(
     phi: Sbhe, rows: int, columns: int, settings: SolverSettings, edges: npt.NDArray[np.intp] | None = None
-) -> FusedSolver | ContourletSolver:
-    """Return the compiled solver of a prior, in float32."""
-    if settings.prior != "contourlet":
+) -> FusedSolver | ContourletSolver | BatchSolver:
+    """Return the solver of a prior, in float32: the compiled solver, or for wavelets without one that of arrays."""
+    if settings.prior in COMPILED:
         return FusedSolver(phi, rows, columns, settings, edges=edges)
+    if settings.prior != "contourlet":
+        return BatchSolver(phi, rows, columns, settings, edges=edges)
     check_grid_of(phi, rows, columns, settings.prior, edges)
     return ContourletSolver(phi, rows, columns, settings)

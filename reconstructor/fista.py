@@ -72,7 +72,7 @@ def fista(
     require_number("the penalty λ", penalty_n)
     require_above_zero("L", lipschitz)
     check_iterations(iterations)
-    for k, weight in enumerate(momentum(iterations)):
+    for k, weight in enumerate(momentum(iterations).tolist()):  # numbers of Python leave float32 as it is
         residual = phi.forward(psi.adjoint(ahead).reshape(-1)) - sums_n
         gradient = psi.forward(phi.adjoint(residual).reshape(psi.image_shape))
         previous, estimate = estimate, soft(ahead - gradient / lipschitz, penalty_n / lipschitz)

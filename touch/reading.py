@@ -24,7 +24,7 @@ _BESIDE: Final = re.compile(r"cycle|time.*|date.*|t|t_m?s|t\s*[\[(/].*", re.IGNO
 #: Arrays of a recording of ``skin record``: its images, and of simulated nodes the true forces and the sensor's.
 IN_MCAP: Final = {"image": (IMAGE, "pixels"), "true": (TRUTH, "true"), "sensor": (TRUTH, "sensor")}
 #: Suffixes of the files that are read.
-READ_SUFFIXES: Final = (".npz", ".npy", ".csv", RECORDING_SUFFIX)
+_READ_SUFFIXES: Final = (".npz", ".npy", ".csv", RECORDING_SUFFIX)
 _CAN_LOGS: Final = (".log", ".asc", ".blf", ".trc", ".mf4")
 #: Most characters of a wrong value in an error message.
 _SHOWN: Final = 20
@@ -51,7 +51,7 @@ def read_counts(path: Path, arrays: Sequence[str] | None, skin_shape: tuple[int,
         raise InputError(
             f"'{path}' is a log of frames: make its images with 'skin rebuild {path} --out images.npz', and play those"
         )
-    if suffix not in READ_SUFFIXES:
+    if suffix not in _READ_SUFFIXES:
         raise InputError(f"'{path}' is no recording: expected a .npz, .npy, .csv or .mcap file, got '{suffix}'")
     if arrays is not None and suffix not in {".npz", RECORDING_SUFFIX}:
         raise InputError(f"'{path}' has no named arrays: name arrays only of a .npz or .mcap file")

@@ -2,7 +2,6 @@
 
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 from typing import Any, Final
 
@@ -10,12 +9,10 @@ import numpy as np
 
 from evaluation.bench.timing import race
 from evaluation.result import Row
-from evaluation.solvers.noiselet import Noiselet, noiselet
-from evaluation.solvers.noiselet_solver import NoiseletSolver
 from reconstructor.array_api import ArrayLibrary, BatchSolver, array_library
 from reconstructor.checks import Values
 from reconstructor.engine import make_solver, reconstruct
-from reconstructor.settings import PAPER, PRESETS, SPUN, VARIATION, Device, LibraryName, SolverSettings
+from reconstructor.settings import PRESETS, Device, LibraryName
 from skin.layout import load_layout
 from skin.measurement import Sbhe
 from skin.psnr import psnr_series_db
@@ -43,29 +40,18 @@ def run(rounds: int, device: Device, library: LibraryName | None) -> dict[str, A
     """
     arrays = array_library(device, library)
     true = press_along(Grid(), spheres_of("golf-ball"), [paper_pose(FIRST + STEP * k) for k in range(FRAMES)])
-    phi, products = load_layout().phi(), noiselet(64, 64, 1024)
-    solvers: dict[str, tuple[Sbhe | Noiselet, SolverSettings]] = {
-        "variation": (phi, VARIATION),
-        "spun": (phi, SPUN),
-        "paper": (phi, PAPER),
-        "paper, sym4-tensor": (phi, replace(PAPER, prior="sym4-tensor")),
-        "paper, noiselets": (products, PAPER),
-    }
-    batches = [
-        row for name, (of, settings) in solvers.items() for row in _batches(name, of, settings, true, arrays, rounds)
-    ]
+    phi = load_layout().phi()
+    batches = [row for name in ("variation", "spun", "paper") for row in _batches(name, phi, true, arrays, rounds)]
     recordings = [_recording(name, phi, true, arrays) for name in ("live", "paper")]
     return {"device": [{"library": arrays.about}], "batches": batches, "recordings": recordings}
 
 
-def _batches(  # noqa: PLR0917
-    name: str, phi: Sbhe | Noiselet, settings: SolverSettings, true: Values, library: ArrayLibrary, rounds: int
-) -> list[Row]:
+def _batches(name: str, phi: Sbhe, true: Values, library: ArrayLibrary, rounds: int) -> list[Row]:
     """Return the time of one image in batches of several sizes, and the largest difference from the compiled solver."""
     sizes = BATCHES[library.on_gpu]
     sums_n = _sums(phi, true, max(sizes))
-    compiled = make_solver(phi, 64, 64, settings) if isinstance(phi, Sbhe) else NoiseletSolver(phi, settings)
-    solver = BatchSolver(phi if isinstance(phi, Sbhe) else phi.ensemble(), 64, 64, settings, library=library)
+    compiled = make_solver(phi, 64, 64, PRESETS[name])
+    solver = BatchSolver(phi, 64, 64, PRESETS[name], library=library)
     batches = [solver.of_streams(size) for size in sizes]
     calls = [_call(compiled, sums_n[0]), *(_call(each, sums_n[: each.streams]) for each in batches)]
     wanted = calls[0]()
@@ -125,6 +111,6 @@ def _forces(true: Values, count: int) -> Values:
     return true[np.resize(there_and_back, count)]
 
 
-def _sums(phi: Sbhe | Noiselet, true: Values, count: int) -> Values:
+def _sums(phi: Sbhe, true: Values, count: int) -> Values:
     felt = sense(_forces(true, count), np.random.default_rng(1))
     return np.asarray(phi.forward(felt.reshape(count, -1)), np.float32)

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Final
 
 import numpy as np
@@ -10,12 +10,15 @@ import numpy.typing as npt
 
 from evaluation.printed import BasisName, Matrix
 from evaluation.result import Options, Row
-from evaluation.solvers.noiselet import noiselet
-from evaluation.solvers.noiselet_solver import NoiseletSolver
+from evaluation.solvers.noiselet import Noiselet, noiselet
+from reconstructor.array_api import BatchSolver
+from reconstructor.bases import Basis, WaveletBasis, wavelet_basis
+from reconstructor.checks import Values
 from reconstructor.engine import make_solver
-from reconstructor.kernels.contourlet import ContourletSolver
+from reconstructor.fista import fista, largest_eigenvalue
+from reconstructor.kernels.contourlet import CompiledContourlet, ContourletSolver
 from reconstructor.kernels.fused import FusedSolver
-from reconstructor.settings import PAPER, PAPER_CONTOURLET
+from reconstructor.settings import PAPER, PAPER_CONTOURLET, SolverSettings
 from skin.measurement import sbhe
 from skin.operator import Operator
 from skin.psnr import psnr_series_db
@@ -27,12 +30,49 @@ OBJECTS: Final = tuple(ACQUISITION_OBJECTS)
 SIDE: Final = 64
 #: λ for noiselets, newtons: the printed one. For SBHE a tenth of the printed one fits the tables, see `PAPER`.
 NOISELET_PENALTY_N: Final = 1.0
-ImageSolver = FusedSolver | ContourletSolver | NoiseletSolver
 #: Beside the progress bar of `measure`.
 RECONSTRUCTIONS: Final = "reconstructions"
 #: Steps whose sums are formed at a time: Φ works in the cache.
 CHUNK: Final = 100
 Decibels = npt.NDArray[np.float64]
+
+
+class NoiseletSolver:
+    """`reconstructor.fista.fista` from image to image, Φ a noiselet, with Haar or the contourlet, in float32."""
+
+    def __init__(self, phi: Noiselet, settings: SolverSettings) -> None:
+        psi: Basis
+        if settings.prior == "contourlet":
+            psi = CompiledContourlet(phi.rows, phi.columns, np.float32)
+            largest = largest_eigenvalue(phi, CompiledContourlet(phi.rows, phi.columns))
+        else:
+            steps = wavelet_basis(settings.prior, phi.rows, phi.columns).steps
+            psi = WaveletBasis([(down.astype(np.float32), across.astype(np.float32)) for down, across in steps])
+            largest = phi.norm_squared
+        self._psi = psi
+        self._fista = partial(
+            fista,
+            phi,
+            psi,
+            penalty_n=settings.penalty_n,
+            lipschitz=settings.lipschitz_ratio * largest,
+            iterations=settings.iterations,
+        )
+
+    def new_estimate(self) -> Values:
+        """Return coefficients of zeros."""
+        return np.zeros(self._psi.shape, np.float32)
+
+    def solve(self, estimate: Values, sums_n: Values, _weights: Values) -> None:
+        """Improve the coefficients in place, of sums in newtons, shape (m,)."""
+        estimate[...] = self._fista(sums_n, start=estimate)
+
+    def deliver(self, estimate: Values) -> Force:
+        """Return a new image of shape (rows, columns), negative forces as 0."""
+        return np.maximum(self._psi.adjoint(estimate), 0)
+
+
+ImageSolver = FusedSolver | ContourletSolver | BatchSolver | NoiseletSolver
 
 
 @dataclass(frozen=True)

@@ -92,8 +92,10 @@ def iterations(options: Options) -> Result:
     timed = {**options.shared, "steps": QUICK_TIMED_STEPS if options.quick else TIMED_STEPS}
     (times_ms,) = measure_cells(measure_times, [timed], options, "times", jobs=1)
     for row in rows:
-        is_timed = row["matrix"] == "sbhe"
-        row["ms"] = times_ms[f"{row['basis']} {row['iterations']}"] if is_timed else None
+        row |= dict.fromkeys(("ms", "images_per_s"))
+        if row["matrix"] == "sbhe":
+            row["ms"] = times_ms[f"{row['basis']} {row['iterations']}"]
+            row["images_per_s"] = round(1e3 / row["ms"], 2)
         labels = {key: row[key] for key in ("object", "matrix", "basis", "iterations")}
         row["paper_ms"] = paper_value("iterations", "ms", **labels)
     return _result("Table III: quality and time with fewer iterations, 1024 sums", rows)

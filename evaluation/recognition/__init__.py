@@ -1,1 +1,1 @@
-"""How well objects and postures are recognised, ours beside the paper's."""
+"""How well objects are recognised, ours beside the paper's."""

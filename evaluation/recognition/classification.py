@@ -88,10 +88,10 @@ def _cells(options: Options) -> list[Row]:
     wanted += [(kind, CONFUSION_SIZE, THREE_PERCENT) for kind in ("sbhe", "noiselet")]
     if options.quick:
         wanted = [one for one in wanted if one[1] in _COMPARED_SIZES and one[2] in {FULL, THREE_PERCENT}]
-    return [cell for kind, size, shares in wanted for cell in cells_of(kind, size, shares, options)]
+    return [cell for kind, size, shares in wanted for cell in _cells_of(kind, size, shares, options)]
 
 
-def cells_of(kind: str, size: int, shares: tuple[float, float], options: Options) -> list[Row]:
+def _cells_of(kind: str, size: int, shares: tuple[float, float], options: Options) -> list[Row]:
     """Return one cell for each draw of Φ of a signal and training size."""
     development, validation = shares
     draws = _draws(kind, size, options.draws_or(DRAWS), is_few=_is_few(kind, size, development, options))
@@ -150,7 +150,7 @@ def _is(one: Row, kind: str, size: int, shares: tuple[float, float]) -> bool:
     return (one["kind"], one["size"], one["development"]) == (kind, size, shares[0])
 
 
-def printed_accuracy(kind: str, size: int, shares: Iterable[float]) -> float | None:
+def _printed_accuracy(kind: str, size: int, shares: Iterable[float]) -> float | None:
     """Return the accuracy that the paper's text gives a signal, percent, None where only its curves have it."""
     return paper_value("classification", signal=NAMES[kind], size=size, training_percent=_percent(shares))
 
@@ -173,7 +173,7 @@ def _rows(measured: list[Row], figure: str) -> list[Row]:
                 "training_percent": _percent(shares),
                 "draws": len(group),
                 "runs": len(every),
-                **beside(float(np.mean(every)), printed_accuracy(kind, size, shares)),
+                **beside(float(np.mean(every)), _printed_accuracy(kind, size, shares)),
                 "least_draw": round(min(by_draw), 2),
                 "most_draw": round(max(by_draw), 2),
                 "sd_runs": round(float(np.std(every)), 2),

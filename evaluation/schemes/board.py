@@ -69,10 +69,9 @@ def board_of(touch: Touch, side: int = SIDE) -> Board:
     what = touch.load()
     counts = what.counts
     if side != SIDE:
-        fine = (what.felt_n if what.is_recorded else what.true_n).reshape(-1, SIDE, SIDE)
+        fine = what.true_n.reshape(-1, SIDE, SIDE)
         coarse = averaged(fine, side).reshape(len(fine), -1)
-        felt_n = coarse if what.is_recorded else touch.sensed(coarse, np.random.default_rng(touch.seed + 1))
-        counts = counts_of(felt_n)
+        counts = counts_of(touch.sensed(coarse, np.random.default_rng(touch.seed + 1)))
     return Board(counts, touch.idle(side * side), touch.loss_ratio, touch.seed)
 
 

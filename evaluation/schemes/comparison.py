@@ -5,6 +5,7 @@ from operator import itemgetter
 from statistics import mean, pstdev
 from typing import Final
 
+from canskin.errors import InputError
 from evaluation.result import Options, Result, Row, grouped
 from evaluation.result_cache import measured_rows
 from evaluation.schemes.scenes import OWN, SLAP, Touch
@@ -60,52 +61,50 @@ DIGITS: Final = {
 
 
 def evaluate(options: Options) -> Result:
-    """Measure every scheme on every touch.
+    """Measure every scheme on every touch; with a `scene_seed` the best of each kind on scenes drawn at random.
 
     Parameters
     ----------
     options : Options
-        `quick` looks at three touches, cut short.
+        `quick` looks at three touches, or at two drawn scenes, cut short.
     """
-    found = measured(_touches(options), options, "rivals")
+    if options.scene_seed is not None:
+        return _evaluate_drawn(options, options.scene_seed)
+    found = _measured(_touches(options), options, SCHEMES)
     slides = set(map(object_label, options.objects))
     together = means_of(found, slides, f"{len(slides)} slides") if len(slides) > 1 else []
-    return compared("Schemes", together + found)
+    return _compared("Schemes", together + found)
 
 
-def measured(
-    touches: Iterable[Touch], options: Options, what: str, schemes: Sequence[Scheme] | None = None
-) -> list[Row]:
+def _measured(touches: Iterable[Touch], options: Options, schemes: Sequence[Scheme]) -> list[Row]:
     """Return the figures of every scheme on every touch, a row each; `_QUICK` schemes for a quick look."""
-    shown = _QUICK if options.quick else schemes or SCHEMES
+    shown = _QUICK if options.quick else schemes
     cells: list[Row] = [{"scheme": scheme, "touch": touch} for touch in touches for scheme in shown]
     return [
         {"touch": row["touch"].words, "scheme": row["scheme"].name, "receiver": row["receiver"], "psnr_spread_db": None}
         | {key: row[key] for key in DIGITS}
-        for row in measured_rows(measure_scheme, cells, options, what)
+        for row in measured_rows(measure_scheme, cells, options, "rivals")
     ]
 
 
-def compared(title: str, found: list[Row], note: str = "") -> Result:
+def _compared(title: str, found: list[Row]) -> Result:
     """Return the result of rows that were measured: rounded, and with a verdict for each touch."""
     return Result(
         f"{title} on the same boards and four classic buses; scans and coarse arrays at the bits of the default skin",
         [row | {key: None if row[key] is None else round(row[key], DIGITS[key]) for key in DIGITS} for row in found],
-        note=note + wins_and_losses(found),
+        note=wins_and_losses(found),
     )
 
 
-def evaluate_drawn(options: Options) -> Result:
-    """Measure adaptive sums, the default and their best rivals on scenes drawn at random, `scenes` of `scene_seed`."""
+def _evaluate_drawn(options: Options, scene_seed: int) -> Result:
+    """Measure adaptive sums, the default and their best rivals on scenes drawn at random."""
     count, ticks = (2, 400) if options.quick else (options.scenes, None)
-    if count == 0:  # of all subjects together
-        return Result("No drawn scenes were asked for", [])
-    touches = [
-        Touch(str(number), ticks=ticks, scene_seed=options.scene_seed, **options.shared) for number in range(count)
-    ]
-    title = f"Schemes on {count} scenes drawn by seed {options.scene_seed}"
-    found = measured(touches, options, "drawn scenes", _DRAWN)
-    return compared(title, means_of(found, {touch.words for touch in touches}, "all scenes") + found)
+    if not count:
+        raise InputError("expected 1 drawn scene or more (--scenes), got 0")
+    touches = [Touch(str(number), ticks=ticks, scene_seed=scene_seed, **options.shared) for number in range(count)]
+    found = _measured(touches, options, _DRAWN)
+    title = f"Schemes on {count} scenes drawn by seed {scene_seed}"
+    return _compared(title, means_of(found, {touch.words for touch in touches}, "all scenes") + found)
 
 
 def _touches(options: Options) -> Iterator[Touch]:

@@ -5,20 +5,17 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
-from canskin.errors import InputError
-from skin.layout import RECORDING_SUFFIX, Taxels
+from skin.layout import Taxels
 from skin.sources import OBJECT_GROUPS, object_file, object_label
-from skin.taxel import FORCE_MAX_N, NOISE_N, sense, to_counts
+from skin.taxel import NOISE_N, sense, to_counts
 from touch.contact import Force, Grid, Pose, press
 from touch.objects import spheres_of
 from touch.primitives import ball
-from touch.reading import READ_SUFFIXES, array_names, read_counts
-from touch.recording import Recording
 from touch.trajectory import ACQUISITION_OBJECTS, PAPER_DEPTH_M, PAPER_PRESS_STEPS, paper_pose, trajectory
 
 Poses = Callable[[int], Iterator[tuple[str, Pose]]]
@@ -31,10 +28,6 @@ NEWTON_PER_COUNT: Final = _ARRAY.newton_per_count
 #: The press and as much of the slide as shows it.
 SLIDE_TICKS: Final = 2400
 TICKS: Final = 1500
-#: Time for which a recorded frame is shown: a tenth of that between two readings of the mats.
-RECORDED_MS: Final = 100
-#: Most milliseconds of a recording.
-RECORDED_TICKS: Final = 2400
 #: When the slap begins.
 SLAP_MS: Final = 300
 SLAP: Final = "three boxes slapped on"
@@ -56,17 +49,14 @@ class Scene:
     Attributes
     ----------
     true_n, felt_n : array of float32, shape (ticks, TAXELS)
-        What presses and what the sensor makes of it, newtons. Of a recording both are what was recorded.
+        What presses and what the sensor makes of it, newtons.
     counts : array of int16, shape (ticks, TAXELS)
         What 10-bit converters make of `felt_n`.
-    is_recorded : bool
-        Whether a recording was played, whose own values, noise included, count as the truth.
     """
 
     true_n: Force
     felt_n: Force
     counts: npt.NDArray[np.int16]
-    is_recorded: bool = False
 
 
 def _resting(tick: int) -> Iterator[tuple[str, Pose]]:
@@ -165,24 +155,19 @@ class Touch:
     Attributes
     ----------
     name : str
-        Of `SLIDES` or `OWN`, a mesh as ``FILE@UNIT``, or the path of a recording; of a drawn scene its number.
+        Of `SLIDES` or `OWN`, or a mesh as ``FILE@UNIT``; of a drawn scene its number.
     ticks : int, optional
         Number of milliseconds from the start; without it, all of the scene.
     noise_n : float
-        Standard deviation of the simulated sensor's noise, newtons; a recording has its own.
+        Standard deviation of the sensor's noise, newtons.
     loss_ratio : float
         Part of all frames that never reach the receiver, 0 to 1.
     meshes : str, optional
         Folder of meshes that take the place of the shapes that ship.
     seed : int
-        Of noise and losses, and of the frames of a recording that are shown.
+        Of noise and losses.
     scene_seed : int, optional
         Of a drawn scene: objects, places, directions, depths and speeds.
-    full_scale : float, optional
-        The recorded value that is `FORCE_MAX_N`; default: the largest of the recording, and the newtons of an
-        ``.mcap``.
-    frame_ms : int
-        Time for which a recorded frame is shown.
     """
 
     name: str
@@ -192,13 +177,6 @@ class Touch:
     meshes: str | None = None
     seed: int = 0
     scene_seed: int | None = None
-    full_scale: float | None = None
-    frame_ms: int = RECORDED_MS
-
-    @property
-    def is_recorded(self) -> bool:
-        """Whether a recording is played."""
-        return Path(self.name).suffix.lower() in READ_SUFFIXES
 
     @property
     def words(self) -> str:
@@ -206,7 +184,7 @@ class Touch:
         if self.scene_seed is not None:
             strokes = _drawn(int(self.name), self.scene_seed)
             return " and ".join(f"{each.name} at {each.speed_m_per_s:.2f} m/s" for each in strokes)
-        said = [f"recording {Path(self.name).name}" if self.is_recorded else object_label(self.name)]
+        said = [object_label(self.name)]
         said += [f"noise {1e3 * self.noise_n:g} mN"] if self.noise_n != NOISE_N else []
         said += [f"{self.loss_ratio:.0%} of frames lost"] if self.loss_ratio else []
         return ", ".join(said)
@@ -217,13 +195,8 @@ class Touch:
         return felt
 
     def idle(self, cells: int = TAXELS) -> npt.NDArray[np.int16]:
-        """Return what every cell reads before the touch, counts, shape (ticks, cells): noise alone.
-
-        A recording's own noise is not known: zeros.
-        """
-        force_n = np.zeros((IDLE_TICKS_SHORT if self.ticks or self.is_recorded else IDLE_TICKS, cells), np.float32)
-        if self.is_recorded:
-            return counts_of(force_n)
+        """Return what every cell reads before the touch, counts, shape (ticks, cells): noise alone."""
+        force_n = np.zeros((IDLE_TICKS_SHORT if self.ticks else IDLE_TICKS, cells), np.float32)
         return counts_of(self.sensed(force_n, np.random.default_rng([self.seed, 1])))
 
     def load(self) -> Scene:
@@ -240,11 +213,8 @@ def _scene(touch: Touch) -> Scene:
         strokes = _drawn(int(touch.name), touch.scene_seed)
         posed = ([(each.name, each.pose(tick)) for each in strokes] for tick in range(ticks))
         true = np.stack([_pressed(iter(each), meshes) for each in posed])
-    elif touch.name in OWN:
-        true = np.stack([_pressed(OWN[touch.name](tick), meshes) for tick in range(ticks)])
     else:
-        felt = _recorded(touch)
-        return Scene(felt, felt, counts_of(felt), is_recorded=True)
+        true = np.stack([_pressed(OWN[touch.name](tick), meshes) for tick in range(ticks)])
     flat = true.reshape(len(true), TAXELS)
     felt = touch.sensed(flat, np.random.default_rng(touch.seed))
     return Scene(flat, felt, counts_of(felt))
@@ -259,60 +229,3 @@ def _pressed(objects: Iterator[tuple[str, Pose]], meshes: Path | None) -> Force:
 def counts_of(felt_n: Force) -> npt.NDArray[np.int16]:
     """Return what 10-bit converters make of forces."""
     return to_counts(felt_n, _ARRAY).astype(np.int16)
-
-
-def _recorded(touch: Touch) -> Force:
-    """Return a recording, each frame for `Touch.frame_ms`, on the whole skin.
-
-    A recording smaller than the skin is laid beside itself as often as there is room: with the next array of the file
-    each time, and from a frame that is drawn, so that no scheme sends taxels that never feel anything. A recording
-    that is shown whole begins anywhere, and after its last frame the first follows.
-    """
-    path, random = Path(touch.name), np.random.default_rng(touch.seed)
-    arrays = _arrays_of(path)
-    high, wide = arrays[0].shape[1:]
-    if high > SIDE or wide > SIDE:
-        raise InputError(f"'{path}' has {high} x {wide} taxels: expected at most {SIDE} x {SIDE}")
-    frames = min(max(1, RECORDED_TICKS // touch.frame_ms), *map(len, arrays))
-    places = list(np.ndindex(SIDE // high, SIDE // wide))
-    laid = np.zeros((frames, SIDE // high * high, SIDE // wide * wide), arrays[0].dtype)
-    for number, (row, column) in enumerate(places):
-        played = arrays[number % len(arrays)]
-        spare = len(played) - frames
-        shown_frames = (int(random.integers(spare + 1 if spare else frames)) + np.arange(frames)) % len(played)
-        laid[:, row * high : (row + 1) * high, column * wide : (column + 1) * wide] = played[shown_frames]
-    largest = FORCE_MAX_N if path.suffix.lower() == RECORDING_SUFFIX else float(max(map(np.max, arrays)))
-    shown = Recording((laid,), SIDE, SIDE, full_scale=touch.full_scale or largest or None)
-    ticks = min(touch.ticks or frames * touch.frame_ms, frames * touch.frame_ms)
-    force_n = np.stack([np.minimum(shown.frame(frame).force_n.ravel(), FORCE_MAX_N) for frame in range(frames)])
-    return np.asarray(force_n[np.arange(ticks) // touch.frame_ms], np.float32)
-
-
-def _arrays_of(path: Path) -> list[npt.NDArray[Any]]:
-    """Return the arrays of a recording that have the shape of the first; an ``.mcap`` has its sensors, or its images.
-
-    An ``.npz`` may hold labels or times, too.
-    """
-    names = array_names(path)
-    if path.suffix.lower() == RECORDING_SUFFIX or not names:
-        return list(read_counts(path, names[-1:] or None, (SIDE, SIDE)))
-    found: list[npt.NDArray[Any]] = []
-    first: InputError | None = None
-    for name in names:
-        try:
-            found += read_counts(path, [name], (SIDE, SIDE))
-        except InputError as error:
-            first = first or error
-    if first is not None and not found:
-        raise first
-    return [each for each in found if each.shape[1:] == found[0].shape[1:]]
-
-
-def recordings_in(folder: Path | None) -> list[str]:
-    """Return the recordings of a folder, none without one; raise InputError for a folder without recordings."""
-    if folder is None:
-        return []
-    found = sorted(str(path) for path in folder.glob("*") if path.suffix.lower() in READ_SUFFIXES)
-    if not found:
-        raise InputError(f"no recording in '{folder}': expected {', '.join(READ_SUFFIXES)} files, such as S1.npz")
-    return found

@@ -150,12 +150,12 @@ def evaluate(options: Options) -> Result:
     options : Options
         `scene_seed` and `scenes` draw scenes; `quick` leaves out these and all that last longer than 100 s.
     """
-    layout = load_layout()
+    layout, scene_seed = load_layout(), options.scene_seed or 0
     drawn = 0 if options.quick else DRAWN_RATIO * options.scenes
-    found = scenes(layout, options.scene_seed, drawn)
+    found = scenes(layout, scene_seed, drawn)
     places = [place for place, scene in enumerate(found) if not options.quick or scene.seconds <= 100]
     cells: list[Row] = [
-        {"place": place, "scene_seed": options.scene_seed, "drawn": drawn, "seed": options.seed} for place in places
+        {"place": place, "scene_seed": scene_seed, "drawn": drawn, "seed": options.seed} for place in places
     ]
     rows = measure_cells(measure_scene, cells, options, "calibration")
     return Result(

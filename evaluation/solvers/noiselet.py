@@ -11,45 +11,28 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from reconstructor.array_api import Ensemble
 from skin.measurement import seeded
 from skin.operator import check_vectors
 
-Pairs = tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]
-
-
-def fast_noiselet(values: npt.NDArray[np.generic]) -> npt.NDArray[Any]:
-    """Multiply the last axis by the real noiselet matrix N of ±1, in n log2 n additions.
-
-    A real form of the dragon noiselets of Coifman, Geshwind and Meyer (2001): N is symmetric and N N = n I. Integers
-    stay exact where their dtype holds n times the largest value.
-
-    Parameters
-    ----------
-    values : array, shape (..., n)
-        n a power of two of at least 2.
-    """
-    work: npt.NDArray[Any] = np.array(values)
-    (first, last), *others = butterflies(values.shape[-1])
-    a, b = work[..., first], work[..., last]
-    work[..., first], work[..., last] = a + b, a - b
-    for first, last in others:
-        a, b = work[..., first], work[..., last]
-        work[..., first], work[..., last] = a - b, a + b
-    return work
-
 
 @cache
-def butterflies(size: int) -> list[Pairs]:
-    """Return which places are paired in each of the log2(size) steps of N; the first adds where the others subtract."""
-    first = np.arange(size // 2)
-    top = size - 1
-    steps = [(first, top - first)]
+def noiselet_matrix(size: int, kind: str = "int64") -> npt.NDArray[Any]:
+    """Return the real noiselet matrix N of ±1, shape (size, size), of a dtype; `size` a power of two of at least 2.
+
+    A real form of the dragon noiselets of Coifman, Geshwind and Meyer (2001): N is symmetric and N N = n I. Each of
+    log2(n) steps pairs rows; the first adds where the others subtract.
+    """
+    work = np.eye(size, dtype=kind)
+    first, top = np.arange(size // 2), size - 1
+    a, b = work[first], work[top - first]
+    work[first], work[top - first] = a + b, a - b
     distance = top >> 1
     while distance:
-        steps.append((first, first ^ top ^ distance))
+        last = first ^ top ^ distance
+        a, b = work[first], work[last]
+        work[first], work[last] = a - b, a + b
         distance >>= 1
-    return steps
+    return work
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,17 +72,14 @@ class Noiselet:
         work = _summable(y)
         spread = np.zeros((*y.shape[:-1], self.shape[1]), work.dtype)
         spread[..., self.kept] = work
-        return self._transform(spread)  # both matrices are symmetric
-
-    def ensemble(self) -> Ensemble:
-        """Return the matrices of the noiselet, for `reconstructor.array_api.BatchSolver`."""
-        down, across = (np.asarray(fast_noiselet(np.eye(size))) for size in (self.rows, self.columns))
-        return Ensemble(np.arange(self.shape[1]), down, across, self.kept, self.norm_squared)
+        return self._transform(spread)
 
     def _transform(self, taxels: npt.NDArray[Any]) -> npt.NDArray[Any]:
-        along_rows = fast_noiselet(taxels.reshape(*taxels.shape[:-1], self.rows, self.columns))
-        both = fast_noiselet(along_rows.swapaxes(-1, -2)).swapaxes(-1, -2)
-        return both.reshape(taxels.shape)
+        """Return N_R X N_C of taxels as a matrix X, of their dtype; both matrices are symmetric."""
+        images = taxels.reshape(*taxels.shape[:-1], self.rows, self.columns)
+        down, across = (noiselet_matrix(size, taxels.dtype.name) for size in (self.rows, self.columns))
+        transformed: npt.NDArray[Any] = (down @ images @ across).reshape(taxels.shape)
+        return transformed
 
 
 def noiselet(rows: int, columns: int, sums: int, *, seed: int = 1) -> Noiselet:

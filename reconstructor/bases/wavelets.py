@@ -1,6 +1,6 @@
 """Bases of orthogonal wavelets: Mallat's pyramid, and the tensor of the paper's tables."""
 
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -10,10 +10,6 @@ from reconstructor.bases.names import wavelet_of
 from reconstructor.checks import Values, check_grid, check_values
 
 Matrix = npt.NDArray[np.float64]
-
-#: The wavelets of the paper, from PyWavelets. D4 has four taps (Daubechies 1988), which PyWavelets calls db2.
-HAAR: Final = pywt.Wavelet("haar")
-DAUBECHIES_4: Final = pywt.Wavelet("db2")
 
 
 class WaveletBasis:

@@ -6,10 +6,10 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from canskin.errors import InputError
 from reconstructor.checks import Values, check_estimate, check_values, float_kind, placed
-from reconstructor.kernels import daubechies, haar, variation
+from reconstructor.kernels import haar, variation
 from reconstructor.kernels.addresses import Indices, spin_shifts
-from reconstructor.kernels.matrices import SCRATCH_ROWS, MatrixWavelet
 from reconstructor.kernels.problem import checked, make_problem, taxels_in_block_order
 from reconstructor.kernels.steps import aligned, deliver, scratch_of
 from reconstructor.settings import SolverSettings
@@ -26,21 +26,20 @@ class _Kernel(NamedTuple):
 
 
 _HAAR: Final = _Kernel(haar.solve_haar, haar.SCRATCH_ROWS)
-_DAUBECHIES: Final = _Kernel(daubechies.solve_daubechies, daubechies.SCRATCH_ROWS)
 _KERNELS: Final[dict[str, _Kernel]] = {
     "haar-pyramid": _HAAR,
     "haar-tensor": _HAAR,
-    "d4-pyramid": _DAUBECHIES,
-    "d4-tensor": _DAUBECHIES,
     "variation": _Kernel(variation.solve_variation, variation.SCRATCH_ROWS, has_dual=True),
 }
+#: The priors of `FusedSolver`.
+COMPILED: Final = tuple(_KERNELS)
 
 
 class FusedSolver:
     """min ½‖Φx - y‖² + λ R(x) by FISTA, Φ an SBHE.
 
-    R is ‖Ψᵀx‖₁ of an orthonormal wavelet or the anisotropic total variation. Total variation, Haar and D4 are compiled
-    as a whole, for one thread and without allocation; all others are `MatrixWavelet`.
+    R is ‖Ψᵀx‖₁ of a Haar wavelet or the anisotropic total variation, compiled as a whole, for one thread and without
+    allocation. `reconstructor.array_api.BatchSolver` has any other orthonormal wavelet.
     The iteration is over the image, not over its coefficients. For an orthonormal Ψ both iterations are the same, and
     shifts of the basis and non-negativity need no extra time.
 
@@ -51,7 +50,7 @@ class FusedSolver:
     rows, columns : int
         1 to 256; for a wavelet powers of two from 8.
     settings : SolverSettings
-        Any prior except the contourlet.
+        Of total variation, ``haar-pyramid`` or ``haar-tensor``.
     edges : array of int, shape (edges, 2), optional
         Pairs of neighbours of a skin that is no grid (`skin.surface.Surface.graph`); for total variation.
     """
@@ -67,14 +66,14 @@ class FusedSolver:
         dtype: npt.DTypeLike = np.float32,
     ) -> None:
         self.dtype: Final = float_kind(dtype)
+        if settings.prior not in COMPILED:
+            raise InputError(f"expected one of {', '.join(COMPILED)}, got '{settings.prior}'")
         self._problem = make_problem(phi, rows, columns, settings, self.dtype, edges)
         self._phi = phi
         self.shape: Final = (rows, columns)
         self.sums: Final = phi.shape[0]
         self.shifts: Final = spin_shifts(settings.spins, rows, columns)
-        self._kernel = _KERNELS.get(settings.prior) or _Kernel(
-            MatrixWavelet(settings.prior, rows, columns, self.dtype), SCRATCH_ROWS
-        )
+        self._kernel = _KERNELS[settings.prior]
         self._taxel = taxels_in_block_order(phi)
         self._threshold = settings.penalty_n / (settings.lipschitz_ratio * phi.block_size)
         dual = self._problem.graph.size if self._kernel.has_dual else 0

@@ -7,7 +7,6 @@ import numpy as np
 import numpy.typing as npt
 
 from canskin.errors import InputError
-from reconstructor.bases.wavelets import DAUBECHIES_4, HAAR
 from reconstructor.checks import Values, check_grid_of, placed
 from reconstructor.fista import momentum
 from reconstructor.kernels.addresses import (
@@ -34,10 +33,8 @@ ADDRESSES: Final[dict[str, Callable[[int, int], Indices]]] = {
 def make_problem(  # noqa: PLR0917
     phi: Sbhe, rows: int, columns: int, settings: SolverSettings, kind: np.dtype[Any], edges: Indices | None = None
 ) -> Problem:
-    """Return the tables and constants of a solver; not for the contourlet. For `edges` see `FusedSolver`."""
+    """Return the tables and constants of a solver; for `edges` see `FusedSolver`."""
     check_grid_of(phi, rows, columns, settings.prior, edges)
-    if settings.prior == "contourlet":
-        raise InputError("expected a wavelet or 'variation', got 'contourlet'")
     taxel, step = taxels_in_block_order(phi), 1 / (settings.lipschitz_ratio * phi.block_size)
     floor = 0.0 if settings.nonnegative else float(np.finfo(kind).min)
     addresses = ADDRESSES.get(settings.prior, row_addresses)(rows, columns)
@@ -51,7 +48,7 @@ def make_problem(  # noqa: PLR0917
     to_blocks = [np.append(shifted(addresses, shift).ravel(), none)[taxel] for shift in shifts]
     to_image = [_inverse(each, taxel < rows * columns, rows * columns) for each in to_blocks]
     graph = graph_of(rows, columns, gaps, edges)
-    numbers = (step, settings.penalty_n * step, floor, HAAR.rec_lo[0], *DAUBECHIES_4.rec_lo, 1 / graph.bound)
+    numbers = (step, settings.penalty_n * step, floor, 0.5**0.5, 1 / graph.bound)
     return Problem(
         places=places_of_sums(phi),
         tables=_stacked(to_image, to_blocks),

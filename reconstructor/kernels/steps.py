@@ -24,9 +24,9 @@ class Problem(NamedTuple):
         From block order to the prior's image order, and back, a pair for each shift of the basis.
     deliver : shape (n,)
         From block order to row-major order.
-    numbers : shape (9,)
-        1 / L, λ / L, the smallest allowed force, the 1 / √2 of the transforms, the four taps of D4, and the step of the
-        dual of total variation.
+    numbers : shape (5,)
+        1 / L, λ / L, the smallest allowed force, the 1 / √2 of the transforms, and the step of the dual of total
+        variation.
     momentum : shape (iterations,)
         (t_k - 1) / t_{k+1}.
     blocks, rows, columns : int

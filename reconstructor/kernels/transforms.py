@@ -92,11 +92,3 @@ def _two_levels(work: Flat, half: int) -> None:
         a, b = p[k] + q[k], p[k] - q[k]
         c, d = r[k] + s[k], r[k] - s[k]
         p[k], q[k], r[k], s[k] = a + c, b + d, a - c, b - d
-
-
-@njit(cache=True, nogil=True, fastmath=FAST_MATH)
-def transpose_image(target: Flat, source: Flat, rows: int, columns: int) -> None:
-    """Set target, (columns, rows), to the transpose of source, (rows, columns)."""
-    for j in range(columns):
-        for i in range(rows):
-            target[j * rows + i] = source[i * columns + j]

@@ -21,7 +21,7 @@ INNER: Final = 3
 @njit(cache=True, nogil=True, fastmath=FAST_MATH)
 def solve_variation(estimate: Flat, sums: Flat, weights: Flat, problem: Problem, scratch: Flat) -> int:
     """Solve in place from `estimate` and return the number of sums used, as `reconstructor.kernels.haar.solve_haar`."""
-    graph, threshold, floor, step = problem.graph, problem.numbers[1], problem.numbers[2], problem.numbers[8]
+    graph, threshold, floor, step = problem.graph, problem.numbers[1], problem.numbers[2], problem.numbers[4]
     dual = scratch[scratch.size - graph.size :]
     work, image = row(scratch, 3, estimate.size), picture(scratch, 4, problem, 0)
     made, padded = picture(scratch, 5, problem, 0), picture(scratch, 5, problem, 1)

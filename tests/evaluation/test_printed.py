@@ -10,7 +10,7 @@ from evaluation import reached
 from evaluation.printed import paper_psnr, paper_value, printed, sensor_psnr
 from evaluation.reached import Ours
 from evaluation.result import Options
-from evaluation.settings import SETTINGS
+from evaluation.settings import SETTINGS, cycle_figures
 from touch.trajectory import ACQUISITION_OBJECTS
 
 NUMBERS = {each.name: each for each in printed().numbers}
@@ -45,7 +45,20 @@ def test_every_number_has_a_name_of_its_own_a_rule_and_a_subject() -> None:
     assert len(NUMBERS) == len(printed().numbers)
     assert {each.rule for each in printed().numbers} == set(printed().rule)
     assert all(rule.why for rule in printed().rule.values())
-    assert {each.cell["setting"] for each in printed().numbers if each.subject == "settings"} == set(SETTINGS)
+
+
+@pytest.fixture(scope="module")
+def settings() -> dict[str, float]:
+    """Every setting of ours, and every figure of the default skin's cycles, from a slide that is cut short."""
+    return SETTINGS | cycle_figures(200, meshes=None, seed=0)
+
+
+@pytest.mark.heavy
+def test_every_setting_is_ours_and_every_cycle_is_complete(settings: dict[str, float]) -> None:
+    assert {each.cell["setting"] for each in printed().numbers if each.subject == "settings"} == set(settings)
+    assert settings["taxels / sums"] == settings["conversions of taxels / of sums"] == 4
+    assert settings["complete cycles a second"] == pytest.approx(100)
+    assert 120 < settings["cycles a second of four buses"] < 150
 
 
 @pytest.mark.parametrize(
@@ -87,16 +100,17 @@ def test_ours_is_the_one_row_that_has_the_cell() -> None:
         reached.compare({"classification": [rows[0], *rows]})
 
 
-def test_what_is_not_reached_comes_first_and_a_file_keeps_all(tmp_path: Path) -> None:
-    rows = [{"setting": name, "ours": 0.0 if name == "rotations" else ours} for name, ours in SETTINGS.items()]
-    kept = reached.stored({"settings": rows}, Options(meshes=tmp_path, seed=3), "paper")
+@pytest.mark.heavy
+def test_what_is_not_reached_comes_first_and_a_file_keeps_all(tmp_path: Path, settings: dict[str, float]) -> None:
+    rows = [{"setting": name, "ours": 0.0 if name == "rotations" else ours} for name, ours in settings.items()]
+    kept = reached.stored({"settings": rows}, Options(meshes=tmp_path, seed=3))
     reached.write(kept, tmp_path / "a" / "paper.json")
     assert reached.read(tmp_path / "a" / "paper.json") == kept
     assert kept.made.command == f"skin evaluate paper --meshes {tmp_path.name} --seed 3"
     found = reached.result(kept.numbers)
-    assert [row["verdict"] for row in found.rows] == ["not reached"] * 2 + ["reached"] * (len(SETTINGS) - 2)
+    assert [row["verdict"] for row in found.rows] == ["not reached"] * 2 + ["reached"] * (len(settings) - 2)
     assert {row["number"] for row in found.rows[:2]} == {"section V-B, rotations", "section VI-A-3, λ for SBHE, N"}
-    assert f"{len(SETTINGS)} printed numbers: 2 not reached, 0 not measured" in found.note
+    assert f"{len(settings)} printed numbers: 2 not reached, 0 not measured" in found.note
     (tmp_path / "other.json").write_text("{}")
     with pytest.raises(InputError, match=r"'.*other\.json' is no comparison of 'skin evaluate paper'"):
         reached.read(tmp_path / "other.json")

@@ -2,17 +2,16 @@
 
 import sys
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 import tomli_w
 from scipy.spatial.distance import cdist
 
-from gateway.wiring import MOMENTS, Finding, counts_as_sums, prove
-from skin.frontend import converter
+from gateway.wiring import MOMENTS, Finding, prove
 from skin.layout import Layout, load_layout, parse_layout
-from skin.measurement import Sbhe, fast_hadamard
+from skin.measurement import Sbhe
 from skin.sources import Frame
 from skin.surface import Floats, Indices
 from skin.taxel import NOISE_N
@@ -97,25 +96,13 @@ def wired(phi: Sbhe, kind: str, random: np.random.Generator) -> tuple[Indices, s
     return order, set()
 
 
-def measured(
-    layout: Layout,
-    phi: Sbhe,
-    order: Indices,
-    force_n: npt.NDArray[np.float32],
-    random: np.random.Generator,
-    *,
-    raw: bool,
-) -> Floats:
-    """Return the counts of all places, shape (moments, boards, places), or the sums, shape (moments, m)."""
+def measured(layout: Layout, phi: Sbhe, order: Indices, force_n: npt.NDArray[np.float32], random: Any) -> Floats:
+    """Return the counts of all places, shape (moments, boards, places)."""
     taxels = layout.taxels
-    noise_n = NOISE_N / np.sqrt(1 if raw else layout.samples_per_sync)
     padded_n = np.concatenate((force_n, np.zeros((len(force_n), 1), np.float32)), axis=1)
     felt_n = padded_n[:, np.where((order < 0) | (order >= phi.taxels), phi.taxels, order)]
-    felt_n += noise_n * random.standard_normal(felt_n.shape, np.float32) * (phi.taxels_of_blocks < phi.taxels)
-    if (of_sums := converter(layout)) is not None:
-        return of_sums.counts(np.asarray(fast_hadamard(felt_n), np.float64)[:, phi.kept]).astype(np.float64)
-    counts = np.clip(np.rint(felt_n / taxels.newton_per_count), 0, taxels.count_max)
-    return counts if raw else np.asarray(fast_hadamard(counts), np.float64)[:, phi.kept]
+    felt_n += NOISE_N * random.standard_normal(felt_n.shape, np.float32) * (phi.taxels_of_blocks < phi.taxels)
+    return np.clip(np.rint(felt_n / taxels.newton_per_count), 0, taxels.count_max)
 
 
 def told(finding: Finding) -> tuple[object, ...]:
@@ -125,15 +112,14 @@ def told(finding: Finding) -> tuple[object, ...]:
 
 
 def found_of(
-    layout: Layout, kind: str, seed: int, *, raw: bool, knows_path: bool = True
+    layout: Layout, kind: str, seed: int, *, knows_path: bool = True
 ) -> tuple[set[tuple[object, ...]], set[tuple[object, ...]]]:
     """Return what is wrong on a skin with one wiring error, and what is found."""
     random, phi = np.random.default_rng(seed), layout.phi()
     path_m, force_n = stroke(layout, phi, random, MOMENTS + 2 * (not knows_path))
     order, wrong = wired(phi, kind, random)
-    came = measured(layout, phi, order, force_n, random, raw=raw)
-    of_came, sums = counts_as_sums(phi, came) if raw else (phi, came)
-    findings = prove(of_came, layout.taxels.surface, sums, path_m if knows_path else None, REST)
+    counts = measured(layout, phi, order, force_n, random)
+    findings = prove(phi, layout.taxels.surface, counts, path_m if knows_path else None, REST)
     return wrong, {told(each) for each in findings}
 
 
@@ -142,18 +128,16 @@ def main() -> None:
     count = int(sys.argv[1])
     for name in sys.argv[2:]:
         layout = layout_of(name)
-        for raw in (True, False) if not layout.taxels.is_analogue and layout.taxels.count < 2000 else (False,):
-            for kind in KINDS:
-                right = unclear = 0
-                for seed in range(count):
-                    wrong, found = found_of(layout, kind, seed, raw=raw)
-                    right += wrong == found
-                    unclear += wrong != found and all(each in wrong or each[0] == "unclear" for each in found)
-                print(
-                    f"{name} {'counts' if raw else 'sums'} {kind}: {right} right, {unclear} unclear or missed,",
-                    f"{count - right - unclear} wrong",
-                    flush=True,
-                )
+        for kind in KINDS:
+            right = unclear = 0
+            for seed in range(count):
+                wrong, found = found_of(layout, kind, seed)
+                right += wrong == found
+                unclear += wrong != found and all(each in wrong or each[0] == "unclear" for each in found)
+            print(
+                f"{name} {kind}: {right} right, {unclear} unclear or missed, {count - right - unclear} wrong",
+                flush=True,
+            )
 
 
 if __name__ == "__main__":

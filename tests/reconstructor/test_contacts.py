@@ -11,10 +11,15 @@ from scipy import ndimage
 
 from canskin.errors import InputError
 from canskin.messages import Contact, EndedContact
-from reconstructor.contacts import ContactTracker
+from dbc.contract import Contract
+from evaluation.schemes.scenes import Touch
+from evaluation.schemes.sums import run_sums
+from reconstructor.contacts import ONSET_N, ContactTracker
+from skin.layout import load_layout
 from skin.surface import Surface, surface_of_positions
 from tests import surfaces
 from tests.surfaces import PITCH_M, RADIUS_M
+from touch.trajectory import PAPER_PRESS_STEPS, trajectory
 
 ROWS, COLUMNS = 32, 48
 SURFACE = surfaces.grid(ROWS, COLUMNS)
@@ -285,3 +290,39 @@ def test_a_contact_comes_back_within_four_pitches_also_where_the_skin_is_no_grid
         run.show(grasped((0, 0.004)))
         run.show(np.zeros((1, 240), np.float32))
         assert identities(run.show(grasped((angle, 0.004)))) == expected
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["golf-ball", "drill", "clamp"])
+def test_contacts_of_the_default_skin_are_near_the_true_touches(name: str) -> None:
+    """What the README says of centre and force, while the object slides: in 95 % of the cycles."""
+    scene, touch = trajectory(name, steps=PAPER_PRESS_STEPS + 500), Touch(name, ticks=PAPER_PRESS_STEPS + 500)
+    contract = Contract.from_layout(load_layout())
+    made = run_sums(contract, touch.load().counts, idle_counts=touch.idle()).images(contract).force_n
+    run, errors, are_right = Run(contract.layout.taxels.surface), list[tuple[float, float]](), list[bool]()
+    period_ms = round(contract.layout.sync.period_s * 1e3)
+    for cycle, image in enumerate(made):
+        contacts = run.show(image.reshape(scene.shape[1:]), period_ms * 1_000_000)
+        if cycle * period_ms >= PAPER_PRESS_STEPS:
+            truths = list(true_regions(scene[cycle * period_ms]))
+            are_right.append(len(contacts) == len(truths))
+            errors += [errors_of(each, truths) for each in contacts if are_right[-1]]
+    assert np.mean(are_right) >= 0.85
+    away, force_ratio = np.quantile(errors, 0.95, axis=0)
+    assert away <= 0.2
+    assert force_ratio <= 0.05
+
+
+def true_regions(force_n: Image) -> Iterable[Image]:
+    """Yield the true force of each region that is touched by more than a contact needs to begin."""
+    labels, count = ndimage.label(force_n > 0, np.ones((3, 3)))
+    regions = (np.where(labels == number, force_n, 0) for number in range(1, count + 1))
+    return (each for each in regions if each.max() > ONSET_N)
+
+
+def errors_of(contact: Contact, truths: list[Image]) -> tuple[float, float]:
+    """Return the distance to the nearest true centre, pitches, and the relative error of its force."""
+    centres = [np.array(ndimage.center_of_mass(each)) for each in truths]
+    away = [float(np.hypot(*(centre - (contact.row, contact.column)))) for centre in centres]
+    nearest = int(np.argmin(away))
+    return away[nearest], abs(contact.force_n / float(truths[nearest].sum()) - 1)

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from reconstructor.bases import WaveletBasis, wavelet_basis
-from reconstructor.fista import fista, momentum, objective, soft
+from reconstructor.fista import fista, largest_eigenvalue, momentum, objective, soft
 from skin.measurement import sbhe
+from tests.reconstructor.plain_contourlet import PlainContourlet
 from tests.reconstructor.reference import Shrinkage, Variation, fista_image
 
 PHI = sbhe(256, 64, block_size=16, seed=3)
@@ -102,3 +103,13 @@ def test_variation_is_the_proximal_step_when_it_has_time() -> None:
     for _ in range(200):
         moved = np.maximum(found + rng.normal(0, 0.01, (8, 8)) * (rng.random((8, 8)) < 0.2), 0)
         assert value(moved) >= value(found) - 1e-9
+
+
+@pytest.mark.heavy
+def test_largest_eigenvalue() -> None:
+    exact = largest_eigenvalue(PHI, wavelet_basis("haar-tensor", 16, 16))
+    assert exact == pytest.approx(16, rel=2e-4)
+    psi = PlainContourlet(16, 16)
+    dense = np.stack([PHI.forward(psi.adjoint(row).ravel()) for row in np.eye(320)], axis=1)
+    largest = np.linalg.eigvalsh(dense @ dense.T).max()
+    assert largest <= largest_eigenvalue(PHI, psi) <= largest * 1.0005

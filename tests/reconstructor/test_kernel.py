@@ -12,14 +12,12 @@ from canskin.errors import InputError
 from reconstructor.bases import wavelet_basis
 from reconstructor.kernels import variation
 from reconstructor.kernels.addresses import pyramid_addresses, spin_shifts, tensor_addresses
-from reconstructor.kernels.fused import FusedSolver
+from reconstructor.kernels.fused import COMPILED, FusedSolver
 from reconstructor.settings import SolverSettings
 from skin.measurement import Sbhe, sbhe
 from skin.surface import grid_surface
 from tests.reconstructor.helpers import graphs
 from tests.reconstructor.reference import Proximal, Shrinkage, Variation, fista_image
-
-PRIORS = ("haar-pyramid", "haar-tensor", "d4-pyramid", "d4-tensor", "sym4-pyramid", "coif1-tensor", "variation")
 
 
 class Rows:
@@ -40,7 +38,7 @@ class Rows:
 
 @st.composite
 def problems(draw: st.DrawFn) -> dict[str, Any]:
-    prior = draw(st.sampled_from(PRIORS))
+    prior = draw(st.sampled_from(COMPILED))
     grids = [(8, 8), (16, 16), (32, 32), (64, 64), (8, 32), (64, 16), (256, 8)]
     if prior == "variation":
         grids += [(10, 10), (17, 23), (24, 32), (1, 8), (9, 1), (255, 3)]
@@ -215,7 +213,8 @@ def test_relative_penalty_and_reset() -> None:
     [
         (32, 64, "haar-pyramid", np.float32, "4096 taxels but the grid has 32 x 64"),
         (512, 8, "haar-pyramid", np.float32, "powers of two, 8 to 256"),
-        (64, 64, "contourlet", np.float32, "expected a wavelet or .variation."),
+        (64, 64, "contourlet", np.float32, "expected one of haar-pyramid, haar-tensor, variation, got .contourlet."),
+        (64, 64, "sym4-pyramid", np.float32, "got .sym4-pyramid."),
         (64, 64, "variation", np.int32, "float32 or float64, got int32"),
     ],
 )

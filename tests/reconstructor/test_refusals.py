@@ -197,7 +197,7 @@ def test_dtypes_of_solvers(kind: str, dtype: Any) -> None:
 @pytest.mark.parametrize(
     ("solver", "refused", "says"),
     [
-        (FusedSolver, settings("contourlet"), "expected a wavelet or 'variation', got 'contourlet'"),
+        (FusedSolver, settings("contourlet"), "expected one of haar-pyramid, haar-tensor, variation, got 'contourlet'"),
         (ContourletSolver, settings("variation"), "expected the prior 'contourlet', got 'variation'"),
         (BatchSolver, settings("contourlet"), "total variation or a wavelet: got contourlets"),
     ],

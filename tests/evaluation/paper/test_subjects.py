@@ -11,9 +11,8 @@ import pytest
 from canskin.errors import InputError
 from evaluation import command
 from evaluation.command import evaluate
-from evaluation.paper import figures, solvers, sparsity, tables
+from evaluation.paper import figures, sparsity, tables
 from evaluation.paper.runs import OBJECTS, RECONSTRUCTIONS, Method
-from evaluation.paper.solvers import Solver
 from evaluation.printed import BasisName, sensor_psnr
 from evaluation.result import Options, Result, Row
 
@@ -67,13 +66,13 @@ def test_figures_show_what_the_paper_says_of_them() -> None:
         assert picture.draw().get_axes()
 
 
-@pytest.mark.parametrize("subject", ["sparsity", "figures", "solvers", "noiselets", "rivals", "rates", "contacts"])
+@pytest.mark.parametrize("subject", ["sparsity", "figures", "rivals"])
 def test_draws_are_refused_where_nothing_is_averaged(subject: str) -> None:
     with pytest.raises(InputError, match=f"'{subject}' averages over no draws of Φ, got 3 draws"):
         evaluate(subject, draws=3)  # type: ignore[arg-type]
 
 
-def test_all_hands_draws_only_to_those_that_average(
+def test_paper_hands_draws_only_to_those_that_average(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     asked: dict[str, int | None] = {}
@@ -81,33 +80,17 @@ def test_all_hands_draws_only_to_those_that_average(
     def subject_of(module: str) -> SimpleNamespace:
         def subject(options: Options) -> Result:
             asked[module.rpartition(".")[2]] = options.draws
-            return Result(module, [])
+            return Result(module, [{"measured": False}])
 
-        return SimpleNamespace(evaluate=subject, evaluate_drawn=subject, compression=subject, iterations=subject)
+        return SimpleNamespace(evaluate=subject, compression=subject, iterations=subject)
 
     monkeypatch.setattr(command, "import_module", subject_of)
-    evaluate("all", draws=3, out=tmp_path, json=True)
-    assert {row["verdict"] for row in json.loads(capsys.readouterr().out)["rows"]} == {"not measured"}
+    evaluate("paper", draws=3, out=tmp_path, json=True)
+    compared = [row for row in json.loads(capsys.readouterr().out)["rows"] if row["subject"] == "paper"]
+    assert {row["verdict"] for row in compared} == {"not measured"}
     assert (tmp_path / "paper.json").is_file()
-    averaging = {"claims", "tables", "classification", "methods_compared", "postures"}
-    assert {name for name, draws in asked.items() if draws == 3} == averaging
-    assert {name for name, draws in asked.items() if draws is None} == {
-        "settings",
-        "sparsity",
-        "figures",
-        "scaling",
-        "solvers",
-        "comparison",
-        "rates",
-        "contacts",
-        "offsets",
-        "zero_scenes",
-        "wiring",
-        "noiselets",
-        "frontend",
-        "recordings",
-        "single_wire",
-    }
+    assert {name for name, draws in asked.items() if draws == 3} == {"tables", "classification"}
+    assert {name for name, draws in asked.items() if draws is None} == {"settings", "sparsity", "figures"}
 
 
 def test_table_three_averages_as_many_draws_as_asked(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -125,43 +108,6 @@ def test_table_three_averages_as_many_draws_as_asked(monkeypatch: pytest.MonkeyP
         tables.iterations(Options(draws=draws))
         cells = len(OBJECTS) * len(BASES) * len(tables.ITERATIONS)
         assert counted == {"sbhe": sbhe * cells, "noiselet": noiselet * cells}
-
-
-@pytest.mark.slow
-def test_solvers_get_the_same_time_and_the_same_minimum(monkeypatch: pytest.MonkeyPatch) -> None:
-    cost_s = {"FISTA": 0.002, "FISTA, exact step": 0.002, "ADMM": 0.004, "smoothed L0": 0.001}
-    monkeypatch.setattr(solvers, "costs_s", lambda _: cost_s)
-    runs = solvers.measure(name="golf-ball", meshes=None, step=2500, seed=0)["runs"]
-    for each in runs:
-        count = {"ADMM": (2, 5, 10, 25, 50), "smoothed L0": (10, 20, 40, 100, 200)}.get(each["method"], solvers.BUDGETS)
-        assert each["iterations"] == count[solvers.BUDGETS.index(each["in_time_of"])]
-        assert each["ms"] == pytest.approx(1e3 * each["iterations"] * cost_s[each["method"]])
-    assert min(each["gap"] for each in runs if each["gap"] is not None) > -1e-9
-    gaps = {
-        (each["method"], each["in_time_of"]): each["gap"]
-        for each in runs
-        if each["start"] == "cold" and each["setting"] in {"L = 2B (paper)", "L = B", "ρ = 0.1 B"}
-    }
-    assert gaps["FISTA, exact step", 100] < gaps["FISTA", 100] < gaps["FISTA", 20]
-    assert gaps["ADMM", 100] < 1e-3
-    smoothed = [each for each in runs if each["method"] == "smoothed L0"]
-    assert {(each["start"], each["gap"]) for each in smoothed} == {("cold", None)}
-
-
-def test_the_cost_of_an_iteration_is_the_least_of_all_that_were_timed(monkeypatch: pytest.MonkeyPatch) -> None:
-    clock, waits_s = FakeClock(), {"a": iter([0.5, 0.3, 0.4]), "b": iter([0.2, 0.7, 0.6]), "c": iter([0.9, 0.1, 0.8])}
-    monkeypatch.setattr("evaluation.paper.solvers.time.perf_counter", clock)
-
-    def solver(method: str, name: str) -> Solver:
-        def run(counts: set[int], start: object) -> dict[int, object]:
-            assert (counts, start) == ({solvers.TIMED}, None)
-            clock.now_s += next(waits_s[name]) * solvers.TIMED
-            return {}
-
-        return Solver(method, name, run)  # type: ignore[arg-type]
-
-    found = solvers.costs_s([solver("one", "a"), solver("two", "b"), solver("two", "c")])
-    assert found == pytest.approx({"one": 0.3, "two": 0.1})
 
 
 @pytest.mark.heavy

@@ -1,21 +1,14 @@
-"""The two subjects, quick: what they compare, what they recommend, and what they leave out."""
+"""The rivals, quick: what is compared, and how verdicts read."""
 
-from pathlib import Path
-
-import numpy as np
 import pytest
 
-from bandwidth.alternatives import planned
-from bandwidth.traffic import Disturbance
 from canskin.errors import InputError
 from evaluation.command import evaluate
 from evaluation.result import Options, Result, Row
-from evaluation.schemes.comparison import DIGITS, evaluate_drawn, means_of, wins_and_losses
+from evaluation.schemes.comparison import DIGITS, means_of, wins_and_losses
 from evaluation.schemes.comparison import evaluate as evaluate_schemes
-from evaluation.schemes.rates import evaluate as evaluate_rates
-from evaluation.schemes.scenes import SLAP, SLIDES, Touch, recordings_in
+from evaluation.schemes.scenes import SLAP, SLIDES
 from evaluation.schemes.schemes import BEST_SCAN, COARSE_ARRAYS, RAW_SCAN, default_kbit_per_s
-from skin.layout import parse_layout
 
 CLOCKED = (BEST_SCAN.name, RAW_SCAN.name, COARSE_ARRAYS[0].name)
 
@@ -60,13 +53,15 @@ def test_a_filter_is_worth_more_than_sums_and_scans_get_the_best_receiver(compar
 
 @pytest.mark.slow
 def test_drawn_scenes_have_a_row_for_each_scheme_and_their_mean() -> None:
-    found = evaluate_drawn(Options(quick=True, scene_seed=3))
+    found = evaluate_schemes(Options(quick=True, scene_seed=3))
     assert len({row["touch"] for row in found.rows}) == 3
     for row in found.rows:
         assert (row["psnr_spread_db"] is None) == (row["touch"] != "all scenes")
-    assert not evaluate_drawn(Options(scenes=0)).rows
-    with pytest.raises(InputError, match="scenes of 1 or more: got 0"):
-        evaluate("drawn-rivals", scenes=0)
+
+
+def test_no_drawn_scene_is_refused() -> None:
+    with pytest.raises(InputError, match="expected 1 drawn scene or more"):
+        evaluate("rivals", scenes=0, scene_seed=3)
 
 
 @pytest.mark.slow
@@ -101,32 +96,3 @@ def test_slides_have_a_row_of_means_and_losses_are_named_as_plainly_as_wins() ->
     assert second.startswith("LOSS in PSNR, touched error: box: -2.0 dB to sums")
     assert more.startswith("LOSS in bits: cup: +5.0 dB to events")  # only of schemes with a rate 98 are as many as 100
     assert third.startswith("win: box: +1.0 dB to scan")  # 3050 kbit/s are as many as 3000
-
-
-@pytest.mark.slow
-def test_recommended_layouts_are_planned_without_a_problem(tmp_path: Path) -> None:
-    found = evaluate_rates(Options(quick=True, out=tmp_path))
-    assert {row["wires"] for row in found.rows if row["best_for"]} == {row["wires"] for row in found.rows}
-    written = sorted(tmp_path.glob("*.toml"))
-    assert [path.stem for path in written] == ["four-classic-buses", "one-FD-bus", "one-classic-bus"]
-    for path in written:
-        layout = parse_layout(path.read_bytes(), str(path))
-        row = next(row for row in found.rows if row["wires"] == path.stem.replace("-", " ") and row["best_for"])
-        plans = planned(layout, Disturbance())
-        assert not any(plan.problems for plan in plans)
-        assert max(plan.load_worst for plan in plans) == pytest.approx(row["load_worst"], abs=6e-4)
-        assert (layout.sync.rate_hz, layout.measurement.sums) == (row["rate_hz"], row["sums"])
-
-
-def test_recordings_are_played_as_they_are(tmp_path: Path) -> None:
-    frames = np.arange(2 * 64 * 32, dtype=np.uint16).reshape(2, 64, 32)
-    np.savez(tmp_path / "S1.npz", first=frames, second=frames[::-1])
-    (path,) = recordings_in(tmp_path)
-    played = Touch(path).load()
-    assert played.true_n.shape == (200, 4096)
-    assert played.true_n is played.felt_n
-    shown = played.true_n[[0, 100], 1] * frames.max() / 0.02
-    assert sorted(shown) == pytest.approx(sorted(frames[:, 0, 1]), rel=1e-5)
-    assert played.true_n.max() == pytest.approx(0.02)
-    with pytest.raises(InputError, match="no recording"):
-        recordings_in(tmp_path.parent / "nothing")
