@@ -23,6 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from shell.compiled import njit
+from skin.sending import SUM_BITS
 from skin.sync_counter import SYNC_OVERFLOW
 
 #: Bytes of a word, and what a word is less than.
@@ -42,12 +43,23 @@ HIGH: Final = 4
 SLOTS: Final = HIGH * SYNC_OVERFLOW
 #: Sums of a set, the bits of each, and its values: of the first sum, which is never negative, and of all others.
 SET_SUMS: Final = 3
-SET_BITS: Final = 13
+SET_BITS: Final = SUM_BITS
 FIRST_MAX: Final = (1 << SET_BITS) - 1
 OTHER_MIN: Final = -(1 << SET_BITS - 1)
 OTHER_MAX: Final = -OTHER_MIN - 1
 #: Units of the sum of all taxels at full scale.
 FULL_SCALE: Final = FIRST_MAX + 1
+#: A silent board sends a check after `KEEP_MIN` slots, and then after twice the time of the check before, up to
+#: `KEEP_MAX` slots. While the board sends, every word after `CHECK_EVERY` others is a check.
+KEEP_MIN: Final = 16
+KEEP_MAX: Final = 384
+CHECK_EVERY: Final = 64
+#: A word is worth its bits if it takes more than this from the squared difference of a part's sums: `Steps.quiet` of the
+#: layout times (sums · taxels · (`NOISE_RATIO` · noise of a taxel)² + `VARIANCE_RATIO` · variance of all sums).
+NOISE_RATIO: Final = 0.15
+VARIANCE_RATIO: Final = 2.0
+#: A word that is this number of slots old is in time; in an older word's part the sums are held.
+LATE_SLOTS: Final = 4
 #: Kinds of words; `BAD` are numbers that no board sends.
 STEP, SET, CHECK, BAD = range(4)
 _FNV_BASIS: Final = 2_166_136_261
@@ -109,6 +121,11 @@ def slot_cycle(slots: int) -> int:
     SYNC counters come again after `SYNC_OVERFLOW`, so numbers above that of the first byte need enough slots.
     """
     return math.gcd(SLOTS, SYNC_OVERFLOW * slots)
+
+
+def keep_max(slots: int) -> int:
+    """Return after how many slots a silent board sends a check at the latest: its number is then no older than half."""
+    return min(KEEP_MAX, slot_cycle(slots) // 2)
 
 
 @njit(cache=True, nogil=True)
