@@ -192,8 +192,8 @@ class Sync(_Table, frozen=True, kw_only=True):
     """The SYNC producer: `rate_hz` cycles a second (CiA 301, 1005h and 1006h).
 
     A node sends all its sums in every cycle, or, with two `turns`, half of its frames in odd cycles and half in even
-    ones. Adaptive sending has slots in place of cycles (`Steps`), and does not use the key. With `time_s` the gateway produces TIME, too
-    (CiA 301, 7.2.6): after a SYNC, every `time_s` seconds.
+    ones. Adaptive sending has slots in place of cycles (`Steps`) and does not use the key. With `time_s` the gateway
+    produces TIME, too (CiA 301, 7.2.6): after a SYNC, every `time_s` seconds.
     """
 
     # The lower limit keeps the period of 1006h, microseconds in 32 bits, far from overflow.

@@ -1,4 +1,4 @@
-"""What a board sends in its slot: the step, set or check that takes the most from what its receivers do not know yet."""
+"""What a board sends in its slot: the step or set that takes the most from what receivers do not know, or a check."""
 
 from typing import Any, Final, NamedTuple
 
@@ -46,8 +46,8 @@ class State(NamedTuple):
     word : array of int64, shape (parts,)
         The newest word.
     count, slot, keep, unchecked, unset : arrays of int64, shape (frames,)
-        Words sent, modulo `COUNT`; slot of the newest; slots without a word after which a check is sent; words since the
-        newest check; the next group that is set without regard to what it is worth, or the number of groups.
+        Words sent, modulo `COUNT`; slot of the newest, -1 before the first; slots without a word after which a check is
+        sent; words since the newest check; the next group that is set whatever it is worth, or the number of groups.
     """
 
     known: Integers
@@ -61,11 +61,10 @@ class State(NamedTuple):
 
 def new_state(parts: int, frames: int, sums: int) -> State:
     """Return the state of boards that have sent nothing, with at most `sums` sums of a part."""
-    count, slot, unchecked, unset = np.zeros((4, frames), np.int64)
-    keep = np.full(frames, KEEP_MIN, np.int64)
-    return State(
-        np.zeros((parts, sums), np.int64), np.zeros(parts, np.int64), count, slot, keep, unchecked, unset
-    )
+    count, unchecked, unset = np.zeros((3, frames), np.int64)
+    slot, keep = np.full(frames, -1, np.int64), np.full(frames, KEEP_MIN, np.int64)
+    known, word = np.zeros((parts, sums), np.int64), np.zeros(parts, np.int64)
+    return State(known, word, count, slot, keep, unchecked, unset)
 
 
 @njit(cache=True, nogil=True)
@@ -111,7 +110,7 @@ def offer(  # noqa: PLR0917  compiled functions take no keywords
     forms: Integers,
     state: State,
 ) -> bool:
-    """Write the words of a frame's parts, `first` to `last` - 1, to the state; tell whether the frame is worth its bits.
+    """Write the words of a frame's parts, `first` to `last` - 1, to the state; tell whether the frame is to be sent.
 
     Parameters
     ----------
@@ -140,9 +139,10 @@ def offer(  # noqa: PLR0917  compiled functions take no keywords
             )
             gain += taken
         is_check = gain <= least
-        if is_check and since < state.keep[frame]:
+        if not is_check:
+            state.keep[frame] = KEEP_MIN
+        elif since < state.keep[frame]:
             return False
-        state.keep[frame] = KEEP_MIN
     if is_check:
         state.keep[frame] = min(2 * state.keep[frame], keep_max)
     for part in range(first, last):
@@ -221,8 +221,6 @@ class Slots(NamedTuple):
     bus : array of int64, shape (frames,)
     cob_id : array of int64, shape (frames,)
         Identifier, or `NO_COB_ID`.
-    seen : array of int64, shape (frames,)
-        The newest slot, -1 before the first.
     under_way_ns : array of int64, shape (frames,)
         Until when the controller may hold a frame, 0 for none.
     """
@@ -238,7 +236,6 @@ class Slots(NamedTuple):
     counter: Integers
     bus: Integers
     cob_id: Integers
-    seen: Integers
     under_way_ns: Integers
 
 
@@ -247,14 +244,13 @@ def new_slots(nodes: int, buses: int, bus: Integers) -> Slots:
     row, slots, offset_ns, cycle, keep_max = np.zeros((5, nodes), np.int64)
     sync_ns, counter = np.zeros((2, buses), np.int64)
     cob_id, under_way_ns = np.zeros((2, len(bus)), np.int64)
-    off, seen = np.zeros(nodes, np.bool_), np.full(len(bus), -1, np.int64)
-    return Slots(
-        row, off, np.zeros(nodes), slots, offset_ns, cycle, keep_max, sync_ns, counter, bus, cob_id, seen, under_way_ns
-    )
+    off, quiet = np.zeros(nodes, np.bool_), np.zeros(nodes)
+    return Slots(row, off, quiet, slots, offset_ns, cycle, keep_max, sync_ns, counter, bus, cob_id, under_way_ns)
 
 
 @njit(cache=True, nogil=True)
 def take_slots(  # noqa: PLR0917  compiled functions take no keywords
+    before_ns: int,
     now_ns: int,
     period_ns: int,
     sums_n: Floats,
@@ -266,12 +262,15 @@ def take_slots(  # noqa: PLR0917  compiled functions take no keywords
     state: State,
     chosen: Integers,
 ) -> int:
-    """Let each board decide whose slot has come since the last call; write the frames to send to `chosen`.
+    """Let each board decide whose slot begins in a time; write the frames to send to `chosen`.
 
-    A board whose controller still holds its frame leaves the slot out.
+    A board whose controller still holds its frame leaves the slot out. So does a board whose newest word has the same
+    number, or one of less than a period later, because a SYNC was late: the slots of its words rise.
 
     Parameters
     ----------
+    before_ns, now_ns : int
+        The time ends with `now_ns`, and `before_ns` is the end of the time before.
     period_ns : int
         From SYNC to SYNC.
     sums_n, variance_n2 : arrays of float32, shape (rows, sums)
@@ -287,16 +286,15 @@ def take_slots(  # noqa: PLR0917  compiled functions take no keywords
     wanted, count, taxels = np.empty_like(state.known), 0, sums_n.shape[1]
     for frame in range(table.node.size):
         node, bus = table.node[frame], slots.bus[frame]
-        if slots.counter[bus] == 0 or slots.slots[node] == 0:
+        if not slots.is_operational[node] or slots.cob_id[frame] == NO_COB_ID or slots.counter[bus] == 0:
             continue
-        since = (now_ns - slots.sync_ns[bus] - slots.offset_ns[node]) * slots.slots[node] // period_ns
-        if not 0 <= since < 2 * slots.slots[node]:
+        of_sync, cycle, start_ns = slots.slots[node], slots.cycle[node], slots.sync_ns[bus] + slots.offset_ns[node]
+        since = (now_ns - start_ns) * of_sync // period_ns
+        if not 0 <= since < 2 * of_sync or since == (before_ns - start_ns) * of_sync // period_ns:
             continue
-        slot = ((slots.counter[bus] - 1) * slots.slots[node] + since) % slots.cycle[node]
-        if slot == slots.seen[frame]:
-            continue
-        slots.seen[frame] = slot
-        if not slots.is_operational[node] or slots.cob_id[frame] == NO_COB_ID or slots.under_way_ns[frame] > now_ns:
+        slot = ((slots.counter[bus] - 1) * of_sync + since) % cycle
+        is_back = state.slot[frame] >= 0 and (state.slot[frame] - slot) % cycle < min(of_sync, cycle // 4)
+        if is_back or slots.under_way_ns[frame] > now_ns:
             continue
         if slots.under_way_ns[frame] > 0:  # lost
             give_back(frame, slots, state)
@@ -306,8 +304,7 @@ def take_slots(  # noqa: PLR0917  compiled functions take no keywords
             whole(sums_n[row, place:], unit_n, form, wanted[part])
             of_part = variance_n2[row, place:]
             least += threshold(of_part, noise_n[row], taxels, unit_n, slots.quiet[node], form)
-        cycle, keep_max = slots.cycle[node], slots.keep_max[node]
-        if offer(frame, first, last, wanted, least, slot, cycle, keep_max, table.form, state):
+        if offer(frame, first, last, wanted, least, slot, cycle, slots.keep_max[node], table.form, state):
             slots.under_way_ns[frame] = now_ns + LOST_NS
             chosen[count] = frame
             count += 1
