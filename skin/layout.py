@@ -23,8 +23,8 @@ from skin.matrix import KEY, MatrixPhi, entries_of, read_matrix
 from skin.measurement import Sbhe, of_rows, part_of, sbhe
 from skin.sending import ADAPTIVE_SIZES, BUS_SUMS, IN_CYCLES, SENDINGS, Sending, SendingName
 from skin.surface import LINK_RATIO, Surface, grid_surface, surface_of_positions
-from skin.toml_errors import in_words
 from skin.sync_counter import SYNC_OVERFLOW
+from skin.toml_errors import in_words
 from skin.walsh import Indices, patches
 from skin.wiring import check_patch, within_patches
 

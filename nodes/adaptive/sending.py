@@ -10,10 +10,9 @@ from dbc.canopen import BASE_ID_MASK
 from dbc.contract import Contract, PartTable
 from dbc.dictionary import slot_offset_us
 from dbc.frame import ECHO, ERROR, FD_BYTES, Frames, frames
-from dbc.steps import WORD_BYTES, Bytes, keep_max, slot_byte, slot_cycle, write_word
+from dbc.steps import WORD_BYTES, Bytes, Integers, keep_max, slot_byte, slot_cycle, write_word
 from nodes.adaptive.stepping import (
     NO_COB_ID,
-    Integers,
     Numbers,
     State,
     give_back,

@@ -45,14 +45,14 @@ class State(NamedTuple):
         The integers that a receiver holds which got every word.
     word : array of int64, shape (parts,)
         The newest word.
-    count, slot, keep, unchecked, unset : arrays of int64, shape (frames,)
+    sent, slot, keep, unchecked, unset : arrays of int64, shape (frames,)
         Words sent, modulo `COUNT`; slot of the newest, -1 before the first; slots without a word after which a check is
         sent; words since the newest check; the next group that is set whatever it is worth, or the number of groups.
     """
 
     known: Integers
     word: Integers
-    count: Integers
+    sent: Integers
     slot: Integers
     keep: Integers
     unchecked: Integers
@@ -61,10 +61,10 @@ class State(NamedTuple):
 
 def new_state(parts: int, frames: int, sums: int) -> State:
     """Return the state of boards that have sent nothing, with at most `sums` sums of a part."""
-    count, unchecked, unset = np.zeros((3, frames), np.int64)
+    sent, unchecked, unset = np.zeros((3, frames), np.int64)
     slot, keep = np.full(frames, -1, np.int64), np.full(frames, KEEP_MIN, np.int64)
     known, word = np.zeros((parts, sums), np.int64), np.zeros(parts, np.int64)
-    return State(known, word, count, slot, keep, unchecked, unset)
+    return State(known, word, sent, slot, keep, unchecked, unset)
 
 
 @njit(cache=True, nogil=True)
@@ -72,7 +72,8 @@ def whole(sums_n: Floats, unit_n: float, form: Form, into: Integers) -> None:
     """Write the sums of a part in whole units, halves to even."""
     for place in range(form.sums):
         least, most = limits(place, form)
-        into[place] = min(most, max(least, np.int64(np.rint(np.float64(sums_n[place]) / unit_n))))
+        units = np.rint(np.float64(sums_n[place]) / unit_n)
+        into[place] = int(min(float(most), max(float(least), units)))
 
 
 @njit(cache=True, nogil=True)
@@ -149,18 +150,18 @@ def offer(  # noqa: PLR0917  compiled functions take no keywords
         form, each = form_at(forms, part), part - first
         known = state.known[part, : form.sums]
         if is_check:
-            state.word[part] = check_word(known, state.count[frame], slot, form)
+            state.word[part] = check_word(known, state.sent[frame], slot, form)
         elif scale[each] == _NO_STEP:
             here = slice(SET_SUMS * group[each], min(form.sums, SET_SUMS * (group[each] + 1)))
             known[here] = wanted[part, here]
-            state.word[part] = set_word(group[each], known, state.count[frame], slot, form)
+            state.word[part] = set_word(group[each], known, state.sent[frame], slot, form)
         else:
             digits = np.empty(form.sums, np.int64)
             for place in range(form.sums):
                 digits[place] = _digit(wanted[part, place] - known[place], SCALES[scale[each]], form)
                 known[place] += digits[place] * SCALES[scale[each]]
-            state.word[part] = step_word(digits, scale[each], state.count[frame], form)
-    state.count[frame] = (state.count[frame] + 1) % COUNT
+            state.word[part] = step_word(digits, scale[each], state.sent[frame], form)
+    state.sent[frame] = (state.sent[frame] + 1) % COUNT
     state.slot[frame] = slot
     state.unchecked[frame] = 0 if is_check else state.unchecked[frame] + 1
     return True

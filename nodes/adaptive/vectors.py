@@ -7,7 +7,6 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-
 from dbc.adaptive import (
     FINE_LIMIT,
     GROUP_SUMS,
@@ -22,6 +21,7 @@ from dbc.adaptive import (
     hold,
     pack_fine,
 )
+
 from dbc.adaptive_filter import (
     HORIZON,
     IDLE_SAMPLES,
