@@ -12,7 +12,7 @@ words. A board has one slot for each word. So it sends a step only within `SEQUE
 a set or a check, which have the count modulo `COUNT`.
 
 **Slots.** The first byte of a frame is 2022h: 1 + the number of its slot modulo 240. Slots are counted on from SYNC to
-SYNC. Sets and checks have the number modulo `SLOTS`, so that a frame that was held back for long is told from a new one.
+SYNC. Sets and checks have the number modulo `SLOTS`, so a frame that was held back for long is told from a new one.
 """
 
 import math

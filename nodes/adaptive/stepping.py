@@ -132,14 +132,7 @@ def offer(  # noqa: PLR0917  compiled functions take no keywords
         scale[:], group[:] = _NO_STEP, state.unset[frame]
         state.unset[frame] += 1
     elif not is_check:
-        gain = 0
-        for part in range(first, last):
-            each = part - first
-            taken, scale[each], group[each] = _best(
-                wanted[part], state.known[part], since <= SEQUENCE, form_at(forms, part)
-            )
-            gain += taken
-        is_check = gain <= least
+        is_check = _choose(first, wanted, since <= SEQUENCE, forms, state, scale, group) <= least
         if not is_check:
             state.keep[frame] = KEEP_MIN
         elif since < state.keep[frame]:
@@ -147,20 +140,15 @@ def offer(  # noqa: PLR0917  compiled functions take no keywords
     if is_check:
         state.keep[frame] = min(2 * state.keep[frame], keep_max)
     for part in range(first, last):
-        form, each = form_at(forms, part), part - first
-        known = state.known[part, : form.sums]
+        each, known, form = part - first, state.known[part], form_at(forms, part)
         if is_check:
-            state.word[part] = check_word(known, state.sent[frame], slot, form)
+            state.word[part] = check_word(known[: form.sums], state.sent[frame], slot, form)
         elif scale[each] == _NO_STEP:
-            here = slice(SET_SUMS * group[each], min(form.sums, SET_SUMS * (group[each] + 1)))
-            known[here] = wanted[part, here]
+            for place in range(SET_SUMS * group[each], min(form.sums, SET_SUMS * (group[each] + 1))):
+                known[place] = wanted[part, place]
             state.word[part] = set_word(group[each], known, state.sent[frame], slot, form)
         else:
-            digits = np.empty(form.sums, np.int64)
-            for place in range(form.sums):
-                digits[place] = _digit(wanted[part, place] - known[place], SCALES[scale[each]], form)
-                known[place] += digits[place] * SCALES[scale[each]]
-            state.word[part] = step_word(digits, scale[each], state.sent[frame], form)
+            state.word[part] = _step(wanted[part], known, scale[each], state.sent[frame], form)
     state.sent[frame] = (state.sent[frame] + 1) % COUNT
     state.slot[frame] = slot
     state.unchecked[frame] = 0 if is_check else state.unchecked[frame] + 1
@@ -172,6 +160,29 @@ def form_at(forms: Integers, part: int) -> Any:
     """Return the `Form` of a part from its row."""
     row = forms[part]
     return Form(row[0], row[1], row[2], row[3], row[4])
+
+
+@njit(cache=True, nogil=True)
+def _choose(  # noqa: PLR0917  compiled functions take no keywords
+    first: int, wanted: Integers, may_step: bool, forms: Integers, state: State, scale: Integers, group: Integers
+) -> int:
+    """Write scale and group of the best words from part `first` on; return what they take from squared differences."""
+    gain = 0
+    for each in range(scale.size):
+        part = first + each
+        taken, scale[each], group[each] = _best(wanted[part], state.known[part], may_step, form_at(forms, part))
+        gain += taken
+    return gain
+
+
+@njit(cache=True, nogil=True)
+def _step(wanted: Integers, known: Integers, scale: int, sent: int, form: Form) -> int:
+    """Move what is known by a step, and return its word."""
+    digits = np.empty(form.sums, np.int64)
+    for place in range(form.sums):
+        digits[place] = _digit(wanted[place] - known[place], SCALES[scale], form)
+        known[place] += digits[place] * SCALES[scale]
+    return int(step_word(digits, scale, sent, form))
 
 
 @njit(cache=True, nogil=True)
