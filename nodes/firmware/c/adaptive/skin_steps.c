@@ -86,7 +86,6 @@ static int64_t best(const skin_type *type, const int32_t *wanted, const int32_t 
     int64_t total = 0, of_group = -1, left;
     uint8_t each, place = 0;
 
-    *group = 0;
     for (each = 0; each < groups_of(type); each++) {
         int64_t found = 0;
 
@@ -167,7 +166,8 @@ static int offer(skin_steps *steps, uint8_t number, const float *variance_n2, ui
     skin_way *way = &steps->ways[number];
     const uint16_t since = between(way->slot, slot, cycle);
     const uint8_t from = (uint8_t)(type->frame_parts * number), is_set = way->unset < groups_of(type);
-    uint8_t scale[SKIN_PARTS], group[SKIN_PARTS], part, is_check = !is_set && way->unchecked >= SKIN_CHECK_EVERY;
+    uint8_t scale[SKIN_PARTS] = {0}, group[SKIN_PARTS] = {0}, part;
+    uint8_t is_check = !is_set && way->unchecked >= SKIN_CHECK_EVERY;
     int32_t wanted[SKIN_BLOCK_SUMS];
     double least = 0;
     int64_t gain = 0;
