@@ -124,7 +124,7 @@ static double look(const skin_steps *steps, uint8_t first, const float *variance
 {
     const uint8_t count = steps->board->type->part_sums;
     const double share_n = SKIN_NOISE_RATIO * steps->filter.noise_n;
-    double variance = 0;
+    double variance = 0, worth_n2;
     uint8_t sum;
 
     for (sum = first; sum < first + count; sum++) {
@@ -134,10 +134,8 @@ static double look(const skin_steps *steps, uint8_t first, const float *variance
         wanted[sum] = (int32_t)(units < least ? least : units > most ? most : units);
         variance += (double)variance_n2[sum];
     }
-    return steps->quiet == 0 ? -1
-                             : (double)steps->quiet *
-                                   (count * SKIN_BLOCK_SUMS * (share_n * share_n) + SKIN_VARIANCE_RATIO * variance) /
-                                   (SKIN_UNIT_N * SKIN_UNIT_N);
+    worth_n2 = count * SKIN_BLOCK_SUMS * (share_n * share_n) + SKIN_VARIANCE_RATIO * variance;
+    return steps->quiet == 0 ? -1 : (double)steps->quiet * (worth_n2 / (SKIN_UNIT_N * SKIN_UNIT_N) + count);
 }
 
 /* Slots after which their numbers come again. */
