@@ -13,6 +13,8 @@ from dbc.steps import (
     FIRST_MAX,
     KEEP_MAX,
     KEEP_MIN,
+    SCALES,
+    SEQUENCE,
     SET,
     STEP,
     Form,
@@ -20,6 +22,7 @@ from dbc.steps import (
     form_of,
     forms,
     keep_max,
+    kind_of,
     slot_byte,
     slot_cycle,
 )
@@ -180,6 +183,22 @@ def test_small_changes_are_steps_and_a_large_one_of_few_sums_is_a_set() -> None:
     board.pass_slot()
     assert board.kinds() == [SET]
     assert board.state.known[0, [9, 11]].tolist() == [3000, -3000]
+
+
+def test_of_words_that_are_worth_the_same_the_first_is_sent() -> None:
+    board = started(least=-1.0)
+    board.pass_slot()  # no scale is better than another
+    assert kind_of(int(board.state.word[0]), board.forms[0])[:2] == (STEP, 0)
+    board = started()
+    board.slot += SEQUENCE  # no step
+    board.wanted[0, [4, 7, 10]] = 1000
+    board.pass_slot()
+    assert kind_of(int(board.state.word[0]), board.forms[0])[:2] == (SET, 1)
+    # A set of three sums, and a step, tell all.
+    board = started(least=10.0)
+    board.wanted[0, 4] = SCALES[1]
+    board.pass_slot()
+    assert kind_of(int(board.state.word[0]), board.forms[0])[:2] == (STEP, 1)
 
 
 def test_on_can_fd_each_part_takes_its_best_word() -> None:
