@@ -263,9 +263,7 @@ def _steps(contract: Contract, node: NodeContract, values: _Values) -> dict[str,
         "quiet": values[od.SENDING, 1],
         "slots_per_sync": values[od.SENDING, 2],
         "slot_offset_us": values[od.SENDING, 3],
-        "parts": [
-            BoardPart(sums=form.sums, radix=form.radix, has_first=bool(form.has_first)) for form in node.forms
-        ],
+        "parts": [BoardPart(sums=form.sums, radix=form.radix, has_first=bool(form.has_first)) for form in node.forms],
         "rows_of_parts": grouped_rows(contract.phi.block_size).ravel().tolist(),
     }
 

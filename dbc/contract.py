@@ -319,9 +319,7 @@ def _phi_and_nodes(
     return phi, pack, tuple(nodes)
 
 
-def _tpdos_of_parts(
-    bus: Bus, number: int, place: int, sums: range, forms: Sequence[steps.Form]
-) -> tuple[Tpdo, ...]:
+def _tpdos_of_parts(bus: Bus, number: int, place: int, sums: range, forms: Sequence[steps.Form]) -> tuple[Tpdo, ...]:
     """Return the TPDOs of the adaptive node at a place of a bus: one for each part, on CAN FD one for all."""
     together = len(forms) if bus.fd else 1
     of_frame = sum(form.sums for form in forms[:together])

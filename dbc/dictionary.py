@@ -206,7 +206,7 @@ def _identity(contract: Contract, node: NodeContract) -> list[Object]:
 
 
 def _transmission_type(contract: Contract) -> int:
-    """Return the number of turns; of adaptive nodes 254, or of those that send at SYNC 1, or 0 if slots may be empty."""
+    """Return the number of turns; of adaptive nodes 254, or at SYNC 1, or 0 where slots may be empty."""
     if not contract.is_adaptive:
         return contract.turns
     steps = contract.layout.steps
@@ -239,9 +239,7 @@ def _tpdo_mapping(contract: Contract, node: NodeContract, tpdo: Tpdo, sums: Sequ
     mapped = [od.SYNC_COUNTER << 16 | 8 * COUNTER_BYTES]
     if node.is_adaptive:
         parts = len(node.forms) // len(node.tpdos)
-        mapped += [
-            od.WORDS << 16 | place << 8 | 8 * WORD_BYTES for place in places(parts * tpdo.number)[-parts:]
-        ]
+        mapped += [od.WORDS << 16 | place << 8 | 8 * WORD_BYTES for place in places(parts * tpdo.number)[-parts:]]
         return mapping(tpdo.number, len(mapped), mapped, "const")
     for each in sums:
         block = int(contract.phi.block_of_sum[each])

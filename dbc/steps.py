@@ -1,18 +1,18 @@
 """How boards send steps: board and receiver hold the same integers, and each frame moves all of them, or sets three.
 
-The sums of a board in units of `unit_n` are integers; 32 of them, or 8 on CAN FD, are a *part*, and a part travels as one
-*word* of 56 bits. A word is of one of three kinds:
+The sums of a board in units of `unit_n` are integers; 32 of them, or 8 on CAN FD, are a *part*, and a part travels as
+one *word* of 56 bits. A word is of one of three kinds:
 
 - a *step* moves each integer by a digit times the scale of the word,
 - a *set* gives three integers as they are,
 - a *check* has a hash of all integers, and moves nothing.
 
-**Losses.** Words of a part are counted. A step has the count modulo `SEQUENCE`, which tells of every loss of fewer words.
-A board has one slot for each word. So it sends a step only within `SEQUENCE` slots of its newest word, and later a set or a
-check, which have the count modulo `COUNT`.
+**Losses.** Words of a part are counted. A step has the count modulo `SEQUENCE`, which tells of every loss of fewer
+words. A board has one slot for each word. So it sends a step only within `SEQUENCE` slots of its newest word, and later
+a set or a check, which have the count modulo `COUNT`.
 
-**Slots.** The first byte of a frame is 2022h: 1 + the number of its slot modulo 240. Slots are counted on from SYNC to SYNC.
-Sets and checks have the number modulo `SLOTS`, so that a frame that was held back for long is told from a new one.
+**Slots.** The first byte of a frame is 2022h: 1 + the number of its slot modulo 240. Slots are counted on from SYNC to
+SYNC. Sets and checks have the number modulo `SLOTS`, so a frame that was held back for long is told from a new one.
 """
 
 import math
@@ -54,8 +54,8 @@ FULL_SCALE: Final = FIRST_MAX + 1
 KEEP_MIN: Final = 16
 KEEP_MAX: Final = 384
 CHECK_EVERY: Final = 64
-#: A word is worth its bits if it takes more than this from the squared difference of a part's sums: `Steps.quiet` of the
-#: layout times (sums · taxels · (`NOISE_RATIO` · noise of a taxel)² + `VARIANCE_RATIO` · variance of all sums).
+#: A word is worth its bits if it takes more than this from the squared difference of a part's sums: 2031h:1 times
+#: (sums · taxels · (`NOISE_RATIO` · noise of the board)² + `VARIANCE_RATIO` · variance of these sums).
 NOISE_RATIO: Final = 0.15
 VARIANCE_RATIO: Final = 2.0
 #: A word that is this number of slots old is in time; in an older word's part the sums are held.
@@ -169,7 +169,7 @@ def _other_word(group: int, data: int, count: int, slot: int, form: Form) -> int
 
 @njit(cache=True, nogil=True)
 def kind_of(word: int, form: Form) -> tuple[int, int, int, int, int]:
-    """Return kind, scale or group, count, slots above the first byte in units of `SYNC_OVERFLOW`, and data of a word."""
+    """Return kind, scale or group, count, slots above the first byte in `SYNC_OVERFLOW`s, and data of a word."""
     if word < form.steps:
         head, data = divmod_top(word, form)
         return STEP, head % len(SCALES), head // len(SCALES), 0, data

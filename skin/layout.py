@@ -23,8 +23,8 @@ from skin.matrix import KEY, MatrixPhi, entries_of, read_matrix
 from skin.measurement import Sbhe, of_rows, part_of, sbhe
 from skin.sending import ADAPTIVE_SIZES, BUS_SUMS, IN_CYCLES, SENDINGS, Sending, SendingName
 from skin.surface import LINK_RATIO, Surface, grid_surface, surface_of_positions
-from skin.toml_errors import in_words
 from skin.sync_counter import SYNC_OVERFLOW
+from skin.toml_errors import in_words
 from skin.walsh import Indices, patches
 from skin.wiring import check_patch, within_patches
 
@@ -192,8 +192,8 @@ class Sync(_Table, frozen=True, kw_only=True):
     """The SYNC producer: `rate_hz` cycles a second (CiA 301, 1005h and 1006h).
 
     A node sends all its sums in every cycle, or, with two `turns`, half of its frames in odd cycles and half in even
-    ones. Adaptive sending has slots in place of cycles (`Steps`), and does not use the key. With `time_s` the gateway produces TIME, too
-    (CiA 301, 7.2.6): after a SYNC, every `time_s` seconds.
+    ones. Adaptive sending has slots in place of cycles (`Steps`) and does not use the key. With `time_s` the gateway
+    produces TIME, too (CiA 301, 7.2.6): after a SYNC, every `time_s` seconds.
     """
 
     # The lower limit keeps the period of 1006h, microseconds in 32 bits, far from overflow.

@@ -1,4 +1,4 @@
-"""What a board sends in its slot: the step, set or check that takes the most from what its receivers do not know yet."""
+"""What a board sends in its slot: the step or set that takes the most from what receivers do not know, or a check."""
 
 from typing import Any, Final, NamedTuple
 
@@ -45,14 +45,14 @@ class State(NamedTuple):
         The integers that a receiver holds which got every word.
     word : array of int64, shape (parts,)
         The newest word.
-    count, slot, keep, unchecked, unset : arrays of int64, shape (frames,)
-        Words sent, modulo `COUNT`; slot of the newest; slots without a word after which a check is sent; words since the
-        newest check; the next group that is set without regard to what it is worth, or the number of groups.
+    sent, slot, keep, unchecked, unset : arrays of int64, shape (frames,)
+        Words sent, modulo `COUNT`; slot of the newest, -1 before the first; slots without a word after which a check is
+        sent; words since the newest check; the next group that is set whatever it is worth, or the number of groups.
     """
 
     known: Integers
     word: Integers
-    count: Integers
+    sent: Integers
     slot: Integers
     keep: Integers
     unchecked: Integers
@@ -61,11 +61,10 @@ class State(NamedTuple):
 
 def new_state(parts: int, frames: int, sums: int) -> State:
     """Return the state of boards that have sent nothing, with at most `sums` sums of a part."""
-    count, slot, unchecked, unset = np.zeros((4, frames), np.int64)
-    keep = np.full(frames, KEEP_MIN, np.int64)
-    return State(
-        np.zeros((parts, sums), np.int64), np.zeros(parts, np.int64), count, slot, keep, unchecked, unset
-    )
+    sent, unchecked, unset = np.zeros((3, frames), np.int64)
+    slot, keep = np.full(frames, -1, np.int64), np.full(frames, KEEP_MIN, np.int64)
+    known, word = np.zeros((parts, sums), np.int64), np.zeros(parts, np.int64)
+    return State(known, word, sent, slot, keep, unchecked, unset)
 
 
 @njit(cache=True, nogil=True)
@@ -73,7 +72,8 @@ def whole(sums_n: Floats, unit_n: float, form: Form, into: Integers) -> None:
     """Write the sums of a part in whole units, halves to even."""
     for place in range(form.sums):
         least, most = limits(place, form)
-        into[place] = min(most, max(least, np.int64(np.rint(np.float64(sums_n[place]) / unit_n))))
+        units = np.rint(np.float64(sums_n[place]) / unit_n)
+        into[place] = int(min(float(most), max(float(least), units)))
 
 
 @njit(cache=True, nogil=True)
@@ -111,7 +111,7 @@ def offer(  # noqa: PLR0917  compiled functions take no keywords
     forms: Integers,
     state: State,
 ) -> bool:
-    """Write the words of a frame's parts, `first` to `last` - 1, to the state; tell whether the frame is worth its bits.
+    """Write the words of a frame's parts, `first` to `last` - 1, to the state; tell whether the frame is to be sent.
 
     Parameters
     ----------
@@ -132,35 +132,24 @@ def offer(  # noqa: PLR0917  compiled functions take no keywords
         scale[:], group[:] = _NO_STEP, state.unset[frame]
         state.unset[frame] += 1
     elif not is_check:
-        gain = 0
-        for part in range(first, last):
-            each = part - first
-            taken, scale[each], group[each] = _best(
-                wanted[part], state.known[part], since <= SEQUENCE, form_at(forms, part)
-            )
-            gain += taken
-        is_check = gain <= least
-        if is_check and since < state.keep[frame]:
+        is_check = _choose(first, wanted, since <= SEQUENCE, forms, state, scale, group) <= least
+        if not is_check:
+            state.keep[frame] = KEEP_MIN
+        elif since < state.keep[frame]:
             return False
-        state.keep[frame] = KEEP_MIN
     if is_check:
         state.keep[frame] = min(2 * state.keep[frame], keep_max)
     for part in range(first, last):
-        form, each = form_at(forms, part), part - first
-        known = state.known[part, : form.sums]
+        each, known, form = part - first, state.known[part], form_at(forms, part)
         if is_check:
-            state.word[part] = check_word(known, state.count[frame], slot, form)
+            state.word[part] = check_word(known[: form.sums], state.sent[frame], slot, form)
         elif scale[each] == _NO_STEP:
-            here = slice(SET_SUMS * group[each], min(form.sums, SET_SUMS * (group[each] + 1)))
-            known[here] = wanted[part, here]
-            state.word[part] = set_word(group[each], known, state.count[frame], slot, form)
+            for place in range(SET_SUMS * group[each], min(form.sums, SET_SUMS * (group[each] + 1))):
+                known[place] = wanted[part, place]
+            state.word[part] = set_word(group[each], known, state.sent[frame], slot, form)
         else:
-            digits = np.empty(form.sums, np.int64)
-            for place in range(form.sums):
-                digits[place] = _digit(wanted[part, place] - known[place], SCALES[scale[each]], form)
-                known[place] += digits[place] * SCALES[scale[each]]
-            state.word[part] = step_word(digits, scale[each], state.count[frame], form)
-    state.count[frame] = (state.count[frame] + 1) % COUNT
+            state.word[part] = _step(wanted[part], known, scale[each], state.sent[frame], form)
+    state.sent[frame] = (state.sent[frame] + 1) % COUNT
     state.slot[frame] = slot
     state.unchecked[frame] = 0 if is_check else state.unchecked[frame] + 1
     return True
@@ -171,6 +160,29 @@ def form_at(forms: Integers, part: int) -> Any:
     """Return the `Form` of a part from its row."""
     row = forms[part]
     return Form(row[0], row[1], row[2], row[3], row[4])
+
+
+@njit(cache=True, nogil=True)
+def _choose(  # noqa: PLR0917  compiled functions take no keywords
+    first: int, wanted: Integers, may_step: bool, forms: Integers, state: State, scale: Integers, group: Integers
+) -> int:
+    """Write scale and group of the best words from part `first` on; return what they take from squared differences."""
+    gain = 0
+    for each in range(scale.size):
+        part = first + each
+        taken, scale[each], group[each] = _best(wanted[part], state.known[part], may_step, form_at(forms, part))
+        gain += taken
+    return gain
+
+
+@njit(cache=True, nogil=True)
+def _step(wanted: Integers, known: Integers, scale: int, sent: int, form: Form) -> int:
+    """Move what is known by a step, and return its word."""
+    digits = np.empty(form.sums, np.int64)
+    for place in range(form.sums):
+        digits[place] = _digit(wanted[place] - known[place], SCALES[scale], form)
+        known[place] += digits[place] * SCALES[scale]
+    return int(step_word(digits, scale, sent, form))
 
 
 @njit(cache=True, nogil=True)
@@ -221,8 +233,6 @@ class Slots(NamedTuple):
     bus : array of int64, shape (frames,)
     cob_id : array of int64, shape (frames,)
         Identifier, or `NO_COB_ID`.
-    seen : array of int64, shape (frames,)
-        The newest slot, -1 before the first.
     under_way_ns : array of int64, shape (frames,)
         Until when the controller may hold a frame, 0 for none.
     """
@@ -238,7 +248,6 @@ class Slots(NamedTuple):
     counter: Integers
     bus: Integers
     cob_id: Integers
-    seen: Integers
     under_way_ns: Integers
 
 
@@ -247,14 +256,13 @@ def new_slots(nodes: int, buses: int, bus: Integers) -> Slots:
     row, slots, offset_ns, cycle, keep_max = np.zeros((5, nodes), np.int64)
     sync_ns, counter = np.zeros((2, buses), np.int64)
     cob_id, under_way_ns = np.zeros((2, len(bus)), np.int64)
-    off, seen = np.zeros(nodes, np.bool_), np.full(len(bus), -1, np.int64)
-    return Slots(
-        row, off, np.zeros(nodes), slots, offset_ns, cycle, keep_max, sync_ns, counter, bus, cob_id, seen, under_way_ns
-    )
+    off, quiet = np.zeros(nodes, np.bool_), np.zeros(nodes)
+    return Slots(row, off, quiet, slots, offset_ns, cycle, keep_max, sync_ns, counter, bus, cob_id, under_way_ns)
 
 
 @njit(cache=True, nogil=True)
 def take_slots(  # noqa: PLR0917  compiled functions take no keywords
+    before_ns: int,
     now_ns: int,
     period_ns: int,
     sums_n: Floats,
@@ -266,12 +274,15 @@ def take_slots(  # noqa: PLR0917  compiled functions take no keywords
     state: State,
     chosen: Integers,
 ) -> int:
-    """Let each board decide whose slot has come since the last call; write the frames to send to `chosen`.
+    """Let each board decide whose slot begins in a time; write the frames to send to `chosen`.
 
-    A board whose controller still holds its frame leaves the slot out.
+    A board whose controller still holds its frame leaves the slot out. So does a board whose newest word has the same
+    number, or one of less than a period later, because a SYNC was late: the slots of its words rise.
 
     Parameters
     ----------
+    before_ns, now_ns : int
+        The time ends with `now_ns`, and `before_ns` is the end of the time before.
     period_ns : int
         From SYNC to SYNC.
     sums_n, variance_n2 : arrays of float32, shape (rows, sums)
@@ -287,16 +298,15 @@ def take_slots(  # noqa: PLR0917  compiled functions take no keywords
     wanted, count, taxels = np.empty_like(state.known), 0, sums_n.shape[1]
     for frame in range(table.node.size):
         node, bus = table.node[frame], slots.bus[frame]
-        if slots.counter[bus] == 0 or slots.slots[node] == 0:
+        if not slots.is_operational[node] or slots.cob_id[frame] == NO_COB_ID or slots.counter[bus] == 0:
             continue
-        since = (now_ns - slots.sync_ns[bus] - slots.offset_ns[node]) * slots.slots[node] // period_ns
-        if not 0 <= since < 2 * slots.slots[node]:
+        of_sync, cycle, start_ns = slots.slots[node], slots.cycle[node], slots.sync_ns[bus] + slots.offset_ns[node]
+        since = (now_ns - start_ns) * of_sync // period_ns
+        if not 0 <= since < 2 * of_sync or since == (before_ns - start_ns) * of_sync // period_ns:
             continue
-        slot = ((slots.counter[bus] - 1) * slots.slots[node] + since) % slots.cycle[node]
-        if slot == slots.seen[frame]:
-            continue
-        slots.seen[frame] = slot
-        if not slots.is_operational[node] or slots.cob_id[frame] == NO_COB_ID or slots.under_way_ns[frame] > now_ns:
+        slot = ((slots.counter[bus] - 1) * of_sync + since) % cycle
+        is_back = state.slot[frame] >= 0 and (state.slot[frame] - slot) % cycle < min(of_sync, cycle // 4)
+        if is_back or slots.under_way_ns[frame] > now_ns:
             continue
         if slots.under_way_ns[frame] > 0:  # lost
             give_back(frame, slots, state)
@@ -306,8 +316,7 @@ def take_slots(  # noqa: PLR0917  compiled functions take no keywords
             whole(sums_n[row, place:], unit_n, form, wanted[part])
             of_part = variance_n2[row, place:]
             least += threshold(of_part, noise_n[row], taxels, unit_n, slots.quiet[node], form)
-        cycle, keep_max = slots.cycle[node], slots.keep_max[node]
-        if offer(frame, first, last, wanted, least, slot, cycle, keep_max, table.form, state):
+        if offer(frame, first, last, wanted, least, slot, cycle, slots.keep_max[node], table.form, state):
             slots.under_way_ns[frame] = now_ns + LOST_NS
             chosen[count] = frame
             count += 1

@@ -8,9 +8,9 @@ from collections.abc import Iterable
 from typing import Any, Final
 
 import numpy as np
+from dbc.adaptive import MEAN_CODES, OTHER_CODES, Companding, SendingRule, coarse_code, coarse_value
 
 from dbc import adaptive, adaptive_filter
-from dbc.adaptive import MEAN_CODES, OTHER_CODES, Companding, SendingRule, coarse_code, coarse_value
 from dbc.adaptive_filter import SPANS, unclip_table
 from dbc.contract import Contract
 from nodes.firmware.c_text import WRITTEN, array, braced, defined, double, header, real
