@@ -79,7 +79,7 @@ class PartSums(NamedTuple):
     ----------
     known : array of int64, shape (parts, PART_SUMS)
         Integers, in units of `Contract.unit_n`.
-    count, slot, newest_ns : arrays of int64, shape (parts,)
+    word_count, slot, newest_ns : arrays of int64, shape (parts,)
         Count, slot and end of the newest word.
     missing, unknown : arrays of int64, shape (parts,)
         Groups, a bit each: of which no set has come since a loss; of which nothing is held.
@@ -96,7 +96,7 @@ class PartSums(NamedTuple):
     """
 
     known: Integers
-    count: Integers
+    word_count: Integers
     slot: Integers
     newest_ns: Integers
     missing: Integers
@@ -126,7 +126,7 @@ def new_sums(contract: Contract) -> PartSums:
     parts, buses = len(contract.parts.block), len(contract.layout.bus)
     state = PartSums(
         known=np.zeros((parts, PART_SUMS), np.int64),
-        count=np.zeros(parts, np.int64),
+        word_count=np.zeros(parts, np.int64),
         slot=np.zeros(parts, np.int64),
         newest_ns=np.zeros(parts, np.int64),
         missing=np.zeros(parts, np.int64),
@@ -223,9 +223,9 @@ def _take_word(  # noqa: PLR0917  compiled functions take no keywords
     known = state.known[part, : form.sums]
     ahead, counts = (low - state.slot[part]) % SYNC_OVERFLOW, SEQUENCE if kind == STEP else COUNT
     is_first = state.newest_ns[part] == NEVER_NS
-    if not is_first and ahead == 0 and (count - state.count[part]) % SEQUENCE == 0:
+    if not is_first and ahead == 0 and (count - state.word_count[part]) % SEQUENCE == 0:
         return DUPLICATE, 0
-    is_next = not is_first and (count - state.count[part] - 1) % counts == 0 and (kind != STEP or ahead <= SEQUENCE)
+    is_next = not is_first and (count - state.word_count[part] - 1) % counts == 0 and (kind != STEP or ahead <= SEQUENCE)
     if not is_next:
         state.missing[part] = (1 << form.groups) - 1
     slot = state.slot[part] + ahead
@@ -244,7 +244,7 @@ def _take_word(  # noqa: PLR0917  compiled functions take no keywords
     if age > slots.cycle - _AHEAD:
         age = 0
     # A step tells its count modulo `SEQUENCE` alone: after a loss the least is taken, and the next set tells.
-    state.count[part] += (count - state.count[part]) % counts
+    state.word_count[part] += (count - state.word_count[part]) % counts
     state.slot[part], state.newest_ns[part] = slot % slots.cycle, ended_ns
     state.is_late[part], state.has_changed[part] = age > LATE_SLOTS or now < 0, True
     if not (is_next or is_first):
