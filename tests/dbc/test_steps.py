@@ -142,7 +142,7 @@ def test_slots_come_again_after_a_multiple_of_those_of_240_syncs() -> None:
         cycle = slot_cycle(of_sync)
         assert (240 * of_sync) % cycle == SLOTS % cycle == cycle % 240 == 0
     assert [slot_cycle(each) for each in (1, 2, 3, 20, 40)] == [240, 480, 240, 960, 960]
-    assert [keep_max(each) for each in (1, 2, 20)] == [120, 240, 384]
+    assert [keep_max(each) for each in (1, 2, 20)] == [120, 240, 480]
 
 
 def test_the_hash_is_fnv_1a_of_two_bytes_each() -> None:

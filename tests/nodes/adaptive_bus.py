@@ -8,7 +8,6 @@ from dbc.contract import Contract
 from dbc.frame import Frames
 from dbc.steps import (
     BAD,
-    CHECK,
     COUNT,
     LATE_SLOTS,
     SEQUENCE,
@@ -80,8 +79,8 @@ class Part:
         """Whether all integers are those of the board."""
         return not self.missing and not self.is_late
 
-    def take(self, byte: int, word: int, now: int) -> None:
-        """Take a word in slot number `now`."""
+    def take(self, byte: int, word: int, now: int | None = None) -> None:
+        """Take a word in slot number `now`, or in time."""
         kind, part, sent, high, data = kind_of(word, self.form)
         assert kind != BAD
         self.kinds.append(kind)
@@ -102,7 +101,7 @@ class Part:
             elif not self.missing and data != hash_of(self.known):
                 self.different += 1
                 self.missing = set(range(self.form.groups))
-        self.is_late = (now - self.slot) % self._cycle > LATE_SLOTS
+        self.is_late = now is not None and (now - self.slot) % self._cycle > LATE_SLOTS
 
     def _lose(self, *, is_chained: bool) -> None:
         self.gaps += 1
@@ -113,8 +112,10 @@ class Receiver:
     """What a receiver of all frames holds of the parts of a skin."""
 
     def __init__(self, contract: Contract) -> None:
-        self._table, self._cycle = contract.parts, contract.slot_cycle
-        self.parts = [Part(form_at(self._table.form, part), self._cycle) for part in range(len(self._table.form))]
+        self._table = contract.parts
+        self.parts = [
+            Part(form_at(self._table.form, part), contract.slot_cycle) for part in range(len(self._table.form))
+        ]
 
     def take(self, sent: Frames, bus: int = 0) -> None:
         """Take frames, at once."""
@@ -124,12 +125,8 @@ class Receiver:
                 continue
             assert one["length"] == self._table.length[row]
             for place in range(self._table.parts[row]):
-                part = self.parts[self._table.part[row] + place]
                 word = read_word(one["data"][1 + WORD_BYTES * place :])
-                kind, _, _, high, _ = kind_of(word, part.form)
-                byte = int(one["data"][0])
-                now = SYNC_OVERFLOW * high + byte - 1 if kind in {SET, CHECK} else part.slot
-                part.take(byte, word, now % self._cycle)
+                self.parts[self._table.part[row] + place].take(int(one["data"][0]), word)
 
 
 class Bus:

@@ -58,7 +58,7 @@ Made = tuple[FirmwarePatches, dict[int, Counted], list[int]]
 
 
 def test_boards_sample_until_all_have_learned(patches: Made) -> None:
-    made, boards, _ = patches
+    _, boards, _ = patches
     assert [len(each.counts) for each in boards.values()] == [5, 5]
     assert {bus: each.counts[0].shape for bus, each in boards.items()} == {0: (2, 32), 1: (1, 32)}
 

@@ -206,7 +206,7 @@ def test_a_silent_board_checks_ever_more_rarely() -> None:
     board = started()
     at = [board.slot for _ in range(2000) if board.pass_slot()]
     assert set(board.kinds()) == {CHECK}
-    assert np.diff([11, *at]).tolist() == [16, 32, 64, 128, 256, 384, 384, 384]
+    assert np.diff([11, *at]).tolist() == [24, 48, 96, 192, 384, 480, 480]
     board.wanted[0] += 20
     board.pass_slots(4)
     moved = board.slot
@@ -272,5 +272,5 @@ def test_sums_are_whole_units_within_their_bounds(form: Form, sums_n: list[float
 def test_the_threshold_is_that_of_the_document() -> None:
     form, variance = form_of(32), np.full(32, 2e-9, np.float32)
     least = threshold(variance, 2e-4, 32, 0.64 / 8192, 0.1, form)
-    assert least == pytest.approx(0.1 * (32 * 32 * (0.15 * 2e-4) ** 2 + 2 * 32 * 2e-9) / (0.64 / 8192) ** 2)
+    assert least == pytest.approx(0.1 * ((32 * 32 * (0.15 * 2e-4) ** 2 + 2 * 32 * 2e-9) / (0.64 / 8192) ** 2 + 32))
     assert threshold(variance, 2e-4, 32, 0.64 / 8192, 0.0, form) < 0
