@@ -345,7 +345,8 @@ def test_gateway_that_joins_a_running_skin_starts_all_nodes_again(boards: BoardW
     assert boards.until_whole(1.0) <= 0.4
     assert all(board.state is NmtState.OPERATIONAL for board in boards.boards)
     assert holds_what_boards_hold(boards)
-    assert not any(board.asked for board in boards.boards)
+    # A board may leave slots out: the new gateway counts from 1, and numbers of words rise.
+    assert all(len(board.asked) <= 1 for board in boards.boards)
 
 
 def test_strange_frames_are_counted_and_complained_about(boards: BoardWorld) -> None:
