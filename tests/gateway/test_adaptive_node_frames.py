@@ -25,7 +25,7 @@ from tests.nodes.firmware.twins import needs_compiler
 
 STEP_S = 0.001
 #: Longer than a check takes.
-LONGEST_S = 6.0
+LONGEST_S = 12.0
 
 
 class Untouched:
@@ -202,7 +202,7 @@ MUTANTS = [
     (wrong_sign, " as sum 21, expected ", ""),
     (other_unit, "offsets in place of the taxels: tells ", ""),
     (infinite_noise, "full scale: the noise (2035h) is no number of newtons: 00 00 80 7f", ""),
-    (deaf_rule, "test pattern zero: tells ", " as sum 1, expected 0.00 mN"),
+    (deaf_rule, "test pattern zero: tells ", ", expected 0.00 mN"),
     (ignores(od.TEST_PATTERN), "test pattern full scale: half of the taxels read less than half of full scale", ""),
     (ignores(od.GAIN), "offsets in place of the taxels: tells ", ""),
     (ignores(od.OFFSET), "offsets in place of the taxels: tells ", ""),
@@ -214,7 +214,7 @@ MUTANTS = [
     (sent(lambda each, _: each["data"].__setitem__(0, 0)), "begins with 0, expected a slot from 1 to 240", ""),
     (sent(lambda each, _: each["data"].__setitem__(slice(1, 8), 255)), "has words that are no step, set or check", ""),
     (sent(lambda _each, _kind: True), "full scale: TPDO 1 (181h): no set of group 1 came after the NMT start", ""),
-    (sent(lambda each, kind: kind == SET and each["data"][0] % 7 == 0), "has another count than the word before", ""),
+    (sent(lambda each, kind: kind == SET and each["data"][0] % 4 == 0), "has another count than the word before", ""),
     (sent(lambda _each, kind: kind == CHECK), "no check came within 24 slots after the newest step or set", ""),
     (sent(lambda each, kind: kind == STEP and add(each, 1, 1)), "zero: TPDO 1 (181h) checks other sums than ", ""),
 ]
