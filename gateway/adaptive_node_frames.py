@@ -33,7 +33,7 @@ from dbc.steps import (
 from gateway.adaptive_state import AFTER_GAP, DUPLICATE, LATE, MALFORMED, forget, new_sums, slots_of, take_all
 from gateway.node_frames import CYCLES, SETTLING, ExpectedFrames, NodeReport, Picture, Values, syncs_of
 from skin.sync_counter import SYNC_OVERFLOW
-from skin.walsh import grouped_rows, walsh_matrix
+from skin.walsh import walsh_matrix
 
 #: Time in which the filter comes to rest: then sums err by a third of what is not worth a frame.
 _REST_S: Final = 0.3
@@ -66,7 +66,7 @@ class AdaptiveFrames(ExpectedFrames):
         self._parts = np.flatnonzero(contract.parts.block == node.block)
         self._is_mine = np.arange(contract.phi.blocks) == node.block
         #: Sums of a picture in units, from those of the taxels in newtons.
-        self._walsh = walsh_matrix(size)[grouped_rows(size).ravel()] / contract.unit_n
+        self._walsh = walsh_matrix(size) / contract.unit_n
         self._slots, self._state = slots_of(contract), new_sums(contract)
         #: What was wrong since the newest picture, by TPDO and kind; kind of the newest word of each TPDO.
         self._found: dict[tuple[int, int], str] = {}
