@@ -110,9 +110,11 @@ class AdaptiveFrames(ExpectedFrames):
             first = self._parts[0] + tpdo.number - 1
             quiet_ns = int(came["time_ns"].max()) - int(self._state.newest_ns[first])
             missing = [group + 1 for group in range(64) if self._state.missing[first] >> group & 1]
+            # Sets after a start are no news: the next check may be far.
+            is_due = picture.is_step and quiet_ns > (KEEP_MIN + LATE_SLOTS) * self._slots.slot_ns
             if missing:
                 text = f"no set of group {missing[0]} came after the NMT start"
-            elif self._newest[cob_id] != CHECK and quiet_ns > (KEEP_MIN + LATE_SLOTS) * self._slots.slot_ns:
+            elif is_due and self._newest[cob_id] != CHECK:
                 text = f"no check came within {KEEP_MIN} slots after the newest step or set"
             else:
                 continue
