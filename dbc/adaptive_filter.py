@@ -42,11 +42,6 @@ LEAST_EXPONENT: Final = np.float32(-120.0)
 #: Polynomial of 2^f on 0 to 1 through its Chebyshev nodes, error below 2e-7.
 POWER: Final = tuple(map(np.float32, (0.9999999, 0.69315449, 0.24014182, 0.05586034, 0.00894959, 0.00189375)))
 
-#: The c of log2(x) = e + r (c0 + r² (c1 + r² (c2 + …))), where x = m 2^e, m from √½ to √2, r = (m - 1) / (m + 1).
-LOG2_SERIES: Final = tuple(2.8853900817779268 / odd for odd in range(1, 18, 2))
-#: The least m.
-LEAST_PART: Final = 0.5**0.5
-
 #: What both halves of a patch that is twice as wide as high are weighed with.
 ROOT_HALF: Final = np.float32(0.5**0.5)
 #: Clipping is undone up to this number of standard deviations; above, it has no effect.

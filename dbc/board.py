@@ -6,16 +6,16 @@ taken from there, so the table and the `.eds` and `.dcf` files cannot differ.
 
 import json
 from collections.abc import Mapping
+from typing import Any
 
 import msgspec
 
 from dbc import indices as od
-from dbc.adaptive import Companding, SendingRule
 from dbc.canopen import EXTENDED_ID_MASK, HEARTBEAT_BASE, SDO_REQUEST_BASE, SDO_RESPONSE_BASE
 from dbc.configuration import configuration, expected_signature
 from dbc.contract import Contract, NodeContract
 from dbc.dictionary import SkinState, dictionary
-from dbc.frame import CLASSIC_BYTES, FD
+from dbc.frame import FD
 from dbc.objects import Value
 from dbc.packing import Packing
 from skin.walsh import grouped_rows
@@ -69,8 +69,7 @@ class MappedObject(_Table, frozen=True, kw_only=True):
 class BoardTpdo(_Table, frozen=True, kw_only=True):
     """One transmit PDO (18xxh, 1Axxh); `length` is its payload in bytes, padding included.
 
-    Boards with two states have `state`, the value of 2008h:1 with which it is sent. Adaptive boards have `level`,
-    `group` and `is_fine` besides, see `dbc.contract.AdaptiveTpdo`.
+    Boards with two states have `state`, the value of 2008h:1 with which it is sent.
     """
 
     number: int
@@ -81,10 +80,24 @@ class BoardTpdo(_Table, frozen=True, kw_only=True):
     event_timer_ms: int
     length: int
     mapping: list[MappedObject]
-    level: int | None = None
-    group: int | None = None
-    is_fine: bool | None = None
     state: int | None = None
+
+
+class BoardPart(_Table, frozen=True, kw_only=True):
+    """One part of an adaptive board: the sums of one word (`dbc.steps.Form`).
+
+    Attributes
+    ----------
+    sums : int
+    radix : int
+        Values of a digit of a step.
+    has_first : bool
+        Whether the first of these sums is that of all taxels, which is never negative.
+    """
+
+    sums: int
+    radix: int
+    has_first: bool
 
 
 class BoardPacking(_Table, frozen=True, kw_only=True):
@@ -148,10 +161,14 @@ class Board(_Table, frozen=True, kw_only=True):
         2006h while all objects hold the values of the contract.
     tpdos : list of BoardTpdo
     blocks : list of BoardBlock
-    companding, sending_rule : list of float
-        2007h and 2031h of adaptive boards, in the order of their sub-indices.
-    grouped_rows : list of list of int
-        Of adaptive boards: the Hadamard rows of the sums of each group, in the order of a frame.
+    unit_n : float
+        2007h of adaptive boards.
+    quiet, slots_per_sync, slot_offset_us
+        2031h of adaptive boards.
+    parts : list of BoardPart
+        Of adaptive boards, in the order of the words.
+    rows_of_parts : list of int
+        Of adaptive boards: the Hadamard row of each sum, in the order of the parts.
     """
 
     skin: str
@@ -187,9 +204,12 @@ class Board(_Table, frozen=True, kw_only=True):
     signature: int
     tpdos: list[BoardTpdo]
     blocks: list[BoardBlock]
-    companding: Companding | None = None
-    sending_rule: SendingRule | None = None
-    grouped_rows: list[list[int]] | None = None
+    unit_n: float | None = None
+    quiet: float | None = None
+    slots_per_sync: int | None = None
+    slot_offset_us: int | None = None
+    parts: list[BoardPart] | None = None
+    rows_of_parts: list[int] | None = None
 
 
 def board(contract: Contract, node: NodeContract) -> Board:
@@ -232,10 +252,20 @@ def board(contract: Contract, node: NodeContract) -> Board:
         signature=expected_signature(configuration(contract, node)),
         tpdos=_tpdos(contract, node, values),
         blocks=_blocks(contract, node, values),
-        companding=contract.law if is_adaptive else None,
-        sending_rule=SendingRule() if is_adaptive else None,
-        grouped_rows=grouped_rows(contract.phi.block_size).tolist() if is_adaptive else None,
+        **(_steps(contract, node, values) if is_adaptive else {}),
     )
+
+
+def _steps(contract: Contract, node: NodeContract, values: _Values) -> dict[str, Any]:
+    """Return what adaptive boards have besides."""
+    return {
+        "unit_n": contract.unit_n,
+        "quiet": values[od.SENDING, 1],
+        "slots_per_sync": values[od.SENDING, 2],
+        "slot_offset_us": values[od.SENDING, 3],
+        "parts": [BoardPart(sums=form.sums, radix=form.radix, has_first=bool(form.has_first)) for form in node.forms],
+        "rows_of_parts": grouped_rows(contract.phi.block_size).ravel().tolist(),
+    }
 
 
 def _packing(packing: Packing) -> BoardPacking:
@@ -244,8 +274,7 @@ def _packing(packing: Packing) -> BoardPacking:
 
 
 def _tpdos(contract: Contract, node: NodeContract, values: _Values) -> list[BoardTpdo]:
-    urgencies = {each.number: (each.level, each.group, each.is_fine) for each in node.adaptive_tpdos}
-    lengths = {each.number: each.length for each in node.tpdos} | dict.fromkeys(urgencies, CLASSIC_BYTES)
+    lengths = {each.number: each.length for each in node.tpdos}
     states: dict[int, SkinState] = {}
     if contract.recognition is not None:
         few = contract.states_of(node)[1].tpdos
@@ -253,7 +282,6 @@ def _tpdos(contract: Contract, node: NodeContract, values: _Values) -> list[Boar
         lengths |= {each.number: each.length for each in few}
     tpdos = []
     for number, length in lengths.items():
-        level, group, is_fine = urgencies.get(number, (None, None, None))
         communication, mapping = od.TPDO_COMMUNICATION + number - 1, od.TPDO_MAPPING + number - 1
         entries = [int(values[mapping, place]) for place in range(1, int(values[mapping, 0]) + 1)]
         tpdos.append(
@@ -268,9 +296,6 @@ def _tpdos(contract: Contract, node: NodeContract, values: _Values) -> list[Boar
                 mapping=[
                     MappedObject(index=entry >> 16, subindex=entry >> 8 & 0xFF, bits=entry & 0xFF) for entry in entries
                 ],
-                level=level,
-                group=group,
-                is_fine=is_fine,
                 state=states.get(number),
             )
         )

@@ -1,8 +1,8 @@
 """The objects of a node that the gateway compares before it uses the node's sums, and their signature.
 
 A TPDO does not tell its mapping. A block is valid only while these objects are known to have the values of the
-contract: identity, identifiers, mapping, SYNC, test pattern, Φ, and the code of adaptive sums (2007h). What a node
-learns, and when it sends (2030h to 2035h), does not alter what a frame means.
+contract: identity, identifiers, mapping, SYNC, test pattern, Φ, and unit (2007h) and slots (2031h:2) of adaptive sums.
+What a node learns, and what it leaves out, does not alter what a frame means.
 """
 
 import struct
@@ -17,7 +17,7 @@ from dbc.dictionary import dictionary
 from dbc.objects import Object
 
 #: Sub-indices of an object that are compared; objects without an entry are compared whole.
-_COMPARED: Final = {od.IDENTITY: (1, 2), od.STATE: (2,)}
+_COMPARED: Final = {od.IDENTITY: (1, 2), od.STATE: (2,), od.SENDING: (2,)}
 #: COB-ID, transmission type and, of TPDOs, the SYNC start value; the other sub-indices concern event-driven PDOs only.
 _COMPARED_OF_RPDO: Final = (1, 2)
 _COMPARED_OF_TPDO: Final = (1, 2, 6)
@@ -31,7 +31,7 @@ _WHOLE: Final = (
     od.BLOCK,
     od.PHI_FINGERPRINT,
     od.ENCODING,
-    od.COMPANDING,
+    od.UNIT,
 )
 
 #: Shortest time of a round, see `proof_period_s`.

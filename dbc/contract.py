@@ -5,20 +5,20 @@ names its cycle, however late it comes.
 
 With `sync.turns` = t the TPDOs of a node take turns: TPDO k answers the SYNCs of turn k mod t, which is transmission
 type t with SYNC start value turn + 1.
+
+The first byte of an adaptive TPDO is the number of its slot (`dbc.steps`), and words of its parts follow.
 """
 
-import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
-from typing import ClassVar, Final, NamedTuple, Self
+from typing import Final, NamedTuple, Self
 
 import numpy as np
 import numpy.typing as npt
 
 from canskin.errors import LayoutError
-from dbc.adaptive import FINE_LEVELS, LEVELS, Companding, carried, cob_id, column_of, companding, payload_bytes
-from dbc.adaptive_filter import SAMPLE_NS
+from dbc import steps
 from dbc.canopen import (
     HIGHEST_NODE_ID,
     NMT_COB_ID,
@@ -29,17 +29,17 @@ from dbc.canopen import (
     TPDO_BASES,
 )
 from dbc.frame import BRS, CLASSIC_BYTES, FD, FD_BYTES, FD_LENGTHS, Frames, frames, one_frame
-from dbc.frame_bits import frame_time_ns, wire_bits
+from dbc.frame_bits import frame_time_ns
 from dbc.packing import COUNTER_BYTES, Packing, packing
 from skin.choice import SUMS_MAX
 from skin.layout import SUM_BITS_MAX, SUM_BITS_MIN, Bus, Layout
 from skin.measurement import Sbhe, places
-from skin.sending import COARSE_STEP_RATIO
+from skin.walsh import grouped_rows
 
 #: Most bytes of one object in an SDO transfer; far above the size of any object of a node.
 LONGEST_VALUE: Final = 256
-#: The byte of 2005h that tells offset binary (1) tells companded sums by this.
-_COMPANDED: Final = 2
+#: The byte of 2005h that tells offset binary (1) tells words of steps by this.
+_WORDS: Final = 3
 #: The same byte with this added: sums of an analogue front end.
 _ANALOGUE: Final = 4
 
@@ -49,6 +49,9 @@ class Tpdo:
     """One transmit PDO: the SYNC counter and `sums` consecutive sums from `first_sum` on, at the SYNCs of its `turn`.
 
     With one turn `turn` is 0. `length` is the payload in bytes, with the padding of CAN FD.
+
+    An adaptive TPDO carries words of parts (`Contract.forms_of`): their sums are in the order of
+    `skin.walsh.grouped_rows`, `first_sum` counts so, too, and `turn` is 0.
     """
 
     number: int
@@ -57,46 +60,14 @@ class Tpdo:
     first_sum: int
     sums: int
     length: int
-    kind: ClassVar[str] = "TPDO"
-
-
-@dataclass(frozen=True)
-class AdaptiveTpdo:
-    """One transmit PDO of an adaptive node: the sums of a group (`skin.walsh.grouped_rows`) at a level of urgency.
-
-    A coarse frame carries the eight sums, a fine frame (`is_fine`) what refines them (`dbc.adaptive`). A CAN FD frame
-    carries several of the `of_node` groups, the coarse codes in fine frames, too; `group` is the first of them.
-    """
-
-    number: int
-    cob_id: int
-    level: int
-    group: int
-    is_fine: bool
-    is_fd: bool
-    of_node: int
-
-    @property
-    def length(self) -> int:
-        """Payload in bytes."""
-        return int(payload_bytes(self.is_fine, self.is_fd, self.of_node))
-
-    @property
-    def kind(self) -> str:
-        """``fine`` or ``coarse``."""
-        return "fine" if self.is_fine else "coarse"
-
-    @property
-    def groups(self) -> range:
-        """The groups that the frame carries."""
-        return range(self.group, self.group + carried(self.of_node, self.is_fd))
 
 
 @dataclass(frozen=True)
 class NodeContract:
     """One CANopen node: `blocks` blocks of the skin from `block` on, and the frames it sends.
 
-    `flags` are the flags of its PDOs (`dbc.frame`); all its other frames are classic.
+    `flags` are the flags of its PDOs (`dbc.frame`); all its other frames are classic. `forms` are those of the parts of
+    an adaptive node.
     """
 
     bus: int
@@ -107,17 +78,12 @@ class NodeContract:
     packing: Packing
     flags: int
     tpdos: tuple[Tpdo, ...]
-    adaptive_tpdos: tuple[AdaptiveTpdo, ...] = ()
+    forms: tuple[steps.Form, ...] = ()
 
     @property
     def is_adaptive(self) -> bool:
-        """Whether the node sends when it has news."""
-        return bool(self.adaptive_tpdos)
-
-    @property
-    def all_tpdos(self) -> tuple[Tpdo | AdaptiveTpdo, ...]:
-        """Its TPDOs, whatever makes it send."""
-        return self.tpdos or self.adaptive_tpdos
+        """Whether the node sends steps."""
+        return bool(self.forms)
 
     @property
     def pdo_bytes(self) -> int:
@@ -128,11 +94,11 @@ class NodeContract:
     def encoding(self) -> int:
         """Encoding of its PDOs as one number (2005h): width, log2 of the scale, offset binary, blocks.
 
-        Companded sums of 8 bits (`dbc.adaptive`) have a 2 where others have 1 for offset binary, and no scale. Sums of
-        an analogue front end (`skin.frontend`) have 4 or 5 there.
+        Words (`dbc.steps`) have their width, a 3 where others have 1 for offset binary, and no scale. Sums of an
+        analogue front end (`skin.frontend`) have 4 or 5 there.
         """
         if self.is_adaptive:
-            return 8 | _COMPANDED << 16 | self.blocks << 24
+            return 8 * steps.WORD_BYTES | _WORDS << 16 | self.blocks << 24
         step = self.packing.scale.bit_length() - 1
         form = (not self.packing.is_signed) + (0 if self.packing.converter is None else _ANALOGUE)
         return self.packing.bits | step << 8 | form << 16 | self.blocks << 24
@@ -182,14 +148,32 @@ class Contract:
 
     @property
     def is_adaptive(self) -> bool:
-        """Whether the nodes send when they have news."""
+        """Whether the nodes send steps."""
         return self.nodes[0].is_adaptive
 
-    @cached_property
-    def law(self) -> Companding:
-        """How adaptive nodes code their sums."""
-        taxels = self.layout.taxels
-        return companding(taxels.force_max_n, COARSE_STEP_RATIO * taxels.force_max_n, self.phi.block_size)
+    @property
+    def unit_n(self) -> float:
+        """The unit of adaptive sums, newtons."""
+        return steps.unit_n(self.layout.taxels.force_max_n, self.phi.block_size)
+
+    @property
+    def slots(self) -> int:
+        """Number of slots of an adaptive node from SYNC to SYNC."""
+        return self.layout.slots
+
+    @property
+    def slot_cycle(self) -> int:
+        """Number of slots after which their numbers come again."""
+        return steps.slot_cycle(self.slots)
+
+    @property
+    def keep_max(self) -> int:
+        """Number of slots after which a silent adaptive node sends checks at the latest."""
+        return steps.keep_max(self.slots)
+
+    def forms_of(self, bus: int) -> tuple[steps.Form, ...]:
+        """Return the forms of the parts of an adaptive node on bus number `bus`: all its nodes have the same."""
+        return self.on_bus(bus)[0].forms
 
     @property
     def turns(self) -> int:
@@ -220,7 +204,7 @@ class Contract:
         for node in self.on_bus(bus):
             found |= {base + node.node_id: f"{what} of node {node.node_id}" for base, what in SERVICES.items()}
             for state in self.states_of(node):
-                found |= {tpdo.cob_id: f"TPDO {tpdo.number} of node {node.node_id}" for tpdo in state.all_tpdos}
+                found |= {tpdo.cob_id: f"TPDO {tpdo.number} of node {node.node_id}" for tpdo in state.tpdos}
         return found
 
     def cycle(self, bus: int, turn: int = 0) -> Frames:
@@ -252,6 +236,11 @@ class Contract:
         """All TPDOs of all buses as arrays."""
         return _table(self)
 
+    @cached_property
+    def parts(self) -> "PartTable":
+        """All parts of adaptive nodes as arrays."""
+        return _parts(self)
+
 
 class FrameTable(NamedTuple):
     """Every TPDO of the skin, one row each, ordered by bus, node and number; compiled code takes it as it is.
@@ -276,6 +265,34 @@ class FrameTable(NamedTuple):
     row_of: npt.NDArray[np.intp]
 
 
+class PartTable(NamedTuple):
+    """Every part of the adaptive nodes of a skin, numbered by node, and the frames that carry them, for compiled code.
+
+    Attributes
+    ----------
+    row_of : array of int, shape (buses, 2048)
+        As in `FrameTable`: the frame of an 11-bit identifier on a bus, -1 for every other identifier.
+    node, length, flags : arrays of int, shape (frames,)
+        As in `FrameTable`.
+    part, parts : arrays of int, shape (frames,)
+        The first of a frame's parts, and how many follow each other in the frame.
+    block, first : arrays of int, shape (parts,)
+        Block of a part, and the place of its first sum in the block, in the order of `skin.walsh.grouped_rows`.
+    form : array of int64, shape (parts, 5)
+        The fields of `dbc.steps.Form`.
+    """
+
+    row_of: npt.NDArray[np.intp]
+    node: npt.NDArray[np.intp]
+    part: npt.NDArray[np.intp]
+    parts: npt.NDArray[np.intp]
+    length: npt.NDArray[np.uint8]
+    flags: npt.NDArray[np.uint8]
+    block: npt.NDArray[np.intp]
+    first: npt.NDArray[np.intp]
+    form: npt.NDArray[np.int64]
+
+
 def sync_frame(sync_counter: int) -> Frames:
     """Return the SYNC frame of a counter value, which is its one byte."""
     return one_frame(SYNC_COB_ID, bytes((sync_counter,)))
@@ -286,64 +303,43 @@ def frame_flags(line: Bus) -> int:
     return FD | (BRS if line.data_bitrate else 0) if line.fd else 0
 
 
-def sum_frame(line: Bus, groups: int, *, is_fine: bool) -> Frames:
-    """Return a frame of adaptive sums of a node with `groups` groups as a bus carries it, identifier and data 0."""
-    one = frames(1)
-    one["length"], one["flags"] = payload_bytes(is_fine, line.fd, groups), frame_flags(line)
-    return one
-
-
-def sum_frame_bits(line: Bus, groups: int, *, is_fine: bool) -> int:
-    """Return the longest time of a frame of adaptive sums in bits at the nominal rate: what it takes of a budget."""
-    nominal, data = wire_bits(sum_frame(line, groups, is_fine=is_fine), "worst")
-    return int(nominal[0]) + math.ceil(int(data[0]) * line.bitrate / (line.data_bitrate or line.bitrate))
-
-
-def sample_age_ns(line: Bus, groups: int) -> int:
-    """Return how old the sample of a frame of adaptive sums is at most when the frame ends, nanoseconds.
-
-    A frame that has not won the bus within a sample is made anew of the next sample. Boards sample by clocks of their
-    own, so a gateway knows no more.
-    """
-    longest = sum_frame(line, groups, is_fine=True)
-    return SAMPLE_NS + int(frame_time_ns(longest, line.bitrate, line.data_bitrate, "worst")[0])
-
-
 def _phi_and_nodes(
     layout: Layout, taken: Mapping[tuple[int, int], int]
 ) -> tuple[Sbhe, Packing, tuple[NodeContract, ...]]:
     """Return Φ, packing and nodes; `taken` has the number of TPDOs that a node has besides, by bus and node-ID."""
     phi, pack = layout.phi(), packing(layout)
-    is_adaptive = layout.sending == "adaptive"
     nodes: list[NodeContract] = []
     for number, bus in enumerate(layout.bus):
-        flags = frame_flags(bus)
         for place, node_id in enumerate(bus.ids):
             block = layout.first_block(number) + place * bus.blocks_per_node
-            first, last = int(phi.starts[block]), int(phi.starts[block + bus.blocks_per_node])
-            adaptive = _adaptive_tpdos(node_id, layout.groups, is_fd=bus.fd) if is_adaptive else ()
-            others = taken.get((number, node_id), 0)
-            sums = range(first, last)
-            tpdos: tuple[Tpdo, ...] = ()
-            if not is_adaptive:
+            sums = range(int(phi.starts[block]), int(phi.starts[block + bus.blocks_per_node]))
+            forms: tuple[steps.Form, ...] = ()
+            if layout.sends.in_cycles:
+                others = taken.get((number, node_id), 0)
                 tpdos = _tpdos(bus, number, place, sums, pack.bits, turns=layout.sync.turns, others=others)
-            nodes.append(
-                NodeContract(number, node_id, block, bus.blocks_per_node, last - first, pack, flags, tpdos, adaptive)
-            )
+            else:
+                forms = tuple(steps.forms(len(sums), is_fd=bus.fd))
+                tpdos = _tpdos_of_parts(bus, number, place, sums, forms)
+            flags, blocks = frame_flags(bus), bus.blocks_per_node
+            nodes.append(NodeContract(number, node_id, block, blocks, len(sums), pack, flags, tpdos, forms))
     return phi, pack, tuple(nodes)
 
 
-def _adaptive_tpdos(node_id: int, groups: int, *, is_fd: bool) -> tuple[AdaptiveTpdo, ...]:
-    """Return the TPDOs of an adaptive node, the most urgent first."""
-    column = column_of(node_id, groups, is_fd=is_fd)
-    kinds = [(level, False) for level in reversed(range(LEVELS))]
-    kinds += [(level, True) for level in reversed(range(FINE_LEVELS))]
-    found = [
-        (cob_id(column, level, group, is_fine, groups), level, group, is_fine, is_fd, groups)
-        for level, is_fine in kinds
-        for group in range(0, groups, carried(groups, is_fd))
-    ]
-    return tuple(AdaptiveTpdo(number, *each) for number, each in enumerate(found, 1))
+def _tpdos_of_parts(bus: Bus, number: int, place: int, sums: range, forms: Sequence[steps.Form]) -> tuple[Tpdo, ...]:
+    """Return the TPDOs of the adaptive node at a place of a bus: one for each part, on CAN FD one for all."""
+    together = len(forms) if bus.fd else 1
+    of_frame = sum(form.sums for form in forms[:together])
+    return tuple(
+        Tpdo(
+            number=index + 1,
+            cob_id=_cob_id(bus, number, place, index),
+            turn=0,
+            first_sum=first,
+            sums=of_frame,
+            length=_length(together, 8 * steps.WORD_BYTES, fd=bus.fd),
+        )
+        for index, first in enumerate(sums[::of_frame])
+    )
 
 
 def _tpdos(bus: Bus, number: int, place: int, sums: range, bits: int, *, turns: int, others: int) -> tuple[Tpdo, ...]:
@@ -392,7 +388,7 @@ def _spread(sums: range, bits: int, *, fd: bool, turns: int = 1) -> list[range]:
 
 
 def _length(sums: int, bits: int, *, fd: bool) -> int:
-    """Return the payload bytes of a frame with `sums` sums, counter and padding included."""
+    """Return the payload bytes of a frame with `sums` sums, or words, of `bits`, counter and padding included."""
     length = COUNTER_BYTES - (-sums * bits // 8)
     return next(each for each in FD_LENGTHS if each >= length) if fd else length
 
@@ -439,7 +435,7 @@ def _table(contract: Contract) -> FrameTable:
     gather = np.full((len(rows), max((tpdo.sums for _, tpdo in rows), default=0)), -1, np.intp)
     row_of = np.full((len(contract.layout.bus), 0x800), -1, np.intp)
     for row, (node, tpdo) in enumerate(rows):
-        gather[row, : tpdo.sums] = range(tpdo.first_sum, tpdo.first_sum + tpdo.sums)
+        gather[row, : tpdo.sums] = places_of_sums(contract, node, tpdo)
         row_of[node.bus, tpdo.cob_id] = row
     return FrameTable(
         bus=np.array([node.bus for node, _ in rows], np.intp),
@@ -451,3 +447,34 @@ def _table(contract: Contract) -> FrameTable:
         gather=gather,
         row_of=row_of,
     )
+
+
+def places_of_sums(contract: Contract, node: NodeContract, tpdo: Tpdo) -> list[int]:
+    """Return the places of a TPDO's sums among all sums, in the order of the frame."""
+    sums = range(tpdo.first_sum, tpdo.first_sum + tpdo.sums)
+    if not node.is_adaptive:
+        return list(sums)
+    start, rows = int(contract.phi.starts[node.block]), grouped_rows(node.sums).ravel()
+    return [start + int(rows[each - start]) for each in sums]
+
+
+def _parts(contract: Contract) -> PartTable:
+    table, forms = contract.table, [form for node in contract.nodes for form in node.forms]
+    block = np.array([node.block for node in contract.nodes for _ in node.forms], np.intp)
+    parts = np.array([len(node.forms) // len(node.tpdos) for node in contract.nodes for _ in node.tpdos], np.intp)
+    return PartTable(
+        row_of=table.row_of,
+        node=table.node,
+        part=np.cumsum(parts) - parts,
+        parts=parts,
+        length=table.length,
+        flags=table.flags,
+        block=block,
+        first=np.array([first for node in contract.nodes for first in _firsts(node.forms)], np.intp),
+        form=np.array(forms, np.int64).reshape(-1, len(steps.Form._fields)),
+    )
+
+
+def _firsts(forms: Sequence[steps.Form]) -> list[int]:
+    """Return the place of the first sum of each part."""
+    return [sum(form.sums for form in forms[:part]) for part in range(len(forms))]

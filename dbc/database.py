@@ -11,7 +11,6 @@ from collections.abc import Mapping, Sequence
 from enum import IntEnum
 from typing import TYPE_CHECKING, Final
 
-from dbc.adaptive import FINE_BITS, GROUP_SUMS, OTHER_CODES, part_of, parts_of
 from dbc.canopen import (
     EMCY_BASE,
     HEARTBEAT_BASE,
@@ -24,12 +23,12 @@ from dbc.canopen import (
     NmtCommand,
     NmtState,
 )
-from dbc.contract import AdaptiveTpdo, Contract, NodeContract, Tpdo
+from dbc.contract import Contract, NodeContract, Tpdo, places_of_sums
 from dbc.dictionary import HEARTBEAT_MS, SkinState
 from dbc.frame import FD
 from dbc.packing import COUNTER_BYTES, rounding_error_n
+from dbc.steps import WORD_BYTES
 from skin.sync_counter import SYNC_OVERFLOW
-from skin.walsh import grouped_rows
 
 if TYPE_CHECKING:
     from cantools.database.can import Message, Signal
@@ -80,7 +79,7 @@ def database(contract: Contract, bus: int) -> str:
 def _unit_text(contract: Contract) -> str:
     """Return a sentence on the values of sums."""
     if contract.is_adaptive:
-        return "Sums are companded; the comment of each message says how to expand them."
+        return f"Words move or set sums in units of {contract.unit_n:.6g} N, see the document of adaptive sending."
     scale, error_n = contract.packing.scale, rounding_error_n(contract.layout)
     exact = f"rounded to {scale}, which adds at most {error_n:.3g} N to a sum" if scale > 1 else "they are exact"
     return f"Sums are in ADC counts, {contract.layout.taxels.newton_per_count:.6g} N each; {exact}."
@@ -227,8 +226,7 @@ def _node(contract: Contract, node: NodeContract) -> list["Message"]:
     ]
     beats = _message(f"{name}_Heartbeat", HEARTBEAT_BASE + node_id, 1, name, state, cycle_ms=HEARTBEAT_MS)
     return [
-        *(_sums(contract, node, tpdo) for tpdo in node.tpdos),
-        *(_adaptive_sums(contract, node, tpdo) for tpdo in node.adaptive_tpdos),
+        *((_words if node.is_adaptive else _sums)(contract, node, tpdo) for tpdo in node.tpdos),
         _message(f"{name}_EMCY", EMCY_BASE + node_id, 8, name, emergency),
         beats,
         _message(f"{name}_SDO_Request", SDO_REQUEST_BASE + node_id, 8, GATEWAY, _transfer(name)),
@@ -275,52 +273,24 @@ def _sums(contract: Contract, node: NodeContract, tpdo: Tpdo, suffix: str = "") 
     )
 
 
-def _adaptive_sums(contract: Contract, node: NodeContract, tpdo: AdaptiveTpdo) -> "Message":
-    """Return a TPDO of an adaptive node: coarse codes, or fine codes and their check; on CAN FD of some groups."""
-    name, kind = _name(node), "Fine" if tpdo.is_fine else "Coarse"
-    signals, meanings = [], []
-    for part in range(parts_of(tpdo.is_fine, tpdo.is_fd, tpdo.of_node)):
-        group, is_fine = part_of(part, tpdo.group, tpdo.is_fine, tpdo.is_fd, tpdo.of_node)
-        signals += _part(contract, node, group, 8 * GROUP_SUMS * part, is_fine=is_fine, is_fd=tpdo.is_fd)
-    law = contract.law
-    if tpdo.is_fd or not tpdo.is_fine:
-        mean = f"{law.mean_knee_n:.6g} N * sinh(code / {law.mean_slope:.6g})"
-        other = f"{law.knee_n:.6g} N * sinh((code - {OTHER_CODES + 1}) / {law.slope:.6g})"
-        meanings.append(f"value = {other}" + (f"; of the first row {mean}" if tpdo.group == 0 else ""))
-    if tpdo.is_fine:
-        meanings.append(
-            f"{'fine ' if tpdo.is_fd else ''}value = N * {law.fine_n:.6g} N; "
-            "N: of all integers with these low bits the nearest to the coarse value"
-        )
-    what, groups = str(tpdo.group), f"Group {tpdo.group}"
-    if tpdo.is_fd:
-        is_whole = len(tpdo.groups) == tpdo.of_node
-        what, groups = ("", "All groups") if is_whole else (what, f"Groups {tpdo.groups[0]} to {tpdo.groups[-1]}")
+def _words(contract: Contract, node: NodeContract, tpdo: Tpdo) -> "Message":
+    """Return a TPDO of an adaptive node with its slot and words."""
+    name, parts = _name(node), len(node.forms) // len(node.tpdos)
+    first, width = parts * (tpdo.number - 1), 8 * WORD_BYTES
+    signals = [_signal("Slot", 0, 8 * COUNTER_BYTES, receiver=GATEWAY)]
+    for place in range(parts):
+        start = 8 * COUNTER_BYTES + place * width
+        signals.append(_signal(f"Word{first + place + 1}", start, width, receiver=GATEWAY))
+    rows = ", ".join(str(contract.phi.row_of_sum[each]) for each in places_of_sums(contract, node, tpdo))
     return _message(
-        f"{name}_{kind}{what}_Level{tpdo.level}",
+        f"{name}_TPDO{tpdo.number}",
         tpdo.cob_id,
         tpdo.length,
         name,
         signals,
-        comment=f"{groups} at urgency {tpdo.level}: {'; '.join(meanings)}",
-        is_fd=tpdo.is_fd,
+        comment=f"Words of the sums of block {node.block} of Hadamard rows {rows}",
+        is_fd=bool(node.flags & FD),
     )
-
-
-def _part(
-    contract: Contract, node: NodeContract, group: int, start: int, *, is_fine: bool, is_fd: bool
-) -> list["Signal"]:
-    """Return the signals of a group's coarse or fine payload, which begins at bit `start` of its frame."""
-    first, width = int(contract.phi.starts[node.block]), FINE_BITS if is_fine else 8
-    more, number = ("_Fine", str(group)) if is_fine and is_fd else ("", "")
-    rows = grouped_rows(contract.phi.block_size)[group].tolist()
-    signals = [
-        _signal(signal_name(contract, first + row) + more, start + place * width, width, receiver=GATEWAY)
-        for place, row in enumerate(rows)
-    ]
-    if is_fine:
-        signals.append(_signal(f"Check{number}", start + len(rows) * width, 8, receiver=GATEWAY))
-    return signals
 
 
 def _milliseconds(period_s: float) -> int:

@@ -5,12 +5,10 @@ that it needs to refuse a node programmed for another Φ.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from enum import IntEnum
 from typing import Final
 
 from dbc import indices as od
-from dbc.adaptive import GROUP_SUMS, SendingRule
 from dbc.canopen import (
     COB_ID_NO_RTR,
     EMCY_BASE,
@@ -20,10 +18,11 @@ from dbc.canopen import (
     STATE_COB_ID,
     SYNC_COB_ID,
 )
-from dbc.contract import AdaptiveTpdo, Contract, NodeContract, Tpdo
-from dbc.objects import HIGHEST_SUBINDEX, Access, Object, array, mapping, places, record
+from dbc.contract import Contract, NodeContract, Tpdo
+from dbc.objects import HIGHEST_SUBINDEX, Access, Object, Value, array, mapping, places, record
 from dbc.packing import COUNTER_BYTES
 from dbc.program import ProgramControl
+from dbc.steps import WORD_BYTES
 from skin.layout import Layout
 from skin.sync_counter import SYNC_OVERFLOW
 
@@ -49,8 +48,6 @@ SILENT_AFTER_S: Final = 1.5 * HEARTBEAT_MS / 1000
 REACTION_NS: Final = 100_000
 #: Part of the cycle in which TPDOs may be sent (1007h); the bus is then free at the next SYNC.
 WINDOW_RATIO: Final = 0.99
-#: Least time between two frames of an adaptive TPDO.
-INHIBIT_100US: Final = 10
 #: Entries of the pre-defined error field.
 ERRORS_KEPT: Final = 8
 #: Most heartbeats that a node can watch.
@@ -72,10 +69,8 @@ def dictionary(contract: Contract, node: NodeContract) -> list[Object]:
     return [
         *_communication(contract, node),
         *_state_rpdo(contract),
-        *(entry for _, tpdo in tpdos for entry in _tpdo_communication(tpdo.number, _synchronous(contract, tpdo))),
-        *(entry for tpdo in node.adaptive_tpdos for entry in _tpdo_communication(tpdo.number, _adaptive(tpdo))),
-        *(entry for first, tpdo in tpdos for entry in _tpdo_mapping(contract, node, tpdo, first)),
-        *(entry for tpdo in node.adaptive_tpdos for entry in _adaptive_mapping(tpdo)),
+        *(entry for _, tpdo in tpdos for entry in _tpdo_communication(contract, tpdo)),
+        *(entry for sums, tpdo in tpdos for entry in _tpdo_mapping(contract, node, tpdo, sums)),
         *_program_download(),
         *_manufacturer(contract, node),
     ]
@@ -210,62 +205,42 @@ def _identity(contract: Contract, node: NodeContract) -> list[Object]:
     return [Object(od.IDENTITY, sub, name, kind, "ro", value, group="Identity") for sub, name, kind, value in entries]
 
 
-@dataclass(frozen=True)
-class _Communication:
-    """Values of a TPDO communication record: COB-ID, transmission type, inhibit time, SYNC start value.
+def _transmission_type(contract: Contract) -> int:
+    """Return the number of turns; of adaptive nodes 254, or at SYNC 1, or 0 where slots may be empty."""
+    if not contract.is_adaptive:
+        return contract.turns
+    steps = contract.layout.steps
+    return int(steps.quiet == 0) if steps.at_sync else EVENT_MANUFACTURER
 
-    A fixed TPDO has one transmission type, and neither event timer nor SYNC start value.
+
+def _tpdo_communication(contract: Contract, tpdo: Tpdo) -> list[Object]:
+    """Return the communication record (from 1800h); the RTR bit is set: remote frames are not answered.
+
+    With turns a TPDO has the SYNC start value of its turn. An adaptive TPDO is fixed: all but its identifier.
     """
-
-    cob_id: int
-    transmission_type: int
-    inhibit_100us: int = 0
-    start: int = 0
-    is_fixed: bool = False
-
-
-def _synchronous(contract: Contract, tpdo: Tpdo) -> _Communication:
-    """Return type 1 for one turn, else the number of turns, with the SYNC start value of the TPDO's turn."""
-    return _Communication(tpdo.cob_id, contract.turns, start=tpdo.turn + 1 if contract.turns > 1 else 0)
-
-
-def _adaptive(tpdo: AdaptiveTpdo) -> _Communication:
-    return _Communication(tpdo.cob_id, EVENT_MANUFACTURER, inhibit_100us=INHIBIT_100US, is_fixed=True)
-
-
-def _tpdo_communication(number: int, values: _Communication) -> list[Object]:
-    """Return the communication record (from 1800h); the RTR bit is set: remote frames are not answered."""
-    index, group = od.TPDO_COMMUNICATION + number - 1, f"TPDO {number} communication parameter"
-    timing: Access = "const" if values.is_fixed else "rw"
+    index, group = od.TPDO_COMMUNICATION + tpdo.number - 1, f"TPDO {tpdo.number} communication parameter"
+    timing: Access = "const" if contract.is_adaptive else "rw"
     entries: tuple[tuple[int, str, int, Access, int], ...] = (
         (0, HIGHEST_SUBINDEX, od.UNSIGNED8, "const", 6),
-        (1, "COB-ID used by TPDO", od.UNSIGNED32, "rw", COB_ID_NO_RTR | values.cob_id),
-        (2, "Transmission type", od.UNSIGNED8, timing, values.transmission_type),
-        (3, "Inhibit time", od.UNSIGNED16, "rw", values.inhibit_100us),
+        (1, "COB-ID used by TPDO", od.UNSIGNED32, "rw", COB_ID_NO_RTR | tpdo.cob_id),
+        (2, "Transmission type", od.UNSIGNED8, timing, _transmission_type(contract)),
+        (3, "Inhibit time", od.UNSIGNED16, timing, 0),
         (5, "Event timer", od.UNSIGNED16, timing, 0),
-        (6, "SYNC start value", od.UNSIGNED8, timing, values.start),
+        (6, "SYNC start value", od.UNSIGNED8, timing, tpdo.turn + 1 if contract.turns > 1 else 0),
     )
     return [Object(index, sub, name, kind, access, value, group=group) for sub, name, kind, access, value in entries]
 
 
-def _adaptive_mapping(tpdo: AdaptiveTpdo) -> list[Object]:
-    """Return the fixed mapping of an adaptive TPDO: eight coarse bytes of a group, or its 64 fine bits.
-
-    On CAN FD those of several groups, fine bits behind all coarse bytes.
-    """
-    groups = tpdo.groups
-    mapped = []
-    if tpdo.is_fd or not tpdo.is_fine:
-        coarse = places(GROUP_SUMS * groups.stop)[GROUP_SUMS * groups.start :]
-        mapped += [od.COARSE << 16 | place << 8 | 8 for place in coarse]
-    if tpdo.is_fine:
-        mapped += [od.FINE << 16 | (group + 1) << 8 | 64 for group in groups]
-    return mapping(tpdo.number, len(mapped), mapped, "const")
-
-
 def _tpdo_mapping(contract: Contract, node: NodeContract, tpdo: Tpdo, sums: Sequence[int]) -> list[Object]:
-    """Return the mapping record (from 1A00h): index, sub-index and bits of the SYNC counter and of each of `sums`."""
+    """Return the mapping record (from 1A00h): index, sub-index and bits of the SYNC counter and of each of `sums`.
+
+    That of an adaptive TPDO is fixed: the slot and the words of its parts.
+    """
     mapped = [od.SYNC_COUNTER << 16 | 8 * COUNTER_BYTES]
+    if node.is_adaptive:
+        parts = len(node.forms) // len(node.tpdos)
+        mapped += [od.WORDS << 16 | place << 8 | 8 * WORD_BYTES for place in places(parts * tpdo.number)[-parts:]]
+        return mapping(tpdo.number, len(mapped), mapped, "const")
     for each in sums:
         block = int(contract.phi.block_of_sum[each])
         subindex = each - int(contract.phi.starts[block]) + 1
@@ -293,40 +268,42 @@ def _manufacturer(contract: Contract, node: NodeContract) -> list[Object]:
     ]
     whole += _state(contract)
     if node.tpdos:
-        whole.append(Object(od.SYNC_COUNTER, None, "SYNC counter of the sums", od.UNSIGNED8, "ro", 0, pdo=True))
+        counted = "Slot of the words" if node.is_adaptive else "SYNC counter of the sums"
+        whole.append(Object(od.SYNC_COUNTER, None, counted, od.UNSIGNED8, "ro", 0, pdo=True))
     if node.is_adaptive:
-        whole += _adaptive_objects(contract)
+        whole += _adaptive_objects(contract, node)
     if contract.layout.taxels.has_thermometers:
         whole.append(Object(od.TEMPERATURE, None, "Temperature in 0.1 K", od.INTEGER16, "ro", TEMPERATURE_UNKNOWN))
     blocks = [each for place in range(node.blocks) for each in _block(contract, node.block + place, place)]
     return sorted(whole + blocks, key=lambda each: each.index)
 
 
-def _adaptive_objects(contract: Contract) -> list[Object]:
-    """Return what an adaptive node has besides: code, settings, noise, and the bytes of its frames."""
-    law, rule, size = contract.law, SendingRule(), contract.phi.block_size
-    code = zip(("Slope of the mean row", "Knee of the mean row", "Slope", "Knee", "Fine step"), law, strict=True)
-    settings = zip((f"{name} of sending" for name in SendingRule._fields), rule, strict=True)
+def slot_offset_us(contract: Contract, node: NodeContract) -> int:
+    """Return the offset of an adaptive node in its slot (2031h:3), microseconds: the nodes of a bus share the slot."""
+    steps, ids = contract.layout.steps, contract.layout.bus[node.bus].ids
+    return 0 if steps.at_sync else round(1e6 * steps.slot_s * ids.index(node.node_id) / len(ids))
+
+
+def _adaptive_objects(contract: Contract, node: NodeContract) -> list[Object]:
+    """Return what an adaptive node has besides: unit, slots, noise, and the words of its frames."""
+    size = contract.phi.block_size
     coefficients = [f"Noise of Haar coefficient {place}" for place in places(size)]
     taxels = [f"Noise of the taxel at place {place}" for place in range(size)]
-    coarse = [f"Coarse code of sum {place}" for place in places(size)]
-    fine = [f"Fine code of group {place}" for place in places(contract.layout.groups)]
+    words = [f"Word of part {place}" for place in places(len(node.forms))]
+    sending: list[tuple[str, int, Access, Value]] = [
+        ("Quiet", od.REAL32, "rw", contract.layout.steps.quiet),
+        ("Slots per SYNC", od.UNSIGNED8, "rw", contract.slots),
+        ("Offset in the slot in microseconds", od.UNSIGNED32, "rw", slot_offset_us(contract, node)),
+    ]
     return [
-        *record(od.COMPANDING, "Companding", [(name, od.REAL32, "const", value) for name, value in code]),
-        Object(od.REFRESH, None, "Groups to send again, a bit each", od.UNSIGNED8, "rw", 0),
-        *record(
-            od.SENDING,
-            "Sending",
-            [(name, od.UNSIGNED32 if isinstance(value, int) else od.REAL32, "rw", value) for name, value in settings],
-        ),
+        Object(od.UNIT, None, "Unit of the sums in newtons", od.REAL32, "const", contract.unit_n),
+        Object(od.REFRESH, None, "1: set all sums", od.UNSIGNED8, "rw", 0),
+        *record(od.SENDING, "Sending", sending),
         # 0: learned by the node.
         *array(od.COEFFICIENT_NOISE, "Noise of coefficients in newtons", coefficients, od.REAL32, "rw", value=0.0),
         *array(od.TAXEL_NOISE, "Noise of taxels in newtons", taxels, od.REAL32, "rw", value=0.0),
-        # 0: none.
-        Object(od.BUDGET, None, "Budget in bits per second", od.UNSIGNED32, "rw", 0),
         Object(od.NODE_NOISE, None, "Noise of the node in newtons", od.REAL32, "ro", 0.0),
-        *array(od.COARSE, "Coarse codes", coarse, od.UNSIGNED8, "ro", pdo=True),
-        *array(od.FINE, "Fine codes", fine, od.UNSIGNED64, "ro", pdo=True),
+        *array(od.WORDS, "Words", words, od.UNSIGNED56, "ro", pdo=True),
     ]
 
 

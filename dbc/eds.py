@@ -49,6 +49,7 @@ _OF_NODE: Final = (
     od.ENCODING,
     od.GAIN,
     od.OFFSET,
+    od.SENDING,
 )
 #: Objects that are set while the node runs; objects that PDOs may carry are, too.
 _OF_RUN: Final = (
@@ -323,7 +324,7 @@ def _comments(contract: Contract, kind: NodeType) -> dict[str, str]:
 
 def _tpdos(contract: Contract, node: NodeContract) -> int:
     """Return the number of TPDOs of a node, in all its states."""
-    return sum(len(each.all_tpdos) for each in contract.states_of(node))
+    return sum(len(each.tpdos) for each in contract.states_of(node))
 
 
 def _count_flags(tpdos: int, rpdos: int) -> str:

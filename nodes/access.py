@@ -27,6 +27,7 @@ from dbc.canopen import (
 from dbc.dictionary import HEARTBEATS_WATCHED, SkinState
 from nodes.heartbeat import watched_node
 from nodes.objects import LocalNode
+from skin.sync_counter import SYNC_OVERFLOW
 
 
 def check_write(node: LocalNode, index: int, subindex: int, value: float) -> None:
@@ -41,7 +42,7 @@ def check_write(node: LocalNode, index: int, subindex: int, value: float) -> Non
         _consumer_heartbeat(node, subindex, int(value))
     elif (rule := _VALUES.get(od.split_block(index)[1])) is not None and not rule(value):
         raise SdoAbortedError(Abort.NOT_STORED if index in (od.STORE, od.RESTORE) else Abort.VALUE)
-    elif index == od.REFRESH and value >= 1 << node.unsigned(od.FINE, 0):  # a bit for each group
+    elif index == od.SENDING and subindex == 2 and not 1 <= value <= SYNC_OVERFLOW:
         raise SdoAbortedError(Abort.VALUE)
     elif index == od.SYNC_OVERFLOW and node.unsigned(od.CYCLE_PERIOD_US):
         raise SdoAbortedError(Abort.STATE)  # CiA 301, 7.5.2.22
@@ -80,7 +81,8 @@ _VALUES: Final[dict[int, Callable[[Any], bool]]] = {
     od.GAIN: math.isfinite,
     od.TEST_PATTERN: lambda value: value <= PATTERN_FULL,
     od.STATE: lambda value: value <= SkinState.IMAGES,
-    od.SENDING: lambda value: 0 < value < math.inf,
+    od.REFRESH: lambda value: value <= 1,
+    od.SENDING: lambda value: 0 <= value < math.inf,
     od.COEFFICIENT_NOISE: _is_noise,
     od.TAXEL_NOISE: _is_noise,
 }

@@ -75,10 +75,10 @@ def converter(layout: Layout) -> SumConverter | None:
 def sum_step_n(layout: Layout) -> float:
     """Return the step of a sum before it is packed, newtons: one count, or one step of its converter.
 
-    Of adaptive sums the coarse step near 0.
+    Of adaptive sums their unit.
     """
-    if layout.sends.coarse_step_ratio is not None:
-        return layout.sends.coarse_step_ratio * layout.taxels.force_max_n
+    if layout.sends.sum_bits is not None:
+        return layout.measurement.block_size * layout.taxels.force_max_n / (1 << layout.sends.sum_bits)
     of_sums = converter(layout)
     return layout.taxels.newton_per_count * (1 if of_sums is None else of_sums.step_counts)
 

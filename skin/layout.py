@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
 from importlib.resources import files
-from itertools import combinations
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
@@ -22,10 +21,11 @@ from skin.choice import BUSES_MAX, averaged_hz, carried_sums, carries_enough
 from skin.foreign import ForeignMessage, check_foreign, with_foreign_dbc
 from skin.matrix import KEY, MatrixPhi, entries_of, read_matrix
 from skin.measurement import Sbhe, of_rows, part_of, sbhe
-from skin.sending import ADAPTIVE_SIZES, IDENTIFIERS, IN_CYCLES, SENDINGS, Sending, SendingName, columns_of
+from skin.sending import ADAPTIVE_SIZES, BUS_SUMS, IN_CYCLES, SENDINGS, Sending, SendingName
 from skin.surface import LINK_RATIO, Surface, grid_surface, surface_of_positions
+from skin.sync_counter import SYNC_OVERFLOW
 from skin.toml_errors import in_words
-from skin.walsh import GROUP_ROWS, Indices, patches
+from skin.walsh import Indices, patches
 from skin.wiring import check_patch, within_patches
 
 #: Names of the layouts that come with the project.
@@ -192,8 +192,8 @@ class Sync(_Table, frozen=True, kw_only=True):
     """The SYNC producer: `rate_hz` cycles a second (CiA 301, 1005h and 1006h).
 
     A node sends all its sums in every cycle, or, with two `turns`, half of its frames in odd cycles and half in even
-    ones. Adaptive sending has no cycles and does not use the key. With `time_s` the gateway produces TIME, too
-    (CiA 301, 7.2.6): after a SYNC, every `time_s` seconds.
+    ones. Adaptive sending has slots in place of cycles (`Steps`) and does not use the key. With `time_s` the gateway
+    produces TIME, too (CiA 301, 7.2.6): after a SYNC, every `time_s` seconds.
     """
 
     # The lower limit keeps the period of 1006h, microseconds in 32 bits, far from overflow.
@@ -210,6 +210,24 @@ class Sync(_Table, frozen=True, kw_only=True):
     def round_s(self) -> float:
         """Time in which every sum comes once, seconds."""
         return self.turns * self.period_s
+
+
+class Steps(_Table, frozen=True, kw_only=True):
+    """When adaptive boards send: a board has one slot for each of its words in `slot_s`, a part of the SYNC period.
+
+    Attributes
+    ----------
+    slot_s : float
+    quiet : float
+        With 0 a board sends in every slot. Above, a slot stays empty unless the frame takes more than this part of the
+        noise (`dbc.steps.NOISE_RATIO`) from the difference.
+    at_sync : bool
+        All boards send at SYNC, the start of their slot. Otherwise each has its own place in the slot.
+    """
+
+    slot_s: Annotated[float, msgspec.Meta(ge=1e-3, le=10.0)] = 0.004
+    quiet: Annotated[float, msgspec.Meta(ge=0, le=1000)] = 0.1
+    at_sync: bool = False
 
 
 class Recognition(_Table, frozen=True, kw_only=True):
@@ -315,12 +333,13 @@ class Layout(_Table, frozen=True, kw_only=True):
 
     name: Name = "skin"
     configure: Literal["write", "refuse"] = "write"
-    # Sums at every SYNC, or whenever they carry news.
+    # Sums at every SYNC, or whenever a frame is worth its bits.
     sending: SendingName = "synchronous"
     taxels: Taxels = msgspec.field(default_factory=Taxels)
     measurement: PhiParameters = msgspec.field(default_factory=PhiParameters)
     sync: Sync = msgspec.field(default_factory=Sync)
     sampling: Sampling = msgspec.field(default_factory=Sampling)
+    steps: Steps = msgspec.field(default_factory=Steps)
     encoding: Encoding = msgspec.field(default_factory=Encoding)
     # Without it the nodes send all sums in every cycle.
     recognition: Recognition | None = None
@@ -346,9 +365,9 @@ class Layout(_Table, frozen=True, kw_only=True):
         return self.blocks * self.measurement.block_size
 
     @property
-    def groups(self) -> int:
-        """Number of groups of sums of an adaptive board."""
-        return self.measurement.block_size // GROUP_ROWS
+    def slots(self) -> int:
+        """Number of slots of an adaptive board from SYNC to SYNC."""
+        return round(self.sync.period_s / self.steps.slot_s)
 
     @property
     def samples_per_sync(self) -> int:
@@ -596,7 +615,7 @@ def _with_choices(tables: dict[str, Any], parameters: PhiParameters, blocks: int
     measurement.setdefault("sums", least)
     if "taxels" not in tables and not has_buses:  # without taxels and buses the file is no layout
         return tables
-    most = NODES_PER_BUS if sends.in_cycles else min(NODES_PER_BUS, IDENTIFIERS * GROUP_ROWS // parameters.block_size)
+    most = NODES_PER_BUS if sends.in_cycles else min(NODES_PER_BUS, BUS_SUMS // parameters.block_size)
     fewest = -(-blocks // most)
     tables.setdefault("bus", _even_buses(blocks, fewest))
     try:
@@ -682,6 +701,8 @@ def _check(layout: Layout) -> None:
     _check_measurement(layout)
     if not layout.sends.in_cycles:
         _check_adaptive(layout)
+    elif layout.steps != Steps():
+        raise LayoutError('slots need `sending = "adaptive"` - at `$.steps`')
     sampled_hz = layout.sampling.rate_hz
     if sampled_hz is not None and sampled_hz < layout.sync.rate_hz:
         limit = f"expected {layout.sync.rate_hz:g} (`sync.rate_hz`) or more"
@@ -857,7 +878,7 @@ def _check_recognition(layout: Layout, state: Recognition) -> None:
 
 
 def _check_adaptive(layout: Layout) -> None:
-    """Check what adaptive sending needs: one patch of `ADAPTIVE_SIZES` taxels on a node, its rates, identifiers."""
+    """Check what adaptive sending needs: one patch of `ADAPTIVE_SIZES` taxels on a node, its rates, whole slots."""
     measurement = layout.measurement
     size = measurement.block_size
     if size not in ADAPTIVE_SIZES:
@@ -867,23 +888,23 @@ def _check_adaptive(layout: Layout) -> None:
         "taxels.frontend": (layout.taxels.frontend, "digital"),
         "measurement.wiring": (measurement.wiring, "file" if measurement.chains else "board"),
         "measurement.sums": (measurement.sums, layout.places),
-        "sync.rate_hz": (layout.sync.rate_hz, layout.sends.default_rates_hz["sync"]),
         "sync.turns": (layout.sync.turns, 1),
         "sampling.rate_hz": (layout.sampling.rate_hz, layout.sends.default_rates_hz["sampling"]),
     }
     for path, (got, expected) in wanted.items():
         if got != expected:
             raise LayoutError(f"adaptive sending expects {expected!r}, got {got!r} - at `$.{path}`")
+    slots, period_s = layout.slots, layout.sync.period_s
+    if not 1 <= slots <= SYNC_OVERFLOW or not math.isclose(slots * layout.steps.slot_s, period_s):
+        limits = f"expected {period_s:g} s from SYNC to SYNC, or a whole part of it, down to 1/{SYNC_OVERFLOW}"
+        raise LayoutError(f"{limits}, got {layout.steps.slot_s:g} - at `$.steps.slot_s`")
+    if layout.steps.at_sync and slots > 1:
+        limits = f"boards that send at SYNC expect {1 / layout.steps.slot_s:g} (1 / `steps.slot_s`)"
+        raise LayoutError(f"{limits}, got {layout.sync.rate_hz:g} - at `$.sync.rate_hz`")
     for index, bus in enumerate(layout.bus):
-        columns = columns_of(layout.groups, bus.fd)
-        most = min(NODES_MAX, columns)
-        if bus.blocks_per_node != 1 or bus.nodes > most:
-            limits = f"adaptive sending expects at most {most} nodes of one block"
-            raise LayoutError(f"{limits}, got {bus.nodes} of {bus.blocks_per_node} - at `$.bus[{index}]`")
-        for one, other in combinations(bus.ids, 2):
-            if (other - one) % columns == 0:
-                limits = f"node-IDs that are {columns} apart have the same identifiers of adaptive sums"
-                raise LayoutError(f"{limits}: expected one of {one} and {other}, got both - at `$.bus[{index}]`")
+        if bus.blocks_per_node != 1:
+            limits = "adaptive sending expects nodes of one block"
+            raise LayoutError(f"{limits}, got nodes of {bus.blocks_per_node} - at `$.bus[{index}].blocks_per_node`")
 
 
 def _check_buses(layout: Layout) -> None:

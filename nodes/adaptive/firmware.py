@@ -47,13 +47,15 @@ class FirmwarePatches(PatchBoards):
     def _take(self, sample_n: Floats) -> None:  # noqa: ARG002  boards sample in counts
         self._take_counts()
 
-    def _decide(self, now_ns: int, passed_ns: int, skipped: int) -> bool:  # noqa: ARG002  boards count samples
-        due = [boards.decide(skipped, passed_ns) for boards in self._boards.values()]
-        return any(due)
+    def _decide(self, now_ns: int) -> None:
+        """Do nothing: boards decide when they are asked for frames."""
 
-    def choose(self, bus: int, now_ns: int, until_ns: int, most: int) -> Frames:
-        """Make the most urgent frames of the boards of a bus, at most `most`, which expire at `until_ns`."""
-        return self._boards[bus].choose(most, now_ns, until_ns)
+    def take_sync(self, bus: int, counter: int, time_ns: int) -> None:
+        """Do nothing: boards take SYNCs as frames."""
+
+    def choose(self, bus: int, now_ns: int) -> Frames:
+        """Return the frames of a bus of the slots that have begun."""
+        return self._boards[bus].choose(now_ns)
 
     def take_echoes(self, bus: int, arrived: Frames) -> tuple[int, int]:
         """Count the boards' own TPDOs that were sent; the boards themselves take them with the other frames."""

@@ -1,4 +1,4 @@
-"""The adaptive boards of a process by their clock: all sample in one pass a millisecond, and decide once in a pass."""
+"""The adaptive boards of a process by their clock: all sample in one pass a millisecond."""
 
 from abc import abstractmethod
 from collections import deque
@@ -18,13 +18,8 @@ from skin.defects import NO_DEFECTS, Defects
 from skin.sources import TaxelSource
 from skin.taxel import NOISE_N, TaxelModel
 
-#: Most frames that a bus gets at once.
-MOST_FRAMES: Final = 64
-#: Most samples that a late process takes at once; it skips and counts the others.
+#: Most samples that a late process takes at once; it skips the others.
 CATCH_UP: Final = 20
-#: How fast the time between two decisions is learned, and its limits, nanoseconds.
-PACE_GAIN: Final = 0.1
-PACE_NS: Final = (SAMPLE_NS, CATCH_UP * SAMPLE_NS)
 
 
 class PatchBoards(Hardware):
@@ -40,15 +35,6 @@ class PatchBoards(Hardware):
         Touch in steps of 10 ms.
     noise_n, defects, seed
         As for `nodes.electronics.Electronics`.
-
-    Attributes
-    ----------
-    decision : int
-        Number of the sample at which was last decided what to send.
-    pace_ns : float
-        Time between two decisions: that of a sample, unless the process is late.
-    has_due : bool
-        Whether any node had something to send at the newest decision.
     """
 
     def __init__(
@@ -63,9 +49,6 @@ class PatchBoards(Hardware):
     ) -> None:
         taxels = contract.layout.taxels
         super().__init__(contract.phi, Calibration(taxels, contract.phi.wired.taxels))
-        self.decision = 0
-        self.pace_ns = float(SAMPLE_NS)
-        self.has_due = False
         self._taxels = taxels
         self._row_of_site = {block: row for row, block in enumerate(blocks)}
         #: The board that is that of a block.
@@ -78,7 +61,7 @@ class PatchBoards(Hardware):
         self._cells = contract.phi.taxels_of_blocks[list(blocks)]
         model = TaxelModel(0.0 if source.has_noise else noise_n, taxels.force_max_n, defects)
         self._sensors = PatchSensors(self._calibration, self._cells, model, source, seed)
-        self._next_ns = self._decided_ns = 0
+        self._next_ns = 0
         self._truths: deque[Truth] = deque(maxlen=CATCH_UP)
 
     @property
@@ -95,10 +78,10 @@ class PatchBoards(Hardware):
             self._sensors.touch_from_ns = time_ns
 
     def advance(self, now_s: float) -> None:
-        """Take all samples that are due, and decide once what each node is to send."""
+        """Take all samples that are due, and decide what the nodes send whose slots have begun."""
         now_ns = round(now_s * 1e9)
         if not self._next_ns:
-            self._next_ns = self._decided_ns = now_ns
+            self._next_ns = now_ns
         due = (now_ns - self._next_ns) // SAMPLE_NS + 1
         if due <= 0:
             return
@@ -108,11 +91,7 @@ class PatchBoards(Hardware):
             self._take(self._sensors.sample(self._next_ns))
             self._note_truth(self._next_ns)
             self._next_ns += SAMPLE_NS
-        self.decision += due
-        passed_ns = now_ns - self._decided_ns
-        self._decided_ns = now_ns
-        self.pace_ns += PACE_GAIN * (min(max(passed_ns, PACE_NS[0]), PACE_NS[1]) - self.pace_ns)
-        self.has_due = self._decide(now_ns, passed_ns, skipped)
+        self._decide(now_ns)
 
     def place(self, block: int, site: int) -> None:
         """Let the board of a block sit on another block of the skin: it is the board of that row."""
@@ -124,12 +103,16 @@ class PatchBoards(Hardware):
         """Take one sample of every taxel, newtons, shape (boards, taxels); `_sensors.counts` has it in counts."""
 
     @abstractmethod
-    def _decide(self, now_ns: int, passed_ns: int, skipped: int) -> bool:
-        """Decide what each node is to send, after `skipped` samples were left out; tell whether any has a frame."""
+    def _decide(self, now_ns: int) -> None:
+        """Decide with the newest sample what the nodes send whose slots have begun."""
 
     @abstractmethod
-    def choose(self, bus: int, now_ns: int, until_ns: int, most: int) -> Frames:
-        """Make the most urgent frames of the boards of a bus, at most `most`, which expire at `until_ns`."""
+    def take_sync(self, bus: int, counter: int, time_ns: int) -> None:
+        """Begin the slots of a SYNC."""
+
+    @abstractmethod
+    def choose(self, bus: int, now_ns: int) -> Frames:
+        """Return the frames of a bus of the slots that have begun: each once."""
 
     @abstractmethod
     def take_echoes(self, bus: int, arrived: Frames) -> tuple[int, int]:
