@@ -161,7 +161,7 @@ def forget(part: int, table: PartTable, state: PartSums) -> None:
 
 
 @njit(cache=True, nogil=True)
-def take_all(
+def take_all(  # noqa: PLR0917  compiled functions take no keywords
     rows: npt.NDArray[np.uint8], bus: int, is_proven: Flags, slots: Slots, table: PartTable, state: PartSums
 ) -> tuple[int, int]:
     """Use the frames of a bus, in bus order.

@@ -217,7 +217,7 @@ def test_a_node_with_other_sums_is_told_once_and_asked(boards: BoardWorld) -> No
     boards.boards[1].sums_n = boards.boards[1].sums_n.copy()
     boards.boards[1].sums_n[2] += boards.contract.unit_n
     boards.run(2.0)
-    assert boards.complaints == ["node 2 on bus0 has other sums than the gateway: it is asked for all of them"]
+    assert boards.complaints == ["node 2 on bus0 has other sums than the gateway: all are asked for"]
     assert [len(board.asked) for board in boards.boards] == [0, 1, 0, 0]
     assert boards.status().frames.different == 1
     assert holds_what_boards_hold(boards)
