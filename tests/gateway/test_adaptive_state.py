@@ -450,7 +450,7 @@ def test_frames_before_the_first_sync_are_late() -> None:
 
 
 def test_frames_that_are_no_words_of_proven_nodes_change_nothing(one: Skin) -> None:
-    before = [each.copy() for each in one.state[:-3]]
+    before = [each.copy() for each in one.state[:-2]]
     cob_id = one.sender.tpdos[0].cob_id
     one.is_proven[1] = False
     top = (1 << 8 * WORD_BYTES) - 1
@@ -468,7 +468,7 @@ def test_frames_that_are_no_words_of_proven_nodes_change_nothing(one: Skin) -> N
         one.arrive(frame(can_id, data, flags))
     assert [one.count(kind) for kind in (FOREIGN, MALFORMED, UNPROVEN)] == [3, 4, 1]
     assert one.state.foreign_syncs.tolist() == [1]
-    for mine, was in zip(one.state[:-3], before, strict=True):
+    for mine, was in zip(one.state[:-2], before, strict=True):
         np.testing.assert_array_equal(mine, was)
 
 
