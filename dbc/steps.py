@@ -33,7 +33,7 @@ _WORDS: Final = 1 << 8 * WORD_BYTES
 PART_SUMS: Final = 32
 FD_PART_SUMS: Final = 8
 #: Units of a digit, by the scale of a step.
-SCALES: Final = (2, 4, 8, 16, 32, 64, 128, 256)
+SCALES: Final = (3, 6, 12, 24, 48, 96, 192, 384)
 #: The count of a step is modulo this number.
 SEQUENCE: Final = 3
 #: The count of a set or a check is modulo this number, a multiple of `SEQUENCE`.
@@ -51,11 +51,12 @@ OTHER_MAX: Final = -OTHER_MIN - 1
 FULL_SCALE: Final = FIRST_MAX + 1
 #: A silent board sends a check after `KEEP_MIN` slots, and then after twice the time of the check before, up to
 #: `KEEP_MAX` slots. While the board sends, every word after `CHECK_EVERY` others is a check.
-KEEP_MIN: Final = 16
-KEEP_MAX: Final = 384
+KEEP_MIN: Final = 24
+KEEP_MAX: Final = 480
 CHECK_EVERY: Final = 64
-#: A word is worth its bits if it takes more than this from the squared difference of a part's sums: 2031h:1 times
-#: (sums · taxels · (`NOISE_RATIO` · noise of the board)² + `VARIANCE_RATIO` · variance of these sums).
+#: A word is worth its bits if it takes more than this from the squared difference of a part's sums, square units:
+#: 2031h:1 times (sums · taxels · (`NOISE_RATIO` · noise of the board)² + `VARIANCE_RATIO` · variance of these sums, and
+#: a square unit for each sum, without which boards that have no noise would send whatever they round).
 NOISE_RATIO: Final = 0.15
 VARIANCE_RATIO: Final = 2.0
 #: A word that is this number of slots old is in time; in an older word's part the sums are held.

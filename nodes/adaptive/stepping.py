@@ -95,7 +95,8 @@ def threshold(  # noqa: PLR0917  compiled functions take no keywords
     for place in range(form.sums):
         variance += np.float64(variance_n2[place])
     share_n = NOISE_RATIO * noise_n
-    return quiet * (form.sums * taxels * (share_n * share_n) + VARIANCE_RATIO * variance) / (unit_n * unit_n)
+    worth_n2 = form.sums * taxels * (share_n * share_n) + VARIANCE_RATIO * variance
+    return quiet * (worth_n2 / (unit_n * unit_n) + form.sums)
 
 
 @njit(cache=True, nogil=True)
