@@ -1,6 +1,6 @@
 """Adaptive sums: the newest value of every sum, measured whenever frames have come, and at a least rate."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Final
 
@@ -8,22 +8,23 @@ import numpy as np
 
 from canskin.errors import InputError
 from canskin.messages import UNKNOWN_ERROR_NS, AdaptiveMeasurement, FrameCounts, Measurement
-from dbc.adaptive import PAUSE_MS, column_of
+from dbc.adaptive_filter import SAMPLE_NS
 from dbc.configuration import READ_S
-from dbc.contract import Contract, NodeContract, sample_age_ns
+from dbc.contract import Contract, NodeContract
 from dbc.frame import Frames, frame_bytes, frames
+from dbc.steps import LATE_SLOTS
 from gateway.adaptive_state import (
+    AFTER_GAP,
+    DUPLICATE,
     FOREIGN,
-    FOREIGN_SYNCS,
+    LATE,
     MALFORMED,
     NEVER_NS,
     UNPROVEN,
-    UNREFINED,
     USED,
-    BusSums,
-    Flags,
-    forget_node,
+    forget,
     new_sums,
+    slots_of,
     take_all,
 )
 from gateway.block_states import judge, new_states
@@ -41,20 +42,18 @@ REST_MAX_S: Final = 0.02
 
 @dataclass
 class _Bus:
-    """One bus: its nodes' blocks, and views of what is held of them."""
+    """One bus: its blocks and parts."""
 
-    is_fd: bool
-    sample_age_ns: int
     blocks: slice
-    sums: BusSums
-    is_proven: Flags
-    has_changed: Flags
+    parts: slice
     sum_requests: SumRequests
-    #: Nodes whose proof has just ended, by place: used from the next frames on.
+    #: Blocks whose proof has just ended: used from the next frames on.
     newly_proven: set[int]
     #: When the newest frame ended that is in the sums, 0 before the first.
     newest_ns: int = 0
+    #: Foreign SYNCs that were told, and those whose frames are in the sums.
     foreign_syncs: int = 0
+    followed_syncs: int = 0
     is_down: bool = False
 
 
@@ -75,20 +74,23 @@ def publishing_rates(max_hz: float | None, min_hz: float | None) -> tuple[float,
 class AdaptiveGathering:
     """Holds the newest value of every sum, and says how each block stands.
 
-    A node's frames are used from its proof on. When the node is doubted, its sums are forgotten at once.
+    A node's frames are used from its proof on. When the node is doubted, its sums are forgotten at once. Where another
+    SYNC producer has the nodes count other slots, words of a bus prove nothing until all sums have come again.
 
     Parameters
     ----------
     masters : mapping of int to NmtMaster
-        By number of the bus: they ask nodes for groups that are missing.
+        By number of the bus: they ask nodes for sums that are missing.
     rates_hz : tuple of float
         Most measurements in a second, when there is news, and least, see `publishing_rates`.
+    complain : callable
+        Writes a line to the log.
     """
 
     #: See `gateway.cycle_gathering.CycleGathering`.
     in_flight = 0
     replay_step_ns = 10_000_000
-    disturbance = f"no sums start in the {PAUSE_MS} ms after each SYNC"
+    disturbance = "its blocks are not valid until all sums have come again"
 
     def __init__(
         self,
@@ -96,38 +98,43 @@ class AdaptiveGathering:
         masters: Mapping[int, NmtMaster],
         now_s: float,
         rates_hz: tuple[float, float] = RATES_HZ,
+        complain: Callable[[str], None] = len,
     ) -> None:
         self._shortest_s, self._longest_s = (1 / rate_hz for rate_hz in rates_hz)
         self.published = self.complete = 0
-        self._law = contract.law
-        self._newton_per_count = contract.layout.taxels.newton_per_count
-        self._fingerprint = contract.phi.fingerprint
-        blocks = contract.phi.blocks
-        self._sums = new_sums(blocks, contract.layout.groups)
-        self._is_proven = np.zeros(blocks, np.bool_)
-        self._has_changed = np.zeros((blocks, contract.layout.groups), np.bool_)
-        self._shown = new_states(blocks, contract.layout.groups, round(now_s * 1e9))
-        self._noise_n = np.full(blocks, np.nan)
+        self._contract, self._table, self._complain = contract, contract.parts, complain
+        self._slots, self._state = slots_of(contract), new_sums(contract)
+        self._all_missing = self._state.missing.copy()
+        self._told_different = self._state.different.copy()
+        self._counts_per_unit = contract.unit_n / contract.layout.taxels.newton_per_count
+        self._is_proven = np.zeros(contract.phi.blocks, np.bool_)
+        self._shown = new_states(contract, round(now_s * 1e9))
+        self._noise_n = np.full(contract.phi.blocks, np.nan)
         self._median_n = 0.0
-        self._buses = {number: self._bus(contract, number, master) for number, master in masters.items()}
+        self._buses = {number: self._bus(number, master) for number, master in masters.items()}
         self._counter = 0
         #: When the newest frame ended that is in the sums; before the first, the start.
         self._newest_ns = round(now_s * 1e9)
         #: Bound of the age of its sample, with the error of its time stamp.
         self._newest_error_ns = UNKNOWN_ERROR_NS
         self._published_s, self._has_news = now_s, False
-        self._compile()
+        # What runs for each frame is compiled before the first comes.
+        take_all(frame_bytes(frames(0)), 0, self._is_proven, self._slots, self._table, self._state)
+        self._judge(now_s)
 
     @property
     def counts(self) -> FrameCounts:
         """What became of the frames."""
-        total = np.sum([bus.sums.counts for bus in self._buses.values()], axis=0).tolist()
+        total = self._state.counts.tolist()
         return FrameCounts(
             accepted=total[USED],
+            late=total[LATE],
+            after_gap=total[AFTER_GAP],
+            duplicate=total[DUPLICATE],
             malformed=total[MALFORMED],
-            unrefined=total[UNREFINED],
             unproven=total[UNPROVEN],
             foreign=total[FOREIGN],
+            different=int(self._state.different.sum()),
         )
 
     @property
@@ -147,34 +154,34 @@ class AdaptiveGathering:
     def trust(self, node: NodeContract, *, proven: bool) -> None:
         """Use a node's frames that come from now on if `proven`; else forget its sums at once."""
         bus = self._buses[node.bus]
-        place = node.block - bus.blocks.start
         if proven:
-            bus.newly_proven.add(place)
+            bus.newly_proven.add(node.block)
             return
-        bus.newly_proven.discard(place)
-        bus.sum_requests.lost(place)
-        bus.is_proven[place] = False
-        self._forget(bus, place)
+        bus.newly_proven.discard(node.block)
+        bus.sum_requests.lost(node.block - bus.blocks.start)
+        self._is_proven[node.block] = False
+        self._forget(node.block)
 
     def take(self, bus: int, arrived: Frames, health: Health, now_s: float) -> None:
         """Use the frames that arrived on a bus, in bus order.
 
         Frames before the end of a node's proof are not used, nor those that came together with it.
         """
-        mine = self._buses[bus]
+        mine, state = self._buses[bus], self._state
         rows = frame_bytes(arrived)
-        parts = self._law, mine.is_proven, mine.sums, mine.has_changed, mine.is_fd
-        newest_ns = take_all(rows, health.has_gap, *parts)
+        newest_ns, taken_ns = take_all(rows, bus, self._is_proven, self._slots, self._table, state)
         mine.newest_ns = max(mine.newest_ns, newest_ns)
         if newest_ns > self._newest_ns:
             stamp_error_ns = health.stamp_error_ns
             self._newest_ns = newest_ns
-            self._newest_error_ns = UNKNOWN_ERROR_NS if stamp_error_ns is None else mine.sample_age_ns + stamp_error_ns
-        is_still_down = health.is_down and mine.is_down
-        self._has_news |= newest_ns > NEVER_NS or (health.has_gap and not is_still_down)
+            self._newest_error_ns = UNKNOWN_ERROR_NS if stamp_error_ns is None else taken_ns + SAMPLE_NS + stamp_error_ns
+        self._has_news |= newest_ns > NEVER_NS or health.is_down != mine.is_down
+        if state.foreign_syncs[bus] > mine.followed_syncs:
+            mine.followed_syncs, self._has_news = int(state.foreign_syncs[bus]), True
+            state.missing[mine.parts] = self._all_missing[mine.parts]
         mine.is_down = health.is_down
-        if health.has_gap:
-            mine.sum_requests.gap()
+        if health.is_down:
+            state.is_late[mine.parts] = True
         if health.has_returned:
             mine.sum_requests.again()
         self._use_proven(mine, now_s)
@@ -185,90 +192,87 @@ class AdaptiveGathering:
         return []
 
     def tick(self, now_s: float) -> None:
-        """Ask nodes for groups that are missing, and for their noise."""
+        """Ask nodes for sums that are missing, and for their noise."""
         for bus in self._buses.values():
             self._use_proven(bus, now_s)
             if not bus.is_down:
-                bus.sum_requests.tick(now_s, self._shown.unknown[bus.blocks], self._shown.doubtful[bus.blocks])
+                bus.sum_requests.tick(now_s, self._shown.is_wanted[bus.blocks])
 
     def measurements(self, now_s: float, wall_offset_ns: int) -> list[Measurement]:
         """Return the measurement that is due, if one is."""
-        if now_s < self.due_s:
-            return []
+        return [self.measure(now_s, wall_offset_ns)] if now_s >= self.due_s else []
+
+    def measure(self, now_s: float, wall_offset_ns: int) -> AdaptiveMeasurement:
+        """Return a measurement, due or not."""
         self._published_s, self._has_news = now_s, False
         self._judge(now_s)
         shown = self._shown
         self.published += 1
         self.complete += bool(shown.valid.all())
-        return [
-            AdaptiveMeasurement(
-                cycle=self.published,
-                sync_counter=self._counter,
-                sampled_mono_ns=self._newest_ns,
-                sampled_error_ns=self._newest_error_ns,
-                wall_offset_ns=wall_offset_ns,
-                bus_sampled_ns=np.array([bus.newest_ns for bus in self._buses.values()], "<i8").tobytes(),
-                sums=shown.sums.astype("<i4", copy=False).tobytes(),
-                valid=shown.valid.tobytes(),
-                fingerprint=self._fingerprint,
-                known=shown.known.tobytes(),
-                states=shown.states.tobytes(),
-                since_ns=shown.since_ns.astype("<i8", copy=False).tobytes(),
-                noise_n=self._median_n,
-            )
-        ]
+        return AdaptiveMeasurement(
+            cycle=self.published,
+            sync_counter=self._counter,
+            sampled_mono_ns=self._newest_ns,
+            sampled_error_ns=self._newest_error_ns,
+            wall_offset_ns=wall_offset_ns,
+            bus_sampled_ns=np.array([bus.newest_ns for bus in self._buses.values()], "<i8").tobytes(),
+            sums=shown.sums.astype("<i4", copy=False).tobytes(),
+            valid=shown.valid.tobytes(),
+            fingerprint=self._contract.phi.fingerprint,
+            known=shown.known.tobytes(),
+            states=shown.states.tobytes(),
+            since_ns=shown.since_ns.astype("<i8", copy=False).tobytes(),
+            noise_n=self._median_n,
+        )
 
-    def look(self, masters: Mapping[int, NmtMaster]) -> None:
-        """Do nothing: a node that is alive may be silent."""
+    def look(self, masters: Mapping[int, NmtMaster]) -> None:  # noqa: ARG002  a node that is alive may be silent
+        """Tell which nodes have checked their sums, and have others than the gateway."""
+        parts = np.flatnonzero(self._state.different > self._told_different)
+        self._told_different = self._state.different.copy()
+        for block in np.unique(self._table.block[parts]).tolist():
+            node = self._contract.nodes[block]
+            name = self._contract.layout.bus[node.bus].name
+            self._complain(f"node {node.node_id} on {name} has other sums than the gateway: it is asked for all of them")
 
     def take_foreign_syncs(self, bus: int) -> int:
         """Return the number of foreign SYNCs on a bus since the last call."""
         mine = self._buses[bus]
-        before, mine.foreign_syncs = mine.foreign_syncs, int(mine.sums.counts[FOREIGN_SYNCS])
+        before, mine.foreign_syncs = mine.foreign_syncs, int(self._state.foreign_syncs[bus])
         return mine.foreign_syncs - before
 
     def missing_and_late(self, _place: int) -> tuple[int, int]:
         """Return 0 and 0: no frame is due at a time."""
         return 0, 0
 
-    def _bus(self, contract: Contract, number: int, master: NmtMaster) -> _Bus:
-        line, first = contract.layout.bus[number], contract.layout.first_block(number)
+    def _bus(self, number: int, master: NmtMaster) -> _Bus:
+        layout = self._contract.layout
+        first = layout.first_block(number)
         blocks = slice(first, first + len(master.node_ids))
 
         def take_noise(node: int, noise_n: float) -> None:
             self._noise_n[first + node] = noise_n
             self._median_n = float(np.nanmedian(self._noise_n))
 
+        told = LATE_SLOTS + max(form.groups for form in self._contract.forms_of(number))
         return _Bus(
-            is_fd=line.fd,
-            sample_age_ns=sample_age_ns(line, contract.layout.groups),
             blocks=blocks,
-            sums=self._sums.of(blocks, [column_of(each, contract.layout.groups, is_fd=line.fd) for each in line.ids]),
-            is_proven=self._is_proven[blocks],
-            has_changed=self._has_changed[blocks],
-            sum_requests=SumRequests(master, take_noise),
+            parts=slice(*np.searchsorted(self._table.block, (blocks.start, blocks.stop)).tolist()),
+            sum_requests=SumRequests(master, take_noise, told * layout.steps.slot_s, layout.sync.period_s),
             newly_proven=set(),
         )
 
     def _use_proven(self, bus: _Bus, now_s: float) -> None:
-        for place in bus.newly_proven:
-            self._forget(bus, place)
-            bus.is_proven[place] = True
-            bus.sum_requests.proven(place, now_s)
+        for block in bus.newly_proven:
+            self._forget(block)
+            self._is_proven[block] = True
+            bus.sum_requests.proven(block - bus.blocks.start, now_s)
         bus.newly_proven.clear()
 
-    def _forget(self, bus: _Bus, place: int) -> None:
-        forget_node(place, bus.sums)
-        bus.has_changed[place] = True
+    def _forget(self, block: int) -> None:
+        for part in np.flatnonzero(self._table.block == block).tolist():
+            forget(part, self._table, self._state)
         self._has_news = True
 
     def _judge(self, now_s: float) -> None:
-        now_ns = round(now_s * 1e9)
-        judge(now_ns, self._newton_per_count, self._is_proven, self._sums, self._has_changed, self._shown)
-
-    def _compile(self) -> None:
-        """Compile what runs for each frame before the first comes."""
-        rows = frame_bytes(frames(0))
-        for bus in self._buses.values():
-            take_all(rows, False, self._law, bus.is_proven, bus.sums, bus.has_changed, bus.is_fd)
-        self._judge(self._published_s)
+        known = self._is_proven, self._slots, self._table, self._state
+        judge(round(now_s * 1e9), self._counts_per_unit, *known, self._shown)

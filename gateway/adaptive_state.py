@@ -1,183 +1,252 @@
-"""What the gateway knows of adaptive nodes: the newest value of every sum, and how old it is.
+"""What the gateway knows of adaptive nodes: the integers of every part (`dbc.steps`), and how far they are proven.
 
-A fine frame counts only for the coarse frame that it refines: its check must be that of the coarse frame that is
-held. After frames were lost, no fine frame counts until the next coarse one of its group, so that none is misread. On
-CAN FD every frame has the coarse codes of its groups: it needs no other frame, and whatever comes ends a loss. A
-loss that the receiver does not know of can have a fine frame misread where the lost coarse frame and the one that is
-held have the same check: two frames that differ in one byte never have, of others one pair in 255 or 256.
+Every word tells by its count whether words before it were lost. After a loss all groups of the part are missing, until
+sets have come of all of them, with no loss between. Steps move a part meanwhile: its sums are shown, and not valid.
+
+**What counts and slots prove.** The slots of a board's words rise, and a step follows within `SEQUENCE` slots. So a step
+hides a loss only if its first byte stands for a slot `SYNC_OVERFLOW` slots later, or a multiple of that. Then its slot
+seems that much too old, and the part is late until a set or check tells of the loss. A part without words for more than
+its longest silence is forgotten, long before `COUNT` words. So a block that is wrong is valid only if frames of its node
+come late by at least `dbc.steps.slot_cycle` slots less the longest silence (2.86 s by default), and none of them after
+a silence that is longer. What is lost at the end of a movement is seen at the next check, `KEEP_MIN` slots later.
 """
 
-from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from dbc.adaptive import (
-    GROUP_SUMS,
-    LEVELS,
-    NO_CHECK,
-    Companding,
-    carried,
-    decode_cob_id,
-    hold,
-    payload_bytes,
-)
 from dbc.canopen import SYNC_COB_ID
-from dbc.frame import CAN_ID_AT, DATA_AT, ECHO, ERROR, EXTENDED, FD, FLAGS_AT, LENGTH_AT, REMOTE, TIME_AT
+from dbc.contract import Contract, PartTable
+from dbc.dictionary import slot_offset_us
+from dbc.frame import DATA_AT, ECHO, ERROR, EXTENDED, FLAGS_AT, REMOTE, TIME_AT
 from dbc.frame_fields import field
+from dbc.steps import (
+    BAD,
+    COUNT,
+    LATE_SLOTS,
+    PART_SUMS,
+    SEQUENCE,
+    SET,
+    STEP,
+    WORD_BYTES,
+    Form,
+    hash_of,
+    kind_of,
+    move,
+    put,
+    read_word,
+)
+from gateway.gathering import STRANGE, can_id_of, place_of
 from shell.compiled import borrowed, njit
-from skin.sending import IDENTIFIERS
+from skin.sync_counter import SYNC_OVERFLOW
 
 #: A time before all frames.
 NEVER_NS: Final = -(1 << 62)
+#: A word that is this number of slots ahead of the gateway's clock is not late by nearly all of them.
+_AHEAD: Final = 3
 
 Integers = npt.NDArray[np.int64]
-Numbers = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
 
 
-class BusSums(NamedTuple):
-    """The sums of the nodes of one bus.
+class Slots(NamedTuple):
+    """The slots of a skin.
 
     Attributes
     ----------
-    value_n, coarse_n : arrays of float64, shape (nodes, sums)
-        Newest value of every sum, and that of the newest coarse frame, newtons.
-    check : array of int64, shape (nodes, groups)
-        Check of the coarse frame that is held, or `NO_CHECK`.
-    is_lost : array of bool, shape (nodes, groups)
-        A frame may have been lost since the newest coarse frame: no fine frame counts.
-    coarse_ns, seen_ns : arrays of int64, shape (nodes, groups)
-        When the newest coarse frame and the newest frame of any kind that counted ended.
-    place_of : array of int64, shape (IDENTIFIERS,)
-        Which node has a column of the identifiers (`dbc.adaptive.column_of`), -1 for none.
-    counts : array of int64, shape (6,)
-        Frames used, fine frames without their coarse frame, frames of a wrong length, frames of nodes that are not
-        proven, all other frames, and those of these that are SYNCs.
+    per_sync : int
+        From SYNC to SYNC.
+    cycle : int
+        After this number of slots their numbers come again.
+    slot_ns, silence_ns : int
+        Length of a slot, and the longest silence of a part.
+    offset_ns : array of int64, shape (blocks,)
+        Place of a node in its slot.
     """
 
-    value_n: Numbers
-    coarse_n: Numbers
-    check: Integers
-    is_lost: Flags
-    coarse_ns: Integers
-    seen_ns: Integers
-    place_of: Integers
+    per_sync: int
+    cycle: int
+    slot_ns: int
+    silence_ns: int
+    offset_ns: Integers
+
+
+class PartSums(NamedTuple):
+    """The sums of all parts of a skin, numbered as in `dbc.contract.PartTable`.
+
+    Attributes
+    ----------
+    known : array of int64, shape (parts, PART_SUMS)
+        Integers, in units of `Contract.unit_n`.
+    count, slot, newest_ns : arrays of int64, shape (parts,)
+        Count, slot and end of the newest word.
+    missing, unknown : arrays of int64, shape (parts,)
+        Groups, a bit each: of which no set has come since a loss; of which nothing is held.
+    is_late : array of bool, shape (parts,)
+        The newest word came late.
+    has_changed : array of bool, shape (parts,)
+        Sums are not yet shown (`gateway.block_states`).
+    different : array of int64, shape (parts,)
+        Checks that found other integers.
+    sync_ns, sync_slot, foreign_syncs : arrays of int64, shape (buses,)
+        End of the newest SYNC of the gateway, and the number of the slot that it began; number of all other SYNCs.
+    counts : array of int64, shape (7,)
+        Frames by `USED` to `FOREIGN`.
+    """
+
+    known: Integers
+    count: Integers
+    slot: Integers
+    newest_ns: Integers
+    missing: Integers
+    unknown: Integers
+    is_late: Flags
+    has_changed: Flags
+    different: Integers
+    sync_ns: Integers
+    sync_slot: Integers
+    foreign_syncs: Integers
     counts: Integers
 
-    def of(self, nodes: slice, columns: Sequence[int]) -> "BusSums":
-        """Return a view of some nodes, with counts of its own; `columns` are those of their identifiers."""
-        return BusSums(
-            value_n=self.value_n[nodes],
-            coarse_n=self.coarse_n[nodes],
-            check=self.check[nodes],
-            is_lost=self.is_lost[nodes],
-            coarse_ns=self.coarse_ns[nodes],
-            seen_ns=self.seen_ns[nodes],
-            place_of=_place_of(columns),
-            counts=np.zeros_like(self.counts),
-        )
+
+#: Places of `PartSums.counts`. A frame with several words counts as that which is last here.
+USED, LATE, AFTER_GAP, DUPLICATE, MALFORMED, UNPROVEN, FOREIGN = range(7)
 
 
-#: Places of `BusSums.counts`.
-USED, UNREFINED, MALFORMED, UNPROVEN, FOREIGN, FOREIGN_SYNCS = range(6)
+def slots_of(contract: Contract) -> Slots:
+    """Return the slots of a skin."""
+    slot_ns = round(contract.layout.steps.slot_s * 1e9)
+    offset_ns = np.array([1000 * slot_offset_us(contract, node) for node in contract.nodes], np.int64)
+    return Slots(contract.slots, contract.slot_cycle, slot_ns, (contract.keep_max + LATE_SLOTS) * slot_ns, offset_ns)
 
 
-def new_sums(nodes: int, groups: int) -> BusSums:
-    """Return the state of a gateway that has received nothing of nodes with `groups` groups and the first columns."""
-    return BusSums(
-        value_n=np.zeros((nodes, GROUP_SUMS * groups)),
-        coarse_n=np.zeros((nodes, GROUP_SUMS * groups)),
-        check=np.full((nodes, groups), NO_CHECK, np.int64),
-        is_lost=np.zeros((nodes, groups), np.bool_),
-        coarse_ns=np.full((nodes, groups), NEVER_NS, np.int64),
-        seen_ns=np.full((nodes, groups), NEVER_NS, np.int64),
-        place_of=_place_of(range(nodes)),
-        counts=np.zeros(6, np.int64),
+def new_sums(contract: Contract) -> PartSums:
+    """Return the state of a gateway that has received nothing."""
+    parts, buses = len(contract.parts.block), len(contract.layout.bus)
+    state = PartSums(
+        known=np.zeros((parts, PART_SUMS), np.int64),
+        count=np.zeros(parts, np.int64),
+        slot=np.zeros(parts, np.int64),
+        newest_ns=np.zeros(parts, np.int64),
+        missing=np.zeros(parts, np.int64),
+        unknown=np.zeros(parts, np.int64),
+        is_late=np.zeros(parts, np.bool_),
+        has_changed=np.zeros(parts, np.bool_),
+        different=np.zeros(parts, np.int64),
+        sync_ns=np.full(buses, NEVER_NS, np.int64),
+        sync_slot=np.zeros(buses, np.int64),
+        foreign_syncs=np.zeros(buses, np.int64),
+        counts=np.zeros(FOREIGN + 1, np.int64),
     )
-
-
-def _place_of(columns: Sequence[int]) -> Integers:
-    found = np.full(IDENTIFIERS, -1, np.int64)
-    for place, column in enumerate(columns[:IDENTIFIERS]):
-        found[column] = place
-    return found
+    for part in range(parts):
+        forget(part, contract.parts, state)
+    return state
 
 
 @njit(cache=True, nogil=True)
-def take_all(  # noqa: PLR0917  compiled functions take no keywords
-    rows: npt.NDArray[np.uint8],
-    has_gap: bool,
-    law: Companding,
-    is_proven: Flags,
-    sums: BusSums,
-    has_changed: Flags,
-    is_fd: bool = False,
-) -> int:
-    """Use the frames of a bus, in bus order; return when the newest that was used ended, or `NEVER_NS`.
+def form_at(part: int, table: PartTable) -> Form:
+    """Return the form of a part."""
+    form = table.form[part]
+    return Form(form[0], form[1], form[2], form[3], form[4])
 
-    A fine frame that does not fit tells of a lost coarse frame: its group is lost until the next.
+
+@njit(cache=True, nogil=True)
+def forget(part: int, table: PartTable, state: PartSums) -> None:
+    """Hold nothing of a part any more."""
+    state.known[part] = 0
+    state.missing[part] = state.unknown[part] = (1 << form_at(part, table).groups) - 1
+    state.newest_ns[part], state.has_changed[part] = NEVER_NS, True
+
+
+@njit(cache=True, nogil=True)
+def take_all(
+    rows: npt.NDArray[np.uint8], bus: int, is_proven: Flags, slots: Slots, table: PartTable, state: PartSums
+) -> tuple[int, int]:
+    """Use the frames of a bus, in bus order.
 
     Parameters
     ----------
     rows : array of uint8, shape (frames, bytes of a FRAME)
-    has_gap : bool
-        Frames were lost just before or among these: no fine frame among them counts, and every group is lost until a
-        later coarse frame.
-    is_proven : array of bool, shape (nodes,)
-        Nodes whose frames may be used.
-    has_changed : array of bool, shape (nodes, groups)
-        Set for groups of which a frame was used.
-    is_fd : bool
-        The bus carries CAN FD.
+    is_proven : array of bool, shape (blocks,)
+        Blocks whose frames may be used.
+
+    Returns
+    -------
+    newest_ns, taken_ns : int
+        When the newest frame that was used ended, or `NEVER_NS`; how long ago its node had begun with it.
     """
-    (rows,), sums = borrowed((rows,)), borrowed(sums)
-    newest_ns: int = NEVER_NS
-    of_node = sums.check.shape[1]
-    together = carried(of_node, is_fd)
-    if has_gap:
-        sums.is_lost[:] = True
+    (rows, is_proven), slots = borrowed((rows, is_proven)), borrowed(slots)
+    table, state = borrowed(table), borrowed(state)
+    newest_ns, taken_ns = NEVER_NS, 0
     for place in range(rows.shape[0]):
         row = rows[place]
-        if row[FLAGS_AT] & (ERROR | ECHO):
+        flags, ended_ns = row[FLAGS_AT], field(row, TIME_AT, 8)
+        if can_id_of(row) == SYNC_COB_ID and not flags & (ERROR | EXTENDED | REMOTE):
+            if flags & ECHO:
+                state.sync_ns[bus], state.sync_slot[bus] = ended_ns, (int(row[DATA_AT]) - 1) * slots.per_sync
+            else:
+                state.foreign_syncs[bus] += 1
+        if flags & (ERROR | ECHO):
             continue
-        can_id = field(row, CAN_ID_AT, 4)
-        kind, group, column = decode_cob_id(can_id, of_node, is_fd)
-        node = sums.place_of[column]
-        is_strange = row[FLAGS_AT] & (EXTENDED | REMOTE) != 0 or (row[FLAGS_AT] & FD != 0) != is_fd
-        if is_strange or kind < 0 or node < 0:
-            sums.counts[FOREIGN] += 1
-            sums.counts[FOREIGN_SYNCS] += can_id == SYNC_COB_ID and not row[FLAGS_AT] & (EXTENDED | REMOTE)
+        frame = place_of(row, bus, table)
+        if frame < 0:
+            state.counts[FOREIGN if frame == STRANGE else MALFORMED] += 1
             continue
-        if not is_proven[node]:
-            sums.counts[UNPROVEN] += 1
+        first, verdict, since_ns = table.part[frame], USED, ended_ns - state.sync_ns[bus]
+        if not is_proven[table.block[first]]:
+            state.counts[UNPROVEN] += 1
             continue
-        ended_ns = field(row, TIME_AT, 8)
-        is_fine, is_lost = kind >= LEVELS, has_gap
-        groups = slice(group, group + together)
-        is_unsure = is_fine and not is_fd and sums.is_lost[node, group]
-        if row[LENGTH_AT] != payload_bytes(is_fine, is_fd, of_node):
-            sums.counts[MALFORMED] += 1
-        elif is_unsure or not hold(
-            row[DATA_AT:], group, is_fine, is_fd, law, sums.value_n[node], sums.coarse_n[node], sums.check[node]
-        ):
-            sums.counts[MALFORMED if is_fd else UNREFINED] += 1
-            is_lost |= not is_fd
-        else:
-            if is_fd or not is_fine:
-                sums.is_lost[node, groups] = False
-                sums.coarse_ns[node, groups] = ended_ns
-            sums.seen_ns[node, groups] = ended_ns
-            sums.counts[USED] += 1
-            has_changed[node, groups] = True
-            newest_ns = max(newest_ns, int(ended_ns))
-        sums.is_lost[node, groups] |= is_lost
-    return newest_ns
+        now = state.sync_slot[bus] + since_ns // slots.slot_ns if state.sync_ns[bus] != NEVER_NS else -1
+        for each in range(table.parts[frame]):
+            word = read_word(row[DATA_AT + 1 + WORD_BYTES * each :])
+            found, age = _take_word(first + each, int(row[DATA_AT]) - 1, word, ended_ns, now, slots, table, state)
+            verdict = max(verdict, found)
+        state.counts[verdict] += 1
+        if verdict <= AFTER_GAP and ended_ns >= newest_ns:
+            begun_ns = age * slots.slot_ns + since_ns % slots.slot_ns
+            newest_ns, taken_ns = ended_ns, max(0, begun_ns - slots.offset_ns[table.block[first]])
+    return newest_ns, taken_ns
 
 
-def forget_node(node: int, sums: BusSums) -> None:
-    """Hold nothing of a node any more."""
-    sums.value_n[node] = sums.coarse_n[node] = 0
-    sums.check[node], sums.is_lost[node] = NO_CHECK, False
-    sums.coarse_ns[node] = sums.seen_ns[node] = NEVER_NS
+@njit(cache=True, nogil=True)
+def _take_word(  # noqa: PLR0917  compiled functions take no keywords
+    part: int, low: int, word: int, ended_ns: int, now: int, slots: Slots, table: PartTable, state: PartSums
+) -> tuple[int, int]:
+    """Use a word whose slot is `low` modulo `SYNC_OVERFLOW`; return its kind of count, and its age in slots."""
+    form = form_at(part, table)
+    kind, group, count, high, data = kind_of(word, form)
+    if kind == BAD:
+        return MALFORMED, 0
+    if ended_ns - state.newest_ns[part] > slots.silence_ns:
+        forget(part, table, state)
+    known = state.known[part, : form.sums]
+    ahead, counts = (low - state.slot[part]) % SYNC_OVERFLOW, SEQUENCE if kind == STEP else COUNT
+    is_first = state.newest_ns[part] == NEVER_NS
+    if not is_first and ahead == 0 and (count - state.count[part]) % SEQUENCE == 0:
+        return DUPLICATE, 0
+    is_next = not is_first and (count - state.count[part] - 1) % counts == 0 and (kind != STEP or ahead <= SEQUENCE)
+    if not is_next:
+        state.missing[part] = (1 << form.groups) - 1
+    slot = state.slot[part] + ahead
+    if kind == STEP:
+        move(known, group, data, form)
+    else:
+        slot = high * SYNC_OVERFLOW + low
+        if kind == SET:
+            put(known, group, data, form)
+            state.missing[part] &= ~(1 << group)
+            state.unknown[part] &= ~(1 << group)
+        elif not state.missing[part] and hash_of(known) != data:
+            state.different[part] += 1
+            state.missing[part] = (1 << form.groups) - 1
+    age = (now - slot) % slots.cycle
+    if age > slots.cycle - _AHEAD:
+        age = 0
+    # A step tells its count modulo `SEQUENCE` alone: after a loss the least is taken, and the next set tells.
+    state.count[part] += (count - state.count[part]) % counts
+    state.slot[part], state.newest_ns[part] = slot % slots.cycle, ended_ns
+    state.is_late[part], state.has_changed[part] = age > LATE_SLOTS or now < 0, True
+    if not (is_next or is_first):
+        return AFTER_GAP, age
+    return (LATE if state.is_late[part] else USED), age

@@ -22,25 +22,12 @@ import numpy as np
 import numpy.typing as npt
 
 from canskin.messages import FrameCounts
-from dbc.canopen import BASE_ID_MASK, SYNC_COB_ID
+from dbc.canopen import SYNC_COB_ID
 from dbc.codec import read_raw
 from dbc.contract import Contract, FrameTable
-from dbc.frame import (
-    CAN_ID_AT,
-    DATA_AT,
-    ECHO,
-    ERROR,
-    EXTENDED,
-    FD,
-    FLAGS_AT,
-    LENGTH_AT,
-    REMOTE,
-    TIME_AT,
-    Frames,
-    frame_bytes,
-    frames,
-)
+from dbc.frame import DATA_AT, ECHO, ERROR, EXTENDED, FLAGS_AT, REMOTE, TIME_AT, Frames, frame_bytes, frames
 from dbc.frame_fields import field
+from gateway.gathering import STRANGE, can_id_of, place_of
 from gateway.open_cycles import (
     SLOTS,
     Flags,
@@ -150,17 +137,14 @@ def take_all(  # noqa: PLR0917  compiled functions take no keywords
     (rows,), table, state = borrowed((rows,)), borrowed(table), borrowed(state)
     for place in range(rows.shape[0]):
         row = rows[place]
-        flags = row[FLAGS_AT]
-        can_id, ended_ns = field(row, CAN_ID_AT, 4), field(row, TIME_AT, 8)
-        if can_id == SYNC_COB_ID and not flags & (ERROR | EXTENDED | REMOTE):
+        flags, ended_ns = row[FLAGS_AT], field(row, TIME_AT, 8)
+        if can_id_of(row) == SYNC_COB_ID and not flags & (ERROR | EXTENDED | REMOTE):
             _take_sync(bus, int(row[DATA_AT]), not flags & ECHO, ended_ns, stamp_error_ns, table, state)
         if flags & (ERROR | ECHO):
             continue
-        frame = table.row_of[bus, can_id] if can_id <= BASE_ID_MASK else -1
-        if frame < 0 or flags & (EXTENDED | REMOTE | FD) != table.flags[frame] & FD:
-            state.counts[FOREIGN] += 1
-        elif row[LENGTH_AT] != table.length[frame] or not 1 <= row[DATA_AT] <= SYNC_OVERFLOW:
-            state.counts[MALFORMED] += 1
+        frame = place_of(row, bus, table)
+        if frame < 0:
+            state.counts[FOREIGN if frame == STRANGE else MALFORMED] += 1
         else:
             _accept(bus, frame, row[DATA_AT:], ended_ns, stamp_error_ns, turns, table, state)
 

@@ -9,13 +9,30 @@ from numba import boolean
 
 from bus.error_frames import ErrorClass
 from bus.link import State
+from dbc.canopen import BASE_ID_MASK
+from dbc.contract import FrameTable, PartTable
 from dbc.dictionary import SkinState
-from dbc.frame import CAN_ID_AT, DATA_AT, ECHO, ERROR, FLAGS_AT, Frames, frame_bytes
+from dbc.frame import (
+    CAN_ID_AT,
+    DATA_AT,
+    ECHO,
+    ERROR,
+    EXTENDED,
+    FD,
+    FLAGS_AT,
+    LENGTH_AT,
+    REMOTE,
+    Frames,
+    frame_bytes,
+)
 from dbc.frame_fields import ROWS, field
 from shell.compiled import njit
+from skin.sync_counter import SYNC_OVERFLOW
 
 #: Byte 1 of a report of the controller: its receive buffer has overflowed (SocketCAN: CAN_ERR_CRTL_RX_OVERFLOW).
 _OVERFLOW: Final = 0x01
+#: In place of a place: no frame with sums; of a wrong length, or without number of its cycle or slot.
+STRANGE, WRONG = -1, -2
 _DOWN: Final = (State.BUS_OFF, State.LOST)
 #: Plain numbers for compiled code.
 _OFF: Final = int(ErrorClass.BUS_OFF | ErrorClass.RESTARTED)
@@ -106,3 +123,21 @@ def _tells_loss(rows: npt.NDArray[np.uint8]) -> bool:
             if why & _OFF or (why & _CONTROLLER and row[DATA_AT + 1] & _OVERFLOW):
                 return True
     return False
+
+
+@njit(cache=True, nogil=True)
+def can_id_of(row: npt.NDArray[np.uint8]) -> int:
+    """Return the identifier of a frame."""
+    return field(row, CAN_ID_AT, 4)
+
+
+@njit(cache=True, nogil=True)
+def place_of(row: npt.NDArray[np.uint8], bus: int, table: FrameTable | PartTable) -> int:
+    """Return the place of a frame in the table of those with sums; `STRANGE` or `WRONG` for others."""
+    can_id = can_id_of(row)
+    place = table.row_of[bus, can_id] if can_id <= BASE_ID_MASK else STRANGE
+    if place < 0 or row[FLAGS_AT] & (EXTENDED | REMOTE | FD) != table.flags[place] & FD:
+        return STRANGE
+    if row[LENGTH_AT] != table.length[place] or not 1 <= row[DATA_AT] <= SYNC_OVERFLOW:
+        return WRONG
+    return int(place)

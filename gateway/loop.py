@@ -107,7 +107,7 @@ class GatewayLoop:
         self.masters = {number: bus.master for number, bus in self._buses.items()}
         self.gathering: Gathering
         if not contract.layout.sends.in_cycles:
-            self.gathering = AdaptiveGathering(contract, self.masters, now_s, rates_hz)
+            self.gathering = AdaptiveGathering(contract, self.masters, now_s, rates_hz, complain)
         elif contract.recognition is not None:
             self.gathering = StateGathering(contract, early_echoes)
         else:
@@ -238,7 +238,7 @@ class GatewayLoop:
         return made
 
     def _send_time(self, now_s: float, wall_offset_ns: int) -> None:
-        """Send TIME if it is due. After SYNC: SYNC never waits for it, and with adaptive sending the bus is free."""
+        """Send TIME if it is due. After SYNC: SYNC never waits for it."""
         if self._time_period_s is None or now_s < self._time_due_s:
             return
         self._time_due_s = now_s + self._time_period_s - self.sync.period_s / 2

@@ -1,6 +1,6 @@
-"""What the gateway asks adaptive nodes for besides proofs: groups again (2030h), and their noise (2035h).
+"""What the gateway asks adaptive nodes for besides proofs: all sums again (2030h), and their noise (2035h).
 
-Few nodes of a bus are asked one by one. Where groups of many are missing, as after a loss on the bus, all nodes are
+Few nodes of a bus are asked one by one. Where sums of many are missing, as after a loss on the bus, all nodes are
 started again (`NmtMaster.restart`): NMT goes before all sums, where SDO on a full bus waits behind them. Pauses grow,
 so that a gateway that cannot keep up does not ask for ever more frames.
 """
@@ -17,13 +17,9 @@ from dbc.configuration import TICK_S
 from gateway.nmt_master import NmtMaster
 from gateway.sdo import Read, SdoDialogue, Transfer, Write
 
-#: Pause after each request for groups to the same node; the last pause follows every further request.
-REQUEST_PAUSES_S: Final = (0.1, 0.2, 0.4, 0.8, 1.6, 2.0)
-#: When a node has needed nothing for this time, its pauses begin anew.
-SETTLED_S: Final = 2.0
-#: A node that is started sends all groups by itself. On a full bus, its last waits for 0.52 s (`skin plan adaptive`):
-#: after this time the node is asked for those that did not come.
-START_S: Final = 0.6
+#: Pauses after requests for sums to the same node, in times that a node needs to tell all of them; the last pause
+#: follows every further request.
+PAUSES: Final = (1, 2, 4, 8)
 #: Most nodes of a bus that are asked at the same time; where more have to be, all are started again.
 MOST_ASKED: Final = 4
 #: Time between two reads of a node's noise.
@@ -31,7 +27,7 @@ NOISE_PERIOD_S: Final = 10.0
 #: Time until the next try when a node cannot be asked now; meanwhile the other nodes have their turn.
 NOISE_RETRY_S: Final = 1.0
 
-Groups = npt.NDArray[np.uint8]
+Flags = npt.NDArray[np.bool_]
 _Steps = Generator[Transfer, bytes, None]
 
 
@@ -44,26 +40,31 @@ class SumRequests:
         Its SDO dialogues are used: one at a time with a node.
     take_noise : callable
         Called with a node and its noise, newtons.
+    telling_s : float
+        Time in which a node that was asked tells all its sums.
+    sync_s : float
+        Time from SYNC to SYNC: a node that is started may wait for the next.
     """
 
-    def __init__(self, master: NmtMaster, take_noise: Callable[[int, float], None]) -> None:
+    def __init__(
+        self, master: NmtMaster, take_noise: Callable[[int, float], None], telling_s: float, sync_s: float
+    ) -> None:
         self._master = master
         self._take_noise = take_noise
+        self._telling_s, self._start_s = telling_s, telling_s + sync_s
         self._ids = master.node_ids
         nodes = len(self._ids)
         self._is_used = np.zeros(nodes, np.bool_)
         self._noise_s = np.full(nodes, np.inf)
         self._next_s = np.full(nodes, -np.inf)
         self._tries = np.zeros(nodes, np.intp)
-        #: When all nodes may be started again, however soon they have lost frames since.
-        self._again_s = -np.inf
         self._open: list[tuple[int, SdoDialogue]] = []
         self._tick_s = -np.inf
 
     def proven(self, node: int, now_s: float) -> None:
-        """Take note that a node has just been proven: its noise is asked for now, groups `START_S` after its start."""
+        """Take note that a node has just been proven: its noise is asked for now, and sums that did not come after its start."""
         self._is_used[node], self._noise_s[node] = True, now_s
-        self._next_s[node] = self._master.nodes[self._ids[node]].commanded_s + START_S
+        self._next_s[node] = self._master.nodes[self._ids[node]].commanded_s + self._start_s
         self._tries[node] = 0
 
     def lost(self, node: int) -> None:
@@ -72,39 +73,34 @@ class SumRequests:
 
     def again(self) -> None:
         """Begin the pauses of all nodes anew: the bus is back."""
-        self._next_s[:], self._tries[:], self._again_s = -np.inf, 0, -np.inf
+        self._next_s[:], self._tries[:] = -np.inf, 0
 
-    def gap(self) -> None:
-        """Take note that frames of the bus were lost: what was asked for may be among them."""
-        np.minimum(self._next_s, self._again_s, out=self._next_s)
-
-    def tick(self, now_s: float, unknown: Groups, doubtful: Groups) -> None:
+    def tick(self, now_s: float, is_wanted: Flags) -> None:
         """Ask who has to be asked; call it many times a second.
 
         Parameters
         ----------
-        unknown, doubtful : arrays of uint8, shape (nodes,)
-            Groups, a bit each: of which nothing is held; that may have changed since.
+        is_wanted : array of bool, shape (nodes,)
+            Nodes that have to send all sums again.
         """
         if now_s < self._tick_s:
             return
         self._tick_s = now_s + TICK_S
         if self._master.is_quiet:
-            np.maximum(self._next_s, now_s + START_S, out=self._next_s)
+            np.maximum(self._next_s, now_s + self._start_s, out=self._next_s)
             return
         records = self._master.nodes
         self._open = [(node_id, each) for node_id, each in self._open if records[node_id].errand is each]
-        wanted = np.where(self._is_used, doubtful | unknown, 0)
-        self._tries[(wanted == 0) & (now_s - self._next_s >= SETTLED_S)] = 0
-        due = np.flatnonzero((wanted != 0) & (now_s >= self._next_s))
+        is_due = now_s >= self._next_s
+        self._tries[is_due & ~is_wanted] = 0
+        due = np.flatnonzero(self._is_used & is_wanted & is_due)
         if len(due) > MOST_ASKED:
             self._master.restart(now_s)
             for node in due.tolist():
                 self._pause(node, now_s)
-            self._again_s = float(self._next_s[due].max())
             return
         for node in due[np.argsort(self._next_s[due], kind="stable")].tolist():
-            if self._ask(node, _refresh(int(wanted[node])), now_s):
+            if self._ask(node, _refresh(), now_s):
                 self._pause(node, now_s)
         oldest = int(self._noise_s.argmin())
         if now_s >= self._noise_s[oldest]:
@@ -112,8 +108,8 @@ class SumRequests:
             self._noise_s[oldest] = now_s + (NOISE_PERIOD_S if is_asked else NOISE_RETRY_S)
 
     def _pause(self, node: int, now_s: float) -> None:
-        self._next_s[node] = now_s + REQUEST_PAUSES_S[self._tries[node]]
-        self._tries[node] = min(self._tries[node] + 1, len(REQUEST_PAUSES_S) - 1)
+        self._next_s[node] = now_s + PAUSES[self._tries[node]] * self._telling_s
+        self._tries[node] = min(self._tries[node] + 1, len(PAUSES) - 1)
 
     def _ask(self, node: int, steps: _Steps, now_s: float) -> bool:
         if len(self._open) >= MOST_ASKED:
@@ -132,6 +128,6 @@ class SumRequests:
                 self._take_noise(node, noise_n)
 
 
-def _refresh(groups: int) -> _Steps:
-    """Ask a node to send groups again."""
-    yield Write(od.REFRESH, 0, bytes((groups,)))
+def _refresh() -> _Steps:
+    """Ask a node to send all sums again."""
+    yield Write(od.REFRESH, 0, b"\1")

@@ -25,7 +25,7 @@ class BlockState(IntEnum):
 
     #: The node is not operational, not proven, or silent for too long. Nothing is known.
     DEAD = 0
-    #: A value is held, and may be old: a frame was lost, or a refresh is overdue.
+    #: A value is held, and may be old: a frame was lost, or came late.
     STALE = 1
     #: No frame came lately, because nothing changed: the node is alive.
     QUIET = 2
@@ -370,13 +370,17 @@ class FrameCounts(msgspec.Struct, kw_only=True):
     accepted : int
         Frames with sums that were used.
     late, duplicate, malformed : int
-        Frames with sums that came after their cycle, came twice, or had a wrong length; they are not used.
-    unrefined, unproven : int
-        Adaptive: fine frames whose coarse frame is not held, and frames of nodes that are not proven; not used.
+        Frames with sums that came after their cycle, came twice, or had a wrong length; they are not used. Adaptive:
+        late frames came well after their slot, and are used; their blocks are not valid.
+    after_gap, unproven : int
+        Adaptive: frames before which others were lost, and frames of nodes that are not proven; these are not used.
     missing : int
         Frames with sums that did not come in their cycle.
     foreign : int
         All other frames on the buses.
+    different : int
+        Adaptive: words with which a node told that it has other sums than the gateway; their frames are among the
+        others.
     """
 
     accepted: int = 0
@@ -385,13 +389,14 @@ class FrameCounts(msgspec.Struct, kw_only=True):
     malformed: int = 0
     missing: int = 0
     foreign: int = 0
-    unrefined: int = 0
+    after_gap: int = 0
     unproven: int = 0
+    different: int = 0
 
     @property
     def received(self) -> int:
         """Number of frames with the identifier of a TPDO with sums."""
-        return self.accepted + self.late + self.duplicate + self.malformed + self.unrefined + self.unproven
+        return self.accepted + self.late + self.duplicate + self.malformed + self.after_gap + self.unproven
 
 
 class NmtState(IntEnum):

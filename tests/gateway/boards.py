@@ -10,23 +10,30 @@ import numpy.typing as npt
 from bus.link import State
 from canskin.messages import BlockState, GatewayStatus, Measurement
 from dbc import indices as od
-from dbc.adaptive import Companding, SendingRule
-from dbc.canopen import HEARTBEAT_BASE, NMT_COB_ID, SDO_REQUEST_BASE, SDO_RESPONSE_BASE, NmtCommand, NmtState
+from dbc.canopen import (
+    HEARTBEAT_BASE,
+    NMT_COB_ID,
+    SDO_REQUEST_BASE,
+    SDO_RESPONSE_BASE,
+    SYNC_COB_ID,
+    NmtCommand,
+    NmtState,
+)
 from dbc.configuration import configuration, expected_signature
-from dbc.contract import Contract, NodeContract, frame_flags
+from dbc.contract import Contract, NodeContract
 from dbc.frame import Frames, frames
+from dbc.steps import FIRST_MAX, PART_SUMS, WORD_BYTES, slot_byte, write_word
 from gateway.adaptive_gathering import RATES_HZ
 from gateway.loop import GatewayLoop
-from nodes.adaptive.sending import NEWS, Groups, decide, make_payload, new_groups, note_sent
+from nodes.adaptive.stepping import new_state, offer, threshold, whole
 from skin.walsh import grouped_rows
 from tests.bus.harness import frame
 from tests.gateway.helpers import Wire
-from tests.layouts import ADAPTIVE, GROUPS, buses, small_layout
-from tests.nodes.adaptive_bus import due_frames
+from tests.layouts import ADAPTIVE, buses, small_layout
 
 STEP_S = 0.005
 HEARTBEAT_S = 1.0
-RULE, VARIANCE_N2, NOISE_N2 = SendingRule(), np.zeros(32, np.float32), 1e-9
+VARIANCE_N2, NOISE_N, QUIET = np.zeros(PART_SUMS, np.float32), 1e-4, 0.1
 NO_OBJECT = 0x0602_0000
 
 STATES = {
@@ -41,27 +48,21 @@ def small_adaptive(**tables: Any) -> Contract:
     return Contract.from_layout(small_layout(8, 16, **ADAPTIVE | {"bus": buses(2, 2)} | tables))
 
 
-def send(groups: Groups, group: int, now: int, sums_n: np.ndarray, law: Companding) -> np.ndarray:
-    """Return the payload of a group's frame, which is sent at once."""
-    payload, is_fine = np.zeros(64, np.uint8), bool(groups.is_fine[0, group])
-    length = make_payload(0, group, sums_n, law, groups, payload)
-    note_sent(0, 0 if groups.is_fd[0] else group, now, is_fine, RULE, law, groups, payload)
-    return payload[:length]
-
-
 class Board:
     """One node: its sums are what the test says."""
 
     def __init__(self, contract: Contract, node: NodeContract) -> None:
         settings = configuration(contract, node)
-        self.contract, self.law = node, contract.law
-        self.line = contract.layout.bus[node.bus]
+        self.contract, self.skin = node, contract
+        self.forms = np.array(node.forms, np.int64)
         self.objects = {(each.index, each.subindex): each.data for each in settings}
         self.objects[od.SIGNATURE, 0] = expected_signature(settings).to_bytes(4, "little")
         self.objects[od.NODE_NOISE, 0] = struct.pack("<f", 1e-4 * (node.block + 1))
         self.sums_n = np.zeros(32, np.float32)
-        #: Times and groups of requests to send again.
+        #: Times of requests to send all sums again, and what was written.
         self.asked: list[tuple[float, int]] = []
+        #: When the newest SYNC came, and its counter.
+        self.sync_s, self.counter = 0.0, 0
         #: What is left of an answer in segments.
         self.rest = b""
         #: Frames with sums so far.
@@ -70,13 +71,13 @@ class Board:
         self.boot()
 
     def boot(self) -> None:
-        self.groups: Groups = new_groups(1, GROUPS, self.line.fd)
-        self.forced = 0
+        self.sending = new_state(len(self.forms), 1, PART_SUMS)
+        self.slot: int | None = None
         self.state, self.beat_s, self.is_up = NmtState.PRE_OPERATIONAL, 0.0, False
 
-    def again(self, groups: int) -> None:
-        """Send groups in coarse frames."""
-        self.forced |= groups
+    def again(self) -> None:
+        """Send all sums."""
+        self.sending.unset[0] = 0
 
     def tick(self, now_s: float) -> Frames:
         """Return what the board sends now."""
@@ -88,21 +89,31 @@ class Board:
             self.beat_s += HEARTBEAT_S
             out.append(frame(HEARTBEAT_BASE + node_id, bytes((self.state,))))
         if self.state is NmtState.OPERATIONAL and self.speaks:
-            out += self.send(round(now_s * 1e3))
+            out += self.send(now_s)
         return np.concatenate(out) if out else frames(0)
 
-    def send(self, now: int) -> list[Frames]:
-        decide(0, now, self.sums_n, VARIANCE_N2, NOISE_N2, RULE, self.law, self.groups)
-        out, groups = [], self.groups
-        for group in range(GROUPS):
-            if self.forced >> group & 1:
-                groups.level[0, group], groups.reason[0, group], groups.is_fine[0, group] = 0, NEWS, 0
-        for group, can_id in due_frames(groups):
-            payload = send(groups, group, now, self.sums_n, self.law)
-            out.append(frame(can_id + self.contract.node_id - 1, payload.tobytes(), flags=frame_flags(self.line)))
-        self.forced = 0
-        self.sent += len(out)
-        return out
+    def send(self, now_s: float) -> list[Frames]:
+        skin, parts = self.skin, len(self.forms)
+        slot_s, slots, cycle = skin.layout.steps.slot_s, skin.slots, skin.slot_cycle
+        since = round((now_s - self.sync_s) / slot_s)
+        if not self.counter or since >= 2 * slots:
+            return []
+        slot = ((self.counter - 1) * slots + since) % cycle
+        if self.slot is not None and not 0 < (slot - self.slot) % cycle <= cycle - slots:
+            return []
+        self.slot, wanted, least, first = slot, np.zeros((parts, PART_SUMS), np.int64), 0.0, 0
+        for part, form in enumerate(self.contract.forms):
+            whole(self.sums_n[first : first + form.sums], skin.unit_n, form, wanted[part])
+            least += threshold(VARIANCE_N2, NOISE_N, self.sums_n.size, skin.unit_n, QUIET, form)
+            first += form.sums
+        if not offer(0, 0, parts, wanted, least, slot, cycle, skin.keep_max, self.forms, self.sending):
+            return []
+        (tpdo,), self.sent = self.contract.tpdos, self.sent + 1
+        data = np.zeros(tpdo.length, np.uint8)
+        data[0] = slot_byte(slot)
+        for part in range(parts):
+            write_word(self.sending.word[part], data[1 + WORD_BYTES * part :])
+        return [frame(tpdo.cob_id, data.tobytes(), flags=self.contract.flags)]
 
     def take(self, arrived: Frames, now_s: float) -> Frames:
         """Return what the board answers."""
@@ -111,6 +122,8 @@ class Board:
             can_id, data = int(each["can_id"]), each["data"][: each["length"]].tobytes()
             if can_id == NMT_COB_ID and data[1] in {0, self.contract.node_id}:
                 self.command(NmtCommand(data[0]))
+            elif can_id == SYNC_COB_ID:
+                self.sync_s, self.counter = now_s, data[0]
             elif can_id == SDO_REQUEST_BASE + self.contract.node_id and data[0] != 0x80 and self.answers:
                 out.append(frame(SDO_RESPONSE_BASE + self.contract.node_id, self.answer(data, now_s)))
         return np.concatenate(out) if out else frames(0)
@@ -120,7 +133,7 @@ class Board:
             self.boot()
             return
         if command is NmtCommand.START and self.state is not NmtState.OPERATIONAL:
-            self.again(0b1111)
+            self.again()
         self.state = STATES[command]
 
     def answer(self, data: bytes, now_s: float) -> bytes:
@@ -129,7 +142,7 @@ class Board:
             value = data[4 : 8 - (data[0] >> 2 & 3)]
             if key == (od.REFRESH, 0):
                 self.asked.append((now_s, value[0]))
-                self.again(value[0])
+                self.again()
             else:
                 self.objects[key] = value
             return b"\x60" + place + bytes(4)
@@ -227,14 +240,15 @@ class BoardWorld:
     def touch(self, block: int, seed: int = 1, size_n: float = 0.05) -> None:
         """Let a board feel something."""
         sums_n = np.random.default_rng(seed).uniform(-size_n, size_n, 32)
-        sums_n[0] = abs(sums_n[0])
+        sums_n[0] = min(abs(sums_n[0]), FIRST_MAX * self.contract.unit_n)
         self.boards[block].sums_n = sums_n.astype(np.float32)
 
     def known_counts(self, block: int) -> npt.NDArray[np.int64]:
         """Return what a receiver without losses holds of a board, as a measurement has it."""
-        by_row = np.zeros(32)
-        by_row[grouped_rows(32).ravel()] = self.boards[block].groups.known_n[0]
-        return np.rint(by_row / self.contract.layout.taxels.newton_per_count).astype(np.int64)
+        board, by_row = self.boards[block], np.zeros(32)
+        known = [each[: form.sums] for each, form in zip(board.sending.known, board.contract.forms, strict=True)]
+        by_row[grouped_rows(32).ravel()] = np.concatenate(known)
+        return np.rint(by_row * (self.contract.unit_n / self.contract.layout.taxels.newton_per_count)).astype(np.int64)
 
 
 def states(measurement: Measurement) -> list[BlockState]:
@@ -250,8 +264,8 @@ def known_of(measurement: Measurement, block: int) -> npt.NDArray[np.uint8]:
 
 
 def at_rest(world: BoardWorld) -> None:
-    """Go on until every board that feels nothing has sent its last refresh."""
-    world.run(3.5)
+    """Go on until a still board sends a check after its longest silence only."""
+    world.run(6.0)
 
 
 def lose(world: BoardWorld, bus: int, frames_lost: int = 1) -> None:
