@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
 from dbc.canopen import SDO_REQUEST_BASE, SDO_RESPONSE_BASE, SYNC_COB_ID
 from dbc.contract import Contract

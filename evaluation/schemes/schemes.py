@@ -32,6 +32,7 @@ TRIAL_HZ: Final = 20.0
 #: The bits of adaptive sums: what they take under the five slides, in the mean, with the paper's meshes.
 ADAPTIVE_KBIT_PER_S: Final = 460.0
 
+_STEPS: Final = Steps()
 
 #: Receivers: of our schemes, and of values that are shown as they came.
 OURS: Final = "ours"
@@ -88,12 +89,12 @@ class Adaptive:
     """
 
     is_fd: bool = False
-    steps: Steps = Steps()
+    steps: Steps = _STEPS
 
     @property
     def name(self) -> str:
         """What it is called in a table."""
-        slots = "" if self.steps == Steps() else f", {1e3 * self.steps.slot_s:g} ms, {self.steps.quiet:g}"
+        slots = "" if self.steps == _STEPS else f", {1e3 * self.steps.slot_s:g} ms, {self.steps.quiet:g}"
         return "adaptive sums" + (", CAN FD" if self.is_fd else "") + slots
 
     def show(self, board: Board) -> Shown:
