@@ -45,9 +45,9 @@ class AdaptiveBoards(PatchBoards):
     def _take(self, sample_n: Floats) -> None:
         self.filter.take(sample_n)
 
-    def _decide(self, before_ns: int, now_ns: int) -> None:
+    def _decide(self, now_ns: int) -> None:
         known = self.filter.sums_n, self.filter.variance_n2, self.filter.noise.node_n
-        burst, bus = self.senders.take_slots(before_ns, now_ns, *known)
+        burst, bus = self.senders.take_slots(now_ns, *known)
         self._bursts = {each: burst[bus == each] for each in self._rows}
 
     def place(self, block: int, site: int) -> None:

@@ -47,7 +47,7 @@ class FirmwarePatches(PatchBoards):
     def _take(self, sample_n: Floats) -> None:  # noqa: ARG002  boards sample in counts
         self._take_counts()
 
-    def _decide(self, before_ns: int, now_ns: int) -> None:
+    def _decide(self, now_ns: int) -> None:
         """Do nothing: boards decide when they are asked for frames."""
 
     def take_sync(self, bus: int, counter: int, time_ns: int) -> None:

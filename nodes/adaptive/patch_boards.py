@@ -61,7 +61,7 @@ class PatchBoards(Hardware):
         self._cells = contract.phi.taxels_of_blocks[list(blocks)]
         model = TaxelModel(0.0 if source.has_noise else noise_n, taxels.force_max_n, defects)
         self._sensors = PatchSensors(self._calibration, self._cells, model, source, seed)
-        self._next_ns = self._decided_ns = 0
+        self._next_ns = 0
         self._truths: deque[Truth] = deque(maxlen=CATCH_UP)
 
     @property
@@ -81,7 +81,7 @@ class PatchBoards(Hardware):
         """Take all samples that are due, and decide what the nodes send whose slots have begun."""
         now_ns = round(now_s * 1e9)
         if not self._next_ns:
-            self._next_ns = self._decided_ns = now_ns
+            self._next_ns = now_ns
         due = (now_ns - self._next_ns) // SAMPLE_NS + 1
         if due <= 0:
             return
@@ -91,8 +91,7 @@ class PatchBoards(Hardware):
             self._take(self._sensors.sample(self._next_ns))
             self._note_truth(self._next_ns)
             self._next_ns += SAMPLE_NS
-        self._decide(self._decided_ns, now_ns)
-        self._decided_ns = now_ns
+        self._decide(now_ns)
 
     def place(self, block: int, site: int) -> None:
         """Let the board of a block sit on another block of the skin: it is the board of that row."""
@@ -104,8 +103,8 @@ class PatchBoards(Hardware):
         """Take one sample of every taxel, newtons, shape (boards, taxels); `_sensors.counts` has it in counts."""
 
     @abstractmethod
-    def _decide(self, before_ns: int, now_ns: int) -> None:
-        """Decide with the newest sample what the nodes send whose slots have begun after `before_ns`."""
+    def _decide(self, now_ns: int) -> None:
+        """Decide with the newest sample what the nodes send whose slots have begun."""
 
     @abstractmethod
     def take_sync(self, bus: int, counter: int, time_ns: int) -> None:

@@ -52,7 +52,7 @@ class Senders:
             self.reset(node)
         # Compiles what runs in every slot, so that no bus waits for it.
         nothing = np.zeros((1, contract.phi.block_size), np.float32)
-        self.take_slots(0, 0, nothing, nothing, np.zeros(1))
+        self.take_slots(0, nothing, nothing, np.zeros(1))
         give_back(0, self.slots, self.state)
 
     def _new_state(self) -> State:
@@ -133,13 +133,17 @@ class Senders:
     def take_sync(self, bus: int, counter: int, time_ns: int) -> None:
         """Begin the slots of a SYNC; one without counter has no slots."""
         self.slots.counter[bus], self.slots.sync_ns[bus] = counter, time_ns
+        self.slots.done_ns[bus] = min(self.slots.done_ns[bus], time_ns - 1)
 
     def take_slots(
-        self, before_ns: int, now_ns: int, sums_n: Floats, variance_n2: Floats, noise_n: Numbers
+        self, now_ns: int, sums_n: Floats, variance_n2: Floats, noise_n: Numbers
     ) -> tuple[Frames, npt.NDArray[np.intp]]:
-        """Return the frames of the slots that begin in a time, and the bus of each; see `take_slots`."""
+        """Return the frames of the slots that have begun since the call before, and the bus of each.
+
+        Sums, variances and noise are those of `nodes.adaptive.stepping.take_slots`.
+        """
         table, of_boards = self._table, (sums_n, variance_n2, noise_n, self._contract.unit_n)
-        count = take_slots(before_ns, now_ns, self._period_ns, *of_boards, table, self.slots, self.state, self._chosen)
+        count = take_slots(now_ns, self._period_ns, *of_boards, table, self.slots, self.state, self._chosen)
         chosen = self._chosen[: int(count)]
         burst = frames(len(chosen))
         burst["time_ns"], burst["port"], burst["can_id"] = now_ns, self._port[chosen], self.slots.cob_id[chosen]

@@ -57,7 +57,7 @@ class SimulatedNodes:
         number, since = divmod(period, self._sync_samples)
         if since == 0:
             self.senders.take_sync(self._bus, number % SYNC_OVERFLOW + 1, now_ns)
-        burst, _ = self.senders.take_slots(now_ns - SAMPLE_NS, now_ns, *known)
+        burst, _ = self.senders.take_slots(now_ns, *known)
         return np.concatenate([self._waiting, burst])
 
 

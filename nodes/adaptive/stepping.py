@@ -229,8 +229,8 @@ class Slots(NamedTuple):
         2031h:1, as REAL32 holds it.
     slots, offset_ns, cycle, keep_max : arrays of int64, shape (nodes,)
         2031h:2 and :3, and `dbc.steps.slot_cycle` and `keep_max` of these slots.
-    sync_ns, counter : arrays of int64, shape (buses,)
-        When the newest SYNC came, and its counter, 0 before the first.
+    sync_ns, counter, done_ns : arrays of int64, shape (buses,)
+        When the newest SYNC came, its counter, 0 before the first, and until when the slots are done.
     bus : array of int64, shape (frames,)
     cob_id : array of int64, shape (frames,)
         Identifier, or `NO_COB_ID`.
@@ -247,6 +247,7 @@ class Slots(NamedTuple):
     keep_max: Integers
     sync_ns: Integers
     counter: Integers
+    done_ns: Integers
     bus: Integers
     cob_id: Integers
     under_way_ns: Integers
@@ -255,15 +256,15 @@ class Slots(NamedTuple):
 def new_slots(nodes: int, buses: int, bus: Integers) -> Slots:
     """Return the slots of boards that do nothing yet; `bus` is that of each frame."""
     row, slots, offset_ns, cycle, keep_max = np.zeros((5, nodes), np.int64)
-    sync_ns, counter = np.zeros((2, buses), np.int64)
+    sync_ns, counter, done_ns = np.zeros((3, buses), np.int64)
     cob_id, under_way_ns = np.zeros((2, len(bus)), np.int64)
     off, quiet = np.zeros(nodes, np.bool_), np.zeros(nodes)
-    return Slots(row, off, quiet, slots, offset_ns, cycle, keep_max, sync_ns, counter, bus, cob_id, under_way_ns)
+    of_nodes, of_buses = (row, off, quiet, slots, offset_ns, cycle, keep_max), (sync_ns, counter, done_ns)
+    return Slots(*of_nodes, *of_buses, bus, cob_id, under_way_ns)
 
 
 @njit(cache=True, nogil=True)
 def take_slots(  # noqa: PLR0917  compiled functions take no keywords
-    before_ns: int,
     now_ns: int,
     period_ns: int,
     sums_n: Floats,
@@ -275,15 +276,13 @@ def take_slots(  # noqa: PLR0917  compiled functions take no keywords
     state: State,
     chosen: Integers,
 ) -> int:
-    """Let each board decide whose slot begins in a time; write the frames to send to `chosen`.
+    """Let each board decide whose slot has begun since the call before; write the frames to send to `chosen`.
 
     A board whose controller still holds its frame leaves the slot out. So does a board whose newest word has the same
     number, or one of less than a period later, because a SYNC was late: the slots of its words rise.
 
     Parameters
     ----------
-    before_ns, now_ns : int
-        The time ends with `now_ns`, and `before_ns` is the end of the time before.
     period_ns : int
         From SYNC to SYNC.
     sums_n, variance_n2 : arrays of float32, shape (rows, sums)
@@ -303,7 +302,7 @@ def take_slots(  # noqa: PLR0917  compiled functions take no keywords
             continue
         of_sync, cycle, start_ns = slots.slots[node], slots.cycle[node], slots.sync_ns[bus] + slots.offset_ns[node]
         since = (now_ns - start_ns) * of_sync // period_ns
-        if not 0 <= since < 2 * of_sync or since == (before_ns - start_ns) * of_sync // period_ns:
+        if not 0 <= since < 2 * of_sync or since == (slots.done_ns[bus] - start_ns) * of_sync // period_ns:
             continue
         slot = ((slots.counter[bus] - 1) * of_sync + since) % cycle
         is_back = state.slot[frame] >= 0 and (state.slot[frame] - slot) % cycle < min(of_sync, cycle // 4)
@@ -321,6 +320,7 @@ def take_slots(  # noqa: PLR0917  compiled functions take no keywords
             slots.under_way_ns[frame] = now_ns + LOST_NS
             chosen[count] = frame
             count += 1
+    slots.done_ns[:] = now_ns
     return count
 
 

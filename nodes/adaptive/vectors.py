@@ -213,7 +213,7 @@ class _Board:
         self._now += 1
         self._filter.take(self._newtons(sample.counts))
         known = self._filter.sums_n, self._filter.variance_n2, self._filter.noise.node_n
-        burst, _ = self._senders.take_slots(now_ns - SAMPLE_NS, now_ns, *known)
+        burst, _ = self._senders.take_slots(now_ns, *known)
         self._held = np.concatenate([self._held, burst])
         if sample.bus != "held":
             self._held["flags"] |= ECHO if sample.bus == "free" else ECHO | ERROR

@@ -3,7 +3,7 @@
 import msgspec
 import pytest
 
-from dbc.board import Board, MappedObject, board, board_text, json_text
+from dbc.board import Board, BoardPart, MappedObject, board, board_text, json_text
 from dbc.contract import Contract
 from skin.layout import Layout, changed
 from tests.layouts import ADAPTIVE, buses, small_layout
@@ -130,7 +130,7 @@ def test_boards_that_send_in_turns_have_a_start_value_for_each() -> None:
         counter, sums = MappedObject(index=0x2022, subindex=0, bits=8), range(1, 9)
         index = (0x2100, 0x2300)[number - 1]
         assert tpdo.mapping == [counter, *(MappedObject(index=index, subindex=place, bits=15) for place in sums)]
-        assert (tpdo.level, tpdo.group, tpdo.is_fine, tpdo.state) == (None, None, None, None)
+        assert tpdo.state is None
 
 
 def test_a_board_with_one_sum_has_one_tpdo_however_many_turns_there_are() -> None:
@@ -138,26 +138,19 @@ def test_a_board_with_one_sum_has_one_tpdo_however_many_turns_there_are() -> Non
     assert [(each.transmission_type, each.sync_start_value, len(each.mapping)) for each in table.tpdos] == [(2, 1, 2)]
 
 
-def test_adaptive_boards_have_urgencies_a_code_and_no_packing() -> None:
-    """32 node-IDs a TPDO: six levels of coarse frames of four groups, then two of fine ones."""
-    _, table = table_of(small_layout(**ADAPTIVE))
+def test_adaptive_boards_have_words_a_unit_and_no_packing() -> None:
+    """32 sums of 32 taxels of 20 mN, in two places of a slot of 5 ms."""
+    _, table = table_of(small_layout(**ADAPTIVE), 1)
     assert (table.sending, table.packing, table.frontend, table.samples_per_sync) == ("adaptive", None, None, 100)
-    assert [each.cob_id for each in table.tpdos] == [0x182 + 32 * place for place in range(32)]
-    assert [each.number for each in table.tpdos] == list(range(1, 33))
-    coarse = [(level, group, False) for level in (5, 4, 3, 2, 1, 0) for group in range(4)]
-    fine = [(level, group, True) for level in (1, 0) for group in range(4)]
-    assert [(each.level, each.group, each.is_fine) for each in table.tpdos] == coarse + fine
-    assert {(each.transmission_type, each.inhibit_100us, each.event_timer_ms) for each in table.tpdos} == {(254, 10, 0)}
-    assert {each.length for each in table.tpdos} == {8}
-    assert [each.subindex for each in table.tpdos[1].mapping] == list(range(9, 17))
-    assert {(each.index, each.bits) for each in table.tpdos[1].mapping} == {(0x2110, 8)}
-    assert table.tpdos[31].mapping == [MappedObject(index=0x2111, subindex=4, bits=64)]
-    assert table.companding is not None
-    assert table.companding[4] == 62.5e-6
-    assert table.sending_rule == (0.15, 2.0, 0.75, 1.25, 8.0, 1, 0.3, 4, 64, 1024, 100, 6, 24)
-    assert table.grouped_rows is not None
-    assert table.grouped_rows[:2] == [[0, 4, 6, 2, 16, 20, 22, 18], [3, 7, 5, 1, 19, 23, 21, 17]]
-    assert sorted(row for rows in table.grouped_rows for row in rows) == list(range(32))
+    (tpdo,) = table.tpdos
+    assert (tpdo.number, tpdo.cob_id, tpdo.transmission_type, tpdo.length) == (1, 0x182, 254, 8)
+    assert (tpdo.inhibit_100us, tpdo.event_timer_ms, tpdo.sync_start_value) == (0, 0, 0)
+    assert [(each.index, each.subindex, each.bits) for each in tpdo.mapping] == [(0x2022, 0, 8), (0x2110, 1, 56)]
+    assert (table.unit_n, table.quiet, table.slots_per_sync, table.slot_offset_us) == (0.64 / 8192, 0.1, 20, 2500)
+    assert table.parts == [BoardPart(sums=32, radix=3, has_first=True)]
+    assert table.rows_of_parts is not None
+    assert table.rows_of_parts[:12] == [0, 4, 6, 2, 16, 20, 22, 18, 3, 7, 5, 1]
+    assert sorted(table.rows_of_parts) == list(range(32))
 
 
 def test_analogue_boards_have_no_calibration_of_taxels() -> None:
@@ -166,9 +159,7 @@ def test_analogue_boards_have_no_calibration_of_taxels() -> None:
     assert (table.frontend, table.encoding, table.node_id, table.serial) == ("analogue", 0x01_04_05_0E, 2, 2)
     assert [(each.block, each.gain, each.offset_counts) for each in table.blocks] == [(1, [], [])]
     assert (table.emcy_cob_id, table.sdo_request_cob_id, table.sdo_response_cob_id) == (0x82, 0x602, 0x582)
-    assert (table.heartbeat_cob_id, table.companding, table.sending_rule, table.grouped_rows) == (
-        0x702, None, None, None
-    )  # fmt: skip
+    assert (table.heartbeat_cob_id, table.unit_n, table.quiet, table.parts) == (0x702, None, None, None)
 
 
 def test_boards_with_two_states_tell_the_state_of_each_tpdo() -> None:

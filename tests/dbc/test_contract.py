@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 
 from canskin.errors import LayoutError
 from dbc import indices as od
-from dbc.adaptive import coarse_value
 from dbc.canopen import SYNC_COB_ID
 from dbc.codec import decode, encode
 from dbc.contract import (
@@ -20,8 +19,6 @@ from dbc.contract import (
     _cob_id,
     _length,
     _spread,
-    sample_age_ns,
-    sum_frame_bits,
     sync_frame,
     useful_widths,
 )
@@ -30,7 +27,7 @@ from dbc.frame import BRS, FD, FD_LENGTHS
 from dbc.packing import Packing
 from skin.layout import SUM_BITS_MAX, SUM_BITS_MIN, Bus, Encoding, Layout, PhiParameters, Taxels, load_layout
 from skin.sync_counter import SYNC_OVERFLOW, next_counter
-from tests.layouts import GROUPS, TURNS, buses, in_turns, small_layout
+from tests.layouts import TURNS, buses, in_turns, small_layout
 
 CONTRACT = Contract.from_layout(load_layout())
 IN_TURNS = Contract.from_layout(in_turns(load_layout()))
@@ -375,22 +372,6 @@ def test_a_node_with_many_frames_has_identifiers_of_unused_node_ids(
     else:
         with pytest.raises(LayoutError, match=f"no identifiers left for TPDO {index + 1} of node {node_id}: "):
             _cob_id(bus, 0, node_id - 1, index)
-
-
-def test_a_frame_of_adaptive_sums_takes_135_bits_and_tells_of_a_sample_a_millisecond_before() -> None:
-    line = load_layout(Path("adaptive")).bus[0]
-    assert [sum_frame_bits(line, GROUPS, is_fine=is_fine) for is_fine in (False, True)] == [135, 135]
-    assert sample_age_ns(line, GROUPS) == 1_000_000 + 135_000
-    slow = msgspec.structs.replace(line, bitrate=500_000)
-    assert (sum_frame_bits(slow, GROUPS, is_fine=True), sample_age_ns(slow, GROUPS)) == (135, 1_000_000 + 270_000)
-
-
-def test_a_coarse_step_near_0_is_half_a_millinewton_of_twenty() -> None:
-    contract = Contract.from_layout(load_layout(Path("adaptive")))
-    full_scale = contract.layout.taxels.force_max_n
-    assert [coarse_value(code, False, contract.law) for code in (127, 128, 129)] == pytest.approx(
-        [-full_scale / 40, 0.0, full_scale / 40], rel=1e-3
-    )
 
 
 @pytest.mark.parametrize(("offset_binary", "form"), [(False, 4), (True, 5)])

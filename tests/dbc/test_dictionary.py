@@ -20,7 +20,7 @@ RECOGNITION: dict[str, Any] = {
 }
 RECOGNISING = small_layout(**RECOGNITION)
 #: Data types of CiA 301, 7.4.7.
-U8, U16, U32, REAL, U64 = 5, 6, 7, 8, 0x1B
+U8, U16, U32, REAL, U56 = 5, 6, 7, 8, 0x1A
 
 
 def objects(layout: Layout) -> dict[tuple[int, int | None], Object]:
@@ -34,43 +34,42 @@ def told(found: dict[tuple[int, int | None], Object], index: int) -> list[tuple[
 
 
 def test_adaptive_nodes_have_their_settings_and_no_sums() -> None:
-    """1007h is 99 % of the period; 2005h: 8 bits, step 1, form 2 (companded), one block."""
+    """1007h is 99 % of the period; 2005h: 56 bits, form 3 (words), one block."""
     found = objects(ADAPTIVE_ARM)
-    values = {index: found[index, None].value for index in (0x1006, 0x1007, 0x1019, 0x2005, 0x2030, 0x2034, 0x2035)}
+    values = {index: found[index, None].value for index in (0x1006, 0x1007, 0x1019, 0x2005, 0x2030, 0x2035)}
     assert values == {
-        0x1006: 100_000, 0x1007: 99_000, 0x1019: 240, 0x2005: 0x01_02_00_08, 0x2030: 0, 0x2034: 0, 0x2035: 0.0
+        0x1006: 100_000, 0x1007: 99_000, 0x1019: 240, 0x2005: 0x01_03_00_38, 0x2030: 0, 0x2035: 0.0
     }  # fmt: skip
-    kinds = {index: (found[index, None].data_type, found[index, None].access) for index in (0x2030, 0x2034, 0x2035)}
-    assert kinds == {0x2030: (U8, "rw"), 0x2034: (U32, "rw"), 0x2035: (REAL, "ro")}
+    kinds = {
+        index: (found[index, None].data_type, found[index, None].access) for index in (0x2007, 0x2022, 0x2030, 0x2035)
+    }
+    assert kinds == {0x2007: (REAL, "const"), 0x2022: (U8, "ro"), 0x2030: (U8, "rw"), 0x2035: (REAL, "ro")}
     assert told(found, 0x1800) == [
         (U8, "const", 6),
         (U32, "rw", 0x4000_0181),
         (U8, "const", 254),
-        (U16, "rw", 10),
+        (U16, "const", 0),
         (U16, "const", 0),
         (U8, "const", 0),
     ]
-    assert [(kind, access) for kind, access, _ in told(found, 0x2007)] == [(U8, "const")] + 5 * [(REAL, "const")]
-    assert told(found, 0x2007)[5][2] == 62.5e-6
-    rule = (0.15, 2.0, 0.75, 1.25, 8.0, 1, 0.3, 4, 64, 1024, 100, 6, 24)
-    wanted = [(REAL if isinstance(value, float) else U32, "rw", value) for value in rule]
-    assert told(found, 0x2031) == [(U8, "const", 13), *wanted]
+    assert found[0x2007, None].value == 0.64 / 8192
+    assert told(found, 0x2031) == [(U8, "const", 3), (REAL, "rw", 0.1), (U8, "rw", 20), (U32, "rw", 0)]
     for index in (0x2032, 0x2033):
         assert told(found, index) == [(U8, "const", 32)] + 32 * [(REAL, "rw", 0.0)]
-    assert told(found, 0x2110) == [(U8, "const", 32)] + 32 * [(U8, "ro", 0)]
-    assert told(found, 0x2111) == [(U8, "const", 4)] + 4 * [(U64, "ro", 0)]
-    assert all(found[index, place].pdo for index in (0x2110, 0x2111) for place in (1, 4))
+    assert told(found, 0x2110) == [(U8, "const", 1), (U56, "ro", 0)]
+    assert found[0x2110, 1].pdo
+    assert found[0x2022, None].pdo
 
 
 def test_names_count_from_one_and_taxels_from_zero() -> None:
     found = objects(ADAPTIVE_ARM)
     names = [
-        (found[index, 1].name, found[index, most].name) for index, most in ((0x2032, 32), (0x2033, 32), (0x2111, 4))
+        (found[index, 1].name, found[index, most].name) for index, most in ((0x2032, 32), (0x2033, 32), (0x2110, 1))
     ]
     assert names == [
         ("Noise of Haar coefficient 1", "Noise of Haar coefficient 32"),
         ("Noise of the taxel at place 0", "Noise of the taxel at place 31"),
-        ("Fine code of group 1", "Fine code of group 4"),
+        ("Word of part 1", "Word of part 1"),
     ]
 
 
@@ -108,7 +107,6 @@ def test_an_rpdo_switches_the_state_at_the_next_sync() -> None:
     assert mapped == of_images + of_recognition
     assert told(found, 0x2022) == [(U8, "ro", 0)]
     assert found[0x2022, None].pdo
-    assert (0x2022, None) not in objects(ADAPTIVE_ARM)
 
 
 @pytest.mark.parametrize(

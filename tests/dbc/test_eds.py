@@ -131,11 +131,10 @@ def test_no_warning_of_any_reader_and_no_value_without_default(
         Device.from_dcf(path, {"NODEID": 3})
     found = canopen.import_od(path, 3)
     assert not caplog.records
-    tpdos = len(kind.nodes[0].tpdos) + len(kind.nodes[0].adaptive_tpdos)
-    assert f"-DOD_CNT_SDO_SRV=1 -DOD_CNT_TPDO={tpdos}" in found.comments
+    assert f"-DOD_CNT_SDO_SRV=1 -DOD_CNT_TPDO={len(kind.nodes[0].tpdos)}" in found.comments
     unsaid = {each.index for each in flat(found) if each.default is None}
     # Programs, and fractions, on whose form readers disagree.
-    assert unsaid == {od.PROGRAM_DATA} | ({od.COMPANDING, od.SENDING} if name == "adaptive" else set())
+    assert unsaid == {od.PROGRAM_DATA} | ({od.UNIT, od.SENDING} if name == "adaptive" else set())
 
 
 @pytest.mark.heavy

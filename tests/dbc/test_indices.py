@@ -16,7 +16,7 @@ DATA_TYPES: Final = {
     "REAL32": 0x0008,
     "VISIBLE_STRING": 0x0009,
     "DOMAIN": 0x000F,
-    "UNSIGNED64": 0x001B,
+    "UNSIGNED56": 0x001A,
 }
 #: CiA 301, 7.5.2.
 COMMUNICATION: Final = {
@@ -59,7 +59,7 @@ OF_THE_SKIN: Final = {
     "TAXELS": 0x2004,
     "ENCODING": 0x2005,
     "SIGNATURE": 0x2006,
-    "COMPANDING": 0x2007,
+    "UNIT": 0x2007,
     "STATE": 0x2008,
     "CALIBRATION_SIGNATURE": 0x2009,
     "GAIN": 0x2010,
@@ -72,12 +72,10 @@ OF_THE_SKIN: Final = {
     "SENDING": 0x2031,
     "COEFFICIENT_NOISE": 0x2032,
     "TAXEL_NOISE": 0x2033,
-    "BUDGET": 0x2034,
     "NODE_NOISE": 0x2035,
     "TEMPERATURE": 0x2036,
     "SUMS": 0x2100,
-    "COARSE": 0x2110,
-    "FINE": 0x2111,
+    "WORDS": 0x2110,
 }
 
 
@@ -90,7 +88,7 @@ def test_indices_are_those_of_the_standard_and_the_documentation() -> None:
 def test_data_types_are_those_of_the_standard() -> None:
     assert {name: getattr(od, name) for name in DATA_TYPES} == DATA_TYPES
     assert set(od.SIGNED) == {2, 3}
-    assert od.BITS == {2: 8, 3: 16, 5: 8, 6: 16, 7: 32, 8: 32, 0x1B: 64}
+    assert od.BITS == {2: 8, 3: 16, 5: 8, 6: 16, 7: 32, 8: 32, 0x1A: 56}
 
 
 def test_signatures_are_words_with_the_first_letter_lowest() -> None:

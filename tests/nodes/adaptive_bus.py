@@ -1,24 +1,38 @@
 """Adaptive nodes of one bus, their wire, a receiver, and a clock that the test moves."""
 
 import struct
-from collections.abc import Iterator
 
 import numpy as np
 
-from dbc.adaptive import FIRST_COB_ID, Companding, frame_of
 from dbc.contract import Contract
-from dbc.frame import FD, Frames, frame_bytes
-from gateway.adaptive_state import BusSums, new_sums, take_all
+from dbc.frame import Frames
+from dbc.steps import (
+    BAD,
+    COUNT,
+    LATE_SLOTS,
+    SEQUENCE,
+    SET,
+    STEP,
+    WORD_BYTES,
+    Form,
+    hash_of,
+    kind_of,
+    move,
+    put,
+    read_word,
+)
 from nodes.adaptive.boards import AdaptiveBoards
-from nodes.adaptive.sending import NOT_DUE, Groups, tpdo_of
+from nodes.adaptive.stepping import form_at
 from nodes.segment import Segment
 from nodes.virtual_boards import VirtualBoards
 from skin.sources import Frame
+from skin.sync_counter import SYNC_OVERFLOW
 from tests.bus.harness import frame
-from tests.layouts import GROUPS, NODES, TPDOS
 from tests.nodes.helpers import START, ArrayLink
 
 IDS = (1, 2, 3, 4)
+#: From SYNC to SYNC, milliseconds.
+PERIOD_MS = 100
 
 
 class Press:
@@ -30,12 +44,89 @@ class Press:
         taxels = contract.layout.taxels
         shape = taxels.rows, taxels.columns
         self._from = from_step
-        # Neighbours differ, so that sums of every group do.
+        # Neighbours differ, so that all sums do.
         self.force_n = np.random.default_rng(5).uniform(0.5, 1.5, shape).astype(np.float32) * np.float32(force_n)
 
     def frame(self, step: int) -> Frame:
         is_on = step >= self._from
         return Frame(self.force_n if is_on else np.zeros_like(self.force_n), "thing" if is_on else "")
+
+
+class Part:
+    """What a receiver holds of one part.
+
+    Attributes
+    ----------
+    kinds : list of int
+        Of the words that came.
+    gaps, different : int
+        Words that told of a loss, and checks of other integers.
+    missing : set of int
+        Groups that are to be set.
+    is_late : bool
+        Whether the newest word was too old.
+    """
+
+    def __init__(self, form: Form, cycle: int) -> None:
+        self.form, self._cycle = form, cycle
+        self.known = np.zeros(form.sums, np.int64)
+        self.kinds: list[int] = []
+        self.gaps = self.different = self.sent = self.slot = 0
+        self.missing, self.is_late, self._is_chained = set(range(form.groups)), False, False
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether all integers are those of the board."""
+        return not self.missing and not self.is_late
+
+    def take(self, byte: int, word: int, now: int | None = None) -> None:
+        """Take a word in slot number `now`, or in time."""
+        kind, part, sent, high, data = kind_of(word, self.form)
+        assert kind != BAD
+        self.kinds.append(kind)
+        if kind == STEP:
+            passed = (byte - 1 - self.slot) % SYNC_OVERFLOW
+            if not self._is_chained or not 1 <= passed <= SEQUENCE or (self.sent + 1) % SEQUENCE != sent:
+                self._lose(is_chained=False)
+                return
+            self.slot, self.sent = (self.slot + passed) % self._cycle, (self.sent + 1) % COUNT
+            move(self.known, part, data, self.form)
+        else:
+            if not self._is_chained or (self.sent + 1) % COUNT != sent:
+                self._lose(is_chained=True)
+            self.slot, self.sent = (SYNC_OVERFLOW * high + byte - 1) % self._cycle, sent
+            if kind == SET:
+                put(self.known, part, data, self.form)
+                self.missing.discard(part)
+            elif not self.missing and data != hash_of(self.known):
+                self.different += 1
+                self.missing = set(range(self.form.groups))
+        self.is_late = now is not None and (now - self.slot) % self._cycle > LATE_SLOTS
+
+    def _lose(self, *, is_chained: bool) -> None:
+        self.gaps += 1
+        self._is_chained, self.missing = is_chained, set(range(self.form.groups))
+
+
+class Receiver:
+    """What a receiver of all frames holds of the parts of a skin."""
+
+    def __init__(self, contract: Contract) -> None:
+        self._table = contract.parts
+        self.parts = [
+            Part(form_at(self._table.form, part), contract.slot_cycle) for part in range(len(self._table.form))
+        ]
+
+    def take(self, sent: Frames, bus: int = 0) -> None:
+        """Take frames, at once."""
+        for one in sent:
+            row = self._table.row_of[bus, one["can_id"]]
+            if row < 0:
+                continue
+            assert one["length"] == self._table.length[row]
+            for place in range(self._table.parts[row]):
+                word = read_word(one["data"][1 + WORD_BYTES * place :])
+                self.parts[self._table.part[row] + place].take(int(one["data"][0]), word)
 
 
 class Bus:
@@ -44,15 +135,15 @@ class Bus:
     def __init__(self, contract: Contract, **options: object) -> None:
         self.contract = contract
         self.source = Press(contract)
-        blocks = [node.block for node in contract.on_bus(0) if node.node_id in IDS]
-        self.boards = AdaptiveBoards(contract, blocks, self.source, noise_n=0.0, **options)  # type: ignore[arg-type]
+        self.blocks = [node.block for node in contract.on_bus(0) if node.node_id in IDS]
+        self.boards = AdaptiveBoards(contract, self.blocks, self.source, noise_n=0.0, **options)  # type: ignore[arg-type]
         self.link = ArrayLink()
         self.complaints: list[str] = []
         nodes = VirtualBoards(contract, 0, IDS, self.boards)
         self.segment = Segment(contract, 0, nodes, self.boards, self.link.send, complain=self.complaints.append)
         self.now_s = 100.0
-        self.received: BusSums = new_sums(NODES, GROUPS)
-        self.is_fd = contract.layout.bus[0].fd
+        self.received = Receiver(contract)
+        self._sync_ms = self._counter = 0
         self.segment.boot(self.now_s)
         self.link.take_sent()
 
@@ -63,24 +154,33 @@ class Bus:
         self.segment.take(self.link.receive(), self.now_s)
         return self.link.take_sent()
 
+    def tick(self) -> Frames:
+        """Go on by a millisecond, with a SYNC each 100 from the first on, and return the frames of sums."""
+        self.now_s += 1e-3
+        if self._counter:
+            self._sync_ms += 1
+            if self._sync_ms == PERIOD_MS:
+                self.sync()
+        self.segment.tick(self.now_s)
+        return self.sums_of(self.link.take_sent())
+
     def run(self, ticks: int) -> Frames:
         """Go on by `ticks` milliseconds; every frame arrives. Return frames of sums, which the receiver has taken."""
         sent = []
         for _ in range(ticks):
             self.segment.take(self.link.receive(), self.now_s)
-            self.now_s += 1e-3
-            self.segment.tick(self.now_s)
-            sent.append(sums_of(self.link.take_sent()))
+            sent.append(self.tick())
         self.segment.take(self.link.receive(), self.now_s)
         together = np.concatenate(sent)
-        receive(together, self.contract.law, self.received, is_fd=self.is_fd)
+        self.received.take(together)
         return together
 
     def start(self) -> None:
         self.give(frame(0, bytes((START, 0))))
 
-    def sync(self, counter: int = 1) -> None:
-        self.give(frame(0x80, bytes((counter,)), time_ns=round(self.now_s * 1e9)))
+    def sync(self, counter: int | None = None) -> None:
+        self._counter, self._sync_ms = counter or self._counter % SYNC_OVERFLOW + 1, 0
+        self.give(frame(0x80, bytes((self._counter,)), time_ns=round(self.now_s * 1e9)))
 
     def sdo(self, node_id: int, request: bytes) -> bytes:
         answers = self.give(frame(0x600 + node_id, request.ljust(8, b"\0")))
@@ -96,33 +196,24 @@ class Bus:
         assert answer[0] & 0xE0 == 0x40, answer.hex()
         if answer[0] & 2:
             return answer[4 : 8 - (answer[0] >> 2 & 3)]
-        answer = self.sdo(node_id, b"\x60")  # eight bytes come in two segments
-        return answer[1:] + self.sdo(node_id, b"\x70")[1:2]
+        return self.sdo(node_id, b"\x60")[1:]  # seven bytes come in one segment
 
     def read_real(self, index: int, sub: int = 0, node_id: int = 1) -> float:
         return float(struct.unpack("<f", self.read(index, sub, node_id))[0])
 
+    def sums_of(self, sent: Frames) -> Frames:
+        """Return the frames of sums."""
+        frames: Frames = sent[self.contract.parts.row_of[0][sent["can_id"]] >= 0]
+        return frames
 
-def due_frames(groups: Groups) -> Iterator[tuple[int, int]]:
-    """Give group and identifier of the most urgent frame of a single node, until every frame is noted as sent."""
-    while due := [(tpdo_of(0, group, groups), group) for group in range(GROUPS) if groups.level[0, group] != NOT_DUE]:
-        tpdo, group = min(due)
-        yield group, FIRST_COB_ID + NODES * tpdo
+    def parts_of(self, block: int) -> list[Part]:
+        """Return what the receiver holds of a block."""
+        return [self.received.parts[part] for part in np.flatnonzero(self.contract.parts.block == block)]
 
-
-def receive(sent: Frames, law: Companding, sums: BusSums, *, is_fd: bool = False) -> None:
-    """Give frames to a gateway that has proven all nodes and lost nothing."""
-    nodes = len(sums.check)
-    take_all(frame_bytes(sent), False, law, np.ones(nodes, np.bool_), sums, np.zeros((nodes, GROUPS), np.bool_), is_fd)
-
-
-def sums_of(sent: Frames) -> Frames:
-    return sent[(sent["can_id"] >= FIRST_COB_ID) & (sent["can_id"] < FIRST_COB_ID + NODES * TPDOS)]
-
-
-def meanings(sent: Frames) -> list[tuple[int, int, int, bool]]:
-    found = (frame_of(int(one["can_id"]), groups=GROUPS, is_fd=bool(one["flags"] & FD)) for one in sent)
-    return [(column + 1, level, group, is_fine) for column, level, group, is_fine in found]
+    def known(self, block: int) -> list[int]:
+        """Return the integers that the board of a block believes its receivers to hold."""
+        rows = self.boards.senders.state.known[self.contract.parts.block == block]
+        return [int(each) for row in rows for each in row]
 
 
 def back(sent: Frames, flags: int) -> Frames:

@@ -23,8 +23,7 @@ class Ticks(PatchBoards):
         super().__init__(contract, [3, 7], Source(contract))
         self.cells = contract.phi.taxels_of_blocks[[3, 7]]
         self.samples = 0
-        self.decisions: list[tuple[int, int, int]] = []
-        self.answer = False
+        self.decisions: list[int] = []
 
     @property
     def sums(self) -> npt.NDArray[np.int32]:
@@ -34,11 +33,13 @@ class Ticks(PatchBoards):
         assert sample_n.shape == (2, 32)
         self.samples += 1
 
-    def _decide(self, now_ns: int, passed_ns: int, skipped: int) -> bool:
-        self.decisions.append((now_ns, passed_ns, skipped))
-        return self.answer
+    def _decide(self, now_ns: int) -> None:
+        self.decisions.append(now_ns)
 
-    def choose(self, bus: int, now_ns: int, until_ns: int, most: int) -> Frames:
+    def take_sync(self, bus: int, counter: int, time_ns: int) -> None:
+        pass
+
+    def choose(self, bus: int, now_ns: int) -> Frames:
         return frames(0)
 
     def take_echoes(self, bus: int, arrived: Frames) -> tuple[int, int]:
@@ -58,52 +59,27 @@ def boards() -> Ticks:
 
 
 def test_the_first_turn_takes_a_sample_and_the_next_is_a_millisecond_later(boards: Ticks) -> None:
-    assert (boards.due_s, boards.decision, boards.has_due) == (0, 0, False)
+    assert boards.due_s == 0
     boards.advance(100.0)
-    assert (boards.samples, boards.decision) == (1, 1)
+    assert boards.samples == 1
     assert boards.due_s == pytest.approx(100.001)
     boards.advance(100.0009)
-    assert (boards.samples, boards.decision) == (1, 1)
+    assert boards.samples == 1
     boards.advance(100.001)
     boards.advance(100.0045)
-    assert (boards.samples, boards.decision) == (1 + 1 + 3, 5)
+    assert boards.samples == 1 + 1 + 3
     assert boards.due_s == pytest.approx(100.005)
-    assert boards.decisions == [(100_000 * MS, 0, 0), (100_001 * MS, MS, 0), (100_004_500_000, 3_500_000, 0)]
+    first = 100_000 * MS
+    assert boards.decisions == [first, first + MS, first + 4_500_000]
 
 
 @pytest.mark.parametrize(("late", "taken"), [(20, 20), (21, 20), (100, 20)])
-def test_a_late_process_takes_twenty_samples_and_counts_the_others(boards: Ticks, late: int, taken: int) -> None:
+def test_a_late_process_takes_twenty_samples_and_leaves_the_others_out(boards: Ticks, late: int, taken: int) -> None:
     boards.advance(100.0)
     boards.advance(100.0 + late / 1000)
     assert boards.samples == 1 + taken
-    assert boards.decision == 1 + late
-    assert boards.decisions[1] == ((100_000 + late) * MS, late * MS, late - taken)
+    assert boards.decisions[1] == (100_000 + late) * MS
     assert boards.due_s == pytest.approx(100.001 + late / 1000)
-
-
-def test_what_is_decided_holds_until_the_next_decision(boards: Ticks) -> None:
-    boards.answer = True
-    boards.advance(100.0)
-    assert boards.has_due
-    boards.answer = False
-    boards.advance(100.0005)
-    assert boards.has_due
-    boards.advance(100.001)
-    assert not boards.has_due
-
-
-def test_the_pace_of_decisions_is_learned_between_one_and_twenty_milliseconds(boards: Ticks) -> None:
-    """A tenth of the difference each time."""
-    pace = 1e6
-    assert boards.pace_ns == pace
-    now_s = 100.0
-    boards.advance(now_s)
-    assert boards.pace_ns == pace
-    for passed_ms in (3, 1, 19, 20, 21, 300):
-        now_s += passed_ms / 1000
-        boards.advance(now_s)
-        pace += 0.1 * (min(max(passed_ms, 1), 20) * 1e6 - pace)
-        assert boards.pace_ns == pytest.approx(pace)
 
 
 def test_a_truth_comes_with_the_first_sample_of_each_step_of_the_touch(boards: Ticks) -> None:

@@ -8,7 +8,7 @@ import pytest
 
 from bus.link import DISCARDED
 from dbc.contract import Contract
-from dbc.frame import ECHO, ERROR
+from dbc.frame import ECHO, ERROR, Frames
 from nodes.adaptive.firmware import FirmwarePatches
 from skin.layout import load_layout
 from tests.bus.harness import frame
@@ -22,17 +22,15 @@ class Counted:
         self.bus, self.left = bus, ready_after
         self.counts: list[npt.NDArray[np.float32]] = []
         self.is_pdo = np.zeros(0x800, np.bool_)
-        self.decisions: list[tuple[int, int]] = []
-        self.is_sending = self.has_due = False
+        self.is_sending = False
 
     def take_counts(self, counts: npt.NDArray[np.float32]) -> bool:
         self.counts.append(counts.copy())
         self.left -= 1
         return self.left <= 0
 
-    def decide(self, skipped: int, passed_ns: int) -> bool:
-        self.decisions.append((skipped, passed_ns))
-        return self.has_due
+    def choose(self, now_ns: int) -> Frames:
+        return frame(self.bus, now_ns.to_bytes(8, "little"))
 
     def sums(self, board: int, size: int) -> npt.NDArray[np.int32]:
         return 1000 * self.bus + 100 * board + np.arange(size, dtype=np.int32)
@@ -60,10 +58,9 @@ Made = tuple[FirmwarePatches, dict[int, Counted], list[int]]
 
 
 def test_boards_sample_until_all_have_learned(patches: Made) -> None:
-    made, boards, _ = patches
+    _, boards, _ = patches
     assert [len(each.counts) for each in boards.values()] == [5, 5]
     assert {bus: each.counts[0].shape for bus, each in boards.items()} == {0: (2, 32), 1: (1, 32)}
-    assert made.decision == 0
 
 
 def test_boards_get_the_samples_of_their_own_taxels(patches: Made) -> None:
@@ -76,21 +73,15 @@ def test_boards_get_the_samples_of_their_own_taxels(patches: Made) -> None:
     assert made.counts(blocks[0]).any()
 
 
-def test_boards_decide_once_for_the_samples_of_a_turn(patches: Made) -> None:
+def test_boards_get_each_sample_and_decide_when_they_are_asked(patches: Made) -> None:
     made, boards, _ = patches
-    made.advance(100.0)
-    made.advance(100.004)
-    made.advance(100.104)  # a hundred samples late: twenty are taken
-    assert boards[0].decisions == boards[1].decisions == [(0, 0), (0, 4_000_000), (80, 100_000_000)]
+    for now_s in (100.0, 100.004, 100.104):  # a hundred samples late: twenty are taken
+        made.advance(now_s)
     assert [len(each.counts) for each in boards.values()] == [5 + 1 + 4 + 20] * 2
-    assert made.decision == 1 + 4 + 100
+    made.take_sync(0, 1, 0)  # a SYNC comes as a frame
     for bus in (0, 1):
-        assert not made.has_due
-        boards[bus].has_due = True
-        made.advance(100.2 + bus)
-        assert made.has_due
-        boards[bus].has_due = False
-        made.advance(100.3 + bus)
+        (one,) = made.choose(bus, 77)
+        assert (one["can_id"], int.from_bytes(one["data"][:8].tobytes(), "little")) == (bus, 77)
 
 
 def test_any_board_may_hold_frames(patches: Made) -> None:

@@ -7,16 +7,14 @@ import msgspec
 import numpy as np
 import pytest
 
-from dbc.adaptive import FIRST_COB_ID, GROUP_SUMS
 from dbc.contract import Contract
-from gateway.adaptive_state import MALFORMED, UNREFINED, USED, new_sums
+from dbc.steps import SET
 from skin.defects import Defects
 from skin.layout import load_layout
 from skin.zero_drift import ZeroDrift
 from tests.bus.harness import frame
-from tests.layouts import GROUPS, NODES
-from tests.nodes.adaptive_bus import Bus, meanings, receive
-from tests.nodes.helpers import RESET_NODE, START
+from tests.nodes.adaptive_bus import Bus
+from tests.nodes.helpers import RESET_NODE
 
 LOAD = 0x6461_6F6C
 
@@ -26,14 +24,21 @@ def contract() -> Contract:
     return Contract.from_layout(load_layout(Path("adaptive")))
 
 
-def test_groups_that_are_asked_for_are_sent_again(bus: Bus) -> None:
+def test_a_node_that_is_asked_sets_all_its_sums(bus: Bus) -> None:
     bus.start()
-    bus.run(5)
-    assert bus.write(0x2030, 0, b"\x05", 2) == 0
-    assert bus.read(0x2030, 0, 2) == b"\x05"
-    assert sorted(meanings(bus.run(3))) == [(2, 0, 0, False), (2, 0, 2, False)]
+    bus.sync()
+    bus.run(60)
+    assert bus.write(0x2030, 0, b"\x01", 2) == 0
+    assert bus.read(0x2030, 0, 2) == b"\1"
+    assert bus.read(0x2030, 0, 1) == b"\0"
+    (part,) = bus.parts_of(bus.blocks[1])
+    part.kinds = []
+    sent = bus.run(60)
+    assert part.kinds[:11] == [SET] * 11
+    assert sent["port"].tolist().count(2) >= 11
     assert bus.read(0x2030, 0, 2) == b"\0"
-    assert bus.write(0x2030, 0, b"\x10", 2) == 0x0609_0030
+    assert bus.write(0x2030, 0, b"\x02", 2) == 0x0609_0030
+    assert bus.write(0x2030, 0, b"\x00", 2) == 0
 
 
 def test_a_temperature_is_read_where_the_layout_has_thermometers(bus: Bus, contract: Contract) -> None:
@@ -52,60 +57,49 @@ def test_a_temperature_is_read_where_the_layout_has_thermometers(bus: Bus, contr
     assert drifting.write(0x2036, 0, b"\0\0") == 0x0601_0002
 
 
-def test_a_tpdo_that_does_not_exist_is_not_sent_and_one_elsewhere_is(bus: Bus, contract: Contract) -> None:
-    coarse = [tpdo for tpdo in contract.nodes[0].adaptive_tpdos if (tpdo.level, tpdo.is_fine) == (0, False)]
-    off, moved = (0x1800 + tpdo.number - 1 for tpdo in coarse[:2])
-    assert bus.write(off, 1, struct.pack("<I", 0xC000_0000 | coarse[0].cob_id)) == 0
-    assert bus.write(moved, 1, struct.pack("<I", 0xC000_0000 | coarse[1].cob_id)) == 0
-    assert bus.write(moved, 1, struct.pack("<I", 0x4000_06D0)) == 0
+def test_a_tpdo_that_does_not_exist_is_not_sent_and_one_elsewhere_is(bus: Bus) -> None:
+    for node_id in (1, 2):
+        assert bus.write(0x1800, 1, struct.pack("<I", 0xC000_0180 | node_id), node_id) == 0
+    assert bus.write(0x1800, 1, struct.pack("<I", 0x4000_06D0), 2) == 0
     bus.start()
-    identifiers = set()
-    for _ in range(3):
+    bus.sync()
+    sent = []
+    for _ in range(20):
+        bus.segment.take(bus.link.receive(), bus.now_s)
         bus.now_s += 1e-3
         bus.segment.tick(bus.now_s)
-        sent = bus.link.take_sent()
-        identifiers |= set(sent["can_id"][sent["port"] == 1].tolist())
-        bus.segment.take(bus.link.receive(), bus.now_s)
-    assert identifiers == {0x6D0, coarse[2].cob_id, coarse[3].cob_id}
-    assert bus.boards.groups.check[0].tolist()[1] >= 0  # its echo was known
+        sent += bus.link.take_sent()["can_id"].tolist()
+    assert set(sent) - {0x701, 0x702, 0x703, 0x704} == {0x6D0, 0x183, 0x184}
+    assert sent.count(0x6D0) > 1  # its echo was known
     # The mapping, and when a TPDO is sent, are fixed.
     assert bus.write(0x1A00, 0, b"\0") == 0x0601_0002
-    assert bus.write(0x1800, 2, b"\1") == 0x0601_0002
+    for place in (2, 3, 5, 6):
+        assert bus.write(0x1800, place, b"\1") == 0x0601_0002
 
 
-def test_inhibit_time_of_a_tpdo_is_kept(bus: Bus, contract: Contract) -> None:
-    for tpdo in contract.nodes[0].adaptive_tpdos:
-        record = 0x1800 + tpdo.number - 1
-        assert bus.write(record, 1, struct.pack("<I", 0xC000_0000 | tpdo.cob_id)) == 0
-        assert bus.write(record, 3, struct.pack("<H", 200)) == 0  # 20 ms
-        assert bus.write(record, 1, struct.pack("<I", 0x4000_0000 | tpdo.cob_id)) == 0
+def test_when_one_node_sends_is_changed_by_its_objects(bus: Bus) -> None:
+    for place, value in ((1, float("nan")), (1, -1.0), (1, float("inf"))):
+        assert bus.write(0x2031, place, struct.pack("<f", value)) == 0x0609_0030
+    for slots in (b"\0", b"\xf1"):
+        assert bus.write(0x2031, 2, slots) == 0x0609_0030
+    assert bus.read_real(0x2031, 1) == np.float32(0.1)
+    assert bus.write(0x2031, 1, struct.pack("<f", 0)) == 0  # in every slot
+    assert bus.write(0x2031, 1, struct.pack("<f", 1e6), 2) == 0  # nothing is worth its bits
+    assert bus.write(0x2031, 2, b"\x0a", 3) == 0  # every 10 ms
+    assert bus.write(0x2031, 3, struct.pack("<I", 3000), 4) == 0
     bus.start()
     bus.sync()
-    last: dict[int, int] = {}
-    seen = 0
-    for tick in range(400):
-        for one in bus.run(1):
-            if one["port"] == 1:
-                can_id = int(one["can_id"])
-                assert tick - last.get(can_id, -99) >= 20
-                last[can_id], seen = tick, seen + 1
-    assert seen > 10
-
-
-def test_the_rule_of_one_node_is_changed_by_its_objects(bus: Bus) -> None:
-    assert bus.write(0x2031, 9, struct.pack("<I", 0)) == 0x0609_0030
-    assert bus.write(0x2031, 1, struct.pack("<f", float("nan"))) == 0x0609_0030
-    assert bus.write(0x2031, 9, struct.pack("<I", 10), 2) == 0  # refresh after 10 ms
-    bus.start()
-    bus.run(2)
-    assert {node for node, *_ in meanings(bus.run(20))} == {2}
-    # More noise for a threshold: what is pressed is no news.
-    assert bus.write(0x2031, 1, struct.pack("<f", 1e6), 3) == 0
-    bus.sync()
-    sent = meanings(bus.run(130))
-    assert {node for node, level, *_ in sent if level > 1} == {1, 2, 4}
-    bus.give(frame(0, bytes((RESET_NODE, 3))), frame(0, bytes((START, 3))))
-    assert 3 in {node for node, level, *_ in meanings(bus.run(5)) if level > 1}
+    sync_ns = round(bus.now_s * 1e9)
+    sent = bus.run(299)
+    ports = sent["port"].tolist()
+    assert ports.count(1) == 60
+    assert ports.count(2) == 12  # all groups, and a check
+    assert ports.count(3) <= 30
+    late_ms = (sent["time_ns"][sent["port"] == 4] - sync_ns) / 1e6 % 5
+    assert 3 - 1e-6 <= late_ms.min() <= late_ms.max() < 4 + 1e-6
+    bus.give(frame(0, bytes((RESET_NODE, 1))))
+    assert bus.read_real(0x2031, 1) == np.float32(0.1)
+    assert bus.boards.senders.slots.quiet[bus.blocks[0]] == np.float32(0.1)
 
 
 def test_noise_that_is_written_takes_the_place_of_what_was_learned(bus: Bus) -> None:
@@ -125,22 +119,17 @@ def test_noise_that_is_written_takes_the_place_of_what_was_learned(bus: Bus) -> 
     assert bus.write(0x2032, 1, struct.pack("<f", -1)) == 0x0609_0030
 
 
-def test_codes_are_those_that_frames_carry(bus: Bus) -> None:
+@pytest.mark.parametrize("name", ["adaptive", "adaptive-fd"])
+def test_slot_and_words_are_those_of_the_newest_frame(name: str) -> None:
+    bus = Bus(Contract.from_layout(load_layout(Path(name))))
+    assert bus.read(0x2022) == b"\0"
     bus.start()
     bus.sync()
-    bus.run(400)
-    law, known_n = bus.contract.law, bus.boards.groups.known_n[0]
-    coarse = [int(bus.read(0x2110, place)[0]) for place in range(1, 33)]
-    fine = [bus.read(0x2111, group + 1) for group in range(GROUPS)]
-    mine = new_sums(1, GROUPS)
-    for group in range(GROUPS):
-        for number, payload in ((group, bytes(coarse[GROUP_SUMS * group :][:GROUP_SUMS])), (28 + group, fine[group])):
-            receive(frame(FIRST_COB_ID + NODES * number, payload.ljust(8, b"\0")), law, mine)
-    held = mine.value_n[0]
-    refined = mine.counts[UNREFINED] == 0
-    assert np.abs(held - known_n).max() <= 2 * law.fine_n if refined else True
-    assert mine.counts[MALFORMED] == 0
-    assert mine.counts[[USED, UNREFINED]].sum() == 2 * GROUPS
+    sent = bus.run(103)
+    newest = sent[sent["port"] == 1][-1]["data"]
+    assert bus.read(0x2022) == bytes(newest[:1])
+    for place in range(len(bus.contract.forms_of(0))):
+        assert bus.read(0x2110, place + 1) == bytes(newest[1 + 7 * place : 8 + 7 * place])
 
 
 def test_test_patterns_and_corrections_show_in_the_sums(bus: Bus) -> None:
@@ -158,16 +147,15 @@ def test_test_patterns_and_corrections_show_in_the_sums(bus: Bus) -> None:
 
 def test_parameters_are_stored_and_orders_are_not(tmp_path: Path, contract: Contract) -> None:
     bus = Bus(contract)
-    assert bus.write(0x2034, 0, struct.pack("<I", 4000)) == 0
-    assert bus.write(0x2030, 0, b"\x0f") == 0
+    assert bus.write(0x2031, 3, struct.pack("<I", 4000)) == 0
+    assert bus.write(0x2030, 0, b"\x01") == 0
     assert bus.write(0x1010, 1, b"save") == 0
     bus.give(frame(0, bytes((RESET_NODE, 1))))
-    assert int.from_bytes(bus.read(0x2034), "little") == 4000
-    assert bus.boards.controllers.budget[0] == 4000
-    assert bus.read(0x2030) == b"\0"
+    assert int.from_bytes(bus.read(0x2031, 3), "little") == 4000
+    assert bus.boards.senders.slots.offset_ns[bus.blocks[0]] == 4_000_000
     assert bus.write(0x1011, 1, struct.pack("<I", LOAD)) == 0
     bus.give(frame(0, bytes((RESET_NODE, 1))))
-    assert bus.boards.controllers.budget[0] == 0
+    assert bus.boards.senders.slots.offset_ns[bus.blocks[0]] == 0
 
 
 def test_gains_change_what_a_node_feels_and_not_its_noise(bus: Bus) -> None:

@@ -1,24 +1,24 @@
 """A bus of adaptive nodes without a bus: what they send, and when."""
 
-import struct
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from dbc.adaptive import LOST_NS, SAVED_FRAMES
 from dbc.adaptive_filter import LEAST_NOISE_N
-from dbc.contract import Contract, frame_flags, sum_frame_bits
+from dbc.contract import Contract, frame_flags
 from dbc.frame import ECHO, ERROR
-from nodes.adaptive.news import PAUSE_NS
-from skin.layout import load_layout
+from dbc.steps import CHECK, SET
+from nodes.adaptive.stepping import LOST_NS
+from skin.layout import changed, load_layout
 from skin.walsh import walsh_matrix
 from tests.bus.harness import frame
-from tests.layouts import GROUPS
-from tests.nodes.adaptive_bus import IDS, Bus, back, meanings, sums_of
+from tests.nodes.adaptive_bus import IDS, Bus, back
 from tests.nodes.helpers import PRE_OPERATIONAL, RESET_COMMUNICATION, RESET_NODE, START, STOP
 
 both = pytest.mark.parametrize("contract", ["adaptive", "adaptive-fd"], indirect=True)
+#: Milliseconds until all sums are set, a group in each slot of 5 ms.
+SET_MS = 60
 
 
 @pytest.fixture(scope="module")
@@ -26,161 +26,214 @@ def contract(request: pytest.FixtureRequest) -> Contract:
     return Contract.from_layout(load_layout(Path(getattr(request, "param", "adaptive"))))
 
 
-def test_nodes_filter_before_they_are_started_and_send_nothing(bus: Bus) -> None:
+def kinds(bus: Bus) -> dict[int, set[int]]:
+    """Return the kinds of words that came of each node since the last call."""
+    found = {}
+    for node in bus.contract.on_bus(0)[: len(IDS)]:
+        words = [kind for part in bus.parts_of(node.block) for kind in part.kinds]
+        if words:
+            found[node.node_id] = set(words)
+        for part in bus.parts_of(node.block):
+            part.kinds = []
+    return found
+
+
+def test_nodes_that_are_not_started_filter_and_send_nothing_and_so_do_nodes_without_a_sync(bus: Bus) -> None:
     bus.sync()
     assert len(bus.run(150)) == 0
-    assert bus.read(0x2110, 1) != b"\0"  # pressed meanwhile
+    assert bus.boards.sums.any()  # pressed meanwhile
+    fresh = Bus(bus.contract)
+    fresh.start()
+    assert len(fresh.run(150)) == 0
+    fresh.give(frame(0x80, b"", time_ns=round(fresh.now_s * 1e9)))  # one without counter
+    assert len(fresh.run(50)) == 0
 
 
 @both
-def test_a_node_that_is_started_sends_all_groups_once_and_then_again_ever_more_rarely(bus: Bus) -> None:
+def test_a_node_that_is_started_sets_all_its_sums_and_then_checks_ever_more_rarely(bus: Bus) -> None:
+    bus.source.force_n[:] = 0
     bus.start()
-    first = bus.run(2)
-    groups = range(1 if bus.is_fd else GROUPS)
-    assert sorted(meanings(first)) == sorted((node, 0, group, False) for node in IDS for group in groups)
-    assert set(first["length"]) == {32 if bus.is_fd else 8}
+    bus.sync()
+    groups = bus.contract.forms_of(0)[0].groups
+    first = bus.run(SET_MS)
+    assert kinds(bus) == {node_id: {SET} for node_id in IDS}
+    assert len(first) == groups * len(IDS)
+    assert set(first["length"]) == {32 if len(bus.contract.forms_of(0)) > 1 else 8}
     assert set(first["flags"]) == {frame_flags(bus.contract.layout.bus[0])}
-    later = [len(bus.run(ticks)) for ticks in (50, 20, 100, 40)]
-    assert later == [0, len(first), 0, len(first)]
+    assert set(first["expires_ns"]) == {0}
+    later = bus.run(500)
+    assert kinds(bus) == {node_id: {CHECK} for node_id in IDS}
+    assert len(later) == 2 * len(IDS)  # after 24 and 48 slots
+    assert all(part.is_whole and not part.different for node in bus.blocks for part in bus.parts_of(node))
+
+
+def test_each_node_sends_at_its_place_in_the_slot(bus: Bus) -> None:
+    """32 boards share 5 ms: they are 156 µs apart, and a process decides once a millisecond."""
+    bus.start()
+    bus.sync()
+    sync_ns = round(bus.now_s * 1e9)
+    sent = bus.run(SET_MS)
+    for node_id in IDS:
+        at_ms = (sent["time_ns"][sent["port"] == node_id] - sync_ns) / 1e6
+        late_ms = at_ms - (node_id - 1) * 5 / 32 - 5 * np.arange(len(at_ms))
+        assert len(at_ms) >= SET_MS / 5 - 1
+        assert late_ms.min() > -1e-6
+        assert late_ms.max() < 1 + 1e-6
+
+
+def test_nodes_that_send_at_sync_send_at_once(contract: Contract) -> None:
+    layout = changed(contract.layout, sync={"rate_hz": 200.0}, steps={"at_sync": True})
+    bus = Bus(Contract.from_layout(layout))
+    bus.start()
+    for counter in range(1, 12):
+        bus.sync(counter)
+        assert bus.run(1)["port"].tolist() == list(IDS)
+        assert bus.run(3)["port"].tolist() == []
+    assert all(part.is_whole for block in bus.blocks for part in bus.parts_of(block))
 
 
 @both
 def test_what_a_receiver_shows_is_what_the_touch_is(bus: Bus) -> None:
     bus.start()
-    bus.run(5)
     bus.sync()
-    sent = bus.run(600)
-    assert set(sent["length"]) == ({32, 64} if bus.is_fd else {8})
-    assert not sent["data"][sent["length"] == 32, 32:].any()
-    law = bus.contract.law
-    for row, node in enumerate(bus.contract.on_bus(0)[: len(IDS)]):
-        force_n = bus.source.force_n.ravel()[bus.contract.phi.taxels_of_blocks[node.block]]
+    bus.run(900)
+    unit_n = bus.contract.unit_n
+    for block in bus.blocks:
+        shown = [value for part in bus.parts_of(block) for value in part.known.tolist()]
+        assert shown == bus.known(block)
+        force_n = bus.source.force_n.ravel()[bus.contract.phi.taxels_of_blocks[block]]
         true_n = walsh_matrix(32) @ np.clip(force_n, 0, 0.02)
-        assert np.abs(bus.received.value_n[row] - true_n)[1:].max() < 2 * law.fine_n
-        assert abs(bus.received.value_n[row, 0] - true_n[0]) < 32 * LEAST_NOISE_N * 1.6  # an offset within the noise
-        assert np.array_equal(bus.received.value_n[row], bus.boards.groups.known_n[row])
-    assert not bus.received.counts[1:].any()
-    assert bus.segment.frames_sent == bus.received.counts[0]
+        assert np.abs(np.array(shown) * unit_n - true_n)[1:].max() < 10 * unit_n
+        assert abs(shown[0] * unit_n - true_n[0]) < 32 * LEAST_NOISE_N * 1.6  # an offset within the noise
+        assert all(part.is_whole and not part.different and part.gaps == 1 for part in bus.parts_of(block))
+    assert bus.segment.frames_sent == sum(len(bus.parts_of(block)[0].kinds) for block in bus.blocks)
     assert bus.segment.frames_dropped == 0
 
 
+def test_a_late_sync_lets_no_slot_come_twice(bus: Bus) -> None:
+    bus.start()
+    bus.sync()
+    bus.run(99)
+    for late_ms in (0, 1, 3, 7):
+        for _ in range(1 + late_ms):
+            bus._sync_ms = 0
+            bus.run(1)
+        bus.sync()
+        bus.run(98)
+    parts = [part for block in bus.blocks for part in bus.parts_of(block)]
+    assert [part.gaps for part in parts] == [1] * len(parts)
+    assert not any(part.different for part in parts)
+
+
+def test_a_node_that_misses_a_sync_counts_on_and_is_silent_after_the_next(bus: Bus) -> None:
+    bus.source.force_n[:] = 0.01
+    assert bus.write(0x2031, 1, bytes(4), 2) == 0  # in every slot
+    bus.start()
+    bus.sync()
+    bus._counter = 0  # none follows
+    sent = bus.run(400)
+    assert len(sent[sent["port"] == 2]) == 40
+    assert all(part.is_whole for part in bus.parts_of(bus.blocks[1]))
+
+
+def test_while_a_frame_is_in_the_controller_its_node_leaves_slots_out(bus: Bus) -> None:
+    bus.start()
+    bus.sync()
+    waiting = bus.tick()
+    while not len(waiting):
+        waiting = bus.tick()
+    bus.link.waiting.clear()  # no echo
+    node_id = int(waiting["port"][0])
+    others = [bus.tick() for _ in range(30)]
+    assert node_id not in np.concatenate(others)["port"]
+    assert bus.boards.is_sending
+    bus.received.take(np.concatenate([waiting, *others]))
+    bus.give(back(waiting[:1], ECHO))
+    bus.run(90)
+    assert [part.gaps for part in bus.parts_of(bus.blocks[node_id - 1])] == [1]  # nothing was lost
+
+
 @both
-def test_a_node_keeps_its_budget(bus: Bus) -> None:
-    coarse = sum_frame_bits(bus.contract.layout.bus[0], GROUPS, is_fine=False)
-    assert bus.write(0x2034, 0, struct.pack("<I", 20 * coarse)) == 0
+@pytest.mark.parametrize("flags", [ECHO | ERROR, 0])
+def test_after_a_frame_that_was_not_sent_a_node_sets_all_its_sums(bus: Bus, flags: int) -> None:
     bus.start()
     bus.sync()
-    sent = [each for each in meanings(bus.run(1100)) if each[0] in {1, 2}]
-    limited, free = ([each for each in sent if each[0] == node] for node in (1, 2))
-    groups = 1 if bus.is_fd else GROUPS
-    assert len(limited) < SAVED_FRAMES + 22 + 2 * groups * 5  # saved up, earned, refreshes
-    assert len(limited) < len(free) + bus.is_fd
-    assert {group for _, _, group, _ in limited} == set(range(groups))
+    bus.run(300)
+    bus.write(0x2031, 1, bytes(4))
+    lost = bus.tick()
+    while 1 not in lost["port"]:
+        lost = bus.tick()
+    bus.link.waiting.clear()
+    if flags:
+        bus.give(back(lost, flags))  # given up
+    else:
+        bus.now_s += 1.1e-9 * LOST_NS  # the echo is lost
+        bus.sync()
+    kinds(bus)
+    bus.run(SET_MS)
+    for part in bus.parts_of(bus.blocks[0]):
+        assert part.kinds[: part.form.groups] == [SET] * part.form.groups
+    assert all(part.gaps == 2 and part.is_whole for part in bus.parts_of(bus.blocks[0]))
+    assert [value for part in bus.parts_of(bus.blocks[0]) for value in part.known] == bus.known(bus.blocks[0])
 
 
-def test_no_sums_in_the_millisecond_after_a_sync_and_none_waits_beyond_the_next(bus: Bus) -> None:
+def test_frames_that_a_full_queue_refuses_are_dropped_and_their_nodes_set_all_sums(bus: Bus) -> None:
     bus.start()
     bus.sync()
-    sync_ns = round(bus.now_s * 1e9)
-    for tick in range(1, 100):
-        sent = bus.run(1)
-        assert (sent["time_ns"] >= sync_ns + PAUSE_NS).all()
-        assert (sent["expires_ns"] <= sync_ns + 100_000_000).all()
-        assert (sent["expires_ns"] - sent["time_ns"] <= 1_100_000).all(), tick
-
-
-def test_a_frame_that_comes_back_unsent_is_made_anew_of_newer_samples(bus: Bus) -> None:
-    bus.start()
-    bus.run(5)
-    bus.sync()
-    while True:
-        bus.now_s += 1e-3
-        bus.segment.tick(bus.now_s)
-        first = sums_of(bus.link.take_sent())
-        bus.link.waiting.clear()
-        if len(first):
-            break
-    known = bus.boards.groups.known_n.copy()
-    bus.now_s += 1e-3
-    bus.segment.tick(bus.now_s)
-    held = {(node, group) for node, _, group, _ in meanings(first)}
-    second = sums_of(bus.link.take_sent())
-    assert not held & {(node, group) for node, _, group, _ in meanings(second)}  # it may still win the bus
-    bus.link.waiting.clear()
-    bus.give(back(first, ECHO | ERROR), back(second, ECHO | ERROR))
-    assert np.array_equal(bus.boards.groups.known_n, known)
-    bus.now_s += 1e-3
-    bus.segment.tick(bus.now_s)
-    again = sums_of(bus.link.take_sent())
-    assert held <= {(node, group) for node, _, group, _ in meanings(again)}
-    assert (bus.segment.frames_sent, bus.segment.frames_dropped) == (16, 0)
-
-
-def test_a_frame_whose_echo_is_lost_is_given_up_in_the_end(bus: Bus) -> None:
-    bus.start()
-    bus.now_s += 1e-3
-    bus.segment.tick(bus.now_s)
-    assert len(sums_of(bus.link.take_sent()))
-    bus.link.waiting.clear()
-    bus.now_s += 0.9e-9 * LOST_NS
-    bus.segment.tick(bus.now_s)
-    waiting = sums_of(bus.link.take_sent())
-    bus.link.waiting.clear()
-    bus.now_s += 0.2e-9 * LOST_NS
-    bus.segment.tick(bus.now_s)
-    assert len(sums_of(bus.link.take_sent())) > len(waiting)
-
-
-def test_frames_that_a_full_queue_refuses_are_dropped_and_made_anew(bus: Bus) -> None:
-    bus.start()
-    bus.link.room = 3
-    assert len(bus.run(1)) == 3
+    bus.link.room = 0
+    assert len(bus.run(19)) == 0
     dropped = bus.segment.frames_dropped
-    assert dropped > 0
+    assert dropped == 4 * len(IDS)
+    assert not bus.boards.is_sending
     bus.link.room = 1 << 30
-    assert len(bus.run(3)) == 13
-    assert (bus.segment.frames_sent, bus.segment.frames_dropped) == (16, dropped)
+    bus.run(SET_MS)
+    assert all(part.is_whole for block in bus.blocks for part in bus.parts_of(block))
     by_node = [int.from_bytes(bus.read(0x2020, 2, node_id), "little") for node_id in IDS]
     lost = [int.from_bytes(bus.read(0x2020, 3, node_id), "little") for node_id in IDS]
-    assert (sum(by_node), sum(lost)) == (16, dropped)
+    assert (sum(by_node), sum(lost)) == (bus.segment.frames_sent, dropped)
 
 
 def test_stopped_nodes_send_nothing_and_begin_anew_when_they_are_started(bus: Bus) -> None:
     bus.start()
+    bus.sync()
     bus.run(5)
     for command in (PRE_OPERATIONAL, STOP):
         bus.give(frame(0, bytes((command, 0))))
         assert len(bus.run(200)) == 0
         bus.start()
-        assert len(bus.run(5)) == 16
+        kinds(bus)
+        bus.run(SET_MS)
+        assert kinds(bus) == {node_id: {SET} for node_id in IDS}
 
 
 def test_a_reset_forgets_what_was_sent_and_not_the_noise(contract: Contract) -> None:
     bus = Bus(contract)
     bus.start()
-    bus.run(5)
     bus.sync()
     bus.run(300)
-    assert bus.boards.groups.known_n[0].any()
     noise = bus.read_real(0x2035)
     for command in (RESET_COMMUNICATION, RESET_NODE):
+        assert any(bus.known(bus.blocks[0]))
         bus.give(frame(0, bytes((command, 1))))
-        assert not bus.boards.groups.known_n[0].any()
-        assert bus.boards.groups.known_n[1].any()
+        assert not any(bus.known(bus.blocks[0]))
+        assert any(bus.known(bus.blocks[1]))
         assert bus.read_real(0x2035) == pytest.approx(noise, rel=0.3)
-        assert not [each for each in meanings(bus.run(20)) if each[0] == 1]
+        assert 1 not in bus.run(20)["port"]
         bus.give(frame(0, bytes((START, 1))))
-        assert {(group, fine) for node, _, group, fine in meanings(bus.run(3)) if node == 1} == {
-            (group, False) for group in range(GROUPS)
-        }
+        kinds(bus)
+        bus.run(SET_MS)
+        assert kinds(bus)[1] == {SET}
+        assert all(part.is_whole for part in bus.parts_of(bus.blocks[0]))
 
 
 def test_what_was_sent_before_a_reset_does_not_come_back_with_its_echo(bus: Bus) -> None:
     bus.start()
-    bus.now_s += 1e-3
-    bus.segment.tick(bus.now_s)
+    bus.sync()
+    while not len(bus.tick()):
+        pass
     late = bus.link.receive()
     bus.give(frame(0, bytes((RESET_COMMUNICATION, 1))))
     bus.give(late)
-    assert len(bus.run(100)) > 0  # the others' refreshes
-    assert bus.segment.frames_sent >= 16
+    bus.give(frame(0, bytes((START, 1))))
+    bus.run(SET_MS + 5)
+    assert all(part.is_whole for part in bus.parts_of(bus.blocks[0]))

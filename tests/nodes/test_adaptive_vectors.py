@@ -9,10 +9,9 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from dbc.adaptive import cob_id
 from dbc.contract import Contract
-from dbc.frame import ECHO, ERROR
-from gateway.adaptive_state import new_sums
+from dbc.frame import ECHO, ERROR, frames
+from dbc.steps import CHECK, SET, STEP, kind_of
 from nodes.adaptive import patch_boards
 from nodes.adaptive.boards import AdaptiveBoards
 from nodes.adaptive.noise import IdleStatistics
@@ -21,8 +20,7 @@ from nodes.virtual_boards import VirtualBoards
 from nodes.ways import vector_files
 from skin.layout import load_layout
 from tests.bus.harness import frame
-from tests.layouts import GROUPS, NODES
-from tests.nodes.adaptive_bus import receive
+from tests.nodes.adaptive_bus import Part
 from tests.nodes.helpers import ArrayLink, Still
 
 pytestmark = pytest.mark.heavy
@@ -59,6 +57,7 @@ def test_a_virtual_board_sends_the_frames_of_the_vectors(name: str, monkeypatch:
     played = Played(contract.layout.taxels.newton_per_count, counts)
     monkeypatch.setattr(patch_boards, "PatchSensors", lambda *_: played)
     boards = AdaptiveBoards(contract, [0], Still(contract))
+    monkeypatch.setattr(boards, "touched_from", lambda _: None)  # what is touched is played
     settled = vectors["power_up"]["settled"]
     for index, key in ((0x2033, "taxel_noise_n"), (0x2032, "coefficient_noise_n")):
         learned = [boards.read(0, index, place) for place in range(1, 33)]
@@ -71,10 +70,12 @@ def test_a_virtual_board_sends_the_frames_of_the_vectors(name: str, monkeypatch:
     now_s = 100.0
     segment.boot(now_s)
     segment.take(frame(0, b"\x01\x01"), now_s)
-    sent = 0
+    waiting, kinds, form = frames(0), [], contract.forms_of(0)[0]
     for number, sample in enumerate(samples):
-        if sample["request"]:
-            segment.take(frame(0x601, bytes((0x2F, 0x30, 0x20, 0, sample["request"], 0, 0, 0))), now_s)
+        if sample["is_asked"]:
+            segment.take(frame(0x601, bytes((0x2F, 0x30, 0x20, 0, 1, 0, 0, 0))), now_s)
+        if sample["sync"]:
+            segment.take(frame(0x80, bytes((sample["sync"],)), time_ns=round((now_s - 0.5e-3) * 1e9)), now_s)
         link.take_sent()
         segment.tick(now_s)
         burst = link.take_sent()
@@ -84,13 +85,16 @@ def test_a_virtual_board_sends_the_frames_of_the_vectors(name: str, monkeypatch:
         ]
         assert found == sample["frames"], number
         assert np.array_equal(boards.filter.sums_n[0], np.float32(sample["sums_n"]))
-        variances_n2 = np.float64(boards.filter.variance_n2[0]).reshape(4, 8).sum(axis=1)
-        assert sample["variance_n2"] == pytest.approx(variances_n2.tolist())
-        burst["flags"] |= ECHO | ERROR if sample["is_busy"] else ECHO
-        segment.take(burst, now_s)
-        sent += len(burst) * (not sample["is_busy"])
+        assert np.array_equal(boards.filter.variance_n2[0], np.float32(sample["variance_n2"]))
+        waiting = np.concatenate([waiting, burst])
+        if sample["bus"] != "held":
+            waiting["flags"] |= ECHO | ERROR if sample["bus"] == "lost" else ECHO
+            segment.take(waiting, now_s)
+            waiting = frames(0)
+        kinds += [kind_of(int.from_bytes(bytes.fromhex(each["data"])[1:8], "little"), form)[0] for each in found]
         now_s += 1e-3
-    assert sent > 50
+    assert set(kinds) == {STEP, SET, CHECK}
+    assert len(kinds) > 100
 
 
 @pytest.mark.parametrize("name", BUSES)
@@ -116,9 +120,13 @@ def test_what_happens_is_what_the_guide_to_the_firmware_says(name: str) -> None:
     _, vectors = vectors_of(name)
     samples = vectors["samples"]
     assert len(samples) == 1000
-    busy = [number for number, each in enumerate(samples) if each["is_busy"]]
-    assert busy == [*range(200, 240), *range(560, 870)]
-    assert {number: each["request"] for number, each in enumerate(samples) if each["request"]} == {300: 0b0101}
+    of_bus = {bus: [at for at, each in enumerate(samples) if each["bus"] == bus] for bus in ("lost", "held", "free")}
+    assert of_bus["lost"] == list(range(200, 240))
+    assert of_bus["held"] == list(range(430, 500))
+    assert len(of_bus["free"]) == 1000 - 40 - 70
+    assert [number for number, each in enumerate(samples) if each["is_asked"]] == [300]
+    syncs = {number: each["sync"] for number, each in enumerate(samples) if each["sync"]}
+    assert syncs == {100 * each: counter for each, counter in enumerate((*range(236, 241), *range(1, 6)))}
     counts = np.array([each["counts"] for each in samples])
     assert counts.max() <= 1023
     assert counts.min() == 0
@@ -134,19 +142,19 @@ def test_what_happens_is_what_the_guide_to_the_firmware_says(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", BUSES)
-def test_codes_stand_for_what_a_receiver_of_the_frames_shows(name: str) -> None:
+def test_words_say_what_a_receiver_makes_of_them(name: str) -> None:
     contract, vectors = vectors_of(name)
-    law, cases = contract.law, vectors["codes"]
-    assert [case["name"] for case in cases] == ["nothing", "the largest sums", *[f"random {n}" for n in range(1, 9)]]
-    for case in cases:
-        receiver = new_sums(NODES, GROUPS)
-        for kind, values in (("coarse", "coarse_values_n"), ("fine", "fine_values_n")):
-            for group in range(4):
-                identifier = cob_id(0, 0, group, kind == "fine", GROUPS)
-                receive(frame(identifier, bytes.fromhex(case[kind][group])), law, receiver)
-            assert receiver.value_n[0].tolist() == case[values]
-        fine = np.abs(np.array(case["fine_values_n"]) - case["later_sums_n"])
-        assert fine.max() <= 0.501 * law.fine_n
+    forms = {(form.sums, bool(form.has_first)): form for form in contract.forms_of(0)}
+    assert len(vectors["words"]) == 18 * len(forms)
+    for case in vectors["words"]:
+        part = Part(forms[case["sums"], case["has_first"]], 960)
+        part.known[:] = case["known"]
+        # The word before came in the slot before.
+        part.sent, part.slot, part._is_chained, part.missing = case["sent"] - 1, case["slot"] - 1, True, set()
+        part.take(case["slot"] % 240 + 1, int.from_bytes(bytes.fromhex(case["word"]), "little"), case["slot"])
+        assert part.kinds == [{"step": STEP, "set": SET, "check": CHECK}[case["kind"]]]
+        assert (part.gaps, part.different, part.sent, part.slot) == (0, 0, case["sent"], case["slot"])
+        assert part.known.tolist() == case["then_known"]
 
 
 @pytest.mark.parametrize("name", BUSES)
@@ -161,13 +169,11 @@ def test_numbers_of_the_filter_are_told(name: str) -> None:
         "variance": 8,
         "power": 6,
         "unclip": 1024,
-        "log2": 9,
     }
     # Averages with gains 2^-k, then g-h filters with memories 1 - 2^-k (docs/adaptive.md).
     memory = 1 - 2.0 ** -np.arange(2, 7)
     assert tables["gain"] == pytest.approx([1, 2**-6, 2**-8, *(1 - memory**2)])
     assert tables["slope_gain"] == pytest.approx([0, 0, 0, *((1 - memory) ** 2)])
-    assert tables["log2"] == pytest.approx([2 / np.log(2) / odd for odd in range(1, 18, 2)])
     x = np.linspace(0, 1, 7)
     assert np.polyval(tables["power"][::-1], x) == pytest.approx(2**x, rel=3e-7)
     assert tables["unclip"][-1] == pytest.approx(6, abs=1e-4)  # where clipping has no effect any more

@@ -31,7 +31,7 @@ class Recorder:
         self.node_ids = {node.node_id for node in nodes[:2]}
         self.is_pdo = np.zeros(0x800, np.bool_)
         for node in nodes:
-            self.is_pdo[[tpdo.cob_id for tpdo in (*node.tpdos, *node.adaptive_tpdos)]] = True
+            self.is_pdo[[tpdo.cob_id for tpdo in node.tpdos]] = True
 
     def power_up(self, now_s: float) -> Frames:
         self.calls.append(("power up", now_s))
@@ -52,8 +52,8 @@ class Recorder:
     def refuse(self, refused: Frames) -> None:
         self.calls.append(("refuse", refused["can_id"].tolist()))
 
-    def choose(self, most: int, now_ns: int, until_ns: int) -> Frames:
-        self.calls.append(("choose", (most, now_ns, until_ns)))
+    def choose(self, now_ns: int) -> Frames:
+        self.calls.append(("choose", now_ns))
         return self.news
 
     def taken(self) -> list[tuple[str, Any]]:
@@ -184,13 +184,16 @@ class Patches:
 
     def __init__(self, recorder: Recorder) -> None:
         self._recorder = recorder
-        self.decision, self.has_due, self.pace_ns = 0, False, 1e6
+        self.syncs: list[tuple[int, int, int]] = []
         self.advanced: list[float] = []
         self.touched: list[int] = []
 
-    def choose(self, bus: int, now_ns: int, until_ns: int, most: int) -> Frames:
+    def choose(self, bus: int, now_ns: int) -> Frames:
         assert bus == 0
-        return self._recorder.choose(most, now_ns, until_ns)
+        return self._recorder.choose(now_ns)
+
+    def take_sync(self, bus: int, counter: int, time_ns: int) -> None:
+        self.syncs.append((bus, counter, time_ns))
 
     def take_echoes(self, bus: int, arrived: Frames) -> tuple[int, int]:
         return 7, int((arrived["flags"] & ECHO == 0).sum())
@@ -207,7 +210,7 @@ class AdaptiveBus:
         contract = Contract.from_layout(load_layout(Path("adaptive")))
         self.wire, self.boards = Wire(), Recorder(contract, 0)
         self.patches = Patches(self.boards)
-        self.cob_id = contract.on_bus(0)[0].adaptive_tpdos[0].cob_id
+        self.cob_id = contract.on_bus(0)[0].tpdos[0].cob_id
         self.segment = Segment(contract, 0, self.boards, self.patches, self.wire.send, complain=lambda _: None)  # type: ignore[arg-type]
 
     def tick(self, now_ms: float) -> list[str]:
@@ -215,31 +218,14 @@ class AdaptiveBus:
         return [name for name, _ in self.boards.taken()]
 
 
-def test_adaptive_boards_sample_in_each_turn_and_send_once_for_each_decision_that_has_news() -> None:
+def test_adaptive_boards_sample_and_send_in_each_turn() -> None:
     bus = AdaptiveBus()
-    assert bus.tick(1000) == ["pass time"]
-    assert bus.tick(1001) == []
-    bus.patches.decision = 1
-    assert bus.tick(1002) == []  # nothing is due
-    bus.patches.has_due = True
-    assert bus.tick(1003) == []  # decided already
-    bus.patches.decision = 2
+    assert bus.tick(1000) == ["pass time", "choose"]
+    assert bus.tick(1001) == ["choose"]
     bus.segment.tick(1.004)
-    # 1 ms holds 8 classic frames of 135 bits at 1 Mbit/s, rounded up; four more are spare.
-    assert bus.boards.taken() == [("choose", (12, 1004 * MS, 1005 * MS))]
-    assert bus.tick(1004.5) == []
-    assert bus.tick(1005) == ["pass time"]
-    assert bus.patches.advanced == [1.0, 1.001, 1.002, 1.003, 1.004, 1.0045, 1.005]
-
-
-def test_adaptive_boards_leave_the_bus_to_others_after_a_sync() -> None:
-    bus = AdaptiveBus()
-    bus.patches.has_due, bus.patches.decision = True, 1
-    bus.segment.take(frame(0x80, b"\3", time_ns=1000 * MS), 1.0)
-    bus.boards.taken()
-    assert "choose" not in bus.tick(1001)
-    bus.patches.decision = 2
-    assert "choose" in bus.tick(1002)
+    assert bus.boards.taken() == [("choose", 1004 * MS)]
+    assert bus.tick(1005) == ["pass time", "choose"]
+    assert bus.patches.advanced == [1.0, 1.001, 1.004, 1.005]
 
 
 def test_the_first_sync_tells_when_the_touch_began() -> None:
@@ -248,6 +234,7 @@ def test_the_first_sync_tells_when_the_touch_began() -> None:
     for data in (b"\3", b"\1", b""):
         bus.segment.take(frame(0x80, data, time_ns=1000 * MS), 1.0)
     assert bus.patches.touched == [1000 * MS - 2 * period_ns, 1000 * MS, 1000 * MS]
+    assert bus.patches.syncs == [(0, counter, 1000 * MS) for counter in (3, 1, 0)]
 
 
 def test_adaptive_tpdos_count_when_their_echoes_come() -> None:

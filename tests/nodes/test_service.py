@@ -8,6 +8,7 @@ from typing import cast
 
 import msgspec
 import numpy as np
+import numpy.typing as npt
 import pytest
 
 from bus.link import State
@@ -103,6 +104,19 @@ def test_frames_of_every_bus_are_answered_and_counted(contract: Contract, links:
     assert np.frombuffer(published.truths[0].true, "<f4").size == contract.layout.taxels.count
 
 
+def count_samples(boards: AdaptiveBoards) -> list[None]:
+    """Return a list that grows with each sample that the boards take."""
+    taken: list[None] = []
+    take = boards._take
+
+    def counted(sample_n: npt.NDArray[np.float32]) -> None:
+        taken.append(None)
+        take(sample_n)
+
+    boards._take = counted  # type: ignore[method-assign]
+    return taken
+
+
 def test_adaptive_nodes_turn_once_for_each_sample(links: dict[int, ReadyLink]) -> None:
     contract = Contract.from_layout(load_layout(Path("adaptive")))
     now_s = 100.0
@@ -116,22 +130,25 @@ def test_adaptive_nodes_turn_once_for_each_sample(links: dict[int, ReadyLink]) -
     for link in links.values():
         link.take_sent()
     service.turn()
-    samples = boards.decision
-    assert [len(link.take_sent()) for link in links.values()] == [4, 4]
+    samples = count_samples(boards)
+    assert [len(link.take_sent()) for link in links.values()] == [0, 0]  # there is no SYNC yet
     for link in links.values():
         link.put(frame(0x80, b"\1", time_ns=100_000 * MILLISECOND_NS))
     for _ in range(30):
         now_s += 1e-3
         service.turn()
-    assert boards.decision - samples in {29, 30}
+        for link in links.values():
+            link.put()
+    assert len(samples) in {29, 30}
     assert [truth.step for truth in published.truths] == [1, 2, 3]
-    assert sum(len(link.take_sent()) for link in links.values()) > 8
+    # Slots of 5 ms, that of the SYNC, too.
+    assert [link.take_sent()["can_id"].tolist().count(0x181) for link in links.values()] == [7, 7]
     service.publish_status()
     newest = published.statuses[-1]
     assert newest.frames_sent == sum(segment.frames_sent for segment in service.segments.values()) > 0
     assert (newest.frames_dropped, newest.syncs_seen) == (0, 1)
-    boards.adjust(blocks[0], od.REFRESH, 0, 0xF)
-    now_s += 2e-3
+    boards.adjust(blocks[0], od.REFRESH, 0, 1)
+    now_s += 5e-3
     service.turn()
     assert boards.is_sending
     for link in links.values():
@@ -160,10 +177,10 @@ def test_last_echoes_are_read_before_the_last_status(links: dict[int, ReadyLink]
     block = contract.on_bus(0)[0].block
     boards = AdaptiveBoards(contract, [block], Still(contract))
     service = NodesService(contract, {0: links[0]}, {0: {1}}, boards, published, clock=lambda: now_s)
-    links[0].put(frame(0, bytes((START, 0))))
+    links[0].put(frame(0, bytes((START, 0))), frame(0x80, b"\1", time_ns=round(now_s * 1e9)))
     service.run(StopAfter(1, links[0].put))  # type: ignore[arg-type]
     assert not boards.is_sending
-    assert [status.frames_sent for status in published.statuses] == [0, 4]
+    assert [status.frames_sent for status in published.statuses] == [0, 1]
 
 
 def test_the_next_cycle_is_sampled_ahead_when_all_buses_have_had_their_answers(
