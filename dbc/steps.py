@@ -37,9 +37,9 @@ SCALES: Final = (3, 6, 12, 24, 48, 96, 192, 384)
 #: The count of a step is modulo this number.
 SEQUENCE: Final = 3
 #: The count of a set or a check is modulo this number, a multiple of `SEQUENCE`.
-COUNT: Final = 1020
+COUNT: Final = 720
 #: How many times `SYNC_OVERFLOW` slots are told apart.
-HIGH: Final = 4
+HIGH: Final = 5
 SLOTS: Final = HIGH * SYNC_OVERFLOW
 #: Sums of a set, the bits of each, and its values: of the first sum, which is never negative, and of all others.
 SET_SUMS: Final = 3
