@@ -7,7 +7,7 @@ sets have come of all of them, with no loss between. Steps move a part meanwhile
 hides a loss only if its first byte stands for a slot `SYNC_OVERFLOW` slots later, or a multiple of that. Then its slot
 seems that much too old, and the part is late until a set or check tells of the loss. A part without words for more than
 its longest silence is forgotten, long before `COUNT` words. So a block that is wrong is valid only if frames of its node
-come late by at least `dbc.steps.slot_cycle` slots less the longest silence (2.86 s by default), and none of them after
+come late by at least `dbc.steps.slot_cycle` slots less the longest silence (more than two seconds by default), and none of them after
 a silence that is longer. What is lost at the end of a movement is seen at the next check, `KEEP_MIN` slots later.
 """
 

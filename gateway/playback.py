@@ -24,19 +24,19 @@ from dbc.contract import Contract, NodeContract
 from dbc.dictionary import SkinState
 from dbc.frame import ECHO, ERROR, EXTENDED, FD, REMOTE, Frames, frames
 from dbc.state_frames import asked_states, sent_state
+from gateway.adaptive_gathering import AdaptiveGathering
 from gateway.cycle_gathering import GRACE, CycleGathering
 from gateway.cycles import mean_rate_hz
-from gateway.gathering import Sync
+from gateway.gathering import Health, Sync
 from gateway.inferred_proofs import Change, InferredProofs
 from gateway.loop import GatewayLoop
+from gateway.nmt_master import NmtMaster
 from gateway.state_gathering import StateGathering
 from skin.measured_sums import check_measurement
 from skin.sync_counter import SYNC_OVERFLOW
 
 #: A late SYNC of one bus may come after the next SYNC of another bus, but not later.
 _CYCLES_IN_FLIGHT: Final = 2
-#: Between two adaptive measurements in a recording, on a clock of its own: longer than any period between two.
-_ADAPTIVE_TURN_S: Final = 10.0
 #: Time stamps of the gateway and of the recorder differ by less. The shortest frame takes longer.
 _STAMP_NS: Final = 5_000
 #: Of this number of frames with sums at least one is used: the first byte of a frame without counter is that of an open
@@ -245,43 +245,46 @@ class AdaptivePlayback:
         self.held = 0
         self._phi = contract.phi
         self._is_told = np.zeros(contract.phi.shape[0], np.bool_)
-        sends = dict.fromkeys(sorted(buses), len)
-        self._loop = GatewayLoop(contract, sends, 0.0, say=lambda _: None, complain=lambda _: None)
-        self._nodes = [node for node in contract.nodes if node.bus in sends]
-        self._frames: dict[int, Frames] = {number: frames(0) for number in sends}
-        self._now_s = 0.0
-        self._begin(self._nodes)
+        nothing = lambda *_: None  # noqa: E731  nothing is sent, used or said
+        masters = {number: NmtMaster(contract, number, nothing, nothing, nothing) for number in sorted(buses)}
+        self._gathering = AdaptiveGathering(contract, masters, 0.0)
+        self._nodes = [node for node in contract.nodes if node.bus in masters]
+        self._frames: dict[int, Frames] = {number: frames(0) for number in masters}
+        self._health = Health()
+        self._begin(self._nodes, 0.0)
 
     def feed(self, bus: int, logged: Frames) -> None:
         """Take frames of a bus, in bus order."""
-        self._frames[bus] = np.concatenate((self._frames[bus], logged))
+        self._frames[bus] = np.concatenate((self._frames[bus], with_echoes(logged)))
 
     def measured(self, recorded: AdaptiveMeasurement) -> AdaptiveMeasurement:
         """Return a recorded measurement with the sums that its frames give; all of these frames have been fed."""
-        self._now_s += _ADAPTIVE_TURN_S
         newest_ns = np.frombuffer(recorded.bus_sampled_ns, "<i8")
+        now_s = float(newest_ns.max()) * 1e-9
         for bus, waiting in self._frames.items():
             end_ns = np.maximum.accumulate(waiting["time_ns"])
             end = int(np.searchsorted(end_ns, newest_ns[bus] + _STAMP_NS, "right"))
-            self._loop.take(bus, waiting[:end], self._now_s, stamp_error_ns=None)
+            self._gathering.take(bus, waiting[:end], self._health, now_s)
             self._frames[bus] = waiting[end:]
-        made = check_measurement(self._loop.measurements(self._now_s)[0], self._phi, AdaptiveMeasurement)
+        made = check_measurement(self._gathering.measure(now_s, 0), self._phi, AdaptiveMeasurement)
         is_known, is_held = (np.frombuffer(each.known, np.uint8) != 0 for each in (recorded, made))
         sums, live = (np.frombuffer(each.sums, "<i4") for each in (made, recorded))
         self._is_told |= ~is_known | (is_held & (sums == live))
         self.held += int((is_known & ~self._is_told).sum())
         sums = np.where(self._is_told, sums, live)
         starts = self._phi.starts
-        self._begin([node for node in self._nodes if not is_known[starts[node.block] : starts[node.block + 1]].any()])
+        gone = [node for node in self._nodes if not is_known[starts[node.block] : starts[node.block + 1]].any()]
+        self._begin(gone, now_s)
         return msgspec.structs.replace(
             recorded, sums=np.where(is_known, sums, 0).astype("<i4").tobytes(), fingerprint=made.fingerprint
         )
 
-    def _begin(self, nodes: Collection[NodeContract]) -> None:
+    def _begin(self, nodes: Collection[NodeContract], now_s: float) -> None:
         """Forget the sums of nodes, and use their frames that come from now on."""
         for node in nodes:
-            self._loop.gathering.trust(node, proven=True)
-        self._loop.gathering.tick(self._now_s)
+            self._gathering.trust(node, proven=True)
+        for bus in self._frames:
+            self._gathering.take(bus, frames(0), self._health, now_s)
 
 
 class _Ready:

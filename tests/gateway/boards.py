@@ -95,8 +95,8 @@ class Board:
     def send(self, now_s: float) -> list[Frames]:
         skin, parts = self.skin, len(self.forms)
         slot_s, slots, cycle = skin.layout.steps.slot_s, skin.slots, skin.slot_cycle
-        since = round((now_s - self.sync_s) / slot_s)
-        if not self.counter or since >= 2 * slots:
+        since = int((now_s - self.sync_s) / slot_s + 1e-6)
+        if not self.counter or not 0 <= since < 2 * slots:
             return []
         slot = ((self.counter - 1) * slots + since) % cycle
         if self.slot is not None and not 0 < (slot - self.slot) % cycle <= cycle - slots:
@@ -123,7 +123,7 @@ class Board:
             if can_id == NMT_COB_ID and data[1] in {0, self.contract.node_id}:
                 self.command(NmtCommand(data[0]))
             elif can_id == SYNC_COB_ID:
-                self.sync_s, self.counter = now_s, data[0]
+                self.sync_s, self.counter = int(each["time_ns"]) * 1e-9, data[0]
             elif can_id == SDO_REQUEST_BASE + self.contract.node_id and data[0] != 0x80 and self.answers:
                 out.append(frame(SDO_RESPONSE_BASE + self.contract.node_id, self.answer(data, now_s)))
         return np.concatenate(out) if out else frames(0)
@@ -268,6 +268,13 @@ def at_rest(world: BoardWorld) -> None:
     world.run(6.0)
 
 
-def lose(world: BoardWorld, bus: int, frames_lost: int = 1) -> None:
-    world.dropped[bus] += frames_lost
-    world.receive(bus)
+def lose(world: BoardWorld, *blocks: int) -> None:
+    """Touch boards anew, and lose their next frames."""
+    for block in blocks:
+        world.touch(block, seed=17)
+    lost = {(block.bus, block.tpdos[0].cob_id) for block in (world.boards[each].contract for each in blocks)}
+    for bus, wire in enumerate(world.wires):
+        wire.loses = lambda _end, each, bus=bus: (bus, each["can_id"]) in lost  # type: ignore[misc]
+    world.step()
+    for wire in world.wires:
+        wire.loses = None

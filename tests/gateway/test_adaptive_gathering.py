@@ -7,24 +7,23 @@ from bus.link import State
 from canskin.errors import InputError
 from canskin.messages import BlockState
 from dbc import indices as od
-from dbc.adaptive import GROUP_SUMS, cob_id
 from dbc.canopen import HEARTBEAT_BASE, SYNC_COB_ID, NmtCommand, NmtState
 from dbc.contract import Contract
 from dbc.dictionary import HEARTBEAT_MS, SILENT_AFTER_S
 from gateway.adaptive_gathering import publishing_rates
-from gateway.block_states import FRESH_NS, OVERDUE_NS
+from dbc.steps import LATE_SLOTS
+from gateway.block_states import FRESH_NS
 from gateway.gathering import Health
 from tests.bus.harness import frame
 from tests.gateway.boards import STEP_S, BoardWorld, at_rest, known_of, lose, small_adaptive, states, sums_of
-from tests.layouts import GROUPS, buses
+from tests.layouts import buses
 
 DEAD, STALE, QUIET, FRESH = BlockState
-#: The times that docs/adaptive.md promises.
-FRESH_S, OVERDUE_S, START_S = 0.1, 2.548, 0.6
+#: Time in which a node that is started or asked tells all its sums, with a SYNC that it may wait for.
+TOLD_S = 0.2
 
 
 def holds_what_boards_hold(world: BoardWorld) -> bool:
-    """Whether it does so after a refresh in a coarse frame, and the next in a fine frame."""
     world.run(0.3)
     return all(np.array_equal(sums_of(world.measured[-1], block), world.known_counts(block)) for block in range(4))
 
@@ -93,15 +92,11 @@ def test_rates_are_one_to_a_thousand_hertz(
 
 def test_measurements_are_a_millisecond_apart_and_a_tenth_of_a_second_at_most(boards: BoardWorld) -> None:
     gateway, first_s = boards.gateway, boards.now_s
-    payload, times = b"\x90" * 8, []
+    word, times = frame(boards.contract.nodes[0].tpdos[0].cob_id, b"\1" + bytes(7)), []
     for step in range(300):
         now_s = first_s + 1e-4 * step
-        gateway.take(
-            0,
-            frame(cob_id(0, 5, 1, False, GROUPS), payload, time_ns=round(now_s * 1e9)),
-            now_s,
-            stamp_error_ns=0,
-        )
+        word["time_ns"], word["data"][0, 0] = round(now_s * 1e9), step % 240 + 1
+        gateway.take(0, word, now_s, stamp_error_ns=0)
         if came := gateway.measurements(now_s):
             times.append(now_s)
             assert came[0].sampled_mono_ns == round(now_s * 1e9)
@@ -112,30 +107,32 @@ def test_measurements_are_a_millisecond_apart_and_a_tenth_of_a_second_at_most(bo
 
 
 @pytest.mark.parametrize(
-    ("bitrate", "stamp_error_ns", "error_ns"),
+    ("after_s", "stamp_error_ns", "error_ns"),
     [
-        # 135 bits, with all stuff bits, after a sample of 1 ms.
-        (1_000_000, 0, 1_135_000),
-        (500_000, 40_000, 1_310_000),
-        (500_000, None, -1),
+        # A sample of 1 ms, and what has passed since the node's place in its slot: half a slot after the first node's.
+        (0.0025 + 0.0002, 0, 1_200_000),
+        (0.0025 + 0.0042, 40_000, 5_240_000),
+        (0.0025 + 0.0002, None, -1),
     ],
 )
-def test_the_sample_of_the_newest_frame_is_older_by_a_sample_and_a_frame(
-    bitrate: int, stamp_error_ns: int | None, error_ns: int
+def test_the_sample_of_the_newest_frame_is_not_older_than_its_slot(
+    boards: BoardWorld, after_s: float, stamp_error_ns: int | None, error_ns: int
 ) -> None:
-    boards = BoardWorld(small_adaptive(bus=buses(2, 2, bitrate=bitrate)))
-    assert boards.run(0.3)[0].sampled_error_ns == -1  # no frame has come
-    boards.until_whole(1.0)
-    now_s = boards.now_s + 1.0
-    newest = frame(cob_id(0, 5, 1, False, GROUPS), b"\x90" * 8, time_ns=round(now_s * 1e9))
-    boards.gateway.take(0, newest, now_s, stamp_error_ns=stamp_error_ns)
-    made = boards.gateway.measurements(now_s)
-    assert (made[0].sampled_mono_ns, made[0].sampled_error_ns) == (round(now_s * 1e9), error_ns)
+    assert BoardWorld(boards.contract).run(0.3)[0].sampled_error_ns == -1  # no frame has come
+    board, slot_s = boards.boards[1], boards.contract.layout.steps.slot_s
+    boards.touch(1, 3)
+    slot = 1 + int((boards.now_s - board.sync_s) / slot_s + 1e-6)
+    (word,) = board.send(board.sync_s + slot * slot_s)
+    ended_ns = round((board.sync_s + slot * slot_s + after_s) * 1e9)
+    word["time_ns"] = ended_ns
+    boards.gateway.take(0, word, ended_ns * 1e-9, stamp_error_ns=stamp_error_ns)
+    made = boards.gateway.measurements(boards.now_s + 1.0)
+    assert (made[0].sampled_mono_ns, made[0].sampled_error_ns) == (ended_ns, pytest.approx(error_ns, abs=2))
 
 
 def test_block_is_fresh_for_a_tenth_of_a_second_and_quiet_from_then_on(boards: BoardWorld) -> None:
-    at_rest(boards)
-    assert boards.run(0.3)[-1].states[0] == QUIET
+    boards.run(0.7)
+    assert boards.measured[-1].states[0] == QUIET
     boards.touch(0, seed=5)
     boards.boards[0].speaks = True
     boards.step()
@@ -148,12 +145,12 @@ def test_block_is_fresh_for_a_tenth_of_a_second_and_quiet_from_then_on(boards: B
     assert came[-1].valid[0] == 1
 
 
-def test_node_that_sends_heartbeats_only_stays_quiet_and_valid(boards: BoardWorld) -> None:
+def test_node_that_is_still_checks_now_and_then_and_stays_valid(boards: BoardWorld) -> None:
     at_rest(boards)
     sent = boards.boards[0].sent
     came = boards.run(10.0)
-    assert boards.boards[0].sent == sent
-    assert {each.states[0] for each in came[5:]} == {QUIET}
+    assert 0 < boards.boards[0].sent - sent <= 10.0 / (boards.contract.keep_max * 0.005) + 1
+    assert {each.states[0] for each in came} == {QUIET, FRESH}
     assert all(all(each.valid) for each in came)
     assert not any(board.asked for board in boards.boards)
     assert not boards.lines
@@ -172,88 +169,92 @@ def test_frames_and_counts_balance(boards: BoardWorld) -> None:
     assert counts.missing == counts.late == counts.malformed == 0
 
 
-def test_dropped_frames_make_the_bus_stale_until_each_group_has_come_again(boards: BoardWorld) -> None:
-    at_rest(boards)
-    lose(boards, 0)
-    (came,) = boards.gateway.measurements(boards.gateway.due_s)
+def test_lost_frames_make_blocks_stale_until_all_groups_have_come_again(boards: BoardWorld) -> None:
+    boards.run(0.3)
+    lose(boards, 0, 1)
+    boards.touch(0, 18)
+    boards.touch(1, 18)
+    came = boards.run(2 * STEP_S)[-1]
     assert states(came)[:2] == [STALE, STALE]
-    assert states(came)[2:] == [QUIET, QUIET]
     assert list(came.valid) == [0, 0, 1, 1]
     assert known_of(came, 0).all()
-    took_s = boards.until_whole(1.0)
-    assert took_s <= 0.05
-    assert [[groups for _, groups in board.asked] for board in boards.boards] == [[15], [15], [], []]
+    assert boards.until_whole(1.0) <= 0.1
+    assert [[value for _, value in board.asked] for board in boards.boards] == [[1], [1], [], []]
+    assert boards.status().frames.after_gap == 2
     assert holds_what_boards_hold(boards)
 
 
-def test_frames_that_were_read_together_with_a_loss_do_not_end_it(boards: BoardWorld) -> None:
-    """Where among them the frames were lost is not known."""
+def test_a_loss_at_the_end_of_a_movement_is_seen_at_the_next_check(boards: BoardWorld) -> None:
     at_rest(boards)
-    boards.boards[1].again(15)
-    boards.boards[1].answers = boards.boards[0].answers = False
-    boards.dropped[0] += 1
-    (came,) = boards.step()
-    assert states(came)[1] == STALE
-    boards.boards[1].again(15)
-    (came,) = boards.step()
-    assert states(came)[1] == FRESH
-    assert states(came)[0] == STALE
+    boards.boards[0].sums_n[5] = 30 * boards.contract.unit_n  # one set tells all
+    boards.wires[0].loses = lambda _end, each: each["can_id"] == boards.boards[0].contract.tpdos[0].cob_id
+    boards.step()
+    boards.wires[0].loses = None
+    came = boards.run(0.1)
+    assert states(came[-1])[0] == STALE
+    assert boards.until_whole(1.0) <= 0.1
+    assert holds_what_boards_hold(boards)
 
 
 @pytest.mark.parametrize("why", [State.BUS_OFF, State.LOST])
-def test_controller_that_was_off_the_bus_makes_it_stale(boards: BoardWorld, why: State) -> None:
-    at_rest(boards)
+def test_controller_that_is_off_the_bus_makes_it_stale(boards: BoardWorld, why: State) -> None:
+    boards.run(0.3)
     boards.link[1], boards.wires[1].gateway.is_held = why, True
     boards.touch(3, seed=7)
     came = boards.run(0.3)
-    assert states(came[-1]) == [QUIET, QUIET, STALE, STALE]
+    assert states(came[-1])[2:] == [STALE, STALE]
+    assert came[-1].valid[:2] == b"\1\1"
     assert not any(boards.boards[3].asked)
     boards.wires[1].gateway.waiting.clear()
     boards.link[1], boards.wires[1].gateway.is_held = State.ACTIVE, False
     boards.receive(1)
-    assert boards.until_whole(1.0) <= 0.05
-    assert [len(board.asked) for board in boards.boards] == [0, 0, 1, 1]
+    assert boards.until_whole(1.0) <= 0.15
     assert holds_what_boards_hold(boards)
 
 
-def test_fine_frame_that_does_not_fit_has_its_group_asked_for(boards: BoardWorld) -> None:
-    """A coarse frame was lost that nobody knows of."""
-    at_rest(boards)
-    wire = boards.wires[0]
-    payload = bytes(7) + bytes(((int(boards.boards[1].groups.check[0, 2]) + 1) & 0xFF,))
-    before = sums_of(boards.measured[-1], 1).copy()
-    wire.put(cob_id(1, 0, 2, True, GROUPS), payload)
-    came = boards.run(0.2)
-    assert STALE in {states(each)[1] for each in came}
-    assert [groups for _, groups in boards.boards[1].asked] == [0b100]
-    assert boards.status().frames.unrefined == 1
+def test_a_node_with_other_sums_is_told_once_and_asked(boards: BoardWorld) -> None:
+    boards.run(0.3)
+    boards.boards[1].sending.known[0, 2] += 1
+    boards.boards[1].sums_n = boards.boards[1].sums_n.copy()
+    boards.boards[1].sums_n[2] += boards.contract.unit_n
+    boards.run(2.0)
+    assert boards.complaints == ["node 2 on bus0 has other sums than the gateway: it is asked for all of them"]
+    assert [len(board.asked) for board in boards.boards] == [0, 1, 0, 0]
+    assert boards.status().frames.different == 1
     assert holds_what_boards_hold(boards)
-    np.testing.assert_array_equal(sums_of(came[-1], 1), before)
-    assert all(came[-1].valid)
 
 
-def test_refresh_that_is_overdue_makes_stale_what_is_not_zero(boards: BoardWorld) -> None:
-    at_rest(boards)
-    for board in boards.boards:
-        board.speaks = False
+def test_a_node_without_words_is_forgotten_after_its_longest_silence(boards: BoardWorld) -> None:
+    boards.run(0.3)
+    boards.boards[1].speaks = False
     silent_s = boards.now_s
-    came = boards.run(OVERDUE_S + 0.2)
-    stale = next(each for each in came if states(each)[1] == STALE)
-    stale_s = np.frombuffer(stale.since_ns, "<i8")[1] / 1e9
-    assert round(OVERDUE_S * 1e9) == OVERDUE_NS
-    assert stale_s - silent_s <= OVERDUE_S + 0.1
-    assert {states(each)[0] for each in came} == {QUIET}
+    longest_s = (boards.contract.keep_max + LATE_SLOTS) * boards.contract.layout.steps.slot_s
+    came = boards.run(longest_s + 0.2)
+    dead = next(each for each in came if states(each)[1] == DEAD)
+    dead_s = np.frombuffer(dead.since_ns, "<i8")[1] / 1e9
+    assert longest_s - 0.3 <= dead_s - silent_s <= longest_s + 0.1
+    assert not known_of(came[-1], 1).any()
     assert boards.boards[1].asked
-    assert not boards.boards[0].asked
     boards.boards[1].speaks = True
-    boards.until_whole(3.0)
+    boards.until_whole(1.0)
+
+
+def test_another_sync_producer_makes_its_bus_stale(boards: BoardWorld) -> None:
+    boards.run(0.3)
+    boards.wires[0].put(SYNC_COB_ID, b"\x55")
+    came = boards.run(2 * STEP_S)
+    assert states(came[-1])[:2] == [STALE, STALE]
+    assert came[-1].valid[2:] == b"\1\1"
+    assert boards.until_whole(1.0) <= 0.3
+    assert holds_what_boards_hold(boards)
 
 
 def test_reset_node_is_forgotten_at_once_and_comes_back_by_itself(boards: BoardWorld) -> None:
-    at_rest(boards)
+    boards.run(0.7)
     boards.nmt(0, NmtCommand.RESET_NODE, 2)
     came = boards.run(2 * STEP_S)
-    assert states(came[-1]) == [QUIET, DEAD, QUIET, QUIET]
+    assert states(came[-1])[1] == DEAD
+    assert list(came[-1].valid) == [1, 0, 1, 1]
     assert not known_of(came[-1], 1).any()
     assert not sums_of(came[-1], 1).any()
     assert boards.until_whole(1.0) < 0.3
@@ -271,14 +272,14 @@ def test_silent_node_is_dead(boards: BoardWorld) -> None:
 
 
 def test_frames_of_a_node_that_is_not_proven_are_not_used() -> None:
-    """Its code of sums differs: the same bytes would mean other forces."""
+    """Its unit differs: the same words would mean other forces."""
     world = BoardWorld(small_adaptive(configure="refuse"))
     wrong = world.boards[2]
-    wrong.objects[od.COMPANDING, 1] = b"\0\0\0\x40"
+    wrong.objects[od.UNIT, 0] = b"\0\0\0\x40"
     wrong.objects[od.SIGNATURE, 0] = bytes(4)
     world.run(0.1)
     wrong.state = NmtState.OPERATIONAL
-    wrong.again(15)
+    wrong.again()
     world.touch(2)
     came = world.run(1.0)
     assert states(came[-1])[2] == DEAD
@@ -298,8 +299,8 @@ def test_frames_that_came_with_the_end_of_the_proof_are_not_used(adaptive: Contr
     world.run(0.1)
     board.answers, world.wires[0].gateway.is_held = True, True
     world.run(0.3)  # the question is repeated
-    board.state = NmtState.OPERATIONAL
-    board.again(15)
+    board.state, board.sync_s, board.counter = NmtState.OPERATIONAL, world.now_s, 1
+    board.again()
     world.run(2 * STEP_S)
     world.wires[0].gateway.is_held = False
     board.speaks = False
@@ -309,7 +310,7 @@ def test_frames_that_came_with_the_end_of_the_proof_are_not_used(adaptive: Contr
     assert states(world.measured[-1])[0] == DEAD
     assert not known_of(world.measured[-1], 0).any()
     board.speaks = True
-    world.until_whole(START_S + 0.1)
+    world.until_whole(2 * TOLD_S)
 
 
 def test_node_whose_test_pattern_somebody_sets_is_forgotten(boards: BoardWorld) -> None:
@@ -326,13 +327,13 @@ def test_node_whose_test_pattern_somebody_sets_is_forgotten(boards: BoardWorld) 
 def test_identifier_of_a_node_is_set_right_though_its_mapping_is_fixed(adaptive: Contract) -> None:
     world = BoardWorld(adaptive)
     board = world.boards[0]
-    board.objects[od.TPDO_COMMUNICATION + 3, 1] = b"\x23\x01\0\x40"
+    board.objects[od.TPDO_COMMUNICATION, 1] = b"\x23\x01\0\x40"
     board.objects[od.SIGNATURE, 0] = bytes(4)
     world.until_whole(2.0)
     world.run(0.3)
     written = [line for line in world.lines if "set right" in line]
     assert len(written) == 1
-    assert "1803h:1" in written[0]
+    assert "1800h:1" in written[0]
 
 
 def test_gateway_that_joins_a_running_skin_starts_all_nodes_again(boards: BoardWorld) -> None:
@@ -341,34 +342,36 @@ def test_gateway_that_joins_a_running_skin_starts_all_nodes_again(boards: BoardW
     for board in boards.boards:
         board.asked.clear()
     boards.gateway = boards.new_gateway()
-    assert boards.until_whole(1.1) <= 0.1
+    assert boards.until_whole(1.0) <= 0.4
     assert all(board.state is NmtState.OPERATIONAL for board in boards.boards)
     assert holds_what_boards_hold(boards)
     assert not any(board.asked for board in boards.boards)
 
 
 def test_strange_frames_are_counted_and_complained_about(boards: BoardWorld) -> None:
-    at_rest(boards)
+    boards.run(0.3)
     before = boards.status().frames
     wire = boards.wires[0]
     wire.put(SYNC_COB_ID, b"\1")
-    wire.put(cob_id(2, 5, 0, False, GROUPS), bytes(8))
+    wire.put(boards.contract.nodes[0].tpdos[0].cob_id + 9, bytes(8))
     wire.put(HEARTBEAT_BASE + 99, b"\5")
-    wire.put(cob_id(0, 5, 0, False, GROUPS), b"\1" * (GROUP_SUMS - 1))
+    wire.put(boards.contract.nodes[0].tpdos[0].cob_id, b"\1" * 7)
     boards.step()
-    boards.run(0.3)
+    boards.run(0.6)
     after = boards.status().frames
     assert after.malformed == before.malformed + 1
     assert after.foreign >= before.foreign + 3
     assert len(boards.complaints) == 1
-    assert boards.complaints[0].startswith("another SYNC producer on bus0: no sums start in the 2 ms after each SYNC; ")
-    assert states(boards.measured[-1]) == [QUIET] * 4
+    assert boards.complaints[0].startswith(
+        "another SYNC producer on bus0: its blocks are not valid until all sums have come again; "
+    )
+    assert all(boards.measured[-1].valid)
 
 
 def test_the_newest_frame_of_each_bus_is_told(boards: BoardWorld) -> None:
     first = boards.measured[0]
     assert np.frombuffer(first.bus_sampled_ns, "<i8").tolist() == [0, 0]
-    boards.run(0.2)
+    at_rest(boards)
     before = np.frombuffer(boards.measured[-1].bus_sampled_ns, "<i8")
     boards.touch(1, seed=5)
     boards.run(0.2)

@@ -1,4 +1,4 @@
-"""Requests to adaptive nodes: groups again at growing pauses, few nodes at a time, and their noise in turn."""
+"""Requests to adaptive nodes: all sums again at growing pauses, few nodes at a time, and their noise in turn."""
 
 from types import SimpleNamespace
 from typing import Any, cast
@@ -11,10 +11,12 @@ from dbc.canopen import SDO_RESPONSE_BASE
 from gateway.nmt_master import NmtMaster
 from gateway.sdo import Dialogue, Read, SdoDialogue, Transfer, Write
 from gateway.sum_requests import SumRequests
-from tests.gateway.boards import BoardWorld, at_rest, lose, states
+from tests.gateway.boards import BoardWorld, at_rest, states
 
-GROUPS = 0x2030
+AGAIN = 0x2030
 NOISE = 0x2035
+#: Time in which a node tells all its sums, and from SYNC to SYNC.
+TELLING_S, SYNC_S = 0.0625, 0.125
 
 
 class Asking:
@@ -52,19 +54,22 @@ class Asking:
 
 
 class Skin:
-    """`SumRequests`, with no groups missing until the test says so."""
+    """`SumRequests`; nodes have nothing to tell until the test says so."""
 
     def __init__(self) -> None:
         self.master = Asking()
         self.noise: list[tuple[int, float]] = []
         self.sum_requests = SumRequests(
-            cast("NmtMaster", self.master), lambda node, noise_n: self.noise.append((node, noise_n))
+            cast("NmtMaster", self.master),
+            lambda node, noise_n: self.noise.append((node, noise_n)),
+            TELLING_S,
+            SYNC_S,
         )
-        self.unknown, self.doubtful = np.zeros(6, np.uint8), np.zeros(6, np.uint8)
+        self.is_wanted = np.zeros(6, np.bool_)
 
-    def tick(self, now_s: float, *, answered: bool = True, index: int = GROUPS) -> list[tuple[int, Transfer]]:
+    def tick(self, now_s: float, *, answered: bool = True, index: int = AGAIN) -> list[tuple[int, Transfer]]:
         """Return what was asked for an object."""
-        self.sum_requests.tick(now_s, self.unknown, self.doubtful)
+        self.sum_requests.tick(now_s, self.is_wanted)
         if answered:
             for node in self.master.nodes.values():
                 node.errand = None
@@ -79,8 +84,8 @@ class Skin:
             self.sum_requests.proven(node, now_s)
 
 
-def groups(node_id: int, bits: int) -> tuple[int, Write]:
-    return node_id, Write(GROUPS, 0, bytes((bits,)))
+def again(node_id: int) -> tuple[int, Write]:
+    return node_id, Write(AGAIN, 0, b"\1")
 
 
 @pytest.fixture
@@ -89,7 +94,7 @@ def skin() -> Skin:
 
 
 def test_nothing_is_asked_of_a_node_that_is_not_proven(skin: Skin) -> None:
-    skin.unknown[:], skin.doubtful[:] = 15, 15
+    skin.is_wanted[:] = True
     assert skin.tick(0.0) == []
     skin.proven(2)
     assert [node_id for node_id, _ in skin.tick(1.0)] == [13]
@@ -97,108 +102,100 @@ def test_nothing_is_asked_of_a_node_that_is_not_proven(skin: Skin) -> None:
     assert skin.tick(100.0) == []
 
 
-def test_a_node_that_starts_sends_all_groups_by_itself(skin: Skin) -> None:
-    """0.6 s are for that, also on a full bus."""
+def test_a_node_that_starts_sends_all_sums_by_itself(skin: Skin) -> None:
+    """It waits for a SYNC first."""
     skin.proven(0, started_s=0.0)
     skin.proven(1)  # it has been running
-    skin.unknown[0], skin.unknown[1], skin.doubtful[1] = 0b1001, 0b0001, 0b0100
-    assert skin.tick(0.0) == [groups(12, 0b0101)]
-    skin.unknown[1] = skin.doubtful[1] = 0
-    assert skin.tick(0.55) == []
-    assert skin.tick(0.599) == []
-    assert skin.tick(0.6125) == [groups(11, 0b1001)]
+    skin.is_wanted[:2] = True
+    assert skin.tick(0.0) == [again(12)]
+    skin.is_wanted[1] = False
+    assert skin.tick(0.15) == []
+    assert skin.tick(0.18) == []
+    assert skin.tick(0.1925) == [again(11)]
 
 
-def test_both_kinds_of_groups_are_asked_for_together(skin: Skin) -> None:
-    skin.proven(5)
-    skin.unknown[5], skin.doubtful[5] = 0b0011, 0b0110
-    assert skin.tick(1.0) == [groups(16, 0b0111)]
-
-
-def test_pauses_grow_up_to_two_seconds(skin: Skin) -> None:
+def test_pauses_grow_up_to_eight_times_the_time_of_all_sums(skin: Skin) -> None:
     skin.proven(0)
-    skin.doubtful[0] = 1
-    asked_s = [now_ms / 1000 for now_ms in range(0, 10_000, 20) if skin.tick(now_ms / 1000)]
-    assert np.diff(asked_s).tolist() == pytest.approx([0.1, 0.2, 0.4, 0.8, 1.6, 2.0, 2.0, 2.0], abs=0.021)
+    skin.is_wanted[0] = True
+    asked_s = [now_ms / 1000 for now_ms in range(0, 3_000, 20) if skin.tick(now_ms / 1000)]
+    assert np.diff(asked_s).tolist() == pytest.approx([0.0625, 0.125, 0.25, *[0.5] * 5], abs=0.021)
 
 
-def test_pauses_begin_anew_two_seconds_after_the_last_would_have_ended(skin: Skin) -> None:
+def test_a_node_that_needs_nothing_more_begins_with_the_shortest_pause(skin: Skin) -> None:
     skin.proven(0)
-    skin.doubtful[0] = 1
-    for now_s in (0.0, 0.125, 0.375):  # the next pause ends at 0.775
-        assert skin.tick(now_s) == [groups(11, 1)]
-    skin.doubtful[0] = 0
-    assert skin.tick(2.7) == []
-    skin.doubtful[0] = 1
-    assert skin.tick(2.75) == [groups(11, 1)]
-    assert skin.tick(3.25) == []  # the pause is 0.8 s
-    assert skin.tick(3.75) == [groups(11, 1)]
-    skin.doubtful[0] = 0
-    skin.tick(8.0)  # 1.6 s and 2 s later
-    skin.doubtful[0] = 1
-    assert skin.tick(8.5) == [groups(11, 1)]
-    assert skin.tick(8.625) == [groups(11, 1)]
+    skin.is_wanted[0] = True
+    for now_s in (0.0, 0.0625, 0.1875):  # the next pause ends at 0.4375
+        assert skin.tick(now_s) == [again(11)]
+    skin.is_wanted[0] = False
+    assert skin.tick(0.3) == []
+    skin.is_wanted[0] = True
+    assert skin.tick(0.4) == []
+    assert skin.tick(0.4375) == [again(11)]
+    skin.is_wanted[0] = False
+    assert skin.tick(1.0) == []
+    skin.is_wanted[0] = True
+    assert skin.tick(1.125) == skin.tick(1.1875) == [again(11)]
 
 
 def test_a_proof_and_the_return_of_the_bus_begin_the_pauses_anew(skin: Skin) -> None:
     skin.proven(0, 1)
-    skin.doubtful[:2] = 1
-    for now_s in (0.0, 0.125, 0.375):
+    skin.is_wanted[:2] = True
+    for now_s in (0.0, 0.0625, 0.1875):
         skin.tick(now_s)
-    skin.proven(0, now_s=0.4)
-    assert skin.tick(0.4375) == [groups(11, 1)]
-    assert skin.tick(0.5625) == [groups(11, 1)]
+    skin.proven(0, now_s=0.2)
+    assert skin.tick(0.25) == [again(11)]
+    assert skin.tick(0.3125) == [again(11)]
     skin.sum_requests.again()
-    assert skin.tick(0.59375) == [groups(11, 1), groups(12, 1)]
-    assert skin.tick(0.6) == []
-    assert skin.tick(0.71875) == [groups(11, 1), groups(12, 1)]
+    assert skin.tick(0.34375) == [again(11), again(12)]
+    assert skin.tick(0.375) == []
+    assert skin.tick(0.40625) == [again(11), again(12)]
 
 
 def test_four_nodes_are_asked_at_a_time_and_who_has_waited_longest_is_next(skin: Skin) -> None:
     skin.proven(*range(6))
-    skin.doubtful[:4] = 1
+    skin.is_wanted[:4] = True
     assert [node_id for node_id, _ in skin.tick(0.0, answered=False)] == [11, 12, 13, 14]
-    skin.doubtful[4] = 1
-    assert skin.tick(0.0625, answered=False) == []
-    skin.doubtful[:3] = 0
+    skin.is_wanted[4] = True
+    assert skin.tick(0.03125, answered=False) == []
+    skin.is_wanted[:3] = False
     skin.master.answer(13)
-    assert [node_id for node_id, _ in skin.tick(0.125, answered=False)] == [15]
+    assert [node_id for node_id, _ in skin.tick(0.0625, answered=False)] == [15]
     assert not skin.master.restarts_s
 
 
-def test_where_groups_of_many_nodes_are_missing_all_start_again_at_growing_pauses(skin: Skin) -> None:
+def test_where_sums_of_many_nodes_are_missing_all_start_again_at_growing_pauses(skin: Skin) -> None:
     skin.proven(*range(6))
-    skin.doubtful[:5] = 1
-    for now_ms in range(0, 10_000, 20):
+    skin.is_wanted[:5] = True
+    for now_ms in range(0, 3_000, 20):
         assert skin.tick(now_ms / 1000) == []
     pauses_s = np.diff(skin.master.restarts_s).tolist()
-    assert pauses_s == pytest.approx([0.1, 0.2, 0.4, 0.8, 1.6, 2.0, 2.0, 2.0], abs=0.021)
+    assert pauses_s == pytest.approx([0.0625, 0.125, 0.25, *[0.5] * 5], abs=0.021)
 
 
 def test_a_quiet_bus_is_asked_for_nothing_and_has_time_to_start(skin: Skin) -> None:
     skin.proven(0)
-    skin.doubtful[0], skin.master.is_quiet = 1, True
+    skin.is_wanted[0], skin.master.is_quiet = True, True
     assert [skin.tick(now_s) for now_s in (0.0, 0.25)] == [[], []]
     skin.master.is_quiet = False
-    assert [skin.tick(now_s) for now_s in (0.3125, 0.84, 0.875)] == [[], [], [groups(11, 1)]]
+    assert [skin.tick(now_s) for now_s in (0.3125, 0.42, 0.4375)] == [[], [], [again(11)]]
 
 
 def test_a_busy_node_is_asked_as_soon_as_it_is_free(skin: Skin) -> None:
     skin.proven(0)
-    skin.doubtful[0] = 1
+    skin.is_wanted[0] = True
     skin.master.busy = {11}
     assert skin.tick(0.0) == skin.tick(0.0156) == []
     skin.master.busy.clear()
-    assert skin.tick(0.03125) == [groups(11, 1)]
-    assert skin.tick(0.14) == [groups(11, 1)]  # after the first pause
+    assert skin.tick(0.03125) == [again(11)]
+    assert skin.tick(0.125) == [again(11)]  # after the first pause
 
 
 def test_ticks_within_ten_milliseconds_are_one(skin: Skin) -> None:
     skin.proven(0)
     assert skin.tick(0.0) == []
-    skin.doubtful[0] = 1
+    skin.is_wanted[0] = True
     assert skin.tick(0.0099) == []
-    assert skin.tick(0.0101) == [groups(11, 1)]
+    assert skin.tick(0.0101) == [again(11)]
 
 
 # Noise
@@ -257,13 +254,12 @@ def test_a_node_that_is_lost_is_not_asked_for_its_noise(skin: Skin) -> None:
 
 def test_lost_answers_do_not_block_the_proof(boards: BoardWorld) -> None:
     at_rest(boards)
-    wire, refresh = boards.wires[0], GROUPS.to_bytes(2, "little")
+    wire, refresh = boards.wires[0], AGAIN.to_bytes(2, "little")
     wire.loses = lambda end, each: bool(
         end is wire.gateway and each["can_id"] == SDO_RESPONSE_BASE + 2 and each["data"][1:3].tobytes() == refresh
     )
     boards.boards[1].speaks = False
-    lose(boards, 0)
     boards.run(8.0)
     assert boards.gateway.masters[0].nodes[2].in_use
-    assert states(boards.measured[-1])[1] == BlockState.STALE
+    assert states(boards.measured[-1])[1] == BlockState.DEAD
     assert not boards.lines
