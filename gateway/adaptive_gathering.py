@@ -84,7 +84,7 @@ class AdaptiveGathering:
     rates_hz : tuple of float
         Most measurements in a second, when there is news, and least, see `publishing_rates`.
     complain : callable
-        Writes a line to the log.
+        Writes a line to the log, which may come many times.
     """
 
     #: See `gateway.cycle_gathering.CycleGathering`.
@@ -98,7 +98,7 @@ class AdaptiveGathering:
         masters: Mapping[int, NmtMaster],
         now_s: float,
         rates_hz: tuple[float, float] = RATES_HZ,
-        complain: Callable[[str], None] = len,
+        complain: Callable[[str], object] = len,
     ) -> None:
         self._shortest_s, self._longest_s = (1 / rate_hz for rate_hz in rates_hz)
         self.published = self.complete = 0

@@ -3,12 +3,13 @@
 Every word tells by its count whether words before it were lost. After a loss all groups of the part are missing, until
 sets have come of all of them, with no loss between. Steps move a part meanwhile: its sums are shown, and not valid.
 
-**What counts and slots prove.** The slots of a board's words rise, and a step follows within `SEQUENCE` slots. So a step
-hides a loss only if its first byte stands for a slot `SYNC_OVERFLOW` slots later, or a multiple of that. Then its slot
-seems that much too old, and the part is late until a set or check tells of the loss. A part without words for more than
-its longest silence is forgotten, long before `COUNT` words. So a block that is wrong is valid only if frames of its node
-come late by at least `dbc.steps.slot_cycle` slots less the longest silence (more than two seconds by default), and none of them after
-a silence that is longer. What is lost at the end of a movement is seen at the next check, `KEEP_MIN` slots later.
+**What counts and slots prove.** The slots of a board's words rise, and it sends at most one in a slot. A step follows
+within `SEQUENCE` slots, a set or check within the longest silence. So a step hides a loss only if its first byte stands
+for a slot `SYNC_OVERFLOW` slots later, or a multiple of that: then the part seems that much too late, until a set or
+check tells of the loss. A part without words for more than its longest silence is forgotten. So a block that is wrong
+is valid only if frames of its node come late by at least `dbc.steps.slot_cycle` slots less the longest silence, and
+none of them after a longer silence: 716 slots, 2.9 s by default. What is lost at the end of a movement is seen at the
+next check, `KEEP_MIN` slots later.
 """
 
 from typing import Final, NamedTuple
@@ -79,7 +80,7 @@ class PartSums(NamedTuple):
     ----------
     known : array of int64, shape (parts, PART_SUMS)
         Integers, in units of `Contract.unit_n`.
-    count, slot, newest_ns : arrays of int64, shape (parts,)
+    word_count, slot, newest_ns : arrays of int64, shape (parts,)
         Count, slot and end of the newest word.
     missing, unknown : arrays of int64, shape (parts,)
         Groups, a bit each: of which no set has come since a loss; of which nothing is held.
@@ -96,7 +97,7 @@ class PartSums(NamedTuple):
     """
 
     known: Integers
-    count: Integers
+    word_count: Integers
     slot: Integers
     newest_ns: Integers
     missing: Integers
@@ -126,7 +127,7 @@ def new_sums(contract: Contract) -> PartSums:
     parts, buses = len(contract.parts.block), len(contract.layout.bus)
     state = PartSums(
         known=np.zeros((parts, PART_SUMS), np.int64),
-        count=np.zeros(parts, np.int64),
+        word_count=np.zeros(parts, np.int64),
         slot=np.zeros(parts, np.int64),
         newest_ns=np.zeros(parts, np.int64),
         missing=np.zeros(parts, np.int64),
@@ -220,31 +221,30 @@ def _take_word(  # noqa: PLR0917  compiled functions take no keywords
         return MALFORMED, 0
     if ended_ns - state.newest_ns[part] > slots.silence_ns:
         forget(part, table, state)
-    known = state.known[part, : form.sums]
-    ahead, counts = (low - state.slot[part]) % SYNC_OVERFLOW, SEQUENCE if kind == STEP else COUNT
-    is_first = state.newest_ns[part] == NEVER_NS
-    if not is_first and ahead == 0 and (count - state.count[part]) % SEQUENCE == 0:
+    known, is_first = state.known[part, : form.sums], state.newest_ns[part] == NEVER_NS
+    ahead = (low - state.slot[part]) % SYNC_OVERFLOW
+    if not is_first and ahead == 0 and (count - state.word_count[part]) % SEQUENCE == 0:
         return DUPLICATE, 0
-    is_next = not is_first and (count - state.count[part] - 1) % counts == 0 and (kind != STEP or ahead <= SEQUENCE)
+    slot = state.slot[part] + ahead if kind == STEP else high * SYNC_OVERFLOW + low
+    counts, most = (SEQUENCE, SEQUENCE) if kind == STEP else (COUNT, slots.silence_ns // slots.slot_ns)
+    is_next = (count - state.word_count[part] - 1) % counts == 0
+    is_next &= not is_first and 0 < (slot - state.slot[part]) % slots.cycle <= most
     if not is_next:
         state.missing[part] = (1 << form.groups) - 1
-    slot = state.slot[part] + ahead
     if kind == STEP:
         move(known, group, data, form)
-    else:
-        slot = high * SYNC_OVERFLOW + low
-        if kind == SET:
-            put(known, group, data, form)
-            state.missing[part] &= ~(1 << group)
-            state.unknown[part] &= ~(1 << group)
-        elif not state.missing[part] and hash_of(known) != data:
-            state.different[part] += 1
-            state.missing[part] = (1 << form.groups) - 1
+    elif kind == SET:
+        put(known, group, data, form)
+        state.missing[part] &= ~(1 << group)
+        state.unknown[part] &= ~(1 << group)
+    elif not state.missing[part] and hash_of(known) != data:
+        state.different[part] += 1
+        state.missing[part] = (1 << form.groups) - 1
     age = (now - slot) % slots.cycle
     if age > slots.cycle - _AHEAD:
         age = 0
     # A step tells its count modulo `SEQUENCE` alone: after a loss the least is taken, and the next set tells.
-    state.count[part] += (count - state.count[part]) % counts
+    state.word_count[part] += (count - state.word_count[part]) % counts
     state.slot[part], state.newest_ns[part] = slot % slots.cycle, ended_ns
     state.is_late[part], state.has_changed[part] = age > LATE_SLOTS or now < 0, True
     if not (is_next or is_first):

@@ -35,7 +35,7 @@ from dbc.dictionary import SILENT_AFTER_S, dictionary
 from dbc.frame import ECHO, ERROR, EXTENDED, REMOTE, Frames, frames, one_frame
 from dbc.objects import Object
 from gateway.adaptive_node_frames import AdaptiveFrames
-from gateway.node_frames import CYCLES, SETTLING, NodeReport, Picture, SynchronousFrames, syncs_of
+from gateway.node_frames import SETTLING, NodeReport, Picture, SynchronousFrames, syncs_of
 from gateway.proof import NO_SIGNATURE
 from gateway.sdo import Read, SdoAbortedError, SdoDialogue, SdoError, Transfer, Write, one
 from skin.sync_counter import SYNC_OVERFLOW
@@ -52,7 +52,7 @@ SHOWN: Final = 3
 #: Serial number: a maker may have numbers of its own.
 _SERIAL: Final = (od.IDENTITY, 4)
 #: Objects that a user may have set.
-_ALLOWED: Final = (od.TEST_PATTERN, od.SENDING, od.BUDGET)
+_ALLOWED: Final = {_SERIAL, (od.TEST_PATTERN, 0), (od.SENDING, 1), (od.SENDING, 3)}
 #: Objects that are read, and compared with nothing: state, noise of an adaptive board.
 _ONLY_READ: Final = ((od.STATE, 1), (od.NODE_NOISE, 0))
 #: Only a board knows which values are right.
@@ -68,7 +68,7 @@ class _Listen:
 
 @dataclass(frozen=True)
 class _Cycles:
-    """Send a frame, let `SETTLING` SYNC messages pass, and get the frames up to the SYNC after `CYCLES` more."""
+    """Send a frame, let `SETTLING` SYNC messages pass, and get the frames up to the SYNC after the cycles."""
 
     can_id: int
     data: bytes
@@ -126,6 +126,7 @@ class NodeCheck:
         if self.done or not len(arrived):
             return
         self._heard.append(arrived)
+        self._expected.hear(arrived)
         answers = arrived[
             (arrived["can_id"] == SDO_RESPONSE_BASE + self._node.node_id) & (arrived["flags"] & ECHO == 0)
         ]
@@ -153,7 +154,7 @@ class NodeCheck:
         self._counter = self._counter + 1 if self._counter < SYNC_OVERFLOW else self._idle
         if self._wanted is not None:
             self._wanted -= 1
-            if self._wanted == CYCLES + 1:
+            if self._wanted == self._expected.cycles + 1:
                 self._counter = 1
             elif self._wanted == 0:
                 self._ends_s = now_s + PATIENCE_S
@@ -166,7 +167,7 @@ class NodeCheck:
         """Tell whether the SYNC after the last cycle was on the bus: what belongs to the cycles came before it."""
         if self._wanted != 0:
             return False
-        return len(syncs_of(self._since_begin(np.concatenate([frames(0), *self._heard])))) > SETTLING + CYCLES
+        return len(syncs_of(self._since_begin(np.concatenate([frames(0), *self._heard])))) > SETTLING + self._expected.cycles
 
     def give_up(self, now_s: float) -> None:
         """Put back what was written, and end then."""
@@ -197,7 +198,7 @@ class NodeCheck:
         elif isinstance(step, _Cycles):
             self._send_one(step.can_id, step.data)
             self._begun = step
-            self._ends_s, self._wanted = np.inf, SETTLING + CYCLES + 1
+            self._ends_s, self._wanted = np.inf, SETTLING + self._expected.cycles + 1
         else:
             self._ends_s = np.inf
             self._dialogue = SdoDialogue(self._node.node_id, one(step), self._send_one, now_s)
@@ -252,9 +253,7 @@ class NodeCheck:
             self._values[setting.index, setting.subindex] = setting.sized(data)
             if not setting.matches(data) and (setting.index, setting.subindex) not in _ONLY_READ:
                 text = f"{setting} is {setting.text(data)}, expected {setting.text()}"
-                is_allowed = (
-                    od.split_block(setting.index)[1] in _ALLOWED or (setting.index, setting.subindex) == _SERIAL
-                )
+                is_allowed = (od.split_block(setting.index)[1], setting.subindex) in _ALLOWED
                 (self.report.notes if is_allowed else self.report.differences).append(text)
         state = int.from_bytes(self._values.get((od.STATE, 1), bytes((self._state,))), "little")
         if state in self._expected.states:
@@ -397,7 +396,7 @@ class NodeCheck:
 
 def _is_of_board(each: Object) -> bool:
     """Tell whether an object is read besides those that the gateway compares: wiring, rows, way of sending, serial."""
-    if (each.index, each.subindex or 0) in (_SERIAL, (od.BUDGET, 0), *_ONLY_READ):
+    if (each.index, each.subindex or 0) in (_SERIAL, *_ONLY_READ):
         return True
     return od.split_block(each.index)[1] in (od.ROWS, od.TAXELS, od.SENDING) and each.subindex != 0
 

@@ -33,7 +33,7 @@ from skin.measurement import fast_hadamard
 
 #: SYNC messages between the begin of a picture and the first cycle that is compared: a board may be slow to start.
 SETTLING: Final = 2
-#: SYNC messages of each picture.
+#: SYNC messages of each picture, or more (`ExpectedFrames.cycles`).
 CYCLES: Final = 4
 #: Arrangements of which `distinct_counts` takes the one with the largest sums.
 _DRAWS: Final = 16
@@ -128,9 +128,12 @@ class ExpectedFrames(ABC):
         The states (2008h:1) of the board; one number, which means nothing, of a board without states.
     rest_s : float
         Pause between the write of a picture and the NMT start.
+    cycles : int
+        SYNC messages of each picture.
     """
 
     rest_s: float = 0.0
+    cycles = CYCLES
     _patterns: tuple[int, ...]
 
     def __init__(self, contract: Contract, node: NodeContract, report: NodeReport) -> None:
@@ -158,6 +161,9 @@ class ExpectedFrames(ABC):
                 yield Picture(
                     f"test pattern {name}", values, counts, self._node.is_adaptive and pattern == PATTERN_ZERO
                 )
+
+    def hear(self, arrived: Frames) -> None:
+        """Take all frames that arrive, with the echoes of those of the check."""
 
     @abstractmethod
     def period_s(self, state: int) -> float:

@@ -11,7 +11,7 @@ from dbc.canopen import HEARTBEAT_BASE, SYNC_COB_ID, NmtCommand, NmtState
 from dbc.contract import Contract
 from dbc.dictionary import HEARTBEAT_MS, SILENT_AFTER_S
 from gateway.adaptive_gathering import publishing_rates
-from dbc.steps import LATE_SLOTS
+from dbc.steps import KEEP_MIN, LATE_SLOTS
 from gateway.block_states import FRESH_NS
 from gateway.gathering import Health
 from tests.bus.harness import frame
@@ -190,7 +190,7 @@ def test_a_loss_at_the_end_of_a_movement_is_seen_at_the_next_check(boards: Board
     boards.wires[0].loses = lambda _end, each: each["can_id"] == boards.boards[0].contract.tpdos[0].cob_id
     boards.step()
     boards.wires[0].loses = None
-    came = boards.run(0.1)
+    came = boards.run((KEEP_MIN + 1) * STEP_S)
     assert states(came[-1])[0] == STALE
     assert boards.until_whole(1.0) <= 0.1
     assert holds_what_boards_hold(boards)
@@ -345,7 +345,8 @@ def test_gateway_that_joins_a_running_skin_starts_all_nodes_again(boards: BoardW
     assert boards.until_whole(1.0) <= 0.4
     assert all(board.state is NmtState.OPERATIONAL for board in boards.boards)
     assert holds_what_boards_hold(boards)
-    assert not any(board.asked for board in boards.boards)
+    # A board may leave slots out: the new gateway counts from 1, and numbers of words rise.
+    assert all(len(board.asked) <= 1 for board in boards.boards)
 
 
 def test_strange_frames_are_counted_and_complained_about(boards: BoardWorld) -> None:
@@ -374,7 +375,7 @@ def test_the_newest_frame_of_each_bus_is_told(boards: BoardWorld) -> None:
     at_rest(boards)
     before = np.frombuffer(boards.measured[-1].bus_sampled_ns, "<i8")
     boards.touch(1, seed=5)
-    boards.run(0.2)
+    boards.run(0.02)
     ended_ns = np.frombuffer(boards.measured[-1].bus_sampled_ns, "<i8")
     assert ended_ns[0] > before[0]
     assert ended_ns[1] == before[1]

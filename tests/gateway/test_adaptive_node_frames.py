@@ -9,6 +9,7 @@ import pytest
 
 from dbc import indices as od
 from dbc.contract import Contract
+from dbc.steps import CHECK, SET, STEP, kind_of, read_word
 from gateway.node_check import NodeCheck
 from gateway.node_frames import NodeReport
 from nodes.adaptive.boards import AdaptiveBoards
@@ -16,6 +17,7 @@ from nodes.adaptive.firmware import FirmwarePatches
 from nodes.firmware.library import Firmware
 from nodes.segment import Segment
 from nodes.virtual_boards import VirtualBoards
+from skin.layout import changed
 from skin.sources import Frame
 from tests.gateway.helpers import Wire
 from tests.nodes.firmware.adaptive_twins import contract_of
@@ -106,21 +108,20 @@ def wrong_sign(bench: Bench) -> None:
     bench.hardware.filter.take = taken
 
 
-def swapped_identifiers(bench: Bench) -> None:
-    cob_ids = bench.hardware.controllers.cob_id[0].tolist()
-    # Coarse frames of level 0: groups 0 and 1.
-    cob_ids[20], cob_ids[21] = cob_ids[21], cob_ids[20]
-    bench.hardware.set_tpdos(0, cob_ids, bench.hardware.controllers.inhibit[0].tolist())
+def other_unit(bench: Bench) -> None:
+    """A board whose words have another unit."""
+    take = bench.hardware.filter.take
 
+    def taken(sample_n: Any) -> None:
+        take(sample_n)
+        bench.hardware.filter.sums_n[:] *= 1.03
 
-def other_code(bench: Bench) -> None:
-    """A board whose codes are those of another full scale."""
-    bench.hardware._law = bench.hardware._law._replace(knee_n=1.03 * bench.contract.law.knee_n)
+    bench.hardware.filter.take = taken
 
 
 def deaf_rule(bench: Bench) -> None:
-    """A board that finds news thirty times too late."""
-    bench.hardware.controllers.rule["noise_ratio"] *= 30
+    """A board that leaves slots empty that are worth a frame."""
+    bench.hardware.senders.slots.quiet[:] *= 1e4
 
 
 def infinite_noise(bench: Bench) -> None:
@@ -171,17 +172,16 @@ def stale_signature(bench: Bench) -> None:
     node._live[od.CALIBRATION_SIGNATURE] = lambda subindex: kept[0] if kept else kept.append(read(subindex)) or kept[0]
 
 
-def sent(spoil: Callable[[np.void, int, int, bool], object]) -> Callable[[Bench], None]:
-    """Alter each frame of sums on its way: called with frame, level, group and whether it is fine; True loses it."""
+def sent(spoil: Callable[[np.void, int], object]) -> Callable[[Bench], None]:
+    """Alter each frame of sums on its way: called with frame and kind of its word; True loses it."""
 
     def mutate(bench: Bench) -> None:
-        tpdos = {each.cob_id: each for each in bench.contract.nodes[0].adaptive_tpdos}
+        node = bench.contract.nodes[0]
 
         def loses(end: object, each: np.void) -> bool:
-            tpdo = tpdos.get(int(each["can_id"]))
-            if end is not bench.wire.gateway or tpdo is None:
+            if end is not bench.wire.gateway or each["can_id"] != node.tpdos[0].cob_id:
                 return False
-            return spoil(each, tpdo.level, tpdo.group, tpdo.is_fine) is True
+            return spoil(each, kind_of(read_word(each["data"][1:8]), node.forms[0])[0]) is True
 
         bench.wire.loses = loses
 
@@ -192,31 +192,31 @@ def add(each: np.void, at: int, much: int) -> None:
     each["data"][at] = (int(each["data"][at]) + much) % 256
 
 
-def highest(each: np.void, level: int, group: int, is_fine: bool) -> None:
-    if not is_fine:
-        each["can_id"] -= 128 * (5 - level)
+def later(each: np.void, _kind: int) -> None:
+    each["data"][0] = (int(each["data"][0]) + 9) % 240 + 1
 
 
 MUTANTS = [
-    (swapped_rows, "offsets in place of the taxels: TPDO {} tells", " as sum 10, expected "),
+    (swapped_rows, "offsets in place of the taxels: tells", " as sum 10, expected "),
     (swapped_groups, " as sum 17, expected ", ""),
     (wrong_sign, " as sum 21, expected ", ""),
-    (swapped_identifiers, "full scale: TPDO 5 (201h) tells 640.00 mN as sum 1, expected ", ""),
-    (other_code, "offsets in place of the taxels: TPDO ", ""),
+    (other_unit, "offsets in place of the taxels: tells ", ""),
     (infinite_noise, "full scale: the noise (2035h) is no number of newtons: 00 00 80 7f", ""),
-    (deaf_rule, "test pattern zero: no coarse frame of group 1 came as news of the step", ""),
+    (deaf_rule, "test pattern zero: tells ", " as sum 1, expected 0.00 mN"),
     (ignores(od.TEST_PATTERN), "test pattern full scale: half of the taxels read less than half of full scale", ""),
-    (ignores(od.GAIN), "offsets in place of the taxels: TPDO ", ""),
-    (ignores(od.OFFSET), "offsets in place of the taxels: TPDO ", ""),
+    (ignores(od.GAIN), "offsets in place of the taxels: tells ", ""),
+    (ignores(od.OFFSET), "offsets in place of the taxels: tells ", ""),
     (half_scale, "test pattern full scale: half of the taxels read less than half of full scale", ""),
     (unsigned_gains, "the signature (2009h) is ", ""),
     (stale_signature, "of its objects, with other gains and offsets", ""),
-    (sent(highest), " has level 5 without news, expected 0", ""),
-    (sent(lambda each, _level, _group, fine: fine and add(each, 7, 1)), " has another check than that of ", ""),
-    (sent(lambda _each, _level, _group, fine: fine), "full scale: no fine frame of group 1 came", ""),
-    (sent(lambda _each, _level, group, fine: group == 3 and not fine), "no coarse frame of group 3 came after", ""),
-    (sent(lambda each, _level, group, fine: not fine and group == 2 and add(each, 5, 1)), " as sum 22, expected", ""),
-    (sent(lambda each, *_: each.__setitem__("length", 7)), " has 7 bytes, expected 8", ""),
+    (sent(later), "full scale: TPDO 1 (181h) names slot ", ", expected "),
+    (sent(lambda each, _: each.__setitem__("length", 7)), "TPDO 1 (181h) has 7 bytes, expected 8", ""),
+    (sent(lambda each, _: each["data"].__setitem__(0, 0)), "begins with 0, expected a slot from 1 to 240", ""),
+    (sent(lambda each, _: each["data"].__setitem__(slice(1, 8), 255)), "has words that are no step, set or check", ""),
+    (sent(lambda _each, _kind: True), "full scale: TPDO 1 (181h): no set of group 1 came after the NMT start", ""),
+    (sent(lambda each, kind: kind == SET and each["data"][0] % 7 == 0), "has another count than the word before", ""),
+    (sent(lambda _each, kind: kind == CHECK), "no check came within 24 slots after the newest step or set", ""),
+    (sent(lambda each, kind: kind == STEP and add(each, 1, 1)), "zero: TPDO 1 (181h) checks other sums than ", ""),
 ]
 
 
@@ -229,7 +229,7 @@ def test_a_wrong_board_is_named(spoil: Callable[[Bench], None], words: str, more
         assert each in said, said
 
 
-@pytest.mark.parametrize("spoil", [swapped_rows, swapped_groups, wrong_sign, other_code])
+@pytest.mark.parametrize("spoil", [swapped_rows, swapped_groups, wrong_sign, other_unit])
 def test_a_wrong_board_on_can_fd_is_named(spoil: Callable[[Bench], None]) -> None:
     bench = Bench(contract_of("adaptive-fd"))
     spoil(bench)
@@ -238,8 +238,15 @@ def test_a_wrong_board_on_can_fd_is_named(spoil: Callable[[Bench], None]) -> Non
 
 def test_another_rule_of_sending_is_noted() -> None:
     bench = Bench(contract_of("8"))
-    for index, subindex, value in ((od.SENDING, 6, 2), (od.BUDGET, 0, 9000)):
-        bench.wire.put(0x601, struct.pack("<BHBI", 0x23, index, subindex, value))
+    for subindex, value in ((1, 0x3E800000), (3, 200)):  # 0.25; 200 us
+        bench.wire.put(0x601, struct.pack("<BHBI", 0x23, od.SENDING, subindex, value))
     report = bench.check()
     assert report.differences == []
-    assert [each.split(" ", 1)[0] for each in report.notes] == ["2031h:6", "2034h:0"]
+    assert [each.split(" ", 1)[0] for each in report.notes] == ["2031h:1", "2031h:3"]
+
+
+def test_boards_that_send_at_sync_are_checked() -> None:
+    layout = changed(contract_of("8").layout, sync={"rate_hz": 200.0}, steps={"slot_s": 0.005, "at_sync": True})
+    report = Bench(Contract.from_layout(layout)).check()
+    assert report.differences == []
+    assert report.frames > 6
