@@ -63,8 +63,8 @@ VARIANCE_RATIO: Final = 2.0
 LATE_SLOTS: Final = 4
 #: Kinds of words; `BAD` are numbers that no board sends.
 STEP, SET, CHECK, BAD = range(4)
-_FNV_BASIS: Final = 2_166_136_261
-_FNV_PRIME: Final = 16_777_619
+FNV_BASIS: Final = 2_166_136_261
+FNV_PRIME: Final = 16_777_619
 _32_BITS: Final = (1 << 32) - 1
 
 Integers = npt.NDArray[np.int64]
@@ -209,10 +209,10 @@ def put(known: Integers, group: int, data: int, form: Form) -> None:
 @njit(cache=True, nogil=True)
 def hash_of(known: Integers) -> int:
     """Return the FNV-1a hash (32 bits) of the integers, each as two bytes, little endian, two's complement."""
-    total = _FNV_BASIS
+    total = FNV_BASIS
     for value in known:
         for shift in (0, 8):
-            total = (total ^ (value >> shift & 0xFF)) * _FNV_PRIME & _32_BITS
+            total = (total ^ (value >> shift & 0xFF)) * FNV_PRIME & _32_BITS
     return int(total)
 
 

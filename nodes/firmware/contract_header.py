@@ -39,10 +39,10 @@ _CLIPPED_POINTS: Final = 129
 def contract_header() -> str:
     """Return ``contract.h``: the names of the Python modules, with ``SKIN_`` before them."""
     numbers: dict[str, int] = {
-        **{f"OD_{name}" if number in _INDICES else name: number for name, number in _whole(indices).items()},
-        **_whole(canopen),
-        **_whole(program),
-        **_whole(slots),
+        **{f"OD_{name}" if number in _INDICES else name: number for name, number in whole_numbers(indices).items()},
+        **whole_numbers(canopen),
+        **whole_numbers(program),
+        **whole_numbers(slots),
         "LONGEST_VALUE": LONGEST_VALUE,
         **{start + each.name: each for start, kind in _ENUMERATIONS.items() for each in kind if each.name},
         **{f"FRAME_{name}": getattr(frame, name) for name in _FRAME_FLAGS},
@@ -87,6 +87,6 @@ def _filters() -> dict[str, tuple[object, str]]:
     }
 
 
-def _whole(module: object) -> dict[str, int]:
+def whole_numbers(module: object) -> dict[str, int]:
     """Return the constants of a module that are whole numbers."""
     return {name: value for name, value in vars(module).items() if name.isupper() and type(value) is int}

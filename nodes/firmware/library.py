@@ -42,8 +42,7 @@ _FUNCTIONS: Final[dict[str, tuple[type, ...]]] = {
 _ADAPTIVE_FUNCTIONS: Final[dict[str, tuple[type, ...]]] = {
     "skin_prepare": (_POINTER, _U32, _U32, _POINTER),
     "skin_take_counts": (_POINTER, _U32, _POINTER),
-    "skin_decide_all": (_POINTER, _U32, _U32, _I64),
-    "skin_choose": (_POINTER, _U32, _U32, _I64, _I64, _POINTER, _SIZE),
+    "skin_choose": (_POINTER, _U32, _I64, _POINTER, _SIZE),
     "skin_under_way": (_POINTER, _U32),
 }
 
@@ -109,7 +108,7 @@ class Firmware:
 class CompiledBoards:
     """The boards of one bus: most methods take a time in seconds and return the frames that the boards send.
 
-    Adaptive boards sample by their own clock (`take_counts`), and send sums when these carry news (`decide`, `choose`).
+    Adaptive boards sample by their own clock (`take_counts`), and send steps in their slots (`choose`).
 
     Parameters
     ----------
@@ -144,7 +143,7 @@ class CompiledBoards:
         self.node_ids = frozenset(node.node_id for node in nodes)
         self.is_pdo = np.zeros(BASE_ID_MASK + 1, np.bool_)
         for node in nodes:
-            self.is_pdo[[tpdo.cob_id for state in contract.states_of(node) for tpdo in state.all_tpdos]] = True
+            self.is_pdo[[tpdo.cob_id for state in contract.states_of(node) for tpdo in state.tpdos]] = True
         self.due_s = float("-inf")
         self._library = library
         self._first, self._count = first, len(nodes)
@@ -244,13 +243,9 @@ class CompiledBoards:
         ready = self._library.skin_take_counts(self._nodes, self._count, there.ctypes.data)
         return bool(ready == self._count)
 
-    def decide(self, skipped: int, passed_ns: int) -> bool:
-        """Decide what to send with the newest sample, after `skipped` ones; tell whether any frame is due."""
-        return bool(self._library.skin_decide_all(self._nodes, self._count, skipped, passed_ns))
-
-    def choose(self, most: int, now_ns: int, until_ns: int) -> Frames:
-        """Make the most urgent frames, at most `most`, which expire at `until_ns`."""
-        return self._taken(self._library.skin_choose(self._nodes, self._count, most, now_ns, until_ns, *self._sent))
+    def choose(self, now_ns: int) -> Frames:
+        """Make the frames of the slots that have begun, of the newest sample."""
+        return self._taken(self._library.skin_choose(self._nodes, self._count, now_ns, *self._sent))
 
     @property
     def is_sending(self) -> bool:

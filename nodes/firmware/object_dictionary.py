@@ -24,7 +24,7 @@ _TYPES: Final = {
     od.UNSIGNED8: "uint8_t",
     od.UNSIGNED16: "uint16_t",
     od.UNSIGNED32: "uint32_t",
-    od.UNSIGNED64: "uint64_t",
+    od.UNSIGNED56: "uint64_t",
     od.REAL32: "float",
     od.VISIBLE_STRING: "char",
 }

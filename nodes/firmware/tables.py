@@ -16,7 +16,7 @@ from dbc.averaging import averaging_models
 from dbc.board import Board, board
 from dbc.canopen import LSS_BIT_RATES_HZ
 from dbc.configuration import calibration, configuration, setting_of
-from dbc.contract import Contract, NodeContract, sum_frame_bits
+from dbc.contract import Contract, NodeContract
 from dbc.dictionary import ERRORS_KEPT, HEARTBEATS_WATCHED, dictionary
 from dbc.objects import Object
 from nodes.firmware.c_text import WRITTEN, array, braced, defined, header, real
@@ -37,7 +37,7 @@ _COMPUTED: Final = (
     od.NODE_NOISE,
 )
 #: Arrays whose entries are computed, but not their sub-index 0.
-_COMPUTED_ENTRIES: Final = (od.STORE, od.RESTORE, od.HEALTH, od.COARSE, od.FINE)
+_COMPUTED_ENTRIES: Final = (od.STORE, od.RESTORE, od.HEALTH, od.WORDS)
 
 
 #: The objects of a board, each with the bytes of its value.
@@ -78,9 +78,7 @@ class Build:
 
     `objects` is the same for all boards of a type. `values` are the defaults of this board, each little endian: those
     of objects that can be written, communication profile before manufacturer, then the others; the board's own are the
-    first of each part. `is_adaptive` tells whether the board sends sums when they carry news, `held` is the number of
-    its taxels, `frame_ns` the longest time of one of its frames. `frame_bits` are those of a coarse and a fine frame of
-    an adaptive board.
+    first of each part. `is_adaptive` tells whether the board sends steps, `held` is the number of its taxels, `frame_ns` the longest time of one of its frames.
     """
 
     node: NodeContract
@@ -90,7 +88,6 @@ class Build:
     is_adaptive: bool
     held: int
     frame_ns: int
-    frame_bits: tuple[int, int]
 
     @property
     def own(self) -> bytes:
@@ -111,7 +108,7 @@ class Build:
 def builds(contract: Contract, nodes: Sequence[NodeContract]) -> list[Build]:
     """Return what the C sources of `nodes` are made from."""
     is_adaptive = contract.layout.sending == "adaptive"
-    of_bus = {bus: _frame_sizes(contract, bus) for bus in {node.bus for node in nodes}}
+    frame_ns = {bus: contract.longest_ns(bus) for bus in {node.bus for node in nodes}}
     boards = [board(contract, node) for node in nodes]
     dictionaries = [
         [(each, setting_of(each).data) for each in dictionary(contract, node)]  # each with the bytes of its value
@@ -119,7 +116,7 @@ def builds(contract: Contract, nodes: Sequence[NodeContract]) -> list[Build]:
     ]
     types: dict[object, list[int]] = {}
     for number, node in enumerate(nodes):
-        kind = _type_of(boards[number], node, dictionaries[number], of_bus[node.bus])
+        kind = _type_of(boards[number], node, dictionaries[number], frame_ns[node.bus])
         types.setdefault(kind, []).append(number)
     tables: dict[int, ObjectTable] = {}
     for numbers in types.values():
@@ -133,7 +130,7 @@ def builds(contract: Contract, nodes: Sequence[NodeContract]) -> list[Build]:
             _values(tables[number], dictionaries[number]),
             is_adaptive,
             int(contract.phi.held[node.block : node.block + node.blocks].sum()),
-            *of_bus[node.bus],
+            frame_ns[node.bus],
         )
         for number, node in enumerate(nodes)
     ]
@@ -147,7 +144,7 @@ def by_type(boards: Sequence[Build]) -> list[list[Build]]:
     return list(found.values())
 
 
-def _type_of(table: Board, node: NodeContract, objects: _Dictionary, frame_sizes: object) -> object:
+def _type_of(table: Board, node: NodeContract, objects: _Dictionary, frame_ns: int) -> object:
     """Return what boards of one type have in common: all but values that are constant, or below 2000h."""
     shape = tuple(
         (
@@ -162,16 +159,7 @@ def _type_of(table: Board, node: NodeContract, objects: _Dictionary, frame_sizes
         for each, data in objects
     )
     first_sums = tuple(each.first_sum for each in table.blocks)
-    return shape, first_sums, node.packing, node.flags, frame_sizes, table.bitrate, table.data_bitrate
-
-
-def _frame_sizes(contract: Contract, bus: int) -> tuple[int, tuple[int, int]]:
-    """Return `frame_ns` and `frame_bits` of `Build` for the boards of a bus."""
-    line = contract.layout.bus[bus]
-    if contract.layout.sending != "adaptive":
-        return contract.longest_ns(bus), (0, 0)
-    coarse, fine = (sum_frame_bits(line, contract.layout.groups, is_fine=is_fine) for is_fine in (False, True))
-    return round(fine * 1e9 / line.bitrate), (coarse, fine)
+    return shape, first_sums, node.packing, node.flags, frame_ns, table.bitrate, table.data_bitrate
 
 
 def _object_table(contract: Contract, node: NodeContract, boards: Sequence[_Dictionary]) -> ObjectTable:
@@ -249,7 +237,8 @@ def board_header(contract: Contract, boards: Sequence[Build]) -> str:
         "SKIN_TPDOS": (max(1, *(_tpdos(each.objects) for each in boards)), "TPDO communication records of a board"),
         "SKIN_PDO_BYTES": (max(each.node.pdo_bytes for each in boards), "longest payload of a PDO"),
         "SKIN_MAPPED": (max(1, *(_mapped(each.objects) for each in boards)), "most objects of a PDO"),
-        "SKIN_ADAPTIVE": (int(is_adaptive), "whether sums are sent when they carry news"),
+        "SKIN_ADAPTIVE": (int(is_adaptive), "whether boards send steps"),
+        "SKIN_PARTS": (max(1, *(len(each.node.forms) for each in boards)), "words of a board that sends steps"),
         "SKIN_ANALOGUE": (int(contract.layout.taxels.is_analogue), "whether converters read sums, not taxels"),
         "SKIN_STATES": (len(contract.states), "states of a board (2008h); in each others of its TPDOs are sent"),
         "SKIN_SAMPLES": (
@@ -353,7 +342,7 @@ def _type(build: Build, number: int) -> str:
         "pdo_bytes": node.pdo_bytes,
         "frame_flags": node.flags,
         "frame_ns": build.frame_ns,
-        "frame_bits": "{" + ", ".join(map(str, build.frame_bits)) + "}",
+        **(_words(node) if build.is_adaptive else {}),
         "objects": f"objects_{number}",
         "object_count": len(objects.entries),
         "communication_bytes": objects.communication_bytes,
@@ -363,6 +352,18 @@ def _type(build: Build, number: int) -> str:
         "values": f"values_{number}",
     }
     return "    {" + ", ".join(f".{name} = {value}" for name, value in fields.items()) + "},"
+
+
+def _words(node: NodeContract) -> dict[str, object]:
+    """Return the fields of a type that describe its frames of words: all parts of a node have the same form."""
+    form = node.forms[0]
+    return {
+        "frame_bytes": node.tpdos[0].length,
+        "frame_parts": len(node.forms) // len(node.tpdos),
+        "part_sums": form.sums,
+        "radix": form.radix,
+        "steps": f"{form.steps}u",
+    }
 
 
 def _tpdos(table: ObjectTable) -> int:

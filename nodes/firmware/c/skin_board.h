@@ -34,7 +34,10 @@ typedef struct {
     uint8_t pdo_bytes;           /* longest payload of a PDO: 8, or 64 with CAN FD */
     uint8_t frame_flags;         /* of a PDO's frame: SKIN_FRAME_FD, SKIN_FRAME_BRS */
     uint32_t frame_ns;           /* longest time of one of the board's frames on the bus */
-    uint16_t frame_bits[2];      /* of adaptive boards: what a coarse and a fine frame take of a budget */
+    uint8_t frame_bytes;         /* of adaptive boards: payload of a frame, */
+    uint8_t frame_parts;         /* words in it, */
+    uint8_t part_sums, radix;    /* sums of a word, values of a digit, */
+    uint64_t steps;              /* and number of words that are steps */
     const skin_object *objects;  /* ascending by index and sub-index */
     uint16_t object_count;
     uint16_t communication_bytes; /* the first places of values: objects below 2000h that can be written */

@@ -9,7 +9,7 @@ import numpy as np
 from bus.link import DISCARDED
 from dbc.canopen import HEARTBEAT_BASE, NMT_COB_ID, SDO_REQUEST_BASE, SYNC_COB_ID
 from dbc.contract import Contract
-from dbc.frame import ECHO, Frames
+from dbc.frame import ECHO, Frames, frames
 from nodes.adaptive.boards import AdaptiveBoards
 from nodes.adaptive.firmware import FirmwarePatches
 from nodes.firmware.library import Firmware
@@ -77,7 +77,9 @@ class AdaptiveTwins:
     Parameters
     ----------
     sent, given_up : float
-        Chances of a frame to be sent and given up before the next sample; else its fate stays unknown.
+        Chances of a frame to be sent, and to be given up, before the next sample; else the controller keeps it.
+    keeps : float
+        Chance of a kept frame to stay for another sample.
     """
 
     def __init__(
@@ -87,7 +89,8 @@ class AdaptiveTwins:
         source: TaxelSource | None = None,
         *,
         sent: float = 0.8,
-        given_up: float = 0.15,
+        given_up: float = 0.05,
+        keeps: float = 0.95,
         room: int = 1 << 30,
         **analogue: Any,
     ) -> None:
@@ -111,13 +114,14 @@ class AdaptiveTwins:
             ),
             Segment(contract, 0, firmware.boards(0), patches, self._sender(1), complain=self.complaints.append),
         )
-        self.ids, self.room, self.chances = ids, room, (sent, given_up)
+        self.ids, self.room, self.chances, self.keeps = ids, room, (sent, given_up), keeps
         self.fates = np.random.default_rng(1)
         self.now_ms = 100_000
-        self.log: list[Frames] = []
+        self.held = frames(0)
         for segment in self.segments:
             segment.boot(self.now_s)
         self.taken()
+        self.step()
 
     def _sender(self, which: int) -> Any:
         def send(burst: Frames) -> int:
@@ -158,12 +162,13 @@ class AdaptiveTwins:
         for segment in self.segments:
             segment.tick(self.now_s)
         sent = self.taken()
-        self.log.append(sent)
-        drawn = self.fates.random(len(sent))
-        own = sent[drawn < sum(self.chances)].copy()
+        drawn, stays = self.fates.random(len(sent)), self.fates.random(len(self.held)) < self.keeps
+        own, gone = sent[drawn < sum(self.chances)].copy(), self.held[~stays]
         own["flags"] |= np.where(drawn[drawn < sum(self.chances)] < self.chances[0], ECHO, DISCARDED).astype(np.uint8)
-        if len(own):
-            self.put(own)
+        self.held = np.concatenate([self.held[stays], sent[drawn >= sum(self.chances)]])
+        gone["flags"] |= ECHO
+        if len(own) + len(gone):
+            self.put(np.concatenate([gone, own]))
         return sent
 
     def run(self, milliseconds: int) -> int:
@@ -188,9 +193,7 @@ class AdaptiveTwins:
     def read(self, index: int, sub: int = 0, node_id: int = 1) -> bytes:
         """Read an object of both, as both answer it."""
         answer = self.sdo(node_id, struct.pack("<BHB", 0x40, index, sub))
-        if answer[0] == 0x41:
-            return answer[4:] + self.sdo(node_id, b"\x60") + self.sdo(node_id, b"\x70")
-        return answer[4:]
+        return self.sdo(node_id, b"\x60")[1:] if answer[0] == 0x41 else answer[4:]
 
 
 def describe(one: np.void) -> tuple[int, int, int, int, bytes]:

@@ -68,7 +68,7 @@ def test_writes_of_all_settings(contract: Contract) -> None:
     values = [
         *(struct.pack("<f", value) for value in (0.0, -0.0, 1.3e-4, 0.7, 3.0, -1.0, np.inf, np.nan, 1e-40)),
         *(struct.pack("<I", value) for value in (0, 1, 2, 40, 3000, 1 << 31)),
-        *(bytes((value,)) for value in (0, 1, 3, 15, 16)),
+        *(bytes((value,)) for value in (0, 1, 3, 20, 240, 241)),
         b"\x05\x00",
     ]
     sent = 0
@@ -90,13 +90,19 @@ def test_writes_of_all_settings(contract: Contract) -> None:
 
 
 @pytest.mark.heavy
-def test_budgets(contract: Contract) -> None:
-    """Each node has another budget, in bits per second; a bus of two nodes has the first two."""
+def test_slots_and_what_boards_leave_out(contract: Contract) -> None:
+    """Each node has another way of sending; a bus of two nodes has the first two. SYNCs come early, late and not at all."""
     twins = AdaptiveTwins(contract)
-    for node_id, bits_per_second in zip(sorted(twins.ids), (300, 20_000, 2000), strict=False):
-        twins.write(od.BUDGET, 0, struct.pack("<I", bits_per_second), node_id)
+    for node_id, quiet, slots, offset_us in zip(sorted(twins.ids), (0.0, 3.0, 0.01), (20, 7, 100), (0, 2500, 700), strict=False):
+        twins.write(od.SENDING, 1, struct.pack("<f", quiet), node_id)
+        twins.write(od.SENDING, 2, bytes((slots,)), node_id)
+        twins.write(od.SENDING, 3, struct.pack("<I", offset_us), node_id)
     twins.nmt(START)
-    assert run(twins, SAMPLES) > 20
+    sent = 0
+    for turn, milliseconds in enumerate((100, 99, 101, 60, 100, 250, 100, 3, 100, 100, 140)):
+        twins.sync((236 + turn) % 240 + 1)
+        sent += twins.run(milliseconds)
+    assert sent > 100
 
 
 @pytest.mark.heavy
@@ -104,19 +110,18 @@ def test_objects_that_boards_compute(contract: Contract) -> None:
     twins = AdaptiveTwins(contract)
     twins.nmt(START)
     seen = set()
-    of_taxels = (od.COEFFICIENT_NOISE, od.TAXEL_NOISE, od.SUMS, od.COARSE, od.COUNTS)
+    of_taxels = (od.COEFFICIENT_NOISE, od.TAXEL_NOISE, od.SUMS, od.COUNTS)
     for turn in range(6):
         run(twins, 200)
-        twins.write(od.REFRESH, 0, bytes((turn * 3 & (1 << contract.layout.groups) - 1,)))
-        for index, count in (
-            *((index, contract.phi.block_size) for index in of_taxels),
-            (od.FINE, contract.layout.groups),
-        ):
+        twins.write(od.REFRESH, 0, bytes((turn % 2,)))
+        words = len(contract.nodes[0].forms)
+        for index, count in (*((index, contract.phi.block_size) for index in of_taxels), (od.WORDS, words)):
             for sub in range(count + 1):
                 seen.add((index, sub, twins.read(index, sub)))
-        for index in (od.REFRESH, od.NODE_NOISE, od.SIGNATURE):
+        for index in (od.SYNC_COUNTER, od.REFRESH, od.NODE_NOISE, od.SIGNATURE):
             seen.add((index, 0, twins.read(index)))
-        seen |= {(od.SENDING, sub, twins.read(od.SENDING, sub)) for sub in range(14)}
+        seen |= {(od.SENDING, sub, twins.read(od.SENDING, sub)) for sub in range(4)}
         seen |= {(od.HEALTH, sub, twins.read(od.HEALTH, sub)) for sub in range(1, 5)}
-    for told in (od.SUMS, od.COUNTS):
-        assert len({value for index, _, value in seen if index == told}) > contract.phi.block_size
+    for told, least in ((od.SUMS, contract.phi.block_size), (od.COUNTS, contract.phi.block_size), (od.WORDS, 5)):
+        assert len({value for index, _, value in seen if index == told}) > least
+    assert {value[0] for index, _, value in seen if index == od.REFRESH} == {0, 1}

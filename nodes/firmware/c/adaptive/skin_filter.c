@@ -236,3 +236,15 @@ void skin_filter_variance(const skin_filter *filter, float *variance_n2)
         variance_n2[place] = total * (float)(SKIN_BLOCK_SUMS / count);
     }
 }
+
+int32_t skin_filter_sum(const skin_filter *filter, const skin_board *board, uint8_t number)
+{
+    const float most = (float)SKIN_BLOCK_SUMS * board->type->count_max;
+    uint8_t place = 0;
+
+    while (place < SKIN_BLOCK_SUMS - 1 && skin_row_of_sum[place] != SKIN_ROWS(board)[number]) {
+        place++;
+    }
+    /* A forecast may exceed what taxels can read, and a sum its type. */
+    return (int32_t)skin_larger(-most, skin_smaller(most, rintf(filter->sums_n[place] / (float)SKIN_NEWTON_PER_COUNT)));
+}

@@ -7,7 +7,7 @@
 #ifndef SKIN_FILTER_H
 #define SKIN_FILTER_H
 
-#include "skin_codes.h"
+#include "adaptive.h"
 #include "skin_models.h"
 
 /* Sums over the samples of an untouched patch at power-up. */
@@ -51,6 +51,9 @@ void skin_filter_give(skin_filter *filter);
 
 /* Write the variance of each sum, newtons squared. */
 void skin_filter_variance(const skin_filter *filter, float *variance_n2);
+
+/* A sum of the filtered forces, ADC counts, in the order of 2003h. */
+int32_t skin_filter_sum(const skin_filter *filter, const skin_board *board, uint8_t number);
 
 /* Between the parts of the filter. skin_learned_noise leaves clipping in the offsets. */
 void skin_to_haar(float *value, float *coefficients);

@@ -8,57 +8,39 @@
 #include "301/CO_ODinterface.h"
 #include "OD.h"
 #include "skin_od.h"
-#include "skin_sender.h"
+#include "skin_steps.h"
 #include "skin_sums.h"
 
-#define LONG_AGO (-((int64_t)1 << 60))
-
-/* Objects that are answered, and taken, by functions. */
-static const uint16_t indices[] = {SKIN_OD_REFRESH, SKIN_OD_SENDING, SKIN_OD_COEFFICIENT_NOISE, SKIN_OD_TAXEL_NOISE,
-                                   SKIN_OD_BUDGET, SKIN_OD_NODE_NOISE, SKIN_OD_SUMS, SKIN_OD_COARSE, SKIN_OD_FINE};
+/* Objects that are answered, and taken, by functions: the first SETTINGS are settings. */
+static const uint16_t indices[] = {SKIN_OD_REFRESH,    SKIN_OD_SENDING, SKIN_OD_COEFFICIENT_NOISE, SKIN_OD_TAXEL_NOISE,
+                                   SKIN_OD_NODE_NOISE, SKIN_OD_SUMS};
 #define INDICES (sizeof indices / sizeof indices[0])
+#define SETTINGS 4
 
-static skin_sender sender;
+static skin_steps steps;
 static int64_t now_ns;
-static uint8_t *coarse; /* 2110h */
-static void *fine;      /* 2111h */
-static uint8_t is_presented; /* whether they are those of the newest sample */
+static uint8_t *slot_byte; /* 2022h */
+static void *words;        /* 2110h */
 static OD_extension_t extensions[INDICES];
-
-/* Put the codes of the newest sample where the stack reads them. */
-static void present_codes(void)
-{
-    uint8_t of_sums[SKIN_BLOCK_SUMS];
-
-    if (is_presented) {
-        return;
-    }
-    is_presented = 1;
-    skin_present_codes(&sender.groups, sender.filter.sums_n, coarse, of_sums);
-    memcpy(fine, of_sums, sizeof of_sums);
-}
 
 static ODR_t read_value(OD_stream_t *stream, void *buf, OD_size_t count, OD_size_t *countRead)
 {
     const uint8_t subindex = stream->subIndex, bytes = (uint8_t)stream->dataLength;
-    uint32_t value;
+    uint64_t value;
 
-    if (skin_sender_read(&sender, stream->index, subindex, &value)) {
+    if (skin_steps_read(&steps, stream->index, subindex, &value)) {
         return skin_od_put(value, bytes, buf, count, countRead);
     }
     if (subindex > 0 && stream->index == SKIN_OD_SUMS) {
-        value = (uint32_t)skin_raw(&skin_od_board->type->packing, skin_sender_sum(&sender, (uint8_t)(subindex - 1)));
-        return skin_od_put(value, bytes, buf, count, countRead);
-    }
-    if (subindex > 0 && (stream->index == SKIN_OD_COARSE || stream->index == SKIN_OD_FINE)) {
-        present_codes();
+        const int32_t sum = skin_filter_sum(&steps.filter, skin_od_board, (uint8_t)(subindex - 1));
+
+        return skin_od_put((uint32_t)skin_raw(&skin_od_board->type->packing, sum), bytes, buf, count, countRead);
     }
     return OD_readOriginal(stream, buf, count, countRead);
 }
 
 static ODR_t write_value(OD_stream_t *stream, const void *buf, OD_size_t count, OD_size_t *countWritten)
 {
-    const uint8_t subindex = stream->subIndex;
     uint32_t value = 0;
     ODR_t answer;
 
@@ -66,50 +48,34 @@ static ODR_t write_value(OD_stream_t *stream, const void *buf, OD_size_t count, 
         return OD_writeOriginal(stream, buf, count, countWritten); /* refuses it */
     }
     memcpy(&value, buf, count);
-    if (!skin_sender_allows(stream->index, subindex, value)) {
+    if (!skin_steps_allow(stream->index, stream->subIndex, value)) {
         return ODR_INVALID_VALUE;
     }
     answer = OD_writeOriginal(stream, buf, count, countWritten);
     if (answer == ODR_OK) {
-        skin_sender_write(&sender, stream->index, subindex, value);
+        skin_steps_write(&steps, stream->index, stream->subIndex, value);
     }
     return answer;
 }
 
-/* Read identifier and inhibit time of a TPDO, which SDO may have changed. */
-static void configure(uint8_t number)
+/* Take the settings from the dictionary. */
+static void restore(void)
 {
-    const OD_entry_t *entry = OD_find(OD, (uint16_t)(SKIN_OD_TPDO_COMMUNICATION + number));
-    uint32_t cob_id = 0;
-    uint16_t inhibit = 0;
+    const skin_type *type = skin_od_board->type;
+    uint16_t place;
+    uint8_t each;
 
-    (void)OD_get_value(entry, 1, &cob_id, sizeof cob_id, false);
-    (void)OD_get_value(entry, 3, &inhibit, sizeof inhibit, false);
-    skin_sender_configure(&sender, number, cob_id, inhibit);
-}
+    for (place = 0; place < type->object_count; place++) {
+        const skin_object *object = &type->objects[place];
+        uint32_t value = 0;
 
-/* Take a setting of four bytes from the dictionary. */
-static void restore(uint16_t index, uint8_t subindex)
-{
-    uint32_t value = 0;
-
-    if (OD_get_value(OD_find(OD, index), subindex, &value, sizeof value, true) == ODR_OK) {
-        skin_sender_write(&sender, index, subindex, value);
+        for (each = 1; each < SETTINGS; each++) { /* 2030h is an order */
+            if (object->index == indices[each] && object->subindex > 0 &&
+                OD_get_value(OD_find(OD, object->index), object->subindex, &value, object->bytes, true) == ODR_OK) {
+                skin_steps_write(&steps, object->index, object->subindex, value);
+            }
+        }
     }
-}
-
-static void restore_all(void)
-{
-    uint8_t place;
-
-    for (place = 1; place <= SKIN_RULE_ENTRIES; place++) {
-        restore(SKIN_OD_SENDING, place);
-    }
-    for (place = 1; place <= SKIN_BLOCK_SUMS; place++) {
-        restore(SKIN_OD_COEFFICIENT_NOISE, place);
-        restore(SKIN_OD_TAXEL_NOISE, place);
-    }
-    restore(SKIN_OD_BUDGET, 0);
 }
 
 int skin_app_init(void)
@@ -117,100 +83,79 @@ int skin_app_init(void)
     int failed = skin_od_connect();
     uint8_t each;
 
-    memset(&sender, 0, sizeof sender);
-    sender.board = skin_od_board;
-    coarse = skin_od_value(SKIN_OD_COARSE, 1, sizeof *coarse);
-    fine = skin_od_value(SKIN_OD_FINE, 1, SKIN_GROUP_SUMS);
+    memset(&steps, 0, sizeof steps);
+    steps.board = skin_od_board;
+    slot_byte = skin_od_value(SKIN_OD_SYNC_COUNTER, 0, sizeof *slot_byte);
+    words = skin_od_value(SKIN_OD_WORDS, 1, SKIN_WORD_BYTES);
     for (each = 0; each < INDICES; each++) {
-        const int is_setting = indices[each] <= SKIN_OD_BUDGET && indices[each] >= SKIN_OD_REFRESH;
-
-        failed |= skin_od_extend(&extensions[each], indices[each], read_value, is_setting ? write_value : NULL);
+        failed |= skin_od_extend(&extensions[each], indices[each], read_value, each < SETTINGS ? write_value : NULL);
     }
-    failed |= coarse == NULL || fine == NULL;
+    failed |= slot_byte == NULL || words == NULL;
     if (!failed) {
         skin_app_reset();
     }
     return failed;
 }
 
+/* Put the words where the stack reads them, in elements of 64 bits, behind the slot of a TPDO. */
+static void present(uint8_t number)
+{
+    uint8_t payload[SKIN_PDO_BYTES];
+
+    (void)skin_steps_payload(&steps, number, payload);
+    *slot_byte = steps.ways[number].slot < 0 ? 0 : payload[0];
+    memcpy(words, steps.word, skin_od_board->type->frame_parts * skin_od_board->type->tpdos * sizeof steps.word[0]);
+}
+
 void skin_app_reset(void)
 {
-    uint8_t number;
-
     skin_od_reset();
-    skin_sender_forget(&sender);
-    sender.sync_ns = LONG_AGO;
-    restore_all();
-    for (number = 0; number < skin_od_board->type->tpdos; number++) {
-        configure(number);
-    }
+    skin_steps_forget(&steps);
+    restore();
+    present(0);
 }
 
 int skin_app_sample(uint16_t *counts)
 {
     const skin_block *block = &skin_od_blocks[0];
 
-    is_presented = 0;
     skin_od_health[3] = skin_read_block(skin_od_board, counts, block->gain, block->offset, *block->pattern);
     memcpy(block->counts, counts, skin_od_board->type->block_size * sizeof counts[0]);
-    return skin_sender_take(&sender, counts);
+    return skin_steps_take(&steps, counts);
 }
 
-uint64_t skin_app_requests(int is_operational, int sync_was, int64_t passed_ns)
+uint8_t skin_app_requests(int is_operational, uint8_t counter, int64_t passed_ns, uint8_t held)
 {
-    uint8_t payload[2 * SKIN_GROUP_SUMS * SKIN_FD_GROUPS], group;
-    uint64_t requests = 0;
-    uint32_t period_us = 0;
-    int urgent;
+    uint8_t number, chosen;
 
     now_ns += passed_ns;
-    if (sync_was) {
+    if (counter != 0) {
         skin_od_health[0]++;
-        sender.sync_ns = now_ns;
+        steps.counter = counter;
+        steps.sync_ns = now_ns;
     }
-    skin_sender_operate(&sender, is_operational != 0);
-    skin_sender_decide(&sender, passed_ns);
-    (void)OD_get_value(OD_find(OD, SKIN_OD_CYCLE_PERIOD_US), 0, &period_us, sizeof period_us, false);
-    if (skin_sender_expiry(&sender, now_ns, (int64_t)period_us * 1000) == 0) {
-        return 0;
+    for (number = 0; number < skin_od_board->type->tpdos; number++) {
+        uint32_t cob_id = 0;
+
+        (void)OD_get_value(OD_find(OD, (uint16_t)(SKIN_OD_TPDO_COMMUNICATION + number)), 1, &cob_id, sizeof cob_id, false);
+        steps.ways[number].cob_id = (uint16_t)((cob_id & SKIN_COB_ID_INVALID) != 0 ? 0 : cob_id & SKIN_BASE_ID_MASK);
+        steps.ways[number].held_until_ns = (held >> number & 1u) != 0 ? now_ns + 1 : 0;
     }
-    for (group = 0; group < SKIN_GROUPS; group++) {
-        if (sender.groups.groups[group].level != SKIN_NOT_DUE) {
-            configure(skin_tpdo_of(&sender.groups, group));
+    skin_steps_operate(&steps, is_operational != 0);
+    chosen = skin_steps_choose(&steps, now_ns);
+    for (number = 0; number < skin_od_board->type->tpdos; number++) {
+        if ((chosen >> number & 1u) != 0) {
+            skin_od_health[1]++;
+            present(number); /* both are of the same slot */
         }
     }
-    while ((urgent = skin_sender_most_urgent(&sender)) >= 0) {
-        const uint8_t number = skin_tpdo_of(&sender.groups, (uint8_t)urgent);
-
-        if (skin_sender_make(&sender, (uint8_t)urgent, payload) == 0) {
-            break;
-        }
-        requests |= (uint64_t)1 << number;
-    }
-    if (requests != 0) {
-        is_presented = 0; /* the check of fine codes is that of what was sent since */
-        present_codes();
-    }
-    return requests;
+    return chosen;
 }
 
-void skin_app_sent(uint16_t identifier, uint8_t length, const uint8_t *data)
+void skin_app_dropped(uint8_t tpdo)
 {
-    if (skin_sender_sent(&sender, identifier, length, data)) {
-        skin_od_health[1]++;
-    }
-}
-
-void skin_app_given_up(uint16_t identifier, uint8_t length)
-{
-    (void)skin_sender_give_back(&sender, identifier, length);
-}
-
-void skin_app_refused(uint16_t identifier, uint8_t length)
-{
-    if (skin_sender_give_back(&sender, identifier, length)) {
-        skin_od_health[2]++;
-    }
+    skin_steps_done(&steps, tpdo, 0);
+    skin_od_health[2]++;
 }
 
 #endif

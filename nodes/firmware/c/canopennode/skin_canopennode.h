@@ -73,19 +73,20 @@ void skin_app_dropped(void);
  *   in the real-time task, every millisecond, with all taxels read
  *       skin_app_sample(counts);
  *       sync_was = CO_process_SYNC(co, 1000, NULL);
- *       requests = skin_app_requests(co->NMT->operatingState == CO_NMT_OPERATIONAL, sync_was, 1000000);
+ *       for (each = held = 0; each < OD_CNT_TPDO; each++) {
+ *           held |= co->TPDO[each].CANtxBuff->bufferFull << each;
+ *       }
+ *       requests = skin_app_requests(co->NMT->operatingState == CO_NMT_OPERATIONAL, sync_was ? co->SYNC->counter : 0, 1000000,
+ *                                    held);
  *       for (each = 0; each < OD_CNT_TPDO; each++) {
  *           co->TPDO[each].sendRequest = (requests >> each & 1) != 0;      the stack would send all of them at the start
  *       }
- *       CO_process_TPDO(co, sync_was, 1000, NULL);       1000 us for each sample, so that no inhibit time is left
- *   in the CAN driver, for frames of sums: identifiers 181h to 580h
- *       sent, in the transmit interrupt                   skin_app_sent(identifier, length, data)
- *       before skin_app_sample: each frame that still waits is taken back, from the controller and from the stack's buffers
- *       (bufferFull, CANtxCount), as CO_CANclearPendingSyncPDOs does it; then          skin_app_given_up(identifier, length)
- *       CO_CANsend has no room                            skin_app_refused(identifier, length)
+ *       CO_process_TPDO(co, sync_was, 1000, NULL);
+ *   in the CAN driver, where there is a place for that    skin_app_dropped(tpdo) for every frame that CO_CANclearPendingSyncPDOs
+ *                                or a bus-off takes away; otherwise the gateway notes the loss by the counts of the words
  *
- * The stack sends waiting buffers by their number; those of the TPDOs are in the order of urgency. A frame of which the
- * adapter hears nothing for half a second counts as lost. Stock CANopenNode has no CAN FD.
+ * In slots (transmission type 254) as at SYNC (type 0 or 1) the stack's own driver will do. It holds no more than one frame of
+ * each TPDO. Stock CANopenNode has no CAN FD.
  */
 
 /* Connect the objects of the skin with the dictionary; nothing is known of the noise. Returns 0 on success. */
@@ -100,20 +101,15 @@ void skin_app_reset(void);
  */
 int skin_app_sample(uint16_t *counts);
 
-/* Decide what to send with the newest sample, and put it into 2110h and 2111h.
+/* Decide what to send with the newest sample, if a slot has begun, and put its number and words into 2022h and 2110h.
  *
- * is_operational: the NMT state. sync_was: a SYNC came since the last call. passed_ns: time since the last call.
- * Returns the TPDOs to be sent, the first in bit 0.
+ * is_operational: the NMT state. counter: of a SYNC that came since the last call, else 0. passed_ns: time since the last call.
+ * held: the TPDOs whose frames wait for the bus, the first in bit 0: they leave the slot out. Returns the TPDOs to be sent.
  */
-uint64_t skin_app_requests(int is_operational, int sync_was, int64_t passed_ns);
+uint8_t skin_app_requests(int is_operational, uint8_t counter, int64_t passed_ns, uint8_t held);
 
-/* Take note of a frame of sums that was sent, with the bytes that were sent; that was taken back; that found no room.
- *
- * length: bytes of the frame. Frames of other identifiers or lengths are no frames of sums.
- */
-void skin_app_sent(uint16_t identifier, uint8_t length, const uint8_t *data);
-void skin_app_given_up(uint16_t identifier, uint8_t length);
-void skin_app_refused(uint16_t identifier, uint8_t length);
+/* Take note of a frame that was requested and not sent. */
+void skin_app_dropped(uint8_t tpdo);
 
 #endif
 

@@ -213,62 +213,14 @@ size_t skin_take_counts(skin_node *nodes, uint32_t boards, uint16_t *counts)
     return ready;
 }
 
-size_t skin_decide_all(skin_node *nodes, uint32_t boards, uint32_t skipped, int64_t passed_ns)
+size_t skin_choose(skin_node *nodes, uint32_t boards, int64_t now_ns, skin_frame *out, size_t capacity)
 {
+    skin_outbox outbox = new_outbox(out, capacity);
     uint32_t each;
-    uint8_t group;
-    size_t due = 0;
 
     for (each = 0; each < boards; each++) {
-        nodes[each].sender.now += skipped;
-        skin_decide(&nodes[each], passed_ns);
-        for (group = 0; group < SKIN_GROUPS; group++) {
-            due += skin_due(&nodes[each], group) != 0;
-        }
-    }
-    return due;
-}
-
-/* Insert a key into ascending ones. */
-static void insert(uint32_t *keys, size_t count, uint32_t key)
-{
-    for (; count > 0 && keys[count - 1] > key; count--) {
-        keys[count] = keys[count - 1];
-    }
-    keys[count] = key;
-}
-
-size_t skin_choose(skin_node *nodes, uint32_t boards, uint32_t most, int64_t now_ns, int64_t expires_ns, skin_frame *out,
-                   size_t capacity)
-{
-    uint32_t keys[SKIN_HIGHEST_NODE_ID * SKIN_GROUPS], each;
-    skin_outbox outbox = new_outbox(out, most < capacity ? most : capacity);
-    size_t count = 0, place;
-
-    for (each = 0; each < boards; each++) {
-        const uint8_t together = skin_groups_of_frame(&nodes[each].sender.groups);
-        uint32_t first = 0xFFFFFFFFu;
-        uint8_t group;
-
-        for (group = 0; group < SKIN_GROUPS; group++) {
-            const uint16_t cob_id = skin_due(&nodes[each], group);
-            /* Identifier, board and group: the most urgent frame has the lowest number. */
-            const uint32_t key = (uint32_t)cob_id << 16 | each << 8 | group;
-
-            if (group % together == 0) {
-                first = 0xFFFFFFFFu; /* one frame for the groups that it carries: that of the most urgent */
-            }
-            first = cob_id != 0 && key < first ? key : first;
-            if (group % together == together - 1 && first != 0xFFFFFFFFu) {
-                insert(keys, count++, first);
-            }
-        }
-    }
-    for (place = 0; place < count && outbox.count < outbox.capacity; place++) {
-        skin_node *node = &nodes[keys[place] >> 8 & 0xFFu];
-
-        node->outbox = &outbox;
-        skin_send_group(node, (uint8_t)(keys[place] & 0xFFu), now_ns, expires_ns);
+        nodes[each].outbox = &outbox;
+        skin_send_sums(&nodes[each], now_ns);
     }
     return outbox.count;
 }
@@ -276,12 +228,12 @@ size_t skin_choose(skin_node *nodes, uint32_t boards, uint32_t most, int64_t now
 size_t skin_under_way(const skin_node *nodes, uint32_t boards)
 {
     uint32_t each;
-    uint8_t group;
+    uint8_t number;
     size_t held = 0;
 
     for (each = 0; each < boards; each++) {
-        for (group = 0; group < SKIN_GROUPS; group++) {
-            held += nodes[each].sender.groups.groups[group].under_way > 0;
+        for (number = 0; number < nodes[each].board->type->tpdos; number++) {
+            held += nodes[each].steps.ways[number].held_until_ns > 0;
         }
     }
     return held;
@@ -296,7 +248,7 @@ size_t skin_newest_sums(const skin_node *node, int32_t *sums)
     uint16_t sum;
 
     for (sum = 0; sum < count; sum++) {
-        sums[sum] = skin_sender_sum(&node->sender, (uint8_t)sum);
+        sums[sum] = skin_filter_sum(&node->steps.filter, node->board, (uint8_t)sum);
     }
 #else
 

@@ -34,14 +34,10 @@ void skin_prepare(skin_node *nodes, uint32_t first, uint32_t boards, const skin_
 /* Pass one sample to the boards: SKIN_BLOCK_SUMS counts of each board; overwritten. Returns how many boards are ready to boot. */
 size_t skin_take_counts(skin_node *nodes, uint32_t boards, uint16_t *counts);
 
-/* Have the boards decide, after samples that were taken and others that were skipped; returns how many groups are due. */
-size_t skin_decide_all(skin_node *nodes, uint32_t boards, uint32_t skipped, int64_t passed_ns);
+/* Make the frames of the slots of boards that have begun; returns their number. */
+size_t skin_choose(skin_node *nodes, uint32_t boards, int64_t now_ns, skin_frame *out, size_t capacity);
 
-/* Make the most urgent frames of the boards of one bus, `most` at most; returns their number. */
-size_t skin_choose(skin_node *nodes, uint32_t boards, uint32_t most, int64_t now_ns, int64_t expires_ns, skin_frame *out,
-                   size_t capacity);
-
-/* Number of groups of which a controller may hold a frame. */
+/* Number of frames that a controller may hold. */
 size_t skin_under_way(const skin_node *nodes, uint32_t boards);
 
 #endif

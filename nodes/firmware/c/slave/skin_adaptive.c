@@ -1,4 +1,4 @@
-/* A node that sends sums when they carry news: TPDOs and objects (docs/adaptive.md). */
+/* A node that sends steps: TPDOs and objects (docs/adaptive.md). */
 #include "skin_node.h"
 
 #if SKIN_ADAPTIVE
@@ -7,107 +7,87 @@
 
 void skin_read_tpdo(skin_node *node, uint8_t number)
 {
-    const uint16_t communication = (uint16_t)(SKIN_OD_TPDO_COMMUNICATION + number);
+    const uint32_t cob_id = skin_unsigned(node, (uint16_t)(SKIN_OD_TPDO_COMMUNICATION + number), 1);
 
-    skin_sender_configure(&node->sender, number, skin_unsigned(node, communication, 1),
-                          skin_unsigned(node, communication, 3));
+    node->steps.ways[number].cob_id = (uint16_t)((cob_id & SKIN_COB_ID_INVALID) != 0 ? 0 : cob_id & SKIN_BASE_ID_MASK);
 }
 
 void skin_sync(skin_node *node, const skin_frame *sync)
 {
-    if (skin_take_sync(node, sync) >= 0) {
-        node->sender.sync_ns = sync->time_ns;
+    const int counter = skin_take_sync(node, sync);
+
+    if (counter >= 0) {
+        node->steps.counter = (uint8_t)counter;
+        node->steps.sync_ns = sync->time_ns;
     }
 }
 
 int skin_sample(skin_node *node, uint16_t *counts)
 {
-    if (node->sender.filter.taken == 0) { /* power-up: gains and offsets as they were stored */
+    if (node->steps.filter.taken == 0) { /* power-up: gains and offsets as they were stored */
         skin_restore(node, 0);
     }
     node->health[3] = skin_read_block(node->board, counts, node->gain[0], node->offset[0], node->pattern[0]);
     memcpy(node->counts, counts, sizeof node->counts);
-    return skin_sender_take(&node->sender, counts);
-}
-
-void skin_decide(skin_node *node, int64_t passed_ns)
-{
-    skin_sender_decide(&node->sender, passed_ns);
-}
-
-uint16_t skin_due(const skin_node *node, uint8_t group)
-{
-    return skin_sender_due(&node->sender, group);
-}
-
-void skin_send_group(skin_node *node, uint8_t group, int64_t now_ns, int64_t expires_ns)
-{
-    const uint8_t number = skin_tpdo_of(&node->sender.groups, group);
-    skin_frame frame = skin_new_frame(node, node->sender.tpdos[number].cob_id, NULL, 0);
-
-    frame.time_ns = now_ns;
-    frame.expires_ns = expires_ns;
-    frame.flags = node->board->type->frame_flags;
-    frame.length = skin_sender_make(&node->sender, group, frame.data);
-    if (frame.length > 0) {
-        skin_post(node, &frame);
-    }
+    return skin_steps_take(&node->steps, counts);
 }
 
 void skin_send_sums(skin_node *node, int64_t now_ns)
 {
-    const int64_t period_ns = (int64_t)skin_unsigned(node, SKIN_OD_CYCLE_PERIOD_US, 0) * 1000;
-    const int64_t expires_ns = skin_sender_expiry(&node->sender, now_ns, period_ns);
-    uint8_t turn;
+    const uint8_t chosen = skin_steps_choose(&node->steps, now_ns);
+    uint8_t number;
 
-    for (turn = 0; expires_ns != 0 && turn < SKIN_GROUPS; turn++) {
-        const int group = skin_sender_most_urgent(&node->sender);
+    for (number = 0; number < node->board->type->tpdos; number++) {
+        skin_frame frame = skin_new_frame(node, node->steps.ways[number].cob_id, NULL, 0);
 
-        if (group < 0) {
-            return;
+        if ((chosen >> number & 1u) != 0) {
+            frame.time_ns = now_ns;
+            frame.flags = node->board->type->frame_flags;
+            frame.length = skin_steps_payload(&node->steps, number, frame.data);
+            skin_post(node, &frame);
         }
-        skin_send_group(node, (uint8_t)group, now_ns, expires_ns);
     }
+}
+
+/* Take note of what became of a frame; tell whether it is one of the node's words. */
+static int note(skin_node *node, const skin_frame *frame, int was_sent)
+{
+    uint8_t number;
+
+    for (number = 0; number < node->board->type->tpdos; number++) {
+        if (frame->can_id != 0 && node->steps.ways[number].cob_id == frame->can_id) {
+            skin_steps_done(&node->steps, number, was_sent);
+            return 1;
+        }
+    }
+    return 0;
 }
 
 void skin_sent(skin_node *node, const skin_frame *frame)
 {
-    if (skin_sender_sent(&node->sender, frame->can_id, frame->length, frame->data)) {
-        node->health[1]++;
-    }
+    node->health[1] += (uint32_t)note(node, frame, 1);
 }
 
 void skin_given_up(skin_node *node, const skin_frame *frame)
 {
-    (void)skin_sender_give_back(&node->sender, frame->can_id, frame->length);
+    (void)note(node, frame, 0);
 }
 
 void skin_refused(skin_node *node, const skin_frame *frame)
 {
-    if (skin_sender_give_back(&node->sender, frame->can_id, frame->length)) {
-        node->health[2]++;
-    }
+    node->health[2] += (uint32_t)note(node, frame, 0);
 }
 
 const uint8_t *skin_adaptive_value(const skin_node *node, const skin_object *object, uint8_t *scratch)
 {
-    const skin_sender *sender = &node->sender;
-    const uint8_t place = (uint8_t)(object->subindex - 1);
-    uint8_t coarse[SKIN_BLOCK_SUMS], fine[SKIN_BLOCK_SUMS];
-    uint32_t value;
+    uint64_t value;
+    uint8_t place;
 
-    if (skin_sender_read(sender, object->index, object->subindex, &value)) {
-        skin_put(scratch, value, object->bytes);
-        return scratch;
-    }
-    if (object->subindex == 0 || (object->index != SKIN_OD_COARSE && object->index != SKIN_OD_FINE)) {
+    if (!skin_steps_read(&node->steps, object->index, object->subindex, &value)) {
         return NULL;
     }
-    skin_present_codes(&sender->groups, sender->filter.sums_n, coarse, fine);
-    if (object->index == SKIN_OD_COARSE) {
-        scratch[0] = coarse[place];
-    } else {
-        memcpy(scratch, &fine[SKIN_GROUP_SUMS * place], SKIN_GROUP_SUMS);
+    for (place = 0; place < object->bytes; place++) {
+        scratch[place] = (uint8_t)(value >> 8 * place);
     }
     return scratch;
 }

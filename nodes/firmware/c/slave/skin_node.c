@@ -184,7 +184,7 @@ void skin_boot(skin_node *node, uint32_t now_ms, int communication_only)
     memset(node->watched, 0, sizeof node->watched);
     memset(node->health, 0, sizeof node->health);
 #if SKIN_ADAPTIVE
-    skin_sender_forget(&node->sender);
+    skin_steps_forget(&node->steps);
 #endif
     node->changed = 1;
     skin_refresh(node, now_ms);
@@ -197,7 +197,7 @@ void skin_boot(skin_node *node, uint32_t now_ms, int communication_only)
 static void note_state(skin_node *node)
 {
 #if SKIN_ADAPTIVE
-    skin_sender_operate(&node->sender, node->state == SKIN_OPERATIONAL);
+    skin_steps_operate(&node->steps, node->state == SKIN_OPERATIONAL);
 #else
     (void)node; /* nothing begins with OPERATIONAL */
 #endif
@@ -328,7 +328,7 @@ void skin_tick(skin_node *node, uint32_t now_ms)
     }
     skin_sdo_tick(node, now_ms);
     flush_emergencies(node, now_ms);
-#if !SKIN_ADAPTIVE /* adaptive boards send after each sample */
+#if !SKIN_ADAPTIVE /* adaptive boards send in their slots */
     if (node->state == SKIN_OPERATIONAL) {
         skin_send_events(node, now_ms);
     }

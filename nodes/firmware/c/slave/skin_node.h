@@ -1,6 +1,6 @@
 /* A small CANopen slave (CiA 301) that sends the sums of one board; no heap, no operating system.
  *
- * NMT, heartbeat producer and consumer, SYNC, TPDOs of the transmission types 0 to 240, 254 and 255, or of adaptive sums,
+ * NMT, heartbeat producer and consumer, SYNC, TPDOs of the transmission types 0 to 240, 254 and 255, or of steps,
  * EMCY, one SDO server with expedited and segmented transfers, program download in blocks, and the objects of a skin node.
  * Every function returns at once, but for what the driver's flash memory takes.
  */
@@ -15,7 +15,7 @@
 #include "skin_storage.h"
 #include "skin_sums.h"
 #if SKIN_ADAPTIVE
-#include "skin_sender.h"
+#include "skin_steps.h"
 #endif
 
 /* One frame, in the records of dbc/frame.py. */
@@ -105,7 +105,7 @@ typedef struct {
     uint8_t pattern[SKIN_BLOCKS];
     uint16_t counts[SKIN_BLOCKS][SKIN_CALIBRATED]; /* 2012h: the newest sample, corrected */
 #if SKIN_ADAPTIVE
-    skin_sender sender;
+    skin_steps steps;
 #else
 #if SKIN_SAMPLES > 1
     skin_average averages[SKIN_BLOCKS];
@@ -157,11 +157,8 @@ void skin_tick(skin_node *node, uint32_t now_ms);
  */
 int skin_sample(skin_node *node, uint16_t *counts);
 
-/* Decide what to send, `passed_ns` after the last decision, with the newest sample. */
-void skin_decide(skin_node *node, int64_t passed_ns);
-
-/* Send what is due, the most urgent first: after `skin_decide`. The frames expire at the next sample. Nothing is sent in the
- * SKIN_PAUSE_NS after a SYNC.
+/* Send what is worth its bits in the newest sample, if a slot of the board has begun. A frame stays in the transmit buffer until
+ * it has gone; the board makes no other one of the same identifier meanwhile.
  */
 void skin_send_sums(skin_node *node, int64_t now_ns);
 
@@ -169,11 +166,7 @@ void skin_send_sums(skin_node *node, int64_t now_ns);
 void skin_sent(skin_node *node, const skin_frame *frame);
 void skin_refused(skin_node *node, const skin_frame *frame);
 
-/* Identifier of the frame that a group would be sent in now, 0 for none; and send that frame, unless its budget has gone. */
-uint16_t skin_due(const skin_node *node, uint8_t group);
-void skin_send_group(skin_node *node, uint8_t group, int64_t now_ns, int64_t expires_ns);
-
-/* Heed a SYNC. */
+/* Heed a SYNC: slots are counted from its end (`time_ns`). */
 void skin_sync(skin_node *node, const skin_frame *sync);
 
 #else

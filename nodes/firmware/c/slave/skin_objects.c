@@ -114,7 +114,7 @@ static uint32_t computed(const skin_node *node, const skin_object *object)
         return skin_program_value(&node->program, object->index);
 #if SKIN_ADAPTIVE
     default: /* the sums */
-        return (uint32_t)skin_raw(&node->board->type->packing, skin_sender_sum(&node->sender, (uint8_t)(subindex - 1)));
+        return (uint32_t)skin_raw(&node->board->type->packing, skin_filter_sum(&node->steps.filter, node->board, (uint8_t)(subindex - 1)));
 #else
     case SKIN_OD_SYNC_COUNTER:
         return node->sync_counter;
@@ -305,7 +305,7 @@ static uint32_t check_write(const skin_node *node, uint16_t index, uint8_t subin
         return value > SKIN_STATE_IMAGES ? SKIN_ABORT_VALUE : 0;
     default:
 #if SKIN_ADAPTIVE
-        return skin_sender_allows(index, subindex, value) ? 0 : SKIN_ABORT_VALUE;
+        return skin_steps_allow(index, subindex, value) ? 0 : SKIN_ABORT_VALUE;
 #else
         return 0;
 #endif
@@ -330,7 +330,7 @@ static void adjust(skin_node *node, const skin_object *object)
         break;
     default:
 #if SKIN_ADAPTIVE
-        skin_sender_write(&node->sender, object->index, object->subindex, value);
+        skin_steps_write(&node->steps, object->index, object->subindex, value);
 #endif
         break;
     }
@@ -364,7 +364,7 @@ void skin_become(skin_node *node, const skin_board *board)
 
     node->board = board;
 #if SKIN_ADAPTIVE
-    node->sender.board = board;
+    node->steps.board = board;
 #endif
     node->has_stored = storage != NULL && storage->load(storage->context, SKIN_RECORD_PARAMETERS, key_of(node),
                                                         node->stored, node->board->type->writable_bytes) == 0;
@@ -440,9 +440,9 @@ void skin_restore(skin_node *node, int communication_only)
         return;
     }
 #if SKIN_ADAPTIVE
-    memset(node->sender.filter.given_taxel_n, 0, sizeof node->sender.filter.given_taxel_n);
-    memset(node->sender.filter.given_coefficient_n, 0, sizeof node->sender.filter.given_coefficient_n);
-    skin_filter_give(&node->sender.filter);
+    memset(node->steps.filter.given_taxel_n, 0, sizeof node->steps.filter.given_taxel_n);
+    memset(node->steps.filter.given_coefficient_n, 0, sizeof node->steps.filter.given_coefficient_n);
+    skin_filter_give(&node->steps.filter);
 #elif SKIN_SAMPLES > 1
     for (place = 0; place < board->type->blocks; place++) {
         skin_forget(&node->averages[place]);
