@@ -20,6 +20,7 @@ from bandwidth.measured import (
     whole_cycles,
 )
 from bandwidth.plan import BusPlan
+from dbc.adaptive_filter import SAMPLE_NS
 from dbc.canopen import BASE_ID_MASK, HEARTBEAT_BASE
 from dbc.contract import Contract
 from dbc.dictionary import HEARTBEAT_MS, SILENT_AFTER_S, slot_offset_us
@@ -156,9 +157,10 @@ def _cycles(contract: Contract, bus: int, taken: Frames, planned: BusPlan) -> It
 
 
 def _slots(contract: Contract, bus: int, taken: Frames, planned: BusPlan) -> Iterator[str]:
-    """Compare the time from the slot of each frame to its end with its bound, and find boards that are silent.
+    """Compare the time from the sample of each frame to its end with its bound, and find boards that are silent.
 
-    A frame names its slot by 2022h. A board has a silence of `Contract.keep_max` slots at most.
+    A frame names its slot by 2022h, and the board samples within `SAMPLE_NS` after its place in the slot. A board is
+    silent for `Contract.keep_max` slots at most.
     """
     slot_s, is_mine = contract.layout.steps.slot_s, _rows(contract, bus, taken) >= 0
     syncs = np.flatnonzero(is_sync(taken))
@@ -170,12 +172,12 @@ def _slots(contract: Contract, bus: int, taken: Frames, planned: BusPlan) -> Ite
     ends_ns, most_s = taken["time_ns"][[0, -1]], (contract.keep_max + LATE_SLOTS) * slot_s
     for node in contract.on_bus(bus):
         mine = is_mine & np.isin(taken["can_id"], [tpdo.cob_id for tpdo in node.tpdos])
-        after_ms[mine] -= 1e-3 * slot_offset_us(contract, node)
+        after_ms[mine] -= 1e-3 * slot_offset_us(contract, node) + SAMPLE_NS * 1e-6
         times_ns = np.concatenate([ends_ns[:1], taken["time_ns"][mine], ends_ns[1:]]).astype(np.int64)
         longest_s = float(np.diff(times_ns).max()) * 1e-9
         if longest_s > most_s:
             yield f"node {node.node_id}: no sums for {longest_s:.1f} s, a check every {most_s:.1f} s was planned"
-    yield from _late(contract, bus, taken, planned, after_ms, "its slot")
+    yield from _late(contract, bus, taken, planned, after_ms, "its sample")
 
 
 def _rows(contract: Contract, bus: int, taken: Frames) -> npt.NDArray[np.intp]:
@@ -188,7 +190,7 @@ def _rows(contract: Contract, bus: int, taken: Frames) -> npt.NDArray[np.intp]:
 def _late(  # noqa: PLR0917
     contract: Contract, bus: int, taken: Frames, planned: BusPlan, after_ms: npt.NDArray[np.float64], what: str
 ) -> Iterator[str]:
-    """Compare the time from SYNC, or from its slot, to the end of each node's TPDOs with its bound."""
+    """Compare the time from SYNC, or from its sample, to the end of each node's TPDOs with its bound."""
     plain = is_plain(taken)
     late: dict[int, str] = {}
     sending = [node for node in contract.on_bus(bus) if node.tpdos]

@@ -4,11 +4,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from dbc.adaptive import column_of
 from hypothesis import event, given, settings
 from hypothesis import strategies as st
 
 from canskin.errors import LayoutError
-from dbc.adaptive import column_of
 from dbc.contract import Contract
 from dbc.frame import frame_bytes
 from gateway.adaptive_state import USED, new_sums, take_all
