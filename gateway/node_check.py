@@ -149,12 +149,15 @@ class NodeCheck:
         self.due_s = min(self._ends_s, self._sync_s)
 
     def _sync(self, now_s: float) -> None:
-        """Send a SYNC; in the cycles of a pattern the counter is the number of the cycle, else no start value."""
+        """Send a SYNC; in the cycles of a pattern the counter is the number of the cycle, else no start value.
+
+        Adaptive boards have no start value, and their slots count on.
+        """
         self._send_one(SYNC_COB_ID, bytes((self._counter,)))
         self._counter = self._counter + 1 if self._counter < SYNC_OVERFLOW else self._idle
         if self._wanted is not None:
             self._wanted -= 1
-            if self._wanted == self._expected.cycles + 1:
+            if self._wanted == self._expected.cycles + 1 and not self._node.is_adaptive:
                 self._counter = 1
             elif self._wanted == 0:
                 self._ends_s = now_s + PATIENCE_S

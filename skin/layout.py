@@ -225,7 +225,7 @@ class Steps(_Table, frozen=True, kw_only=True):
         All boards send at SYNC, the start of their slot. Otherwise each has its own place in the slot.
     """
 
-    slot_s: Annotated[float, msgspec.Meta(ge=1e-3, le=10.0)] = 0.005
+    slot_s: Annotated[float, msgspec.Meta(ge=1e-3, le=10.0)] = 0.004
     quiet: Annotated[float, msgspec.Meta(ge=0, le=1000)] = 0.1
     at_sync: bool = False
 

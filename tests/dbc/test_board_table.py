@@ -139,14 +139,14 @@ def test_a_board_with_one_sum_has_one_tpdo_however_many_turns_there_are() -> Non
 
 
 def test_adaptive_boards_have_words_a_unit_and_no_packing() -> None:
-    """32 sums of 32 taxels of 20 mN, in two places of a slot of 5 ms."""
+    """32 sums of 32 taxels of 20 mN, in two places of a slot of 4 ms."""
     _, table = table_of(small_layout(**ADAPTIVE), 1)
     assert (table.sending, table.packing, table.frontend, table.samples_per_sync) == ("adaptive", None, None, 100)
     (tpdo,) = table.tpdos
     assert (tpdo.number, tpdo.cob_id, tpdo.transmission_type, tpdo.length) == (1, 0x182, 254, 8)
     assert (tpdo.inhibit_100us, tpdo.event_timer_ms, tpdo.sync_start_value) == (0, 0, 0)
     assert [(each.index, each.subindex, each.bits) for each in tpdo.mapping] == [(0x2022, 0, 8), (0x2110, 1, 56)]
-    assert (table.unit_n, table.quiet, table.slots_per_sync, table.slot_offset_us) == (0.64 / 8192, 0.1, 20, 2500)
+    assert (table.unit_n, table.quiet, table.slots_per_sync, table.slot_offset_us) == (0.64 / 8192, 0.1, 25, 2000)
     assert table.parts == [BoardPart(sums=32, radix=3, has_first=True)]
     assert table.rows_of_parts is not None
     assert table.rows_of_parts[:12] == [0, 4, 6, 2, 16, 20, 22, 18, 3, 7, 5, 1]

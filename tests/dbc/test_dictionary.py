@@ -53,7 +53,7 @@ def test_adaptive_nodes_have_their_settings_and_no_sums() -> None:
         (U8, "const", 0),
     ]
     assert found[0x2007, None].value == 0.64 / 8192
-    assert told(found, 0x2031) == [(U8, "const", 3), (REAL, "rw", 0.1), (U8, "rw", 20), (U32, "rw", 0)]
+    assert told(found, 0x2031) == [(U8, "const", 3), (REAL, "rw", 0.1), (U8, "rw", 25), (U32, "rw", 0)]
     for index in (0x2032, 0x2033):
         assert told(found, index) == [(U8, "const", 32)] + 32 * [(REAL, "rw", 0.0)]
     assert told(found, 0x2110) == [(U8, "const", 1), (U56, "ro", 0)]

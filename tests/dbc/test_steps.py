@@ -10,6 +10,7 @@ from dbc.steps import (
     CHECK,
     COUNT,
     HIGH,
+    KEEP_MAX,
     SCALES,
     SEQUENCE,
     SET,
@@ -141,8 +142,8 @@ def test_slots_come_again_after_a_multiple_of_those_of_240_syncs() -> None:
     for of_sync in range(1, 241):
         cycle = slot_cycle(of_sync)
         assert (240 * of_sync) % cycle == SLOTS % cycle == cycle % 240 == 0
-    assert [slot_cycle(each) for each in (1, 2, 3, 20, 40)] == [240, 480, 240, 960, 960]
-    assert [keep_max(each) for each in (1, 2, 20)] == [120, 240, 480]
+    assert [slot_cycle(each) for each in (1, 2, HIGH, 5 * HIGH)] == [240, 240, SLOTS, SLOTS]
+    assert [keep_max(each) for each in (1, HIGH)] == [120, KEEP_MAX]
 
 
 def test_the_hash_is_fnv_1a_of_two_bytes_each() -> None:

@@ -102,7 +102,7 @@ def test_dictionary_maps_slot_and_words_and_the_proof_covers_them(contract: Cont
     covered = {(each.index, each.subindex): each for each in configuration(contract, contract.nodes[5])}
     assert {(0x1800, 1), (0x1800, 2), *((0x1A00, place) for place in range(parts + 2)), (0x2005, 0)} <= {*covered}
     assert {index for index, _ in covered if 0x2030 <= index <= 0x2036} == {0x2031}
-    assert covered[0x2031, 2].data == bytes((20,))
+    assert covered[0x2031, 2].data == bytes((contract.slots,))
     assert struct.unpack("<f", covered[0x2007, 0].data)[0] == np.float32(contract.unit_n)
     assert contract.unit_n == sum_step_n(contract.layout) == 0.64 / 8192
     (kind,) = node_types(contract)
@@ -113,10 +113,10 @@ def test_dictionary_maps_slot_and_words_and_the_proof_covers_them(contract: Cont
 @pytest.mark.parametrize(
     ("rate_hz", "steps", "types", "offsets_us"),
     [
-        (10.0, {}, 254, [0, 2500]),
+        (10.0, {"slot_s": 0.005}, 254, [0, 2500]),
         (10.0, {"quiet": 0.0, "slot_s": 0.002}, 254, [0, 1000]),
-        (200.0, {"at_sync": True}, 0, [0, 0]),
-        (200.0, {"at_sync": True, "quiet": 0.0}, 1, [0, 0]),
+        (200.0, {"slot_s": 0.005, "at_sync": True}, 0, [0, 0]),
+        (200.0, {"slot_s": 0.005, "at_sync": True, "quiet": 0.0}, 1, [0, 0]),
     ],
 )
 def test_boards_send_at_their_places_or_at_sync(
@@ -130,7 +130,7 @@ def test_boards_send_at_their_places_or_at_sync(
         assert {each[0x1800, 2] for each in values} == {types}
         assert {each[0x2031, 1] for each in values} == {steps.get("quiet", 0.1)}
         assert {each[0x2031, 2] for each in values} == {contract.slots}
-    assert contract.slots == round(1 / rate_hz / steps.get("slot_s", 0.005))
+    assert contract.slots == round(1 / rate_hz / steps["slot_s"])
     (kind,) = node_types(contract)
     assert [int(text.split("[2031sub3]")[1].split("ParameterValue=")[1].split()[0], 0) for _, text in
             dcfs(contract, kind)] == 2 * offsets_us  # fmt: skip
@@ -163,7 +163,7 @@ def test_cantools_decodes_slot_and_words(contract: Contract) -> None:
         (("slot_s = 0.005", "slot_s = 0.0001"), "$.steps.slot_s"),
         (("rate_hz = 10.0", "rate_hz = 0.5"), "$.steps.slot_s"),
         (("rate_hz = 10.0", "rate_hz = 300.0"), "$.steps.slot_s"),
-        (("slot_s = 0.005", "at_sync = true"), "boards that send at SYNC expect 200"),
+        (("slot_s = 0.005", "slot_s = 0.005\nat_sync = true"), "boards that send at SYNC expect 200"),
         (("slot_s = 0.005", "quiet = -0.1"), "$.steps.quiet"),
     ],
 )

@@ -9,7 +9,7 @@ import pytest
 
 from dbc import indices as od
 from dbc.contract import Contract
-from dbc.steps import CHECK, SET, STEP, kind_of, read_word
+from dbc.steps import SET, STEP, kind_of, read_word
 from gateway.node_check import NodeCheck
 from gateway.node_frames import NodeReport
 from nodes.adaptive.boards import AdaptiveBoards
@@ -25,7 +25,7 @@ from tests.nodes.firmware.twins import needs_compiler
 
 STEP_S = 0.001
 #: Longer than a check takes.
-LONGEST_S = 6.0
+LONGEST_S = 12.0
 
 
 class Untouched:
@@ -124,6 +124,17 @@ def deaf_rule(bench: Bench) -> None:
     bench.hardware.senders.slots.quiet[:] *= 1e4
 
 
+def never_checks(bench: Bench) -> None:
+    """A board that does not tell whether its receivers have the same sums."""
+    take = bench.hardware.senders.take_slots
+
+    def taken(*given: Any) -> Any:
+        bench.hardware.senders.state.keep[:] = 10_000
+        return take(*given)
+
+    bench.hardware.senders.take_slots = taken
+
+
 def infinite_noise(bench: Bench) -> None:
     """A board whose noise is infinite."""
     bench.wire.loses = lambda end, each: (
@@ -202,7 +213,7 @@ MUTANTS = [
     (wrong_sign, " as sum 21, expected ", ""),
     (other_unit, "offsets in place of the taxels: tells ", ""),
     (infinite_noise, "full scale: the noise (2035h) is no number of newtons: 00 00 80 7f", ""),
-    (deaf_rule, "test pattern zero: tells ", " as sum 1, expected 0.00 mN"),
+    (deaf_rule, "test pattern zero: tells ", ", expected 0.00 mN"),
     (ignores(od.TEST_PATTERN), "test pattern full scale: half of the taxels read less than half of full scale", ""),
     (ignores(od.GAIN), "offsets in place of the taxels: tells ", ""),
     (ignores(od.OFFSET), "offsets in place of the taxels: tells ", ""),
@@ -214,8 +225,8 @@ MUTANTS = [
     (sent(lambda each, _: each["data"].__setitem__(0, 0)), "begins with 0, expected a slot from 1 to 240", ""),
     (sent(lambda each, _: each["data"].__setitem__(slice(1, 8), 255)), "has words that are no step, set or check", ""),
     (sent(lambda _each, _kind: True), "full scale: TPDO 1 (181h): no set of group 1 came after the NMT start", ""),
-    (sent(lambda each, kind: kind == SET and each["data"][0] % 7 == 0), "has another count than the word before", ""),
-    (sent(lambda _each, kind: kind == CHECK), "no check came within 24 slots after the newest step or set", ""),
+    (sent(lambda each, kind: kind == SET and bool(each["data"][0] % 4 == 0)), "has another count than the word before", ""),
+    (never_checks, "zero: TPDO 1 (181h): no check came within 24 slots after the newest step or set", ""),
     (sent(lambda each, kind: kind == STEP and add(each, 1, 1)), "zero: TPDO 1 (181h) checks other sums than ", ""),
 ]
 

@@ -28,11 +28,14 @@ from nodes.virtual_boards import VirtualBoards
 from skin.sources import Frame
 from skin.sync_counter import SYNC_OVERFLOW
 from tests.bus.harness import frame
+from tests.layouts import ADAPTIVE_SKIN
 from tests.nodes.helpers import START, ArrayLink
 
 IDS = (1, 2, 3, 4)
-#: From SYNC to SYNC, milliseconds.
+#: From SYNC to SYNC, from slot to slot, and until all sums are set, a group in each slot, milliseconds.
 PERIOD_MS = 100
+SLOT_MS = round(1000 * ADAPTIVE_SKIN.steps.slot_s)
+SET_MS = 12 * SLOT_MS
 
 
 class Press:

@@ -35,7 +35,8 @@ def is_allowed(index: int, value: float) -> bool:
         (0x2010, [0.0, -3e38, 1.0], [math.inf, -math.inf, math.nan]),
         (od.of_block(0x2010, 3), [0.0], [math.inf]),
         (0x2021, [0, 3], [4]),
-        (0x2031, [1e-30, 3e38], [0.0, -1.0, math.inf, math.nan]),
+        (0x2030, [0, 1], [2, 255]),
+        (0x2031, [0.0, 1e-30, 3e38], [-1.0, math.inf, math.nan]),
         # Noise in newtons; 0 stands for what is learned.
         (0x2032, [0.0, 1.1e-9, 0.01, 1000.0], [0.9e-9, -0.01, 1000.1, math.nan]),
         (0x2033, [0.0, 1.1e-9, 0.01, 1000.0], [0.9e-9, -0.01, 1000.1, math.nan]),

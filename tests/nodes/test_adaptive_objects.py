@@ -13,7 +13,7 @@ from skin.defects import Defects
 from skin.layout import load_layout
 from skin.zero_drift import ZeroDrift
 from tests.bus.harness import frame
-from tests.nodes.adaptive_bus import Bus
+from tests.nodes.adaptive_bus import SET_MS, SLOT_MS, Bus
 from tests.nodes.helpers import RESET_NODE
 
 LOAD = 0x6461_6F6C
@@ -27,13 +27,13 @@ def contract() -> Contract:
 def test_a_node_that_is_asked_sets_all_its_sums(bus: Bus) -> None:
     bus.start()
     bus.sync()
-    bus.run(60)
+    bus.run(SET_MS)
     assert bus.write(0x2030, 0, b"\x01", 2) == 0
     assert bus.read(0x2030, 0, 2) == b"\1"
     assert bus.read(0x2030, 0, 1) == b"\0"
     (part,) = bus.parts_of(bus.blocks[1])
     part.kinds = []
-    sent = bus.run(60)
+    sent = bus.run(SET_MS)
     assert part.kinds[:11] == [SET] * 11
     assert sent["port"].tolist().count(2) >= 11
     assert bus.read(0x2030, 0, 2) == b"\0"
@@ -86,17 +86,17 @@ def test_when_one_node_sends_is_changed_by_its_objects(bus: Bus) -> None:
     assert bus.write(0x2031, 1, struct.pack("<f", 0)) == 0  # in every slot
     assert bus.write(0x2031, 1, struct.pack("<f", 1e6), 2) == 0  # nothing is worth its bits
     assert bus.write(0x2031, 2, b"\x0a", 3) == 0  # every 10 ms
-    assert bus.write(0x2031, 3, struct.pack("<I", 3000), 4) == 0
+    assert bus.write(0x2031, 3, struct.pack("<I", 2000), 4) == 0
     bus.start()
     bus.sync()
     sync_ns = round(bus.now_s * 1e9)
     sent = bus.run(299)
     ports = sent["port"].tolist()
-    assert ports.count(1) == 60
+    assert ports.count(1) == 300 / SLOT_MS
     assert ports.count(2) == 12  # all groups, and a check
     assert ports.count(3) <= 30
-    late_ms = (sent["time_ns"][sent["port"] == 4] - sync_ns) / 1e6 % 5
-    assert 3 - 1e-6 <= late_ms.min() <= late_ms.max() < 4 + 1e-6
+    late_ms = (sent["time_ns"][sent["port"] == 4] - sync_ns) / 1e6 % SLOT_MS
+    assert 2 - 1e-6 <= late_ms.min() <= late_ms.max() < 3 + 1e-6
     bus.give(frame(0, bytes((RESET_NODE, 1))))
     assert bus.read_real(0x2031, 1) == np.float32(0.1)
     assert bus.boards.senders.slots.quiet[bus.blocks[0]] == np.float32(0.1)

@@ -8,17 +8,15 @@ import pytest
 from dbc.adaptive_filter import LEAST_NOISE_N
 from dbc.contract import Contract, frame_flags
 from dbc.frame import ECHO, ERROR
-from dbc.steps import CHECK, SET
+from dbc.steps import CHECK, KEEP_MIN, SET
 from nodes.adaptive.stepping import LOST_NS
 from skin.layout import changed, load_layout
 from skin.walsh import walsh_matrix
 from tests.bus.harness import frame
-from tests.nodes.adaptive_bus import IDS, Bus, back
+from tests.nodes.adaptive_bus import IDS, PERIOD_MS, SET_MS, SLOT_MS, Bus, back
 from tests.nodes.helpers import PRE_OPERATIONAL, RESET_COMMUNICATION, RESET_NODE, START, STOP
 
 both = pytest.mark.parametrize("contract", ["adaptive", "adaptive-fd"], indirect=True)
-#: Milliseconds until all sums are set, a group in each slot of 5 ms.
-SET_MS = 60
 
 
 @pytest.fixture(scope="module")
@@ -61,28 +59,28 @@ def test_a_node_that_is_started_sets_all_its_sums_and_then_checks_ever_more_rare
     assert set(first["length"]) == {32 if len(bus.contract.forms_of(0)) > 1 else 8}
     assert set(first["flags"]) == {frame_flags(bus.contract.layout.bus[0])}
     assert set(first["expires_ns"]) == {0}
-    later = bus.run(500)
+    later = bus.run(5 * KEEP_MIN * SLOT_MS)
     assert kinds(bus) == {node_id: {CHECK} for node_id in IDS}
-    assert len(later) == 2 * len(IDS)  # after 24 and 48 slots
+    assert len(later) == 2 * len(IDS)  # after `KEEP_MIN` slots, and after twice the time
     assert all(part.is_whole and not part.different for node in bus.blocks for part in bus.parts_of(node))
 
 
 def test_each_node_sends_at_its_place_in_the_slot(bus: Bus) -> None:
-    """32 boards share 5 ms: they are 156 µs apart, and a process decides once a millisecond."""
+    """32 boards share a slot, and a process decides once a millisecond."""
     bus.start()
     bus.sync()
     sync_ns = round(bus.now_s * 1e9)
     sent = bus.run(SET_MS)
     for node_id in IDS:
         at_ms = (sent["time_ns"][sent["port"] == node_id] - sync_ns) / 1e6
-        late_ms = at_ms - (node_id - 1) * 5 / 32 - 5 * np.arange(len(at_ms))
-        assert len(at_ms) >= SET_MS / 5 - 1
+        late_ms = at_ms - (node_id - 1) * SLOT_MS / 32 - SLOT_MS * np.arange(len(at_ms))
+        assert len(at_ms) >= SET_MS / SLOT_MS - 1
         assert late_ms.min() > -1e-6
         assert late_ms.max() < 1 + 1e-6
 
 
 def test_nodes_that_send_at_sync_send_at_once(contract: Contract) -> None:
-    layout = changed(contract.layout, sync={"rate_hz": 200.0}, steps={"at_sync": True})
+    layout = changed(contract.layout, sync={"rate_hz": 200.0}, steps={"slot_s": 0.005, "at_sync": True})
     bus = Bus(Contract.from_layout(layout))
     bus.start()
     for counter in range(1, 12):
@@ -110,16 +108,21 @@ def test_what_a_receiver_shows_is_what_the_touch_is(bus: Bus) -> None:
     assert bus.segment.frames_dropped == 0
 
 
-def test_a_late_sync_lets_no_slot_come_twice(bus: Bus) -> None:
+def test_a_late_sync_lets_no_slot_come_twice(contract: Contract) -> None:
+    bus = Bus(Contract.from_layout(changed(contract.layout, steps={"quiet": 0.0})))
     bus.start()
     bus.sync()
-    bus.run(99)
+    sent = [bus.run(99)]
     for late_ms in (0, 1, 3, 7):
         for _ in range(1 + late_ms):
             bus._sync_ms = 0
-            bus.run(1)
+            sent.append(bus.run(1))
         bus.sync()
-        bus.run(98)
+        sent.append(bus.run(98))
+    frames = np.concatenate(sent)
+    for node_id in IDS:
+        slots = frames["data"][frames["port"] == node_id, 0].astype(int)
+        assert set((np.diff(slots) % 240).tolist()) == {1}
     parts = [part for block in bus.blocks for part in bus.parts_of(block)]
     assert [part.gaps for part in parts] == [1] * len(parts)
     assert not any(part.different for part in parts)
@@ -132,7 +135,7 @@ def test_a_node_that_misses_a_sync_counts_on_and_is_silent_after_the_next(bus: B
     bus.sync()
     bus._counter = 0  # none follows
     sent = bus.run(400)
-    assert len(sent[sent["port"] == 2]) == 40
+    assert len(sent[sent["port"] == 2]) == 2 * PERIOD_MS / SLOT_MS
     assert all(part.is_whole for part in bus.parts_of(bus.blocks[1]))
 
 
@@ -181,7 +184,7 @@ def test_frames_that_a_full_queue_refuses_are_dropped_and_their_nodes_set_all_su
     bus.start()
     bus.sync()
     bus.link.room = 0
-    assert len(bus.run(19)) == 0
+    assert len(bus.run(4 * SLOT_MS - 1)) == 0
     dropped = bus.segment.frames_dropped
     assert dropped == 4 * len(IDS)
     assert not bus.boards.is_sending

@@ -8,7 +8,7 @@ from nodes.adaptive.simulated import touched_frames
 from skin.sources import Frame
 from skin.walsh import walsh_matrix
 from tests.layouts import ADAPTIVE, buses, small_layout
-from tests.nodes.adaptive_bus import Receiver
+from tests.nodes.adaptive_bus import SLOT_MS, Receiver
 
 #: Four patches of 4 x 8 taxels on two buses.
 CONTRACT = Contract.from_layout(small_layout(8, 16, **ADAPTIVE, bus=buses(2, 2)))
@@ -43,9 +43,9 @@ def test_the_touched_node_of_the_bus_sends_what_a_receiver_needs() -> None:
     # A step of the touch lasts 10 ms, and the force grows in the step before.
     first_ns = mine["time_ns"][11]
     assert 40_000_000 < mine["time_ns"][10] < first_ns < 65_000_000
-    # In slots of 5 ms, which begin with the SYNC for node 1 and 2.5 ms later for node 2.
-    for frames, begin_ns in ((mine, 0), (other, 2_500_000)):
-        late_ns = (frames["time_ns"] - begin_ns) % 5_000_000
+    # In slots that begin with the SYNC for node 1, and half a slot later for node 2.
+    for frames, begin_ms in ((mine, 0), (other, SLOT_MS / 2)):
+        late_ns = (frames["time_ns"] - begin_ms * 1_000_000) % (SLOT_MS * 1_000_000)
         assert late_ns.max() < 1_300_000
     received = Receiver(CONTRACT)
     received.take(sent, 1)

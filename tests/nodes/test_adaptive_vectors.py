@@ -11,7 +11,7 @@ import pytest
 
 from dbc.contract import Contract
 from dbc.frame import ECHO, ERROR, frames
-from dbc.steps import CHECK, SET, STEP, kind_of
+from dbc.steps import CHECK, SET, SLOTS, STEP, kind_of
 from nodes.adaptive import patch_boards
 from nodes.adaptive.boards import AdaptiveBoards
 from nodes.adaptive.noise import IdleStatistics
@@ -147,7 +147,7 @@ def test_words_say_what_a_receiver_makes_of_them(name: str) -> None:
     forms = {(form.sums, bool(form.has_first)): form for form in contract.forms_of(0)}
     assert len(vectors["words"]) == 18 * len(forms)
     for case in vectors["words"]:
-        part = Part(forms[case["sums"], case["has_first"]], 960)
+        part = Part(forms[case["sums"], case["has_first"]], SLOTS)
         part.known[:] = case["known"]
         # The word before came in the slot before.
         part.sent, part.slot, part._is_chained, part.missing = case["sent"] - 1, case["slot"] - 1, True, set()

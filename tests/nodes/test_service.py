@@ -141,8 +141,8 @@ def test_adaptive_nodes_turn_once_for_each_sample(links: dict[int, ReadyLink]) -
             link.put()
     assert len(samples) in {29, 30}
     assert [truth.step for truth in published.truths] == [1, 2, 3]
-    # Slots of 5 ms, that of the SYNC, too.
-    assert [link.take_sent()["can_id"].tolist().count(0x181) for link in links.values()] == [7, 7]
+    # Slots of 4 ms, that of the SYNC, too.
+    assert [link.take_sent()["can_id"].tolist().count(0x181) for link in links.values()] == [8, 8]
     service.publish_status()
     newest = published.statuses[-1]
     assert newest.frames_sent == sum(segment.frames_sent for segment in service.segments.values()) > 0

@@ -13,6 +13,8 @@ from dbc.steps import (
     FIRST_MAX,
     KEEP_MAX,
     KEEP_MIN,
+    SCALES,
+    SEQUENCE,
     SET,
     STEP,
     Form,
@@ -20,13 +22,14 @@ from dbc.steps import (
     form_of,
     forms,
     keep_max,
+    kind_of,
     slot_byte,
     slot_cycle,
 )
 from nodes.adaptive.stepping import new_state, offer, threshold, whole
 from tests.nodes.adaptive_bus import Part
 
-SLOTS = 20
+SLOTS = 25
 #: An even threshold of a part, square units.
 LEAST = 500.0
 
@@ -90,7 +93,7 @@ def scenes(draw: st.DrawFn) -> tuple[Board, list[tuple[int, Integers]]]:
     board = Board(
         draw(st.sampled_from((8, 16, 32, 64))),
         is_fd=draw(st.booleans()),
-        slots=draw(st.sampled_from((1, 3, 20, 50))),
+        slots=draw(st.sampled_from((1, 3, SLOTS, 50))),
         least=draw(st.sampled_from((-1.0, 0.0, LEAST, 1e6))),
     )
     random = np.random.default_rng(draw(st.integers(0, 2**32)))
@@ -182,6 +185,22 @@ def test_small_changes_are_steps_and_a_large_one_of_few_sums_is_a_set() -> None:
     assert board.state.known[0, [9, 11]].tolist() == [3000, -3000]
 
 
+def test_of_words_that_are_worth_the_same_the_first_is_sent() -> None:
+    board = started(least=-1.0)
+    board.pass_slot()  # no scale is better than another
+    assert kind_of(int(board.state.word[0]), board.forms[0])[:2] == (STEP, 0)
+    board = started()
+    board.slot += SEQUENCE  # no step
+    board.wanted[0, [4, 7, 10]] = 1000
+    board.pass_slot()
+    assert kind_of(int(board.state.word[0]), board.forms[0])[:2] == (SET, 1)
+    # A set of three sums, and a step, tell all.
+    board = started(least=10.0)
+    board.wanted[0, 4] = SCALES[1]
+    board.pass_slot()
+    assert kind_of(int(board.state.word[0]), board.forms[0])[:2] == (STEP, 1)
+
+
 def test_on_can_fd_each_part_takes_its_best_word() -> None:
     board = started(is_fd=True)
     board.wanted[0, 5], board.wanted[2] = -2000, 70
@@ -206,7 +225,10 @@ def test_a_silent_board_checks_ever_more_rarely() -> None:
     board = started()
     at = [board.slot for _ in range(2000) if board.pass_slot()]
     assert set(board.kinds()) == {CHECK}
-    assert np.diff([11, *at]).tolist() == [24, 48, 96, 192, 384, 480, 480]
+    assert np.diff([11, *at]).tolist() == [
+        *(KEEP_MIN << each for each in range(5)),
+        *[KEEP_MAX] * 2,
+    ]
     board.wanted[0] += 20
     board.pass_slots(4)
     moved = board.slot

@@ -121,7 +121,6 @@ class AdaptiveTwins:
         for segment in self.segments:
             segment.boot(self.now_s)
         self.taken()
-        self.step()
 
     def _sender(self, which: int) -> Any:
         def send(burst: Frames) -> int:

@@ -12,11 +12,13 @@ import pytest
 
 from bus.link import DISCARDED
 from dbc import indices as od
+from dbc.adaptive_filter import SAMPLE_NS
 from dbc.board import board
 from dbc.board_sums import calibration_values
-from dbc.canopen import NMT_COB_ID, SDO_REQUEST_BASE
+from dbc.canopen import NMT_COB_ID, SDO_REQUEST_BASE, SYNC_COB_ID
 from dbc.contract import Contract
-from dbc.frame import ECHO
+from dbc.frame import ECHO, frames
+from nodes.adaptive.vectors import SINCE_SYNC_NS
 from nodes.firmware.library import CompiledBoards, Firmware
 from nodes.virtual_boards import VirtualBoards
 from nodes.ways import vector_files, way_of
@@ -29,8 +31,6 @@ from tests.nodes.firmware.twins import needs_compiler
 from tests.nodes.helpers import Still
 
 pytestmark = needs_compiler
-
-SAMPLE_NS = 1_000_000
 
 
 @cache
@@ -96,23 +96,26 @@ def test_samples_become_the_frames_of_the_vectors(name: str) -> None:
         assert learned.tolist() == np.float32(vectors["power_up"]["settled"][key]).tolist()
     assert read_real(boards, od.NODE_NOISE, 0) == np.float32(vectors["power_up"]["settled"]["board_noise_n"])
     boards.take(frame(NMT_COB_ID, b"\x01\x01"), 0.0)
-    sent = 0
+    held, sent = frames(0), 0
     for number, sample in enumerate(vectors["samples"]):
-        if sample["request"]:
-            sdo(boards, struct.pack("<BHBB", 0x2F, od.REFRESH, 0, sample["request"]))
+        if sample["is_asked"]:
+            sdo(boards, struct.pack("<BHBB", 0x2F, od.REFRESH, 0, 1))
+        if sample["sync"]:
+            boards.take(frame(SYNC_COB_ID, bytes((sample["sync"],)), time_ns=number * SAMPLE_NS), 0.0)
         boards.take_counts(np.array([sample["counts"]], np.uint16))
-        boards.decide(0, SAMPLE_NS)
-        now_ns = number * SAMPLE_NS
-        burst = boards.choose(contract.layout.groups, now_ns, now_ns + SAMPLE_NS)
+        burst = boards.choose(number * SAMPLE_NS + SINCE_SYNC_NS)
         found = [
             {"cob_id": int(each["can_id"]), "data": each["data"][: each["length"]].tobytes().hex()} for each in burst
         ]
         assert found == sample["frames"], number
         counts = np.rint(np.float32(sample["sums_n"]) / np.float32(contract.layout.taxels.newton_per_count))
         assert boards.sums(0, size)[rows].tolist() == counts.tolist()
-        burst["flags"] |= DISCARDED if sample["is_busy"] else ECHO
-        boards.take(burst, 0.0)
-        sent += len(burst) * (not sample["is_busy"])
+        held = np.concatenate([held, burst])
+        if sample["bus"] != "held":
+            held["flags"] |= DISCARDED if sample["bus"] == "lost" else ECHO
+            boards.take(held, 0.0)
+            sent += len(held) * (sample["bus"] == "free")
+            held = held[:0]
     assert sent > 20
 
 
@@ -121,15 +124,17 @@ def test_samples_become_the_frames_of_the_vectors(name: str) -> None:
 def test_a_board_behind_canopennode_sends_the_frames_of_the_vectors(name: str, tmp_path: Path) -> None:
     contract, vectors = vectors_of(name)
     program = compile_adapter(contract, tmp_path, "run_adaptive_canopennode.c")
-    idle = [[0, 0, *counts] for counts in vectors["power_up"]["counts"]]
-    samples = [[int(each["is_busy"]), each["request"], *each["counts"]] for each in vectors["samples"]]
+    idle = [[0, 0, 0, *counts] for counts in vectors["power_up"]["counts"]]
+    samples = [
+        [("free", "lost", "held").index(each["bus"]), int(each["is_asked"]), each["sync"], *each["counts"]]
+        for each in vectors["samples"]
+    ]
     lines = "\n".join(" ".join(map(str, each)) for each in idle + samples)
     printed = subprocess.run([program], input=lines, capture_output=True, text=True, check=True).stdout.splitlines()
-    signature, noise_bits, refuses = map(int, printed[0].split())
+    signature, noise_bits = map(int, printed[0].split())
     assert signature == board(contract, contract.nodes[0]).signature
     assert struct.unpack("<f", struct.pack("<I", noise_bits))[0] == np.float32(
         vectors["power_up"]["settled"]["board_noise_n"]
     )
-    assert bool(refuses) == (contract.layout.groups < 8)  # 2030h has a bit for each group
     expected = [[f"{each['cob_id']}:{each['data']}" for each in sample["frames"]] for sample in vectors["samples"]]
     assert [line.split() for line in printed[1:]] == expected

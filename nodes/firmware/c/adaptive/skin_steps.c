@@ -218,12 +218,12 @@ uint8_t skin_steps_choose(skin_steps *steps, int64_t now_ns)
 {
     const uint16_t cycle = cycle_of(steps->slots), turn = cycle / 4 < steps->slots ? (uint16_t)(cycle / 4) : steps->slots;
     const int64_t since = slots_since(steps, now_ns);
-    const int is_new = since != slots_since(steps, steps->passed_ns);
+    const int is_new = since != slots_since(steps, steps->done_ns);
     float variance_n2[SKIN_BLOCK_SUMS];
     uint16_t slot;
     uint8_t number, chosen = 0;
 
-    steps->passed_ns = now_ns;
+    steps->done_ns = now_ns;
     if (!steps->is_operational || steps->counter == 0 || since < 0 || since >= 2 * steps->slots || !is_new) {
         return 0;
     }
@@ -296,6 +296,13 @@ void skin_steps_operate(skin_steps *steps, uint8_t is_operational)
         ask(steps);
     }
     steps->is_operational = is_operational;
+}
+
+void skin_steps_sync(skin_steps *steps, uint8_t counter, int64_t time_ns)
+{
+    steps->counter = counter;
+    steps->sync_ns = time_ns;
+    steps->done_ns = steps->done_ns < time_ns ? steps->done_ns : time_ns - 1;
 }
 
 int skin_steps_take(skin_steps *steps, const uint16_t *counts)

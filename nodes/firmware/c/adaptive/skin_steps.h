@@ -24,7 +24,7 @@ typedef struct {
     uint32_t offset_us;
     uint8_t counter;     /* of the newest SYNC, 0 before the first */
     int64_t sync_ns;     /* and its end */
-    int64_t passed_ns;   /* of the newest skin_steps_choose */
+    int64_t done_ns;     /* the slots up to then had their turn */
     uint8_t is_operational;
     int32_t known[SKIN_BLOCK_SUMS]; /* what a receiver without losses holds, units */
     uint64_t word[SKIN_PARTS];      /* 2110h */
@@ -36,6 +36,9 @@ void skin_steps_forget(skin_steps *steps);
 
 /* Let the board send; it begins with all its sums. Or end that. */
 void skin_steps_operate(skin_steps *steps, uint8_t is_operational);
+
+/* Begin the slots of a SYNC that ended at a time; one without counter (0) has no slots. */
+void skin_steps_sync(skin_steps *steps, uint8_t counter, int64_t time_ns);
 
 /* Take a sample, corrected counts of all taxels; returns 0 while the board learns its noise. */
 int skin_steps_take(skin_steps *steps, const uint16_t *counts);

@@ -131,8 +131,7 @@ uint8_t skin_app_requests(int is_operational, uint8_t counter, int64_t passed_ns
     now_ns += passed_ns;
     if (counter != 0) {
         skin_od_health[0]++;
-        steps.counter = counter;
-        steps.sync_ns = now_ns;
+        skin_steps_sync(&steps, counter, now_ns);
     }
     for (number = 0; number < skin_od_board->type->tpdos; number++) {
         uint32_t cob_id = 0;

@@ -17,8 +17,7 @@ void skin_sync(skin_node *node, const skin_frame *sync)
     const int counter = skin_take_sync(node, sync);
 
     if (counter >= 0) {
-        node->steps.counter = (uint8_t)counter;
-        node->steps.sync_ns = sync->time_ns;
+        skin_steps_sync(&node->steps, (uint8_t)counter, sync->time_ns);
     }
 }
 

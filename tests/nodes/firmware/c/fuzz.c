@@ -130,7 +130,7 @@ static void go_on(skin_frame *frame)
 
 #if SKIN_ADAPTIVE
 
-/* Samples, decisions, and random fates of the frames that come of them. */
+/* A sample, and random fates of the frames that come of it. */
 static size_t sample(uint16_t *counts, int64_t now_ns)
 {
     uint16_t read[SKIN_BOARDS * SKIN_BLOCK_SUMS];
@@ -141,19 +141,7 @@ static size_t sample(uint16_t *counts, int64_t now_ns)
         read[place] = (uint16_t)(drawn(3) ? counts[from + place] % 1024u : 0);
     }
     skin_take_counts(nodes, SKIN_BOARDS, read);
-    skin_decide_all(nodes, SKIN_BOARDS, drawn(10) ? 0 : drawn(30), drawn(40000000));
-    if (drawn(2) > 0) {
-        sent = skin_choose(nodes, SKIN_BOARDS, drawn(9), now_ns, now_ns + 1000000, out, ROOM);
-    } else {
-        skin_outbox outbox = {NULL, ROOM, 0};
-
-        outbox.frames = out;
-        for (place = 0; place < SKIN_BOARDS; place++) {
-            nodes[place].outbox = &outbox;
-            skin_send_sums(&nodes[place], now_ns);
-        }
-        sent = outbox.count;
-    }
+    sent = skin_choose(nodes, SKIN_BOARDS, now_ns, out, ROOM);
     for (place = 0; place < sent && kept < BURST; place++) {
         in[kept] = out[place];
         in[kept].flags |= (uint8_t)(drawn(5) ? SKIN_FRAME_ECHO : SKIN_FRAME_DISCARDED);

@@ -1,6 +1,6 @@
-/* An adaptive board behind the functions that CANopenNode has for dictionaries. Reads a line for each sample: whether the bus
- * is busy, what is written to 2030h, and the counts. Prints a line for each: identifier and data of every frame. The samples
- * until the board is ready make no line; then it prints the signature (2006h) and its noise (2035h).
+/* An adaptive board behind the functions that CANopenNode has for dictionaries. Reads a line for each sample: what becomes of
+ * frames, what is written to 2030h, the counter of a SYNC or 0, and the counts. Prints a line for each: identifier and data of
+ * every frame. The samples until the board is ready make no line; then it prints the signature (2006h) and its noise (2035h).
  */
 #include <stdio.h>
 #include <string.h>
@@ -9,14 +9,16 @@
 #include "OD.h"
 #include "skin_canopennode.h"
 
-static int read_sample(unsigned *is_busy, uint8_t *groups, uint16_t *counts)
+enum { FREE, LOST, HELD };
+static uint8_t held; /* TPDOs whose frames wait */
+
+static int read_sample(unsigned *fate, unsigned *is_asked, unsigned *counter, uint16_t *counts)
 {
     unsigned value, place;
 
-    if (scanf("%u", is_busy) != 1 || scanf("%u", &value) != 1) {
+    if (scanf("%u %u %u", fate, is_asked, counter) != 3) {
         return 0;
     }
-    *groups = (uint8_t)value;
     for (place = 0; place < SKIN_BLOCK_SIZE; place++) {
         if (scanf("%u", &value) != 1) {
             return 0;
@@ -52,7 +54,8 @@ static int is_flagged(uint16_t index)
 static unsigned map(unsigned number, uint8_t *data)
 {
     const OD_entry_t *mapping = OD_find(OD, (uint16_t)(0x1A00 + number));
-    unsigned length = 0, each;
+    static const uint8_t lengths[] = SKIN_FD_LENGTHS;
+    unsigned length = 0, each, place = 0;
     uint8_t count = 0;
 
     OD_get_value(mapping, 0, &count, 1, false);
@@ -67,13 +70,16 @@ static unsigned map(unsigned number, uint8_t *data)
         }
         length += (mapped & 0xFFu) / 8u;
     }
-    return length;
+    while (lengths[place] < length) {
+        place++;
+    }
+    return lengths[place];
 }
 
-static void send(unsigned number, unsigned is_busy)
+static void send(unsigned number, unsigned fate)
 {
     const uint16_t identifier = (uint16_t)(read_object((uint16_t)(0x1800 + number), 1) & 0x7FFu);
-    uint8_t data[64];
+    uint8_t data[64] = {0};
     const unsigned length = map(number, data);
     unsigned each;
 
@@ -81,44 +87,43 @@ static void send(unsigned number, unsigned is_busy)
     for (each = 0; each < length; each++) {
         printf("%02x", data[each]);
     }
-    if (is_busy) {
-        skin_app_given_up(identifier, (uint8_t)length);
-    } else {
-        skin_app_sent(identifier, 0, NULL); /* a frame of another length is none of ours */
-        skin_app_sent(identifier, (uint8_t)length, data);
+    if (fate == LOST) {
+        skin_app_dropped((uint8_t)number);
+    } else if (fate == HELD) {
+        held = (uint8_t)(held | 1u << number);
     }
 }
 
 int main(void)
 {
     uint16_t counts[SKIN_BLOCK_SIZE];
-    uint8_t groups, wrong = 0xFF;
-    unsigned is_busy, number, is_ready = 0;
+    uint8_t order = 1;
+    unsigned fate, is_asked, counter, number, is_ready = 0;
 
     if (skin_app_init()) {
         printf("the dictionary lacks an object\n");
         return 1;
     }
-    while (read_sample(&is_busy, &groups, counts)) {
+    while (read_sample(&fate, &is_asked, &counter, counts)) {
         if (!is_ready) {
             is_ready = skin_app_sample(counts) != 0;
             if (is_ready) {
                 skin_app_reset();
-                printf("%u %u %d\n", read_object(0x2006, 0), read_object(0x2035, 0),
-                       OD_set_value(OD_find(OD, 0x2030), 0, &wrong, 1, false) == ODR_INVALID_VALUE);
+                printf("%u %u\n", read_object(0x2006, 0), read_object(0x2035, 0));
             }
             continue;
         }
-        if (groups != 0) {
-            OD_set_value(OD_find(OD, 0x2030), 0, &groups, 1, false);
+        if (is_asked) {
+            OD_set_value(OD_find(OD, 0x2030), 0, &order, 1, false);
         }
         skin_app_sample(counts);
-        const uint64_t requests = skin_app_requests(1, 0, 1000000);
+        const uint8_t requests = skin_app_requests(1, (uint8_t)counter, 1000000, held);
         for (number = 0; number < OD_CNT_TPDO; number++) {
             if ((requests >> number & 1u) != 0) {
-                send(number, is_busy);
+                send(number, fate);
             }
         }
+        held = fate == HELD ? held : 0;
         printf("\n");
     }
     return 0;
