@@ -174,9 +174,7 @@ class AdaptiveGathering:
         if newest_ns > self._newest_ns:
             stamp_error_ns = health.stamp_error_ns
             self._newest_ns = newest_ns
-            self._newest_error_ns = (
-                UNKNOWN_ERROR_NS if stamp_error_ns is None else taken_ns + SAMPLE_NS + stamp_error_ns
-            )
+            self._newest_error_ns = UNKNOWN_ERROR_NS if stamp_error_ns is None else taken_ns + SAMPLE_NS + stamp_error_ns
         self._has_news |= newest_ns > NEVER_NS or health.is_down != mine.is_down
         if state.foreign_syncs[bus] > mine.followed_syncs:
             mine.followed_syncs, self._has_news = int(state.foreign_syncs[bus]), True
@@ -234,9 +232,7 @@ class AdaptiveGathering:
         for block in np.unique(self._table.block[parts]).tolist():
             node = self._contract.nodes[block]
             name = self._contract.layout.bus[node.bus].name
-            self._complain(
-                f"node {node.node_id} on {name} has other sums than the gateway: it is asked for all of them"
-            )
+            self._complain(f"node {node.node_id} on {name} has other sums than the gateway: it is asked for all of them")
 
     def take_foreign_syncs(self, bus: int) -> int:
         """Return the number of foreign SYNCs on a bus since the last call."""

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-from dbc.adaptive import coarse_step
 
 from canskin.fabric import Fabric
 from canskin.messages import GATEWAY, MEASUREMENT, BlockState, GatewayStatus, Measurement
+from dbc.adaptive import coarse_step
 from dbc.contract import Contract
 from skin.layout import Layout, load_layout
 from skin.walsh import grouped_rows, walsh_matrix

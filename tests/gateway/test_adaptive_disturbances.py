@@ -6,12 +6,12 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import numpy.typing as npt
 import pytest
-from dbc.adaptive import coarse_step
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from canskin.messages import Measurement
 from dbc import indices as od
+from dbc.adaptive import coarse_step
 from dbc.canopen import COB_ID_INVALID, COB_ID_NO_RTR, NmtCommand
 from dbc.configuration import configuration
 from dbc.contract import Contract

@@ -10,12 +10,13 @@ from dbc import indices as od
 from dbc.canopen import HEARTBEAT_BASE, SYNC_COB_ID, NmtCommand, NmtState
 from dbc.contract import Contract
 from dbc.dictionary import HEARTBEAT_MS, SILENT_AFTER_S
-from dbc.steps import KEEP_MIN, LATE_SLOTS
 from gateway.adaptive_gathering import publishing_rates
+from dbc.steps import KEEP_MIN, LATE_SLOTS
 from gateway.block_states import FRESH_NS
 from gateway.gathering import Health
 from tests.bus.harness import frame
 from tests.gateway.boards import STEP_S, BoardWorld, at_rest, known_of, lose, small_adaptive, states, sums_of
+from tests.layouts import buses
 
 DEAD, STALE, QUIET, FRESH = BlockState
 #: Time in which a node that is started or asked tells all its sums, with a SYNC that it may wait for.

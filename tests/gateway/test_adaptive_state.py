@@ -96,9 +96,7 @@ class Sender:
         since = cycle if last is None else (slot - last) % cycle
         if last is not None and not 0 < since <= cycle - self.contract.slots:
             return None  # the SYNC came late, and the number of the slot once more
-        parts = range(len(self.forms))[tpdo * len(self.forms) // len(self.tpdos) :][
-            : len(self.forms) // len(self.tpdos)
-        ]
+        parts = range(len(self.forms))[tpdo * len(self.forms) // len(self.tpdos) :][: len(self.forms) // len(self.tpdos)]
         if self.wanted[tpdo] < self.forms[parts[0]].groups:
             kind, group = "set", self.wanted[tpdo]
             self.wanted[tpdo] += 1
@@ -320,9 +318,7 @@ def test_a_silent_node_checks_and_is_forgotten_after_its_longest_silence(one: Sk
     one.until_whole()
 
 
-@pytest.mark.parametrize(
-    "late", [1, 4, 5, 100, 239, 240, LONGEST - 1, LONGEST, SLOTS - 5, SLOTS - 2, SLOTS, SLOTS + 40]
-)
+@pytest.mark.parametrize("late", [1, 4, 5, 100, 239, 240, LONGEST - 1, LONGEST, SLOTS - 5, SLOTS - 2, SLOTS, SLOTS + 40])
 def test_a_late_frame_makes_its_block_not_valid_until_one_comes_in_time(one: Skin, late: int) -> None:
     """As of a board that hangs: meanwhile it sends nothing."""
     one.go()

@@ -7,10 +7,10 @@ import canopen
 import numpy as np
 import numpy.typing as npt
 import pytest
-from dbc.adaptive import GROUP_SUMS, OTHER_CODES, coarse_value
 
 from canskin.messages import BlockState
 from dbc import indices as od
+from dbc.adaptive import GROUP_SUMS, OTHER_CODES, coarse_value
 from tests.adaptive_skin import RestingSkin, resting_skin
 
 #: A slow guest lets the nodes wait for their processor.

@@ -93,9 +93,7 @@ def test_writes_of_all_settings(contract: Contract) -> None:
 def test_slots_and_what_boards_leave_out(contract: Contract) -> None:
     """Each node has another way of sending; a bus of two nodes has the first two. SYNCs come early, late and not at all."""
     twins = AdaptiveTwins(contract)
-    for node_id, quiet, slots, offset_us in zip(
-        sorted(twins.ids), (0.0, 3.0, 0.01), (20, 7, 100), (0, 2500, 700), strict=False
-    ):
+    for node_id, quiet, slots, offset_us in zip(sorted(twins.ids), (0.0, 3.0, 0.01), (20, 7, 100), (0, 2500, 700), strict=False):
         twins.write(od.SENDING, 1, struct.pack("<f", quiet), node_id)
         twins.write(od.SENDING, 2, bytes((slots,)), node_id)
         twins.write(od.SENDING, 3, struct.pack("<I", offset_us), node_id)
