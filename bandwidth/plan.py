@@ -131,16 +131,19 @@ def plan(contract: Contract, *, allowed: Disturbance | None = None, is_touched: 
     allowed = allowed or Disturbance()
     buses = range(len(contract.layout.bus))
     if not contract.is_adaptive:
-        touched = touched_bits(contract)
-        return [plan_bus(contract, bus, touched[bus].mean(axis=0), allowed) for bus in buses]
+        bits = touched_bits(contract)
+        return [plan_bus(contract, bus, bits[bus].mean(axis=0), allowed) for bus in buses]
     kinds = [(line.fd, line.bitrate, line.data_bitrate) for line in contract.layout.bus]
     # Neighbouring patches are on different buses, so that one bus stands for all like it: the first.
     loads = {kind: touched_load(contract, kinds.index(kind)) if is_touched else None for kind in set(kinds)}
-    plans = [plan_bus(contract, bus, None, allowed) for bus in buses]
-    return [
-        replace(each, load_touched=None if loads[kind] is None else min(1.0, _idle_load(contract, bus) + loads[kind]))
-        for bus, (each, kind) in enumerate(zip(plans, kinds, strict=True))
-    ]
+    plans = []
+    for bus, kind in enumerate(kinds):
+        planned, touched = plan_bus(contract, bus, None, allowed), loads[kind]
+        if touched is not None:
+            idle = random_bus_time(traffic(contract, bus)).beats_s
+            planned = replace(planned, load_touched=min(1.0, idle + touched))
+        plans.append(planned)
+    return plans
 
 
 def touched_load(contract: Contract, bus: int) -> float | None:
@@ -155,11 +158,6 @@ def touched_load(contract: Contract, bus: int) -> float | None:
     line = contract.layout.bus[bus]
     sent = sent_of(contract, bus, load_objects(contract.layout, seed=0), TOUCHED_S)
     return float(frame_time_ns(sent, line.bitrate, line.data_bitrate).sum()) * 1e-9 / TOUCHED_S
-
-
-def _idle_load(contract: Contract, bus: int) -> float:
-    """Return the load of a bus whose boards send no sums."""
-    return random_bus_time(traffic(contract, bus)).beats_s
 
 
 def cycle_hz(layout: Layout) -> float:
