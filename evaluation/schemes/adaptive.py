@@ -70,7 +70,7 @@ class _Followed(SimulatedNodes):
         silent = np.arange(boards) * contract.keep_max // boards + 1
         state.unset[:], state.keep[:], state.slot[:] = groups, contract.keep_max, -silent % contract.slot_cycle
         sums = self._sums
-        sums.slot[:], sums._asdict()["count"][:] = np.repeat(state.slot, table.parts), COUNT - 1
+        sums.slot[:], sums.word_count[:] = np.repeat(state.slot, table.parts), COUNT - 1
         sums.newest_ns[:] = -np.repeat(silent, table.parts) * self._slots.slot_ns
         sums.missing[:] = sums.unknown[:] = 0
 
