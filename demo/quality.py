@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from canskin.errors import LayoutError, RunError
 from dbc.contract import Contract
-from dbc.frame import ECHO, frame_bytes
+from dbc.frame import ECHO, Frames, frame_bytes
 from demo.chain import REST_S, Nodes
 from demo.score import FIRST_S
 from gateway.adaptive_state import new_sums, slots_of, take_all
@@ -172,16 +172,21 @@ def _cycles(layout: Layout, source: TaxelSource, seconds: float, valid: Sequence
         yield image_n, np.frombuffer(truth.true, "<f4"), np.frombuffer(truth.sensor, "<f4")
 
 
+def heard(layout: Layout, sent: Frames, seconds: float) -> Frames:
+    """Return what a gateway hears of a bus with adaptive boards: its own SYNCs among the frames `sent`."""
+    syncs = sync_frames(layout, round(seconds * 1000))
+    syncs["flags"] |= ECHO
+    together: Frames = np.concatenate([syncs, sent])
+    return together[np.argsort(together["time_ns"], kind="stable")]
+
+
 def _news(layout: Layout, source: TaxelSource, seconds: float) -> Iterator[Moment]:
     """Yield what a receiver knows of the sums of adaptive boards at each step of a touch."""
     contract, taxels, rng = Contract.from_layout(layout), layout.taxels, np.random.default_rng(0)
     sums, slots, proven = new_sums(contract), slots_of(contract), np.ones(layout.blocks, np.bool_)
     step_ns, steps, buses = round(1e9 / step_rate_hz(layout)), round(seconds * step_rate_hz(layout)), []
     for bus in range(len(layout.bus)):
-        syncs = sync_frames(layout, round(seconds * 1000))
-        syncs["flags"] |= ECHO
-        frames = np.concatenate([syncs, touched_frames(contract, bus, source, seconds)])
-        frames = frames[np.argsort(frames["time_ns"], kind="stable")]
+        frames = heard(layout, touched_frames(contract, bus, source, seconds), seconds)
         ends = np.searchsorted(frames["time_ns"], np.arange(-1, steps) * step_ns, side="right").tolist()
         buses.append((frames, list(pairwise(ends))))
     walsh = WalshReconstructor(layout.patches(), taxels.rows, taxels.columns, NOISE_N, taxels.surface.graph)
