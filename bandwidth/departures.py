@@ -7,11 +7,10 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from bandwidth.adaptive_log import UNREFINED, SumFrames, sum_frames
-from bandwidth.adaptive_plan import AdaptiveBusPlan
 from bandwidth.measured import (
     FOREIGN,
     STATE,
+    TPDO,
     BusLoad,
     Identifiers,
     Measured,
@@ -21,24 +20,22 @@ from bandwidth.measured import (
     whole_cycles,
 )
 from bandwidth.plan import BusPlan
-from dbc.adaptive import PAUSE_MS, SendingRule
+from dbc.adaptive_filter import SAMPLE_NS
 from dbc.canopen import BASE_ID_MASK, HEARTBEAT_BASE
-from dbc.contract import Contract, Tpdo
-from dbc.dictionary import HEARTBEAT_MS, SILENT_AFTER_S
+from dbc.contract import Contract
+from dbc.dictionary import HEARTBEAT_MS, SILENT_AFTER_S, slot_offset_us
 from dbc.frame import ERROR, Frames
-from dbc.frame_bits import frame_time_ns
 from dbc.packing import COUNTER_BYTES
+from dbc.steps import LATE_SLOTS
 from skin.ranges import ranges_text
-from skin.sync_counter import next_counter
+from skin.sync_counter import SYNC_OVERFLOW, next_counter
 
 #: Largest relative difference between the mean SYNC period and the layout's.
 PERIOD_TOLERANCE = 0.01
 #: With more late nodes than this, one line names all: a single late cycle makes all nodes late.
 NAMED_AT_MOST = 4
-#: A group whose sums are not 0 is silent when its refresh is later than planned by this.
-LATE_MS: Final = 100.0
-#: How exactly a log tells when a frame began.
-CLOCK_NS: Final = 100_000
+#: A frame that ends so much before its slot, in slots, is not late by nearly all slots: boards have other clocks.
+_EARLY: Final = 0.5
 
 
 def departures(contract: Contract, bus: int, seen: Frames, parts: Sequence[Measured]) -> list[str]:
@@ -64,24 +61,16 @@ def _in_state(whole: Contract, bus: int, part: Measured) -> list[str]:
     taken, seconds = whole_cycles(seen)
     lines = [*_load(planned, load), *foreign(load), *errors(seen), *_other_state(load)]
     syncs = int(is_sync(seen).sum())
-    rest: list[str] = []
-    if isinstance(planned, BusPlan):
-        unchecked = "cycles cannot be told apart"
-        with_syncs = [*_cycles(contract, bus, taken), *_late(contract, bus, taken, planned)] if syncs > 1 else []
-    else:
-        unchecked, sums = "pauses cannot be checked", sum_frames(contract, bus, taken)
-        ended_ns = int(taken["time_ns"][0]) + round(seconds * 1e9)
-        rest = [*_unrefined(sums), *_silent(sums, planned, ended_ns)]
-        with_syncs = [*_paused(contract, bus, taken)] if syncs > 1 else []
     if syncs > 1:
-        lines += [*sync(contract, taken, seconds), *with_syncs]
+        compare = _slots if contract.is_adaptive else _cycles
+        lines += [*sync(contract, taken, seconds), *compare(contract, bus, taken, planned)]
     else:
-        lines.append(f"{'one' if syncs else 'no'} SYNC: {unchecked}")
-    lines += [*_misshapen(whole, bus, taken), *rest]
+        lines.append(f"{'one' if syncs else 'no'} SYNC: cycles cannot be told apart")
+    lines += [*_misshapen(whole, bus, taken)]
     return [f"{load.title}: {line}" for line in lines]
 
 
-def _load(planned: BusPlan | AdaptiveBusPlan, load: BusLoad) -> Iterator[str]:
+def _load(planned: BusPlan, load: BusLoad) -> Iterator[str]:
     # Requests for a state are not planned: four a second, and more at a switch.
     found = load.load_exact - sum(each.load_exact for each in load.identifiers if each.kind == STATE)
     if found > planned.load_worst:
@@ -104,7 +93,7 @@ def _other_state(load: BusLoad) -> Iterator[str]:
     """Find nodes that send the sums of the state which was not asked for."""
     if load.state is None:
         return
-    is_astray = [each.kind == Tpdo.kind and each.planned_rate_hz is None for each in load.identifiers]
+    is_astray = [each.kind == TPDO and each.planned_rate_hz is None for each in load.identifiers]
     for node in load.nodes:
         astray = [each.frames for each in compress(load.identifiers, is_astray) if each.node_id == node.node_id]
         if astray:
@@ -142,8 +131,8 @@ def counters(taken: Frames) -> Iterator[str]:
         yield f"{skips} SYNC counters do not follow each other"
 
 
-def _cycles(contract: Contract, bus: int, taken: Frames) -> Iterator[str]:
-    """Compare the TPDOs of each cycle with the planned TPDOs of its turn."""
+def _cycles(contract: Contract, bus: int, taken: Frames, planned: BusPlan) -> Iterator[str]:
+    """Compare the TPDOs of each cycle with the planned TPDOs of its turn, and their times with their bounds."""
     table = contract.table
     row = _rows(contract, bus, taken)
     counters = taken["data"][is_sync(taken), 0]
@@ -162,6 +151,33 @@ def _cycles(contract: Contract, bus: int, taken: Frames) -> Iterator[str]:
     ):
         for node in np.unique(table.node[per_row > 0]).tolist():
             yield f"node {of_node[node]}: {int(per_row[table.node == node].sum())} {what}"
+    syncs = taken["time_ns"][is_sync(taken)]
+    after_ms = (taken["time_ns"] - syncs[cycles_of(taken)]) * 1e-6
+    yield from _late(contract, bus, taken, planned, after_ms, "SYNC")
+
+
+def _slots(contract: Contract, bus: int, taken: Frames, planned: BusPlan) -> Iterator[str]:
+    """Compare the time from the sample of each frame to its end with its bound, and find boards that are silent.
+
+    A frame names its slot by 2022h, and the board samples within `SAMPLE_NS` after its place in the slot. A board is
+    silent for `Contract.keep_max` slots at most.
+    """
+    slot_s, is_mine = contract.layout.steps.slot_s, _rows(contract, bus, taken) >= 0
+    syncs = np.flatnonzero(is_sync(taken))
+    newest = taken[syncs[np.maximum(cycles_of(taken), 0)]]
+    since_s = (taken["time_ns"].astype(np.int64) - newest["time_ns"].astype(np.int64)) * 1e-9
+    slot = taken["data"][:, 0].astype(np.int64) - 1 - (newest["data"][:, 0].astype(np.int64) - 1) * contract.slots
+    age = (np.floor(since_s / slot_s + _EARLY).astype(np.int64) - slot) % SYNC_OVERFLOW
+    after_ms = 1e3 * (since_s - (np.floor(since_s / slot_s + _EARLY) - age) * slot_s)
+    ends_ns, most_s = taken["time_ns"][[0, -1]], (contract.keep_max + LATE_SLOTS) * slot_s
+    for node in contract.on_bus(bus):
+        mine = is_mine & np.isin(taken["can_id"], [tpdo.cob_id for tpdo in node.tpdos])
+        after_ms[mine] -= 1e-3 * slot_offset_us(contract, node) + SAMPLE_NS * 1e-6
+        times_ns = np.concatenate([ends_ns[:1], taken["time_ns"][mine], ends_ns[1:]]).astype(np.int64)
+        longest_s = float(np.diff(times_ns).max()) * 1e-9
+        if longest_s > most_s:
+            yield f"node {node.node_id}: no sums for {longest_s:.1f} s, a check every {most_s:.1f} s was planned"
+    yield from _late(contract, bus, taken, planned, after_ms, "its sample")
 
 
 def _rows(contract: Contract, bus: int, taken: Frames) -> npt.NDArray[np.intp]:
@@ -171,10 +187,10 @@ def _rows(contract: Contract, bus: int, taken: Frames) -> npt.NDArray[np.intp]:
     return row
 
 
-def _late(contract: Contract, bus: int, taken: Frames, planned: BusPlan) -> Iterator[str]:
-    """Compare the time from SYNC to the end of each node's TPDOs with its bound."""
-    syncs = taken["time_ns"][is_sync(taken)]
-    after_ms = (taken["time_ns"] - syncs[cycles_of(taken)]) * 1e-6
+def _late(  # noqa: PLR0917
+    contract: Contract, bus: int, taken: Frames, planned: BusPlan, after_ms: npt.NDArray[np.float64], what: str
+) -> Iterator[str]:
+    """Compare the time from SYNC, or from its sample, to the end of each node's TPDOs with its bound."""
     plain = is_plain(taken)
     late: dict[int, str] = {}
     sending = [node for node in contract.on_bus(bus) if node.tpdos]
@@ -185,7 +201,7 @@ def _late(contract: Contract, bus: int, taken: Frames, planned: BusPlan) -> Iter
         if count:
             latest_ms = float(after_ms[mine].max())
             late[node.node_id] = (
-                f"{count} TPDOs later than {bound_ms:.2f} ms after SYNC, the latest after {latest_ms:.2f} ms"
+                f"{count} TPDOs later than {bound_ms:.2f} ms after {what}, the latest after {latest_ms:.2f} ms"
             )
     if len(late) > NAMED_AT_MOST:
         last = max(late)
@@ -213,52 +229,9 @@ def _misshapen(contract: Contract, bus: int, taken: Frames) -> Iterator[str]:
         yield f"node {node_id}: {count} TPDOs have another length or format"
 
 
-def _paused(contract: Contract, bus: int, taken: Frames) -> Iterator[str]:
-    """Find sums that began in the pause after a SYNC; the frame right behind a SYNC may have been on its way."""
-    line = contract.layout.bus[bus]
-    took_ns = frame_time_ns(taken, line.bitrate, line.data_bitrate)
-    syncs = np.flatnonzero(is_sync(taken))
-    newest = syncs[np.cumsum(is_sync(taken)) - 1]
-    since_ns = taken["time_ns"].astype(np.int64) - took_ns - taken["time_ns"][newest].astype(np.int64)
-    is_early = since_ns < PAUSE_MS * 1_000_000 - CLOCK_NS
-    is_next = np.arange(len(taken)) == newest + 1
-    wrong = Identifiers(contract, bus).is_sums(taken) & is_early & ~is_next
-    for node_id, count in _by_node(contract, bus, taken[wrong]).items():
-        yield f"node {node_id}: {count} frames of sums began in the {PAUSE_MS} ms after a SYNC"
-
-
-def _unrefined(sums: SumFrames) -> Iterator[str]:
-    wrong = sums.says == UNREFINED
-    for node_id in np.unique(sums.node_id[wrong]).tolist():
-        count = int((sums.node_id[wrong] == node_id).sum())
-        yield f"node {node_id}: {count} fine frames do not refine the newest coarse frame of their group"
-
-
-def _silent(sums: SumFrames, planned: AdaptiveBusPlan, ended_ns: int) -> Iterator[str]:
-    """Find groups whose sums are not 0 and that were not sent again in time."""
-    if planned.refresh_ms is None:
-        return
-    most_ms = SendingRule().refresh_max + planned.refresh_ms + LATE_MS
-    for node_id in np.unique(sums.node_id).tolist():
-        for group in np.unique(sums.group).tolist():
-            mine = np.flatnonzero((sums.node_id == node_id) & (sums.group == group))
-            times_ns = [*sums.frames["time_ns"][mine].tolist(), ended_ns]
-            gaps_ms = [
-                (after - before) * 1e-6
-                for place, (before, after) in zip(mine, pairwise(times_ns), strict=True)
-                if not sums.is_zero[place]
-            ]
-            if max(gaps_ms, default=0.0) > most_ms:
-                who = f"node {node_id}" if sums.is_fd else f"node {node_id}: group {group}"
-                yield (
-                    f"{who} was silent for {max(gaps_ms) * 1e-3:.1f} s, "
-                    f"its sums are not 0; a frame every {most_ms * 1e-3:.1f} s was planned"
-                )
-
-
 def _by_node(contract: Contract, bus: int, wrong: Frames) -> dict[int, int]:
     """Return how many of some TPDOs each node sent."""
     nodes = (node for state in contract.states for node in state.on_bus(bus))
-    owner = {tpdo.cob_id: node.node_id for node in nodes for tpdo in node.all_tpdos}
+    owner = {tpdo.cob_id: node.node_id for node in nodes for tpdo in node.tpdos}
     senders = [owner[int(can_id)] for can_id in wrong["can_id"]]
     return {node_id: senders.count(node_id) for node_id in sorted(set(senders))}

@@ -4,14 +4,15 @@ from pathlib import Path
 
 from bandwidth.logs import listen, of_buses, read_log
 from bandwidth.measured import measure_states, misfits
-from bandwidth.sending import sending_of
+from bandwidth.sending import plan_states
+from bandwidth.tables import print_loads
 from bus.options import BusOptions, channels, closing_links, open_links
 from canskin.errors import RunError
 from dbc.contract import Contract
 from dbc.frame import Frames
 from shell.service import StopSignal, say
 from shell.skin_options import SkinOptions
-from shell.terminal import Json
+from shell.terminal import Json, print_json
 from skin.layout import Layout
 from skin.ranges import require_above_zero
 
@@ -59,13 +60,14 @@ def load(
         names = channels(skin, options)
         logged = read_log(log, lambda line: say("load", line))
         seen = of_buses(skin, names, logged, log, named_by_user=bool(options.channel))
-    sending = sending_of(contract)
-    plans = sending.plan(contract)
-    parts = {number: measure_states(contract, number, frames, plans) for number, frames in seen.items()}
-    for number, each in ((number, each) for number, found in parts.items() for each in found):
-        for line in misfits(contract, number, each.frames, each.load):
-            say("load", line)
-    sending.print_loads(contract, parts, as_json=json_)
+    plans = plan_states(contract)
+    loads = []
+    for number, frames in seen.items():
+        for each in measure_states(contract, number, frames, plans):
+            loads.append(each.load)
+            for line in misfits(contract, number, each.frames, each.load):
+                say("load", line)
+    print_json({"buses": loads}) if json_ else print_loads(loads)
 
 
 def _listen(layout: Layout, options: BusOptions, seconds: float) -> dict[int, Frames]:

@@ -8,8 +8,7 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from bandwidth.adaptive_plan import AdaptiveBusPlan
-from bandwidth.plan import BusPlan
+from bandwidth.plan import BusPlan, cycle_hz
 from canskin.errors import InputError
 from dbc.canopen import (
     BASE_ID_MASK,
@@ -35,6 +34,8 @@ FOREIGN: Final = "foreign"
 OTHER_DEVICE: Final = "other device"
 #: Kind of the identifier that asks nodes for a state.
 STATE: Final = "state"
+#: Kind of the identifiers of sums.
+TPDO: Final = "TPDO"
 #: With a larger part of unknown frames, a bus does not fit the layout.
 MISFIT_RATIO: Final = 0.2
 
@@ -108,24 +109,22 @@ class Measured(NamedTuple):
         Place of the state in `Contract.states`.
     frames : array of FRAME
         Of the cycles of this state, one after the other, and a last SYNC: times run as if there were no other cycles.
-    plan : BusPlan or AdaptiveBusPlan
+    plan : BusPlan
     load : BusLoad
     """
 
     state: int
     frames: Frames
-    plan: BusPlan | AdaptiveBusPlan
+    plan: BusPlan
     load: BusLoad
 
 
-def measure_states(
-    contract: Contract, bus: int, seen: Frames, plans: Sequence[BusPlan] | Sequence[AdaptiveBusPlan]
-) -> list[Measured]:
+def measure_states(contract: Contract, bus: int, seen: Frames, plans: Sequence[BusPlan]) -> list[Measured]:
     """Measure bus number `bus` in each state that was seen; see `measure`.
 
     Parameters
     ----------
-    plans : sequence of BusPlan or AdaptiveBusPlan
+    plans : sequence of BusPlan
         Of all buses in the first of `Contract.states`, then of all buses in the second.
     """
     parts = [(0, seen)]
@@ -193,7 +192,7 @@ def whole_cycles(seen: Frames) -> tuple[Frames, float]:
     return real[first:last], seconds
 
 
-def measure(contract: Contract, bus: int, seen: Frames, planned: BusPlan | AdaptiveBusPlan, state: int = 0) -> BusLoad:
+def measure(contract: Contract, bus: int, seen: Frames, planned: BusPlan, state: int = 0) -> BusLoad:
     """Measure the load of bus number `bus`; raise InputError if there is too little, or CAN FD that is not planned.
 
     Parameters
@@ -259,7 +258,8 @@ def planned_rates(contract: Contract, bus: int) -> dict[tuple[int, bool], float]
         rates[TIME_COB_ID] = 1 / contract.layout.sync.time_s
     for node in contract.on_bus(bus):
         rates[HEARTBEAT_BASE + node.node_id] = 1000 / HEARTBEAT_MS
-        rates |= {tpdo.cob_id: rate_hz / contract.turns for tpdo in node.tpdos}
+        if contract.layout.sends.in_cycles or contract.layout.steps.quiet == 0:
+            rates |= {tpdo.cob_id: cycle_hz(contract.layout) / contract.turns for tpdo in node.tpdos}
     others = {each.key: 1 / each.period_s for each in contract.layout.bus[bus].foreign if each.period_s is not None}
     return {(cob_id, False): each_hz for cob_id, each_hz in rates.items()} | others
 
@@ -277,8 +277,8 @@ class Identifiers:
         self._length, self._flags = np.zeros((2, BASE_ID_MASK + 1), np.uint8)
         self._is_sums = np.zeros(BASE_ID_MASK + 1, np.bool_)
         for node in (each for state in contract.states for each in state.on_bus(bus)):
-            for tpdo in node.all_tpdos:
-                self._kinds[tpdo.cob_id] = tpdo.kind, node.node_id
+            for tpdo in node.tpdos:
+                self._kinds[tpdo.cob_id] = TPDO, node.node_id
                 self._length[tpdo.cob_id], self._flags[tpdo.cob_id] = tpdo.length, node.flags & (FD | BRS)
                 self._is_sums[tpdo.cob_id] = True
 

@@ -8,10 +8,9 @@ from typing import Final, Literal
 
 import msgspec
 
-from bandwidth.adaptive_plan import plan_adaptive, touched_load
 from bandwidth.alternatives import BLOCKS_PER_NODE, FD_BITRATES, with_averages, with_buses
 from bandwidth.highest_rate import highest_rate_hz
-from bandwidth.plan import bus_time
+from bandwidth.plan import bus_time, plan_bus, touched_load
 from bandwidth.response import UNBOUNDED
 from bandwidth.traffic import Disturbance, traffic
 from canskin.errors import InputError, LayoutError
@@ -113,7 +112,7 @@ def nearly_square(count: int) -> Taxels:
 class Candidate:
     """A layout that was tried; fields ``missing_…`` tell what it lacks: 0 for nothing, None if unknown.
 
-    `load_touched` and `coarse_ms` are of adaptive sums, see `bandwidth.adaptive_plan.AdaptiveBusPlan`.
+    `load_touched` and `late_random_ms` are of adaptive sums, see `bandwidth.plan.BusPlan`.
     """
 
     sending: SendingName
@@ -130,7 +129,7 @@ class Candidate:
     missing_window_ms: float | None = None
     problem: str | None = None
     load_touched: float | None = None
-    coarse_ms: float | None = None
+    late_random_ms: float | None = None
 
     @property
     def fits(self) -> bool:
@@ -151,8 +150,9 @@ class Candidate:
         """The load of each bus as text."""
         if self.load_touched is None:
             return f"each bus {self.load_worst or 0:.1%} full at worst"
-        late = f"full when everything moves, with coarse sums within {self.coarse_ms or 0:.0f} ms"
-        return f"each bus {self.load_touched:.1%} full under simulated touches, {late}"
+        late = "" if self.late_random_ms is None else f", frames end within {self.late_random_ms:.1f} ms"
+        moved = f"{self.load_worst or 0:.1%} at worst when everything moves{late}"
+        return f"each bus {self.load_touched:.1%} full under simulated touches, {moved}"
 
 
 @dataclass(frozen=True)
@@ -322,11 +322,11 @@ def _judge_cycles(about: Candidate, contract: Contract, required: Requirement, a
 
 
 def _judge_news(about: Candidate, contract: Contract, required: Requirement, allowed: Disturbance) -> Candidate:
-    plan, *_ = plan_adaptive(contract, allowed=allowed, is_touched=False)
-    about = replace(about, load_worst=plan.load_worst, coarse_ms=plan.coarse_ms)
+    plan = plan_bus(contract, 0, None, allowed)
+    about = replace(about, load_worst=plan.load_worst, late_random_ms=plan.late_random_ms)
     if plan.problems:
         return replace(about, problem="; ".join(plan.problems))
-    load = plan.load_idle_worst + (touched_load(contract, 0) or 0.0)
+    load = (plan.load_rest or 0.0) + (touched_load(contract, 0) or 0.0)
     missing_bits = max(0.0, (load - required.budget) * plan.bitrate)
     lacks = _lacks(missing_bits, load, 0.0, 0.0)
     return replace(about, load_touched=load, missing_bits_per_s=missing_bits, problem=", ".join(lacks) or None)

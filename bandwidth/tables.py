@@ -4,8 +4,6 @@ import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Final
 
-from bandwidth.adaptive_log import AdaptiveLoad
-from bandwidth.adaptive_plan import AdaptiveBusPlan, BudgetPlan
 from bandwidth.alternatives import Alternative
 from bandwidth.measured import BusLoad
 from bandwidth.plan import BusPlan
@@ -73,7 +71,7 @@ def _print_identifiers(load: BusLoad) -> None:
     print_table(headings, rows, title=load.title)
 
 
-def _print_foreign(plans: Sequence[BusPlan] | Sequence[AdaptiveBusPlan]) -> None:
+def _print_foreign(plans: Sequence[BusPlan]) -> None:
     """Print the messages of other devices, and how long the skin may delay them."""
     rows = [
         [
@@ -91,7 +89,7 @@ def _print_foreign(plans: Sequence[BusPlan] | Sequence[AdaptiveBusPlan]) -> None
         print_table(["bus", "message of another device", "COB-ID", "period, ms", "end at worst, ms"], rows)
 
 
-def print_problems(plans: Sequence[BusPlan] | Sequence[AdaptiveBusPlan]) -> None:
+def print_problems(plans: Sequence[BusPlan]) -> None:
     """Print why buses do not fit."""
     for plan in plans:
         for problem in plan.problems:
@@ -177,74 +175,40 @@ def percent(value: float | None) -> str:
     return "-" if value is None else f"{value:.1%}"
 
 
-def print_adaptive_plan(plans: Sequence[AdaptiveBusPlan]) -> None:
-    """Print a plan: a column per bus, the nodes' waits, the problems."""
+def print_slot_plan(plans: Sequence[BusPlan]) -> None:
+    """Print a plan of adaptive boards: a column per bus, the nodes' response times, the problems."""
     rows = {
         "nodes": [str(each.nodes) for each in plans],
-        "load, idle / touched": [f"{percent(each.load_idle)} / {percent(each.load_touched)}" for each in plans],
-        "load, everything moves": [percent(each.load_worst) for each in plans],
-        "groups that fill the bus, a frame every ms": [str(each.groups_fill) for each in plans],
-        "coarse sums, everything moves, at worst, ms": [ms(each.coarse_ms) for each in plans],
-        "refresh, everything moves, at worst, ms": [ms(each.refresh_ms) for each in plans],
-        "SDO response, everything moves, at worst, ms": [ms(each.sdo_response_ms) for each in plans],
-        "heartbeat, everything moves, at worst, ms": [ms(each.heartbeat_response_ms) for each in plans],
-        "all coarse / all fine after rest, at worst, ms": [
-            f"{ms(each.settled_coarse_ms)} / {ms(each.settled_fine_ms)}" for each in plans
+        "slot, ms": [f"{each.window_ms:.2f}" for each in plans],
+        "load, at rest / touched": [f"{percent(each.load_rest)} / {percent(each.load_touched)}" for each in plans],
+        "load of all slots, random bits / worst": [
+            f"{percent(each.load_random)} / {percent(each.load_worst)}" for each in plans
         ],
-        "all sums after a gateway joins, nothing / everything moves, ms": [
-            f"{ms(each.joined_still_ms)} / {ms(each.joined_ms)}" for each in plans
+        "shortest slot for all boards, random bits / worst, ms": [
+            f"{_slot_ms(each.max_rate_hz_random)} / {_slot_ms(each.max_rate_hz_worst)}" for each in plans
         ],
-        "budget of a node for a load of 80 %, bit/s": [str(each.budget_80_bits_per_s) for each in plans],
+        "sample to end of frame, random bits / worst, ms": [
+            f"{ms(each.late_random_ms)} / {ms(each.window_needed_ms)}" for each in plans
+        ],
+        "SDO response at worst, ms": [ms(each.sdo_response_ms) for each in plans],
+        "heartbeat at worst, ms": [ms(each.heartbeat_response_ms) for each in plans],
         "receive buffer, frames / bytes": [
             f"{each.receive_buffer_frames} / {each.receive_buffer_bytes}" for each in plans
         ],
     }
-    budgets = [each.budget for each in plans if each.budget is not None]
-    if budgets:
-        rows |= _budget_rows(budgets)
     print_table(["", *(each.name for each in plans)], [[name, *cells] for name, cells in rows.items()])
-    print("\ncoarse sums of each node while everything moves, at worst, ms:")
+    print("\nsample to end of frame of each node while all boards send, at worst, ms:")
     _print_wrapped(
-        _node_lines({each.name: [(node.node_id, node.coarse_ms) for node in each.node_plans] for each in plans})
+        _node_lines({each.name: [(node.node_id, node.response_ms) for node in each.node_plans] for each in plans})
     )
+    full = [each.name for each in plans if each.load_worst > 1 and not each.problems]
+    if full:
+        print(
+            f"\nwhile all boards of {', '.join(full)} send, boards may leave slots out, those with high node-IDs first"
+        )
     _print_foreign(plans)
     print_problems(plans)
 
 
-def _budget_rows(budgets: Sequence[BudgetPlan]) -> dict[str, list[str]]:
-    given = f"with {budgets[0].bits_per_s} bit/s for each node:"
-    return {
-        f"{given} load": [percent(each.load) for each in budgets],
-        "  bus full for at most, ms": [ms(each.full_ms) for each in budgets],
-        "  coarse sums, everything moves, ms": [ms(each.coarse_ms) for each in budgets],
-        "  fine sums of a node at rest, ms": [ms(each.fine_ms) for each in budgets],
-    }
-
-
-def print_adaptive_loads(loads: Sequence[AdaptiveLoad]) -> None:
-    """Print measured loads beside the plan, and the frames of each bus by kind and level, and by node."""
-    _print_measured([each.bus for each in loads])
-    for each in loads:
-        print()
-        _print_levels(each)
-
-
-def _print_levels(load: AdaptiveLoad) -> None:
-    rows = [
-        [f"{each.kind}, level {each.level}", each.frames, number(each.rate_hz, 1), f"{each.load_exact:.3%}"]
-        for each in load.levels
-    ]
-    others: dict[str, list[float]] = {}
-    for each in load.bus.identifiers:
-        if each.kind not in {"coarse", "fine"}:
-            total = others.setdefault(each.kind, [0, 0.0, 0.0])
-            for place, part in enumerate((each.frames, each.rate_hz, each.load_exact)):
-                total[place] += part
-    rows += [[kind, int(count), number(rate_hz, 1), f"{share:.3%}"] for kind, (count, rate_hz, share) in others.items()]
-    print_table(["kind", "frames", "a second", "load"], rows, title=load.bus.name)
-    shares = [
-        [each.node_id, each.news, each.again, each.fine, each.unrefined, each.heartbeats, f"{each.load_exact:.3%}"]
-        for each in load.nodes
-    ]
-    headings = ["node", "coarse, new", "coarse, again", "fine", "fine, unrefined", "heartbeats", "load"]
-    print_table(headings, shares)
+def _slot_ms(rate_hz: float) -> str:
+    return ms(1e3 / rate_hz if rate_hz else None)

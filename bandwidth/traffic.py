@@ -9,7 +9,15 @@ import numpy.typing as npt
 from cyclopts import Parameter
 
 from bandwidth.response import blocking_ns, response_times_ns
-from dbc.canopen import HEARTBEAT_BASE, SDO_REQUEST_BASE, SDO_RESPONSE_BASE, TIME_COB_ID, NmtState
+from dbc.adaptive_filter import SAMPLE_NS
+from dbc.canopen import (
+    HEARTBEAT_BASE,
+    SDO_REQUEST_BASE,
+    SDO_RESPONSE_BASE,
+    SYNC_COB_ID,
+    TIME_COB_ID,
+    NmtState,
+)
 from dbc.contract import Contract
 from dbc.dictionary import HEARTBEAT_MS
 from dbc.frame import BRS, CLASSIC_BYTES, EXTENDED, FD, Frames, frames
@@ -21,7 +29,7 @@ from skin.ranges import require_number
 
 #: Upper limit of both rates: more than the frames per second of a classic bus.
 PER_SECOND_MAX: Final = 20_000.0
-#: Jitter of adaptive boards, which answer no SYNC.
+#: Longest time from a sample of an adaptive board until the board has queued its frame.
 ADAPTIVE_JITTER_S: Final = 100e-6
 #: Any instant, for the TIME of a plan: stuff bits of its data hardly differ from day to day.
 _ANY_NS: Final = 1_750_000_000 * 10**9
@@ -38,7 +46,7 @@ class Disturbance:
     ----------
     jitter_s : float
         Response times: time from SYNC until the slowest node has queued its TPDOs, seconds. Default: `device.jitter_s`
-        of the layout; of adaptive boards 0.0001.
+        of the layout; of adaptive boards 0.0001, from the sample.
     sdo_per_s : float
         Response times: SDO transfers per second, each a request and a response of 8 bytes.
     errors_per_s : float
@@ -63,7 +71,7 @@ class Disturbance:
 
 @dataclass(frozen=True, eq=False)
 class Traffic:
-    """The frames of one bus in cycles of one turn.
+    """The frames of one bus in cycles of one turn, or in slots.
 
     Attributes
     ----------
@@ -74,7 +82,7 @@ class Traffic:
     node : array of int, shape (n,)
         Sender's node-ID; 0 is the gateway.
     is_cyclic, is_tpdo, is_heartbeat, is_sdo_response : array of bool, shape (n,)
-        Cyclic are SYNC and the TPDOs.
+        Cyclic are SYNC and the TPDOs; of adaptive boards, whose cycles are their slots, the TPDOs.
     foreign : tuple of ForeignMessage or None, length n
         The messages of other devices; None for streams of the skin.
     """
@@ -107,9 +115,9 @@ class Traffic:
 
     @property
     def has_own_period(self) -> npt.NDArray[np.bool_]:
-        """Which streams come at a rate of their own, whatever that of SYNC: heartbeats, TIME, other devices."""
-        is_time: npt.NDArray[np.bool_] = self.frames["can_id"] == TIME_COB_ID
-        return self.is_heartbeat | is_time | self.is_foreign
+        """Which streams come at a rate of their own, whatever that of cycles: heartbeats, TIME, other devices."""
+        is_ours: npt.NDArray[np.bool_] = (self.frames["can_id"] == TIME_COB_ID) | (self.frames["can_id"] == SYNC_COB_ID)
+        return self.is_heartbeat | (is_ours & ~self.is_cyclic) | self.is_foreign
 
     @property
     def is_sdo_response(self) -> npt.NDArray[np.bool_]:
@@ -162,12 +170,16 @@ def traffic(contract: Contract, bus: int, turn: int = 0, allowed: Disturbance | 
     others = [each for each in line.foreign if each.period_s is not None]
     sdo_s = 1 / allowed.sdo_per_s if allowed.sdo_per_s else 1.0
     periods = contract.layout.sync.period_s, sdo_s, HEARTBEAT_MS * 1e-3, time_s or 1.0
-    cyclic = np.repeat([True, False, False, False], sizes)
+    period_s, cyclic = np.repeat(periods, sizes), np.repeat([True, False, False, False], sizes)
     senders = [owner.get(int(can_id), 0) for can_id in cycle["can_id"]]
     node = np.array(
         [*senders, *[last, 0][: len(transfers)], *(each.node_id for each in nodes), *[0][: len(times)]], np.intp
     )
-    is_tpdo = cyclic & (node > 0)
+    is_tpdo, jitter_s = cyclic & (node > 0), allowed.jitter_s or 0.0
+    if contract.is_adaptive:
+        # A board looks for its slot when it has taken a sample.
+        cyclic, jitter_s = is_tpdo, jitter_s + SAMPLE_NS * 1e-9
+        period_s[is_tpdo] = contract.layout.steps.slot_s
     known = [None] * len(streams) + others
     streams = np.concatenate([streams, _foreign_frames(others, line)])
     ranks = [float(each["can_id"]) if whose is None else whose.rank for each, whose in zip(streams, known, strict=True)]
@@ -176,8 +188,8 @@ def traffic(contract: Contract, bus: int, turn: int = 0, allowed: Disturbance | 
     return Traffic(
         bus=line,
         frames=streams[order],
-        period_s=np.concatenate([np.repeat(periods, sizes), [each.period_s for each in others]])[order],
-        jitter_s=np.concatenate([np.where(is_tpdo, allowed.jitter_s or 0.0, 0.0), more])[order],
+        period_s=np.concatenate([period_s, [each.period_s for each in others]])[order],
+        jitter_s=np.concatenate([np.where(is_tpdo, jitter_s, 0.0), more])[order],
         node=np.concatenate([node, more])[order],
         is_cyclic=np.concatenate([cyclic, more > 0])[order],
         is_tpdo=np.concatenate([is_tpdo, more > 0])[order],

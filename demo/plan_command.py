@@ -6,10 +6,9 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from bandwidth.adaptive_plan import AdaptiveBusPlan
 from bandwidth.bit_timing import TimingOptions, bus_timings, print_timings
 from bandwidth.plan import BusPlan
-from bandwidth.sending import sending_of
+from bandwidth.sending import facts, plan_states, print_plans
 from bandwidth.traffic import Disturbance
 from bandwidth.wiring import wiring
 from bus.options import BusOptions, Channels, channels
@@ -30,7 +29,6 @@ def plan(
     check: Path | None = None,
     channel: Channels | None = None,
     plot: Path | None = None,
-    node_budget: int = 0,
     disturbance: Disturbance | None = None,
     quality: Annotated[bool, Parameter(negative=())] = False,
     timing: Annotated[bool, Parameter(negative=())] = False,
@@ -53,8 +51,6 @@ def plan(
         ``--timing`` the network interface of each bus, by default can0 and the next.
     plot
         Folder for ``cycle.png``, the time line of one cycle.
-    node_budget
-        Adaptive sending: bits a second that each node may send (object 2034h); 0 for no budget.
     disturbance
         Disturbances that response times include.
     quality
@@ -72,14 +68,12 @@ def plan(
     skin plan palm.toml --plot pictures
     skin plan palm.toml --check candump-2026-11-20_120000.log
     skin plan palm.toml --quality
-    skin plan adaptive --node-budget 24000
+    skin plan adaptive
     skin plan fd --timing --clock-hz 40000000 --bus-length-m 5
     """
     skin = load_layout(layout)
-    if timing and (check is not None or plot is not None or node_budget or quality):
-        raise InputError(
-            "expected --timing, --check, --plot, --quality or --node-budget, got --timing with another of them"
-        )
+    if timing and (check is not None or plot is not None or quality):
+        raise InputError("expected --timing, --check, --plot or --quality, got --timing with another of them")
     if channel and not timing and check is None:
         raise InputError("--channel is for --check and --timing: the plan of a layout needs no channels")
     if timing:
@@ -87,12 +81,10 @@ def plan(
     if controllers is not None:
         raise InputError("--clock-hz, --bus-length-m and --loop-delay-ns are for --timing")
     contract = Contract.from_layout(skin)
-    allowed, sending = (disturbance or Disturbance()).of(contract.layout), sending_of(contract)
-    if node_budget:
-        require_sending(contract.layout, "adaptive", "--node-budget is", "the nodes of this layout send in every cycle")
+    allowed = (disturbance or Disturbance()).of(contract.layout)
     if plot is not None:
         require_sending(contract.layout, "synchronous", "--plot is", "it draws cycles, and adaptive nodes send none")
-    plans = sending.plan(contract, allowed, node_budget=node_budget, is_touched=check is None)
+    plans = plan_states(contract, allowed, is_touched=check is None)
     if check is not None:
         return _check(contract, plans, check, channel or [], as_json=json_)
     if plot is not None:
@@ -104,7 +96,7 @@ def plan(
     scan = scan_words(skin)
     words = chosen(skin, layout_tables(layout)[0])
     if json_:
-        facts = {
+        about = {
             "name": contract.layout.name,
             "sync_rate_hz": contract.layout.sync.rate_hz,
             "taxels": contract.layout.taxels.there,
@@ -117,9 +109,9 @@ def plan(
             "scan": scan,
             "quality": [each._asdict() for each in images],
         }
-        print_json(facts | sending.facts(contract, plans, allowed))
+        print_json(about | facts(contract, plans, allowed))
     else:
-        sending.print_plan(contract, plans, allowed)
+        print_plans(contract, plans, allowed)
         predicted = (f"images of simulated touches: {each.words}" for each in images)
         print("", wiring(contract.layout), *predicted, *words, *[scan] * bool(scan), sep="\n")
     return int(not does_fit)
@@ -144,7 +136,7 @@ def _timing(layout: Layout, names: list[str], options: TimingOptions, *, as_json
 
 def _check(
     contract: Contract,
-    plans: Sequence[BusPlan] | Sequence[AdaptiveBusPlan],
+    plans: Sequence[BusPlan],
     log: Path,
     names: list[str],
     *,

@@ -14,13 +14,12 @@ from bandwidth.plan import random_bus_time
 from bandwidth.traffic import traffic
 from canskin.errors import LayoutError, RunError
 from canskin.messages import Image
-from dbc.adaptive import column_of
 from dbc.contract import Contract
-from dbc.frame import frame_bytes
+from dbc.frame import ECHO, Frames, frame_bytes
 from demo.chain import REST_S, Nodes
 from demo.score import FIRST_S
-from gateway.adaptive_state import new_sums, take_all
-from nodes.adaptive.simulated import touched_frames
+from gateway.adaptive_state import new_sums, slots_of, take_all
+from nodes.adaptive.simulated import sync_frames, touched_frames
 from reconstructor.imaging import CycleImager
 from reconstructor.walsh import WalshReconstructor
 from skin.ground_truth import LATENESS_NS, image_pairs, in_contact
@@ -197,23 +196,29 @@ def _late_ns(layout: Layout) -> int:
     return round(max(random_bus_time(traffic(contract, *each)).cycle_s for each in lines) * 1e9) + LATENESS_NS
 
 
+def heard(layout: Layout, sent: Frames, seconds: float) -> Frames:
+    """Return what a gateway hears of a bus with adaptive boards: its own SYNCs among the frames `sent`."""
+    syncs = sync_frames(layout, round(seconds * 1000))
+    syncs["flags"] |= ECHO
+    together: Frames = np.concatenate([syncs, sent])
+    return together[np.argsort(together["time_ns"], kind="stable")]
+
+
 def _news(layout: Layout, source: TaxelSource, seconds: float) -> Iterator[Moment]:
     """Yield what a receiver knows of the sums of adaptive boards at each step of a touch."""
     contract, taxels, rng = Contract.from_layout(layout), layout.taxels, np.random.default_rng(0)
-    sums = new_sums(layout.blocks, layout.groups)
-    proven, has_news = np.ones(layout.blocks, np.bool_), np.zeros((layout.blocks, layout.groups), np.bool_)
+    sums, slots, proven = new_sums(contract), slots_of(contract), np.ones(layout.blocks, np.bool_)
     step_ns, steps, buses = round(1e9 / step_rate_hz(layout)), round(seconds * step_rate_hz(layout)), []
-    for bus, line in enumerate(layout.bus):
-        mine = slice(layout.first_block(bus), layout.first_block(bus) + line.nodes)
-        columns = [column_of(each, layout.groups, is_fd=line.fd) for each in line.ids]
-        frames = touched_frames(contract, bus, source, seconds)
+    for bus in range(len(layout.bus)):
+        frames = heard(layout, touched_frames(contract, bus, source, seconds), seconds)
         ends = np.searchsorted(frames["time_ns"], np.arange(-1, steps) * step_ns, side="right").tolist()
-        buses.append((line.fd, mine, sums.of(mine, columns), frames, list(pairwise(ends))))
+        buses.append((frames, list(pairwise(ends))))
     walsh = WalshReconstructor(layout.patches(), taxels.rows, taxels.columns, NOISE_N, taxels.surface.graph)
     for step in range(steps):
-        for is_fd, mine, of_bus, frames, parts in buses:
-            rows = frame_bytes(frames[slice(*parts[step])])
-            take_all(rows, False, contract.law, proven[mine], of_bus, has_news[mine], is_fd)
+        for bus, (frames, parts) in enumerate(buses):
+            take_all(frame_bytes(frames[slice(*parts[step])]), bus, proven, slots, contract.parts, sums)
         true_n = source.frame(step).force_n.ravel()
         sensor_n = to_counts(sense(true_n, rng, NOISE_N, taxels.force_max_n), taxels) * taxels.newton_per_count
-        yield walsh.solve(sums.value_n.astype(np.float32)).ravel(), true_n, sensor_n.astype(np.float32)
+        known = np.concatenate([part[:held] for part, held in zip(sums.known, contract.parts.form[:, 0], strict=True)])
+        sums_n = (known * contract.unit_n).astype(np.float32).reshape(layout.blocks, -1)
+        yield walsh.solve(sums_n).ravel(), true_n, sensor_n.astype(np.float32)

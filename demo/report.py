@@ -1,6 +1,5 @@
 """The figures of a run, as a value for programs and as rows of a table."""
 
-import math
 from typing import Final, NamedTuple
 
 import msgspec
@@ -120,10 +119,10 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
         Cycles with contact; adaptive: true forces with contact, 100 a second.
     latency_ms : Percentiles
         Time from SYNC to the published image; adaptive: from the end of the newest frame that is in the image. The
-        sample of that frame is older by at most `sample_age_ms`.
+        sample of that frame is older by `sample_age_ms`.
     sample_age_ms : float or None
-        Adaptive: bound of the age of a sample at the end of its frame, of the bus with the longest frames. None with
-        synchronous sending.
+        Adaptive: age of the samples of these frames at the ends of the frames, by their slots; 99 % are not older. None
+        with synchronous sending.
     bus_sampling_error_us, sampling_error_us, sent_error_us : Percentiles
         Distance of the sampling instant in the measurements from that of the nodes: by the time stamp of the SYNC on
         their bus; by the mean over the buses; without time stamps, by the send call. None with adaptive sending.
@@ -223,7 +222,7 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
         if latency.p50 is not None and latency.p99 is not None:
             within = f"{latency.p50:.1f} ms, 99 % within {latency.p99:.1f} ms"
             if self.sample_age_ms is not None:
-                within += f"; samples are up to {math.ceil(self.sample_age_ms * 10) / 10:g} ms older than their frames"
+                within += f"; 99 % of samples are up to {self.sample_age_ms:.1f} ms older than their frames"
             rows.append((words.latency, within))
         if self.bus_sampling_error_us.p99 is not None:
             bus_us, mean_us, sent_us = (

@@ -14,8 +14,16 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from canskin.messages import CycleMeasurement, GatewayStatus, Image, Label, Measurement, NodesStatus, Truth
-from dbc.contract import sample_age_ns
+from canskin.messages import (
+    UNKNOWN_ERROR_NS,
+    CycleMeasurement,
+    GatewayStatus,
+    Image,
+    Label,
+    Measurement,
+    NodesStatus,
+    Truth,
+)
 from demo.report import NodeMissing, Percentiles, Report
 from demo.state_score import StateScore
 from skin.ground_truth import ImagePairs, LabelPairs, Pairing, image_pairs, in_contact, label_pairs
@@ -64,6 +72,8 @@ class Score:
         virtual nodes of all buses sample at the SYNC that they receive first; of `Measurement.sampled_mono_ns`, the
         mean over the buses; of `CycleMeasurement.sent_mono_ns`. One entry per `CycleMeasurement`, of the last
         `HISTORY`.
+    sample_age_ms : deque of float
+        Adaptive: how much older than its end the sample of that frame is at most, of the last `HISTORY`.
     named_contacts : int
         Truths with contact and a named object.
     labelled, labelled_right : int
@@ -83,6 +93,7 @@ class Score:
     bus_sampling_error_us: deque[float] = field(default_factory=_newest)
     sampling_error_us: deque[float] = field(default_factory=_newest)
     sent_error_us: deque[float] = field(default_factory=_newest)
+    sample_age_ms: deque[float] = field(default_factory=_newest)
     contact_cycles: int = 0
     named_contacts: int = 0
     labelled: int = 0
@@ -148,6 +159,8 @@ class Score:
             # An image without any new sum, of a skin with nothing to send, has no latency.
             if image.valid_sums and image.sampled_mono_ns != self._newest_ns:
                 self.latency_ms.append((image.published_mono_ns - image.sampled_mono_ns) * 1e-6)
+                if not self.layout.sends.in_cycles and image.sampled_error_ns != UNKNOWN_ERROR_NS:
+                    self.sample_age_ms.append(image.sampled_error_ns * 1e-6)
             self._newest_ns = image.sampled_mono_ns
             for shown, truth in self._images.take(image):
                 self._compare(shown, truth)
@@ -229,12 +242,6 @@ class Score:
         bits = (load * bus.bitrate for load, bus in zip(loads, self.layout.bus, strict=False))
         return round(sum(bits) / 1000, 1)
 
-    def _sample_age_ms(self) -> float | None:
-        """Return the bound of the age of an adaptive sample at the end of its frame."""
-        if self.layout.sends.in_cycles:
-            return None
-        return round(max(sample_age_ns(bus, self.layout.groups) for bus in self.layout.bus) * 1e-6, 3)
-
     def report(self) -> Report:
         """Return the figures of the run so far."""
         gateway = self.gateway
@@ -262,7 +269,7 @@ class Score:
             label_accuracy=self.labelled_right / contacts if self.labelled else None,
             labelled_ratio=self.labelled / contacts if contacts else None,
             latency_ms=_percentiles(self.latency_ms),
-            sample_age_ms=self._sample_age_ms(),
+            sample_age_ms=_percentiles(self.sample_age_ms).p99,
             bus_sampling_error_us=_percentiles(self.bus_sampling_error_us),
             sampling_error_us=_percentiles(self.sampling_error_us),
             sent_error_us=_percentiles(self.sent_error_us),

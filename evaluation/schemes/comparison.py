@@ -21,14 +21,18 @@ from evaluation.schemes.schemes import (
     Sums,
     measure_scheme,
 )
+from skin.layout import Steps
 from skin.sources import object_label
 
 OURS: Final = Adaptive()
+#: Slots that are too short for all boards at once, and the threshold with which the slides take as many bits.
+FAST: Final = Adaptive(steps=Steps(slot_s=0.0025, quiet=0.16))
 #: Thresholds in newtons that events are tried with.
 EVENTS: Final = tuple(map(FilteredEvents, (0.2e-3, 0.3e-3, 0.5e-3, 0.8e-3)))
 SCHEMES: Final[tuple[Scheme, ...]] = (
     OURS,
     Adaptive(is_fd=True),
+    FAST,
     Sums(),
     BEST_SCAN,
     AVERAGED_SCAN,

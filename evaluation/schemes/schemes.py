@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
+from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -19,7 +20,7 @@ from evaluation.schemes.scenes import NEWTON_PER_COUNT, SIDE, Scene, Touch
 from evaluation.schemes.sums import run_sums
 from evaluation.schemes.wire import Nanoseconds, Sent, lines_of
 from reconstructor.walsh import LIMIT_RATIO
-from skin.layout import load_layout
+from skin.layout import Layout, Steps, load_layout, validated
 
 FD_BITRATE: Final = 5_000_000
 #: Bits of a value of a scan of raw samples: the converter's.
@@ -31,6 +32,7 @@ TRIAL_HZ: Final = 20.0
 #: The bits of adaptive sums: what they take under the five slides, in the mean, with the paper's meshes.
 ADAPTIVE_KBIT_PER_S: Final = 460.0
 
+_STEPS: Final = Steps()
 
 #: Receivers: of our schemes, and of values that are shown as they came.
 OURS: Final = "ours"
@@ -78,21 +80,29 @@ class Shown:
 class Adaptive:
     """Adaptive sums: one setting for every touch; noise is learned from the idle skin.
 
-    `is_fd`: on CAN FD buses of 1 and 5 Mbit/s in place of classic ones.
+    Attributes
+    ----------
+    is_fd : bool
+        On CAN FD buses of 1 and 5 Mbit/s in place of classic ones.
+    steps : Steps
+        When boards send.
     """
 
     is_fd: bool = False
+    steps: Steps = _STEPS
 
     @property
     def name(self) -> str:
         """What it is called in a table."""
-        return "adaptive sums" + (", CAN FD" if self.is_fd else "")
+        slots = "" if self.steps == _STEPS else f", {1e3 * self.steps.slot_s:g} ms, {self.steps.quiet:g}"
+        return "adaptive sums" + (", CAN FD" if self.is_fd else "") + slots
 
     def show(self, board: Board) -> Shown:
         """Send the news of `board`, with whatever bits they take."""
         lines = [replace(line, fd=True, data_bitrate=FD_BITRATE) if self.is_fd else line for line in lines_of(SIDE)]
-        run = run_adaptive(board.counts, board.idle, lines)
-        return Shown(run.sent, run.latency_ns, {OURS: run.images(board.arrives(len(run.sent.frames)))}, None)
+        layout = validated(replace(load_layout(Path("adaptive")), bus=lines, steps=self.steps))
+        run = run_adaptive(board, Contract.from_layout(layout))
+        return Shown(run.sent, run.latency_ns, {OURS: run.images}, None)
 
 
 @dataclass(frozen=True)

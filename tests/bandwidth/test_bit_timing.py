@@ -138,8 +138,8 @@ def test_channels_want_a_log_or_the_timing(skin: Skin) -> None:
     assert (status, "--channel is for --check and --timing" in said) == (2, True)
 
 
-@pytest.mark.parametrize("other", ["--check", "--plot", "--node-budget"])
+@pytest.mark.parametrize("other", ["--check", "--plot"])
 def test_timing_is_not_combined_with_what_it_would_ignore(skin: Skin, other: str) -> None:
     status, _, said = skin("plan", "fd", "--timing", other, "3")
     assert (status, said.count("\n")) == (2, 1)
-    assert "expected --timing, --check, --plot, --quality or --node-budget" in said
+    assert "expected --timing, --check, --plot or --quality" in said

@@ -2,7 +2,6 @@
 
 import contextlib
 from collections.abc import Callable
-from pathlib import Path
 
 import msgspec
 import numpy as np
@@ -237,12 +236,6 @@ def test_services_have_their_names(contract: Contract) -> None:
     assert Identifiers(contract, 1).kind_of(0x585) == ("SDO response", 5)
     assert Identifiers(contract, 1).kind_of(0x585 + 32) == ("foreign", None)
     assert Identifiers(contract, 1).kind_of(0x7FF) == ("foreign", None)
-
-
-def test_the_identifier_after_those_of_adaptive_sums_is_an_sdo_response() -> None:
-    contract = Contract.from_layout(load_layout(Path("adaptive")))
-    assert Identifiers(contract, 0).kind_of(0x580) == ("fine", 32)
-    assert Identifiers(contract, 0).kind_of(0x581) == ("SDO response", 1)
 
 
 def test_time_is_planned_if_the_layout_has_it(contract: Contract) -> None:

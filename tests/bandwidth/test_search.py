@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bandwidth.adaptive_plan import plan_adaptive
 from bandwidth.alternatives import planned
+from bandwidth.plan import plan
 from bandwidth.search import Requirement, Search, nearly_square, search
 from bandwidth.traffic import Disturbance
 from canskin.errors import InputError
@@ -65,8 +65,8 @@ def test_adaptive_sums_are_chosen_where_synchronous_sums_do_not_fit_or_when_aske
     assert found.chosen.load_touched is not None
     assert 0 < found.chosen.load_touched < 0.8
     assert f"{found.chosen.load_touched:.1%} full under simulated touches" in found.chosen.load_words
-    plan, *_ = plan_adaptive(Contract.from_layout(validated(found.layout)), is_touched=False)
-    assert (plan.problems, plan.coarse_ms) == ([], found.chosen.coarse_ms)
+    planned, *_ = plan(Contract.from_layout(validated(found.layout)), is_touched=False)
+    assert (planned.problems, planned.late_random_ms) == ([], found.chosen.late_random_ms)
     asked = search(Requirement(1024, 10, buses=1, can="classic", sending="adaptive"))
     assert asked.layout == found.layout
     assert search(Requirement(1024, 1001, buses=1, can="classic")).layout is None

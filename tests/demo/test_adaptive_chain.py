@@ -8,10 +8,10 @@ from hypothesis import event, given, settings
 from hypothesis import strategies as st
 
 from canskin.errors import LayoutError
-from dbc.adaptive import column_of
 from dbc.contract import Contract
 from dbc.frame import frame_bytes
-from gateway.adaptive_state import USED, new_sums, take_all
+from demo.quality import heard
+from gateway.adaptive_state import new_sums, slots_of, take_all
 from gateway.block_states import judge, new_states
 from nodes.adaptive.simulated import touched_frames
 from reconstructor.adaptive import AdaptiveImager
@@ -45,21 +45,15 @@ class Slide:
 
 def received(contract: Contract, source: Slide) -> tuple[AdaptiveSums, int]:
     """Return what a gateway holds after `SECONDS`, and how many frames came."""
-    phi, law, groups = contract.phi, contract.law, contract.layout.groups
-    sums, changed = new_sums(phi.blocks, groups), np.ones((phi.blocks, groups), np.bool_)
-    frames = 0
-    for bus, line in enumerate(contract.layout.bus):
-        mine = slice(contract.layout.first_block(bus), contract.layout.first_block(bus) + line.nodes)
-        columns = [column_of(each, groups, is_fd=line.fd) for each in line.ids]
-        of_bus, sent = sums.of(mine, columns), touched_frames(contract, bus, source, SECONDS, seed=1)
-        take_all(frame_bytes(sent), False, law,
-                 np.ones(line.nodes, np.bool_), of_bus, changed[mine], line.fd)  # fmt: skip
-        assert of_bus.counts.tolist() == [len(sent), *[0] * 5], "every frame is used"
-        frames += int(of_bus.counts[USED])
-    sums.check[:] = np.maximum(sums.check, 0)  # boards of this bus have begun with sums of 0, without frames
-    shown = new_states(phi.blocks, groups, 0)
-    newton_per_count = contract.layout.taxels.newton_per_count
-    judge(round(SECONDS * 1e9), newton_per_count, np.ones(phi.blocks, np.bool_), sums, changed, shown)
+    sums, slots, proven, frames = new_sums(contract), slots_of(contract), np.ones(contract.phi.blocks, np.bool_), 0
+    for bus in range(len(contract.layout.bus)):
+        sent = touched_frames(contract, bus, source, SECONDS, seed=1)
+        take_all(frame_bytes(heard(contract.layout, sent, SECONDS)), bus, proven, slots, contract.parts, sums)
+        frames += len(sent)
+    assert sums.counts.tolist() == [frames, *[0] * 6], "every frame is used"
+    shown = new_states(contract, 0)
+    counts_per_unit = contract.unit_n / contract.layout.taxels.newton_per_count
+    judge(round(SECONDS * 1e9), counts_per_unit, proven, slots, contract.parts, sums, shown)
     return AdaptiveSums(shown.sums.ravel(), shown.valid > 0, shown.known.ravel() > 0, NOISE_N), frames
 
 
@@ -126,6 +120,6 @@ def test_every_layout_that_is_accepted_runs(tables: dict[str, Any]) -> None:
     assert frames > 0
     true_n = phi.forward(source.frame(40).force_n.ravel().astype(np.float64)).reshape(phi.blocks, -1)
     held_n = sums.counts.reshape(phi.blocks, -1) * unit_n
-    # Of the noise of 1 mN a fifth is left; sums within their noise and a coarse step are not sent again.
+    # Of the noise of 1 mN a fifth is left; what is less than the threshold is not sent.
     assert np.sqrt(np.mean(np.square(held_n - true_n))) < 0.35e-3 * phi.block_size**0.5 + 0.5e-3
     assert held_n[:, grouped_rows(phi.block_size)[0, 0]].min() >= 0
