@@ -20,7 +20,7 @@ from evaluation.schemes.scenes import NEWTON_PER_COUNT, SIDE, Scene, Touch
 from evaluation.schemes.sums import run_sums
 from evaluation.schemes.wire import Nanoseconds, Sent, lines_of
 from reconstructor.walsh import LIMIT_RATIO
-from skin.layout import Layout, Steps, load_layout, validated
+from skin.layout import Steps, load_layout, validated
 
 FD_BITRATE: Final = 5_000_000
 #: Bits of a value of a scan of raw samples: the converter's.
