@@ -92,7 +92,7 @@ def iterations(options: Options) -> Result:
     timed = {**options.shared, "steps": QUICK_TIMED_STEPS if options.quick else TIMED_STEPS}
     (times_ms,) = measure_cells(measure_times, [timed], options, "times", jobs=1)
     for row in rows:
-        row |= dict.fromkeys(("ms", "images_per_s"))
+        row.update(dict.fromkeys(("ms", "images_per_s")))
         if row["matrix"] == "sbhe":
             row["ms"] = times_ms[f"{row['basis']} {row['iterations']}"]
             row["images_per_s"] = round(1e3 / row["ms"], 2)
