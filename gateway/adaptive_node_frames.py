@@ -135,9 +135,8 @@ class AdaptiveFrames(ExpectedFrames):
             text = _WRONG.get(found, "")
         if text:
             self._found.setdefault((tpdo.number, found), f"TPDO {tpdo.number} ({tpdo.cob_id:03X}h) {text}")
-        self._newest[tpdo.cob_id] = steps.kind_of(
-            steps.read_word(data[1 : 1 + steps.WORD_BYTES]), self._node.forms[tpdo.number - 1]
-        )[0]
+        word = steps.read_word(data[1 : 1 + steps.WORD_BYTES])
+        self._newest[tpdo.cob_id] = steps.kind_of(word, self._node.forms[tpdo.number - 1])[0]
 
     def _compare_sums(self, picture: Picture, noise_n: float, values: Values) -> None:
         """Compare the sums that the receiver holds; learn what the board reads at full scale."""
