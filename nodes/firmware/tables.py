@@ -78,7 +78,8 @@ class Build:
 
     `objects` is the same for all boards of a type. `values` are the defaults of this board, each little endian: those
     of objects that can be written, communication profile before manufacturer, then the others; the board's own are the
-    first of each part. `is_adaptive` tells whether the board sends steps, `held` is the number of its taxels, `frame_ns` the longest time of one of its frames.
+    first of each part. `is_adaptive` tells whether the board sends steps, `held` is the number of its taxels,
+    `frame_ns` the longest time of one of its frames.
     """
 
     node: NodeContract

@@ -91,7 +91,6 @@ class AdaptiveTwins:
         sent: float = 0.8,
         given_up: float = 0.05,
         keeps: float = 0.95,
-        room: int = 1 << 30,
         **analogue: Any,
     ) -> None:
         mine = contract.on_bus(0)[:nodes]
@@ -114,7 +113,7 @@ class AdaptiveTwins:
             ),
             Segment(contract, 0, firmware.boards(0), patches, self._sender(1), complain=self.complaints.append),
         )
-        self.ids, self.room, self.chances, self.keeps = ids, room, (sent, given_up), keeps
+        self.ids, self.room, self.chances, self.keeps = ids, 1 << 30, (sent, given_up), keeps
         self.fates = np.random.default_rng(1)
         self.now_ms = 100_000
         self.held = frames(0)

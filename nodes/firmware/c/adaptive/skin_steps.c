@@ -202,7 +202,7 @@ static int offer(skin_steps *steps, uint8_t number, const float *variance_n2, ui
                                                      : step(type, &wanted[first], known, scale[part], way);
     }
     way->sent = (uint16_t)((way->sent + 1) % SKIN_COUNT);
-    way->unchecked = is_check ? 0 : (uint8_t)(way->unchecked + 1);
+    way->unchecked = is_check ? 0 : (uint8_t)(way->unchecked + (way->unchecked < SKIN_CHECK_EVERY));
     return 1;
 }
 

@@ -12,7 +12,7 @@ typedef struct {
     uint16_t cob_id;       /* 0: the PDO does not exist */
     int16_t slot;          /* of the newest frame, -1 before the first */
     uint16_t sent, keep;   /* frames sent, modulo SKIN_COUNT; slots without a frame after which a check is sent */
-    uint8_t unchecked;     /* frames since the newest check */
+    uint8_t unchecked;     /* frames since the newest check, up to SKIN_CHECK_EVERY */
     uint8_t unset;         /* the next group that is set whatever it is worth, or the number of groups */
 } skin_way;
 
