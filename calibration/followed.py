@@ -20,6 +20,8 @@ from skin.surface import Surface
 
 #: No noise is taken to be less than this part of a count: sums are whole numbers of counts.
 LEAST_STEP: Final = 0.3
+#: What boards that send steps leave unsent of a still sum, as part of a taxel's full scale: more than a unit.
+_UNSENT_RATIO: Final = 1 / 40
 #: Windows without touch after which a skin supports its zero.
 CALM_WINDOWS: Final = TARE_WINDOWS
 #: Least correction below zero that is logged, as part of the range, and least time between two such lines.
@@ -29,7 +31,8 @@ LOGGED_NS: Final = 10_000_000_000
 
 def least_noise_n(layout: Layout) -> float:
     """Return the least noise of a sum, newtons."""
-    return LEAST_STEP * sum_step_n(layout)
+    unsent_n = 0.0 if layout.sends.in_cycles else _UNSENT_RATIO * layout.taxels.force_max_n
+    return LEAST_STEP * max(sum_step_n(layout), unsent_n)
 
 
 class Support:

@@ -1,4 +1,4 @@
-"""Which sums the classifier uses, and what noise is in them: sums of cycles, or the coarse ones of adaptive boards."""
+"""Which sums the classifier uses, and what noise is in them: sums of cycles, or some of adaptive boards."""
 
 from dataclasses import replace
 from typing import Final
@@ -13,7 +13,7 @@ from skin.walsh import coarse_rows
 
 #: What nodes that average leave of the noise: less where a touch rests, more where a touch moves.
 AVERAGED_NOISE_RATIO: Final = 0.2
-#: What adaptive nodes leave of it where they are touched, least and most, the rounding of their codes included: 0.21 to
+#: What adaptive nodes leave of it where they are touched, least and most, the rounding of their steps included: 0.21 to
 #: 0.27 on a ball at rest, a sliding box and five fingertips of `skin evaluate rivals`, more where a touch begins
 #: or moves. With 0.25 alone a model takes many slides for unknown objects (`docs/classification.md`). Nodes that
 #: nothing touches show 0.

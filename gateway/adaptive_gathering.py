@@ -13,20 +13,7 @@ from dbc.configuration import READ_S
 from dbc.contract import Contract, NodeContract
 from dbc.frame import Frames, frame_bytes, frames
 from dbc.steps import LATE_SLOTS
-from gateway.adaptive_state import (
-    AFTER_GAP,
-    DUPLICATE,
-    FOREIGN,
-    LATE,
-    MALFORMED,
-    NEVER_NS,
-    UNPROVEN,
-    USED,
-    forget,
-    new_sums,
-    slots_of,
-    take_all,
-)
+from gateway.adaptive_state import COUNTED, NEVER_NS, forget, new_sums, slots_of, take_all
 from gateway.block_states import judge, new_states
 from gateway.gathering import Health, Sync
 from gateway.nmt_master import NmtMaster
@@ -51,9 +38,6 @@ class _Bus:
     newly_proven: set[int]
     #: When the newest frame ended that is in the sums, 0 before the first.
     newest_ns: int = 0
-    #: Foreign SYNCs that were told, and those whose frames are in the sums.
-    foreign_syncs: int = 0
-    followed_syncs: int = 0
     is_down: bool = False
 
 
@@ -125,17 +109,8 @@ class AdaptiveGathering:
     @property
     def counts(self) -> FrameCounts:
         """What became of the frames."""
-        total = self._state.counts.tolist()
-        return FrameCounts(
-            accepted=total[USED],
-            late=total[LATE],
-            after_gap=total[AFTER_GAP],
-            duplicate=total[DUPLICATE],
-            malformed=total[MALFORMED],
-            unproven=total[UNPROVEN],
-            foreign=total[FOREIGN],
-            different=int(self._state.different.sum()),
-        )
+        counted = dict(zip(COUNTED, self._state.counts.tolist(), strict=True))
+        return FrameCounts(**counted, different=int(self._state.different.sum()))
 
     @property
     def due_s(self) -> float:
@@ -168,16 +143,15 @@ class AdaptiveGathering:
         Frames before the end of a node's proof are not used, nor those that came together with it.
         """
         mine, state = self._buses[bus], self._state
-        rows = frame_bytes(arrived)
+        rows, foreign_syncs = frame_bytes(arrived), int(state.foreign_syncs[bus])
         newest_ns, taken_ns = take_all(rows, bus, self._is_proven, self._slots, self._table, state)
         mine.newest_ns = max(mine.newest_ns, newest_ns)
         if newest_ns > self._newest_ns:
-            stamp_error_ns = health.stamp_error_ns
-            self._newest_ns = newest_ns
-            self._newest_error_ns = UNKNOWN_ERROR_NS if stamp_error_ns is None else taken_ns + SAMPLE_NS + stamp_error_ns
+            error_ns, self._newest_ns = health.stamp_error_ns, newest_ns
+            self._newest_error_ns = UNKNOWN_ERROR_NS if error_ns is None else taken_ns + SAMPLE_NS + error_ns
         self._has_news |= newest_ns > NEVER_NS or health.is_down != mine.is_down
-        if state.foreign_syncs[bus] > mine.followed_syncs:
-            mine.followed_syncs, self._has_news = int(state.foreign_syncs[bus]), True
+        if state.foreign_syncs[bus] > foreign_syncs:
+            self._has_news = True
             state.missing[mine.parts] = self._all_missing[mine.parts]
         mine.is_down = health.is_down
         if health.is_down:
@@ -232,13 +206,13 @@ class AdaptiveGathering:
         for block in np.unique(self._table.block[parts]).tolist():
             node = self._contract.nodes[block]
             name = self._contract.layout.bus[node.bus].name
-            self._complain(f"node {node.node_id} on {name} has other sums than the gateway: it is asked for all of them")
+            self._complain(f"node {node.node_id} on {name} has other sums than the gateway: all are asked for")
 
     def take_foreign_syncs(self, bus: int) -> int:
         """Return the number of foreign SYNCs on a bus since the last call."""
-        mine = self._buses[bus]
-        before, mine.foreign_syncs = mine.foreign_syncs, int(self._state.foreign_syncs[bus])
-        return mine.foreign_syncs - before
+        count = int(self._state.foreign_syncs[bus])
+        self._state.foreign_syncs[bus] = 0
+        return count
 
     def missing_and_late(self, _place: int) -> tuple[int, int]:
         """Return 0 and 0: no frame is due at a time."""

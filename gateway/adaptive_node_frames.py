@@ -11,25 +11,11 @@ import numpy as np
 import numpy.typing as npt
 
 from dbc import indices as od
+from dbc import steps
 from dbc.board_sums import PATTERN_FULL, PATTERN_OFF, PATTERN_ZERO
 from dbc.canopen import NMT_COB_ID, SYNC_COB_ID, NmtCommand
 from dbc.contract import Contract, NodeContract, Tpdo
 from dbc.frame import ECHO, Frames, frame_bytes
-from dbc.steps import (
-    BAD,
-    CHECK,
-    FIRST_MAX,
-    FULL_SCALE,
-    KEEP_MIN,
-    LATE_SLOTS,
-    NOISE_RATIO,
-    OTHER_MAX,
-    OTHER_MIN,
-    VARIANCE_RATIO,
-    WORD_BYTES,
-    kind_of,
-    read_word,
-)
 from gateway.adaptive_state import AFTER_GAP, DUPLICATE, LATE, MALFORMED, forget, new_sums, slots_of, take_all
 from gateway.node_frames import CYCLES, SETTLING, ExpectedFrames, NodeReport, Picture, Values, syncs_of
 from skin.sync_counter import SYNC_OVERFLOW
@@ -59,7 +45,7 @@ class AdaptiveFrames(ExpectedFrames):
         super().__init__(contract, node, report)
         taxels, size = contract.layout.taxels, contract.phi.block_size
         #: As many SYNCs as a board needs for all sets, and for a check.
-        told = max(form.groups for form in node.forms) + KEEP_MIN + 2 * LATE_SLOTS
+        told = max(form.groups for form in node.forms) + steps.KEEP_MIN + 2 * steps.LATE_SLOTS
         self.cycles = max(CYCLES, -(-told // contract.slots))
         self._top_n = taxels.count_max * taxels.newton_per_count
         self._tpdos = {tpdo.cob_id: tpdo for tpdo in node.tpdos}
@@ -70,7 +56,7 @@ class AdaptiveFrames(ExpectedFrames):
         self._slots, self._state = slots_of(contract), new_sums(contract)
         #: What was wrong since the newest picture, by TPDO and kind; kind of the newest word of each TPDO.
         self._found: dict[tuple[int, int], str] = {}
-        self._newest = dict.fromkeys(self._tpdos, BAD)
+        self._newest = dict.fromkeys(self._tpdos, steps.BAD)
         #: What the taxels read at full scale, and by how much more the first sum may be, units.
         self._full_n, self._lift = np.zeros(size), 0.0
 
@@ -112,13 +98,13 @@ class AdaptiveFrames(ExpectedFrames):
             quiet_ns = int(came["time_ns"].max()) - int(self._state.newest_ns[first])
             missing = [group + 1 for group in range(64) if self._state.missing[first] >> group & 1]
             # Sets after a start are no news: the next check may be far.
-            is_due = picture.is_step and quiet_ns > (KEEP_MIN + LATE_SLOTS) * self._slots.slot_ns
+            is_due = picture.is_step and quiet_ns > (steps.KEEP_MIN + steps.LATE_SLOTS) * self._slots.slot_ns
             if missing and has_gaps:
                 return
             if missing:
                 text = f"no set of group {missing[0]} came after the NMT start"
-            elif is_due and self._newest[cob_id] != CHECK:
-                text = f"no check came within {KEEP_MIN} slots after the newest step or set"
+            elif is_due and self._newest[cob_id] != steps.CHECK:
+                text = f"no check came within {steps.KEEP_MIN} slots after the newest step or set"
             else:
                 continue
             self._differs(f"{picture.name}: TPDO {tpdo.number} ({cob_id:03X}h): {text}")
@@ -149,7 +135,8 @@ class AdaptiveFrames(ExpectedFrames):
             text = _WRONG.get(found, "")
         if text:
             self._found.setdefault((tpdo.number, found), f"TPDO {tpdo.number} ({tpdo.cob_id:03X}h) {text}")
-        self._newest[tpdo.cob_id] = kind_of(read_word(data[1 : 1 + WORD_BYTES]), self._node.forms[tpdo.number - 1])[0]
+        word = steps.read_word(data[1 : 1 + steps.WORD_BYTES])
+        self._newest[tpdo.cob_id] = steps.kind_of(word, self._node.forms[tpdo.number - 1])[0]
 
     def _compare_sums(self, picture: Picture, noise_n: float, values: Values) -> None:
         """Compare the sums that the receiver holds; learn what the board reads at full scale."""
@@ -158,17 +145,17 @@ class AdaptiveFrames(ExpectedFrames):
             [self._state.known[part, : form.sums] for part, form in zip(self._parts, self._node.forms, strict=True)]
         )
         # A rounding, and what the filter leaves of the noise.
-        slack = 1.0 + NOISE_RATIO * noise_n * size**0.5 / unit_n
+        slack = 1.0 + steps.NOISE_RATIO * noise_n * size**0.5 / unit_n
         if picture.values[od.TEST_PATTERN, 0] == bytes((PATTERN_FULL,)):
             self._learn(held, slack, picture.name)
             return
         shown_n = picture.counts[0] * (self._top_n / self._contract.layout.taxels.count_max)
         expected = self._walsh @ np.where(shown_n > 0, np.maximum(0, shown_n - self._top_n + self._full_n), 0)
-        expected[0] = min(expected[0], FIRST_MAX)
-        expected[1:] = np.clip(expected[1:], OTHER_MIN, OTHER_MAX)
+        expected[0] = min(expected[0], steps.FIRST_MAX)
+        expected[1:] = np.clip(expected[1:], steps.OTHER_MIN, steps.OTHER_MAX)
         if picture.is_step:  # what is not worth a frame is not sent
             quiet = float(np.frombuffer(values[od.SENDING, 1], "<f4")[0])
-            per_sum = size * (NOISE_RATIO**2 + VARIANCE_RATIO * _VARIANCE_AT_REST) * (noise_n / unit_n) ** 2
+            per_sum = size * (steps.NOISE_RATIO**2 + steps.VARIANCE_RATIO * _VARIANCE_AT_REST) * (noise_n / unit_n) ** 2
             slack += (quiet * size * (1 + per_sum)) ** 0.5
         else:
             expected[0] = np.clip(held[0], expected[0], expected[0] + self._lift)
@@ -179,7 +166,7 @@ class AdaptiveFrames(ExpectedFrames):
     def _learn(self, held: npt.NDArray[np.int64], slack: float, name: str) -> None:
         """Learn from the sums of full scale what the board reads there."""
         unit_n = self._contract.unit_n
-        self._lift = _LIFT_RATIO * FULL_SCALE * (held[0] == FIRST_MAX)
+        self._lift = _LIFT_RATIO * steps.FULL_SCALE * (held[0] == steps.FIRST_MAX)
         self._full_n = self._walsh.T @ held * (unit_n**2 / len(held))
         error_n = slack * unit_n
         wrong = np.flatnonzero((self._full_n < -error_n) | (self._full_n > self._top_n + error_n))

@@ -20,7 +20,7 @@ import numpy.typing as npt
 from dbc.canopen import SYNC_COB_ID
 from dbc.contract import Contract, PartTable
 from dbc.dictionary import slot_offset_us
-from dbc.frame import DATA_AT, ECHO, ERROR, EXTENDED, FLAGS_AT, REMOTE, TIME_AT
+from dbc.frame import CAN_ID_AT, DATA_AT, ECHO, ERROR, EXTENDED, FLAGS_AT, REMOTE, TIME_AT
 from dbc.frame_fields import field
 from dbc.steps import (
     BAD,
@@ -38,7 +38,7 @@ from dbc.steps import (
     put,
     read_word,
 )
-from gateway.gathering import STRANGE, can_id_of, place_of
+from gateway.gathering import STRANGE, place_of
 from shell.compiled import borrowed, njit
 from skin.sync_counter import SYNC_OVERFLOW
 
@@ -84,16 +84,14 @@ class PartSums(NamedTuple):
         Count, slot and end of the newest word.
     missing, unknown : arrays of int64, shape (parts,)
         Groups, a bit each: of which no set has come since a loss; of which nothing is held.
-    is_late : array of bool, shape (parts,)
-        The newest word came late.
-    has_changed : array of bool, shape (parts,)
-        Sums are not yet shown (`gateway.block_states`).
     different : array of int64, shape (parts,)
         Checks that found other integers.
+    is_late, has_changed : arrays of bool, shape (parts,)
+        The newest word came late; sums are not yet shown (`gateway.block_states`).
     sync_ns, sync_slot, foreign_syncs : arrays of int64, shape (buses,)
         End of the newest SYNC of the gateway, and the number of the slot that it began; number of all other SYNCs.
-    counts : array of int64, shape (7,)
-        Frames by `USED` to `FOREIGN`.
+    counts : array of int64
+        Frames by `COUNTED`.
     """
 
     known: Integers
@@ -102,16 +100,17 @@ class PartSums(NamedTuple):
     newest_ns: Integers
     missing: Integers
     unknown: Integers
+    different: Integers
     is_late: Flags
     has_changed: Flags
-    different: Integers
     sync_ns: Integers
     sync_slot: Integers
     foreign_syncs: Integers
     counts: Integers
 
 
-#: Places of `PartSums.counts`. A frame with several words counts as that which is last here.
+#: What `PartSums.counts` counts (`FrameCounts`). A frame with several words counts as that which is last here.
+COUNTED: Final = ("accepted", "late", "after_gap", "duplicate", "malformed", "unproven", "foreign")
 USED, LATE, AFTER_GAP, DUPLICATE, MALFORMED, UNPROVEN, FOREIGN = range(7)
 
 
@@ -125,21 +124,10 @@ def slots_of(contract: Contract) -> Slots:
 def new_sums(contract: Contract) -> PartSums:
     """Return the state of a gateway that has received nothing."""
     parts, buses = len(contract.parts.block), len(contract.layout.bus)
-    state = PartSums(
-        known=np.zeros((parts, PART_SUMS), np.int64),
-        word_count=np.zeros(parts, np.int64),
-        slot=np.zeros(parts, np.int64),
-        newest_ns=np.zeros(parts, np.int64),
-        missing=np.zeros(parts, np.int64),
-        unknown=np.zeros(parts, np.int64),
-        is_late=np.zeros(parts, np.bool_),
-        has_changed=np.zeros(parts, np.bool_),
-        different=np.zeros(parts, np.int64),
-        sync_ns=np.full(buses, NEVER_NS, np.int64),
-        sync_slot=np.zeros(buses, np.int64),
-        foreign_syncs=np.zeros(buses, np.int64),
-        counts=np.zeros(FOREIGN + 1, np.int64),
-    )
+    known, of_parts = np.zeros((parts, PART_SUMS), np.int64), np.zeros((6, parts), np.int64)
+    of_buses, counts = np.zeros((3, buses), np.int64), np.zeros(len(COUNTED), np.int64)
+    state = PartSums(known, *of_parts, *np.zeros((2, parts), np.bool_), *of_buses, counts)
+    state.sync_ns[:] = NEVER_NS
     for part in range(parts):
         forget(part, contract.parts, state)
     return state
@@ -161,7 +149,7 @@ def forget(part: int, table: PartTable, state: PartSums) -> None:
 
 
 @njit(cache=True, nogil=True)
-def take_all(
+def take_all(  # noqa: PLR0917  compiled functions take no keywords
     rows: npt.NDArray[np.uint8], bus: int, is_proven: Flags, slots: Slots, table: PartTable, state: PartSums
 ) -> tuple[int, int]:
     """Use the frames of a bus, in bus order.
@@ -183,7 +171,7 @@ def take_all(
     for place in range(rows.shape[0]):
         row = rows[place]
         flags, ended_ns = row[FLAGS_AT], field(row, TIME_AT, 8)
-        if can_id_of(row) == SYNC_COB_ID and not flags & (ERROR | EXTENDED | REMOTE):
+        if field(row, CAN_ID_AT, 4) == SYNC_COB_ID and not flags & (ERROR | EXTENDED | REMOTE):
             if flags & ECHO:
                 state.sync_ns[bus], state.sync_slot[bus] = ended_ns, (int(row[DATA_AT]) - 1) * slots.per_sync
             else:

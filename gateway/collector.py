@@ -25,9 +25,9 @@ from canskin.messages import FrameCounts
 from dbc.canopen import SYNC_COB_ID
 from dbc.codec import read_raw
 from dbc.contract import Contract, FrameTable
-from dbc.frame import DATA_AT, ECHO, ERROR, EXTENDED, FLAGS_AT, REMOTE, TIME_AT, Frames, frame_bytes, frames
+from dbc.frame import CAN_ID_AT, DATA_AT, ECHO, ERROR, EXTENDED, FLAGS_AT, REMOTE, TIME_AT, Frames, frame_bytes, frames
 from dbc.frame_fields import field
-from gateway.gathering import STRANGE, can_id_of, place_of
+from gateway.gathering import STRANGE, place_of
 from gateway.open_cycles import (
     SLOTS,
     Flags,
@@ -138,7 +138,7 @@ def take_all(  # noqa: PLR0917  compiled functions take no keywords
     for place in range(rows.shape[0]):
         row = rows[place]
         flags, ended_ns = row[FLAGS_AT], field(row, TIME_AT, 8)
-        if can_id_of(row) == SYNC_COB_ID and not flags & (ERROR | EXTENDED | REMOTE):
+        if field(row, CAN_ID_AT, 4) == SYNC_COB_ID and not flags & (ERROR | EXTENDED | REMOTE):
             _take_sync(bus, int(row[DATA_AT]), not flags & ECHO, ended_ns, stamp_error_ns, table, state)
         if flags & (ERROR | ECHO):
             continue

@@ -12,19 +12,7 @@ from bus.link import State
 from dbc.canopen import BASE_ID_MASK
 from dbc.contract import FrameTable, PartTable
 from dbc.dictionary import SkinState
-from dbc.frame import (
-    CAN_ID_AT,
-    DATA_AT,
-    ECHO,
-    ERROR,
-    EXTENDED,
-    FD,
-    FLAGS_AT,
-    LENGTH_AT,
-    REMOTE,
-    Frames,
-    frame_bytes,
-)
+from dbc.frame import CAN_ID_AT, DATA_AT, ECHO, ERROR, EXTENDED, FD, FLAGS_AT, LENGTH_AT, REMOTE, Frames, frame_bytes
 from dbc.frame_fields import ROWS, field
 from shell.compiled import njit
 from skin.sync_counter import SYNC_OVERFLOW
@@ -126,15 +114,9 @@ def _tells_loss(rows: npt.NDArray[np.uint8]) -> bool:
 
 
 @njit(cache=True, nogil=True)
-def can_id_of(row: npt.NDArray[np.uint8]) -> int:
-    """Return the identifier of a frame."""
-    return field(row, CAN_ID_AT, 4)
-
-
-@njit(cache=True, nogil=True)
 def place_of(row: npt.NDArray[np.uint8], bus: int, table: FrameTable | PartTable) -> int:
     """Return the place of a frame in the table of those with sums; `STRANGE` or `WRONG` for others."""
-    can_id = can_id_of(row)
+    can_id = field(row, CAN_ID_AT, 4)
     place = table.row_of[bus, can_id] if can_id <= BASE_ID_MASK else STRANGE
     if place < 0 or row[FLAGS_AT] & (EXTENDED | REMOTE | FD) != table.flags[place] & FD:
         return STRANGE

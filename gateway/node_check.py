@@ -170,7 +170,8 @@ class NodeCheck:
         """Tell whether the SYNC after the last cycle was on the bus: what belongs to the cycles came before it."""
         if self._wanted != 0:
             return False
-        return len(syncs_of(self._since_begin(np.concatenate([frames(0), *self._heard])))) > SETTLING + self._expected.cycles
+        syncs = syncs_of(self._since_begin(np.concatenate([frames(0), *self._heard])))
+        return len(syncs) > SETTLING + self._expected.cycles
 
     def give_up(self, now_s: float) -> None:
         """Put back what was written, and end then."""

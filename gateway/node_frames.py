@@ -162,7 +162,7 @@ class ExpectedFrames(ABC):
                     f"test pattern {name}", values, counts, self._node.is_adaptive and pattern == PATTERN_ZERO
                 )
 
-    def hear(self, arrived: Frames) -> None:
+    def hear(self, arrived: Frames) -> None:  # noqa: B027  not all need it
         """Take all frames that arrive, with the echoes of those of the check."""
 
     @abstractmethod

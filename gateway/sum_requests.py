@@ -62,7 +62,7 @@ class SumRequests:
         self._tick_s = -np.inf
 
     def proven(self, node: int, now_s: float) -> None:
-        """Take note that a node has just been proven: its noise is asked for now, and sums that did not come after its start."""
+        """Take note that a node has just been proven: its noise is asked for, and sums that its start did not bring."""
         self._is_used[node], self._noise_s[node] = True, now_s
         self._next_s[node] = self._master.nodes[self._ids[node]].commanded_s + self._start_s
         self._tries[node] = 0

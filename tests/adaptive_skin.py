@@ -10,7 +10,6 @@ import numpy.typing as npt
 
 from canskin.fabric import Fabric
 from canskin.messages import GATEWAY, MEASUREMENT, BlockState, GatewayStatus, Measurement
-from dbc.adaptive import coarse_step
 from dbc.contract import Contract
 from skin.layout import Layout, load_layout
 from skin.walsh import grouped_rows, walsh_matrix
@@ -81,14 +80,14 @@ class RestingSkin:
         )
 
     def is_true(self, held_n: npt.NDArray[np.float64]) -> bool:
-        """Tell whether sums are those of the touch, but for their code and a count of each taxel."""
+        """Tell whether sums are those of the touch, but for a count of each taxel."""
         rounding_n = self.true_n.shape[1] * self.contract.layout.taxels.newton_per_count
-        return bool((np.abs(held_n - self.true_n) <= self.steps_n(self.true_n) + rounding_n).all())
+        return bool((np.abs(held_n - self.true_n) <= self.unsent_n + rounding_n).all())
 
-    def steps_n(self, sums_n: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """Return the distance of neighbouring coarse values at sums."""
-        law = self.contract.law
-        return np.array([[coarse_step(value, k == 0, law) for k, value in enumerate(row)] for row in sums_n.tolist()])
+    @property
+    def unsent_n(self) -> float:
+        """What of a sum at rest is not worth a frame."""
+        return 8 * self.contract.unit_n
 
 
 @contextmanager

@@ -19,16 +19,14 @@ from tests.layouts import ADAPTIVE_SKIN
 from tests.messages import adaptive_measurement
 
 PHI = ADAPTIVE_SKIN.phi()
-LAW, IS_MEAN = Contract.from_layout(ADAPTIVE_SKIN).law, PHI.row_of_sum == 0
-KNEE_N = np.where(IS_MEAN, LAW.mean_knee_n, LAW.knee_n)
-SLOPE = np.where(IS_MEAN, LAW.mean_slope, LAW.slope)
+UNIT_N = Contract.from_layout(ADAPTIVE_SKIN).unit_n
 NEWTON_PER_COUNT = ADAPTIVE_SKIN.taxels.newton_per_count
 Force = npt.NDArray[np.float64]
 NOTHING, WEIGHT, OTHER = np.zeros(PHI.shape[1]), pressed(20, 20, 9, 0.005), pressed(44, 40, 7, 0.008)
 
 
 class Skin:
-    """A skin that sends coarse codes, with noise where something touches."""
+    """A skin that sends sums in units, with noise where something touches."""
 
     def __init__(self, *, tares: bool = True) -> None:
         self.made, self._time_s = Calibrator(ADAPTIVE_SKIN, tares=tares), 0.0
@@ -39,7 +37,7 @@ class Skin:
             self._time_s += LOOK_S
             force_n = force(self._time_s) if callable(force) else force
             sums_n = PHI.forward(force_n + np.where(force_n > 0, self._random.normal(0, 1e-4, force_n.size), 0))
-            coded_n = KNEE_N * np.sinh(np.round(SLOPE * np.arcsinh(sums_n / KNEE_N)) / SLOPE)
+            coded_n = np.rint(sums_n / UNIT_N) * UNIT_N
             came = msgspec.structs.replace(
                 adaptive_measurement(NOTHING, layout=ADAPTIVE_SKIN, sampled_mono_ns=round(1e9 * self._time_s)),
                 sums=np.rint(coded_n / NEWTON_PER_COUNT).astype("<i4").tobytes(),
@@ -56,8 +54,8 @@ def picture_n(measurement: Measurement) -> Force:
     return np.asarray(PHI.adjoint(decode_adaptive(measurement, PHI).counts * NEWTON_PER_COUNT) / PHI.block_size)
 
 
-def test_the_step_of_a_sum_is_that_of_coarse_codes() -> None:
-    assert sum_step_n(ADAPTIVE_SKIN) == pytest.approx(0.5e-3) == pytest.approx(LAW.knee_n / LAW.slope)
+def test_the_step_of_a_sum_is_the_unit_of_words() -> None:
+    assert sum_step_n(ADAPTIVE_SKIN) == pytest.approx(UNIT_N) == pytest.approx(0.64 / 8192)
 
 
 def test_touches_that_come_and_go_leave_the_zero_and_are_not_doubtful() -> None:

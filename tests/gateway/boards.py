@@ -45,7 +45,8 @@ STATES = {
 
 def small_adaptive(**tables: Any) -> Contract:
     """Return the contract of four patches of 4 x 8 taxels on two buses."""
-    return Contract.from_layout(small_layout(8, 16, **ADAPTIVE | {"bus": buses(2, 2)} | tables))
+    given = {"bus": buses(2, 2), "steps": {"slot_s": STEP_S}} | tables
+    return Contract.from_layout(small_layout(8, 16, **ADAPTIVE | given))
 
 
 class Board:

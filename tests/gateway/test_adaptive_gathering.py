@@ -10,13 +10,12 @@ from dbc import indices as od
 from dbc.canopen import HEARTBEAT_BASE, SYNC_COB_ID, NmtCommand, NmtState
 from dbc.contract import Contract
 from dbc.dictionary import HEARTBEAT_MS, SILENT_AFTER_S
-from gateway.adaptive_gathering import publishing_rates
 from dbc.steps import KEEP_MIN, LATE_SLOTS
+from gateway.adaptive_gathering import publishing_rates
 from gateway.block_states import FRESH_NS
 from gateway.gathering import Health
 from tests.bus.harness import frame
 from tests.gateway.boards import STEP_S, BoardWorld, at_rest, known_of, lose, small_adaptive, states, sums_of
-from tests.layouts import buses
 
 DEAD, STALE, QUIET, FRESH = BlockState
 #: Time in which a node that is started or asked tells all its sums, with a SYNC that it may wait for.
@@ -218,7 +217,7 @@ def test_a_node_with_other_sums_is_told_once_and_asked(boards: BoardWorld) -> No
     boards.boards[1].sums_n = boards.boards[1].sums_n.copy()
     boards.boards[1].sums_n[2] += boards.contract.unit_n
     boards.run(2.0)
-    assert boards.complaints == ["node 2 on bus0 has other sums than the gateway: it is asked for all of them"]
+    assert boards.complaints == ["node 2 on bus0 has other sums than the gateway: all are asked for"]
     assert [len(board.asked) for board in boards.boards] == [0, 1, 0, 0]
     assert boards.status().frames.different == 1
     assert holds_what_boards_hold(boards)

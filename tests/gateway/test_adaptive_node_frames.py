@@ -225,7 +225,11 @@ MUTANTS = [
     (sent(lambda each, _: each["data"].__setitem__(0, 0)), "begins with 0, expected a slot from 1 to 240", ""),
     (sent(lambda each, _: each["data"].__setitem__(slice(1, 8), 255)), "has words that are no step, set or check", ""),
     (sent(lambda _each, _kind: True), "full scale: TPDO 1 (181h): no set of group 1 came after the NMT start", ""),
-    (sent(lambda each, kind: kind == SET and bool(each["data"][0] % 4 == 0)), "has another count than the word before", ""),
+    (
+        sent(lambda each, kind: kind == SET and bool(each["data"][0] % 4 == 0)),
+        "has another count than the word before",
+        "",
+    ),
     (never_checks, "zero: TPDO 1 (181h): no check came within 24 slots after the newest step or set", ""),
     (sent(lambda each, kind: kind == STEP and add(each, 1, 1)), "zero: TPDO 1 (181h) checks other sums than ", ""),
 ]

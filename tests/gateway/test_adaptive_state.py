@@ -55,7 +55,7 @@ CONTRACTS = {
     "classic": ONE,
     "two parts": small_adaptive(bus=buses(2), measurement={"wiring": "board", "block_size": 64}),
     "CAN FD": small_adaptive(bus=buses(4, fd=True, data_bitrate=5_000_000)),
-    "at SYNC": small_adaptive(bus=buses(4), sync={"rate_hz": 200.0}, steps={"at_sync": True}),
+    "at SYNC": small_adaptive(bus=buses(4), sync={"rate_hz": 200.0}, steps={"slot_s": 0.005, "at_sync": True}),
 }
 #: The longest silence of a node, slots.
 LONGEST = ONE.keep_max + LATE_SLOTS
@@ -96,7 +96,8 @@ class Sender:
         since = cycle if last is None else (slot - last) % cycle
         if last is not None and not 0 < since <= cycle - self.contract.slots:
             return None  # the SYNC came late, and the number of the slot once more
-        parts = range(len(self.forms))[tpdo * len(self.forms) // len(self.tpdos) :][: len(self.forms) // len(self.tpdos)]
+        of_frame = len(self.forms) // len(self.tpdos)
+        parts = range(tpdo * of_frame, (tpdo + 1) * of_frame)
         if self.wanted[tpdo] < self.forms[parts[0]].groups:
             kind, group = "set", self.wanted[tpdo]
             self.wanted[tpdo] += 1
@@ -318,7 +319,7 @@ def test_a_silent_node_checks_and_is_forgotten_after_its_longest_silence(one: Sk
     one.until_whole()
 
 
-@pytest.mark.parametrize("late", [1, 4, 5, 100, 239, 240, LONGEST - 1, LONGEST, SLOTS - 5, SLOTS - 2, SLOTS, SLOTS + 40])
+@pytest.mark.parametrize("late", [1, 4, 5, 239, 240, LONGEST - 1, LONGEST, SLOTS - 5, SLOTS - 2, SLOTS, SLOTS + 40])
 def test_a_late_frame_makes_its_block_not_valid_until_one_comes_in_time(one: Skin, late: int) -> None:
     """As of a board that hangs: meanwhile it sends nothing."""
     one.go()
@@ -449,7 +450,7 @@ def test_frames_before_the_first_sync_are_late() -> None:
 
 
 def test_frames_that_are_no_words_of_proven_nodes_change_nothing(one: Skin) -> None:
-    before = [each.copy() for each in one.state[:-3]]
+    before = [each.copy() for each in one.state[:-2]]
     cob_id = one.sender.tpdos[0].cob_id
     one.is_proven[1] = False
     top = (1 << 8 * WORD_BYTES) - 1
@@ -467,7 +468,7 @@ def test_frames_that_are_no_words_of_proven_nodes_change_nothing(one: Skin) -> N
         one.arrive(frame(can_id, data, flags))
     assert [one.count(kind) for kind in (FOREIGN, MALFORMED, UNPROVEN)] == [3, 4, 1]
     assert one.state.foreign_syncs.tolist() == [1]
-    for mine, was in zip(one.state[:-3], before, strict=True):
+    for mine, was in zip(one.state[:-2], before, strict=True):
         np.testing.assert_array_equal(mine, was)
 
 
