@@ -84,7 +84,7 @@ def _readme(contract: Contract, boards: Sequence[Build]) -> str:
         block_size=contract.phi.block_size,
         sums=node.sums,
         board=next(iter(images(contract, boards))),
-        table_bytes=_ENTRY_BYTES + objects.own_writable + objects.own_constant,
+        table_bytes=_ENTRY_BYTES + objects.own_first + objects.own_middle,
         period_us=board.sync_period_us,
         window_us=board.sync_window_us,
         samples=board.samples_per_sync,

@@ -58,9 +58,9 @@ class ObjectTable:
         Index and sub-index of the objects whose values differ between the boards.
     communication_bytes, writable_bytes : int
         Bytes of the values of writable objects below 2000h, and of all writable objects.
-    own_writable, own_constant : int
-        Bytes of each board's own values at the begin of both, and at the begin of the others: `differing`, and the rows
-        of the sums.
+    own_first, own_from, own_middle : int
+        Bytes of each board's own values at the begin of all; where its other own values begin, and their bytes: the end
+        of the writable ones and the begin of the others. Own are `differing`, and the rows of the sums.
     """
 
     entries: tuple[tuple[int, int, int, int, int], ...]
@@ -68,8 +68,9 @@ class ObjectTable:
     differing: frozenset[tuple[int, int]]
     communication_bytes: int
     writable_bytes: int
-    own_writable: int
-    own_constant: int
+    own_first: int
+    own_from: int
+    own_middle: int
 
 
 @dataclass(frozen=True)
@@ -93,17 +94,14 @@ class Build:
     @property
     def own(self) -> bytes:
         """The values that are not shared with other boards of the type."""
-        constant = self.objects.writable_bytes
-        return self.values[: self.objects.own_writable] + self.values[constant : constant + self.objects.own_constant]
+        table = self.objects
+        return self.values[: table.own_first] + self.values[table.own_from : table.own_from + table.own_middle]
 
     @property
     def shared(self) -> bytes:
         """The other values."""
         table = self.objects
-        return (
-            self.values[table.own_writable : table.writable_bytes]
-            + self.values[table.writable_bytes + table.own_constant :]
-        )
+        return self.values[table.own_first : table.own_from] + self.values[table.own_from + table.own_middle :]
 
 
 def builds(contract: Contract, nodes: Sequence[NodeContract]) -> list[Build]:
@@ -146,18 +144,9 @@ def by_type(boards: Sequence[Build]) -> list[list[Build]]:
 
 
 def _type_of(table: Board, node: NodeContract, objects: _Dictionary, frame_ns: int) -> object:
-    """Return what boards of one type have in common: all but values that are constant, or below 2000h."""
+    """Return what boards of one type have in common: all but values."""
     shape = tuple(
-        (
-            each.index,
-            each.subindex,
-            each.access,
-            each.pdo,
-            each.data_type,
-            len(data),
-            data if each.access == "rw" and each.index >= od.MANUFACTURER else None,
-        )
-        for each, data in objects
+        (each.index, each.subindex, each.access, each.pdo, each.data_type, len(data)) for each, data in objects
     )
     first_sums = tuple(each.first_sum for each in table.blocks)
     return shape, first_sums, node.packing, node.flags, frame_ns, table.bitrate, table.data_bitrate
@@ -174,13 +163,16 @@ def _object_table(contract: Contract, node: NodeContract, boards: Sequence[_Dict
     )
 
     def rank(each: Object) -> int:
-        """Rank the rows first, in the order of the sums; then what is the board's own besides; then what is shared."""
+        """Rank the rows first, in the order of the sums; then what is the board's own besides; then what is shared.
+
+        Settings stand the other way round, so that their own values are next to own constants.
+        """
         return 0 if _is_row(each) else 1 if (each.index, each.subindex or 0) in differing else 2
 
     kept = [(each, len(data)) for each, data in boards[0] if not _is_computed(each)]
     stored = sorted(kept, key=lambda pair: rank(pair[0]))
     communication = [pair for pair in stored if pair[0].access == "rw" and pair[0].index < od.MANUFACTURER]
-    settings = [pair for pair in stored if pair[0].access == "rw" and pair[0].index >= od.MANUFACTURER]
+    settings = [pair for pair in reversed(stored) if pair[0].access == "rw" and pair[0].index >= od.MANUFACTURER]
     constant = [pair for pair in stored if pair[0].access != "rw"]
     places: dict[tuple[int, int | None], int] = {}
     ends = [0]
@@ -203,8 +195,11 @@ def _object_table(contract: Contract, node: NodeContract, boards: Sequence[_Dict
         )
         for each, data in boards[0]
     )
-    own = [sum(length for each, length in part if rank(each) < 2) for part in (communication, constant)]
-    return ObjectTable(entries, tuple(each for each, _ in boards[0]), differing, ends[1], ends[2], *own)
+    first, last, rest = (
+        sum(length for each, length in part if rank(each) < 2) for part in (communication, settings, constant)
+    )
+    objects = tuple(each for each, _ in boards[0])
+    return ObjectTable(entries, objects, differing, ends[1], ends[2], first, ends[2] - last, last + rest)
 
 
 def _values(table: ObjectTable, objects: _Dictionary) -> bytes:
@@ -348,8 +343,9 @@ def _type(build: Build, number: int) -> str:
         "object_count": len(objects.entries),
         "communication_bytes": objects.communication_bytes,
         "writable_bytes": objects.writable_bytes,
-        "own_writable": objects.own_writable,
-        "own_constant": objects.own_constant,
+        "own_first": objects.own_first,
+        "own_from": objects.own_from,
+        "own_middle": objects.own_middle,
         "values": f"values_{number}",
     }
     return "    {" + ", ".join(f".{name} = {value}" for name, value in fields.items()) + "},"

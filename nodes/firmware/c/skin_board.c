@@ -16,17 +16,16 @@ const skin_board *skin_board_of(uint8_t bus, uint8_t node_id)
 
 int skin_is_own(const skin_type *type, uint16_t at)
 {
-    return at < type->own_writable ||
-           (at >= type->writable_bytes && at < (uint32_t)type->writable_bytes + type->own_constant);
+    return at < type->own_first || (at >= type->own_from && at < (uint32_t)type->own_from + type->own_middle);
 }
 
 const uint8_t *skin_default(const skin_board *board, uint16_t at)
 {
     const skin_type *type = board->type;
-    const uint16_t shared = (uint16_t)(type->writable_bytes - type->own_writable);
+    const uint16_t shared = (uint16_t)(type->own_from - type->own_first);
 
     if (skin_is_own(type, at)) {
-        return &board->own[at < type->own_writable ? at : at - shared];
+        return &board->own[at < type->own_first ? at : at - shared];
     }
-    return &type->values[at - type->own_writable - (at < type->writable_bytes ? 0 : type->own_constant)];
+    return &type->values[at - type->own_first - (at < type->own_from ? 0 : type->own_middle)];
 }

@@ -42,8 +42,8 @@ typedef struct {
     uint16_t object_count;
     uint16_t communication_bytes; /* the first places of values: objects below 2000h that can be written */
     uint16_t writable_bytes;      /* communication_bytes and then the other objects that can be written */
-    uint16_t own_writable;        /* the first places of all, and the first behind writable_bytes: values that each board */
-    uint16_t own_constant;        /* has for itself */
+    uint16_t own_first;           /* the first places of all, and */
+    uint16_t own_from, own_middle; /* from own_from as many around writable_bytes: values that each board has for itself */
     const uint8_t *values;        /* default values at the other places */
 } skin_type;
 
@@ -53,11 +53,12 @@ typedef struct {
     uint8_t node_id;
     uint16_t held;        /* taxels of all blocks, without empty places */
     const skin_type *type;
-    const uint8_t *own;   /* own_writable and then own_constant bytes of values */
+    const uint8_t *own;   /* own_first and then own_middle bytes of values */
 } skin_board;
 
-/* Hadamard row of each sum of a board (2003h): the first of its own constants. */
-#define SKIN_ROWS(board) ((board)->own + (board)->type->own_writable)
+/* Hadamard row of each sum of a board (2003h): the first of its own constants, behind its own settings. */
+#define SKIN_ROWS(board) \
+    ((board)->own + (board)->type->own_first + (board)->type->writable_bytes - (board)->type->own_from)
 
 /* The board of this image with a node-ID on a bus, NULL if there is none. */
 const skin_board *skin_board_of(uint8_t bus, uint8_t node_id);

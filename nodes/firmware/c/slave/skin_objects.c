@@ -429,12 +429,8 @@ void skin_restore(skin_node *node, int communication_only)
     const uint16_t bytes = communication_only ? board->type->communication_bytes : board->type->writable_bytes;
     uint16_t place;
 
-    if (node->has_stored) {
-        memcpy(node->values, node->stored, bytes);
-    } else {
-        memcpy(node->values, board->own, board->type->own_writable);
-        memcpy(&node->values[board->type->own_writable], board->type->values,
-               (size_t)(bytes - board->type->own_writable));
+    for (place = 0; place < bytes; place++) {
+        node->values[place] = node->has_stored ? node->stored[place] : *skin_default(board, place);
     }
     if (communication_only) {
         return;
