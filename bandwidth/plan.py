@@ -69,7 +69,8 @@ class BusPlan:
 
     Of adaptive boards: a cycle is a slot, and has no SYNC; the window is the length of the slot, and of it the time
     from a sample to the end of its frame is needed if all boards send, `late_random_ms` with random bits. ``rest`` is
-    what boards send while nothing touches. Of other boards these two are None.
+    what boards send while nothing touches. Of other boards these two are None. If the longest frames of all slots ask
+    for more than the bus, SDO, heartbeats and other devices have bounds with random bits, if any.
     """
 
     name: str
@@ -176,6 +177,8 @@ def plan_bus(contract: Contract, bus: int, touched: npt.NDArray[np.float64] | No
     found = [each.responses_ns(allowed.errors_per_s) for each in turns]
     last, rest, late_random_ms = turns[0], None, None
     if contract.is_adaptive:
+        if worst.load(rate_hz) > 1:
+            found = [last.responses_ns(allowed.errors_per_s, _random_ns(last))]
         found[0][last.is_tpdo] = slot_responses_ns(contract, last, last.worst_ns, allowed)
         late_random_ms = milliseconds(slot_responses_ns(contract, last, _random_ns(last), allowed))
         rest = random[0].load(rate_hz / contract.keep_max)

@@ -177,6 +177,8 @@ def percent(value: float | None) -> str:
 
 def print_slot_plan(plans: Sequence[BusPlan]) -> None:
     """Print a plan of adaptive boards: a column per bus, the nodes' response times, the problems."""
+    full = [each.name for each in plans if each.load_worst > 1 and not each.problems]
+    how = ", random bits," if full else " at worst,"
     rows = {
         "nodes": [str(each.nodes) for each in plans],
         "slot, ms": [f"{each.window_ms:.2f}" for each in plans],
@@ -190,8 +192,8 @@ def print_slot_plan(plans: Sequence[BusPlan]) -> None:
         "sample to end of frame, random bits / worst, ms": [
             f"{ms(each.late_random_ms)} / {ms(each.window_needed_ms)}" for each in plans
         ],
-        "SDO response at worst, ms": [ms(each.sdo_response_ms) for each in plans],
-        "heartbeat at worst, ms": [ms(each.heartbeat_response_ms) for each in plans],
+        f"SDO response{how} ms": [ms(each.sdo_response_ms) for each in plans],
+        f"heartbeat{how} ms": [ms(each.heartbeat_response_ms) for each in plans],
         "receive buffer, frames / bytes": [
             f"{each.receive_buffer_frames} / {each.receive_buffer_bytes}" for each in plans
         ],
@@ -201,7 +203,6 @@ def print_slot_plan(plans: Sequence[BusPlan]) -> None:
     _print_wrapped(
         _node_lines({each.name: [(node.node_id, node.response_ms) for node in each.node_plans] for each in plans})
     )
-    full = [each.name for each in plans if each.load_worst > 1 and not each.problems]
     if full:
         print(
             f"\nwhile all boards of {', '.join(full)} send, boards may leave slots out, those with high node-IDs first"

@@ -130,14 +130,16 @@ class Traffic:
         """Longest time of each frame, intermission included."""
         return frame_time_ns(self.frames, self.bus.bitrate, self.bus.data_bitrate, "worst")
 
-    def responses_ns(self, errors_per_s: float = 0.0, blocked_ns: int = 0) -> npt.NDArray[np.int64]:
+    def responses_ns(
+        self, errors_per_s: float = 0.0, time_ns: npt.NDArray[np.int64] | None = None
+    ) -> npt.NDArray[np.int64]:
         """Return an upper bound of the response time of each stream, see `response_times_ns`.
 
-        One TPDO of the cycle before, begun at the end of its window, may block TPDOs, whatever its priority. Frames of
-        `blocked_ns` that are none of these streams may block all.
+        One TPDO of the cycle before, begun at the end of its window, may block TPDOs, whatever its priority. `time_ns`
+        are other times of the frames than `worst_ns`.
         """
-        worst = self.worst_ns
-        blocked = np.maximum(blocking_ns(worst), blocked_ns)
+        worst = self.worst_ns if time_ns is None else time_ns
+        blocked = blocking_ns(worst)
         blocked[self.is_tpdo] = np.maximum(blocked, worst[self.is_tpdo].max(initial=0))[self.is_tpdo]
         return response_times_ns(
             worst,

@@ -30,7 +30,7 @@ SCAN_RATE_MAX_HZ: Final = 500.0
 #: A scan is tried at this rate, to learn what one of this touch takes.
 TRIAL_HZ: Final = 20.0
 #: The bits of adaptive sums: what they take under the five slides, in the mean, with the paper's meshes.
-ADAPTIVE_KBIT_PER_S: Final = 460.0
+ADAPTIVE_KBIT_PER_S: Final = 414.0
 
 _STEPS: Final = Steps()
 
