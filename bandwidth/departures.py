@@ -20,12 +20,12 @@ from bandwidth.measured import (
     whole_cycles,
 )
 from bandwidth.plan import BusPlan
-from dbc.adaptive_filter import SAMPLE_NS
 from dbc.canopen import BASE_ID_MASK, HEARTBEAT_BASE
 from dbc.contract import Contract
 from dbc.dictionary import HEARTBEAT_MS, SILENT_AFTER_S, slot_offset_us
 from dbc.frame import ERROR, Frames
 from dbc.packing import COUNTER_BYTES
+from dbc.patch_filter import SAMPLE_NS
 from dbc.steps import LATE_SLOTS
 from skin.ranges import ranges_text
 from skin.sync_counter import SYNC_OVERFLOW, next_counter
@@ -62,7 +62,7 @@ def _in_state(whole: Contract, bus: int, part: Measured) -> list[str]:
     lines = [*_load(planned, load), *foreign(load), *errors(seen), *_other_state(load)]
     syncs = int(is_sync(seen).sum())
     if syncs > 1:
-        compare = _slots if contract.is_adaptive else _cycles
+        compare = _slots if contract.in_steps else _cycles
         lines += [*sync(contract, taken, seconds), *compare(contract, bus, taken, planned)]
     else:
         lines.append(f"{'one' if syncs else 'no'} SYNC: cycles cannot be told apart")

@@ -1,6 +1,6 @@
 """The plan of a skin's buses, from its layout: load, highest rate, window and response times.
 
-The slots of adaptive boards are planned as cycles in which every board sends. What boards send less is told as the load
+The slots of stepped boards are planned as cycles in which every board sends. What boards send less is told as the load
 at rest and under simulated touches.
 """
 
@@ -31,7 +31,7 @@ from skin.sync_counter import SYNC_OVERFLOW
 RECEIVED_FRAME_BYTES: Final = 896
 #: Cycles in the receive buffer of a reader that was delayed by one cycle.
 CYCLES_BUFFERED: Final = 2
-#: Length of the simulated touches of adaptive boards.
+#: Length of the simulated touches of stepped boards.
 TOUCHED_S: Final = 16.0
 
 
@@ -39,7 +39,7 @@ TOUCHED_S: Final = 16.0
 class NodePlan:
     """One node: TPDOs per cycle, and longest time from SYNC to the end of the last TPDO; None without a bound.
 
-    The time of an adaptive node is that from its sample.
+    The time of a stepped node is that from its sample.
     """
 
     node_id: int
@@ -67,7 +67,7 @@ class BusPlan:
     and rates include SYNC and heartbeats; a rate that ends in ``_80`` is for a load of 80 %. Times are upper bounds,
     None if the bus is too full for a bound.
 
-    Of adaptive boards: a cycle is a slot, and has no SYNC; the window is the length of the slot, and of it the time
+    Of stepped boards: a cycle is a slot, and has no SYNC; the window is the length of the slot, and of it the time
     from a sample to the end of its frame is needed if all boards send, `late_random_ms` with random bits. ``rest`` is
     what boards send while nothing touches. Of other boards these two are None. If the longest frames of all slots ask
     for more than the bus, SDO, heartbeats and other devices have bounds with random bits, if any.
@@ -127,11 +127,11 @@ def plan(contract: Contract, *, allowed: Disturbance | None = None, is_touched: 
     allowed : Disturbance, optional
         Disturbances that response times include.
     is_touched : bool
-        Whether to simulate a touch of adaptive boards, which takes seconds.
+        Whether to simulate a touch of stepped boards, which takes seconds.
     """
     allowed = allowed or Disturbance()
     buses = range(len(contract.layout.bus))
-    if not contract.is_adaptive:
+    if not contract.in_steps:
         bits = touched_bits(contract)
         return [plan_bus(contract, bus, bits[bus].mean(axis=0), allowed) for bus in buses]
     kinds = [(line.fd, line.bitrate, line.data_bitrate) for line in contract.layout.bus]
@@ -148,12 +148,12 @@ def plan(contract: Contract, *, allowed: Disturbance | None = None, is_touched: 
 
 
 def touched_load(contract: Contract, bus: int) -> float | None:
-    """Return the load of the sums of a bus of adaptive boards while the default objects press and slide.
+    """Return the load of the sums of a bus of stepped boards while the default objects press and slide.
 
-    None if no installed package tells what adaptive nodes send.
+    None if no installed package tells what stepped nodes send.
     """
     try:
-        sent_of = load_sender("adaptive")
+        sent_of = load_sender("steps")
     except InputError:
         return None
     line = contract.layout.bus[bus]
@@ -162,7 +162,7 @@ def touched_load(contract: Contract, bus: int) -> float | None:
 
 
 def cycle_hz(layout: Layout) -> float:
-    """Return how many cycles, or slots of adaptive boards, there are in a second."""
+    """Return how many cycles, or slots of stepped boards, there are in a second."""
     return layout.sync.rate_hz if layout.sends.in_cycles else 1 / layout.steps.slot_s
 
 
@@ -176,7 +176,7 @@ def plan_bus(contract: Contract, bus: int, touched: npt.NDArray[np.float64] | No
     rate_hz = cycle_hz(layout)
     found = [each.responses_ns(allowed.errors_per_s) for each in turns]
     last, rest, late_random_ms = turns[0], None, None
-    if contract.is_adaptive:
+    if contract.in_steps:
         if worst.load(rate_hz) > 1:
             found = [last.responses_ns(allowed.errors_per_s, _random_ns(last))]
         found[0][last.is_tpdo] = slot_responses_ns(contract, last, last.worst_ns, allowed)
@@ -191,14 +191,14 @@ def plan_bus(contract: Contract, bus: int, touched: npt.NDArray[np.float64] | No
     responses[~last.is_foreign] = np.max(ours, axis=0)
     nodes = _node_plans(last, responses)
     foreign = foreign_plans(last, np.max(theirs, axis=0))
-    window_ms = 1e3 * (layout.steps.slot_s if contract.is_adaptive else window_s(layout))
+    window_ms = 1e3 * (layout.steps.slot_s if contract.in_steps else window_s(layout))
     per_cycle = int(last.is_cyclic.sum())
     others = CYCLES_BUFFERED * layout.sync.period_s / last.period_s[last.is_foreign]
     cycles = CYCLES_BUFFERED * rate_hz * layout.sync.period_s
     buffered = math.ceil(cycles * per_cycle) + line.nodes + int(np.ceil(others).sum())
     needed = milliseconds(responses[last.is_tpdo])
     problems = _problems(line, worst, rate_hz, needed, window_ms, sends=bool(nodes))
-    if contract.is_adaptive:
+    if contract.in_steps:
         problems = _slot_problems(contract, bus, worst)
     return BusPlan(
         name=line.name,

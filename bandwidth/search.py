@@ -32,10 +32,10 @@ from skin.layout import (
     changed,
     validated,
 )
-from skin.sending import ADAPTIVE, SendingName
+from skin.sending import STEPPED, SendingName
 
 CanKind = Literal["any", "classic", "fd"]
-SendingKind = Literal["any", "synchronous", "adaptive"]
+SendingKind = Literal["any", "synchronous", "steps"]
 
 #: Widths to try. The rounding of 9 bits is nearly the noise of averages of ten, so 9 bits and fewer come last.
 _WIDTHS: Final = (range(SUM_BITS_MAX, 9, -1), range(9, SUM_BITS_MIN - 1, -1))
@@ -63,10 +63,10 @@ class Requirement:
         Largest number of buses.
     budget : float
         Highest load of a bus, with the most stuff bits.
-        Of adaptive sums, which fill a bus when everything moves, the load under simulated touches.
+        Of steps, which fill a bus when everything moves, the load under simulated touches.
     can : {"any", "classic", "fd"}
-    sending : {"any", "synchronous", "adaptive"}
-        ``any``: synchronous sums, whose load and lateness have a bound; adaptive sums where these do not fit.
+    sending : {"any", "synchronous", "steps"}
+        ``any``: synchronous sums, whose load and lateness have a bound; steps where these do not fit.
     """
 
     taxels: int | Taxels
@@ -112,7 +112,7 @@ def nearly_square(count: int) -> Taxels:
 class Candidate:
     """A layout that was tried; fields ``missing_…`` tell what it lacks: 0 for nothing, None if unknown.
 
-    `load_touched` and `late_random_ms` are of adaptive sums, see `bandwidth.plan.BusPlan`.
+    `load_touched` and `late_random_ms` are of steps, see `bandwidth.plan.BusPlan`.
     """
 
     sending: SendingName
@@ -142,7 +142,7 @@ class Candidate:
         wire = "classic CAN" if self.data_bitrate is None else f"CAN FD {self.data_bitrate // 1_000_000} Mbit/s"
         buses = f"{self.buses} bus{'es' * (self.buses > 1)}"
         each = f"{self.blocks_per_node} block{'s' * (self.blocks_per_node > 1)}"
-        sums = f"{self.sums} sums" + (f" of {self.sum_bits} bits" if self.sending == "synchronous" else ", adaptive")
+        sums = f"{self.sums} sums" + (f" of {self.sum_bits} bits" if self.sending == "synchronous" else ", stepped")
         return f"{buses} of {wire}, {self.nodes} nodes of {each}, {sums}"
 
     @property
@@ -238,9 +238,9 @@ def _layouts(required: Requirement) -> Iterator[Layout]:
         bus=[Bus(name="bus0", nodes=1)],
     )
     start = changed(start, measurement={"sums": start.places // COMPRESSIONS[0]})
-    if required.sending != "adaptive":
+    if required.sending != "steps":
         yield from _in_cycles(with_averages(start), required)
-    if required.sending != "synchronous" and required.rate_hz <= ADAPTIVE.default_rates_hz["sampling"]:
+    if required.sending != "synchronous" and required.rate_hz <= STEPPED.default_rates_hz["sampling"]:
         yield from _on_news(start, required)
 
 
@@ -260,9 +260,9 @@ def _in_cycles(start: Layout, required: Requirement) -> Iterator[Layout]:
 
 
 def _on_news(start: Layout, required: Requirement) -> Iterator[Layout]:
-    """Yield layouts of adaptive sums: a patch of neighbours on a node, and all its sums."""
-    rates = {table: {"rate_hz": rate_hz} for table, rate_hz in ADAPTIVE.default_rates_hz.items()}
-    start = changed(start, sending="adaptive", measurement={"sums": start.places, "wiring": "board"}, **rates)
+    """Yield layouts of steps: a patch of neighbours on a node, and all its sums."""
+    rates = {table: {"rate_hz": rate_hz} for table, rate_hz in STEPPED.default_rates_hz.items()}
+    start = changed(start, sending="steps", measurement={"sums": start.places, "wiring": "board"}, **rates)
     for buses, rate in product(range(1, required.buses + 1), DATA_BITRATES[required.can]):
         if start.blocks >= buses:
             yield with_buses(
@@ -300,7 +300,7 @@ def _judge(layout: Layout, required: Requirement, allowed: Disturbance) -> Candi
         contract = Contract.from_layout(validated(layout))
     except LayoutError as error:
         return replace(about, problem=str(error))
-    return (_judge_news if contract.is_adaptive else _judge_cycles)(about, contract, required, allowed)
+    return (_judge_news if contract.in_steps else _judge_cycles)(about, contract, required, allowed)
 
 
 def _judge_cycles(about: Candidate, contract: Contract, required: Requirement, allowed: Disturbance) -> Candidate:

@@ -17,7 +17,7 @@ def plan_states(contract: Contract, allowed: Disturbance | None = None, *, is_to
 def facts(contract: Contract, plans: Sequence[BusPlan], allowed: Disturbance) -> dict[str, object]:
     """Return the way of sending; of cycles rounding, alternatives, and the plans of recognition where there is that."""
     layout = contract.layout
-    if contract.is_adaptive:
+    if contract.in_steps:
         return {"sending": layout.sending, "steps": layout.steps}
     few = plans[len(layout.bus) :]
     return {
@@ -32,7 +32,7 @@ def print_plans(contract: Contract, plans: Sequence[BusPlan], allowed: Disturban
     from bandwidth.tables import print_buses, print_plan, print_problems, print_slot_plan
 
     buses = len(contract.layout.bus)
-    if contract.is_adaptive:
+    if contract.in_steps:
         print_slot_plan(plans)
         return
     if few := plans[buses:]:

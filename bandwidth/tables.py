@@ -176,7 +176,7 @@ def percent(value: float | None) -> str:
 
 
 def print_slot_plan(plans: Sequence[BusPlan]) -> None:
-    """Print a plan of adaptive boards: a column per bus, the nodes' response times, the problems."""
+    """Print a plan of stepped boards: a column per bus, the nodes' response times, the problems."""
     full = [each.name for each in plans if each.load_worst > 1 and not each.problems]
     how = ", random bits," if full else " at worst,"
     rows = {

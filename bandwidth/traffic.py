@@ -9,7 +9,6 @@ import numpy.typing as npt
 from cyclopts import Parameter
 
 from bandwidth.response import blocking_ns, response_times_ns
-from dbc.adaptive_filter import SAMPLE_NS
 from dbc.canopen import (
     HEARTBEAT_BASE,
     SDO_REQUEST_BASE,
@@ -22,6 +21,7 @@ from dbc.contract import Contract
 from dbc.dictionary import HEARTBEAT_MS
 from dbc.frame import BRS, CLASSIC_BYTES, EXTENDED, FD, Frames, frames
 from dbc.frame_bits import frame_time_ns, nominal_ns
+from dbc.patch_filter import SAMPLE_NS
 from dbc.time_of_day import time_frame
 from skin.foreign import ForeignMessage
 from skin.layout import Bus, Layout
@@ -29,8 +29,8 @@ from skin.ranges import require_number
 
 #: Upper limit of both rates: more than the frames per second of a classic bus.
 PER_SECOND_MAX: Final = 20_000.0
-#: Longest time from a sample of an adaptive board until the board has queued its frame.
-ADAPTIVE_JITTER_S: Final = 100e-6
+#: Longest time from a sample of a stepped board until the board has queued its frame.
+STEPPED_JITTER_S: Final = 100e-6
 #: Any instant, for the TIME of a plan: stuff bits of its data hardly differ from day to day.
 _ANY_NS: Final = 1_750_000_000 * 10**9
 #: Upper limit of the jitter: a later answer is no answer to this SYNC.
@@ -46,7 +46,7 @@ class Disturbance:
     ----------
     jitter_s : float
         Response times: time from SYNC until the slowest node has queued its TPDOs, seconds. Default: `device.jitter_s`
-        of the layout; of adaptive boards 0.0001, from the sample.
+        of the layout; of stepped boards 0.0001, from the sample.
     sdo_per_s : float
         Response times: SDO transfers per second, each a request and a response of 8 bytes.
     errors_per_s : float
@@ -66,7 +66,7 @@ class Disturbance:
         """Return these disturbances with the jitter that the boards of `layout` have by default, where none is set."""
         if self.jitter_s is not None:
             return self
-        return replace(self, jitter_s=layout.device.jitter_s if layout.sends.in_cycles else ADAPTIVE_JITTER_S)
+        return replace(self, jitter_s=layout.device.jitter_s if layout.sends.in_cycles else STEPPED_JITTER_S)
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +82,7 @@ class Traffic:
     node : array of int, shape (n,)
         Sender's node-ID; 0 is the gateway.
     is_cyclic, is_tpdo, is_heartbeat, is_sdo_response : array of bool, shape (n,)
-        Cyclic are SYNC and the TPDOs; of adaptive boards, whose cycles are their slots, the TPDOs.
+        Cyclic are SYNC and the TPDOs; of stepped boards, whose cycles are their slots, the TPDOs.
     foreign : tuple of ForeignMessage or None, length n
         The messages of other devices; None for streams of the skin.
     """
@@ -178,7 +178,7 @@ def traffic(contract: Contract, bus: int, turn: int = 0, allowed: Disturbance | 
         [*senders, *[last, 0][: len(transfers)], *(each.node_id for each in nodes), *[0][: len(times)]], np.intp
     )
     is_tpdo, jitter_s = cyclic & (node > 0), allowed.jitter_s or 0.0
-    if contract.is_adaptive:
+    if contract.in_steps:
         # A board looks for its slot when it has taken a sample.
         cyclic, jitter_s = is_tpdo, jitter_s + SAMPLE_NS * 1e-9
         period_s[is_tpdo] = contract.layout.steps.slot_s

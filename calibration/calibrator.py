@@ -1,6 +1,6 @@
 """The calibration of a running skin: a zero that is measured, followed, and doubted where it may be wrong.
 
-Boards with adaptive sending measure and follow their own zero: then the zero here begins with 0. It moves when a person
+Boards with steps measure and follow their own zero: then the zero here begins with 0. It moves when a person
 settles what stands on the skin, and when that has gone.
 """
 
@@ -34,7 +34,7 @@ from skin.taxel import NOISE_N
 Tare = Literal["at-start", "never"]
 #: Noise of sums that are not averaged, in units of what the paper's sensor has: below, the sensor adds none.
 LEAST_NOISE_RATIO: Final = 0.3
-#: From one look at the newest adaptive sums to the next, seconds: the period of their cycles here.
+#: From one look at the newest steps to the next, seconds: the period of their cycles here.
 LOOK_S: Final = 0.025
 #: Noise of a sum, counts, that is no defect: averages of an untouched taxel are 0 but for rare cycles.
 QUIET_COUNTS: Final = 3.0
@@ -98,7 +98,7 @@ class Corrections:
         self._newton_per_count = layout.taxels.newton_per_count
         #: Taxels, shape (n,), that are doubtful whatever stands on them.
         self.unaccepted = np.zeros(layout.taxels.count, np.bool_)
-        #: Packed for measurements: doubtful taxels; offsets of adaptive sums, which change in some windows only.
+        #: Packed for measurements: doubtful taxels; offsets of steps, which change in some windows only.
         self._doubtful = self._offsets = b""
 
     def take(self, followed: FollowedZero | None, *, tares: bool) -> None:
@@ -140,7 +140,7 @@ class Calibrator:
     """Learns the zero of the sums of a skin, and writes it into measurements.
 
     `apply` to every measurement, then `take` the one that came; `work` whenever there is time for a window
-    (`gateway.service.SPARE_S`). Of adaptive sums, `take` the newest every `LOOK_S`, with the time of the look.
+    (`gateway.service.SPARE_S`). Of steps, `take` the newest every `LOOK_S`, with the time of the look.
 
     Parameters
     ----------
@@ -374,7 +374,7 @@ class Calibrator:
     def _follow(self, followed: FollowedZero, window: Window) -> None:
         """Follow the zero, and look for defects."""
         followed.take(window, self._defects.found.usable)
-        if self._is_own:  # adaptive sums rarely change
+        if self._is_own:  # steps rarely change
             self._defects.take(window, followed.zero.held)
         self._log.tell(followed)
 

@@ -26,7 +26,7 @@ def make_calibrator(layout: Layout, path: Path | None, tare: Tare, service: str)
     """Return what the options ``--calibration`` and ``--tare`` ask for, None for nothing."""
     if path is None and tare == "never":
         return None
-    require_sending(layout, "synchronous", "--calibration and --tare are", "adaptive boards have their own zero")
+    require_sending(layout, "synchronous", "--calibration and --tare are", "stepped boards have their own zero")
     offsets_n = load_calibration(path, layout).required_offsets_n(str(path)) if path is not None else None
     return Calibrator(layout, offsets_n=offsets_n, tares=tare == "at-start", say=lambda text: say(service, text))
 

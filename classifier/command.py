@@ -35,7 +35,7 @@ def classify(
     objects: ObjectNames | None = None,
     stroke: StrokeKind | None = None,
 ) -> None:
-    """Name the object that touches the skin, once per measurement; of adaptive sums, a hundred times a second.
+    """Name the object that touches the skin, once per measurement; of steps, a hundred times a second.
 
     Without ``--model``, a model for this skin is trained once and kept in the cache folder: ``$SKIN_CACHE``, else
     ``$XDG_CACHE_HOME/canskin``, else ``~/.cache/canskin``.

@@ -86,8 +86,8 @@ class Metadata(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         Of the Φ of the training.
     newton_per_count : float
         ADC step of the training.
-    sending : {"synchronous", "adaptive"}
-        How the skin sends its sums. Of adaptive sums those of `classifier.used_sums` are used.
+    sending : {"synchronous", "steps"}
+        How the skin sends its sums. Of steps those of `classifier.used_sums` are used.
     contact_threshold : float
         Largest standardised peak that still counts as no contact.
     false_alarm_ratio : float

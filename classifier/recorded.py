@@ -19,7 +19,7 @@ from classifier.used_sums import classified_phi, coarse_sums
 from skin.difference import difference
 from skin.layout import RECORDING_SUFFIX, Layout, load_layout
 from skin.mcap_file import Warn, read_messages
-from skin.measured_sums import decode_adaptive, decode_measurement
+from skin.measured_sums import decode_measurement, decode_stepped
 from skin.measurement import Phi, places
 from skin.taxel import NOISE_N
 
@@ -109,7 +109,7 @@ def labelled_touches(
         TOML of the skin; default: that of the first recording.
     noise_n : float
         Standard deviation of the taxel noise in newtons, for the untouched skin if the recordings hold fewer than
-        `LEAST_STILL` cycles of it, or boards send adaptive sums.
+        `LEAST_STILL` cycles of it, or boards send steps.
     """
     given = [recordings] if isinstance(recordings, str | Path) else recordings
     paths = recordings_in(Path(each) for each in given)
@@ -188,7 +188,7 @@ class _Reader:
         before = None
         for _, _, measurement in read_messages(path, (topic,), warn):
             try:
-                decoded = (decode_measurement if layout.sends.in_cycles else decode_adaptive)(measurement, sent)
+                decoded = (decode_measurement if layout.sends.in_cycles else decode_stepped)(measurement, sent)
             except InputError as error:
                 raise InputError(f"{path}: {error}") from error
             step = 1

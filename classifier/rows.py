@@ -57,7 +57,7 @@ def with_chosen_rows(
     noise_n: float,
     seed: int = 0,
 ) -> Layout:
-    """Return the layout, not of adaptive sending, with the `count` rows of Φ that separate labelled touches best.
+    """Return the layout, not of steps, with the `count` rows of Φ that separate labelled touches best.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ def with_chosen_rows(
     seed : int
         Of the noise.
     """
-    require_sending(layout, "synchronous", "a choice of rows is", "adaptive nodes send every row")
+    require_sending(layout, "synchronous", "a choice of rows is", "stepped nodes send every row")
     drawn = layout.phi()
     every = replace(drawn, kept=np.ones_like(drawn.kept)) if layout.recognition is None else drawn
     sums = simulate_means(force_n, layout, every, noise_n, np.random.default_rng(seed))

@@ -15,7 +15,7 @@ from classifier.settling import Decision
 from classifier.used_sums import classified_phi, coarse_sums
 from shell.service import StopSignal
 from skin.layout import Layout
-from skin.measured_sums import AdaptiveSums, MeasurementReader, decode_adaptive, decode_measurement
+from skin.measured_sums import MeasurementReader, SteppedSums, decode_measurement, decode_stepped
 from skin.measurement import Phi, places
 
 #: Period of the check of the stop signal.
@@ -24,17 +24,17 @@ _TURN_S = 0.1
 #: label.
 _WAITING_S: Final = 0.04
 _LEAST_WAITING: Final = 4
-#: Least time between two decisions on adaptive sums. The decision settles over cycles of this period.
+#: Least time between two decisions on steps. The decision settles over cycles of this period.
 PERIOD_S: Final = 0.01
 
 
 def make_service(
     classifier: Classifier, layout: Layout, fabric: Exchange, wake: Callable[[str], None] = lambda _label: None
-) -> "ClassifierService | AdaptiveClassifierService":
+) -> "ClassifierService | SteppedClassifierService":
     """Return what labels the measurements of a skin; `wake` is called with each label of a cycle."""
     if layout.sends.in_cycles:
         return ClassifierService(classifier, layout, fabric, wake=wake)
-    return AdaptiveClassifierService(classifier, layout, fabric)
+    return SteppedClassifierService(classifier, layout, fabric)
 
 
 def most_waiting(rate_hz: float) -> int:
@@ -129,8 +129,8 @@ class ClassifierService(_Service):
         return [] if label is None else [label]
 
 
-class AdaptiveClassifierService(_Service):
-    """Labels the newest sums of a skin with adaptive sending, every `PERIOD_S`.
+class SteppedClassifierService(_Service):
+    """Labels the newest sums of a skin with steps, every `PERIOD_S`.
 
     While no measurement comes, the newest stands, so a label settles as quickly on a skin that has nothing to send. The
     gateway publishes at least every 0.1 s: after `FORGET_CYCLES` periods without a measurement nothing is labelled.
@@ -139,9 +139,9 @@ class AdaptiveClassifierService(_Service):
 
     def __init__(self, classifier: Classifier, layout: Layout, fabric: Exchange) -> None:
         super().__init__(classifier, layout.phi(), fabric, MEASUREMENT, waiting=1)
-        self._reader = MeasurementReader(layout.phi(), "classifier", decode_adaptive)
+        self._reader = MeasurementReader(layout.phi(), "classifier", decode_stepped)
         self._places = places(layout.phi(), coarse_sums(layout))
-        self._newest: tuple[Measurement, AdaptiveSums] | None = None
+        self._newest: tuple[Measurement, SteppedSums] | None = None
         self._cycle = self._repeated = 0
         self._due_ns: int | None = None
 

@@ -22,7 +22,7 @@ from skin.mcap_file import Read, Warn, read_messages
 
 #: Without contact for longer, a touch has ended.
 GAP_NS: Final = 100_000_000
-#: Without a message for longer, too: adaptive boards at rest say nothing for 0.1 s, slow skins for a cycle.
+#: Without a message for longer, too: stepped boards at rest say nothing for 0.1 s, slow skins for a cycle.
 SILENT_NS: Final = 1_000_000_000
 #: Shorter touches are left out.
 LEAST_NS: Final = 50_000_000

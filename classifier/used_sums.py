@@ -1,4 +1,4 @@
-"""Which sums the classifier uses, and what noise is in them: sums of cycles, or some of adaptive boards."""
+"""Which sums the classifier uses, and what noise is in them: sums of cycles, or some of stepped boards."""
 
 from dataclasses import replace
 from typing import Final
@@ -13,11 +13,11 @@ from skin.walsh import coarse_rows
 
 #: What nodes that average leave of the noise: less where a touch rests, more where a touch moves.
 AVERAGED_NOISE_RATIO: Final = 0.2
-#: What adaptive nodes leave of it where they are touched, least and most, the rounding of their steps included: 0.21 to
+#: What stepped nodes leave of it where they are touched, least and most, the rounding of their steps included: 0.21 to
 #: 0.27 on a ball at rest, a sliding box and five fingertips of `skin evaluate rivals`, more where a touch begins
 #: or moves. With 0.25 alone a model takes many slides for unknown objects (`docs/classification.md`). Nodes that
 #: nothing touches show 0.
-ADAPTIVE_NOISE_RATIOS: Final = (0.2, 0.6)
+STEPPED_NOISE_RATIOS: Final = (0.2, 0.6)
 
 
 def classified_phi(layout: Layout) -> Phi:
@@ -26,7 +26,7 @@ def classified_phi(layout: Layout) -> Phi:
 
 
 def coarse_sums(layout: Layout) -> Sbhe:
-    """Return the Φ of a quarter of the adaptive sums of each block: those that show means of 2 x 2 taxels."""
+    """Return the Φ of a quarter of the steps of each block: those that show means of 2 x 2 taxels."""
     phi = layout.phi()
     kept = np.zeros_like(phi.kept)
     kept[:, coarse_rows(phi.block_size)] = True
@@ -36,13 +36,13 @@ def coarse_sums(layout: Layout) -> Sbhe:
 def noise_ratios(layout: Layout) -> tuple[float, float]:
     """Return which part of the noise the boards leave, least and most."""
     if not layout.sends.in_cycles:
-        return ADAPTIVE_NOISE_RATIOS
+        return STEPPED_NOISE_RATIOS
     left = 1.0 if layout.samples_per_sync == 1 else AVERAGED_NOISE_RATIO
     return left, left
 
 
 def silence(signal_n: Float32, true_n: Float32, least_n: Float32, phi: Sbhe) -> None:
-    """Set what adaptive boards do not send to 0: noise, and all of a block that nothing touches.
+    """Set what stepped boards do not send to 0: noise, and all of a block that nothing touches.
 
     A skin that nothing touches has noise everywhere, so that a stray value of one node is no contact. With noise in
     all blocks the model is right in 98.0 % of the cycles, not 99.9 %.

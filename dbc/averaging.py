@@ -4,7 +4,7 @@ from typing import Final
 
 import numpy as np
 
-from dbc.adaptive_filter import Models, make_models
+from dbc.patch_filter import Models, make_models
 
 #: Which models run: a jump, the average with gain 2⁻⁸, and trends with memories of 2², 2⁴ and 2⁶ samples. All eight
 #: give no better images on the scenes of the evaluation, and take 1.6 times as long.

@@ -84,7 +84,7 @@ class BoardTpdo(_Table, frozen=True, kw_only=True):
 
 
 class BoardPart(_Table, frozen=True, kw_only=True):
-    """One part of an adaptive board: the sums of one word (`dbc.steps.Form`).
+    """One part of a stepped board: the sums of one word (`dbc.steps.Form`).
 
     Attributes
     ----------
@@ -141,7 +141,7 @@ class Board(_Table, frozen=True, kw_only=True):
         2008h:2 of boards with two states.
     emcy_cob_id, sdo_request_cob_id, sdo_response_cob_id, heartbeat_cob_id, heartbeat_ms : int
     sending : str
-        ``synchronous`` or ``adaptive``.
+        ``synchronous`` or ``steps``.
     frontend : str
         ``analogue`` where one converter reads each sum; missing where each taxel has a converter.
     adc_bits, count_max : int
@@ -162,13 +162,13 @@ class Board(_Table, frozen=True, kw_only=True):
     tpdos : list of BoardTpdo
     blocks : list of BoardBlock
     unit_n : float
-        2007h of adaptive boards.
+        2007h of stepped boards.
     quiet, slots_per_sync, slot_offset_us
-        2031h of adaptive boards.
+        2031h of stepped boards.
     parts : list of BoardPart
-        Of adaptive boards, in the order of the words.
+        Of stepped boards, in the order of the words.
     rows_of_parts : list of int
-        Of adaptive boards: the Hadamard row of each sum, in the order of the parts.
+        Of stepped boards: the Hadamard row of each sum, in the order of the parts.
     """
 
     skin: str
@@ -217,7 +217,7 @@ def board(contract: Contract, node: NodeContract) -> Board:
     values: _Values = {(each.index, each.subindex or 0): each.value for each in dictionary(contract, node)}
     layout = contract.layout
     bus = layout.bus[node.bus]
-    is_adaptive = node.is_adaptive
+    in_steps = node.in_steps
     return Board(
         skin=layout.name,
         bus=bus.name,
@@ -246,18 +246,18 @@ def board(contract: Contract, node: NodeContract) -> Board:
         newton_per_count=layout.taxels.newton_per_count,
         samples_per_sync=layout.samples_per_sync,
         encoding=int(values[od.ENCODING, 0]),
-        packing=None if is_adaptive else _packing(node.packing),
+        packing=None if in_steps else _packing(node.packing),
         phi_seed=int(values[od.PHI_SEED, 0]),
         phi_fingerprint=contract.phi.fingerprint,
         signature=expected_signature(configuration(contract, node)),
         tpdos=_tpdos(contract, node, values),
         blocks=_blocks(contract, node, values),
-        **(_steps(contract, node, values) if is_adaptive else {}),
+        **(_steps(contract, node, values) if in_steps else {}),
     )
 
 
 def _steps(contract: Contract, node: NodeContract, values: _Values) -> dict[str, Any]:
-    """Return what adaptive boards have besides."""
+    """Return what stepped boards have besides."""
     return {
         "unit_n": contract.unit_n,
         "quiet": values[od.SENDING, 1],

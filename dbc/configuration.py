@@ -1,7 +1,7 @@
 """The objects of a node that the gateway compares before it uses the node's sums, and their signature.
 
 A TPDO does not tell its mapping. A block is valid only while these objects are known to have the values of the
-contract: identity, identifiers, mapping, SYNC, test pattern, Φ, and unit (2007h) and slots (2031h:2) of adaptive sums.
+contract: identity, identifiers, mapping, SYNC, test pattern, Φ, and unit (2007h) and slots (2031h:2) of steps.
 What a node learns, and what it leaves out, does not alter what a frame means.
 """
 

@@ -6,7 +6,7 @@ names its cycle, however late it comes.
 With `sync.turns` = t the TPDOs of a node take turns: TPDO k answers the SYNCs of turn k mod t, which is transmission
 type t with SYNC start value turn + 1.
 
-The first byte of an adaptive TPDO is the number of its slot (`dbc.steps`), and words of its parts follow.
+The first byte of a stepped TPDO is the number of its slot (`dbc.steps`), and words of its parts follow.
 """
 
 from collections.abc import Mapping, Sequence
@@ -50,7 +50,7 @@ class Tpdo:
 
     With one turn `turn` is 0. `length` is the payload in bytes, with the padding of CAN FD.
 
-    An adaptive TPDO carries words of parts (`Contract.forms_of`): their sums are in the order of
+    A stepped TPDO carries words of parts (`Contract.forms_of`): their sums are in the order of
     `skin.walsh.grouped_rows`, `first_sum` counts so, too, and `turn` is 0.
     """
 
@@ -67,7 +67,7 @@ class NodeContract:
     """One CANopen node: `blocks` blocks of the skin from `block` on, and the frames it sends.
 
     `flags` are the flags of its PDOs (`dbc.frame`); all its other frames are classic. `forms` are those of the parts of
-    an adaptive node.
+    a stepped node.
     """
 
     bus: int
@@ -81,7 +81,7 @@ class NodeContract:
     forms: tuple[steps.Form, ...] = ()
 
     @property
-    def is_adaptive(self) -> bool:
+    def in_steps(self) -> bool:
         """Whether the node sends steps."""
         return bool(self.forms)
 
@@ -97,7 +97,7 @@ class NodeContract:
         Words (`dbc.steps`) have their width, a 3 where others have 1 for offset binary, and no scale. Sums of an
         analogue front end (`skin.frontend`) have 4 or 5 there.
         """
-        if self.is_adaptive:
+        if self.in_steps:
             return 8 * steps.WORD_BYTES | _WORDS << 16 | self.blocks << 24
         step = self.packing.scale.bit_length() - 1
         form = (not self.packing.is_signed) + (0 if self.packing.converter is None else _ANALOGUE)
@@ -147,18 +147,18 @@ class Contract:
         return (self,) if self.recognition is None else (self, self.recognition)
 
     @property
-    def is_adaptive(self) -> bool:
+    def in_steps(self) -> bool:
         """Whether the nodes send steps."""
-        return self.nodes[0].is_adaptive
+        return self.nodes[0].in_steps
 
     @property
     def unit_n(self) -> float:
-        """The unit of adaptive sums, newtons."""
+        """The unit of steps, newtons."""
         return steps.unit_n(self.layout.taxels.force_max_n, self.phi.block_size)
 
     @property
     def slots(self) -> int:
-        """Number of slots of an adaptive node from SYNC to SYNC."""
+        """Number of slots of a stepped node from SYNC to SYNC."""
         return self.layout.slots
 
     @property
@@ -168,11 +168,11 @@ class Contract:
 
     @property
     def keep_max(self) -> int:
-        """Number of slots after which a silent adaptive node sends checks at the latest."""
+        """Number of slots after which a silent stepped node sends checks at the latest."""
         return steps.keep_max(self.slots)
 
     def forms_of(self, bus: int) -> tuple[steps.Form, ...]:
-        """Return the forms of the parts of an adaptive node on bus number `bus`: all its nodes have the same."""
+        """Return the forms of the parts of a stepped node on bus number `bus`: all its nodes have the same."""
         return self.on_bus(bus)[0].forms
 
     @property
@@ -238,7 +238,7 @@ class Contract:
 
     @cached_property
     def parts(self) -> "PartTable":
-        """All parts of adaptive nodes as arrays."""
+        """All parts of stepped nodes as arrays."""
         return _parts(self)
 
 
@@ -266,7 +266,7 @@ class FrameTable(NamedTuple):
 
 
 class PartTable(NamedTuple):
-    """Every part of the adaptive nodes of a skin, numbered by node, and the frames that carry them, for compiled code.
+    """Every part of the stepped nodes of a skin, numbered by node, and the frames that carry them, for compiled code.
 
     Attributes
     ----------
@@ -326,7 +326,7 @@ def _phi_and_nodes(
 
 
 def _tpdos_of_parts(bus: Bus, number: int, place: int, sums: range, forms: Sequence[steps.Form]) -> tuple[Tpdo, ...]:
-    """Return the TPDOs of the adaptive node at a place of a bus: one for each part, on CAN FD one for all."""
+    """Return the TPDOs of the stepped node at a place of a bus: one for each part, on CAN FD one for all."""
     together = len(forms) if bus.fd else 1
     of_frame = sum(form.sums for form in forms[:together])
     return tuple(
@@ -452,7 +452,7 @@ def _table(contract: Contract) -> FrameTable:
 def places_of_sums(contract: Contract, node: NodeContract, tpdo: Tpdo) -> list[int]:
     """Return the places of a TPDO's sums among all sums, in the order of the frame."""
     sums = range(tpdo.first_sum, tpdo.first_sum + tpdo.sums)
-    if not node.is_adaptive:
+    if not node.in_steps:
         return list(sums)
     start, rows = int(contract.phi.starts[node.block]), grouped_rows(node.sums).ravel()
     return [start + int(rows[each - start]) for each in sums]

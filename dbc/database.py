@@ -78,8 +78,8 @@ def database(contract: Contract, bus: int) -> str:
 
 def _unit_text(contract: Contract) -> str:
     """Return a sentence on the values of sums."""
-    if contract.is_adaptive:
-        return f"Words move or set sums in units of {contract.unit_n:.6g} N, see the document of adaptive sending."
+    if contract.in_steps:
+        return f"Words move or set sums in units of {contract.unit_n:.6g} N, see the document of steps."
     scale, error_n = contract.packing.scale, rounding_error_n(contract.layout)
     exact = f"rounded to {scale}, which adds at most {error_n:.3g} N to a sum" if scale > 1 else "they are exact"
     return f"Sums are in ADC counts, {contract.layout.taxels.newton_per_count:.6g} N each; {exact}."
@@ -226,7 +226,7 @@ def _node(contract: Contract, node: NodeContract) -> list["Message"]:
     ]
     beats = _message(f"{name}_Heartbeat", HEARTBEAT_BASE + node_id, 1, name, state, cycle_ms=HEARTBEAT_MS)
     return [
-        *((_words if node.is_adaptive else _sums)(contract, node, tpdo) for tpdo in node.tpdos),
+        *((_words if node.in_steps else _sums)(contract, node, tpdo) for tpdo in node.tpdos),
         _message(f"{name}_EMCY", EMCY_BASE + node_id, 8, name, emergency),
         beats,
         _message(f"{name}_SDO_Request", SDO_REQUEST_BASE + node_id, 8, GATEWAY, _transfer(name)),
@@ -274,7 +274,7 @@ def _sums(contract: Contract, node: NodeContract, tpdo: Tpdo, suffix: str = "") 
 
 
 def _words(contract: Contract, node: NodeContract, tpdo: Tpdo) -> "Message":
-    """Return a TPDO of an adaptive node with its slot and words."""
+    """Return a TPDO of a stepped node with its slot and words."""
     name, parts = _name(node), len(node.forms) // len(node.tpdos)
     first, width = parts * (tpdo.number - 1), 8 * WORD_BYTES
     signals = [_signal("Slot", 0, 8 * COUNTER_BYTES, receiver=GATEWAY)]

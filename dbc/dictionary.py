@@ -206,8 +206,8 @@ def _identity(contract: Contract, node: NodeContract) -> list[Object]:
 
 
 def _transmission_type(contract: Contract) -> int:
-    """Return the number of turns; of adaptive nodes 254, or at SYNC 1, or 0 where slots may be empty."""
-    if not contract.is_adaptive:
+    """Return the number of turns; of stepped nodes 254, or at SYNC 1, or 0 where slots may be empty."""
+    if not contract.in_steps:
         return contract.turns
     steps = contract.layout.steps
     return int(steps.quiet == 0) if steps.at_sync else EVENT_MANUFACTURER
@@ -216,10 +216,10 @@ def _transmission_type(contract: Contract) -> int:
 def _tpdo_communication(contract: Contract, tpdo: Tpdo) -> list[Object]:
     """Return the communication record (from 1800h); the RTR bit is set: remote frames are not answered.
 
-    With turns a TPDO has the SYNC start value of its turn. An adaptive TPDO is fixed: all but its identifier.
+    With turns a TPDO has the SYNC start value of its turn. A stepped TPDO is fixed: all but its identifier.
     """
     index, group = od.TPDO_COMMUNICATION + tpdo.number - 1, f"TPDO {tpdo.number} communication parameter"
-    timing: Access = "const" if contract.is_adaptive else "rw"
+    timing: Access = "const" if contract.in_steps else "rw"
     entries: tuple[tuple[int, str, int, Access, int], ...] = (
         (0, HIGHEST_SUBINDEX, od.UNSIGNED8, "const", 6),
         (1, "COB-ID used by TPDO", od.UNSIGNED32, "rw", COB_ID_NO_RTR | tpdo.cob_id),
@@ -234,10 +234,10 @@ def _tpdo_communication(contract: Contract, tpdo: Tpdo) -> list[Object]:
 def _tpdo_mapping(contract: Contract, node: NodeContract, tpdo: Tpdo, sums: Sequence[int]) -> list[Object]:
     """Return the mapping record (from 1A00h): index, sub-index and bits of the SYNC counter and of each of `sums`.
 
-    That of an adaptive TPDO is fixed: the slot and the words of its parts.
+    That of a stepped TPDO is fixed: the slot and the words of its parts.
     """
     mapped = [od.SYNC_COUNTER << 16 | 8 * COUNTER_BYTES]
-    if node.is_adaptive:
+    if node.in_steps:
         parts = len(node.forms) // len(node.tpdos)
         mapped += [od.WORDS << 16 | place << 8 | 8 * WORD_BYTES for place in places(parts * tpdo.number)[-parts:]]
         return mapping(tpdo.number, len(mapped), mapped, "const")
@@ -268,10 +268,10 @@ def _manufacturer(contract: Contract, node: NodeContract) -> list[Object]:
     ]
     whole += _state(contract)
     if node.tpdos:
-        counted = "Slot of the words" if node.is_adaptive else "SYNC counter of the sums"
+        counted = "Slot of the words" if node.in_steps else "SYNC counter of the sums"
         whole.append(Object(od.SYNC_COUNTER, None, counted, od.UNSIGNED8, "ro", 0, pdo=True))
-    if node.is_adaptive:
-        whole += _adaptive_objects(contract, node)
+    if node.in_steps:
+        whole += _stepped_objects(contract, node)
     if contract.layout.taxels.has_thermometers:
         whole.append(Object(od.TEMPERATURE, None, "Temperature in 0.1 K", od.INTEGER16, "ro", TEMPERATURE_UNKNOWN))
     blocks = [each for place in range(node.blocks) for each in _block(contract, node.block + place, place)]
@@ -279,13 +279,13 @@ def _manufacturer(contract: Contract, node: NodeContract) -> list[Object]:
 
 
 def slot_offset_us(contract: Contract, node: NodeContract) -> int:
-    """Return the offset of an adaptive node in its slot (2031h:3), microseconds: the nodes of a bus share the slot."""
+    """Return the offset of a stepped node in its slot (2031h:3), microseconds: the nodes of a bus share the slot."""
     steps, ids = contract.layout.steps, contract.layout.bus[node.bus].ids
     return 0 if steps.at_sync else round(1e6 * steps.slot_s * ids.index(node.node_id) / len(ids))
 
 
-def _adaptive_objects(contract: Contract, node: NodeContract) -> list[Object]:
-    """Return what an adaptive node has besides: unit, slots, noise, and the words of its frames."""
+def _stepped_objects(contract: Contract, node: NodeContract) -> list[Object]:
+    """Return what a stepped node has besides: unit, slots, noise, and the words of its frames."""
     size = contract.phi.block_size
     coefficients = [f"Noise of Haar coefficient {place}" for place in places(size)]
     taxels = [f"Noise of the taxel at place {place}" for place in range(size)]

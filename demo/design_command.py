@@ -38,7 +38,7 @@ def design(
     """Search for a layout whose buses carry a number of taxels at a rate.
 
     Exit code 1: no layout was found. Images of simulated touches are judged where that takes some seconds; of more than
-    512 adaptive taxels, and of more than 8192 taxels, by ``skin plan --quality``. Above 250 Hz the chain of simulated
+    512 stepped taxels, and of more than 8192 taxels, by ``skin plan --quality``. Above 250 Hz the chain of simulated
     boards runs for some seconds, too, to find which cycles this host keeps. With ``--min-psnr`` images are judged with
     16, 8, 4, 2 and 1 taxels to a sum, and the layout has the fewest sums whose images are good enough. Boards of sums
     in cycles average up to 1000 samples a second.
@@ -48,15 +48,15 @@ def design(
     taxels
         Number of taxels; or rows and columns, as 24x32; or a file of taxels, as `skin layout new` takes.
     rate
-        Measurements per second of synchronous sums; adaptive sums come up to 1000 times a second, as they have news.
+        Measurements per second of synchronous sums; steps come up to 1000 times a second, as they have news.
     buses
         Largest number of buses.
     budget
-        Highest load of a bus, with the most stuff bits, as a part of 1; of adaptive sums under simulated touches.
+        Highest load of a bus, with the most stuff bits, as a part of 1; of steps under simulated touches.
     can
         Type of CAN.
     sending
-        ``any``: synchronous sums, or adaptive sums where synchronous sums do not fit.
+        ``any``: synchronous sums, or steps where synchronous sums do not fit.
     min_psnr
         Least PSNR of the images of synchronous sums, decibels.
     out
@@ -70,7 +70,7 @@ def design(
     --------
     skin design --taxels 1024 --can fd
     skin design --taxels 4096 --rate 100 --buses 2 --budget 0.7 --out palm.toml
-    skin design --taxels 24x32 --sending adaptive --out glove.toml
+    skin design --taxels 24x32 --sending steps --out glove.toml
     skin design --taxels 24x32 --min-psnr 28
     skin design --taxels hand --rate 200 --can classic
     """
@@ -127,7 +127,7 @@ def _tell(found: Search, chosen: Candidate, judged: "Sequence[Quality]") -> None
             say("design", scan)
     unfit = sum(not each.fits for each in found.candidates)
     say("design", f"{chosen.words}: {chosen.load_words}; {unfit} others do not fit")
-    if chosen.sending == "adaptive" and (lacking := found.nearest_in_cycles()):
+    if chosen.sending == "steps" and (lacking := found.nearest_in_cycles()):
         say("design", f"of synchronous sums {lacking}")
 
 

@@ -62,7 +62,7 @@ def layout(
 
     Examples
     --------
-    skin layout new 24x32 --sending adaptive --out glove.toml
+    skin layout new 24x32 --sending steps --out glove.toml
     skin layout new left_forearm_mesh.txt --ini left_forearm.ini --out forearm.toml
     skin layout check palm.toml
     skin layout draw palm.toml --out palm-boards.png
@@ -95,7 +95,7 @@ def _new(taxels: Path | None, out: Path | None, modules: Path | None, sending: S
     for words in told:
         say("layout", words)
     tables = {"name": new_name(str(taxels), out), "sending": sending, **tables}
-    if sending == "adaptive":
+    if sending == "steps":
         tables.setdefault("measurement", {"wiring": "board"})
     skin = parse_layout(tomli_w.dumps(tables).encode(), str(taxels))
     if skin.sends.in_cycles:

@@ -74,7 +74,7 @@ class DemoOptions:
         require_above_zero("--seconds", self.seconds)
         virtual_bit_rates(layout)
         if self.sync_rate is not None:
-            require_sending(layout, "synchronous", "--sync-rate is", "adaptive boards send as they have news")
+            require_sending(layout, "synchronous", "--sync-rate is", "stepped boards send as they have news")
             layout = at_rate(layout, self.sync_rate)
         if self.view and self.port is not None:
             listen("127.0.0.1", self.port).close()

@@ -55,7 +55,7 @@ def plan(
         Disturbances that response times include.
     quality
         Predict the images, too: PSNR and error under twelve seconds of simulated touches. Takes some seconds, with
-        thousands of adaptive taxels a minute.
+        thousands of stepped taxels a minute.
     timing
         Print the bit timing of CAN controllers, and the ``ip link`` command of each bus, in place of the load.
     controllers
@@ -68,7 +68,7 @@ def plan(
     skin plan palm.toml --plot pictures
     skin plan palm.toml --check candump-2026-11-20_120000.log
     skin plan palm.toml --quality
-    skin plan adaptive
+    skin plan steps
     skin plan fd --timing --clock-hz 40000000 --bus-length-m 5
     """
     skin = load_layout(layout)
@@ -83,7 +83,7 @@ def plan(
     contract = Contract.from_layout(skin)
     allowed = (disturbance or Disturbance()).of(contract.layout)
     if plot is not None:
-        require_sending(contract.layout, "synchronous", "--plot is", "it draws cycles, and adaptive nodes send none")
+        require_sending(contract.layout, "synchronous", "--plot is", "it draws cycles, and stepped nodes send none")
     plans = plan_states(contract, allowed, is_touched=check is None)
     if check is not None:
         return _check(contract, plans, check, channel or [], as_json=json_)

@@ -18,8 +18,8 @@ from dbc.contract import Contract
 from dbc.frame import ECHO, Frames, frame_bytes
 from demo.chain import REST_S, Nodes
 from demo.score import FIRST_S
-from gateway.adaptive_state import new_sums, slots_of, take_all
-from nodes.adaptive.simulated import sync_frames, touched_frames
+from gateway.stepped_state import new_sums, slots_of, take_all
+from nodes.steps.simulated import sync_frames, touched_frames
 from reconstructor.imaging import CycleImager
 from reconstructor.walsh import WalshReconstructor
 from skin.ground_truth import LATENESS_NS, image_pairs, in_contact
@@ -31,9 +31,9 @@ from skin.taxel import NOISE_N, sense, to_counts
 
 #: Time of the simulated touches: each of the five default objects touches.
 TOUCHES_S: Final = FIRST_S
-#: Most taxels whose images are predicted without being asked, in some seconds: of sums in cycles, of adaptive sums.
+#: Most taxels whose images are predicted without being asked, in some seconds: of sums in cycles, of steps.
 PREDICTED_MAX: Final = 8192
-ADAPTIVE_MAX: Final = 512
+STEPPED_MAX: Final = 512
 #: Taxels per sum that are tried.
 TAXELS_PER_SUM: Final = (16, 8, 4, 2, 1)
 #: The constant of the paper's m ≥ 0.28 k log(p / k) (section III).
@@ -81,11 +81,11 @@ def qualities(layout: Layout, *, touches_s: float = TOUCHES_S) -> list[Quality]:
     Raises
     ------
     InputError
-        If the layout does not send sums in cycles: adaptive boards send all sums.
+        If the layout does not send sums in cycles: stepped boards send all sums.
     RunError
         If no object touches in `touches_s`.
     """
-    require_sending(layout, "synchronous", "the quality by the number of sums is", "adaptive boards send all sums")
+    require_sending(layout, "synchronous", "the quality by the number of sums is", "stepped boards send all sums")
     return [quality(each, touches_s=touches_s) for each in _layouts(layout)]
 
 
@@ -104,7 +104,7 @@ def _layouts(layout: Layout) -> Iterator[Layout]:
 
 def is_quick(layout: Layout) -> bool:
     """Tell whether the images of a layout are predicted in some seconds."""
-    return layout.taxels.there <= (PREDICTED_MAX if layout.sends.in_cycles else ADAPTIVE_MAX)
+    return layout.taxels.there <= (PREDICTED_MAX if layout.sends.in_cycles else STEPPED_MAX)
 
 
 def quality(
@@ -116,7 +116,7 @@ def quality(
 ) -> Quality:
     """Return the quality of a layout as it is; with two states, of its images.
 
-    Boards that send in cycles lose no frame. Adaptive boards send on simulated buses, and an image is of all that has
+    Boards that send in cycles lose no frame. Stepped boards send on simulated buses, and an image is of all that has
     come.
 
     Parameters
@@ -197,7 +197,7 @@ def _late_ns(layout: Layout) -> int:
 
 
 def heard(layout: Layout, sent: Frames, seconds: float) -> Frames:
-    """Return what a gateway hears of a bus with adaptive boards: its own SYNCs among the frames `sent`."""
+    """Return what a gateway hears of a bus with stepped boards: its own SYNCs among the frames `sent`."""
     syncs = sync_frames(layout, round(seconds * 1000))
     syncs["flags"] |= ECHO
     together: Frames = np.concatenate([syncs, sent])
@@ -205,7 +205,7 @@ def heard(layout: Layout, sent: Frames, seconds: float) -> Frames:
 
 
 def _news(layout: Layout, source: TaxelSource, seconds: float) -> Iterator[Moment]:
-    """Yield what a receiver knows of the sums of adaptive boards at each step of a touch."""
+    """Yield what a receiver knows of the sums of stepped boards at each step of a touch."""
     contract, taxels, rng = Contract.from_layout(layout), layout.taxels, np.random.default_rng(0)
     sums, slots, proven = new_sums(contract), slots_of(contract), np.ones(layout.blocks, np.bool_)
     step_ns, steps, buses = round(1e9 / step_rate_hz(layout)), round(seconds * step_rate_hz(layout)), []

@@ -35,7 +35,7 @@ WORDS: Final = {
         "SYNC to image",
         "contact cycles",
     ),
-    "adaptive": _Words(
+    "steps": _Words(
         "measurement {cycles}, {complete} with all blocks valid",
         "no measurement: no sums came",
         "no measurement had all blocks valid: the nodes' states are on the page and in the gateway's log",
@@ -95,9 +95,9 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
     Attributes
     ----------
     sending : str
-        ``synchronous`` or ``adaptive``.
+        ``synchronous`` or ``steps``.
     cycles, cycles_complete : int
-        Cycles that have ended, and cycles in which every block was valid; adaptive: measurements published, and those
+        Cycles that have ended, and cycles in which every block was valid; stepped: measurements published, and those
         in which every block was valid.
     frames_sent, frames_received, frames_lost : int
         TPDOs with sums; lost = sent, but not received.
@@ -116,16 +116,16 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
     labelled_ratio : float or None
         Cycles with a label, right or wrong / cycles with contact and a named object. "No contact" is a label.
     contact_cycles : int
-        Cycles with contact; adaptive: true forces with contact, 100 a second.
+        Cycles with contact; stepped: true forces with contact, 100 a second.
     latency_ms : Percentiles
-        Time from SYNC to the published image; adaptive: from the end of the newest frame that is in the image. The
+        Time from SYNC to the published image; stepped: from the end of the newest frame that is in the image. The
         sample of that frame is older by `sample_age_ms`.
     sample_age_ms : float or None
-        Adaptive: age of the samples of these frames at the ends of the frames, by their slots; 99 % are not older. None
+        Stepped: age of the samples of these frames at the ends of the frames, by their slots; 99 % are not older. None
         with synchronous sending.
     bus_sampling_error_us, sampling_error_us, sent_error_us : Percentiles
         Distance of the sampling instant in the measurements from that of the nodes: by the time stamp of the SYNC on
-        their bus; by the mean over the buses; without time stamps, by the send call. None with adaptive sending.
+        their bus; by the mean over the buses; without time stamps, by the send call. None with steps.
     bus_load : list of float
         Load of each bus since SYNC started, exact stuffing.
     kbit_per_s : float or None

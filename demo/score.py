@@ -65,7 +65,7 @@ class Score:
     psnr_image_db, psnr_sensor_db : deque of float
         One entry per contact cycle, of the last `HISTORY`.
     latency_ms : deque of float
-        Time from SYNC to the published image, one entry per image with new sums, of the last `HISTORY`. Adaptive: from
+        Time from SYNC to the published image, one entry per image with new sums, of the last `HISTORY`. Stepped: from
         the end of the newest frame that is in the image.
     bus_sampling_error_us, sampling_error_us, sent_error_us : deque of float
         Distances from the SYNC that the nodes received: of the nearest of `Measurement.bus_sampled_ns`, because the
@@ -73,7 +73,7 @@ class Score:
         mean over the buses; of `CycleMeasurement.sent_mono_ns`. One entry per `CycleMeasurement`, of the last
         `HISTORY`.
     sample_age_ms : deque of float
-        Adaptive: how much older than its end the sample of that frame is at most, of the last `HISTORY`.
+        Stepped: how much older than its end the sample of that frame is at most, of the last `HISTORY`.
     named_contacts : int
         Truths with contact and a named object.
     labelled, labelled_right : int
@@ -248,7 +248,7 @@ class Score:
         received = gateway.frames.received if gateway else 0
         sensor_db = _mean(self.psnr_sensor_db)
         sent = sum(status.frames_sent for status in self.nodes.values())
-        # With adaptive sending, labels and truths have clocks of their own.
+        # With steps, labels and truths have clocks of their own.
         contacts = max(self.named_contacts, self.labelled)
         loads = [bus.mean_load_ratio for bus in gateway.buses] if gateway else []
         return Report(

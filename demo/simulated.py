@@ -28,7 +28,7 @@ from skin.sources import DEFAULT_OBJECTS, known_objects, load_objects, object_na
 
 
 def simulate(layout: str | None = None, *, objects: Sequence[str] | None = None, seed: int = 0) -> "SimulatedSkin":
-    """Return a simulated skin, not one of adaptive sending; see `canskin.simulate`."""
+    """Return a simulated skin, not one of steps; see `canskin.simulate`."""
     if isinstance(objects, str):
         raise InputError(f"objects: expected a list of names, such as ['{objects}'], got '{objects}'")
     skin = load_layout(None if layout is None else Path(layout))

@@ -3,7 +3,7 @@
 23 triangles with sides of 30 mm lie in five strips along a half cone, with ten taxels each. The rows of taxels on both
 sides of a seam are as far apart as the taxels of a row. The strips are numbered up and down the arm; three triangles
 that follow each other share a board of 32 places, and the last board has two. The places of a board are in the order
-of `skin.walsh.neighbours`, so that adaptive sums are sums of neighbours.
+of `skin.walsh.neighbours`, so that steps are sums of neighbours.
 """
 
 from pathlib import Path

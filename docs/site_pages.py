@@ -11,7 +11,7 @@ ROOT: Final = Path(__file__).parents[1]
 BESIDE: Final = {
     "README.md": "index.md",
     "nodes/firmware/c/README.md": "boards-in-c.md",
-    "nodes/firmware/c/adaptive/README.md": "adaptive-boards.md",
+    "nodes/firmware/c/steps/README.md": "stepped-boards.md",
 }
 #: A document that the text names, and a file beside the documents that the README links to.
 _NAMED: Final = re.compile(r"`docs/([\w-]+\.md)`")

@@ -1,4 +1,4 @@
-"""How the blocks of an adaptive skin stand, and their sums in the order of Φ."""
+"""How the blocks of a stepped skin stand, and their sums in the order of Φ."""
 
 from typing import Final, NamedTuple
 
@@ -8,7 +8,7 @@ import numpy.typing as npt
 from canskin.messages import BlockState
 from dbc.contract import Contract, PartTable
 from dbc.steps import LATE_SLOTS, SET_SUMS
-from gateway.adaptive_state import NEVER_NS, Flags, Integers, PartSums, Slots, forget, form_at
+from gateway.stepped_state import NEVER_NS, Flags, Integers, PartSums, Slots, forget, form_at
 from shell.compiled import borrowed, njit
 from skin.walsh import grouped_rows
 

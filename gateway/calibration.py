@@ -19,7 +19,7 @@ from canskin.calibration_messages import (
 )
 from canskin.errors import InputError
 from canskin.fabric import Reply
-from canskin.messages import AdaptiveMeasurement, Measurement
+from canskin.messages import Measurement, SteppedMeasurement
 from dbc.contract import Contract, NodeContract
 from gateway.nmt_master import NmtMaster
 from gateway.node_writing import NodeWriting
@@ -38,8 +38,8 @@ from skin.layout import Layout
 from skin.regions import taxels_of
 
 #: Answer to what makes no sense for boards that look after themselves.
-_ADAPTIVE: Final = (
-    "adaptive boards measure their offsets at power-up and follow them (docs/adaptive.md): nothing may touch them then;"
+_STEPPED: Final = (
+    "stepped boards measure their offsets at power-up and follow them (docs/steps.md): nothing may touch them then;"
     " the gateway has the offsets that 'skin tare' has settled"
 )
 _TOO_FEW: Final = "fewer than half of the sums are valid: the zero is measured when they are"
@@ -97,8 +97,8 @@ class GatewayCalibration:
         )
         has_thermometers = contract.layout.taxels.has_thermometers
         self._temperatures = Temperatures(contract, self.take_temperatures) if has_thermometers else None
-        #: Adaptive: the newest sums, which hold until others come, and when they are looked at next.
-        self._newest: AdaptiveMeasurement | None = None
+        #: Stepped: the newest sums, which hold until others come, and when they are looked at next.
+        self._newest: SteppedMeasurement | None = None
         self._look_s = float("-inf")
         #: Nodes whose gains or offsets nobody has accepted.
         self._recalibrated: list[NodeContract] = []
@@ -141,8 +141,8 @@ class GatewayCalibration:
         return self._calibrator.apply(measurement)
 
     def take(self, measurement: Measurement) -> None:
-        """Learn from a measurement of all sums, adaptive ones at the next `tick`; most of it is left to `work`."""
-        if isinstance(measurement, AdaptiveMeasurement):
+        """Learn from a measurement of all sums, stepped ones at the next `tick`; most of it is left to `work`."""
+        if isinstance(measurement, SteppedMeasurement):
             self._newest = measurement
         else:
             self._calibrator.take(measurement)
@@ -277,7 +277,7 @@ class GatewayCalibration:
         """Use a calibration, and accept what the nodes correct by themselves."""
         offsets_n = stored.required_offsets_n("calibration")
         if self._boards_keep_zero:
-            raise InputError(_ADAPTIVE)
+            raise InputError(_STEPPED)
         self._calibrator.load(offsets_n)
         self._accept(masters, now_s)
         until = f"in use until the skin has been untouched for {self._calibrator.tare_s:.3g} s and has a new zero"
@@ -340,7 +340,7 @@ class GatewayCalibration:
                 common_mode_gains=known.common_mode_gains,
                 version=known.version,
             )
-            text = _ADAPTIVE if self._boards_keep_zero else "the calibration in use"
+            text = _STEPPED if self._boards_keep_zero else "the calibration in use"
             reply(CalibrationReply(is_done=True, text=text, status=status, content=encoded(whole)))
 
         self._submit(tell)

@@ -11,9 +11,9 @@ from canskin.errors import InputError
 from canskin.session import DEFAULT_ENDPOINT
 from canskin.state_messages import IMAGES
 from dbc.contract import Contract
-from gateway.adaptive_gathering import publishing_rates
 from gateway.calibration import GatewayCalibration, kept_zero
 from gateway.service import GatewayService
+from gateway.stepped_gathering import publishing_rates
 from shell.service import StopSignal, say
 from shell.skin_options import join
 from skin.calibration_file import load_calibration
@@ -33,7 +33,7 @@ def gateway(
     tare: Tare = "at-start",
     keep_zero: Path | None = None,
 ) -> None:
-    """Boot the nodes, produce SYNC, and publish the sums: those of each cycle, or the newest of adaptive nodes.
+    """Boot the nodes, produce SYNC, and publish the sums: those of each cycle, or the newest of stepped nodes.
 
     Parameters
     ----------
@@ -46,16 +46,16 @@ def gateway(
     connect
         Endpoint of another hub; the gateway then runs none.
     max_rate
-        Adaptive sending: most measurements in a second, when there is news; 1 to 1000 Hz, by default 1000.
+        Sending steps: most measurements in a second, when there is news; 1 to 1000 Hz, by default 1000.
     min_rate
-        Adaptive sending: measurements in a second without news; 1 Hz to `max_rate`, by default 10.
+        Sending steps: measurements in a second without news; 1 Hz to `max_rate`, by default 10.
     calibration
         File of ``skin calibration save``: the offsets that are used until the zero is measured.
     tare
         ``at-start``: measure the offsets of the sums as soon as the skin has been untouched for 2 s or
         64 cycles, and follow them;
         ``never``: those of ``--calibration`` stay as they are, no force is doubted, and no defects are found.
-        Adaptive boards measure their own.
+        Stepped boards measure their own.
     keep_zero
         File (.json) for the zero: the gateway begins with the zero of its last run, and writes its zero once a
         minute and at the end.
@@ -63,7 +63,7 @@ def gateway(
     Examples
     --------
     skin gateway
-    skin gateway --layout adaptive --max-rate 200
+    skin gateway --layout steps --max-rate 200
     skin gateway -i socketcan -c can0 --layout palm.toml
     skin gateway --calibration palm.json --tare never
     skin gateway --keep-zero /var/lib/canskin/palm.json
@@ -72,11 +72,11 @@ def gateway(
     skin = load_layout(layout)
     rates_hz = publishing_rates(max_rate, min_rate)
     if (max_rate, min_rate) != (None, None):
-        require_sending(skin, "adaptive", "--max-rate and --min-rate are", "this layout has a measurement per cycle")
+        require_sending(skin, "steps", "--max-rate and --min-rate are", "this layout has a measurement per cycle")
     contract = Contract.from_layout(skin)
     if (calibration or keep_zero) is not None:
         option = "--calibration" if calibration is not None else "--keep-zero"
-        require_sending(skin, "synchronous", f"{option} is", "adaptive boards measure their own offsets")
+        require_sending(skin, "synchronous", f"{option} is", "stepped boards measure their own offsets")
     if keep_zero is not None and keep_zero.suffix != ".json":
         raise InputError(f"{keep_zero}: expected a file for the zero that ends in .json: it is written over")
     stored = None if calibration is None else load_calibration(calibration, skin)

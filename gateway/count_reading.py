@@ -66,7 +66,7 @@ class CountReading:
         self.rest = 0
         self._contract, self._sends, self._say = contract, sends, say
         #: Boards that sample at SYNC need not take one sooner.
-        self._least_s = 0.0 if contract.layout.sending == "adaptive" else contract.layout.sync.period_s
+        self._least_s = 0.0 if contract.layout.sending == "steps" else contract.layout.sync.period_s
         self._rest_s, self._stroke_s, self._until_s = rest_s, stroke_s, math.inf
         self._is_wired = contract.phi.taxels_of_blocks < contract.phi.taxels
         self._counter, self._now_s = 0, now_s
@@ -120,7 +120,7 @@ class CountReading:
     def readings(self) -> tuple[Floats, Floats]:
         """Return the times of the rounds, seconds since the first, and counts, shape (rounds, blocks, block_size)."""
         times_s, counts = np.array(self._times_s), np.array(self._counts)
-        if self._contract.layout.sending == "adaptive":
+        if self._contract.layout.sending == "steps":
             answered_s = np.array(self._answered_s)
             for place in zip(*np.nonzero(self._is_wired), strict=True):
                 at = (slice(None), *place)

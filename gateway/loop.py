@@ -13,7 +13,6 @@ from canskin.messages import BusState, GatewayStatus, Measurement
 from dbc.contract import Contract, NodeContract, sync_frame
 from dbc.frame import Frames
 from dbc.time_of_day import time_frame
-from gateway.adaptive_gathering import RATES_HZ, AdaptiveGathering
 from gateway.cycle_gathering import CycleGathering
 from gateway.cycles import LATEST, SyncClock
 from gateway.gathering import Health, Sync
@@ -24,6 +23,7 @@ from gateway.nmt_master import NmtMaster
 from gateway.outgoing import Outgoing
 from gateway.state_gathering import StateGathering
 from gateway.state_switch import StateSwitch
+from gateway.stepped_gathering import RATES_HZ, SteppedGathering
 from skin.ranges import ranges_text
 
 #: Period of `_look_after_nodes`.
@@ -39,7 +39,7 @@ ACCOUNT_PERIOD_S: Final = 0.05
 
 
 #: Makes measurements of frames, as the nodes send them. All times are arguments.
-Gathering = CycleGathering | StateGathering | AdaptiveGathering
+Gathering = CycleGathering | StateGathering | SteppedGathering
 
 
 @dataclass
@@ -70,7 +70,7 @@ class GatewayLoop:
     say, complain : callable
         Write a line to the log: `say` for a change, `complain` for a line that may come many times.
     rates_hz : tuple of float
-        Of adaptive sums: most and least measurements in a second.
+        Of steps: most and least measurements in a second.
     early_echoes : collection of int
         Numbers of the buses whose interface may echo a frame before the frame has been on the bus.
 
@@ -107,7 +107,7 @@ class GatewayLoop:
         self.masters = {number: bus.master for number, bus in self._buses.items()}
         self.gathering: Gathering
         if not contract.layout.sends.in_cycles:
-            self.gathering = AdaptiveGathering(contract, self.masters, now_s, rates_hz, complain)
+            self.gathering = SteppedGathering(contract, self.masters, now_s, rates_hz, complain)
         elif contract.recognition is not None:
             self.gathering = StateGathering(contract, early_echoes)
         else:

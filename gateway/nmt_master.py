@@ -224,7 +224,7 @@ class NmtMaster:
         self._name = contract.layout.bus[bus].name
         self._write = contract.layout.configure == "write"
         #: Nodes that run send by themselves: a proof would wait for their sums.
-        self._is_adaptive = not contract.layout.sends.in_cycles
+        self._in_steps = not contract.layout.sends.in_cycles
         self._is_new = True
         #: Since when all nodes are to be quiet (`restart`); None while they may send.
         self._quiet_since_s: float | None = None
@@ -390,7 +390,7 @@ class NmtMaster:
         if now_s < self._tick_s:
             return
         self._tick_s = now_s + TICK_S
-        if self._is_new and self._is_adaptive:
+        if self._is_new and self._in_steps:
             self.restart(now_s)
         self._is_new = False
         limit_s = self.proof_limit_s
@@ -568,9 +568,9 @@ class NmtMaster:
 
     def _try(self, node: NodeRecord, now_s: float, why: str) -> None:
         """Begin to prove a node that is not in use."""
-        # A stopped node answers no SDO (CiA 301, 7.3.2.2.4), and a node without heartbeat may be stopped. An adaptive
+        # A stopped node answers no SDO (CiA 301, 7.3.2.2.4), and a node without heartbeat may be stopped. A stepped
         # node may also run: it sends all its sums only when it starts.
-        may_be_stopped = node.nmt == SILENT and (node.tries > 0 or self._is_adaptive) and not self.is_quiet
+        may_be_stopped = node.nmt == SILENT and (node.tries > 0 or self._in_steps) and not self.is_quiet
         if node.nmt == NmtState.STOPPED or may_be_stopped:
             self._command(NmtCommand.ENTER_PRE_OPERATIONAL, node.contract.node_id)
         node.tries += 1

@@ -34,10 +34,10 @@ from dbc.contract import Contract, NodeContract
 from dbc.dictionary import SILENT_AFTER_S, dictionary
 from dbc.frame import ECHO, ERROR, EXTENDED, REMOTE, Frames, frames, one_frame
 from dbc.objects import Object
-from gateway.adaptive_node_frames import AdaptiveFrames
 from gateway.node_frames import SETTLING, NodeReport, Picture, SynchronousFrames, syncs_of
 from gateway.proof import NO_SIGNATURE
 from gateway.sdo import Read, SdoAbortedError, SdoDialogue, SdoError, Transfer, Write, one
+from gateway.stepped_node_frames import SteppedFrames
 from skin.sync_counter import SYNC_OVERFLOW
 
 #: Time in which another SYNC producer must be heard, in periods, and at least in seconds.
@@ -53,7 +53,7 @@ SHOWN: Final = 3
 _SERIAL: Final = (od.IDENTITY, 4)
 #: Objects that a user may have set.
 _ALLOWED: Final = {_SERIAL, (od.TEST_PATTERN, 0), (od.SENDING, 1), (od.SENDING, 3)}
-#: Objects that are read, and compared with nothing: state, noise of an adaptive board.
+#: Objects that are read, and compared with nothing: state, noise of a stepped board.
 _ONLY_READ: Final = ((od.STATE, 1), (od.NODE_NOISE, 0))
 #: Only a board knows which values are right.
 _GAINS: Final = (od.GAIN, od.OFFSET)
@@ -96,7 +96,7 @@ class NodeCheck:
     def __init__(self, contract: Contract, node: NodeContract, send: Send, now_s: float) -> None:
         self._contract, self._node, self._send = contract, node, send
         self.report = NodeReport(contract.layout.bus[node.bus].name, node.node_id)
-        way = AdaptiveFrames if node.is_adaptive else SynchronousFrames
+        way = SteppedFrames if node.in_steps else SynchronousFrames
         self._expected = way(contract, node, self.report)
         #: The state (2008h:1) of a board that has two.
         self._state = self._expected.states[0]
@@ -151,13 +151,13 @@ class NodeCheck:
     def _sync(self, now_s: float) -> None:
         """Send a SYNC; in the cycles of a pattern the counter is the number of the cycle, else no start value.
 
-        Adaptive boards have no start value, and their slots count on.
+        Stepped boards have no start value, and their slots count on.
         """
         self._send_one(SYNC_COB_ID, bytes((self._counter,)))
         self._counter = self._counter + 1 if self._counter < SYNC_OVERFLOW else self._idle
         if self._wanted is not None:
             self._wanted -= 1
-            if self._wanted == self._expected.cycles + 1 and not self._node.is_adaptive:
+            if self._wanted == self._expected.cycles + 1 and not self._node.in_steps:
                 self._counter = 1
             elif self._wanted == 0:
                 self._ends_s = now_s + PATIENCE_S

@@ -59,7 +59,7 @@ class NodeReport:
     objects, frames, cycles : int
         Number of objects, TPDOs and cycles that were compared.
     latest_s : float
-        Latest end of a TPDO after the SYNC; 0 of adaptive boards.
+        Latest end of a TPDO after the SYNC; 0 of stepped boards.
     """
 
     bus: str
@@ -158,9 +158,7 @@ class ExpectedFrames(ABC):
                 counts[:] = pattern_counts(pattern, size, top)
                 values = {(od.of_block(od.TEST_PATTERN, place), 0): bytes((pattern,)) for place in range(shape[0])}
                 name = {PATTERN_ZERO: "zero", PATTERN_RAMP: "ramp", PATTERN_FULL: "full scale"}[pattern]
-                yield Picture(
-                    f"test pattern {name}", values, counts, self._node.is_adaptive and pattern == PATTERN_ZERO
-                )
+                yield Picture(f"test pattern {name}", values, counts, self._node.in_steps and pattern == PATTERN_ZERO)
 
     def hear(self, arrived: Frames) -> None:  # noqa: B027  not all need it
         """Take all frames that arrive, with the echoes of those of the check."""

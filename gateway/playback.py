@@ -18,13 +18,12 @@ from bus.link import State
 from calibration.calibrator import Calibrator
 from calibration.offline import calibrated
 from canskin.errors import InputError
-from canskin.messages import AdaptiveMeasurement, GatewayStatus, Measurement
+from canskin.messages import GatewayStatus, Measurement, SteppedMeasurement
 from dbc.canopen import SYNC_COB_ID
 from dbc.contract import Contract, NodeContract
 from dbc.dictionary import SkinState
 from dbc.frame import ECHO, ERROR, EXTENDED, FD, REMOTE, Frames, frames
 from dbc.state_frames import asked_states, sent_state
-from gateway.adaptive_gathering import AdaptiveGathering
 from gateway.cycle_gathering import GRACE, CycleGathering
 from gateway.cycles import mean_rate_hz
 from gateway.gathering import Health, Sync
@@ -32,6 +31,7 @@ from gateway.inferred_proofs import Change, InferredProofs
 from gateway.loop import GatewayLoop
 from gateway.nmt_master import NmtMaster
 from gateway.state_gathering import StateGathering
+from gateway.stepped_gathering import SteppedGathering
 from skin.measured_sums import check_measurement
 from skin.sync_counter import SYNC_OVERFLOW
 
@@ -221,8 +221,8 @@ def _grace_ns(period_s: float) -> int:
     return round((1 + GRACE) * period_s * 1e9) + 1_000
 
 
-class AdaptivePlayback:
-    """Makes the sums of recorded adaptive measurements anew, of the frames that were in them.
+class SteppedPlayback:
+    """Makes the sums of recorded stepped measurements anew, of the frames that were in them.
 
     When a measurement was made live depends on the gateway's clock. `Measurement.bus_sampled_ns` tells which frames
     were in the sums: those up to the newest of each bus. States and times of the blocks are those of the recording.
@@ -247,7 +247,7 @@ class AdaptivePlayback:
         self._is_told = np.zeros(contract.phi.shape[0], np.bool_)
         nothing = lambda *_: None  # noqa: E731  nothing is sent, used or said
         masters = {number: NmtMaster(contract, number, nothing, nothing, nothing) for number in sorted(buses)}
-        self._gathering = AdaptiveGathering(contract, masters, 0.0)
+        self._gathering = SteppedGathering(contract, masters, 0.0)
         self._nodes = [node for node in contract.nodes if node.bus in masters]
         self._frames: dict[int, Frames] = {number: frames(0) for number in masters}
         self._health = Health()
@@ -257,7 +257,7 @@ class AdaptivePlayback:
         """Take frames of a bus, in bus order."""
         self._frames[bus] = np.concatenate((self._frames[bus], with_echoes(logged)))
 
-    def measured(self, recorded: AdaptiveMeasurement) -> AdaptiveMeasurement:
+    def measured(self, recorded: SteppedMeasurement) -> SteppedMeasurement:
         """Return a recorded measurement with the sums that its frames give; all of these frames have been fed."""
         newest_ns = np.frombuffer(recorded.bus_sampled_ns, "<i8")
         now_s = float(newest_ns.max()) * 1e-9
@@ -266,7 +266,7 @@ class AdaptivePlayback:
             end = int(np.searchsorted(end_ns, newest_ns[bus] + _STAMP_NS, "right"))
             self._gathering.take(bus, waiting[:end], self._health, now_s)
             self._frames[bus] = waiting[end:]
-        made = check_measurement(self._gathering.measure(now_s, 0), self._phi, AdaptiveMeasurement)
+        made = check_measurement(self._gathering.measure(now_s, 0), self._phi, SteppedMeasurement)
         is_known, is_held = (np.frombuffer(each.known, np.uint8) != 0 for each in (recorded, made))
         sums, live = (np.frombuffer(each.sums, "<i4") for each in (made, recorded))
         self._is_told |= ~is_known | (is_held & (sums == live))

@@ -280,7 +280,7 @@ def _write_overflow(setting: Setting, settings: Sequence[Setting]) -> _Part:
 def _write_tpdo(tpdo: int, settings: Sequence[Setting]) -> _Part:
     """Write both records of a TPDO (CiA 301, 7.5.2.38): off, no mapping, entries, their number, the rest, on.
 
-    What cannot be written, as the mapping of adaptive TPDOs, is right already.
+    What cannot be written, as the mapping of stepped TPDOs, is right already.
     """
     writable = [each for each in settings if each.is_writable]
     communication = {each.subindex: each for each in writable if each.index == od.TPDO_COMMUNICATION + tpdo - 1}

@@ -1,6 +1,6 @@
 """Which blocks are proven: a block is valid in a cycle only if its node was proven during all of the cycle.
 
-`gateway.nmt_master` proves and doubts nodes; each change comes here by way of `Collector.trust`. Adaptive sums have no
+`gateway.nmt_master` proves and doubts nodes; each change comes here by way of `Collector.trust`. Steps have no
 cycles: there `judge` in `gateway.block_states` says which blocks are valid.
 """
 

@@ -13,10 +13,10 @@ from canskin.messages import GATEWAY, Measurement
 from canskin.state_messages import MOST_HOLD_S, ImagesReply, ImagesRequest
 from dbc.contract import Contract
 from dbc.frame import frames
-from gateway.adaptive_gathering import RATES_HZ
 from gateway.calibration import GatewayCalibration
 from gateway.loop import GatewayLoop
 from gateway.sdo import TIMEOUT_S
+from gateway.stepped_gathering import RATES_HZ
 from shell.clock import wall_offset
 from shell.service import RateLimitedLog, StopSignal, request_real_time, say
 from skin.measured_sums import published

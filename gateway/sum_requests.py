@@ -1,4 +1,4 @@
-"""What the gateway asks adaptive nodes for besides proofs: all sums again (2030h), and their noise (2035h).
+"""What the gateway asks stepped nodes for besides proofs: all sums again (2030h), and their noise (2035h).
 
 Few nodes of a bus are asked one by one. Where sums of many are missing, as after a loss on the bus, all nodes are
 started again (`NmtMaster.restart`): NMT goes before all sums, where SDO on a full bus waits behind them. Pauses grow,

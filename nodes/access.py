@@ -11,7 +11,6 @@ from typing import Any, Final
 from canopen import SdoAbortedError
 
 from dbc import indices as od
-from dbc.adaptive_filter import GIVEN_NOISE_N
 from dbc.board_sums import PATTERN_FULL
 from dbc.canopen import (
     BASE_ID_MASK,
@@ -25,6 +24,7 @@ from dbc.canopen import (
     Abort,
 )
 from dbc.dictionary import HEARTBEATS_WATCHED, SkinState
+from dbc.patch_filter import GIVEN_NOISE_N
 from nodes.heartbeat import watched_node
 from nodes.objects import LocalNode
 from skin.sync_counter import SYNC_OVERFLOW

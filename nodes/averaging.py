@@ -1,6 +1,6 @@
 """What a node samples between two SYNCs, averaged taxel by taxel as far as motion allows.
 
-Every taxel runs a few of the models of `dbc.adaptive_filter` on its samples. What the models need to know is learned
+Every taxel runs a few of the models of `dbc.patch_filter` on its samples. What the models need to know is learned
 from the samples:
 
 * The variance of a taxel's noise is the mean square of its second differences, over 6. A touch hardly adds to them, for
@@ -14,7 +14,6 @@ from the samples:
 import numpy as np
 import numpy.typing as npt
 
-from dbc.adaptive_filter import Floats, Models
 from dbc.averaging import (
     DEAD_RATIO,
     EVENNESS,
@@ -26,7 +25,8 @@ from dbc.averaging import (
     ROUNDING,
     averaging_models,
 )
-from nodes.adaptive.models import Tracks, new_tracks, step
+from dbc.patch_filter import Floats, Models
+from nodes.steps.models import Tracks, new_tracks, step
 from shell.compiled import njit
 from skin.clipping import IDLE_DEVIATION, IDLE_MEAN, ClipCorrection
 

@@ -8,16 +8,16 @@ from dbc.contract import Contract, NodeContract
 from dbc.eds import node_name, node_types
 from dbc.generate import VECTOR_FOLDER
 from dbc.vectors import vectors_text
-from nodes.adaptive.boards import AdaptiveBoards
-from nodes.adaptive.firmware import FirmwarePatches
-from nodes.adaptive.news import WithNews
-from nodes.adaptive.node import AdaptiveNode
-from nodes.adaptive.vectors import adaptive_vectors_text
 from nodes.firmware.library import Firmware
 from nodes.hardware import Hardware
 from nodes.node import SkinNode
 from nodes.sampler import new_sampler
 from nodes.sending import AtSync, Sending
+from nodes.steps.boards import SteppedBoards
+from nodes.steps.firmware import FirmwarePatches
+from nodes.steps.news import WithNews
+from nodes.steps.node import SteppedNode
+from nodes.steps.vectors import stepped_vectors_text
 from skin.layout import Layout
 from skin.sources import TaxelSource
 
@@ -63,7 +63,7 @@ def _patches(
     contract: Contract, blocks: Sequence[int], source: TaxelSource, firmware: Firmware | None, **analogue: Any
 ) -> Hardware:
     if firmware is None:
-        return AdaptiveBoards(contract, blocks, source, **analogue)
+        return SteppedBoards(contract, blocks, source, **analogue)
     return FirmwarePatches(contract, blocks, source, firmware, **analogue)
 
 
@@ -76,5 +76,5 @@ def vector_files(contract: Contract) -> dict[str, str]:
 
 _WAYS: Final = {
     "synchronous": Way(SkinNode, AtSync, _sampler, vectors_text),
-    "adaptive": Way(AdaptiveNode, WithNews, _patches, adaptive_vectors_text),
+    "steps": Way(SteppedNode, WithNews, _patches, stepped_vectors_text),
 }

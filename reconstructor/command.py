@@ -28,7 +28,7 @@ def reconstruct(
     of
         Which skin.
     solver
-        Solver of the images; adaptive sums have one of their own, and take the solvers of one cycle besides.
+        Solver of the images; steps have one of their own, and take the solvers of one cycle besides.
     gains
         File of ``skin calibration gain``: gains of the taxels that the nodes do not take off (2010h), and of analogue
         sums.

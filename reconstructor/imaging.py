@@ -1,4 +1,4 @@
-"""Images of measurements: of one cycle after another, or of the newest adaptive sums."""
+"""Images of measurements: of one cycle after another, or of the newest steps."""
 
 from pathlib import Path
 
@@ -6,10 +6,10 @@ import numpy as np
 import numpy.typing as npt
 
 from canskin.errors import InputError
-from reconstructor.adaptive import AdaptiveImager
 from reconstructor.engine import Reconstructor
 from reconstructor.gains import GainCorrection, KnownGains
 from reconstructor.options import SolverOptions
+from reconstructor.stepped import SteppedImager
 from skin.calibration_file import load_calibration
 from skin.layout import Layout, require_sending
 from skin.matrix import MatrixPhi
@@ -80,7 +80,7 @@ def _solver(layout: Layout, phi: Sbhe | MatrixPhi, options: SolverOptions) -> Re
 
 
 #: What makes the images of a skin.
-Imager = CycleImager | AdaptiveImager
+Imager = CycleImager | SteppedImager
 
 
 def make_imager(layout: Layout, options: SolverOptions | None = None, gains: Path | None = None) -> Imager:
@@ -94,11 +94,11 @@ def make_imager(layout: Layout, options: SolverOptions | None = None, gains: Pat
     if layout.sends.in_cycles:
         return CycleImager(layout, options, None if gains is None else load_gains(gains, layout))
     if gains is not None:
-        require_sending(layout, "synchronous", "--gains is", "write gains to adaptive boards (2010h)")
+        require_sending(layout, "synchronous", "--gains is", "write gains to stepped boards (2010h)")
     if options is None:
-        return AdaptiveImager(layout)
+        return SteppedImager(layout)
     options.check(layout)
-    return AdaptiveImager(layout, _solver(layout, layout.operator(), options), f"adaptive sums, {_about(options)}")
+    return SteppedImager(layout, _solver(layout, layout.operator(), options), f"steps, {_about(options)}")
 
 
 def load_gains(path: Path, layout: Layout) -> KnownGains:

@@ -67,8 +67,8 @@ class SolverOptions:
         self.clipped_noise_n(layout)
         if self.settings().temporal_filter and not layout.sends.in_cycles:
             raise InputError(
-                f"--solver {self.solver} averages the sums of cycles, and adaptive sums have none: expected another,"
-                " such as variation, spun, paper or paper-contourlet, or no option for the solver of adaptive sums"
+                f"--solver {self.solver} averages the sums of cycles, and steps have none: expected another,"
+                " such as variation, spun, paper or paper-contourlet, or no option for the solver of steps"
             )
 
     def settings(self) -> SolverSettings:

@@ -9,10 +9,10 @@ import msgspec
 import numpy as np
 
 from calibration.calibrator import Calibrator
-from canskin.messages import GATEWAY, AdaptiveMeasurement, CycleMeasurement, Measurement
+from canskin.messages import GATEWAY, CycleMeasurement, Measurement, SteppedMeasurement
 from dbc.contract import Contract
 from dbc.frame import Frames
-from gateway.playback import AdaptivePlayback, Playback
+from gateway.playback import Playback, SteppedPlayback
 from recording.step_kinds import MeasurementStep, MessageStep
 from skin.measured_sums import used_blocks
 from skin.sync_counter import next_counter
@@ -221,21 +221,21 @@ class RunMeasurements(FrameMeasurements):
         )
 
 
-class AdaptiveMeasurements(RecordedMeasurements):
-    """Recorded adaptive measurements with the sums of their frames: each tells which frames were in its sums."""
+class SteppedMeasurements(RecordedMeasurements):
+    """Recorded stepped measurements with the sums of their frames: each tells which frames were in its sums."""
 
-    kind = AdaptiveMeasurement
+    kind = SteppedMeasurement
     have_labels = False  # labels have a clock of their own
 
     def __init__(self, contract: Contract, buses: Collection[int]) -> None:
-        self._playback = AdaptivePlayback(contract, buses)
-        self._waiting: deque[tuple[int, AdaptiveMeasurement]] = deque()
+        self._playback = SteppedPlayback(contract, buses)
+        self._waiting: deque[tuple[int, SteppedMeasurement]] = deque()
 
     def take_frames(self, bus: int, seen: Frames) -> None:
         """Take frames of a bus, in bus order."""
         self._playback.feed(bus, seen)
 
-    def take(self, time_ns: int, recorded: AdaptiveMeasurement) -> list[MeasurementStep]:
+    def take(self, time_ns: int, recorded: SteppedMeasurement) -> list[MeasurementStep]:
         """Take a recorded measurement, which waits for its frames if it tells which they are."""
         if not recorded.bus_sampled_ns:
             return super().take(time_ns, recorded)

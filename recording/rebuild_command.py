@@ -70,7 +70,7 @@ def rebuild(
     that are solved there together; the log tells how many equal those of the run. Each image begins with the one
     before. So after the beginning of a recording of a touched skin, and after a cycle that the live reconstructor left
     out, images differ for up to hundreds of cycles, longest where sums are saturated. With two states the cycles of
-    images make images. Of adaptive sums the images of the run are made again, of a log one every 10 ms.
+    images make images. Of steps the images of the run are made again, of a log one every 10 ms.
 
     Parameters
     ----------
@@ -115,7 +115,7 @@ def rebuild(
     if not skin.sends.in_cycles:
         _require_run(skin, source, is_recording=is_recording)
         made = _of_news(skin, source, channel, make_imager(skin, solver, gains), every=solver is not None)
-        about = {"solver": "adaptive sums", "settings": {}}
+        about = {"solver": "steps", "settings": {}}
     else:
         settings = options.settings()
         # A recording of forces has one frame for each cycle.
@@ -165,14 +165,14 @@ class _Rebuilt(NamedTuple):
 
 
 def _require_run(skin: Layout, source: Path, *, is_recording: bool) -> None:
-    """Refuse what adaptive sums are not made from: they follow from what boards send over time."""
+    """Refuse what steps are not made from: they follow from what boards send over time."""
     if is_recording:
         what = f"{source}: a recording of forces or of sums in cycles is"
         require_sending(skin, "synchronous", what, "play it with 'skin demo --input', and record that")
 
 
 def _of_news(skin: Layout, source: Path, channel: list[str] | None, imager: Imager, *, every: bool) -> _Rebuilt:
-    """Make the images of adaptive sums, those that the run has shown or of `every` measurement, of its frames."""
+    """Make the images of steps, those that the run has shown or of `every` measurement, of its frames."""
     contract = Contract.from_layout(skin)
     offset_ns = wall_offset_ns(source) if source.suffix.lower() == RECORDING_SUFFIX else 0
     made: list[tuple[Images, Bools, int, int]] = []

@@ -10,7 +10,7 @@ import numpy as np
 
 from canskin.fabric import Exchange, Mailbox
 from canskin.messages import LABEL, RECOGNITION, Image, Label, Topic
-from classifier.service import AdaptiveClassifierService, ClassifierService
+from classifier.service import ClassifierService, SteppedClassifierService
 from reconstructor.imaging import Imager
 from reconstructor.service import ReconstructorService
 from recording.answers import largest_difference_n, same_pixels
@@ -135,7 +135,7 @@ class Replay:
         self,
         layout: Layout,
         imager: Imager,
-        make_classifier: Callable[[Exchange], ClassifierService | AdaptiveClassifierService],
+        make_classifier: Callable[[Exchange], ClassifierService | SteppedClassifierService],
         *,
         fabric: Exchange | None = None,
         sink: Sink | None = None,

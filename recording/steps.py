@@ -32,11 +32,11 @@ from gateway.playback import check_named, play
 from recording.answers import Answers
 from recording.measurements import (
     FRAMES_NS,
-    AdaptiveMeasurements,
     FrameMeasurements,
     RecordedMeasurements,
     RunMeasurements,
     StatusPace,
+    SteppedMeasurements,
 )
 from recording.step_kinds import FramesStep, MeasurementStep, MessageStep, Step
 from shell.service import say
@@ -173,7 +173,7 @@ class _Recorded:
         if not topics & self._phi.keys():
             return FrameMeasurements(contract, buses, wall_offset_ns(self._path), calibrator=calibrator)
         if not contract.layout.sends.in_cycles:
-            return AdaptiveMeasurements(contract, buses)
+            return SteppedMeasurements(contract, buses)
         if not has_frames(topics):
             return RecordedMeasurements()
         return RunMeasurements(contract, buses, wall_offset_ns(self._path))

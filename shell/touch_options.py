@@ -49,7 +49,7 @@ class TouchOptions:
     array
         Arrays of the .npz.
     rate
-        Frames per second of the recording; without this option each cycle plays the next frame (adaptive layouts: each
+        Frames per second of the recording; without this option each cycle plays the next frame (stepped layouts: each
         10 ms).
     defect
         Defects of the taxels and of sums that are made in hardware.

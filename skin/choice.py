@@ -88,7 +88,7 @@ def worst_load(layout: "Layout", sums: int) -> float:
 def scan_words(layout: "Layout") -> str:
     """Say how often the buses carry all taxels with room to spare, and whether that serves as well as sums; or nothing.
 
-    At `AS_GOOD` of the rate of sums in cycles a scan behind the filter of adaptive boards is as good. Adaptive
+    At `AS_GOOD` of the rate of sums in cycles a scan behind the filter of stepped boards is as good. Stepped
     boards look at their taxels at their own rate.
     """
     if layout.taxels.is_analogue or layout.measurement.matrix is not None:

@@ -17,7 +17,7 @@ from canskin.errors import InputError
 #: Mean and standard deviation of noise N(0, 1) that is clipped at 0.
 IDLE_MEAN: Final = 1 / math.sqrt(2 * math.pi)
 IDLE_DEVIATION: Final = math.sqrt(1 / 2 - 1 / (2 * math.pi))
-#: Adaptive nodes show a force below this part of its noise as 0.
+#: Stepped nodes show a force below this part of its noise as 0.
 DEAD_RATIO: Final = 0.4
 #: Above this many σ the bias is below 1e-9 σ.
 REACH: Final = 6.0

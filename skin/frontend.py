@@ -75,7 +75,7 @@ def converter(layout: Layout) -> SumConverter | None:
 def sum_step_n(layout: Layout) -> float:
     """Return the step of a sum before it is packed, newtons: one count, or one step of its converter.
 
-    Of adaptive sums their unit.
+    Of steps their unit.
     """
     if layout.sends.sum_bits is not None:
         return layout.measurement.block_size * layout.taxels.force_max_n / (1 << layout.sends.sum_bits)

@@ -1,8 +1,8 @@
 """The ground truth of an image or a label, and the test for contact.
 
-An image of sums of one instant belongs to the truth of its cycle. Adaptive sums and sums in turns (`sync.turns`) are of
+An image of sums of one instant belongs to the truth of its cycle. Steps and sums in turns (`sync.turns`) are of
 no single instant: a truth belongs to the image that was on show at its instant. A label belongs to the truth of its
-cycle; with adaptive sending, where there are no cycles, to the truth nearest to its sums.
+cycle; with steps, where there are no cycles, to the truth nearest to its sums.
 """
 
 from collections import deque
@@ -23,7 +23,7 @@ REMEMBERED: Final = SYNC_OVERFLOW
 #: There is contact if the largest true force is at least this part of the range: twice the sensor noise.
 CONTACT_RATIO: Final = 0.1
 
-#: From the end of a frame to its image at a client: gateway, fabric and solver, the median of a running adaptive skin
+#: From the end of a frame to its image at a client: gateway, fabric and solver, the median of a running stepped skin
 #: (`skin bench chain`: 1.6 to 1.8 ms, of which the solver takes 0.06 ms).
 LATENESS_NS: Final = 1_800_000
 #: An image is on show until the next, at most for this time; then the reconstructor has stopped.
@@ -115,7 +115,7 @@ class ShownImages:
 
 
 class NearestTruths:
-    """Adaptive sending: pairs of a label and the truth nearest to `Label.sampled_mono_ns`."""
+    """Sending steps: pairs of a label and the truth nearest to `Label.sampled_mono_ns`."""
 
     def __init__(self) -> None:
         self._truths: deque[Truth] = deque(maxlen=TRUTHS_KEPT)

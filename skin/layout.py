@@ -21,7 +21,7 @@ from skin.choice import BUSES_MAX, averaged_hz, carried_sums, carries_enough
 from skin.foreign import ForeignMessage, check_foreign, with_foreign_dbc
 from skin.matrix import KEY, MatrixPhi, entries_of, read_matrix
 from skin.measurement import Sbhe, of_rows, part_of, sbhe
-from skin.sending import ADAPTIVE_SIZES, BUS_SUMS, IN_CYCLES, SENDINGS, Sending, SendingName
+from skin.sending import BUS_SUMS, IN_CYCLES, SENDINGS, STEPPED_SIZES, Sending, SendingName
 from skin.surface import LINK_RATIO, Surface, grid_surface, surface_of_positions
 from skin.sync_counter import SYNC_OVERFLOW
 from skin.toml_errors import in_words
@@ -192,7 +192,7 @@ class Sync(_Table, frozen=True, kw_only=True):
     """The SYNC producer: `rate_hz` cycles a second (CiA 301, 1005h and 1006h).
 
     A node sends all its sums in every cycle, or, with two `turns`, half of its frames in odd cycles and half in even
-    ones. Adaptive sending has slots in place of cycles (`Steps`) and does not use the key. With `time_s` the gateway
+    ones. Sending steps has slots in place of cycles (`Steps`) and does not use the key. With `time_s` the gateway
     produces TIME, too (CiA 301, 7.2.6): after a SYNC, every `time_s` seconds.
     """
 
@@ -213,7 +213,7 @@ class Sync(_Table, frozen=True, kw_only=True):
 
 
 class Steps(_Table, frozen=True, kw_only=True):
-    """When adaptive boards send: a board has one slot for each of its words in `slot_s`, a part of the SYNC period.
+    """When stepped boards send: a board has one slot for each of its words in `slot_s`, a part of the SYNC period.
 
     Attributes
     ----------
@@ -366,7 +366,7 @@ class Layout(_Table, frozen=True, kw_only=True):
 
     @property
     def slots(self) -> int:
-        """Number of slots of an adaptive board from SYNC to SYNC."""
+        """Number of slots of a stepped board from SYNC to SYNC."""
         return round(self.sync.period_s / self.steps.slot_s)
 
     @property
@@ -700,9 +700,9 @@ def _check(layout: Layout) -> None:
         return
     _check_measurement(layout)
     if not layout.sends.in_cycles:
-        _check_adaptive(layout)
+        _check_stepped(layout)
     elif layout.steps != Steps():
-        raise LayoutError('slots need `sending = "adaptive"` - at `$.steps`')
+        raise LayoutError('slots need `sending = "steps"` - at `$.steps`')
     sampled_hz = layout.sampling.rate_hz
     if sampled_hz is not None and sampled_hz < layout.sync.rate_hz:
         limit = f"expected {layout.sync.rate_hz:g} (`sync.rate_hz`) or more"
@@ -877,13 +877,13 @@ def _check_recognition(layout: Layout, state: Recognition) -> None:
         raise LayoutError("expected rows that the nodes send for images - at `$.recognition.rows`")
 
 
-def _check_adaptive(layout: Layout) -> None:
-    """Check what adaptive sending needs: one patch of `ADAPTIVE_SIZES` taxels on a node, its rates, whole slots."""
+def _check_stepped(layout: Layout) -> None:
+    """Check what sending steps needs: one patch of `STEPPED_SIZES` taxels on a node, its rates, whole slots."""
     measurement = layout.measurement
     size = measurement.block_size
-    if size not in ADAPTIVE_SIZES:
-        sizes = " or ".join(map(str, ADAPTIVE_SIZES))
-        raise LayoutError(f"adaptive sending expects {sizes}, got {size} - at `$.measurement.block_size`")
+    if size not in STEPPED_SIZES:
+        sizes = " or ".join(map(str, STEPPED_SIZES))
+        raise LayoutError(f"sending steps expects {sizes}, got {size} - at `$.measurement.block_size`")
     wanted = {
         "taxels.frontend": (layout.taxels.frontend, "digital"),
         "measurement.wiring": (measurement.wiring, "file" if measurement.chains else "board"),
@@ -893,7 +893,7 @@ def _check_adaptive(layout: Layout) -> None:
     }
     for path, (got, expected) in wanted.items():
         if got != expected:
-            raise LayoutError(f"adaptive sending expects {expected!r}, got {got!r} - at `$.{path}`")
+            raise LayoutError(f"sending steps expects {expected!r}, got {got!r} - at `$.{path}`")
     slots, period_s = layout.slots, layout.sync.period_s
     if not 1 <= slots <= SYNC_OVERFLOW or not math.isclose(slots * layout.steps.slot_s, period_s):
         limits = f"expected {period_s:g} s from SYNC to SYNC, or a whole part of it, down to 1/{SYNC_OVERFLOW}"
@@ -903,7 +903,7 @@ def _check_adaptive(layout: Layout) -> None:
         raise LayoutError(f"{limits}, got {layout.sync.rate_hz:g} - at `$.sync.rate_hz`")
     for index, bus in enumerate(layout.bus):
         if bus.blocks_per_node != 1:
-            limits = "adaptive sending expects nodes of one block"
+            limits = "sending steps expects nodes of one block"
             raise LayoutError(f"{limits}, got nodes of {bus.blocks_per_node} - at `$.bus[{index}].blocks_per_node`")
 
 

@@ -13,10 +13,10 @@ from canskin.errors import InputError, tell
 from canskin.messages import (
     MEASUREMENT,
     RECOGNITION,
-    AdaptiveMeasurement,
     BlockState,
     CycleMeasurement,
     Measurement,
+    SteppedMeasurement,
     Topic,
 )
 from canskin.sums import corrected_counts, doubtful_taxels
@@ -49,8 +49,8 @@ class MeasuredSums(NamedTuple):
     cycle: int = 1
 
 
-class AdaptiveSums(NamedTuple):
-    """The newest sums of a skin with adaptive sending.
+class SteppedSums(NamedTuple):
+    """The newest sums of a skin with steps.
 
     Attributes
     ----------
@@ -70,7 +70,7 @@ class AdaptiveSums(NamedTuple):
     noise_n: float
 
 
-Sums = TypeVar("Sums", bound=MeasuredSums | AdaptiveSums)
+Sums = TypeVar("Sums", bound=MeasuredSums | SteppedSums)
 Kind = TypeVar("Kind", bound=Measurement)
 
 
@@ -140,9 +140,9 @@ def published(
     return [few] if measurement.fingerprint == part.fingerprint else [(MEASUREMENT, measurement), few]
 
 
-def decode_adaptive(measurement: Measurement, phi: Phi) -> AdaptiveSums:
-    """Return the sums of an adaptive measurement with Φ."""
-    measurement = check_measurement(measurement, phi, AdaptiveMeasurement)
+def decode_stepped(measurement: Measurement, phi: Phi) -> SteppedSums:
+    """Return the sums of a stepped measurement with Φ."""
+    measurement = check_measurement(measurement, phi, SteppedMeasurement)
     if not (math.isfinite(measurement.noise_n) and measurement.noise_n >= 0):
         raise InputError(f"noise_n of {measurement.noise_n}, expected a number of 0 or more")
     known, valid = (np.frombuffer(each, np.uint8) != 0 for each in (measurement.known, measurement.valid))
@@ -153,7 +153,7 @@ def decode_adaptive(measurement: Measurement, phi: Phi) -> AdaptiveSums:
         raise InputError("a block is valid, but not all its sums are known")
     if (valid & (states < _QUIET)).any():
         raise InputError("a block is valid, but neither fresh nor quiet")
-    return AdaptiveSums(corrected_counts(measurement, known), valid, known, measurement.noise_n)
+    return SteppedSums(corrected_counts(measurement, known), valid, known, measurement.noise_n)
 
 
 def check_measurement(measurement: Measurement, phi: Phi, kind: type[Kind]) -> Kind:
@@ -164,7 +164,7 @@ def check_measurement(measurement: Measurement, phi: Phi, kind: type[Kind]) -> K
     phi : Phi
         Φ of its sums.
     kind : type
-        `CycleMeasurement`, `AdaptiveMeasurement`, or `Measurement` for both.
+        `CycleMeasurement`, `SteppedMeasurement`, or `Measurement` for both.
     """
     check_fingerprint(measurement.fingerprint, phi)
     if not isinstance(measurement, kind):
@@ -172,7 +172,7 @@ def check_measurement(measurement: Measurement, phi: Phi, kind: type[Kind]) -> K
         raise InputError(f"a measurement of {came} sending, expected {wanted}: give both ends the same --layout")
     sums, blocks = phi.shape[0], phi.blocks
     lengths = {"sums": 4 * sums, "valid": blocks}
-    if isinstance(measurement, AdaptiveMeasurement):
+    if isinstance(measurement, SteppedMeasurement):
         lengths |= {"known": sums, "states": blocks, "since_ns": 8 * blocks}
     for name, expected in lengths.items():
         if (length := len(getattr(measurement, name))) != expected:
@@ -201,7 +201,7 @@ class MeasurementReader(Generic[Sums]):
     service : str
         Name of the service in the log lines.
     decode : callable
-        `decode_measurement` or `decode_adaptive`.
+        `decode_measurement` or `decode_stepped`.
 
     Attributes
     ----------

@@ -4,17 +4,17 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final, Literal
 
-SendingName = Literal["synchronous", "adaptive"]
+SendingName = Literal["synchronous", "steps"]
 #: Default: one sum for this number of taxels.
 SUMS_PART: Final = 4
-#: Steps of a touch in a second where nodes send adaptively; between two steps they interpolate.
-ADAPTIVE_STEP_HZ: Final = 100.0
-#: Bits of an adaptive sum: 2^`SUM_BITS` units are the sum of all taxels of a board at full scale.
+#: Steps of a touch in a second where nodes send in steps; between two steps they interpolate.
+STEPPED_STEP_HZ: Final = 100.0
+#: Bits of a sum in steps: 2^`SUM_BITS` units are the sum of all taxels of a board at full scale.
 SUM_BITS: Final = 13
-#: Default: most adaptive sums of a bus. Frames of all of them fit into each slot.
+#: Default: most steps of a bus. Frames of all of them fit into each slot.
 BUS_SUMS: Final = 1024
-#: Taxels of an adaptive board.
-ADAPTIVE_SIZES: Final = (8, 16, 32, 64)
+#: Taxels of a stepped board.
+STEPPED_SIZES: Final = (8, 16, 32, 64)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,12 +49,12 @@ class Sending:
 #: Sums at every SYNC.
 IN_CYCLES: Final = Sending(in_cycles=True, boards_keep_zero=False, taxels_per_sum=SUMS_PART)
 #: Sums whenever a frame is worth its bits. The times of the nodes' filter are those of this rate of samples.
-ADAPTIVE: Final = Sending(
+STEPPED: Final = Sending(
     in_cycles=False,
     boards_keep_zero=True,
     taxels_per_sum=1,
     default_rates_hz={"sync": 10.0, "sampling": 1000.0},
-    step_hz=ADAPTIVE_STEP_HZ,
+    step_hz=STEPPED_STEP_HZ,
     sum_bits=SUM_BITS,
 )
-SENDINGS: Final[Mapping[str, Sending]] = {"synchronous": IN_CYCLES, "adaptive": ADAPTIVE}
+SENDINGS: Final[Mapping[str, Sending]] = {"synchronous": IN_CYCLES, "steps": STEPPED}

@@ -6,7 +6,7 @@ electronics. A generator of touches draws labelled images for training. Python p
 - ``canskin.sources``: taxel sources. ``touch`` offers ``objects`` and ``recording``; ``nodes``, ``bandwidth`` and
   ``demo`` load them.
 - ``canskin.touches``: labelled touches. ``touch`` offers ``random``; ``classifier`` loads it.
-- ``canskin.senders``: what nodes send of a touch. ``nodes`` offers ``adaptive``; ``bandwidth`` loads it.
+- ``canskin.senders``: what nodes send of a touch. ``nodes`` offers ``steps``; ``bandwidth`` loads it.
 
 This module is the only place where one package of this distribution uses another through an entry point. The import
 rules do not see this use. So a skin with its own source runs without ``touch``.

@@ -11,11 +11,11 @@ from canskin.errors import LayoutError
 from dbc.contract import Contract
 from skin.layout import Layout, changed, layout_text, load_layout, parse_layout
 
-#: Tables of adaptive boards.
-ADAPTIVE: Final = {"sending": "adaptive", "measurement": {"wiring": "board"}}
-#: The adaptive skin of 64 x 64 taxels that comes with the project.
-ADAPTIVE_SKIN: Final = load_layout(Path("adaptive"))
-#: Sums, groups and TPDOs of a board of `ADAPTIVE_SKIN`, and nodes of its buses.
+#: Tables of stepped boards.
+STEPPED: Final = {"sending": "steps", "measurement": {"wiring": "board"}}
+#: The stepped skin of 64 x 64 taxels that comes with the project.
+STEPPED_SKIN: Final = load_layout(Path("steps"))
+#: Sums, groups and TPDOs of a board of `STEPPED_SKIN`, and nodes of its buses.
 BLOCK_SUMS, GROUPS, TPDOS, NODES = 32, 4, 32, 32
 #: A skin of three patches: 12 x 14 with gaps, 132 taxels.
 TWO_FINGERS: Final = [*["######..######"] * 6, "." * 14, *["############.."] * 5]
@@ -37,7 +37,7 @@ def layout_toml(rows: int = 8, columns: int = 8, **tables: Any) -> str:
 def plain(tables: dict[str, Any]) -> dict[str, Any]:
     """Return the tables of a file with a quarter of the sums of each block, and one sample a SYNC, where not given."""
     measurement = tables.get("measurement", {})
-    if tables.get("sending") == "adaptive" or "matrix" in measurement:
+    if tables.get("sending") == "steps" or "matrix" in measurement:
         return tables
     try:
         bare = parse_layout(tomli_w.dumps(tables).encode(), "small.toml")
@@ -80,10 +80,10 @@ def small_contract(rate_hz: float = 20.0, turns: int = 1, **tables: Any) -> Cont
 
 
 def small_boards(taxels: int, rows: int = 16, columns: int = 16, **bus: Any) -> Layout:
-    """Return a skin of adaptive boards of `taxels` on one bus, which has the keys `bus`."""
-    measurement = ADAPTIVE["measurement"] | {"block_size": taxels}
+    """Return a skin of stepped boards of `taxels` on one bus, which has the keys `bus`."""
+    measurement = STEPPED["measurement"] | {"block_size": taxels}
     nodes = -(-rows * columns // taxels)
-    return small_layout(rows, columns, **ADAPTIVE | {"measurement": measurement}, bus=buses(nodes, **bus))
+    return small_layout(rows, columns, **STEPPED | {"measurement": measurement}, bus=buses(nodes, **bus))
 
 
 def buses(*nodes: int, names: Sequence[str] = (), **keys: Any) -> list[dict[str, Any]]:

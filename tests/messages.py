@@ -8,7 +8,6 @@ import numpy as np
 from msgspec.structs import replace
 
 from canskin.messages import (
-    AdaptiveMeasurement,
     BlockState,
     BusState,
     Contact,
@@ -19,6 +18,7 @@ from canskin.messages import (
     Image,
     Label,
     NodesStatus,
+    SteppedMeasurement,
     Truth,
 )
 
@@ -39,9 +39,9 @@ def measurement(cycle: int = 1, **changed: Any) -> CycleMeasurement:
     return replace(made, **changed)
 
 
-def adaptive_measurement(
+def stepped_measurement(
     force_n: np.ndarray, known: np.ndarray | None = None, *, layout: Layout, **changed: Any
-) -> AdaptiveMeasurement:
+) -> SteppedMeasurement:
     """Return what the gateway would publish of these forces; `known`: bool, (blocks, block size)."""
     phi = layout.phi()
     counts = np.rint(force_n.reshape(-1) / layout.taxels.newton_per_count).astype(np.int32)
@@ -49,7 +49,7 @@ def adaptive_measurement(
     sums = np.asarray(phi.forward(counts)).reshape(known.shape) * known
     valid = known.all(axis=1)
     states = np.where(valid, BlockState.FRESH, np.where(known.any(axis=1), BlockState.STALE, BlockState.DEAD))
-    made = AdaptiveMeasurement(
+    made = SteppedMeasurement(
         cycle=1,
         sync_counter=1,
         sampled_mono_ns=1_000_000,

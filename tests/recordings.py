@@ -63,7 +63,7 @@ def write_touches(
             if layout.sends.in_cycles:
                 sent = make.measurement(cycle, **stamps, **whole)
             else:
-                sent = make.adaptive_measurement(forces[place], layout=layout, cycle=cycle, **stamps)
+                sent = make.stepped_measurement(forces[place], layout=layout, cycle=cycle, **stamps)
             few = [] if part is None else [(RECOGNITION, part_of_measurement(sent, part, places(phi, part)))]
             for topic, message in (
                 (MEASUREMENT, sent),

@@ -20,13 +20,13 @@ class CalibrationState(str, Enum):
 
     __str__ = str.__str__  # the value, as `enum.StrEnum` of Python 3.11 has it
 
-    #: There is none, and none is measured; nodes with adaptive sending have their own, and none is doubted.
+    #: There is none, and none is measured; nodes with steps have their own, and none is doubted.
     OFF = "off"
     #: It is being measured.
     MEASURING = "measuring"
     #: Something touches the skin: its zero will be measured when it is untouched. Stored offsets are used meanwhile.
     TOUCHED = "touched"
-    #: It was measured, and is followed while it drifts, by the nodes with adaptive sending.
+    #: It was measured, and is followed while it drifts, by the nodes with steps.
     FOLLOWING = "following"
     #: It was stored, and stays as it is.
     LOADED = "loaded"
@@ -37,7 +37,7 @@ class ZeroSupport(IntEnum):
 
     #: No zero is known: sums come as they are.
     NONE = 0
-    #: It is of an earlier run, a file or adaptive nodes themselves, and was not confirmed since.
+    #: It is of an earlier run, a file or stepped nodes themselves, and was not confirmed since.
     STORED = 1
     #: It has moved since because of forces below zero, and was not confirmed by an untouched stretch.
     CORRECTED = 2

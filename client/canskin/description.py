@@ -38,9 +38,9 @@ class Description(msgspec.Struct, frozen=True, kw_only=True):
     force_max_n : float
         Largest force of one taxel.
     rate_hz : float
-        Cycles in a second; adaptive: samples in a second.
+        Cycles in a second; stepped: samples in a second.
     sending : str
-        ``synchronous`` or ``adaptive``.
+        ``synchronous`` or ``steps``.
     fingerprint : str
         Fingerprint of Φ.
     boot_id : str

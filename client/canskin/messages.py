@@ -21,7 +21,7 @@ UNKNOWN_ERROR_NS: Final = -1
 
 
 class BlockState(IntEnum):
-    """How an adaptive block's sums stand."""
+    """How a stepped block's sums stand."""
 
     #: The node is not operational, not proven, or silent for too long. Nothing is known.
     DEAD = 0
@@ -34,7 +34,7 @@ class BlockState(IntEnum):
 
 
 class Measurement(msgspec.Struct, frozen=True, kw_only=True):
-    """The newest sums of a skin: a `CycleMeasurement` or an `AdaptiveMeasurement`, with what both tell.
+    """The newest sums of a skin: a `CycleMeasurement` or an `SteppedMeasurement`, with what both tell.
 
     `skin.measured_sums` checks and decodes a measurement.
 
@@ -45,7 +45,7 @@ class Measurement(msgspec.Struct, frozen=True, kw_only=True):
     sync_counter : int
         Counter of the newest SYNC, 1 to 240 (CiA 301, 7.2.5.1), also where SYNC has no counter on the bus.
     sampled_mono_ns : int
-        Sampling instant: when the SYNC ended on the bus, a mean over the buses. Adaptive: when the newest frame ended
+        Sampling instant: when the SYNC ended on the bus, a mean over the buses. Stepped: when the newest frame ended
         that is in the sums; its sample is older, by at most `sampled_error_ns`.
     sampled_error_ns : int
         Bound of the difference between `sampled_mono_ns` and the sampling instant of any bus whose SYNC was seen, see
@@ -54,17 +54,17 @@ class Measurement(msgspec.Struct, frozen=True, kw_only=True):
         Wall clock minus monotonic clock.
     bus_sampled_ns : bytes
         int64, shape (buses,): the sampling instant of each bus, on the monotonic clock; 0 if the SYNC was not seen.
-        Adaptive: when the newest frame of each bus ended that is in the sums; 0 before the first.
+        Stepped: when the newest frame of each bus ended that is in the sums; 0 before the first.
     sums : bytes
-        int32, shape (m,), in ADC counts, block by block, in the order of Φ. Sums of invalid blocks are 0; adaptive:
+        int32, shape (m,), in ADC counts, block by block, in the order of Φ. Sums of invalid blocks are 0; stepped:
         unknown sums are 0.
     valid : bytes
-        uint8, shape (blocks,): 1 if every sum of the block came in this cycle and its node is proven; adaptive: if the
+        uint8, shape (blocks,): 1 if every sum of the block came in this cycle and its node is proven; stepped: if the
         block is fresh or quiet, and all its sums are known. Always 0 for a block that sends no sums.
     fingerprint : str
         Fingerprint of the Φ of the sums (`skin.measurement.Sbhe.fingerprint`).
     offsets : bytes
-        int32, shape (m,), ADC counts: what an untouched skin reads. Empty if unknown; adaptive: if nothing is settled.
+        int32, shape (m,), ADC counts: what an untouched skin reads. Empty if unknown; stepped: if nothing is settled.
     usable : bytes
         uint8, shape (m,): 0 for sums that are defective, or have no offset while others have. Empty if all are 1.
     doubtful : bytes
@@ -104,7 +104,7 @@ class CycleMeasurement(Measurement, frozen=True, kw_only=True, tag_field="sendin
     sent_mono_ns: int = 0
 
 
-class AdaptiveMeasurement(Measurement, frozen=True, kw_only=True, tag_field="sending", tag="adaptive"):
+class SteppedMeasurement(Measurement, frozen=True, kw_only=True, tag_field="sending", tag="steps"):
     """The newest value of every sum; the gateway publishes when frames have come, and at a least rate.
 
     Attributes
@@ -346,7 +346,7 @@ class Truth(msgspec.Struct, frozen=True, kw_only=True):
     step : int
         Position in the taxel source.
     sync_counter, sampled_mono_ns : int
-        Of the SYNC as the nodes received it: counter, 0 where SYNC has none, and time stamp. With adaptive sending the
+        Of the SYNC as the nodes received it: counter, 0 where SYNC has none, and time stamp. With steps the
         counter is 0, and the time is that of the step: between two steps forces are interpolated.
     true, sensor : bytes
         float32, shape (rows, columns), newtons: before and after noise, clipping and ADC.
@@ -370,16 +370,16 @@ class FrameCounts(msgspec.Struct, kw_only=True):
     accepted : int
         Frames with sums that were used.
     late, duplicate, malformed : int
-        Frames with sums that came after their cycle, came twice, or had a wrong length; they are not used. Adaptive:
+        Frames with sums that came after their cycle, came twice, or had a wrong length; they are not used. Stepped:
         late frames came well after their slot, and are used; their blocks are not valid.
     after_gap, unproven : int
-        Adaptive: frames before which others were lost, and frames of nodes that are not proven; these are not used.
+        Stepped: frames before which others were lost, and frames of nodes that are not proven; these are not used.
     missing : int
         Frames with sums that did not come in their cycle.
     foreign : int
         All other frames on the buses.
     different : int
-        Adaptive: words with which a node told that it has other sums than the gateway; their frames are among the
+        Stepped: words with which a node told that it has other sums than the gateway; their frames are among the
         others.
     """
 
@@ -507,7 +507,7 @@ class Topic(msgspec.Struct, frozen=True):
 
 
 def _measurement_decoder() -> Callable[[bytes], Measurement]:
-    decode_tagged = msgspec.msgpack.Decoder(CycleMeasurement | AdaptiveMeasurement).decode
+    decode_tagged = msgspec.msgpack.Decoder(CycleMeasurement | SteppedMeasurement).decode
 
     def decode(content: bytes) -> Measurement:
         measurement: Measurement
@@ -515,7 +515,7 @@ def _measurement_decoder() -> Callable[[bytes], Measurement]:
             measurement = decode_tagged(content)
         except msgspec.ValidationError:  # of a version, or in a recording, from before there were tags
             fields = msgspec.msgpack.decode(content, type=dict[str, Any])
-            measurement = msgspec.convert(fields, AdaptiveMeasurement if fields.get("known") else CycleMeasurement)
+            measurement = msgspec.convert(fields, SteppedMeasurement if fields.get("known") else CycleMeasurement)
         return measurement
 
     return decode

@@ -18,7 +18,7 @@ from shell.service import StopSignal
 from skin.layout import load_layout
 
 #: The skins, one after the other in each round; None is the default skin.
-LAYOUTS: Final = (None, Path("adaptive"))
+LAYOUTS: Final = (None, Path("steps"))
 #: Time of a run, without its start.
 RUN_S: Final = 10.0
 #: Measurements whose arrival is kept until an image of them comes.
@@ -26,7 +26,7 @@ _KEPT: Final = 1024
 
 
 class _Steps(NamedTuple):
-    """The steps of one image, nanoseconds. A sample is SYNC, or the end of the newest frame with adaptive sending."""
+    """The steps of one image, nanoseconds. A sample is SYNC, or the end of the newest frame with steps."""
 
     sample_to_measurement: int
     measurement_to_solver: int

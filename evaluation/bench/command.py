@@ -27,7 +27,7 @@ def bench(
     the contourlet; then total variation on the default skin as a grid and as a graph, and on triangles. With
     ``--device`` it times the solvers on arrays in place of these, on batches and on a recording: µs of an image, and
     the compiled solver's time / this time. ``gateway`` gives the frames per second that one core takes from the socket
-    to a complete measurement, against python-can and canopen. ``chain`` runs the default and the adaptive skin on
+    to a complete measurement, against python-can and canopen. ``chain`` runs the default and the stepped skin on
     virtual buses and gives the processor time of each process and the time of each step until an image. ``classify``
     times one decision between 16 objects against scikit-learn's on the same machines.
 

@@ -56,13 +56,13 @@ def measure_accuracy(
     return {"accuracy": accuracies, "confusion": np.round(shares, 4).tolist()}
 
 
-def measure_adaptive(*, splits: Sequence[int], meshes: str | None, seed: int) -> Row:
+def measure_stepped(*, splits: Sequence[int], meshes: str | None, seed: int) -> Row:
     """Return the accuracy of the paper's classifier on the test set of each split, and the number of ``sums``.
 
-    The sums are those that the classifier takes of the shipped layout ``adaptive``, with what the nodes leave of the
+    The sums are those that the classifier takes of the shipped layout ``steps``, with what the nodes leave of the
     noise, see `classifier.samples.simulate_sums`.
     """
-    layout = load_layout(Path("adaptive"))
+    layout = load_layout(Path("steps"))
     rng = np.random.default_rng(seed)
     sums = simulate_sums(true_force_n(meshes), layout, classified_phi(layout), NOISE_N, rng).astype(np.float32)
     found = decisions(sums, [draw_split(number, *FULL, seed) for number in splits])

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from classifier.cache import TOUCHES_PER_OBJECT
-from evaluation.recognition.accuracy import measure_adaptive
+from evaluation.recognition.accuracy import measure_stepped
 from evaluation.recognition.live import CONDITIONS, measure_live
 from evaluation.recognition.methods import CYCLES, METHODS, PLAIN, measure_method
 from evaluation.recognition.pictures import draw_gains, gain_row
@@ -47,7 +47,7 @@ def evaluate(options: Options) -> Result:
     pictures = [Picture(_CAPTION, lambda: draw_gains(methods))]
     return Result(
         "Recognition beyond the paper, and as a service",
-        [*methods, *_adaptive_rows(options), *_live_rows(options), *_sixteen_rows(options)],
+        [*methods, *_stepped_rows(options), *_live_rows(options), *_sixteen_rows(options)],
         pictures,
         "Touches of live rows have our shapes of the objects, with meshes too; their runs count touches.",
     )
@@ -76,14 +76,12 @@ def _method_rows(options: Options) -> list[Row]:
     return rows
 
 
-def _adaptive_rows(options: Options) -> list[Row]:
-    """Return the row of adaptive sums: `DRAWS` splits, because Φ is the layout's."""
+def _stepped_rows(options: Options) -> list[Row]:
+    """Return the row of steps: `DRAWS` splits, because Φ is the layout's."""
     cells: list[Row] = [{"splits": list(range(1 if options.quick else DRAWS)), **options.shared}]
-    (result,) = measure_cells(measure_adaptive, cells, options, "adaptive sums")
+    (result,) = measure_cells(measure_stepped, cells, options, "steps")
     percent = [100 * each for each in result["accuracy"]]
-    return [
-        gain_row("adaptive sums, group 0 of each block", result["sums"], runs=len(percent), ours=percent, parts=percent)
-    ]
+    return [gain_row("steps, group 0 of each block", result["sums"], runs=len(percent), ours=percent, parts=percent)]
 
 
 def _live_rows(options: Options) -> list[Row]:

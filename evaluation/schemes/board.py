@@ -9,12 +9,12 @@ from typing import Literal, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from dbc.adaptive_filter import HORIZON, SETTLING_SAMPLES
+from dbc.patch_filter import HORIZON, SETTLING_SAMPLES
 from evaluation.schemes.scenes import NEWTON_PER_COUNT, SIDE, Touch, counts_of
 from evaluation.schemes.wire import patches
-from nodes.adaptive.filtering import ForceFilter
-from nodes.adaptive.noise import IdleStatistics, Noise
 from nodes.averaging import SampleFilter
+from nodes.steps.filtering import ForceFilter
+from nodes.steps.noise import IdleStatistics, Noise
 from skin.clipping import IDLE_DEVIATION
 from skin.taxel import FORCE_MAX_N
 from touch.coarse_arrays import averaged
@@ -23,7 +23,7 @@ from touch.contact import Force
 Counts = npt.NDArray[np.int16]
 Cells = npt.NDArray[np.int64]
 #: What a board makes of its samples: ``raw``, one sample; ``averaged``, the averages of the default skin's boards;
-#: ``patches``, the forecast of adaptive boards.
+#: ``patches``, the forecast of stepped boards.
 FilterName = Literal["raw", "averaged", "patches"]
 _Filter = TypeVar("_Filter", bound=ForceFilter)
 
@@ -58,7 +58,7 @@ class Board:
     def filtered(self, name: FilterName, horizon: float = HORIZON) -> tuple[Force, float]:
         """Return what a filter makes of every sample, and the median noise of a cell before the filter, newtons.
 
-        Forces have the shape of `counts`. Filters of adaptive boards forecast `horizon` samples ahead.
+        Forces have the shape of `counts`. Filters of stepped boards forecast `horizon` samples ahead.
         """
         return _filtered(self, name, horizon)
 

@@ -15,23 +15,23 @@ from evaluation.schemes.schemes import (
     COARSE_ARRAYS,
     RAW_SCAN,
     THIN_SCAN,
-    Adaptive,
     FilteredEvents,
     Scheme,
+    Stepped,
     Sums,
     measure_scheme,
 )
 from skin.layout import Steps
 from skin.sources import object_label
 
-OURS: Final = Adaptive()
+OURS: Final = Stepped()
 #: Slots that are too short for all boards at once, and the threshold with which the slides take as many bits.
-FAST: Final = Adaptive(steps=Steps(slot_s=0.0025, quiet=0.16))
+FAST: Final = Stepped(steps=Steps(slot_s=0.0025, quiet=0.16))
 #: Thresholds in newtons that events are tried with.
 EVENTS: Final = tuple(map(FilteredEvents, (0.2e-3, 0.3e-3, 0.5e-3, 0.8e-3)))
 SCHEMES: Final[tuple[Scheme, ...]] = (
     OURS,
-    Adaptive(is_fd=True),
+    Stepped(is_fd=True),
     FAST,
     Sums(),
     BEST_SCAN,
@@ -101,7 +101,7 @@ def _compared(title: str, found: list[Row]) -> Result:
 
 
 def _evaluate_drawn(options: Options, scene_seed: int) -> Result:
-    """Measure adaptive sums, the default and their best rivals on scenes drawn at random."""
+    """Measure steps, the default and their best rivals on scenes drawn at random."""
     count, ticks = (2, 400) if options.quick else (options.scenes, None)
     if not count:
         raise InputError("expected 1 drawn scene or more (--scenes), got 0")
@@ -152,7 +152,7 @@ def wins_and_losses(shown: list[Row]) -> str:
     """
     lines = []
     for ours, title in (
-        (OURS.name, "Adaptive sums against the best other scheme of each touch:"),
+        (OURS.name, "Steps against the best other scheme of each touch:"),
         (Sums().name, "Sums at a fixed rate against the best scan or coarse array of each touch, at equal bits:"),
     ):
         lines += [title]

@@ -103,7 +103,7 @@ def solved(held: Images, penalty_n: float) -> Images:
 
 
 def smoothed(held: Images, limit_n: float) -> Images:
-    """Return images of a square as the receiver of adaptive sums smooths them: neighbours differ by less, or not."""
+    """Return images of a square as the receiver of steps smooths them: neighbours differ by less, or not."""
     side = round(held.force_n.shape[1] ** 0.5)
     smooth = VariationFilter(graph_of(side, side, np.zeros(0, np.intp), None))
     images: list[Force] = [smooth(each.reshape(side, side), limit_n).ravel() for each in held.force_n]

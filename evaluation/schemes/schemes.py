@@ -11,12 +11,12 @@ from msgspec.structs import replace
 
 from dbc.contract import Contract
 from evaluation.result import Row
-from evaluation.schemes.adaptive import run_adaptive
 from evaluation.schemes.board import Board, FilterName, board_of
 from evaluation.schemes.events import run_events
 from evaluation.schemes.judge import Images, Updates, moments_ns, quality
 from evaluation.schemes.scan import refined, run_scan, smoothed, solved
 from evaluation.schemes.scenes import NEWTON_PER_COUNT, SIDE, Scene, Touch
+from evaluation.schemes.steps import run_stepped
 from evaluation.schemes.sums import run_sums
 from evaluation.schemes.wire import Nanoseconds, Sent, lines_of
 from reconstructor.walsh import LIMIT_RATIO
@@ -29,8 +29,8 @@ SCAN_BITS: Final = 10
 SCAN_RATE_MAX_HZ: Final = 500.0
 #: A scan is tried at this rate, to learn what one of this touch takes.
 TRIAL_HZ: Final = 20.0
-#: The bits of adaptive sums: what they take under the five slides, in the mean, with the paper's meshes.
-ADAPTIVE_KBIT_PER_S: Final = 414.0
+#: The bits of steps: what they take under the five slides, in the mean, with the paper's meshes.
+STEPPED_KBIT_PER_S: Final = 414.0
 
 _STEPS: Final = Steps()
 
@@ -77,8 +77,8 @@ class Shown:
 
 
 @dataclass(frozen=True)
-class Adaptive:
-    """Adaptive sums: one setting for every touch; noise is learned from the idle skin.
+class Stepped:
+    """Steps: one setting for every touch; noise is learned from the idle skin.
 
     Attributes
     ----------
@@ -95,13 +95,13 @@ class Adaptive:
     def name(self) -> str:
         """What it is called in a table."""
         slots = "" if self.steps == _STEPS else f", {1e3 * self.steps.slot_s:g} ms, {self.steps.quiet:g}"
-        return "adaptive sums" + (", CAN FD" if self.is_fd else "") + slots
+        return "steps" + (", CAN FD" if self.is_fd else "") + slots
 
     def show(self, board: Board) -> Shown:
         """Send the news of `board`, with whatever bits they take."""
         lines = [replace(line, fd=True, data_bitrate=FD_BITRATE) if self.is_fd else line for line in lines_of(SIDE)]
-        layout = validated(replace(load_layout(Path("adaptive")), bus=lines, steps=self.steps))
-        run = run_adaptive(board, Contract.from_layout(layout))
+        layout = validated(replace(load_layout(Path("steps")), bus=lines, steps=self.steps))
+        run = run_stepped(board, Contract.from_layout(layout))
         return Shown(run.sent, run.latency_ns, {OURS: run.images}, None)
 
 
@@ -132,7 +132,7 @@ class Scan:
     filter : str
         What the boards make of their samples.
     horizon : float
-        Samples that the filter of adaptive boards looks ahead.
+        Samples that the filter of stepped boards looks ahead.
     bits : int
         Of a value.
     penalty_n : float
@@ -177,7 +177,7 @@ class Scan:
 BOARDS: Final[dict[FilterName, str]] = {
     "raw": "one raw sample",
     "averaged": "filter of the default's boards",
-    "patches": "filter of adaptive boards",
+    "patches": "filter of stepped boards",
 }
 #: The best scan that can be built. All settings are those with the best mean PSNR over the slides, with the paper's
 #: meshes: of a horizon of 4 to 20, 5 to 10 bits, λ of 1 to 32 mN, limits of 0.05 to 0.4. With 6 bits slides have 0.3 dB
@@ -188,14 +188,14 @@ AVERAGED_SCAN: Final = Scan(filter="averaged", penalty_n=0.016)
 #: All bits of the converters; of λ of 30 to 240 mN, limits of 0.5 to 2.
 RAW_SCAN: Final = Scan(filter="raw", bits=SCAN_BITS, penalty_n=0.18, limit_ratio=0.5)
 #: Of a horizon of 4 to 60, 4 to 8 bits, under golf ball and granola box.
-THIN_SCAN: Final = Scan(horizon=40.0, bits=4, kbit_per_s=ADAPTIVE_KBIT_PER_S)
+THIN_SCAN: Final = Scan(horizon=40.0, bits=4, kbit_per_s=STEPPED_KBIT_PER_S)
 #: Of a horizon of 4 and 8, 7 to 10 bits, λ of 1 to 12 mN, limits of 0.05 to 0.5.
 COARSE_ARRAYS: Final = tuple(Scan(side, horizon=8.0, penalty_n=0.001, limit_ratio=0.05) for side in (32, 16))
 
 
 @dataclass(frozen=True)
 class FilteredEvents:
-    """Event-triggered taxels behind the filter of adaptive boards, with their smoothing.
+    """Event-triggered taxels behind the filter of stepped boards, with their smoothing.
 
     `threshold_n`: by how much a filtered taxel must differ from what was sent last, newtons.
     """
@@ -218,7 +218,7 @@ class FilteredEvents:
 
 
 #: A way to acquire a touch: what it is called, and what it shows.
-Scheme = Adaptive | Sums | Scan | FilteredEvents
+Scheme = Stepped | Sums | Scan | FilteredEvents
 
 
 @cache

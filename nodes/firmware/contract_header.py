@@ -6,9 +6,9 @@ from typing import Final
 import numpy as np
 
 from dbc import averaging, board_sums, canopen, frame, indices, program, slots
-from dbc.adaptive_filter import LEAST_EXPONENT, LEAST_WEIGHT, LOG2_E, POWER
 from dbc.contract import LONGEST_VALUE
 from dbc.dictionary import REACTION_NS, SkinState
+from dbc.patch_filter import LEAST_EXPONENT, LEAST_WEIGHT, LOG2_E, POWER
 from nodes.firmware import tables
 from nodes.firmware.c_text import braced, defined, double, header, real
 from skin.clipping import IDLE_DEVIATION, IDLE_MEAN, REACH, clipped_mean

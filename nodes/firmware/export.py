@@ -11,9 +11,9 @@ from dbc.contract import Contract, NodeContract
 from dbc.eds import node_name
 from dbc.generate import write_files
 from dbc.slots import SLOT_HEAD
-from nodes.firmware.adaptive_tables import adaptive_header, adaptive_source
 from nodes.firmware.contract_header import contract_header
 from nodes.firmware.object_dictionary import od_header, od_source
+from nodes.firmware.stepped_tables import stepped_header, stepped_source
 from nodes.firmware.tables import Build, board_header, board_source, builds, by_type
 from skin.layout import load_layout
 
@@ -25,7 +25,7 @@ _SOURCES: Final = files("nodes.firmware").joinpath("c")
 def sources(boards: Sequence[Build], *folders: str) -> dict[str, str]:
     """Return by their path the C sources and headers that every one of `boards` needs, and those of more folders."""
     found: dict[str, str] = {}
-    for folder in ("", "adaptive", *folders) if boards[0].is_adaptive else ("", *folders):
+    for folder in ("", "steps", *folders) if boards[0].in_steps else ("", *folders):
         for each in sorted(_SOURCES.joinpath(folder).iterdir(), key=lambda each: each.name):
             if each.name.endswith((".c", ".h")):
                 found[f"{folder}/{each.name}" if folder else each.name] = each.read_text(encoding="ascii")
@@ -39,8 +39,8 @@ def constants(contract: Contract, boards: Sequence[Build]) -> dict[str, str]:
         "board.h": board_header(contract, boards),
         "board.c": board_source(boards),
     }
-    if boards[0].is_adaptive:
-        found |= {"adaptive.h": adaptive_header(contract), "adaptive.c": adaptive_source(contract)}
+    if boards[0].in_steps:
+        found |= {"stepped.h": stepped_header(contract), "stepped.c": stepped_source(contract)}
     return found
 
 
@@ -76,7 +76,7 @@ def write_firmware(layout: Path | None, names: list[str], out: Path) -> list[str
 def _readme(contract: Contract, boards: Sequence[Build]) -> str:
     """Return ``README.md`` for the engineer who builds the firmware, with the figures of the first of `boards`."""
     node, board, objects = boards[0].node, boards[0].board, boards[0].objects
-    folder = _SOURCES.joinpath("adaptive") if boards[0].is_adaptive else _SOURCES
+    folder = _SOURCES.joinpath("steps") if boards[0].in_steps else _SOURCES
     template = Template(folder.joinpath("README.md").read_text(encoding="utf-8"))
     return template.substitute(
         skin=board.skin,

@@ -39,7 +39,7 @@ _FUNCTIONS: Final[dict[str, tuple[type, ...]]] = {
     "skin_newest_sums": (_POINTER, _POINTER),
     "skin_node_bytes": (),
 }
-_ADAPTIVE_FUNCTIONS: Final[dict[str, tuple[type, ...]]] = {
+_STEPPED_FUNCTIONS: Final[dict[str, tuple[type, ...]]] = {
     "skin_prepare": (_POINTER, _U32, _U32, _POINTER),
     "skin_take_counts": (_POINTER, _U32, _POINTER),
     "skin_choose": (_POINTER, _U32, _I64, _POINTER, _SIZE),
@@ -79,7 +79,7 @@ class Firmware:
         # With the CANopen slave, and what runs many of them together.
         texts = sources(boards, "slave", "host") | constants(contract, boards)
         self._library = _loaded(texts, compiler)
-        for name, types in (_FUNCTIONS | (_ADAPTIVE_FUNCTIONS if boards[0].is_adaptive else {})).items():
+        for name, types in (_FUNCTIONS | (_STEPPED_FUNCTIONS if boards[0].in_steps else {})).items():
             function = getattr(self._library, name)
             function.argtypes, function.restype = types, ctypes.c_size_t
         self._contract, self._nodes = contract, nodes
@@ -108,7 +108,7 @@ class Firmware:
 class CompiledBoards:
     """The boards of one bus: most methods take a time in seconds and return the frames that the boards send.
 
-    Adaptive boards sample by their own clock (`take_counts`), and send steps in their slots (`choose`).
+    Stepped boards sample by their own clock (`take_counts`), and send steps in their slots (`choose`).
 
     Parameters
     ----------
@@ -165,7 +165,7 @@ class CompiledBoards:
         self._most_samples = 2 * contract.layout.samples_per_sync
         self._out = frames(_CAPACITY)
         self._sent = self._out.ctypes.data, _CAPACITY
-        if contract.layout.sending == "adaptive":
+        if contract.layout.sending == "steps":
             self._library.skin_prepare(self._nodes, self._first, self._count, self._storages)
 
     def power_up(self, now_s: float) -> Frames:

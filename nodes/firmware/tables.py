@@ -11,7 +11,6 @@ from typing import Final
 import numpy as np
 
 from dbc import indices as od
-from dbc.adaptive_filter import HORIZON, SWITCHING, Models, make_models
 from dbc.averaging import averaging_models
 from dbc.board import Board, board
 from dbc.canopen import LSS_BIT_RATES_HZ
@@ -19,6 +18,7 @@ from dbc.configuration import calibration, configuration, setting_of
 from dbc.contract import Contract, NodeContract
 from dbc.dictionary import ERRORS_KEPT, HEARTBEATS_WATCHED, dictionary
 from dbc.objects import Object
+from dbc.patch_filter import HORIZON, SWITCHING, Models, make_models
 from nodes.firmware.c_text import WRITTEN, array, braced, defined, header, real
 
 #: Flags of `skin_object` (``skin_board.h``).
@@ -79,7 +79,7 @@ class Build:
 
     `objects` is the same for all boards of a type. `values` are the defaults of this board, each little endian: those
     of objects that can be written, communication profile before manufacturer, then the others; the board's own are the
-    first of each part. `is_adaptive` tells whether the board sends steps, `held` is the number of its taxels,
+    first of each part. `in_steps` tells whether the board sends steps, `held` is the number of its taxels,
     `frame_ns` the longest time of one of its frames.
     """
 
@@ -87,7 +87,7 @@ class Build:
     board: Board
     objects: ObjectTable
     values: bytes
-    is_adaptive: bool
+    in_steps: bool
     held: int
     frame_ns: int
 
@@ -106,7 +106,7 @@ class Build:
 
 def builds(contract: Contract, nodes: Sequence[NodeContract]) -> list[Build]:
     """Return what the C sources of `nodes` are made from."""
-    is_adaptive = contract.layout.sending == "adaptive"
+    in_steps = contract.layout.sending == "steps"
     frame_ns = {bus: contract.longest_ns(bus) for bus in {node.bus for node in nodes}}
     boards = [board(contract, node) for node in nodes]
     dictionaries = [
@@ -127,7 +127,7 @@ def builds(contract: Contract, nodes: Sequence[NodeContract]) -> list[Build]:
             boards[number],
             tables[number],
             _values(tables[number], dictionaries[number]),
-            is_adaptive,
+            in_steps,
             int(contract.phi.held[node.block : node.block + node.blocks].sum()),
             frame_ns[node.bus],
         )
@@ -224,7 +224,7 @@ def _is_measured(index: int) -> bool:
 
 def board_header(contract: Contract, boards: Sequence[Build]) -> str:
     """Return ``board.h``: sizes that hold every one of `boards`."""
-    is_adaptive = boards[0].is_adaptive
+    in_steps = boards[0].in_steps
     sizes: dict[str, tuple[object, str]] = {
         "SKIN_BOARDS": (len(boards), "boards of board.c"),
         "SKIN_BLOCKS": (max(each.node.blocks for each in boards), "blocks of a board"),
@@ -233,12 +233,12 @@ def board_header(contract: Contract, boards: Sequence[Build]) -> str:
         "SKIN_TPDOS": (max(1, *(_tpdos(each.objects) for each in boards)), "TPDO communication records of a board"),
         "SKIN_PDO_BYTES": (max(each.node.pdo_bytes for each in boards), "longest payload of a PDO"),
         "SKIN_MAPPED": (max(1, *(_mapped(each.objects) for each in boards)), "most objects of a PDO"),
-        "SKIN_ADAPTIVE": (int(is_adaptive), "whether boards send steps"),
+        "SKIN_STEPPED": (int(in_steps), "whether boards send steps"),
         "SKIN_PARTS": (max(1, *(len(each.node.forms) for each in boards)), "words of a board that sends steps"),
         "SKIN_ANALOGUE": (int(contract.layout.taxels.is_analogue), "whether converters read sums, not taxels"),
         "SKIN_STATES": (len(contract.states), "states of a board (2008h); in each others of its TPDOs are sent"),
         "SKIN_SAMPLES": (
-            1 if is_adaptive else contract.layout.samples_per_sync,
+            1 if in_steps else contract.layout.samples_per_sync,
             "samples of each taxel in a cycle; more than 1 are averaged",
         ),
         "SKIN_WATCHED": (HEARTBEATS_WATCHED, "entries of 1016h"),
@@ -248,7 +248,7 @@ def board_header(contract: Contract, boards: Sequence[Build]) -> str:
     rates = {each.board.bitrate for each in boards}
     timings = sum(1 << index for index, rate in enumerate(LSS_BIT_RATES_HZ) if rate in rates)
     sizes["SKIN_BIT_TIMINGS"] = timings, "bit n: bit timing n of LSS (CiA 305) is that of a board"
-    lines = defined(sizes | _models(make_models(HORIZON) if is_adaptive else averaging_models(), HORIZON * is_adaptive))
+    lines = defined(sizes | _models(make_models(HORIZON) if in_steps else averaging_models(), HORIZON * in_steps))
     table = boards[0].board
     if len(boards) == 1:
         lines += [f"#define SKIN_BUS {boards[0].node.bus}", f"#define SKIN_NODE_ID {table.node_id}"]
@@ -338,7 +338,7 @@ def _type(build: Build, number: int) -> str:
         "pdo_bytes": node.pdo_bytes,
         "frame_flags": node.flags,
         "frame_ns": build.frame_ns,
-        **(_words(node) if build.is_adaptive else {}),
+        **(_words(node) if build.in_steps else {}),
         "objects": f"objects_{number}",
         "object_count": len(objects.entries),
         "communication_bytes": objects.communication_bytes,

@@ -1,4 +1,4 @@
-"""Adaptive boards and a gateway on one arbitrated bus with exact bit times, in one thread: time is that of the bus."""
+"""Stepped boards and a gateway on one arbitrated bus with exact bit times, in one thread: time is that of the bus."""
 
 from functools import cache
 from pathlib import Path
@@ -8,12 +8,12 @@ import numpy as np
 from bus.link import Send, State
 from bus.outbox import OTHERS, OWNER
 from bus.simulated_bus import SimulatedBus
-from dbc.adaptive_filter import SAMPLE_NS
 from dbc.contract import Contract
 from dbc.frame import ECHO, Frames
+from dbc.patch_filter import SAMPLE_NS
 from gateway.loop import GatewayLoop
-from nodes.adaptive.boards import AdaptiveBoards
 from nodes.segment import Segment
+from nodes.steps.boards import SteppedBoards
 from nodes.virtual_boards import VirtualBoards
 from skin.layout import load_layout
 from skin.sources import Frame
@@ -21,8 +21,8 @@ from skin.sources import Frame
 
 @cache
 def shipped() -> Contract:
-    """Return the contract of the shipped adaptive layout."""
-    return Contract.from_layout(load_layout(Path("adaptive")))
+    """Return the contract of the shipped stepped layout."""
+    return Contract.from_layout(load_layout(Path("steps")))
 
 
 class Moving:
@@ -49,7 +49,7 @@ class JoinedBus:
     def __init__(self, moving: frozenset[int], seed: int) -> None:
         contract, line = shipped(), shipped().layout.bus[0]
         nodes = contract.on_bus(0)
-        self.boards = AdaptiveBoards(contract, [node.block for node in nodes], Moving(moving, seed), seed=seed)
+        self.boards = SteppedBoards(contract, [node.block for node in nodes], Moving(moving, seed), seed=seed)
         self._wire = SimulatedBus(line.bitrate, line.data_bitrate, seed=seed)
         self._stations = {name: self._wire.attach(name) for name in ("gateway", "nodes")}
         self._now_ns = SAMPLE_NS

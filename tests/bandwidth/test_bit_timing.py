@@ -113,7 +113,7 @@ def test_a_clock_that_the_user_names_must_make_the_rates(skin: Skin) -> None:
 
 
 def test_json_timing_has_every_bus_and_its_interface(skin: Skin) -> None:
-    status, out, _ = skin("plan", "adaptive-fd", "--timing", "-c", "can4", "--json")
+    status, out, _ = skin("plan", "steps-fd", "--timing", "-c", "can4", "--json")
     found = json.loads(out)
     assert status == 0
     assert [each["bus"] for each in found] == ["bus0", "bus1"]

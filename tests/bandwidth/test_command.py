@@ -260,9 +260,9 @@ def test_a_new_layout_is_what_its_file_says(skin: Skin, tmp_path: Path) -> None:
     code, _, said = skin("layout", "new", "10x10", "--out", str(made))
     assert code == 2
     assert "is there already" in said
-    code, shown, _ = skin("layout", "new", "10x10", "--sending", "adaptive")
+    code, shown, _ = skin("layout", "new", "10x10", "--sending", "steps")
     assert code == 0
-    assert parse_layout(shown.encode(), "shown").sending == "adaptive"
+    assert parse_layout(shown.encode(), "shown").sending == "steps"
 
 
 def test_a_design_takes_taxels_at_positions(skin: Skin, tmp_path: Path) -> None:

@@ -20,7 +20,7 @@ from skin.sources import load_source
 from skin.sync_counter import SYNC_OVERFLOW
 from tests.layouts import buses, small_layout
 
-#: Shipped layouts whose nodes send in every cycle; `test_adaptive_logs` plans the other.
+#: Shipped layouts whose nodes send in every cycle; `test_stepped_logs` plans the other.
 IN_CYCLES = [name for name in SHIPPED if load_layout(Path(name)).sending == "synchronous"]
 
 
@@ -38,7 +38,7 @@ def test_rates_of_the_shipped_layouts(name: str, average_hz: float, worst_hz: fl
         assert each.max_rate_hz_worst_80 < each.max_rate_hz_worst < each.max_rate_hz_touched
 
 
-@pytest.mark.parametrize("name", ["default", "fd", "adaptive"])
+@pytest.mark.parametrize("name", ["default", "fd", "steps"])
 def test_time_is_part_of_the_load(name: str) -> None:
     """TIME of 6 bytes ten times a second: 34 + 48 bits, at most 20 stuff bits, 10 + 3 bits of the end."""
     before, timed = (with_time(name, time_s) for time_s in (None, 0.1))

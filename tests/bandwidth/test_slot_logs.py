@@ -12,16 +12,16 @@ from bandwidth.measured import measure_states
 from bandwidth.plan import plan
 from bus.polling import poll
 from bus.simulated_bus import SimulatedBus
-from dbc.adaptive_filter import SAMPLE_NS
 from dbc.contract import Contract
 from dbc.frame import Frames
+from dbc.patch_filter import SAMPLE_NS
 from evaluation.schemes.wire import heartbeats
-from nodes.adaptive.simulated import SimulatedNodes, sync_frames
+from nodes.steps.simulated import SimulatedNodes, sync_frames
 from tests.bandwidth.conftest import Skin
-from tests.layouts import ADAPTIVE, buses, layout_toml, small_layout
+from tests.layouts import STEPPED, buses, layout_toml, small_layout
 
 MS, TICKS = 1_000_000, 5000
-TABLES = {**ADAPTIVE, "bus": buses(2, names=["arm"])}
+TABLES = {**STEPPED, "bus": buses(2, names=["arm"])}
 CONTRACT = Contract.from_layout(small_layout(**TABLES))
 PLANS = plan(CONTRACT, is_touched=False)
 FIRST, SECOND = 0x181, 0x182

@@ -17,7 +17,7 @@ from dbc.contract import Contract
 from dbc.dictionary import slot_offset_us
 from dbc.frame import Frames, frames
 from skin.layout import load_layout
-from tests.layouts import ADAPTIVE, buses, small_layout
+from tests.layouts import STEPPED, buses, small_layout
 
 MS = 1_000_000
 US = 1_000
@@ -29,7 +29,7 @@ def contract_of(
     rate = {"sync": {"rate_hz": 1 / slot_s}} if at_sync else {}
     steps = {"slot_s": slot_s, "quiet": quiet, "at_sync": at_sync}
     return Contract.from_layout(
-        small_layout(8, 4 * sum(nodes), **ADAPTIVE, **rate, steps=steps, bus=buses(*nodes, **bus))
+        small_layout(8, 4 * sum(nodes), **STEPPED, **rate, steps=steps, bus=buses(*nodes, **bus))
     )
 
 
@@ -146,7 +146,7 @@ def test_a_touch_is_simulated_once_for_buses_that_are_alike(monkeypatch: pytest.
         sent["data"][:, 0] = 0x55
         return sent
 
-    monkeypatch.setattr(planning, "load_sender", lambda name: send if name == "adaptive" else None)
+    monkeypatch.setattr(planning, "load_sender", lambda name: send if name == "steps" else None)
     monkeypatch.setattr(planning, "load_objects", lambda _layout, *, seed: f"objects {seed}")
     contract = contract_of(1, 1, 2)
     plans = plan(contract)
@@ -170,4 +170,4 @@ def test_without_a_package_that_simulates_there_is_no_touched_load(monkeypatch: 
 def test_the_load_of_a_touch_is_simulated(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(planning, "TOUCHED_S", 2.0)
     # The first object presses: a few percent of the bus, and far from full.
-    assert 0.0036 < (touched_load(Contract.from_layout(load_layout(Path("adaptive"))), 2) or 0) < 0.2
+    assert 0.0036 < (touched_load(Contract.from_layout(load_layout(Path("steps"))), 2) or 0) < 0.2

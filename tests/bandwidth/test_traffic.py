@@ -12,7 +12,7 @@ from canskin.errors import InputError
 from dbc.contract import Contract
 from dbc.frame import frames
 from skin.layout import Layout, changed, load_layout
-from tests.layouts import ADAPTIVE, buses, in_one_instant, small_layout
+from tests.layouts import STEPPED, buses, in_one_instant, small_layout
 
 
 def skin(nodes: list[int], rate_hz: float, bits: int = 14) -> Contract:
@@ -154,9 +154,9 @@ def test_a_response_waits_for_what_is_more_urgent_and_one_frame_on_its_way() -> 
 
 
 @pytest.mark.parametrize(
-    ("tables", "jitter_s"), [({}, 1e-3), ({"device": {"jitter_s": 2e-4}}, 2e-4), (ADAPTIVE, 100e-6)]
+    ("tables", "jitter_s"), [({}, 1e-3), ({"device": {"jitter_s": 2e-4}}, 2e-4), (STEPPED, 100e-6)]
 )
-def test_boards_answer_as_the_layout_says_and_adaptive_ones_at_once(tables: dict[str, Any], jitter_s: float) -> None:
+def test_boards_answer_as_the_layout_says_and_stepped_ones_at_once(tables: dict[str, Any], jitter_s: float) -> None:
     layout = small_layout_with_time(**tables)
     assert Disturbance().of(layout) == Disturbance(jitter_s=jitter_s, sdo_per_s=20.0, errors_per_s=0.0)
     given = Disturbance(jitter_s=0.0, errors_per_s=3.0)

@@ -31,8 +31,8 @@ from tests.calibration.helpers import (
     still,
     tared,
 )
-from tests.layouts import ADAPTIVE_SKIN, small_layout
-from tests.messages import adaptive_measurement
+from tests.layouts import STEPPED_SKIN, small_layout
+from tests.messages import stepped_measurement
 
 MS = 1_000_000
 MEASURING, TOUCHED = CalibrationState.MEASURING, CalibrationState.TOUCHED
@@ -171,9 +171,9 @@ def test_without_tare_stored_offsets_stay() -> None:
     )
 
 
-def test_nodes_with_adaptive_sending_have_their_own_zero() -> None:
+def test_nodes_with_stepped_sending_have_their_own_zero() -> None:
     """The zero here begins with 0: there is nothing to take off."""
-    layout = ADAPTIVE_SKIN
+    layout = STEPPED_SKIN
     made = Calibrator(layout)
     assert made.state is FOLLOWING
     assert made.offsets_n is not None
@@ -181,14 +181,14 @@ def test_nodes_with_adaptive_sending_have_their_own_zero() -> None:
     assert Calibrator(layout, tares=False).state is OFF
 
 
-def test_the_zero_of_an_adaptive_board_is_known_from_its_first_sums_on() -> None:
-    made, blocks = Calibrator(ADAPTIVE_SKIN), ADAPTIVE_SKIN.phi().blocks
+def test_the_zero_of_an_stepped_board_is_known_from_its_first_sums_on() -> None:
+    made, blocks = Calibrator(STEPPED_SKIN), STEPPED_SKIN.phi().blocks
     assert set(made.status().zero_support) == {ZeroSupport.NONE}
-    known = np.ones(ADAPTIVE_SKIN.phi().kept.shape, np.bool_)
+    known = np.ones(STEPPED_SKIN.phi().kept.shape, np.bool_)
     known[3] = False
-    force_n = np.zeros(ADAPTIVE_SKIN.taxels.count)
+    force_n = np.zeros(STEPPED_SKIN.taxels.count)
     for look in range(1, 40):
-        came = adaptive_measurement(force_n, known, layout=ADAPTIVE_SKIN, sampled_mono_ns=look * 25_000_000)
+        came = stepped_measurement(force_n, known, layout=STEPPED_SKIN, sampled_mono_ns=look * 25_000_000)
         made.take(came)
         made.work()
     expected = [ZeroSupport.NONE if block == 3 else ZeroSupport.STORED for block in range(blocks)]
@@ -196,7 +196,7 @@ def test_the_zero_of_an_adaptive_board_is_known_from_its_first_sums_on() -> None
 
 
 @pytest.mark.parametrize("tares", [True, False])
-@pytest.mark.parametrize("layout", [SMALL, ADAPTIVE_SKIN], ids=["synchronous", "adaptive"])
+@pytest.mark.parametrize("layout", [SMALL, STEPPED_SKIN], ids=["synchronous", "steps"])
 def test_blocks_are_doubted_until_the_next_call(layout: Layout, *, tares: bool) -> None:
     made, phi = Calibrator(layout, tares=tares), layout.phi()
     if not layout.sends.boards_keep_zero:

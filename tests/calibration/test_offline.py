@@ -14,7 +14,7 @@ from canskin.messages import MEASUREMENT
 from skin.calibration_file import encoded, load_calibration, new_calibration
 from skin.mcap_file import CALIBRATION_FILE, File, RecordingWriter
 from tests.calibration.helpers import LAYOUT, NEWTON_PER_COUNT, PHI, offsets_n, pressed
-from tests.layouts import ADAPTIVE_SKIN
+from tests.layouts import STEPPED_SKIN
 
 OFFSETS = PHI.forward(offsets_n())
 
@@ -114,5 +114,5 @@ def test_options_ask_for_nothing_a_file_or_a_tare(tmp_path: Path) -> None:
     path.write_bytes(encoded(new_calibration(LAYOUT, gains=np.ones(PHI.shape[1]))))
     with pytest.raises(InputError, match=r"it\.json: has no offsets of sums"):
         make_calibrator(LAYOUT, path, "never", "test")
-    with pytest.raises(InputError, match="adaptive boards"):
-        make_calibrator(ADAPTIVE_SKIN, None, "at-start", "test")
+    with pytest.raises(InputError, match="stepped boards"):
+        make_calibrator(STEPPED_SKIN, None, "at-start", "test")

@@ -69,8 +69,8 @@ def test_layout_that_names_the_chosen_rows() -> None:
     assert (phi.order == layout.phi().order).all()
     sums = phi.forward(force_n.reshape(40, -1))
     assert (np.abs(sums[0] - sums[-1]) > 0.05).all()
-    with pytest.raises(InputError, match="adaptive nodes"):
-        with_chosen_rows(msgspec.structs.replace(layout, sending="adaptive"), force_n, labels, 3, noise_n=1e-3)
+    with pytest.raises(InputError, match="stepped nodes"):
+        with_chosen_rows(msgspec.structs.replace(layout, sending="steps"), force_n, labels, 3, noise_n=1e-3)
 
 
 def test_rows_of_recognition_are_chosen_among_those_of_images() -> None:

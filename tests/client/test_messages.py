@@ -6,7 +6,7 @@ import msgspec
 import pytest
 
 from canskin.errors import UNDECODABLE
-from canskin.messages import CONTACTS, MEASUREMENT, AdaptiveMeasurement, CycleMeasurement
+from canskin.messages import CONTACTS, MEASUREMENT, CycleMeasurement, SteppedMeasurement
 from tests import messages as make
 
 SHARED: dict[str, Any] = {
@@ -18,10 +18,10 @@ SHARED: dict[str, Any] = {
     "fingerprint": "0" * 16,
 }
 HELD: dict[str, Any] = {"known": b"\1", "states": b"\3", "since_ns": bytes(8), "noise_n": 1e-3}
-CYCLE, ADAPTIVE = CycleMeasurement(sent_mono_ns=4, **SHARED), AdaptiveMeasurement(**SHARED, **HELD)
+CYCLE, STEPPED = CycleMeasurement(sent_mono_ns=4, **SHARED), SteppedMeasurement(**SHARED, **HELD)
 
 
-@pytest.mark.parametrize("message", [CYCLE, ADAPTIVE])
+@pytest.mark.parametrize("message", [CYCLE, STEPPED])
 def test_a_measurement_of_each_kind_is_read(message: msgspec.Struct) -> None:
     assert MEASUREMENT.decoder()(msgspec.msgpack.encode(message)) == message
 
@@ -29,7 +29,7 @@ def test_a_measurement_of_each_kind_is_read(message: msgspec.Struct) -> None:
 def test_a_measurement_of_an_earlier_version_is_read() -> None:
     decode, nothing = MEASUREMENT.decoder(), {"known": b"", "states": b"", "since_ns": b"", "noise_n": 0.0}
     assert decode(msgspec.msgpack.encode({**SHARED, **nothing, "sent_mono_ns": 4})) == CYCLE
-    assert decode(msgspec.msgpack.encode({**SHARED, **HELD, "sent_mono_ns": 0})) == ADAPTIVE
+    assert decode(msgspec.msgpack.encode({**SHARED, **HELD, "sent_mono_ns": 0})) == STEPPED
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from dbc.configuration import signature
 from dbc.contract import Contract
 from skin.layout import load_layout, parse_layout
 
-NAMES = ("default", "fd", "one-bus-12bit", "adaptive")
+NAMES = ("default", "fd", "one-bus-12bit", "steps")
 
 
 def contract_of(name: str) -> Contract:

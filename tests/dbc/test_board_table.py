@@ -6,7 +6,7 @@ import pytest
 from dbc.board import Board, BoardPart, MappedObject, board, board_text, json_text
 from dbc.contract import Contract
 from skin.layout import Layout, changed
-from tests.layouts import ADAPTIVE, buses, small_layout
+from tests.layouts import STEPPED, buses, small_layout
 
 #: Two sums from the second block of the second board: rows 1 and 31, an odd number of bits each.
 FEW = small_layout(
@@ -138,10 +138,10 @@ def test_a_board_with_one_sum_has_one_tpdo_however_many_turns_there_are() -> Non
     assert [(each.transmission_type, each.sync_start_value, len(each.mapping)) for each in table.tpdos] == [(2, 1, 2)]
 
 
-def test_adaptive_boards_have_words_a_unit_and_no_packing() -> None:
+def test_stepped_boards_have_words_a_unit_and_no_packing() -> None:
     """32 sums of 32 taxels of 20 mN, in two places of a slot of 4 ms."""
-    _, table = table_of(small_layout(**ADAPTIVE), 1)
-    assert (table.sending, table.packing, table.frontend, table.samples_per_sync) == ("adaptive", None, None, 100)
+    _, table = table_of(small_layout(**STEPPED), 1)
+    assert (table.sending, table.packing, table.frontend, table.samples_per_sync) == ("steps", None, None, 100)
     (tpdo,) = table.tpdos
     assert (tpdo.number, tpdo.cob_id, tpdo.transmission_type, tpdo.length) == (1, 0x182, 254, 8)
     assert (tpdo.inhibit_100us, tpdo.event_timer_ms, tpdo.sync_start_value) == (0, 0, 0)

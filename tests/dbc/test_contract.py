@@ -72,8 +72,8 @@ def test_transmission_type_is_the_number_of_turns_and_the_start_value_names_the_
 def test_sync_is_its_counter_whatever_makes_boards_send() -> None:
     sync = sync_frame(0xA5)
     assert (sync["can_id"][0], sync["length"][0], sync["data"][0, 0], sync["flags"][0]) == (0x80, 1, 0xA5, 0)
-    adaptive = Contract.from_layout(load_layout(Path("adaptive")))
-    assert {each.value for each in dictionary(adaptive, adaptive.nodes[0]) if each.index == od.SYNC_OVERFLOW} == {240}
+    stepped = Contract.from_layout(load_layout(Path("steps")))
+    assert {each.value for each in dictionary(stepped, stepped.nodes[0]) if each.index == od.SYNC_OVERFLOW} == {240}
 
 
 def test_every_sum_is_sent_once_a_cycle_or_once_in_two() -> None:

@@ -8,9 +8,9 @@ from dbc.contract import Contract
 from dbc.dictionary import SkinState, dictionary
 from dbc.objects import Object
 from skin.layout import Layout
-from tests.layouts import ADAPTIVE, buses, small_layout
+from tests.layouts import STEPPED, buses, small_layout
 
-ADAPTIVE_ARM = small_layout(**ADAPTIVE)
+STEPPED_ARM = small_layout(**STEPPED)
 RECOGNITION: dict[str, Any] = {
     "measurement": {"sums": 5, "block_size": 64},
     "sync": {"rate_hz": 25.0},
@@ -33,9 +33,9 @@ def told(found: dict[tuple[int, int | None], Object], index: int) -> list[tuple[
     return [(each.data_type, each.access, each.value) for (at, _), each in found.items() if at == index]
 
 
-def test_adaptive_nodes_have_their_settings_and_no_sums() -> None:
+def test_stepped_nodes_have_their_settings_and_no_sums() -> None:
     """1007h is 99 % of the period; 2005h: 56 bits, form 3 (words), one block."""
-    found = objects(ADAPTIVE_ARM)
+    found = objects(STEPPED_ARM)
     values = {index: found[index, None].value for index in (0x1006, 0x1007, 0x1019, 0x2005, 0x2030, 0x2035)}
     assert values == {
         0x1006: 100_000, 0x1007: 99_000, 0x1019: 240, 0x2005: 0x01_03_00_38, 0x2030: 0, 0x2035: 0.0
@@ -62,7 +62,7 @@ def test_adaptive_nodes_have_their_settings_and_no_sums() -> None:
 
 
 def test_names_count_from_one_and_taxels_from_zero() -> None:
-    found = objects(ADAPTIVE_ARM)
+    found = objects(STEPPED_ARM)
     names = [
         (found[index, 1].name, found[index, most].name) for index, most in ((0x2032, 32), (0x2033, 32), (0x2110, 1))
     ]
@@ -75,7 +75,7 @@ def test_names_count_from_one_and_taxels_from_zero() -> None:
 
 def test_a_board_with_a_thermometer_has_a_temperature() -> None:
     assert (0x2036, None) not in objects(RECOGNISING)
-    for tables in (RECOGNITION, ADAPTIVE):
+    for tables in (RECOGNITION, STEPPED):
         found = objects(small_layout(**tables, taxels={"has_thermometers": True}))
         assert told(found, 0x2036) == [(3, "ro", 0x7FFF)]
         manufacturer = [index for index, _ in found if index >= 0x2000]

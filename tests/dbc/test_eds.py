@@ -119,7 +119,7 @@ def test_the_dcf_of_a_node_has_its_own_values(name: str, tmp_path: Path) -> None
 
 
 @pytest.mark.heavy
-@pytest.mark.parametrize("name", ["default", "adaptive"])
+@pytest.mark.parametrize("name", ["default", "steps"])
 def test_no_warning_of_any_reader_and_no_value_without_default(
     name: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -134,7 +134,7 @@ def test_no_warning_of_any_reader_and_no_value_without_default(
     assert f"-DOD_CNT_SDO_SRV=1 -DOD_CNT_TPDO={len(kind.nodes[0].tpdos)}" in found.comments
     unsaid = {each.index for each in flat(found) if each.default is None}
     # Programs, and fractions, on whose form readers disagree.
-    assert unsaid == {od.PROGRAM_DATA} | ({od.UNIT, od.SENDING} if name == "adaptive" else set())
+    assert unsaid == {od.PROGRAM_DATA} | ({od.UNIT, od.SENDING} if name == "steps" else set())
 
 
 @pytest.mark.heavy

@@ -49,7 +49,7 @@ COMMUNICATION: Final = {
     "PROGRAM_ID": 0x1F56,
     "FLASH_STATUS": 0x1F57,
 }
-#: docs/bus.md, "Objects of a skin node", and docs/adaptive.md.
+#: docs/bus.md, "Objects of a skin node", and docs/steps.md.
 OF_THE_SKIN: Final = {
     "MANUFACTURER": 0x2000,
     "BLOCK": 0x2000,

@@ -9,7 +9,7 @@ from dbc.contract import Contract
 from dbc.dictionary import dictionary
 from dbc.eds import eds, node_types
 from skin.layout import layout_text, parse_layout
-from tests.layouts import ADAPTIVE, small_layout
+from tests.layouts import STEPPED, small_layout
 
 
 def contract_of(rows: int = 16, tables: dict[str, Any] | None = None, **bus: Any) -> Contract:
@@ -51,8 +51,8 @@ def test_no_identifier_comes_twice_where_a_node_has_more_tpdos_than_its_own_node
     assert not any(identifier & 0x7F in (0, 5) for identifier in identifiers)
 
 
-def test_adaptive_boards_have_identifiers_of_their_own_at_any_node_ids() -> None:
-    contract = contract_of(16, dict(ADAPTIVE), first_node_id=41)
+def test_stepped_boards_have_identifiers_of_their_own_at_any_node_ids() -> None:
+    contract = contract_of(16, dict(STEPPED), first_node_id=41)
     assert [tpdo.cob_id for node in contract.nodes for tpdo in node.tpdos] == list(range(0x180 + 41, 0x180 + 49))
 
 

@@ -1,4 +1,4 @@
-"""The contract of adaptive nodes: identifiers, parts, mapping, slots, and a .dbc that other programs read."""
+"""The contract of stepped nodes: identifiers, parts, mapping, slots, and a .dbc that other programs read."""
 
 import re
 import struct
@@ -19,10 +19,10 @@ from dbc.steps import Form, form_of
 from skin.frontend import sum_step_n
 from skin.layout import load_layout, parse_layout
 from skin.walsh import walsh_matrix
-from tests.layouts import ADAPTIVE, buses, small_layout
+from tests.layouts import STEPPED, buses, small_layout
 
 TEXT = """
-sending = "adaptive"
+sending = "steps"
 [taxels]
 [measurement]
 wiring = "board"
@@ -31,12 +31,12 @@ rate_hz = 10.0
 [steps]
 slot_s = 0.005
 """
-both = pytest.mark.parametrize("contract", ["adaptive", "adaptive-fd"], indirect=True)
+both = pytest.mark.parametrize("contract", ["steps", "steps-fd"], indirect=True)
 
 
 @pytest.fixture(scope="module")
 def contract(request: pytest.FixtureRequest) -> Contract:
-    return Contract.from_layout(load_layout(Path(getattr(request, "param", "adaptive"))))
+    return Contract.from_layout(load_layout(Path(getattr(request, "param", "steps"))))
 
 
 def values_of(contract: Contract, place: int) -> dict[tuple[int, int], Any]:
@@ -51,7 +51,7 @@ def values_of(contract: Contract, place: int) -> dict[tuple[int, int], Any]:
 def test_a_bus_of_127_boards_has_an_identifier_for_every_frame(
     size: int, is_fd: bool, frames: int, length: int
 ) -> None:
-    tables = ADAPTIVE | {"measurement": {"wiring": "board", "block_size": size}}
+    tables = STEPPED | {"measurement": {"wiring": "board", "block_size": size}}
     contract = Contract.from_layout(small_layout(127, size, **tables, bus=buses(127, fd=is_fd)))
     found = [(tpdo.cob_id, tpdo.length) for node in contract.nodes for tpdo in node.tpdos]
     expected = [base + node_id for node_id in range(1, 128) for base in (0x180, 0x280)[:frames]]
@@ -60,7 +60,7 @@ def test_a_bus_of_127_boards_has_an_identifier_for_every_frame(
 
 def test_boards_have_any_node_ids() -> None:
     line = [{"name": "a", "node_ids": [1, 33, 65, 127]}]
-    contract = Contract.from_layout(small_layout(8, 16, **ADAPTIVE, bus=line))
+    contract = Contract.from_layout(small_layout(8, 16, **STEPPED, bus=line))
     assert [tpdo.cob_id for node in contract.nodes for tpdo in node.tpdos] == [0x181, 0x1A1, 0x1C1, 0x1FF]
 
 
@@ -122,7 +122,7 @@ def test_dictionary_maps_slot_and_words_and_the_proof_covers_them(contract: Cont
 def test_boards_send_at_their_places_or_at_sync(
     rate_hz: float, steps: dict[str, Any], types: int, offsets_us: list[int]
 ) -> None:
-    tables = ADAPTIVE | {"sync": {"rate_hz": rate_hz}, "steps": steps, "bus": buses(2, 2)}
+    tables = STEPPED | {"sync": {"rate_hz": rate_hz}, "steps": steps, "bus": buses(2, 2)}
     contract = Contract.from_layout(small_layout(8, 16, **tables))
     for bus in (0, 1):
         values = [values_of(contract, contract.nodes.index(node)) for node in contract.on_bus(bus)]
@@ -167,18 +167,18 @@ def test_cantools_decodes_slot_and_words(contract: Contract) -> None:
         (("slot_s = 0.005", "quiet = -0.1"), "$.steps.quiet"),
     ],
 )
-def test_layout_that_adaptive_sending_cannot_have_is_refused(change: tuple[str, str], words: str) -> None:
+def test_layout_that_stepped_sending_cannot_have_is_refused(change: tuple[str, str], words: str) -> None:
     with pytest.raises(LayoutError) as refused:
-        parse_layout(TEXT.replace(*change).encode(), "adaptive.toml")
+        parse_layout(TEXT.replace(*change).encode(), "steps.toml")
     assert words in str(refused.value)
 
 
-def test_slots_are_of_adaptive_boards_alone() -> None:
+def test_slots_are_of_stepped_boards_alone() -> None:
     with pytest.raises(LayoutError, match=re.escape("slots need `sending")):
         small_layout(steps={"quiet": 0.0})
 
 
 def test_a_bus_gets_as_many_boards_as_a_slot_has_time_for() -> None:
     for size, nodes in ((32, 32), (64, 16)):
-        layout = parse_layout(TEXT.replace("[sync]", f"block_size = {size}\n[sync]").encode(), "adaptive.toml")
+        layout = parse_layout(TEXT.replace("[sync]", f"block_size = {size}\n[sync]").encode(), "steps.toml")
         assert {bus.nodes for bus in layout.bus} == {nodes}

@@ -19,7 +19,7 @@ from skin.psnr import psnr_db
 from skin.sources import load_objects, load_sender, step_rate_hz
 
 TAXELS = {"mat": 100, "glove": 768, "hand": 261, "pad": 391, "forearm": 230}
-#: Of the examples that are adaptive as they come, when they send in cycles.
+#: Of the examples that are stepped as they come, when they send in cycles.
 SUMS = {"mat": 64, "hand": 144}
 FOLDER = Path(str(files("skin.layouts")))
 
@@ -28,7 +28,7 @@ def example(name: str, sending: str) -> Layout:
     """Return an example with a way of sending, as its document says."""
     tables: dict[str, Any] = msgspec.toml.decode((FOLDER / f"{name}.toml").read_bytes())
     if sending != tables.get("sending", "synchronous") and name != "forearm":
-        tables["measurement"] = {"wiring": "board"} if sending == "adaptive" else {"sums": SUMS[name]}
+        tables["measurement"] = {"wiring": "board"} if sending == "steps" else {"sums": SUMS[name]}
     tables["sending"] = sending
     return parse_layout(msgspec.toml.encode(tables), f"{name}.toml", FOLDER)
 
@@ -64,12 +64,11 @@ def test_images_are_10_db_better_than_the_sensor(name: str) -> None:
 
 @pytest.mark.heavy
 @pytest.mark.parametrize("name", TAXELS)
-def test_adaptive_boards_send_what_touches(name: str) -> None:
-    layout = example(name, "adaptive")
+def test_stepped_boards_send_what_touches(name: str) -> None:
+    layout = example(name, "steps")
     source = load_objects(layout, names=("golf-ball",), seed=1)
     frames = [
-        load_sender("adaptive")(Contract.from_layout(layout), bus, source, 2.0, seed=0)
-        for bus in range(len(layout.bus))
+        load_sender("steps")(Contract.from_layout(layout), bus, source, 2.0, seed=0) for bus in range(len(layout.bus))
     ]
     assert sum(map(len, frames)) > 50
 

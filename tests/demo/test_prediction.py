@@ -22,13 +22,13 @@ from evaluation.schemes.sums import burst
 from evaluation.schemes.wire import carry
 from gateway.gathering import Health
 from gateway.loop import GatewayLoop
-from nodes.adaptive.simulated import touched_frames
-from reconstructor.adaptive import AdaptiveImager
+from nodes.steps.simulated import touched_frames
 from reconstructor.imaging import CycleImager
+from reconstructor.stepped import SteppedImager
 from shell.touch_options import TouchOptions
 from skin.ground_truth import LATENESS_NS, image_pairs, in_contact
 from skin.layout import SHIPPED, Layout, changed, load_layout
-from skin.measured_sums import MeasuredSums, decode_adaptive
+from skin.measured_sums import MeasuredSums, decode_stepped
 from skin.psnr import decibels
 from skin.sources import load_objects
 from tests import messages as make
@@ -89,7 +89,7 @@ def on_simulated_buses(layout: Layout) -> float:
 
 
 def at_the_gateway(layout: Layout) -> float:
-    """Return the PSNR of images of what the gateway publishes of adaptive sums on simulated buses, decibels."""
+    """Return the PSNR of images of what the gateway publishes of steps on simulated buses, decibels."""
     contract, taxels, source = Contract.from_layout(layout), layout.taxels, load_objects(layout)
     buses = range(len(layout.bus))
     said: list[str] = []
@@ -101,14 +101,14 @@ def at_the_gateway(layout: Layout) -> float:
     for bus, frames in enumerate(sent):
         gathering.take(bus, frames[:0], Health(), 0.0)
     gathering._sums.check[:] = 0  # the boards have answered the gateway, which asks for all sums when it joins
-    imager, wired, errors_n2, step_s = AdaptiveImager(layout), contract.phi.is_wired, [], 0.01
+    imager, wired, errors_n2, step_s = SteppedImager(layout), contract.phi.is_wired, [], 0.01
     for step in range(round(TOUCHES_S / step_s)):
         for bus, frames in enumerate(sent):
             first, last = np.searchsorted(frames["time_ns"], [round((step - 1) * 1e7), round(step * 1e7)], side="right")
             gathering.take(bus, frames[first:last], Health(), step * step_s)
         came = gathering.measurements(step * step_s, 0)
         if came:
-            image_n = imager.solve(decode_adaptive(came[-1], contract.phi))[0].ravel()
+            image_n = imager.solve(decode_stepped(came[-1], contract.phi))[0].ravel()
         true_n = source.frame(step).force_n.ravel()
         if in_contact(true_n, taxels.force_max_n):
             errors_n2.append(np.mean((image_n - true_n)[wired] ** 2))
@@ -169,7 +169,7 @@ def test_what_is_not_predicted() -> None:
     assert predicted(30.0, recording) == RUN
     assert with_prediction(RUN, PAD, DemoOptions(), None) == RUN
     assert predicted(30.0, DemoOptions(seconds=0.02)) == RUN  # nothing touches
-    assert not is_quick(load_layout(Path("adaptive")))
+    assert not is_quick(load_layout(Path("steps")))
     assert is_quick(load_layout())
 
 

@@ -6,7 +6,7 @@ import pytest
 from canskin.errors import InputError, RunError
 from demo.quality import qualities, quality
 from skin.matrix import signs_of
-from tests.layouts import ADAPTIVE_SKIN, small_boards, small_layout
+from tests.layouts import STEPPED_SKIN, small_boards, small_layout
 
 MAT = small_layout(15, 17, sampling={"rate_hz": 1000.0})
 
@@ -22,8 +22,8 @@ def test_more_sums_give_better_images() -> None:
 
 
 def test_what_cannot_be_judged() -> None:
-    with pytest.raises(InputError, match="adaptive boards send all sums"):
-        qualities(ADAPTIVE_SKIN)
+    with pytest.raises(InputError, match="stepped boards send all sums"):
+        qualities(STEPPED_SKIN)
     with pytest.raises(RunError, match="nothing touched"):
         qualities(MAT, touches_s=0.1)
 
@@ -49,7 +49,7 @@ def test_averages_of_ten_samples_make_better_images() -> None:
     assert ten.psnr_image_db > one.psnr_image_db + 4
 
 
-def test_adaptive_boards_send_on_simulated_buses() -> None:
+def test_stepped_boards_send_on_simulated_buses() -> None:
     found = quality(small_boards(16, 10, 10), touches_s=3.0)
     assert found.psnr_image_db > found.psnr_sensor_db + 10
     assert found.touched_error_n < 1e-3

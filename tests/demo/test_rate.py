@@ -12,7 +12,7 @@ from demo.options import DemoOptions
 from demo.rate import JUDGED_S, LEAST_RUN_S, SETTLED_S, at_rate, is_kept
 from demo.run import Run
 from skin.layout import Layout, load_layout
-from tests.layouts import ADAPTIVE_SKIN
+from tests.layouts import STEPPED_SKIN
 from tests.messages import gateway_status
 
 LAYOUT = load_layout()
@@ -41,7 +41,7 @@ def test_impossible_rates_are_refused(rate_hz: float) -> None:
     with pytest.raises(InputError, match="--sync-rate"):
         DemoOptions(sync_rate=rate_hz).check(LAYOUT)
     with pytest.raises(InputError, match="--sync-rate is for"):
-        DemoOptions(sync_rate=50.0).check(ADAPTIVE_SKIN)
+        DemoOptions(sync_rate=50.0).check(STEPPED_SKIN)
 
 
 class Rates:

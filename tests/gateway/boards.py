@@ -1,4 +1,4 @@
-"""Adaptive boards that only answer SDO, NMT and send sums, with their gateway, in one thread on wires of arrays."""
+"""Stepped boards that only answer SDO, NMT and send sums, with their gateway, in one thread on wires of arrays."""
 
 import struct
 from dataclasses import dataclass, field
@@ -23,13 +23,13 @@ from dbc.configuration import configuration, expected_signature
 from dbc.contract import Contract, NodeContract
 from dbc.frame import Frames, frames
 from dbc.steps import FIRST_MAX, PART_SUMS, WORD_BYTES, slot_byte, write_word
-from gateway.adaptive_gathering import RATES_HZ
 from gateway.loop import GatewayLoop
-from nodes.adaptive.stepping import new_state, offer, threshold, whole
+from gateway.stepped_gathering import RATES_HZ
+from nodes.steps.stepping import new_state, offer, threshold, whole
 from skin.walsh import grouped_rows
 from tests.bus.harness import frame
 from tests.gateway.helpers import Wire
-from tests.layouts import ADAPTIVE, buses, small_layout
+from tests.layouts import STEPPED, buses, small_layout
 
 STEP_S = 0.005
 HEARTBEAT_S = 1.0
@@ -43,10 +43,10 @@ STATES = {
 }
 
 
-def small_adaptive(**tables: Any) -> Contract:
+def small_stepped(**tables: Any) -> Contract:
     """Return the contract of four patches of 4 x 8 taxels on two buses."""
     given = {"bus": buses(2, 2), "steps": {"slot_s": STEP_S}} | tables
-    return Contract.from_layout(small_layout(8, 16, **ADAPTIVE | given))
+    return Contract.from_layout(small_layout(8, 16, **STEPPED | given))
 
 
 class Board:

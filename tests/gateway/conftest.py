@@ -3,7 +3,7 @@
 import pytest
 
 from dbc.contract import Contract
-from tests.gateway.boards import BoardWorld, small_adaptive
+from tests.gateway.boards import BoardWorld, small_stepped
 from tests.gateway.helpers import World
 from tests.layouts import small_contract
 
@@ -22,14 +22,14 @@ def world(small: Contract) -> World:
 
 
 @pytest.fixture(scope="session")
-def adaptive() -> Contract:
-    return small_adaptive()
+def stepped() -> Contract:
+    return small_stepped()
 
 
 @pytest.fixture
-def boards(adaptive: Contract) -> BoardWorld:
-    """Return a skin of adaptive boards all of whose blocks are valid, the second touched."""
-    built = BoardWorld(adaptive)
+def boards(stepped: Contract) -> BoardWorld:
+    """Return a skin of stepped boards all of whose blocks are valid, the second touched."""
+    built = BoardWorld(stepped)
     built.touch(1)
     built.until_whole(1.0)
     return built

@@ -22,10 +22,10 @@ from dbc.contract import Contract
 from gateway.calibration import GatewayCalibration, node_values
 from skin.calibration_file import StoredCalibration, encoded, new_calibration, parse_calibration
 from tests.calibration.helpers import pressed
-from tests.gateway.boards import small_adaptive
+from tests.gateway.boards import small_stepped
 from tests.gateway.helpers import World, valid
-from tests.layouts import ADAPTIVE_SKIN, small_contract
-from tests.messages import adaptive_measurement
+from tests.layouts import STEPPED_SKIN, small_contract
+from tests.messages import stepped_measurement
 
 
 class Asked:
@@ -313,9 +313,9 @@ def test_a_node_that_is_not_there_is_named(small: Contract, stored: StoredCalibr
     assert asked.replies[0].text.startswith("3 nodes have written and stored it; not bus1 node 2")
 
 
-def test_adaptive_boards_look_after_their_zero() -> None:
-    layout = small_adaptive().layout
-    calibration = GatewayCalibration(small_adaptive())
+def test_stepped_boards_look_after_their_zero() -> None:
+    layout = small_stepped().layout
+    calibration = GatewayCalibration(small_stepped())
     replies: list[CalibrationReply] = []
     content = encoded(new_calibration(layout, offsets_n=np.zeros(layout.measurement.sums)))
     calibration.ask(CalibrationRequest(action="load", content=content), replies.append)  # type: ignore[arg-type]
@@ -325,9 +325,9 @@ def test_adaptive_boards_look_after_their_zero() -> None:
 
 
 @pytest.mark.parametrize("rate_hz", [1000, 2])
-def test_adaptive_sums_are_looked_at_forty_times_a_second(rate_hz: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_stepped_sums_are_looked_at_forty_times_a_second(rate_hz: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """However often they come: the newest hold, also when their newest frame is old."""
-    calibration, looks = GatewayCalibration(Contract.from_layout(ADAPTIVE_SKIN)), list[int]()
+    calibration, looks = GatewayCalibration(Contract.from_layout(STEPPED_SKIN)), list[int]()
     take = Calibrator.take
 
     def look(calibrator: Calibrator, each: Measurement) -> None:
@@ -336,7 +336,7 @@ def test_adaptive_sums_are_looked_at_forty_times_a_second(rate_hz: int, monkeypa
 
     monkeypatch.setattr(Calibrator, "take", look)
     force_n, replies = pressed(20, 20, 9, 0.005), list[CalibrationReply]()
-    came = adaptive_measurement(force_n, layout=ADAPTIVE_SKIN, sampled_mono_ns=1)
+    came = stepped_measurement(force_n, layout=STEPPED_SKIN, sampled_mono_ns=1)
     for milliseconds in range(6000):
         if milliseconds % (1000 // rate_hz) == 0:
             last = calibration.apply(came)
@@ -441,10 +441,10 @@ def test_show_tells_what_is_in_use(small: Contract) -> None:
     asked.ask(CalibrationRequest(action="show"))
     ((is_done, text),) = [(each.is_done, each.text) for each in asked.replies]
     assert (is_done, text) == (True, "the calibration in use")
-    asked = Alone(small_adaptive())
+    asked = Alone(small_stepped())
     asked.ask(CalibrationRequest(action="show"))
     assert asked.replies[0].is_done
-    assert asked.replies[0].text.startswith("adaptive boards measure their offsets at power-up")
+    assert asked.replies[0].text.startswith("stepped boards measure their offsets at power-up")
 
 
 def test_show_tells_all_that_was_stored(small: Contract) -> None:

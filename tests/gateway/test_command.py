@@ -15,7 +15,7 @@ from shell import skin_options
 from shell.service import StopSignal
 from skin.calibration_file import encoded, new_calibration
 from skin.layout import load_layout
-from tests.layouts import ADAPTIVE_SKIN
+from tests.layouts import STEPPED_SKIN
 
 
 class Parts:
@@ -94,21 +94,21 @@ def test_it_answers_questions_about_its_calibration_and_its_skin(monkeypatch: py
     assert [each.name for each in parts.answered] == [CALIBRATION.name, DESCRIPTION.name, "images"]
 
 
-def test_a_calibration_of_another_skin_or_for_adaptive_boards_is_refused(
+def test_a_calibration_of_another_skin_or_for_stepped_boards_is_refused(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     parts = Parts(monkeypatch)
     path = tmp_path / "it.json"
-    path.write_bytes(encoded(new_calibration(ADAPTIVE_SKIN)))
+    path.write_bytes(encoded(new_calibration(STEPPED_SKIN)))
     with pytest.raises(InputError, match="the calibration of another layout"):
         command.gateway(calibration=path)
     path.write_bytes(encoded(new_calibration(load_layout(), gains=np.ones(4096))))
     with pytest.raises(InputError, match="has no offsets of sums"):
         command.gateway(calibration=path)
-    with pytest.raises(InputError, match="adaptive boards measure their own offsets"):
-        command.gateway(layout=Path("adaptive"), calibration=path)
+    with pytest.raises(InputError, match="stepped boards measure their own offsets"):
+        command.gateway(layout=Path("steps"), calibration=path)
     with pytest.raises(InputError, match="--keep-zero is for synchronous sending"):
-        command.gateway(layout=Path("adaptive"), keep_zero=path)
+        command.gateway(layout=Path("steps"), keep_zero=path)
     with pytest.raises(InputError, match=r"run\.mcap: expected a file for the zero that ends in \.json"):
         command.gateway(keep_zero=tmp_path / "run.mcap")
     assert not parts.calls

@@ -24,7 +24,7 @@ from skin.surface import Floats
 from tests.bus.harness import frame
 from tests.gateway.helpers import Wire
 from tests.gateway.wiring_errors import REST, Finger, pressed, stroke
-from tests.layouts import ADAPTIVE, buses, layout_toml, small_layout
+from tests.layouts import STEPPED, buses, layout_toml, small_layout
 
 STEP_S = 0.005
 
@@ -124,7 +124,7 @@ def test_boards_that_sample_at_sync(wrong: tuple[str, ...], knows_path: bool, ki
 
 @pytest.mark.slow
 def test_boards_with_a_clock_of_their_own(tmp_path: Path) -> None:
-    layout = small_layout(**ADAPTIVE)
+    layout = small_layout(**STEPPED)
     path_m = smooth(layout, 500)
     bench = Bench(layout, path_m, pressed(layout, layout.phi(), path_m), swapped=0.02)
     found = bench.findings(bench.read(stroke_s=5.0), tmp_path)

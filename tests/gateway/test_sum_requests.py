@@ -1,4 +1,4 @@
-"""Requests to adaptive nodes: all sums again at growing pauses, few nodes at a time, and their noise in turn."""
+"""Requests to stepped nodes: all sums again at growing pauses, few nodes at a time, and their noise in turn."""
 
 from types import SimpleNamespace
 from typing import Any, cast

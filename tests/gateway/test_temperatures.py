@@ -12,7 +12,7 @@ from gateway.calibration import GatewayCalibration
 from gateway.temperatures import PERIOD_S
 from skin.defects import Defects
 from skin.zero_drift import DRIFT_N_PER_K, REST_K, ZeroDrift
-from tests.gateway.boards import BoardWorld, small_adaptive
+from tests.gateway.boards import BoardWorld, small_stepped
 from tests.gateway.helpers import World
 from tests.layouts import buses, small_contract
 
@@ -54,7 +54,7 @@ def test_temperatures_follow_the_drift_of_each_board(blocks_per_node: int, monke
 
 
 def test_a_board_that_is_not_in_use_or_knows_none_has_no_temperature(monkeypatch: pytest.MonkeyPatch) -> None:
-    contract = small_adaptive(taxels={"has_thermometers": True})
+    contract = small_stepped(taxels={"has_thermometers": True})
     world = BoardWorld(contract)
     for board, data in zip(world.boards, (b"\xff\x7f", b"\xa6\x0b", None, b"\0\0"), strict=True):
         if data is not None:

@@ -187,16 +187,16 @@ def test_a_board_that_dies_and_two_with_one_serial_number_are_named() -> None:
 
 
 @pytest.mark.heavy
-def test_adaptive_boards_are_commissioned_by_touch() -> None:
+def test_stepped_boards_are_commissioned_by_touch() -> None:
     check = mixed(Contract.from_layout(small_boards(32, 8, 8)))
     check_places(check, check.touch(Person(check)))
 
 
 @pytest.mark.heavy
 @needs_compiler
-@pytest.mark.parametrize("is_adaptive", [False, True])
-def test_boards_in_c_are_commissioned_by_touch(is_adaptive: bool) -> None:
-    contract = Contract.from_layout(small_boards(32, 8, 8)) if is_adaptive else patches(2)
+@pytest.mark.parametrize("in_steps", [False, True])
+def test_boards_in_c_are_commissioned_by_touch(in_steps: bool) -> None:
+    contract = Contract.from_layout(small_boards(32, 8, 8)) if in_steps else patches(2)
     bench = mixed(contract, firmware=True)
     check_places(bench, bench.touch(Person(bench)))
 

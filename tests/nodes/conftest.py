@@ -8,8 +8,8 @@ from dbc.contract import Contract
 from nodes.sampler import Sampler
 from nodes.segment import Segment
 from tests.layouts import in_one_instant
-from tests.nodes.adaptive_bus import Bus
 from tests.nodes.helpers import ArrayLink, new_sampler, new_segment
+from tests.nodes.stepped_bus import Bus
 
 
 @pytest.fixture(scope="session")
@@ -35,7 +35,7 @@ def segment(contract: Contract, link: ArrayLink, sampler: Sampler) -> Segment:
 
 @pytest.fixture
 def bus(contract: Contract) -> Iterator[Bus]:
-    """Adaptive nodes 1 to 4 of bus0 of a module's own contract; none complains."""
+    """Stepped nodes 1 to 4 of bus0 of a module's own contract; none complains."""
     made = Bus(contract)
     yield made
     assert not made.complaints

@@ -6,9 +6,9 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from dbc.adaptive_filter import Models, make_models
-from nodes.adaptive.models import new_tracks, step
+from dbc.patch_filter import Models, make_models
 from nodes.averaging import SampleFilter
+from nodes.steps.models import new_tracks, step
 
 BLOCKS, SIZE = 16, 32
 TAXELS = BLOCKS * SIZE

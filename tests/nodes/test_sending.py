@@ -180,7 +180,7 @@ def test_time_passes_in_steps_of_5_ms_but_not_while_a_sync_is_due(bus: Bus) -> N
 
 
 class Patches:
-    """All adaptive boards of a process, of which those of one bus write down what they get."""
+    """All stepped boards of a process, of which those of one bus write down what they get."""
 
     def __init__(self, recorder: Recorder) -> None:
         self._recorder = recorder
@@ -205,9 +205,9 @@ class Patches:
         self.touched.append(time_ns)
 
 
-class AdaptiveBus:
+class SteppedBus:
     def __init__(self) -> None:
-        contract = Contract.from_layout(load_layout(Path("adaptive")))
+        contract = Contract.from_layout(load_layout(Path("steps")))
         self.wire, self.boards = Wire(), Recorder(contract, 0)
         self.patches = Patches(self.boards)
         self.cob_id = contract.on_bus(0)[0].tpdos[0].cob_id
@@ -218,8 +218,8 @@ class AdaptiveBus:
         return [name for name, _ in self.boards.taken()]
 
 
-def test_adaptive_boards_sample_and_send_in_each_turn() -> None:
-    bus = AdaptiveBus()
+def test_stepped_boards_sample_and_send_in_each_turn() -> None:
+    bus = SteppedBus()
     assert bus.tick(1000) == ["pass time", "choose"]
     assert bus.tick(1001) == ["choose"]
     bus.segment.tick(1.004)
@@ -229,7 +229,7 @@ def test_adaptive_boards_sample_and_send_in_each_turn() -> None:
 
 
 def test_the_first_sync_tells_when_the_touch_began() -> None:
-    bus = AdaptiveBus()
+    bus = SteppedBus()
     period_ns = 100 * MS
     for data in (b"\3", b"\1", b""):
         bus.segment.take(frame(0x80, data, time_ns=1000 * MS), 1.0)
@@ -237,8 +237,8 @@ def test_the_first_sync_tells_when_the_touch_began() -> None:
     assert bus.patches.syncs == [(0, counter, 1000 * MS) for counter in (3, 1, 0)]
 
 
-def test_adaptive_tpdos_count_when_their_echoes_come() -> None:
-    bus = AdaptiveBus()
+def test_stepped_tpdos_count_when_their_echoes_come() -> None:
+    bus = SteppedBus()
     bus.segment.take(frame(bus.cob_id, bytes(8), ECHO), 1.0)
     assert (bus.segment.frames_sent, bus.segment.frames_dropped) == (7, 0)
     assert bus.boards.taken() == []  # there are no others

@@ -16,11 +16,11 @@ from canskin.messages import NodesStatus, Topic, Truth
 from dbc import indices as od
 from dbc.contract import Contract
 from dbc.frame import Frames
-from nodes.adaptive.boards import AdaptiveBoards
 from nodes.electronics import Electronics
 from nodes.firmware.library import Firmware
 from nodes.sampler import CountSampler, Sampler
 from nodes.service import STATUS_PERIOD_S, NodesService
+from nodes.steps.boards import SteppedBoards
 from skin.layout import load_layout
 from tests.bus.harness import frame
 from tests.nodes.helpers import MILLISECOND_NS, START, ArrayLink, Still, new_sampler, sync
@@ -104,7 +104,7 @@ def test_frames_of_every_bus_are_answered_and_counted(contract: Contract, links:
     assert np.frombuffer(published.truths[0].true, "<f4").size == contract.layout.taxels.count
 
 
-def count_samples(boards: AdaptiveBoards) -> list[None]:
+def count_samples(boards: SteppedBoards) -> list[None]:
     """Return a list that grows with each sample that the boards take."""
     taken: list[None] = []
     take = boards._take
@@ -117,12 +117,12 @@ def count_samples(boards: AdaptiveBoards) -> list[None]:
     return taken
 
 
-def test_adaptive_nodes_turn_once_for_each_sample(links: dict[int, ReadyLink]) -> None:
-    contract = Contract.from_layout(load_layout(Path("adaptive")))
+def test_stepped_nodes_turn_once_for_each_sample(links: dict[int, ReadyLink]) -> None:
+    contract = Contract.from_layout(load_layout(Path("steps")))
     now_s = 100.0
     published = Published()
     blocks = [contract.on_bus(bus)[0].block for bus in links]
-    boards = AdaptiveBoards(contract, blocks, Still(contract))
+    boards = SteppedBoards(contract, blocks, Still(contract))
     service = NodesService(contract, links, {0: {1}, 1: {1}}, boards, published, clock=lambda: now_s)
     for segment in service.segments.values():
         segment.boot(now_s)
@@ -172,10 +172,10 @@ class StopAfter:
 
 
 def test_last_echoes_are_read_before_the_last_status(links: dict[int, ReadyLink]) -> None:
-    contract = Contract.from_layout(load_layout(Path("adaptive")))
+    contract = Contract.from_layout(load_layout(Path("steps")))
     now_s, published = 100.0, Published()
     block = contract.on_bus(0)[0].block
-    boards = AdaptiveBoards(contract, [block], Still(contract))
+    boards = SteppedBoards(contract, [block], Still(contract))
     service = NodesService(contract, {0: links[0]}, {0: {1}}, boards, published, clock=lambda: now_s)
     links[0].put(frame(0, bytes((START, 0))), frame(0x80, b"\1", time_ns=round(now_s * 1e9)))
     service.run(StopAfter(1, links[0].put))  # type: ignore[arg-type]

@@ -26,8 +26,8 @@ from dbc.steps import (
     slot_byte,
     slot_cycle,
 )
-from nodes.adaptive.stepping import new_state, offer, threshold, whole
-from tests.nodes.adaptive_bus import Part
+from nodes.steps.stepping import new_state, offer, threshold, whole
+from tests.nodes.stepped_bus import Part
 
 SLOTS = 25
 #: An even threshold of a part, square units.

@@ -7,18 +7,18 @@ import numpy as np
 import pytest
 
 from canskin.errors import InputError
-from reconstructor.adaptive import AdaptiveImager
+from reconstructor.stepped import SteppedImager
 from reconstructor.walsh import WalshReconstructor
-from skin.measured_sums import AdaptiveSums, decode_adaptive
+from skin.measured_sums import SteppedSums, decode_stepped
 from skin.psnr import decibels
 from skin.sources import DEFAULT_OBJECTS, load_touches
 from skin.walsh import grouped_rows, neighbours, walsh_matrix
-from tests.layouts import ADAPTIVE, ADAPTIVE_SKIN, small_layout
-from tests.messages import adaptive_measurement
+from tests.layouts import STEPPED, STEPPED_SKIN, small_layout
+from tests.messages import stepped_measurement
 
-PHI = ADAPTIVE_SKIN.phi()
+PHI = STEPPED_SKIN.phi()
 BLOCKS, SIZE = PHI.kept.shape
-COUNT_N = ADAPTIVE_SKIN.taxels.newton_per_count
+COUNT_N = STEPPED_SKIN.taxels.newton_per_count
 #: Images until a new state of the skin is fully shown: at ten images a second, half a second.
 SETTLING = 5
 
@@ -26,12 +26,12 @@ SETTLING = 5
 @cache
 def touches() -> np.ndarray:
     """Forces of whole counts, (touches, n)."""
-    force_n = load_touches(DEFAULT_OBJECTS, 20, ADAPTIVE_SKIN, seed=3).force_n.reshape(20, -1)
+    force_n = load_touches(DEFAULT_OBJECTS, 20, STEPPED_SKIN, seed=3).force_n.reshape(20, -1)
     return np.rint(force_n / COUNT_N) * COUNT_N
 
 
-def sums_of(force_n: np.ndarray, known: np.ndarray | None = None) -> AdaptiveSums:
-    return decode_adaptive(adaptive_measurement(force_n, known, layout=ADAPTIVE_SKIN), PHI)
+def sums_of(force_n: np.ndarray, known: np.ndarray | None = None) -> SteppedSums:
+    return decode_stepped(stepped_measurement(force_n, known, layout=STEPPED_SKIN), PHI)
 
 
 def dead(ratio: float, seed: int = 0) -> np.ndarray:
@@ -72,8 +72,8 @@ def test_filling_beats_zeros(
     assert filled_db >= zeros_db + gain_db
 
 
-def shown(sums: AdaptiveSums) -> np.ndarray:
-    solver = AdaptiveImager(ADAPTIVE_SKIN)
+def shown(sums: SteppedSums) -> np.ndarray:
+    solver = SteppedImager(STEPPED_SKIN)
     for _ in range(SETTLING):
         image = solver.solve(sums)[0]
     return image
@@ -81,7 +81,7 @@ def shown(sums: AdaptiveSums) -> np.ndarray:
 
 def test_with_every_sum_it_is_the_image_of_the_evaluation() -> None:
     sums = sums_of(touches()[0])
-    plain, service = WalshReconstructor(ADAPTIVE_SKIN.patches(), 64, 64, 1e-3), AdaptiveImager(ADAPTIVE_SKIN)
+    plain, service = WalshReconstructor(STEPPED_SKIN.patches(), 64, 64, 1e-3), SteppedImager(STEPPED_SKIN)
     sums_n = (sums.counts.astype(np.float32) * np.float32(COUNT_N)).reshape(BLOCKS, SIZE)
     grouped = np.ascontiguousarray(sums_n[:, grouped_rows(SIZE).ravel()])
     for _ in range(3):
@@ -105,7 +105,7 @@ def test_patches_with_empty_places() -> None:
 
 def test_nothing_is_filled_in_across_a_gap() -> None:
     """A touch at the edge of one patch, and sums that are missing in the patch beside."""
-    layout = small_layout(8, 17, **ADAPTIVE, taxels={"shape": ["########.########"] * 8})
+    layout = small_layout(8, 17, **STEPPED, taxels={"shape": ["########.########"] * 8})
     cells, gap = np.concatenate(layout.patches()), ~layout.phi().is_wired
     force_n = np.zeros((8, 17), np.float32)
     force_n[2:6, 5:8] = 0.01
@@ -123,7 +123,7 @@ def test_nothing_is_filled_in_across_a_gap() -> None:
 
 def test_known_sums_are_kept() -> None:
     known = coarse(0.5) & dead(0.05)
-    cells = np.concatenate(ADAPTIVE_SKIN.patches())
+    cells = np.concatenate(STEPPED_SKIN.patches())
     solver = WalshReconstructor([cells], 64, 64, 0.0)
     # Forces far from 0, so that none is clipped.
     force_n = 0.01 + 0.2 * touches()[1]
@@ -135,7 +135,7 @@ def test_known_sums_are_kept() -> None:
 
 
 def test_old_forces_vanish_within_a_few_images() -> None:
-    known, solver = dead(0.2), AdaptiveImager(ADAPTIVE_SKIN)
+    known, solver = dead(0.2), SteppedImager(STEPPED_SKIN)
     for _ in range(SETTLING):
         solver.solve(sums_of(np.full(4096, 0.015), known))
     for _ in range(SETTLING):
@@ -145,7 +145,7 @@ def test_old_forces_vanish_within_a_few_images() -> None:
 
 
 def test_a_dead_skin_shows_nothing() -> None:
-    solver = AdaptiveImager(ADAPTIVE_SKIN)
+    solver = SteppedImager(STEPPED_SKIN)
     solver.solve(sums_of(touches()[0]))
     nothing = np.zeros((BLOCKS, SIZE), np.bool_)
     assert not solver.solve(sums_of(touches()[0], nothing))[0].any()
@@ -164,6 +164,6 @@ def test_noise_that_is_not_known_is_the_sensors() -> None:
 
 
 def test_known_of_another_shape_is_refused() -> None:
-    solver = WalshReconstructor(ADAPTIVE_SKIN.patches(), 64, 64, 0.0)
+    solver = WalshReconstructor(STEPPED_SKIN.patches(), 64, 64, 0.0)
     with pytest.raises(InputError, match="known: expected booleans of shape"):
         solver.solve(np.zeros((BLOCKS, SIZE), np.float32), np.ones(4096, np.bool_))

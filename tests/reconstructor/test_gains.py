@@ -50,7 +50,7 @@ def test_gains_come_from_a_calibration(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="has no gains of taxels"):
         load_gains(path, LAYOUT)
     with pytest.raises(InputError, match="synchronous"):
-        make_imager(load_layout(Path("adaptive")), gains=path)
+        make_imager(load_layout(Path("steps")), gains=path)
 
 
 def test_known_gains_of_analogue_sums_are_taken_off() -> None:

@@ -25,9 +25,9 @@ from reconstructor.service import ReconstructorService
 from shell.service import StopSignal
 from shell.skin_options import SkinOptions
 from skin.layout import load_layout
-from skin.measured_sums import decode_adaptive
-from tests.layouts import ADAPTIVE_SKIN
-from tests.messages import adaptive_measurement
+from skin.measured_sums import decode_stepped
+from tests.layouts import STEPPED_SKIN
+from tests.messages import stepped_measurement
 from tests.processes import PATIENCE_S
 from tests.reconstructor.helpers import LAYOUT, Images, Scene, measurement, psnr_db
 
@@ -182,28 +182,28 @@ def test_extreme_counts_do_no_harm(service: ReconstructorService, golf: Scene) -
     assert service.images == 2
 
 
-def test_adaptive_sums_give_an_image_of_what_is_known(golf: Scene) -> None:
-    exchange, layout = Images(), ADAPTIVE_SKIN
+def test_stepped_sums_give_an_image_of_what_is_known(golf: Scene) -> None:
+    exchange, layout = Images(), STEPPED_SKIN
     service = ReconstructorService(layout, make_imager(layout), exchange)
     known = np.ones((128, 32), np.bool_)
     known[40], known[50, 7] = False, False
-    service.take(adaptive_measurement(golf.true[30], known, layout=layout, cycle=7, sync_counter=3, sampled_mono_ns=5))
+    service.take(stepped_measurement(golf.true[30], known, layout=layout, cycle=7, sync_counter=3, sampled_mono_ns=5))
     (image,) = exchange.messages
     assert (image.cycle, image.sync_counter, image.sampled_mono_ns, image.valid_sums) == (7, 3, 5, 4096 - 33)
     assert np.flatnonzero(np.frombuffer(image.valid, np.uint8) == 0).tolist() == [40, 50]
     assert np.sqrt(np.mean((exchange.made[0] - golf.true[30]) ** 2)) < 2e-4
     service.take(measurement(8, golf.sensor[30]))
-    whole = adaptive_measurement(golf.true[30], layout=layout)
+    whole = stepped_measurement(golf.true[30], layout=layout)
     service.take(msgspec.structs.replace(whole, known=b"", states=b"", since_ns=b""))
     assert len(exchange.messages) == 1
 
 
-def test_of_adaptive_measurements_only_the_newest_counts(golf: Scene) -> None:
-    exchange, layout = Images(), ADAPTIVE_SKIN
+def test_of_stepped_measurements_only_the_newest_counts(golf: Scene) -> None:
+    exchange, layout = Images(), STEPPED_SKIN
     ReconstructorService(layout, make_imager(layout), exchange)
     (mailbox,) = exchange.mailboxes
     for cycle in (9, 10):
-        mailbox.put(adaptive_measurement(golf.true[30], layout=layout, cycle=cycle))
+        mailbox.put(stepped_measurement(golf.true[30], layout=layout, cycle=cycle))
     assert mailbox.get().cycle == 10
 
 
@@ -212,13 +212,11 @@ def test_unclipped_noise_has_no_bias_to_correct() -> None:
         make_imager(load_layout(Path("analogue")), SolverOptions(noise_n=1e-3))
 
 
-def test_adaptive_sums_take_each_solver_without_a_memory_of_cycles(
-    golf: Scene, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_stepped_sums_take_each_solver_without_a_memory_of_cycles(golf: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     """NumPy stands for a GPU."""
     monkeypatch.setattr("reconstructor.array_api.array_library", lambda _: NUMPY)
-    true, layout = golf.true[30], ADAPTIVE_SKIN
-    sums = decode_adaptive(adaptive_measurement(true, layout=layout), layout.operator())
+    true, layout = golf.true[30], STEPPED_SKIN
+    sums = decode_stepped(stepped_measurement(true, layout=layout), layout.operator())
     half = np.arange(len(sums.known)) % 2 == 0
     for name in ("variation", "spun", "paper", "paper-contourlet"):
         imager = make_imager(layout, SolverOptions(solver=name, device="gpu" if name == "variation" else "cpu"))
@@ -228,7 +226,7 @@ def test_adaptive_sums_take_each_solver_without_a_memory_of_cycles(
         image, used = imager.solve(sums._replace(counts=np.where(half, sums.counts, 0), known=half))
         assert image.any()
         np.testing.assert_array_equal(used, half)
-    with pytest.raises(InputError, match="averages the sums of cycles, and adaptive sums have none"):
+    with pytest.raises(InputError, match="averages the sums of cycles, and steps have none"):
         make_imager(layout, SolverOptions(solver="live"))
 
 

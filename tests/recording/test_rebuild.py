@@ -30,9 +30,9 @@ from recording.sinks import McapSink
 from skin.calibration_file import encoded, new_calibration
 from skin.layout import layout_text, load_layout
 from skin.measured_sums import MeasuredSums
-from tests.gateway.boards import small_adaptive
+from tests.gateway.boards import small_stepped
 from tests.layouts import buses, layout_toml, small_layout
-from tests.messages import adaptive_measurement, measurement
+from tests.messages import measurement, stepped_measurement
 from tests.recording.helpers import CYCLES, OFFSET_NS, SMALL, START_S, message, messages, write_log
 from touch.sources import recording
 
@@ -519,9 +519,9 @@ def test_known_gains_of_analogue_sums_are_taken_off_and_one_sum_is_lost_alone(
 
 
 @pytest.fixture
-def adaptive_run(tmp_path: Path) -> Path:
-    """Return a recording of adaptive measurements and of the images of a live reconstructor."""
-    contract = small_adaptive()
+def stepped_run(tmp_path: Path) -> Path:
+    """Return a recording of stepped measurements and of the images of a live reconstructor."""
+    contract = small_stepped()
     shown: list[Image] = []
     live = SimpleNamespace(
         mailbox=lambda *_: None,
@@ -530,7 +530,7 @@ def adaptive_run(tmp_path: Path) -> Path:
     service = ReconstructorService(contract.layout, make_imager(contract.layout), live)
     sink = McapSink(tmp_path / "run.mcap", contract, 1, 1000)
     for cycle in range(1, 4):
-        made = adaptive_measurement(
+        made = stepped_measurement(
             np.full(128, 1e-3 * cycle), layout=contract.layout, cycle=cycle, sampled_mono_ns=cycle * 10**6
         )
         sink.message(MEASUREMENT, cycle * 10**6, msgspec.msgpack.encode(made))
@@ -541,26 +541,26 @@ def adaptive_run(tmp_path: Path) -> Path:
     return tmp_path / "run.mcap"
 
 
-def test_an_adaptive_run_is_rebuilt_as_it_was_shown(
-    adaptive_run: Path, out: Path, capsys: pytest.CaptureFixture[str]
+def test_an_stepped_run_is_rebuilt_as_it_was_shown(
+    stepped_run: Path, out: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    rebuild(adaptive_run, out=out)
+    rebuild(stepped_run, out=out)
     images, valid, time_ns, about = loaded(out)
     assert time_ns.tolist() == [1_001_000, 3_001_000]
     assert (images.shape, valid.shape, valid.all()) == ((2, 8, 16), (2, 4), True)
     assert images[1].mean() == pytest.approx(3e-3, rel=0.1)
-    assert about["solver"] == "adaptive sums"
+    assert about["solver"] == "steps"
     assert "2 of 2 images equal to the recorded" in capsys.readouterr().err
-    rebuild(adaptive_run, out=out.with_name("other.npz"), solver=SolverOptions("variation"))
+    rebuild(stepped_run, out=out.with_name("other.npz"), solver=SolverOptions("variation"))
     images, _, _, about = loaded(out.with_name("other.npz"))
     assert (len(images), about["solver"]) == (3, "variation")
 
 
-def test_what_adaptive_sums_are_not_made_from_is_one_clear_line(adaptive_run: Path, tmp_path: Path, out: Path) -> None:
+def test_what_stepped_sums_are_not_made_from_is_one_clear_line(stepped_run: Path, tmp_path: Path, out: Path) -> None:
     np.save(tmp_path / "mat.npy", np.ones((2, 8, 16)))
     for source, options, says in (
-        (adaptive_run, {"solver": SolverOptions()}, "averages the sums of cycles, and adaptive sums have none"),
-        (tmp_path / "mat.npy", {"layout": adaptive_run}, "play it with 'skin demo --input'"),
+        (stepped_run, {"solver": SolverOptions()}, "averages the sums of cycles, and steps have none"),
+        (tmp_path / "mat.npy", {"layout": stepped_run}, "play it with 'skin demo --input'"),
     ):
         with pytest.raises(InputError, match=says):
             rebuild(source, out=out, **options)

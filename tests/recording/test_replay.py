@@ -27,8 +27,8 @@ from recording.steps import steps_of
 from shell.service import StopSignal
 from skin.mcap_file import FRAMES, Entry, File, RecordingWriter, read_about, read_entries
 from tests import messages as make
-from tests.gateway.boards import small_adaptive
-from tests.messages import adaptive_measurement
+from tests.gateway.boards import small_stepped
+from tests.messages import stepped_measurement
 from tests.recording.helpers import OFFSET_NS, FakeLink, messages_of
 
 #: Of the live run: the number of its first cycle, a block whose node was not proven, a sum that was not used, and
@@ -327,12 +327,12 @@ def played(path: Path, contract: Contract) -> list[Measurement]:
         ({"fingerprint": "0" * 16}, "one.mcap: measured with Φ '0000000000000000', expected"),
     ],
 )
-def test_an_adaptive_measurement_that_does_not_fit_is_refused(
+def test_an_stepped_measurement_that_does_not_fit_is_refused(
     tmp_path: Path, changed: dict[str, Any], said: str
 ) -> None:
-    contract = small_adaptive()
+    contract = small_stepped()
     force_n = np.zeros(contract.layout.taxels.count)
-    good = adaptive_measurement(force_n, layout=contract.layout, bus_sampled_ns=bytes(16))
+    good = stepped_measurement(force_n, layout=contract.layout, bus_sampled_ns=bytes(16))
     some = frames(1)
     path = with_measurement(contract, tmp_path / "good.mcap", good, some)
     assert played(path, contract) == [good]

@@ -17,7 +17,7 @@ from reconstructor.imaging import make_imager
 from reconstructor.service import ReconstructorService
 from recording.sinks import open_sink
 from skin.layout import layout_text
-from tests.gateway.boards import BoardWorld, small_adaptive
+from tests.gateway.boards import BoardWorld, small_stepped
 from tests.gateway.helpers import PERIOD_S, EndOfWire, Losing, World
 from tests.layouts import small_contract
 from tests.recording.helpers import OFFSET_NS, messages_of
@@ -153,9 +153,9 @@ def test_same_bytes(folder: Path, name: str) -> None:
 
 @pytest.mark.heavy
 @pytest.mark.parametrize("is_late", [False, True])
-def test_adaptive_sums_are_those_of_their_frames(tmp_path: Path, is_late: bool) -> None:
+def test_stepped_sums_are_those_of_their_frames(tmp_path: Path, is_late: bool) -> None:
     """A recorder that comes late has frames of some groups only: the others are as recorded, until they are sent."""
-    world = BoardWorld(small_adaptive())
+    world = BoardWorld(small_stepped())
     (tmp_path / "small.toml").write_text(layout_text(world.contract.layout))
     recorded = Recorded(world, [tmp_path / "run.mcap"], 0)
     recorded.is_on = not is_late

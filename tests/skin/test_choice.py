@@ -110,7 +110,7 @@ def test_a_scan_that_serves_as_well_is_told() -> None:
     rate_hz = (0.8 - 2 * 65e-6) / (65e-6 + 8 * 135e-6)
     assert f"fits these buses at {rate_hz:.1f} Hz and is as good" in scan_words(small)
     assert "fits these buses at 50.4 Hz and is as good" in scan_words(load_layout())
-    assert "is as good" not in scan_words(load_layout(Path("adaptive")))
+    assert "is as good" not in scan_words(load_layout(Path("steps")))
     in_turns = any_layout(8, 8, sync={"rate_hz": 200.0, "turns": 2})
     assert "fits these buses at 661.0 Hz" in scan_words(in_turns)  # each round of turns has two SYNCs
     assert not scan_words(any_layout(8, 8, taxels={"rows": 8, "columns": 8, "frontend": "analogue"}))

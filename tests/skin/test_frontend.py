@@ -94,7 +94,7 @@ def test_keys_that_do_not_fit_an_analogue_front_end(keys: str, rest: str, says: 
         with_taxels(keys, rest)
 
 
-def test_adaptive_boards_have_digital_taxels() -> None:
-    text = b'sending = "adaptive"\n[taxels]\nfrontend = "analogue"\n[measurement]\nwiring = "board"\n'
+def test_stepped_boards_have_digital_taxels() -> None:
+    text = b'sending = "steps"\n[taxels]\nfrontend = "analogue"\n[measurement]\nwiring = "board"\n'
     with pytest.raises(LayoutError, match=r"expects 'digital', got 'analogue'"):
         parse_layout(text, "test")

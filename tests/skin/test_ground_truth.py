@@ -1,4 +1,4 @@
-"""Without a single instant a truth belongs to the image on show; an adaptive label belongs to the nearest truth."""
+"""Without a single instant a truth belongs to the image on show; a stepped label belongs to the nearest truth."""
 
 import random
 from pathlib import Path
@@ -49,9 +49,9 @@ def test_each_way_of_sending_has_its_pairs() -> None:
     assert isinstance(image_pairs(load_layout()), ShownImages)
     for layout in (in_one_instant(), load_layout()):
         assert isinstance(label_pairs(layout), Pairing)
-    adaptive = load_layout(Path("adaptive"))
-    assert isinstance(image_pairs(adaptive), ShownImages)
-    assert isinstance(label_pairs(adaptive), NearestTruths)
+    stepped = load_layout(Path("steps"))
+    assert isinstance(image_pairs(stepped), ShownImages)
+    assert isinstance(label_pairs(stepped), NearestTruths)
 
 
 def test_a_truth_waits_until_the_image_on_show_is_known() -> None:

@@ -82,7 +82,7 @@ def test_sensors_of_a_urdf_are_regions_if_each_has_a_name(tmp_path: Path) -> Non
         path.write_text(text)
         tables, _ = tables_of(str(path))
         layout = parse_layout(
-            msgspec.toml.encode({"name": "hand", "sending": "adaptive", "measurement": {"wiring": "board"}} | tables),
+            msgspec.toml.encode({"name": "hand", "sending": "steps", "measurement": {"wiring": "board"}} | tables),
             "hand.toml",
         )
         regions = regions_of(layout)[1:] if "region" in tables else []

@@ -28,7 +28,7 @@ from skin.layout import (
     require_sending,
     validated,
 )
-from tests.layouts import ADAPTIVE, TWO_FINGERS, in_one_instant, small_layout
+from tests.layouts import STEPPED, TWO_FINGERS, in_one_instant, small_layout
 
 DEFAULT = Path(__file__).parents[2].joinpath("skin/layouts/default.toml").read_text()
 
@@ -192,7 +192,7 @@ def test_broken_files_are_layout_errors(content: bytes) -> None:
 def test_what_is_for_one_way_of_sending_refuses_the_other() -> None:
     require_sending(load_layout(), "synchronous", "a verb is", "no reason")
     with pytest.raises(InputError, match="a verb is for synchronous sending: the reason"):
-        require_sending(load_layout(Path("adaptive")), "synchronous", "a verb is", "the reason")
+        require_sending(load_layout(Path("steps")), "synchronous", "a verb is", "the reason")
 
 
 @pytest.mark.parametrize("name", SHIPPED)
@@ -352,7 +352,7 @@ def test_grids_of_any_size(rows: int, columns: int, block_size: int, wiring: str
 
 
 def test_a_skin_of_several_patches() -> None:
-    layout = small_layout(12, 14, **ADAPTIVE, taxels={"shape": TWO_FINGERS})
+    layout = small_layout(12, 14, **STEPPED, taxels={"shape": TWO_FINGERS})
     phi, cells = layout.phi(), np.array([list(line) for line in TWO_FINGERS])
     assert (layout.taxels.rows, layout.taxels.columns, layout.taxels.there) == (12, 14, 132)
     np.testing.assert_array_equal(phi.is_wired.reshape(12, 14), cells == "#")

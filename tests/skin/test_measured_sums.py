@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 
 from canskin.errors import InputError
-from canskin.messages import AdaptiveMeasurement, Measurement
+from canskin.messages import Measurement, SteppedMeasurement
 from canskin.sums import doubtful_taxels
 from skin import measured_sums
-from skin.measured_sums import MeasurementReader, decode_adaptive, decode_measurement, part_of_measurement
+from skin.measured_sums import MeasurementReader, decode_measurement, decode_stepped, part_of_measurement
 from skin.measurement import part_of, places, sbhe
 from tests import messages as make
 
@@ -20,7 +20,7 @@ GOOD = make.measurement(
     valid=bytes([1, 0, 1, 1, 1, 1, 1, 1]),
     fingerprint=PHI.fingerprint,
 )
-ADAPTIVE = AdaptiveMeasurement(
+STEPPED = SteppedMeasurement(
     **{name: getattr(GOOD, name) for name in Measurement.__struct_fields__},
     known=bytes([1, 1, 0, *[1] * 13]),
     states=bytes([3, 1, 2, 2, 2, 2, 2, 2]),
@@ -78,7 +78,7 @@ def test_doubtful_taxels_are_bits_row_by_row() -> None:
         doubtful_taxels(marked, 17)
     whole = msgspec.structs.replace(GOOD, doubtful=bytes(8))
     decode_measurement(whole, PHI)
-    decode_adaptive(msgspec.structs.replace(ADAPTIVE, doubtful=bytes(8)), PHI)
+    decode_stepped(msgspec.structs.replace(STEPPED, doubtful=bytes(8)), PHI)
 
 
 @pytest.mark.parametrize(("changed", "says"), BAD)
@@ -89,7 +89,7 @@ def test_what_does_not_fit_is_refused(changed: dict[str, object], says: str) -> 
     assert str(caught.value).isprintable()
 
 
-BAD_ADAPTIVE = (
+BAD_STEPPED = (
     ({"fingerprint": "0" * 16}, f"measured with Φ '0000000000000000', expected {PHI.fingerprint}"),
     ({"sums": GOOD.sums[:-1]}, "sums of 63 bytes, expected 64"),
     ({"known": b"\1"}, "known of 1 bytes, expected 16"),
@@ -105,30 +105,30 @@ BAD_ADAPTIVE = (
 )
 
 
-def test_adaptive_sums_say_what_is_known_of_each() -> None:
-    sums = decode_adaptive(ADAPTIVE, PHI)
+def test_stepped_sums_say_what_is_known_of_each() -> None:
+    sums = decode_stepped(STEPPED, PHI)
     np.testing.assert_array_equal(sums.counts, np.where(sums.known, SUMS, 0))
     assert np.flatnonzero(~sums.known).tolist() == [2]
     assert np.flatnonzero(~sums.valid).tolist() == [1]
     assert sums.noise_n == 1e-3
     offsets = np.arange(16, dtype="<i4")
-    less = decode_adaptive(msgspec.structs.replace(ADAPTIVE, offsets=offsets.tobytes()), PHI)
+    less = decode_stepped(msgspec.structs.replace(STEPPED, offsets=offsets.tobytes()), PHI)
     np.testing.assert_array_equal(less.counts, np.where(sums.known, SUMS - offsets, 0))
-    nothing = msgspec.structs.replace(ADAPTIVE, known=bytes(16), valid=bytes(8), states=bytes(8))
-    assert not decode_adaptive(nothing, PHI).known.any()
+    nothing = msgspec.structs.replace(STEPPED, known=bytes(16), valid=bytes(8), states=bytes(8))
+    assert not decode_stepped(nothing, PHI).known.any()
 
 
-@pytest.mark.parametrize(("changed", "says"), BAD_ADAPTIVE)
-def test_adaptive_sums_that_do_not_fit_are_refused(changed: dict[str, object], says: str) -> None:
+@pytest.mark.parametrize(("changed", "says"), BAD_STEPPED)
+def test_stepped_sums_that_do_not_fit_are_refused(changed: dict[str, object], says: str) -> None:
     with pytest.raises(InputError, match=says):
-        decode_adaptive(msgspec.structs.replace(ADAPTIVE, **changed), PHI)
+        decode_stepped(msgspec.structs.replace(STEPPED, **changed), PHI)
 
 
 def test_a_measurement_of_the_other_kind_is_refused() -> None:
-    with pytest.raises(InputError, match="a measurement of adaptive sending, expected synchronous: give both ends the"):
-        decode_measurement(ADAPTIVE, PHI)
-    with pytest.raises(InputError, match="a measurement of synchronous sending, expected adaptive: give both ends the"):
-        decode_adaptive(GOOD, PHI)
+    with pytest.raises(InputError, match="a measurement of steps, expected synchronous: give both ends the"):
+        decode_measurement(STEPPED, PHI)
+    with pytest.raises(InputError, match="a measurement of synchronous sending, expected stepped: give both ends the"):
+        decode_stepped(GOOD, PHI)
 
 
 def test_refusals_are_counted_and_named_once_in_a_while(

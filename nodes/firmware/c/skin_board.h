@@ -34,7 +34,7 @@ typedef struct {
     uint8_t pdo_bytes;           /* longest payload of a PDO: 8, or 64 with CAN FD */
     uint8_t frame_flags;         /* of a PDO's frame: SKIN_FRAME_FD, SKIN_FRAME_BRS */
     uint32_t frame_ns;           /* longest time of one of the board's frames on the bus */
-    uint8_t frame_bytes;         /* of adaptive boards: payload of a frame, */
+    uint8_t frame_bytes;         /* of stepped boards: payload of a frame, */
     uint8_t frame_parts;         /* words in it, */
     uint8_t part_sums, radix;    /* sums of a word, values of a digit, */
     uint64_t steps;              /* and number of words that are steps */

@@ -1,6 +1,6 @@
 #include "skin_models.h"
 
-#if SKIN_ADAPTIVE || SKIN_SAMPLES > 1 /* boards that sample at the SYNC only need no models */
+#if SKIN_STEPPED || SKIN_SAMPLES > 1 /* boards that sample at the SYNC only need no models */
 
 #include <stddef.h>
 #include <string.h>

@@ -10,7 +10,7 @@ import pytest
 from canskin.errors import InputError
 from classifier.settling import Decision
 from evaluation.recognition import classification, methods_compared, sixteen
-from evaluation.recognition.accuracy import measure_accuracy, measure_adaptive
+from evaluation.recognition.accuracy import measure_accuracy, measure_stepped
 from evaluation.recognition.live import measure_live
 from evaluation.recognition.methods import METHODS, measure_method
 from evaluation.recognition.sixteen import measure_sixteen, skin_of
@@ -56,8 +56,8 @@ def test_chosen_rows_and_estimated_sums_beat_the_plain_ways() -> None:
 
 
 @pytest.mark.slow
-def test_adaptive_sums_are_no_worse_than_16_chosen_sums() -> None:
-    found = measure_adaptive(splits=[0], meshes=None, seed=0)
+def test_stepped_sums_are_no_worse_than_16_chosen_sums() -> None:
+    found = measure_stepped(splits=[0], meshes=None, seed=0)
     assert found["sums"] == 1024
     assert found["accuracy"][0] >= 0.994
 
@@ -68,7 +68,7 @@ def test_quick_subjects_have_rows_of_the_same_keys_and_pictures(monkeypatch: pyt
     monkeypatch.setattr(methods_compared, "measure_live", _live)
     monkeypatch.setattr(methods_compared, "measure_sixteen", _sixteen)
     monkeypatch.setattr(methods_compared, "measure_method", _method)
-    monkeypatch.setattr(methods_compared, "measure_adaptive", _adaptive)
+    monkeypatch.setattr(methods_compared, "measure_stepped", _stepped)
     monkeypatch.setattr(classification, "measure_accuracy", _accuracy)
     both = [subject.evaluate(Options(quick=True)) for subject in (classification, methods_compared)]
     for found in both:
@@ -81,7 +81,7 @@ def test_quick_subjects_have_rows_of_the_same_keys_and_pictures(monkeypatch: pyt
 
 
 def test_live_rows_of_the_sixteen_have_every_share_and_our_shapes(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name, answer in (("measure_live", _live), ("measure_sixteen", _sixteen), ("measure_adaptive", _adaptive)):
+    for name, answer in (("measure_live", _live), ("measure_sixteen", _sixteen), ("measure_stepped", _stepped)):
         monkeypatch.setattr(methods_compared, name, answer)
     monkeypatch.setattr(methods_compared, "measure_method", _method)
     found = {row["what"]: row["ours"] for row in methods_compared.evaluate(Options(quick=True)).rows}
@@ -131,8 +131,8 @@ def _method(**cell: object) -> dict[str, list[float]]:
     return {"accuracy": [0.9], "plain": [0.8]}
 
 
-def _adaptive(**cell: object) -> dict[str, Any]:
-    signature(measure_adaptive).bind(**cell)
+def _stepped(**cell: object) -> dict[str, Any]:
+    signature(measure_stepped).bind(**cell)
     return {"accuracy": [0.9], "sums": 1024}
 
 

@@ -28,9 +28,9 @@ def test_whoever_goes_by_the_clock_has_the_same_bits(compared: Result) -> None:
 
 
 @pytest.mark.slow
-def test_events_and_adaptive_sums_take_few_bits_and_events_wait_where_much_moves(compared: Result) -> None:
+def test_events_and_stepped_sums_take_few_bits_and_events_wait_where_much_moves(compared: Result) -> None:
     quiet = {row["scheme"]: row for row in compared.rows if row["touch"] == "golf-ball"}
-    ours, events = quiet["adaptive sums"], quiet["filtered events, 0.5 mN"]
+    ours, events = quiet["steps"], quiet["filtered events, 0.5 mN"]
     assert max(ours["kbit_per_s"], events["kbit_per_s"]) < 0.2 * quiet["sums"]["kbit_per_s"]
     for name in ("sums", RAW_SCAN.name):
         assert min(ours["psnr_mean_db"], events["psnr_mean_db"]) > quiet[name]["psnr_mean_db"]
@@ -75,7 +75,7 @@ def test_slides_have_a_row_of_means_and_losses_are_named_as_plainly_as_wins() ->
         figures = {"psnr_mean_db": psnr_db, "touched_error_mn": error_mn, "kbit_per_s": kbit_per_s}
         return (
             dict.fromkeys(DIGITS, 1.0)
-            | {"rate_hz": None if scheme in {"adaptive sums", "events"} else 40, "touch": touch, "scheme": scheme}
+            | {"rate_hz": None if scheme in {"steps", "events"} else 40, "touch": touch, "scheme": scheme}
             | {"receiver": "plain"}
             | figures
         )
@@ -86,11 +86,11 @@ def test_slides_have_a_row_of_means_and_losses_are_named_as_plainly_as_wins() ->
     assert together["rate_hz"] == 40
     assert (together["psnr_spread_db"], together["receiver"]) == (1.4, "plain")
     assert not means_of(rows[:4], SLIDES, "five slides")
-    rows = [row("ball", "adaptive sums", 50, 0.3, 100), row("ball", "scan", 40, 0.8, 3000)]
+    rows = [row("ball", "steps", 50, 0.3, 100), row("ball", "scan", 40, 0.8, 3000)]
     rows += [row("ball", "events", 45, 0.9, 200)]
-    rows += [row("box", "adaptive sums", 50, 0.3, 100), row("box", "scan", 51, 0.2, 3000)]
+    rows += [row("box", "steps", 50, 0.3, 100), row("box", "scan", 51, 0.2, 3000)]
     rows += [row("box", "sums", 52, 0.1, 3050)]
-    rows += [row("cup", "adaptive sums", 50, 0.3, 100), row("cup", "events", 45, 0.9, 98)]
+    rows += [row("cup", "steps", 50, 0.3, 100), row("cup", "events", 45, 0.9, 98)]
     _, first, second, more, _, third = wins_and_losses(rows).splitlines()
     assert first == "win: ball: +5.0 dB to events; touched 0.30 mN, 0.80 scan; 100 kbit/s, 200 events"
     assert second.startswith("LOSS in PSNR, touched error: box: -2.0 dB to sums")

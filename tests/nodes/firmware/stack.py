@@ -32,7 +32,7 @@ def compile_slave(
 ) -> Path:
     """Compile exported boards, the slave and a main program, of `HERE` or elsewhere; return the program."""
     constants = exported(contract, folder, nodes)
-    texts = [*folder.glob("src/*.[ch]"), *folder.glob("src/slave/*.[ch]"), *folder.glob("src/adaptive/*.[ch]")]
+    texts = [*folder.glob("src/*.[ch]"), *folder.glob("src/slave/*.[ch]"), *folder.glob("src/steps/*.[ch]")]
     texts.append(HERE / main)
     texts += [path for path in constants.iterdir() if not path.name.startswith("OD")]
     compile_c(texts, folder / "firmware", ["cc", *STANDARD_FLAGS, optimization])
@@ -48,7 +48,7 @@ def compile_adapter(
 ) -> Path:
     """Compile exported boards, their adapter and a main program (``BEHIND_STACK`` is defined); return the program."""
     constants = exported(contract, folder, nodes)
-    texts = [*folder.glob("src/*.[ch]"), *folder.glob("src/adaptive/*.[ch]"), *folder.glob("src/canopennode/*.[ch]")]
+    texts = [*folder.glob("src/*.[ch]"), *folder.glob("src/steps/*.[ch]"), *folder.glob("src/canopennode/*.[ch]")]
     texts += [*constants.iterdir(), STACK / "dictionary.c", HERE / main]
     command = ["cc", *STANDARD_FLAGS, optimization, f"-I{STACK}", "-DBEHIND_STACK"]
     program = folder / "adapter"

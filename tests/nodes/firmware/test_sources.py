@@ -28,11 +28,11 @@ from tests.layouts import buses
 from tests.nodes.firmware.stack import HERE, OPTIMIZED, compile_adapter, compile_slave, exported
 from tests.nodes.firmware.twins import analogue, few_sums, needs_compiler, small_contract
 
-NAMES = ("default", "fd", "one-bus-12bit", "recognise-first", "analogue", "adaptive", "adaptive-fd")
+NAMES = ("default", "fd", "one-bus-12bit", "recognise-first", "analogue", "steps", "steps-fd")
 #: Bursts of random frames, and seeds.
 BURSTS, SEEDS = 20_000, range(1, 4)
-#: Adaptive boards filter a sample beside each burst.
-ADAPTIVE_BURSTS = 3000
+#: Stepped boards filter a sample beside each burst.
+STEPPED_BURSTS = 3000
 ARM = "arm-none-eabi-gcc"
 CORTEX_M0_PLUS = ("-mcpu=cortex-m0plus", "-mthumb", "-Os")
 #: Flash memory, bytes: of the sums; of the whole slave with one board; of a further board.
@@ -180,8 +180,8 @@ FUZZED = {
     "fd": lambda: small_contract(encoding={"sum_bits": 12}, bus=buses(1, 1, blocks_per_node=2, fd=True)),
     "two states": two_states,
     "analogue": analogue,
-    "adaptive": lambda: contract_of("adaptive"),
-    "adaptive-fd": lambda: contract_of("adaptive-fd"),
+    "steps": lambda: contract_of("steps"),
+    "steps-fd": lambda: contract_of("steps-fd"),
 }
 
 
@@ -200,7 +200,7 @@ def test_random_frames_break_nothing(name: str, tmp_path: Path) -> None:
         if "san" in str(error):
             pytest.skip("NOT TESTED: the compiler has no sanitizers")
         raise
-    bursts = ADAPTIVE_BURSTS if contract.layout.sending == "adaptive" else BURSTS
+    bursts = STEPPED_BURSTS if contract.layout.sending == "steps" else BURSTS
     for seed in SEEDS:
         # The memory of a program that preloads a library cannot be watched.
         environment = {key: value for key, value in os.environ.items() if key != "LD_PRELOAD"}

@@ -1,4 +1,4 @@
-"""Adaptive boards in C compute and send what the test vectors say, to the last bit."""
+"""Stepped boards in C compute and send what the test vectors say, to the last bit."""
 
 import json
 import struct
@@ -12,21 +12,21 @@ import pytest
 
 from bus.link import DISCARDED
 from dbc import indices as od
-from dbc.adaptive_filter import IDLE_SAMPLES, SAMPLE_NS, SETTLING_SAMPLES
 from dbc.board import board
 from dbc.board_sums import calibration_values
 from dbc.canopen import NMT_COB_ID, SDO_REQUEST_BASE, SYNC_COB_ID
 from dbc.contract import Contract
 from dbc.frame import ECHO, frames
-from nodes.adaptive.vectors import SINCE_SYNC_NS
+from dbc.patch_filter import IDLE_SAMPLES, SAMPLE_NS, SETTLING_SAMPLES
 from nodes.firmware.library import CompiledBoards, Firmware
+from nodes.steps.vectors import SINCE_SYNC_NS
 from nodes.virtual_boards import VirtualBoards
 from nodes.ways import vector_files, way_of
 from skin.layout import changed, load_layout
 from skin.walsh import grouped_rows
 from tests.bus.harness import frame
-from tests.nodes.firmware.adaptive_twins import SKINS, contract_of
 from tests.nodes.firmware.stack import compile_adapter
+from tests.nodes.firmware.stepped_twins import SKINS, contract_of
 from tests.nodes.firmware.twins import needs_compiler
 from tests.nodes.helpers import Still
 
@@ -58,7 +58,7 @@ def signature_after(boards: CompiledBoards | VirtualBoards, values: dict[tuple[i
     return int(struct.unpack_from("<I", sdo(boards, struct.pack("<BHB", 0x40, od.CALIBRATION_SIGNATURE, 0)), 4)[0])
 
 
-@pytest.mark.parametrize("name", ["adaptive", "fd"])
+@pytest.mark.parametrize("name", ["steps", "fd"])
 def test_gains_and_offsets_of_the_vectors_have_their_signature_in_both_languages(name: str) -> None:
     contract = Contract.from_layout(load_layout(Path(name)))
     vectors = json.loads(next(iter(vector_files(contract).values())))
@@ -66,11 +66,11 @@ def test_gains_and_offsets_of_the_vectors_have_their_signature_in_both_languages
     hardware = way_of(contract.layout).hardware(contract, blocks, Still(contract), None)
     both = VirtualBoards(contract, 0, {1}, hardware), Firmware(contract, contract.nodes[:1]).boards(0)
     both[0].power_up(0.0)
-    if contract.is_adaptive:
+    if contract.in_steps:
         for counts in vectors["power_up"]["counts"]:
             both[1].take_counts(np.array([counts], np.uint16))
     both[1].power_up(0.0)
-    cases = vectors["signatures" if contract.is_adaptive else "cases"]
+    cases = vectors["signatures" if contract.in_steps else "cases"]
     assert len({case["calibration_signature"] for case in cases}) >= 2
     for case in cases:
         shape = len(blocks), contract.phi.block_size
@@ -123,7 +123,7 @@ def test_samples_become_the_frames_of_the_vectors(name: str) -> None:
 @pytest.mark.parametrize("name", SKINS)
 def test_a_board_behind_canopennode_sends_the_frames_of_the_vectors(name: str, tmp_path: Path) -> None:
     contract, vectors = vectors_of(name)
-    program = compile_adapter(contract, tmp_path, "run_adaptive_canopennode.c")
+    program = compile_adapter(contract, tmp_path, "run_stepped_canopennode.c")
     idle = [[0, 0, 0, *counts] for counts in vectors["power_up"]["counts"]]
     samples = [
         [("free", "lost", "held").index(each["bus"]), int(each["is_asked"]), each["sync"], *each["counts"]]
@@ -143,8 +143,8 @@ def test_a_board_behind_canopennode_sends_the_frames_of_the_vectors(name: str, t
 @pytest.mark.heavy
 def test_a_board_that_sends_at_sync_waits_for_a_late_sync(tmp_path: Path) -> None:
     steps = {"slot_s": 0.004, "at_sync": True, "quiet": 0.0}
-    contract = Contract.from_layout(changed(load_layout(Path("adaptive")), sync={"rate_hz": 250.0}, steps=steps))
-    program = compile_adapter(contract, tmp_path, "run_adaptive_canopennode.c")
+    contract = Contract.from_layout(changed(load_layout(Path("steps")), sync={"rate_hz": 250.0}, steps=steps))
+    program = compile_adapter(contract, tmp_path, "run_stepped_canopennode.c")
     random, syncs = np.random.default_rng(0), {0: 1, 4: 2, 9: 3, 12: 4, 17: 5}
     counts = random.integers(0, 40, (IDLE_SAMPLES + SETTLING_SAMPLES + 20, contract.phi.block_size)).tolist()
     first = IDLE_SAMPLES + SETTLING_SAMPLES

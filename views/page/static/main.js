@@ -69,9 +69,9 @@ function setSkin(greeting) {
   const { rows, columns, blocks, sums, block_of_taxel, surface } = greeting;
   const there = block_of_taxel.filter((block) => block >= 0).length;
   const taxels = surface || there < rows * columns ? there : `${rows} × ${columns}`;
-  const isAdaptive = greeting.sending === "adaptive";
-  write(document.getElementById("skin"), `${greeting.skin} · ${taxels} taxels · ${blocks} blocks · ${sums} sums${isAdaptive ? ", sent when they have news" : " a cycle"}`);
-  write(document.querySelector("#latency h2"), `${isAdaptive ? "Frame" : "SYNC"} to image, median`);
+  const inSteps = greeting.sending === "steps";
+  write(document.getElementById("skin"), `${greeting.skin} · ${taxels} taxels · ${blocks} blocks · ${sums} sums${inSteps ? ", sent when they have news" : " a cycle"}`);
+  write(document.querySelector("#latency h2"), `${inSteps ? "Frame" : "SYNC"} to image, median`);
 }
 
 function schedule() {

@@ -1,6 +1,6 @@
 #include "skin_canopennode.h"
 
-#if !SKIN_ADAPTIVE
+#if !SKIN_STEPPED
 
 #include <stddef.h>
 

@@ -1,6 +1,6 @@
 /* A board behind CANopenNode V4: where the stack's calls go, and where the application calls.
  *
- * Compile with OD.c and board.c, the sources of src/ and, of adaptive boards, src/adaptive/. None of the functions
+ * Compile with OD.c and board.c, the sources of src/ and, of stepped boards, src/steps/. None of the functions
  * may interrupt another.
  */
 #ifndef SKIN_CANOPENNODE_H
@@ -18,7 +18,7 @@
  */
 int skin_app_choose(uint8_t bus, uint8_t node_id);
 
-#if !SKIN_ADAPTIVE
+#if !SKIN_STEPPED
 
 /*   after CO_CANopenInitPDO      skin_app_init()
  *   in the SYNC interrupt        read all converters, and keep counter = co->SYNC->counter (CO_SYNC_initCallbackPre tells that the

@@ -25,7 +25,7 @@ typedef struct {
 /* Pass a SYNC to a board. */
 static void pass_sync(skin_node *node, const skin_frame *sync, const reading *read)
 {
-#if SKIN_ADAPTIVE
+#if SKIN_STEPPED
     (void)read; /* samples by its own clock */
     skin_sync(node, sync);
 #else
@@ -43,7 +43,7 @@ static void pass_sync(skin_node *node, const skin_frame *sync, const reading *re
 #endif
 }
 
-#if SKIN_ADAPTIVE
+#if SKIN_STEPPED
 
 /* Pass what became of the boards' own TPDOs. */
 static void pass_own(skin_node *node, const skin_frame *frame)
@@ -69,7 +69,7 @@ static void pass(skin_node *node, const skin_frame *frame, uint32_t now_ms, cons
     const int is_echo = (frame->flags & SKIN_FRAME_ECHO) != 0;
 
     if ((frame->flags & SKIN_FRAME_DISCARDED) == SKIN_FRAME_DISCARDED) {
-#if !SKIN_ADAPTIVE
+#if !SKIN_STEPPED
         if (frame->port == node->board->node_id) {
             skin_given_up(node, frame);
         }
@@ -115,7 +115,7 @@ size_t skin_power_up(skin_node *nodes, uint32_t first, uint32_t boards, const sk
     uint32_t each;
 
     for (each = 0; each < boards; each++) {
-#if SKIN_ADAPTIVE
+#if SKIN_STEPPED
         nodes[each].outbox = &outbox; /* after skin_prepare and what was learned */
         (void)first;
         (void)storages;
@@ -140,7 +140,7 @@ size_t skin_take(skin_node *nodes, uint32_t boards, uint32_t now_ms, const skin_
     uint32_t each;
     size_t place;
 
-#if SKIN_ADAPTIVE
+#if SKIN_STEPPED
     for (place = 0; place < count; place++) {
         for (each = 0; (frames[place].flags & SKIN_FRAME_ECHO) != 0 && each < boards; each++) {
             pass_own(&nodes[each], &frames[place]);
@@ -180,7 +180,7 @@ size_t skin_refuse(skin_node *nodes, uint32_t boards, const skin_frame *frames, 
     for (place = 0; place < count; place++) {
         for (each = 0; each < boards; each++) {
             if (frames[place].port == nodes[each].board->node_id) {
-#if SKIN_ADAPTIVE
+#if SKIN_STEPPED
                 skin_refused(&nodes[each], &frames[place]);
 #else
                 skin_given_up(&nodes[each], &frames[place]);
@@ -191,7 +191,7 @@ size_t skin_refuse(skin_node *nodes, uint32_t boards, const skin_frame *frames, 
     return count;
 }
 
-#if SKIN_ADAPTIVE
+#if SKIN_STEPPED
 
 void skin_prepare(skin_node *nodes, uint32_t first, uint32_t boards, const skin_storage *storages)
 {
@@ -244,7 +244,7 @@ size_t skin_under_way(const skin_node *nodes, uint32_t boards)
 size_t skin_newest_sums(const skin_node *node, int32_t *sums)
 {
     const uint16_t count = node->board->type->first_sum[node->board->type->blocks];
-#if SKIN_ADAPTIVE
+#if SKIN_STEPPED
     uint16_t sum;
 
     for (sum = 0; sum < count; sum++) {

@@ -26,7 +26,7 @@ size_t skin_take(skin_node *nodes, uint32_t boards, uint32_t now_ms, const skin_
 /* Take note of TPDOs that found no room in the transmit queue; returns `count`. */
 size_t skin_refuse(skin_node *nodes, uint32_t boards, const skin_frame *frames, size_t count);
 
-#if SKIN_ADAPTIVE
+#if SKIN_STEPPED
 
 /* Connect `boards` boards, from board `first` of board.c on, with their constants; samples come before skin_power_up. */
 void skin_prepare(skin_node *nodes, uint32_t first, uint32_t boards, const skin_storage *storages);

@@ -183,7 +183,7 @@ void skin_boot(skin_node *node, uint32_t now_ms, int communication_only)
     node->emcy_free_ms = now_ms;
     memset(node->watched, 0, sizeof node->watched);
     memset(node->health, 0, sizeof node->health);
-#if SKIN_ADAPTIVE
+#if SKIN_STEPPED
     skin_steps_forget(&node->steps);
 #endif
     node->changed = 1;
@@ -196,7 +196,7 @@ void skin_boot(skin_node *node, uint32_t now_ms, int communication_only)
 
 static void note_state(skin_node *node)
 {
-#if SKIN_ADAPTIVE
+#if SKIN_STEPPED
     skin_steps_operate(&node->steps, node->state == SKIN_OPERATIONAL);
 #else
     (void)node; /* nothing begins with OPERATIONAL */
@@ -328,7 +328,7 @@ void skin_tick(skin_node *node, uint32_t now_ms)
     }
     skin_sdo_tick(node, now_ms);
     flush_emergencies(node, now_ms);
-#if !SKIN_ADAPTIVE /* adaptive boards send in their slots */
+#if !SKIN_STEPPED /* stepped boards send in their slots */
     if (node->state == SKIN_OPERATIONAL) {
         skin_send_events(node, now_ms);
     }

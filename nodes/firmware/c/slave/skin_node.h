@@ -14,7 +14,7 @@
 #include "skin_program.h"
 #include "skin_storage.h"
 #include "skin_sums.h"
-#if SKIN_ADAPTIVE
+#if SKIN_STEPPED
 #include "skin_steps.h"
 #endif
 
@@ -41,7 +41,7 @@ typedef struct {
 /* Errors that are reported: heartbeat of a watched node lost, SYNC of a wrong length, window missed. */
 enum { SKIN_ERROR_HEARTBEAT, SKIN_ERROR_SYNC_LENGTH, SKIN_ERROR_WINDOW, SKIN_ERRORS };
 
-#if !SKIN_ADAPTIVE
+#if !SKIN_STEPPED
 typedef struct {
     uint16_t cob_id;
     uint8_t type, start; /* transmission type, SYNC start value */
@@ -104,7 +104,7 @@ typedef struct {
     int16_t offset[SKIN_BLOCKS][SKIN_CALIBRATED];
     uint8_t pattern[SKIN_BLOCKS];
     uint16_t counts[SKIN_BLOCKS][SKIN_CALIBRATED]; /* 2012h: the newest sample, corrected */
-#if SKIN_ADAPTIVE
+#if SKIN_STEPPED
     skin_steps steps;
 #else
 #if SKIN_SAMPLES > 1
@@ -148,7 +148,7 @@ void skin_lss_boot(skin_node *node, uint32_t now_ms);
 /* Do what is due by time: heartbeats, emergencies, event-driven PDOs. To be called every few milliseconds. */
 void skin_tick(skin_node *node, uint32_t now_ms);
 
-#if SKIN_ADAPTIVE
+#if SKIN_STEPPED
 
 /* Take one sample of all taxels in the order of the chain, ADC counts, which are overwritten: every millisecond.
  *
@@ -223,9 +223,9 @@ void skin_put(uint8_t *data, uint32_t value, uint8_t bytes);
 /* Longest value that is computed, and room for it. */
 #define SKIN_NUMBER_BYTES 8
 
-#if SKIN_ADAPTIVE
-/* What an adaptive board computes, NULL for other objects. */
-const uint8_t *skin_adaptive_value(const skin_node *node, const skin_object *object, uint8_t *scratch);
+#if SKIN_STEPPED
+/* What a stepped board computes, NULL for other objects. */
+const uint8_t *skin_stepped_value(const skin_node *node, const skin_object *object, uint8_t *scratch);
 #endif
 
 #endif

@@ -112,7 +112,7 @@ static uint32_t computed(const skin_node *node, const skin_object *object)
     case SKIN_OD_PROGRAM_ID:
     case SKIN_OD_FLASH_STATUS:
         return skin_program_value(&node->program, object->index);
-#if SKIN_ADAPTIVE
+#if SKIN_STEPPED
     default: /* the sums */
         return (uint32_t)skin_raw(&node->board->type->packing, skin_filter_sum(&node->steps.filter, node->board, (uint8_t)(subindex - 1)));
 #else
@@ -127,11 +127,11 @@ static uint32_t computed(const skin_node *node, const skin_object *object)
 
 const uint8_t *skin_value(const skin_node *node, const skin_object *object, uint8_t *scratch)
 {
-#if SKIN_ADAPTIVE
-    const uint8_t *adaptive = skin_adaptive_value(node, object, scratch);
+#if SKIN_STEPPED
+    const uint8_t *stepped = skin_stepped_value(node, object, scratch);
 
-    if (adaptive != NULL) {
-        return adaptive;
+    if (stepped != NULL) {
+        return stepped;
     }
 #endif
     if (object->index == SKIN_OD_IDENTITY && object->subindex == 4 && node->serial_number != 0) {
@@ -304,7 +304,7 @@ static uint32_t check_write(const skin_node *node, uint16_t index, uint8_t subin
     case SKIN_OD_STATE:
         return value > SKIN_STATE_IMAGES ? SKIN_ABORT_VALUE : 0;
     default:
-#if SKIN_ADAPTIVE
+#if SKIN_STEPPED
         return skin_steps_allow(index, subindex, value) ? 0 : SKIN_ABORT_VALUE;
 #else
         return 0;
@@ -329,7 +329,7 @@ static void adjust(skin_node *node, const skin_object *object)
         node->pattern[block] = (uint8_t)value;
         break;
     default:
-#if SKIN_ADAPTIVE
+#if SKIN_STEPPED
         skin_steps_write(&node->steps, object->index, object->subindex, value);
 #endif
         break;
@@ -363,7 +363,7 @@ void skin_become(skin_node *node, const skin_board *board)
     const skin_storage *storage = node->storage;
 
     node->board = board;
-#if SKIN_ADAPTIVE
+#if SKIN_STEPPED
     node->steps.board = board;
 #endif
     node->has_stored = storage != NULL && storage->load(storage->context, SKIN_RECORD_PARAMETERS, key_of(node),
@@ -435,7 +435,7 @@ void skin_restore(skin_node *node, int communication_only)
     if (communication_only) {
         return;
     }
-#if SKIN_ADAPTIVE
+#if SKIN_STEPPED
     memset(node->steps.filter.given_taxel_n, 0, sizeof node->steps.filter.given_taxel_n);
     memset(node->steps.filter.given_coefficient_n, 0, sizeof node->steps.filter.given_coefficient_n);
     skin_filter_give(&node->steps.filter);

@@ -3,7 +3,7 @@
 
 #include <string.h>
 
-#if !SKIN_ADAPTIVE
+#if !SKIN_STEPPED
 
 /* A time without end, nanoseconds. */
 #define NO_WINDOW_NS ((int64_t)1 << 62)

@@ -128,7 +128,7 @@ static void go_on(skin_frame *frame)
     }
 }
 
-#if SKIN_ADAPTIVE
+#if SKIN_STEPPED
 
 /* A sample, and random fates of the frames that come of it. */
 static size_t sample(uint16_t *counts, int64_t now_ns)
@@ -181,7 +181,7 @@ int main(int count, char **texts)
     for (place = 0; place < 65536 * SKIN_MOST_SAMPLES; place++) {
         counts[place] = (skin_reading)drawn(65536);
     }
-#if SKIN_ADAPTIVE
+#if SKIN_STEPPED
     skin_prepare(nodes, 0, SKIN_BOARDS, NULL);
     for (turn = 0; turn < SKIN_IDLE_SAMPLES + SKIN_SETTLING_SAMPLES; turn++) {
         uint16_t read[SKIN_BOARDS * SKIN_BLOCK_SUMS];
@@ -209,7 +209,7 @@ int main(int count, char **texts)
                           (uint16_t)(1 + drawn(SKIN_MOST_SAMPLES)), 65536, in, burst, out, drawn(9) ? ROOM : 3);
         check(found);
         sent += found;
-#if SKIN_ADAPTIVE
+#if SKIN_STEPPED
         found = sample(counts, (int64_t)now_ms * 1000000);
         check(found);
         sent += found;

@@ -1,0 +1,240 @@
+"""What the gateway knows of stepped nodes: the integers of every part (`dbc.steps`), and how far they are proven.
+
+Every word tells by its count whether words before it were lost. After a loss all groups of the part are missing, until
+sets have come of all of them, with no loss between. Steps move a part meanwhile: its sums are shown, and not valid.
+
+**What counts and slots prove.** The slots of a board's words rise, and it sends at most one in a slot. A step follows
+within `SEQUENCE` slots, a set or check within the longest silence. So a step hides a loss only if its first byte stands
+for a slot `SYNC_OVERFLOW` slots later, or a multiple of that: then the part seems that much too late, until a set or
+check tells of the loss. A part without words for more than its longest silence is forgotten. So a block that is wrong
+is valid only if frames of its node come late by at least `dbc.steps.slot_cycle` slots less the longest silence, and
+none of them after a longer silence: 716 slots, 2.9 s by default. What is lost at the end of a movement is seen at the
+next check, `KEEP_MIN` slots later.
+"""
+
+from typing import Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from dbc.canopen import SYNC_COB_ID
+from dbc.contract import Contract, PartTable
+from dbc.dictionary import slot_offset_us
+from dbc.frame import CAN_ID_AT, DATA_AT, ECHO, ERROR, EXTENDED, FLAGS_AT, REMOTE, TIME_AT
+from dbc.frame_fields import field
+from dbc.steps import (
+    BAD,
+    COUNT,
+    LATE_SLOTS,
+    PART_SUMS,
+    SEQUENCE,
+    SET,
+    STEP,
+    WORD_BYTES,
+    Form,
+    hash_of,
+    kind_of,
+    move,
+    put,
+    read_word,
+)
+from gateway.gathering import STRANGE, place_of
+from shell.compiled import borrowed, njit
+from skin.sync_counter import SYNC_OVERFLOW
+
+#: A time before all frames.
+NEVER_NS: Final = -(1 << 62)
+#: A word that is this number of slots ahead of the gateway's clock is not late by nearly all of them.
+_AHEAD: Final = 3
+
+Integers = npt.NDArray[np.int64]
+Flags = npt.NDArray[np.bool_]
+
+
+class Slots(NamedTuple):
+    """The slots of a skin.
+
+    Attributes
+    ----------
+    per_sync : int
+        From SYNC to SYNC.
+    cycle : int
+        After this number of slots their numbers come again.
+    slot_ns, silence_ns : int
+        Length of a slot, and the longest silence of a part.
+    offset_ns : array of int64, shape (blocks,)
+        Place of a node in its slot.
+    """
+
+    per_sync: int
+    cycle: int
+    slot_ns: int
+    silence_ns: int
+    offset_ns: Integers
+
+
+class PartSums(NamedTuple):
+    """The sums of all parts of a skin, numbered as in `dbc.contract.PartTable`.
+
+    Attributes
+    ----------
+    known : array of int64, shape (parts, PART_SUMS)
+        Integers, in units of `Contract.unit_n`.
+    word_count, slot, newest_ns : arrays of int64, shape (parts,)
+        Count, slot and end of the newest word.
+    missing, unknown : arrays of int64, shape (parts,)
+        Groups, a bit each: of which no set has come since a loss; of which nothing is held.
+    different : array of int64, shape (parts,)
+        Checks that found other integers.
+    is_late, has_changed : arrays of bool, shape (parts,)
+        The newest word came late; sums are not yet shown (`gateway.block_states`).
+    sync_ns, sync_slot, foreign_syncs : arrays of int64, shape (buses,)
+        End of the newest SYNC of the gateway, and the number of the slot that it began; number of all other SYNCs.
+    counts : array of int64
+        Frames by `COUNTED`.
+    """
+
+    known: Integers
+    word_count: Integers
+    slot: Integers
+    newest_ns: Integers
+    missing: Integers
+    unknown: Integers
+    different: Integers
+    is_late: Flags
+    has_changed: Flags
+    sync_ns: Integers
+    sync_slot: Integers
+    foreign_syncs: Integers
+    counts: Integers
+
+
+#: What `PartSums.counts` counts (`FrameCounts`). A frame with several words counts as that which is last here.
+COUNTED: Final = ("accepted", "late", "after_gap", "duplicate", "malformed", "unproven", "foreign")
+USED, LATE, AFTER_GAP, DUPLICATE, MALFORMED, UNPROVEN, FOREIGN = range(7)
+
+
+def slots_of(contract: Contract) -> Slots:
+    """Return the slots of a skin."""
+    slot_ns = round(contract.layout.steps.slot_s * 1e9)
+    offset_ns = np.array([1000 * slot_offset_us(contract, node) for node in contract.nodes], np.int64)
+    return Slots(contract.slots, contract.slot_cycle, slot_ns, (contract.keep_max + LATE_SLOTS) * slot_ns, offset_ns)
+
+
+def new_sums(contract: Contract) -> PartSums:
+    """Return the state of a gateway that has received nothing."""
+    parts, buses = len(contract.parts.block), len(contract.layout.bus)
+    known, of_parts = np.zeros((parts, PART_SUMS), np.int64), np.zeros((6, parts), np.int64)
+    of_buses, counts = np.zeros((3, buses), np.int64), np.zeros(len(COUNTED), np.int64)
+    state = PartSums._make([known, *of_parts, *np.zeros((2, parts), np.bool_), *of_buses, counts])
+    state.sync_ns[:] = NEVER_NS
+    for part in range(parts):
+        forget(part, contract.parts, state)
+    return state
+
+
+@njit(cache=True, nogil=True)
+def form_at(part: int, table: PartTable) -> Form:
+    """Return the form of a part."""
+    form = table.form[part]
+    return Form(form[0], form[1], form[2], form[3], form[4])
+
+
+@njit(cache=True, nogil=True)
+def forget(part: int, table: PartTable, state: PartSums) -> None:
+    """Hold nothing of a part any more."""
+    state.known[part] = 0
+    state.missing[part] = state.unknown[part] = (1 << form_at(part, table).groups) - 1
+    state.newest_ns[part], state.has_changed[part] = NEVER_NS, True
+
+
+@njit(cache=True, nogil=True)
+def take_all(  # noqa: PLR0917  compiled functions take no keywords
+    rows: npt.NDArray[np.uint8], bus: int, is_proven: Flags, slots: Slots, table: PartTable, state: PartSums
+) -> tuple[int, int]:
+    """Use the frames of a bus, in bus order.
+
+    Parameters
+    ----------
+    rows : array of uint8, shape (frames, bytes of a FRAME)
+    is_proven : array of bool, shape (blocks,)
+        Blocks whose frames may be used.
+
+    Returns
+    -------
+    newest_ns, taken_ns : int
+        When the newest frame that was used ended, or `NEVER_NS`; how long ago its node had begun with it.
+    """
+    (rows, is_proven), slots = borrowed((rows, is_proven)), borrowed(slots)
+    table, state = borrowed(table), borrowed(state)
+    newest_ns, taken_ns = NEVER_NS, 0
+    for place in range(rows.shape[0]):
+        row = rows[place]
+        flags, ended_ns = row[FLAGS_AT], field(row, TIME_AT, 8)
+        if field(row, CAN_ID_AT, 4) == SYNC_COB_ID and not flags & (ERROR | EXTENDED | REMOTE):
+            if flags & ECHO:
+                state.sync_ns[bus], state.sync_slot[bus] = ended_ns, (int(row[DATA_AT]) - 1) * slots.per_sync
+            else:
+                state.foreign_syncs[bus] += 1
+        if flags & (ERROR | ECHO):
+            continue
+        frame = place_of(row, bus, table)
+        if frame < 0:
+            state.counts[FOREIGN if frame == STRANGE else MALFORMED] += 1
+            continue
+        first, verdict, since_ns = table.part[frame], USED, ended_ns - state.sync_ns[bus]
+        if not is_proven[table.block[first]]:
+            state.counts[UNPROVEN] += 1
+            continue
+        now = state.sync_slot[bus] + since_ns // slots.slot_ns if state.sync_ns[bus] != NEVER_NS else -1
+        for each in range(table.parts[frame]):
+            word = read_word(row[DATA_AT + 1 + WORD_BYTES * each :])
+            found, age = _take_word(first + each, int(row[DATA_AT]) - 1, word, ended_ns, now, slots, table, state)
+            verdict = max(verdict, found)
+        state.counts[verdict] += 1
+        if verdict <= AFTER_GAP and ended_ns >= newest_ns:
+            begun_ns = age * slots.slot_ns + since_ns % slots.slot_ns
+            newest_ns, taken_ns = ended_ns, max(0, begun_ns - slots.offset_ns[table.block[first]])
+    return newest_ns, taken_ns
+
+
+@njit(cache=True, nogil=True)
+def _take_word(  # noqa: PLR0917  compiled functions take no keywords
+    part: int, low: int, word: int, ended_ns: int, now: int, slots: Slots, table: PartTable, state: PartSums
+) -> tuple[int, int]:
+    """Use a word whose slot is `low` modulo `SYNC_OVERFLOW`; return its kind of count, and its age in slots."""
+    form = form_at(part, table)
+    kind, group, count, high, data = kind_of(word, form)
+    if kind == BAD:
+        return MALFORMED, 0
+    if ended_ns - state.newest_ns[part] > slots.silence_ns:
+        forget(part, table, state)
+    known, is_first = state.known[part, : form.sums], state.newest_ns[part] == NEVER_NS
+    ahead = (low - state.slot[part]) % SYNC_OVERFLOW
+    if not is_first and ahead == 0 and (count - state.word_count[part]) % SEQUENCE == 0:
+        return DUPLICATE, 0
+    slot = state.slot[part] + ahead if kind == STEP else high * SYNC_OVERFLOW + low
+    counts, most = (SEQUENCE, SEQUENCE) if kind == STEP else (COUNT, slots.silence_ns // slots.slot_ns)
+    is_next = (count - state.word_count[part] - 1) % counts == 0
+    is_next &= not is_first and 0 < (slot - state.slot[part]) % slots.cycle <= most
+    if not is_next:
+        state.missing[part] = (1 << form.groups) - 1
+    if kind == STEP:
+        move(known, group, data, form)
+    elif kind == SET:
+        put(known, group, data, form)
+        state.missing[part] &= ~(1 << group)
+        state.unknown[part] &= ~(1 << group)
+    elif not state.missing[part] and hash_of(known) != data:
+        state.different[part] += 1
+        state.missing[part] = (1 << form.groups) - 1
+    age = (now - slot) % slots.cycle
+    if age > slots.cycle - _AHEAD:
+        age = 0
+    # A step tells its count modulo `SEQUENCE` alone: after a loss the least is taken, and the next set tells.
+    state.word_count[part] += (count - state.word_count[part]) % counts
+    state.slot[part], state.newest_ns[part] = slot % slots.cycle, ended_ns
+    state.is_late[part], state.has_changed[part] = age > LATE_SLOTS or now < 0, True
+    if not (is_next or is_first):
+        return AFTER_GAP, age
+    return (LATE if state.is_late[part] else USED), age

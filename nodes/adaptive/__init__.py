@@ -1,1 +1,0 @@
-"""Adaptive sending: what a node does with its samples before anything is sent, and when it sends."""
