@@ -66,7 +66,7 @@ class AdaptiveWorld(World):
         self.until_whole(2.0)
         self.run(1.0)
         self.touched = np.stack([sums_of(self.measured[-1], block) for block in blocks])
-        #: A unit is not worth a frame without noise, in the sums of the touch and in those that are shown; and a rounding.
+        #: A unit is not worth a frame without noise, of the touch and of what is shown; and a rounding.
         self._tolerance = 3 * contract.unit_n / contract.layout.taxels.newton_per_count
 
     def __post_init__(self) -> None:
