@@ -66,8 +66,8 @@ class AdaptiveWorld(World):
         self.until_whole(2.0)
         self.run(1.0)
         self.touched = np.stack([sums_of(self.measured[-1], block) for block in blocks])
-        #: A unit is not worth a frame without noise, of the touch and of what is shown; and a rounding.
-        self._tolerance = 3 * contract.unit_n / contract.layout.taxels.newton_per_count
+        #: What is not worth a frame, and what the filter still follows after a pattern; patterns change far more.
+        self._tolerance = 8 * contract.unit_n / contract.layout.taxels.newton_per_count
 
     def __post_init__(self) -> None:
         self.wires = [Wire() for _ in self.contract.layout.bus]
@@ -80,7 +80,7 @@ class AdaptiveWorld(World):
         return Segment(contract, bus, boards, self.boards, self.wires[bus].nodes.send, complain=self.complaints.append)
 
     def wrong_blocks(self, measurement: Measurement) -> list[int]:
-        """Return the valid blocks whose sums are further from those of the touch than three units."""
+        """Return the valid blocks whose sums are further from those of the touch than eight units."""
         shown = np.stack([sums_of(measurement, block) for block in range(len(self.touched))])
         is_off = (np.abs(shown - self.touched) > self._tolerance).any(axis=1)
         return np.flatnonzero(is_off & valid(measurement)).tolist()
