@@ -126,7 +126,7 @@ def new_sums(contract: Contract) -> PartSums:
     parts, buses = len(contract.parts.block), len(contract.layout.bus)
     known, of_parts = np.zeros((parts, PART_SUMS), np.int64), np.zeros((6, parts), np.int64)
     of_buses, counts = np.zeros((3, buses), np.int64), np.zeros(len(COUNTED), np.int64)
-    state = PartSums(known, *of_parts, *np.zeros((2, parts), np.bool_), *of_buses, counts)
+    state = PartSums._make([known, *of_parts, *np.zeros((2, parts), np.bool_), *of_buses, counts])
     state.sync_ns[:] = NEVER_NS
     for part in range(parts):
         forget(part, contract.parts, state)
