@@ -12,7 +12,7 @@ import pytest
 
 from bus.link import DISCARDED
 from dbc import indices as od
-from dbc.adaptive_filter import SAMPLE_NS
+from dbc.adaptive_filter import IDLE_SAMPLES, SAMPLE_NS, SETTLING_SAMPLES
 from dbc.board import board
 from dbc.board_sums import calibration_values
 from dbc.canopen import NMT_COB_ID, SDO_REQUEST_BASE, SYNC_COB_ID
@@ -22,7 +22,7 @@ from nodes.adaptive.vectors import SINCE_SYNC_NS
 from nodes.firmware.library import CompiledBoards, Firmware
 from nodes.virtual_boards import VirtualBoards
 from nodes.ways import vector_files, way_of
-from skin.layout import load_layout
+from skin.layout import changed, load_layout
 from skin.walsh import grouped_rows
 from tests.bus.harness import frame
 from tests.nodes.firmware.adaptive_twins import SKINS, contract_of
@@ -138,3 +138,19 @@ def test_a_board_behind_canopennode_sends_the_frames_of_the_vectors(name: str, t
     )
     expected = [[f"{each['cob_id']}:{each['data']}" for each in sample["frames"]] for sample in vectors["samples"]]
     assert [line.split() for line in printed[1:]] == expected
+
+
+@pytest.mark.heavy
+def test_a_board_that_sends_at_sync_waits_for_a_late_sync(tmp_path: Path) -> None:
+    steps = {"slot_s": 0.004, "at_sync": True, "quiet": 0.0}
+    contract = Contract.from_layout(changed(load_layout(Path("adaptive")), sync={"rate_hz": 250.0}, steps=steps))
+    program = compile_adapter(contract, tmp_path, "run_adaptive_canopennode.c")
+    random, syncs = np.random.default_rng(0), {0: 1, 4: 2, 9: 3, 12: 4, 17: 5}
+    counts = random.integers(0, 40, (IDLE_SAMPLES + SETTLING_SAMPLES + 20, contract.phi.block_size)).tolist()
+    first = IDLE_SAMPLES + SETTLING_SAMPLES
+    lines = [[0, 0, syncs.get(number - first, 0), *each] for number, each in enumerate(counts)]
+    text = "\n".join(" ".join(map(str, each)) for each in lines)
+    printed = subprocess.run([program], input=text, capture_output=True, text=True, check=True).stdout.splitlines()
+    sent = {number: line.split() for number, line in enumerate(printed[1:]) if line}
+    assert list(sent) == list(syncs)
+    assert [int(each.split(":")[1][:2], 16) for (each,) in sent.values()] == [1, 2, 3, 4, 5]

@@ -126,7 +126,7 @@ int skin_app_sample(uint16_t *counts)
 
 uint8_t skin_app_requests(int is_operational, uint8_t counter, int64_t passed_ns, uint8_t held)
 {
-    uint8_t number, chosen;
+    uint8_t number, type = 0, chosen;
 
     now_ns += passed_ns;
     if (counter != 0) {
@@ -141,6 +141,10 @@ uint8_t skin_app_requests(int is_operational, uint8_t counter, int64_t passed_ns
         steps.ways[number].held_until_ns = (held >> number & 1u) != 0 ? now_ns + 1 : 0;
     }
     skin_steps_operate(&steps, is_operational != 0);
+    (void)OD_get_value(OD_find(OD, SKIN_OD_TPDO_COMMUNICATION), 2, &type, sizeof type, false);
+    if (type <= SKIN_LAST_SYNCHRONOUS && counter == 0) {
+        return 0; /* the stack would not send the words now, and later ones at the SYNC */
+    }
     chosen = skin_steps_choose(&steps, now_ns);
     for (number = 0; number < skin_od_board->type->tpdos; number++) {
         if ((chosen >> number & 1u) != 0) {
