@@ -20,7 +20,7 @@ from evaluation.schemes.steps import run_stepped
 from evaluation.schemes.sums import run_sums
 from evaluation.schemes.wire import Nanoseconds, Sent, lines_of
 from reconstructor.walsh import LIMIT_RATIO
-from skin.layout import Steps, load_layout, validated
+from skin.layout import Layout, Steps, load_layout, validated
 
 FD_BITRATE: Final = 5_000_000
 #: Bits of a value of a scan of raw samples: the converter's.
@@ -107,7 +107,9 @@ class Stepped:
 
 @dataclass(frozen=True)
 class Sums:
-    """Sums in cycles: those of the default skin."""
+    """Sums in cycles: those of the default skin, or of another layout of as many taxels."""
+
+    layout: Layout | None = None
 
     @property
     def name(self) -> str:
@@ -116,7 +118,7 @@ class Sums:
 
     def show(self, board: Board) -> Shown:
         """Measure in every cycle."""
-        contract = Contract.from_layout(load_layout())
+        contract = Contract.from_layout(self.layout or load_layout())
         run = run_sums(contract, board.counts, board.loss_ratio, board.seed, board.idle)
         return Shown(run.sent, run.latency_ns, {OURS: run.images(contract)}, 1 / contract.layout.sync.round_s)
 

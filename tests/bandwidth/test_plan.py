@@ -20,11 +20,7 @@ from skin.sources import load_source
 from skin.sync_counter import SYNC_OVERFLOW
 from tests.layouts import buses, small_layout
 
-<<<<<<< HEAD
-#: Shipped layouts whose nodes send in every cycle; `test_stepped_logs` plans the other.
-=======
 #: Shipped layouts whose nodes send in every cycle; `test_slots` plans the others.
->>>>>>> int
 IN_CYCLES = [name for name in SHIPPED if load_layout(Path(name)).sending == "synchronous"]
 
 

@@ -4,6 +4,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -62,6 +63,7 @@ class SteppedWorld(World):
     def __init__(self, contract: Contract, store: Path | None = None) -> None:
         blocks = [node.block for node in contract.nodes]
         self.boards = SteppedBoards(contract, blocks, Press(contract), noise_n=0.0)
+        self.touched: npt.NDArray[np.int32] | None = None
         super().__init__(contract, store)
         self.until_whole(2.0)
         self.run(1.0)
@@ -79,8 +81,10 @@ class SteppedWorld(World):
         boards = VirtualBoards(contract, bus, {node.node_id for node in contract.on_bus(bus)}, self.boards)
         return Segment(contract, bus, boards, self.boards, self.wires[bus].nodes.send, complain=self.complaints.append)
 
-    def wrong_blocks(self, measurement: Measurement) -> list[int]:
-        """Return the valid blocks whose sums are further from those of the touch than eight units."""
+    def _wrong_blocks(self, measurement: Measurement) -> list[int]:
+        """Return the valid blocks whose sums are further from those of the touch than eight units, once these are known."""
+        if self.touched is None:
+            return []
         shown = np.stack([sums_of(measurement, block) for block in range(len(self.touched))])
         is_off = (np.abs(shown - self.touched) > self._tolerance).any(axis=1)
         return np.flatnonzero(is_off & valid(measurement)).tolist()

@@ -175,7 +175,7 @@ def test_the_first_seed_is_0_and_noise_may_be_none(parts: Parts) -> None:
 
 @pytest.mark.parametrize(
     ("layout", "shape"),
-    [("default", (10, 4096)), ("recognise-first", (1, 4096)), ("analogue", (1, 1024))],  # samples in a period
+    [("default", (5, 4096)), ("recognise-first", (1, 4096)), ("analogue", (1, 1024))],  # samples in a period
 )
 def test_boards_in_c_are_those_of_the_chosen_nodes_and_get_what_converters_read(
     layout: str, shape: tuple[int, int], parts: Parts, monkeypatch: pytest.MonkeyPatch
@@ -234,7 +234,7 @@ def test_a_recording_is_played_as_its_options_say(parts: Parts, tmp_path: Path) 
         truth = each_cycle.take_truth()
         forces_n.append(float(np.frombuffer(truth.true, "<f4").max()))
     assert forces_n == pytest.approx([0.0, 0.0025, 0.005])
-    slow = parts.run(replace(touch, rate=50.0), only=["bus0:1"])  # frames of 20 ms, cycles of 10 ms
+    slow = parts.run(replace(touch, rate=100.0), only=["bus0:1"])  # frames of 10 ms, cycles of 5 ms
     for counter in (1, 2, 3):
         slow.sample(counter, counter * 10**7)
         truth = slow.take_truth()
