@@ -82,7 +82,7 @@ class SteppedWorld(World):
         return Segment(contract, bus, boards, self.boards, self.wires[bus].nodes.send, complain=self.complaints.append)
 
     def _wrong_blocks(self, measurement: Measurement) -> list[int]:
-        """Return the valid blocks whose sums are more than eight units from those of the touch, once these are known."""
+        """Return the valid blocks whose sums are more than eight units from those of the touch, once known."""
         if self.touched is None:
             return []
         shown = np.stack([sums_of(measurement, block) for block in range(len(self.touched))])
