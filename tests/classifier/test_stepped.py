@@ -116,11 +116,11 @@ def test_a_model_tells_how_its_skin_sends(tmp_path: Path, coarse_model: Model, m
     assert (coarse_model.metadata.sending, coarse_model.metadata.fingerprint) == ("steps", CLASSIFIED.fingerprint)
     for each in (coarse_model, model):
         save_model(each, tmp_path / f"{each.metadata.sending}.npz")
-    assert load_model(tmp_path / "stepped.npz", LAYOUT, CLASSIFIED).metadata == coarse_model.metadata
+    assert load_model(tmp_path / "steps.npz", LAYOUT, CLASSIFIED).metadata == coarse_model.metadata
     with pytest.raises(ModelError, match=r"`model\.sending` is 'synchronous', this skin has 'steps'"):
         load_model(tmp_path / "synchronous.npz", LAYOUT, CLASSIFIED)
     with pytest.raises(ModelError, match=r"`model\.sending` is 'steps', this skin has 'synchronous'"):
-        load_model(tmp_path / "stepped.npz", layout, layout.phi())
+        load_model(tmp_path / "steps.npz", layout, layout.phi())
 
 
 @pytest.mark.heavy

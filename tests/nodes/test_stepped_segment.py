@@ -59,7 +59,7 @@ def test_a_node_that_is_started_sets_all_its_sums_and_then_checks_ever_more_rare
     assert set(first["length"]) == {32 if len(bus.contract.forms_of(0)) > 1 else 8}
     assert set(first["flags"]) == {frame_flags(bus.contract.layout.bus[0])}
     assert set(first["expires_ns"]) == {0}
-    later = bus.run(5 * KEEP_MIN * SLOT_MS)
+    later = bus.run(5 * KEEP_MIN * round(1e3 * bus.contract.layout.steps.slot_s))
     assert kinds(bus) == {node_id: {CHECK} for node_id in IDS}
     assert len(later) == 2 * len(IDS)  # after `KEEP_MIN` slots, and after twice the time
     assert all(part.is_whole and not part.different for node in bus.blocks for part in bus.parts_of(node))
