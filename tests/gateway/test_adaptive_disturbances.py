@@ -67,7 +67,8 @@ class AdaptiveWorld(World):
         self.run(1.0)
         self.touched = np.stack([sums_of(self.measured[-1], block) for block in blocks])
         #: What is not worth a frame, and what the filter still follows after a pattern; patterns change far more.
-        self._tolerance = 8 * contract.unit_n / contract.layout.taxels.newton_per_count
+        units = 8 * contract.unit_n / contract.layout.taxels.newton_per_count
+        self._tolerance = units + 0.01 * np.abs(self.touched)
 
     def __post_init__(self) -> None:
         self.wires = [Wire() for _ in self.contract.layout.bus]
@@ -80,7 +81,7 @@ class AdaptiveWorld(World):
         return Segment(contract, bus, boards, self.boards, self.wires[bus].nodes.send, complain=self.complaints.append)
 
     def wrong_blocks(self, measurement: Measurement) -> list[int]:
-        """Return the valid blocks whose sums are further from those of the touch than eight units."""
+        """Return the valid blocks whose sums are further from those of the touch than eight units and a hundredth."""
         shown = np.stack([sums_of(measurement, block) for block in range(len(self.touched))])
         is_off = (np.abs(shown - self.touched) > self._tolerance).any(axis=1)
         return np.flatnonzero(is_off & valid(measurement)).tolist()
