@@ -69,7 +69,8 @@ class SteppedWorld(World):
         self.run(1.0)
         self.touched = np.stack([sums_of(self.measured[-1], block) for block in blocks])
         #: What is not worth a frame, and what the filter still follows after a pattern; patterns change far more.
-        self._tolerance = 8 * contract.unit_n / contract.layout.taxels.newton_per_count
+        units = 8 * contract.unit_n / contract.layout.taxels.newton_per_count
+        self._tolerance = units + 0.01 * np.abs(self.touched)
 
     def __post_init__(self) -> None:
         self.wires = [Wire() for _ in self.contract.layout.bus]
@@ -82,7 +83,7 @@ class SteppedWorld(World):
         return Segment(contract, bus, boards, self.boards, self.wires[bus].nodes.send, complain=self.complaints.append)
 
     def _wrong_blocks(self, measurement: Measurement) -> list[int]:
-        """Return the valid blocks whose sums are more than eight units from those of the touch, once known."""
+        """Return the valid blocks whose sums are off by more than eight units and a hundredth, once known."""
         if self.touched is None:
             return []
         shown = np.stack([sums_of(measurement, block) for block in range(len(self.touched))])

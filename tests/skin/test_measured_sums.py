@@ -127,7 +127,7 @@ def test_stepped_sums_that_do_not_fit_are_refused(changed: dict[str, object], sa
 def test_a_measurement_of_the_other_kind_is_refused() -> None:
     with pytest.raises(InputError, match="a measurement of steps sending, expected synchronous: give both ends the"):
         decode_measurement(STEPPED, PHI)
-    with pytest.raises(InputError, match="a measurement of synchronous sending, expected stepped: give both ends the"):
+    with pytest.raises(InputError, match="a measurement of synchronous sending, expected steps: give both ends the"):
         decode_stepped(GOOD, PHI)
 
 
