@@ -78,10 +78,14 @@ def judge(  # noqa: PLR0917  compiled functions take no keywords
         Of the sums that are shown, for each unit of the frames.
     is_proven : array of bool, shape (blocks,)
     """
-    (is_proven,), table, state, shown = borrowed((is_proven,)), borrowed(table), borrowed(state), borrowed(shown)
+    (is_proven,), slots, table = borrowed((is_proven,)), borrowed(slots), borrowed(table)
+    state, shown = borrowed(state), borrowed(shown)
     part, parts = 0, table.block.size
+    # Without SYNC boards have slots for two periods: from then on they say nothing, whatever happens.
+    unslotted_ns = (2 * slots.per_sync + LATE_SLOTS) * slots.slot_ns
     for block in range(is_proven.size):
-        newest_ns, is_known, is_doubtful, is_wanted = NEVER_NS, False, False, False
+        newest_ns, is_known, is_wanted = NEVER_NS, False, False
+        is_doubtful = now_ns - state.sync_ns[slots.bus[block]] > unslotted_ns
         while part < parts and table.block[part] == block:
             if state.newest_ns[part] != NEVER_NS and now_ns - state.newest_ns[part] > slots.silence_ns:
                 forget(part, table, state)

@@ -154,7 +154,7 @@ class SteppedGathering:
             self._has_news = True
             state.missing[mine.parts] = self._all_missing[mine.parts]
         mine.is_down = health.is_down
-        if health.is_down:
+        if health.has_gap:  # the words after the gap tell of a loss, but boards at rest say nothing for long
             state.is_late[mine.parts] = True
         if health.has_returned:
             mine.sum_requests.again()

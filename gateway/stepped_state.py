@@ -1,7 +1,8 @@
 """What the gateway knows of stepped nodes: the integers of every part (`dbc.steps`), and how far they are proven.
 
 Every word tells by its count whether words before it were lost. After a loss all groups of the part are missing, until
-sets have come of all of them, with no loss between. Steps move a part meanwhile: its sums are shown, and not valid.
+sets have come of all of them, with no loss between. Steps move a part meanwhile: its sums are shown, and not valid. Two
+words of a part with the same slot and count that differ, as of two nodes with one identifier, are a loss, too.
 
 **What counts and slots prove.** The slots of a board's words rise, and it sends at most one in a slot. A step follows
 within `SEQUENCE` slots, a set or check within the longest silence. So a step hides a loss only if its first byte stands
@@ -62,8 +63,8 @@ class Slots(NamedTuple):
         After this number of slots their numbers come again.
     slot_ns, silence_ns : int
         Length of a slot, and the longest silence of a part.
-    offset_ns : array of int64, shape (blocks,)
-        Place of a node in its slot.
+    offset_ns, bus : arrays of int64, shape (blocks,)
+        Place of a node in its slot, and its bus.
     """
 
     per_sync: int
@@ -71,6 +72,7 @@ class Slots(NamedTuple):
     slot_ns: int
     silence_ns: int
     offset_ns: Integers
+    bus: Integers
 
 
 class PartSums(NamedTuple):
@@ -80,8 +82,8 @@ class PartSums(NamedTuple):
     ----------
     known : array of int64, shape (parts, PART_SUMS)
         Integers, in units of `Contract.unit_n`.
-    word_count, slot, newest_ns : arrays of int64, shape (parts,)
-        Count, slot and end of the newest word.
+    word, word_count, slot, newest_ns : arrays of int64, shape (parts,)
+        The newest word, its count, slot and end.
     missing, unknown : arrays of int64, shape (parts,)
         Groups, a bit each: of which no set has come since a loss; of which nothing is held.
     different : array of int64, shape (parts,)
@@ -95,6 +97,7 @@ class PartSums(NamedTuple):
     """
 
     known: Integers
+    word: Integers
     word_count: Integers
     slot: Integers
     newest_ns: Integers
@@ -118,13 +121,15 @@ def slots_of(contract: Contract) -> Slots:
     """Return the slots of a skin."""
     slot_ns = round(contract.layout.steps.slot_s * 1e9)
     offset_ns = np.array([1000 * slot_offset_us(contract, node) for node in contract.nodes], np.int64)
-    return Slots(contract.slots, contract.slot_cycle, slot_ns, (contract.keep_max + LATE_SLOTS) * slot_ns, offset_ns)
+    bus = np.array([node.bus for node in contract.nodes], np.int64)
+    silence_ns = (contract.keep_max + LATE_SLOTS) * slot_ns
+    return Slots(contract.slots, contract.slot_cycle, slot_ns, silence_ns, offset_ns, bus)
 
 
 def new_sums(contract: Contract) -> PartSums:
     """Return the state of a gateway that has received nothing."""
     parts, buses = len(contract.parts.block), len(contract.layout.bus)
-    known, of_parts = np.zeros((parts, PART_SUMS), np.int64), np.zeros((6, parts), np.int64)
+    known, of_parts = np.zeros((parts, PART_SUMS), np.int64), np.zeros((7, parts), np.int64)
     of_buses, counts = np.zeros((3, buses), np.int64), np.zeros(len(COUNTED), np.int64)
     state = PartSums._make([known, *of_parts, *np.zeros((2, parts), np.bool_), *of_buses, counts])
     state.sync_ns[:] = NEVER_NS
@@ -210,15 +215,18 @@ def _take_word(  # noqa: PLR0917  compiled functions take no keywords
     if ended_ns - state.newest_ns[part] > slots.silence_ns:
         forget(part, table, state)
     known, is_first = state.known[part, : form.sums], state.newest_ns[part] == NEVER_NS
+    every = (1 << form.groups) - 1
     ahead = (low - state.slot[part]) % SYNC_OVERFLOW
     if not is_first and ahead == 0 and (count - state.word_count[part]) % SEQUENCE == 0:
+        if word != state.word[part]:  # of another node, or of a slot whose first byte is the same
+            state.missing[part] = every
         return DUPLICATE, 0
     slot = state.slot[part] + ahead if kind == STEP else high * SYNC_OVERFLOW + low
     counts, most = (SEQUENCE, SEQUENCE) if kind == STEP else (COUNT, slots.silence_ns // slots.slot_ns)
     is_next = (count - state.word_count[part] - 1) % counts == 0
     is_next &= not is_first and 0 < (slot - state.slot[part]) % slots.cycle <= most
     if not is_next:
-        state.missing[part] = (1 << form.groups) - 1
+        state.missing[part] = every
     if kind == STEP:
         move(known, group, data, form)
     elif kind == SET:
@@ -227,13 +235,12 @@ def _take_word(  # noqa: PLR0917  compiled functions take no keywords
         state.unknown[part] &= ~(1 << group)
     elif not state.missing[part] and hash_of(known) != data:
         state.different[part] += 1
-        state.missing[part] = (1 << form.groups) - 1
+        state.missing[part] = every
     age = (now - slot) % slots.cycle
-    if age > slots.cycle - _AHEAD:
-        age = 0
+    age = 0 if age > slots.cycle - _AHEAD else age
     # A step tells its count modulo `SEQUENCE` alone: after a loss the least is taken, and the next set tells.
     state.word_count[part] += (count - state.word_count[part]) % counts
-    state.slot[part], state.newest_ns[part] = slot % slots.cycle, ended_ns
+    state.word[part], state.slot[part], state.newest_ns[part] = word, slot % slots.cycle, ended_ns
     state.is_late[part], state.has_changed[part] = age > LATE_SLOTS or now < 0, True
     if not (is_next or is_first):
         return AFTER_GAP, age

@@ -211,6 +211,36 @@ def test_controller_that_is_off_the_bus_makes_it_stale(boards: BoardWorld, why: 
     assert holds_what_boards_hold(boards)
 
 
+def test_a_bus_without_sync_is_stale_when_its_boards_have_no_slots_any_more(boards: BoardWorld) -> None:
+    at_rest(boards)
+    period_s = boards.contract.layout.sync.period_s
+    boards.wires[0].loses = lambda _end, each: each["can_id"] == SYNC_COB_ID
+    came = boards.run(2 * period_s)
+    assert all(all(each.valid) for each in came)
+    boards.touch(0, seed=7)
+    came = boards.run(5 * period_s)
+    assert states(came[-1])[:2] == [STALE, STALE]
+    assert {each.valid for each in came[len(came) // 5 :]} == {b"\0\0\1\1"}
+    boards.wires[0].loses = None
+    assert boards.until_whole(1.0) <= period_s + STEP_S
+    assert not any(board.asked for board in boards.boards)
+    assert holds_what_boards_hold(boards)
+
+
+def test_a_link_that_lost_frames_makes_its_bus_stale_until_the_next_words(boards: BoardWorld) -> None:
+    """The words that were lost may have been the last for long."""
+    at_rest(boards)
+    lose(boards, 0)
+    assert all(boards.measured[-1].valid)
+    boards.dropped[0] += 1
+    boards.receive(0)
+    came = boards.run(STEP_S)
+    assert states(came[-1])[:2] == [STALE, STALE]
+    assert came[-1].valid[2:] == b"\1\1"
+    assert boards.until_whole(1.0) <= 0.2
+    assert holds_what_boards_hold(boards)
+
+
 def test_a_node_with_other_sums_is_told_once_and_asked(boards: BoardWorld) -> None:
     boards.run(0.3)
     boards.boards[1].sending.known[0, 2] += 1

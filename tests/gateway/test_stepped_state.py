@@ -45,6 +45,7 @@ from gateway.stepped_state import (
     slots_of,
 )
 from gateway.stepped_state import take_all as take
+from skin.sync_counter import SYNC_OVERFLOW
 from tests.bus.harness import frame
 from tests.gateway.boards import small_stepped
 from tests.gateway.helpers import DISTURBANCES, RANDOM
@@ -347,6 +348,38 @@ def test_a_repeated_frame_changes_nothing(one: Skin) -> None:
     assert one.count(DUPLICATE) == 3
     one.go()
     assert one.turn("step")
+
+
+@pytest.mark.parametrize("kind", ["step", "set"])
+def test_two_words_of_a_slot_that_differ_make_their_block_stale(one: Skin, kind: str) -> None:
+    """As of two nodes with one identifier that were started together."""
+    mine, other = one.sender, Sender(one.contract, seed=1)
+    other.count, other.last, other.wanted = list(mine.count), list(mine.last), list(mine.wanted)
+    one.go()
+    one.put(kind=kind)
+    one.deliver()
+    assert one.look()
+    second = other.send(0, mine.slot_of(one.board_since), kind)
+    assert second is not None
+    one.arrive(second)
+    assert not one.look()
+    assert one.count(DUPLICATE) == 1
+    one.go()
+    one.until_whole()
+
+
+@pytest.mark.parametrize("kind", ["set", "check"])
+def test_a_loss_is_seen_though_first_byte_and_count_come_again(one: Skin, kind: str) -> None:
+    for _ in range(SEQUENCE - 1):
+        one.go()
+        one.put(kind="step")
+    one.line.clear()
+    one.go(SYNC_OVERFLOW - SEQUENCE + 1)
+    one.put(kind=kind)
+    one.deliver()
+    assert not one.look()
+    one.go()
+    one.until_whole()
 
 
 def test_counts_wrap(one: Skin) -> None:
