@@ -46,9 +46,9 @@ def gateway(
     connect
         Endpoint of another hub; the gateway then runs none.
     max_rate
-        Sending steps: most measurements in a second, when there is news; 1 to 1000 Hz, by default 1000.
+        Of steps: most measurements in a second, when there is news; 1 to 1000 Hz, by default 1000.
     min_rate
-        Sending steps: measurements in a second without news; 1 Hz to `max_rate`, by default 10.
+        Of steps: measurements in a second without news; 1 Hz to `max_rate`, by default 10.
     calibration
         File of ``skin calibration save``: the offsets that are used until the zero is measured.
     tare

@@ -42,6 +42,10 @@ SAMPLING_MAX_HZ: Final = 10_000.0
 #: Signs of `taxels.shape`.
 TAXEL: Final = "#"
 GAP: Final = "."
+#: Slots fill the SYNC period up to this ratio: a part of a period may have no decimal fraction.
+_SLOT_ERROR: Final = 1e-6
+#: Begins the errors of layouts whose boards send steps.
+_OF_STEPS: Final = '`sending = "steps"` expects'
 #: Fewest taxels of a skin.
 TAXELS_MIN: Final = 8
 #: Most taxels and empty places: those of the largest grid, which has no empty places.
@@ -192,7 +196,7 @@ class Sync(_Table, frozen=True, kw_only=True):
     """The SYNC producer: `rate_hz` cycles a second (CiA 301, 1005h and 1006h).
 
     A node sends all its sums in every cycle, or, with two `turns`, half of its frames in odd cycles and half in even
-    ones. Sending steps has slots in place of cycles (`Steps`) and does not use the key. With `time_s` the gateway
+    ones. Boards that send steps have slots in place of cycles (`Steps`), and no turns. With `time_s` the gateway
     produces TIME, too (CiA 301, 7.2.6): after a SYNC, every `time_s` seconds.
     """
 
@@ -219,8 +223,8 @@ class Steps(_Table, frozen=True, kw_only=True):
     ----------
     slot_s : float
     quiet : float
-        With 0 a board sends in every slot. Above, a slot stays empty unless the frame takes more than this part of the
-        noise (`dbc.steps.NOISE_RATIO`) from the difference.
+        With 0 a board sends in every slot. Above, a slot stays empty unless the frame takes more than this times its
+        noise (`dbc.steps.NOISE_RATIO`) from the squared difference.
     at_sync : bool
         All boards send at SYNC, the start of their slot. Otherwise each has its own place in the slot.
     """
@@ -702,7 +706,7 @@ def _check(layout: Layout) -> None:
     if not layout.sends.in_cycles:
         _check_stepped(layout)
     elif layout.steps != Steps():
-        raise LayoutError('slots need `sending = "steps"` - at `$.steps`')
+        raise LayoutError(f'the table needs `sending = "steps"`, got "{layout.sending}" - at `$.steps`')
     sampled_hz = layout.sampling.rate_hz
     if sampled_hz is not None and sampled_hz < layout.sync.rate_hz:
         limit = f"expected {layout.sync.rate_hz:g} (`sync.rate_hz`) or more"
@@ -878,12 +882,12 @@ def _check_recognition(layout: Layout, state: Recognition) -> None:
 
 
 def _check_stepped(layout: Layout) -> None:
-    """Check what sending steps needs: one patch of `STEPPED_SIZES` taxels on a node, its rates, whole slots."""
+    """Check what boards that send steps need: a patch of `STEPPED_SIZES` taxels each, their rates, whole slots."""
     measurement = layout.measurement
     size = measurement.block_size
     if size not in STEPPED_SIZES:
         sizes = " or ".join(map(str, STEPPED_SIZES))
-        raise LayoutError(f"sending steps expects {sizes}, got {size} - at `$.measurement.block_size`")
+        raise LayoutError(f"{_OF_STEPS} {sizes}, got {size} - at `$.measurement.block_size`")
     wanted = {
         "taxels.frontend": (layout.taxels.frontend, "digital"),
         "measurement.wiring": (measurement.wiring, "file" if measurement.chains else "board"),
@@ -893,17 +897,18 @@ def _check_stepped(layout: Layout) -> None:
     }
     for path, (got, expected) in wanted.items():
         if got != expected:
-            raise LayoutError(f"sending steps expects {expected!r}, got {got!r} - at `$.{path}`")
+            raise LayoutError(f"{_OF_STEPS} {expected!r}, got {got!r} - at `$.{path}`")
     slots, period_s = layout.slots, layout.sync.period_s
-    if not 1 <= slots <= SYNC_OVERFLOW or not math.isclose(slots * layout.steps.slot_s, period_s):
-        limits = f"expected {period_s:g} s from SYNC to SYNC, or a whole part of it, down to 1/{SYNC_OVERFLOW}"
-        raise LayoutError(f"{limits}, got {layout.steps.slot_s:g} - at `$.steps.slot_s`")
+    if not 1 <= slots <= SYNC_OVERFLOW or not math.isclose(slots * layout.steps.slot_s, period_s, rel_tol=_SLOT_ERROR):
+        limits = f"expected {period_s:g} (1 / `sync.rate_hz`) or a whole part of it, down to 1/{SYNC_OVERFLOW}"
+        nearest_s = period_s / min(max(1, slots), SYNC_OVERFLOW)
+        raise LayoutError(f"{limits}, such as {nearest_s:.9g}, got {layout.steps.slot_s:.9g} - at `$.steps.slot_s`")
     if layout.steps.at_sync and slots > 1:
         limits = f"boards that send at SYNC expect {1 / layout.steps.slot_s:g} (1 / `steps.slot_s`)"
         raise LayoutError(f"{limits}, got {layout.sync.rate_hz:g} - at `$.sync.rate_hz`")
     for index, bus in enumerate(layout.bus):
         if bus.blocks_per_node != 1:
-            limits = "sending steps expects nodes of one block"
+            limits = f"{_OF_STEPS} nodes of one block"
             raise LayoutError(f"{limits}, got nodes of {bus.blocks_per_node} - at `$.bus[{index}].blocks_per_node`")
 
 

@@ -11,7 +11,7 @@ SUMS_PART: Final = 4
 STEPPED_STEP_HZ: Final = 100.0
 #: Bits of a sum in steps: 2^`SUM_BITS` units are the sum of all taxels of a board at full scale.
 SUM_BITS: Final = 13
-#: Default: most steps of a bus. Frames of all of them fit into each slot.
+#: Default: most sums of a bus whose boards send steps. Frames of all of them fit into each slot.
 BUS_SUMS: Final = 1024
 #: Taxels of a stepped board.
 STEPPED_SIZES: Final = (8, 16, 32, 64)

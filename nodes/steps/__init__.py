@@ -1,1 +1,1 @@
-"""Sending steps: what a node does with its samples before anything is sent, and when it sends."""
+"""Boards that send steps: what they do with their samples, and when they send what."""

@@ -159,7 +159,8 @@ def test_cantools_decodes_slot_and_words(contract: Contract) -> None:
         (("[sync]", "[sync]\nturns = 2"), "$.sync.turns"),
         (("[sync]", "[sampling]\nrate_hz = 500\n[sync]"), "$.sampling.rate_hz"),
         (("[sync]", '[[bus]]\nname = "a"\nnodes = 64\nblocks_per_node = 2\n[sync]'), "$.bus[0].blocks_per_node"),
-        (("slot_s = 0.005", "slot_s = 0.003"), "$.steps.slot_s"),
+        (("slot_s = 0.005", "slot_s = 0.003"), "such as 0.00303030303, got 0.003 - at `$.steps.slot_s`"),
+        (("slot_s = 0.005", "slot_s = 1"), "such as 0.1, got 1 - at `$.steps.slot_s`"),
         (("slot_s = 0.005", "slot_s = 0.0001"), "$.steps.slot_s"),
         (("rate_hz = 10.0", "rate_hz = 0.5"), "$.steps.slot_s"),
         (("rate_hz = 10.0", "rate_hz = 300.0"), "$.steps.slot_s"),
@@ -173,8 +174,14 @@ def test_layout_that_stepped_sending_cannot_have_is_refused(change: tuple[str, s
     assert words in str(refused.value)
 
 
+@pytest.mark.parametrize(("rate_hz", "slot_s", "slots"), [(10.0, 0.00303030303, 33), (30.0, 0.00333333333, 10)])
+def test_slots_that_no_decimal_divides_may_be_rounded(rate_hz: float, slot_s: float, slots: int) -> None:
+    text = TEXT.replace("rate_hz = 10.0", f"rate_hz = {rate_hz}").replace("slot_s = 0.005", f"slot_s = {slot_s}")
+    assert parse_layout(text.encode(), "steps.toml").slots == slots
+
+
 def test_slots_are_of_stepped_boards_alone() -> None:
-    with pytest.raises(LayoutError, match=re.escape("slots need `sending")):
+    with pytest.raises(LayoutError, match=re.escape('needs `sending = "steps"`, got "synchronous"')):
         small_layout(steps={"quiet": 0.0})
 
 
