@@ -81,9 +81,7 @@ def _stepped_rows(options: Options) -> list[Row]:
     cells: list[Row] = [{"splits": list(range(1 if options.quick else DRAWS)), **options.shared}]
     (result,) = measure_cells(measure_stepped, cells, options, "steps")
     percent = [100 * each for each in result["accuracy"]]
-    return [
-        gain_row("steps, coarse sums of blocks", result["sums"], runs=len(percent), ours=percent, parts=percent)
-    ]
+    return [gain_row("steps, coarse sums of blocks", result["sums"], runs=len(percent), ours=percent, parts=percent)]
 
 
 def _live_rows(options: Options) -> list[Row]:
