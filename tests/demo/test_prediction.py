@@ -15,7 +15,7 @@ from demo import prediction
 from demo.chain import REST_S, Nodes
 from demo.options import DemoOptions
 from demo.prediction import with_prediction
-from demo.quality import is_quick, quality
+from demo.quality import heard, is_quick, quality
 from demo.report import Report
 from demo.score import Score
 from evaluation.schemes.sums import burst
@@ -97,10 +97,12 @@ def at_the_gateway(layout: Layout) -> float:
     gathering = GatewayLoop(contract, sends, 0.0, say=said.append, complain=said.append).gathering
     for node in contract.nodes:
         gathering.trust(node, proven=True)
-    sent = [touched_frames(contract, bus, source, TOUCHES_S) for bus in buses]
+    sent = [heard(layout, touched_frames(contract, bus, source, TOUCHES_S), TOUCHES_S) for bus in buses]
     for bus, frames in enumerate(sent):
         gathering.take(bus, frames[:0], Health(), 0.0)
-    gathering._sums.check[:] = 0  # the boards have answered the gateway, which asks for all sums when it joins
+    gathering._state.missing[:] = gathering._state.unknown[:] = (
+        0  # the boards have answered the gateway, which asks for all sums when it joins
+    )
     imager, wired, errors_n2, step_s = SteppedImager(layout), contract.phi.is_wired, [], 0.01
     for step in range(round(TOUCHES_S / step_s)):
         for bus, frames in enumerate(sent):

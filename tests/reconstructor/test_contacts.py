@@ -15,9 +15,9 @@ from dbc.contract import Contract
 from evaluation.schemes.scenes import Touch
 from evaluation.schemes.sums import run_sums
 from reconstructor.contacts import ONSET_N, ContactTracker
-from skin.layout import load_layout
 from skin.surface import Surface, surface_of_positions
 from tests import surfaces
+from tests.layouts import in_one_instant
 from tests.surfaces import PITCH_M, RADIUS_M
 from touch.trajectory import PAPER_PRESS_STEPS, trajectory
 
@@ -294,10 +294,10 @@ def test_a_contact_comes_back_within_four_pitches_also_where_the_skin_is_no_grid
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["golf-ball", "drill", "clamp"])
-def test_contacts_of_the_default_skin_are_near_the_true_touches(name: str) -> None:
+def test_contacts_of_one_instant_are_near_the_true_touches(name: str) -> None:
     """What the README says of centre and force, while the object slides: in 95 % of the cycles."""
     scene, touch = trajectory(name, steps=PAPER_PRESS_STEPS + 500), Touch(name, ticks=PAPER_PRESS_STEPS + 500)
-    contract = Contract.from_layout(load_layout())
+    contract = Contract.from_layout(in_one_instant())
     made = run_sums(contract, touch.load().counts, idle_counts=touch.idle()).images(contract).force_n
     run, errors, are_right = Run(contract.layout.taxels.surface), list[tuple[float, float]](), list[bool]()
     period_ms = round(contract.layout.sync.period_s * 1e3)
