@@ -241,7 +241,7 @@ def _layouts(required: Requirement) -> Iterator[Layout]:
     if required.sending != "steps":
         yield from _in_cycles(with_averages(start), required)
     if required.sending != "synchronous" and required.rate_hz <= STEPPED.default_rates_hz["sampling"]:
-        yield from _on_news(start, required)
+        yield from _in_steps(start, required)
 
 
 def _in_cycles(start: Layout, required: Requirement) -> Iterator[Layout]:
@@ -259,7 +259,7 @@ def _in_cycles(start: Layout, required: Requirement) -> Iterator[Layout]:
             yield changed(with_buses(start, buses, like), encoding={"sum_bits": bits})
 
 
-def _on_news(start: Layout, required: Requirement) -> Iterator[Layout]:
+def _in_steps(start: Layout, required: Requirement) -> Iterator[Layout]:
     """Yield layouts of steps: a patch of neighbours on a node, and all its sums."""
     rates = {table: {"rate_hz": rate_hz} for table, rate_hz in STEPPED.default_rates_hz.items()}
     start = changed(start, sending="steps", measurement={"sums": start.places, "wiring": "board"}, **rates)
@@ -300,7 +300,7 @@ def _judge(layout: Layout, required: Requirement, allowed: Disturbance) -> Candi
         contract = Contract.from_layout(validated(layout))
     except LayoutError as error:
         return replace(about, problem=str(error))
-    return (_judge_news if contract.in_steps else _judge_cycles)(about, contract, required, allowed)
+    return (_judge_steps if contract.in_steps else _judge_cycles)(about, contract, required, allowed)
 
 
 def _judge_cycles(about: Candidate, contract: Contract, required: Requirement, allowed: Disturbance) -> Candidate:
@@ -321,7 +321,7 @@ def _judge_cycles(about: Candidate, contract: Contract, required: Requirement, a
     )
 
 
-def _judge_news(about: Candidate, contract: Contract, required: Requirement, allowed: Disturbance) -> Candidate:
+def _judge_steps(about: Candidate, contract: Contract, required: Requirement, allowed: Disturbance) -> Candidate:
     plan = plan_bus(contract, 0, None, allowed)
     about = replace(about, load_worst=plan.load_worst, late_random_ms=plan.late_random_ms)
     if plan.problems:

@@ -86,6 +86,11 @@ class NodeContract:
         return bool(self.forms)
 
     @property
+    def frame_parts(self) -> int:
+        """Number of parts in each TPDO of a stepped node."""
+        return len(self.forms) // len(self.tpdos)
+
+    @property
     def pdo_bytes(self) -> int:
         """Longest payload of its PDOs."""
         return FD_BYTES if self.flags & FD else CLASSIC_BYTES
@@ -461,7 +466,7 @@ def places_of_sums(contract: Contract, node: NodeContract, tpdo: Tpdo) -> list[i
 def _parts(contract: Contract) -> PartTable:
     table, forms = contract.table, [form for node in contract.nodes for form in node.forms]
     block = np.array([node.block for node in contract.nodes for _ in node.forms], np.intp)
-    parts = np.array([len(node.forms) // len(node.tpdos) for node in contract.nodes for _ in node.tpdos], np.intp)
+    parts = np.array([node.frame_parts for node in contract.nodes for _ in node.tpdos], np.intp)
     return PartTable(
         row_of=table.row_of,
         node=table.node,

@@ -275,7 +275,7 @@ def _sums(contract: Contract, node: NodeContract, tpdo: Tpdo, suffix: str = "") 
 
 def _words(contract: Contract, node: NodeContract, tpdo: Tpdo) -> "Message":
     """Return a TPDO of a stepped node with its slot and words."""
-    name, parts = _name(node), len(node.forms) // len(node.tpdos)
+    name, parts = _name(node), node.frame_parts
     first, width = parts * (tpdo.number - 1), 8 * WORD_BYTES
     signals = [_signal("Slot", 0, 8 * COUNTER_BYTES, receiver=GATEWAY)]
     for place in range(parts):

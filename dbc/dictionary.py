@@ -238,8 +238,10 @@ def _tpdo_mapping(contract: Contract, node: NodeContract, tpdo: Tpdo, sums: Sequ
     """
     mapped = [od.SYNC_COUNTER << 16 | 8 * COUNTER_BYTES]
     if node.in_steps:
-        parts = len(node.forms) // len(node.tpdos)
-        mapped += [od.WORDS << 16 | place << 8 | 8 * WORD_BYTES for place in places(parts * tpdo.number)[-parts:]]
+        mapped += [
+            od.WORDS << 16 | place << 8 | 8 * WORD_BYTES
+            for place in places(node.frame_parts * tpdo.number)[-node.frame_parts :]
+        ]
         return mapping(tpdo.number, len(mapped), mapped, "const")
     for each in sums:
         block = int(contract.phi.block_of_sum[each])

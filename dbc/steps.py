@@ -130,6 +130,13 @@ def keep_max(slots: int) -> int:
 
 
 @njit(cache=True, nogil=True)
+def form_at(forms: Integers, part: int) -> Form:
+    """Return the form of a part from its row, as `dbc.contract.PartTable` holds the forms."""
+    row = forms[part]
+    return Form(row[0], row[1], row[2], row[3], row[4])
+
+
+@njit(cache=True, nogil=True)
 def limits(place: int, form: Form) -> tuple[int, int]:
     """Return the least and the most value of a sum of a part."""
     if place == 0 and form.has_first:
@@ -172,7 +179,8 @@ def _other_word(group: int, data: int, count: int, slot: int, form: Form) -> int
 def kind_of(word: int, form: Form) -> tuple[int, int, int, int, int]:
     """Return kind, scale or group, count, slots above the first byte in `SYNC_OVERFLOW`s, and data of a word."""
     if word < form.steps:
-        head, data = divmod_top(word, form)
+        values = form.steps // (len(SCALES) * SEQUENCE)  # of all digits together
+        head, data = word // values, word % values
         return STEP, head % len(SCALES), head // len(SCALES), 0, data
     rest = word - form.steps
     group, rest = rest % (form.groups + 1), rest // (form.groups + 1)
@@ -181,13 +189,6 @@ def kind_of(word: int, form: Form) -> tuple[int, int, int, int, int]:
     if group == form.groups:
         return CHECK if data <= _32_BITS else BAD, 0, count, high, data
     return SET if data < 1 << SET_SUMS * SET_BITS else BAD, group, count, high, data
-
-
-@njit(cache=True, nogil=True)
-def divmod_top(word: int, form: Form) -> tuple[int, int]:
-    """Return quotient and rest of a step's word and the number of its digits' values."""
-    top = form.steps // (len(SCALES) * SEQUENCE)
-    return word // top, word % top
 
 
 @njit(cache=True, nogil=True)

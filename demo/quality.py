@@ -136,7 +136,7 @@ def quality(
     if source is None:
         rest_s = REST_S if layout.sends.in_cycles else 0.0
         source, touches_s = load_objects(layout, rest_s=rest_s), rest_s + touches_s
-    moments = partial(_cycles, valid=valid) if layout.sends.in_cycles else _news
+    moments = partial(_cycles, valid=valid) if layout.sends.in_cycles else _steps
     imaged_n2, sensed_n2, touched_n2, touched = [], [], 0.0, []
     for image_n, true_n, sensor_n in moments(layout, source, touches_s):
         if not in_contact(true_n, taxels.force_max_n):
@@ -204,7 +204,7 @@ def heard(layout: Layout, sent: Frames, seconds: float) -> Frames:
     return together[np.argsort(together["time_ns"], kind="stable")]
 
 
-def _news(layout: Layout, source: TaxelSource, seconds: float) -> Iterator[Moment]:
+def _steps(layout: Layout, source: TaxelSource, seconds: float) -> Iterator[Moment]:
     """Yield what a receiver knows of the sums of stepped boards at each step of a touch."""
     contract, taxels, rng = Contract.from_layout(layout), layout.taxels, np.random.default_rng(0)
     sums, slots, proven = new_sums(contract), slots_of(contract), np.ones(layout.blocks, np.bool_)

@@ -7,8 +7,8 @@ import numpy.typing as npt
 
 from canskin.messages import BlockState
 from dbc.contract import Contract, PartTable
-from dbc.steps import LATE_SLOTS, SET_SUMS
-from gateway.stepped_state import NEVER_NS, Flags, Integers, PartSums, Slots, forget, form_at
+from dbc.steps import LATE_SLOTS, SET_SUMS, form_at
+from gateway.stepped_state import NEVER_NS, Flags, Integers, PartSums, Slots, forget
 from shell.compiled import borrowed, njit
 from skin.walsh import grouped_rows
 
@@ -90,7 +90,7 @@ def judge(  # noqa: PLR0917  compiled functions take no keywords
             if state.newest_ns[part] != NEVER_NS and now_ns - state.newest_ns[part] > slots.silence_ns:
                 forget(part, table, state)
             newest_ns = max(newest_ns, state.newest_ns[part])
-            is_known |= state.unknown[part] != (1 << form_at(part, table).groups) - 1
+            is_known |= state.unknown[part] != (1 << form_at(table.form, part).groups) - 1
             is_late, quiet_ns = state.is_late[part], now_ns - state.newest_ns[part]
             is_doubtful |= state.missing[part] != 0 or is_late
             is_wanted |= state.missing[part] != 0 or (is_late and quiet_ns > LATE_SLOTS * slots.slot_ns)
@@ -113,7 +113,7 @@ def judge(  # noqa: PLR0917  compiled functions take no keywords
 @njit(cache=True, nogil=True)
 def _show(part: int, counts_per_unit: float, table: PartTable, state: PartSums, shown: BlockStates) -> None:
     block = table.block[part]
-    for place in range(form_at(part, table).sums):
+    for place in range(form_at(table.form, part).sums):
         row = shown.places[table.first[part] + place]
         is_known = not state.unknown[part] >> place // SET_SUMS & 1
         shown.known[block, row] = is_known

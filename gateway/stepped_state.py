@@ -32,7 +32,7 @@ from dbc.steps import (
     SET,
     STEP,
     WORD_BYTES,
-    Form,
+    form_at,
     hash_of,
     kind_of,
     move,
@@ -139,17 +139,10 @@ def new_sums(contract: Contract) -> PartSums:
 
 
 @njit(cache=True, nogil=True)
-def form_at(part: int, table: PartTable) -> Form:
-    """Return the form of a part."""
-    form = table.form[part]
-    return Form(form[0], form[1], form[2], form[3], form[4])
-
-
-@njit(cache=True, nogil=True)
 def forget(part: int, table: PartTable, state: PartSums) -> None:
     """Hold nothing of a part any more."""
     state.known[part] = 0
-    state.missing[part] = state.unknown[part] = (1 << form_at(part, table).groups) - 1
+    state.missing[part] = state.unknown[part] = (1 << form_at(table.form, part).groups) - 1
     state.newest_ns[part], state.has_changed[part] = NEVER_NS, True
 
 
@@ -208,7 +201,7 @@ def _take_word(  # noqa: PLR0917  compiled functions take no keywords
     part: int, low: int, word: int, ended_ns: int, now: int, slots: Slots, table: PartTable, state: PartSums
 ) -> tuple[int, int]:
     """Use a word whose slot is `low` modulo `SYNC_OVERFLOW`; return its kind of count, and its age in slots."""
-    form = form_at(part, table)
+    form = form_at(table.form, part)
     kind, group, count, high, data = kind_of(word, form)
     if kind == BAD:
         return MALFORMED, 0

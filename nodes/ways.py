@@ -15,8 +15,8 @@ from nodes.sampler import new_sampler
 from nodes.sending import AtSync, Sending
 from nodes.steps.boards import SteppedBoards
 from nodes.steps.firmware import FirmwarePatches
-from nodes.steps.news import WithNews
 from nodes.steps.node import SteppedNode
+from nodes.steps.slots import InSlots
 from nodes.steps.vectors import stepped_vectors_text
 from skin.layout import Layout
 from skin.sources import TaxelSource
@@ -76,5 +76,5 @@ def vector_files(contract: Contract) -> dict[str, str]:
 
 _WAYS: Final = {
     "synchronous": Way(SkinNode, AtSync, _sampler, vectors_text),
-    "steps": Way(SteppedNode, WithNews, _patches, stepped_vectors_text),
+    "steps": Way(SteppedNode, InSlots, _patches, stepped_vectors_text),
 }

@@ -114,7 +114,7 @@ def rebuild(
     about: dict[str, Any]
     if not skin.sends.in_cycles:
         _require_run(skin, source, is_recording=is_recording)
-        made = _of_news(skin, source, channel, make_imager(skin, solver, gains), every=solver is not None)
+        made = _of_steps(skin, source, channel, make_imager(skin, solver, gains), every=solver is not None)
         about = {"solver": "steps", "settings": {}}
     else:
         settings = options.settings()
@@ -171,7 +171,7 @@ def _require_run(skin: Layout, source: Path, *, is_recording: bool) -> None:
         require_sending(skin, "synchronous", what, "play it with 'skin demo --input', and record that")
 
 
-def _of_news(skin: Layout, source: Path, channel: list[str] | None, imager: Imager, *, every: bool) -> _Rebuilt:
+def _of_steps(skin: Layout, source: Path, channel: list[str] | None, imager: Imager, *, every: bool) -> _Rebuilt:
     """Make the images of steps, those that the run has shown or of `every` measurement, of its frames."""
     contract = Contract.from_layout(skin)
     offset_ns = wall_offset_ns(source) if source.suffix.lower() == RECORDING_SUFFIX else 0

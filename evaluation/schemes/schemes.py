@@ -98,7 +98,7 @@ class Stepped:
         return "steps" + (", CAN FD" if self.is_fd else "") + slots
 
     def show(self, board: Board) -> Shown:
-        """Send the news of `board`, with whatever bits they take."""
+        """Send what is worth its bits of `board`."""
         lines = [replace(line, fd=True, data_bitrate=FD_BITRATE) if self.is_fd else line for line in lines_of(SIDE)]
         layout = validated(replace(load_layout(Path("steps")), bus=lines, steps=self.steps))
         run = run_stepped(board, Contract.from_layout(layout))

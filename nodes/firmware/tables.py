@@ -356,7 +356,7 @@ def _words(node: NodeContract) -> dict[str, object]:
     form = node.forms[0]
     return {
         "frame_bytes": node.tpdos[0].length,
-        "frame_parts": len(node.forms) // len(node.tpdos),
+        "frame_parts": node.frame_parts,
         "part_sums": form.sums,
         "radix": form.radix,
         "steps": f"{form.steps}u",

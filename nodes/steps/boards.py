@@ -31,7 +31,6 @@ class SteppedBoards(PatchBoards):
         self.filter = settled_filter(lambda: self._sensors.sample(0), contract.phi.held[list(blocks)])
         self.senders = Senders(contract)
         self.senders.slots.row[list(blocks)] = range(len(blocks))
-        self._bus_of = [node.bus for node in contract.nodes]
         self._given = np.zeros((2, *self._cells.shape), np.float32)
         self._bursts: dict[int, Frames] = {}
 
@@ -64,10 +63,6 @@ class SteppedBoards(PatchBoards):
     def choose(self, bus: int, now_ns: int) -> Frames:  # noqa: ARG002  decided at the newest sample
         """Return the frames of the slots that have begun."""
         return self._bursts.pop(bus, frames(0))
-
-    def refuse(self, block: int, cob_id: int) -> None:
-        """Take note of a frame that found no room in a transmit queue."""
-        self.senders.refuse(self._bus_of[block], cob_id)
 
     def take_echoes(self, bus: int, arrived: Frames) -> tuple[int, int]:
         """Take note of the nodes' own frames, see `Senders.take_echoes`."""

@@ -1,47 +1,23 @@
 """One stepped CANopen node: its dictionary shows what the board has learned and would send."""
 
-from collections.abc import Sequence
 from functools import partial
+from typing import Any
 
 from dbc import indices as od
 from dbc.canopen import BASE_ID_MASK, COB_ID_INVALID, NmtState
-from dbc.configuration import Setting
 from dbc.contract import NodeContract
-from dbc.objects import Object
 from nodes.node import SkinNode
-from nodes.objects import Outbox
 from nodes.steps.boards import SteppedBoards
 from nodes.steps.stepping import NO_COB_ID
-from nodes.storage import Storage
 from nodes.tpdo import LiveTpdo
 
 
 class SteppedNode(SkinNode):
     """A virtual stepped node of one block; parameters as for `SkinNode`."""
 
-    def __init__(
-        self,
-        contract: NodeContract,
-        objects: list[Object],
-        settings: Sequence[Setting],
-        calibration: Sequence[Setting],
-        *,
-        outbox: Outbox,
-        hardware: SteppedBoards,
-        storage: Storage,
-        serial_number: int,
-    ) -> None:
-        self._boards, self._senders = hardware, hardware.senders
-        super().__init__(
-            contract,
-            objects,
-            settings,
-            calibration,
-            outbox=outbox,
-            hardware=hardware,
-            storage=storage,
-            serial_number=serial_number,
-        )
+    def __init__(self, contract: NodeContract, *given: Any, hardware: SteppedBoards, **known: Any) -> None:
+        super().__init__(contract, *given, hardware=hardware, **known)
+        self._senders = hardware.senders
         self._live |= {
             index: partial(hardware.read, contract.block, index)
             for index in (od.SYNC_COUNTER, od.REFRESH, od.COEFFICIENT_NOISE, od.TAXEL_NOISE, od.NODE_NOISE, od.WORDS)
@@ -80,7 +56,7 @@ class SteppedNode(SkinNode):
 
     def refused(self, cob_id: int) -> None:
         """Take note of a PDO that found no room in the transmit queue."""
-        self._boards.refuse(self.contract.block, cob_id)
+        self._senders.refuse(self.contract.bus, cob_id)
 
     def expired(self, count: int) -> None:
         """Do nothing: `SteppedBoards.take_echoes` has taken note."""

@@ -1,6 +1,6 @@
 """What a board sends in its slot: the step or set that takes the most from what receivers do not know, or a check."""
 
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -19,6 +19,7 @@ from dbc.steps import (
     Form,
     Integers,
     check_word,
+    form_at,
     limits,
     set_word,
     step_word,
@@ -154,13 +155,6 @@ def offer(  # noqa: PLR0917  compiled functions take no keywords
     state.slot[frame] = slot
     state.unchecked[frame] = 0 if is_check else state.unchecked[frame] + 1
     return True
-
-
-@njit(cache=True, nogil=True)
-def form_at(forms: Integers, part: int) -> Any:
-    """Return the `Form` of a part from its row."""
-    row = forms[part]
-    return Form(row[0], row[1], row[2], row[3], row[4])
 
 
 @njit(cache=True, nogil=True)

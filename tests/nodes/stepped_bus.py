@@ -15,6 +15,7 @@ from dbc.steps import (
     STEP,
     WORD_BYTES,
     Form,
+    form_at,
     hash_of,
     kind_of,
     move,
@@ -23,7 +24,6 @@ from dbc.steps import (
 )
 from nodes.segment import Segment
 from nodes.steps.boards import SteppedBoards
-from nodes.steps.stepping import form_at
 from nodes.virtual_boards import VirtualBoards
 from skin.sources import Frame
 from skin.sync_counter import SYNC_OVERFLOW

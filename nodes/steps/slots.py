@@ -9,7 +9,7 @@ from nodes.sending import Sending
 from nodes.steps.patch_boards import PatchBoards
 
 
-class WithNews(Sending):
+class InSlots(Sending):
     """Words in the slots of each board; a TPDO counts as sent when its echo comes.
 
     Parameters
