@@ -70,7 +70,7 @@ function setSkin(greeting) {
   const there = block_of_taxel.filter((block) => block >= 0).length;
   const taxels = surface || there < rows * columns ? there : `${rows} × ${columns}`;
   const inSteps = greeting.sending === "steps";
-  write(document.getElementById("skin"), `${greeting.skin} · ${taxels} taxels · ${blocks} blocks · ${sums} sums${inSteps ? ", sent when they have news" : " a cycle"}`);
+  write(document.getElementById("skin"), `${greeting.skin} · ${taxels} taxels · ${blocks} blocks · ${sums} sums${inSteps ? " in steps" : " a cycle"}`);
   write(document.querySelector("#latency h2"), `${inSteps ? "Frame" : "SYNC"} to image, median`);
 }
 
