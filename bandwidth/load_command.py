@@ -3,8 +3,8 @@
 from pathlib import Path
 
 from bandwidth.logs import listen, of_buses, read_log
-from bandwidth.measured import measure_states, misfits
-from bandwidth.sending import plan_states
+from bandwidth.measured import measure, misfits
+from bandwidth.plan import plan
 from bandwidth.tables import print_loads
 from bus.options import BusOptions, channels, closing_links, open_links
 from canskin.errors import RunError
@@ -28,7 +28,7 @@ def load(
     """Measure the load of the buses of a skin, per node and identifier, from a log or live.
 
     Counts the stuff bits of every frame in whole cycles, CAN FD included, and the most possible stuff bits. A line on
-    standard error tells if the frames do not fit the layout. Where nodes have two states, each state has its load.
+    standard error tells if the frames do not fit the layout.
 
     Parameters
     ----------
@@ -60,13 +60,12 @@ def load(
         names = channels(skin, options)
         logged = read_log(log, lambda line: say("load", line))
         seen = of_buses(skin, names, logged, log, named_by_user=bool(options.channel))
-    plans = plan_states(contract)
+    plans = plan(contract)
     loads = []
     for number, frames in seen.items():
-        for each in measure_states(contract, number, frames, plans):
-            loads.append(each.load)
-            for line in misfits(contract, number, each.frames, each.load):
-                say("load", line)
+        loads.append(measure(contract, number, frames, plans[number]))
+        for line in misfits(contract, number, frames, loads[-1]):
+            say("load", line)
     print_json({"buses": loads}) if json_ else print_loads(loads)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from canskin.errors import InputError, tell
-from canskin.messages import MEASUREMENT, MIN_VALID_RATIO, RECOGNITION
+from canskin.messages import MEASUREMENT, MIN_VALID_RATIO
 from classifier.model import Float64
 from classifier.modelfile import skin_of
 from classifier.newest_sums import NewestSums, averaged_cycles, is_gap
@@ -182,11 +182,10 @@ class _Reader:
         of_touch: list[int] = []
         wanted = _wanted(found, MOST_STILL // recordings)
         newest = NewestSums(phi, averaged_cycles(layout))
-        topic = MEASUREMENT if layout.recognition is None else RECOGNITION
-        sent = layout.recognising().operator()
+        sent = layout.operator()
         used = np.arange(phi.shape[0]) if layout.sends.in_cycles else places(layout.phi(), coarse_sums(layout))
         before = None
-        for _, _, measurement in read_messages(path, (topic,), warn):
+        for _, _, measurement in read_messages(path, (MEASUREMENT,), warn):
             try:
                 decoded = (decode_measurement if layout.sends.in_cycles else decode_stepped)(measurement, sent)
             except InputError as error:

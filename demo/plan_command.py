@@ -8,7 +8,8 @@ from cyclopts import Parameter
 
 from bandwidth.bit_timing import TimingOptions, bus_timings, print_timings
 from bandwidth.plan import BusPlan
-from bandwidth.sending import facts, plan_states, print_plans
+from bandwidth.plan import plan as plan_buses
+from bandwidth.sending import facts, print_plans
 from bandwidth.traffic import Disturbance
 from bandwidth.wiring import wiring
 from bus.options import BusOptions, Channels, channels
@@ -84,7 +85,7 @@ def plan(
     allowed = (disturbance or Disturbance()).of(contract.layout)
     if plot is not None:
         require_sending(contract.layout, "synchronous", "--plot is", "it draws cycles, and stepped nodes send none")
-    plans = plan_states(contract, allowed, is_touched=check is None)
+    plans = plan_buses(contract, allowed=allowed, is_touched=check is None)
     if check is not None:
         return _check(contract, plans, check, channel or [], as_json=json_)
     if plot is not None:
@@ -103,13 +104,13 @@ def plan(
             "sums": contract.layout.measurement.sums,
             "allowed": allowed,
             "fits": does_fit,
-            "buses": plans[: len(contract.layout.bus)],
+            "buses": plans,
             "wiring": wiring(contract.layout),
             "chosen": words,
             "scan": scan,
             "quality": [each._asdict() for each in images],
         }
-        print_json(about | facts(contract, plans, allowed))
+        print_json(about | facts(contract, allowed))
     else:
         print_plans(contract, plans, allowed)
         predicted = (f"images of simulated touches: {each.words}" for each in images)
@@ -144,22 +145,18 @@ def _check(
 ) -> int:
     from bandwidth.departures import departures
     from bandwidth.logs import of_buses, read_log
-    from bandwidth.measured import measure_states, misfits, switches
+    from bandwidth.measured import measure, misfits
 
     wanted = channels(contract.layout, BusOptions(channel=names))
     logged = read_log(log, lambda line: say("plan", line))
     lines = []
     for number, seen in of_buses(contract.layout, wanted, logged, log, named_by_user=bool(names)).items():
-        parts = measure_states(contract, number, seen, plans)
-        for _, frames, _, load in parts:
-            wanted_load = "" if load.plan_touched is None else f", {load.plan_touched:.1%} planned"
-            say("plan", f"{load.title}: {load.seconds:.2f} s, {load.load_exact:.1%} full{wanted_load}")
-            for line in misfits(contract, number, frames, load):
-                say("plan", line)
-        if contract.recognition is not None:
-            found = [f"to {state} after {time_s:.2f} s" for time_s, state in switches(contract, number, seen)]
-            say("plan", f"{contract.layout.bus[number].name}: switches: {', '.join(found) or 'none'}")
-        lines += departures(contract, number, seen, parts)
+        load = measure(contract, number, seen, plans[number])
+        wanted_load = "" if load.plan_touched is None else f", {load.plan_touched:.1%} planned"
+        say("plan", f"{load.name}: {load.seconds:.2f} s, {load.load_exact:.1%} full{wanted_load}")
+        for line in misfits(contract, number, seen, load):
+            say("plan", line)
+        lines += departures(contract, number, seen, plans[number], load)
     if as_json:
         print_json(lines)
     elif lines:

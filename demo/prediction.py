@@ -11,7 +11,7 @@ from demo.quality import TOUCHES_S, is_quick, quality
 from demo.report import PREDICTED_WITHIN_DB, WORDS, Report
 from demo.run import Run
 from shell.service import StopSignal, say
-from skin.layout import Layout, changed, layout_text
+from skin.layout import Layout, layout_text
 
 #: Least part of complete cycles that explains nothing.
 WHOLE_RATIO: Final = 0.99
@@ -23,7 +23,7 @@ HOST_S: Final = 4.0
 def with_prediction(report: Report, layout: Layout, options: DemoOptions, live_db: float | None) -> Report:
     """Return the figures of a run with the predicted PSNR of its first touches.
 
-    As it is without contact, and for recordings, two states, and layouts whose prediction takes long.
+    As it is without contact, and for recordings and layouts whose prediction takes long.
 
     Parameters
     ----------
@@ -33,7 +33,7 @@ def with_prediction(report: Report, layout: Layout, options: DemoOptions, live_d
         PSNR of the images over the first `TOUCHES_S`.
     """
     touch, seconds = options.touch, min(options.seconds, TOUCHES_S)
-    if live_db is None or touch.input is not None or layout.recognition is not None or not is_quick(layout):
+    if live_db is None or touch.input is not None or not is_quick(layout):
         return report
     try:
         predicted_db = quality(layout, touches_s=seconds, source=touch.source(layout)).psnr_image_db
@@ -74,7 +74,6 @@ def say_of_host(verb: str, layout: Layout) -> None:
     if not layout.sends.in_cycles or layout.measurement.matrix is not None or layout.sync.rate_hz <= FAST_HZ:
         return
     say(verb, "the chain of simulated boards runs, to see which cycles this host keeps")
-    layout = changed(layout, recognition=None)
     with run_folder() as folder:
         path = folder / "designed.toml"
         path.write_text(layout_text(layout))

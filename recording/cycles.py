@@ -57,7 +57,7 @@ class Cycles:
 def decode_log(
     contract: Contract, logged: Mapping[int, Frames], advance: Callable[[int], None]
 ) -> tuple[Cycles, FrameCounts]:
-    """Return the cycles of a log, with two states those of images, and how its frames were counted.
+    """Return the cycles of a log, and how its frames were counted.
 
     See `gateway.playback` for which blocks are valid.
 
@@ -70,9 +70,8 @@ def decode_log(
     """
     made: list[Measurement] = []
     for part in play(contract, logged):
-        images = [each for each in part.measurements if each.fingerprint == contract.phi.fingerprint]
-        made += images
-        advance(len(images))
+        made += part.measurements
+        advance(len(part.measurements))
     check_named(part.status)
     if not made:
         raise InputError("the log holds no cycle of images: recognition alone makes none")

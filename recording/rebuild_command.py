@@ -69,8 +69,8 @@ def rebuild(
     cycle. Images equal those of ``skin reconstruct``, but for rounding on a GPU and in the first images of the parts
     that are solved there together; the log tells how many equal those of the run. Each image begins with the one
     before. So after the beginning of a recording of a touched skin, and after a cycle that the live reconstructor left
-    out, images differ for up to hundreds of cycles, longest where sums are saturated. With two states the cycles of
-    images make images. Of steps the images of the run are made again, of a log one every 10 ms.
+    out, images differ for up to hundreds of cycles, longest where sums are saturated. Of steps the images of the run
+    are made again, of a log one every 10 ms.
 
     Parameters
     ----------
@@ -210,7 +210,7 @@ def _numbered(skin: Layout, source: Path, made: _Rebuilt) -> _Rebuilt:
         return made
     at_ns, number = np.array([(each.sampled_mono_ns, each.cycle) for each in clocks], np.int64).T
     told_ns = recorded_wall_times(source, clocks).times_ns(at_ns.tolist())
-    place, is_near = nearest(at_ns, made.time_ns - wall_offset_ns(source), 0.5e9 * skin.shortest_period_s)
+    place, is_near = nearest(at_ns, made.time_ns - wall_offset_ns(source), 0.5e9 * skin.sync.period_s)
     is_told = is_near & (told_ns[place] >= 0)
     time_ns, cycle = np.where(is_told, told_ns[place], made.time_ns), np.where(is_told, number[place], -1)
     return made._replace(time_ns=time_ns, cycle=cycle)

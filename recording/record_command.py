@@ -20,7 +20,6 @@ from canskin.messages import (
     MARK,
     MEASUREMENT,
     NODES,
-    RECOGNITION,
     TRUTH,
     Mark,
     check_label,
@@ -37,7 +36,7 @@ from shell.skin_options import SkinOptions
 from skin.layout import RECORDING_SUFFIX, Layout
 from skin.ranges import require_above_zero
 
-TOPICS: Final = (MEASUREMENT, RECOGNITION, IMAGE, CONTACTS, LABEL, GATEWAY, NODES, TRUTH, MARK)
+TOPICS: Final = (MEASUREMENT, IMAGE, CONTACTS, LABEL, GATEWAY, NODES, TRUTH, MARK)
 
 
 def record(

@@ -256,7 +256,7 @@ class World:
     def __post_init__(self) -> None:
         layout = self.contract.layout
         places = self.contract.phi.wired.taxels
-        self.electronics = Witness(layout.taxels, noise_n=0.0, period_s=layout.shortest_period_s, places=places)
+        self.electronics = Witness(layout.taxels, noise_n=0.0, period_s=layout.sync.period_s, places=places)
         self.sampler = WitnessSampler(self.contract.phi, self.electronics)
         self.wires = [self.new_wire(bus) for bus in range(len(self.contract.layout.bus))]
         self.segments = [self.new_segment(bus, self.built or self.contract) for bus in range(len(self.wires))]
