@@ -73,19 +73,17 @@ def decode_log(
         made += part.measurements
         advance(len(part.measurements))
     check_named(part.status)
-    if not made:
-        raise InputError("the log holds no cycle of images: recognition alone makes none")
     return _of_measurements(made, contract.phi), part.status.frames
 
 
 def recorded_cycles(contract: Contract, path: Path, warn: Warn) -> Cycles:
-    """Return the cycles of a recording by its measurements, with two states those of images; times as of its frames."""
+    """Return the cycles of a recording by its measurements; times as of its frames."""
     phi = contract.phi
     read = [each.message for each in read_messages(path, [MEASUREMENT], warn)]
     made = [check_measurement(each, phi, CycleMeasurement) for each in read if each.fingerprint == phi.fingerprint]
     if not made:
         why = "they are of another Φ: is this the skin's layout?" if read else "there is nothing to rebuild"
-        raise InputError(f"{path}: holds neither frames nor measurements of images of '{contract.layout.name}': {why}")
+        raise InputError(f"{path}: holds neither frames nor measurements of '{contract.layout.name}': {why}")
     cycles = _of_measurements(made, phi)
     return replace(cycles, time_ns=cycles.time_ns + wall_offset_ns(path))
 
