@@ -8,10 +8,11 @@ from typing import Any, Final, NamedTuple
 import msgspec
 
 from bus.protocol import runtime_folder
+from recording import is_recording
 from shell.output import cache_folder
 from shell.skin_options import SkinOptions
 from shell.terminal import Json, print_json, print_table
-from skin.layout import RECORDING_SUFFIX, layout_tables
+from skin.layout import layout_tables
 from views.ros2.names import check_domain
 
 DEFAULT: Final = "default"
@@ -50,7 +51,7 @@ def config(recording: Path | None = None, *, of: SkinOptions | None = None, json
     """
     of = of or SkinOptions()
     layout = of.find(recording=recording, needs_hub=False)
-    path = of.layout or (recording if recording and recording.suffix.lower() == RECORDING_SUFFIX else None)
+    path = of.layout or (recording if is_recording(recording) else None)
     if path is None and (of.connect or of.skin):
         given, origin = msgspec.to_builtins(layout), f"hub {of.endpoint}"
     else:
