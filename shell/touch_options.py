@@ -14,7 +14,7 @@ from skin.sources import StrokeKind, TaxelSource, load_objects, load_source, obj
 ObjectNames = Annotated[
     list[str],
     Parameter(
-        help="Names of the objects, see ``skin objects``, with spaces or commas between; ``paper`` for the paper's"
+        help="Names of the objects, see ``skin touch objects``, with spaces or commas between; ``paper`` for the paper's"
         " sixteen; FILE@UNIT for your own mesh, for example ``cup.stl@mm``; default: a series of five."
     ),
 ]
