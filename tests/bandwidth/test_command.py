@@ -143,6 +143,7 @@ def test_a_search_without_a_result_says_what_is_missing(skin: Skin) -> None:
         (["plan", "palm.toml", "--taxels", "1024"], "takes no layout"),
         (["plan", "--timing", "--quality"], "got both"),
         (["plan", "--clock-hz", "8000000"], "are for --timing"),
+        (["plan", "-c", "can0"], "--channel is for --timing"),
         (["load", "nowhere.log"], "no such log"),
         (["load", "--seconds", "0"], "--seconds needs a number above 0"),
         (["load", "--seconds", "inf"], "--seconds needs a number above 0"),
