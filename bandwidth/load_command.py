@@ -7,8 +7,8 @@ from cyclopts import Parameter
 
 from bandwidth.departures import departures
 from bandwidth.logs import listen, of_buses, read_log
-from bandwidth.measured import measure_states, misfits
-from bandwidth.sending import plan_states
+from bandwidth.measured import measure, misfits
+from bandwidth.plan import plan
 from bandwidth.tables import print_loads
 from bus.options import BusOptions, channels, closing_links, open_links
 from canskin.errors import RunError
@@ -34,7 +34,6 @@ def load(
 
     Counts the stuff bits of every frame in whole cycles, CAN FD included, and the most possible stuff bits. A line on
     standard error tells if the frames do not fit the layout. Exit code 1: with ``--check`` a bus differs from its plan.
-    Where nodes have two states, each state has its load.
 
     Parameters
     ----------
@@ -70,15 +69,13 @@ def load(
         names = channels(skin, options)
         logged = read_log(log, lambda line: say("load", line))
         seen = of_buses(skin, names, logged, log, named_by_user=bool(options.channel))
-    plans = plan_states(contract, is_touched=not check)
+    plans = plan(contract, is_touched=not check)
     loads, lines = [], []
     for number, frames in seen.items():
-        parts = measure_states(contract, number, frames, plans)
-        for each in parts:
-            loads.append(each.load)
-            for line in misfits(contract, number, each.frames, each.load):
-                say("load", line)
-        lines += departures(contract, number, frames, parts) if check else []
+        loads.append(measure(contract, number, frames, plans[number]))
+        for line in misfits(contract, number, frames, loads[-1]):
+            say("load", line)
+        lines += departures(contract, number, frames, plans[number], loads[-1]) if check else []
     if json_:
         print_json({"differences": lines} if check else {"buses": loads})
     elif not check:

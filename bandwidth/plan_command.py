@@ -8,7 +8,8 @@ from cyclopts import Parameter
 
 from bandwidth.bit_timing import TimingOptions, bus_timings, print_timings
 from bandwidth.design import NO_DESIGN, DesignOptions, design
-from bandwidth.sending import facts, plan_states, print_plans
+from bandwidth.plan import plan as plan_buses
+from bandwidth.sending import facts, print_plans
 from bandwidth.traffic import Disturbance
 from bandwidth.wiring import wiring
 from bus.options import BusOptions, Channels, channels
@@ -83,7 +84,7 @@ def plan(
         return _timing(skin, channel or ["can0"], controllers or TimingOptions(), as_json=json_)
     contract = Contract.from_layout(skin)
     allowed = (disturbance or Disturbance()).of(contract.layout)
-    plans = plan_states(contract, allowed)
+    plans = plan_buses(contract, allowed=allowed)
     does_fit = not any(each.problems for each in plans)
     judged = _judged(contract.layout) if quality else []
     scan = scan_words(skin)
@@ -96,13 +97,13 @@ def plan(
             "sums": contract.layout.measurement.sums,
             "allowed": allowed,
             "fits": does_fit,
-            "buses": plans[: len(contract.layout.bus)],
+            "buses": plans,
             "wiring": wiring(contract.layout),
             "chosen": words,
             "scan": scan,
             "quality": [each._asdict() for each in judged],
         }
-        print_json(about | facts(contract, plans, allowed))
+        print_json(about | facts(contract, allowed))
     else:
         print_plans(contract, plans, allowed)
         print("", wiring(contract.layout), *words, *[scan] * bool(scan), sep="\n")

@@ -93,7 +93,7 @@ def _drawn(layout: Layout) -> Iterator[Layout]:
     for each in TAXELS_PER_SUM:
         drawn = {"sums": layout.places // each, "rows": None, "selection": "balanced"}
         try:
-            other = validated(changed(layout, measurement=drawn, recognition=None))
+            other = validated(changed(layout, measurement=drawn))
         except LayoutError:  # such sums cannot be shared evenly by the blocks
             continue
         if other.measurement.sums != layout.measurement.sums:
@@ -111,7 +111,7 @@ def quality(
     touches_s: float = TOUCHES_S,
     source: TaxelSource | None = None,
 ) -> Quality:
-    """Return the quality of a layout as it is; with two states, of its images.
+    """Return the quality of a layout as it is.
 
     Boards that send in cycles lose no frame. Stepped boards send on simulated buses, and an image is of all that has
     come.
@@ -126,7 +126,6 @@ def quality(
     RunError
         If no object touches in `touches_s`.
     """
-    layout = changed(layout, recognition=None)  # whose period is not that of images
     taxels, wired = layout.taxels, layout.operator().is_wired
     if source is None:
         rest_s = REST_S if layout.sends.in_cycles else 0.0
@@ -158,7 +157,6 @@ def quality(
 
 def _cycles(layout: Layout, source: TaxelSource, seconds: float) -> Iterator[Moment]:
     """Yield each truth of boards that send in cycles, with the image that a run compares with it."""
-    layout = changed(layout, recognition=None)
     phi, imager, pairs = layout.operator(), CycleImager(layout), image_pairs(layout)
     nodes, late_ns = Nodes(layout, source, seed=0), _late_ns(layout)
     for _ in range(round(seconds * step_rate_hz(layout))):

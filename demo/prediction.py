@@ -19,7 +19,7 @@ WHOLE_RATIO: Final = 0.99
 def with_prediction(report: Report, layout: Layout, options: DemoOptions, live_db: float | None) -> Report:
     """Return the figures of a run with the predicted PSNR of its first touches.
 
-    As it is without contact, and for recordings, two states, and layouts whose prediction takes long.
+    As it is without contact, and for recordings and layouts whose prediction takes long.
 
     Parameters
     ----------
@@ -29,7 +29,7 @@ def with_prediction(report: Report, layout: Layout, options: DemoOptions, live_d
         PSNR of the images over the first `TOUCHES_S`.
     """
     touch, seconds = options.touch, min(options.seconds, TOUCHES_S)
-    if live_db is None or touch.input is not None or layout.recognition is not None or not is_quick(layout):
+    if live_db is None or touch.input is not None or not is_quick(layout):
         return report
     try:
         predicted_db = quality(layout, touches_s=seconds, source=touch.source(layout)).psnr_image_db

@@ -26,7 +26,6 @@ from canskin.messages import (
     Truth,
 )
 from demo.report import NodeMissing, Percentiles, Report
-from demo.state_score import StateScore
 from skin.ground_truth import ImagePairs, LabelPairs, Pairing, image_pairs, in_contact, label_pairs
 from skin.layout import Layout
 from skin.psnr import adds_noise, psnr_db
@@ -102,7 +101,6 @@ class Score:
     _images: ImagePairs = field(init=False)
     _labels: LabelPairs = field(init=False)
     _measurements: Pairing[CycleMeasurement] = field(init=False)
-    _states: StateScore = field(default_factory=StateScore)
     #: PSNR of images of the touches that a prediction sees.
     _first_db: list[float] = field(default_factory=list)
     _peak_n: float = 0.0
@@ -111,12 +109,11 @@ class Score:
 
     def __post_init__(self) -> None:
         self._images, self._labels = image_pairs(self.layout), label_pairs(self.layout)
-        self._measurements = Pairing(self.layout.shortest_period_s)
+        self._measurements = Pairing(self.layout.sync.period_s)
 
     def take_gateway(self, status: GatewayStatus) -> None:
         """Keep the newest counters of the gateway."""
         self.gateway = status
-        self._states.take_gateway(status)
 
     def take_nodes(self, status: NodesStatus) -> None:
         """Keep the newest counters of each process of nodes."""
@@ -129,7 +126,6 @@ class Score:
         with self._lock:
             if self._is_named_contact(truth):
                 self.named_contacts += 1
-                self._states.take_contact(truth)
             for image, true in self._images.take_truth(truth):
                 self._compare(image, true)
             for label, true in self._labels.take_truth(truth):
@@ -188,13 +184,11 @@ class Score:
         if self._is_named_contact(truth):
             self.labelled += 1
             self.labelled_right += label.label == truth.label
-            self._states.take_label(label, truth)
 
     def _is_named_contact(self, truth: Truth) -> bool:
         return bool(truth.label) and in_contact(self._grid(truth.true), self.layout.taxels.force_max_n)
 
     def _compare_times(self, measurement: CycleMeasurement, truth: Truth) -> None:
-        self._states.take_image_cycle(truth)
         bus_ns = np.frombuffer(measurement.bus_sampled_ns, "<i8")
         for errors_us, estimates_ns in (
             (self.bus_sampling_error_us, bus_ns[bus_ns > 0]),
@@ -273,9 +267,6 @@ class Score:
             cpu_ratio=self.cpu_ratio,
             cores=os.cpu_count() or 0,
             scheduling=self.scheduling,
-            states=self._states.figures(),
-            switches=self._states.switches,
-            switch_ms=_percentiles(self._states.switch_ms),
             doubtful_taxels=gateway.calibration.doubtful_taxels if gateway and gateway.calibration else 0,
         )
 

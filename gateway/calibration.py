@@ -132,16 +132,12 @@ class GatewayCalibration:
             raise InputError(f"a calibration of {len(request.content)} bytes: expected {most} at most for this skin")
         return parse_calibration(request.content, layout, "calibration")
 
-    def needs_images(self, now_s: float) -> bool:
-        """Tell whether the zero is to be measured or followed now, which takes all sums."""
-        return self._calibrator.needs_cycles(round(now_s * 1e9))
-
     def apply(self, measurement: Measurement) -> Measurement:
-        """Return a measurement, of all sums or of those of recognition, with the offsets of its instant."""
+        """Return a measurement with the offsets of its instant."""
         return self._calibrator.apply(measurement)
 
     def take(self, measurement: Measurement) -> None:
-        """Learn from a measurement of all sums, stepped ones at the next `tick`; most of it is left to `work`."""
+        """Learn from a measurement, stepped ones at the next `tick`; most of it is left to `work`."""
         if isinstance(measurement, SteppedMeasurement):
             self._newest = measurement
         else:

@@ -75,18 +75,7 @@ def test_a_person_gets_a_table(skin: Skin) -> None:
     assert "load, touched / worst" in out
     assert "183.8" in out
     assert "bus0: 1: " in out
-    assert not out.startswith("recognition")
     assert "longest chain of taxels 1.63 m, all chains 165.6 m, 12800 conversions a second on a node" in out
-
-
-@pytest.mark.heavy
-def test_both_states_of_nodes_have_a_table(skin: Skin) -> None:
-    status, out, _ = skin("plan", "recognise-first")
-    assert status == 0
-    first, _, second = out.partition("\n\nimages\n")
-    assert first.startswith("recognition\n")
-    assert "41.4" in first
-    assert "80.3" in second
 
 
 @pytest.mark.heavy

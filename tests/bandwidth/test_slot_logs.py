@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bandwidth.departures import departures
-from bandwidth.measured import measure_states
+from bandwidth.measured import measure
 from bandwidth.plan import plan
 from bus.polling import poll
 from bus.simulated_bus import SimulatedBus
@@ -40,7 +40,7 @@ def sent() -> Frames:
 
 
 def said(seen: Frames) -> list[str]:
-    return departures(CONTRACT, 0, seen, measure_states(CONTRACT, 0, seen, PLANS))
+    return departures(CONTRACT, 0, seen, PLANS[0], measure(CONTRACT, 0, seen, PLANS[0]))
 
 
 def test_a_log_of_the_layout_has_no_difference(sent: Frames) -> None:

@@ -25,7 +25,7 @@ from reconstructor.imaging import CycleImager
 from reconstructor.stepped import SteppedImager
 from shell.touch_options import TouchOptions
 from skin.ground_truth import LATENESS_NS, image_pairs, in_contact
-from skin.layout import SHIPPED, Layout, changed, load_layout
+from skin.layout import SHIPPED, Layout, load_layout
 from skin.measured_sums import MeasuredSums, decode_stepped
 from skin.psnr import decibels
 from skin.sources import load_objects
@@ -59,7 +59,6 @@ def on_simulated_buses(layout: Layout) -> float:
 
     Touches and noise are those of the prediction: another noise alone changes four seconds by up to 2 dB.
     """
-    layout = changed(layout, recognition=None)
     contract, taxels = Contract.from_layout(layout), layout.taxels
     nodes = Nodes(layout, load_objects(layout, rest_s=REST_S), seed=0)
     imager, wired, table = CycleImager(layout), contract.phi.is_wired, contract.table

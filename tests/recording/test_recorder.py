@@ -22,12 +22,12 @@ from dbc.frame import Frames
 from dbc.generate import contract_files
 from recording import calibration, record_command
 from recording.calibration import follow_calibration
+from recording.mcap_file import CALIBRATION_FILE, EVENTS, RECORDER, File, newest_file, read_about, read_entries
 from recording.recorder import MOST_WAITING, Recorder
 from recording.sinks import check_format, open_sink
 from shell.service import StopSignal
 from shell.skin_options import SkinOptions
 from skin.layout import parse_layout
-from skin.mcap_file import CALIBRATION_FILE, EVENTS, RECORDER, File, newest_file, read_about, read_entries
 from tests import messages as make
 from tests.processes import free_endpoint
 from tests.recording.helpers import OFFSET_NS, FakeLink, messages_of

@@ -87,7 +87,7 @@ def test_completion_knows_every_verb_and_its_options() -> None:
 @pytest.mark.parametrize(("option", "lines"), [("--quiet", 0), ("-q", 0), ("-v", 8)])
 @pytest.mark.usefixtures("talk")
 def test_quiet_and_verbose(option: str, lines: int, capsys: pytest.CaptureFixture[str]) -> None:
-    build_app([]).meta(["dbc-check", option])
+    build_app([]).meta(["contract", "--check", option])
     capsys.readouterr()
     say("test", "one")
     say("test", "detail", Talk.VERBOSE)
@@ -116,7 +116,11 @@ def test_log_as_json(capsys: pytest.CaptureFixture[str]) -> None:
 def test_a_full_disk_behind_the_output_is_one_line() -> None:
     with Path("/dev/full").open("w") as full:
         done = subprocess.run(
-            [sys.executable, "-m", "skin", "dbc", "--help"], stdout=full, stderr=subprocess.PIPE, text=True, check=False
+            [sys.executable, "-m", "skin", "contract", "--help"],
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            check=False,
         )
     assert done.returncode == 1
     assert done.stderr == "skin: [Errno 28] No space left on device\n"
