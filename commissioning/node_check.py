@@ -7,7 +7,7 @@ again. So boards that use the SYNC start value once and then count are checked, 
 What is written is put back at the end, also when the check is stopped.
 """
 
-from collections.abc import Callable, Generator, Iterable
+from collections.abc import Generator, Iterable
 from dataclasses import dataclass
 from functools import partial
 from typing import Final, cast
@@ -25,7 +25,6 @@ from dbc.canopen import (
     NMT_COB_ID,
     SDO_REQUEST_BASE,
     SDO_RESPONSE_BASE,
-    STATE_COB_ID,
     SYNC_COB_ID,
     NmtCommand,
     NmtState,
@@ -53,8 +52,8 @@ SHOWN: Final = 3
 _SERIAL: Final = (od.IDENTITY, 4)
 #: Objects that a user may have set.
 _ALLOWED: Final = {_SERIAL, (od.TEST_PATTERN, 0), (od.SENDING, 1), (od.SENDING, 3)}
-#: Objects that are read, and compared with nothing: state, noise of a stepped board.
-_ONLY_READ: Final = ((od.STATE, 1), (od.NODE_NOISE, 0))
+#: Objects that are read, and compared with nothing: noise of a stepped board.
+_ONLY_READ: Final = ((od.NODE_NOISE, 0),)
 #: Only a board knows which values are right.
 _GAINS: Final = (od.GAIN, od.OFFSET)
 
@@ -98,8 +97,6 @@ class NodeCheck:
         self.report = NodeReport(contract.layout.bus[node.bus].name, node.node_id)
         way = SteppedFrames if node.in_steps else SynchronousFrames
         self._expected = way(contract, node, self.report)
-        #: The state (2008h:1) of a board that has two.
-        self._state = self._expected.states[0]
         self.done = False
         self.due_s = now_s
         table = board(contract, node)
@@ -161,7 +158,7 @@ class NodeCheck:
                 self._counter = 1
             elif self._wanted == 0:
                 self._ends_s = now_s + PATIENCE_S
-        period_s = self._expected.period_s(self._state)
+        period_s = self._contract.layout.sync.period_s
         self._sync_s += period_s
         if self._sync_s <= now_s:  # no two SYNC messages at once after a pause of this computer
             self._sync_s = now_s + period_s
@@ -259,12 +256,6 @@ class NodeCheck:
                 text = f"{setting} is {setting.text(data)}, expected {setting.text()}"
                 is_allowed = (od.split_block(setting.index)[1], setting.subindex) in _ALLOWED
                 (self.report.notes if is_allowed else self.report.differences).append(text)
-        state = int.from_bytes(self._values.get((od.STATE, 1), bytes((self._state,))), "little")
-        if state in self._expected.states:
-            self._state = state
-        else:
-            expected = " or ".join(f"{each:d}" for each in self._expected.states)
-            self._differs(f"the state ({od.STATE:04X}h:1) is {state}, expected {expected}")
         yield from self._signature(od.SIGNATURE, configuration(self._contract, self._node))
         yield from self._gains()
         if errors := (yield from self._errors()):
@@ -307,7 +298,7 @@ class NodeCheck:
                 )
 
     def _show(self, picture: Picture) -> Generator[_Step, _Answer, bool]:
-        """Show a picture in each state, and compare the frames; tell whether the node still answers."""
+        """Show a picture, and compare the frames; tell whether the node still answers."""
         before, begin = len(self.report.differences), self._start
         if picture.is_step:
             ((place, data),) = picture.values.items()
@@ -325,31 +316,18 @@ class NodeCheck:
                 yield from self._gains_signature(", with other gains and offsets")
             if self._expected.rest_s:
                 yield _Listen(self._expected.rest_s)
-        for state in sorted(self._expected.states, key=lambda each: each != self._state):
-            if not (yield from self._show_state(picture, state, begin)):
-                return True
-        return True
-
-    def _show_state(
-        self, picture: Picture, state: int, begin: Callable[[], _Cycles]
-    ) -> Generator[_Step, _Answer, bool]:
-        """Compare the frames of a picture in a state; tell whether they can be compared."""
         before = len(self.report.differences)
-        if state != self._state:
-            self._undo.setdefault((od.STATE, 1), bytes((self._state,)))
-            self._state, begin = state, partial(_Cycles, STATE_COB_ID, bytes((state,)))
         for _ in range(SHOWN):
             del self.report.differences[before:]
             came = self._since_begin(cast("Frames", (yield begin())))
-            self._expected.compare(came, picture, state, self._values)
-            is_late = _longest_gap_s(came) >= LONGEST_GAP * self._expected.period_s(state)
+            self._expected.compare(came, picture, self._values)
+            is_late = _longest_gap_s(came) >= LONGEST_GAP * self._contract.layout.sync.period_s
             if len(self.report.differences) == before or not is_late or picture.is_step:
                 break
             self._nmt(NmtCommand.ENTER_PRE_OPERATIONAL)
             begin = self._start
         if len(self.report.differences) > before and not np.isin(came["can_id"], self._cob_ids).any():
             yield from self._explain_silence(before, picture.name)
-            return False
         return True
 
     def _start(self) -> _Cycles:

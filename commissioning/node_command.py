@@ -64,9 +64,9 @@ def node(
     ``reset``, ``stop`` and ``start`` send an NMT command to one node, or without ``--node`` to all nodes of the bus.
     They end with 1 unless each node tells the new state within 3 s. A running gateway starts nodes of the layout again.
 
-    ``update`` loads a program (``skin export program``) into a board, or with ``--all`` into each board of the bus or
-    of the skin that does not run it, and starts it. It may run beside the gateway. A board whose download was cut keeps
-    its old program. Ends with 1 unless each board runs the program.
+    ``update`` loads a program (``skin contract --program``) into a board, or with ``--all`` into each board of the bus
+    or of the skin that does not run it, and starts it. It may run beside the gateway. A board whose download was cut
+    keeps its old program. Ends with 1 unless each board runs the program.
 
     Parameters
     ----------

@@ -27,7 +27,7 @@ from dbc.board_sums import (
 )
 from dbc.canopen import SYNC_COB_ID
 from dbc.contract import Contract, NodeContract
-from dbc.dictionary import SkinState, window_s
+from dbc.dictionary import window_s
 from dbc.frame import ECHO, Frames
 from skin.measurement import fast_hadamard
 
@@ -124,8 +124,6 @@ class ExpectedFrames(ABC):
 
     Attributes
     ----------
-    states : tuple of int
-        The states (2008h:1) of the board; one number, which means nothing, of a board without states.
     rest_s : float
         Pause between the write of a picture and the NMT start.
     cycles : int
@@ -137,7 +135,6 @@ class ExpectedFrames(ABC):
     _patterns: tuple[int, ...]
 
     def __init__(self, contract: Contract, node: NodeContract, report: NodeReport) -> None:
-        self.states: tuple[int, ...] = (SkinState.RECOGNITION,)
         self._contract, self._node, self._report = contract, node, report
 
     def pictures(self, *, has_gains: bool) -> Iterator[Picture]:
@@ -164,11 +161,7 @@ class ExpectedFrames(ABC):
         """Take all frames that arrive, with the echoes of those of the check."""
 
     @abstractmethod
-    def period_s(self, state: int) -> float:
-        """Return the time between two SYNC messages."""
-
-    @abstractmethod
-    def compare(self, came: Frames, picture: Picture, state: int, values: Values) -> None:
+    def compare(self, came: Frames, picture: Picture, values: Values) -> None:
         """Compare what came, from the frame that began the picture on; `values` are those of objects."""
 
     def _differs(self, text: str) -> None:
@@ -183,27 +176,16 @@ class SynchronousFrames(ExpectedFrames):
     def __init__(self, contract: Contract, node: NodeContract, report: NodeReport) -> None:
         super().__init__(contract, node, report)
         self._tpdos = board(contract, node).tpdos
-        self._layouts = {SkinState.IMAGES: contract.layout}
-        if contract.recognition is None:
-            self._layouts = {SkinState.RECOGNITION: contract.layout}
-        else:
-            self.states = (SkinState.RECOGNITION, SkinState.IMAGES)
-            self._layouts[SkinState.RECOGNITION] = contract.recognition.layout
 
-    def period_s(self, state: int) -> float:
-        """Return the time between two SYNC messages in a state."""
-        return self._layouts[SkinState(state)].sync.period_s
-
-    def compare(self, came: Frames, picture: Picture, state: int, values: Values) -> None:  # noqa: ARG002
+    def compare(self, came: Frames, picture: Picture, values: Values) -> None:  # noqa: ARG002
         """Compare the TPDOs of all cycles of a picture."""
         sums = node_sums(self._contract, self._node, picture.counts)
-        window_us = round(window_s(self._layouts[SkinState(state)]) * 1e6)
-        name = picture.name + f", {SkinState(state).name.lower()}" * (len(self.states) > 1)
+        window_us = round(window_s(self._contract.layout) * 1e6)
         syncs = [*syncs_of(came)[SETTLING:].tolist(), len(came)]
         #: What differs, by its kind and TPDO.
         found: defaultdict[tuple[str, int], list[str]] = defaultdict(list)
         for counter in range(1, CYCLES + 1):
-            place = f"{name}, SYNC {counter}"
+            place = f"{picture.name}, SYNC {counter}"
             self._report.cycles += 1
             if counter >= len(syncs):
                 found["SYNC", 0].append(f"{place}: the SYNC was not sent")
@@ -212,7 +194,7 @@ class SynchronousFrames(ExpectedFrames):
             payloads = node_payloads(self._contract, self._node, int(cycle["data"][0, 0]), sums)
             for tpdo in self._tpdos:
                 copies = cycle[(cycle["can_id"] == tpdo.cob_id) & (cycle["flags"] & ECHO == 0)]
-                is_due = tpdo.state in (None, state) and _is_due(tpdo, counter)
+                is_due = _is_due(tpdo, counter)
                 what = f"{place}: TPDO {tpdo.number} ({tpdo.cob_id:03X}h)"
                 if len(copies) != is_due:
                     text = f"{what} came {len(copies)} times, expected {int(is_due)}"
@@ -227,9 +209,8 @@ class SynchronousFrames(ExpectedFrames):
                 late_s = (int(copies["time_ns"].max()) - int(cycle["time_ns"][0])) / 1e9
                 self._report.latest_s = max(self._report.latest_s, late_s)
                 if late_s * 1e6 > window_us:
-                    where = "2008h:2" if state == SkinState.RECOGNITION and len(self.states) > 1 else "1007h"
                     late = f"TPDO {tpdo.number} ends {late_s * 1e3:.1f} ms after SYNC"
-                    found["late", tpdo.number].append(f"{place}: {late}, after {where}")
+                    found["late", tpdo.number].append(f"{place}: {late}, after 1007h")
         for first, *others in found.values():
             self._differs(first + (f", and so in {len(others)} more of {CYCLES} cycles" if others else ""))
 

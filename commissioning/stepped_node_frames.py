@@ -60,10 +60,6 @@ class SteppedFrames(ExpectedFrames):
         #: What the taxels read at full scale, and by how much more the first sum may be, units.
         self._full_n, self._lift = np.zeros(size), 0.0
 
-    def period_s(self, state: int) -> float:  # noqa: ARG002  one state
-        """Return the time between two SYNC messages."""
-        return self._contract.layout.sync.period_s
-
     def hear(self, arrived: Frames) -> None:
         """Take all frames, with the echoes of those of the check."""
         for each in range(len(arrived)):
@@ -79,7 +75,7 @@ class SteppedFrames(ExpectedFrames):
                 self._report.frames += 1
                 self._compare(one, self._tpdos[can_id])
 
-    def compare(self, came: Frames, picture: Picture, state: int, values: Values) -> None:  # noqa: ARG002
+    def compare(self, came: Frames, picture: Picture, values: Values) -> None:
         """Tell what was wrong with the frames of a picture, and compare the sums that they have led to."""
         told = values.get((od.NODE_NOISE, 0), bytes(4))
         noise_n = float(np.frombuffer(told, "<f4")[0]) if len(told) == 4 else np.nan

@@ -389,8 +389,6 @@ class ViewState:
         """Tell whether a running service has input but sends nothing."""
         if gateway is None or name == "gateway":
             return gateway is not None and gateway.stale
-        if name == "reconstructor" and gateway.state == "recognition":
-            return False  # its input comes when somebody asks for images
         last = {"reconstructor": self._image, "classifier": self._label}.get(name)
         has_input = not gateway.stale and 0 < STATUS_FRESH_S * gateway.sync_rate_hz < gateway.cycles
         is_new = now_s + self._epoch_s - self._services[name].since_time_s < STATUS_FRESH_S

@@ -16,7 +16,6 @@ from dbc import indices as od
 from dbc.board_sums import PATTERN_FULL
 from dbc.canopen import Emergency, NmtCommand, NmtState
 from dbc.contract import Contract
-from dbc.dictionary import SkinState
 from dbc.frame import ERROR, EXTENDED, REMOTE, Frames
 from nodes.firmware.library import Firmware
 from nodes.sampler import new_sampler
@@ -86,7 +85,6 @@ class BenchInC(Bench):
     [
         ({}, 16),
         ({"bus": buses(2, 2, fd=True), "sync": TURNS}, 16),
-        ({"recognition": {"sums": 8, "rate_hz": 40}}, 32),
         ({"taxels": {"frontend": "analogue"}}, 12),
     ],
 )
@@ -529,77 +527,3 @@ def test_a_board_without_gains_is_noted() -> None:
         "object 2010h:1: abort 06020000h, no object: not every row is compared without gains and offsets"
     ]
     assert report.cycles == 12
-
-
-# --- boards of two states
-
-
-def two_states() -> Contract:
-    return small_contract(recognition={"sums": 8, "rate_hz": 40})
-
-
-def test_a_board_of_two_states_keeps_the_contract() -> None:
-    bench = Bench(two_states())
-    report = bench.check()
-    assert (report.differences, report.notes) == ([], [])
-    due = [len(each.tpdos) for each in bench.contract.states_of(bench.contract.nodes[0])]
-    assert all(due)
-    assert (report.cycles, report.frames) == (32, 16 * sum(due))
-    assert bench.node.wanted_state == SkinState.RECOGNITION
-
-
-def test_a_state_that_is_none_is_named() -> None:
-    recognition = {"sums": 8, "rate_hz": 40}
-    report = answered(lambda data: data[3] == 1 and data.__setitem__(4, 5), od.STATE, recognition=recognition)
-    assert report.differences == ["the state (2008h:1) is 5, expected 0 or 1"]
-    assert report.cycles == 32
-
-
-def stays(state: SkinState) -> Callable[[Bench], None]:
-    """A board that knows one state."""
-
-    def spoil(bench: Bench) -> None:
-        type_of = type(bench.node)
-        bench.node.__class__ = type(
-            "Stuck", (type_of,), {"active_state": property(lambda _: state, lambda _self, _state: None)}
-        )
-
-    return spoil
-
-
-def deaf(bench: Bench) -> None:
-    """A board that does not take the RPDO of the state."""
-    bench.wire.loses = lambda end, each: end is bench.wire.nodes and each["can_id"] == 0x0FF
-
-
-def all_at_once(bench: Bench) -> None:
-    """A board that sends the TPDOs of both states."""
-    bench.segment.boards._burst._state[:] = -1  # type: ignore[union-attr]
-
-
-@pytest.mark.parametrize(
-    ("spoil", "words"),
-    [
-        (deaf, ["test pattern zero, images, SYNC 1: TPDO 1 (181h) came 0 times"]),
-        (stays(SkinState.IMAGES), ["test pattern zero, recognition, SYNC 1: TPDO 1 (181h) came 1 times, expected 0"]),
-        (stays(SkinState.RECOGNITION), ["zero, images, SYNC 1: TPDO 3 (381h) came 1 times, expected 0"]),
-        (
-            all_at_once,
-            ["zero, recognition, SYNC 1: TPDO 2 (281h) came 1 times, expected 0", "zero, images, SYNC 1: TPDO 3"],
-        ),
-    ],
-)
-def test_a_board_that_does_not_follow_the_state_is_named(spoil: Callable[[Bench], None], words: list[str]) -> None:
-    bench = Bench(two_states())
-    spoil(bench)
-    said = "\n".join(bench.check().differences)
-    for each in words:
-        assert each in said, said
-
-
-def test_a_board_that_was_in_images_is_there_again() -> None:
-    bench = Bench(two_states())
-    bench.wire.put(0x601, struct.pack("<BHBB3x", 0x2F, od.STATE, 1, SkinState.IMAGES))
-    report = bench.check()
-    assert (report.differences, report.cycles) == ([], 32)
-    assert bench.node.wanted_state == SkinState.IMAGES

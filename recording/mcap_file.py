@@ -25,7 +25,7 @@ from mcap.writer import Writer
 
 from canskin.errors import UNDECODABLE, InputError, reasoned
 from canskin.messages import Topic
-from skin.layout import RECORDING_SUFFIX
+from recording import is_recording
 
 #: Profile in the header: what the topics and messages are.
 PROFILE: Final = "canskin"
@@ -232,7 +232,7 @@ def wall_offset_ns(path: Path) -> int:
 
 def recording_id(path: Path) -> str:
     """Return what distinguishes a recorded run from others; of a log, or an older recording, the name of the file."""
-    if path.suffix.lower() != RECORDING_SUFFIX:
+    if not is_recording(path):
         return path.stem
     return read_about(path).metadata.get(RECORDING) or path.stem
 

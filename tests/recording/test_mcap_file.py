@@ -11,7 +11,7 @@ from mcap.writer import Writer
 
 from canskin.errors import InputError
 from canskin.messages import LABEL
-from skin.mcap_file import (
+from recording.mcap_file import (
     EVENTS,
     File,
     RecordingWriter,

@@ -7,8 +7,8 @@ from canskin.calibration_messages import CALIBRATION, CalibrationReply, Calibrat
 from canskin.errors import BusError
 from canskin.fabric import Fabric, Mailbox
 from canskin.messages import GATEWAY, GatewayStatus
+from recording.mcap_file import CALIBRATION_FILE, File
 from shell.service import StopSignal
-from skin.mcap_file import CALIBRATION_FILE, File
 
 #: Longest wait for an answer, shorter than `ANSWER_S`: the gateway tells its calibration within milliseconds, and who
 #: stops the recorder waits as long.
