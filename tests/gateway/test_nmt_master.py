@@ -20,7 +20,8 @@ from dbc.contract import Contract
 from dbc.dictionary import SILENT_AFTER_S
 from dbc.frame import ECHO, ERROR, EXTENDED, REMOTE
 from gateway.loop import LOOK_PERIOD_S
-from gateway.nmt_master import PAUSES_S, NmtMaster
+from gateway.nmt_master import NmtMaster
+from gateway.node_machine import PAUSES_S
 from gateway.sdo import TIMEOUT_S
 from tests.bus.harness import frame
 from tests.gateway.helpers import PERIOD_S, EndOfWire, World, swap_mapping, valid

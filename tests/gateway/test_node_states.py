@@ -11,7 +11,8 @@ from dbc.canopen import NmtCommand, NmtState
 from dbc.configuration import TICK_S, configuration, expected_signature
 from dbc.contract import Contract
 from dbc.frame import ECHO, Frames
-from gateway.nmt_master import NmtMaster, NodeRecord
+from gateway.nmt_master import NmtMaster
+from gateway.node_machine import NodeMachine
 from gateway.proof import PART
 from gateway.sdo import Read, SdoTimeoutError, Transfer
 from skin.layout import load_layout
@@ -109,7 +110,7 @@ class Boards:
             return b"\x41" + asked[1:4] + len(value).to_bytes(4, "little")
         return bytes((0x43 | 4 - len(value) << 2,)) + asked[1:4] + value.ljust(4, b"\0")
 
-    def node(self, node_id: int) -> NodeRecord:
+    def node(self, node_id: int) -> NodeMachine:
         return self.master.nodes[node_id]
 
     def beat(self, node_id: int, state: int) -> None:
