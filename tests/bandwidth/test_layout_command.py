@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from bandwidth.layout_command import layout
 from canskin.errors import LayoutError
-from demo.layout_command import layout
 from skin.layout import load_layout
 from tests import surfaces
 

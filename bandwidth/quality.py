@@ -1,12 +1,10 @@
 """How good the images of a skin are, with its sums or other numbers of sums: simulated touches, nodes, solver."""
 
 import math
-from collections.abc import Iterator, Sequence
-from functools import partial
+from collections.abc import Iterator
 from itertools import pairwise, product
 from typing import Final, NamedTuple
 
-import msgspec
 import numpy as np
 import numpy.typing as npt
 
@@ -16,21 +14,20 @@ from canskin.errors import LayoutError, RunError
 from canskin.messages import Image
 from dbc.contract import Contract
 from dbc.frame import ECHO, Frames, frame_bytes
-from demo.chain import REST_S, Nodes
-from demo.score import FIRST_S
 from gateway.stepped_state import new_sums, slots_of, take_all
+from nodes.simulated import REST_S, Nodes
 from nodes.steps.simulated import sync_frames, touched_frames
 from reconstructor.imaging import CycleImager
 from reconstructor.walsh import WalshReconstructor
 from skin.ground_truth import LATENESS_NS, image_pairs, in_contact
-from skin.layout import Layout, changed, require_sending, validated
+from skin.layout import Layout, changed, validated
 from skin.measured_sums import decode_measurement
 from skin.psnr import decibels
 from skin.sources import TaxelSource, load_objects, step_rate_hz
 from skin.taxel import NOISE_N, sense, to_counts
 
 #: Time of the simulated touches: each of the five default objects touches.
-TOUCHES_S: Final = FIRST_S
+TOUCHES_S: Final = 12.0
 #: Most taxels whose images are predicted without being asked, in some seconds: of sums in cycles, of steps.
 PREDICTED_MAX: Final = 8192
 STEPPED_MAX: Final = 512
@@ -76,30 +73,31 @@ class Quality(NamedTuple):
 
 
 def qualities(layout: Layout, *, touches_s: float = TOUCHES_S) -> list[Quality]:
-    """Return the quality of a layout with one sum for each of `TAXELS_PER_SUM` places, fewest sums first.
+    """Return the quality of a layout, and of sums in cycles with one sum for each of `TAXELS_PER_SUM` places.
+
+    Stepped boards send all sums, and a matrix is as it is.
 
     Raises
     ------
-    InputError
-        If the layout does not send sums in cycles: stepped boards send all sums.
     RunError
         If no object touches in `touches_s`.
     """
-    require_sending(layout, "synchronous", "the quality by the number of sums is", "stepped boards send all sums")
-    return [quality(each, touches_s=touches_s) for each in _layouts(layout)]
+    found = [quality(layout, touches_s=touches_s)]
+    if layout.sends.in_cycles and layout.measurement.matrix is None:
+        found += [quality(each, touches_s=touches_s) for each in _drawn(layout)]
+    return found
 
 
-def _layouts(layout: Layout) -> Iterator[Layout]:
-    """Yield the layout with other numbers of sums in every cycle, of drawn rows; a matrix as it is."""
-    if layout.measurement.matrix is not None:
-        yield layout
-        return
+def _drawn(layout: Layout) -> Iterator[Layout]:
+    """Yield the layout with other numbers of sums in every cycle, of drawn rows."""
     for each in TAXELS_PER_SUM:
         drawn = {"sums": layout.places // each, "rows": None, "selection": "balanced"}
         try:
-            yield validated(changed(layout, measurement=drawn))
+            other = validated(changed(layout, measurement=drawn))
         except LayoutError:  # such sums cannot be shared evenly by the blocks
             continue
+        if other.measurement.sums != layout.measurement.sums:
+            yield other
 
 
 def is_quick(layout: Layout) -> bool:
@@ -112,7 +110,6 @@ def quality(
     *,
     touches_s: float = TOUCHES_S,
     source: TaxelSource | None = None,
-    valid: Sequence[bytes] = (),
 ) -> Quality:
     """Return the quality of a layout as it is.
 
@@ -123,8 +120,6 @@ def quality(
     ----------
     source : TaxelSource, optional
         What touches; default: the default objects, on boards in cycles after a rest of `REST_S`.
-    valid : sequence of bytes
-        Which blocks come in a cycle, again and again (`CycleMeasurement.valid`); default: all.
 
     Raises
     ------
@@ -135,7 +130,7 @@ def quality(
     if source is None:
         rest_s = REST_S if layout.sends.in_cycles else 0.0
         source, touches_s = load_objects(layout, rest_s=rest_s), rest_s + touches_s
-    moments = partial(_cycles, valid=valid) if layout.sends.in_cycles else _steps
+    moments = _cycles if layout.sends.in_cycles else _steps
     imaged_n2, sensed_n2, touched_n2, touched = [], [], 0.0, []
     for image_n, true_n, sensor_n in moments(layout, source, touches_s):
         if not in_contact(true_n, taxels.force_max_n):
@@ -160,14 +155,12 @@ def quality(
     )
 
 
-def _cycles(layout: Layout, source: TaxelSource, seconds: float, valid: Sequence[bytes]) -> Iterator[Moment]:
+def _cycles(layout: Layout, source: TaxelSource, seconds: float) -> Iterator[Moment]:
     """Yield each truth of boards that send in cycles, with the image that a run compares with it."""
     phi, imager, pairs = layout.operator(), CycleImager(layout), image_pairs(layout)
     nodes, late_ns = Nodes(layout, source, seed=0), _late_ns(layout)
     for _ in range(round(seconds * step_rate_hz(layout))):
         measurement = nodes.measurement(nodes.sample())
-        if valid:
-            measurement = msgspec.structs.replace(measurement, valid=valid[nodes.cycle % len(valid)])
         image = Image(
             cycle=measurement.cycle,
             sync_counter=measurement.sync_counter,

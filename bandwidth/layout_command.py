@@ -1,6 +1,7 @@
-"""``skin layout``: explains a layout, draws its boards, and tells how many sums are enough."""
+"""``skin layout``: makes and explains a layout, lists its settings, and draws its boards."""
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final, Literal
 
@@ -9,6 +10,7 @@ import numpy.typing as npt
 import tomli_w
 
 from bandwidth.alternatives import planned
+from bandwidth.settings import Setting, settings
 from bandwidth.traffic import Disturbance
 from bandwidth.wiring import wiring
 from canskin.errors import InputError
@@ -26,12 +28,14 @@ from skin.plane import Plane
 from skin.sending import SendingName
 from skin.surface import Surface
 
+#: Most characters of a value in the table of settings; JSON has all.
+_CHARACTERS: Final = 60
 #: Pixels between neighbours in the picture of a skin that is no grid.
 _SCALE: Final = 16
 
 
 def layout(
-    action: Literal["new", "check", "draw", "quality"],
+    action: Literal["new", "check", "settings", "draw"],
     file: Path | None = None,
     *,
     out: Path | None = None,
@@ -39,17 +43,17 @@ def layout(
     sending: SendingName = "synchronous",
     json_: Json = False,
 ) -> int:
-    """Make a layout, explain it, draw which taxels each board has, or tell how good its images are.
+    """Make a layout, explain it, list its settings, or draw which taxels each board has.
 
     Parameters
     ----------
     action
         ``new``: make a layout of taxels. ``check``: read the layout, name its first error, or print what it says.
-        ``draw``: write a picture of the boards, each in a colour, with the order of their taxels. ``quality``: simulate
-        touches with 16, 8, 4, 2 and 1 taxels to a sum, and print PSNR and error of the images beside the paper's bound.
+        ``settings``: print the value of every key, and where the value comes from. ``draw``: write a picture of the
+        boards, each in a colour, with the order of their taxels.
     file
-        TOML of the skin; without it the default skin. For ``new`` the taxels: 24x32, or a file: .csv of positions, .txt
-        of an iCub's skin, .urdf with tactile sensors.
+        TOML or recording (.mcap) of the skin; without it the default skin. For ``new`` the taxels: 24x32, or a file:
+        .csv of positions, .txt of an iCub's skin, .urdf with tactile sensors.
     out
         ``draw``: file of the picture; default: the name of the skin, .png. ``new``: TOML to write; taxels at positions
         are written to a .csv beside it.
@@ -66,15 +70,15 @@ def layout(
     skin layout new left_forearm_mesh.txt --ini left_forearm.ini --out forearm.toml
     skin layout check palm.toml
     skin layout draw palm.toml --out palm-boards.png
-    skin layout quality glove
+    skin layout settings run.mcap
     """
     if action == "new":
         return _new(file, out, ini, sending)
     skin = load_layout(file)
     if out is not None and action != "draw":
         raise InputError("--out is for 'skin layout new' and 'skin layout draw': leave it out")
-    if action == "quality":
-        return _print_quality(skin, as_json=json_)
+    if action == "settings":
+        return _print_settings(settings(skin, *layout_tables(file)), as_json=json_)
     Contract.from_layout(skin)  # refuses what its buses cannot have
     about = _about(skin, file)
     if action == "draw":
@@ -118,7 +122,7 @@ def _complete(tables: dict[str, Any], skin: Layout) -> None:
     for words in chosen(skin, tables):
         say("layout", words)
     if any(each.problems for each in planned(skin, Disturbance())):
-        say("layout", f"no {BUSES_MAX} buses carry its sums at {skin.sync.rate_hz:g} Hz: see skin design")
+        say("layout", f"no {BUSES_MAX} buses carry its sums at {skin.sync.rate_hz:g} Hz: see skin plan --taxels")
     tables.setdefault("measurement", {})["sums"] = skin.measurement.sums
     tables["sampling"] = {"rate_hz": skin.samples_per_sync * skin.sync.rate_hz}
     tables["bus"] = [{"name": bus.name, "nodes": bus.nodes} for bus in skin.bus]
@@ -134,29 +138,17 @@ def _beside(taxels: Path, out: Path, skin: Layout) -> str:
     return beside.name
 
 
-def _print_quality(skin: Layout, *, as_json: bool) -> int:
-    from demo.prediction import say_of_host
-    from demo.quality import qualities
-
-    say_of_host("layout", skin)
-    found = qualities(skin)
+def _print_settings(found: Sequence[Setting], *, as_json: bool) -> int:
     if as_json:
         print_json([each._asdict() for each in found])
-        return 0
-    headings = ("sums", "per taxel", "PSNR, dB", "raw sample, dB", "error where touched, mN", "paper's bound, sums")
-    rows = [
-        (
-            each.sums,
-            f"{each.sums_per_taxel:.3f}",
-            f"{each.psnr_image_db:.1f}",
-            f"{each.psnr_sensor_db:.1f}",
-            f"{1e3 * each.touched_error_n:.2f}",
-            f"{each.bound_sums:.0f}",
-        )
-        for each in found
-    ]
-    print_table(headings, rows, title=f"{skin.name}: {skin.measurement.sums} sums in the layout")
+    else:
+        print_table(["setting", "value", "from"], ((each.key, _short(each.value), each.origin) for each in found))
     return 0
+
+
+def _short(value: Any) -> str:
+    text = str(value)
+    return text if len(text) <= _CHARACTERS else f"{text[:_CHARACTERS]}..."
 
 
 def _about(skin: Layout, path: Path | None) -> dict[str, Any]:

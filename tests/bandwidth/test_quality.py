@@ -3,16 +3,18 @@
 import numpy as np
 import pytest
 
-from canskin.errors import InputError, RunError
-from demo.quality import qualities, quality
+from bandwidth.quality import qualities, quality
+from canskin.errors import RunError
 from skin.matrix import signs_of
-from tests.layouts import STEPPED_SKIN, small_boards, small_layout
+from tests.layouts import small_boards, small_layout
 
 MAT = small_layout(15, 17, sampling={"rate_hz": 1000.0})
 
 
 def test_more_sums_give_better_images() -> None:
-    found = qualities(MAT, touches_s=3.0)
+    own, *others = qualities(MAT, touches_s=3.0)
+    assert own.sums == MAT.measurement.sums
+    found = sorted([own, *others])
     assert [each.sums for each in found] == [16, 32, 64, 128, 256]
     assert [each.sums_per_taxel for each in found] == pytest.approx([each.sums / 255 for each in found])
     assert found[0].psnr_image_db < found[2].psnr_image_db < found[4].psnr_image_db
@@ -22,8 +24,6 @@ def test_more_sums_give_better_images() -> None:
 
 
 def test_what_cannot_be_judged() -> None:
-    with pytest.raises(InputError, match="stepped boards send all sums"):
-        qualities(STEPPED_SKIN)
     with pytest.raises(RunError, match="nothing touched"):
         qualities(MAT, touches_s=0.1)
 
@@ -39,7 +39,7 @@ def test_a_matrix_is_judged_as_it_is() -> None:
 
 def test_the_figures_of_a_layout_are_those_of_its_number_of_sums() -> None:
     mat = small_layout(15, 17, sampling={"rate_hz": 1000.0}, measurement={"sums": 64})
-    assert quality(mat, touches_s=3.0) == qualities(MAT, touches_s=3.0)[2]
+    assert quality(mat, touches_s=3.0) in qualities(MAT, touches_s=3.0)
 
 
 def test_averages_of_ten_samples_make_better_images() -> None:

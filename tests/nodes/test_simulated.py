@@ -5,7 +5,7 @@ import pytest
 
 from dbc.contract import Contract
 from dbc.packing import packing
-from demo.chain import REST_S, Nodes
+from nodes.simulated import REST_S, Nodes
 from reconstructor.engine import Reconstructor
 from reconstructor.imaging import CycleImager
 from skin.layout import changed
