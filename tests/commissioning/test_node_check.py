@@ -10,13 +10,13 @@ import msgspec
 import numpy as np
 import pytest
 
+from commissioning.node_check import NodeCheck
+from commissioning.node_frames import NodeReport
 from dbc import indices as od
 from dbc.board_sums import PATTERN_FULL
 from dbc.canopen import Emergency, NmtCommand, NmtState
 from dbc.contract import Contract
 from dbc.frame import ERROR, EXTENDED, REMOTE, Frames
-from gateway.node_check import NodeCheck
-from gateway.node_frames import NodeReport
 from nodes.firmware.library import Firmware
 from nodes.sampler import new_sampler
 from nodes.segment import Segment

@@ -11,10 +11,10 @@ import pytest
 
 from bus import options
 from bus.link import Send
+from commissioning import scan_command, talk
+from commissioning.scan import Scan
 from dbc.canopen import HEARTBEAT_BASE, SDO_REQUEST_BASE, SYNC_COB_ID
 from dbc.frame import Frames, frames
-from gateway import scan_command, talk
-from gateway.scan import Scan
 from shell.command import main
 from tests.bus.harness import frame
 

@@ -6,11 +6,11 @@ from pathlib import Path
 import pytest
 
 from canskin.errors import InputError, RunError
+from commissioning.node_objects import Entry, NodeTransfers, entries_of_file, entries_of_node, find, parse_writes
 from dbc import indices as od
 from dbc.eds import eds, node_types
 from dbc.frame import Frames
 from dbc.objects import Object
-from gateway.node_objects import Entry, NodeTransfers, entries_of_file, entries_of_node, find, parse_writes
 from nodes.objects import LocalNode, Outbox, object_dictionary
 from tests.bus.harness import frame
 from tests.gateway.helpers import World

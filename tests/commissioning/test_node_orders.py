@@ -3,10 +3,10 @@
 import pytest
 
 from canskin.errors import InputError
+from commissioning import node_command
+from commissioning.node_orders import WAIT_S, NodeOrder
 from dbc.canopen import NmtCommand, NmtState
 from dbc.frame import ECHO, Frames, frames
-from gateway import node_command
-from gateway.node_orders import WAIT_S, NodeOrder
 from tests.bus.harness import frame
 from tests.layouts import small_contract
 from tests.nodes.helpers import ArrayLink, new_segment

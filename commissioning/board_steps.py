@@ -5,6 +5,21 @@ from dataclasses import dataclass
 from typing import Final, cast
 
 from bus.link import Send
+from commissioning.lss_steps import (
+    PATIENCE_S,
+    RESET_S,
+    TWO_SERIALS,
+    Address,
+    Answer,
+    Ask,
+    LssSteps,
+    Step,
+    Steps,
+    Talk,
+    Talked,
+    TroubleError,
+)
+from commissioning.node_check import LISTEN_PERIODS, LISTEN_S
 from dbc import indices as od
 from dbc.canopen import (
     HEARTBEAT_BASE,
@@ -18,22 +33,7 @@ from dbc.canopen import (
 from dbc.configuration import Setting, configuration, expected_signature
 from dbc.contract import Contract, NodeContract
 from dbc.dictionary import serial_number
-from gateway.lss_steps import (
-    PATIENCE_S,
-    RESET_S,
-    TWO_SERIALS,
-    Address,
-    Answer,
-    Ask,
-    LssSteps,
-    Step,
-    Steps,
-    Talk,
-    Talked,
-    TroubleError,
-    lss_request,
-)
-from gateway.node_check import LISTEN_PERIODS, LISTEN_S
+from dbc.lss import lss_request
 from gateway.proof import Known, Proof, prove
 from gateway.sdo import Dialogue, Read, SdoAbortedError, Write
 

@@ -13,12 +13,12 @@ from cyclopts import Parameter
 from bus.link import Link
 from bus.options import BusOptions, closing_links, open_channels, open_links
 from canskin.errors import InputError, RunError
+from commissioning.node_check import NodeCheck
+from commissioning.node_frames import NodeReport
+from commissioning.talk import TURN_S, Talk, take_turn
+from commissioning.update_command import update_nodes
 from dbc.canopen import HIGHEST_NODE_ID, NmtCommand, state_text
 from dbc.contract import Contract, NodeContract
-from gateway.node_check import NodeCheck
-from gateway.node_frames import NodeReport
-from gateway.talk import TURN_S, Talk, take_turn
-from gateway.update_command import update_nodes
 from shell.output import write_file
 from shell.service import StopSignal, say
 from shell.terminal import Json, print_json, print_table
@@ -26,9 +26,9 @@ from skin.layout import Layout, load_layout, require_boards
 from skin.ranges import ranges_text
 
 if TYPE_CHECKING:
-    from gateway.count_reading import CountReading
-    from gateway.node_objects import Entry
-    from gateway.wiring import Finding
+    from commissioning.count_reading import CountReading
+    from commissioning.node_objects import Entry
+    from commissioning.wiring_findings import Finding
 
 #: NMT commands by the name of the action.
 _ORDERS: Final = {"reset": NmtCommand.RESET_NODE, "stop": NmtCommand.STOP, "start": NmtCommand.START}
@@ -135,7 +135,7 @@ def node(
         )
     stop = StopSignal().install()
     if live is not None:
-        from gateway.wiring_check import check_counts
+        from commissioning.wiring_check import check_counts
 
         reading = _read_live(skin, can or BusOptions(), live, rest, stop)
         return _show_wiring(skin, check_counts(skin, reading, path), out, as_json=json)
@@ -195,7 +195,7 @@ def _objects(
     as_json: bool,
 ) -> int:
     """List, read or write objects of a node."""
-    from gateway.node_objects import NodeTransfers, entries_of_file, entries_of_node, find, parse_writes
+    from commissioning.node_objects import NodeTransfers, entries_of_file, entries_of_node, find, parse_writes
 
     if node_id is None:
         if action != "objects":
@@ -234,7 +234,7 @@ def _objects(
 
 def _order(skin: Layout, action: str, number: int, node_id: int | None, can: BusOptions, *, as_json: bool) -> int:
     """Send an NMT command, and show which state the nodes tell."""
-    from gateway.node_orders import NodeOrder
+    from commissioning.node_orders import NodeOrder
 
     if node_id is not None and not 1 <= node_id <= HIGHEST_NODE_ID:
         raise InputError(f"expected --node with a node-ID from 1 to {HIGHEST_NODE_ID}, got {node_id}")
@@ -280,7 +280,7 @@ def _value_text(row: dict[str, Any]) -> str:
 
 def _read_live(skin: Layout, can: BusOptions, stroke_s: float, rest_s: float, stop: StopSignal) -> "CountReading":
     """Read the counts of all boards while somebody strokes the skin."""
-    from gateway.count_reading import CountReading
+    from commissioning.count_reading import CountReading
 
     require_boards(skin)
     if skin.taxels.is_analogue:
@@ -307,7 +307,7 @@ def _read_live(skin: Layout, can: BusOptions, stroke_s: float, rest_s: float, st
 
 def _show_wiring(skin: Layout, findings: "list[Finding]", out: Path | None, *, as_json: bool) -> int:
     """Print what is not wired as the layout says, and write the corrected file."""
-    from gateway.wiring_check import chains_file, corrected_order, text_of
+    from commissioning.wiring_check import chains_file, corrected_order, text_of
 
     if as_json:
         print_json([{**dataclasses.asdict(each), "text": text_of(each)} for each in findings])

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from canskin.errors import InputError
+from commissioning import node_command
+from commissioning.program_update import ProgramUpdate
 from dbc.canopen import Abort
 from dbc.dictionary import REVISION
 from dbc.frame import Frames, frames
 from dbc.program import Program
-from gateway import node_command
-from gateway.program_update import ProgramUpdate
 from tests.bus.harness import frame
 
 NEW = Program(0, 0x534B494E, REVISION, "1.1", bytes(range(100)))

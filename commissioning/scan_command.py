@@ -10,9 +10,9 @@ from cyclopts import Parameter
 from bus.link import Link
 from bus.options import BusOptions, closing_links, open_channels, open_links
 from canskin.errors import InputError, RunError
+from commissioning.scan import Scan
+from commissioning.talk import take_turn
 from dbc.canopen import identifier_text
-from gateway.scan import Scan
-from gateway.talk import take_turn
 from shell.service import StopSignal, say
 from shell.terminal import Json, print_json, print_table
 from skin.layout import BITRATE_MAX, load_layout

@@ -1,9 +1,9 @@
 """The steps of a master of LSS (CiA 305) on one bus: frames and times in, frames out.
 
-The work on the bus is a generator of steps, as in `gateway.node_check`. Several boards answer one request, each in its
-own time: a step waits out `WINDOW_S`, and counts the answers. Two answers to what one board alone may answer are two
-boards with one serial number, or with one node-ID. Boards whose answers are always sent in the same bit are one board
-on the bus.
+The work on the bus is a generator of steps, as in `commissioning.node_check`. Several boards answer one request, each
+in its own time: a step waits out `WINDOW_S`, and counts the answers. Two answers to what one board alone may answer are
+two boards with one serial number, or with one node-ID. Boards whose answers are always sent in the same bit are one
+board on the bus.
 """
 
 from collections.abc import Generator
@@ -25,6 +25,7 @@ from dbc.canopen import (
 )
 from dbc.configuration import DIALOGUES
 from dbc.frame import ECHO, ERROR, Frames, one_frame, received
+from dbc.lss import fastscan, lss_request
 from gateway.sdo import Dialogue, SdoDialogue
 
 #: Longest time in which a board answers a request that several boards may answer.
@@ -266,23 +267,6 @@ class LssSteps:
 _ANSWERS_ALL: Final = "a device answers every request of the fastscan: take it off the bus, then commission again"
 
 
-def lss_request(command: int, *values: int) -> bytes:
-    """Return a request of LSS: eight bytes."""
-    return bytes((command, *values)).ljust(LSS_BYTES, b"\0")
-
-
 def scan(number: int, bit: int, place: int, following: int) -> Ask:
-    """Ask boards without node-ID whether `number` is theirs down to `bit` (CiA 305, fastscan)."""
-    data = lss_request(Lss.FASTSCAN, *number.to_bytes(4, "little"), bit, place, following)
-    return Ask(LSS_REQUEST_COB_ID, data, bytes((Lss.IDENTIFIED,)))
-
-
-def anybody_without_node_id() -> Frames:
-    """Return the request that every board without node-ID answers."""
-    return one_frame(LSS_REQUEST_COB_ID, scan(0, FASTSCAN_ALL, 0, 0).data)
-
-
-def has_answer(arrived: Frames) -> bool:
-    """Tell whether a board answers `anybody_without_node_id`."""
-    plain = received(arrived)
-    return bool(((plain["can_id"] == LSS_RESPONSE_COB_ID) & (plain["data"][:, 0] == Lss.IDENTIFIED)).any())
+    """Ask boards without node-ID whether `number` is theirs down to `bit`, see `dbc.lss.fastscan`."""
+    return Ask(LSS_REQUEST_COB_ID, fastscan(number, bit, place, following), bytes((Lss.IDENTIFIED,)))

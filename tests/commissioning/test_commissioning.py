@@ -5,7 +5,7 @@ import pytest
 from dbc.canopen import NO_NODE_ID
 from nodes.lss import LssSlave
 from tests.bus.harness import frame
-from tests.gateway.fresh_boards import Bench, check_commissioning, complete, skin
+from tests.commissioning.fresh_boards import Bench, check_commissioning, complete, skin
 from tests.layouts import buses
 
 

@@ -9,8 +9,8 @@ from typing import Final
 import numpy as np
 
 from canskin.errors import InputError
-from gateway.count_reading import CountReading
-from gateway.wiring import Finding, Place, prove
+from commissioning.count_reading import CountReading
+from commissioning.wiring_findings import Finding, Place, prove
 from skin.chains import read_lines
 from skin.layout import Layout
 from skin.measurement import Sbhe

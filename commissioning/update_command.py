@@ -6,9 +6,9 @@ from pathlib import Path
 
 from bus.options import BusOptions, closing_links, open_links
 from canskin.errors import InputError, RunError
+from commissioning.program_update import ProgramUpdate
+from commissioning.talk import take_turn
 from dbc.program import Program
-from gateway.program_update import ProgramUpdate
-from gateway.talk import take_turn
 from shell.service import StopSignal, say
 from shell.terminal import print_json, print_table
 from skin.layout import Layout

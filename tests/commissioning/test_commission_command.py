@@ -7,13 +7,13 @@ import pytest
 
 from bus.link import Link
 from canskin.errors import InputError, LayoutError
+from commissioning import commission_command
+from commissioning.board_steps import Commissioning
 from dbc.contract import Contract
 from dbc.frame import ERROR
-from gateway import commission_command
-from gateway.commissioning import Commissioning
 from shell.service import StopSignal
 from tests.bus.harness import frame
-from tests.gateway.fresh_boards import Bench, DiesBeforeStoring, skin
+from tests.commissioning.fresh_boards import Bench, DiesBeforeStoring, skin
 
 Command = Callable[..., tuple[int, str]]
 

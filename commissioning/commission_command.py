@@ -9,12 +9,12 @@ from cyclopts import Parameter
 from bus.link import Link, open_link
 from bus.options import BusOptions, channels, closing_links, open_links
 from canskin.errors import InputError
+from commissioning.board_steps import Commissioning
+from commissioning.serial_commissioning import SerialCommissioning
+from commissioning.talk import take_turn
+from commissioning.touch_commissioning import TouchCommissioning, require_patches
 from dbc.canopen import LSS_BIT_RATES_HZ
 from dbc.contract import Contract
-from gateway.commissioning import Commissioning
-from gateway.serial_commissioning import SerialCommissioning
-from gateway.talk import take_turn
-from gateway.touch_commissioning import TouchCommissioning, require_patches
 from shell.service import StopSignal, say
 from shell.terminal import Json, print_json, print_table
 from skin.layout import Layout, load_layout

@@ -10,13 +10,13 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from commissioning.node_frames import CYCLES, SETTLING, ExpectedFrames, NodeReport, Picture, Values, syncs_of
 from dbc import indices as od
 from dbc import steps
 from dbc.board_sums import PATTERN_FULL, PATTERN_OFF, PATTERN_ZERO
 from dbc.canopen import NMT_COB_ID, SYNC_COB_ID, NmtCommand
 from dbc.contract import Contract, NodeContract, Tpdo
 from dbc.frame import ECHO, Frames, frame_bytes
-from gateway.node_frames import CYCLES, SETTLING, ExpectedFrames, NodeReport, Picture, Values, syncs_of
 from gateway.stepped_state import AFTER_GAP, DUPLICATE, LATE, MALFORMED, forget, new_sums, slots_of, take_all
 from skin.sync_counter import SYNC_OVERFLOW
 from skin.walsh import walsh_matrix

@@ -14,6 +14,22 @@ import numpy as np
 
 from bus.link import Send
 from canskin.errors import LayoutError
+from commissioning.board_steps import Board, Commissioning
+from commissioning.lss_steps import (
+    PATIENCE_S,
+    RESET_S,
+    TWO_SERIALS,
+    Address,
+    Answer,
+    Ask,
+    RefusedError,
+    Step,
+    Steps,
+    Talk,
+    Talked,
+    TroubleError,
+)
+from commissioning.touch_sensing import TouchSensing, map_of
 from dbc import indices as od
 from dbc.canopen import (
     HEARTBEAT_BASE,
@@ -27,24 +43,8 @@ from dbc.canopen import (
 from dbc.configuration import SAMPLED_S
 from dbc.contract import Contract, NodeContract, sync_frame
 from dbc.dictionary import REVISION
-from gateway.commissioning import Board, Commissioning
-from gateway.lss_steps import (
-    PATIENCE_S,
-    RESET_S,
-    TWO_SERIALS,
-    Address,
-    Answer,
-    Ask,
-    RefusedError,
-    Step,
-    Steps,
-    Talk,
-    Talked,
-    TroubleError,
-    lss_request,
-)
+from dbc.lss import lss_request
 from gateway.sdo import Dialogue, Read, SdoAbortedError, SdoError, Transfer
-from gateway.touch_sensing import TouchSensing, map_of
 from skin.surface import Floats, Indices
 from skin.sync_counter import next_counter
 

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from commissioning.node_check import NodeCheck
+from commissioning.node_frames import NodeReport
 from dbc import indices as od
 from dbc.contract import Contract
 from dbc.steps import SET, STEP, kind_of, read_word
-from gateway.node_check import NodeCheck
-from gateway.node_frames import NodeReport
 from nodes.firmware.library import Firmware
 from nodes.segment import Segment
 from nodes.steps.boards import SteppedBoards

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from canskin.errors import InputError, RunError
+from commissioning.count_reading import CountReading
+from commissioning.node_command import node
+from commissioning.wiring_check import check_counts
+from commissioning.wiring_findings import Finding
 from dbc.configuration import DIALOGUES
 from dbc.contract import Contract
 from dbc.frame import EXTENDED
-from gateway.count_reading import CountReading
-from gateway.node_command import node
-from gateway.wiring import Finding
-from gateway.wiring_check import check_counts
 from nodes.segment import Segment
 from nodes.virtual_boards import VirtualBoards
 from nodes.ways import way_of
@@ -22,8 +22,8 @@ from skin.defects import Defects
 from skin.layout import Layout
 from skin.surface import Floats
 from tests.bus.harness import frame
+from tests.commissioning.wiring_errors import REST, Finger, pressed, stroke
 from tests.gateway.helpers import Wire
-from tests.gateway.wiring_errors import REST, Finger, pressed, stroke
 from tests.layouts import STEPPED, buses, layout_toml, small_layout
 
 STEP_S = 0.005

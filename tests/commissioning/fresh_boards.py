@@ -10,11 +10,11 @@ import numpy as np
 from bus.outbox import OTHERS, OWNER, Events
 from bus.simulated_bus import SimulatedBus
 from bus.station import Station
+from commissioning.board_steps import Commissioning
+from commissioning.serial_commissioning import SerialCommissioning
+from commissioning.touch_commissioning import TouchCommissioning
 from dbc.contract import Contract, NodeContract
 from dbc.frame import ECHO, Frames, frames
-from gateway.commissioning import Commissioning
-from gateway.serial_commissioning import SerialCommissioning
-from gateway.touch_commissioning import TouchCommissioning
 from nodes.firmware.library import Firmware
 from nodes.hardware import Hardware
 from nodes.node import SkinNode

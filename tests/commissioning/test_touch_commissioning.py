@@ -10,11 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from canskin.errors import LayoutError
+from commissioning.board_steps import Commissioning
+from commissioning.touch_commissioning import require_patches
+from commissioning.touch_sensing import TouchSensing, map_of
 from dbc.contract import Contract
-from gateway.commissioning import Commissioning
-from gateway.touch_commissioning import require_patches
-from gateway.touch_sensing import TouchSensing, map_of
-from tests.gateway.fresh_boards import Bench, complete, skin
+from tests.commissioning.fresh_boards import Bench, complete, skin
 from tests.layouts import small_boards
 from tests.nodes.firmware.twins import needs_compiler
 

@@ -1,4 +1,4 @@
-"""How many random wiring errors `gateway.wiring` finds: `python -m tests.gateway.wiring_errors 100 mat cone`."""
+"""How many random wiring errors are found: `python -m tests.commissioning.wiring_errors 100 mat cone`."""
 
 import sys
 from pathlib import Path
@@ -9,7 +9,7 @@ import numpy.typing as npt
 import tomli_w
 from scipy.spatial.distance import cdist
 
-from gateway.wiring import MOMENTS, Finding, prove
+from commissioning.wiring_findings import MOMENTS, Finding, prove
 from skin.layout import Layout, load_layout, parse_layout
 from skin.measurement import Sbhe
 from skin.sources import Frame

@@ -15,6 +15,8 @@ from typing import Final, cast
 import numpy as np
 
 from bus.link import Send
+from commissioning.node_frames import SETTLING, NodeReport, Picture, SynchronousFrames, syncs_of
+from commissioning.stepped_node_frames import SteppedFrames
 from dbc import indices as od
 from dbc.board import board
 from dbc.canopen import (
@@ -33,10 +35,8 @@ from dbc.contract import Contract, NodeContract
 from dbc.dictionary import SILENT_AFTER_S, dictionary
 from dbc.frame import ECHO, ERROR, EXTENDED, REMOTE, Frames, frames, one_frame
 from dbc.objects import Object
-from gateway.node_frames import SETTLING, NodeReport, Picture, SynchronousFrames, syncs_of
 from gateway.proof import NO_SIGNATURE
 from gateway.sdo import Read, SdoAbortedError, SdoDialogue, SdoError, Transfer, Write, one
-from gateway.stepped_node_frames import SteppedFrames
 from skin.sync_counter import SYNC_OVERFLOW
 
 #: Time in which another SYNC producer must be heard, in periods, and at least in seconds.

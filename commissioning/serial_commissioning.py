@@ -2,10 +2,10 @@
 
 from collections.abc import Generator
 
+from commissioning.board_steps import OTHER_HINT, Board, Commissioning
+from commissioning.lss_steps import TWO_SERIALS, Address, Answer, Step, Steps, TroubleError
 from dbc.canopen import NO_NODE_ID, Lss
 from dbc.dictionary import REVISION
-from gateway.commissioning import OTHER_HINT, Board, Commissioning
-from gateway.lss_steps import TWO_SERIALS, Address, Answer, Step, Steps, TroubleError
 
 
 class SerialCommissioning(Commissioning):

@@ -13,14 +13,14 @@ import numpy as np
 
 from bus.link import Send
 from canskin.errors import InputError, RunError
+from commissioning.node_check import LISTEN_PERIODS, LISTEN_S
+from commissioning.wiring_findings import MOMENTS
 from dbc import indices as od
 from dbc.canopen import NMT_COB_ID, SDO_RESPONSE_BASE, SYNC_COB_ID, NmtCommand, is_of_node
 from dbc.configuration import DIALOGUES, SAMPLED_S
 from dbc.contract import Contract, NodeContract, sync_frame
 from dbc.frame import Frames, one_frame, received
-from gateway.node_check import LISTEN_PERIODS, LISTEN_S
 from gateway.sdo import Dialogue, Read, SdoDialogue
-from gateway.wiring import MOMENTS
 from skin.surface import Floats
 from skin.sync_counter import next_counter
 

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from canskin.errors import InputError
-from gateway.wiring import Finding, Place, prove
-from gateway.wiring_check import chains_file, corrected_order
+from commissioning.wiring_check import chains_file, corrected_order
+from commissioning.wiring_findings import Finding, Place, prove
 from skin.chains import read_chains
-from tests.gateway import wiring_errors
-from tests.gateway.wiring_errors import KINDS, found_of, layout_of, wired
+from tests.commissioning import wiring_errors
+from tests.commissioning.wiring_errors import KINDS, found_of, layout_of, wired
 
 MAT = layout_of("mat")
 

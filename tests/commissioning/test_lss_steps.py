@@ -1,10 +1,10 @@
 """The steps of a master of LSS on a bus, whatever answers there."""
 
+from commissioning.lss_steps import WINDOW_S
+from commissioning.serial_commissioning import SerialCommissioning
 from dbc.canopen import LSS_BYTES, LSS_REQUEST_COB_ID, LSS_RESPONSE_COB_ID, Lss
 from dbc.contract import Contract
 from dbc.frame import Frames, one_frame
-from gateway.lss_steps import WINDOW_S
-from gateway.serial_commissioning import SerialCommissioning
 
 
 def test_a_device_that_answers_every_request_of_a_fastscan_ends_it_and_is_named(small: Contract) -> None:

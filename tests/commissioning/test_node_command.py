@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 
 from canskin.errors import InputError, RunError
-from gateway import talk
-from gateway.node_command import _bus_number, _run, _show
-from gateway.node_frames import NodeReport
+from commissioning import talk
+from commissioning.node_command import _bus_number, _run, _show
+from commissioning.node_frames import NodeReport
 from shell.command import main
 
 
