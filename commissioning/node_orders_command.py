@@ -30,7 +30,7 @@ def reset(*, of: NodeOptions | None = None, can: BusOptions | None = None, json:
 
 
 def stop(*, of: NodeOptions | None = None, can: BusOptions | None = None, json: Json = False) -> int:
-    """Stop one node, or all nodes of a bus, as ``skin node reset`` does.
+    """Stop one node, or all nodes of a bus.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ def stop(*, of: NodeOptions | None = None, can: BusOptions | None = None, json: 
 
 
 def start(*, of: NodeOptions | None = None, can: BusOptions | None = None, json: Json = False) -> int:
-    """Start one node, or all nodes of a bus, as ``skin node reset`` does.
+    """Start one node, or all nodes of a bus.
 
     Parameters
     ----------
