@@ -16,9 +16,9 @@ from dbc.packing import packing
 from gateway.playback import check_named, play
 from nodes.analogue import AnalogueElectronics
 from nodes.electronics import Electronics
+from recording.mcap_file import Warn, read_messages, wall_offset_ns
 from skin.layout import Layout
 from skin.matrix import MatrixPhi
-from skin.mcap_file import Warn, read_messages, wall_offset_ns
 from skin.measured_sums import check_measurement, used_blocks, used_sums
 from skin.measurement import Phi
 from touch.sources import recording

@@ -11,11 +11,12 @@ import msgspec
 import numpy as np
 
 from canskin.errors import InputError, RunError, reasoned
+from recording import is_recording
+from recording.mcap_file import read_about
 from shell.extras import not_installed
 from shell.output import check_new_path, replacing
 from shell.service import say
-from skin.layout import RECORDING_SUFFIX, layout_text, load_layout
-from skin.mcap_file import read_about
+from skin.layout import layout_text, load_layout
 
 if TYPE_CHECKING:
     from recording.tables import Table, Tables
@@ -61,7 +62,7 @@ def export(recording: Path, *, to: Format = "npz", out: Path | None = None) -> N
     skin export run.mcap --to video
     skin export run.mcap --to ros2 --out run-bag
     """
-    if recording.suffix.lower() != RECORDING_SUFFIX or not recording.is_file():
+    if not is_recording(recording) or not recording.is_file():
         raise InputError(f"{recording}: expected a recording of 'skin record' (.mcap)")
     path = out or recording.with_name(recording.stem + _SUFFIXES[to])
     of_others = {suffix for other, suffix in _SUFFIXES.items() if suffix and other != to}

@@ -28,19 +28,9 @@ from dbc.contract import Contract
 from dbc.frame import Frames
 from dbc.stored_frames import from_bytes
 from gateway.playback import check_named, play
+from recording import is_recording
 from recording.answers import Answers
-from recording.measurements import (
-    FRAMES_NS,
-    FrameMeasurements,
-    RecordedMeasurements,
-    RunMeasurements,
-    StatusPace,
-    SteppedMeasurements,
-)
-from recording.step_kinds import FramesStep, MeasurementStep, MessageStep, Step
-from shell.service import say
-from skin.layout import RECORDING_SUFFIX, Layout
-from skin.mcap_file import (
+from recording.mcap_file import (
     FINGERPRINT,
     FRAMES,
     Entry,
@@ -51,6 +41,17 @@ from skin.mcap_file import (
     read_topics,
     wall_offset_ns,
 )
+from recording.measurements import (
+    FRAMES_NS,
+    FrameMeasurements,
+    RecordedMeasurements,
+    RunMeasurements,
+    StatusPace,
+    SteppedMeasurements,
+)
+from recording.step_kinds import FramesStep, MeasurementStep, MessageStep, Step
+from shell.service import say
+from skin.layout import Layout
 from skin.measured_sums import check_fingerprint, check_measurement
 
 #: Longest time from a measurement to its image and label: the first label waits for compiled code.
@@ -82,7 +83,7 @@ def steps_of(
         Name of the service in the log lines.
     """
     warn = partial(say, service)
-    if path.suffix.lower() != RECORDING_SUFFIX:
+    if not is_recording(path):
         return _logged(contract, frames_of_log(contract.layout, path, channel, warn), calibrator)
     topics = read_topics(path)
     is_measured = MEASUREMENT.name in topics

@@ -12,8 +12,8 @@ import numpy.typing as npt
 from canskin.errors import InputError, RunError
 from canskin.messages import CONTACTS, IMAGE, LABEL, MARK, MEASUREMENT, TRUTH, Contact, Measurement
 from classifier.touches import Touches, touches_of
+from recording.mcap_file import Read, Warn, read_messages, recording_id
 from skin.layout import Layout
-from skin.mcap_file import Read, Warn, read_messages, recording_id
 from skin.wall_times import WallTimes, nearest, recorded_wall_times
 
 Table = dict[str, npt.NDArray[Any]]
@@ -54,7 +54,7 @@ class Tables:
         ``true`` and ``sensor`` float32 (n, rows, columns) in newtons, ``label``, ``time_ns`` and ``cycle``, -1 where
         there is no measurement; of simulated nodes.
     recording : str
-        `skin.mcap_file.RECORDING`: a column of each table.
+        `recording.mcap_file.RECORDING`: a column of each table.
     """
 
     images: Table = field(default_factory=dict)

@@ -16,6 +16,7 @@ import numpy.typing as npt
 import tomli_w
 
 from canskin.errors import UNDECODABLE, InputError, LayoutError, reasoned
+from recording import is_recording
 from skin.chains import MOST, check_chains, order_of, read_chains, read_positions
 from skin.choice import BUSES_MAX, averaged_hz, carried_sums, carries_enough
 from skin.foreign import ForeignMessage, check_foreign, with_foreign_dbc
@@ -63,8 +64,6 @@ DATA_BITRATE_MAX: Final = 8_000_000
 PRODUCT_CODE: Final = 0x534B_494E
 #: Default: the smallest number of buses with at most this number of nodes, each of one block, and identifiers for all.
 NODES_PER_BUS: Final = 32
-#: Of a recording of `skin record`, which holds its layout; `skin.mcap_file` reads and writes recordings.
-RECORDING_SUFFIX: Final = ".mcap"
 #: Most nodes of a bus.
 NODES_MAX: Final = 127
 #: Fewest bits of a converter of sums: its two end codes count as saturated.
@@ -435,11 +434,6 @@ def require_boards(layout: Layout) -> None:
         raise LayoutError(f"{layout.name}: {OTHER_HARDWARE} - at `$.measurement.ensemble`")
 
 
-def is_recording(path: Path | None) -> bool:
-    """Tell whether a file is a recording of ``skin record``, by its name."""
-    return path is not None and path.suffix.lower() == RECORDING_SUFFIX
-
-
 def _read(path: Path | None, name: str) -> tuple[bytes, str, Path]:
     """Return content and origin of a layout, and the folder of the files that it names."""
     if path is None or (name in SHIPPED and not path.is_file()):
@@ -455,7 +449,7 @@ def _read(path: Path | None, name: str) -> tuple[bytes, str, Path]:
 
 def _read_attached(path: Path) -> bytes:
     """Return the layout in a recording."""
-    from skin.mcap_file import LAYOUT_FILE, read_about
+    from recording.mcap_file import LAYOUT_FILE, read_about
 
     try:
         content = read_about(path).files.get(LAYOUT_FILE)

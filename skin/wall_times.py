@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from canskin.messages import MEASUREMENT, Topic
-from skin.mcap_file import read_messages, wall_offset_ns
+from recording.mcap_file import read_messages, wall_offset_ns
 
 #: Times on the wall clock end here, in 2038: ROS 2 has int32 seconds.
 END_NS: Final = 2**31 * 1_000_000_000

@@ -12,10 +12,10 @@ from canskin.errors import InputError, RunError
 from canskin.messages import IMAGE, LABEL, Topic
 from dbc.contract import Contract
 from recording.export_command import export
+from recording.mcap_file import recording_id
 from recording.sinks import McapSink
 from recording.tables import read_tables
 from skin.layout import load_layout
-from skin.mcap_file import recording_id
 from tests import messages as make
 from tests.layouts import tube_layout
 from tests.recording.helpers import COUNT, OFFSET_NS, SET_NS, pixels

@@ -12,11 +12,11 @@ from dbc.contract import Contract
 from reconstructor.imaging import make_imager
 from recording import rebuild_command
 from recording.export_command import export
+from recording.mcap_file import RECORDING, read_about, recording_id, wall_offset_ns
 from recording.replaying import Agreement, Replay
 from recording.sinks import McapSink
 from recording.steps import steps_of
 from shell.service import StopSignal
-from skin.mcap_file import RECORDING, read_about, recording_id, wall_offset_ns
 from skin.wall_times import recorded_wall_times
 from tests.documents import block
 from tests.recording.helpers import COUNT, OFFSET_NS, SET_NS
