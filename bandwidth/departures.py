@@ -1,7 +1,7 @@
 """Differences between a measured bus and its plan: missing, late, wrong or unplanned frames."""
 
-from collections.abc import Iterator, Sequence
-from itertools import compress, pairwise
+from collections.abc import Iterator
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -9,11 +9,8 @@ import numpy.typing as npt
 
 from bandwidth.measured import (
     FOREIGN,
-    STATE,
-    TPDO,
     BusLoad,
     Identifiers,
-    Measured,
     cycles_of,
     is_plain,
     is_sync,
@@ -38,43 +35,31 @@ NAMED_AT_MOST = 4
 _EARLY: Final = 0.5
 
 
-def departures(contract: Contract, bus: int, seen: Frames, parts: Sequence[Measured]) -> list[str]:
+def departures(contract: Contract, bus: int, seen: Frames, planned: BusPlan, load: BusLoad) -> list[str]:
     """Return one line for every difference between bus number `bus` and its plan.
 
     Parameters
     ----------
     seen : array of FRAME
         In bus order, with times.
-    parts : sequence of Measured
-        Result of `measure_states` for this bus.
+    load : BusLoad
+        Result of `bandwidth.measured.measure` for this bus.
     """
-    lines = [line for part in parts for line in _in_state(contract, bus, part)]
-    # Counters and heartbeats go on from state to state, each of which has a part of them.
     taken, seconds = whole_cycles(seen)
-    rest = [*counters(taken), *heartbeats(contract, bus, taken, seconds)]
-    return lines + [f"{contract.layout.bus[bus].name}: {line}" for line in rest]
-
-
-def _in_state(whole: Contract, bus: int, part: Measured) -> list[str]:
-    """Return the differences in one state of the nodes."""
-    contract, seen, planned, load = whole.states[part.state], part.frames, part.plan, part.load
-    taken, seconds = whole_cycles(seen)
-    lines = [*_load(planned, load), *foreign(load), *errors(seen), *_other_state(load)]
+    lines = [*_load(planned, load), *foreign(load), *errors(seen)]
     syncs = int(is_sync(seen).sum())
     if syncs > 1:
         compare = _slots if contract.in_steps else _cycles
         lines += [*sync(contract, taken, seconds), *compare(contract, bus, taken, planned)]
     else:
         lines.append(f"{'one' if syncs else 'no'} SYNC: cycles cannot be told apart")
-    lines += [*_misshapen(whole, bus, taken)]
-    return [f"{load.title}: {line}" for line in lines]
+    lines += [*_misshapen(contract, bus, taken), *counters(taken), *heartbeats(contract, bus, taken, seconds)]
+    return [f"{load.name}: {line}" for line in lines]
 
 
 def _load(planned: BusPlan, load: BusLoad) -> Iterator[str]:
-    # Requests for a state are not planned: four a second, and more at a switch.
-    found = load.load_exact - sum(each.load_exact for each in load.identifiers if each.kind == STATE)
-    if found > planned.load_worst:
-        yield f"load {found:.1%}, at most {planned.load_worst:.1%} were planned"
+    if load.load_exact > planned.load_worst:
+        yield f"load {load.load_exact:.1%}, at most {planned.load_worst:.1%} were planned"
 
 
 def foreign(load: BusLoad) -> Iterator[str]:
@@ -87,17 +72,6 @@ def foreign(load: BusLoad) -> Iterator[str]:
         elif each.message is not None and each.rate_hz > _most_hz(each.planned_rate_hz, load.seconds):
             planned = f"{each.planned_rate_hz:.2f} a second were planned"
             yield f"'{each.message}' of another device comes {each.rate_hz:.2f} times a second, {planned}"
-
-
-def _other_state(load: BusLoad) -> Iterator[str]:
-    """Find nodes that send the sums of the state which was not asked for."""
-    if load.state is None:
-        return
-    is_astray = [each.kind == TPDO and each.planned_rate_hz is None for each in load.identifiers]
-    for node in load.nodes:
-        astray = [each.frames for each in compress(load.identifiers, is_astray) if each.node_id == node.node_id]
-        if astray:
-            yield f"node {node.node_id}: {sum(astray)} TPDOs of the other state"
 
 
 def _most_hz(planned_hz: float | None, seconds: float) -> float:
@@ -231,7 +205,6 @@ def _misshapen(contract: Contract, bus: int, taken: Frames) -> Iterator[str]:
 
 def _by_node(contract: Contract, bus: int, wrong: Frames) -> dict[int, int]:
     """Return how many of some TPDOs each node sent."""
-    nodes = (node for state in contract.states for node in state.on_bus(bus))
-    owner = {tpdo.cob_id: node.node_id for node in nodes for tpdo in node.tpdos}
+    owner = {tpdo.cob_id: node.node_id for node in contract.on_bus(bus) for tpdo in node.tpdos}
     senders = [owner[int(can_id)] for can_id in wrong["can_id"]]
     return {node_id: senders.count(node_id) for node_id in sorted(set(senders))}

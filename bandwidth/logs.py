@@ -19,7 +19,8 @@ from canskin.errors import InputError
 from dbc.canopen import EXTENDED_ID_MASK
 from dbc.frame import Frames, frames
 from dbc.stored_frames import from_bytes
-from skin.layout import RECORDING_SUFFIX, Layout
+from recording import is_recording
+from skin.layout import Layout
 
 #: Largest time stamp, seconds since the epoch: in 2261, a year before nanoseconds end that 64 bits hold.
 _LATEST_S: Final = 9.2e9
@@ -97,7 +98,7 @@ def read_log(path: Path, warn: Callable[[str], None]) -> dict[str, Frames]:
     """
     if not path.is_file():
         raise InputError(f"{path}: no such log")
-    if path.suffix.lower() == RECORDING_SUFFIX:
+    if is_recording(path):
         return _read_recording(path, warn)
     of_channel: dict[str, list[can.Message]] = {}
     lines: _Lines | None = None
@@ -138,7 +139,7 @@ def _reader(path: Path) -> MessageReader:
 
 def _read_recording(path: Path, warn: Callable[[str], None]) -> dict[str, Frames]:
     """Return the frames of a recording by the name of their bus."""
-    from skin.mcap_file import FRAMES, read_entries, wall_offset_ns
+    from recording.mcap_file import FRAMES, read_entries, wall_offset_ns
 
     parts: dict[str, list[Frames]] = {}
     offset_ns = wall_offset_ns(path)

@@ -1,9 +1,7 @@
 """Measured load of a bus, per node and per identifier, beside the planned load."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -17,23 +15,19 @@ from dbc.canopen import (
     NMT_COB_ID,
     SDO_REQUEST_BASE,
     SERVICES,
-    STATE_COB_ID,
     SYNC_COB_ID,
     TIME_COB_ID,
     identifier_text,
 )
 from dbc.contract import Contract
-from dbc.dictionary import HEARTBEAT_MS, SkinState
+from dbc.dictionary import HEARTBEAT_MS
 from dbc.frame import BRS, ERROR, EXTENDED, FD, REMOTE, Frames
 from dbc.frame_bits import frame_time_ns
-from dbc.state_frames import STATES, asked_states, sent_state
 from skin.layout import Bus
 
 #: Kinds of identifiers of other devices: not in the layout, and named by the layout.
 FOREIGN: Final = "foreign"
 OTHER_DEVICE: Final = "other device"
-#: Kind of the identifier that asks nodes for a state.
-STATE: Final = "state"
 #: Kind of the identifiers of sums.
 TPDO: Final = "TPDO"
 #: With a larger part of unknown frames, a bus does not fit the layout.
@@ -77,13 +71,9 @@ class NodeLoad:
 
 @dataclass(frozen=True)
 class BusLoad:
-    """Load of one bus, from the first SYNC to the last; without two SYNCs from the first frame to the last.
-
-    Where nodes have two states, the load of the cycles of `state`, "images" or "recognition".
-    """
+    """Load of one bus, from the first SYNC to the last; without two SYNCs from the first frame to the last."""
 
     name: str
-    state: str | None
     seconds: float
     frames: int
     errors: int
@@ -93,87 +83,6 @@ class BusLoad:
     plan_worst: float
     nodes: list[NodeLoad]
     identifiers: list[IdentifierLoad]
-
-    @property
-    def title(self) -> str:
-        """The name of the bus, and the state if nodes have two."""
-        return self.name if self.state is None else f"{self.name}, {self.state}"
-
-
-class Measured(NamedTuple):
-    """What was seen of a bus in one state of its nodes.
-
-    Attributes
-    ----------
-    state : int
-        Place of the state in `Contract.states`.
-    frames : array of FRAME
-        Of the cycles of this state, one after the other, and a last SYNC: times run as if there were no other cycles.
-    plan : BusPlan
-    load : BusLoad
-    """
-
-    state: int
-    frames: Frames
-    plan: BusPlan
-    load: BusLoad
-
-
-def measure_states(contract: Contract, bus: int, seen: Frames, plans: Sequence[BusPlan]) -> list[Measured]:
-    """Measure bus number `bus` in each state that was seen; see `measure`.
-
-    Parameters
-    ----------
-    plans : sequence of BusPlan
-        Of all buses in the first of `Contract.states`, then of all buses in the second.
-    """
-    parts = [(0, seen)]
-    if contract.recognition is not None:
-        cycle_states = _cycle_states(contract, bus, seen)
-        parts = [
-            (place, _cycles_of_state(seen, cycle_states == state))
-            for place, state in enumerate(STATES)
-            if (cycle_states == state).any()
-        ] or parts
-    found = []
-    for state, part in parts:
-        planned = plans[state * len(contract.layout.bus) + bus]
-        found.append(Measured(state, part, planned, measure(contract, bus, part, planned, state)))
-    return found
-
-
-def switches(contract: Contract, bus: int, seen: Frames) -> list[tuple[float, str]]:
-    """Return when the nodes of a bus changed their state, seconds since the first SYNC, and the new state."""
-    states, syncs = _cycle_states(contract, bus, seen), seen["time_ns"][is_sync(seen)].astype(np.int64)
-    return [
-        (float(syncs[cycle] - syncs[0]) * 1e-9, SkinState(after).name.lower())
-        for cycle, (before, after) in enumerate(pairwise(states.tolist()), 1)
-        if before != after
-    ]
-
-
-def _cycle_states(contract: Contract, bus: int, seen: Frames) -> npt.NDArray[np.intp]:
-    """Return the state of each whole cycle: that which was asked for before its SYNC, at first that of the sums."""
-    asked = asked_states(seen)
-    first = sent_state(contract, bus, seen) or SkinState.RECOGNITION
-    newest = np.searchsorted([place for place, _ in asked], np.flatnonzero(is_sync(seen))[:-1])
-    return np.array([first, *(state for _, state in asked)], np.intp)[newest]
-
-
-def _cycles_of_state(seen: Frames, is_chosen: npt.NDArray[np.bool_]) -> Frames:
-    """Return the frames of the chosen whole cycles and a last SYNC, with times that leave out the other cycles."""
-    syncs = np.flatnonzero(is_sync(seen))
-    lasts_ns = np.diff(seen["time_ns"][syncs].astype(np.int64))
-    left_out_ns = np.cumsum(np.where(is_chosen, 0, lasts_ns))
-    cycle = np.cumsum(is_sync(seen)) - 1
-    is_whole = (cycle >= 0) & (cycle < len(is_chosen))
-    taken = is_whole & is_chosen[np.where(is_whole, cycle, 0)]
-    part: Frames = seen[taken]
-    part["time_ns"] -= left_out_ns[cycle[taken]].astype(part["time_ns"].dtype)
-    last = seen[syncs[-1:]].copy()
-    last["time_ns"] -= left_out_ns[-1:].astype(part["time_ns"].dtype)
-    joined: Frames = np.concatenate((part, last))
-    return joined
 
 
 def whole_cycles(seen: Frames) -> tuple[Frames, float]:
@@ -192,15 +101,13 @@ def whole_cycles(seen: Frames) -> tuple[Frames, float]:
     return real[first:last], seconds
 
 
-def measure(contract: Contract, bus: int, seen: Frames, planned: BusPlan, state: int = 0) -> BusLoad:
+def measure(contract: Contract, bus: int, seen: Frames, planned: BusPlan) -> BusLoad:
     """Measure the load of bus number `bus`; raise InputError if there is too little, or CAN FD that is not planned.
 
     Parameters
     ----------
     seen : array of FRAME
         In bus order, with times.
-    state : int
-        Place of the nodes' state in `Contract.states`.
     """
     line = contract.layout.bus[bus]
     _check_format(line, seen)
@@ -211,7 +118,7 @@ def measure(contract: Contract, bus: int, seen: Frames, planned: BusPlan, state:
     exact, worst = (
         frame_time_ns(taken, line.bitrate, line.data_bitrate, how) * (1e-9 / seconds) for how in ("exact", "worst")
     )
-    rates, planned_here = planned_rates(contract.states[state], bus), Identifiers(contract, bus)
+    rates, planned_here = planned_rates(contract, bus), Identifiers(contract, bus)
     keys = taken["can_id"] | (taken["flags"] & EXTENDED != 0).astype(np.uint32) << 31
     identifiers = []
     for key in np.unique(keys).tolist():
@@ -237,7 +144,6 @@ def measure(contract: Contract, bus: int, seen: Frames, planned: BusPlan, state:
         )
     return BusLoad(
         name=line.name,
-        state=None if contract.recognition is None else STATES[state].name.lower(),
         seconds=seconds,
         frames=len(taken),
         errors=int((seen["flags"] & ERROR != 0).sum()),
@@ -272,11 +178,11 @@ class Identifiers:
         self._ids = set(line.ids)
         #: Messages of other devices, by identifier and whether it has 29 bits.
         self.foreign = {each.key: each for each in line.foreign}
-        self._has_time, self._has_states = contract.layout.sync.time_s is not None, contract.recognition is not None
+        self._has_time = contract.layout.sync.time_s is not None
         self._kinds: dict[int, tuple[str, int]] = {}
         self._length, self._flags = np.zeros((2, BASE_ID_MASK + 1), np.uint8)
         self._is_sums = np.zeros(BASE_ID_MASK + 1, np.bool_)
-        for node in (each for state in contract.states for each in state.on_bus(bus)):
+        for node in contract.on_bus(bus):
             for tpdo in node.tpdos:
                 self._kinds[tpdo.cob_id] = TPDO, node.node_id
                 self._length[tpdo.cob_id], self._flags[tpdo.cob_id] = tpdo.length, node.flags & (FD | BRS)
@@ -290,8 +196,6 @@ class Identifiers:
             return ("NMT" if cob_id == NMT_COB_ID else "SYNC"), 0
         if cob_id == TIME_COB_ID and self._has_time:
             return "TIME", 0
-        if cob_id == STATE_COB_ID and self._has_states:
-            return STATE, 0
         for base, kind in SERVICES.items():
             if cob_id - base in self._ids:
                 return kind, 0 if base == SDO_REQUEST_BASE else cob_id - base
@@ -369,7 +273,7 @@ def misfits(contract: Contract, bus: int, seen: Frames, load: BusLoad) -> list[s
     if load.load_exact > 1:
         rate = contract.layout.bus[bus].bitrate
         lines.append(f"{load.load_exact:.1%} is more than a bus carries: its bit rate is not the layout's {rate}")
-    return [f"{load.title}: {line}" for line in lines]
+    return [f"{load.name}: {line}" for line in lines]
 
 
 def _check_format(line: Bus, seen: Frames) -> None:

@@ -50,7 +50,7 @@ def _print_measured(loads: Sequence[BusLoad]) -> None:
         ["load planned, worst", *(percent(each.plan_worst) for each in loads)],
         ["errors reported", *(each.errors for each in loads)],
     ]
-    print_table(["", *(each.title for each in loads)], rows)
+    print_table(["", *(each.name for each in loads)], rows)
 
 
 def _print_identifiers(load: BusLoad) -> None:
@@ -68,7 +68,7 @@ def _print_identifiers(load: BusLoad) -> None:
         for each in load.identifiers
     ]
     headings = ["COB-ID", "kind", "sender", "frames", "a second", "planned", "load", "worst load"]
-    print_table(headings, rows, title=load.title)
+    print_table(headings, rows, title=load.name)
 
 
 def _print_foreign(plans: Sequence[BusPlan]) -> None:

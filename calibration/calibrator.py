@@ -14,7 +14,6 @@ import numpy as np
 import numpy.typing as npt
 
 from calibration.defects import DefectFinder
-from calibration.drift import SHORTEST_MEMORY
 from calibration.field import FieldFinder
 from calibration.followed import FollowedZero, ZeroLog, least_noise_n
 from calibration.taring import Taring
@@ -26,7 +25,7 @@ from skin.clipping import IDLE_MEAN
 from skin.frontend import sum_step_n
 from skin.layout import Layout
 from skin.measured_sums import used_sums
-from skin.measurement import Sbhe, places
+from skin.measurement import Sbhe
 from skin.regions import taxels_of
 from skin.taxel import NOISE_N
 
@@ -38,8 +37,6 @@ LEAST_NOISE_RATIO: Final = 0.3
 LOOK_S: Final = 0.025
 #: Noise of a sum, counts, that is no defect: averages of an untouched taxel are 0 but for rare cycles.
 QUIET_COUNTS: Final = 3.0
-#: Windows without cycles of all sums after which they are asked for, where nodes have two states.
-LONGEST_GAP: Final = 60
 
 
 @dataclass(frozen=True)
@@ -109,20 +106,14 @@ class Corrections:
             offsets = self._counts(followed.zero.follower.level_n)
             self._offsets = offsets.tobytes() if offsets.any() else b""
 
-    def apply(
-        self,
-        measurement: Measurement,
-        followed: FollowedZero | None,
-        usable: Bools,
-        sums: npt.NDArray[np.intp] | slice,
-    ) -> Measurement:
+    def apply(self, measurement: Measurement, followed: FollowedZero | None, usable: Bools) -> Measurement:
         """Return a measurement with its corrections; `usable`, shape (m,), is False for defective sums."""
         if followed is None or not self._is_own:
             if not self._offsets and not self._doubtful:
                 return measurement
             return msgspec.structs.replace(measurement, offsets=self._offsets, doubtful=self._doubtful)
-        offsets = self._counts(followed.offsets_at_n(measurement.sampled_mono_ns)[sums])
-        used = (usable & followed.zero.follower.known)[sums]
+        offsets = self._counts(followed.offsets_at_n(measurement.sampled_mono_ns))
+        used = usable & followed.zero.follower.known
         if measurement.usable:
             used &= np.frombuffer(measurement.usable, np.uint8) != 0
         return msgspec.structs.replace(
@@ -172,15 +163,10 @@ class Calibrator:
         self._layout, self._phi, self._tares, self._say = layout, phi, tares, say
         #: Whether offsets are measured and followed here, and not by the boards.
         self._is_own = not layout.sends.boards_keep_zero
-        #: Where the sums of recognition are among those of Φ, by the fingerprint of their Φ; empty with one state.
-        self._parts: dict[str, npt.NDArray[np.intp]] = {}
-        if layout.recognition is not None:
-            few = layout.recognising().phi()
-            self._parts[few.fingerprint] = places(phi, few)
         self._period_s = layout.sync.round_s if self._is_own else LOOK_S
         self._windows = WindowMeans(phi.shape[0], self._period_s, taxels.newton_per_count)
         self._waiting: Window | None = None
-        self._newest_ns = self._needs_until_ns = self._tared_ns = 0
+        self._newest_ns = self._tared_ns = 0
         self._noise = ClippedNoise(phi, clips=layout.samples_per_sync == 1 and not taxels.is_analogue)
         self._finder = FieldFinder(phi, taxels.surface)
         nothing = np.zeros(phi.shape[0])
@@ -282,16 +268,15 @@ class Calibrator:
         self.state = CalibrationState.MEASURING
 
     def apply(self, measurement: Measurement) -> Measurement:
-        """Return a measurement, of all sums or of recognition, with the offsets of its instant.
+        """Return a measurement with the offsets of its instant.
 
         Sums that are defective or have no offset are not usable in it.
         """
-        sums = self._parts.get(measurement.fingerprint, slice(None))
-        return self._corrections.apply(measurement, self._followed, self._defects.found.usable, sums)
+        return self._corrections.apply(measurement, self._followed, self._defects.found.usable)
 
     def take(self, measurement: Measurement) -> None:
-        """Learn from a measurement of all sums as it came, without saturated sums; most of it is left to `work`."""
-        if self.state in {CalibrationState.OFF, CalibrationState.LOADED} or measurement.fingerprint in self._parts:
+        """Learn from a measurement as it came, without saturated sums; most of it is left to `work`."""
+        if self.state in {CalibrationState.OFF, CalibrationState.LOADED}:
             return
         if measurement.cycle % self._layout.sync.turns:  # half of its sums come once more in the next one
             return
@@ -318,26 +303,6 @@ class Calibrator:
         if self.state is not CalibrationState.FOLLOWING:
             self._measure(window)
         self._corrections.take(self._followed, tares=self._tares)
-
-    def needs_cycles(self, now_ns: int) -> bool:
-        """Tell whether cycles of all sums should come now, where they do not come all the time.
-
-        While the zero is measured; then for some windows after every `LONGEST_GAP` windows without any.
-
-        Parameters
-        ----------
-        now_ns : int
-            On the clock of the measurements.
-        """
-        if self.state not in {CalibrationState.TOUCHED, CalibrationState.FOLLOWING}:
-            return self.state is CalibrationState.MEASURING
-        length_ns, followed = self._windows.length_ns, self._followed
-        if now_ns - self._newest_ns > LONGEST_GAP * length_ns:
-            windows = TARE_WINDOWS
-            if self.state is CalibrationState.FOLLOWING and followed is not None:  # late blocks need a zero in a row
-                windows = SHORTEST_MEMORY if followed.zero.follower.known.all() else TARE_WINDOWS + 2
-            self._needs_until_ns = now_ns + windows * length_ns
-        return now_ns < self._needs_until_ns
 
     def status(self) -> CalibrationStatus:
         """Return what is known for `canskin.messages.GatewayStatus`."""

@@ -9,11 +9,12 @@ from calibration.gains import defects_of, find_gains
 from calibration.windows import Floats
 from canskin.errors import InputError, RunError
 from canskin.messages import IMAGE, MEASUREMENT
+from recording import RECORDING_SUFFIX, is_recording
+from recording.mcap_file import read_messages
 from shell.service import say
 from skin.calibration_file import LEAST_GAIN, MOST_GAIN, StoredCalibration, load_calibration, new_calibration
 from skin.frontend import LEAST_FELT
-from skin.layout import RECORDING_SUFFIX, Layout, require_sending
-from skin.mcap_file import read_messages
+from skin.layout import Layout, require_sending
 from skin.measured_sums import decode_measurement
 
 
@@ -45,7 +46,7 @@ def stored_gains(skin: Layout, path: Path, force_n: float | None, before: Path |
                 f"{path}: expected {taxels.rows} lines of {taxels.columns} gains from {LEAST_GAIN:g} to {MOST_GAIN:g}"
             )
         return new_calibration(skin, gains=table.ravel())
-    if path.suffix.lower() != RECORDING_SUFFIX:
+    if not is_recording(path):
         raise InputError(f"{path}: expected a recording ({RECORDING_SUFFIX}), or a table of gains (.csv)")
     if force_n is None:
         raise InputError("expected the force of the weight: --force-n NEWTONS")

@@ -6,8 +6,8 @@ from pathlib import Path
 import msgspec
 
 from canskin.messages import MEASUREMENT, Measurement
+from recording.mcap_file import read_messages, wall_offset_ns
 from skin.layout import Layout
-from skin.mcap_file import read_messages, wall_offset_ns
 from skin.measured_sums import check_measurement
 
 

@@ -7,20 +7,17 @@ import msgspec
 import numpy as np
 from cyclopts import Parameter
 
-from canskin.errors import InputError, RunError
-from canskin.fabric import Fabric
-from canskin.state_messages import IMAGES, ImagesRequest
+from canskin.errors import InputError
 from classifier.cache import FEATURES, TOUCHES_PER_OBJECT, cached_path, find_or_train, keep_model
 from classifier.model import SIMULATED, Features, Metadata, Model, TrainingCard
 from classifier.modelfile import load_model, save_model
 from classifier.used_sums import classified_phi
-from classifier.wake import Wake
 from shell.output import check_output_path, write_file
 from shell.service import StopSignal, request_real_time, say
 from shell.skin_options import SkinOptions
 from shell.terminal import Json, print_json, print_table, progress
 from shell.touch_options import ObjectNames
-from skin.layout import Layout, Recognition, layout_text, load_layout
+from skin.layout import Layout, layout_text, load_layout
 from skin.sources import DEFAULT_OBJECTS, StrokeKind, load_touches, object_names
 from skin.taxel import NOISE_N
 
@@ -76,27 +73,12 @@ def classify(
     Classifier(trained, classified).decide(*still)
     fabric = of.join(skin, "classifier", stop)
     say("classifier", f"knows {', '.join(trained.metadata.classes)}")
-    wake = None if skin.recognition is None else _wake(skin.recognition, fabric)
     try:
-        decides = Classifier(trained, classified)
-        service = make_service(decides, skin, fabric, (lambda _label: None) if wake is None else wake.take)
+        service = make_service(Classifier(trained, classified), skin, fabric)
         request_real_time("classifier", fabric.tell_scheduling)
         service.run(stop)
     finally:
-        if wake is not None:
-            wake.close()
         fabric.close()
-
-
-def _wake(state: Recognition, fabric: Fabric) -> Wake:
-    """Return what asks for images as the layout says."""
-
-    def ask(hold_s: float) -> None:
-        reply = fabric.ask(IMAGES, ImagesRequest(hold_s=hold_s), ASK_S)
-        if not reply.is_done:
-            raise RunError(reply.text)
-
-    return Wake(state, ask)
 
 
 def train(
@@ -140,8 +122,7 @@ def train(
     out
         Model file; default: the file in the cache folder that ``skin classify`` uses without ``--model``.
     choose
-        Number of rows of Φ that separate the touches best, in place of the layout's, those of ``[recognition]`` if it
-        has this table; needs ``--layout-out``.
+        Number of rows of Φ that separate the touches best, in place of the layout's; needs ``--layout-out``.
     layout_out
         Layout file with the chosen rows: the model is for this layout.
     recordings

@@ -28,8 +28,8 @@ def is_gap(step: int, cycles: int) -> bool:
 
 
 def averaged_cycles(layout: Layout) -> int:
-    """Return over how many cycles the classifier averages sums: 1 where nodes average, and where rates or Φ change."""
-    if layout.samples_per_sync > 1 or layout.recognition is not None or len(layout.measurement.matrix or ()) > 1:
+    """Return over how many cycles the classifier averages sums: 1 where nodes average, and where Φ changes."""
+    if layout.samples_per_sync > 1 or len(layout.measurement.matrix or ()) > 1:
         return 1
     return max(1, round(AVERAGED_S * layout.sync.rate_hz))
 

@@ -9,16 +9,17 @@ import numpy as np
 import numpy.typing as npt
 
 from canskin.errors import InputError, tell
-from canskin.messages import MEASUREMENT, MIN_VALID_RATIO, RECOGNITION
+from canskin.messages import MEASUREMENT, MIN_VALID_RATIO
 from classifier.model import Float64
 from classifier.modelfile import skin_of
 from classifier.newest_sums import NewestSums, averaged_cycles, is_gap
 from classifier.samples import FeatureExtractor, Seen, Untouched, observe_untouched, standard_untouched
 from classifier.touches import CycleKey, Touches, read_touches
 from classifier.used_sums import classified_phi, coarse_sums
+from recording import RECORDING_SUFFIX, is_recording
+from recording.mcap_file import Warn, read_messages
 from skin.difference import difference
-from skin.layout import RECORDING_SUFFIX, Layout, load_layout
-from skin.mcap_file import Warn, read_messages
+from skin.layout import Layout, load_layout
 from skin.measured_sums import decode_measurement, decode_stepped
 from skin.measurement import Phi, places
 from skin.taxel import NOISE_N
@@ -150,7 +151,7 @@ def recordings_in(given: Iterable[Path]) -> list[Path]:
     paths = []
     for each in given:
         found = sorted(each.glob(f"*{RECORDING_SUFFIX}")) if each.is_dir() else [each]
-        if not found or not all(path.is_file() and path.suffix.lower() == RECORDING_SUFFIX for path in found):
+        if not found or not all(path.is_file() and is_recording(path) for path in found):
             raise InputError(f"{each}: expected a recording of 'skin record' ({RECORDING_SUFFIX}), or a folder of them")
         paths += found
     if not paths:
@@ -182,11 +183,10 @@ class _Reader:
         of_touch: list[int] = []
         wanted = _wanted(found, MOST_STILL // recordings)
         newest = NewestSums(phi, averaged_cycles(layout))
-        topic = MEASUREMENT if layout.recognition is None else RECOGNITION
-        sent = layout.recognising().operator()
+        sent = layout.operator()
         used = np.arange(phi.shape[0]) if layout.sends.in_cycles else places(layout.phi(), coarse_sums(layout))
         before = None
-        for _, _, measurement in read_messages(path, (topic,), warn):
+        for _, _, measurement in read_messages(path, (MEASUREMENT,), warn):
             try:
                 decoded = (decode_measurement if layout.sends.in_cycles else decode_stepped)(measurement, sent)
             except InputError as error:

@@ -62,8 +62,7 @@ def with_chosen_rows(
     Parameters
     ----------
     layout : Layout
-        All rows of its blocks are candidates. With a state of recognition the rows are those of this state, and the
-        candidates are the rows that the nodes send for images.
+        All rows of its blocks are candidates.
     force_n : array, shape (touches, rows, columns)
         True forces in newtons.
     labels : array, shape (touches,)
@@ -74,12 +73,10 @@ def with_chosen_rows(
     """
     require_sending(layout, "synchronous", "a choice of rows is", "stepped nodes send every row")
     drawn = layout.phi()
-    every = replace(drawn, kept=np.ones_like(drawn.kept)) if layout.recognition is None else drawn
+    every = replace(drawn, kept=np.ones_like(drawn.kept))
     sums = simulate_means(force_n, layout, every, noise_n, np.random.default_rng(seed))
     chosen = choose_rows(every, sums, labels, count)
     rows = tuple(zip(chosen.block_of_sum.tolist(), chosen.row_of_sum.tolist(), strict=True))
-    if layout.recognition is not None:
-        return validated(changed(layout, recognition={"sums": None, "rows": rows}))
     return validated(changed(layout, measurement={"sums": count, "rows": rows, "selection": "balanced"}))
 
 

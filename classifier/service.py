@@ -1,14 +1,13 @@
 """The classifier's loop: measurements in, labels out."""
 
 import time
-from collections.abc import Callable
 from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
 from canskin.fabric import Exchange
-from canskin.messages import LABEL, MEASUREMENT, RECOGNITION, Label, Measurement, Topic
+from canskin.messages import LABEL, MEASUREMENT, Label, Measurement
 from classifier.decide import Classifier
 from classifier.newest_sums import FORGET_CYCLES
 from classifier.settling import Decision
@@ -29,11 +28,11 @@ PERIOD_S: Final = 0.01
 
 
 def make_service(
-    classifier: Classifier, layout: Layout, fabric: Exchange, wake: Callable[[str], None] = lambda _label: None
+    classifier: Classifier, layout: Layout, fabric: Exchange
 ) -> "ClassifierService | SteppedClassifierService":
-    """Return what labels the measurements of a skin; `wake` is called with each label of a cycle."""
+    """Return what labels the measurements of a skin."""
     if layout.sends.in_cycles:
-        return ClassifierService(classifier, layout, fabric, wake=wake)
+        return ClassifierService(classifier, layout, fabric)
     return SteppedClassifierService(classifier, layout, fabric)
 
 
@@ -53,13 +52,12 @@ class _Service:
 
     _reader: MeasurementReader[Any]
 
-    def __init__(self, classifier: Classifier, phi: Phi, fabric: Exchange, topic: Topic, *, waiting: int) -> None:
+    def __init__(self, classifier: Classifier, phi: Phi, fabric: Exchange, *, waiting: int) -> None:
         self.labelled = 0
         self._classifier = classifier
         self._sums_of_block = np.diff(phi.starts)
-        self._named_sums = phi.shape[0] if topic is RECOGNITION else 0
         self._fabric = fabric
-        self._measurements = fabric.mailbox(topic, waiting)
+        self._measurements = fabric.mailbox(MEASUREMENT, waiting)
 
     def _labelled(self, measurement: Measurement, decision: Decision, valid: npt.NDArray[np.bool_]) -> Label:
         self.labelled += 1
@@ -73,7 +71,6 @@ class _Service:
             valid_sums=int(self._sums_of_block[valid].sum()),
             blind=decision.blind,
             number=self.labelled,
-            sums=self._named_sums,
         )
 
 
@@ -82,8 +79,6 @@ class ClassifierService(_Service):
 
     Parameters
     ----------
-    wake : callable
-        Called with each label.
     keeps_time : bool
         Whether measurements come as they are sampled; else labels settle over cycles, whatever their times.
     """
@@ -94,14 +89,12 @@ class ClassifierService(_Service):
         layout: Layout,
         fabric: Exchange,
         *,
-        wake: Callable[[str], None] = lambda _label: None,
         keeps_time: bool = True,
     ) -> None:
-        phi, topic = classified_phi(layout), MEASUREMENT if layout.recognition is None else RECOGNITION
-        super().__init__(classifier, phi, fabric, topic, waiting=most_waiting(1 / layout.shortest_period_s))
+        phi = classified_phi(layout)
+        super().__init__(classifier, phi, fabric, waiting=most_waiting(1 / layout.sync.period_s))
         self._reader = MeasurementReader(phi, "classifier", decode_measurement)
         self._keeps_time = keeps_time
-        self._wake = wake
 
     def run(self, stop: StopSignal) -> None:
         """Label measurements until `stop` is set."""
@@ -112,7 +105,6 @@ class ClassifierService(_Service):
             label = self.label(measurement)
             if label is not None:
                 self._fabric.publish(LABEL, label)
-                self._wake(label.label)
 
     def label(self, measurement: Measurement) -> Label | None:
         """Return the label of one measurement, or None when it is refused."""
@@ -138,7 +130,7 @@ class SteppedClassifierService(_Service):
     """
 
     def __init__(self, classifier: Classifier, layout: Layout, fabric: Exchange) -> None:
-        super().__init__(classifier, layout.phi(), fabric, MEASUREMENT, waiting=1)
+        super().__init__(classifier, layout.phi(), fabric, waiting=1)
         self._reader = MeasurementReader(layout.phi(), "classifier", decode_stepped)
         self._places = places(layout.phi(), coarse_sums(layout))
         self._newest: tuple[Measurement, SteppedSums] | None = None

@@ -17,8 +17,8 @@ import numpy as np
 
 from canskin.errors import UNDECODABLE, InputError
 from canskin.messages import CONTACTS, MARK, Contacts, check_label
+from recording.mcap_file import Read, Warn, read_messages
 from shell.output import write_file
-from skin.mcap_file import Read, Warn, read_messages
 
 #: Without contact for longer, a touch has ended.
 GAP_NS: Final = 100_000_000

@@ -21,8 +21,8 @@ STEPPED_NOISE_RATIOS: Final = (0.2, 0.6)
 
 
 def classified_phi(layout: Layout) -> Phi:
-    """Return the Φ of the sums that the classifier uses: of a cycle, or of recognition; else `coarse_sums`."""
-    return layout.recognising().operator() if layout.sends.in_cycles else coarse_sums(layout)
+    """Return the Φ of the sums that the classifier uses: of a cycle, or of steps `coarse_sums`."""
+    return layout.operator() if layout.sends.in_cycles else coarse_sums(layout)
 
 
 def coarse_sums(layout: Layout) -> Sbhe:

@@ -14,7 +14,7 @@ from dbc import indices as od
 from dbc.canopen import EXTENDED_ID_MASK, HEARTBEAT_BASE, SDO_REQUEST_BASE, SDO_RESPONSE_BASE
 from dbc.configuration import configuration, expected_signature
 from dbc.contract import Contract, NodeContract
-from dbc.dictionary import SkinState, dictionary
+from dbc.dictionary import dictionary
 from dbc.frame import FD
 from dbc.objects import Value
 from dbc.packing import Packing
@@ -67,10 +67,7 @@ class MappedObject(_Table, frozen=True, kw_only=True):
 
 
 class BoardTpdo(_Table, frozen=True, kw_only=True):
-    """One transmit PDO (18xxh, 1Axxh); `length` is its payload in bytes, padding included.
-
-    Boards with two states have `state`, the value of 2008h:1 with which it is sent.
-    """
+    """One transmit PDO (18xxh, 1Axxh); `length` is its payload in bytes, padding included."""
 
     number: int
     cob_id: int
@@ -80,7 +77,6 @@ class BoardTpdo(_Table, frozen=True, kw_only=True):
     event_timer_ms: int
     length: int
     mapping: list[MappedObject]
-    state: int | None = None
 
 
 class BoardPart(_Table, frozen=True, kw_only=True):
@@ -137,8 +133,6 @@ class Board(_Table, frozen=True, kw_only=True):
         Identity (1018h).
     sync_cob_id, sync_period_us, sync_window_us, sync_overflow : int
         1005h, 1006h, 1007h and 1019h, the largest SYNC counter.
-    recognition_window_us : int
-        2008h:2 of boards with two states.
     emcy_cob_id, sdo_request_cob_id, sdo_response_cob_id, heartbeat_cob_id, heartbeat_ms : int
     sending : str
         ``synchronous`` or ``steps``.
@@ -184,7 +178,6 @@ class Board(_Table, frozen=True, kw_only=True):
     sync_cob_id: int
     sync_period_us: int
     sync_window_us: int
-    recognition_window_us: int | None = None
     sync_overflow: int
     emcy_cob_id: int
     sdo_request_cob_id: int
@@ -232,7 +225,6 @@ def board(contract: Contract, node: NodeContract) -> Board:
         sync_cob_id=int(values[od.SYNC_COB_ID, 0]),
         sync_period_us=int(values[od.CYCLE_PERIOD_US, 0]),
         sync_window_us=int(values[od.WINDOW_US, 0]),
-        recognition_window_us=None if contract.recognition is None else int(values[od.STATE, 2]),
         sync_overflow=int(values[od.SYNC_OVERFLOW, 0]),
         emcy_cob_id=int(values[od.EMCY_COB_ID, 0]),
         sdo_request_cob_id=SDO_REQUEST_BASE + node.node_id,
@@ -250,7 +242,7 @@ def board(contract: Contract, node: NodeContract) -> Board:
         phi_seed=int(values[od.PHI_SEED, 0]),
         phi_fingerprint=contract.phi.fingerprint,
         signature=expected_signature(configuration(contract, node)),
-        tpdos=_tpdos(contract, node, values),
+        tpdos=_tpdos(node, values),
         blocks=_blocks(contract, node, values),
         **(_steps(contract, node, values) if in_steps else {}),
     )
@@ -273,30 +265,23 @@ def _packing(packing: Packing) -> BoardPacking:
     return BoardPacking(bits=packing.bits, step_counts=packing.scale, zero=packing.offset, raw_min=low, raw_max=high)
 
 
-def _tpdos(contract: Contract, node: NodeContract, values: _Values) -> list[BoardTpdo]:
-    lengths = {each.number: each.length for each in node.tpdos}
-    states: dict[int, SkinState] = {}
-    if contract.recognition is not None:
-        few = contract.states_of(node)[1].tpdos
-        states = dict.fromkeys(lengths, SkinState.IMAGES) | {each.number: SkinState.RECOGNITION for each in few}
-        lengths |= {each.number: each.length for each in few}
+def _tpdos(node: NodeContract, values: _Values) -> list[BoardTpdo]:
     tpdos = []
-    for number, length in lengths.items():
-        communication, mapping = od.TPDO_COMMUNICATION + number - 1, od.TPDO_MAPPING + number - 1
+    for each in node.tpdos:
+        communication, mapping = od.TPDO_COMMUNICATION + each.number - 1, od.TPDO_MAPPING + each.number - 1
         entries = [int(values[mapping, place]) for place in range(1, int(values[mapping, 0]) + 1)]
         tpdos.append(
             BoardTpdo(
-                number=number,
+                number=each.number,
                 cob_id=int(values[communication, 1]) & EXTENDED_ID_MASK,
                 transmission_type=int(values[communication, 2]),
                 sync_start_value=int(values[communication, 6]),
                 inhibit_100us=int(values[communication, 3]),
                 event_timer_ms=int(values[communication, 5]),
-                length=length,
+                length=each.length,
                 mapping=[
                     MappedObject(index=entry >> 16, subindex=entry >> 8 & 0xFF, bits=entry & 0xFF) for entry in entries
                 ],
-                state=states.get(number),
             )
         )
     return tpdos

@@ -116,8 +116,4 @@ def node_payloads(
     for row, payload in zip(rows, packed, strict=True):
         length = int(table.length[row])
         payloads[int(table.cob_id[row])] = payload.tobytes()[:length].ljust(length, b"\0")
-    if contract.recognition is not None:
-        few, starts = contract.states_of(node)[1], contract.recognition.phi.starts
-        own = contract.recognised[starts[few.block] : starts[few.block + few.blocks]]
-        payloads |= node_payloads(contract.recognition, few, sync_counter, sums[own - first])
     return payloads

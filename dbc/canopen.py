@@ -34,9 +34,6 @@ LSS_BYTES: Final = 8
 NO_NODE_ID: Final = 0xFF
 #: Standard bit timings by index, bit/s (CiA 305, table 1); index 5 is reserved.
 LSS_BIT_RATES_HZ: Final = (1_000_000, 800_000, 500_000, 250_000, 125_000, 0, 50_000, 20_000, 10_000)
-#: Of the RPDO that switches all nodes between recognition and images: the EMCY of a node that no bus has then. It comes
-#: before all TPDOs, so that nodes that missed it cannot hold it up.
-STATE_COB_ID: Final = EMCY_BASE + HIGHEST_NODE_ID
 
 
 def identifier_text(cob_id: int, *, is_extended: bool = False) -> str:

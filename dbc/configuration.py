@@ -17,9 +17,8 @@ from dbc.dictionary import dictionary
 from dbc.objects import Object
 
 #: Sub-indices of an object that are compared; objects without an entry are compared whole.
-_COMPARED: Final = {od.IDENTITY: (1, 2), od.STATE: (2,), od.SENDING: (2,)}
-#: COB-ID, transmission type and, of TPDOs, the SYNC start value; the other sub-indices concern event-driven PDOs only.
-_COMPARED_OF_RPDO: Final = (1, 2)
+_COMPARED: Final = {od.IDENTITY: (1, 2), od.SENDING: (2,)}
+#: COB-ID, transmission type and SYNC start value; the other sub-indices concern event-driven PDOs only.
 _COMPARED_OF_TPDO: Final = (1, 2, 6)
 _WHOLE: Final = (
     od.SYNC_COB_ID,
@@ -133,15 +132,13 @@ def proof_period_s(contract: Contract, bus: int) -> float:
 
 
 def _is_mapping(index: int) -> bool:
-    return od.TPDO_MAPPING <= index < od.TPDO_END or index == od.RPDO_MAPPING
+    return od.TPDO_MAPPING <= index < od.TPDO_END
 
 
 def _is_compared(each: Object, mapped: Mapping[int, int]) -> bool:
     subindex = each.subindex or 0
     if od.TPDO_COMMUNICATION <= each.index < od.TPDO_MAPPING:
         return subindex in _COMPARED_OF_TPDO
-    if each.index == od.RPDO_COMMUNICATION:
-        return subindex in _COMPARED_OF_RPDO
     if _is_mapping(each.index):
         return subindex <= mapped[each.index]
     if each.index in _COMPARED:

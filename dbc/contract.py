@@ -9,7 +9,7 @@ type t with SYNC start value turn + 1.
 The first byte of a stepped TPDO is the number of its slot (`dbc.steps`), and words of its parts follow.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
 from typing import Final, NamedTuple, Self
@@ -23,7 +23,6 @@ from dbc.canopen import (
     HIGHEST_NODE_ID,
     NMT_COB_ID,
     SERVICES,
-    STATE_COB_ID,
     SYNC_COB_ID,
     TIME_COB_ID,
     TPDO_BASES,
@@ -33,7 +32,7 @@ from dbc.frame_bits import frame_time_ns
 from dbc.packing import COUNTER_BYTES, Packing, packing
 from skin.choice import SUMS_MAX
 from skin.layout import SUM_BITS_MAX, SUM_BITS_MIN, Bus, Layout
-from skin.measurement import Sbhe, places
+from skin.measurement import Sbhe
 from skin.walsh import grouped_rows
 
 #: Most bytes of one object in an SDO transfer; far above the size of any object of a node.
@@ -118,38 +117,12 @@ class Contract:
     packing: Packing
     nodes: tuple[NodeContract, ...]
 
-    def states_of(self, node: NodeContract) -> list[NodeContract]:
-        """Return a node of this contract as it is in each of `states`."""
-        place = self.nodes.index(node)
-        return [state.nodes[place] for state in self.states]
-
     @classmethod
     def from_layout(cls, layout: Layout) -> Self:
         """Compute all nodes and frames of a skin; LayoutError refuses a node with more sums than identifiers."""
-        contract = cls(layout, *_phi_and_nodes(layout, {}))
+        contract = cls(layout, *_phi_and_nodes(layout))
         _check_foreign(contract)
         return contract
-
-    @cached_property
-    def recognition(self) -> "Contract | None":
-        """The contract of recognition: fewer sums of the same nodes, in TPDOs of their own; None without this state."""
-        if self.layout.recognition is None:
-            return None
-        taken = {(node.bus, node.node_id): len(node.tpdos) for node in self.nodes}
-        layout = self.layout.recognising()
-        return Contract(layout, *_phi_and_nodes(layout, taken))
-
-    @cached_property
-    def recognised(self) -> npt.NDArray[np.intp]:
-        """Where the sums of recognition are among all sums; empty without that state."""
-        if self.recognition is None:
-            return np.zeros(0, np.intp)
-        return places(self.phi, self.recognition.phi)
-
-    @property
-    def states(self) -> "tuple[Contract, ...]":
-        """The contract of images, and that of recognition if there is one."""
-        return (self,) if self.recognition is None else (self, self.recognition)
 
     @property
     def in_steps(self) -> bool:
@@ -204,12 +177,9 @@ class Contract:
         found = {NMT_COB_ID: "NMT", SYNC_COB_ID: "SYNC"}
         if self.layout.sync.time_s is not None:
             found[TIME_COB_ID] = "TIME"
-        if self.recognition is not None:
-            found[STATE_COB_ID] = "the switch of states"
         for node in self.on_bus(bus):
             found |= {base + node.node_id: f"{what} of node {node.node_id}" for base, what in SERVICES.items()}
-            for state in self.states_of(node):
-                found |= {tpdo.cob_id: f"TPDO {tpdo.number} of node {node.node_id}" for tpdo in state.tpdos}
+            found |= {tpdo.cob_id: f"TPDO {tpdo.number} of node {node.node_id}" for tpdo in node.tpdos}
         return found
 
     def cycle(self, bus: int, turn: int = 0) -> Frames:
@@ -230,10 +200,9 @@ class Contract:
         return float(frame_time_ns(one, line.bitrate, line.data_bitrate, "none")[0]) * 1e-9
 
     def longest_ns(self, bus: int) -> int:
-        """Return the most time of a TPDO of any state on a bus, with all stuff bits that there may be, nanoseconds."""
+        """Return the most time of a TPDO on a bus, with all stuff bits that there may be, nanoseconds."""
         line, one = self.layout.bus[bus], frames(1)
-        longest = max(state.table.length[state.table.bus == bus].max(initial=0) for state in self.states)
-        one["length"], one["flags"] = longest, frame_flags(line)
+        one["length"], one["flags"] = self.table.length[self.table.bus == bus].max(initial=0), frame_flags(line)
         return int(frame_time_ns(one, line.bitrate, line.data_bitrate, "worst")[0])
 
     @cached_property
@@ -308,10 +277,8 @@ def frame_flags(line: Bus) -> int:
     return FD | (BRS if line.data_bitrate else 0) if line.fd else 0
 
 
-def _phi_and_nodes(
-    layout: Layout, taken: Mapping[tuple[int, int], int]
-) -> tuple[Sbhe, Packing, tuple[NodeContract, ...]]:
-    """Return Φ, packing and nodes; `taken` has the number of TPDOs that a node has besides, by bus and node-ID."""
+def _phi_and_nodes(layout: Layout) -> tuple[Sbhe, Packing, tuple[NodeContract, ...]]:
+    """Return Φ, packing and nodes."""
     phi, pack = layout.phi(), packing(layout)
     nodes: list[NodeContract] = []
     for number, bus in enumerate(layout.bus):
@@ -320,8 +287,7 @@ def _phi_and_nodes(
             sums = range(int(phi.starts[block]), int(phi.starts[block + bus.blocks_per_node]))
             forms: tuple[steps.Form, ...] = ()
             if layout.sends.in_cycles:
-                others = taken.get((number, node_id), 0)
-                tpdos = _tpdos(bus, number, place, sums, pack.bits, turns=layout.sync.turns, others=others)
+                tpdos = _tpdos(bus, number, place, sums, pack.bits, turns=layout.sync.turns)
             else:
                 forms = tuple(steps.forms(len(sums), is_fd=bus.fd))
                 tpdos = _tpdos_of_parts(bus, number, place, sums, forms)
@@ -347,12 +313,12 @@ def _tpdos_of_parts(bus: Bus, number: int, place: int, sums: range, forms: Seque
     )
 
 
-def _tpdos(bus: Bus, number: int, place: int, sums: range, bits: int, *, turns: int, others: int) -> tuple[Tpdo, ...]:
-    """Divide the sums of the node at a place of a bus into frames; `others` TPDOs come before."""
+def _tpdos(bus: Bus, number: int, place: int, sums: range, bits: int, *, turns: int) -> tuple[Tpdo, ...]:
+    """Divide the sums of the node at a place of a bus into frames."""
     return tuple(
         Tpdo(
-            number=others + index + 1,
-            cob_id=_cob_id(bus, number, place, others + index),
+            number=index + 1,
+            cob_id=_cob_id(bus, number, place, index),
             turn=index % turns,
             first_sum=part.start,
             sums=len(part),

@@ -17,14 +17,13 @@ from dbc.canopen import (
     NMT_COB_ID,
     SDO_REQUEST_BASE,
     SDO_RESPONSE_BASE,
-    STATE_COB_ID,
     SYNC_COB_ID,
     TIME_COB_ID,
     NmtCommand,
     NmtState,
 )
 from dbc.contract import Contract, NodeContract, Tpdo, places_of_sums
-from dbc.dictionary import HEARTBEAT_MS, SkinState
+from dbc.dictionary import HEARTBEAT_MS
 from dbc.frame import FD
 from dbc.packing import COUNTER_BYTES, rounding_error_n
 from dbc.steps import WORD_BYTES
@@ -52,9 +51,6 @@ def database(contract: Contract, bus: int) -> str:
     layout, line = contract.layout, contract.layout.bus[bus]
     nodes = contract.on_bus(bus)
     messages = _network(contract) + [message for node in nodes for message in _node(contract, node)]
-    if contract.recognition is not None:
-        few = contract.recognition
-        messages += [_sums(few, node, tpdo, "_Recognition") for node in few.on_bus(bus) for tpdo in node.tpdos]
     comment = (
         f"Bus {line.name} of skin {layout.name}: blocks {nodes[0].block} to {nodes[-1].block + nodes[-1].blocks - 1}"
         f" of Phi {contract.phi.fingerprint}. {_unit_text(contract)}"
@@ -189,11 +185,7 @@ def _network(contract: Contract) -> list["Message"]:
         _signal("Days", 32, 16, receiver=None, unit="d"),
     ]
     about = "TIME_OF_DAY in UTC; days since 1984-01-01"
-    states: dict[int, str] = {SkinState.RECOGNITION: "Recognition", SkinState.IMAGES: "Images"}
-    state = [_signal("State", 0, 8, receiver=None, meanings=states)]
-    switch = _message("State", STATE_COB_ID, 1, GATEWAY, state, comment="State of all nodes from the next SYNC on")
     return [
-        *([] if contract.recognition is None else [switch]),
         _message("NMT", NMT_COB_ID, 2, GATEWAY, [command, node_id], comment="NMT command; node-ID 0 is all nodes"),
         _message(
             "SYNC",
@@ -240,10 +232,10 @@ def _transfer(receiver: str) -> list["Signal"]:
     return [_signal(name, start, bits, receiver=receiver) for name, start, bits in parts]
 
 
-def _sums(contract: Contract, node: NodeContract, tpdo: Tpdo, suffix: str = "") -> "Message":
-    """Return a TPDO with its counter and sums; `suffix` ends its name."""
+def _sums(contract: Contract, node: NodeContract, tpdo: Tpdo) -> "Message":
+    """Return a TPDO with its counter and sums."""
     pack, name, sums = contract.packing, _name(node), range(tpdo.first_sum, tpdo.first_sum + tpdo.sums)
-    when = " of recognition, after every SYNC" if suffix else ", after every SYNC"
+    when = ", after every SYNC"
     if contract.turns > 1:
         counters = ", ".join(str(tpdo.turn + 1 + each * contract.turns) for each in range(3))
         when = f", after SYNC counters {counters}, ..."
@@ -262,7 +254,7 @@ def _sums(contract: Contract, node: NodeContract, tpdo: Tpdo, suffix: str = "") 
         for place, number in enumerate(sums)
     ]
     return _message(
-        f"{name}_TPDO{tpdo.number}{suffix}",
+        f"{name}_TPDO{tpdo.number}",
         tpdo.cob_id,
         tpdo.length,
         name,

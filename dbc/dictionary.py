@@ -4,8 +4,6 @@ The manufacturer area, from 2000h, holds the node's part of Φ and its counters.
 that it needs to refuse a node programmed for another Φ.
 """
 
-from collections.abc import Sequence
-from enum import IntEnum
 from typing import Final
 
 from dbc import indices as od
@@ -15,7 +13,6 @@ from dbc.canopen import (
     EVENT_MANUFACTURER,
     SDO_REQUEST_BASE,
     SDO_RESPONSE_BASE,
-    STATE_COB_ID,
     SYNC_COB_ID,
 )
 from dbc.contract import Contract, NodeContract, Tpdo
@@ -25,18 +22,6 @@ from dbc.program import ProgramControl
 from dbc.steps import WORD_BYTES
 from skin.layout import Layout
 from skin.sync_counter import SYNC_OVERFLOW
-
-
-class SkinState(IntEnum):
-    """Values of 2008h:1, the state of a node after a reset and that in which it sends all sums."""
-
-    RECOGNITION = 0
-    IMAGES = 1
-
-
-#: Lowest cyclic synchronous transmission type; an RPDO of it acts at the next SYNC (CiA 301, 7.5.2.35).
-EVERY_SYNC: Final = 1
-_RPDO_MAPPING: Final = "RPDO 1 mapping parameter"
 
 REVISION: Final = 0x0002_0001
 #: 100Ah of a board whose program was never exchanged.
@@ -65,74 +50,12 @@ def window_s(layout: Layout) -> float:
 
 def dictionary(contract: Contract, node: NodeContract) -> list[Object]:
     """Return all objects of `node` with their initial values, by index and sub-index."""
-    tpdos = _tpdos(contract, node)
     return [
         *_communication(contract, node),
-        *_state_rpdo(contract),
-        *(entry for _, tpdo in tpdos for entry in _tpdo_communication(contract, tpdo)),
-        *(entry for sums, tpdo in tpdos for entry in _tpdo_mapping(contract, node, tpdo, sums)),
+        *(entry for tpdo in node.tpdos for entry in _tpdo_communication(contract, tpdo)),
+        *(entry for tpdo in node.tpdos for entry in _tpdo_mapping(contract, node, tpdo)),
         *_program_download(),
         *_manufacturer(contract, node),
-    ]
-
-
-def _tpdos(contract: Contract, node: NodeContract) -> list[tuple[Sequence[int], Tpdo]]:
-    """Return the TPDOs of a node, those of recognition last, each with the places of its sums among all sums."""
-    found: list[tuple[Sequence[int], Tpdo]] = [
-        (range(tpdo.first_sum, tpdo.first_sum + tpdo.sums), tpdo) for tpdo in node.tpdos
-    ]
-    if contract.recognition is not None:
-        few = contract.states_of(node)[1].tpdos
-        found += [(contract.recognised[each.first_sum : each.first_sum + each.sums].tolist(), each) for each in few]
-    return found
-
-
-def _state_rpdo(contract: Contract) -> list[Object]:
-    """Return the RPDO that switches between recognition and images at the next SYNC; the same for all nodes."""
-    if contract.recognition is None:
-        return []
-    return [
-        *record(
-            od.RPDO_COMMUNICATION,
-            "RPDO 1 communication parameter",
-            [
-                ("COB-ID used by RPDO", od.UNSIGNED32, "const", STATE_COB_ID),
-                ("Transmission type", od.UNSIGNED8, "const", EVERY_SYNC),
-            ],
-        ),
-        Object(od.RPDO_MAPPING, 0, "Number of mapped objects", od.UNSIGNED8, "const", 1, group=_RPDO_MAPPING),
-        Object(
-            od.RPDO_MAPPING,
-            1,
-            "Mapped object 1",
-            od.UNSIGNED32,
-            "const",
-            od.STATE << 16 | 1 << 8 | 8,
-            group=_RPDO_MAPPING,
-        ),
-    ]
-
-
-def _state(contract: Contract) -> list[Object]:
-    """Return the state of a node, and its window (1007h) in recognition."""
-    if contract.recognition is None:
-        return []
-    window_us = round(window_s(contract.recognition.layout) * 1e6)
-    return [
-        Object(od.STATE, 0, HIGHEST_SUBINDEX, od.UNSIGNED8, "const", 2, group="State"),
-        Object(
-            od.STATE,
-            1,
-            "State, 0 recognition, 1 images",
-            od.UNSIGNED8,
-            "rw",
-            SkinState.RECOGNITION,
-            pdo=True,
-            group="State",
-        ),
-        Object(
-            od.STATE, 2, "Synchronous window length in recognition", od.UNSIGNED32, "const", window_us, group="State"
-        ),
     ]
 
 
@@ -231,8 +154,8 @@ def _tpdo_communication(contract: Contract, tpdo: Tpdo) -> list[Object]:
     return [Object(index, sub, name, kind, access, value, group=group) for sub, name, kind, access, value in entries]
 
 
-def _tpdo_mapping(contract: Contract, node: NodeContract, tpdo: Tpdo, sums: Sequence[int]) -> list[Object]:
-    """Return the mapping record (from 1A00h): index, sub-index and bits of the SYNC counter and of each of `sums`.
+def _tpdo_mapping(contract: Contract, node: NodeContract, tpdo: Tpdo) -> list[Object]:
+    """Return the mapping record (from 1A00h): index, sub-index and bits of the SYNC counter and of each sum.
 
     That of a stepped TPDO is fixed: the slot and the words of its parts.
     """
@@ -243,7 +166,7 @@ def _tpdo_mapping(contract: Contract, node: NodeContract, tpdo: Tpdo, sums: Sequ
             for place in places(node.frame_parts * tpdo.number)[-node.frame_parts :]
         ]
         return mapping(tpdo.number, len(mapped), mapped, "const")
-    for each in sums:
+    for each in range(tpdo.first_sum, tpdo.first_sum + tpdo.sums):
         block = int(contract.phi.block_of_sum[each])
         subindex = each - int(contract.phi.starts[block]) + 1
         mapped.append(od.of_block(od.SUMS, block - node.block) << 16 | subindex << 8 | contract.packing.bits)
@@ -268,7 +191,6 @@ def _manufacturer(contract: Contract, node: NodeContract) -> list[Object]:
         *([] if contract.layout.taxels.is_analogue else [calibrated]),
         *array(od.HEALTH, "Health", health, od.UNSIGNED32, "ro", pdo=True),
     ]
-    whole += _state(contract)
     if node.tpdos:
         counted = "Slot of the words" if node.in_steps else "SYNC counter of the sums"
         whole.append(Object(od.SYNC_COUNTER, None, counted, od.UNSIGNED8, "ro", 0, pdo=True))

@@ -107,8 +107,8 @@ def dcfs(contract: Contract, kind: NodeType) -> Iterator[tuple[NodeContract, str
         info = _file_info(f"{node_name(contract, node)}.dcf") | {"LastEDS": kind.file}
         proven = {(each.index, each.subindex) for each in configuration(contract, node) if each.is_writable}
         own = [
-            _number(each, each.value) if (each.index, each.subindex or 0) in proven else _own_value(each, default)
-            for each, default in zip(objects, defaults, strict=True)
+            _number(each, each.value) if (each.index, each.subindex or 0) in proven else _own_value(each)
+            for each in objects
         ]
         described = list(zip(objects, defaults, own, strict=True))
         yield node, _text(contract, kind, described, info, _commissioning(contract, node))
@@ -192,15 +192,12 @@ def _default(each: Object, values: list[Value], nodes: tuple[NodeContract, ...])
     return _number(each, value)
 
 
-def _own_value(each: Object, default: str | None) -> str | None:
+def _own_value(each: Object) -> str | None:
     """Return the value of one node for its DCF, None where the default of the EDS holds."""
     if each.data_type == od.REAL32:
         return f"0x{int.from_bytes(struct.pack('<f', each.value), 'little'):08X}"
-    if od.split_block(each.index)[1] in _OF_NODE and each.subindex != 0:
-        return _number(each, each.value)
-    # The rows of recognition differ between nodes of a type, and so do the sums that its TPDOs carry.
-    is_mapped = od.TPDO_MAPPING <= each.index < od.TPDO_END
-    return _number(each, each.value) if is_mapped and default != _number(each, each.value) else None
+    is_own = od.split_block(each.index)[1] in _OF_NODE and each.subindex != 0
+    return _number(each, each.value) if is_own else None
 
 
 def _number(each: Object, value: Value) -> str:
@@ -305,7 +302,7 @@ def _device_info(contract: Contract, kind: NodeType, indices: list[int]) -> dict
         "Granularity": str(math.gcd(contract.packing.bits, 8)),
         "DynamicChannelsSupported": "0",
         "GroupMessaging": "0",
-        "NrOfRXPDO": str(indices.count(od.RPDO_COMMUNICATION)),
+        "NrOfRXPDO": "0",
         "NrOfTXPDO": str(sum(od.TPDO_COMMUNICATION <= index < od.TPDO_MAPPING for index in indices)),
         "LSS_Supported": "1",
     }
@@ -314,7 +311,7 @@ def _device_info(contract: Contract, kind: NodeType, indices: list[int]) -> dict
 def _comments(contract: Contract, kind: NodeType) -> dict[str, str]:
     lines = [
         f"Phi {contract.phi.fingerprint}, values that differ between nodes are in their .dcf files",
-        f"CANopenNode: {_count_flags(_tpdos(contract, kind.nodes[0]), int(contract.recognition is not None))}",
+        f"CANopenNode: {_count_flags(len(kind.nodes[0].tpdos))}",
     ]
     for bus, nodes in groupby(kind.nodes, key=lambda node: node.bus):
         ids = ranges_text(node.node_id for node in nodes)
@@ -322,15 +319,10 @@ def _comments(contract: Contract, kind: NodeType) -> dict[str, str]:
     return {"Lines": str(len(lines)), **{f"Line{number}": line for number, line in enumerate(lines, 1)}}
 
 
-def _tpdos(contract: Contract, node: NodeContract) -> int:
-    """Return the number of TPDOs of a node, in all its states."""
-    return sum(len(each.tpdos) for each in contract.states_of(node))
-
-
-def _count_flags(tpdos: int, rpdos: int) -> str:
+def _count_flags(tpdos: int) -> str:
     """Return CANopenNode's numbers of objects as flags of the C compiler.
 
     CANopenEditor reads its count labels, from which it writes these numbers, from XDD files only.
     """
-    counts = dict.fromkeys(_COUNT_LABELS, 1) | ({"RPDO": rpdos} if rpdos else {}) | {"TPDO": tpdos}
+    counts = dict.fromkeys(_COUNT_LABELS, 1) | {"TPDO": tpdos}
     return " ".join(f"-DOD_CNT_{label}={count}" for label, count in counts.items())

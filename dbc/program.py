@@ -86,7 +86,7 @@ class Program:
         """Read a program file; InputError if it is none, or damaged."""
         with reasoned(InputError, f"{path}: cannot read the program"):
             image = path.read_bytes()
-        wanted = "expected a program with the header of 'skin export program'"
+        wanted = "expected a program with the header of 'skin contract --program'"
         if len(image) <= PROGRAM_HEAD or int.from_bytes(image[:4], "little") != PROGRAM_MAGIC:
             raise InputError(f"{path}: {wanted}, got {len(image)} bytes without it")
         _, vendor_id, product_code, revision, size, version = _HEAD.unpack(image[:PROGRAM_AT_CRC])

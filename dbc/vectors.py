@@ -58,7 +58,6 @@ def _solved(contract: Contract, node: NodeContract, case: _Case) -> dict[str, ob
     shown = shown_counts(contract, case.counts, case.gain, case.offset, np.full(node.blocks, case.pattern))
     sums = node_sums(contract, node, shown)
     of_turns = [node_payloads(contract, node, _SYNC_COUNTER + turn, sums) for turn in range(contract.turns)]
-    turns = {tpdo.cob_id: tpdo.turn for tpdo in node.tpdos}  # those of recognition have none
     values = calibration_values(case.gain, case.offset, case.pattern)
     return {
         "name": case.name,
@@ -71,7 +70,7 @@ def _solved(contract: Contract, node: NodeContract, case: _Case) -> dict[str, ob
         "sums": sums.tolist(),
         "raw": contract.packing.raw(sums).tolist(),
         "sync_counter": _SYNC_COUNTER,
-        "frames": [{"cob_id": each, "data": of_turns[turns.get(each, 0)][each].hex()} for each in of_turns[0]],
+        "frames": [{"cob_id": each.cob_id, "data": of_turns[each.turn][each.cob_id].hex()} for each in node.tpdos],
     }
 
 

@@ -8,8 +8,6 @@ from canskin.peers import ORDINARY
 
 #: Part of the cores above which a chain has too little of them.
 FULL_RATIO: Final = 0.85
-#: A prediction that is this near needs no words, decibels.
-PREDICTED_WITHIN_DB: Final = 1.0
 #: Most nodes that the table names when frames are missing.
 NAMED: Final = 5
 
@@ -71,24 +69,6 @@ class Percentiles(msgspec.Struct, frozen=True, kw_only=True):
     p99: float | None
 
 
-class StateFigures(msgspec.Struct, frozen=True, kw_only=True):
-    """One state of the nodes, recognition or images; None without measurement.
-
-    Attributes
-    ----------
-    bus_load : list of float or None
-        Mean load of each bus in this state.
-    contacts : int
-        Cycles with contact and a named object; a cycle whose measurement was lost counts as one of recognition.
-    label_accuracy : float or None
-        Cycles with the right label / `contacts`, as in `Report`.
-    """
-
-    bus_load: list[float] | None
-    contacts: int
-    label_accuracy: float | None
-
-
 class Report(msgspec.Struct, frozen=True, kw_only=True):
     """The figures of a run; None without measurement.
 
@@ -137,18 +117,12 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
         Of the machine.
     scheduling : str
         Of the demo's process at the end, see `canskin.peers.Peer`; empty where it did not ask.
-    states : dict of str to StateFigures
-        Of the states ``recognition`` and ``images``, where the nodes have them.
-    switches : int
-        Number of switches to images.
-    switch_ms : Percentiles
-        Time from the request for images to their first complete cycle.
     doubtful_taxels : int
         Taxels in doubt at the end: their force may be an error of the zero (`docs/calibration.md`).
     psnr_predicted_db, psnr_first_db : float or None
         PSNR that `skin plan --quality` predicts of the first touches, and PSNR of their images in this run.
     why_not_predicted : str
-        In what the run differed from its prediction.
+        In what the run differed from its prediction; empty where the prediction is near.
     picture : str
         Path of the picture; absent without contact, or if the file could not be written.
     """
@@ -180,9 +154,6 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
     cpu_ratio: dict[str, float] = {}
     cores: int = 0
     scheduling: str = ""
-    states: dict[str, StateFigures] = {}
-    switches: int = 0
-    switch_ms: Percentiles = Percentiles(p50=None, p99=None)
     doubtful_taxels: int = 0
     psnr_predicted_db: float | None = None
     psnr_first_db: float | None = None
@@ -249,7 +220,6 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
                 "a still force, a zero that has risen, or gains of another master: 'skin tare' or 'skin tare --region'"
             )
             rows.append(("in doubt", f"{self.doubtful_taxels} taxels at the end: {why}"))
-        rows += self._rows_of_states()
         if self.cpu_ratio:
             each = ", ".join(f"{name} {ratio:.0%}" for name, ratio in self.cpu_ratio.items())
             rows.append(("processors", f"{each}; all {sum(self.cpu_ratio.values()):.0%} of one"))
@@ -258,10 +228,9 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
         return rows
 
     def _rows_of_prediction(self) -> list[tuple[str, str]]:
-        predicted_db, first_db = self.psnr_predicted_db, self.psnr_first_db
-        if predicted_db is None or first_db is None or abs(predicted_db - first_db) <= PREDICTED_WITHIN_DB:
+        if not self.why_not_predicted:
             return []
-        both = f"{predicted_db:.1f} dB, {first_db:.1f} dB came of the same touches"
+        both = f"{self.psnr_predicted_db:.1f} dB, {self.psnr_first_db:.1f} dB came of the same touches"
         return [("image predicted", f"{both}: {self.why_not_predicted}")]
 
     def _rows_of_missing(self) -> list[tuple[str, str]]:
@@ -274,17 +243,3 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
             ("missing most", f"node {', '.join(worst)}"),
         ]
         return [*rows, ("likely cause", self.likely_cause)] if self.likely_cause else rows
-
-    def _rows_of_states(self) -> list[tuple[str, str]]:
-        rows = []
-        for name, state in self.states.items():
-            loads = ", ".join(f"{load:.1%}" for load in state.bus_load or ())
-            label = (
-                ""
-                if state.label_accuracy is None
-                else f"; label right on {state.label_accuracy:.1%} of {state.contacts} cycles"
-            )
-            rows.append((f"in {name}", f"load {loads or 'not measured'}{label}"))
-        if self.switch_ms.p50 is not None:
-            rows.append(("switch", f"{self.switches} to images, {self.switch_ms.p50:.0f} ms to the first whole cycle"))
-        return rows

@@ -1,6 +1,5 @@
 """One run of the whole chain."""
 
-import contextlib
 import shlex
 import time
 from collections.abc import Collection
@@ -14,11 +13,10 @@ import msgspec
 from rich.console import Console
 
 from calibration.windows import tare_s
-from canskin.errors import InputError, RunError, SkinError
+from canskin.errors import InputError, RunError
 from canskin.fabric import Fabric
 from canskin.messages import GATEWAY, IMAGE, LABEL, MEASUREMENT, NODES, TRUTH, GatewayStatus
 from canskin.peers import Peer, Roll
-from canskin.state_messages import IMAGES, ImagesRequest
 from classifier.newest_sums import averaged_cycles
 from demo.options import DemoOptions
 from demo.picture import save_picture
@@ -63,7 +61,6 @@ class Run:
         self._earlier: GatewayStatus | None = None
         self._judge_at_s = inf
         #: When images are asked for next, seconds since the first cycle.
-        self._ask_at_s = 0.0
         self._console = Console(stderr=True, quiet=quiet or not talks(Talk.NORMAL))
         self._port = _page_port(options.port) if options.view else None
         self._path = str(options.layout or "default")
@@ -234,7 +231,6 @@ class Run:
                     if talks(Talk.NORMAL):
                         bar.print(event)
                 bar.update(elapsed_s, self._line())
-                self._ask_images(elapsed_s)
                 if not self._keeps_rate(elapsed_s):
                     self.score.cpu_ratio = ratios(before, self._supervisor.processor_times(), elapsed_s)
                     self._say_slower()
@@ -267,15 +263,6 @@ class Run:
             f"this machine does not keep {rate_hz:g} Hz, {report.cycles_complete} of {report.cycles} cycles were"
             f" complete: {why}. Starting again with {rate_hz / 2:g} Hz; --sync-rate {rate_hz:g} keeps the rate",
         )
-
-    def _ask_images(self, elapsed_s: float) -> None:
-        """Ask for images now and then, where a skin that recognises first leaves that to programs."""
-        state = self._layout.recognition
-        if state is None or state.wake != "request" or elapsed_s < self._ask_at_s or self._fabric is None:
-            return
-        self._ask_at_s = elapsed_s + ASK_EVERY * state.hold_s
-        with contextlib.suppress(SkinError):  # a gateway that is not there is reported elsewhere
-            self._fabric.ask(IMAGES, ImagesRequest(hold_s=state.hold_s), TURN_S)
 
     def _await_first_cycle(self, stop: StopSignal) -> None:
         """Wait until SYNC has started; a gateway that compiles, as on a first start, has more time."""

@@ -14,6 +14,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from bandwidth.quality import TOUCHES_S
 from canskin.messages import (
     UNKNOWN_ERROR_NS,
     CycleMeasurement,
@@ -25,7 +26,6 @@ from canskin.messages import (
     Truth,
 )
 from demo.report import NodeMissing, Percentiles, Report
-from demo.state_score import StateScore
 from skin.ground_truth import ImagePairs, LabelPairs, Pairing, image_pairs, in_contact, label_pairs
 from skin.layout import Layout
 from skin.psnr import adds_noise, psnr_db
@@ -37,10 +37,6 @@ NODES_NAMED: Final = 16
 HISTORY: Final = 360_000
 #: The picture shows the last cycle whose largest force is at least this part of the largest force of the run.
 FULL_CONTACT_RATIO: Final = 0.95
-#: Number of cycles of which is kept which blocks were valid.
-CYCLES_KEPT: Final = 4096
-#: Time whose images are compared with a prediction.
-FIRST_S: Final = 12.0
 
 
 @dataclass(frozen=True)
@@ -105,23 +101,19 @@ class Score:
     _images: ImagePairs = field(init=False)
     _labels: LabelPairs = field(init=False)
     _measurements: Pairing[CycleMeasurement] = field(init=False)
-    _states: StateScore = field(default_factory=StateScore)
     #: PSNR of images of the touches that a prediction sees.
     _first_db: list[float] = field(default_factory=list)
-    #: Which blocks came valid in the newest cycles.
-    valid: deque[bytes] = field(default_factory=lambda: deque(maxlen=CYCLES_KEPT))
     _peak_n: float = 0.0
     _newest_ns: int = -1
     _lock: threading.Lock = field(default_factory=threading.Lock)
 
     def __post_init__(self) -> None:
         self._images, self._labels = image_pairs(self.layout), label_pairs(self.layout)
-        self._measurements = Pairing(self.layout.shortest_period_s)
+        self._measurements = Pairing(self.layout.sync.period_s)
 
     def take_gateway(self, status: GatewayStatus) -> None:
         """Keep the newest counters of the gateway."""
         self.gateway = status
-        self._states.take_gateway(status)
 
     def take_nodes(self, status: NodesStatus) -> None:
         """Keep the newest counters of each process of nodes."""
@@ -134,7 +126,6 @@ class Score:
         with self._lock:
             if self._is_named_contact(truth):
                 self.named_contacts += 1
-                self._states.take_contact(truth)
             for image, true in self._images.take_truth(truth):
                 self._compare(image, true)
             for label, true in self._labels.take_truth(truth):
@@ -146,7 +137,6 @@ class Score:
         """Compare the sampling instant of a cycle with that of the nodes; times of another size are ignored."""
         if not isinstance(measurement, CycleMeasurement) or len(measurement.bus_sampled_ns) % np.int64().nbytes:
             return
-        self.valid.append(measurement.valid)
         with self._lock:
             for mine, truth in self._measurements.take(measurement):
                 self._compare_times(mine, truth)
@@ -194,13 +184,11 @@ class Score:
         if self._is_named_contact(truth):
             self.labelled += 1
             self.labelled_right += label.label == truth.label
-            self._states.take_label(label, truth)
 
     def _is_named_contact(self, truth: Truth) -> bool:
         return bool(truth.label) and in_contact(self._grid(truth.true), self.layout.taxels.force_max_n)
 
     def _compare_times(self, measurement: CycleMeasurement, truth: Truth) -> None:
-        self._states.take_image_cycle(truth)
         bus_ns = np.frombuffer(measurement.bus_sampled_ns, "<i8")
         for errors_us, estimates_ns in (
             (self.bus_sampling_error_us, bus_ns[bus_ns > 0]),
@@ -219,7 +207,7 @@ class Score:
         there_n = taxels.without_gaps(true)
         self.psnr_sensor_db.append(psnr_db(there_n, taxels.without_gaps(sensor), taxels.force_max_n))
         self.psnr_image_db.append(psnr_db(there_n, taxels.without_gaps(image_n), taxels.force_max_n))
-        if truth.step < FIRST_S * step_rate_hz(self.layout):
+        if truth.step < TOUCHES_S * step_rate_hz(self.layout):
             self._first_db.append(self.psnr_image_db[-1])
         self.contact_cycles += 1
         peak_n = float(true.max())
@@ -229,7 +217,7 @@ class Score:
 
     @property
     def first_db(self) -> float | None:
-        """PSNR of the images of the first `FIRST_S`; None without contact."""
+        """PSNR of the images of the first `TOUCHES_S`; None without contact."""
         return _mean(self._first_db)
 
     def _grid(self, content: bytes) -> npt.NDArray[np.float32]:
@@ -279,9 +267,6 @@ class Score:
             cpu_ratio=self.cpu_ratio,
             cores=os.cpu_count() or 0,
             scheduling=self.scheduling,
-            states=self._states.figures(),
-            switches=self._states.switches,
-            switch_ms=_percentiles(self._states.switch_ms),
             doubtful_taxels=gateway.calibration.doubtful_taxels if gateway and gateway.calibration else 0,
         )
 

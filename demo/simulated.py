@@ -18,7 +18,7 @@ from canskin.skin import Frames, Health, Skin
 from classifier.cache import find_or_train
 from classifier.decide import Classifier
 from classifier.service import ClassifierService
-from demo.chain import REST_S, Nodes
+from nodes.simulated import REST_S, Nodes
 from reconstructor.imaging import make_imager
 from reconstructor.service import ReconstructorService, warm_up
 from shell.clock import wall_offset
@@ -32,7 +32,6 @@ def simulate(layout: str | None = None, *, objects: Sequence[str] | None = None,
     if isinstance(objects, str):
         raise InputError(f"objects: expected a list of names, such as ['{objects}'], got '{objects}'")
     skin = load_layout(None if layout is None else Path(layout))
-    skin = msgspec.structs.replace(skin, recognition=None)  # every cycle is one of images
     require_sending(skin, "synchronous", "simulate() is", "use 'skin demo'")
     if objects is not None and not objects:
         raise InputError("objects: expected a list of names, got an empty list")

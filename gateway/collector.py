@@ -34,7 +34,6 @@ from gateway.open_cycles import (
     Integers,
     OpenCycles,
     begin_cycle,
-    forget_foreign,
     is_open,
     keep_frame,
     new_cycles,
@@ -335,23 +334,6 @@ class Collector:
         is_awaited = (self._state.answers.turn == self._contract.turn_of(counter)) & self.expected[self._table.node]
         begin_cycle(counter, is_awaited, self._table, self._state.cycles)
         self._proven.begin(slot_of(counter))
-
-    @property
-    def silent_of_node(self) -> Integers:
-        """SYNCs since a frame of each node named an open cycle; of a node without sums those since the start."""
-        silent = np.full(len(self._contract.nodes), _NEVER, np.int64)
-        np.minimum.at(silent, self._table.node, self._state.answers.silent)
-        return silent
-
-    def rest(self, counter: int, silent_of_node: Integers) -> None:
-        """Take note of a SYNC that asks the nodes for other sums, and since when these have not come from each node.
-
-        A node sends the older frame first. So a node whose other sums come holds back none of these.
-        """
-        silent = self._state.answers.silent
-        np.minimum(silent, silent_of_node[self._table.node], out=silent)
-        count_answers(self._state.answers)
-        forget_foreign(counter, self._state.cycles)
 
     def waiting(self, counter: int) -> Integers:
         """Return how many frames a cycle waits for, shape (buses,); a view."""

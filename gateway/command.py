@@ -5,13 +5,13 @@ from pathlib import Path
 
 from bus.options import BusOptions, closing_links, open_links
 from calibration.calibrator import Tare
+from calibration.keeping import kept_zero
 from canskin.calibration_messages import CALIBRATION
 from canskin.description import DESCRIPTION
 from canskin.errors import InputError
 from canskin.session import DEFAULT_ENDPOINT
-from canskin.state_messages import IMAGES
 from dbc.contract import Contract
-from gateway.calibration import GatewayCalibration, kept_zero
+from gateway.calibration import GatewayCalibration
 from gateway.service import GatewayService
 from gateway.stepped_gathering import publishing_rates
 from shell.service import StopSignal, say
@@ -91,13 +91,10 @@ def gateway(
     fabric.answer(CALIBRATION, calibrates.ask)
     about = describe(skin)
     fabric.answer(DESCRIPTION, lambda _request, reply: reply(about))
-    few = "" if contract.recognition is None else f", {contract.recognition.layout.sync.rate_hz:g} Hz in recognition"
-    say("gateway", f"{len(links)} bus{'es' * (len(links) != 1)}, SYNC {skin.sync.rate_hz:g} Hz{few}")
+    say("gateway", f"{len(links)} bus{'es' * (len(links) != 1)}, SYNC {skin.sync.rate_hz:g} Hz")
     try:
         with closing_links(links):
-            service = GatewayService(contract, links, fabric, calibration=calibrates, rates_hz=rates_hz)
-            fabric.answer(IMAGES, service.ask_images)
-            service.run(stop)
+            GatewayService(contract, links, fabric, calibration=calibrates, rates_hz=rates_hz).run(stop)
     finally:
         calibrates.keep_zero()
         answers.shutdown()

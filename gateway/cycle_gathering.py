@@ -102,25 +102,19 @@ class CycleGathering:
         self.collector.take(bus, arrived, health.stamp_error_ns)
         self._has_stamps[bus] = health.stamp_error_ns is not None
 
-    def begin(self, sync: Sync, asked: "CycleGathering | None" = None) -> list[Measurement]:
-        """Open the cycle of a SYNC; return the measurements of cycles closed for it.
-
-        `asked` gathers the sums that the SYNC asks for in place of these, and has begun.
-        """
+    def begin(self, sync: Sync) -> list[Measurement]:
+        """Open the cycle of a SYNC; return the measurements of cycles closed for it."""
         closed = []
         slot = slot_of(sync.counter)
         while any(slot_of(each.counter) == slot for each in self._open_cycles):
             closed.append(self._close(self._open_cycles.popleft()))
-        if asked is None:
-            self.collector.open(sync.counter, sync.due_ns, sync.sent_ns)
-            self._open_cycles.append(sync)
-            if sync.sent_ns is not None:
-                waiting = self.collector.waiting(sync.counter).tolist()
-                frame_s = (least_s + self._stuffing * (most_s - least_s) for least_s, most_s in self._frame_s)
-                self._looked_s = sync.sent_ns * 1e-9
-                self._whole_s = self._looked_s + max(map(mul, waiting, frame_s))
-        else:
-            self.collector.rest(sync.counter, asked.collector.silent_of_node)
+        self.collector.open(sync.counter, sync.due_ns, sync.sent_ns)
+        self._open_cycles.append(sync)
+        if sync.sent_ns is not None:
+            waiting = self.collector.waiting(sync.counter).tolist()
+            frame_s = (least_s + self._stuffing * (most_s - least_s) for least_s, most_s in self._frame_s)
+            self._looked_s = sync.sent_ns * 1e-9
+            self._whole_s = self._looked_s + max(map(mul, waiting, frame_s))
         return closed
 
     def tick(self, now_s: float) -> None:

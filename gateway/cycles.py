@@ -16,7 +16,7 @@ class SyncClock:
     Attributes
     ----------
     period_s : float
-        From the SYNC that is sent next to the one after it.
+        From SYNC to SYNC.
     due_s : float
         When the next SYNC is due; infinite before `start`.
     counter : int
@@ -29,7 +29,7 @@ class SyncClock:
         self.due_s = float("inf")
         self.counter = 0
         self.sent = self.skipped = 0
-        self.period_s = self._sent_period_s = period_s
+        self.period_s = period_s
         self._start_s = self._sent_s = float("-inf")
 
     @property
@@ -55,12 +55,12 @@ class SyncClock:
             return None
         missed = int((now_s - self.due_s) / self.period_s)
         due_s = self.due_s + missed * self.period_s
-        is_late = now_s - due_s > LATEST * self.period_s or now_s - self._sent_s < LATEST * self._sent_period_s
+        is_late = now_s - due_s > LATEST * self.period_s or now_s - self._sent_s < LATEST * self.period_s
         self.skipped += missed + is_late
         self.due_s = due_s + self.period_s
         if is_late:
             return None
-        self._sent_s, self._sent_period_s = now_s, self.period_s
+        self._sent_s = now_s
         self.sent += 1
         self.counter = next_counter(self.counter) if self.counter else 1
         return due_s

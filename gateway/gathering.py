@@ -11,7 +11,6 @@ from bus.error_frames import ErrorClass
 from bus.link import State
 from dbc.canopen import BASE_ID_MASK
 from dbc.contract import FrameTable, PartTable
-from dbc.dictionary import SkinState
 from dbc.frame import CAN_ID_AT, DATA_AT, ECHO, ERROR, EXTENDED, FD, FLAGS_AT, LENGTH_AT, REMOTE, Frames, frame_bytes
 from dbc.frame_fields import ROWS, field
 from shell.compiled import njit
@@ -41,8 +40,6 @@ class Sync:
         A time just before it is sent; None in a replay.
     wall_offset_ns : int
         Wall clock minus monotonic clock.
-    state : int
-        2008h:1 of the nodes from this SYNC on, where they have it.
     """
 
     number: int
@@ -50,7 +47,6 @@ class Sync:
     due_ns: int
     sent_ns: int | None
     wall_offset_ns: int
-    state: SkinState = SkinState.IMAGES
 
     @property
     def due_s(self) -> float:

@@ -3,7 +3,7 @@
 import sys
 import time
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
@@ -12,17 +12,15 @@ from bus.link import Link, Send, State
 from canskin.messages import BusState, GatewayStatus, Measurement
 from dbc.contract import Contract, NodeContract, sync_frame
 from dbc.frame import Frames
+from dbc.lss import anybody_without_node_id, has_answer
 from dbc.time_of_day import time_frame
 from gateway.cycle_gathering import CycleGathering
 from gateway.cycles import LATEST, SyncClock
 from gateway.gathering import Health, Sync
 from gateway.link_watch import LinkWatch
 from gateway.load import LoadMeter
-from gateway.lss_steps import anybody_without_node_id, has_answer
 from gateway.nmt_master import NmtMaster
 from gateway.outgoing import Outgoing
-from gateway.state_gathering import StateGathering
-from gateway.state_switch import StateSwitch
 from gateway.stepped_gathering import RATES_HZ, SteppedGathering
 from skin.ranges import ranges_text
 
@@ -39,7 +37,7 @@ ACCOUNT_PERIOD_S: Final = 0.05
 
 
 #: Makes measurements of frames, as the nodes send them. All times are arguments.
-Gathering = CycleGathering | StateGathering | SteppedGathering
+Gathering = CycleGathering | SteppedGathering
 
 
 @dataclass
@@ -81,8 +79,6 @@ class GatewayLoop:
     sync : SyncClock
     masters : dict of int to NmtMaster
         By number of the bus.
-    states : StateSwitch or None
-        Where the nodes have two states.
     """
 
     def __init__(
@@ -105,14 +101,11 @@ class GatewayLoop:
         }
         self._numbers = sorted(self._buses)
         self.masters = {number: bus.master for number, bus in self._buses.items()}
-        self.gathering: Gathering
-        if not contract.layout.sends.in_cycles:
-            self.gathering = SteppedGathering(contract, self.masters, now_s, rates_hz, complain)
-        elif contract.recognition is not None:
-            self.gathering = StateGathering(contract, early_echoes)
-        else:
-            self.gathering = CycleGathering(contract, early_echoes)
-        self.states = None if contract.recognition is None else StateSwitch(contract, sends)
+        self.gathering: Gathering = (
+            SteppedGathering(contract, self.masters, now_s, rates_hz, complain)
+            if contract.in_steps
+            else CycleGathering(contract, early_echoes)
+        )
         #: Known from the first tick on: what comes before may take long.
         self._patience_s: float | None = None
         self._look_s = self._account_s = self._time_due_s = now_s
@@ -166,8 +159,6 @@ class GatewayLoop:
             self._say(f"{bus.name}: boards without node-ID are there: stop the gateway, and run skin commission")
         # The master first: a frame may make it doubt the node whose sums come next.
         bus.master.take(arrived, now_s)
-        if self.states is not None:
-            self.states.take(number, arrived)
         self.gathering.take(number, arrived, bus.health, now_s)
         bus.load.take(arrived)
 
@@ -179,8 +170,6 @@ class GatewayLoop:
             if bus.master.strangers.tick(now_s):
                 self._say(f"another SYNC producer on {bus.name}: {bus.master.strangers.words}")
         self.gathering.tick(now_s)
-        if self.states is not None:
-            self.states.tick(now_s, self.sync.due_s)
         if self._patience_s is None:
             self._patience_s = now_s + BOOT_PATIENCE_S
         if not self.sync.runs and self.sync.counter == 0:
@@ -201,17 +190,12 @@ class GatewayLoop:
         wall_offset_ns : int
             Wall clock minus monotonic clock.
         """
-        if self.states is not None and now_s >= self.sync.due_s:
-            self.sync.period_s = self.states.next_period_s
         due_s = self.sync.take(now_s)
         if due_s is None:
             return []
         sync_ns = round(due_s * 1e9)
         begun = Sync(self.sync.sent, self.sync.counter, sync_ns, round(now_s * 1e9), wall_offset_ns)
-        if self.states is not None:
-            self.states.take_sync(now_s)
-            begun = replace(begun, state=self.states.state)
-        closed = self._noted(self.gathering.begin(begun), now_s)
+        closed = self.gathering.begin(begun)
         sync = sync_frame(self.sync.counter)
         # The due time: on a virtual bus a late turn of the loop adds no jitter to SYNC.
         sync["time_ns"] = sync_ns
@@ -223,18 +207,12 @@ class GatewayLoop:
 
     def measurements(self, now_s: float, wall_offset_ns: int = 0) -> list[Measurement]:
         """Return the measurements that are due."""
-        made = self._noted(self.gathering.measurements(now_s, wall_offset_ns), now_s)
+        made = self.gathering.measurements(now_s, wall_offset_ns)
         if made and now_s >= self._account_s:
             # One bus at a time, after a measurement: the loop has time then.
             self._account_s = now_s + ACCOUNT_PERIOD_S
             self._accounted += 1
             self._buses[self._numbers[self._accounted % len(self._numbers)]].load.account()
-        return made
-
-    def _noted(self, made: list[Measurement], now_s: float) -> list[Measurement]:
-        if self.states is not None:
-            for each in made:
-                self.states.take_measurement(each, now_s)
         return made
 
     def _send_time(self, now_s: float, wall_offset_ns: int) -> None:
@@ -270,7 +248,6 @@ class GatewayLoop:
             sync_rate_hz=self.sync.rate_hz(now_s),
             buses=[self._bus_state(number, *links[number], now_s) for number in self._numbers],
             syncs_skipped=self.sync.skipped,
-            **({} if self.states is None else self.states.status()),
         )
 
     def report_links(self, links: Mapping[int, Link], now_s: float) -> None:

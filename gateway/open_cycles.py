@@ -69,13 +69,6 @@ def new_cycles(contract: Contract) -> OpenCycles:
 
 
 @njit(cache=True, nogil=True)
-def forget_foreign(counter: int, cycles: OpenCycles) -> None:
-    """Forget, at a SYNC, foreign SYNCs with its counter, and those that were behind: not met within 120 SYNCs."""
-    cycles.tainted[:, counter] = False
-    cycles.tainted[:, (counter + SYNC_OVERFLOW // 2 - 1) % SYNC_OVERFLOW + 1] = False
-
-
-@njit(cache=True, nogil=True)
 def begin_cycle(counter: int, is_awaited: Flags, table: FrameTable, cycles: OpenCycles) -> None:
     """Begin a cycle that waits for the frames of the rows `is_awaited`."""
     slot = slot_of(counter)
@@ -88,7 +81,9 @@ def begin_cycle(counter: int, is_awaited: Flags, table: FrameTable, cycles: Open
         cycles.spoilt[slot, row] = cycles.tainted[bus, counter]
         cycles.awaited[slot, row] = is_awaited[row]
         cycles.waiting[slot, bus] += is_awaited[row]
-    forget_foreign(counter, cycles)
+    # Foreign SYNCs with its counter, and those that were behind: not met within 120 SYNCs.
+    cycles.tainted[:, counter] = False
+    cycles.tainted[:, (counter + SYNC_OVERFLOW // 2 - 1) % SYNC_OVERFLOW + 1] = False
 
 
 @njit(cache=True, nogil=True)

@@ -8,7 +8,6 @@ block that was valid live is valid here and has the same sums.
 """
 
 from collections.abc import Collection, Iterator, Mapping
-from dataclasses import replace
 from typing import Final, NamedTuple
 
 import msgspec
@@ -21,16 +20,13 @@ from canskin.errors import InputError
 from canskin.messages import GatewayStatus, Measurement, SteppedMeasurement
 from dbc.canopen import SYNC_COB_ID
 from dbc.contract import Contract, NodeContract
-from dbc.dictionary import SkinState
 from dbc.frame import ECHO, ERROR, EXTENDED, FD, REMOTE, Frames, frames
-from dbc.state_frames import asked_states, sent_state
 from gateway.cycle_gathering import GRACE, CycleGathering
 from gateway.cycles import mean_rate_hz
 from gateway.gathering import Health, Sync
 from gateway.inferred_proofs import Change, InferredProofs
 from gateway.loop import GatewayLoop
 from gateway.nmt_master import NmtMaster
-from gateway.state_gathering import StateGathering
 from gateway.stepped_gathering import SteppedGathering
 from skin.measured_sums import check_measurement
 from skin.sync_counter import SYNC_OVERFLOW
@@ -83,17 +79,16 @@ class Playback:
         self._calibrator = calibrator
         self._wall_offset_ns = wall_offset_ns
         self._contract = contract
-        self._grace_ns = _grace_ns(contract.layout.sync.period_s)
-        self._near_ns = round(contract.layout.shortest_period_s * 1e9 / 2)
+        # A microsecond later, for the rounding of times in seconds.
+        self._grace_ns = round((1 + GRACE) * contract.layout.sync.period_s * 1e9) + 1_000
+        self._near_ns = round(contract.layout.sync.period_s * 1e9 / 2)
         sends = dict.fromkeys(sorted(buses), len)  # all is accepted, nothing is sent
         self._loop = GatewayLoop(contract, sends, start_ns * 1e-9, say=lambda _: None, complain=lambda _: None)
         for node in contract.nodes:
             if node.bus in sends:
                 self._loop.gathering.trust(node, proven=True)
-        gathering = self._loop.gathering
-        for each in gathering.of_state.values() if isinstance(gathering, StateGathering) else (gathering,):
-            if not leaves_out_doubtful and isinstance(each, CycleGathering):
-                each.collector.leaves_out_doubtful = False
+        if not leaves_out_doubtful and isinstance(self._loop.gathering, CycleGathering):
+            self._loop.gathering.collector.leaves_out_doubtful = False
         self._nodes = {(node.bus, node.node_id): node for node in contract.nodes}
         self._proofs = {
             number: InferredProofs([node.node_id for node in contract.on_bus(number)] if leaves_out_doubtful else ())
@@ -104,7 +99,6 @@ class Playback:
         #: The newest cycles: counter, time of the first SYNC, and the buses whose SYNC has come.
         self._open: list[tuple[int, int, set[int]]] = []
         self._now_ns = start_ns
-        self._has_begun = self._loop.states is None
         self._first_sync_ns: int | None = None
         self._sync_ns: int | None = None
         self._made: list[Measurement] = []
@@ -118,7 +112,7 @@ class Playback:
 
         `Measurement.cycle` is the number of the SYNC, from 1; its times are those of the frames.
         """
-        found: list[tuple[int, int, int, Change | SkinState | None]] = []
+        found: list[tuple[int, int, int, Change | None]] = []
         for number, waiting in self._waiting.items():
             seen = np.concatenate((frames(0), *waiting))
             newest_ns = np.maximum.accumulate(seen["time_ns"])
@@ -126,17 +120,11 @@ class Playback:
             self._waiting[number] = [seen[count:]]
             ready = self._ready[number] = _Ready(seen[:count])
             changes = self._proofs[number].changes(ready.frames)
-            asked = asked_states(ready.frames) if self._loop.states is not None else []
-            told = [*((place, None) for place in ready.syncs), *((change.place, change) for change in changes), *asked]
+            told = [*((place, None) for place in ready.syncs), *((change.place, change) for change in changes)]
             found += [(int(newest_ns[place]), number, place, change) for place, change in told]
-        if not self._has_begun:
-            self._begin_in_state()
         for time_ns, number, place, change in sorted(found, key=lambda each: each[:3]):
             if change is None:
                 self._take_sync(time_ns, number, place)
-            elif isinstance(change, SkinState):
-                if self._loop.states is not None:
-                    self._loop.states.follow(number, change)
             else:
                 self._go_to(time_ns, {number: place})
                 self._loop.gathering.trust(self._nodes[number, change.node_id], proven=change.is_proven)
@@ -149,14 +137,6 @@ class Playback:
         made = self.advance(max(last_ns, default=self._now_ns))
         self._measure(self._now_ns + self._grace_ns)
         return made + self._take_made()
-
-    def _begin_in_state(self) -> None:
-        """Begin in the state of the first sums."""
-        for number, ready in self._ready.items():
-            state = sent_state(self._contract, number, ready.frames)
-            if state is not None and self._loop.states is not None and not self._has_begun:
-                self._loop.states.begin_in(state)
-                self._has_begun = True
 
     def _take_made(self) -> list[Measurement]:
         made, self._made = self._made, []
@@ -185,10 +165,6 @@ class Playback:
         if self._first_sync_ns is None:
             self._first_sync_ns = time_ns
         sync = Sync(self.cycles, counter, time_ns, None, self._wall_offset_ns)
-        if (states := self._loop.states) is not None:
-            self._grace_ns = _grace_ns(states.next_period_s)
-            states.take_sync(time_ns * 1e-9)
-            sync = replace(sync, state=states.state)
         self._made += self._loop.gathering.begin(sync)
         self._open = [*self._open[1 - _CYCLES_IN_FLIGHT :], (counter, time_ns, {number})]
 
@@ -214,11 +190,6 @@ class Playback:
         self._made += self._loop.measurements(time_ns * 1e-9, self._wall_offset_ns)
         for master in self._loop.masters.values():
             master.emergencies.clear()
-
-
-def _grace_ns(period_s: float) -> int:
-    """Return when a cycle ends after its SYNC, a microsecond later for the rounding of times in seconds."""
-    return round((1 + GRACE) * period_s * 1e9) + 1_000
 
 
 class SteppedPlayback:

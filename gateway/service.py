@@ -8,9 +8,8 @@ from typing import Final
 import msgspec
 
 from bus.link import Link
-from canskin.fabric import Fabric, Reply
-from canskin.messages import GATEWAY, Measurement
-from canskin.state_messages import MOST_HOLD_S, ImagesReply, ImagesRequest
+from canskin.fabric import Fabric
+from canskin.messages import GATEWAY, MEASUREMENT, Measurement
 from dbc.contract import Contract
 from dbc.frame import frames
 from gateway.calibration import GatewayCalibration
@@ -19,15 +18,12 @@ from gateway.sdo import TIMEOUT_S
 from gateway.stepped_gathering import RATES_HZ
 from shell.clock import wall_offset
 from shell.service import RateLimitedLog, StopSignal, request_real_time, say
-from skin.measured_sums import published
 
 STATUS_PERIOD_S: Final = 0.2
 #: Longest wait for frames.
 TURN_S: Final = 0.01
 #: Calibration works when nothing is due for `SPARE_S`: a window of 4096 taxels takes 2 ms, of 65,536 some 30 ms.
 SPARE_S: Final = 0.004
-#: From the last need of images for the zero until they may end.
-ZERO_S: Final = 0.1
 #: Pause between two looks at a transmit queue that is full, at the end.
 FLUSH_S: Final = 0.001
 _NOTHING: Final = frames(0)
@@ -68,7 +64,6 @@ class GatewayService:
             rates_hz=rates_hz,
             early_echoes=[number for number, link in links.items() if not link.proves_echo],
         )
-        self._contract = contract
         self._links = dict(links)
         self._fabric = fabric
         self._clock = clock
@@ -126,32 +121,15 @@ class GatewayService:
         self.publish(closed + self.loop.measurements(self._clock(), self._wall_offset_ns))
         if self._calibration is not None:
             self._calibration.tick(self.loop.masters, self._clock())
-            if self.loop.states is not None and self._calibration.needs_images(self._clock()):
-                self.loop.states.ask_images(ZERO_S, is_counted=False)
             if self.loop.due_s - self._clock() >= SPARE_S:
                 self._calibration.work()
         if self._clock() >= self._status_at_s:
             self._status_at_s = self._clock() + STATUS_PERIOD_S
             self.publish_status()
 
-    def ask_images(self, request: ImagesRequest, reply: Reply) -> None:
-        """Answer a request for images; from any thread."""
-        states = self.loop.states
-        if states is None:
-            reply(ImagesReply(is_done=True, text="images come all the time"))
-        elif not 0 < request.hold_s <= MOST_HOLD_S:
-            limit = f"expected images for more than 0 and up to {MOST_HOLD_S:g} s"
-            reply(ImagesReply(is_done=False, text=f"{limit}, got {request.hold_s:g} s"))
-        else:
-            states.ask_images(request.hold_s)
-            reply(ImagesReply(is_done=True))
-
     def publish(self, measurements: list[Measurement]) -> None:
-        """Publish measurements with their offsets; where the nodes have two states, those of each on its topic."""
-        few = None if self._contract.recognition is None else self._contract.recognition.phi
+        """Publish measurements with their offsets."""
         for each in measurements:
-            told = each if self._calibration is None else self._calibration.apply(each)
-            for topic, message in published(told, few, self._contract.recognised):
-                self._fabric.publish(topic, message)
+            self._fabric.publish(MEASUREMENT, each if self._calibration is None else self._calibration.apply(each))
             if self._calibration is not None:
                 self._calibration.take(each)

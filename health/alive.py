@@ -9,18 +9,14 @@ import sys
 import threading
 from collections.abc import Callable
 from contextlib import ExitStack, closing
-from functools import partial
 from typing import Any, Final
 
 from canskin.errors import SkinError
 from canskin.fabric import Fabric
 from canskin.messages import (
-    GATEWAY,
     IMAGE,
     LABEL,
     MEASUREMENT,
-    RECOGNITION,
-    GatewayStatus,
     Image,
     Label,
     Measurement,
@@ -44,17 +40,12 @@ def _sees(label: Label) -> bool:
     return not label.blind and label.valid_sums > 0
 
 
-def _rests(status: GatewayStatus) -> bool:
-    return status.state == "recognition"  # images come when a program asks for them
-
-
-_MEASURES: Final = ((MEASUREMENT, _has_blocks), (RECOGNITION, _has_blocks))
-#: The topics of a service's work, and which of their messages show the work.
-WORK: Final[dict[str, tuple[tuple[Topic, Callable[[Any], bool]], ...]]] = {
-    "nodes": _MEASURES,
-    "gateway": _MEASURES,
-    "reconstructor": ((IMAGE, _has_blocks), (GATEWAY, _rests)),
-    "classifier": ((LABEL, _sees),),
+#: The topic of a service's work, and which of its messages show the work.
+WORK: Final[dict[str, tuple[Topic, Callable[[Any], bool]]]] = {
+    "nodes": (MEASUREMENT, _has_blocks),
+    "gateway": (MEASUREMENT, _has_blocks),
+    "reconstructor": (IMAGE, _has_blocks),
+    "classifier": (LABEL, _sees),
 }
 
 
@@ -81,8 +72,9 @@ def trouble(service: str, endpoint: str, skin: str | None = None) -> str:
 def _works(service: str, endpoint: str, skins: set[str]) -> bool:
     """Tell whether a message shows the work of a service of one of `skins`."""
     shown = threading.Event()
+    topic, is_work = WORK[service]
 
-    def take(is_work: Callable[[Any], bool], message: Any) -> None:
+    def take(message: Any) -> None:
         if is_work(message):
             shown.set()
 
@@ -90,8 +82,7 @@ def _works(service: str, endpoint: str, skins: set[str]) -> bool:
         for skin in skins:
             # Without a name: the other services do not see this program come and go.
             fabric = stack.enter_context(closing(Fabric(skin, "", endpoint, patience_s=PATIENCE_S)))
-            for topic, is_work in WORK[service]:
-                fabric.subscribe(topic, partial(take, is_work))
+            fabric.subscribe(topic, take)
         return shown.wait(WORK_S)
 
 

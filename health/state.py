@@ -328,8 +328,6 @@ class ViewState:
         status, is_stale = self._gateway.message, self._gateway.is_stale(now_s)
         has_input = status and not is_stale and 0 < STATUS_FRESH_S * status.sync_rate_hz < status.cycles
         at_s = {"classifier": self._label.at_s, "reconstructor": self._image.at_s}
-        if status and status.state == "recognition":
-            del at_s["reconstructor"]  # its input comes when somebody asks for images
         found = self._services.states()
         for name, service in found.items():
             since_s = self._services.since_s(name, alive=True)

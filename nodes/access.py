@@ -23,7 +23,7 @@ from dbc.canopen import (
     SYNC_COB_ID,
     Abort,
 )
-from dbc.dictionary import HEARTBEATS_WATCHED, SkinState
+from dbc.dictionary import HEARTBEATS_WATCHED
 from dbc.patch_filter import GIVEN_NOISE_N
 from nodes.heartbeat import watched_node
 from nodes.objects import LocalNode
@@ -68,7 +68,7 @@ def _is_noise(value: float) -> bool:
 
 
 #: Objects of the manufacturer whose value is an order to the running node: they are not restored.
-_ORDERS: Final = (od.TEST_PATTERN, od.REFRESH, od.STATE)
+_ORDERS: Final = (od.TEST_PATTERN, od.REFRESH)
 
 #: Accepted values of the objects that do not accept every value of their type.
 _VALUES: Final[dict[int, Callable[[Any], bool]]] = {
@@ -80,7 +80,6 @@ _VALUES: Final[dict[int, Callable[[Any], bool]]] = {
     od.ERROR_BEHAVIOUR: lambda value: value <= 2,
     od.GAIN: math.isfinite,
     od.TEST_PATTERN: lambda value: value <= PATTERN_FULL,
-    od.STATE: lambda value: value <= SkinState.IMAGES,
     od.REFRESH: lambda value: value <= 1,
     od.SENDING: lambda value: 0 <= value < math.inf,
     od.COEFFICIENT_NOISE: _is_noise,

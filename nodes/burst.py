@@ -1,7 +1,5 @@
 """The cyclic TPDOs of many nodes as arrays: one SYNC costs a few array operations, not hundreds of calls."""
 
-from typing import Final
-
 import numpy as np
 import numpy.typing as npt
 
@@ -11,8 +9,6 @@ from dbc.contract import Contract, NodeContract
 from dbc.frame import Frames, frames
 from nodes.tpdo import LiveTpdo
 from skin.sync_counter import SYNC_OVERFLOW
-
-_ANY_STATE: Final = -1
 
 
 class Burst:
@@ -34,7 +30,6 @@ class Burst:
             for column, (index, subindex, _) in enumerate(tpdo.mapped[1:]):
                 block = node.block + od.split_block(index)[0]
                 self._gather[row, column] = contract.phi.starts[block] + subindex - 1
-        self._state = np.array([_ANY_STATE if tpdo.state is None else tpdo.state for *_, tpdo in tpdos], np.intp)
         self._template = frames(len(tpdos))
         self._template["can_id"] = [tpdo.cob_id for *_, tpdo in tpdos]
         self._template["length"] = [tpdo.length for *_, tpdo in tpdos]
@@ -42,28 +37,18 @@ class Burst:
         self._template["flags"] = [node.flags for _, node, _ in tpdos]
         self._syncs = 0
 
-    def frames(
-        self,
-        counter: int,
-        sums: npt.NDArray[np.int32],
-        operational: npt.NDArray[np.bool_],
-        states: npt.NDArray[np.intp] | None = None,
-    ) -> Frames:
+    def frames(self, counter: int, sums: npt.NDArray[np.int32], operational: npt.NDArray[np.bool_]) -> Frames:
         """Return the frames that answer SYNC `counter` (0: SYNC without counter), in node order.
 
         Parameters
         ----------
         sums : array of int32, shape (m,)
         operational : array of bool, shape (nodes,)
-        states : array of int, shape (nodes,)
-            2008h:1 of each node that has it.
         """
         self._syncs += 1
         # `nodes.tpdo.is_turn` for all rows at once.
         turn = np.where((self._start > 0) & (counter > 0), (counter - self._start) % SYNC_OVERFLOW, self._syncs)
         due = operational[self._node] & (turn % self._every == 0)
-        if states is not None:
-            due &= (self._state == _ANY_STATE) | (self._state == states[self._node])
         burst: Frames = self._template[due]
         payloads = encode(counter, sums, self._gather[due], self._packing)
         burst["data"][:, : payloads.shape[1]] = payloads

@@ -64,8 +64,8 @@ def nodes(
     unnumbered
         Boards begin without node-IDs, unless `store` has them, and wait for ``skin commission``.
     firmware
-        Run the C firmware of the boards (``skin export firmware``) in place of nodes in Python. The system's C compiler
-        (cc) compiles the firmware once.
+        Run the C firmware of the boards (``skin contract --firmware``) in place of nodes in Python. The system's C
+        compiler (cc) compiles the firmware once.
 
     Examples
     --------

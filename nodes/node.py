@@ -23,7 +23,7 @@ from dbc.canopen import (
 )
 from dbc.configuration import Setting, signature, with_calibration
 from dbc.contract import NodeContract
-from dbc.dictionary import HEARTBEATS_WATCHED, ON_COMMAND, SkinState
+from dbc.dictionary import HEARTBEATS_WATCHED, ON_COMMAND
 from dbc.objects import Object
 from nodes.access import check_write, is_storable, number
 from nodes.emcy import EmcyProducer
@@ -63,10 +63,6 @@ class SkinNode:
         SYNCs received, TPDOs sent, TPDOs dropped because of the window, saturated taxels (2020h).
     tpdos : list of LiveTpdo
         The PDOs that exist now; `refresh` reads them again after a write.
-    wanted_state : int
-        The state whose TPDOs are sent from the next SYNC on: 2008h:1.
-    active_state : int
-        The state whose TPDOs are sent: `wanted_state` as of the newest SYNC.
     sync_counter : int
         2022h: counter of the SYNC at which the sums were sampled.
     """
@@ -87,9 +83,7 @@ class SkinNode:
         self.state = NmtState.INITIALISING
         self.health = np.zeros(4, np.int64)
         self.tpdos: list[LiveTpdo] = []
-        self.active_state = self.wanted_state = SkinState.RECOGNITION
         self.sync_counter = 0
-        self._states = _states_of_tpdos(contract, objects)
         self._signed = {
             od.SIGNATURE: settings,
             od.CALIBRATION_SIGNATURE: with_calibration(settings, calibration),
@@ -111,7 +105,6 @@ class SkinNode:
             od.IDENTITY: lambda subindex: serial_number if subindex == 4 else None,
             **{index: partial(self._read_signature, index) for index in self._signed},
             od.TEMPERATURE: lambda _: round(10 * hardware.temperature_k(range(first, first + contract.blocks))),
-            od.STATE: lambda subindex: self.wanted_state if subindex == 1 else None,
             **{
                 od.of_block(index, place): partial(read, contract.block + place)
                 for index, read in ((od.SUMS, self._read_sum), (od.COUNTS, self._read_count))
@@ -146,7 +139,6 @@ class SkinNode:
                     store.setdefault(index, {})[subindex] = data
         if not communication_only:
             self._reset_electronics()
-        self.active_state = self.wanted_state = SkinState.RECOGNITION
         self._signatures.clear()
         self.emcy.reset()
         self.watched = HeartbeatConsumer()
@@ -209,7 +201,7 @@ class SkinNode:
             return False
         self._changed = False
         local = self.local
-        self.tpdos = read_tpdos(local, self._states)
+        self.tpdos = read_tpdos(local, [tpdo.number for tpdo in self.contract.tpdos])
         self._has_events = any(tpdo.every >= EVENT_MANUFACTURER for tpdo in self.tpdos)
         self._emcy_cob_id = local.unsigned(od.EMCY_COB_ID)
         self._emcy_inhibit_s = local.unsigned(od.EMCY_INHIBIT_100US) * 1e-4
@@ -229,16 +221,11 @@ class SkinNode:
         if self.state is NmtState.STOPPED:
             return
         self.emcy.flush(now_s, self._emcy_inhibit_s)
-        if self.state is NmtState.OPERATIONAL:
-            for tpdo in self.tpdos_of_state:
+        if self.state is NmtState.OPERATIONAL and self._has_events:
+            for tpdo in self.tpdos:
                 payload = tpdo.at_event(now_s, self.local)
                 if payload is not None:
                     self.send(tpdo, payload)
-
-    @property
-    def tpdos_of_state(self) -> list[LiveTpdo]:
-        """The PDOs that exist and are sent in the present state."""
-        return [tpdo for tpdo in self.tpdos if tpdo.state in (None, self.active_state)]
 
     def send(self, tpdo: LiveTpdo, payload: bytes) -> None:
         """Send one TPDO outside a burst."""
@@ -332,9 +319,7 @@ class SkinNode:
         elif index == od.RESTORE:
             self._store({})
         self._signatures.clear()
-        if index == od.STATE:
-            self.wanted_state = SkinState(data[0])
-        elif index >= od.MANUFACTURER:
+        if index >= od.MANUFACTURER:
             self._adjust(index, subindex, data)
         else:
             self._changed = True
@@ -347,13 +332,3 @@ class SkinNode:
                 self._storage.clear()
         except OSError as error:
             raise canopen.SdoAbortedError(Abort.HARDWARE) from error
-
-
-def _states_of_tpdos(contract: NodeContract, objects: list[Object]) -> dict[int, int | None]:
-    """Return the state in which each synchronous TPDO is sent, by its number; None without states."""
-    own = [tpdo.number for tpdo in contract.tpdos]
-    if all(each.index != od.STATE for each in objects):
-        return dict.fromkeys(own)
-    indices = {each.index for each in objects if od.TPDO_COMMUNICATION <= each.index < od.TPDO_MAPPING}
-    numbers = {index - od.TPDO_COMMUNICATION + 1 for index in indices}
-    return {number: SkinState.IMAGES if number in own else SkinState.RECOGNITION for number in sorted(numbers)}

@@ -228,7 +228,7 @@ def new_sampler(layout: Layout, phi: Sbhe, source: TaxelSource, *, makes_sums: b
         electronics = Electronics(
             layout.taxels,
             **analogue,
-            period_s=layout.shortest_period_s,
+            period_s=layout.sync.period_s,
             samples=layout.samples_per_sync,
             blocks=phi.taxels_of_blocks if makes_sums else None,
             places=phi.wired.taxels,

@@ -78,8 +78,6 @@ class NodesService:
         self._clock = clock
         self._status_at_s = 0.0
         self._prepare_after_s = PREPARE_FROM * contract.layout.sync.period_s if len(links) > 1 else 0.0
-        if contract.recognition is not None:
-            self._prepare_after_s = NEVER_S  # which step comes next depends on the state
 
     def run(self, stop: StopSignal) -> None:
         """Boot the nodes, then serve until `stop`."""

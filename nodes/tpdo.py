@@ -1,6 +1,6 @@
 """A transmit PDO as its records describe it now (CiA 301, 7.2.2), and when the PDO is due."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 from canopen import SdoAbortedError
@@ -37,8 +37,6 @@ class LiveTpdo:
     event_s: float
     mapped: list[tuple[int, int, int]]
     length: int
-    #: State of the node (2008h:1) in which the PDO is sent; None for every state.
-    state: int | None = None
     _syncs: int = 0
     _last: bytes | None = None
     _sent_at_s: float = field(default=float("-inf"))
@@ -93,22 +91,15 @@ def is_turn(every: int, start: int, counter: int, syncs: int) -> bool:
     return syncs % every == 0
 
 
-def read_tpdos(node: LocalNode, states: Mapping[int, int | None]) -> list[LiveTpdo]:
-    """Read the existing TPDOs from a node's dictionary; a TPDO with an unreadable mapping does not exist.
-
-    Parameters
-    ----------
-    states : mapping of int to int or None
-        `LiveTpdo.state` of each TPDO, by its number.
-    """
+def read_tpdos(node: LocalNode, numbers: Iterable[int]) -> list[LiveTpdo]:
+    """Read the existing TPDOs of these numbers; a TPDO with an unreadable mapping does not exist."""
     found = []
-    for number, state in states.items():
+    for number in numbers:
         try:
             tpdo = _read(node, od.TPDO_COMMUNICATION + number - 1, od.TPDO_MAPPING + number - 1)
         except SdoAbortedError:
             continue
         if tpdo is not None:
-            tpdo.state = state
             found.append(tpdo)
     return found
 

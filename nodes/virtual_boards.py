@@ -22,7 +22,6 @@ from dbc.canopen import (
     NO_NODE_ID,
     SDO_BYTES,
     SDO_REQUEST_BASE,
-    STATE_COB_ID,
     Emergency,
     NmtCommand,
     NmtState,
@@ -30,7 +29,7 @@ from dbc.canopen import (
 )
 from dbc.configuration import calibration, configuration
 from dbc.contract import Contract, NodeContract
-from dbc.dictionary import REACTION_NS, REVISION, SkinState, dictionary, serial_number
+from dbc.dictionary import REACTION_NS, REVISION, dictionary, serial_number
 from dbc.frame import ECHO, ERROR, EXTENDED, REMOTE, Frames, one_frame
 from nodes.burst import Burst
 from nodes.hardware import Hardware
@@ -95,8 +94,6 @@ class VirtualBoards:
         self.is_pdo = np.zeros(BASE_ID_MASK + 1, np.bool_)
         self.due_s = float("-inf")
         self._contract = contract
-        #: Identifier of the RPDO with the state of the nodes; without states none has it.
-        self._state_cob_id = -1 if contract.recognition is None else STATE_COB_ID
         self._outbox = Outbox()
         self._hardware = hardware
         self._on_bus = {each.node_id: each for each in contract.on_bus(bus)}
@@ -110,8 +107,8 @@ class VirtualBoards:
         #: The nodes that watch the heartbeat of a node-ID; most nodes watch none.
         self._watchers: dict[int, list[SkinNode]] = {}
         self._frame_ns = contract.longest_ns(bus)
-        # Latest start of a frame after the SYNC, so that the frame ends inside the window: by node-ID and state.
-        self._window_ns = np.zeros((HIGHEST_NODE_ID + 1, 2), np.int64)
+        # Latest start of a frame after the SYNC, so that the frame ends inside the window: by node-ID.
+        self._window_ns = np.zeros(HIGHEST_NODE_ID + 1, np.int64)
         self._compile(self.nodes)
 
     @property
@@ -195,7 +192,7 @@ class VirtualBoards:
         heartbeat = is_of_node(can_id, HEARTBEAT_BASE)
         request = is_of_node(can_id, SDO_REQUEST_BASE)
         # The nodes of this process receive each other's heartbeats as echoes.
-        others = (can_id == NMT_COB_ID) | (can_id == self._state_cob_id) | (can_id == LSS_REQUEST_COB_ID)
+        others = (can_id == NMT_COB_ID) | (can_id == LSS_REQUEST_COB_ID)
         for frame in arrived[there & heartbeat | plain & (request | others)]:
             self._handle(frame, now_s)
         return self._outbox.take()
@@ -225,8 +222,6 @@ class VirtualBoards:
         data = frame["data"][: frame["length"]].tobytes()
         if can_id == NMT_COB_ID:
             self._nmt(data, now_s)
-        elif can_id == self._state_cob_id:
-            self._switch(data)
         elif len(data) == SDO_BYTES:
             self._sdo(can_id, data, now_s)
 
@@ -236,8 +231,6 @@ class VirtualBoards:
         length = int(sync["length"][0])
         listening = [node for node in self.nodes if node.state is NmtState.OPERATIONAL]
         self._judge_sync(listening, length)
-        for node in listening:
-            node.active_state = node.wanted_state
         if measured is not None:
             counter = int(sync["data"][0, 0]) if length == 1 else 0
             for node in self.nodes:
@@ -247,17 +240,14 @@ class VirtualBoards:
 
     def _send_sums(self, counter: int, time_ns: int, sums: npt.NDArray[np.int32]) -> None:
         operational = np.array([node.state is NmtState.OPERATIONAL for node in self.nodes], np.bool_)
-        states = np.array([node.active_state for node in self.nodes], np.intp)
-        burst = self._burst.frames(counter, sums, operational, states)
+        burst = self._burst.frames(counter, sums, operational)
         burst["time_ns"] = time_ns + REACTION_NS
-        window_ns = np.zeros(HIGHEST_NODE_ID + 1, np.int64)
-        window_ns[self._node_ids] = self._window_ns[self._node_ids, states]
-        burst["expires_ns"] = time_ns + window_ns[burst["port"]]
+        burst["expires_ns"] = time_ns + self._window_ns[burst["port"]]
         self._outbox.post(burst)
         for node, count in self._of_nodes(burst):
             node.health[1] += count
         for node, tpdo in self._mixed:
-            if node.state is NmtState.OPERATIONAL and tpdo.state in (None, node.active_state):
+            if node.state is NmtState.OPERATIONAL:
                 payload = tpdo.at_sync(counter, node.local)
                 if payload is not None:
                     node.send(tpdo, payload)
@@ -270,13 +260,6 @@ class VirtualBoards:
                 node.emcy.gone(Emergency.SYNC_LENGTH)
             else:
                 node.emcy.raised(Emergency.SYNC_LENGTH, length)
-
-    def _switch(self, data: bytes) -> None:
-        """Take the RPDO with the state of all nodes; nodes that are not operational take no PDO."""
-        if len(data) == 1 and data[0] in (SkinState.RECOGNITION, SkinState.IMAGES):
-            for node in self.nodes:
-                if node.state is NmtState.OPERATIONAL:
-                    node.wanted_state = SkinState(data[0])
 
     def _nmt(self, data: bytes, now_s: float) -> None:
         if len(data) != NMT_BYTES:
@@ -341,7 +324,6 @@ class VirtualBoards:
         self._by_id = {node.contract.node_id: node for node in by_state}
         for node in changed:
             self._sync_length[node.contract.node_id] = 1 if node.local.unsigned(od.SYNC_OVERFLOW) else 0
-        self._node_ids = [node.contract.node_id for node in self.nodes]
         self._watchers = {}
         self.is_pdo[:] = False
         plain: list[tuple[int, NodeContract, LiveTpdo]] = []
@@ -353,10 +335,9 @@ class VirtualBoards:
                 self._watchers.setdefault(node_id, []).append(node)
             self.is_pdo[node.pdo_ids] = True
             window_us = node.local.unsigned(od.WINDOW_US)
-            few_us = window_us if self._contract.recognition is None else node.local.unsigned(od.STATE, 2)
-            self._window_ns[node.contract.node_id, [SkinState.RECOGNITION, SkinState.IMAGES]] = [
-                max(1, each_us * 1000 - self._frame_ns) if each_us else NO_WINDOW_NS for each_us in (few_us, window_us)
-            ]
+            self._window_ns[node.contract.node_id] = (
+                max(1, window_us * 1000 - self._frame_ns) if window_us else NO_WINDOW_NS
+            )
             plain += [(place, node.contract, tpdo) for tpdo in node.tpdos if tpdo.is_plain]
             self._mixed += [(node, tpdo) for tpdo in node.tpdos if not tpdo.is_plain]
         self._burst = Burst(self._contract, plain)

@@ -16,9 +16,9 @@ from dbc.packing import packing
 from gateway.playback import check_named, play
 from nodes.analogue import AnalogueElectronics
 from nodes.electronics import Electronics
+from recording.mcap_file import Warn, read_messages, wall_offset_ns
 from skin.layout import Layout
 from skin.matrix import MatrixPhi
-from skin.mcap_file import Warn, read_messages, wall_offset_ns
 from skin.measured_sums import check_measurement, used_blocks, used_sums
 from skin.measurement import Phi
 from touch.sources import recording
@@ -57,7 +57,7 @@ class Cycles:
 def decode_log(
     contract: Contract, logged: Mapping[int, Frames], advance: Callable[[int], None]
 ) -> tuple[Cycles, FrameCounts]:
-    """Return the cycles of a log, with two states those of images, and how its frames were counted.
+    """Return the cycles of a log, and how its frames were counted.
 
     See `gateway.playback` for which blocks are valid.
 
@@ -70,23 +70,20 @@ def decode_log(
     """
     made: list[Measurement] = []
     for part in play(contract, logged):
-        images = [each for each in part.measurements if each.fingerprint == contract.phi.fingerprint]
-        made += images
-        advance(len(images))
+        made += part.measurements
+        advance(len(part.measurements))
     check_named(part.status)
-    if not made:
-        raise InputError("the log holds no cycle of images: recognition alone makes none")
     return _of_measurements(made, contract.phi), part.status.frames
 
 
 def recorded_cycles(contract: Contract, path: Path, warn: Warn) -> Cycles:
-    """Return the cycles of a recording by its measurements, with two states those of images; times as of its frames."""
+    """Return the cycles of a recording by its measurements; times as of its frames."""
     phi = contract.phi
     read = [each.message for each in read_messages(path, [MEASUREMENT], warn)]
     made = [check_measurement(each, phi, CycleMeasurement) for each in read if each.fingerprint == phi.fingerprint]
     if not made:
         why = "they are of another Φ: is this the skin's layout?" if read else "there is nothing to rebuild"
-        raise InputError(f"{path}: holds neither frames nor measurements of images of '{contract.layout.name}': {why}")
+        raise InputError(f"{path}: holds neither frames nor measurements of '{contract.layout.name}': {why}")
     cycles = _of_measurements(made, phi)
     return replace(cycles, time_ns=cycles.time_ns + wall_offset_ns(path))
 

@@ -1,26 +1,22 @@
-"""``skin export``: a recording as arrays, as a video, or for other programs; firmware, and programs for boards."""
+"""``skin export``: a recording as arrays, as a video, or for other programs."""
 
 import csv
 import io
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, BinaryIO, Final, Literal
+from typing import TYPE_CHECKING, Any, BinaryIO, Final, Literal
 
 import msgspec
 import numpy as np
-from cyclopts import Parameter
 
 from canskin.errors import InputError, RunError, reasoned
-from dbc.dictionary import REVISION
-from dbc.program import VERSION_BYTES, Program, is_version
-from nodes.firmware.export import write_firmware
+from recording import is_recording
+from recording.mcap_file import read_about
 from shell.extras import not_installed
-from shell.output import check_new_path, replacing, write_file
+from shell.output import check_new_path, replacing
 from shell.service import say
-from shell.terminal import Json, print_json
-from skin.layout import RECORDING_SUFFIX, layout_text, load_layout
-from skin.mcap_file import read_about
+from skin.layout import layout_text, load_layout
 
 if TYPE_CHECKING:
     from recording.tables import Table, Tables
@@ -42,107 +38,41 @@ _VIEWS: Final = ("ros2", "rerun", "foxglove")
 _GRIDS: Final = ("pixels", "true", "sensor")
 
 
-def export(
-    what: str,
-    binary: Path | None = None,
-    *,
-    to: Format = "npz",
-    layout: Path | None = None,
-    out: Path | None = None,
-    node: Annotated[list[str] | None, Parameter(negative=(), consume_multiple=True)] = None,
-    release: str | None = None,
-    json: Json = False,
-) -> None:
-    """Write a recording as arrays, as a video or as a bag of ROS 2, or C99 sources for the boards of a skin.
+def export(recording: Path, *, to: Format = "npz", out: Path | None = None) -> None:
+    """Write a recording as arrays, as a video or as a bag of ROS 2.
 
-    ``program`` puts the header before a compiled program that ``skin node update`` and the boards ask for.
-
-    Firmware, without heap: sums, packing, object dictionary, a CANopen slave. Prints the path of every file;
-    ``README.md`` among them says what to do with the others.
+    Arrays are read into memory as a whole: 100 MB for a minute of images of the default skin.
 
     Parameters
     ----------
-    what
-        A recording (.mcap), or the word ``firmware`` or ``program``.
-    binary
-        Program: what the processor runs, as the linker's output in binary form.
+    recording
+        A recording (.mcap).
     to
-        Recording: ``npz``: arrays ``images_pixels``, ``images_time_ns`` and so on. ``hdf5``: a group per table, gzip;
+        ``npz``: arrays ``images_pixels``, ``images_time_ns`` and so on. ``hdf5``: a group per table, gzip;
         needs the extra canskin[hdf5]. ``csv``: a file per table, and of images one line each. ``parquet``: a file per
         table, images as lists; needs the extra canskin[parquet]. ``video``: the images as
         H.264 in .mp4, in real time, with colours and marks of the page. ``ros2``: a bag of ROS 2, a folder with MCAP
         and CDR. ``rerun``, ``foxglove``: a file for their viewers. These four need the extra of their name.
-    layout
-        Firmware, program: TOML of the skin; without it the default skin.
     out
-        Recording: new file; of a csv the names of the tables are added; default: the name of the recording. Firmware:
-        folder for the files. Program: new file.
-    node
-        Firmware: write the constants of these nodes, as BUS:NODE or BUS:FIRST-LAST; default: all nodes. Nodes of one
-        type share one program, which takes its own constants by bus and node-ID.
-    release
-        Program: its version, 1 to 8 characters, which the board tells in 100Ah.
-    json
-        Firmware: print one JSON list.
+        New file; of a csv the names of the tables are added; default: the name of the recording.
 
     Examples
     --------
     skin export run.mcap --to hdf5 --out touches.h5
     skin export run.mcap --to video
     skin export run.mcap --to ros2 --out run-bag
-    skin export firmware --out firmware
-    skin export firmware --layout palm.toml --node bus0:5 --out palm-firmware
-    skin export program main.bin --layout palm.toml --release 1.1 --out palm-1.1.bin
     """
-    if what == "program":
-        _export_program(binary, layout, release, out)
-        return
-    if binary is not None or release is not None:
-        raise InputError(f"expected a file and --release with 'skin export program' alone, got 'skin export {what}'")
-    if what == "firmware":
-        if out is None:
-            raise InputError("skin export firmware: expected --out FOLDER for the files")
-        paths = write_firmware(layout, node or [], out)
-        if json:
-            print_json(paths)
-        else:
-            print("\n".join(paths))
-        return
-    if layout is not None or node or json:
-        raise InputError("--layout, --node and --json are for 'skin export firmware': a recording has its layout")
-    _export_recording(Path(what), to, out)
-
-
-def _export_program(binary: Path | None, layout: Path | None, release: str | None, out: Path | None) -> None:
-    """Write a program with its header."""
-    if binary is None or release is None or out is None:
-        raise InputError("skin export program: expected a binary file, --release VERSION and --out FILE")
-    if not is_version(release):
-        raise InputError(f"--release: expected 1 to {VERSION_BYTES} printable characters of ASCII, got '{release}'")
-    with reasoned(InputError, f"{binary}: cannot read the program"):
-        data = binary.read_bytes()
-    if not data:
-        raise InputError(f"{binary}: expected a compiled program, got an empty file")
-    check_new_path(out, "program")
-    device = load_layout(layout).device
-    program = Program(device.vendor_id, device.product_code, REVISION, release, data)
-    write_file(out, program.image)
-    print(f"{out}: version {release}, {len(program.image)} bytes, identification (1F56h) {program.identification:08X}h")
-
-
-def _export_recording(source: Path, to: Format, out: Path | None) -> None:
-    """Write a recording; of arrays all is read into memory, 100 MB for a minute of images of the default skin."""
-    if source.suffix.lower() != RECORDING_SUFFIX or not source.is_file():
-        raise InputError(f"{source}: expected a recording of 'skin record' (.mcap)")
-    path = out or source.with_name(source.stem + _SUFFIXES[to])
+    if not is_recording(recording) or not recording.is_file():
+        raise InputError(f"{recording}: expected a recording of 'skin record' (.mcap)")
+    path = out or recording.with_name(recording.stem + _SUFFIXES[to])
     of_others = {suffix for other, suffix in _SUFFIXES.items() if suffix and other != to}
     if path.suffix.lower() in of_others:
         raise InputError(f"{path}: --to {to} writes no '{path.suffix}': expected another --to, or another suffix")
     if to == "video":
-        _export_video(source, path)
+        _export_video(recording, path)
         return
     if to in _VIEWS:
-        _save_view(source, path, to)
+        _save_view(recording, path, to)
         return
     from recording.tables import read_tables
 
@@ -152,10 +82,10 @@ def _export_recording(source: Path, to: Format, out: Path | None) -> None:
     if to == "parquet":
         _pyarrow()
     check_new_path(path, "arrays")
-    about = read_about(source)
-    layout = load_layout(source)
-    tables = read_tables(source, layout, lambda line: say("export", line))
-    metadata = {"format": "canskin arrays 1", "source": source.name, **about.metadata, "layout": layout_text(layout)}
+    about = read_about(recording)
+    layout = load_layout(recording)
+    tables = read_tables(recording, layout, lambda line: say("export", line))
+    metadata = {"format": "canskin arrays 1", "source": recording.name, **about.metadata, "layout": layout_text(layout)}
     with reasoned(RunError, f"{path}: the arrays cannot be written"):
         written = save(path, tables, metadata)
     counts = ", ".join(f"{len(next(iter(table.values())))} {name}" for name, table in tables.named().items())

@@ -7,9 +7,9 @@ from typing import Final
 from canskin.errors import InputError, RunError
 from canskin.messages import check_label
 from classifier.touches import Span, Touches, add_labels, labels_path, read_touches
+from recording import RECORDING_SUFFIX, is_recording
 from shell.service import say
 from shell.terminal import Json, print_json, print_table
-from skin.layout import RECORDING_SUFFIX
 
 _NUMBERS: Final = re.compile(r"(\d+)(?:-(\d+))?")
 _TIMES: Final = re.compile(r"(\d+(?:\.\d+)?):(\d+(?:\.\d+)?)")
@@ -38,7 +38,7 @@ def label(source: Path, *labels: str, json: Json = False) -> None:
     skin label run.mcap 3=cup 4-9=ball 10=
     skin label run.mcap 12.5:40=cup
     """
-    if source.suffix.lower() != RECORDING_SUFFIX or not source.is_file():
+    if not is_recording(source) or not source.is_file():
         raise InputError(f"{source}: expected a recording of 'skin record' ({RECORDING_SUFFIX})")
 
     def warn(line: str) -> None:

@@ -117,11 +117,9 @@ class RunMeasurements(FrameMeasurements):
 
     def __init__(self, contract: Contract, buses: Collection[int], offset_ns: int) -> None:
         super().__init__(contract, buses, offset_ns, has_run=True)
-        #: By fingerprint: Φ of the states of the nodes, and their periods.
-        self._phi = {state.phi.fingerprint: state.phi for state in contract.states}
-        self._period_ns = {state.phi.fingerprint: round(state.layout.sync.period_s * 1e9) for state in contract.states}
-        #: By fingerprint and counter.
-        self._unpaired: dict[tuple[str, int], deque[CycleMeasurement]] = {}
+        self._phi, self._period_ns = contract.phi, round(contract.layout.sync.period_s * 1e9)
+        #: By counter.
+        self._unpaired: dict[int, deque[CycleMeasurement]] = {}
         #: The header of the newest cycle, and the time of the newest measurement that was read.
         self._before: CycleMeasurement | None = None
         self._measured_ns = 0
@@ -131,7 +129,7 @@ class RunMeasurements(FrameMeasurements):
         """Take a recorded measurement, which waits for its frames."""
         del time_ns
         self._measured_ns = recorded.sampled_mono_ns
-        self._unpaired.setdefault(self._key(recorded), deque()).append(recorded)
+        self._unpaired.setdefault(recorded.sync_counter, deque()).append(recorded)
         return []
 
     def advance(self, until_ns: int | None) -> Iterable[MeasurementStep | MessageStep]:
@@ -159,35 +157,30 @@ class RunMeasurements(FrameMeasurements):
         made, header = step.measurement, step.recorded or self._header_of_lost(step)
         valid = np.frombuffer(made.valid, np.uint8) & np.frombuffer(header.valid, np.uint8)
         sums = np.frombuffer(made.sums, "<i4").copy()
-        sums[~self._phi[made.fingerprint].sums_of_blocks(valid != 0)] = 0
+        sums[~self._phi.sums_of_blocks(valid != 0)] = 0
         return msgspec.structs.replace(header, sums=sums.tobytes(), valid=valid.tobytes())
 
     def _recorded(self, made: Measurement) -> CycleMeasurement | None:
         """Return the recorded measurement of the same SYNC."""
-        candidates = self._unpaired.get(self._key(made), deque())
-        far_ns = _FAR_CYCLES * self._period_ns[made.fingerprint]
+        candidates = self._unpaired.get(made.sync_counter, deque())
+        far_ns = _FAR_CYCLES * self._period_ns
         while candidates and made.sampled_mono_ns - candidates[0].sampled_mono_ns > far_ns:
             candidates.popleft()
         if candidates and abs(made.sampled_mono_ns - candidates[0].sampled_mono_ns) <= far_ns:
             return candidates.popleft()
         return None
 
-    def _key(self, measurement: Measurement) -> tuple[str, int]:
-        """Return Φ and counter by which a SYNC is known."""
-        return measurement.fingerprint, measurement.sync_counter
-
     def _header_between(self, made: Measurement) -> CycleMeasurement | None:
         """Return the header of a measurement that was lost between two others: one cycle after the one before.
 
-        Its nodes count as proven as in the cycle before. None if it does not follow that cycle, or none follows, or
-        the cycle before is of the other state.
+        Its nodes count as proven as in the cycle before. None if it does not follow that cycle, or none follows.
         """
         before = self._before
-        if before is None or self._measured_ns <= made.sampled_mono_ns or before.fingerprint != made.fingerprint:
+        if before is None or self._measured_ns <= made.sampled_mono_ns:
             return None
         counter = next_counter(before.sync_counter)
         later_ns = made.sampled_mono_ns - before.sampled_mono_ns
-        is_next = later_ns <= 2 * self._period_ns[made.fingerprint]
+        is_next = later_ns <= 2 * self._period_ns
         if made.sync_counter != counter or not is_next:
             return None
         return msgspec.structs.replace(
@@ -209,8 +202,7 @@ class RunMeasurements(FrameMeasurements):
         valid = np.frombuffer(header.valid, np.uint8)
         if image is not None:
             # Blocks with a sum that is not used are never valid in an image.
-            phi = self._phi[header.fingerprint]
-            is_told = used_blocks(msgspec.structs.replace(header, valid=b"\1" * phi.blocks), phi)
+            is_told = used_blocks(msgspec.structs.replace(header, valid=b"\1" * self._phi.blocks), self._phi)
             valid = np.where(is_told, np.frombuffer(image.valid, np.uint8), valid)
             header = msgspec.structs.replace(header, doubtful=image.doubtful)
         return msgspec.structs.replace(

@@ -23,16 +23,17 @@ from reconstructor.engine import reconstruct
 from reconstructor.gains import KnownGains
 from reconstructor.imaging import Imager, load_gains, make_imager
 from reconstructor.options import SolverOptions
+from recording import is_recording
 from recording.answers import same_pixels
 from recording.cycles import SUMS, Cycles, decode_log, measure_forces, read_sums, recorded_cycles
+from recording.mcap_file import read_messages, read_topics, recording_id, wall_offset_ns
 from recording.step_kinds import MeasurementStep
 from recording.steps import frames_of_log, has_frames, steps_of
 from shell.output import check_new_path, replacing
 from shell.service import say
 from shell.terminal import progress
 from shell.touch_options import ArrayNames, FullScale
-from skin.layout import RECORDING_SUFFIX, Layout, load_layout, require_sending
-from skin.mcap_file import read_messages, read_topics, recording_id, wall_offset_ns
+from skin.layout import Layout, load_layout, require_sending
 from skin.wall_times import nearest, recorded_clocks, recorded_wall_times
 from touch.reading import array_names
 
@@ -69,8 +70,8 @@ def rebuild(
     cycle. Images equal those of ``skin reconstruct``, but for rounding on a GPU and in the first images of the parts
     that are solved there together; the log tells how many equal those of the run. Each image begins with the one
     before. So after the beginning of a recording of a touched skin, and after a cycle that the live reconstructor left
-    out, images differ for up to hundreds of cycles, longest where sums are saturated. With two states the cycles of
-    images make images. Of steps the images of the run are made again, of a log one every 10 ms.
+    out, images differ for up to hundreds of cycles, longest where sums are saturated. Of steps the images of the run
+    are made again, of a log one every 10 ms.
 
     Parameters
     ----------
@@ -102,10 +103,10 @@ def rebuild(
     skin rebuild mat.npz --array S1 S2 --full-scale 4095 --out images.npz --solver spun
     skin rebuild sums.npz --layout wire.toml --out images.npz
     """
-    is_recording = _is_recording(source)
-    _check_options(is_recording, channel, array, full_scale)
+    is_forces = _is_recording(source)
+    _check_options(is_forces, channel, array, full_scale)
     check_new_path(out, "images", ".npz")
-    if layout is None and source.suffix.lower() == RECORDING_SUFFIX:
+    if layout is None and is_recording(source):
         layout = source
     skin = load_layout(layout)
     stored = None if calibration == NO_CALIBRATION else calibration
@@ -113,20 +114,20 @@ def rebuild(
     options = solver or SolverOptions()
     about: dict[str, Any]
     if not skin.sends.in_cycles:
-        _require_run(skin, source, is_recording=is_recording)
+        _require_run(skin, source, is_recording=is_forces)
         made = _of_steps(skin, source, channel, make_imager(skin, solver, gains), every=solver is not None)
         about = {"solver": "steps", "settings": {}}
     else:
         settings = options.settings()
         # A recording of forces has one frame for each cycle.
-        has_sums = is_recording and array is None and SUMS in array_names(source)
-        of_boards = has_sums or not is_recording
+        has_sums = is_forces and array is None and SUMS in array_names(source)
+        of_boards = has_sums or not is_forces
         solve = _solver(skin, options, None if gains is None else load_gains(gains, skin), of_boards=of_boards)
         if has_sums:
             cycles = read_sums(skin, source)
         else:
-            cycles = _measured(skin, source, array, full_scale) if is_recording else _logged(skin, source, channel)
-        is_run = source.suffix.lower() == RECORDING_SUFFIX
+            cycles = _measured(skin, source, array, full_scale) if is_forces else _logged(skin, source, channel)
+        is_run = is_recording(source)
         if calibrator is None and calibration is None and is_run:
             cycles = _as_live(skin, source, cycles)
         if calibrator is not None:
@@ -147,7 +148,7 @@ def rebuild(
         "noise_n": options.noise_n,
         "device": options.device,
     }
-    if source.suffix.lower() == RECORDING_SUFFIX:
+    if is_recording(source):
         made = _numbered(skin, source, made)
     arrays: dict[str, Any] = made._asdict() | {"recording": np.array(recording_id(source))}
     with reasoned(RunError, f"{out}: the images cannot be written"), replacing(out) as file:
@@ -174,7 +175,7 @@ def _require_run(skin: Layout, source: Path, *, is_recording: bool) -> None:
 def _of_steps(skin: Layout, source: Path, channel: list[str] | None, imager: Imager, *, every: bool) -> _Rebuilt:
     """Make the images of steps, those that the run has shown or of `every` measurement, of its frames."""
     contract = Contract.from_layout(skin)
-    offset_ns = wall_offset_ns(source) if source.suffix.lower() == RECORDING_SUFFIX else 0
+    offset_ns = wall_offset_ns(source) if is_recording(source) else 0
     made: list[tuple[Images, Bools, int, int]] = []
     compared = equal = 0
     imager.warm_up()
@@ -210,7 +211,7 @@ def _numbered(skin: Layout, source: Path, made: _Rebuilt) -> _Rebuilt:
         return made
     at_ns, number = np.array([(each.sampled_mono_ns, each.cycle) for each in clocks], np.int64).T
     told_ns = recorded_wall_times(source, clocks).times_ns(at_ns.tolist())
-    place, is_near = nearest(at_ns, made.time_ns - wall_offset_ns(source), 0.5e9 * skin.shortest_period_s)
+    place, is_near = nearest(at_ns, made.time_ns - wall_offset_ns(source), 0.5e9 * skin.sync.period_s)
     is_told = is_near & (told_ns[place] >= 0)
     time_ns, cycle = np.where(is_told, told_ns[place], made.time_ns), np.where(is_told, number[place], -1)
     return made._replace(time_ns=time_ns, cycle=cycle)
@@ -281,7 +282,7 @@ def _logged(skin: Layout, source: Path, channel: list[str] | None) -> Cycles:
     """Read and decode a log; of a recording without frames read the measurements."""
     contract, warn = Contract.from_layout(skin), partial(say, "rebuild")
     with progress(f"reading {source.name}", None) as bar:
-        if source.suffix.lower() == RECORDING_SUFFIX and not has_frames(read_topics(source)):
+        if is_recording(source) and not has_frames(read_topics(source)):
             cycles, counted = recorded_cycles(contract, source, warn), "recorded measurements, without frames"
         else:
             logged = frames_of_log(skin, source, channel, warn)

@@ -10,6 +10,7 @@ import msgspec
 from cyclopts import Parameter
 
 from bus.options import BusOptions, open_links
+from calibration.attachment import follow_calibration
 from canskin.errors import BusError, InputError, LayoutError, RunError, Stopped
 from canskin.fabric import Fabric
 from canskin.messages import (
@@ -20,24 +21,23 @@ from canskin.messages import (
     MARK,
     MEASUREMENT,
     NODES,
-    RECOGNITION,
     TRUTH,
     Mark,
     check_label,
 )
 from canskin.peers import Peer
 from dbc.contract import Contract
-from recording.calibration import follow_calibration
+from recording import RECORDING_SUFFIX, is_recording
 from recording.mark_keys import KEYS, has_keys, mark_keys
 from recording.recorder import Recorder
 from recording.sinks import check_format, open_sink
 from shell.output import check_new_path
 from shell.service import StopSignal, request_real_time, say
 from shell.skin_options import SkinOptions
-from skin.layout import RECORDING_SUFFIX, Layout
+from skin.layout import Layout
 from skin.ranges import require_above_zero
 
-TOPICS: Final = (MEASUREMENT, RECOGNITION, IMAGE, CONTACTS, LABEL, GATEWAY, NODES, TRUTH, MARK)
+TOPICS: Final = (MEASUREMENT, IMAGE, CONTACTS, LABEL, GATEWAY, NODES, TRUTH, MARK)
 
 
 def record(
@@ -85,7 +85,7 @@ def record(
     stop, of = StopSignal().install(), of or SkinOptions()
     check_new_path(out, "recording")
     labels = _labels(label or [], out)
-    if not frames and out.suffix.lower() != RECORDING_SUFFIX:
+    if not frames and not is_recording(out):
         raise InputError(f"--no-frames: expected a recording that ends in {RECORDING_SUFFIX}: {out} keeps frames alone")
     skin = of.find(stop)
     if of.layout is not None:
@@ -129,7 +129,7 @@ def record(
 def _labels(given: list[str], out: Path) -> list[str]:
     """Return the labels of the keys, checked."""
     labels = [check_label(each.strip()) for text in given for each in text.split(",") if each.strip()]
-    if labels and out.suffix.lower() != RECORDING_SUFFIX:
+    if labels and not is_recording(out):
         raise InputError(f"--label: expected a recording that ends in {RECORDING_SUFFIX}: {out} keeps frames alone")
     if len(labels) > len(KEYS):
         raise InputError(f"--label: expected up to {len(KEYS)} labels, a key for each, got {len(labels)}")

@@ -8,9 +8,9 @@ from typing import Any, Final, NamedTuple
 from bus.link import Link, State
 from canskin.fabric import Missed, Origin
 from canskin.messages import MARK, Topic
+from recording.mcap_file import EVENTS, RECORDER, File
 from recording.sinks import Sink
 from shell.service import StopSignal, say
-from skin.mcap_file import EVENTS, RECORDER, File
 
 #: Time between two batches of frames that are read. Links keep some thousands of frames.
 TURN_S: Final = 0.05

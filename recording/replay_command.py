@@ -20,6 +20,8 @@ from dbc.contract import Contract
 from reconstructor.imaging import make_imager
 from reconstructor.options import SolverOptions
 from reconstructor.service import warm_up
+from recording import RECORDING_SUFFIX, is_recording
+from recording.mcap_file import CALIBRATION_FILE, File, newest_file, recording_id, wall_offset_ns
 from recording.replaying import Replay
 from recording.sinks import McapSink
 from recording.step_kinds import Step
@@ -28,8 +30,7 @@ from shell.output import check_new_path
 from shell.service import StopSignal, say
 from shell.skin_options import join
 from skin.description import describe
-from skin.layout import RECORDING_SUFFIX, load_layout
-from skin.mcap_file import CALIBRATION_FILE, File, newest_file, recording_id, wall_offset_ns
+from skin.layout import load_layout
 from skin.sources import DEFAULT_OBJECTS
 
 
@@ -86,12 +87,11 @@ def replay(
     """
     _check(source, speed, out)
     stop = StopSignal().install()
-    is_recording = source.suffix.lower() == RECORDING_SUFFIX
-    skin = load_layout(source if is_recording and layout is None else layout)
-    if channel and is_recording:
+    skin = load_layout(source if is_recording(source) and layout is None else layout)
+    if channel and is_recording(source):
         raise InputError("--channel is for logs: a recording names its buses; leave it out")
     contract = Contract.from_layout(skin)
-    offset_ns = wall_offset_ns(source) if is_recording else 0
+    offset_ns = wall_offset_ns(source) if is_recording(source) else 0
     calibrator = make_calibrator(skin, calibration, tare, "replay")
     imager = make_imager(skin, solver, gains)
     warm_up(skin, imager)
@@ -100,7 +100,7 @@ def replay(
     steps = steps_of(source, contract, channel, every=solver is not None, calibrator=calibrator)
     # Attachments have no time: the same file gives the same bytes.
     sink = McapSink(out, contract, 0, offset_ns, recording_id(source)) if out is not None else None
-    recorded = newest_file(source, CALIBRATION_FILE) if is_recording else None
+    recorded = newest_file(source, CALIBRATION_FILE) if is_recording(source) else None
     if sink is not None and recorded is not None:
         sink.attach(File(CALIBRATION_FILE, "application/json", recorded), 0)
     fabric = None

@@ -6,10 +6,9 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 import msgspec
-import numpy as np
 
 from canskin.fabric import Exchange, Mailbox
-from canskin.messages import LABEL, RECOGNITION, Image, Label, Topic
+from canskin.messages import LABEL, MEASUREMENT, Image, Label, Topic
 from classifier.service import ClassifierService, SteppedClassifierService
 from reconstructor.imaging import Imager
 from reconstructor.service import ReconstructorService
@@ -18,8 +17,6 @@ from recording.sinks import Sink
 from recording.step_kinds import FramesStep, MeasurementStep, MessageStep, Step
 from shell.service import StopSignal
 from skin.layout import Layout
-from skin.measured_sums import published
-from skin.measurement import places
 
 #: Confidences that differ by less are equal: their sums depend on the labels since the classifier's start.
 CONFIDENCE_ERROR: Final = 1e-9
@@ -147,8 +144,6 @@ class Replay:
         self._reconstructor = ReconstructorService(layout, imager, self, clock_ns=self._published_ns, timer=timer)
         self._classifier = make_classifier(self)
         self._force_max_n = layout.taxels.force_max_n
-        self._few = None if layout.recognition is None else layout.recognising().phi()
-        self._places = np.zeros(0, np.intp) if self._few is None else places(layout.phi(), self._few)
         self._now_ns = 0
         self._measured: MeasurementStep | None = None
 
@@ -191,14 +186,12 @@ class Replay:
                 self._take_measurement(step)
 
     def _take_measurement(self, step: MeasurementStep) -> None:
-        told = published(step.measurement, self._few, self._places)
-        for topic, message in told:
-            self.publish(topic, message)
+        self.publish(MEASUREMENT, step.measurement)
         recorded = step.recorded
         self.report.measurements.add(None if recorded is None else _fields_that_differ(step.measurement, recorded))
-        if step.makes_image and told[0][0] is not RECOGNITION:
+        if step.makes_image:
             self._reconstructor.take(step.measurement)
-        for label in self._classifier.replay(told[-1][1], step.time_ns) if step.makes_label else ():
+        for label in self._classifier.replay(step.measurement, step.time_ns) if step.makes_label else ():
             self.report.labels.add(_label_difference(label, step.label))
             self.publish(LABEL, label)
 

@@ -19,8 +19,9 @@ from dbc.contract import Contract
 from dbc.frame import CLASSIC_BYTES, FD_BYTES, Frames, frames
 from dbc.generate import contract_files
 from dbc.stored_frames import RECORD_TEXT, to_bytes
-from skin.layout import RECORDING_SUFFIX, Layout, layout_text
-from skin.mcap_file import FINGERPRINT, FRAMES, LAYOUT_FILE, RECORDING, WALL_OFFSET_NS, File, RecordingWriter
+from recording import RECORDING_SUFFIX, is_recording
+from recording.mcap_file import FINGERPRINT, FRAMES, LAYOUT_FILE, RECORDING, WALL_OFFSET_NS, File, RecordingWriter
+from skin.layout import Layout, layout_text
 
 #: Formats of python-can that do not keep the channel of a frame.
 WITHOUT_CHANNELS: Final = (".csv", ".db")
@@ -80,7 +81,7 @@ class McapSink(RecordingWriter):
     Parameters
     ----------
     recording : str
-        See `skin.mcap_file.RECORDING`; default: name of the skin and time.
+        See `recording.mcap_file.RECORDING`; default: name of the skin and time.
     """
 
     has_messages = True
@@ -177,7 +178,7 @@ def open_sink(path: Path, contract: Contract, now_ns: int, offset_ns: int) -> Si
     OSError
         If the file cannot be written.
     """
-    if path.suffix.lower() == RECORDING_SUFFIX:
+    if is_recording(path):
         return McapSink(path, contract, now_ns, offset_ns)
     try:
         return LogSink(path, contract.layout)

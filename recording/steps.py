@@ -19,7 +19,6 @@ from canskin.messages import (
     MARK,
     MEASUREMENT,
     NODES,
-    RECOGNITION,
     TRUTH,
     Image,
     Label,
@@ -29,19 +28,9 @@ from dbc.contract import Contract
 from dbc.frame import Frames
 from dbc.stored_frames import from_bytes
 from gateway.playback import check_named, play
+from recording import is_recording
 from recording.answers import Answers
-from recording.measurements import (
-    FRAMES_NS,
-    FrameMeasurements,
-    RecordedMeasurements,
-    RunMeasurements,
-    StatusPace,
-    SteppedMeasurements,
-)
-from recording.step_kinds import FramesStep, MeasurementStep, MessageStep, Step
-from shell.service import say
-from skin.layout import RECORDING_SUFFIX, Layout
-from skin.mcap_file import (
+from recording.mcap_file import (
     FINGERPRINT,
     FRAMES,
     Entry,
@@ -52,13 +41,21 @@ from skin.mcap_file import (
     read_topics,
     wall_offset_ns,
 )
+from recording.measurements import (
+    FRAMES_NS,
+    FrameMeasurements,
+    RecordedMeasurements,
+    RunMeasurements,
+    StatusPace,
+    SteppedMeasurements,
+)
+from recording.step_kinds import FramesStep, MeasurementStep, MessageStep, Step
+from shell.service import say
+from skin.layout import Layout
 from skin.measured_sums import check_fingerprint, check_measurement
-from skin.measurement import Sbhe
 
 #: Longest time from a measurement to its image and label: the first label waits for compiled code.
 _ANSWERS_NS: Final = 15_000_000_000
-#: The sums of recognition of a cycle of images come before so many further cycles of images.
-_FEW_CYCLES: Final = 8
 #: Played as they were recorded. Images and contacts, measurements and labels are made anew.
 _AS_RECORDED: Final = {topic.name: topic for topic in (GATEWAY, NODES, TRUTH, MARK)}
 
@@ -86,13 +83,13 @@ def steps_of(
         Name of the service in the log lines.
     """
     warn = partial(say, service)
-    if path.suffix.lower() != RECORDING_SUFFIX:
+    if not is_recording(path):
         return _logged(contract, frames_of_log(contract.layout, path, channel, warn), calibrator)
     topics = read_topics(path)
-    measured = {MEASUREMENT.name, RECOGNITION.name} & topics
-    if calibrator is not None and measured:
+    is_measured = MEASUREMENT.name in topics
+    if calibrator is not None and is_measured:
         raise InputError(f"{path}: its measurements have the offsets of the run: leave out --calibration and --tare")
-    if not has_frames(topics) and not measured:
+    if not has_frames(topics) and not is_measured:
         raise InputError(f"{path}: holds neither frames nor measurements: there is nothing to play")
     return _Recorded(path, contract, topics, warn, every=every, calibrator=calibrator).steps()
 
@@ -148,29 +145,22 @@ class _Recorded:
         self._path, self._contract, self._warn = path, contract, warn
         self._check_fingerprint()
         self._decoders: dict[str, Callable[[bytes], Any]] = {
-            topic.name: message_decoder(path, topic)
-            for topic in (MEASUREMENT, RECOGNITION, IMAGE, LABEL, *_AS_RECORDED.values())
+            topic.name: message_decoder(path, topic) for topic in (MEASUREMENT, IMAGE, LABEL, *_AS_RECORDED.values())
         }
-        #: Φ of the measurements by topic; with two states recognition has one of its own.
-        self._phi = {MEASUREMENT.name: contract.phi}
-        if contract.recognition is not None:
-            self._phi[RECOGNITION.name] = contract.recognition.phi
-        #: Numbers of the newest cycles of images: recognition has a part of their sums.
-        self._image_cycles: deque[int] = deque(maxlen=_FEW_CYCLES)
         self._buses = {FRAMES + bus.name: number for number, bus in enumerate(contract.layout.bus)}
         self._measurements = self._measurements_of(topics, calibrator)
         #: By time, then in the order of their coming.
         self._waiting: list[tuple[int, int, Step]] = []
         self._place = 0
         #: Times of one SYNC differ by less: the recorder has time stamps of its own.
-        near_ns = round(0.5 * contract.layout.shortest_period_s * 1e9)
+        near_ns = round(0.5 * contract.layout.sync.period_s * 1e9)
         self._images: Answers[Image] = Answers(near_ns, is_followed=IMAGE.name in topics and not every)
         has_labels = LABEL.name in topics and self._measurements.have_labels
         self._labels: Answers[Label] = Answers(near_ns, is_followed=has_labels)
 
     def _measurements_of(self, topics: set[str], calibrator: Calibrator | None) -> RecordedMeasurements:
         contract, buses = self._contract, self._buses.values()
-        if not topics & self._phi.keys():
+        if MEASUREMENT.name not in topics:
             return FrameMeasurements(contract, buses, wall_offset_ns(self._path), calibrator=calibrator)
         if not contract.layout.sends.in_cycles:
             return SteppedMeasurements(contract, buses)
@@ -205,12 +195,8 @@ class _Recorded:
         if decode is None:
             return
         message = decode(entry.data)
-        if entry.topic in self._phi:
-            self._check(message, self._phi[entry.topic])
-            if entry.topic == MEASUREMENT.name:
-                self._image_cycles.append(message.cycle)
-            elif message.cycle in self._image_cycles:
-                return
+        if entry.topic == MEASUREMENT.name:
+            self._check(message)
             for step in self._measurements.take(entry.time_ns, message):
                 self._add(step)
         elif entry.topic == IMAGE.name:
@@ -240,17 +226,13 @@ class _Recorded:
         if not isinstance(step, MeasurementStep) or step.header is None or step.time_ns <= until_ns - _ANSWERS_NS:
             return True
         sync_ns = step.header.sampled_mono_ns
-        return (not self._is_of_image(step.header) or self._images.reaches(sync_ns)) and self._labels.reaches(sync_ns)
-
-    def _is_of_image(self, measurement: Measurement) -> bool:
-        """Tell whether a measurement is one of images, and not one of recognition."""
-        return measurement.fingerprint == self._contract.phi.fingerprint
+        return self._images.reaches(sync_ns) and self._labels.reaches(sync_ns)
 
     def _answered(self, step: MeasurementStep) -> MeasurementStep:
         """Return the step of a measurement with what was recorded of it."""
         if step.header is None:
             return step
-        image, makes_image = self._images.of(step.header) if self._is_of_image(step.header) else (None, False)
+        image, makes_image = self._images.of(step.header)
         label, makes_label = self._labels.of(step.header)
         step = replace(step, image=image, label=label, makes_image=makes_image, makes_label=makes_label)
         return replace(step, measurement=self._measurements.played(step))
@@ -262,11 +244,11 @@ class _Recorded:
             with self._naming():
                 check_fingerprint(fingerprint, self._contract.phi)
 
-    def _check(self, measurement: Measurement, phi: Sbhe) -> None:
+    def _check(self, measurement: Measurement) -> None:
         """Raise InputError if a measurement does not fit the layout."""
         found, expected = len(measurement.bus_sampled_ns), 8 * len(self._buses)
         with self._naming():
-            check_measurement(measurement, phi, self._measurements.kind)
+            check_measurement(measurement, self._contract.phi, self._measurements.kind)
             if found not in {0, expected}:
                 raise InputError(f"bus_sampled_ns of {found} bytes, expected {expected}, or none")
 

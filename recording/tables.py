@@ -10,10 +10,10 @@ import numpy as np
 import numpy.typing as npt
 
 from canskin.errors import InputError, RunError
-from canskin.messages import CONTACTS, IMAGE, LABEL, MARK, MEASUREMENT, RECOGNITION, TRUTH, Contact, Measurement
+from canskin.messages import CONTACTS, IMAGE, LABEL, MARK, MEASUREMENT, TRUTH, Contact, Measurement
 from classifier.touches import Touches, touches_of
+from recording.mcap_file import Read, Warn, read_messages, recording_id
 from skin.layout import Layout
-from skin.mcap_file import Read, Warn, read_messages, recording_id
 from skin.wall_times import WallTimes, nearest, recorded_wall_times
 
 Table = dict[str, npt.NDArray[Any]]
@@ -40,8 +40,6 @@ class Tables:
     measurements : dict
         ``sums`` and ``offsets`` int32 (n, m) in ADC counts, ``usable`` bool (n, m), ``valid``,
         ``cycle`` and times.
-    recognition : dict
-        The same of the sums of recognition, where the nodes have two states: in cycles of images a part of the sums.
     contacts : dict
         One row per contact and image: the fields of `canskin.messages.Contact`, its position as ``x_m``, ``y_m``,
         ``z_m`` and its normal as ``nx``, ``ny``, ``nz``, ``cycle`` and times.
@@ -56,12 +54,11 @@ class Tables:
         ``true`` and ``sensor`` float32 (n, rows, columns) in newtons, ``label``, ``time_ns`` and ``cycle``, -1 where
         there is no measurement; of simulated nodes.
     recording : str
-        `skin.mcap_file.RECORDING`: a column of each table.
+        `recording.mcap_file.RECORDING`: a column of each table.
     """
 
     images: Table = field(default_factory=dict)
     measurements: Table = field(default_factory=dict)
-    recognition: Table = field(default_factory=dict)
     contacts: Table = field(default_factory=dict)
     labels: Table = field(default_factory=dict)
     touches: Table = field(default_factory=dict)
@@ -88,7 +85,7 @@ def read_tables(path: Path, layout: Layout, warn: Warn) -> Tables:
     RunError
         If there is nothing to read.
     """
-    topics = IMAGE, MEASUREMENT, RECOGNITION, CONTACTS, LABEL, TRUTH
+    topics = IMAGE, MEASUREMENT, CONTACTS, LABEL, TRUTH
     read: dict[str, list[Any]] = {topic.name: [] for topic in topics}
     told: list[Read] = []
     for each in read_messages(path, (*topics, MARK), warn):
@@ -110,7 +107,6 @@ def read_tables(path: Path, layout: Layout, warn: Warn) -> Tables:
                 "valid_sums": np.array([each.valid_sums for each in read["image"]], np.int64),
             },
             measurements=_measurements(read["measurement"], wall, layout),
-            recognition=_measurements(read["recognition"], wall, layout.recognising()),
             contacts=_contacts(read["contacts"], wall),
             labels=_times(read["label"], wall)
             | {
@@ -118,7 +114,7 @@ def read_tables(path: Path, layout: Layout, warn: Warn) -> Tables:
                 "confidence": np.array([each.confidence for each in read["label"]], np.float64),
             },
             touches=_touches(touches_of(path, told, warn), wall),
-            truth=_truth_times(read["truth"], read["measurement"] + read["recognition"], layout, wall)
+            truth=_truth_times(read["truth"], read["measurement"], layout, wall)
             | {
                 "true": _stack([each.true for each in read["truth"]], "<f4", shape),
                 "sensor": _stack([each.sensor for each in read["truth"]], "<f4", shape),
@@ -181,7 +177,7 @@ def _truth_times(messages: list[Any], measurements: list[Measurement], layout: L
     if layout.sends.in_cycles and measurements:
         made = sorted((each.sampled_mono_ns, each.cycle) for each in measurements)
         at_ns, number = np.array(made, np.int64).T
-        place, is_near = nearest(at_ns, wanted_ns, 0.5e9 * layout.shortest_period_s)
+        place, is_near = nearest(at_ns, wanted_ns, 0.5e9 * layout.sync.period_s)
         time_ns = np.where(is_near, wall.times_ns(at_ns.tolist())[place], time_ns)
         cycle = np.where(is_near, number[place], -1)
     return {"cycle": cycle, "time_ns": time_ns}

@@ -11,10 +11,10 @@ from canskin.errors import InputError, RunError
 from canskin.messages import CONTACTS, IMAGE, LABEL, Contacts, Image, Label
 from health.state import FRESH_S
 from recording.drawing import Drawing, Picture
+from recording.mcap_file import Warn, read_messages
 from shell.extras import not_installed
 from shell.output import replacing
 from skin.layout import Layout
-from skin.mcap_file import Warn, read_messages
 
 if TYPE_CHECKING:
     from av import VideoFrame

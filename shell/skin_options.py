@@ -17,8 +17,9 @@ from canskin.errors import BusError, InputError, LayoutError, Stopped
 from canskin.fabric import Fabric
 from canskin.peers import Peer
 from canskin.session import DEFAULT_ENDPOINT, LOOK_S, Stop, Words, find_skin
+from recording import is_recording
 from skin.difference import difference
-from skin.layout import RECORDING_SUFFIX, Layout, layout_text, load_layout, parse_layout
+from skin.layout import Layout, layout_text, load_layout, parse_layout
 
 #: Longest wait for the hub, the skin and its layout: that of `canskin.connect`.
 PATIENCE_S: Final = 5.0
@@ -73,7 +74,7 @@ class SkinOptions:
             or if several skins are there.
         """
         given = self.layout
-        if given is None and recording is not None and recording.suffix.lower() == RECORDING_SUFFIX:
+        if given is None and is_recording(recording):
             given = recording
         if given is None and (needs_hub or self.connect or self.skin):
             return hub_layout(self.endpoint, self.skin, stop)

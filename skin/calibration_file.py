@@ -10,9 +10,10 @@ import numpy.typing as npt
 
 from canskin.errors import UNDECODABLE, InputError, reasoned, tell
 from canskin.messages import MEASUREMENT, Measurement
+from recording import is_recording
+from recording.mcap_file import CALIBRATION_FILE, newest_file, read_messages
 from skin.defects import SumGains
-from skin.layout import RECORDING_SUFFIX, Layout
-from skin.mcap_file import CALIBRATION_FILE, newest_file, read_messages
+from skin.layout import Layout
 from skin.measured_sums import check_measurement
 
 #: No gain is stored that is not between these.
@@ -128,7 +129,7 @@ def most_offset_n(layout: Layout) -> float:
 
 def load_calibration(path: Path, layout: Layout, *, is_shown: bool = False) -> StoredCalibration:
     """Read a file, or the calibration of a recording; to be shown, with offsets beyond `most_offset_n`, too."""
-    if path.suffix.lower() == RECORDING_SUFFIX:
+    if is_recording(path):
         return _recorded(path, layout, is_shown=is_shown)
     with reasoned(InputError, f"{path}: cannot read the calibration"):
         content = path.read_bytes()

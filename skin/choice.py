@@ -40,13 +40,12 @@ _BEATS_HZ: Final = 1.0
 def averaged_hz(layout: "Layout", most: int | None = None) -> float | None:
     """Return the samples in a second, as many whole samples a cycle as `AVERAGED_HZ` allows, at most `most`.
 
-    None, one sample a SYNC, where there is no time for more, or where boards cannot average: with sums that are made
-    before the converters, and with a state of recognition.
+    None, one sample a SYNC, where there is no time for more, or where sums are made before the converters.
     """
     samples = int(AVERAGED_HZ / layout.sync.rate_hz)
     samples = samples if most is None else min(samples, most)
     has_converters = not layout.taxels.is_analogue and layout.measurement.matrix is None
-    can_average = layout.sends.in_cycles and has_converters and layout.recognition is None
+    can_average = layout.sends.in_cycles and has_converters
     return samples * layout.sync.rate_hz if can_average and samples > 1 else None
 
 

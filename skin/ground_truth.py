@@ -161,12 +161,12 @@ LabelPairs = Pairing[Label] | NearestTruths
 
 def image_pairs(layout: Layout) -> ImagePairs:
     """Return what finds the pairs of images and truths of a skin."""
-    return Pairing(layout.shortest_period_s) if layout.is_of_one_instant else ShownImages()
+    return Pairing(layout.sync.period_s) if layout.is_of_one_instant else ShownImages()
 
 
 def label_pairs(layout: Layout) -> LabelPairs:
     """Return what finds the pairs of labels and truths of a skin."""
-    return Pairing(layout.shortest_period_s) if layout.sends.in_cycles else NearestTruths()
+    return Pairing(layout.sync.period_s) if layout.sends.in_cycles else NearestTruths()
 
 
 def in_contact(true: npt.NDArray[np.float32], peak_n: float) -> bool:

@@ -16,11 +16,12 @@ import numpy.typing as npt
 import tomli_w
 
 from canskin.errors import UNDECODABLE, InputError, LayoutError, reasoned
+from recording import is_recording
 from skin.chains import MOST, check_chains, order_of, read_chains, read_positions
 from skin.choice import BUSES_MAX, averaged_hz, carried_sums, carries_enough
 from skin.foreign import ForeignMessage, check_foreign, with_foreign_dbc
 from skin.matrix import KEY, MatrixPhi, entries_of, read_matrix
-from skin.measurement import Sbhe, of_rows, part_of, sbhe
+from skin.measurement import Sbhe, of_rows, sbhe
 from skin.sending import BUS_SUMS, IN_CYCLES, SENDINGS, STEPPED_SIZES, Sending, SendingName
 from skin.surface import LINK_RATIO, Surface, grid_surface, surface_of_positions
 from skin.sync_counter import SYNC_OVERFLOW
@@ -63,14 +64,10 @@ DATA_BITRATE_MAX: Final = 8_000_000
 PRODUCT_CODE: Final = 0x534B_494E
 #: Default: the smallest number of buses with at most this number of nodes, each of one block, and identifiers for all.
 NODES_PER_BUS: Final = 32
-#: Of a recording of `skin record`, which holds its layout; `skin.mcap_file` reads and writes recordings.
-RECORDING_SUFFIX: Final = ".mcap"
 #: Most nodes of a bus.
 NODES_MAX: Final = 127
 #: Fewest bits of a converter of sums: its two end codes count as saturated.
 ANALOGUE_BITS: Final = 4
-#: Highest node-ID of a bus with recognition: an identifier of the next switches the state of all.
-RECOGNITION_NODES: Final = 126
 #: Largest value of an entry of the identity object (1018h).
 IDENTITY_MAX: Final = 2**32 - 1
 #: Why what boards need is refused.
@@ -234,28 +231,6 @@ class Steps(_Table, frozen=True, kw_only=True):
     at_sync: bool = False
 
 
-class Recognition(_Table, frozen=True, kw_only=True):
-    """A state in which the nodes send a few of their sums at a higher rate; all sums, for images, come when asked for.
-
-    Attributes
-    ----------
-    sums, rows
-        Number of sums, or block and Hadamard row of each: some of those of ``measurement``.
-    rate_hz : float
-        SYNCs in a second in this state, a multiple of ``sync.rate_hz``.
-    wake : {"contact", "label", "request"}
-        What asks for images: a contact, a contact with a known object, or programs alone.
-    hold_s : float
-        How long images come after they were last asked for by ``wake``.
-    """
-
-    rate_hz: Annotated[float, msgspec.Meta(ge=0.1, le=RATE_MAX_HZ)]
-    sums: Positive | None = None
-    rows: Annotated[tuple[tuple[int, int], ...], msgspec.Meta(min_length=1)] | None = None
-    wake: Literal["contact", "label", "request"] = "contact"
-    hold_s: Annotated[float, msgspec.Meta(ge=0.1, le=3600.0)] = 1.0
-
-
 class Sampling(_Table, frozen=True, kw_only=True):
     """How often a node samples its taxels: `rate_hz` times a second, or, without it, once per SYNC."""
 
@@ -345,8 +320,6 @@ class Layout(_Table, frozen=True, kw_only=True):
     sampling: Sampling = msgspec.field(default_factory=Sampling)
     steps: Steps = msgspec.field(default_factory=Steps)
     encoding: Encoding = msgspec.field(default_factory=Encoding)
-    # Without it the nodes send all sums in every cycle.
-    recognition: Recognition | None = None
     device: Device = msgspec.field(default_factory=Device)
     # Without them, the connected parts of the skin.
     region: list[Region] | None = None
@@ -382,27 +355,6 @@ class Layout(_Table, frozen=True, kw_only=True):
     def is_of_one_instant(self) -> bool:
         """Whether all sums of a measurement were sampled at one SYNC."""
         return self.sends.in_cycles and self.sync.turns == 1
-
-    @property
-    def shortest_period_s(self) -> float:
-        """Shortest time from SYNC to SYNC: that of recognition if the layout has it."""
-        return 1 / self.recognition.rate_hz if self.recognition else self.sync.period_s
-
-    def recognising(self) -> "Layout":
-        """Return the layout of recognition: its sums and its rate; without this state, the layout itself."""
-        state, measurement = self.recognition, self.measurement
-        if state is None:
-            return self
-        rows = state.rows
-        if rows is None:
-            part = part_of(self.phi(), state.sums or 0, measurement.seed)
-            rows = tuple(zip(part.block_of_sum.tolist(), part.row_of_sum.tolist(), strict=True))
-        return changed(
-            self,
-            measurement={"sums": len(rows), "rows": rows, "selection": "balanced"},
-            sync={"rate_hz": state.rate_hz},
-            recognition=None,
-        )
 
     def operator(self) -> Sbhe | MatrixPhi:
         """Return the skin's measurement operator, for what takes any; the same layout always gives the same Φ."""
@@ -461,7 +413,7 @@ def changed(layout: Layout, **tables: Any) -> Layout:
 
     Examples
     --------
-    >>> changed(layout, sync={"rate_hz": 50.0}, recognition=None)
+    >>> changed(layout, sync={"rate_hz": 50.0}, sampling=Sampling())
     """
     given = {
         name: msgspec.structs.replace(getattr(layout, name), **keys) if isinstance(keys, dict) else keys
@@ -482,11 +434,6 @@ def require_boards(layout: Layout) -> None:
         raise LayoutError(f"{layout.name}: {OTHER_HARDWARE} - at `$.measurement.ensemble`")
 
 
-def is_recording(path: Path | None) -> bool:
-    """Tell whether a file is a recording of ``skin record``, by its name."""
-    return path is not None and path.suffix.lower() == RECORDING_SUFFIX
-
-
 def _read(path: Path | None, name: str) -> tuple[bytes, str, Path]:
     """Return content and origin of a layout, and the folder of the files that it names."""
     if path is None or (name in SHIPPED and not path.is_file()):
@@ -502,7 +449,7 @@ def _read(path: Path | None, name: str) -> tuple[bytes, str, Path]:
 
 def _read_attached(path: Path) -> bytes:
     """Return the layout in a recording."""
-    from skin.mcap_file import LAYOUT_FILE, read_about
+    from recording.mcap_file import LAYOUT_FILE, read_about
 
     try:
         content = read_about(path).files.get(LAYOUT_FILE)
@@ -719,8 +666,6 @@ def _check(layout: Layout) -> None:
             f"expected {highest} or less, for serial numbers of 32 bits, got {layout.device.first_serial}"
             " - at `$.device.first_serial`"
         )
-    if layout.recognition is not None:
-        _check_recognition(layout, layout.recognition)
 
 
 def _check_measurement(layout: Layout) -> None:
@@ -757,7 +702,6 @@ def _check_matrix(layout: Layout) -> None:
         "taxels.frontend": (layout.taxels.frontend, "digital"),
         "sync.turns": (layout.sync.turns, 1),
         "sampling.rate_hz": (layout.sampling.rate_hz, None),
-        "recognition": (layout.recognition, None),
         "bus": (layout.bus, []),
         **{
             f"measurement.{key}": (getattr(measurement, key), getattr(drawn, key))
@@ -854,31 +798,6 @@ def _check_regions(layout: Layout) -> None:
         raise LayoutError(f"region name '{twice[0]}' is used twice - at `$.region`")
     if given:
         regions_of(layout)
-
-
-def _check_recognition(layout: Layout, state: Recognition) -> None:
-    if not layout.sends.in_cycles or layout.sync.turns > 1:
-        raise LayoutError('recognition needs `sending = "synchronous"` and `turns = 1` - at `$.recognition`')
-    if layout.sampling.rate_hz is not None:
-        raise LayoutError("recognition and averages of samples exclude each other - at `$.sampling.rate_hz`")
-    if layout.taxels.is_analogue:
-        raise LayoutError("recognition expects 'digital', got 'analogue' - at `$.taxels.frontend`")
-    for index, bus in enumerate(layout.bus):
-        if bus.ids[-1] > RECOGNITION_NODES:
-            limit = f"recognition expects node-IDs up to {RECOGNITION_NODES}"
-            raise LayoutError(f"{limit}, got {bus.ids[-1]} - at `$.bus[{index}]`")
-    ratio = state.rate_hz / layout.sync.rate_hz
-    if ratio < 2 or abs(ratio - round(ratio)) > 1e-9:
-        limit = f"expected a multiple of {layout.sync.rate_hz:g} (`sync.rate_hz`), twice that or more"
-        raise LayoutError(f"{limit}, got {state.rate_hz:g} - at `$.recognition.rate_hz`")
-    if (state.sums is None) == (state.rows is None):
-        raise LayoutError("expected `sums` or `rows`, one of the two - at `$.recognition`")
-    try:
-        part = layout.recognising().phi()
-    except InputError as error:
-        raise LayoutError(f"{error} - at `$.recognition.{'sums' if state.rows is None else 'rows'}`") from error
-    if (part.kept & ~layout.phi().kept).any():
-        raise LayoutError("expected rows that the nodes send for images - at `$.recognition.rows`")
 
 
 def _check_stepped(layout: Layout) -> None:

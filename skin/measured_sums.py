@@ -5,22 +5,18 @@ import time
 from collections.abc import Callable
 from typing import Final, Generic, NamedTuple, TypeVar
 
-import msgspec
 import numpy as np
 import numpy.typing as npt
 
 from canskin.errors import InputError, tell
 from canskin.messages import (
-    MEASUREMENT,
-    RECOGNITION,
     BlockState,
     CycleMeasurement,
     Measurement,
     SteppedMeasurement,
-    Topic,
 )
 from canskin.sums import corrected_counts, doubtful_taxels
-from skin.measurement import Phi, Sbhe
+from skin.measurement import Phi
 
 #: Shortest time between two log lines about refused measurements.
 COMPLAINT_PERIOD_S: Final = 10.0
@@ -96,48 +92,6 @@ def used_blocks(measurement: Measurement, phi: Phi) -> npt.NDArray[np.bool_]:
     if measurement.usable:
         valid &= phi.all_of_blocks(np.frombuffer(measurement.usable, np.uint8) != 0)
     return valid
-
-
-def part_of_measurement(measurement: Measurement, part: Sbhe, places: npt.NDArray[np.intp]) -> Measurement:
-    """Return a measurement of a cycle with some of its sums alone.
-
-    Parameters
-    ----------
-    part : Sbhe
-        Φ of these sums; a measurement of it is returned as it is.
-    places : array of int
-        Where they are among the sums of the measurement (`skin.measurement.places`).
-    """
-    if measurement.fingerprint == part.fingerprint:
-        return measurement
-    sums, offsets = (np.frombuffer(each, "<i4") for each in (measurement.sums, measurement.offsets))
-    usable, valid = (np.frombuffer(each, np.bool_) for each in (measurement.usable, measurement.valid))
-    return msgspec.structs.replace(
-        measurement,
-        sums=sums[places].tobytes(),
-        valid=(valid & part.has_sums).tobytes(),
-        offsets=offsets[places].tobytes() if offsets.size else b"",
-        usable=usable[places].tobytes() if usable.size else b"",
-        fingerprint=part.fingerprint,
-    )
-
-
-def published(
-    measurement: Measurement, part: Sbhe | None, places: npt.NDArray[np.intp]
-) -> list[tuple[Topic, Measurement]]:
-    """Return a measurement as the services get it: with two states, the sums of recognition on a topic of their own.
-
-    Parameters
-    ----------
-    part : Sbhe or None
-        Φ of recognition, None without that state.
-    places : array of int
-        See `part_of_measurement`.
-    """
-    if part is None:
-        return [(MEASUREMENT, measurement)]
-    few = (RECOGNITION, part_of_measurement(measurement, part, places))
-    return [few] if measurement.fingerprint == part.fingerprint else [(MEASUREMENT, measurement), few]
 
 
 def decode_stepped(measurement: Measurement, phi: Phi) -> SteppedSums:

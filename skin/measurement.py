@@ -402,31 +402,6 @@ def of_rows(phi: Sbhe, rows: Sequence[tuple[int, int]]) -> Sbhe:
     return replace(phi, kept=kept)
 
 
-def part_of(phi: Sbhe, sums: int, seed: int) -> Sbhe:
-    """Draw an SBHE of some of the rows of another, evenly spread over its blocks.
-
-    Parameters
-    ----------
-    phi : Sbhe
-        With as many rows in every block that are needed.
-    sums : int
-        Fewer than blocks, or a multiple of them.
-    """
-    random, each = seeded(seed), max(1, sums // phi.blocks)
-    if not 0 < sums < phi.shape[0] or (sums > phi.blocks and sums % phi.blocks):
-        limits = f"fewer sums than the {phi.blocks} blocks or a multiple of them, and fewer than {phi.shape[0]}"
-        raise InputError(f"expected {limits}, got {sums}")
-    kept = np.zeros_like(phi.kept)
-    for block in range(phi.blocks):
-        rows = phi.rows_of(block)
-        if len(rows) < each:
-            raise InputError(f"block {block} has {len(rows)} rows, and {sums} sums need {each} of each block")
-        kept[block, random.permutation(rows)[:each]] = True
-    if sums < phi.blocks:
-        kept[~_one_of_each_run(phi.blocks, sums, random)] = False
-    return replace(phi, kept=kept)
-
-
 def places(phi: Sbhe, part: Sbhe) -> npt.NDArray[np.intp]:
     """Return where the sums of `part`, some of those of `phi`, are among those of `phi`; shape (m of `part`,)."""
     return np.flatnonzero(part.kept[phi.kept])

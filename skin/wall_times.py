@@ -10,8 +10,8 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from canskin.messages import MEASUREMENT, RECOGNITION, Topic
-from skin.mcap_file import read_messages, wall_offset_ns
+from canskin.messages import MEASUREMENT, Topic
+from recording.mcap_file import read_messages, wall_offset_ns
 
 #: Times on the wall clock end here, in 2038: ROS 2 has int32 seconds.
 END_NS: Final = 2**31 * 1_000_000_000
@@ -78,8 +78,7 @@ class WallTimes:
 
 def recorded_clocks(path: Path) -> list[Clocks]:
     """Return the clocks of all measurements of a recording, in the order of their sampling."""
-    topics = CLOCKS, Topic(RECOGNITION.name, Clocks)
-    found = (read.message for read in read_messages(path, topics, lambda _: None))
+    found = (read.message for read in read_messages(path, (CLOCKS,), lambda _: None))
     return sorted(found, key=attrgetter("sampled_mono_ns"))
 
 

@@ -6,13 +6,11 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from canskin.messages import CONTACTS, MARK, MEASUREMENT, RECOGNITION, Mark
+from canskin.messages import CONTACTS, MARK, MEASUREMENT, Mark
 from classifier.samples import simulate_sums
 from dbc.contract import Contract
 from recording.sinks import McapSink
 from skin.layout import Layout
-from skin.measured_sums import part_of_measurement
-from skin.measurement import places
 from tests import messages as make
 
 START_NS = 1_700_000_000_000_000_000
@@ -44,7 +42,6 @@ def write_touches(
     phi, rng = layout.phi(), np.random.default_rng(seed)
     period_ns = round(layout.sync.period_s * 1e9)
     sink = McapSink(path, Contract.from_layout(layout), START_NS, START_NS)
-    part = None if layout.recognition is None else layout.recognising().phi()
     valid = phi.has_sums.copy()
     if lost_block is not None:
         valid[lost_block] = False
@@ -64,12 +61,7 @@ def write_touches(
                 sent = make.measurement(cycle, **stamps, **whole)
             else:
                 sent = make.stepped_measurement(forces[place], layout=layout, cycle=cycle, **stamps)
-            few = [] if part is None else [(RECOGNITION, part_of_measurement(sent, part, places(phi, part)))]
-            for topic, message in (
-                (MEASUREMENT, sent),
-                *few,
-                (CONTACTS, make.contacts(cycle, *contacts, **stamps)),
-            ):
+            for topic, message in ((MEASUREMENT, sent), (CONTACTS, make.contacts(cycle, *contacts, **stamps))):
                 sink.message(topic, time_ns, msgspec.msgpack.encode(message))
     sink.close()
     return path

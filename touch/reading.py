@@ -11,8 +11,8 @@ import numpy.typing as npt
 
 from canskin.errors import InputError
 from canskin.messages import IMAGE, TRUTH
+from recording import RECORDING_SUFFIX, is_recording
 from shell.service import say
-from skin.layout import RECORDING_SUFFIX
 
 Counts = npt.NDArray[Any]
 
@@ -71,8 +71,8 @@ def read_counts(path: Path, arrays: Sequence[str] | None, skin_shape: tuple[int,
 
 def array_names(path: Path) -> tuple[str, ...]:
     """Return the names of the arrays in an ``.npz`` or ``.mcap``, in file order; for other files no names."""
-    if path.suffix.lower() == RECORDING_SUFFIX:
-        from skin.mcap_file import read_topics
+    if is_recording(path):
+        from recording.mcap_file import read_topics
 
         topics = read_topics(path)
         return tuple(name for name, (topic, _) in IN_MCAP.items() if topic.name in topics)
@@ -87,8 +87,8 @@ def array_names(path: Path) -> tuple[str, ...]:
 
 def _read_mcap(path: Path, name: str) -> Counts:
     """Return the images, or the true or measured forces, of a run; frames alone have none."""
+    from recording.mcap_file import read_messages
     from skin.layout import load_layout
-    from skin.mcap_file import read_messages
 
     offered = array_names(path)
     if not offered:

@@ -7,8 +7,8 @@ from typing import Final
 import numpy as np
 
 from canskin.errors import InputError
+from recording import is_recording
 from shell.service import say
-from skin.layout import RECORDING_SUFFIX
 from skin.ranges import require_above_zero, require_number
 from skin.sources import DEFAULT_OBJECTS, Frame, StrokeKind
 from skin.surface import Surface
@@ -192,7 +192,7 @@ def recording(
     counts = read_counts(Path(path), named, (rows, columns))
     if named is None:
         _tell_others(Path(path))
-    if full_scale is None and Path(path).suffix.lower() == RECORDING_SUFFIX:
+    if full_scale is None and is_recording(Path(path)):
         full_scale = force_max_n
     played = Recording(
         counts,

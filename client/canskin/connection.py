@@ -16,7 +16,6 @@ from canskin.messages import CONTACTS, GATEWAY, IMAGE, LABEL, MARK, MEASUREMENT,
 from canskin.peers import Peer, client_version
 from canskin.session import DEFAULT_ENDPOINT, close_with_program, find_skin, peers_at
 from canskin.skin import CLOSED, FrameHub, Frames, Health, Skin
-from canskin.state_messages import IMAGES, MOST_HOLD_S, ImagesReply, ImagesRequest
 
 #: Name of this service on the fabric.
 NAME: Final = "client"
@@ -130,16 +129,6 @@ class ConnectedSkin(Skin):
             raise RunError(reply.text)
         return reply.text
 
-    def ask_images(self, hold_s: float = 1.0) -> None:
-        """See `Skin.ask_images`."""
-        if not isinstance(hold_s, int | float) or not 0 < hold_s <= MOST_HOLD_S:
-            raise InputError(f"hold_s: expected more than 0 and up to {MOST_HOLD_S:g} seconds, got {hold_s!r}")
-        if self._hub.is_closed:
-            raise BusError(CLOSED)
-        reply: ImagesReply = self._fabric.ask(IMAGES, ImagesRequest(hold_s=hold_s), ANSWER_S)
-        if not reply.is_done:
-            raise RunError(reply.text)
-
     def mark(self, label: str) -> None:
         """See `Skin.mark`."""
         super().mark(label)
@@ -217,8 +206,6 @@ class ConnectedSkin(Skin):
         if "skin gateway" in missing and "replay" in alive:
             missing.clear()
         advice = "is its bus silent? See skin.health"
-        if self._status is not None and self._status.state == "recognition":
-            advice = "it recognises, and images come when asked for: see ask_images"
         if missing:
             advice = f"start '{missing[0]}'"
         elif others:

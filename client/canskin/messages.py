@@ -283,8 +283,6 @@ class Label(msgspec.Struct, frozen=True, kw_only=True):
         Too few blocks came in the last cycles: the label is empty, but does not mean "no contact".
     number : int
         Number of the label since the classifier's start, from 1: labels depend on those before. 0 if unknown.
-    sums : int
-        Number of sums from which it is made, where these are not all of the skin; else 0.
     """
 
     cycle: int
@@ -296,14 +294,13 @@ class Label(msgspec.Struct, frozen=True, kw_only=True):
     blind: bool = False
     number: int = 0
     sampled_error_ns: int = UNKNOWN_ERROR_NS
-    sums: int = 0
 
     def is_measured(self, sums: int) -> bool:
         """Tell whether the label, of a skin with `sums` sums, is based on enough sums.
 
         The empty label of a dead skin does not mean "no contact".
         """
-        return not self.blind and self.valid_sums >= MIN_VALID_RATIO * (self.sums or sums)
+        return not self.blind and self.valid_sums >= MIN_VALID_RATIO * sums
 
 
 #: Most characters of the label of a mark.
@@ -464,12 +461,6 @@ class GatewayStatus(msgspec.Struct, frozen=True, kw_only=True):
         Number of SYNCs that were not sent because they were too late.
     calibration : CalibrationStatus or None
         None from a gateway without calibration, as in a replay.
-    state : str
-        Where the nodes have two states: ``recognition`` or ``images``; else empty.
-    switches : int
-        Number of times that a program asked for images in recognition, and they came before the request had ended.
-    switch_s : float
-        The newest time from such a request to the first complete cycle of images.
     """
 
     time_ns: int
@@ -480,9 +471,6 @@ class GatewayStatus(msgspec.Struct, frozen=True, kw_only=True):
     buses: list[BusState]
     syncs_skipped: int = 0
     calibration: CalibrationStatus | None = None
-    state: str = ""
-    switches: int = 0
-    switch_s: float = 0.0
 
 
 class NodesStatus(msgspec.Struct, frozen=True, kw_only=True):
@@ -522,8 +510,6 @@ def _measurement_decoder() -> Callable[[bytes], Measurement]:
 
 
 MEASUREMENT: Final = Topic("measurement", Measurement)
-#: Where the nodes have two states: the sums of recognition, in cycles of images, too.
-RECOGNITION: Final = Topic("recognition", Measurement)
 IMAGE: Final = Topic("image", Image)
 CONTACTS: Final = Topic("contacts", Contacts)
 LABEL: Final = Topic("label", Label)

@@ -195,23 +195,6 @@ class Skin(ABC):
             If no gateway answers.
         """
 
-    def ask_images(self, hold_s: float = 1.0) -> None:  # noqa: B027 - nothing to do is right for most skins
-        """Ask a skin that recognises first for images, from now on for `hold_s` seconds; ask again for longer.
-
-        A request cannot be shortened: images come until the end of the request that ends last.
-
-        Other skins give images all the time.
-
-        Raises
-        ------
-        InputError
-            If the time is no number above 0, or longer than an hour.
-        RunError
-            If the gateway refuses the request.
-        BusError
-            If no gateway answers.
-        """
-
     def mark(self, label: str) -> None:
         """Say what touches the skin from now on, for the recordings that are being made; ``""`` ends it.
 

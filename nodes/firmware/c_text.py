@@ -6,7 +6,7 @@ from typing import Any, Final
 import numpy as np
 
 #: Mark of generated files.
-WRITTEN: Final = "Written by `skin export firmware`: do not edit."
+WRITTEN: Final = "Written by `skin contract --firmware`: do not edit."
 _PER_LINE: Final = 16
 
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from dbc import averaging, board_sums, canopen, frame, indices, program, slots
 from dbc.contract import LONGEST_VALUE
-from dbc.dictionary import REACTION_NS, SkinState
+from dbc.dictionary import REACTION_NS
 from dbc.patch_filter import LEAST_EXPONENT, LEAST_WEIGHT, LOG2_E, POWER
 from nodes.firmware import tables
 from nodes.firmware.c_text import braced, defined, double, header, real
@@ -22,7 +22,6 @@ _ENUMERATIONS: Final[dict[str, type[IntEnum | IntFlag]]] = {
     "ABORT_": canopen.Abort,
     "EMERGENCY_": canopen.Emergency,
     "REGISTER_": canopen.ErrorRegister,
-    "STATE_": SkinState,
     "PROGRAM_": program.ProgramControl,
     "FLASH_": program.FlashError,
     "RECORD_": slots.Record,

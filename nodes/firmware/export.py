@@ -2,20 +2,16 @@
 
 from collections.abc import Sequence
 from importlib.resources import files
-from pathlib import Path
 from string import Template
 from typing import Final
 
-from dbc.choice import choose_nodes
 from dbc.contract import Contract, NodeContract
 from dbc.eds import node_name
-from dbc.generate import write_files
 from dbc.slots import SLOT_HEAD
 from nodes.firmware.contract_header import contract_header
 from nodes.firmware.object_dictionary import od_header, od_source
 from nodes.firmware.stepped_tables import stepped_header, stepped_source
 from nodes.firmware.tables import Build, board_header, board_source, builds, by_type
-from skin.layout import load_layout
 
 #: Bytes of a `skin_board` on a processor of 32 bits.
 _ENTRY_BYTES: Final = 12
@@ -45,32 +41,13 @@ def constants(contract: Contract, boards: Sequence[Build]) -> dict[str, str]:
 
 
 def export_files(contract: Contract, nodes: Sequence[NodeContract]) -> dict[str, str]:
-    """Return the text of every file of ``skin export firmware`` by its path."""
+    """Return the text of every file of ``skin contract --firmware`` by its path."""
     boards = builds(contract, nodes)
     found = {f"src/{path}": text for path, text in sources(boards, "slave", "canopennode").items()}
     for folder, image in images(contract, boards).items():
         found |= {f"boards/{folder}/{name}": text for name, text in constants(contract, image).items()}
         found |= {f"boards/{folder}/OD.h": od_header(image), f"boards/{folder}/OD.c": od_source(image)}
     return found | {"README.md": _readme(contract, boards)}
-
-
-def write_firmware(layout: Path | None, names: list[str], out: Path) -> list[str]:
-    """Write the texts for a layout, with the constants of the nodes of `names` or of all; return the paths.
-
-    Parameters
-    ----------
-    layout : Path or None
-        TOML of the skin; None for the default skin.
-    names : list of str
-        As for `dbc.choice.choose_nodes`.
-    out : Path
-        Folder for the files.
-    """
-    skin = load_layout(layout)
-    contract = Contract.from_layout(skin)
-    chosen = choose_nodes(contract, names, [])
-    nodes = [each for each in contract.nodes if each.node_id in chosen.get(each.bus, ())]
-    return [str(path) for path in write_files(export_files(contract, nodes), out)]
 
 
 def _readme(contract: Contract, boards: Sequence[Build]) -> str:

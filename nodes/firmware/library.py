@@ -143,7 +143,7 @@ class CompiledBoards:
         self.node_ids = frozenset(node.node_id for node in nodes)
         self.is_pdo = np.zeros(BASE_ID_MASK + 1, np.bool_)
         for node in nodes:
-            self.is_pdo[[tpdo.cob_id for state in contract.states_of(node) for tpdo in state.tpdos]] = True
+            self.is_pdo[[tpdo.cob_id for tpdo in node.tpdos]] = True
         self.due_s = float("-inf")
         self._library = library
         self._first, self._count = first, len(nodes)

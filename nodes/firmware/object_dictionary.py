@@ -60,14 +60,9 @@ class _Entry:
 def od_header(boards: Sequence[Build]) -> str:
     """Return ``OD.h`` of boards of one type."""
     entries = _entries(boards)
-    rpdos, tpdos = (
-        sum(first <= each.index < end for each in entries)
-        for first, end in ((od.RPDO_COMMUNICATION, od.RPDO_MAPPING), (od.TPDO_COMMUNICATION, od.TPDO_MAPPING))
-    )
     counts = {
         **dict.fromkeys(("NMT", "EM", "EM_PROD", "SYNC", "HB_CONS", "HB_PROD", "SDO_SRV", "STORAGE"), 1),
-        **({"RPDO": rpdos} if rpdos else {}),
-        "TPDO": tpdos,
+        "TPDO": sum(od.TPDO_COMMUNICATION <= each.index < od.TPDO_MAPPING for each in entries),
         **{f"ARR_{index:04X}": _elements(entries, index) for index in (od.ERROR_FIELD, od.CONSUMER_HEARTBEAT)},
     }
     lines = [
@@ -259,7 +254,7 @@ def _pointer(entry: _Entry, member: str) -> str:
 def _attribute(each: Object) -> str:
     flags = ["ODA_SDO_RW" if each.access == "rw" else "ODA_SDO_R"]
     if each.pdo:
-        flags.append("ODA_TRPDO" if each.access == "rw" else "ODA_TPDO")
+        flags.append("ODA_TPDO")
     if each.data_type == od.VISIBLE_STRING:
         flags.append("ODA_STR")
     elif od.BITS[each.data_type] > 8:

@@ -236,7 +236,6 @@ def board_header(contract: Contract, boards: Sequence[Build]) -> str:
         "SKIN_STEPPED": (int(in_steps), "whether boards send steps"),
         "SKIN_PARTS": (max(1, *(len(each.node.forms) for each in boards)), "words of a board that sends steps"),
         "SKIN_ANALOGUE": (int(contract.layout.taxels.is_analogue), "whether converters read sums, not taxels"),
-        "SKIN_STATES": (len(contract.states), "states of a board (2008h); in each others of its TPDOs are sent"),
         "SKIN_SAMPLES": (
             1 if in_steps else contract.layout.samples_per_sync,
             "samples of each taxel in a cycle; more than 1 are averaged",
@@ -334,7 +333,6 @@ def _type(build: Build, number: int) -> str:
         "packing": f"{{{packing.bits}, {packing.scale.bit_length() - 1}, {packing.offset}}}",
         "first_sum": f"first_sum_{number}",
         "tpdos": _tpdos(objects),
-        "image_tpdos": len(node.tpdos),
         "pdo_bytes": node.pdo_bytes,
         "frame_flags": node.flags,
         "frame_ns": build.frame_ns,

@@ -9,7 +9,6 @@ from dbc.contract import NodeContract
 from nodes.node import SkinNode
 from nodes.steps.boards import SteppedBoards
 from nodes.steps.stepping import NO_COB_ID
-from nodes.tpdo import LiveTpdo
 
 
 class SteppedNode(SkinNode):
@@ -48,11 +47,6 @@ class SteppedNode(SkinNode):
             self._senders.set_cob_ids(self.contract.block, used)
             self._has_events = False
         return is_changed
-
-    @property
-    def tpdos_of_state(self) -> list[LiveTpdo]:
-        """The PDOs that the node itself sends: none."""
-        return []
 
     def refused(self, cob_id: int) -> None:
         """Take note of a PDO that found no room in the transmit queue."""

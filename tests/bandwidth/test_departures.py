@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bandwidth.departures import counters, departures, errors, foreign, heartbeats, sync
-from bandwidth.measured import Measured, measure
+from bandwidth.measured import measure
 from bandwidth.plan import plan_bus
 from bandwidth.traffic import Disturbance
 from dbc.contract import Contract
@@ -109,7 +109,7 @@ def cycle(*late: tuple[int, float]) -> list[str]:
     end = syncs([10.0], [2])
     seen: Frames = np.concatenate([first[np.argsort(first["time_ns"], kind="stable")], end])
     planned = plan_bus(SKIN, 0, None, Disturbance())
-    return departures(SKIN, 0, seen, [Measured(0, seen, planned, measure(SKIN, 0, seen, planned))])
+    return departures(SKIN, 0, seen, planned, measure(SKIN, 0, seen, planned))
 
 
 def test_up_to_four_late_nodes_have_a_line_each() -> None:

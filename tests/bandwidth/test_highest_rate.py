@@ -13,12 +13,7 @@ from skin.layout import SHIPPED, Layout, load_layout
 from tests.layouts import in_one_instant
 
 #: Shipped layouts whose nodes send in every cycle, at any rate.
-IN_CYCLES = [
-    name
-    for name in SHIPPED
-    for layout in [load_layout(Path(name))]
-    if layout.sending == "synchronous" and layout.recognition is None
-]
+IN_CYCLES = [name for name in SHIPPED for layout in [load_layout(Path(name))] if layout.sending == "synchronous"]
 
 
 def at(layout: Layout, rate_hz: float) -> Layout:

@@ -10,7 +10,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from bandwidth.departures import departures, foreign
-from bandwidth.measured import Identifiers, Measured, measure, misfits, planned_rates, whole_cycles
+from bandwidth.measured import Identifiers, measure, misfits, planned_rates, whole_cycles
 from bandwidth.plan import BusPlan, plan
 from bus.simulated_bus import SimulatedBus
 from canskin.errors import InputError
@@ -66,7 +66,7 @@ def beats(contract: Contract, cycle: int) -> Frames:
 
 
 def left(contract: Contract, planned: BusPlan, seen: Frames) -> list[str]:
-    return departures(contract, 1, seen, [Measured(0, seen, planned, measure(contract, 1, seen, planned))])
+    return departures(contract, 1, seen, planned, measure(contract, 1, seen, planned))
 
 
 def test_load_is_that_of_the_wire_and_adds_up(contract: Contract, planned: BusPlan, healthy: Frames) -> None:
@@ -190,8 +190,7 @@ def test_any_frames_are_compared_or_refused(
         seen["data"][place, 0] = counter
     with contextlib.suppress(InputError):
         load = measure(contract, 1, seen, planned)
-        parts = [Measured(0, seen, planned, load)]
-        assert all(line.startswith("bus1: ") for line in departures(contract, 1, seen, parts))
+        assert all(line.startswith("bus1: ") for line in departures(contract, 1, seen, planned, load))
         assert load.load_exact <= load.load_worst
 
 

@@ -1,4 +1,4 @@
-"""``skin load`` and ``skin plan --check`` for boards with slots, on a log of an arbitrated bus."""
+"""``skin load`` for boards with slots, on a log of an arbitrated bus."""
 
 import json
 from pathlib import Path
@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bandwidth.departures import departures
-from bandwidth.measured import measure_states
+from bandwidth.measured import measure
 from bandwidth.plan import plan
 from bus.polling import poll
 from bus.simulated_bus import SimulatedBus
@@ -40,7 +40,7 @@ def sent() -> Frames:
 
 
 def said(seen: Frames) -> list[str]:
-    return departures(CONTRACT, 0, seen, measure_states(CONTRACT, 0, seen, PLANS))
+    return departures(CONTRACT, 0, seen, PLANS[0], measure(CONTRACT, 0, seen, PLANS[0]))
 
 
 def test_a_log_of_the_layout_has_no_difference(sent: Frames) -> None:
@@ -104,5 +104,5 @@ def test_the_load_of_a_log_is_that_of_its_frames_by_node(
         assert of_node[node] == (is_whole & np.isin(sent["can_id"], [0x180 + node, 0x700 + node])).sum()
     assert bus["load_exact"] == pytest.approx(sum(node["load_exact"] for node in bus["nodes"]))
     assert bus["plan_touched"] == pytest.approx(0.0625 + 12 * 58e-6)
-    assert skin("plan", layout, "--check", log)[:2] == (0, "")
+    assert skin("load", log, "--layout", layout, "--check")[:2] == (0, "")
     assert "SYNC" in skin("load", log, "--layout", layout)[1]

@@ -240,30 +240,6 @@ def test_unclipped_noise_of_an_untouched_skin_has_no_mean() -> None:
     assert np.abs(offsets_n[layout.phi().row_of_sum == 0]).mean() < 0.5 * layout.measurement.block_size**0.5 * 1e-3
 
 
-@pytest.mark.parametrize(
-    ("force", "state", "windows"),
-    [
-        (ZERO, CalibrationState.FOLLOWING, 4),
-        (pressed(10, 20, 20, 0.005), CalibrationState.TOUCHED, 8),
-    ],
-)
-def test_cycles_are_asked_for_after_sixty_windows_without_any(
-    force: np.ndarray, state: CalibrationState, windows: int
-) -> None:
-    """For a line through the fewest windows while the zero is followed, for a whole tare under a touch."""
-    skin = Skin(Calibrator(LAYOUT))
-    last = skin.run(6.0, still(OFFSETS + force))
-    assert skin.calibrator.state is state
-    window_ns, at_ns = 250 * MS, last.sampled_mono_ns
-    gaps = [gap for gap in range(80) if skin.calibrator.needs_cycles(at_ns + gap * window_ns)]
-    assert gaps[0] == pytest.approx(60, abs=2)
-    asked_ns = at_ns + gaps[-1] * window_ns
-    skin.skip(gaps[-1] * window_ns * 1e-9)
-    skin.run(1.0, still(OFFSETS + force))
-    asks = [skin.calibrator.needs_cycles(asked_ns + late * window_ns) for late in range(20)]
-    assert asks == [True] * windows + [False] * (20 - windows)
-
-
 def test_noise_is_0_while_no_sum_is_known() -> None:
     skin = Skin(Calibrator(LAYOUT))
     skin.run(4.0, still(OFFSETS))
@@ -291,21 +267,6 @@ def test_the_mean_of_clipped_noise_is_left_in_sums_of_single_samples(
     # What follows keeps it.
     skin.run(5)
     assert np.abs(np.array(offsets_of(skin.run(0.1))) - expected).max() < 0.51
-
-
-def test_the_sums_of_recognition_get_their_offsets_and_teach_nothing() -> None:
-    places = np.array([3, 9, 200])
-    rows = [[int(SMALL_PHI.block_of_sum[place]), int(SMALL_PHI.row_of_sum[place])] for place in places]
-    sync, recognition = {"rate_hz": 40.0}, {"rows": rows, "rate_hz": 200.0}
-    layout = small_layout(32, 32, sync=sync, recognition=recognition)
-    skin = tared(layout=layout)
-    few = layout.recognising().phi().fingerprint
-    part = msgspec.structs.replace(skin.measured(COUNTS), usable=b"\1\0\1", fingerprint=few, sums=bytes(12))
-    applied = skin.made.apply(part)
-    assert offsets_of(applied) == COUNTS[places].tolist()
-    assert applied.usable == b"\1\0\1"
-    assert skin.made.apply(msgspec.structs.replace(part, usable=b"")).usable == b""
-    skin.made.take(part)
 
 
 def test_before_the_first_window_nothing_is_known() -> None:

@@ -6,7 +6,6 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from calibration.calibrator import LONGEST_GAP
 from calibration.drift import MEMORY, DriftFollower, line_through
 
 Floats = npt.NDArray[np.float64]
@@ -15,6 +14,8 @@ Bools = npt.NDArray[np.bool_]
 SUMS, BLOCKS, NOISE_N = 400, 100, 1e-4
 BLOCK_OF_SUM = np.arange(SUMS) // 4
 ALL, NO_BLOCK = np.ones(SUMS, np.bool_), np.zeros(BLOCKS, np.bool_)
+#: Windows in which no cycle came.
+LONGEST_GAP = 60
 
 
 def follower(known: np.ndarray = ALL) -> DriftFollower:

@@ -10,10 +10,10 @@ from calibration.gain_files import stored_gains
 from calibration.gains import Gains, defects_of, find_gains
 from canskin.errors import InputError, RunError
 from canskin.messages import IMAGE, MEASUREMENT
+from recording.mcap_file import CALIBRATION_FILE, File, RecordingWriter
 from skin.calibration_file import StoredCalibration, encoded, load_calibration, new_calibration
 from skin.defects import Defects, Stage, SumGains
 from skin.frontend import with_gains
-from skin.mcap_file import CALIBRATION_FILE, File, RecordingWriter
 from skin.measurement import fast_hadamard, sbhe
 from skin.surface import surface_of_positions
 from tests import messages as make

@@ -11,8 +11,8 @@ from calibration.offline import calibrated_cycles, make_calibrator, measurement_
 from calibration.recorded import RecordedOffsets
 from canskin.errors import InputError
 from canskin.messages import MEASUREMENT
+from recording.mcap_file import CALIBRATION_FILE, File, RecordingWriter
 from skin.calibration_file import encoded, load_calibration, new_calibration
-from skin.mcap_file import CALIBRATION_FILE, File, RecordingWriter
 from tests.calibration.helpers import LAYOUT, NEWTON_PER_COUNT, PHI, offsets_n, pressed
 from tests.layouts import STEPPED_SKIN
 

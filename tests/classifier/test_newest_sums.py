@@ -105,10 +105,10 @@ def test_a_block_that_is_left_out_does_not_count_as_noise(phi: Sbhe) -> None:
 @pytest.mark.parametrize(("rate_hz", "cycles"), [(500.0, 20), (100.0, 4), (40.0, 2), (20.0, 1), (10.0, 1), (1.0, 1)])
 def test_sums_are_averaged_over_about_forty_milliseconds(rate_hz: float, cycles: int) -> None:
     parts = {"sync": SimpleNamespace(rate_hz=rate_hz), "measurement": SimpleNamespace(matrix=None)}
-    layout: Any = SimpleNamespace(samples_per_sync=1, recognition=None, **parts)
+    layout: Any = SimpleNamespace(samples_per_sync=1, **parts)
     assert averaged_cycles(layout) == cycles
     codes = SimpleNamespace(matrix=(("+",), ("-",)))
-    for changed in ({"samples_per_sync": 2}, {"recognition": "some"}, {"measurement": codes}):
+    for changed in ({"samples_per_sync": 2}, {"measurement": codes}):
         assert averaged_cycles(SimpleNamespace(**{**vars(layout), **changed})) == 1  # type: ignore[arg-type]
 
 

@@ -207,13 +207,6 @@ def test_means_of_cycles_are_trained_as_they_are_classified(tmp_path: Path) -> N
     assert np.mean(np.array(last) == labels) > 0.95
 
 
-def test_a_skin_with_two_states_is_trained_on_the_sums_of_recognition(tmp_path: Path) -> None:
-    skin = small_layout(32, 32, **SMALL, recognition={"sums": 128, "rate_hz": 100.0})
-    data = labelled_touches(write_touches(tmp_path / "run.mcap", skin, *draw(COUNT, 1)))
-    assert (data.sums.shape, data.phi.shape[0]) == ((COUNT * HOLD, 128), 128)
-    assert accuracy(train_recorded(data), skin, skin.recognising().phi()) > 0.9
-
-
 def test_a_recording_without_measurements_is_refused(tmp_path: Path, layout: Layout) -> None:
     path = tmp_path / "run.mcap"
     sink = McapSink(path, Contract.from_layout(layout), 1, 1)

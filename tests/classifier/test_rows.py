@@ -6,7 +6,6 @@ import pytest
 
 from canskin.errors import InputError
 from classifier.rows import choose_rows, with_chosen_rows
-from skin.layout import layout_text, parse_layout
 from skin.measurement import sbhe
 from tests.layouts import small_layout
 
@@ -71,15 +70,3 @@ def test_layout_that_names_the_chosen_rows() -> None:
     assert (np.abs(sums[0] - sums[-1]) > 0.05).all()
     with pytest.raises(InputError, match="stepped nodes"):
         with_chosen_rows(msgspec.structs.replace(layout, sending="steps"), force_n, labels, 3, noise_n=1e-3)
-
-
-def test_rows_of_recognition_are_chosen_among_those_of_images() -> None:
-    layout = small_layout(16, 16, recognition={"sums": 16, "rate_hz": 200.0})
-    force_n = np.zeros((40, 16, 16), np.float32)
-    force_n[:20, :8], force_n[20:, 8:] = 0.01, 0.01
-    chosen = with_chosen_rows(layout, force_n, np.repeat(["top", "bottom"], 20), 3, noise_n=1e-3)
-    again = parse_layout(layout_text(chosen).encode(), "again")
-    assert again.recognition is not None
-    assert len(again.recognition.rows or ()) == 3
-    assert again.measurement == layout.measurement
-    assert again.recognising().phi().shape[0] == 3

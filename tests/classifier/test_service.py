@@ -123,12 +123,15 @@ def test_labels_settle_by_the_time_of_the_samples_where_it_is_that_of_the_skin(
 class Waiting:
     """An exchange whose only mailbox is filled by the test."""
 
-    def __init__(self) -> None:
+    def __init__(self, stop: StopSignal, last: int) -> None:
         self.mailboxes: list[Mailbox[Any]] = []
         self.labelled: list[int] = []
+        self._stop, self._last = stop, last
 
     def publish(self, _topic: Topic, label: Any) -> None:
         self.labelled.append(label.cycle)
+        if label.cycle == self._last:
+            self._stop.set()
 
     def mailbox(self, _topic: Topic, depth: int = 4) -> Mailbox[Any]:
         self.mailboxes.append(Mailbox(depth))
@@ -136,14 +139,10 @@ class Waiting:
 
 
 def test_after_a_pause_the_newest_measurements_that_waited_get_labels(measurement: Measurement, layout: Layout) -> None:
-    exchange, stop = Waiting(), StopSignal()
+    stop = StopSignal()
+    exchange = Waiting(stop, last=29)
     quick = msgspec.structs.replace(layout, sync=Sync(rate_hz=500.0))
-
-    def wake(_label: str) -> None:
-        if exchange.labelled[-1] == 29:
-            stop.set()
-
-    service = ClassifierService(Timed(), quick, exchange, wake=wake)  # type: ignore[arg-type]
+    service = ClassifierService(Timed(), quick, exchange)  # type: ignore[arg-type]
     for cycle in range(30):
         exchange.mailboxes[0].put(msgspec.structs.replace(measurement, cycle=cycle))
     service.run(stop)

@@ -78,14 +78,6 @@ def test_a_closed_skin_says_so(chain: Chain) -> None:
     assert list(skin) == []
 
 
-def test_a_time_of_images_that_is_none_is_named(chain: Chain) -> None:
-    unusable: list[Any] = [None, "x", 0.0, -1.0, float("nan"), 3601.0]
-    with canskin.connect(chain.endpoint, timeout_s=PATIENCE_S) as skin:
-        for hold_s in unusable:
-            with pytest.raises(canskin.InputError, match="hold_s: expected more than 0 and up to 3600 seconds"):
-                skin.ask_images(hold_s)
-
-
 @pytest.mark.heavy
 def test_a_program_that_closes_nothing_ends(chain: Chain) -> None:
     program = f"import canskin; print(canskin.connect('{chain.endpoint}', timeout_s={PATIENCE_S}).layout.name)"

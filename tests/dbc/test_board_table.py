@@ -31,9 +31,6 @@ FAST = small_layout(
     bus=buses(1, names=["arm"], blocks_per_node=2, fd=True, data_bitrate=2_000_000),
 )
 ANALOGUE = small_layout(taxels={"frontend": "analogue"})
-RECOGNITION = small_layout(
-    measurement={"sums": 5, "block_size": 64}, sync={"rate_hz": 25.0}, recognition={"sums": 2, "rate_hz": 200.0}
-)
 
 
 def table_of(layout: Layout, place: int = -1) -> tuple[Contract, Board]:
@@ -130,7 +127,6 @@ def test_boards_that_send_in_turns_have_a_start_value_for_each() -> None:
         counter, sums = MappedObject(index=0x2022, subindex=0, bits=8), range(1, 9)
         index = (0x2100, 0x2300)[number - 1]
         assert tpdo.mapping == [counter, *(MappedObject(index=index, subindex=place, bits=15) for place in sums)]
-        assert tpdo.state is None
 
 
 def test_a_board_with_one_sum_has_one_tpdo_however_many_turns_there_are() -> None:
@@ -160,17 +156,6 @@ def test_analogue_boards_have_no_calibration_of_taxels() -> None:
     assert [(each.block, each.gain, each.offset_counts) for each in table.blocks] == [(1, [], [])]
     assert (table.emcy_cob_id, table.sdo_request_cob_id, table.sdo_response_cob_id) == (0x82, 0x602, 0x582)
     assert (table.heartbeat_cob_id, table.unit_n, table.quiet, table.parts) == (0x702, None, None, None)
-
-
-def test_boards_with_two_states_tell_the_state_of_each_tpdo() -> None:
-    """Value of 2008h:1: 1 while images are wanted, 0 for the few sums of recognition, whose TPDO comes last."""
-    _, table = table_of(RECOGNITION)
-    assert [(each.number, each.cob_id, each.length, each.state) for each in table.tpdos] == [
-        (1, 0x181, 8, 1),
-        (2, 0x281, 3, 1),
-        (3, 0x381, 5, 0),
-    ]
-    assert [each.subindex for each in table.tpdos[2].mapping] == [0, 1, 5]
 
 
 def test_a_text_has_a_line_for_each_value_and_each_table_of_a_list() -> None:

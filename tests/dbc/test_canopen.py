@@ -68,7 +68,7 @@ def test_identifiers_are_those_of_the_predefined_connection_set() -> None:
     found = [getattr(dbc.canopen, name) for name in names.split()]
     assert found == [0x000, 0x080, 0x100, 0x080, 0x580, 0x600, 0x700]
     assert dbc.canopen.TPDO_BASES == (0x180, 0x280, 0x380, 0x480, 0x200, 0x300, 0x400, 0x500)
-    assert (dbc.canopen.HIGHEST_NODE_ID, dbc.canopen.STATE_COB_ID) == (127, 0x0FF)
+    assert dbc.canopen.HIGHEST_NODE_ID == 127
 
 
 def test_a_base_has_the_identifiers_of_nodes_1_to_127() -> None:

@@ -238,28 +238,3 @@ def test_comments_say_what_a_frame_is() -> None:
     ]
     plain = comments(sync={"rate_hz": 50.0})[1:]
     assert plain[1:] == [messages[1], 'CM_ BO_ 385 "Sums 0 to 4, after every SYNC";']
-
-
-def test_a_skin_that_recognises_has_frames_of_its_own_for_that() -> None:
-    recognises = {"sync": {"rate_hz": 25.0}, "recognition": {"sums": 2, "rate_hz": 200.0}}
-    text = database(Contract.from_layout(small_layout(**ARM | recognises)), 0)
-    state = 'BO_ 255 State: 1 Gateway\n SG_ State : 0|8@1+ (1,0) [0|255] "" Vector__XXX\n\n'
-    assert state in text
-    lines = text.splitlines()
-    assert [line for line in lines if "TPDO" in line] == [
-        "BO_ 385 Node1_TPDO1: 12 Node1",
-        "BO_ 641 Node1_TPDO2_Recognition: 4 Node1",
-    ]
-    said = ("BO_ 255", "BO_ 385", "BO_ 641", "255 State")
-    assert [
-        line for line in lines if line.startswith(("CM_", "BA_ ", "VAL_ ")) and any(each in line for each in said)
-    ] == [
-        'CM_ BO_ 255 "State of all nodes from the next SYNC on";',
-        'CM_ BO_ 385 "Sums 0 to 4, after every SYNC";',
-        'CM_ BO_ 641 "Sums 0 to 1 of recognition, after every SYNC";',
-        'BA_ "GenMsgCycleTime" BO_ 385 40;',
-        'BA_ "VFrameFormat" BO_ 385 14;',
-        'BA_ "GenMsgCycleTime" BO_ 641 5;',
-        'BA_ "VFrameFormat" BO_ 641 14;',
-        'VAL_ 255 State 0 "Recognition" 1 "Images" ;',
-    ]

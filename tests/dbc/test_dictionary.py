@@ -5,20 +5,19 @@ from typing import Any
 import pytest
 
 from dbc.contract import Contract
-from dbc.dictionary import SkinState, dictionary
+from dbc.dictionary import dictionary
 from dbc.objects import Object
 from skin.layout import Layout
 from tests.layouts import STEPPED, buses, small_layout
 
 STEPPED_ARM = small_layout(**STEPPED)
-RECOGNITION: dict[str, Any] = {
+CYCLES: dict[str, Any] = {
     "measurement": {"sums": 5, "block_size": 64},
     "sync": {"rate_hz": 25.0},
     "encoding": {"sum_bits": 12},
-    "recognition": {"sums": 2, "rate_hz": 200.0},
     "bus": buses(1, fd=True, data_bitrate=2_000_000),
 }
-RECOGNISING = small_layout(**RECOGNITION)
+IN_CYCLES = small_layout(**CYCLES)
 #: Data types of CiA 301, 7.4.7.
 U8, U16, U32, REAL, U56 = 5, 6, 7, 8, 0x1A
 
@@ -74,37 +73,27 @@ def test_names_count_from_one_and_taxels_from_zero() -> None:
 
 
 def test_a_board_with_a_thermometer_has_a_temperature() -> None:
-    assert (0x2036, None) not in objects(RECOGNISING)
-    for tables in (RECOGNITION, STEPPED):
+    assert (0x2036, None) not in objects(IN_CYCLES)
+    for tables in (CYCLES, STEPPED):
         found = objects(small_layout(**tables, taxels={"has_thermometers": True}))
         assert told(found, 0x2036) == [(3, "ro", 0x7FFF)]
         manufacturer = [index for index, _ in found if index >= 0x2000]
         assert manufacturer == sorted(manufacturer)
 
 
-def test_an_rpdo_switches_the_state_at_the_next_sync() -> None:
-    """Windows are 99 % of 40 ms and of 5 ms. 2005h: 12 bits, steps of 32, form 0, one block."""
-    found = objects(RECOGNISING)
+def test_synchronous_nodes_send_their_counter_and_all_sums_at_every_sync() -> None:
+    """The window is 99 % of 40 ms. 2005h: 12 bits, steps of 32, form 0, one block."""
+    found = objects(IN_CYCLES)
     assert [found[index, None].value for index in (0x1006, 0x1007, 0x1019, 0x2005)] == [
         40_000,
         39_600,
         240,
         0x01_00_05_0C,
     ]
-    assert told(found, 0x1400) == [(U8, "const", 2), (U32, "const", 0x0FF), (U8, "const", 1)]
-    assert told(found, 0x1600) == [(U8, "const", 1), (U32, "const", 0x2008_01_08)]
-    assert [place for at, place in found if at in {0x1400, 0x1600, 0x2008}] == [0, 1, 2, 0, 1, 0, 1, 2]
-    assert told(found, 0x2008) == [(U8, "const", 2), (U8, "rw", 0), (U32, "const", 4_950)]
-    assert [(state.name, state.value) for state in SkinState] == [("RECOGNITION", 0), ("IMAGES", 1)]
-    assert [found[0x2008, place].pdo for place in (0, 1, 2)] == [False, True, False]
-    for index, cob_id in ((0x1800, 0x181), (0x1801, 0x281)):
-        rest = [(U8, "rw", 1), (U16, "rw", 0), (U16, "rw", 0), (U8, "rw", 0)]
-        assert told(found, index) == [(U8, "const", 6), (U32, "rw", 0x4000_0000 | cob_id), *rest]
-    mapped = [(index, each.value) for (index, _), each in found.items() if index in {0x1A00, 0x1A01} and each.value]
-    counter = 0x2022_00_08
-    of_images = [(0x1A00, 6), (0x1A00, counter), *((0x1A00, 0x2100_00_0C | place << 8) for place in range(1, 6))]
-    of_recognition = [(0x1A01, each) for each in (3, counter, 0x2100_01_0C, 0x2100_05_0C)]
-    assert mapped == of_images + of_recognition
+    rest = [(U8, "rw", 1), (U16, "rw", 0), (U16, "rw", 0), (U8, "rw", 0)]
+    assert told(found, 0x1800) == [(U8, "const", 6), (U32, "rw", 0x4000_0181), *rest]
+    mapped = [each.value for (index, _), each in found.items() if index == 0x1A00 and each.value]
+    assert mapped == [6, 0x2022_00_08, *(0x2100_00_0C | place << 8 for place in range(1, 6))]
     assert told(found, 0x2022) == [(U8, "ro", 0)]
     assert found[0x2022, None].pdo
 
@@ -119,7 +108,7 @@ def test_an_rpdo_switches_the_state_at_the_next_sync() -> None:
 )
 def test_sums_have_the_type_of_their_width_and_sign(bits: int, offset: bool, kind: int) -> None:
     encoding = {"sum_bits": bits, "offset_binary": offset}
-    found = objects(small_layout(**RECOGNITION | {"encoding": encoding}))
+    found = objects(small_layout(**CYCLES | {"encoding": encoding}))
     assert [each[0] for each in told(found, 0x2100)] == [U8] + 5 * [kind]
 
 

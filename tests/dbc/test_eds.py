@@ -30,7 +30,7 @@ MIXED = small_layout(
 )
 #: Serial number, and what a node measures: the values in which nodes of a type differ.
 DIFFERING = {od.IDENTITY, od.BLOCK, od.ROWS, od.TAXELS}
-SHIPPED = "default", "fd", "one-bus-12bit", "recognition", "recognise-first"
+SHIPPED = "default", "fd", "one-bus-12bit", "recognition"
 LAYOUTS: dict[str, Layout] = {name: load_layout(Path(name)) for name in SHIPPED}
 LAYOUTS["in turns"] = in_turns(load_layout())
 LAYOUTS["mixed"] = MIXED
@@ -90,7 +90,7 @@ def same_object(wanted: Object, got: ODVariable, *, alone: bool) -> None:
 
 
 @pytest.mark.heavy
-@pytest.mark.parametrize("name", ["fd", "mixed", "recognise-first"])
+@pytest.mark.parametrize("name", ["fd", "mixed"])
 def test_the_dcf_of_a_node_has_its_own_values(name: str, tmp_path: Path) -> None:
     contract = Contract.from_layout(LAYOUTS[name])
     for kind in some_types(contract):
@@ -157,7 +157,7 @@ def test_lely_reads_the_dictionary_and_has_no_complaint(name: str, tmp_path: Pat
                 assert got.pdo_mapping == each.pdo
             for tpdo in node.tpdos:
                 same_pdo(contract, node, tpdo, device.tpdo[tpdo.number])
-            assert len(device.rpdo) == (contract.recognition is not None)
+            assert len(device.rpdo) == 0
 
 
 def same_pdo(contract: Contract, node: NodeContract, tpdo: Any, got: Any) -> None:

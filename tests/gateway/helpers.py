@@ -29,7 +29,6 @@ from skin.sources import Frame
 from skin.sync_counter import SYNC_OVERFLOW
 from skin.taxel import to_counts
 from tests.bus.harness import frame
-from tests.layouts import small_contract
 
 PERIOD_S = 0.05
 #: Nodes look at time between two SYNCs only.
@@ -256,7 +255,7 @@ class World:
     def __post_init__(self) -> None:
         layout = self.contract.layout
         places = self.contract.phi.wired.taxels
-        self.electronics = Witness(layout.taxels, noise_n=0.0, period_s=layout.shortest_period_s, places=places)
+        self.electronics = Witness(layout.taxels, noise_n=0.0, period_s=layout.sync.period_s, places=places)
         self.sampler = WitnessSampler(self.contract.phi, self.electronics)
         self.wires = [self.new_wire(bus) for bus in range(len(self.contract.layout.bus))]
         self.segments = [self.new_segment(bus, self.built or self.contract) for bus in range(len(self.wires))]
@@ -364,7 +363,7 @@ class World:
 
     def _wrong_blocks(self, measurement: Measurement) -> list[int]:
         sums = np.frombuffer(measurement.sums, "<i4")
-        phi = next(each.phi for each in self.contract.states if each.phi.fingerprint == measurement.fingerprint)
+        phi = self.contract.phi
         differs = np.zeros(phi.blocks, np.bool_)
         for bus in range(len(self.wires)):
             blocks = [node.block + each for node in self.contract.on_bus(bus) for each in range(node.blocks)]
@@ -372,8 +371,6 @@ class World:
             if truth is None:
                 differs[blocks] = True
                 continue
-            if phi is not self.contract.phi:
-                truth = truth[self.contract.recognised]
             differs[blocks] = np.isin(blocks, phi.block_of_sum[sums != truth])
         return np.flatnonzero(differs & valid(measurement)).tolist()
 
@@ -423,13 +420,6 @@ def until_sync(world: World) -> None:
     sent = world.gateway.sync.sent
     while world.gateway.sync.sent == sent:
         world.step()
-
-
-def two_states() -> Contract:
-    """Return a skin with five SYNCs of recognition in a period of images; one of its four nodes has no sum in it."""
-    phi = small_contract().phi
-    rows = [[block, int(phi.rows_of(block)[block])] for block in range(3)]
-    return small_contract(recognition={"rows": rows, "rate_hz": 100.0})
 
 
 def little(value: int, size: int = 4) -> bytes:

@@ -229,12 +229,3 @@ def error_ns(stamp_error_ns: int | None) -> int:
 def test_the_first_answer_bounds_the_instant_where_there_are_no_time_stamps() -> None:
     assert 0 < error_ns(1_000) < 701_000
     assert error_ns(None) - error_ns(1_000) == 900_000 - (700_000 + 1_000)
-
-
-def test_frames_after_a_sync_that_asks_for_none_are_late() -> None:
-    collector = new_collector()
-    whole_cycle(collector, 1)
-    whole_cycle(collector, 2)
-    collector.rest(3, collector.silent_of_node)
-    collector.take(0, np.concatenate((echo(3), burst(0, 3))), 0)
-    assert (collector.counts.accepted, collector.counts.late) == (512, 64)

@@ -51,9 +51,6 @@ class Parts:
             def __init__(self, *given: object, **named: object) -> None:
                 parts.calls.append(("service", given, named))
 
-            def ask_images(self, *_given: object) -> None:
-                raise AssertionError("nobody asks for images here")
-
             def run(self, stop: StopSignal) -> None:
                 parts.calls.append(("run", (stop,), {}))
                 raise KeyboardInterrupt
@@ -91,7 +88,7 @@ def test_it_answers_questions_about_its_calibration_and_its_skin(monkeypatch: py
     parts = Parts(monkeypatch)
     with pytest.raises(KeyboardInterrupt):
         command.gateway()
-    assert [each.name for each in parts.answered] == [CALIBRATION.name, DESCRIPTION.name, "images"]
+    assert [each.name for each in parts.answered] == [CALIBRATION.name, DESCRIPTION.name]
 
 
 def test_a_calibration_of_another_skin_or_for_stepped_boards_is_refused(

@@ -11,9 +11,9 @@ import msgspec
 import pytest
 
 from canskin.fabric import Fabric
-from canskin.messages import GATEWAY, IMAGE, LABEL, MEASUREMENT, RECOGNITION, Topic
+from canskin.messages import IMAGE, LABEL, MEASUREMENT, Topic
 from health.alive import main, trouble
-from tests.messages import gateway_status, image, label, measurement
+from tests.messages import image, label, measurement
 from tests.processes import PATIENCE_S
 
 ALIVE = str(Path(sys.executable).with_name("skin-alive"))
@@ -74,9 +74,8 @@ def test_service_is_found_whatever_the_name_of_its_skin(
     ("service", "works", "idles"),
     [
         ("gateway", (MEASUREMENT, measurement(valid=ONE_OF_TWO)), (MEASUREMENT, measurement(valid=NONE_OF_TWO))),
-        ("nodes", (RECOGNITION, measurement(valid=ONE_OF_TWO)), (RECOGNITION, measurement(valid=NONE_OF_TWO))),
+        ("nodes", (MEASUREMENT, measurement(valid=ONE_OF_TWO)), (MEASUREMENT, measurement(valid=NONE_OF_TWO))),
         ("reconstructor", (IMAGE, image(valid=ONE_OF_TWO)), (IMAGE, image(valid=NONE_OF_TWO))),
-        ("reconstructor", (GATEWAY, gateway_status(state="recognition")), (GATEWAY, gateway_status(state="images"))),
         ("classifier", (LABEL, label(valid_sums=9)), (LABEL, label(valid_sums=9, blind=True))),
     ],
 )

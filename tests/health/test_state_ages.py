@@ -91,15 +91,6 @@ def started(state: ViewState, messages: Any, *names: str) -> None:
         state.take_peer(new_peer("palm", name, messages.layout.phi().fingerprint), True, 0.0)
 
 
-def test_no_image_is_expected_of_a_skin_that_recognises(state: ViewState, messages: Any) -> None:
-    started(state, messages, "reconstructor", "classifier", "recorder")
-    status = messages.gateway(cycles=1000)
-    state.take(msgspec.structs.replace(status, state="recognition"), 5.0)
-    assert silent(state, 5.0) == ["classifier"]
-    state.take(msgspec.structs.replace(status, state="images"), 5.0)
-    assert silent(state, 5.0) == ["classifier", "reconstructor"]
-
-
 @pytest.mark.parametrize(("cycles", "names"), [(150, []), (151, ["reconstructor"])])
 def test_input_counts_after_a_second_and_a_half_of_cycles(
     state: ViewState, messages: Any, cycles: int, names: list[str]

@@ -1,7 +1,6 @@
 """Which values objects accept, at both ends of each range, and the rules of PDO records (CiA 301, 7.5.2)."""
 
 import math
-from pathlib import Path
 
 import pytest
 from canopen import SdoAbortedError
@@ -10,7 +9,6 @@ from dbc import indices as od
 from dbc.contract import Contract
 from nodes.access import _VALUES, check_write
 from nodes.segment import Segment
-from skin.layout import load_layout
 from tests.nodes.helpers import ArrayLink, new_segment, write
 
 VALUE, STATE, PDO_LENGTH, NOT_MAPPABLE = 0x0609_0030, 0x0800_0022, 0x0604_0042, 0x0604_0041
@@ -31,7 +29,6 @@ def is_allowed(index: int, value: float) -> bool:
         (0x1011, [0x6461_6F6C], [0, 0x6576_6173]),  # "load"
         (0x1019, [0, 2, 240], [1, 241, 255]),
         (0x1029, [0, 1, 2], [3]),
-        (0x2008, [0, 1], [2]),
         (0x2010, [0.0, -3e38, 1.0], [math.inf, -math.inf, math.nan]),
         (od.of_block(0x2010, 3), [0.0], [math.inf]),
         (0x2021, [0, 3], [4]),
@@ -177,8 +174,3 @@ def test_the_last_entry_of_watched_nodes_is_looked_at_too(link: ArrayLink, contr
     assert entries >= 2
     assert write(node, link, 0x1016, entries + 1, 0, 4) == NO_SUBINDEX
     assert write(node, link, 0x1016, 1, entries << 16 | 200, 4) == INCOMPATIBLE
-
-
-def test_the_first_values_of_a_second_state_are_0_and_1(link: ArrayLink) -> None:
-    node = new_segment(Contract.from_layout(load_layout(Path("recognise-first"))), link, {1})
-    assert [write(node, link, 0x2008, 1, value, 1) for value in (0, 1, 2)] == [0, 0, VALUE]

@@ -38,7 +38,7 @@ def burst_of(contract: Contract, bus: int) -> Burst:
     tpdos = [
         (place, node, tpdo)
         for place, node in enumerate(nodes)
-        for tpdo in read_tpdos(local_of(contract, node), dict.fromkeys(each.number for each in node.tpdos))
+        for tpdo in read_tpdos(local_of(contract, node), [each.number for each in node.tpdos])
     ]
     assert all(tpdo.is_plain for _, _, tpdo in tpdos)
     return Burst(contract, tpdos)
@@ -125,7 +125,7 @@ def test_remapped_pdo_of_12_bits_packs_like_the_codec(offset_binary: bool) -> No
 
     local.add_read_callback(read)
     burst = burst_of(contract, 0).frames(1, sums, np.ones(len(contract.on_bus(0)), np.bool_))
-    tpdos = read_tpdos(local, dict.fromkeys(each.number for each in node.tpdos))
+    tpdos = read_tpdos(local, [each.number for each in node.tpdos])
     assert len(tpdos) == 2
     for tpdo in tpdos:
         sent = burst[burst["can_id"] == tpdo.cob_id][0]

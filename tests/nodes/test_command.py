@@ -175,7 +175,7 @@ def test_the_first_seed_is_0_and_noise_may_be_none(parts: Parts) -> None:
 
 @pytest.mark.parametrize(
     ("layout", "shape"),
-    [("default", (5, 4096)), ("recognise-first", (1, 4096)), ("analogue", (1, 1024))],  # samples in a period
+    [("default", (5, 4096)), ("analogue", (1, 1024))],  # samples in a period
 )
 def test_boards_in_c_are_those_of_the_chosen_nodes_and_get_what_converters_read(
     layout: str, shape: tuple[int, int], parts: Parts, monkeypatch: pytest.MonkeyPatch

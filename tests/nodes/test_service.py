@@ -222,23 +222,6 @@ def test_on_a_single_bus_the_next_cycle_is_sampled_ahead_at_once(
     assert prepared[-1] is sampler.sums is not before  # after the answer
 
 
-def test_before_it_is_known_which_cycle_comes_next_nothing_is_sampled_ahead(links: dict[int, ReadyLink]) -> None:
-    """Of nodes that recognise first, the next step depends on the state."""
-    contract = Contract.from_layout(load_layout(Path("recognise-first")))
-    now_s, prepared = 100.0, list[float]()
-    sampler = new_sampler(contract)
-    sampler.prepare = lambda: prepared.append(now_s)  # type: ignore[method-assign]
-    service = NodesService(contract, {0: links[0]}, {0: {1}}, sampler, clock=lambda: now_s)
-    service.segments[0].boot(now_s)
-    service.segments[0].take(frame(0, bytes((START, 0))), now_s)
-    links[0].put(sync(1))
-    for _ in range(3):
-        service.turn()
-        now_s += 1.0
-    assert service.segments[0].syncs_seen == 1
-    assert not prepared
-
-
 def test_boards_are_nodes_in_python_or_those_of_the_firmware(
     contract: Contract, links: dict[int, ReadyLink], tmp_path: Path
 ) -> None:

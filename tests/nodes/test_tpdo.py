@@ -167,8 +167,8 @@ def test_timers_end_at_their_very_time(segment: Segment, link: ArrayLink, sample
 
 
 def test_a_pdo_that_does_not_exist_hides_no_other(segment: Segment) -> None:
-    found = read_tpdos(segment.boards.nodes[0].local, {300: None, 2: 1, 301: 0, 1: None})
-    assert [(tpdo.cob_id, tpdo.state) for tpdo in found] == [(0x281, 1), (0x181, None)]
+    found = read_tpdos(segment.boards.nodes[0].local, (300, 2, 301, 1))
+    assert [tpdo.cob_id for tpdo in found] == [0x281, 0x181]
 
 
 @pytest.mark.parametrize(
@@ -189,7 +189,7 @@ def test_a_pdo_that_cannot_be_sent_does_not_exist(segment: Segment, cob_id: int,
         local.data_store[0x1800] = {1: cob_id.to_bytes(4, "little")}
         packed = {place: entry.to_bytes(4, "little") for place, entry in enumerate(entries, 1)}
         local.data_store[0x1A00] = {0: bytes((len(entries),)), **packed}
-        return [tpdo.length for tpdo in read_tpdos(local, {1: None})]
+        return [tpdo.length for tpdo in read_tpdos(local, (1,))]
 
     assert put(0x181, (0x2100_010E, 0x2100_080E, 0x1001_0008)) == [5]
     assert put(cob_id, entries) == []

@@ -14,8 +14,8 @@ from dbc.canopen import SYNC_COB_ID
 from dbc.codec import encode
 from dbc.contract import Contract
 from dbc.frame import Frames, frames
+from recording.mcap_file import read_entries
 from recording.sinks import McapSink
-from skin.mcap_file import read_entries
 from tests import messages as make
 from tests.layouts import buses
 

@@ -19,7 +19,7 @@ from tests.views.ros2 import reader
 
 @pytest.fixture
 def bag(run: Path, tmp_path: Path) -> Path:
-    export(str(run), to="ros2", out=tmp_path / "bag")
+    export(run, to="ros2", out=tmp_path / "bag")
     return tmp_path / "bag"
 
 
@@ -91,11 +91,11 @@ def test_other_libraries_read_the_mcap(bag: Path) -> None:
 
 def test_a_bag_that_is_there_already_is_not_touched(run: Path, bag: Path) -> None:
     with pytest.raises(InputError, match="is there already"):
-        export(str(run), to="ros2", out=bag)
+        export(run, to="ros2", out=bag)
 
 
 def test_frames_alone_make_no_bag(tmp_path: Path, contract: Contract, out: Path) -> None:
     McapSink(out, contract, 1, OFFSET_NS).close()
     with pytest.raises(RunError, match="holds no messages"):
-        export(str(out), to="ros2", out=tmp_path / "bag")
+        export(out, to="ros2", out=tmp_path / "bag")
     assert list(tmp_path.iterdir()) == [out]

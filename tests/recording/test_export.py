@@ -12,10 +12,10 @@ from canskin.errors import InputError, RunError
 from canskin.messages import IMAGE, LABEL, Topic
 from dbc.contract import Contract
 from recording.export_command import export
+from recording.mcap_file import recording_id
 from recording.sinks import McapSink
 from recording.tables import read_tables
 from skin.layout import load_layout
-from skin.mcap_file import recording_id
 from tests import messages as make
 from tests.layouts import tube_layout
 from tests.recording.helpers import COUNT, OFFSET_NS, SET_NS, pixels
@@ -23,7 +23,7 @@ from touch.sources import recording
 
 
 def test_npz(run: Path, contract: Contract) -> None:
-    export(str(run))
+    export(run)
     with np.load(run.with_suffix(".npz")) as made:
         np.testing.assert_array_equal(made["images_pixels"], [pixels(cycle) for cycle in range(1, COUNT + 1)])
         times_ns = [OFFSET_NS + 10 * cycle + SET_NS * (cycle > 2) for cycle in range(1, COUNT + 1)]
@@ -56,14 +56,14 @@ def test_a_skin_that_is_no_grid_says_where_its_taxels_lie(out: Path) -> None:
     sink.message(IMAGE, 1, msgspec.msgpack.encode(image))
     sink.close()
     assert load_layout(out) == layout
-    export(str(out))
+    export(out)
     with np.load(out.with_suffix(".npz")) as made:
         np.testing.assert_array_equal(made["images_pixels"], forces_n.reshape(1, 1, 96))
         places_m = np.stack([made[f"taxels_{axis}_m"] for axis in "xyz"], axis=1)
         normals = np.stack([made[f"taxels_n{axis}"] for axis in "xyz"], axis=1)
     np.testing.assert_array_equal(places_m, surface.positions_m)
     np.testing.assert_array_equal(normals, surface.normals)
-    export(str(out), to="csv", out=out.with_suffix(".csv"))
+    export(out, to="csv", out=out.with_suffix(".csv"))
     played = recording(out.with_name("run-images.csv"), 1, 96, full_scale=1.0, force_max_n=1.0)
     np.testing.assert_allclose(played.frame(0).force_n.ravel(), forces_n, rtol=1e-6)
     head, first = out.with_name("run-taxels.csv").read_text().splitlines()[:2]
@@ -72,7 +72,7 @@ def test_a_skin_that_is_no_grid_says_where_its_taxels_lie(out: Path) -> None:
 
 
 def test_hdf5(run: Path, tmp_path: Path) -> None:
-    export(str(run), to="hdf5", out=tmp_path / "run.h5")
+    export(run, to="hdf5", out=tmp_path / "run.h5")
     with h5py.File(tmp_path / "run.h5") as made:
         np.testing.assert_array_equal(made["images/pixels"][1], pixels(2))
         assert made["labels/label"].asstr()[0] == "cup"
@@ -81,7 +81,7 @@ def test_hdf5(run: Path, tmp_path: Path) -> None:
 
 
 def test_csv_can_be_played(run: Path, tmp_path: Path) -> None:
-    export(str(run), to="csv", out=tmp_path / "run.csv")
+    export(run, to="csv", out=tmp_path / "run.csv")
     played = recording(tmp_path / "run-images.csv", 16, 16, full_scale=1.0, force_max_n=1.0)
     assert played.frames == COUNT
     np.testing.assert_allclose(played.frame(2).force_n, pixels(3), rtol=1e-6)
@@ -96,8 +96,8 @@ def test_csv_can_be_played(run: Path, tmp_path: Path) -> None:
 
 def test_a_file_is_what_its_suffix_says(run: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"--to npz writes no '\.csv': expected another --to"):
-        export(str(run), out=tmp_path / "run.csv")
-    export(str(run), out=tmp_path / "run.dat")
+        export(run, out=tmp_path / "run.csv")
+    export(run, out=tmp_path / "run.dat")
 
 
 @pytest.mark.parametrize("to", ["csv", "parquet"])
@@ -106,7 +106,7 @@ def test_nothing_is_written_if_a_table_is_there_already(
 ) -> None:
     (tmp_path / f"out-labels.{to}").touch()
     with pytest.raises(InputError, match="is there already"):
-        export(str(run), to=to, out=tmp_path / f"out.{to}")
+        export(run, to=to, out=tmp_path / f"out.{to}")
     assert not list(tmp_path.glob("out-[!l]*"))
 
 
@@ -149,4 +149,4 @@ def test_messages_that_no_array_of_the_layout_holds_are_refused(
 def test_frames_alone_are_no_arrays(contract: Contract, out: Path) -> None:
     McapSink(out, contract, 1, OFFSET_NS).close()
     with pytest.raises(RunError, match="skin replay --out"):
-        export(str(out))
+        export(out)

@@ -12,11 +12,11 @@ from dbc.contract import Contract
 from reconstructor.imaging import make_imager
 from recording import rebuild_command
 from recording.export_command import export
+from recording.mcap_file import RECORDING, read_about, recording_id, wall_offset_ns
 from recording.replaying import Agreement, Replay
 from recording.sinks import McapSink
 from recording.steps import steps_of
 from shell.service import StopSignal
-from skin.mcap_file import RECORDING, read_about, recording_id, wall_offset_ns
 from skin.wall_times import recorded_wall_times
 from tests.documents import block
 from tests.recording.helpers import COUNT, OFFSET_NS, SET_NS
@@ -29,13 +29,13 @@ def test_the_document_joins_the_tables(
     run: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(run.parent)
-    export(str(run), to="parquet")
+    export(run, to="parquet")
     exec(block("docs/recording.md", "pandas"), {})  # noqa: S102
     assert capsys.readouterr().out.split()[:3] == ["label", "cup", "0.25"]
 
 
 def test_every_table_has_the_key(run: Path) -> None:
-    export(str(run), to="parquet", out=run.with_suffix(".parquet"))
+    export(run, to="parquet", out=run.with_suffix(".parquet"))
     for table in ("images", "measurements", "contacts", "labels"):
         rows = pd.read_parquet(run.with_name(f"run-{table}.parquet"))
         assert rows[KEY].duplicated().sum() == 0
@@ -70,7 +70,7 @@ def test_bag_and_views_stamp_as_the_arrays(run: Path) -> None:
     assert [wall.time_ns(10 * cycle) for cycle in range(1, COUNT + 1)] == TIMES_NS
     from rosbags.highlevel import AnyReader
 
-    export(str(run), to="ros2", out=run.with_name("bag"))
+    export(run, to="ros2", out=run.with_name("bag"))
     with AnyReader([run.with_name("bag")]) as bag:
         stamps = [
             bag.deserialize(data, each.msgtype).header.stamp

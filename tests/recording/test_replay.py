@@ -18,6 +18,7 @@ from dbc.frame import Frames, frames
 from gateway.playback import play
 from reconstructor.imaging import make_imager
 from reconstructor.service import ReconstructorService
+from recording.mcap_file import FRAMES, Entry, File, RecordingWriter, read_about, read_entries
 from recording.rebuild_command import rebuild
 from recording.recorder import Recorder
 from recording.replaying import Replay
@@ -25,7 +26,6 @@ from recording.sinks import McapSink, open_sink
 from recording.step_kinds import FramesStep, MeasurementStep
 from recording.steps import steps_of
 from shell.service import StopSignal
-from skin.mcap_file import FRAMES, Entry, File, RecordingWriter, read_about, read_entries
 from tests import messages as make
 from tests.gateway.boards import small_stepped
 from tests.messages import stepped_measurement

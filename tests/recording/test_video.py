@@ -62,7 +62,7 @@ def read_back(path: Path) -> tuple[list[float], list[np.ndarray]]:
 
 
 def test_times_and_pixels(run: Path, contract: Contract) -> None:
-    export(str(run), to="video")
+    export(run, to="video")
     times_s, pictures = read_back(run.with_suffix(".mp4"))
     shown_s = [*TIMES_S[:4], TIMES_S[3] + FRESH_S, TIMES_S[4]]
     np.testing.assert_allclose(times_s, shown_s, atol=float(TICK_S))
@@ -111,7 +111,7 @@ def test_a_skin_that_is_no_grid_is_drawn_in_its_places() -> None:
 def test_what_cannot_be_shown(contract: Contract, out: Path, tmp_path: Path) -> None:
     McapSink(out, contract, 1, OFFSET_NS).close()
     with pytest.raises(RunError, match="holds no images"):
-        export(str(out), to="video")
+        export(out, to="video")
     with pytest.raises(InputError, match=r"ends in \.mp4"):
-        export(str(out), to="video", out=tmp_path / "run.avi")
+        export(out, to="video", out=tmp_path / "run.avi")
     assert not out.with_suffix(".mp4").exists()

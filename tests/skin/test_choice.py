@@ -76,11 +76,6 @@ def test_what_is_chosen(rows: int, columns: int, tables: dict[str, Any], sums: i
     assert (layout.measurement.sums, layout.samples_per_sync, len(layout.bus)) == (sums, samples, wires)
 
 
-def test_two_states_take_one_sample() -> None:
-    layout = any_layout(64, 64, recognition={"sums": 64, "rate_hz": 200.0}, sync={"rate_hz": 25.0})
-    assert layout.samples_per_sync == 1
-
-
 def test_what_was_chosen_is_told_with_its_reason() -> None:
     tables = {"sync": {"rate_hz": 50.0}}
     assert chosen(any_layout(24, 32, **tables), tables) == [

@@ -17,7 +17,6 @@ from skin.layout import (
     Encoding,
     Layout,
     PhiParameters,
-    Recognition,
     Region,
     Sync,
     Taxels,
@@ -129,58 +128,6 @@ def test_layout_that_names_its_rows(more: str) -> None:
     assert parse_layout(layout_text(named).encode(), "again") == named
 
 
-RECOGNITION = "[sync]\nrate_hz = 100.0\n[recognition]\nsums = 64\nrate_hz = 500.0\n"
-
-
-def recognising(lines: str = RECOGNITION) -> Layout:
-    text = f"[taxels]\nrows = 64\ncolumns = 64\n{lines}[[bus]]\nname = 'a'\nnodes = 64\nblocks_per_node = 2\n"
-    return parse_layout(text.encode(), "palm.toml")
-
-
-def test_recognition_sends_some_of_the_rows_at_its_own_rate() -> None:
-    layout = recognising()
-    few = layout.recognising()
-    assert (few.measurement.sums, few.sync.rate_hz, few.recognition) == (64, 500.0, None)
-    assert layout.shortest_period_s == pytest.approx(0.002)
-    assert not (few.phi().kept & ~layout.phi().kept).any()
-    assert (few.phi().order == layout.phi().order).all()
-    assert few.phi().kept.reshape(64, -1).sum(axis=1).tolist() == [1] * 64
-    assert parse_layout(layout_text(layout).encode(), "again") == layout
-    block, row = (int(each[0]) for each in np.nonzero(layout.phi().kept))
-    named = recognising(RECOGNITION.replace("sums = 64", f"rows = [[{block}, {row}]]"))
-    assert named.recognising().phi().shape == (1, 4096)
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "path"),
-    [
-        ("sums = 64", "sums = 64\nrows = [[0, 1]]", "$.recognition"),
-        ("sums = 64\n", "", "$.recognition"),
-        ("sums = 64", "sums = 1024", "$.recognition.sums"),
-        ("sums = 64", "sums = 200", "$.recognition.sums"),
-        ("sums = 64", "rows = [[0, 99]]", "$.recognition.rows"),
-        ("rate_hz = 500.0", "rate_hz = 250.0", "$.recognition.rate_hz"),
-        ("rate_hz = 500.0", "rate_hz = 100.0", "$.recognition.rate_hz"),
-        ("rate_hz = 500.0", "rate_hz = 500.0\nhold_s = 0.0", "$.recognition.hold_s"),
-        ("rate_hz = 500.0", "rate_hz = 500.0\nwake = 'never'", "$.recognition.wake"),
-        ("[sync]", "[sync]\nturns = 2", "$.recognition"),
-        ("[sync]", "[sampling]\nrate_hz = 1000\n[sync]", "$.sampling.rate_hz"),
-    ],
-)
-def test_errors_of_recognition_name_the_path(old: str, new: str, path: str) -> None:
-    assert old in RECOGNITION
-    with pytest.raises(LayoutError) as caught:
-        recognising(RECOGNITION.replace(old, new))
-    assert f"at `{path}`" in str(caught.value)
-    assert "\n" not in str(caught.value)
-
-
-def test_recognition_of_rows_that_are_not_sent_is_an_error() -> None:
-    block, row = (int(each[0]) for each in np.nonzero(~recognising().phi().kept))
-    with pytest.raises(LayoutError, match="rows that the nodes send for images"):
-        recognising(RECOGNITION.replace("sums = 64", f"rows = [[{block}, {row}]]"))
-
-
 @pytest.mark.parametrize(
     "content", [b"", b"[[bus]]\n", b"\xff\xfe", b"[taxels\n", b"a = 1\na = 2\n", b"a = " + 9999 * b"["]
 )
@@ -279,7 +226,6 @@ def test_the_page_names_every_key() -> None:
         "taxels": Taxels,
         "measurement": PhiParameters,
         "sync": Sync,
-        "recognition": Recognition,
         "encoding": Encoding,
         "device": Device,
         "region": Region,

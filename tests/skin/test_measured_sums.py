@@ -8,8 +8,8 @@ from canskin.errors import InputError
 from canskin.messages import Measurement, SteppedMeasurement
 from canskin.sums import doubtful_taxels
 from skin import measured_sums
-from skin.measured_sums import MeasurementReader, decode_measurement, decode_stepped, part_of_measurement
-from skin.measurement import part_of, places, sbhe
+from skin.measured_sums import MeasurementReader, decode_measurement, decode_stepped
+from skin.measurement import sbhe
 from tests import messages as make
 
 PHI = sbhe(64, 16, block_size=8)
@@ -145,26 +145,3 @@ def test_refusals_are_counted_and_named_once_in_a_while(
     monkeypatch.setattr(measured_sums.time, "monotonic", lambda: now_s)
     reader.read(msgspec.structs.replace(GOOD, sums=b""))
     assert f"({len(BAD) + 1} so far)" in caplog.messages[1]
-
-
-def test_part_of_a_measurement_has_its_sums_offsets_and_blocks() -> None:
-    phi = sbhe(256, 32, seed=3)
-    part = part_of(phi, 4, 3)
-    sums, offsets = np.arange(32, dtype="<i4"), np.arange(100, 132, dtype="<i4")
-    usable, valid = np.arange(32) % 3 > 0, np.arange(8) != part.block_of_sum[1]
-    whole = make.measurement(
-        sampled_mono_ns=5,
-        sums=sums.tobytes(),
-        valid=valid.tobytes(),
-        fingerprint=phi.fingerprint,
-        offsets=offsets.tobytes(),
-        usable=usable.tobytes(),
-    )
-    at = places(phi, part)
-    few = part_of_measurement(whole, part, at)
-    decoded = decode_measurement(few, part)
-    assert few.sampled_mono_ns == 5
-    assert np.frombuffer(few.sums, "<i4").tolist() == sums[at].tolist()
-    assert decoded.valid_sums.tolist() == (usable[at] & valid[part.block_of_sum]).tolist()
-    assert set(decoded.counts[decoded.valid_sums].tolist()) <= {-100}
-    assert part_of_measurement(few, part, at) is few

@@ -2,7 +2,6 @@
 
 import os
 import socket
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -23,26 +22,6 @@ def check_frames(figures: dict[str, Any], of_a_cycle: int) -> None:
     assert of_a_cycle * complete <= figures["frames_sent"]
     assert figures["frames_sent"] + figures["frames_dropped"] <= of_a_cycle * cycles
     assert max(figures["frames_dropped"], figures["frames_missing"]) <= of_a_cycle * (cycles - complete)
-
-
-@pytest.mark.slow
-def test_recognition_first_and_images_on_demand(tmp_path: Path) -> None:
-    """The demo asks for images now and then; labels come all the time, and both states have their load."""
-    text = files("skin.layouts").joinpath("recognise-first.toml").read_text()
-    slow = {"rate_hz = 25.0": "rate_hz = 5.0", "rate_hz = 200.0": "rate_hz = 20.0", '"contact"': '"request"'}
-    for old, new in slow.items():
-        assert old in text
-        text = text.replace(old, new, 1)
-    (tmp_path / "slow.toml").write_text(text)
-    options = ("--layout", "slow.toml", "--objects", "golf-ball", "--seconds", "10", "--json", "--no-view")
-    figures = report(skin("demo", *options, cwd=tmp_path))
-    assert figures["switches"] >= 2
-    assert figures["switch_ms"]["p50"] < 2 * 200 + 50 + 1000
-    recognition, images = (figures["states"][state] for state in ("recognition", "images"))
-    assert recognition["bus_load"][0] < images["bus_load"][0] < 0.3
-    assert recognition["label_accuracy"] >= 0.7
-    assert images["label_accuracy"] >= 0.7
-    assert figures["psnr_image_db"] > figures["psnr_sensor_db"]
 
 
 @pytest.mark.slow

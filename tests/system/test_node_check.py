@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.gateway.wiring_errors import stroke
+from tests.commissioning.wiring_errors import stroke
 from tests.layouts import buses, layout_toml, small_layout
 from tests.nodes.firmware.twins import needs_compiler
 from tests.processes import Processes
@@ -38,7 +38,9 @@ def test_boards_in_c_get_a_program_over_the_bus_and_keep_it(command: Command, tm
     (tmp_path / "palm.toml").write_text(layout_toml(8, 16, bus=buses(4)), encoding="utf-8")
     palm = ["--layout", str(tmp_path / "palm.toml")]
     with Processes(tmp_path) as processes:
-        exported = command("export", "program", str(tmp_path / "main.bin"), "--release", "1.1", "--out", program, *palm)
+        exported = command(
+            "contract", *palm[1:], "--program", str(tmp_path / "main.bin"), "--release", "1.1", "--out", program
+        )
         assert "2080 bytes" in exported.stdout, exported.stderr
         processes.skin("bus", "bus", "bus0")
         processes.await_words("bus", "ready")

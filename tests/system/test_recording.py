@@ -17,7 +17,7 @@ import pytest
 from bandwidth.logs import read_log
 from canskin.messages import CONTACTS, IMAGE, LABEL, MEASUREMENT, TRUTH, Contacts, Image, Topic
 from dbc.canopen import SYNC_COB_ID
-from skin.mcap_file import read_entries
+from recording.mcap_file import read_entries
 from tests.processes import PATIENCE_S
 from tests.system.conftest import Chain
 

@@ -197,7 +197,7 @@ def end_of(log: Path) -> str:
 def sums_in_log(chain: Chain, log: Path) -> dict[int, dict[str, int]]:
     """Decode a candump log with the skin's DBC files: sums by name, by the SYNC counter of their frames."""
     folder = log.parent / "dbc"
-    subprocess.run([sys.executable, "-m", "skin", "dbc", str(chain.path), "--out", str(folder)], check=True)
+    subprocess.run([sys.executable, "-m", "skin", "contract", str(chain.path), "--out", str(folder)], check=True)
     databases = {f"vcan{number}": load_file(folder / f"{bus.name}.dbc") for number, bus in enumerate(chain.layout.bus)}
     found: dict[int, dict[str, int]] = {}
     with log.open() as lines:

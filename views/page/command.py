@@ -16,11 +16,12 @@ from starlette.applications import Starlette
 
 from canskin.errors import InputError, RunError
 from canskin.messages import IMAGE
+from recording import RECORDING_SUFFIX, is_recording
+from recording.mcap_file import read_topics
 from shell.command import WRONG_INPUT
 from shell.service import StopSignal, listen, say
 from shell.skin_options import SkinOptions
-from skin.layout import RECORDING_SUFFIX, require_boards
-from skin.mcap_file import read_topics
+from skin.layout import require_boards
 from views.page.actions import live_actions, playback_actions
 from views.page.app import build_app
 from views.page.feed import Feed
@@ -94,7 +95,7 @@ def _open(recording: Path, of: SkinOptions, folder: Path) -> Playback:
     if not recording.is_file():
         raise InputError(f"no file '{recording}': expected a recording of 'skin record'")
     layout = of.find(recording=recording, needs_hub=False)
-    if recording.suffix.lower() != RECORDING_SUFFIX or IMAGE.name not in read_topics(recording):
+    if not is_recording(recording) or IMAGE.name not in read_topics(recording):
         made, given = folder / f"{recording.stem}{RECORDING_SUFFIX}", ["--layout", str(of.layout)] if of.layout else []
         say("viewer", f"{recording} has no images: 'skin replay' makes them")
         command = [sys.executable, "-m", "skin", "replay", str(recording), "--out", str(made), *given]

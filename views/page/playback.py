@@ -11,9 +11,9 @@ from canskin.errors import InputError
 from canskin.messages import MARK
 from health.snapshot import Pictures, PlaybackState, Snapshot
 from health.state import STATUS_FRESH_S, TOPICS
+from recording.mcap_file import Read, read_few, read_messages, span_ns
 from shell.service import say
 from skin.layout import Layout
-from skin.mcap_file import Read, read_few, read_messages, span_ns
 from views.page.feed import Shown
 
 SPEED_MIN: Final = 0.05

@@ -13,8 +13,8 @@ from typing import IO, Final
 
 from canskin.errors import RunError
 from health.snapshot import Notice, RecorderState
+from recording import RECORDING_SUFFIX
 from shell.service import given_priority, say
-from skin.layout import RECORDING_SUFFIX
 
 #: Longest wait for a recorder that starts, and that ends.
 PATIENCE_S: Final = 30.0

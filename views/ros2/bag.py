@@ -7,8 +7,8 @@ from typing import Any, Final
 
 from canskin.errors import RunError
 from health.state import ViewState
+from recording.mcap_file import Warn, read_messages
 from skin.layout import Layout
-from skin.mcap_file import Warn, read_messages
 from skin.wall_times import CLOCKS, recorded_wall_times
 from views.ros2.bridge import DIAGNOSTICS_S
 from views.ros2.names import Node, Qos

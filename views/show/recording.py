@@ -4,8 +4,8 @@ from contextlib import ExitStack, closing
 from pathlib import Path
 
 from canskin.errors import RunError
+from recording.mcap_file import Warn, read_messages
 from skin.layout import Layout
-from skin.mcap_file import Warn, read_messages
 from skin.wall_times import CLOCKS, recorded_wall_times
 from views.show.foxglove_canvas import FoxgloveCanvas
 from views.show.painter import TOPICS, Canvas, Painter

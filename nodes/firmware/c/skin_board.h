@@ -30,7 +30,6 @@ typedef struct {
     skin_packing packing;
     const uint16_t *first_sum;   /* place of each block's first sum, blocks + 1 entries */
     uint8_t tpdos;               /* TPDO communication records */
-    uint8_t image_tpdos;         /* of boards with two states: the first of them, those of images */
     uint8_t pdo_bytes;           /* longest payload of a PDO: 8, or 64 with CAN FD */
     uint8_t frame_flags;         /* of a PDO's frame: SKIN_FRAME_FD, SKIN_FRAME_BRS */
     uint32_t frame_ns;           /* longest time of one of the board's frames on the bus */
@@ -62,10 +61,6 @@ typedef struct {
 
 /* The board of this image with a node-ID on a bus, NULL if there is none. */
 const skin_board *skin_board_of(uint8_t bus, uint8_t node_id);
-
-/* Whether a TPDO, from 0, is sent in a state (2008h:1). */
-#define SKIN_IS_OF_STATE(type, tpdo, state) \
-    (SKIN_STATES == 1 || ((tpdo) < (type)->image_tpdos) == ((state) == SKIN_STATE_IMAGES))
 
 /* The default value at a place, and whether it is one of the board's own. */
 const uint8_t *skin_default(const skin_board *board, uint16_t at);

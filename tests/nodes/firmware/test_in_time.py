@@ -3,10 +3,9 @@
 import pytest
 
 from bus.link import DISCARDED
-from dbc.canopen import HEARTBEAT_BASE, NMT_COB_ID, SDO_REQUEST_BASE, STATE_COB_ID, SYNC_COB_ID
+from dbc.canopen import HEARTBEAT_BASE, NMT_COB_ID, SDO_REQUEST_BASE, SYNC_COB_ID
 from dbc.frame import ECHO
 from tests.bus.harness import frame
-from tests.gateway.helpers import two_states
 from tests.nodes.firmware.twins import Twins, analogue, needs_compiler, small_contract
 
 pytestmark = needs_compiler
@@ -15,12 +14,11 @@ pytestmark = needs_compiler
 STEP_S = 0.007
 
 
-@pytest.fixture(params=[small_contract, two_states, analogue])
+@pytest.fixture(params=[small_contract, analogue])
 def twins(request: pytest.FixtureRequest) -> Twins:
-    """Return boards that have answered a SYNC; those of two states send images."""
+    """Return boards that have answered a SYNC."""
     made = Twins(request.param())
     made.put(NMT_COB_ID, b"\x01\x00")
-    made.put(STATE_COB_ID, b"\x01")
     made.sync(1)
     made.answers()
     return made

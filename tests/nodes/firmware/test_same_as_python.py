@@ -8,14 +8,13 @@ import numpy.typing as npt
 import pytest
 
 from dbc import indices as od
-from dbc.canopen import NMT_COB_ID, SDO_REQUEST_BASE, STATE_COB_ID, SYNC_COB_ID
+from dbc.canopen import NMT_COB_ID, SDO_REQUEST_BASE, SYNC_COB_ID
 from dbc.contract import Contract, NodeContract
 from dbc.dictionary import dictionary
 from nodes.electronics import Calibration
 from nodes.firmware.library import CompiledBoards, Firmware
 from skin.layout import SUM_BITS_MAX, SUM_BITS_MIN, Encoding, Sampling, changed, load_layout
 from tests.bus.harness import frame
-from tests.gateway.helpers import two_states
 from tests.layouts import buses
 from tests.nodes.firmware.twins import Twins, analogue, few_sums, needs_compiler, small_contract, windows
 
@@ -45,10 +44,6 @@ CONTRACTS = {
     "fewer sums than blocks": lambda: few_sums(buses(2, 2)),
     "fewer sums than blocks, nodes of two, in turns": lambda: few_sums(TWO_BLOCKS, turns=2),
     "8 bits, default skin": eight_bits,
-    "two states, a board without sums in one": two_states,
-    "two states, 12 bits, nodes of two": lambda: small_contract(
-        recognition={"sums": 8, "rate_hz": 200.0}, encoding={"sum_bits": 12, "offset_binary": True}, bus=TWO_BLOCKS
-    ),
     "analogue": analogue,
     "analogue, 8 of 16 bits, nodes of two": lambda: analogue(8, 16, bus=TWO_BLOCKS),
     "analogue, more bits than codes, fewer sums than blocks": lambda: analogue(16, 6, measurement={"sums": 3}),
@@ -88,8 +83,6 @@ def check_syncs(twins: Twins) -> None:
         twins.now_s += 0.01
         counter = counter % 240 + (1 if is_averaged else int(random.integers(1, 3)))
         counter = counter if counter <= 240 else 1
-        if random.random() < 0.2:
-            twins.put(STATE_COB_ID, bytes((random.integers(3),)))
         told = counter if is_averaged or random.random() < 0.9 else 0
         twins.sync(told)
         python, c = windows(twins)
@@ -176,7 +169,7 @@ def random_request(random: np.random.Generator, indices: list[tuple[int, int]]) 
 @pytest.mark.heavy
 @pytest.mark.parametrize("seed", range(6))
 def test_random_requests_get_the_same_answers(seed: int) -> None:
-    asked = ("in turns", "14 bits", "in turns", "14 bits", "two states, a board without sums in one", "analogue")
+    asked = ("in turns", "14 bits", "in turns", "14 bits", "fewer sums than blocks", "analogue")
     contract = CONTRACTS[asked[seed]]()
     twins = Twins(contract)
     twins.answers()
@@ -191,7 +184,6 @@ def test_random_requests_get_the_same_answers(seed: int) -> None:
         if turn % 10 == 0:
             twins.now_s += 0.01
             counter = counter % 240 + 1
-            twins.put(STATE_COB_ID, random.integers(3, size=1 + turn // 10 % 2).astype(np.uint8).tobytes())
             twins.sync(counter)
         twins.answers()
 

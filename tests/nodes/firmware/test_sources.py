@@ -23,12 +23,11 @@ from nodes.firmware.export import constants, images, sources
 from nodes.firmware.library import STANDARD_FLAGS, Firmware, compile_c
 from nodes.firmware.tables import builds
 from skin.layout import Sampling, changed, load_layout
-from tests.gateway.helpers import two_states
 from tests.layouts import buses
 from tests.nodes.firmware.stack import HERE, OPTIMIZED, compile_adapter, compile_slave, exported
 from tests.nodes.firmware.twins import analogue, few_sums, needs_compiler, small_contract
 
-NAMES = ("default", "fd", "one-bus-12bit", "recognise-first", "analogue", "steps", "steps-fd")
+NAMES = ("default", "fd", "one-bus-12bit", "analogue", "steps", "steps-fd")
 #: Bursts of random frames, and seeds.
 BURSTS, SEEDS = 20_000, range(1, 4)
 #: Stepped boards filter a sample beside each burst.
@@ -107,7 +106,6 @@ def expected_dictionary(contract: Contract, node: NodeContract) -> list[str]:
         ("fd", {}),
         ("one-bus-12bit", {}),
         ("forearm", {"sync": {"turns": 2}, "encoding": {"sum_bits": 7}}),
-        ("recognise-first", {}),
         ("analogue", {"sync": {"turns": 2}}),
     ],
 )
@@ -178,7 +176,6 @@ def flash_bytes(contract: Contract, folder: Path, count: int) -> dict[str, int]:
 FUZZED = {
     "classic": small_contract,
     "fd": lambda: small_contract(encoding={"sum_bits": 12}, bus=buses(1, 1, blocks_per_node=2, fd=True)),
-    "two states": two_states,
     "analogue": analogue,
     "steps": lambda: contract_of("steps"),
     "steps-fd": lambda: contract_of("steps-fd"),

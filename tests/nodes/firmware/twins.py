@@ -55,9 +55,9 @@ class CountWitness(CountSampler):
 
     def __init__(self, contract: Contract) -> None:
         layout = contract.layout
-        electronics = Electronics(layout.taxels, noise_n=0.0, period_s=layout.shortest_period_s)
+        electronics = Electronics(layout.taxels, noise_n=0.0, period_s=layout.sync.period_s)
         super().__init__(contract.phi, Rolling(contract), electronics)
-        self._half_ns = 0.5e9 * layout.shortest_period_s
+        self._half_ns = 0.5e9 * layout.sync.period_s
         self.truths: dict[int, npt.NDArray[np.int32]] = {}
 
     def sample(self, counter: int, time_ns: int, bus: int = 0) -> npt.NDArray[np.int32]:

@@ -9,9 +9,9 @@ import pytest
 
 from canskin.errors import InputError, RunError
 from canskin.messages import CONTACTS, GATEWAY, IMAGE, LABEL, MARK, TRUTH, Mark, Topic
+from recording.mcap_file import LAYOUT_FILE, File, RecordingWriter
 from shell.skin_options import SkinOptions
 from skin.layout import layout_text
-from skin.mcap_file import LAYOUT_FILE, File, RecordingWriter
 from views.page import command
 from views.page.playback import STEP_S, Playback
 

@@ -50,7 +50,7 @@ def messages_of(path: Path, topic: str) -> list[tuple[int, str, Any]]:
 
 
 def test_recording_becomes_a_file_with_every_image_bit_for_bit(run: Path) -> None:
-    export(str(run), to="foxglove")
+    export(run, to="foxglove")
     path = run.with_name("run-foxglove.mcap")
     times_ns = [OFFSET_NS + 10 * cycle + SET_NS * (cycle > 2) for cycle in range(1, COUNT + 1)]
     for topic, name in (("/image", "foxglove.RawImage"), ("/taxels", "foxglove.Grid")):
@@ -64,7 +64,7 @@ def test_recording_becomes_a_file_with_every_image_bit_for_bit(run: Path) -> Non
 
 
 def test_cells_lie_in_the_places_of_the_taxels(run: Path) -> None:
-    export(str(run), to="foxglove")
+    export(run, to="foxglove")
     _, _, grid = messages_of(run.with_name("run-foxglove.mcap"), "/taxels")[0]
     assert (grid.column_count, grid.cell_size.x, grid.row_stride, grid.cell_stride) == (16, 0.004, 64, 4)
     assert grid.pose.position.x == pytest.approx(-0.032)  # the corner of the first cell
@@ -72,7 +72,7 @@ def test_cells_lie_in_the_places_of_the_taxels(run: Path) -> None:
 
 
 def test_contacts_curves_and_log(run: Path) -> None:
-    export(str(run), to="foxglove")
+    export(run, to="foxglove")
     path = run.with_name("run-foxglove.mcap")
     scenes = [scene for _, _, scene in messages_of(path, "/contacts")]
     assert [len(scene.entities[0].cylinders) for scene in scenes] == [0, 1, 0, 0]

@@ -47,7 +47,7 @@ def force_n(row: dict[str, Any]) -> np.ndarray:
 
 
 def test_recording_becomes_a_file_with_every_image_bit_for_bit(run: Path) -> None:
-    export(str(run), to="rerun")
+    export(run, to="rerun")
     rows = rows_of(run.with_suffix(".rrd"), "skin/image")
     assert [row["sampled"] for row in rows] == [
         OFFSET_NS + 10 * cycle + SET_NS * (cycle > 2) for cycle in range(1, COUNT + 1)
@@ -60,7 +60,7 @@ def test_recording_becomes_a_file_with_every_image_bit_for_bit(run: Path) -> Non
 
 @pytest.mark.heavy
 def test_rerun_verifies_the_file(run: Path, tmp_path: Path) -> None:
-    export(str(run), to="rerun", out=tmp_path / "run.rrd")
+    export(run, to="rerun", out=tmp_path / "run.rrd")
     command = [sys.executable, "-m", "rerun", "rrd", "verify", str(tmp_path / "run.rrd")]
     verified = subprocess.run(command, capture_output=True, text=True, check=False, env={"RERUN_ANALYTICS": "0"})
     assert verified.returncode == 0, verified.stderr
@@ -68,7 +68,7 @@ def test_rerun_verifies_the_file(run: Path, tmp_path: Path) -> None:
 
 
 def test_taxels_lie_in_their_places(run: Path) -> None:
-    export(str(run), to="rerun")
+    export(run, to="rerun")
     static = [
         chunk.to_record_batch().to_pylist()[0]
         for chunk in RrdReader(run.with_suffix(".rrd")).stream()
@@ -161,7 +161,7 @@ def test_frames_alone_leave_no_file(tmp_path: Path, out: Path, contract: Any) ->
     McapSink(out, contract, 1, OFFSET_NS).close()
     for to in ("rerun", "foxglove"):
         with pytest.raises(RunError, match="holds no images"):
-            export(str(out), to=to)  # type: ignore[arg-type]
+            export(out, to=to)  # type: ignore[arg-type]
     assert list(tmp_path.iterdir()) == [out]
 
 

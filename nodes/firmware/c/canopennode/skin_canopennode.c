@@ -9,7 +9,6 @@
 
 static void *sums[SKIN_BLOCKS]; /* raw values, of 8 or 16 bits */
 static uint8_t *sync_counter;   /* 2022h; NULL of a board without sums */
-static uint8_t state;           /* 2008h:1 as of the newest SYNC */
 #if SKIN_SAMPLES > 1
 static skin_average averages[SKIN_BLOCKS];
 #endif
@@ -35,22 +34,10 @@ int skin_app_init(void)
         skin_forget(&averages[block]);
 #endif
     }
-    state = SKIN_STATE_RECOGNITION;
     if (!failed) {
         skin_od_reset();
     }
     return failed;
-}
-
-int skin_app_sends(uint8_t tpdo)
-{
-    return SKIN_IS_OF_STATE(skin_od_board->type, tpdo, state);
-}
-
-uint32_t *skin_app_window_us(void)
-{
-    return SKIN_STATES > 1 && state == SKIN_STATE_RECOGNITION ? skin_od_value(SKIN_OD_STATE, 2, sizeof(uint32_t))
-                                                                    : skin_od_value(SKIN_OD_WINDOW_US, 0, sizeof(uint32_t));
 }
 
 void skin_app_sync(skin_reading *readings, uint16_t samples, uint8_t counter)
@@ -59,12 +46,6 @@ void skin_app_sync(skin_reading *readings, uint16_t samples, uint8_t counter)
     uint16_t each;
     uint8_t block;
 
-    if (SKIN_STATES > 1) {
-        if (*skin_od_state > SKIN_STATE_IMAGES) {
-            *skin_od_state = state; /* the stack has not checked an RPDO */
-        }
-        state = *skin_od_state;
-    }
     if (sync_counter != NULL) {
         *sync_counter = counter;
     }

@@ -27,14 +27,6 @@ int skin_app_choose(uint8_t bus, uint8_t node_id);
  *                                    skin_app_sync(readings, samples, counter);    before CO_process_TPDO(...)
  *   in the CAN driver            skin_app_dropped() in CO_CANclearPendingSyncPDOs, for every frame that is given up
  *
- * Boards with two states need CO_process_RPDO(...) before skin_app_sync, and in place of CO_process_TPDO, where all TPDOs would
- * answer the SYNC:
- *       co->SYNC->OD_1007_window = skin_app_window_us();
- *       for (each = 0; each < OD_CNT_TPDO; each++) {
- *           CO_TPDO_process(&co->TPDO[each], passed_us, NULL,
- *                           co->NMT->operatingState == CO_NMT_OPERATIONAL && skin_app_sends(each), sync_was);
- *       }
- *
  * Boards that send in turns (18xxh:2 above 1), between skin_app_sync and CO_process_TPDO, since the stack counts the SYNCs that it
  * gets, and a lost one would exchange the turns for good:
  *       for (each = 0; each < OD_CNT_TPDO; each++) {
@@ -45,15 +37,8 @@ int skin_app_choose(uint8_t bus, uint8_t node_id);
  * Sums of other widths than 8 and 16 bits need CO_CONFIG_PDO_BITWISE_MAPPING.
  */
 
-/* Connect the objects of the skin with the dictionary; end test patterns; begin with recognition; begin to count anew.
- *
- * Returns 0 on success.
- */
+/* Connect the objects of the skin with the dictionary; end test patterns; begin to count anew. Returns 0 on success. */
 int skin_app_init(void);
-
-/* Whether TPDO `tpdo`, from 0, is sent in the state of the newest SYNC; the window of this state, microseconds. */
-int skin_app_sends(uint8_t tpdo);
-uint32_t *skin_app_window_us(void);
 
 /* Make the sums that the next TPDOs carry, behind `counter` (2022h), that of the SYNC of the last sample.
  *

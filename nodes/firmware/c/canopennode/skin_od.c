@@ -15,9 +15,8 @@
 
 skin_block skin_od_blocks[SKIN_BLOCKS];
 uint32_t *skin_od_health;
-uint8_t *skin_od_state;
 const skin_board *skin_od_board = &skin_boards[0];
-static OD_extension_t signature_extension, calibration_extension, state_extension;
+static OD_extension_t signature_extension, calibration_extension;
 static OD_extension_t gain_extension[SKIN_BLOCKS], pattern_extension[SKIN_BLOCKS];
 
 void *skin_od_value(uint16_t index, uint8_t subindex, OD_size_t length)
@@ -142,19 +141,13 @@ static int connect_taxels(uint8_t number)
 int skin_od_connect(void)
 {
     static uint8_t covered = SKIN_OBJECT_COVERED, calibrated = SKIN_OBJECT_COVERED | SKIN_OBJECT_CALIBRATING;
-    static uint8_t last_pattern = SKIN_PATTERN_FULL, last_state = SKIN_STATE_IMAGES;
+    static uint8_t last_pattern = SKIN_PATTERN_FULL;
     int failed = skin_od_extend(&signature_extension, SKIN_OD_SIGNATURE, read_signature, NULL);
     uint8_t each;
 
     signature_extension.object = &covered;
     skin_od_health = skin_od_value(SKIN_OD_HEALTH, 1, sizeof *skin_od_health);
     failed |= skin_od_health == NULL;
-    if (SKIN_STATES > 1) {
-        skin_od_state = skin_od_value(SKIN_OD_STATE, 1, sizeof *skin_od_state);
-        failed |= skin_od_state == NULL;
-        failed |= skin_od_extend(&state_extension, SKIN_OD_STATE, OD_readOriginal, write_choice);
-        state_extension.object = &last_state;
-    }
     if (!SKIN_ANALOGUE) {
         failed |= skin_od_extend(&calibration_extension, SKIN_OD_CALIBRATION_SIGNATURE, read_signature, NULL);
         calibration_extension.object = &calibrated;
@@ -177,9 +170,6 @@ void skin_od_reset(void)
 
     for (each = 0; each < skin_od_board->type->blocks; each++) {
         *skin_od_blocks[each].pattern = SKIN_PATTERN_OFF;
-    }
-    if (SKIN_STATES > 1) {
-        *skin_od_state = SKIN_STATE_RECOGNITION;
     }
     for (each = 0; each < 4; each++) {
         skin_od_health[each] = 0;

@@ -14,13 +14,11 @@ extern const skin_board *skin_od_board;
 extern skin_block skin_od_blocks[SKIN_BLOCKS];
 /* 2020h: SYNCs received, TPDOs sent, TPDOs dropped, saturated taxels. */
 extern uint32_t *skin_od_health;
-/* 2008h:1 of boards with two states. */
-extern uint8_t *skin_od_state;
 
 /* Connect signature, calibration, counts and patterns with the dictionary. Returns 0 on success. */
 int skin_od_connect(void);
 
-/* End test patterns, begin with recognition, and begin to count anew. */
+/* End test patterns, and begin to count anew. */
 void skin_od_reset(void);
 
 /* Where a value of the dictionary is, NULL if there is none of that length. */

@@ -88,8 +88,6 @@ static void pass(skin_node *node, const skin_frame *frame, uint32_t now_ms, cons
         pass_sync(node, frame, read);
     } else if (can_id == SKIN_NMT_COB_ID) {
         skin_nmt(node, frame, now_ms);
-    } else if (can_id == SKIN_STATE_COB_ID) {
-        skin_switch(node, frame);
     } else if (can_id == SKIN_LSS_REQUEST_COB_ID) {
         skin_lss_request(node, frame, now_ms);
     } else if (can_id == SKIN_SDO_REQUEST_BASE + node->board->node_id && frame->length == SKIN_SDO_BYTES) {

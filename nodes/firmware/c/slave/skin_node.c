@@ -169,14 +169,8 @@ void skin_init(skin_node *node, const skin_board *board, skin_outbox *outbox, co
 
 void skin_boot(skin_node *node, uint32_t now_ms, int communication_only)
 {
-    static const uint8_t recognition = SKIN_STATE_RECOGNITION;
-
     node->state = SKIN_INITIALISING;
     skin_restore(node, communication_only);
-    if (SKIN_STATES > 1) {
-        (void)skin_write(node, SKIN_OD_STATE, 1, &recognition, sizeof recognition);
-        node->skin_state = recognition;
-    }
     memset(&node->sdo, 0, sizeof node->sdo);
     memset(node->active, 0, sizeof node->active);
     node->history_count = node->waiting_count = 0;
@@ -303,13 +297,6 @@ int skin_take_sync(skin_node *node, const skin_frame *sync)
         }
     }
     return counter;
-}
-
-void skin_switch(skin_node *node, const skin_frame *rpdo)
-{
-    if (SKIN_STATES > 1 && node->state == SKIN_OPERATIONAL) {
-        (void)skin_write(node, SKIN_OD_STATE, 1, rpdo->data, rpdo->length);
-    }
 }
 
 void skin_tick(skin_node *node, uint32_t now_ms)

@@ -97,7 +97,6 @@ typedef struct {
     uint8_t state;
     uint8_t changed; /* an object below 2000h was written */
     uint8_t has_stored;
-    uint8_t skin_state; /* 2008h:1 as of the newest SYNC: whose TPDOs are sent */
     uint8_t values[SKIN_WRITABLE_BYTES]; /* of objects that SDO can write */
     uint8_t stored[SKIN_WRITABLE_BYTES]; /* what 1010h has stored */
     float gain[SKIN_BLOCKS][SKIN_CALIBRATED];
@@ -184,11 +183,6 @@ void skin_nmt(skin_node *node, const skin_frame *command, uint32_t now_ms);
 void skin_heard(skin_node *node, uint8_t node_id, uint32_t now_ms);
 void skin_request(skin_node *node, const skin_frame *request, uint32_t now_ms);
 void skin_given_up(skin_node *node, const skin_frame *frame);
-
-/* Take the RPDO with the state of all boards (SKIN_STATE_COB_ID), which holds from the next SYNC on. Boards of one state
- * ignore it.
- */
-void skin_switch(skin_node *node, const skin_frame *rpdo);
 
 /* Answer a request of LSS (SKIN_LSS_REQUEST_COB_ID); the board may boot with a new node-ID. */
 void skin_lss_request(skin_node *node, const skin_frame *request, uint32_t now_ms);

@@ -301,8 +301,6 @@ static uint32_t check_write(const skin_node *node, uint16_t index, uint8_t subin
         return (value >> 23 & 0xFFu) == 0xFFu ? SKIN_ABORT_VALUE : 0;
     case SKIN_OD_TEST_PATTERN:
         return value > SKIN_PATTERN_FULL ? SKIN_ABORT_VALUE : 0;
-    case SKIN_OD_STATE:
-        return value > SKIN_STATE_IMAGES ? SKIN_ABORT_VALUE : 0;
     default:
 #if SKIN_STEPPED
         return skin_steps_allow(index, subindex, value) ? 0 : SKIN_ABORT_VALUE;

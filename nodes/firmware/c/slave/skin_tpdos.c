@@ -106,13 +106,6 @@ static void measure(skin_node *node, skin_reading *readings, uint16_t samples, u
     }
 }
 
-/* Synchronous window of the present state. */
-static uint32_t window_of_state(const skin_node *node)
-{
-    return SKIN_STATES > 1 && node->skin_state == SKIN_STATE_RECOGNITION ? skin_unsigned(node, SKIN_OD_STATE, 2)
-                                                                         : skin_unsigned(node, SKIN_OD_WINDOW_US, 0);
-}
-
 void skin_sync(skin_node *node, const skin_frame *sync, skin_reading *readings, uint16_t samples)
 {
     uint32_t window_us;
@@ -127,10 +120,7 @@ void skin_sync(skin_node *node, const skin_frame *sync, skin_reading *readings, 
     if (node->state != SKIN_OPERATIONAL) {
         return;
     }
-    if (SKIN_STATES > 1) {
-        node->skin_state = (uint8_t)skin_unsigned(node, SKIN_OD_STATE, 1);
-    }
-    window_us = window_of_state(node);
+    window_us = skin_unsigned(node, SKIN_OD_WINDOW_US, 0);
     if (window_us > 0) { /* so that the frame ends inside the window */
         latest_ns = (int64_t)window_us * 1000 - node->board->type->frame_ns;
         latest_ns = latest_ns < 1 ? 1 : latest_ns;
@@ -139,7 +129,7 @@ void skin_sync(skin_node *node, const skin_frame *sync, skin_reading *readings, 
         skin_tpdo *tpdo = &node->tpdos[number];
         skin_frame frame;
 
-        if (tpdo->length == 0 || !SKIN_IS_OF_STATE(node->board->type, number, node->skin_state)) {
+        if (tpdo->length == 0) {
             continue;
         }
         tpdo->syncs++;
@@ -165,7 +155,6 @@ void skin_send_events(skin_node *node, uint32_t now_ms)
         skin_frame frame;
 
         if (tpdo->length == 0 || tpdo->type < SKIN_EVENT_MANUFACTURER ||
-            !SKIN_IS_OF_STATE(node->board->type, number, node->skin_state) ||
             (tpdo->has_last != 0 && !skin_is_due(now_ms, tpdo->sent_at_ms + tpdo->inhibit_ms))) {
             continue;
         }

@@ -63,7 +63,7 @@ static void draw_frame(skin_frame *frame)
     frame->flags = (uint8_t)(drawn(20) == 0 ? drawn(256) : 0);
     frame->port = (uint16_t)drawn(200);
     frame->time_ns = (int64_t)drawn(1000000) * 1000;
-    switch (drawn(11)) {
+    switch (drawn(10)) {
     case 0: /* SYNC */
         frame->can_id = 0x80;
         frame->length = (uint8_t)drawn(3);
@@ -81,12 +81,7 @@ static void draw_frame(skin_frame *frame)
         frame->can_id = 0x7E5;
         frame->data[0] = (uint8_t)(0x04 + drawn(0x5B));
         break;
-    case 4: /* the switch of states */
-        frame->can_id = SKIN_STATE_COB_ID;
-        frame->length = (uint8_t)drawn(3);
-        frame->data[0] = (uint8_t)drawn(3);
-        break;
-    case 5: /* anything, and frames that were given up */
+    case 4: /* anything, and frames that were given up */
         frame->can_id = drawn(2) ? drawn(0x800) : state;
         frame->flags |= drawn(2) ? SKIN_FRAME_DISCARDED : 0;
         break;

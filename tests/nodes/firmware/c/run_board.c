@@ -1,7 +1,6 @@
 /* One board of an image behind the slave, or with BEHIND_STACK behind the functions of CANopenNode: arguments are the number of the
  * bus, the node-ID and the number of turns. Reads a test pattern, the counter of a SYNC, and then count, bits of the gain and offset
- * of each place, of analogue boards the first two alone; prints the frames that answer a SYNC of each turn in each state, a line for
- * each reading.
+ * of each place, of analogue boards the first two alone; prints the frames that answer a SYNC of each turn, a line for each reading.
  */
 #include <stdio.h>
 #include <stdlib.h>
@@ -50,13 +49,6 @@ static int start(uint8_t bus, uint8_t node_id)
     return skin_app_choose(bus, node_id) || skin_app_init();
 }
 
-static void switch_to(uint8_t state)
-{
-    if (SKIN_STATES > 1) {
-        write_object(SKIN_OD_STATE, 1, state, 1);
-    }
-}
-
 /* Print what CO_process_TPDO sends: every TPDO that the adapter lets go. */
 static void answer(skin_reading *readings, uint8_t counter)
 {
@@ -79,8 +71,7 @@ static void answer(skin_reading *readings, uint8_t counter)
         }
         for (length = 0; fd_lengths[length] < (bits + 7) / 8; length++) {
         }
-        if (skin_app_sends(tpdo) && skin_is_turn((uint8_t)read_object(communication, 2, 1),
-                                                 (uint8_t)read_object(communication, 6, 1), counter)) {
+        if (skin_is_turn((uint8_t)read_object(communication, 2, 1), (uint8_t)read_object(communication, 6, 1), counter)) {
             print_frame(read_object(communication, 1, 4) & SKIN_BASE_ID_MASK, data, fd_lengths[length]);
         }
     }
@@ -121,13 +112,6 @@ static int start(uint8_t bus, uint8_t node_id)
     skin_nmt(&node, &command, 0);
     outbox.count = 0;
     return 0;
-}
-
-static void switch_to(uint8_t state)
-{
-    const skin_frame rpdo = {.can_id = SKIN_STATE_COB_ID, .length = 1, .data = {state}};
-
-    skin_switch(&node, &rpdo);
 }
 
 static void answer(skin_reading *readings, uint8_t counter)
@@ -178,12 +162,11 @@ int main(int count, char **texts)
         for (place = 0; place < SKIN_BLOCKS; place++) {
             write_object((uint16_t)(SKIN_OD_TEST_PATTERN + SKIN_BLOCK_STRIDE * place), 0, pattern, 1);
         }
-        for (turn = 0; turn < 2 * turns; turn++) {
-            switch_to(turn < turns ? SKIN_STATE_RECOGNITION : SKIN_STATE_IMAGES);
+        for (turn = 0; turn < turns; turn++) {
             for (place = 0; place < SKIN_READINGS; place++) {
                 read[place] = counts[place];
             }
-            answer(read, (uint8_t)(counter + turn % turns));
+            answer(read, (uint8_t)(counter + turn));
         }
         printf("\n");
     }
