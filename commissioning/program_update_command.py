@@ -27,7 +27,7 @@ def update(
     every: Annotated[bool, Parameter(name="--all", negative=())] = False,
     json: Json = False,
 ) -> int:
-    """Load a program into a board, or with ``--all`` into each board that does not run it, and start it.
+    """Load a program into a board, or into each board that does not run it, and start it.
 
     It may run beside the gateway. A board whose download was cut keeps its old program. Ends with 1 unless each board
     runs the program.
