@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from calibration.defects import DefectFinder
 from calibration.field import FieldFinder
-from calibration.followed import FollowedZero, ZeroLog, least_noise_n
+from calibration.followed import FollowedZero, Measured, ZeroLog, least_noise_n
 from calibration.taring import Taring
 from calibration.temperature import TemperatureModel
 from calibration.windows import TARE_WINDOWS, Bools, Floats, Window, WindowMeans, rms, tare_s
@@ -205,7 +205,8 @@ class Calibrator:
         known = np.isfinite(offsets_n)
         self._start_anew(TareResult(False, "other offsets were loaded meanwhile"))
         level_n = np.where(known, offsets_n, 0.0)
-        self._use(self._new_zero(level_n, np.zeros(known.size), known, ZeroSupport.STORED, self._newest_ns))
+        stored = Measured(level_n, np.zeros(known.size), known, ZeroSupport.STORED, self._newest_ns)
+        self._use(self._new_zero(stored))
         if not self._tares:
             self.state = CalibrationState.LOADED
 
@@ -364,11 +365,8 @@ class Calibrator:
         slope_n = found.slope_n if self._tares else np.zeros_like(level_n)  # nothing follows the drift then
         support = ZeroSupport.TOLD if self._taring.forced else ZeroSupport.MEASURED
         level_n = np.where(known, level_n, 0.0)
-        begun = self._new_zero(
-            level_n, slope_n, known, support, self._newest_ns, age=TARE_WINDOWS, noise_n=found.noise_n
-        )
-        begun.centre_ns = self._newest_ns
-        self._use(begun)
+        measured = Measured(level_n, slope_n, known, support, self._newest_ns, TARE_WINDOWS, found.noise_n)
+        self._use(self._new_zero(measured))
         later = f"when nothing has touched them for {self.tare_s:.3g} s" if self._tares else "at the next 'skin tare'"
         late = "" if known.all() else f"; the others get theirs {later}"
         self._end(
@@ -420,7 +418,7 @@ class Calibrator:
             self._use(None)
             return
         zeros = np.zeros(self._phi.shape[0])
-        self._use(self._new_zero(zeros, zeros, zeros == 0, ZeroSupport.STORED, self._newest_ns, age=1))
+        self._use(self._new_zero(Measured(zeros, zeros, zeros == 0, ZeroSupport.STORED, self._newest_ns, age=1)))
         if self._tares:
             self.state = CalibrationState.FOLLOWING
 
