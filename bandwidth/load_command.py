@@ -1,7 +1,11 @@
-"""``skin load``: measured load and planned load."""
+"""``skin load``: measured load beside planned load, and the differences between a bus and its plan."""
 
 from pathlib import Path
+from typing import Annotated
 
+from cyclopts import Parameter
+
+from bandwidth.departures import departures
 from bandwidth.logs import listen, of_buses, read_log
 from bandwidth.measured import measure, misfits
 from bandwidth.plan import plan
@@ -23,12 +27,13 @@ def load(
     of: SkinOptions | None = None,
     can: BusOptions | None = None,
     seconds: float = 5.0,
+    check: Annotated[bool, Parameter(negative=())] = False,
     json_: Json = False,
-) -> None:
+) -> int:
     """Measure the load of the buses of a skin, per node and identifier, from a log or live.
 
     Counts the stuff bits of every frame in whole cycles, CAN FD included, and the most possible stuff bits. A line on
-    standard error tells if the frames do not fit the layout.
+    standard error tells if the frames do not fit the layout. Exit code 1: with ``--check`` a bus differs from its plan.
 
     Parameters
     ----------
@@ -43,12 +48,16 @@ def load(
         channels in their order.
     seconds
         Live: time of the measurement.
+    check
+        Print each difference between the buses and their plan, in place of the loads: frames that are missing, late,
+        repeated, wrong or not planned.
     json_
         Print one JSON object.
 
     Examples
     --------
     skin load candump-2026-11-20_120000.log
+    skin load candump-2026-11-20_120000.log --layout palm.toml --check
     skin load -i socketcan -c can0 --seconds 10 --json
     """
     require_above_zero("--seconds", seconds)
@@ -60,13 +69,20 @@ def load(
         names = channels(skin, options)
         logged = read_log(log, lambda line: say("load", line))
         seen = of_buses(skin, names, logged, log, named_by_user=bool(options.channel))
-    plans = plan(contract)
-    loads = []
+    plans = plan(contract, is_touched=not check)
+    loads, lines = [], []
     for number, frames in seen.items():
         loads.append(measure(contract, number, frames, plans[number]))
         for line in misfits(contract, number, frames, loads[-1]):
             say("load", line)
-    print_json({"buses": loads}) if json_ else print_loads(loads)
+        lines += departures(contract, number, frames, plans[number], loads[-1]) if check else []
+    if json_:
+        print_json({"differences": lines} if check else {"buses": loads})
+    elif not check:
+        print_loads(loads)
+    elif lines:
+        print("\n".join(lines))
+    return int(bool(lines))
 
 
 def _listen(layout: Layout, options: BusOptions, seconds: float) -> dict[int, Frames]:

@@ -1,23 +1,19 @@
-"""What `demo.quality` predicts of a run, beside the images that came, and why the two differ."""
+"""What `bandwidth.quality` predicts of a run, beside the images that came, and why the two differ."""
 
 from typing import Final
 
 import msgspec
 
+from bandwidth.quality import TOUCHES_S, is_quick, quality
 from canskin.errors import RunError
-from demo.folder import run_folder
 from demo.options import DemoOptions
-from demo.quality import TOUCHES_S, is_quick, quality
-from demo.report import PREDICTED_WITHIN_DB, WORDS, Report
-from demo.run import Run
-from shell.service import StopSignal, say
-from skin.layout import Layout, layout_text
+from demo.report import WORDS, Report
+from skin.layout import Layout
 
+#: A prediction that is this near needs no words, decibels.
+WITHIN_DB: Final = 1.0
 #: Least part of complete cycles that explains nothing.
 WHOLE_RATIO: Final = 0.99
-#: Every host keeps this rate of small skins; above it the chain is run for `HOST_S` to see.
-FAST_HZ: Final = 250.0
-HOST_S: Final = 4.0
 
 
 def with_prediction(report: Report, layout: Layout, options: DemoOptions, live_db: float | None) -> Report:
@@ -43,9 +39,7 @@ def with_prediction(report: Report, layout: Layout, options: DemoOptions, live_d
         report,
         psnr_predicted_db=round(predicted_db, 2),
         psnr_first_db=round(live_db, 2),
-        why_not_predicted=""
-        if abs(predicted_db - live_db) <= PREDICTED_WITHIN_DB
-        else _causes(report, layout, options),
+        why_not_predicted=_causes(report, layout, options) if abs(predicted_db - live_db) > WITHIN_DB else "",
     )
 
 
@@ -64,23 +58,3 @@ def _causes(report: Report, layout: Layout, options: DemoOptions) -> str:
     if not layout.is_of_one_instant:
         causes.append(f"{WORDS[report.sending].latency} took {report.latency_ms.p50 or 0:.0f} ms")
     return "; ".join(causes) or "no known cause"
-
-
-def say_of_host(verb: str, layout: Layout) -> None:
-    """Say which cycles this host keeps of simulated boards that are fast, and how good the images then are.
-
-    The whole chain runs for `HOST_S`. What it loses is lost again and again in the prediction.
-    """
-    if not layout.sends.in_cycles or layout.measurement.matrix is not None or layout.sync.rate_hz <= FAST_HZ:
-        return
-    say(verb, "the chain of simulated boards runs, to see which cycles this host keeps")
-    with run_folder() as folder:
-        path = folder / "designed.toml"
-        path.write_text(layout_text(layout))
-        rate_hz = layout.sync.rate_hz
-        options = DemoOptions(layout=path, seconds=HOST_S, view=False, classify=False, sync_rate=rate_hz)
-        run = Run(layout, options, folder, quiet=True)
-        report = run.execute(StopSignal())
-    found = quality(layout, valid=run.score.valid)
-    kept = f"{report.cycles_complete} of {report.cycles} cycles of simulated boards, at {report.sync_rate_hz:.0f} Hz"
-    say(verb, f"this host keeps {kept}; images then have {found.psnr_image_db:.1f} dB")

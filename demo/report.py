@@ -8,8 +8,6 @@ from canskin.peers import ORDINARY
 
 #: Part of the cores above which a chain has too little of them.
 FULL_RATIO: Final = 0.85
-#: A prediction that is this near needs no words, decibels.
-PREDICTED_WITHIN_DB: Final = 1.0
 #: Most nodes that the table names when frames are missing.
 NAMED: Final = 5
 
@@ -124,7 +122,7 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
     psnr_predicted_db, psnr_first_db : float or None
         PSNR that `skin plan --quality` predicts of the first touches, and PSNR of their images in this run.
     why_not_predicted : str
-        In what the run differed from its prediction.
+        In what the run differed from its prediction; empty where the prediction is near.
     picture : str
         Path of the picture; absent without contact, or if the file could not be written.
     """
@@ -230,10 +228,9 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
         return rows
 
     def _rows_of_prediction(self) -> list[tuple[str, str]]:
-        predicted_db, first_db = self.psnr_predicted_db, self.psnr_first_db
-        if predicted_db is None or first_db is None or abs(predicted_db - first_db) <= PREDICTED_WITHIN_DB:
+        if not self.why_not_predicted:
             return []
-        both = f"{predicted_db:.1f} dB, {first_db:.1f} dB came of the same touches"
+        both = f"{self.psnr_predicted_db:.1f} dB, {self.psnr_first_db:.1f} dB came of the same touches"
         return [("image predicted", f"{both}: {self.why_not_predicted}")]
 
     def _rows_of_missing(self) -> list[tuple[str, str]]:

@@ -14,6 +14,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from bandwidth.quality import TOUCHES_S
 from canskin.messages import (
     UNKNOWN_ERROR_NS,
     CycleMeasurement,
@@ -36,10 +37,6 @@ NODES_NAMED: Final = 16
 HISTORY: Final = 360_000
 #: The picture shows the last cycle whose largest force is at least this part of the largest force of the run.
 FULL_CONTACT_RATIO: Final = 0.95
-#: Number of cycles of which is kept which blocks were valid.
-CYCLES_KEPT: Final = 4096
-#: Time whose images are compared with a prediction.
-FIRST_S: Final = 12.0
 
 
 @dataclass(frozen=True)
@@ -106,8 +103,6 @@ class Score:
     _measurements: Pairing[CycleMeasurement] = field(init=False)
     #: PSNR of images of the touches that a prediction sees.
     _first_db: list[float] = field(default_factory=list)
-    #: Which blocks came valid in the newest cycles.
-    valid: deque[bytes] = field(default_factory=lambda: deque(maxlen=CYCLES_KEPT))
     _peak_n: float = 0.0
     _newest_ns: int = -1
     _lock: threading.Lock = field(default_factory=threading.Lock)
@@ -142,7 +137,6 @@ class Score:
         """Compare the sampling instant of a cycle with that of the nodes; times of another size are ignored."""
         if not isinstance(measurement, CycleMeasurement) or len(measurement.bus_sampled_ns) % np.int64().nbytes:
             return
-        self.valid.append(measurement.valid)
         with self._lock:
             for mine, truth in self._measurements.take(measurement):
                 self._compare_times(mine, truth)
@@ -213,7 +207,7 @@ class Score:
         there_n = taxels.without_gaps(true)
         self.psnr_sensor_db.append(psnr_db(there_n, taxels.without_gaps(sensor), taxels.force_max_n))
         self.psnr_image_db.append(psnr_db(there_n, taxels.without_gaps(image_n), taxels.force_max_n))
-        if truth.step < FIRST_S * step_rate_hz(self.layout):
+        if truth.step < TOUCHES_S * step_rate_hz(self.layout):
             self._first_db.append(self.psnr_image_db[-1])
         self.contact_cycles += 1
         peak_n = float(true.max())
@@ -223,7 +217,7 @@ class Score:
 
     @property
     def first_db(self) -> float | None:
-        """PSNR of the images of the first `FIRST_S`; None without contact."""
+        """PSNR of the images of the first `TOUCHES_S`; None without contact."""
         return _mean(self._first_db)
 
     def _grid(self, content: bytes) -> npt.NDArray[np.float32]:

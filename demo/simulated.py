@@ -18,7 +18,7 @@ from canskin.skin import Frames, Health, Skin
 from classifier.cache import find_or_train
 from classifier.decide import Classifier
 from classifier.service import ClassifierService
-from demo.chain import REST_S, Nodes
+from nodes.simulated import REST_S, Nodes
 from reconstructor.imaging import make_imager
 from reconstructor.service import ReconstructorService, warm_up
 from shell.clock import wall_offset

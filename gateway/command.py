@@ -5,12 +5,13 @@ from pathlib import Path
 
 from bus.options import BusOptions, closing_links, open_links
 from calibration.calibrator import Tare
+from calibration.keeping import kept_zero
 from canskin.calibration_messages import CALIBRATION
 from canskin.description import DESCRIPTION
 from canskin.errors import InputError
 from canskin.session import DEFAULT_ENDPOINT
 from dbc.contract import Contract
-from gateway.calibration import GatewayCalibration, kept_zero
+from gateway.calibration import GatewayCalibration
 from gateway.service import GatewayService
 from gateway.stepped_gathering import publishing_rates
 from shell.service import StopSignal, say

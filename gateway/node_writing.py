@@ -4,11 +4,15 @@ import struct
 from collections.abc import Generator, Mapping, Sequence
 from typing import Final
 
+import numpy as np
+
 from calibration.windows import Floats
+from canskin.errors import InputError
 from dbc import indices as od
 from dbc.contract import Contract, NodeContract
 from gateway.nmt_master import NmtMaster
 from gateway.sdo import SdoDialogue, Transfer, Write
+from skin.calibration_file import StoredCalibration
 from skin.ranges import ranges_text
 
 #: Most nodes of a bus that are written to at the same time.
@@ -119,3 +123,25 @@ class NodeWriting:
                     value = float(values[taxel]) if form == "<f" else int(values[taxel])
                     yield Write(od.of_block(index, place), subindex, struct.pack(form, value))
         yield Write(od.STORE, 1, od.SIGNATURE_SAVE.to_bytes(4, "little"))
+
+
+def node_values(stored: StoredCalibration, newton_per_count: float) -> tuple[Floats | None, Floats | None]:
+    """Return what nodes make of counts x by ``gain * x + offset``, see `skin.taxel.corrected`; None for what they keep.
+
+    A taxel reads r = g f + o. So f = r / g - o / g. Raise InputError if a node cannot hold an offset.
+    """
+    if not stored.gains and not stored.taxel_offsets_n:
+        return None, None
+    factor = 1 / np.array(stored.gains) if stored.gains else None
+    if not stored.taxel_offsets_n:
+        return factor, None
+    offsets = -np.array(stored.taxel_offsets_n) / newton_per_count
+    offsets = np.rint(offsets if factor is None else offsets * factor)
+    limits = np.iinfo(np.int16)
+    beyond = np.flatnonzero((offsets < limits.min) | (offsets > limits.max))
+    if beyond.size:
+        raise InputError(
+            f"taxel_offsets_n / gains of {beyond.size} taxels, first of taxel {beyond[0]}: nodes would add"
+            f" {offsets[beyond[0]]:.0f} counts, and can hold {limits.min} to {limits.max}"
+        )
+    return factor, offsets

@@ -10,6 +10,7 @@ import msgspec
 from cyclopts import Parameter
 
 from bus.options import BusOptions, open_links
+from calibration.attachment import follow_calibration
 from canskin.errors import BusError, InputError, LayoutError, RunError, Stopped
 from canskin.fabric import Fabric
 from canskin.messages import (
@@ -27,7 +28,6 @@ from canskin.messages import (
 from canskin.peers import Peer
 from dbc.contract import Contract
 from recording import RECORDING_SUFFIX, is_recording
-from recording.calibration import follow_calibration
 from recording.mark_keys import KEYS, has_keys, mark_keys
 from recording.recorder import Recorder
 from recording.sinks import check_format, open_sink

@@ -25,15 +25,15 @@ WRONG_INPUT: Final = 2
 INTERRUPTED: Final = 130
 TERMINATED: Final = 143
 
-#: Verb: module and function. Strings, because this folder imports no other folder.
+#: Verb, or group and verb: module and function. Strings, because this folder imports no other folder.
 VERBS: Final = {
     "demo": "demo.command:demo",
     "bus": "bus.command:bus",
     "nodes": "nodes.command:nodes",
     "gateway": "gateway.command:gateway",
-    "scan": "gateway.scan_command:scan",
-    "commission": "gateway.commission_command:commission",
-    "node": "gateway.node_command:node",
+    "scan": "commissioning.scan_command:scan",
+    "commission": "commissioning.commission_command:commission",
+    "node": "commissioning.node_command:node",
     "tare": "calibration.command:tare",
     "calibration": "calibration.command:calibration",
     "reconstruct": "reconstructor.command:reconstruct",
@@ -48,17 +48,19 @@ VERBS: Final = {
     "export": "recording.export_command:export",
     "rebuild": "recording.rebuild_command:rebuild",
     "contract": "nodes.contract_command:contract",
-    "plan": "demo.plan_command:plan",
-    "config": "demo.config_command:config",
-    "design": "demo.design_command:design",
-    "layout": "demo.layout_command:layout",
+    "layout": "bandwidth.layout_command:layout",
+    "plan": "bandwidth.plan_command:plan",
     "load": "bandwidth.load_command:load",
     "doctor": "health.doctor_command:doctor",
-    "objects": "touch.command:objects",
-    "dataset": "touch.datasets.command:dataset",
+    "touch objects": "touch.command:objects",
+    "touch dataset": "touch.datasets.command:dataset",
     "train": "classifier.command:train",
     "evaluate": "evaluation.command:evaluate",
     "bench": "evaluation.bench.command:bench",
+}
+#: What the verbs of a group are for.
+GROUPS: Final = {
+    "touch": "The objects that can touch a simulated skin, and the data sets that their touches make.",
 }
 _PRIORITY: Final = (
     f"Scheduling of services. auto: real time while all programs with real time take at most {REAL_TIME_RATIO:.0%} of"
@@ -88,14 +90,20 @@ def build_app(arguments: Sequence[str] = ()) -> "cyclopts.App":
         print_error=False,
     )
     asks_for_help = bool(set(arguments) & set(HELP_FLAGS))
-    verbs = [word for word in arguments if not word.startswith("-")]
+    words = [word for word in arguments if not word.startswith("-")]
+    groups: dict[str, cyclopts.App] = {}
     for place, (verb, where) in enumerate(VERBS.items()):
+        *group, name = names = verb.split()
         texts = {}
-        if not verbs:
+        if words == group:
             texts["help"] = summary(docstring(where))
-        elif asks_for_help and verbs[0] == verb:
+        elif asks_for_help and words[: len(names)] == names:
             texts["help_epilogue"] = examples(docstring(where))
-        app.command(where, name=verb, sort_key=place, **texts)
+        for each in group:
+            if each not in groups:
+                groups[each] = cyclopts.App(name=each, help=GROUPS[each], sort_key=place)
+                app.command(groups[each])
+        (groups[group[0]] if group else app).command(where, name=name, sort_key=place, **texts)
     app.register_install_completion_command(help="Install completion for bash, zsh or fish.")
 
     @app.meta.default

@@ -14,8 +14,8 @@ from skin.sources import StrokeKind, TaxelSource, load_objects, load_source, obj
 ObjectNames = Annotated[
     list[str],
     Parameter(
-        help="Names of the objects, see ``skin objects``, with spaces or commas between; ``paper`` for the paper's"
-        " sixteen; FILE@UNIT for your own mesh, for example ``cup.stl@mm``; default: a series of five."
+        help="Names of the objects, see ``skin touch objects``, with spaces or commas between; ``paper`` for the"
+        " paper's sixteen; FILE@UNIT for your own mesh, for example ``cup.stl@mm``; default: a series of five."
     ),
 ]
 FullScale = Annotated[

@@ -1,4 +1,4 @@
-"""The verb ``skin objects``."""
+"""``skin touch objects``."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -27,11 +27,11 @@ def objects(*names: str, meshes: Path | None = None, figure: Path | None = None,
 
     Examples
     --------
-    skin objects
-    skin objects drill,cup --meshes ycb-meshes
-    skin objects handle.stl@mm:y90
-    skin objects --figure objects.png
-    skin objects --json | jq 'max_by(.contact_taxels).name'
+    skin touch objects
+    skin touch objects drill,cup --meshes ycb-meshes
+    skin touch objects handle.stl@mm:y90
+    skin touch objects --figure objects.png
+    skin touch objects --json | jq 'max_by(.contact_taxels).name'
     """
     from shell.output import check_picture_path
     from touch.drawing import as_text, save_images

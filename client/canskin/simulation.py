@@ -19,7 +19,7 @@ def simulate(layout: str | None = None, *, objects: list[str] | None = None, see
     layout : str, optional
         File of a skin's layout, or the name of a shipped one; without it the default skin.
     objects : list of str, optional
-        Names of the objects that touch the skin, see ``skin objects``; default: a series of five.
+        Names of the objects that touch the skin, see ``skin touch objects``; default: a series of five.
     seed : int
         Of touches and noise.
 

@@ -9,8 +9,8 @@ from canskin.messages import UNKNOWN_OBJECT
 from classifier.cache import FEATURES
 from classifier.decide import Classifier
 from classifier.training import TrainingOptions, train
-from demo.chain import REST_S, Nodes
 from evaluation.result import Row
+from nodes.simulated import REST_S, Nodes
 from skin.layout import Layout, changed, load_layout
 from skin.measured_sums import decode_measurement
 from skin.sources import OBJECT_GROUPS, StrokeKind, load_touches, step_rate_hz

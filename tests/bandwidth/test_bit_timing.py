@@ -125,21 +125,3 @@ def test_json_timing_has_every_bus_and_its_interface(skin: Skin) -> None:
 def test_controllers_that_cannot_be_are_refused(wrong: dict[str, float]) -> None:
     with pytest.raises(InputError, match="needs a number above 0, up to"):
         TimingOptions(**wrong)
-
-
-def test_options_of_controllers_want_the_timing(skin: Skin) -> None:
-    status, _, said = skin("plan", "--bus-length-m", "5")
-    assert status == 2
-    assert "are for --timing" in said
-
-
-def test_channels_want_a_log_or_the_timing(skin: Skin) -> None:
-    status, _, said = skin("plan", "fd", "-c", "can0")
-    assert (status, "--channel is for --check and --timing" in said) == (2, True)
-
-
-@pytest.mark.parametrize("other", ["--check", "--plot"])
-def test_timing_is_not_combined_with_what_it_would_ignore(skin: Skin, other: str) -> None:
-    status, _, said = skin("plan", "fd", "--timing", other, "3")
-    assert (status, said.count("\n")) == (2, 1)
-    assert "expected --timing, --check, --plot or --quality" in said

@@ -1,4 +1,4 @@
-"""``skin load`` and ``skin plan --check`` for boards with slots, on a log of an arbitrated bus."""
+"""``skin load`` for boards with slots, on a log of an arbitrated bus."""
 
 import json
 from pathlib import Path
@@ -104,5 +104,5 @@ def test_the_load_of_a_log_is_that_of_its_frames_by_node(
         assert of_node[node] == (is_whole & np.isin(sent["can_id"], [0x180 + node, 0x700 + node])).sum()
     assert bus["load_exact"] == pytest.approx(sum(node["load_exact"] for node in bus["nodes"]))
     assert bus["plan_touched"] == pytest.approx(0.0625 + 12 * 58e-6)
-    assert skin("plan", layout, "--check", log)[:2] == (0, "")
+    assert skin("load", log, "--layout", layout, "--check")[:2] == (0, "")
     assert "SYNC" in skin("load", log, "--layout", layout)[1]

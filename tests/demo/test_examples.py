@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from dbc.contract import Contract
-from demo.chain import Nodes
 from docs.forearm import forearm
+from nodes.simulated import Nodes
 from reconstructor.imaging import CycleImager
 from skin.ground_truth import in_contact
 from skin.layout import Layout, load_layout, parse_layout

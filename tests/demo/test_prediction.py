@@ -1,27 +1,25 @@
 """What `quality` predicts is what a simulated bus gives: frames that carry the sums, arbitration, decoding."""
 
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import msgspec
 import numpy as np
 import pytest
 
+from bandwidth.quality import heard, is_quick, quality
 from dbc.codec import decode
 from dbc.contract import Contract
 from dbc.dictionary import window_s
-from demo import prediction
-from demo.chain import REST_S, Nodes
 from demo.options import DemoOptions
 from demo.prediction import with_prediction
-from demo.quality import heard, is_quick, quality
 from demo.report import Report
 from demo.score import Score
 from evaluation.schemes.sums import burst
 from evaluation.schemes.wire import carry
 from gateway.gathering import Health
 from gateway.loop import GatewayLoop
+from nodes.simulated import REST_S, Nodes
 from nodes.steps.simulated import touched_frames
 from reconstructor.imaging import CycleImager
 from reconstructor.stepped import SteppedImager
@@ -172,26 +170,3 @@ def test_what_is_not_predicted() -> None:
     assert predicted(30.0, DemoOptions(seconds=0.02)) == RUN  # nothing touches
     assert not is_quick(load_layout(Path("steps")))
     assert is_quick(load_layout())
-
-
-@pytest.mark.heavy
-def test_lost_cycles_are_part_of_a_prediction(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture) -> None:
-    fast = any_layout(8, 8, sync={"rate_hz": 500.0}, bus=[{"name": "bus0", "nodes": 2, "fd": True}])
-    valid = [b"\1\1", b"\1\1", b"\0\0", b"\1\0"]
-    lossy = quality(fast, valid=valid)
-    assert lossy.psnr_image_db < quality(fast).psnr_image_db - 1
-
-    class Chain:
-        def __init__(self, layout: Layout, *_: Any, **__: Any) -> None:
-            self.score = SimpleNamespace(valid=valid)
-
-        def execute(self, _stop: Any) -> Report:
-            return msgspec.structs.replace(RUN, cycles=4, cycles_complete=2, sync_rate_hz=480.0)
-
-    monkeypatch.setattr(prediction, "Run", Chain)
-    prediction.say_of_host("design", fast)
-    prediction.say_of_host("design", PAD)
-    kept = "this host keeps 2 of 4 cycles of simulated boards, at 480 Hz"
-    begins, found = capsys.readouterr().err.splitlines()
-    assert begins == "design: the chain of simulated boards runs, to see which cycles this host keeps"
-    assert found == f"design: {kept}; images then have {lossy.psnr_image_db:.1f} dB"

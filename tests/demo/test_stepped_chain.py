@@ -7,10 +7,10 @@ import pytest
 from hypothesis import event, given, settings
 from hypothesis import strategies as st
 
+from bandwidth.quality import heard
 from canskin.errors import LayoutError
 from dbc.contract import Contract
 from dbc.frame import frame_bytes
-from demo.quality import heard
 from gateway.block_states import judge, new_states
 from gateway.stepped_state import new_sums, slots_of, take_all
 from nodes.steps.simulated import touched_frames

@@ -19,7 +19,8 @@ from canskin.sums import doubtful_taxels
 from dbc import indices as od
 from dbc.canopen import NmtCommand
 from dbc.contract import Contract
-from gateway.calibration import GatewayCalibration, node_values
+from gateway.calibration import GatewayCalibration
+from gateway.node_writing import node_values
 from skin.calibration_file import StoredCalibration, encoded, new_calibration, parse_calibration
 from tests.calibration.helpers import pressed
 from tests.gateway.boards import small_stepped

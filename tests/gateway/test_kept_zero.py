@@ -7,9 +7,10 @@ import msgspec
 import numpy as np
 import pytest
 
+from calibration.keeping import kept_zero
 from canskin.calibration_messages import CalibrationRequest
 from dbc.contract import Contract
-from gateway.calibration import GatewayCalibration, kept_zero
+from gateway.calibration import GatewayCalibration
 from skin.calibration_file import encoded, load_calibration, new_calibration
 
 SUMS = 32

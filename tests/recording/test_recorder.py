@@ -12,6 +12,8 @@ import pytest
 
 from bandwidth.logs import read_log
 from bus.link import State
+from calibration import attachment
+from calibration.attachment import follow_calibration
 from canskin.calibration_messages import CalibrationReply, CalibrationRequest, CalibrationState, CalibrationStatus
 from canskin.errors import BusError, InputError, RunError
 from canskin.fabric import Fabric, Origin
@@ -20,8 +22,7 @@ from canskin.question import Question
 from dbc.contract import Contract
 from dbc.frame import Frames
 from dbc.generate import contract_files
-from recording import calibration, record_command
-from recording.calibration import follow_calibration
+from recording import record_command
 from recording.mcap_file import CALIBRATION_FILE, EVENTS, RECORDER, File, newest_file, read_about, read_entries
 from recording.recorder import MOST_WAITING, Recorder
 from recording.sinks import check_format, open_sink
@@ -199,7 +200,7 @@ def test_the_calibration_is_asked_for_after_each_change() -> None:
 
 
 def test_a_change_is_asked_for_until_the_gateway_answers(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(calibration, "_AGAIN_S", 0.0)
+    monkeypatch.setattr(attachment, "_AGAIN_S", 0.0)
     busy = CalibrationReply(is_done=False, text="8 requests wait")
     unchanged = status(CalibrationStatus(state=CalibrationState.FOLLOWING))
     fabric = Gateway([unchanged] * 4, [BusError("no service answers"), busy, SHOWN])

@@ -13,7 +13,7 @@ import pytest
 from rich.console import Console
 
 from canskin.errors import InputError
-from shell.command import VERBS, build_app, docstring, examples, summary
+from shell.command import GROUPS, VERBS, build_app, docstring, examples, summary
 from shell.service import RateLimitedLog, Talk, say, set_talk
 
 
@@ -49,7 +49,7 @@ def test_help_ends_with_two_examples(verb: str, where: str) -> None:
 @pytest.mark.heavy
 def test_list_of_verbs_and_help_of_one() -> None:
     listed = subprocess.run([sys.executable, "-m", "skin", "--help"], capture_output=True, text=True, check=True).stdout
-    places = [listed.index(f"│ {verb} ") for verb in VERBS]
+    places = [listed.index(f"│ {verb} ") for verb in dict.fromkeys(each.split()[0] for each in VERBS)]
     assert places == sorted(places)
     command = [sys.executable, "-m", "skin", "demo", "--help"]
     shown = subprocess.run(command, capture_output=True, text=True, check=True).stdout
@@ -58,9 +58,20 @@ def test_list_of_verbs_and_help_of_one() -> None:
 
 
 @pytest.mark.heavy
+@pytest.mark.parametrize("group", GROUPS)
+def test_a_group_tells_of_its_verbs(group: str) -> None:
+    shown = help_of(group, "--help")
+    of_group = {verb: where for verb, where in VERBS.items() if verb.startswith(f"{group} ")}
+    assert of_group
+    for verb, where in of_group.items():
+        assert verb.split()[1] in shown
+        assert summary(docstring(where))[:60] in shown
+
+
+@pytest.mark.heavy
 @pytest.mark.parametrize("verb", VERBS)
 def test_help_shows_no_option_that_nobody_would_write(verb: str) -> None:
-    shown = help_of(verb, "--help")
+    shown = help_of(*verb.split(), "--help")
     nonsense = r"--empty-\S*|--no-no\S*|\[default: (?:\"\"|\[\]|False|None|)\]"
     assert re.findall(nonsense, shown) == []
     assert "--quiet -q" in shown
@@ -68,7 +79,7 @@ def test_help_shows_no_option_that_nobody_would_write(verb: str) -> None:
 
 def test_completion_knows_every_verb_and_its_options() -> None:
     script = build_app().generate_completion(shell="bash")  # noqa: S604 - the name of a shell, none is run
-    assert all(f'"{verb}"' in script or f" {verb}" in script for verb in VERBS)
+    assert all(f'"{word}"' in script or f" {word}" in script for verb in VERBS for word in verb.split())
     assert "--data-bitrate" in script
 
 

@@ -94,7 +94,6 @@ def test_a_service_of_a_version_that_tells_no_layout_is_named(endpoint: str) -> 
         ["tare"],
         ["calibration", "show"],
         ["calibration", "save", "it.json"],
-        ["config"],
     ],
     ids=" ".join,
 )

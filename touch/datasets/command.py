@@ -1,4 +1,4 @@
-"""The verb ``skin dataset``."""
+"""``skin touch dataset``."""
 
 import contextlib
 import os
@@ -67,9 +67,9 @@ def dataset(
 
     Examples
     --------
-    skin dataset classification --out touches
-    skin dataset acquisition --out slides --objects drill,cup --meshes ycb-meshes
-    skin dataset acquisition --out worn --gain-spread 0.05 --dead 0.01 --json
+    skin touch dataset classification --out touches
+    skin touch dataset acquisition --out slides --objects drill,cup --meshes ycb-meshes
+    skin touch dataset acquisition --out worn --gain-spread 0.05 --dead 0.01 --json
     """
     names = None if objects is None else checked_names(objects)
     model = taxels.model(seed)

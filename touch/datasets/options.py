@@ -1,4 +1,4 @@
-"""Options of ``skin dataset``, in groups."""
+"""Options of ``skin touch dataset``, in groups."""
 
 from dataclasses import dataclass, make_dataclass
 from typing import Annotated, Final, TypeVar

@@ -1,4 +1,4 @@
-"""``skin dataset``: made, taken up, mended, interrupted, in several processes and on a cluster."""
+"""``skin touch dataset``: made, taken up, mended, interrupted, in several processes and on a cluster."""
 
 import contextlib
 import os
