@@ -95,7 +95,7 @@ def memory_of(places: int, taxels: int, dual: int, dtype: np.dtype[Any]) -> Flat
 
 @njit(cache=True, nogil=True, fastmath=FAST_MATH)
 def cut(memory: Flat, places: int, taxels: int, dual: int) -> Buffers:
-    """Return the arrays in a piece of memory, `GAP` or more apart; one argument of a call takes less time than seven."""
+    """Return the arrays in a piece of memory: a call takes one argument sooner than seven."""
     stride = max(places, taxels) + GAP
     return Buffers(
         memory[:places],
