@@ -26,6 +26,11 @@ FD_BYTES: Final = FD_ONLY_LENGTHS[-1]
 #: Payload bytes of a CAN FD frame, by DLC (ISO 11898-1:2015, table 5).
 FD_LENGTHS: Final = (*range(CLASSIC_MAX + 1), *FD_ONLY_LENGTHS)
 
+#: Bits of a classic frame without data: from its start to the CRC, with identifiers of 11 and 29 bits; and from the CRC
+#: delimiter to the end of the intermission.
+BASE_BITS, EXTENDED_BITS = 34, 54
+CLASSIC_TAIL: Final = 13
+
 #: One frame: `time_ns` end of frame (of a frame to send: earliest start), `expires_ns` latest start of a frame to send
 #: (0: no limit), `length` in bytes (not DLC), `port` number of the sending controller on this connection, `data` padded
 #: with zeros.

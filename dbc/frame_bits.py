@@ -18,7 +18,22 @@ from typing import Final, Literal
 import numpy as np
 import numpy.typing as npt
 
-from dbc.frame import BRS, CLASSIC_BYTES, ERROR, ESI, EXTENDED, FD, FD_LENGTHS, FRAME, REMOTE, Frames, frame_bytes
+from dbc.frame import (
+    BASE_BITS,
+    BRS,
+    CLASSIC_BYTES,
+    CLASSIC_TAIL,
+    ERROR,
+    ESI,
+    EXTENDED,
+    EXTENDED_BITS,
+    FD,
+    FD_LENGTHS,
+    FRAME,
+    REMOTE,
+    Frames,
+    frame_bytes,
+)
 
 Stuffing = Literal["none", "worst", "exact"]
 Bits = npt.NDArray[np.int32]
@@ -30,10 +45,6 @@ INTERMISSION_BITS: Final = 3
 _FIRST_BYTE: Final = FRAME.itemsize - 72
 _DLC: Final = np.searchsorted(FD_LENGTHS, np.arange(256)).clip(max=15).astype(np.int32)
 _PADDED: Final = np.array(FD_LENGTHS, np.int32)[_DLC]
-#: CRC delimiter, ACK slot and delimiter, end of frame, intermission.
-CLASSIC_TAIL: Final = 13
-#: From the start of frame to the CRC of a classical frame without data, with identifiers of 11 and 29 bits.
-BASE_BITS, EXTENDED_BITS = 34, 54
 _FD_NOMINAL_TAIL: Final = 12
 
 

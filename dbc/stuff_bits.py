@@ -6,8 +6,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import boolean, int32, int64, void
 
-from dbc.frame import BRS, CLASSIC_BYTES, ERROR, ESI, EXTENDED, FD, REMOTE
-from dbc.frame_bits import BASE_BITS, CLASSIC_TAIL, EXTENDED_BITS
+from dbc.frame import BASE_BITS, BRS, CLASSIC_BYTES, CLASSIC_TAIL, ERROR, ESI, EXTENDED, EXTENDED_BITS, FD, REMOTE
 from dbc.frame_fields import ROWS, field
 from shell.compiled import njit
 

@@ -12,13 +12,13 @@ from bus.link import Link, Send, State
 from canskin.messages import BusState, GatewayStatus, Measurement
 from dbc.contract import Contract, NodeContract, sync_frame
 from dbc.frame import Frames
+from dbc.lss import anybody_without_node_id, has_answer
 from dbc.time_of_day import time_frame
 from gateway.cycle_gathering import CycleGathering
 from gateway.cycles import LATEST, SyncClock
 from gateway.gathering import Health, Sync
 from gateway.link_watch import LinkWatch
 from gateway.load import LoadMeter
-from gateway.lss_steps import anybody_without_node_id, has_answer
 from gateway.nmt_master import NmtMaster
 from gateway.outgoing import Outgoing
 from gateway.stepped_gathering import RATES_HZ, SteppedGathering

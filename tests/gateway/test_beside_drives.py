@@ -5,8 +5,8 @@ import pytest
 from bandwidth.plan import plan_bus
 from bandwidth.traffic import Disturbance
 from canskin.errors import LayoutError
+from commissioning.scan import Scan
 from dbc.canopen import SYNC_COB_ID
-from gateway.scan import Scan
 from tests.gateway.drives import DRIVES, OTHER_PRODUCER, THEIR_SYNC, Drives, SharedWorld, shared_contract
 from tests.gateway.helpers import valid
 

@@ -2,12 +2,12 @@
 
 import pytest
 
+from commissioning.scan import Scan
 from dbc.canopen import HEARTBEAT_BASE, SDO_REQUEST_BASE, SDO_RESPONSE_BASE, SYNC_COB_ID
 from dbc.frame import Frames
 from gateway.foreign_sdo import SDO_QUIET_S
 from gateway.nmt_master import NmtMaster
 from gateway.questions import BUSY_S
-from gateway.scan import Scan
 from gateway.sdo import TIMEOUT_S
 from gateway.strangers import AGAIN_S, Strangers
 from tests.bus.harness import frame

@@ -63,6 +63,7 @@ PATHS: Final = (
     "classifier/newest_sums.py",
     "classifier/novelty.py",
     "classifier/observer.py",
+    "commissioning",
     "dbc",
     "gateway",
     "nodes",

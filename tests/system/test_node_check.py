@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.gateway.wiring_errors import stroke
+from tests.commissioning.wiring_errors import stroke
 from tests.layouts import buses, layout_toml, small_layout
 from tests.nodes.firmware.twins import needs_compiler
 from tests.processes import Processes

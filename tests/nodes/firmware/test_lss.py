@@ -14,7 +14,7 @@ from nodes.storage import Storage
 from nodes.virtual_boards import VirtualBoards
 from nodes.ways import way_of
 from tests.bus.harness import frame
-from tests.gateway.fresh_boards import Bench, check_commissioning, complete, skin
+from tests.commissioning.fresh_boards import Bench, check_commissioning, complete, skin
 from tests.nodes.firmware.twins import Rolling, Wire, needs_compiler, small_contract
 from tests.nodes.helpers import new_sampler
 

@@ -11,13 +11,13 @@ import canopen
 import numpy as np
 import pytest
 
+from commissioning.program_update import ProgramUpdate
 from dbc import indices as od
 from dbc.canopen import Abort, NmtCommand
 from dbc.dictionary import REVISION
 from dbc.eds import eds, node_types
 from dbc.frame import Frames, frames
 from dbc.program import FlashError, Program
-from gateway.program_update import ProgramUpdate
 from nodes.firmware.flash import SLOT_BYTES, Flash
 from nodes.firmware.library import CompiledBoards, Firmware
 from tests.bus.harness import frame

@@ -2,9 +2,11 @@
 
 import json
 import os
+import re
 import shutil
 import subprocess
 from collections.abc import Callable, Sequence
+from graphlib import TopologicalSorter
 from pathlib import Path
 from typing import Any
 
@@ -57,6 +59,25 @@ def test_an_exported_board_compiles_without_a_warning(name: str, tmp_path: Path)
 def some_of(contract: Contract) -> list[NodeContract]:
     """Return the first, a middle and the last node."""
     return [contract.nodes[place] for place in (0, len(contract.nodes) // 2, -1)]
+
+
+@pytest.mark.parametrize("name", ["default", "steps"])
+def test_no_two_files_of_the_slave_call_each_other_in_a_circle(name: str) -> None:
+    contract = contract_of(name)
+    texts = sources(builds(contract, contract.nodes[:1]), "slave", "host")
+    other = "skin_tpdos.c" if name == "steps" else "skin_stepped.c"  # empty for these boards
+    files = {path: text for path, text in texts.items() if path.endswith(".c") and not path.endswith(other)}
+    home = {
+        name: path
+        for path, text in files.items()
+        for name in re.findall(r"^\w[^;(=]*?\b(skin_\w+)\([^;]*?\n{", text, re.MULTILINE)
+    }
+    assert len(home) > 50
+    called = {
+        path: {home.get(name, path) for name in re.findall(r"\b(skin_\w+)\(", text)} - {path}
+        for path, text in files.items()
+    }
+    list(TopologicalSorter(called).static_order())
 
 
 @pytest.mark.heavy

@@ -10,53 +10,27 @@ static uint32_t address(const skin_node *node, uint8_t place)
 }
 
 /* The board of this image with a node-ID on the bus of this one, NULL if it is none or of another type. */
-static const skin_board *image_of(const skin_node *node, uint8_t node_id)
+const skin_board *skin_lss_image(const skin_node *node, uint8_t node_id)
 {
     const skin_board *board = skin_board_of(node->board->bus, node_id);
 
     return board != NULL && board->type == node->board->type ? board : NULL;
 }
 
-static void initialise(skin_node *node, uint32_t now_ms, int communication_only)
-{
-    const skin_board *board = image_of(node, node->lss.wanted);
-
-    if (board == NULL) { /* also a node-ID that another program has stored */
-        node->lss.wanted = SKIN_NO_NODE_ID;
-        node->state = SKIN_INITIALISING; /* silent */
-    } else {
-        if (board != node->board) {
-            skin_become(node, board);
-            communication_only = 0;
-        }
-        skin_boot(node, now_ms, communication_only);
-    }
-    node->lss.node_id = node->lss.wanted;
-}
-
-void skin_lss_reset(skin_node *node, uint32_t now_ms, int communication_only)
+void skin_lss_load(skin_node *node)
 {
     uint8_t record[RECORD_BYTES];
     const skin_storage *storage = node->storage;
     skin_lss *lss = &node->lss;
 
-    if (!communication_only) {
-        record[0] = lss->lasting;
-        record[1] = SKIN_NO_BIT_TIMING;
-        if (storage != NULL) {
-            (void)storage->load(storage->context, SKIN_RECORD_LSS, 0, record, RECORD_BYTES);
-        }
-        lss->wanted = record[0];
-        lss->bit_timing = record[1];
-        lss->is_configured = lss->matched = lss->in_range = lss->scanned = 0;
+    record[0] = lss->lasting;
+    record[1] = SKIN_NO_BIT_TIMING;
+    if (storage != NULL) {
+        (void)storage->load(storage->context, SKIN_RECORD_LSS, 0, record, RECORD_BYTES);
     }
-    initialise(node, now_ms, communication_only);
-}
-
-void skin_lss_boot(skin_node *node, uint32_t now_ms)
-{
-    node->lss.lasting = SKIN_NO_NODE_ID;
-    skin_lss_reset(node, now_ms, 0);
+    lss->wanted = record[0];
+    lss->bit_timing = record[1];
+    lss->is_configured = lss->matched = lss->in_range = lss->scanned = 0;
 }
 
 /* Switch to configuration when the four numbers of the address have come in their order. */
@@ -126,8 +100,8 @@ static uint8_t configure(skin_node *node, const uint8_t *data, uint8_t *value)
 
     switch (command) {
     case SKIN_LSS_NODE_ID:
-        *value = data[1] == SKIN_NO_NODE_ID || image_of(node, data[1]) != NULL ? SKIN_LSS_ERROR_NONE
-                                                                               : SKIN_LSS_ERROR_NOT_SUPPORTED;
+        *value = data[1] == SKIN_NO_NODE_ID || skin_lss_image(node, data[1]) != NULL ? SKIN_LSS_ERROR_NONE
+                                                                                     : SKIN_LSS_ERROR_NOT_SUPPORTED;
         lss->wanted = *value == SKIN_LSS_ERROR_NONE ? data[1] : lss->wanted;
         return command;
     case SKIN_LSS_BIT_TIMING:
@@ -154,7 +128,7 @@ static uint8_t configure(skin_node *node, const uint8_t *data, uint8_t *value)
     }
 }
 
-void skin_lss_request(skin_node *node, const skin_frame *request, uint32_t now_ms)
+int skin_lss_answer(skin_node *node, const skin_frame *request)
 {
     const uint8_t *data = request->data, command = data[0];
     const uint32_t number = skin_get(&data[1], 4);
@@ -162,7 +136,7 @@ void skin_lss_request(skin_node *node, const skin_frame *request, uint32_t now_m
     uint8_t answer[SKIN_LSS_BYTES] = {0};
 
     if (request->length != SKIN_LSS_BYTES) {
-        return;
+        return 0;
     }
     if (command == SKIN_LSS_SWITCH_GLOBAL) {
         lss->is_configured = data[1] <= 1 ? data[1] : lss->is_configured;
@@ -180,7 +154,5 @@ void skin_lss_request(skin_node *node, const skin_frame *request, uint32_t now_m
     if (answer[0] != 0) {
         skin_send(node, SKIN_LSS_RESPONSE_COB_ID, answer, SKIN_LSS_BYTES);
     }
-    if (lss->node_id == SKIN_NO_NODE_ID && lss->wanted != SKIN_NO_NODE_ID && !lss->is_configured) {
-        initialise(node, now_ms, 0);
-    }
+    return lss->node_id == SKIN_NO_NODE_ID && lss->wanted != SKIN_NO_NODE_ID && !lss->is_configured;
 }

@@ -1,116 +1,12 @@
-/* NMT, heartbeat, SYNC and emergencies of one board. */
+/* One board: what a frame or a time makes of its parts. NMT and heartbeat. */
 #include "skin_node.h"
 
 #include <string.h>
 
 enum { SILENT, ALIVE, LOST };
-static const uint16_t error_codes[SKIN_ERRORS] = {SKIN_EMERGENCY_HEARTBEAT_LOST, SKIN_EMERGENCY_SYNC_LENGTH,
-                                                  SKIN_EMERGENCY_WINDOW_MISSED};
-/* Bits of the error register. */
-static const uint8_t error_bits[SKIN_ERRORS] = {SKIN_REGISTER_GENERIC | SKIN_REGISTER_COMMUNICATION,
-                                                SKIN_REGISTER_GENERIC | SKIN_REGISTER_COMMUNICATION,
-                                                SKIN_REGISTER_GENERIC | SKIN_REGISTER_MANUFACTURER};
-
-int skin_is_due(uint32_t now_ms, uint32_t due_ms)
-{
-    return now_ms - due_ms < 0x80000000u;
-}
-
-void skin_post(skin_node *node, const skin_frame *frame)
-{
-    if (node->outbox->count < node->outbox->capacity) {
-        node->outbox->frames[node->outbox->count++] = *frame;
-    }
-}
-
-skin_frame skin_new_frame(const skin_node *node, uint32_t can_id, const uint8_t *data, uint8_t length)
-{
-    skin_frame frame;
-
-    memset(&frame, 0, sizeof frame);
-    frame.can_id = can_id;
-    frame.length = length;
-    frame.port = node->board->node_id;
-    if (length > 0) {
-        memcpy(frame.data, data, length);
-    }
-    return frame;
-}
-
-void skin_send(skin_node *node, uint32_t can_id, const uint8_t *data, uint8_t length)
-{
-    const skin_frame frame = skin_new_frame(node, can_id, data, length);
-
-    skin_post(node, &frame);
-}
-
 static void send_state(skin_node *node)
 {
     skin_send(node, SKIN_HEARTBEAT_BASE + node->board->node_id, &node->state, 1);
-}
-
-/* Emergencies (CiA 301, 7.2.7): one message when an error occurs and one when it is gone. */
-
-uint8_t skin_error_register(const skin_node *node)
-{
-    uint8_t bits = 0, error;
-
-    for (error = 0; error < SKIN_ERRORS; error++) {
-        bits = (uint8_t)(bits | (node->active[error] != 0 ? error_bits[error] : 0));
-    }
-    return bits;
-}
-
-static void announce(skin_node *node, uint16_t code, uint64_t field)
-{
-    uint8_t *message;
-
-    if (node->waiting_count == SKIN_ERRORS_KEPT) { /* the oldest is lost */
-        memmove(node->waiting[0], node->waiting[1], sizeof node->waiting - sizeof node->waiting[0]);
-        node->waiting_count--;
-    }
-    message = node->waiting[node->waiting_count++];
-    skin_put(message, code, 2);
-    message[2] = skin_error_register(node);
-    skin_put(&message[3], (uint32_t)(field & 0xFFFFFFFFu), 4);
-    message[7] = (uint8_t)(field >> 32);
-}
-
-void skin_raise(skin_node *node, uint8_t error, uint64_t field)
-{
-    if (node->active[error] != 0) {
-        return;
-    }
-    node->active[error] = 1;
-    memmove(&node->history[1], &node->history[0], sizeof node->history - sizeof node->history[0]);
-    node->history[0] = (uint32_t)(field & 0xFFFFu) << 16 | error_codes[error];
-    if (node->history_count < SKIN_ERRORS_KEPT) {
-        node->history_count++;
-    }
-    announce(node, error_codes[error], field);
-}
-
-void skin_settle(skin_node *node, uint8_t error)
-{
-    if (node->active[error] != 0) {
-        node->active[error] = 0;
-        announce(node, 0, error_codes[error]);
-    }
-}
-
-static void flush_emergencies(skin_node *node, uint32_t now_ms)
-{
-    const uint32_t cob_id = skin_unsigned(node, SKIN_OD_EMCY_COB_ID, 0);
-    const uint32_t inhibit_ms = (skin_unsigned(node, SKIN_OD_EMCY_INHIBIT_100US, 0) + 9) / 10;
-
-    while (node->waiting_count > 0 && skin_is_due(now_ms, node->emcy_free_ms)) {
-        if ((cob_id & SKIN_COB_ID_INVALID) == 0) {
-            skin_send(node, cob_id & SKIN_BASE_ID_MASK, node->waiting[0], 8);
-        }
-        node->waiting_count--;
-        memmove(node->waiting[0], node->waiting[1], sizeof node->waiting - sizeof node->waiting[0]);
-        node->emcy_free_ms = now_ms + inhibit_ms;
-    }
 }
 
 /* What the objects below 2000h say. */
@@ -136,7 +32,7 @@ static void read_watched(skin_node *node)
     }
 }
 
-void skin_refresh(skin_node *node, uint32_t now_ms)
+static void refresh(skin_node *node, uint32_t now_ms)
 {
     const uint32_t heartbeat_ms = skin_unsigned(node, SKIN_OD_HEARTBEAT_MS, 0);
     uint8_t number;
@@ -181,11 +77,57 @@ void skin_boot(skin_node *node, uint32_t now_ms, int communication_only)
     skin_steps_forget(&node->steps);
 #endif
     node->changed = 1;
-    skin_refresh(node, now_ms);
+    refresh(node, now_ms);
     send_state(node);
     node->state = SKIN_PRE_OPERATIONAL;
     /* Otherwise boards that are powered together would send their heartbeats together. */
     node->heartbeat_due_ms = now_ms + node->heartbeat_ms * node->board->node_id / (SKIN_HIGHEST_NODE_ID + 1);
+}
+
+void skin_program_init(skin_node *node, const skin_flash *flash, uint8_t slot)
+{
+    skin_program_open(&node->program, flash, slot);
+    node->program.vendor_id = skin_unsigned(node, SKIN_OD_IDENTITY, 1);
+    node->program.product_code = skin_unsigned(node, SKIN_OD_IDENTITY, 2);
+}
+
+/* Boot with the newest node-ID; without one, be silent. */
+static void initialise(skin_node *node, uint32_t now_ms, int communication_only)
+{
+    const skin_board *board = skin_lss_image(node, node->lss.wanted);
+
+    if (board == NULL) { /* also a node-ID that another program has stored */
+        node->lss.wanted = SKIN_NO_NODE_ID;
+        node->state = SKIN_INITIALISING; /* silent */
+    } else {
+        if (board != node->board) {
+            skin_become(node, board);
+            communication_only = 0;
+        }
+        skin_boot(node, now_ms, communication_only);
+    }
+    node->lss.node_id = node->lss.wanted;
+}
+
+void skin_lss_reset(skin_node *node, uint32_t now_ms, int communication_only)
+{
+    if (!communication_only) {
+        skin_lss_load(node);
+    }
+    initialise(node, now_ms, communication_only);
+}
+
+void skin_lss_boot(skin_node *node, uint32_t now_ms)
+{
+    node->lss.lasting = SKIN_NO_NODE_ID;
+    skin_lss_reset(node, now_ms, 0);
+}
+
+void skin_lss_request(skin_node *node, const skin_frame *request, uint32_t now_ms)
+{
+    if (skin_lss_answer(node, request)) {
+        initialise(node, now_ms, 0);
+    }
 }
 
 static void note_state(skin_node *node)
@@ -221,6 +163,15 @@ void skin_nmt(skin_node *node, const skin_frame *command, uint32_t now_ms)
         break;
     }
     note_state(node);
+}
+
+void skin_request(skin_node *node, const skin_frame *request, uint32_t now_ms)
+{
+    if (node->state == SKIN_PRE_OPERATIONAL || node->state == SKIN_OPERATIONAL) {
+        skin_program_keep(&node->program); /* the program has been reached over the bus */
+        skin_serve(node, request, now_ms);
+        refresh(node, now_ms);
+    }
 }
 
 /* Heartbeat consumer (CiA 301, 7.2.8.3.2): the watch on a node begins with its first heartbeat. */
@@ -280,25 +231,6 @@ static void watch(skin_node *node, uint32_t now_ms)
     }
 }
 
-int skin_take_sync(skin_node *node, const skin_frame *sync)
-{
-    const uint8_t counter = sync->length == 1 ? sync->data[0] : 0;
-    const uint8_t expected = skin_unsigned(node, SKIN_OD_SYNC_OVERFLOW, 0) > 0 ? 1 : 0;
-
-    if (sync->length == 1 && (counter == 0 || counter > SKIN_LAST_SYNCHRONOUS)) {
-        return -1;
-    }
-    if (node->state == SKIN_OPERATIONAL) {
-        node->health[0]++;
-        if (sync->length == expected) {
-            skin_settle(node, SKIN_ERROR_SYNC_LENGTH);
-        } else {
-            skin_raise(node, SKIN_ERROR_SYNC_LENGTH, sync->length);
-        }
-    }
-    return counter;
-}
-
 void skin_tick(skin_node *node, uint32_t now_ms)
 {
     if (node->state == SKIN_INITIALISING) {
@@ -314,7 +246,7 @@ void skin_tick(skin_node *node, uint32_t now_ms)
         return;
     }
     skin_sdo_tick(node, now_ms);
-    flush_emergencies(node, now_ms);
+    skin_flush_emergencies(node, now_ms);
 #if !SKIN_STEPPED /* stepped boards send in their slots */
     if (node->state == SKIN_OPERATIONAL) {
         skin_send_events(node, now_ms);

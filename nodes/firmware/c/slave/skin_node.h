@@ -11,6 +11,7 @@
 
 #include "board.h"
 #include "skin_average.h"
+#include "skin_bytes.h"
 #include "skin_program.h"
 #include "skin_storage.h"
 #include "skin_sums.h"
@@ -144,6 +145,9 @@ void skin_boot(skin_node *node, uint32_t now_ms, int communication_only);
  */
 void skin_lss_boot(skin_node *node, uint32_t now_ms);
 
+/* Boot with the newest node-ID: that which is stored, or after a reset of the communication alone that which LSS gave last. */
+void skin_lss_reset(skin_node *node, uint32_t now_ms, int communication_only);
+
 /* Do what is due by time: heartbeats, emergencies, event-driven PDOs. To be called every few milliseconds. */
 void skin_tick(skin_node *node, uint32_t now_ms);
 
@@ -187,14 +191,9 @@ void skin_given_up(skin_node *node, const skin_frame *frame);
 /* Answer a request of LSS (SKIN_LSS_REQUEST_COB_ID); the board may boot with a new node-ID. */
 void skin_lss_request(skin_node *node, const skin_frame *request, uint32_t now_ms);
 
-/* Between the parts of the node. */
-int skin_is_due(uint32_t now_ms, uint32_t due_ms); /* whether it is due; both may have wrapped */
-skin_frame skin_new_frame(const skin_node *node, uint32_t can_id, const uint8_t *data, uint8_t length);
-void skin_post(skin_node *node, const skin_frame *frame);
-void skin_send(skin_node *node, uint32_t can_id, const uint8_t *data, uint8_t length);
-void skin_read_tpdo(skin_node *node, uint8_t number);
-int skin_take_sync(skin_node *node, const skin_frame *sync); /* its counter, 0 without; -1: it is to be ignored */
-void skin_send_events(skin_node *node, uint32_t now_ms);
+/* Between the parts of the node. Each calls those above it alone; skin_node.c, below all, calls them by turns. */
+
+/* skin_objects.c */
 const skin_object *skin_find(const skin_board *board, uint16_t index, uint8_t subindex);
 const uint8_t *skin_value(const skin_node *node, const skin_object *object, uint8_t *scratch);
 uint32_t skin_unsigned(const skin_node *node, uint16_t index, uint8_t subindex);
@@ -204,22 +203,34 @@ uint8_t skin_watched_node(uint32_t entry); /* of an entry of 1016h, 0 for none *
 uint32_t skin_missing(const skin_board *board, uint16_t index);
 uint32_t skin_write(skin_node *node, uint16_t index, uint8_t subindex, const uint8_t *data, uint16_t length);
 void skin_become(skin_node *node, const skin_board *board); /* with the constants of another board */
-void skin_lss_reset(skin_node *node, uint32_t now_ms, int communication_only);
 void skin_restore(skin_node *node, int communication_only);
-void skin_refresh(skin_node *node, uint32_t now_ms);
-void skin_sdo_tick(skin_node *node, uint32_t now_ms);
+uint8_t skin_error_register(const skin_node *node); /* 1001h: of all active errors */
+
+/* skin_outbox.c */
+skin_frame skin_new_frame(const skin_node *node, uint32_t can_id, const uint8_t *data, uint8_t length);
+void skin_post(skin_node *node, const skin_frame *frame);
+void skin_send(skin_node *node, uint32_t can_id, const uint8_t *data, uint8_t length);
+
+/* skin_emergencies.c */
 void skin_raise(skin_node *node, uint8_t error, uint64_t field);
 void skin_settle(skin_node *node, uint8_t error);
-uint8_t skin_error_register(const skin_node *node);
-uint32_t skin_get(const uint8_t *data, uint8_t bytes);
-void skin_put(uint8_t *data, uint32_t value, uint8_t bytes);
+void skin_flush_emergencies(skin_node *node, uint32_t now_ms);
+int skin_take_sync(skin_node *node, const skin_frame *sync); /* its counter, 0 without; -1: it is to be ignored */
+
+/* skin_tpdos.c or skin_stepped.c */
+void skin_read_tpdo(skin_node *node, uint8_t number);
+void skin_send_events(skin_node *node, uint32_t now_ms);
+
+/* skin_sdo.c */
+void skin_serve(skin_node *node, const skin_frame *request, uint32_t now_ms);
+void skin_sdo_tick(skin_node *node, uint32_t now_ms);
+
+/* skin_lss.c */
+const skin_board *skin_lss_image(const skin_node *node, uint8_t node_id);
+void skin_lss_load(skin_node *node); /* power-up: the stored node-ID counts */
+int skin_lss_answer(skin_node *node, const skin_frame *request); /* whether the board is to boot with its first node-ID */
 
 /* Longest value that is computed, and room for it. */
 #define SKIN_NUMBER_BYTES 8
-
-#if SKIN_STEPPED
-/* What a stepped board computes, NULL for other objects. */
-const uint8_t *skin_stepped_value(const skin_node *node, const skin_object *object, uint8_t *scratch);
-#endif
 
 #endif

@@ -6,25 +6,6 @@
 /* 1010h and 1011h read: the node stores and restores on command. */
 #define ON_COMMAND 1u
 
-uint32_t skin_get(const uint8_t *data, uint8_t bytes)
-{
-    uint32_t value = 0;
-
-    while (bytes-- > 0) {
-        value = (value << 8) | data[bytes];
-    }
-    return value;
-}
-
-void skin_put(uint8_t *data, uint32_t value, uint8_t bytes)
-{
-    uint8_t place;
-
-    for (place = 0; place < bytes; place++) {
-        data[place] = (uint8_t)(value >> (8 * place));
-    }
-}
-
 /* The block of an object of the manufacturer, and its index for the first block. */
 static uint8_t block_of(uint16_t index)
 {
@@ -62,6 +43,18 @@ uint32_t skin_missing(const skin_board *board, uint16_t index)
 {
     /* Every object has sub-index 0. */
     return skin_find(board, index, 0) != NULL ? SKIN_ABORT_NO_SUBINDEX : SKIN_ABORT_NO_OBJECT;
+}
+
+uint8_t skin_error_register(const skin_node *node)
+{
+    static const uint8_t of_error[SKIN_ERRORS] = {SKIN_REGISTER_COMMUNICATION, SKIN_REGISTER_COMMUNICATION,
+                                                  SKIN_REGISTER_MANUFACTURER};
+    uint8_t bits = 0, error;
+
+    for (error = 0; error < SKIN_ERRORS; error++) {
+        bits = (uint8_t)(bits | (node->active[error] != 0 ? SKIN_REGISTER_GENERIC | of_error[error] : 0));
+    }
+    return bits;
 }
 
 /* Signature (2006h, 2009h): CRC-32 over index, sub-index and value of each object with one of these flags. */
@@ -125,10 +118,29 @@ static uint32_t computed(const skin_node *node, const skin_object *object)
     }
 }
 
+#if SKIN_STEPPED
+
+/* What a stepped board computes, NULL for other objects. */
+static const uint8_t *stepped_value(const skin_node *node, const skin_object *object, uint8_t *scratch)
+{
+    uint64_t value;
+    uint8_t place;
+
+    if (!skin_steps_read(&node->steps, object->index, object->subindex, &value)) {
+        return NULL;
+    }
+    for (place = 0; place < object->bytes; place++) {
+        scratch[place] = (uint8_t)(value >> 8 * place);
+    }
+    return scratch;
+}
+
+#endif
+
 const uint8_t *skin_value(const skin_node *node, const skin_object *object, uint8_t *scratch)
 {
 #if SKIN_STEPPED
-    const uint8_t *stepped = skin_stepped_value(node, object, scratch);
+    const uint8_t *stepped = stepped_value(node, object, scratch);
 
     if (stepped != NULL) {
         return stepped;

@@ -2,7 +2,8 @@
 
 #include <string.h>
 
-#include "skin_node.h"
+#include "skin_bytes.h"
+#include "skin_sums.h"
 
 /* Marks in the last bytes of a slot: the bootloader has started the program; the program has been reached over the bus, which is a
  * copy of the slot's head.
@@ -61,14 +62,10 @@ uint8_t skin_program_choose(const skin_flash *flash)
     return flash->write(flash->context, slot, flash->slot_bytes - TRIED, tried, sizeof tried) == 0 ? slot : slot ^ 1u;
 }
 
-void skin_program_init(skin_node *node, const skin_flash *flash, uint8_t slot)
+void skin_program_open(skin_program *program, const skin_flash *flash, uint8_t slot)
 {
-    skin_program *program = &node->program;
-
     memset(program, 0, sizeof *program);
     program->flash = flash;
-    program->vendor_id = skin_unsigned(node, SKIN_OD_IDENTITY, 1);
-    program->product_code = skin_unsigned(node, SKIN_OD_IDENTITY, 2);
     program->slot = slot;
     program->control = SKIN_PROGRAM_START;
     if (slot != SKIN_NO_SLOT &&

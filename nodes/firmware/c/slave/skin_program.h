@@ -29,6 +29,7 @@ typedef struct {
 uint8_t skin_program_choose(const skin_flash *flash);
 
 /* Between the parts of the node. Functions that return a number return an abort code, 0 for success. */
+void skin_program_open(skin_program *program, const skin_flash *flash, uint8_t slot);
 uint32_t skin_program_begin(skin_program *program);
 uint32_t skin_program_take(skin_program *program, const uint8_t *data, uint8_t bytes);
 uint32_t skin_program_end(skin_program *program);

@@ -315,15 +315,11 @@ void skin_sdo_tick(skin_node *node, uint32_t now_ms)
     }
 }
 
-void skin_request(skin_node *node, const skin_frame *request, uint32_t now_ms)
+void skin_serve(skin_node *node, const skin_frame *request, uint32_t now_ms)
 {
     const uint8_t *data = request->data;
     const uint8_t specifier = data[0] >> 5;
 
-    if (node->state != SKIN_PRE_OPERATIONAL && node->state != SKIN_OPERATIONAL) {
-        return;
-    }
-    skin_program_keep(&node->program); /* the program has been reached over the bus */
     if (node->sdo.mode == BLOCKS && data[0] != ABORT << 5) {
         block_segment(node, data, now_ms);
         return;
@@ -370,5 +366,4 @@ void skin_request(skin_node *node, const skin_frame *request, uint32_t now_ms)
         abort_transfer(node, SKIN_ABORT_COMMAND);
         break;
     }
-    skin_refresh(node, now_ms);
 }

@@ -2,7 +2,8 @@
 
 #include <string.h>
 
-#include "skin_node.h"
+#include "skin_bytes.h"
+#include "skin_sums.h"
 
 enum { NUMBER = 0, KEY = 4, BYTES = 8, CRC = 12 }; /* places in the head */
 

@@ -77,18 +77,4 @@ void skin_refused(skin_node *node, const skin_frame *frame)
     node->health[2] += (uint32_t)note(node, frame, 0);
 }
 
-const uint8_t *skin_stepped_value(const skin_node *node, const skin_object *object, uint8_t *scratch)
-{
-    uint64_t value;
-    uint8_t place;
-
-    if (!skin_steps_read(&node->steps, object->index, object->subindex, &value)) {
-        return NULL;
-    }
-    for (place = 0; place < object->bytes; place++) {
-        scratch[place] = (uint8_t)(value >> 8 * place);
-    }
-    return scratch;
-}
-
 #endif

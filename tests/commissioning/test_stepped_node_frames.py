@@ -1,0 +1,267 @@
+"""`skin node check` compares the frames of stepped boards: right boards pass, and each mutant is named."""
+
+import struct
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from commissioning.node_check import NodeCheck
+from commissioning.node_frames import NodeReport
+from dbc import indices as od
+from dbc.contract import Contract
+from dbc.steps import SET, STEP, kind_of, read_word
+from nodes.firmware.library import Firmware
+from nodes.segment import Segment
+from nodes.steps.boards import SteppedBoards
+from nodes.steps.firmware import FirmwarePatches
+from nodes.virtual_boards import VirtualBoards
+from skin.layout import changed
+from skin.sources import Frame
+from tests.gateway.helpers import Wire
+from tests.nodes.firmware.stepped_twins import contract_of
+from tests.nodes.firmware.twins import needs_compiler
+
+STEP_S = 0.001
+#: Longer than a check takes.
+LONGEST_S = 12.0
+
+
+class Untouched:
+    """Nothing touches the skin; taxels have an offset."""
+
+    has_noise = False
+
+    def __init__(self, contract: Contract, offset_n: float = 0.0) -> None:
+        shape = contract.layout.taxels.rows, contract.layout.taxels.columns
+        self._offset_n = np.random.default_rng(3).uniform(0, offset_n, shape).astype(np.float32)
+
+    def frame(self, step: int) -> Frame:
+        return Frame(self._offset_n, "")
+
+
+class Bench:
+    """Node 1 of bus0, and the check."""
+
+    def __init__(self, contract: Contract, *, in_c: bool = False, noise_n: float = 0.0, offset_n: float = 0.0) -> None:
+        self.contract, self.now_s, self.wire = contract, 10.0, Wire()
+        source = Untouched(contract, offset_n)
+        self.hardware: Any
+        boards: Any
+        if in_c:
+            mine = contract.on_bus(0)[:3]  # as `SteppedTwins`: one library is compiled for both
+            firmware = Firmware(contract, mine)
+            blocks = [node.block for node in mine]
+            self.hardware = FirmwarePatches(contract, blocks, source, firmware, noise_n=noise_n)
+            boards = firmware.boards(0)
+        else:
+            self.hardware = SteppedBoards(contract, [0], source, noise_n=noise_n)
+            boards = VirtualBoards(contract, 0, {1}, self.hardware)
+        send = self.wire.nodes.send
+        self.boards = boards
+        self.segment = Segment(contract, 0, boards, self.hardware, send, complain=lambda _text: None)
+        self.segment.boot(self.now_s)
+
+    def check(self) -> NodeReport:
+        check = NodeCheck(self.contract, self.contract.nodes[0], self.wire.gateway.send, self.now_s)
+        end_s = self.now_s + LONGEST_S
+        while not check.done:
+            self.now_s += STEP_S
+            assert self.now_s < end_s
+            self.wire.now_ns = round(self.now_s * 1e9)
+            check.tick(self.now_s)
+            self.segment.tick(self.now_s)
+            while self.wire.deliver() or self.wire.gateway.has_news:
+                self.segment.take(self.wire.nodes.receive(), self.now_s)
+                check.take(self.wire.gateway.receive(), self.now_s)
+        return check.report
+
+
+@pytest.mark.parametrize(("noise_n", "offset_n"), [(0.0, 0.0), (1e-3, 3e-3)])
+@pytest.mark.parametrize("name", ["steps", "steps-fd", "8", "16", "64", "16-fd", "64-fd"])
+@pytest.mark.parametrize("in_c", [False, pytest.param(True, marks=needs_compiler)])
+def test_a_right_board_keeps_the_contract(name: str, noise_n: float, offset_n: float, *, in_c: bool) -> None:
+    bench = Bench(contract_of(name), in_c=in_c, noise_n=noise_n, offset_n=offset_n)
+    report = bench.check()
+    assert (report.differences, report.notes) == ([], [])
+    assert report.frames > 6
+
+
+def swapped_rows(bench: Bench) -> None:
+    order = bench.hardware.filter._order = bench.hardware.filter._order.copy()
+    order[[9, 10]] = order[[10, 9]]
+
+
+def swapped_groups(bench: Bench) -> None:
+    order = bench.hardware.filter._order = bench.hardware.filter._order.copy()
+    order[16:24], order[24:] = order[24:].copy(), order[16:24].copy()
+
+
+def wrong_sign(bench: Bench) -> None:
+    take = bench.hardware.filter.take
+
+    def taken(sample_n: Any) -> None:
+        take(sample_n)
+        bench.hardware.filter.sums_n[:, 20] *= -1
+
+    bench.hardware.filter.take = taken
+
+
+def other_unit(bench: Bench) -> None:
+    """A board whose words have another unit."""
+    take = bench.hardware.filter.take
+
+    def taken(sample_n: Any) -> None:
+        take(sample_n)
+        bench.hardware.filter.sums_n[:] *= 1.03
+
+    bench.hardware.filter.take = taken
+
+
+def deaf_rule(bench: Bench) -> None:
+    """A board that leaves slots empty that are worth a frame."""
+    bench.hardware.senders.slots.quiet[:] *= 1e4
+
+
+def never_checks(bench: Bench) -> None:
+    """A board that does not tell whether its receivers have the same sums."""
+    take = bench.hardware.senders.take_slots
+
+    def taken(*given: Any) -> Any:
+        bench.hardware.senders.state.keep[:] = 10_000
+        return take(*given)
+
+    bench.hardware.senders.take_slots = taken
+
+
+def infinite_noise(bench: Bench) -> None:
+    """A board whose noise is infinite."""
+    bench.wire.loses = lambda end, each: (
+        end is bench.wire.gateway
+        and each["data"][1:3].tobytes() == od.NODE_NOISE.to_bytes(2, "little")
+        and each["data"].__setitem__(slice(4, 8), (0, 0, 0x80, 0x7F))
+    )
+
+
+def ignores(index: int) -> Callable[[Bench], None]:
+    """A board that takes the writes of an object, and does not follow."""
+
+    def spoil(bench: Bench) -> None:
+        adjust = bench.hardware.adjust
+
+        def adjusted(block: int, at: int, subindex: int, value: float) -> None:
+            if at != index:
+                adjust(block, at, subindex, value)
+
+        bench.hardware.adjust = adjusted
+
+    return spoil
+
+
+def half_scale(bench: Bench) -> None:
+    sample = bench.hardware._sensors.sample
+
+    def sampled(tick_ns: int) -> Any:
+        return sample(tick_ns) / 4
+
+    bench.hardware._sensors.sample = sampled
+
+
+def unsigned_gains(bench: Bench) -> None:
+    """A board whose 2009h does not cover the offsets."""
+    node = bench.boards.nodes[0]
+    node._signed[od.CALIBRATION_SIGNATURE] = [
+        each for each in node._signed[od.CALIBRATION_SIGNATURE] if each.index != od.OFFSET
+    ]
+
+
+def stale_signature(bench: Bench) -> None:
+    """A board that computes 2009h once."""
+    node = bench.boards.nodes[0]
+    read, kept = node._live[od.CALIBRATION_SIGNATURE], list[int]()
+    node._live[od.CALIBRATION_SIGNATURE] = lambda subindex: kept[0] if kept else kept.append(read(subindex)) or kept[0]
+
+
+def sent(spoil: Callable[[np.void, int], object]) -> Callable[[Bench], None]:
+    """Alter each frame of sums on its way: called with frame and kind of its word; True loses it."""
+
+    def mutate(bench: Bench) -> None:
+        node = bench.contract.nodes[0]
+
+        def loses(end: object, each: np.void) -> bool:
+            if end is not bench.wire.gateway or each["can_id"] != node.tpdos[0].cob_id:
+                return False
+            return spoil(each, kind_of(read_word(each["data"][1:8]), node.forms[0])[0]) is True
+
+        bench.wire.loses = loses
+
+    return mutate
+
+
+def add(each: np.void, at: int, much: int) -> None:
+    each["data"][at] = (int(each["data"][at]) + much) % 256
+
+
+def later(each: np.void, _kind: int) -> None:
+    each["data"][0] = (int(each["data"][0]) + 9) % 240 + 1
+
+
+MUTANTS = [
+    (swapped_rows, "offsets in place of the taxels: tells", " as sum 10, expected "),
+    (swapped_groups, " as sum 17, expected ", ""),
+    (wrong_sign, " as sum 21, expected ", ""),
+    (other_unit, "offsets in place of the taxels: tells ", ""),
+    (infinite_noise, "full scale: the noise (2035h) is no number of newtons: 00 00 80 7f", ""),
+    (deaf_rule, "test pattern zero: tells ", ", expected 0.00 mN"),
+    (ignores(od.TEST_PATTERN), "test pattern full scale: half of the taxels read less than half of full scale", ""),
+    (ignores(od.GAIN), "offsets in place of the taxels: tells ", ""),
+    (ignores(od.OFFSET), "offsets in place of the taxels: tells ", ""),
+    (half_scale, "test pattern full scale: half of the taxels read less than half of full scale", ""),
+    (unsigned_gains, "the signature (2009h) is ", ""),
+    (stale_signature, "of its objects, with other gains and offsets", ""),
+    (sent(later), "full scale: TPDO 1 (181h) names slot ", ", expected "),
+    (sent(lambda each, _: each.__setitem__("length", 7)), "TPDO 1 (181h) has 7 bytes, expected 8", ""),
+    (sent(lambda each, _: each["data"].__setitem__(0, 0)), "begins with 0, expected a slot from 1 to 240", ""),
+    (sent(lambda each, _: each["data"].__setitem__(slice(1, 8), 255)), "has words that are no step, set or check", ""),
+    (sent(lambda _each, _kind: True), "full scale: TPDO 1 (181h): no set of group 1 came after the NMT start", ""),
+    (
+        sent(lambda each, kind: kind == SET and bool(each["data"][0] % 4 == 0)),
+        "has another count than the word before",
+        "",
+    ),
+    (never_checks, "zero: TPDO 1 (181h): no check came within 24 slots after the newest step or set", ""),
+    (sent(lambda each, kind: kind == STEP and add(each, 1, 1)), "zero: TPDO 1 (181h) checks other sums than ", ""),
+]
+
+
+@pytest.mark.parametrize(("spoil", "words", "more"), MUTANTS, ids=range(len(MUTANTS)))
+def test_a_wrong_board_is_named(spoil: Callable[[Bench], None], words: str, more: str) -> None:
+    bench = Bench(contract_of("steps"), noise_n=1e-3 if spoil is deaf_rule else 0.0, offset_n=2e-3)
+    spoil(bench)
+    said = "\n".join(bench.check().differences)
+    for each in (*words.split("{}"), more):
+        assert each in said, said
+
+
+@pytest.mark.parametrize("spoil", [swapped_rows, swapped_groups, wrong_sign, other_unit])
+def test_a_wrong_board_on_can_fd_is_named(spoil: Callable[[Bench], None]) -> None:
+    bench = Bench(contract_of("steps-fd"))
+    spoil(bench)
+    assert any(" mN as sum " in each for each in bench.check().differences)
+
+
+def test_another_rule_of_sending_is_noted() -> None:
+    bench = Bench(contract_of("8"))
+    for subindex, value in ((1, 0x3E800000), (3, 200)):  # 0.25; 200 us
+        bench.wire.put(0x601, struct.pack("<BHBI", 0x23, od.SENDING, subindex, value))
+    report = bench.check()
+    assert report.differences == []
+    assert [each.split(" ", 1)[0] for each in report.notes] == ["2031h:1", "2031h:3"]
+
+
+def test_boards_that_send_at_sync_are_checked() -> None:
+    layout = changed(contract_of("8").layout, sync={"rate_hz": 200.0}, steps={"slot_s": 0.005, "at_sync": True})
+    report = Bench(Contract.from_layout(layout)).check()
+    assert report.differences == []
+    assert report.frames > 6
