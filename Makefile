@@ -6,7 +6,6 @@
 # make wheels   the wheels of requirements.lock, for an image built without a network (docs/containers.md)
 # make mutants  small faults put into the code that no test notices, slow ones apart (docs/develop.md); hours without PATHS or ARGS
 # make figures  every picture of the README and of docs/, with today's code (ARGS="demo.png page.png" for some)
-# make paper    docs/paper.md from docs/paper.json, or with RESULTS=report/paper.json from a run of skin evaluate paper
 # make docs     the documents and the API as a site, in build/site/, without a network
 # make setup    the environment of all of them, in .venv; make demo makes a smaller one, without the test tools
 
@@ -20,7 +19,7 @@ PATHS ?=
 OLDEST := $(shell sed -n 's/^requires-python = ">=\(.*\)"/\1/p' pyproject.toml)
 IS_NEW_ENOUGH := import sys; sys.exit(sys.version_info < tuple(map(int, "$(OLDEST)".split("."))))
 
-.PHONY: setup demo test test-vcan test-containers lock wheels mutants figures paper docs check loop
+.PHONY: setup demo test test-vcan test-containers lock wheels mutants figures docs check loop
 
 setup: .venv/.installed
 
@@ -56,9 +55,6 @@ demo: .venv/.demo
 
 figures: setup
 	@$(BIN)/python -m docs.figures $(ARGS)
-
-paper: setup
-	@$(BIN)/python -m docs.paper $(RESULTS)
 
 docs: setup
 	@$(BIN)/python -m docs.site_pages build/site

@@ -111,7 +111,7 @@ def _from_report(caption: str) -> bytes:
     folder = DOCS.parent / "build/figures"
     report = folder / "report.html"
     if not report.exists():
-        _run("evaluate", "figures", "--meshes", meshes, "--out", str(folder))
+        _run("evaluate", "paper", "figures", "--meshes", meshes, "--out", str(folder))
     return _picture(report, caption)
 
 

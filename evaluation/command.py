@@ -2,11 +2,12 @@
 
 import os
 import sys
-from collections.abc import Sequence
-from dataclasses import replace
-from importlib import import_module
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, Literal, NamedTuple
+from typing import TYPE_CHECKING, Final, Literal, get_args
+
+from cyclopts import Parameter
 
 from canskin.errors import InputError
 from shell.terminal import Json, print_json, print_table
@@ -14,92 +15,67 @@ from shell.terminal import Json, print_json, print_table
 if TYPE_CHECKING:
     from evaluation.result import Options, Result
 
-Subject = Literal[
-    "paper",
-    "settings",
-    "sparsity",
-    "compression",
-    "iterations",
-    "figures",
-    "classification",
-    "rivals",
-    "recognition",
-    "calibration",
-    "single-wire",
-]
+#: The parts of the paper, in the order of the report.
+Part = Literal["settings", "sparsity", "compression", "iterations", "figures", "classification"]
+#: Folder of the report of all parts.
+REPORT: Final = Path("skin-evaluation")
 
 
-class _Subject(NamedTuple):
-    """The function ``options -> Result`` of a subject, and whether it averages over draws of Φ."""
+@Parameter(name="*")
+@dataclass(frozen=True)
+class RunOptions:
+    """How an evaluation runs.
 
-    function: str
-    draws: bool = False
+    Attributes
+    ----------
+    quick
+        A look at everything in a small fraction of the time.
+    out
+        Folder for the report and for measured results, which a later run takes up.
+    jobs
+        Processes at the same time. Default: one per core.
+    seed
+        Of all random numbers but those that draw scenes.
+    """
+
+    quick: bool = False
+    out: Path | None = None
+    jobs: int | None = None
+    seed: int = 0
+
+    def options(self, **given: object) -> "Options":
+        """Return these options with those of a subject."""
+        from evaluation.result import Options
+
+        jobs = self.jobs if self.jobs is not None else os.cpu_count() or 1
+        return Options(quick=self.quick, out=self.out, jobs=jobs, seed=self.seed, **given)  # type: ignore[arg-type]
 
 
-#: Those of ``paper`` in the order of the report, then the others.
-SUBJECTS: Final[dict[str, _Subject]] = {
-    "settings": _Subject("evaluation.settings:evaluate"),
-    "sparsity": _Subject("evaluation.paper.sparsity:evaluate"),
-    "compression": _Subject("evaluation.paper.tables:compression", draws=True),
-    "iterations": _Subject("evaluation.paper.tables:iterations", draws=True),
-    "figures": _Subject("evaluation.paper.figures:evaluate"),
-    "classification": _Subject("evaluation.recognition.classification:evaluate", draws=True),
-    "rivals": _Subject("evaluation.schemes.comparison:evaluate"),
-    "recognition": _Subject("evaluation.recognition.methods_compared:evaluate", draws=True),
-    "calibration": _Subject("evaluation.schemes.zero_scenes:evaluate"),
-    "single-wire": _Subject("evaluation.single_wire:evaluate"),
-}
+RUN: Final = RunOptions()
 
 
-def evaluate(
-    subject: Subject,
-    recordings: Path | None = None,
-    *,
-    quick: bool = False,
+def paper(
+    *parts: Part,
     meshes: Path | None = None,
-    objects: str | None = None,
-    out: Path | None = None,
-    jobs: int | None = None,
     draws: int | None = None,
-    seed: int = 0,
-    scenes: int = 10,
-    scene_seed: int | None = None,
+    run: RunOptions = RUN,
     json: Json = False,
 ) -> None:
     """Make tables and figures of the paper again and print ours beside the paper's numbers.
 
+    With all parts every number that the paper prints is compared with ours, and ``report.html`` and ``paper.json`` are
+    written into the folder `out`, by default skin-evaluation.
+
     Parameters
     ----------
-    subject
-        What to evaluate. ``paper``: ``settings``, ``sparsity``, ``compression``, ``iterations``, ``figures`` and
-        ``classification``, together; every number that the paper prints is compared with ours, and ``report.html`` and
-        ``paper.json`` are written into the folder `out`.
-    recordings
-        Of ``single-wire``: a copy of github.com/aslepyan/SPTS.
-    quick
-        A look at everything in a small fraction of the time, with fewer steps and draws.
+    parts
+        Default: all.
     meshes
-        Folder of meshes (banana, cup, drill, largeclamp, mustard) in place of the shapes that ship. Live rows of
-        ``recognition`` that name objects keep these shapes.
-    objects
-        Comma-separated: what slides in ``rivals`` in place of the paper's five objects. Of these, or your own mesh as
-        FILE@UNIT.
-    out
-        Folder for the report and for measured results, which a later run takes up. Default for ``paper``:
-        skin-evaluation.
-    jobs
-        Processes at the same time. Default: one per core.
+        Folder of meshes (banana, cup, drill, largeclamp, mustard) in place of the shapes that ship.
     draws
-        Draws of Φ to average over, in ``compression``, ``iterations``, ``classification`` and ``recognition``. Default:
-        each subject's own.
-    seed
-        Of all random numbers but those that draw scenes.
-    scenes
-        Scenes drawn at random: the number of those of ``rivals``, and half the number of those that ``calibration``
-        measures beside the named ones; 2 and none with `quick`.
-    scene_seed
-        Of the scenes drawn at random: a seed that nobody has tried shows scenes that nobody has tuned to. ``rivals``
-        shows drawn scenes with a seed alone, ``calibration`` those of seed 0 without one.
+        Draws of Φ to average over. Default: each part's own.
+    run
+        How it runs.
     json
         Print JSON instead of tables.
 
@@ -107,81 +83,157 @@ def evaluate(
     --------
     skin evaluate paper --quick
     skin evaluate paper --meshes ycb-meshes --out report
+    skin evaluate paper compression iterations --draws 3 --json
+    """
+    from evaluation import reached, settings
+    from evaluation.paper import figures, sparsity, tables
+    from evaluation.recognition import classification
+    from evaluation.result import write_text
+
+    evaluators = {
+        "settings": settings.evaluate,
+        "sparsity": sparsity.evaluate,
+        "compression": tables.compression,
+        "iterations": tables.iterations,
+        "figures": figures.evaluate,
+        "classification": classification.evaluate,
+    }
+    out = run.out if run.out is not None or parts else REPORT
+    options = RunOptions(run.quick, out, run.jobs, run.seed).options(meshes=meshes, draws=draws)
+    results = {name: evaluators[name](options) for name in get_args(Part) if name in (parts or evaluators)}
+    if not parts and out is not None:
+        kept = reached.stored({name: found.rows for name, found in results.items()}, options)
+        write_text(out / reached.FILE, reached.encoded(kept))
+        results = {"paper": reached.result(kept.numbers), **results}
+    _show(results, options, as_json=json)
+
+
+def rivals(
+    *,
+    meshes: Path | None = None,
+    objects: str | None = None,
+    scenes: int = 10,
+    scene_seed: int | None = None,
+    run: RunOptions = RUN,
+    json: Json = False,
+) -> None:
+    """Measure our sums against scans, coarse arrays and events of the same boards.
+
+    Parameters
+    ----------
+    meshes
+        Folder of meshes (banana, cup, drill, largeclamp, mustard) in place of the shapes that ship.
+    objects
+        Comma-separated: what slides in place of the paper's five objects. Of these, or your own mesh as FILE@UNIT.
+    scenes
+        Number of scenes drawn at random; 2 with `quick`.
+    scene_seed
+        Show scenes drawn at random: a seed that nobody has tried shows scenes that nobody has tuned to.
+    run
+        How it runs.
+    json
+        Print JSON instead of tables.
+
+    Examples
+    --------
     skin evaluate rivals --objects handle.stl@mm:y90,cup
     skin evaluate rivals --scene-seed 71
     """
-    from evaluation.result import Options
+    from evaluation.schemes.comparison import evaluate
     from touch.trajectory import checked_slides
 
-    names = _names(subject)
-    _check(subject, names, draws, objects, has_recordings=recordings is not None, has_scenes=scene_seed is not None)
-    if out is None and subject == "paper":
-        out = Path("skin-evaluation")
-    processes = jobs if jobs is not None else os.cpu_count() or 1
-    options = Options(quick, meshes, recordings, out, processes, draws, seed, scenes, scene_seed)
-    if objects is not None:
-        options = replace(options, objects=checked_slides(objects))
-    results: dict[str, Result] = {}
-    for name in names:
-        asked = options if SUBJECTS[name].draws else replace(options, draws=None)
-        module, _, function = SUBJECTS[name].function.partition(":")
-        found = results[name] = getattr(import_module(module), function)(asked)
-        if not found.rows:
-            raise InputError(f"'{subject}' measured nothing: {found.note or found.title}")
-        if not json:
-            _print(found)
-    if subject == "paper":
-        results = {"paper": _compare(results, options), **results}
-        if not json:
-            _print(results["paper"])
-    if out is not None:
+    if objects is not None and scene_seed is not None:
+        raise InputError(f"drawn scenes have no objects to choose, got --objects {objects}: leave it out")
+    slides = {} if objects is None else {"objects": checked_slides(objects)}
+    options = run.options(meshes=meshes, scenes=scenes, scene_seed=scene_seed, **slides)
+    _show({"rivals": evaluate(options)}, options, as_json=json)
+
+
+def recognition(
+    *, meshes: Path | None = None, draws: int | None = None, run: RunOptions = RUN, json: Json = False
+) -> None:
+    """Measure other methods than the paper's classifier, missing blocks, and the live service.
+
+    Parameters
+    ----------
+    meshes
+        Folder of meshes in place of the shapes that ship; live rows that name objects keep these shapes.
+    draws
+        Draws of Φ to average over.
+    run
+        How it runs.
+    json
+        Print JSON instead of tables.
+
+    Examples
+    --------
+    skin evaluate recognition --quick
+    skin evaluate recognition --meshes ycb-meshes
+    """
+    from evaluation.recognition.methods_compared import evaluate
+
+    options = run.options(meshes=meshes, draws=draws)
+    _show({"recognition": evaluate(options)}, options, as_json=json)
+
+
+def calibration(*, scenes: int = 10, scene_seed: int | None = None, run: RunOptions = RUN, json: Json = False) -> None:
+    """Measure what a skin shows while its zero drifts, scene by scene.
+
+    Parameters
+    ----------
+    scenes
+        Half the number of scenes drawn at random beside the named ones; none with `quick`.
+    scene_seed
+        Of these scenes; default 0.
+    run
+        How it runs.
+    json
+        Print JSON instead of tables.
+
+    Examples
+    --------
+    skin evaluate calibration --quick
+    skin evaluate calibration --scene-seed 71
+    """
+    from evaluation.schemes.zero_scenes import evaluate
+
+    options = run.options(scenes=scenes, scene_seed=scene_seed)
+    _show({"calibration": evaluate(options)}, options, as_json=json)
+
+
+def single_wire(recordings: Path, *, run: RunOptions = RUN, json: Json = False) -> None:
+    """Solve sums that other hardware made, by our solver and by its authors' method.
+
+    Parameters
+    ----------
+    recordings
+        A copy of github.com/aslepyan/SPTS.
+    run
+        How it runs.
+    json
+        Print JSON instead of tables.
+
+    Examples
+    --------
+    skin evaluate single-wire SPTS --quick
+    skin evaluate single-wire SPTS --json
+    """
+    from evaluation.single_wire import evaluate
+
+    options = run.options(recordings=recordings)
+    _show({"single-wire": evaluate(options)}, options, as_json=json)
+
+
+def _show(results: "Mapping[str, Result]", options: "Options", *, as_json: bool) -> None:
+    """Print the results, and write the report if there is a folder for it."""
+    if not as_json:
+        for found in results.values():
+            print_table(list(found.rows[0]) if found.rows else [], map(dict.values, found.rows), title=found.title)
+            print(f"{found.note}\n" if found.note else "")
+    if options.out is not None:
         from evaluation.report import write_report
 
-        print(f"report: {write_report(results, options, out)}", file=sys.stderr)
-    if json:
+        print(f"report: {write_report(results, options, options.out)}", file=sys.stderr)
+    if as_json:
         rows = [{"subject": name, **row} for name, found in results.items() for row in found.rows]
         print_json({"rows": rows, "notes": [found.note for found in results.values() if found.note]})
-
-
-def _names(subject: Subject) -> list[str]:
-    """Return the subjects that are evaluated, in the order of the report."""
-    if subject != "paper":
-        return [subject]
-    from evaluation.reached import SUBJECTS as PRINTED
-
-    return [name for name in SUBJECTS if name in PRINTED]
-
-
-def _check(
-    subject: Subject,
-    names: Sequence[str],
-    draws: int | None,
-    objects: str | None,
-    *,
-    has_recordings: bool,
-    has_scenes: bool,
-) -> None:
-    """Raise InputError for an option that is missing or that the subject does not take."""
-    if subject == "single-wire" and not has_recordings:
-        raise InputError(
-            "single-wire needs a copy of github.com/aslepyan/SPTS: give the folder, skin evaluate single-wire DIR"
-        )
-    if draws is not None and not any(SUBJECTS[name].draws for name in names):
-        raise InputError(f"'{subject}' averages over no draws of Φ, got {draws} draws: leave out --draws")
-    if objects is not None and (subject != "rivals" or has_scenes):
-        raise InputError(f"only the slides of 'rivals' have objects to choose, got --objects {objects}: leave it out")
-
-
-def _print(found: "Result") -> None:
-    print_table(list(found.rows[0]) if found.rows else [], map(dict.values, found.rows), title=found.title)
-    print(f"{found.note}\n" if found.note else "")
-
-
-def _compare(results: "dict[str, Result]", options: "Options") -> "Result":
-    """Compare every number that the paper prints with ours, and keep the comparison."""
-    from evaluation import reached
-
-    kept = reached.stored({name: found.rows for name, found in results.items()}, options)
-    if options.out is not None:
-        reached.write(kept, options.out / reached.FILE)
-    return reached.result(kept.numbers)

@@ -38,7 +38,7 @@ class Rule(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Number(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A printed number, and the row and column of ``skin evaluate SUBJECT`` that has ours.
+    """A printed number, and the row and column of ``skin evaluate paper SUBJECT`` that has ours.
 
     Attributes
     ----------

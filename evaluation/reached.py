@@ -11,14 +11,12 @@ import msgspec
 
 from canskin.errors import InputError
 from evaluation.printed import Number, Rule, printed
-from evaluation.result import Options, Result, Row, write_text
+from evaluation.result import Options, Result, Row
 from evaluation.result_cache import LIBRARIES, code_digest
 
 Verdict = Literal["not reached", "not measured", "worse, within the tolerance", "reached"]
 #: In the order in which they are shown.
 VERDICTS: Final[tuple[Verdict, ...]] = ("not reached", "not measured", "worse, within the tolerance", "reached")
-#: Subjects whose rows have numbers that the paper prints.
-SUBJECTS: Final = tuple(dict.fromkeys(each.subject for each in printed().numbers))
 #: The file of a comparison in the folder of a report.
 FILE: Final = "paper.json"
 
@@ -137,15 +135,15 @@ def stored(found: Mapping[str, Sequence[Row]], options: Options) -> Stored:
     return Stored(made, compare(found))
 
 
-def write(kept: Stored, path: Path) -> None:
-    """Write a comparison, a number a line; raise InputError if the file cannot be written."""
-    encoded = msgspec.json.encode
-    numbers = ",\n".join(encoded(each).decode() for each in kept.numbers)
-    write_text(path, f'{{\n"made":{encoded(kept.made).decode()},\n"numbers":[\n{numbers}\n]\n}}\n')
+def encoded(kept: Stored) -> str:
+    """Return a comparison as JSON, a number a line."""
+    encode = msgspec.json.encode
+    numbers = ",\n".join(encode(each).decode() for each in kept.numbers)
+    return f'{{\n"made":{encode(kept.made).decode()},\n"numbers":[\n{numbers}\n]\n}}\n'
 
 
 def read(path: Path) -> Stored:
-    """Return a comparison that `write` wrote; raise InputError if the file is none."""
+    """Return a comparison from a file of `encoded`; raise InputError if the file is none."""
     try:
         return msgspec.json.decode(path.read_bytes(), type=Stored)
     except (OSError, msgspec.MsgspecError) as error:

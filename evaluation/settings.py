@@ -1,4 +1,4 @@
-"""``skin evaluate settings``: the settings that the paper prints, and the figures of the default skin's cycles."""
+"""``skin evaluate paper settings``: settings that the paper prints, and figures of the default skin's cycles."""
 
 import math
 from pathlib import Path

@@ -78,10 +78,9 @@ def evaluate(options: Options) -> Result:
     options : Options
         `recordings` is the folder of the data; `quick` looks at one press of each object.
     """
-    title = "Sums of a single-wire skin: our solver beside its authors' method"
-    folder = None if options.recordings is None else _data_in(options.recordings)
-    if folder is None:
-        return Result(title, [], note=f"no {_MEASURED} in {options.recordings}: expected a copy of {SOURCE}")
+    if options.recordings is None:
+        raise InputError(f"expected a copy of {SOURCE}: give its folder")
+    folder = _data_in(options.recordings)
     names, left_out = objects_in(folder)
     cells: list[Row] = [
         {"folder": str(folder), "name": name, "press": press, "step": STEP * (2 if options.quick else 1)}
@@ -103,6 +102,7 @@ def evaluate(options: Options) -> Result:
             }
         )
     note = f"Objects: {', '.join(names)}." + f" Left out, without sums that can be read: {left_out}." * bool(left_out)
+    title = "Sums of a single-wire skin: our solver beside its authors' method"
     return Result(title, rows, note=f"{note}\n{_verdicts(rows)}")
 
 
@@ -236,10 +236,12 @@ def drawn_codes(first: int, frames: int) -> npt.NDArray[np.int8]:
     return codes
 
 
-def _data_in(folder: Path) -> Path | None:
+def _data_in(folder: Path) -> Path:
     """Return the folder that holds the measurements: `folder`, or a folder in it."""
-    found = [each for each in (folder, folder / "Data_Analysis") if (each / _MEASURED).is_dir()]
-    return found[0] if found else None
+    for each in (folder, folder / "Data_Analysis"):
+        if (each / _MEASURED).is_dir():
+            return each
+    raise InputError(f"no {_MEASURED} in '{folder}': expected a copy of {SOURCE}")
 
 
 def objects_in(folder: Path) -> tuple[list[str], str]:

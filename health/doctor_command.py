@@ -152,7 +152,7 @@ def _right(scheduling: str) -> Setting:
     value = f"{scheduling}; rtprio {limit}, CAP_SYS_NICE {'yes' if capabilities >> _CAP_SYS_NICE & 1 else 'no'}"
     if scheduling == REAL_TIME:
         return Setting("scheduling", value)
-    gain = "images in time beside busy programs, where the chain breaks down without (docs/start.md)"
+    gain = "images in time beside busy programs, where the chain breaks down without (docs/containers.md)"
     return Setting("scheduling", value, way_to_real_time(), gain)
 
 

@@ -46,7 +46,6 @@ VERBS: Final = {
     "replay": "recording.replay_command:replay",
     "label": "recording.label_command:label",
     "export": "recording.export_command:export",
-    "rebuild": "recording.rebuild_command:rebuild",
     "contract": "nodes.contract_command:contract",
     "layout": "bandwidth.layout_command:layout",
     "plan": "bandwidth.plan_command:plan",
@@ -55,11 +54,16 @@ VERBS: Final = {
     "touch objects": "touch.command:objects",
     "touch dataset": "touch.datasets.command:dataset",
     "train": "classifier.command:train",
-    "evaluate": "evaluation.command:evaluate",
+    "evaluate paper": "evaluation.command:paper",
+    "evaluate rivals": "evaluation.command:rivals",
+    "evaluate recognition": "evaluation.command:recognition",
+    "evaluate calibration": "evaluation.command:calibration",
+    "evaluate single-wire": "evaluation.command:single_wire",
     "bench": "evaluation.bench.command:bench",
 }
 #: What the verbs of a group are for.
 GROUPS: Final = {
+    "evaluate": "The paper's tables and figures made again, and what goes beyond them.",
     "touch": "The objects that can touch a simulated skin, and the data sets that their touches make.",
 }
 _PRIORITY: Final = (

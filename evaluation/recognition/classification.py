@@ -1,4 +1,4 @@
-"""``skin evaluate classification``: the paper's figures on recognising objects from sums, made again.
+"""``skin evaluate paper classification``: the paper's figures on recognising objects from sums, made again.
 
 ``runs`` counts draws of Φ x splits of each. 4096 sums have one draw: Φ then keeps all inner products up to a factor.
 Splits of one draw differ by 0.4 %. The paper's "over 80 %", "approximately 70 %" and "under 60 %" are shown as 80, 70

@@ -4,7 +4,7 @@ import pytest
 import trimesh
 
 from canskin.errors import InputError
-from evaluation.command import evaluate
+from evaluation.command import rivals
 from evaluation.schemes.scenes import Touch
 
 
@@ -21,11 +21,10 @@ def test_an_own_mesh_slides_and_is_called_by_its_file(puck: str) -> None:
     assert touch.load().true_n[-1].max() > 0
 
 
-def test_what_takes_no_objects_says_so_and_unknown_objects_are_refused(puck: str) -> None:
-    for subject, options in (("calibration", {}), ("rivals", {"scene_seed": 3})):
-        with pytest.raises(InputError, match="only the slides of 'rivals' have objects to choose"):
-            evaluate(subject, objects=puck, **options)  # type: ignore[arg-type]  # of a loop
+def test_drawn_scenes_take_no_objects_and_unknown_objects_are_refused(puck: str) -> None:
+    with pytest.raises(InputError, match="drawn scenes have no objects to choose"):
+        rivals(objects=puck, scene_seed=3)
     with pytest.raises(InputError, match=r"no mesh at 'none\.stl'"):
-        evaluate("rivals", objects="none.stl@mm")
+        rivals(objects="none.stl@mm")
     with pytest.raises(InputError, match="no trajectory of 'ring'"):
-        evaluate("rivals", objects="ring")
+        rivals(objects="ring")

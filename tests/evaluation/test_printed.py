@@ -104,8 +104,8 @@ def test_ours_is_the_one_row_that_has_the_cell() -> None:
 def test_what_is_not_reached_comes_first_and_a_file_keeps_all(tmp_path: Path, settings: dict[str, float]) -> None:
     rows = [{"setting": name, "ours": 0.0 if name == "rotations" else ours} for name, ours in settings.items()]
     kept = reached.stored({"settings": rows}, Options(meshes=tmp_path, seed=3))
-    reached.write(kept, tmp_path / "a" / "paper.json")
-    assert reached.read(tmp_path / "a" / "paper.json") == kept
+    (tmp_path / "paper.json").write_text(reached.encoded(kept))
+    assert reached.read(tmp_path / "paper.json") == kept
     assert kept.made.command == f"skin evaluate paper --meshes {tmp_path.name} --seed 3"
     found = reached.result(kept.numbers)
     assert [row["verdict"] for row in found.rows] == ["not reached"] * 2 + ["reached"] * (len(settings) - 2)

@@ -3,14 +3,11 @@
 import json
 from collections import Counter
 from pathlib import Path
-from types import SimpleNamespace
 from typing import get_args
 
 import pytest
 
-from canskin.errors import InputError
-from evaluation import command
-from evaluation.command import evaluate
+from evaluation.command import Part, RunOptions, paper
 from evaluation.paper import figures, sparsity, tables
 from evaluation.paper.runs import OBJECTS, RECONSTRUCTIONS, Method
 from evaluation.printed import BasisName, sensor_psnr
@@ -37,11 +34,11 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.slow
 @pytest.mark.parametrize(("subject", "count"), [("sparsity", 16), ("compression", 26), ("iterations", 24)])
 def test_every_cell_of_two_objects_stands_beside_the_papers(
-    subject: str, count: int, capsys: pytest.CaptureFixture[str], folder: Path, monkeypatch: pytest.MonkeyPatch
+    subject: Part, count: int, capsys: pytest.CaptureFixture[str], folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     module = sparsity if subject == "sparsity" else tables
     monkeypatch.setattr(module, "OBJECTS", ("golf-ball", "drill"))
-    evaluate(subject, quick=True, jobs=1, out=folder, json=True)  # type: ignore[arg-type]
+    paper(subject, run=RunOptions(quick=True, jobs=1, out=folder), json=True)
     printed = json.loads(capsys.readouterr().out)
     assert len(printed["rows"]) == count
     for row in printed["rows"]:
@@ -66,31 +63,22 @@ def test_figures_show_what_the_paper_says_of_them() -> None:
         assert picture.draw().get_axes()
 
 
-@pytest.mark.parametrize("subject", ["sparsity", "figures", "rivals"])
-def test_draws_are_refused_where_nothing_is_averaged(subject: str) -> None:
-    with pytest.raises(InputError, match=f"'{subject}' averages over no draws of Φ, got 3 draws"):
-        evaluate(subject, draws=3)  # type: ignore[arg-type]
-
-
-def test_paper_hands_draws_only_to_those_that_average(
+def test_the_report_of_all_parts_compares_every_number(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    asked: dict[str, int | None] = {}
+    def part(options: Options) -> Result:
+        assert options.draws == 3
+        return Result("a part", [{"measured": False}])
 
-    def subject_of(module: str) -> SimpleNamespace:
-        def subject(options: Options) -> Result:
-            asked[module.rpartition(".")[2]] = options.draws
-            return Result(module, [{"measured": False}])
-
-        return SimpleNamespace(evaluate=subject, compression=subject, iterations=subject)
-
-    monkeypatch.setattr(command, "import_module", subject_of)
-    evaluate("paper", draws=3, out=tmp_path, json=True)
-    compared = [row for row in json.loads(capsys.readouterr().out)["rows"] if row["subject"] == "paper"]
-    assert {row["verdict"] for row in compared} == {"not measured"}
-    assert (tmp_path / "paper.json").is_file()
-    assert {name for name, draws in asked.items() if draws == 3} == {"tables", "classification"}
-    assert {name for name, draws in asked.items() if draws is None} == {"settings", "sparsity", "figures"}
+    for name in ("settings", "paper.sparsity", "paper.figures", "recognition.classification"):
+        monkeypatch.setattr(f"evaluation.{name}.evaluate", part)
+    for name in ("compression", "iterations"):
+        monkeypatch.setattr(tables, name, part)
+    paper(draws=3, run=RunOptions(out=tmp_path), json=True)
+    rows = json.loads(capsys.readouterr().out)["rows"]
+    assert {row["subject"] for row in rows} == {"paper", *get_args(Part)}
+    assert {row["verdict"] for row in rows if row["subject"] == "paper"} == {"not measured"}
+    assert {"paper.json", "report.html"} <= {path.name for path in tmp_path.iterdir()}
 
 
 def test_table_three_averages_as_many_draws_as_asked(monkeypatch: pytest.MonkeyPatch) -> None:

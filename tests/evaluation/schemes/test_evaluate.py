@@ -3,7 +3,7 @@
 import pytest
 
 from canskin.errors import InputError
-from evaluation.command import evaluate
+from evaluation.command import rivals
 from evaluation.result import Options, Result, Row
 from evaluation.schemes.comparison import DIGITS, means_of, wins_and_losses
 from evaluation.schemes.comparison import evaluate as evaluate_schemes
@@ -61,7 +61,7 @@ def test_drawn_scenes_have_a_row_for_each_scheme_and_their_mean() -> None:
 
 def test_no_drawn_scene_is_refused() -> None:
     with pytest.raises(InputError, match="expected 1 drawn scene or more"):
-        evaluate("rivals", scenes=0, scene_seed=3)
+        rivals(scenes=0, scene_seed=3)
 
 
 @pytest.mark.slow
