@@ -1,6 +1,5 @@
 """Calibration and test patterns of the blocks of a skin: each write goes to the taxels of its block alone."""
 
-
 import numpy as np
 import numpy.typing as npt
 import pytest
