@@ -21,8 +21,8 @@ from reconstructor.bases import wavelet_basis
 from reconstructor.checks import Values, check_grid_of, float_kind
 from reconstructor.fista import momentum
 from reconstructor.kernels.addresses import spin_shifts
+from reconstructor.kernels.blocks import checked
 from reconstructor.kernels.graph import graph_of
-from reconstructor.kernels.problem import checked
 from reconstructor.kernels.variation import INNER
 from reconstructor.settings import Device, LibraryName, SolverSettings
 from shell.extras import not_installed
@@ -165,7 +165,7 @@ def _torch(device: Device) -> ArrayLibrary:
 
 
 class BatchSolver:
-    """min ½‖Φx - y‖² + λ R(x) by FISTA as `reconstructor.kernels.fused.FusedSolver`, for many streams at once.
+    """min ½‖Φx - y‖² + λ R(x) by FISTA as `reconstructor.kernels.blocks.BlockSolver`, for many streams at once.
 
     Parameters
     ----------
@@ -177,7 +177,7 @@ class BatchSolver:
         Any prior except the contourlet.
     library : ArrayLibrary
     edges : array of int, shape (edges, 2), optional
-        As of `reconstructor.kernels.fused.FusedSolver`.
+        As of `reconstructor.kernels.blocks.BlockSolver`.
 
     Attributes
     ----------
@@ -252,7 +252,7 @@ class BatchSolver:
         estimate : array of the library, shape (streams, rows, columns)
             Start and result in newtons. A stream without any sum becomes 0, and its state is reset.
         sums_n, weights : NumPy arrays of `dtype`, shape (streams, m), or (m,) for one stream
-            As of `reconstructor.kernels.fused.FusedSolver.solve`.
+            As of `reconstructor.kernels.blocks.BlockSolver.solve`.
         relative_penalty : float, or array of shape (streams,)
             λ of this solve / λ of the settings.
         """
