@@ -39,12 +39,12 @@ def reference() -> str:
         "# Reference",
         "\n`make docs` writes this page from the code. Keys of a layout: `docs/layout.md`.",
         *_table("Verbs", ("verb", "what it does", "module"), verbs),
-        "\n`skin VERB --help` explains every option.",
+        "\n`--help` of a verb explains every option.",
         *_table("Topics of the fabric", ("topic", "message", "content"), topics),
         "\nQuestions that a service answers:\n",
         *_rows(("question", "request, reply", "what is asked"), questions),
         *_table("Objects of a node", ("object", "name", "access"), _objects()),
-        f"\nObjects of each further block are {BLOCK_STRIDE:X}h higher. `docs/bus.md` and `docs/steps.md` say what they mean.",
+        f"\nObjects of each further block are {BLOCK_STRIDE:X}h higher. Meanings: `docs/bus.md`, `docs/steps.md`.",
         "",
     ])  # fmt: skip
 
