@@ -72,8 +72,8 @@ ANALOGUE_BITS: Final = 4
 IDENTITY_MAX: Final = 2**32 - 1
 #: Why what boards need is refused.
 OTHER_HARDWARE: Final = (
-    "the sums of a matrix are made by other hardware, not by boards on a bus: 'skin rebuild', 'skin reconstruct',"
-    " 'skin classify', 'skin train' and 'skin layout' take them"
+    "the sums of a matrix are made by other hardware, not by boards on a bus: 'skin reconstruct', 'skin classify',"
+    " 'skin train' and 'skin layout' take them"
 )
 #: Least and largest width of a sum in a PDO.
 SUM_BITS_MIN: Final = 7
