@@ -507,8 +507,8 @@ def frozen(bench: Bench) -> None:
 
 def without_offsets(bench: Bench) -> None:
     """A board whose 2009h does not cover offsets."""
-    covered = bench.node._signed[od.CALIBRATION_SIGNATURE]
-    bench.node._signed[od.CALIBRATION_SIGNATURE] = [each for each in covered if each.index != od.OFFSET]
+    covered = bench.node.objects._signed[od.CALIBRATION_SIGNATURE]
+    bench.node.objects._signed[od.CALIBRATION_SIGNATURE] = [each for each in covered if each.index != od.OFFSET]
 
 
 @pytest.mark.parametrize(

@@ -171,8 +171,8 @@ def half_scale(bench: Bench) -> None:
 def unsigned_gains(bench: Bench) -> None:
     """A board whose 2009h does not cover the offsets."""
     node = bench.boards.nodes[0]
-    node._signed[od.CALIBRATION_SIGNATURE] = [
-        each for each in node._signed[od.CALIBRATION_SIGNATURE] if each.index != od.OFFSET
+    node.objects._signed[od.CALIBRATION_SIGNATURE] = [
+        each for each in node.objects._signed[od.CALIBRATION_SIGNATURE] if each.index != od.OFFSET
     ]
 
 
