@@ -11,6 +11,7 @@ from bandwidth.search import with_buses
 from bandwidth.traffic import Disturbance, traffic
 from bandwidth.wiring import wiring
 from bus.simulated_bus import SimulatedBus
+from canskin.errors import LayoutError
 from dbc.codec import encode
 from dbc.contract import Contract, sync_frame
 from dbc.frame import frames
@@ -136,8 +137,8 @@ def test_average_load_is_that_of_the_arbitrated_bus(name: str) -> None:
                 mine = np.concatenate([mine, heartbeats(contract.on_bus(number), cycle * period_ns)])
             assert wire.submit(nodes, mine) == len(mine)
             wire.run_until((cycle + 1) * period_ns)
-    for wire, planned in zip(wires, plan(contract), strict=True):
-        assert wire.counts.busy_ns / (cycles * period_ns) == pytest.approx(planned.load_touched, rel=0.01)
+    for wire, expected in zip(wires, plan(contract), strict=True):
+        assert wire.counts.busy_ns / (cycles * period_ns) == pytest.approx(expected.load_touched, rel=0.01)
 
 
 def heartbeats(nodes: tuple[object, ...], time_ns: int) -> np.ndarray:
