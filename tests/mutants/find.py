@@ -7,14 +7,16 @@ cosmic-ray makes the mutants of ``cosmic-ray.toml`` in a copy of the tree, and r
 import argparse
 import os
 import random
+import re
 import shutil
 import subprocess
 import sys
 from pathlib import Path
 from typing import Final
 
+from cosmic_ray.config import load_config
 from cosmic_ray.work_db import use_db
-from cosmic_ray.work_item import WorkerOutcome, WorkResult
+from cosmic_ray.work_item import WorkerOutcome
 
 ROOT: Final = Path(__file__).parents[2]
 FOLDER: Final = ROOT / "build" / "mutants"
@@ -40,7 +42,6 @@ def main() -> int:
         subprocess.run(command, cwd=COPY, env=environment, check=True)
 
     run("cosmic-ray", "init", "--force", CONFIGURATION, str(SESSION))
-    run("cr-filter-operators", str(SESSION), CONFIGURATION)
     draw(options.sample, options.seed, options.only)
     run("cosmic-ray", "exec", CONFIGURATION, str(SESSION))
     return tell()
@@ -59,13 +60,20 @@ def copy_tree() -> None:
 
 
 def draw(count: int, seed: int, only: str) -> None:
-    """Leave out all mutants but `count` of them below the path `only`."""
+    """Keep `count` mutants below the path `only`, of the operators that ``cosmic-ray.toml`` does not exclude."""
+    filters = load_config(COPY / CONFIGURATION).sub("filters", "operators-filter")
+    is_excluded = re.compile("|".join(filters["exclude-operators"])).match
     with use_db(SESSION) as session:
-        pending = sorted(session.pending_work_items, key=lambda item: str(item.mutations))
-        wanted = [each for each in pending if str(each.mutations[0].module_path).startswith(only)]
-        drawn = {each.job_id for each in random.Random(seed).sample(wanted, min(count, len(wanted)))}
-        left_out = [each.job_id for each in pending if each.job_id not in drawn]
-        session.set_multiple_results(left_out, WorkResult(WorkerOutcome.SKIPPED, output="not drawn"))
+        wanted = [
+            item
+            for item in session.work_items
+            if str(item.mutations[0].module_path).startswith(only) and not is_excluded(item.mutations[0].operator_name)
+        ]
+        wanted.sort(key=lambda item: str(item.mutations))
+        drawn = random.Random(seed).sample(wanted, min(count, len(wanted)))
+        session.clear()
+        session.add_work_items(drawn)
+    print(f"{len(drawn)} of {len(wanted)} mutants", flush=True)
 
 
 def tell() -> int:
