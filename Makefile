@@ -55,6 +55,7 @@ figures: setup
 	@$(BIN)/python -m docs.figures $(ARGS)
 
 docs: setup
+	@$(BIN)/python -m docs.reference
 	@$(BIN)/python -m docs.site_pages build/site
 	@$(BIN)/zensical build --strict --config-file build/site/mkdocs.yml
 	@echo "build/site/site/index.html"

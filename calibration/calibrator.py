@@ -11,28 +11,24 @@ from typing import Final, Literal
 
 import msgspec
 import numpy as np
-import numpy.typing as npt
 
+from calibration.clipped_noise import ClippedNoise
+from calibration.corrections import Corrections
 from calibration.defects import DefectFinder
 from calibration.field import FieldFinder
-from calibration.followed import FollowedZero, ZeroLog, least_noise_n
+from calibration.followed import FollowedZero, Measured, ZeroLog, least_noise_n
 from calibration.taring import Taring
 from calibration.temperature import TemperatureModel
-from calibration.windows import TARE_WINDOWS, Bools, Floats, Window, WindowMeans, rms, tare_s
+from calibration.windows import TARE_WINDOWS, Bools, Floats, Window, WindowMeans, rms
 from canskin.calibration_messages import CalibrationState, CalibrationStatus, Region, ZeroSupport
 from canskin.messages import Measurement
-from skin.clipping import IDLE_MEAN
 from skin.frontend import sum_step_n
 from skin.layout import Layout
 from skin.measured_sums import used_sums
-from skin.measurement import Sbhe
 from skin.regions import taxels_of
-from skin.taxel import NOISE_N
 
 #: When the zero is measured: as soon as the skin has been untouched for a while, or on request alone.
 Tare = Literal["at-start", "never"]
-#: Noise of sums that are not averaged, in units of what the paper's sensor has: below, the sensor adds none.
-LEAST_NOISE_RATIO: Final = 0.3
 #: From one look at the newest steps to the next, seconds: the period of their cycles here.
 LOOK_S: Final = 0.025
 #: Noise of a sum, counts, that is no defect: averages of an untouched taxel are 0 but for rare cycles.
@@ -53,78 +49,6 @@ class TareResult:
 
     is_done: bool
     text: str
-
-
-class ClippedNoise:
-    """The noise of the sums, and what sums of an untouched skin read because taxels clip it at 0.
-
-    Parameters
-    ----------
-    clips : bool
-        Nodes that average undo the clipping themselves; an analogue front end clips no taxel.
-
-    Attributes
-    ----------
-    noise_n : float
-        Standard deviation of a sum in the newest window, median of all sums, newtons.
-    bias_n : array, shape (m,), or float
-        What sums read without offsets and forces, as solvers and models expect it, newtons.
-    """
-
-    def __init__(self, phi: Sbhe, *, clips: bool) -> None:
-        size = phi.block_size
-        self._least_n = LEAST_NOISE_RATIO * NOISE_N * size**0.5 if clips else float("inf")
-        self._clipped_n = np.where(phi.row_of_sum == 0, size * IDLE_MEAN * NOISE_N, 0.0)
-        self.noise_n = 0.0
-        self.bias_n: Floats | float = 0.0
-
-    def take(self, window: Window) -> None:
-        """Look at the next window."""
-        self.noise_n = float(np.median(window.noise_n[window.known])) if window.known.any() else 0.0
-
-    def learn_bias(self) -> None:
-        """Set the bias to that of the present noise."""
-        self.bias_n = self._clipped_n if self.noise_n >= self._least_n else 0.0
-
-
-class Corrections:
-    """What measurements carry of the zero: offsets, which sums are usable, and which taxels are doubtful."""
-
-    def __init__(self, layout: Layout) -> None:
-        self._is_own = not layout.sends.boards_keep_zero
-        self._newton_per_count = layout.taxels.newton_per_count
-        #: Taxels, shape (n,), that are doubtful whatever stands on them.
-        self.unaccepted = np.zeros(layout.taxels.count, np.bool_)
-        #: Packed for measurements: doubtful taxels; offsets of steps, which change in some windows only.
-        self._doubtful = self._offsets = b""
-
-    def take(self, followed: FollowedZero | None, *, tares: bool) -> None:
-        """Pack what a window has changed; without a zero that is to be measured, all taxels are doubtful."""
-        doubtful = self.unaccepted | (tares if followed is None else followed.doubt.taxels)
-        self._doubtful = np.packbits(doubtful).tobytes() if doubtful.any() else b""
-        if followed is not None and not self._is_own:
-            offsets = self._counts(followed.zero.follower.level_n)
-            self._offsets = offsets.tobytes() if offsets.any() else b""
-
-    def apply(self, measurement: Measurement, followed: FollowedZero | None, usable: Bools) -> Measurement:
-        """Return a measurement with its corrections; `usable`, shape (m,), is False for defective sums."""
-        if followed is None or not self._is_own:
-            if not self._offsets and not self._doubtful:
-                return measurement
-            return msgspec.structs.replace(measurement, offsets=self._offsets, doubtful=self._doubtful)
-        offsets = self._counts(followed.offsets_at_n(measurement.sampled_mono_ns))
-        used = usable & followed.zero.follower.known
-        if measurement.usable:
-            used &= np.frombuffer(measurement.usable, np.uint8) != 0
-        return msgspec.structs.replace(
-            measurement,
-            offsets=offsets.tobytes(),
-            usable=b"" if used.all() else used.astype(np.uint8).tobytes(),
-            doubtful=self._doubtful,
-        )
-
-    def _counts(self, offsets_n: Floats) -> npt.NDArray[np.int32]:
-        return np.rint(offsets_n / self._newton_per_count).astype("<i4")
 
 
 class Calibrator:
@@ -163,8 +87,8 @@ class Calibrator:
         self._layout, self._phi, self._tares, self._say = layout, phi, tares, say
         #: Whether offsets are measured and followed here, and not by the boards.
         self._is_own = not layout.sends.boards_keep_zero
-        self._period_s = layout.sync.round_s if self._is_own else LOOK_S
-        self._windows = WindowMeans(phi.shape[0], self._period_s, taxels.newton_per_count)
+        period_s = layout.sync.round_s if self._is_own else LOOK_S
+        self._windows = WindowMeans(phi.shape[0], period_s, taxels.newton_per_count)
         self._waiting: Window | None = None
         self._newest_ns = self._tared_ns = 0
         self._noise = ClippedNoise(phi, clips=layout.samples_per_sync == 1 and not taxels.is_analogue)
@@ -176,7 +100,7 @@ class Calibrator:
         temperature = TemperatureModel(phi.blocks)
         self._new_zero = partial(FollowedZero, layout, self._finder, temperature, self._windows.length_ns)
         self._log = ZeroLog(say, taxels.surface, taxels.force_max_n)
-        self._corrections, self._unaccepted_ns = Corrections(layout), 0
+        self._corrections = Corrections(layout)
         self._followed: FollowedZero | None = None
         self.state = CalibrationState.MEASURING if tares else CalibrationState.OFF
         self.revision = 0
@@ -193,7 +117,7 @@ class Calibrator:
     @property
     def tare_s(self) -> float:
         """Time for which the skin must be untouched, seconds."""
-        return tare_s(self._period_s)
+        return TARE_WINDOWS * self._windows.length_ns / 1e9
 
     @property
     def has_few_sums(self) -> bool:
@@ -205,7 +129,8 @@ class Calibrator:
         known = np.isfinite(offsets_n)
         self._start_anew(TareResult(False, "other offsets were loaded meanwhile"))
         level_n = np.where(known, offsets_n, 0.0)
-        self._use(self._new_zero(level_n, np.zeros(known.size), known, ZeroSupport.STORED, self._newest_ns))
+        stored = Measured(level_n, np.zeros(known.size), known, ZeroSupport.STORED, self._newest_ns)
+        self._use(self._new_zero(stored))
         if not self._tares:
             self.state = CalibrationState.LOADED
 
@@ -228,8 +153,7 @@ class Calibrator:
 
     def doubt_blocks(self, blocks: Bools, time_ns: int) -> None:
         """Doubt all forces on some blocks, shape (blocks,), from `time_ns` to the next call."""
-        self._unaccepted_ns = (self._unaccepted_ns or time_ns) if blocks.any() else 0
-        self._corrections.unaccepted = self._phi.of_taxels(blocks)
+        self._corrections.doubt(self._phi.of_taxels(blocks), time_ns)
         self._corrections.take(self._followed, tares=self._tares)
 
     def forget(self) -> None:
@@ -315,10 +239,10 @@ class Calibrator:
             zero_support=bytes(self._phi.blocks),
             zero_mono_ns=bytes(8 * self._phi.blocks),
         )
-        unaccepted = self._corrections.unaccepted
+        unaccepted, since_ns = self._corrections.unaccepted, self._corrections.unaccepted_ns
         if self._followed is None:
             count = int(unaccepted.sum())
-            return msgspec.structs.replace(status, doubtful_taxels=count, doubtful_since_mono_ns=self._unaccepted_ns)
+            return msgspec.structs.replace(status, doubtful_taxels=count, doubtful_since_mono_ns=since_ns)
         zero, doubt, support = self._followed.zero, self._followed.doubt, self._followed.support
         known_n = zero.follower.level_n[zero.follower.known]
         per_s = 1e9 / self._windows.length_ns
@@ -333,7 +257,7 @@ class Calibrator:
             zero_mono_ns=support.since_ns.astype("<i8").tobytes(),
             doubtful_taxels=int(doubtful.sum()),
             doubtful_force_n=float(zero.force_n[doubtful].sum()),
-            doubtful_since_mono_ns=min(filter(None, (doubt.since_ns, self._unaccepted_ns)), default=0),
+            doubtful_since_mono_ns=min(filter(None, (doubt.since_ns, since_ns)), default=0),
         )
 
     def _follow(self, followed: FollowedZero, window: Window) -> None:
@@ -364,11 +288,8 @@ class Calibrator:
         slope_n = found.slope_n if self._tares else np.zeros_like(level_n)  # nothing follows the drift then
         support = ZeroSupport.TOLD if self._taring.forced else ZeroSupport.MEASURED
         level_n = np.where(known, level_n, 0.0)
-        begun = self._new_zero(
-            level_n, slope_n, known, support, self._newest_ns, age=TARE_WINDOWS, noise_n=found.noise_n
-        )
-        begun.centre_ns = self._newest_ns
-        self._use(begun)
+        measured = Measured(level_n, slope_n, known, support, self._newest_ns, TARE_WINDOWS, found.noise_n)
+        self._use(self._new_zero(measured))
         later = f"when nothing has touched them for {self.tare_s:.3g} s" if self._tares else "at the next 'skin tare'"
         late = "" if known.all() else f"; the others get theirs {later}"
         self._end(
@@ -420,7 +341,7 @@ class Calibrator:
             self._use(None)
             return
         zeros = np.zeros(self._phi.shape[0])
-        self._use(self._new_zero(zeros, zeros, zeros == 0, ZeroSupport.STORED, self._newest_ns, age=1))
+        self._use(self._new_zero(Measured(zeros, zeros, zeros == 0, ZeroSupport.STORED, self._newest_ns, age=1)))
         if self._tares:
             self.state = CalibrationState.FOLLOWING
 

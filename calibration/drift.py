@@ -66,7 +66,6 @@ class DriftFollower:
         #: Variance of level, covariance, variance of slope of each block, in units of the noise's: the gains of a line.
         self._spread = _spread(self._age)
         self._least_spread = _spread(np.full(blocks, MEMORY))
-        self._is_after_gap = np.zeros(blocks, np.bool_)
         self._held = np.zeros_like(self._age)
         self._least_noise_n = least_noise_n
 
@@ -100,7 +99,6 @@ class DriftFollower:
         """
         self.level_n = self.predicted_n(windows)
         self._spread = _ahead(self._spread, windows)
-        self._is_after_gap[:] = True
         self._held = self._held + windows
 
     def begin(self, sums: Bools, level_n: Floats, slope_n: Floats, age: int) -> None:
@@ -109,7 +107,7 @@ class DriftFollower:
         self._slope_n = np.where(sums, slope_n, self._slope_n)
         self.known = self.known | sums
         blocks = np.unique(self._block_of_sum[sums])
-        self._age[blocks], self._held[blocks], self._is_after_gap[blocks] = age, 0, False
+        self._age[blocks], self._held[blocks] = age, 0
         self._spread[:, blocks] = _spread(self._age[blocks])
 
     def add(self, change_n: Floats) -> None:
@@ -152,13 +150,8 @@ class DriftFollower:
         follows = ~is_held & self.known
         deviation = np.sqrt(1.0 + np.where(self._age > 1, _ahead(self._spread, 1)[0], _SECOND))
         relative = residual / deviation[self._block_of_sum]
-        late = self._is_after_gap[self._block_of_sum]
-        if (follows & late).any():
-            # A drift that has changed in the gap: all of the line is less certain, not its last windows alone.
-            surprise = float(np.mean(relative[follows & late] ** 2)) / self.noise_n**2
-            self._spread = np.where(self._is_after_gap, max(1.0, surprise) * self._spread, self._spread)
-        if (follows & ~late).any():
-            self._learn(relative[follows & ~late])
+        if follows.any():
+            self._learn(relative[follows])
         age = np.minimum(self._age + 1, MEMORY)
         spread = np.maximum(_after_point(_ahead(self._spread, 1)), self._least_spread)
         spread = np.where(age == 1, _spread(age), spread)  # the first window tells nothing of the slope
@@ -169,7 +162,6 @@ class DriftFollower:
         followed[self._block_of_sum[follows]] = True
         self._age = np.where(followed, age, self._age)
         self._spread = np.where(followed, spread, self._spread)
-        self._is_after_gap &= ~followed
         self._held = np.where(followed, 0, self._held + 1)
 
     def _learn(self, residual_n: Floats) -> None:

@@ -15,9 +15,9 @@ import numpy as np
 from scipy.ndimage import binary_opening
 
 from calibration.windows import Bools, Floats, rms
-from reconstructor.kernels.fused import FusedSolver
-from reconstructor.kernels.problem import places_of_sums, taxels_in_block_order
+from reconstructor.kernels.blocks import places_of_sums, taxels_in_block_order
 from reconstructor.kernels.transforms import hadamard
+from reconstructor.kernels.variation import VariationSolver
 from reconstructor.settings import VARIATION
 from skin.measurement import Sbhe
 from skin.surface import Surface
@@ -79,7 +79,7 @@ class FieldFinder:
 
     def __init__(self, phi: Sbhe, surface: Surface) -> None:
         settings = replace(VARIATION, iterations=ITERATIONS, penalty_n=1.0, nonnegative=False, scaled_start=False)
-        self._solver = FusedSolver(phi, *surface.shape, settings, edges=surface.graph)
+        self._solver = VariationSolver(phi, *surface.shape, settings, edges=surface.graph)
         self.phi, self._surface = phi, surface
         self._taxels, self._places = taxels_in_block_order(phi), places_of_sums(phi)
         #: Standard deviation of Φᵀ noise over that of the noise.

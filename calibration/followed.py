@@ -1,7 +1,7 @@
 """A zero in use: followed from window to window, with its doubt, its support, and what temperature tells of it."""
 
 from collections.abc import Callable
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -85,6 +85,32 @@ class Support:
         return np.asarray(self._phi.all_of_blocks(known) & self._phi.has_sums, np.bool_)
 
 
+class Measured(NamedTuple):
+    """What a zero begins with.
+
+    Attributes
+    ----------
+    level_n, slope_n : array, shape (m,)
+        Offsets in newtons, and their change in a window.
+    known : array of bool, shape (m,)
+        Sums that have an offset.
+    support : ZeroSupport
+        Of the offsets.
+    time_ns : int
+        Centre of the window that measured or told offsets are of.
+    age, noise_n
+        See `DriftFollower`.
+    """
+
+    level_n: Floats
+    slope_n: Floats
+    known: Bools
+    support: ZeroSupport
+    time_ns: int
+    age: int = 0
+    noise_n: float = 0.0
+
+
 class FollowedZero:
     """A zero in use.
 
@@ -94,16 +120,6 @@ class FollowedZero:
         It is kept from zero to zero.
     length_ns : int
         Of a window.
-    level_n, slope_n : arrays, shape (m,)
-        Offsets in newtons, and their change in a window.
-    known : array of bool, shape (m,)
-        Sums that have an offset.
-    support : ZeroSupport
-        Of the offsets.
-    time_ns : int
-        When they were measured.
-    age, noise_n
-        See `DriftFollower`.
 
     Attributes
     ----------
@@ -116,30 +132,19 @@ class FollowedZero:
         Whether a force was doubtful before the newest window.
     """
 
-    def __init__(  # noqa: PLR0917 - one half is given once
-        self,
-        layout: Layout,
-        finder: FieldFinder,
-        temperature: TemperatureModel,
-        length_ns: int,
-        level_n: Floats,
-        slope_n: Floats,
-        known: Bools,
-        support: ZeroSupport,
-        time_ns: int,
-        *,
-        age: int = 0,
-        noise_n: float = 0.0,
+    def __init__(
+        self, layout: Layout, finder: FieldFinder, temperature: TemperatureModel, length_ns: int, measured: Measured
     ) -> None:
-        taxels, phi = layout.taxels, finder.phi
+        taxels, phi, keeps = layout.taxels, finder.phi, layout.sends.boards_keep_zero
+        known, support = measured.known, measured.support
         follower = DriftFollower(
             phi.block_of_sum,
             phi.blocks,
-            level_n,
-            slope_n,
+            measured.level_n,
+            measured.slope_n,
             known,
-            age=age,
-            noise_n=noise_n,
+            age=measured.age,
+            noise_n=measured.noise_n,
             least_noise_n=least_noise_n(layout),
         )
         self.zero = Zero(
@@ -149,12 +154,12 @@ class FollowedZero:
             follower,
             support=support,
             references=np.isin(np.arange(taxels.count), taxels.untouchable or ()),
-            follows=not layout.sends.boards_keep_zero,
+            follows=not keeps,
         )
         self.doubt = Doubt(taxels.count, taxels.force_max_n, length_ns * 1e-9)
-        keeps = layout.sends.boards_keep_zero
-        self.support = Support(phi, known, support, time_ns, boards_keep_zero=keeps)
-        self.centre_ns, self.was_doubtful = 0, False
+        self.support = Support(phi, known, support, measured.time_ns, boards_keep_zero=keeps)
+        self.centre_ns = measured.time_ns if support > ZeroSupport.STORED else 0
+        self.was_doubtful = False
         self._phi, self._length_ns = phi, length_ns
         self._temperature = temperature
         temperature.restart()

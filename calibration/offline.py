@@ -3,23 +3,17 @@
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-import msgspec
 import numpy as np
 import numpy.typing as npt
 
 from calibration.calibrator import Calibrator, Tare
-from calibration.recorded import RecordedOffsets
 from calibration.windows import Bools
 from canskin.messages import CycleMeasurement, Measurement
 from shell.service import say
 from skin.calibration_file import load_calibration
 from skin.layout import Layout, require_sending
-from skin.measured_sums import decode_measurement
 from skin.measurement import Sbhe
 from skin.sync_counter import next_counter
-
-#: Puts offsets into measurements, one after the other.
-OffsetSource = Calibrator | RecordedOffsets
 
 
 def make_calibrator(layout: Layout, path: Path | None, tare: Tare, service: str) -> Calibrator | None:
@@ -31,7 +25,7 @@ def make_calibrator(layout: Layout, path: Path | None, tare: Tare, service: str)
     return Calibrator(layout, offsets_n=offsets_n, tares=tare == "at-start", say=lambda text: say(service, text))
 
 
-def calibrated(measurements: Iterable[Measurement], calibrator: OffsetSource | None) -> Iterator[Measurement]:
+def calibrated(measurements: Iterable[Measurement], calibrator: Calibrator | None) -> Iterator[Measurement]:
     """Yield measurements with offsets; without a calibrator, as they are."""
     for each in measurements:
         if calibrator is None:
@@ -40,38 +34,6 @@ def calibrated(measurements: Iterable[Measurement], calibrator: OffsetSource | N
         yield calibrator.apply(each)
         calibrator.take(each)
         calibrator.work()
-
-
-def calibrated_cycles(
-    layout: Layout,
-    counts: npt.NDArray[np.int32],
-    valid_sums: Bools,
-    time_ns: npt.NDArray[np.int64],
-    calibrator: OffsetSource,
-) -> tuple[npt.NDArray[np.int32], Bools, Bools]:
-    """Return the sums of all cycles less their offsets, and the validity of their blocks and of the sums.
-
-    Parameters
-    ----------
-    counts : array of int32, shape (cycles, m)
-    valid_sums : array of bool, shape (cycles, m)
-        Sums that came and are usable.
-    time_ns : array of int64, shape (cycles,)
-    """
-    phi = layout.phi()
-    corrected, used, whole = np.empty_like(counts), valid_sums.copy(), np.empty((len(counts), phi.blocks), np.bool_)
-
-    def measured() -> Iterator[Measurement]:
-        for cycle, (sums, valid, at_ns) in enumerate(zip(counts, valid_sums, time_ns.tolist(), strict=True)):
-            blocks = np.bincount(phi.block_of_sum, valid, phi.blocks) > 0
-            came = measurement_of(layout, phi, cycle, sums, blocks, time_ns=at_ns)
-            unusable = blocks[phi.block_of_sum] & ~valid
-            yield msgspec.structs.replace(came, usable=(~unusable).tobytes()) if unusable.any() else came
-
-    for cycle, made in enumerate(calibrated(measured(), calibrator)):
-        decoded = decode_measurement(made, phi)
-        corrected[cycle], whole[cycle], used[cycle] = decoded.counts, decoded.valid, decoded.valid_sums
-    return corrected, whole, used
 
 
 def measurement_of(

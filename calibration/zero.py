@@ -14,38 +14,26 @@ field x of y - z.
   fell while something touched.
 """
 
-from collections import deque
 from typing import Final
 
 import numpy as np
 
-from calibration.drift import DriftFollower, line_through
+from calibration.drift import DriftFollower
+from calibration.falls import PROOF_WINDOWS, Falls
 from calibration.field import Field, FieldFinder
+from calibration.late_blocks import LateBlocks
+from calibration.still_touch import StillTouch
 from calibration.taring import FLOOR_PART
-from calibration.windows import TARE_WINDOWS, Bools, Floats, Window
+from calibration.windows import Bools, Floats, Window
 from canskin.calibration_messages import ZeroSupport
 from skin.measurement import Sbhe
 from skin.surface import Surface
 
-#: Windows for which a force below 0 has to last while something touches.
-PROOF_WINDOWS: Final = 3
 #: While something touches, forces below 0 count beyond this part of the largest force: images of a touch err by less.
 LEAST_PART: Final = 0.05
-#: Turns in which a fall is taken off: each field is a little too small.
-TURNS: Final = 3
-#: A touch stands still while no taxel changes by more than this part of the largest force.
-STILL_PART: Final = 0.1
-#: Under a touch that stands still, offsets follow what has no pattern by this part of it in each window.
-STILL_GAIN: Final = 0.04
 #: Windows from audit to audit, and part of the way of the zero by which its anchor follows in each.
 AUDIT_WINDOWS: Final = 4
 ANCHOR_GAIN: Final = 0.0005
-#: What fell may come back later, less this part of it each audit.
-CREDIT_LOSS: Final = 0.005
-#: A force of more than `RETURN_RATIO` times what fell is a touch, and does not come back.
-RETURN_RATIO: Final = 1.5
-#: What fell while nothing touched comes back by this part in each window: a touch of the same force lasts some seconds.
-RETURN_PART: Final = 0.05
 #: Noise of an offset over that of a window: a line through ten seconds.
 LEAST_AUDIT: Final = 0.3
 #: What all taxels have in common is followed while it rises by less than this part of what is seen in a window:
@@ -114,26 +102,22 @@ class Zero:
         self.held = np.zeros(phi.blocks, np.bool_)
         self.moved_n, self.fallen = np.zeros(taxels), np.zeros(taxels, np.bool_)
         self._phi, self._finder, self._surface = phi, finder, surface
-        self._is_measured, self._is_stored = support is ZeroSupport.MEASURED, support is ZeroSupport.STORED
-        self._follows, self._references = follows, references
+        self._is_stored, self._follows, self._references = support is ZeroSupport.STORED, follows, references
         #: How far the zero of each taxel may fall, newtons.
         self._room_n = np.full(taxels, np.inf if follows else 0.0)
         self._below_n = np.zeros((PROOF_WINDOWS, taxels))
         self._anchor_n = follower.level_n.copy()
-        #: What fell while something touches, and before that, newtons of each taxel.
-        self._fallen_now_n, self._fallen_n = np.zeros((2, taxels))
-        self._windows = self._untouched_windows = self.calm_windows = 0
+        self._falls = Falls(taxels, is_credited=support is ZeroSupport.MEASURED)
+        self._still, self._late = StillTouch(phi), LateBlocks(phi)
+        self._windows = self.calm_windows = 0
         self.needs_audit = False
-        self._recent: deque[Window] = deque(maxlen=TARE_WINDOWS)
-        self._late_windows = np.zeros(phi.blocks, np.intp)
-        self._first_n, self._still_n, self._expected_n = np.zeros(taxels), np.zeros(taxels), np.zeros(phi.shape[0])
-        self._still_windows = 0
 
     def skip(self, windows: int) -> None:
         """Let the zero go on for windows in which nothing was measured."""
         self.follower.skip(windows)
         self._below_n[:] = 0
-        self._late_windows[:] = self._still_windows = 0
+        self._still.end()
+        self._late.skip()
 
     def take(self, window: Window, usable: Bools) -> None:
         """Look at the next window; only `usable` sums, shape (m,), tell anything."""
@@ -159,18 +143,21 @@ class Zero:
             follower.move(field.shift_n)
             self._anchor_n += field.shift_n
         self._is_stored &= bool(self.touched.any()) or not known.any()
-        self._take_off(left_n, known, least_n)
+        self._take_off(least_n)
         if not self._follows:
             return
         if self.touched.any():  # only what has no pattern is followed
             pattern_n = self._finder.sums(field.force_n - self.moved_n)
             follower.take(window.mean_n - pattern_n, window.known, self.held)
-            if self._still_windows >= TARE_WINDOWS:
-                rest_n = left_n - self._expected_n - self._finder.sums(field.force_n - self._still_n)
-                follower.add(np.where(known & self.held[self._phi.block_of_sum], STILL_GAIN * rest_n, 0.0))
+            if self._still.is_known:
+                drift_n = self._still.drift_n(left_n, self._finder.sums(field.force_n - self._still.force_n))
+                follower.add(np.where(known & self.held[self._phi.block_of_sum], drift_n, 0.0))
         else:
             follower.take(window.mean_n, window.known, self.held)
-        self._begin_late(window)
+        begun = self._late.take(window, follower.known, self.held)
+        if begun is not None:
+            follower.begin(*begun)
+            self._anchor_n = np.where(begun.sums, begun.level_n, self._anchor_n)
         self._windows += 1
         self.needs_audit |= self._windows % AUDIT_WINDOWS == 0
 
@@ -191,13 +178,10 @@ class Zero:
         """
         used = known & self.follower.known
         left_n = np.where(used, mean_n - self.follower.level_n, 0.0)
-        settled_n = np.zeros_like(self.force_n)
-        for _ in range(TURNS):
-            field = self._finder.find(left_n - self._finder.sums(settled_n), used, self.follower.noise_n)
-            settled_n += np.where(region, field.force_n, 0.0)
-        settled_n = np.asarray(np.maximum(settled_n, -self._room_n), np.float64)
+        field = self._finder.find(left_n, used, self.follower.noise_n)
+        settled_n = np.where(region, np.maximum(field.force_n, -self._room_n), 0.0)
         self.move(settled_n)
-        self._fallen_n[region] = self._fallen_now_n[region] = 0
+        self._falls.settle(region)
         self.force_n = np.where(region, 0.0, self.force_n)
         return settled_n
 
@@ -229,60 +213,33 @@ class Zero:
         self._below_n = np.roll(self._below_n, 1, axis=0)
         self._below_n[0] = np.minimum(force_n, 0)
 
-    def _take_off(self, left_n: Floats, known: Bools, least_n: float) -> None:
+    def _take_off(self, least_n: float) -> None:
         """Correct the zero where forces are below it, and where they are those of a fall that has ended."""
         is_touched = bool(self.touched.any())
-        self._untouched_windows = 0 if is_touched else self._untouched_windows + 1
         proven_n = np.maximum(self._below_n.max(axis=0) if is_touched else self._below_n[0], -self._room_n)
         limit_n = max(least_n, LEAST_PART * float(self.force_n.max())) if is_touched else least_n
         fall_n = np.where(self._finder.opened(proven_n < -limit_n), proven_n, 0.0)
         if fall_n.any():
-            self._fall(fall_n, left_n, known, is_touched=is_touched)
-        if self._untouched_windows == PROOF_WINDOWS:  # what fell meanwhile is right
-            self._fallen_n += self._fallen_now_n
-            self._fallen_now_n[:] = 0
-        for fallen_n, part in ((self._fallen_now_n, 1.0), (self._fallen_n, RETURN_PART)):
-            returns = (self.force_n >= least_n) & (self.force_n <= RETURN_RATIO * fallen_n + least_n)
-            back_n = np.where(returns, np.minimum(self.force_n, part * fallen_n), 0.0)
-            if back_n.any():
-                self.move(back_n)
-                self.force_n = self.force_n - back_n
-                np.subtract(fallen_n, back_n, out=fallen_n)
-
-    def _fall(self, fall_n: Floats, left_n: Floats, known: Bools, *, is_touched: bool) -> None:
-        below = fall_n < 0
-        for _ in range(0 if is_touched else TURNS - 1):  # a field is a little too small
-            field = self._finder.find(left_n - self._finder.sums(fall_n), known, self.follower.noise_n)
-            fall_n = np.where(below, np.clip(fall_n + field.force_n, -self._room_n, 0), 0.0)
-        self.move(fall_n)
-        self.fallen = below
-        self._below_n = np.minimum(self._below_n - fall_n, 0)
-        if is_touched:
-            self._fallen_now_n -= fall_n
-        elif self._is_measured:
-            self._fallen_n -= fall_n
+            self.move(fall_n)
+            self.fallen = fall_n < 0
+            self._below_n = np.minimum(self._below_n - fall_n, 0)
+        back_n = self._falls.take(fall_n, self.force_n, least_n, is_touched=is_touched)
+        if back_n.any():
+            self.move(back_n)
+            self.force_n = self.force_n - back_n
 
     def _find(self, left_n: Floats, known: Bools) -> Field:
         """Return the field of what is left of the sums.
 
         While a touch stands still, what its field does not explain of the sums is expected, and what changes is drift.
         """
-        noise_n = self.follower.noise_n
-        if self._still_windows >= TARE_WINDOWS:
-            field = self._finder.find(np.where(known, left_n - self._expected_n, 0.0), known, noise_n)
-            if np.abs(field.force_n).max() <= STILL_PART * self._still_n.max():
-                return field._replace(force_n=self._still_n + field.force_n)
-            self._still_windows = 0
+        noise_n, still = self.follower.noise_n, self._still
+        if still.is_known:
+            field = self._finder.find(np.where(known, left_n - still.expected_n, 0.0), known, noise_n)
+            if still.goes_on(field.force_n):
+                return field._replace(force_n=still.force_n + field.force_n)
         field = self._of_one_sign(self._finder.find(left_n, known, noise_n), left_n, known)
-        force_n = np.maximum(field.force_n, 0)
-        if not force_n.any() or np.abs(force_n - self._first_n).max() > STILL_PART * force_n.max():
-            self._still_windows = 0
-        if self._still_windows == 0:
-            self._first_n = force_n
-            self._still_n, self._expected_n = np.zeros_like(force_n), np.zeros_like(left_n)
-        self._still_windows += 1
-        self._still_n = self._still_n + field.force_n / TARE_WINDOWS
-        self._expected_n = self._expected_n + left_n / TARE_WINDOWS
+        still.take(field.force_n, left_n)
         return field
 
     def _of_one_sign(self, field: Field, left_n: Floats, known: Bools) -> Field:
@@ -301,20 +258,6 @@ class Zero:
             return sharp._replace(force_n=below_n)
         return field
 
-    def _begin_late(self, window: Window) -> None:
-        """Give blocks that came late their zero, when nothing touches them."""
-        self._recent.append(window)
-        late = ~self._phi.all_of_blocks(self.follower.known)
-        free = late & ~self.held & self._phi.all_of_blocks(window.known)
-        self._late_windows = np.where(free, self._late_windows + 1, 0)
-        ready = self._late_windows >= TARE_WINDOWS
-        if not ready.any():
-            return
-        level_n, slope_n, _ = line_through(np.stack([each.mean_n for each in self._recent]))
-        sums = self._phi.sums_of_blocks(ready)
-        self.follower.begin(sums, level_n, slope_n, TARE_WINDOWS)
-        self._anchor_n[sums] = level_n[sums]
-
     def audit(self) -> Floats:
         """Give back what the zero has followed that looks like a touch since its anchor.
 
@@ -329,17 +272,12 @@ class Zero:
         least_n = self._finder.least_n(field.noise_n)
         floor_n = max(0.0, float(np.quantile(field.force_n, FLOOR_PART)))
         risen_n = field.force_n - floor_n
-        back_n = np.minimum(np.maximum(risen_n, 0), self._fallen_n)
+        back_n = self._falls.returned_n(risen_n)
         touch_n = np.where(self._finder.opened(risen_n - back_n > least_n), risen_n - back_n, 0.0)
         fall_n = np.where(self._finder.opened(risen_n < -least_n), risen_n, 0.0)
-        self._fallen_n = (1 - CREDIT_LOSS) * (self._fallen_n - back_n)
-        if self._is_measured:
-            self._fallen_n -= fall_n
+        self._falls.audit(back_n, fall_n)
         self._anchor_n += self._finder.sums(floor_n + back_n + fall_n)
         if touch_n.any():
-            for _ in range(TURNS - 1):
-                field = self._finder.find(way_n - self._finder.sums(touch_n), follower.known, field.noise_n)
-                touch_n += np.where(touch_n > 0, np.maximum(field.force_n, -touch_n), 0.0)
             follower.move(-self._finder.sums(touch_n))
         self._anchor_n += ANCHOR_GAIN * (follower.level_n - self._anchor_n)
         # What neighbouring taxels share has no slope: when its drift ends, the zero would run on.

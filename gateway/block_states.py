@@ -70,7 +70,7 @@ def judge(  # noqa: PLR0917  compiled functions take no keywords
     state: PartSums,
     shown: BlockStates,
 ) -> None:
-    """Forget parts that were silent for too long, and bring what is shown up to date.
+    """Find parts that are silent for too long, and bring what is shown up to date.
 
     Parameters
     ----------
@@ -85,10 +85,17 @@ def judge(  # noqa: PLR0917  compiled functions take no keywords
     unslotted_ns = (2 * slots.per_sync + LATE_SLOTS) * slots.slot_ns
     for block in range(is_proven.size):
         newest_ns, is_known, is_wanted = NEVER_NS, False, False
-        is_doubtful = now_ns - state.sync_ns[slots.bus[block]] > unslotted_ns
+        since_ns = now_ns - state.sync_ns[slots.bus[block]]
+        is_doubtful, since = since_ns > unslotted_ns, since_ns // slots.slot_ns
+        slot = state.sync_slot[slots.bus[block]] + min(since, 2 * slots.per_sync - 1)
+        # Words that were due when this SYNC moved the numbers on have come, or are late, after that.
+        grace = LATE_SLOTS + (slots.jump if since <= LATE_SLOTS else 0)
         while part < parts and table.block[part] == block:
-            if state.newest_ns[part] != NEVER_NS and now_ns - state.newest_ns[part] > slots.silence_ns:
+            if state.newest_ns[part] != NEVER_NS and now_ns - state.newest_ns[part] > slots.silence * slots.slot_ns:
                 forget(part, table, state)
+            age = (slot - state.slot[part]) % slots.cycle
+            if state.wait[part] + grace < age <= slots.cycle - slots.jump:  # else the newest word is ahead
+                state.is_late[part] = True
             newest_ns = max(newest_ns, state.newest_ns[part])
             is_known |= state.unknown[part] != (1 << form_at(table.form, part).groups) - 1
             is_late, quiet_ns = state.is_late[part], now_ns - state.newest_ns[part]

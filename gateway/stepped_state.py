@@ -7,10 +7,12 @@ words of a part with the same slot and count that differ, as of two nodes with o
 **What counts and slots prove.** The slots of a board's words rise, and it sends at most one in a slot. A step follows
 within `SEQUENCE` slots, a set or check within the longest silence. So a step hides a loss only if its first byte stands
 for a slot `SYNC_OVERFLOW` slots later, or a multiple of that: then the part seems that much too late, until a set or
-check tells of the loss. A part without words for more than its longest silence is forgotten. So a block that is wrong
-is valid only if frames of its node come late by at least `dbc.steps.slot_cycle` slots less the longest silence, and
-none of them after a longer silence: 716 slots, 2.9 s by default. What is lost at the end of a movement is seen at the
-next check, `KEEP_MIN` slots later.
+check tells of the loss. A part without words for more than `Slots.silence` is forgotten. So a block that is wrong
+is valid only if frames of its node come late by at least `dbc.steps.slot_cycle` less `Slots.silence`, and none of them
+after a longer silence: 691 slots, 2.8 s by default.
+
+**What silence proves.** The words tell how long their board may wait with the next one (`PartSums.wait`). A part
+without words for that long is late, as a part whose newest word came late.
 """
 
 from typing import Final, NamedTuple
@@ -25,13 +27,16 @@ from dbc.frame import CAN_ID_AT, DATA_AT, ECHO, ERROR, EXTENDED, FLAGS_AT, REMOT
 from dbc.frame_fields import field
 from dbc.steps import (
     BAD,
+    CHECK,
     COUNT,
+    KEEP_MIN,
     LATE_SLOTS,
     PART_SUMS,
     SEQUENCE,
     SET,
     STEP,
     WORD_BYTES,
+    Form,
     form_at,
     hash_of,
     kind_of,
@@ -61,8 +66,14 @@ class Slots(NamedTuple):
         From SYNC to SYNC.
     cycle : int
         After this number of slots their numbers come again.
-    slot_ns, silence_ns : int
-        Length of a slot, and the longest silence of a part.
+    slot_ns : int
+        Length of a slot.
+    keep_max : int
+        After this number of slots a silent board sends a check at the latest.
+    jump : int
+        Most slots by which a late SYNC sets the numbers of all boards back, and the next SYNC forward again.
+    silence : int
+        Longest silence of a part, slots.
     offset_ns, bus : arrays of int64, shape (blocks,)
         Place of a node in its slot, and its bus.
     """
@@ -70,7 +81,9 @@ class Slots(NamedTuple):
     per_sync: int
     cycle: int
     slot_ns: int
-    silence_ns: int
+    keep_max: int
+    jump: int
+    silence: int
     offset_ns: Integers
     bus: Integers
 
@@ -84,12 +97,14 @@ class PartSums(NamedTuple):
         Integers, in units of `Contract.unit_n`.
     word, word_count, slot, newest_ns : arrays of int64, shape (parts,)
         The newest word, its count, slot and end.
+    wait : array of int64, shape (parts,)
+        Slots after the newest word in which the next one is sent at the latest.
     missing, unknown : arrays of int64, shape (parts,)
         Groups, a bit each: of which no set has come since a loss; of which nothing is held.
     different : array of int64, shape (parts,)
         Checks that found other integers.
     is_late, has_changed : arrays of bool, shape (parts,)
-        The newest word came late; sums are not yet shown (`gateway.block_states`).
+        The newest word came late, or the next is late; sums are not yet shown (`gateway.block_states`).
     sync_ns, sync_slot, foreign_syncs : arrays of int64, shape (buses,)
         End of the newest SYNC of the gateway, and the number of the slot that it began; number of all other SYNCs.
     counts : array of int64
@@ -101,6 +116,7 @@ class PartSums(NamedTuple):
     word_count: Integers
     slot: Integers
     newest_ns: Integers
+    wait: Integers
     missing: Integers
     unknown: Integers
     different: Integers
@@ -122,14 +138,15 @@ def slots_of(contract: Contract) -> Slots:
     slot_ns = round(contract.layout.steps.slot_s * 1e9)
     offset_ns = np.array([1000 * slot_offset_us(contract, node) for node in contract.nodes], np.int64)
     bus = np.array([node.bus for node in contract.nodes], np.int64)
-    silence_ns = (contract.keep_max + LATE_SLOTS) * slot_ns
-    return Slots(contract.slots, contract.slot_cycle, slot_ns, silence_ns, offset_ns, bus)
+    per_sync, cycle, most = contract.slots, contract.slot_cycle, contract.keep_max
+    jump = min(per_sync, cycle // 4)  # boards take a greater one for a silence
+    return Slots(per_sync, cycle, slot_ns, most, jump, most + jump + LATE_SLOTS, offset_ns, bus)
 
 
 def new_sums(contract: Contract) -> PartSums:
     """Return the state of a gateway that has received nothing."""
     parts, buses = len(contract.parts.block), len(contract.layout.bus)
-    known, of_parts = np.zeros((parts, PART_SUMS), np.int64), np.zeros((7, parts), np.int64)
+    known, of_parts = np.zeros((parts, PART_SUMS), np.int64), np.zeros((8, parts), np.int64)
     of_buses, counts = np.zeros((3, buses), np.int64), np.zeros(len(COUNTED), np.int64)
     state = PartSums._make([known, *of_parts, *np.zeros((2, parts), np.bool_), *of_buses, counts])
     state.sync_ns[:] = NEVER_NS
@@ -205,7 +222,7 @@ def _take_word(  # noqa: PLR0917  compiled functions take no keywords
     kind, group, count, high, data = kind_of(word, form)
     if kind == BAD:
         return MALFORMED, 0
-    if ended_ns - state.newest_ns[part] > slots.silence_ns:
+    if ended_ns - state.newest_ns[part] > slots.silence * slots.slot_ns:
         forget(part, table, state)
     known, is_first = state.known[part, : form.sums], state.newest_ns[part] == NEVER_NS
     every = (1 << form.groups) - 1
@@ -215,11 +232,13 @@ def _take_word(  # noqa: PLR0917  compiled functions take no keywords
             state.missing[part] = every
         return DUPLICATE, 0
     slot = state.slot[part] + ahead if kind == STEP else high * SYNC_OVERFLOW + low
-    counts, most = (SEQUENCE, SEQUENCE) if kind == STEP else (COUNT, slots.silence_ns // slots.slot_ns)
+    counts, most = (SEQUENCE, SEQUENCE) if kind == STEP else (COUNT, slots.silence)
     is_next = (count - state.word_count[part] - 1) % counts == 0
     is_next &= not is_first and 0 < (slot - state.slot[part]) % slots.cycle <= most
     if not is_next:
-        state.missing[part] = every
+        state.missing[part], state.wait[part] = every, slots.keep_max
+    since = (slot - state.slot[part]) % slots.cycle if is_next else 0
+    state.wait[part] = _wait(kind, group, since, state.word[part], state.wait[part], slots, form)
     if kind == STEP:
         move(known, group, data, form)
     elif kind == SET:
@@ -238,3 +257,21 @@ def _take_word(  # noqa: PLR0917  compiled functions take no keywords
     if not (is_next or is_first):
         return AFTER_GAP, age
     return (LATE if state.is_late[part] else USED), age
+
+
+@njit(cache=True, nogil=True)
+def _wait(  # noqa: PLR0917  compiled functions take no keywords
+    kind: int, group: int, since: int, before: int, wait: int, slots: Slots, form: Form
+) -> int:
+    """Return the longest wait of a board after a word that came `since` slots after the word `before`; 0: unknown.
+
+    A step or a set that is worth its bits begins the waits anew. A check doubles the wait, which was no longer than
+    `since`, unless it is that after many words. Sets of all groups in turn, as after a request, change nothing.
+    """
+    if kind == CHECK:
+        return min(2 * (min(wait, since) if since >= KEEP_MIN else wait), slots.keep_max)
+    if kind == SET:
+        kind_before, group_before = kind_of(before, form)[:2]
+        if since == 0 or group == 0 or (kind_before == SET and group_before == group - 1):
+            return wait
+    return KEEP_MIN

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Final, TypeVar
+from typing import Final
 
 import msgspec
 import numpy as np
@@ -13,8 +13,6 @@ from canskin.messages import SILENT, BusState, Contacts, GatewayStatus, Label, N
 Pixels = npt.NDArray[np.float32]
 #: States of the gateway's controller in which it neither sends nor receives.
 DEAD_LINKS: Final = ("lost", "bus_off")
-
-Aged = TypeVar("Aged")
 
 
 class Notice(msgspec.Struct, frozen=True, kw_only=True):
@@ -82,7 +80,7 @@ class ImageState(msgspec.Struct, frozen=True, kw_only=True):
     solve_s: float
 
 
-class TruthState(msgspec.Struct, frozen=True, kw_only=True):
+class TruthState(msgspec.Struct, frozen=True):
     """The true and the sensor image of the cycle of the image shown, and the age of the image."""
 
     step: int
@@ -280,18 +278,9 @@ class Pictures:
     sensor: Pixels | None
 
 
-def aged(kind: type[Aged], message: msgspec.Struct, age_s: float, *, stale: bool, **more: Any) -> Aged:
-    """Return a message as the page shows it: of a `kind` that has its fields, its age, and `more`."""
-    return kind(**{**msgspec.structs.asdict(message), "age_s": age_s, "stale": stale, **more})
-
-
-def gateway_state(
-    status: GatewayStatus, troubles: Mapping[str, list[NodeTrouble]], age_s: float, *, stale: bool
-) -> GatewayState:
-    """Return the gateway's counters as the page shows them; `troubles` of the nodes by the name of their bus."""
-    zero = status.calibration.zero_words if status.calibration else ""
-    buses = [_bus_view(bus, troubles.get(bus.name, []), runs=status.cycles > 0) for bus in status.buses]
-    return aged(GatewayState, status, age_s, stale=stale, buses=buses, zero=zero)
+def bus_views(status: GatewayStatus, troubles: Mapping[str, list[NodeTrouble]]) -> list[BusView]:
+    """Return the buses as the page shows them; `troubles` of the nodes by the name of their bus."""
+    return [_bus_view(bus, troubles.get(bus.name, []), runs=status.cycles > 0) for bus in status.buses]
 
 
 def _bus_view(bus: BusState, troubles: list[NodeTrouble], *, runs: bool) -> BusView:

@@ -1,7 +1,8 @@
 """The state of a skin: messages in, snapshots out. Time is an argument; there is no thread and no connection here."""
 
-from collections import deque
-from typing import Final, Generic, NamedTuple, TypeVar
+from collections.abc import Mapping
+from math import inf
+from typing import Any, Final, Generic, NamedTuple, TypeVar
 
 import msgspec
 import numpy as np
@@ -25,9 +26,11 @@ from canskin.messages import (
 )
 from canskin.peers import Peer, new_peer
 from health.checks import fits
+from health.comparison import Comparison
 from health.nodes_why import NodeTroubles
 from health.notices import display_name, notices
 from health.patches import Patches
+from health.services import Services
 from health.snapshot import (
     ContactsState,
     Figures,
@@ -35,19 +38,16 @@ from health.snapshot import (
     ImageState,
     LabelState,
     NodesState,
-    PatchState,
     Pictures,
     Pixels,
     Service,
     Snapshot,
     TruthState,
-    aged,
-    gateway_state,
+    bus_views,
 )
 from health.window import Rate, Window
-from skin.ground_truth import ImagePairs, image_pairs, in_contact
 from skin.layout import Layout
-from skin.psnr import adds_noise, psnr_db
+from skin.psnr import adds_noise
 
 #: What a `ViewState` takes.
 TOPICS: Final = (IMAGE, CONTACTS, TRUTH, LABEL, MARK, GATEWAY, NODES)
@@ -57,29 +57,53 @@ FRESH_S: Final = 0.5
 STATUS_FRESH_S: Final = 1.5
 #: Most processes of nodes shown; the one with the oldest message is dropped first.
 PROCESSES: Final = 64
-#: Most services kept; the service that has been gone for longest is dropped first.
-SERVICES: Final = 64
-#: Most tokens kept, tokens of other skins included.
-PEERS: Final = 256
 LATENCY_SPAN_S: Final = 5.0
 SPAN_S: Final = 1.0
 
-Message = TypeVar("Message")
+Message = TypeVar("Message", bound=msgspec.Struct)
+Aged = TypeVar("Aged")
 
 
-class Last(NamedTuple, Generic[Message]):
-    """A message and the time when it came."""
+class Latest(Generic[Message]):
+    """The newest message of a topic.
 
-    message: Message
-    at_s: float
+    Parameters
+    ----------
+    services : Services
+        A message is stale when its sender has gone.
+    sender : str
+        Name of the service that sends it.
+    fresh_s : float
+        The message is stale after this time.
 
+    Attributes
+    ----------
+    message : struct or None
+        None before the first.
+    at_s : float
+        When it came.
+    """
 
-class Excess(NamedTuple):
-    """A force above the threshold of a region: since when, when last, and the largest force, newtons."""
+    def __init__(self, services: Services, sender: str, fresh_s: float = FRESH_S) -> None:
+        self.message: Message | None = None
+        self.at_s = -inf
+        self._services, self._sender, self._fresh_s = services, sender, fresh_s
 
-    since_s: float
-    last_s: float
-    peak_n: float
+    def is_stale(self, now_s: float) -> bool:
+        """Tell whether the message is too old, or its sender has gone since."""
+        gone_s = self._services.since_s(self._sender, alive=False)
+        return now_s - self.at_s > self._fresh_s or (gone_s is not None and gone_s >= self.at_s)
+
+    def fresh(self, now_s: float) -> Message | None:
+        """Return the message, None if it is stale."""
+        return None if self.is_stale(now_s) else self.message
+
+    def shown(self, kind: type[Aged], now_s: float, **more: Any) -> Aged | None:
+        """Return the message as snapshots have it: of a `kind` with its fields, its age, and `more`."""
+        if self.message is None:
+            return None
+        age = {"age_s": now_s - self.at_s, "stale": self.is_stale(now_s)}
+        return kind(**{**msgspec.structs.asdict(self.message), **age, **more})
 
 
 class Moment(NamedTuple):
@@ -129,235 +153,164 @@ class ViewState:
         self.ignored = 0
         self._layout, phi = layout, layout.phi()
         self._sending_blocks = int(phi.has_sums.sum())
-        self._epoch_s = epoch_s
-        self._service_name = service
-        self._image: Last[Image] | None = None
-        self._contacts: Last[Contacts] | None = None
-        self._truth: Last[Truth] | None = None
-        self._label: Last[Label] | None = None
+        self._epoch_s, self._service_name = epoch_s, service
+        self._services = Services(new_peer(layout.name, display_name(service), phi.fingerprint), epoch_s)
+        self._image = Latest[Image](self._services, "reconstructor")
+        self._contacts = Latest[Contacts](self._services, "reconstructor")
+        self._label = Latest[Label](self._services, "classifier")
+        self._gateway = Latest[GatewayStatus](self._services, "gateway", STATUS_FRESH_S)
         self._mark: Mark | None = None
-        self._gateway: Last[GatewayStatus] | None = None
-        self._nodes: dict[str, Last[NodesStatus]] = {}
-        self._services: dict[str, Service] = {}
-        self._self = new_peer(layout.name, display_name(service), phi.fingerprint)
-        self._peers: dict[str, Peer] = {}
-        self._pairing: ImagePairs = image_pairs(layout)
+        self._nodes: dict[str, Latest[NodesStatus]] = {}
+        self._newest: Mapping[type, Latest[Any]] = {
+            Image: self._image,
+            Contacts: self._contacts,
+            Label: self._label,
+            GatewayStatus: self._gateway,
+        }
+        #: When the newest message came.
+        self._came_s = -inf
         self._latency_s = Window(LATENCY_SPAN_S)
         self._valid, self._rate = Window(SPAN_S), Rate(SPAN_S)
         self._patches, self._troubles = Patches(layout), NodeTroubles()
-        self._over: dict[str, Excess] = {}
-        #: Image, truth, and when their pair was found; a pair is compared when a snapshot needs its PSNR.
-        self._pairs: deque[tuple[Image, Truth, float]] = deque()
-        self._psnr_image_db, self._psnr_sensor_db = Window(SPAN_S), Window(SPAN_S)
+        self._comparison = Comparison(layout, SPAN_S)
 
     def take(self, message: msgspec.Struct, now_s: float) -> bool:
         """Use a message of one of `TOPICS` that came at `now_s`; return whether it fits the skin."""
         if not fits(message, self._layout):
             self.ignored += 1
             return False
+        self._came_s = now_s
         match message:
             case Image():
-                self._take_image(message, now_s)
-            case Contacts():
-                self._contacts = Last(message, now_s)
+                self._count(message, now_s)
+                self._patches.take(message, now_s)
+                self._comparison.take(message, now_s)
             case Truth():
-                self._truth = Last(message, now_s)
-                self._keep(self._pairing.take_truth(message), now_s)
-            case Label():
-                self._label = Last(message, now_s)
+                self._comparison.take(message, now_s)
             case Mark():
                 self._mark = message
             case GatewayStatus():
-                self._gateway = Last(message, now_s)
                 self._troubles.take(message, now_s)
             case NodesStatus():
                 self._nodes.pop(message.process, None)
-                self._nodes[message.process] = Last(message, now_s)
+                self._nodes[message.process] = latest = Latest[NodesStatus](self._services, "", STATUS_FRESH_S)
+                latest.message, latest.at_s = message, now_s
                 while len(self._nodes) > PROCESSES:
                     del self._nodes[next(iter(self._nodes))]
+        if (newest := self._newest.get(type(message))) is not None:
+            newest.message, newest.at_s = message, now_s
         return True
 
-    def _take_image(self, image: Image, now_s: float) -> None:
+    def _count(self, image: Image, now_s: float) -> None:
+        """Count an image before it becomes the newest."""
         # An image without any new sum, of a skin with nothing to send, has no latency.
-        is_new = self._image is None or self._image.message.sampled_mono_ns != image.sampled_mono_ns
-        self._image = Last(image, now_s)
-        self._valid.add(now_s, self._valid_blocks(image))
+        before = self._image.message
+        is_new = before is None or before.sampled_mono_ns != image.sampled_mono_ns
+        self._valid.add(now_s, _valid_blocks(image))
         if image.valid_sums and not self._layout.sends.in_cycles:  # a quiet skin has images without new sums
             self._rate.add(now_s, image.published_mono_ns * 1e-9)
         elif image.valid_sums and is_new:
             self._rate.add(now_s, image.sampled_mono_ns * 1e-9)
         if image.valid_sums and is_new:
-            self._latency_s.add(now_s, (image.published_mono_ns - image.sampled_mono_ns) * 1e-9)
-        for name, force_n in self._patches.over(image):
-            before = self._over.get(name)
-            if before is None or now_s - before.last_s > SPAN_S:
-                before = Excess(now_s, now_s, force_n)
-            self._over[name] = Excess(before.since_s, now_s, max(before.peak_n, force_n))
-        self._keep(self._pairing.take(image), now_s)
-
-    def _keep(self, pairs: list[tuple[Image, Truth]], now_s: float) -> None:
-        self._pairs += [(*pair, now_s) for pair in pairs]
-        while self._pairs and self._pairs[0][2] <= now_s - SPAN_S:
-            self._pairs.popleft()
-
-    def take_service(self, name: str, alive: bool, now_s: float) -> None:
-        """Note that a service came or went at `now_s`."""
-        known = self._services.get(name)
-        if known is not None and known.alive == alive:
-            return
-        if known is None and len(self._services) >= SERVICES:
-            gone = [each for each, service in self._services.items() if not service.alive]
-            if not gone:
-                return
-            del self._services[min(gone, key=lambda each: self._services[each].since_time_s)]
-        self._services[name] = Service(alive=alive, since_time_s=self._epoch_s + now_s)
+            self._latency_s.add(now_s, _latency_s(image))
 
     def take_peer(self, peer: Peer, alive: bool, now_s: float) -> None:
         """Note that a peer came or went at `now_s`; a service is gone when its last peer of this name is gone."""
-        if not alive:
-            self._peers.pop(peer.key, None)
-        elif len(self._peers) < PEERS:
-            self._peers[peer.key] = peer
-        if peer.skin == self._layout.name:
-            there = any(each.skin == peer.skin and each.service == peer.service for each in self._peers.values())
-            self.take_service(peer.service, there, now_s)
-            if peer.service == RECORDER and not there:
-                self._mark = None  # nobody keeps it
+        self._services.take(peer, alive, now_s)
+        if peer.service == RECORDER and not self.running(RECORDER):
+            self._mark = None  # nobody keeps it
 
     def running(self, service: str) -> set[str]:
         """Return the services of this name that the skin has, each as `canskin.peers.Peer.instance`."""
-        name = self._layout.name, service
-        return {each.instance for each in self._peers.values() if (each.skin, each.service) == name}
+        return {each.instance for each in self._services.peers(service)}
 
     def snapshot(self, now_s: float, undecodable: int = 0, *, is_single: bool = False) -> tuple[Snapshot, Pictures]:
         """Return snapshot and pictures at `now_s`; `undecodable` messages count as ignored.
 
         The PSNR of a single snapshot is that of its image, not the mean of the last second, which costs more.
         """
-        while self._pairs and not is_single:
-            compared, true, at_s = self._pairs.popleft()
-            if errors_db := self._compare(compared, true):
-                self._psnr_image_db.add(at_s, errors_db[0])
-                self._psnr_sensor_db.add(at_s, errors_db[1])
-        truth, gateway = self._truth_shown(now_s), self._gateway_state(now_s)
+        image, status = self._image.message, self._gateway.message
+        truth = None if image is None else self._comparison.truth_of(image)
+        if not is_single:
+            psnr_db = self._comparison.means_db(now_s)
+        elif image is not None and truth is not None:
+            psnr_db = self._comparison.single_db(image, truth)
+        else:
+            psnr_db = None, None
+        calibration = status.calibration if status else None
         bare = Snapshot(
             time_s=self._epoch_s + now_s,
             skin=self._layout.name,
             image=self._image_state(now_s),
-            contacts=self._contacts_state(now_s),
-            truth=truth[0] if truth else None,
-            patches=self._patches_state(now_s),
-            label=self._label_state(now_s),
-            figures=self._figures(now_s, truth[1] if truth and is_single else None),
-            gateway=gateway,
-            nodes=self._nodes_states(now_s),
-            services={name: self._service(name, gateway, now_s) for name in sorted(self._services)},
-            other_skins=sorted({peer.skin for peer in self._peers.values() if peer.fingerprint} - {self._layout.name}),
+            contacts=self._contacts.shown(ContactsState, now_s),
+            truth=self._truth_state(truth, now_s),
+            patches=[] if image is None else self._patches.of(image, now_s, self._epoch_s),
+            label=self._label.shown(LabelState, now_s, measured=self._is_labelled),
+            figures=self._figures(now_s, *psnr_db),
+            gateway=self._gateway.shown(
+                GatewayState,
+                now_s,
+                buses=bus_views(status, self._troubles.of(self._epoch_s)) if status else [],
+                zero=calibration.zero_words if calibration else "",
+            ),
+            nodes=[shown for _, each in sorted(self._nodes.items()) if (shown := each.shown(NodesState, now_s))],
+            services=self._service_states(now_s),
+            other_skins=self._services.other_skins(),
             cut_off=self._is_cut_off(now_s),
             ignored=self.ignored + undecodable,
             notices=[],
         )
         pictures = Pictures(
-            image=self._grid(self._image.message.pixels) if self._image else None,
-            true=self._grid(truth[1].true) if truth else None,
-            sensor=self._grid(truth[1].sensor) if truth else None,
+            image=self._grid(image.pixels) if image else None,
+            true=self._grid(truth.true) if truth else None,
+            sensor=self._grid(truth.sensor) if truth else None,
         )
         is_grid = self._layout.taxels.surface.is_grid
         return notices(bare, self._service_name, is_grid=is_grid), pictures
 
-    def _compare(self, image: Image, truth: Truth) -> tuple[float, float] | None:
-        """Return the PSNR of an image and of the sensor's; None without contact."""
-        peak_n = self._layout.taxels.force_max_n
-        true = self._grid(truth.true)
-        if not in_contact(true, peak_n):
-            return None
-        there = self._layout.taxels.without_gaps
-        image_db, sensor_db = (
-            psnr_db(there(true), there(self._grid(each)), peak_n) for each in (image.pixels, truth.sensor)
-        )
-        return image_db, sensor_db
-
     def _image_state(self, now_s: float) -> ImageState | None:
-        if self._image is None:
+        image = self._image.message
+        if image is None:
             return None
-        image, at_s = self._image
         invalid = np.flatnonzero(np.frombuffer(image.valid, np.uint8) == 0)
         return ImageState(
             cycle=image.cycle,
             sampled_error_ns=image.sampled_error_ns,
-            age_s=now_s - at_s,
-            stale=self._is_stale("reconstructor", at_s, now_s, FRESH_S),
+            age_s=now_s - self._image.at_s,
+            stale=self._image.is_stale(now_s),
             invalid_blocks=[int(block) for block in invalid],
             valid_sums=image.valid_sums,
             solve_s=image.solve_s,
         )
 
-    def _contacts_state(self, now_s: float) -> ContactsState | None:
-        if self._contacts is None:
-            return None
-        contacts, at_s = self._contacts
-        return aged(ContactsState, contacts, now_s - at_s, stale=self._is_stale("reconstructor", at_s, now_s, FRESH_S))
-
-    def _truth_shown(self, now_s: float) -> tuple[TruthState, Truth] | None:
-        """Return the truth of the cycle of the image shown; None if it has not come, or was too long ago."""
-        shown = None if self._image is None else self._pairing.truth_of(self._image.message)
-        if self._image is None or shown is None:
-            return None
+    def _truth_state(self, truth: Truth | None, now_s: float) -> TruthState | None:
+        """Return the truth of the image shown, which is as old as the image."""
         age_s = now_s - self._image.at_s
-        return TruthState(step=shown.step, label=shown.label, age_s=age_s, stale=age_s > FRESH_S), shown
+        return None if truth is None else TruthState(truth.step, truth.label, age_s, age_s > FRESH_S)
 
-    def _patches_state(self, now_s: float) -> list[PatchState]:
-        if self._image is None:
-            return []
-        over = {name: each for name, each in self._over.items() if now_s - each.last_s <= SPAN_S}
-        return [
-            msgspec.structs.replace(
-                patch,
-                is_over=True,
-                over_since_time_s=self._epoch_s + over[patch.name].since_s,
-                peak_n=over[patch.name].peak_n,
-            )
-            if patch.name in over
-            else patch
-            for patch in self._patches.of(self._image.message)
-        ]
+    @property
+    def _is_labelled(self) -> bool:
+        label = self._label.message
+        return label is not None and label.is_measured(self._layout.measurement.sums)
 
     def moment(self, now_s: float) -> Moment:
         """Return what curves show of `now_s`."""
-        image, contacts, gateway, label = self._image, self._contacts, self._gateway, self._label
-        if image is None or self._is_stale("reconstructor", image.at_s, now_s, FRESH_S) or not image.message.valid_sums:
-            image = None
-        if contacts is None or self._is_stale("reconstructor", contacts.at_s, now_s, FRESH_S) or contacts.message.blind:
-            contacts = None
-        if gateway is None or self._is_stale("gateway", gateway.at_s, now_s, STATUS_FRESH_S):
-            gateway = None
-        if label is None or self._is_stale("classifier", label.at_s, now_s, FRESH_S):
-            label = None
-        is_labelled = label is not None and label.message.is_measured(self._layout.measurement.sums)
+        image, contacts = self._image.fresh(now_s), self._contacts.fresh(now_s)
+        gateway, label = self._gateway.fresh(now_s), self._label.fresh(now_s)
+        image = image if image and image.valid_sums else None
+        contacts = None if contacts and contacts.blind else contacts
         return Moment(
-            force_n=image and self._patches.total_n(image.message),
-            latency_s=image and (image.message.published_mono_ns - image.message.sampled_mono_ns) * 1e-9,
-            load_ratio=gateway and max((bus.load_ratio for bus in gateway.message.buses), default=None),
-            missing=gateway and gateway.message.frames.missing,
-            label=label.message.label if label is not None and is_labelled else None,
-            mark=None if self._mark is None else self._mark.label,
-            contacts=contacts and [(each.identity, each.force_n) for each in contacts.message.contacts],
+            force_n=self._patches.total_n(image) if image else None,
+            latency_s=_latency_s(image) if image else None,
+            load_ratio=max((bus.load_ratio for bus in gateway.buses), default=None) if gateway else None,
+            missing=gateway.frames.missing if gateway else None,
+            label=label.label if label and self._is_labelled else None,
+            mark=self._mark.label if self._mark else None,
+            contacts=[(each.identity, each.force_n) for each in contacts.contacts] if contacts else None,
         )
 
-    def _label_state(self, now_s: float) -> LabelState | None:
-        if self._label is None:
-            return None
-        label, at_s = self._label
-        measured = label.is_measured(self._layout.measurement.sums)
-        stale = self._is_stale("classifier", at_s, now_s, FRESH_S)
-        return aged(LabelState, label, now_s - at_s, stale=stale, measured=measured)
-
-    def _figures(self, now_s: float, single: Truth | None) -> Figures:
-        latency_s = self._latency_s.values(now_s)
-        low = self._valid.values(now_s)
-        image_db, sensor_db = self._psnr_image_db.mean(now_s), self._psnr_sensor_db.mean(now_s)
-        if single is not None and self._image is not None:
-            image_db, sensor_db = self._compare(self._image.message, single) or (None, None)
+    def _figures(self, now_s: float, image_db: float | None, sensor_db: float | None) -> Figures:
+        latency_s, low, image = self._latency_s.values(now_s), self._valid.values(now_s), self._image.message
         return Figures(
             images_hz=self._rate.per_s(now_s),
             latency_p50_s=float(np.percentile(latency_s, 50)) if latency_s else None,
@@ -365,68 +318,39 @@ class ViewState:
             psnr_image_db=image_db,
             psnr_sensor_db=sensor_db,
             sensor_adds_noise=None if sensor_db is None else adds_noise(sensor_db, self._layout.taxels.adc_bits),
-            valid_blocks=self._valid_blocks(self._image.message) if self._image else None,
+            valid_blocks=_valid_blocks(image) if image else None,
             valid_blocks_low=int(min(low)) if low else None,
             blocks=self._sending_blocks,
         )
 
-    def _service(self, name: str, gateway: GatewayState | None, now_s: float) -> Service:
-        """Return the state of a service; of several with one name, a service that differs from this page's skin."""
-        own = [each for each in self._peers.values() if (each.skin, each.service) == (self._layout.name, name)]
-        if not own:
-            return self._services[name]
-        peer = next((each for each in own if self._self.difference(each)), own[-1])
-        return msgspec.structs.replace(
-            self._services[name],
-            silent=self._is_silent(name, gateway, now_s),
-            version=peer.version,
-            fingerprint=peer.fingerprint,
-            scheduling=peer.scheduling,
-            difference=self._self.difference(peer),
-        )
-
-    def _is_silent(self, name: str, gateway: GatewayState | None, now_s: float) -> bool:
-        """Tell whether a running service has input but sends nothing."""
-        if gateway is None or name == "gateway":
-            return gateway is not None and gateway.stale
-        last = {"reconstructor": self._image, "classifier": self._label}.get(name)
-        has_input = not gateway.stale and 0 < STATUS_FRESH_S * gateway.sync_rate_hz < gateway.cycles
-        is_new = now_s + self._epoch_s - self._services[name].since_time_s < STATUS_FRESH_S
-        if name not in {"reconstructor", "classifier"} or not has_input or is_new:
-            return False
-        return last is None or now_s - last.at_s > FRESH_S
-
-    def _gateway_state(self, now_s: float) -> GatewayState | None:
-        if self._gateway is None:
-            return None
-        status, at_s = self._gateway
-        troubles = self._troubles.of(self._epoch_s)
-        return gateway_state(
-            status, troubles, now_s - at_s, stale=self._is_stale("gateway", at_s, now_s, STATUS_FRESH_S)
-        )
-
-    def _nodes_states(self, now_s: float) -> list[NodesState]:
-        found = (self._nodes[name] for name in sorted(self._nodes))
-        return [aged(NodesState, status, now_s - at_s, stale=now_s - at_s > STATUS_FRESH_S) for status, at_s in found]
+    def _service_states(self, now_s: float) -> dict[str, Service]:
+        """Return the services; those are silent that have input but send nothing."""
+        status, is_stale = self._gateway.message, self._gateway.is_stale(now_s)
+        has_input = status and not is_stale and 0 < STATUS_FRESH_S * status.sync_rate_hz < status.cycles
+        at_s = {"classifier": self._label.at_s, "reconstructor": self._image.at_s}
+        found = self._services.states()
+        for name, service in found.items():
+            since_s = self._services.since_s(name, alive=True)
+            if since_s is None:
+                continue
+            is_silent = name == "gateway" and status is not None and is_stale
+            if name in at_s and has_input and now_s - since_s >= STATUS_FRESH_S:
+                is_silent = now_s - at_s[name] > FRESH_S
+            found[name] = msgspec.structs.replace(service, silent=is_silent)
+        return found
 
     def _is_cut_off(self, now_s: float) -> bool:
         """Tell whether the hub is out of reach: this service's own token is gone, and no message comes."""
-        own = self._services.get(self._service_name)
-        if own is None or own.alive:
-            return False
-        newest = (self._image, self._truth, self._label, self._gateway)
-        gone_s = own.since_time_s - self._epoch_s
-        return not any(last and last.at_s > gone_s and now_s - last.at_s <= FRESH_S for last in newest)
-
-    def _is_stale(self, service: str, at_s: float, now_s: float, fresh_s: float) -> bool:
-        """Tell whether a message of `service` from `at_s` is too old, or the service has gone since."""
-        token = self._services.get(service)
-        gone = token is not None and not token.alive and token.since_time_s >= self._epoch_s + at_s
-        return gone or now_s - at_s > fresh_s
+        gone_s = self._services.since_s(self._service_name, alive=False)
+        return gone_s is not None and (self._came_s <= gone_s or now_s - self._came_s > FRESH_S)
 
     def _grid(self, pixels: bytes) -> Pixels:
         return np.frombuffer(pixels, "<f4").reshape(self._layout.taxels.rows, self._layout.taxels.columns)
 
-    @staticmethod
-    def _valid_blocks(image: Image) -> int:
-        return int(np.count_nonzero(np.frombuffer(image.valid, np.uint8)))
+
+def _valid_blocks(image: Image) -> int:
+    return int(np.count_nonzero(np.frombuffer(image.valid, np.uint8)))
+
+
+def _latency_s(image: Image) -> float:
+    return (image.published_mono_ns - image.sampled_mono_ns) * 1e-9

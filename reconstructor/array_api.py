@@ -1,4 +1,4 @@
-"""FISTA of many streams at once with any library of the Python array API: NumPy, or CuPy or PyTorch on a GPU.
+"""`reconstructor.fista.iterate` for many streams at once, with NumPy, or CuPy or PyTorch on a GPU.
 
 array-api-compat makes the libraries alike. Every step is a matrix product, a gather or an elementwise operation on
 (streams, …) arrays; wavelets and Hadamard blocks are applied as small dense matrices, which are faster on a GPU than
@@ -19,10 +19,10 @@ from array_api_compat import to_device
 from canskin.errors import InputError
 from reconstructor.bases import wavelet_basis
 from reconstructor.checks import Values, check_grid_of, float_kind
-from reconstructor.fista import momentum
+from reconstructor.fista import clipped, iterate, momentum, soft
 from reconstructor.kernels.addresses import spin_shifts
+from reconstructor.kernels.blocks import checked
 from reconstructor.kernels.graph import graph_of
-from reconstructor.kernels.problem import checked
 from reconstructor.kernels.variation import INNER
 from reconstructor.settings import Device, LibraryName, SolverSettings
 from shell.extras import not_installed
@@ -165,7 +165,7 @@ def _torch(device: Device) -> ArrayLibrary:
 
 
 class BatchSolver:
-    """min ½‖Φx - y‖² + λ R(x) by FISTA as `reconstructor.kernels.fused.FusedSolver`, for many streams at once.
+    """min ½‖Φx - y‖² + λ R(x) by FISTA as `reconstructor.kernels.blocks.BlockSolver`, for many streams at once.
 
     Parameters
     ----------
@@ -177,7 +177,7 @@ class BatchSolver:
         Any prior except the contourlet.
     library : ArrayLibrary
     edges : array of int, shape (edges, 2), optional
-        As of `reconstructor.kernels.fused.FusedSolver`.
+        As of `reconstructor.kernels.blocks.BlockSolver`.
 
     Attributes
     ----------
@@ -252,7 +252,7 @@ class BatchSolver:
         estimate : array of the library, shape (streams, rows, columns)
             Start and result in newtons. A stream without any sum becomes 0, and its state is reset.
         sums_n, weights : NumPy arrays of `dtype`, shape (streams, m), or (m,) for one stream
-            As of `reconstructor.kernels.fused.FusedSolver.solve`.
+            As of `reconstructor.kernels.blocks.BlockSolver.solve`.
         relative_penalty : float, or array of shape (streams,)
             λ of this solve / λ of the settings.
         """
@@ -294,21 +294,15 @@ class BatchSolver:
     def _solve(self, estimate: Any, gain: Any, target: Any, limit: Any) -> None:
         if self._is_scaled:
             self._scale(estimate, self._kept(estimate, gain, target))
-        made = ahead = estimate
-        for turn, weight in enumerate(self._momentum):
-            before = made
-            made, ahead = self._iterate(before, ahead, (gain, target, limit), weight, turn)
-        estimate[...] = made
 
-    def _iterate(
-        self, before: Any, ahead: Any, problem: tuple[Any, Any, Any], weight: Any, turn: int
-    ) -> tuple[Any, Any]:
-        """Return the estimates after one iteration, and where the next gradient is taken."""
-        gain, target, limit = problem
-        made = self._prior(ahead - self._slope(ahead, gain, target), self._dual, limit, turn)
-        if self._floor is not None:
-            made = self._library.xp.maximum(made, self._floor)
-        return made, made + weight * (made - before)
+        def descent(ahead: Any) -> Any:
+            return self._slope(ahead, gain, target)
+
+        def proximal(images: Any, iteration: int) -> Any:
+            made = self._prior(images, self._dual, limit, iteration)
+            return made if self._floor is None else self._library.xp.maximum(made, self._floor)
+
+        estimate[...] = iterate(estimate, descent, proximal, self._momentum)
 
     def _scale(self, estimate: Any, factor: Any) -> None:
         """Scale the start of each stream, and the dual, which belongs to the start; `factor` has 3 axes."""
@@ -371,7 +365,7 @@ class _Wavelet:
         for h, _, _, k_t in self._steps:
             rows, columns = h.shape[0], k_t.shape[0]
             s[:, :rows, :columns] = xp.matmul(xp.matmul(h, s[:, :rows, :columns]), k_t)
-        s = s - xp.maximum(xp.minimum(s, limit), -limit)
+        s = soft(s, limit, xp)
         for _, h_t, k, _ in reversed(self._steps):
             rows, columns = h_t.shape[0], k.shape[0]
             s[:, :rows, :columns] = xp.matmul(xp.matmul(h_t, s[:, :rows, :columns]), k)
@@ -444,8 +438,7 @@ class _Variation:
         along[...] = self._climbed(along, slope, limit)
 
     def _climbed(self, dual: Any, slope: Any, limit: Any) -> Any:
-        xp = self._library.xp
-        return xp.maximum(xp.minimum(dual + self._step * slope, limit), -limit)
+        return clipped(dual + self._step * slope, limit, self._library.xp)
 
 
 def _edges_of_taxels(pairs: Indices, taxels: int) -> Indices:

@@ -14,8 +14,9 @@ from reconstructor.checks import Values, check_grid_of
 from reconstructor.coded_memory import CodedMemory
 from reconstructor.gains import GainCorrection, KnownGains
 from reconstructor.kernels.contourlet import ContourletSolver
-from reconstructor.kernels.fused import COMPILED, FusedSolver
+from reconstructor.kernels.haar import HaarSolver
 from reconstructor.kernels.matrix import MatrixSolver
+from reconstructor.kernels.variation import VariationSolver
 from reconstructor.settings import LIVE, SolverSettings
 from reconstructor.temporal_filter import TemporalFilter
 from skin.clipping import ClipCorrection
@@ -49,6 +50,8 @@ LEAST_PENALTY: Final = 0.03
 MOST_PENALTY: Final = 10.0
 #: Images between two turns of a progress bar.
 CHUNK: Final = 64
+
+Solver = VariationSolver | HaarSolver | ContourletSolver | MatrixSolver | BatchSolver
 
 
 class Reconstructor:
@@ -103,13 +106,7 @@ class Reconstructor:
         edges: npt.NDArray[np.intp] | None = None,
         library: ArrayLibrary | None = None,
     ) -> None:
-        self._kernel: FusedSolver | ContourletSolver | MatrixSolver | BatchSolver
-        if library is not None:
-            self._kernel = BatchSolver(phi, rows, columns, settings, edges=edges, library=library)
-        elif isinstance(phi, MatrixPhi):
-            self._kernel = MatrixSolver(phi, rows, columns, settings, edges=edges)
-        else:
-            self._kernel = make_solver(phi, rows, columns, settings, edges)
+        self._kernel = make_solver(phi, rows, columns, settings, edges=edges, library=library)
         if noise_n and samples > 1:
             raise InputError(
                 f"nodes that average (sampling.rate_hz of the layout) undo the bias of clipping themselves:"
@@ -350,12 +347,24 @@ def averaged_sum_noise_n(samples: int) -> float:
 
 
 def make_solver(
-    phi: Sbhe, rows: int, columns: int, settings: SolverSettings, edges: npt.NDArray[np.intp] | None = None
-) -> FusedSolver | ContourletSolver | BatchSolver:
-    """Return the solver of a prior, in float32: the compiled solver, or for wavelets without one that of arrays."""
-    if settings.prior in COMPILED:
-        return FusedSolver(phi, rows, columns, settings, edges=edges)
-    if settings.prior != "contourlet":
-        return BatchSolver(phi, rows, columns, settings, edges=edges)
-    check_grid_of(phi, rows, columns, settings.prior, edges)
-    return ContourletSolver(phi, rows, columns, settings)
+    phi: Sbhe | MatrixPhi,
+    rows: int,
+    columns: int,
+    settings: SolverSettings,
+    *,
+    edges: npt.NDArray[np.intp] | None = None,
+    library: ArrayLibrary | None = None,
+    dtype: npt.DTypeLike = np.float32,
+) -> Solver:
+    """Return the solver of a prior: compiled, or of arrays where a library is asked for, or the wavelet is not Haar."""
+    if library is not None:
+        return BatchSolver(phi, rows, columns, settings, edges=edges, library=library, dtype=dtype)
+    if isinstance(phi, MatrixPhi):
+        return MatrixSolver(phi, rows, columns, settings, edges=edges, dtype=dtype)
+    if settings.prior == "contourlet":
+        check_grid_of(phi, rows, columns, settings.prior, edges)
+        return ContourletSolver(phi, rows, columns, settings, dtype=dtype)
+    for solver in (VariationSolver, HaarSolver):
+        if settings.prior in solver.priors:
+            return solver(phi, rows, columns, settings, edges=edges, dtype=dtype)
+    return BatchSolver(phi, rows, columns, settings, edges=edges, dtype=dtype)

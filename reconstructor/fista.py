@@ -1,16 +1,20 @@
-"""FISTA for any Φ and Ψ in plain NumPy.
+"""FISTA for arrays of any library of the Python array standard: NumPy, or PyTorch and CuPy on a GPU.
+
+    x' = P(z - G(z)),   z' = x' + β (x' - x),   z = x at first                      (Beck and Teboulle 2009)
+
+`iterate` is this loop, G a step down a gradient and P a proximal step. `fista` is the loop for any Φ and Ψ in NumPy:
 
     min over s of  ½‖ΦΨs - y‖² + λ‖s‖₁,   x = Ψs
 
-after Beck and Teboulle 2009: with the factor ½, steps of 1 / L and a threshold of λ / L. With Φ of ±1 and forces in
-newtons, λ is in newtons. L must be at least the largest eigenvalue of (ΦΨ)ᵀΦΨ: `Operator.norm_squared` exactly for an
-orthonormal Ψ, `largest_eigenvalue` for any other. The paper takes twice this value, the L of the objective without the
-factor ½. In this convention the paper's tables follow with the printed λ = 1 for noiselets, with λ = 0.01 for an SBHE
-(the printed λ is 0.1), and with the momentum reset in every time step.
+`reconstructor.array_api.BatchSolver` is the loop for many images at once. With the factor ½ steps are 1 / L and
+thresholds λ / L. With Φ of ±1 and forces in newtons, λ is in newtons. L must be at least the largest eigenvalue of
+(ΦΨ)ᵀΦΨ: `Operator.norm_squared` exactly for an orthonormal Ψ, `largest_eigenvalue` for any other. The paper takes twice
+this value, the L of the objective without the factor ½. In this convention the paper's tables follow with the printed
+λ = 1 for noiselets, with λ = 0.01 for an SBHE (the printed λ is 0.1), and with the momentum reset in every time step.
 """
 
-from collections.abc import Callable
-from typing import Final
+from collections.abc import Callable, Iterable
+from typing import Any, Final, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -25,11 +29,19 @@ from skin.ranges import require_above_zero, require_number
 #: Called with the number of the iteration, from 1, and the estimate after it.
 Observer = Callable[[int, Values], None]
 _RELATIVE_ERROR: Final = 1e-4
+#: An array of any library.
+Array = TypeVar("Array")
 
 
-def soft(values: Values, threshold: float) -> Values:
+def clipped(values: Any, limit: Any, xp: Any = np) -> Any:
+    """Return values between -limit and limit; `xp` is the library of the arrays."""
+    return xp.maximum(xp.minimum(values, limit), -limit)
+
+
+def soft(values: Array, threshold: Any, xp: Any = np) -> Array:
     """Return sign(v) · max(|v| - threshold, 0), the proximal step of threshold · ‖·‖₁."""
-    return values - np.clip(values, -threshold, threshold)
+    shrunken: Array = values - clipped(values, threshold, xp)
+    return shrunken
 
 
 def momentum(iterations: int) -> npt.NDArray[np.float64]:
@@ -38,6 +50,36 @@ def momentum(iterations: int) -> npt.NDArray[np.float64]:
     for k in range(iterations):
         times[k + 1] = (1 + np.sqrt(1 + 4 * times[k] ** 2)) / 2
     return (times[:-1] - 1) / times[1:]
+
+
+def iterate(
+    start: Any,
+    descent: Callable[[Any], Any],
+    proximal: Callable[[Any, int], Any],
+    weights: Iterable[Any],
+    observe: Callable[[int, Any], None] | None = None,
+) -> Any:
+    """Return the estimate after one iteration for each of the weights β.
+
+    Parameters
+    ----------
+    start : array
+    descent : callable
+        G: of z, what a step down the gradient takes off.
+    proximal : callable
+        P: of an array and the number of the iteration, from 0.
+    weights : numbers, or arrays of one
+        As of `momentum`.
+    observe : callable
+        Called with the number of the iteration, from 1, and the estimate after it, which it must not change.
+    """
+    estimate = ahead = start
+    for k, weight in enumerate(weights):
+        before, estimate = estimate, proximal(ahead - descent(ahead), k)
+        ahead = estimate + weight * (estimate - before)
+        if observe is not None:
+            observe(k + 1, estimate)
+    return estimate
 
 
 def fista(
@@ -68,18 +110,21 @@ def fista(
     observe : callable
         Called with every estimate, which it must not change.
     """
-    estimate = ahead = check_problem(phi, psi, sums_n, start)
+    start = check_problem(phi, psi, sums_n, start)
     require_number("the penalty λ", penalty_n)
     require_above_zero("L", lipschitz)
     check_iterations(iterations)
-    for k, weight in enumerate(momentum(iterations).tolist()):  # numbers of Python leave float32 as it is
+
+    def descent(ahead: Values) -> Values:
         residual = phi.forward(psi.adjoint(ahead).reshape(-1)) - sums_n
-        gradient = psi.forward(phi.adjoint(residual).reshape(psi.image_shape))
-        previous, estimate = estimate, soft(ahead - gradient / lipschitz, penalty_n / lipschitz)
-        ahead = estimate + weight * (estimate - previous)
-        if observe is not None:
-            observe(k + 1, estimate)
-    return estimate
+        return psi.forward(phi.adjoint(residual).reshape(psi.image_shape)) / lipschitz
+
+    def shrink(values: Values, _iteration: int) -> Values:
+        return soft(values, penalty_n / lipschitz)
+
+    # Numbers of Python leave float32 as it is.
+    made: Values = iterate(start, descent, shrink, momentum(iterations).tolist(), observe)
+    return made
 
 
 def largest_eigenvalue(phi: Operator, psi: Basis) -> float:

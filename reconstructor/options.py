@@ -1,4 +1,4 @@
-"""Options of the solver, common to ``skin reconstruct`` and ``skin rebuild``."""
+"""Options of the solver, common to ``skin reconstruct`` and ``skin replay``."""
 
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING

@@ -49,7 +49,7 @@ class VariationFilter:
             Neighbours that differ by less become equal, given time.
         """
         made = np.empty(image_n.size, np.float32)
-        denoise(image_n.ravel(), np.float32(limit_n), STEPS, self._dual, made, self._graph)
+        denoise(image_n.ravel(), made, self._dual, self._graph, STEPS, np.float32(limit_n), np.float32(0))
         return made.reshape(image_n.shape)
 
     def reset(self) -> None:

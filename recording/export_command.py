@@ -1,11 +1,8 @@
 """``skin export``: a recording as arrays, as a video, or for other programs."""
 
-import csv
-import io
-from collections.abc import Callable, Iterator, Mapping
-from functools import partial
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO, Final, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 import msgspec
 import numpy as np
@@ -19,13 +16,11 @@ from shell.service import say
 from skin.layout import layout_text, load_layout
 
 if TYPE_CHECKING:
-    from recording.tables import Table, Tables
+    from recording.tables import Tables
 
-Format = Literal["npz", "hdf5", "csv", "parquet", "video", "ros2", "rerun", "foxglove"]
+Format = Literal["npz", "parquet", "video", "ros2", "rerun", "foxglove"]
 _SUFFIXES: Final[Mapping[Format, str]] = {
     "npz": ".npz",
-    "hdf5": ".h5",
-    "csv": ".csv",
     "parquet": ".parquet",
     "video": ".mp4",
     "ros2": "",
@@ -34,8 +29,6 @@ _SUFFIXES: Final[Mapping[Format, str]] = {
 }
 #: Formats that are written message by message.
 _VIEWS: Final = ("ros2", "rerun", "foxglove")
-#: Arrays of images, which a .csv has in files of their own.
-_GRIDS: Final = ("pixels", "true", "sensor")
 
 
 def export(recording: Path, *, to: Format = "npz", out: Path | None = None) -> None:
@@ -48,17 +41,17 @@ def export(recording: Path, *, to: Format = "npz", out: Path | None = None) -> N
     recording
         A recording (.mcap).
     to
-        ``npz``: arrays ``images_pixels``, ``images_time_ns`` and so on. ``hdf5``: a group per table, gzip;
-        needs the extra canskin[hdf5]. ``csv``: a file per table, and of images one line each. ``parquet``: a file per
-        table, images as lists; needs the extra canskin[parquet]. ``video``: the images as
-        H.264 in .mp4, in real time, with colours and marks of the page. ``ros2``: a bag of ROS 2, a folder with MCAP
-        and CDR. ``rerun``, ``foxglove``: a file for their viewers. These four need the extra of their name.
+        ``npz``: arrays ``images_pixels``, ``images_time_ns`` and so on. ``parquet``: a file per table, images as
+        lists; pandas makes CSV and other formats of these. ``video``: the images as H.264 in .mp4, in real time, with
+        colours and marks of the page. ``ros2``: a bag of ROS 2, a folder with MCAP and CDR. ``rerun``, ``foxglove``: a
+        file for their viewers. All but ``npz`` need the extra of their name, for example canskin[parquet].
     out
-        New file; of a csv the names of the tables are added; default: the name of the recording.
+        New file; of ``parquet`` the names of the tables are added; default: the name of the recording.
 
     Examples
     --------
-    skin export run.mcap --to hdf5 --out touches.h5
+    skin export run.mcap
+    skin export run.mcap --to parquet --out touches.parquet
     skin export run.mcap --to video
     skin export run.mcap --to ros2 --out run-bag
     """
@@ -76,9 +69,7 @@ def export(recording: Path, *, to: Format = "npz", out: Path | None = None) -> N
         return
     from recording.tables import read_tables
 
-    save = {"npz": _save_npz, "hdf5": _save_hdf5, "csv": _save_csv, "parquet": _save_parquet}[to]
-    if to == "hdf5":
-        _h5py()
+    save = _save_npz if to == "npz" else _save_parquet
     if to == "parquet":
         _pyarrow()
     check_new_path(path, "arrays")
@@ -136,90 +127,24 @@ def _save_npz(path: Path, tables: "Tables", metadata: Mapping[str, str]) -> list
     return [path]
 
 
-def _save_hdf5(path: Path, tables: "Tables", metadata: Mapping[str, str]) -> list[Path]:
-    h5py = _h5py()
-    with replacing(path) as file, h5py.File(file.name, "w") as made:
-        made.attrs.update(metadata)
-        for name, table in tables.named().items():
-            group = made.create_group(name)
-            for column, values in table.items():
-                if values.dtype.kind == "U":
-                    group.create_dataset(column, data=values.astype(object), dtype=h5py.string_dtype())
-                else:
-                    group.create_dataset(column, data=values, compression="gzip", compression_opts=1)
-    return [path]
-
-
-def _save_csv(path: Path, tables: "Tables", _metadata: Mapping[str, str]) -> list[Path]:
-    parts = {}
-    for name, table in tables.named().items():
-        grids = [column for column in table if column in _GRIDS]
-        for column in grids or [""]:
-            part = column if column in {"true", "sensor"} else name
-            parts[part] = partial(_write_csv, table, column)
-    return _save_parts(path, parts)
-
-
-def _write_csv(table: "Table", column: str, file: BinaryIO) -> None:
-    """Write a table, or its column of images."""
-    text = io.TextIOWrapper(file, "utf-8", newline="")
-    if column:
-        text.writelines(_grid_lines(table, column))
-    else:
-        _write_rows(text, table)
-    text.flush()
-    text.detach()
-
-
-def _save_parts(path: Path, parts: Mapping[str, Callable[[BinaryIO], None]]) -> list[Path]:
-    """Write a file for each part, unless any of them is there already."""
-    targets = {path.with_name(f"{path.stem}-{name}{path.suffix}"): write for name, write in parts.items()}
-    for target in targets:
-        check_new_path(target, "table")
-    for target, write in targets.items():
-        with replacing(target) as file:
-            write(file)
-    return [*targets]
-
-
-def _grid_lines(table: "Table", column: str) -> Iterator[str]:
-    """Yield the lines of images with their key, which ``--input`` of ``skin demo`` and ``skin rebuild`` read."""
-    _, rows, columns = table[column].shape
-    yield f"# shape: {rows} {columns}\n# recording: {table['recording'][0]}\n"
-    yield ",".join(["time_ns", "cycle", *(f"r{row}c{place}" for row in range(rows) for place in range(columns))]) + "\n"
-    for time_ns, cycle, image in zip(table["time_ns"], table["cycle"], table[column], strict=True):
-        yield ",".join([str(time_ns), str(cycle), *(f"{value:.7g}" for value in image.ravel().tolist())]) + "\n"
-
-
-def _write_rows(text: io.TextIOWrapper, table: "Table") -> None:
-    """Write a table; an array of two dimensions has a column per place."""
-    columns: dict[str, list[Any]] = {}
-    for name, values in table.items():
-        plain = values.astype(np.int64) if values.dtype == np.bool_ else values
-        if plain.ndim == 1:
-            columns[name] = plain.tolist()
-        else:
-            columns |= {f"{name}{place}": plain[:, place].tolist() for place in range(plain.shape[1])}
-    rows = csv.writer(text)
-    rows.writerow(columns)
-    rows.writerows(zip(*columns.values(), strict=True))
-
-
 def _save_parquet(path: Path, tables: "Tables", metadata: Mapping[str, str]) -> list[Path]:
+    """Write a file for each table, unless any of them is there already."""
     from pyarrow import parquet
 
     arrow = _pyarrow()
-
-    def write(table: "Table", file: BinaryIO) -> None:
+    targets = {path.with_name(f"{path.stem}-{name}{path.suffix}"): table for name, table in tables.named().items()}
+    for target in targets:
+        check_new_path(target, "table")
+    for target, table in targets.items():
         rows = {
             column: arrow.array(values)
             if values.ndim == 1
             else arrow.FixedSizeListArray.from_arrays(arrow.array(values.ravel()), int(np.prod(values.shape[1:])))
             for column, values in table.items()
         }
-        parquet.write_table(arrow.table(rows).replace_schema_metadata(metadata), file)
-
-    return _save_parts(path, {name: partial(write, table) for name, table in tables.named().items()})
+        with replacing(target) as file:
+            parquet.write_table(arrow.table(rows).replace_schema_metadata(metadata), file)
+    return [*targets]
 
 
 def _pyarrow() -> Any:
@@ -229,12 +154,3 @@ def _pyarrow() -> Any:
     except ImportError as error:
         raise not_installed("--to parquet needs pyarrow", "parquet") from error
     return pa
-
-
-def _h5py() -> Any:
-    """Return the library."""
-    try:
-        import h5py
-    except ImportError as error:
-        raise not_installed("--to hdf5 needs h5py", "hdf5") from error
-    return h5py

@@ -1,7 +1,7 @@
 """Replay of a run: its measurements go through the reconstructor and the classifier, one after the other."""
 
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -120,10 +120,10 @@ class Replay:
 
     Parameters
     ----------
-    make_classifier : callable
-        Returns the classifier's service on this exchange.
-    fabric : Exchange, optional
-        Receives the messages.
+    make_classifier : callable, optional
+        Returns the classifier's service on this exchange; default: nothing is labelled.
+    receivers : sequence of callable
+        Each receives the messages, with their topics.
     sink : Sink, optional
         Receives the messages and the frames, whose clock is `offset_ns` behind the wall clock.
     """
@@ -132,27 +132,27 @@ class Replay:
         self,
         layout: Layout,
         imager: Imager,
-        make_classifier: Callable[[Exchange], ClassifierService | SteppedClassifierService],
+        make_classifier: Callable[[Exchange], ClassifierService | SteppedClassifierService] | None = None,
         *,
-        fabric: Exchange | None = None,
+        receivers: Sequence[Callable[[Topic, Any], None]] = (),
         sink: Sink | None = None,
         offset_ns: int = 0,
     ) -> None:
         self.report = Report()
-        self._fabric, self._sink, self._offset_ns = fabric, sink, offset_ns
+        self._receivers, self._sink, self._offset_ns = receivers, sink, offset_ns
         timer = time.perf_counter if sink is None else lambda: 0.0  # the same file again gives the same bytes
         self._reconstructor = ReconstructorService(layout, imager, self, clock_ns=self._published_ns, timer=timer)
-        self._classifier = make_classifier(self)
+        self._classifier = None if make_classifier is None else make_classifier(self)
         self._force_max_n = layout.taxels.force_max_n
         self._now_ns = 0
         self._measured: MeasurementStep | None = None
 
     def publish(self, topic: Topic, message: msgspec.Struct) -> None:
-        """Pass a message to the fabric and to the sink, with the time of its step."""
+        """Pass a message to the receivers and to the sink, with the time of its step."""
         if self._measured is not None and isinstance(message, Image):
             self.report.images.add(_image_difference(message, self._measured.image, self._force_max_n))
-        if self._fabric is not None:
-            self._fabric.publish(topic, message)
+        for receive in self._receivers:
+            receive(topic, message)
         if self._sink is not None:
             self._sink.message(topic, self._now_ns, msgspec.msgpack.encode(message))
 
@@ -191,7 +191,9 @@ class Replay:
         self.report.measurements.add(None if recorded is None else _fields_that_differ(step.measurement, recorded))
         if step.makes_image:
             self._reconstructor.take(step.measurement)
-        for label in self._classifier.replay(step.measurement, step.time_ns) if step.makes_label else ():
+        if self._classifier is None or not step.makes_label:
+            return
+        for label in self._classifier.replay(step.measurement, step.time_ns):
             self.report.labels.add(_label_difference(label, step.label))
             self.publish(LABEL, label)
 

@@ -67,7 +67,6 @@ def steps_of(
     *,
     every: bool = False,
     calibrator: Calibrator | None = None,
-    service: str = "replay",
 ) -> Iterator[Step]:
     """Return the steps of a recording or of a CAN log, in the order of time.
 
@@ -79,10 +78,8 @@ def steps_of(
         Every measurement makes an image, whether the live one did or not.
     calibrator : Calibrator, optional
         Puts offsets into measurements that are made of frames alone; recorded ones have their own.
-    service : str
-        Name of the service in the log lines.
     """
-    warn = partial(say, service)
+    warn = partial(say, "replay")
     if not is_recording(path):
         return _logged(contract, frames_of_log(contract.layout, path, channel, warn), calibrator)
     topics = read_topics(path)

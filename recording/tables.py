@@ -100,10 +100,10 @@ def read_tables(path: Path, layout: Layout, warn: Warn) -> Tables:
     try:
         return Tables(
             # The pixels first: programs that read one array of a file take the first.
-            images={"pixels": _stack([each.pixels for each in read["image"]], "<f4", shape)}
+            images={"pixels": stack([each.pixels for each in read["image"]], "<f4", shape)}
             | _times(read["image"], wall)
             | {
-                "valid": _stack([each.valid for each in read["image"]], np.bool_, (layout.blocks,)),
+                "valid": stack([each.valid for each in read["image"]], np.bool_, (layout.blocks,)),
                 "valid_sums": np.array([each.valid_sums for each in read["image"]], np.int64),
             },
             measurements=_measurements(read["measurement"], wall, layout),
@@ -116,8 +116,8 @@ def read_tables(path: Path, layout: Layout, warn: Warn) -> Tables:
             touches=_touches(touches_of(path, told, warn), wall),
             truth=_truth_times(read["truth"], read["measurement"], layout, wall)
             | {
-                "true": _stack([each.true for each in read["truth"]], "<f4", shape),
-                "sensor": _stack([each.sensor for each in read["truth"]], "<f4", shape),
+                "true": stack([each.true for each in read["truth"]], "<f4", shape),
+                "sensor": stack([each.sensor for each in read["truth"]], "<f4", shape),
                 "label": np.array([each.label for each in read["truth"]], np.str_),
             },
             taxels=_taxels(layout),
@@ -132,10 +132,10 @@ def _measurements(messages: list[Measurement], wall: WallTimes, layout: Layout) 
     sums = layout.measurement.sums
     none, all_usable = bytes(4 * sums), b"\1" * sums
     return _times(messages, wall) | {
-        "sums": _stack([each.sums for each in messages], "<i4", (sums,)),
-        "offsets": _stack([each.offsets or none for each in messages], "<i4", (sums,)),
-        "usable": _stack([each.usable or all_usable for each in messages], np.bool_, (sums,)),
-        "valid": _stack([each.valid for each in messages], np.bool_, (layout.blocks,)),
+        "sums": stack([each.sums for each in messages], "<i4", (sums,)),
+        "offsets": stack([each.offsets or none for each in messages], "<i4", (sums,)),
+        "usable": stack([each.usable or all_usable for each in messages], np.bool_, (sums,)),
+        "valid": stack([each.valid for each in messages], np.bool_, (layout.blocks,)),
     }
 
 
@@ -205,7 +205,8 @@ def _contacts(messages: list[Any], wall: WallTimes) -> Table:
     return _times([each for each, _ in found], wall) | columns
 
 
-def _stack(contents: list[bytes], dtype: npt.DTypeLike, shape: tuple[int, ...]) -> npt.NDArray[Any]:
+def stack(contents: list[bytes], dtype: npt.DTypeLike, shape: tuple[int, ...]) -> npt.NDArray[Any]:
+    """Return the arrays of messages, each of a `shape`, as one array; bytes of 0 and 1 as booleans."""
     kind = np.dtype(dtype)
     joined = np.frombuffer(b"".join(contents), np.uint8 if kind == np.bool_ else kind)
     return joined.reshape(len(contents), *shape).astype(kind, copy=False)

@@ -46,7 +46,6 @@ VERBS: Final = {
     "replay": "recording.replay_command:replay",
     "label": "recording.label_command:label",
     "export": "recording.export_command:export",
-    "rebuild": "recording.rebuild_command:rebuild",
     "contract": "nodes.contract_command:contract",
     "layout": "bandwidth.layout_command:layout",
     "plan": "bandwidth.plan_command:plan",

@@ -13,7 +13,7 @@ from skin.foreign import CLASSIC_MAX, FD_ONLY_LENGTHS
 from skin.sending import SUMS_PART
 
 if TYPE_CHECKING:
-    from skin.layout import Bus, Layout
+    from skin.layout_keys import Bus, Layout
 
 #: Most samples of a taxel in a second where boards average.
 AVERAGED_HZ: Final = 1000.0
@@ -103,7 +103,7 @@ def scan_words(layout: "Layout") -> str:
 
 
 class _BusTime(NamedTuple):
-    """Time of a cycle on a bus, seconds; part of the bus that others take; longest frame that may come before."""
+    """Time of a cycle on a bus, seconds; part of the bus that others take; time that others may take before a cycle."""
 
     cycle_s: float
     others: float
@@ -134,7 +134,9 @@ def _bus_time(layout: "Layout", bus: "Bus", sums: int, bits: int | None = None) 
     if bus.nodes * frames > _PDO_KINDS * (_NODE_IDS - len(bus.foreign)):
         cycle_s = math.inf
     others = bus.nodes * _frame_s(bus, 1) * _BEATS_HZ + sum(time_s / period_s for time_s, period_s in foreign)
-    return _BusTime(cycle_s, others, max([*times_s, _frame_s(bus, CLASSIC_MAX), *(time_s for time_s, _ in foreign)]))
+    # The longest frame may be on its way, and each message of other devices may have just become due.
+    blocked_s = max(*times_s, _frame_s(bus, CLASSIC_MAX)) + sum(time_s for time_s, _ in foreign)
+    return _BusTime(cycle_s, others, blocked_s)
 
 
 def _frame_s(bus: "Bus", length: int, *, is_fd: bool = False, is_extended: bool = False) -> float:

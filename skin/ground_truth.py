@@ -100,8 +100,11 @@ class ShownImages:
         return self._pairs()
 
     def truth_of(self, image: Image) -> Truth | None:
-        """Return the truth nearest to the image's publication, None if there is none within `NEAR_NS`."""
-        return _nearest(self._truths, image.published_mono_ns)
+        """Return the truth nearest to the image's publication, None if there is none within twice `NEAR_NS`.
+
+        The truth of just before is shown until that of the image has come.
+        """
+        return _nearest(self._truths, image.published_mono_ns, 2 * NEAR_NS)
 
     def _pairs(self) -> list[tuple[Image, Truth]]:
         found = []
@@ -174,7 +177,7 @@ def in_contact(true: npt.NDArray[np.float32], peak_n: float) -> bool:
     return float(true.max()) >= CONTACT_RATIO * peak_n
 
 
-def _nearest(truths: deque[Truth], time_ns: int) -> Truth | None:
-    """Return the truth nearest to a time, None if there is none within `NEAR_NS`."""
+def _nearest(truths: deque[Truth], time_ns: int, within_ns: int = NEAR_NS) -> Truth | None:
+    """Return the truth nearest to a time, None if there is none within `within_ns`."""
     found = min(truths, key=lambda truth: abs(truth.sampled_mono_ns - time_ns), default=None)
-    return found if found is not None and abs(found.sampled_mono_ns - time_ns) <= NEAR_NS else None
+    return found if found is not None and abs(found.sampled_mono_ns - time_ns) <= within_ns else None

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from canskin.calibration_messages import Region as Box
 from canskin.errors import InputError, LayoutError
-from skin.layout import Layout, Region
+from skin.layout_keys import Layout, Region
 
 #: Name of the whole skin, unless a region of the layout gives it another.
 WHOLE: Final = "whole skin"

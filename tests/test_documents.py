@@ -20,6 +20,7 @@ import pytest
 import trimesh
 
 from dbc.contract import Contract
+from docs.reference import PAGE, reference
 from shell.command import build_app
 from skin.layout import load_layout
 from tests.descriptions import URDF, icub
@@ -167,6 +168,10 @@ def test_each_picture_is_shown_and_has_its_command() -> None:
     shown = set(re.findall(r"!\[[^]]*\]\((?:docs/)?([^)]+)\)", text))
     assert shown == {path.name for ending in ("png", "svg") for path in (ROOT / "docs").glob(f"*.{ending}")}
     assert shown == set(re.findall(r'^    "([\w.-]+)": ', (ROOT / "docs/figures.py").read_text(), re.MULTILINE))
+
+
+def test_the_reference_is_that_of_the_code() -> None:
+    assert PAGE.read_text("utf-8") == reference(), "run python -m docs.reference"
 
 
 @pytest.mark.parametrize("document", DOCUMENTS)

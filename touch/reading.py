@@ -49,7 +49,7 @@ def read_counts(path: Path, arrays: Sequence[str] | None, skin_shape: tuple[int,
     suffix = path.suffix.lower()
     if suffix in _CAN_LOGS:
         raise InputError(
-            f"'{path}' is a log of frames: make its images with 'skin rebuild {path} --out images.npz', and play those"
+            f"'{path}' is a log of frames: make its images with 'skin replay {path} --out images.npz', and play those"
         )
     if suffix not in _READ_SUFFIXES:
         raise InputError(f"'{path}' is no recording: expected a .npz, .npy, .csv or .mcap file, got '{suffix}'")
@@ -92,7 +92,7 @@ def _read_mcap(path: Path, name: str) -> Counts:
 
     offered = array_names(path)
     if not offered:
-        raise InputError(f"'{path}' holds no images: make them with 'skin rebuild {path} --out images.npz'")
+        raise InputError(f"'{path}' holds no images: make them with 'skin replay {path} --out images.npz'")
     if name not in offered:
         raise InputError(f"'{path}' has no array '{name}': expected one of {', '.join(offered)}")
     topic, attribute = IN_MCAP[name]

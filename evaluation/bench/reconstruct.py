@@ -16,7 +16,8 @@ from reconstructor.bases import wavelet_basis
 from reconstructor.checks import Values
 from reconstructor.fista import largest_eigenvalue
 from reconstructor.kernels.contourlet import CompiledContourlet, ContourletSolver
-from reconstructor.kernels.fused import FusedSolver
+from reconstructor.kernels.haar import HaarSolver
+from reconstructor.kernels.variation import VariationSolver
 from reconstructor.settings import PAPER, PAPER_CONTOURLET, VARIATION, SolverSettings
 from skin.layout import load_layout
 from skin.surface import surface_of_positions
@@ -45,9 +46,9 @@ def _shapes(rounds: int) -> list[Row]:
     row, column = np.divmod(np.random.default_rng(1).permutation(4096), 64)
     places = np.stack((column + 0.5 * (row % 2), row * 3**0.5 / 2, np.zeros(4096)), axis=1)
     solvers = {
-        "64 x 64 taxels, grid": FusedSolver(phi, 64, 64, VARIATION),
-        "64 x 64 taxels, graph": FusedSolver(phi, 64, 64, VARIATION, edges=load_layout().taxels.surface.edges),
-        "4096 taxels in triangles, graph": FusedSolver(
+        "64 x 64 taxels, grid": VariationSolver(phi, 64, 64, VARIATION),
+        "64 x 64 taxels, graph": VariationSolver(phi, 64, 64, VARIATION, edges=load_layout().taxels.surface.edges),
+        "4096 taxels in triangles, graph": VariationSolver(
             phi, 1, 4096, VARIATION, edges=surface_of_positions((0.004 * places).tolist()).edges
         ),
     }
@@ -84,7 +85,7 @@ def _rows(problem: Problem, ours: Any, others: Any, rounds: int) -> list[Row]:
 
 def _haar(problem: Problem, dtype: npt.DTypeLike) -> Method:
     settings = SolverSettings(prior="haar-pyramid", iterations=problem.iterations, penalty_n=problem.penalty_n)
-    solver = FusedSolver(problem.phi, 64, 64, settings, dtype=dtype)
+    solver = HaarSolver(problem.phi, 64, 64, settings, dtype=dtype)
     start = solver.blocks_of(problem.psi.adjoint(problem.start.reshape(problem.psi.shape)))
 
     def coefficients(estimate: Values) -> Values:
@@ -101,7 +102,7 @@ def _contourlet(problem: Problem, dtype: npt.DTypeLike) -> Method:
 
 def _ours(
     problem: Problem,
-    solver: FusedSolver | ContourletSolver,
+    solver: HaarSolver | ContourletSolver,
     start: Values,
     coefficients: Callable[[Values], Values],
 ) -> Method:

@@ -11,13 +11,11 @@ import numpy.typing as npt
 from evaluation.printed import BasisName, Matrix
 from evaluation.result import Options, Row
 from evaluation.solvers.noiselet import Noiselet, noiselet
-from reconstructor.array_api import BatchSolver
 from reconstructor.bases import Basis, WaveletBasis, wavelet_basis
 from reconstructor.checks import Values
-from reconstructor.engine import make_solver
+from reconstructor.engine import Solver, make_solver
 from reconstructor.fista import fista, largest_eigenvalue
-from reconstructor.kernels.contourlet import CompiledContourlet, ContourletSolver
-from reconstructor.kernels.fused import FusedSolver
+from reconstructor.kernels.contourlet import CompiledContourlet
 from reconstructor.settings import PAPER, PAPER_CONTOURLET, SolverSettings
 from skin.measurement import sbhe
 from skin.operator import Operator
@@ -72,7 +70,7 @@ class NoiseletSolver:
         return np.maximum(self._psi.adjoint(estimate), 0)
 
 
-ImageSolver = FusedSolver | ContourletSolver | BatchSolver | NoiseletSolver
+ImageSolver = Solver | NoiseletSolver
 
 
 @dataclass(frozen=True)

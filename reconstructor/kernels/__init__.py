@@ -1,1 +1,1 @@
-"""Compiled solvers: FISTA for an SBHE with wavelets, total variation or contourlets, in place."""
+"""Compiled solvers: FISTA for sums of blocks, or of any matrix, in place."""

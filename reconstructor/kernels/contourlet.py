@@ -9,6 +9,7 @@ from canskin.errors import InputError
 from reconstructor.bases.contourlet import Contourlet
 from reconstructor.checks import Values, check_estimate, check_sbhe, check_values, float_kind, placed
 from reconstructor.fista import largest_eigenvalue, momentum
+from reconstructor.kernels.blocks import checked, places_of_sums, taxels_in_block_order
 from reconstructor.kernels.contourlet_tables import (
     ContourletBuffers,
     ContourletTables,
@@ -18,8 +19,7 @@ from reconstructor.kernels.contourlet_tables import (
     make_tables,
 )
 from reconstructor.kernels.contourlet_transform import synthesise, transpose
-from reconstructor.kernels.problem import checked, places_of_sums, taxels_in_block_order
-from reconstructor.kernels.steps import Table, aligned, deliver, gather, load
+from reconstructor.kernels.steps import Step, Table, aligned, deliver, gather, load
 from reconstructor.kernels.transforms import FAST_MATH, Flat, masked_gram
 from reconstructor.settings import SolverSettings
 from shell.compiled import njit
@@ -28,11 +28,11 @@ from skin.ranges import require_number
 
 
 class _Problem(NamedTuple):
-    """`places` of sums; `to_image` and `to_blocks`; 1 / L and λ / L; the momentum."""
+    """`places` of sums, orders of the taxels, and momentum, as in `reconstructor.kernels.steps.Problem`."""
 
     places: Table
-    tables: Table
-    numbers: Flat
+    to_image: Table
+    to_blocks: Table
     momentum: Flat
     blocks: int
 
@@ -54,21 +54,21 @@ def _solve(  # noqa: PLR0917  compiled functions take no keywords
     sums: Flat,
     weights: Flat,
     problem: _Problem,
+    step: Step,
     tables: ContourletTables,
     scratch: _Scratch,
     buffers: ContourletBuffers,
 ) -> int:
     gain, target, work, image, ahead, slope = scratch
-    count = load(sums, weights, problem.places, problem.numbers[0], gain, target)
-    threshold = problem.numbers[1]
+    count = load(sums, weights, problem.places, step.size, gain, target)
     ahead[:] = estimate
     for turn in range(problem.momentum.size):
         synthesise(image, ahead, tables, buffers)
-        gather(work, image, problem.tables[1])
+        gather(work, image, problem.to_blocks)
         masked_gram(work, gain, target, problem.blocks)
-        gather(image, work, problem.tables[0])
+        gather(image, work, problem.to_image)
         transpose(slope, image, tables, buffers)
-        advance_coefficients(estimate, ahead, slope, threshold, problem.momentum[turn])
+        advance_coefficients(estimate, ahead, slope, step.threshold, problem.momentum[turn])
     return count
 
 
@@ -132,7 +132,7 @@ class ContourletSolver:
         dtype: npt.DTypeLike = np.float32,
     ) -> None:
         if settings.prior != "contourlet":
-            raise InputError(f"expected the prior 'contourlet', got '{settings.prior}': use FusedSolver")
+            raise InputError(f"expected the prior 'contourlet', got '{settings.prior}': use make_solver")
         check_sbhe(phi)
         self.dtype: Final = float_kind(dtype)
         psi = CompiledContourlet(rows, columns)
@@ -145,8 +145,8 @@ class ContourletSolver:
         self._threshold = settings.penalty_n / self.lipschitz
         self._problem = _Problem(
             places=places_of_sums(phi),
-            tables=np.stack((np.argsort(to_blocks), to_blocks)).astype(np.uint16),
-            numbers=np.array((1 / self.lipschitz, self._threshold), self.dtype),
+            to_image=np.argsort(to_blocks).astype(np.uint16),
+            to_blocks=to_blocks.astype(np.uint16),
             momentum=momentum(settings.iterations).astype(self.dtype),
             blocks=phi.blocks,
         )
@@ -162,12 +162,13 @@ class ContourletSolver:
         return aligned(self._order.size, self.dtype)
 
     def solve(self, estimate: Values, sums_n: Values, weights: Values, *, relative_penalty: float = 1.0) -> int:
-        """Solve in place from `estimate` and return the number of sums used; raises like `FusedSolver.solve`."""
+        """Solve in place from `estimate` and return the number of sums used; raises like `BlockSolver.solve`."""
         check_estimate(estimate, self._order.shape, self.dtype)
         sums, counting = checked(sums_n, weights, (self.sums,), self.dtype)
         require_number("the relative penalty", relative_penalty)
-        self._problem.numbers[1] = self._threshold * relative_penalty
-        return int(_solve(estimate, sums, counting, self._problem, self._tables, self._scratch, self._buffers))
+        number = self.dtype.type
+        step = Step(number(1 / self.lipschitz), number(self._threshold * relative_penalty), number(0))
+        return int(_solve(estimate, sums, counting, self._problem, step, self._tables, self._scratch, self._buffers))
 
     def reset(self) -> None:
         """Do nothing: this solver has no state besides the estimate."""

@@ -1,46 +1,44 @@
-"""FISTA for SBHE and Haar as one compiled function.
+"""FISTA for sums of blocks and the l1 norm of Haar coefficients.
 
-The image is stored in block order: place r of block b at ``r * blocks + b``. In this order Φ is a Hadamard transform
-and a mask. Gradient and momentum are computed in block order, the shrinkage in the order of the image.
+An iteration is that of `reconstructor.kernels.variation`, with Ψ soft(Ψᵀ v, λ / L) in place of less total variation; Ψ
+is another shift of the basis in each.
 """
 
 from typing import Any
 
-from reconstructor.kernels.steps import Problem, advance, begin, descend, gather, row
+from reconstructor.kernels.blocks import BlockSolver
+from reconstructor.kernels.steps import Problem, Step, advance, begin, cut, descend, gather
 from reconstructor.kernels.transforms import FAST_MATH, Flat
 from shell.compiled import njit
 
-#: Rows of working memory: gain, target, ahead, work, image.
-SCRATCH_ROWS = 5
-
 
 @njit(cache=True, nogil=True, fastmath=FAST_MATH)
-def solve_haar(estimate: Flat, sums: Flat, weights: Flat, problem: Problem, scratch: Flat) -> int:
+def solve_haar(  # noqa: PLR0917  compiled functions take no keywords
+    estimate: Flat, sums: Flat, weights: Flat, problem: Problem, step: Step, memory: Flat
+) -> int:
     """Solve in place from `estimate` and return the number of sums used.
 
     Parameters
     ----------
-    estimate : shape (n,)
+    estimate : shape (places,)
         Start and result, newtons, in block order.
     sums, weights : shape (m,)
         Newtons, and 0 to 1; a sum of weight 0 has no effect.
-    scratch : shape (SCRATCH_ROWS, n)
-        Zeros at first.
     """
-    threshold, floor, root_half = problem.numbers[1], problem.numbers[2], problem.numbers[3]
-    half = root_half * root_half
-    work, image = row(scratch, 3, estimate.size), row(scratch, 4, estimate.size)
-    count, _ = begin(estimate, sums, weights, problem, scratch)
+    buffers = cut(memory, estimate.size, problem.deliver.size, problem.graph.size)
+    image, work = buffers.image, buffers.work
+    root_half = estimate.dtype.type(0.5**0.5)
+    count, _ = begin(estimate, sums, weights, problem, step, buffers)
     for turn in range(problem.momentum.size):
-        shift = turn % problem.tables.shape[1]
-        descend(estimate.size, problem.blocks, scratch)
-        gather(image, work, problem.tables[0, shift])
+        shift = turn % problem.to_image.shape[0]
+        descend(buffers, problem.blocks)
+        gather(image, work, problem.to_image[shift])
         if problem.levels:
-            _shrink_pyramid(image, problem.levels, threshold, half)
+            _shrink_pyramid(image, problem.levels, step.threshold, root_half * root_half)
         else:
-            shrink_tensor(image, problem.columns, threshold, root_half)
-        gather(work, image, problem.tables[1, shift])
-        advance(estimate, floor, problem.momentum[turn], scratch)
+            shrink_tensor(image, problem.columns, step.threshold, root_half)
+        gather(work, image, problem.to_blocks[shift])
+        advance(estimate, step.floor, problem.momentum[turn], buffers)
     return count
 
 
@@ -105,3 +103,10 @@ def _synthesise(work: Flat, length: int, width: int, root_half: Any) -> None:
             for k in range(half):
                 low[k], high[k] = root_half * (low[k] + high[k]), root_half * (low[k] - high[k])
         half *= 2
+
+
+class HaarSolver(BlockSolver):
+    """`BlockSolver` with the l1 norm of the Haar pyramid or tensor as R."""
+
+    priors = ("haar-pyramid", "haar-tensor")
+    iterate = staticmethod(solve_haar)

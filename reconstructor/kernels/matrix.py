@@ -12,9 +12,9 @@ import numpy.typing as npt
 from canskin.errors import InputError
 from reconstructor.checks import Values, check_estimate, float_kind, placed
 from reconstructor.fista import momentum
+from reconstructor.kernels.blocks import checked
 from reconstructor.kernels.graph import Graph, Indices, graph_of
-from reconstructor.kernels.problem import checked
-from reconstructor.kernels.steps import aligned
+from reconstructor.kernels.steps import Step, aligned
 from reconstructor.kernels.transforms import FAST_MATH, Flat
 from reconstructor.kernels.variation import INNER, denoise
 from reconstructor.settings import SolverSettings
@@ -44,7 +44,7 @@ class MatrixSolver:
     settings : SolverSettings
         Of total variation.
     edges : array of int, shape (edges, 2), optional
-        As of `reconstructor.kernels.fused.FusedSolver`.
+        As of `reconstructor.kernels.blocks.BlockSolver`.
     """
 
     def __init__(
@@ -94,7 +94,7 @@ class MatrixSolver:
         estimate : array of `dtype`, shape (n,)
             Start and result in newtons.
         sums_n, weights, relative_penalty
-            As `reconstructor.kernels.fused.FusedSolver.solve`.
+            As `reconstructor.kernels.blocks.BlockSolver.solve`.
         phi : MatrixPhi, optional
             That of these sums, with the shape of the first; default: the first.
         part : float
@@ -106,14 +106,14 @@ class MatrixSolver:
         check_estimate(estimate, self._phi.shape[1:], self.dtype)
         sums, counting = checked(sums_n, weights, (self.sums,), self.dtype)
         require_number("the relative penalty", relative_penalty)
-        step = 1 / (self._settings.lipschitz_ratio * phi.norm_squared)
-        numbers = np.array((step, self._settings.penalty_n * step * relative_penalty), self.dtype)
+        size, number = 1 / (self._settings.lipschitz_ratio * phi.norm_squared), self.dtype.type
+        step = Step(number(size), number(self._settings.penalty_n * size * relative_penalty), number(0))
         matrix, memory = phi.dense.astype(self.dtype, copy=False), (self._dual, self._work)
         schedule = self._momentum[: max(1, round(part * self._momentum.size))], self._is_scaled
-        return int(solve_matrix(estimate, sums, counting, matrix, numbers, schedule, self._graph, memory))
+        return int(solve_matrix(estimate, sums, counting, matrix, step, schedule, self._graph, memory))
 
     def reset(self) -> None:
-        """Reset the state besides the estimate."""
+        """Clear the dual variable."""
         self._dual[:] = 0
 
     def deliver(self, estimate: Values) -> npt.NDArray[np.float32]:
@@ -135,7 +135,7 @@ def solve_matrix(  # noqa: PLR0917
     sums: Flat,
     weights: Flat,
     matrix: Any,
-    numbers: Flat,
+    step: Step,
     schedule: tuple[Flat, bool],
     graph: Graph,
     memory: tuple[Any, Any],
@@ -146,8 +146,6 @@ def solve_matrix(  # noqa: PLR0917
     ----------
     matrix : array, shape (m, n)
         Φ.
-    numbers : array, shape (2,)
-        1 / L, λ / L.
     schedule : tuple
         (t_k - 1) / t_{k+1} of each iteration, and whether the start is scaled, see `SolverSettings`.
     graph : Graph
@@ -167,11 +165,11 @@ def solve_matrix(  # noqa: PLR0917
     for turn in range(momenta.size):
         residual = np.dot(matrix, ahead)
         for k in range(residual.size):  # a sum without weight may hold any value
-            residual[k] = numbers[0] * weights[k] * (residual[k] - sums[k]) if weights[k] > 0 else 0
+            residual[k] = step.size * weights[k] * (residual[k] - sums[k]) if weights[k] > 0 else 0
         gradient = np.dot(residual, matrix)
         for k in range(image.size):
             image[k] = ahead[k] - gradient[k]
-        denoise(image, numbers[1], INNER, dual, made, graph)
+        denoise(image, made, dual, graph, INNER, step.threshold, step.floor)
         for k in range(made.size):
             ahead[k] = made[k] + momenta[turn] * (made[k] - estimate[k])
             estimate[k] = made[k]

@@ -1,4 +1,7 @@
-"""Common steps of the compiled solvers: load sums, gradient step, momentum, delivery of the image."""
+"""Steps of the compiled solvers of sums of blocks, and the arrays that the steps work on.
+
+In block order place r of block b is at ``r * blocks + b``: there Φ is a Hadamard transform of every column and a mask.
+"""
 
 from typing import Any, Final, NamedTuple
 
@@ -14,52 +17,98 @@ Table = npt.NDArray[np.uint16]
 
 
 class Problem(NamedTuple):
-    """Constants of a solver, the same in all cycles.
+    """What a solver of sums of blocks knows before the sums come.
 
     Attributes
     ----------
     places : shape (m,)
         Place of every sum in block order; uint16 is enough, because a grid has at most 256 x 256 taxels.
-    tables : shape (2, shifts, larger of places and n)
-        From block order to the prior's image order, and back, a pair for each shift of the basis.
+    to_image, to_blocks : shapes (shifts, n) and (shifts, places)
+        From block order to the prior's image order, and back, for each shift of the basis.
     deliver : shape (n,)
         From block order to row-major order.
-    numbers : shape (5,)
-        1 / L, λ / L, the smallest allowed force, the 1 / √2 of the transforms, and the step of the dual of total
-        variation.
+    gaps : shape (gaps,)
+        Taxels that the grid lacks, in the prior's image order.
+    graph : Graph
+        Neighbours in the prior's image order.
     momentum : shape (iterations,)
-        (t_k - 1) / t_{k+1}.
+        β = (t_k - 1) / t_{k+1}.
     blocks, rows, columns : int
     levels : int
         Levels of a pyramid, 0 for a tensor transform.
     scaled_start : bool
         See `SolverSettings`.
-    gaps : shape (gaps,)
-        Taxels that the grid lacks, in the prior's image order.
-    graph : Graph
-        Neighbours in the prior's image order.
     """
 
     places: Table
-    tables: npt.NDArray[np.uint16]
+    to_image: npt.NDArray[np.uint16]
+    to_blocks: npt.NDArray[np.uint16]
     deliver: Table
-    numbers: Flat
+    gaps: Table
+    graph: Graph
     momentum: Flat
     blocks: int
     rows: int
     columns: int
     levels: int
     scaled_start: bool
-    gaps: Table
-    graph: Graph
+
+
+class Step(NamedTuple):
+    """The numbers of a step, of the dtype of the solver: 1 / L, λ / L, and the smallest allowed force."""
+
+    size: Any
+    threshold: Any
+    floor: Any
+
+
+class Buffers(NamedTuple):
+    """Working memory; the dual is state.
+
+    Attributes
+    ----------
+    gain, target : shape (places,)
+        w / L and w y / L of the sums, in block order; 0 where no sum is sent.
+    ahead, work : shape (places,)
+        z, from which the next step starts, in block order, and its copy in which steps are computed.
+    image : shape (n,)
+        In the prior's image order.
+    smoothed : shape (n + 1,)
+        The same with less total variation, then a 0 for empty places.
+    dual : shape (graph.size,)
+        Of total variation.
+    """
+
+    gain: Flat
+    target: Flat
+    ahead: Flat
+    work: Flat
+    image: Flat
+    smoothed: Flat
+    dual: Flat
+
+
+def memory_of(places: int, taxels: int, dual: int, dtype: np.dtype[Any]) -> Flat:
+    """Return the memory that `cut` makes buffers of, zeros."""
+    return aligned(6 * (max(places, taxels) + GAP) + dual, dtype)
+
+
+@njit(cache=True, nogil=True, fastmath=FAST_MATH)
+def cut(memory: Flat, places: int, taxels: int, dual: int) -> Buffers:
+    """Return the arrays in a piece of memory: a call takes one argument sooner than seven."""
+    stride = max(places, taxels) + GAP
+    return Buffers(
+        memory[:places],
+        memory[stride : stride + places],
+        memory[2 * stride : 2 * stride + places],
+        memory[3 * stride : 3 * stride + places],
+        memory[4 * stride : 4 * stride + taxels],
+        memory[5 * stride : 5 * stride + taxels + 1],
+        memory[6 * stride : 6 * stride + dual],
+    )
 
 
 CACHE_LINE: Final = 64
-
-
-def scratch_of(rows: int, size: int, dtype: np.dtype[Any], more: int = 0) -> Flat:
-    """Return working memory of `rows` rows of `size`, and `more` values after them, zeros; `row` returns a row."""
-    return aligned(rows * (size + GAP) + more, dtype)
 
 
 def aligned(size: int, dtype: np.dtype[Any]) -> Flat:
@@ -68,23 +117,6 @@ def aligned(size: int, dtype: np.dtype[Any]) -> Flat:
     memory = np.zeros(size + extra, dtype)
     first = -memory.ctypes.data % CACHE_LINE // dtype.itemsize
     return memory[first : first + size]
-
-
-@njit(cache=True, nogil=True, fastmath=FAST_MATH)
-def row(scratch: Flat, number: int, size: int) -> Flat:
-    """Return one row of working memory."""
-    start = number * (size + GAP)
-    return scratch[start : start + size]
-
-
-@njit(cache=True, nogil=True, fastmath=FAST_MATH)
-def picture(scratch: Flat, number: int, problem: Problem, more: int) -> Flat:
-    """Return one row of working memory, of the size of the grid and of `more` values, at most `GAP`, which are 0.
-
-    `row` returns rows of the size of all places; no row with a lower number than that of a picture reaches it.
-    """
-    start = number * (problem.tables.shape[2] + GAP)
-    return scratch[start : start + problem.rows * problem.columns + more]
 
 
 # Compiled functions take no keyword arguments.
@@ -102,24 +134,16 @@ def usable(sums: Flat, weights: Flat) -> bool:
 
 
 @njit(cache=True, nogil=True, fastmath=FAST_MATH)
-def begin(estimate: Flat, sums: Flat, weights: Flat, problem: Problem, scratch: Flat) -> tuple[int, Any]:
-    """Fill `scratch` (gain, target, ahead, work, …) for the first iteration.
-
-    Return the number of sums used, and the factor of the start.
-    """
-    size = estimate.size
-    gain, target, ahead, work = (
-        row(scratch, 0, size),
-        row(scratch, 1, size),
-        row(scratch, 2, size),
-        row(scratch, 3, size),
-    )
-    count = load(sums, weights, problem.places, problem.numbers[0], gain, target)
+def begin(  # noqa: PLR0917
+    estimate: Flat, sums: Flat, weights: Flat, problem: Problem, step: Step, buffers: Buffers
+) -> tuple[int, Any]:
+    """Fill the buffers for the first iteration; return the number of sums used, and the factor of the start."""
+    count = load(sums, weights, problem.places, step.size, buffers.gain, buffers.target)
     kept = estimate.dtype.type(1)
     if problem.scaled_start:
-        kept = _scale_start(estimate, gain, target, work, problem.blocks)
-    ahead[:] = estimate
-    work[:] = estimate
+        kept = _scale_start(estimate, buffers.gain, buffers.target, buffers.work, problem.blocks)
+    buffers.ahead[:] = estimate
+    buffers.work[:] = estimate
     return count, kept
 
 
@@ -144,15 +168,10 @@ def load(sums: Flat, weights: Flat, places: Table, step: Any, gain: Flat, target
 
 
 @njit(cache=True, nogil=True, fastmath=FAST_MATH)
-def descend(size: int, blocks: int, scratch: Flat) -> None:
-    """Compute a gradient step from ``ahead``, equal to ``work``; the result is in ``work``."""
-    gain, target, ahead, work = (
-        row(scratch, 0, size),
-        row(scratch, 1, size),
-        row(scratch, 2, size),
-        row(scratch, 3, size),
-    )
-    masked_gram(work, gain, target, blocks)
+def descend(buffers: Buffers, blocks: int) -> None:
+    """Step down the gradient: ``work`` = z - Φᵀ w (Φ z - y) / L, from z in ``ahead`` and ``work``."""
+    ahead, work = buffers.ahead, buffers.work
+    masked_gram(work, buffers.gain, buffers.target, blocks)
     for k in range(work.size):
         work[k] = ahead[k] - work[k]
 
@@ -165,9 +184,9 @@ def gather(target: Flat, source: Flat, index: Table) -> None:
 
 
 @njit(cache=True, nogil=True, fastmath=FAST_MATH)
-def advance(estimate: Flat, floor: Any, momentum: Any, scratch: Flat) -> None:
-    """Set the estimate to max(``work``, `floor`), and write the next point to ``ahead`` and ``work``."""
-    ahead, work = row(scratch, 2, estimate.size), row(scratch, 3, estimate.size)
+def advance(estimate: Flat, floor: Any, momentum: Any, buffers: Buffers) -> None:
+    """Set x to x' = max(``work``, floor), and z, in ``ahead`` and ``work``, to x' + β (x' - x)."""
+    ahead, work = buffers.ahead, buffers.work
     for k in range(work.size):
         new = max(floor, work[k])
         beyond = new + momentum * (new - estimate[k])

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bus import socketcan
+from bus import reconnecting, socketcan
 from bus.interface import Controller, Interface, Mode, Timing, Wanted
 from bus.link import State
 from bus.recvmmsg import Received
@@ -78,6 +78,25 @@ def kernel(monkeypatch: pytest.MonkeyPatch) -> Iterator[Kernel]:
     yield made
     for far in made.far:
         far.close()
+
+
+class Clock:
+    """The module `time` of a link: time passes when the test says so."""
+
+    now_s = 100.0
+
+    def monotonic(self) -> float:
+        return self.now_s
+
+    def pass_wait(self) -> None:
+        self.now_s += reconnecting.LONGEST_S
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    made = Clock()
+    monkeypatch.setattr(reconnecting, "time", made)
+    return made
 
 
 @pytest.fixture
@@ -179,16 +198,24 @@ def test_reports_of_the_controller_tell_its_state(
     assert link.state is State.BUS_OFF
 
 
-def test_lost_interface_is_opened_again(kernel: Kernel, link: SocketCanLink) -> None:
+def test_lost_interface_is_opened_again_after_waits_that_double(
+    kernel: Kernel, link: SocketCanLink, clock: Clock
+) -> None:
     kernel.far[0].close()
     assert link.send(burst(range(3))) == 0
     assert link.state is State.LOST
     assert link.receive().size == 0
     kernel.refuses = OSError(errno.ENETDOWN, "down")
-    link._next_s = 0.0
-    assert link.send(burst(range(3))) == 0
+    waits_s = []
+    for _ in range(5):
+        since_s, tries = clock.now_s, len(kernel.opened)
+        while len(kernel.opened) == tries:
+            clock.now_s += 0.01
+            assert link.send(burst(range(3))) == 0
+        waits_s.append(clock.now_s - since_s)
+    assert waits_s == pytest.approx([0.05, 0.1, 0.2, 0.2, 0.2], abs=0.02)
     kernel.refuses = None
-    link._next_s = 0.0
+    clock.pass_wait()
     assert link.send(burst(range(3))) == 3
     assert link.state is State.ACTIVE
     assert len(kernel.far[-1].recv(100)) == 16
@@ -220,7 +247,7 @@ def can7(**changed: Any) -> Interface:
 
 
 def test_interface_that_cannot_work_is_refused_and_opened_when_it_can(
-    kernel: Kernel, monkeypatch: pytest.MonkeyPatch
+    kernel: Kernel, clock: Clock, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     now = [can7()]
     monkeypatch.setattr(socketcan, "read_interface", lambda _channel: now[0])
@@ -234,24 +261,24 @@ def test_interface_that_cannot_work_is_refused_and_opened_when_it_can(
     kernel.far[0].close()
     assert link.send(burst(range(3))) == 0
     now[0] = can7(timing=Timing(500_000, 0.875))
-    link._next_s = 0.0
+    clock.pass_wait()
     assert link.send(burst(range(3))) == 0
     assert (link.state, link.explain()[:21]) == (State.LOST, "cannot open can7: its")
     now[0] = can7()
-    link._next_s = 0.0
+    clock.pass_wait()
     assert link.send(burst(range(3))) == 3
     assert (link.state, link.explain()) == (State.ACTIVE, "")
     link.close()
 
 
 def test_settings_and_doubts_are_told_once(
-    kernel: Kernel, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    kernel: Kernel, clock: Clock, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(socketcan, "read_interface", lambda _channel: can7(restart_ms=0))
     link = SocketCanLink("can7", name="gateway")
     kernel.far[0].close()
     link.send(burst(range(3)))
-    link._next_s = 0.0
+    clock.pass_wait()
     assert link.send(burst(range(3))) == 3
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith("gateway: can7: its restart-ms is 0")

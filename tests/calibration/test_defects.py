@@ -4,12 +4,11 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from calibration.calibrator import Calibrator
 from calibration.defects import DefectFinder, Defects
 from calibration.windows import Window
 from skin.measurement import sbhe
 from tests import surfaces
-from tests.calibration.helpers import LAYOUT, PHI, Skin, offsets_n
+from tests.calibration.helpers import LAYOUT, PHI
 
 Floats = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
@@ -17,17 +16,6 @@ Bools = npt.NDArray[np.bool_]
 NOISE_N, LEAST_N = 1e-4, 1e-6
 NO_TOUCH = np.zeros(PHI.blocks, np.bool_)
 ALL = np.ones(PHI.shape[0], np.bool_)
-
-
-def test_a_sum_that_gets_stuck_is_left_out_of_measurements() -> None:
-    said: list[str] = []
-    skin = Skin(Calibrator(LAYOUT, say=said.append), stuck=500)
-    offsets = offsets_n()
-    skin.run(3.0, lambda _: offsets)
-    last = skin.run(5.0, lambda _: offsets)
-    assert np.flatnonzero(np.frombuffer(last.usable, np.uint8) == 0).tolist() == [500]
-    assert sum("sum 500" in text for text in said) == 1
-    assert skin.calibrator.status().defects[0].startswith("sum 500")
 
 
 def of_blocks(changed: dict[int, float]) -> Floats:
@@ -169,12 +157,6 @@ def test_windows_under_a_touch_and_of_its_release_do_not_count() -> None:
     assert named(finder.take(1, of_blocks({5: 3.0}))) == ["block 5"]
 
 
-def test_a_block_of_which_too_few_sums_come_is_not_judged() -> None:
-    finder = Finder()
-    few = all_but(40, 41, 42)
-    assert finder.take(50, of_blocks({5: 3.0}), known=few).words == []
-
-
 def apart() -> tuple[int, int]:
     """Return two taxels of block 5 whose signs agree in half of its sums."""
     taxels = PHI.taxels_of_blocks[5].tolist()
@@ -227,16 +209,3 @@ def test_noise_of_a_block_is_that_of_each_of_its_sums() -> None:
         finder.take(window, np.zeros(4, np.bool_))
     assert single.sum() == 1
     assert finder.found.words == []
-
-
-def test_what_a_sum_that_is_not_known_shows_names_no_taxel() -> None:
-    first, _ = apart()
-    missing = 5 * 8 + 2
-    one_n = np.zeros(PHI.shape[1])
-    one_n[first] = NOISE_N
-    difference_n = np.asarray(PHI.forward(one_n), np.float64)
-    difference_n[missing] = 1e3
-    found = Finder().take(40, of_blocks({5: 3.0}), known=all_but(missing), difference_n=difference_n)
-    row, column = divmod(first, 64)
-    (text,) = (each for each in found.words if each.startswith("block 5"))
-    assert text.endswith(f"(row {row}, column {column})")

@@ -14,8 +14,6 @@ Bools = npt.NDArray[np.bool_]
 SUMS, BLOCKS, NOISE_N = 400, 100, 1e-4
 BLOCK_OF_SUM = np.arange(SUMS) // 4
 ALL, NO_BLOCK = np.ones(SUMS, np.bool_), np.zeros(BLOCKS, np.bool_)
-#: Windows in which no cycle came.
-LONGEST_GAP = 60
 
 
 def follower(known: np.ndarray = ALL) -> DriftFollower:
@@ -25,15 +23,6 @@ def follower(known: np.ndarray = ALL) -> DriftFollower:
 
 def noise(seed: int) -> np.ndarray:
     return np.random.default_rng(seed).normal(0, NOISE_N, SUMS)
-
-
-def test_without_drift_the_offsets_stay() -> None:
-    mine = follower()
-    for k in range(100):
-        mine.take(noise(k), ALL, NO_BLOCK)
-    assert np.std(mine.level_n) < 0.5 * NOISE_N
-    assert np.std(mine.slope_n) * MEMORY < 0.2 * NOISE_N
-    assert mine.noise_n == pytest.approx(NOISE_N, rel=0.15)
 
 
 @pytest.mark.parametrize("begins", [0, 60])
@@ -93,37 +82,6 @@ def test_line_through_points_of_which_one_is_wrong() -> None:
     level, slope, _ = line_through(points)
     assert level == pytest.approx([12.0, -7.0])
     assert slope == pytest.approx([1.0, -2.0])
-
-
-@pytest.mark.parametrize("known_windows", [8, 100])
-def test_a_drift_is_followed_through_gaps(known_windows: int) -> None:
-    """Four windows after every sixty: offsets stay near the drift, however well it was known before the first gap."""
-    mine, rate_n = follower(), np.random.default_rng(5).normal(0, 0.1 * NOISE_N, SUMS)
-    time, worst = 0, list[float]()
-    for gap in (0, *[LONGEST_GAP] * 30):
-        mine.skip(gap) if gap else None
-        time += gap
-        for _ in range(4 if gap else known_windows):
-            time += 1
-            mine.take(rate_n * time + noise(time), ALL, NO_BLOCK)
-        worst.append(float(np.std(mine.predicted_n(LONGEST_GAP) - rate_n * (time + LONGEST_GAP))))
-    assert max(worst) < 0.1 * NOISE_N * LONGEST_GAP
-    assert max(worst[5:]) < 2 * NOISE_N
-
-
-def test_a_drift_that_changes_in_a_gap_is_followed() -> None:
-    mine, rate_n = follower(), np.random.default_rng(5).normal(0, NOISE_N, SUMS)
-    drifted, errors_n = np.zeros(SUMS), list[float]()
-    for turn in range(20):
-        rate = rate_n if turn < 10 else -rate_n
-        mine.skip(LONGEST_GAP)
-        drifted = drifted + LONGEST_GAP * rate
-        for k in range(4):
-            drifted = drifted + rate
-            mine.take(drifted + noise(10 * turn + k), ALL, NO_BLOCK)
-        errors_n.append(float(np.std(mine.level_n - drifted)))
-    assert max(errors_n[9], errors_n[19]) < 2 * NOISE_N
-    assert max(errors_n[10:]) < 0.1 * NOISE_N * LONGEST_GAP
 
 
 #: Three blocks of two sums.

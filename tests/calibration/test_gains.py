@@ -112,13 +112,6 @@ def test_gains_of_analogue_sums_are_found_beside_those_of_taxels(gains: np.ndarr
     assert (found.sums.common_mode - made.common_mode)[rows].std() < 0.1 * made.common_mode.std()
 
 
-def test_a_dead_taxel_is_named(gains: np.ndarray) -> None:
-    broken = gains.copy()
-    broken[16 * SIDE + 12] = 0
-    (text,) = defects_of(find_gains(PHI, SURFACE, *felt(broken), WHOLE_N), PHI, SURFACE)
-    assert text.startswith(f"taxel {16 * SIDE + 12} (row 16, column 12) feels ")
-
-
 @pytest.mark.heavy
 def test_dead_sums_are_named(gains: np.ndarray) -> None:
     middle = np.bincount(PHI.block_of_taxel.reshape(SIDE, SIDE)[12:20, 12:20].ravel()).argmax()
@@ -235,12 +228,6 @@ def test_a_recording_without_a_zero_is_refused(gains: np.ndarray, tmp_path: Path
         stored_gains(LAYOUT, recording(tmp_path / "run.mcap", gains, zero=False), WHOLE_N)
 
 
-def test_a_recording_tells_its_offsets(gains: np.ndarray, tmp_path: Path) -> None:
-    loaded = load_calibration(recording(tmp_path / "run.mcap", gains), LAYOUT)
-    expected = np.arange(PHI.shape[0]) * LAYOUT.taxels.newton_per_count
-    assert loaded.offsets_n == pytest.approx(expected.tolist())
-
-
 def test_a_recording_without_images_is_refused(gains: np.ndarray, tmp_path: Path) -> None:
     with pytest.raises(RunError, match="skin replay --out"):
         stored_gains(LAYOUT, recording(tmp_path / "run.mcap", gains, images=False), WHOLE_N)
@@ -264,12 +251,6 @@ def test_a_hundred_cycles_with_the_whole_weight_are_enough(gains: np.ndarray) ->
     assert find_gains(PHI, SURFACE, sums[chosen], images[chosen], WHOLE_N).cycles == 100
     with pytest.raises(InputError, match="in 99 cycles, expected 100 or more"):
         find_gains(PHI, SURFACE, sums[chosen[:-1]], images[chosen[:-1]], WHOLE_N)
-
-
-@pytest.mark.parametrize("force_n", [0.0, float("inf"), float("nan")])
-def test_a_weight_has_a_force(force_n: float) -> None:
-    with pytest.raises(InputError, match="expected the force of the weight, a number of newtons above 0"):
-        find_gains(PHI, SURFACE, np.zeros((1, PHI.shape[0])), np.zeros((1, SIDE, SIDE)), force_n)
 
 
 def test_taxels_and_sums_that_feel_less_than_three_tenths_are_named() -> None:

@@ -14,7 +14,6 @@ from canskin.calibration_messages import (
     CalibrationRequest,
     CalibrationState,
     CalibrationStatus,
-    ZeroSupport,
 )
 from canskin.errors import InputError, RunError
 from shell import skin_options
@@ -101,12 +100,6 @@ def test_a_file_is_shown_in_millinewtons(tmp_path: Path, capsys: pytest.CaptureF
     assert "zero" not in text
 
 
-def test_a_file_without_gains_or_offsets_shows_none(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "it.json").write_bytes(encoded(new_calibration(LAYOUT)))
-    calibration("show", tmp_path / "it.json")
-    assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == ["skin", "saved"]
-
-
 def test_a_gateway_tells_of_its_zero_too(gateway: Gateway, capsys: pytest.CaptureFixture[str]) -> None:
     calibration("show", of=FAR)
     text = shown(capsys)
@@ -121,28 +114,6 @@ def test_a_gateway_tells_of_its_zero_too(gateway: Gateway, capsys: pytest.Captur
     assert (skin, service, connect) == (LAYOUT.name, "calibration", "tcp/far:1")
     assert (named["fingerprint"], named["patience_s"]) == (PHI.fingerprint, 5.0)
     assert gateway.closed == len(gateway.opened)
-
-
-def test_the_support_of_the_zero_and_doubtful_taxels_are_shown(
-    gateway: Gateway, capsys: pytest.CaptureFixture[str]
-) -> None:
-    calibration("show", of=FAR)
-    text = shown(capsys)
-    assert "zero of the blocks" not in text
-    assert text["doubtful taxels"] == "none"
-    gateway.status = CalibrationStatus(
-        state=CalibrationState.FOLLOWING,
-        zero_support=bytes([ZeroSupport.MEASURED] * 120 + [ZeroSupport.STORED] * 8),
-        zero_mono_ns=np.array([5_000_000_000] * 120 + [0] * 8, "<i8").tobytes(),
-        doubtful_taxels=3,
-        doubtful_force_n=0.02,
-        doubtful_since_mono_ns=20_000_000_000,
-        told_mono_ns=40_000_000_000,
-    )
-    calibration("show", of=FAR)
-    text = shown(capsys)
-    assert text["zero of the blocks"] == "120 measured, 8 stored; oldest 35 s"
-    assert text["doubtful taxels"] == "3, with 0.02 N for 20 s"
 
 
 def test_offsets_that_no_sum_can_have_are_shown_saved_and_named_but_not_loaded(
@@ -193,12 +164,6 @@ def test_what_is_saved_is_said(
     assert (tmp_path / "it.json").read_bytes() == encoded(stored)
 
 
-def test_a_gateway_without_status_that_has_nothing_is_asked_for_patience(gateway: Gateway, tmp_path: Path) -> None:
-    gateway.status = None
-    with pytest.raises(RunError, match=r"no calibration yet: is the skin untouched\? See 'skin calibration show'"):
-        calibration("save", tmp_path / "it.json", of=FAR)
-
-
 @pytest.mark.parametrize(("to_nodes", "action", "patience_s"), [(False, "load", 15.0), (True, "write", 300.0)])
 def test_writing_to_nodes_may_take_minutes(
     gateway: Gateway,
@@ -217,15 +182,6 @@ def test_writing_to_nodes_may_take_minutes(
     gateway.is_done = False
     with pytest.raises(RunError, match="words"):
         calibration("load", tmp_path / "it.json", to_nodes=to_nodes, of=FAR)
-
-
-@pytest.mark.parametrize("given", [{"force_n": 0.0}, {"before": Path("a.json")}, {"out": Path("a.json")}])
-def test_options_of_gain_are_for_gain_alone(gateway: Gateway, given: dict[str, Any]) -> None:
-    with pytest.raises(InputError, match="are for 'skin calibration gain'"):
-        calibration("show", **given)
-    with pytest.raises(InputError, match="--to-nodes is for 'skin calibration load'"):
-        calibration("save", Path("it.json"), to_nodes=True)
-    assert not gateway.asked
 
 
 def test_a_table_of_gains_becomes_a_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -12,13 +12,10 @@ from canskin.calibration_messages import CalibrationState, ZeroSupport
 from canskin.messages import Measurement
 from skin.surface import grid_surface
 from tests.calibration.helpers import (
-    COLUMNS,
     COUNTS,
     LAYOUT,
-    NEWTON_PER_COUNT,
     NOISE_N,
     PHI,
-    ROWS,
     SMALL_COUNT_N,
     SMALL_PHI,
     SMALL_SUMS,
@@ -102,16 +99,6 @@ def test_a_zero_waits_for_half_of_the_sums() -> None:
     assert np.isnan(skin.made.offsets_n).sum() == SMALL_SUMS // 2  # type: ignore[arg-type]
 
 
-def test_sums_without_a_zero_wait_for_another_request_where_nothing_is_measured_unasked() -> None:
-    skin = Cycles(tares=False)
-    skin.missing = [0]
-    skin.made.tare()
-    skin.run(10.1)
-    assert skin.said[-1].endswith("; the others get theirs at the next 'skin tare'")
-    skin.missing = []
-    assert skin.run(10.1).usable  # some sums are still left out
-
-
 def losing(skin: Cycles, windows: int, counts: Counts = COUNTS) -> Measurement:
     """Go on while every block in its turn misses two of 32 cycles, as it does after a lost frame."""
     for _ in range(10 * windows):
@@ -135,17 +122,6 @@ def test_a_touch_among_lost_frames_is_no_zero() -> None:
     losing(skin, 6)
     assert not losing(skin, 10, COUNTS + pressed_counts(0, 0, 20, 300)).offsets
     assert skin.made.state is TOUCHED
-
-
-def test_has_few_sums_until_a_window_has_them() -> None:
-    skin = Cycles()
-    assert skin.made.has_few_sums
-    skin.run(3)
-    assert skin.made.has_few_sums
-    skin.run(0.1)
-    assert not skin.made.has_few_sums
-    skin.made.tare()
-    assert skin.made.has_few_sums
 
 
 @pytest.mark.parametrize("late", [0, 4])
@@ -238,23 +214,6 @@ def test_stored_offsets_are_used_under_a_hand_and_show_a_faint_touch() -> None:
     last = skin.run(5.0, still(OFFSETS + faint))
     assert skin.calibrator.state is CalibrationState.TOUCHED
     assert error_n(last, faint) < 1.2 * SUM_NOISE_N
-
-
-def test_wrong_offsets_that_are_loaded_are_used_until_a_zero_is_measured() -> None:
-    skin, hand, wrong_n = Skin(Calibrator(LAYOUT)), pressed(10, 20, 20, 0.005), PHI.forward(offsets_n(seed=1))
-    skin.run(4.0, still(OFFSETS))
-    skin.calibrator.load(wrong_n)
-    assert skin.calibrator.state is MEASURING
-    first = skin.run(0.1, still(OFFSETS + hand))
-    np.testing.assert_allclose(np.frombuffer(first.offsets, "<i4") * NEWTON_PER_COUNT, wrong_n, atol=NEWTON_PER_COUNT)
-    last = skin.run(4.0, still(OFFSETS + hand))
-    assert skin.calibrator.state is TOUCHED
-    counts = np.frombuffer(last.sums, "<i4") - np.frombuffer(last.offsets, "<i4")
-    field = FieldFinder(PHI, grid_surface(ROWS, COLUMNS, 0.004, np.zeros(0, np.intp))).find(
-        counts * NEWTON_PER_COUNT, np.ones(PHI.shape[0], np.bool_), 0.0
-    )
-    assert field.force_n.sum() == pytest.approx(hand.sum(), rel=0.15)
-    assert error_n(skin.run(4.0, still(OFFSETS)), ZERO) < 1.2 * SUM_NOISE_N
 
 
 def test_loaded_offsets_hold_at_once_and_end_a_measurement() -> None:

@@ -9,9 +9,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dbc.codec import decode, encode
-from dbc.contract import Contract
-from dbc.frame import frames
-from dbc.frame_bits import wire_bits
 from dbc.packing import Packing, packing, rounding_error_n
 from skin.layout import SUM_BITS_MAX, SUM_BITS_MIN, Layout, load_layout
 
@@ -135,18 +132,6 @@ def test_ten_thousand_round_trips(bits: int, offset_binary: bool) -> None:
     assert rounding_error_n(layout) == pytest.approx(error.max() * 0.02 / 1023)
 
 
-@pytest.mark.parametrize(("bits", "offset_binary"), ENCODINGS)
-def test_frames_with_fewer_sums_leave_the_others_alone(bits: int, offset_binary: bool) -> None:
-    pack = packing(layout_with(bits, offset_binary))
-    sums = np.arange(-1000, 1000, dtype=np.int32) * pack.scale
-    sums = sums[np.abs(sums) <= 16368]
-    gather = np.array([[0, 1, 2, -1], [-1, -1, -1, -1], [3, -1, -1, -1]])
-    back = np.full(len(sums), 7, np.int32)
-    decode(encode(COUNTER, sums, gather, pack), gather, pack, back)
-    assert np.array_equal(back[:4], sums[:4])
-    assert (back[4:] == 7).all()
-
-
 def test_halves_round_towards_zero() -> None:
     pack = Packing(12, 16, 0)
     assert pack.raw(np.array([8, 24, 40, -8, -24, 7, 9, -7, -9])).tolist() == [0, 1, 2, 0, -1, 0, 1, 0, -1]
@@ -192,30 +177,3 @@ def test_offset_binary_of_an_idle_skin_has_no_run_to_stuff(bits: int) -> None:
     assert "11" not in idle
     assert "000" not in idle
     assert idle.count("00") == (sums - 1 if bits % 2 else 0)
-
-
-def test_offset_binary_shortens_the_frames_of_an_idle_skin() -> None:
-    mean = {}
-    for offset_binary in (False, True):
-        contract = Contract.from_layout(layout_with(14, offset_binary))
-        table = contract.table
-        cycle = frames(len(table.cob_id))
-        cycle["can_id"], cycle["length"] = table.cob_id, table.length
-        cycle["data"][:, :8] = encode(COUNTER, np.zeros(1024, np.int32), table.gather, contract.packing)
-        mean[offset_binary] = float(wire_bits(cycle)[0].mean())
-    assert mean[False] > 122
-    assert mean[True] < 113
-
-
-@pytest.mark.parametrize("bits", WIDTHS)
-def test_bits_behind_the_last_sum_are_zero(bits: int) -> None:
-    payload = encode(0, np.array([-1]), np.array([[0, -1, -1, -1]]), Packing(bits, 1, 0))
-    assert int.from_bytes(payload.tobytes(), "little") == ((1 << bits) - 1) << 8
-
-
-@pytest.mark.parametrize(
-    ("bits", "offset", "low", "high"),
-    [(16, 0, -32768, 32767), (16, 0x5555, 0, 65535), (14, 0, -8192, 8191), (7, 0x2A, 0, 127)],
-)
-def test_raw_values_are_what_the_width_holds(bits: int, offset: int, low: int, high: int) -> None:
-    assert Packing(bits, 1, offset).raw_range == (low, high)

@@ -183,6 +183,8 @@ def test_slots_that_no_decimal_divides_may_be_rounded(rate_hz: float, slot_s: fl
 def test_slots_are_of_stepped_boards_alone() -> None:
     with pytest.raises(LayoutError, match=re.escape('needs `sending = "steps"`, got "synchronous"')):
         small_layout(steps={"quiet": 0.0})
+    with pytest.raises(LayoutError, match=re.escape('needs `sending = "steps"`, got "synchronous"')):
+        parse_layout(TEXT.replace('sending = "steps"', "").replace("0.005", "0.004").encode(), "steps.toml")
 
 
 def test_a_bus_gets_as_many_boards_as_a_slot_has_time_for() -> None:

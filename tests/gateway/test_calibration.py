@@ -74,15 +74,6 @@ def test_stored_offsets_are_in_every_measurement(world: World, stored: StoredCal
     assert asked.calibration.status().state is CalibrationState.LOADED
 
 
-def test_the_calibration_in_use_is_told(world: World, stored: StoredCalibration) -> None:
-    asked = Asked(world, stored, tares=False)
-    asked.ask(CalibrationRequest(action="show"))
-    asked.run(0.1)
-    told = parse_calibration(asked.replies[0].content, world.contract.layout, "test")
-    assert told.offsets_n == pytest.approx(stored.offsets_n)
-    assert told.gains == stored.gains
-
-
 @pytest.mark.parametrize("loses", [False, True])
 def test_a_forced_tare_is_answered_when_it_is_done(world: World, *, loses: bool) -> None:
     """Every 37th frame of sums is lost, each of the four of a bus in its turn; that leaves no block without a zero."""
@@ -105,14 +96,6 @@ def test_a_tare_without_valid_sums_says_so(world: World) -> None:
     asked.run(9.0, measured=False)
     assert [each.is_done for each in asked.replies] == [False]
     assert "fewer than half of the sums are valid" in asked.replies[0].text
-
-
-def test_a_calibration_is_loaded_while_the_gateway_runs(world: World, stored: StoredCalibration) -> None:
-    asked = Asked(world, tares=False)
-    assert asked.run(0.2).offsets == b""
-    asked.ask(CalibrationRequest(action="load", content=encoded(stored)))
-    assert asked.run(0.2).offsets
-    assert asked.replies[0].is_done
 
 
 @pytest.mark.parametrize(
@@ -274,23 +257,6 @@ def test_a_gateway_that_starts_accepts_what_it_finds(small: Contract) -> None:
     assert not last.doubtful
 
 
-def test_gains_that_no_node_has_taken_are_not_told_as_those_in_use(small: Contract, stored: StoredCalibration) -> None:
-    world = World(small)
-    world.until_whole(2.0)
-    asked = Asked(world)
-    asked.ask(CalibrationRequest(action="write", content=encoded(stored)))
-    asked.ask(CalibrationRequest(action="show"))
-    asked.run(0.1)
-    assert parse_calibration(asked.replies[0].content, small.layout, "test").gains == []
-
-
-def test_loaded_offsets_are_those_until_a_zero_is_measured(world: World, stored: StoredCalibration) -> None:
-    asked = Asked(world)
-    asked.ask(CalibrationRequest(action="load", content=encoded(stored)))
-    asked.run(0.1)
-    assert asked.replies[0].text == "in use until the skin has been untouched for 3.2 s and has a new zero"
-
-
 def test_a_slow_skin_says_how_long_its_zero_takes(small: Contract) -> None:
     layout = msgspec.structs.replace(small.layout, sync=msgspec.structs.replace(small.layout.sync, rate_hz=1.0))
     calibration = GatewayCalibration(Contract.from_layout(layout))
@@ -435,17 +401,6 @@ def test_a_zero_that_is_awaited_counts_as_a_request_that_waits(small: Contract) 
     assert len(asked.replies) == 1
     asked.calibration.tick({}, 8.1)
     assert [each.is_done for each in asked.replies] == [False] * 9
-
-
-def test_show_tells_what_is_in_use(small: Contract) -> None:
-    asked = Alone(small)
-    asked.ask(CalibrationRequest(action="show"))
-    ((is_done, text),) = [(each.is_done, each.text) for each in asked.replies]
-    assert (is_done, text) == (True, "the calibration in use")
-    asked = Alone(small_stepped())
-    asked.ask(CalibrationRequest(action="show"))
-    assert asked.replies[0].is_done
-    assert asked.replies[0].text.startswith("stepped boards measure their offsets at power-up")
 
 
 def test_show_tells_all_that_was_stored(small: Contract) -> None:

@@ -14,6 +14,7 @@ from dbc.steps import KEEP_MIN, LATE_SLOTS
 from gateway.block_states import FRESH_NS
 from gateway.gathering import Health
 from gateway.stepped_gathering import publishing_rates
+from gateway.stepped_state import slots_of
 from tests.bus.harness import frame
 from tests.gateway.boards import STEP_S, BoardWorld, at_rest, known_of, lose, small_stepped, states, sums_of
 
@@ -253,17 +254,25 @@ def test_a_node_with_other_sums_is_told_once_and_asked(boards: BoardWorld) -> No
     assert holds_what_boards_hold(boards)
 
 
-def test_a_node_without_words_is_forgotten_after_its_longest_silence(boards: BoardWorld) -> None:
-    boards.run(0.3)
+@pytest.mark.parametrize("wait", [2 * KEEP_MIN, 8 * KEEP_MIN])
+def test_a_node_without_words_is_stale_after_its_own_wait_and_forgotten_after_the_longest(
+    boards: BoardWorld, wait: int
+) -> None:
+    """Measurements come ten times a second at least."""
+    boards.run(0.01)
+    while boards.boards[1].sending.keep[0] != wait:
+        boards.step()
+    assert boards.measured[-1].valid[1]
     boards.boards[1].speaks = False
-    silent_s = boards.now_s
-    longest_s = (boards.contract.keep_max + LATE_SLOTS) * boards.contract.layout.steps.slot_s
+    silent_s, longest_s = boards.now_s, slots_of(boards.contract).silence * STEP_S
     came = boards.run(longest_s + 0.2)
-    dead = next(each for each in came if states(each)[1] == DEAD)
-    dead_s = np.frombuffer(dead.since_ns, "<i8")[1] / 1e9
-    assert longest_s - 0.3 <= dead_s - silent_s <= longest_s + 0.1
+    for state, after_s in ((STALE, (wait + LATE_SLOTS) * STEP_S), (DEAD, longest_s)):
+        found = next(each for each in came if states(each)[1] == state)
+        found_s = np.frombuffer(found.since_ns, "<i8")[1] / 1e9
+        assert after_s - STEP_S <= found_s - silent_s <= after_s + 0.1 + 2 * LATE_SLOTS * STEP_S
     assert not known_of(came[-1], 1).any()
     assert boards.boards[1].asked
+    assert all(each.valid[0] and each.valid[2] and each.valid[3] for each in came)
     boards.boards[1].speaks = True
     boards.until_whole(1.0)
 

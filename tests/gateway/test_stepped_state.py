@@ -59,7 +59,7 @@ CONTRACTS = {
     "at SYNC": small_stepped(bus=buses(4), sync={"rate_hz": 200.0}, steps={"slot_s": 0.005, "at_sync": True}),
 }
 #: The longest silence of a node, slots.
-LONGEST = ONE.keep_max + LATE_SLOTS
+LONGEST = slots_of(ONE).silence
 #: Slots until a gateway that still misses sums asks again.
 ASK_AGAIN = 20
 #: Slots in which all is whole after a disturbance: a second.
@@ -99,7 +99,8 @@ class Sender:
             return None  # the SYNC came late, and the number of the slot once more
         of_frame = len(self.forms) // len(self.tpdos)
         parts = range(tpdo * of_frame, (tpdo + 1) * of_frame)
-        if self.wanted[tpdo] < self.forms[parts[0]].groups:
+        is_wanted = self.wanted[tpdo] < self.forms[parts[0]].groups
+        if is_wanted:
             kind, group = "set", self.wanted[tpdo]
             self.wanted[tpdo] += 1
         else:
@@ -112,7 +113,10 @@ class Sender:
             if since < self.keep[tpdo]:
                 return None
             kind = "check"
-        self.keep[tpdo] = min(2 * self.keep[tpdo], self.contract.keep_max) if kind == "check" else KEEP_MIN
+        if kind == "check":
+            self.keep[tpdo] = min(2 * self.keep[tpdo], self.contract.keep_max)
+        elif not is_wanted:
+            self.keep[tpdo] = KEEP_MIN
         data = np.zeros(self.tpdos[tpdo].length, np.uint8)
         data[0] = slot_byte(slot)
         for place, part in enumerate(parts):
@@ -143,8 +147,8 @@ class Skin:
         self.shown = new_states(contract, 0)
         self.is_proven = np.ones(contract.phi.blocks, np.bool_)
         self.counts_per_unit = 1.0
-        #: Slots that have passed, in all and since the newest SYNC.
-        self.now, self.since = 1000, 0
+        #: Slots that have passed, in all and since the newest SYNC was due; by how many the next is late.
+        self.now, self.since, self.sync_late = 1000, 0, 0
         self.line: deque[tuple[int, Frames, list[np.ndarray]]] = deque()
         #: What each frame's integers were, by TPDO: those of the newest that has arrived.
         self.newest: dict[int, list[np.ndarray]] = {}
@@ -161,7 +165,7 @@ class Skin:
             self.own = getattr(self, "own", 0) % 240 + 1
             self.sender.counter = self.own
             self.arrive(frame(SYNC_COB_ID, bytes((self.own,)), ECHO))
-            self.since = 0
+            self.since = max(0, self.since - self.contract.slots)
         else:
             self.sender.counter = counter
             self.arrive(frame(SYNC_COB_ID, bytes((counter,))))
@@ -191,7 +195,7 @@ class Skin:
         """Let time pass, and SYNC come when it is due, or stay away."""
         for _ in range(slots):
             self.now, self.since, self.board_since = self.now + 1, self.since + 1, self.board_since + 1
-            if self.since >= self.contract.slots and not is_late:
+            if self.since >= self.contract.slots + self.sync_late and not is_late:
                 self.sync()
 
     def look(self) -> bool:
@@ -305,19 +309,66 @@ def test_every_loss_is_seen_at_the_next_word(one: Skin, lost: int, kind: str) ->
     one.until_whole()
 
 
-def test_a_silent_node_checks_and_is_forgotten_after_its_longest_silence(one: Skin) -> None:
-    came = [one.turn("nothing") for _ in range(4 * LONGEST)]
-    assert all(came)
-    assert one.count(USED) < 12 + 1 + 20
-    newest = one.now
-    while one.now - int(one.state.newest_ns[0] // one.slots.slot_ns) < LONGEST:
+@pytest.mark.parametrize("wait", [24, 48, 96, 192, 384, 480])
+def test_a_silent_node_is_stale_after_its_own_wait_and_forgotten_after_the_longest(one: Skin, wait: int) -> None:
+    """A step, then checks after twice the time each. In the first slots after a SYNC nobody is called silent."""
+    while one.sender.keep[0] < wait:
+        assert one.turn("nothing")
+    silent = one.now - int(one.state.newest_ns[0] // one.slots.slot_ns)
+    assert silent <= 1
+    while one.look():
         one.go()
-        assert one.look()
-    assert one.now > newest
-    one.go()
+        silent += 1
+    assert wait + LATE_SLOTS < silent <= wait + 2 * LATE_SLOTS + 2
+    assert (one.shown.states[0], one.shown.known[0].all(), one.shown.is_wanted[0]) == (1, True, True)
+    one.go(LONGEST + 1 - silent)
     assert not one.look()
     assert (one.shown.states[0], one.shown.known[0].any()) == (0, False)
     one.until_whole()
+
+
+@pytest.mark.parametrize("silent", [KEEP_MIN + 2 * LATE_SLOTS + 2, LONGEST - LATE_SLOTS - 1])
+def test_a_word_in_time_ends_a_silence_without_loss(one: Skin, silent: int) -> None:
+    """Of a board whose newest word was lost, or whose slots a late SYNC has moved."""
+    one.go(silent)
+    assert not one.look()
+    assert one.turn("set")
+
+
+@pytest.mark.parametrize("phase", range(0, 2 * ONE.slots, 2))
+def test_nobody_is_called_silent_when_syncs_come_late_and_in_time(one: Skin, phase: int) -> None:
+    """Numbers of slots go back at a late SYNC, and forward at the next: there a check may be due."""
+    while one.since + one.own % 2 * one.contract.slots != phase:
+        assert one.turn("step")
+    for _ in range(3 * one.contract.keep_max):
+        one.sync_late = one.own % 2 * one.contract.slots // 2
+        assert one.look()
+        assert one.turn("nothing")
+    assert not one.count(AFTER_GAP)
+
+
+@pytest.mark.heavy
+@pytest.mark.parametrize("name", CONTRACTS)
+def test_a_board_that_keeps_its_waits_is_never_called_silent(name: str) -> None:
+    """Whatever it sends, whenever it is asked, and however late SYNCs are, or frames."""
+    contract = CONTRACTS[name]
+    kinds = st.sampled_from(["any", "step", "set", "nothing", "nothing"])
+    stages = st.lists(st.tuples(kinds, st.integers(1, 700), st.booleans(), st.integers(0, 100)), min_size=2, max_size=5)
+
+    @settings(RANDOM, max_examples=max(20, DISTURBANCES // 100))
+    @given(stages, st.booleans(), st.integers(0, 2**32))
+    def run(stages: list[tuple], are_syncs_late: bool, seed: int) -> None:
+        skin = Skin(contract, seed)
+        skin.until_whole()
+        for kind, slots, is_asked, late in stages:
+            skin.sync_late = late % skin.slots.jump * are_syncs_late
+            if is_asked:
+                skin.sender.ask()
+            for _ in range(slots):
+                assert skin.turn(kind, late=0 if are_syncs_late else late % (LATE_SLOTS + 1))
+        assert not skin.count(AFTER_GAP)
+
+    run()
 
 
 @pytest.mark.parametrize("late", [1, 4, 5, 239, 240, LONGEST - 1, LONGEST, SLOTS - 5, SLOTS - 2, SLOTS, SLOTS + 40])

@@ -8,11 +8,18 @@ import numpy as np
 import numpy.typing as npt
 
 from canskin.messages import Contacts, FrameCounts, GatewayStatus, Image, Label, NodesStatus, Truth
+from canskin.peers import Peer
+from health.state import ViewState
 from skin.layout import Layout
 from tests import messages as make
 from tests.layouts import buses, small_layout
 
 SECOND_NS = 1_000_000_000
+
+
+def note(state: ViewState, name: str, alive: bool, now_s: float) -> None:
+    """Let a service of the small skin come or go."""
+    state.take_peer(Peer("palm", name, "1"), alive, now_s)
 
 
 def palm_layout(**tables: Any) -> Layout:

@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 
 from health.state import ViewState
 from health.window import Rate, Window
-from skin.psnr import psnr_db
 
 
 @pytest.fixture
@@ -84,10 +83,6 @@ def test_truth_shown_is_always_that_of_the_image(state: ViewState, messages: Any
     assert state.snapshot(2.3)[0].truth is not None
 
 
-def test_psnr_of_equal_images_is_finite(messages: Any) -> None:
-    assert psnr_db(messages.grid(), messages.grid(), 0.02) == pytest.approx(200)
-
-
 @given(times=st.lists(st.floats(0, 100), min_size=1, max_size=60), now_s=st.floats(0, 110))
 def test_window_holds_exactly_the_last_span(times: list[float], now_s: float) -> None:
     window = Window(2.0)
@@ -96,15 +91,6 @@ def test_window_holds_exactly_the_last_span(times: list[float], now_s: float) ->
         window.add(time_s, time_s)
     now_s = max(now_s, times[-1])
     assert window.values(now_s) == [time_s for time_s in times if time_s > now_s - 2.0]
-
-
-def test_rate_of_one_instant_is_not_known() -> None:
-    rate = Rate(1.0)
-    assert rate.per_s(0.0) == 0.0
-    rate.add(0.0, 1.0)
-    assert rate.per_s(0.0) == 0.0
-    rate.add(0.0, 1.0)
-    assert rate.per_s(0.0) > 0.0
 
 
 @given(

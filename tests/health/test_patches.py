@@ -30,7 +30,7 @@ def test_a_single_force_is_in_its_region_at_its_place(row: int, column: int, for
     layout = msgspec.structs.replace(messages.layout, region=REGIONS)
     pixels = np.zeros((16, 16), np.float32)
     pixels[row, column] = force_n
-    whole, *both = Patches(layout).of(messages.image(pixels=pixels))
+    whole, *both = Patches(layout).of(messages.image(pixels=pixels), 0.0, 0.0)
     touched, free = both if row < 8 else reversed(both)
     position_m = layout.taxels.surface.positions_m[16 * row + column]
     for each in (whole, touched):
@@ -59,11 +59,11 @@ def test_a_region_over_its_threshold_in_any_image_is_named_for_a_second(messages
 
 def test_what_was_not_measured_has_no_force_and_part_of_it_is_doubtful(messages: Messages) -> None:
     patches = Patches(messages.layout)
-    assert not any(each.is_doubtful for each in patches.of(messages.image()))
+    assert not any(each.is_doubtful for each in patches.of(messages.image(), 0.0, 0.0))
     blocks = messages.layout.phi().block_of_taxel
-    few = patches.of(messages.image(invalid=(int(blocks[0]),)))
+    few = patches.of(messages.image(invalid=(int(blocks[0]),)), 0.0, 0.0)
     assert few[0].is_doubtful
-    none = patches.of(messages.image(invalid=tuple(range(8))))
+    none = patches.of(messages.image(invalid=tuple(range(8))), 0.0, 0.0)
     assert [each.force_n for each in none] == [None, None, None]
     assert patches.total_n(messages.image(invalid=tuple(range(8)))) is None
 
@@ -72,7 +72,7 @@ def test_force_on_taxels_of_a_doubtful_zero_is_doubtful(messages: Messages) -> N
     taxels = np.zeros(256, np.bool_)
     taxels[:128] = True
     image = msgspec.structs.replace(messages.image(), doubtful=np.packbits(taxels).tobytes())
-    patches = Patches(messages.layout).of(image)
+    patches = Patches(messages.layout).of(image, 0.0, 0.0)
     assert [(each.name, each.is_doubtful) for each in patches] == [
         ("whole skin", True), ("top", True), ("bottom", False)
     ]  # fmt: skip
@@ -83,7 +83,7 @@ def test_the_centre_on_a_skin_of_positions_is_a_place_and_the_nearest_taxel() ->
     pixels = np.zeros((1, layout.taxels.count), np.float32)
     pixels[0, 17] = 0.01
     image = Messages(layout).image(pixels=pixels)
-    (whole,) = Patches(layout).of(image)
+    (whole,) = Patches(layout).of(image, 0.0, 0.0)
     assert (whole.row, whole.column) == (0.0, 17.0)
     assert whole.position_m == pytest.approx(layout.taxels.surface.positions_m[17], abs=1e-6)
 

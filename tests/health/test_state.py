@@ -8,8 +8,10 @@ import pytest
 
 from canskin.calibration_messages import CalibrationState, CalibrationStatus
 from canskin.peers import Peer, new_peer
-from health.state import PEERS, PROCESSES, SERVICES, ViewState
+from health.services import PEERS, SERVICES
+from health.state import PROCESSES, ViewState
 from tests import messages as make
+from tests.health.helpers import note
 from tests.layouts import tube_layout
 
 EPOCH_S = 1000.0
@@ -31,41 +33,20 @@ def test_nothing_is_shown_before_anything_came(state: ViewState) -> None:
     assert texts(state, 0.0, "info") == ["waiting for the gateway", "waiting for the first image"]
 
 
-def test_image_ages(state: ViewState, messages: Any) -> None:
-    state.take(messages.image(7), 1.0)
-    snapshot, pictures = state.snapshot(1.4)
-    assert snapshot.image is not None
-    assert (snapshot.image.cycle, snapshot.image.stale) == (7, False)
-    np.testing.assert_array_equal(pictures.image, messages.grid())
-    snapshot, _ = state.snapshot(1.6)
-    assert snapshot.image is not None
-    assert snapshot.image.stale
-    assert snapshot.image.age_s == pytest.approx(0.6)
-
-
 def test_reconstructor_that_leaves_makes_the_image_stale_at_once(state: ViewState, messages: Any) -> None:
-    state.take_service("gateway", True, 0.0)
-    state.take_service("reconstructor", True, 0.0)
+    note(state, "gateway", True, 0.0)
+    note(state, "reconstructor", True, 0.0)
     state.take(messages.image(), 1.0)
-    state.take_service("reconstructor", False, 1.1)
+    note(state, "reconstructor", False, 1.1)
     snapshot, _ = state.snapshot(1.2)
     assert snapshot.image is not None
     assert snapshot.image.stale
     (notice,) = [notice for notice in snapshot.notices if notice.level == "error"]
     assert notice.text == "images stopped: reconstructor is gone"
     assert notice.since_time_s == pytest.approx(EPOCH_S + 1.0)
-    state.take_service("reconstructor", True, 2.0)
+    note(state, "reconstructor", True, 2.0)
     state.take(messages.image(), 2.1)
     assert texts(state, 2.2) == []
-
-
-def test_image_that_came_after_its_sender_was_missed_is_fresh(state: ViewState, messages: Any) -> None:
-    state.take_service("reconstructor", True, 0.0)
-    state.take_service("reconstructor", False, 1.0)
-    state.take(messages.image(), 1.1)
-    snapshot, _ = state.snapshot(1.2)
-    assert snapshot.image is not None
-    assert not snapshot.image.stale
 
 
 @pytest.mark.parametrize(
@@ -80,18 +61,18 @@ def test_notice_names_who_keeps_images_from_coming(
     state: ViewState, messages: Any, gateway: bool, reconstructor: bool, expected: str
 ) -> None:
     for name, alive in (("gateway", gateway), ("reconstructor", reconstructor)):
-        state.take_service(name, True, 0.0)
-        state.take_service(name, alive, 1.0)
+        note(state, name, True, 0.0)
+        note(state, name, alive, 1.0)
     state.take(messages.image(), 0.5)
     assert expected in texts(state, 2.0)
 
 
 def test_gateway_that_leaves_or_falls_silent_is_told(state: ViewState, messages: Any) -> None:
-    state.take_service("gateway", True, 0.0)
+    note(state, "gateway", True, 0.0)
     state.take(messages.gateway(), 1.0)
     assert texts(state, 1.2) == []
     assert texts(state, 3.0) == ["the state of the buses is unknown: gateway sends no status"]
-    state.take_service("gateway", False, 3.5)
+    note(state, "gateway", False, 3.5)
     snapshot, _ = state.snapshot(4.0)
     assert snapshot.gateway is not None
     assert snapshot.gateway.stale
@@ -99,21 +80,21 @@ def test_gateway_that_leaves_or_falls_silent_is_told(state: ViewState, messages:
 
 
 def test_classifier_that_leaves_or_falls_silent_is_told(state: ViewState, messages: Any) -> None:
-    state.take_service("classifier", True, 0.0)
+    note(state, "classifier", True, 0.0)
     state.take(messages.label(), 1.0)
     state.take(messages.gateway(), 2.0)
     snapshot, _ = state.snapshot(2.0)
     assert snapshot.label is not None
     assert snapshot.label.stale
     assert texts(state, 2.0) == ["labels stopped: classifier is there but sends none"]
-    state.take_service("classifier", False, 2.1)
+    note(state, "classifier", False, 2.1)
     assert texts(state, 2.2) == ["labels stopped: classifier is gone"]
 
 
 def test_virtual_nodes_that_leave_are_told(state: ViewState) -> None:
     for name in ("nodes", "nodes-2", "demo"):
-        state.take_service(name, True, 0.0)
-        state.take_service(name, False, 1.0)
+        note(state, name, True, 0.0)
+        note(state, name, False, 1.0)
     assert texts(state, 1.0) == [
         "no sums from the virtual nodes: the process is gone",
         "no sums from the virtual nodes-2: the process is gone",
@@ -130,25 +111,14 @@ def test_a_bus_without_any_operational_node_is_an_error_once_sync_runs(state: Vi
     gone = ((255, 4, 127, 255), (5, 5, 5, 5))
     found = ["left: node 3 pre-operational", "left: node 2 stopped", "left: nodes 1, 4 silent"]
     state.take(messages.gateway(cycles=0, nmt=gone), 1.0)
+    assert texts(state, 1.1) == []
+    assert "gateway is booting the nodes; SYNC has not started" in texts(state, 1.1, "info")
     assert sorted(texts(state, 1.1, "warning")) == sorted(found)
     state.take(messages.gateway(cycles=1, nmt=gone), 1.2)
     assert sorted(texts(state, 1.3)) == sorted(found)
     gateway = state.snapshot(1.3)[0].gateway
     assert gateway is not None
     assert [bus.level for bus in gateway.buses] == ["error", "info"]
-
-
-def test_a_service_without_output_is_not_blamed_while_the_rate_is_unknown(state: ViewState, messages: Any) -> None:
-    state.take_peer(new_peer("palm", "reconstructor", ""), True, 0.0)
-    for rate_hz, is_silent in ((0.0, False), (100.0, True)):
-        state.take(msgspec.structs.replace(messages.gateway(cycles=1000), sync_rate_hz=rate_hz), 9.0)
-        assert state.snapshot(9.1)[0].services["reconstructor"].silent == is_silent
-
-
-def test_sync_that_has_not_started_is_no_error(state: ViewState, messages: Any) -> None:
-    state.take(messages.gateway(cycles=0), 1.0)
-    assert texts(state, 1.1) == []
-    assert "gateway is booting the nodes; SYNC has not started" in texts(state, 1.1, "info")
 
 
 def test_invalid_blocks_are_listed_and_counted(state: ViewState, messages: Any) -> None:
@@ -161,35 +131,46 @@ def test_invalid_blocks_are_listed_and_counted(state: ViewState, messages: Any) 
     assert (figures.valid_blocks, figures.valid_blocks_low, figures.blocks) == (7, 5, 8)
 
 
+UNFIT: list[tuple[str, dict[str, Any]]] = [
+    ("image", {"pixels": b"\0" * 12}),
+    ("image", {"pixels": np.full(256, np.nan, "<f4").tobytes()}),
+    ("image", {"valid": b"\1" * 9}),
+    ("image", {"doubtful": b"\0"}),
+    ("truth", {"sensor": b""}),
+    ("label", {"confidence": float("nan")}),
+    ("gateway", {"sync_rate_hz": float("inf")}),
+]
+
+
+@pytest.mark.parametrize(("kind", "change"), UNFIT)
+def test_a_message_of_another_skin_is_counted_and_not_shown(
+    state: ViewState, messages: Any, kind: str, change: dict[str, Any]
+) -> None:
+    right = getattr(messages, kind)()
+    assert state.take(right, 1.0)
+    assert not state.take(msgspec.structs.replace(right, **change), 1.1)
+    snapshot, _ = state.snapshot(1.2, undecodable=2)
+    assert snapshot.ignored == 3
+    assert texts(state, 1.2, "warning")[0].startswith("1 messages ignored")
+    shown = getattr(snapshot, kind)
+    assert shown is None or shown.age_s == pytest.approx(0.2)
+
+
 @pytest.mark.parametrize(
     "change",
-    [{"pixels": b"\0" * 12}, {"valid": b"\1" * 9}, {"pixels": np.full(256, np.nan, "<f4").tobytes()}],
+    [
+        {"row": 16.0},
+        {"column": np.nan},
+        {"force_n": 1e39},
+        {"position_m": (0.0, np.inf, 0.0)},
+        {"normal": (0, 0, np.nan)},
+    ],
 )
-def test_image_of_another_skin_is_counted_and_not_shown(
-    state: ViewState, messages: Any, change: dict[str, bytes]
+def test_contacts_beside_the_skin_and_without_numbers_are_not_shown(
+    state: ViewState, messages: Any, change: dict[str, Any]
 ) -> None:
-    state.take(messages.image(1), 1.0)
-    state.take(msgspec.structs.replace(messages.image(2), **change), 1.1)
-    snapshot, _ = state.snapshot(1.2, undecodable=2)
-    assert snapshot.image is not None
-    assert (snapshot.image.cycle, snapshot.ignored) == (1, 3)
-    assert texts(state, 1.2, "warning")[0].startswith("1 messages ignored")
-
-
-def test_other_messages_that_do_not_fit_are_ignored(state: ViewState, messages: Any) -> None:
-    status = messages.gateway()
-    short = msgspec.structs.replace(status, buses=[msgspec.structs.replace(status.buses[0], nmt=b"\5")])
-    state.take(short, 1.0)
-    state.take(msgspec.structs.replace(status, sync_rate_hz=float("inf")), 1.0)
-    state.take(messages.label(confidence=float("nan")), 1.0)
-    state.take(msgspec.structs.replace(messages.truth(), sensor=b""), 1.0)
-    state.take(messages.contacts(row=16.0), 1.0)
-    state.take(messages.contacts(column=float("nan")), 1.0)
-    state.take(messages.contacts(position_m=(0.0, float("inf"), 0.0)), 1.0)
-    state.take(messages.contacts(normal=(0.0, 0.0, float("nan"))), 1.0)
-    snapshot, _ = state.snapshot(1.0)
-    assert (snapshot.gateway, snapshot.label, snapshot.truth, snapshot.contacts) == (None, None, None, None)
-    assert snapshot.ignored == 8
+    assert state.take(messages.contacts(), 1.0)
+    assert not state.take(messages.contacts(**change), 1.0)
 
 
 def test_contacts_are_those_of_the_newest_image_and_age(state: ViewState, messages: Any) -> None:
@@ -203,37 +184,23 @@ def test_contacts_are_those_of_the_newest_image_and_age(state: ViewState, messag
     assert old.stale
 
 
-def test_label_without_contact_is_empty(state: ViewState, messages: Any) -> None:
-    state.take(messages.label("", 0.0), 1.0)
-    snapshot, _ = state.snapshot(1.1)
-    assert snapshot.label is not None
-    assert (snapshot.label.label, snapshot.label.stale, snapshot.label.measured) == ("", False, True)
-
-
-def test_processes_of_nodes_do_not_pile_up(state: ViewState, messages: Any) -> None:
-    for number in range(PROCESSES + 10):
-        state.take(messages.nodes(f"nodes-{number}"), 1.0)
-    snapshot, _ = state.snapshot(3.0)
-    assert len(snapshot.nodes) == PROCESSES
-    assert all(each.stale for each in snapshot.nodes)
-
-
 def test_the_process_of_nodes_silent_for_longest_makes_room(state: ViewState, messages: Any) -> None:
     for number in range(PROCESSES):
         state.take(messages.nodes(f"nodes-{number:03}"), 1.0)
     state.take(messages.nodes("nodes-000"), 2.0)
     state.take(messages.nodes("another"), 2.0)
     shown = {each.process for each in state.snapshot(2.1)[0].nodes}
+    assert len(shown) == PROCESSES
     assert {"nodes-000", "another"} < shown
     assert "nodes-001" not in shown
 
 
 def test_lost_hub_is_one_notice_and_blames_nobody_else(state: ViewState, messages: Any) -> None:
     for name in ("viewer", "gateway", "reconstructor", "nodes"):
-        state.take_service(name, True, 0.0)
+        note(state, name, True, 0.0)
     state.take(messages.image(), 1.0)
     for name in ("viewer", "gateway", "reconstructor", "nodes"):
-        state.take_service(name, False, 2.0)
+        note(state, name, False, 2.0)
     snapshot, _ = state.snapshot(3.0)
     assert [(notice.text, notice.since_time_s) for notice in snapshot.notices] == [
         ("nothing arrives: the fabric's hub, usually the gateway, is out of reach", EPOCH_S + 2.0)
@@ -242,47 +209,23 @@ def test_lost_hub_is_one_notice_and_blames_nobody_else(state: ViewState, message
     assert snapshot.image.stale
 
 
-def test_lost_hub_is_told_at_once_however_fresh_the_last_message_is(state: ViewState, messages: Any) -> None:
-    state.take_service("viewer", True, 0.0)
-    state.take(messages.image(), 1.9)
-    state.take_service("viewer", False, 2.0)
-    assert state.snapshot(2.1)[0].cut_off
-
-
-def test_hub_is_not_lost_while_messages_come(state: ViewState, messages: Any) -> None:
-    for alive in (True, False):
-        state.take_service("viewer", alive, 1.0)
-    state.take(messages.gateway(nmt=((5, 255, 5, 5), (5, 5, 5, 5))), 2.0)
-    snapshot, _ = state.snapshot(2.1)
-    assert not snapshot.cut_off
-    assert texts(state, 2.1) == []
-    assert texts(state, 2.1, "warning") == ["left: node 2 silent"]
-    assert state.snapshot(3.0)[0].cut_off
-
-
 def test_lost_hub_does_not_hide_messages_that_were_ignored(state: ViewState, messages: Any) -> None:
     state.take(msgspec.structs.replace(messages.image(), valid=b""), 1.0)
-    state.take_service("viewer", True, 0.0)
-    state.take_service("viewer", False, 2.0)
+    note(state, "viewer", True, 0.0)
+    note(state, "viewer", False, 2.0)
     assert [notice.level for notice in state.snapshot(3.0)[0].notices] == ["error", "warning"]
 
 
-@pytest.mark.parametrize("label", ["", "golf-ball"])
-@pytest.mark.parametrize(("valid_sums", "measured"), [(0, False), (15, False), (16, True), (64, True)])
+@pytest.mark.parametrize(
+    ("valid_sums", "blind", "measured"), [(0, False, False), (15, False, False), (16, False, True), (64, True, False)]
+)
 def test_label_of_too_few_sums_does_not_count(
-    state: ViewState, messages: Any, label: str, valid_sums: int, measured: bool
+    state: ViewState, messages: Any, valid_sums: int, *, blind: bool, measured: bool
 ) -> None:
-    state.take(messages.label(label, valid_sums=valid_sums), 1.0)
+    state.take(msgspec.structs.replace(messages.label("", valid_sums=valid_sums), blind=blind), 1.0)
     shown = state.snapshot(1.1)[0].label
     assert shown is not None
     assert shown.measured is measured
-
-
-def test_label_of_a_blind_classifier_does_not_count(state: ViewState, messages: Any) -> None:
-    state.take(msgspec.structs.replace(messages.label(""), blind=True), 1.0)
-    shown = state.snapshot(1.1)[0].label
-    assert shown is not None
-    assert not shown.measured
 
 
 def test_dead_buses_are_named_and_not_their_silent_nodes(state: ViewState, messages: Any) -> None:
@@ -321,16 +264,16 @@ def test_refused_node_is_named_unless_it_left(state: ViewState, messages: Any) -
 
 
 def test_services_do_not_pile_up(state: ViewState) -> None:
-    state.take_service("gateway", True, 0.0)
+    note(state, "gateway", True, 0.0)
     for number in range(3 * SERVICES):
-        state.take_service(f"service-{number}", True, number)
-        state.take_service(f"service-{number}", False, number)
+        note(state, f"service-{number}", True, number)
+        note(state, f"service-{number}", False, number)
     services = state.snapshot(1000.0)[0].services
     assert len(services) == SERVICES
     assert services["gateway"].alive
     assert f"service-{3 * SERVICES - 1}" in services
     for number in range(3 * SERVICES):
-        state.take_service(f"lasting-{number}", True, 2000.0)
+        note(state, f"lasting-{number}", True, 2000.0)
     assert len(state.snapshot(3000.0)[0].services) == SERVICES
 
 
@@ -373,26 +316,6 @@ def test_another_skin_on_the_hub_is_named_while_there_is_no_gateway(state: ViewS
     assert "gateway" not in state.snapshot(1.1)[0].services
     state.take_peer(new_peer("palm", "gateway", messages.layout.phi().fingerprint), True, 2.0)
     assert texts(state, 2.1, "warning") == []
-
-
-def test_service_that_sends_nothing_is_silent(state: ViewState, messages: Any) -> None:
-    own = messages.layout.phi().fingerprint
-    for name in ("gateway", "reconstructor", "classifier"):
-        state.take_peer(new_peer("palm", name, own), True, 0.0)
-
-    def silent(now_s: float) -> list[str]:
-        return [name for name, service in state.snapshot(now_s)[0].services.items() if service.silent]
-
-    assert silent(0.1) == []
-    state.take(messages.gateway(cycles=10), 4.0)
-    assert silent(4.1) == []  # SYNC has just begun
-    state.take(messages.gateway(cycles=1000), 5.0)
-    state.take(messages.label(), 5.0)
-    assert silent(5.1) == ["reconstructor"]
-    state.take(messages.image(), 5.2)
-    assert silent(5.3) == []
-    assert silent(5.9) == ["classifier", "reconstructor"]
-    assert silent(9.0) == ["gateway"]
 
 
 def test_a_skin_without_zero_and_its_defects_are_told(state: ViewState, messages: Any) -> None:

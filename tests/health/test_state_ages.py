@@ -7,6 +7,7 @@ import pytest
 
 from canskin.peers import new_peer
 from health.state import ViewState
+from tests.health.helpers import note
 
 EPOCH_S = 1000.0
 
@@ -53,23 +54,6 @@ def test_counters_are_stale_after_a_second_and_a_half(
     assert [snapshot.gateway.stale, snapshot.nodes[0].stale] == [stale, stale]
 
 
-def test_what_fits_the_skin_and_what_does_not_is_told_to_the_caller(state: ViewState, messages: Any) -> None:
-    assert state.take(messages.image(), 1.0)
-    assert state.take(messages.contacts(), 1.0)
-    assert state.take(messages.label(), 1.0)
-    assert state.take(messages.gateway(), 1.0)
-    for field in ("valid", "doubtful"):
-        assert not state.take(msgspec.structs.replace(messages.image(), **{field: b"\0"}), 1.0)
-    (contact,) = messages.contacts().contacts
-    huge = msgspec.structs.replace(contact, force_n=1e39)
-    assert not state.take(msgspec.structs.replace(messages.contacts(), contacts=[huge]), 1.0)
-    assert not state.take(messages.contacts(row=16.0), 1.0)
-    assert not state.take(messages.label(confidence=float("nan")), 1.0)
-    status = msgspec.structs.replace(messages.gateway(), sync_rate_hz=float("inf"))
-    assert not state.take(status, 1.0)
-    assert state.ignored == 6
-
-
 # Figures
 
 
@@ -84,14 +68,6 @@ def test_latency_is_that_of_five_seconds_of_images(state: ViewState, messages: A
     assert (figures.latency_p50_s, figures.latency_p99_s) == (None, None)
 
 
-def test_an_image_of_the_same_sums_has_no_latency_of_its_own(state: ViewState, messages: Any) -> None:
-    state.take(messages.image(1, latency_s=0.25), 1.0)
-    state.take(messages.image(1, latency_s=0.75), 1.25)
-    state.take(msgspec.structs.replace(messages.image(2, sync_s=2.0, latency_s=0.75), valid_sums=0), 1.5)
-    figures = state.snapshot(1.5)[0].figures
-    assert figures.latency_p99_s == pytest.approx(0.25)
-
-
 def test_figures_of_the_newest_second(state: ViewState, messages: Any) -> None:
     state.take(messages.image(1, sync_s=1.0, invalid=(0, 1, 2)), 1.0)
     state.take(messages.image(2, sync_s=1.5, invalid=(0,)), 1.5)
@@ -101,21 +77,6 @@ def test_figures_of_the_newest_second(state: ViewState, messages: Any) -> None:
     figures = state.snapshot(2.75)[0].figures
     assert (figures.valid_blocks, figures.valid_blocks_low) == (7, None)
     assert (figures.psnr_image_db, figures.sensor_adds_noise) == (None, None)
-
-
-def test_images_are_compared_with_truths_of_a_touch(state: ViewState, messages: Any) -> None:
-    nothing = messages.grid(0.0)
-    state.take(messages.image(1), 1.0)
-    state.take(messages.truth(1, true=nothing), 1.0)
-    assert state.snapshot(1.0)[0].figures.psnr_image_db is None
-    state.take(messages.truth(2, sync_s=1.25, sensor=messages.grid(0.008)), 1.25)
-    state.take(messages.image(2, sync_s=1.25, pixels=messages.grid(0.009)), 1.25)
-    figures = state.snapshot(1.5)[0].figures
-    assert figures.psnr_image_db is not None
-    assert figures.psnr_sensor_db is not None
-    # Half the error is 20 log10 2 more.
-    assert figures.psnr_image_db - figures.psnr_sensor_db == pytest.approx(6.0206, abs=1e-3)
-    assert figures.sensor_adds_noise is True
 
 
 # Services
@@ -155,37 +116,39 @@ def test_a_service_is_silent_after_half_a_second_without_messages(state: ViewSta
     assert silent(state, 5.5625) == ["classifier"]
 
 
-def test_without_status_only_a_gateway_that_had_one_is_silent(state: ViewState, messages: Any) -> None:
+@pytest.mark.parametrize(("gone_s", "stale"), [(0.75, False), (1.0, True), (1.25, True)])
+def test_a_message_is_stale_when_its_sender_left_with_it_or_after_it(
+    state: ViewState, messages: Any, gone_s: float, *, stale: bool
+) -> None:
+    note(state, "classifier", True, 0.5)
+    state.take(messages.label(), 1.0)
+    note(state, "classifier", False, gone_s)
+    label = state.snapshot(1.25)[0].label
+    assert label is not None
+    assert label.stale is stale
+
+
+def test_a_silent_gateway_is_told_once_it_had_a_status(state: ViewState, messages: Any) -> None:
     started(state, messages, "gateway", "reconstructor")
     assert silent(state, 9.0) == []
+    state.take(msgspec.structs.replace(messages.gateway(cycles=1000), sync_rate_hz=0.0), 9.5)
+    assert silent(state, 9.5) == []  # the rate is not known yet
     state.take(messages.gateway(cycles=1000), 10.0)
     assert silent(state, 11.5625) == ["gateway"]
 
 
 def test_a_service_keeps_the_time_since_when_it_is_there(state: ViewState) -> None:
     for alive, now_s in ((True, 1.0), (True, 2.0), (False, 3.0), (False, 4.0)):
-        state.take_service("recorder", alive, now_s)
+        note(state, "recorder", alive, now_s)
         since_s = state.snapshot(5.0)[0].services["recorder"].since_time_s
         assert since_s == EPOCH_S + (1.0 if alive else 3.0)
-
-
-@pytest.mark.parametrize("gone_s", [1.0, 1.25])
-def test_a_message_is_stale_when_its_sender_left_with_it_or_after_it(
-    state: ViewState, messages: Any, gone_s: float
-) -> None:
-    state.take_service("classifier", True, 0.5)
-    state.take(messages.label(), 1.0)
-    state.take_service("classifier", False, gone_s)
-    label = state.snapshot(1.25)[0].label
-    assert label is not None
-    assert label.stale
 
 
 @pytest.mark.parametrize(("at_s", "now_s", "cut_off"), [(2.0, 2.0, True), (2.0625, 2.5, False), (2.0625, 2.5626, True)])
 def test_the_hub_is_out_of_reach_without_a_message_after_the_own_token_went(
     state: ViewState, messages: Any, at_s: float, now_s: float, *, cut_off: bool
 ) -> None:
-    state.take_service("viewer", True, 1.0)
-    state.take_service("viewer", False, 2.0)
+    note(state, "viewer", True, 1.0)
+    note(state, "viewer", False, 2.0)
     state.take(messages.label(), at_s)
     assert state.snapshot(now_s)[0].cut_off is cut_off

@@ -8,6 +8,7 @@ import pytest
 from canskin.messages import Image, Truth
 from health.state import ViewState
 from skin.layout import Bus, Layout, PhiParameters, Sampling, Sync, Taxels
+from tests.health.helpers import note
 from views.page.wire import greeting
 
 LAYOUT = Layout(
@@ -37,7 +38,7 @@ def truth(messages: Any, at_s: float, force_n: float = 0.01) -> Truth:
 
 
 def test_a_quiet_skin_is_not_stale(state: ViewState, messages: Any) -> None:
-    state.take_service("reconstructor", True, 0.0)
+    note(state, "reconstructor", True, 0.0)
     for each in range(10, 60):
         state.take(image(messages, each / 10), each / 10)
     snapshot, _ = state.snapshot(5.99)

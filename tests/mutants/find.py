@@ -11,12 +11,17 @@ import re
 import shutil
 import subprocess
 import sys
+from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from typing import Final
 
+from cosmic_ray.ast import ast_nodes, get_ast_from_path
 from cosmic_ray.config import load_config
+from cosmic_ray.modules import find_modules
+from cosmic_ray.plugins import get_operator, operator_names
 from cosmic_ray.work_db import use_db
-from cosmic_ray.work_item import WorkerOutcome
+from cosmic_ray.work_item import MutationSpec, WorkerOutcome, WorkItem
 
 ROOT: Final = Path(__file__).parents[2]
 FOLDER: Final = ROOT / "build" / "mutants"
@@ -34,16 +39,11 @@ def main() -> int:
     parser.add_argument("--only", default="", metavar="PATH", help="a file or folder of those in cosmic-ray.toml")
     options = parser.parse_args()
     copy_tree()
-    paths = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
-    modules = os.pathsep.join((str(COPY), str(COPY / "client")))
-    environment = {**os.environ, "PATH": paths, "PYTHONPATH": modules}
-
-    def run(*command: str) -> None:
-        subprocess.run(command, cwd=COPY, env=environment, check=True)
-
-    run("cosmic-ray", "init", "--force", CONFIGURATION, str(SESSION))
+    os.chdir(COPY)
+    os.environ["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+    os.environ["PYTHONPATH"] = os.pathsep.join((str(COPY), str(COPY / "client")))
     draw(options.sample, options.seed, options.only)
-    run("cosmic-ray", "exec", CONFIGURATION, str(SESSION))
+    subprocess.run(["cosmic-ray", "exec", CONFIGURATION, str(SESSION)], check=True)
     return tell()
 
 
@@ -60,20 +60,35 @@ def copy_tree() -> None:
 
 
 def draw(count: int, seed: int, only: str) -> None:
-    """Keep `count` mutants below the path `only`, of the operators that ``cosmic-ray.toml`` does not exclude."""
-    filters = load_config(COPY / CONFIGURATION).sub("filters", "operators-filter")
-    is_excluded = re.compile("|".join(filters["exclude-operators"])).match
+    """Draw `count` mutants below the path `only`, of the operators that ``cosmic-ray.toml`` does not exclude."""
+    config = load_config(COPY / CONFIGURATION)
+    excluded = re.compile("|".join(config.sub("filters", "operators-filter")["exclude-operators"]))
+    operators = [name for name in sorted(operator_names()) if not excluded.match(name)]
+    wanted = [
+        WorkItem.single(f"{file} {name} {occurrence}", MutationSpec(file, name, occurrence, *place))
+        for file in sorted(find_modules([Path(path) for path in config["module-path"]]))
+        if str(file).startswith(only)
+        for name in operators
+        for occurrence, place in enumerate(places(file, name))
+    ]
+    drawn = random.Random(seed).sample(wanted, min(count, len(wanted)))
+    SESSION.unlink(missing_ok=True)
     with use_db(SESSION) as session:
-        wanted = [
-            item
-            for item in session.work_items
-            if str(item.mutations[0].module_path).startswith(only) and not is_excluded(item.mutations[0].operator_name)
-        ]
-        wanted.sort(key=lambda item: str(item.mutations))
-        drawn = random.Random(seed).sample(wanted, min(count, len(wanted)))
-        session.clear()
         session.add_work_items(drawn)
     print(f"{len(drawn)} of {len(wanted)} mutants", flush=True)
+
+
+@cache
+def nodes_of(file: Path) -> list[object]:
+    """Return the nodes of a file."""
+    return list(ast_nodes(get_ast_from_path(file)))
+
+
+def places(file: Path, operator: str) -> Iterator[tuple[tuple[int, int], tuple[int, int]]]:
+    """Yield the places of a file that an operator changes."""
+    make = get_operator(operator)()
+    for node in nodes_of(file):
+        yield from make.mutation_positions(node)
 
 
 def tell() -> int:

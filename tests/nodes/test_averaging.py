@@ -46,12 +46,6 @@ def idle(noise: float = NOISE) -> SampleFilter:
     return made
 
 
-def test_before_the_first_sample_taxels_read_nothing() -> None:
-    made = new_filter()
-    assert made.counts.tolist() == [0.0] * TAXELS
-    assert made.noise.tolist() == [0.0] * BLOCKS
-
-
 def test_a_constant_goes_through_exactly_from_the_first_sample_on() -> None:
     constant = np.linspace(0, TOP, TAXELS).round().astype(np.float32)
     averages = fed(new_filter(), np.tile(constant, (600, 1)))
@@ -98,21 +92,6 @@ def test_noise_is_learned_with_a_third_of_the_skin_touched_from_the_start() -> N
     averages = fed(made, sense(force, 2000, seed=4))[-20:]
     np.testing.assert_allclose(made.noise, NOISE, rtol=0.1)
     np.testing.assert_allclose(averages.mean(axis=0), force, atol=0.15 * NOISE)
-
-
-def test_a_few_noisy_taxels_do_not_spoil_their_block() -> None:
-    made = new_filter()
-    noise = np.full(TAXELS, NOISE)
-    noise[PLACES[:, :3]] *= 10
-    read = np.random.default_rng(4).normal(0, noise, (2000, TAXELS))
-    fed(made, np.rint(np.clip(read, 0, TOP)).astype(np.float32))
-    assert made.noise == pytest.approx(np.full(BLOCKS, NOISE), rel=0.1)
-
-
-def test_a_light_touch_survives_the_correction() -> None:
-    made = idle()
-    averages = fed(made, sense(np.full(TAXELS, NOISE / 2), 1000, seed=6))[-20:]
-    assert averages.mean() == pytest.approx(NOISE / 2, rel=0.1)
 
 
 def test_nothing_is_corrected_while_the_noise_is_unknown() -> None:

@@ -150,13 +150,3 @@ def test_mapping_may_fill_a_frame_and_no_more(name: str, limit: int) -> None:
     for count in (most + 1, limit + 1):
         with pytest.raises(SdoAbortedError):
             check_write(local, od.TPDO_MAPPING, 0, count)
-
-
-def test_rules_hold_for_the_objects_of_every_block() -> None:
-    contract = made_of("fd")
-    local = local_of(contract, contract.nodes[0])
-    for place in range(4):
-        check_write(local, od.of_block(od.TEST_PATTERN, place), 0, 3)
-        check_write(local, od.of_block(od.GAIN, place), 1, 2)
-        with pytest.raises(SdoAbortedError):
-            check_write(local, od.of_block(od.TEST_PATTERN, place), 0, 4)

@@ -169,10 +169,6 @@ def test_bad_options_are_one_clear_error(options: dict[str, Any], words: str) ->
         command.nodes(**options)
 
 
-def test_the_first_seed_is_0_and_noise_may_be_none(parts: Parts) -> None:
-    parts.run(TouchOptions(["cup"], "press"), only=["bus0:1"], noise_n=0.0)
-
-
 @pytest.mark.parametrize(
     ("layout", "shape"),
     [("default", (5, 4096)), ("analogue", (1, 1024))],  # samples in a period

@@ -1,7 +1,5 @@
 """Calibration and test patterns of the blocks of a skin: each write goes to the taxels of its block alone."""
 
-import math
-
 import numpy as np
 import numpy.typing as npt
 import pytest
@@ -105,12 +103,3 @@ def test_taxels_at_the_top_of_their_range_are_saturated(boards: Plain) -> None:
     boards.read[CHAIN[3]] = 1022
     boards.read[OTHERS] = 1023
     assert boards.saturated(BLOCK) == 3
-
-
-def test_sums_of_blocks_stand_one_after_the_other(boards: Plain) -> None:
-    assert [boards.first_sum(block) for block in (0, 1, 127)] == [0, 8, 127 * 8]
-
-
-def test_boards_that_answer_syncs_have_nothing_of_their_own_to_do(boards: Plain) -> None:
-    assert boards.due_s == math.inf
-    assert not boards.is_sending

@@ -118,15 +118,6 @@ def test_a_node_is_selected_by_its_whole_address_alone(place: int) -> None:
         assert numbered.is_configured is is_mine
 
 
-@pytest.mark.parametrize(("low", "high", "is_mine"), [(77, 77, True), (0, 76, False), (78, 99, False), (0, 99, True)])
-def test_a_node_is_identified_by_ranges(low: int, high: int, is_mine: bool) -> None:
-    numbered = slave(has_node_id=True)
-    requests = (*ADDRESS[:2], 0, 0xFFFFFFFF, low, high)
-    answers = [numbered.take(request(0x46 + at, each)) for at, each in enumerate(requests)]
-    assert answers[:5] == [None] * 5
-    assert (answers[5] == bytes((0x4F, 0, 0, 0, 0, 0, 0, 0))) is is_mine
-
-
 def test_only_nodes_without_node_id_answer_to_searches() -> None:
     for has_node_id in (False, True):
         each = slave(has_node_id=has_node_id)

@@ -157,11 +157,6 @@ def test_tpdos_are_counted_when_they_are_accepted_refused_or_given_up(bus: Bus) 
     assert (bus.segment.frames_sent, bus.segment.frames_dropped) == (1, 3)
 
 
-def test_nothing_is_sent_where_boards_have_nothing_to_say(bus: Bus) -> None:
-    bus.take(frame(0x601, bytes(8)))
-    assert bus.wire.sent == []
-
-
 def test_time_passes_in_steps_of_5_ms_but_not_while_a_sync_is_due(bus: Bus) -> None:
     """Of 10 ms, from 7 ms after a SYNC until it is 20 ms late is no time for heartbeats."""
 

@@ -4,7 +4,6 @@ import os
 import socket
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import cast
 
 import msgspec
 import numpy as np
@@ -16,9 +15,6 @@ from canskin.messages import NodesStatus, Topic, Truth
 from dbc import indices as od
 from dbc.contract import Contract
 from dbc.frame import Frames
-from nodes.electronics import Electronics
-from nodes.firmware.library import Firmware
-from nodes.sampler import CountSampler, Sampler
 from nodes.service import STATUS_PERIOD_S, NodesService
 from nodes.steps.boards import SteppedBoards
 from skin.layout import load_layout
@@ -222,25 +218,6 @@ def test_on_a_single_bus_the_next_cycle_is_sampled_ahead_at_once(
     assert prepared[-1] is sampler.sums is not before  # after the answer
 
 
-def test_boards_are_nodes_in_python_or_those_of_the_firmware(
-    contract: Contract, links: dict[int, ReadyLink], tmp_path: Path
-) -> None:
-    electronics = Electronics(contract.layout.taxels, noise_n=0.0)
-    sampler = Sampler(contract.phi, Still(contract), electronics)
-    made = NodesService(contract, links, {0: {1}, 1: {2}}, sampler, store=tmp_path)
-    assert [set(segment.boards.node_ids) for segment in made.segments.values()] == [{1}, {2}]
-
-    class Compiled:
-        """Firmware whose boards are the number of their bus."""
-
-        def boards(self, bus: int) -> int:
-            return bus
-
-    counts = CountSampler(contract.phi, Still(contract), electronics)
-    made = NodesService(contract, links, {0: {1}, 1: {2}}, counts, firmware=cast("Firmware", Compiled()))
-    assert [segment.boards for segment in made.segments.values()] == [0, 1]
-
-
 def test_the_status_tells_of_all_buses(contract: Contract, links: dict[int, ReadyLink]) -> None:
     now_s, published = 100.0, Published()
     sampler = new_sampler(contract)
@@ -268,10 +245,3 @@ def test_statuses_come_every_fifth_of_a_second(contract: Contract, links: dict[i
         made.turn()
         counts.append(len(published.statuses))
     assert counts == [1, 1, 2, 2, 3]
-
-
-def test_without_a_fabric_nothing_is_published(contract: Contract, links: dict[int, ReadyLink]) -> None:
-    sampler = new_sampler(contract)
-    made = NodesService(contract, {0: links[0]}, {0: {1}}, sampler, clock=lambda: 100.0)
-    made.run(StopAfter(2))  # type: ignore[arg-type]
-    assert links[0].take_sent()["can_id"].tolist()[0] == 0x701

@@ -117,8 +117,3 @@ def test_of_the_truths_that_nobody_takes_the_newest_twenty_are_kept(boards: Tick
     while (truth := boards.take_truth()) is not None:
         steps.append(truth.step)
     assert steps == list(range(11, 31))
-
-
-def test_preparing_asks_for_nothing(boards: Ticks) -> None:
-    boards.prepare()
-    assert (boards.samples, boards.decisions) == (0, [])

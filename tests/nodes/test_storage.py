@@ -68,28 +68,20 @@ def test_reset_communication_leaves_calibration_and_pattern(board: Board) -> Non
     assert (board.read(od.TEST_PATTERN), board.sampler.pattern(0)) == (3, 3)
 
 
-def test_stored_offset_comes_back_in_dictionary_and_electronics(board: Board) -> None:
+def test_stored_values_come_back_at_a_reset_until_defaults_are_restored(board: Board) -> None:
     board.write(od.OFFSET, 3, 100, 2)
+    board.write(od.TEST_PATTERN, 0, 2, 1)  # is never stored
     board.write(od.STORE, 1, SAVE, 4)
     board.write(od.OFFSET, 3, 7, 2)
     board.reset()
     assert (board.read(od.OFFSET, 3), board.offset) == (100, 100.0)
-
-
-def test_restored_defaults_hold_from_the_next_reset_on(board: Board) -> None:
-    board.write(od.OFFSET, 3, 100, 2)
-    board.write(od.STORE, 1, SAVE, 4)
-    board.write(od.RESTORE, 1, LOAD, 4)
-    assert board.offset == 100.0
-    board.reset()
-    assert (board.read(od.OFFSET, 3), board.offset) == (0, 0.0)
-
-
-def test_test_pattern_is_never_stored(board: Board) -> None:
-    board.write(od.TEST_PATTERN, 0, 2, 1)
-    board.write(od.STORE, 1, SAVE, 4)
-    board.reset()
     assert (board.read(od.TEST_PATTERN), board.sampler.pattern(0)) == (0, 0)
+    for _ in range(2):  # also when nothing is stored
+        assert board.write(od.RESTORE, 1, LOAD, 4) == 0
+        assert board.offset == 100.0
+        board.reset()
+        assert (board.read(od.OFFSET, 3), board.offset) == (0, 0.0)
+        board.write(od.OFFSET, 3, 100, 2)
 
 
 def test_other_nodes_keep_their_calibration(board: Board, contract: Contract) -> None:
@@ -172,15 +164,6 @@ def test_what_does_not_fit_the_dictionary_is_not_restored(contract: Contract, tm
     assert {can_id for can_id, _ in give(board.segment, board.link, sync(1))} == set()  # both are mapped wrongly
 
 
-def test_defaults_may_be_asked_for_when_nothing_is_stored(contract: Contract, tmp_path: Path) -> None:
-    board = Board(contract, tmp_path)
-    board.write(od.OFFSET, 3, 100, 2)
-    assert board.write(od.RESTORE, 1, LOAD, 4) == 0
-    board.reset()
-    assert board.offset == 0.0
-    assert not list(tmp_path.iterdir())
-
-
 def test_a_folder_that_loses_its_file_in_vain_is_an_abort(
     contract: Contract, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -206,15 +189,6 @@ def test_the_file_names_each_object_in_hexadecimal(tmp_path: Path) -> None:
         "parameters": {"1017:00": "9001", "2010:01": "0000803f", "2010:1F": "00000040", "2011:0A": ""},
     }
     assert Storage("abc", path).parameters == parameters
-
-
-def test_parameters_stay_in_memory_without_a_folder() -> None:
-    storage = Storage("abc")
-    assert storage.parameters == {}
-    storage.save({0x1017: {0: b"\1\0"}})
-    assert storage.parameters == {0x1017: {0: b"\1\0"}}
-    storage.clear()
-    assert storage.parameters == {}
 
 
 def test_a_file_that_cannot_be_read_is_named_with_the_reason(tmp_path: Path) -> None:

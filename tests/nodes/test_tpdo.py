@@ -48,19 +48,22 @@ def test_start_value_and_counter_decide_also_where_the_cycle_does_not_divide_240
     assert turns == [3, *range(5, 240, 7)]
 
 
-def test_turn_without_start_value_counts_syncs() -> None:
-    assert [syncs for syncs in range(1, 10) if is_turn(3, 0, 0, syncs)] == [3, 6, 9]
-    assert [syncs for syncs in range(1, 10) if is_turn(3, 5, 0, syncs)] == [3, 6, 9]  # a SYNC without counter
-
-
-def test_cyclic_pdo_with_start_value(segment: Segment, link: ArrayLink) -> None:
-    set_up(segment, link, every=7, start=5)
-    assert sent_at(segment, link, 1, 2, 3, 4, 5, 6, 12, 18, 19) == [3, 5, 12, 19]
-
-
-def test_cyclic_pdo_without_start_value(segment: Segment, link: ArrayLink) -> None:
+@pytest.mark.parametrize("is_plain", [True, False])
+def test_a_cyclic_pdo_has_its_turns(segment: Segment, link: ArrayLink, is_plain: bool) -> None:
+    if not is_plain:
+        map_sum_and_error_register(segment, link)
     set_up(segment, link, every=3)
     assert sent_at(segment, link, 11, 12, 13, 14, 15, 16, 17) == [13, 16]
+    set_up(segment, link, every=7, start=5)
+    assert sent_at(segment, link, 1, 2, 3, 4, 5, 6, 12, 18, 19) == [3, 5, 12, 19]
+    set_up(segment, link, every=240, start=9)
+    assert sent_at(segment, link, 8, 9, 10, 240) == [9]
+    set_up(segment, link, every=1)
+    assert sent_at(segment, link, 1) == [1]
+    give(segment, link, frame(0, b"\x80\1"))
+    assert sent_at(segment, link, 2) == []
+    set_up(segment, link, every=254)
+    assert sent_at(segment, link, 1, 2, 3) == []
 
 
 def test_acyclic_pdo_is_sent_at_a_sync_after_a_change(segment: Segment, link: ArrayLink) -> None:
@@ -72,29 +75,16 @@ def test_acyclic_pdo_is_sent_at_a_sync_after_a_change(segment: Segment, link: Ar
 
 
 @pytest.mark.parametrize("every", [254, 255])
-def test_event_driven_pdo_keeps_its_inhibit_time_to_the_microsecond(
+def test_event_driven_pdo_keeps_inhibit_time_and_event_timer(
     segment: Segment, link: ArrayLink, sampler: Sampler, every: int
 ) -> None:
-    tpdo, node = set_up(segment, link, every=every, inhibit_100us=7), segment.boards.nodes[0].local
-    assert tpdo.at_event(10.0, node) is not None
-    sampler.sums[:] += 4
-    assert tpdo.at_event(10.000_699, node) is None
-    assert tpdo.at_event(10.000_701, node) is not None
-    assert tpdo.at_event(11.0, node) is None  # nothing has changed
-
-
-def test_event_timer_is_kept_to_the_microsecond(segment: Segment, link: ArrayLink, sampler: Sampler) -> None:
-    tpdo, node = set_up(segment, link, every=255, event_ms=20), segment.boards.nodes[0].local
-    assert tpdo.at_event(10.0, node) is not None
-    assert tpdo.at_event(10.019_999, node) is None
-    assert tpdo.at_event(10.020_001, node) is not None
-    sampler.sums[:] += 4
-    assert tpdo.at_event(10.020_002, node) is not None  # a change does not wait for it
-
-
-def test_event_driven_pdo_answers_no_sync(segment: Segment, link: ArrayLink) -> None:
-    set_up(segment, link, every=255)
-    assert sent_at(segment, link, 1, 2, 3) == []
+    tpdo = set_up(segment, link, every=every, inhibit_100us=5000, event_ms=1000)
+    sent = []
+    for now_s, has_changed in ((10.0, 0), (10.4999, 1), (10.5, 0), (11.4999, 0), (11.5, 0), (11.9, 1), (12.0001, 0)):
+        sampler.sums[:] += 4 * has_changed
+        if tpdo.at_event(now_s, segment.boards.nodes[0].local) is not None:
+            sent.append(now_s)
+    assert sent == [10.0, 10.5, 11.5, 12.0001]
 
 
 def test_event_driven_pdo_is_sent_in_operational_only(segment: Segment, link: ArrayLink) -> None:
@@ -130,40 +120,11 @@ def test_a_pdo_with_another_object_shows_it_as_it_is_now(segment: Segment, link:
         assert payload == shown.to_bytes(3, "little")
 
 
-def test_a_pdo_with_another_object_is_sent_in_operational_only(segment: Segment, link: ArrayLink) -> None:
-    map_sum_and_error_register(segment, link)
-    set_up(segment, link, every=1)
-    assert sent_at(segment, link, 1) == [1]
-    give(segment, link, frame(0, b"\x80\1"))
-    assert sent_at(segment, link, 2) == []
-
-
-def test_a_pdo_with_another_object_has_its_turns_too(segment: Segment, link: ArrayLink) -> None:
-    map_sum_and_error_register(segment, link)
-    set_up(segment, link, every=3)
-    assert sent_at(segment, link, 11, 12, 13, 14, 15, 16, 17) == [13, 16]
-    set_up(segment, link, every=7, start=5)
-    assert sent_at(segment, link, 1, 2, 3, 4, 5, 6, 12, 18, 19) == [3, 5, 12, 19]
-    set_up(segment, link, every=240, start=9)
-    assert sent_at(segment, link, 8, 9, 10, 240) == [9]
-    tpdo = set_up(segment, link, every=254)
-    assert {tpdo.at_sync(0, segment.boards.nodes[0].local) for _ in range(255)} == {None}
-
-
 @pytest.mark.parametrize(("every", "is_plain"), [(0, False), (1, True), (240, True), (254, False), (255, False)])
 def test_cyclic_pdos_of_sums_are_sent_together(segment: Segment, link: ArrayLink, every: int, is_plain: bool) -> None:
     assert set_up(segment, link, every=every).is_plain == is_plain
     map_sum_and_error_register(segment, link)
     assert not set_up(segment, link, every=every).is_plain
-
-
-def test_timers_end_at_their_very_time(segment: Segment, link: ArrayLink, sampler: Sampler) -> None:
-    tpdo, node = set_up(segment, link, every=255, inhibit_100us=5000, event_ms=1000), segment.boards.nodes[0].local
-    assert tpdo.at_event(10.0, node) is not None
-    sampler.sums[:] += 4
-    assert tpdo.at_event(10.5, node) is not None
-    assert tpdo.at_event(11.0, node) is None
-    assert tpdo.at_event(11.5, node) is not None
 
 
 def test_a_pdo_that_does_not_exist_hides_no_other(segment: Segment) -> None:

@@ -14,9 +14,8 @@ from hypothesis import strategies as st
 from canskin.errors import InputError
 from reconstructor.array_api import NUMPY, RUN_IN, ArrayLibrary, BatchSolver, array_library, parts_of, turns
 from reconstructor.bases import wavelet_basis
-from reconstructor.engine import Reconstructor, reconstruct
+from reconstructor.engine import Reconstructor, make_solver, reconstruct
 from reconstructor.kernels.addresses import spin_shifts
-from reconstructor.kernels.fused import FusedSolver
 from reconstructor.settings import LIVE, PAPER, SPUN, VARIATION, SolverSettings
 from skin.measurement import Sbhe, sbhe
 from skin.surface import grid_surface
@@ -78,7 +77,7 @@ def assert_equals_the_compiled_solver(skin: dict[str, Any], library: ArrayLibrar
     rng, phi, grid = np.random.default_rng(skin["seed"]), skin["phi"], skin["grid"]
     options = {"edges": skin["edges"], "dtype": dtype}
     batch = BatchSolver(phi, *grid, skin["settings"], library=library, **options).of_streams(3)
-    alone = [FusedSolver(phi, *grid, skin["settings"], **options) for _ in range(3)]
+    alone: list[Any] = [make_solver(phi, *grid, skin["settings"], **options) for _ in range(3)]
     made, wanted = batch.new_estimate(), [solver.new_estimate() for solver in alone]
     for cycle in range(4):
         sums = rng.normal(0.03, 0.03, (3, phi.shape[0])).astype(dtype)

@@ -8,11 +8,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from canskin.errors import InputError
 from reconstructor.bases import wavelet_basis
+from reconstructor.engine import make_solver
 from reconstructor.kernels import variation
 from reconstructor.kernels.addresses import pyramid_addresses, spin_shifts, tensor_addresses
-from reconstructor.kernels.fused import COMPILED, FusedSolver
+from reconstructor.kernels.haar import HaarSolver
+from reconstructor.kernels.variation import VariationSolver
 from reconstructor.settings import SolverSettings
 from skin.measurement import Sbhe, sbhe
 from skin.surface import grid_surface
@@ -38,7 +39,7 @@ class Rows:
 
 @st.composite
 def problems(draw: st.DrawFn) -> dict[str, Any]:
-    prior = draw(st.sampled_from(COMPILED))
+    prior = draw(st.sampled_from([*HaarSolver.priors, *VariationSolver.priors]))
     grids = [(8, 8), (16, 16), (32, 32), (64, 64), (8, 32), (64, 16), (256, 8)]
     if prior == "variation":
         grids += [(10, 10), (17, 23), (24, 32), (1, 8), (9, 1), (255, 3)]
@@ -63,11 +64,12 @@ def problems(draw: st.DrawFn) -> dict[str, Any]:
     }
 
 
-def proximal_of(problem: dict[str, Any], kernel: FusedSolver) -> Proximal:
+def proximal_of(problem: dict[str, Any]) -> Proximal:
     if problem["prior"] == "variation":
         nonnegative, edges = problem["nonnegative"], problem["edges"]
         return Variation(problem["grid"], variation.INNER, nonnegative=nonnegative, edges=edges)
-    return Shrinkage(wavelet_basis(problem["prior"], *problem["grid"]), kernel.shifts, problem["nonnegative"])
+    shifts = spin_shifts(problem["spins"], *problem["grid"])
+    return Shrinkage(wavelet_basis(problem["prior"], *problem["grid"]), shifts, problem["nonnegative"])
 
 
 def both(problem: dict[str, Any], dtype: type) -> tuple[np.ndarray, np.ndarray]:
@@ -78,12 +80,12 @@ def both(problem: dict[str, Any], dtype: type) -> tuple[np.ndarray, np.ndarray]:
     valid = rng.random(phi.shape[0]) >= problem["missing_ratio"]
     options = {name: problem[name] for name in ("prior", "spins", "nonnegative", "lipschitz_ratio", "iterations")}
     settings = SolverSettings(penalty_n=0.01, **options)
-    kernel = FusedSolver(phi, rows, columns, settings, edges=problem["edges"], dtype=dtype)
+    kernel: Any = make_solver(phi, rows, columns, settings, edges=problem["edges"], dtype=dtype)
     estimate = kernel.blocks_of(start)
     assert kernel.solve(estimate, np.where(valid, sums, 1e6).astype(dtype), valid.astype(dtype)) == valid.sum()
     reference = fista_image(
         Rows(phi, valid),
-        proximal_of(problem, kernel),
+        proximal_of(problem),
         sums[valid],
         penalty_n=0.01,
         lipschitz=problem["lipschitz_ratio"] * phi.block_size,
@@ -135,7 +137,7 @@ def test_a_grid_as_a_graph_has_the_images_of_the_grid(seed: int) -> None:
     phi, rng = sbhe(768, 192, seed=seed), np.random.default_rng(seed)
     options = SolverSettings(prior="variation", iterations=10, penalty_n=0.01, nonnegative=True, scaled_start=True)
     edges = grid_surface(24, 32, 1.0, np.zeros(0, np.intp)).edges
-    solvers = FusedSolver(phi, 24, 32, options), FusedSolver(phi, 24, 32, options, edges=edges)
+    solvers = VariationSolver(phi, 24, 32, options), VariationSolver(phi, 24, 32, options, edges=edges)
     estimates = [solver.new_estimate() for solver in solvers]
     for _ in range(3):
         sums_n = rng.normal(0, 0.03, 192).astype(np.float32)
@@ -164,7 +166,7 @@ def test_weights_are_those_of_a_weighted_problem() -> None:
     """ΦᵀWΦ and ΦᵀW y: the same as the problem of rows √w Φ and sums √w y."""
     phi, rng = sbhe(256, 64, block_size=16, seed=3), np.random.default_rng(0)
     sums, weights = rng.normal(0, 0.03, 64), rng.uniform(0, 1, 64)
-    kernel = FusedSolver(
+    kernel = HaarSolver(
         phi, 16, 16, SolverSettings(prior="haar-pyramid", iterations=9, penalty_n=0.01), dtype=np.float64
     )
     estimate = kernel.new_estimate()
@@ -196,7 +198,7 @@ def test_relative_penalty_and_reset() -> None:
     results = []
     for penalty_n, relative in ((0.02, 0.5), (0.01, 1.0)):
         settings = SolverSettings(prior="variation", iterations=9, penalty_n=penalty_n)
-        kernel = FusedSolver(phi, 16, 16, settings, dtype=np.float64)
+        kernel = VariationSolver(phi, 16, 16, settings, dtype=np.float64)
         for _ in range(2):  # after a reset it is as new
             kernel.reset()
             estimate = kernel.new_estimate()
@@ -208,29 +210,13 @@ def test_relative_penalty_and_reset() -> None:
     assert results[0].any()
 
 
-@pytest.mark.parametrize(
-    ("rows", "columns", "prior", "dtype", "says"),
-    [
-        (32, 64, "haar-pyramid", np.float32, "4096 taxels but the grid has 32 x 64"),
-        (512, 8, "haar-pyramid", np.float32, "powers of two, 8 to 256"),
-        (64, 64, "contourlet", np.float32, "expected one of haar-pyramid, haar-tensor, variation, got .contourlet."),
-        (64, 64, "sym4-pyramid", np.float32, "got .sym4-pyramid."),
-        (64, 64, "variation", np.int32, "float32 or float64, got int32"),
-    ],
-)
-def test_wrong_options_are_named(phi: Sbhe, rows: int, columns: int, prior: str, dtype: type, says: str) -> None:
-    settings = SolverSettings(prior=prior, iterations=5, penalty_n=0.01)
-    with pytest.raises(InputError, match=says):
-        FusedSolver(phi, rows, columns, settings, dtype=dtype)
-
-
 @pytest.mark.heavy
 def test_the_interpreter_is_free_while_a_kernel_runs(phi: Sbhe) -> None:
     """Another thread gets to run between begin and end of one call, many times over."""
     many, one = (SolverSettings(prior="variation", iterations=count, penalty_n=0.01) for count in (100_000, 1))
-    solver = FusedSolver(phi, 64, 64, many)
+    solver = VariationSolver(phi, 64, 64, many)
     estimate, sums, weights = solver.new_estimate(), np.full(1024, 0.01, np.float32), np.ones(1024, np.float32)
-    FusedSolver(phi, 64, 64, one).solve(estimate, sums, weights)  # compiles
+    VariationSolver(phi, 64, 64, one).solve(estimate, sums, weights)  # compiles
     inside = threading.Event()
     turns = 0
 
@@ -265,7 +251,7 @@ def test_patches_with_a_gap_between_them_are_as_if_alone(seed: int, iterations: 
     sums = [rng.normal(0, 0.03, phi.shape[0]) for phi in alone]
 
     def solved(phi: Sbhe, rows: int, columns: int, sums_n: np.ndarray) -> np.ndarray:
-        kernel = FusedSolver(phi, rows, columns, options, dtype=np.float64)
+        kernel = VariationSolver(phi, rows, columns, options, dtype=np.float64)
         estimate = kernel.new_estimate()
         kernel.solve(estimate, sums_n, np.ones_like(sums_n))
         np.testing.assert_array_equal(kernel.deliver(estimate), kernel.image_of(estimate).clip(0).astype(np.float32))

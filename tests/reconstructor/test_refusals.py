@@ -13,7 +13,8 @@ from reconstructor.bases import wavelet_basis
 from reconstructor.engine import Reconstructor
 from reconstructor.fista import fista, largest_eigenvalue, objective
 from reconstructor.kernels.contourlet import CompiledContourlet, ContourletSolver
-from reconstructor.kernels.fused import FusedSolver
+from reconstructor.kernels.haar import HaarSolver
+from reconstructor.kernels.variation import VariationSolver
 from reconstructor.settings import SolverSettings
 from skin.matrix import MatrixPhi
 from skin.measurement import sbhe
@@ -154,8 +155,8 @@ def settings(prior: str = "haar-tensor", **changed: Any) -> SolverSettings:
 
 
 COMPILED: dict[str, tuple[Callable[..., Any], tuple[int, ...]]] = {
-    "fused": (lambda **o: FusedSolver(PHI, 16, 16, settings("haar-pyramid"), **o), (64,)),
-    "variation": (lambda **o: FusedSolver(PHI, 16, 16, settings("variation"), **o), (64,)),
+    "haar": (lambda **o: HaarSolver(PHI, 16, 16, settings("haar-pyramid"), **o), (64,)),
+    "variation": (lambda **o: VariationSolver(PHI, 16, 16, settings("variation"), **o), (64,)),
     "contourlet": (lambda **o: ContourletSolver(PHI, 16, 16, settings("contourlet"), **o), (64,)),
     "arrays": (lambda **o: BatchSolver(PHI, 16, 16, settings(), **o).of_streams(3), (3, 64)),
 }
@@ -197,7 +198,7 @@ def test_dtypes_of_solvers(kind: str, dtype: Any) -> None:
 @pytest.mark.parametrize(
     ("solver", "refused", "says"),
     [
-        (FusedSolver, settings("contourlet"), "expected one of haar-pyramid, haar-tensor, variation, got 'contourlet'"),
+        (HaarSolver, settings("contourlet"), "expected one of haar-pyramid, haar-tensor, got 'contourlet'"),
         (ContourletSolver, settings("variation"), "expected the prior 'contourlet', got 'variation'"),
         (BatchSolver, settings("contourlet"), "total variation or a wavelet: got contourlets"),
     ],
@@ -208,7 +209,7 @@ def test_solvers_refuse_settings_of_others(solver: Any, refused: SolverSettings,
 
 def test_compiled_solvers_take_an_sbhe_alone() -> None:
     for make in (
-        lambda: FusedSolver(OTHER, 16, 16, settings()),
+        lambda: HaarSolver(OTHER, 16, 16, settings()),
         lambda: ContourletSolver(OTHER, 16, 16, settings("contourlet")),
         lambda: BatchSolver(OTHER, 16, 16, settings()),
         lambda: Reconstructor(OTHER, 16, 16),
@@ -257,10 +258,10 @@ def test_arrays_of_compiled_solvers(kind: str, place: int, spoil: Callable[[np.n
 
 
 def test_images_and_coefficients_of_compiled_solvers() -> None:
-    fused = FusedSolver(PHI, 16, 16, settings())
+    haar = HaarSolver(PHI, 16, 16, settings())
     contourlet = ContourletSolver(PHI, 16, 16, settings("contourlet"))
-    one_line(lambda: fused.blocks_of(np.zeros(256)), "image: .*shape")
-    one_line(lambda: fused.image_of(np.zeros(255)), "estimate: .*shape")
+    one_line(lambda: haar.blocks_of(np.zeros(256)), "image: .*shape")
+    one_line(lambda: haar.image_of(np.zeros(255)), "estimate: .*shape")
     one_line(lambda: contourlet.estimate_of(np.zeros(256)), "coefficients: .*shape")
     one_line(lambda: contourlet.coefficients_of(np.zeros(256)), "estimate: .*shape")
 

@@ -67,7 +67,7 @@ def test_the_key_joins_stamps_with_the_cycles_of_the_export(bag: Path) -> None:
 
 
 def test_the_code_of_the_page_reads_a_bag(bag: Path) -> None:
-    code = block("docs/ros2.md", "AnyReader(")
+    code = block("docs/integrations.md", "AnyReader(")
     shapes = []
     names = {"on_image": lambda image: shapes.append((image.height, image.width))}
     exec(code.replace("run-bag", str(bag)).replace("/skin/", "/small/"), names)  # noqa: S102 - our own page

@@ -1,9 +1,7 @@
 """Recordings as arrays: every format holds the same."""
 
 from pathlib import Path
-from typing import Literal
 
-import h5py
 import msgspec
 import numpy as np
 import pytest
@@ -12,7 +10,6 @@ from canskin.errors import InputError, RunError
 from canskin.messages import IMAGE, LABEL, Topic
 from dbc.contract import Contract
 from recording.export_command import export
-from recording.mcap_file import recording_id
 from recording.sinks import McapSink
 from recording.tables import read_tables
 from skin.layout import load_layout
@@ -63,50 +60,18 @@ def test_a_skin_that_is_no_grid_says_where_its_taxels_lie(out: Path) -> None:
         normals = np.stack([made[f"taxels_n{axis}"] for axis in "xyz"], axis=1)
     np.testing.assert_array_equal(places_m, surface.positions_m)
     np.testing.assert_array_equal(normals, surface.normals)
-    export(out, to="csv", out=out.with_suffix(".csv"))
-    played = recording(out.with_name("run-images.csv"), 1, 96, full_scale=1.0, force_max_n=1.0)
-    np.testing.assert_allclose(played.frame(0).force_n.ravel(), forces_n, rtol=1e-6)
-    head, first = out.with_name("run-taxels.csv").read_text().splitlines()[:2]
-    assert head == "row,column,x_m,y_m,z_m,nx,ny,nz,block,recording"
-    assert first.startswith("0,0,0.0198")
-
-
-def test_hdf5(run: Path, tmp_path: Path) -> None:
-    export(run, to="hdf5", out=tmp_path / "run.h5")
-    with h5py.File(tmp_path / "run.h5") as made:
-        np.testing.assert_array_equal(made["images/pixels"][1], pixels(2))
-        assert made["labels/label"].asstr()[0] == "cup"
-        assert made["contacts/identity"][:].tolist() == [3]
-        assert made.attrs["skin"] == "small"
-
-
-def test_csv_can_be_played(run: Path, tmp_path: Path) -> None:
-    export(run, to="csv", out=tmp_path / "run.csv")
-    played = recording(tmp_path / "run-images.csv", 16, 16, full_scale=1.0, force_max_n=1.0)
-    assert played.frames == COUNT
-    np.testing.assert_allclose(played.frame(2).force_n, pixels(3), rtol=1e-6)
-    shape, recorded, names, first, *_ = (tmp_path / "run-images.csv").read_text().splitlines()
-    assert (shape, recorded) == ("# shape: 16 16", f"# recording: {recording_id(run)}")
-    assert names.startswith("time_ns,cycle,r0c0,")
-    assert first.split(",")[1] == "1"
-    rows = (tmp_path / "run-contacts.csv").read_text().splitlines()
-    assert len(rows) == 2
-    assert rows[0].startswith("cycle,time_ns")
 
 
 def test_a_file_is_what_its_suffix_says(run: Path, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"--to npz writes no '\.csv': expected another --to"):
-        export(run, out=tmp_path / "run.csv")
+    with pytest.raises(InputError, match=r"--to npz writes no '\.parquet': expected another --to"):
+        export(run, out=tmp_path / "run.parquet")
     export(run, out=tmp_path / "run.dat")
 
 
-@pytest.mark.parametrize("to", ["csv", "parquet"])
-def test_nothing_is_written_if_a_table_is_there_already(
-    run: Path, tmp_path: Path, to: Literal["csv", "parquet"]
-) -> None:
-    (tmp_path / f"out-labels.{to}").touch()
+def test_nothing_is_written_if_a_table_is_there_already(run: Path, tmp_path: Path) -> None:
+    (tmp_path / "out-labels.parquet").touch()
     with pytest.raises(InputError, match="is there already"):
-        export(run, to=to, out=tmp_path / f"out.{to}")
+        export(run, to="parquet", out=tmp_path / "out.parquet")
     assert not list(tmp_path.glob("out-[!l]*"))
 
 
@@ -118,7 +83,7 @@ def test_the_images_of_a_run_can_be_played(run: Path) -> None:
         recording(run, 16, 16, arrays="true")
     log = run.with_suffix(".log")
     log.touch()
-    with pytest.raises(InputError, match="make its images with 'skin rebuild"):
+    with pytest.raises(InputError, match="make its images with 'skin replay"):
         recording(log, 16, 16)
 
 

@@ -10,9 +10,9 @@ import pytest
 
 from dbc.contract import Contract
 from reconstructor.imaging import make_imager
-from recording import rebuild_command
 from recording.export_command import export
-from recording.mcap_file import RECORDING, read_about, recording_id, wall_offset_ns
+from recording.mcap_file import RECORDING, read_about, recording_id
+from recording.replay_command import replay
 from recording.replaying import Agreement, Replay
 from recording.sinks import McapSink
 from recording.steps import steps_of
@@ -32,6 +32,7 @@ def test_the_document_joins_the_tables(
     export(run, to="parquet")
     exec(block("docs/recording.md", "pandas"), {})  # noqa: S102
     assert capsys.readouterr().out.split()[:3] == ["label", "cup", "0.25"]
+    assert pd.read_csv("named.csv").force_n.tolist() == [0.25]
 
 
 def test_every_table_has_the_key(run: Path) -> None:
@@ -53,16 +54,11 @@ def test_a_recording_of_the_same_run_has_the_same_name(run: Path, contract: Cont
     assert recording_id(Path("monday.log")) == "monday"
 
 
-def test_rebuilt_cycles_have_the_numbers_and_times_of_the_export(run: Path, contract: Contract) -> None:
-    offset_ns = wall_offset_ns(run)
-    far_ns = offset_ns + 10**9
-    none = np.zeros((3, 1)), np.zeros((3, 1), np.bool_)
-    made = rebuild_command._Rebuilt(
-        *none, np.array([offset_ns + 12, offset_ns + 39, far_ns]), np.arange(1, 4, dtype=np.int64)
-    )
-    found = rebuild_command._numbered(contract.layout, run, made)
-    assert found.cycle.tolist() == [1, 4, -1]
-    assert found.time_ns.tolist() == [TIMES_NS[0], TIMES_NS[3], far_ns]
+def test_replayed_images_have_the_numbers_and_times_of_the_export(run: Path) -> None:
+    replay(run, out=(out := run.with_suffix(".npz")))
+    with np.load(out) as made:
+        assert (made["cycle"].tolist(), made["time_ns"].tolist()) == ([*range(1, COUNT + 1)], TIMES_NS)
+        assert str(made["recording"]) == recording_id(run)
 
 
 def test_bag_and_views_stamp_as_the_arrays(run: Path) -> None:

@@ -19,7 +19,6 @@ from gateway.playback import play
 from reconstructor.imaging import make_imager
 from reconstructor.service import ReconstructorService
 from recording.mcap_file import FRAMES, Entry, File, RecordingWriter, read_about, read_entries
-from recording.rebuild_command import rebuild
 from recording.recorder import Recorder
 from recording.replaying import Replay
 from recording.sinks import McapSink, open_sink
@@ -365,20 +364,3 @@ def test_measurements_without_frames_are_played(run: Path, contract: Contract, t
     path = with_measurement(contract, tmp_path / "one.mcap", recorded, frames(0))
     assert recorded.bus_sampled_ns
     assert played(path, contract) == [recorded]
-
-
-@pytest.mark.heavy
-def test_rebuild_takes_off_what_the_run_took_off(run: Path, tmp_path: Path) -> None:
-    def rebuilt(**options: Any) -> tuple[np.ndarray, np.ndarray]:
-        rebuild(run, out=(out := tmp_path / f"{len(list(tmp_path.iterdir()))}.npz"), **options)
-        with np.load(out) as made:
-            return made["images"], made["valid"]
-
-    (images, valid), (raw, all_valid), (newest, _) = (
-        rebuilt(),
-        rebuilt(calibration=Path("none")),
-        rebuilt(calibration=run),
-    )
-    assert np.flatnonzero(~valid.all(axis=0)).tolist() == [0]  # the block of the defective sum
-    assert all_valid.all()
-    assert len({each[0].tobytes() for each in (images, raw, newest)}) == 3  # offsets change

@@ -115,7 +115,7 @@ def test_the_truth_beside_an_image_is_the_nearest() -> None:
     near = pairs.truth_of(image(24))
     assert near is not None
     assert near.sampled_mono_ns == 20 * MS
-    assert pairs.truth_of(image(41)) is None
+    assert pairs.truth_of(image(51)) is None
 
 
 def test_a_label_is_judged_by_the_truth_nearest_to_its_sums() -> None:

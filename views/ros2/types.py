@@ -87,8 +87,3 @@ def encoded(ros_type: str, content: Any) -> bytes:
 def key_type(ros_type: str, *, has_hash: bool = True) -> str:
     """Return type and hash (REP 2016) as keys have them; without hash as Humble has them."""
     return wire_type(ros_type, _of(ros_type).hash_rihs01(ros_type) if has_hash else NO_TYPE_HASH)
-
-
-def decoded(ros_type: str, content: bytes) -> Any:
-    """Return the message of a CDR."""
-    return _of(ros_type).deserialize_cdr(content, ros_type)

@@ -1,16 +1,16 @@
-"""The code of docs/lerobot.md."""
+"""The code of docs/integrations.md."""
 
 import re
 from pathlib import Path
 
 import pytest
 
-pytest.importorskip("lerobot", reason="NOT TESTED: the code of docs/lerobot.md, for want of lerobot")
+pytest.importorskip("lerobot", reason="NOT TESTED: the code of docs/integrations.md, for want of lerobot")
 
 from tests.client.lerobot_camera_canskin.conftest import LiveChain
 from tests.documents import block
 
-RECORD, READ = block("docs/lerobot.md", "CanskinCamera("), block("docs/lerobot.md", "forces(")
+RECORD, READ = block("docs/integrations.md", "CanskinCamera("), block("docs/integrations.md", "forces(")
 
 
 def test_touch_of_a_running_skin_is_recorded_and_read(

@@ -114,6 +114,11 @@ def test_the_past_is_shown_and_said_until_live_again(page: Browser, server: Serv
     page.until(
         lambda: page.text("#map-image .past").startswith("the past: "), "the page does not say that it is paused"
     )
+    # Its frame was answered before the force changes: else the nearest may be of after.
+    page.until(
+        lambda: page.ask("performance.getEntriesByType('resource').some((each) => each.name.includes('/api/frame'))"),
+        "the frame of the instant did not come",
+    )
     before = pixels(page, "image")
     chain.force_n = 0.02
     before_n = server.feed.snapshot()[0].patches[0].force_n or 0.0

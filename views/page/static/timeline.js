@@ -116,7 +116,7 @@ export class Timeline {
     const [from_s, to_s] = this.range();
     const wanted_s = Math.max(from_s, Math.min(to_s, time_s));
     if (this.playback) this.playback.position_s = wanted_s - this.origin_s;
-    else this.past = { frame: null, isMissing: false, end_s: to_s, ...this.past, time_s: wanted_s };
+    else this.past = { frame: this.history.frame, isMissing: false, end_s: to_s, ...this.past, time_s: wanted_s };
     this.wanted_s = wanted_s;
     this.bring();
     this.drawState();
