@@ -18,12 +18,12 @@ from canskin.errors import InputError
 from classifier.confidence import confidence_slope
 from classifier.dag import pairs, walked
 from classifier.dagsvm import DagSvm
+from classifier.known_regions import KnownRegions, fit_known
 from classifier.missing import NO_FACTORS, fit_factors
 from classifier.model import Features, Float64, Model, TrainingCard
 from classifier.modelfile import save_model
 from classifier.novelty import Regions
 from classifier.recorded import LabelledTouches
-from classifier.regions import KnownRegions, fit_known
 from classifier.samples import draw_missing_counts
 from classifier.training import C_GRID, Progress, confused, metadata_of
 from classifier.validation import FEW_TOUCHES, global_scale, not_validated
@@ -147,7 +147,7 @@ def _checked(data: LabelledTouches, features: Features) -> LabelledTouches:
         if data.phi.frames > 1:
             raise InputError("sums whose Φ changes from frame to frame are no features: expected energies")
         data = data.whole()
-    counts = _touches_of_labels(data)
+    counts = _count_of_labels(data, data.touch)
     if len(counts) < 2 or min(counts.values()) < LEAST_TOUCHES:
         told = ", ".join(f"{count} of '{name}'" for name, count in counts.items()) or "none"
         raise InputError(
@@ -157,8 +157,9 @@ def _checked(data: LabelledTouches, features: Features) -> LabelledTouches:
     return data
 
 
-def _touches_of_labels(data: LabelledTouches) -> dict[str, int]:
-    return {str(name): np.unique(data.touch[data.labels == name]).size for name in np.unique(data.labels)}
+def _count_of_labels(data: LabelledTouches, groups: npt.NDArray[np.intp]) -> dict[str, int]:
+    """Return the number of touches or recordings of each label."""
+    return {str(name): np.unique(groups[data.labels == name]).size for name in np.unique(data.labels)}
 
 
 def _input(data: LabelledTouches, features: Features, seed: int) -> Float64:
@@ -177,19 +178,15 @@ def _by_touch(data: LabelledTouches, parts: int, seed: int) -> list[Fold]:
     return [(np.flatnonzero(~each), np.flatnonzero(each)) for each in held]
 
 
-def _recordings_of_labels(data: LabelledTouches) -> dict[str, int]:
-    return {str(name): np.unique(data.recording[data.labels == name]).size for name in np.unique(data.labels)}
-
-
 def _strict(data: LabelledTouches, seed: int) -> tuple[Literal["recording", "touch"], list[Fold]]:
     """Return the strictest folds that leave no label without training: by recording, else by touch."""
-    if min(_recordings_of_labels(data).values()) > 1:
+    if min(_count_of_labels(data, data.recording).values()) > 1:
         return "recording", list(LeaveOneGroupOut().split(data.labels, groups=data.recording))
     return "touch", _touch_folds(data, seed)
 
 
 def _touch_folds(data: LabelledTouches, seed: int) -> list[Fold]:
-    return _by_touch(data, min(_FOLDS, *_touches_of_labels(data).values()), seed)
+    return _by_touch(data, min(_FOLDS, *_count_of_labels(data, data.touch).values()), seed)
 
 
 def _cross_validated(estimator: Any, X: Float64, labels: npt.NDArray[np.str_], folds: Iterable[Fold]) -> _Held:
@@ -218,7 +215,7 @@ def _model(estimator: Any, data: LabelledTouches, X: Float64, features: Features
         raise InputError(f"{_name(estimator)} decides otherwise than by its planes in {1 - same:.0%}: {_EXPECTED}")
     kind, folds = _strict(data, seed)
     held = _cross_validated(estimator, X, data.labels, folds)
-    lacks = not_validated(_touches_of_labels(data), _recordings_of_labels(data))
+    lacks = not_validated(_count_of_labels(data, data.touch), _count_of_labels(data, data.recording))
     by_touch = _cross_validated(estimator, X, data.labels, _touch_folds(data, seed)).accuracy if not lacks else None
     known = _known(data, seed)
     factors = fit_factors(X) if features == "sums" else NO_FACTORS
@@ -259,7 +256,7 @@ def _model(estimator: Any, data: LabelledTouches, X: Float64, features: Features
 
 def _known(data: LabelledTouches, seed: int) -> KnownRegions:
     """Return the regions of one half of the touches, with limits of the other; none of too few touches."""
-    if min(_touches_of_labels(data).values()) < FEW_TOUCHES:
+    if min(_count_of_labels(data, data.touch).values()) < FEW_TOUCHES:
         width = data.energies.shape[1]
         return KnownRegions(Regions(np.zeros((0, width)), np.zeros((0, width, width)), np.zeros(0)), 0.0, 0.0)
     half = _by_touch(data, 2, seed)[0]
@@ -269,13 +266,13 @@ def _known(data: LabelledTouches, seed: int) -> KnownRegions:
 def _warnings(data: LabelledTouches) -> list[str]:
     """Return why the accuracy may be worse on other touches."""
     told = []
-    counts = _touches_of_labels(data)
+    counts = _count_of_labels(data, data.touch)
     few = [f"'{name}' {count}" for name, count in counts.items() if count < FEW_TOUCHES]
     if few:
         told.append(
             f"fewer than {FEW_TOUCHES} touches: {', '.join(few)}; no accuracy or unknown object is told: record more"
         )
-    if alone := [name for name, count in _recordings_of_labels(data).items() if count < 2]:
+    if alone := [name for name, count in _count_of_labels(data, data.recording).items() if count < 2]:
         told.append(
             f"in one recording only: {', '.join(map(repr, alone))}; a difference of recordings may pass for one of"
             " objects, so no accuracy is told: record them again, another day"

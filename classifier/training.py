@@ -12,10 +12,10 @@ from canskin.errors import InputError
 from canskin.messages import UNKNOWN_OBJECT
 from classifier.confidence import confidence_slope
 from classifier.features import Float32
+from classifier.known_regions import KnownRegions, fit_known
 from classifier.missing import NO_FACTORS, Factors, fit_factors
 from classifier.model import VERSION, Features, Float64, Metadata, Model, TrainingCard
 from classifier.modelfile import skin_of
-from classifier.regions import KnownRegions, fit_known
 from classifier.samples import (
     FALSE_ALARM_RATIO,
     FeatureExtractor,

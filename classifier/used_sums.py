@@ -13,10 +13,9 @@ from skin.walsh import coarse_rows
 
 #: What nodes that average leave of the noise: less where a touch rests, more where a touch moves.
 AVERAGED_NOISE_RATIO: Final = 0.2
-#: What stepped nodes leave of it where they are touched, least and most, the rounding of their steps included: 0.21 to
-#: 0.27 on a ball at rest, a sliding box and five fingertips of `skin evaluate rivals`, more where a touch begins
-#: or moves. With 0.25 alone a model takes many slides for unknown objects (`docs/classification.md`). Nodes that
-#: nothing touches show 0.
+#: Of it, what a model of stepped nodes is trained with, least and most. Steps leave less where they are touched, their
+#: rounding included: 0.05 to 0.2 as a rule, 0.2 to 0.4 in one millisecond of twenty. But models that are trained with
+#: 0.05 to 0.4 name no more objects of slides. Nodes that nothing touches show 0.
 STEPPED_NOISE_RATIOS: Final = (0.2, 0.6)
 
 

@@ -1,21 +1,20 @@
 """Check of a board: its objects are read, and its frames compared while it shows test patterns.
 
-SYNC goes on at the layout's period from the first pattern to the last: a stock stack leaves OPERATIONAL when no
-SYNC comes for 1.5 periods. After each pattern is written, the board is started, and the SYNC counter begins at 1
-again. So boards that use the SYNC start value once and then count are checked, too.
+After each pattern is written, the board is started, and the SYNC counter begins at 1 again. So boards that use the SYNC
+start value once and then count are checked, too.
 
 What is written is put back at the end, also when the check is stopped.
 """
 
 from collections.abc import Generator, Iterable
-from dataclasses import dataclass
 from functools import partial
 from typing import Final, cast
 
 import numpy as np
 
 from bus.link import Send
-from commissioning.node_frames import SETTLING, NodeReport, Picture, SynchronousFrames, syncs_of
+from commissioning.check_steps import Answer, CheckSteps, Cycles, Listen, Step, Steps
+from commissioning.node_frames import NodeReport, Picture, SynchronousFrames, syncs_of
 from commissioning.stepped_node_frames import SteppedFrames
 from dbc import indices as od
 from dbc.board import board
@@ -24,7 +23,6 @@ from dbc.canopen import (
     HEARTBEAT_BYTES,
     NMT_COB_ID,
     SDO_REQUEST_BASE,
-    SDO_RESPONSE_BASE,
     SYNC_COB_ID,
     NmtCommand,
     NmtState,
@@ -33,17 +31,14 @@ from dbc.canopen import (
 from dbc.configuration import Setting, calibration, configuration, setting_of, signature, with_calibration
 from dbc.contract import Contract, NodeContract
 from dbc.dictionary import SILENT_AFTER_S, dictionary
-from dbc.frame import ECHO, ERROR, EXTENDED, REMOTE, Frames, frames, one_frame
+from dbc.frame import Frames
 from dbc.objects import Object
 from gateway.proof import NO_SIGNATURE
-from gateway.sdo import Read, SdoAbortedError, SdoDialogue, SdoError, Transfer, Write, one
-from skin.sync_counter import SYNC_OVERFLOW
+from gateway.sdo import Read, SdoAbortedError, SdoError, Write
 
 #: Time in which another SYNC producer must be heard, in periods, and at least in seconds.
 LISTEN_PERIODS: Final = 3
 LISTEN_S: Final = 0.2
-#: Longest wait for the SYNC after the last cycle: the frames of a busy computer come late, but not late on the bus.
-PATIENCE_S: Final = 0.5
 #: A board may leave OPERATIONAL when the next SYNC comes later than this, in periods. CANopenNode does so.
 LONGEST_GAP: Final = 1.5
 #: How often a pattern is shown to a board that differs, where SYNC came late.
@@ -58,28 +53,7 @@ _ONLY_READ: Final = ((od.NODE_NOISE, 0),)
 _GAINS: Final = (od.GAIN, od.OFFSET)
 
 
-@dataclass(frozen=True)
-class _Listen:
-    """Wait, and get the frames that came."""
-
-    time_s: float
-
-
-@dataclass(frozen=True)
-class _Cycles:
-    """Send a frame, let `SETTLING` SYNC messages pass, and get the frames up to the SYNC after the cycles."""
-
-    can_id: int
-    data: bytes
-
-
-#: What a check asks for, and what it gets: frames, the value of an object, or an error.
-_Step = _Listen | Transfer | _Cycles
-_Answer = Frames | bytes | SdoError
-_Steps = Generator[_Step, _Answer, None]
-
-
-class NodeCheck:
+class NodeCheck(CheckSteps):
     """Checks one node; frames in, frames out, time as an argument.
 
     The node is left pre-operational, with the test patterns, gains and offsets that it had.
@@ -93,140 +67,33 @@ class NodeCheck:
     """
 
     def __init__(self, contract: Contract, node: NodeContract, send: Send, now_s: float) -> None:
-        self._contract, self._node, self._send = contract, node, send
+        self._contract = contract
         self.report = NodeReport(contract.layout.bus[node.bus].name, node.node_id)
-        way = SteppedFrames if node.in_steps else SynchronousFrames
-        self._expected = way(contract, node, self.report)
-        self.done = False
-        self.due_s = now_s
-        table = board(contract, node)
-        self._cob_ids = [tpdo.cob_id for tpdo in table.tpdos]
-        #: When the next SYNC goes; infinite before the first pattern.
-        self._sync_s = np.inf
-        self._counter = self._idle = 1 + max(tpdo.sync_start_value for tpdo in table.tpdos)
+        tpdos = board(contract, node).tpdos
+        self._cob_ids = [tpdo.cob_id for tpdo in tpdos]
         #: The values of objects by index and sub-index, and those that have to be put back.
         self._values: dict[tuple[int, int], bytes] = {}
         self._undo: dict[tuple[int, int], bytes] = {}
-        self._heard: list[Frames] = []
-        self._dialogue: SdoDialogue | None = None
-        #: When the open step ends; infinite where that depends on what comes.
-        self._ends_s = now_s
-        #: SYNC messages that the cycles of a pattern still need; None outside the cycles.
-        self._wanted: int | None = None
-        self._begun: _Cycles | None = None
-        self._steps = self._check()
-        self._begin(next(self._steps), now_s)
+        expected = (SteppedFrames if node.in_steps else SynchronousFrames)(contract, node, self.report)
+        idle = 1 + max(tpdo.sync_start_value for tpdo in tpdos)
+        super().__init__(node, expected, send, now_s, period_s=contract.layout.sync.period_s, idle=idle)
 
-    def take(self, arrived: Frames, now_s: float) -> None:
-        """Use received frames, with the echoes of own frames."""
-        arrived = arrived[(arrived["flags"] & (ERROR | REMOTE | EXTENDED)) == 0]
-        if self.done or not len(arrived):
-            return
-        self._heard.append(arrived)
-        self._expected.hear(arrived)
-        answers = arrived[
-            (arrived["can_id"] == SDO_RESPONSE_BASE + self._node.node_id) & (arrived["flags"] & ECHO == 0)
-        ]
-        for each in answers:
-            if self._dialogue is not None:
-                self._dialogue.take(each["data"][: each["length"]].tobytes(), now_s)
-        self._look(now_s)
-
-    def tick(self, now_s: float) -> None:
-        """Do what is due."""
-        if self.done:
-            return
-        if now_s >= self._sync_s:
-            self._sync(now_s)
-        if self._dialogue is not None:
-            self._dialogue.tick(now_s)
-            self._look(now_s)
-        elif now_s >= self._ends_s or self._has_all_cycles():
-            self._go_on(np.concatenate([frames(0), *self._heard]), now_s)
-        self.due_s = min(self._ends_s, self._sync_s)
-
-    def _sync(self, now_s: float) -> None:
-        """Send a SYNC; in the cycles of a pattern the counter is the number of the cycle, else no start value.
-
-        Stepped boards have no start value, and their slots count on.
-        """
-        self._send_one(SYNC_COB_ID, bytes((self._counter,)))
-        self._counter = self._counter + 1 if self._counter < SYNC_OVERFLOW else self._idle
-        if self._wanted is not None:
-            self._wanted -= 1
-            if self._wanted == self._expected.cycles + 1 and not self._node.in_steps:
-                self._counter = 1
-            elif self._wanted == 0:
-                self._ends_s = now_s + PATIENCE_S
+    def _work(self) -> Steps:
         period_s = self._contract.layout.sync.period_s
-        self._sync_s += period_s
-        if self._sync_s <= now_s:  # no two SYNC messages at once after a pause of this computer
-            self._sync_s = now_s + period_s
-
-    def _has_all_cycles(self) -> bool:
-        """Tell whether the SYNC after the last cycle was on the bus: what belongs to the cycles came before it."""
-        if self._wanted != 0:
-            return False
-        syncs = syncs_of(self._since_begin(np.concatenate([frames(0), *self._heard])))
-        return len(syncs) > SETTLING + self._expected.cycles
-
-    def give_up(self, now_s: float) -> None:
-        """Put back what was written, and end then."""
-        self._dialogue = None
-        self._steps = self._restore()
-        self._go_on(None, now_s)
-
-    def _look(self, now_s: float) -> None:
-        """Go on when the SDO dialogue has ended."""
-        if self._dialogue is None or not self._dialogue.done:
-            return
-        ended, self._dialogue = self._dialogue, None
-        self._go_on(ended.error or cast("bytes", ended.result), now_s)
-
-    def _go_on(self, came: _Answer | None, now_s: float) -> None:
-        try:
-            step = self._steps.send(cast("_Answer", came))  # None begins the steps
-        except StopIteration:
-            self.done = True
-        else:
-            self._begin(step, now_s)
-
-    def _begin(self, step: _Step, now_s: float) -> None:
-        self._heard.clear()
-        self._wanted = None
-        if isinstance(step, _Listen):
-            self._ends_s = now_s + step.time_s
-        elif isinstance(step, _Cycles):
-            self._send_one(step.can_id, step.data)
-            self._begun = step
-            self._ends_s, self._wanted = np.inf, SETTLING + self._expected.cycles + 1
-        else:
-            self._ends_s = np.inf
-            self._dialogue = SdoDialogue(self._node.node_id, one(step), self._send_one, now_s)
-        self.due_s = min(self._ends_s, self._sync_s)
-
-    def _send_one(self, can_id: int, data: bytes) -> None:
-        self._send(one_frame(can_id, data))
-
-    def _nmt(self, command: NmtCommand) -> None:
-        self._send_one(NMT_COB_ID, bytes((command, self._node.node_id)))
-
-    def _check(self) -> _Steps:
-        period_s = self._contract.layout.sync.period_s
-        heard = cast("Frames", (yield _Listen(max(LISTEN_S, LISTEN_PERIODS * period_s))))
+        heard = cast("Frames", (yield Listen(max(LISTEN_S, LISTEN_PERIODS * period_s))))
         if (heard["can_id"] == SYNC_COB_ID).any():
             self._differs("another program sends SYNC on this bus: stop the gateway, then check again")
             return
         if not (yield from self._objects()):
             return
-        self._sync_s = -np.inf
+        self._begin_sync()
         for picture in self._expected.pictures(has_gains=(od.GAIN, 1) in self._values):
             if not (yield from self._show(picture)):
                 self._nmt(NmtCommand.RESET_NODE)
                 return
         yield from self._restore()
 
-    def _restore(self) -> _Steps:
+    def _restore(self) -> Steps:
         """Put back what was written."""
         self._nmt(NmtCommand.ENTER_PRE_OPERATIONAL)
         has_gains = any(od.split_block(index)[1] in _GAINS for index, _ in self._undo)
@@ -238,7 +105,7 @@ class NodeCheck:
         if has_gains:
             yield from self._gains_signature(", with its gains and offsets put back")
 
-    def _objects(self) -> Generator[_Step, _Answer, bool]:
+    def _objects(self) -> Generator[Step, Answer, bool]:
         """Compare the objects; tell whether the node answers and can show test patterns."""
         own = [each for each in dictionary(self._contract, self._node) if _is_of_board(each)]
         settings = [*configuration(self._contract, self._node), *map(setting_of, own)]
@@ -262,7 +129,7 @@ class NodeCheck:
             self.report.notes.append(errors.removeprefix("; "))
         return all((od.of_block(od.TEST_PATTERN, place), 0) in self._values for place in range(self._node.blocks))
 
-    def _gains(self) -> _Steps:
+    def _gains(self) -> Steps:
         """Read gains and offsets, and their signature; a board need not have them."""
         found: dict[tuple[int, int], bytes] = {}
         settings = calibration(self._contract, self._node)
@@ -278,11 +145,11 @@ class NodeCheck:
         if settings:
             yield from self._gains_signature()
 
-    def _gains_signature(self, when: str = "") -> _Steps:
+    def _gains_signature(self, when: str = "") -> Steps:
         covered = with_calibration(configuration(self._contract, self._node), calibration(self._contract, self._node))
         yield from self._signature(od.CALIBRATION_SIGNATURE, covered, when)
 
-    def _signature(self, index: int, settings: Iterable[Setting], when: str = "") -> _Steps:
+    def _signature(self, index: int, settings: Iterable[Setting], when: str = "") -> Steps:
         """Compare 2006h or 2009h with what it is for the values that the node has."""
         data = yield Read(index)
         value = int.from_bytes(data, "little") if isinstance(data, bytes) else NO_SIGNATURE
@@ -297,14 +164,14 @@ class NodeCheck:
                     f"the signature ({index:04X}h) is {value:08X}h, expected {expected:08X}h of its objects{when}"
                 )
 
-    def _show(self, picture: Picture) -> Generator[_Step, _Answer, bool]:
+    def _show(self, picture: Picture) -> Generator[Step, Answer, bool]:
         """Show a picture, and compare the frames; tell whether the node still answers."""
         before, begin = len(self.report.differences), self._start
         if picture.is_step:
             ((place, data),) = picture.values.items()
             self._undo.setdefault(place, self._values[place])
             self._values[place] = data
-            begin = partial(_Cycles, SDO_REQUEST_BASE + self._node.node_id, Write(*place, data).request)
+            begin = partial(Cycles, SDO_REQUEST_BASE + self._node.node_id, Write(*place, data).request)
         else:
             self._nmt(NmtCommand.ENTER_PRE_OPERATIONAL)
             for place, data in picture.values.items():
@@ -315,7 +182,7 @@ class NodeCheck:
             if any(od.split_block(index)[1] in _GAINS for index, _ in picture.values):
                 yield from self._gains_signature(", with other gains and offsets")
             if self._expected.rest_s:
-                yield _Listen(self._expected.rest_s)
+                yield Listen(self._expected.rest_s)
         before = len(self.report.differences)
         for _ in range(SHOWN):
             del self.report.differences[before:]
@@ -330,19 +197,19 @@ class NodeCheck:
             yield from self._explain_silence(before, picture.name)
         return True
 
-    def _start(self) -> _Cycles:
-        return _Cycles(NMT_COB_ID, bytes((NmtCommand.START, self._node.node_id)))
+    def _start(self) -> Cycles:
+        return Cycles(NMT_COB_ID, bytes((NmtCommand.START, self._node.node_id)))
 
-    def _explain_silence(self, before: int, name: str) -> _Steps:
+    def _explain_silence(self, before: int, name: str) -> Steps:
         """Where a board has left OPERATIONAL, say so once in place of each TPDO that did not come."""
-        heard = cast("Frames", (yield _Listen(SILENT_AFTER_S)))
+        heard = cast("Frames", (yield Listen(SILENT_AFTER_S)))
         said = heard[(heard["can_id"] == HEARTBEAT_BASE + self._node.node_id) & (heard["length"] == HEARTBEAT_BYTES)]
         if len(said) and int(said["data"][-1, 0]) & 0x7F != NmtState.OPERATIONAL:
             state = state_text(int(said["data"][-1, 0]) & 0x7F)
             why = yield from self._errors()
             self.report.differences[before:] = [f"{name}: the board left OPERATIONAL for {state}{why}"]
 
-    def _errors(self) -> Generator[_Step, _Answer, str]:
+    def _errors(self) -> Generator[Step, Answer, str]:
         """Return the error register and the newest error of the board in words, empty if there is none."""
         register = yield Read(od.ERROR_REGISTER)
         if not isinstance(register, bytes) or not any(register):
@@ -351,17 +218,7 @@ class NodeCheck:
         words = f", its newest error (1003h:1) {newest[1::-1].hex().upper()}h" if isinstance(newest, bytes) else ""
         return f"; its error register (1001h) is {register.hex().upper()}h{words}"
 
-    def _since_begin(self, came: Frames) -> Frames:
-        """Return the frames from the newest echo of the frame that began the cycles on, none if that was not sent."""
-        begun = self._begun
-        if begun is None:
-            return came[:0]
-        is_begin = (came["can_id"] == begun.can_id) & (came["flags"] & ECHO != 0)
-        is_begin &= (came["data"][:, : len(begun.data)] == np.frombuffer(begun.data, np.uint8)).all(axis=1)
-        begins = np.flatnonzero(is_begin)
-        return came[begins[-1] :] if begins.size else came[:0]
-
-    def _write(self, place: tuple[int, int], data: bytes) -> Generator[_Step, _Answer, bool]:
+    def _write(self, place: tuple[int, int], data: bytes) -> Generator[Step, Answer, bool]:
         """Write an object, and note what has to be put back; tell whether the node answers."""
         if place in self._values:
             self._undo.setdefault(place, self._values[place])

@@ -6,6 +6,7 @@ from operator import mul
 from typing import Final
 
 import numpy as np
+import numpy.typing as npt
 
 from canskin.messages import CycleMeasurement, FrameCounts, Measurement
 from dbc.canopen import NmtState
@@ -14,7 +15,6 @@ from dbc.contract import Contract, NodeContract
 from dbc.frame import Frames
 from gateway.collector import Collector
 from gateway.gathering import Health, Sync
-from gateway.nmt_master import NmtMaster
 from gateway.open_cycles import slot_of
 
 #: Frames of a bus that may wait unread: receive buffers hold twice as many.
@@ -135,14 +135,14 @@ class CycleGathering:
                 self._whole_s = now_s + READ_S
         return closed
 
-    def look(self, masters: Mapping[int, NmtMaster]) -> None:
+    def look(self, nmt: Mapping[int, npt.NDArray[np.uint8]]) -> list[str]:
         """Let cycles wait for operational nodes only."""
-        for number, master in masters.items():
-            for node_id, state in zip(master.node_ids, master.nmt, strict=True):
-                place = self._place[number, node_id]
-                # A node that sends sums is operational, whatever state its last heartbeat had.
-                self.collector.expected[place] = state == NmtState.OPERATIONAL or self.collector.heard[place]
+        for bus, states in nmt.items():
+            places = [self._place[bus, node.node_id] for node in self._contract.on_bus(bus)]
+            # A node that sends sums is operational, whatever state its last heartbeat had.
+            self.collector.expected[places] = (states == NmtState.OPERATIONAL) | self.collector.heard[places]
         self.collector.heard[:] = False
+        return []
 
     def take_foreign_syncs(self, bus: int) -> int:
         """Return the number of foreign SYNCs on a bus since the last call."""

@@ -5,25 +5,18 @@ from typing import Final
 
 import numpy as np
 import numpy.typing as npt
-from numba import boolean
 
-from bus.error_frames import ErrorClass
 from bus.link import State
 from dbc.canopen import BASE_ID_MASK
 from dbc.contract import FrameTable, PartTable
-from dbc.frame import CAN_ID_AT, DATA_AT, ECHO, ERROR, EXTENDED, FD, FLAGS_AT, LENGTH_AT, REMOTE, Frames, frame_bytes
-from dbc.frame_fields import ROWS, field
+from dbc.frame import CAN_ID_AT, DATA_AT, EXTENDED, FD, FLAGS_AT, LENGTH_AT, REMOTE
+from dbc.frame_fields import field
 from shell.compiled import njit
 from skin.sync_counter import SYNC_OVERFLOW
 
-#: Byte 1 of a report of the controller: its receive buffer has overflowed (SocketCAN: CAN_ERR_CRTL_RX_OVERFLOW).
-_OVERFLOW: Final = 0x01
 #: In place of a place: no frame with sums; of a wrong length, or without number of its cycle or slot.
 STRANGE, WRONG = -1, -2
 _DOWN: Final = (State.BUS_OFF, State.LOST)
-#: Plain numbers for compiled code.
-_OFF: Final = int(ErrorClass.BUS_OFF | ErrorClass.RESTARTED)
-_CONTROLLER: Final = int(ErrorClass.CONTROLLER)
 
 
 @dataclass(frozen=True)
@@ -74,39 +67,25 @@ class Health:
         self.stamp_error_ns: int | None = None
         self._dropped = 0
 
-    def look(self, arrived: Frames, state: State, dropped: int, stamp_error_ns: int | None) -> None:
+    def look(self, state: State, dropped: int, stamp_error_ns: int | None, *, tells_loss: bool) -> None:
         """Use what a link says after it was read.
 
         Parameters
         ----------
-        arrived : Frames
-            With the reports of the controller: a bus-off that is over, an overflow.
         state : State
             Of the controller.
         dropped : int
             Frames that the receive side has lost so far.
         stamp_error_ns : int or None
             See `bus.link.Link`.
+        tells_loss : bool
+            See `gateway.batch.Batch`.
         """
         self.stamp_error_ns = stamp_error_ns
         is_down = state in _DOWN
         self.has_returned = self.is_down and not is_down
-        self.has_gap = is_down or self.is_down or dropped != self._dropped
-        if not self.has_gap and len(arrived):
-            self.has_gap = _tells_loss(frame_bytes(arrived))
+        self.has_gap = is_down or self.is_down or dropped != self._dropped or tells_loss
         self.is_down, self._dropped = is_down, dropped
-
-
-@njit(boolean(ROWS), cache=True, nogil=True)
-def _tells_loss(rows: npt.NDArray[np.uint8]) -> bool:
-    """Tell whether a report among the frames says that the controller received nothing for a time."""
-    for place in range(len(rows)):
-        row = rows[place]
-        if row[FLAGS_AT] & (ERROR | ECHO) == ERROR:
-            why = field(row, CAN_ID_AT, 4)
-            if why & _OFF or (why & _CONTROLLER and row[DATA_AT + 1] & _OVERFLOW):
-                return True
-    return False
 
 
 @njit(cache=True, nogil=True)

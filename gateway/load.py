@@ -9,7 +9,7 @@ from skin.layout import Bus
 
 
 class LoadMeter:
-    """Measures the load of one bus, since the last `look` and since SYNC started.
+    """Measures the load of one bus, since the last `take_ratio` and since SYNC started.
 
     Parameters
     ----------
@@ -46,8 +46,8 @@ class LoadMeter:
         self._busy_ns = self._total_busy_ns = 0
         self._since_s = self._start_s = now_s
 
-    def look(self, now_s: float) -> float:
-        """Return the load since the last call."""
+    def take_ratio(self, now_s: float) -> float:
+        """Return the load since the last call, and begin anew."""
         self.account()
         load_ratio = _ratio(self._busy_ns, now_s - self._since_s)
         self._busy_ns, self._since_s = 0, now_s

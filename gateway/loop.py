@@ -11,9 +11,10 @@ import numpy as np
 from bus.link import Link, Send, State
 from canskin.messages import BusState, GatewayStatus, Measurement
 from dbc.contract import Contract, NodeContract, sync_frame
-from dbc.frame import Frames
+from dbc.frame import Frames, frames
 from dbc.lss import anybody_without_node_id, has_answer
 from dbc.time_of_day import time_frame
+from gateway.batch import batch_of
 from gateway.cycle_gathering import CycleGathering
 from gateway.cycles import LATEST, SyncClock
 from gateway.gathering import Health, Sync
@@ -36,10 +37,6 @@ UNNUMBERED_S: Final = 1.0
 ACCOUNT_PERIOD_S: Final = 0.05
 
 
-#: Makes measurements of frames, as the nodes send them. All times are arguments.
-Gathering = CycleGathering | SteppedGathering
-
-
 @dataclass
 class _Bus:
     """State of one bus."""
@@ -51,6 +48,8 @@ class _Bus:
     watch: LinkWatch
     load: LoadMeter
     places: list[int]
+    #: Nodes whose sums are used from now on, or are not, as the master has found.
+    trusts: list[tuple[NodeContract, bool]]
     health: Health = field(default_factory=Health)
     #: Until when boards without node-ID may answer that they are there.
     asked_until_s: float = -np.inf
@@ -74,7 +73,7 @@ class GatewayLoop:
 
     Attributes
     ----------
-    gathering : Gathering
+    gathering : CycleGathering or SteppedGathering
         Makes measurements of frames, as the layout's nodes send them.
     sync : SyncClock
     masters : dict of int to NmtMaster
@@ -100,9 +99,10 @@ class GatewayLoop:
             for number, send in sends.items()
         }
         self._numbers = sorted(self._buses)
+        batch_of(frames(0))  # compiled before the first frame
         self.masters = {number: bus.master for number, bus in self._buses.items()}
-        self.gathering: Gathering = (
-            SteppedGathering(contract, self.masters, now_s, rates_hz, complain)
+        self.gathering = (
+            SteppedGathering(contract, self.masters, now_s, rates_hz)
             if contract.in_steps
             else CycleGathering(contract, early_echoes)
         )
@@ -148,17 +148,19 @@ class GatewayLoop:
         stamp_error_ns : int or None
             Of the clock of the frames' time stamps, see `bus.link.Link`.
         """
-        bus = self._buses[number]
-        bus.health.look(arrived, state, dropped, stamp_error_ns)
+        bus, batch = self._buses[number], batch_of(arrived)
+        bus.health.look(state, dropped, stamp_error_ns, tells_loss=batch.tells_loss)
         bus.watch.look(state)
         if not len(arrived) and not bus.health.has_gap:
             return
-        bus.outgoing.take(arrived, has_gap=bus.health.has_gap)
-        if now_s < bus.asked_until_s and has_answer(arrived):
+        bus.outgoing.take(batch.echoes, has_gap=bus.health.has_gap)
+        if now_s < bus.asked_until_s and has_answer(batch.talk):
             bus.asked_until_s = -np.inf
             self._say(f"{bus.name}: boards without node-ID are there: stop the gateway, and run skin commission")
         # The master first: a frame may make it doubt the node whose sums come next.
-        bus.master.take(arrived, now_s)
+        if len(batch.talk):
+            bus.master.take(batch.talk, now_s)
+            self._trust(bus)
         self.gathering.take(number, arrived, bus.health, now_s)
         bus.load.take(arrived)
 
@@ -167,6 +169,7 @@ class GatewayLoop:
         for bus in self._buses.values():
             bus.outgoing.tick(now_s)
             bus.master.tick(now_s)
+            self._trust(bus)
             if bus.master.strangers.tick(now_s):
                 self._say(f"another SYNC producer on {bus.name}: {bus.master.strangers.words}")
         self.gathering.tick(now_s)
@@ -258,12 +261,16 @@ class GatewayLoop:
     def _bus(self, number: int, send: Send, now_s: float, *, has_echoes: bool) -> _Bus:
         wires = self._contract.layout.bus[number]
         outgoing, watch = Outgoing(send, now_s, has_echoes=has_echoes), LinkWatch(wires.name, self._say)
-        master = NmtMaster(self._contract, number, outgoing.put, self._trust, self._say)
+        trusts: list[tuple[NodeContract, bool]] = []
+        master = NmtMaster(self._contract, number, outgoing.put, lambda *found: trusts.append(found), self._say)
         places = [place for place, node in enumerate(self._contract.nodes) if node.bus == number]
-        return _Bus(wires.name, send, master, outgoing, watch, LoadMeter(wires, now_s), places)
+        return _Bus(wires.name, send, master, outgoing, watch, LoadMeter(wires, now_s), places, trusts)
 
-    def _trust(self, node: NodeContract, proven: bool) -> None:
-        self.gathering.trust(node, proven=proven)
+    def _trust(self, bus: _Bus) -> None:
+        """Tell the gathering what the master of a bus has found."""
+        for node, proven in bus.trusts:
+            self.gathering.trust(node, proven=proven)
+        bus.trusts.clear()
 
     def _start_sync(self, now_s: float) -> None:
         self.sync.start(now_s + SETTLE_S)
@@ -277,7 +284,8 @@ class GatewayLoop:
 
     def _look_after_nodes(self, now_s: float) -> None:
         """Report emergencies and foreign SYNCs, and let the gathering look at the nodes."""
-        self.gathering.look(self.masters)
+        for line in self.gathering.look({number: bus.master.nmt for number, bus in self._buses.items()}):
+            self._complain(line)
         for number, bus in self._buses.items():
             for node_id, code in bus.master.emergencies:
                 self._complain(f"EMCY {code:04X}h from node {node_id} on {bus.name}")
@@ -292,7 +300,7 @@ class GatewayLoop:
         missing, late = zip(*(self.gathering.missing_and_late(place) for place in bus.places), strict=True)
         return BusState(
             name=bus.name,
-            load_ratio=bus.load.look(now_s),
+            load_ratio=bus.load.take_ratio(now_s),
             mean_load_ratio=bus.load.mean_ratio(now_s),
             nodes=bus.master.node_ids,
             nmt=bus.master.nmt.tobytes(),

@@ -3,11 +3,8 @@
 from collections import deque
 from typing import Final
 
-import numpy as np
-
 from bus.link import Send
-from dbc.canopen import NMT_COB_ID, SDO_REQUEST_BASE
-from dbc.frame import ECHO, Frames, one_frame
+from dbc.frame import Frames, one_frame
 from gateway.sdo import TIMEOUT_S
 
 #: Most frames between the send call and their echoes. SocketCAN's queue has room for 10 unless somebody changes it.
@@ -46,18 +43,18 @@ class Outgoing:
         self._waiting.append((self._now_s, one_frame(can_id, data)))
         self.flush()
 
-    def take(self, arrived: Frames, *, has_gap: bool) -> None:
-        """Count the echoes among frames of the bus; send what waited for them.
+    def take(self, echoes: int, *, has_gap: bool) -> None:
+        """Count echoes; send what waited for them.
 
         Parameters
         ----------
+        echoes : int
+            See `gateway.batch.Batch`.
         has_gap : bool
             Whether frames, and so echoes, may have been lost.
         """
         if not self._under_way or not (self._has_echoes or has_gap):
             return
-        can_id, is_own = arrived["can_id"], arrived["flags"] & ECHO != 0
-        echoes = int(np.count_nonzero(is_own & ((can_id == NMT_COB_ID) | (can_id >= SDO_REQUEST_BASE))))
         for _ in range(len(self._under_way) if has_gap else min(echoes, len(self._under_way))):
             self._under_way.popleft()
         self.flush()

@@ -1,10 +1,11 @@
 """Steps: the newest value of every sum, measured whenever frames have come, and at a least rate."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+import numpy.typing as npt
 
 from canskin.errors import InputError
 from canskin.messages import UNKNOWN_ERROR_NS, FrameCounts, Measurement, SteppedMeasurement
@@ -67,8 +68,6 @@ class SteppedGathering:
         By number of the bus: they ask nodes for sums that are missing.
     rates_hz : tuple of float
         Most measurements in a second, when there is news, and least, see `publishing_rates`.
-    complain : callable
-        Writes a line to the log, which may come many times.
     """
 
     #: See `gateway.cycle_gathering.CycleGathering`.
@@ -82,11 +81,10 @@ class SteppedGathering:
         masters: Mapping[int, NmtMaster],
         now_s: float,
         rates_hz: tuple[float, float] = RATES_HZ,
-        complain: Callable[[str], object] = len,
     ) -> None:
         self._shortest_s, self._longest_s = (1 / rate_hz for rate_hz in rates_hz)
         self.published = self.complete = 0
-        self._contract, self._table, self._complain = contract, contract.parts, complain
+        self._contract, self._table = contract, contract.parts
         self._slots, self._state = slots_of(contract), new_sums(contract)
         self._all_missing = self._state.missing.copy()
         self._told_different = self._state.different.copy()
@@ -199,14 +197,13 @@ class SteppedGathering:
             noise_n=self._median_n,
         )
 
-    def look(self, masters: Mapping[int, NmtMaster]) -> None:  # noqa: ARG002  a node that is alive may be silent
-        """Tell which nodes have checked their sums, and have others than the gateway."""
+    def look(self, nmt: Mapping[int, npt.NDArray[np.uint8]]) -> list[str]:  # noqa: ARG002  a node may be silent
+        """Return which nodes have checked their sums, and have others than the gateway."""
         parts = np.flatnonzero(self._state.different > self._told_different)
         self._told_different = self._state.different.copy()
-        for block in np.unique(self._table.block[parts]).tolist():
-            node = self._contract.nodes[block]
-            name = self._contract.layout.bus[node.bus].name
-            self._complain(f"node {node.node_id} on {name} has other sums than the gateway: all are asked for")
+        nodes = [self._contract.nodes[block] for block in np.unique(self._table.block[parts]).tolist()]
+        names = [f"node {node.node_id} on {self._contract.layout.bus[node.bus].name}" for node in nodes]
+        return [f"{name} has other sums than the gateway: all are asked for" for name in names]
 
     def take_foreign_syncs(self, bus: int) -> int:
         """Return the number of foreign SYNCs on a bus since the last call."""

@@ -1,9 +1,8 @@
-"""One CANopen node: dictionary, NMT state machine (CiA 301, 7.3.2), heartbeats, emergencies, stored parameters."""
+"""One CANopen node: NMT state machine (CiA 301, 7.3.2), heartbeats, emergencies, TPDOs."""
 
 import struct
-from collections.abc import Callable, Sequence
-from functools import partial
-from typing import Any, Final
+from collections.abc import Sequence
+from typing import Final
 
 import canopen
 import numpy as np
@@ -21,20 +20,17 @@ from dbc.canopen import (
     NmtCommand,
     NmtState,
 )
-from dbc.configuration import Setting, signature, with_calibration
+from dbc.configuration import Setting
 from dbc.contract import NodeContract
-from dbc.dictionary import HEARTBEATS_WATCHED, ON_COMMAND
+from dbc.dictionary import HEARTBEATS_WATCHED
 from dbc.objects import Object
-from nodes.access import check_write, is_storable, number
 from nodes.emcy import EmcyProducer
 from nodes.hardware import Hardware
 from nodes.heartbeat import HeartbeatConsumer
-from nodes.objects import LocalNode, Outbox, object_dictionary
-from nodes.storage import Parameters, Storage
+from nodes.node_objects import NodeObjects
+from nodes.objects import Outbox
+from nodes.storage import Storage
 from nodes.tpdo import LiveTpdo, read_tpdos
-
-#: Objects whose write is a command; a read tells that the node offers the command.
-_COMMANDS: Final = (od.STORE, od.RESTORE)
 
 #: State after a communication error, by 1029h sub 1 (CiA 301, 7.5.2.33): pre-operational, no change, stopped.
 _ON_ERROR: Final = (NmtState.PRE_OPERATIONAL, None, NmtState.STOPPED)
@@ -61,6 +57,8 @@ class SkinNode:
     state : NmtState
     health : array of int, shape (4,)
         SYNCs received, TPDOs sent, TPDOs dropped because of the window, saturated taxels (2020h).
+    objects : NodeObjects
+        The dictionary as it is now.
     tpdos : list of LiveTpdo
         The PDOs that exist now; `refresh` reads them again after a write.
     sync_counter : int
@@ -84,38 +82,23 @@ class SkinNode:
         self.health = np.zeros(4, np.int64)
         self.tpdos: list[LiveTpdo] = []
         self.sync_counter = 0
-        self._signed = {
-            od.SIGNATURE: settings,
-            od.CALIBRATION_SIGNATURE: with_calibration(settings, calibration),
-        }
-        self._signatures: dict[int, int] = {}
-        self._storage = storage
         self._outbox = outbox
         self._hardware = hardware
-        self._changed = True
         self._has_events = False
         self._emcy_cob_id = 0
         self._emcy_inhibit_s = 0.0
-        first = contract.block
-        self._live: dict[int, Callable[[int], float | None]] = {
+        self.emcy = EmcyProducer(self._send_emcy)
+        self.objects = NodeObjects(
+            contract, objects, settings, calibration, hardware=hardware, storage=storage, serial_number=serial_number
+        )
+        self.objects.readers |= {
             od.ERROR_REGISTER: lambda _: self.emcy.register,
             od.ERROR_FIELD: self._read_error,
             od.HEALTH: self._read_health,
             od.SYNC_COUNTER: lambda _: self.sync_counter,
-            od.IDENTITY: lambda subindex: serial_number if subindex == 4 else None,
-            **{index: partial(self._read_signature, index) for index in self._signed},
-            od.TEMPERATURE: lambda _: round(10 * hardware.temperature_k(range(first, first + contract.blocks))),
-            **{
-                od.of_block(index, place): partial(read, contract.block + place)
-                for index, read in ((od.SUMS, self._read_sum), (od.COUNTS, self._read_count))
-                for place in range(contract.blocks)
-            },
-            **{index: lambda subindex: ON_COMMAND if subindex else None for index in _COMMANDS},
         }
-        self.local = LocalNode(contract.node_id, object_dictionary(objects), contract.packing.bits, contract.pdo_bytes)
-        self.local.add_write_callback(self._written)  # type: ignore[no-untyped-call]
-        self.local.add_read_callback(self._read)  # type: ignore[no-untyped-call]
-        self.emcy = EmcyProducer(self._send_emcy)
+        self.objects.writers[od.ERROR_FIELD] = self.emcy.clear_history
+        self.local = self.objects.local
         self._beat_due_s, self._beat_period_s = float("inf"), 0.0
         self.watched = HeartbeatConsumer()
         outbox[contract.node_id] = self.local
@@ -128,22 +111,10 @@ class SkinNode:
     def boot(self, now_s: float, *, communication_only: bool = False) -> None:
         """Initialise: restore parameters, send the boot-up message, enter PRE-OPERATIONAL."""
         self._enter(NmtState.INITIALISING)
-        self.local.sdo.reset()
-        store = self.local.data_store
-        for index in [index for index in store if index < od.MANUFACTURER or not communication_only]:
-            del store[index]
-        stored = self._storage.parameters if self._storage.owner == self.contract.node_id else {}
-        for index, entries in stored.items():
-            for subindex, data in entries.items():
-                if (index < od.MANUFACTURER or not communication_only) and self._is_stored(index, subindex, data):
-                    store.setdefault(index, {})[subindex] = data
-        if not communication_only:
-            self._reset_electronics()
-        self._signatures.clear()
+        self.objects.load(communication_only=communication_only)
         self.emcy.reset()
         self.watched = HeartbeatConsumer()
         self.health[:] = 0
-        self._changed = True
         self.refresh(now_s)
         self._send_state()
         self._enter(NmtState.PRE_OPERATIONAL)
@@ -154,29 +125,6 @@ class SkinNode:
     def end(self) -> None:
         """Be silent until `boot`: the node has no node-ID."""
         self._enter(NmtState.INITIALISING)
-
-    def _is_stored(self, index: int, subindex: int, data: bytes) -> bool:
-        found = self.local.variable(index, subindex)
-        return found is not None and found.writable and is_storable(index, found.data_type, data)
-
-    def _reset_electronics(self) -> None:
-        """Set the electronics to the dictionary's calibration and to no test pattern."""
-        for place in range(self.contract.blocks):
-            self._hardware.reset(self.contract.block + place)
-        for index, entries in self.local.data_store.items():
-            if index >= od.MANUFACTURER:
-                for subindex, data in entries.items():
-                    self._adjust(index, subindex, data)
-
-    def _adjust(self, index: int, subindex: int, data: bytes) -> None:
-        """Pass a value of the manufacturer's area to the electronics."""
-        place, first = od.split_block(index)
-        if first == od.OFFSET:
-            value: float = int.from_bytes(data, "little", signed=True)
-        else:
-            found = self.local.variable(index, subindex)
-            value = number(found.data_type if found else None, data)
-        self._hardware.adjust(self.contract.block + place, first, subindex, value)
 
     def command(self, command: int) -> None:
         """Execute an NMT command; others than those to change the state are ignored."""
@@ -197,9 +145,8 @@ class SkinNode:
 
     def refresh(self, now_s: float) -> bool:
         """Read the objects again if a write has changed any since the last call; tell whether one had."""
-        if not self._changed:
+        if not self.objects.take_changed():
             return False
-        self._changed = False
         local = self.local
         self.tpdos = read_tpdos(local, [tpdo.number for tpdo in self.contract.tpdos])
         self._has_events = any(tpdo.every >= EVENT_MANUFACTURER for tpdo in self.tpdos)
@@ -272,11 +219,6 @@ class SkinNode:
         if not self._emcy_cob_id & COB_ID_INVALID:
             self._outbox.send_message(self._emcy_cob_id & BASE_ID_MASK, payload)
 
-    def _read(self, *, index: int, subindex: int, **_: object) -> Any:
-        """Return the present value of a computed object; None for stored objects."""
-        reader = self._live.get(index)
-        return reader(subindex) if reader else None
-
     def _read_error(self, subindex: int) -> int:
         history = self.emcy.history
         if subindex == 0:
@@ -285,50 +227,7 @@ class SkinNode:
             raise canopen.SdoAbortedError(Abort.NO_DATA)
         return history[subindex - 1]
 
-    def _read_signature(self, index: int, _subindex: int) -> int:
-        """Return the signature of the present values; test patterns are read from the electronics."""
-        if index not in self._signatures:
-            covered = self._signed[index]
-            self._signatures[index] = signature((each.index, each.subindex, self._value(each)) for each in covered)
-        return self._signatures[index]
-
-    def _value(self, setting: Setting) -> bytes:
-        place, first = od.split_block(setting.index)
-        if first == od.TEST_PATTERN:
-            return bytes((self._hardware.pattern(self.contract.block + place),))
-        return self.local.get_data(setting.index, setting.subindex)
-
     def _read_health(self, subindex: int) -> int | None:
         contract = self.contract
         self.health[3] = sum(self._hardware.saturated(contract.block + place) for place in range(contract.blocks))
         return int(self.health[subindex - 1]) if subindex else None
-
-    def _read_sum(self, block: int, subindex: int) -> int | None:
-        first = self._hardware.first_sum(block) + subindex - 1
-        return int(self.contract.packing.raw(self._hardware.sums[first : first + 1])[0]) if subindex else None
-
-    def _read_count(self, block: int, subindex: int) -> int | None:
-        return int(self._hardware.counts(block)[subindex - 1]) if subindex else None
-
-    def _written(self, *, index: int, subindex: int, data: bytes, **entry: Any) -> None:
-        check_write(self.local, index, subindex, number(entry["od"].data_type, data))
-        if index == od.ERROR_FIELD:
-            self.emcy.clear_history()
-        elif index == od.STORE:
-            self._store({at: dict(entries) for at, entries in self.local.data_store.items() if at not in _COMMANDS})
-        elif index == od.RESTORE:
-            self._store({})
-        self._signatures.clear()
-        if index >= od.MANUFACTURER:
-            self._adjust(index, subindex, data)
-        else:
-            self._changed = True
-
-    def _store(self, parameters: Parameters) -> None:
-        try:
-            if parameters:
-                self._storage.save(parameters)
-            else:
-                self._storage.clear()
-        except OSError as error:
-            raise canopen.SdoAbortedError(Abort.HARDWARE) from error

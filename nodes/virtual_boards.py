@@ -2,7 +2,6 @@
 
 from collections.abc import Collection
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -16,7 +15,6 @@ from dbc.canopen import (
     HEARTBEAT_BASE,
     HIGHEST_NODE_ID,
     LSS_REQUEST_COB_ID,
-    LSS_RESPONSE_COB_ID,
     NMT_BYTES,
     NMT_COB_ID,
     NO_NODE_ID,
@@ -27,32 +25,18 @@ from dbc.canopen import (
     NmtState,
     is_of_node,
 )
-from dbc.configuration import calibration, configuration
 from dbc.contract import Contract, NodeContract
-from dbc.dictionary import REACTION_NS, REVISION, dictionary, serial_number
-from dbc.frame import ECHO, ERROR, EXTENDED, REMOTE, Frames, one_frame
+from dbc.dictionary import REACTION_NS
+from dbc.frame import ECHO, ERROR, EXTENDED, REMOTE, Frames
 from nodes.burst import Burst
 from nodes.hardware import Hardware
-from nodes.lss import LssSlave
 from nodes.node import SkinNode
 from nodes.objects import Outbox
-from nodes.storage import Storage
 from nodes.tpdo import LiveTpdo
-from nodes.ways import way_of
+from nodes.virtual_board import VirtualBoard
 
 #: Window when 1007h is 0: no limit.
 NO_WINDOW_NS: Final = 1 << 62
-
-
-@dataclass
-class _Board:
-    """A virtual board: the node of the layout on whose site it sits, and the node that its node-ID makes it."""
-
-    site: NodeContract
-    storage: Storage
-    serial: int
-    slave: LssSlave
-    node: SkinNode
 
 
 class VirtualBoards:
@@ -73,8 +57,6 @@ class VirtualBoards:
 
     Attributes
     ----------
-    nodes : list of SkinNode
-        What the boards are by their node-IDs.
     is_pdo : array of bool, shape (BASE_ID_MASK + 1,)
         Whether an identifier is that of a TPDO of these nodes now.
     due_s : float
@@ -95,14 +77,11 @@ class VirtualBoards:
         self.due_s = float("-inf")
         self._contract = contract
         self._outbox = Outbox()
-        self._hardware = hardware
-        self._on_bus = {each.node_id: each for each in contract.on_bus(bus)}
         self._boards = [
-            self._new_board(each, Storage.of_node(contract, each, store), is_numbered=not unnumbered)
-            for each in self._on_bus.values()
+            VirtualBoard(contract, each, hardware, self._outbox, store=store, unnumbered=unnumbered)
+            for each in contract.on_bus(bus)
             if each.node_id in node_ids
         ]
-        self.nodes = [board.node for board in self._boards]
         self._sync_length: dict[int, int] = {}
         #: The nodes that watch the heartbeat of a node-ID; most nodes watch none.
         self._watchers: dict[int, list[SkinNode]] = {}
@@ -112,58 +91,20 @@ class VirtualBoards:
         self._compile(self.nodes)
 
     @property
+    def nodes(self) -> list[SkinNode]:
+        """What the boards are by their node-IDs."""
+        return [board.node for board in self._boards]
+
+    @property
     def node_ids(self) -> Collection[int]:
         """The node-IDs of the nodes."""
         return self._by_id.keys()
-
-    def _new_board(self, site: NodeContract, storage: Storage, *, is_numbered: bool) -> _Board:
-        layout = self._contract.layout
-        serial = serial_number(self._contract, site)
-        alike = [
-            each.node_id
-            for each in self._on_bus.values()
-            if (each.blocks, each.sums) == (site.blocks, site.sums) and not layout.taxels.is_analogue
-        ]
-        known = alike or [site.node_id]
-        stored = site.node_id if is_numbered and storage.node_id == NO_NODE_ID else storage.node_id
-        slave = LssSlave(
-            (layout.device.vendor_id, layout.device.product_code, REVISION, serial),
-            known,
-            layout.bus[site.bus].bitrate,
-            storage.save_node_id,
-            stored=stored if stored in known else NO_NODE_ID,
-        )
-        return _Board(site, storage, serial, slave, self._new_node(site, storage, serial))
-
-    def _new_node(self, node: NodeContract, storage: Storage, serial: int) -> SkinNode:
-        return way_of(self._contract.layout).node(
-            node,
-            # Nodes in Python have no program that could be exchanged.
-            [each for each in dictionary(self._contract, node) if not od.is_program_download(each.index)],
-            configuration(self._contract, node),
-            calibration(self._contract, node),
-            outbox=self._outbox,
-            hardware=self._hardware,
-            storage=storage,
-            serial_number=serial,
-        )
-
-    def _become(self, board: _Board, node_id: int) -> None:
-        """Let a board be the node with a node-ID: it stays where it is, and takes the constants of the node."""
-        if board.node.state is not NmtState.INITIALISING:
-            board.node.end()
-        node = self._on_bus[node_id]
-        for place in range(node.blocks):
-            self._hardware.place(node.block + place, board.site.block + place)
-        board.node = self._new_node(node, board.storage, board.serial)
-        self.nodes = [board.node for board in self._boards]
 
     def power_up(self, now_s: float) -> Frames:
         """Boot all nodes that have a node-ID."""
         self.due_s = float("-inf")
         for board in self._boards:
-            board.slave.reset()
-            self._boot(board, now_s)
+            board.power_up(now_s)
         self._compile(self.nodes)
         return self._outbox.take()
 
@@ -268,40 +209,14 @@ class VirtualBoards:
         # Without node-ID there is no NMT slave yet.
         numbered = [board for board in self._boards if board.slave.node_id != NO_NODE_ID]
         addressed = [board for board in numbered if node_id in {0, board.slave.node_id}]
-        is_reset = command in (NmtCommand.RESET_NODE, NmtCommand.RESET_COMMUNICATION)
         for board in addressed:
-            if command == NmtCommand.RESET_NODE:
-                board.slave.reset()
-            elif command == NmtCommand.RESET_COMMUNICATION:
-                board.slave.initialise()
-            if is_reset:
-                self._boot(board, now_s, communication_only=command == NmtCommand.RESET_COMMUNICATION)
-            else:
-                board.node.command(command)
-        if is_reset:
+            board.command(command, now_s)
+        if command in (NmtCommand.RESET_NODE, NmtCommand.RESET_COMMUNICATION):
             self._compile([board.node for board in addressed])
-
-    def _boot(self, board: _Board, now_s: float, *, communication_only: bool = False) -> None:
-        """Initialise a board with its present node-ID; without one, its node is silent."""
-        node_id = board.slave.node_id
-        if node_id == NO_NODE_ID:
-            board.node.end()
-        elif node_id != board.node.contract.node_id:
-            self._become(board, node_id)
-            board.node.boot(now_s)
-        else:
-            board.node.boot(now_s, communication_only=communication_only)
 
     def _take_lss(self, data: bytes, now_s: float) -> None:
         for board in self._boards:
-            answer = board.slave.take(data)
-            if answer is not None:
-                response = one_frame(LSS_RESPONSE_COB_ID, answer)
-                response["port"] = board.node.contract.node_id
-                self._outbox.post(response)
-            if board.slave.is_due:
-                board.slave.initialise()
-                self._boot(board, now_s)
+            if board.take_lss(data, now_s):
                 self.due_s = float("-inf")
                 self._compile([board.node])
 

@@ -1,7 +1,6 @@
 """`Reconstructor`: one tactile image per cycle, from the sums of this and of earlier cycles."""
 
 from collections import deque
-from collections.abc import Callable
 from functools import partial
 from typing import Any, Final
 
@@ -12,7 +11,6 @@ from canskin.errors import InputError
 from reconstructor.array_api import ArrayLibrary, BatchSolver, parts_of, turns
 from reconstructor.checks import Values, check_grid_of
 from reconstructor.coded_memory import CodedMemory
-from reconstructor.gains import GainCorrection, KnownGains
 from reconstructor.kernels.contourlet import ContourletSolver
 from reconstructor.kernels.haar import HaarSolver
 from reconstructor.kernels.matrix import MatrixSolver
@@ -48,8 +46,6 @@ SLOWEST_GAIN: Final = 1 / 256
 #: Bounds of the scaled λ / `penalty_n`; with a smaller λ, ten iterations would not fill missing blocks.
 LEAST_PENALTY: Final = 0.03
 MOST_PENALTY: Final = 10.0
-#: Images between two turns of a progress bar.
-CHUNK: Final = 64
 
 Solver = VariationSolver | HaarSolver | ContourletSolver | MatrixSolver | BatchSolver
 
@@ -200,7 +196,6 @@ class Reconstructor:
         self,
         sums_n: npt.NDArray[np.floating[Any]],
         valid_sums: npt.NDArray[np.bool_],
-        advance: Callable[[int], None] = lambda _: None,
     ) -> npt.NDArray[np.float32]:
         """Return the images of cycles that follow each other, shape (cycles, rows, columns); see `reconstruct`.
 
@@ -208,8 +203,6 @@ class Reconstructor:
         ----------
         sums_n, valid_sums : arrays, shape (cycles, m)
             As of `solve`.
-        advance : callable
-            Called with the number of further images.
         """
         if not isinstance(self._kernel, BatchSolver):
             raise InputError(f"expected a library of arrays, and got a {type(self._kernel).__name__}")
@@ -230,7 +223,6 @@ class Reconstructor:
             if is_kept:
                 made = kernel.deliver(estimate)[used]
                 images[taken[used]] = made if self._correct is None else self._correct(made)
-                advance(len(made))
         return images
 
     def _relative_penalty(self, filtered: TemporalFilter) -> float:
@@ -278,9 +270,7 @@ def reconstruct(
     noise_n: float | None = None,
     samples: int = 1,
     turns: int = 1,
-    gains: KnownGains | None = None,
     library: ArrayLibrary | None = None,
-    advance: Callable[[int], None] = lambda _: None,
 ) -> npt.NDArray[np.float32]:
     """Return the images of sums, frame after frame, as the service makes them: newtons, shape (frames, rows, columns).
 
@@ -302,12 +292,8 @@ def reconstruct(
         Number of each frame's cycle, for a Φ that changes; default: 1, 2, 3 and so on.
     noise_n, samples, turns
         As of `Reconstructor`.
-    gains : KnownGains, optional
-        Of taxels and sums: they are taken off. Not with a `MatrixPhi`, and not with a library.
     library : ArrayLibrary, optional
         As of `Reconstructor`.
-    advance : callable
-        Called with the number of further images.
 
     Examples
     --------
@@ -318,22 +304,11 @@ def reconstruct(
     engine = Reconstructor(phi, *surface.shape, settings, **known)  # type: ignore[arg-type]  # of several types
     whole = np.ones(sums_n.shape, np.bool_) if valid_sums is None else valid_sums
     if library is not None:
-        if gains is not None:
-            raise InputError(
-                "known gains are taken off with the image of the cycle before, and a GPU solves cycles together:"
-                " leave out --gains or --device gpu"
-            )
-        return engine.solve_together(sums_n, whole, advance)
-    correction = None if gains is None or isinstance(phi, MatrixPhi) else GainCorrection(phi, gains)
+        return engine.solve_together(sums_n, whole)
     numbers = np.arange(1, len(sums_n) + 1) if cycles is None else cycles
     images = np.empty((len(sums_n), *surface.shape), np.float32)
-    for place, (came, came_valid, cycle) in enumerate(zip(sums_n, whole, numbers.tolist(), strict=True), 1):
-        sums, valid = (came, came_valid) if correction is None else correction.apply(came, came_valid)
-        images[place - 1] = engine.solve(sums, valid, phi.of_cycle(cycle))
-        if correction is not None:
-            correction.keep(images[place - 1])
-        if place % CHUNK == 0:
-            advance(CHUNK)
+    for image, came, came_valid, cycle in zip(images, sums_n, whole, numbers.tolist(), strict=True):
+        image[:] = engine.solve(came, came_valid, phi.of_cycle(cycle))
     return images
 
 

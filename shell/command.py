@@ -33,7 +33,14 @@ VERBS: Final = {
     "gateway": "gateway.command:gateway",
     "scan": "commissioning.scan_command:scan",
     "commission": "commissioning.commission_command:commission",
-    "node": "commissioning.node_command:node",
+    "node check": "commissioning.node_check_command:check",
+    "node objects": "commissioning.node_objects_command:objects",
+    "node get": "commissioning.node_objects_command:get",
+    "node set": "commissioning.node_objects_command:set_",
+    "node reset": "commissioning.node_orders_command:reset",
+    "node stop": "commissioning.node_orders_command:stop",
+    "node start": "commissioning.node_orders_command:start",
+    "node update": "commissioning.program_update_command:update",
     "tare": "calibration.command:tare",
     "calibration": "calibration.command:calibration",
     "reconstruct": "reconstructor.command:reconstruct",
@@ -63,6 +70,7 @@ VERBS: Final = {
 }
 #: What the verbs of a group are for.
 GROUPS: Final = {
+    "node": "One board, or all: whether it keeps the contract, its objects and program, NMT commands.",
     "evaluate": "The paper's tables and figures made again, and what goes beyond them.",
     "touch": "The objects that can touch a simulated skin, and the data sets that their touches make.",
 }

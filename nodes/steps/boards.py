@@ -45,7 +45,8 @@ class SteppedBoards(PatchBoards):
         self.filter.take(sample_n)
 
     def _decide(self, now_ns: int) -> None:
-        known = self.filter.sums_n, self.filter.variance_n2, self.filter.noise.node_n
+        variance_n2 = self.filter.variances_n2(self.senders.rows_due(now_ns))
+        known = self.filter.sums_n, variance_n2, self.filter.noise.node_n
         burst, bus = self.senders.take_slots(now_ns, *known)
         self._bursts = {each: burst[bus == each] for each in self._rows}
 

@@ -129,7 +129,11 @@ class PatchFilter(ForceFilter):
     @property
     def variance_n2(self) -> Floats:
         """The variance of each of `sums_n`, newtons squared, shape (nodes, taxels); the next call overwrites it."""
-        to_walsh_variance(self._variance, self.noise.coefficient_n, self._spread, self._variance_n2)
+        return self.variances_n2(np.arange(len(self._variance)))
+
+    def variances_n2(self, nodes: npt.NDArray[np.intp]) -> Floats:
+        """Return `variance_n2`, which is that of now for some nodes alone."""
+        to_walsh_variance(nodes, self._variance, self.noise.coefficient_n, self._spread, self._variance_n2)
         return self._variance_n2
 
 

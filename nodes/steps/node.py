@@ -17,7 +17,7 @@ class SteppedNode(SkinNode):
     def __init__(self, contract: NodeContract, *given: Any, hardware: SteppedBoards, **known: Any) -> None:
         super().__init__(contract, *given, hardware=hardware, **known)
         self._senders = hardware.senders
-        self._live |= {
+        self.objects.readers |= {
             index: partial(hardware.read, contract.block, index)
             for index in (od.SYNC_COUNTER, od.REFRESH, od.COEFFICIENT_NOISE, od.TAXEL_NOISE, od.NODE_NOISE, od.WORDS)
         }

@@ -18,6 +18,7 @@ from nodes.steps.stepping import (
     give_back,
     new_slots,
     new_state,
+    rows_due,
     take_slots,
 )
 from shell.compiled import njit
@@ -134,6 +135,10 @@ class Senders:
         """Begin the slots of a SYNC; one without counter has no slots."""
         self.slots.counter[bus], self.slots.sync_ns[bus] = counter, time_ns
         self.slots.done_ns[bus] = min(self.slots.done_ns[bus], time_ns - 1)
+
+    def rows_due(self, now_ns: int) -> npt.NDArray[np.intp]:
+        """Return the rows of the nodes whose slot has begun since the call of `take_slots` before."""
+        return rows_due(now_ns, self._period_ns, self._table, self.slots)
 
     def take_slots(
         self, now_ns: int, sums_n: Floats, variance_n2: Floats, noise_n: Numbers

@@ -258,6 +258,29 @@ def new_slots(nodes: int, buses: int, bus: Integers) -> Slots:
 
 
 @njit(cache=True, nogil=True)
+def slots_since(now_ns: int, period_ns: int, frame: int, node: int, slots: Slots) -> int:
+    """Return the number of slots since the SYNC, if a slot of the frame has begun since the call before, else -1."""
+    bus = slots.bus[frame]
+    if not slots.is_operational[node] or slots.cob_id[frame] == NO_COB_ID or slots.counter[bus] == 0:
+        return -1
+    of_sync, start_ns = slots.slots[node], slots.sync_ns[bus] + slots.offset_ns[node]
+    since = (now_ns - start_ns) * of_sync // period_ns
+    is_new = 0 <= since < 2 * of_sync and since != (slots.done_ns[bus] - start_ns) * of_sync // period_ns
+    return since if is_new else -1
+
+
+@njit(cache=True, nogil=True)
+def rows_due(now_ns: int, period_ns: int, table: PartTable, slots: Slots) -> npt.NDArray[np.intp]:
+    """Return the rows of the boards that have to decide now."""
+    table, slots = borrowed(table), borrowed(slots)
+    due = np.zeros(slots.row.size, np.bool_)
+    for frame in range(table.node.size):
+        if slots_since(now_ns, period_ns, frame, table.node[frame], slots) >= 0:
+            due[slots.row[table.node[frame]]] = True
+    return np.flatnonzero(due)
+
+
+@njit(cache=True, nogil=True)
 def take_slots(  # noqa: PLR0917  compiled functions take no keywords
     now_ns: int,
     period_ns: int,
@@ -280,7 +303,7 @@ def take_slots(  # noqa: PLR0917  compiled functions take no keywords
     period_ns : int
         From SYNC to SYNC.
     sums_n, variance_n2 : arrays of float32, shape (rows, sums)
-        In the order of the parts.
+        In the order of the parts; variances of the boards of `rows_due` count.
     noise_n : array of float64, shape (rows,)
 
     Returns
@@ -292,11 +315,8 @@ def take_slots(  # noqa: PLR0917  compiled functions take no keywords
     wanted, count, taxels = np.empty_like(state.known), 0, sums_n.shape[1]
     for frame in range(table.node.size):
         node, bus = table.node[frame], slots.bus[frame]
-        if not slots.is_operational[node] or slots.cob_id[frame] == NO_COB_ID or slots.counter[bus] == 0:
-            continue
-        of_sync, cycle, start_ns = slots.slots[node], slots.cycle[node], slots.sync_ns[bus] + slots.offset_ns[node]
-        since = (now_ns - start_ns) * of_sync // period_ns
-        if not 0 <= since < 2 * of_sync or since == (slots.done_ns[bus] - start_ns) * of_sync // period_ns:
+        since, of_sync, cycle = slots_since(now_ns, period_ns, frame, node, slots), slots.slots[node], slots.cycle[node]
+        if since < 0:
             continue
         slot = ((slots.counter[bus] - 1) * of_sync + since) % cycle
         is_back = state.slot[frame] >= 0 and (state.slot[frame] - slot) % cycle < min(of_sync, cycle // 4)

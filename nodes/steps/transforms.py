@@ -93,19 +93,22 @@ def to_walsh(value: Floats, order: npt.NDArray[np.intp], work: Floats, into: Flo
 
 
 @njit(cache=True, nogil=True)
-def to_walsh_variance(variance: Floats, noise: Floats, spread: Floats, into: Floats) -> None:
-    """Write the variances of Walsh sums from those of Haar coefficients, `variance` · `noise`².
+def to_walsh_variance(
+    nodes: npt.NDArray[np.intp], variance: Floats, noise: Floats, spread: Floats, into: Floats
+) -> None:
+    """Write the variances of Walsh sums of some nodes from those of Haar coefficients, `variance` · `noise`².
 
     Parameters
     ----------
+    nodes : array of int
     variance, noise, into : arrays of float32, shape (nodes, taxels)
     spread : array of float32, shape (taxels, taxels)
         Squares of the Walsh sums of the rows of the pyramid: 0 or a power of two, so every product is exact.
     """
     size = spread.shape[0]
-    into[:] = 0
-    for node in range(variance.shape[0]):
+    for node in nodes:
         total = into[node]
+        total[:] = 0
         for coefficient in range(size):
             of_coefficient = variance[node, coefficient] * (noise[node, coefficient] * noise[node, coefficient])
             for place in range(size):

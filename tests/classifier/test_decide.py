@@ -79,14 +79,6 @@ def test_one_odd_cycle_is_hidden(model: Model, phi: Sbhe, pressed: dict[str, Sum
     assert {classifier.decide(y, valid).label for y in series} == {"dome"}
 
 
-def test_confidence_and_belief(model: Model, phi: Sbhe, pressed: dict[str, Sums], valid: np.ndarray) -> None:
-    classifier = Classifier(model, phi)
-    for y in pressed["plate"]:
-        decision = classifier.decide(y, valid)
-        assert 0 <= decision.confidence <= 1
-    assert decision.confidence > 0.9
-
-
 def test_sums_of_invalid_blocks_are_ignored(
     model: Model, phi: Sbhe, pressed: dict[str, Sums], valid: np.ndarray
 ) -> None:

@@ -48,13 +48,6 @@ def test_sums_of_invalid_blocks_do_not_count(phi: Sbhe, sums: np.ndarray) -> Non
     np.testing.assert_array_equal(measured(phi, sums, valid), measured(phi, other, valid))
 
 
-def test_energy_grows_with_the_square(phi: Sbhe, sums: np.ndarray) -> None:
-    energies, peaks = measured(phi, sums)
-    energies3, peaks3 = measured(phi, 3 * sums)
-    np.testing.assert_allclose(energies3, 9 * energies, rtol=1e-4)
-    np.testing.assert_allclose(peaks3, 3 * peaks, rtol=1e-4)
-
-
 def test_widths_fit_the_array() -> None:
     assert widths_for(surfaces.grid(64, 64)) == WIDTHS
     assert max(widths_for(surfaces.grid(32, 64))) <= 8

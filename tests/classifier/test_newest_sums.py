@@ -1,6 +1,5 @@
 """The newest sums of blocks, and means over cycles."""
 
-import math
 from types import SimpleNamespace
 from typing import Any
 
@@ -110,12 +109,3 @@ def test_sums_are_averaged_over_about_forty_milliseconds(rate_hz: float, cycles:
     codes = SimpleNamespace(matrix=(("+",), ("-",)))
     for changed in ({"samples_per_sync": 2}, {"measurement": codes}):
         assert averaged_cycles(SimpleNamespace(**{**vars(layout), **changed})) == 1  # type: ignore[arg-type]
-
-
-def test_a_mean_of_two_cycles_has_more_noise_at_first(phi: Sbhe) -> None:
-    newest, came = NewestSums(phi, 2), np.ones(phi.blocks, np.bool_)
-    newest.take(np.zeros(phi.shape[0], np.int32), came, 1)
-    assert newest.noise_ratio == pytest.approx(math.sqrt(2))
-    single = NewestSums(phi)
-    single.take(np.zeros(phi.shape[0], np.int32), came, 1)
-    assert single.noise_ratio == 1.0

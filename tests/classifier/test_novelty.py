@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from classifier.known_regions import LEAST_PER_REGION, fit_regions
 from classifier.novelty import Regions, nearest, novelty
-from classifier.regions import LEAST_PER_REGION, fit_regions
 
 
 def clouds(count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:

@@ -150,25 +150,6 @@ def test_a_label_in_one_recording_only_is_told(tmp_path: Path, layout: Layout) -
     assert card.not_validated == {"dome": why, "plate": why}
 
 
-def test_few_touches_in_two_recordings_leave_no_accuracy(tmp_path: Path, layout: Layout) -> None:
-    paths = [write_touches(tmp_path / f"{seed}.mcap", layout, *draw(8, seed), seed=seed) for seed in (1, 2)]
-    card = train_recorded(labelled_touches(paths)).metadata.card
-    assert (card.validated_by, card.validation_accuracy) == ("recording", None)
-    why = "8 touches of this label, in 2 recordings"
-    assert card.not_validated == {"dome": why, "plate": why}
-
-
-def test_one_label_in_one_recording_only_leaves_no_accuracy(tmp_path: Path, layout: Layout) -> None:
-    force_n, labels = draw(COUNT, 1)
-    paths = [
-        write_touches(tmp_path / "both.mcap", layout, force_n, labels),
-        write_touches(tmp_path / "plates.mcap", layout, force_n[labels == "plate"], labels[labels == "plate"], seed=2),
-    ]
-    card = train_recorded(labelled_touches(paths)).metadata.card
-    assert card.validation_accuracy is None
-    assert card.not_validated == {"dome": "12 touches of this label, in one recording"}
-
-
 def test_touches_without_label_are_not_used_and_told(tmp_path: Path, layout: Layout) -> None:
     force_n, labels = draw(COUNT, 1)
     labels[:4] = ""

@@ -5,7 +5,7 @@ import pytest
 from sklearn.datasets import make_blobs
 
 from classifier.dagsvm import DagSvm
-from classifier.validation import choose_C, global_scale
+from classifier.validation import choose_C, global_scale, not_validated
 
 X, y = make_blobs(240, centers=4, n_features=5, cluster_std=3.0, random_state=2)
 DEVELOPMENT, VALIDATION, TEST = np.arange(100), np.arange(100, 160), np.arange(160, 240)
@@ -31,12 +31,6 @@ def test_inner_products_give_the_same_machine() -> None:
     np.testing.assert_allclose(gram.machine.margins(inner), linear.machine.margins(X[TEST]), atol=1e-2)
 
 
-def test_progress_grows() -> None:
-    told: list[float] = []
-    choose_C(X, y, DEVELOPMENT, VALIDATION, C_grid=(0.1, 1.0), progress=lambda _doing, part: told.append(part))
-    assert told == [0, 1 / 3, 2 / 3]
-
-
 def test_no_C_is_no_choice() -> None:
     with pytest.raises(ValueError, match="at least one C"):
         choose_C(X, y, DEVELOPMENT, VALIDATION, C_grid=())
@@ -45,3 +39,19 @@ def test_no_C_is_no_choice() -> None:
 def test_global_scale_makes_the_root_mean_square_1() -> None:
     assert np.mean((X * global_scale(X)) ** 2) == pytest.approx(1)
     assert global_scale(np.zeros((2, 2))) == 1
+
+
+@pytest.mark.parametrize(
+    ("touches", "recordings", "told"),
+    [
+        ((12, 12), (2, 2), {}),
+        ((12, 12), (1, 1), dict.fromkeys(("dome", "plate"), "12 touches of this label, in one recording")),
+        ((8, 8), (2, 2), dict.fromkeys(("dome", "plate"), "8 touches of this label, in 2 recordings")),
+        ((12, 24), (1, 2), {"dome": "12 touches of this label, in one recording"}),
+    ],
+)
+def test_an_accuracy_needs_ten_touches_and_two_recordings_of_each_label(
+    touches: tuple[int, int], recordings: tuple[int, int], told: dict[str, str]
+) -> None:
+    names = ("dome", "plate")
+    assert not_validated(*(dict(zip(names, each, strict=True)) for each in (touches, recordings))) == told

@@ -9,7 +9,8 @@ import pytest
 
 from canskin.errors import InputError, RunError
 from commissioning.count_reading import CountReading
-from commissioning.node_command import node
+from commissioning.node_check_command import check
+from commissioning.node_options import NodeOptions
 from commissioning.wiring_check import check_counts
 from commissioning.wiring_findings import Finding
 from dbc.configuration import DIALOGUES
@@ -162,7 +163,7 @@ def test_a_stroke_for_which_the_readings_come_too_slowly_is_refused() -> None:
 def test_analogue_boards_have_no_counts(tmp_path: Path) -> None:
     (tmp_path / "palm.toml").write_text(layout_toml(taxels={"frontend": "analogue"}), encoding="utf-8")
     with pytest.raises(InputError, match="analogue boards have no counts"):
-        node("check", layout=tmp_path / "palm.toml", live=9.0)
+        check(of=NodeOptions(layout=tmp_path / "palm.toml"), live=9.0)
 
 
 def test_a_board_that_does_not_answer_is_named() -> None:

@@ -489,7 +489,7 @@ def test_gains_and_offsets_are_as_before_and_their_signature_follows_them() -> N
         bench.wire.gateway.receive()
 
     def signed() -> int:
-        return int(bench.node._live[od.CALIBRATION_SIGNATURE](0) or 0)
+        return int(bench.node.objects.readers[od.CALIBRATION_SIGNATURE](0) or 0)
 
     before, seen = signed(), set[int]()
     report = bench.check(lambda: seen.add(signed()))
@@ -501,14 +501,14 @@ def test_gains_and_offsets_are_as_before_and_their_signature_follows_them() -> N
 
 def frozen(bench: Bench) -> None:
     """A board that computes 2009h once."""
-    kept = bench.node._live[od.CALIBRATION_SIGNATURE](0)
-    bench.node._live[od.CALIBRATION_SIGNATURE] = lambda _: kept
+    kept = bench.node.objects.readers[od.CALIBRATION_SIGNATURE](0)
+    bench.node.objects.readers[od.CALIBRATION_SIGNATURE] = lambda _: kept
 
 
 def without_offsets(bench: Bench) -> None:
     """A board whose 2009h does not cover offsets."""
-    covered = bench.node._signed[od.CALIBRATION_SIGNATURE]
-    bench.node._signed[od.CALIBRATION_SIGNATURE] = [each for each in covered if each.index != od.OFFSET]
+    covered = bench.node.objects._signed[od.CALIBRATION_SIGNATURE]
+    bench.node.objects._signed[od.CALIBRATION_SIGNATURE] = [each for each in covered if each.index != od.OFFSET]
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""``skin node check``: its errors and its report."""
+"""``skin node``: its errors, its report, and how it leads a talk."""
 
 import sys
 from pathlib import Path
@@ -9,8 +9,9 @@ import pytest
 
 from canskin.errors import InputError, RunError
 from commissioning import talk
-from commissioning.node_command import _bus_number, _run, _show
+from commissioning.node_check_command import show
 from commissioning.node_frames import NodeReport
+from commissioning.node_options import NodeOptions, lead
 from shell.command import main
 
 
@@ -20,21 +21,19 @@ from shell.command import main
         (["check", "--node", "1"], "expected --bus with one of bus0, bus1, bus2, bus3, got none"),
         (["check", "--node", "1", "--bus", "can7"], "bus3, got 'can7'"),
         (["check", "--node", "33", "--bus", "bus0"], "expected a node-ID of bus0, 1-32, got 33"),
-        (["test", "--node", "1"], '"check"'),
-        (
-            ["get", "1018h", "--node", "1", "--live", "3", "--out", "a.csv"],
-            "expected --live and --out with 'skin node check'",
-        ),
-        (["objects", "--node", "1", "--path", "a.csv"], "got 'skin node objects'"),
-        (["check", "--node", "1", "--out", "a.csv"], "expected --out with --live alone"),
-        (["check", "--node", "1", "--live", "3"], "expected --node of a board, or --live of the whole skin, got both"),
+        (["test", "--node", "1"], "test"),
+        (["get", "1018h", "--node", "1", "--live", "3"], "--live"),
+        (["check", "--node", "1", "--out", "a.csv"], "expected --path and --out with --live alone"),
         (["check", "--bus", "bus0", "--live", "3"], "got both"),
-        (["check", "--node", "1", "--bus", "bus0", "--eds", "a.eds"], "'skin node check' takes no EDS"),
-        (["reset", "--bus", "bus0", "--eds", "a.eds"], "'skin node reset' takes no EDS"),
+        (["check", "--bus", "bus0"], "expected --node with the node-ID of a board, or --live"),
+        (["get", "--bus", "bus0", "--node", "1"], "expected 'skin node get' with objects"),
         (["get", "1018h", "--bus", "bus0"], "expected --node with a node-ID from 1 to 127, got none"),
+        (["reset", "--bus", "bus0", "--node", "128"], "node-ID from 1 to 127, got 128"),
+        (["update", "a.bin", "--bus", "bus0"], "with --node for one board, or with --all"),
+        (["update", "a.bin", "--all", "--bus", "bus0", "--node", "3"], "with --node for one board, or with --all"),
+        (["update", "nothing.bin", "--all"], "nothing.bin: cannot read the program"),
     ],
 )
-@pytest.mark.filterwarnings("ignore:Cyclopts application invoked without tokens")
 def test_wrong_input_is_one_line_and_exit_code_2(
     arguments: list[str], said: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -87,7 +86,7 @@ def test_a_bus_has_the_channel_that_the_gateway_gives_it(
 def test_differences_are_listed_and_counted(
     differences: list[str], verdict: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    _show(NodeReport("bus1", 7, differences, ["slow"], objects=9, frames=4, cycles=2, latest_s=0.0031))
+    show(NodeReport("bus1", 7, differences, ["slow"], objects=9, frames=4, cycles=2, latest_s=0.0031))
     *listed, note, last = capsys.readouterr().out.splitlines()
     assert listed == [f"bus1, node 7: {each}" for each in differences]
     assert note == "bus1, node 7: note: slow"
@@ -96,9 +95,9 @@ def test_differences_are_listed_and_counted(
 
 
 def test_milliseconds_are_told_of_tpdos_alone(capsys: pytest.CaptureFixture[str]) -> None:
-    _show(NodeReport("bus1", 7, objects=9, frames=1, cycles=2, latest_s=0.25))
+    show(NodeReport("bus1", 7, objects=9, frames=1, cycles=2, latest_s=0.25))
     assert capsys.readouterr().out.endswith("(9 objects, 1 TPDOs of 2 cycles, the last 250.0 ms after SYNC)\n")
-    _show(NodeReport("bus1", 7, objects=9))
+    show(NodeReport("bus1", 7, objects=9))
     assert capsys.readouterr().out == "bus1, node 7: keeps the contract (9 objects, 0 TPDOs)\n"
 
 
@@ -107,13 +106,13 @@ def skin(*names: str) -> Any:
 
 
 def test_the_only_bus_needs_no_name() -> None:
-    assert _bus_number(skin("palm"), None) == 0
-    assert _bus_number(skin("palm"), "palm") == 0
-    assert _bus_number(skin("a", "b", "c"), "c") == 2
+    assert NodeOptions(bus=None).bus_number(skin("palm")) == 0
+    assert NodeOptions(bus="palm").bus_number(skin("palm")) == 0
+    assert NodeOptions(bus="c").bus_number(skin("a", "b", "c")) == 2
     with pytest.raises(InputError, match="expected --bus with one of palm, got 'a'"):
-        _bus_number(skin("palm"), "a")
+        NodeOptions(bus="a").bus_number(skin("palm"))
     with pytest.raises(InputError, match="expected --bus with one of a, b, got none"):
-        _bus_number(skin("a", "b"), None)
+        NodeOptions(bus=None).bus_number(skin("a", "b"))
 
 
 class Check:
@@ -147,7 +146,7 @@ def test_a_check_gets_the_frames_that_come_until_it_is_done(
     monkeypatch.setattr(talk, "select", SimpleNamespace(select=lambda *given: waited_s.append(given[3])))
     monkeypatch.setattr(talk, "time", SimpleNamespace(monotonic=lambda: 50.0))
     check, link = Check(2, due_s), SimpleNamespace(receive=lambda: "frames")
-    _run(check, link, SimpleNamespace(is_set=lambda: False))  # type: ignore[arg-type]
+    lead(check, link, SimpleNamespace(is_set=lambda: False))  # type: ignore[arg-type]
     assert check.told == ["take frames at 50", "tick at 50"] * 2
     assert waited_s == [timeout_s] * 2
 
@@ -158,5 +157,5 @@ def test_a_check_that_is_stopped_goes_on_until_it_is_done(monkeypatch: pytest.Mo
     monkeypatch.setattr("time.monotonic", lambda: 50.0)
     check, link = Check(2, 0.0), SimpleNamespace(receive=lambda: "frames")
     with pytest.raises(RunError, match="stopped before the talk with the node was over"):
-        _run(check, link, SimpleNamespace(is_set=lambda: True))  # type: ignore[arg-type]
+        lead(check, link, SimpleNamespace(is_set=lambda: True))  # type: ignore[arg-type]
     assert check.told == ["give up at 50", *["take frames at 50", "tick at 50"] * 2]

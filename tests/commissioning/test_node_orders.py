@@ -2,8 +2,8 @@
 
 import pytest
 
-from canskin.errors import InputError
-from commissioning import node_command
+from commissioning import node_orders_command
+from commissioning.node_options import NodeOptions
 from commissioning.node_orders import WAIT_S, NodeOrder
 from dbc.canopen import NmtCommand, NmtState
 from dbc.frame import ECHO, Frames, frames
@@ -71,20 +71,6 @@ def test_a_node_that_is_silent_or_keeps_another_state_is_missing_when_the_wait_i
     assert (order.states, order.missing) == ({1: 5, 2: 4, 3: None}, [1, 3])
 
 
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [
-        ({"objects": ["1017h"]}, "'skin node reset' takes no objects"),
-        ({"node_id": 128}, "node-ID from 1 to 127, got 128"),
-        ({"bus": "bus9"}, "expected --bus with one of bus0"),
-    ],
-)
-def test_wrong_input_is_told(options: dict[str, object], said: str) -> None:
-    objects = options.pop("objects", [])
-    with pytest.raises(InputError, match=said):
-        node_command.node("reset", *objects, **({"bus": "bus0"} | options))  # type: ignore[misc, arg-type]
-
-
 def test_the_states_are_shown_and_a_silent_node_ends_with_1(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -100,10 +86,10 @@ def test_the_states_are_shown_and_a_silent_node_ends_with_1(
     def run(order: NodeOrder, *_: object) -> None:
         order.take(frame(0x705, b"\x00"), 0.0)
 
-    monkeypatch.setattr(node_command, "open_links", lambda *_, **__: {0: Link()})
-    monkeypatch.setattr(node_command, "_run", run)
-    assert node_command.node("reset", bus="bus0", node_id=5) == 0
-    assert node_command.node("reset", bus="bus0", json=True) == 1
+    monkeypatch.setattr(node_orders_command, "open_links", lambda *_, **__: {0: Link()})
+    monkeypatch.setattr(node_orders_command, "lead", run)
+    assert node_orders_command.reset(of=NodeOptions(node=5, bus="bus0")) == 0
+    assert node_orders_command.reset(of=NodeOptions(bus="bus0"), json=True) == 1
     assert sent == [b"\x81\x05", b"\x81\x00"]
     out = capsys.readouterr().out
     assert "initialising" in out

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from canskin.errors import InputError
-from commissioning import node_command
+from commissioning.node_options import NodeOptions
 from commissioning.program_update import ProgramUpdate
+from commissioning.program_update_command import update
 from dbc.canopen import Abort
 from dbc.dictionary import REVISION
 from dbc.frame import Frames, frames
@@ -151,26 +152,7 @@ def test_a_silent_board_and_one_of_another_product_are_named_and_the_next_is_loa
 def test_a_file_that_is_no_program_for_the_skin_is_refused(image: bytes, said: str, tmp_path: Path) -> None:
     (tmp_path / "program.bin").write_bytes(image)
     with pytest.raises(InputError, match=said):
-        node_command.node("update", str(tmp_path / "program.bin"), bus="bus0", node_id=3)
-
-
-@pytest.mark.parametrize(
-    ("names", "options", "said"),
-    [
-        ([], {"every": True}, "expected 'skin node update PROGRAM'"),
-        (["a"], {"bus": "bus0"}, "with --node for one board, or with --all"),
-        (["a"], {"bus": "bus0", "every": True, "node_id": 3}, "with --node for one board, or with --all"),
-        (["nothing.bin"], {"every": True}, "nothing.bin: cannot read the program"),
-    ],
-)
-def test_wrong_input_is_told(names: list[str], options: dict[str, Any], said: str) -> None:
-    with pytest.raises(InputError, match=said):
-        node_command.node("update", *names, **options)
-
-
-def test_all_boards_are_for_update_alone() -> None:
-    with pytest.raises(InputError, match="expected --all with 'skin node update' alone"):
-        node_command.node("reset", bus="bus0", every=True)
+        update(tmp_path / "program.bin", of=NodeOptions(node=3, bus="bus0"))
 
 
 def test_a_program_file_is_read_as_it_was_written(tmp_path: Path) -> None:

@@ -171,16 +171,18 @@ def half_scale(bench: Bench) -> None:
 def unsigned_gains(bench: Bench) -> None:
     """A board whose 2009h does not cover the offsets."""
     node = bench.boards.nodes[0]
-    node._signed[od.CALIBRATION_SIGNATURE] = [
-        each for each in node._signed[od.CALIBRATION_SIGNATURE] if each.index != od.OFFSET
+    node.objects._signed[od.CALIBRATION_SIGNATURE] = [
+        each for each in node.objects._signed[od.CALIBRATION_SIGNATURE] if each.index != od.OFFSET
     ]
 
 
 def stale_signature(bench: Bench) -> None:
     """A board that computes 2009h once."""
     node = bench.boards.nodes[0]
-    read, kept = node._live[od.CALIBRATION_SIGNATURE], list[int]()
-    node._live[od.CALIBRATION_SIGNATURE] = lambda subindex: kept[0] if kept else kept.append(read(subindex)) or kept[0]
+    read, kept = node.objects.readers[od.CALIBRATION_SIGNATURE], list[int]()
+    node.objects.readers[od.CALIBRATION_SIGNATURE] = lambda subindex: (
+        kept[0] if kept else kept.append(read(subindex)) or kept[0]
+    )
 
 
 def sent(spoil: Callable[[np.void, int], object]) -> Callable[[Bench], None]:

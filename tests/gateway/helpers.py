@@ -19,7 +19,7 @@ from dbc.contract import Contract
 from dbc.dictionary import SILENT_AFTER_S
 from dbc.frame import ECHO, Frames, frames
 from gateway.loop import GatewayLoop
-from gateway.nmt_master import LATER_S, PAUSES_S
+from gateway.node_machine import LATER_S, PAUSES_S
 from nodes.electronics import Electronics
 from nodes.sampler import Sampler
 from nodes.segment import Segment

@@ -46,11 +46,6 @@ def test_segments_are_of_the_download_before_them(client: ForeignClient) -> None
     assert ask(client, SEGMENT) is Effect.DOUBT
 
 
-def test_data_of_a_block_download_are_doubted_whatever_they_look_like(client: ForeignClient) -> None:
-    ask(client, BLOCK_DOWNLOAD, COMPARED)
-    assert [ask(client, number) for number in (0x01, 0x41, 0x7F, 0x61)] == [Effect.DOUBT] * 4
-
-
 def test_a_block_download_of_something_else_is_not_doubted(client: ForeignClient) -> None:
     assert ask(client, BLOCK_DOWNLOAD, OTHER) is Effect.BUSY
     assert ask(client, 0x41) is Effect.BUSY

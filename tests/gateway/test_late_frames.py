@@ -316,7 +316,7 @@ def test_frames_lost_by_the_gateway_itself_may_be_a_foreign_sync_and_cost_the_op
     skin.whole()
     cycle = skin.begin()
     health = Health()
-    health.look(frames(0), State.ACTIVE, 1, 0)
+    health.look(State.ACTIVE, 1, 0, tells_loss=False)
     gathering.take(0, skin.answers(cycle, 0, 1), health, 0.0)
     skin.take(1, skin.answers(cycle, 2, 3))
     assert skin.close(cycle) == [False, False, True, True]

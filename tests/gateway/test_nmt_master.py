@@ -20,7 +20,8 @@ from dbc.contract import Contract
 from dbc.dictionary import SILENT_AFTER_S
 from dbc.frame import ECHO, ERROR, EXTENDED, REMOTE
 from gateway.loop import LOOK_PERIOD_S
-from gateway.nmt_master import PAUSES_S, NmtMaster
+from gateway.nmt_master import NmtMaster
+from gateway.node_machine import PAUSES_S
 from gateway.sdo import TIMEOUT_S
 from tests.bus.harness import frame
 from tests.gateway.helpers import PERIOD_S, EndOfWire, World, swap_mapping, valid
@@ -48,16 +49,6 @@ def test_stray_nmt_command(world: World, command: NmtCommand, node_id: int) -> N
     assert world.lines[0] == f"{nodes} on bus0 left OPERATIONAL: {state}, by another master's NMT command"
     assert world.lines[1].startswith(f"{nodes} on bus0 back after 0.")
     assert len(world.lines) == 2
-
-
-@pytest.mark.parametrize("command", [NmtCommand.RESET_NODE, NmtCommand.RESET_COMMUNICATION])
-def test_reset_by_somebody_else(world: World, command: NmtCommand) -> None:
-    world.nmt(1, command, 1)
-    came = world.run(3 * PERIOD_S)
-    assert [True, True, False, True] in [valid(each).tolist() for each in came]
-    world.until_whole(SOON_S)
-    world.run(0.5)
-    assert world.lines[0] == "node 1 on bus1 booted again, reset by another master"
 
 
 def test_own_error_reaction_is_explained_by_its_emcy(world: World) -> None:
@@ -155,34 +146,6 @@ def test_emergency_of_a_node_is_complained_of(world: World) -> None:
     assert world.complaints == ["EMCY FF10h from node 1 on bus0"]
 
 
-def test_heartbeat_time_is_kept(world: World) -> None:
-    """A node whose heartbeat was switched off would pass for silent."""
-    world.write(0, 1, od.HEARTBEAT_MS, 0, bytes(2))
-    world.run(5.0)
-    assert valid(world.measured[-1]).all()
-    assert "node 1 on bus0 set right: 1017h:0 (Producer heartbeat time) was 0h, not 3E8h" in world.lines
-
-
-def test_node_that_was_without_power_for_long_comes_back_at_once(world: World) -> None:
-    wire = world.wires[0]
-    wire.loses = lambda _, each: not each["flags"] & ECHO
-    world.pass_time(30)
-    assert world.gateway.masters[0].nodes[1].tries >= len(PAUSES_S)
-    wire.loses = None
-    world.segments[0].boot(world.now_s)
-    world.until_whole(SOON_S)
-
-
-def test_command_of_another_master_during_a_proof_is_not_forgotten(world: World) -> None:
-    """The node is doubted, so that a proof is under way, when the other master sends it PRE-OPERATIONAL."""
-    world.write(0, 1, 0x1007, 0, (40_000).to_bytes(4, "little"))
-    world.step()
-    world.nmt(0, NmtCommand.ENTER_PRE_OPERATIONAL, 1)
-    world.step()
-    world.until_whole(SOON_S + 2 * PERIOD_S)
-    assert state_of(world, 0, 1) is NmtState.OPERATIONAL
-
-
 def test_answer_that_a_board_gave_before_a_write_and_sends_after_it_proves_nothing(world: World) -> None:
     world.until_whole(2.0)
     node = world.gateway.masters[0].nodes[1]
@@ -236,19 +199,6 @@ def test_absent_nodes_do_not_take_the_turns_of_others() -> None:
         master.tick(now_s)
         now_s += TICK_S
         assert now_s < 64 / DIALOGUES * (TIMEOUT_S + 2 * TICK_S)
-
-
-def test_stopped_node_without_heartbeat_is_not_lost(world: World) -> None:
-    """The gateway sees neither the write that ends the heartbeat nor the command that stops the node."""
-    wire = world.wires[0]
-    wire.loses = lambda end, each: bool(end is wire.gateway and not each["flags"] & ECHO)
-    world.write(0, 1, od.HEARTBEAT_MS, 0, bytes(2))
-    world.step()
-    world.nmt(0, NmtCommand.STOP, 1)
-    world.run(SILENT_AFTER_S + 0.5)
-    wire.loses = None
-    assert state_of(world, 0, 1) in {NmtState.STOPPED, NmtState.PRE_OPERATIONAL}
-    world.until_whole(max(PAUSES_S) + HEARTBEAT_S + SOON_S)
 
 
 def test_highest_node_id_is_proven_started_and_heard() -> None:

@@ -1,11 +1,11 @@
 """The master's frames: few at a time on the bus, in their order, and again at once where the queue was full."""
 
-import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
 from dbc.canopen import SDO_REQUEST_BASE, SYNC_COB_ID
 from dbc.frame import ECHO, ERROR, Frames
+from gateway.batch import batch_of
 from gateway.outgoing import LOST_S, UNDER_WAY, UNTOLD_S, Outgoing
 from gateway.sdo import TIMEOUT_S
 from tests.bus.harness import frame
@@ -33,6 +33,10 @@ class Queue:
         return echo
 
 
+def echoes(arrived: Frames) -> int:
+    return batch_of(arrived).echoes
+
+
 def put(outgoing: Outgoing, numbers: range) -> None:
     for number in numbers:
         outgoing.put(SDO_REQUEST_BASE + 1 + number % 16, bytes((number,)))
@@ -46,9 +50,9 @@ def test_all_go_in_their_order_and_leave_room(room: int, count: int, syncs: int)
     while queue.waiting:
         assert len(queue.waiting) <= UNDER_WAY
         for _ in range(syncs):
-            outgoing.take(frame(SYNC_COB_ID, flags=ECHO), has_gap=False)
-            outgoing.take(frame(SDO_REQUEST_BASE + 1), has_gap=False)
-        outgoing.take(queue.transmit(), has_gap=False)
+            outgoing.take(echoes(frame(SYNC_COB_ID, flags=ECHO)), has_gap=False)
+            outgoing.take(echoes(frame(SDO_REQUEST_BASE + 1)), has_gap=False)
+        outgoing.take(echoes(queue.transmit()), has_gap=False)
     assert queue.sent == list(range(count))
 
 
@@ -81,10 +85,10 @@ def test_lost_echoes_hold_up_nothing_for_long() -> None:
     outgoing = Outgoing(queue.send, 0.0)
     put(outgoing, range(3 * UNDER_WAY))
     assert len(queue.waiting) == UNDER_WAY
-    outgoing.take(np.empty(0, queue.waiting[0].dtype), has_gap=True)  # bus-off, an interface that went down, an overrun
+    outgoing.take(0, has_gap=True)  # bus-off, an interface that went down, an overrun
     assert len(queue.waiting) == 2 * UNDER_WAY
     given_up = frame(SDO_REQUEST_BASE + 1, flags=ECHO | ERROR)
-    outgoing.take(given_up, has_gap=False)
+    outgoing.take(echoes(given_up), has_gap=False)
     assert len(queue.waiting) == 2 * UNDER_WAY + 1
     outgoing.tick(1.1 * LOST_S)
     put(outgoing, range(1))
@@ -96,7 +100,7 @@ def test_where_echoes_tell_nothing_a_few_go_at_a_time() -> None:
     outgoing = Outgoing(queue.send, 0.0, has_echoes=False)
     put(outgoing, range(10))
     for _ in range(10):
-        outgoing.take(frame(SDO_REQUEST_BASE + 1, flags=ECHO), has_gap=False)
+        outgoing.take(echoes(frame(SDO_REQUEST_BASE + 1, flags=ECHO)), has_gap=False)
     assert len(queue.waiting) == UNDER_WAY
     outgoing.tick(1.1 * UNTOLD_S)
     assert len(queue.waiting) == 2 * UNDER_WAY

@@ -137,13 +137,6 @@ def test_gains_and_offsets_of_another_master_end_validity_at_once(
     assert DOUBTED in world.lines
 
 
-def test_a_gain_that_is_written_as_it_was_keeps_its_zero(world: World) -> None:
-    world.write(0, 1, od.GAIN, 1, struct.pack("<f", 1.0))
-    check(world, 1.0)
-    assert valid(world.measured[-1]).all()
-    assert world.recalibrated == []
-
-
 @pytest.mark.parametrize("change", ["gains that were not stored", "stored gains that nobody saw"])
 def test_gains_that_change_with_a_reset_are_found(world: World, change: str) -> None:
     if change == "stored gains that nobody saw":
@@ -300,14 +293,6 @@ def test_wrong_signature_of_right_objects_is_refused(small: Contract) -> None:
     world.run(2.0)
     assert not valid(world.measured[-1])[0]
     assert "node 1 on bus0 refused: its objects are right, but not their signature (2006h)" in world.lines
-
-
-def test_period_is_set_right_where_writing_was_cut_off(world: World) -> None:
-    """1019h is written while 1006h is 0; what was begun and not ended must not leave 0 there."""
-    world.write(0, 1, 0x1006, 0, little(0))
-    check(world, 2.0)
-    assert valid(world.measured[-1]).all()
-    assert world.segments[0].boards.nodes[0].local.unsigned(0x1006) == 50_000
 
 
 def test_a_node_that_aborts_a_read_is_doubted_and_refused(small: Contract) -> None:

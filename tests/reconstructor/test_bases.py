@@ -24,22 +24,12 @@ names = st.sampled_from(NAMES)
 def test_orthonormal_and_adjoint(name: str, rows: int, columns: int, seed: int) -> None:
     psi = wavelet_basis(name, rows, columns)
     x, s = np.random.default_rng(seed).normal(size=(2, rows, columns))
+    before = x.copy()
     assert psi.image_shape == psi.shape == (rows, columns)
     np.testing.assert_allclose(psi.adjoint(psi.forward(x)), x, atol=1e-12)
     np.testing.assert_allclose(psi.forward(psi.adjoint(s)), s, atol=1e-12)
     assert np.vdot(psi.forward(x), s) == pytest.approx(np.vdot(x, psi.adjoint(s)), abs=1e-9)
-
-
-@pytest.mark.heavy
-@given(names, st.integers(0, 2**32 - 1), st.floats(-5, 5))
-@settings(max_examples=30, deadline=None)
-def test_linear_and_leaves_its_argument_alone(name: str, seed: int, a: float) -> None:
-    psi = wavelet_basis(name, 16, 32)
-    u, v = np.random.default_rng(seed).normal(size=(2, 16, 32))
-    before = u.copy()
-    for apply in (psi.forward, psi.adjoint):
-        np.testing.assert_allclose(apply(a * u + v), a * apply(u) + apply(v), atol=1e-11)
-    assert np.array_equal(u, before)
+    np.testing.assert_array_equal(x, before)
 
 
 @pytest.mark.heavy
@@ -96,36 +86,6 @@ def test_every_orthogonal_wavelet_is_a_basis_and_that_of_pywavelets(name: str) -
         np.testing.assert_allclose(psi.adjoint(psi.forward(x)), x, atol=1e-9)
         assert np.vdot(psi.forward(x), s) == pytest.approx(np.vdot(x, psi.adjoint(s)), abs=1e-9)
         assert np.linalg.norm(psi.forward(x)) == pytest.approx(np.linalg.norm(x))
-
-
-def test_d4_pyramid_starts_like_the_tensor_and_goes_on_with_the_low_quadrant() -> None:
-    x = np.random.default_rng(0).normal(size=(64, 64))
-    pyramid, tensor = wavelet_basis("d4-pyramid", 64, 64).forward(x), wavelet_basis("d4-tensor", 64, 64).forward(x)
-    np.testing.assert_allclose(pyramid[32:, 32:], tensor[32:, 32:], atol=1e-12)
-    assert not np.allclose(pyramid[32:, :32], tensor[32:, :32])
-    flat = np.abs(pyramid).ravel()
-    assert flat @ flat == pytest.approx(np.vdot(x, x))
-
-
-def test_d4_kills_straight_lines_away_from_the_edge() -> None:
-    ramp = np.tile(np.arange(64.0), (64, 1))
-    finest = wavelet_basis("d4-tensor", 64, 64).steps[0][1][32:] @ ramp[0]
-    np.testing.assert_allclose(finest[:-1], 0, atol=1e-12)  # the last filter wraps round
-    assert abs(finest[-1]) > 1
-
-
-def test_constant_is_one_coefficient_of_every_basis() -> None:
-    for name in NAMES:
-        s = wavelet_basis(name, 32, 32).forward(np.ones((32, 32)))
-        assert s[0, 0] == pytest.approx(32)
-        assert np.abs(s).sum() == pytest.approx(32, abs=1e-9)
-
-
-@pytest.mark.parametrize("name", NAMES)
-@pytest.mark.parametrize("shape", [(60, 64), (4, 64), (64, 512)])
-def test_other_grids_are_refused(name: str, shape: tuple[int, int]) -> None:
-    with pytest.raises(InputError, match="powers of two"):
-        wavelet_basis(name, *shape)
 
 
 @pytest.mark.parametrize(

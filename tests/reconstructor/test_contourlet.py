@@ -8,8 +8,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from canskin.errors import InputError
-from reconstructor.bases.pkva import pyramid_pair
 from tests.reconstructor.plain_contourlet import PlainContourlet
 
 
@@ -43,40 +41,3 @@ def test_golden_coefficients() -> None:
     i, j = np.indices((64, 64))
     s = PlainContourlet(64, 64).analyse(np.sin(1 + 3 * i + 0.1 * i * j))
     np.testing.assert_allclose(s[[0, 517, 1023, 1024, 2000, 3071, 3072, 5119]], GOLDEN, atol=1e-8)
-
-
-def test_constant_is_all_low_pass() -> None:
-    """The detail of a constant is only what the pyramid's filters leave: 1 - h g of their sums."""
-    s = PlainContourlet(64, 64).analyse(np.ones((64, 64)))
-    sums = pyramid_pair(64)
-    low = sums.down.sum(axis=1)[0] ** 2
-    np.testing.assert_allclose(s[:1024], low, atol=1e-9)
-    assert low == pytest.approx(2, abs=0.03)
-
-
-def test_upper_frame_bound() -> None:
-    """The largest eigenvalue of ΨΨᵀ at 64 x 64, by power iteration."""
-    psi = PlainContourlet(64, 64)
-    vector = np.random.default_rng(0).normal(size=(64, 64))
-    for _ in range(60):
-        vector /= np.linalg.norm(vector)
-        image = psi.adjoint(psi.forward(vector))
-        largest, vector = np.vdot(vector, image), image
-    assert largest == pytest.approx(16.56, rel=0.02)
-
-
-def test_bands_answer_to_directions() -> None:
-    """Stripes along the rows live in other bands than stripes along the columns."""
-    psi = PlainContourlet(64, 64)
-    stripes = np.sin(np.arange(64) * 2.5)[:, None] * np.ones(64)
-    energies = [np.square(psi.analyse(image)[1024:]).reshape(32, 128).sum(axis=1) for image in (stripes, stripes.T)]
-    halves = [energy.reshape(2, 16).sum(axis=1) / energy.sum() for energy in energies]
-    assert max(halves[0]) > 0.9
-    assert max(halves[1]) > 0.9
-    assert halves[0].argmax() != halves[1].argmax()
-
-
-@pytest.mark.parametrize("shape", [(64, 32), (8, 8), (512, 512), (48, 48)])
-def test_other_grids_are_refused(shape: tuple[int, int]) -> None:
-    with pytest.raises(InputError, match="a contourlet needs a square"):
-        PlainContourlet(*shape)

@@ -7,11 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from canskin.errors import InputError
 from reconstructor.fista import fista
 from reconstructor.kernels.contourlet import CompiledContourlet, ContourletSolver
-from reconstructor.settings import PAPER_CONTOURLET, SolverSettings
-from skin.measurement import Sbhe, sbhe
+from reconstructor.settings import SolverSettings
+from skin.measurement import sbhe
 from tests.reconstructor.plain_contourlet import PlainContourlet
 
 
@@ -53,10 +52,3 @@ def test_solver_is_the_reference_with_rows_deleted(dtype: type, error: float) ->
     reference = fista(Rows(), psi, sums[valid], penalty_n=0.01, lipschitz=solver.lipschitz, iterations=9)
     np.testing.assert_allclose(solver.coefficients_of(estimate), reference, atol=error)
     np.testing.assert_allclose(solver.deliver(estimate), np.maximum(psi.adjoint(reference), 0), atol=max(error, 1e-8))
-
-
-def test_grid_is_checked(phi: Sbhe) -> None:
-    with pytest.raises(InputError, match="needs a square"):
-        ContourletSolver(phi, 32, 128, PAPER_CONTOURLET)
-    with pytest.raises(InputError, match="4096 taxels but the image of Ψ has 1024"):
-        ContourletSolver(phi, 32, 32, PAPER_CONTOURLET)

@@ -60,14 +60,6 @@ def test_objective_falls_towards_a_long_run_and_observers_see_it() -> None:
     assert seen[19] - best < 0.1 * (seen[0] - best)
 
 
-@pytest.mark.heavy
-def test_start_at_the_solution_stays_there() -> None:
-    psi = wavelet_basis("haar-pyramid", 16, 16)
-    solution = fista(PHI, psi, SUMS, penalty_n=PENALTY_N, lipschitz=16, iterations=5000)
-    again = fista(PHI, psi, SUMS, penalty_n=PENALTY_N, lipschitz=16, iterations=5, start=solution)
-    np.testing.assert_allclose(again, solution, atol=1e-9)
-
-
 def test_image_form_is_the_coefficient_form() -> None:
     psi = wavelet_basis("haar-tensor", 16, 16)
     s = fista(PHI, psi, SUMS, penalty_n=PENALTY_N, lipschitz=32, iterations=20)
@@ -75,18 +67,6 @@ def test_image_form_is_the_coefficient_form() -> None:
         PHI, Shrinkage(psi), SUMS, penalty_n=PENALTY_N, lipschitz=32, iterations=20, start=np.zeros((16, 16))
     )
     np.testing.assert_allclose(x, psi.adjoint(s), atol=1e-14)
-
-
-def test_cycle_spinning_moves_the_basis_and_not_the_image() -> None:
-    image = np.random.default_rng(1).normal(size=(16, 16))
-    plain, spun = (
-        Shrinkage(wavelet_basis("haar-pyramid", 16, 16)),
-        Shrinkage(wavelet_basis("haar-pyramid", 16, 16), [(0, 0), (3, 5)]),
-    )
-    moved = np.roll(plain(np.roll(image, (3, 5), (0, 1)), 0.1, 0), (-3, -5), (0, 1))
-    np.testing.assert_allclose(spun(image, 0.1, 1), moved)
-    np.testing.assert_allclose(spun(image, 0.0, 1), image)
-    assert Shrinkage(wavelet_basis("haar-pyramid", 16, 16), nonnegative=True)(image, 0.0, 0).min() == 0
 
 
 def test_variation_is_the_proximal_step_when_it_has_time() -> None:

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from reconstructor.bases import wavelet_basis
 from reconstructor.engine import make_solver
 from reconstructor.kernels import variation
-from reconstructor.kernels.addresses import pyramid_addresses, spin_shifts, tensor_addresses
+from reconstructor.kernels.addresses import spin_shifts
 from reconstructor.kernels.haar import HaarSolver
 from reconstructor.kernels.variation import VariationSolver
 from reconstructor.settings import SolverSettings
@@ -145,13 +145,6 @@ def test_a_grid_as_a_graph_has_the_images_of_the_grid(seed: int) -> None:
             solver.solve(estimate, sums_n, np.ones(192, np.float32))
     grid, graph = (solver.deliver(estimate) for solver, estimate in zip(solvers, estimates, strict=True))
     np.testing.assert_allclose(graph, grid, atol=1e-7)
-
-
-@pytest.mark.parametrize("grid", [(8, 8), (64, 64), (8, 256), (32, 16)])
-def test_addresses_are_permutations(grid: tuple[int, int]) -> None:
-    for addresses in (pyramid_addresses(*grid), tensor_addresses(*grid)):
-        assert addresses.shape == grid
-        assert np.array_equal(np.sort(addresses, axis=None), np.arange(grid[0] * grid[1]))
 
 
 def test_shifts_differ_and_begin_with_none() -> None:

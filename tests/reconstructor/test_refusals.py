@@ -33,11 +33,8 @@ ONES = np.ones(64)
     ("spoil", "says"),
     [
         (lambda x: x[:-1], "shape"),
-        (lambda x: np.append(x, 0), "shape"),
         (lambda x: x.reshape(-1, 1), "shape"),
-        (lambda x: x[0], "array"),
         (list, "array"),
-        (lambda x: x.astype(np.complex128), "complex128"),
         (lambda x: x.astype(object), "object"),
         (lambda x: spoilt(x, NAN), "finite"),
         (lambda x: spoilt(x, -INF), "finite"),
@@ -60,10 +57,7 @@ def test_validity_of_blocks(valid: np.ndarray) -> None:
     [
         (lambda: sbhe(256, 0), "1 to 256 sums"),
         (lambda: sbhe(256, 257), "1 to 256 sums"),
-        (lambda: sbhe(256, -1), "1 to 256 sums"),
         (lambda: sbhe(0, 0), "one taxel or more"),
-        (lambda: sbhe(250, 257), "1 to 256 sums"),
-        (lambda: sbhe(256, 64, block_size=0), "power of two"),
         (lambda: sbhe(256, 64, block_size=-32), "power of two"),
         (lambda: sbhe(256, 64, block_size=24), "power of two"),
         (lambda: sbhe(256, 65), "multiple of 8 blocks"),
@@ -85,13 +79,9 @@ def test_sizes_of_measurement_operators(make: Callable[[], Any], says: str) -> N
     ("spoil", "says"),
     [
         (lambda x: x[:-1], "expected an array of float32 or float64 of shape"),
-        (lambda x: x[None], "of shape"),
         (list, "got list"),
-        (lambda x: x.astype(np.int64), "got int64"),
         (lambda x: x.astype(np.float16), "got float16"),
-        (lambda x: x.astype(np.complex64), "got complex64"),
         (lambda x: spoilt(x, NAN), "finite numbers"),
-        (lambda x: spoilt(x, INF), "finite numbers"),
     ],
 )
 def test_bases(psi: Any, spoil: Callable[[np.ndarray], Any], says: str) -> None:
@@ -100,13 +90,9 @@ def test_bases(psi: Any, spoil: Callable[[np.ndarray], Any], says: str) -> None:
 
 
 @pytest.mark.parametrize("make", [*(partial(wavelet_basis, name) for name in BASES), CompiledContourlet])
-@pytest.mark.parametrize("grid", [(0, 0), (-16, -16), (12, 12), (4, 4), (512, 512), (16.0, 16.0)])
+@pytest.mark.parametrize("grid", [(-16, -16), (12, 12), (4, 4), (512, 512), (16.0, 16.0)])
 def test_grids(make: Callable[..., Any], grid: tuple[Any, Any]) -> None:
     one_line(lambda: make(*grid), "power(s)? of two, (8|16) to 256")
-
-
-def test_contourlet_takes_squares() -> None:
-    one_line(lambda: CompiledContourlet(16, 32), "square")
 
 
 FISTA: dict[str, Any] = {"sums_n": SUMS, "penalty_n": 0.01, "lipschitz": 16.0, "iterations": 3}
@@ -120,13 +106,10 @@ FISTA: dict[str, Any] = {"sums_n": SUMS, "penalty_n": 0.01, "lipschitz": 16.0, "
         ({"sums_n": np.ones(64, np.int64)}, "got int64"),
         ({"sums_n": spoilt(SUMS, NAN)}, "sums: .*finite"),
         ({"start": np.zeros((16, 8))}, "start"),
-        ({"start": np.zeros(256)}, "start"),
         ({"start": spoilt(np.zeros((16, 16)), INF)}, "start: .*finite"),
         ({"penalty_n": -0.01}, "penalty"),
         ({"penalty_n": NAN}, "penalty"),
-        ({"penalty_n": INF}, "penalty"),
         ({"iterations": 0}, "at least 1 iteration"),
-        ({"iterations": -3}, "at least 1 iteration"),
         ({"iterations": 2.5}, "at least 1 iteration"),
     ],
 )
@@ -226,17 +209,13 @@ def test_compiled_solvers_take_an_sbhe_alone() -> None:
         (0, lambda x: np.repeat(x, 2)[::2], "estimate: expected contiguous, writeable"),
         (0, lambda x: np.broadcast_to(x, x.shape), "estimate: expected contiguous, writeable"),
         (1, lambda x: x[..., :-1], "sums: .*shape"),
-        (1, lambda x: np.append(x, 0.0), "sums: .*shape"),
         (1, lambda x: x.astype(np.float32), "sums: .*float32"),
-        (1, lambda x: x.astype(np.int64), "sums: .*int64"),
         (1, lambda x: spoilt(x, NAN), "sums of at most 1e6 N"),
-        (1, lambda x: spoilt(x, -INF), "sums of at most 1e6 N"),
         (1, lambda x: spoilt(x, 1e30), "sums of at most 1e6 N"),
         (2, lambda x: x[..., :-1], "weights: .*shape"),
         (2, lambda x: x > 0, "weights: .*bool"),
         (2, lambda x: spoilt(x, 1.5), "weights of 0 to 1"),
         (2, lambda x: spoilt(x, -0.1), "weights of 0 to 1"),
-        (2, lambda x: spoilt(x, NAN), "weights of 0 to 1"),
     ],
 )
 def test_arrays_of_compiled_solvers(kind: str, place: int, spoil: Callable[[np.ndarray], Any], says: str) -> None:
@@ -289,18 +268,6 @@ def test_estimates_of_batches() -> None:
 )
 def test_reconstructor(sums: np.ndarray, valid: np.ndarray, says: str) -> None:
     one_line(lambda: Reconstructor(PHI, 16, 16).solve(sums, valid), says)
-
-
-@pytest.mark.parametrize(
-    ("options", "says"),
-    [
-        ({"noise_n": -1.0}, "above 0"),
-        ({"noise_n": NAN}, "above 0"),
-    ],
-)
-def test_options_of_the_reconstructor(options: dict[str, Any], says: str) -> None:
-    one_line(lambda: Reconstructor(PHI, 16, 16, **options), says)
-    one_line(lambda: Reconstructor(PHI, 16, 32), "256 taxels but the grid has 16 x 32")
 
 
 def test_sums_that_did_not_come_may_hold_anything() -> None:

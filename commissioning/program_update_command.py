@@ -1,54 +1,72 @@
 """``skin node update``: a program into boards, of several buses at the same time."""
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
 
 from bus.options import BusOptions, closing_links, open_links
 from canskin.errors import InputError, RunError
+from commissioning.node_options import NodeOptions
 from commissioning.program_update import ProgramUpdate
 from commissioning.talk import take_turn
+from dbc.contract import Contract
 from dbc.program import Program
 from shell.service import StopSignal, say
-from shell.terminal import print_json, print_table
+from shell.terminal import Json, print_json, print_table
 from skin.layout import Layout
-from skin.ranges import ranges_text
 
 
-def update_nodes(
-    skin: Layout,
-    names: Sequence[str],
-    buses: Sequence[int],
-    node_id: int | None,
-    can: BusOptions,
+def update(
+    program: Path,
     *,
-    every: bool,
-    as_json: bool,
+    of: NodeOptions | None = None,
+    can: BusOptions | None = None,
+    every: Annotated[bool, Parameter(name="--all", negative=())] = False,
+    json: Json = False,
 ) -> int:
-    """Load a program into one board or all boards of `buses`, and print what became of each.
+    """Load a program into a board, or into each board that does not run it, and start it.
 
-    Returns 1 if a board does not run the program, else 0.
+    It may run beside the gateway. A board whose download was cut keeps its old program. Ends with 1 unless each board
+    runs the program.
+
+    Parameters
+    ----------
+    program
+        File of ``skin contract --program``.
+    every
+        All boards, of ``--bus`` or of the skin.
+    json
+        Print one JSON object.
+
+    Examples
+    --------
+    skin node update palm-1.1.bin --bus bus0 --node 3 -i socketcan -c can0
+    skin node update palm-1.1.bin --all -i socketcan -c can0
     """
-    if len(names) != 1 or every == (node_id is not None):
+    of = of or NodeOptions()
+    if every == (of.node is not None):
         raise InputError("expected 'skin node update PROGRAM' with --node for one board, or with --all")
-    program = Program.read(Path(names[0]))
-    device = program.vendor_id, program.product_code
+    skin, loaded = of.load(), Program.read(program)
+    buses = range(len(skin.bus)) if every and of.bus is None else [of.bus_number(skin)]
+    device = loaded.vendor_id, loaded.product_code
     if device != (skin.device.vendor_id, skin.device.product_code):
         wanted = f"vendor-ID {skin.device.vendor_id:X}h and product code {skin.device.product_code:X}h of {skin.name}"
-        raise InputError(f"{names[0]}: expected a program for {wanted}, got {device[0]:X}h and {device[1]:X}h")
-    if node_id is not None and node_id not in skin.bus[buses[0]].ids:
-        line = skin.bus[buses[0]]
-        raise InputError(f"expected a node-ID of {line.name}, {ranges_text(line.ids)}, got {node_id}")
+        raise InputError(f"{program}: expected a program for {wanted}, got {device[0]:X}h and {device[1]:X}h")
+    if of.node is not None:
+        of.board(Contract.from_layout(skin))
 
     def tell(bus: int) -> Callable[[int, str], None]:
         return lambda node, text: say("node update", f"{skin.bus[bus].name} node {node}: {text}")
 
     stop = StopSignal().install()
-    with closing_links(open_links(skin, can, buses, name="node update", stop=stop)) as links:
+    with closing_links(open_links(skin, can or BusOptions(), buses, name="node update", stop=stop)) as links:
         updates = {
             bus: ProgramUpdate(
-                program,
-                skin.bus[bus].ids if node_id is None else [node_id],
+                loaded,
+                skin.bus[bus].ids if of.node is None else [of.node],
                 link.send,
                 time.monotonic(),
                 say=tell(bus),
@@ -59,7 +77,7 @@ def update_nodes(
             take_turn(links, updates)
         for each in updates.values():
             each.give_up()
-    _show(skin, program, updates, as_json=as_json)
+    _show(skin, loaded, updates, as_json=json)
     if stop.is_set():
         raise RunError("stopped: boards keep their old programs; 'skin node update' again completes it")
     return int(any(each.failed for each in updates.values()))
