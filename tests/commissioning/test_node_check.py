@@ -20,8 +20,8 @@ from dbc.frame import ERROR, EXTENDED, REMOTE, Frames
 from nodes.firmware.library import Firmware
 from nodes.sampler import new_sampler
 from nodes.segment import Segment
+from nodes.sending import sending_of
 from nodes.virtual_boards import VirtualBoards
-from nodes.ways import way_of
 from tests.bus.harness import frame
 from tests.gateway.helpers import Shaking, Wire
 from tests.layouts import buses, small_contract
@@ -73,7 +73,7 @@ class BenchInC(Bench):
     def __init__(self, contract: Contract) -> None:
         super().__init__(contract)
         firmware = Firmware(contract, contract.nodes[:1])
-        hardware = way_of(contract.layout).hardware(contract, [0], Shaking((8, 16)), firmware)
+        hardware = sending_of(contract.layout).hardware(contract, [0], Shaking((8, 16)), firmware)
         send = self.wire.nodes.send
         self.segment = Segment(contract, 0, firmware.boards(0), hardware, send, complain=lambda _text: None)
         self.segment.boot(self.now_s)
