@@ -92,13 +92,8 @@ class DriftFollower:
         return self.level_n + ahead * self.slope_n
 
     def skip(self, windows: int) -> None:
-        """Let the offsets go on along their slopes for windows in which nothing was measured.
-
-        The level becomes less certain: what is measured next moves the level much and the slope little, as a line
-        through the points on both sides of the gap.
-        """
+        """Let the offsets go on along their slopes for windows in which nothing was measured."""
         self.level_n = self.predicted_n(windows)
-        self._spread = _ahead(self._spread, windows)
         self._held = self._held + windows
 
     def begin(self, sums: Bools, level_n: Floats, slope_n: Floats, age: int) -> None:
@@ -148,12 +143,12 @@ class DriftFollower:
         ahead = np.where(is_held, self.predicted_n(1.0), own)
         residual = mean_n - ahead
         follows = ~is_held & self.known
-        deviation = np.sqrt(1.0 + np.where(self._age > 1, _ahead(self._spread, 1)[0], _SECOND))
+        deviation = np.sqrt(1.0 + np.where(self._age > 1, _ahead(self._spread)[0], _SECOND))
         relative = residual / deviation[self._block_of_sum]
         if follows.any():
             self._learn(relative[follows])
         age = np.minimum(self._age + 1, MEMORY)
-        spread = np.maximum(_after_point(_ahead(self._spread, 1)), self._least_spread)
+        spread = np.maximum(_after_point(_ahead(self._spread)), self._least_spread)
         spread = np.where(age == 1, _spread(age), spread)  # the first window tells nothing of the slope
         level_gain, slope_gain = spread[:2, self._block_of_sum]
         self.level_n = np.where(follows, ahead + level_gain * residual, ahead)
@@ -184,10 +179,10 @@ def _spread(age: Ages) -> Floats:
     return np.asarray(np.where(age > 1, spread, [[1.0], [0.0], [_ANY_SLOPE]]), np.float64)
 
 
-def _ahead(spread: Floats, windows: int) -> Floats:
-    """Return what `_spread` is of the level `windows` later."""
+def _ahead(spread: Floats) -> Floats:
+    """Return what `_spread` is of the level a window later."""
     level, both, slope = spread
-    return np.stack([level + 2 * windows * both + windows**2 * slope, both + windows * slope, slope])
+    return np.stack([level + 2 * both + slope, both + slope, slope])
 
 
 def _after_point(spread: Floats) -> Floats:

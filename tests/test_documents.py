@@ -20,6 +20,7 @@ import pytest
 import trimesh
 
 from dbc.contract import Contract
+from docs import layout_keys
 from docs.reference import PAGE, reference
 from shell.command import build_app
 from skin.layout import load_layout
@@ -168,6 +169,11 @@ def test_each_picture_is_shown_and_has_its_command() -> None:
     shown = set(re.findall(r"!\[[^]]*\]\((?:docs/)?([^)]+)\)", text))
     assert shown == {path.name for ending in ("png", "svg") for path in (ROOT / "docs").glob(f"*.{ending}")}
     assert shown == set(re.findall(r'^    "([\w.-]+)": ', (ROOT / "docs/figures.py").read_text(), re.MULTILINE))
+
+
+def test_the_keys_of_a_layout_are_those_of_the_code() -> None:
+    text = layout_keys.PAGE.read_text("utf-8")
+    assert layout_keys.page(text) == text, "run python -m docs.layout_keys"
 
 
 def test_the_reference_is_that_of_the_code() -> None:

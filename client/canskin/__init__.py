@@ -7,14 +7,13 @@ Examples
 ...     print(skin.latest().contacts)
 """
 
+from canskin.application import export_model, labelled_touches, simulate
 from canskin.connection import connect, skins_at
 from canskin.description import Description
 from canskin.errors import BusError, InputError, RunError, SkinError
 from canskin.frame import Frame
 from canskin.messages import Contact, EndedContact
-from canskin.simulation import simulate
 from canskin.skin import Frames, Health, Skin
-from canskin.training import export_model, labelled_touches
 
 __all__ = [
     "BusError",

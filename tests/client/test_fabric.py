@@ -38,21 +38,6 @@ def send_until_heard(sender: Fabric, heard: threading.Event) -> None:
     pytest.fail("nothing was heard")
 
 
-def test_message_crosses(hub: Fabric, endpoint: str) -> None:
-    heard = threading.Event()
-    got: list[Label] = []
-
-    def handler(message: Label) -> None:
-        got.append(message)
-        heard.set()
-
-    other = Fabric("test", "other", endpoint)
-    hub.subscribe(LABEL, handler)
-    send_until_heard(other, heard)
-    other.close()
-    assert got[0].label == "cup"
-
-
 def test_messages_tell_their_publisher_and_number(hub: Fabric, endpoint: str) -> None:
     heard = threading.Event()
     origins: list[Origin] = []
@@ -128,24 +113,6 @@ def test_garbage_is_counted_and_other_skins_are_not_heard(hub: Fabric, endpoint:
 def test_publishing_waits_for_nobody(hub: Fabric) -> None:
     hub.publish(LABEL, label(1))
     assert hub._publishers["label"].congestion_control == zenoh.CongestionControl.DROP
-
-
-def test_services_are_seen_coming_and_going(hub: Fabric, endpoint: str) -> None:
-    changed = threading.Condition()
-    alive: set[str] = set()
-
-    def handler(name: str, is_alive: bool) -> None:
-        with changed:
-            alive.add(name) if is_alive else alive.discard(name)
-            changed.notify()
-
-    hub.watch(handler)
-    other = Fabric("test", "reconstructor", endpoint)
-    with changed:
-        assert changed.wait_for(lambda: "reconstructor" in alive, PATIENCE_S)
-    other.close()
-    with changed:
-        assert changed.wait_for(lambda: "reconstructor" not in alive, PATIENCE_S)
 
 
 def test_one_of_two_services_of_a_name_may_leave(hub: Fabric, endpoint: str) -> None:

@@ -7,7 +7,6 @@ import msgspec
 import numpy as np
 import pytest
 
-from canskin import description as description_module
 from canskin.description import Description
 from canskin.errors import InputError
 from canskin.frame import FrameBuilder
@@ -89,12 +88,6 @@ def test_contacts_of_a_lost_image_are_no_other_images(builder: FrameBuilder) -> 
     assert [each.cycle for each in builder.take(contacts(2))] == [2]
 
 
-def test_a_label_of_few_sums_is_none(builder: FrameBuilder) -> None:
-    builder.take(msgspec.structs.replace(label(1, ""), valid_sums=0))
-    builder.take(image(1))
-    assert builder.take(contacts(1))[0].label is None
-
-
 def test_frames_of_another_layout_are_not_made(builder: FrameBuilder) -> None:
     builder.take(measurement(1, fingerprint="another"))
     assert builder.is_outdated
@@ -127,15 +120,17 @@ def test_the_wall_clock_is_unknown_before_the_first_measurement(builder: FrameBu
     assert math.isnan(builder.take(contacts(2))[0].sampled_at)
 
 
-def test_the_clock_of_a_log_that_is_replayed_is_the_wall_clock(builder: FrameBuilder) -> None:
-    builder.take(measurement(2, wall_offset_ns=0))
-    builder.take(image(2))
-    assert builder.take(contacts(2))[0].sampled_at == pytest.approx(0.02)
-
-
 def test_an_unknown_error_is_infinite(builder: FrameBuilder) -> None:
     builder.take(msgspec.structs.replace(image(2), sampled_error_ns=-1))
     assert builder.take(contacts(2))[0].sampled_error_s == math.inf
+
+
+def test_what_is_not_known_is_told(builder: FrameBuilder) -> None:
+    """A label of too few sums, contacts of a blind skin."""
+    builder.take(msgspec.structs.replace(label(1, ""), valid_sums=0))
+    builder.take(image(1))
+    (frame,) = builder.take(contacts(1, blind=True))
+    assert (frame.label, frame.is_blind, frame.contacts) == (None, True, ())
 
 
 def test_a_label_stands_for_half_a_second_and_no_label_is_none(builder: FrameBuilder) -> None:
@@ -154,12 +149,6 @@ def test_a_label_stands_for_half_a_second_and_no_label_is_none(builder: FrameBui
     assert frame_of(55) is None
     builder.take(label(70))
     assert frame_of(69) is None  # a label of later sums is none of this frame
-
-
-def test_blind_contacts_are_not_no_contact(builder: FrameBuilder) -> None:
-    builder.take(image(1))
-    (frame,) = builder.take(contacts(1, blind=True))
-    assert (frame.is_blind, frame.contacts) == (True, ())
 
 
 def test_messages_of_another_layout_are_refused_and_counted(builder: FrameBuilder) -> None:
@@ -240,8 +229,3 @@ def test_a_description_tells_block_and_row_of_each_sum() -> None:
     assert about.block_of_sum.tolist() == [0, 0, 1, 1]
     assert about.row_of_sum.tolist() == [0, 3, 0, 3]
     assert np.array_equal(about.block_of_taxel == 0, EVEN)
-
-
-def test_without_a_boot_id_there_is_none(monkeypatch: pytest.MonkeyPatch, tmp_path: object) -> None:
-    monkeypatch.setattr(description_module, "_BOOT_ID", description_module.Path(f"{tmp_path}/absent"))
-    assert not description_module.boot_id()

@@ -1,7 +1,6 @@
 """Readers of frames: the newest, or all through a queue; with for and with async for."""
 
 import asyncio
-import gc
 import threading
 from types import SimpleNamespace
 
@@ -125,14 +124,6 @@ def test_a_closed_reader_gets_no_more_frames(hub: FrameHub) -> None:
     reader.close()
     hub.put(frame(2))
     assert [each.cycle for each in reader] == [1]
-
-
-def test_a_reader_that_nobody_keeps_is_forgotten(hub: FrameHub) -> None:
-    kept = hub.frames(1)
-    for _ in range(10):
-        hub.frames(1)
-    gc.collect()
-    assert list(hub._readers) == [kept]
 
 
 def test_after_the_end_nothing_waits(hub: FrameHub) -> None:

@@ -136,6 +136,7 @@ UNFIT: list[tuple[str, dict[str, Any]]] = [
     ("image", {"pixels": np.full(256, np.nan, "<f4").tobytes()}),
     ("image", {"valid": b"\1" * 9}),
     ("image", {"doubtful": b"\0"}),
+    *(("image", each) for each in ({"sampled_mono_ns": 2**62}, {"sampled_mono_ns": -1}, {"cycle": 2**63})),
     ("truth", {"sensor": b""}),
     ("label", {"confidence": float("nan")}),
     ("gateway", {"sync_rate_hz": float("inf")}),
@@ -159,11 +160,8 @@ def test_a_message_of_another_skin_is_counted_and_not_shown(
 @pytest.mark.parametrize(
     "change",
     [
-        {"row": 16.0},
-        {"column": np.nan},
-        {"force_n": 1e39},
-        {"position_m": (0.0, np.inf, 0.0)},
-        {"normal": (0, 0, np.nan)},
+        *({"row": 16.0}, {"column": np.nan}, {"force_n": 1e39}, {"peak_n": np.nan}, {"position_m": (0.0, np.inf, 0.0)}),
+        *({"normal": (0, 0, np.nan)}, {"identity": -1}, {"identity": 2**32}, {"taxels": -1}, {"invalid_taxels": 257}),
     ],
 )
 def test_contacts_beside_the_skin_and_without_numbers_are_not_shown(

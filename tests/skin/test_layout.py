@@ -9,15 +9,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from canskin.errors import InputError, LayoutError
-from skin.foreign import ForeignMessage
 from skin.layout import (
     SHIPPED,
     Bus,
-    Device,
-    Encoding,
     Layout,
     PhiParameters,
-    Region,
     Sync,
     Taxels,
     changed,
@@ -218,23 +214,6 @@ def test_a_wrong_file_is_told_what_to_write(text: str, says: str) -> None:
     with pytest.raises(LayoutError) as refused:
         parse_layout(text.encode(), "x.toml")
     assert says in str(refused.value)
-
-
-def test_the_page_names_every_key() -> None:
-    page = Path(__file__).parents[2].joinpath("docs/layout.md").read_text()
-    tables = {
-        "taxels": Taxels,
-        "measurement": PhiParameters,
-        "sync": Sync,
-        "encoding": Encoding,
-        "device": Device,
-        "region": Region,
-        "bus": Bus,
-        "bus.foreign": ForeignMessage,
-    }
-    for name, table in tables.items():
-        for field in msgspec.structs.fields(table):
-            assert f"`{name}.{field.name}`" in page
 
 
 def test_sums_and_buses_follow_the_size_of_the_skin() -> None:

@@ -22,7 +22,7 @@ from canskin.fabric import Fabric
 from canskin.messages import CONTACTS, GATEWAY, IMAGE, LABEL, MEASUREMENT
 from canskin.messages import Topic as FabricTopic
 from health.state import ViewState
-from skin.wall_times import Clocks, WallTimes
+from skin.wall_times import Clocks
 from tests import messages as make
 from tests.health.helpers import Messages
 from tests.views.ros2.reader import (
@@ -345,16 +345,6 @@ def test_a_client_of_another_library_tares(setup: Setup, endpoint: str, monkeypa
     assert (answer.success, answer.message) == (True, "new zero")
 
 
-def test_an_image_that_does_not_fit_is_ignored_and_the_next_is_published(setup: Setup) -> None:
-    images = setup.topic("image", "sensor_msgs/msg/Image", Image)
-    good = setup.messages.image()
-    setup.publish(IMAGE, msgspec.structs.replace(good, pixels=b"1234"))
-    setup.publish(IMAGE, good)
-    image, attached = images.next()
-    assert attached.sequence_id == 1
-    assert math.isclose(np.array(image.data, np.uint8).view("<f4").max(), setup.messages.grid().max())
-
-
 def test_no_image_goes_out_before_the_clocks_of_the_gateway_are_known(messages: Messages) -> None:
     translator = Translator(messages.layout, "palm", ViewState(messages.layout))
     clocks = Clocks(sampled_mono_ns=0, wall_offset_ns=WALL_NS)
@@ -363,33 +353,3 @@ def test_no_image_goes_out_before_the_clocks_of_the_gateway_are_known(messages: 
         for each in (messages.image(), messages.contacts(), clocks, messages.image())
     ]
     assert drafts == [0, 0, 0, 4]
-
-
-def test_diagnostics_count_what_is_ignored(messages: Messages) -> None:
-    translator = Translator(messages.layout, "palm", ViewState(messages.layout))
-    translator.take(messages.contacts(row=99.0), 0.0)
-    status = translator.diagnostics(0.1, 0, undecodable=2).status[0]
-    assert "3 messages ignored that do not fit this skin" in " ".join(each.value for each in status.values)
-
-
-@pytest.mark.parametrize(
-    "wrong",
-    [{"identity": -1}, {"identity": 2**32}, {"taxels": -1}, {"invalid_taxels": 257}, {"peak_n": math.nan}],
-    ids=str,
-)
-def test_contacts_out_of_range_are_ignored(messages: Messages, wrong: dict[str, Any]) -> None:
-    state = ViewState(messages.layout)
-    translator = Translator(messages.layout, "palm", state, wall=WallTimes(WALL_NS))
-    good = messages.contacts()
-    bad = msgspec.structs.replace(good, contacts=[msgspec.structs.replace(good.contacts[0], **wrong)])
-    assert [len(list(translator.take(each, 0.0))) for each in (bad, good)] == [0, 2]
-    assert state.ignored == 1
-
-
-@pytest.mark.parametrize("wrong", [{"sampled_mono_ns": 2**62}, {"sampled_mono_ns": -1}, {"cycle": 2**63}], ids=str)
-def test_images_out_of_range_are_ignored(messages: Messages, wrong: dict[str, Any]) -> None:
-    state = ViewState(messages.layout)
-    translator = Translator(messages.layout, "palm", state, wall=WallTimes(WALL_NS))
-    bad = msgspec.structs.replace(messages.image(), **wrong)
-    assert [len(list(translator.take(each, 0.0))) for each in (bad, messages.image())] == [0, 4]
-    assert state.ignored == 1

@@ -1,20 +1,15 @@
 """What is drawn of the messages of a skin."""
 
-import threading
 from collections.abc import Sequence
 
 import msgspec
 import numpy as np
 import pytest
 
-from canskin.fabric import Fabric
 from canskin.messages import Contact
 from canskin.peers import new_peer
-from shell.service import StopSignal
 from skin.wall_times import Clocks
 from tests.health.helpers import Messages
-from tests.processes import PATIENCE_S
-from views.show.command import draw_live
 from views.show.painter import Painter
 
 WALL_NS = 1_700_000_000_000_000_000
@@ -106,21 +101,6 @@ def test_load_of_each_bus_and_notices_that_begin_and_end(painter: Painter, drawn
     assert drawn.lines[-1] == ("info", "over: left: node 3 silent")
 
 
-def test_what_does_not_fit_is_counted_in_one_notice(painter: Painter, drawn: Drawn, messages: Messages) -> None:
-    painter.look(0.0, WALL_NS)
-    for now_s in (1.0, 2.0, 3.0):
-        painter.take(msgspec.structs.replace(messages.image(), pixels=b"1234"), now_s, WALL_NS)
-        painter.take(messages.contacts(row=99.0), now_s, WALL_NS)
-        painter.look(now_s, WALL_NS, undecodable=1)
-    assert not drawn.images
-    assert not drawn.found
-    (line,) = [line for line in drawn.lines if "ignored" in line[1]]
-    assert line == (
-        "warning",
-        "3 messages ignored that do not fit this skin: is every service given the same layout?",
-    )
-
-
 def test_a_service_is_gone_when_its_token_is(painter: Painter, drawn: Drawn, messages: Messages) -> None:
     peer = new_peer("palm", "reconstructor", messages.layout.phi().fingerprint)
     painter.take_peer(peer, True, 0.0)
@@ -131,41 +111,6 @@ def test_a_service_is_gone_when_its_token_is(painter: Painter, drawn: Drawn, mes
     painter.take_peer(peer, False, 1.5)
     painter.look(2.0, WALL_NS)
     assert ("error", "images stopped: reconstructor is gone") in drawn.lines
-
-
-def test_a_lost_hub_is_one_error(painter: Painter, drawn: Drawn, messages: Messages) -> None:
-    peers = [new_peer("palm", name, messages.layout.phi().fingerprint) for name in ("show", "gateway", "reconstructor")]
-    for is_alive, now_s in ((True, 0.0), (False, 1.0)):
-        for peer in peers:
-            painter.take_peer(peer, is_alive, now_s)
-    painter.look(2.0, WALL_NS)
-    errors = [text for level, text in drawn.lines if level == "error"]
-    assert errors == ["nothing arrives: the fabric's hub, usually the gateway, is out of reach"]
-
-
-def test_a_service_that_does_not_fit_is_in_the_log_of_a_live_skin(
-    hub: Fabric, endpoint: str, messages: Messages, drawn: Drawn
-) -> None:
-    came, stop, write = threading.Event(), StopSignal(), drawn.line
-
-    def line(time_ns: int, level: str, text: str) -> None:
-        write(time_ns, level, text)
-        if "reconstructor has Φ 0123456789abcdef" in text:
-            came.set()
-
-    drawn.line = line  # type: ignore[method-assign]
-    fabrics = [
-        Fabric("palm", "show", endpoint),
-        Fabric("palm", "reconstructor", endpoint, fingerprint="0123456789abcdef"),
-    ]
-    drawing = threading.Thread(target=draw_live, args=(messages.layout, fabrics[0], drawn, stop))
-    drawing.start()
-    has_come = came.wait(PATIENCE_S)
-    stop.set()
-    drawing.join()
-    for each in fabrics:
-        each.close()
-    assert has_come, drawn.lines
 
 
 def test_a_recording_tells_of_no_service_that_it_is_gone(painter: Painter, drawn: Drawn, messages: Messages) -> None:
