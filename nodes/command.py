@@ -12,8 +12,8 @@ from canskin.session import DEFAULT_ENDPOINT
 from dbc.choice import choose_nodes
 from dbc.contract import Contract
 from nodes.firmware.library import Firmware
+from nodes.sending import sending_of
 from nodes.service import NodesService
-from nodes.ways import way_of
 from shell.service import StopSignal, say
 from shell.skin_options import join
 from shell.touch_options import NO_TOUCH_OPTIONS, TouchOptions
@@ -95,7 +95,7 @@ def nodes(
     if firmware:
         compiled = Firmware(contract, mine, store=store, unnumbered=unnumbered)
     blocks = [node.block for node in mine]
-    hardware = way_of(skin).hardware(contract, blocks, touch.source(skin, rest), compiled, **analogue)
+    hardware = sending_of(skin).hardware(contract, blocks, touch.source(skin, rest), compiled, **analogue)
     links = open_links(skin, bus or BusOptions(), chosen, name="nodes", stop=stop)
     joined = join(skin, "nodes", connect, stop=stop) if fabric else None
     service = NodesService(

@@ -21,7 +21,7 @@ from dbc.generate import (
 )
 from dbc.program import VERSION_BYTES, Program, is_version
 from nodes.firmware.export import export_files
-from nodes.ways import vector_files
+from nodes.sending import vector_files
 from shell.output import check_new_path, write_file
 from shell.service import say
 from shell.terminal import Json, print_json

@@ -1,75 +1,80 @@
-"""How the boards of one bus send their sums, as their segment sees it."""
+"""What depends on how the nodes of a skin send their sums (`sending` of a layout), in one place."""
 
-from abc import ABC, abstractmethod
-from typing import ClassVar, Final
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
 
-import numpy as np
-import numpy.typing as npt
-
-from dbc.canopen import BASE_ID_MASK
-from dbc.contract import Contract
-from dbc.frame import ECHO, ERROR, Frames
-from nodes.sampler import Sampler
-
-#: The next SYNC is expected within these times after the last SYNC, in periods.
-QUIET_FROM: Final = 0.7
-QUIET_TO: Final = 2.0
-
-
-class Sending(ABC):
-    """When boards sample and send, and when a TPDO counts as sent."""
-
-    #: Whether a TPDO counts as sent as soon as the transmit queue has accepted it.
-    counts_accepted: ClassVar[bool]
-
-    @abstractmethod
-    def begin(self, now_s: float, since_sync_s: float) -> bool:
-        """Sample what is due by time; tell whether this is a time for heartbeats."""
-
-    def news(self, now_s: float) -> Frames | None:  # noqa: ARG002  not all boards send by themselves
-        """Return the sums that boards send by themselves."""
-        return None
-
-    @abstractmethod
-    def measure(self, counter: int, time_ns: int) -> npt.NDArray[np.int32] | None:
-        """Return what the boards measure at a SYNC; its counter is 0 without one."""
-
-    @abstractmethod
-    def count(self, arrived: Frames, is_pdo: npt.NDArray[np.bool_]) -> tuple[int, int, int]:
-        """Count the boards' own TPDOs among received frames.
-
-        Returns
-        -------
-        sent, dropped : int
-            By how much the numbers of TPDOs sent and dropped change.
-        others : int
-            Frames that the boards still have to take.
-        """
+from dbc.contract import Contract, NodeContract
+from dbc.eds import node_name, node_types
+from dbc.generate import VECTOR_FOLDER
+from dbc.vectors import vectors_text
+from nodes.firmware.library import Firmware
+from nodes.hardware import Hardware
+from nodes.node import SkinNode
+from nodes.sampler import new_sampler
+from nodes.steps.boards import SteppedBoards
+from nodes.steps.firmware import FirmwarePatches
+from nodes.steps.node import SteppedNode
+from nodes.steps.slots import InSlots
+from nodes.steps.vectors import stepped_vectors_text
+from nodes.timing import AtSync, Timing
+from skin.layout import Layout
+from skin.sources import TaxelSource
 
 
-class AtSync(Sending):
-    """All sums at every SYNC, as one burst."""
+@dataclass(frozen=True)
+class NodeSending:
+    """What one way of sending (`skin.sending.Sending`) makes of nodes.
 
-    counts_accepted = True
+    Attributes
+    ----------
+    node : type of SkinNode
+        A node in Python.
+    timing : callable
+        Returns the `Timing` of one bus from contract, number of the bus and hardware.
+    hardware : callable
+        Returns what samples the taxels of some nodes, from contract, blocks of the nodes (ascending), source of touch,
+        firmware (compiled for these nodes: the boards in C make the sums; or None), and ``noise_n``, ``seed`` and
+        ``defects`` of `nodes.electronics.Electronics`.
+    vectors_text : callable
+        Returns the test vectors of a node as JSON.
+    """
 
-    def __init__(self, contract: Contract, bus: int, sampler: Sampler) -> None:
-        self._bus, self._sampler = bus, sampler
-        self._period_s = contract.layout.sync.period_s
+    node: type[SkinNode]
+    timing: Callable[..., Timing]
+    hardware: Callable[..., Hardware]
+    vectors_text: Callable[[Contract, NodeContract], str]
 
-    def begin(self, now_s: float, since_sync_s: float) -> bool:  # noqa: ARG002  a SYNC tells when to sample
-        """Tell whether no SYNC is expected.
 
-        A heartbeat sent while a SYNC waits to be read would delay the burst that answers this SYNC.
-        """
-        return not QUIET_FROM * self._period_s < since_sync_s < QUIET_TO * self._period_s
+def sending_of(layout: Layout) -> NodeSending:
+    """Return what the way of sending of a layout makes of its nodes."""
+    return _SENDINGS[layout.sending]
 
-    def measure(self, counter: int, time_ns: int) -> npt.NDArray[np.int32]:
-        """Sample all taxels."""
-        return self._sampler.sample(counter, time_ns, self._bus)
 
-    def count(self, arrived: Frames, is_pdo: npt.NDArray[np.bool_]) -> tuple[int, int, int]:
-        """Count the TPDOs that could not be sent within the window (1007h); nobody needs the others' echoes."""
-        flags = arrived["flags"]
-        own = flags[(flags & ECHO != 0) & is_pdo[arrived["can_id"] & BASE_ID_MASK]]
-        dropped = int(np.count_nonzero(own & ERROR))
-        return -dropped, dropped, len(arrived) - (len(own) - dropped)
+def _sampler(
+    contract: Contract, _blocks: Sequence[int], source: TaxelSource, firmware: Firmware | None, **analogue: Any
+) -> Hardware:
+    if source.has_noise:
+        analogue = {**analogue, "noise_n": 0.0}
+    return new_sampler(contract.layout, contract.phi, source, makes_sums=firmware is None, **analogue)
+
+
+def _patches(
+    contract: Contract, blocks: Sequence[int], source: TaxelSource, firmware: Firmware | None, **analogue: Any
+) -> Hardware:
+    if firmware is None:
+        return SteppedBoards(contract, blocks, source, **analogue)
+    return FirmwarePatches(contract, blocks, source, firmware, **analogue)
+
+
+def vector_files(contract: Contract) -> dict[str, str]:
+    """Return the test vectors of one node of each type by their path."""
+    text = sending_of(contract.layout).vectors_text
+    nodes = [kind.nodes[0] for kind in node_types(contract)]
+    return {f"{VECTOR_FOLDER}/{node_name(contract, node)}.json": text(contract, node) for node in nodes}
+
+
+_SENDINGS: Final = {
+    "synchronous": NodeSending(SkinNode, AtSync, _sampler, vectors_text),
+    "steps": NodeSending(SteppedNode, InSlots, _patches, stepped_vectors_text),
+}

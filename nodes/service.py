@@ -37,7 +37,7 @@ class NodesService:
     node_ids : mapping of int to collection of int
         The nodes of each bus that this process runs.
     hardware : Hardware
-        Of all these nodes (`nodes.ways`).
+        Of all these nodes (`nodes.sending`).
     fabric : Fabric or None
         Where counters and true forces are published.
     store : Path, optional

@@ -12,8 +12,8 @@ from nodes.hardware import Hardware
 from nodes.lss import LssSlave
 from nodes.node import SkinNode
 from nodes.objects import Outbox
+from nodes.sending import sending_of
 from nodes.storage import Storage
-from nodes.ways import way_of
 
 
 class VirtualBoard:
@@ -114,7 +114,7 @@ class VirtualBoard:
         self.node = self._new_node(node)
 
     def _new_node(self, node: NodeContract) -> SkinNode:
-        return way_of(self._contract.layout).node(
+        return sending_of(self._contract.layout).node(
             node,
             # Nodes in Python have no program that could be exchanged.
             [each for each in dictionary(self._contract, node) if not od.is_program_download(each.index)],

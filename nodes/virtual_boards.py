@@ -49,7 +49,7 @@ class VirtualBoards:
     node_ids : collection of int
         The nodes of the bus that this process runs.
     hardware : Hardware
-        Made for the way in which the layout sends (`nodes.ways`).
+        Made for the way in which the layout sends (`nodes.sending`).
     store : Path, optional
         Folder for the parameters that 1010h stores, one file per node; without a folder they end with the process.
     unnumbered : bool

@@ -5,11 +5,11 @@ import numpy.typing as npt
 
 from dbc.contract import Contract
 from dbc.frame import Frames
-from nodes.sending import Sending
 from nodes.steps.patch_boards import PatchBoards
+from nodes.timing import Timing
 
 
-class InSlots(Sending):
+class InSlots(Timing):
     """Words in the slots of each board; a TPDO counts as sent when its echo comes.
 
     Parameters

@@ -19,8 +19,8 @@ from nodes.firmware.library import Firmware
 from nodes.hardware import Hardware
 from nodes.node import SkinNode
 from nodes.segment import Boards, Segment
+from nodes.sending import sending_of
 from nodes.virtual_boards import VirtualBoards
-from nodes.ways import way_of
 from skin.sources import Frame
 from tests.layouts import buses, small_layout
 
@@ -109,7 +109,7 @@ class Bench:
 
     def hardware(self, contract: Contract, node: NodeContract, firmware: Firmware | None = None) -> Hardware:
         """Return what samples the taxels of a node: the finger touches them."""
-        return way_of(contract.layout).hardware(contract, [node.block], self.finger, firmware)
+        return sending_of(contract.layout).hardware(contract, [node.block], self.finger, firmware)
 
     def connect(self, boards: Boards, hardware: Hardware) -> Place:
         station = self.wire.attach(f"board {len(self.places)}")

@@ -17,8 +17,8 @@ from dbc.configuration import DIALOGUES
 from dbc.contract import Contract
 from dbc.frame import EXTENDED
 from nodes.segment import Segment
+from nodes.sending import sending_of
 from nodes.virtual_boards import VirtualBoards
-from nodes.ways import way_of
 from skin.defects import Defects
 from skin.layout import Layout
 from skin.surface import Floats
@@ -36,7 +36,7 @@ class Bench:
     def __init__(self, layout: Layout, path_m: Floats, force_n: Any, **defects: float) -> None:
         self.layout, self.contract, self.now_s = layout, Contract.from_layout(layout), 10.0
         blocks = [node.block for node in self.contract.nodes]
-        self.hardware = way_of(layout).hardware(
+        self.hardware = sending_of(layout).hardware(
             self.contract,
             blocks,
             Finger(layout, path_m, force_n),

@@ -16,7 +16,6 @@ from dbc.canopen import (
     Emergency,
     ErrorRegister,
     NmtCommand,
-    NmtState,
     is_of_node,
 )
 
@@ -54,12 +53,6 @@ def test_nmt_commands_are_those_of_the_standard() -> None:
     }
     assert [NmtCommand.START, NmtCommand.STOP, NmtCommand.ENTER_PRE_OPERATIONAL] == [1, 2, 128]
     assert [NmtCommand.RESET_NODE, NmtCommand.RESET_COMMUNICATION] == [129, 130]
-
-
-def test_commands_lead_to_the_states_of_the_standard() -> None:
-    """CiA 301, 7.2.8.3.2: STOPPED is 4 in a heartbeat, OPERATIONAL 5, PRE-OPERATIONAL 127."""
-    assert {int(command): int(state) for command, state in dbc.canopen.COMMANDED.items()} == {1: 5, 2: 4, 128: 127}
-    assert NmtState.INITIALISING == 0
 
 
 def test_identifiers_are_those_of_the_predefined_connection_set() -> None:

@@ -7,7 +7,6 @@ import pytest
 from canskin.errors import LayoutError
 from dbc.contract import Contract
 from dbc.dictionary import dictionary
-from dbc.eds import eds, node_types
 from skin.layout import layout_text, parse_layout
 from tests.layouts import STEPPED, small_layout
 
@@ -32,12 +31,6 @@ def test_listed_node_ids_count_the_nodes() -> None:
     assert [node.node_id for node in contract.on_bus(0)] == [3, 5, 9, 10, 11, 50, 126, 127]
     assert contract.layout.bus[0].nodes == 8
     assert parse_layout(layout_text(contract.layout).encode(), "again.toml") == contract.layout
-
-
-def test_the_first_node_id_1_changes_no_identifier_and_no_file() -> None:
-    plain, said = contract_of(), contract_of(first_node_id=1)
-    assert said.nodes == plain.nodes
-    assert [eds(said, each) for each in node_types(said)] == [eds(plain, each) for each in node_types(plain)]
 
 
 @pytest.mark.parametrize("ids", [{"first_node_id": 90}, {"node_ids": [1, 7, 8, 60, 61, 62, 100, 127]}])

@@ -9,7 +9,7 @@ import pytest
 
 from canskin.errors import InputError
 from dbc.contract import Contract, NodeContract
-from nodes import command, ways
+from nodes import command, sending
 from nodes.command import choose_nodes
 from nodes.sampler import Sampler
 from nodes.steps.boards import SteppedBoards
@@ -207,7 +207,7 @@ def test_stepped_boards_in_c_get_the_same_options_as_those_in_python(
         return "patches"
 
     monkeypatch.setattr(command, "Firmware", lambda *_, **__: "compiled")
-    monkeypatch.setattr(ways, "FirmwarePatches", patches)
+    monkeypatch.setattr(sending, "FirmwarePatches", patches)
     touch = TouchOptions(seed=4, defect=["dead=0.5"])
     options = {"layout": Path("steps"), "only": ["bus0:3"], "noise_n": 0.002}
     assert parts.run(touch, firmware=True, **options) == "patches"

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from dbc.patch_filter import HORIZON, make_models, unclip_table
+from dbc.patch_filter import HORIZON, unclip_table
 from nodes.steps.filtering import ForceFilter, PatchFilter
-from nodes.steps.models import new_tracks, step
 from nodes.steps.noise import IdleStatistics, Noise, unclip
 from skin.walsh import haar_matrix, walsh_matrix
 
@@ -96,26 +95,6 @@ def test_a_ramp_does_not_lag() -> None:
             errors.append(np.mean(node_filter.force_n) - (2e-3 + n_per_tick * (tick + HORIZON)))
     # A mean of 16 ms would lag by 8 ms and the horizon: 0.48 mN.
     assert abs(np.mean(errors)) < 0.2 * n_per_tick * HORIZON
-
-
-def test_a_jump_is_followed_at_once() -> None:
-    rng, node_filter = np.random.default_rng(6), ForceFilter(known())
-    for _ in range(300):
-        node_filter.take(noisy(np.zeros(SHAPE), rng))
-    for _ in range(3):
-        node_filter.take(noisy(np.full(SHAPE, 0.012), rng))
-    assert np.mean(node_filter.force_n) == pytest.approx(0.012, rel=0.1)
-
-
-def test_weights_are_probabilities_and_variances_those_of_some_model() -> None:
-    models, rng = make_models(HORIZON), np.random.default_rng(7)
-    tracks, (forecast, variance) = new_tracks(models, 64), np.zeros((2, 64), np.float32)
-    for tick in range(200):
-        sample = rng.normal(0, 1, 64) + (tick > 100) * 0.3 * (tick - 100)
-        step(sample.astype(np.float32), models, tracks, np.float32(HORIZON), forecast, variance)
-        np.testing.assert_allclose(tracks.weight.sum(axis=0), 1, atol=1e-4)
-        assert (variance >= 0.99 * models.variance.min()).all()
-        assert (variance <= 1.01 * models.variance.max()).all()
 
 
 def test_taxels_on_their_own_are_patches_of_one() -> None:

@@ -98,13 +98,6 @@ def sync(data: bytes = b"\7", flags: int = 0) -> Frames:
     return frame(0x80, data, flags, time_ns=40 * MS)
 
 
-def test_boards_boot_when_they_are_told_the_time(bus: Bus) -> None:
-    bus.segment.boot(12.5)
-    assert bus.boards.taken() == [("power up", 12.5)]
-    assert [each[0] for each in bus.wire.take()] == [0x701]
-    assert bus.segment.frames_sent == 0  # a boot-up message is no TPDO
-
-
 def test_frames_go_to_the_boards_in_their_order_and_a_sync_alone(bus: Bus) -> None:
     first, second = frame(0x601, bytes(8)), frame(0x602, bytes(8))
     assert bus.take(first, second) == [[0x601, 0x602]]
@@ -114,13 +107,6 @@ def test_frames_go_to_the_boards_in_their_order_and_a_sync_alone(bus: Bus) -> No
     assert bus.take(sync()) == [[0x80]]
     assert bus.sampler.asked == [(7, 40 * MS, 1), (8, 40 * MS, 1), (7, 40 * MS, 1), (7, 40 * MS, 1)]
     assert (bus.segment.syncs_seen, bus.segment.sync_at_s) == (4, 5.0)
-
-
-def test_at_a_sync_the_boards_get_what_the_taxels_read(bus: Bus) -> None:
-    bus.take(sync())
-    (measured,) = bus.boards.measured
-    assert measured is not None
-    assert (measured == 107).all()
 
 
 @pytest.mark.parametrize(

@@ -121,10 +121,6 @@ def test_nothing_is_learned_from_touched_taxels() -> None:
     np.testing.assert_allclose(found[1:], 0.5**0.25, rtol=0.03)
 
 
-def test_taxels_without_noise_say_nothing_of_it() -> None:
-    assert (scale_of([np.zeros(SHAPE, np.float32)] * WINDOW, EVEN, new_sums()) == 1).all()
-
-
 def test_a_touch_that_comes_and_goes_is_no_noise() -> None:
     rng = np.random.default_rng(5)
     samples = (noisy(0.006 if tick % 150 < 50 else 0.0, rng) for tick in range(WINDOW))

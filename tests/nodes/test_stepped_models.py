@@ -13,13 +13,6 @@ SWITCHING, LEAST = 0.001, 1e-9
 Numbers = npt.NDArray[np.float64]
 
 
-def test_tracks_begin_at_zero_with_models_alike() -> None:
-    tracks = new_tracks(make_models(1.0), 3)
-    assert not tracks.level.any()
-    assert not tracks.slope.any()
-    np.testing.assert_allclose(tracks.weight, np.full((8, 3), 1 / 8))
-
-
 class Slow:
     """Interacting multiple models of one coefficient, as Blom and Bar-Shalom write them."""
 

@@ -13,11 +13,11 @@ from dbc.contract import Contract
 from dbc.frame import ECHO, ERROR, frames
 from dbc.steps import CHECK, SET, SLOTS, STEP, kind_of
 from nodes.segment import Segment
+from nodes.sending import vector_files
 from nodes.steps import patch_boards
 from nodes.steps.boards import SteppedBoards
 from nodes.steps.noise import IdleStatistics
 from nodes.virtual_boards import VirtualBoards
-from nodes.ways import vector_files
 from skin.layout import load_layout
 from tests.bus.harness import frame
 from tests.nodes.helpers import ArrayLink, Still

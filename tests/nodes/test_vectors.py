@@ -13,7 +13,7 @@ from dbc.contract import Contract
 from dbc.generate import VECTOR_FOLDER
 from nodes.electronics import Electronics
 from nodes.sampler import Sampler
-from nodes.ways import vector_files
+from nodes.sending import vector_files
 from skin.layout import load_layout
 from skin.sources import Frame
 

@@ -10,9 +10,9 @@ from dbc.contract import sync_frame
 from dbc.dictionary import REVISION
 from nodes.firmware.library import Firmware
 from nodes.segment import Segment
+from nodes.sending import sending_of
 from nodes.storage import Storage
 from nodes.virtual_boards import VirtualBoards
-from nodes.ways import way_of
 from tests.bus.harness import frame
 from tests.commissioning.fresh_boards import Bench, check_commissioning, complete, skin
 from tests.nodes.firmware.twins import Rolling, Wire, needs_compiler, small_contract
@@ -81,7 +81,7 @@ def test_boards_that_have_exchanged_their_node_ids_feel_the_taxels_of_their_own_
     Storage.of_node(contract, second, tmp_path).save_node_id(1)
     sent = []
     for firmware in (None, Firmware(contract, [first, second], store=tmp_path, unnumbered=True)):
-        hardware = way_of(contract.layout).hardware(contract, [0, 1], Rolling(contract), firmware)
+        hardware = sending_of(contract.layout).hardware(contract, [0, 1], Rolling(contract), firmware)
         boards = firmware.boards(0) if firmware else VirtualBoards(contract, 0, {1, 2}, hardware, store=tmp_path)
         wire = Wire()
         segment = Segment(contract, 0, boards, hardware, wire.send, complain=lambda _: None)

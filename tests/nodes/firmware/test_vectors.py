@@ -19,9 +19,9 @@ from dbc.contract import Contract
 from dbc.frame import ECHO, frames
 from dbc.patch_filter import IDLE_SAMPLES, SAMPLE_NS, SETTLING_SAMPLES
 from nodes.firmware.library import CompiledBoards, Firmware
+from nodes.sending import sending_of, vector_files
 from nodes.steps.vectors import SINCE_SYNC_NS
 from nodes.virtual_boards import VirtualBoards
-from nodes.ways import vector_files, way_of
 from skin.layout import changed, load_layout
 from skin.walsh import grouped_rows
 from tests.bus.harness import frame
@@ -63,7 +63,7 @@ def test_gains_and_offsets_of_the_vectors_have_their_signature_in_both_languages
     contract = Contract.from_layout(load_layout(Path(name)))
     vectors = json.loads(next(iter(vector_files(contract).values())))
     blocks = range(contract.nodes[0].blocks)
-    hardware = way_of(contract.layout).hardware(contract, blocks, Still(contract), None)
+    hardware = sending_of(contract.layout).hardware(contract, blocks, Still(contract), None)
     both = VirtualBoards(contract, 0, {1}, hardware), Firmware(contract, contract.nodes[:1]).boards(0)
     both[0].power_up(0.0)
     if contract.in_steps:
