@@ -4,7 +4,7 @@
 # make test-containers  the skin in containers, on this machine's engine or one of its own (docs/containers.md)
 # make lock     requirements.lock, the versions in the image, anew from pyproject.toml
 # make wheels   the wheels of requirements.lock, for an image built without a network (docs/containers.md)
-# make mutants  small faults put into the code that no test notices, slow ones apart (docs/develop.md); hours without PATHS or ARGS
+# make mutants  small faults put into the code that no test notices, a drawn sample (docs/develop.md)
 # make figures  every picture of the README and of docs/, with today's code (ARGS="demo.png page.png" for some)
 # make docs     the documents and the API as a site, in build/site/, without a network
 # make setup    the environment of all of them, in .venv; make demo makes a smaller one, without the test tools
@@ -13,8 +13,6 @@ PYTHON ?= python3
 BIN := .venv/bin
 # What the demo is given, for example: make demo ARGS="--seconds 10 --objects golf-ball"
 ARGS ?=
-# Files or folders of code for make mutants, for example: make mutants PATHS=dbc/packing.py ARGS="--sample 20"
-PATHS ?=
 # The oldest Python that works, as pyproject.toml has it.
 OLDEST := $(shell sed -n 's/^requires-python = ">=\(.*\)"/\1/p' pyproject.toml)
 IS_NEW_ENOUGH := import sys; sys.exit(sys.version_info < tuple(map(int, "$(OLDEST)".split("."))))
@@ -93,7 +91,7 @@ wheels/.complete: requirements.lock | setup
 	@touch $@
 
 mutants: .venv/.mutants
-	@$(BIN)/python tests/mutants/find.py $(PATHS) $(ARGS)
+	@$(BIN)/python tests/mutants/find.py $(ARGS)
 
 # The quick loop while working: no heavy tests and no slow ones; it names the longest: those that compile, or have become heavy.
 loop: setup

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import tomli_w
 
-from bandwidth.alternatives import planned
+from bandwidth.plan import planned
 from bandwidth.settings import Setting, settings
 from bandwidth.traffic import Disturbance
 from bandwidth.wiring import wiring

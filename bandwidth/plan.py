@@ -23,7 +23,7 @@ from dbc.contract import Contract, sync_frame
 from dbc.dictionary import window_s
 from dbc.frame_bits import Stuffing, frame_time_ns, wire_bits
 from skin.choice import ROOM
-from skin.layout import Bus, Layout
+from skin.layout import Bus, Layout, validated
 from skin.sources import load_objects, load_sender
 from skin.sync_counter import SYNC_OVERFLOW
 
@@ -145,6 +145,12 @@ def plan(contract: Contract, *, allowed: Disturbance | None = None, is_touched: 
             planned = replace(planned, load_touched=min(1.0, idle + touched))
         plans.append(planned)
     return plans
+
+
+def planned(layout: Layout, allowed: Disturbance) -> list[BusPlan]:
+    """Check and plan a layout that a program has built, without simulated touches."""
+    contract = Contract.from_layout(validated(layout))
+    return [plan_bus(contract, bus, None, allowed) for bus in range(len(layout.bus))]
 
 
 def touched_load(contract: Contract, bus: int) -> float | None:

@@ -9,12 +9,13 @@ from cyclopts import Parameter
 from bandwidth.bit_timing import TimingOptions, bus_timings, print_timings
 from bandwidth.design import NO_DESIGN, DesignOptions, design
 from bandwidth.plan import plan as plan_buses
-from bandwidth.sending import facts, print_plans
+from bandwidth.tables import print_plan, print_slot_plan
 from bandwidth.traffic import Disturbance
 from bandwidth.wiring import wiring
 from bus.options import BusOptions, Channels, channels
 from canskin.errors import InputError
 from dbc.contract import Contract
+from dbc.packing import rounding_error_n
 from shell.terminal import Json, print_json, print_table
 from skin.choice import chosen, scan_words
 from skin.layout import Layout, layout_tables, load_layout
@@ -102,15 +103,21 @@ def plan(
             "chosen": words,
             "scan": scan,
             "quality": [each._asdict() for each in judged],
+            "sending": skin.sending,
+            **({"steps": skin.steps} if contract.in_steps else _of_cycles(skin)),
         }
-        print_json(about | facts(contract, allowed))
+        print_json(about)
     else:
-        print_plans(contract, plans, allowed)
+        (print_slot_plan if contract.in_steps else print_plan)(plans)
         print("", wiring(contract.layout), *words, *[scan] * bool(scan), sep="\n")
         if judged:
             print(f"\nimages of simulated touches: {judged[0].words}")
             _print_quality(judged)
     return int(not does_fit)
+
+
+def _of_cycles(layout: Layout) -> dict[str, object]:
+    return {"sum_bits": layout.encoding.sum_bits, "rounding_error_n": rounding_error_n(layout)}
 
 
 def _judged(layout: Layout) -> "list[Quality]":

@@ -8,7 +8,6 @@ from typing import Final, Literal
 
 import msgspec
 
-from bandwidth.alternatives import BLOCKS_PER_NODE, FD_BITRATES, with_averages, with_buses
 from bandwidth.highest_rate import highest_rate_hz
 from bandwidth.plan import bus_time, plan_bus, touched_load
 from bandwidth.response import UNBOUNDED
@@ -17,7 +16,7 @@ from canskin.errors import InputError, LayoutError
 from dbc.canopen import HIGHEST_NODE_ID
 from dbc.contract import Contract, useful_widths
 from dbc.dictionary import window_s
-from skin.choice import BUSES_MAX, COMPRESSIONS, ROOM
+from skin.choice import BUSES_MAX, COMPRESSIONS, ROOM, averaged_hz
 from skin.layout import (
     GAP,
     RATE_MAX_HZ,
@@ -37,6 +36,9 @@ from skin.sending import STEPPED, SendingName
 CanKind = Literal["any", "classic", "fd"]
 SendingKind = Literal["any", "synchronous", "steps"]
 
+#: Data bit rates of CAN FD, and blocks per node, to try.
+FD_BITRATES: Final = (2_000_000, 5_000_000, 8_000_000)
+BLOCKS_PER_NODE: Final = (1, 2, 4, 8)
 #: Widths to try. The rounding of 9 bits is nearly the noise of averages of ten, so 9 bits and fewer come last.
 _WIDTHS: Final = (range(SUM_BITS_MAX, 9, -1), range(9, SUM_BITS_MIN - 1, -1))
 DATA_BITRATES: Final[dict[CanKind, tuple[int | None, ...]]] = {
@@ -239,7 +241,7 @@ def _layouts(required: Requirement) -> Iterator[Layout]:
     )
     start = changed(start, measurement={"sums": start.places // COMPRESSIONS[0]})
     if required.sending != "steps":
-        yield from _in_cycles(with_averages(start), required)
+        yield from _in_cycles(changed(start, sampling={"rate_hz": averaged_hz(start)}), required)
     if required.sending != "synchronous" and required.rate_hz <= STEPPED.default_rates_hz["sampling"]:
         yield from _in_steps(start, required)
 
@@ -268,6 +270,19 @@ def _in_steps(start: Layout, required: Requirement) -> Iterator[Layout]:
             yield with_buses(
                 start, buses, msgspec.structs.replace(start.bus[0], fd=rate is not None, data_bitrate=rate)
             )
+
+
+def with_buses(layout: Layout, buses: int, like: Bus) -> Layout:
+    """Return the layout with its blocks divided evenly over `buses` buses with the settings of `like`."""
+    nodes = -(-layout.blocks // like.blocks_per_node)
+    like = msgspec.structs.replace(
+        like, first_node_id=like.ids[0] if like.node_ids else like.first_node_id, node_ids=None
+    )
+    share = [nodes // buses + (each < nodes % buses) for each in range(buses)]
+    lines = [
+        msgspec.structs.replace(like, name=f"bus{number}", nodes=count) for number, count in enumerate(share) if count
+    ]
+    return changed(layout, bus=lines)
 
 
 def _denser(least: Layout) -> Iterator[Layout]:

@@ -4,7 +4,6 @@ import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Final
 
-from bandwidth.alternatives import Alternative
 from bandwidth.measured import BusLoad
 from bandwidth.plan import BusPlan
 from dbc.canopen import identifier_text
@@ -16,19 +15,13 @@ _WIDTH: Final = 120
 _NO_BREAK: Final = "\N{NO-BREAK SPACE}"
 
 
-def print_plan(plans: Sequence[BusPlan], others: Iterable[Alternative]) -> None:
-    """Print a plan: a column per bus, the nodes' response times, the alternatives, the problems."""
-    tried = list(others)
+def print_plan(plans: Sequence[BusPlan]) -> None:
+    """Print a plan: a column per bus, the nodes' response times, the problems."""
     print_buses(plans)
     print("\nworst response of each node's last TPDO, ms:")
     times = {each.name: [(node.node_id, node.response_ms) for node in each.node_plans] for each in plans}
     _print_wrapped(_node_lines(times))
     _print_foreign(plans)
-    print()
-    _print_alternatives(tried)
-    for each in tried:
-        if each.load_worst is None:
-            print(f"{each.change} cannot be: {each.problem}")
     print_problems(plans)
 
 
@@ -118,27 +111,6 @@ def print_buses(plans: Sequence[BusPlan]) -> None:
         ],
     }
     print_table(["", *(each.name for each in plans)], [[name, *cells] for name, cells in rows.items()])
-
-
-def _print_alternatives(others: Iterable[Alternative]) -> None:
-    rows = []
-    for each in others:
-        if each.load_random is None or each.load_worst is None or each.rounding_error_n is None:
-            rows.append([each.change, str(each.nodes), "-", "-", "cannot be", "-", "-"])
-            continue
-        rows.append(
-            [
-                each.change,
-                str(each.nodes),
-                str(each.frames_per_cycle),
-                f"{each.rounding_error_n * 1e3:.2f}",
-                f"{percent(each.load_random)} / {percent(each.load_worst)}",
-                f"{number(each.max_rate_hz_random, 1)} / {number(each.max_rate_hz_worst, 1)}",
-                ms(each.window_needed_ms),
-            ]
-        )
-    headings = ["with", "nodes", "frames", "rounding, mN", "load, random / worst", "Hz, random / worst", "window, ms"]
-    print_table(headings, rows)
 
 
 def _node_lines(buses: Mapping[str, Sequence[tuple[int, float | None]]]) -> list[str]:

@@ -2,9 +2,9 @@
 
 from typing import Final
 
-from bandwidth.alternatives import with_averages
 from canskin.errors import InputError, LayoutError
 from canskin.messages import GatewayStatus
+from skin.choice import averaged_hz
 from skin.layout import Layout, changed, validated
 
 #: Since the first cycle of a run: services that start take more of the processor until `SETTLED_S`; cycles from then to
@@ -28,7 +28,7 @@ def at_rate(layout: Layout, rate_hz: float) -> Layout:
     """
     other = changed(layout, sync={"rate_hz": rate_hz})
     if layout.samples_per_sync > 1 and rate_hz > 0:
-        other = with_averages(other, layout.samples_per_sync)
+        other = changed(other, sampling={"rate_hz": averaged_hz(other, layout.samples_per_sync)})
     try:
         return validated(other)
     except LayoutError as error:

@@ -38,8 +38,6 @@ REST_S: Final = 1.5
 READY_PATIENCE_S: Final = 600.0
 FIRST_CYCLE_PATIENCE_S: Final = 20.0
 TURN_S: Final = 0.1
-#: Where programs alone ask for images, the demo asks every `ASK_EVERY` · `hold_s` seconds.
-ASK_EVERY: Final = 2.0
 #: A start that takes longer is explained.
 SLOW_START_S: Final = 8.0
 
@@ -60,7 +58,6 @@ class Run:
         #: State of the gateway at `SETTLED_S`, with which the rate is judged.
         self._earlier: GatewayStatus | None = None
         self._judge_at_s = inf
-        #: When images are asked for next, seconds since the first cycle.
         self._console = Console(stderr=True, quiet=quiet or not talks(Talk.NORMAL))
         self._port = _page_port(options.port) if options.view else None
         self._path = str(options.layout or "default")

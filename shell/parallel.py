@@ -1,24 +1,19 @@
-"""Independent work in parallel: on this machine's cores, or on a Dask cluster."""
+"""Independent work in parallel, on this machine's cores."""
 
 import contextlib
 import signal
 import threading
 import warnings
 from collections.abc import Callable, Generator, Iterator, Sequence
-from typing import Any, Final, TypeVar
+from typing import TypeVar
 
 from canskin.errors import InputError
-from shell.extras import not_installed
-
-_CONNECT_S: Final = 10
 
 Result = TypeVar("Result")
 Call = Callable[[], Result]
 
 
-def in_parallel(
-    calls: Sequence[Call[Result]], jobs: int, *, cluster: str | None = None, ahead: int | None = None
-) -> Generator[tuple[int, Result]]:
+def in_parallel(calls: Sequence[Call[Result]], jobs: int, *, ahead: int | None = None) -> Generator[tuple[int, Result]]:
     """Yield the index and the result of each call, in the order of completion.
 
     Parameters
@@ -26,20 +21,18 @@ def in_parallel(
     calls : sequence of callable
         Called without arguments; calls and results must be picklable.
     jobs : int
-        Number of processes, each with one thread; 1 uses this process. On a cluster `jobs` only scales `ahead`.
-    cluster : str, optional
-        Address of a Dask scheduler whose workers have this project installed.
+        Number of processes, each with one thread; 1 uses this process.
     ahead : int, optional
         Calls per job that run before their results are yielded, to limit the memory of large results; default: all.
     """
     if jobs < 1:
         raise InputError(f"expected 1 job or more, got {jobs}")
-    if cluster is None and (jobs == 1 or len(calls) < 2):
+    if jobs == 1 or len(calls) < 2:
         for place, call in enumerate(calls):
             yield place, call()
         return
     size = len(calls) if ahead is None else ahead * jobs
-    with _backend(cluster):
+    with _backend():
         for first in range(0, len(calls), max(1, size)):
             with _begun(calls[first : first + size], jobs) as done:
                 for place, result in done:
@@ -81,30 +74,15 @@ def _ctrl_c_ignored() -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def _backend(cluster: str | None) -> Iterator[None]:
+def _backend() -> Iterator[None]:
     from joblib import parallel_config
     from joblib.externals.loky import get_reusable_executor
 
-    if cluster is None:
-        try:
-            with parallel_config(backend="loky", inner_max_num_threads=1):
-                yield
-        finally:
-            # Shut down here: at the end of the program, Ctrl-C would print a traceback, and an interrupted executor
-            # would leave processes for which the program then waits without end.
-            with _ctrl_c_ignored():
-                get_reusable_executor(reuse=True).shutdown(wait=True, kill_workers=True)
-        return
-    with _client(cluster), parallel_config(backend="dask"):
-        yield
-
-
-def _client(cluster: str) -> Any:
     try:
-        from distributed import Client
-    except ImportError as error:
-        raise not_installed("a Dask cluster needs the package distributed", "cluster") from error
-    try:
-        return Client(cluster, timeout=_CONNECT_S)
-    except (OSError, ValueError, TypeError) as error:
-        raise InputError(f"no Dask scheduler answers at '{cluster}': {error or type(error).__name__}") from error
+        with parallel_config(backend="loky", inner_max_num_threads=1):
+            yield
+    finally:
+        # Shut down here: at the end of the program, Ctrl-C would print a traceback, and an interrupted executor
+        # would leave processes for which the program then waits without end.
+        with _ctrl_c_ignored():
+            get_reusable_executor(reuse=True).shutdown(wait=True, kill_workers=True)

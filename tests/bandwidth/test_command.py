@@ -47,7 +47,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.heavy
-def test_json_plan_has_buses_alternatives_and_wires(skin: Skin) -> None:
+def test_json_plan_has_buses_and_wires(skin: Skin) -> None:
     status, out, said = skin("plan", "--json")
     document = json.loads(out)
     assert (status, said) == (0, "")
@@ -59,9 +59,6 @@ def test_json_plan_has_buses_alternatives_and_wires(skin: Skin) -> None:
     assert bus["load_touched"] == pytest.approx(0.764, rel=0.01)
     assert bus["load_worst"] == pytest.approx(0.8791, rel=0.0005)
     assert [node["node_id"] for node in bus["node_plans"]] == list(range(1, 33))
-    assert {"as it is", "8 buses", "12-bit sums", "CAN FD 8 Mbit/s, 4 per node"} <= {
-        each["change"] for each in document["alternatives"]
-    }
     wires = document["wiring"]
     assert wires["longest_chain_m"] == pytest.approx(1.627, abs=0.001)
     assert wires["wires_m"] == pytest.approx(165.6, abs=0.1)

@@ -5,8 +5,8 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from bandwidth.alternatives import planned
 from bandwidth.highest_rate import STEP_HZ, highest_rate_hz
+from bandwidth.plan import planned
 from bandwidth.traffic import Disturbance
 from canskin.errors import InputError
 from skin.layout import SHIPPED, Layout, load_layout

@@ -6,11 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bandwidth.alternatives import alternatives, with_buses
-from bandwidth.plan import BusTime, bus_time, plan, plan_bus
+from bandwidth.plan import BusTime, bus_time, plan, plan_bus, planned
+from bandwidth.search import with_buses
 from bandwidth.traffic import Disturbance, traffic
 from bandwidth.wiring import wiring
 from bus.simulated_bus import SimulatedBus
+from canskin.errors import LayoutError
 from dbc.codec import encode
 from dbc.contract import Contract, sync_frame
 from dbc.frame import frames
@@ -136,8 +137,8 @@ def test_average_load_is_that_of_the_arbitrated_bus(name: str) -> None:
                 mine = np.concatenate([mine, heartbeats(contract.on_bus(number), cycle * period_ns)])
             assert wire.submit(nodes, mine) == len(mine)
             wire.run_until((cycle + 1) * period_ns)
-    for wire, planned in zip(wires, plan(contract), strict=True):
-        assert wire.counts.busy_ns / (cycles * period_ns) == pytest.approx(planned.load_touched, rel=0.01)
+    for wire, expected in zip(wires, plan(contract), strict=True):
+        assert wire.counts.busy_ns / (cycles * period_ns) == pytest.approx(expected.load_touched, rel=0.01)
 
 
 def heartbeats(nodes: tuple[object, ...], time_ns: int) -> np.ndarray:
@@ -183,21 +184,10 @@ def test_layout_text_is_read_back_as_the_same_layout(name: str) -> None:
     assert parse_layout(layout_text(layout).encode(), "again") == layout
 
 
-def test_alternatives_are_layouts_or_say_why_not() -> None:
-    found = {each.change: each for each in alternatives(load_layout())}
-    assert found["8 buses"].max_rate_hz_worst == pytest.approx(4 * 112.2, rel=0.01)
-    assert found["12-bit sums"].max_rate_hz_worst == pytest.approx(245.5, rel=0.01)
-    assert found["CAN FD 5 Mbit/s, 4 per node"].max_rate_hz_random == pytest.approx(1285, rel=0.01)
-    assert all((each.load_worst is None) == (each.frames_per_cycle is None) for each in found.values())
-
-
-def test_an_impossible_alternative_names_the_key() -> None:
+def test_a_layout_that_a_program_has_built_is_checked() -> None:
     crowded = with_buses(load_layout(), 2, load_layout().bus[0])
-    crowded = changed(crowded, encoding={"sum_bits": 16}, measurement={"sums": 4096})
-    first = next(alternatives(crowded))
-    assert first.load_worst is None
-    assert first.problem is not None
-    assert "no identifiers left" in first.problem
+    with pytest.raises(LayoutError, match="no identifiers left"):
+        planned(changed(crowded, encoding={"sum_bits": 16}, measurement={"sums": 4096}), Disturbance())
 
 
 def few(rows: Sequence[Sequence[int]] = ((0, 0), (1, 1)), **of_buses: int) -> Layout:
@@ -210,11 +200,6 @@ def test_a_bus_whose_nodes_send_no_sums_has_heartbeats_alone_and_no_problem() ->
     assert (left.problems, right.problems) == ([], [])
     assert [(each.node_id, each.frames_per_cycle) for each in left.node_plans] == [(1, 1), (2, 1)]
     assert (right.node_plans, right.frames_per_cycle) == ([], 1)  # SYNC
-
-
-def test_named_rows_have_no_alternative_with_other_sums() -> None:
-    layout = few()
-    assert {each.problem for each in alternatives(layout)} == {None}
 
 
 def test_conversions_of_a_node_are_those_of_its_taxels_or_of_its_analogue_sums() -> None:

@@ -2,17 +2,18 @@
 
 from typing import Any
 
+import msgspec
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bandwidth.alternatives import planned
-from bandwidth.plan import plan
-from bandwidth.search import Requirement, Search, nearly_square, search
+from bandwidth.plan import plan, planned
+from bandwidth.search import Requirement, Search, nearly_square, search, with_buses
 from bandwidth.traffic import Disturbance
 from canskin.errors import InputError
 from dbc.contract import Contract
-from skin.layout import Taxels, validated
+from skin.layout import Taxels, changed, load_layout, validated
+from tests.layouts import buses, small_layout
 
 
 @pytest.mark.parametrize(
@@ -137,3 +138,28 @@ def test_any_number_of_taxels_has_a_grid(count: int) -> None:
     assert taxels.there == count
     assert taxels.columns <= taxels.rows <= 2 * taxels.columns + 1
     assert len(taxels.gaps) < taxels.columns
+
+
+LAYOUT = small_layout(16, 16, bus=buses(2, 6, names=("left", "right")))
+
+
+@pytest.mark.parametrize(
+    ("blocks", "buses", "nodes"),
+    [(1, 3, [3, 3, 2]), (1, 5, [2, 2, 2, 1, 1]), (2, 3, [2, 1, 1]), (4, 3, [1, 1]), (8, 4, [1]), (1, 1, [8])],
+)
+def test_nodes_are_divided_evenly_and_buses_without_nodes_are_left_out(
+    blocks: int, buses: int, nodes: list[int]
+) -> None:
+    layout = LAYOUT
+    like = msgspec.structs.replace(layout.bus[0], blocks_per_node=blocks, bitrate=250_000)
+    made = with_buses(layout, buses, like)
+    assert [(bus.name, bus.nodes) for bus in made.bus] == [(f"bus{each}", count) for each, count in enumerate(nodes)]
+    assert {(bus.blocks_per_node, bus.bitrate) for bus in made.bus} == {(blocks, 250_000)}
+    assert msgspec.structs.replace(made, bus=layout.bus) == layout
+
+
+def test_a_block_that_is_left_over_has_a_node() -> None:
+    odd = changed(LAYOUT, taxels=msgspec.structs.replace(load_layout().taxels, columns=10))
+    assert odd.blocks == 20
+    made = with_buses(odd, 2, msgspec.structs.replace(odd.bus[0], blocks_per_node=8))
+    assert [bus.nodes for bus in made.bus] == [2, 1]

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from bandwidth.alternatives import planned
+from bandwidth.plan import planned
 from bandwidth.traffic import Disturbance
 from canskin.errors import LayoutError
 from skin.choice import COMPRESSIONS, ROOM, carries, chosen, scan_words, worst_load

@@ -32,7 +32,6 @@ def dataset(
     meshes: Path | None = None,
     seed: int = 0,
     jobs: int | None = None,
-    cluster: str | None = None,
     slides: AcquisitionOptions = _SLIDES,
     touches: ClassificationOptions = _TOUCHES,
     taxels: TaxelOptions = _TAXELS,
@@ -60,8 +59,6 @@ def dataset(
         Seed of all random numbers.
     jobs
         Number of processes; default: one per core.
-    cluster
-        Address of a Dask scheduler, for example tcp://10.0.0.1:8786, whose workers have canskin installed.
     json
         Print JSON instead of a table.
 
@@ -94,11 +91,11 @@ def dataset(
     if processes < 1:
         raise InputError(f"expected 1 job or more, got {processes}")
     with alone(out):
-        done = fill(plan, out, processes, cluster)
+        done = fill(plan, out, processes)
     _show(done, as_json=json)
 
 
-def fill(plan: DatasetPlan, out: Path, jobs: int, cluster: str | None = None) -> dict[str, Any]:
+def fill(plan: DatasetPlan, out: Path, jobs: int) -> dict[str, Any]:
     """Make the missing files of a data set, with a progress bar on a terminal's stderr.
 
     Returns
@@ -118,7 +115,7 @@ def fill(plan: DatasetPlan, out: Path, jobs: int, cluster: str | None = None) ->
                 missing.append(task)
         bar.update(len(plan.tasks) - len(missing), plan.about["data_set"])
         calls = [task.make for task in missing]
-        with contextlib.closing(in_parallel(calls, jobs, cluster=cluster, ahead=_AHEAD)) as work:
+        with contextlib.closing(in_parallel(calls, jobs, ahead=_AHEAD)) as work:
             for place, arrays in work:
                 folder.put(missing[place].files, arrays)
                 bar.advance()

@@ -1,4 +1,4 @@
-"""``skin touch dataset``: made, taken up, mended, interrupted, in several processes and on a cluster."""
+"""``skin touch dataset``: made, taken up, mended, interrupted, in several processes."""
 
 import contextlib
 import os
@@ -75,26 +75,6 @@ def test_wrong_options_are_refused(tmp_path: Path) -> None:
         dataset("classification", out=tmp_path, objects="cup", touches=FEW, jobs=0)
     with pytest.raises(InputError, match="ratio needs a number from 0 to 1"):
         dataset("classification", out=tmp_path, taxels=TaxelOptions(dead=2.0))
-
-
-def test_a_cluster_without_dask_is_explained(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(InputError, match=r"distributed: .*pip install ./client \"\.\[cluster\]\""):
-        dataset("classification", out=tmp_path, objects="cup", touches=FEW, cluster="tcp://127.0.0.1:1")
-
-
-@pytest.mark.slow
-def test_a_cluster_makes_the_same_files(tmp_path: Path) -> None:
-    distributed = pytest.importorskip("distributed", reason="NOT TESTED: a cluster of Dask, for want of distributed")
-    plain = tmp_path / "plain"
-    dataset("classification", out=plain, objects="cup,tuna-can", touches=FEW, jobs=1)
-    options = {"n_workers": 1, "threads_per_worker": 1, "host": "127.0.0.1", "dashboard_address": None}
-    with distributed.LocalCluster(**options) as cluster:
-        address = cluster.scheduler_address
-        dataset("classification", out=tmp_path / "cluster", objects="cup,tuna-can", touches=FEW, cluster=address)
-    assert contents(tmp_path / "cluster") == contents(plain)
-    with pytest.raises(InputError, match="no Dask scheduler answers at 'nowhere'"):
-        dataset("classification", out=tmp_path / "none", objects="cup", touches=FEW, cluster="nowhere")
 
 
 @pytest.mark.slow
