@@ -67,6 +67,41 @@ class Bench:
         return check.report
 
 
+class FaultyBoard(Bench):
+    """A bench whose check hears other frames with one identifier than node 1 sends.
+
+    Parameters
+    ----------
+    change : callable
+        Called with each of these frames; True: the frame is lost.
+    sums : callable, optional
+        Alters the sums of the board.
+    """
+
+    def __init__(
+        self,
+        can_id: int = 0,
+        change: Callable[[np.void], bool | None] = lambda _each: None,
+        *,
+        sums: Callable[[np.ndarray], object] | None = None,
+        **tables: Any,
+    ) -> None:
+        super().__init__(small_contract(**tables))
+        gateway = self.wire.gateway
+        self.wire.loses = lambda end, each: end is gateway and each["can_id"] == can_id and bool(change(each))
+        if sums is not None:
+            alter, measure = sums, self.segment._sending.measure
+
+            def measured(counter: int, time_ns: int) -> np.ndarray | None:
+                right = measure(counter, time_ns)
+                assert right is not None
+                altered = right.copy()
+                alter(altered)
+                return altered
+
+            self.segment._sending.measure = measured  # type: ignore[method-assign]
+
+
 class BenchInC(Bench):
     """The same with node 1 in C."""
 
@@ -191,20 +226,25 @@ def test_a_serial_number_of_the_maker_is_a_note() -> None:
     assert "1018h:4" in report.notes[0]
 
 
+def first_byte(each: np.void) -> None:
+    each["data"][0] ^= 1
+
+
+def under_another_identifier(each: np.void) -> None:
+    each["can_id"] = 0x181
+
+
 @pytest.mark.parametrize(
-    ("spoil", "words"),
+    ("can_id", "spoil", "said"),
     [
-        (lambda _each: False, []),
-        (lambda each: each["can_id"] == 0x281, ["SYNC 1: TPDO 2 (281h) came 0 times, expected 1"]),
-        (lambda each: each["data"].__setitem__(0, each["data"][0] ^ 1) is not None, ["TPDO 1 (181h) is"]),
+        (0x281, lambda _each: True, "test pattern zero, SYNC 1: TPDO 2 (281h) came 0 times, expected 1"),
+        (0x281, under_another_identifier, "test pattern zero, SYNC 1: TPDO 1 (181h) came 2 times, expected 1"),
+        (0x181, first_byte, "TPDO 1 (181h) is"),
+        (0x080, lambda _each: True, "test pattern zero, SYNC 1: the SYNC was not sent, and so in 3 more of 4 cycles"),
     ],
 )
-def test_lost_and_wrong_frames(spoil: Callable[[np.void], bool], words: list[str]) -> None:
-    bench = Bench(small_contract())
-    bench.wire.loses = lambda end, each: end is bench.wire.gateway and each["can_id"] in {0x181, 0x281} and spoil(each)
-    report = bench.check()
-    assert bool(report.differences) == bool(words)
-    assert all(word in "\n".join(report.differences) for word in words)
+def test_lost_and_wrong_frames(can_id: int, spoil: Callable[[np.void], bool], said: str) -> None:
+    assert said in "\n".join(FaultyBoard(can_id, spoil).check().differences)
 
 
 def test_nobody_there() -> None:
@@ -299,14 +339,10 @@ def test_frames_that_are_read_late_are_used_when_they_were_in_time() -> None:
 
 @pytest.mark.parametrize(("after_us", "is_late"), [(WINDOW_US, False), (WINDOW_US + 100, True)])
 def test_a_tpdo_after_its_window_differs(after_us: int, *, is_late: bool) -> None:
-    bench = Bench(small_contract())
+    def late(each: np.void) -> None:
+        each["time_ns"] = bench.wire.now_ns + after_us * 1000
 
-    def loses(end: object, each: np.void) -> bool:
-        if end is bench.wire.gateway and each["can_id"] == 0x281:
-            each["time_ns"] = bench.wire.now_ns + after_us * 1000
-        return False
-
-    bench.wire.loses = loses
+    bench = FaultyBoard(0x281, late)
     report = bench.check()
     said = f"test pattern zero, SYNC 1: TPDO 2 ends {after_us / 1000:.1f} ms after SYNC, after 1007h"
     assert report.differences[:1] == [f"{said}, and so in 3 more of 4 cycles"] * is_late
@@ -314,43 +350,14 @@ def test_a_tpdo_after_its_window_differs(after_us: int, *, is_late: bool) -> Non
     assert report.latest_s == pytest.approx(after_us / 1e6)
 
 
-def test_a_tpdo_that_comes_twice_differs() -> None:
-    bench = Bench(small_contract())
-
-    def loses(end: object, each: np.void) -> bool:
-        if end is bench.wire.gateway and each["can_id"] == 0x281:
-            each["can_id"] = 0x181
-        return False
-
-    bench.wire.loses = loses
-    said = bench.check().differences
-    assert "test pattern zero, SYNC 1: TPDO 1 (181h) came 2 times, expected 1" in "\n".join(said)
-    assert len(said) == 8
-
-
-def test_a_sync_that_never_was_on_the_bus_is_said() -> None:
-    bench = Bench(small_contract())
-    bench.wire.loses = lambda end, each: end is bench.wire.gateway and each["can_id"] == 0x080
-    report = bench.check()
-    assert report.differences[0] == "test pattern zero, SYNC 1: the SYNC was not sent, and so in 3 more of 4 cycles"
-    assert (len(report.differences), report.cycles, report.frames) == (4, 16, 0)
-
-
-def answered(change: Callable[[np.ndarray], object], index: int, **tables: Any) -> NodeReport:
+def answered(change: Callable[[np.ndarray], object], index: int) -> NodeReport:
     """Check a board whose answer about an object is another."""
-    bench = Bench(small_contract(**tables))
 
-    def loses(end: object, each: np.void) -> bool:
-        if (
-            end is bench.wire.gateway
-            and each["can_id"] == 0x581
-            and each["data"][:4].tobytes()[1:3] == index.to_bytes(2, "little")
-        ):
+    def spoil(each: np.void) -> None:
+        if each["data"][1:3].tobytes() == index.to_bytes(2, "little"):
             change(each["data"])
-        return False
 
-    bench.wire.loses = loses
-    return bench.check()
+    return FaultyBoard(0x581, spoil).check()
 
 
 def aborts(data: np.ndarray) -> None:
@@ -376,35 +383,25 @@ def test_a_board_without_signature_is_noted(change: Callable[[np.ndarray], objec
 
 def test_a_board_that_tells_no_size_of_its_objects_keeps_the_contract() -> None:
     """An expedited answer without size has four bytes (CiA 301, 7.2.4.3.6), those behind the value are 0."""
-    bench = Bench(small_contract())
-    bench.node.local.set_data(od.TEST_PATTERN, 0, b"\1")
 
-    def without_size(_end: object, each: np.void) -> bool:
-        if each["can_id"] == 0x581 and each["data"][0] & 0xF3 == 0x43:
+    def without_size(each: np.void) -> None:
+        if each["data"][0] & 0xF3 == 0x43:
             each["data"][0] = 0x42
-        return False
 
-    bench.wire.loses = without_size
-    report = bench.check()
-    assert report.differences == []
+    bench = FaultyBoard(0x581, without_size)
+    bench.node.local.set_data(od.TEST_PATTERN, 0, b"\1")
+    assert bench.check().differences == []
     assert pattern_of(bench) == 1
 
 
 def test_a_test_pattern_longer_than_its_type_differs() -> None:
-    bench = Bench(small_contract())
-
-    def longer(_end: object, each: np.void) -> bool:
-        """Tell 2021h in segments."""
-        data = each["data"]
-        if each["can_id"] == 0x581 and bytes(data[1:4]) == b"\x21\x20\0" and data[0] == 0x4F:
+    def in_segments(data: np.ndarray) -> None:
+        if data[0] == 0x4F:
             data[:8] = (0x41, 0x21, 0x20, 0, 7, 0, 0, 0)
-        elif each["can_id"] == 0x581 and data[0] == 0x80 and bytes(data[1:4]) == b"\x21\x20\0":
+        elif data[0] == 0x80:
             data[:8] = (0x01, 1, 0, 0, 0, 0, 0, 9)
-        return False
 
-    bench.wire.loses = longer
-    assert any("2021h:0 (Test pattern) is 9" in each for each in bench.check().notes)
-    assert bench.node.state == NmtState.PRE_OPERATIONAL
+    assert any("2021h:0 (Test pattern) is 9" in each for each in answered(in_segments, 0x2021).notes)
 
 
 def test_an_object_that_the_board_lacks_differs_and_the_others_are_read() -> None:
@@ -441,43 +438,17 @@ def test_a_check_that_has_asked_nothing_leaves_nothing_to_undo() -> None:
     assert sent == [(0, b"\x80\2")]
 
 
-def spoiled(spoil: Callable[[Bench], None], **tables: Any) -> str:
-    bench = Bench(small_contract(**tables))
-    spoil(bench)
-    return "\n".join(bench.check().differences)
-
-
-def with_other_sums(alter: Callable[[np.ndarray], object]) -> Callable[[Bench], None]:
-    """A board that alters the sums of its first block."""
-
-    def spoil(bench: Bench) -> None:
-        measure = bench.segment._sending.measure
-
-        def measured(counter: int, time_ns: int) -> np.ndarray | None:
-            sums = measure(counter, time_ns)
-            assert sums is not None
-            altered = sums.copy()
-            alter(altered)
-            return altered
-
-        bench.segment._sending.measure = measured  # type: ignore[method-assign]
-
-    return spoil
-
-
 @pytest.mark.parametrize("one", range(8))
 def test_a_sum_of_wrong_sign_is_named_whatever_its_row(one: int) -> None:
     """The test patterns show 0 in most rows."""
-    said = spoiled(with_other_sums(lambda sums: sums.__setitem__(one, -sums[one])))
-    assert f"{OFFSETS}, SYNC 1: TPDO {1 + one // 4} " in said
+    report = FaultyBoard(sums=lambda sums: sums.__setitem__(one, -sums[one])).check()
+    assert f"{OFFSETS}, SYNC 1: TPDO {1 + one // 4} " in "\n".join(report.differences)
 
 
 @pytest.mark.parametrize(("one", "other"), [(1, 2), (3, 7), (4, 5)])
 def test_exchanged_rows_are_named(one: int, other: int) -> None:
-    def exchange(sums: np.ndarray) -> None:
-        sums[[one, other]] = sums[[other, one]]
-
-    assert f"{OFFSETS}, SYNC 1: TPDO " in spoiled(with_other_sums(exchange))
+    report = FaultyBoard(sums=lambda sums: sums.__setitem__([one, other], sums[[other, one]])).check()
+    assert f"{OFFSETS}, SYNC 1: TPDO " in "\n".join(report.differences)
 
 
 def test_gains_and_offsets_are_as_before_and_their_signature_follows_them() -> None:
@@ -515,7 +486,9 @@ def without_offsets(bench: Bench) -> None:
     ("spoil", "words"), [(frozen, "of its objects, with other gains and offsets"), (without_offsets, "of its objects")]
 )
 def test_a_wrong_signature_of_gains_and_offsets_is_named(spoil: Callable[[Bench], None], words: str) -> None:
-    said = spoiled(spoil).splitlines()
+    bench = Bench(small_contract())
+    spoil(bench)
+    said = bench.check().differences
     assert all(each.startswith("the signature (2009h) is ") for each in said)
     assert any(each.endswith(words) for each in said)
 

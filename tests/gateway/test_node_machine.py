@@ -306,7 +306,13 @@ def test_a_proof_without_signature_costs_as_much_as_its_transfers_and_holds_from
     assert [skin.node(node_id).cost for node_id in (1, 2)] == [1, transfers]
     # Two rounds of 2 s for a proof of one transfer, and three attempts of 0.3 s.
     assert skin.master.proof_limit_s == pytest.approx(4.0 * (1 + transfers) / 2 + 0.9)
-    assert skin.node(2).proven_s == skin.node(2).began_s <= skin.asked_s[2][-1]
+    skin.mute = {2}
+    while skin.node(2).dialogue is None:
+        skin.run(TICK_S)
+    skin.run(0.2)
+    skin.mute.clear()
+    skin.run(0.5)
+    assert skin.node(2).proven_s == skin.node(2).began_s < skin.asked_s[2][-1]
 
 
 def test_a_proof_of_one_transfer_holds_from_the_question_that_was_answered() -> None:
@@ -330,9 +336,10 @@ def test_a_proof_gives_way_to_another_master_for_a_twentieth_of_a_second() -> No
     skin = STATES[C]()
     skin.mute.clear()
     skin.asked_s.clear()
-    skin.request(1)
-    skin.run(SDO_QUIET_S - 2 * TICK_S)
-    assert not skin.asked_s
+    for _ in range(3):
+        skin.request(1)
+        skin.run(SDO_QUIET_S - 2 * TICK_S)
+        assert not skin.asked_s
     skin.run(4 * TICK_S)
     assert skin.used == {1}
 
@@ -402,6 +409,7 @@ def test_heartbeat_from_before_the_start_is_no_news_for_a_short_while(skin: Boar
     assert skin.used == {1, 2}
     node.started_ns = None
     skin.now_s += 0.1
+    skin.hear(NMT_COB_ID, bytes((PRE_OPERATIONAL, 1)), ECHO, time_ns=0)
     skin.beat(1, NmtState.PRE_OPERATIONAL)
     assert skin.used == {1, 2}
     skin.hear(NMT_COB_ID, bytes((START, 1)), ECHO, time_ns=1_000_000_000)

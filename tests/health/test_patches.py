@@ -43,7 +43,7 @@ def test_a_single_force_is_in_its_region_at_its_place(row: int, column: int, for
 def test_a_region_over_its_threshold_in_any_image_is_named_for_a_second(messages: Messages) -> None:
     state = ViewState(messages.layout, 1000.0)
     top_n = float(messages.grid()[:8].sum())
-    for at_s, force_n in ((1.0, 1e-4), (1.25, 0.01), (1.5, 0.02), (1.75, 1e-4)):  # nobody looks meanwhile
+    for at_s, force_n in ((1.0, 1e-4), (1.25, 0.02), (1.5, 0.01), (1.75, 1e-4)):  # nobody looks meanwhile
         state.take(messages.image(1, sync_s=at_s, pixels=messages.grid(force_n)), at_s)
     for now_s, is_over in ((1.75, True), (2.5, True), (2.5625, False)):
         snapshot, _ = state.snapshot(now_s)

@@ -2,7 +2,7 @@
 
 import queue
 import threading
-from dataclasses import dataclass
+from dataclasses import make_dataclass
 from typing import Any
 
 import msgspec
@@ -29,159 +29,76 @@ TYPE_HASHES = {
 }
 
 
-@dataclass
-class Time(IdlStruct):
-    sec: int32
-    nanosec: uint32
+def _struct(name: str, /, **fields: Any) -> Any:
+    """Return the class of a message with fields in this order."""
+    return make_dataclass(name, fields.items(), bases=(IdlStruct,))
 
 
-@dataclass
-class Header(IdlStruct):
-    stamp: Time
-    frame_id: str
+Time = _struct("Time", sec=int32, nanosec=uint32)
+Header = _struct("Header", stamp=Time, frame_id=str)
+Image = _struct(
+    "Image",
+    header=Header,
+    height=uint32,
+    width=uint32,
+    encoding=str,
+    is_bigendian=uint8,
+    step=uint32,
+    data=sequence[uint8],
+)
+PointField = _struct("PointField", name=str, offset=uint32, datatype=uint8, count=uint32)
+PointCloud2 = _struct(
+    "PointCloud2",
+    header=Header,
+    height=uint32,
+    width=uint32,
+    fields=sequence[PointField],
+    is_bigendian=bool,
+    point_step=uint32,
+    row_step=uint32,
+    data=sequence[uint8],
+    is_dense=bool,
+)
+Point = _struct("Point", x=float64, y=float64, z=float64)
+Quaternion = _struct("Quaternion", x=float64, y=float64, z=float64, w=float64)
+Pose = _struct("Pose", position=Point, orientation=Quaternion)
+Colour = _struct("Colour", r=float32, g=float32, b=float32, a=float32)
+CompressedImage = _struct("CompressedImage", header=Header, format=str, data=sequence[uint8])
+UV = _struct("UV", u=float32, v=float32)
+MeshFile = _struct("MeshFile", filename=str, data=sequence[uint8])
+Marker = _struct(
+    "Marker",
+    header=Header,
+    ns=str,
+    id=int32,
+    type=int32,
+    action=int32,
+    pose=Pose,
+    scale=Point,
+    color=Colour,
+    lifetime=Time,
+    frame_locked=bool,
+    points=sequence[Point],
+    colors=sequence[Colour],
+    texture_resource=str,
+    texture=CompressedImage,
+    uv_coordinates=sequence[UV],
+    text=str,
+    mesh_resource=str,
+    mesh_file=MeshFile,
+    mesh_use_embedded_materials=bool,
+)
+MarkerArray = _struct("MarkerArray", markers=sequence[Marker])
+KeyValue = _struct("KeyValue", key=str, value=str)
+DiagnosticStatus = _struct(
+    "DiagnosticStatus", level=uint8, name=str, message=str, hardware_id=str, values=sequence[KeyValue]
+)
+DiagnosticArray = _struct("DiagnosticArray", header=Header, status=sequence[DiagnosticStatus])
+String = _struct("String", data=str)
+TriggerReply = _struct("TriggerReply", success=bool, message=str)
 
 
-@dataclass
-class Image(IdlStruct):
-    header: Header
-    height: uint32
-    width: uint32
-    encoding: str
-    is_bigendian: uint8
-    step: uint32
-    data: sequence[uint8]
-
-
-@dataclass
-class PointField(IdlStruct):
-    name: str
-    offset: uint32
-    datatype: uint8
-    count: uint32
-
-
-@dataclass
-class PointCloud2(IdlStruct):
-    header: Header
-    height: uint32
-    width: uint32
-    fields: sequence[PointField]
-    is_bigendian: bool
-    point_step: uint32
-    row_step: uint32
-    data: sequence[uint8]
-    is_dense: bool
-
-
-@dataclass
-class Point(IdlStruct):
-    x: float64
-    y: float64
-    z: float64
-
-
-@dataclass
-class Quaternion(IdlStruct):
-    x: float64
-    y: float64
-    z: float64
-    w: float64
-
-
-@dataclass
-class Pose(IdlStruct):
-    position: Point
-    orientation: Quaternion
-
-
-@dataclass
-class Colour(IdlStruct):
-    r: float32
-    g: float32
-    b: float32
-    a: float32
-
-
-@dataclass
-class CompressedImage(IdlStruct):
-    header: Header
-    format: str
-    data: sequence[uint8]
-
-
-@dataclass
-class UV(IdlStruct):
-    u: float32
-    v: float32
-
-
-@dataclass
-class MeshFile(IdlStruct):
-    filename: str
-    data: sequence[uint8]
-
-
-@dataclass
-class Marker(IdlStruct):
-    header: Header
-    ns: str
-    id: int32
-    type: int32
-    action: int32
-    pose: Pose
-    scale: Point
-    color: Colour
-    lifetime: Time
-    frame_locked: bool
-    points: sequence[Point]
-    colors: sequence[Colour]
-    texture_resource: str
-    texture: CompressedImage
-    uv_coordinates: sequence[UV]
-    text: str
-    mesh_resource: str
-    mesh_file: MeshFile
-    mesh_use_embedded_materials: bool
-
-
-@dataclass
-class MarkerArray(IdlStruct):
-    markers: sequence[Marker]
-
-
-@dataclass
-class KeyValue(IdlStruct):
-    key: str
-    value: str
-
-
-@dataclass
-class DiagnosticStatus(IdlStruct):
-    level: uint8
-    name: str
-    message: str
-    hardware_id: str
-    values: sequence[KeyValue]
-
-
-@dataclass
-class DiagnosticArray(IdlStruct):
-    header: Header
-    status: sequence[DiagnosticStatus]
-
-
-@dataclass
-class String(IdlStruct):
-    data: str
-
-
-@dataclass
-class TriggerReply(IdlStruct):
-    success: bool
-    message: str
-
-
-def time_ns(header: Header) -> int:
+def time_ns(header: Any) -> int:
     return int(header.stamp.sec) * 1_000_000_000 + int(header.stamp.nanosec)
 
 
@@ -203,7 +120,7 @@ class Reader:
     def tokens(self, pattern: str = "@ros2_lv/**") -> list[str]:
         return [str(reply.ok.key_expr) for reply in self.session.liveliness().get(pattern) if reply.ok is not None]
 
-    def subscribe(self, name: str, ros_type: str, kind: type[IdlStruct], domain: int = 0) -> "Topic":
+    def subscribe(self, name: str, ros_type: str, kind: Any, domain: int = 0) -> "Topic":
         return Topic(self.session, key(name, ros_type, domain), kind)
 
     def close(self) -> None:
@@ -213,7 +130,7 @@ class Reader:
 class Topic:
     """Messages of a topic with their attachments."""
 
-    def __init__(self, session: Any, data_key: str, kind: type[IdlStruct]) -> None:
+    def __init__(self, session: Any, data_key: str, kind: Any) -> None:
         self._kind = kind
         self._came: queue.Queue[tuple[bytes, bytes]] = queue.Queue()
         self._kept = session.declare_subscriber(

@@ -129,7 +129,7 @@ def test_heat_map_is_of_8_bits_and_grey_where_not_measured(setup: Setup) -> None
     assert got[15, 15].tolist() == [68, 1, 84]
 
 
-def points_of(cloud: PointCloud2) -> np.ndarray:
+def points_of(cloud: Any) -> np.ndarray:
     kinds = {7: "<f4", 6: "<u4", 2: "u1"}
     dtype = np.dtype(
         {
