@@ -31,7 +31,7 @@ from skin.layout import (
     changed,
     validated,
 )
-from skin.sending import STEPPED, SendingName
+from skin.ways_of_sending import STEPPED, SendingName
 
 CanKind = Literal["any", "classic", "fd"]
 SendingKind = Literal["any", "synchronous", "steps"]

@@ -75,7 +75,7 @@ class TaxelSource(Protocol):
 
 
 def step_rate_hz(layout: Layout) -> float:
-    """Return the steps of a touch in a second: `skin.sending.Sending.step_hz`, or one each SYNC at its highest rate."""
+    """Return the steps of a touch in a second: `Sending.step_hz`, or one each SYNC at its highest rate."""
     return layout.sends.step_hz or 1 / layout.sync.period_s
 
 
