@@ -1,7 +1,7 @@
 """The NMT master of one bus: passes frames to its nodes, and has them proven, started, and restarted.
 
 Each node is a `gateway.node_machine.NodeMachine`; `gateway.proof_schedule` tells whose proof is next. While the sums of
-a node are not used, its blocks are not valid (`Gathering.trust`).
+a node are not used, its blocks are not valid.
 """
 
 from collections.abc import Callable
@@ -25,8 +25,7 @@ from dbc.canopen import (
 )
 from dbc.configuration import QUIET_S, TICK_S, calibration, configuration, expected_signature, proof_period_s
 from dbc.contract import Contract, NodeContract
-from dbc.frame import CAN_ID_AT, ECHO, ERROR, EXTENDED, FLAGS_AT, REMOTE, Frames, frame_bytes, frames
-from dbc.frame_fields import field
+from dbc.frame import ECHO, Frames
 from gateway.foreign_sdo import CONFIGURATION, GAINS, ForeignClient
 from gateway.grouped_lines import GroupedLines
 from gateway.node_machine import REFUSED, BusOfNodes, NodeMachine, NodeState, Send
@@ -34,7 +33,6 @@ from gateway.proof import Known
 from gateway.proof_schedule import ProofSchedule
 from gateway.sdo import TIMEOUT_S, Dialogue, SdoDialogue
 from gateway.strangers import Strangers
-from shell.compiled import njit
 
 #: Longest time for which proven nodes wait for the first proofs of others: a silent node is asked once.
 QUIET_MAX_S: Final = TIMEOUT_S
@@ -100,7 +98,6 @@ class NmtMaster:
         self.emergencies, self.recalibrated = self._bus.emergencies, self._bus.recalibrated
         self._is_new = True
         self._quiet_since_s = self._tick_s = -np.inf
-        _places(frame_bytes(frames(0)))  # compiled before the first frame
 
     @property
     def passed(self) -> bool:
@@ -137,10 +134,9 @@ class NmtMaster:
         """How long a block stays valid after the last proof of its node."""
         return self._proofs.limit_s
 
-    def take(self, arrived: Frames, now_s: float) -> None:
-        """Use the frames of the bus, in bus order."""
-        for place in _places(frame_bytes(arrived)):
-            frame = arrived[place]
+    def take(self, talk: Frames, now_s: float) -> None:
+        """Use what nodes and masters say on the bus, in bus order (`gateway.batch.Batch.talk`)."""
+        for frame in talk:
             identifier, time_ns = int(frame["can_id"]), int(frame["time_ns"])
             base, node_id = identifier & ~HIGHEST_NODE_ID, identifier & HIGHEST_NODE_ID
             data = frame["data"][: frame["length"]].tobytes()
@@ -222,17 +218,3 @@ class NmtMaster:
         """Command all nodes to PRE-OPERATIONAL."""
         self._bus.command(NmtCommand.ENTER_PRE_OPERATIONAL, *self.nodes)
         self._lines.flush()
-
-
-@njit(cache=True, nogil=True)
-def _places(rows: npt.NDArray[np.uint8]) -> list[int]:
-    """Return the places of the frames that a master uses: what nodes and masters say, and its own commands."""
-    found = [0 for _ in range(0)]
-    for place in range(rows.shape[0]):
-        can_id, flags = field(rows[place], CAN_ID_AT, 4), rows[place][FLAGS_AT]
-        is_command = can_id == NMT_COB_ID
-        is_ours = is_command or can_id > SDO_RESPONSE_BASE or EMCY_BASE < can_id <= EMCY_BASE + HIGHEST_NODE_ID
-        is_plain = flags & (ERROR | ECHO | EXTENDED | REMOTE) == 0
-        if (is_plain and is_ours) or (flags & (ERROR | ECHO) == ECHO and is_command):
-            found.append(place)
-    return found

@@ -1,30 +1,8 @@
-"""The contract files: which there are, and what is said of those that are others."""
+"""What is said of contract files that are others."""
 
 from pathlib import Path
 
-import pytest
-
-from canskin.errors import InputError
-from dbc.contract import Contract
-from dbc.generate import contract_files, drifted, node_files, write_files
-from skin.layout import load_layout
-from tests.layouts import buses, small_layout
-
-FILES = Path(__file__).parents[2] / "dbc/files/default"
-
-
-@pytest.mark.heavy
-def test_the_default_skin_has_the_files_of_the_project() -> None:
-    files = contract_files(Contract.from_layout(load_layout()))
-    assert sorted(files) == ["bus0.dbc", "bus1.dbc", "bus2.dbc", "bus3.dbc", "skin.eds"]
-    for name, text in files.items():
-        assert text.splitlines() == (FILES / name).read_text("ascii").splitlines()
-    assert drifted(files, FILES) == []
-
-
-def test_every_node_has_a_table_and_a_dcf() -> None:
-    files = node_files(Contract.from_layout(small_layout(bus=buses(2, names=["arm"]))))
-    assert sorted(files) == [f"nodes/arm-00{node}.{suffix}" for node in (1, 2) for suffix in ("dcf", "json")]
+from dbc.generate import drifted, write_files
 
 
 def test_files_that_differ_are_missing_or_too_many_are_named(tmp_path: Path) -> None:
@@ -44,11 +22,3 @@ def test_files_that_differ_are_missing_or_too_many_are_named(tmp_path: Path) -> 
         f"{made}/nodes/d.dcf differs from what the layout makes of it",
         f"{made}/vectors/f.json does not belong to this layout",
     ]
-
-
-def test_folders_that_cannot_be_used_are_named(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match=r"file: cannot write the files: "):
-        write_files({"a.dbc": ""}, tmp_path / "file")
-    with pytest.raises(InputError, match=r"none: cannot read the contract files: No such file or directory"):
-        drifted({}, tmp_path / "none")

@@ -19,6 +19,7 @@ from dbc.configuration import DIALOGUES, TICK_S, configuration, expected_signatu
 from dbc.contract import Contract
 from dbc.dictionary import SILENT_AFTER_S
 from dbc.frame import ECHO, ERROR, EXTENDED, REMOTE
+from gateway.batch import batch_of
 from gateway.loop import LOOK_PERIOD_S
 from gateway.nmt_master import NmtMaster
 from gateway.node_machine import PAUSES_S
@@ -231,5 +232,5 @@ def test_highest_node_id_is_proven_started_and_heard() -> None:
 @pytest.mark.parametrize("flags", [ECHO, ECHO | ERROR, ERROR, EXTENDED, REMOTE])
 def test_own_extended_remote_and_error_frames_are_no_heartbeats(small: Contract, flags: int) -> None:
     master = NmtMaster(small, 0, lambda *_: None, lambda *_: None, lambda _: None)
-    master.take(frame(HEARTBEAT_BASE + 1, b"\5", flags), 0.0)
+    master.take(batch_of(frame(HEARTBEAT_BASE + 1, b"\5", flags)).talk, 0.0)
     assert master.nmt.tolist() == [SILENT, SILENT]

@@ -21,6 +21,7 @@ from dbc.canopen import (
 from dbc.configuration import TICK_S, configuration, expected_signature
 from dbc.contract import Contract
 from dbc.frame import ECHO
+from gateway.batch import batch_of
 from gateway.nmt_master import NmtMaster
 from gateway.node_machine import NodeMachine, NodeState
 from gateway.proof import PART
@@ -119,7 +120,7 @@ class Boards:
 
     def hear(self, can_id: int, data: bytes, flags: int = 0, time_ns: int | None = None) -> None:
         time_ns = round(self.now_s * 1e9) if time_ns is None else time_ns
-        self.master.take(frame(can_id, data, flags, time_ns=time_ns), self.now_s)
+        self.master.take(batch_of(frame(can_id, data, flags, time_ns=time_ns)).talk, self.now_s)
 
     def beat(self, node_id: int, state: int) -> None:
         self.hear(HEARTBEAT_BASE + node_id, bytes((state,)))

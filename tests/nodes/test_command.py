@@ -10,50 +10,12 @@ import pytest
 from canskin.errors import InputError
 from dbc.contract import Contract, NodeContract
 from nodes import command, sending
-from nodes.command import choose_nodes
 from nodes.sampler import Sampler
 from nodes.steps.boards import SteppedBoards
 from shell import skin_options
 from shell.service import StopSignal
 from shell.touch_options import NO_TOUCH_OPTIONS, TouchOptions
 from skin.defects import Defects
-
-
-def test_all_nodes_run_unless_some_are_chosen(contract: Contract) -> None:
-    assert choose_nodes(contract, [], []) == {bus: set(range(1, 33)) for bus in range(4)}
-
-
-@pytest.mark.parametrize(
-    ("only", "without", "expected"),
-    [
-        (["bus0:5"], [], {0: {5}}),
-        (["bus2:3-6"], [], {2: {3, 4, 5, 6}}),
-        (["bus0:1", "bus3:31-32"], [], {0: {1}, 3: {31, 32}}),
-        (["bus1:1-4"], ["bus1:2-3", "bus0:1"], {1: {1, 4}}),
-        ([], ["bus0:1-32", "bus1:1-32", "bus2:1-31"], {2: {32}, 3: set(range(1, 33))}),
-    ],
-)
-def test_nodes_are_chosen_by_bus_and_range(
-    contract: Contract, only: list[str], without: list[str], expected: dict[int, set[int]]
-) -> None:
-    assert choose_nodes(contract, only, without) == expected
-
-
-@pytest.mark.parametrize("text", ["bus0", "bus9:1", "bus0:a", "bus0:1-2-3", "0:1"])
-def test_what_names_no_node_is_refused_with_the_form(contract: Contract, text: str) -> None:
-    with pytest.raises(InputError, match=f"expected BUS:NODE or BUS:FIRST-LAST with BUS of bus0, bus1, .*'{text}'"):
-        choose_nodes(contract, [text], [])
-
-
-@pytest.mark.parametrize("text", ["bus0:0", "bus0:33", "bus0:30-33", "bus0:5-4"])
-def test_nodes_that_a_bus_does_not_have_are_refused(contract: Contract, text: str) -> None:
-    with pytest.raises(InputError, match=f"expected nodes of bus0, 1-.*, got '{text}'"):
-        choose_nodes(contract, [], [text])
-
-
-def test_a_choice_that_leaves_nothing_is_refused(contract: Contract) -> None:
-    with pytest.raises(InputError, match="no node is left"):
-        choose_nodes(contract, ["bus0:1"], ["bus0:1-4"])
 
 
 class Parts:

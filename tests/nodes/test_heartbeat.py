@@ -18,15 +18,6 @@ def test_consumer_watches_from_the_first_heartbeat_on() -> None:
     assert not consumer.lost
 
 
-def test_consumer_watches_whom_the_entries_name_for_more_than_0_ms() -> None:
-    consumer = HeartbeatConsumer()
-    consumer.watch([0x7F << 16 | 500, 3 << 16 | 100, 0, 9 << 16])
-    for node_id in (3, 9, 0x7F):
-        consumer.heard(node_id, 0.0)
-    consumer.check(1.0)
-    assert consumer.lost == {0x7F, 3}
-
-
 def test_watching_no_longer_forgets_the_loss() -> None:
     consumer = HeartbeatConsumer()
     consumer.watch([3 << 16 | 100])

@@ -95,6 +95,11 @@ def test_grids(make: Callable[..., Any], grid: tuple[Any, Any]) -> None:
     one_line(lambda: make(*grid), "power(s)? of two, (8|16) to 256")
 
 
+@pytest.mark.parametrize("grid", [(16, 32), (8, 8)])
+def test_contourlet_takes_squares_from_16(grid: tuple[int, int]) -> None:
+    one_line(lambda: CompiledContourlet(*grid), "square")
+
+
 FISTA: dict[str, Any] = {"sums_n": SUMS, "penalty_n": 0.01, "lipschitz": 16.0, "iterations": 3}
 
 
