@@ -25,8 +25,8 @@ from skin.layout import Layout, layout_tables, load_layout, parse_layout
 from skin.matrix import MatrixPhi
 from skin.measurement import Sbhe
 from skin.plane import Plane
-from skin.sending import SendingName
 from skin.surface import Surface
+from skin.ways_of_sending import SendingName
 
 #: Most characters of a value in the table of settings; JSON has all.
 _CHARACTERS: Final = 60

@@ -18,13 +18,12 @@ from bandwidth.response import UNBOUNDED
 from bandwidth.slots import slot_responses_ns
 from bandwidth.touched_bits import touched_bits
 from bandwidth.traffic import Disturbance, Traffic, traffic
-from canskin.errors import InputError
 from dbc.contract import Contract, sync_frame
 from dbc.dictionary import window_s
 from dbc.frame_bits import Stuffing, frame_time_ns, wire_bits
 from skin.choice import ROOM
 from skin.layout import Bus, Layout, validated
-from skin.sources import load_objects, load_sender
+from skin.sources import load_objects
 from skin.sync_counter import SYNC_OVERFLOW
 
 #: Bytes that Linux counts for one received frame (struct sk_buff, a small page fragment, padding), rounded up.
@@ -153,17 +152,12 @@ def planned(layout: Layout, allowed: Disturbance) -> list[BusPlan]:
     return [plan_bus(contract, bus, None, allowed) for bus in range(len(layout.bus))]
 
 
-def touched_load(contract: Contract, bus: int) -> float | None:
-    """Return the load of the sums of a bus of stepped boards while the default objects press and slide.
+def touched_load(contract: Contract, bus: int) -> float:
+    """Return the load of the sums of a bus of stepped boards while the default objects press and slide."""
+    from nodes.steps.simulated import touched_frames  # compiled parts take a moment to load
 
-    None if no installed package tells what stepped nodes send.
-    """
-    try:
-        sent_of = load_sender("steps")
-    except InputError:
-        return None
     line = contract.layout.bus[bus]
-    sent = sent_of(contract, bus, load_objects(contract.layout, seed=0), TOUCHED_S)
+    sent = touched_frames(contract, bus, load_objects(contract.layout, seed=0), TOUCHED_S)
     return float(frame_time_ns(sent, line.bitrate, line.data_bitrate).sum()) * 1e-9 / TOUCHED_S
 
 

@@ -31,7 +31,7 @@ from skin.layout import (
     changed,
     validated,
 )
-from skin.sending import STEPPED, SendingName
+from skin.ways_of_sending import STEPPED, SendingName
 
 CanKind = Literal["any", "classic", "fd"]
 SendingKind = Literal["any", "synchronous", "steps"]
@@ -341,7 +341,7 @@ def _judge_steps(about: Candidate, contract: Contract, required: Requirement, al
     about = replace(about, load_worst=plan.load_worst, late_random_ms=plan.late_random_ms)
     if plan.problems:
         return replace(about, problem="; ".join(plan.problems))
-    load = (plan.load_rest or 0.0) + (touched_load(contract, 0) or 0.0)
+    load = (plan.load_rest or 0.0) + touched_load(contract, 0)
     missing_bits = max(0.0, (load - required.budget) * plan.bitrate)
     lacks = _lacks(missing_bits, load, 0.0, 0.0)
     return replace(about, load_touched=load, missing_bits_per_s=missing_bits, problem=", ".join(lacks) or None)

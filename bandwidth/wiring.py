@@ -5,12 +5,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from skin.layout import Layout
-from skin.wiring import chain_lengths_m
+from skin.patch_wiring import chain_lengths_m
 
 
 @dataclass(frozen=True)
 class Wiring:
-    """Wires between taxels, metres, by `skin.wiring.chain_lengths_m`; conversions of the node with the most taxels."""
+    """Wires between taxels, metres (`skin.patch_wiring.chain_lengths_m`); conversions of the node with most taxels."""
 
     longest_chain_m: float
     wires_m: float

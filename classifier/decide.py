@@ -12,7 +12,7 @@ from classifier.novelty import Regions, novelty
 from classifier.observer import Observer
 from classifier.settling import SETTLING, Decision, Seen, Settling, logistic
 from skin.measurement import Phi
-from skin.sending import SENDINGS
+from skin.ways_of_sending import SENDINGS
 
 
 class Classifier:

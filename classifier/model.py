@@ -7,8 +7,8 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from skin.sending import SendingName
 from skin.surface import Surface
+from skin.ways_of_sending import SendingName
 
 Float64 = npt.NDArray[np.float64]
 #: "energies" of the smoothed adjoint image (`classifier.features`), or "sums" as in the paper.

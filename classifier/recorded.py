@@ -13,7 +13,7 @@ from canskin.messages import MEASUREMENT, MIN_VALID_RATIO
 from classifier.model import Float64
 from classifier.modelfile import skin_of
 from classifier.newest_sums import NewestSums, averaged_cycles, is_gap
-from classifier.samples import FeatureExtractor, Seen, Untouched, observe_untouched, standard_untouched
+from classifier.samples import FeatureExtractor, Observations, Untouched, observe_untouched, standard_untouched
 from classifier.touches import CycleKey, Touches, read_touches
 from classifier.used_sums import classified_phi, coarse_sums
 from recording import RECORDING_SUFFIX, is_recording
@@ -54,7 +54,7 @@ class LabelledTouches:
         Names of the recordings.
     layout, phi : Layout, Phi
         The skin, and Φ of the sums.
-    seen : Seen
+    seen : Observations
         The sums with their conditions.
     untouched : Untouched
         The untouched skin.
@@ -71,7 +71,7 @@ class LabelledTouches:
     files: tuple[str, ...]
     layout: Layout
     phi: Phi
-    seen: Seen
+    seen: Observations
     untouched: Untouched
     still: int
     unlabelled: int
@@ -165,7 +165,7 @@ class _Reader:
     Attributes
     ----------
     seen, still : list of tuple
-        A `Seen` of one observation each: of labelled touches, and of the untouched skin.
+        Rows of `Observations`: of labelled touches, and of the untouched skin.
     labels : list of str
         Label of each of `seen`.
     touch : array of int
@@ -230,10 +230,10 @@ def _thinned(keys: Sequence[CycleKey], most: int) -> list[CycleKey]:
     return [keys[place] for place in np.linspace(0, len(keys) - 1, most).round().astype(int)]
 
 
-def _joined(parts: Sequence[Sequence[tuple[Any, ...]]], phi: Phi) -> Seen:
+def _joined(parts: Sequence[Sequence[tuple[Any, ...]]], phi: Phi) -> Observations:
     rows = [row for part in parts for row in part]
     sums, valid, noise_ratio, cycle = zip(*rows, strict=True) if rows else ((), (), (), ())
-    return Seen(
+    return Observations(
         np.array(sums, np.float32).reshape(-1, phi.shape[0]),
         np.array(valid, np.float32).reshape(-1, phi.blocks),
         np.array(noise_ratio, np.float64),

@@ -33,7 +33,7 @@ class Untouched(NamedTuple):
     contact_threshold: float
 
 
-class Seen(NamedTuple):
+class Observations(NamedTuple):
     """Observations as `classifier.newest_sums` has them, and the conditions of each.
 
     Attributes
@@ -50,16 +50,16 @@ class Seen(NamedTuple):
     noise_ratio: Float64
     cycle: npt.NDArray[np.int64]
 
-    def part(self, rows: npt.NDArray[np.intp]) -> "Seen":
+    def part(self, rows: npt.NDArray[np.intp]) -> "Observations":
         """Return some of the observations."""
-        return Seen(self.sums[rows], self.valid[rows], self.noise_ratio[rows], self.cycle[rows])
+        return Observations(self.sums[rows], self.valid[rows], self.noise_ratio[rows], self.cycle[rows])
 
     @staticmethod
-    def of_whole(sums: npt.NDArray[Any], phi: Phi) -> "Seen":
+    def of_whole(sums: npt.NDArray[Any], phi: Phi) -> "Observations":
         """Return observations of cycles in order from 1, without missing blocks."""
         count = len(sums)
         whole = np.broadcast_to(np.float32(1), (count, phi.blocks))
-        return Seen(sums, whole, np.ones(count), np.arange(1, count + 1))
+        return Observations(sums, whole, np.ones(count), np.arange(1, count + 1))
 
 
 def simulate_sums(
@@ -143,10 +143,10 @@ def observe_untouched(layout: Layout, phi: Phi, noise_n: float, count: int, rng:
     `FALSE_ALARM_RATIO` of the draws have a largest standardised peak above the threshold.
     """
     still = np.broadcast_to(np.float32(0), (count, layout.taxels.count))
-    return standard_untouched(Seen.of_whole(simulate_means(still, layout, phi, noise_n, rng), phi), layout, phi)
+    return standard_untouched(Observations.of_whole(simulate_means(still, layout, phi, noise_n, rng), phi), layout, phi)
 
 
-def standard_untouched(still: Seen, layout: Layout, phi: Phi) -> Untouched:
+def standard_untouched(still: Observations, layout: Layout, phi: Phi) -> Untouched:
     """Return what observations of the untouched skin show; see `observe_untouched`."""
     ignorant = np.ones((4, len(widths_for(layout.taxels.surface))))
     observer = Observer(phi, layout.taxels.surface, ignorant, means=not layout.sends.in_cycles)
@@ -168,11 +168,11 @@ class FeatureExtractor:
     Parameters
     ----------
     no_touch : array, shape (4, widths)
-    recorded : Seen, optional
+    recorded : Observations, optional
         Conditions of the observations, by their number; default: no block is missing, and cycles count from 1.
     """
 
-    def __init__(self, layout: Layout, phi: Phi, no_touch: Float64, recorded: Seen | None = None) -> None:
+    def __init__(self, layout: Layout, phi: Phi, no_touch: Float64, recorded: Observations | None = None) -> None:
         taxels, means = layout.taxels, not layout.sends.in_cycles
         self._observer = Observer(phi, taxels.surface, no_touch, means=means)
         self._recorded = recorded

@@ -23,8 +23,8 @@ import numpy as np
 import numpy.typing as npt
 
 from shell.compiled import njit
-from skin.sending import SUM_BITS
 from skin.sync_counter import SYNC_OVERFLOW
+from skin.ways_of_sending import SUM_BITS
 
 #: Bytes of a word, and what a word is less than.
 WORD_BYTES: Final = 7

@@ -45,7 +45,7 @@ SLOW_START_S: Final = 8.0
 class Run:
     """Starts the services, watches them, and reports; the options are checked before."""
 
-    def __init__(self, layout: Layout, options: DemoOptions, folder: Path, *, quiet: bool = False) -> None:
+    def __init__(self, layout: Layout, options: DemoOptions, folder: Path) -> None:
         self._layout = layout
         self._options = options
         self.score = Score(layout)
@@ -58,7 +58,7 @@ class Run:
         #: State of the gateway at `SETTLED_S`, with which the rate is judged.
         self._earlier: GatewayStatus | None = None
         self._judge_at_s = inf
-        self._console = Console(stderr=True, quiet=quiet or not talks(Talk.NORMAL))
+        self._console = Console(stderr=True, quiet=not talks(Talk.NORMAL))
         self._port = _page_port(options.port) if options.view else None
         self._path = str(options.layout or "default")
         self._lowest_hz = layout.sync.rate_hz * LEAST_PART
@@ -262,7 +262,7 @@ class Run:
         )
 
     def _await_first_cycle(self, stop: StopSignal) -> None:
-        """Wait until SYNC has started; a gateway that compiles, as on a first start, has more time."""
+        """Wait for the first SYNC; longer while the gateway compiles."""
         patience_s, is_ready = time.monotonic() + READY_PATIENCE_S, False
         while not self._has_started() and not stop.wait(TURN_S / 5):
             self._supervisor.look()

@@ -24,7 +24,7 @@ from skin.sources import TaxelSource
 
 @dataclass(frozen=True)
 class NodeSending:
-    """What one way of sending (`skin.sending.Sending`) makes of nodes.
+    """What one way of sending (`skin.ways_of_sending.Sending`) makes of nodes.
 
     Attributes
     ----------

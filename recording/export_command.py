@@ -16,7 +16,7 @@ from shell.service import say
 from skin.layout import layout_text, load_layout
 
 if TYPE_CHECKING:
-    from recording.tables import Tables
+    from recording.recorded_tables import Tables
 
 Format = Literal["npz", "parquet", "video", "ros2", "rerun", "foxglove"]
 _SUFFIXES: Final[Mapping[Format, str]] = {
@@ -67,7 +67,7 @@ def export(recording: Path, *, to: Format = "npz", out: Path | None = None) -> N
     if to in _VIEWS:
         _save_view(recording, path, to)
         return
-    from recording.tables import read_tables
+    from recording.recorded_tables import read_tables
 
     save = _save_npz if to == "npz" else _save_parquet
     if to == "parquet":
@@ -119,7 +119,7 @@ def _save_view(source: Path, path: Path, to: Format) -> None:
 
 
 def _save_npz(path: Path, tables: "Tables", metadata: Mapping[str, str]) -> list[Path]:
-    from recording.tables import flat
+    from recording.recorded_tables import flat
 
     arrays: dict[str, Any] = {**flat(tables), "metadata": np.array(msgspec.json.encode(metadata).decode())}
     with replacing(path) as file:

@@ -9,7 +9,7 @@ import numpy as np
 
 from canskin.errors import RunError, reasoned
 from canskin.messages import Image, Measurement, Topic
-from recording.tables import stack
+from recording.recorded_tables import stack
 from shell.output import replacing
 from skin.layout import Layout
 from skin.wall_times import Clocks, WallTimes

@@ -27,8 +27,8 @@ from recording import RECORDING_SUFFIX, is_recording
 from recording.image_arrays import ImageArrays
 from recording.mcap_file import CALIBRATION_FILE, File, newest_file, recording_id, wall_offset_ns
 from recording.replaying import Replay
+from recording.run_steps import steps_of
 from recording.sinks import McapSink
-from recording.steps import steps_of
 from shell.output import check_new_path
 from shell.service import StopSignal, say
 from shell.skin_options import join

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from skin.foreign import CLASSIC_MAX, FD_ONLY_LENGTHS
-from skin.sending import SUMS_PART
+from skin.ways_of_sending import SUMS_PART
 
 if TYPE_CHECKING:
     from skin.layout_keys import Bus, Layout

@@ -41,8 +41,8 @@ from skin.layout_keys import (
     require_sending,
 )
 from skin.matrix import read_matrix
-from skin.sending import BUS_SUMS, IN_CYCLES, SENDINGS
 from skin.toml_errors import in_words
+from skin.ways_of_sending import BUS_SUMS, IN_CYCLES, SENDINGS
 
 __all__ = [
     "BITRATE_MAX",

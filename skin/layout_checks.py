@@ -25,10 +25,10 @@ from skin.layout_keys import (
 )
 from skin.matrix import KEY
 from skin.measurement import of_rows, sbhe
+from skin.patch_wiring import check_patch
 from skin.regions import regions_of
-from skin.sending import STEPPED_SIZES
 from skin.sync_counter import SYNC_OVERFLOW
-from skin.wiring import check_patch
+from skin.ways_of_sending import STEPPED_SIZES
 
 #: Slots fill the SYNC period up to this ratio: a part of a period may have no decimal fraction.
 _SLOT_ERROR: Final = 1e-6

@@ -13,10 +13,10 @@ from skin.chains import MOST, order_of
 from skin.foreign import ForeignMessage
 from skin.matrix import MatrixPhi, entries_of
 from skin.measurement import Sbhe, of_rows, sbhe
-from skin.sending import SENDINGS, Sending, SendingName
+from skin.patch_wiring import within_patches
 from skin.surface import LINK_RATIO, Surface, grid_surface, surface_of_positions
 from skin.walsh import Indices, patches
-from skin.wiring import within_patches
+from skin.ways_of_sending import SENDINGS, Sending, SendingName
 
 #: Lowest and highest bit rate of classic CAN and of the nominal phase, from the table in CiA 301.
 BITRATE_MIN: Final = 10_000

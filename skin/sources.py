@@ -6,7 +6,6 @@ electronics. A generator of touches draws labelled images for training. Python p
 - ``canskin.sources``: taxel sources. ``touch`` offers ``objects`` and ``recording``; ``nodes``, ``bandwidth`` and
   ``demo`` load them.
 - ``canskin.touches``: labelled touches. ``touch`` offers ``random``; ``classifier`` loads it.
-- ``canskin.senders``: what nodes send of a touch. ``nodes`` offers ``steps``; ``bandwidth`` loads it.
 
 This module is the only place where one package of this distribution uses another through an entry point. The import
 rules do not see this use. So a skin with its own source runs without ``touch``.
@@ -27,7 +26,6 @@ from skin.layout import Layout, Taxels
 #: Groups of entry points.
 SOURCES: Final = "canskin.sources"
 TOUCHES: Final = "canskin.touches"
-SENDERS: Final = "canskin.senders"
 #: Name in `TOUCHES` of the touches for training: random places, depths and moments.
 RANDOM: Final = "random"
 #: Default objects of the simulated skin and of the classifier.
@@ -77,7 +75,7 @@ class TaxelSource(Protocol):
 
 
 def step_rate_hz(layout: Layout) -> float:
-    """Return the steps of a touch in a second: `skin.sending.Sending.step_hz`, or one each SYNC at its highest rate."""
+    """Return the steps of a touch in a second: `Sending.step_hz`, or one each SYNC at its highest rate."""
     return layout.sends.step_hz or 1 / layout.sync.period_s
 
 
@@ -172,14 +170,6 @@ def known_objects(touching: Iterable[str]) -> tuple[str, ...]:
         return names
     own = {object_label(name) for name in names if object_file(name) is not None}
     return tuple(dict.fromkeys((*(name for name in DEFAULT_OBJECTS if name not in own), *names)))
-
-
-def load_sender(name: str) -> Callable[..., Any]:
-    """Return the function registered under `name` that tells what nodes send of a touch.
-
-    The function is called with ``(contract, bus, source, seconds, seed=)`` and returns the frames of sums of one bus.
-    """
-    return _load(SENDERS, name)
 
 
 class LabelledTouches(NamedTuple):

@@ -17,9 +17,9 @@ from scipy.special import ndtri
 from dbc.patch_filter import SAMPLE_NS, Floats
 from nodes.electronics import Calibration
 from shell.compiled import njit
-from skin.sending import STEPPED_STEP_HZ
 from skin.sources import Frame, TaxelSource
 from skin.taxel import Memory, TaxelModel
+from skin.ways_of_sending import STEPPED_STEP_HZ
 
 #: Time between two steps of the touch.
 STEP_NS: Final = round(1e9 / STEPPED_STEP_HZ)

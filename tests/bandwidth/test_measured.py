@@ -229,14 +229,6 @@ def test_overload_is_named(contract: Contract, planned: BusPlan, healthy: Frames
     assert any("at most 87.9% were planned" in line for line in found)
 
 
-def test_services_have_their_names(contract: Contract) -> None:
-    assert Identifiers(contract, 1).kind_of(0x000) == ("NMT", 0)
-    assert Identifiers(contract, 1).kind_of(0x605) == ("SDO request", 0)
-    assert Identifiers(contract, 1).kind_of(0x585) == ("SDO response", 5)
-    assert Identifiers(contract, 1).kind_of(0x585 + 32) == ("foreign", None)
-    assert Identifiers(contract, 1).kind_of(0x7FF) == ("foreign", None)
-
-
 def test_time_is_planned_if_the_layout_has_it(contract: Contract) -> None:
     assert Identifiers(contract, 1).kind_of(0x100) == ("foreign", None)
     layout = contract.layout
@@ -316,6 +308,7 @@ def test_a_fifth_of_wrong_frames_is_no_misfit(contract: Contract, planned: BusPl
 @pytest.mark.parametrize(
     ("cob_id", "kind"),
     [
+        (0x000, ("NMT", 0)),
         (0x080, ("SYNC", 0)),
         (0x081, ("EMCY", 1)),
         (0x0A0, ("EMCY", 32)),

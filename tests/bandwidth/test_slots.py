@@ -12,7 +12,6 @@ from bandwidth.plan import cycle_hz, plan, touched_load
 from bandwidth.slots import slot_responses_ns
 from bandwidth.traffic import Disturbance, traffic
 from bus.simulated_bus import SimulatedBus
-from canskin.errors import InputError
 from dbc.contract import Contract
 from dbc.dictionary import slot_offset_us
 from dbc.frame import Frames, frames
@@ -146,7 +145,7 @@ def test_a_touch_is_simulated_once_for_buses_that_are_alike(monkeypatch: pytest.
         sent["data"][:, 0] = 0x55
         return sent
 
-    monkeypatch.setattr(planning, "load_sender", lambda name: send if name == "steps" else None)
+    monkeypatch.setattr("nodes.steps.simulated.touched_frames", send)
     monkeypatch.setattr(planning, "load_objects", lambda _layout, *, seed: f"objects {seed}")
     contract = contract_of(1, 1, 2)
     plans = plan(contract)
@@ -158,16 +157,8 @@ def test_a_touch_is_simulated_once_for_buses_that_are_alike(monkeypatch: pytest.
     )
 
 
-def test_without_a_package_that_simulates_there_is_no_touched_load(monkeypatch: pytest.MonkeyPatch) -> None:
-    def fail(_name: str) -> None:
-        raise InputError("not installed")
-
-    monkeypatch.setattr(planning, "load_sender", fail)
-    assert [each.load_touched for each in plan(contract_of(1))] == [None]
-
-
 @pytest.mark.heavy
 def test_the_load_of_a_touch_is_simulated(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(planning, "TOUCHED_S", 2.0)
     # The first object presses: a few percent of the bus, and far from full.
-    assert 0.0036 < (touched_load(Contract.from_layout(load_layout(Path("steps"))), 2) or 0) < 0.2
+    assert 0.0036 < touched_load(Contract.from_layout(load_layout(Path("steps"))), 2) < 0.2

@@ -11,12 +11,13 @@ import pytest
 from dbc.contract import Contract
 from docs.forearm import forearm
 from nodes.simulated import Nodes
+from nodes.steps.simulated import touched_frames
 from reconstructor.imaging import CycleImager
 from skin.ground_truth import in_contact
 from skin.layout import Layout, load_layout, parse_layout
 from skin.measured_sums import decode_measurement
 from skin.psnr import psnr_db
-from skin.sources import load_objects, load_sender, step_rate_hz
+from skin.sources import load_objects, step_rate_hz
 
 TAXELS = {"mat": 100, "glove": 768, "hand": 261, "pad": 391, "forearm": 230}
 #: Of the examples that are stepped as they come, when they send in cycles.
@@ -67,9 +68,7 @@ def test_images_are_10_db_better_than_the_sensor(name: str) -> None:
 def test_stepped_boards_send_what_touches(name: str) -> None:
     layout = example(name, "steps")
     source = load_objects(layout, names=("golf-ball",), seed=1)
-    frames = [
-        load_sender("steps")(Contract.from_layout(layout), bus, source, 2.0, seed=0) for bus in range(len(layout.bus))
-    ]
+    frames = [touched_frames(Contract.from_layout(layout), bus, source, 2.0, seed=0) for bus in range(len(layout.bus))]
     assert sum(map(len, frames)) > 50
 
 

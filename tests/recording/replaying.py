@@ -9,8 +9,8 @@ from classifier.service import ClassifierService
 from dbc.contract import Contract
 from reconstructor.imaging import make_imager
 from recording.replaying import Replay
+from recording.run_steps import steps_of
 from recording.sinks import McapSink
-from recording.steps import steps_of
 from shell.service import StopSignal
 from skin.layout import load_layout
 

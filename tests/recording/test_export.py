@@ -10,8 +10,8 @@ from canskin.errors import InputError, RunError
 from canskin.messages import IMAGE, LABEL, Topic
 from dbc.contract import Contract
 from recording.export_command import export
+from recording.recorded_tables import read_tables
 from recording.sinks import McapSink
-from recording.tables import read_tables
 from skin.layout import load_layout
 from tests import messages as make
 from tests.layouts import tube_layout

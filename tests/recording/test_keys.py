@@ -14,8 +14,8 @@ from recording.export_command import export
 from recording.mcap_file import RECORDING, read_about, recording_id
 from recording.replay_command import replay
 from recording.replaying import Agreement, Replay
+from recording.run_steps import steps_of
 from recording.sinks import McapSink
-from recording.steps import steps_of
 from shell.service import StopSignal
 from skin.wall_times import recorded_wall_times
 from tests.documents import block

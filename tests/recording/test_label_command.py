@@ -11,9 +11,9 @@ from canskin.messages import MARK
 from classifier import touches
 from dbc.contract import Contract
 from recording.label_command import label
+from recording.recorded_tables import read_tables
+from recording.run_steps import steps_of
 from recording.step_kinds import MessageStep
-from recording.steps import steps_of
-from recording.tables import read_tables
 from skin.layout import Layout
 from tests.layouts import small_layout
 from tests.recordings import HOLD, REST, write_touches

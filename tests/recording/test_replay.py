@@ -21,9 +21,9 @@ from reconstructor.service import ReconstructorService
 from recording.mcap_file import FRAMES, Entry, File, RecordingWriter, read_about, read_entries
 from recording.recorder import Recorder
 from recording.replaying import Replay
+from recording.run_steps import steps_of
 from recording.sinks import McapSink, open_sink
 from recording.step_kinds import FramesStep, MeasurementStep
-from recording.steps import steps_of
 from shell.service import StopSignal
 from tests import messages as make
 from tests.gateway.boards import small_stepped

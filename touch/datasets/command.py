@@ -66,7 +66,7 @@ def dataset(
     --------
     skin touch dataset classification --out touches
     skin touch dataset acquisition --out slides --objects drill,cup --meshes ycb-meshes
-    skin touch dataset acquisition --out worn --gain-spread 0.05 --dead 0.01 --json
+    skin touch dataset acquisition --out worn --defect gain-spread=0.05 dead=0.01 --json
     """
     names = None if objects is None else checked_names(objects)
     model = taxels.model(seed)

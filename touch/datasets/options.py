@@ -1,11 +1,13 @@
 """Options of ``skin touch dataset``, in groups."""
 
-from dataclasses import dataclass, make_dataclass
-from typing import Annotated, Final, TypeVar
+from dataclasses import dataclass, field
+from typing import Final
 
 from cyclopts import Group, Parameter
 
-from skin.defects import KINDS, Defects, Stage
+from canskin.errors import InputError
+from skin.defects import KINDS, Stage, parse_defects
+from skin.layout import load_layout
 from skin.taxel import FORCE_MAX_N, NOISE_N, TaxelModel
 from touch.classification_poses import PERTURBATIONS
 from touch.coarse_arrays import ARRAYS, Kind
@@ -55,19 +57,7 @@ class ClassificationOptions:
     perturbations: int = PERTURBATIONS
 
 
-T = TypeVar("T")
-
-
-def _with_defects(options: type[T]) -> type[T]:
-    """Return the class with an option for each kind of defect that data sets have."""
-    added = [(name, Annotated[float | None, Parameter(help=kind.help)], None) for name, kind in DEFECTS.items()]
-    made: type[T] = make_dataclass(options.__name__, added, bases=(options,), frozen=True)
-    made.__module__, made.__doc__ = options.__module__, options.__doc__
-    return made
-
-
-@Parameter(name="*", group=Group("Taxels, each defect off unless given"))
-@_with_defects
+@Parameter(name="*", group=Group("Taxels"))
 @dataclass(frozen=True)
 class TaxelOptions:
     """Model of the sensor.
@@ -78,12 +68,17 @@ class TaxelOptions:
         Standard deviation of the noise, newtons.
     force_max_n
         End of a taxel's range, newtons.
+    defect
+        Defects of the taxels, each KIND or KIND=AMOUNT, see ``skin demo --help``; without creep, which takes minutes.
     """
 
     noise_n: float = NOISE_N
     force_max_n: float = FORCE_MAX_N
+    defect: list[str] = field(default_factory=list)
 
     def model(self, seed: int) -> TaxelModel:
         """Return the model of the taxels; `seed` selects the defective taxels."""
-        amounts = {kind: getattr(self, kind) for kind in DEFECTS}
-        return TaxelModel(self.noise_n, self.force_max_n, Defects.of(amounts, seed))
+        defects = parse_defects(self.defect, (), seed, load_layout())
+        if unshown := [each.kind for each in defects.of_kinds if each.kind not in DEFECTS]:
+            raise InputError(f"--defect {', '.join(unshown)}: a touch of seconds does not show it, leave it out")
+        return TaxelModel(self.noise_n, self.force_max_n, defects)

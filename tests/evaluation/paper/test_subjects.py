@@ -1,7 +1,6 @@
 """Every subject, looked at quickly through the command."""
 
 import json
-from collections import Counter
 from pathlib import Path
 from typing import get_args
 
@@ -9,20 +8,10 @@ import pytest
 
 from evaluation.command import Part, RunOptions, paper
 from evaluation.paper import figures, sparsity, tables
-from evaluation.paper.runs import OBJECTS, RECONSTRUCTIONS, Method
 from evaluation.printed import BasisName, sensor_psnr
-from evaluation.result import Options, Result, Row
+from evaluation.result import Options, Result
 
 BASES = get_args(BasisName)
-
-
-class FakeClock:
-    """A clock that goes on only where a test says so."""
-
-    now_s = 0.0
-
-    def __call__(self) -> float:
-        return self.now_s
 
 
 @pytest.fixture(scope="module")
@@ -79,45 +68,3 @@ def test_the_report_of_all_parts_compares_every_number(
     assert {row["subject"] for row in rows} == {"paper", *get_args(Part)}
     assert {row["verdict"] for row in rows if row["subject"] == "paper"} == {"not measured"}
     assert {"paper.json", "report.html"} <= {path.name for path in tmp_path.iterdir()}
-
-
-def test_table_three_averages_as_many_draws_as_asked(monkeypatch: pytest.MonkeyPatch) -> None:
-    counted: Counter[str] = Counter()
-
-    def canned(_measure: object, cells: list[Row], _options: Options, what: str, **_: int) -> list[Row]:
-        if what != RECONSTRUCTIONS:
-            return [dict.fromkeys((f"{basis} {count}" for basis in BASES for count in tables.ITERATIONS), 1.0)]
-        counted.update(each["method"].matrix for each in cells)
-        return [{"mean": 30.0, "least": 29.0, "most": 31.0}] * len(cells)
-
-    monkeypatch.setattr(tables, "measure_cells", canned)
-    for draws, sbhe, noiselet in ((3, 3, 3), (None, tables.DRAWS, tables.NOISELET_DRAWS)):
-        counted.clear()
-        tables.iterations(Options(draws=draws))
-        cells = len(OBJECTS) * len(BASES) * len(tables.ITERATIONS)
-        assert counted == {"sbhe": sbhe * cells, "noiselet": noiselet * cells}
-
-
-@pytest.mark.heavy
-def test_times_are_medians_of_the_steps_that_count(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A solver of n ms with n iterations, ten times slower on the steps that warm up, and 1 s on one that counts."""
-    clock, make = FakeClock(), Method.make
-
-    class Solver:
-        def __init__(self, milliseconds: int) -> None:
-            slow = [1000 if step == tables.UNTIMED_STEPS else milliseconds for step in range(20)]
-            slow[: tables.UNTIMED_STEPS] = [10 * milliseconds] * tables.UNTIMED_STEPS
-            self.waits_ms = iter(slow)
-
-        def new_estimate(self) -> None: ...
-
-        def solve(self, *_: object) -> None:
-            clock.now_s += 1e-3 * next(self.waits_ms)
-
-        def deliver(self, _: object) -> None:
-            clock.now_s += 0.5e-3
-
-    monkeypatch.setattr("evaluation.paper.tables.time.perf_counter", clock)
-    monkeypatch.setattr(Method, "make", lambda self, seed: (make(self, seed)[0], Solver(self.iterations)))
-    found = tables.measure_times(meshes=None, seed=0, steps=3)
-    assert found == {f"{basis} {count}": count + 0.5 for basis in BASES for count in (20, 10, 5)}

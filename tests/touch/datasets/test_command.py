@@ -53,7 +53,7 @@ def test_a_second_run_makes_only_what_is_missing(tmp_path: Path, capsys: pytest.
 
 
 def test_taxels_reach_the_sensor_signal(tmp_path: Path) -> None:
-    taxels = TaxelOptions(noise_n=0.0, dead=0.25, cross_talk=0.1, gain_spread=0.1, stuck=0.0)
+    taxels = TaxelOptions(noise_n=0.0, defect=["dead=0.25", "cross-talk=0.1", "gain-spread=0.1"])
     dataset("classification", out=tmp_path, objects="volleyball", touches=FEW, taxels=taxels, seed=4, jobs=1)
     true, sensor = (np.load(tmp_path / "averaged-08x08" / f"volleyball-{name}.npy") for name in ("true", "sensor"))
     dead = (sensor == 0).all(axis=0)
@@ -74,7 +74,9 @@ def test_wrong_options_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="1 job or more"):
         dataset("classification", out=tmp_path, objects="cup", touches=FEW, jobs=0)
     with pytest.raises(InputError, match="ratio needs a number from 0 to 1"):
-        dataset("classification", out=tmp_path, taxels=TaxelOptions(dead=2.0))
+        dataset("classification", out=tmp_path, taxels=TaxelOptions(defect=["dead=2"]))
+    with pytest.raises(InputError, match="a touch of seconds does not show it"):
+        dataset("classification", out=tmp_path, taxels=TaxelOptions(defect=["creep"]))
 
 
 @pytest.mark.slow

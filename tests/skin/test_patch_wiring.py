@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from skin.layout import Layout, layout_text, load_layout, parse_layout
+from skin.patch_wiring import chain_lengths_m
 from skin.surface import grid_surface
-from skin.wiring import chain_lengths_m
 
 
 def layout_of(keys: str, rows: int = 32, columns: int = 64) -> Layout:
