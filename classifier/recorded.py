@@ -165,7 +165,7 @@ class _Reader:
     Attributes
     ----------
     seen, still : list of tuple
-        A `Observations` of one observation each: of labelled touches, and of the untouched skin.
+        Rows of `Observations`: of labelled touches, and of the untouched skin.
     labels : list of str
         Label of each of `seen`.
     touch : array of int

@@ -68,19 +68,11 @@ Calibrating = TypeVar("Calibrating", bound=Calibrates)
 class Skin(Generic[Calibrating]):
     """A skin whose cycles go through a calibrator, one after the other."""
 
-    def __init__(
-        self, calibrator: Calibrating, *, layout: Layout = LAYOUT, seed: int = 0, stuck: int | None = None
-    ) -> None:
-        self._stuck = stuck
+    def __init__(self, calibrator: Calibrating, *, layout: Layout = LAYOUT, seed: int = 0) -> None:
         self.calibrator, self.layout = calibrator, layout
         self.time_s, self._cycle = 0.0, 0
         self._phi = layout.phi()
         self._random = np.random.default_rng(seed)
-
-    def skip(self, seconds: float) -> None:
-        """Let time pass without cycles."""
-        self.time_s += seconds
-        self._cycle += round(seconds / self.layout.sync.period_s)
 
     def run(
         self,
@@ -101,8 +93,6 @@ class Skin(Generic[Calibrating]):
             self.time_s += self.layout.sync.period_s
             felt_n = force(self.time_s) + self._random.normal(0, NOISE_N, self.layout.taxels.count)
             counts = np.rint(self._phi.forward(felt_n) / NEWTON_PER_COUNT).astype("<i4")
-            if self._stuck is not None:
-                counts[self._stuck] = 1234
             counts[list(saturated)] = END_CODE
             counts[~self._phi.sums_of_blocks(valid)] = 0
             came = measurement_of(self.layout, self._phi, self._cycle, counts, valid)

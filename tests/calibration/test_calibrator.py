@@ -102,14 +102,6 @@ def test_a_zero_forced_under_a_hand_is_measured_again_when_the_hand_is_gone() ->
     assert error_n(last, ZERO) < 1.2 * SUM_NOISE_N
 
 
-def test_a_long_touch_leaves_the_zero_as_it_is() -> None:
-    skin, touch = Skin(Calibrator(LAYOUT)), pressed(30, 30, 9, 0.005)
-    skin.run(4.0, still(OFFSETS))
-    last = skin.run(12.0, still(OFFSETS + touch))
-    assert error_n(last, touch) < 1.5 * SUM_NOISE_N
-    assert skin.calibrator.status().held_blocks > 0
-
-
 def test_drift_is_followed_and_goes_on_under_a_touch() -> None:
     rate_n = np.random.default_rng(3).normal(0, 1e-3, LAYOUT.taxels.count)
     skin, touch = Skin(Calibrator(LAYOUT)), pressed(30, 30, 9, 0.005)

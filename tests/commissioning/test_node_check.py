@@ -90,7 +90,7 @@ class FaultyBoard(Bench):
         gateway = self.wire.gateway
         self.wire.loses = lambda end, each: end is gateway and each["can_id"] == can_id and bool(change(each))
         if sums is not None:
-            alter, measure = sums, self.segment._sending.measure
+            alter, measure = sums, self.segment._timing.measure
 
             def measured(counter: int, time_ns: int) -> np.ndarray | None:
                 right = measure(counter, time_ns)
@@ -99,7 +99,7 @@ class FaultyBoard(Bench):
                 alter(altered)
                 return altered
 
-            self.segment._sending.measure = measured  # type: ignore[method-assign]
+            self.segment._timing.measure = measured  # type: ignore[method-assign]
 
 
 class BenchInC(Bench):
