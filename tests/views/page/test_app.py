@@ -100,6 +100,11 @@ def test_foreign_origin_is_refused(client: TestClient, origin: str) -> None:
     assert (caught.value.code, caught.value.reason) == (1008, f"pages of {origin} may not read this skin")
 
 
+def test_name_pointed_at_this_machine_is_refused(client: TestClient) -> None:
+    answer = client.get("/api/state", headers={"host": "evil.example:8765"})
+    assert (answer.status_code, "evil.example" in answer.text) == (403, True)
+
+
 def test_messages_from_the_fabric_are_shown(messages: Any, hub: Fabric, endpoint: str) -> None:
     fabric = Fabric(messages.layout.name, "viewer", endpoint)
     feed = Feed(messages.layout)
