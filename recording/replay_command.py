@@ -128,11 +128,9 @@ def replay(
             fabric.close()
     for line in played.report.lines():
         say("replay", line)
-    if not played.report.measurements.made:
-        if stop.is_set():
-            return
+    if not played.report.measurements.made and not stop.is_set():
         raise RunError(f"{source}: gave no measurement: is this the skin's layout?")
-    if arrays is not None and out is not None:
+    if arrays is not None and out is not None and played.report.measurements.made:
         arrays.save(out, skin, recording_id(source), _about(source, skin, solver))
 
 
