@@ -22,7 +22,7 @@ INSTANCES = (*VERBS, "ros2")
 #: Exposure of a unit by `systemd-analyze security`, in tenths: 0 is none, 100 all.
 EXPOSURE_MAX = 20
 #: Where the services keep kernels, and the module of the gateway whose kernels are not there before.
-CACHE, COMPILED_THERE = "writable/var/cache/canskin", "gathering"
+CACHE, COMPILED_THERE = "writable/var/cache/canskin", "batch"
 pytestmark = pytest.mark.skipif(
     shutil.which("systemd-analyze") is None, reason="NOT TESTED: systemd-analyze is missing (Debian: systemd)"
 )
