@@ -83,7 +83,8 @@ def test_wrong_options_are_refused(tmp_path: Path) -> None:
 def test_ctrl_c_is_quiet_and_the_run_goes_on_later(tmp_path: Path) -> None:
     """The whole foreground group gets the signal, as from a terminal."""
     folder, manifest = tmp_path / "slides", tmp_path / "slides" / "manifest.json"
-    command = [sys.executable, "-m", "skin", "touch", "dataset", "acquisition", "--out", folder, "--objects", "granola-box,cup"]
+    command = [sys.executable, "-m", "skin", "touch", "dataset", "acquisition"]
+    command += ["--out", folder, "--objects", "granola-box,cup"]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
     with subprocess.Popen([*command, "--jobs", "2"], **pipes, start_new_session=True) as run:  # type: ignore[call-overload]
         while run.poll() is None and not listed(manifest):
