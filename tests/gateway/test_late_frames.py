@@ -178,6 +178,27 @@ def test_after_120_silent_cycles_two_cycles_prove_that_a_node_is_not_a_round_of_
     assert after == ([False, False, True, True, True, True] if turns == 1 else [False] * 5 + [True])
 
 
+@pytest.mark.parametrize("held", [1, 2, 10])
+@pytest.mark.parametrize("hung", [240, 241])
+def test_what_a_board_held_back_for_a_round_of_the_counter_is_not_used(hung: int, held: int) -> None:
+    """The board hangs, holds back its first answers, and sends all of them when it goes on, across a SYNC."""
+    for first in range(held + 1):
+        skin = Skin()
+        skin.run(1, 0, 1, 2, 3)
+        begun = skin.cycle + 1
+        skin.run(hung, 1, 2, 3)
+        waiting = [skin.answers(begun + each, 0) for each in range(held)]
+        cycle = skin.begin()
+        skin.take(0, *waiting[:first], skin.answers(cycle, 1))
+        skin.take(1, skin.answers(cycle, 2, 3))
+        assert skin.close(cycle) == [False, True, True, True]
+        cycle = skin.begin()
+        skin.take(0, *waiting[first:], skin.answers(cycle, 0, 1))
+        skin.take(1, skin.answers(cycle, 2, 3))
+        assert skin.close(cycle) == [False, True, True, True]
+        assert skin.run(4, 0, 1, 2, 3) == [True] * 4
+
+
 def test_a_stack_that_counts_syncs_may_exchange_its_turns_though_its_frames_come_last() -> None:
     skin = Skin(2)
     skin.run(4, 0, 1, 2, 3)
