@@ -1,6 +1,5 @@
-"""How many random wiring errors are found: `python -m tests.commissioning.wiring_errors 100 mat cone`."""
+"""Random wiring errors of a skin, and what is found of them."""
 
-import sys
 from pathlib import Path
 from typing import Any, Final
 
@@ -121,24 +120,3 @@ def found_of(
     counts = measured(layout, phi, order, force_n, random)
     findings = prove(phi, layout.taxels.surface, counts, path_m if knows_path else None, REST)
     return wrong, {told(each) for each in findings}
-
-
-def main() -> None:
-    """Print for each skin and kind: right, unclear, wrong."""
-    count = int(sys.argv[1])
-    for name in sys.argv[2:]:
-        layout = layout_of(name)
-        for kind in KINDS:
-            right = unclear = 0
-            for seed in range(count):
-                wrong, found = found_of(layout, kind, seed)
-                right += wrong == found
-                unclear += wrong != found and all(each in wrong or each[0] == "unclear" for each in found)
-            print(
-                f"{name} {kind}: {right} right, {unclear} unclear or missed, {count - right - unclear} wrong",
-                flush=True,
-            )
-
-
-if __name__ == "__main__":
-    main()

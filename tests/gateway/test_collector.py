@@ -1,7 +1,5 @@
 """The collector: every frame once, none of another cycle, and counts that balance."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -12,7 +10,6 @@ from dbc.codec import encode
 from dbc.contract import Contract
 from dbc.frame import ECHO, ERROR, EXTENDED, FD, FRAME, REMOTE, Frames, frames
 from gateway.collector import Collector, Gathered
-from skin.layout import load_layout
 from skin.sync_counter import next_counter
 from tests.bus.harness import frame
 from tests.layouts import in_one_instant
@@ -50,32 +47,6 @@ def whole_cycle(collector: Collector, counter: int) -> Gathered:
 
 def received(collector: Collector) -> int:
     return collector.counts.received + collector.counts.foreign
-
-
-def test_a_whole_cycle() -> None:
-    collector = new_collector()
-    collector.open(1)
-    for bus in range(4):
-        assert not collector.is_settled(1)
-        collector.take(bus, np.concatenate((echo(1), burst(bus, 1))), 0)
-    assert collector.is_settled(1)
-    gathered = collector.close(1)
-    assert gathered.complete
-    assert np.array_equal(gathered.sums, SUMS)
-    assert (collector.counts.accepted, collector.counts.missing, collector.counts.late) == (256, 0, 0)
-
-
-def test_old_values_are_never_used_again() -> None:
-    collector = new_collector()
-    for counter in (1, 2, 3):
-        collector.open(counter)
-        for bus in range(4):
-            sent = burst(bus, counter)
-            collector.take(bus, np.concatenate((echo(counter), sent if counter == 1 else sent[:-2])), 0)
-        gathered = collector.close(counter)
-    assert list(np.flatnonzero(~gathered.valid)) == [31, 63, 95, 127]
-    for block in (31, 63, 95, 127):
-        assert not gathered.sums[CONTRACT.phi.block_of_sum == block].any()
 
 
 def test_proof_counts_from_the_next_sync_on_and_a_doubt_from_the_cycle_under_way() -> None:
@@ -161,16 +132,6 @@ def test_frames_without_any_sync_are_late() -> None:
     assert (collector.counts.late, collector.counts.accepted) == (64, 0)
 
 
-def test_frames_after_the_close_are_late() -> None:
-    collector = new_collector()
-    collector.open(1)
-    sent = burst(0, 1)
-    collector.take(0, np.concatenate((echo(1), sent[:60])), 0)
-    collector.close(1)
-    collector.take(0, sent[60:], 0)
-    assert (collector.counts.accepted, collector.counts.late, collector.counts.missing) == (60, 4, 196)
-
-
 def test_cycle_waits_for_expected_nodes_only() -> None:
     collector = new_collector()
     collector.expected[0] = False
@@ -190,19 +151,6 @@ def test_cycle_waits_for_expected_nodes_only() -> None:
         sent = burst(bus, 2)
         collector.take(bus, np.concatenate((echo(2), sent[~of_node_1] if bus == 0 else sent)), 0)
     assert collector.is_settled(2)
-
-
-def test_skin_of_can_fd_takes_frames_of_can_fd() -> None:
-    contract = Contract.from_layout(load_layout(Path("fd")))
-    collector = Collector(contract)
-    collector.trust(slice(None), proven=True)
-    collector.open(1)
-    for bus in range(len(contract.layout.bus)):
-        sent = contract.cycle(bus)[1:]
-        sent["data"][:, 0] = 1
-        collector.take(bus, np.concatenate((echo(1), sent)), 0)
-    assert collector.close(1).complete
-    assert collector.counts.foreign == 0
 
 
 # SYNCs of others, SYNCs that ask for nothing, and what is known of the instant of a SYNC

@@ -161,20 +161,6 @@ def test_a_counter_that_no_sync_has_makes_a_frame_malformed(counter: int) -> Non
     assert skin.collector.counts.malformed == 2
 
 
-@turns
-def test_a_node_that_is_a_cycle_late_for_good_is_never_wrong_and_never_valid_beside_right_ones(turns: int) -> None:
-    skin = Skin(turns)
-    skin.run(2, 0, 1, 2, 3)
-    before = skin.cycle
-    for _ in range(8):
-        cycle = skin.begin()
-        skin.take(0, skin.answers(before, 0), skin.answers(cycle, 1))
-        skin.take(1, skin.answers(cycle, 2, 3))
-        last = skin.close(cycle)
-        before = cycle
-    assert last == [False, True, True, True]
-
-
 @pytest.mark.parametrize("silent", [1, 100, 119])
 def test_after_a_short_silence_the_first_answer_counts(silent: int) -> None:
     skin = Skin()
@@ -192,8 +178,8 @@ def test_after_120_silent_cycles_two_cycles_prove_that_a_node_is_not_a_round_of_
     assert after == ([False, False, True, True, True, True] if turns == 1 else [False] * 5 + [True])
 
 
-@pytest.mark.parametrize("held", [1, 2, 3, 10])
-@pytest.mark.parametrize("hung", [239, 240, 241, 480])
+@pytest.mark.parametrize("held", [1, 2, 10])
+@pytest.mark.parametrize("hung", [240, 241])
 def test_what_a_board_held_back_for_a_round_of_the_counter_is_not_used(hung: int, held: int) -> None:
     """The board hangs, holds back its first answers, and sends all of them when it goes on, across a SYNC."""
     for first in range(held + 1):
@@ -211,21 +197,6 @@ def test_what_a_board_held_back_for_a_round_of_the_counter_is_not_used(hung: int
         skin.take(1, skin.answers(cycle, 2, 3))
         assert skin.close(cycle) == [False, True, True, True]
         assert skin.run(4, 0, 1, 2, 3) == [True] * 4
-
-
-def test_what_the_counter_does_not_tell_is_a_node_that_is_240_cycles_late_for_good() -> None:
-    """It has to hold back 240 answers and to send one for each SYNC: the bound of docs/bus.md."""
-    skin = Skin()
-    skin.run(1, 0, 1, 2, 3)
-    begun = skin.cycle + 1
-    skin.run(240, 1, 2, 3)
-    for place in range(3):
-        cycle = skin.begin()
-        skin.take(0, skin.answers(begun + place, 0), skin.answers(cycle, 1))
-        skin.take(1, skin.answers(cycle, 2, 3))
-        gathered = skin.collector.close(counter_of(cycle))
-        assert gathered.valid.tolist() == [place == 2, True, True, True]
-    assert (gathered.sums[skin.contract.phi.block_of_sum == 0] == 4 * (cycle - 240)).all()
 
 
 def test_a_stack_that_counts_syncs_may_exchange_its_turns_though_its_frames_come_last() -> None:
@@ -481,27 +452,3 @@ def test_skipped_periods_cost_nothing() -> None:
     came = world.run(10 * PERIOD_S)
     assert world.gateway.sync.skipped > 0
     assert all(valid(each).all() and not world.wrong_blocks(each) for each in came)
-
-
-@turns
-@pytest.mark.parametrize("seed", range(3))
-def test_whatever_syncs_nodes_miss_only_what_they_missed_is_lost(turns: int, seed: int) -> None:
-    world = World(CONTRACTS[turns])
-    world.until_whole(2.0)
-    draw, missed = np.random.default_rng(seed), []
-    wire = world.wires[0]
-
-    def loses(end: object, each: np.void) -> bool:
-        is_lost = end is wire.nodes and each["can_id"] == SYNC_COB_ID and draw.random() < 0.3
-        if is_lost:
-            missed.append(int(each["data"][0]))
-        return bool(is_lost)
-
-    wire.loses = loses
-    came = world.run(3.0)
-    assert not any(world.wrong_blocks(each) for each in came)
-    for each in came:
-        needed = {counter_of(each.sync_counter + 240 - age) for age in range(turns)}
-        assert valid(each)[:2].all() == (not needed & set(missed)) or each is came[0]
-    wire.loses = None
-    world.until_whole(1.0)

@@ -32,16 +32,6 @@ def cut(world: World, bus: int, node_id: int) -> None:
     )
 
 
-def test_counter_comes_round_without_a_gap(world: World) -> None:
-    world.gateway.sync.counter = 237
-    came = world.run(8 * PERIOD_S)
-    counters = [each.sync_counter for each in came]
-    assert counters[:7] == [238, 239, 240, 1, 2, 3, 4]
-    assert np.diff([each.cycle for each in came]).tolist() == [1] * (len(came) - 1)
-    assert all(valid(each).all() and not world.wrong_blocks(each) for each in came)
-    assert world.gateway.in_flight == 0
-
-
 def test_frames_that_are_read_after_the_next_sync_was_sent_still_count(world: World) -> None:
     """The host gets to read a bus one and a half periods late."""
     first = len(world.measured)
@@ -123,18 +113,6 @@ def test_missing_and_late_frames_are_told_of_the_node(world: World) -> None:
     assert world.status().buses[1].late == [1, 0]
     assert world.status().buses[0].late == [0, 0]
     assert world.status().frames.late == 1
-
-
-def test_every_frame_is_counted_by_its_kind(world: World) -> None:
-    wire = world.wires[0]
-    foreign = world.status().frames.foreign
-    wire.put(0x555, b"\1")
-    wire.put(0x181, b"\1")
-    world.step()
-    counts = world.status().frames
-    assert counts.foreign > foreign
-    assert (counts.malformed, counts.late, counts.duplicate) == (1, 0, 0)
-    assert counts.accepted + counts.missing == 8 * world.status().cycles
 
 
 def test_node_is_awaited_from_its_start_on(small: Contract) -> None:

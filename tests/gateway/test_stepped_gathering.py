@@ -12,7 +12,6 @@ from dbc.contract import Contract
 from dbc.dictionary import HEARTBEAT_MS, SILENT_AFTER_S
 from dbc.steps import KEEP_MIN, LATE_SLOTS
 from gateway.block_states import FRESH_NS
-from gateway.gathering import Health
 from gateway.stepped_gathering import publishing_rates
 from gateway.stepped_state import slots_of
 from tests.bus.harness import frame
@@ -418,12 +417,3 @@ def test_the_newest_frame_of_each_bus_is_told(boards: BoardWorld) -> None:
     assert ended_ns[0] > before[0]
     assert ended_ns[1] == before[1]
     assert boards.measured[-1].sampled_mono_ns == ended_ns.max()
-
-
-def test_frames_of_nobody_are_foreign(boards: BoardWorld) -> None:
-    before = boards.gateway.gathering.counts.foreign
-    strange = np.concatenate([frame(0x080, b"\1"), frame(0x7FF, b"\1")])
-    boards.gateway.gathering.take(0, strange, Health(), boards.now_s)
-    assert boards.gateway.gathering.counts.foreign == before + 2
-    assert boards.gateway.gathering.take_foreign_syncs(0) == 1
-    assert boards.gateway.gathering.take_foreign_syncs(0) == 0
