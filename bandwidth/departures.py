@@ -23,9 +23,9 @@ from dbc.dictionary import HEARTBEAT_MS, SILENT_AFTER_S, slot_offset_us
 from dbc.frame import ERROR, Frames
 from dbc.packing import COUNTER_BYTES
 from dbc.patch_filter import SAMPLE_NS
-from dbc.steps import LATE_SLOTS
+from dbc.steps import LATE_SLOTS, slots_since
 from skin.ranges import ranges_text
-from skin.sync_counter import SYNC_OVERFLOW, next_counter
+from skin.sync_counter import next_counter
 
 #: Largest relative difference between the mean SYNC period and the layout's.
 PERIOD_TOLERANCE = 0.01
@@ -140,9 +140,9 @@ def _slots(contract: Contract, bus: int, taken: Frames, planned: BusPlan) -> Ite
     syncs = np.flatnonzero(is_sync(taken))
     newest = taken[syncs[np.maximum(cycles_of(taken), 0)]]
     since_s = (taken["time_ns"].astype(np.int64) - newest["time_ns"].astype(np.int64)) * 1e-9
-    slot = taken["data"][:, 0].astype(np.int64) - 1 - (newest["data"][:, 0].astype(np.int64) - 1) * contract.slots
-    age = (np.floor(since_s / slot_s + _EARLY).astype(np.int64) - slot) % SYNC_OVERFLOW
-    after_ms = 1e3 * (since_s - (np.floor(since_s / slot_s + _EARLY) - age) * slot_s)
+    begun = np.floor(since_s / slot_s + _EARLY).astype(np.int64)
+    first = (newest["data"][:, 0].astype(np.int64) - 1) * contract.slots
+    after_ms = 1e3 * (since_s - (begun - slots_since(taken["data"][:, 0], first + begun)) * slot_s)
     ends_ns, most_s = taken["time_ns"][[0, -1]], (contract.keep_max + LATE_SLOTS) * slot_s
     for node in contract.on_bus(bus):
         mine = is_mine & np.isin(taken["can_id"], [tpdo.cob_id for tpdo in node.tpdos])

@@ -11,7 +11,7 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 
 from classifier.dag import Float64, walked
 
-Kernel = Literal["linear", "rbf", "precomputed"]
+Kernel = Literal["linear", "precomputed"]
 
 
 class DagSvm(ClassifierMixin, BaseEstimator):  # type: ignore[misc]  # scikit-learn is untyped
@@ -21,11 +21,9 @@ class DagSvm(ClassifierMixin, BaseEstimator):  # type: ignore[misc]  # scikit-le
     ----------
     C : float
         Weight of the hinge loss, the same for every pair.
-    kernel : {"linear", "rbf", "precomputed"}
+    kernel : {"linear", "precomputed"}
         The paper uses "linear". "precomputed" takes inner products in place of observations, shape (count, trained):
         this is faster for long signals and several C.
-    gamma : float or {"scale", "auto"}
-        Width of the "rbf" kernel, as in `sklearn.svm.SVC`.
     max_iter : int
         Most iterations of the solver per pair, -1 for no limit.
 
@@ -42,16 +40,9 @@ class DagSvm(ClassifierMixin, BaseEstimator):  # type: ignore[misc]  # scikit-le
         Largest number of iterations of a pair.
     """
 
-    def __init__(
-        self,
-        C: float = 1.0,
-        kernel: Kernel = "linear",
-        gamma: float | Literal["scale", "auto"] = "scale",
-        max_iter: int = 200_000,
-    ) -> None:
+    def __init__(self, C: float = 1.0, kernel: Kernel = "linear", max_iter: int = 200_000) -> None:
         self.C = C
         self.kernel = kernel
-        self.gamma = gamma
         self.max_iter = max_iter
 
     def __sklearn_tags__(self) -> Any:
@@ -67,9 +58,7 @@ class DagSvm(ClassifierMixin, BaseEstimator):  # type: ignore[misc]  # scikit-le
         self.classes_, codes = np.unique(y, return_inverse=True)
         if self.classes_.size < 2:
             raise ValueError(f"at least 2 classes are needed: got {self.classes_.size} class")
-        machine = SVC(
-            C=self.C, kernel=self.kernel, gamma=self.gamma, max_iter=self.max_iter, decision_function_shape="ovo"
-        )
+        machine = SVC(C=self.C, kernel=self.kernel, max_iter=self.max_iter, decision_function_shape="ovo")
         self.machine_ = machine.fit(X, codes)
         if self.kernel == "linear":
             self.weights_ = self._sign * machine.coef_

@@ -7,7 +7,7 @@ from canskin.messages import MIN_VALID_RATIO
 from classifier.descent import descend
 from classifier.missing import Completion, Factors
 from classifier.model import Model
-from classifier.newest_sums import NewestSums, is_gap
+from classifier.newest_sums import NewestSums
 from classifier.novelty import Regions, novelty
 from classifier.observer import Observer
 from classifier.settling import SETTLING, Decision, Seen, Settling, logistic
@@ -57,7 +57,7 @@ class Classifier:
         valid : array of bool, shape (blocks,)
             Sums of blocks that are False here are ignored; see `classifier.newest_sums`.
         cycle : int, optional
-            Number of the cycle; after a gap (`classifier.newest_sums.is_gap`) or a step back, past cycles are dropped.
+            Number of the cycle; after a gap (`NewestSums.is_gap`) or a step back, past cycles are dropped.
         time_ns : int, optional
             When the sums were sampled, by the same clock in all calls. Default: 10 ms after the last.
         """
@@ -65,9 +65,8 @@ class Classifier:
         if cycle is not None:
             step = 1 if self._cycle is None else cycle - self._cycle
             self._cycle = cycle
-        if is_gap(step, self._model.metadata.cycles):
+        if self._newest.is_gap(step):
             self._settling.forget()
-            self._newest.forget()
         valid_ratio = self._newest.take(sums, valid, step)
         if valid_ratio < MIN_VALID_RATIO:
             self._settling.forget()

@@ -22,11 +22,6 @@ AVERAGED_S: Final = 0.04
 FORGET_CYCLES: Final = 10
 
 
-def is_gap(step: int, cycles: int) -> bool:
-    """Tell whether sums, `step` cycles after the last, have nothing to do with them; `cycles` are averaged."""
-    return not 0 < step <= max(FORGET_CYCLES, 3 * cycles)
-
-
 def averaged_cycles(layout: Layout) -> int:
     """Return over how many cycles the classifier averages sums: 1 where nodes average, and where Φ changes."""
     if layout.samples_per_sync > 1 or len(layout.measurement.matrix or ()) > 1:
@@ -76,8 +71,17 @@ class NewestSums:
         self._age.fill(self._hold)
         self._variance.fill(_UNKNOWN)
 
+    def is_gap(self, step: int) -> bool:
+        """Tell whether sums, `step` cycles after the last, have nothing to do with them."""
+        return not 0 < step <= max(FORGET_CYCLES, 3 * self._cycles)
+
     def take(self, sums: npt.NDArray[np.int32], valid: npt.NDArray[np.bool_], step: int) -> float:
-        """Take new sums, `step` cycles after the last; return the fraction in use of the blocks that send sums."""
+        """Take new sums, `step` cycles after the last; return the fraction in use of the blocks that send sums.
+
+        After a gap or a step back, past sums are dropped.
+        """
+        if self.is_gap(step):
+            self.forget()
         np.not_equal(valid, 0, out=self._came)
         np.take(self._came, self._block_of_sum, out=self._came_sums, mode="clip")
         self._age += max(1, step)

@@ -12,7 +12,7 @@ from canskin.errors import InputError, tell
 from canskin.messages import MEASUREMENT, MIN_VALID_RATIO
 from classifier.model import Float64
 from classifier.modelfile import skin_of
-from classifier.newest_sums import NewestSums, averaged_cycles, is_gap
+from classifier.newest_sums import NewestSums, averaged_cycles
 from classifier.samples import FeatureExtractor, Observations, Untouched, observe_untouched, standard_untouched
 from classifier.touches import CycleKey, Touches, read_touches
 from classifier.used_sums import classified_phi, coarse_sums
@@ -195,8 +195,6 @@ class _Reader:
             if layout.sends.in_cycles and before is not None:
                 step = measurement.cycle - before
             before = measurement.cycle
-            if is_gap(step, averaged_cycles(layout)):
-                newest.forget()
             ratio = newest.take(decoded.counts[used], decoded.valid, step)
             touch = wanted.get(CycleKey(measurement.cycle, measurement.sampled_mono_ns))
             if touch is None or ratio < MIN_VALID_RATIO or newest.noise_ratio > _MOST_NOISE_RATIO:

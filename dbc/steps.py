@@ -237,3 +237,9 @@ def read_word(payload: Bytes) -> int:
 def slot_byte(slot: int) -> int:
     """Return 2022h of a slot."""
     return int(slot % SYNC_OVERFLOW + 1)
+
+
+def slots_since(byte: Integers, newest: Integers) -> Integers:
+    """Return how many slots before the slot number `newest` that with 2022h `byte` began: 0 to `SYNC_OVERFLOW` - 1."""
+    since: Integers = (newest - (byte.astype(np.int64) - 1)) % SYNC_OVERFLOW
+    return since

@@ -12,6 +12,7 @@ BESIDE: Final = {
     "README.md": "index.md",
     "nodes/firmware/c/README.md": "boards-in-c.md",
     "nodes/firmware/c/steps/README.md": "stepped-boards.md",
+    "nodes/firmware/c/slave/README.md": "bus-services-of-boards.md",
 }
 #: A document that the text names, and a file beside the documents that the README links to.
 _NAMED: Final = re.compile(r"`docs/([\w-]+\.md)`")

@@ -9,6 +9,9 @@ from the samples:
   deviation of 0.58 σ. The ratio of the two is 0.68 whatever σ is, and larger under any force. So a node tells its idle
   taxels by this ratio and learns σ from them, also while other taxels are touched. With σ the node undoes the bias of
   clipping (`skin.clipping`). Until σ is known, and where noise is none, averages stay as they are.
+
+`nodes/firmware/c/skin_average.c` is the same for real boards. No vector of `skin contract` covers averages;
+`tests/nodes/firmware/test_averages.py` compares both.
 """
 
 import numpy as np

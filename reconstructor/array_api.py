@@ -5,10 +5,9 @@ array-api-compat makes the libraries alike. Every step is a matrix product, a ga
 butterflies.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from copy import copy
 from dataclasses import dataclass
-from math import isqrt
 from types import ModuleType
 from typing import Any, Final
 
@@ -30,15 +29,6 @@ from skin.matrix import MatrixPhi
 from skin.measurement import Sbhe, fast_hadamard
 from skin.surface import grid_surface
 
-#: Cycles solved ahead of each part of a recording, and least cycles of a part.
-RUN_IN: Final = 24
-LEAST_PART: Final = 8
-#: Taxels of all streams with which a GPU computes as long as it takes to start its operations.
-FILLING: Final = 1 << 19
-#: Taxels of all streams at most; each needs some 100 bytes.
-MOST: Final = 1 << 26
-
-Bools = npt.NDArray[np.bool_]
 Indices = npt.NDArray[np.intp]
 
 
@@ -450,26 +440,3 @@ def _edges_of_taxels(pairs: Indices, taxels: int) -> Indices:
     table = np.full((taxels, degrees.max(initial=1)), 2 * count, np.intp)
     table[ends[order], np.arange(ends.size) - np.repeat(np.cumsum(degrees) - degrees, degrees)] = order
     return table
-
-
-def parts_of(cycles: int, taxels: int) -> int:
-    """Return into how many parts a recording is best divided.
-
-    P parts of N cycles take (N / P + `RUN_IN`) (F + P), F streams fill the GPU: least at P = √(N F / `RUN_IN`).
-    """
-    best = isqrt(cycles * (FILLING // taxels) // RUN_IN)
-    return max(1, min(best, cycles // LEAST_PART, MOST // taxels))
-
-
-def turns(cycles: int, parts: int) -> Iterator[tuple[Indices, Bools, bool]]:
-    """Yield for each turn the cycle of every part, whether this cycle is in the recording, and if images are kept.
-
-    Parts have equal lengths. All begin `RUN_IN` cycles early, so that the first image of each has a warm start. A part
-    whose cycle is outside the recording gets another cycle; its image is not used.
-    """
-    length = -(-cycles // parts)
-    starts = np.arange(parts) * length
-    for turn in range(-RUN_IN if cycles and parts > 1 else 0, length):
-        at = starts + turn
-        used = (at >= 0) & (at < cycles)
-        yield np.clip(at, 0, cycles - 1), used, turn >= 0

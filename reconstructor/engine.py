@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from canskin.errors import InputError
-from reconstructor.array_api import ArrayLibrary, BatchSolver, parts_of, turns
+from reconstructor.array_api import ArrayLibrary, BatchSolver
 from reconstructor.checks import Values, check_grid_of
 from reconstructor.coded_memory import CodedMemory
 from reconstructor.kernels.contourlet import ContourletSolver
@@ -169,8 +169,7 @@ class Reconstructor:
     ) -> tuple[Values, Values, float]:
         """Return what one cycle is solved from: averaged sums, their weights, both views, and the factor of λ.
 
-        The temporal filter knows no image, so it can be run ahead of the solver. Parameters and errors are those of
-        `solve`.
+        Parameters and errors are those of `solve`.
         """
         filtered = self._filters[0]
         for each in (sums_n, valid_sums):
@@ -191,39 +190,6 @@ class Reconstructor:
             raise InputError("a valid sum is not finite, or above 1e6: expected newtons")
         self._filters.rotate(-1)
         return filtered.sums, filtered.weights, self._relative_penalty(filtered)
-
-    def solve_together(
-        self,
-        sums_n: npt.NDArray[np.floating[Any]],
-        valid_sums: npt.NDArray[np.bool_],
-    ) -> npt.NDArray[np.float32]:
-        """Return the images of cycles that follow each other, shape (cycles, rows, columns); see `reconstruct`.
-
-        Parameters
-        ----------
-        sums_n, valid_sums : arrays, shape (cycles, m)
-            As of `solve`.
-        """
-        if not isinstance(self._kernel, BatchSolver):
-            raise InputError(f"expected a library of arrays, and got a {type(self._kernel).__name__}")
-        cycles, kind = len(sums_n), self._kernel.dtype
-        sums, weights = np.empty(sums_n.shape, kind), np.empty(sums_n.shape, kind)
-        penalties = np.empty(cycles, kind)
-        for cycle, (came, came_valid) in enumerate(zip(sums_n, valid_sums, strict=True)):
-            sums[cycle], weights[cycle], penalties[cycle] = self.average(came, came_valid)
-            if not came_valid.any():
-                self.reset()
-                weights[cycle] = 0
-        parts = parts_of(cycles, self._phi.shape[1])
-        kernel = self._kernel.of_streams(parts)
-        estimate, images = kernel.new_estimate(), np.empty((cycles, *kernel.shape), np.float32)
-        for taken, used, is_kept in turns(cycles, parts):
-            counting = weights[taken] * used[:, None].astype(kind)
-            kernel.solve(estimate, sums[taken], counting, relative_penalty=penalties[taken])
-            if is_kept:
-                made = kernel.deliver(estimate)[used]
-                images[taken[used]] = made if self._correct is None else self._correct(made)
-        return images
 
     def _relative_penalty(self, filtered: TemporalFilter) -> float:
         """Return the factor of λ: proportional to the noise of the averaged sums."""
@@ -270,13 +236,8 @@ def reconstruct(
     noise_n: float | None = None,
     samples: int = 1,
     turns: int = 1,
-    library: ArrayLibrary | None = None,
 ) -> npt.NDArray[np.float32]:
     """Return the images of sums, frame after frame, as the service makes them: newtons, shape (frames, rows, columns).
-
-    A library solves parts of the recording side by side (`reconstructor.array_api.parts_of`). The temporal filter runs
-    over the whole recording before, so only the image from which a part starts is another. Each part is started
-    `reconstructor.array_api.RUN_IN` cycles early.
 
     Parameters
     ----------
@@ -292,19 +253,15 @@ def reconstruct(
         Number of each frame's cycle, for a Φ that changes; default: 1, 2, 3 and so on.
     noise_n, samples, turns
         As of `Reconstructor`.
-    library : ArrayLibrary, optional
-        As of `Reconstructor`.
 
     Examples
     --------
     >>> codes = np.random.default_rng(1).integers(0, 2, (500, 15, 100))
     >>> images = reconstruct(sums_n, MatrixPhi(codes), grid_surface(10, 10, 0.004, gaps=np.arange(0)))
     """
-    known = {"noise_n": noise_n, "samples": samples, "turns": turns, "edges": surface.graph, "library": library}
+    known = {"noise_n": noise_n, "samples": samples, "turns": turns, "edges": surface.graph}
     engine = Reconstructor(phi, *surface.shape, settings, **known)  # type: ignore[arg-type]  # of several types
     whole = np.ones(sums_n.shape, np.bool_) if valid_sums is None else valid_sums
-    if library is not None:
-        return engine.solve_together(sums_n, whole)
     numbers = np.arange(1, len(sums_n) + 1) if cycles is None else cycles
     images = np.empty((len(sums_n), *surface.shape), np.float32)
     for image, came, came_valid, cycle in zip(images, sums_n, whole, numbers.tolist(), strict=True):

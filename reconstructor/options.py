@@ -38,7 +38,7 @@ class SolverOptions:
         (``taxels.frontend``) clips no taxel and has no bias.
     device : {"cpu", "gpu"}
         ``gpu``: an NVIDIA GPU, with CuPy (extra ``gpu``) or PyTorch (extra ``torch``); any solver except contourlets.
-        Single images are faster on the CPU; many at once gain, in Python (`reconstructor.engine.reconstruct`).
+        Single images are faster on the CPU; many at once gain, in Python (`reconstructor.array_api.BatchSolver`).
     """
 
     solver: str = "live"

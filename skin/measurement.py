@@ -241,9 +241,9 @@ class Sbhe(Phi):
         """Block of every taxel, shape (n,); of a gap the number of blocks."""
         return self._numbered(np.arange(self.order.size) // self.block_size, self.blocks)
 
-    def of_taxels(self, of_blocks: Array, of_gaps: float = 0) -> Array:
-        """Spread one value per block, shape (blocks,), to one per taxel, shape (n,)."""
-        with_gap: Array = np.append(of_blocks, of_blocks.dtype.type(of_gaps))  # type: ignore[assignment]
+    def of_taxels(self, of_blocks: Array) -> Array:
+        """Spread one value per block, shape (blocks,), to one per taxel, shape (n,); 0 at gaps."""
+        with_gap: Array = np.append(of_blocks, of_blocks.dtype.type(0))  # type: ignore[assignment]
         return with_gap[self.block_of_taxel]  # type: ignore[return-value]  # the type stays
 
     def valid_taxels(self, valid: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:

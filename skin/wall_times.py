@@ -1,7 +1,7 @@
 """Sampling instants on the wall clock, for programs that read images: only measurements tell both clocks."""
 
 from bisect import bisect_right
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from operator import attrgetter
 from pathlib import Path
 from typing import Final
@@ -76,21 +76,10 @@ class WallTimes:
         return np.array([-1 if time_ns is None else time_ns for time_ns in found], np.int64)
 
 
-def recorded_clocks(path: Path) -> list[Clocks]:
-    """Return the clocks of all measurements of a recording, in the order of their sampling."""
+def recorded_wall_times(path: Path) -> WallTimes:
+    """Return the wall clock of a recorded run: a sampling instant has the same time in every export."""
     found = (read.message for read in read_messages(path, (CLOCKS,), lambda _: None))
-    return sorted(found, key=attrgetter("sampled_mono_ns"))
-
-
-def recorded_wall_times(path: Path, clocks: Sequence[Clocks] | None = None) -> WallTimes:
-    """Return the wall clock of a recorded run: a sampling instant has the same time in every export.
-
-    Parameters
-    ----------
-    clocks : sequence of Clocks, optional
-        As `recorded_clocks` returns them; default: they are read.
-    """
-    clocks = recorded_clocks(path) if clocks is None else clocks
+    clocks = sorted(found, key=attrgetter("sampled_mono_ns"))
     wall = WallTimes(wall_offset_ns(path), kept=max(1, len(clocks)))
     for each in clocks:
         wall.take(Clocks(each.sampled_mono_ns, each.wall_offset_ns or None))

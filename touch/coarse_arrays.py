@@ -1,10 +1,9 @@
 """The seven arrays of the paper: 256 mm square, from 64 x 64 taxels to one (section V).
 
-The paper does not define its coarse taxels. Three interpretations are possible::
+The paper does not define its coarse taxels. Two interpretations are used::
 
     averaged   the mean of the taxels in each cell of the 64 x 64 array: reproduces the paper's accuracies
     large      one sphere that fills its cell; radius half the pitch
-    sparse     the fine array's 2 mm sphere in the middle of each cell
 """
 
 from typing import Final, Literal
@@ -12,9 +11,9 @@ from typing import Final, Literal
 import numpy as np
 
 from canskin.errors import InputError
-from touch.contact import TAXEL_RADIUS_M, Force, Grid
+from touch.contact import Force, Grid
 
-Kind = Literal["averaged", "large", "sparse"]
+Kind = Literal["averaged", "large"]
 
 #: Taxels along one side; 4096, 1024, 256, 64, 16, 4 and 1 taxels.
 ARRAYS: Final = (64, 32, 16, 8, 4, 2, 1)
@@ -31,8 +30,7 @@ def grid_of(side: int, kind: Kind = "large") -> Grid:
     if kind == "averaged":
         side = FINE_SIDE
     pitch_m = SIDE_M / side
-    radius_m = TAXEL_RADIUS_M if kind == "sparse" else pitch_m / 2
-    return Grid(side, side, pitch_m, radius_m)
+    return Grid(side, side, pitch_m, pitch_m / 2)
 
 
 def averaged(force_n: Force, side: int) -> Force:

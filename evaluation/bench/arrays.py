@@ -1,8 +1,6 @@
 """``skin bench reconstruct --device``: the solvers on arrays against the compiled solvers of one core of the CPU."""
 
-import time
 from collections.abc import Callable
-from functools import partial
 from typing import Any, Final
 
 import numpy as np
@@ -11,11 +9,10 @@ from evaluation.bench.timing import race
 from evaluation.result import Row
 from reconstructor.array_api import ArrayLibrary, BatchSolver, array_library
 from reconstructor.checks import Values
-from reconstructor.engine import make_solver, reconstruct
+from reconstructor.engine import make_solver
 from reconstructor.settings import PRESETS, Device, LibraryName
 from skin.layout import load_layout
 from skin.measurement import Sbhe
-from skin.psnr import psnr_series_db
 from skin.taxel import sense
 from touch.contact import Grid, press_along
 from touch.objects import spheres_of
@@ -23,8 +20,6 @@ from touch.trajectory import paper_pose
 
 #: Images solved together, on a GPU and on a CPU.
 BATCHES: Final = {True: (1, 128, 1024, 4096), False: (1, 32)}
-#: Cycles of the recording, likewise: the frames forwards and backwards, each with noise of its own.
-CYCLES: Final = {True: 6000, False: 120}
 #: Frames of the paper's trajectory, and its steps from frame to frame.
 FRAMES: Final = 60
 STEP: Final = 7
@@ -33,17 +28,16 @@ FIRST: Final = 1500
 
 
 def run(rounds: int, device: Device, library: LibraryName | None) -> dict[str, Any]:
-    """Return the library, a row for each solver and batch, and a row for each solver of a whole recording.
+    """Return the library, and a row for each solver and batch.
 
-    ``ratio`` is the time of the compiled solver / that of the library: above 1 the library is faster. Times of a batch
-    contain the copies of sums and images to and from the device; those of a recording the temporal filter, too.
+    ``ratio`` is the time of the compiled solver / that of the library: above 1 the library is faster. Times
+    contain the copies of sums and images to and from the device.
     """
     arrays = array_library(device, library)
     true = press_along(Grid(), spheres_of("golf-ball"), [paper_pose(FIRST + STEP * k) for k in range(FRAMES)])
     phi = load_layout().phi()
     batches = [row for name in ("variation", "spun", "paper") for row in _batches(name, phi, true, arrays, rounds)]
-    recordings = [_recording(name, phi, true, arrays) for name in ("live", "paper")]
-    return {"device": [{"library": arrays.about}], "batches": batches, "recordings": recordings}
+    return {"device": [{"library": arrays.about}], "batches": batches}
 
 
 def _batches(name: str, phi: Sbhe, true: Values, library: ArrayLibrary, rounds: int) -> list[Row]:
@@ -79,30 +73,6 @@ def _call(solver: Any, sums_n: Values) -> Callable[[], Any]:
         return solver.deliver(estimate)
 
     return solve
-
-
-def _recording(name: str, phi: Sbhe, true: Values, library: ArrayLibrary) -> Row:
-    cycles = CYCLES[library.on_gpu]
-    sums_n = _sums(phi, true, cycles)
-    solve = partial(reconstruct, phi=phi, surface=load_layout().taxels.surface, settings=PRESETS[name])
-    images, times_s = [], []
-    for own in (None, library):
-        solve(sums_n, library=own)  # compiles, and takes memory
-        started_s = time.perf_counter()
-        images.append(solve(sums_n, library=own))
-        times_s.append(time.perf_counter() - started_s)
-    compiled, made = images
-    forces = _forces(true, cycles)
-    loss_db = psnr_series_db(forces, compiled) - psnr_series_db(forces, made)
-    return {
-        "solver": name,
-        "cycles": cycles,
-        "images_per_s": cycles / times_s[1],
-        "images_per_s_compiled": cycles / times_s[0],
-        "ratio": times_s[0] / times_s[1],
-        "difference_un": 1e6 * float(np.abs(made - compiled).max()),
-        "largest_loss_db": float(loss_db.max()),
-    }
 
 
 def _forces(true: Values, count: int) -> Values:

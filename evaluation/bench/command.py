@@ -25,7 +25,7 @@ def bench(
     ``bench`` that is installed, in turn and on one thread: median milliseconds of 20 iterations from a warm start,
     the gap (F - F*) / F* each is left with, the PSNR, and the ratio to ours of the same precision; then the same for
     the contourlet; then total variation on the default skin as a grid and as a graph, and on triangles. With
-    ``--device`` it times the solvers on arrays in place of these, on batches and on a recording: µs of an image, and
+    ``--device`` it times the solvers on arrays in place of these, on batches of images: µs of an image, and
     the compiled solver's time / this time. ``gateway`` gives the frames per second that one core takes from the socket
     to a complete measurement, against python-can and canopen. ``chain`` runs the default and the stepped skin on
     virtual buses and gives the processor time of each process and the time of each step until an image. ``classify``

@@ -10,7 +10,7 @@ from dbc.canopen import SDO_REQUEST_BASE, SDO_RESPONSE_BASE, SYNC_COB_ID
 from dbc.contract import Contract
 from dbc.dictionary import slot_offset_us
 from dbc.frame import CLASSIC_BYTES, ECHO, Frames, frame_bytes, frames
-from dbc.steps import COUNT
+from dbc.steps import COUNT, slots_since
 from evaluation.schemes.board import Board, newtons, settled
 from evaluation.schemes.judge import Images
 from evaluation.schemes.scenes import SIDE
@@ -19,7 +19,6 @@ from gateway.stepped_state import new_sums, slots_of, take_all
 from nodes.steps.filtering import PatchFilter
 from nodes.steps.simulated import Sample, SimulatedNodes, sync_frames
 from reconstructor.walsh import WalshReconstructor
-from skin.sync_counter import SYNC_OVERFLOW
 from touch.contact import Force
 
 #: A board that misses sums is not asked again before this time, in which it tells all of them.
@@ -143,7 +142,7 @@ def _latency_ns(contract: Contract, sent: Sent) -> Nanoseconds:
         }
         mine = mine[np.isin(mine["can_id"], list(offsets_ns))]
         offset_ns = np.array([offsets_ns[int(each)] for each in mine["can_id"]], np.int64)
-        age = ((mine["time_ns"] - offset_ns) // slot_ns + 1 - mine["data"][:, 0]) % SYNC_OVERFLOW
-        begun_ns = ((mine["time_ns"] - offset_ns) // slot_ns - age) * slot_ns + offset_ns
+        newest = (mine["time_ns"] - offset_ns) // slot_ns
+        begun_ns = (newest - slots_since(mine["data"][:, 0], newest)) * slot_ns + offset_ns
         found.append(mine["time_ns"] - -(-begun_ns // TICK_NS) * TICK_NS)
     return np.concatenate(found)

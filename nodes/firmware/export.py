@@ -54,8 +54,8 @@ def _readme(contract: Contract, boards: Sequence[Build]) -> str:
     """Return ``README.md`` for the engineer who builds the firmware, with the figures of the first of `boards`."""
     node, board, objects = boards[0].node, boards[0].board, boards[0].objects
     folder = _SOURCES.joinpath("steps") if boards[0].in_steps else _SOURCES
-    template = Template(folder.joinpath("README.md").read_text(encoding="utf-8"))
-    return template.substitute(
+    texts = (each.joinpath("README.md").read_text(encoding="utf-8") for each in (folder, _SOURCES.joinpath("slave")))
+    return Template("\n".join(texts)).substitute(
         skin=board.skin,
         blocks=node.blocks,
         block_size=contract.phi.block_size,

@@ -1,4 +1,8 @@
-"""From samples to sums: the noise of a patch filtered away, clipping undone, and the sums of what is left."""
+"""From samples to sums: the noise of a patch filtered away, clipping undone, and the sums of what is left.
+
+`nodes/firmware/c/steps/skin_filter.c` is the same for real boards, with `nodes.steps.following` and the unclipping of
+`nodes.steps.noise`. The vectors of `skin contract` (`nodes.steps.vectors`) guard both, bit for bit.
+"""
 
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,4 +1,8 @@
-"""What a node learns of its own noise while nothing touches its patch."""
+"""What a node learns of its own noise while nothing touches its patch.
+
+`nodes/firmware/c/steps/skin_noise.c` is the same for real boards. `power_up` of the vectors of `skin contract` guards
+both (`nodes.steps.vectors`).
+"""
 
 from dataclasses import dataclass
 

@@ -51,7 +51,7 @@ def test_noise_is_told_while_means_are_of_fewer_cycles(phi: Sbhe) -> None:
 
 
 @pytest.mark.parametrize("cycles", [4, 20])
-@pytest.mark.parametrize("gap", [1, 2, 3, 7, 40])
+@pytest.mark.parametrize("gap", [1, 2, 3, 7, 12])
 def test_an_old_mean_fades_in_cycles_without_sums(phi: Sbhe, cycles: int, gap: int) -> None:
     """No more of it is left than if sums had come in every cycle."""
     newest, came = NewestSums(phi, cycles), np.ones(phi.blocks, np.bool_)

@@ -49,9 +49,9 @@ def test_values_at_the_ends_of_their_ranges(index: int, allowed: list[float], re
 @pytest.mark.parametrize(
     ("index", "code"), [(0x1010, NOT_STORED), (0x1011, NOT_STORED), (0x1005, VALUE), (0x2021, VALUE)]
 )
-def test_a_wrong_signature_is_told_from_a_wrong_value(segment: Segment, index: int, code: int) -> None:
+def test_a_wrong_signature_is_told_from_a_wrong_value(in_python: Segment, index: int, code: int) -> None:
     with pytest.raises(SdoAbortedError) as refused:
-        check_write(segment.boards.nodes[0].local, index, 1, 99)
+        check_write(in_python.boards.nodes[0].local, index, 1, 99)
     assert refused.value.code == code
 
 

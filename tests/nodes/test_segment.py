@@ -41,6 +41,8 @@ def test_pdos_in_operational_only(segment: Segment, link: ArrayLink) -> None:
     assert give(segment, link, frame(0, bytes((STOP, 0))), sync(4)) == []
     assert give(segment, link, frame(0x603, struct.pack("<BHB4x", 0x40, 0x1018, 1))) == []  # nor an answer of SDO
     assert give(segment, link, frame(0, bytes((START, 0))), frame(0, bytes((PRE_OPERATIONAL, 0))), sync(5)) == []
+    in_order = frame(0, bytes((START, 0))), sync(6), frame(0, bytes((PRE_OPERATIONAL, 0))), sync(7)
+    assert {payload[0] for _, payload in give(segment, link, *in_order)} == {6}
 
 
 @pytest.mark.parametrize("flag", [ERROR, EXTENDED, REMOTE, ECHO])
@@ -53,6 +55,8 @@ def test_reports_echoes_and_frames_of_other_formats_command_nothing(
     assert give(segment, link, frame(0, bytes((START, 2)), flag), frame(0x80, b"", flag)) == []
     assert give(segment, link, frame(0x601, bytes.fromhex("4017100000000000"), flag), frame(0x702, b"\5", flag)) == []
     assert (complaints, segment.syncs_seen, segment.boards.nodes[1].state) == ([], 0, 127)
+    give(segment, link, *(frame(0x700 + node_id, b"\5") for node_id in (2, 3, 0)))
+    assert complaints == ["node-ID 2 is on bus0 twice"]
 
 
 def test_frames_name_the_sync_that_they_answer(segment: Segment, link: ArrayLink) -> None:
@@ -115,7 +119,8 @@ def give_sent(segment: Segment, link: ArrayLink, counter: int) -> Frames:
     return link.take_sent()
 
 
-def test_pdos_without_room_are_counted_as_dropped_and_not_as_sent(segment: Segment, link: ArrayLink) -> None:
+def test_pdos_without_room_are_counted_as_dropped_and_not_as_sent(in_python: Segment, link: ArrayLink) -> None:
+    segment = in_python
     give(segment, link, frame(0, bytes((START, 1))), frame(0, bytes((START, 2))))
     link.room = 3
     give(segment, link, sync(1))
@@ -137,15 +142,37 @@ def test_dropped_outside_the_window_is_counted_and_reported(segment: Segment, li
     assert [struct.unpack("<HB", one[:3]) for one in emcy] == [(0xFF10, 0x81)]
     assert read(segment, link, 1, 0x2020, 3) == 2
     assert read(segment, link, 1, 0x1001) == 0x81
-    assert read(segment, link, 1, 0x1003, 1) == 0x0002_FF10  # the dropped TPDOs are in the upper half
+    # The dropped TPDOs are in the upper half; boards in C report the first at once.
+    assert read(segment, link, 1, 0x1003, 1) in {0x0002_FF10, 0x0001_FF10}
     assert (segment.frames_sent, segment.frames_dropped) == (0, 2)
 
 
-def test_heartbeat_that_comes_back_unsent_is_no_missed_window(segment: Segment, link: ArrayLink) -> None:
-    give(segment, link, frame(0, bytes((START, 1))), frame(0x701, b"\5", ECHO | ERROR))
+def test_only_a_tpdo_that_comes_back_unsent_is_a_missed_window(segment: Segment, link: ArrayLink) -> None:
+    others = (frame(0x181, bytes(8), flags) for flags in (0, ECHO, ERROR))
+    give(segment, link, frame(0, bytes((START, 1))), frame(0x701, b"\5", ECHO | ERROR), *others)
     segment.tick(1e6)
     assert 0x81 not in link.take_sent()["can_id"]
     assert (segment.frames_sent, segment.frames_dropped) == (0, 0)
+
+
+def test_time_passes_in_steps_of_5_ms_but_not_while_a_sync_is_due(segment: Segment, link: ArrayLink) -> None:
+    """Of 10 ms, from 7 ms after a SYNC until it is 20 ms late is no time for heartbeats."""
+    assert write(segment, link, 0x1017, 0, 1, 2) == 0
+
+    def beats_at(*now_ms: float) -> list[float]:
+        found = []
+        for each in now_ms:
+            link.take_sent()
+            segment.tick(each / 1000)
+            found += [each] if 0x701 in link.take_sent()["can_id"] else []
+        return found
+
+    assert beats_at(1000, 1001, 1004.9, 1005, 1009, 1010.1) == [1000, 1005, 1010.1]
+    give(segment, link, sync(1), now_s=2.0)
+    assert beats_at(2000, 2004, 2005, 2006.9) == [2000, 2005]
+    give(segment, link, sync(2), now_s=3.0)
+    assert beats_at(3007.1, 3010, 3019.9) == []
+    assert beats_at(3020.1, 3021, 3025.2) == [3020.1, 3025.2]
 
 
 def test_remapping_changes_what_is_sent(segment: Segment, link: ArrayLink) -> None:

@@ -108,6 +108,17 @@ def test_what_a_receiver_shows_is_what_the_touch_is(bus: Bus) -> None:
     assert bus.segment.frames_dropped == 0
 
 
+def test_the_first_sync_tells_when_the_touch_began(bus: Bus) -> None:
+    begin_ns = round(bus.now_s * 1e9) - 2 * PERIOD_MS * 1_000_000
+    for counter in (3, 1):
+        bus.sync(counter)
+    bus.run(12)
+    truth = bus.boards.take_truth()
+    assert truth is not None
+    assert truth.step >= 20
+    assert truth.sampled_mono_ns == begin_ns + truth.step * 10_000_000
+
+
 def test_a_late_sync_lets_no_slot_come_twice(contract: Contract) -> None:
     bus = Bus(Contract.from_layout(changed(contract.layout, steps={"quiet": 0.0})))
     bus.start()

@@ -13,7 +13,7 @@ COB_ID = 0x181
 
 def set_up(
     segment: Segment, link: ArrayLink, *, every: int, start: int = 0, inhibit_100us: int = 0, event_ms: int = 0
-) -> LiveTpdo:
+) -> None:
     """Write the communication record of TPDO 1 of node 1, and start the node."""
     for subindex, value, size in (
         (1, 0xC000_0000 | COB_ID, 4),
@@ -25,7 +25,10 @@ def set_up(
     ):
         assert write(segment, link, 0x1800, subindex, value, size) == 0
     give(segment, link, frame(0, bytes((START, 1))))
-    return segment.boards.nodes[0].tpdos[0]
+
+
+def first_tpdo(in_python: Segment) -> LiveTpdo:
+    return in_python.boards.nodes[0].tpdos[0]
 
 
 def map_sum_and_error_register(segment: Segment, link: ArrayLink) -> None:
@@ -76,13 +79,13 @@ def test_acyclic_pdo_is_sent_at_a_sync_after_a_change(segment: Segment, link: Ar
 
 @pytest.mark.parametrize("every", [254, 255])
 def test_event_driven_pdo_keeps_inhibit_time_and_event_timer(
-    segment: Segment, link: ArrayLink, sampler: Sampler, every: int
+    in_python: Segment, link: ArrayLink, sampler: Sampler, every: int
 ) -> None:
-    tpdo = set_up(segment, link, every=every, inhibit_100us=5000, event_ms=1000)
-    sent = []
+    set_up(in_python, link, every=every, inhibit_100us=5000, event_ms=1000)
+    tpdo, sent = first_tpdo(in_python), []
     for now_s, has_changed in ((10.0, 0), (10.4999, 1), (10.5, 0), (11.4999, 0), (11.5, 0), (11.9, 1), (12.0001, 0)):
         sampler.sums[:] += 4 * has_changed
-        if tpdo.at_event(now_s, segment.boards.nodes[0].local) is not None:
+        if tpdo.at_event(now_s, in_python.boards.nodes[0].local) is not None:
             sent.append(now_s)
     assert sent == [10.0, 10.5, 11.5, 12.0001]
 
@@ -97,18 +100,18 @@ def test_event_driven_pdo_is_sent_in_operational_only(segment: Segment, link: Ar
     assert COB_ID in link.take_sent()["can_id"]
 
 
-def test_each_object_stays_within_its_bits(segment: Segment, link: ArrayLink, sampler: Sampler) -> None:
+def test_each_object_stays_within_its_bits(in_python: Segment, link: ArrayLink, sampler: Sampler) -> None:
     """Negative sums beside an error register: two's complement does not run into the next object."""
-    write(segment, link, 0x1800, 1, 0xC000_0181, 4)
-    write(segment, link, 0x1A00, 0, 0, 1)
+    write(in_python, link, 0x1800, 1, 0xC000_0181, 4)
+    write(in_python, link, 0x1A00, 0, 0, 1)
     for place, entry in enumerate((0x2100_010E, 0x1001_0008, 0x2100_020E), 1):
-        assert write(segment, link, 0x1A00, place, entry, 4) == 0
-    assert write(segment, link, 0x1A00, 0, 3, 1) == 0
-    set_up(segment, link, every=1)
+        assert write(in_python, link, 0x1A00, place, entry, 4) == 0
+    assert write(in_python, link, 0x1A00, 0, 3, 1) == 0
+    set_up(in_python, link, every=1)
     sampler.sums[:2] = -4, -8
-    payload = segment.boards.nodes[0].tpdos[0].payload(segment.boards.nodes[0].local)
+    payload = first_tpdo(in_python).payload(in_python.boards.nodes[0].local)
     assert payload.hex() == "ff3f80ff0f"
-    assert read(segment, link, 1, 0x2100, 2) == 0xFFFE
+    assert read(in_python, link, 1, 0x2100, 2) == 0xFFFE
 
 
 def test_a_pdo_with_another_object_shows_it_as_it_is_now(segment: Segment, link: ArrayLink) -> None:
@@ -121,14 +124,16 @@ def test_a_pdo_with_another_object_shows_it_as_it_is_now(segment: Segment, link:
 
 
 @pytest.mark.parametrize(("every", "is_plain"), [(0, False), (1, True), (240, True), (254, False), (255, False)])
-def test_cyclic_pdos_of_sums_are_sent_together(segment: Segment, link: ArrayLink, every: int, is_plain: bool) -> None:
-    assert set_up(segment, link, every=every).is_plain == is_plain
-    map_sum_and_error_register(segment, link)
-    assert not set_up(segment, link, every=every).is_plain
+def test_cyclic_pdos_of_sums_are_sent_together(in_python: Segment, link: ArrayLink, every: int, is_plain: bool) -> None:
+    set_up(in_python, link, every=every)
+    assert first_tpdo(in_python).is_plain == is_plain
+    map_sum_and_error_register(in_python, link)
+    set_up(in_python, link, every=every)
+    assert not first_tpdo(in_python).is_plain
 
 
-def test_a_pdo_that_does_not_exist_hides_no_other(segment: Segment) -> None:
-    found = read_tpdos(segment.boards.nodes[0].local, (300, 2, 301, 1))
+def test_a_pdo_that_does_not_exist_hides_no_other(in_python: Segment) -> None:
+    found = read_tpdos(in_python.boards.nodes[0].local, (300, 2, 301, 1))
     assert [tpdo.cob_id for tpdo in found] == [0x281, 0x181]
 
 
@@ -143,8 +148,8 @@ def test_a_pdo_that_does_not_exist_hides_no_other(segment: Segment) -> None:
         (0x181, (0x2100_010E,) * 4 + (0x1001_0008,) * 2),  # nine bytes
     ],
 )
-def test_a_pdo_that_cannot_be_sent_does_not_exist(segment: Segment, cob_id: int, entries: tuple[int, ...]) -> None:
-    local = segment.boards.nodes[0].local
+def test_a_pdo_that_cannot_be_sent_does_not_exist(in_python: Segment, cob_id: int, entries: tuple[int, ...]) -> None:
+    local = in_python.boards.nodes[0].local
 
     def put(cob_id: int, entries: tuple[int, ...]) -> list[int]:
         local.data_store[0x1800] = {1: cob_id.to_bytes(4, "little")}

@@ -12,14 +12,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from canskin.errors import InputError
-from reconstructor.array_api import NUMPY, RUN_IN, ArrayLibrary, BatchSolver, array_library, parts_of, turns
+from reconstructor.array_api import NUMPY, ArrayLibrary, BatchSolver, array_library
 from reconstructor.bases import wavelet_basis
-from reconstructor.engine import Reconstructor, make_solver, reconstruct
+from reconstructor.engine import Reconstructor, make_solver
 from reconstructor.kernels.addresses import spin_shifts
 from reconstructor.settings import LIVE, PAPER, SPUN, VARIATION, SolverSettings
 from skin.measurement import Sbhe, sbhe
-from skin.surface import grid_surface
-from tests.reconstructor.helpers import Scene, graphs, psnr_db
+from tests.reconstructor.helpers import Scene, graphs
 from tests.reconstructor.reference import Shrinkage, fista_image
 
 #: Allows the array standard alone: what runs on it runs on CuPy, too.
@@ -147,37 +146,6 @@ def test_a_live_stream_on_arrays_is_that_of_the_compiled_solver(phi: Sbhe, golf:
     )
     assert not made[8].any()
     np.testing.assert_allclose(made, wanted, atol=2e-6)
-
-
-@pytest.mark.heavy
-@pytest.mark.parametrize("solver", [LIVE, PAPER])
-def test_parts_of_a_recording_equal_the_stream(phi: Sbhe, golf: Scene, solver: SolverSettings) -> None:
-    """100 cycles: 60 and back again, 12 parts of 9 cycles, in one cycle without any sum."""
-    sums, true = (np.concatenate((each, each[::-1][:40])) for each in (golf.sums, golf.true))
-    valid = np.ones(sums.shape, np.bool_)
-    valid[70] = False
-    options: dict[str, Any] = {"valid_sums": valid, "noise_n": 0.001}
-    surface = grid_surface(64, 64, 0.004, np.zeros(0, np.intp))
-    wanted = reconstruct(sums, phi, surface, solver, **options)
-    made = reconstruct(sums, phi, surface, solver, library=NUMPY, **options)
-    assert parts_of(100, 4096) == 12
-    assert not made[70].any()
-    np.testing.assert_allclose(made, wanted, atol=1e-4)
-    assert (psnr_db(made, true) > psnr_db(wanted, true) - 0.01).all()
-
-
-@given(st.integers(0, 3000), st.sampled_from([1, 16, 4096, 65536]))
-def test_every_cycle_is_kept_once_and_follows_those_before_it(cycles: int, taxels: int) -> None:
-    parts = parts_of(cycles, taxels)
-    kept: list[int] = []
-    before = np.full(parts, -1)
-    for taken, used, is_kept in turns(cycles, parts):
-        assert (taken[used][before[used] >= 0] == before[used][before[used] >= 0] + 1).all()
-        before = np.where(used, taken, -1)
-        if is_kept:
-            kept += taken[used].tolist()
-    assert sorted(kept) == list(range(cycles))
-    assert parts == 1 or sum(1 for _ in turns(cycles, parts)) == -(-cycles // parts) + RUN_IN
 
 
 def test_libraries_and_devices(monkeypatch: pytest.MonkeyPatch) -> None:

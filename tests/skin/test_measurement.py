@@ -149,7 +149,7 @@ def test_every_block_has_its_share_of_the_taxels(phi: Sbhe) -> None:
     held = [phi.taxels_of(block) for block in range(phi.blocks)]
     assert np.ptp([len(each) for each in held]) <= 1
     assert sorted(np.concatenate(held).tolist()) == np.flatnonzero(phi.is_wired).tolist()
-    of_taxels = phi.of_taxels(np.arange(phi.blocks), -1)
-    np.testing.assert_array_equal(of_taxels, np.where(phi.is_wired, phi.block_of_taxel, -1))
+    of_taxels = phi.of_taxels(np.arange(1, phi.blocks + 1))
+    np.testing.assert_array_equal(of_taxels, np.where(phi.is_wired, phi.block_of_taxel + 1, 0))
     assert (phi.order[phi.place_of_taxel[phi.is_wired]] == np.flatnonzero(phi.is_wired)).all()
     assert all((phi.block_of_taxel[each] == block).all() for block, each in enumerate(held))

@@ -11,11 +11,10 @@ def test_the_seven_arrays_have_the_papers_taxels() -> None:
 
 @pytest.mark.parametrize("side", ARRAYS)
 def test_every_array_spans_256_mm(side: int) -> None:
-    for kind, radius_m in (("large", SIDE_M / side / 2), ("sparse", 0.002)):
-        grid = grid_of(side, kind)  # type: ignore[arg-type]
-        assert (grid.rows, grid.columns) == (side, side)
-        assert grid.half_extent_m == pytest.approx((0.128, 0.128))
-        assert grid.taxel_radius_m == pytest.approx(radius_m)
+    grid = grid_of(side)
+    assert (grid.rows, grid.columns) == (side, side)
+    assert grid.half_extent_m == pytest.approx((0.128, 0.128))
+    assert grid.taxel_radius_m == pytest.approx(SIDE_M / side / 2)
     assert grid_of(side, "averaged") == grid_of(64)
 
 

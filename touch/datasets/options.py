@@ -47,7 +47,7 @@ class ClassificationOptions:
         Comma-separated numbers of taxels along a side.
     kind
         Type of the taxels of a coarse array: ``averaged``, the mean of the fine taxels in a cell; ``large``, one sphere
-        as large as the cell; ``sparse``, one sphere of 2 mm in the middle of the cell.
+        as large as the cell.
     perturbations
         Number of the paper's 360 offsets.
     """

@@ -73,13 +73,10 @@ def test_ours_is_as_close_to_the_minimum_as_dense_fista() -> None:
 @pytest.mark.slow
 @pytest.mark.usefixtures("_brief")
 def test_arrays_are_timed_against_the_compiled_solvers_and_equal_them(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    monkeypatch.setattr(arrays, "CYCLES", {False: 40})
     bench("reconstruct", rounds=1, device="cpu", json=True)
     result = json.loads(capsys.readouterr().out)
     assert "NumPy" in result["device"][0]["library"]
     assert {row["images"] for row in result["batches"]} == set(arrays.BATCHES[False])
     assert all(row["ratio"] > 0 and row["difference_un"] < 1 for row in result["batches"])
-    assert [row["solver"] for row in result["recordings"]] == ["live", "paper"]
-    assert all(row["difference_un"] < 50 and row["largest_loss_db"] < 0.01 for row in result["recordings"])

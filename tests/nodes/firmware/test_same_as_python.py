@@ -188,6 +188,21 @@ def test_random_requests_get_the_same_answers(seed: int) -> None:
         twins.answers()
 
 
+def test_event_driven_pdos_keep_timer_and_inhibit_time() -> None:
+    twins = Twins(small_contract())
+    twins.put(*START)
+    twins.sync(1)
+    for subindex, value, size in ((1, 0xC0000181, 4), (2, 254, 1), (3, 500, 2), (5, 200, 2), (1, 0x40000181, 4)):
+        command = bytes((0x23 | (4 - size) << 2, 0, 0x18, subindex))
+        twins.put(SDO_REQUEST_BASE + 1, command + value.to_bytes(4, "little"))
+    twins.answers()
+    twins.go_on(1.0, 0.007)  # no multiple of the times
+    assert 4 <= [can_id for can_id, _, _ in twins.answers()].count(0x181) <= 6
+    twins.sync(2)  # new sums
+    twins.go_on(0.15, 0.007)
+    assert 0x181 in [can_id for can_id, _, _ in twins.answers()]
+
+
 def test_boards_with_thermometers_answer_unknown_until_their_maker_reads_one() -> None:
     """The temperature of Python nodes is simulated."""
     twins = Twins(small_contract(taxels={"has_thermometers": True}))
