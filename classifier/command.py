@@ -1,7 +1,7 @@
 """The verbs ``skin classify`` and ``skin train``."""
 
 from pathlib import Path
-from typing import Annotated, Final
+from typing import Annotated
 
 import msgspec
 import numpy as np
@@ -20,9 +20,6 @@ from shell.touch_options import ObjectNames
 from skin.layout import Layout, layout_text, load_layout
 from skin.sources import DEFAULT_OBJECTS, StrokeKind, load_touches, object_names
 from skin.taxel import NOISE_N
-
-#: Longest wait for the gateway's answer to a request for images.
-ASK_S: Final = 1.0
 
 
 def classify(

@@ -185,10 +185,6 @@ class NodeMachine:
         """Whether no dialogue with the node is open: it answers one request at a time."""
         return self.dialogue is None and self.errand is None
 
-    def explanation(self, now_s: float) -> str:
-        """Return the emergency that explains why the node leaves now, empty without one."""
-        return f" after EMCY {self.emcy:04X}h" if now_s - self.emcy_s < EXPLAINS_S else ""
-
     # What comes from the bus
 
     def take_heartbeat(self, state: int, time_ns: int, now_s: float) -> None:

@@ -106,7 +106,8 @@ def replay(
     warm_up(skin, imager)
     steps = steps_of(source, contract, channel, every=solver is not None, calibrator=calibrator)
     arrays = ImageArrays(offset_ns) if _is_of_arrays(out) else None
-    make_classifier = _classifier(skin, model) if arrays is None else None
+    # Images alone need no labels, but programs on a hub do.
+    make_classifier = _classifier(skin, model) if arrays is None or listen is not None else None
     sink = _open(out, source, contract, offset_ns) if out is not None and arrays is None else None
     fabric = _hub(skin, listen) if out is None or listen is not None else None
     say("replay", f"{source.name}: {imager.about}")
@@ -129,7 +130,7 @@ def replay(
         say("replay", line)
     if not played.report.measurements.made and not stop.is_set():
         raise RunError(f"{source}: gave no measurement: is this the skin's layout?")
-    if arrays is not None and out is not None:
+    if arrays is not None and out is not None and played.report.measurements.made:
         arrays.save(out, skin, recording_id(source), _about(source, skin, solver))
 
 

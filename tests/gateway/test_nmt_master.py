@@ -147,6 +147,16 @@ def test_emergency_of_a_node_is_complained_of(world: World) -> None:
     assert world.complaints == ["EMCY FF10h from node 1 on bus0"]
 
 
+def test_command_of_another_master_during_a_proof_is_not_forgotten(world: World) -> None:
+    """The node is doubted, so that a proof is under way, when the other master sends it PRE-OPERATIONAL."""
+    world.write(0, 1, 0x1007, 0, (40_000).to_bytes(4, "little"))
+    world.step()
+    world.nmt(0, NmtCommand.ENTER_PRE_OPERATIONAL, 1)
+    world.step()
+    world.until_whole(SOON_S + 2 * PERIOD_S)
+    assert state_of(world, 0, 1) is NmtState.OPERATIONAL
+
+
 def test_answer_that_a_board_gave_before_a_write_and_sends_after_it_proves_nothing(world: World) -> None:
     world.until_whole(2.0)
     node = world.gateway.masters[0].nodes[1]

@@ -295,6 +295,14 @@ def test_wrong_signature_of_right_objects_is_refused(small: Contract) -> None:
     assert "node 1 on bus0 refused: its objects are right, but not their signature (2006h)" in world.lines
 
 
+def test_period_is_set_right_where_writing_was_cut_off(world: World) -> None:
+    """1019h is written while 1006h is 0; what was begun and not ended must not leave 0 there."""
+    world.write(0, 1, 0x1006, 0, little(0))
+    check(world, 2.0)
+    assert valid(world.measured[-1]).all()
+    assert world.segments[0].boards.nodes[0].local.unsigned(0x1006) == 50_000
+
+
 def test_a_node_that_aborts_a_read_is_doubted_and_refused(small: Contract) -> None:
     node, doubts = small.nodes[0], []
     known = Known(calibration(small, node))

@@ -91,6 +91,11 @@ def test_page_that_breaks_the_rules_is_hung_up_on(client: TestClient) -> None:
     assert message["code"] == 1008
 
 
+def test_name_pointed_at_this_machine_is_refused(client: TestClient) -> None:
+    answer = client.get("/api/state", headers={"host": "evil.example:8765"})
+    assert (answer.status_code, "evil.example" in answer.text) == (403, True)
+
+
 def test_messages_from_the_fabric_are_shown(messages: Any, hub: Fabric, endpoint: str) -> None:
     fabric = Fabric(messages.layout.name, "viewer", endpoint)
     feed = Feed(messages.layout)
