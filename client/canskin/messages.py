@@ -34,7 +34,7 @@ class BlockState(IntEnum):
 
 
 class Measurement(msgspec.Struct, frozen=True, kw_only=True):
-    """The newest sums of a skin: a `CycleMeasurement` or an `SteppedMeasurement`, with what both tell.
+    """The newest sums of a skin: a `CycleMeasurement` or a `SteppedMeasurement`, with what both tell.
 
     `skin.measured_sums` checks and decodes a measurement.
 

@@ -42,6 +42,7 @@ class SteppedBoards(PatchBoards):
         return self.senders.is_sending
 
     def _take(self, sample_n: Floats) -> None:
+        self.filter.shows_pattern[:] = self._sensors.shows_pattern
         self.filter.take(sample_n)
 
     def _decide(self, now_ns: int) -> None:

@@ -49,6 +49,8 @@ class ForceFilter:
         Forecast forces, newtons.
     noise : Noise
         What the nodes know by now.
+    shows_pattern : array of bool, shape (nodes,)
+        Whether the samples of a node are those of a test pattern: its offsets stay.
     """
 
     def __init__(self, noise: Noise, taxels: npt.NDArray[np.intp] | None = None, *, horizon: float = HORIZON) -> None:
@@ -60,6 +62,7 @@ class ForceFilter:
         self._table = unclip_table()
         self._work = np.zeros((2, *shape), np.float32)
         self._offsets = new_offsets(noise.offset_n)
+        self.shows_pattern = self._offsets.stays
         self._sums, self._in_window = ScaleSums(*np.zeros((3, *shape), np.float32)), 0
         self.force_n = np.zeros(shape, np.float32)
         self.noise = self._learned = noise

@@ -34,16 +34,19 @@ class OffsetState(NamedTuple):
     ----------
     offset : the offset now
     idle : that of power-up
+    stays : array of bool, shape (nodes,)
+        Whether the offsets of a node are not followed.
     """
 
     offset: Floats
     idle: Floats
+    stays: npt.NDArray[np.bool_]
 
 
 def new_offsets(offset_n: Floats) -> OffsetState:
     """Return offsets that begin with those of power-up, newtons, shape (nodes, taxels)."""
     idle = offset_n.reshape(len(offset_n), *patch_shape(offset_n.shape[1]))
-    return OffsetState(idle.copy(), idle)
+    return OffsetState(idle.copy(), idle, np.zeros(len(idle), np.bool_))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -62,6 +65,8 @@ def follow(force_n: Floats, noise_n: Floats, state: OffsetState) -> None:
                 force_n[node, row, column] = left
                 is_quiet[row, column] = left < np.float32(QUIET_RATIO) * noise_n[node, row, column]
                 loud += not is_quiet[row, column]
+        if state.stays[node]:
+            continue
         for row in range(high):
             above, below = max(row - 1, 0), min(row + 1, high - 1)
             for column in range(wide):

@@ -54,6 +54,8 @@ class PatchSensors:
     ----------
     counts : array of float32, shape (boards, taxels)
         What every taxel read last, corrected, whole ADC counts.
+    shows_pattern : array of bool, shape (boards,)
+        Whether that was a test pattern.
     touch_from_ns : int or None
         When step 0 of the touch is.
     is_stale : bool
@@ -97,6 +99,7 @@ class PatchSensors:
         cells, calibration = self._cells, self._calibration
         self._gain, self._offset = calibration.gain[cells], calibration.offset[cells]
         self._pattern = calibration.pattern[cells].astype(np.float32)
+        self.shows_pattern = (self._pattern >= 0).any(axis=1)
         self.is_stale = False
 
     def drifted_n(self, tick_ns: int) -> Floats:

@@ -88,6 +88,18 @@ def test_a_right_board_keeps_the_contract(name: str, noise_n: float, offset_n: f
     assert report.frames > 6
 
 
+@pytest.mark.parametrize("noise_n", [0.0, 1e-3, 3e-3])
+@pytest.mark.parametrize("in_c", [False, pytest.param(True, marks=needs_compiler)])
+def test_a_right_board_keeps_the_contract_in_every_check_and_then_feels_nothing(noise_n: float, *, in_c: bool) -> None:
+    bench = Bench(contract_of("steps"), in_c=in_c, noise_n=noise_n)
+    for _ in range(3):
+        assert bench.check().differences == []
+        for _ in range(300):
+            bench.now_s += STEP_S
+            bench.segment.tick(bench.now_s)
+        assert not bench.hardware.sums.any()
+
+
 def swapped_rows(bench: Bench) -> None:
     order = bench.hardware.filter._order = bench.hardware.filter._order.copy()
     order[[9, 10]] = order[[10, 9]]

@@ -40,7 +40,7 @@ class Played:
     """The sensors of one board, which read given counts, sample by sample."""
 
     def __init__(self, newton_per_count: float, counts: list[list[int]]) -> None:
-        self.counts = np.zeros((1, 32), np.float32)
+        self.counts, self.shows_pattern = np.zeros((1, 32), np.float32), np.zeros(1, np.bool_)
         self.touch_from_ns: int | None = None
         self._npc, self._left = np.float32(newton_per_count), iter(counts)
 

@@ -121,7 +121,7 @@ int skin_app_sample(uint16_t *counts)
 
     skin_od_health[3] = skin_read_block(skin_od_board, counts, block->gain, block->offset, *block->pattern);
     memcpy(block->counts, counts, skin_od_board->type->block_size * sizeof counts[0]);
-    return skin_steps_take(&steps, counts);
+    return skin_steps_take(&steps, counts, *block->pattern);
 }
 
 uint8_t skin_app_requests(int is_operational, uint8_t counter, int64_t passed_ns, uint8_t held)

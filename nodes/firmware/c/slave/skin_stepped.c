@@ -28,7 +28,7 @@ int skin_sample(skin_node *node, uint16_t *counts)
     }
     node->health[3] = skin_read_block(node->board, counts, node->gain[0], node->offset[0], node->pattern[0]);
     memcpy(node->counts, counts, sizeof node->counts);
-    return skin_steps_take(&node->steps, counts);
+    return skin_steps_take(&node->steps, counts, node->pattern[0]);
 }
 
 void skin_send_sums(skin_node *node, int64_t now_ns)

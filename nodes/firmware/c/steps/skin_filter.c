@@ -47,7 +47,7 @@ static void follow(skin_filter *filter, float *force_n)
         is_quiet[place] = force_n[place] < SKIN_QUIET_RATIO * filter->taxel_n[place];
         loud = (uint8_t)(loud + !is_quiet[place]);
     }
-    for (place = 0; place < SKIN_BLOCK_SUMS; place++) {
+    for (place = 0; !filter->shows_pattern && place < SKIN_BLOCK_SUMS; place++) {
         if (loud == 0 || is_quiet_around(is_quiet, place)) {
             const float offset_n = filter->offset_n[place], idle_n = filter->idle_offset_n[place];
             const float most_n = offset_n < idle_n ? SKIN_RETURN_N : SKIN_RISE_N;

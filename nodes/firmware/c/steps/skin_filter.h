@@ -30,6 +30,7 @@ typedef struct {
     float taxel_n[SKIN_BLOCK_SUMS], coefficient_n[SKIN_BLOCK_SUMS];             /* in use */
     double noise_n;                                                   /* 2035h: root mean square of coefficient_n */
     float offset_n[SKIN_BLOCK_SUMS];
+    uint8_t shows_pattern; /* the samples are those of a test pattern: offsets stay */
     uint16_t in_window;
     float total_n[SKIN_BLOCK_SUMS], square_n2[SKIN_BLOCK_SUMS], last_n[SKIN_BLOCK_SUMS];
     float variance[SKIN_BLOCK_SUMS]; /* of the forecast of each coefficient, in units of its noise's */

@@ -305,9 +305,10 @@ void skin_steps_sync(skin_steps *steps, uint8_t counter, int64_t time_ns)
     steps->done_ns = steps->done_ns < time_ns ? steps->done_ns : time_ns - 1;
 }
 
-int skin_steps_take(skin_steps *steps, const uint16_t *counts)
+int skin_steps_take(skin_steps *steps, const uint16_t *counts, uint8_t pattern)
 {
     steps->filter.taxels = steps->board->held;
+    steps->filter.shows_pattern = pattern != 0;
     return skin_filter_take(&steps->filter, counts);
 }
 

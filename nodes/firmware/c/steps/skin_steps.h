@@ -40,8 +40,10 @@ void skin_steps_operate(skin_steps *steps, uint8_t is_operational);
 /* Begin the slots of a SYNC that ended at a time; one without counter (0) has no slots. */
 void skin_steps_sync(skin_steps *steps, uint8_t counter, int64_t time_ns);
 
-/* Take a sample, corrected counts of all taxels; returns 0 while the board learns its noise. */
-int skin_steps_take(skin_steps *steps, const uint16_t *counts);
+/* Take a sample, corrected counts of all taxels or those of a test pattern (2021h); returns 0 while the board learns its
+ * noise.
+ */
+int skin_steps_take(skin_steps *steps, const uint16_t *counts, uint8_t pattern);
 
 /* Decide what to send with the newest sample, if a slot has begun since the last call; returns the TPDOs, the first in bit 0.
  * The controller holds their frames until skin_steps_done, or for SKIN_LOST_NS.
