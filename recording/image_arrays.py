@@ -52,8 +52,8 @@ class ImageArrays:
         valid = stack([each.valid for each in self._images], np.bool_, (layout.blocks,))
         if not valid.any():
             raise RunError(
-                f"{about['source']}: no block is valid in any image: is this the skin's layout? Of a skin that sends steps"
-                " a log has to hold its start, or a request of the gateway"
+                f"{about['source']}: no block is valid in any image: is this the skin's layout? Of a skin that sends"
+                " steps, a log must hold the start or a request of the gateway"
             )
         metadata = {"layout": layout.name, "fingerprint": layout.phi().fingerprint, **about}
         with reasoned(RunError, f"{path}: the images cannot be written"), replacing(path) as file:
