@@ -130,8 +130,8 @@ def replay(
         say("replay", line)
     if not played.report.measured and not stop.is_set():
         raise RunError(
-            f"{source}: gave no measurement with a valid block: is this the skin's layout? Of a skin that sends steps, a"
-            " log must hold the start or a request of the gateway"
+            f"{source}: gave no measurement with a valid block: is this the skin's layout? Of a skin that sends"
+            " steps, a log must hold the start or a request of the gateway"
         )
     if arrays is not None and out is not None and played.report.measured:
         arrays.save(out, skin, recording_id(source), _about(source, skin, solver))

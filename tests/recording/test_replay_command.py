@@ -40,7 +40,7 @@ def test_a_replay_that_made_no_measurement_leaves_no_file(
     nothing = make.measurement(sums=bytes(4 * sums), valid=bytes(blocks), fingerprint=contract.phi.fingerprint)
     sink.message(MEASUREMENT, 1, msgspec.msgpack.encode(nothing))
     sink.close()
-    for path in (strange, dead):
+    for path, new in ((strange, out), (dead, tmp_path / "new.npz")):
         with pytest.raises(RunError, match="gave no measurement with a valid block"):
-            replay(path, out=out)
-        assert not out.exists()
+            replay(path, out=new)
+        assert not new.exists()
