@@ -6,7 +6,7 @@ from pathlib import Path
 from bus.options import BusOptions, closing_links, open_links
 from calibration.calibrator import Tare
 from calibration.keeping import kept_zero
-from canskin.calibration_messages import CALIBRATION
+from canskin.calibration_messages import CALIBRATION, ZERO
 from canskin.description import DESCRIPTION
 from canskin.errors import InputError
 from canskin.session import DEFAULT_ENDPOINT
@@ -93,7 +93,8 @@ def gateway(
     answers = ThreadPoolExecutor(1, "calibration")
     calibrates = GatewayCalibration(contract, stored, tares=tare == "at-start", submit=answers.submit, keeps=keep_zero)
     fabric = join(skin, "gateway", connect or listen, hub=connect is None, stop=stop)
-    fabric.answer(CALIBRATION, calibrates.ask)
+    for question in (CALIBRATION, ZERO):
+        fabric.answer(question, calibrates.ask)
     about = describe(skin)
     fabric.answer(DESCRIPTION, lambda _request, reply: reply(about))
     say("gateway", f"{len(links)} bus{'es' * (len(links) != 1)}, SYNC {skin.sync.rate_hz:g} Hz")

@@ -126,15 +126,18 @@ def replay(
     finally:
         if sink is not None and out is not None:
             sink.abandon()
-            if not played.report.measurements.made:
+            if not played.report.measured:
                 out.unlink(missing_ok=True)
         if fabric is not None:
             fabric.close()
     for line in played.report.lines():
         say("replay", line)
-    if not played.report.measurements.made and not stop.is_set():
-        raise RunError(f"{source}: gave no measurement: is this the skin's layout?")
-    if arrays is not None and out is not None and played.report.measurements.made:
+    if not played.report.measured and not stop.is_set():
+        raise RunError(
+            f"{source}: gave no measurement with a valid block: is this the skin's layout? Of a skin that sends"
+            " steps, a log must hold the start or a request of the gateway"
+        )
+    if arrays is not None and out is not None and played.report.measured:
         arrays.save(out, skin, recording_id(source), _about(source, skin, solver))
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from bus.options import BusOptions
-from canskin.calibration_messages import CALIBRATION, Question
+from canskin.calibration_messages import CALIBRATION, ZERO, Question
 from canskin.description import DESCRIPTION
 from canskin.errors import InputError
 from gateway import command
@@ -88,7 +88,7 @@ def test_it_answers_questions_about_its_calibration_and_its_skin(monkeypatch: py
     parts = Parts(monkeypatch)
     with pytest.raises(KeyboardInterrupt):
         command.gateway()
-    assert [each.name for each in parts.answered] == [CALIBRATION.name, DESCRIPTION.name]
+    assert [each.name for each in parts.answered] == [CALIBRATION.name, ZERO.name, DESCRIPTION.name]
 
 
 def test_a_calibration_of_another_skin_or_for_stepped_boards_is_refused(
