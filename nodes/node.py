@@ -56,7 +56,7 @@ class SkinNode:
     ----------
     state : NmtState
     health : array of int, shape (4,)
-        SYNCs received, TPDOs sent, TPDOs dropped because of the window, saturated taxels (2020h).
+        SYNCs received, TPDOs sent, TPDOs dropped, saturated taxels (2020h).
     objects : NodeObjects
         The dictionary as it is now.
     tpdos : list of LiveTpdo
@@ -185,8 +185,9 @@ class SkinNode:
         return [tpdo.cob_id for tpdo in self.tpdos]
 
     def refused(self, cob_id: int) -> None:  # noqa: ARG002  all PDOs are alike
-        """Take note of a PDO that found no room in the transmit queue."""
+        """Take note of a PDO that found no room in the transmit queue: it was dropped, and not sent."""
         self.health[1] -= 1
+        self.health[2] += 1
 
     def expired(self, count: int) -> None:
         """Count and report PDOs that could not be sent within the window (1007h)."""
