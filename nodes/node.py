@@ -23,6 +23,7 @@ from dbc.canopen import (
 from dbc.configuration import Setting
 from dbc.contract import NodeContract
 from dbc.dictionary import HEARTBEATS_WATCHED
+from dbc.frame import Frames, one_frame
 from dbc.objects import Object
 from nodes.emcy import EmcyProducer
 from nodes.hardware import Hardware
@@ -172,12 +173,14 @@ class SkinNode:
             for tpdo in self.tpdos:
                 payload = tpdo.at_event(now_s, self.local)
                 if payload is not None:
-                    self.send(tpdo, payload)
+                    self._outbox.post(self.tpdo_frame(tpdo, payload))
 
-    def send(self, tpdo: LiveTpdo, payload: bytes) -> None:
-        """Send one TPDO outside a burst."""
-        self._outbox.send_pdo(tpdo.cob_id, payload, self.contract.flags)
+    def tpdo_frame(self, tpdo: LiveTpdo, payload: bytes) -> Frames:
+        """Return the frame of a TPDO, which counts as sent."""
         self.health[1] += 1
+        frame = one_frame(tpdo.cob_id, payload, self.contract.flags)
+        frame["port"] = self.contract.node_id
+        return frame
 
     @property
     def pdo_ids(self) -> list[int]:
