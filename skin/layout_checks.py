@@ -24,7 +24,7 @@ from skin.layout_keys import (
     Taxels,
 )
 from skin.matrix import KEY
-from skin.measurement import of_rows, sbhe
+from skin.phi import of_rows, sbhe
 from skin.regions import regions_of
 from skin.sync_counter import SYNC_OVERFLOW
 from skin.ways_of_sending import STEPPED_SIZES
