@@ -31,7 +31,7 @@ from recording.run_steps import steps_of
 from recording.sinks import McapSink
 from shell.output import check_new_path
 from shell.service import StopSignal, say
-from shell.skin_options import join
+from shell.skin_options import Insecure, check_listen, join
 from skin.description import describe
 from skin.layout import Layout, load_layout
 from skin.sources import DEFAULT_OBJECTS
@@ -47,6 +47,7 @@ def replay(
     speed: float | None = None,
     out: Path | None = None,
     listen: str | None = None,
+    insecure: Insecure = False,
     channel: Channels | None = None,
     solver: SolverOptions | None = None,
     model: Path | None = None,
@@ -75,6 +76,8 @@ def replay(
         ``metadata`` JSON.
     listen
         Endpoint of the hub; services connect to it as to the gateway. Default: that of ``skin gateway``.
+    insecure
+        See ``skin gateway``.
     channel
         Channels of a log, one per bus. Default: the names of the buses, else all channels in their order.
     solver
@@ -95,6 +98,7 @@ def replay(
     skin replay run.mcap --out images.npz --solver paper
     """
     _check(source, speed, out)
+    check_listen(listen or DEFAULT_ENDPOINT, "replay", insecure=insecure)
     stop = StopSignal().install()
     skin = load_layout(source if is_recording(source) and layout is None else layout)
     if channel and is_recording(source):
