@@ -10,23 +10,12 @@ from cyclopts import Parameter
 
 from canskin.errors import InputError
 from canskin.keys import HUB
+from canskin.roles import ROLES
 from hub.authority import Authority, new_authority
 from hub.holders import read_holders
 from shell.terminal import Json, print_json, print_table
 from skin.layout_keys import Name
 
-#: Roles that `new` makes keys of.
-ROLES: Final = (
-    "gateway",
-    "nodes",
-    "reconstructor",
-    "classifier",
-    "viewer",
-    "recorder",
-    "client",
-    "ros2",
-    "operator",
-)
 _HOLDER: Final = re.compile(r"[A-Za-z0-9_-]+")
 Hosts = Annotated[tuple[str, ...], Parameter(name="--host")]
 

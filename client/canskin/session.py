@@ -4,18 +4,36 @@ import json
 import math
 import os
 import re
+import socket
+import stat
+import tempfile
 import threading
 import time
 from collections.abc import Callable
+from ipaddress import ip_address
+from pathlib import Path
 from typing import Any, Final, NamedTuple, Protocol
 
 import zenoh
 
-from canskin.errors import BusError, Stopped, tell
+from canskin.errors import BusError, Stopped, reasoned, tell
 from canskin.keys import ENVIRONMENT, HUB, PROTOCOLS_WITH_KEYS, Keys, environment_keys, reason
 from canskin.peers import EVERY_KEY, Peer, peer_of_key
 
-DEFAULT_ENDPOINT: Final = "tcp/127.0.0.1:7447"
+
+def user_folder() -> Path:
+    """Return the folder of this user's sockets: below XDG_RUNTIME_DIR, else one per user."""
+    if runtime := os.environ.get("XDG_RUNTIME_DIR"):
+        return Path(runtime) / "canskin"
+    return Path(tempfile.gettempdir()) / f"canskin-{os.getuid()}"
+
+
+#: Zenoh's protocol of Unix sockets.
+UNIX: Final = "unixsock-stream"
+#: Longest path of a Unix socket, bytes.
+SOCKET_PATH_MAX: Final = 107
+#: A socket that only this user may open, so that other users of this machine are out; without Unix sockets loopback.
+DEFAULT_ENDPOINT: Final = f"{UNIX}/{user_folder() / 'hub'}" if hasattr(socket, "AF_UNIX") else "tcp/127.0.0.1:7447"
 #: With keys, in place of the default endpoint.
 TLS_ENDPOINT: Final = "tls/127.0.0.1:7447"
 #: After this time without a hub a service logs that it waits.
@@ -30,8 +48,10 @@ LOOK_S: Final = 0.1
 MOST_STOPPED: Final = 128
 _RUNTIME: Final = f"(rx: (worker_threads: {MOST_STOPPED}), net: (worker_threads: {MOST_STOPPED}))"
 #: Protocols of zenoh's links; those before ``serial`` need a port.
-PROTOCOLS: Final = ("tcp", "udp", "tls", "quic", "ws", "serial", "unixpipe", "unixsock-stream", "vsock")
+PROTOCOLS: Final = ("tcp", "udp", "tls", "quic", "ws", "serial", "unixpipe", UNIX, "vsock")
 PROTOCOLS_WITH_PORT: Final = PROTOCOLS[:5]
+#: Whoever reaches the address may do everything.
+PROTOCOLS_WITHOUT_KEYS: Final = ("tcp", "udp", "ws", "vsock")
 HIGHEST_PORT: Final = 65535
 #: How soon a client connects again after its hub is gone: zenoh's default waits up to 4 s.
 RETRY: Final = {"period_init_ms": 50, "period_max_ms": 200, "period_increase_factor": 1.5}
@@ -47,20 +67,47 @@ class Stop(Protocol):
         ...
 
 
-def _checked(endpoint: str, keys: Keys | None) -> str:
-    """Return the endpoint, with keys that of TLS for the default; raise BusError if it cannot be used."""
+def _checked(endpoint: str, keys: Keys | None) -> tuple[str, Keys | None]:
+    """Return an endpoint and its keys: a socket needs none; raise BusError if the endpoint cannot be used."""
     if keys is not None and endpoint == DEFAULT_ENDPOINT:
-        return TLS_ENDPOINT
+        return TLS_ENDPOINT, keys
     protocol, _, address = endpoint.partition("/")
     port = address.rpartition(":")[2]
     has_port = re.fullmatch(r".+:\d+", address) and int(port) <= HIGHEST_PORT
     if protocol not in PROTOCOLS or not address or (protocol in PROTOCOLS_WITH_PORT and not has_port):
-        raise BusError(f"expected an endpoint such as {DEFAULT_ENDPOINT}, got '{endpoint}'")
+        raise BusError(f"expected an endpoint such as tcp/127.0.0.1:7447, got '{endpoint}'")
+    if protocol == UNIX and len(os.fsencode(address)) > SOCKET_PATH_MAX:
+        raise BusError(f"{address} is too long for a socket: expected up to {SOCKET_PATH_MAX} bytes")
+    if protocol == UNIX and endpoint == DEFAULT_ENDPOINT:
+        own_folder(Path(address).parent)
     if keys is None and protocol in PROTOCOLS_WITH_KEYS:
         raise BusError(f"{endpoint} needs keys: give --keys FOLDER, or {ENVIRONMENT} in the environment")
-    if keys is not None and protocol not in PROTOCOLS_WITH_KEYS:
+    if keys is not None and protocol not in (*PROTOCOLS_WITH_KEYS, UNIX):
         raise BusError(f"{endpoint} does not use the keys {keys.folder}: give tls/{address}, or leave the keys out")
-    return endpoint
+    return endpoint, None if protocol == UNIX else keys
+
+
+def own_folder(folder: Path) -> None:
+    """Make a folder that only this user may open; raise BusError if others may open the folder that is there."""
+    with reasoned(BusError, f"{folder}: no folder for sockets"):
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        about = folder.lstat()
+    if not stat.S_ISDIR(about.st_mode) or about.st_uid != os.getuid() or about.st_mode & 0o077:
+        raise BusError(f"{folder} can be opened by other users: expected a folder of your own, with mode 0700")
+
+
+def is_loopback(host: str) -> bool:
+    """Tell whether a server bound to `host` is seen by programs of this machine alone."""
+    try:
+        return ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
+
+
+def is_open(endpoint: str) -> bool:
+    """Tell whether a hub that listens on an endpoint serves other machines without asking for a key."""
+    protocol, _, address = endpoint.partition("/")
+    return protocol in PROTOCOLS_WITHOUT_KEYS and not is_loopback(address.rpartition(":")[0].strip("[]"))
 
 
 def open_hub(endpoint: str, keys: Keys | None = None, rules: dict[str, Any] | None = None) -> Any:
@@ -78,14 +125,16 @@ def open_hub(endpoint: str, keys: Keys | None = None, rules: dict[str, Any] | No
     BusError
         If the endpoint cannot be used.
     """
-    endpoint = _checked(endpoint, keys)
+    endpoint, keys = _checked(endpoint, keys)
     if keys is not None and keys.role != HUB:
         raise BusError(f"cannot listen on {endpoint} with keys of '{keys.common_name}': expected those of role '{HUB}'")
     is_ours = os.environ.setdefault("ZENOH_RUNTIME", _RUNTIME) == _RUNTIME
     try:
         return zenoh.open(_config(endpoint, keys, hub=True, rules=rules))
     except zenoh.ZError as error:
-        raise BusError(f"cannot listen on {endpoint}: {first_sentence(error)}") from None  # the message says all
+        # Zenoh locks a file beside a socket.
+        why = "another hub listens there" if "EAGAIN" in str(error) else first_sentence(error)
+        raise BusError(f"cannot listen on {endpoint}: {why}") from None  # the message says all
     finally:
         if is_ours:
             del os.environ["ZENOH_RUNTIME"]  # the processes that this process starts are no hubs
@@ -129,7 +178,7 @@ def open_client(
     BusError
         If the endpoint cannot be used, the hub refuses, or nobody answered in time.
     """
-    endpoint = _checked(endpoint, keys)
+    endpoint, keys = _checked(endpoint, keys)
     started_s, said = time.monotonic(), False
     while True:
         left_s = patience_s - (time.monotonic() - started_s)

@@ -9,8 +9,9 @@ from cryptography import x509
 
 from canskin.errors import InputError
 from canskin.keys import Keys
+from canskin.roles import ROLES
 from hub.holders import read_holders
-from hub.keys_command import ROLES, add, list_, new, renew, revoke
+from hub.keys_command import add, list_, new, renew, revoke
 
 
 @pytest.fixture
