@@ -37,6 +37,7 @@ def new(folder: Path, *, skin: str, host: Hosts = ()) -> None:
 
     Examples
     --------
+    skin keys new keys --skin palm
     skin keys new keys --skin palm --host robot.local 10.0.0.5
     """
     names = [_common_name(role, skin) for role in (HUB, *ROLES)]
@@ -109,6 +110,7 @@ def revoke(folder: Path, *names: str, skin: str | None = None) -> None:
     Examples
     --------
     skin keys revoke keys client:laptop7
+    skin keys revoke keys viewer operator:anna
     """
     authority = Authority(folder)
     for name in _known(authority, names, skin):
@@ -132,6 +134,7 @@ def list_(folder: Path, *, json: Json = False) -> None:
     Examples
     --------
     skin keys list keys
+    skin keys list /etc/canskin/keys/hub --json
     """
     holders = read_holders(folder)
     if json:
