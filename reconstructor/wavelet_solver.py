@@ -14,7 +14,7 @@ from reconstructor.fista import iterate, momentum, soft
 from reconstructor.kernels.addresses import spin_shifts
 from reconstructor.kernels.blocks import checked
 from reconstructor.settings import SolverSettings
-from skin.measurement import Sbhe, fast_hadamard
+from skin.phi import Sbhe, fast_hadamard
 from skin.ranges import require_number
 
 

@@ -16,7 +16,7 @@ from reconstructor.kernels.haar import HaarSolver
 from reconstructor.kernels.variation import VariationSolver
 from reconstructor.settings import SPUN, SolverSettings
 from reconstructor.wavelet_solver import WaveletSolver
-from skin.measurement import Sbhe, sbhe
+from skin.phi import Sbhe, sbhe
 from skin.surface import grid_surface
 from tests.reconstructor.helpers import graphs
 from tests.reconstructor.reference import Proximal, Shrinkage, Variation, fista_image
