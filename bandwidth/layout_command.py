@@ -106,7 +106,7 @@ def _new(taxels: Path | None, out: Path | None, modules: Path | None, sending: S
         _complete(tables, skin)
     if out is not None and skin.taxels.positions is not None:
         tables["taxels"]["positions"] = _beside(taxels, out, skin)
-        if skin.phi.chains is not None:  # the file of positions has them
+        if skin.measurement.chains is not None:  # the file of positions has them
             del tables["measurement"]["wiring"], tables["measurement"]["chains"]
     text = tomli_w.dumps(tables)
     if out is None:
@@ -123,7 +123,7 @@ def _complete(tables: dict[str, Any], skin: Layout) -> None:
         say("layout", words)
     if any(each.problems for each in planned(skin, Disturbance())):
         say("layout", f"no {BUSES_MAX} buses carry its sums at {skin.sync.rate_hz:g} Hz: see skin plan --taxels")
-    tables.setdefault("measurement", {})["sums"] = skin.phi.sums
+    tables.setdefault("measurement", {})["sums"] = skin.measurement.sums
     tables["sampling"] = {"rate_hz": skin.samples_per_sync * skin.sync.rate_hz}
     tables["bus"] = [{"name": bus.name, "nodes": bus.nodes} for bus in skin.bus]
 
@@ -134,7 +134,7 @@ def _beside(taxels: Path, out: Path, skin: Layout) -> str:
         return os.path.relpath(taxels, out.parent)
     beside = out.with_suffix(".csv")
     check_new_path(beside, "positions", ".csv")
-    write_file(beside, positions_text(skin.taxels.surface, skin.phi.chains).encode())
+    write_file(beside, positions_text(skin.taxels.surface, skin.measurement.chains).encode())
     return beside.name
 
 
@@ -219,7 +219,7 @@ def _draw(skin: Layout, path: Path) -> Path:
         x, y = plane.places[taxel]
         axes.text(x, y, str(place[taxel]), ha="center", va="center", fontsize=size)
     for each in range(phi.blocks):
-        if skin.phi.wiring != "scattered":
+        if skin.measurement.wiring != "scattered":
             axes.plot(*plane.places[phi.taxels_of(each)].T, color="black", linewidth=0.4, alpha=0.5)
     axes.set_title(f"{skin.name}: {phi.blocks} blocks, {phi.empty} empty places", fontsize=10)
     axes.set(xticks=[], yticks=[])

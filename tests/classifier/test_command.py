@@ -97,7 +97,7 @@ def test_train_writes_a_layout_with_the_rows_that_it_chose(small: Path, tmp_path
     out, chosen = tmp_path / "out.npz", tmp_path / "chosen.toml"
     train(layout=small, objects=["dome", "plate"], touches=240, out=out, choose=8, layout_out=chosen, features="sums")
     skin = load_layout(chosen)
-    assert (skin.phi.sums, skin.phi().shape[0]) == (8, 8)
+    assert (skin.measurement.sums, skin.phi().shape[0]) == (8, 8)
     assert load_model(out, skin, skin.phi()).metadata.card.validation_accuracy > 0.9
     with pytest.raises(InputError, match="belong together"):
         train(layout=small, choose=8)
