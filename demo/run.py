@@ -17,6 +17,7 @@ from canskin.errors import InputError, RunError
 from canskin.fabric import Fabric
 from canskin.messages import GATEWAY, IMAGE, LABEL, MEASUREMENT, NODES, TRUTH, GatewayStatus
 from canskin.peers import Peer, Roll
+from canskin.session import UNIX
 from classifier.newest_sums import averaged_cycles
 from demo.options import DemoOptions
 from demo.picture import save_picture
@@ -76,7 +77,7 @@ class Run:
         if stop.is_set():
             raise KeyboardInterrupt
         with ExitStack() as last:
-            endpoint, fabric = open_hub(self._layout.name, self._options.listen)
+            endpoint, fabric = open_hub(self._layout.name, self._options.listen, self._folder)
             last.callback(fabric.close)
             last.callback(self._supervisor.stop)
             self._fabric = fabric
@@ -297,9 +298,9 @@ def _known_objects(touching: Collection[str]) -> list[str]:
     return [] if known == DEFAULT_OBJECTS else ["--objects", ",".join(known)]
 
 
-def open_hub(skin: str, listen: str | None) -> tuple[str, Fabric]:
-    """Open a fabric's hub at `listen`, or on a free loopback port; return its endpoint and the hub."""
-    endpoint = listen or f"tcp/127.0.0.1:{_free_port()}"
+def open_hub(skin: str, listen: str | None, folder: Path) -> tuple[str, Fabric]:
+    """Open a fabric's hub at `listen`, or on a socket in `folder`; return its endpoint and the hub."""
+    endpoint = listen or f"{UNIX}/{folder / 'hub'}"
     return endpoint, Fabric(skin, "demo", endpoint, hub=True)
 
 

@@ -14,7 +14,7 @@ from gateway.calibration import GatewayCalibration
 from gateway.service import GatewayService
 from gateway.stepped_gathering import publishing_rates
 from shell.service import StopSignal, say
-from shell.skin_options import join
+from shell.skin_options import Insecure, check_listen, join
 from skin.calibration_file import load_calibration
 from skin.layout import load_layout, require_sending
 
@@ -25,6 +25,7 @@ def gateway(
     bus: BusOptions | None = None,
     listen: str = DEFAULT_ENDPOINT,
     connect: str | None = None,
+    insecure: Insecure = False,
     max_rate: float | None = None,
     min_rate: float | None = None,
     calibration: Path | None = None,
@@ -43,6 +44,8 @@ def gateway(
         Endpoint of the fabric's hub, which the gateway runs; the other services connect to this endpoint.
     connect
         Endpoint of another hub; the gateway then runs none.
+    insecure
+        The hub may serve a network without keys: everybody there can read the skin, tare it and send false images.
     max_rate
         Of steps: most measurements in a second, when there is news; 1 to 1000 Hz, by default 1000.
     min_rate
@@ -67,6 +70,8 @@ def gateway(
     skin gateway --keep-zero /var/lib/canskin/palm.json
     """
     stop = StopSignal().install()
+    if connect is None:
+        check_listen(listen, "gateway", insecure=insecure)
     skin = load_layout(layout)
     rates_hz = publishing_rates(max_rate, min_rate)
     if (max_rate, min_rate) != (None, None):

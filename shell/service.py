@@ -39,7 +39,7 @@ _IS_LINUX: Final = sys.platform.startswith("linux")
 PR_SET_PDEATHSIG: Final = 1
 
 
-class Priority(enum.Enum):
+class Priority(enum.StrEnum):
     """What services ask for: real time within `REAL_TIME_RATIO` of the cores, real time, ordinary scheduling."""
 
     AUTO = "auto"

@@ -24,8 +24,8 @@ from skin.layout_keys import (
     Taxels,
 )
 from skin.matrix import KEY
-from skin.measurement import of_rows, sbhe
 from skin.patch_wiring import check_patch
+from skin.phi import of_rows, sbhe
 from skin.regions import regions_of
 from skin.sync_counter import SYNC_OVERFLOW
 from skin.ways_of_sending import STEPPED_SIZES

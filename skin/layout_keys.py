@@ -12,8 +12,8 @@ from canskin.errors import InputError, LayoutError
 from skin.chains import MOST, order_of
 from skin.foreign import ForeignMessage
 from skin.matrix import MatrixPhi, entries_of
-from skin.measurement import Sbhe, of_rows, sbhe
 from skin.patch_wiring import within_patches
+from skin.phi import Sbhe, of_rows, sbhe
 from skin.surface import LINK_RATIO, Surface, grid_surface, surface_of_positions
 from skin.walsh import Indices, patches
 from skin.ways_of_sending import SENDINGS, Sending, SendingName

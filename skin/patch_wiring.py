@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from canskin.errors import LayoutError
-from skin.measurement import Sbhe
+from skin.phi import Sbhe
 from skin.walsh import Indices, dealt
 
 

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from canskin.errors import InputError
-from skin.measurement import fast_hadamard
+from skin.phi import fast_hadamard
 from skin.surface import Surface
 
 #: Rows of a group: `_GROUP_SHAPE` vertical and horizontal sequencies that follow each other.

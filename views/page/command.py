@@ -27,7 +27,7 @@ from views.page.app import build_app
 from views.page.feed import Feed
 from views.page.guard import LOOPBACK
 from views.page.playback import Playback
-from views.page.recorder import RecorderProcess
+from views.page.record_process import RecorderProcess
 
 #: When the server ends, pages get this long to close their connections.
 FAREWELL_S: Final = 1

@@ -20,7 +20,7 @@ from views.page.actions import live_actions, playback_actions
 from views.page.app import build_app
 from views.page.feed import Feed
 from views.page.playback import Playback
-from views.page.recorder import RecorderProcess
+from views.page.record_process import RecorderProcess
 
 with warnings.catch_warnings():  # it would rather stand on httpx2
     warnings.simplefilter("ignore", StarletteDeprecationWarning)
