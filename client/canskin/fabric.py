@@ -20,6 +20,7 @@ import msgspec
 import zenoh
 
 from canskin.errors import UNDECODABLE, BusError, tell
+from canskin.keys import Keys, environment_keys
 from canskin.messages import Topic
 from canskin.peers import EVERY_KEY, GATEWAYS, Peer, Roll, new_peer, peer_of_key
 from canskin.question import Question
@@ -147,6 +148,8 @@ class Fabric:
         version are named in the log.
     patience_s : float
         Longest wait for the hub. By default a service waits without limit, so services start in any order.
+    keys : Keys, optional
+        Who the service is to the hub, or of a hub, who the hub is; default: see `environment_keys`.
     prepare : callable, optional
         Called with this connection before the others see the service: subscribes to what they send as soon as they do.
 
@@ -160,7 +163,8 @@ class Fabric:
     Raises
     ------
     BusError
-        If the endpoint cannot be used, no hub answered in time, or this is a second gateway of its skin.
+        If the endpoint cannot be used, the hub refuses, no hub answered in time, or this is a second gateway of its
+        skin.
     """
 
     def __init__(
@@ -173,6 +177,7 @@ class Fabric:
         stop: Stop | None = None,
         fingerprint: str = "",
         patience_s: float = math.inf,
+        keys: Keys | None = None,
         prepare: "Callable[[Fabric], None]" = lambda _: None,
     ) -> None:
         self.malformed = 0
@@ -185,7 +190,8 @@ class Fabric:
         self._publishers: dict[str, Any] = {}
         self._numbers: dict[str, count[int]] = {}
         self._kept: list[Any] = []
-        self._session = open_hub(endpoint) if hub else open_client(endpoint, service, stop, patience_s)
+        keys = keys or environment_keys()
+        self._session = open_hub(endpoint, keys) if hub else open_client(endpoint, service, stop, patience_s, keys=keys)
         try:
             self._require_alone(0.0)
             prepare(self)

@@ -7,7 +7,6 @@ from pathlib import Path
 import pytest
 
 import dbc
-from dbc.generate import DEFAULT_FOLDER
 from dbc.program import Program
 from shell.command import main
 from tests.layouts import buses, layout_toml
@@ -29,15 +28,6 @@ def run(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
     with pytest.raises(SystemExit) as ended:
         main()
     return int(ended.value.code or 0)
-
-
-@pytest.mark.heavy
-def test_committed_files_are_those_of_the_default_skin(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run(monkeypatch, "--check") == 0
-    assert capsys.readouterr().out == ""
-    assert {path.name for path in DEFAULT_FOLDER.iterdir()} == {f"bus{bus}.dbc" for bus in range(4)} | {"skin.eds"}
 
 
 def test_contract_writes_all_files_and_check_names_those_that_drifted(
