@@ -21,7 +21,7 @@ from classifier.newest_sums import averaged_cycles
 from shell.output import write_file
 from skin.difference import difference
 from skin.layout import Layout
-from skin.measurement import Phi
+from skin.phi import Phi
 
 Arrays = dict[str, npt.NDArray[Any]]
 

@@ -14,8 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 from canskin.errors import InputError, LayoutError
-from skin.measurement import Phi
 from skin.operator import check_vectors
+from skin.phi import Phi
 
 Entries = npt.NDArray[np.int8]
 
