@@ -23,7 +23,7 @@ from skin.choice import BUSES_MAX, chosen
 from skin.importing import new_name, tables_of
 from skin.layout import Layout, layout_tables, load_layout, parse_layout
 from skin.matrix import MatrixPhi
-from skin.measurement import Sbhe
+from skin.phi import Sbhe
 from skin.plane import Plane
 from skin.surface import Surface
 from skin.ways_of_sending import SendingName

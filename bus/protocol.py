@@ -5,7 +5,6 @@ client sends HELLO and receives WELCOME or REFUSED. After that both sides send F
 """
 
 import os
-import tempfile
 import time
 from enum import IntEnum
 from pathlib import Path
@@ -19,6 +18,7 @@ from numba import boolean
 
 from bus.error_frames import State
 from canskin.errors import UNDECODABLE, InputError
+from canskin.session import SOCKET_PATH_MAX, user_folder
 from dbc.frame import (
     BRS,
     CAN_ID_AT,
@@ -178,12 +178,9 @@ def padded(burst: Frames) -> Frames:
 
 
 def runtime_folder() -> Path:
-    """Return the folder of the buses' sockets: SKIN_BUS_DIR, else below XDG_RUNTIME_DIR, else one per user."""
-    if chosen := os.environ.get("SKIN_BUS_DIR"):
-        return Path(chosen)
-    if runtime := os.environ.get("XDG_RUNTIME_DIR"):
-        return Path(runtime) / "canskin"
-    return Path(tempfile.gettempdir()) / f"canskin-{os.getuid()}"
+    """Return the folder of the buses' sockets: SKIN_BUS_DIR, else that of all sockets of this user."""
+    chosen = os.environ.get("SKIN_BUS_DIR")
+    return Path(chosen) if chosen else user_folder()
 
 
 def socket_path(channel: str, folder: Path | None = None) -> Path:
@@ -191,6 +188,6 @@ def socket_path(channel: str, folder: Path | None = None) -> Path:
     path = (folder or runtime_folder()) / f"{channel}.can"
     if not channel or "/" in channel or channel.startswith("."):
         raise InputError(f"'{channel}' cannot name a bus: expected a word such as bus0")
-    if len(os.fsencode(path)) > 107:
+    if len(os.fsencode(path)) > SOCKET_PATH_MAX:
         raise InputError(f"{path} is too long for a socket: set SKIN_BUS_DIR to a shorter folder")
     return path

@@ -32,6 +32,7 @@ from bus.protocol import (
 from bus.session import Batch, Session
 from bus.simulated_bus import SimulatedBus
 from canskin.errors import BusError, InputError
+from canskin.session import own_folder
 from dbc.frame import frames
 from dbc.frame_bits import frame_time_ns
 from shell.service import say
@@ -109,7 +110,7 @@ class BusServer:
         folder = folder or runtime_folder()
         check_channels(ARBITRATED, channels)
         try:
-            _own_folder(folder)
+            own_folder(folder)
             for place, channel in enumerate(channels):
                 self._lines.append(self._open(channel, place, folder))
         except OSError as error:
@@ -339,14 +340,6 @@ def _remove_stale(path: Path, channel: str) -> None:
             path.unlink(missing_ok=True)
         else:
             raise BusError(f"{channel} is already served at {path}: stop that process, or set SKIN_BUS_DIR")
-
-
-def _own_folder(folder: Path) -> None:
-    """Make the folder of the sockets, or check that no other user can write to it."""
-    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-    status = folder.stat()
-    if status.st_uid != os.getuid() or status.st_mode & 0o022:
-        raise BusError(f"{folder} can be written by others: set SKIN_BUS_DIR to a folder of your own")
 
 
 def _read_hello(connection: socket.socket) -> Hello:

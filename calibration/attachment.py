@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from typing import Final
 
-from canskin.calibration_messages import CALIBRATION, CalibrationReply, CalibrationRequest, CalibrationStatus
+from canskin.calibration_messages import ZERO, CalibrationReply, CalibrationStatus, ZeroRequest
 from canskin.errors import BusError
 from canskin.fabric import Fabric, Mailbox
 from canskin.messages import GATEWAY, GatewayStatus
@@ -47,7 +47,7 @@ def follow_calibration(fabric: Fabric, attach: Callable[[File], None], stop: Sto
 def _shown(fabric: Fabric) -> bytes:
     """Return the calibration as a file; nothing if the gateway is busy, has ended, or is a replay."""
     try:
-        reply: CalibrationReply = fabric.ask(CALIBRATION, CalibrationRequest(action="show"), _SHOW_S)
+        reply: CalibrationReply = fabric.ask(ZERO, ZeroRequest(), _SHOW_S)
     except BusError:
         return b""
     return reply.content

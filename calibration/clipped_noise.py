@@ -6,7 +6,7 @@ import numpy as np
 
 from calibration.windows import Floats, Window
 from skin.clipping import IDLE_MEAN
-from skin.measurement import Sbhe
+from skin.phi import Sbhe
 from skin.taxel import NOISE_N
 
 #: Noise of sums that are not averaged, in units of what the paper's sensor has: below, the sensor adds none.

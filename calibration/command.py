@@ -10,13 +10,16 @@ from calibration.gain_files import stored_gains
 from canskin.calibration_messages import (
     ANSWER_S,
     CALIBRATION,
+    ZERO,
     CalibrationReply,
     CalibrationRequest,
     CalibrationState,
     CalibrationStatus,
+    ZeroRequest,
     tare_request,
 )
 from canskin.errors import InputError, RunError
+from canskin.question import Question
 from shell.output import check_output_path, write_file
 from shell.service import say
 from shell.skin_options import PATIENCE_S, SkinOptions
@@ -75,7 +78,7 @@ def tare(
     request = tare_request(skin.taxels.rows, skin.taxels.columns, force=force, region=named)
     if request.region is not None:
         taxels_of(skin, request.region)
-    reply = _ask(skin, of, request, ANSWER_S)
+    reply = _ask(skin, of, CALIBRATION, request, ANSWER_S)
     if json:
         print_json({"is_done": reply.is_done, "text": reply.text, "status": msgspec.to_builtins(reply.status)})
     else:
@@ -151,7 +154,7 @@ def calibration(
     else:
         content = encoded(load_calibration(path, skin))
         request = CalibrationRequest(action="write" if to_nodes else "load", content=content)
-        reply = _ask(skin, of, request, WRITING_S if to_nodes else ANSWER_S)
+        reply = _ask(skin, of, CALIBRATION, request, WRITING_S if to_nodes else ANSWER_S)
         if not reply.is_done:
             raise RunError(reply.text)
         say("calibration", reply.text)
@@ -167,7 +170,7 @@ def _check_written(action: Action, path: Path | None, out: Path | None) -> None:
 
 def _gateways(skin: Layout, of: SkinOptions) -> tuple[StoredCalibration, CalibrationStatus | None]:
     """Return the calibration of the gateway, and its status."""
-    reply = _ask(skin, of, CalibrationRequest(action="show"), ANSWER_S)
+    reply = _ask(skin, of, ZERO, ZeroRequest(), ANSWER_S)
     return parse_calibration(reply.content, skin, "the gateway", is_shown=True), reply.status
 
 
@@ -185,10 +188,12 @@ def _beyond(skin: Layout, stored: StoredCalibration) -> str:
     return f"{len(places)} offsets beyond ±{1e3 * most_n:g} mN, first of sum {places[0]}: no gateway loads them"
 
 
-def _ask(skin: Layout, of: SkinOptions, request: CalibrationRequest, timeout_s: float) -> CalibrationReply:
+def _ask(
+    skin: Layout, of: SkinOptions, question: Question, request: CalibrationRequest | ZeroRequest, timeout_s: float
+) -> CalibrationReply:
     fabric = of.join(skin, "calibration", patience_s=PATIENCE_S)
     try:
-        reply: CalibrationReply = fabric.ask(CALIBRATION, request, timeout_s)
+        reply: CalibrationReply = fabric.ask(question, request, timeout_s)
     finally:
         fabric.close()
     return reply

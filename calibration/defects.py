@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 
 from calibration.windows import Bools, Floats, Window
-from skin.measurement import Sbhe
+from skin.phi import Sbhe
 from skin.surface import Surface
 
 #: A sum is stuck when it has not changed in `STUCK_WINDOWS` windows in which `STUCK_PART` of the others of its block

@@ -19,7 +19,7 @@ from reconstructor.kernels.blocks import places_of_sums, taxels_in_block_order
 from reconstructor.kernels.transforms import hadamard
 from reconstructor.kernels.variation import VariationSolver
 from reconstructor.settings import VARIATION
-from skin.measurement import Sbhe
+from skin.phi import Sbhe
 from skin.surface import Surface
 
 #: λ in deviations of Φᵀ noise: of noise alone no taxel of the field is above a tenth of the noise of the picture.

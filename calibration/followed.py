@@ -15,7 +15,7 @@ from calibration.zero import Zero
 from canskin.calibration_messages import ZeroSupport
 from skin.frontend import sum_step_n
 from skin.layout import Layout
-from skin.measurement import Sbhe
+from skin.phi import Sbhe
 from skin.surface import Surface
 
 #: No noise is taken to be less than this part of a count: sums are whole numbers of counts.

@@ -20,7 +20,7 @@ from calibration.windows import Bools, Floats
 from canskin.errors import InputError
 from skin.defects import SumGains
 from skin.frontend import LEAST_FELT, felt_by_sums, with_gains
-from skin.measurement import Sbhe, fast_hadamard
+from skin.phi import Sbhe, fast_hadamard
 from skin.surface import Surface
 
 #: A contact is what is above this part of an image's largest force.

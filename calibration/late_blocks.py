@@ -7,7 +7,7 @@ import numpy as np
 
 from calibration.drift import line_through
 from calibration.windows import TARE_WINDOWS, Bools, Floats, Window
-from skin.measurement import Sbhe
+from skin.phi import Sbhe
 
 
 class LateZero(NamedTuple):

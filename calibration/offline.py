@@ -12,7 +12,7 @@ from canskin.messages import CycleMeasurement, Measurement
 from shell.service import say
 from skin.calibration_file import load_calibration
 from skin.layout import Layout, require_sending
-from skin.measurement import Sbhe
+from skin.phi import Sbhe
 from skin.sync_counter import next_counter
 
 

@@ -4,7 +4,7 @@ from collections import deque
 from typing import Final, NamedTuple
 
 from calibration.calibrator import Calibrator
-from canskin.calibration_messages import CalibrationReply, CalibrationRequest, Region, tare_request
+from canskin.calibration_messages import CalibrationReply, CalibrationRequest, Region, ZeroRequest, tare_request
 from canskin.errors import InputError
 from canskin.fabric import Reply
 from skin.calibration_file import StoredCalibration, parse_calibration
@@ -24,7 +24,7 @@ _TOO_FEW: Final = "fewer than half of the sums are valid: the zero is measured w
 class Request(NamedTuple):
     """A request, who waits for its answer, and the calibration in it, if it has one."""
 
-    request: CalibrationRequest
+    request: CalibrationRequest | ZeroRequest
     reply: Reply
     stored: StoredCalibration | None
 
@@ -60,7 +60,7 @@ class Requests:
         self._wanted = CalibrationRequest(action="tare")
         self._until_s = 0.0
 
-    def ask(self, request: CalibrationRequest, reply: Reply) -> None:
+    def ask(self, request: CalibrationRequest | ZeroRequest, reply: Reply) -> None:
         """Take a request; from any thread. What cannot be used is refused here."""
         try:
             self._waiting.append(Request(request, reply, self._checked(request)))
@@ -95,10 +95,12 @@ class Requests:
             return _TOO_FEW
         return f"the zero is still being measured, which takes {takes_s:.3g} s: see 'skin calibration show'"
 
-    def _checked(self, request: CalibrationRequest) -> StoredCalibration | None:
+    def _checked(self, request: CalibrationRequest | ZeroRequest) -> StoredCalibration | None:
         """Return the calibration in a request."""
         if len(self._waiting) + len(self._taring) >= MOST_REQUESTS:
             raise InputError(f"{MOST_REQUESTS} requests wait for an answer: ask again later")
+        if isinstance(request, ZeroRequest):
+            return None
         layout = self._layout
         if request.action == "tare":
             tare_request(layout.taxels.rows, layout.taxels.columns, force=request.force, region=request.region)

@@ -5,7 +5,7 @@ from typing import Final
 import numpy as np
 
 from calibration.windows import TARE_WINDOWS, Floats
-from skin.measurement import Sbhe
+from skin.phi import Sbhe
 
 #: A touch stands still while no taxel changes by more than this part of the largest force.
 STILL_PART: Final = 0.1

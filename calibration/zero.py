@@ -26,7 +26,7 @@ from calibration.still_touch import StillTouch
 from calibration.taring import FLOOR_PART
 from calibration.windows import Bools, Floats, Window
 from canskin.calibration_messages import ZeroSupport
-from skin.measurement import Sbhe
+from skin.phi import Sbhe
 from skin.surface import Surface
 
 #: While something touches, forces below 0 count beyond this part of the largest force: images of a touch err by less.

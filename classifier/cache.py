@@ -15,7 +15,7 @@ from classifier.used_sums import noise_ratios
 from shell.output import cache_folder
 from shell.service import say
 from skin.layout import Layout
-from skin.measurement import Phi
+from skin.phi import Phi
 from skin.sources import DEFAULT_OBJECTS, StrokeKind, load_touches, object_file
 
 TOUCHES_PER_OBJECT: Final = 600

@@ -11,7 +11,7 @@ from classifier.newest_sums import NewestSums
 from classifier.novelty import Regions, novelty
 from classifier.observer import Observer
 from classifier.settling import SETTLING, Decision, Seen, Settling, logistic
-from skin.measurement import Phi
+from skin.phi import Phi
 from skin.ways_of_sending import SENDINGS
 
 

@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from canskin.errors import InputError
 from skin.matrix import MatrixPhi
-from skin.measurement import Phi, Sbhe, fast_hadamard
+from skin.phi import Phi, Sbhe, fast_hadamard
 from skin.surface import Surface
 
 Float32 = npt.NDArray[np.float32]

@@ -22,7 +22,7 @@ from shell.output import write_file
 from skin.difference import difference
 from skin.layout import Layout
 from skin.limits import UNPACKED_BYTES_MAX, check_unpacked, read_file
-from skin.measurement import Phi
+from skin.phi import Phi
 
 Arrays = dict[str, npt.NDArray[Any]]
 

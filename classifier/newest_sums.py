@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from skin.layout import Layout
-from skin.measurement import Phi
+from skin.phi import Phi
 
 #: A missing block keeps its last sums, or their mean, for this number of cycles, or for half of those that are averaged
 #: if these are more; after that it is left out.

@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from classifier.features import Smoothed
-from skin.measurement import Phi
+from skin.phi import Phi
 from skin.surface import Surface
 
 #: Lower bound of a peak / its mean on the untouched skin.

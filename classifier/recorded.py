@@ -21,7 +21,7 @@ from recording.mcap_file import Warn, read_messages
 from skin.difference import difference
 from skin.layout import Layout, load_layout
 from skin.measured_sums import decode_measurement, decode_stepped
-from skin.measurement import Phi, places
+from skin.phi import Phi, places
 from skin.taxel import NOISE_N
 
 #: Cycles of one touch that are used, spread over its time: cycles beside each other are nearly equal.

@@ -15,7 +15,7 @@ from canskin.errors import InputError
 from classifier.dag import pairs
 from classifier.samples import simulate_means
 from skin.layout import Layout, changed, require_sending, validated
-from skin.measurement import Sbhe
+from skin.phi import Sbhe
 
 #: A row counts as noise if the selected rows leave less than this part of its variance unexplained, or if its variance
 #: is below this part of the mean variance.

@@ -13,7 +13,7 @@ from classifier.used_sums import noise_ratios, silence
 from skin.clipping import DEAD_RATIO, clipped_mean
 from skin.frontend import converter
 from skin.layout import Layout
-from skin.measurement import Phi
+from skin.phi import Phi
 from skin.taxel import sense, to_counts
 
 #: Part of the cycles of an untouched skin that are above the threshold of contact.

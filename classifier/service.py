@@ -15,7 +15,7 @@ from classifier.used_sums import classified_phi, coarse_sums
 from shell.service import StopSignal
 from skin.layout import Layout
 from skin.measured_sums import MeasurementReader, SteppedSums, decode_measurement, decode_stepped
-from skin.measurement import Phi, places
+from skin.phi import Phi, places
 
 #: Period of the check of the stop signal.
 _TURN_S = 0.1

@@ -27,7 +27,7 @@ from classifier.samples import (
 from classifier.used_sums import classified_phi
 from classifier.validation import Chosen, choose_C, global_scale
 from skin.layout import Layout
-from skin.measurement import Phi, Sbhe
+from skin.phi import Phi, Sbhe
 from skin.taxel import NOISE_N
 
 #: C is chosen from these.

@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from classifier.features import Float32
 from skin.layout import Layout
-from skin.measurement import Phi, Sbhe
+from skin.phi import Phi, Sbhe
 from skin.walsh import coarse_rows
 
 #: What nodes that average leave of the noise: less where a touch rests, more where a touch moves.

@@ -29,7 +29,7 @@ from dbc.canopen import SYNC_COB_ID
 from dbc.contract import Contract, NodeContract
 from dbc.dictionary import window_s
 from dbc.frame import ECHO, Frames
-from skin.measurement import fast_hadamard
+from skin.phi import fast_hadamard
 
 #: SYNC messages between the begin of a picture and the first cycle that is compared: a board may be slow to start.
 SETTLING: Final = 2

@@ -13,7 +13,7 @@ from commissioning.count_reading import CountReading
 from commissioning.wiring_findings import Finding, Place, prove
 from skin.chains import read_lines
 from skin.layout import Layout
-from skin.measurement import Sbhe
+from skin.phi import Sbhe
 from skin.surface import Floats
 
 #: Columns of the path of a finger.

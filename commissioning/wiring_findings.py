@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from canskin.errors import InputError
 from skin.chains import EMPTY
-from skin.measurement import Sbhe
+from skin.phi import Sbhe
 from skin.surface import Floats, Indices, Surface
 
 #: Moments that are needed for each taxel.

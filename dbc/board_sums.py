@@ -14,7 +14,7 @@ from dbc import indices as od
 from dbc.codec import encode
 from dbc.configuration import calibration, configuration, signature, with_calibration
 from dbc.contract import Contract, NodeContract
-from skin.measurement import fast_hadamard
+from skin.phi import fast_hadamard
 from skin.taxel import corrected
 
 #: Test patterns (2021h): measured counts; 0; the place in the chain; full scale.

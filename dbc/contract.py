@@ -32,7 +32,7 @@ from dbc.frame_bits import frame_time_ns
 from dbc.packing import COUNTER_BYTES, Packing, packing
 from skin.choice import SUMS_MAX
 from skin.layout import SUM_BITS_MAX, SUM_BITS_MIN, Bus, Layout
-from skin.measurement import Sbhe
+from skin.phi import Sbhe
 from skin.walsh import grouped_rows
 
 #: Most bytes of one object in an SDO transfer; far above the size of any object of a node.

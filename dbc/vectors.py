@@ -20,7 +20,7 @@ from dbc.board_sums import (
     shown_counts,
 )
 from dbc.contract import Contract, NodeContract
-from skin.measurement import fast_hadamard
+from skin.phi import fast_hadamard
 
 #: No sum of averages is nearer to a tie of rounding: any float32 arithmetic then gives the same sum.
 _TIE_MARGIN: Final = 0.02

@@ -35,7 +35,6 @@ def demo(*, options: DemoOptions = DEFAULTS, json: Json = False) -> int:
     stop = StopSignal().install()
     # Imported here, because these imports take seconds in which signals must be handled.
     from demo.folder import run_folder
-    from demo.prediction import with_prediction
     from demo.run import Run
     from skin.choice import chosen
     from skin.layout import layout_tables, load_layout, require_boards
@@ -52,8 +51,6 @@ def demo(*, options: DemoOptions = DEFAULTS, json: Json = False) -> int:
     except KeyboardInterrupt:
         say("demo", "interrupted before the first cycle")
         raise
-    if not stop.is_set():
-        report = with_prediction(report, skin, options, run.score.first_db)
     saved = run.save_picture(report)
     if json:
         print_json(saved or report)

@@ -8,10 +8,12 @@ from cyclopts import Parameter
 
 from bus.options import virtual_bit_rates
 from canskin.errors import InputError
+from canskin.session import DEFAULT_ENDPOINT
 from demo.rate import at_rate
 from reconstructor.options import SolverOptions
 from shell.output import check_picture_path
 from shell.service import listen
+from shell.skin_options import Insecure, check_listen
 from shell.touch_options import NO_TOUCH_OPTIONS, TouchOptions
 from skin.layout import Layout, require_sending
 from skin.ranges import require_above_zero
@@ -35,7 +37,9 @@ class DemoOptions:
     port
         Port of the web page, 0 for a free port; default 8765, or a free port if 8765 is in use.
     listen
-        Endpoint of the fabric's hub, to which other programs can connect; default: a free port of this machine.
+        Endpoint of the fabric's hub for other programs; default: a socket that only this user may open.
+    insecure
+        See ``skin gateway``.
     classify
         ``--no-classify`` runs without classifier, for example to record touches of own objects: no model is trained.
     model
@@ -58,6 +62,7 @@ class DemoOptions:
     view: bool = True
     port: int | None = None
     listen: str | None = None
+    insecure: Insecure = False
     classify: bool = True
     model: Path | None = None
     picture: Annotated[Path, Parameter(name=("--figure", "--picture"))] = Path("skin-demo.png")
@@ -72,6 +77,7 @@ class DemoOptions:
     def check(self, layout: Layout) -> None:
         """Raise InputError unless a run with these options is possible."""
         require_above_zero("--seconds", self.seconds)
+        check_listen(self.listen or DEFAULT_ENDPOINT, "demo", insecure=self.insecure)
         virtual_bit_rates(layout)
         if self.sync_rate is not None:
             require_sending(layout, "synchronous", "--sync-rate is", "stepped boards send as they have news")

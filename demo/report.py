@@ -119,10 +119,6 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
         Of the demo's process at the end, see `canskin.peers.Peer`; empty where it did not ask.
     doubtful_taxels : int
         Taxels in doubt at the end: their force may be an error of the zero (`docs/calibration.md`).
-    psnr_predicted_db, psnr_first_db : float or None
-        PSNR that `skin plan --quality` predicts of the first touches, and PSNR of their images in this run.
-    why_not_predicted : str
-        In what the run differed from its prediction; empty where the prediction is near.
     picture : str
         Path of the picture; absent without contact, or if the file could not be written.
     """
@@ -155,9 +151,6 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
     cores: int = 0
     scheduling: str = ""
     doubtful_taxels: int = 0
-    psnr_predicted_db: float | None = None
-    psnr_first_db: float | None = None
-    why_not_predicted: str = ""
     picture: str | msgspec.UnsetType = msgspec.UNSET
 
     @property
@@ -208,7 +201,6 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
             against = sensor if self.sensor_adds_noise else "what was played, which has no noise"
             over = f"over {self.contact_cycles} {words.moments}"
             rows.append(("image", f"{self.psnr_image_db:.1f} dB, against {against}, {over}"))
-        rows += self._rows_of_prediction()
         if self.label_accuracy is not None:
             came = f"; {self.labelled_ratio:.1%} got a label" if self.labelled_ratio is not None else ""
             rows.append(("label", f"right on {self.label_accuracy:.1%} of the {words.moments}{came}"))
@@ -226,12 +218,6 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
         if self.picture:
             rows.append(("picture", self.picture))
         return rows
-
-    def _rows_of_prediction(self) -> list[tuple[str, str]]:
-        if not self.why_not_predicted:
-            return []
-        both = f"{self.psnr_predicted_db:.1f} dB, {self.psnr_first_db:.1f} dB came of the same touches"
-        return [("image predicted", f"{both}: {self.why_not_predicted}")]
 
     def _rows_of_missing(self) -> list[tuple[str, str]]:
         if not self.frames_missing:

@@ -1,5 +1,6 @@
 """One run of the whole chain."""
 
+import secrets
 import shlex
 import time
 from collections.abc import Collection
@@ -17,6 +18,7 @@ from canskin.errors import InputError, RunError
 from canskin.fabric import Fabric
 from canskin.messages import GATEWAY, IMAGE, LABEL, MEASUREMENT, NODES, TRUTH, GatewayStatus
 from canskin.peers import Peer, Roll
+from canskin.session import UNIX
 from classifier.newest_sums import averaged_cycles
 from demo.options import DemoOptions
 from demo.picture import save_picture
@@ -25,7 +27,7 @@ from demo.rate import JUDGED_S, LEAST_PART, LEAST_RUN_S, SETTLED_S, at_rate, is_
 from demo.report import WORDS, Report
 from demo.score import Score
 from demo.supervisor import Supervisor
-from shell.service import StopSignal, Talk, listen, request_real_time, say, talks
+from shell.service import PAGE_TOKEN, StopSignal, Talk, listen, request_real_time, say, talks
 from shell.terminal import arguments, progress
 from skin.layout import Layout, layout_text
 from skin.psnr import adds_noise
@@ -50,7 +52,8 @@ class Run:
         self._options = options
         self.score = Score(layout)
         self._folder = folder
-        self._supervisor = Supervisor(folder)
+        self._page_token = secrets.token_urlsafe()
+        self._supervisor = Supervisor(folder, {PAGE_TOKEN: self._page_token})
         self._there = Roll()
         #: Services were started before, at another rate.
         self._has_begun = False
@@ -76,7 +79,7 @@ class Run:
         if stop.is_set():
             raise KeyboardInterrupt
         with ExitStack() as last:
-            endpoint, fabric = open_hub(self._layout.name, self._options.listen)
+            endpoint, fabric = open_hub(self._layout.name, self._options.listen, self._folder)
             last.callback(fabric.close)
             last.callback(self._supervisor.stop)
             self._fabric = fabric
@@ -210,7 +213,7 @@ class Run:
     def _follow(self, stop: StopSignal, endpoint: str) -> bool:
         """Show progress until the end of the run, or until the rate is not kept; tell whether it was."""
         if self._port is not None:
-            self._console.print(f"web page: http://127.0.0.1:{self._port}/")
+            self._console.print(f"web page: http://127.0.0.1:{self._port}/?token={self._page_token}", soft_wrap=True)
         self._console.print(f"fabric: {endpoint}", highlight=False)
         record = ["skin", "record", "run.mcap", "--connect", endpoint]
         self._console.print(
@@ -297,9 +300,9 @@ def _known_objects(touching: Collection[str]) -> list[str]:
     return [] if known == DEFAULT_OBJECTS else ["--objects", ",".join(known)]
 
 
-def open_hub(skin: str, listen: str | None) -> tuple[str, Fabric]:
-    """Open a fabric's hub at `listen`, or on a free loopback port; return its endpoint and the hub."""
-    endpoint = listen or f"tcp/127.0.0.1:{_free_port()}"
+def open_hub(skin: str, listen: str | None, folder: Path) -> tuple[str, Fabric]:
+    """Open a fabric's hub at `listen`, or on a socket in `folder`; return its endpoint and the hub."""
+    endpoint = listen or f"{UNIX}/{folder / 'hub'}"
     return endpoint, Fabric(skin, "demo", endpoint, hub=True)
 
 

@@ -14,7 +14,6 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from bandwidth.quality import TOUCHES_S
 from canskin.messages import (
     UNKNOWN_ERROR_NS,
     CycleMeasurement,
@@ -29,7 +28,6 @@ from demo.report import NodeMissing, Percentiles, Report
 from skin.ground_truth import ImagePairs, LabelPairs, Pairing, image_pairs, in_contact, label_pairs
 from skin.layout import Layout
 from skin.psnr import adds_noise, psnr_db
-from skin.sources import step_rate_hz
 
 #: Most nodes in a report when frames are missing.
 NODES_NAMED: Final = 16
@@ -101,8 +99,6 @@ class Score:
     _images: ImagePairs = field(init=False)
     _labels: LabelPairs = field(init=False)
     _measurements: Pairing[CycleMeasurement] = field(init=False)
-    #: PSNR of images of the touches that a prediction sees.
-    _first_db: list[float] = field(default_factory=list)
     _peak_n: float = 0.0
     _newest_ns: int = -1
     _lock: threading.Lock = field(default_factory=threading.Lock)
@@ -207,18 +203,11 @@ class Score:
         there_n = taxels.without_gaps(true)
         self.psnr_sensor_db.append(psnr_db(there_n, taxels.without_gaps(sensor), taxels.force_max_n))
         self.psnr_image_db.append(psnr_db(there_n, taxels.without_gaps(image_n), taxels.force_max_n))
-        if truth.step < TOUCHES_S * step_rate_hz(self.layout):
-            self._first_db.append(self.psnr_image_db[-1])
         self.contact_cycles += 1
         peak_n = float(true.max())
         self._peak_n = max(self._peak_n, peak_n)
         if peak_n >= FULL_CONTACT_RATIO * self._peak_n:
             self.snapshot = CycleImages(true, sensor, image_n)
-
-    @property
-    def first_db(self) -> float | None:
-        """PSNR of the images of the first `TOUCHES_S`; None without contact."""
-        return _mean(self._first_db)
 
     def _grid(self, content: bytes) -> npt.NDArray[np.float32]:
         return np.frombuffer(content, "<f4").reshape(self.layout.taxels.rows, self.layout.taxels.columns)

@@ -8,8 +8,8 @@ import numpy.typing as npt
 
 from evaluation.solvers.noiselet import Noiselet, noiselet
 from reconstructor.checks import Values
-from skin.measurement import Sbhe, sbhe
 from skin.operator import Operator
+from skin.phi import Sbhe, sbhe
 from skin.taxel import sense
 from touch.classification_poses import CLASSIFICATION_OBJECTS, PERTURBATIONS, observations
 from touch.coarse_arrays import averaged

@@ -22,7 +22,7 @@ from evaluation.schemes.sums import run_sums
 from reconstructor.bases.contourlet import LEVELS
 from reconstructor.settings import PAPER
 from skin.layout import load_layout
-from skin.measurement import sbhe
+from skin.phi import sbhe
 from skin.taxel import FORCE_MAX_N, NOISE_N
 from touch.classification_poses import OFFSETS_M, PERTURBATIONS, ROTATIONS_RAD
 from touch.coarse_arrays import ARRAYS, SIDE_M

@@ -10,7 +10,7 @@ from calibration.calibrator import LOOK_S, Calibrator
 from calibration.keeping import KeptZero
 from calibration.requests import Request, Requests
 from calibration.windows import Floats
-from canskin.calibration_messages import CalibrationReply, CalibrationRequest, CalibrationStatus
+from canskin.calibration_messages import CalibrationReply, CalibrationRequest, CalibrationStatus, ZeroRequest
 from canskin.errors import InputError
 from canskin.fabric import Reply
 from canskin.messages import Measurement, SteppedMeasurement
@@ -69,7 +69,7 @@ class GatewayCalibration:
         #: What is written to the nodes, for whom, and whether the gateway had offsets before.
         self._writing: tuple[NodeWriting, Request, bool] | None = None
 
-    def ask(self, request: CalibrationRequest, reply: Reply) -> None:
+    def ask(self, request: CalibrationRequest | ZeroRequest, reply: Reply) -> None:
         """Take a request; from any thread. What cannot be used is refused here, `tick` answers the rest."""
         self._requests.ask(request, reply)
 
@@ -145,10 +145,10 @@ class GatewayCalibration:
     def _take(self, asked: Request, masters: Mapping[int, NmtMaster], now_s: float) -> None:
         """Begin what is asked for; raise InputError if that cannot be done."""
         request, reply, stored = asked
-        if request.action == "tare":
-            self._requests.tare(request, reply, now_s)
-        elif stored is None:
+        if isinstance(request, ZeroRequest):
             self._show(reply)
+        elif stored is None:
+            self._requests.tare(request, reply, now_s)
         elif request.action == "write":
             self._writing = self._begin_writing(asked, stored, masters, now_s)
         else:

@@ -6,7 +6,7 @@ from pathlib import Path
 from bus.options import BusOptions, closing_links, open_links
 from calibration.calibrator import Tare
 from calibration.keeping import kept_zero
-from canskin.calibration_messages import CALIBRATION
+from canskin.calibration_messages import CALIBRATION, ZERO
 from canskin.description import DESCRIPTION
 from canskin.errors import InputError
 from canskin.session import DEFAULT_ENDPOINT
@@ -15,7 +15,7 @@ from gateway.calibration import GatewayCalibration
 from gateway.service import GatewayService
 from gateway.stepped_gathering import publishing_rates
 from shell.service import StopSignal, say
-from shell.skin_options import join
+from shell.skin_options import Insecure, check_listen, join
 from skin.calibration_file import load_calibration
 from skin.description import describe
 from skin.layout import load_layout, require_sending
@@ -27,6 +27,7 @@ def gateway(
     bus: BusOptions | None = None,
     listen: str = DEFAULT_ENDPOINT,
     connect: str | None = None,
+    insecure: Insecure = False,
     max_rate: float | None = None,
     min_rate: float | None = None,
     calibration: Path | None = None,
@@ -45,6 +46,8 @@ def gateway(
         Endpoint of the fabric's hub, which the gateway runs; the other services connect to this endpoint.
     connect
         Endpoint of another hub; the gateway then runs none.
+    insecure
+        The hub may serve a network without keys: everybody there can read the skin, tare it and send false images.
     max_rate
         Of steps: most measurements in a second, when there is news; 1 to 1000 Hz, by default 1000.
     min_rate
@@ -69,6 +72,8 @@ def gateway(
     skin gateway --keep-zero /var/lib/canskin/palm.json
     """
     stop = StopSignal().install()
+    if connect is None:
+        check_listen(listen, "gateway", insecure=insecure)
     skin = load_layout(layout)
     rates_hz = publishing_rates(max_rate, min_rate)
     if (max_rate, min_rate) != (None, None):
@@ -88,7 +93,8 @@ def gateway(
     answers = ThreadPoolExecutor(1, "calibration")
     calibrates = GatewayCalibration(contract, stored, tares=tare == "at-start", submit=answers.submit, keeps=keep_zero)
     fabric = join(skin, "gateway", connect or listen, hub=connect is None, stop=stop)
-    fabric.answer(CALIBRATION, calibrates.ask)
+    for question in (CALIBRATION, ZERO):
+        fabric.answer(question, calibrates.ask)
     about = describe(skin)
     fabric.answer(DESCRIPTION, lambda _request, reply: reply(about))
     say("gateway", f"{len(links)} bus{'es' * (len(links) != 1)}, SYNC {skin.sync.rate_hz:g} Hz")

@@ -1,4 +1,4 @@
-"""Health check: ``skin-alive SERVICE ENDPOINT [SKIN]`` ends with 0 if a service is on the fabric and does its work.
+"""Health check: ``skin-alive SERVICE [ENDPOINT [SKIN]]`` ends with 0 if a service is on the fabric and does its work.
 
 The gateway and the nodes work if blocks are measured, the reconstructor if images of measured blocks come, the
 classifier if labels of measured blocks come. Of any other service its presence is enough. SKIN is the name of a layout.
@@ -23,7 +23,7 @@ from canskin.messages import (
     Topic,
 )
 from canskin.peers import Peer
-from canskin.session import peers_at
+from canskin.session import DEFAULT_ENDPOINT, peers_at
 from shell.service import say
 
 #: Longest wait for the hub and the service.
@@ -49,7 +49,7 @@ WORK: Final[dict[str, tuple[Topic, Callable[[Any], bool]]]] = {
 }
 
 
-def trouble(service: str, endpoint: str, skin: str | None = None) -> str:
+def trouble(service: str, endpoint: str = DEFAULT_ENDPOINT, skin: str | None = None) -> str:
     """Return why `service`, with the hub at `endpoint`, is not healthy; empty if it is.
 
     Raises
@@ -88,8 +88,8 @@ def _works(service: str, endpoint: str, skins: set[str]) -> bool:
 
 def main() -> int:
     """Run the check; exit code 1: the service is absent or does not work, 2: wrong call."""
-    if len(sys.argv) not in {3, 4}:
-        say("skin-alive", "expected SERVICE ENDPOINT [SKIN], for example: nodes tcp/127.0.0.1:7447")
+    if len(sys.argv) not in {2, 3, 4}:
+        say("skin-alive", "expected SERVICE [ENDPOINT [SKIN]], for example: nodes tcp/127.0.0.1:7447")
         return 2
     try:
         text = trouble(*sys.argv[1:])

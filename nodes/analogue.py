@@ -8,7 +8,7 @@ from nodes.electronics import Electronics
 from skin.defects import NO_DEFECTS, Defects, Force
 from skin.frontend import SumConverter, SumModel, converter
 from skin.layout import Layout
-from skin.measurement import Sbhe
+from skin.phi import Sbhe
 from skin.taxel import NOISE_N
 
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Final
 
 from cyclopts import Parameter
 
@@ -27,6 +27,9 @@ from shell.service import say
 from shell.terminal import Json, print_json
 from skin.layout import Device, load_layout
 from skin.limits import read_file
+
+#: The first bytes of an ELF file, which holds a program and much else.
+_ELF: Final = b"\x7fELF"
 
 
 def contract(
@@ -82,9 +85,9 @@ def contract(
         raise InputError("expected --node with --firmware alone")
     if (program is None) != (release is None):
         raise InputError("expected --program FILE and --release VERSION together")
+    skin = load_layout(layout)
     if out is None and (layout is not None or not check):
         raise InputError("expected --out: the folder of the files, or the file of the program")
-    skin = load_layout(layout)
     if program is not None and release is not None and out is not None:
         lines = [_write_program(program, skin.device, release, out)]
     elif check:
@@ -122,6 +125,8 @@ def _write_program(binary: Path, device: Device, release: str, out: Path) -> str
     data = read_file(binary, InputError, "the program")
     if not data:
         raise InputError(f"{binary}: expected a compiled program, got an empty file")
+    if data.startswith(_ELF):
+        raise InputError(f"{binary}: expected what the processor runs, got an ELF file: objcopy -O binary makes it")
     check_new_path(out, "program")
     program = Program(device.vendor_id, device.product_code, REVISION, release, data)
     write_file(out, program.image)

@@ -9,7 +9,7 @@ from canskin.messages import Truth
 from dbc import indices as od
 from dbc.board_sums import PATTERN_OFF
 from nodes.electronics import Calibration
-from skin.measurement import Sbhe
+from skin.phi import Sbhe
 from skin.zero_drift import DRIFT_N_PER_K, REST_K
 
 #: When a synchronous node has to do something by itself: never.

@@ -23,6 +23,7 @@ from dbc.canopen import (
 from dbc.configuration import Setting
 from dbc.contract import NodeContract
 from dbc.dictionary import HEARTBEATS_WATCHED
+from dbc.frame import Frames, one_frame
 from dbc.objects import Object
 from nodes.emcy import EmcyProducer
 from nodes.hardware import Hardware
@@ -56,7 +57,7 @@ class SkinNode:
     ----------
     state : NmtState
     health : array of int, shape (4,)
-        SYNCs received, TPDOs sent, TPDOs dropped because of the window, saturated taxels (2020h).
+        SYNCs received, TPDOs sent, TPDOs dropped, saturated taxels (2020h).
     objects : NodeObjects
         The dictionary as it is now.
     tpdos : list of LiveTpdo
@@ -172,12 +173,14 @@ class SkinNode:
             for tpdo in self.tpdos:
                 payload = tpdo.at_event(now_s, self.local)
                 if payload is not None:
-                    self.send(tpdo, payload)
+                    self._outbox.post(self.tpdo_frame(tpdo, payload))
 
-    def send(self, tpdo: LiveTpdo, payload: bytes) -> None:
-        """Send one TPDO outside a burst."""
-        self._outbox.send_pdo(tpdo.cob_id, payload, self.contract.flags)
+    def tpdo_frame(self, tpdo: LiveTpdo, payload: bytes) -> Frames:
+        """Return the frame of a TPDO, which counts as sent."""
         self.health[1] += 1
+        frame = one_frame(tpdo.cob_id, payload, self.contract.flags)
+        frame["port"] = self.contract.node_id
+        return frame
 
     @property
     def pdo_ids(self) -> list[int]:
@@ -185,8 +188,9 @@ class SkinNode:
         return [tpdo.cob_id for tpdo in self.tpdos]
 
     def refused(self, cob_id: int) -> None:  # noqa: ARG002  all PDOs are alike
-        """Take note of a PDO that found no room in the transmit queue."""
+        """Take note of a PDO that found no room in the transmit queue: it was dropped, and not sent."""
         self.health[1] -= 1
+        self.health[2] += 1
 
     def expired(self, count: int) -> None:
         """Count and report PDOs that could not be sent within the window (1007h)."""

@@ -178,11 +178,7 @@ class Outbox(canopen.Network):
 
     def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:  # noqa: ARG002
         """Send one classic frame."""
-        self.send_pdo(can_id, data, 0)
-
-    def send_pdo(self, can_id: int, data: bytes, flags: int) -> None:
-        """Send a PDO in a frame with `flags` (`dbc.frame`)."""
-        frame = one_frame(can_id, data, flags)
+        frame = one_frame(can_id, data)
         frame["port"] = can_id & HIGHEST_NODE_ID
         self.post(frame)
 

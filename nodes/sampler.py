@@ -12,7 +12,7 @@ from nodes.analogue import AnalogueElectronics
 from nodes.electronics import Electronics
 from nodes.hardware import Hardware
 from skin.layout import Layout
-from skin.measurement import Sbhe
+from skin.phi import Sbhe
 from skin.sources import Frame, TaxelSource
 from skin.sync_counter import SYNC_OVERFLOW
 

@@ -182,16 +182,18 @@ class VirtualBoards:
     def _send_sums(self, counter: int, time_ns: int, sums: npt.NDArray[np.int32]) -> None:
         operational = np.array([node.state is NmtState.OPERATIONAL for node in self.nodes], np.bool_)
         burst = self._burst.frames(counter, sums, operational)
-        burst["time_ns"] = time_ns + REACTION_NS
-        burst["expires_ns"] = time_ns + self._window_ns[burst["port"]]
-        self._outbox.post(burst)
         for node, count in self._of_nodes(burst):
             node.health[1] += count
+        others = [burst]
         for node, tpdo in self._mixed:
             if node.state is NmtState.OPERATIONAL:
                 payload = tpdo.at_sync(counter, node.local)
                 if payload is not None:
-                    node.send(tpdo, payload)
+                    others.append(node.tpdo_frame(tpdo, payload))
+        burst = np.concatenate(others)
+        burst["time_ns"] = time_ns + REACTION_NS
+        burst["expires_ns"] = time_ns + self._window_ns[burst["port"]]
+        self._outbox.post(burst)
 
     def _judge_sync(self, listening: list[SkinNode], length: int) -> None:
         """Report a SYNC whose length does not agree with 1019h (CiA 301, 7.2.5.2: EMCY 8240h)."""

@@ -26,7 +26,7 @@ from reconstructor.kernels.variation import INNER
 from reconstructor.settings import Device, LibraryName, SolverSettings
 from shell.extras import not_installed
 from skin.matrix import MatrixPhi
-from skin.measurement import Sbhe, fast_hadamard
+from skin.phi import Sbhe, fast_hadamard
 from skin.surface import grid_surface
 
 Indices = npt.NDArray[np.intp]

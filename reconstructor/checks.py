@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from canskin.errors import InputError
-from skin.measurement import Sbhe
+from skin.phi import Sbhe
 
 Values = npt.NDArray[np.floating[Any]]
 

@@ -19,7 +19,7 @@ from reconstructor.settings import LIVE, SolverSettings
 from reconstructor.temporal_filter import TemporalFilter
 from skin.clipping import ClipCorrection
 from skin.matrix import MatrixPhi
-from skin.measurement import Phi, Sbhe
+from skin.phi import Phi, Sbhe
 from skin.surface import Surface
 
 #: Noise of one sum of 32 untouched taxels whose noise of 1 mN is clipped at 0: √(32 (1/2 - 1/2π)) mN.
@@ -134,7 +134,7 @@ class Reconstructor:
             Newtons; values of sums that are not valid have no effect.
         valid_sums : array of bool, shape (m,)
         phi : Phi, optional
-            That of these sums; needed where it changes from frame to frame (`skin.measurement.Phi.of_cycle`).
+            That of these sums; needed where it changes from frame to frame (`skin.phi.Phi.of_cycle`).
 
         Returns
         -------

@@ -15,7 +15,7 @@ from scipy.sparse import csr_array
 
 from skin.defects import SumGains
 from skin.frontend import LEAST_FELT, felt_by_sums
-from skin.measurement import Sbhe, fast_hadamard
+from skin.phi import Sbhe, fast_hadamard
 
 Floats = npt.NDArray[np.float32]
 Bools = npt.NDArray[np.bool_]

@@ -14,7 +14,7 @@ from skin.calibration_file import load_calibration
 from skin.layout import Layout, require_sending
 from skin.matrix import MatrixPhi
 from skin.measured_sums import MeasuredSums, decode_measurement
-from skin.measurement import Sbhe
+from skin.phi import Sbhe
 
 
 class CycleImager:

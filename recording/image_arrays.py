@@ -46,21 +46,15 @@ class ImageArrays:
         Raises
         ------
         RunError
-            If no block is valid in any image, or the file cannot be written.
+            If the file cannot be written.
         """
         shape = layout.taxels.rows, layout.taxels.columns
-        valid = stack([each.valid for each in self._images], np.bool_, (layout.blocks,))
-        if not valid.any():
-            raise RunError(
-                f"{about['source']}: no block is valid in any image: is this the skin's layout? Of a skin that sends"
-                " steps, a log must hold the start or a request of the gateway"
-            )
         metadata = {"layout": layout.name, "fingerprint": layout.phi().fingerprint, **about}
         with reasoned(RunError, f"{path}: the images cannot be written"), replacing(path) as file:
             np.savez(
                 file,
                 images=stack([each.pixels for each in self._images], "<f4", shape),
-                valid=valid,
+                valid=stack([each.valid for each in self._images], np.bool_, (layout.blocks,)),
                 time_ns=np.array(self._time_ns, np.int64),
                 cycle=np.array([each.cycle for each in self._images], np.int64),
                 recording=np.array(recording),

@@ -31,7 +31,7 @@ from recording.run_steps import steps_of
 from recording.sinks import McapSink
 from shell.output import check_new_path
 from shell.service import StopSignal, say
-from shell.skin_options import join
+from shell.skin_options import Insecure, check_listen, join
 from skin.description import describe
 from skin.layout import Layout, load_layout
 from skin.sources import DEFAULT_OBJECTS
@@ -47,6 +47,7 @@ def replay(
     speed: float | None = None,
     out: Path | None = None,
     listen: str | None = None,
+    insecure: Insecure = False,
     channel: Channels | None = None,
     solver: SolverOptions | None = None,
     model: Path | None = None,
@@ -75,6 +76,8 @@ def replay(
         ``metadata`` JSON.
     listen
         Endpoint of the hub; services connect to it as to the gateway. Default: that of ``skin gateway``.
+    insecure
+        See ``skin gateway``.
     channel
         Channels of a log, one per bus. Default: the names of the buses, else all channels in their order.
     solver
@@ -95,6 +98,7 @@ def replay(
     skin replay run.mcap --out images.npz --solver paper
     """
     _check(source, speed, out)
+    check_listen(listen or DEFAULT_ENDPOINT, "replay", insecure=insecure)
     stop = StopSignal().install()
     skin = load_layout(source if is_recording(source) and layout is None else layout)
     if channel and is_recording(source):
@@ -122,15 +126,18 @@ def replay(
     finally:
         if sink is not None and out is not None:
             sink.abandon()
-            if not played.report.measurements.made:
+            if not played.report.measured:
                 out.unlink(missing_ok=True)
         if fabric is not None:
             fabric.close()
     for line in played.report.lines():
         say("replay", line)
-    if not played.report.measurements.made and not stop.is_set():
-        raise RunError(f"{source}: gave no measurement: is this the skin's layout?")
-    if arrays is not None and out is not None and played.report.measurements.made:
+    if not played.report.measured and not stop.is_set():
+        raise RunError(
+            f"{source}: gave no measurement with a valid block: is this the skin's layout? Of a skin that sends"
+            " steps, a log must hold the start or a request of the gateway"
+        )
+    if arrays is not None and out is not None and played.report.measured:
         arrays.save(out, skin, recording_id(source), _about(source, skin, solver))
 
 

@@ -88,11 +88,14 @@ class Report:
 
     Attributes
     ----------
+    measured : int
+        Measurements with a valid block.
     measurements, images, labels : Agreement
         Measurements are compared byte for byte; images by their pixels (`recording.answers.same_pixels`), validity and
         number of sums; labels by all but their number.
     """
 
+    measured: int = 0
     measurements: Agreement = field(default_factory=Agreement)
     images: Agreement = field(default_factory=Agreement)
     labels: Agreement = field(default_factory=Agreement)
@@ -187,6 +190,7 @@ class Replay:
 
     def _take_measurement(self, step: MeasurementStep) -> None:
         self.publish(MEASUREMENT, step.measurement)
+        self.report.measured += any(step.measurement.valid)
         recorded = step.recorded
         self.report.measurements.add(None if recorded is None else _fields_that_differ(step.measurement, recorded))
         if step.makes_image:

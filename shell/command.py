@@ -11,7 +11,7 @@ from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import TYPE_CHECKING, Annotated, Final, Literal, get_args, get_origin
 
 from canskin.errors import InputError, RunError, SkinError, Stopped
 from shell.service import REAL_TIME_RATIO, Priority, Talk, set_priority, set_talk
@@ -203,7 +203,7 @@ def _run(arguments: Sequence[str]) -> int:
     except RunError as error:
         return _complain(error, FAILED)
     except (SkinError, cyclopts.CycloptsError) as error:
-        return _complain(error, WRONG_INPUT)
+        return _complain(_in_words(error), WRONG_INPUT)
     except Stopped:
         return 0
     except BrokenPipeError:
@@ -215,7 +215,24 @@ def _run(arguments: Sequence[str]) -> int:
     return status if isinstance(status, int) else 0
 
 
-def _complain(error: Exception, status: int) -> int:
+def _in_words(error: "SkinError | cyclopts.CycloptsError") -> Exception | str:
+    """Tell what a verb takes where a word is one too many, or its first word is missing."""
+    import cyclopts
+
+    if isinstance(error, SkinError):
+        return error
+    verb = " ".join(error.command_chain or ())
+    if isinstance(error, cyclopts.UnusedCliTokensError):
+        return f"{verb}: nothing takes {' '.join(error.unused_tokens or ())}; 'skin {verb} --help' explains"
+    argument = error.argument
+    if isinstance(error, cyclopts.MissingArgumentError) and argument is not None and not error.keyword:
+        choices = get_args(argument.hint)
+        expected = " or ".join(map(str, choices)) if get_origin(argument.hint) is Literal else argument.name.lstrip("-")
+        return f"{verb}: expected {expected}; 'skin {verb} --help' explains"
+    return error
+
+
+def _complain(error: Exception | str, status: int) -> int:
     """Print an error as one line and return `status`."""
     print(f"skin: {' '.join(str(error).split())}", file=sys.stderr)
     return status

@@ -32,6 +32,8 @@ WATCH_S: Final = 10.0
 NICENESS: Final = 10
 #: A service that waits checks the stop signal this often.
 LOOK_S: Final = 0.02
+#: Environment variable: token of the page, which the viewer draws otherwise.
+PAGE_TOKEN: Final = "SKIN_PAGE_TOKEN"  # noqa: S105 - its name
 #: Connections that may wait at a socket.
 _BACKLOG: Final = 64
 _IS_LINUX: Final = sys.platform.startswith("linux")
@@ -39,7 +41,7 @@ _IS_LINUX: Final = sys.platform.startswith("linux")
 PR_SET_PDEATHSIG: Final = 1
 
 
-class Priority(enum.Enum):
+class Priority(enum.StrEnum):
     """What services ask for: real time within `REAL_TIME_RATIO` of the cores, real time, ordinary scheduling."""
 
     AUTO = "auto"

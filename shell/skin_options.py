@@ -6,7 +6,7 @@ from collections.abc import Callable
 from contextlib import closing, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Annotated, Final
 
 import msgspec
 from cyclopts import Parameter
@@ -16,8 +16,9 @@ from canskin.description import LAYOUT, LayoutReply, LayoutRequest
 from canskin.errors import BusError, InputError, LayoutError, Stopped
 from canskin.fabric import Fabric
 from canskin.peers import Peer
-from canskin.session import DEFAULT_ENDPOINT, LOOK_S, Stop, Words, find_skin
+from canskin.session import DEFAULT_ENDPOINT, LOOK_S, Stop, Words, find_skin, is_open
 from recording import is_recording
+from shell.service import say
 from skin.difference import difference
 from skin.layout import Layout, layout_text, load_layout, parse_layout
 
@@ -27,6 +28,8 @@ PATIENCE_S: Final = 5.0
 SERVICE_PATIENCE_S: Final = 30.0
 #: Longest wait for a hub that is there already.
 GLANCE_S: Final = 0.5
+#: The option of a hub that may serve a network without keys.
+Insecure = Annotated[bool, Parameter(negative=())]
 _WORDS: Final = Words("--connect", "--skin NAME", "start 'skin gateway', or give --layout FILE")
 
 
@@ -41,7 +44,7 @@ class SkinOptions:
         TOML of the skin, a recording (.mcap) of the skin, or the name of a layout that comes with canskin; default: the
         layout that the hub tells. A service with ``--layout`` waits for its hub.
     connect
-        Endpoint of the fabric's hub, usually the gateway; default: tcp/127.0.0.1:7447.
+        Endpoint of the fabric's hub, usually the gateway; default: a socket that only this user may open.
     skin
         Name of the skin, where the hub has several, see ``skin list``.
     """
@@ -140,6 +143,18 @@ class SkinOptions:
                     " give another --connect"
                 )
             time.sleep(LOOK_S)
+
+
+def check_listen(endpoint: str, service: str, *, insecure: bool) -> None:
+    """Raise InputError if a hub at `endpoint` serves a network without keys; with `insecure` log a line in place."""
+    if not is_open(endpoint):
+        return
+    if not insecure:
+        raise InputError(
+            f"--listen {endpoint}: everybody on that network could read the skin, tare it and send false images:"
+            " expected tls/… and --keys FOLDER, an address of loopback, or --insecure"
+        )
+    say(service, f"{endpoint} has no keys: everybody on that network can read the skin, tare it and send false images")
 
 
 def join(

@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from skin.defects import Defects, Force, Stage, SumGains
 from skin.layout import Layout
-from skin.measurement import Sbhe
+from skin.phi import Sbhe
 
 #: A taxel or sum that feels less than this part is defective: no gain of the taxel is stored, and the sum is not used.
 LEAST_FELT: Final = 0.3

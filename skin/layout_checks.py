@@ -24,8 +24,7 @@ from skin.layout_keys import (
     Taxels,
 )
 from skin.matrix import KEY
-from skin.measurement import of_rows, sbhe
-from skin.patch_wiring import check_patch
+from skin.phi import of_rows, sbhe
 from skin.regions import regions_of
 from skin.sync_counter import SYNC_OVERFLOW
 from skin.ways_of_sending import STEPPED_SIZES
@@ -43,7 +42,7 @@ def check(layout: Layout, *, has_steps: bool = False) -> None:
     _check_shape(layout.taxels)
     if layout.taxels.there < TAXELS_MIN:
         raise LayoutError(f"expected {TAXELS_MIN} taxels or more, got {layout.taxels.there} - at `$.taxels`")
-    _check_positions(layout.taxels, layout.measurement)
+    _check_positions(layout.taxels)
     _check_untouchable(layout)
     _check_regions(layout)
     if (layout.measurement.ensemble == "matrix") != (layout.measurement.matrix is not None):
@@ -82,8 +81,6 @@ def _check_measurement(layout: Layout) -> None:
         raise LayoutError(f"boards from a file need 'file', got '{measurement.wiring}' - at `$.measurement.wiring`")
     if measurement.chains is not None:
         check_chains(measurement.chains, taxels.count, size, taxels.gaps)
-    has_gaps = taxels.there < taxels.count
-    check_patch(taxels.rows, taxels.columns, size, measurement.wiring, measurement.patch, has_gaps=has_gaps)
     numbers = taxels.count + most - taxels.there  # of taxels and empty places
     if numbers > PLACES_MAX:
         limit = f"expected at most {PLACES_MAX} taxels, gaps and empty places"
@@ -108,7 +105,7 @@ def _check_matrix(layout: Layout) -> None:
         "bus": (layout.bus, []),
         **{
             f"measurement.{key}": (getattr(measurement, key), getattr(drawn, key))
-            for key in ("block_size", "rows", "selection", "seed", "wiring", "chains", "patch")
+            for key in ("block_size", "rows", "selection", "seed", "wiring", "chains")
         },
     }.items():
         if got != expected:
@@ -134,7 +131,7 @@ def _check_shape(taxels: Taxels) -> None:
         raise LayoutError(f"expected {taxels.rows} lines (`rows`), got {len(taxels.shape)} - at `$.taxels.shape`")
 
 
-def _check_positions(taxels: Taxels, measurement: PhiParameters) -> None:
+def _check_positions(taxels: Taxels) -> None:
     count = len(taxels.positions or ())
     if taxels.positions is None:
         if taxels.columns > SIDE_MAX:
@@ -144,8 +141,6 @@ def _check_positions(taxels: Taxels, measurement: PhiParameters) -> None:
         raise LayoutError(
             "taxels at positions are no grid: leave rows, columns and shape out - at `$.taxels.positions`"
         )
-    if measurement.patch is not None:
-        raise LayoutError("taxels at positions have no regions of a grid: leave the key out - at `$.measurement.patch`")
     try:
         surface = taxels.surface
     except LayoutError as error:

@@ -12,8 +12,7 @@ from canskin.errors import InputError, LayoutError
 from skin.chains import MOST, order_of
 from skin.foreign import ForeignMessage
 from skin.matrix import MatrixPhi, entries_of
-from skin.measurement import Sbhe, of_rows, sbhe
-from skin.patch_wiring import within_patches
+from skin.phi import Sbhe, of_rows, sbhe
 from skin.surface import LINK_RATIO, Surface, grid_surface, surface_of_positions
 from skin.walsh import Indices, patches
 from skin.ways_of_sending import SENDINGS, Sending, SendingName
@@ -159,8 +158,6 @@ class PhiParameters(_Table, frozen=True, kw_only=True):
     wiring: Literal["scattered", "board", "file"] = "scattered"
     # Boards that exist: the taxels of each block by place, -1 for a place without one; in a file, the path of a CSV.
     chains: Annotated[tuple[tuple[int, ...], ...], msgspec.Meta(min_length=1)] | None = None
-    # Scattered blocks: side of the region that holds a block, taxels; without the key the whole skin.
-    patch: Literal[8, 16, 32, 64] | None = None
 
 
 class Sync(_Table, frozen=True, kw_only=True):
@@ -357,8 +354,6 @@ class Layout(_Table, frozen=True, kw_only=True):
             phi = replace(phi, order=order_of(drawn.chains, taxels.count, drawn.block_size))
         elif drawn.wiring == "board":
             phi = replace(phi, order=np.concatenate(self.patches()).ravel())
-        elif drawn.patch is not None:
-            phi = within_patches(phi, taxels.rows, taxels.columns, drawn.patch, self._held)
         return phi if drawn.rows is None else of_rows(phi, drawn.rows)
 
     def patches(self) -> list[Indices]:

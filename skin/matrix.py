@@ -16,8 +16,8 @@ import numpy.typing as npt
 
 from canskin.errors import InputError, LayoutError
 from skin.limits import check_unpacked, read_file
-from skin.measurement import Phi
 from skin.operator import check_vectors
+from skin.phi import Phi
 
 Entries = npt.NDArray[np.int8]
 

@@ -16,7 +16,7 @@ from canskin.messages import (
     SteppedMeasurement,
 )
 from canskin.sums import corrected_counts, doubtful_taxels
-from skin.measurement import Phi
+from skin.phi import Phi
 
 #: Shortest time between two log lines about refused measurements.
 COMPLAINT_PERIOD_S: Final = 10.0

@@ -22,7 +22,10 @@ _KINDS: Final = {
 _GONE: Final = {
     "identity": "went, because every frame now names its cycle: leave it out; logs and recordings of before cannot be"
     " used any more",
+    "recognition": 'went with the boards of two states: leave it out; boards rest with sending = "steps"',
 }
+#: Letters that a misspelt key shares with the key that was meant; "recognition" and "region" share 0.71.
+_NEAR_RATIO: Final = 0.75
 _BOUNDS: Final = {">=": "or more", "<=": "or less", ">": "or more, exclusive", "<": "or less, exclusive"}
 
 
@@ -51,7 +54,7 @@ def _unknown(found: re.Match[str], table: type, _keys: list[str], _value: Any) -
     if found[1] in _GONE:
         return f"the key `{found[1]}` {_GONE[found[1]]}"
     known = [field.encode_name for field in msgspec.structs.fields(table)]
-    near = difflib.get_close_matches(found[1], known, 1)
+    near = difflib.get_close_matches(found[1], known, 1, _NEAR_RATIO)
     expected = f"did you mean `{near[0]}`?" if near else f"expected one of {', '.join(known)}"
     return f"unknown key `{found[1]}`: {expected}"
 

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from canskin.errors import InputError
-from skin.measurement import fast_hadamard
+from skin.phi import fast_hadamard
 from skin.surface import Surface
 
 #: Rows of a group: `_GROUP_SHAPE` vertical and horizontal sequencies that follow each other.
@@ -63,12 +63,12 @@ def patches(surface: Surface, taxels: int, blocks: Sequence[int], gaps: Indices)
         positions = np.round(surface.positions_m[there, ::-1] / surface.pitch_m, 6)
         places = neighbours(positions, sum(blocks), taxels, surface.islands[there])
         flat = np.append(there, np.arange(count, count + places.size - there.size))[places]
-        bus_of = dealt(np.arange(len(flat)) % len(blocks), blocks)
+        bus_of = _dealt(np.arange(len(flat)) % len(blocks), blocks)
         return [flat[bus_of == bus] for bus in range(len(blocks))]
     cells = np.arange(count).reshape(rows // high, high, columns // wide, wide).swapaxes(1, 2)
     down, across = np.indices(cells.shape[:2])
     buses = len(blocks)
-    bus_of = dealt(((down + max(1, buses // 2) * across) % buses).ravel(), blocks)
+    bus_of = _dealt(((down + max(1, buses // 2) * across) % buses).ravel(), blocks)
     flat = cells.reshape(-1, taxels)
     return [flat[bus_of == bus] for bus in range(buses)]
 
@@ -159,7 +159,7 @@ def _rectangle(taxels: int) -> Indices:
     return np.concatenate([part.ravel() for part in parts])
 
 
-def dealt(wanted: Indices, blocks: Sequence[int]) -> Indices:
+def _dealt(wanted: Indices, blocks: Sequence[int]) -> Indices:
     """Return the bus of every block: the `wanted` bus, or the next that has room; `blocks` counts those of a bus."""
     left, bus_of, buses = list(blocks), np.empty(wanted.size, np.intp), len(blocks)
     for place, first in enumerate(wanted.tolist()):

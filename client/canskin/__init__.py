@@ -3,7 +3,7 @@
 Examples
 --------
 >>> import canskin
->>> with canskin.connect("tcp/127.0.0.1:7447") as skin:
+>>> with canskin.connect() as skin:
 ...     print(skin.latest().contacts)
 """
 

@@ -128,7 +128,7 @@ class CalibrationRequest(msgspec.Struct, frozen=True, kw_only=True):
     Attributes
     ----------
     action : str
-        ``tare``: measure the zero; ``show``: tell it; ``load``: use another; ``write``: write it to the nodes.
+        ``tare``: measure the zero; ``load``: use another; ``write``: write it to the nodes.
     force : bool
         Of ``tare``: whatever touches the skin is part of its zero.
     region : tuple of int, or str, optional
@@ -138,10 +138,14 @@ class CalibrationRequest(msgspec.Struct, frozen=True, kw_only=True):
         Of ``load`` and ``write``: a file of `skin.calibration_file`.
     """
 
-    action: Literal["tare", "show", "load", "write"]
+    action: Literal["tare", "load", "write"]
     force: bool = False
     region: Region | str | None = None
     content: bytes = b""
+
+
+class ZeroRequest(msgspec.Struct, frozen=True):
+    """Asks for the zero, and changes nothing."""
 
 
 class CalibrationReply(msgspec.Struct, frozen=True, kw_only=True):
@@ -155,7 +159,7 @@ class CalibrationReply(msgspec.Struct, frozen=True, kw_only=True):
         The result in words.
     status : CalibrationStatus or None
     content : bytes
-        Of ``show``: the calibration as a file of `skin.calibration_file`.
+        Of `ZERO`: the calibration as a file of `skin.calibration_file`.
     """
 
     is_done: bool
@@ -164,7 +168,10 @@ class CalibrationReply(msgspec.Struct, frozen=True, kw_only=True):
     content: bytes = b""
 
 
+#: Changes the zero.
 CALIBRATION: Final = Question("calibration", CalibrationRequest, CalibrationReply)
+#: Tells the zero. The rules of the hub see names of questions alone: hence two.
+ZERO: Final = Question("zero", ZeroRequest, CalibrationReply)
 #: Longest wait for an answer, but for that to ``write``: a zero takes seconds.
 ANSWER_S: Final = 15.0
 

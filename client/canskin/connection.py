@@ -33,7 +33,7 @@ def connect(endpoint: str = DEFAULT_ENDPOINT, skin: str | None = None, *, timeou
     Parameters
     ----------
     endpoint : str
-        Address of the skin's hub, such as ``tcp/192.168.1.20:7447``: ``skin gateway`` and ``skin demo`` print it.
+        Address of the skin's hub, as ``skin demo`` prints it; default: that of this user's ``skin gateway``.
     skin : str, optional
         Name of the skin; needed where a hub has several.
     timeout_s : float
@@ -48,7 +48,7 @@ def connect(endpoint: str = DEFAULT_ENDPOINT, skin: str | None = None, *, timeou
 
     Examples
     --------
-    >>> with canskin.connect("tcp/127.0.0.1:7447") as skin:
+    >>> with canskin.connect() as skin:
     ...     for frame in skin:
     ...         print(frame.label, [contact.force_n for contact in frame.contacts])
     """
@@ -71,7 +71,7 @@ def skins_at(endpoint: str = DEFAULT_ENDPOINT, *, timeout_s: float = 1.0) -> lis
     Parameters
     ----------
     endpoint : str
-        Address of the hub, which ``skin demo`` or ``skin gateway`` prints.
+        Address of the hub; see `connect`.
     timeout_s : float
         How long to wait for the first skin.
 

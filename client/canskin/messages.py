@@ -62,7 +62,7 @@ class Measurement(msgspec.Struct, frozen=True, kw_only=True):
         uint8, shape (blocks,): 1 if every sum of the block came in this cycle and its node is proven; stepped: if the
         block is fresh or quiet, and all its sums are known. Always 0 for a block that sends no sums.
     fingerprint : str
-        Fingerprint of the Φ of the sums (`skin.measurement.Sbhe.fingerprint`).
+        Fingerprint of the Φ of the sums (`skin.phi.Sbhe.fingerprint`).
     offsets : bytes
         int32, shape (m,), ADC counts: what an untouched skin reads. Empty if unknown; stepped: if nothing is settled.
     usable : bytes

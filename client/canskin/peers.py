@@ -30,7 +30,7 @@ class Peer(msgspec.Struct, frozen=True):
     version : str
         Version of canskin; empty if unknown.
     fingerprint : str
-        Fingerprint of its Φ (`skin.measurement.Sbhe.fingerprint`); empty for a service without Φ.
+        Fingerprint of its Φ (`skin.phi.Sbhe.fingerprint`); empty for a service without Φ.
     scheduling : str
         `REAL_TIME` or `ORDINARY`; empty until the service has asked for real time.
     """

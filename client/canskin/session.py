@@ -4,17 +4,35 @@ import json
 import math
 import os
 import re
+import socket
+import stat
+import tempfile
 import threading
 import time
 from collections.abc import Callable
+from ipaddress import ip_address
+from pathlib import Path
 from typing import Any, Final, NamedTuple, Protocol
 
 import zenoh
 
-from canskin.errors import BusError, Stopped, tell
+from canskin.errors import BusError, Stopped, reasoned, tell
 from canskin.peers import EVERY_KEY, Peer, peer_of_key
 
-DEFAULT_ENDPOINT: Final = "tcp/127.0.0.1:7447"
+
+def user_folder() -> Path:
+    """Return the folder of this user's sockets: below XDG_RUNTIME_DIR, else one per user."""
+    if runtime := os.environ.get("XDG_RUNTIME_DIR"):
+        return Path(runtime) / "canskin"
+    return Path(tempfile.gettempdir()) / f"canskin-{os.getuid()}"
+
+
+#: Zenoh's protocol of Unix sockets.
+UNIX: Final = "unixsock-stream"
+#: Longest path of a Unix socket, bytes.
+SOCKET_PATH_MAX: Final = 107
+#: A socket that only this user may open, so that other users of this machine are out; without Unix sockets loopback.
+DEFAULT_ENDPOINT: Final = f"{UNIX}/{user_folder() / 'hub'}" if hasattr(socket, "AF_UNIX") else "tcp/127.0.0.1:7447"
 #: After this time without a hub a service logs that it waits.
 SILENT_S: Final = 3.0
 #: A service that waits for the hub checks the stop signal at least this often.
@@ -27,8 +45,10 @@ LOOK_S: Final = 0.1
 MOST_STOPPED: Final = 128
 _RUNTIME: Final = f"(rx: (worker_threads: {MOST_STOPPED}), net: (worker_threads: {MOST_STOPPED}))"
 #: Protocols of zenoh's links; those before ``serial`` need a port.
-PROTOCOLS: Final = ("tcp", "udp", "tls", "quic", "ws", "serial", "unixpipe", "unixsock-stream", "vsock")
+PROTOCOLS: Final = ("tcp", "udp", "tls", "quic", "ws", "serial", "unixpipe", UNIX, "vsock")
 PROTOCOLS_WITH_PORT: Final = PROTOCOLS[:5]
+#: Whoever reaches the address may do everything.
+PROTOCOLS_WITHOUT_KEYS: Final = ("tcp", "udp", "ws", "vsock")
 HIGHEST_PORT: Final = 65535
 
 
@@ -45,7 +65,34 @@ def _check_endpoint(endpoint: str) -> None:
     port = address.rpartition(":")[2]
     has_port = re.fullmatch(r".+:\d+", address) and int(port) <= HIGHEST_PORT
     if protocol not in PROTOCOLS or not address or (protocol in PROTOCOLS_WITH_PORT and not has_port):
-        raise BusError(f"expected an endpoint such as {DEFAULT_ENDPOINT}, got '{endpoint}'")
+        raise BusError(f"expected an endpoint such as tcp/127.0.0.1:7447, got '{endpoint}'")
+    if protocol == UNIX and len(os.fsencode(address)) > SOCKET_PATH_MAX:
+        raise BusError(f"{address} is too long for a socket: expected up to {SOCKET_PATH_MAX} bytes")
+    if protocol == UNIX and endpoint == DEFAULT_ENDPOINT:
+        own_folder(Path(address).parent)
+
+
+def own_folder(folder: Path) -> None:
+    """Make a folder that only this user may open; raise BusError if others may open the folder that is there."""
+    with reasoned(BusError, f"{folder}: no folder for sockets"):
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        about = folder.lstat()
+    if not stat.S_ISDIR(about.st_mode) or about.st_uid != os.getuid() or about.st_mode & 0o077:
+        raise BusError(f"{folder} can be opened by other users: expected a folder of your own, with mode 0700")
+
+
+def is_loopback(host: str) -> bool:
+    """Tell whether a server bound to `host` is seen by programs of this machine alone."""
+    try:
+        return ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
+
+
+def is_open(endpoint: str) -> bool:
+    """Tell whether a hub that listens on an endpoint serves other machines without asking for a key."""
+    protocol, _, address = endpoint.partition("/")
+    return protocol in PROTOCOLS_WITHOUT_KEYS and not is_loopback(address.rpartition(":")[0].strip("[]"))
 
 
 def open_hub(endpoint: str) -> Any:
@@ -61,7 +108,9 @@ def open_hub(endpoint: str) -> Any:
     try:
         return zenoh.open(_config(endpoint, hub=True))
     except zenoh.ZError as error:
-        raise BusError(f"cannot listen on {endpoint}: {first_sentence(error)}") from None  # the message says all
+        # Zenoh locks a file beside a socket.
+        why = "another hub listens there" if "EAGAIN" in str(error) else first_sentence(error)
+        raise BusError(f"cannot listen on {endpoint}: {why}") from None  # the message says all
     finally:
         if is_ours:
             del os.environ["ZENOH_RUNTIME"]  # the processes that this process starts are no hubs

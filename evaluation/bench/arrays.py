@@ -12,7 +12,7 @@ from reconstructor.checks import Values
 from reconstructor.engine import make_solver
 from reconstructor.settings import PRESETS, Device, LibraryName
 from skin.layout import load_layout
-from skin.measurement import Sbhe
+from skin.phi import Sbhe
 from skin.taxel import sense
 from touch.contact import Grid, press_along
 from touch.objects import spheres_of

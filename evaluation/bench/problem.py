@@ -12,7 +12,7 @@ from reconstructor.bases import Basis
 from reconstructor.checks import Values
 from reconstructor.fista import fista, objective
 from skin.layout import load_layout
-from skin.measurement import Sbhe
+from skin.phi import Sbhe
 from skin.psnr import psnr_db
 from skin.taxel import sense
 from touch.contact import Grid, press_along

@@ -17,8 +17,8 @@ from reconstructor.engine import Solver, make_solver
 from reconstructor.fista import fista, largest_eigenvalue
 from reconstructor.kernels.contourlet import CompiledContourlet
 from reconstructor.settings import PAPER, PAPER_CONTOURLET, SolverSettings
-from skin.measurement import sbhe
 from skin.operator import Operator
+from skin.phi import sbhe
 from skin.psnr import psnr_series_db
 from skin.taxel import sense
 from touch.contact import Force

@@ -13,7 +13,7 @@ from evaluation.observations import LABELS, Split, all_rows, draw_split, drawn_s
 from evaluation.recognition.accuracy import FULL, score, trained
 from evaluation.result import Row
 from reconstructor.checks import Values
-from skin.measurement import Sbhe
+from skin.phi import Sbhe
 
 CYCLES: Final = 4
 LOST_RATIO: Final = 0.1

@@ -18,7 +18,7 @@ from reconstructor.engine import AVERAGED_SAMPLES, Reconstructor
 from reconstructor.kernels.graph import graph_of
 from reconstructor.settings import LIVE
 from reconstructor.walsh import VariationFilter
-from skin.measurement import Sbhe, sbhe
+from skin.phi import Sbhe, sbhe
 from skin.taxel import FORCE_MAX_N
 from touch.contact import Force
 

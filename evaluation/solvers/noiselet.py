@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from skin.measurement import seeded
 from skin.operator import check_vectors
+from skin.phi import seeded
 
 
 @cache

@@ -21,7 +21,7 @@ from reconstructor.kernels.addresses import (
 from reconstructor.kernels.graph import graph_of, in_runs
 from reconstructor.kernels.steps import Problem, Step, Table, aligned, deliver, memory_of, usable
 from reconstructor.settings import SolverSettings
-from skin.measurement import Sbhe
+from skin.phi import Sbhe
 from skin.ranges import require_number
 
 #: The order of pixels of a prior; of all others row by row.

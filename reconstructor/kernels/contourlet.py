@@ -23,7 +23,7 @@ from reconstructor.kernels.steps import Step, Table, aligned, deliver, gather, l
 from reconstructor.kernels.transforms import FAST_MATH, Flat, masked_gram
 from reconstructor.settings import SolverSettings
 from shell.compiled import njit
-from skin.measurement import Sbhe
+from skin.phi import Sbhe
 from skin.ranges import require_number
 
 

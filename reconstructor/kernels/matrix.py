@@ -20,7 +20,7 @@ from reconstructor.kernels.variation import INNER, denoise
 from reconstructor.settings import SolverSettings
 from shell.compiled import njit
 from skin.matrix import MatrixPhi
-from skin.measurement import Phi
+from skin.phi import Phi
 from skin.ranges import require_number
 
 

@@ -4,6 +4,7 @@ import json
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -12,11 +13,14 @@ import pytest
 from calibration.command import calibration, tare
 from canskin.calibration_messages import (
     CALIBRATION,
+    ZERO,
     CalibrationReply,
     CalibrationRequest,
     CalibrationState,
     CalibrationStatus,
+    ZeroRequest,
 )
+from canskin.description import LAYOUT as LAYOUT_QUESTION
 from canskin.errors import BusError, InputError, RunError
 from canskin.fabric import Fabric, Reply
 from canskin.question import Question
@@ -47,14 +51,15 @@ class Gateway:
     """A gateway that answers what it is told to."""
 
     def __init__(self, endpoint: str) -> None:
-        self.requests: list[CalibrationRequest] = []
+        self.requests: list[Any] = []
         self.is_done, self.stored = True, of_all()
         self.status: CalibrationStatus | None = STATUS
         self.of = SkinOptions(connect=endpoint)
         self.fabric = join(LAYOUT, "gateway", endpoint, hub=True)
-        self.fabric.answer(CALIBRATION, self._answer)
+        for question in (CALIBRATION, ZERO):
+            self.fabric.answer(question, self._answer)
 
-    def _answer(self, request: CalibrationRequest, reply: Reply) -> None:
+    def _answer(self, request: CalibrationRequest | ZeroRequest, reply: Reply) -> None:
         self.requests.append(request)
         content = encoded(self.stored)
         reply(CalibrationReply(is_done=self.is_done, text="words", status=self.status, content=content))
@@ -125,8 +130,10 @@ def test_the_calibration_of_a_gateway_is_shown_saved_and_loaded(
     calibration("load", path, of=gateway.of)
     assert capsys.readouterr().err == "calibration: words\n"
     calibration("load", path, of=gateway.of, to_nodes=True)
-    assert [each.action for each in gateway.requests] == ["show", "show", "load", "write"]
-    assert [wait_s for name, wait_s in waits_s if name == CALIBRATION.name] == [15, 15, 15, 300]
+    assert [getattr(each, "action", None) for each in gateway.requests] == [None, None, "load", "write"]
+    assert [each for each in waits_s if each[0] != LAYOUT_QUESTION.name] == [
+        *[(ZERO.name, 15), (ZERO.name, 15), (CALIBRATION.name, 15), (CALIBRATION.name, 300)]
+    ]
     assert parse_calibration(gateway.requests[-1].content, LAYOUT, "test") == load_calibration(path, LAYOUT)
 
 

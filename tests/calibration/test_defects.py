@@ -6,7 +6,7 @@ import pytest
 
 from calibration.defects import DefectFinder, Defects
 from calibration.windows import Window
-from skin.measurement import sbhe
+from skin.phi import sbhe
 from tests import surfaces
 from tests.calibration.helpers import LAYOUT, PHI
 

@@ -5,7 +5,7 @@ import numpy.typing as npt
 import pytest
 
 from calibration.field import SEEN_RATIO, Field, FieldFinder
-from skin.measurement import sbhe
+from skin.phi import sbhe
 from skin.surface import grid_surface, surface_of_positions
 from tests.calibration.helpers import COLUMNS, PHI, ROWS, pressed
 

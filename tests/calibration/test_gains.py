@@ -14,7 +14,7 @@ from recording.mcap_file import CALIBRATION_FILE, File, RecordingWriter
 from skin.calibration_file import StoredCalibration, encoded, load_calibration, new_calibration
 from skin.defects import Defects, Stage, SumGains
 from skin.frontend import with_gains
-from skin.measurement import fast_hadamard, sbhe
+from skin.phi import fast_hadamard, sbhe
 from skin.surface import surface_of_positions
 from tests import messages as make
 from tests import surfaces

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from calibration.windows import Window, WindowMeans, mean_window_s, tare_s
-from skin.measurement import sbhe
+from skin.phi import sbhe
 
 PHI = sbhe(64, 16, block_size=16)
 PERIOD_NS = 10_000_000

@@ -9,7 +9,7 @@ import pytest
 from classifier.model import Model
 from classifier.training import TrainingOptions, train
 from skin.layout import Layout
-from skin.measurement import Sbhe
+from skin.phi import Sbhe
 from tests.layouts import small_layout
 
 SMALL: Final = {"measurement": {"sums": 512}, "sync": {"rate_hz": 20.0}}

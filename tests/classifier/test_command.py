@@ -21,7 +21,7 @@ from classifier.modelfile import load_model, save_model
 from shell.skin_options import SkinOptions
 from skin import sources
 from skin.layout import Layout, load_layout
-from skin.measurement import Sbhe
+from skin.phi import Sbhe
 from skin.sources import load_touches
 from tests.classifier.conftest import SMALL, draw
 from tests.layouts import layout_toml

@@ -16,7 +16,7 @@ from classifier.newest_sums import HOLD_CYCLES
 from classifier.samples import simulate_sums
 from classifier.training import TrainingOptions, train
 from skin.layout import Layout
-from skin.measurement import Sbhe
+from skin.phi import Sbhe
 from tests.classifier.conftest import Touches, draw
 
 Sums = np.ndarray

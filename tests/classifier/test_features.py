@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from classifier.features import WIDTHS, Smoothed, widths_for
-from skin.measurement import Sbhe, sbhe
+from skin.phi import Sbhe, sbhe
 from skin.surface import surface_of_positions
 from tests import surfaces
 

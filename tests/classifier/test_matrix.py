@@ -10,7 +10,7 @@ from classifier.samples import simulate_sums
 from classifier.training import TrainingOptions, train
 from skin.layout import Layout
 from skin.matrix import MatrixPhi, signs_of
-from skin.measurement import sbhe
+from skin.phi import sbhe
 from skin.surface import grid_surface
 from tests.classifier.conftest import Touches
 from tests.layouts import small_layout

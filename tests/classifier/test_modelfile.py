@@ -17,7 +17,7 @@ from canskin.errors import ModelError
 from classifier.model import ARRAYS, Model
 from classifier.modelfile import load_model, save_model
 from skin.layout import Layout
-from skin.measurement import Sbhe
+from skin.phi import Sbhe
 
 Entries = dict[str, np.ndarray]
 

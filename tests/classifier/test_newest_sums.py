@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from classifier.newest_sums import HOLD_CYCLES, NewestSums, averaged_cycles
-from skin.measurement import Sbhe
+from skin.phi import Sbhe
 
 
 def test_a_lost_block_keeps_its_sums_for_some_cycles(phi: Sbhe) -> None:

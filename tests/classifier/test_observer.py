@@ -10,7 +10,7 @@ from classifier.features import widths_for
 from classifier.observer import Observer
 from classifier.samples import observe_untouched
 from skin.layout import Layout
-from skin.measurement import Sbhe
+from skin.phi import Sbhe
 from tests import surfaces
 
 

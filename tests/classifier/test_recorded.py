@@ -27,7 +27,7 @@ from classifier.samples import simulate_sums
 from dbc.contract import Contract
 from recording.sinks import McapSink
 from skin.layout import Layout
-from skin.measurement import Sbhe
+from skin.phi import Sbhe
 from tests import messages as make
 from tests.classifier.conftest import SMALL, draw
 from tests.documents import block

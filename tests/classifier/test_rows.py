@@ -6,7 +6,7 @@ import pytest
 
 from canskin.errors import InputError
 from classifier.rows import choose_rows, with_chosen_rows
-from skin.measurement import sbhe
+from skin.phi import sbhe
 from tests.layouts import small_layout
 
 PHI = sbhe(64, 64, block_size=8)

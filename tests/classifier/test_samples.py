@@ -8,7 +8,7 @@ from classifier.features import Float32
 from classifier.newest_sums import NewestSums, averaged_cycles
 from classifier.samples import FALSE_ALARM_RATIO, observe_untouched, simulate_means, simulate_sums
 from skin.layout import Layout
-from skin.measurement import Sbhe
+from skin.phi import Sbhe
 
 
 def test_without_noise_sums_are_phi_of_the_counts(layout: Layout, phi: Sbhe) -> None:

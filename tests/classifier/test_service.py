@@ -17,7 +17,7 @@ from classifier.service import ClassifierService, most_waiting
 from classifier.settling import Decision
 from shell.service import StopSignal
 from skin.layout import Layout, Sync
-from skin.measurement import Sbhe
+from skin.phi import Sbhe
 from tests import messages as make
 from tests.processes import PATIENCE_S
 

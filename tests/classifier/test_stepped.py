@@ -19,7 +19,7 @@ from classifier.service import SteppedClassifierService
 from classifier.training import TrainingOptions, train
 from classifier.used_sums import classified_phi
 from skin.layout import Layout
-from skin.measurement import places
+from skin.phi import places
 from tests.classifier.conftest import Touches, draw
 from tests.layouts import STEPPED, small_layout
 from tests.messages import stepped_measurement

@@ -13,7 +13,7 @@ from classifier.modelfile import load_model, save_model
 from classifier.samples import simulate_sums
 from classifier.training import TrainingOptions, train
 from skin.layout import Layout
-from skin.measurement import Sbhe
+from skin.phi import Sbhe
 from tests import surfaces
 
 Labelled = tuple[np.ndarray, np.ndarray]

@@ -28,11 +28,9 @@ needs_application = pytest.mark.skipif(not HAS_APPLICATION, reason="NOT TESTED: 
 def test_reading_of_a_running_skin(code: str, says: str, endpoint: str, capsys: pytest.CaptureFixture[str]) -> None:
     chain = Chain(endpoint)
     chain.start()
-    few = (
-        code.replace("tcp/127.0.0.1:7447", endpoint).replace("500", "20").replace(" in skin:", " in islice(skin, 20):")
-    )
+    few = code.replace("500", "20").replace(" in skin:", " in islice(skin, 20):")
     try:
-        exec(few.replace("tcp/127.0.0.1:7447", endpoint), {"islice": islice})  # noqa: S102
+        exec(few.replace("connect()", f'connect("{endpoint}")'), {"islice": islice})  # noqa: S102
     finally:
         chain.close()
     assert says in capsys.readouterr().out

@@ -67,7 +67,7 @@ def test_an_answer_to_someone_who_has_left_is_no_error(hub: Fabric, endpoint: st
     hub.answer(CALIBRATION, lambda _request, reply: replies.put(reply))
     other = Fabric("test", "other", endpoint)
     with pytest.raises(BusError, match="no service of skin 'test' answers"):
-        other.ask(CALIBRATION, CalibrationRequest(action="show"), 1.0)
+        other.ask(CALIBRATION, CalibrationRequest(action="tare"), 1.0)
     reply = replies.get(timeout=PATIENCE_S)
     other.close()
     for _ in range(2):  # the second is one too many
@@ -79,7 +79,7 @@ def test_an_answer_that_cannot_be_decoded_is_named(hub: Fabric, endpoint: str) -
     hub.answer(CALIBRATION, lambda _request, reply: reply(label(1)))
     other = Fabric("test", "other", endpoint)
     with pytest.raises(BusError, match="of another version of canskin"):
-        other.ask(CALIBRATION, CalibrationRequest(action="show"), PATIENCE_S)
+        other.ask(CALIBRATION, CalibrationRequest(action="tare"), PATIENCE_S)
     other.close()
 
 

@@ -10,7 +10,7 @@ from scipy.spatial.distance import cdist
 
 from commissioning.wiring_findings import MOMENTS, Finding, prove
 from skin.layout import Layout, load_layout, parse_layout
-from skin.measurement import Sbhe
+from skin.phi import Sbhe
 from skin.sources import Frame
 from skin.surface import Floats, Indices
 from skin.taxel import NOISE_N

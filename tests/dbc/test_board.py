@@ -13,7 +13,7 @@ from dbc.canopen import COB_ID_NO_RTR
 from dbc.codec import encode
 from dbc.configuration import signature
 from dbc.contract import Contract
-from skin.layout import load_layout, parse_layout
+from skin.layout import load_layout
 
 NAMES = ("default", "fd", "one-bus-12bit", "steps")
 
@@ -107,11 +107,3 @@ def test_the_signature_follows_from_the_table_and_the_list_of_the_documents(name
         for subindex, each in enumerate(tpdo.mapping, 1):
             put(mapping, subindex, each.index << 16 | each.subindex << 8 | each.bits)
     assert table.signature == signature((*where, data) for where, data in sorted(values.items()))
-
-
-def test_identity_is_that_of_the_layout() -> None:
-    text = "[taxels]\nrows = 16\ncolumns = 16\n[device]\nvendor_id = 0x2A\nproduct_code = 7\nfirst_serial = 100\n"
-    contract = Contract.from_layout(parse_layout(text.encode(), "palm.toml"))
-    tables = [board(contract, node) for node in contract.nodes]
-    assert {(each.vendor_id, each.product_code) for each in tables} == {(42, 7)}
-    assert [each.serial for each in tables] == list(range(100, 100 + len(tables)))

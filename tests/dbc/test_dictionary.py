@@ -60,18 +60,6 @@ def test_stepped_nodes_have_their_settings_and_no_sums() -> None:
     assert found[0x2022, None].pdo
 
 
-def test_names_count_from_one_and_taxels_from_zero() -> None:
-    found = objects(STEPPED_ARM)
-    names = [
-        (found[index, 1].name, found[index, most].name) for index, most in ((0x2032, 32), (0x2033, 32), (0x2110, 1))
-    ]
-    assert names == [
-        ("Noise of Haar coefficient 1", "Noise of Haar coefficient 32"),
-        ("Noise of the taxel at place 0", "Noise of the taxel at place 31"),
-        ("Word of part 1", "Word of part 1"),
-    ]
-
-
 def test_a_board_with_a_thermometer_has_a_temperature() -> None:
     assert (0x2036, None) not in objects(IN_CYCLES)
     for tables in (CYCLES, STEPPED):
@@ -79,23 +67,6 @@ def test_a_board_with_a_thermometer_has_a_temperature() -> None:
         assert told(found, 0x2036) == [(3, "ro", 0x7FFF)]
         manufacturer = [index for index, _ in found if index >= 0x2000]
         assert manufacturer == sorted(manufacturer)
-
-
-def test_synchronous_nodes_send_their_counter_and_all_sums_at_every_sync() -> None:
-    """The window is 99 % of 40 ms. 2005h: 12 bits, steps of 32, form 0, one block."""
-    found = objects(IN_CYCLES)
-    assert [found[index, None].value for index in (0x1006, 0x1007, 0x1019, 0x2005)] == [
-        40_000,
-        39_600,
-        240,
-        0x01_00_05_0C,
-    ]
-    rest = [(U8, "rw", 1), (U16, "rw", 0), (U16, "rw", 0), (U8, "rw", 0)]
-    assert told(found, 0x1800) == [(U8, "const", 6), (U32, "rw", 0x4000_0181), *rest]
-    mapped = [each.value for (index, _), each in found.items() if index == 0x1A00 and each.value]
-    assert mapped == [6, 0x2022_00_08, *(0x2100_00_0C | place << 8 for place in range(1, 6))]
-    assert told(found, 0x2022) == [(U8, "ro", 0)]
-    assert found[0x2022, None].pdo
 
 
 @pytest.mark.parametrize(

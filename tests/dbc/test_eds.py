@@ -171,19 +171,6 @@ def same_pdo(contract: Contract, node: NodeContract, tpdo: Any, got: Any) -> Non
     assert names == [f"Sum {tpdo.first_sum + place - start + 1}" for place, start in enumerate(starts)]
 
 
-def test_both_readers_find_the_same_values(tmp_path: Path) -> None:
-    contract = Contract.from_layout(LAYOUTS["default"])
-    (kind,) = node_types(contract)
-    path = written(contract, kind, tmp_path)
-    device, found = Device.from_dcf(path, {"NODEID": 9}), canopen.import_od(path, 9)
-    compared = 0
-    for each in flat(found):
-        if each.data_type not in {od.VISIBLE_STRING, od.REAL32, od.DOMAIN}:
-            assert device[each.index][each.subindex].parse_value() == each.default
-            compared += 1
-    assert compared > 100
-
-
 @pytest.mark.parametrize("bits", range(7, 17))
 def test_a_stock_stack_maps_the_counter_and_then_the_sums_of_any_width(bits: int, tmp_path: Path) -> None:
     """Names, places and lengths as canopen maps them from the DCF; Granularity is the unit of both lengths."""

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, FD_LENGTHS, REMOTE, Frames, frames
-from dbc.frame_bits import INTERMISSION_BITS, frame_time_ns, nominal_ns, padded_length, wire_bits
+from dbc.frame_bits import INTERMISSION_BITS, frame_time_ns, nominal_ns, wire_bits
 
 
 def frame(can_id: int, data: bytes = b"", flags: int = 0, length: int | None = None) -> Frames:
@@ -149,17 +149,6 @@ def test_fd_table(length: int, data_bits: int, worst_data_stuff: int, worst_us: 
     assert frame_time_ns(one, 1_000_000, 5_000_000, "worst")[0] == round(worst_us * 1000)
 
 
-def test_fd_without_switch_goes_at_the_nominal_rate() -> None:
-    nominal, fast = wire_bits(frame(0x181, bytes(64), FD), "none")
-    assert (nominal[0], fast[0]) == (29 + 550, 0)
-
-
-def test_lengths_without_a_dlc_are_padded() -> None:
-    assert list(padded_length(np.array([8, 9, 13, 33, 49, 64], np.uint8))) == [8, 12, 16, 48, 64, 64]
-    short, full = frame(0x181, bytes(40), FD | BRS), frame(0x181, bytes(48), FD | BRS)
-    assert wire_bits(short)[1][0] == wire_bits(full)[1][0]
-
-
 def test_error_reports_are_not_on_the_wire() -> None:
     for stuffing in ("none", "worst", "exact"):
         nominal, fast = wire_bits(frame(0x04, bytes(8), ERROR), stuffing)
@@ -172,11 +161,6 @@ def test_mixed_read_only_and_empty_input() -> None:
     nominal, fast = wire_bits(np.frombuffer(mixed.tobytes(), mixed.dtype))
     assert [(int(a[0]), int(b[0])) for a, b in one_by_one] == list(zip(nominal.tolist(), fast.tolist(), strict=True))
     assert wire_bits(frames(0))[0].shape == (0,)
-
-
-def test_time_is_bits_over_rate() -> None:
-    one = frame(0x80, b"\x01")
-    assert frame_time_ns(one, 500_000)[0] == wire_bits(one)[0][0] * 2000
 
 
 def test_the_kernel_reads_the_fields_where_the_record_has_them() -> None:

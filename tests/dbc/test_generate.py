@@ -1,8 +1,18 @@
-"""What is said of contract files that are others."""
+"""The contract files of the default skin, and what is said of files that are others."""
 
 from pathlib import Path
 
-from dbc.generate import drifted, write_files
+import pytest
+
+from dbc.contract import Contract
+from dbc.generate import DEFAULT_FOLDER, contract_files, drifted, write_files
+from skin.layout import load_layout
+
+
+@pytest.mark.heavy
+def test_committed_files_are_those_of_the_default_skin() -> None:
+    assert drifted(contract_files(Contract.from_layout(load_layout())), DEFAULT_FOLDER) == []
+    assert {path.name for path in DEFAULT_FOLDER.iterdir()} == {f"bus{bus}.dbc" for bus in range(4)} | {"skin.eds"}
 
 
 def test_files_that_differ_are_missing_or_too_many_are_named(tmp_path: Path) -> None:

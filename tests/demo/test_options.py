@@ -32,6 +32,7 @@ def options(folder: Path, **changes: Any) -> DemoOptions:
     [
         ({"seconds": 0.0}, "--seconds needs a number above 0"),
         ({"seconds": float("nan")}, "--seconds needs a number above 0"),
+        ({"listen": "tcp/0.0.0.0:7447"}, "--listen tcp/0.0.0.0:7447: everybody on that network could .* or --insecure"),
         ({"seed": -1}, "--seed: expected 0 or more"),
         ({"port": -3}, "--port: expected 0 to 65535, got -3"),
         ({"port": 65536}, "--port: expected 0 to 65535, got 65536"),

@@ -24,7 +24,7 @@ from nodes.electronics import Electronics
 from nodes.sampler import Sampler
 from nodes.segment import Segment
 from nodes.virtual_boards import VirtualBoards
-from skin.measurement import Sbhe
+from skin.phi import Sbhe
 from skin.sources import Frame
 from skin.sync_counter import SYNC_OVERFLOW
 from skin.taxel import to_counts

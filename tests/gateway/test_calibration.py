@@ -12,7 +12,13 @@ import pytest
 
 import gateway.calibration
 from calibration.calibrator import Calibrator
-from canskin.calibration_messages import CalibrationReply, CalibrationRequest, CalibrationState, ZeroSupport
+from canskin.calibration_messages import (
+    CalibrationReply,
+    CalibrationRequest,
+    CalibrationState,
+    ZeroRequest,
+    ZeroSupport,
+)
 from canskin.errors import InputError
 from canskin.messages import Measurement
 from canskin.sums import doubtful_taxels
@@ -38,7 +44,7 @@ class Asked:
         self.replies: list[CalibrationReply] = []
         self.told: list[Measurement] = []
 
-    def ask(self, request: CalibrationRequest) -> None:
+    def ask(self, request: CalibrationRequest | ZeroRequest) -> None:
         self.calibration.ask(request, self.replies.append)  # type: ignore[arg-type]
 
     def run(self, seconds: float, *, measured: bool = True) -> Measurement:
@@ -345,7 +351,7 @@ class Alone:
         self.calibration, self.now_s = GatewayCalibration(contract, tares=False), 0.0
         self.replies: list[CalibrationReply] = []
 
-    def ask(self, request: CalibrationRequest) -> None:
+    def ask(self, request: CalibrationRequest | ZeroRequest) -> None:
         self.calibration.ask(request, self.replies.append)  # type: ignore[arg-type]
         self.calibration.tick({}, self.now_s)
 
@@ -382,7 +388,7 @@ def test_what_the_nodes_have_is_told(small: Contract, writing: type[Writing], *,
     for values in ({"gains": [1.25] * 128}, {"taxel_offsets_n": [0.001] * 128}):
         wanted = msgspec.structs.replace(empty, **values)
         asked.ask(CalibrationRequest(action="write", content=encoded(wanted)))
-    asked.ask(CalibrationRequest(action="show"))
+    asked.ask(ZeroRequest())
     assert [each.is_done for each in asked.replies] == [is_complete, is_complete, True]
     told = parse_calibration(asked.replies[-1].content, small.layout, "test")
     assert told.gains == [1.25] * 128 * is_complete
@@ -394,7 +400,7 @@ def test_a_zero_that_is_awaited_counts_as_a_request_that_waits(small: Contract) 
     for _ in range(8):
         asked.ask(CalibrationRequest(action="tare"))
     assert asked.replies == []
-    asked.ask(CalibrationRequest(action="show"))
+    asked.ask(ZeroRequest())
     assert [each.text for each in asked.replies] == ["8 requests wait for an answer: ask again later"]
     asked.now_s = 7.9
     asked.calibration.tick({}, asked.now_s)
@@ -410,7 +416,7 @@ def test_show_tells_all_that_was_stored(small: Contract) -> None:
     )
     replies: list[CalibrationReply] = []
     calibration = GatewayCalibration(small, known, tares=False)
-    calibration.ask(CalibrationRequest(action="show"), replies.append)  # type: ignore[arg-type]
+    calibration.ask(ZeroRequest(), replies.append)  # type: ignore[arg-type]
     calibration.tick({}, 0.0)
     told = parse_calibration(replies[0].content, small.layout, "test")
     assert (told.gains, told.taxel_offsets_n, told.version) == ([1.25] * 128, [0.001] * 128, known.version)
@@ -439,7 +445,7 @@ def test_answers_are_given_in_another_thread(small: Contract) -> None:
     aside: list[Callable[[], None]] = []
     replies: list[CalibrationReply] = []
     calibration = GatewayCalibration(small, tares=False, submit=aside.append)
-    calibration.ask(CalibrationRequest(action="show"), replies.append)  # type: ignore[arg-type]
+    calibration.ask(ZeroRequest(), replies.append)  # type: ignore[arg-type]
     content = encoded(new_calibration(small.layout, offsets_n=np.zeros(32)))
     calibration.ask(CalibrationRequest(action="load", content=content), replies.append)  # type: ignore[arg-type]
     for _ in range(2):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from bus.options import BusOptions
-from canskin.calibration_messages import CALIBRATION, Question
+from canskin.calibration_messages import CALIBRATION, ZERO, Question
 from canskin.description import DESCRIPTION
 from canskin.errors import InputError
 from gateway import command
@@ -88,7 +88,7 @@ def test_it_answers_questions_about_its_calibration_and_its_skin(monkeypatch: py
     parts = Parts(monkeypatch)
     with pytest.raises(KeyboardInterrupt):
         command.gateway()
-    assert [each.name for each in parts.answered] == [CALIBRATION.name, DESCRIPTION.name]
+    assert [each.name for each in parts.answered] == [CALIBRATION.name, ZERO.name, DESCRIPTION.name]
 
 
 def test_a_calibration_of_another_skin_or_for_stepped_boards_is_refused(
@@ -128,3 +128,15 @@ def test_the_zero_of_an_earlier_run_is_used_and_that_of_this_run_is_kept_at_the_
     with pytest.raises(KeyboardInterrupt):
         command.gateway(keep_zero=path)
     assert "kept" in parts.closed
+
+
+@pytest.mark.parametrize("listen", ["tcp/0.0.0.0:7447", "tcp/[::]:7447"])
+def test_a_hub_for_a_network_without_keys_must_be_asked_for(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], listen: str
+) -> None:
+    Parts(monkeypatch)
+    with pytest.raises(InputError, match="or --insecure"):
+        command.gateway(listen=listen)
+    with pytest.raises(KeyboardInterrupt):
+        command.gateway(listen=listen, insecure=True)
+    assert f"gateway: {listen} has no keys: everybody on that network can read" in capsys.readouterr().err

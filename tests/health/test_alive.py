@@ -93,7 +93,7 @@ def test_a_service_is_healthy_while_its_messages_tell_of_measured_blocks(
 
 @pytest.mark.heavy
 def test_wrong_call_and_hub_that_is_not_there_are_told(endpoint: str) -> None:
-    for arguments, status, says in (([], 2, "expected SERVICE ENDPOINT"), (["gateway", endpoint], 1, "no hub at")):
+    for arguments, status, says in (([], 2, "expected SERVICE"), (["gateway", endpoint], 1, "no hub at")):
         done = subprocess.run([ALIVE, *arguments], capture_output=True, text=True, check=False)
         assert done.returncode == status
         assert says in done.stderr

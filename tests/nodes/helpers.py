@@ -105,14 +105,27 @@ def sdo(segment: Segment, link: ArrayLink, node_id: int, request: bytes) -> byte
     return answers[0][1]
 
 
-def write(segment: Segment, link: ArrayLink, index: int, sub: int, value: int, size: int) -> int:
-    """Write to node 1 by expedited SDO; return the abort code, 0 for none."""
-    request = struct.pack("<BHB", 0x23 | (4 - size) << 2, index, sub) + value.to_bytes(4, "little")
-    answer = sdo(segment, link, 1, request)
+def write_request(index: int, subindex: int, data: bytes) -> bytes:
+    """Return the SDO request that writes up to four bytes."""
+    return struct.pack("<BHB", 0x23 | (4 - len(data)) << 2, index, subindex) + data.ljust(4, b"\0")
+
+
+def read_request(index: int, subindex: int = 0) -> bytes:
+    """Return the SDO request that reads an object."""
+    return struct.pack("<BHB4x", 0x40, index, subindex)
+
+
+def abort_code(answer: bytes) -> int:
+    """Return the abort code of an answer of SDO, 0 for none."""
     return int(struct.unpack("<I", answer[4:])[0]) if answer[0] == 0x80 else 0
 
 
+def write(segment: Segment, link: ArrayLink, index: int, sub: int, value: int, size: int) -> int:
+    """Write to node 1 by expedited SDO; return the abort code, 0 for none."""
+    return abort_code(sdo(segment, link, 1, write_request(index, sub, value.to_bytes(size, "little"))))
+
+
 def read(segment: Segment, link: ArrayLink, node_id: int, index: int, sub: int = 0) -> int:
-    answer = sdo(segment, link, node_id, struct.pack("<BHB", 0x40, index, sub))
+    answer = sdo(segment, link, node_id, read_request(index, sub))
     assert answer[0] & 0xE0 == 0x40, answer.hex()
     return int.from_bytes(answer[4 : 8 - (answer[0] >> 2 & 3)], "little")

@@ -29,7 +29,7 @@ from skin.sources import Frame
 from skin.sync_counter import SYNC_OVERFLOW
 from tests.bus.harness import frame
 from tests.layouts import STEPPED_SKIN
-from tests.nodes.helpers import START, ArrayLink
+from tests.nodes.helpers import START, ArrayLink, abort_code, read_request, write_request
 
 IDS = (1, 2, 3, 4)
 #: From SYNC to SYNC, from slot to slot, and until all sums are set, a group in each slot, milliseconds.
@@ -191,11 +191,10 @@ class Bus:
         return answer["data"][:8].tobytes()
 
     def write(self, index: int, sub: int, data: bytes, node_id: int = 1) -> int:
-        answer = self.sdo(node_id, struct.pack("<BHB", 0x23 | (4 - len(data)) << 2, index, sub) + data)
-        return int(struct.unpack("<I", answer[4:])[0]) if answer[0] == 0x80 else 0
+        return abort_code(self.sdo(node_id, write_request(index, sub, data)))
 
     def read(self, index: int, sub: int = 0, node_id: int = 1) -> bytes:
-        answer = self.sdo(node_id, struct.pack("<BHB", 0x40, index, sub))
+        answer = self.sdo(node_id, read_request(index, sub))
         assert answer[0] & 0xE0 == 0x40, answer.hex()
         if answer[0] & 2:
             return answer[4 : 8 - (answer[0] >> 2 & 3)]

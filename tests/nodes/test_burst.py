@@ -97,41 +97,6 @@ def test_lost_frame_spoils_the_blocks_in_it_and_no_other(name: str) -> None:
     assert len(lost) == (4 if name == "fd" else 1)
 
 
-def test_frame_of_the_other_kind_is_foreign() -> None:
-    contract = made_of("fd")
-    burst = burst_of(contract, 0).frames(1, SUMS, np.ones(len(contract.nodes), np.bool_))
-    burst["flags"] = 0
-    collector = Collector(contract)
-    collector.open(1)
-    collector.take(0, burst, 0)
-    assert collector.counts.foreign == 32
-
-
-@pytest.mark.parametrize("offset_binary", [False, True])
-def test_remapped_pdo_of_12_bits_packs_like_the_codec(offset_binary: bool) -> None:
-    contract = made_of("small", sum_bits=12, offset_binary=offset_binary)
-    node = contract.nodes[2]
-    local = local_of(contract, node)
-    sums = SUMS[: contract.phi.shape[0]]
-    raw = contract.packing.raw(sums)
-
-    def read(index: int, subindex: int, **_: object) -> int | None:
-        place, first = od.split_block(index)
-        if index == od.SYNC_COUNTER:
-            return 1
-        if index < od.MANUFACTURER or first != od.SUMS or not subindex:
-            return None
-        return int(raw[contract.phi.starts[node.block + place] + subindex - 1])
-
-    local.add_read_callback(read)
-    burst = burst_of(contract, 0).frames(1, sums, np.ones(len(contract.on_bus(0)), np.bool_))
-    tpdos = read_tpdos(local, [each.number for each in node.tpdos])
-    assert len(tpdos) == 2
-    for tpdo in tpdos:
-        sent = burst[burst["can_id"] == tpdo.cob_id][0]
-        assert tpdo.payload(local) == sent["data"][: tpdo.length].tobytes()
-
-
 @pytest.mark.parametrize(("name", "limit"), [("default", CLASSIC_BYTES), ("fd", FD_BYTES)])
 def test_mapping_may_fill_a_frame_and_no_more(name: str, limit: int) -> None:
     contract = made_of(name)

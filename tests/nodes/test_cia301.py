@@ -21,13 +21,6 @@ def request(segment: Segment, link: ArrayLink, text: str) -> bytes:
     return sdo(segment, link, 1, bytes.fromhex(text.replace(" ", "")))
 
 
-@pytest.mark.parametrize("cob_id", [0x000, 0x080, 0x705, 0x001, 0x101, 0x600 + 1, 0x6E0, 0x580 + 1])
-def test_emcy_does_not_take_a_restricted_identifier(segment: Segment, link: ArrayLink, cob_id: int) -> None:
-    assert write(segment, link, 0x1014, 0, cob_id, 4) == Abort.VALUE
-    assert write(segment, link, 0x1014, 0, 0x8000_0000 | cob_id, 4) == 0
-    assert write(segment, link, 0x1014, 0, cob_id, 4) == Abort.VALUE
-
-
 def test_emcy_identifier_changes_only_while_it_is_off(segment: Segment, link: ArrayLink) -> None:
     assert write(segment, link, 0x1014, 0, 0xA1, 4) == Abort.STATE
     assert write(segment, link, 0x1014, 0, 0x8000_00A1, 4) == 0
@@ -54,13 +47,6 @@ def test_variable_has_no_subindex_but_0(segment: Segment, link: ArrayLink, index
     assert code(request(segment, link, f"40 {place} 01")) == Abort.NO_SUBINDEX
     assert code(request(segment, link, f"2f {place} 01 00")) == Abort.NO_SUBINDEX
     assert code(request(segment, link, "40 00 30 00")) == Abort.NO_OBJECT
-
-
-def test_one_node_is_watched_once(segment: Segment, link: ArrayLink) -> None:
-    assert write(segment, link, 0x1016, 1, 100 << 16 | 200, 4) == 0
-    assert write(segment, link, 0x1016, 2, 100 << 16 | 300, 4) == Abort.INCOMPATIBLE
-    assert write(segment, link, 0x1016, 1, 100 << 16 | 300, 4) == 0
-    assert write(segment, link, 0x1016, 2, 100 << 16, 4) == 0  # a time of 0 watches nobody
 
 
 def test_entry_for_a_node_id_above_127_is_not_used(segment: Segment, link: ArrayLink) -> None:

@@ -9,13 +9,11 @@ import pytest
 
 from canskin.errors import InputError
 from dbc.contract import Contract, NodeContract
-from nodes import command, sending
+from nodes import command
 from nodes.sampler import Sampler
-from nodes.steps.boards import SteppedBoards
 from shell import skin_options
 from shell.service import StopSignal
 from shell.touch_options import NO_TOUCH_OPTIONS, TouchOptions
-from skin.defects import Defects
 
 
 class Parts:
@@ -105,14 +103,6 @@ def test_simulated_touch_gets_noise_and_a_recording_none(parts: Parts, tmp_path:
     assert not calm.sample(1, 1).any()  # the first touch has not begun
 
 
-def test_stepped_boards_are_those_of_the_chosen_nodes(parts: Parts) -> None:
-    boards = parts.run(layout=Path("steps"), only=["bus0:3", "bus1:1"])
-    assert isinstance(boards, SteppedBoards)
-    contract = parts.service[0]
-    blocks = [node.block for node in contract.nodes if (node.bus, node.node_id) in {(0, 3), (1, 1)}]
-    assert [boards.counts(block).size for block in blocks] == [32, 32]
-
-
 @pytest.mark.parametrize(
     ("options", "words"),
     [
@@ -157,26 +147,6 @@ def test_boards_in_c_are_those_of_the_chosen_nodes_and_get_what_converters_read(
     assert compiled == [(parts.service[0], [(0, 1), (0, 2), (0, 4)])]
     assert parts.named == {"store": None, "unnumbered": True, "firmware": "compiled"}
     assert boards.sample(1, 0).shape == shape
-
-
-def test_stepped_boards_in_c_get_the_same_options_as_those_in_python(
-    parts: Parts, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    given: list[tuple[Any, dict[str, Any]]] = []
-
-    def patches(*arguments: Any, **named: Any) -> str:
-        given.append((arguments, named))
-        return "patches"
-
-    monkeypatch.setattr(command, "Firmware", lambda *_, **__: "compiled")
-    monkeypatch.setattr(sending, "FirmwarePatches", patches)
-    touch = TouchOptions(seed=4, defect=["dead=0.5"])
-    options = {"layout": Path("steps"), "only": ["bus0:3"], "noise_n": 0.002}
-    assert parts.run(touch, firmware=True, **options) == "patches"
-    ((contract, blocks, _, compiled), named) = given[0]
-    assert blocks == [node.block for node in contract.nodes if (node.bus, node.node_id) == (0, 3)]
-    assert compiled == "compiled"
-    assert named == {"noise_n": 0.002, "seed": 4, "defects": Defects.of({"dead": 0.5}, 4)}
 
 
 def test_a_recording_is_played_as_its_options_say(parts: Parts, tmp_path: Path) -> None:

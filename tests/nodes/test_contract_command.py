@@ -7,7 +7,6 @@ from pathlib import Path
 import pytest
 
 import dbc
-from dbc.generate import DEFAULT_FOLDER
 from dbc.program import Program
 from shell.command import main
 from tests.layouts import buses, layout_toml
@@ -29,15 +28,6 @@ def run(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
     with pytest.raises(SystemExit) as ended:
         main()
     return int(ended.value.code or 0)
-
-
-@pytest.mark.heavy
-def test_committed_files_are_those_of_the_default_skin(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run(monkeypatch, "--check") == 0
-    assert capsys.readouterr().out == ""
-    assert {path.name for path in DEFAULT_FOLDER.iterdir()} == {f"bus{bus}.dbc" for bus in range(4)} | {"skin.eds"}
 
 
 def test_contract_writes_all_files_and_check_names_those_that_drifted(
@@ -88,9 +78,13 @@ def test_program_gets_the_header_that_boards_ask_for(
         (["--node", "bus0:1", "--out", "x"], "expected --node with --firmware alone"),
         (["--program", "palm.toml", "--out", "x"], "expected --program FILE and --release VERSION together"),
         (["--program", "palm.toml", "--release", "1.1 of May", "--out", "x"], "expected 1 to 8 printable characters"),
+        (
+            ["--program", sys.executable, "--release", "1.1", "--out", "x"],
+            "got an ELF file: objcopy",
+        ),
         (["--program", "nowhere", "--release", "1.1", "--out", "x"], "nowhere: cannot read the program"),
         (["--check", "--out", "nowhere"], "nowhere: cannot read the contract files: No such file"),
-        (["nowhere.toml", "--out", "x"], "nowhere.toml: cannot read the layout"),
+        (["nowhere.toml"], "nowhere.toml: cannot read the layout"),
         (["--out", "palm.toml"], "cannot write the files"),
         ([str(Path(dbc.__file__)), "--out", "x"], "Expected '='"),
     ],

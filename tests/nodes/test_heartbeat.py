@@ -3,31 +3,6 @@
 from nodes.heartbeat import HeartbeatConsumer
 
 
-def test_consumer_watches_from_the_first_heartbeat_on() -> None:
-    consumer = HeartbeatConsumer()
-    consumer.watch([0x7F << 16 | 500, 3 << 16 | 100, 0, 9 << 16])
-    consumer.check(100.0)
-    assert not consumer.lost
-    consumer.heard(3, 100.0)
-    consumer.heard(4, 100.0)
-    consumer.check(100.09)
-    assert not consumer.lost
-    consumer.check(100.2)
-    assert consumer.lost == {3}
-    consumer.heard(3, 100.3)
-    assert not consumer.lost
-
-
-def test_watching_no_longer_forgets_the_loss() -> None:
-    consumer = HeartbeatConsumer()
-    consumer.watch([3 << 16 | 100])
-    consumer.heard(3, 0.0)
-    consumer.check(1.0)
-    consumer.watch([])
-    consumer.check(2.0)
-    assert not consumer.lost
-
-
 def test_consumer_waits_for_nobody_whose_loss_it_knows() -> None:
     """What is due says when to look next: a node that is gone must not keep it looking."""
     consumer = HeartbeatConsumer()
@@ -52,13 +27,3 @@ def test_time_of_an_entry_is_in_milliseconds_and_the_loss_comes_after_it() -> No
     assert consumer.lost == {1}
     consumer.heard(0x7F, 4.0)
     assert consumer.due_s == 4.0 + 65.535
-
-
-def test_another_entry_does_not_end_the_watch_on_a_node() -> None:
-    consumer = HeartbeatConsumer()
-    consumer.watch([3 << 16 | 100])
-    consumer.heard(3, 0.0)
-    consumer.watch([3 << 16 | 100, 4 << 16 | 100])
-    assert consumer.due_s == 0.1
-    consumer.check(0.2)
-    assert consumer.lost == {3}

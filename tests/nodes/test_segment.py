@@ -119,13 +119,16 @@ def give_sent(segment: Segment, link: ArrayLink, counter: int) -> Frames:
     return link.take_sent()
 
 
-def test_pdos_without_room_are_counted_as_dropped_and_not_as_sent(in_python: Segment, link: ArrayLink) -> None:
-    segment = in_python
+def test_pdos_without_room_are_counted_as_dropped_and_not_as_sent(segment: Segment, link: ArrayLink) -> None:
     give(segment, link, frame(0, bytes((START, 1))), frame(0, bytes((START, 2))))
     link.room = 3
     give(segment, link, sync(1))
     assert (segment.frames_sent, segment.frames_dropped) == (3, 1)
-    assert [read(segment, link, node_id, 0x2020, 2) for node_id in (1, 2)] == [2, 1]
+    link.room = 1 << 30
+    counts = [[read(segment, link, node_id, 0x2020, place) for place in (2, 3)] for node_id in (1, 2)]
+    assert sorted(counts) == [[1, 1], [2, 0]]
+    segment.tick(1e6)
+    assert not {0x81, 0x82} & {*link.take_sent()["can_id"]}
     assert [read(segment, link, node_id, 0x2020, 1) for node_id in (1, 2, 3)] == [1, 1, 0]
 
 

@@ -149,15 +149,6 @@ def test_corrections_and_patterns_take_effect_when_they_are_read() -> None:
     assert (board.counts[4] == TAXELS.count_max).all()
 
 
-@pytest.mark.parametrize("jump", [1, 2, 3])
-def test_steps_may_be_left_out(jump: int) -> None:
-    """A process that was late for some steps reads what the touch is now."""
-    board = sensors()
-    board.touch_from_ns = BEGIN_NS
-    for step in range(5, 60, jump):
-        assert sampled_at_ms(board, 10 * step + 5) == pytest.approx(10 * step + 5, abs=1.2)
-
-
 def test_before_the_touch_begins_the_sensors_show_their_offsets() -> None:
     made = Defects.of({"stuck": 0.1}, 4)
     model = TaxelModel(0.0, TAXELS.force_max_n, made)

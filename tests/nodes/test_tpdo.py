@@ -4,7 +4,7 @@ import pytest
 
 from nodes.sampler import Sampler
 from nodes.segment import Segment
-from nodes.tpdo import LiveTpdo, is_turn, read_tpdos
+from nodes.tpdo import LiveTpdo, is_turn
 from tests.bus.harness import frame
 from tests.nodes.helpers import START, ArrayLink, give, read, sync, write
 
@@ -121,41 +121,3 @@ def test_a_pdo_with_another_object_shows_it_as_it_is_now(segment: Segment, link:
         payload = dict(give(segment, link, arrived))[COB_ID]
         shown = read(segment, link, 1, 0x2100, 3) & 0x3FFF | register << 14
         assert payload == shown.to_bytes(3, "little")
-
-
-@pytest.mark.parametrize(("every", "is_plain"), [(0, False), (1, True), (240, True), (254, False), (255, False)])
-def test_cyclic_pdos_of_sums_are_sent_together(in_python: Segment, link: ArrayLink, every: int, is_plain: bool) -> None:
-    set_up(in_python, link, every=every)
-    assert first_tpdo(in_python).is_plain == is_plain
-    map_sum_and_error_register(in_python, link)
-    set_up(in_python, link, every=every)
-    assert not first_tpdo(in_python).is_plain
-
-
-def test_a_pdo_that_does_not_exist_hides_no_other(in_python: Segment) -> None:
-    found = read_tpdos(in_python.boards.nodes[0].local, (300, 2, 301, 1))
-    assert [tpdo.cob_id for tpdo in found] == [0x281, 0x181]
-
-
-@pytest.mark.parametrize(
-    ("cob_id", "entries"),
-    [
-        (0x8000_0181, (0x2100_010E,)),  # switched off
-        (0x181, ()),
-        (0x181, (0x2100_0108,)),  # half a sum
-        (0x181, (0x2100_010F,)),  # a bit more than a sum
-        (0x181, (0x2100_010E, 0x1018_0120)),  # no object for PDOs
-        (0x181, (0x2100_010E,) * 4 + (0x1001_0008,) * 2),  # nine bytes
-    ],
-)
-def test_a_pdo_that_cannot_be_sent_does_not_exist(in_python: Segment, cob_id: int, entries: tuple[int, ...]) -> None:
-    local = in_python.boards.nodes[0].local
-
-    def put(cob_id: int, entries: tuple[int, ...]) -> list[int]:
-        local.data_store[0x1800] = {1: cob_id.to_bytes(4, "little")}
-        packed = {place: entry.to_bytes(4, "little") for place, entry in enumerate(entries, 1)}
-        local.data_store[0x1A00] = {0: bytes((len(entries),)), **packed}
-        return [tpdo.length for tpdo in read_tpdos(local, (1,))]
-
-    assert put(0x181, (0x2100_010E, 0x2100_080E, 0x1001_0008)) == [5]
-    assert put(cob_id, entries) == []

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from skin.measurement import Sbhe
+from skin.phi import Sbhe
 from tests.reconstructor.helpers import LAYOUT, Scene, ball, sense
 
 

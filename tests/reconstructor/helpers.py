@@ -11,7 +11,7 @@ from canskin.errors import InputError
 from canskin.fabric import Mailbox
 from canskin.messages import IMAGE, Image, Measurement, Topic
 from skin.layout import Layout, load_layout
-from skin.measurement import Sbhe
+from skin.phi import Sbhe
 from skin.surface import grid_surface
 from tests import messages as make
 

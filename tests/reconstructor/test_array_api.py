@@ -17,7 +17,7 @@ from reconstructor.bases import wavelet_basis
 from reconstructor.engine import Reconstructor, make_solver
 from reconstructor.kernels.addresses import spin_shifts
 from reconstructor.settings import LIVE, PAPER, SPUN, VARIATION, SolverSettings
-from skin.measurement import Sbhe, sbhe
+from skin.phi import Sbhe, sbhe
 from tests.reconstructor.helpers import Scene, graphs
 from tests.reconstructor.reference import Shrinkage, fista_image
 

@@ -6,7 +6,7 @@ import pytest
 from canskin.errors import InputError
 from reconstructor.engine import Reconstructor
 from skin.clipping import ClipCorrection, clipped_mean
-from skin.measurement import Sbhe
+from skin.phi import Sbhe
 from tests.reconstructor.helpers import NOISE_N, Scene, psnr_db, sense
 
 ALL_VALID = np.ones(1024, np.bool_)

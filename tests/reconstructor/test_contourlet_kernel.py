@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from reconstructor.fista import fista
 from reconstructor.kernels.contourlet import CompiledContourlet, ContourletSolver
 from reconstructor.settings import SolverSettings
-from skin.measurement import sbhe
+from skin.phi import sbhe
 from tests.reconstructor.plain_contourlet import PlainContourlet
 
 

@@ -8,7 +8,7 @@ import pytest
 from canskin.errors import InputError
 from reconstructor.engine import TURNS_PENALTY, Reconstructor
 from reconstructor.settings import LIVE, PAPER, PAPER_CONTOURLET, SPUN, VARIATION, SolverSettings, preset
-from skin.measurement import Sbhe
+from skin.phi import Sbhe
 from tests.reconstructor.helpers import Scene, ball, psnr_db, sense
 
 ALL_VALID = np.ones(1024, np.bool_)

@@ -5,7 +5,7 @@ import pytest
 
 from reconstructor.bases import WaveletBasis, wavelet_basis
 from reconstructor.fista import fista, largest_eigenvalue, momentum, objective, soft
-from skin.measurement import sbhe
+from skin.phi import sbhe
 from tests.reconstructor.plain_contourlet import PlainContourlet
 from tests.reconstructor.reference import Shrinkage, Variation, fista_image
 

@@ -15,7 +15,7 @@ from reconstructor.kernels.addresses import spin_shifts
 from reconstructor.kernels.haar import HaarSolver
 from reconstructor.kernels.variation import VariationSolver
 from reconstructor.settings import SolverSettings
-from skin.measurement import Sbhe, sbhe
+from skin.phi import Sbhe, sbhe
 from skin.surface import grid_surface
 from tests.reconstructor.helpers import graphs
 from tests.reconstructor.reference import Proximal, Shrinkage, Variation, fista_image

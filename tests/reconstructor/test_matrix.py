@@ -12,7 +12,7 @@ from reconstructor.service import ReconstructorService
 from reconstructor.settings import LIVE, PAPER, PRESETS, VARIATION
 from skin.layout import parse_layout
 from skin.matrix import MatrixPhi, signs_of
-from skin.measurement import sbhe
+from skin.phi import sbhe
 from skin.surface import Surface, grid_surface, surface_of_positions
 from tests.layouts import layout_toml
 from tests.messages import measurement

@@ -9,7 +9,7 @@ import pytest
 
 from reconstructor.engine import Reconstructor
 from reconstructor.settings import LIVE, PAPER, SolverSettings
-from skin.measurement import Sbhe
+from skin.phi import Sbhe
 from tests.reconstructor.helpers import FORCE_MAX_N, psnr_db
 
 POSTURES = (1, 9, 13, 17)

@@ -17,7 +17,7 @@ from reconstructor.kernels.haar import HaarSolver
 from reconstructor.kernels.variation import VariationSolver
 from reconstructor.settings import SolverSettings
 from skin.matrix import MatrixPhi
-from skin.measurement import sbhe
+from skin.phi import sbhe
 from tests.reconstructor.helpers import INF, NAN, one_line, spoilt
 
 PHI = sbhe(256, 64, block_size=16, seed=3)

@@ -13,7 +13,7 @@ import pytest
 from rich.console import Console
 
 from canskin.errors import InputError
-from shell.command import GROUPS, VERBS, build_app, docstring, examples, summary
+from shell.command import GROUPS, VERBS, build_app, docstring, examples, main, summary
 from shell.service import RateLimitedLog, Talk, say, set_talk
 
 
@@ -72,7 +72,7 @@ def test_a_group_tells_of_its_verbs(group: str) -> None:
 @pytest.mark.parametrize("verb", VERBS)
 def test_help_shows_no_option_that_nobody_would_write(verb: str) -> None:
     shown = help_of(*verb.split(), "--help")
-    nonsense = r"--empty-\S*|--no-no\S*|\[default: (?:\"\"|\[\]|False|None|)\]"
+    nonsense = r"Priority\.|--empty-\S*|--no-no\S*|\[default: (?:\"\"|\[\]|False|None|)\]"
     assert re.findall(nonsense, shown) == []
     assert "--quiet -q" in shown
 
@@ -101,6 +101,29 @@ def test_quiet_and_verbose(option: str, lines: int, capsys: pytest.CaptureFixtur
 def test_verbose_and_quiet_contradict_each_other() -> None:
     with pytest.raises(InputError, match="--verbose or --quiet"):
         build_app().meta(["-v", "-q", "view"])
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("layout", "layout: expected new or check or settings or draw; 'skin layout --help' explains"),
+        ("bench", "bench: expected reconstruct or gateway or chain or classify; 'skin bench --help' explains"),
+        ("replay", "replay: expected source; 'skin replay --help' explains"),
+        ("demo cup --no-view", "demo: nothing takes cup; 'skin demo --help' explains"),
+        ("layout nothing", 'Invalid value "nothing" for ACTION'),
+        ("nothing", 'Unknown command "nothing"'),
+        ("tare --region", "requires an argument"),
+    ],
+)
+@pytest.mark.filterwarnings("ignore:Cyclopts application invoked without tokens")
+def test_a_wrong_word_is_one_line_and_exit_code_2(
+    words: str, said: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["skin", *words.split()])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    (line,) = capsys.readouterr().err.splitlines()
+    assert (ended.value.code, said in line) == (2, True)
 
 
 @pytest.mark.usefixtures("talk")

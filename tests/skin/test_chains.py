@@ -142,7 +142,6 @@ def test_positions_may_name_the_boards(tmp_path: Path) -> None:
         (HEADER, [], "", "expected a line for each taxel, got none"),
         (HEADER, strip_lines(boards=False), "rows = 3", "are no grid: leave rows"),
         (HEADER, strip_lines(boards=False), "pitch_m = 0.1", "expected the median spacing, 0.004"),
-        (HEADER, strip_lines(boards=False), "[measurement]\npatch = 8", "no regions of a grid"),
         (f"{HEADER},board,place", ["0,0,0,0,0", "0.004,0,0,0,0"], "", "line 3: place 0 of board 0 is named twice"),
         (f"{HEADER},board", ["0,0,0,-1"], "", "whole numbers from 0 to 65535 as board, got -1"),
     ],

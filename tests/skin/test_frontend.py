@@ -9,7 +9,7 @@ from canskin.errors import InputError, LayoutError
 from skin.defects import Defects, parse_defects
 from skin.frontend import SumModel, converter
 from skin.layout import Layout, load_layout, parse_layout
-from skin.measurement import fast_hadamard
+from skin.phi import fast_hadamard
 
 LAYOUT = load_layout(Path("analogue"))
 PHI = LAYOUT.phi()

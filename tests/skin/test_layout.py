@@ -55,9 +55,6 @@ def test_same_layout_same_phi_and_another_seed_another() -> None:
         ("rows = 64", "rowz = 64", "$.taxels"),
         ("adc_bits = 10", "adc_bits = 17", "$.taxels.adc_bits"),
         ("block_size = 32", "block_size = 33", "$.measurement.block_size"),
-        ("block_size = 32", "block_size = 32\npatch = 12", "$.measurement.patch"),
-        ("block_size = 32", "block_size = 128\npatch = 8", "$.measurement.patch"),
-        ("block_size = 32", "block_size = 32\npatch = 16\nwiring = 'board'", "$.measurement.patch"),
         ("sums = 1024", "sums = 1000", "$.measurement.sums"),
         ("sums = 1024", "sums = 0", "$.measurement.sums"),
         ("sums = 1024", "sums = 2\nrows = [[0, 1]]", "$.measurement.sums"),
@@ -111,7 +108,7 @@ def test_errors_name_the_path(old: str, new: str, path: str) -> None:
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("more", ["", "patch = 16", "wiring = 'board'"])
+@pytest.mark.parametrize("more", ["", "wiring = 'board'"])
 def test_layout_that_names_its_rows(more: str) -> None:
     def with_lines(lines: str) -> Layout:
         return parse_layout(DEFAULT.replace("sums = 1024", f"{lines}\n{more}").encode(), "palm.toml")
@@ -170,12 +167,12 @@ def test_small_skin() -> None:
             "[sync]\nidentity = 'window'",
             "the key `identity` went, because every frame now names its cycle: leave it out; logs and recordings of ",
         ),
-        ("block_size = 32", "block_size = 32\npatch = 12", "expected 8 or 16 or 32 or 64, got 12"),
-        ("block_size = 32", "block_size = 128\npatch = 8", "8 x 8 taxels are fewer than the 128 of a block: got 8"),
         ('ensemble = "sbhe"', 'ensemble = "dct"', 'expected sbhe or matrix, got "dct"'),
         ('selection = "balanced"', 'selection = "any"', 'expected balanced or uniform, got "any"'),
         ('name = "bus1"', 'name = "bus1"\nblocks_per_node = 3', "expected 1 or 2 or 4 or 8, got 3"),
         ("rows = 64", "rowz = 64", "unknown key `rowz`: did you mean `rows`?"),
+        ("[sync]", "[recognition]", "the key `recognition` went with the boards of two states"),
+        ("[sync]", "[recog]", "unknown key `recog`: expected one of name, "),
         ("[taxels]", "[taxel]", "unknown key `taxel`: did you mean `taxels`?"),
         (
             "rows = 64",
@@ -339,10 +336,6 @@ def test_the_wiring_does_not_depend_on_the_pitch(name: str) -> None:
         (
             "[taxels]\npositions = [" + ", ".join(f"[{4 * x}, 0, 0]" for x in range(9)) + "]",
             r"x\.toml: taxels are 4 m apart: .* millimetres.* - at `\$\.taxels\.positions`",
-        ),
-        (
-            "[taxels]\nshape = ['#######.'" + ", '########'" * 7 + "]\n[measurement]\npatch = 8",
-            "a grid with gaps has no regions of 8 x 8",
         ),
         ("[taxels]\nshape = ['####....'" + ", '########'" * 3 + "]\nuntouchable = [4]", None),
     ],

@@ -9,7 +9,7 @@ from canskin.messages import Measurement, SteppedMeasurement
 from canskin.sums import doubtful_taxels
 from skin import measured_sums
 from skin.measured_sums import MeasurementReader, decode_measurement, decode_stepped
-from skin.measurement import sbhe
+from skin.phi import sbhe
 from tests import messages as make
 
 PHI = sbhe(64, 16, block_size=8)

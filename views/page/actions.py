@@ -12,7 +12,7 @@ from canskin.fabric import Fabric
 from canskin.messages import MARK, Mark, check_label
 from views.page.feed import Feed
 from views.page.playback import SPEED_MAX, SPEED_MIN, Playback
-from views.page.recorder import RecorderProcess
+from views.page.record_process import RecorderProcess
 
 #: All names.
 ACTIONS: Final = ("tare", "record", "mark", "play")

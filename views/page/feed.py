@@ -14,7 +14,7 @@ from health.snapshot import Pictures, Snapshot
 from health.state import TOPICS, ViewState
 from skin.layout import Layout
 from views.page.history import History
-from views.page.recorder import RecorderProcess
+from views.page.record_process import RecorderProcess
 from views.page.wire import frame
 
 #: While nobody looks, messages are decoded together after this time: one by one they take several times as long.

@@ -1,11 +1,10 @@
 """``skin ros2``: a running skin on ROS 2's wire, without ROS."""
 
 from contextlib import closing
-from typing import Annotated, Literal
+from typing import Annotated, Final, Literal
 
 from cyclopts import Parameter
 
-from canskin.session import DEFAULT_ENDPOINT
 from shell.service import StopSignal, say
 from shell.skin_options import SkinOptions
 from skin.layout import require_boards
@@ -15,11 +14,14 @@ from views.ros2.node import SERVICE, RosNode
 from views.ros2.topics import ROS_TOPICS
 from views.ros2.types import store
 
+#: Of ROS on this machine, as `rmw_zenohd` listens.
+ROUTER: Final = "tcp/127.0.0.1:7447"
+
 
 def ros2(
     *,
     of: SkinOptions | None = None,
-    router: str = DEFAULT_ENDPOINT,
+    router: str = ROUTER,
     domain: int | None = None,
     namespace: Annotated[str | None, Parameter(name=("--namespace", "--ns"))] = None,
     frame: str | None = None,

@@ -32,7 +32,7 @@ class CanskinCamera(Camera):
 
     Examples
     --------
-    >>> with CanskinCamera(CanskinCameraConfig(endpoint="tcp/127.0.0.1:7447", window=4)) as camera:
+    >>> with CanskinCamera(CanskinCameraConfig(window=4)) as camera:
     ...     print(camera.read().shape, camera.touch.force_n.max())
     """
 

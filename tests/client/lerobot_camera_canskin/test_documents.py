@@ -19,7 +19,7 @@ def test_touch_of_a_running_skin_is_recorded_and_read(
     monkeypatch.chdir(tmp_path)
     live_chain.start()
     config = f'endpoint="{live_chain.endpoint}", timeout_s=20.0, max_age_ms=20_000'
-    record = RECORD.replace('endpoint="tcp/127.0.0.1:7447"', config).replace("async_read()", "async_read(20_000)")
+    record = RECORD.replace("Config(", f"Config({config}, ").replace("async_read()", "async_read(20_000)")
     exec(record.replace("range(90)", "range(12)").replace("1 / 30", "0"), {})  # noqa: S102 - our own page
     exec(READ, {})  # noqa: S102
     said = capsys.readouterr().out

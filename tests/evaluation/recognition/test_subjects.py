@@ -15,7 +15,7 @@ from evaluation.recognition.live import measure_live
 from evaluation.recognition.methods import METHODS, measure_method
 from evaluation.recognition.sixteen import measure_sixteen, skin_of
 from evaluation.result import Options
-from skin.measurement import Sbhe
+from skin.phi import Sbhe
 from touch.classification_poses import CLASSIFICATION_OBJECTS
 
 SHARES = {"development": 0.4, "validation": 0.2, "meshes": None, "seed": 0}

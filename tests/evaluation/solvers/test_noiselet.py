@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from evaluation.solvers.noiselet import noiselet, noiselet_matrix
-from skin.measurement import sbhe
 from skin.operator import Operator
+from skin.phi import sbhe
 from tests.reconstructor.helpers import INF, NAN, one_line, spoilt
 
 MAKERS: dict[str, Callable[[int], Operator]] = {

@@ -1,24 +1,17 @@
 """Stepped boards of one bus twice, in Python and in C: the same samples, frames, and fates of their frames."""
 
-import struct
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from bus.link import DISCARDED
-from dbc.canopen import HEARTBEAT_BASE, NMT_COB_ID, SDO_REQUEST_BASE, SYNC_COB_ID
 from dbc.contract import Contract
-from dbc.frame import ECHO, Frames, frames
-from nodes.firmware.library import Firmware
-from nodes.segment import Segment
-from nodes.steps.boards import SteppedBoards
-from nodes.steps.firmware import FirmwarePatches
-from nodes.virtual_boards import VirtualBoards
+from dbc.frame import ECHO, frames
 from skin.layout import load_layout
-from skin.sources import Frame, TaxelSource
-from tests.bus.harness import frame
+from skin.sources import Frame
 from tests.layouts import small_boards
+from tests.nodes.firmware.twins import Twins
 
 #: Boards of 32 taxels, and of other sizes; some places of the mats of 10 x 10 are empty.
 SKINS = {
@@ -27,7 +20,6 @@ SKINS = {
     "8": lambda: small_boards(8),
     "16": lambda: small_boards(16, 10, 10),
     "64": lambda: small_boards(64),
-    "16-fd": lambda: small_boards(16, fd=True),
     "64-fd": lambda: small_boards(64, 10, 10, fd=True, data_bitrate=5_000_000),
 }
 #: Steps of 10 ms after which the touches come again.
@@ -71,8 +63,8 @@ class Strokes:
         return Frame(np.minimum(force_n, 2 * self._taxels.force_max_n).astype(np.float32), "")
 
 
-class SteppedTwins:
-    """Nodes 1 to `nodes` of a bus in Python (first) and in C (second), and a clock of whole milliseconds.
+class SteppedTwins(Twins):
+    """Nodes 1 to `nodes` of a bus in Python and in C that get strokes, and the fates of their frames.
 
     Parameters
     ----------
@@ -83,118 +75,28 @@ class SteppedTwins:
     """
 
     def __init__(
-        self,
-        contract: Contract,
-        nodes: int = 3,
-        source: TaxelSource | None = None,
-        *,
-        sent: float = 0.8,
-        given_up: float = 0.05,
-        keeps: float = 0.95,
-        **analogue: Any,
+        self, contract: Contract, *, sent: float = 0.8, given_up: float = 0.05, keeps: float = 0.95, **analogue: Any
     ) -> None:
-        mine = contract.on_bus(0)[:nodes]
-        ids, blocks = {node.node_id for node in mine}, [node.block for node in mine]
-        source = source or Strokes(contract)
-        firmware = Firmware(contract, mine)
-        boards = SteppedBoards(contract, blocks, source, **analogue)
-        patches = FirmwarePatches(contract, blocks, source, firmware, **analogue)
-        self.boards = boards, patches
-        self.out: tuple[list[Frames], list[Frames]] = [], []
-        self.complaints: list[str] = []
-        self.segments = (
-            Segment(
-                contract,
-                0,
-                VirtualBoards(contract, 0, ids, boards),
-                boards,
-                self._sender(0),
-                complain=self.complaints.append,
-            ),
-            Segment(contract, 0, firmware.boards(0), patches, self._sender(1), complain=self.complaints.append),
-        )
-        self.ids, self.room, self.chances, self.keeps = ids, 1 << 30, (sent, given_up), keeps
+        super().__init__(contract, nodes=3, source=Strokes(contract), **analogue)
+        self.chances, self.keeps = (sent, given_up), keeps
         self.fates = np.random.default_rng(1)
-        self.now_ms = 100_000
         self.held = frames(0)
-        for segment in self.segments:
-            segment.boot(self.now_s)
-        self.taken()
+        self.answers()
 
-    def _sender(self, which: int) -> Any:
-        def send(burst: Frames) -> int:
-            accepted: Frames = burst[: self.room].copy()
-            self.out[which].append(accepted)
-            return len(accepted)
-
-        return send
-
-    @property
-    def now_s(self) -> float:
-        return self.now_ms / 1000
-
-    def taken(self) -> Frames:
-        """Return what both have sent, by identifier, but for heartbeats, which have their own times.
-
-        Raises AssertionError if they differ.
-        """
-        found = []
-        for bursts in self.out:
-            together = np.concatenate(bursts) if bursts else np.zeros(0, frame(0, b"").dtype)
-            together = together[together["can_id"] < HEARTBEAT_BASE]
-            found.append(np.sort(together, order=["can_id", "port", "data"]))
-            bursts.clear()
-        python, c = found
-        assert [describe(each) for each in c] == [describe(each) for each in python]
-        return python
-
-    def put(self, arrived: Frames) -> Frames:
-        """Let frames arrive; return what both answer at once."""
-        for segment in self.segments:
-            segment.take(arrived.copy(), self.now_s)
-        return self.taken()
-
-    def step(self) -> Frames:
-        """Go on by a millisecond; return what was sent then."""
-        self.now_ms += 1
-        for segment in self.segments:
-            segment.tick(self.now_s)
-        sent = self.taken()
+    def step(self) -> int:
+        """Go on by a millisecond; return how many frames were sent then."""
+        self.go_on(1e-3, 1e-3)
+        sent = self.answers()
         drawn, stays = self.fates.random(len(sent)), self.fates.random(len(self.held)) < self.keeps
         own, gone = sent[drawn < sum(self.chances)].copy(), self.held[~stays]
         own["flags"] |= np.where(drawn[drawn < sum(self.chances)] < self.chances[0], ECHO, DISCARDED).astype(np.uint8)
         self.held = np.concatenate([self.held[stays], sent[drawn >= sum(self.chances)]])
         gone["flags"] |= ECHO
         if len(own) + len(gone):
-            self.put(np.concatenate([gone, own]))
-        return sent
+            self.put_all(np.concatenate([gone, own]))
+            assert not len(self.answers())
+        return len(sent)
 
     def run(self, milliseconds: int) -> int:
         """Go on; return how many frames were sent."""
-        return sum(len(self.step()) for _ in range(milliseconds))
-
-    def nmt(self, command: int, node_id: int = 0) -> None:
-        self.put(frame(NMT_COB_ID, bytes((command, node_id))))
-
-    def sync(self, counter: int = 1) -> None:
-        self.put(frame(SYNC_COB_ID, bytes((counter,)), time_ns=self.now_ms * 1_000_000))
-
-    def sdo(self, node_id: int, request: bytes) -> bytes:
-        answers = self.put(frame(SDO_REQUEST_BASE + node_id, request.ljust(8, b"\0")))
-        data: bytes = answers[0]["data"][:8].tobytes()
-        return data
-
-    def write(self, index: int, sub: int, data: bytes, node_id: int = 1) -> bytes:
-        """Write an object; return the answer of both."""
-        return self.sdo(node_id, struct.pack("<BHB", 0x23 | (4 - len(data)) << 2, index, sub) + data)
-
-    def read(self, index: int, sub: int = 0, node_id: int = 1) -> bytes:
-        """Read an object of both, as both answer it."""
-        answer = self.sdo(node_id, struct.pack("<BHB", 0x40, index, sub))
-        return self.sdo(node_id, b"\x60")[1:] if answer[0] == 0x41 else answer[4:]
-
-
-def describe(one: np.void) -> tuple[int, int, int, int, bytes]:
-    """Return identifier, port, flags, latest start and payload of a frame."""
-    data = one["data"][: one["length"]].tobytes()
-    return int(one["can_id"]), int(one["port"]), int(one["flags"]), int(one["expires_ns"]), data
+        return sum(self.step() for _ in range(milliseconds))

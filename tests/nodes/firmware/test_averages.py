@@ -7,7 +7,7 @@ as noise, one of them may send 0 for it.
 import numpy as np
 import numpy.typing as npt
 
-from dbc.canopen import NMT_COB_ID, SDO_REQUEST_BASE
+from dbc.canopen import SDO_REQUEST_BASE, SDO_RESPONSE_BASE
 from dbc.codec import decode
 from dbc.contract import Contract
 from skin.sources import Frame
@@ -41,12 +41,10 @@ def sums_of(twins: Twins) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]
     """Return the sums that both have sent at the newest SYNC."""
     table, packing = twins.contract.table, twins.contract.packing
     found = []
-    for wire in twins.wires:
-        sums = np.zeros(twins.contract.phi.shape[0], np.int32)
-        for identifier, _, data in wire.take():
-            if identifier < SDO_REQUEST_BASE:
-                payload = np.frombuffer(data, np.uint8)[None]
-                decode(payload, table.gather[table.row_of[0, identifier]][None], packing, sums)
+    for link in twins.links:
+        sums, sent = np.zeros(twins.contract.phi.shape[0], np.int32), link.take_sent()
+        for one in sent[sent["can_id"] < SDO_RESPONSE_BASE]:
+            decode(one["data"][None], table.gather[table.row_of[0, one["can_id"]]][None], packing, sums)
         found.append(sums)
     return found[0], found[1]
 
@@ -54,7 +52,7 @@ def sums_of(twins: Twins) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]
 def test_sums_are_those_of_the_same_averages() -> None:
     contract = small_contract(**AVERAGING)
     twins = Twins(contract, noise_n=NOISE_N, source=Sliding(contract))
-    twins.put(NMT_COB_ID, b"\x01\x00")
+    twins.nmt(1)
     sums_of(twins)
     differences, largest = [], 0
     for turn in range(250):
@@ -72,7 +70,7 @@ def test_sums_are_those_of_the_same_averages() -> None:
 def test_gains_act_on_averages_patterns_replace_them_and_a_reset_begins_anew() -> None:
     contract = small_contract(**AVERAGING)
     twins = Twins(contract, noise_n=NOISE_N, source=Sliding(contract))
-    twins.put(NMT_COB_ID, b"\x01\x00")
+    twins.nmt(1)
     for turn, request in enumerate(
         (
             b"\x23\x10\x20\x05" + np.float32(1.7).tobytes(),
@@ -83,8 +81,8 @@ def test_gains_act_on_averages_patterns_replace_them_and_a_reset_begins_anew() -
         )
     ):
         if request is None:
-            twins.put(NMT_COB_ID, b"\x81\x01")
-            twins.put(NMT_COB_ID, b"\x01\x01")
+            twins.nmt(129, 1)
+            twins.nmt(1, 1)
         else:
             twins.put(SDO_REQUEST_BASE + 1, request)
         for cycle in range(30):

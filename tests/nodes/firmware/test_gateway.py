@@ -65,14 +65,6 @@ def test_boards_are_proven_started_and_measure(world: FirmwareWorld) -> None:
     assert not world.complaints
 
 
-def test_first_data_come_within_two_cycles_of_the_start(world: FirmwareWorld) -> None:
-    measured = world.run(3.0)
-    log = [can_id for can_id, data in world.wires[0].log if can_id == SYNC_COB_ID or (can_id, data[:1]) == (0, b"\x01")]
-    syncs_before = log[: len(log) - log[::-1].index(NMT_COB_ID)].count(SYNC_COB_ID)
-    first = next(place for place, each in enumerate(measured) if is_complete(each))
-    assert first < syncs_before + 2
-
-
 def test_lost_syncs_make_no_valid_block_wrong(world: FirmwareWorld) -> None:
     world.run(2.0)
     random = np.random.default_rng(7)

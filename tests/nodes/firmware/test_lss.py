@@ -15,8 +15,8 @@ from nodes.storage import Storage
 from nodes.virtual_boards import VirtualBoards
 from tests.bus.harness import frame
 from tests.commissioning.fresh_boards import Bench, check_commissioning, complete, skin
-from tests.nodes.firmware.twins import Rolling, Wire, needs_compiler, small_contract
-from tests.nodes.helpers import new_sampler
+from tests.nodes.firmware.twins import Rolling, describe, needs_compiler, small_contract
+from tests.nodes.helpers import ArrayLink, new_sampler
 
 pytestmark = needs_compiler
 
@@ -83,12 +83,12 @@ def test_boards_that_have_exchanged_their_node_ids_feel_the_taxels_of_their_own_
     for firmware in (None, Firmware(contract, [first, second], store=tmp_path, unnumbered=True)):
         hardware = sending_of(contract.layout).hardware(contract, [0, 1], Rolling(contract), firmware)
         boards = firmware.boards(0) if firmware else VirtualBoards(contract, 0, {1, 2}, hardware, store=tmp_path)
-        wire = Wire()
-        segment = Segment(contract, 0, boards, hardware, wire.send, complain=lambda _: None)
+        link = ArrayLink()
+        segment = Segment(contract, 0, boards, hardware, link.send, complain=lambda _: None)
         segment.boot(0.0)
         for each in (frame(0, bytes((1, 0))), sync_frame(1), sync_frame(2)):
             segment.take(each, 0.0)
-        sent.append(sorted(wire.take()))
+        sent.append(sorted(map(describe, link.take_sent())))
     assert sent[0] == sent[1]
     assert len(sent[0]) == 2 + 2 * sum(len(node.tpdos) for node in (first, second))
 

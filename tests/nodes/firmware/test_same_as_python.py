@@ -8,7 +8,7 @@ import numpy.typing as npt
 import pytest
 
 from dbc import indices as od
-from dbc.canopen import NMT_COB_ID, SDO_REQUEST_BASE, SYNC_COB_ID
+from dbc.canopen import NMT_COB_ID, SDO_REQUEST_BASE, SYNC_COB_ID, NmtCommand
 from dbc.contract import Contract, NodeContract
 from dbc.dictionary import dictionary
 from nodes.electronics import Calibration
@@ -16,11 +16,11 @@ from nodes.firmware.library import CompiledBoards, Firmware
 from skin.layout import SUM_BITS_MAX, SUM_BITS_MIN, Encoding, Sampling, changed, load_layout
 from tests.bus.harness import frame
 from tests.layouts import buses
-from tests.nodes.firmware.twins import Twins, analogue, few_sums, needs_compiler, small_contract, windows
+from tests.nodes.firmware.twins import Twins, analogue, few_sums, needs_compiler, small_contract
+from tests.nodes.helpers import read_request
 
 pytestmark = needs_compiler
 
-START = NMT_COB_ID, b"\x01\x00"
 #: Frames of taxels that are compared: a million on request.
 CYCLES = int(os.environ.get("SKIN_FIRMWARE_CYCLES", "2000"))
 #: Frames of taxels with the same gains and offsets.
@@ -73,11 +73,11 @@ def test_sums_of_every_width_on_classic_can_and_can_fd(bits: int) -> None:
 
 def check_syncs(twins: Twins) -> None:
     """Compare what both send at 60 SYNCs; where boards do not average, some are lost, and some have no counter."""
-    twins.put(*START)
+    twins.nmt(NmtCommand.START)
     twins.answers()
     random = np.random.default_rng(3)
     is_averaged = twins.contract.layout.samples_per_sync > 1
-    pdo_ids = np.flatnonzero(twins.c.boards.is_pdo)
+    pdo_ids = np.flatnonzero(twins.c.is_pdo)
     counter, sent = 200, 0  # 240 and 1 come, too
     for _ in range(60):
         twins.now_s += 0.01
@@ -85,10 +85,9 @@ def check_syncs(twins: Twins) -> None:
         counter = counter if counter <= 240 else 1
         told = counter if is_averaged or random.random() < 0.9 else 0
         twins.sync(told)
-        python, c = windows(twins)
-        assert np.array_equal(c, python)
-        answers = [data for can_id, _, data in twins.answers() if can_id in pdo_ids]
-        assert {data[0] for data in answers} <= {told}
+        answers = twins.answers()
+        answers = answers[np.isin(answers["can_id"], pdo_ids)]
+        assert {*answers["data"][:, 0].tolist()} <= {told}
         sent += len(answers)
     for node in twins.nodes:
         assert read_counts(twins, node) or twins.contract.layout.taxels.is_analogue  # without 2012h
@@ -99,9 +98,9 @@ def read_counts(twins: Twins, node: NodeContract) -> list[int]:
     """Return the counts of a node that are not 0; both tell the same."""
     for place in range(node.blocks):
         for subindex in range(1, twins.contract.phi.block_size + 1):
-            index = od.of_block(od.COUNTS, place).to_bytes(2, "little")
-            twins.put(SDO_REQUEST_BASE + node.node_id, b"\x40" + index + bytes((subindex, 0, 0, 0, 0)))
-    return [count for _, _, data in twins.answers() if (count := int.from_bytes(data[4:6], "little"))]
+            twins.put(SDO_REQUEST_BASE + node.node_id, read_request(od.of_block(od.COUNTS, place), subindex))
+    counts = twins.answers()["data"][:, 4:6].copy().view("<u2").ravel()
+    return counts[counts > 0].tolist()  # type: ignore[no-any-return]
 
 
 #: Gains at the ends of what REAL32 holds, and products that fall between two counts.
@@ -190,24 +189,21 @@ def test_random_requests_get_the_same_answers(seed: int) -> None:
 
 def test_event_driven_pdos_keep_timer_and_inhibit_time() -> None:
     twins = Twins(small_contract())
-    twins.put(*START)
+    twins.nmt(NmtCommand.START)
     twins.sync(1)
     for subindex, value, size in ((1, 0xC0000181, 4), (2, 254, 1), (3, 500, 2), (5, 200, 2), (1, 0x40000181, 4)):
-        command = bytes((0x23 | (4 - size) << 2, 0, 0x18, subindex))
-        twins.put(SDO_REQUEST_BASE + 1, command + value.to_bytes(4, "little"))
+        twins.write(0x1800, subindex, value.to_bytes(size, "little"))
     twins.answers()
     twins.go_on(1.0, 0.007)  # no multiple of the times
-    assert 4 <= [can_id for can_id, _, _ in twins.answers()].count(0x181) <= 6
+    assert 4 <= np.count_nonzero(twins.answers()["can_id"] == 0x181) <= 6
     twins.sync(2)  # new sums
     twins.go_on(0.15, 0.007)
-    assert 0x181 in [can_id for can_id, _, _ in twins.answers()]
+    assert 0x181 in twins.answers()["can_id"]
 
 
 def test_boards_with_thermometers_answer_unknown_until_their_maker_reads_one() -> None:
     """The temperature of Python nodes is simulated."""
     twins = Twins(small_contract(taxels={"has_thermometers": True}))
-    for wire in twins.wires:
-        wire.take()
-    twins.put(0x601, b"\x40\x36\x20\0\0\0\0\0")
-    python, c = (wire.take()[-1][-1] for wire in twins.wires)
-    assert (python[:6], c[:6]) == (b"\x4b\x36\x20\0\xa6\x0b", b"\x4b\x36\x20\0\xff\x7f")
+    twins.put(0x601, read_request(od.TEMPERATURE))
+    python, c = (link.take_sent()["data"][-1, :6].tobytes() for link in twins.links)
+    assert (python, c) == (b"\x4b\x36\x20\0\xa6\x0b", b"\x4b\x36\x20\0\xff\x7f")

@@ -47,15 +47,6 @@ def contract_of(name: str) -> Contract:
     return Contract.from_layout(load_layout(Path(name)))
 
 
-@pytest.mark.heavy
-@needs_compiler
-@pytest.mark.parametrize("name", NAMES)
-def test_an_exported_board_compiles_without_a_warning(name: str, tmp_path: Path) -> None:
-    main = tmp_path / "main.c"
-    main.write_text("int main(void)\n{\n    return 0;\n}\n")
-    assert compile_slave(contract_of(name), tmp_path, main, optimization=OPTIMIZED).exists()
-
-
 def some_of(contract: Contract) -> list[NodeContract]:
     """Return the first, a middle and the last node."""
     return [contract.nodes[place] for place in (0, len(contract.nodes) // 2, -1)]
@@ -89,14 +80,6 @@ def test_one_image_for_canopennode_has_the_dictionary_of_each_board(name: str, t
     for node in some_of(contract):
         assert printed(program, str(node.bus), str(node.node_id)) == expected_dictionary(contract, node)
     assert subprocess.run([program, "0", "127"], check=False, stdout=subprocess.DEVNULL).returncode == 1
-
-
-@pytest.mark.heavy
-@needs_compiler
-def test_the_dictionary_of_a_board_alone_is_that_of_the_contract(tmp_path: Path) -> None:
-    contract = contract_of("default")
-    program = compile_adapter(contract, tmp_path, "print_dictionary.c", contract.nodes[5:6])
-    assert printed(program) == expected_dictionary(contract, contract.nodes[5])
 
 
 def printed(program: Path, *arguments: str) -> list[str]:

@@ -1,7 +1,6 @@
 """Boards in C and nodes in Python that get the same frames and taxels."""
 
 import shutil
-from collections.abc import Iterator
 from functools import partial
 from typing import Any
 
@@ -9,17 +8,19 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from dbc.canopen import SYNC_COB_ID
+from dbc.canopen import HEARTBEAT_BASE, NMT_COB_ID, SDO_REQUEST_BASE, SYNC_COB_ID
 from dbc.contract import Contract
-from dbc.frame import Frames, frames
+from dbc.frame import Frames
 from nodes.electronics import Electronics
 from nodes.firmware.library import Firmware
-from nodes.sampler import CountSampler, new_sampler
+from nodes.sampler import CountSampler
 from nodes.segment import Segment
+from nodes.sending import sending_of
 from nodes.virtual_boards import VirtualBoards
 from skin.sources import Frame, TaxelSource
 from tests import layouts
 from tests.bus.harness import frame
+from tests.nodes.helpers import ArrayLink, read_request, write_request
 
 needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="NOT TESTED: no C compiler")
 small_contract = partial(layouts.small_contract, rate_hz=100.0)
@@ -72,58 +73,56 @@ class CountWitness(CountSampler):
         return self.truths[nearest]
 
 
-class Wire:
-    """Keeps what is sent."""
-
-    def __init__(self) -> None:
-        self.sent: list[Frames] = []
-        self.room = 1 << 30
-
-    def send(self, burst: Frames) -> int:
-        self.sent.append(burst[: self.room].copy())
-        return len(self.sent[-1])
-
-    def take(self) -> list[tuple[int, int, bytes]]:
-        """Return identifier, flags and data of what was sent."""
-        taken = [each for burst in self.sent for each in burst]
-        self.sent.clear()
-        return [(int(each["can_id"]), int(each["flags"]), each["data"][: each["length"]].tobytes()) for each in taken]
-
-
 class Twins:
-    """The nodes of one bus twice: in Python and in C."""
+    """Nodes of one bus twice, in Python (first) and in C (second), and a clock that the test moves.
+
+    Parameters
+    ----------
+    nodes : int, optional
+        How many of the bus; default: all.
+    **analogue
+        ``noise_n``, ``seed`` and ``defects`` of the sensors.
+    """
 
     def __init__(
-        self, contract: Contract, bus: int = 0, noise_n: float = 0.0, source: TaxelSource | None = None
+        self,
+        contract: Contract,
+        bus: int = 0,
+        *,
+        nodes: int | None = None,
+        source: TaxelSource | None = None,
+        **analogue: Any,
     ) -> None:
-        self.contract = contract
-        self.now_s = 100.0
-        self.wires = Wire(), Wire()
+        self.contract, self.now_s = contract, 100.0
+        self.nodes = contract.on_bus(bus)[:nodes]
+        self.ids = {node.node_id for node in self.nodes}
+        firmware = Firmware(contract, contract.nodes if nodes is None else self.nodes)  # one library for all buses
+        given = [node.block for node in self.nodes], source or Rolling(contract)
+        new_hardware = sending_of(contract.layout).hardware
+        python, c = (new_hardware(contract, *given, each, **analogue) for each in (None, firmware))
+        self.c = firmware.boards(bus)
+        boards = VirtualBoards(contract, bus, self.ids, python), self.c
+        self.links = ArrayLink(), ArrayLink()
         self.complaints: list[str] = []
-        self.nodes = contract.on_bus(bus)
-        sums, readings = (
-            new_sampler(
-                contract.layout, contract.phi, source or Rolling(contract), makes_sums=makes_sums, noise_n=noise_n
-            )
-            for makes_sums in (True, False)
+        self.segments = tuple(
+            Segment(contract, bus, each, hardware, link.send, complain=self.complaints.append)
+            for each, hardware, link in zip(boards, (python, c), self.links, strict=True)
         )
-        virtual = VirtualBoards(contract, bus, {node.node_id for node in self.nodes}, sums)
-        compiled = Firmware(contract, contract.nodes).boards(bus)  # one library for all buses
-        complain = self.complaints.append
-        self.python = Segment(contract, bus, virtual, sums, self.wires[0].send, complain=complain)
-        self.c = Segment(contract, bus, compiled, readings, self.wires[1].send, complain=complain)
-        self.segments = self.python, self.c
         for segment in self.segments:
             segment.boot(self.now_s)
-
-    def put(self, can_id: int, data: bytes, flags: int = 0) -> None:
-        """Send one frame to both."""
-        self.put_all(frame(can_id, data, flags=flags))
 
     def put_all(self, burst: Frames) -> None:
         """Send frames to both."""
         for segment in self.segments:
             segment.take(burst.copy(), self.now_s)
+
+    def put(self, can_id: int, data: bytes, flags: int = 0) -> None:
+        """Send one frame to both."""
+        self.put_all(frame(can_id, data, flags=flags))
+
+    def nmt(self, command: int, node_id: int = 0) -> None:
+        """Give an NMT command."""
+        self.put(NMT_COB_ID, bytes((command, node_id)))
 
     def sync(self, counter: int) -> None:
         """Send a SYNC; 0: one without counter."""
@@ -136,16 +135,35 @@ class Twins:
             for segment in self.segments:
                 segment.tick(self.now_s)
 
-    def answers(self) -> list[tuple[int, int, bytes]]:
-        """Return what both sent since the last call; raises AssertionError if they differ."""
-        # The Python nodes send cyclic PDOs before others, whatever the order of nodes and PDOs.
-        python, c = (sorted(wire.take()) for wire in self.wires)
-        assert c == python
+    def answers(self) -> Frames:
+        """Return what both sent since the last call, by identifier; raises AssertionError if they differ.
+
+        The heartbeats of stepped boards have their own times, and are left out.
+        """
+        python, c = (each.take_sent() for each in self.links)
+        if self.contract.in_steps:
+            python, c = (each[each["can_id"] < HEARTBEAT_BASE] for each in (python, c))
+        # The nodes in Python send cyclic PDOs before others, whatever the order of nodes and PDOs.
+        python, c = (np.sort(each, order=["can_id", "port", "data"]) for each in (python, c))
+        assert [describe(each) for each in c] == [describe(each) for each in python]
         return c
 
+    def ask(self, node_id: int, request: bytes) -> bytes:
+        """Return the answer of both to an SDO request."""
+        self.put(SDO_REQUEST_BASE + node_id, request.ljust(8, b"\0"))
+        data: bytes = self.answers()[-1]["data"][:8].tobytes()
+        return data
 
-def windows(twins: Twins) -> Iterator[tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]]:
-    """Return earliest and latest start of the frames that each twin has sent."""
-    for wire in twins.wires:
-        burst = np.concatenate(wire.sent) if wire.sent else frames(0)
-        yield burst["time_ns"], burst["expires_ns"]
+    def write(self, index: int, subindex: int, data: bytes, node_id: int = 1) -> None:
+        """Write an object of both."""
+        self.ask(node_id, write_request(index, subindex, data))
+
+    def read(self, index: int, subindex: int = 0, node_id: int = 1) -> bytes:
+        """Return an object of up to seven bytes, as both tell it."""
+        answer = self.ask(node_id, read_request(index, subindex))
+        return self.ask(node_id, b"\x60")[1:] if answer[0] == 0x41 else answer[4:]
+
+
+def describe(one: np.void) -> tuple[int, ...]:
+    """Return all of a frame."""
+    return (*(int(one[key]) for key in one.dtype.names if key != "data"), *one["data"][: one["length"]].tolist())

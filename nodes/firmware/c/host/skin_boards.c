@@ -178,11 +178,7 @@ size_t skin_refuse(skin_node *nodes, uint32_t boards, const skin_frame *frames, 
     for (place = 0; place < count; place++) {
         for (each = 0; each < boards; each++) {
             if (frames[place].port == nodes[each].board->node_id) {
-#if SKIN_STEPPED
                 skin_refused(&nodes[each], &frames[place]);
-#else
-                skin_given_up(&nodes[each], &frames[place]);
-#endif
             }
         }
     }

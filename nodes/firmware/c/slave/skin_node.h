@@ -30,7 +30,7 @@ typedef struct {
     uint8_t data[64];
 } skin_frame;
 
-/* A frame that the controller has given up: its window ended, or there was no room for it. */
+/* A frame that the controller has given up: its window ended, or it is bus-off. */
 #define SKIN_FRAME_DISCARDED (SKIN_FRAME_ECHO | SKIN_FRAME_ERROR)
 
 /* Frames that wait to be sent; frames beyond `capacity` are lost. */
@@ -165,9 +165,8 @@ int skin_sample(skin_node *node, uint16_t *counts);
  */
 void skin_send_sums(skin_node *node, int64_t now_ns);
 
-/* Take note of a TPDO that was on the bus, and of one that a full transmit queue has refused. */
+/* Take note of a TPDO that was on the bus. */
 void skin_sent(skin_node *node, const skin_frame *frame);
-void skin_refused(skin_node *node, const skin_frame *frame);
 
 /* Heed a SYNC: slots are counted from its end (`time_ns`). */
 void skin_sync(skin_node *node, const skin_frame *sync);
@@ -182,11 +181,14 @@ void skin_sync(skin_node *node, const skin_frame *sync, skin_reading *readings, 
 
 #endif
 
-/* Obey an NMT command; heed a heartbeat; answer an SDO request; count a frame that was given up. */
+/* Obey an NMT command; heed a heartbeat; answer an SDO request; count a frame that was given up, and one that a full transmit
+ * queue has refused.
+ */
 void skin_nmt(skin_node *node, const skin_frame *command, uint32_t now_ms);
 void skin_heard(skin_node *node, uint8_t node_id, uint32_t now_ms);
 void skin_request(skin_node *node, const skin_frame *request, uint32_t now_ms);
 void skin_given_up(skin_node *node, const skin_frame *frame);
+void skin_refused(skin_node *node, const skin_frame *frame);
 
 /* Answer a request of LSS (SKIN_LSS_REQUEST_COB_ID); the board may boot with a new node-ID. */
 void skin_lss_request(skin_node *node, const skin_frame *request, uint32_t now_ms);

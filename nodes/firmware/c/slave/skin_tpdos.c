@@ -167,16 +167,31 @@ void skin_send_events(skin_node *node, uint32_t now_ms)
     }
 }
 
-void skin_given_up(skin_node *node, const skin_frame *frame)
+static int is_tpdo(const skin_node *node, const skin_frame *frame)
 {
     uint8_t number;
 
     for (number = 0; number < node->board->type->tpdos; number++) {
         if (node->tpdos[number].length > 0 && node->tpdos[number].cob_id == frame->can_id) {
-            node->health[2]++;
-            skin_raise(node, SKIN_ERROR_WINDOW, node->health[2]);
-            return;
+            return 1;
         }
+    }
+    return 0;
+}
+
+void skin_given_up(skin_node *node, const skin_frame *frame)
+{
+    if (is_tpdo(node, frame)) {
+        node->health[2]++;
+        skin_raise(node, SKIN_ERROR_WINDOW, node->health[2]);
+    }
+}
+
+void skin_refused(skin_node *node, const skin_frame *frame)
+{
+    if (is_tpdo(node, frame)) {
+        node->health[1]--;
+        node->health[2]++;
     }
 }
 

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from canskin.errors import InputError
-from skin.measurement import Sbhe, fast_hadamard, sbhe
+from skin.phi import Sbhe, fast_hadamard, sbhe
 
 
 @st.composite

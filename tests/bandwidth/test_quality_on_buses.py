@@ -1,9 +1,7 @@
 """What `quality` predicts is what a simulated bus gives: frames that carry the sums, arbitration, decoding."""
 
 from pathlib import Path
-from typing import Any
 
-import msgspec
 import numpy as np
 import pytest
 
@@ -11,10 +9,6 @@ from bandwidth.quality import heard, is_quick, quality
 from dbc.codec import decode
 from dbc.contract import Contract
 from dbc.dictionary import window_s
-from demo.options import DemoOptions
-from demo.prediction import with_prediction
-from demo.report import Report
-from demo.score import Score
 from evaluation.schemes.sums import burst
 from evaluation.schemes.wire import carry
 from gateway.gathering import Health
@@ -23,7 +17,6 @@ from nodes.simulated import REST_S, Nodes
 from nodes.steps.simulated import touched_frames
 from reconstructor.imaging import CycleImager
 from reconstructor.stepped import SteppedImager
-from shell.touch_options import TouchOptions
 from skin.ground_truth import LATENESS_NS, image_pairs, in_contact
 from skin.layout import SHIPPED, Layout, load_layout
 from skin.measured_sums import MeasuredSums, decode_stepped
@@ -129,44 +122,6 @@ def test_a_drawn_layout_is_predicted(seed: int) -> None:
     assert quality(layout, touches_s=TOUCHES_S).psnr_image_db == pytest.approx(on_simulated_buses(layout), abs=BOUND_DB)
 
 
-PAD = any_layout(10, 12)
-#: A run without a fault whose first images have 30 dB.
-RUN = msgspec.structs.replace(
-    Score(PAD).report(), cycles=400, cycles_complete=400, sync_rate_hz=100.0, psnr_image_db=30.0, psnr_sensor_db=26.0
-)
-
-
-def predicted(live_db: float, options: DemoOptions, **figures: Any) -> Report:
-    run = msgspec.structs.replace(RUN, **figures)
-    return with_prediction(run, PAD, options, live_db)
-
-
-@pytest.mark.heavy
-@pytest.mark.parametrize(
-    ("figures", "defect", "cause"),
-    [
-        ({"cycles_complete": 300}, [], "100 of 400 cycles were incomplete"),
-        ({"sync_rate_hz": 50.0}, [], "50.0 of 100 Hz were kept"),
-        ({}, ["dead=0.1"], "the taxels had defects"),
-        ({}, [], "no known cause"),
-    ],
-)
-def test_a_run_tells_its_prediction_where_the_two_differ(
-    figures: dict[str, Any], defect: list[str], cause: str
-) -> None:
-    options = DemoOptions(seconds=3.0, touch=TouchOptions(defect=defect))
-    found = predicted(20.0, options, **figures)
-    assert found.psnr_predicted_db is not None
-    words = f"{found.psnr_predicted_db:.1f} dB, 20.0 dB came of the same touches: {cause}"
-    assert dict(found.rows())["image predicted"] == words
-    near = predicted(found.psnr_predicted_db - 0.9, options, **figures)
-    assert "image predicted" not in dict(near.rows())
-
-
-def test_what_is_not_predicted() -> None:
-    recording = DemoOptions(touch=TouchOptions(input=Path("touch.npy")))
-    assert predicted(30.0, recording) == RUN
-    assert with_prediction(RUN, PAD, DemoOptions(), None) == RUN
-    assert predicted(30.0, DemoOptions(seconds=0.02)) == RUN  # nothing touches
+def test_long_predictions_are_not_made_unasked() -> None:
     assert not is_quick(load_layout(Path("steps")))
     assert is_quick(load_layout())

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from canskin.errors import RunError
-from views.page import recorder
-from views.page.recorder import RecorderProcess
+from views.page import record_process
+from views.page.record_process import RecorderProcess
 
 FAILS = "import sys; print('record: the disk is full', file=sys.stderr); sys.exit(1)"
 #: Ends quietly at a stop signal, as a recorder does.
@@ -31,7 +31,7 @@ def make(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Make]:
         def launch(_arguments: list[str], log: object) -> subprocess.Popen[bytes]:
             return subprocess.Popen([sys.executable, "-c", program], stdout=log, stderr=log)  # type: ignore[call-overload,no-any-return]
 
-        monkeypatch.setattr(recorder, "_launch", launch)
+        monkeypatch.setattr(record_process, "_launch", launch)
         return made
 
     yield of
@@ -94,7 +94,7 @@ def test_recordings_have_names_of_their_own(tmp_path: Path, monkeypatch: pytest.
     monkeypatch.setattr(time, "strftime", lambda _: "20261125-120000")
     names = []
     for _ in range(3):
-        path = recorder._free(tmp_path, "palm")
+        path = record_process._free(tmp_path, "palm")
         path.touch()
         names.append(path.name)
     assert names == [f"palm-20261125-120000{each}.mcap" for each in ("", "-2", "-3")]

@@ -1,0 +1,150 @@
+"""Who may do what on the fabric: the one table, from which the rules of the hub are made.
+
+With keys each program has a certificate, whose common name tells its role. A program checks its own actions, for a
+clear message; the hub enforces the table, whoever the program is.
+"""
+
+from typing import Final, Literal, NamedTuple
+
+from canskin.calibration_messages import CALIBRATION, ZERO
+from canskin.description import DESCRIPTION, LAYOUT
+from canskin.errors import InputError
+from canskin.messages import CONTACTS, GATEWAY, IMAGE, LABEL, MARK, MEASUREMENT, NODES, TRUTH, Topic
+from canskin.question import Question
+
+#: Publish a topic, hear a topic, ask a question, answer a question, be seen under the name of a service.
+Action = Literal["put", "subscribe", "ask", "answer", "appear"]
+ACTIONS: Final[tuple[Action, ...]] = ("put", "subscribe", "ask", "answer", "appear")
+TOPICS: Final = (MEASUREMENT, IMAGE, CONTACTS, LABEL, TRUTH, MARK, GATEWAY, NODES)
+QUESTIONS: Final = (LAYOUT, DESCRIPTION, CALIBRATION, ZERO)
+#: What a program needs that shows touches.
+_OUTPUTS: Final = (MEASUREMENT, IMAGE, CONTACTS, LABEL, GATEWAY)
+#: Between the parts of a common name.
+SEPARATOR: Final = ":"
+
+
+class Role(NamedTuple):
+    """What the holders of a role may do.
+
+    Attributes
+    ----------
+    why : str
+        What the role is for, and what needs its actions.
+    put, subscribe : tuple of Topic
+        What they may publish and hear.
+    ask, answer : tuple of Question
+    appear : tuple of str
+        Names of services under which they may be seen.
+    """
+
+    why: str
+    appear: tuple[str, ...]
+    put: tuple[Topic, ...] = ()
+    subscribe: tuple[Topic, ...] = ()
+    ask: tuple[Question, ...] = ()
+    answer: tuple[Question, ...] = ()
+
+    def names(self, action: Action) -> tuple[str, ...]:
+        """Return the names of the topics, questions or services of an action."""
+        allowed: tuple[str | Topic | Question, ...] = getattr(self, action)
+        return tuple(each if isinstance(each, str) else each.name for each in allowed)
+
+
+#: Every role. A service hears its own messages, too: `skin-alive` with its keys looks for them.
+ROLES: Final = {
+    "gateway": Role(
+        "skin gateway: gives the sums of the boards, and has the zero of its skin",
+        ("gateway",),
+        put=(MEASUREMENT, GATEWAY),
+        subscribe=(MEASUREMENT,),
+        answer=QUESTIONS,
+    ),
+    "nodes": Role(
+        "skin nodes: virtual boards, which tell the true forces",
+        ("nodes",),
+        put=(TRUTH, NODES),
+        subscribe=(MEASUREMENT,),
+    ),
+    "reconstructor": Role(
+        "skin reconstruct: makes images and contacts of the sums",
+        ("reconstructor",),
+        put=(IMAGE, CONTACTS),
+        subscribe=(MEASUREMENT, IMAGE),
+        ask=(LAYOUT,),
+    ),
+    "classifier": Role(
+        "skin classify: names what touches the skin",
+        ("classifier",),
+        put=(LABEL,),
+        subscribe=(MEASUREMENT, LABEL),
+        ask=(LAYOUT,),
+    ),
+    "viewer": Role(
+        "skin view, show, list and calibration show: changes nothing",
+        ("viewer", "show", "calibration"),
+        subscribe=TOPICS,
+        ask=(LAYOUT, ZERO),
+    ),
+    "recorder": Role(
+        "skin record: writes all messages and the zero into a file",
+        ("recorder",),
+        subscribe=TOPICS,
+        ask=(LAYOUT, ZERO),
+    ),
+    "client": Role(
+        "canskin.connect(): a program that reads frames",
+        ("client",),
+        subscribe=_OUTPUTS,
+        ask=(DESCRIPTION,),
+    ),
+    "ros2": Role(
+        "skin ros2: gives ROS 2 the touches, and has a service there that measures the zero",
+        ("ros2",),
+        subscribe=_OUTPUTS,
+        ask=(LAYOUT, CALIBRATION),
+    ),
+    "operator": Role(
+        "a person: skin tare and calibration, a page with its actions, programs that tare or mark; and all that reads",
+        ("viewer", "show", "calibration", "recorder", "client", "ros2"),
+        put=(MARK,),
+        subscribe=TOPICS,
+        ask=QUESTIONS,
+    ),
+}
+
+
+class Holder(NamedTuple):
+    """Whose a certificate is: common name ``SKIN:ROLE`` or ``SKIN:ROLE:NAME``."""
+
+    skin: str
+    role: str
+    name: str = ""
+
+    @property
+    def common_name(self) -> str:
+        """Of the certificate."""
+        return SEPARATOR.join(filter(None, self))
+
+
+def holder_of(common_name: str) -> Holder:
+    """Return whose a certificate is; InputError if no role of the table is named."""
+    parts = common_name.split(SEPARATOR, 2)
+    if len(parts) < 2 or parts[1] not in ROLES or not all(parts):
+        raise InputError(
+            f"common name '{common_name[:64]}': expected SKIN:ROLE or SKIN:ROLE:HOLDER, ROLE one of {', '.join(ROLES)}"
+        )
+    return Holder(*parts)
+
+
+def roles_for(action: Action, name: str) -> list[str]:
+    """Return the roles that may do an action with a topic, question or service."""
+    return [role for role, each in ROLES.items() if name in each.names(action)]
+
+
+def refusal(role: str, action: Action, name: str) -> str:
+    """Return why a role may not do an action, and which roles may; empty if it may."""
+    if name in ROLES[role].names(action):
+        return ""
+    allowed = ", ".join(f"'{each}'" for each in roles_for(action, name)) or "no role"
+    verb = action if action != "appear" else "appear as"
+    return f"the keys are of role '{role}', which may not {verb} '{name}': {allowed} may, see 'skin keys explain'"
