@@ -193,5 +193,4 @@ def _about(source: Path, skin: Layout, given: SolverOptions | None) -> dict[str,
         "solver": solver.solver if is_solved else "steps",
         "settings": asdict(solver.settings()) if is_solved else {},
         "noise_n": solver.noise_n,
-        "device": solver.device,
     }

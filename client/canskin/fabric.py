@@ -20,6 +20,7 @@ import zenoh
 
 from canskin.description import LAYOUT, LayoutReply, LayoutRequest
 from canskin.errors import UNDECODABLE, BusError, tell
+from canskin.keys import Keys, environment_keys
 from canskin.messages import Topic
 from canskin.peers import EVERY_KEY, Peer, Roll, new_peer, peer_of_key
 from canskin.question import Question
@@ -147,6 +148,8 @@ class Fabric:
         The layout as TOML, for whoever asks; empty if this service does not know the layout.
     patience_s : float
         Longest wait for the hub. By default a service waits without limit, so services start in any order.
+    keys : Keys, optional
+        Who the service is to the hub, or of a hub, who the hub is; default: see `environment_keys`.
     prepare : callable, optional
         Called with this connection before the others see the service: subscribes to what they send as soon as they do.
 
@@ -160,7 +163,7 @@ class Fabric:
     Raises
     ------
     BusError
-        If the endpoint cannot be used, or no hub answered in time.
+        If the endpoint cannot be used, the hub refuses, or no hub answered in time.
     """
 
     def __init__(
@@ -174,6 +177,7 @@ class Fabric:
         fingerprint: str = "",
         layout: str = "",
         patience_s: float = math.inf,
+        keys: Keys | None = None,
         prepare: "Callable[[Fabric], None]" = lambda _: None,
     ) -> None:
         self.malformed = 0
@@ -186,7 +190,8 @@ class Fabric:
         self._publishers: dict[str, Any] = {}
         self._numbers: dict[str, count[int]] = {}
         self._kept: list[Any] = []
-        self._session = open_hub(endpoint) if hub else open_client(endpoint, service, stop, patience_s)
+        keys = keys or environment_keys()
+        self._session = open_hub(endpoint, keys) if hub else open_client(endpoint, service, stop, patience_s, keys=keys)
         if layout:  # before the token: who sees the token may ask
             self.answer(LAYOUT, partial(self._tell_layout, LayoutReply(layout)))
         prepare(self)
