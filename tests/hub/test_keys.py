@@ -1,0 +1,121 @@
+"""Keys: what is wrong with a folder of them, and why a hub refuses a program, is told at once."""
+
+import math
+import shutil
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from unittest import mock
+
+import pytest
+
+from canskin.errors import BusError, InputError
+from canskin.keys import ANSWER_S, Keys
+from canskin.session import open_client, open_hub
+from hub.authority import Authority
+from tests.hub.keys import issue_for, make_authority
+from tests.processes import free_port
+
+
+@pytest.fixture
+def authority(tmp_path: Path) -> Authority:
+    return make_authority(tmp_path / "keys", "client")
+
+
+@pytest.fixture
+def hub(authority: Authority) -> Iterator[str]:
+    endpoint = f"tls/127.0.0.1:{free_port()}"
+    session = open_hub(endpoint, Keys(authority.folder / "hub"))
+    yield endpoint
+    session.close()
+
+
+def refusal(endpoint: str, keys: Keys | None) -> str:
+    with pytest.raises(BusError) as raised:  # however long the program would wait for its hub
+        open_client(endpoint, "client", None, math.inf, keys=keys)
+    return str(raised.value)
+
+
+def test_a_refusal_is_told_within_a_second() -> None:
+    assert 3 * ANSWER_S < 1.0  # to connect, of TLS, of the certificate; there is no other wait
+
+
+def test_keys_of_one_authority_meet(authority: Authority, hub: str) -> None:
+    keys = Keys(authority.folder / "client")
+    assert (keys.common_name, keys.skin, keys.role, keys.holder) == ("palm:client", "palm", "client", "")
+    open_client(hub, "client", None, 5.0, keys=keys).close()
+
+
+def test_a_hub_refuses_a_program_without_keys(hub: str) -> None:
+    assert refusal(hub, None) == f"{hub} needs keys: give --keys FOLDER, or SKIN_KEYS in the environment"
+    plain = hub.replace("tls", "tcp")
+    assert f"refuses a program without keys: it asks for keys: give --keys FOLDER and {hub}" in refusal(plain, None)
+
+
+def test_a_hub_refuses_keys_of_another_authority(authority: Authority, hub: str, tmp_path: Path) -> None:
+    foreign = make_authority(tmp_path / "foreign", "client").folder / "client"
+    assert refusal(hub, Keys(foreign)) == (
+        f"the hub at {hub} refuses 'palm:client': its certificate is of another authority"
+    )
+
+
+def test_a_hub_refuses_keys_that_have_ended(authority: Authority, hub: str) -> None:
+    with mock.patch("canskin.keys.time.time", return_value=0.0), pytest.raises(InputError, match="is this clock right"):
+        Keys(authority.folder / "client")
+    ended = issue_for(authority, "client", -10.0)
+    with mock.patch("canskin.keys.time.time", return_value=time.time() - 20.0):
+        keys = Keys(ended)
+    assert "the certificate has ended" in refusal(hub, keys)
+
+
+def test_a_hub_has_the_names_of_its_certificate_alone(authority: Authority) -> None:
+    port = free_port()
+    session = open_hub(f"tls/0.0.0.0:{port}", Keys(authority.folder / "hub"))
+    assert "its certificate has other addresses" in refusal(f"tls/127.0.0.2:{port}", Keys(authority.folder / "client"))
+    session.close()
+
+
+def test_a_hub_without_keys_gets_none(authority: Authority) -> None:
+    keys, port = Keys(authority.folder / "client"), free_port()
+    session = open_hub(f"tcp/127.0.0.1:{port}")
+    assert "it does not speak TLS: give the hub its keys" in refusal(f"tls/127.0.0.1:{port}", keys)
+    assert "does not use the keys" in refusal(f"tcp/127.0.0.1:{port}", keys)
+    session.close()
+
+
+def test_a_hub_has_keys_of_its_role(authority: Authority) -> None:
+    with pytest.raises(BusError, match="with keys of 'palm:client': expected those of role 'hub'"):
+        open_hub(f"tls/127.0.0.1:{free_port()}", Keys(authority.folder / "client"))
+
+
+def test_quic_uses_keys(authority: Authority) -> None:
+    endpoint = f"quic/127.0.0.1:{free_port()}"
+    session = open_hub(endpoint, Keys(authority.folder / "hub"))
+    open_client(endpoint, "client", None, 5.0, keys=Keys(authority.folder / "client")).close()
+    session.close()
+
+
+@pytest.mark.parametrize("name", ["ca.pem", "cert.pem", "key.pem"])
+def test_a_missing_or_damaged_file_is_named(authority: Authority, name: str) -> None:
+    path = authority.folder / "client" / name
+    path.write_text("no PEM")
+    with pytest.raises(InputError, match="do not belong together"):
+        Keys(path.parent)
+    path.unlink()
+    with pytest.raises(InputError, match=f"{name} cannot be read"):
+        Keys(path.parent)
+
+
+def test_keys_that_cannot_be_used(authority: Authority) -> None:
+    folder = authority.folder / "client"
+    (folder / "key.pem").chmod(0o640)
+    with pytest.raises(InputError, match="can be read by other users"):
+        Keys(folder)
+    shutil.copy(authority.folder / "hub" / "key.pem", folder / "key.pem")
+    (folder / "key.pem").chmod(0o600)
+    with pytest.raises(InputError, match="do not belong together"):
+        Keys(folder)
+    with pytest.raises(InputError, match=r"the certificate ended .* 'skin keys renew'"):
+        Keys(issue_for(authority, "client", -10.0))
+    with pytest.raises(InputError, match=r"the certificate begins .*: is this clock right"):
+        Keys(issue_for(authority, "client", 7200.0, 3600.0))
