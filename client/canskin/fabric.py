@@ -191,6 +191,8 @@ class Fabric:
         self._numbers: dict[str, count[int]] = {}
         self._kept: list[Any] = []
         keys = keys or environment_keys()
+        if keys is not None and service:
+            keys.tell_end(service)
         self._session = open_hub(endpoint, keys) if hub else open_client(endpoint, service, stop, patience_s, keys=keys)
         if layout:  # before the token: who sees the token may ask
             self.answer(LAYOUT, partial(self._tell_layout, LayoutReply(layout)))
