@@ -10,7 +10,7 @@ from cyclopts import Parameter
 
 from canskin.errors import InputError
 from canskin.keys import HUB
-from canskin.roles import ROLES
+from canskin.roles import ACTIONS, ROLES
 from hub.authority import Authority, new_authority
 from hub.holders import read_holders
 from shell.terminal import Json, print_json, print_table
@@ -145,6 +145,32 @@ def list_(folder: Path, *, json: Json = False) -> None:
         for name, each in holders.holders.items()
     )
     print_table(["skin", "role", "holder", "until", ""], rows)
+
+
+def explain(role: str | None = None, *, json: Json = False) -> None:
+    """Print who may do what on the fabric, and why: the table from which the hub's rules are made.
+
+    Parameters
+    ----------
+    role
+        Default: all roles.
+    json
+        Print one JSON object.
+
+    Examples
+    --------
+    skin keys explain
+    skin keys explain viewer
+    """
+    if role not in {None, *ROLES}:
+        raise InputError(f"role '{role}': expected one of {', '.join(ROLES)}")
+    told = {name: each for name, each in ROLES.items() if role in {None, name}}
+    if json:
+        print_json({name: {each: of.names(each) for each in ACTIONS} | {"why": of.why} for name, of in told.items()})
+        return
+    for name, of in told.items():
+        print(f"{name}: {of.why}")
+        print_table((), [(f"  {each}", ", ".join(of.names(each))) for each in ACTIONS if of.names(each)])
 
 
 def _common_name(name: str, skin: str) -> str:
