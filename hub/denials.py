@@ -31,6 +31,7 @@ _ACTIONS: Final[dict[str, Action]] = {
     "Query": "ask",
     "Declare Queryable": "answer",
     "Reply": "answer",
+    "Liveliness Token": "appear",
 }
 
 
@@ -84,10 +85,13 @@ class Denials:
         if holder in self._revoked:
             self._tell(holder, "may do nothing: these keys are revoked")
             return
-        name = key.removeprefix(f"canskin/{holder.split(':', maxsplit=1)[0]}/")
         action = _ACTIONS.get(what)
+        name = key.removeprefix(f"canskin/{holder.split(':', maxsplit=1)[0]}/")
+        if action == "appear":
+            name = name.removeprefix("alive/").partition("/")[0]
         allowed = ", ".join(roles_for(action, name)) if action else ""
-        said = f"may not {action or what.lower()} '{plain(name[:NAME_MAX])}'"
+        verb = "appear as" if action == "appear" else action or what.lower()
+        said = f"may not {verb} '{plain(name[:NAME_MAX])}'"
         self._tell(holder, f"{said}: {allowed} may" if allowed else said)
 
     def _tell(self, holder: str, text: str) -> None:
