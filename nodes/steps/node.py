@@ -53,7 +53,7 @@ class SteppedNode(SkinNode):
         self._senders.refuse(self.contract.bus, cob_id)
 
     def expired(self, count: int) -> None:
-        """Do nothing: `SteppedBoards.take_echoes` has taken note."""
+        """Do nothing: `SteppedBoards.count` has taken note."""
 
     def _read_health(self, subindex: int) -> int | None:
         self.health[1:3] = self._senders.counts[self.contract.block]
