@@ -97,6 +97,7 @@ def test_this_machine_answers() -> None:
 
 
 def interface(**changed: Any) -> Interface:
+    """Return an interface without faults, except for what is changed, of it or of its controller."""
     device = Controller(Timing(1_000_000, 0.75), None, State.ACTIVE, Mode(0), 100, None)
     ours = {name: changed.pop(name) for name in list(changed) if hasattr(device, name)}
     return replace(Interface("can", True, True, 16, 10, replace(device, **ours)), **changed)
