@@ -42,9 +42,11 @@ def test_only_the_hub_can_be_a_server(folder: Path) -> None:
     assert [each._name for each in usage] == ["clientAuth"]
 
 
-def test_all_files_are_the_users_alone(folder: Path) -> None:
+def test_folders_and_private_keys_are_the_users_alone(folder: Path) -> None:
     renew(folder, "client")
-    assert not [path for path in folder.rglob("*") if stat.S_IMODE(path.stat().st_mode) & 0o077]
+    private = [folder, *(path for path in folder.rglob("*") if path.is_dir() or path.name == "key.pem")]
+    assert len(private) == 1 + 2 * (2 + len(ROLES))
+    assert not [path for path in private if stat.S_IMODE(path.stat().st_mode) & 0o077]
 
 
 def test_no_authority_is_written_over(folder: Path) -> None:
