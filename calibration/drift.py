@@ -92,8 +92,9 @@ class DriftFollower:
         return self.level_n + ahead * self.slope_n
 
     def skip(self, windows: int) -> None:
-        """Let the offsets go on along their slopes for windows in which nothing was measured."""
+        """Let the offsets go on along their slopes for windows in which nothing was measured: less certain levels."""
         self.level_n = self.predicted_n(windows)
+        self._spread = _ahead(self._spread, windows)
         self._held = self._held + windows
 
     def begin(self, sums: Bools, level_n: Floats, slope_n: Floats, age: int) -> None:
@@ -179,10 +180,10 @@ def _spread(age: Ages) -> Floats:
     return np.asarray(np.where(age > 1, spread, [[1.0], [0.0], [_ANY_SLOPE]]), np.float64)
 
 
-def _ahead(spread: Floats) -> Floats:
-    """Return what `_spread` is of the level a window later."""
+def _ahead(spread: Floats, windows: int = 1) -> Floats:
+    """Return what `_spread` is of the level some windows later."""
     level, both, slope = spread
-    return np.stack([level + 2 * both + slope, both + slope, slope])
+    return np.stack([level + windows * (2 * both + windows * slope), both + windows * slope, slope])
 
 
 def _after_point(spread: Floats) -> Floats:

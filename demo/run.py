@@ -1,5 +1,6 @@
 """One run of the whole chain."""
 
+import secrets
 import shlex
 import time
 from collections.abc import Collection
@@ -26,7 +27,7 @@ from demo.rate import JUDGED_S, LEAST_PART, LEAST_RUN_S, SETTLED_S, at_rate, is_
 from demo.report import WORDS, Report
 from demo.score import Score
 from demo.supervisor import Supervisor
-from shell.service import StopSignal, Talk, listen, request_real_time, say, talks
+from shell.service import PAGE_TOKEN, StopSignal, Talk, listen, request_real_time, say, talks
 from shell.terminal import arguments, progress
 from skin.layout import Layout, layout_text
 from skin.psnr import adds_noise
@@ -51,7 +52,8 @@ class Run:
         self._options = options
         self.score = Score(layout)
         self._folder = folder
-        self._supervisor = Supervisor(folder)
+        self._page_token = secrets.token_urlsafe()
+        self._supervisor = Supervisor(folder, {PAGE_TOKEN: self._page_token})
         self._there = Roll()
         #: Services were started before, at another rate.
         self._has_begun = False
@@ -211,7 +213,7 @@ class Run:
     def _follow(self, stop: StopSignal, endpoint: str) -> bool:
         """Show progress until the end of the run, or until the rate is not kept; tell whether it was."""
         if self._port is not None:
-            self._console.print(f"web page: http://127.0.0.1:{self._port}/")
+            self._console.print(f"web page: http://127.0.0.1:{self._port}/?token={self._page_token}", soft_wrap=True)
         self._console.print(f"fabric: {endpoint}", highlight=False)
         record = ["skin", "record", "run.mcap", "--connect", endpoint]
         self._console.print(

@@ -34,9 +34,13 @@ class Child:
 
 @dataclass
 class Supervisor:
-    """Starts ``skin`` services as processes; `folder` holds their logs and the buses' sockets."""
+    """Starts ``skin`` services as processes; `folder` holds their logs and the buses' sockets.
+
+    `environment` is added to that of this process.
+    """
 
     folder: Path
+    environment: dict[str, str] = field(default_factory=dict)
     children: dict[str, Child] = field(default_factory=dict)
 
     def start(self, name: str, *arguments: str, restart: bool = False) -> Child:
@@ -115,8 +119,8 @@ class Supervisor:
 
     def _launch(self, arguments: list[str], log: Path) -> subprocess.Popen[bytes]:
         # One thread per service: the services share the machine, and one thread is enough.
-        threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
-        environment = {**os.environ, **threads, "SKIN_BUS_DIR": str(self.folder), "SKIN_PARENT": str(os.getpid())}
+        added = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"), "1") | self.environment
+        environment = {**os.environ, **added, "SKIN_BUS_DIR": str(self.folder), "SKIN_PARENT": str(os.getpid())}
         with log.open("ab") as sink, ordinary_scheduling():
             return subprocess.Popen(  # noqa: S603 - our own command, no shell
                 [sys.executable, "-m", "skin", f"--priority={given_priority().value}", *arguments],

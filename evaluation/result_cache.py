@@ -15,6 +15,7 @@ from threadpoolctl import threadpool_limits
 from canskin.errors import InputError
 from evaluation.result import Options, Row
 from shell.parallel import in_parallel
+from shell.service import say
 from shell.terminal import progress
 
 #: Folders and libraries that decide a result: a kept result counts only while they are as they were.
@@ -50,12 +51,13 @@ def measure_cells(
         `jobs` processes work on one thread each. With `out`, joblib keeps each result in ``out/results`` as soon as
         the result is known, and no cell is measured again while the code and the libraries are the same.
     what : str
-        Shown beside the progress bar, on a terminal.
+        Said when the work begins, and shown beside the progress bar, on a terminal.
     jobs : int, optional
         In place of the options', for cells whose times are measured.
     """
     known = _remembering(measure, options.out)
     missing = [place for place, cell in enumerate(cells) if not (options.out and known.check_call_in_cache(**cell))]
+    say("evaluate", f"{what}, {len(missing)} of {len(cells)} cells to measure")
     measured: dict[int, Row] = {}
     with progress(what, len(cells), done=len(cells) - len(missing)) as bar:
         calls = [partial(_on_one_thread, known, cells[place]) for place in missing]

@@ -40,8 +40,7 @@ def reconstruct(
     skin reconstruct --layout palm.toml --solver paper --iterations 5
     """
     stop, of = StopSignal().install(), of or SkinOptions()
-    chosen = solver or SolverOptions()
-    chosen.settings(), chosen.library()  # their errors before any wait
+    (solver or SolverOptions()).settings()  # its errors before any wait
     skin = of.find(stop)
     imager = make_imager(skin, solver, gains)
     patience = threading.Timer(SILENT_S, say, ("reconstructor", "compiles its solver, as on every first start"))

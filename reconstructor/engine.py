@@ -8,7 +8,6 @@ import numpy as np
 import numpy.typing as npt
 
 from canskin.errors import InputError
-from reconstructor.array_api import ArrayLibrary, BatchSolver
 from reconstructor.checks import Values, check_grid_of
 from reconstructor.coded_memory import CodedMemory
 from reconstructor.kernels.contourlet import ContourletSolver
@@ -17,6 +16,7 @@ from reconstructor.kernels.matrix import MatrixSolver
 from reconstructor.kernels.variation import VariationSolver
 from reconstructor.settings import LIVE, SolverSettings
 from reconstructor.temporal_filter import TemporalFilter
+from reconstructor.wavelet_solver import WaveletSolver
 from skin.clipping import ClipCorrection
 from skin.matrix import MatrixPhi
 from skin.phi import Phi, Sbhe
@@ -47,7 +47,7 @@ SLOWEST_GAIN: Final = 1 / 256
 LEAST_PENALTY: Final = 0.03
 MOST_PENALTY: Final = 10.0
 
-Solver = VariationSolver | HaarSolver | ContourletSolver | MatrixSolver | BatchSolver
+Solver = VariationSolver | HaarSolver | ContourletSolver | MatrixSolver | WaveletSolver
 
 
 class Reconstructor:
@@ -85,8 +85,6 @@ class Reconstructor:
         Cycles in which every sum comes once (`skin.layout.Sync.turns`): each measurement has the newest of every sum.
     edges : array of int, shape (edges, 2), optional
         Pairs of neighbours of a skin that is no grid (`skin.surface.Surface.graph`).
-    library : ArrayLibrary, optional
-        Solves in place of the compiled solver (`reconstructor.array_api`).
     """
 
     def __init__(
@@ -100,9 +98,8 @@ class Reconstructor:
         samples: int = 1,
         turns: int = 1,
         edges: npt.NDArray[np.intp] | None = None,
-        library: ArrayLibrary | None = None,
     ) -> None:
-        self._kernel = make_solver(phi, rows, columns, settings, edges=edges, library=library)
+        self._kernel = make_solver(phi, rows, columns, settings, edges=edges)
         if noise_n and samples > 1:
             raise InputError(
                 f"nodes that average (sampling.rate_hz of the layout) undo the bias of clipping themselves:"
@@ -285,12 +282,9 @@ def make_solver(
     settings: SolverSettings,
     *,
     edges: npt.NDArray[np.intp] | None = None,
-    library: ArrayLibrary | None = None,
     dtype: npt.DTypeLike = np.float32,
 ) -> Solver:
-    """Return the solver of a prior: compiled, or of arrays where a library is asked for, or the wavelet is not Haar."""
-    if library is not None:
-        return BatchSolver(phi, rows, columns, settings, edges=edges, library=library, dtype=dtype)
+    """Return the solver of a prior: compiled, unless the wavelet is not Haar."""
     if isinstance(phi, MatrixPhi):
         return MatrixSolver(phi, rows, columns, settings, edges=edges, dtype=dtype)
     if settings.prior == "contourlet":
@@ -299,4 +293,4 @@ def make_solver(
     for solver in (VariationSolver, HaarSolver):
         if settings.prior in solver.priors:
             return solver(phi, rows, columns, settings, edges=edges, dtype=dtype)
-    return BatchSolver(phi, rows, columns, settings, edges=edges, dtype=dtype)
+    return WaveletSolver(phi, rows, columns, settings, edges=edges, dtype=dtype)

@@ -1,4 +1,4 @@
-"""FISTA for arrays of any library of the Python array standard: NumPy, or PyTorch and CuPy on a GPU.
+"""FISTA for arrays of any library of the Python array standard, such as NumPy, PyTorch and CuPy.
 
     x' = P(z - G(z)),   z' = x' + β (x' - x),   z = x at first                      (Beck and Teboulle 2009)
 
@@ -6,11 +6,11 @@
 
     min over s of  ½‖ΦΨs - y‖² + λ‖s‖₁,   x = Ψs
 
-`reconstructor.array_api.BatchSolver` is the loop for many images at once. With the factor ½ steps are 1 / L and
-thresholds λ / L. With Φ of ±1 and forces in newtons, λ is in newtons. L must be at least the largest eigenvalue of
-(ΦΨ)ᵀΦΨ: `Operator.norm_squared` exactly for an orthonormal Ψ, `largest_eigenvalue` for any other. The paper takes twice
-this value, the L of the objective without the factor ½. In this convention the paper's tables follow with the printed
-λ = 1 for noiselets, with λ = 0.01 for an SBHE (the printed λ is 0.1), and with the momentum reset in every time step.
+With the factor ½ steps are 1 / L and thresholds λ / L. With Φ of ±1 and forces in newtons, λ is in newtons. L must be
+at least the largest eigenvalue of (ΦΨ)ᵀΦΨ: `Operator.norm_squared` exactly for an orthonormal Ψ, `largest_eigenvalue`
+for any other. The paper takes twice this value, the L of the objective without the factor ½. In this convention the
+paper's tables follow with the printed λ = 1 for noiselets, with λ = 0.01 for an SBHE (the printed λ is 0.1), and with
+the momentum reset in every time step.
 """
 
 from collections.abc import Callable, Iterable

@@ -61,7 +61,7 @@ class CycleImager:
 def _about(options: SolverOptions) -> str:
     settings = options.settings()
     basis = f", basis {settings.prior}" if options.basis else ""
-    return f"{settings.iterations} iterations{basis}, on the {options.device}"
+    return f"{settings.iterations} iterations{basis}"
 
 
 def _solver(layout: Layout, phi: Sbhe | MatrixPhi, options: SolverOptions) -> Reconstructor:
@@ -75,7 +75,6 @@ def _solver(layout: Layout, phi: Sbhe | MatrixPhi, options: SolverOptions) -> Re
         samples=layout.samples_per_sync,
         turns=layout.sync.turns,
         edges=taxels.surface.graph,
-        library=options.library(),
     )
 
 

@@ -1,17 +1,13 @@
 """Options of the solver, common to ``skin reconstruct`` and ``skin replay``."""
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 from cyclopts import Parameter
 
 from canskin.errors import InputError
 from reconstructor.bases.names import wavelet_basis_name
-from reconstructor.settings import Device, SolverSettings, preset
+from reconstructor.settings import SolverSettings, preset
 from skin.layout import Layout
-
-if TYPE_CHECKING:
-    from reconstructor.array_api import ArrayLibrary
 
 
 @Parameter(name="*")
@@ -36,9 +32,6 @@ class SolverOptions:
         Standard deviation of the noise of a sensor that clips at 0, newtons; corrects the bias of clipping.
         Nodes that average (``sampling.rate_hz``) learn the noise and correct the bias themselves; an analogue front end
         (``taxels.frontend``) clips no taxel and has no bias.
-    device : {"cpu", "gpu"}
-        ``gpu``: an NVIDIA GPU, with CuPy (extra ``gpu``) or PyTorch (extra ``torch``); any solver except contourlets.
-        Single images are faster on the CPU; many at once gain, in Python (`reconstructor.array_api.BatchSolver`).
     """
 
     solver: str = "live"
@@ -46,15 +39,6 @@ class SolverOptions:
     basis: str | None = None
     penalty_n: float | None = None
     noise_n: float | None = None
-    device: Device = "cpu"
-
-    def library(self) -> "ArrayLibrary | None":
-        """Return the array library of the GPU, None for the compiled solvers of the CPU."""
-        if self.device == "cpu":
-            return None
-        from reconstructor.array_api import array_library  # compiled parts take a moment to load
-
-        return array_library(self.device)
 
     def clipped_noise_n(self, layout: Layout) -> float | None:
         """Return `noise_n`; raise InputError if the taxels of the layout are not clipped."""

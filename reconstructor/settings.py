@@ -2,16 +2,13 @@
 
 import math
 from dataclasses import dataclass, replace
-from typing import Final, Literal
+from typing import Final
 
 from canskin.errors import InputError
 from reconstructor.bases.names import wavelet_basis_name
 from reconstructor.checks import check_iterations, is_whole
 from skin.ranges import require_number
 
-#: Where images are solved, and the library of the arrays that are solved there.
-Device = Literal["cpu", "gpu"]
-LibraryName = Literal["cupy", "torch", "numpy"]
 #: Priors that are no orthonormal wavelet: no grid of a basis can be shifted.
 NO_WAVELETS: Final = ("variation", "contourlet")
 

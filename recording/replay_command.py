@@ -10,9 +10,8 @@ from typing import Any, Final
 from bus.options import Channels
 from calibration.calibrator import Tare
 from calibration.offline import make_calibrator
-from canskin.description import DESCRIPTION
 from canskin.errors import InputError, RunError
-from canskin.fabric import Exchange, Fabric
+from canskin.fabric import Exchange
 from canskin.session import DEFAULT_ENDPOINT
 from classifier.cache import find_or_train
 from classifier.decide import Classifier
@@ -32,7 +31,6 @@ from recording.sinks import McapSink
 from shell.output import check_new_path
 from shell.service import StopSignal, say
 from shell.skin_options import Insecure, check_listen, join
-from skin.description import describe
 from skin.layout import Layout, load_layout
 from skin.sources import DEFAULT_OBJECTS
 
@@ -57,10 +55,9 @@ def replay(
 ) -> None:
     """Play a recording or a CAN log through gateway, reconstructor and classifier, on a hub or into a new file.
 
-    Sums are decoded from the frames by the gateway's loop, and images, contacts and labels are made from the sums, one
-    after the other in one process: the same file always gives the same. With a recording of ``skin record`` numbers,
-    times and proofs of nodes are the recorded ones, and the end of the log tells how many measurements, images and
-    labels are equal to the recorded ones. In a log every node counts as proven.
+    Images, contacts and labels are made from the recorded measurements, one after the other in one process: the same
+    file always gives the same. The end of the log tells how many images and labels are equal to the recorded ones. The
+    gateway's loop makes the measurements of frames alone; there every node counts as proven.
 
     Parameters
     ----------
@@ -113,7 +110,7 @@ def replay(
     # Images alone need no labels, but programs on a hub do.
     make_classifier = _classifier(skin, model) if arrays is None or listen is not None else None
     sink = _open(out, source, contract, offset_ns) if out is not None and arrays is None else None
-    fabric = _hub(skin, listen) if out is None or listen is not None else None
+    fabric = join(skin, "replay", listen or DEFAULT_ENDPOINT, hub=True) if out is None or listen is not None else None
     say("replay", f"{source.name}: {imager.about}")
     receivers = [each.publish for each in (fabric, arrays) if each is not None]
     played = Replay(skin, imager, make_classifier, receivers=receivers, sink=sink, offset_ns=offset_ns)
@@ -175,13 +172,6 @@ def _open(out: Path, source: Path, contract: Contract, offset_ns: int) -> McapSi
     return sink
 
 
-def _hub(skin: Layout, listen: str | None) -> Fabric:
-    fabric = join(skin, "replay", listen or DEFAULT_ENDPOINT, hub=True)
-    about = describe(skin)
-    fabric.answer(DESCRIPTION, lambda _request, reply: reply(about))
-    return fabric
-
-
 def _about(source: Path, skin: Layout, given: SolverOptions | None) -> dict[str, Any]:
     """Return what made the images of a file."""
     solver = given or SolverOptions()
@@ -193,5 +183,4 @@ def _about(source: Path, skin: Layout, given: SolverOptions | None) -> dict[str,
         "solver": solver.solver if is_solved else "steps",
         "settings": asdict(solver.settings()) if is_solved else {},
         "noise_n": solver.noise_n,
-        "device": solver.device,
     }

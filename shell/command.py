@@ -3,6 +3,7 @@
 import ast
 import inspect
 import logging
+import os
 import signal
 import sys
 import textwrap
@@ -14,6 +15,7 @@ from types import FrameType
 from typing import TYPE_CHECKING, Annotated, Final, Literal, get_args, get_origin
 
 from canskin.errors import InputError, RunError, SkinError, Stopped
+from canskin.keys import ENVIRONMENT
 from shell.service import REAL_TIME_RATIO, Priority, Talk, set_priority, set_talk
 
 if TYPE_CHECKING:
@@ -57,6 +59,11 @@ VERBS: Final = {
     "layout": "bandwidth.layout_command:layout",
     "plan": "bandwidth.plan_command:plan",
     "load": "bandwidth.load_command:load",
+    "keys new": "hub.keys_command:new",
+    "keys add": "hub.keys_command:add",
+    "keys renew": "hub.keys_command:renew",
+    "keys revoke": "hub.keys_command:revoke",
+    "keys list": "hub.keys_command:list_",
     "doctor": "health.doctor_command:doctor",
     "touch objects": "touch.command:objects",
     "touch dataset": "touch.datasets.command:dataset",
@@ -70,6 +77,7 @@ VERBS: Final = {
 }
 #: What the verbs of a group are for.
 GROUPS: Final = {
+    "keys": "Who may connect to the hub of a robot: an authority, and keys of its own for each program and person.",
     "node": "One board, or all: whether it keeps the contract, its objects and program, NMT commands.",
     "evaluate": "The paper's tables and figures made again, and what goes beyond them.",
     "touch": "The objects that can touch a simulated skin, and the data sets that their touches make.",
@@ -125,6 +133,7 @@ def build_app(arguments: Sequence[str] = ()) -> "cyclopts.App":
         quiet: Annotated[bool, cyclopts.Parameter(alias="-q", group=everywhere, negative=())] = False,
         log_json: Annotated[bool, cyclopts.Parameter(group=everywhere, negative=())] = False,
         priority: Annotated[Priority, cyclopts.Parameter(group=everywhere, help=_PRIORITY)] = Priority.AUTO,
+        keys: Annotated[Path | None, cyclopts.Parameter(group=everywhere)] = None,
     ) -> object:
         """Run a verb.
 
@@ -136,11 +145,15 @@ def build_app(arguments: Sequence[str] = ()) -> "cyclopts.App":
             Write errors only to stderr.
         log_json
             Write stderr as JSON, one object per line.
+        keys
+            Folder of keys, which ``skin keys`` makes, for a hub at ``tls/HOST:PORT``; default: SKIN_KEYS.
         """
         if verbose and quiet:
             raise InputError("expected --verbose or --quiet, got both")
         set_talk(Talk.VERBOSE if verbose else Talk.QUIET if quiet else Talk.NORMAL, as_json=log_json)
         set_priority(priority)
+        if keys is not None:  # of every connection of this process and of those that it starts
+            os.environ[ENVIRONMENT] = str(keys.absolute())
         if verbose:
             logging.basicConfig(level=logging.INFO, format="%(name)s: %(message)s")
         return app(tokens)

@@ -32,6 +32,8 @@ WATCH_S: Final = 10.0
 NICENESS: Final = 10
 #: A service that waits checks the stop signal this often.
 LOOK_S: Final = 0.02
+#: Environment variable: token of the page, which the viewer draws otherwise.
+PAGE_TOKEN: Final = "SKIN_PAGE_TOKEN"  # noqa: S105 - its name
 #: Connections that may wait at a socket.
 _BACKLOG: Final = 64
 _IS_LINUX: Final = sys.platform.startswith("linux")

@@ -2,7 +2,8 @@
 
 import re
 from collections.abc import Sequence
-from itertools import takewhile
+from io import BytesIO, TextIOWrapper
+from itertools import islice, takewhile
 from pathlib import Path
 from typing import Any, BinaryIO, Final
 
@@ -13,6 +14,7 @@ from canskin.errors import InputError
 from canskin.messages import IMAGE, TRUTH
 from recording import RECORDING_SUFFIX, is_recording
 from shell.service import say
+from skin.limits import check_unpacked, read_file
 
 Counts = npt.NDArray[Any]
 
@@ -26,6 +28,9 @@ IN_MCAP: Final = {"image": (IMAGE, "pixels"), "true": (TRUTH, "true"), "sensor":
 #: Suffixes of the files that are read.
 _READ_SUFFIXES: Final = (".npz", ".npy", ".csv", RECORDING_SUFFIX)
 _CAN_LOGS: Final = (".log", ".asc", ".blf", ".trc", ".mf4")
+#: Most bytes and lines of a .csv.
+_CSV_BYTES_MAX: Final = 2**25
+_CSV_LINES_MAX: Final = 2**19
 #: Most characters of a wrong value in an error message.
 _SHOWN: Final = 20
 
@@ -79,8 +84,12 @@ def array_names(path: Path) -> tuple[str, ...]:
     if path.suffix.lower() != ".npz":
         return ()
     try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as loaded:
-            return tuple(loaded.files)
+        with path.open("rb") as file:
+            check_unpacked(file, f"'{path}'")
+            with np.load(file, allow_pickle=False) as loaded:
+                return tuple(loaded.files)
+    except InputError:
+        raise
     except Exception as error:  # see `read_counts`
         raise InputError(f"'{path}' cannot be read as .npz: {error}") from error
 
@@ -111,6 +120,7 @@ def _read_numpy(path: Path, arrays: Sequence[str] | None) -> dict[str, Counts]:
 
 
 def _arrays_of(file: BinaryIO, path: Path, arrays: Sequence[str] | None) -> dict[str, Counts]:
+    check_unpacked(file, f"'{path}'")
     loaded = np.load(file, allow_pickle=False)
     if isinstance(loaded, np.ndarray):
         if arrays is not None:
@@ -130,7 +140,10 @@ def _arrays_of(file: BinaryIO, path: Path, arrays: Sequence[str] | None) -> dict
 
 
 def _read_csv(path: Path, skin_shape: tuple[int, int]) -> dict[str, Counts]:
-    lines = path.read_text("utf-8-sig").splitlines()
+    content = BytesIO(read_file(path, InputError, "the recording", _CSV_BYTES_MAX))
+    lines = list(islice(TextIOWrapper(content, "utf-8-sig"), _CSV_LINES_MAX + 1))
+    if len(lines) > _CSV_LINES_MAX:
+        raise InputError(f"'{path}': expected at most {_CSV_LINES_MAX} lines, got more: save longer recordings as .npy")
     written = next((found for line in lines if (found := _SHAPE.match(line.lstrip()))), None)
     rows, columns = (int(written[1]), int(written[2])) if written else skin_shape
     frames = {number: text for number, line in enumerate(lines, 1) if (text := line.partition("#")[0].strip())}

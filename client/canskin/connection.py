@@ -2,6 +2,7 @@
 
 import threading
 import time
+from pathlib import Path
 from typing import Final
 
 import msgspec
@@ -12,8 +13,9 @@ from canskin.description import DESCRIPTION, Description, DescriptionRequest
 from canskin.errors import BusError, InputError, RunError, SkinError
 from canskin.fabric import Fabric
 from canskin.frame import Frame, FrameBuilder
+from canskin.keys import Keys
 from canskin.messages import CONTACTS, GATEWAY, IMAGE, LABEL, MARK, MEASUREMENT, GatewayStatus, Mark
-from canskin.peers import Peer, client_version
+from canskin.peers import GATEWAYS, Peer, client_version
 from canskin.session import DEFAULT_ENDPOINT, close_with_program, find_skin, peers_at
 from canskin.skin import CLOSED, FrameHub, Frames, Health, Skin
 
@@ -21,13 +23,17 @@ from canskin.skin import CLOSED, FrameHub, Frames, Health, Skin
 NAME: Final = "client"
 #: Time between two requests for the description of a skin whose layout has changed.
 ASK_AGAIN_S: Final = 1.0
-#: Services that know a skin's geometry.
-GATEWAYS: Final = ("gateway", "replay")
 #: Name of a recorder on the fabric.
 RECORDER: Final = "recorder"
 
 
-def connect(endpoint: str = DEFAULT_ENDPOINT, skin: str | None = None, *, timeout_s: float = 5.0) -> Skin:
+def connect(
+    endpoint: str = DEFAULT_ENDPOINT,
+    skin: str | None = None,
+    *,
+    timeout_s: float = 5.0,
+    keys: str | Path | None = None,
+) -> Skin:
     """Connect to a running skin.
 
     Parameters
@@ -38,13 +44,17 @@ def connect(endpoint: str = DEFAULT_ENDPOINT, skin: str | None = None, *, timeou
         Name of the skin; needed where a hub has several.
     timeout_s : float
         Longest wait for the hub and the skin, and later for a frame.
+    keys : str or pathlib.Path, optional
+        Folder of keys, which ``skin keys`` makes; default: ``$SKIN_KEYS``. A hub with keys has an address such as
+        ``tls/192.168.1.20:7447``.
 
     Raises
     ------
     InputError
-        If the timeout is no number above 0.
+        If the timeout is no number above 0, or the keys cannot be used.
     BusError
-        If there is no such hub or skin in time; the message says what was looked for and what was found.
+        If the hub refuses the keys, or there is no such hub or skin in time; the message says what was looked for and
+        what was found.
 
     Examples
     --------
@@ -55,8 +65,9 @@ def connect(endpoint: str = DEFAULT_ENDPOINT, skin: str | None = None, *, timeou
     if not isinstance(timeout_s, int | float) or not timeout_s > 0:
         raise InputError(f"timeout_s: expected seconds above 0, got {timeout_s!r}")
     give_up_s = time.monotonic() + timeout_s
-    name = find_skin(endpoint, skin, timeout_s, _knows)[0].skin
-    fabric = Fabric(name, NAME, endpoint, patience_s=max(1.0, give_up_s - time.monotonic()))
+    held = None if keys is None else Keys(keys)
+    name = find_skin(endpoint, skin, timeout_s, _knows, keys=held)[0].skin
+    fabric = Fabric(name, NAME, endpoint, patience_s=max(1.0, give_up_s - time.monotonic()), keys=held)
     try:
         layout: Description = fabric.ask(DESCRIPTION, DescriptionRequest(), max(1.0, give_up_s - time.monotonic()))
         return ConnectedSkin(fabric, layout, endpoint, timeout_s)
@@ -65,7 +76,7 @@ def connect(endpoint: str = DEFAULT_ENDPOINT, skin: str | None = None, *, timeou
         raise
 
 
-def skins_at(endpoint: str = DEFAULT_ENDPOINT, *, timeout_s: float = 1.0) -> list[str]:
+def skins_at(endpoint: str = DEFAULT_ENDPOINT, *, timeout_s: float = 1.0, keys: str | Path | None = None) -> list[str]:
     """Return the names of the skins on a hub, in the order of the alphabet.
 
     Parameters
@@ -74,13 +85,18 @@ def skins_at(endpoint: str = DEFAULT_ENDPOINT, *, timeout_s: float = 1.0) -> lis
         Address of the hub; see `connect`.
     timeout_s : float
         How long to wait for the first skin.
+    keys : str or pathlib.Path, optional
+        See `connect`.
 
     Raises
     ------
+    InputError
+        If the keys cannot be used.
     BusError
-        If there is no such hub in time.
+        If the hub refuses the keys, or there is no such hub in time.
     """
-    return _skins_of(peers_at(endpoint, timeout_s, lambda peers: bool(_skins_of(peers))))
+    held = None if keys is None else Keys(keys)
+    return _skins_of(peers_at(endpoint, timeout_s, lambda peers: bool(_skins_of(peers)), keys=held))
 
 
 def _skins_of(peers: list[Peer]) -> list[str]:

@@ -17,7 +17,8 @@ from typing import Any, Final, NamedTuple, Protocol
 import zenoh
 
 from canskin.errors import BusError, Stopped, reasoned, tell
-from canskin.peers import EVERY_KEY, Peer, peer_of_key
+from canskin.keys import ENVIRONMENT, HUB, PROTOCOLS_WITH_KEYS, Keys, environment_keys, reason
+from canskin.peers import EVERY_KEY, Peer, new_peer, peer_of_key
 
 
 def user_folder() -> Path:
@@ -33,10 +34,14 @@ UNIX: Final = "unixsock-stream"
 SOCKET_PATH_MAX: Final = 107
 #: A socket that only this user may open, so that other users of this machine are out; without Unix sockets loopback.
 DEFAULT_ENDPOINT: Final = f"{UNIX}/{user_folder() / 'hub'}" if hasattr(socket, "AF_UNIX") else "tcp/127.0.0.1:7447"
+#: With keys, in place of the default endpoint.
+TLS_ENDPOINT: Final = "tls/127.0.0.1:7447"
 #: After this time without a hub a service logs that it waits.
 SILENT_S: Final = 3.0
 #: A service that waits for the hub checks the stop signal at least this often.
 TRY_S: Final = 1.0
+#: The first time earlier, to find out whether the hub refuses.
+FIRST_TRY_S: Final = 0.5
 #: Period of a search for services.
 LOOK_S: Final = 0.1
 #: Threads of the hub, as zenoh reads them from ZENOH_RUNTIME. When a client has not read for its lease of 10 s, zenoh
@@ -50,6 +55,15 @@ PROTOCOLS_WITH_PORT: Final = PROTOCOLS[:5]
 #: Whoever reaches the address may do everything.
 PROTOCOLS_WITHOUT_KEYS: Final = ("tcp", "udp", "ws", "vsock")
 HIGHEST_PORT: Final = 65535
+#: How soon a client connects again after its hub is gone: zenoh's default waits up to 4 s.
+RETRY: Final = {"period_init_ms": 50, "period_max_ms": 200, "period_increase_factor": 1.5}
+#: Longest message that a process takes, bytes: without a limit one message of another fills the memory. The longest of
+#: canskin is a layout of 2**16 taxels at positions, 9 MB.
+MESSAGE_MAX: Final = 1 << 24
+#: Longest wait of a client with keys for the first service that the hub lets it see: the hub itself.
+SEE_S: Final = 0.5
+#: Tokens of hubs: zenoh withdraws a token that nobody holds.
+_TOKENS: Final[list[Any]] = []
 
 
 class Stop(Protocol):
@@ -60,7 +74,10 @@ class Stop(Protocol):
         ...
 
 
-def _check_endpoint(endpoint: str) -> None:
+def _checked(endpoint: str, keys: Keys | None) -> tuple[str, Keys | None]:
+    """Return an endpoint and its keys: a socket needs none; raise BusError if the endpoint cannot be used."""
+    if keys is not None and endpoint == DEFAULT_ENDPOINT:
+        return TLS_ENDPOINT, keys
     protocol, _, address = endpoint.partition("/")
     port = address.rpartition(":")[2]
     has_port = re.fullmatch(r".+:\d+", address) and int(port) <= HIGHEST_PORT
@@ -70,6 +87,11 @@ def _check_endpoint(endpoint: str) -> None:
         raise BusError(f"{address} is too long for a socket: expected up to {SOCKET_PATH_MAX} bytes")
     if protocol == UNIX and endpoint == DEFAULT_ENDPOINT:
         own_folder(Path(address).parent)
+    if keys is None and protocol in PROTOCOLS_WITH_KEYS:
+        raise BusError(f"{endpoint} needs keys: give --keys FOLDER, or {ENVIRONMENT} in the environment")
+    if keys is not None and protocol not in (*PROTOCOLS_WITH_KEYS, UNIX):
+        raise BusError(f"{endpoint} does not use the keys {keys.folder}: give tls/{address}, or leave the keys out")
+    return endpoint, None if protocol == UNIX else keys
 
 
 def own_folder(folder: Path) -> None:
@@ -95,18 +117,30 @@ def is_open(endpoint: str) -> bool:
     return protocol in PROTOCOLS_WITHOUT_KEYS and not is_loopback(address.rpartition(":")[0].strip("[]"))
 
 
-def open_hub(endpoint: str) -> Any:
+def open_hub(endpoint: str, keys: Keys | None = None, rules: dict[str, Any] | None = None) -> Any:
     """Open the session of the hub.
+
+    Parameters
+    ----------
+    keys : Keys, optional
+        Of role `HUB`: whoever connects needs keys of the same authority.
+    rules : dict, optional
+        Zenoh's ``access_control``: who may do what.
 
     Raises
     ------
     BusError
         If the endpoint cannot be used.
     """
-    _check_endpoint(endpoint)
+    endpoint, keys = _checked(endpoint, keys)
+    if keys is not None and keys.role != HUB:
+        raise BusError(
+            f"cannot listen on {endpoint} with keys of '{keys.common_name}': expected those of role '{HUB}', or"
+            " --connect tls/HOST:PORT"
+        )
     is_ours = os.environ.setdefault("ZENOH_RUNTIME", _RUNTIME) == _RUNTIME
     try:
-        return zenoh.open(_config(endpoint, hub=True))
+        session = zenoh.open(_config(endpoint, keys, hub=True, rules=rules))
     except zenoh.ZError as error:
         # Zenoh locks a file beside a socket.
         why = "another hub listens there" if "EAGAIN" in str(error) else first_sentence(error)
@@ -114,6 +148,9 @@ def open_hub(endpoint: str) -> Any:
     finally:
         if is_ours:
             del os.environ["ZENOH_RUNTIME"]  # the processes that this process starts are no hubs
+    if keys is not None:  # whoever may connect sees the hub; whoever sees nothing is revoked
+        _TOKENS.append(session.liveliness().declare_token(new_peer(keys.skin, HUB, "").key))
+    return session
 
 
 class Listener(NamedTuple):
@@ -131,6 +168,8 @@ def open_client(
     stop: Stop | None,
     patience_s: float = math.inf,
     listener: Listener = Listener(),  # noqa: B008 - immutable
+    *,
+    keys: Keys | None = None,
 ) -> Any:
     """Open a client's zenoh session in short attempts: signals are handled only between attempts.
 
@@ -144,19 +183,25 @@ def open_client(
         Longest wait.
     listener : Listener
         Who listens on the endpoint.
+    keys : Keys, optional
+        Shown to the hub; the hub must show keys of the same authority.
 
     Raises
     ------
     BusError
-        If the endpoint cannot be used, or nobody answered in time.
+        If the endpoint cannot be used, the hub refuses, or nobody answered in time.
     """
-    _check_endpoint(endpoint)
-    started_s, said = time.monotonic(), False
+    endpoint, keys = _checked(endpoint, keys)
+    started_s, said, try_s = time.monotonic(), False, FIRST_TRY_S
     while True:
         left_s = patience_s - (time.monotonic() - started_s)
         try:
-            session = zenoh.open(_config(endpoint, patience_s=max(0.0, min(TRY_S, left_s))))
+            if keys is not None:  # before: zenoh waits 10 s for a hub that does not speak TLS
+                _raise_refusal(endpoint, listener, keys)
+            session = zenoh.open(_config(endpoint, keys, patience_s=max(0.0, min(try_s, left_s))))
         except zenoh.ZError:
+            try_s = TRY_S
+            _raise_refusal(endpoint, listener, keys)
             if stop is not None and stop.is_set():
                 raise Stopped from None
             waited_s = time.monotonic() - started_s
@@ -165,6 +210,12 @@ def open_client(
                     f"no {listener.name} at {endpoint}: start {listener.starter}, or give another {listener.option}"
                 ) from None  # that of zenoh says no more, and has paths of its build
         else:
+            if keys is not None and not _sees(session):
+                session.close()
+                raise BusError(
+                    f"the {listener.name} at {endpoint} lets '{keys.common_name}' do nothing: its keys are revoked or"
+                    " unknown there, see 'skin keys list'"
+                )
             if said:
                 tell(service, f"the {listener.name} is there")
             return session
@@ -173,7 +224,29 @@ def open_client(
             said = True
 
 
-def _config(endpoint: str, *, hub: bool = False, patience_s: float = 0.0) -> Any:
+def _sees(session: Any) -> bool:
+    """Tell whether the hub lets a session see any service, such as the hub itself."""
+    give_up_s = time.monotonic() + SEE_S
+    while not (sees := bool(peers_of(session))) and time.monotonic() < give_up_s:
+        time.sleep(LOOK_S)
+    return sees
+
+
+def _raise_refusal(endpoint: str, listener: Listener, keys: Keys | None) -> None:
+    """Raise BusError with the reason if the hub refuses a connection."""
+    if why := reason(endpoint, keys):
+        holder = f"'{keys.common_name}'" if keys else "a program without keys"
+        raise BusError(f"the {listener.name} at {endpoint} refuses {holder}: {why}") from None
+
+
+def _config(
+    endpoint: str,
+    keys: Keys | None,
+    *,
+    hub: bool = False,
+    patience_s: float = 0.0,
+    rules: dict[str, Any] | None = None,
+) -> Any:
     """Build a zenoh configuration that uses `endpoint` only."""
     config = zenoh.Config()
     settings = {
@@ -185,7 +258,13 @@ def _config(endpoint: str, *, hub: bool = False, patience_s: float = 0.0) -> Any
         "scouting/delay": 0,  # a router would wait for others, 0.5 s
         "transport/shared_memory/enabled": False,
         "connect/timeout_ms": round(patience_s * 1000),
+        "connect/retry": RETRY,
+        "transport/link/rx/max_message_size": MESSAGE_MAX,
     }
+    if keys is not None:
+        settings |= keys.settings(is_hub=hub)
+    if rules is not None:
+        settings["access_control"] = rules
     for key, value in settings.items():
         config.insert_json5(key, json.dumps(value))
     return config
@@ -218,6 +297,8 @@ def peers_at(
     is_enough: Callable[[list[Peer]], bool],
     option: str = "address",
     stop: Stop | None = None,
+    *,
+    keys: Keys | None = None,
 ) -> list[Peer]:
     """Return the services of all skins on a hub: as soon as `is_enough`, else those after `patience_s`.
 
@@ -227,6 +308,8 @@ def peers_at(
         What gives the endpoint, for the message.
     stop : Stop, optional
         If set meanwhile, `canskin.errors.Stopped` is raised.
+    keys : Keys, optional
+        Default: see `environment_keys`.
 
     Raises
     ------
@@ -234,7 +317,8 @@ def peers_at(
         If the endpoint cannot be used, or no hub answers in time.
     """
     give_up_s = time.monotonic() + patience_s
-    session = open_client(endpoint, "client", stop, patience_s, Listener(option=option))
+    listener = Listener(option=option)
+    session = open_client(endpoint, "client", stop, patience_s, listener, keys=keys or environment_keys())
     try:
         while True:
             peers = peers_of(session)
@@ -263,6 +347,7 @@ def find_skin(
     *,
     words: Words = Words(),  # noqa: B008 - immutable
     stop: Stop | None = None,
+    keys: Keys | None = None,
 ) -> list[Peer]:
     """Return the services of a skin on a hub that know the skin.
 
@@ -276,6 +361,8 @@ def find_skin(
         Tells whether a service knows its skin.
     stop : Stop, optional
         If set meanwhile, `canskin.errors.Stopped` is raised.
+    keys : Keys, optional
+        Default: see `environment_keys`.
 
     Raises
     ------
@@ -289,7 +376,7 @@ def find_skin(
     def is_found(peers: list[Peer]) -> bool:
         return wanted in known(peers) if wanted else bool(known(peers))
 
-    peers = peers_at(endpoint, patience_s, is_found, words.address, stop)
+    peers = peers_at(endpoint, patience_s, is_found, words.address, stop, keys=keys)
     skins = known(peers)
     if wanted in skins or (wanted is None and len(skins) == 1):
         return [peer for peer in peers if peer.skin == (wanted or skins[0]) and knows(peer)]

@@ -4,7 +4,6 @@ from importlib import import_module
 from typing import Any, Final, Literal, get_args
 
 from canskin.errors import InputError
-from reconstructor.settings import Device, LibraryName
 from shell.terminal import Json, print_json, print_table, progress
 
 Subject = Literal["reconstruct", "gateway", "chain", "classify"]
@@ -15,21 +14,18 @@ def bench(
     subject: Subject,
     *,
     rounds: int | None = None,
-    device: Device | None = None,
-    library: LibraryName | None = None,
     json: Json = False,
 ) -> None:
     """Measure one part of the system and print a table.
 
     ``reconstruct`` solves one problem with our solver, with the paper's dense FISTA and with every peer of the extra
-    ``bench`` that is installed, in turn and on one thread: median milliseconds of 20 iterations from a warm start,
-    the gap (F - F*) / F* each is left with, the PSNR, and the ratio to ours of the same precision; then the same for
-    the contourlet; then total variation on the default skin as a grid and as a graph, and on triangles. With
-    ``--device`` it times the solvers on arrays in place of these, on batches of images: µs of an image, and
-    the compiled solver's time / this time. ``gateway`` gives the frames per second that one core takes from the socket
-    to a complete measurement, against python-can and canopen. ``chain`` runs the default and the stepped skin on
-    virtual buses and gives the processor time of each process and the time of each step until an image. ``classify``
-    times one decision between 16 objects against scikit-learn's on the same machines.
+    ``bench`` that is installed, in turn and on one thread: median milliseconds of 20 iterations from a warm start, the
+    gap (F - F*) / F* each is left with, the PSNR, and the ratio to ours of the same precision; then the same for the
+    contourlet; then total variation on the default skin as a grid and as a graph, and on triangles. ``gateway`` gives
+    the frames per second that one core takes from the socket to a complete measurement, against python-can and canopen.
+    ``chain`` runs the default and the stepped skin on virtual buses and gives the processor time of each process and
+    the time of each step until an image. ``classify`` times one decision between 16 objects against scikit-learn's on
+    the same machines.
 
     Parameters
     ----------
@@ -37,31 +33,19 @@ def bench(
         What to measure.
     rounds
         Times each method runs after the first, default 8; of ``chain``, runs of 10 s, default 2.
-    device
-        Of ``reconstruct``: where arrays are solved. ``cpu`` only checks the code.
-    library
-        Of ``--device``; default: of a GPU CuPy, else PyTorch; of the CPU NumPy.
     json
         Print JSON instead of tables.
 
     Examples
     --------
     skin bench reconstruct
-    skin bench reconstruct --device gpu --library torch
     skin bench gateway --json
     """
     count = (2 if subject == "chain" else 8) if rounds is None else rounds
     if count < 1:
         raise InputError(f"expected 1 round or more, got {count}")
-    arguments: dict[str, Any] = {"rounds": count}
-    module = import_module(_MODULES[subject])
-    if device is not None or library is not None:
-        if subject != "reconstruct" or device is None:
-            raise InputError("--device is of 'reconstruct', and --library of --device: leave them out")
-        module = import_module("evaluation.bench.arrays")
-        arguments |= {"device": device, "library": library}
     with progress(f"measuring {subject}", None):
-        result: dict[str, Any] = module.run(**arguments)
+        result: dict[str, Any] = import_module(_MODULES[subject]).run(count)
     if json:
         print_json(result)
         return

@@ -1,7 +1,6 @@
 """The paper's figures on images: PSNR over time, sample tactile images, convergence from a cold start."""
 
-from itertools import product
-from typing import Final, get_args
+from typing import Final
 
 import numpy as np
 
@@ -19,14 +18,14 @@ from evaluation.paper.runs import (
     true_force,
 )
 from evaluation.paper.tables import QUICK_STRIDES, STRIDES, SUMS, TABLE_ITERATIONS, TABLE_SUMS
-from evaluation.printed import BasisName, Matrix, paper_psnr, paper_value
+from evaluation.printed import paper_psnr, paper_value
 from evaluation.result import Options, Picture, Result, Row, beside
 from evaluation.result_cache import measure_cells
 from reconstructor.checks import Values
 from reconstructor.fista import fista, largest_eigenvalue
 from reconstructor.kernels.contourlet import CompiledContourlet
 from reconstructor.settings import PAPER_CONTOURLET
-from skin.psnr import psnr_db, psnr_series_db
+from skin.psnr import psnr_db
 from touch.contact import Force
 
 #: The step of the images: in the middle of the slide. The paper does not say which it shows.
@@ -36,8 +35,6 @@ RUN_IN, QUICK_RUN_IN = 200, 30
 SHOWN: Final = (20, 50, 100)
 #: The last is where convergence is measured against.
 LONGEST: Final = 400
-#: Draws of Φ and of the noise behind the largest PSNR before the touch.
-UNTOUCHED_DRAWS, QUICK_UNTOUCHED_DRAWS = 20, 2
 #: When the first taxel is touched, and when the slide begins, ms.
 TOUCHED_MS, SLIDES_MS = 100, 1100
 
@@ -57,7 +54,6 @@ def evaluate(options: Options) -> Result:
     shown = {f"{each} iterations, {converged[each][0]:.1f} dB": converged[each][1] for each in SHOWN}
     rows = [
         *_series_rows(series, stride),
-        *_untouched_rows(options),
         *(
             _row("sample images, drill", what, level_db, paper_value("figures", what=what))
             for what, level_db in (("rebuilt from 1024 sums", rebuilt_db), ("sensor signal", sensor_db))
@@ -104,46 +100,6 @@ def _series_rows(series: dict[str, Decibels], stride: int) -> list[Row]:
         )
         rows += [_row("PSNR over time, clamp", f"{name}, {part}", each.mean(), paper) for part, each, paper in parts]
     return rows
-
-
-def _untouched_rows(options: Options) -> list[Row]:
-    """Return the largest PSNR of an untouched skin over draws, and how it goes with the rows of Φ without a -1."""
-    draws = QUICK_UNTOUCHED_DRAWS if options.quick else UNTOUCHED_DRAWS
-    methods = [
-        Method(matrix, sums, basis, TABLE_ITERATIONS)
-        for basis, matrix, sums in product(get_args(BasisName), get_args(Matrix), SUMS)
-    ]
-    cells = [{"method": method, "seed": options.seed, "draws": draws} for method in methods]
-    rows = []
-    for method, found in zip(methods, measure_cells(measure_untouched, cells, options, "untouched"), strict=True):
-        what = f"{method.basis}, {method.matrix}, {method.sums} sums"
-        rows += [
-            _row("largest PSNR before the touch", f"{what}: {quantity}", found[quantity], None)
-            for quantity in ("mean", "deviation", "correlation with the gain of a constant")
-        ]
-    return rows
-
-
-def measure_untouched(*, method: Method, seed: int, draws: int) -> Row:
-    """Return mean and deviation over draws of the largest PSNR of an untouched skin, dB, until the first touch.
-
-    The noise is clipped at zero, so that its mean is no zero. Of an SBHE only the rows without a -1 see a constant: how
-    many of them are drawn decides how much of that mean is rebuilt. ``correlation``: of the largest PSNR with
-    ‖Φ1‖², over the draws; not a number for noiselets, whose ‖Φ1‖² is the same in each draw.
-    """
-    true = np.zeros((TOUCHED_MS, SIDE, SIDE), np.float32)
-    largest_db, gains = [], []
-    for draw in range(draws):
-        phi, solver = method.make(phi_seed(seed, draw))
-        images = rebuilt_images(phi, solver, felt_force(true, seed, draw))
-        largest_db.append(float(psnr_series_db(true, images).max()))
-        gains.append(float((phi.forward(np.ones(SIDE * SIDE, np.float32)) ** 2).sum()))
-    is_drawn = np.ptp(gains) > 1e-6 * max(gains)
-    return {
-        "mean": float(np.mean(largest_db)),
-        "deviation": float(np.std(largest_db)),
-        "correlation with the gain of a constant": float(np.corrcoef(largest_db, gains)[0, 1]) if is_drawn else np.nan,
-    }
 
 
 def _sample(options: Options) -> tuple[Force, Force, Force]:

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from evaluation.printed import BasisName, Matrix
 from evaluation.result import Options, Row
 from evaluation.solvers.noiselet import Noiselet, noiselet
-from reconstructor.bases import Basis, WaveletBasis, wavelet_basis
+from reconstructor.bases import Basis, wavelet_basis
 from reconstructor.checks import Values
 from reconstructor.engine import Solver, make_solver
 from reconstructor.fista import fista, largest_eigenvalue
@@ -44,8 +44,7 @@ class NoiseletSolver:
             psi = CompiledContourlet(phi.rows, phi.columns, np.float32)
             largest = largest_eigenvalue(phi, CompiledContourlet(phi.rows, phi.columns))
         else:
-            steps = wavelet_basis(settings.prior, phi.rows, phi.columns).steps
-            psi = WaveletBasis([(down.astype(np.float32), across.astype(np.float32)) for down, across in steps])
+            psi = wavelet_basis(settings.prior, phi.rows, phi.columns, np.float32)
             largest = phi.norm_squared
         self._psi = psi
         self._fista = partial(

@@ -30,30 +30,22 @@ _Filter = TypeVar("_Filter", bound=ForceFilter)
 
 @dataclass(frozen=True, eq=False)
 class Board:
-    """All that a scheme knows of a touch: what the boards of an array read, and which frames the buses lose.
+    """All that a scheme knows of a touch: what the boards of an array read.
 
     Attributes
     ----------
     counts, idle : arrays of int16, shape (ticks, cells)
         What every cell reads each millisecond, and what it read before, while nothing touched: boards learn their noise
         from that.
-    loss_ratio, seed
-        Part of all frames that never reach the receiver, 0 to 1, and the seed by which they are drawn.
     """
 
     counts: Counts
     idle: Counts
-    loss_ratio: float = 0.0
-    seed: int = 0
 
     @property
     def side(self) -> int:
         """Cells of a side of the array."""
         return isqrt(self.counts.shape[1])
-
-    def arrives(self, frames: int) -> npt.NDArray[np.bool_]:
-        """Draw which of `frames` frames reach the receiver."""
-        return np.random.default_rng(self.seed).random(frames) >= self.loss_ratio
 
     def filtered(self, name: FilterName, horizon: float = HORIZON) -> tuple[Force, float]:
         """Return what a filter makes of every sample, and the median noise of a cell before the filter, newtons.
@@ -72,7 +64,7 @@ def board_of(touch: Touch, side: int = SIDE) -> Board:
         fine = what.true_n.reshape(-1, SIDE, SIDE)
         coarse = averaged(fine, side).reshape(len(fine), -1)
         counts = counts_of(touch.sensed(coarse, np.random.default_rng(touch.seed + 1)))
-    return Board(counts, touch.idle(side * side), touch.loss_ratio, touch.seed)
+    return Board(counts, touch.idle(side * side))
 
 
 @lru_cache(maxsize=2)

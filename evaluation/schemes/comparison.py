@@ -12,7 +12,7 @@ from evaluation.schemes.scenes import OWN, SLAP, Touch
 from evaluation.schemes.schemes import (
     AVERAGED_SCAN,
     BEST_SCAN,
-    COARSE_ARRAYS,
+    COARSE_ARRAY,
     RAW_SCAN,
     THIN_SCAN,
     FilteredEvents,
@@ -21,27 +21,22 @@ from evaluation.schemes.schemes import (
     Sums,
     measure_scheme,
 )
-from skin.layout import Steps
 from skin.sources import object_label
 
 OURS: Final = Stepped()
-#: Slots that are too short for all boards at once, and the threshold with which the slides take as many bits.
-FAST: Final = Stepped(steps=Steps(slot_s=0.0025, quiet=0.16))
 #: Thresholds in newtons that events are tried with.
 EVENTS: Final = tuple(map(FilteredEvents, (0.2e-3, 0.3e-3, 0.5e-3, 0.8e-3)))
 SCHEMES: Final[tuple[Scheme, ...]] = (
     OURS,
-    Stepped(is_fd=True),
-    FAST,
     Sums(),
     BEST_SCAN,
     AVERAGED_SCAN,
     RAW_SCAN,
     THIN_SCAN,
-    *COARSE_ARRAYS,
+    COARSE_ARRAY,
     *EVENTS,
 )
-_QUICK: Final[tuple[Scheme, ...]] = (OURS, Sums(), BEST_SCAN, RAW_SCAN, COARSE_ARRAYS[0], FilteredEvents(0.5e-3))
+_QUICK: Final[tuple[Scheme, ...]] = (OURS, Sums(), BEST_SCAN, RAW_SCAN, COARSE_ARRAY, FilteredEvents(0.5e-3))
 #: Those that scenes drawn at random are shown: the best of each kind. The largest threshold is for boxes that shake.
 _DRAWN: Final[tuple[Scheme, ...]] = (OURS, Sums(), BEST_SCAN, *EVENTS[:-1])
 #: Bits of schemes with a rate that differ by less are equal: scans have whole frames.
@@ -50,17 +45,9 @@ EQUAL_BITS: Final = 0.05
 DIGITS: Final = {
     "kbit_per_s": 0,
     "rate_hz": 0,
-    "load": 3,
-    "load_peak": 3,
     "psnr_mean_db": 1,
-    "psnr_plain_db": 1,
-    "psnr_least_db": 1,
-    "psnr_peak_db": 1,
-    "error_mn": 2,
     "touched_error_mn": 2,
     "latency_p99_ms": 2,
-    "latency_worst_ms": 2,
-    "longest_wrong_ms": 0,
 }
 
 
@@ -122,7 +109,6 @@ def _touches(options: Options) -> Iterator[Touch]:
         yield Touch(name, meshes=meshes, seed=options.seed)
     yield Touch("golf-ball", noise_n=0.5e-3, seed=options.seed)
     yield Touch("golf-ball", noise_n=2e-3, seed=options.seed)
-    yield Touch("golf ball at rest", loss_ratio=0.01, seed=options.seed)
 
 
 def means_of(rows: list[Row], touches: Collection[str], words: str) -> list[Row]:

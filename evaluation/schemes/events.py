@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from dbc.canopen import TPDO_BASES
 from dbc.frame import Frames, frames
-from evaluation.schemes.judge import Updates, ValueRun
+from evaluation.schemes.judge import ValueRun
 from evaluation.schemes.wire import TICK_NS, carry_polled, lines_of, patches
 
 #: Events a frame of 8 bytes holds: 5 bits of place in the node and 11 of value each.
@@ -123,4 +123,4 @@ def run_events(counts: npt.NDArray[np.int16], newton_per_count: float, threshold
     ended = sent.ended_ns[frame_of]
     waiting = np.concatenate([each.since[each.since >= 0] for each in nodes])
     latency = np.concatenate([ended - since * TICK_NS, (len(counts) - waiting) * TICK_NS])
-    return ValueRun(sent, Updates(ended, taxel, (value * newton_per_count).astype(np.float32)), frame_of, latency)
+    return ValueRun(sent, ended, taxel, (value * newton_per_count).astype(np.float32), latency)

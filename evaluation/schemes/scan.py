@@ -11,7 +11,7 @@ from scipy.ndimage import zoom
 from dbc.canopen import TPDO_BASES
 from dbc.codec import packed_values
 from dbc.frame import Frames, frames
-from evaluation.schemes.judge import Images, Updates, ValueRun
+from evaluation.schemes.judge import Images, ValueRun
 from evaluation.schemes.scenes import SIDE
 from evaluation.schemes.wire import BUSES, TICK_NS, Nanoseconds, carry, lines_of, patches, syncs
 from reconstructor.engine import AVERAGED_SAMPLES, Reconstructor
@@ -57,9 +57,8 @@ def run_scan(felt_n: Force, bits: int, rate_hz: float) -> ValueRun:
     frame_of = np.arange(sent.size).reshape(sent.shape)[..., last]
     ready = wire.ended_ns[frame_of]
     force = (raw * (FORCE_MAX_N / top)).astype(np.float32)
-    updates = Updates(ready.ravel(), np.broadcast_to(held, raw.shape).ravel(), force.ravel())
     latency = ready - sync_ns[:, None, None, first]
-    return ValueRun(wire, updates, frame_of.ravel(), latency.ravel())
+    return ValueRun(wire, ready.ravel(), np.broadcast_to(held, raw.shape).ravel(), force.ravel(), latency.ravel())
 
 
 def _frames(raw: npt.NDArray[np.int64], bits: int, turns: int) -> Frames:

@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -42,20 +42,18 @@ SHAKING_DEPTH_M: Final = 0.005
 SHAKING_SWING: Final = 0.9
 
 
-@dataclass(frozen=True, eq=False)
-class Scene:
+class Scene(NamedTuple):
     """A touch, one tick a millisecond.
 
     Attributes
     ----------
-    true_n, felt_n : array of float32, shape (ticks, TAXELS)
-        What presses and what the sensor makes of it, newtons.
+    true_n : array of float32, shape (ticks, TAXELS)
+        What presses, newtons.
     counts : array of int16, shape (ticks, TAXELS)
-        What 10-bit converters make of `felt_n`.
+        What 10-bit converters make of what the sensor feels.
     """
 
     true_n: Force
-    felt_n: Force
     counts: npt.NDArray[np.int16]
 
 
@@ -150,7 +148,7 @@ IDLE_TICKS_SHORT: Final = 1000
 
 @dataclass(frozen=True)
 class Touch:
-    """What happens, how noisy the sensor is, and what the buses lose.
+    """What happens, and how noisy the sensor is.
 
     Attributes
     ----------
@@ -160,12 +158,10 @@ class Touch:
         Number of milliseconds from the start; without it, all of the scene.
     noise_n : float
         Standard deviation of the sensor's noise, newtons.
-    loss_ratio : float
-        Part of all frames that never reach the receiver, 0 to 1.
     meshes : str, optional
         Folder of meshes that take the place of the shapes that ship.
     seed : int
-        Of noise and losses.
+        Of the noise.
     scene_seed : int, optional
         Of a drawn scene: objects, places, directions, depths and speeds.
     """
@@ -173,7 +169,6 @@ class Touch:
     name: str
     ticks: int | None = None
     noise_n: float = NOISE_N
-    loss_ratio: float = 0.0
     meshes: str | None = None
     seed: int = 0
     scene_seed: int | None = None
@@ -186,7 +181,6 @@ class Touch:
             return " and ".join(f"{each.name} at {each.speed_m_per_s:.2f} m/s" for each in strokes)
         said = [object_label(self.name)]
         said += [f"noise {1e3 * self.noise_n:g} mN"] if self.noise_n != NOISE_N else []
-        said += [f"{self.loss_ratio:.0%} of frames lost"] if self.loss_ratio else []
         return ", ".join(said)
 
     def sensed(self, force_n: Force, rng: np.random.Generator) -> Force:
@@ -216,8 +210,7 @@ def _scene(touch: Touch) -> Scene:
     else:
         true = np.stack([_pressed(OWN[touch.name](tick), meshes) for tick in range(ticks)])
     flat = true.reshape(len(true), TAXELS)
-    felt = touch.sensed(flat, np.random.default_rng(touch.seed))
-    return Scene(flat, felt, counts_of(felt))
+    return Scene(flat, counts_of(touch.sensed(flat, np.random.default_rng(touch.seed))))
 
 
 def _pressed(objects: Iterator[tuple[str, Pose]], meshes: Path | None) -> Force:

@@ -4,25 +4,23 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Final
+from typing import ClassVar, Final
 
 import numpy as np
-from msgspec.structs import replace
 
 from dbc.contract import Contract
 from evaluation.result import Row
 from evaluation.schemes.board import Board, FilterName, board_of
 from evaluation.schemes.events import run_events
-from evaluation.schemes.judge import Images, Updates, moments_ns, quality
+from evaluation.schemes.judge import Images, quality
 from evaluation.schemes.scan import refined, run_scan, smoothed, solved
 from evaluation.schemes.scenes import NEWTON_PER_COUNT, SIDE, Scene, Touch
 from evaluation.schemes.steps import run_stepped
 from evaluation.schemes.sums import run_sums
-from evaluation.schemes.wire import Nanoseconds, Sent, lines_of
+from evaluation.schemes.wire import Nanoseconds, Sent
 from reconstructor.walsh import LIMIT_RATIO
-from skin.layout import Layout, Steps, load_layout, validated
+from skin.layout import load_layout
 
-FD_BITRATE: Final = 5_000_000
 #: Bits of a value of a scan of raw samples: the converter's.
 SCAN_BITS: Final = 10
 #: Nothing is sampled more often than the recorded touches are.
@@ -31,8 +29,6 @@ SCAN_RATE_MAX_HZ: Final = 500.0
 TRIAL_HZ: Final = 20.0
 #: The bits of steps: what they take under the five slides, in the mean, with the paper's meshes.
 STEPPED_KBIT_PER_S: Final = 414.0
-
-_STEPS: Final = Steps()
 
 #: Receivers: of our schemes, and of values that are shown as they came.
 OURS: Final = "ours"
@@ -50,76 +46,52 @@ class Shown:
     latency_ns : array of int64, shape (values,)
         From the sample to the end of the frame that brings it.
     images : dict
-        What is in use, Images or Updates, by the name of the receiver: the best counts.
+        What is in use, by the name of the receiver: the best counts.
     rate_hz : float, optional
         How often all is sent; None for what goes by events.
     """
 
     sent: Sent
     latency_ns: Nanoseconds
-    images: Mapping[str, Images | Updates]
+    images: Mapping[str, Images]
     rate_hz: float | None
 
     def figures(self, what: Scene) -> Row:
-        """Return bits, loads, latencies in ms, and `evaluation.schemes.judge.quality` against the touch's truth.
+        """Return bits, latency in ms, and `evaluation.schemes.judge.quality` against the touch's truth.
 
-        Of several receivers ``receiver`` is the one with the best mean PSNR; ``psnr_plain_db`` is that without any.
+        Of several receivers ``receiver`` is the one with the best mean PSNR.
         """
-        late = {
-            "latency_p99_ms": float(np.percentile(self.latency_ns, 99)) * 1e-6 if len(self.latency_ns) else 0.0,
-            "latency_worst_ms": float(self.latency_ns.max()) * 1e-6 if len(self.latency_ns) else 0.0,
-        }
+        late_ns = float(np.percentile(self.latency_ns, 99)) if len(self.latency_ns) else 0.0
         found = {name: quality(what.true_n, each) for name, each in self.images.items()}
         receiver, best = max(found.items(), key=lambda each: float(each[1]["psnr_mean_db"]))
-        plain_db = found[PLAIN]["psnr_mean_db"] if PLAIN in found else None
-        about = {"receiver": receiver, "psnr_plain_db": plain_db, "rate_hz": self.rate_hz}
-        return self.sent.traffic() | late | best | about
+        about = {"receiver": receiver, "rate_hz": self.rate_hz, "latency_p99_ms": late_ns * 1e-6}
+        return {"kbit_per_s": self.sent.kbit_per_s} | about | best
 
 
 @dataclass(frozen=True)
 class Stepped:
-    """Steps: one setting for every touch; noise is learned from the idle skin.
+    """Steps: one setting for every touch; noise is learned from the idle skin."""
 
-    Attributes
-    ----------
-    is_fd : bool
-        On CAN FD buses of 1 and 5 Mbit/s in place of classic ones.
-    steps : Steps
-        When boards send.
-    """
-
-    is_fd: bool = False
-    steps: Steps = _STEPS
-
-    @property
-    def name(self) -> str:
-        """What it is called in a table."""
-        slots = "" if self.steps == _STEPS else f", {1e3 * self.steps.slot_s:g} ms, {self.steps.quiet:g}"
-        return "steps" + (", CAN FD" if self.is_fd else "") + slots
+    #: What it is called in a table.
+    name: ClassVar[str] = "steps"
 
     def show(self, board: Board) -> Shown:
         """Send what is worth its bits of `board`."""
-        lines = [replace(line, fd=True, data_bitrate=FD_BITRATE) if self.is_fd else line for line in lines_of(SIDE)]
-        layout = validated(replace(load_layout(Path("steps")), bus=lines, steps=self.steps))
-        run = run_stepped(board, Contract.from_layout(layout))
+        run = run_stepped(board, Contract.from_layout(load_layout(Path("steps"))))
         return Shown(run.sent, run.latency_ns, {OURS: run.images}, None)
 
 
 @dataclass(frozen=True)
 class Sums:
-    """Sums in cycles: those of the default skin, or of another layout of as many taxels."""
+    """Sums in cycles: those of the default skin."""
 
-    layout: Layout | None = None
-
-    @property
-    def name(self) -> str:
-        """What it is called in a table."""
-        return "sums"
+    #: What it is called in a table.
+    name: ClassVar[str] = "sums"
 
     def show(self, board: Board) -> Shown:
         """Measure in every cycle."""
-        contract = Contract.from_layout(self.layout or load_layout())
-        run = run_sums(contract, board.counts, board.loss_ratio, board.seed, board.idle)
+        contract = Contract.from_layout(load_layout())
+        run = run_sums(contract, board.counts, board.idle)
         return Shown(run.sent, run.latency_ns, {OURS: run.images(contract)}, 1 / contract.layout.sync.round_s)
 
 
@@ -163,10 +135,10 @@ class Scan:
     def show(self, board: Board) -> Shown:
         """Scan the array of `board`."""
         force_n, noise_n = board.filtered(self.filter, self.horizon)
-        trial = run_scan(force_n, self.bits, TRIAL_HZ).sent.traffic()["kbit_per_s"]
+        trial = run_scan(force_n, self.bits, TRIAL_HZ).sent.kbit_per_s
         rate_hz = min(SCAN_RATE_MAX_HZ, TRIAL_HZ * (self.kbit_per_s or default_kbit_per_s()) / trial)
         run = run_scan(force_n, self.bits, rate_hz)
-        held = run.received(board).held(moments_ns(len(force_n)), self.side**2)
+        held = run.held(*force_n.shape)
         images = {
             PLAIN: held,
             "our solver": solved(held, self.penalty_n),
@@ -192,7 +164,7 @@ RAW_SCAN: Final = Scan(filter="raw", bits=SCAN_BITS, penalty_n=0.18, limit_ratio
 #: Of a horizon of 4 to 60, 4 to 8 bits, under golf ball and granola box.
 THIN_SCAN: Final = Scan(horizon=40.0, bits=4, kbit_per_s=STEPPED_KBIT_PER_S)
 #: Of a horizon of 4 and 8, 7 to 10 bits, λ of 1 to 12 mN, limits of 0.05 to 0.5.
-COARSE_ARRAYS: Final = tuple(Scan(side, horizon=8.0, penalty_n=0.001, limit_ratio=0.05) for side in (32, 16))
+COARSE_ARRAY: Final = Scan(32, horizon=8.0, penalty_n=0.001, limit_ratio=0.05)
 
 
 @dataclass(frozen=True)
@@ -214,7 +186,7 @@ class FilteredEvents:
         force_n, noise_n = board.filtered("patches")
         counts = np.rint(force_n / np.float32(NEWTON_PER_COUNT)).astype(np.int16)
         run = run_events(counts, NEWTON_PER_COUNT, self.threshold_n)
-        held = run.received(board).held(moments_ns(len(counts)), counts.shape[1])
+        held = run.held(*counts.shape)
         images = {"our smoothing": smoothed(held, LIMIT_RATIO * noise_n)}
         return Shown(run.sent, run.latency_ns, images, None)
 
@@ -226,7 +198,7 @@ Scheme = Stepped | Sums | Scan | FilteredEvents
 @cache
 def default_kbit_per_s() -> float:
     """Return the kbit/s of the default skin, all buses together, under the paper's golf ball."""
-    return float(Sums().show(board_of(Touch("golf-ball"))).sent.traffic()["kbit_per_s"])
+    return Sums().show(board_of(Touch("golf-ball"))).sent.kbit_per_s
 
 
 def measure_scheme(scheme: Scheme, touch: Touch) -> Row:

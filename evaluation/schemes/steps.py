@@ -2,14 +2,13 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 
-from dbc.canopen import SDO_REQUEST_BASE, SDO_RESPONSE_BASE, SYNC_COB_ID
+from dbc.canopen import SYNC_COB_ID
 from dbc.contract import Contract
 from dbc.dictionary import slot_offset_us
-from dbc.frame import CLASSIC_BYTES, ECHO, Frames, frame_bytes, frames
+from dbc.frame import ECHO, Frames, frame_bytes
 from dbc.steps import COUNT, slots_since
 from evaluation.schemes.board import Board, newtons, settled
 from evaluation.schemes.judge import Images
@@ -20,9 +19,6 @@ from nodes.steps.filtering import PatchFilter
 from nodes.steps.simulated import Sample, SimulatedNodes, sync_frames
 from reconstructor.walsh import WalshReconstructor
 from touch.contact import Force
-
-#: A board that misses sums is not asked again before this time, in which it tells all of them.
-_ASKED_TICKS: Final = 100
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +32,7 @@ class SteppedRun:
     latency_ns : array of int64
         From the sample to the end of each frame of sums.
     images : Images
-        An image a millisecond of the frames that arrived.
+        An image a millisecond of the frames that have come.
     """
 
     sent: Sent
@@ -45,7 +41,7 @@ class SteppedRun:
 
 
 class _Followed(SimulatedNodes):
-    """The nodes of a bus, which have run for long, and the gateway that follows them and asks for what it lost.
+    """The nodes of a bus, which have run for long, and the gateway that follows them.
 
     Attributes
     ----------
@@ -53,16 +49,14 @@ class _Followed(SimulatedNodes):
         What the gateway holds at each millisecond, newtons.
     """
 
-    def __init__(self, contract: Contract, bus: int, sample: Callable[[int], Sample], board: Board) -> None:
+    def __init__(self, contract: Contract, bus: int, sample: Callable[[int], Sample]) -> None:
         super().__init__(contract, bus, sample)
         table, nodes, state = contract.parts, contract.on_bus(bus), self.senders.state
         self._table, self._number, self._unit_n = table, bus, contract.unit_n
         self._mine = np.flatnonzero(np.isin(table.block, [node.block for node in nodes]))
-        self._node_ids = [node.node_id for node in nodes]
-        self._blocks = np.array([node.block for node in nodes])
+        self._parts = len(self._mine) // len(nodes)
         self._slots, self._sums = slots_of(contract), new_sums(contract)
-        self._loss, self._random = board.loss_ratio, np.random.default_rng([board.seed, bus])
-        self._is_proven, self._asked = np.ones(len(contract.nodes), np.bool_), np.full(len(nodes), -_ASKED_TICKS)
+        self._is_proven = np.ones(len(contract.nodes), np.bool_)
         self.known_n: list[Force] = []
         # An untouched skin at rest: every sum has been told, and is 0; the next checks are spread over their period.
         groups, boards = int(table.form[:, 3].max()), len(state.slot)
@@ -74,37 +68,23 @@ class _Followed(SimulatedNodes):
         sums.missing[:] = sums.unknown[:] = 0
 
     def take(self, ended: Frames, unsent: Frames) -> None:
-        """Take note of frames that ended: those of the nodes, and all that reach the gateway."""
+        """Take note of frames that ended, as nodes and as the gateway."""
         super().take(ended, unsent)
-        is_sync = ended["can_id"] == SYNC_COB_ID
-        arrived = ended[is_sync | (self._random.random(len(ended)) >= self._loss)]
-        arrived["flags"] |= np.where(arrived["can_id"] == SYNC_COB_ID, ECHO, 0).astype(np.uint8)
+        arrived = ended.copy()
+        arrived["flags"][arrived["can_id"] == SYNC_COB_ID] |= ECHO
         take_all(frame_bytes(arrived), self._number, self._is_proven, self._slots, self._table, self._sums)
-        for node in np.flatnonzero(np.isin(self._node_ids, arrived["can_id"].astype(int) - SDO_REQUEST_BASE)):
-            self.senders.ask(int(self._blocks[node]))
 
     def offer(self, period: int) -> Frames:
-        """Return the frames that take part in arbitration, with requests for sums and their answers."""
-        known, parts = self._sums.known[self._mine], len(self._mine) // len(self._blocks)
-        held = known[:, : NODE_CELLS // parts].reshape(-1, NODE_CELLS)
+        """Return the frames that take part in arbitration."""
+        held = self._sums.known[self._mine, : NODE_CELLS // self._parts].reshape(-1, NODE_CELLS)
         self.known_n.append(held.astype(np.float32) * np.float32(self._unit_n))
-        misses = self._sums.missing[self._mine].reshape(-1, parts).any(axis=1)
-        asked = np.flatnonzero(misses & (period - self._asked >= _ASKED_TICKS))
-        self._asked[asked] = period
-        requests = frames(2 * len(asked))
-        requests["can_id"] = [base + self._node_ids[node] for node in asked for base in _SDO]
-        requests["length"], requests["time_ns"] = CLASSIC_BYTES, period * TICK_NS
-        return np.concatenate([super().offer(period), requests])
-
-
-_SDO: Final = (SDO_REQUEST_BASE, SDO_RESPONSE_BASE)
+        return super().offer(period)
 
 
 def run_stepped(board: Board, contract: Contract) -> SteppedRun:
     """Run the skin of 64 x 64 taxels on the buses of a contract with steps.
 
-    Nodes learn their noise from what they read before, while nothing touched. A frame that is lost has its sums asked
-    for.
+    Nodes learn their noise from what they read before, while nothing touched.
     """
     held, ticks = patches(SIDE), len(board.counts)
     cells = held.reshape(-1, held.shape[2])
@@ -122,7 +102,7 @@ def run_stepped(board: Board, contract: Contract) -> SteppedRun:
     lines = contract.layout.bus
     share = len(cells) // len(lines)
     nodes = [
-        _Followed(contract, number, sample_of(slice(number * share, (number + 1) * share)), board)
+        _Followed(contract, number, sample_of(slice(number * share, (number + 1) * share)))
         for number in range(len(lines))
     ]
     sent = carry_polled(nodes, lines, ticks, sync_frames(contract.layout, ticks))
@@ -135,7 +115,7 @@ def run_stepped(board: Board, contract: Contract) -> SteppedRun:
 def _latency_ns(contract: Contract, sent: Sent) -> Nanoseconds:
     """Return the time from the sample of each frame of sums to its end: a node uses the next sample in its slot."""
     found, slot_ns = [], round(contract.layout.steps.slot_s * 1e9)
-    for bus in range(len(sent.lines)):
+    for bus in range(len(contract.layout.bus)):
         mine = sent.frames[sent.bus == bus]
         offsets_ns = {
             tpdo.cob_id: 1000 * slot_offset_us(contract, node) for node in contract.on_bus(bus) for tpdo in node.tpdos

@@ -5,9 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from dbc.codec import decode, encode
+from dbc.codec import encode
 from dbc.contract import Contract
-from dbc.dictionary import window_s
 from dbc.frame import Frames, frames
 from evaluation.schemes.judge import Images
 from evaluation.schemes.wire import TICK_NS, Nanoseconds, Sent, carry, syncs
@@ -27,36 +26,31 @@ class SumsRun:
         TPDOs first, cycle by cycle.
     sums_n : array of float32, shape (cycles, m)
         The newest of each sum, as the gateway decodes them, newtons.
-    valid : array of bool, shape (cycles, m)
-        Whether every frame of their node came in the newest cycle of its turn.
     closed_ns : array of int64, shape (cycles,)
-        When the gateway had all of a cycle, or waited no longer.
+        When the gateway had all of a cycle.
     latency_ns : array of int64, shape (sums' frames,)
         From SYNC to the end of each frame.
     """
 
     sent: Sent
     sums_n: npt.NDArray[np.float32]
-    valid: npt.NDArray[np.bool_]
     closed_ns: Nanoseconds
     latency_ns: Nanoseconds
 
     def images(self, contract: Contract) -> Images:
-        """Return the live reconstruction of every cycle."""
+        """Return the live reconstruction of every cycle; of the first only once the sums of all turns have come."""
         layout, taxels = contract.layout, contract.layout.taxels
         samples, turns = layout.samples_per_sync, layout.sync.turns
         engine = Reconstructor(contract.phi, taxels.rows, taxels.columns, LIVE, samples=samples, turns=turns)
         images = np.empty((len(self.sums_n), taxels.count), np.float32)
-        for cycle, (sums_n, valid) in enumerate(zip(self.sums_n, self.valid, strict=True)):
-            images[cycle] = engine.solve(sums_n, valid).ravel()
+        for cycle, sums_n in enumerate(self.sums_n):
+            images[cycle] = engine.solve(sums_n, np.full(sums_n.size, cycle >= turns - 1)).ravel()
         return Images(self.closed_ns, images)
 
 
 def run_sums(
     contract: Contract,
     counts: npt.NDArray[np.int16],
-    loss_ratio: float = 0.0,
-    seed: int = 0,
     idle_counts: npt.NDArray[np.int16] | None = None,
 ) -> SumsRun:
     """Measure a recording with the nodes of a contract.
@@ -65,8 +59,6 @@ def run_sums(
     ----------
     counts : array of int16, shape (ticks, n)
         What every taxel reads, each millisecond.
-    loss_ratio, seed
-        Part of all frames that do not reach the gateway, and the seed by which they are drawn.
     idle_counts : array of int16, shape (ticks, n), optional
         What the taxels read before: nodes that average learn their noise from it.
     """
@@ -75,22 +67,21 @@ def run_sums(
     sync_ns = np.rint(np.arange(cycles) * period_ns).astype(np.int64)
     sampled = np.minimum(np.rint(sync_ns / TICK_NS).astype(np.int64), len(counts) - 1)
     sums = _sums(contract, counts, sampled, idle_counts)
-    table = contract.table
+    table, turns = contract.table, np.arange(cycles) % contract.turns
     rows = [np.flatnonzero(table.turn == turn) for turn in range(contract.turns)]
-    counters = [1 + cycle % SYNC_OVERFLOW for cycle in range(cycles)]
-    bursts = [burst(contract, each, rows[cycle % contract.turns], counters[cycle]) for cycle, each in enumerate(sums)]
-    due = np.stack([rows[cycle % contract.turns] for cycle in range(cycles)])
+    due = np.stack([rows[turn] for turn in turns])
+    bursts = [burst(contract, each, due[cycle], 1 + cycle % SYNC_OVERFLOW) for cycle, each in enumerate(sums)]
     calls, buses = syncs(sync_ns, len(contract.layout.bus))
     asked = np.concatenate([*bursts, calls])
     asked["time_ns"][: due.size] = np.repeat(sync_ns, due.shape[1])
     sent = carry(asked, np.concatenate([table.bus[due].ravel(), buses]), contract.layout.bus, len(counts))
     arrived = sent.ended_ns[: due.size].reshape(due.shape)
-    lost = np.random.default_rng(seed).random(due.shape) < loss_ratio
-    closed = np.where(lost.any(axis=1), sync_ns + round(window_s(contract.layout) * 1e9), arrived.max(axis=1))
-    valid = _valid(contract, due, lost)
-    received = _decoded(contract, sent.frames[: due.size].reshape(due.shape), due)
+    received, newest = contract.packing.counts(contract.packing.raw(sums)), np.zeros(contract.phi.shape[0], np.int32)
+    for turn, each in zip(turns, received, strict=True):
+        newest[contract.sums_of_turn[turn]] = each[contract.sums_of_turn[turn]]
+        each[:] = newest
     sums_n = (received * contract.layout.taxels.newton_per_count).astype(np.float32)
-    return SumsRun(sent, sums_n, valid, closed, (arrived - sync_ns[:, None]).ravel())
+    return SumsRun(sent, sums_n, arrived.max(axis=1), (arrived - sync_ns[:, None]).ravel())
 
 
 def _sums(
@@ -122,25 +113,3 @@ def burst(contract: Contract, sums: npt.NDArray[np.integer], rows: npt.NDArray[n
     payloads = encode(sync_counter, sums, table.gather[rows], contract.packing)
     made["data"][:, : payloads.shape[1]] = payloads
     return made
-
-
-def _decoded(contract: Contract, sent: Frames, due: npt.NDArray[np.intp]) -> npt.NDArray[np.int32]:
-    """Return the newest of each sum after every cycle, counts, shape (cycles, m)."""
-    sums, newest = np.empty((len(due), contract.phi.shape[0]), np.int32), np.zeros(contract.phi.shape[0], np.int32)
-    for cycle, rows in enumerate(due):
-        decode(sent[cycle]["data"], contract.table.gather[rows], contract.packing, newest)
-        sums[cycle] = newest
-    return sums
-
-
-def _valid(contract: Contract, due: npt.NDArray[np.intp], lost: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
-    """Return which sums count after every cycle, shape (cycles, m), with the `lost` of the frames that were `due`."""
-    table, valid = contract.table, np.ones((len(due), contract.phi.blocks), np.bool_)
-    age = np.full(len(table.node), contract.turns)
-    for blocks, rows, gone in zip(valid, due, lost, strict=True):
-        age += 1
-        age[rows[~gone]] = 0
-        for place in np.unique(table.node[age >= contract.turns]).tolist():
-            node = contract.nodes[place]
-            blocks[node.block : node.block + node.blocks] = False
-    return valid[:, contract.phi.block_of_sum]

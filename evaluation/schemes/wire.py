@@ -13,14 +13,11 @@ from bus.simulated_bus import SimulatedBus
 from dbc.canopen import HEARTBEAT_BASE, SYNC_COB_ID, NmtState
 from dbc.dictionary import HEARTBEAT_MS
 from dbc.frame import Frames, frames
-from dbc.frame_bits import frame_time_ns, wire_bits
-from evaluation.result import Row
+from dbc.frame_bits import wire_bits
 from skin.layout import Bus, Layout, PhiParameters, Taxels
 
 #: Touches are known every millisecond.
 TICK_NS: Final = 1_000_000
-#: Load is also looked at in windows of this length, where a burst shows.
-WINDOW_NS: Final = 100 * TICK_NS
 #: Cells of one node, as on the default skin.
 NODE_CELLS: Final = 32
 BUSES: Final = 4
@@ -60,15 +57,12 @@ class Sent:
     frames : array of FRAME, shape (k,)
         `time_ns` is the end of the frame.
     bus : array of int, shape (k,)
-    lines : sequence of Bus
-        The buses' bit rates.
     ticks : int
         Milliseconds that were looked at.
     """
 
     frames: Frames
     bus: Places
-    lines: Sequence[Bus]
     ticks: int
 
     @property
@@ -77,20 +71,10 @@ class Sent:
         ended: Nanoseconds = self.frames["time_ns"]
         return ended
 
-    def traffic(self) -> Row:
-        """Return bits a second over all buses, the fullest bus's load and that of its worst window."""
-        windows = max(1, self.ticks * TICK_NS // WINDOW_NS)
-        busy_ns = np.zeros((len(self.lines), windows))
-        for number, line in enumerate(self.lines):
-            mine = self.frames[self.bus == number]
-            window = np.minimum(mine["time_ns"] // WINDOW_NS, windows - 1)
-            np.add.at(busy_ns[number], window, frame_time_ns(mine, line.bitrate, line.data_bitrate))
-        seconds = self.ticks * TICK_NS * 1e-9
-        return {
-            "kbit_per_s": sum(int(part.sum()) for part in wire_bits(self.frames)) / seconds / 1e3,
-            "load": float(busy_ns.sum(axis=1).max()) / (self.ticks * TICK_NS),
-            "load_peak": float(busy_ns.max()) * windows / (self.ticks * TICK_NS),
-        }
+    @property
+    def kbit_per_s(self) -> float:
+        """Bits a second over all buses."""
+        return sum(int(part.sum()) for part in wire_bits(self.frames)) / (self.ticks * TICK_NS * 1e-9) / 1e3
 
 
 def carry(asked: Frames, bus: Places, lines: Sequence[Bus], ticks: int) -> Sent:
@@ -116,7 +100,7 @@ def carry(asked: Frames, bus: Places, lines: Sequence[Bus], ticks: int) -> Sent:
         # Frames of one identifier end in the order of their times.
         queued, came = (np.argsort(each["can_id"], kind="stable") for each in (every[mine], ended))
         every["time_ns"][mine[queued]] = ended["time_ns"][came]
-    return Sent(every, places, lines, ticks)
+    return Sent(every, places, ticks)
 
 
 def carry_polled(nodes: Sequence[Polled], lines: Sequence[Bus], ticks: int, calls: Frames) -> Sent:
@@ -126,7 +110,7 @@ def carry_polled(nodes: Sequence[Polled], lines: Sequence[Bus], ticks: int, call
         wire = SimulatedBus(line.bitrate, line.data_bitrate)
         parts.append(poll(wire, mine, np.concatenate([calls, heartbeats(line, ticks)]), ticks, TICK_NS))
     bus = np.repeat(np.arange(len(lines)), [len(part) for part in parts])
-    return Sent(np.concatenate(parts), bus, lines, ticks)
+    return Sent(np.concatenate(parts), bus, ticks)
 
 
 def heartbeats(line: Bus, ticks: int) -> Frames:

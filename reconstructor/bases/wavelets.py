@@ -9,7 +9,7 @@ import pywt
 from reconstructor.bases.names import wavelet_of
 from reconstructor.checks import Values, check_grid, check_values
 
-Matrix = npt.NDArray[np.float64]
+Matrix = npt.NDArray[np.floating[Any]]
 
 
 class WaveletBasis:
@@ -44,19 +44,22 @@ class WaveletBasis:
         return image
 
 
-def wavelet_basis(name: str, rows: int, columns: int) -> WaveletBasis:
+def wavelet_basis(name: str, rows: int, columns: int, dtype: npt.DTypeLike = np.float64) -> WaveletBasis:
     """Return the basis of an orthogonal wavelet, periodic, on sides of 8 to 256; `name` as for `wavelet_basis_name`.
 
     A level is low[k] = Σ h[i] x[2k+i] and high[k] = Σ g[i] x[2k+i] with the wavelet's h = ``rec_lo`` and g =
     ``rec_hi``. "pyramid": each level transforms rows and columns of the low quadrant of the level before, until its
-    shorter side is 1. "tensor": all levels of each column, then all of each row, down to length 1 (Table I).
+    shorter side is 1. "tensor": all levels of each column, then all of each row, down to length 1 (Table I). `dtype` is
+    that of the matrices.
     """
     wavelet, form = wavelet_of(name)
     check_grid(rows, columns)
     if form == "tensor":
-        return WaveletBasis([(_all_levels(rows, wavelet), _all_levels(columns, wavelet))])
-    sizes = [(rows >> level, columns >> level) for level in range(min(rows, columns).bit_length() - 1)]
-    return WaveletBasis([(wavelet_step(wavelet, height), wavelet_step(wavelet, width)) for height, width in sizes])
+        steps = [(_all_levels(rows, wavelet), _all_levels(columns, wavelet))]
+    else:
+        sizes = [(rows >> level, columns >> level) for level in range(min(rows, columns).bit_length() - 1)]
+        steps = [(wavelet_step(wavelet, height), wavelet_step(wavelet, width)) for height, width in sizes]
+    return WaveletBasis([(down.astype(dtype), across.astype(dtype)) for down, across in steps])
 
 
 def wavelet_step(wavelet: pywt.Wavelet, size: int) -> Matrix:

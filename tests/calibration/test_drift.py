@@ -76,6 +76,20 @@ def test_offsets_stop_after_as_many_windows_as_their_line_has_whoever_asks() -> 
     np.testing.assert_array_equal(mine.predicted_n(100), mine.level_n)
 
 
+def test_the_first_window_after_a_gap_moves_the_level_further_the_longer_the_gap() -> None:
+    moved = []
+    for gap in (0, 4, 40):
+        mine = follower()
+        for k in range(60):
+            mine.take(noise(k), ALL, NO_BLOCK)
+        mine.skip(gap)
+        before_n = mine.level_n
+        mine.take(mine.level_n + NOISE_N, ALL, NO_BLOCK)
+        moved.append((mine.level_n - before_n).mean() / NOISE_N)
+    assert moved[0] < moved[1] < moved[2]
+    assert moved[2] > 0.35
+
+
 def test_line_through_points_of_which_one_is_wrong() -> None:
     points = np.outer(np.arange(8), [1.0, -2.0]) + np.array([5.0, 7.0])
     points[3] = 1e3

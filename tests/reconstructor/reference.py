@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from reconstructor.bases import Basis
 from reconstructor.checks import Values
-from reconstructor.fista import momentum, soft
+from reconstructor.fista import iterate, momentum, soft
 from skin.operator import Operator
 from skin.surface import grid_surface
 
@@ -36,12 +36,14 @@ def fista_image(
 
     The same iteration as `fista` when `proximal` shrinks the coefficients of one orthonormal Ψ.
     """
-    estimate = ahead = start
-    for k, weight in enumerate(momentum(iterations)):
-        gradient = phi.adjoint(phi.forward(ahead.reshape(-1)) - sums_n).reshape(start.shape)
-        previous, estimate = estimate, proximal(ahead - gradient / lipschitz, penalty_n / lipschitz, k)
-        ahead = estimate + weight * (estimate - previous)
-    return estimate
+
+    def descent(ahead: Values) -> Values:
+        return phi.adjoint(phi.forward(ahead.reshape(-1)) - sums_n).reshape(start.shape) / lipschitz
+
+    made: Values = iterate(
+        start, descent, lambda image, k: proximal(image, penalty_n / lipschitz, k), momentum(iterations)
+    )
+    return made
 
 
 @dataclass(frozen=True)

@@ -298,7 +298,7 @@ def test_contacts_of_one_instant_are_near_the_true_touches(name: str) -> None:
     """What the README says of centre and force, while the object slides: in 95 % of the cycles."""
     scene, touch = trajectory(name, steps=PAPER_PRESS_STEPS + 500), Touch(name, ticks=PAPER_PRESS_STEPS + 500)
     contract = Contract.from_layout(in_one_instant())
-    made = run_sums(contract, touch.load().counts, idle_counts=touch.idle()).images(contract).force_n
+    made = run_sums(contract, touch.load().counts, touch.idle()).images(contract).force_n
     run, errors, are_right = Run(contract.layout.taxels.surface), list[tuple[float, float]](), list[bool]()
     period_ms = round(contract.layout.sync.period_s * 1e3)
     for cycle, image in enumerate(made):

@@ -1,10 +1,14 @@
 """The reference solver: it minimises what it says it minimises."""
 
+from types import ModuleType
+from typing import Any
+
+import array_api_strict
 import numpy as np
 import pytest
 
 from reconstructor.bases import WaveletBasis, wavelet_basis
-from reconstructor.fista import fista, largest_eigenvalue, momentum, objective, soft
+from reconstructor.fista import fista, iterate, largest_eigenvalue, momentum, objective, soft
 from skin.phi import sbhe
 from tests.reconstructor.plain_contourlet import PlainContourlet
 from tests.reconstructor.reference import Shrinkage, Variation, fista_image
@@ -58,6 +62,25 @@ def test_objective_falls_towards_a_long_run_and_observers_see_it() -> None:
         # Theorem 4.4 of Beck and Teboulle, with ‖s*‖² generously from above.
         assert seen[k - 1] - best <= 2 * 16 * np.sum((SUMS / 4) ** 2) / (k + 1) ** 2
     assert seen[19] - best < 0.1 * (seen[0] - best)
+
+
+def test_the_loop_runs_on_any_library_of_the_array_standard() -> None:
+    """`array_api_strict` allows the standard alone: what runs on it runs on PyTorch and CuPy, too."""
+    matrix, sums = np.random.default_rng(1).normal(size=(8, 20)), np.random.default_rng(2).normal(size=(8, 1))
+    step = 1 / float(np.linalg.eigvalsh(matrix @ matrix.T).max())
+
+    def solved(xp: ModuleType) -> Any:
+        phi, y = xp.asarray(matrix), xp.asarray(sums)
+        return iterate(
+            xp.zeros((20, 1), dtype=xp.float64),
+            lambda ahead: step * xp.matmul(phi.T, xp.matmul(phi, ahead) - y),
+            lambda made, _iteration: soft(made, xp.asarray(0.1 * step), xp),
+            momentum(30).tolist(),
+        )
+
+    expected = solved(np)
+    assert 0 < np.count_nonzero(expected) < 20
+    np.testing.assert_allclose(np.asarray(solved(array_api_strict)), expected, atol=1e-15)
 
 
 def test_image_form_is_the_coefficient_form() -> None:

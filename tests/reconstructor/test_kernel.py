@@ -1,4 +1,4 @@
-"""The compiled solver against the plain one."""
+"""The solvers of the service against the plain one."""
 
 import threading
 from typing import Any
@@ -14,7 +14,8 @@ from reconstructor.kernels import variation
 from reconstructor.kernels.addresses import spin_shifts
 from reconstructor.kernels.haar import HaarSolver
 from reconstructor.kernels.variation import VariationSolver
-from reconstructor.settings import SolverSettings
+from reconstructor.settings import SPUN, SolverSettings
+from reconstructor.wavelet_solver import WaveletSolver
 from skin.phi import Sbhe, sbhe
 from skin.surface import grid_surface
 from tests.reconstructor.helpers import graphs
@@ -39,7 +40,8 @@ class Rows:
 
 @st.composite
 def problems(draw: st.DrawFn) -> dict[str, Any]:
-    prior = draw(st.sampled_from([*HaarSolver.priors, *VariationSolver.priors]))
+    wavelets = ["sym4-pyramid", "coif1-tensor", "d4-pyramid"]
+    prior = draw(st.sampled_from([*HaarSolver.priors, *VariationSolver.priors, *wavelets]))
     grids = [(8, 8), (16, 16), (32, 32), (64, 64), (8, 32), (64, 16), (256, 8)]
     if prior == "variation":
         grids += [(10, 10), (17, 23), (24, 32), (1, 8), (9, 1), (255, 3)]
@@ -81,7 +83,8 @@ def both(problem: dict[str, Any], dtype: type) -> tuple[np.ndarray, np.ndarray]:
     options = {name: problem[name] for name in ("prior", "spins", "nonnegative", "lipschitz_ratio", "iterations")}
     settings = SolverSettings(penalty_n=0.01, **options)
     kernel: Any = make_solver(phi, rows, columns, settings, edges=problem["edges"], dtype=dtype)
-    estimate = kernel.blocks_of(start)
+    is_image = isinstance(kernel, WaveletSolver)
+    estimate = start.astype(dtype) if is_image else kernel.blocks_of(start)
     assert kernel.solve(estimate, np.where(valid, sums, 1e6).astype(dtype), valid.astype(dtype)) == valid.sum()
     reference = fista_image(
         Rows(phi, valid),
@@ -92,7 +95,8 @@ def both(problem: dict[str, Any], dtype: type) -> tuple[np.ndarray, np.ndarray]:
         iterations=problem["iterations"],
         start=start,
     )
-    return kernel.image_of(estimate), reference
+    np.testing.assert_allclose(kernel.deliver(estimate), np.maximum(reference, 0), atol=1e-6)
+    return estimate if is_image else kernel.image_of(estimate), reference
 
 
 @pytest.mark.heavy
@@ -128,6 +132,18 @@ def test_largest_grid() -> None:
     }
     image, reference = both(problem, np.float64)
     np.testing.assert_allclose(image, reference, atol=1e-13)
+
+
+def test_any_wavelet_scales_its_start_as_the_compiled_haar_does() -> None:
+    phi, rng = sbhe(512, 128, block_size=16, selection="uniform", seed=3), np.random.default_rng(1)
+    solvers = [solver(phi, 16, 32, SPUN, dtype=np.float64) for solver in (WaveletSolver, HaarSolver)]
+    estimates = [solver.new_estimate() for solver in solvers]
+    for sign in (1, 1, -1):
+        sums_n, weights = sign * rng.normal(0.03, 0.03, 128), rng.uniform(0, 1, 128)
+        for solver, estimate in zip(solvers, estimates, strict=True):
+            solver.solve(estimate, sums_n, weights, relative_penalty=0.5)
+        np.testing.assert_allclose(estimates[0], solvers[1].image_of(estimates[1]), atol=1e-14)
+    assert estimates[0].any()
 
 
 @given(st.integers(0, 2**31))

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from reconstructor.array_api import BatchSolver
 from reconstructor.bases import wavelet_basis
 from reconstructor.engine import Reconstructor
 from reconstructor.fista import fista, largest_eigenvalue, objective
@@ -16,7 +15,7 @@ from reconstructor.kernels.contourlet import CompiledContourlet, ContourletSolve
 from reconstructor.kernels.haar import HaarSolver
 from reconstructor.kernels.variation import VariationSolver
 from reconstructor.settings import SolverSettings
-from skin.matrix import MatrixPhi
+from reconstructor.wavelet_solver import WaveletSolver
 from skin.phi import sbhe
 from tests.reconstructor.helpers import INF, NAN, one_line, spoilt
 
@@ -142,11 +141,11 @@ def settings(prior: str = "haar-tensor", **changed: Any) -> SolverSettings:
     return SolverSettings(**{"prior": prior, "iterations": 3, "penalty_n": 0.01, **changed})
 
 
-COMPILED: dict[str, tuple[Callable[..., Any], tuple[int, ...]]] = {
+SOLVERS: dict[str, tuple[Callable[..., Any], tuple[int, ...]]] = {
     "haar": (lambda **o: HaarSolver(PHI, 16, 16, settings("haar-pyramid"), **o), (64,)),
     "variation": (lambda **o: VariationSolver(PHI, 16, 16, settings("variation"), **o), (64,)),
     "contourlet": (lambda **o: ContourletSolver(PHI, 16, 16, settings("contourlet"), **o), (64,)),
-    "arrays": (lambda **o: BatchSolver(PHI, 16, 16, settings(), **o).of_streams(3), (3, 64)),
+    "wavelets": (lambda **o: WaveletSolver(PHI, 16, 16, settings(), **o), (64,)),
 }
 
 
@@ -176,11 +175,11 @@ def test_settings_of_solvers(changed: dict[str, Any], says: str) -> None:
     one_line(lambda: settings(**changed), says)
 
 
-@pytest.mark.parametrize("kind", COMPILED)
+@pytest.mark.parametrize("kind", SOLVERS)
 @pytest.mark.parametrize("dtype", [np.int32, np.float16, "single precision"])
 def test_dtypes_of_solvers(kind: str, dtype: Any) -> None:
     name = dtype if isinstance(dtype, str) else np.dtype(dtype).name
-    one_line(lambda: COMPILED[kind][0](dtype=dtype), f"float32 or float64, got {name}")
+    one_line(lambda: SOLVERS[kind][0](dtype=dtype), f"float32 or float64, got {name}")
 
 
 @pytest.mark.parametrize(
@@ -188,7 +187,6 @@ def test_dtypes_of_solvers(kind: str, dtype: Any) -> None:
     [
         (HaarSolver, settings("contourlet"), "expected one of haar-pyramid, haar-tensor, got 'contourlet'"),
         (ContourletSolver, settings("variation"), "expected the prior 'contourlet', got 'variation'"),
-        (BatchSolver, settings("contourlet"), "total variation or a wavelet: got contourlets"),
     ],
 )
 def test_solvers_refuse_settings_of_others(solver: Any, refused: SolverSettings, says: str) -> None:
@@ -199,19 +197,19 @@ def test_compiled_solvers_take_an_sbhe_alone() -> None:
     for make in (
         lambda: HaarSolver(OTHER, 16, 16, settings()),
         lambda: ContourletSolver(OTHER, 16, 16, settings("contourlet")),
-        lambda: BatchSolver(OTHER, 16, 16, settings()),
+        lambda: WaveletSolver(OTHER, 16, 16, settings()),
         lambda: Reconstructor(OTHER, 16, 16),
     ):
         one_line(make, "needs an SBHE, got SimpleNamespace")
 
 
-@pytest.mark.parametrize("kind", COMPILED)
+@pytest.mark.parametrize("kind", SOLVERS)
 @pytest.mark.parametrize(
     ("place", "spoil", "says"),
     [
         (0, lambda x: x[:-1], "estimate: .*shape"),
         (0, lambda x: x.astype(np.float32), "estimate: .*float32"),
-        (0, lambda x: np.repeat(x, 2)[::2], "estimate: expected contiguous, writeable"),
+        (0, lambda x: np.repeat(x, 2, axis=-1)[..., ::2], "estimate: expected contiguous, writeable"),
         (0, lambda x: np.broadcast_to(x, x.shape), "estimate: expected contiguous, writeable"),
         (1, lambda x: x[..., :-1], "sums: .*shape"),
         (1, lambda x: x.astype(np.float32), "sums: .*float32"),
@@ -223,10 +221,8 @@ def test_compiled_solvers_take_an_sbhe_alone() -> None:
         (2, lambda x: spoilt(x, -0.1), "weights of 0 to 1"),
     ],
 )
-def test_arrays_of_compiled_solvers(kind: str, place: int, spoil: Callable[[np.ndarray], Any], says: str) -> None:
-    make, shape = COMPILED[kind]
-    if kind == "arrays" and not place:
-        pytest.skip("an estimate is an array of the library")
+def test_arrays_of_solvers(kind: str, place: int, spoil: Callable[[np.ndarray], Any], says: str) -> None:
+    make, shape = SOLVERS[kind]
     solver = make(dtype=np.float64)
     rng = np.random.default_rng(0)
     given = [solver.new_estimate(), rng.normal(0, 0.02, shape), np.ones(shape)]
@@ -248,14 +244,6 @@ def test_images_and_coefficients_of_compiled_solvers() -> None:
     one_line(lambda: haar.image_of(np.zeros(255)), "estimate: .*shape")
     one_line(lambda: contourlet.estimate_of(np.zeros(256)), "coefficients: .*shape")
     one_line(lambda: contourlet.coefficients_of(np.zeros(256)), "estimate: .*shape")
-
-
-def test_estimates_of_batches() -> None:
-    solver = BatchSolver(PHI, 16, 16, settings()).of_streams(3)
-    sums = np.zeros((3, 64), np.float32)
-    one_line(lambda: solver.solve(np.zeros((2, 16, 16)), sums, sums), r"estimate: .*shape \(3, 16, 16\)")
-    codes = MatrixPhi(np.ones((1, 4, 256)))
-    one_line(lambda: BatchSolver(codes, 16, 16, settings()), "got a matrix; leave out --device gpu")
 
 
 @pytest.mark.parametrize(

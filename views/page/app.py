@@ -3,7 +3,7 @@
 import asyncio
 import contextlib
 import math
-from collections.abc import AsyncIterator, Collection, Mapping
+from collections.abc import AsyncIterator, Mapping
 from functools import partial
 from importlib.resources import files
 from typing import Any, Final
@@ -22,7 +22,7 @@ from canskin.errors import SkinError
 from views.colours import script
 from views.page.actions import ACTIONS, Action
 from views.page.feed import Shown
-from views.page.guard import LOOPBACK, Guard
+from views.page.guard import HEALTH, Access, Guard
 from views.page.stream import FrameStream, serve_page
 from views.page.wire import frame, greeting
 
@@ -33,9 +33,7 @@ STATIC: Final = str(files("views.page") / "static")
 REQUEST_BYTES: Final = 4096
 
 
-def build_app(
-    shown: Shown, hosts: Collection[str] | None = LOOPBACK, actions: Mapping[str, Action] | None = None
-) -> Starlette:
+def build_app(shown: Shown, access: Access | None = None, actions: Mapping[str, Action] | None = None) -> Starlette:
     """Return the application that shows a skin or a recording.
 
     Paths: ``/`` the page; ``/static`` its files; ``/ws`` a greeting as text, then frames (`views.page.wire`), and the
@@ -46,8 +44,8 @@ def build_app(
 
     Parameters
     ----------
-    hosts : collection of str, or None
-        See `views.page.guard.Guard`.
+    access : Access, optional
+        Whom the server serves; default: this machine, with a new token.
     actions : mapping of str to Action, optional
         What the page may ask for; without them nothing.
     """
@@ -85,12 +83,12 @@ def build_app(
             Route("/api/history", partial(_history, shown=shown)),
             Route("/api/frame", partial(_frame, shown=shown)),
             Route("/api/{name}", partial(_act, allowed=allowed), methods=["POST"]),
-            Route("/healthz", health),
+            Route(HEALTH, health),
             WebSocketRoute("/ws", live),
             Route("/static/colours.js", colour_script),
             Mount("/static", StaticFiles(directory=STATIC)),
         ],
-        middleware=[Middleware(Guard, hosts=hosts)],
+        middleware=[Middleware(Guard, access=access or Access())],
         lifespan=lifespan,
     )
 

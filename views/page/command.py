@@ -3,9 +3,7 @@
 import socket
 import subprocess
 import sys
-from collections.abc import Collection
 from contextlib import ExitStack, closing
-from ipaddress import ip_address
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Annotated, Final
@@ -24,8 +22,9 @@ from shell.skin_options import SkinOptions
 from skin.layout import require_boards
 from views.page.actions import live_actions, playback_actions
 from views.page.app import build_app
+from views.page.connections import BACKLOG, HEADERS_BYTES_MAX, Connection
 from views.page.feed import Feed
-from views.page.guard import LOOPBACK
+from views.page.guard import Access
 from views.page.playback import Playback
 from views.page.record_process import RecorderProcess
 
@@ -54,7 +53,7 @@ def view(
     of
         Which skin.
     host
-        Address to listen on. With an address other than loopback, everybody on the network can see the skin.
+        Address to listen on. On another than loopback also to look needs the token of the address that is logged.
     port
         Port to listen on; 0 takes a free port and prints it.
     control
@@ -68,7 +67,7 @@ def view(
     skin view --connect tcp/10.0.0.5:7447 --port 0
     skin view run.mcap
     """
-    stop, of = StopSignal().install(), of or SkinOptions()
+    stop, of, access = StopSignal().install(), of or SkinOptions(), Access.to(host)
     if not recordings.is_dir():
         raise InputError(f"--recordings {recordings}: expected a folder that exists")
     with listen(host, port) as listener, ExitStack() as closes:
@@ -76,7 +75,7 @@ def view(
             if of.connect or of.skin:
                 raise InputError("a recording has no hub: leave --connect and --skin out")
             playback = _open(recording, of, Path(closes.enter_context(TemporaryDirectory(prefix="skin-view-"))))
-            _serve(build_app(playback, _hosts(host), playback_actions(playback)), listener)
+            _serve(build_app(playback, access, playback_actions(playback)), access, listener)
             return
         skin = of.find(stop)
         require_boards(skin)
@@ -86,8 +85,8 @@ def view(
         feed = Feed(skin)
         feed.recorder = closes.enter_context(closing(RecorderProcess(recordings, of.endpoint, skin.name)))
         feed.join(fabric)
-        actions = live_actions(feed, fabric, feed.recorder) if control or _is_loopback(host) else {}
-        _serve(build_app(feed, _hosts(host), actions), listener)
+        actions = live_actions(feed, fabric, feed.recorder) if control or not access.is_shared else {}
+        _serve(build_app(feed, access, actions), access, listener)
 
 
 def _open(recording: Path, of: SkinOptions, folder: Path) -> Playback:
@@ -107,19 +106,21 @@ def _open(recording: Path, of: SkinOptions, folder: Path) -> Playback:
 
 
 class _Server(uvicorn.Server):
-    """Logs the address of the page when the page can be opened."""
+    """Logs the address of the page, with its token, when the page can be opened."""
+
+    token = ""
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         """Start serving, then log the address."""
         await super().startup(sockets)
         for listener in sockets or []:
             host, port = listener.getsockname()[:2]
-            say("viewer", f"web page at http://{f'[{host}]' if ':' in host else host}:{port}/")
+            say("viewer", f"web page at http://{f'[{host}]' if ':' in host else host}:{port}/?token={self.token}")
 
 
-def _serve(app: Starlette, listener: socket.socket) -> None:
-    """Serve until SIGINT or SIGTERM."""
-    config = uvicorn.Config(
+def server_config(app: Starlette) -> uvicorn.Config:
+    """Return how the page is served."""
+    return uvicorn.Config(
         app,
         log_config=None,
         access_log=False,
@@ -129,22 +130,14 @@ def _serve(app: Starlette, listener: socket.socket) -> None:
         # Frames are floats that change each time: compression costs more time than it saves on loopback.
         ws_per_message_deflate=False,
         timeout_graceful_shutdown=FAREWELL_S,
+        http=Connection,
+        h11_max_incomplete_event_size=HEADERS_BYTES_MAX,
+        backlog=BACKLOG,
     )
-    _Server(config).run(sockets=[listener])
 
 
-def _is_loopback(host: str) -> bool:
-    """Tell whether a server bound to `host` is seen by programs of this machine alone."""
-    try:
-        return ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost"
-
-
-def _hosts(host: str) -> Collection[str] | None:
-    """Return the names of the server that is bound to `host`, as browsers write them; None for all addresses."""
-    try:
-        address = ip_address(host)
-    except ValueError:
-        return (*LOOPBACK, host.lower())
-    return None if address.is_unspecified else (*LOOPBACK, str(address))
+def _serve(app: Starlette, access: Access, listener: socket.socket) -> None:
+    """Serve until SIGINT or SIGTERM."""
+    server = _Server(server_config(app))
+    server.token = access.token
+    server.run(sockets=[listener])

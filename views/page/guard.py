@@ -1,15 +1,24 @@
-"""Access to the page's server: which hosts and origins are served, and the security headers for browsers."""
+"""Access to the page's server: which hosts, origins and tokens are served, and the security headers for browsers."""
 
-import socket
+import hashlib
+import os
+import re
+import secrets
 from collections.abc import Collection
+from dataclasses import dataclass, field
 from ipaddress import ip_address
 from typing import Final
 from urllib.parse import SplitResult, urlsplit
 
-from starlette.datastructures import Headers, MutableHeaders
+from starlette.datastructures import MutableHeaders
+from starlette.requests import HTTPConnection
 from starlette.responses import PlainTextResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from starlette.websockets import WebSocketClose
+
+from canskin.errors import InputError
+from canskin.session import is_loopback
+from shell.service import PAGE_TOKEN
 
 HEADERS: Final = {
     "Content-Security-Policy": (
@@ -25,54 +34,98 @@ HEADERS: Final = {
 LOOPBACK: Final = ("localhost", "127.0.0.1", "::1")
 
 
-class Guard:
-    """Middleware: refuse foreign hosts and origins, and add the security headers to every answer.
+#: Path that is served without a token.
+HEALTH: Final = "/healthz"
 
-    A page of another site cannot open the WebSocket, because its ``Origin`` differs from ``Host``. DNS rebinding does
-    not help it either: a request under a foreign name has a ``Host`` that is not in `hosts`.
 
-    Parameters
+@dataclass(frozen=True)
+class Access:
+    """Whom the server serves.
+
+    Attributes
     ----------
-    hosts : collection of str, or None
+    hosts
         Host names that the server answers to; None: all.
+    token
+        What a request shows that asks for an action: as ``token`` in its address, or in the cookie that the server
+        sets in answer to such an address.
+    is_shared
+        Other machines reach the server: to look needs the token, too.
     """
 
-    def __init__(self, app: ASGIApp, hosts: Collection[str] | None) -> None:
+    hosts: Collection[str] | None = LOOPBACK
+    token: str = field(default_factory=secrets.token_urlsafe)
+    is_shared: bool = False
+
+    @classmethod
+    def to(cls, host: str) -> "Access":
+        """Return the access to a server that is bound to `host`; its token is that of the environment, or a new one."""
+        token = os.environ.get(PAGE_TOKEN) or secrets.token_urlsafe()
+        if not re.fullmatch(r"[A-Za-z0-9_-]{16,}", token):
+            raise InputError(f"{PAGE_TOKEN}: expected 16 or more letters, digits, - and _")
+        try:
+            address = ip_address(host)
+        except ValueError:
+            hosts: Collection[str] | None = (*LOOPBACK, host.lower())
+        else:
+            hosts = None if address.is_unspecified else (*LOOPBACK, str(address))
+        return cls(hosts, token, is_shared=not is_loopback(host))
+
+    @property
+    def cookie(self) -> str:
+        """Name of the cookie: servers on other ports have others."""
+        return f"canskin-{hashlib.sha256(self.token.encode()).hexdigest()[:8]}"
+
+    def is_shown(self, token: str) -> bool:
+        """Tell whether a token is the right one, in a time that tells nothing about it."""
+        return secrets.compare_digest(token.encode(), self.token.encode())
+
+
+class Guard:
+    """Middleware: refuse foreign hosts, origins and tokens, and add the security headers to every answer.
+
+    A page of another site cannot open the WebSocket, because its ``Origin`` differs from ``Host``. DNS rebinding does
+    not help it either: a request under a foreign name has no cookie.
+    """
+
+    def __init__(self, app: ASGIApp, access: Access) -> None:
         self._app = app
-        self._hosts = hosts
+        self._access = access
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Handle one connection."""
         if scope["type"] not in {"http", "websocket"}:
             await self._app(scope, receive, send)
             return
-        headers = Headers(scope=scope)
-        refusal = self._refusal(headers, scope.get("method", "") if scope["type"] == "http" else "websocket")
+        request, access = HTTPConnection(scope), self._access
+        is_addressed = access.is_shown(request.query_params.get("token", ""))
+        is_known = is_addressed or access.is_shown(request.cookies.get(access.cookie, ""))
+        refusal = self._refusal(request, is_known=is_known)
         if refusal and scope["type"] == "websocket":
             await WebSocketClose(code=1008, reason=refusal)(scope, receive, send)
         elif refusal:
             await PlainTextResponse(f"{refusal}\n", status_code=403)(scope, receive, send)
         else:
-            await self._app(scope, receive, _with_headers(send))
+            cookie = f"{access.cookie}={access.token}; HttpOnly; SameSite=Strict; Path=/" if is_addressed else ""
+            await self._app(scope, receive, _with_headers(send, cookie))
 
-    def _refusal(self, headers: Headers, method: str) -> str:
+    def _refusal(self, request: HTTPConnection, *, is_known: bool) -> str:
+        headers, kind = request.headers, request.scope["type"]
+        method = request.scope["method"] if kind == "http" else kind
         host = headers.get("host", "")
-        name = _split(f"//{host}").hostname or ""
-        if self._hosts is not None and name not in self._hosts:
+        if self._access.hosts is not None and (_split(f"//{host}").hostname or "") not in self._access.hosts:
             return f"this server does not answer to the host '{host}'"
         origin = headers.get("origin")
         is_own = origin is not None and _split(origin).netloc == host
         if method == "websocket" and origin is not None and not is_own:
             return f"pages of {origin} may not read this skin"
-        return self._refusal_to_act(headers, host, name, is_own=is_own) if method == "POST" else ""
-
-    def _refusal_to_act(self, headers: Headers, host: str, name: str, *, is_own: bool) -> str:
-        if not is_own:
+        if method == "POST" and not is_own:
             return f"only the page itself may ask for this, not {headers.get('origin', 'a program')}"
-        if self._hosts is None and not _is_this_machine(name):
-            return f"nothing is done for the host '{host}': open the page by the address of the machine"
-        if headers.get("content-type", "").partition(";")[0].strip() != "application/json":
+        if method == "POST" and headers.get("content-type", "").partition(";")[0].strip() != "application/json":
             return "expected Content-Type: application/json"
+        needs_token = method == "POST" or (self._access.is_shared and request.scope["path"] != HEALTH)
+        if needs_token and not is_known:
+            return "expected the page's token: open the page by the address that 'skin view' logs"
         return ""
 
 
@@ -84,22 +137,14 @@ def _split(address: str) -> SplitResult:
         return urlsplit("")
 
 
-def _is_this_machine(name: str) -> bool:
-    """Tell whether a name of a host cannot have been pointed at this machine by somebody else."""
-    try:
-        ip_address(name)
-    except ValueError:
-        own = socket.gethostname().lower()
-        return name in {*LOOPBACK, own, f"{own.partition('.')[0]}.local"}
-    return True
-
-
-def _with_headers(send: Send) -> Send:
+def _with_headers(send: Send, cookie: str) -> Send:
     async def send_with_headers(message: Message) -> None:
         if message["type"] == "http.response.start":
             headers = MutableHeaders(scope=message)
             for name, value in HEADERS.items():
                 headers[name] = value
+            if cookie:
+                headers.append("Set-Cookie", cookie)
         await send(message)
 
     return send_with_headers

@@ -8,9 +8,9 @@ from evaluation.result import Options, Result, Row
 from evaluation.schemes.comparison import DIGITS, means_of, wins_and_losses
 from evaluation.schemes.comparison import evaluate as evaluate_schemes
 from evaluation.schemes.scenes import SLAP, SLIDES
-from evaluation.schemes.schemes import BEST_SCAN, COARSE_ARRAYS, RAW_SCAN, default_kbit_per_s
+from evaluation.schemes.schemes import BEST_SCAN, COARSE_ARRAY, RAW_SCAN, default_kbit_per_s
 
-CLOCKED = (BEST_SCAN.name, RAW_SCAN.name, COARSE_ARRAYS[0].name)
+CLOCKED = (BEST_SCAN.name, RAW_SCAN.name, COARSE_ARRAY.name)
 
 
 @pytest.fixture(scope="module")
@@ -35,8 +35,8 @@ def test_events_and_stepped_sums_take_few_bits_and_events_wait_where_much_moves(
     assert ours["psnr_mean_db"] > quiet["sums"]["psnr_mean_db"]
     assert min(ours["psnr_mean_db"], events["psnr_mean_db"]) > quiet[RAW_SCAN.name]["psnr_mean_db"]
     slap = {row["scheme"]: row for row in compared.rows if row["touch"] == SLAP}
-    assert slap["filtered events, 0.5 mN"]["latency_worst_ms"] > 2 * slap["sums"]["latency_worst_ms"]
-    assert slap["sums"]["latency_worst_ms"] < 9
+    assert slap["filtered events, 0.5 mN"]["latency_p99_ms"] > 2 * slap["sums"]["latency_p99_ms"]
+    assert slap["sums"]["latency_p99_ms"] < 9
 
 
 @pytest.mark.slow
@@ -44,8 +44,6 @@ def test_a_filter_is_worth_more_than_sums_and_scans_get_the_best_receiver(compar
     """On the press of a golf ball: both at the same bits."""
     rows = {row["scheme"]: row for row in compared.rows if row["touch"] == "golf-ball"}
     raw, best = rows[RAW_SCAN.name], rows[BEST_SCAN.name]
-    for scan in (raw, best):
-        assert scan["psnr_mean_db"] >= scan["psnr_plain_db"]
     assert raw["receiver"] != "plain"
     assert best["psnr_mean_db"] > raw["psnr_mean_db"] + 20
     assert best["psnr_mean_db"] == pytest.approx(rows["sums"]["psnr_mean_db"], abs=4)

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dbc.canopen import SDO_REQUEST_BASE, SYNC_COB_ID
+from dbc.canopen import SYNC_COB_ID
 from dbc.contract import Contract
 from evaluation.schemes.board import Board
 from evaluation.schemes.judge import quality
@@ -13,7 +13,7 @@ from evaluation.schemes.scenes import NEWTON_PER_COUNT, SHAKING, SLAP, TAXELS, T
 from evaluation.schemes.schemes import Stepped, measure_scheme
 from evaluation.schemes.steps import SteppedRun, run_stepped
 from evaluation.schemes.wire import TICK_NS
-from skin.layout import Steps, load_layout
+from skin.layout import changed, load_layout
 from tests.layouts import NODES
 
 TICKS = 150
@@ -33,9 +33,8 @@ def true_n() -> np.ndarray:
     return true
 
 
-def board_of(true_n: np.ndarray, loss_ratio: float = 0.0) -> Board:
-    idle = sampled(np.zeros((400, TAXELS), np.float32), 1)
-    return Board(sampled(true_n, 0), idle, loss_ratio)
+def board_of(true_n: np.ndarray) -> Board:
+    return Board(sampled(true_n, 0), sampled(np.zeros((400, TAXELS), np.float32), 1))
 
 
 @pytest.fixture(scope="module")
@@ -63,18 +62,10 @@ def test_a_receiver_that_gets_everything_shows_the_touch(run: SteppedRun, true_n
     assert quality(true_n, images)["psnr_mean_db"] > 25
 
 
-def test_lost_frames_cost_quality_until_all_sums_were_asked_for(run: SteppedRun, true_n: np.ndarray) -> None:
-    lossy = run_stepped(board_of(true_n, 0.05), CONTRACT)
-    whole, part = run.images.force_n, lossy.images.force_n
-    assert np.mean((part[40] - true_n[40]) ** 2) > 1.2 * np.mean((whole[40] - true_n[40]) ** 2)
-    assert np.mean((part[-1] - true_n[-1]) ** 2) < 3 * np.mean((whole[-1] - true_n[-1]) ** 2)
-    asked = lossy.sent.frames["can_id"] > SDO_REQUEST_BASE
-    assert (asked & (lossy.sent.frames["can_id"] <= SDO_REQUEST_BASE + NODES)).sum() > 10
-    assert not run_stepped(board_of(true_n, 1.0), CONTRACT).images.force_n.any()
-
-
 def test_slots_too_short_for_all_boards_leave_high_node_ids_waiting(true_n: np.ndarray) -> None:
-    fast = Stepped(steps=Steps(slot_s=0.0025)).show(board_of(true_n))
+    fast = run_stepped(
+        board_of(true_n), Contract.from_layout(changed(load_layout(Path("steps")), steps={"slot_s": 0.0025}))
+    )
     assert fast.latency_ns.max() > 10 * TICK_NS
 
 

@@ -20,7 +20,9 @@ from skin.layout import Layout
 from tests.browser import Browser, chromium
 from views.page.actions import Action, Play, Record, SetMark, Tare
 from views.page.app import build_app
+from views.page.command import server_config
 from views.page.feed import Feed
+from views.page.guard import Access
 
 
 class Chain:
@@ -115,7 +117,7 @@ class Server:
     """The page's server in this process, on a port that stays the same when it is started again."""
 
     def __init__(self, feed: ShownFeed) -> None:
-        self.feed, self.doer = feed, Doer(feed)
+        self.feed, self.doer, self.access = feed, Doer(feed), Access()
         self.actions = self.doer.actions("tare", "record", "mark")
         self.port = 0
         self.start()
@@ -123,12 +125,14 @@ class Server:
     def start(self) -> None:
         listener = socket.create_server(("127.0.0.1", self.port))
         self.port = listener.getsockname()[1]
-        config = uvicorn.Config(
-            build_app(self.feed, actions=self.actions), log_config=None, timeout_graceful_shutdown=1
-        )
-        self._server = _Server(config)
+        self._server = _Server(server_config(build_app(self.feed, self.access, self.actions)))
         self._thread = threading.Thread(target=self._server.run, args=([listener],))
         self._thread.start()
+
+    @property
+    def address(self) -> str:
+        """The address of the page, as the viewer logs it."""
+        return f"http://127.0.0.1:{self.port}/?token={self.access.token}"
 
     def stop(self) -> None:
         self._server.should_exit = True
@@ -162,6 +166,6 @@ def server(messages: Any, chain: Chain, endpoint: str) -> Iterator[Server]:
 @pytest.fixture
 def page(browser: Browser, server: Server) -> Browser:
     browser.complaints.clear()
-    browser.open(f"http://127.0.0.1:{server.port}/")
+    browser.open(server.address)
     browser.until(lambda: "golf ball" in browser.text("#object"), "no label was shown")
     return browser

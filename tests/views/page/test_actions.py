@@ -19,6 +19,7 @@ from tests.recording.helpers import messages_of
 from views.page.actions import live_actions, playback_actions
 from views.page.app import build_app
 from views.page.feed import Feed
+from views.page.guard import Access
 from views.page.playback import Playback
 from views.page.record_process import RecorderProcess
 
@@ -61,6 +62,13 @@ class Recorder:
         raise RunError("no recording is being made")
 
 
+def client_of(app: Any, access: Access) -> TestClient:
+    """Return a client that has the cookie of the page."""
+    client = TestClient(app, base_url=PAGE)
+    client.cookies.set(access.cookie, access.token)
+    return client
+
+
 class Skin:
     """A page's server with stand-ins behind it."""
 
@@ -68,8 +76,10 @@ class Skin:
         self.gateway, self.recorder, self.feed = Gateway(), Recorder(), Feed(messages.layout)
         fabric: Any = self.gateway
         recorder: Any = self.recorder
-        self.app = build_app(self.feed, actions=live_actions(self.feed, fabric, recorder))
-        self.client = TestClient(self.app, base_url=PAGE)
+        self.access = Access()
+        self.client = client_of(
+            build_app(self.feed, self.access, live_actions(self.feed, fabric, recorder)), self.access
+        )
 
     def post(self, name: str, content: Any, **headers: str) -> tuple[int, Any]:
         answer = self.client.post(f"/api/{name}", json=content, headers={"origin": PAGE, **headers})
@@ -163,23 +173,18 @@ def test_no_other_page_can_tare_a_skin(skin: Skin, headers: dict[str, str]) -> N
     assert skin.gateway.asked == []
 
 
-def test_on_all_addresses_only_names_of_this_machine_are_obeyed(messages: Any) -> None:
-    feed, gateway = Feed(messages.layout), Gateway()
-    fabric: Any = gateway
-    app = build_app(feed, None, live_actions(feed, fabric, Recorder()))  # type: ignore[arg-type]
-    for host, status in (
-        ("10.0.0.5:8765", 200),
-        ("localhost:8765", 200),
-        ("[fe80::1]:8765", 200),
-        ("evil.example", 403),
-    ):
-        with TestClient(app, base_url=f"http://{host}") as client:
-            assert client.post("/api/tare", json={}, headers={"origin": f"http://{host}"}).status_code == status
-            assert client.get("/healthz").status_code == 200
+def test_no_program_without_the_token_can_tare_a_skin(skin: Skin) -> None:
+    skin.client.cookies.clear()
+    status, told = skin.post("tare", {})
+    assert (status, "open the page by the address that 'skin view' logs" in told) == (403, True)
+    assert skin.client.get("/api/state").status_code == 200
+    assert skin.client.get(f"/?token={skin.access.token}").status_code == 200  # it sets the cookie
+    assert skin.post("tare", {})[0] == 200
 
 
 def test_a_server_that_only_shows_says_so(messages: Any) -> None:
-    with TestClient(build_app(Feed(messages.layout)), base_url=PAGE) as client:
+    access = Access()
+    with client_of(build_app(Feed(messages.layout), access), access) as client:
         answer = client.post("/api/tare", json={}, headers={"origin": PAGE})
         assert (answer.status_code, "start 'skin view --control'" in answer.json()["error"]) == (403, True)
         with client.websocket_connect("ws://127.0.0.1:8765/ws") as socket:
@@ -190,7 +195,8 @@ def test_a_recording_can_be_played_and_not_tared(messages: Any, tmp_path: Path) 
     from tests.views.page.test_playback import recorded
 
     playback = Playback(recorded(messages, tmp_path / "run.mcap"), messages.layout)
-    with TestClient(build_app(playback, actions=playback_actions(playback)), base_url=PAGE) as client:
+    access = Access()
+    with client_of(build_app(playback, access, playback_actions(playback)), access) as client:
 
         def post(name: str, content: Any) -> tuple[int, Any]:
             answer = client.post(f"/api/{name}", json=content, headers={"origin": PAGE})
@@ -210,11 +216,9 @@ def test_a_recording_can_be_played_and_not_tared(messages: Any, tmp_path: Path) 
 
 
 @pytest.mark.heavy
-def test_a_recorder_begins_marks_and_ends_as_a_process(
-    messages: Any, hub: Fabric, endpoint: str, tmp_path: Path
-) -> None:
-    name = messages.layout.name
-    fabric = join(messages.layout, "viewer", endpoint)  # it tells the recorder the layout
+def test_a_recorder_begins_marks_and_ends_as_a_process(messages: Any, endpoint: str, tmp_path: Path) -> None:
+    name, hub = messages.layout.name, join(messages.layout, "gateway", endpoint, hub=True)
+    fabric = Fabric(name, "viewer", endpoint)
     feed = Feed(messages.layout)
     feed.recorder = RecorderProcess(tmp_path, endpoint, name)
     feed.join(fabric)
@@ -237,3 +241,4 @@ def test_a_recorder_begins_marks_and_ends_as_a_process(
     finally:
         feed.recorder.close()
         fabric.close()
+        hub.close()

@@ -166,7 +166,7 @@ def test_five_minutes_are_drawn_with_their_gaps(browser: Browser, server: Server
     }})()"""
     identifier = browser.call("Page.addScriptToEvaluateOnNewDocument", source=script)["identifier"]
     try:
-        browser.open(f"http://127.0.0.1:{server.port}/", width=1600)
+        browser.open(server.address, width=1600)
         browser.until(lambda: "1.50 N" in browser.text("#tracks"), "no history was drawn")
     finally:
         browser.call("Page.removeScriptToEvaluateOnNewDocument", identifier=identifier)
@@ -230,7 +230,7 @@ def test_what_the_server_does_not_allow_is_not_there(browser: Browser, server: S
     server.stop()
     server.actions = {}
     server.start()
-    browser.open(f"http://127.0.0.1:{server.port}/")
+    browser.open(server.address)
     browser.until(lambda: "golf ball" in browser.text("#object"), "no label was shown")
     assert browser.ask("['tare', 'record', 'mark'].every((id) => document.getElementById(id).hidden)")
     press(browser, "t")
@@ -478,8 +478,17 @@ def test_service_of_another_phi_is_named_with_its_fingerprint(page: Browser, hub
 
 def test_words_that_explain_amber_are_whole_on_a_phone(browser: Browser, server: Server, chain: Chain) -> None:
     chain.invalid = (3,)
-    browser.open(f"http://127.0.0.1:{server.port}/", width=380)
+    browser.open(server.address, width=380)
     browser.until(lambda: "1 missing within 1 s" in browser.text("#blocks"), "the missing block was not told")
     assert browser.ask(
         "[...document.querySelectorAll('.detail')].every((line) => line.scrollWidth <= line.clientWidth)"
     )
+
+
+def test_the_token_leaves_the_address_and_without_it_a_page_only_shows(page: Browser, server: Server) -> None:
+    assert page.ask("location.href + document.cookie") == f"http://127.0.0.1:{server.port}/"
+    page.open(f"http://localhost:{server.port}/")  # a host without a cookie
+    page.until(lambda: "golf ball" in page.text("#object"), "no label was shown")
+    page.ask("document.querySelector('#record').click()")
+    page.until(lambda: "expected the page's token" in page.text("#answer"), "it was not refused")
+    assert server.doer.asked == []

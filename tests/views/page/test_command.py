@@ -43,7 +43,8 @@ def test_port_0_is_told_and_signals_end_it_quietly(
         assert process.stderr is not None
         line = process.stderr.readline()
         assert line.startswith("viewer: web page at http://127.0.0.1:")
-        address = line.split()[-1]
+        address, _, token = line.split()[-1].partition("?token=")
+        assert len(token) >= 32
         assert httpx.get(f"{address}api/state", timeout=240).json()["skin"] == "palm"
         process.send_signal(number)
         out, err = process.communicate(timeout=240)

@@ -63,7 +63,7 @@ def messages(request: pytest.FixtureRequest) -> SurfaceMessages:
 def page(browser: Browser, server: Server, chain: Chain, messages: SurfaceMessages) -> Iterator[Browser]:
     chain.contacts = False
     browser.complaints.clear()
-    browser.open(f"http://127.0.0.1:{server.port}/")
+    browser.open(server.address)
     browser.until(lambda: "golf ball" in browser.text("#object"), "no label was shown")
     browser.until(lambda: browser.ask("!document.querySelector('#map-true').hidden"), "no truth was shown")
     browser.until(lambda: bool(colours(browser, messages)[:, 3].all()), "no image was drawn")
@@ -183,7 +183,7 @@ def test_a_flat_skin_is_not_turned(page: Browser, messages: SurfaceMessages) -> 
 
 
 def test_the_page_fits_a_phone(browser: Browser, server: Server) -> None:
-    browser.open(f"http://127.0.0.1:{server.port}/", width=390)
+    browser.open(server.address, width=390)
     browser.until(lambda: "golf ball" in browser.text("#object"), "no label was shown")
     assert browser.ask("document.documentElement.scrollWidth") == 390
     assert browser.ask("document.querySelector('#map-image canvas').clientWidth") == 366

@@ -124,6 +124,8 @@ function drawInstant(snapshot, hasTruth) {
   parts.buses.draw(snapshot);
 }
 
+// The server has set a cookie: its token is not to stay in the address.
+if (location.search) window.history.replaceState(null, "", location.pathname);
 const connection = new Connection(setSkin, (newest) => {
   frame = history.frame = newest;
   lastFrameTime = Date.now();

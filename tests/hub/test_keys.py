@@ -1,0 +1,187 @@
+"""Keys: what is wrong with a folder of them, and why a hub refuses a program, is told at once."""
+
+import math
+import shutil
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+from unittest import mock
+
+import pytest
+
+import canskin
+from canskin.errors import BusError, InputError
+from canskin.fabric import Fabric
+from canskin.keys import ANSWER_S, Keys
+from canskin.peers import Peer
+from canskin.session import UNIX, open_client, open_hub, peers_at
+from hub.authority import Authority
+from tests.hub.keys import issue_for, make_authority
+from tests.processes import PATIENCE_S, free_port
+
+
+@pytest.fixture
+def authority(tmp_path: Path) -> Authority:
+    return make_authority(tmp_path / "keys", "client")
+
+
+@pytest.fixture
+def hub(authority: Authority) -> Iterator[str]:
+    endpoint = f"tls/127.0.0.1:{free_port()}"
+    session = open_hub(endpoint, Keys(authority.folder / "hub"))
+    yield endpoint
+    session.close()
+
+
+def refusal(endpoint: str, keys: Keys | None) -> str:
+    with pytest.raises(BusError) as raised:  # however long the program would wait for its hub
+        open_client(endpoint, "client", None, math.inf, keys=keys)
+    return str(raised.value)
+
+
+def test_a_refusal_is_told_within_a_second() -> None:
+    assert 3 * ANSWER_S < 1.0  # to connect, of TLS, of the certificate; there is no other wait
+
+
+def test_keys_of_one_authority_meet(authority: Authority, hub: str) -> None:
+    keys = Keys(authority.folder / "client")
+    assert (keys.common_name, keys.skin, keys.role, keys.holder) == ("palm:client", "palm", "client", "")
+    open_client(hub, "client", None, 5.0, keys=keys).close()
+
+
+def test_a_hub_refuses_a_program_without_keys(hub: str) -> None:
+    assert refusal(hub, None) == f"{hub} needs keys: give --keys FOLDER, or SKIN_KEYS in the environment"
+    plain = hub.replace("tls", "tcp")
+    assert f"refuses a program without keys: it asks for keys: give --keys FOLDER and {hub}" in refusal(plain, None)
+
+
+def test_a_hub_refuses_keys_of_another_authority(authority: Authority, hub: str, tmp_path: Path) -> None:
+    foreign = make_authority(tmp_path / "foreign", "client").folder / "client"
+    assert refusal(hub, Keys(foreign)) == (
+        f"the hub at {hub} refuses 'palm:client': its certificate is of another authority"
+    )
+
+
+def test_a_hub_refuses_keys_that_have_ended(authority: Authority, hub: str) -> None:
+    with mock.patch("canskin.keys.time.time", return_value=0.0), pytest.raises(InputError, match="is this clock right"):
+        Keys(authority.folder / "client")
+    ended = issue_for(authority, "client", -10.0)
+    with mock.patch("canskin.keys.time.time", return_value=time.time() - 20.0):
+        keys = Keys(ended)
+    assert "the certificate has ended" in refusal(hub, keys)
+
+
+def test_a_hub_lets_revoked_keys_do_nothing_and_they_are_told(authority: Authority) -> None:
+    endpoint, flows = f"tls/127.0.0.1:{free_port()}", ["ingress", "egress"]
+    messages = ["liveliness_query", "liveliness_token"]
+    allowed = {"id": "see", "permission": "allow", "flows": flows, "messages": messages, "key_exprs": ["canskin/**"]}
+    rules = {
+        "enabled": True,
+        "default_permission": "deny",
+        "rules": [allowed],
+        "subjects": [{"id": "client", "cert_common_names": ["palm:client"]}],
+        "policies": [{"rules": ["see"], "subjects": ["client"]}],
+    }
+    session = open_hub(endpoint, Keys(authority.folder / "hub"), rules)
+    open_client(endpoint, "client", None, 5.0, keys=Keys(authority.folder / "client")).close()
+    revoked = Keys(authority.issue("palm:client:laptop7"))
+    assert f"the hub at {endpoint} lets 'palm:client:laptop7' do nothing: its keys are revoked" in refusal(
+        endpoint, revoked
+    )
+    session.close()
+
+
+@pytest.mark.heavy
+def test_renewed_keys_are_read_when_those_before_end(authority: Authority, hub: str) -> None:
+    came, left, back = (threading.Event() for _ in range(3))
+
+    def note(peer: Peer, is_there: bool) -> None:
+        (back if left.is_set() else came).set() if is_there else left.set()
+
+    with closing(Fabric("palm", "", hub, keys=Keys(issue_for(authority, "client", 3.0)))) as fabric:
+        fabric.watch_peers(note)
+        assert came.wait(PATIENCE_S)
+        issue_for(authority, "client", 3600.0)
+        assert left.wait(PATIENCE_S)  # the link closes with the end of the certificate
+        assert back.wait(PATIENCE_S)
+
+
+def test_a_service_says_that_its_keys_end_soon(
+    authority: Authority, hub: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    Fabric("palm", "viewer", hub, keys=Keys(authority.folder / "client")).close()
+    assert not caplog.messages
+    Fabric("palm", "viewer", hub, keys=Keys(issue_for(authority, "client", 2.2 * 86400))).close()
+    assert caplog.messages == [f"the keys {authority.folder / 'client'} end in 2 days: 'skin keys renew'"]
+
+
+def test_every_connection_of_a_process_has_the_keys_of_its_environment(
+    authority: Authority, hub: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with pytest.raises(BusError, match="needs keys: give --keys FOLDER, or SKIN_KEYS"):
+        peers_at(hub, 5.0, bool)
+    monkeypatch.setenv("SKIN_KEYS", str(authority.folder / "client"))
+    assert [peer.service for peer in peers_at(hub, 5.0, bool)] == ["hub"]
+    with pytest.raises(BusError, match="no skin at"):  # let in, but only the hub is there
+        canskin.connect(hub, timeout_s=0.1)
+
+
+def test_a_socket_of_the_user_needs_no_keys(authority: Authority, tmp_path: Path) -> None:
+    endpoint, keys = f"{UNIX}/{tmp_path / 'hub'}", Keys(authority.folder / "client")
+    with closing(open_hub(endpoint, keys)):
+        open_client(endpoint, "client", None, 5.0, keys=keys).close()
+
+
+def test_a_hub_has_the_names_of_its_certificate_alone(authority: Authority) -> None:
+    port = free_port()
+    session = open_hub(f"tls/0.0.0.0:{port}", Keys(authority.folder / "hub"))
+    assert "its certificate has other names" in refusal(f"tls/127.0.0.2:{port}", Keys(authority.folder / "client"))
+    session.close()
+
+
+def test_a_hub_without_keys_gets_none(authority: Authority) -> None:
+    keys, port = Keys(authority.folder / "client"), free_port()
+    session = open_hub(f"tcp/127.0.0.1:{port}")
+    assert "it does not speak TLS: give the hub its keys" in refusal(f"tls/127.0.0.1:{port}", keys)
+    assert "does not use the keys" in refusal(f"tcp/127.0.0.1:{port}", keys)
+    session.close()
+
+
+def test_a_hub_has_keys_of_its_role(authority: Authority) -> None:
+    with pytest.raises(BusError, match="with keys of 'palm:client': expected those of role 'hub'"):
+        open_hub(f"tls/127.0.0.1:{free_port()}", Keys(authority.folder / "client"))
+
+
+def test_quic_uses_keys(authority: Authority) -> None:
+    endpoint = f"quic/127.0.0.1:{free_port()}"
+    session = open_hub(endpoint, Keys(authority.folder / "hub"))
+    open_client(endpoint, "client", None, 5.0, keys=Keys(authority.folder / "client")).close()
+    session.close()
+
+
+@pytest.mark.parametrize("name", ["ca.pem", "cert.pem", "key.pem"])
+def test_a_missing_or_damaged_file_is_named(authority: Authority, name: str) -> None:
+    path = authority.folder / "client" / name
+    path.write_text("no PEM")
+    with pytest.raises(InputError, match="do not belong together"):
+        Keys(path.parent)
+    path.unlink()
+    with pytest.raises(InputError, match=f"{name} cannot be read"):
+        Keys(path.parent)
+
+
+def test_keys_that_cannot_be_used(authority: Authority) -> None:
+    folder = authority.folder / "client"
+    (folder / "key.pem").chmod(0o640)
+    with pytest.raises(InputError, match="can be read by other users"):
+        Keys(folder)
+    shutil.copy(authority.folder / "hub" / "key.pem", folder / "key.pem")
+    (folder / "key.pem").chmod(0o600)
+    with pytest.raises(InputError, match="do not belong together"):
+        Keys(folder)
+    with pytest.raises(InputError, match=r"the certificate ended .* 'skin keys renew'"):
+        Keys(issue_for(authority, "client", -10.0))
+    with pytest.raises(InputError, match=r"the certificate begins .*: is this clock right"):
+        Keys(issue_for(authority, "client", 7200.0, 3600.0))

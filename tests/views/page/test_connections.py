@@ -1,0 +1,110 @@
+"""The limits of the page's connections, tried with sockets that never end what they begin."""
+
+import socket
+import threading
+from collections.abc import Iterator
+from contextlib import ExitStack
+from typing import Any
+
+import httpx
+import pytest
+import uvicorn
+
+from tests.processes import PATIENCE_S
+from views.page.app import build_app
+from views.page.command import server_config
+from views.page.connections import CONNECTIONS_MAX, CONNECTIONS_OF_ADDRESS_MAX, REQUEST_S
+from views.page.feed import Feed
+
+HALF = b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\n"
+#: Longer than any limit of the server.
+SILENCE_S = 4 * REQUEST_S
+
+
+class Serving:
+    """A page's server in this process."""
+
+    def __init__(self, messages: Any) -> None:
+        listener = socket.create_server(("127.0.0.1", 0))
+        self.port = listener.getsockname()[1]
+        self.server = uvicorn.Server(server_config(build_app(Feed(messages.layout))))
+        self._thread = threading.Thread(target=self.server.run, args=([listener],))
+        self._thread.start()
+
+    def open(self, sent: bytes = HALF, source: str = "127.0.0.1") -> socket.socket:
+        """Open a connection, and send the begin of a request."""
+        opened = socket.create_connection(("127.0.0.1", self.port), SILENCE_S, (source, 0))
+        opened.sendall(sent)
+        return opened
+
+    def answers(self) -> bool:
+        return httpx.get(f"http://127.0.0.1:{self.port}/healthz", timeout=PATIENCE_S).status_code == 200
+
+    def close(self) -> None:
+        self.server.should_exit = True
+        self._thread.join()
+
+
+@pytest.fixture
+def serving(messages: Any) -> Iterator[Serving]:
+    serving = Serving(messages)
+    yield serving
+    serving.close()
+
+
+def is_closed(opened: socket.socket) -> bool:
+    """Wait until the server has closed a connection, or is silent for long."""
+    try:
+        while opened.recv(65536):
+            pass
+    except ConnectionResetError:
+        return True
+    except TimeoutError:
+        return False
+    return True
+
+
+@pytest.mark.heavy
+def test_half_open_requests_of_one_address_leave_places(serving: Serving) -> None:
+    with ExitStack() as stack:
+        for _ in range(4 * CONNECTIONS_OF_ADDRESS_MAX):
+            stack.enter_context(serving.open())
+        assert serving.answers()
+        assert len(serving.server.server_state.connections) <= CONNECTIONS_OF_ADDRESS_MAX
+
+
+@pytest.mark.heavy
+def test_half_open_requests_of_many_addresses_leave_places(serving: Serving) -> None:
+    with ExitStack() as stack:
+        for place in range(CONNECTIONS_MAX + CONNECTIONS_OF_ADDRESS_MAX):
+            stack.enter_context(serving.open(source=f"127.0.1.{1 + place % 8}"))
+        assert serving.answers()
+        assert len(serving.server.server_state.connections) <= CONNECTIONS_MAX
+
+
+BODY = b"POST /api/tare HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 10\r\n\r\n{"
+
+
+@pytest.mark.heavy
+@pytest.mark.parametrize(
+    "sent", [b"", HALF, BODY, b"GET /healthz HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n" + HALF, HALF + b"X: " + b"x" * 20000]
+)
+def test_a_request_that_does_not_become_whole_is_hung_up_on(
+    serving: Serving, sent: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("views.page.connections.REQUEST_S", 0.1)
+    with serving.open(sent) as opened:
+        assert is_closed(opened)
+    assert serving.answers()
+
+
+@pytest.mark.heavy
+def test_a_websocket_outlives_the_limit_of_requests(serving: Serving, monkeypatch: pytest.MonkeyPatch) -> None:
+    from websockets.sync.client import connect
+
+    monkeypatch.setattr("views.page.connections.REQUEST_S", 0.05)
+    with connect(f"ws://127.0.0.1:{serving.port}/ws") as page:
+        page.recv(timeout=PATIENCE_S)
+        for _ in range(20):  # 0.8 s
+            page.recv(timeout=PATIENCE_S)
+            page.send("ok")
