@@ -19,8 +19,7 @@ from bus.recvmmsg import Received
 from bus.socketcan import SocketCanLink
 from canskin.errors import BusError, InputError
 from dbc.frame import ECHO, ERROR, FD
-from tests.bus.harness import burst, frame
-from tests.bus.test_interface import interface
+from tests.bus.harness import burst, frame, interface
 
 # Numbers of the kernel, from its headers.
 AF_CAN, SOCK_RAW, CAN_RAW, SOL_CAN_RAW = 29, 3, 1, 101
