@@ -21,6 +21,7 @@ from classifier.newest_sums import averaged_cycles
 from shell.output import write_file
 from skin.difference import difference
 from skin.layout import Layout
+from skin.limits import UNPACKED_BYTES_MAX, check_unpacked, read_file
 from skin.phi import Phi
 
 Arrays = dict[str, npt.NDArray[Any]]
@@ -79,9 +80,9 @@ def load_model(path: Path, layout: Layout, phi: Phi) -> Model:
 
 def _entries(path: Path) -> Arrays:
     wanted = (*ARRAYS, "metadata", "digest")
-    with reasoned(ModelError, f"{path}: cannot read the model"):
-        content = io.BytesIO(path.read_bytes())
+    content = io.BytesIO(read_file(path, ModelError, "the model", UNPACKED_BYTES_MAX))
     try:
+        check_unpacked(content, path)
         with np.lib.npyio.NpzFile(content, allow_pickle=False) as file:
             missing = [name for name in wanted if name not in file]
             entries = {name: np.asarray(file[name]) for name in wanted if name in file}

@@ -19,6 +19,7 @@ from canskin.errors import UNDECODABLE, InputError
 from canskin.messages import CONTACTS, MARK, Contacts, check_label
 from recording.mcap_file import Read, Warn, read_messages
 from shell.output import write_file
+from skin.limits import TEXT_BYTES_MAX, read_file
 
 #: Without contact for longer, a touch has ended.
 GAP_NS: Final = 100_000_000
@@ -118,16 +119,15 @@ def labels_path(recording: Path) -> Path:
 def read_labels(recording: Path) -> list[Span]:
     """Return the labels beside a recording, the newest last; none without a file."""
     path = labels_path(recording)
+    if not path.exists():
+        return []
+    content = read_file(path, InputError, "the labels", TEXT_BYTES_MAX)
     try:
-        found = msgspec.json.decode(path.read_bytes(), type=_LabelsFile)
+        found = msgspec.json.decode(content, type=_LabelsFile)
         if found.version != _VERSION:
             raise InputError(f"{path}: version {found.version} of labels, expected {_VERSION}: of a newer canskin?")
         for each in found.spans:
             check_label(each.label)
-    except FileNotFoundError:
-        return []
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
     except UNDECODABLE as error:
         raise InputError(f"{path}: damaged labels: {error}; remove the file, and set them again") from error
     return found.spans

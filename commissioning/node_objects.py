@@ -15,13 +15,14 @@ from canopen.objectdictionary import datatypes
 from canopen.objectdictionary.eds import import_eds
 
 from bus.link import Send
-from canskin.errors import InputError, RunError, reasoned
+from canskin.errors import InputError, RunError
 from dbc import indices as od
 from dbc.canopen import SDO_RESPONSE_BASE
 from dbc.contract import LONGEST_VALUE, Contract, NodeContract
 from dbc.eds import eds, node_types
 from dbc.frame import Frames, one_frame, received
 from gateway.sdo import Download, Read, SdoDialogue, Transfer, Write, one
+from skin.limits import TEXT_BYTES_MAX, read_file
 
 #: Names of CANopen's data types (CiA 301, table 44).
 _TYPES: Final = {value: name for name, value in vars(datatypes).items() if name.isupper() and isinstance(value, int)}
@@ -104,8 +105,8 @@ def entries_of_node(contract: Contract, node: NodeContract) -> list[Entry]:
 
 def entries_of_file(path: Path, node_id: int) -> list[Entry]:
     """Return the objects of an EDS or DCF file."""
-    with reasoned(InputError, f"{path}: cannot read the objects"):
-        return _entries(path.read_text(encoding="utf-8", errors="replace"), node_id, str(path))
+    text = read_file(path, InputError, "the objects", TEXT_BYTES_MAX).decode("utf-8", errors="replace")
+    return _entries(text, node_id, str(path))
 
 
 def _entries(text: str, node_id: int, origin: str) -> list[Entry]:

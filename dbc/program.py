@@ -10,7 +10,8 @@ from enum import IntEnum
 from pathlib import Path
 from typing import Final, Self
 
-from canskin.errors import InputError, reasoned
+from canskin.errors import InputError
+from skin.limits import read_file
 
 #: The characters "SKNP", first byte first.
 PROGRAM_MAGIC: Final = 0x504E_4B53
@@ -84,8 +85,7 @@ class Program:
     @classmethod
     def read(cls, path: Path) -> Self:
         """Read a program file; InputError if it is none, or damaged."""
-        with reasoned(InputError, f"{path}: cannot read the program"):
-            image = path.read_bytes()
+        image = read_file(path, InputError, "the program")
         wanted = "expected a program with the header of 'skin contract --program'"
         if len(image) <= PROGRAM_HEAD or int.from_bytes(image[:4], "little") != PROGRAM_MAGIC:
             raise InputError(f"{path}: {wanted}, got {len(image)} bytes without it")

@@ -9,10 +9,11 @@ from typing import Final, Literal, NamedTuple
 
 import msgspec
 
-from canskin.errors import InputError
+from canskin.errors import UNDECODABLE, InputError
 from evaluation.printed import Number, Rule, printed
 from evaluation.result import Options, Result, Row
 from evaluation.result_cache import LIBRARIES, code_digest
+from skin.limits import TEXT_BYTES_MAX, read_file
 
 Verdict = Literal["not reached", "not measured", "worse, within the tolerance", "reached"]
 #: In the order in which they are shown.
@@ -144,9 +145,10 @@ def encoded(kept: Stored) -> str:
 
 def read(path: Path) -> Stored:
     """Return a comparison from a file of `encoded`; raise InputError if the file is none."""
+    content = read_file(path, InputError, "the comparison", TEXT_BYTES_MAX)
     try:
-        return msgspec.json.decode(path.read_bytes(), type=Stored)
-    except (OSError, msgspec.MsgspecError) as error:
+        return msgspec.json.decode(content, type=Stored)
+    except UNDECODABLE as error:
         raise InputError(f"'{path}' is no comparison of 'skin evaluate paper': {error}") from error
 
 

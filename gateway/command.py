@@ -7,7 +7,6 @@ from bus.options import BusOptions, closing_links, open_links
 from calibration.calibrator import Tare
 from calibration.keeping import kept_zero
 from canskin.calibration_messages import CALIBRATION, ZERO
-from canskin.description import DESCRIPTION
 from canskin.errors import InputError
 from canskin.session import DEFAULT_ENDPOINT
 from dbc.contract import Contract
@@ -17,7 +16,6 @@ from gateway.stepped_gathering import publishing_rates
 from shell.service import StopSignal, say
 from shell.skin_options import Insecure, check_listen, join
 from skin.calibration_file import load_calibration
-from skin.description import describe
 from skin.layout import load_layout, require_sending
 
 
@@ -95,8 +93,6 @@ def gateway(
     fabric = join(skin, "gateway", connect or listen, hub=connect is None, stop=stop)
     for question in (CALIBRATION, ZERO):
         fabric.answer(question, calibrates.ask)
-    about = describe(skin)
-    fabric.answer(DESCRIPTION, lambda _request, reply: reply(about))
     say("gateway", f"{len(links)} bus{'es' * (len(links) != 1)}, SYNC {skin.sync.rate_hz:g} Hz")
     try:
         with closing_links(links):

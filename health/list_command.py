@@ -13,7 +13,7 @@ from canskin.fabric import Fabric
 from canskin.messages import GATEWAY, IMAGE, LABEL, MEASUREMENT, TRUTH, GatewayStatus, NmtState, Topic
 from canskin.peers import Peer
 from canskin.session import DEFAULT_ENDPOINT, peers_at
-from shell.skin_options import PATIENCE_S, hub_layout
+from shell.skin_options import PATIENCE_S, hub_layout, knows_layout
 from shell.terminal import Json, print_json, print_table
 from skin.layout import Layout
 from skin.ranges import require_above_zero
@@ -126,8 +126,8 @@ def _listed(
 
 def _about(skin: str, peers: list[Peer], endpoint: str) -> dict[str, str]:
     """Return a skin's layout in words, or why it is not known."""
-    if not any(peer.fingerprint for peer in peers if peer.skin == skin):
-        return {"error": "no service that knows its layout"}
+    if not any(knows_layout(peer) for peer in peers if peer.skin == skin):
+        return {"error": "no gateway tells its layout"}
     try:
         return {"layout": _words(hub_layout(endpoint, skin))}
     except BusError as error:

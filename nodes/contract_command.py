@@ -6,7 +6,7 @@ from typing import Annotated, Final
 
 from cyclopts import Parameter
 
-from canskin.errors import InputError, reasoned
+from canskin.errors import InputError
 from dbc.choice import choose_nodes
 from dbc.contract import Contract
 from dbc.dictionary import REVISION
@@ -26,6 +26,7 @@ from shell.output import check_new_path, write_file
 from shell.service import say
 from shell.terminal import Json, print_json
 from skin.layout import Device, load_layout
+from skin.limits import read_file
 
 #: The first bytes of an ELF file, which holds a program and much else.
 _ELF: Final = b"\x7fELF"
@@ -121,8 +122,7 @@ def _write_program(binary: Path, device: Device, release: str, out: Path) -> str
     """Write a program with its header."""
     if not is_version(release):
         raise InputError(f"--release: expected 1 to {VERSION_BYTES} printable characters of ASCII, got '{release}'")
-    with reasoned(InputError, f"{binary}: cannot read the program"):
-        data = binary.read_bytes()
+    data = read_file(binary, InputError, "the program")
     if not data:
         raise InputError(f"{binary}: expected a compiled program, got an empty file")
     if data.startswith(_ELF):

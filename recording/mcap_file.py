@@ -6,13 +6,16 @@ topics of `canskin.messages`, whose messages are those of the fabric, byte for b
 """
 
 import contextlib
+import io
 import os
 import struct
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, BinaryIO, Final, NamedTuple
 
+import lz4.frame
 import msgspec
 import zstandard
 from mcap.data_stream import RecordBuilder
@@ -48,8 +51,10 @@ RECORDER: Final = "recorder"
 
 #: Size at which a chunk is compressed and written; `RecordingWriter.flush` writes smaller ones.
 _CHUNK_BYTES: Final = 1 << 20
-#: A longer record is damage.
-_LONGEST_RECORD: Final = 1 << 28
+#: A longer record is damage: a layout and a calibration are shorter.
+_LONGEST_RECORD: Final = 1 << 25
+#: Most bytes that a chunk unpacks to: many times `_CHUNK_BYTES`.
+_UNPACKED_BYTES_MAX: Final = 1 << 23
 #: An attachment ends with its CRC-32.
 _CRC_BYTES: Final = 4
 #: Errors of the library for files that are cut or damaged.
@@ -204,9 +209,9 @@ def newest_file(path: Path, name: str) -> bytes | None:
     read_about(path)
     found: bytes | None = None
     is_damaged = False
-    with path.open("rb") as file, contextlib.suppress(*_DAMAGE):
-        summary = make_reader(file).get_summary()
-        if summary is not None and summary.attachment_indexes:
+    with _opened(path) as file, contextlib.suppress(*_DAMAGE):
+        if _summary(file).attachment_indexes:
+            file.seek(0)
             for record in make_reader(file).iter_attachments():
                 if record.name == name:
                     found, is_damaged = record.data, not _is_whole(record, file)
@@ -263,9 +268,14 @@ def read_few(path: Path, topic: Topic) -> Iterator[Read]:
     Raise InputError at a message that does not fit its topic.
     """
     decode = message_decoder(path, topic)
-    with path.open("rb") as file, contextlib.suppress(*_DAMAGE):
-        for _, _, each in make_reader(file).iter_messages([topic.name]):
-            yield Read(topic, each.log_time, decode(each.data))
+    with _opened(path) as file:
+        summary = _summary(file)
+        channels = {number for number, each in summary.channels.items() if each.topic == topic.name}
+        for index in _in_order(summary):
+            if not channels.isdisjoint(index.message_index_offsets):
+                for each in _indexed_chunk(file, index):
+                    if isinstance(each, Message) and each.channel_id in channels:
+                        yield Read(topic, each.log_time, decode(each.data))
 
 
 def message_decoder(path: Path, topic: Topic) -> Callable[[bytes], Any]:
@@ -312,18 +322,16 @@ def read_entries(path: Path, warn: Warn, from_ns: int = 0) -> Iterator[Entry]:
 
 def _indexed_channels(path: Path) -> Mapping[int, Channel]:
     """Return the topics in the index of a recording by number; none without an index."""
-    with path.open("rb") as file, contextlib.suppress(*_DAMAGE):
-        summary = make_reader(file).get_summary()
-        return summary.channels if summary is not None else {}
-    return {}
+    with _opened(path) as file:
+        return _summary(file).channels
 
 
 def read_topics(path: Path) -> set[str]:
     """Return the topics of which a recording has messages."""
     read_about(path)
-    with path.open("rb") as file, contextlib.suppress(*_DAMAGE):
-        summary = make_reader(file).get_summary()
-        if summary is not None and summary.statistics is not None:
+    with _opened(path) as file, contextlib.suppress(*_DAMAGE):
+        summary = _summary(file)
+        if summary.statistics is not None:
             counts = summary.statistics.channel_message_counts
             return {summary.channels[number].topic for number, count in counts.items() if count}
     return {entry.topic for entry in read_entries(path, lambda _: None)}
@@ -332,10 +340,10 @@ def read_topics(path: Path) -> set[str]:
 def span_ns(path: Path) -> tuple[int, int]:
     """Return the times of the first and the last message of a recording; InputError if it has none."""
     read_about(path)
-    with path.open("rb") as file, contextlib.suppress(*_DAMAGE):
-        summary = make_reader(file).get_summary()
-        if summary is not None and summary.statistics is not None and summary.statistics.message_count:
-            return summary.statistics.message_start_time, summary.statistics.message_end_time
+    with _opened(path) as file:
+        statistics = _summary(file).statistics
+        if statistics is not None and statistics.message_count:
+            return statistics.message_start_time, statistics.message_end_time
     times_ns = [entry.time_ns for entry in read_entries(path, lambda _: None)]
     if not times_ns:
         raise InputError(f"{path}: this recording has no messages")
@@ -344,25 +352,45 @@ def span_ns(path: Path) -> tuple[int, int]:
 
 def _records_from(path: Path, from_ns: int) -> Iterator[Any]:
     """Yield records as `_records`; with an index, those of the chunks that end at a time or later."""
-    summary = None
-    with path.open("rb") as file:
-        with contextlib.suppress(*_DAMAGE):
-            summary = make_reader(file).get_summary()
-        if summary is None or not summary.chunk_indexes:
+    with _opened(path) as file:
+        summary = _summary(file)
+        if not summary.chunk_indexes:
             yield from _records(path)
             return
         yield from summary.channels.values()
         yield from _indexed_records(file, sum(each.message_end_time < from_ns for each in _in_order(summary)[:-1]))
 
 
-def _in_order(summary: Summary | None) -> list[ChunkIndex]:
+class _Bounded(io.BufferedReader):
+    """A file of which no more than a record is read at once, whatever length is written in it."""
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        """Return bytes; raise McapError for more than those of a record."""
+        if size is None or not 0 <= size <= _LONGEST_RECORD:
+            raise McapError(f"expected at most {_LONGEST_RECORD} bytes, got {size}")
+        return super().read(size)
+
+
+def _opened(path: Path) -> _Bounded:
+    return _Bounded(io.FileIO(path))
+
+
+def _summary(file: BinaryIO) -> Summary:
+    """Return the index of a recording; an empty one if the file has none, or a damaged one."""
+    file.seek(0)
+    with contextlib.suppress(*_DAMAGE):
+        return make_reader(file).get_summary() or Summary()
+    return Summary()
+
+
+def _in_order(summary: Summary) -> list[ChunkIndex]:
     """Return the chunks of a recording in the order of the file; none without an index."""
-    return sorted(summary.chunk_indexes, key=lambda each: each.chunk_start_offset) if summary is not None else []
+    return sorted(summary.chunk_indexes, key=lambda each: each.chunk_start_offset)
 
 
 def _records(path: Path) -> Iterator[Any]:
     """Yield the records of a file, and a `Gap` in the place of what is damaged or missing."""
-    with reasoned(InputError, f"{path}: cannot be read"), path.open("rb") as file:
+    with reasoned(InputError, f"{path}: cannot be read"), _opened(path) as file:
         records = StreamReader(file, emit_chunks=True, validate_crcs=True, record_size_limit=_LONGEST_RECORD).records
         try:
             header = next(records)
@@ -377,7 +405,7 @@ def _records(path: Path) -> Iterator[Any]:
                 if isinstance(record, Attachment) and not _is_whole(record, file):
                     yield Damage(f"its file '{record.name}' is left out", record.name)
                     continue
-                yield from _records_of(record) if isinstance(record, Chunk) else (record,)
+                yield from _records_of(record, path) if isinstance(record, Chunk) else (record,)
             if file.read(1):
                 yield Damage("more comes after its end, as of two files in one, which is not read")
         except _DAMAGE:
@@ -392,29 +420,41 @@ def _is_whole(attachment: Attachment, file: BinaryIO) -> bool:
     return not any(stored) or bool(stored == expected.end()[-_CRC_BYTES:])
 
 
-def _records_of(chunk: Chunk) -> list[Any]:
-    """Return the records of a chunk, or the gap that a damaged chunk leaves."""
+def _records_of(chunk: Chunk, path: object) -> list[Any]:
+    """Return the records of a chunk, or the gap that a damaged chunk leaves; InputError if it unpacks to too much."""
     try:
-        return [*breakup_chunk(chunk, validate_crc=True)]
+        data, most = chunk.data, _UNPACKED_BYTES_MAX
+        # Never more than the limit, whatever size the chunk and its frame claim.
+        if chunk.compression == "zstd":
+            data = zstandard.ZstdDecompressor(max_window_size=most).stream_reader(data).read(most + 1)
+        elif chunk.compression == "lz4":
+            data = lz4.frame.LZ4FrameDecompressor().decompress(data, most + 1)
+        if (size := max(len(data), chunk.uncompressed_size)) > most:
+            raise InputError(f"{path}: expected chunks of at most {most} bytes unpacked, got {size}")
+        if len(data) != size:
+            raise McapError(f"expected {size} bytes unpacked, got {len(data)}")
+        return [*breakup_chunk(replace(chunk, compression="", data=data), validate_crc=True)]
     except _DAMAGE:
         return [Gap(chunk.message_start_time, chunk.message_end_time, is_rest=False, has_end=True)]
 
 
 def _indexed_records(file: BinaryIO, chunks: int) -> Iterator[Any]:
     """Yield the records of all chunks after the first `chunks`, by the index of a closed file."""
-    indexes = []
-    file.seek(0)
-    with contextlib.suppress(*_DAMAGE):
-        indexes = _in_order(make_reader(file).get_summary())
+    indexes = _in_order(_summary(file))
     if len(indexes) <= chunks:
         yield Gap(0, 0, is_rest=True, has_end=_has_end(file))
     for index in indexes[chunks:]:
-        file.seek(index.chunk_start_offset)
-        found: list[Any] = [Gap(index.message_start_time, index.message_end_time, is_rest=False, has_end=True)]
-        with contextlib.suppress(*_DAMAGE, StopIteration):
-            record = next(StreamReader(file, True, True, record_size_limit=_LONGEST_RECORD).records)
-            found = _records_of(record) if isinstance(record, Chunk) else found
-        yield from found
+        yield from _indexed_chunk(file, index)
+
+
+def _indexed_chunk(file: BinaryIO, index: ChunkIndex) -> list[Any]:
+    """Return the records of a chunk, or the gap that a damaged chunk leaves."""
+    file.seek(index.chunk_start_offset)
+    with contextlib.suppress(*_DAMAGE, StopIteration):
+        record = next(StreamReader(file, True, True, record_size_limit=_LONGEST_RECORD).records)
+        if isinstance(record, Chunk):
+            return _records_of(record, file.name)
+    return [Gap(index.message_start_time, index.message_end_time, is_rest=False, has_end=True)]
 
 
 def _has_end(file: BinaryIO) -> bool:
@@ -422,4 +462,4 @@ def _has_end(file: BinaryIO) -> bool:
     file.seek(0)
     magic = file.read(MAGIC_SIZE)
     file.seek(-MAGIC_SIZE, os.SEEK_END)
-    return file.read() == magic
+    return file.read(MAGIC_SIZE) == magic

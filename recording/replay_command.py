@@ -10,9 +10,8 @@ from typing import Any, Final
 from bus.options import Channels
 from calibration.calibrator import Tare
 from calibration.offline import make_calibrator
-from canskin.description import DESCRIPTION
 from canskin.errors import InputError, RunError
-from canskin.fabric import Exchange, Fabric
+from canskin.fabric import Exchange
 from canskin.session import DEFAULT_ENDPOINT
 from classifier.cache import find_or_train
 from classifier.decide import Classifier
@@ -32,7 +31,6 @@ from recording.sinks import McapSink
 from shell.output import check_new_path
 from shell.service import StopSignal, say
 from shell.skin_options import Insecure, check_listen, join
-from skin.description import describe
 from skin.layout import Layout, load_layout
 from skin.sources import DEFAULT_OBJECTS
 
@@ -113,7 +111,7 @@ def replay(
     # Images alone need no labels, but programs on a hub do.
     make_classifier = _classifier(skin, model) if arrays is None or listen is not None else None
     sink = _open(out, source, contract, offset_ns) if out is not None and arrays is None else None
-    fabric = _hub(skin, listen) if out is None or listen is not None else None
+    fabric = join(skin, "replay", listen or DEFAULT_ENDPOINT, hub=True) if out is None or listen is not None else None
     say("replay", f"{source.name}: {imager.about}")
     receivers = [each.publish for each in (fabric, arrays) if each is not None]
     played = Replay(skin, imager, make_classifier, receivers=receivers, sink=sink, offset_ns=offset_ns)
@@ -173,13 +171,6 @@ def _open(out: Path, source: Path, contract: Contract, offset_ns: int) -> McapSi
     if recorded is not None:
         sink.attach(File(CALIBRATION_FILE, "application/json", recorded), 0)
     return sink
-
-
-def _hub(skin: Layout, listen: str | None) -> Fabric:
-    fabric = join(skin, "replay", listen or DEFAULT_ENDPOINT, hub=True)
-    about = describe(skin)
-    fabric.answer(DESCRIPTION, lambda _request, reply: reply(about))
-    return fabric
 
 
 def _about(source: Path, skin: Layout, given: SolverOptions | None) -> dict[str, Any]:

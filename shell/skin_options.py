@@ -11,14 +11,14 @@ from typing import Annotated, Final
 import msgspec
 from cyclopts import Parameter
 
-from canskin.connection import GATEWAYS
-from canskin.description import LAYOUT, LayoutReply, LayoutRequest
+from canskin.description import DESCRIPTION, LAYOUT, LayoutReply, LayoutRequest
 from canskin.errors import BusError, InputError, LayoutError, Stopped
 from canskin.fabric import Fabric
-from canskin.peers import Peer
+from canskin.peers import GATEWAYS, Peer
 from canskin.session import DEFAULT_ENDPOINT, LOOK_S, Stop, Words, find_skin, is_open
 from recording import is_recording
 from shell.service import say
+from skin.description import describe
 from skin.difference import difference
 from skin.layout import Layout, layout_text, load_layout, parse_layout
 
@@ -125,8 +125,8 @@ class SkinOptions:
         give_up_s = time.monotonic() + PATIENCE_S
         while others := [each for each in fabric.peers() if each.fingerprint and each.instance != instance]:
             if own := [each for each in others if each.skin == layout.name]:
-                with suppress(BusError):  # a service of an older version does not tell
-                    told = _told(fabric, own, self.endpoint)
+                with suppress(BusError):  # no gateway is there, or it is of an older version
+                    told = _told(fabric, own[0], self.endpoint)
                     if differs := difference(msgspec.to_builtins(layout), msgspec.to_builtins(told)):
                         raise LayoutError(
                             f"{self.layout} is not the layout of skin '{layout.name}' at {self.endpoint}:"
@@ -167,7 +167,15 @@ def join(
     patience_s: float = math.inf,
     prepare: Callable[[Fabric], None] = lambda _: None,
 ) -> Fabric:
-    """Return the connection of a service that knows its layout, and tells it whoever asks; see `Fabric`."""
+    """Return the connection of a service that knows its layout; a gateway tells it whoever asks. See `Fabric`."""
+
+    def tell(fabric: Fabric) -> None:  # before the others see the service: then they ask
+        if service in GATEWAYS:
+            about = describe(layout)
+            fabric.answer(LAYOUT, lambda _request, reply: reply(LayoutReply(layout_text(layout))))
+            fabric.answer(DESCRIPTION, lambda _request, reply: reply(about))
+        prepare(fabric)
+
     return Fabric(
         layout.name,
         service,
@@ -175,25 +183,27 @@ def join(
         hub=hub,
         stop=stop,
         fingerprint=layout.operator().fingerprint,
-        layout=layout_text(layout),
         patience_s=patience_s,
-        prepare=prepare,
+        prepare=tell,
     )
 
 
 def hub_layout(endpoint: str, skin: str | None, stop: Stop | None = None) -> Layout:
     """Return the layout of a skin on a hub; see `SkinOptions.find`."""
     patience_s = PATIENCE_S if stop is None else SERVICE_PATIENCE_S
-    peers = find_skin(endpoint, skin, patience_s, lambda peer: bool(peer.fingerprint), words=_WORDS, stop=stop)
-    with closing(Fabric(peers[0].skin, "", endpoint, stop=stop, patience_s=PATIENCE_S)) as fabric:
-        return _told(fabric, peers, endpoint)
+    peer = find_skin(endpoint, skin, patience_s, knows_layout, words=_WORDS, stop=stop)[0]
+    with closing(Fabric(peer.skin, "", endpoint, stop=stop, patience_s=PATIENCE_S)) as fabric:
+        return _told(fabric, peer, endpoint)
 
 
-def _told(fabric: Fabric, peers: list[Peer], endpoint: str) -> Layout:
-    """Return the layout that the gateway tells, else any other of the services that know the layout."""
-    peer = min(peers, key=lambda each: each.service not in GATEWAYS)
+def knows_layout(peer: Peer) -> bool:
+    """Tell whether a service tells the layout of its skin."""
+    return peer.service in GATEWAYS and bool(peer.fingerprint)
+
+
+def _told(fabric: Fabric, peer: Peer, endpoint: str) -> Layout:
     try:
-        reply: LayoutReply = fabric.ask(LAYOUT, LayoutRequest(peer.instance), PATIENCE_S)
+        reply: LayoutReply = fabric.ask(LAYOUT, LayoutRequest(), PATIENCE_S)
     except BusError as error:
         raise BusError(
             f"{peer.service} of skin '{peer.skin}', canskin {peer.version}, tells no layout at {endpoint}: give"

@@ -8,18 +8,21 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from canskin.errors import UNDECODABLE, InputError, reasoned, tell
+from canskin.errors import UNDECODABLE, InputError, tell
 from canskin.messages import MEASUREMENT, Measurement
 from recording import is_recording
 from recording.mcap_file import CALIBRATION_FILE, newest_file, read_messages
 from skin.defects import SumGains
 from skin.layout import Layout
+from skin.limits import check_bytes, read_file
 from skin.measured_sums import check_measurement
 
 #: No gain is stored that is not between these.
 LEAST_GAIN, MOST_GAIN = 0.01, 100.0
 #: Of files: 2 can hold gains of sums.
 VERSION: Final = 2
+#: Most bytes of a file: all lists of 2**16 taxels fit.
+BYTES_MAX: Final = 2**23
 
 Floats = npt.NDArray[np.float64]
 _Gain = Annotated[float, msgspec.Meta(ge=LEAST_GAIN, le=MOST_GAIN)]
@@ -131,8 +134,7 @@ def load_calibration(path: Path, layout: Layout, *, is_shown: bool = False) -> S
     """Read a file, or the calibration of a recording; to be shown, with offsets beyond `most_offset_n`, too."""
     if is_recording(path):
         return _recorded(path, layout, is_shown=is_shown)
-    with reasoned(InputError, f"{path}: cannot read the calibration"):
-        content = path.read_bytes()
+    content = read_file(path, InputError, "the calibration", BYTES_MAX)
     return parse_calibration(content, layout, str(path), is_shown=is_shown)
 
 
@@ -157,6 +159,7 @@ def parse_calibration(content: bytes, layout: Layout, origin: str, *, is_shown: 
 
     What is only shown or saved may have offsets of sums beyond `most_offset_n`.
     """
+    check_bytes(len(content), InputError, origin, BYTES_MAX)
     try:
         version = msgspec.json.decode(content, type=_Version).version
         if version > VERSION:

@@ -3,13 +3,15 @@
 import csv
 from collections import Counter
 from collections.abc import Sequence
-from itertools import chain
+from io import StringIO
+from itertools import chain, islice
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
 from canskin.errors import LayoutError
+from skin.limits import read_file
 from skin.surface import Surface
 from skin.walsh import Indices
 
@@ -22,6 +24,8 @@ _POSITION: Final = ("x_m", "y_m", "z_m")
 _NORMAL: Final = ("nx", "ny", "nz")
 #: Largest number of a taxel, board or place.
 MOST: Final = int(np.iinfo(np.uint16).max)
+#: Most columns of a file.
+_COLUMNS_MAX: Final = 24
 
 
 def read_chains(path: Path, columns: int) -> list[list[int]]:
@@ -114,12 +118,17 @@ def positions_text(surface: Surface, chains: Sequence[Sequence[int]] | None) -> 
 
 def read_lines(path: Path, what: str) -> tuple[set[str], list[tuple[str, dict[str, str]]]]:
     """Read a CSV file: the names of its columns, and each line with its file and number."""
+    content = read_file(path, LayoutError, f"the {what}")
     try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            table = csv.DictReader(file, skipinitialspace=True)
-            return set(table.fieldnames or ()), [(f"{path}, line {table.line_num}", line) for line in table]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        table = csv.DictReader(StringIO(content.decode("utf-8-sig"), newline=""), skipinitialspace=True)
+        names = list(islice(table.fieldnames or (), _COLUMNS_MAX + 1))
+        kept = 0 if len(names) > _COLUMNS_MAX else MOST + 2
+        lines = [(f"{path}, line {table.line_num}", line) for line in islice(table, kept)]
+    except (UnicodeDecodeError, csv.Error) as error:
         raise LayoutError(f"{path}: cannot read the {what}: {error}") from error
+    if len(names) > _COLUMNS_MAX or len(lines) > MOST + 1:
+        raise LayoutError(f"{path}: expected at most {_COLUMNS_MAX} columns and {MOST + 1} lines, got more")
+    return set(names), lines
 
 
 class _Boards:

@@ -7,6 +7,7 @@ from typing import Annotated, Any, Final
 import msgspec
 
 from canskin.errors import LayoutError
+from skin.limits import TEXT_BYTES_MAX, read_file
 
 #: Identifiers of 11 and of 29 bits end here.
 BASE_ID_MAX: Final = 0x7FF
@@ -58,10 +59,9 @@ def _read_dbc(path: Path) -> list[dict[str, Any]]:
     from cantools.database.can import Database
 
     database = Database(strict=False)
+    text = read_file(path, LayoutError, "the messages", TEXT_BYTES_MAX).decode("cp1252", errors="replace")
     try:
-        database.add_dbc_file(path, encoding="cp1252")
-    except OSError as error:
-        raise LayoutError(f"{path}: cannot read the messages: {error.strerror or error}") from error
+        database.add_dbc_string(text)
     except Exception as error:  # of cantools, of its parser, of int
         raise LayoutError(f"{path}: expected a .dbc: {' '.join(str(error).split())}") from error
     return [

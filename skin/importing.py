@@ -15,6 +15,8 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from canskin.errors import LayoutError
 from skin.chains import chains_of, read_positions
 from skin.layout import NAME_CHARACTERS, load_layout
+from skin.layout_keys import PLACES_MAX
+from skin.limits import TEXT_BYTES_MAX, read_file
 from skin.surface import LINK_RATIO, surface_of_positions
 
 #: Channels of a converter of the iCub's skin, and those of a triangle that measure temperature in place of touch.
@@ -186,10 +188,7 @@ def _modules(path: Path) -> Iterator[tuple[str, int]]:
 
 def _lines_after(path: Path, heading: str) -> Iterator[tuple[int, list[str]]]:
     """Yield number and words of the lines after a heading, without comments and empty lines."""
-    try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise LayoutError(f"{path}: cannot read it: {error}") from error
+    lines = read_file(path, LayoutError, "it", TEXT_BYTES_MAX).decode("utf-8", errors="replace").splitlines()
     first = next((number for number, line in enumerate(lines, 1) if line.strip() == heading), None)
     if first is None:
         raise LayoutError(f"{path}: expected a line {heading}, found none")
@@ -210,15 +209,16 @@ def read_urdf(path: Path) -> Imported:
     LayoutError
         If the file is no such description, or has no taxel.
     """
+    content = read_file(path, LayoutError, "the URDF", TEXT_BYTES_MAX)
     try:
-        robot = ET.parse(path).getroot()  # noqa: S314  a user's own file; expat bounds what its entities grow to
-    except (OSError, ET.ParseError) as error:
+        robot = ET.fromstring(content)  # noqa: S314  expat bounds what its entities grow to
+    except ET.ParseError as error:
         raise LayoutError(f"{path}: cannot read it as URDF: {error}") from error
     try:
         parents = {
             _named(joint, "child", "link"): joint for joint in robot.iter("joint") if joint.find("child") is not None
         }
-        _check_links(robot)
+        _check(robot)
         of_sensors = [
             (sensor.get("name", ""), [*_taxels(sensor, _of_link(_named(sensor, "parent", "link"), parents))])
             for sensor in robot.iter("sensor")
@@ -233,10 +233,13 @@ def read_urdf(path: Path) -> Imported:
     return Imported([[float(value) for value in place] for place in places], None, [], sensors)
 
 
-def _check_links(robot: ET.Element) -> None:
+def _check(robot: ET.Element) -> None:
     links = {link.attrib["name"] for link in robot.iter("link")}
     if missing := {_named(each, "parent", "link") for each in robot.iter("sensor")} - links:
         raise KeyError(f"no link {min(missing)}")
+    taxels = sum(abs(int(each.get("rows", "0")) * int(each.get("cols", "0"))) for each in robot.iter("array"))
+    if taxels > PLACES_MAX:
+        raise ValueError(f"expected at most {PLACES_MAX} taxels, got {taxels}")
 
 
 def _taxels(sensor: ET.Element, of_parent: RigidTransform) -> Iterator[RigidTransform]:

@@ -8,7 +8,7 @@ from typing import Any, Final
 import msgspec
 import tomli_w
 
-from canskin.errors import UNDECODABLE, InputError, LayoutError, reasoned
+from canskin.errors import InputError, LayoutError
 from recording import is_recording
 from skin.chains import read_chains, read_positions
 from skin.choice import BUSES_MAX, averaged_hz, carried_sums, carries_enough
@@ -40,6 +40,7 @@ from skin.layout_keys import (
     require_boards,
     require_sending,
 )
+from skin.limits import decode_toml, read_file
 from skin.matrix import read_matrix
 from skin.toml_errors import in_words
 from skin.ways_of_sending import BUS_SUMS, IN_CYCLES, SENDINGS
@@ -101,8 +102,7 @@ def _read(path: Path | None, name: str) -> tuple[bytes, str, Path]:
         return _read_attached(path), name, path.parent
     if not path.suffix and not path.exists():
         raise LayoutError(f"{path}: no such file, and no layout of canskin: expected {', '.join(SHIPPED)}, or a file")
-    with reasoned(LayoutError, f"{path}: cannot read the layout"):
-        return path.read_bytes(), name, path.parent
+    return read_file(path, LayoutError, "the layout"), name, path.parent
 
 
 def _read_attached(path: Path) -> bytes:
@@ -124,7 +124,7 @@ def layout_tables(path: Path | None) -> tuple[dict[str, Any], str]:
     Only for a layout that `load_layout` has read.
     """
     content, origin, _ = _read(path, "default" if path is None else str(path))
-    return msgspec.toml.decode(content), origin
+    return decode_toml(content, origin), origin
 
 
 def parse_layout(content: bytes, origin: str, folder: Path = Path(), *, is_whole: bool = False) -> Layout:
@@ -132,11 +132,8 @@ def parse_layout(content: bytes, origin: str, folder: Path = Path(), *, is_whole
 
     With `is_whole` the content is that of `layout_text`, perhaps of an older version: no rate of samples is chosen.
     """
-    try:
-        document = _with_devices(_with_files(_with_shape(msgspec.toml.decode(content)), folder), folder)
-        document = _with_sizes(document, is_whole=is_whole)
-    except UNDECODABLE as error:
-        raise LayoutError(f"{origin}: expected TOML: {error}") from error
+    document = _with_devices(_with_files(_with_shape(decode_toml(content, origin)), folder), folder)
+    document = _with_sizes(document, is_whole=is_whole)
     try:
         layout = msgspec.convert(document, Layout)
     except msgspec.ValidationError as error:

@@ -7,6 +7,7 @@ after the last: cycle c, from 1, has matrix (c - 1) mod frames.
 import hashlib
 from collections.abc import Sequence
 from functools import cached_property
+from io import StringIO
 from pathlib import Path
 from typing import Any, Final
 
@@ -14,13 +15,14 @@ import numpy as np
 import numpy.typing as npt
 
 from canskin.errors import InputError, LayoutError
+from skin.limits import check_unpacked, read_file
 from skin.operator import check_vectors
 from skin.phi import Phi
 
 Entries = npt.NDArray[np.int8]
 
-#: Most entries of all matrices, 64 MB.
-ENTRIES_MAX: Final = 2**26
+#: Most entries of all matrices: a layout with them as signs is below `skin.limits.FILE_BYTES_MAX`.
+ENTRIES_MAX: Final = 2**23
 #: The array of an .npz.
 PHI: Final = "phi"
 #: The entries -1, 0 and 1 as the signs of a layout.
@@ -171,10 +173,14 @@ def read_matrix(path: Path) -> list[list[str]]:
 
 def _read_npz(path: Path) -> npt.NDArray[Any]:
     try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
-            names = list(arrays.files)
-            if PHI in names:
-                return np.asarray(arrays[PHI])
+        with path.open("rb") as file:
+            check_unpacked(file, path)
+            with np.load(file, allow_pickle=False) as arrays:
+                names = list(arrays.files)
+                if PHI in names:
+                    return np.asarray(arrays[PHI])
+    except InputError:
+        raise
     except Exception as error:  # the zip and npy decoders raise many kinds of errors
         reason = " ".join(str(error).split()) or type(error).__name__
         raise InputError(f"{path}: cannot read the matrix: expected an .npz of numbers: {reason}") from error
@@ -182,9 +188,10 @@ def _read_npz(path: Path) -> npt.NDArray[Any]:
 
 
 def _read_csv(path: Path) -> npt.NDArray[Any]:
+    text = read_file(path, InputError, "the matrix").decode("utf-8-sig", errors="replace")
     try:
-        return np.loadtxt(path, delimiter=",", ndmin=2, encoding="utf-8-sig")
-    except (OSError, ValueError) as error:
+        return np.loadtxt(StringIO(text), delimiter=",", ndmin=2)
+    except ValueError as error:
         expected = "expected a CSV with a line for each sum, a value for each taxel, or an .npz"
         raise InputError(f"{path}: cannot read the matrix: {expected}: {error}") from error
 

@@ -11,6 +11,7 @@ from canskin.errors import InputError
 from canskin.messages import IMAGE, TRUTH
 from recording import RECORDING_SUFFIX, is_recording
 from shell.service import say
+from skin.limits import check_unpacked
 
 Counts = npt.NDArray[Any]
 
@@ -66,8 +67,12 @@ def array_names(path: Path) -> tuple[str, ...]:
     if path.suffix.lower() != ".npz":
         return ()
     try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as loaded:
-            return tuple(loaded.files)
+        with path.open("rb") as file:
+            check_unpacked(file, f"'{path}'")
+            with np.load(file, allow_pickle=False) as loaded:
+                return tuple(loaded.files)
+    except InputError:
+        raise
     except Exception as error:  # see `read_counts`
         raise InputError(f"'{path}' cannot be read as .npz: {error}") from error
 
@@ -98,6 +103,7 @@ def _read_numpy(path: Path, arrays: Sequence[str] | None) -> dict[str, Counts]:
 
 
 def _arrays_of(file: BinaryIO, path: Path, arrays: Sequence[str] | None) -> dict[str, Counts]:
+    check_unpacked(file, f"'{path}'")
     loaded = np.load(file, allow_pickle=False)
     if isinstance(loaded, np.ndarray):
         if arrays is not None:

@@ -15,7 +15,7 @@ from canskin.fabric import Fabric
 from canskin.frame import Frame, FrameBuilder
 from canskin.keys import Keys
 from canskin.messages import CONTACTS, GATEWAY, IMAGE, LABEL, MARK, MEASUREMENT, GatewayStatus, Mark
-from canskin.peers import Peer, client_version
+from canskin.peers import GATEWAYS, Peer, client_version
 from canskin.session import DEFAULT_ENDPOINT, close_with_program, find_skin, peers_at
 from canskin.skin import CLOSED, FrameHub, Frames, Health, Skin
 
@@ -23,8 +23,6 @@ from canskin.skin import CLOSED, FrameHub, Frames, Health, Skin
 NAME: Final = "client"
 #: Time between two requests for the description of a skin whose layout has changed.
 ASK_AGAIN_S: Final = 1.0
-#: Services that know a skin's geometry.
-GATEWAYS: Final = ("gateway", "replay")
 #: Name of a recorder on the fabric.
 RECORDER: Final = "recorder"
 

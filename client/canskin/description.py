@@ -114,26 +114,17 @@ class Description(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class LayoutRequest(msgspec.Struct, frozen=True):
-    """Asks for the layout.
-
-    Attributes
-    ----------
-    instance : str
-        Of the service that is to answer (`canskin.peers.Peer`); empty: each service that knows the layout.
-    """
-
-    instance: str = ""
+    """Asks for the layout."""
 
 
 class LayoutReply(msgspec.Struct, frozen=True):
-    """The layout of a service as TOML, with the content of all files that it names."""
+    """The layout of a skin as TOML, with the content of all files that it names."""
 
     toml: str
 
 
-#: The answer of every service whose token tells a fingerprint.
+#: The gateway answers both.
 LAYOUT: Final = Question("layout", LayoutRequest, LayoutReply)
-#: The gateway's answer.
 DESCRIPTION: Final = Question("description", DescriptionRequest, Description)
 
 

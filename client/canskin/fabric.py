@@ -8,29 +8,31 @@ import logging
 import math
 import re
 import threading
+import time
 from collections import Counter, deque
 from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
 from itertools import count
-from typing import Any, Generic, NamedTuple, Protocol, TypeVar
+from typing import Any, Final, Generic, NamedTuple, Protocol, TypeVar
 
 import msgspec
 import zenoh
 
-from canskin.description import LAYOUT, LayoutReply, LayoutRequest
 from canskin.errors import UNDECODABLE, BusError, tell
 from canskin.keys import Keys, environment_keys
 from canskin.messages import Topic
-from canskin.peers import EVERY_KEY, Peer, Roll, new_peer, peer_of_key
+from canskin.peers import EVERY_KEY, GATEWAYS, Peer, Roll, new_peer, peer_of_key
 from canskin.question import Question
-from canskin.session import DEFAULT_ENDPOINT, Stop, first_sentence, open_client, open_hub, peers_of
+from canskin.session import DEFAULT_ENDPOINT, LOOK_S, Stop, first_sentence, open_client, open_hub, peers_of
 
 Message = TypeVar("Message", bound=msgspec.Struct)
 #: Sends the answer to a request, once.
 Reply = Callable[[msgspec.Struct], None]
 #: Returns a message that is decoded now; None if it cannot be decoded.
 Unread = Callable[[], Any]
+#: Longest wait for the other of two gateways that started at once to leave.
+SETTLED_S: Final = 1.0
 
 
 class Origin(NamedTuple):
@@ -144,8 +146,6 @@ class Fabric:
     fingerprint : str
         Of this service's Φ. The other services see the fingerprint. Services with another Φ, another skin or another
         version are named in the log.
-    layout : str
-        The layout as TOML, for whoever asks; empty if this service does not know the layout.
     patience_s : float
         Longest wait for the hub. By default a service waits without limit, so services start in any order.
     keys : Keys, optional
@@ -163,7 +163,8 @@ class Fabric:
     Raises
     ------
     BusError
-        If the endpoint cannot be used, the hub refuses, or no hub answered in time.
+        If the endpoint cannot be used, the hub refuses, no hub answered in time, or this is a second gateway of its
+        skin.
     """
 
     def __init__(
@@ -175,7 +176,6 @@ class Fabric:
         hub: bool = False,
         stop: Stop | None = None,
         fingerprint: str = "",
-        layout: str = "",
         patience_s: float = math.inf,
         keys: Keys | None = None,
         prepare: "Callable[[Fabric], None]" = lambda _: None,
@@ -192,10 +192,14 @@ class Fabric:
         self._kept: list[Any] = []
         keys = keys or environment_keys()
         self._session = open_hub(endpoint, keys) if hub else open_client(endpoint, service, stop, patience_s, keys=keys)
-        if layout:  # before the token: who sees the token may ask
-            self.answer(LAYOUT, partial(self._tell_layout, LayoutReply(layout)))
-        prepare(self)
-        self._token: Any = self._session.liveliness().declare_token(self._peer.key) if service else None
+        try:
+            self._require_alone(0.0)
+            prepare(self)
+            self._token: Any = self._session.liveliness().declare_token(self._peer.key) if service else None
+            self._require_alone(SETTLED_S)
+        except BaseException:
+            self._session.close()
+            raise
         if fingerprint:
             self.watch_peers(self._compare)
 
@@ -327,9 +331,23 @@ class Fabric:
         """Close the connection after all published messages are sent."""
         self._session.close()
 
-    def _tell_layout(self, layout: LayoutReply, request: LayoutRequest, reply: Reply) -> None:
-        if request.instance in {"", self._peer.instance}:
-            reply(layout)
+    def _require_alone(self, patience_s: float) -> None:
+        """Raise BusError if this is a second gateway of its skin.
+
+        Of two that start at once, the one of the lowest instance waits, and the other leaves.
+        """
+        own, give_up_s = self._peer, time.monotonic() + patience_s
+        while own.service in GATEWAYS:
+            others = [each for each in self.peers() if each.skin == own.skin and each.service in GATEWAYS]
+            rivals = [each for each in others if each.instance != own.instance]
+            if not rivals:
+                return
+            if min(each.instance for each in rivals) < own.instance or time.monotonic() >= give_up_s:
+                raise BusError(
+                    f"skin '{own.skin}' has a {rivals[0].service} already: stop that first, or give this skin another"
+                    " name in its layout"
+                )
+            time.sleep(LOOK_S)
 
     def _receive(self, topic: Topic, receive: Callable[[Any], None]) -> None:
         def note(sample: Any) -> None:

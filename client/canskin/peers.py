@@ -15,6 +15,8 @@ SCHEDULING: Final = "~"
 #: Values of `Peer.scheduling`.
 REAL_TIME: Final = "realtime"
 ORDINARY: Final = "ordinary"
+#: Services that tell a skin's layout and geometry; a skin has one of them.
+GATEWAYS: Final = ("gateway", "replay")
 
 
 class Peer(msgspec.Struct, frozen=True):

@@ -7,14 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from bus.outbox import OTHERS, OWNER, Events
-from bus.simulated_bus import SimulatedBus
-from bus.station import Station
 from commissioning.board_steps import Commissioning
 from commissioning.serial_commissioning import SerialCommissioning
 from commissioning.touch_commissioning import TouchCommissioning
 from dbc.contract import Contract, NodeContract
-from dbc.frame import ECHO, Frames, frames
+from dbc.frame import Frames, frames
 from nodes.firmware.library import Firmware
 from nodes.hardware import Hardware
 from nodes.node import SkinNode
@@ -22,6 +19,7 @@ from nodes.segment import Boards, Segment
 from nodes.sending import sending_of
 from nodes.virtual_boards import VirtualBoards
 from skin.sources import Frame
+from tests.gateway.drives import SharedWire
 from tests.layouts import buses, small_layout
 
 #: A board answers after at most this time.
@@ -63,7 +61,7 @@ class Place:
 
     segment: Segment
     hardware: Hardware
-    station: Station
+    arrived: list[Frames]
     #: The board has power while this is true; called with each request of LSS before the board takes the request.
     lives: Callable[[bytes], bool] = lambda _: True
     is_alive: bool = True
@@ -84,10 +82,9 @@ class Bench:
 
     def __init__(self, contract: Contract, seed: int = 1) -> None:
         self.contract = contract
-        self.wire = SimulatedBus(contract.layout.bus[0].bitrate, seed=seed)
-        self.master = self.wire.attach("master")
+        self.wire = SharedWire(contract.layout.bus[0].bitrate, seed=seed)
         self.random = np.random.default_rng(seed)
-        self.now_ns = 10**9
+        self.wire.now_ns = self.now_ns = 10**9
         self.places: list[Place] = []
         self.finger = Finger(contract)
         #: What the master's controller reports in each turn.
@@ -112,24 +109,24 @@ class Bench:
         return sending_of(contract.layout).hardware(contract, [node.block], self.finger, firmware)
 
     def connect(self, boards: Boards, hardware: Hardware) -> Place:
-        station = self.wire.attach(f"board {len(self.places)}")
+        arrived: list[Frames] = []
+        submit = self.wire.join(f"board {len(self.places)}", arrived.append)
 
         def send(burst: Frames) -> int:
             late = burst.copy()
             late["port"] = late["expires_ns"] = 0
             late["time_ns"] = self.now_ns + self.random.integers(50_000, SLOWEST_NS)
-            self.wire.submit(station, late, self.now_ns)
-            return len(burst)
+            return submit(late)
 
         segment = Segment(self.contract, 0, boards, hardware, send, complain=lambda _: None)
-        place = Place(segment, hardware, station)
+        place = Place(segment, hardware, arrived)
         self.places.append(place)
         segment.boot(self.now_s)
         return place
 
     def send(self, burst: Frames) -> int:
         """Send frames of the master."""
-        return self.wire.submit(self.master, burst, self.now_ns)
+        return self.wire.gateway.send(burst)
 
     def commission(
         self, *, stop_after: Callable[[Commissioning], bool] = lambda _: False, **options: Any
@@ -168,17 +165,18 @@ class Bench:
         return self.now_ns * 1e-9
 
     def _step(self, run: Commissioning) -> None:
-        due_ns = [self.now_ns + 20_000_000, self.wire.next_event_ns() or 2**62]
+        due_ns = [self.now_ns + 20_000_000, self.wire.bus.next_event_ns() or 2**62]
         dues_s = [
             run.due_s,
             *(each.boards.due_s for each in self.places),
             *(each.hardware.due_s for each in self.places),
         ]
         due_ns += [round(each * 1e9) + 1 for each in dues_s if self.now_s < each < 1e9]
-        self.now_ns = max(min(due_ns), self.now_ns + 1000)
-        ended = self.wire.run_until(self.now_ns)
+        self.wire.now_ns = self.now_ns = max(min(due_ns), self.now_ns + 1000)
+        self.wire.deliver()
         for place in self.places:
-            arrived = self._of(ended, place.station)
+            arrived = np.concatenate([frames(0), *place.arrived])
+            place.arrived.clear()
             for each in arrived:
                 if each["can_id"] == 0x7E5:
                     place.is_alive = place.is_alive and place.lives(each["data"][:8].tobytes())
@@ -186,18 +184,9 @@ class Bench:
                 if len(arrived):
                     place.segment.take(arrived, self.now_s)
                 place.segment.tick(self.now_s)
-        arrived = self._of(ended, self.master)
-        run.take(np.concatenate([arrived, self.noise]) if len(self.noise) else arrived, self.now_s)
+        run.take(np.concatenate([self.wire.gateway.receive(), self.noise]), self.now_s)
         run.tick(self.now_s)
-
-    def _of(self, ended: Events, station: Station) -> Frames:
-        if not len(ended.frames):
-            return ended.frames
-        is_own = ended.owner == station.number
-        is_mine = ended.audience & np.where(is_own, OWNER, OTHERS) != 0
-        came = ended.frames[is_mine].copy()
-        came["flags"][is_own[is_mine]] |= ECHO
-        return came
+        self.wire.deliver()
 
 
 def complete(run: Commissioning) -> set[int]:

@@ -114,8 +114,7 @@ def test_boards_at_another_bit_rate_get_that_of_the_layout() -> None:
 def test_no_board_is_touched_while_a_gateway_runs() -> None:
     bench = Bench(skin(2))
     bench.add(1)
-    sync = bench.wire.attach("gateway")
-    bench.wire.submit(sync, frame(0x80, b""), bench.now_ns)
+    bench.wire.put(0x80, b"")
     run = bench.commission()
     assert run.strangers == ["another program sends SYNC on this bus: stop the gateway, then commission again"]
     assert run.boards[1].text == "not looked for: the run ended before"

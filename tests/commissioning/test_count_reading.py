@@ -16,82 +16,63 @@ from commissioning.wiring_findings import Finding
 from dbc.configuration import DIALOGUES
 from dbc.contract import Contract
 from dbc.frame import EXTENDED
-from nodes.segment import Segment
+from nodes.hardware import Hardware
 from nodes.sending import sending_of
-from nodes.virtual_boards import VirtualBoards
 from skin.defects import Defects
 from skin.layout import Layout
 from skin.surface import Floats
 from tests.bus.harness import frame
 from tests.commissioning.wiring_errors import REST, Finger, pressed, stroke
-from tests.gateway.helpers import Wire
 from tests.layouts import STEPPED, buses, layout_toml, small_layout
+from tests.world import Skin
 
 STEP_S = 0.005
 
 
-class Bench:
-    """All boards of a skin, and who reads their counts."""
+class Stroked(Skin):
+    """All boards of a skin, a finger that goes over it, and who reads their counts."""
+
+    step_s = STEP_S
 
     def __init__(self, layout: Layout, path_m: Floats, force_n: Any, **defects: float) -> None:
-        self.layout, self.contract, self.now_s = layout, Contract.from_layout(layout), 10.0
-        blocks = [node.block for node in self.contract.nodes]
-        self.hardware = sending_of(layout).hardware(
-            self.contract,
-            blocks,
-            Finger(layout, path_m, force_n),
-            None,
-            noise_n=2e-4,
-            seed=1,
-            defects=Defects.of(defects, seed=3),
-        )
-        self.wires = [Wire() for _ in layout.bus]
-        self.segments = []
-        for bus, wire in enumerate(self.wires):
-            ids = {node.node_id for node in self.contract.on_bus(bus)}
-            boards = VirtualBoards(self.contract, bus, ids, self.hardware)
-            self.segments.append(
-                Segment(self.contract, bus, boards, self.hardware, wire.nodes.send, complain=lambda _text: None)
-            )
-            self.segments[-1].boot(self.now_s)
-        self.path_m = path_m
+        self.path_m, self._source, self._defects = path_m, Finger(layout, path_m, force_n), defects
         #: When the first SYNC was sent, and where the finger was, by time.
         self.begin_s = 0.0
-        self.lines: list[tuple[float, ...]] = []
+        self.places: list[tuple[float, ...]] = []
         self.said: list[str] = []
+        super().__init__(Contract.from_layout(layout), now_s=10.0)
+
+    def new_hardware(self) -> Hardware:
+        contract, options = self.contract, {"noise_n": 2e-4, "seed": 1, "defects": Defects.of(self._defects, seed=3)}
+        blocks = [node.block for node in contract.nodes]
+        return sending_of(contract.layout).hardware(contract, blocks, self._source, None, **options)
 
     def read(self, stroke_s: float, until: Callable[[CountReading], object] = lambda _reading: False) -> CountReading:
         """Read the counts to the end, or stop the stroke earlier."""
         sends = {bus: wire.gateway.send for bus, wire in enumerate(self.wires)}
         reading = CountReading(self.contract, sends, self.now_s, rest_s=0.15, stroke_s=stroke_s, say=self.said.append)
-        while not reading.done:
-            self.now_s += STEP_S
-            assert self.now_s < 100
+
+        def look() -> None:
             if until(reading):
                 reading.stop()
-            reading.tick(self.now_s)
-            for segment in self.segments:
-                segment.tick(self.now_s)
-            for bus, wire in enumerate(self.wires):
-                wire.now_ns = round(self.now_s * 1e9)
-                while wire.deliver() or wire.gateway.has_news:
-                    self.segments[bus].take(wire.nodes.receive(), self.now_s)
-                    reading.take(bus, wire.gateway.receive(), self.now_s)
             if not self.begin_s and any(can_id == 0x080 for can_id, _ in self.wires[0].log):
-                self.begin_s = self.now_s
+                self.begin_s = self.now_s - STEP_S
             while (truth := self.hardware.take_truth()) is not None:
                 place_m = self.path_m[min(truth.step, len(self.path_m) - 1)]
-                self.lines.append((truth.sampled_mono_ns / 1e9, *place_m))
+                self.places.append((truth.sampled_mono_ns / 1e9, *place_m))
+
+        self.lead(reading, lambda bus, arrived: reading.take(bus, arrived, self.now_s), look)
+        look()
         return reading
 
     def findings(self, reading: CountReading, folder: Path | None) -> list[Finding]:
         """Return what is found with the path of the finger, in a file of `folder`, or without it."""
         if folder is None:
-            return check_counts(self.layout, reading, None)
+            return check_counts(self.contract.layout, reading, None)
         lines = ["time_s,x_m,y_m,z_m"]
-        lines += [",".join(map(str, (each[0] - self.begin_s, *each[1:]))) for each in self.lines]
+        lines += [",".join(map(str, (each[0] - self.begin_s, *each[1:]))) for each in self.places]
         (folder / "finger.csv").write_text("\n".join(lines), encoding="utf-8")
-        return check_counts(self.layout, reading, folder / "finger.csv")
+        return check_counts(self.contract.layout, reading, folder / "finger.csv")
 
 
 def smooth(layout: Layout, steps: int) -> Floats:
@@ -116,7 +97,7 @@ def test_boards_that_sample_at_sync(wrong: tuple[str, ...], knows_path: bool, ki
     layout = small_layout(bus=buses(1, 1))
     passes = 5 if knows_path else 7
     path_m, force_n = stroke(layout, layout.phi(), np.random.default_rng(0), passes)
-    bench = Bench(layout, path_m, force_n, **dict.fromkeys(wrong, 0.02))
+    bench = Stroked(layout, path_m, force_n, **dict.fromkeys(wrong, 0.02))
     reading = bench.read(stroke_s=passes * 0.64)
     found = bench.findings(reading, tmp_path if knows_path else None)
     assert sorted(each.kind for each in found) == kinds
@@ -127,15 +108,15 @@ def test_boards_that_sample_at_sync(wrong: tuple[str, ...], knows_path: bool, ki
 def test_boards_with_a_clock_of_their_own(tmp_path: Path) -> None:
     layout = small_layout(**STEPPED)
     path_m = smooth(layout, 500)
-    bench = Bench(layout, path_m, pressed(layout, layout.phi(), path_m), swapped=0.02)
+    bench = Stroked(layout, path_m, pressed(layout, layout.phi(), path_m), swapped=0.02)
     found = bench.findings(bench.read(stroke_s=5.0), tmp_path)
     assert [each.kind for each in found] == ["swapped", "swapped"]
 
 
-def still(**tables: Any) -> Bench:
+def still(**tables: Any) -> Stroked:
     """Return a skin that nothing touches."""
     layout = small_layout(**tables)
-    return Bench(layout, np.zeros((1, 3)), np.zeros((1, layout.taxels.count)))
+    return Stroked(layout, np.zeros((1, 3)), np.zeros((1, layout.taxels.count)))
 
 
 def test_another_master_is_refused() -> None:

@@ -18,14 +18,14 @@ from dbc.canopen import Emergency, NmtCommand, NmtState
 from dbc.contract import Contract
 from dbc.frame import ERROR, EXTENDED, REMOTE, Frames
 from nodes.firmware.library import Firmware
-from nodes.sampler import new_sampler
-from nodes.segment import Segment
+from nodes.hardware import Hardware
+from nodes.node import SkinNode
+from nodes.segment import Boards
 from nodes.sending import sending_of
-from nodes.virtual_boards import VirtualBoards
 from tests.bus.harness import frame
-from tests.gateway.helpers import Shaking, Wire
 from tests.layouts import buses, small_contract
 from tests.nodes.firmware.twins import needs_compiler
+from tests.world import Shaking, Skin
 
 STEP_S = 0.005
 #: 1007h at 20 SYNCs a second: 99 % of the period.
@@ -38,80 +38,44 @@ OFFSETS = "offsets in place of the taxels"
 TURNS = {"rate_hz": 20.0, "turns": 2}
 
 
-class Bench:
-    """One bus with its boards, and nobody else."""
+class Checked(Skin):
+    """A skin, and who checks its first board."""
 
-    def __init__(self, contract: Contract, built: Contract | None = None) -> None:
-        self.contract, self.now_s = contract, 10.0
-        self.wire = Wire()
-        sampler = new_sampler(contract.layout, contract.phi, Shaking((8, 16)), noise_n=0.0)
-        ids = {node.node_id for node in contract.on_bus(0)}
-        boards = VirtualBoards(built or contract, 0, ids, sampler)
-        self.segment = Segment(built or contract, 0, boards, sampler, self.wire.nodes.send, complain=lambda _text: None)
-        self.segment.boot(self.now_s)
-        self.node = boards.nodes[0]
+    step_s = STEP_S
+    buses = 1
 
-    def check(self, each_step: Callable[[], None] = lambda: None) -> NodeReport:
+    @property
+    def node(self) -> SkinNode:
+        """The board that is checked, if it is in Python."""
+        node: SkinNode = self.segments[0].boards.nodes[0]
+        return node
+
+    def check(self, each_step: Callable[[], object] = lambda: None) -> NodeReport:
         """Check node 1 to the end."""
-        check = NodeCheck(self.contract, self.contract.nodes[0], self.wire.gateway.send, self.now_s)
-        while not check.done:
-            self.now_s += STEP_S
-            assert self.now_s < 60
-            each_step()
-            check.tick(self.now_s)
-            self.segment.tick(self.now_s)
-            self.wire.now_ns = round(self.now_s * 1e9)
-            while self.wire.deliver() or self.wire.gateway.has_news:
-                self.segment.take(self.wire.nodes.receive(), self.now_s)
-                check.take(self.wire.gateway.receive(), self.now_s)
+        check = NodeCheck(self.contract, self.contract.nodes[0], self.wires[0].gateway.send, self.now_s)
+        self.lead(check, lambda _bus, arrived: check.take(arrived, self.now_s), each_step)
         return check.report
 
-
-class FaultyBoard(Bench):
-    """A bench whose check hears other frames with one identifier than node 1 sends.
-
-    Parameters
-    ----------
-    change : callable
-        Called with each of these frames; True: the frame is lost.
-    sums : callable, optional
-        Alters the sums of the board.
-    """
-
-    def __init__(
-        self,
-        can_id: int = 0,
-        change: Callable[[np.void], bool | None] = lambda _each: None,
-        *,
-        sums: Callable[[np.ndarray], object] | None = None,
-        **tables: Any,
-    ) -> None:
-        super().__init__(small_contract(**tables))
-        gateway = self.wire.gateway
-        self.wire.loses = lambda end, each: end is gateway and each["can_id"] == can_id and bool(change(each))
-        if sums is not None:
-            alter, measure = sums, self.segment._timing.measure
-
-            def measured(counter: int, time_ns: int) -> np.ndarray | None:
-                right = measure(counter, time_ns)
-                assert right is not None
-                altered = right.copy()
-                alter(altered)
-                return altered
-
-            self.segment._timing.measure = measured  # type: ignore[method-assign]
+    def spoils(self, can_id: int, change: Callable[[np.void], object]) -> "Checked":
+        """Let the check hear other frames with one identifier than are sent: `change` alters each; True loses it."""
+        wire = self.wires[0]
+        wire.loses = lambda end, each: end is wire.gateway and each["can_id"] == can_id and change(each) is True
+        return self
 
 
-class BenchInC(Bench):
+class CheckedInC(Checked):
     """The same with node 1 in C."""
 
-    def __init__(self, contract: Contract) -> None:
-        super().__init__(contract)
-        firmware = Firmware(contract, contract.nodes[:1])
-        hardware = sending_of(contract.layout).hardware(contract, [0], Shaking((8, 16)), firmware)
-        send = self.wire.nodes.send
-        self.segment = Segment(contract, 0, firmware.boards(0), hardware, send, complain=lambda _text: None)
-        self.segment.boot(self.now_s)
+    def new_hardware(self) -> Hardware:
+        self.firmware = Firmware(self.contract, self.contract.nodes[:1])
+        return sending_of(self.contract.layout).hardware(self.contract, [0], Shaking((8, 16)), self.firmware)
+
+    def new_boards(self, bus: int, contract: Contract) -> Boards:
+        return self.firmware.boards(bus)
+
+
+def board(**tables: Any) -> Checked:
+    return Checked(small_contract(**tables))
 
 
 @needs_compiler
@@ -124,18 +88,18 @@ class BenchInC(Bench):
     ],
 )
 def test_boards_in_c_keep_the_contract(tables: dict[str, Any], cycles: int) -> None:
-    report = BenchInC(small_contract(**tables)).check()
+    report = CheckedInC(small_contract(**tables)).check()
     assert (report.differences, report.notes, report.cycles) == ([], [], cycles)
 
 
-def pattern_of(bench: Bench) -> int:
+def pattern_of(bench: Checked) -> int:
     return int(bench.node.local.get_data(od.TEST_PATTERN, 0)[0])
 
 
 @pytest.mark.parametrize("sync", [{"rate_hz": 20.0}, TURNS])
 @pytest.mark.parametrize("bus", [buses(2, 2), buses(1, 1, blocks_per_node=2), buses(2, 2, fd=True)])
 def test_a_board_that_keeps_the_contract(bus: list[dict[str, Any]], sync: dict[str, Any]) -> None:
-    bench = Bench(small_contract(bus=bus, sync=sync))
+    bench = board(bus=bus, sync=sync)
     report = bench.check()
     node = bench.contract.nodes[0]
     assert (report.bus, report.node_id, report.differences, report.notes) == ("bus0", 1, [], [])
@@ -144,7 +108,7 @@ def test_a_board_that_keeps_the_contract(bus: list[dict[str, Any]], sync: dict[s
     assert 0 < report.latest_s < bench.contract.layout.sync.period_s
     assert (bench.node.state, pattern_of(bench)) == (NmtState.PRE_OPERATIONAL, 0)
     # Patterns are written while the board is PRE-OPERATIONAL, as its writer may expect.
-    commands = [data[0] for can_id, data in bench.wire.log if can_id == 0]
+    commands = [data[0] for can_id, data in bench.wires[0].log if can_id == 0]
     before_start = [first for first, second in itertools.pairwise(commands) if second == NmtCommand.START]
     assert before_start == [NmtCommand.ENTER_PRE_OPERATIONAL] * 4
 
@@ -155,12 +119,12 @@ def test_a_board_that_leaves_operational_for_a_pause_of_sync_keeps_the_contract(
     sync: dict[str, Any], pause_s: float, cycles: int
 ) -> None:
     """So does CANopenNode after 1.5 periods. A pattern that fell into a pause of the computer is shown again."""
-    bench = Bench(small_contract(sync=sync))
+    bench = board(sync=sync)
     synced_s, pauses_s = np.inf, [pause_s]
 
     def hears(end: object, each: np.void) -> bool:
         nonlocal synced_s
-        if end is bench.wire.nodes and each["can_id"] == 0x080:
+        if end is bench.wires[0].nodes and each["can_id"] == 0x080:
             synced_s = bench.now_s
         return False
 
@@ -170,14 +134,14 @@ def test_a_board_that_leaves_operational_for_a_pause_of_sync_keeps_the_contract(
         if bench.now_s - synced_s > 0.075:
             bench.node.state = NmtState.PRE_OPERATIONAL
 
-    bench.wire.loses = hears
+    bench.wires[0].loses = hears
     report = bench.check(leaves)
     assert (report.differences, report.cycles) == ([], cycles)
     assert not pauses_s
 
 
 def test_a_board_that_does_not_stay_operational_differs_once_for_each_pattern_and_says_why() -> None:
-    bench = Bench(small_contract())
+    bench = board()
     bench.node.emcy.raised(Emergency.SYNC_LENGTH)
 
     def leaves() -> None:
@@ -193,13 +157,13 @@ def test_a_board_that_does_not_stay_operational_differs_once_for_each_pattern_an
 
 
 def test_a_board_that_makes_its_sums_in_hardware() -> None:
-    report = Bench(small_contract(taxels={"frontend": "analogue"})).check()
+    report = board(taxels={"frontend": "analogue"}).check()
     assert (report.differences, report.notes) == ([], [])
 
 
 def test_a_test_pattern_that_was_on_is_noted_and_on_again() -> None:
-    bench = Bench(small_contract())
-    bench.wire.put(0x601, bytes((0x2F, 0x21, 0x20, 0, PATTERN_FULL, 0, 0, 0)))
+    bench = board()
+    bench.wires[0].put(0x601, bytes((0x2F, 0x21, 0x20, 0, PATTERN_FULL, 0, 0, 0)))
     report = bench.check()
     assert not report.differences
     assert ["2021h:0" in note for note in report.notes] == [True]
@@ -214,14 +178,14 @@ def test_a_test_pattern_that_was_on_is_noted_and_on_again() -> None:
     ],
 )
 def test_a_board_for_another_layout(tables: dict[str, Any], words: list[str]) -> None:
-    report = Bench(small_contract(), small_contract(**tables)).check()
+    report = Checked(small_contract(), built=small_contract(**tables)).check()
     said = "\n".join(report.differences)
     for word in words:
         assert word in said
 
 
 def test_a_serial_number_of_the_maker_is_a_note() -> None:
-    report = Bench(small_contract(), small_contract(device={"first_serial": 1000})).check()
+    report = Checked(small_contract(), built=small_contract(device={"first_serial": 1000})).check()
     assert not report.differences
     assert "1018h:4" in report.notes[0]
 
@@ -244,12 +208,12 @@ def under_another_identifier(each: np.void) -> None:
     ],
 )
 def test_lost_and_wrong_frames(can_id: int, spoil: Callable[[np.void], bool], said: str) -> None:
-    assert said in "\n".join(FaultyBoard(can_id, spoil).check().differences)
+    assert said in "\n".join(board().spoils(can_id, spoil).check().differences)
 
 
 def test_nobody_there() -> None:
-    bench = Bench(small_contract())
-    bench.wire.loses = lambda end, _each: end is bench.wire.nodes
+    bench = board()
+    bench.wires[0].loses = lambda end, _each: end is bench.wires[0].nodes
     report = bench.check()
     assert len(report.differences) == 1
     assert "no answer to object 1005h:0: is the board on this bus" in report.differences[0]
@@ -257,55 +221,52 @@ def test_nobody_there() -> None:
 
 
 def test_a_board_that_leaves_is_asked_once_more_and_not_again() -> None:
-    bench = Bench(small_contract())
+    bench = board()
     is_gone = False
 
     def loses(end: object, each: np.void) -> bool:
         nonlocal is_gone
-        is_gone |= end is bench.wire.gateway and each["can_id"] == 0x281
-        return is_gone and end is bench.wire.nodes
+        is_gone |= end is bench.wires[0].gateway and each["can_id"] == 0x281
+        return is_gone and end is bench.wires[0].nodes
 
-    bench.wire.loses = loses
+    bench.wires[0].loses = loses
     report = bench.check()
     assert report.differences[-1].startswith("no answer to object 2021h:0")
-    assert bench.wire.log[-1] == (0x000, bytes((NmtCommand.RESET_NODE, 1)))
+    assert bench.wires[0].log[-1] == (0x000, bytes((NmtCommand.RESET_NODE, 1)))
     assert sum("no answer" in text for text in report.differences) == 1
     assert report.cycles == 4
 
 
 def test_the_bus_of_a_running_gateway_is_refused() -> None:
-    bench = Bench(small_contract())
-    report = bench.check(lambda: bench.wire.put(0x080, b"\x05"))
+    bench = board()
+    report = bench.check(lambda: bench.wires[0].put(0x080, b"\x05"))
     assert report.differences == ["another program sends SYNC on this bus: stop the gateway, then check again"]
-    assert all(can_id == 0x080 or can_id > 0x700 for can_id, _ in bench.wire.log)
+    assert all(can_id == 0x080 or can_id > 0x700 for can_id, _ in bench.wires[0].log)
 
 
-def gain_of(bench: Bench) -> float:
+def gain_of(bench: Checked) -> float:
     return float(struct.unpack("<f", bench.node.local.get_data(od.GAIN, 32))[0])
 
 
 @pytest.mark.parametrize(
     "is_time", [lambda bench: pattern_of(bench) == PATTERN_FULL, lambda bench: gain_of(bench) == 0]
 )
-def test_a_check_that_is_stopped_puts_back_what_it_wrote(is_time: Callable[[Bench], bool]) -> None:
-    bench = Bench(small_contract())
-    check = NodeCheck(bench.contract, bench.contract.nodes[0], bench.wire.gateway.send, bench.now_s)
+def test_a_check_that_is_stopped_puts_back_what_it_wrote(is_time: Callable[[Checked], bool]) -> None:
+    bench = board()
+    check = NodeCheck(bench.contract, bench.contract.nodes[0], bench.wires[0].gateway.send, bench.now_s)
 
-    def carry() -> None:
-        while bench.wire.deliver():
-            bench.segment.take(bench.wire.nodes.receive(), bench.now_s)
-            check.take(bench.wire.gateway.receive(), bench.now_s)
+    def hear(_bus: int, arrived: Frames) -> None:
+        check.take(arrived, bench.now_s)
 
     while not is_time(bench):
         bench.now_s += STEP_S
-        bench.wire.now_ns = round(bench.now_s * 1e9)
         check.tick(bench.now_s)
-        carry()
-    bench.wire.log.clear()
+        bench.carry(hear)
+    bench.wires[0].log.clear()
     check.give_up(bench.now_s)
-    carry()
+    bench.carry(hear)
     assert check.done
-    assert bench.wire.log[0] == (0x000, b"\x80\x01")
+    assert bench.wires[0].log[0] == (0x000, b"\x80\x01")
     assert (pattern_of(bench), gain_of(bench), bench.node.local.get_data(od.OFFSET, 32)) == (0, 1.0, bytes(2))
 
 
@@ -327,10 +288,10 @@ def test_the_bus_is_heard_before_anything_is_sent(rate_hz: float, listens_s: flo
 
 
 def test_frames_that_are_read_late_are_used_when_they_were_in_time() -> None:
-    bench, steps = Bench(small_contract()), itertools.count()
+    bench, steps = board(), itertools.count()
 
     def hold() -> None:
-        bench.wire.gateway.is_held = next(steps) % 20 != 0
+        bench.wires[0].gateway.is_held = next(steps) % 20 != 0
 
     report = bench.check(hold)
     assert (report.differences, report.frames) == ([], 32)
@@ -340,9 +301,9 @@ def test_frames_that_are_read_late_are_used_when_they_were_in_time() -> None:
 @pytest.mark.parametrize(("after_us", "is_late"), [(WINDOW_US, False), (WINDOW_US + 100, True)])
 def test_a_tpdo_after_its_window_differs(after_us: int, *, is_late: bool) -> None:
     def late(each: np.void) -> None:
-        each["time_ns"] = bench.wire.now_ns + after_us * 1000
+        each["time_ns"] = bench.wires[0].now_ns + after_us * 1000
 
-    bench = FaultyBoard(0x281, late)
+    bench = board().spoils(0x281, late)
     report = bench.check()
     said = f"test pattern zero, SYNC 1: TPDO 2 ends {after_us / 1000:.1f} ms after SYNC, after 1007h"
     assert report.differences[:1] == [f"{said}, and so in 3 more of 4 cycles"] * is_late
@@ -357,7 +318,7 @@ def answered(change: Callable[[np.ndarray], object], index: int) -> NodeReport:
         if each["data"][1:3].tobytes() == index.to_bytes(2, "little"):
             change(each["data"])
 
-    return FaultyBoard(0x581, spoil).check()
+    return board().spoils(0x581, spoil).check()
 
 
 def aborts(data: np.ndarray) -> None:
@@ -388,7 +349,7 @@ def test_a_board_that_tells_no_size_of_its_objects_keeps_the_contract() -> None:
         if each["data"][0] & 0xF3 == 0x43:
             each["data"][0] = 0x42
 
-    bench = FaultyBoard(0x581, without_size)
+    bench = board().spoils(0x581, without_size)
     bench.node.local.set_data(od.TEST_PATTERN, 0, b"\1")
     assert bench.check().differences == []
     assert pattern_of(bench) == 1
@@ -405,18 +366,18 @@ def test_a_test_pattern_longer_than_its_type_differs() -> None:
 
 
 def test_an_object_that_the_board_lacks_differs_and_the_others_are_read() -> None:
-    whole, report = Bench(small_contract()).check(), answered(aborts, 0x1017)
+    whole, report = board().check(), answered(aborts, 0x1017)
     assert len(report.differences) == 1
     assert "1017h:0" in report.differences[0]
     assert (report.objects, report.cycles) == (whole.objects - 1, 16)
 
 
 def test_frames_of_other_kinds_are_not_those_of_the_board() -> None:
-    bench = Bench(small_contract())
+    bench = board()
     strange = [
         frame(can_id, bytes(8), flags) for can_id in (0x080, 0x181, 0x581) for flags in (ERROR, EXTENDED, REMOTE)
     ]
-    report = bench.check(lambda: bench.wire.queue.extend((None, each) for each in strange))
+    report = bench.check(lambda: bench.wires[0].queue.extend((None, each) for each in strange))
     assert (report.differences, report.frames) == ([], 32)
 
 
@@ -438,26 +399,38 @@ def test_a_check_that_has_asked_nothing_leaves_nothing_to_undo() -> None:
     assert sent == [(0, b"\x80\2")]
 
 
+def with_other_sums(alter: Callable[[np.ndarray], object]) -> Checked:
+    """Return a skin whose boards send other sums than those that they have measured."""
+    bench = board()
+    sample = bench.hardware.sample
+
+    def altered(counter: int, time_ns: int, bus: int = 0) -> np.ndarray:
+        sums = sample(counter, time_ns, bus).copy()
+        alter(sums)
+        return sums
+
+    bench.hardware.sample = altered
+    return bench
+
+
 @pytest.mark.parametrize("one", range(8))
 def test_a_sum_of_wrong_sign_is_named_whatever_its_row(one: int) -> None:
     """The test patterns show 0 in most rows."""
-    report = FaultyBoard(sums=lambda sums: sums.__setitem__(one, -sums[one])).check()
+    report = with_other_sums(lambda sums: sums.__setitem__(one, -sums[one])).check()
     assert f"{OFFSETS}, SYNC 1: TPDO {1 + one // 4} " in "\n".join(report.differences)
 
 
 @pytest.mark.parametrize(("one", "other"), [(1, 2), (3, 7), (4, 5)])
 def test_exchanged_rows_are_named(one: int, other: int) -> None:
-    report = FaultyBoard(sums=lambda sums: sums.__setitem__([one, other], sums[[other, one]])).check()
+    report = with_other_sums(lambda sums: sums.__setitem__([one, other], sums[[other, one]])).check()
     assert f"{OFFSETS}, SYNC 1: TPDO " in "\n".join(report.differences)
 
 
 def test_gains_and_offsets_are_as_before_and_their_signature_follows_them() -> None:
-    bench = Bench(small_contract())
+    bench = board()
     request = struct.pack("<BHB", 0x23, od.GAIN, 1) + struct.pack("<f", 0.75)
-    bench.wire.put(0x601, request)
-    while bench.wire.deliver():
-        bench.segment.take(bench.wire.nodes.receive(), bench.now_s)
-        bench.wire.gateway.receive()
+    bench.wires[0].put(0x601, request)
+    bench.carry(lambda _bus, _arrived: None)
 
     def signed() -> int:
         return int(bench.node.objects.readers[od.CALIBRATION_SIGNATURE](0) or 0)
@@ -470,13 +443,13 @@ def test_gains_and_offsets_are_as_before_and_their_signature_follows_them() -> N
     assert bench.node.local.get_data(od.OFFSET, 1) == bytes(2)
 
 
-def frozen(bench: Bench) -> None:
+def frozen(bench: Checked) -> None:
     """A board that computes 2009h once."""
     kept = bench.node.objects.readers[od.CALIBRATION_SIGNATURE](0)
     bench.node.objects.readers[od.CALIBRATION_SIGNATURE] = lambda _: kept
 
 
-def without_offsets(bench: Bench) -> None:
+def without_offsets(bench: Checked) -> None:
     """A board whose 2009h does not cover offsets."""
     covered = bench.node.objects._signed[od.CALIBRATION_SIGNATURE]
     bench.node.objects._signed[od.CALIBRATION_SIGNATURE] = [each for each in covered if each.index != od.OFFSET]
@@ -485,8 +458,8 @@ def without_offsets(bench: Bench) -> None:
 @pytest.mark.parametrize(
     ("spoil", "words"), [(frozen, "of its objects, with other gains and offsets"), (without_offsets, "of its objects")]
 )
-def test_a_wrong_signature_of_gains_and_offsets_is_named(spoil: Callable[[Bench], None], words: str) -> None:
-    bench = Bench(small_contract())
+def test_a_wrong_signature_of_gains_and_offsets_is_named(spoil: Callable[[Checked], None], words: str) -> None:
+    bench = board()
     spoil(bench)
     said = bench.check().differences
     assert all(each.startswith("the signature (2009h) is ") for each in said)

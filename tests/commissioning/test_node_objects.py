@@ -13,8 +13,8 @@ from dbc.frame import Frames
 from dbc.objects import Object
 from nodes.objects import LocalNode, Outbox, object_dictionary
 from tests.bus.harness import frame
-from tests.gateway.helpers import World
 from tests.layouts import small_contract
+from tests.world import World
 
 CONTRACT = small_contract()
 NODE = CONTRACT.nodes[1]

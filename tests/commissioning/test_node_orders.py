@@ -6,33 +6,22 @@ from commissioning import node_orders_command
 from commissioning.node_options import NodeOptions
 from commissioning.node_orders import WAIT_S, NodeOrder
 from dbc.canopen import NmtCommand, NmtState
+from dbc.contract import Contract
 from dbc.frame import ECHO, Frames, frames
 from tests.bus.harness import frame
-from tests.layouts import small_contract
-from tests.nodes.helpers import ArrayLink, new_segment
+from tests.world import Skin
 
 
-class Wire:
-    """Nodes 1 and 2 in Python, and the clock of both ends."""
+class Commanded(Skin):
+    """Nodes 1 and 2, and who commands them."""
 
-    def __init__(self) -> None:
-        self.link = ArrayLink()
-        self.segment = new_segment(small_contract(), self.link, {1, 2})
-        self.link.take_sent()
-        self.now_s = 0.0
-
-    def send(self, burst: Frames) -> int:
-        self.segment.take(burst, self.now_s)
-        return len(burst)
+    step_s = 0.1
+    buses = 1
 
     def order(self, command: NmtCommand, node_id: int, awaited: list[int]) -> NodeOrder:
         """Send a command, and pass on what the nodes say until the order is done."""
-        order = NodeOrder(command, node_id, awaited, self.send, self.now_s)
-        while not order.done:
-            self.now_s += 0.1
-            self.segment.tick(self.now_s)
-            order.take(self.link.take_sent(), self.now_s)
-            order.tick(self.now_s)
+        order = NodeOrder(command, node_id, awaited, self.wires[0].gateway.send, self.now_s)
+        self.lead(order, lambda _bus, arrived: order.take(arrived, self.now_s))
         return order
 
 
@@ -44,18 +33,17 @@ class Wire:
         (NmtCommand.RESET_NODE, NmtState.INITIALISING),
     ],
 )
-def test_a_command_is_for_one_node_or_for_all(command: NmtCommand, state: NmtState) -> None:
-    one = Wire().order(command, 2, [2])
-    both = Wire().order(command, 0, [1, 2])
+def test_a_command_is_for_one_node_or_for_all(small: Contract, command: NmtCommand, state: NmtState) -> None:
+    one, both = Commanded(small).order(command, 2, [2]), Commanded(small).order(command, 0, [1, 2])
     assert (one.states, one.missing) == ({2: state}, [])
     assert (both.states, both.missing) == ({1: state, 2: state}, [])
 
 
-def test_the_other_node_keeps_its_state() -> None:
-    wire = Wire()
-    wire.order(NmtCommand.START, 0, [1, 2])
-    wire.order(NmtCommand.STOP, 2, [2])
-    assert [node.state for node in wire.segment.boards.nodes] == [NmtState.OPERATIONAL, NmtState.STOPPED]  # type: ignore[union-attr]
+def test_the_other_node_keeps_its_state(small: Contract) -> None:
+    skin = Commanded(small)
+    skin.order(NmtCommand.START, 0, [1, 2])
+    skin.order(NmtCommand.STOP, 2, [2])
+    assert [node.state for node in skin.segments[0].boards.nodes] == [NmtState.OPERATIONAL, NmtState.STOPPED]
 
 
 def test_a_node_that_is_silent_or_keeps_another_state_is_missing_when_the_wait_is_over() -> None:

@@ -13,17 +13,16 @@ from dbc import indices as od
 from dbc.contract import Contract
 from dbc.steps import SET, STEP, kind_of, read_word
 from nodes.firmware.library import Firmware
-from nodes.segment import Segment
+from nodes.segment import Boards
 from nodes.steps.boards import SteppedBoards
 from nodes.steps.firmware import FirmwarePatches
 from nodes.virtual_boards import VirtualBoards
 from skin.layout import changed
 from skin.sources import Frame
-from tests.gateway.helpers import Wire
 from tests.nodes.firmware.stepped_twins import contract_of
 from tests.nodes.firmware.twins import needs_compiler
+from tests.world import Skin
 
-STEP_S = 0.001
 #: Longer than a check takes.
 LONGEST_S = 12.0
 
@@ -41,40 +40,32 @@ class Untouched:
         return Frame(self._offset_n, "")
 
 
-class Bench:
-    """Node 1 of bus0, and the check."""
+class Checked(Skin):
+    """A skin of stepped boards, and who checks node 1 of bus0."""
+
+    step_s = 1e-3
+    buses = 1
 
     def __init__(self, contract: Contract, *, in_c: bool = False, noise_n: float = 0.0, offset_n: float = 0.0) -> None:
-        self.contract, self.now_s, self.wire = contract, 10.0, Wire()
-        source = Untouched(contract, offset_n)
-        self.hardware: Any
-        boards: Any
-        if in_c:
-            mine = contract.on_bus(0)[:3]  # as `SteppedTwins`: one library is compiled for both
-            firmware = Firmware(contract, mine)
-            blocks = [node.block for node in mine]
-            self.hardware = FirmwarePatches(contract, blocks, source, firmware, noise_n=noise_n)
-            boards = firmware.boards(0)
-        else:
-            self.hardware = SteppedBoards(contract, [0], source, noise_n=noise_n)
-            boards = VirtualBoards(contract, 0, {1}, self.hardware)
-        send = self.wire.nodes.send
-        self.boards = boards
-        self.segment = Segment(contract, 0, boards, self.hardware, send, complain=lambda _text: None)
-        self.segment.boot(self.now_s)
+        self._in_c, self._noise_n, self._source = in_c, noise_n, Untouched(contract, offset_n)
+        super().__init__(contract)
+
+    def new_hardware(self) -> Any:
+        if not self._in_c:
+            return SteppedBoards(self.contract, [0], self._source, noise_n=self._noise_n)
+        mine = self.contract.on_bus(0)[:3]  # as `SteppedTwins`: one library is compiled for both
+        self.firmware = Firmware(self.contract, mine)
+        blocks = [node.block for node in mine]
+        return FirmwarePatches(self.contract, blocks, self._source, self.firmware, noise_n=self._noise_n)
+
+    def new_boards(self, bus: int, contract: Contract) -> Boards:
+        if self._in_c:
+            return self.firmware.boards(bus)
+        return VirtualBoards(contract, bus, {1}, self.hardware)
 
     def check(self) -> NodeReport:
-        check = NodeCheck(self.contract, self.contract.nodes[0], self.wire.gateway.send, self.now_s)
-        end_s = self.now_s + LONGEST_S
-        while not check.done:
-            self.now_s += STEP_S
-            assert self.now_s < end_s
-            self.wire.now_ns = round(self.now_s * 1e9)
-            check.tick(self.now_s)
-            self.segment.tick(self.now_s)
-            while self.wire.deliver() or self.wire.gateway.has_news:
-                self.segment.take(self.wire.nodes.receive(), self.now_s)
-                check.take(self.wire.gateway.receive(), self.now_s)
+        check = NodeCheck(self.contract, self.contract.nodes[0], self.wires[0].gateway.send, self.now_s)
+        self.lead(check, lambda _bus, arrived: check.take(arrived, self.now_s), at_most_s=LONGEST_S)
         return check.report
 
 
@@ -82,7 +73,7 @@ class Bench:
 @pytest.mark.parametrize("name", ["steps", "steps-fd", "8", "16", "64", "64-fd"])
 @pytest.mark.parametrize("in_c", [False, pytest.param(True, marks=needs_compiler)])
 def test_a_right_board_keeps_the_contract(name: str, noise_n: float, offset_n: float, *, in_c: bool) -> None:
-    bench = Bench(contract_of(name), in_c=in_c, noise_n=noise_n, offset_n=offset_n)
+    bench = Checked(contract_of(name), in_c=in_c, noise_n=noise_n, offset_n=offset_n)
     report = bench.check()
     assert (report.differences, report.notes) == ([], [])
     assert report.frames > 6
@@ -91,26 +82,26 @@ def test_a_right_board_keeps_the_contract(name: str, noise_n: float, offset_n: f
 @pytest.mark.parametrize("noise_n", [0.0, 1e-3, 3e-3])
 @pytest.mark.parametrize("in_c", [False, pytest.param(True, marks=needs_compiler)])
 def test_a_right_board_keeps_the_contract_in_every_check_and_then_feels_nothing(noise_n: float, *, in_c: bool) -> None:
-    bench = Bench(contract_of("steps"), in_c=in_c, noise_n=noise_n)
+    bench = Checked(contract_of("steps"), in_c=in_c, noise_n=noise_n)
     for _ in range(3):
         assert bench.check().differences == []
         for _ in range(300):
-            bench.now_s += STEP_S
-            bench.segment.tick(bench.now_s)
+            bench.now_s += bench.step_s
+            bench.segments[0].tick(bench.now_s)
         assert not bench.hardware.sums.any()
 
 
-def swapped_rows(bench: Bench) -> None:
+def swapped_rows(bench: Checked) -> None:
     order = bench.hardware.filter._order = bench.hardware.filter._order.copy()
     order[[9, 10]] = order[[10, 9]]
 
 
-def swapped_groups(bench: Bench) -> None:
+def swapped_groups(bench: Checked) -> None:
     order = bench.hardware.filter._order = bench.hardware.filter._order.copy()
     order[16:24], order[24:] = order[24:].copy(), order[16:24].copy()
 
 
-def wrong_sign(bench: Bench) -> None:
+def wrong_sign(bench: Checked) -> None:
     take = bench.hardware.filter.take
 
     def taken(sample_n: Any) -> None:
@@ -120,7 +111,7 @@ def wrong_sign(bench: Bench) -> None:
     bench.hardware.filter.take = taken
 
 
-def other_unit(bench: Bench) -> None:
+def other_unit(bench: Checked) -> None:
     """A board whose words have another unit."""
     take = bench.hardware.filter.take
 
@@ -131,12 +122,12 @@ def other_unit(bench: Bench) -> None:
     bench.hardware.filter.take = taken
 
 
-def deaf_rule(bench: Bench) -> None:
+def deaf_rule(bench: Checked) -> None:
     """A board that leaves slots empty that are worth a frame."""
     bench.hardware.senders.slots.quiet[:] *= 1e4
 
 
-def never_checks(bench: Bench) -> None:
+def never_checks(bench: Checked) -> None:
     """A board that does not tell whether its receivers have the same sums."""
     take = bench.hardware.senders.take_slots
 
@@ -147,19 +138,19 @@ def never_checks(bench: Bench) -> None:
     bench.hardware.senders.take_slots = taken
 
 
-def infinite_noise(bench: Bench) -> None:
+def infinite_noise(bench: Checked) -> None:
     """A board whose noise is infinite."""
-    bench.wire.loses = lambda end, each: (
-        end is bench.wire.gateway
+    bench.wires[0].loses = lambda end, each: (
+        end is bench.wires[0].gateway
         and each["data"][1:3].tobytes() == od.NODE_NOISE.to_bytes(2, "little")
         and each["data"].__setitem__(slice(4, 8), (0, 0, 0x80, 0x7F))
     )
 
 
-def ignores(index: int) -> Callable[[Bench], None]:
+def ignores(index: int) -> Callable[[Checked], None]:
     """A board that takes the writes of an object, and does not follow."""
 
-    def spoil(bench: Bench) -> None:
+    def spoil(bench: Checked) -> None:
         adjust = bench.hardware.adjust
 
         def adjusted(block: int, at: int, subindex: int, value: float) -> None:
@@ -171,7 +162,7 @@ def ignores(index: int) -> Callable[[Bench], None]:
     return spoil
 
 
-def half_scale(bench: Bench) -> None:
+def half_scale(bench: Checked) -> None:
     sample = bench.hardware._sensors.sample
 
     def sampled(tick_ns: int) -> Any:
@@ -180,35 +171,35 @@ def half_scale(bench: Bench) -> None:
     bench.hardware._sensors.sample = sampled
 
 
-def unsigned_gains(bench: Bench) -> None:
+def unsigned_gains(bench: Checked) -> None:
     """A board whose 2009h does not cover the offsets."""
-    node = bench.boards.nodes[0]
+    node = bench.segments[0].boards.nodes[0]
     node.objects._signed[od.CALIBRATION_SIGNATURE] = [
         each for each in node.objects._signed[od.CALIBRATION_SIGNATURE] if each.index != od.OFFSET
     ]
 
 
-def stale_signature(bench: Bench) -> None:
+def stale_signature(bench: Checked) -> None:
     """A board that computes 2009h once."""
-    node = bench.boards.nodes[0]
+    node = bench.segments[0].boards.nodes[0]
     read, kept = node.objects.readers[od.CALIBRATION_SIGNATURE], list[int]()
     node.objects.readers[od.CALIBRATION_SIGNATURE] = lambda subindex: (
         kept[0] if kept else kept.append(read(subindex)) or kept[0]
     )
 
 
-def sent(spoil: Callable[[np.void, int], object]) -> Callable[[Bench], None]:
+def sent(spoil: Callable[[np.void, int], object]) -> Callable[[Checked], None]:
     """Alter each frame of sums on its way: called with frame and kind of its word; True loses it."""
 
-    def mutate(bench: Bench) -> None:
+    def mutate(bench: Checked) -> None:
         node = bench.contract.nodes[0]
 
         def loses(end: object, each: np.void) -> bool:
-            if end is not bench.wire.gateway or each["can_id"] != node.tpdos[0].cob_id:
+            if end is not bench.wires[0].gateway or each["can_id"] != node.tpdos[0].cob_id:
                 return False
             return spoil(each, kind_of(read_word(each["data"][1:8]), node.forms[0])[0]) is True
 
-        bench.wire.loses = loses
+        bench.wires[0].loses = loses
 
     return mutate
 
@@ -250,8 +241,8 @@ MUTANTS = [
 
 
 @pytest.mark.parametrize(("spoil", "words", "more"), MUTANTS, ids=range(len(MUTANTS)))
-def test_a_wrong_board_is_named(spoil: Callable[[Bench], None], words: str, more: str) -> None:
-    bench = Bench(contract_of("steps"), noise_n=1e-3 if spoil is deaf_rule else 0.0, offset_n=2e-3)
+def test_a_wrong_board_is_named(spoil: Callable[[Checked], None], words: str, more: str) -> None:
+    bench = Checked(contract_of("steps"), noise_n=1e-3 if spoil is deaf_rule else 0.0, offset_n=2e-3)
     spoil(bench)
     said = "\n".join(bench.check().differences)
     for each in (*words.split("{}"), more):
@@ -259,16 +250,16 @@ def test_a_wrong_board_is_named(spoil: Callable[[Bench], None], words: str, more
 
 
 @pytest.mark.parametrize("spoil", [swapped_rows, swapped_groups, wrong_sign, other_unit])
-def test_a_wrong_board_on_can_fd_is_named(spoil: Callable[[Bench], None]) -> None:
-    bench = Bench(contract_of("steps-fd"))
+def test_a_wrong_board_on_can_fd_is_named(spoil: Callable[[Checked], None]) -> None:
+    bench = Checked(contract_of("steps-fd"))
     spoil(bench)
     assert any(" mN as sum " in each for each in bench.check().differences)
 
 
 def test_another_rule_of_sending_is_noted() -> None:
-    bench = Bench(contract_of("8"))
+    bench = Checked(contract_of("8"))
     for subindex, value in ((1, 0x3E800000), (3, 200)):  # 0.25; 200 us
-        bench.wire.put(0x601, struct.pack("<BHBI", 0x23, od.SENDING, subindex, value))
+        bench.wires[0].put(0x601, struct.pack("<BHBI", 0x23, od.SENDING, subindex, value))
     report = bench.check()
     assert report.differences == []
     assert [each.split(" ", 1)[0] for each in report.notes] == ["2031h:1", "2031h:3"]
@@ -276,6 +267,6 @@ def test_another_rule_of_sending_is_noted() -> None:
 
 def test_boards_that_send_at_sync_are_checked() -> None:
     layout = changed(contract_of("8").layout, sync={"rate_hz": 200.0}, steps={"slot_s": 0.005, "at_sync": True})
-    report = Bench(Contract.from_layout(layout)).check()
+    report = Checked(Contract.from_layout(layout)).check()
     assert report.differences == []
     assert report.frames > 6

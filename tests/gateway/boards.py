@@ -1,14 +1,14 @@
 """Stepped boards that only answer SDO, NMT and send sums, with their gateway, in one thread on wires of arrays."""
 
 import struct
-from dataclasses import dataclass, field
-from typing import Any
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
-from bus.link import State
-from canskin.messages import BlockState, GatewayStatus, Measurement
+from canskin.messages import BlockState, Measurement
 from dbc import indices as od
 from dbc.canopen import (
     HEARTBEAT_BASE,
@@ -23,13 +23,11 @@ from dbc.configuration import configuration, expected_signature
 from dbc.contract import Contract, NodeContract
 from dbc.frame import Frames, frames
 from dbc.steps import FIRST_MAX, PART_SUMS, WORD_BYTES, slot_byte, write_word
-from gateway.loop import GatewayLoop
-from gateway.stepped_gathering import RATES_HZ
 from nodes.steps.stepping import new_state, offer, threshold, whole
 from skin.walsh import grouped_rows
 from tests.bus.harness import frame
-from tests.gateway.helpers import Wire
 from tests.layouts import STEPPED, buses, small_layout
+from tests.world import World
 
 STEP_S = 0.005
 HEARTBEAT_S = 1.0
@@ -159,84 +157,45 @@ class Board:
         return bytes((0x43 | 4 - len(value) << 2,)) + place + value.ljust(4, b"\0")
 
 
-@dataclass
-class BoardWorld:
-    """Boards, wires, and a gateway; `dropped` and `link` are what the gateway's links say."""
+class BoardsOfBus:
+    """The boards of one bus, in place of a `Segment`."""
 
-    contract: Contract
-    now_s: float = 100.0
-    rates_hz: tuple[float, float] = RATES_HZ
-    lines: list[str] = field(default_factory=list)
-    complaints: list[str] = field(default_factory=list)
-    measured: list[Measurement] = field(default_factory=list)
+    def __init__(self, boards: list[Board], send: Callable[[Frames], int]) -> None:
+        self.boards = boards
+        self._send = lambda burst: len(burst) and send(burst)
 
-    def __post_init__(self) -> None:
-        self.wires = [Wire() for _ in self.contract.layout.bus]
-        self.boards = [Board(self.contract, node) for node in self.contract.nodes]
-        self.dropped = [0] * len(self.wires)
-        self.link = [State.ACTIVE] * len(self.wires)
-        self.gateway = self.new_gateway()
+    def boot(self, now_s: float) -> None:
+        self.tick(now_s)
 
-    def new_gateway(self) -> GatewayLoop:
-        for wire in self.wires:
-            wire.gateway.waiting.clear()
-        return GatewayLoop(
-            self.contract,
-            {bus: wire.gateway.send for bus, wire in enumerate(self.wires)},
-            self.now_s,
-            say=self.lines.append,
-            complain=self.complaints.append,
-            rates_hz=self.rates_hz,
-        )
-
-    def step(self) -> list[Measurement]:
-        self.now_s += STEP_S
-        came: list[Measurement] = []
-        self.gateway.tick(self.now_s)
-        came += self.gateway.send_sync(self.now_s)
+    def tick(self, now_s: float) -> None:
         for board in self.boards:
-            if len(sent := board.tick(self.now_s)):
-                self.wires[board.contract.bus].nodes.send(sent)
-        self.carry()
-        came += self.gateway.measurements(self.now_s)
-        self.measured += came
-        return came
+            self._send(board.tick(now_s))
 
-    def carry(self) -> None:
-        for wire in self.wires:
-            wire.now_ns = round(self.now_s * 1e9)
-        while sum(wire.deliver() for wire in self.wires) or any(wire.gateway.has_news for wire in self.wires):
-            for bus, wire in enumerate(self.wires):
-                arrived = wire.nodes.receive()
-                for board in self.boards:
-                    if board.contract.bus == bus and len(answers := board.take(arrived, self.now_s)):
-                        wire.nodes.send(answers)
-                self.receive(bus)
+    def take(self, arrived: Frames, now_s: float) -> None:
+        for board in self.boards:
+            self._send(board.take(arrived, now_s))
 
-    def receive(self, bus: int) -> None:
-        arrived = self.wires[bus].gateway.receive()
-        self.gateway.take(bus, arrived, self.now_s, state=self.link[bus], dropped=self.dropped[bus], stamp_error_ns=0)
 
-    def run(self, seconds: float) -> list[Measurement]:
-        first = len(self.measured)
-        for _ in range(round(seconds / STEP_S)):
-            self.step()
-        return self.measured[first:]
+@dataclass
+class BoardWorld(World):
+    """A world of such boards."""
 
-    def until_whole(self, at_most_s: float) -> float:
-        """Go on until every block is valid; return how long that took."""
-        start_s = self.now_s
-        while self.now_s - start_s < at_most_s:
-            if any(all(each.valid) for each in self.step()):
-                return self.now_s - start_s
-        raise AssertionError(f"{list(states(self.measured[-1]))} {self.lines[-5:]}")
+    step_s: ClassVar[float] = STEP_S
 
-    def status(self) -> GatewayStatus:
-        links = {bus: (self.link[bus], self.dropped[bus]) for bus in range(len(self.wires))}
-        return self.gateway.status(links, self.now_s)
+    def new_hardware(self) -> list[Board]:
+        return [Board(self.contract, node) for node in self.contract.nodes]
 
-    def nmt(self, bus: int, command: int, node_id: int) -> None:
-        self.wires[bus].put(NMT_COB_ID, bytes((command, node_id)))
+    def new_segment(self, bus: int, contract: Contract) -> BoardsOfBus:
+        return BoardsOfBus([each for each in self.boards if each.contract.bus == bus], self.wires[bus].nodes.send)
+
+    @property
+    def boards(self) -> list[Board]:
+        boards: list[Board] = self.hardware
+        return boards
+
+    def _wrong_blocks(self, measurement: Measurement) -> list[int]:
+        """Return none: tests compare what is held with `known_counts`."""
+        return []
 
     def touch(self, block: int, seed: int = 1, size_n: float = 0.05) -> None:
         """Let a board feel something."""
@@ -250,6 +209,10 @@ class BoardWorld:
         known = [each[: form.sums] for each, form in zip(board.sending.known, board.contract.forms, strict=True)]
         by_row[grouped_rows(32).ravel()] = np.concatenate(known)
         return np.rint(by_row * (self.contract.unit_n / self.contract.layout.taxels.newton_per_count)).astype(np.int64)
+
+    def holds_what_boards_hold(self) -> bool:
+        self.run(0.3)
+        return all(np.array_equal(sums_of(self.measured[-1], block), self.known_counts(block)) for block in range(4))
 
 
 def states(measurement: Measurement) -> list[BlockState]:

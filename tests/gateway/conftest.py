@@ -4,8 +4,8 @@ import pytest
 
 from dbc.contract import Contract
 from tests.gateway.boards import BoardWorld, small_stepped
-from tests.gateway.helpers import World
 from tests.layouts import small_contract
+from tests.world import World
 
 
 @pytest.fixture(scope="session")

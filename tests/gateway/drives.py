@@ -2,7 +2,6 @@
 
 import struct
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -15,8 +14,8 @@ from dbc.canopen import EMCY_BASE, HEARTBEAT_BASE, SDO_REQUEST_BASE, SDO_RESPONS
 from dbc.contract import Contract
 from dbc.frame import ECHO, Frames, frames
 from tests.bus.harness import frame
-from tests.gateway.helpers import EndOfWire, Wire, World
 from tests.layouts import small_layout
+from tests.world import EndOfWire, Wire, World
 
 DRIVES: Final = range(1, 9)
 #: SYNC of the drives' controller, moved by 1005h.
@@ -50,31 +49,23 @@ def shared_contract(**bus: Any) -> Contract:
     return Contract.from_layout(small_layout(16, 32, measurement={"sums": 128}, sync={"rate_hz": 100}, bus=[table]))
 
 
-@dataclass
-class Member:
-    """One more station on the bus."""
-
-    station: Station
-    take: Callable[[Frames], object]
-
-
 class SharedWire(Wire):
     """A bus with arbitration, on which others than gateway and boards may be."""
 
-    def __init__(self) -> None:
+    def __init__(self, bitrate: int = 1_000_000, seed: int = 0) -> None:
         super().__init__()
-        self.bus = SimulatedBus()
+        self.bus = SimulatedBus(bitrate, seed=seed)
         self._stations: dict[EndOfWire | None, Station] = {
             self.gateway: self.bus.attach("gateway"),
             self.nodes: self.bus.attach("nodes"),
             None: self.bus.attach("others"),
         }
-        self.members: list[Member] = []
+        self._takes = [(self._stations[end], end.arrive) for end in (self.gateway, self.nodes)]
 
     def join(self, name: str, take: Callable[[Frames], object]) -> Send:
         """Connect a station; return what sends its frames."""
         station = self.bus.attach(name, queue_size=100_000)
-        self.members.append(Member(station, take))
+        self._takes.append((station, take))
         return lambda burst: self.bus.submit(station, burst, self.now_ns)
 
     def deliver(self) -> bool:
@@ -82,10 +73,7 @@ class SharedWire(Wire):
         for sender, burst in sent:
             self.bus.submit(self._stations[sender], burst, self.now_ns)
         ended = self.bus.run_until(self.now_ns)
-        for station, take in [
-            *((self._stations[end], end.waiting.append) for end in (self.gateway, self.nodes)),
-            *((member.station, member.take) for member in self.members),
-        ]:
+        for station, take in self._takes:
             is_own = ended.owner == station.number
             is_mine = ended.audience & np.where(is_own, OWNER, OTHERS) != 0
             copy = ended.frames[is_mine].copy()

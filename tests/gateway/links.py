@@ -13,9 +13,9 @@ from bus.link import Link
 from dbc.canopen import SYNC_COB_ID
 from dbc.frame import ECHO, ERROR, Frames, frames
 from tests.bus.serial_adapter import SerialAdapter
-from tests.gateway.helpers import EndOfWire, Wire, World, until_sync, valid
 from tests.layouts import TURNS, small_contract
 from tests.processes import PATIENCE_S
+from tests.world import EndOfWire, Wire, World, valid
 
 #: With periods and steps that a float has exactly: a SYNC is sent in each second step, whenever the first was due.
 RATE_HZ = 16.0
@@ -44,6 +44,7 @@ class LinkWire(Wire):
     def __init__(self, ends: Ends, seed: int | None = None) -> None:
         super().__init__()
         self.is_plugged = True
+        self.proves_echo = ends[0].proves_echo
         self._links = dict(zip((self.gateway, self.nodes), ends, strict=True))
         self._random = None if seed is None else np.random.default_rng(seed)
         self._echoes = frames(0)
@@ -52,11 +53,12 @@ class LinkWire(Wire):
         came = super().deliver()
         if self._random is None or not len(self._echoes) or self._random.random() < 0.6:
             return came
-        stream = np.concatenate([frames(0), *self.gateway.waiting])
+        stream = np.concatenate([frames(0), *self.gateway.arriving.take(self.now_ns)])
         for echo in self._random.permutation(self._echoes):
             place = self._random.integers(len(stream) + 1)
             stream = np.concatenate([stream[:place], [echo], stream[place:]])
-        self.gateway.waiting[:], self._echoes = [stream], frames(0)
+        self.gateway.arriving.put(stream, self.now_ns)
+        self._echoes = frames(0)
         return True
 
     def _carry(self, sender: EndOfWire | None, burst: Frames) -> None:
@@ -92,10 +94,6 @@ class LinkWorld(World):
     seed: int | None = None
     step_s: ClassVar[float] = 0.5 / RATE_HZ
 
-    def __post_init__(self) -> None:
-        self.early_echoes = tuple(bus for bus, (near, _) in enumerate(self.links) if not near.proves_echo)
-        super().__post_init__()
-
     def new_wire(self, bus: int) -> Wire:
         return LinkWire(self.links[bus], None if self.seed is None else self.seed + bus) if self.links else Wire()
 
@@ -104,7 +102,7 @@ def measured(world: World) -> Cycles:
     """Go through a run in which no two samples are alike: boards hang for up to three periods, or miss a SYNC."""
     random = np.random.default_rng(1)
     for count in range(ORDERLY + DISTURBED + AFTER):
-        until_sync(world)
+        world.until_sync()
         for wire in world.wires:
             wire.loses = None
         if not ORDERLY <= count < ORDERLY + DISTURBED:

@@ -16,7 +16,7 @@ from dbc.database import database
 from reconstructor.imaging import CycleImager
 from skin.layout import Layout, layout_text, parse_layout
 from skin.measured_sums import decode_measurement
-from tests.gateway.helpers import World
+from tests.world import World
 
 PITCH_M = 0.005
 

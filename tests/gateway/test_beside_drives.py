@@ -8,7 +8,7 @@ from canskin.errors import LayoutError
 from commissioning.scan import Scan
 from dbc.canopen import SYNC_COB_ID
 from tests.gateway.drives import DRIVES, OTHER_PRODUCER, THEIR_SYNC, Drives, SharedWorld, shared_contract
-from tests.gateway.helpers import valid
+from tests.world import valid
 
 SECONDS = 1.5
 

@@ -30,9 +30,9 @@ from gateway.node_writing import node_values
 from skin.calibration_file import StoredCalibration, encoded, new_calibration, parse_calibration
 from tests.calibration.helpers import pressed
 from tests.gateway.boards import small_stepped
-from tests.gateway.helpers import World, valid
 from tests.layouts import STEPPED_SKIN, small_contract
 from tests.messages import stepped_measurement
+from tests.world import World, valid
 
 
 class Asked:

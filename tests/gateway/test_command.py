@@ -8,7 +8,6 @@ import pytest
 
 from bus.options import BusOptions
 from canskin.calibration_messages import CALIBRATION, ZERO, Question
-from canskin.description import DESCRIPTION
 from canskin.errors import InputError
 from gateway import command
 from shell import skin_options
@@ -84,11 +83,11 @@ def test_options_of_the_bus_are_passed_on(monkeypatch: pytest.MonkeyPatch) -> No
     assert parts.calls[0][1][1] is options
 
 
-def test_it_answers_questions_about_its_calibration_and_its_skin(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_it_answers_questions_about_its_calibration(monkeypatch: pytest.MonkeyPatch) -> None:
     parts = Parts(monkeypatch)
     with pytest.raises(KeyboardInterrupt):
         command.gateway()
-    assert [each.name for each in parts.answered] == [CALIBRATION.name, ZERO.name, DESCRIPTION.name]
+    assert [each.name for each in parts.answered] == [CALIBRATION.name, ZERO.name]
 
 
 def test_a_calibration_of_another_skin_or_for_stepped_boards_is_refused(

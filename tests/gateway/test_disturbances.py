@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from dbc import indices as od
 from dbc.canopen import NmtCommand
 from dbc.configuration import configuration
-from tests.gateway.helpers import DISTURBANCES, RANDOM, World, drive
 from tests.layouts import small_contract
+from tests.world import DISTURBANCES, RANDOM, World, drive
 
 STEPS = 200
 

@@ -4,8 +4,8 @@ import pytest
 
 from canskin.messages import SILENT
 from dbc.canopen import HEARTBEAT_BASE, SDO_RESPONSE_BASE, NmtCommand, NmtState
-from tests.gateway.helpers import World, valid
 from tests.layouts import small_contract
+from tests.world import World, valid
 
 
 @pytest.fixture

@@ -17,8 +17,8 @@ from gateway.collector import Collector, Gathered
 from gateway.cycle_gathering import CycleGathering
 from gateway.gathering import Health
 from tests.bus.harness import frame
-from tests.gateway.helpers import DISTURBANCES, PERIOD_S, RANDOM, World, until_sync, valid
 from tests.layouts import small_contract
+from tests.world import DISTURBANCES, PERIOD_S, RANDOM, World, valid
 
 CONTRACTS = {1: small_contract(), 2: small_contract(sync={"rate_hz": 40.0, "turns": 2})}
 #: Disturbances of an example.
@@ -432,7 +432,7 @@ def test_first_data_comes_with_the_first_sync_after_the_start_command() -> None:
     world.run(0.02)
     while not all(each.in_use for each in world.gateway.masters[0].nodes.values()):
         world.step()  # the start commands go out with the last proof
-    until_sync(world)
+    world.until_sync()
     first = until_measured(world)
     assert valid(first).all()
     assert not any(world.wrong_blocks(each) for each in world.measured)

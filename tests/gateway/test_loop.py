@@ -11,10 +11,10 @@ from dbc.contract import Contract
 from dbc.dictionary import SILENT_AFTER_S
 from dbc.frame import ECHO
 from gateway.loop import LOOK_PERIOD_S
-from nodes.segment import Segment
+from nodes.segment import Boards
 from nodes.virtual_boards import VirtualBoards
-from tests.gateway.helpers import PERIOD_S, STEP_S, EndOfWire, World, until_sync, valid
 from tests.layouts import buses, small_contract
+from tests.world import PERIOD_S, STEP_S, EndOfWire, World, valid
 
 
 def is_sum(each: np.void) -> bool:
@@ -36,8 +36,8 @@ def test_frames_that_are_read_after_the_next_sync_was_sent_still_count(world: Wo
     """The host gets to read a bus one and a half periods late."""
     first = len(world.measured)
     world.wires[1].gateway.is_held = True
-    until_sync(world)
-    until_sync(world)
+    world.until_sync()
+    world.until_sync()
     assert world.gateway.in_flight == 2
     assert len(world.measured) == first
     world.wires[1].gateway.is_held = False
@@ -61,10 +61,10 @@ def test_cycle_is_closed_before_its_slot_is_opened_again(world: World) -> None:
 
 
 def test_open_cycle_ends_though_no_bus_shows_the_next_sync(world: World) -> None:
-    until_sync(world)
+    world.until_sync()
     for wire in world.wires:
         wire.gateway.is_held = True
-    until_sync(world)
+    world.until_sync()
     sync_s = world.gateway.sync.due_s - PERIOD_S
     world.gateway.sync.stop()
     assert world.gateway.measurements(sync_s + 1.89 * PERIOD_S) == []
@@ -76,14 +76,14 @@ def test_open_cycle_ends_though_no_bus_shows_the_next_sync(world: World) -> None
 def test_status_counts_closed_cycles_complete_cycles_and_skipped_syncs(world: World) -> None:
     wire = world.wires[0]
     wire.loses = lambda end, each: bool(end is wire.gateway and each["can_id"] in {0x181, 0x381})
-    until_sync(world)
+    world.until_sync()
     wire.loses = None
     world.run(3 * PERIOD_S)
     before = world.status()
     assert before.cycles == len(world.measured)
     assert before.cycles_complete == sum(bool(valid(each).all()) for each in world.measured) == before.cycles - 1
     world.wires[0].gateway.is_held = True
-    until_sync(world)
+    world.until_sync()
     assert world.gateway.in_flight == 1
     assert world.status().cycles == before.cycles
     world.wires[0].gateway.is_held = False
@@ -100,9 +100,9 @@ def test_missing_and_late_frames_are_told_of_the_node(world: World) -> None:
     wire = world.wires[1]
     before = world.status()
     wire.loses = lambda end, each: bool(end is wire.gateway and is_sum(each) and each["can_id"] & 0x7F == 2)
-    until_sync(world)
+    world.until_sync()
     wire.loses = None
-    until_sync(world)
+    world.until_sync()
     after = world.status()
     assert (after.buses[1].missing, after.buses[1].late) == ([0, before.buses[1].missing[1] + 2], [0, 0])
     assert (after.frames.missing - before.frames.missing, after.frames.late) == (2, 0)
@@ -152,12 +152,12 @@ def test_sync_waits_three_seconds_at_most_for_a_board_that_is_slow_to_prove(smal
 
 def test_no_cycle_waits_for_a_node_that_is_gone(world: World) -> None:
     cut(world, 0, 1)
-    until_sync(world)
+    world.until_sync()
     assert world.gateway.in_flight == 1
     world.run(SILENT_AFTER_S + 2 * LOOK_PERIOD_S)
     assert world.gateway.gathering.collector.expected.tolist() == [False, True, True, True]
     for _ in range(4):
-        until_sync(world)
+        world.until_sync()
         assert world.gateway.in_flight == 0
 
 
@@ -204,9 +204,8 @@ def test_analogue_sums_at_the_end_of_their_converter_are_not_usable() -> None:
 @pytest.mark.parametrize("unnumbered", [True, False])
 def test_absent_nodes_are_asked_once_for_boards_without_node_id(unnumbered: bool) -> None:
     class Fresh(World):
-        def new_segment(self, bus: int, contract: Contract) -> Segment:
-            boards = VirtualBoards(contract, bus, {1} if bus or unnumbered else (), self.sampler, unnumbered=not bus)
-            return Segment(contract, bus, boards, self.sampler, self.wires[bus].nodes.send, complain=print)
+        def new_boards(self, bus: int, contract: Contract) -> Boards:
+            return VirtualBoards(contract, bus, {1} if bus or unnumbered else (), self.hardware, unnumbered=not bus)
 
     world = Fresh(small_contract())
     world.run(5.0)

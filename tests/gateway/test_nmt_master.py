@@ -25,8 +25,8 @@ from gateway.nmt_master import NmtMaster
 from gateway.node_machine import PAUSES_S
 from gateway.sdo import TIMEOUT_S
 from tests.bus.harness import frame
-from tests.gateway.helpers import PERIOD_S, EndOfWire, World, swap_mapping, valid
 from tests.layouts import buses, small_layout
+from tests.world import FOREVER_NS, PERIOD_S, EndOfWire, World, swap_mapping, valid
 
 HEARTBEAT_S = 1.0
 #: From the event that tells that a node is out to its first valid block: a pause, a proof, a cycle to start in.
@@ -108,7 +108,7 @@ def test_gateway_that_starts_over_takes_running_nodes(world: World) -> None:
 
 def test_gateway_leaves_nodes_pre_operational(world: World) -> None:
     world.gateway.stop()
-    world.carry()
+    world.carry(world.hear)
     assert {node.state for segment in world.segments for node in segment.boards.nodes} == {NmtState.PRE_OPERATIONAL}
 
 
@@ -160,16 +160,13 @@ def test_command_of_another_master_during_a_proof_is_not_forgotten(world: World)
 def test_answer_that_a_board_gave_before_a_write_and_sends_after_it_proves_nothing(world: World) -> None:
     world.until_whole(2.0)
     node = world.gateway.masters[0].nodes[1]
-    world.wires[0].holds = lambda each: each["can_id"] == SDO_RESPONSE_BASE + 1
-    while node.dialogue is None:
-        world.step()
+    answers = world.wires[0].line(SDO_RESPONSE_BASE + 1, 0x7FF)
+    answers.shut_until_ns = FOREVER_NS
+    world.until(lambda: node.dialogue is not None)
     swap_mapping(world, 0, 1)
-    while node.dialogue is not None:
-        world.step()
-    while node.dialogue is None:  # the proof after the write
-        world.step()
-    world.wires[0].holds = None
-    world.wires[0].release(world.wires[0].waiting)
+    world.until(lambda: node.dialogue is None)
+    world.until(lambda: node.dialogue is not None)
+    answers.shut_until_ns = 0
     assert not any(world.wrong_blocks(each) for each in world.run(2.0))
 
 
@@ -177,10 +174,8 @@ def test_questions_that_were_lost_before_a_write_keep_no_node_out(world: World) 
     world.until_whole(2.0)
     node, wire = world.gateway.masters[0].nodes[1], world.wires[0]
     wire.loses = lambda end, each: bool(end is wire.nodes and each["can_id"] == SDO_REQUEST_BASE + 1)
-    while node.dialogue is None:
-        world.step()
-    while node.dialogue is not None:  # all its questions are lost
-        world.step()
+    world.until(lambda: node.dialogue is not None)
+    world.until(lambda: node.dialogue is None)
     wire.loses = None
     swap_mapping(world, 0, 1)
     world.step()

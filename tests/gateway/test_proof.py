@@ -13,8 +13,8 @@ from dbc.contract import Contract
 from dbc.frame import ECHO
 from gateway.proof import PART, Known, prove
 from gateway.sdo import Read, SdoAbortedError
-from tests.gateway.helpers import PERIOD_S, STEP_S, World, little, swap_mapping, valid
 from tests.layouts import small_contract
+from tests.world import PERIOD_S, STEP_S, World, little, swap_mapping, valid
 
 #: Said of gains that differ from those of before; of gains that are those of before, its first part alone.
 RECALIBRATED = "node 1 on bus0 gains or offsets (2010h, 2011h) have changed: its zero counts no longer"
@@ -280,8 +280,7 @@ def test_board_that_was_built_for_another_skin_is_refused_until_it_is_replaced(
     assert not [can_id for can_id, _ in world.wires[0].log if SDO_REQUEST_BASE < can_id < HEARTBEAT_BASE]
     world.segments[0] = world.new_segment(0, small)
     world.segments[0].boot(world.now_s)
-    world.wires[0].deliver()
-    world.gateway.take(0, world.wires[0].gateway.receive(), world.now_s, stamp_error_ns=0)
+    world.carry(world.hear)
     assert world.status().buses[0].refused == []
     world.until_whole(1.0)
 

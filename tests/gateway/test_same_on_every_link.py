@@ -15,10 +15,10 @@ import pytest
 from bus.link import Link, State, open_link
 from tests.bus.harness import await_state, serving
 from tests.bus.serial_adapter import SerialAdapter
-from tests.gateway.helpers import BOUND_S, valid
 from tests.gateway.links import CONTRACTS, SEEDS, Ends, LinkWire, LinkWorld, check_same
 from tests.layouts import TURNS
 from tests.processes import PATIENCE_S
+from tests.world import BOUND_S, valid
 
 #: What runs a command in a network of its own, through which multicast goes.
 OWN_NETWORK = ("unshare", "--map-root-user", "--net", "sh", "-euc")

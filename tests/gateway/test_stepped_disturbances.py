@@ -13,13 +13,10 @@ from canskin.messages import Measurement
 from dbc import indices as od
 from dbc.canopen import COB_ID_INVALID, COB_ID_NO_RTR, NmtCommand
 from dbc.configuration import configuration
-from dbc.contract import Contract
-from nodes.segment import Segment
 from nodes.steps.boards import SteppedBoards
-from nodes.virtual_boards import VirtualBoards
 from tests.gateway.boards import small_stepped, sums_of
-from tests.gateway.helpers import DISTURBANCES, RANDOM, Wire, World, drive, valid
 from tests.nodes.stepped_bus import Press
+from tests.world import DISTURBANCES, RANDOM, World, drive, valid
 
 ACTIONS = 100
 #: Time between two disturbances.
@@ -60,27 +57,20 @@ class SteppedWorld(World):
 
     step_s = 1e-3
 
-    def __init__(self, contract: Contract, store: Path | None = None) -> None:
-        blocks = [node.block for node in contract.nodes]
-        self.boards = SteppedBoards(contract, blocks, Press(contract), noise_n=0.0)
-        self.touched: npt.NDArray[np.int32] | None = None
-        super().__init__(contract, store)
-        self.until_whole(2.0)
-        self.run(1.0)
-        self.touched = np.stack([sums_of(self.measured[-1], block) for block in blocks])
-        #: What is not worth a frame, and what the filter still follows after a pattern; patterns change far more.
-        units = 8 * contract.unit_n / contract.layout.taxels.newton_per_count
-        self._tolerance = units + 0.01 * np.abs(self.touched)
+    touched: npt.NDArray[np.int32] | None = None
 
     def __post_init__(self) -> None:
-        self.wires = [Wire() for _ in self.contract.layout.bus]
-        self.segments = [self.new_segment(bus, self.contract) for bus in range(len(self.wires))]  # type: ignore[misc]
-        self.power_up()
-        self.gateway = self.new_gateway()
+        super().__post_init__()
+        self.until_whole(2.0)
+        self.run(1.0)
+        self.touched = np.stack([sums_of(self.measured[-1], node.block) for node in self.contract.nodes])
+        #: What is not worth a frame, and what the filter still follows after a pattern; patterns change far more.
+        units = 8 * self.contract.unit_n / self.contract.layout.taxels.newton_per_count
+        self._tolerance = units + 0.01 * np.abs(self.touched)
 
-    def new_segment(self, bus: int, contract: Contract) -> Segment:
-        boards = VirtualBoards(contract, bus, {node.node_id for node in contract.on_bus(bus)}, self.boards)
-        return Segment(contract, bus, boards, self.boards, self.wires[bus].nodes.send, complain=self.complaints.append)
+    def new_hardware(self) -> SteppedBoards:
+        blocks = [node.block for node in self.contract.nodes]
+        return SteppedBoards(self.contract, blocks, Press(self.contract), noise_n=0.0)
 
     def _wrong_blocks(self, measurement: Measurement) -> list[int]:
         """Return the valid blocks whose sums are off by more than eight units and a hundredth, once known."""

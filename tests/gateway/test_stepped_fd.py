@@ -19,18 +19,13 @@ def boards() -> BoardWorld:
     return built
 
 
-def holds_what_boards_hold(world: BoardWorld) -> bool:
-    world.run(0.3)
-    return all(np.array_equal(sums_of(world.measured[-1], block), world.known_counts(block)) for block in range(4))
-
-
 def test_measurement_holds_the_sums_of_the_boards(boards: BoardWorld) -> None:
-    assert holds_what_boards_hold(boards)
+    assert boards.holds_what_boards_hold()
     assert sums_of(boards.measured[-1], 1).any()
     for seed in range(20):
         boards.touch(2, seed)
         boards.run(0.02)
-    assert holds_what_boards_hold(boards)
+    assert boards.holds_what_boards_hold()
     counts = boards.status().frames
     assert (counts.after_gap, counts.malformed) == (0, 0)
     assert counts.accepted == sum(board.sent for board in boards.boards)
@@ -43,7 +38,7 @@ def test_a_loss_makes_a_block_stale_until_its_groups_have_come_again(boards: Boa
     assert boards.run(0.01)[-1].states[0] == BlockState.STALE
     assert boards.until_whole(1.0) <= 0.05
     assert [len(board.asked) for board in boards.boards] == [1, 0, 0, 0]
-    assert holds_what_boards_hold(boards)
+    assert boards.holds_what_boards_hold()
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ from dbc import indices as od
 from dbc.canopen import HEARTBEAT_BASE, SYNC_COB_ID, NmtCommand, NmtState
 from dbc.contract import Contract
 from dbc.dictionary import HEARTBEAT_MS, SILENT_AFTER_S
+from dbc.frame import frames
 from dbc.steps import KEEP_MIN, LATE_SLOTS
 from gateway.block_states import FRESH_NS
 from gateway.stepped_gathering import publishing_rates
@@ -22,13 +23,8 @@ DEAD, STALE, QUIET, FRESH = BlockState
 TOLD_S = 0.2
 
 
-def holds_what_boards_hold(world: BoardWorld) -> bool:
-    world.run(0.3)
-    return all(np.array_equal(sums_of(world.measured[-1], block), world.known_counts(block)) for block in range(4))
-
-
 def test_measurement_holds_the_sums_of_the_boards_in_the_order_of_phi(boards: BoardWorld, stepped: Contract) -> None:
-    assert holds_what_boards_hold(boards)
+    assert boards.holds_what_boards_hold()
     newest = boards.measured[-1]
     taxels_n = stepped.phi.adjoint(np.frombuffer(newest.sums, "<i4").astype(np.float64))
     assert taxels_n[stepped.phi.taxels_of_blocks[1]].any()
@@ -180,7 +176,7 @@ def test_lost_frames_make_blocks_stale_until_all_groups_have_come_again(boards: 
     assert boards.until_whole(1.0) <= 0.1
     assert [[value for _, value in board.asked] for board in boards.boards] == [[1], [1], [], []]
     assert boards.status().frames.after_gap == 2
-    assert holds_what_boards_hold(boards)
+    assert boards.holds_what_boards_hold()
 
 
 def test_a_loss_at_the_end_of_a_movement_is_seen_at_the_next_check(boards: BoardWorld) -> None:
@@ -192,7 +188,7 @@ def test_a_loss_at_the_end_of_a_movement_is_seen_at_the_next_check(boards: Board
     came = boards.run((KEEP_MIN + 1) * STEP_S)
     assert states(came[-1])[0] == STALE
     assert boards.until_whole(1.0) <= 0.1
-    assert holds_what_boards_hold(boards)
+    assert boards.holds_what_boards_hold()
 
 
 @pytest.mark.parametrize("why", [State.BUS_OFF, State.LOST])
@@ -204,11 +200,11 @@ def test_controller_that_is_off_the_bus_makes_it_stale(boards: BoardWorld, why: 
     assert states(came[-1])[2:] == [STALE, STALE]
     assert came[-1].valid[:2] == b"\1\1"
     assert not any(boards.boards[3].asked)
-    boards.wires[1].gateway.waiting.clear()
+    boards.wires[1].gateway.arriving.clear()
     boards.link[1], boards.wires[1].gateway.is_held = State.ACTIVE, False
-    boards.receive(1)
+    boards.hear(1, frames(0))
     assert boards.until_whole(1.0) <= 0.15
-    assert holds_what_boards_hold(boards)
+    assert boards.holds_what_boards_hold()
 
 
 def test_a_bus_without_sync_is_stale_when_its_boards_have_no_slots_any_more(boards: BoardWorld) -> None:
@@ -224,7 +220,7 @@ def test_a_bus_without_sync_is_stale_when_its_boards_have_no_slots_any_more(boar
     boards.wires[0].loses = None
     assert boards.until_whole(1.0) <= period_s + STEP_S
     assert not any(board.asked for board in boards.boards)
-    assert holds_what_boards_hold(boards)
+    assert boards.holds_what_boards_hold()
 
 
 def test_a_link_that_lost_frames_makes_its_bus_stale_until_the_next_words(boards: BoardWorld) -> None:
@@ -233,12 +229,12 @@ def test_a_link_that_lost_frames_makes_its_bus_stale_until_the_next_words(boards
     lose(boards, 0)
     assert all(boards.measured[-1].valid)
     boards.dropped[0] += 1
-    boards.receive(0)
+    boards.hear(0, frames(0))
     came = boards.run(STEP_S)
     assert states(came[-1])[:2] == [STALE, STALE]
     assert came[-1].valid[2:] == b"\1\1"
     assert boards.until_whole(1.0) <= 0.2
-    assert holds_what_boards_hold(boards)
+    assert boards.holds_what_boards_hold()
 
 
 def test_a_node_with_other_sums_is_told_once_and_asked(boards: BoardWorld) -> None:
@@ -250,7 +246,7 @@ def test_a_node_with_other_sums_is_told_once_and_asked(boards: BoardWorld) -> No
     assert boards.complaints == ["node 2 on bus0 has other sums than the gateway: all are asked for"]
     assert [len(board.asked) for board in boards.boards] == [0, 1, 0, 0]
     assert boards.status().frames.different == 1
-    assert holds_what_boards_hold(boards)
+    assert boards.holds_what_boards_hold()
 
 
 @pytest.mark.parametrize("wait", [2 * KEEP_MIN, 8 * KEEP_MIN])
@@ -283,7 +279,7 @@ def test_another_sync_producer_makes_its_bus_stale(boards: BoardWorld) -> None:
     assert states(came[-1])[:2] == [STALE, STALE]
     assert came[-1].valid[2:] == b"\1\1"
     assert boards.until_whole(1.0) <= 0.3
-    assert holds_what_boards_hold(boards)
+    assert boards.holds_what_boards_hold()
 
 
 def test_reset_node_is_forgotten_at_once_and_comes_back_by_itself(boards: BoardWorld) -> None:
@@ -296,7 +292,7 @@ def test_reset_node_is_forgotten_at_once_and_comes_back_by_itself(boards: BoardW
     assert not sums_of(came[-1], 1).any()
     assert boards.until_whole(1.0) < 0.3
     assert not boards.boards[1].asked
-    assert holds_what_boards_hold(boards)
+    assert boards.holds_what_boards_hold()
 
 
 def test_silent_node_is_dead(boards: BoardWorld) -> None:
@@ -381,7 +377,7 @@ def test_gateway_that_joins_a_running_skin_starts_all_nodes_again(boards: BoardW
     boards.gateway = boards.new_gateway()
     assert boards.until_whole(1.0) <= 0.4
     assert all(board.state is NmtState.OPERATIONAL for board in boards.boards)
-    assert holds_what_boards_hold(boards)
+    assert boards.holds_what_boards_hold()
     # A board may leave slots out: the new gateway counts from 1, and numbers of words rise.
     assert all(len(board.asked) <= 1 for board in boards.boards)
 

@@ -19,9 +19,9 @@ class Recorded(BoardWorld):
 
     kept: dict[int, list[Frames]] = field(default_factory=dict)
 
-    def receive(self, bus: int) -> None:
-        self.kept.setdefault(bus, []).extend(burst.copy() for burst in self.wires[bus].gateway.waiting)
-        super().receive(bus)
+    def hear(self, bus: int, arrived: Frames) -> None:
+        self.kept.setdefault(bus, []).append(arrived.copy())
+        super().hear(bus, arrived)
 
     def logged(self) -> dict[int, Frames]:
         return {bus: np.concatenate([frames(0), *kept]) for bus, kept in self.kept.items()}

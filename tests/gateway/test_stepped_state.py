@@ -48,8 +48,8 @@ from gateway.stepped_state import take_all as take
 from skin.sync_counter import SYNC_OVERFLOW
 from tests.bus.harness import frame
 from tests.gateway.boards import small_stepped
-from tests.gateway.helpers import DISTURBANCES, RANDOM
 from tests.layouts import buses
+from tests.world import DISTURBANCES, RANDOM
 
 ONE = small_stepped(bus=buses(4))
 CONTRACTS = {

@@ -13,8 +13,8 @@ from gateway.temperatures import PERIOD_S
 from skin.defects import Defects
 from skin.zero_drift import DRIFT_N_PER_K, REST_K, ZeroDrift
 from tests.gateway.boards import BoardWorld, small_stepped
-from tests.gateway.helpers import World
 from tests.layouts import buses, small_contract
+from tests.world import World
 
 READ = b"\x40" + od.TEMPERATURE.to_bytes(2, "little")
 

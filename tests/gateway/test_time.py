@@ -9,7 +9,7 @@ from dbc.contract import Contract
 from dbc.frame import Frames
 from dbc.time_of_day import time_of_day
 from gateway.loop import GatewayLoop
-from tests.gateway.helpers import PERIOD_S, World, valid
+from tests.world import PERIOD_S, World, valid
 
 
 def timed(contract: Contract, time_s: float | None) -> World:

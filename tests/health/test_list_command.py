@@ -59,7 +59,7 @@ def test_services_are_listed_with_what_they_send(
             sender.join()
     table = capsys.readouterr().out
     assert found["skins"]["palm"]["layout"].startswith("16 x 16 taxels, 64 sums, synchronous, SYNC 100 Hz")
-    assert found["skins"]["hand"] == {"error": "no service that knows its layout"}
+    assert found["skins"]["hand"] == {"error": "no gateway tells its layout"}
     assert by_name["gateway"]["state"].endswith("nodes operational")
     assert by_name["reconstructor"]["state"] == "sends"
     assert by_name["classifier"]["state"] == "has another layout than the gateway"

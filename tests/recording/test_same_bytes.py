@@ -18,9 +18,9 @@ from reconstructor.service import ReconstructorService
 from recording.sinks import open_sink
 from skin.layout import layout_text
 from tests.gateway.boards import BoardWorld, small_stepped
-from tests.gateway.helpers import PERIOD_S, EndOfWire, Losing, World
 from tests.layouts import small_contract
 from tests.recording.helpers import OFFSET_NS, messages_of
+from tests.world import PERIOD_S, EndOfWire, Losing, World
 
 #: Time between two frames of a bus on the clock of the recorder.
 FRAME_NS = 130_000

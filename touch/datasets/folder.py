@@ -19,6 +19,7 @@ import numpy as np
 from canskin.errors import UNDECODABLE, InputError, RunError
 from shell.output import write_file
 from skin.difference import difference
+from skin.limits import TEXT_BYTES_MAX, read_file
 from touch.contact import Force
 
 FORMAT: Final = "canskin data set 1"
@@ -82,7 +83,7 @@ class DatasetFolder:
                 if others:
                     raise InputError(f"'{self.path}' holds {others[0]} and no data set: give an empty or new folder")
                 return {}
-            found = msgspec.json.decode(path.read_bytes())
+            found = msgspec.json.decode(read_file(path, InputError, "the manifest", TEXT_BYTES_MAX))
         except OSError as error:
             raise InputError(f"'{self.path}' cannot be used as a folder: {error}; give another --out") from error
         except UNDECODABLE as error:

@@ -10,9 +10,9 @@ from dbc.canopen import NMT_COB_ID, SDO_REQUEST_BASE, SYNC_COB_ID, NmtCommand
 from dbc.contract import Contract
 from nodes.firmware.library import Firmware
 from nodes.segment import Segment
-from tests.gateway.helpers import PERIOD_S, World
 from tests.layouts import TURNS
 from tests.nodes.firmware.twins import CountWitness, needs_compiler, small_contract
+from tests.world import PERIOD_S, World
 
 pytestmark = needs_compiler
 

@@ -216,11 +216,9 @@ def test_a_recording_can_be_played_and_not_tared(messages: Any, tmp_path: Path) 
 
 
 @pytest.mark.heavy
-def test_a_recorder_begins_marks_and_ends_as_a_process(
-    messages: Any, hub: Fabric, endpoint: str, tmp_path: Path
-) -> None:
-    name = messages.layout.name
-    fabric = join(messages.layout, "viewer", endpoint)  # it tells the recorder the layout
+def test_a_recorder_begins_marks_and_ends_as_a_process(messages: Any, endpoint: str, tmp_path: Path) -> None:
+    name, hub = messages.layout.name, join(messages.layout, "gateway", endpoint, hub=True)
+    fabric = Fabric(name, "viewer", endpoint)
     feed = Feed(messages.layout)
     feed.recorder = RecorderProcess(tmp_path, endpoint, name)
     feed.join(fabric)
@@ -243,3 +241,4 @@ def test_a_recorder_begins_marks_and_ends_as_a_process(
     finally:
         feed.recorder.close()
         fabric.close()
+        hub.close()

@@ -1,10 +1,14 @@
-"""A whole skin in one thread: real nodes and the real gateway on wires of arrays, with a clock that the test moves."""
+"""A whole skin in one thread: real nodes and the real gateway on wires of arrays, with a clock that the test moves.
+
+What may go wrong on a wire is data: who loses which frames (`Wire.loses`), and where frames wait (`Line`).
+"""
 
 import os
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Final, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -20,9 +24,10 @@ from dbc.dictionary import SILENT_AFTER_S
 from dbc.frame import ECHO, Frames, frames
 from gateway.loop import GatewayLoop
 from gateway.node_machine import LATER_S, PAUSES_S
+from gateway.stepped_gathering import RATES_HZ
 from nodes.electronics import Electronics
 from nodes.sampler import Sampler
-from nodes.segment import Segment
+from nodes.segment import Boards, Segment
 from nodes.virtual_boards import VirtualBoards
 from skin.phi import Sbhe
 from skin.sources import Frame
@@ -30,9 +35,10 @@ from skin.sync_counter import SYNC_OVERFLOW
 from skin.taxel import to_counts
 from tests.bus.harness import frame
 
-PERIOD_S = 0.05
+PERIOD_S: Final = 0.05
 #: Nodes look at time between two SYNCs only.
-STEP_S = PERIOD_S / 2
+STEP_S: Final = PERIOD_S / 2
+FOREVER_NS: Final = 1 << 62
 
 
 class Shaking:
@@ -94,32 +100,74 @@ class WitnessSampler(Sampler):
         return sums
 
 
+class Line:
+    """Where bursts wait in their order: each for `delay_ns`, and all until `shut_until_ns`."""
+
+    def __init__(self) -> None:
+        self.delay_ns = self.shut_until_ns = 0
+        self._waiting: deque[tuple[int, Frames]] = deque()
+
+    def put(self, burst: Frames, now_ns: int) -> None:
+        self._waiting.append((now_ns + self.delay_ns, burst))
+
+    def is_due(self, now_ns: int) -> bool:
+        return bool(self._waiting) and now_ns >= max(self._waiting[0][0], self.shut_until_ns)
+
+    def holds(self, now_ns: int) -> bool:
+        """Tell whether what comes now has to wait."""
+        return bool(self._waiting) or self.delay_ns > 0 or now_ns < self.shut_until_ns
+
+    def take(self, now_ns: int) -> list[Frames]:
+        """Return what has waited for long enough."""
+        due = []
+        while self.is_due(now_ns):
+            due.append(self._waiting.popleft()[1])
+        return due
+
+    def clear(self) -> None:
+        self._waiting.clear()
+
+
 class EndOfWire:
     """One of the two that are joined by a `Wire`."""
 
     def __init__(self, wire: "Wire") -> None:
         self.wire = wire
+        #: What may be read now, and what arrives.
         self.waiting: list[Frames] = []
+        self.arriving = Line()
         #: Whether it has room for what is sent.
         self.takes = True
-        #: Whether it is not read: what arrives waits.
-        self.is_held = False
+
+    @property
+    def is_held(self) -> bool:
+        """Whether it is not read."""
+        return self.arriving.shut_until_ns == FOREVER_NS
+
+    @is_held.setter
+    def is_held(self, is_held: bool) -> None:
+        self.arriving.shut_until_ns = FOREVER_NS if is_held else 0
 
     @property
     def has_news(self) -> bool:
-        return bool(self.waiting) and not self.is_held
+        return bool(self.waiting) or self.arriving.is_due(self.wire.now_ns)
+
+    def arrive(self, burst: Frames) -> None:
+        self.arriving.put(burst, self.wire.now_ns)
 
     def receive(self) -> Frames:
-        if not self.has_news:
-            return frames(0)
-        if len(self.waiting) == 1:
-            return self.waiting.pop()
+        came = self.arriving.take(self.wire.now_ns)
+        for burst in came if self.wire.echoes_early else ():
+            burst["time_ns"] = self.wire.now_ns  # that of the read
+        bursts = [*self.waiting, *came]
+        self.waiting.clear()
+        if len(bursts) == 1:
+            return bursts[0]
         # Not np.concatenate, which compares the fields of the records each time.
-        arrived, begin = frames(sum(map(len, self.waiting))), 0
-        for burst in self.waiting:
+        arrived, begin = frames(sum(map(len, bursts))), 0
+        for burst in bursts:
             arrived[begin : begin + len(burst)] = burst
             begin += len(burst)
-        self.waiting.clear()
         return arrived
 
     def send(self, burst: Frames) -> int:
@@ -132,6 +180,11 @@ class EndOfWire:
 class Wire:
     """A bus of no length: frames arrive in the order in which they were sent, at once, at everybody."""
 
+    #: What the gateway is told, see `bus.link.Link`.
+    proves_echo = True
+    #: The gateway's echoes do not wait, and its adapter has no clock.
+    echoes_early = False
+
     def __init__(self) -> None:
         #: The time of what is sent without a time of its own.
         self.now_ns = 0
@@ -141,50 +194,55 @@ class Wire:
         self.log: list[tuple[int, bytes]] = []
         #: Tells which frames an end loses: called with the end and a frame.
         self.loses: Callable[[EndOfWire, np.void], bool] | None = None
-        #: Tells which frames of nodes have to wait: they go when `release` is called.
-        self.holds: Callable[[np.void], bool] | None = None
-        self._held: list[tuple[EndOfWire | None, Frames]] = []
-        #: By node-ID: when a board that hangs goes on, and what it sends then.
-        self._hung: dict[int, tuple[int, list[Frames]]] = {}
+        #: Where frames of the gateway wait.
+        self.transmit = Line()
+        #: Where frames of boards wait, by what their identifiers have in common: bits and mask.
+        self.lines: dict[tuple[int, int], Line] = {}
+
+    def line(self, can_id: int, mask: int = HIGHEST_NODE_ID) -> Line:
+        """Return where frames of boards wait; without `mask` those of a node."""
+        return self.lines.setdefault((can_id, mask), Line())
 
     def hang(self, node_id: int, until_ns: int) -> None:
         """Let a board hold back all that it sends, unless it hung less than three periods ago."""
-        if until_ns - self._hung.get(node_id, (0, []))[0] > 8 * PERIOD_S * 1e9:
-            self._hung[node_id] = until_ns, []
+        line = self.line(node_id)
+        if until_ns - line.shut_until_ns > 8 * PERIOD_S * 1e9:
+            line.shut_until_ns = until_ns
 
     def wake(self) -> None:
         """Let every board go on that hangs."""
-        self._hung = {node: (min(until_ns, self.now_ns), waiting) for node, (until_ns, waiting) in self._hung.items()}
-
-    def _gone_on(self) -> list[tuple[EndOfWire | None, Frames]]:
-        gone = [each for until_ns, waiting in self._hung.values() if self.now_ns >= until_ns for each in waiting]
-        for until_ns, waiting in self._hung.values():
-            if self.now_ns >= until_ns:
-                waiting.clear()
-        return [(self.nodes, each) for each in gone]
-
-    def _awake(self, burst: Frames) -> Frames:
-        """Return the frames of boards that do not hang; keep the others."""
-        node_ids = burst["can_id"] & HIGHEST_NODE_ID
-        for node_id, (until_ns, waiting) in self._hung.items():
-            if self.now_ns < until_ns and (node_ids == node_id).any():
-                waiting.append(burst[node_ids == node_id])
-                burst, node_ids = burst[node_ids != node_id], node_ids[node_ids != node_id]
-        return burst
+        for line in self.lines.values():
+            line.shut_until_ns = min(line.shut_until_ns, self.now_ns)
 
     def deliver(self) -> bool:
         """Carry what was sent; tell whether there was anything."""
-        if not self.queue and not self._hung:
-            return False
-        sent, self.queue = self._gone_on() + self.queue, []
-        for sender, given in sent:
-            burst = self._awake(given) if sender is self.nodes else given
-            if self.holds is not None and sender is self.nodes:
-                waits = np.array([self.holds(each) for each in burst], np.bool_)
-                self._held.append((sender, burst[waits]))
-                burst = burst[~waits]
+        sent, self.queue = self.queue, []
+        going: list[tuple[EndOfWire | None, Frames]] = []
+        going += [(self.nodes, each) for line in self.lines.values() for each in line.take(self.now_ns)]
+        for sender, burst in sent:
+            going += self._off(sender, burst)
+        going += [(self.gateway, each) for each in self.transmit.take(self.now_ns)]
+        for sender, burst in going:
             self._carry(sender, burst)
-        return bool(sent)
+        return bool(sent or going)
+
+    def _off(self, sender: EndOfWire | None, burst: Frames) -> list[tuple[EndOfWire | None, Frames]]:
+        """Return what need not wait; let the rest wait."""
+        if sender is self.gateway:
+            if self.echoes_early:
+                echo = burst.copy()
+                echo["flags"] |= ECHO
+                self.gateway.waiting.append(echo)
+            if self.transmit.holds(self.now_ns):
+                self.transmit.put(burst, self.now_ns)
+                return []
+        elif sender is self.nodes:
+            for (can_id, mask), line in self.lines.items():
+                is_mine = burst["can_id"] & mask == can_id
+                if is_mine.any() and line.holds(self.now_ns):
+                    line.put(burst[is_mine], self.now_ns)
+                    burst = burst[~is_mine]
+        return [(sender, burst)]
 
     def _carry(self, sender: EndOfWire | None, burst: Frames) -> None:
         ids_and_lengths = zip(burst["can_id"].tolist(), burst["length"].tolist(), strict=True)
@@ -193,10 +251,12 @@ class Wire:
             for (can_id, length), data in zip(ids_and_lengths, burst["data"], strict=True)
         ]
         for end in (self.gateway, self.nodes):
+            if self.echoes_early and end is sender is self.gateway:
+                continue
             arrived = self._arrived(end, sender, burst)
             if self.loses is not None:
                 arrived = arrived[[not self.loses(end, each) for each in arrived]]
-            end.waiting.append(arrived)
+            end.arrive(arrived)
 
     def _arrived(self, end: EndOfWire, sender: EndOfWire | None, burst: Frames) -> Frames:
         """Return what comes to an end of these frames, its own as echoes."""
@@ -206,83 +266,161 @@ class Wire:
             copy["flags"] |= ECHO
         return copy
 
-    @property
-    def waiting(self) -> int:
-        """Number of bursts that have to wait."""
-        return len(self._held)
-
-    def release(self, count: int) -> None:
-        """Let the oldest bursts go that had to wait."""
-        held, self._held = self._held[:count], self._held[count:]
-        for sender, burst in held:
-            late = burst.copy()
-            late["time_ns"] = self.now_ns
-            self._carry(sender, late)
-
     def put(self, can_id: int, data: bytes) -> None:
         """Send a frame of somebody else."""
         self.queue.append((None, frame(can_id, data)))
 
 
+class Talk(Protocol):
+    """A talk with boards: a check, an order, an update."""
+
+    @property
+    def done(self) -> bool:
+        """Whether it has ended."""
+
+    def tick(self, now_s: float, /) -> object:
+        """Go on."""
+
+
 @dataclass
-class World:
-    """The skin, its gateway, and what they said.
+class Skin:
+    """The boards of a skin on their wires, and the clock of all.
 
     Attributes
     ----------
     built : Contract or None
-        What the nodes were built for, where that is not the contract of the gateway.
+        What the nodes were built for, where that is not `contract`.
     """
 
     contract: Contract
     store: Path | None = None
     built: Contract | None = None
-    #: Whether somebody else takes `NmtMaster.recalibrated`.
-    calibrates: bool = False
     now_s: float = 100.0
-    lines: list[str] = field(default_factory=list)
     complaints: list[str] = field(default_factory=list)
-    measured: list[Measurement] = field(default_factory=list)
-    #: Bus and node-ID of nodes whose gains or offsets have become others.
-    recalibrated: list[tuple[int, int]] = field(default_factory=list)
-    #: `wrong_blocks` of the identities of `measured`.
-    _wrong: dict[int, list[int]] = field(default_factory=dict)
     step_s: ClassVar[float] = STEP_S
     wire: ClassVar[type[Wire]] = Wire
-    #: Buses whose interfaces echo a frame before it has been on the bus.
-    early_echoes: ClassVar[tuple[int, ...]] = ()
+    #: How many of the buses there are; 0: all.
+    buses: ClassVar[int] = 0
 
     def __post_init__(self) -> None:
-        layout = self.contract.layout
-        places = self.contract.phi.wired.taxels
-        self.electronics = Witness(layout.taxels, noise_n=0.0, period_s=layout.sync.period_s, places=places)
-        self.sampler = WitnessSampler(self.contract.phi, self.electronics)
-        self.wires = [self.new_wire(bus) for bus in range(len(self.contract.layout.bus))]
+        self.wires = [self.new_wire(bus) for bus in range(self.buses or len(self.contract.layout.bus))]
+        self.hardware = self.new_hardware()
         self.segments = [self.new_segment(bus, self.built or self.contract) for bus in range(len(self.wires))]
         self.power_up()
-        self.gateway = self.new_gateway()
 
     def new_wire(self, bus: int) -> Wire:
         return self.wire()
 
-    def new_segment(self, bus: int, contract: Contract) -> Segment:
+    def new_hardware(self) -> Any:
+        """Return what samples the taxels."""
+        layout, places = self.contract.layout, self.contract.phi.wired.taxels
+        electronics = Witness(layout.taxels, noise_n=0.0, period_s=layout.sync.period_s, places=places)
+        return WitnessSampler(self.contract.phi, electronics)
+
+    def new_boards(self, bus: int, contract: Contract) -> Boards:
         ids = {node.node_id for node in contract.on_bus(bus)}
-        boards = VirtualBoards(contract, bus, ids, self.sampler, store=self.store)
+        return VirtualBoards(contract, bus, ids, self.hardware, store=self.store)
+
+    def new_segment(self, bus: int, contract: Contract) -> Any:
         send = self.wires[bus].nodes.send
-        return Segment(contract, bus, boards, self.sampler, send, complain=self.complaints.append)
+        boards = self.new_boards(bus, contract)
+        return Segment(contract, bus, boards, self.hardware, send, complain=self.complaints.append)
 
     def power_up(self) -> None:
         for segment in self.segments:
             segment.boot(self.now_s)
 
+    def carry(self, hear: Callable[[int, Frames], object]) -> None:
+        """Carry what was sent, and let everybody answer, until nobody says anything more."""
+        for wire in self.wires:
+            wire.now_ns = round(self.now_s * 1e9)
+        while sum(wire.deliver() for wire in self.wires) or any(wire.gateway.has_news for wire in self.wires):
+            for bus, (wire, segment) in enumerate(zip(self.wires, self.segments, strict=True)):
+                if wire.nodes.has_news:
+                    segment.take(wire.nodes.receive(), self.now_s)
+                if wire.gateway.has_news:
+                    hear(bus, wire.gateway.receive())
+
+    def lead(
+        self,
+        talk: Talk,
+        hear: Callable[[int, Frames], object],
+        each_step: Callable[[], object] = lambda: None,
+        at_most_s: float = 60.0,
+    ) -> None:
+        """Lead a talk to its end; `hear` takes what comes of a bus."""
+        end_s = self.now_s + at_most_s
+        while not talk.done:
+            self.now_s += self.step_s
+            assert self.now_s < end_s
+            each_step()
+            talk.tick(self.now_s)
+            for segment in self.segments:
+                segment.tick(self.now_s)
+            self.carry(hear)
+
+    # What another master does
+
+    def nmt(self, bus: int, command: int, node_id: int) -> None:
+        self.wires[bus].put(NMT_COB_ID, bytes((command, node_id)))
+
+    def write(self, bus: int, node_id: int, index: int, subindex: int, data: bytes) -> None:
+        """Write an object by an expedited SDO download."""
+        self.request(bus, node_id, 0x23 | 4 - len(data) << 2, index, subindex, data)
+
+    def write_in_segments(self, bus: int, node_id: int, index: int, subindex: int, data: bytes) -> None:
+        """Write an object of up to seven bytes by a segmented SDO download."""
+        self.request(bus, node_id, 0x21, index, subindex, len(data).to_bytes(4, "little"))
+        segment = bytes((1 | 7 - len(data) << 1,)) + data.ljust(7, b"\0")
+        self.wires[bus].put(SDO_REQUEST_BASE + node_id, segment)
+
+    def request(self, bus: int, node_id: int, command: int, index: int, subindex: int, data: bytes) -> None:
+        """Send an SDO request."""
+        place = index.to_bytes(2, "little") + bytes((subindex,))
+        self.wires[bus].put(SDO_REQUEST_BASE + node_id, bytes((command,)) + place + data.ljust(4, b"\0"))
+
+
+@dataclass
+class World(Skin):
+    """A skin, its gateway, and what they said; `link` and `dropped` are what the gateway's links say of each bus."""
+
+    rates_hz: tuple[float, float] = RATES_HZ
+    #: Whether somebody else takes `NmtMaster.recalibrated`.
+    calibrates: bool = False
+    lines: list[str] = field(default_factory=list)
+    measured: list[Measurement] = field(default_factory=list)
+    #: Bus and node-ID of nodes whose gains or offsets have become others.
+    recalibrated: list[tuple[int, int]] = field(default_factory=list)
+    #: `wrong_blocks` of the identities of `measured`.
+    _wrong: dict[int, list[int]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.link, self.dropped = [State.ACTIVE] * len(self.wires), [0] * len(self.wires)
+        self.gateway = self.new_gateway()
+
+    @property
+    def sampler(self) -> WitnessSampler:
+        """What samples the taxels of boards in Python."""
+        assert isinstance(self.hardware, WitnessSampler)
+        return self.hardware
+
+    @property
+    def electronics(self) -> Witness:
+        """The live taxels of boards in Python."""
+        return self.sampler._witness
+
     def new_gateway(self) -> GatewayLoop:
+        for wire in self.wires:
+            wire.gateway.arriving.clear()
         return GatewayLoop(
             self.contract,
             {bus: wire.gateway.send for bus, wire in enumerate(self.wires)},
             self.now_s,
             say=self.lines.append,
             complain=self.complaints.append,
-            early_echoes=self.early_echoes,
+            rates_hz=self.rates_hz,
+            early_echoes=[bus for bus, wire in enumerate(self.wires) if not wire.proves_echo],
         )
 
     def step(self) -> list[Measurement]:
@@ -291,10 +429,10 @@ class World:
         came: list[Measurement] = []
         self.gateway.tick(self.now_s)
         came += self._compared(self.gateway.send_sync(self.now_s))
-        self.carry()
-        for segment in self.segments:
+        for bus, segment in enumerate(self.segments):
             segment.tick(self.now_s)
-        self.carry()
+            self.hear(bus, frames(0))
+        self.carry(self.hear)
         came += self._compared(self.gateway.measurements(self.now_s))
         self.measured += came
         return came
@@ -304,28 +442,20 @@ class World:
         self._wrong |= {id(each): self._wrong_blocks(each) for each in made}
         return made
 
-    def carry(self) -> None:
-        """Carry what was sent, and let everybody answer, until nobody says anything more."""
-        for wire in self.wires:
-            wire.now_ns = round(self.now_s * 1e9)
-        while sum(wire.deliver() for wire in self.wires) or any(wire.gateway.has_news for wire in self.wires):
-            self._receive()
+    def hear(self, bus: int, arrived: Frames) -> None:
+        """Let the gateway read a bus."""
+        link, dropped = self.link[bus], self.dropped[bus]
+        self.gateway.take(bus, arrived, self.now_s, state=link, dropped=dropped, stamp_error_ns=0)
+        self._learn()
 
-    def _receive(self) -> None:
-        for bus, (wire, segment) in enumerate(zip(self.wires, self.segments, strict=True)):
-            if wire.nodes.has_news:
-                segment.take(wire.nodes.receive(), self.now_s)
-            if wire.gateway.has_news:
-                self.gateway.take(bus, wire.gateway.receive(), self.now_s, stamp_error_ns=0)
-        self.learn()
-
-    def learn(self) -> None:
+    def _learn(self) -> None:
         """Let the witness know of gains and offsets what the gateway has found."""
         for master in self.gateway.masters.values():
             for node in master.recalibrated:
                 self.recalibrated.append((node.bus, node.node_id))
                 chains = self.contract.phi.taxels_of_blocks[node.block : node.block + node.blocks]
-                self.electronics.tell(chains.ravel())
+                if isinstance(self.hardware, WitnessSampler):
+                    self.electronics.tell(chains.ravel())
             if not self.calibrates:
                 master.recalibrated.clear()
 
@@ -344,7 +474,15 @@ class World:
 
     def status(self) -> GatewayStatus:
         """Return all counters."""
-        return self.gateway.status(dict.fromkeys(range(len(self.wires)), (State.ACTIVE, 0)), self.now_s)
+        links = dict(enumerate(zip(self.link, self.dropped, strict=True)))
+        return self.gateway.status(links, self.now_s)
+
+    def until(self, is_so: Callable[[], object], at_most_s: float = 60.0) -> None:
+        """Go on until something is so."""
+        end_s = self.now_s + at_most_s
+        while not is_so():
+            assert self.now_s < end_s, self.lines[-5:]
+            self.step()
 
     def until_whole(self, at_most_s: float) -> float:
         """Go on until every block that sends sums is valid; return how long that took."""
@@ -355,6 +493,11 @@ class World:
         raise AssertionError(
             f"blocks {np.flatnonzero(~valid(self.measured[-1]))} are still not valid: {self.lines[-5:]}"
         )
+
+    def until_sync(self) -> None:
+        """Go on until a SYNC has been sent; the cycle stays open where a bus is held."""
+        sent = self.gateway.sync.sent
+        self.until(lambda: self.gateway.sync.sent > sent)
 
     def wrong_blocks(self, measurement: Measurement) -> list[int]:
         """Return the blocks that are called valid and are not Φ of that cycle's counts."""
@@ -390,47 +533,20 @@ class World:
             truth[places[places >= 0]] = sums[places[places >= 0]]
         return packing.counts(packing.raw(truth))
 
-    # What another master does
-
-    def nmt(self, bus: int, command: int, node_id: int) -> None:
-        self.wires[bus].put(NMT_COB_ID, bytes((command, node_id)))
-
-    def write(self, bus: int, node_id: int, index: int, subindex: int, data: bytes) -> None:
-        """Write an object by an expedited SDO download."""
-        self.request(bus, node_id, 0x23 | 4 - len(data) << 2, index, subindex, data)
-
-    def write_in_segments(self, bus: int, node_id: int, index: int, subindex: int, data: bytes) -> None:
-        """Write an object of up to seven bytes by a segmented SDO download."""
-        self.request(bus, node_id, 0x21, index, subindex, len(data).to_bytes(4, "little"))
-        segment = bytes((1 | 7 - len(data) << 1,)) + data.ljust(7, b"\0")
-        self.wires[bus].put(SDO_REQUEST_BASE + node_id, segment)
-
-    def request(self, bus: int, node_id: int, command: int, index: int, subindex: int, data: bytes) -> None:
-        """Send an SDO request."""
-        place = index.to_bytes(2, "little") + bytes((subindex,))
-        self.wires[bus].put(SDO_REQUEST_BASE + node_id, bytes((command,)) + place + data.ljust(4, b"\0"))
-
 
 def valid(measurement: Measurement) -> npt.NDArray[np.bool_]:
     return np.frombuffer(measurement.valid, np.uint8) == 1
-
-
-def until_sync(world: World) -> None:
-    """Go on until a SYNC has been sent; the cycle stays open where a bus is held."""
-    sent = world.gateway.sync.sent
-    while world.gateway.sync.sent == sent:
-        world.step()
 
 
 def little(value: int, size: int = 4) -> bytes:
     return value.to_bytes(size, "little")
 
 
-def swap_mapping(world: World, bus: int, node_id: int, tpdo: int = 0, *, back: bool = False) -> None:
+def swap_mapping(skin: Skin, bus: int, node_id: int, tpdo: int = 0, *, back: bool = False) -> None:
     """Swap the first two sums of a TPDO, behind the counter, or swap them back, as CiA 301, 7.5.2.38, wants it done."""
-    node = next(each for each in world.contract.on_bus(bus) if each.node_id == node_id)
+    node = next(each for each in skin.contract.on_bus(bus) if each.node_id == node_id)
     cob_id = node.tpdos[tpdo].cob_id | 0x4000_0000
-    entries = [each.data for each in configuration(world.contract, node) if each.index == od.TPDO_MAPPING + tpdo]
+    entries = [each.data for each in configuration(skin.contract, node) if each.index == od.TPDO_MAPPING + tpdo]
     count, first, second = entries[0], *(entries[3:1:-1] if back else entries[2:4])
     communication, mapping = od.TPDO_COMMUNICATION + tpdo, od.TPDO_MAPPING + tpdo
     for index, subindex, data in (
@@ -441,14 +557,14 @@ def swap_mapping(world: World, bus: int, node_id: int, tpdo: int = 0, *, back: b
         (mapping, 0, count),
         (communication, 1, little(cob_id)),
     ):
-        world.write(bus, node_id, index, subindex, data)
+        skin.write(bus, node_id, index, subindex, data)
 
 
 #: Disturbances in each of the four cases: the same ones in every run, or as many random ones as wanted.
-DISTURBANCES = int(os.environ.get("SKIN_DISTURBANCES", "2600"))
+DISTURBANCES: Final = int(os.environ.get("SKIN_DISTURBANCES", "2600"))
 
 
-RANDOM = settings(
+RANDOM: Final = settings(
     derandomize="SKIN_DISTURBANCES" not in os.environ,
     deadline=None,
     suppress_health_check=list(HealthCheck),
@@ -457,7 +573,7 @@ RANDOM = settings(
 
 
 #: After the last disturbance and the pause of a node that is out: a heartbeat, another pause, a proof that runs out.
-BOUND_S = 1.0 + max(PAUSES_S) + 5.0
+BOUND_S: Final = 1.0 + max(PAUSES_S) + 5.0
 
 
 class Losing:
