@@ -62,7 +62,7 @@ def add(folder: Path, *names: str, skin: str | None = None) -> None:
     skin keys add keys gateway reconstructor --skin hand
     """
     authority = Authority(folder)
-    wanted = [_common_name(name, skin or authority.list.skin) for name in names]
+    wanted = _named(authority, names, skin)
     for name in wanted:
         if name in authority.list.holders or authority.keys_of(name).exists():
             raise InputError(f"'{name}' has keys: 'skin keys renew', or add another holder")
@@ -92,7 +92,7 @@ def renew(folder: Path, *names: str, skin: str | None = None, host: Hosts = ()) 
     """
     authority = Authority(folder)
     authority.list.hosts = list(host) or authority.list.hosts
-    _issue(authority, _known(authority, names, skin) or authority.list.allowed)
+    _issue(authority, _known(authority, names, skin) if names else authority.list.allowed)
 
 
 def revoke(folder: Path, *names: str, skin: str | None = None) -> None:
@@ -158,8 +158,14 @@ def _common_name(name: str, skin: str) -> str:
     return f"{skin}:{name}"
 
 
+def _named(authority: Authority, names: Sequence[str], skin: str | None) -> list[str]:
+    if not names:
+        raise InputError("expected ROLE or ROLE:HOLDER, got none: see 'skin keys list'")
+    return [_common_name(name, skin or authority.list.skin) for name in dict.fromkeys(names)]
+
+
 def _known(authority: Authority, names: Sequence[str], skin: str | None) -> list[str]:
-    wanted = [_common_name(name, skin or authority.list.skin) for name in names]
+    wanted = _named(authority, names, skin)
     for name in wanted:
         if name not in authority.list.holders:
             raise InputError(f"'{name}' has no keys: see 'skin keys list'")

@@ -109,6 +109,8 @@ def test_names_that_are_none(folder: Path, name: str, skin: str | None, said: st
 def test_what_is_not_there(folder: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="has no keys: see 'skin keys list'"):
         revoke(folder, "client:nobody")
+    with pytest.raises(InputError, match="expected ROLE or ROLE:HOLDER, got none"):
+        revoke(folder)
     with pytest.raises(InputError, match="expected the name or the address"):
         new(tmp_path / "other", skin="palm", host=("a b",))
     with pytest.raises(InputError, match="expected the list that 'skin keys new' makes"):
