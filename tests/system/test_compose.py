@@ -17,8 +17,9 @@ import numpy as np
 import pytest
 from ruamel.yaml import YAML
 
+from canskin.session import UNIX
 from tests.layouts import slow_layout
-from tests.processes import PATIENCE_S, Processes, free_endpoint, free_port
+from tests.processes import PATIENCE_S, Processes, free_port
 from tests.readonly import Confined, give_compiled, not_here
 from tests.system.helpers import first_image
 
@@ -107,7 +108,8 @@ def test_no_service_gets_more_than_it_needs(services: dict[str, Service]) -> Non
 def test_only_the_page_is_published_and_only_on_this_machine(services: dict[str, Service]) -> None:
     published = {name: service["ports"] for name, service in services.items() if "ports" in service}
     assert published == {"viewer": ["127.0.0.1:8765:8765"]}
-    assert YAML(typ="safe").load(COMPOSE)["networks"]["fabric"] == {"internal": True}
+    for name, service in of_profile(services, "virtual").items():
+        assert (service.get("network_mode") == "none") is (name != "viewer"), name
     for name, service in of_profile(services, "vcan").items():
         assert "0.0.0.0" not in service["command"], name  # noqa: S104 - that is what must not be there
 
@@ -144,12 +146,11 @@ def test_units_and_image_give_the_services_the_same_environment() -> None:
 class Boxes:
     """Runs commands of the compose file as in containers: `folder` has the volumes.
 
-    The services share the machine's network: names of containers are loopback, and ports free ones. The skin is the
-    default one at a rate that every machine keeps.
+    The services share the machine's network: the port of the page is a free one. The skin is the default one at a rate
+    that every machine keeps.
     """
 
     folder: Path
-    endpoint: str
     page_port: str
 
     def command(self, words: list[str], *, caches: bool = True) -> list[str]:
@@ -162,7 +163,6 @@ class Boxes:
         return Confined(image_environment(), volumes, user_id=int(uid[1])).words(*map(self._word, words))
 
     def _word(self, word: str) -> str:
-        word = re.sub(r"^tcp/(gateway|0\.0\.0\.0|127\.0\.0\.1):7447$", self.endpoint, word)
         return re.sub(r"(?<!\d)8765(?!\d)", self.page_port, word)
 
     def service(self, service: Service, **options: bool) -> list[str]:
@@ -186,7 +186,7 @@ def boxes(tmp_path_factory: pytest.TempPathFactory) -> Boxes:
     folder = tmp_path_factory.mktemp("compose")
     (folder / "run").mkdir(mode=0o700)
     give_compiled(folder / "cache")
-    return Boxes(folder, free_endpoint(), str(free_port()))
+    return Boxes(folder, str(free_port()))
 
 
 @pytest.mark.slow
@@ -199,7 +199,7 @@ def test_the_commands_as_written_give_measurements_images_and_health(
             running.start(name, *boxes.service(service))
             running.await_words("bus", "ready")
         running.await_words("viewer", "web page")  # the hub is there
-        image = first_image(running, boxes.endpoint)
+        image = first_image(running, f"{UNIX}/{boxes.folder}/run/hub")
         assert np.frombuffer(image.pixels, "<f4").size == 64 * 64
         for name, service in virtual.items():
             running.until(lambda service=service: boxes.is_healthy(service), f"{name} to be healthy")  # type: ignore[misc]
