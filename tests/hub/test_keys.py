@@ -137,7 +137,7 @@ def test_a_socket_of_the_user_needs_no_keys(authority: Authority, tmp_path: Path
 def test_a_hub_has_the_names_of_its_certificate_alone(authority: Authority) -> None:
     port = free_port()
     session = open_hub(f"tls/0.0.0.0:{port}", Keys(authority.folder / "hub"))
-    assert "its certificate has other addresses" in refusal(f"tls/127.0.0.2:{port}", Keys(authority.folder / "client"))
+    assert "its certificate has other names" in refusal(f"tls/127.0.0.2:{port}", Keys(authority.folder / "client"))
     session.close()
 
 
