@@ -3,10 +3,11 @@
 import os
 import re
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from typing import Final
 
 from canskin.roles import Action, roles_for
+from canskin.text import plain
 
 #: Most lines about one holder, who may invent names without end.
 MOST_LINES: Final = 20
@@ -15,16 +16,16 @@ NAME_MAX: Final = 100
 #: Most sessions whose holders are known: those of denials, the newest.
 MOST_SESSIONS: Final = 4096
 _CHUNK: Final = 1 << 20
+#: What a line that counts has; most lines have neither.
+_PARTS: Final = (b" (ingress) ", b"): caching ", b" did not match ")
 #: A line of zenoh begins with a colour, which it escapes in the names of programs: they cannot imitate a line.
 _LINE: Final = re.compile(
     rb"\x1b\[2m\S+ .*?(?P<thread>ThreadId\(\d+\)).*?access_control.*?\x1b\[0m (?:"
-    rb"(?P<ahead>ACL \(ingress\): caching permissions)"
+    rb"ACL \((?P<ahead>ingress|egress)\): caching permissions"
     rb"|(?P<stranger>\w+) did not match any configured ACL subject"
     rb"|(?:Using cached result: )?(?P<session>\w+)(?: on .*?CertCommonName\((?P<holder>.*?)\)\+.*?)?"
     rb" is (?P<denied>un)?authorized to (?P<what>[\w/ ]+) \(ingress\) on (?P<key>.*))"
 )
-#: The last of the permissions that zenoh looks up ahead for a new key.
-_LAST_AHEAD: Final = "Declare Liveliness Subscriber"
 _ACTIONS: Final[dict[str, Action]] = {
     "Put": "put",
     "Declare Subscriber": "subscribe",
@@ -42,11 +43,11 @@ class Denials:
     ----------
     say : callable
         Takes a line.
-    revoked : set of str
+    revoked : collection of str
         Common names of keys that are revoked.
     """
 
-    def __init__(self, say: Callable[[str], None], revoked: frozenset[str] = frozenset()) -> None:
+    def __init__(self, say: Callable[[str], None], revoked: Collection[str] = ()) -> None:
         self._say, self._revoked = say, revoked
         self._holders: dict[bytes, str] = {}
         self._ahead: set[bytes] = set()
@@ -55,15 +56,15 @@ class Denials:
     def take(self, content: bytes) -> None:
         """Take whole lines of zenoh."""
         for line in content.split(b"\n"):
-            if b"(ingress)" in line or b"did not match" in line:
+            if any(part in line for part in _PARTS):
                 self._take(line)
 
     def _take(self, line: bytes) -> None:
         found = _LINE.match(line)
         if found is None:
             return
-        if found["ahead"]:
-            self._ahead.add(found["thread"])
+        if found["ahead"]:  # of a new key: first all decisions for what comes in, then those for what goes out
+            (self._ahead.add if found["ahead"] == b"ingress" else self._ahead.discard)(found["thread"])
         elif found["stranger"]:
             self._tell("keys that are not in the list of holders", "may do nothing: copy the hub's keys here again")
         else:
@@ -74,12 +75,9 @@ class Denials:
             if len(self._holders) >= MOST_SESSIONS:
                 self._holders.pop(next(iter(self._holders)))
             self._holders[found["session"]] = plain(found["holder"].decode(errors="replace"))
-        what = found["what"].decode()
-        if found["thread"] in self._ahead:
-            if what == _LAST_AHEAD:
-                self._ahead.discard(found["thread"])
-        elif found["denied"] and (holder := self._holders.get(found["session"])) is not None:
-            self._deny(holder, what, found["key"].decode(errors="replace"))
+        holder = self._holders.get(found["session"])
+        if found["denied"] and holder is not None and found["thread"] not in self._ahead:
+            self._deny(holder, found["what"].decode(), found["key"].decode(errors="replace"))
 
     def _deny(self, holder: str, what: str, key: str) -> None:
         if holder in self._revoked:
@@ -102,11 +100,6 @@ class Denials:
         self._say(f"{holder} {text}" if len(said) <= MOST_LINES else f"{holder}: no more of its denials are told")
 
 
-def plain(text: str) -> str:
-    """Return a text as one line, with escapes for what does not print."""
-    return text if text.isprintable() else ascii(text)[1:-1]
-
-
 def read_stdout(take: Callable[[bytes], None]) -> None:
     """Give `take` all that this process prints to stdout from now on, in whole lines, in a thread of its own."""
     reading, writing = os.pipe()
@@ -123,3 +116,9 @@ def read_stdout(take: Callable[[bytes], None]) -> None:
                 rest = rest[-_CHUNK:]
 
     threading.Thread(target=read, name="denials", daemon=True).start()
+
+
+def ignore_stdout() -> None:
+    """End `read_stdout`."""
+    with open(os.devnull, "wb") as nothing:  # noqa: PTH123
+        os.dup2(nothing.fileno(), 1)

@@ -5,7 +5,7 @@ from contextlib import closing
 
 from canskin.keys import environment_keys
 from canskin.session import DEFAULT_ENDPOINT, checked, open_hub, print_denials
-from hub.denials import Denials, read_stdout
+from hub.denials import Denials, ignore_stdout, read_stdout
 from hub.holders import read_holders
 from hub.rules import access_control
 from shell.service import StopSignal, request_real_time, say
@@ -38,12 +38,12 @@ def hub(*, listen: str = DEFAULT_ENDPOINT, insecure: Insecure = False) -> None:
     if keys is not None:
         keys.tell_end("hub")
         rules = access_control(keys.folder)
-        listed = read_holders(keys.folder).holders
-        revoked = frozenset(name for name, each in listed.items() if each.is_revoked)
+        revoked = read_holders(keys.folder).revoked
         read_stdout(Denials(lambda text: say("hub", text), revoked).take)
         print_denials()
-        say("hub", f"keys of {len(listed) - len(revoked)} holders, {len(revoked)} revoked")
     with closing(open_hub(endpoint, keys, rules)):
         say("hub", f"listens on {endpoint}: give that to 'skin gateway' and all others as --connect")
         request_real_time("hub")
         stop.wait(math.inf)
+        if rules is not None:
+            ignore_stdout()  # while zenoh closes, Python might read no more, and zenoh would wait

@@ -37,10 +37,10 @@ def access_control(folder: Path) -> dict[str, Any]:
     """
     holders = read_holders(folder)
     names: defaultdict[str, list[str]] = defaultdict(list)
-    for common_name, each in holders.holders.items():
+    for common_name in holders.until:
         skin, role, *_ = common_name.split(":")
         if role in ROLES:
-            names[_REVOKED if each.is_revoked else f"{skin}:{role}"].append(common_name)
+            names[_REVOKED if common_name in holders.revoked else f"{skin}:{role}"].append(common_name)
     if not names:
         raise InputError(f"{folder}: the list has no holder of keys: 'skin keys add'")
     rules, policies = [], []

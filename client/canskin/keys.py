@@ -33,11 +33,8 @@ _NO_CHECK_TIME: Final = 0x200000
 #: OpenSSL's codes for what is wrong with a hub's certificate.
 _OF_HUB: Final = {
     10: "its certificate has ended: 'skin keys renew', and start the hub again with the new files",
-    18: "its certificate is of another authority",
-    19: "its certificate is of another authority",
-    20: "its certificate is of another authority",
-    62: "its certificate has other names: 'skin keys renew --host' with the name or address of the hub's machine",
-    64: "its certificate has other addresses: 'skin keys renew --host' with the name or address of the hub's machine",
+    **dict.fromkeys((7, 18, 19, 20), "its certificate is of another authority"),
+    **dict.fromkeys((62, 64), "its certificate has other names: 'skin keys renew --host' with that of this endpoint"),
 }
 #: Parts of OpenSSL's names for what a hub answers to a holder's certificate.
 _OF_HOLDER: Final = {

@@ -111,9 +111,9 @@ def test_renewed_keys_are_read_when_those_before_end(authority: Authority, hub: 
 def test_a_service_says_that_its_keys_end_soon(
     authority: Authority, hub: str, caplog: pytest.LogCaptureFixture
 ) -> None:
-    Fabric("palm", "viewer", hub, keys=Keys(authority.folder / "client")).close()
+    Fabric("palm", "client", hub, keys=Keys(authority.folder / "client")).close()
     assert not caplog.messages
-    Fabric("palm", "viewer", hub, keys=Keys(issue_for(authority, "client", 2.2 * 86400))).close()
+    Fabric("palm", "client", hub, keys=Keys(issue_for(authority, "client", 2.2 * 86400))).close()
     assert caplog.messages == [f"the keys {authority.folder / 'client'} end in 2 days: 'skin keys renew'"]
 
 
@@ -137,7 +137,7 @@ def test_a_socket_of_the_user_needs_no_keys(authority: Authority, tmp_path: Path
 def test_a_hub_has_the_names_of_its_certificate_alone(authority: Authority) -> None:
     port = free_port()
     session = open_hub(f"tls/0.0.0.0:{port}", Keys(authority.folder / "hub"))
-    assert "its certificate has other addresses" in refusal(f"tls/127.0.0.2:{port}", Keys(authority.folder / "client"))
+    assert "its certificate has other names" in refusal(f"tls/127.0.0.2:{port}", Keys(authority.folder / "client"))
     session.close()
 
 

@@ -32,7 +32,7 @@ class Hub:
         authority = make_authority(folder, *ROLES, "client:lost", "operator:anna")
         for role in ROLES:
             authority.issue(f"hand:{role}")
-        authority.list.holders["palm:client:lost"].is_revoked = True
+        authority.list.revoked.append("palm:client:lost")
         authority.write_list()
         self.folder, self.endpoint = folder, f"tls/127.0.0.1:{free_port()}"
         self.session = open_hub(self.endpoint, Keys(folder / "hub"), access_control(folder / "hub"))
