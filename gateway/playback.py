@@ -21,6 +21,7 @@ from canskin.messages import GatewayStatus, Measurement, SteppedMeasurement
 from dbc.canopen import SYNC_COB_ID
 from dbc.contract import Contract, NodeContract
 from dbc.frame import ECHO, ERROR, EXTENDED, FD, REMOTE, Frames, frames
+from gateway.batch import batch_of
 from gateway.cycle_gathering import GRACE, CycleGathering
 from gateway.cycles import mean_rate_hz
 from gateway.gathering import Health, Sync
@@ -214,7 +215,7 @@ class SteppedPlayback:
 
     def __init__(self, contract: Contract, buses: Collection[int]) -> None:
         self.held = 0
-        self._phi = contract.phi
+        self._phi, self._table = contract.phi, contract.parts
         self._is_told = np.zeros(contract.phi.shape[0], np.bool_)
         nothing = lambda *_: None  # noqa: E731  nothing is sent, used or said
         masters = {number: NmtMaster(contract, number, nothing, nothing, nothing) for number in sorted(buses)}
@@ -235,7 +236,7 @@ class SteppedPlayback:
         for bus, waiting in self._frames.items():
             end_ns = np.maximum.accumulate(waiting["time_ns"])
             end = int(np.searchsorted(end_ns, newest_ns[bus] + _STAMP_NS, "right"))
-            self._gathering.take(bus, waiting[:end], self._health, now_s)
+            self._take(bus, waiting[:end], now_s)
             self._frames[bus] = waiting[end:]
         made = check_measurement(self._gathering.measure(now_s, 0), self._phi, SteppedMeasurement)
         is_known, is_held = (np.frombuffer(each.known, np.uint8) != 0 for each in (recorded, made))
@@ -255,7 +256,10 @@ class SteppedPlayback:
         for node in nodes:
             self._gathering.trust(node, proven=True)
         for bus in self._frames:
-            self._gathering.take(bus, frames(0), self._health, now_s)
+            self._take(bus, frames(0), now_s)
+
+    def _take(self, bus: int, came: Frames, now_s: float) -> None:
+        self._gathering.take(batch_of(came, bus, self._table), self._health, now_s)
 
 
 class _Ready:

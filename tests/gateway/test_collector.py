@@ -14,6 +14,7 @@ from dbc.canopen import SYNC_COB_ID
 from dbc.codec import encode
 from dbc.contract import Contract, sync_frame
 from dbc.frame import ECHO, ERROR, EXTENDED, FD, FRAME, REMOTE, Frames, frames
+from gateway.batch import Batch, batch_of
 from gateway.collector import Collector, Gathered
 from gateway.cycle_gathering import CycleGathering
 from gateway.gathering import Health
@@ -72,7 +73,10 @@ class Skin:
         )
 
     def take(self, bus: int, *parts: Frames, stamp_error_ns: int | None = 0) -> None:
-        self.collector.take(bus, np.concatenate([frames(0), *parts]), stamp_error_ns)
+        self.collector.take(self.batch(bus, *parts), stamp_error_ns)
+
+    def batch(self, bus: int, *parts: Frames) -> Batch:
+        return batch_of(np.concatenate([frames(0), *parts]), bus, self.contract.table)
 
     def close(self, cycle: int) -> str:
         """Close a cycle; check its valid sums; return which blocks are valid, as 0 and 1."""
@@ -340,15 +344,9 @@ def test_frames_lost_by_the_gateway_itself_may_be_a_foreign_sync_and_cost_the_op
     cycle = skin.begin()
     health = Health()
     health.look(State.ACTIVE, 1, 0, tells_loss=False)
-    gathering.take(0, skin.answers(cycle, 0, 1), health, 0.0)
+    gathering.take(skin.batch(0, skin.answers(cycle, 0, 1)), health, 0.0)
     assert skin.cycle_of() == "0011"
     assert skin.whole() == "1111"
-
-
-def test_foreign_syncs_are_counted_from_the_last_question_on() -> None:
-    skin = Skin()
-    skin.take(1, *[frame(SYNC_COB_ID, b"\1")] * 3)
-    assert [skin.collector.take_foreign_syncs(bus) for bus in (0, 1, 1)] == [0, 3, 0]
 
 
 @pytest.mark.parametrize(("stamp_error_ns", "error_ns"), [(1_000, 701_000), (None, 900_000)])

@@ -183,5 +183,5 @@ def test_absent_nodes_do_not_take_the_turns_of_others() -> None:
 @pytest.mark.parametrize("flags", [ECHO, ECHO | ERROR, ERROR, EXTENDED, REMOTE])
 def test_own_extended_remote_and_error_frames_are_no_heartbeats(small: Contract, flags: int) -> None:
     master = NmtMaster(small, 0, lambda *_: None, lambda *_: None, lambda _: None)
-    master.take(batch_of(frame(HEARTBEAT_BASE + 1, b"\5", flags)).talk, 0.0)
+    master.take(batch_of(frame(HEARTBEAT_BASE + 1, b"\5", flags), 0, small.table).talk, 0.0)
     assert master.nmt.tolist() == [SILENT, SILENT]

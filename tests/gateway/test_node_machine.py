@@ -64,6 +64,7 @@ class Boards:
         self.commands: list[tuple[int, int]] = []
         self.commanded_s: list[float] = []
         self._waiting: list[tuple[int, bytes]] = []
+        self._table = contract.table
         use = lambda node, used: self._use(node.node_id, used)  # noqa: E731
         self.master = NmtMaster(contract, 0, self._send, use, self.lines.append)
         self._beat_s = self.now_s
@@ -95,7 +96,7 @@ class Boards:
 
     def hear(self, can_id: int, data: bytes, flags: int = 0, time_ns: int | None = None) -> None:
         time_ns = round(self.now_s * 1e9) if time_ns is None else time_ns
-        self.master.take(batch_of(frame(can_id, data, flags, time_ns=time_ns)).talk, self.now_s)
+        self.master.take(batch_of(frame(can_id, data, flags, time_ns=time_ns), 0, self._table).talk, self.now_s)
 
     def beat(self, node_id: int, state: int) -> None:
         self.hear(HEARTBEAT_BASE + node_id, bytes((state,)))
