@@ -11,11 +11,12 @@ RUN python -m venv /opt/canskin \
     && /opt/canskin/bin/pip install --no-cache-dir ${WHEELS:+--no-index --find-links "/src/$WHEELS"} ./client .
 
 FROM ${BASE}
-# Sockets of the virtual buses, and what is worth keeping: compiled kernels, trained classifiers, the zero.
+# Sockets of the virtual buses and of the hub, and what is worth keeping: compiled kernels, trained classifiers, the zero.
 RUN useradd --system --uid 10001 --no-create-home --home-dir /var/cache/canskin skin \
     && install --directory --owner=skin --mode=0700 /run/canskin /var/cache/canskin
 COPY --from=build /opt/canskin /opt/canskin
 ENV PATH=/opt/canskin/bin:$PATH \
+    XDG_RUNTIME_DIR=/run \
     SKIN_BUS_DIR=/run/canskin \
     SKIN_CACHE=/var/cache/canskin \
     NUMBA_CACHE_DIR=/var/cache/canskin/numba \

@@ -21,7 +21,7 @@ LAYOUTS: Final = ("default", "steps", "hand", "analogue")
 
 def reference() -> str:
     """Return the page."""
-    verbs = ((f"`skin {verb}`", summary(docstring(where)), where.partition(":")[0]) for verb, where in VERBS.items())
+    verbs = ((f"`skin {verb}`", summary(docstring(where))) for verb, where in VERBS.items())
     kinds = {
         id(each): each for module in (messages, description, calibration_messages) for each in vars(module).values()
     }
@@ -38,13 +38,14 @@ def reference() -> str:
     return "\n".join([
         "# Reference",
         "\n`make docs` writes this page from the code. Keys of a layout: `docs/layout.md`.",
-        *_table("Verbs", ("verb", "what it does", "module"), verbs),
-        "\n`--help` of a verb explains every option.",
+        *_table("Verbs", ("verb", "what it does"), verbs),
+        "\n`--help` of a verb explains every option; `VERBS` in `shell/command.py` says where its code is.",
         *_table("Topics of the fabric", ("topic", "message", "content"), topics),
         "\nQuestions that a service answers:\n",
         *_rows(("question", "request, reply", "what is asked"), questions),
-        *_table("Objects of a node", ("object", "name", "access"), _objects()),
-        f"\nObjects of each further block are {BLOCK_STRIDE:X}h higher. Meanings: `docs/bus.md`, `docs/steps.md`.",
+        *_table("Objects of a node", ("object", "name"), _objects()),
+        f"\nObjects of each further block are {BLOCK_STRIDE:X}h higher. `skin node objects` lists types and access.",
+        "Meanings: `docs/bus.md`, `docs/steps.md`.",
         "",
     ])  # fmt: skip
 
@@ -53,17 +54,12 @@ def _about(kind: type) -> str:
     return summary(inspect.getdoc(kind) or "")
 
 
-def _objects() -> Iterator[tuple[str, str, str]]:
+def _objects() -> Iterator[tuple[str, str]]:
     """Yield each object of the first nodes of `LAYOUTS` once, by index."""
-    found: dict[int, tuple[str, set[str]]] = {}
-    for name in LAYOUTS:
-        contract = Contract.from_layout(load_layout(Path(name)))
-        for each in dictionary(contract, contract.nodes[0]):
-            access = {f"{each.access}{', PDO' * each.pdo}"} if each.subindex != 0 else set()
-            title, known = found.get(each.index, (each.group or each.name, set()))
-            found[each.index] = title, known | access
-    for index, (title, access) in sorted(found.items()):
-        yield f"{index:04X}h", title, " or ".join(sorted(access))
+    contracts = [Contract.from_layout(load_layout(Path(name))) for name in LAYOUTS]
+    found = {each.index: each.group or each.name for skin in contracts for each in dictionary(skin, skin.nodes[0])}
+    for index, title in sorted(found.items()):
+        yield f"{index:04X}h", title
 
 
 def _table(heading: str, head: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> list[str]:

@@ -217,7 +217,6 @@ def close_cycle(  # noqa: PLR0917  compiled functions take no keywords
     slot: int,
     turn: int,
     turns: int,
-    leaves_out_doubtful: bool,
     block_of_sum: npt.NDArray[np.intp],
     bits: int,
     is_signed: bool,
@@ -236,7 +235,7 @@ def close_cycle(  # noqa: PLR0917  compiled functions take no keywords
             if state.answers.turn[row] == turn:
                 state.counts[MISSING] += 1
                 state.missing_of_node[table.node[row]] += 1
-        elif is_proven and not (cycles.spoilt[slot, row] and leaves_out_doubtful):
+        elif is_proven and not cycles.spoilt[slot, row]:
             read_raw(cycles.payload[slot, row], table.gather[row], bits, is_signed, state.raw)
             age[row] = 0
         if age[row] >= turns:
@@ -261,13 +260,10 @@ class Collector:
         Nodes that sent a TPDO since the array was last cleared.
     expected : array of bool, shape (nodes,)
         Nodes that a cycle waits for; frames of other nodes are used when they are in time.
-    leaves_out_doubtful : bool
-        Whether complete blocks are left out whose frames may be of another cycle.
     """
 
     def __init__(self, contract: Contract, early_echoes: Collection[int] = ()) -> None:
         self.expected = np.ones(len(contract.nodes), np.bool_)
-        self.leaves_out_doubtful = True
         self._contract, self._table, self._phi = contract, contract.table, contract.phi
         self._early_echoes = early_echoes
         self._block_of_sum = np.ascontiguousarray(contract.phi.block_of_sum)
@@ -358,7 +354,6 @@ class Collector:
             slot,
             self._contract.turn_of(counter),
             self._contract.turns,
-            self.leaves_out_doubtful,
             self._block_of_sum,
             packing.bits,
             packing.is_signed,

@@ -1,7 +1,7 @@
 """The gateway's loop in recorded time: recorded frames in, measurements out. Nothing is sent, and no clock is read.
 
 The loop does what it does live with frames, but for what frames do not tell. Which nodes are proven, their boot-up
-messages and starts tell (`gateway.inferred_proofs`), or the live validity. Each SYNC as the layout has it counts as the
+messages and starts tell (`gateway.inferred_proofs`). Each SYNC as the layout has it counts as the
 gateway's. A cycle ends when all frames of every node have come, or when it is out of time on the clock of the frames. A
 live gateway reads its frames a little later than they end, so it ends a cycle with the same frames or with fewer: a
 block that was valid live is valid here and has the same sums.
@@ -17,25 +17,19 @@ from bus.link import State
 from calibration.calibrator import Calibrator
 from calibration.offline import calibrated
 from canskin.errors import InputError
-from canskin.messages import GatewayStatus, Measurement, SteppedMeasurement
+from canskin.messages import GatewayStatus, Measurement
 from dbc.canopen import SYNC_COB_ID
-from dbc.contract import Contract, NodeContract
+from dbc.contract import Contract
 from dbc.frame import ECHO, ERROR, EXTENDED, FD, REMOTE, Frames, frames
-from gateway.batch import batch_of
-from gateway.cycle_gathering import GRACE, CycleGathering
+from gateway.cycle_gathering import GRACE
 from gateway.cycles import mean_rate_hz
-from gateway.gathering import Health, Sync
+from gateway.gathering import Sync
 from gateway.inferred_proofs import Change, InferredProofs
 from gateway.loop import GatewayLoop
-from gateway.nmt_master import NmtMaster
-from gateway.stepped_gathering import SteppedGathering
-from skin.measured_sums import check_measurement
 from skin.sync_counter import SYNC_OVERFLOW
 
 #: A late SYNC of one bus may come after the next SYNC of another bus, but not later.
 _CYCLES_IN_FLIGHT: Final = 2
-#: Time stamps of the gateway and of the recorder differ by less. The shortest frame takes longer.
-_STAMP_NS: Final = 5_000
 #: Of this number of frames with sums at least one is used: the first byte of a frame without counter is that of an open
 #: cycle by chance.
 _NAMED: Final = 10
@@ -56,9 +50,6 @@ class Playback:
         Wall clock minus the clock of the frames.
     calibrator : Calibrator, optional
         Puts offsets into the measurements.
-    leaves_out_doubtful : bool
-        Find out which complete blocks a gateway uses. Otherwise all complete blocks are valid: who has the live
-        validity knows better.
 
     Attributes
     ----------
@@ -74,7 +65,6 @@ class Playback:
         wall_offset_ns: int = 0,
         *,
         calibrator: Calibrator | None = None,
-        leaves_out_doubtful: bool = True,
     ) -> None:
         self.cycles = 0
         self._calibrator = calibrator
@@ -88,13 +78,8 @@ class Playback:
         for node in contract.nodes:
             if node.bus in sends:
                 self._loop.gathering.trust(node, proven=True)
-        if not leaves_out_doubtful and isinstance(self._loop.gathering, CycleGathering):
-            self._loop.gathering.collector.leaves_out_doubtful = False
         self._nodes = {(node.bus, node.node_id): node for node in contract.nodes}
-        self._proofs = {
-            number: InferredProofs([node.node_id for node in contract.on_bus(number)] if leaves_out_doubtful else ())
-            for number in sends
-        }
+        self._proofs = {number: InferredProofs([node.node_id for node in contract.on_bus(number)]) for number in sends}
         self._waiting: dict[int, list[Frames]] = {number: [] for number in sends}
         self._ready = {number: _Ready(frames(0)) for number in sends}
         #: The newest cycles: counter, time of the first SYNC, and the buses whose SYNC has come.
@@ -191,75 +176,6 @@ class Playback:
         self._made += self._loop.measurements(time_ns * 1e-9, self._wall_offset_ns)
         for master in self._loop.masters.values():
             master.emergencies.clear()
-
-
-class SteppedPlayback:
-    """Makes the sums of recorded stepped measurements anew, of the frames that were in them.
-
-    When a measurement was made live depends on the gateway's clock. `Measurement.bus_sampled_ns` tells which frames
-    were in the sums: those up to the newest of each bus. States and times of the blocks are those of the recording.
-
-    A recording may begin after the gateway. A sum is that of the frames from the first measurement on in which the
-    frames give the recorded value, or in which the gateway held none; before, it is the recorded one.
-
-    Parameters
-    ----------
-    buses : collection of int
-        Numbers of the recorded buses.
-
-    Attributes
-    ----------
-    held : int
-        Sums so far that are the recorded ones.
-    """
-
-    def __init__(self, contract: Contract, buses: Collection[int]) -> None:
-        self.held = 0
-        self._phi, self._table = contract.phi, contract.parts
-        self._is_told = np.zeros(contract.phi.shape[0], np.bool_)
-        nothing = lambda *_: None  # noqa: E731  nothing is sent, used or said
-        masters = {number: NmtMaster(contract, number, nothing, nothing, nothing) for number in sorted(buses)}
-        self._gathering = SteppedGathering(contract, masters, 0.0)
-        self._nodes = [node for node in contract.nodes if node.bus in masters]
-        self._frames: dict[int, Frames] = {number: frames(0) for number in masters}
-        self._health = Health()
-        self._begin(self._nodes, 0.0)
-
-    def feed(self, bus: int, logged: Frames) -> None:
-        """Take frames of a bus, in bus order."""
-        self._frames[bus] = np.concatenate((self._frames[bus], with_echoes(logged)))
-
-    def measured(self, recorded: SteppedMeasurement) -> SteppedMeasurement:
-        """Return a recorded measurement with the sums that its frames give; all of these frames have been fed."""
-        newest_ns = np.frombuffer(recorded.bus_sampled_ns, "<i8")
-        now_s = float(newest_ns.max()) * 1e-9
-        for bus, waiting in self._frames.items():
-            end_ns = np.maximum.accumulate(waiting["time_ns"])
-            end = int(np.searchsorted(end_ns, newest_ns[bus] + _STAMP_NS, "right"))
-            self._take(bus, waiting[:end], now_s)
-            self._frames[bus] = waiting[end:]
-        made = check_measurement(self._gathering.measure(now_s, 0), self._phi, SteppedMeasurement)
-        is_known, is_held = (np.frombuffer(each.known, np.uint8) != 0 for each in (recorded, made))
-        sums, live = (np.frombuffer(each.sums, "<i4") for each in (made, recorded))
-        self._is_told |= ~is_known | (is_held & (sums == live))
-        self.held += int((is_known & ~self._is_told).sum())
-        sums = np.where(self._is_told, sums, live)
-        starts = self._phi.starts
-        gone = [node for node in self._nodes if not is_known[starts[node.block] : starts[node.block + 1]].any()]
-        self._begin(gone, now_s)
-        return msgspec.structs.replace(
-            recorded, sums=np.where(is_known, sums, 0).astype("<i4").tobytes(), fingerprint=made.fingerprint
-        )
-
-    def _begin(self, nodes: Collection[NodeContract], now_s: float) -> None:
-        """Forget the sums of nodes, and use their frames that come from now on."""
-        for node in nodes:
-            self._gathering.trust(node, proven=True)
-        for bus in self._frames:
-            self._take(bus, frames(0), now_s)
-
-    def _take(self, bus: int, came: Frames, now_s: float) -> None:
-        self._gathering.take(batch_of(came, bus, self._table), self._health, now_s)
 
 
 class _Ready:

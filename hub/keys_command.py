@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Final
 
-import msgspec
 from cyclopts import Parameter
 
 from canskin.errors import InputError
@@ -13,10 +12,10 @@ from canskin.keys import HUB
 from canskin.roles import ROLES
 from hub.authority import Authority, new_authority
 from hub.holders import read_holders
-from shell.terminal import Json, print_json, print_table
-from skin.layout_keys import Name
+from shell.terminal import print_table
 
-_HOLDER: Final = re.compile(r"[A-Za-z0-9_-]+")
+#: A common name; 64 characters are the most (RFC 5280, upper bound of X520CommonName).
+_NAME: Final = re.compile(rf"(?=.{{1,64}}$)[a-z][a-z0-9_]*:({'|'.join((HUB, *ROLES))})(:[A-Za-z0-9_-]+)?")
 Hosts = Annotated[tuple[str, ...], Parameter(name="--host")]
 
 
@@ -40,11 +39,11 @@ def new(folder: Path, *, skin: str, host: Hosts = ()) -> None:
     skin keys new keys --skin palm
     skin keys new keys --skin palm --host robot.local 10.0.0.5
     """
-    names = [_common_name(role, skin) for role in (HUB, *ROLES)]
+    names = _common_names(skin, (HUB, *ROLES))
     _issue(new_authority(folder, skin, host), names)
 
 
-def add(folder: Path, *names: str, skin: str | None = None) -> None:
+def add(folder: Path, *names: str) -> None:
     """Make keys of new holders, so that each can be revoked alone.
 
     Parameters
@@ -52,24 +51,22 @@ def add(folder: Path, *names: str, skin: str | None = None) -> None:
     folder
         Folder of ``skin keys new``.
     names
-        ROLE or ROLE:HOLDER.
-    skin
-        Another skin on the same hub.
+        ROLE, ROLE:HOLDER, or SKIN:ROLE and SKIN:ROLE:HOLDER for another skin on the same hub.
 
     Examples
     --------
     skin keys add keys client:laptop7 operator:anna
-    skin keys add keys gateway reconstructor --skin hand
+    skin keys add keys hand:gateway hand:reconstructor
     """
     authority = Authority(folder)
-    wanted = [_common_name(name, skin or authority.list.skin) for name in names]
+    wanted = _common_names(authority.list.skin, names)
     for name in wanted:
-        if name in authority.list.holders or authority.keys_of(name).exists():
+        if authority.keys_of(name).exists():
             raise InputError(f"'{name}' has keys: 'skin keys renew', or add another holder")
     _issue(authority, wanted)
 
 
-def renew(folder: Path, *names: str, skin: str | None = None, host: Hosts = ()) -> None:
+def renew(folder: Path, *names: str, host: Hosts = ()) -> None:
     """Make new keys and certificates for another year; those before count until they end.
 
     A program reads its new files when it connects again; the hub must be started again.
@@ -79,9 +76,7 @@ def renew(folder: Path, *names: str, skin: str | None = None, host: Hosts = ()) 
     folder
         Folder of ``skin keys new``.
     names
-        ROLE or ROLE:HOLDER; default: all that are not revoked.
-    skin
-        Another skin on the same hub.
+        See ``skin keys add``; default: all that are not revoked.
     host
         Names and addresses of the hub's machine, in place of those before.
 
@@ -92,10 +87,10 @@ def renew(folder: Path, *names: str, skin: str | None = None, host: Hosts = ()) 
     """
     authority = Authority(folder)
     authority.list.hosts = list(host) or authority.list.hosts
-    _issue(authority, _known(authority, names, skin) or authority.list.allowed)
+    _issue(authority, _known(authority, names or authority.list.allowed))
 
 
-def revoke(folder: Path, *names: str, skin: str | None = None) -> None:
+def revoke(folder: Path, *names: str) -> None:
     """Let keys count no longer: lost or stolen ones.
 
     Parameters
@@ -103,9 +98,7 @@ def revoke(folder: Path, *names: str, skin: str | None = None) -> None:
     folder
         Folder of ``skin keys new``.
     names
-        ROLE or ROLE:HOLDER.
-    skin
-        Another skin on the same hub.
+        See ``skin keys add``.
 
     Examples
     --------
@@ -113,55 +106,48 @@ def revoke(folder: Path, *names: str, skin: str | None = None) -> None:
     skin keys revoke keys viewer operator:anna
     """
     authority = Authority(folder)
-    for name in _known(authority, names, skin):
-        authority.list.holders[name].is_revoked = True
-        print(f"{name} is revoked")
+    authority.list.revoked = sorted({*authority.list.revoked, *_known(authority, names)})
     authority.write_list()
-    hub = authority.keys_of(f"{authority.list.skin}:{HUB}")
-    print(f"now copy {hub} to the hub's machine, and start the hub again")
+    print(f"revoked: now copy {folder / HUB} to the hub's machine, and start the hub again")
 
 
-def list_(folder: Path, *, json: Json = False) -> None:
+def list_(folder: Path) -> None:
     """List the holders of keys: who, in which role, until when.
 
     Parameters
     ----------
     folder
         Folder of ``skin keys new``, or of the hub's keys.
-    json
-        Print one JSON object.
 
     Examples
     --------
     skin keys list keys
-    skin keys list /etc/canskin/keys/hub --json
+    skin keys list /etc/canskin/keys/hub
     """
     holders = read_holders(folder)
-    if json:
-        print_json(holders)
-        return
     rows = (
-        (*f"{name}:".split(":", 3)[:3], each.until, "revoked" * each.is_revoked)
-        for name, each in holders.holders.items()
+        (*f"{name}:".split(":", 3)[:3], "revoked" if name in holders.revoked else until)
+        for name, until in holders.until.items()
     )
-    print_table(["skin", "role", "holder", "until", ""], rows)
+    print_table(["skin", "role", "holder", "until"], rows)
 
 
-def _common_name(name: str, skin: str) -> str:
-    role, colon, holder = name.partition(":")
-    if role not in {HUB, *ROLES} or (colon and not _HOLDER.fullmatch(holder)):
-        raise InputError(f"'{name}': expected ROLE or ROLE:HOLDER, ROLE one of {', '.join((HUB, *ROLES))}")
-    try:
-        msgspec.convert(skin, Name)
-    except msgspec.ValidationError as error:
-        raise InputError(f"--skin {skin}: expected the name of a skin, as its layout says: {error}") from error
-    return f"{skin}:{name}"
+def _common_names(skin: str, names: Sequence[str]) -> list[str]:
+    """Return checked common names; `skin` is meant where none is named."""
+    if not names:
+        raise InputError("expected ROLE or ROLE:HOLDER, got none: see 'skin keys list'")
+    found = [name if name.split(":")[0] not in {HUB, *ROLES} else f"{skin}:{name}" for name in dict.fromkeys(names)]
+    for name in found:
+        if not _NAME.fullmatch(name):
+            roles = ", ".join((HUB, *ROLES))
+            raise InputError(f"'{name}': expected ROLE, ROLE:HOLDER or SKIN:ROLE:HOLDER, ROLE one of {roles}")
+    return found
 
 
-def _known(authority: Authority, names: Sequence[str], skin: str | None) -> list[str]:
-    wanted = [_common_name(name, skin or authority.list.skin) for name in names]
+def _known(authority: Authority, names: Sequence[str]) -> list[str]:
+    wanted = _common_names(authority.list.skin, names)
     for name in wanted:
-        if name not in authority.list.holders:
+        if name not in authority.list.until:
             raise InputError(f"'{name}' has no keys: see 'skin keys list'")
     return wanted
 
@@ -169,5 +155,4 @@ def _known(authority: Authority, names: Sequence[str], skin: str | None) -> list
 def _issue(authority: Authority, names: Sequence[str]) -> None:
     """Issue certificates, and print their folders."""
     for name in names:
-        print(authority.issue(name, authority.list.hosts))
-    authority.write_list()
+        print(authority.issue(name))

@@ -86,10 +86,8 @@ class Recorder:
         """Take an attachment; from any thread."""
         self._files.append(file)
 
-    def run(
-        self, stop: StopSignal, until_s: float = float("inf"), each_turn: Callable[[], None] = lambda: None
-    ) -> None:
-        """Record until `stop`, or for `until_s` seconds; call `each_turn` in every turn.
+    def run(self, stop: StopSignal, until_s: float = float("inf")) -> None:
+        """Record until `stop`, or for `until_s` seconds.
 
         Raises
         ------
@@ -100,7 +98,6 @@ class Recorder:
         try:
             while not stop.is_set() and time.monotonic() < end_s:
                 time.sleep(TURN_S)
-                each_turn()
                 self.turn()
             self.turn()
             self._tell_counters()

@@ -55,10 +55,9 @@ def replay(
 ) -> None:
     """Play a recording or a CAN log through gateway, reconstructor and classifier, on a hub or into a new file.
 
-    Sums are decoded from the frames by the gateway's loop, and images, contacts and labels are made from the sums, one
-    after the other in one process: the same file always gives the same. With a recording of ``skin record`` numbers,
-    times and proofs of nodes are the recorded ones, and the end of the log tells how many measurements, images and
-    labels are equal to the recorded ones. In a log every node counts as proven.
+    Images, contacts and labels are made from the recorded measurements, one after the other in one process: the same
+    file always gives the same. The end of the log tells how many images and labels are equal to the recorded ones. The
+    gateway's loop makes the measurements of frames alone; there every node counts as proven.
 
     Parameters
     ----------

@@ -88,22 +88,22 @@ class Report:
 
     Attributes
     ----------
-    measured : int
-        Measurements with a valid block.
-    measurements, images, labels : Agreement
-        Measurements are compared byte for byte; images by their pixels (`recording.answers.same_pixels`), validity and
-        number of sums; labels by all but their number.
+    measurements, measured : int
+        Measurements, and those with a valid block.
+    images, labels : Agreement
+        Images are compared by their pixels (`recording.answers.same_pixels`), validity and number of sums; labels by
+        all but their number.
     """
 
+    measurements: int = 0
     measured: int = 0
-    measurements: Agreement = field(default_factory=Agreement)
     images: Agreement = field(default_factory=Agreement)
     labels: Agreement = field(default_factory=Agreement)
 
     def lines(self) -> list[str]:
         """Return the result in words."""
-        told = []
-        for name in ("measurements", "images", "labels"):
+        told = [f"{self.measurements} measurements"] if self.measurements else []
+        for name in ("images", "labels"):
             one: Agreement = getattr(self, name)
             if one.made:
                 of_recorded = f", {one.equal} of {one.compared} equal to the recorded" if one.compared else ""
@@ -191,8 +191,7 @@ class Replay:
     def _take_measurement(self, step: MeasurementStep) -> None:
         self.publish(MEASUREMENT, step.measurement)
         self.report.measured += any(step.measurement.valid)
-        recorded = step.recorded
-        self.report.measurements.add(None if recorded is None else _fields_that_differ(step.measurement, recorded))
+        self.report.measurements += 1
         if step.makes_image:
             self._reconstructor.take(step.measurement)
         if self._classifier is None or not step.makes_label:

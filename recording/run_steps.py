@@ -1,4 +1,4 @@
-"""A recorded run in steps: the measurements that its frames give, and the messages that were recorded beside them."""
+"""A recorded run in steps: its measurements, of frames where none were recorded, and the messages beside them."""
 
 import heapq
 from collections import deque
@@ -20,9 +20,11 @@ from canskin.messages import (
     MEASUREMENT,
     NODES,
     TRUTH,
+    CycleMeasurement,
     Image,
     Label,
     Measurement,
+    SteppedMeasurement,
 )
 from dbc.contract import Contract
 from dbc.frame import Frames
@@ -30,6 +32,7 @@ from dbc.stored_frames import from_bytes
 from gateway.playback import check_named, play
 from recording import is_recording
 from recording.answers import Answers
+from recording.frame_measurements import FRAMES_NS, FrameMeasurements, StatusPace
 from recording.mcap_file import (
     FINGERPRINT,
     FRAMES,
@@ -40,14 +43,6 @@ from recording.mcap_file import (
     read_entries,
     read_topics,
     wall_offset_ns,
-)
-from recording.measurements import (
-    FRAMES_NS,
-    FrameMeasurements,
-    RecordedMeasurements,
-    RunMeasurements,
-    StatusPace,
-    SteppedMeasurements,
 )
 from recording.step_kinds import FramesStep, MeasurementStep, MessageStep, Step
 from shell.service import say
@@ -145,25 +140,19 @@ class _Recorded:
             topic.name: message_decoder(path, topic) for topic in (MEASUREMENT, IMAGE, LABEL, *_AS_RECORDED.values())
         }
         self._buses = {FRAMES + bus.name: number for number, bus in enumerate(contract.layout.bus)}
-        self._measurements = self._measurements_of(topics, calibrator)
+        #: Makes the measurements where none were recorded.
+        self._made: FrameMeasurements | None = None
+        if MEASUREMENT.name not in topics:
+            self._made = FrameMeasurements(contract, self._buses.values(), wall_offset_ns(path), calibrator)
         #: By time, then in the order of their coming.
         self._waiting: list[tuple[int, int, Step]] = []
         self._place = 0
         #: Times of one SYNC differ by less: the recorder has time stamps of its own.
         near_ns = round(0.5 * contract.layout.sync.period_s * 1e9)
         self._images: Answers[Image] = Answers(near_ns, is_followed=IMAGE.name in topics and not every)
-        has_labels = LABEL.name in topics and self._measurements.have_labels
-        self._labels: Answers[Label] = Answers(near_ns, is_followed=has_labels)
-
-    def _measurements_of(self, topics: set[str], calibrator: Calibrator | None) -> RecordedMeasurements:
-        contract, buses = self._contract, self._buses.values()
-        if MEASUREMENT.name not in topics:
-            return FrameMeasurements(contract, buses, wall_offset_ns(self._path), calibrator=calibrator)
-        if not contract.layout.sends.in_cycles:
-            return SteppedMeasurements(contract, buses)
-        if not has_frames(topics):
-            return RecordedMeasurements()
-        return RunMeasurements(contract, buses, wall_offset_ns(self._path))
+        #: Stepped labels have a clock of their own.
+        self._in_cycles = contract.layout.sends.in_cycles
+        self._labels: Answers[Label] = Answers(near_ns, is_followed=LABEL.name in topics and self._in_cycles)
 
     def steps(self) -> Iterator[Step]:
         """Yield the steps in the order of time."""
@@ -178,15 +167,13 @@ class _Recorded:
                 yield from self._ripe(passed_ns[0])
                 passed_ns.append(newest_ns)
         yield from self._ripe(None)
-        remark = self._measurements.remark()
-        if remark:
-            self._warn(remark)
 
     def _take(self, entry: Entry) -> None:
         if entry.topic in self._buses:
             bus, seen = self._buses[entry.topic], from_bytes(entry.data, int(entry.about["data_bytes"]))
             self._add(FramesStep(entry.time_ns, bus, seen))
-            self._measurements.take_frames(bus, seen)
+            if self._made is not None:
+                self._made.take_frames(bus, seen)
             return
         decode = self._decoders.get(entry.topic)
         if decode is None:
@@ -194,12 +181,11 @@ class _Recorded:
         message = decode(entry.data)
         if entry.topic == MEASUREMENT.name:
             self._check(message)
-            for step in self._measurements.take(entry.time_ns, message):
-                self._add(step)
+            self._add(MeasurementStep(entry.time_ns, message))
         elif entry.topic == IMAGE.name:
             self._images.keep(message)
         elif entry.topic == LABEL.name:
-            if self._measurements.have_labels:
+            if self._in_cycles:
                 self._labels.keep(message)
         else:
             self._add(MessageStep(entry.time_ns, _AS_RECORDED[entry.topic], message))
@@ -210,7 +196,7 @@ class _Recorded:
 
     def _ripe(self, until_ns: int | None) -> Iterator[Step]:
         """Yield the steps up to a time, with what was recorded of them; None: all steps."""
-        for made in self._measurements.advance(until_ns):
+        for made in self._made.advance(until_ns) if self._made is not None else ():
             self._add(made)
         while self._waiting and (until_ns is None or self._is_ripe(self._waiting[0][2], until_ns)):
             step = heapq.heappop(self._waiting)[2]
@@ -220,19 +206,18 @@ class _Recorded:
         """Tell whether nothing can come any more that precedes a step or belongs to its measurement."""
         if step.time_ns > until_ns:
             return False
-        if not isinstance(step, MeasurementStep) or step.header is None or step.time_ns <= until_ns - _ANSWERS_NS:
+        if not isinstance(step, MeasurementStep) or self._made is not None or step.time_ns <= until_ns - _ANSWERS_NS:
             return True
-        sync_ns = step.header.sampled_mono_ns
+        sync_ns = step.measurement.sampled_mono_ns
         return self._images.reaches(sync_ns) and self._labels.reaches(sync_ns)
 
     def _answered(self, step: MeasurementStep) -> MeasurementStep:
         """Return the step of a measurement with what was recorded of it."""
-        if step.header is None:
+        if self._made is not None:
             return step
-        image, makes_image = self._images.of(step.header)
-        label, makes_label = self._labels.of(step.header)
-        step = replace(step, image=image, label=label, makes_image=makes_image, makes_label=makes_label)
-        return replace(step, measurement=self._measurements.played(step))
+        image, makes_image = self._images.of(step.measurement)
+        label, makes_label = self._labels.of(step.measurement)
+        return replace(step, image=image, label=label, makes_image=makes_image, makes_label=makes_label)
 
     def _check_fingerprint(self) -> None:
         """Raise InputError if the recording is that of another Φ: its frames have other sums."""
@@ -245,7 +230,9 @@ class _Recorded:
         """Raise InputError if a measurement does not fit the layout."""
         found, expected = len(measurement.bus_sampled_ns), 8 * len(self._buses)
         with self._naming():
-            check_measurement(measurement, self._contract.phi, self._measurements.kind)
+            check_measurement(
+                measurement, self._contract.phi, CycleMeasurement if self._in_cycles else SteppedMeasurement
+            )
             if found not in {0, expected}:
                 raise InputError(f"bus_sampled_ns of {found} bytes, expected {expected}, or none")
 

@@ -34,10 +34,6 @@ class MeasurementStep:
     ----------
     time_ns : int
     measurement : Measurement
-    header : Measurement or None
-        Number, times and proofs of the cycle in the run; None if the run had no measurements.
-    recorded : Measurement or None
-        The measurement of the run, if the recorder received it.
     image, label : Image or Label or None
         What was recorded of the measurement.
     makes_image, makes_label : bool
@@ -46,8 +42,6 @@ class MeasurementStep:
 
     time_ns: int
     measurement: Measurement
-    header: Measurement | None = None
-    recorded: Measurement | None = None
     image: Image | None = None
     label: Label | None = None
     makes_image: bool = True

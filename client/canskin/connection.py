@@ -76,7 +76,7 @@ def connect(
         raise
 
 
-def skins_at(endpoint: str = DEFAULT_ENDPOINT, *, timeout_s: float = 1.0) -> list[str]:
+def skins_at(endpoint: str = DEFAULT_ENDPOINT, *, timeout_s: float = 1.0, keys: str | Path | None = None) -> list[str]:
     """Return the names of the skins on a hub, in the order of the alphabet.
 
     Parameters
@@ -85,13 +85,18 @@ def skins_at(endpoint: str = DEFAULT_ENDPOINT, *, timeout_s: float = 1.0) -> lis
         Address of the hub; see `connect`.
     timeout_s : float
         How long to wait for the first skin.
+    keys : str or pathlib.Path, optional
+        See `connect`.
 
     Raises
     ------
+    InputError
+        If the keys cannot be used.
     BusError
-        If there is no such hub in time.
+        If the hub refuses the keys, or there is no such hub in time.
     """
-    return _skins_of(peers_at(endpoint, timeout_s, lambda peers: bool(_skins_of(peers))))
+    held = None if keys is None else Keys(keys)
+    return _skins_of(peers_at(endpoint, timeout_s, lambda peers: bool(_skins_of(peers)), keys=held))
 
 
 def _skins_of(peers: list[Peer]) -> list[str]:

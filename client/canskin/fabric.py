@@ -191,6 +191,8 @@ class Fabric:
         self._numbers: dict[str, count[int]] = {}
         self._kept: list[Any] = []
         keys = keys or environment_keys()
+        if keys is not None and service:
+            keys.tell_end(service)
         self._session = open_hub(endpoint, keys) if hub else open_client(endpoint, service, stop, patience_s, keys=keys)
         try:
             self._require_alone(0.0)

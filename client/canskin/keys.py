@@ -13,7 +13,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
-from canskin.errors import InputError, reasoned
+from canskin.errors import InputError, reasoned, tell
 
 CA: Final = "ca.pem"
 CERTIFICATE: Final = "cert.pem"
@@ -22,6 +22,8 @@ KEY: Final = "key.pem"
 ENVIRONMENT: Final = "SKIN_KEYS"
 #: Protocols of zenoh's links that use keys.
 PROTOCOLS_WITH_KEYS: Final = ("tls", "quic")
+#: A service says so when its keys end in less.
+RENEWAL_DAYS: Final = 30
 #: Role of whoever may listen.
 HUB: Final = "hub"
 #: Longest wait for each of three answers of a hub: to a connection, to TLS, to the certificate.
@@ -31,11 +33,8 @@ _NO_CHECK_TIME: Final = 0x200000
 #: OpenSSL's codes for what is wrong with a hub's certificate.
 _OF_HUB: Final = {
     10: "its certificate has ended: 'skin keys renew', and start the hub again with the new files",
-    18: "its certificate is of another authority",
-    19: "its certificate is of another authority",
-    20: "its certificate is of another authority",
-    62: "its certificate has other names: 'skin keys renew --host' with the name or address of the hub's machine",
-    64: "its certificate has other addresses: 'skin keys renew --host' with the name or address of the hub's machine",
+    **dict.fromkeys((7, 18, 19, 20), "its certificate is of another authority"),
+    **dict.fromkeys((62, 64), "its certificate has other names: 'skin keys renew --host' with that of this endpoint"),
 }
 #: Parts of OpenSSL's names for what a hub answers to a holder's certificate.
 _OF_HOLDER: Final = {
@@ -98,6 +97,12 @@ class Keys:
             raise InputError(f"keys {self.folder}: the certificate ended {about['notAfter']}: 'skin keys renew'")
         if time.time() < begins_s:
             raise InputError(f"keys {self.folder}: the certificate begins {about['notBefore']}: is this clock right?")
+
+    def tell_end(self, service: str) -> None:
+        """Log in the name of a service that the keys end soon."""
+        days = (self.ends_s - time.time()) / 86400
+        if days < RENEWAL_DAYS:
+            tell(service, f"the keys {self.folder} end in {days:.0f} days: 'skin keys renew'")
 
     def settings(self, *, is_hub: bool) -> dict[str, Any]:
         """Return zenoh's settings: both sides show a certificate, and the hub's names its host."""

@@ -18,7 +18,7 @@ import zenoh
 
 from canskin.errors import BusError, Stopped, reasoned, tell
 from canskin.keys import ENVIRONMENT, HUB, PROTOCOLS_WITH_KEYS, Keys, environment_keys, reason
-from canskin.peers import EVERY_KEY, Peer, peer_of_key
+from canskin.peers import EVERY_KEY, Peer, new_peer, peer_of_key
 
 
 def user_folder() -> Path:
@@ -40,6 +40,8 @@ TLS_ENDPOINT: Final = "tls/127.0.0.1:7447"
 SILENT_S: Final = 3.0
 #: A service that waits for the hub checks the stop signal at least this often.
 TRY_S: Final = 1.0
+#: The first time earlier, to find out whether the hub refuses.
+FIRST_TRY_S: Final = 0.5
 #: Period of a search for services.
 LOOK_S: Final = 0.1
 #: Threads of the hub, as zenoh reads them from ZENOH_RUNTIME. When a client has not read for its lease of 10 s, zenoh
@@ -55,8 +57,13 @@ PROTOCOLS_WITHOUT_KEYS: Final = ("tcp", "udp", "ws", "vsock")
 HIGHEST_PORT: Final = 65535
 #: How soon a client connects again after its hub is gone: zenoh's default waits up to 4 s.
 RETRY: Final = {"period_init_ms": 50, "period_max_ms": 200, "period_increase_factor": 1.5}
-#: Longest message that a process takes, bytes: without a limit one message of another fills the memory.
-MESSAGE_MAX: Final = 1 << 20
+#: Longest message that a process takes, bytes: without a limit one message of another fills the memory. The longest of
+#: canskin is a layout of 2**16 taxels at positions, 9 MB.
+MESSAGE_MAX: Final = 1 << 24
+#: Longest wait of a client with keys for the first service that the hub lets it see: the hub itself.
+SEE_S: Final = 0.5
+#: Tokens of hubs: zenoh withdraws a token that nobody holds.
+_TOKENS: Final[list[Any]] = []
 
 
 class Stop(Protocol):
@@ -127,10 +134,13 @@ def open_hub(endpoint: str, keys: Keys | None = None, rules: dict[str, Any] | No
     """
     endpoint, keys = _checked(endpoint, keys)
     if keys is not None and keys.role != HUB:
-        raise BusError(f"cannot listen on {endpoint} with keys of '{keys.common_name}': expected those of role '{HUB}'")
+        raise BusError(
+            f"cannot listen on {endpoint} with keys of '{keys.common_name}': expected those of role '{HUB}', or"
+            " --connect tls/HOST:PORT"
+        )
     is_ours = os.environ.setdefault("ZENOH_RUNTIME", _RUNTIME) == _RUNTIME
     try:
-        return zenoh.open(_config(endpoint, keys, hub=True, rules=rules))
+        session = zenoh.open(_config(endpoint, keys, hub=True, rules=rules))
     except zenoh.ZError as error:
         # Zenoh locks a file beside a socket.
         why = "another hub listens there" if "EAGAIN" in str(error) else first_sentence(error)
@@ -138,6 +148,9 @@ def open_hub(endpoint: str, keys: Keys | None = None, rules: dict[str, Any] | No
     finally:
         if is_ours:
             del os.environ["ZENOH_RUNTIME"]  # the processes that this process starts are no hubs
+    if keys is not None:  # whoever may connect sees the hub; whoever sees nothing is revoked
+        _TOKENS.append(session.liveliness().declare_token(new_peer(keys.skin, HUB, "").key))
+    return session
 
 
 class Listener(NamedTuple):
@@ -179,14 +192,15 @@ def open_client(
         If the endpoint cannot be used, the hub refuses, or nobody answered in time.
     """
     endpoint, keys = _checked(endpoint, keys)
-    started_s, said = time.monotonic(), False
+    started_s, said, try_s = time.monotonic(), False, FIRST_TRY_S
     while True:
         left_s = patience_s - (time.monotonic() - started_s)
         try:
             if keys is not None:  # before: zenoh waits 10 s for a hub that does not speak TLS
                 _raise_refusal(endpoint, listener, keys)
-            session = zenoh.open(_config(endpoint, keys, patience_s=max(0.0, min(TRY_S, left_s))))
+            session = zenoh.open(_config(endpoint, keys, patience_s=max(0.0, min(try_s, left_s))))
         except zenoh.ZError:
+            try_s = TRY_S
             _raise_refusal(endpoint, listener, keys)
             if stop is not None and stop.is_set():
                 raise Stopped from None
@@ -196,12 +210,26 @@ def open_client(
                     f"no {listener.name} at {endpoint}: start {listener.starter}, or give another {listener.option}"
                 ) from None  # that of zenoh says no more, and has paths of its build
         else:
+            if keys is not None and not _sees(session):
+                session.close()
+                raise BusError(
+                    f"the {listener.name} at {endpoint} lets '{keys.common_name}' do nothing: its keys are revoked or"
+                    " unknown there, see 'skin keys list'"
+                )
             if said:
                 tell(service, f"the {listener.name} is there")
             return session
         if waited_s >= SILENT_S and not said:
             tell(service, f"waits for {listener.full_name} at {endpoint}, usually {listener.starter}")
             said = True
+
+
+def _sees(session: Any) -> bool:
+    """Tell whether the hub lets a session see any service, such as the hub itself."""
+    give_up_s = time.monotonic() + SEE_S
+    while not (sees := bool(peers_of(session))) and time.monotonic() < give_up_s:
+        time.sleep(LOOK_S)
+    return sees
 
 
 def _raise_refusal(endpoint: str, listener: Listener, keys: Keys | None) -> None:

@@ -17,6 +17,7 @@ from canskin.errors import BusError, Stopped
 from canskin.fabric import Fabric, Mailbox, Missed, Origin, Reply
 from canskin.messages import LABEL, Label
 from canskin.peers import Peer, Roll, new_peer, peer_of_key
+from canskin.session import MESSAGE_MAX, open_client, open_hub
 from tests.client.conftest import Log
 from tests.messages import label
 from tests.processes import PATIENCE_S
@@ -304,3 +305,15 @@ def test_messages_that_did_not_come_are_counted_and_no_repetition_hides_them() -
         missed.take("image", Origin("noise", 1))
     missed.take("label", Origin("classifier", 7))
     assert missed.counts() == {"image": 2}
+
+
+def test_a_message_beyond_the_limit_is_dropped_and_the_next_are_heard(endpoint: str) -> None:
+    hub, sizes = open_hub(endpoint), queue.Queue[int]()
+    subscriber = hub.declare_subscriber("canskin/**", lambda sample: sizes.put(len(sample.payload)))
+    client = open_client(endpoint, "client", None, PATIENCE_S)
+    for size in (MESSAGE_MAX + 1, 1):
+        client.put("canskin/test/image", bytes(size))
+    assert sizes.get(timeout=PATIENCE_S) == 1
+    subscriber.undeclare()
+    client.close()
+    hub.close()

@@ -30,6 +30,7 @@ ROOT: Final = Path(__file__).parents[2]
 IMAGE: Final = "canskin-test"
 SERVICES: Final = ("bus", "nodes", "gateway", "reconstructor", "classifier", "viewer")
 PATIENCE_S: Final = 300.0
+TOKEN: Final = "of-the-test-alone"  # noqa: S105 - of no other stack
 #: Of the words of a check that fails.
 LINES: Final = 40
 
@@ -45,6 +46,7 @@ class Stack:
             "SKIN_IMAGE": IMAGE,
             "SKIN_FILES": str(files),
             "SKIN_LAYOUT": "slow.toml",
+            "SKIN_PAGE_TOKEN": TOKEN,
             # A block that misses over half of a window while the zero is measured (0.2 s at 20 Hz) has none
             # until nothing touches for 3.2 s, which the touches here do not leave. A busy machine may stall so long.
             "SKIN_GATEWAY_OPTIONS": "--tare never",
@@ -109,7 +111,7 @@ def stack(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stack]:
 def shows_images_and_labels() -> bool:
     """Tell whether a frame of the page's WebSocket has a whole fresh image and a fresh label of measured sums."""
     try:
-        with connect("ws://127.0.0.1:8765/ws") as page:
+        with connect(f"ws://127.0.0.1:8765/ws?token={TOKEN}") as page:
             assert "rows" in json.loads(page.recv(timeout=10))
             frame = page.recv(timeout=10)
     except (OSError, WebSocketException):  # not there yet
@@ -144,7 +146,7 @@ def test_a_service_that_is_killed_comes_back_and_the_stack_is_whole_again(stack:
 def test_nothing_is_healthy_that_lives_on_blocks_while_none_is_measured(stack: Stack) -> None:
     stack.compose("stop", "nodes")
     for service in ("gateway", "reconstructor", "classifier"):
-        check = ("docker", "exec", stack.container(service), "skin-alive", service, "tcp/gateway:7447")
+        check = ("docker", "exec", stack.container(service), "skin-alive", service)
         stack.until(
             lambda command=check: "nothing tells of measured blocks" in run(*command, check=False).stderr,
             f"the check of the {service} to fail",

@@ -10,9 +10,10 @@ from pathlib import Path
 
 import pytest
 
+from canskin.session import UNIX
 from tests.deploy.units import UNITS, Unit
 from tests.layouts import slow_layout
-from tests.processes import Processes, free_endpoint, free_port
+from tests.processes import Processes, free_port
 from tests.readonly import give_compiled, gives_real_time, not_here
 from tests.system.helpers import first_image
 
@@ -87,12 +88,7 @@ def test_a_confined_service_can_do_nothing_more(installed: Path, tmp_path: Path)
 
 
 @pytest.fixture(scope="module")
-def endpoint() -> str:
-    return free_endpoint()
-
-
-@pytest.fixture(scope="module")
-def running(installed: Path, endpoint: str, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Processes]:
+def running(installed: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Processes]:
     """Run the ExecStart= of each unit, confined as the unit says, on virtual buses; skin.env is edited by hand."""
     if why := not_here():
         pytest.skip(why)
@@ -104,9 +100,8 @@ def running(installed: Path, endpoint: str, tmp_path_factory: pytest.TempPathFac
     environment = root / "etc/canskin/skin.env"
     text = environment.read_text().replace("SKIN_LAYOUT=default", "SKIN_LAYOUT=/etc/canskin/slow.toml")
     text = re.sub("-i socketcan -c .*", "-i canskin", text)
-    words = dict.fromkeys((*VERBS, "nodes"), f"--connect {endpoint}")
-    words |= {"gateway": f"--listen {endpoint} --keep-zero /var/lib/canskin/zero.json"}
-    words |= {"view": f"{words['view']} --port {free_port()}", "record": f"-i canskin {words['record']}"}
+    words = {"gateway": "--keep-zero /var/lib/canskin/zero.json", "view": f"--port {free_port()}"}
+    words |= {"record": "-i canskin"}
     environment.write_text(text + "".join(f"SKIN_{verb}={more}\n" for verb, more in words.items()))
     with Processes(folder) as processes:
         bus = Unit(root, "bus")
@@ -120,9 +115,9 @@ def running(installed: Path, endpoint: str, tmp_path_factory: pytest.TempPathFac
 
 
 @pytest.mark.slow
-def test_units_run_confined_as_they_say(running: Processes, endpoint: str) -> None:
+def test_units_run_confined_as_they_say(running: Processes) -> None:
     running.await_words("gateway", "scheduling")
-    first_image(running, endpoint)
+    first_image(running, f"{UNIX}/{running.folder}/writable/run/canskin/hub")
     running.await_words("view", "web page")
     wanted = "scheduling: real time" if gives_real_time() else "scheduling: ordinary"
     for verb in ("gateway", "reconstruct", "classify", "record"):

@@ -92,19 +92,18 @@ def test_a_sync_comes_again(contract: Contract, bus_frames: dict[int, Frames], l
     assert found == known
 
 
-@pytest.mark.parametrize("leaves_out_doubtful", [True, False])
-def test_a_block_of_two_nodes_with_one_identifier_is_valid_for_those_who_know_better(
-    contract: Contract, bus_frames: dict[int, Frames], *, leaves_out_doubtful: bool
+def test_a_block_of_two_nodes_with_one_identifier_is_not_valid(
+    contract: Contract, bus_frames: dict[int, Frames]
 ) -> None:
     seen = bus_frames[0]
     place = int(np.flatnonzero(seen["can_id"] != 0x80)[20])
     again = seen[place : place + 1].copy()
     again["data"][0, 1] ^= 1
     logged = {0: np.insert(seen, place + 1, again), 1: bus_frames[1]}
-    playback = Playback(contract, logged.keys(), int(seen["time_ns"][0]), leaves_out_doubtful=leaves_out_doubtful)
+    playback = Playback(contract, logged.keys(), int(seen["time_ns"][0]))
     for bus, each in logged.items():
         playback.feed(bus, each)
-    assert sum(each.valid.count(b"\0") for each in playback.finish()) == int(leaves_out_doubtful)
+    assert sum(each.valid.count(b"\0") for each in playback.finish()) == 1
 
 
 def test_a_cycle_ends_when_no_sync_follows(contract: Contract, bus_frames: dict[int, Frames]) -> None:

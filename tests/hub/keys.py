@@ -12,7 +12,6 @@ def make_authority(folder: Path, *names: str, skin: str = "palm") -> Authority:
     authority = new_authority(folder, skin, ())
     for name in ("hub", *names):
         authority.issue(f"{skin}:{name}")
-    authority.write_list()
     return authority
 
 

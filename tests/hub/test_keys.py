@@ -2,19 +2,24 @@
 
 import math
 import shutil
+import threading
 import time
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 from unittest import mock
 
 import pytest
 
+import canskin
 from canskin.errors import BusError, InputError
+from canskin.fabric import Fabric
 from canskin.keys import ANSWER_S, Keys
-from canskin.session import open_client, open_hub
+from canskin.peers import Peer
+from canskin.session import UNIX, open_client, open_hub, peers_at
 from hub.authority import Authority
 from tests.hub.keys import issue_for, make_authority
-from tests.processes import free_port
+from tests.processes import PATIENCE_S, free_port
 
 
 @pytest.fixture
@@ -68,10 +73,71 @@ def test_a_hub_refuses_keys_that_have_ended(authority: Authority, hub: str) -> N
     assert "the certificate has ended" in refusal(hub, keys)
 
 
+def test_a_hub_lets_revoked_keys_do_nothing_and_they_are_told(authority: Authority) -> None:
+    endpoint, flows = f"tls/127.0.0.1:{free_port()}", ["ingress", "egress"]
+    messages = ["liveliness_query", "liveliness_token"]
+    allowed = {"id": "see", "permission": "allow", "flows": flows, "messages": messages, "key_exprs": ["canskin/**"]}
+    rules = {
+        "enabled": True,
+        "default_permission": "deny",
+        "rules": [allowed],
+        "subjects": [{"id": "client", "cert_common_names": ["palm:client"]}],
+        "policies": [{"rules": ["see"], "subjects": ["client"]}],
+    }
+    session = open_hub(endpoint, Keys(authority.folder / "hub"), rules)
+    open_client(endpoint, "client", None, 5.0, keys=Keys(authority.folder / "client")).close()
+    revoked = Keys(authority.issue("palm:client:laptop7"))
+    assert f"the hub at {endpoint} lets 'palm:client:laptop7' do nothing: its keys are revoked" in refusal(
+        endpoint, revoked
+    )
+    session.close()
+
+
+@pytest.mark.heavy
+def test_renewed_keys_are_read_when_those_before_end(authority: Authority, hub: str) -> None:
+    came, left, back = (threading.Event() for _ in range(3))
+
+    def note(peer: Peer, is_there: bool) -> None:
+        (back if left.is_set() else came).set() if is_there else left.set()
+
+    with closing(Fabric("palm", "", hub, keys=Keys(issue_for(authority, "client", 3.0)))) as fabric:
+        fabric.watch_peers(note)
+        assert came.wait(PATIENCE_S)
+        issue_for(authority, "client", 3600.0)
+        assert left.wait(PATIENCE_S)  # the link closes with the end of the certificate
+        assert back.wait(PATIENCE_S)
+
+
+def test_a_service_says_that_its_keys_end_soon(
+    authority: Authority, hub: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    Fabric("palm", "viewer", hub, keys=Keys(authority.folder / "client")).close()
+    assert not caplog.messages
+    Fabric("palm", "viewer", hub, keys=Keys(issue_for(authority, "client", 2.2 * 86400))).close()
+    assert caplog.messages == [f"the keys {authority.folder / 'client'} end in 2 days: 'skin keys renew'"]
+
+
+def test_every_connection_of_a_process_has_the_keys_of_its_environment(
+    authority: Authority, hub: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with pytest.raises(BusError, match="needs keys: give --keys FOLDER, or SKIN_KEYS"):
+        peers_at(hub, 5.0, bool)
+    monkeypatch.setenv("SKIN_KEYS", str(authority.folder / "client"))
+    assert [peer.service for peer in peers_at(hub, 5.0, bool)] == ["hub"]
+    with pytest.raises(BusError, match="no skin at"):  # let in, but only the hub is there
+        canskin.connect(hub, timeout_s=0.1)
+
+
+def test_a_socket_of_the_user_needs_no_keys(authority: Authority, tmp_path: Path) -> None:
+    endpoint, keys = f"{UNIX}/{tmp_path / 'hub'}", Keys(authority.folder / "client")
+    with closing(open_hub(endpoint, keys)):
+        open_client(endpoint, "client", None, 5.0, keys=keys).close()
+
+
 def test_a_hub_has_the_names_of_its_certificate_alone(authority: Authority) -> None:
     port = free_port()
     session = open_hub(f"tls/0.0.0.0:{port}", Keys(authority.folder / "hub"))
-    assert "its certificate has other addresses" in refusal(f"tls/127.0.0.2:{port}", Keys(authority.folder / "client"))
+    assert "its certificate has other names" in refusal(f"tls/127.0.0.2:{port}", Keys(authority.folder / "client"))
     session.close()
 
 

@@ -17,10 +17,10 @@ from reconstructor.imaging import make_imager
 from reconstructor.service import ReconstructorService
 from recording.sinks import open_sink
 from skin.layout import layout_text
-from tests.gateway.boards import BoardWorld, small_stepped
+from tests.gateway.boards import BoardWorld
 from tests.layouts import small_contract
 from tests.recording.helpers import OFFSET_NS, messages_of
-from tests.world import PERIOD_S, EndOfWire, Losing, World
+from tests.world import PERIOD_S, EndOfWire, World
 
 #: Time between two frames of a bus on the clock of the recorder.
 FRAME_NS = 130_000
@@ -149,32 +149,3 @@ def test_same_bytes(folder: Path, name: str) -> None:
     assert [list(each.valid) for each in again] == [list(each.valid) for each in measured]
     assert [each.sums for each in again] == [each.sums for each in measured]
     assert [each.pixels for each in images_again] == [each.pixels for each in images]
-
-
-@pytest.mark.heavy
-@pytest.mark.parametrize("is_late", [False, True])
-def test_stepped_sums_are_those_of_their_frames(tmp_path: Path, is_late: bool) -> None:
-    """A recorder that comes late has frames of some groups only: the others are as recorded, until they are sent."""
-    world = BoardWorld(small_stepped())
-    (tmp_path / "small.toml").write_text(layout_text(world.contract.layout))
-    recorded = Recorded(world, [tmp_path / "run.mcap"], 0)
-    recorded.is_on = not is_late
-    for step in range(700):
-        recorded.is_on |= step == 200
-        if step % 40 == 10:
-            world.touch(step // 40 % 4, seed=step)
-        world.wires[1].gateway.is_held = step % 7 < 3  # frames of this bus are read late
-        if step == 350:
-            world.nmt(0, NmtCommand.RESET_NODE, 1)
-        if step == 450:
-            world.wires[0].loses = Losing(world.wires[0].gateway, 0.3, seed=1)
-        recorded.step()
-    recorded.close()
-    measured, images = messages_of(tmp_path / "run.mcap", MEASUREMENT), messages_of(tmp_path / "run.mcap", IMAGE)
-    assert len({each.sums for each in measured}) > 30
-    assert [each.sampled_error_ns for each in images] == [each.sampled_error_ns for each in measured]
-    assert not all(all(each.known) for each in measured[-300:])  # the node was reset
-    again, images_again = replayed(tmp_path, "run.mcap")
-    assert again == measured
-    if not is_late:  # images depend on those before
-        assert [each.pixels for each in images_again] == [each.pixels for each in images]

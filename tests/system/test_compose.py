@@ -17,13 +17,15 @@ import numpy as np
 import pytest
 from ruamel.yaml import YAML
 
+from canskin.roles import ROLES
+from canskin.session import UNIX
 from tests.layouts import slow_layout
-from tests.processes import PATIENCE_S, Processes, free_endpoint, free_port
+from tests.processes import PATIENCE_S, Processes, free_port
 from tests.readonly import Confined, give_compiled, not_here
 from tests.system.helpers import first_image
 
 ROOT = Path(__file__).parents[2]
-COMPOSE = ROOT / "docker-compose.yml"
+COMPOSE, WITH_KEYS = ROOT / "docker-compose.yml", ROOT / "docker-compose.keys.yml"
 IN_ORDER_OF_THE_DATA = ["bus", "nodes", "gateway", "reconstructor", "classifier", "viewer"]
 SETTINGS = dict(line.split("=", 1) for line in (ROOT / ".env").read_text().splitlines() if not line.startswith("#"))
 Service = dict[str, Any]
@@ -45,8 +47,9 @@ def of_profile(services: dict[str, Service], profile: str) -> dict[str, Service]
 
 
 @pytest.mark.heavy
-def test_the_file_is_valid_by_the_compose_specification() -> None:
-    command = [sys.executable, "-m", "check_jsonschema", "--builtin-schema", "vendor.compose-spec", str(COMPOSE)]
+def test_the_files_are_valid_by_the_compose_specification() -> None:
+    files = [str(COMPOSE), str(WITH_KEYS)]
+    command = [sys.executable, "-m", "check_jsonschema", "--builtin-schema", "vendor.compose-spec", *files]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
 
@@ -78,6 +81,16 @@ def test_an_interface_without_a_name_is_refused_by_compose(services: dict[str, S
     assert SETTINGS["SKIN_CAN"]
 
 
+def test_with_keys_every_service_of_a_robot_has_those_of_a_role(services: dict[str, Service]) -> None:
+    changed: dict[str, Service] = YAML(typ="safe").load(WITH_KEYS)["services"]
+    assert set(changed) == {"hub-can", *of_profile(services, "vcan")}
+    folders = {Path(service["environment"]["SKIN_KEYS"]) for service in changed.values()}
+    assert len(folders) == len(changed)
+    assert {folder.name for folder in folders} <= {"hub", *ROLES}
+    listening = services["gateway-can"]["command"].replace("--listen", "--connect")
+    assert changed["gateway-can"]["command"] == listening
+
+
 def test_every_setting_is_used(services: dict[str, Service]) -> None:
     used = set(re.findall(r"\$\{(\w+)[}:]", COMPOSE.read_text()))
     assert used == {name for name in SETTINGS if name.startswith("SKIN_")}
@@ -107,7 +120,8 @@ def test_no_service_gets_more_than_it_needs(services: dict[str, Service]) -> Non
 def test_only_the_page_is_published_and_only_on_this_machine(services: dict[str, Service]) -> None:
     published = {name: service["ports"] for name, service in services.items() if "ports" in service}
     assert published == {"viewer": ["127.0.0.1:8765:8765"]}
-    assert YAML(typ="safe").load(COMPOSE)["networks"]["fabric"] == {"internal": True}
+    for name, service in of_profile(services, "virtual").items():
+        assert (service.get("network_mode") == "none") is (name != "viewer"), name
     for name, service in of_profile(services, "vcan").items():
         assert "0.0.0.0" not in service["command"], name  # noqa: S104 - that is what must not be there
 
@@ -144,12 +158,11 @@ def test_units_and_image_give_the_services_the_same_environment() -> None:
 class Boxes:
     """Runs commands of the compose file as in containers: `folder` has the volumes.
 
-    The services share the machine's network: names of containers are loopback, and ports free ones. The skin is the
-    default one at a rate that every machine keeps.
+    The services share the machine's network: the port of the page is a free one. The skin is the default one at a rate
+    that every machine keeps.
     """
 
     folder: Path
-    endpoint: str
     page_port: str
 
     def command(self, words: list[str], *, caches: bool = True) -> list[str]:
@@ -162,7 +175,6 @@ class Boxes:
         return Confined(image_environment(), volumes, user_id=int(uid[1])).words(*map(self._word, words))
 
     def _word(self, word: str) -> str:
-        word = re.sub(r"^tcp/(gateway|0\.0\.0\.0|127\.0\.0\.1):7447$", self.endpoint, word)
         return re.sub(r"(?<!\d)8765(?!\d)", self.page_port, word)
 
     def service(self, service: Service, **options: bool) -> list[str]:
@@ -186,7 +198,7 @@ def boxes(tmp_path_factory: pytest.TempPathFactory) -> Boxes:
     folder = tmp_path_factory.mktemp("compose")
     (folder / "run").mkdir(mode=0o700)
     give_compiled(folder / "cache")
-    return Boxes(folder, free_endpoint(), str(free_port()))
+    return Boxes(folder, str(free_port()))
 
 
 @pytest.mark.slow
@@ -199,7 +211,7 @@ def test_the_commands_as_written_give_measurements_images_and_health(
             running.start(name, *boxes.service(service))
             running.await_words("bus", "ready")
         running.await_words("viewer", "web page")  # the hub is there
-        image = first_image(running, boxes.endpoint)
+        image = first_image(running, f"{UNIX}/{boxes.folder}/run/hub")
         assert np.frombuffer(image.pixels, "<f4").size == 64 * 64
         for name, service in virtual.items():
             running.until(lambda service=service: boxes.is_healthy(service), f"{name} to be healthy")  # type: ignore[misc]
