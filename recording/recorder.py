@@ -8,7 +8,7 @@ from typing import Any, Final, NamedTuple
 from bus.link import Link, State
 from canskin.fabric import Missed, Origin
 from canskin.messages import MARK, Topic
-from recording.mcap_file import EVENTS, RECORDER, File
+from recording.mcap_file import EVENTS, LONGEST_MESSAGE, RECORDER, File
 from recording.sinks import Sink
 from shell.service import StopSignal, say
 
@@ -76,6 +76,9 @@ class Recorder:
         """Take a message of the fabric; from any thread."""
         if origin is not None:
             self.missed.take(topic.name, origin)
+        if len(content) > LONGEST_MESSAGE:  # of another program: no reader would take its chunk
+            self._lost_messages += 1
+            return
         self._wait(_Waiting(self._wall_ns(), topic, content))
 
     def take_event(self, source: str, text: str) -> None:

@@ -14,7 +14,6 @@ from tests.layouts import in_turns
 from tests.nodes.helpers import (
     MILLISECOND_NS,
     PRE_OPERATIONAL,
-    RESET_COMMUNICATION,
     RESET_NODE,
     START,
     STOP,
@@ -221,19 +220,6 @@ def test_segments_without_a_transfer_and_without_an_end_are_aborted(segment: Seg
     assert taken == 37  # 259 bytes
     assert answers[taken][4:] == struct.pack("<I", 0x0607_0012)
     assert {answer[4:] for answer in answers[taken + 1 :]} == {struct.pack("<I", 0x0504_0001)}
-
-
-def test_stored_parameters_survive_a_reset_and_defaults_come_back(segment: Segment, link: ArrayLink) -> None:
-    assert write(segment, link, 0x1017, 0, 250, 2) == 0
-    give(segment, link, frame(0, bytes((RESET_NODE, 1))))
-    assert read(segment, link, 1, 0x1017) == 1000
-    write(segment, link, 0x1017, 0, 250, 2)
-    write(segment, link, 0x1010, 1, 0x6576_6173, 4)
-    assert give(segment, link, frame(0, bytes((RESET_COMMUNICATION, 1)))) == [(0x701, b"\0")]
-    assert read(segment, link, 1, 0x1017) == 250
-    write(segment, link, 0x1011, 1, 0x6461_6F6C, 4)
-    give(segment, link, frame(0, bytes((RESET_NODE, 1))))
-    assert read(segment, link, 1, 0x1017) == 1000
 
 
 def test_frames_of_any_kind(segment: Segment, link: ArrayLink) -> None:

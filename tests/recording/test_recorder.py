@@ -23,7 +23,16 @@ from dbc.contract import Contract
 from dbc.frame import Frames
 from dbc.generate import contract_files
 from recording import record_command
-from recording.mcap_file import CALIBRATION_FILE, EVENTS, RECORDER, File, newest_file, read_about, read_entries
+from recording.mcap_file import (
+    CALIBRATION_FILE,
+    EVENTS,
+    LONGEST_MESSAGE,
+    RECORDER,
+    File,
+    newest_file,
+    read_about,
+    read_entries,
+)
 from recording.recorder import MOST_WAITING, Recorder
 from recording.sinks import check_format, open_sink
 from shell.service import StopSignal
@@ -307,3 +316,15 @@ def test_no_thread_waits_for_a_hub_when_the_recorder_ends(
         for number, handler in handlers.items():
             signal.signal(number, handler)
     assert set(threading.enumerate()) <= before
+
+
+def test_a_message_that_no_reader_would_take_is_lost_and_the_file_stays_readable(
+    contract: Contract, links: dict[int, FakeLink], out: Path
+) -> None:
+    run = Run(out, contract, links)
+    run.recorder.take_message(LABEL, bytes(LONGEST_MESSAGE + 1))
+    run.recorder.take_message(LABEL, bytes(LONGEST_MESSAGE))
+    run.turn(0.6)
+    run.sink.close()
+    assert (run.recorder.lost, run.recorder.messages) == (1, 1)
+    assert [len(each.data) for each in read_entries(out, pytest.fail) if each.topic == LABEL.name] == [LONGEST_MESSAGE]
