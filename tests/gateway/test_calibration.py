@@ -31,7 +31,7 @@ from skin.calibration_file import StoredCalibration, encoded, new_calibration, p
 from skin.layout import changed
 from tests.calibration.helpers import pressed
 from tests.gateway.boards import small_stepped
-from tests.layouts import STEPPED_SKIN, small_contract
+from tests.layouts import STEPPED_SKIN, buses, small_contract
 from tests.messages import stepped_measurement
 from tests.world import World, valid
 
@@ -161,7 +161,9 @@ def test_nodes_that_make_sums_in_hardware_get_no_gains() -> None:
     assert "take off no gains: 'skin reconstruct --gains' does" in text
 
 
-def test_nodes_write_and_store_gains_and_offsets(small: Contract, tmp_path: Path) -> None:
+@pytest.mark.parametrize("blocks_per_node", [1, 2])
+def test_nodes_write_and_store_gains_and_offsets(blocks_per_node: int, tmp_path: Path) -> None:
+    small = small_contract(bus=buses(*[2 // blocks_per_node] * 2, blocks_per_node=blocks_per_node))
     world = World(small, store=tmp_path)
     world.until_whole(2.0)
     taxels = small.layout.taxels
@@ -176,7 +178,7 @@ def test_nodes_write_and_store_gains_and_offsets(small: Contract, tmp_path: Path
     asked.run(0.1)
     assert asked.answers == [
         (False, "the nodes are being written to: wait for the end of that"),
-        (True, "4 nodes have written and stored it; the zero is measured anew"),
+        (True, f"{len(small.nodes)} nodes have written and stored it; the zero is measured anew"),
         (True, "the calibration in use"),
     ]
     told = parse_calibration(asked.replies[-1].content, small.layout, "test")
