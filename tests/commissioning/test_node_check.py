@@ -324,7 +324,7 @@ def test_a_wrong_board_is_named(what: str) -> None:
     assert bool(said) == bool(differences), said
     assert [note in each for note, each in zip(notes, report.notes, strict=True)] == [True] * len(notes)
     assert report.cycles == cycles
-    assert pattern_of(bench) == before or what == "nine bytes"
+    assert pattern_of(bench) == before or what == "a pattern of nine bytes"
     if what == "a pattern that is not taken":
         assert said.count("object 2021h:0: abort ") == 4
 
