@@ -16,7 +16,6 @@ from rich.console import Console
 from calibration.windows import tare_s
 from canskin.errors import InputError, RunError
 from canskin.fabric import Fabric
-from canskin.messages import GATEWAY, IMAGE, LABEL, MEASUREMENT, NODES, TRUTH
 from canskin.peers import Peer, Roll
 from canskin.session import UNIX
 from classifier.newest_sums import averaged_cycles
@@ -147,14 +146,7 @@ class Run:
         return [*self._of_layout, "--connect", endpoint]
 
     def _listen(self, fabric: Fabric) -> None:
-        for topic, take in (
-            (GATEWAY, "take_gateway"),
-            (NODES, "take_nodes"),
-            (TRUTH, "take_truth"),
-            (MEASUREMENT, "take_measurement"),
-            (IMAGE, "take_image"),
-            (LABEL, "take_label"),
-        ):
+        for topic, take in self.score.topics:
             fabric.subscribe(topic, partial(self._take, take))
         fabric.watch_peers(self._note)
 

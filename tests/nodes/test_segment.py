@@ -85,15 +85,6 @@ def test_half_of_the_sums_go_in_odd_and_half_in_even_cycles(segment_in_turns: Se
         assert [read(segment, link, 1, 0x2100, first + place) & 0x3FFF for place in range(4)] == raw
 
 
-def test_a_missed_sync_does_not_shift_the_turn(segment_in_turns: Segment, link: ArrayLink) -> None:
-    segment = segment_in_turns
-    give(segment, link, frame(0, bytes((START, 1))))
-    seen = {counter: give(segment, link, sync(counter)) for counter in (1, 2, 4, 5, 8, 239, 240)}
-    assert {counter: [can_id for can_id, _ in sent] for counter, sent in seen.items()} == {
-        1: [0x181], 2: [0x281], 4: [0x281], 5: [0x181], 8: [0x281], 239: [0x181], 240: [0x281],
-    }  # fmt: skip
-
-
 def test_frames_start_after_the_reaction_time_and_end_inside_the_window_of_their_node(
     segment: Segment, link: ArrayLink
 ) -> None:
