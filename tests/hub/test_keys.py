@@ -1,6 +1,7 @@
 """Keys: what is wrong with a folder of them, and why a hub refuses a program, is told at once."""
 
 import math
+import os
 import shutil
 import threading
 import time
@@ -18,6 +19,7 @@ from canskin.keys import ANSWER_S, Keys
 from canskin.peers import Peer
 from canskin.session import UNIX, open_client, open_hub, peers_at
 from hub.authority import Authority
+from shell.command import build_app
 from tests.hub.keys import issue_for, make_authority
 from tests.processes import PATIENCE_S, free_port
 
@@ -126,6 +128,15 @@ def test_every_connection_of_a_process_has_the_keys_of_its_environment(
     assert [peer.service for peer in peers_at(hub, 5.0, bool)] == ["hub"]
     with pytest.raises(BusError, match="no skin at"):  # let in, but only the hub is there
         canskin.connect(hub, timeout_s=0.1)
+
+
+def test_the_option_is_that_of_every_verb_and_of_the_processes_it_starts(
+    authority: Authority, hub: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("SKIN_KEYS", "another")
+    build_app().meta(["list", "--connect", hub, "--seconds", "0.01", "--keys", str(authority.folder / "client")])
+    assert "palm  hub " in capsys.readouterr().out
+    assert os.environ["SKIN_KEYS"] == str(authority.folder / "client")
 
 
 def test_a_socket_of_the_user_needs_no_keys(authority: Authority, tmp_path: Path) -> None:
