@@ -66,13 +66,39 @@ def test_a_hub_refuses_keys_of_another_authority(authority: Authority, hub: str,
     )
 
 
-def test_a_hub_refuses_keys_that_have_ended(authority: Authority, hub: str) -> None:
-    with mock.patch("canskin.keys.time.time", return_value=0.0), pytest.raises(InputError, match="is this clock right"):
-        Keys(authority.folder / "client")
-    ended = issue_for(authority, "client", -10.0)
+def ended_keys(authority: Authority) -> Keys:
+    folder = issue_for(authority, "client:ended", -10.0)
     with mock.patch("canskin.keys.time.time", return_value=time.time() - 20.0):
-        keys = Keys(ended)
-    assert "the certificate has ended" in refusal(hub, keys)
+        return Keys(folder)
+
+
+def test_a_hub_refuses_keys_that_have_ended(authority: Authority, hub: str) -> None:
+    assert "the certificate has ended" in refusal(hub, ended_keys(authority))
+
+
+def test_zenoh_refuses_what_the_program_does_not_find_out(
+    authority: Authority, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("canskin.session.reason", lambda *_: "")
+    good = Keys(authority.folder / "client")
+    foreign = Keys(make_authority(tmp_path / "foreign", "client").folder / "client")
+    no_certificate, of_foreign = Keys(good.folder), Keys(foreign.folder)
+    knows_hub = {"transport/link/tls/root_ca_certificate": str(good.folder / "ca.pem")}
+    monkeypatch.setattr(no_certificate, "settings", lambda **_: knows_hub)
+    monkeypatch.setattr(of_foreign, "settings", lambda **_: foreign.settings(is_hub=False) | knows_hub)
+    port = free_port()
+    refused = (
+        ("127.0.0.2", good),
+        ("127.0.0.1", foreign),
+        ("127.0.0.1", of_foreign),
+        ("127.0.0.1", no_certificate),
+        ("127.0.0.1", ended_keys(authority)),
+    )
+    with closing(open_hub(f"tls/0.0.0.0:{port}", Keys(authority.folder / "hub"))):
+        for host, keys in refused:
+            with pytest.raises(BusError, match="no hub at"):
+                open_client(f"tls/{host}:{port}", "client", None, 0.3, keys=keys)
+        open_client(f"tls/127.0.0.1:{port}", "client", None, 5.0, keys=good).close()
 
 
 def test_a_hub_lets_revoked_keys_do_nothing_and_they_are_told(authority: Authority) -> None:
