@@ -35,6 +35,11 @@ Unread = Callable[[], Any]
 SETTLED_S: Final = 1.0
 
 
+#: Most publishers and topics whose losses are counted, and most differences of other services that are logged.
+_PUBLISHERS_MAX: Final = 1000
+_DIFFERENCES_MAX: Final = 100
+
+
 class Origin(NamedTuple):
     """Where a message comes from, as its attachment tells: a gap in the numbers is messages that were dropped.
 
@@ -64,6 +69,10 @@ class Missed:
         # A number below the expected one was counted as missed, and came after its successor.
         self._counts[key] += origin.number - expected if origin.number >= expected else -1
         self._expected[key] = max(expected, origin.number + 1)
+        if len(self._expected) > _PUBLISHERS_MAX:  # names are free: others may invent one for each message
+            oldest = list(self._expected)[0]  # noqa: RUF015 - in one step: other topics have threads of their own
+            self._expected.pop(oldest, None)
+            self._counts.pop(oldest, None)
 
     def counts(self) -> dict[str, int]:
         """Return the numbers of messages that did not come, by topic, without those that all came.
@@ -321,7 +330,11 @@ class Fabric:
         """Call ``changed(peer, alive)`` for every service of every skin on the hub that is present, comes or goes."""
 
         def receive(sample: Any) -> None:
-            changed(peer_of_key(str(sample.key_expr)), sample.kind == zenoh.SampleKind.PUT)
+            peer = peer_of_key(str(sample.key_expr))
+            if peer is None:
+                self.malformed += 1
+            else:
+                changed(peer, sample.kind == zenoh.SampleKind.PUT)
 
         self._kept.append(self._session.liveliness().declare_subscriber(EVERY_KEY, receive, history=True))
 
@@ -380,7 +393,7 @@ class Fabric:
         if self._others.note(peer.service, peer.key, alive):
             tell(self._peer.service, f"{peer.service} {'is there' if alive else 'has left'}", logging.INFO)
         difference = self._peer.difference(peer) if alive else ""
-        if difference and difference not in self._differences:
+        if difference and difference not in self._differences and len(self._differences) < _DIFFERENCES_MAX:
             self._differences.add(difference)
             tell(self._peer.service, difference)
 
@@ -389,5 +402,5 @@ def _origin_of(attachment: Any) -> Origin | None:
     """Return what an attachment tells; other programs attach nothing, or something else."""
     if attachment is None:
         return None
-    told = re.fullmatch(rb"(\w+)-(\d{1,18})", attachment.to_bytes())
+    told = re.fullmatch(rb"(\w{1,64})-(\d{1,18})", attachment.to_bytes())
     return None if told is None else Origin(told[1].decode(), int(told[2]))

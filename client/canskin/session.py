@@ -288,7 +288,8 @@ def first_sentence(error: BaseException) -> str:
 def peers_of(session: Any) -> list[Peer]:
     """Return the services of all skins on the hub of a session."""
     tokens = session.liveliness().get(EVERY_KEY, timeout=TRY_S)
-    return [peer_of_key(str(each.ok.key_expr)) for each in tokens if each.ok is not None]
+    found = [peer_of_key(str(each.ok.key_expr)) for each in tokens if each.ok is not None]
+    return [each for each in found if each is not None]
 
 
 def peers_at(
