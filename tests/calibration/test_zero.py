@@ -75,19 +75,6 @@ def test_a_late_block_gets_its_zero_after_eight_windows_of_its_own() -> None:
     assert skin.made.status().revision == 1
 
 
-def test_a_late_block_begins_to_wait_anew_after_a_gap() -> None:
-    skin = Cycles()
-    skin.missing = [4]
-    skin.run(10.1)
-    skin.missing = []
-    skin.run(7)  # five windows of eight
-    skin.cycle += 100
-    skin.run(8)  # it has settled long ago; the eighth window ends with the next cycle
-    assert skin.made.status().known_sums == SMALL_SUMS - 8
-    skin.run(0.1)
-    assert skin.made.status().known_sums == SMALL_SUMS
-
-
 def test_a_block_that_comes_under_a_touch_is_left_out_until_the_touch_ends() -> None:
     skin, late = Skin(Calibrator(LAYOUT)), 5
     row, column = divmod(int(PHI.taxels_of_blocks[late][0]), COLUMNS)
