@@ -178,24 +178,6 @@ def test_a_received_frame_takes_one_error_back_or_ends_passive_at_119(before: in
     assert controller.receive_errors == after
 
 
-def test_errors_count_one_received_and_eight_sent_up_to_their_ends() -> None:
-    controller = Controller("a:0", 0, 0, receive_errors=253)
-    counts = []
-    for _ in range(3):
-        controller.receive_failed()
-        counts.append(controller.receive_errors)
-    assert counts == [254, 255, 255]
-    controller.transmit_failed(unacknowledged=True)
-    controller.state = State.PASSIVE
-    controller.transmit_failed(unacknowledged=True)
-    assert controller.transmit_errors == 8
-    controller.transmit_failed(unacknowledged=False)
-    assert (controller.transmit_errors, controller.disturbed) == (16, True)
-    controller.reset()
-    assert (controller.transmit_errors, controller.receive_errors, controller.state) == (0, 0, State.ACTIVE)
-    assert not controller.disturbed
-
-
 # Reports, byte by byte as Linux has them in ``include/uapi/linux/can/error.h``
 
 CRTL, PROT, ACK, BUSOFF, BUSERROR, RESTARTED, CNT = 0x004, 0x008, 0x020, 0x040, 0x080, 0x100, 0x200
