@@ -13,7 +13,8 @@ from bandwidth.traffic import traffic
 from canskin.errors import LayoutError, RunError
 from canskin.messages import Image
 from dbc.contract import Contract
-from dbc.frame import ECHO, Frames, frame_bytes
+from dbc.frame import ECHO, Frames
+from gateway.batch import batch_of
 from gateway.stepped_state import new_sums, slots_of, take_all
 from nodes.simulated import REST_S, Nodes
 from nodes.steps.simulated import sync_frames, touched_frames
@@ -207,7 +208,8 @@ def _steps(layout: Layout, source: TaxelSource, seconds: float) -> Iterator[Mome
     walsh = WalshReconstructor(layout.patches(), taxels.rows, taxels.columns, NOISE_N, taxels.surface.graph)
     for step in range(steps):
         for bus, (frames, parts) in enumerate(buses):
-            take_all(frame_bytes(frames[slice(*parts[step])]), bus, proven, slots, contract.parts, sums)
+            batch = batch_of(frames[slice(*parts[step])], bus, contract.parts)
+            take_all(batch, proven, slots, contract.parts, sums)
         true_n = source.frame(step).force_n.ravel()
         sensor_n = to_counts(sense(true_n, rng, NOISE_N, taxels.force_max_n), taxels) * taxels.newton_per_count
         known = np.concatenate([part[:held] for part, held in zip(sums.known, contract.parts.form[:, 0], strict=True)])

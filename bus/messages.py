@@ -36,20 +36,17 @@ def to_message(record: np.void, channel: str, offset_ns: int) -> can.Message:
 
 def to_frame(message: can.Message, time_ns: int) -> Frames:
     """Convert a message to one record, with a time in place of its own."""
-    frame = frames(1)
-    frame["time_ns"] = time_ns
-    frame["can_id"] = message.arbitration_id
-    frame["flags"] = flags_of(message)
-    frame["length"] = message.dlc
-    data = bytes(message.data or b"")[:64]
-    frame["data"][0, : len(data)] = np.frombuffer(data, np.uint8)
-    return frame
+    return _records([message], [time_ns])
 
 
 def to_logged_frames(messages: Sequence[can.Message]) -> Frames:
     """Convert the messages of a log to records, with the time stamps of the log."""
+    return _records(messages, [round(message.timestamp * 1e9) for message in messages])
+
+
+def _records(messages: Sequence[can.Message], times_ns: list[int]) -> Frames:
     many = frames(len(messages))
-    many["time_ns"] = [round(message.timestamp * 1e9) for message in messages]
+    many["time_ns"] = times_ns
     many["can_id"] = [message.arbitration_id for message in messages]
     many["flags"] = [flags_of(message) for message in messages]
     many["length"] = [message.dlc for message in messages]

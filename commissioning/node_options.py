@@ -13,7 +13,8 @@ from commissioning.talk import Talk, take_turn
 from dbc.canopen import HIGHEST_NODE_ID
 from dbc.contract import Contract, NodeContract
 from shell.service import StopSignal
-from skin.layout import Layout, load_layout
+from shell.skin_options import SkinOptions
+from skin.layout import Layout
 from skin.ranges import ranges_text
 
 
@@ -29,18 +30,21 @@ class NodeOptions:
     bus
         Name of its bus in the layout. Default: the only one.
     layout
-        TOML of the skin; without it the default skin.
+        TOML of the skin; without it and `connect` the default skin.
+    connect
+        Endpoint of the hub that tells the layout.
     """
 
     node: int | None = None
     bus: str | None = None
     layout: Path | None = None
+    connect: str | None = None
 
     def load(self) -> Layout:
         """Return the skin; raise InputError for a node-ID that no CANopen device has."""
         if self.node is not None and not 1 <= self.node <= HIGHEST_NODE_ID:
             raise InputError(f"expected --node with a node-ID from 1 to {HIGHEST_NODE_ID}, got {self.node}")
-        return load_layout(self.layout)
+        return SkinOptions(self.layout, self.connect).find(needs_hub=False)
 
     def bus_number(self, skin: Layout) -> int:
         """Return the number of the bus in the layout."""

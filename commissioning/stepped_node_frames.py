@@ -16,7 +16,8 @@ from dbc import steps
 from dbc.board_sums import PATTERN_FULL, PATTERN_OFF, PATTERN_ZERO
 from dbc.canopen import NMT_COB_ID, SYNC_COB_ID, NmtCommand
 from dbc.contract import Contract, NodeContract, Tpdo
-from dbc.frame import ECHO, Frames, frame_bytes
+from dbc.frame import ECHO, Frames
+from gateway.batch import batch_of
 from gateway.stepped_state import AFTER_GAP, DUPLICATE, LATE, MALFORMED, forget, new_sums, slots_of, take_all
 from skin.sync_counter import SYNC_OVERFLOW
 from skin.walsh import walsh_matrix
@@ -110,7 +111,8 @@ class SteppedFrames(ExpectedFrames):
     def _take(self, one: Frames) -> int:
         """Let the receiver take a frame; return how it counts the frame."""
         before = self._state.counts.copy()
-        take_all(frame_bytes(one), self._node.bus, self._is_mine, self._slots, self._contract.parts, self._state)
+        parts = self._contract.parts
+        take_all(batch_of(one, self._node.bus, parts), self._is_mine, self._slots, parts, self._state)
         return int((self._state.counts - before).argmax())
 
     def _compare(self, one: Frames, tpdo: Tpdo) -> None:

@@ -35,7 +35,28 @@ def at_rate(layout: Layout, rate_hz: float) -> Layout:
         raise InputError(f"--sync-rate {rate_hz:g}: {error}") from error
 
 
-def is_kept(earlier: GatewayStatus, now: GatewayStatus) -> bool:
-    """Tell whether enough of the cycles between two states of a gateway are complete."""
-    cycles = now.cycles - earlier.cycles
-    return cycles > 0 and now.cycles_complete - earlier.cycles_complete >= KEPT_RATIO * cycles
+class RateJudge:
+    """Judges once, by the cycles of the first seconds, whether a machine keeps the rate of a run.
+
+    Parameters
+    ----------
+    is_given : bool
+        The rate is kept, whatever the machine does.
+    """
+
+    def __init__(self, *, is_given: bool = False) -> None:
+        self._is_judged = is_given
+        self._earlier: GatewayStatus | None = None
+        self._judge_at_s = 0.0
+
+    def keeps(self, gateway: GatewayStatus | None, elapsed_s: float) -> bool:
+        """Tell whether the rate is kept, by the newest state of the gateway."""
+        if self._is_judged or gateway is None or not SETTLED_S <= elapsed_s <= 2 * JUDGED_S:
+            return True
+        if self._earlier is None:
+            self._earlier, self._judge_at_s = gateway, elapsed_s + JUDGED_S - SETTLED_S
+        if elapsed_s < self._judge_at_s:
+            return True
+        self._is_judged = True
+        cycles = gateway.cycles - self._earlier.cycles
+        return cycles > 0 and gateway.cycles_complete - self._earlier.cycles_complete >= KEPT_RATIO * cycles

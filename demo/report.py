@@ -103,9 +103,6 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
     sample_age_ms : float or None
         Stepped: age of the samples of these frames at the ends of the frames, by their slots; 99 % are not older. None
         with synchronous sending.
-    bus_sampling_error_us, sampling_error_us, sent_error_us : Percentiles
-        Distance of the sampling instant in the measurements from that of the nodes: by the time stamp of the SYNC on
-        their bus; by the mean over the buses; without time stamps, by the send call. None with steps.
     bus_load : list of float
         Load of each bus since SYNC started, exact stuffing.
     kbit_per_s : float or None
@@ -141,9 +138,6 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
     labelled_ratio: float | None = None
     latency_ms: Percentiles
     sample_age_ms: float | None = None
-    bus_sampling_error_us: Percentiles = Percentiles(p50=None, p99=None)
-    sampling_error_us: Percentiles = Percentiles(p50=None, p99=None)
-    sent_error_us: Percentiles = Percentiles(p50=None, p99=None)
     sync_rate_hz: float
     bus_load: list[float]
     kbit_per_s: float | None = None
@@ -188,14 +182,6 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
             if self.sample_age_ms is not None:
                 within += f"; 99 % of samples are up to {self.sample_age_ms:.1f} ms older than their frames"
             rows.append((words.latency, within))
-        if self.bus_sampling_error_us.p99 is not None:
-            bus_us, mean_us, sent_us = (
-                self.bus_sampling_error_us.p99,
-                self.sampling_error_us.p99,
-                self.sent_error_us.p99,
-            )
-            stamped = f"99 % within {bus_us:.1f} µs of the nodes', mean of the buses {mean_us:.0f} µs"
-            rows.append(("sampling instant", f"{stamped}; without time stamps {sent_us:.0f} µs"))
         if self.psnr_image_db is not None:
             sensor = f"one raw sample's {self.psnr_sensor_db:.1f} dB"
             against = sensor if self.sensor_adds_noise else "what was played, which has no noise"

@@ -16,14 +16,13 @@ from rich.console import Console
 from calibration.windows import tare_s
 from canskin.errors import InputError, RunError
 from canskin.fabric import Fabric
-from canskin.messages import GATEWAY, IMAGE, LABEL, MEASUREMENT, NODES, TRUTH, GatewayStatus
 from canskin.peers import Peer, Roll
 from canskin.session import UNIX
 from classifier.newest_sums import averaged_cycles
 from demo.options import DemoOptions
 from demo.picture import save_picture
 from demo.processor_time import ratios
-from demo.rate import JUDGED_S, LEAST_PART, LEAST_RUN_S, SETTLED_S, at_rate, is_kept
+from demo.rate import LEAST_PART, LEAST_RUN_S, RateJudge, at_rate
 from demo.report import WORDS, Report
 from demo.score import Score
 from demo.supervisor import Supervisor
@@ -58,13 +57,11 @@ class Run:
         #: Services were started before, at another rate.
         self._has_begun = False
         self._fabric: Fabric | None = None
-        #: State of the gateway at `SETTLED_S`, with which the rate is judged.
-        self._earlier: GatewayStatus | None = None
-        self._judge_at_s = inf
         self._console = Console(stderr=True, quiet=not talks(Talk.NORMAL))
         self._port = _page_port(options.port) if options.view else None
         self._path = str(options.layout or "default")
         self._lowest_hz = layout.sync.rate_hz * LEAST_PART
+        self._judge = rate_judge(self._layout, options, self._lowest_hz)
         if options.sync_rate is not None:
             self._take_rate(options.sync_rate)
 
@@ -116,7 +113,7 @@ class Run:
         self._layout = at_rate(self._layout, rate_hz)
         path = self._folder / "layout.toml"
         path.write_text(layout_text(self._layout))
-        self._path, self._earlier = str(path), None
+        self._path, self._judge = str(path), rate_judge(self._layout, self._options, self._lowest_hz)
         self._there, self.score = Roll(), self._new_score()
 
     def _new_score(self) -> Score:
@@ -149,14 +146,7 @@ class Run:
         return [*self._of_layout, "--connect", endpoint]
 
     def _listen(self, fabric: Fabric) -> None:
-        for topic, take in (
-            (GATEWAY, "take_gateway"),
-            (NODES, "take_nodes"),
-            (TRUTH, "take_truth"),
-            (MEASUREMENT, "take_measurement"),
-            (IMAGE, "take_image"),
-            (LABEL, "take_label"),
-        ):
+        for topic, take in self.score.topics:
             fabric.subscribe(topic, partial(self._take, take))
         fabric.watch_peers(self._note)
 
@@ -231,29 +221,12 @@ class Run:
                     if talks(Talk.NORMAL):
                         bar.print(event)
                 bar.update(elapsed_s, self._line())
-                if not self._keeps_rate(elapsed_s):
+                if not self._judge.keeps(self.score.gateway, elapsed_s):
                     self.score.cpu_ratio = ratios(before, self._supervisor.processor_times(), elapsed_s)
                     self._say_slower()
                     return False
             self.score.cpu_ratio = ratios(before, self._supervisor.processor_times(), time.monotonic() - start_s)
         return True
-
-    def _keeps_rate(self, elapsed_s: float) -> bool:
-        """Judge the rate once, by cycles of the first seconds; a rate that was given or is the least is kept.
-
-        So is the rate of a model that knows means of cycles.
-        """
-        options, gateway = self._options, self.score.gateway
-        is_given = options.sync_rate is not None or (options.model is not None and averaged_cycles(self._layout) > 1)
-        can_choose = not is_given and options.seconds >= LEAST_RUN_S and self._layout.sends.in_cycles
-        if not can_choose or gateway is None or not SETTLED_S <= elapsed_s <= 2 * JUDGED_S:
-            return True
-        if self._earlier is None:
-            self._earlier, self._judge_at_s = gateway, elapsed_s + JUDGED_S - SETTLED_S
-        if elapsed_s < self._judge_at_s:
-            return True
-        self._judge_at_s = inf
-        return is_kept(self._earlier, gateway) or self._layout.sync.rate_hz / 2 < self._lowest_hz
 
     def _say_slower(self) -> None:
         report, rate_hz = self.score.report(), self._layout.sync.rate_hz
@@ -292,6 +265,16 @@ class Run:
             parts.append(f"image {score.psnr_image_db[-1]:.1f} dB" + f", one raw sample {sensor_db:.1f} dB" * noisy)
         parts.append(score.label_text())
         return " | ".join(parts)
+
+
+def rate_judge(layout: Layout, options: DemoOptions, lowest_hz: float) -> RateJudge:
+    """Return what judges the rate of a run; a rate that was given, or whose half is below `lowest_hz`, is kept.
+
+    So is the rate of a model that knows means of cycles, and that of a run which is too short to judge.
+    """
+    is_given = options.sync_rate is not None or (options.model is not None and averaged_cycles(layout) > 1)
+    is_kept = is_given or options.seconds < LEAST_RUN_S or not layout.sends.in_cycles
+    return RateJudge(is_given=is_kept or layout.sync.rate_hz / 2 < lowest_hz)
 
 
 def _known_objects(touching: Collection[str]) -> list[str]:

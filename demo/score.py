@@ -9,23 +9,27 @@ import threading
 from collections import deque
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
-from typing import Final
+from typing import ClassVar, Final
 
 import numpy as np
 import numpy.typing as npt
 
 from canskin.messages import (
+    GATEWAY,
+    IMAGE,
+    LABEL,
+    NODES,
+    TRUTH,
     UNKNOWN_ERROR_NS,
-    CycleMeasurement,
     GatewayStatus,
     Image,
     Label,
-    Measurement,
     NodesStatus,
+    Topic,
     Truth,
 )
 from demo.report import NodeMissing, Percentiles, Report
-from skin.ground_truth import ImagePairs, LabelPairs, Pairing, image_pairs, in_contact, label_pairs
+from skin.ground_truth import ImagePairs, LabelPairs, image_pairs, in_contact, label_pairs
 from skin.layout import Layout
 from skin.psnr import adds_noise, psnr_db
 
@@ -61,11 +65,6 @@ class Score:
     latency_ms : deque of float
         Time from SYNC to the published image, one entry per image with new sums, of the last `HISTORY`. Stepped: from
         the end of the newest frame that is in the image.
-    bus_sampling_error_us, sampling_error_us, sent_error_us : deque of float
-        Distances from the SYNC that the nodes received: of the nearest of `Measurement.bus_sampled_ns`, because the
-        virtual nodes of all buses sample at the SYNC that they receive first; of `Measurement.sampled_mono_ns`, the
-        mean over the buses; of `CycleMeasurement.sent_mono_ns`. One entry per `CycleMeasurement`, of the last
-        `HISTORY`.
     sample_age_ms : deque of float
         Stepped: how much older than its end the sample of that frame is at most, of the last `HISTORY`.
     named_contacts : int
@@ -78,15 +77,20 @@ class Score:
         Of the demo's process; set by the run.
     """
 
+    #: What a score takes, and by which method.
+    topics: ClassVar[tuple[tuple[Topic, str], ...]] = (
+        (GATEWAY, "take_gateway"),
+        (NODES, "take_nodes"),
+        (TRUTH, "take_truth"),
+        (IMAGE, "take_image"),
+        (LABEL, "take_label"),
+    )
     layout: Layout
     gateway: GatewayStatus | None = None
     nodes: dict[str, NodesStatus] = field(default_factory=dict)
     psnr_image_db: deque[float] = field(default_factory=_newest)
     psnr_sensor_db: deque[float] = field(default_factory=_newest)
     latency_ms: deque[float] = field(default_factory=_newest)
-    bus_sampling_error_us: deque[float] = field(default_factory=_newest)
-    sampling_error_us: deque[float] = field(default_factory=_newest)
-    sent_error_us: deque[float] = field(default_factory=_newest)
     sample_age_ms: deque[float] = field(default_factory=_newest)
     contact_cycles: int = 0
     named_contacts: int = 0
@@ -98,14 +102,12 @@ class Score:
     scheduling: str = ""
     _images: ImagePairs = field(init=False)
     _labels: LabelPairs = field(init=False)
-    _measurements: Pairing[CycleMeasurement] = field(init=False)
     _peak_n: float = 0.0
     _newest_ns: int = -1
     _lock: threading.Lock = field(default_factory=threading.Lock)
 
     def __post_init__(self) -> None:
         self._images, self._labels = image_pairs(self.layout), label_pairs(self.layout)
-        self._measurements = Pairing(self.layout.sync.period_s)
 
     def take_gateway(self, status: GatewayStatus) -> None:
         """Keep the newest counters of the gateway."""
@@ -126,16 +128,6 @@ class Score:
                 self._compare(image, true)
             for label, true in self._labels.take_truth(truth):
                 self._count_label(label, true)
-            for measurement, true in self._measurements.take_truth(truth):
-                self._compare_times(measurement, true)
-
-    def take_measurement(self, measurement: Measurement) -> None:
-        """Compare the sampling instant of a cycle with that of the nodes; times of another size are ignored."""
-        if not isinstance(measurement, CycleMeasurement) or len(measurement.bus_sampled_ns) % np.int64().nbytes:
-            return
-        with self._lock:
-            for mine, truth in self._measurements.take(measurement):
-                self._compare_times(mine, truth)
 
     def take_image(self, image: Image) -> None:
         """Compare an image with the truth of its cycle; an image of another size is ignored."""
@@ -183,16 +175,6 @@ class Score:
 
     def _is_named_contact(self, truth: Truth) -> bool:
         return bool(truth.label) and in_contact(self._grid(truth.true), self.layout.taxels.force_max_n)
-
-    def _compare_times(self, measurement: CycleMeasurement, truth: Truth) -> None:
-        bus_ns = np.frombuffer(measurement.bus_sampled_ns, "<i8")
-        for errors_us, estimates_ns in (
-            (self.bus_sampling_error_us, bus_ns[bus_ns > 0]),
-            (self.sampling_error_us, [measurement.sampled_mono_ns]),
-            (self.sent_error_us, [measurement.sent_mono_ns]),
-        ):
-            if len(estimates_ns):
-                errors_us.append(min(abs(int(each) - truth.sampled_mono_ns) for each in estimates_ns) * 1e-3)
 
     def _compare(self, image: Image, truth: Truth) -> None:
         true = self._grid(truth.true)
@@ -247,9 +229,6 @@ class Score:
             labelled_ratio=self.labelled / contacts if contacts else None,
             latency_ms=_percentiles(self.latency_ms),
             sample_age_ms=_percentiles(self.sample_age_ms).p99,
-            bus_sampling_error_us=_percentiles(self.bus_sampling_error_us),
-            sampling_error_us=_percentiles(self.sampling_error_us),
-            sent_error_us=_percentiles(self.sent_error_us),
             sync_rate_hz=round(gateway.sync_rate_hz, 3) if gateway else 0.0,
             bus_load=[round(load, 4) for load in loads],
             kbit_per_s=self._kbit_per_s(loads),

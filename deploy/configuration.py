@@ -17,11 +17,22 @@ from bus.ip_link import RESTART_MS, TRANSMIT_QUEUE_FRAMES, data_bit_rate_hz, sam
 from bus.link import NAME_MAX, check_channels
 from bus.options import BusOptions, channels
 from canskin.errors import InputError, SkinError
+from canskin.session import TLS_ENDPOINT
 from shell.command import WRONG_INPUT
 from skin.layout import SHIPPED, Bus, Layout, layout_text, load_layout
 
 #: Services that open the CAN interfaces.
 ON_THE_BUSES: Final = ("gateway", "record")
+#: With keys: the role of each service, after which its folder of keys is named. The page may ask as a person does.
+ROLES: Final = {
+    "hub": "hub",
+    "gateway": "gateway",
+    "reconstruct": "reconstructor",
+    "classify": "classifier",
+    "view": "operator",
+    "record": "recorder",
+    "ros2": "ros2",
+}
 #: Folders that the services cannot see (ProtectHome=, systemd.exec(5)).
 HOMES: Final = ("/home", "/root", "/run/user")
 #: Type of CAN devices, ARPHRD_CAN of linux/if_arp.h.
@@ -36,11 +47,13 @@ SKIN_LAYOUT={layout}
 #   SKIN_gateway=-i socketcan -c can0 --calibration /etc/canskin/palm.json
 #   SKIN_reconstruct=--gains /etc/canskin/gains.json
 #   SKIN_classify=--model /etc/canskin/palm.npz
-SKIN_gateway=-i socketcan -c {channels}{keep_zero}
+SKIN_gateway=-i socketcan -c {channels}{keep_zero}{connect}
 SKIN_reconstruct=
 SKIN_classify=
 SKIN_view=
 SKIN_record=-i socketcan -c {channels}
+# With keys (deploy/install --keys): where the hub listens.
+SKIN_hub=--listen tls/0.0.0.0:7447
 # Compiled kernels and trained models; another folder needs ReadWritePaths= in a drop-in.
 #SKIN_CACHE=/var/cache/canskin
 """
@@ -74,6 +87,17 @@ After={devices} systemd-networkd.service
 
 [Service]
 RestrictAddressFamilies=AF_CAN
+"""
+
+KEYS: Final = """\
+# Made by deploy/install: who the service is to the hub.
+[Service]
+Environment=SKIN_KEYS=/etc/canskin/keys/{role}
+"""
+
+HUB_START: Final = """\
+ExecStart=
+ExecStart={venv}/bin/skin hub $SKIN_hub
 """
 
 RECORD: Final = """\
@@ -139,11 +163,15 @@ def rules(names: Sequence[str], adapters: Sequence[Adapter]) -> str:
 
 
 def files(
-    layout: Layout, where: str, names: Sequence[str], adapters: Sequence[Adapter], venv: str
+    layout: Layout, where: str, names: Sequence[str], adapters: Sequence[Adapter], venv: str, *, has_keys: bool
 ) -> Iterator[tuple[str, str]]:
     """Find path and content of each file."""
     keep_zero = " --keep-zero /var/lib/canskin/zero.json" if layout.sends.in_cycles else ""
-    yield "etc/canskin/skin.env", ENVIRONMENT.format(layout=where, channels=" ".join(names), keep_zero=keep_zero)
+    connect = f" --connect {TLS_ENDPOINT}" if has_keys else ""
+    yield (
+        "etc/canskin/skin.env",
+        ENVIRONMENT.format(layout=where, channels=" ".join(names), keep_zero=keep_zero, connect=connect),
+    )
     for bus, name in zip(layout.bus, names, strict=True):
         yield f"etc/systemd/network/20-canskin-{name}.network", network(bus, name)
     yield "etc/udev/rules.d/76-canskin.rules", rules(names, adapters)
@@ -151,6 +179,9 @@ def files(
     for verb in ON_THE_BUSES:
         own = RECORD.format(venv=venv) if verb == "record" else ""
         yield f"etc/systemd/system/skin@{verb}.service.d/10-canskin.conf", order + own
+    for verb, role in ROLES.items() if has_keys else ():
+        own = HUB_START.format(venv=venv) if verb == "hub" else ""
+        yield f"etc/systemd/system/skin@{verb}.service.d/20-keys.conf", KEYS.format(role=role) + own
 
 
 def host_path(given: str, root: str) -> tuple[str, bool]:
@@ -193,6 +224,7 @@ def write(arguments: Sequence[str]) -> None:
     parser.add_argument("--folder", type=Path, required=True)
     parser.add_argument("--root", default="")
     parser.add_argument("--kept", type=Path)
+    parser.add_argument("--keys", action="store_true")
     given = parser.parse_args(arguments)
     layout = load_layout(Path(given.layout))
     where, is_copied = host_path(given.layout, given.root)
@@ -212,7 +244,7 @@ def write(arguments: Sequence[str]) -> None:
         check_kept(given.kept, where, names)
     # A copy has what the layout takes from other files in itself.
     copies = [(where[1:], layout_text(layout))] if is_copied else []
-    for path, text in [*files(layout, where, names, adapters, given.venv), *copies]:
+    for path, text in [*files(layout, where, names, adapters, given.venv, has_keys=given.keys), *copies]:
         file = given.folder / path
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_text(text)

@@ -152,7 +152,7 @@ def rivals(
 def recognition(
     *, meshes: Path | None = None, draws: int | None = None, run: RunOptions = RUN, json: Json = False
 ) -> None:
-    """Measure other methods than the paper's classifier, missing blocks, and the live service.
+    """Measure chosen rows, steps, and the live service, which go beyond the paper's classifier.
 
     Parameters
     ----------
@@ -170,7 +170,7 @@ def recognition(
     skin evaluate recognition --quick
     skin evaluate recognition --meshes ycb-meshes
     """
-    from evaluation.recognition.methods_compared import evaluate
+    from evaluation.recognition.beyond import evaluate
 
     options = run.options(meshes=meshes, draws=draws)
     _show({"recognition": evaluate(options)}, options, as_json=json)

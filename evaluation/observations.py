@@ -33,13 +33,12 @@ def true_force_n(meshes: str | None, kind: str = "averaged", side: int = 64) -> 
 
 
 @cache
-def sensed(meshes: str | None, seed: int, cycle: int = 0) -> npt.NDArray[np.float32]:
+def sensed(meshes: str | None, seed: int) -> npt.NDArray[np.float32]:
     """Return what the 4096 taxels felt, float32, shape (observations, 4096), newtons.
 
-    The noise of each `cycle` is its own; all measurements of one cycle share it, as they share the data set in the
-    paper.
+    All measurements share its noise, as they share the data set in the paper.
     """
-    rng = np.random.default_rng([seed, cycle])
+    rng = np.random.default_rng([seed, 0])
     return sense(true_force_n(meshes), rng).reshape(-1, TAXELS)
 
 

@@ -103,23 +103,7 @@ def evaluate(options: Options) -> Result:
         )
     note = f"Objects: {', '.join(names)}." + f" Left out, without sums that can be read: {left_out}." * bool(left_out)
     title = "Sums of a single-wire skin: our solver beside its authors' method"
-    return Result(title, rows, note=f"{note}\n{_verdicts(rows)}")
-
-
-def _verdicts(rows: list[Row]) -> str:
-    """Return a line for each number of sums: our solver against the best of the others."""
-    lines = []
-    for (size,), mine in grouped(rows, "sums").items():
-        ours, *others = sorted(mine, key=lambda row: str(row["method"]) != OURS)
-        said = []
-        for key, best in (
-            ("support", max(others, key=lambda row: float(row["support"]))),
-            ("unseen_error", min(others, key=lambda row: float(row["unseen_error"]))),
-        ):
-            is_win = ours[key] > best[key] if key == "support" else ours[key] < best[key]
-            said.append(f"{'win' if is_win else 'LOSS'} in {key}, {ours[key]} to {best[key]} of {best['method']}")
-        lines.append(f"{size} sums: {'; '.join(said)}")
-    return "\n".join(lines)
+    return Result(title, rows, note=note)
 
 
 def measure_press(*, folder: str, name: str, press: int, step: int) -> Row:

@@ -22,12 +22,11 @@ import numpy as np
 import numpy.typing as npt
 
 from canskin.messages import FrameCounts
-from dbc.canopen import SYNC_COB_ID
 from dbc.codec import read_raw
 from dbc.contract import Contract, FrameTable
-from dbc.frame import CAN_ID_AT, DATA_AT, ECHO, ERROR, EXTENDED, FLAGS_AT, REMOTE, TIME_AT, Frames, frame_bytes, frames
+from dbc.frame import DATA_AT, TIME_AT, frames
 from dbc.frame_fields import field
-from gateway.gathering import STRANGE, place_of
+from gateway.batch import NOTHING, OTHER_SYNC, OWN_SYNC, STRANGE, Batch, Places, Rows, batch_of
 from gateway.open_cycles import (
     SLOTS,
     Flags,
@@ -98,7 +97,6 @@ class Gathering(NamedTuple):
         See their classes.
     counts : array of int64, shape (6,)
         By `ACCEPTED` to `FOREIGN`, see `FrameCounts`.
-    foreign_syncs : array of int64, shape (buses,)
     late_of_node, missing_of_node : arrays of int64, shape (nodes,)
     heard : array of bool, shape (nodes,)
         Nodes that sent a TPDO.
@@ -110,7 +108,6 @@ class Gathering(NamedTuple):
     answers: Answers
     notes: SyncNotes
     counts: Integers
-    foreign_syncs: Integers
     late_of_node: Integers
     missing_of_node: Integers
     heard: Flags
@@ -123,26 +120,28 @@ ACCEPTED, LATE, DUPLICATE, MALFORMED, MISSING, FOREIGN = range(6)
 
 @njit(cache=True, nogil=True)
 def take_all(  # noqa: PLR0917  compiled functions take no keywords
-    rows: npt.NDArray[np.uint8], bus: int, stamp_error_ns: int, turns: int, table: FrameTable, state: Gathering
+    rows: Rows, places: Places, bus: int, stamp_error_ns: int, turns: int, table: FrameTable, state: Gathering
 ) -> None:
     """Use the frames that arrived on a bus, in bus order.
 
     Parameters
     ----------
-    rows : array of uint8, shape (frames, bytes of a FRAME)
+    rows, places : arrays
+        See `gateway.batch.Batch`.
     stamp_error_ns : int
         Bound of the error of the clock of their time stamps, `NO_STAMPS` if they have none.
     """
-    (rows,), table, state = borrowed((rows,)), borrowed(table), borrowed(state)
+    (rows, places), table, state = borrowed((rows, places)), borrowed(table), borrowed(state)
     for place in range(rows.shape[0]):
-        row = rows[place]
-        flags, ended_ns = row[FLAGS_AT], field(row, TIME_AT, 8)
-        if field(row, CAN_ID_AT, 4) == SYNC_COB_ID and not flags & (ERROR | EXTENDED | REMOTE):
-            _take_sync(bus, int(row[DATA_AT]), not flags & ECHO, ended_ns, stamp_error_ns, table, state)
-        if flags & (ERROR | ECHO):
+        row, frame = rows[place], places[place]
+        if frame == NOTHING:
             continue
-        frame = place_of(row, bus, table)
-        if frame < 0:
+        ended_ns = field(row, TIME_AT, 8)
+        if frame in (OWN_SYNC, OTHER_SYNC):
+            is_other = frame == OTHER_SYNC
+            _take_sync(bus, int(row[DATA_AT]), is_other, ended_ns, stamp_error_ns, table, state)
+            state.counts[FOREIGN] += is_other
+        elif frame < 0:
             state.counts[FOREIGN if frame == STRANGE else MALFORMED] += 1
         else:
             _accept(bus, frame, row[DATA_AT:], ended_ns, stamp_error_ns, turns, table, state)
@@ -161,7 +160,6 @@ def _take_sync(  # noqa: PLR0917  compiled functions take no keywords
     """Take note of a SYNC on a bus: when the gateway's own ended; of a foreign SYNC, which counter its answers have."""
     cycles = state.cycles
     if is_foreign:
-        state.foreign_syncs[bus] += 1
         if 1 <= counter <= SYNC_OVERFLOW and not is_open(counter, cycles):
             cycles.tainted[bus, counter] = True
     elif not is_open(counter, cycles) or note_echo(slot_of(counter), bus, time_ns, stamp_error_ns, state.notes):
@@ -273,7 +271,7 @@ class Collector:
         self._begin_anew()
         # What runs in each cycle is compiled before the first.
         self.open(1)
-        self.take(0, frames(0), None)
+        self.take(batch_of(frames(0), 0, self._table), None)
         self.close(1)
         self._begin_anew()
 
@@ -290,7 +288,6 @@ class Collector:
             answers=Answers(came, silent, doubtful, turn, np.full(rows, _NEVER, np.int64)),
             notes=self._times.notes,
             counts=np.zeros(6, np.int64),
-            foreign_syncs=np.zeros(len(contract.layout.bus), np.int64),
             late_of_node=self.late_of_node,
             missing_of_node=self.missing_of_node,
             heard=self.heard,
@@ -314,12 +311,6 @@ class Collector:
         """Use the sums of `blocks` from the next cycle on if `proven`; else stop at once, in open cycles too."""
         self._proven.trust(blocks, proven=proven)
 
-    def take_foreign_syncs(self, bus: int) -> int:
-        """Return the number of foreign SYNCs on a bus since the last call."""
-        count = int(self._state.foreign_syncs[bus])
-        self._state.foreign_syncs[bus] = 0
-        return count
-
     def open(self, counter: int, due_ns: int = 0, sent_ns: int | None = None) -> None:
         """Begin the cycle of SYNC `counter`, due at `due_ns`; call it at `sent_ns`, before this SYNC is sent.
 
@@ -340,13 +331,14 @@ class Collector:
         """Tell whether a cycle can be closed: every bus has sent all expected frames, or a frame of the next cycle."""
         return bool((self._state.cycles.passed[slot_of(counter)] | (self.waiting(counter) == 0)).all())
 
-    def take(self, bus: int, arrived: Frames, stamp_error_ns: int | None) -> None:
+    def take(self, batch: Batch, stamp_error_ns: int | None) -> None:
         """Use the frames that arrived on a bus, in bus order.
 
         `stamp_error_ns` is the bound of the error of the clock of their time stamps, None if they have none.
         """
         error_ns = NO_STAMPS if stamp_error_ns is None else stamp_error_ns
-        take_all(frame_bytes(arrived), bus, error_ns, self._contract.turns, self._table, self._state)
+        turns = self._contract.turns
+        take_all(batch.rows, batch.places, batch.bus, error_ns, turns, self._table, self._state)
 
     def lost(self, bus: int) -> None:
         """Take note that frames of a bus were lost, a foreign SYNC perhaps."""

@@ -12,7 +12,7 @@ from canskin.messages import CycleMeasurement, FrameCounts, Measurement
 from dbc.canopen import NmtState
 from dbc.configuration import READ_S
 from dbc.contract import Contract, NodeContract
-from dbc.frame import Frames
+from gateway.batch import Batch
 from gateway.collector import Collector
 from gateway.gathering import Health, Sync
 from gateway.open_cycles import slot_of
@@ -95,12 +95,12 @@ class CycleGathering:
         if proven:
             self.collector.expected[place] = True
 
-    def take(self, bus: int, arrived: Frames, health: Health, _now_s: float) -> None:
+    def take(self, batch: Batch, health: Health, _now_s: float) -> None:
         """Use the frames that arrived on a bus, in bus order."""
         if health.has_gap:
-            self.collector.lost(bus)
-        self.collector.take(bus, arrived, health.stamp_error_ns)
-        self._has_stamps[bus] = health.stamp_error_ns is not None
+            self.collector.lost(batch.bus)
+        self.collector.take(batch, health.stamp_error_ns)
+        self._has_stamps[batch.bus] = health.stamp_error_ns is not None
 
     def begin(self, sync: Sync) -> list[Measurement]:
         """Open the cycle of a SYNC; return the measurements of cycles closed for it."""
@@ -143,10 +143,6 @@ class CycleGathering:
             self.collector.expected[places] = (states == NmtState.OPERATIONAL) | self.collector.heard[places]
         self.collector.heard[:] = False
         return []
-
-    def take_foreign_syncs(self, bus: int) -> int:
-        """Return the number of foreign SYNCs on a bus since the last call."""
-        return self.collector.take_foreign_syncs(bus)
 
     def missing_and_late(self, place: int) -> tuple[int, int]:
         """Return how many frames of the node at `place` did not come in their cycle, and came too late."""

@@ -3,19 +3,8 @@
 from dataclasses import dataclass
 from typing import Final
 
-import numpy as np
-import numpy.typing as npt
-
 from bus.link import State
-from dbc.canopen import BASE_ID_MASK
-from dbc.contract import FrameTable, PartTable
-from dbc.frame import CAN_ID_AT, DATA_AT, EXTENDED, FD, FLAGS_AT, LENGTH_AT, REMOTE
-from dbc.frame_fields import field
-from shell.compiled import njit
-from skin.sync_counter import SYNC_OVERFLOW
 
-#: In place of a place: no frame with sums; of a wrong length, or without number of its cycle or slot.
-STRANGE, WRONG = -1, -2
 _DOWN: Final = (State.BUS_OFF, State.LOST)
 
 
@@ -86,15 +75,3 @@ class Health:
         self.has_returned = self.is_down and not is_down
         self.has_gap = is_down or self.is_down or dropped != self._dropped or tells_loss
         self.is_down, self._dropped = is_down, dropped
-
-
-@njit(cache=True, nogil=True)
-def place_of(row: npt.NDArray[np.uint8], bus: int, table: FrameTable | PartTable) -> int:
-    """Return the place of a frame in the table of those with sums; `STRANGE` or `WRONG` for others."""
-    can_id = field(row, CAN_ID_AT, 4)
-    place = table.row_of[bus, can_id] if can_id <= BASE_ID_MASK else STRANGE
-    if place < 0 or row[FLAGS_AT] & (EXTENDED | REMOTE | FD) != table.flags[place] & FD:
-        return STRANGE
-    if row[LENGTH_AT] != table.length[place] or not 1 <= row[DATA_AT] <= SYNC_OVERFLOW:
-        return WRONG
-    return int(place)

@@ -3,7 +3,7 @@
 import numpy as np
 import numpy.typing as npt
 
-from dbc.frame import ERROR, FRAME, Frames, frame_bytes, frames
+from dbc.frame import ERROR, FRAME, frames
 from dbc.frame_bits import frame_time_ns
 from skin.layout import Bus
 
@@ -24,9 +24,9 @@ class LoadMeter:
         self._busy_ns = self._total_busy_ns = 0
         self._since_s = self._start_s = now_s
 
-    def take(self, arrived: Frames) -> None:
-        """Keep frames of the bus, the gateway's own included, until `account`."""
-        self._waiting.append(frame_bytes(arrived))
+    def take(self, rows: npt.NDArray[np.uint8]) -> None:
+        """Keep frames of the bus, the gateway's own included, until `account`; see `gateway.batch.Batch`."""
+        self._waiting.append(rows)
 
     def account(self) -> None:
         """Add up the time of the kept frames; one call for many frames is cheaper than many calls."""

@@ -11,7 +11,7 @@ import numpy as np
 from bus.link import Link, Send, State
 from canskin.messages import BusState, GatewayStatus, Measurement
 from dbc.contract import Contract, NodeContract, sync_frame
-from dbc.frame import Frames, frames
+from dbc.frame import Frames
 from dbc.lss import anybody_without_node_id, has_answer
 from dbc.time_of_day import time_frame
 from gateway.batch import batch_of
@@ -51,6 +51,8 @@ class _Bus:
     #: Nodes whose sums are used from now on, or are not, as the master has found.
     trusts: list[tuple[NodeContract, bool]]
     health: Health = field(default_factory=Health)
+    #: SYNCs of somebody else since the last look at the nodes.
+    other_syncs: int = 0
     #: Until when boards without node-ID may answer that they are there.
     asked_until_s: float = -np.inf
 
@@ -99,7 +101,7 @@ class GatewayLoop:
             for number, send in sends.items()
         }
         self._numbers = sorted(self._buses)
-        batch_of(frames(0))  # compiled before the first frame
+        self._table = contract.parts if contract.in_steps else contract.table
         self.masters = {number: bus.master for number, bus in self._buses.items()}
         self.gathering = (
             SteppedGathering(contract, self.masters, now_s, rates_hz)
@@ -148,7 +150,7 @@ class GatewayLoop:
         stamp_error_ns : int or None
             Of the clock of the frames' time stamps, see `bus.link.Link`.
         """
-        bus, batch = self._buses[number], batch_of(arrived)
+        bus, batch = self._buses[number], batch_of(arrived, number, self._table)
         bus.health.look(state, dropped, stamp_error_ns, tells_loss=batch.tells_loss)
         bus.watch.look(state)
         if not len(arrived) and not bus.health.has_gap:
@@ -161,8 +163,9 @@ class GatewayLoop:
         if len(batch.talk):
             bus.master.take(batch.talk, now_s)
             self._trust(bus)
-        self.gathering.take(number, arrived, bus.health, now_s)
-        bus.load.take(arrived)
+        self.gathering.take(batch, bus.health, now_s)
+        bus.other_syncs += batch.other_syncs
+        bus.load.take(batch.rows)
 
     def tick(self, now_s: float) -> None:
         """Do all that is due at `now_s`, except SYNC and measurements."""
@@ -286,12 +289,13 @@ class GatewayLoop:
         """Report emergencies and foreign SYNCs, and let the gathering look at the nodes."""
         for line in self.gathering.look({number: bus.master.nmt for number, bus in self._buses.items()}):
             self._complain(line)
-        for number, bus in self._buses.items():
+        for bus in self._buses.values():
             for node_id, code in bus.master.emergencies:
                 self._complain(f"EMCY {code:04X}h from node {node_id} on {bus.name}")
             bus.master.emergencies.clear()
             strangers = bus.master.strangers
-            if self.gathering.take_foreign_syncs(number):
+            if bus.other_syncs:
+                bus.other_syncs = 0
                 self._complain(f"another SYNC producer on {bus.name}: {self.gathering.disturbance}; {strangers.words}")
                 strangers.find_producers(now_s)
 

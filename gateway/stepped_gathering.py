@@ -11,9 +11,10 @@ from canskin.errors import InputError
 from canskin.messages import UNKNOWN_ERROR_NS, FrameCounts, Measurement, SteppedMeasurement
 from dbc.configuration import READ_S
 from dbc.contract import Contract, NodeContract
-from dbc.frame import Frames, frame_bytes, frames
+from dbc.frame import frames
 from dbc.patch_filter import SAMPLE_NS
 from dbc.steps import LATE_SLOTS
+from gateway.batch import Batch, batch_of
 from gateway.block_states import judge, new_states
 from gateway.gathering import Health, Sync
 from gateway.nmt_master import NmtMaster
@@ -101,7 +102,7 @@ class SteppedGathering:
         self._newest_error_ns = UNKNOWN_ERROR_NS
         self._published_s, self._has_news = now_s, False
         # What runs for each frame is compiled before the first comes.
-        take_all(frame_bytes(frames(0)), 0, self._is_proven, self._slots, self._table, self._state)
+        self.take(batch_of(frames(0), next(iter(masters)), self._table), Health(), now_s)
         self._judge(now_s)
 
     @property
@@ -135,20 +136,19 @@ class SteppedGathering:
         self._is_proven[node.block] = False
         self._forget(node.block)
 
-    def take(self, bus: int, arrived: Frames, health: Health, now_s: float) -> None:
+    def take(self, batch: Batch, health: Health, now_s: float) -> None:
         """Use the frames that arrived on a bus, in bus order.
 
         Frames before the end of a node's proof are not used, nor those that came together with it.
         """
-        mine, state = self._buses[bus], self._state
-        rows, foreign_syncs = frame_bytes(arrived), int(state.foreign_syncs[bus])
-        newest_ns, taken_ns = take_all(rows, bus, self._is_proven, self._slots, self._table, state)
+        mine, state = self._buses[batch.bus], self._state
+        newest_ns, taken_ns = take_all(batch, self._is_proven, self._slots, self._table, state)
         mine.newest_ns = max(mine.newest_ns, newest_ns)
         if newest_ns > self._newest_ns:
             error_ns, self._newest_ns = health.stamp_error_ns, newest_ns
             self._newest_error_ns = UNKNOWN_ERROR_NS if error_ns is None else taken_ns + SAMPLE_NS + error_ns
         self._has_news |= newest_ns > NEVER_NS or health.is_down != mine.is_down
-        if state.foreign_syncs[bus] > foreign_syncs:
+        if batch.other_syncs:
             self._has_news = True
             state.missing[mine.parts] = self._all_missing[mine.parts]
         mine.is_down = health.is_down
@@ -204,12 +204,6 @@ class SteppedGathering:
         nodes = [self._contract.nodes[block] for block in np.unique(self._table.block[parts]).tolist()]
         names = [f"node {node.node_id} on {self._contract.layout.bus[node.bus].name}" for node in nodes]
         return [f"{name} has other sums than the gateway: all are asked for" for name in names]
-
-    def take_foreign_syncs(self, bus: int) -> int:
-        """Return the number of foreign SYNCs on a bus since the last call."""
-        count = int(self._state.foreign_syncs[bus])
-        self._state.foreign_syncs[bus] = 0
-        return count
 
     def missing_and_late(self, _place: int) -> tuple[int, int]:
         """Return 0 and 0: no frame is due at a time."""

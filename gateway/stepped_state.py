@@ -20,10 +20,9 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from dbc.canopen import SYNC_COB_ID
 from dbc.contract import Contract, PartTable
 from dbc.dictionary import slot_offset_us
-from dbc.frame import CAN_ID_AT, DATA_AT, ECHO, ERROR, EXTENDED, FLAGS_AT, REMOTE, TIME_AT
+from dbc.frame import DATA_AT, TIME_AT
 from dbc.frame_fields import field
 from dbc.steps import (
     BAD,
@@ -44,7 +43,7 @@ from dbc.steps import (
     put,
     read_word,
 )
-from gateway.gathering import STRANGE, place_of
+from gateway.batch import NOTHING, OWN_SYNC, WRONG, Batch, Places, Rows
 from shell.compiled import borrowed, njit
 from skin.sync_counter import SYNC_OVERFLOW
 
@@ -105,8 +104,8 @@ class PartSums(NamedTuple):
         Checks that found other integers.
     is_late, has_changed : arrays of bool, shape (parts,)
         The newest word came late, or the next is late; sums are not yet shown (`gateway.block_states`).
-    sync_ns, sync_slot, foreign_syncs : arrays of int64, shape (buses,)
-        End of the newest SYNC of the gateway, and the number of the slot that it began; number of all other SYNCs.
+    sync_ns, sync_slot : arrays of int64, shape (buses,)
+        End of the newest SYNC of the gateway, and the number of the slot that it began.
     counts : array of int64
         Frames by `COUNTED`.
     """
@@ -124,7 +123,6 @@ class PartSums(NamedTuple):
     has_changed: Flags
     sync_ns: Integers
     sync_slot: Integers
-    foreign_syncs: Integers
     counts: Integers
 
 
@@ -147,7 +145,7 @@ def new_sums(contract: Contract) -> PartSums:
     """Return the state of a gateway that has received nothing."""
     parts, buses = len(contract.parts.block), len(contract.layout.bus)
     known, of_parts = np.zeros((parts, PART_SUMS), np.int64), np.zeros((8, parts), np.int64)
-    of_buses, counts = np.zeros((3, buses), np.int64), np.zeros(len(COUNTED), np.int64)
+    of_buses, counts = np.zeros((2, buses), np.int64), np.zeros(len(COUNTED), np.int64)
     state = PartSums._make([known, *of_parts, *np.zeros((2, parts), np.bool_), *of_buses, counts])
     state.sync_ns[:] = NEVER_NS
     for part in range(parts):
@@ -163,15 +161,11 @@ def forget(part: int, table: PartTable, state: PartSums) -> None:
     state.newest_ns[part], state.has_changed[part] = NEVER_NS, True
 
 
-@njit(cache=True, nogil=True)
-def take_all(  # noqa: PLR0917  compiled functions take no keywords
-    rows: npt.NDArray[np.uint8], bus: int, is_proven: Flags, slots: Slots, table: PartTable, state: PartSums
-) -> tuple[int, int]:
+def take_all(batch: Batch, is_proven: Flags, slots: Slots, table: PartTable, state: PartSums) -> tuple[int, int]:
     """Use the frames of a bus, in bus order.
 
     Parameters
     ----------
-    rows : array of uint8, shape (frames, bytes of a FRAME)
     is_proven : array of bool, shape (blocks,)
         Blocks whose frames may be used.
 
@@ -180,22 +174,25 @@ def take_all(  # noqa: PLR0917  compiled functions take no keywords
     newest_ns, taken_ns : int
         When the newest frame that was used ended, or `NEVER_NS`; how long ago its node had begun with it.
     """
-    (rows, is_proven), slots = borrowed((rows, is_proven)), borrowed(slots)
+    newest_ns, taken_ns = _take_all(batch.rows, batch.places, batch.bus, is_proven, slots, table, state)
+    return newest_ns, taken_ns
+
+
+@njit(cache=True, nogil=True)
+def _take_all(  # noqa: PLR0917  compiled functions take no keywords
+    rows: Rows, places: Places, bus: int, is_proven: Flags, slots: Slots, table: PartTable, state: PartSums
+) -> tuple[int, int]:
+    (rows, places, is_proven), slots = borrowed((rows, places, is_proven)), borrowed(slots)
     table, state = borrowed(table), borrowed(state)
     newest_ns, taken_ns = NEVER_NS, 0
     for place in range(rows.shape[0]):
-        row = rows[place]
-        flags, ended_ns = row[FLAGS_AT], field(row, TIME_AT, 8)
-        if field(row, CAN_ID_AT, 4) == SYNC_COB_ID and not flags & (ERROR | EXTENDED | REMOTE):
-            if flags & ECHO:
-                state.sync_ns[bus], state.sync_slot[bus] = ended_ns, (int(row[DATA_AT]) - 1) * slots.per_sync
-            else:
-                state.foreign_syncs[bus] += 1
-        if flags & (ERROR | ECHO):
-            continue
-        frame = place_of(row, bus, table)
+        row, frame = rows[place], places[place]
+        ended_ns = field(row, TIME_AT, 8)
+        if frame == OWN_SYNC:
+            state.sync_ns[bus], state.sync_slot[bus] = ended_ns, (int(row[DATA_AT]) - 1) * slots.per_sync
+        elif frame < NOTHING:
+            state.counts[MALFORMED if frame == WRONG else FOREIGN] += 1
         if frame < 0:
-            state.counts[FOREIGN if frame == STRANGE else MALFORMED] += 1
             continue
         first, verdict, since_ns = table.part[frame], USED, ended_ns - state.sync_ns[bus]
         if not is_proven[table.block[first]]:

@@ -1,6 +1,7 @@
-"""What all boards of a process share: their taxels, and the calibration and the test patterns of their blocks."""
+"""What all boards of a process share: their taxels, when these are sampled, calibration and test patterns."""
 
 from abc import ABC, abstractmethod
+from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -8,6 +9,7 @@ import numpy.typing as npt
 from canskin.messages import Truth
 from dbc import indices as od
 from dbc.board_sums import PATTERN_OFF
+from dbc.frame import Frames, frames
 from nodes.electronics import Calibration
 from skin.phi import Sbhe
 from skin.zero_drift import DRIFT_N_PER_K, REST_K
@@ -17,7 +19,10 @@ NEVER_S = float("inf")
 
 
 class Hardware(ABC):
-    """The electronics of the boards of a process, as their nodes see it."""
+    """The electronics of the boards of a process, as their nodes and the segments of their buses see it."""
+
+    #: Whether a TPDO counts as sent as soon as the transmit queue has accepted it.
+    counts_accepted: ClassVar[bool]
 
     def __init__(self, phi: Sbhe, calibration: Calibration) -> None:
         self._phi = phi.wired
@@ -27,9 +32,9 @@ class Hardware(ABC):
         self._sites = np.arange(phi.blocks)
 
     @property
-    @abstractmethod
     def sums(self) -> npt.NDArray[np.int32]:
-        """The newest sums, shape (m,)."""
+        """The newest sums of boards in Python, shape (m,); boards in C tell their own."""
+        raise NotImplementedError
 
     @abstractmethod
     def counts(self, block: int) -> npt.NDArray[np.int32]:
@@ -52,6 +57,30 @@ class Hardware(ABC):
     @abstractmethod
     def prepare(self) -> None:
         """Do beforehand what a SYNC will ask for."""
+
+    @abstractmethod
+    def begin(self, now_s: float, since_sync_s: float) -> bool:
+        """Sample what is due by time; tell whether this is a time for heartbeats."""
+
+    @abstractmethod
+    def at_sync(self, bus: int, counter: int, time_ns: int) -> npt.NDArray[np.int32] | None:
+        """Return what the boards of a bus measure at a SYNC, if they send at SYNC; the counter is 0 without one."""
+
+    def news(self, bus: int, now_s: float) -> Frames:  # noqa: ARG002  not all boards send by themselves
+        """Return the frames that the boards of a bus send by themselves: each once."""
+        return frames(0)
+
+    @abstractmethod
+    def count(self, bus: int, arrived: Frames, is_pdo: npt.NDArray[np.bool_]) -> tuple[int, int, int]:
+        """Count the boards' own TPDOs among the received frames of a bus.
+
+        Returns
+        -------
+        sent, dropped : int
+            By how much the numbers of TPDOs sent and dropped change.
+        others : int
+            Frames that the boards still have to take.
+        """
 
     def first_sum(self, block: int) -> int:
         """Return the index of the first sum of `block`."""

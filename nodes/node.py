@@ -1,7 +1,6 @@
 """One CANopen node: NMT state machine (CiA 301, 7.3.2), heartbeats, emergencies, TPDOs."""
 
 import struct
-from collections.abc import Sequence
 from typing import Final
 
 import canopen
@@ -20,17 +19,14 @@ from dbc.canopen import (
     NmtCommand,
     NmtState,
 )
-from dbc.configuration import Setting
 from dbc.contract import NodeContract
 from dbc.dictionary import HEARTBEATS_WATCHED
 from dbc.frame import Frames, one_frame
-from dbc.objects import Object
 from nodes.emcy import EmcyProducer
 from nodes.hardware import Hardware
 from nodes.heartbeat import HeartbeatConsumer
 from nodes.node_objects import NodeObjects
 from nodes.objects import Outbox
-from nodes.storage import Storage
 from nodes.tpdo import LiveTpdo, read_tpdos
 
 #: State after a communication error, by 1029h sub 1 (CiA 301, 7.5.2.33): pre-operational, no change, stopped.
@@ -42,16 +38,10 @@ class SkinNode:
 
     Parameters
     ----------
-    objects : list of Object
-        The node's object dictionary.
-    settings, calibration : sequences of Setting
-        The objects that the signature 2006h covers, and those that 2009h covers besides.
+    objects : NodeObjects
+        The node's dictionary.
     outbox : Outbox
         Where the node sends.
-    storage : Storage
-        Parameters that 1010h stored.
-    serial_number : int
-        1018h:4, that of the board.
 
     Attributes
     ----------
@@ -66,18 +56,7 @@ class SkinNode:
         2022h: counter of the SYNC at which the sums were sampled.
     """
 
-    def __init__(
-        self,
-        contract: NodeContract,
-        objects: list[Object],
-        settings: Sequence[Setting],
-        calibration: Sequence[Setting],
-        *,
-        outbox: Outbox,
-        hardware: Hardware,
-        storage: Storage,
-        serial_number: int,
-    ) -> None:
+    def __init__(self, contract: NodeContract, objects: NodeObjects, outbox: Outbox, hardware: Hardware) -> None:
         self.contract = contract
         self.state = NmtState.INITIALISING
         self.health = np.zeros(4, np.int64)
@@ -89,9 +68,7 @@ class SkinNode:
         self._emcy_cob_id = 0
         self._emcy_inhibit_s = 0.0
         self.emcy = EmcyProducer(self._send_emcy)
-        self.objects = NodeObjects(
-            contract, objects, settings, calibration, hardware=hardware, storage=storage, serial_number=serial_number
-        )
+        self.objects = objects
         self.objects.readers |= {
             od.ERROR_REGISTER: lambda _: self.emcy.register,
             od.ERROR_FIELD: self._read_error,

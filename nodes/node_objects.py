@@ -1,6 +1,6 @@
 """The object dictionary of a running node: computed values, writes, signatures, stored parameters."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import partial
 from typing import Any, Final
 
@@ -8,10 +8,9 @@ import canopen
 
 from dbc import indices as od
 from dbc.canopen import Abort
-from dbc.configuration import Setting, signature, with_calibration
-from dbc.contract import NodeContract
-from dbc.dictionary import ON_COMMAND
-from dbc.objects import Object
+from dbc.configuration import Setting, calibration, configuration, signature, with_calibration
+from dbc.contract import Contract, NodeContract
+from dbc.dictionary import ON_COMMAND, dictionary
 from nodes.access import check_write, is_storable, number
 from nodes.hardware import Hardware
 from nodes.objects import LocalNode, object_dictionary
@@ -26,10 +25,6 @@ class NodeObjects:
 
     Parameters
     ----------
-    objects : list of Object
-        The node's object dictionary.
-    settings, calibration : sequences of Setting
-        The objects that the signature 2006h covers, and those that 2009h covers besides.
     storage : Storage
         Parameters that 1010h stored.
     serial_number : int
@@ -47,19 +42,18 @@ class NodeObjects:
 
     def __init__(
         self,
+        skin: Contract,
         contract: NodeContract,
-        objects: list[Object],
-        settings: Sequence[Setting],
-        calibration: Sequence[Setting],
         *,
         hardware: Hardware,
         storage: Storage,
         serial_number: int,
     ) -> None:
         self._contract, self._hardware, self._storage = contract, hardware, storage
+        settings = configuration(skin, contract)
         self._signed = {
             od.SIGNATURE: settings,
-            od.CALIBRATION_SIGNATURE: with_calibration(settings, calibration),
+            od.CALIBRATION_SIGNATURE: with_calibration(settings, calibration(skin, contract)),
         }
         self._signatures: dict[int, int] = {}
         self._changed = True
@@ -76,6 +70,8 @@ class NodeObjects:
             **{index: lambda subindex: ON_COMMAND if subindex else None for index in _COMMANDS},
         }
         self.writers: dict[int, Callable[[], None]] = {}
+        # Nodes in Python have no program that could be exchanged.
+        objects = [each for each in dictionary(skin, contract) if not od.is_program_download(each.index)]
         self.local = LocalNode(contract.node_id, object_dictionary(objects), contract.packing.bits, contract.pdo_bytes)
         self.local.add_write_callback(self._written)  # type: ignore[no-untyped-call]
         self.local.add_read_callback(self._read)  # type: ignore[no-untyped-call]

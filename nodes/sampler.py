@@ -8,6 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from canskin.messages import Truth
+from dbc.canopen import BASE_ID_MASK
+from dbc.frame import ECHO, ERROR, Frames
 from nodes.analogue import AnalogueElectronics
 from nodes.electronics import Electronics
 from nodes.hardware import Hardware
@@ -21,6 +23,9 @@ from skin.sync_counter import SYNC_OVERFLOW
 NUMBERED_SYNC_SPREAD_NS: Final = 100_000_000
 #: Cycles whose sums are kept, because some buses are read later than others.
 KEPT_CYCLES: Final = 8
+#: The next SYNC is expected within these times after the last SYNC, in periods.
+QUIET_FROM: Final = 0.7
+QUIET_TO: Final = 2.0
 
 
 @dataclass(frozen=True)
@@ -52,6 +57,8 @@ class Sampler(Hardware):
     The step of the taxel source follows the SYNC counter. So all processes of nodes that were started before the first
     SYNC measure the same touch, even if one misses a SYNC. A SYNC without counter, another master's, is no step.
     """
+
+    counts_accepted = True
 
     def __init__(self, phi: Sbhe, source: TaxelSource, electronics: Electronics) -> None:
         super().__init__(phi, electronics)
@@ -95,6 +102,30 @@ class Sampler(Hardware):
         self._drop_answer()
         super().reset(block)
         self._electronics.restart(int(self._sites[block]))
+
+    def begin(self, now_s: float, since_sync_s: float) -> bool:  # noqa: ARG002  a SYNC tells when to sample
+        """Tell whether no SYNC is expected.
+
+        A heartbeat sent while a SYNC waits to be read would delay the burst that answers this SYNC.
+        """
+        period_s = self._electronics.period_s
+        return not QUIET_FROM * period_s < since_sync_s < QUIET_TO * period_s
+
+    def at_sync(self, bus: int, counter: int, time_ns: int) -> npt.NDArray[np.int32]:
+        """Sample all taxels."""
+        return self.sample(counter, time_ns, bus)
+
+    def count(
+        self,
+        bus: int,  # noqa: ARG002  `is_pdo` is that of the bus
+        arrived: Frames,
+        is_pdo: npt.NDArray[np.bool_],
+    ) -> tuple[int, int, int]:
+        """Count the TPDOs that could not be sent within the window (1007h); nobody needs the others' echoes."""
+        flags = arrived["flags"]
+        own = flags[(flags & ECHO != 0) & is_pdo[arrived["can_id"] & BASE_ID_MASK]]
+        dropped = int(np.count_nonzero(own & ERROR))
+        return -dropped, dropped, len(arrived) - (len(own) - dropped)
 
     def sample(self, counter: int, time_ns: int, bus: int = 0) -> npt.NDArray[np.int32]:
         """Return the sums, shape (m,), at the SYNC `counter` (0: a SYNC without counter) seen on `bus` at `time_ns`."""

@@ -11,7 +11,6 @@ from dbc.contract import Contract
 from dbc.frame import ECHO, ERROR, EXTENDED, REMOTE, Frames
 from nodes.firmware.library import CompiledBoards
 from nodes.hardware import Hardware
-from nodes.sending import sending_of
 from nodes.virtual_boards import VirtualBoards
 
 #: Resolution of heartbeats, event timers and inhibit times.
@@ -61,7 +60,7 @@ class Segment:
         self.frames_sent = self.frames_dropped = self.syncs_seen = 0
         self.sync_at_s = self._tick_at_s = float("-inf")
         self._name = contract.layout.bus[bus].name
-        self._timing = sending_of(contract.layout).timing(contract, bus, hardware)
+        self._bus, self._hardware = bus, hardware
         self._send = send
         self._complain = complain
 
@@ -71,18 +70,16 @@ class Segment:
 
     def tick(self, now_s: float) -> None:
         """Sample what is due, do what is due by time, and send what is news."""
-        if not self._timing.begin(now_s, now_s - self.sync_at_s):
+        if not self._hardware.begin(now_s, now_s - self.sync_at_s):
             return
         if now_s >= self._tick_at_s and now_s >= self.boards.due_s:
             self._tick_at_s = now_s + TICK_S
             self._post(self.boards.pass_time(now_s))
-        news = self._timing.news(now_s)
-        if news is not None:
-            self._post(news)
+        self._post(self._hardware.news(self._bus, now_s))
 
     def take(self, arrived: Frames, now_s: float) -> None:
         """Handle received frames in their order, with echoes of sent frames and discarded frames."""
-        sent, dropped, others = self._timing.count(arrived, self.boards.is_pdo)
+        sent, dropped, others = self._hardware.count(self._bus, arrived, self.boards.is_pdo)
         self.frames_sent += sent
         self.frames_dropped += dropped
         if not others:
@@ -108,7 +105,7 @@ class Segment:
         self.syncs_seen += 1
         self.sync_at_s = now_s
         counter = int(sync["data"][0, 0]) if sync["length"][0] == 1 else 0
-        measured = self._timing.measure(counter, int(sync["time_ns"][0]))
+        measured = self._hardware.at_sync(self._bus, counter, int(sync["time_ns"][0]))
         self._post(self.boards.answer(sync, now_s, measured))
 
     def _post(self, burst: Frames) -> None:
@@ -116,7 +113,7 @@ class Segment:
         if not len(burst):
             return
         accepted = self._send(burst)
-        if self._timing.counts_accepted:
+        if self._hardware.counts_accepted:
             self.frames_sent += int(np.count_nonzero(self.boards.is_pdo[burst["can_id"][:accepted]]))
         if accepted < len(burst):
             refused = burst[accepted:]

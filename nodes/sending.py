@@ -15,9 +15,7 @@ from nodes.sampler import new_sampler
 from nodes.steps.boards import SteppedBoards
 from nodes.steps.firmware import FirmwarePatches
 from nodes.steps.node import SteppedNode
-from nodes.steps.slots import InSlots
 from nodes.steps.vectors import stepped_vectors_text
-from nodes.timing import AtSync, Timing
 from skin.layout import Layout
 from skin.sources import TaxelSource
 
@@ -30,8 +28,6 @@ class NodeSending:
     ----------
     node : type of SkinNode
         A node in Python.
-    timing : callable
-        Returns the `Timing` of one bus from contract, number of the bus and hardware.
     hardware : callable
         Returns what samples the taxels of some nodes, from contract, blocks of the nodes (ascending), source of touch,
         firmware (compiled for these nodes: the boards in C make the sums; or None), and ``noise_n``, ``seed`` and
@@ -41,7 +37,6 @@ class NodeSending:
     """
 
     node: type[SkinNode]
-    timing: Callable[..., Timing]
     hardware: Callable[..., Hardware]
     vectors_text: Callable[[Contract, NodeContract], str]
 
@@ -75,6 +70,6 @@ def vector_files(contract: Contract) -> dict[str, str]:
 
 
 _SENDINGS: Final = {
-    "synchronous": NodeSending(SkinNode, AtSync, _sampler, vectors_text),
-    "steps": NodeSending(SteppedNode, InSlots, _patches, stepped_vectors_text),
+    "synchronous": NodeSending(SkinNode, _sampler, vectors_text),
+    "steps": NodeSending(SteppedNode, _patches, stepped_vectors_text),
 }

@@ -2,15 +2,14 @@
 
 from pathlib import Path
 
-from dbc import indices as od
 from dbc.canopen import LSS_RESPONSE_COB_ID, NO_NODE_ID, NmtCommand, NmtState
-from dbc.configuration import calibration, configuration
 from dbc.contract import Contract, NodeContract
-from dbc.dictionary import REVISION, dictionary, serial_number
+from dbc.dictionary import REVISION, serial_number
 from dbc.frame import one_frame
 from nodes.hardware import Hardware
 from nodes.lss import LssSlave
 from nodes.node import SkinNode
+from nodes.node_objects import NodeObjects
 from nodes.objects import Outbox
 from nodes.sending import sending_of
 from nodes.storage import Storage
@@ -114,14 +113,7 @@ class VirtualBoard:
         self.node = self._new_node(node)
 
     def _new_node(self, node: NodeContract) -> SkinNode:
-        return sending_of(self._contract.layout).node(
-            node,
-            # Nodes in Python have no program that could be exchanged.
-            [each for each in dictionary(self._contract, node) if not od.is_program_download(each.index)],
-            configuration(self._contract, node),
-            calibration(self._contract, node),
-            outbox=self._outbox,
-            hardware=self._hardware,
-            storage=self._storage,
-            serial_number=self._serial,
+        objects = NodeObjects(
+            self._contract, node, hardware=self._hardware, storage=self._storage, serial_number=self._serial
         )
+        return sending_of(self._contract.layout).node(node, objects, self._outbox, self._hardware)

@@ -19,7 +19,7 @@ def label(source: Path, *labels: str, json: Json = False) -> None:
     """List the touches of a recording; set or remove their labels.
 
     A touch lasts from the onset of contact to the lift. Its label is that of the marks during most of its time
-    (``skin record --label``, the recorder's keys, ``skin.mark`` of the client), unless this verb has set another. Set
+    (``skin record --label``, the page, ``skin.mark`` of the client), unless this verb has set another. Set
     labels stand beside the recording, ``run.labels.json`` beside ``run.mcap``: move both files together.
 
     Parameters

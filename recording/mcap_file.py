@@ -53,7 +53,9 @@ RECORDER: Final = "recorder"
 _CHUNK_BYTES: Final = 1 << 20
 #: A longer record is damage: a layout and a calibration are shorter.
 _LONGEST_RECORD: Final = 1 << 25
-#: Most bytes that a chunk unpacks to: many times `_CHUNK_BYTES`.
+#: Most bytes of a message; those of the fabric take less.
+LONGEST_MESSAGE: Final = 1 << 22
+#: Most bytes that a chunk unpacks to: many times `_CHUNK_BYTES`, and more than `LONGEST_MESSAGE`.
 _UNPACKED_BYTES_MAX: Final = 1 << 23
 #: An attachment ends with its CRC-32.
 _CRC_BYTES: Final = 4

@@ -4,10 +4,9 @@ import threading
 import time
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Final
+from typing import Final
 
 import msgspec
-from cyclopts import Parameter
 
 from bus.options import BusOptions, open_links
 from calibration.attachment import follow_calibration
@@ -28,7 +27,6 @@ from canskin.messages import (
 from canskin.peers import Peer
 from dbc.contract import Contract
 from recording import RECORDING_SUFFIX, is_recording
-from recording.mark_keys import KEYS, has_keys, mark_keys
 from recording.recorder import Recorder
 from recording.sinks import check_format, open_sink
 from shell.output import check_new_path
@@ -46,7 +44,7 @@ def record(
     of: SkinOptions | None = None,
     bus: BusOptions | None = None,
     seconds: float | None = None,
-    label: Annotated[list[str] | None, Parameter(negative=(), consume_multiple=1)] = None,
+    label: str | None = None,
     frames: bool = True,
 ) -> None:
     """Record a running skin: the frames of its buses, measurements, images, contacts, labels, truth and counters.
@@ -67,9 +65,8 @@ def record(
     seconds
         Time to record; default: until a stop signal.
     label
-        What touches the skin, with commas between several. A single label holds from the start on. On a terminal the
-        keys 1 to 9 set the first to the ninth label, and 0 or the space bar ends it. ``skin label`` corrects labels,
-        ``skin train --recordings`` learns them.
+        What touches the skin, from the start on. The page and programs set other labels meanwhile, ``skin label``
+        corrects labels, ``skin train --recordings`` learns them.
     frames
         ``--no-frames`` opens no bus and records the messages alone, as the page does.
 
@@ -77,16 +74,15 @@ def record(
     --------
     skin record run.mcap
     skin record cup.mcap --label cup
-    skin record many.mcap --label cup,ball,pen
     skin record run.log --layout palm.toml -i socketcan -c can0 --seconds 60
     """
     if seconds is not None:
         require_above_zero("--seconds", seconds)
     stop, of = StopSignal().install(), of or SkinOptions()
     check_new_path(out, "recording")
-    labels = _labels(label or [], out)
-    if not frames and not is_recording(out):
-        raise InputError(f"--no-frames: expected a recording that ends in {RECORDING_SUFFIX}: {out} keeps frames alone")
+    name = None if label is None else check_label(label.strip())
+    _check_kept(out, "--label", name is not None)
+    _check_kept(out, "--no-frames", not frames)
     skin = of.find(stop)
     if of.layout is not None:
         of.compare(skin)
@@ -101,16 +97,16 @@ def record(
         now_ns = time.time_ns()
         sink = open_sink(out, contract, now_ns, now_ns - time.monotonic_ns())
         recorder = Recorder(links, sink, names)
-        if len(labels) == 1:
-            _mark(recorder, labels[0])
+        if name:
+            say("record", f"label: {name}")
+            recorder.take_message(MARK, msgspec.msgpack.encode(Mark(label=name)))
         join = partial(_join, of, skin, recorder, stop, joined)
         if sink.has_messages:  # a program that sets marks is to see no recorder that cannot write them
             joining = threading.Thread(target=join, name="join the fabric")
             joining.start()
         say("record", f"{', '.join(names.values()) if frames else 'messages'} to {out}")
         request_real_time("record")  # else services with it keep messages from coming
-        with mark_keys(labels, partial(_mark, recorder)) as poll:
-            recorder.run(stop, seconds or float("inf"), poll)
+        recorder.run(stop, seconds or float("inf"))
     except OSError as error:
         reason = error.strerror or error
         raise RunError(f"{out}: the recording ends: {reason}; what was written before is readable") from error
@@ -126,24 +122,10 @@ def record(
     _conclude(recorder, out)
 
 
-def _labels(given: list[str], out: Path) -> list[str]:
-    """Return the labels of the keys, checked."""
-    labels = [check_label(each.strip()) for text in given for each in text.split(",") if each.strip()]
-    if labels and not is_recording(out):
-        raise InputError(f"--label: expected a recording that ends in {RECORDING_SUFFIX}: {out} keeps frames alone")
-    if len(labels) > len(KEYS):
-        raise InputError(f"--label: expected up to {len(KEYS)} labels, a key for each, got {len(labels)}")
-    if len(labels) > 1 and not has_keys():
-        raise InputError("--label: several labels are set by keys, and there is no terminal: give one label")
-    if labels and has_keys():
-        keys = ", ".join(f"{key} {each}" for key, each in zip(KEYS, labels, strict=False))
-        say("record", f"keys: {keys}, 0 or space: no label")
-    return labels
-
-
-def _mark(recorder: Recorder, label: str) -> None:
-    say("record", f"label: {label or 'none'}")
-    recorder.take_message(MARK, msgspec.msgpack.encode(Mark(label=label)))
+def _check_kept(out: Path, option: str, is_given: bool) -> None:
+    """Check that a file keeps the messages that an option is about."""
+    if is_given and not is_recording(out):
+        raise InputError(f"{option}: expected a recording that ends in {RECORDING_SUFFIX}: {out} keeps frames alone")
 
 
 def _join(of: SkinOptions, skin: Layout, recorder: Recorder, stop: StopSignal, joined: list[Fabric]) -> None:

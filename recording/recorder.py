@@ -8,7 +8,7 @@ from typing import Any, Final, NamedTuple
 from bus.link import Link, State
 from canskin.fabric import Missed, Origin
 from canskin.messages import MARK, Topic
-from recording.mcap_file import EVENTS, RECORDER, File
+from recording.mcap_file import EVENTS, LONGEST_MESSAGE, RECORDER, File
 from recording.sinks import Sink
 from shell.service import StopSignal, say
 
@@ -76,6 +76,9 @@ class Recorder:
         """Take a message of the fabric; from any thread."""
         if origin is not None:
             self.missed.take(topic.name, origin)
+        if len(content) > LONGEST_MESSAGE:  # of another program: no reader would take its chunk
+            self._lost_messages += 1
+            return
         self._wait(_Waiting(self._wall_ns(), topic, content))
 
     def take_event(self, source: str, text: str) -> None:
@@ -86,10 +89,8 @@ class Recorder:
         """Take an attachment; from any thread."""
         self._files.append(file)
 
-    def run(
-        self, stop: StopSignal, until_s: float = float("inf"), each_turn: Callable[[], None] = lambda: None
-    ) -> None:
-        """Record until `stop`, or for `until_s` seconds; call `each_turn` in every turn.
+    def run(self, stop: StopSignal, until_s: float = float("inf")) -> None:
+        """Record until `stop`, or for `until_s` seconds.
 
         Raises
         ------
@@ -100,7 +101,6 @@ class Recorder:
         try:
             while not stop.is_set() and time.monotonic() < end_s:
                 time.sleep(TURN_S)
-                each_turn()
                 self.turn()
             self.turn()
             self._tell_counters()

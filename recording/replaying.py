@@ -20,8 +20,6 @@ from skin.layout import Layout
 
 #: Confidences that differ by less are equal: their sums depend on the labels since the classifier's start.
 CONFIDENCE_ERROR: Final = 1e-9
-#: Messages that are equal at the end of a run whose start takes most of the run.
-SETTLED: Final = 10
 #: Field of a label whose difference is one of the model.
 LABEL_NAME: Final = "label"
 #: What else of a label may differ.
@@ -40,20 +38,17 @@ class Agreement:
 
     Attributes
     ----------
-    first : int
+    last_different : int
         Messages compared up to the last that differs.
     differs : dict of str to float
         What differs, and the largest amount.
-    last : dict of str to float
-        How the last message that was compared differs.
     """
 
     made: int = 0
     compared: int = 0
     equal: int = 0
-    first: int = 0
+    last_different: int = 0
     differs: Difference = field(default_factory=dict)
-    last: Difference = field(default_factory=dict)
 
     def add(self, difference: Difference | None) -> None:
         """Count a message; None if nothing was recorded of it."""
@@ -62,24 +57,19 @@ class Agreement:
             return
         self.compared += 1
         self.equal += not difference
-        self.last = difference
         if difference:
-            self.first = self.compared
+            self.last_different = self.compared
         for what, amount in difference.items():
             self.differs[what] = max(amount, self.differs.get(what, 0.0))
 
     def verdict(self) -> str:
-        """Tell "equal", "equal but for the start", or "different", and what differs; empty without comparison."""
+        """Tell "equal", or up to which message they differ and in what; empty without comparison."""
         if not self.compared:
             return ""
         what = ", ".join(f"{name} by up to {most:.2g}" if most else name for name, most in self.differs.items())
         if not self.differs:
             return "equal"
-        alike = self.compared - self.first  # up to the end
-        if alike >= self.first or (alike >= SETTLED and self.equal - alike <= self.first / 2):
-            return f"equal but for the start, the first {self.first}: {what}"
-        end = ", ".join(f"{name} by {most:.2g}" if most else name for name, most in self.last.items())
-        return f"different: {what}; at the end {end or 'equal'}"
+        return f"different up to number {self.last_different}: {what}"
 
 
 @dataclass

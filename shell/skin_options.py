@@ -21,6 +21,7 @@ from shell.service import say
 from skin.description import describe
 from skin.difference import difference
 from skin.layout import Layout, layout_text, load_layout, parse_layout
+from skin.limits import check_bytes
 
 #: Longest wait for the hub, the skin and its layout: that of `canskin.connect`.
 PATIENCE_S: Final = 5.0
@@ -171,8 +172,9 @@ def join(
 
     def tell(fabric: Fabric) -> None:  # before the others see the service: then they ask
         if service in GATEWAYS:
-            about = describe(layout)
-            fabric.answer(LAYOUT, lambda _request, reply: reply(LayoutReply(layout_text(layout))))
+            about, told = describe(layout), LayoutReply(layout_text(layout))
+            check_bytes(len(told.toml), LayoutError, f"the text of layout '{layout.name}'")
+            fabric.answer(LAYOUT, lambda _request, reply: reply(told))
             fabric.answer(DESCRIPTION, lambda _request, reply: reply(about))
         prepare(fabric)
 

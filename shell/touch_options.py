@@ -43,7 +43,7 @@ class TouchOptions:
         ``slide``: objects press at any place and angle, and slide. ``press``: as in the paper's classification, within
         10 mm and 45 degrees of the middle, 9.99 mm deep, without a slide.
     input
-        A recording to play in place of the simulator: .npz, .npy or .csv of shape (time, rows, columns), or .mcap.
+        A recording to play in place of the simulator: .npz or .npy of shape (time, rows, columns), or .mcap.
     full_scale
         Recorded value that becomes the skin's largest force.
     array

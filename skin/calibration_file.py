@@ -174,7 +174,7 @@ def parse_calibration(content: bytes, layout: Layout, origin: str, *, is_shown: 
     if (stored.fingerprint, stored.force_max_n) != mine:
         raise InputError(
             f"{origin}: the calibration of another layout, '{stored.skin[:64]}' with Φ {stored.fingerprint[:32]} and"
-            f" {stored.force_max_n:g} N: expected Φ {mine[0]} and {mine[1]:g} N"
+            f" {stored.force_max_n:g} N: expected '{layout.name}' with Φ {mine[0]} and {mine[1]:g} N"
         )
     for name, found, wanted, most in (
         ("offsets_n", stored.offsets_n, phi.shape[0], np.inf if is_shown else most_offset_n(layout)),

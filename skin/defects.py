@@ -155,12 +155,12 @@ def _damper(case: Case) -> Callable[[Force, float], Force]:
 
 
 def _creep(case: Case) -> Callable[[Force, Force | float, float], tuple[Force, Force]]:
-    """Part of a force by which its reading creeps up, and by which the zero is low after it."""
+    """Part of a force by which its reading creeps up, and the zero is low afterwards."""
     return partial(creep, case.amount)
 
 
 def _cross_talk(case: Case) -> Callable[[Force], Force]:
-    """Fraction of the force of each of the four neighbours that a taxel reads in addition."""
+    """Fraction of the force of each neighbour that a taxel reads in addition."""
 
     def mixed(force_n: Force) -> Force:
         mixed_n = force_n.copy()
@@ -175,12 +175,12 @@ def _cross_talk(case: Case) -> Callable[[Force], Force]:
 
 
 def _swapped(case: Case) -> Callable[[Force], Force]:
-    """Fraction of the taxels whose wires are exchanged in pairs."""
+    """Fraction of taxels whose wires are exchanged in pairs."""
     return _rewired(case, case.chosen(), is_exchange=True)
 
 
 def _doubled(case: Case) -> Callable[[Force], Force]:
-    """Fraction of the taxels whose place is wired to another taxel, which then has two places."""
+    """Fraction of taxels whose place is wired to another taxel."""
     return _rewired(case, case.chosen(), is_exchange=False)
 
 
@@ -202,7 +202,7 @@ def _gain_spread(case: Case) -> Callable[[Force], Force]:
 
 
 def _offset(case: Case) -> Force:
-    """Largest offset / range; the offsets are uniform from 0 to that."""
+    """Largest offset / range; uniform from 0."""
     return case.random.uniform(0.0, case.amount * case.force_max_n, case.shape).astype(np.float32)
 
 
@@ -213,28 +213,28 @@ def _drift(case: Case) -> Callable[[npt.NDArray[np.float64]], Force]:
 
 
 def _noisy(case: Case) -> tuple[npt.NDArray[np.intp], float]:
-    """Fraction of the taxels whose noise has a standard deviation of a quarter of the range."""
+    """Fraction of taxels with noise of a quarter of the range."""
     return case.chosen(), NOISY_RATIO * case.force_max_n
 
 
 def _stuck(case: Case) -> tuple[npt.NDArray[np.intp], Force]:
-    """Fraction of the taxels that always read one value of the range."""
+    """Fraction of taxels that read one value of the range."""
     chosen = case.chosen()
     return chosen, case.random.uniform(0.0, case.force_max_n, chosen.size).astype(np.float32)
 
 
 def _saturated(case: Case) -> tuple[npt.NDArray[np.intp], float]:
-    """Fraction of the taxels that always read the end of the range."""
+    """Fraction of taxels that read the end of the range."""
     return case.chosen(), case.force_max_n
 
 
 def _dead(case: Case) -> tuple[npt.NDArray[np.intp], float]:
-    """Fraction of the taxels that always read 0."""
+    """Fraction of taxels that read 0."""
     return case.chosen(), 0.0
 
 
 def _mismatch(case: Case) -> SumGains:
-    """Standard deviation of the gains of the taxels that are added, and of those that are subtracted, around 1."""
+    """Standard deviation of the gains of added and of subtracted taxels around 1."""
     plus, minus = np.maximum(case.normal(1.0, 2, *case.shape), 0.0)
     return SumGains((plus + minus) / 2, (plus - minus) / 2)
 

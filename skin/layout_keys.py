@@ -55,7 +55,7 @@ SUM_BITS_MAX: Final = 16
 Positive = Annotated[int, msgspec.Meta(gt=0)]
 #: Longest name.
 NAME_CHARACTERS: Final = 64
-Name = Annotated[str, msgspec.Meta(pattern=r"^[a-z][a-z0-9_]*$", max_length=NAME_CHARACTERS)]
+Name = Annotated[str, msgspec.Meta(pattern=r"^[a-z][a-z0-9_]*(?!\n)$", max_length=NAME_CHARACTERS)]
 
 
 class _Table(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -167,8 +167,7 @@ def recording(
     Parameters
     ----------
     path : str or pathlib.Path
-        ``.npz``, ``.npy`` (arrays of shape (time, rows, columns)), ``.csv`` (one frame per line) or ``.mcap``, see
-        `touch.reading.read_counts`.
+        ``.npz``, ``.npy`` (arrays of shape (time, rows, columns)) or ``.mcap``, see `touch.reading.read_counts`.
     rows, columns : int
         Taxels of the skin; a smaller recording is placed in the middle, and the log tells.
     rate_hz : float, optional
@@ -189,7 +188,7 @@ def recording(
             f"a recording's rate (--rate) needs a number above 0, and the skin's: got {frame_rate_hz}, {rate_hz}"
         )
     named = tuple(part.strip() for part in arrays.split(",")) if isinstance(arrays, str) else arrays
-    counts = read_counts(Path(path), named, (rows, columns))
+    counts = read_counts(Path(path), named)
     if named is None:
         _tell_others(Path(path))
     if full_scale is None and is_recording(Path(path)):

@@ -10,6 +10,7 @@ import numpy as np
 
 from canskin.errors import InputError
 from canskin.question import Question
+from canskin.text import Told
 
 #: First row, first column, last row and last column of a part of the skin; both last ones belong to it.
 Region = tuple[int, int, int, int]
@@ -47,7 +48,7 @@ class ZeroSupport(IntEnum):
     MEASURED = 4
 
 
-class CalibrationStatus(msgspec.Struct, frozen=True, kw_only=True):
+class CalibrationStatus(Told, frozen=True, kw_only=True):
     """Offsets and noise of the sums.
 
     Attributes
@@ -88,11 +89,11 @@ class CalibrationStatus(msgspec.Struct, frozen=True, kw_only=True):
     drift_rms_n_per_s: float = 0.0
     noise_n: float = 0.0
     held_blocks: int = 0
-    defects: list[str] = []
+    defects: list[str] = msgspec.field(default_factory=list)
     revision: int = 0
     zero_support: bytes = b""
     zero_mono_ns: bytes = b""
-    recalibrated: list[str] = []
+    recalibrated: list[str] = msgspec.field(default_factory=list)
     doubtful_taxels: int = 0
     doubtful_force_n: float = 0.0
     doubtful_since_mono_ns: int = 0
@@ -122,7 +123,7 @@ class CalibrationStatus(msgspec.Struct, frozen=True, kw_only=True):
         return f"{self.doubtful_taxels}, with {self.doubtful_force_n:.3g} N{for_s}"
 
 
-class CalibrationRequest(msgspec.Struct, frozen=True, kw_only=True):
+class CalibrationRequest(Told, frozen=True, kw_only=True):
     """What a program asks the gateway for.
 
     Attributes
@@ -148,7 +149,7 @@ class ZeroRequest(msgspec.Struct, frozen=True):
     """Asks for the zero, and changes nothing."""
 
 
-class CalibrationReply(msgspec.Struct, frozen=True, kw_only=True):
+class CalibrationReply(Told, frozen=True, kw_only=True):
     """The gateway's answer.
 
     Attributes

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from canskin.question import Question
+from canskin.text import Told
 
 #: Linux: a random number of each boot.
 _BOOT_ID: Final = Path("/proc/sys/kernel/random/boot_id")
@@ -17,7 +18,7 @@ class DescriptionRequest(msgspec.Struct, frozen=True):
     """Asks for the description."""
 
 
-class Description(msgspec.Struct, frozen=True, kw_only=True):
+class Description(Told, frozen=True, kw_only=True):
     """The geometry of a skin, and how it sends.
 
     Attributes

@@ -15,6 +15,7 @@ import msgspec
 
 from canskin.calibration_messages import CalibrationStatus
 from canskin.errors import InputError
+from canskin.text import Told
 
 #: `sampled_error_ns` of a sampling instant whose error has no proven bound.
 UNKNOWN_ERROR_NS: Final = -1
@@ -33,7 +34,7 @@ class BlockState(IntEnum):
     FRESH = 3
 
 
-class Measurement(msgspec.Struct, frozen=True, kw_only=True):
+class Measurement(Told, frozen=True, kw_only=True):
     """The newest sums of a skin: a `CycleMeasurement` or a `SteppedMeasurement`, with what both tell.
 
     `skin.measured_sums` checks and decodes a measurement.
@@ -268,7 +269,7 @@ UNKNOWN_OBJECT: Final = "unknown object"
 MIN_VALID_RATIO: Final = 0.25
 
 
-class Label(msgspec.Struct, frozen=True, kw_only=True):
+class Label(Told, frozen=True, kw_only=True):
     """The classifier's result for one cycle.
 
     Attributes
@@ -307,7 +308,7 @@ class Label(msgspec.Struct, frozen=True, kw_only=True):
 LONGEST_LABEL: Final = 60
 
 
-class Mark(msgspec.Struct, frozen=True, kw_only=True):
+class Mark(Told, frozen=True, kw_only=True):
     """What touches the skin from now on, until the next mark: a person or a program says so, and recorders keep it.
 
     Attributes
@@ -335,7 +336,7 @@ def check_label(label: str) -> str:
     return label
 
 
-class Truth(msgspec.Struct, frozen=True, kw_only=True):
+class Truth(Told, frozen=True, kw_only=True):
     """True forces of one cycle; only simulated nodes publish them.
 
     Attributes
@@ -409,7 +410,7 @@ class NmtState(IntEnum):
 SILENT: Final = 255
 
 
-class BusState(msgspec.Struct, frozen=True, kw_only=True):
+class BusState(Told, frozen=True, kw_only=True):
     """State of one bus, from the gateway.
 
     Attributes
@@ -439,10 +440,10 @@ class BusState(msgspec.Struct, frozen=True, kw_only=True):
     mean_load_ratio: float = 0.0
     nodes: list[int]
     nmt: bytes
-    missing: list[int] = []
-    late: list[int] = []
-    emcy: list[int] = []
-    refused: list[int] = []
+    missing: list[int] = msgspec.field(default_factory=list)
+    late: list[int] = msgspec.field(default_factory=list)
+    emcy: list[int] = msgspec.field(default_factory=list)
+    refused: list[int] = msgspec.field(default_factory=list)
     link: str = "active"
     trouble: str = ""
     overrun: int = 0
@@ -473,7 +474,7 @@ class GatewayStatus(msgspec.Struct, frozen=True, kw_only=True):
     calibration: CalibrationStatus | None = None
 
 
-class NodesStatus(msgspec.Struct, frozen=True, kw_only=True):
+class NodesStatus(Told, frozen=True, kw_only=True):
     """Counters of one process of virtual nodes."""
 
     time_ns: int

@@ -1,5 +1,6 @@
 """The services on the fabric: their liveliness tokens, and whether two services can work together."""
 
+import re
 import secrets
 from importlib.metadata import version
 from typing import Final
@@ -72,6 +73,8 @@ class Peer(msgspec.Struct, frozen=True):
 
 #: Key expression of the peers of all skins.
 EVERY_KEY: Final = "canskin/*/alive/*/*"
+#: A token that is taken: other programs may declare any key that `EVERY_KEY` intersects, such as ``canskin/**``.
+_TOKEN: Final = re.compile(r"canskin/([\w-]{1,64})/alive/([\w-]{1,64})/([\w.+!~-]{1,200})", re.ASCII)
 
 
 def client_version() -> str:
@@ -84,9 +87,15 @@ def new_peer(skin: str, service: str, fingerprint: str) -> Peer:
     return Peer(skin, service, secrets.token_hex(INSTANCE_BYTES), client_version(), fingerprint)
 
 
-def peer_of_key(key: str) -> Peer:
-    """Return the peer whose token is `key`."""
-    _, skin, _, service, about = key.split("/")
+def peer_of_key(key: str) -> Peer | None:
+    """Return the peer whose token is `key`; None if its names are none, as of a program that imitates a service.
+
+    So a name of a peer has letters, digits and a few signs, whoever prints the name or makes another key of it.
+    """
+    found = _TOKEN.fullmatch(key)
+    if found is None:
+        return None
+    skin, service, about = found.groups()
     instance, *rest = about.split(SEPARATOR, 2)
     instance, _, scheduling = instance.partition(SCHEDULING)
     return msgspec.structs.replace(Peer(skin, service, instance, *rest), scheduling=scheduling)

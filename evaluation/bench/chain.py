@@ -9,7 +9,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from canskin.errors import RunError
-from canskin.messages import Image, Measurement
+from canskin.messages import MEASUREMENT, Image, Measurement
 from demo.folder import run_folder
 from demo.options import DemoOptions
 from demo.run import Run
@@ -45,6 +45,7 @@ class _Timed(Score):
         Of the first image of each measurement that has new sums.
     """
 
+    topics = (*Score.topics, (MEASUREMENT, "take_measurement"))
     steps: list[_Steps] = field(default_factory=list)
     _came_ns: dict[int, tuple[int, int]] = field(default_factory=dict)
 
@@ -53,7 +54,6 @@ class _Timed(Score):
         self._came_ns[measurement.cycle] = measurement.sampled_mono_ns, time.monotonic_ns()
         if len(self._came_ns) > _KEPT:
             self._came_ns.pop(next(iter(self._came_ns)), None)
-        super().take_measurement(measurement)
 
     def take_image(self, image: Image) -> None:
         """Note the steps of an image whose measurement came."""

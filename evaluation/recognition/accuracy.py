@@ -1,17 +1,30 @@
 """One measurement: a classifier trained on a signal, and how often it is right on perturbations it never met."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
 from classifier.dagsvm import DagSvm
+from classifier.rows import choose_rows
 from classifier.samples import simulate_sums
 from classifier.used_sums import classified_phi
 from classifier.validation import Chosen, choose_C, global_scale, part_of
-from evaluation.observations import LABELS, OBJECTS, Indices, Split, draw_split, signal, true_force_n
+from evaluation.observations import (
+    LABELS,
+    OBJECTS,
+    Indices,
+    Split,
+    all_rows,
+    draw_split,
+    drawn_sbhe,
+    measured,
+    sensed,
+    signal,
+    true_force_n,
+)
 from evaluation.result import Row
 from reconstructor.checks import Values
 from skin.layout import load_layout
@@ -56,6 +69,23 @@ def measure_accuracy(
     return {"accuracy": accuracies, "confusion": np.round(shares, 4).tolist()}
 
 
+def measure_chosen(*, size: int, draw: int, splits: Sequence[int], meshes: str | None, seed: int) -> Row:
+    """Return the ``accuracy`` of sums whose rows of Φ are chosen, and of drawn sums as ``plain``, for each split.
+
+    As many rows of the same scrambled blocks are chosen on the training perturbations.
+    """
+    felt, drawn, every = sensed(meshes, seed), drawn_sbhe(size, draw), all_rows(draw)
+    found: Row = {"accuracy": [], "plain": []}
+    for number in splits:
+        split = draw_split(number, *FULL, seed)
+        rows = split.training
+        chosen = choose_rows(every, every.forward(felt[rows]), LABELS[rows], size)
+        for name, phi in (("accuracy", chosen), ("plain", drawn)):
+            ((said, true),) = decisions(measured(phi, felt), [split])
+            found[name].append(float(np.mean(said == true)))
+    return found
+
+
 def measure_stepped(*, splits: Sequence[int], meshes: str | None, seed: int) -> Row:
     """Return the accuracy of the paper's classifier on the test set of each split, and the number of ``sums``.
 
@@ -89,8 +119,3 @@ def trained(values: Values, split: Split, gram: npt.NDArray[np.float32] | None =
     else:
         X, machine = gram * np.float32(scale**2), DagSvm(kernel="precomputed", max_iter=iterations)
     return choose_C(X, LABELS, split.development, split.validation, machine=machine, C_grid=C_GRID), X
-
-
-def score(predict: Callable[[Any], Any], values: Values, split: Split) -> float:
-    """Return how often `predict` is right on the test set of `values`."""
-    return float(np.mean(predict(values[split.test]) == LABELS[split.test]))

@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 
 from evaluation.observations import KINDS
-from evaluation.printed import paper_value, printed_value
+from evaluation.printed import paper_value
 from evaluation.recognition.accuracy import FULL, THREE_PERCENT, TRAINING, measure_accuracy
 from evaluation.recognition.pictures import draw_accuracies, draw_confusions
 from evaluation.result import Options, Picture, Result, Row, beside, grouped
@@ -73,7 +73,7 @@ def evaluate(options: Options) -> Result:
     ]
     accuracies = [*sizes, *(row for row in training if row["training_percent"] != _percent(FULL))]
     title = "Objects from sums: signal size, training size, confusions"
-    return Result(title, [*accuracies, *_confused(confusions)], pictures, note=_reaching(measured))
+    return Result(title, [*accuracies, *_confused(confusions)], pictures)
 
 
 _MARKS: Final = "Bars span the draws of Φ, crosses are the paper's numbers, the dotted line is guessing."
@@ -129,21 +129,6 @@ def _splits(kind: str, size: int, draw: int, development: float, options: Option
         return list(range(SPLITS))
     count = 4 if size == 16 else 2
     return [(count * draw + offset) % SPLITS for offset in range(count)]
-
-
-def _reaching(measured: list[Row]) -> str:
-    """Return how many draws of 16 sums reach what the paper has with its one draw."""
-    lines = []
-    for kind in ("sbhe", "noiselet"):
-        paper = printed_value("classification", signal=NAMES[kind], size=_FEW, training_percent=_percent(FULL))
-        drawn = [100 * float(np.mean(one["accuracy"])) for one in measured if _is(one, kind, _FEW, FULL)]
-        reaching = sum(percent >= paper for percent in drawn)
-        mean, sd = float(np.mean(drawn)), float(np.std(drawn))
-        lines.append(
-            f"{_FEW} sums, {NAMES[kind]}: mean of {len(drawn)} draws {mean:.1f}, standard deviation {sd:.1f}; "
-            f"{reaching} reach the paper's {paper}."
-        )
-    return " ".join(lines)
 
 
 def _is(one: Row, kind: str, size: int, shares: tuple[float, float]) -> bool:

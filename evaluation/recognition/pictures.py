@@ -1,4 +1,4 @@
-"""Plots of recognition: accuracy over size, confusions, gains over the paper's classifier."""
+"""Plots of recognition: accuracy over size, and confusions."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final
@@ -51,38 +51,4 @@ def draw_confusions(matrices: Mapping[str, Any], names: Sequence[str]) -> "Figur
                 colour = "white" if percent > 50 else "black"
                 axes.text(column, row, f"{percent:.0f}", ha="center", va="center", fontsize=7, color=colour)
         figure.colorbar(image, ax=axes, label="%", shrink=0.8)
-    return figure
-
-
-def gain_row(what: str, sums: int, *, runs: int, ours: Any, plain: Any = None, parts: Sequence[float] = ()) -> Row:
-    """Return a row: mean accuracy of a method and of the plain one, percent; deviation and range over `parts`.
-
-    `ours` and `plain` are numbers, or arrays with one for each run. Without `plain` or `parts` their columns are None.
-    """
-    return {
-        "what": what,
-        "sums": sums,
-        "runs": runs,
-        "ours": round(float(np.mean(ours)), 2),
-        "plain": None if plain is None else round(float(np.mean(plain)), 2),
-        "gain": None if plain is None else round(float(np.mean(ours - plain)), 2),
-        "deviation": round(float(np.std(parts)), 2) if parts else None,
-        "least": round(min(parts), 2) if parts else None,
-        "most": round(max(parts), 2) if parts else None,
-    }
-
-
-def draw_gains(rows: Sequence[Row]) -> "Figure":
-    """Return every method's accuracy as bars, one panel for each number of sums."""
-    sizes = list(dict.fromkeys(row["sums"] for row in rows))
-    tallest = max(sum(row["sums"] == size for row in rows) for size in sizes)
-    figure = new_figure(5.2 * len(sizes) + 2, 0.32 * tallest + 1.4)
-    for axes, size in zip(np.atleast_1d(figure.subplots(1, len(sizes))), sizes, strict=True):
-        own = [row for row in rows if row["sums"] == size][::-1]
-        ours = np.array([row["ours"] for row in own])
-        whiskers = [ours - [row["least"] for row in own], [row["most"] for row in own] - ours]
-        axes.barh(range(len(own)), ours, xerr=np.maximum(whiskers, 0), color="tab:blue", alpha=0.7)
-        axes.axvline(own[0]["plain"], linestyle=":", color="black")
-        axes.set_yticks(range(len(own)), [row["what"] for row in own])
-        axes.set(title=f"{size} sums", xlabel="accuracy (%)", xlim=(max(0, ours.min() - 15), 100))
     return figure

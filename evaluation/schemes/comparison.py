@@ -1,7 +1,6 @@
 """``skin evaluate rivals``: our sums against scans, coarse arrays and events of the same boards."""
 
 from collections.abc import Collection, Iterable, Iterator, Sequence
-from operator import itemgetter
 from statistics import mean, pstdev
 from typing import Final
 
@@ -39,8 +38,6 @@ SCHEMES: Final[tuple[Scheme, ...]] = (
 _QUICK: Final[tuple[Scheme, ...]] = (OURS, Sums(), BEST_SCAN, RAW_SCAN, COARSE_ARRAY, FilteredEvents(0.5e-3))
 #: Those that scenes drawn at random are shown: the best of each kind. The largest threshold is for boxes that shake.
 _DRAWN: Final[tuple[Scheme, ...]] = (OURS, Sums(), BEST_SCAN, *EVENTS[:-1])
-#: Bits of schemes with a rate that differ by less are equal: scans have whole frames.
-EQUAL_BITS: Final = 0.05
 #: Columns of the table, and places after the point.
 DIGITS: Final = {
     "kbit_per_s": 0,
@@ -79,11 +76,10 @@ def _measured(touches: Iterable[Touch], options: Options, schemes: Sequence[Sche
 
 
 def _compared(title: str, found: list[Row]) -> Result:
-    """Return the result of rows that were measured: rounded, and with a verdict for each touch."""
+    """Return the result of rows that were measured, rounded."""
     return Result(
         f"{title} on the same boards and four classic buses; scans and coarse arrays at the bits of the default skin",
         [row | {key: None if row[key] is None else round(row[key], DIGITS[key]) for key in DIGITS} for row in found],
-        note=wins_and_losses(found),
     )
 
 
@@ -128,40 +124,3 @@ def means_of(rows: list[Row], touches: Collection[str], words: str) -> list[Row]
         for (scheme,), group in of_schemes.items()
         if len(group) == len(touches)
     ]
-
-
-def wins_and_losses(shown: list[Row]) -> str:
-    """Return two lines for each touch: our schemes against the rivals with the best PSNR and with the least error.
-
-    A line that begins with ``LOSS`` names where our scheme is worse. The rivals of sums at a fixed rate have a rate,
-    too, and the same bits.
-    """
-    lines = []
-    for ours, title in (
-        (OURS.name, "Steps against the best other scheme of each touch:"),
-        (Sums().name, "Sums at a fixed rate against the best scan or coarse array of each touch, at equal bits:"),
-    ):
-        lines += [title]
-        for (touch,), rows in grouped(shown, "touch").items():
-            mine = next((row for row in rows if row["scheme"] == ours), None)
-            others = [row for row in rows if not row["scheme"].startswith(ours)]
-            rivals = [row for row in others if ours == OURS.name or row["rate_hz"] is not None]
-            lines += [_verdict(touch, mine, rivals)] if mine and rivals else []
-    return "\n".join(lines)
-
-
-def _verdict(touch: str, ours: Row, others: list[Row]) -> str:
-    """Return a line that begins with ``win``, or with ``LOSS`` and where ours is worse."""
-    best = max(others, key=itemgetter("psnr_mean_db"))
-    gain_db = ours["psnr_mean_db"] - best["psnr_mean_db"]
-    worse = [] if gain_db > 0 else ["PSNR"]
-    said = f"{gain_db:+.1f} dB to {best['scheme']}"
-    if ours["touched_error_mn"] is not None:
-        nearest = min(others, key=itemgetter("touched_error_mn"))
-        worse += [] if ours["touched_error_mn"] < nearest["touched_error_mn"] else ["touched error"]
-        said += f"; touched {ours['touched_error_mn']:.2f} mN, "
-        said += f"{nearest['touched_error_mn']:.2f} {nearest['scheme']}"
-    more = 0.0 if ours["rate_hz"] is None else EQUAL_BITS
-    worse += [] if ours["kbit_per_s"] < best["kbit_per_s"] * (1 + more) else ["bits"]
-    said += f"; {ours['kbit_per_s']:.0f} kbit/s, {best['kbit_per_s']:.0f} {best['scheme']}"
-    return f"{'LOSS in ' + ', '.join(worse) if worse else 'win'}: {touch}: {said}"

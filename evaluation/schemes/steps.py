@@ -8,12 +8,13 @@ import numpy as np
 from dbc.canopen import SYNC_COB_ID
 from dbc.contract import Contract
 from dbc.dictionary import slot_offset_us
-from dbc.frame import ECHO, Frames, frame_bytes
+from dbc.frame import ECHO, Frames
 from dbc.steps import COUNT, slots_since
 from evaluation.schemes.board import Board, newtons, settled
 from evaluation.schemes.judge import Images
 from evaluation.schemes.scenes import SIDE
 from evaluation.schemes.wire import NODE_CELLS, TICK_NS, Nanoseconds, Sent, carry_polled, patches
+from gateway.batch import batch_of
 from gateway.stepped_state import new_sums, slots_of, take_all
 from nodes.steps.filtering import PatchFilter
 from nodes.steps.simulated import Sample, SimulatedNodes, sync_frames
@@ -72,7 +73,7 @@ class _Followed(SimulatedNodes):
         super().take(ended, unsent)
         arrived = ended.copy()
         arrived["flags"][arrived["can_id"] == SYNC_COB_ID] |= ECHO
-        take_all(frame_bytes(arrived), self._number, self._is_proven, self._slots, self._table, self._sums)
+        take_all(batch_of(arrived, self._number, self._table), self._is_proven, self._slots, self._table, self._sums)
 
     def offer(self, period: int) -> Frames:
         """Return the frames that take part in arbitration."""

@@ -36,7 +36,6 @@ _FUNCTIONS: Final[dict[str, tuple[type, ...]]] = {
     "skin_take": (_POINTER, _U32, _U32, _POINTER, ctypes.c_uint16, _U32, _POINTER, _SIZE, _POINTER, _SIZE),
     "skin_pass_time": (_POINTER, _U32, _U32, _POINTER, _SIZE),
     "skin_refuse": (_POINTER, _U32, _POINTER, _SIZE),
-    "skin_newest_sums": (_POINTER, _POINTER),
     "skin_node_bytes": (),
 }
 _STEPPED_FUNCTIONS: Final[dict[str, tuple[type, ...]]] = {
@@ -151,9 +150,8 @@ class CompiledBoards:
         self._memories = memories  # the drivers have the addresses of its functions alone
         self._storages = (StorageFunction * len(nodes))(*(storage for storage, _ in memories))
         self._drivers = (FlashDriver * len(nodes))(*(flash.driver for _, flash in memories))
-        self._node_bytes = int(library.skin_node_bytes())
         # Eight bytes each, so that the memory is aligned for every C type.
-        self._memory = np.zeros(-(-len(nodes) * self._node_bytes // 8), np.uint64)
+        self._memory = np.zeros(-(-len(nodes) * library.skin_node_bytes() // 8), np.uint64)
         self._nodes = self._memory.ctypes.data
         phi, ranges = contract.phi, [(each.block, each.block + each.blocks) for each in nodes]
         self._block_size = phi.block_size
@@ -227,12 +225,6 @@ class CompiledBoards:
         """Take note of TPDOs that found no room in the transmit queue."""
         there = np.ascontiguousarray(burst)
         self._library.skin_refuse(self._nodes, self._count, there.ctypes.data, len(there))
-
-    def sums(self, board: int, count: int) -> npt.NDArray[np.int32]:
-        """Return the newest `count` sums of board number `board` of this bus, ADC counts."""
-        sums = np.zeros(count, np.int32)
-        self._library.skin_newest_sums(self._nodes + board * self._node_bytes, sums.ctypes.data)
-        return sums
 
     def take_counts(self, counts: npt.NDArray[np.float32]) -> bool:
         """Pass one sample to the boards, shape (boards, taxels); tell whether all have learned their noise."""

@@ -58,17 +58,24 @@ class SteppedBoards(PatchBoards):
 
     # --- frames ---------------------------------------------------------------------------------------------
 
-    def take_sync(self, bus: int, counter: int, time_ns: int) -> None:
+    def at_sync(self, bus: int, counter: int, time_ns: int) -> None:
         """Begin the slots of a SYNC."""
         self.senders.take_sync(bus, counter, time_ns)
+        super().at_sync(bus, counter, time_ns)
 
-    def choose(self, bus: int, now_ns: int) -> Frames:  # noqa: ARG002  decided at the newest sample
+    def news(self, bus: int, now_s: float) -> Frames:  # noqa: ARG002  decided at the newest sample
         """Return the frames of the slots that have begun."""
         return self._bursts.pop(bus, frames(0))
 
-    def take_echoes(self, bus: int, arrived: Frames) -> tuple[int, int]:
+    def count(
+        self,
+        bus: int,
+        arrived: Frames,
+        is_pdo: npt.NDArray[np.bool_],  # noqa: ARG002  the senders know their frames
+    ) -> tuple[int, int, int]:
         """Take note of the nodes' own frames, see `Senders.take_echoes`."""
-        return self.senders.take_echoes(bus, arrived)
+        sent, others = self.senders.take_echoes(bus, arrived)
+        return sent, 0, others
 
     # --- objects --------------------------------------------------------------------------------------------
 

@@ -31,7 +31,6 @@ class FirmwarePatches(PatchBoards):
     ) -> None:
         super().__init__(contract, blocks, source, **analogue)
         self._boards = {bus: firmware.boards(bus) for bus in self._rows}
-        self._bus_of = {block: contract.nodes[block].bus for block in blocks}
         # The boards learn the noise of the untouched skin, as when they are switched on.
         while not self._pass_counts():
             pass
@@ -50,29 +49,21 @@ class FirmwarePatches(PatchBoards):
     def _decide(self, now_ns: int) -> None:
         """Do nothing: boards decide when they are asked for frames."""
 
-    def take_sync(self, bus: int, counter: int, time_ns: int) -> None:
-        """Do nothing: boards take SYNCs as frames."""
-
-    def choose(self, bus: int, now_ns: int) -> Frames:
+    def news(self, bus: int, now_s: float) -> Frames:
         """Return the frames of a bus of the slots that have begun."""
-        return self._boards[bus].choose(now_ns)
+        return self._boards[bus].choose(round(now_s * 1e9))
 
-    def take_echoes(self, bus: int, arrived: Frames) -> tuple[int, int]:
+    def count(
+        self,
+        bus: int,  # noqa: ARG002  `is_pdo` is that of the bus
+        arrived: Frames,
+        is_pdo: npt.NDArray[np.bool_],
+    ) -> tuple[int, int, int]:
         """Count the boards' own TPDOs that were sent; the boards themselves take them with the other frames."""
         own = arrived["can_id"][arrived["flags"] & (ECHO | ERROR) == ECHO]
-        return int(np.count_nonzero(self._boards[bus].is_pdo[own & BASE_ID_MASK])), len(arrived)
+        return int(np.count_nonzero(is_pdo[own & BASE_ID_MASK])), 0, len(arrived)
 
     @property
     def is_sending(self) -> bool:
         """Whether a controller may hold a frame, or its echo is to be read."""
         return any(boards.is_sending for boards in self._boards.values())
-
-    @property
-    def sums(self) -> npt.NDArray[np.int32]:
-        """The sums of the filtered forces in counts, in the order of Φ, shape (m,); those of other boards are 0."""
-        size = self._phi.block_size
-        sums = np.zeros(self._phi.shape[0], np.int32)
-        for block, bus in self._bus_of.items():
-            board = self._row[block] - self._rows[bus].start
-            sums[block * size : (block + 1) * size] = self._boards[bus].sums(board, size)
-        return sums

@@ -1,12 +1,13 @@
 """One stepped CANopen node: its dictionary shows what the board has learned and would send."""
 
 from functools import partial
-from typing import Any
 
 from dbc import indices as od
 from dbc.canopen import BASE_ID_MASK, COB_ID_INVALID, NmtState
 from dbc.contract import NodeContract
 from nodes.node import SkinNode
+from nodes.node_objects import NodeObjects
+from nodes.objects import Outbox
 from nodes.steps.boards import SteppedBoards
 from nodes.steps.stepping import NO_COB_ID
 
@@ -14,8 +15,8 @@ from nodes.steps.stepping import NO_COB_ID
 class SteppedNode(SkinNode):
     """A virtual stepped node of one block; parameters as for `SkinNode`."""
 
-    def __init__(self, contract: NodeContract, *given: Any, hardware: SteppedBoards, **known: Any) -> None:
-        super().__init__(contract, *given, hardware=hardware, **known)
+    def __init__(self, contract: NodeContract, objects: NodeObjects, outbox: Outbox, hardware: SteppedBoards) -> None:
+        super().__init__(contract, objects, outbox, hardware)
         self._senders = hardware.senders
         self.objects.readers |= {
             index: partial(hardware.read, contract.block, index)
@@ -53,7 +54,7 @@ class SteppedNode(SkinNode):
         self._senders.refuse(self.contract.bus, cob_id)
 
     def expired(self, count: int) -> None:
-        """Do nothing: `SteppedBoards.take_echoes` has taken note."""
+        """Do nothing: `SteppedBoards.count` has taken note."""
 
     def _read_health(self, subindex: int) -> int | None:
         self.health[1:3] = self._senders.counts[self.contract.block]

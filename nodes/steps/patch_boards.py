@@ -9,7 +9,6 @@ import numpy as np
 
 from canskin.messages import Truth
 from dbc.contract import Contract
-from dbc.frame import Frames
 from dbc.patch_filter import SAMPLE_NS, Floats
 from nodes.electronics import Calibration
 from nodes.hardware import Hardware
@@ -23,7 +22,7 @@ CATCH_UP: Final = 20
 
 
 class PatchBoards(Hardware):
-    """Some boards of a skin, and the sensors of their patches.
+    """Some boards of a skin, and the sensors of their patches; a TPDO counts as sent when its echo comes.
 
     Parameters
     ----------
@@ -36,6 +35,8 @@ class PatchBoards(Hardware):
     noise_n, defects, seed
         As for `nodes.electronics.Electronics`.
     """
+
+    counts_accepted = False
 
     def __init__(
         self,
@@ -61,7 +62,7 @@ class PatchBoards(Hardware):
         self._cells = contract.phi.taxels_of_blocks[list(blocks)]
         model = TaxelModel(0.0 if source.has_noise else noise_n, taxels.force_max_n, defects)
         self._sensors = PatchSensors(self._calibration, self._cells, model, source, seed)
-        self._next_ns = 0
+        self._next_ns, self._period_ns = 0, round(contract.layout.sync.period_s * 1e9)
         self._truths: deque[Truth] = deque(maxlen=CATCH_UP)
 
     @property
@@ -72,10 +73,15 @@ class PatchBoards(Hardware):
     def prepare(self) -> None:
         """Do nothing: no SYNC asks for anything."""
 
-    def touched_from(self, time_ns: int) -> None:
-        """Let the touch begin, if it has not: its step 0 is at `time_ns`."""
+    def begin(self, now_s: float, since_sync_s: float) -> bool:  # noqa: ARG002  heartbeats may go at any time
+        """Sample what is due, on all buses of the process."""
+        self.advance(now_s)
+        return True
+
+    def at_sync(self, bus: int, counter: int, time_ns: int) -> None:  # noqa: ARG002  all buses have one touch
+        """Heed a SYNC: the first tells when the touch begins, its step 0 with counter 1."""
         if self._sensors.touch_from_ns is None:
-            self._sensors.touch_from_ns = time_ns
+            self._sensors.touch_from_ns = time_ns - max(0, counter - 1) * self._period_ns
 
     def advance(self, now_s: float) -> None:
         """Take all samples that are due, and decide what the nodes send whose slots have begun."""
@@ -105,26 +111,6 @@ class PatchBoards(Hardware):
     @abstractmethod
     def _decide(self, now_ns: int) -> None:
         """Decide with the newest sample what the nodes send whose slots have begun."""
-
-    @abstractmethod
-    def take_sync(self, bus: int, counter: int, time_ns: int) -> None:
-        """Begin the slots of a SYNC."""
-
-    @abstractmethod
-    def choose(self, bus: int, now_ns: int) -> Frames:
-        """Return the frames of a bus of the slots that have begun: each once."""
-
-    @abstractmethod
-    def take_echoes(self, bus: int, arrived: Frames) -> tuple[int, int]:
-        """Find the boards' own TPDOs among the received frames of a bus.
-
-        Returns
-        -------
-        sent : int
-            TPDOs that were sent.
-        others : int
-            Frames that the boards still have to take.
-        """
 
     def _note_truth(self, tick_ns: int) -> None:
         """Keep the truth of a step that this tick is the first after."""

@@ -160,12 +160,6 @@ def test_a_missing_sync_is_named(contract: Contract, planned: BusPlan, healthy: 
     assert only == ["bus1: one SYNC: cycles cannot be told apart"]
 
 
-def test_an_extended_identifier_is_no_sync(contract: Contract, planned: BusPlan, healthy: Frames) -> None:
-    found = left(contract, planned, put(700, 0x80, EXTENDED)(drop(0x80)(healthy)))
-    assert "bus1: no SYNC: cycles cannot be told apart" in found
-    assert any(line.startswith("bus1: 00000080h is not planned") for line in found)
-
-
 RECORDS = st.lists(
     st.tuples(
         st.integers(0, 2**40),
@@ -217,12 +211,6 @@ def test_frames_of_another_layout_are_noticed(contract: Contract, planned: BusPl
     assert "more than a bus carries: its bit rate is not the layout's 500000" in said(slow, healthy)
 
 
-def test_only_data_frames_of_11_bits_are_tpdos(contract: Contract, healthy: Frames) -> None:
-    other = healthy[:1].repeat(4)
-    other["can_id"], other["flags"] = (0x181, 0x181, 0x181, 0x7FF), (0, REMOTE, EXTENDED, 0)
-    assert Identifiers(contract, 1).is_sums(other).tolist() == [True, False, False, False]
-
-
 def test_overload_is_named(contract: Contract, planned: BusPlan, healthy: Frames) -> None:
     flood = np.repeat(healthy[healthy["can_id"] == 0x285], 40, axis=0)
     found = left(contract, planned, np.insert(healthy, 700, flood))
@@ -268,14 +256,6 @@ def test_cycles_go_from_the_first_sync_until_before_the_last() -> None:
     assert whole_cycles(seen)[0]["can_id"].tolist() == [0x181, 0x182, 0x80, 0x183]
 
 
-def test_errors_of_a_log_are_counted_and_are_no_load(contract: Contract, planned: BusPlan) -> None:
-    seen = made((0x80, 0), (0x181, 1), (0x182, 2), (0x183, 3), (0x80, 10))
-    assert measure(contract, 1, seen, planned).errors == 0
-    seen["flags"][1:4] = ERROR, REMOTE, ERROR | EXTENDED
-    load = measure(contract, 1, seen, planned)
-    assert (load.errors, load.frames, [each.cob_id for each in load.identifiers]) == (2, 2, [0x80, 0x182])
-
-
 def test_loads_are_bits_of_the_bit_rate(contract: Contract, planned: BusPlan) -> None:
     """8 bytes: 111 bits, at most 24 stuff bits; SYNC: 55 bits and a few; in 10 ms of 1 Mbit/s."""
     load = measure(contract, 1, made((0x80, 0), (0x181, 1), (0x181, 2), (0x80, 10)), planned)
@@ -305,40 +285,18 @@ def test_a_fifth_of_wrong_frames_is_no_misfit(contract: Contract, planned: BusPl
     )
 
 
-@pytest.mark.parametrize(
-    ("cob_id", "kind"),
-    [
-        (0x000, ("NMT", 0)),
-        (0x080, ("SYNC", 0)),
-        (0x081, ("EMCY", 1)),
-        (0x0A0, ("EMCY", 32)),
-        (0x0A1, ("foreign", None)),
-        (0x180, ("foreign", None)),
-        (0x181, ("TPDO", 1)),
-        (0x2A0, ("TPDO", 32)),
-        (0x381, ("foreign", None)),
-        (0x580, ("foreign", None)),
-        (0x5A0, ("SDO response", 32)),
-        (0x600, ("foreign", None)),
-        (0x620, ("SDO request", 0)),
-        (0x621, ("foreign", None)),
-        (0x700, ("foreign", None)),
-        (0x701, ("heartbeat", 1)),
-        (0x720, ("heartbeat", 32)),
-        (0x721, ("foreign", None)),
-        (0x800, ("foreign", None)),
-    ],
-)
-def test_each_range_of_identifiers_belongs_to_the_nodes_of_the_bus(
-    contract: Contract, cob_id: int, kind: tuple[str, int | None]
-) -> None:
-    assert Identifiers(contract, 1).kind_of(cob_id) == kind
-
-
-def test_the_first_tpdo_of_the_first_bus_is_one_like_the_others(contract: Contract) -> None:
-    assert Identifiers(contract, 0).kind_of(0x181) == ("TPDO", 1)
-    seen = made((0x181, 0), (0x182, 1), (0x7F0, 2))
-    assert Identifiers(contract, 0).is_right(seen).tolist() == [True, True, False]
+def test_each_range_of_identifiers_belongs_to_the_nodes_of_the_bus(contract: Contract) -> None:
+    """32 nodes: 0x80 + 33 and the like are foreign, and so are extended and remote frames."""
+    kinds = {0x080: "EMCY", 0x180: "TPDO", 0x280: "TPDO", 0x580: "SDO response", 0x700: "heartbeat"}
+    expected: dict[int, tuple[str, int | None]] = {0x000: ("NMT", 0), 0x080: ("SYNC", 0), 0x620: ("SDO request", 0)}
+    expected |= {base + node: (kind, node) for base, kind in kinds.items() for node in (1, 32)}
+    identifiers = Identifiers(contract, 1)
+    for cob_id in (*expected, *(base + place for base in (0x180, 0x580, 0x600, 0x700) for place in (0, 33)), 0x800):
+        assert identifiers.kind_of(cob_id) == expected.get(cob_id, ("foreign", None))
+    other = made(*((0x181, place) for place in range(3)))
+    other["flags"] = 0, REMOTE, EXTENDED
+    assert identifiers.is_sums(other).tolist() == [True, False, False]
+    assert Identifiers(contract, 0).is_right(made((0x181, 0), (0x182, 1), (0x7F0, 2))).tolist() == [True, True, False]
 
 
 def test_a_message_of_another_device_may_have_the_name_of_a_service() -> None:

@@ -11,6 +11,7 @@ from dbc.contract import Contract
 from dbc.dictionary import window_s
 from evaluation.schemes.sums import burst
 from evaluation.schemes.wire import carry
+from gateway.batch import batch_of
 from gateway.gathering import Health
 from gateway.loop import GatewayLoop
 from nodes.simulated import REST_S, Nodes
@@ -89,7 +90,7 @@ def at_the_gateway(layout: Layout) -> float:
         gathering.trust(node, proven=True)
     sent = [heard(layout, touched_frames(contract, bus, source, TOUCHES_S), TOUCHES_S) for bus in buses]
     for bus, frames in enumerate(sent):
-        gathering.take(bus, frames[:0], Health(), 0.0)
+        gathering.take(batch_of(frames[:0], bus, contract.parts), Health(), 0.0)
     gathering._state.missing[:] = gathering._state.unknown[:] = (
         0  # the boards have answered the gateway, which asks for all sums when it joins
     )
@@ -97,7 +98,7 @@ def at_the_gateway(layout: Layout) -> float:
     for step in range(round(TOUCHES_S / step_s)):
         for bus, frames in enumerate(sent):
             first, last = np.searchsorted(frames["time_ns"], [round((step - 1) * 1e7), round(step * 1e7)], side="right")
-            gathering.take(bus, frames[first:last], Health(), step * step_s)
+            gathering.take(batch_of(frames[first:last], bus, contract.parts), Health(), step * step_s)
         came = gathering.measurements(step * step_s, 0)
         if came:
             image_n = imager.solve(decode_stepped(came[-1], contract.phi))[0].ravel()

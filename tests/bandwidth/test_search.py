@@ -79,6 +79,51 @@ def failed(required: Requirement) -> tuple[str, Search]:
     return found.missing() or "", found
 
 
+def test_each_try_tells_what_it_lacks() -> None:
+    """SYNC and heartbeats have 65 bits at most, a TPDO 135 with 8 bytes, 125 with 7, 105 with 5, 85 with 3.
+
+    254 Hz: two nodes with 8 sums of 16 bits in 3 TPDOs, with 32 in 11, with 16 in 6; the window, 99 % of the period, is
+    too short for 11. A stock board answers up to 1 ms late.
+    """
+    found = search(Requirement(64, 254.0, buses=1, can="classic"))
+    assert [(each.sums, each.fits) for each in found.candidates] == [(16, True), (64, False), (32, True)]
+    least, most, chosen = found.candidates
+    assert found.chosen is chosen
+    for each, bits in ((least, 2 * 125 + 105), (most, 10 * 125 + 105), (chosen, 5 * 125 + 85)):
+        assert each.load_worst == pytest.approx((65 + 2 * bits) * 254e-6 + 2 * 65e-6)
+        assert each.window_needed_ms == pytest.approx(1 + 0.135 + 0.065 + 2 * bits * 1e-3)
+        assert (each.missing_bits_per_s, each.missing_node_ids) == (0, 0)
+    assert most.missing_window_ms == pytest.approx(3.91 - 990 / 254)
+    assert most.problem == "0.01 ms of window (1007h, 3.90 ms), or boards that answer sooner (--jitter-s)"
+    # 8 nodes with 32 sums each at 230 Hz: ten TPDOs of three sums and one of two.
+    _, most, _ = search(Requirement(256, 230.0, buses=1, can="classic")).candidates
+    over = (65 + 8 * (10 * 125 + 105)) * 230 + 8 * 65 - 800_000
+    assert (most.missing_bits_per_s, most.window_needed_ms) == (pytest.approx(over), None)
+    endless = "a window of any length (1007h): TPDOs of one cycle would still be sent in the next"
+    assert most.problem == f"{over} bits a second on each bus (it would be 250.9% full), {endless}"
+
+
+def test_node_ids_and_identifiers_that_run_out_are_problems_of_a_try() -> None:
+    """Beyond 8 TPDOs, 64 nodes have 63 spare node-IDs; beyond 24, 32 nodes have none for all."""
+    found = search(Requirement(8192, 5.0, buses=1, can="classic"))
+    assert found.chosen is found.candidates[3]
+    assert [each.problem for each in found.candidates[1:5]] == [
+        "1 node-IDs (128 nodes on a bus of 127)",
+        "no identifiers left for TPDO 9 of node 64: put fewer nodes on `$.bus[0]`",
+        None,
+        "no identifiers left for TPDO 33 of node 1: put fewer nodes on `$.bus[0]`",
+    ]
+
+
+def test_what_was_asked_is_said_again_and_errors_without_end_fit_at_no_rate() -> None:
+    required = Requirement(64, 100.0, buses=1, can="classic", sending="synchronous")
+    text = search(required, Disturbance(errors_per_s=20_000)).missing() or ""
+    assert text.startswith(
+        "no layout carries 64 taxels 100 times a second over 1 bus of classic CAN, each at most 80% f"
+    )
+    assert text.endswith("would still be sent in the next; it fits at no rate")
+
+
 def test_missing_bits_and_node_ids_are_named() -> None:
     text, found = failed(Requirement(4096, 100, buses=1, can="classic", sending="synchronous"))
     nearest = min((each for each in found.candidates if each.load_worst), key=lambda each: each.load_worst or 0)
@@ -117,9 +162,11 @@ def test_a_missing_window_is_named() -> None:
         ({"taxels": 65537, "rate_hz": 100}, "64 to 65536"),
         ({"taxels": 32, "rate_hz": 100}, "64 to 65536"),
         ({"taxels": 1024, "rate_hz": 0}, "rate above 0"),
+        ({"taxels": 1024, "rate_hz": 2000.5}, "up to 2000 Hz"),
         ({"taxels": 1024, "rate_hz": 10, "buses": 0}, "1 to 16 buses"),
         ({"taxels": 1024, "rate_hz": 10, "buses": 17}, "1 to 16 buses, got 17"),
-        ({"taxels": 1024, "rate_hz": 10, "budget": 1.5}, "budget above 0"),
+        ({"taxels": 1024, "rate_hz": 10, "budget": 0.0}, "budget above 0"),
+        ({"taxels": 1024, "rate_hz": 10, "budget": 1.001}, "budget above 0"),
     ],
 )
 def test_a_requirement_out_of_range_is_refused(required: dict[str, Any], said: str) -> None:
@@ -127,9 +174,9 @@ def test_a_requirement_out_of_range_is_refused(required: dict[str, Any], said: s
         Requirement(**required)
 
 
-@pytest.mark.parametrize("buses", [1, 16])
-def test_a_requirement_may_name_one_to_sixteen_buses(buses: int) -> None:
-    assert Requirement(taxels=1024, rate_hz=10, buses=buses).buses == buses
+def test_limits_of_a_requirement_are_allowed() -> None:
+    assert Requirement(64, 2000.0, buses=1).count == 64
+    assert Requirement(65536, 1e-3, buses=16, budget=1.0).count == 65536
 
 
 @given(st.integers(64, 5000))

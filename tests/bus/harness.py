@@ -5,11 +5,13 @@ import threading
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from bus.link import Link, open_link
+from bus.interface import Controller, Interface, Mode, Timing
+from bus.link import Link, State, open_link
 from bus.server import BusServer, BusSettings
 from dbc.frame import Frames, frames
 from tests.processes import PATIENCE_S
@@ -71,3 +73,10 @@ def await_state(link: Link, state: int) -> None:
         assert time.monotonic() < until, f"state {link.state} instead of {state}"
         select.select([link], [], [], 0.05)
         link.receive()
+
+
+def interface(**changed: Any) -> Interface:
+    """Return an interface without faults, except for what is changed, of it or of its controller."""
+    device = Controller(Timing(1_000_000, 0.75), None, State.ACTIVE, Mode(0), 100, None)
+    ours = {name: changed.pop(name) for name in list(changed) if hasattr(device, name)}
+    return replace(Interface("can", True, True, 16, 10, replace(device, **ours)), **changed)

@@ -88,13 +88,6 @@ def test_the_largest_value_counts_where_rules_meet() -> None:
     assert FaultSchedule([Fault(controller="a:*", loss_ratio=0.3)]).odds("b:1", 5) == (0.0, 0.0, 0.0, 0, 0.0)
 
 
-def test_chances_are_what_they_say() -> None:
-    book = FaultSchedule()
-    assert {book.draw(0.0) for _ in range(100)} == {False}
-    assert {book.draw(1.0) for _ in range(100)} == {True}
-    assert 200 < sum(book.draw(0.25) for _ in range(1000)) < 300
-
-
 def test_a_controller_without_power_is_one_that_a_rule_names() -> None:
     book = FaultSchedule([Fault(controller="a:*", off=True), Fault(loss_ratio=1.0)])
     assert (book.is_off("a:1"), book.is_off("b:1"), FaultSchedule().is_off("a:1")) == (True, False, False)

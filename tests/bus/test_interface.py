@@ -19,6 +19,7 @@ from bus.interface import (
     read_interface,
 )
 from canskin.errors import BusError
+from tests.bus.harness import interface
 
 # Numbers of if_link.h, rtnetlink.h and can/netlink.h.
 RTM_NEWLINK, NLMSG_ERROR, ARPHRD_CAN, IFF_UP, IFF_ECHO = 16, 2, 280, 0x1, 0x40000
@@ -94,12 +95,6 @@ def test_error_of_the_kernel_is_raised() -> None:
 
 def test_this_machine_answers() -> None:
     assert read_interface("lo").mtu > 0
-
-
-def interface(**changed: Any) -> Interface:
-    device = Controller(Timing(1_000_000, 0.75), None, State.ACTIVE, Mode(0), 100, None)
-    ours = {name: changed.pop(name) for name in list(changed) if hasattr(device, name)}
-    return replace(Interface("can", True, True, 16, 10, replace(device, **ours)), **changed)
 
 
 CLASSIC, FD = Wanted(1_000_000), Wanted(1_000_000, 4_000_000, fd=True)

@@ -6,7 +6,6 @@ import socket
 import struct
 import time
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,13 +13,13 @@ import numpy as np
 import pytest
 
 from bus import reconnecting, socketcan
-from bus.interface import Controller, Interface, Mode, Timing, Wanted
+from bus.interface import Timing, Wanted
 from bus.link import State
 from bus.recvmmsg import Received
 from bus.socketcan import SocketCanLink
 from canskin.errors import BusError, InputError
 from dbc.frame import ECHO, ERROR, FD
-from tests.bus.harness import burst, frame
+from tests.bus.harness import burst, frame, interface
 
 # Numbers of the kernel, from its headers.
 AF_CAN, SOCK_RAW, CAN_RAW, SOL_CAN_RAW = 29, 3, 1, 101
@@ -106,23 +105,6 @@ def link(kernel: Kernel) -> Iterator[SocketCanLink]:
     made.close()
 
 
-def test_socket_is_raw_reports_errors_and_own_frames_and_has_stamps_and_room(
-    kernel: Kernel, link: SocketCanLink
-) -> None:
-    assert kernel.opened == [(AF_CAN, SOCK_RAW, CAN_RAW)]
-    assert kernel.bound == [("can7",)]
-    assert kernel.options == {
-        (SOL_CAN_RAW, CAN_RAW_RECV_OWN_MSGS): 1,
-        (SOL_CAN_RAW, CAN_RAW_ERR_FILTER): 0x1FFFFFFF,
-        (socket.SOL_SOCKET, SO_TIMESTAMPNS): 1,
-        (socket.SOL_SOCKET, SO_TIMESTAMPING): SOF_TIMESTAMPING_RX_HARDWARE | SOF_TIMESTAMPING_RAW_HARDWARE,
-        (socket.SOL_SOCKET, SO_RXQ_OVFL): 1,
-        (socket.SOL_SOCKET, SO_RCVBUF): socketcan.RECEIVE_BUFFER_BYTES,
-        (socket.SOL_SOCKET, SO_RCVBUFFORCE): socketcan.RECEIVE_BUFFER_BYTES,
-    }
-    assert link.receive().size == 0  # it does not wait
-
-
 def test_fd_is_asked_for(kernel: Kernel) -> None:
     kernel.may_force = False
     made = SocketCanLink("can7", Wanted(fd=True))
@@ -175,13 +157,6 @@ def test_frames_go_out_and_come_in(kernel: Kernel, link: SocketCanLink) -> None:
     assert link.dropped == 0
     with pytest.raises(InputError):
         link.send(frame(0x181, bytes(12), FD))
-
-
-def test_full_queue_takes_what_fits(link: SocketCanLink) -> None:
-    many = np.concatenate([burst(range(100))] * 50)
-    taken = link.send(many)
-    assert 0 < taken < len(many)
-    assert link.send(many[taken:]) == 0
 
 
 @pytest.mark.parametrize(("control", "expected"), [(0x10, State.PASSIVE), (0x40, State.ACTIVE), (0x08, State.WARNING)])
@@ -239,32 +214,25 @@ def test_socket_that_cannot_be_bound_is_closed_and_says_what_to_do(kernel: Kerne
         kernel.far[0].send(b"1")
 
 
-def can7(**changed: Any) -> Interface:
-    """Return an interface without faults, except for what is changed, of it or of its controller."""
-    device = Controller(Timing(1_000_000, 0.75), None, State.ACTIVE, Mode(0), 100, None)
-    ours = {name: changed.pop(name) for name in list(changed) if hasattr(device, name)}
-    return replace(Interface("can", True, True, 16, 10, replace(device, **ours)), **changed)
-
-
 def test_interface_that_cannot_work_is_refused_and_opened_when_it_can(
     kernel: Kernel, clock: Clock, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    now = [can7()]
+    now = [interface()]
     monkeypatch.setattr(socketcan, "read_interface", lambda _channel: now[0])
-    now[0] = can7(timing=Timing(500_000, 0.875))
+    now[0] = interface(timing=Timing(500_000, 0.875))
     with pytest.raises(BusError, match="its bit rate is 500000 bit/s"):
         SocketCanLink("can7", Wanted(1_000_000))
     assert not kernel.opened
-    now[0] = can7(state=State.PASSIVE)
+    now[0] = interface(state=State.PASSIVE)
     link = SocketCanLink("can7", Wanted(1_000_000))
     assert link.state is State.PASSIVE  # no error frame has told
     kernel.far[0].close()
     assert link.send(burst(range(3))) == 0
-    now[0] = can7(timing=Timing(500_000, 0.875))
+    now[0] = interface(timing=Timing(500_000, 0.875))
     clock.pass_wait()
     assert link.send(burst(range(3))) == 0
     assert (link.state, link.explain()[:21]) == (State.LOST, "cannot open can7: its")
-    now[0] = can7()
+    now[0] = interface()
     clock.pass_wait()
     assert link.send(burst(range(3))) == 3
     assert (link.state, link.explain()) == (State.ACTIVE, "")
@@ -274,7 +242,7 @@ def test_interface_that_cannot_work_is_refused_and_opened_when_it_can(
 def test_settings_and_doubts_are_told_once(
     kernel: Kernel, clock: Clock, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(socketcan, "read_interface", lambda _channel: can7(restart_ms=0))
+    monkeypatch.setattr(socketcan, "read_interface", lambda _channel: interface(restart_ms=0))
     link = SocketCanLink("can7", name="gateway")
     kernel.far[0].close()
     link.send(burst(range(3)))
@@ -298,17 +266,20 @@ def test_settings_and_doubts_are_told_once(
 def test_state_is_that_of_the_kernel_though_no_error_frame_comes(
     link: SocketCanLink, monkeypatch: pytest.MonkeyPatch, state: State, about: dict[str, Any], words: str
 ) -> None:
-    monkeypatch.setattr(socketcan, "read_interface", lambda _channel: can7(state=state, **about))
+    monkeypatch.setattr(socketcan, "read_interface", lambda _channel: interface(state=state, **about))
     assert link.explain() == words
     assert link.state is state
 
 
-def test_full_queue_is_told_apart_from_a_frame_that_comes_too_late(link: SocketCanLink) -> None:
+def test_full_queue_takes_what_fits_and_is_told_apart_from_a_frame_that_comes_too_late(link: SocketCanLink) -> None:
     late = frame(0x80)
     late["expires_ns"] = time.monotonic_ns() - 1
     assert link.send(late) == 0
     assert link.explain() == ""
-    link.send(np.concatenate([burst(range(100))] * 50))
+    many = np.concatenate([burst(range(100))] * 50)
+    taken = link.send(many)
+    assert 0 < taken < len(many)
+    assert link.send(many[taken:]) == 0
     assert link.explain().startswith("its transmit queue is full")
     assert link.explain() == ""
 
@@ -344,7 +315,7 @@ def test_the_echo_is_trusted_where_the_driver_gives_it_after_the_bus_and_before_
             (device / place).symlink_to(tmp_path / place / name)
         (about / "device").symlink_to(device)
     monkeypatch.setattr(socketcan, "Path", lambda _folder, *names: tmp_path.joinpath(*names))
-    monkeypatch.setattr(socketcan, "read_interface", lambda _channel: can7())
+    monkeypatch.setattr(socketcan, "read_interface", lambda _channel: interface())
     link = SocketCanLink("can7")
     assert link.proves_echo is is_proven
     link.close()

@@ -156,59 +156,177 @@ def test_a_board_that_does_not_stay_operational_differs_once_for_each_pattern_an
     ]
 
 
-def test_a_board_that_makes_its_sums_in_hardware() -> None:
-    report = board(taxels={"frontend": "analogue"}).check()
-    assert (report.differences, report.notes) == ([], [])
+Spoil = Callable[[Checked], object]
 
 
-def test_a_test_pattern_that_was_on_is_noted_and_on_again() -> None:
-    bench = board()
-    bench.wires[0].put(0x601, bytes((0x2F, 0x21, 0x20, 0, PATTERN_FULL, 0, 0, 0)))
+def hears(can_id: int, change: Callable[[np.void], object]) -> Spoil:
+    return lambda bench: bench.spoils(can_id, change)
+
+
+def answers(index: int, change: Callable[[np.ndarray], object]) -> Spoil:
+    """The board's answer about an object is another."""
+
+    def spoil(each: np.void) -> None:
+        if each["data"][1:3].tobytes() == index.to_bytes(2, "little"):
+            change(each["data"])
+
+    return hears(0x581, spoil)
+
+
+def aborts(data: np.ndarray) -> None:
+    """Say that the object does not exist."""
+    data[0], data[4:8] = 0x80, (0x00, 0x00, 0x02, 0x06)
+
+
+def refuses(data: np.ndarray) -> None:
+    """Refuse a write."""
+    if data[0] == 0x60:
+        aborts(data)
+
+
+def without_size(data: np.ndarray) -> None:
+    """Tell no size of a value (CiA 301, 7.2.4.3.6): it has four bytes, those behind the value are 0."""
+    if data[0] & 0xF3 == 0x43:
+        data[0] = 0x42
+
+
+def of_nine_bytes(data: np.ndarray) -> None:
+    """Tell a test pattern of more bytes than its type has."""
+    if data[0] == 0x4F:
+        data[:8] = (0x41, 0x21, 0x20, 0, 7, 0, 0, 0)
+    elif data[0] == 0x80:
+        data[:8] = (0x01, 1, 0, 0, 0, 0, 0, 9)
+
+
+def sums(alter: Callable[[np.ndarray], object]) -> Spoil:
+    """Boards send other sums than those that they have measured."""
+
+    def spoil(bench: Checked) -> None:
+        sample = bench.hardware.sample
+
+        def altered(counter: int, time_ns: int, bus: int = 0) -> np.ndarray:
+            made = sample(counter, time_ns, bus).copy()
+            alter(made)
+            return made
+
+        bench.hardware.sample = altered
+
+    return spoil
+
+
+def frozen(bench: Checked) -> None:
+    """A board that computes 2009h once."""
+    kept = bench.node.objects.readers[od.CALIBRATION_SIGNATURE](0)
+    bench.node.objects.readers[od.CALIBRATION_SIGNATURE] = lambda _: kept
+
+
+def without_offsets(bench: Checked) -> None:
+    """A board whose 2009h does not cover offsets."""
+    covered = bench.node.objects._signed[od.CALIBRATION_SIGNATURE]
+    bench.node.objects._signed[od.CALIBRATION_SIGNATURE] = [each for each in covered if each.index != od.OFFSET]
+
+
+def shows(pattern: int) -> Spoil:
+    return lambda bench: bench.node.local.set_data(od.TEST_PATTERN, 0, bytes((pattern,)))
+
+
+def exchanged(one: int, other: int) -> Spoil:
+    return sums(lambda made: made.__setitem__([one, other], made[[other, one]]))
+
+
+#: A board for another layout, or what it does: words in its differences, words in its notes, and cycles.
+SPOILT: dict[str, tuple[dict[str, Any] | Spoil, list[str], list[str], int]] = {
+    "another maker": ({"device": {"vendor_id": 7}}, ["1018h:1 (Identity, Vendor-ID) is 7h, expected 0h"], [], 16),
+    "another encoding": (
+        {"encoding": {"offset_binary": True}},
+        ["2005h:0", "test pattern zero, SYNC 1: TPDO 1 (181h) is 01 55 55"],
+        [],
+        16,
+    ),
+    "numbers of the maker": ({"device": {"first_serial": 1000}}, [], ["1018h:4"], 16),
+    "a test pattern was on": (shows(PATTERN_FULL), [], ["2021h:0"], 16),
+    "a frame is lost": (
+        hears(0x281, lambda _: True),
+        ["test pattern zero, SYNC 1: TPDO 2 (281h) came 0 times, expected 1"],
+        [],
+        16,
+    ),
+    "a frame of another identifier": (
+        hears(0x281, lambda each: each.__setitem__("can_id", 0x181)),
+        ["test pattern zero, SYNC 1: TPDO 1 (181h) came 2 times, expected 1"],
+        [],
+        16,
+    ),
+    "another counter": (hears(0x181, lambda each: each["data"].__ixor__(1)), ["TPDO 1 (181h) is"], [], 16),
+    "no SYNC": (
+        hears(0x080, lambda _: True),
+        ["test pattern zero, SYNC 1: the SYNC was not sent, and so in 3 more of 4 cycles"],
+        [],
+        16,
+    ),
+    "no signature object": (
+        answers(od.SIGNATURE, aborts),
+        [],
+        ["no signature (2006h): a proof reads every object"],
+        16,
+    ),
+    "signature 0": (
+        answers(od.SIGNATURE, lambda data: data.__setitem__(slice(4, 8), 0)),
+        [],
+        ["no signature (2006h): a proof reads every object"],
+        16,
+    ),
+    "signature 2009h computed once": (frozen, ["signature (2009h) is ", "with other gains and offsets"], [], 16),
+    "signature 2009h without offsets": (without_offsets, ["signature (2009h) is ", "of its objects"], [], 16),
+    "no size of objects": (hears(0x581, lambda each: without_size(each["data"])), [], [], 16),
+    "a pattern of nine bytes": (
+        answers(od.TEST_PATTERN, of_nine_bytes),
+        ["(2006h)"],
+        ["2021h:0 (Test pattern) is 9"],
+        16,
+    ),
+    "an object that the board lacks": (answers(od.HEARTBEAT_MS, aborts), ["1017h:0"], [], 16),
+    # Three patterns, and the one that was there; then the offsets in place of the taxels.
+    "a pattern that is not taken": (answers(od.TEST_PATTERN, refuses), ["object 2021h:0: abort "], [], 4),
+    "no gains": (
+        answers(od.GAIN, aborts),
+        [],
+        ["object 2010h:1: abort 06020000h, no object: not every row is compared without gains and offsets"],
+        12,
+    ),
+    # The test patterns show 0 in most rows.
+    **{
+        f"sum {one} of wrong sign": (
+            sums(lambda made, one=one: made.__setitem__(one, -made[one])),  # type: ignore[misc]
+            [f"{OFFSETS}, SYNC 1: TPDO {1 + one // 4} "],
+            [],
+            16,
+        )
+        for one in range(8)
+    },
+    **{
+        f"sums {one} and {other} exchanged": (exchanged(one, other), [f"{OFFSETS}, SYNC 1: TPDO "], [], 16)
+        for one, other in ((1, 2), (3, 7), (4, 5))
+    },
+}
+
+
+@pytest.mark.parametrize("what", SPOILT)
+def test_a_wrong_board_is_named(what: str) -> None:
+    spoil, differences, notes, cycles = SPOILT[what]
+    bench = board() if callable(spoil) else Checked(small_contract(), built=small_contract(**spoil))
+    if callable(spoil):
+        spoil(bench)
+    before = pattern_of(bench)
     report = bench.check()
-    assert not report.differences
-    assert ["2021h:0" in note for note in report.notes] == [True]
-    assert pattern_of(bench) == PATTERN_FULL
-
-
-@pytest.mark.parametrize(
-    ("tables", "words"),
-    [
-        ({"device": {"vendor_id": 7}}, ["1018h:1 (Identity, Vendor-ID) is 7h, expected 0h"]),
-        ({"encoding": {"offset_binary": True}}, ["2005h:0", "test pattern zero, SYNC 1: TPDO 1 (181h) is 01 55 55"]),
-    ],
-)
-def test_a_board_for_another_layout(tables: dict[str, Any], words: list[str]) -> None:
-    report = Checked(small_contract(), built=small_contract(**tables)).check()
     said = "\n".join(report.differences)
-    for word in words:
-        assert word in said
-
-
-def test_a_serial_number_of_the_maker_is_a_note() -> None:
-    report = Checked(small_contract(), built=small_contract(device={"first_serial": 1000})).check()
-    assert not report.differences
-    assert "1018h:4" in report.notes[0]
-
-
-def first_byte(each: np.void) -> None:
-    each["data"][0] ^= 1
-
-
-def under_another_identifier(each: np.void) -> None:
-    each["can_id"] = 0x181
-
-
-@pytest.mark.parametrize(
-    ("can_id", "spoil", "said"),
-    [
-        (0x281, lambda _each: True, "test pattern zero, SYNC 1: TPDO 2 (281h) came 0 times, expected 1"),
-        (0x281, under_another_identifier, "test pattern zero, SYNC 1: TPDO 1 (181h) came 2 times, expected 1"),
-        (0x181, first_byte, "TPDO 1 (181h) is"),
-        (0x080, lambda _each: True, "test pattern zero, SYNC 1: the SYNC was not sent, and so in 3 more of 4 cycles"),
-    ],
-)
-def test_lost_and_wrong_frames(can_id: int, spoil: Callable[[np.void], bool], said: str) -> None:
-    assert said in "\n".join(board().spoils(can_id, spoil).check().differences)
+    assert all(each in said for each in differences)
+    assert bool(said) == bool(differences), said
+    assert [note in each for note, each in zip(notes, report.notes, strict=True)] == [True] * len(notes)
+    assert report.cycles == cycles
+    assert pattern_of(bench) == before or what == "a pattern of nine bytes"
+    if what == "a pattern that is not taken":
+        assert said.count("object 2021h:0: abort ") == 4
 
 
 def test_nobody_there() -> None:
@@ -311,65 +429,13 @@ def test_a_tpdo_after_its_window_differs(after_us: int, *, is_late: bool) -> Non
     assert report.latest_s == pytest.approx(after_us / 1e6)
 
 
-def answered(change: Callable[[np.ndarray], object], index: int) -> NodeReport:
-    """Check a board whose answer about an object is another."""
-
-    def spoil(each: np.void) -> None:
-        if each["data"][1:3].tobytes() == index.to_bytes(2, "little"):
-            change(each["data"])
-
-    return board().spoils(0x581, spoil).check()
-
-
-def aborts(data: np.ndarray) -> None:
-    """Say that the object does not exist."""
-    data[0], data[4:8] = 0x80, (0x00, 0x00, 0x02, 0x06)
-
-
 def test_a_wrong_signature_differs() -> None:
-    report = answered(lambda data: data.__setitem__(4, data[4] ^ 1), 0x2006)
-    (said,) = report.differences
+    bench = board()
+    answers(od.SIGNATURE, lambda data: data.__setitem__(4, data[4] ^ 1))(bench)
+    (said,) = bench.check().differences
     found, expected = (int(each, 16) for each in re.findall(r"([0-9A-F]{8})h", said))
     assert found == expected ^ 1
     assert said.startswith("the signature (2006h) is ")
-    assert report.cycles == 16
-
-
-@pytest.mark.parametrize("change", [aborts, lambda data: data.__setitem__(slice(4, 8), 0)])
-def test_a_board_without_signature_is_noted(change: Callable[[np.ndarray], object]) -> None:
-    report = answered(change, 0x2006)
-    assert report.differences == []
-    assert report.notes == ["no signature (2006h): a proof reads every object"]
-
-
-def test_a_board_that_tells_no_size_of_its_objects_keeps_the_contract() -> None:
-    """An expedited answer without size has four bytes (CiA 301, 7.2.4.3.6), those behind the value are 0."""
-
-    def without_size(each: np.void) -> None:
-        if each["data"][0] & 0xF3 == 0x43:
-            each["data"][0] = 0x42
-
-    bench = board().spoils(0x581, without_size)
-    bench.node.local.set_data(od.TEST_PATTERN, 0, b"\1")
-    assert bench.check().differences == []
-    assert pattern_of(bench) == 1
-
-
-def test_a_test_pattern_longer_than_its_type_differs() -> None:
-    def in_segments(data: np.ndarray) -> None:
-        if data[0] == 0x4F:
-            data[:8] = (0x41, 0x21, 0x20, 0, 7, 0, 0, 0)
-        elif data[0] == 0x80:
-            data[:8] = (0x01, 1, 0, 0, 0, 0, 0, 9)
-
-    assert any("2021h:0 (Test pattern) is 9" in each for each in answered(in_segments, 0x2021).notes)
-
-
-def test_an_object_that_the_board_lacks_differs_and_the_others_are_read() -> None:
-    whole, report = board().check(), answered(aborts, 0x1017)
-    assert len(report.differences) == 1
-    assert "1017h:0" in report.differences[0]
-    assert (report.objects, report.cycles) == (whole.objects - 1, 16)
 
 
 def test_frames_of_other_kinds_are_not_those_of_the_board() -> None:
@@ -381,13 +447,6 @@ def test_frames_of_other_kinds_are_not_those_of_the_board() -> None:
     assert (report.differences, report.frames) == ([], 32)
 
 
-def test_a_test_pattern_that_is_not_taken_differs_and_the_next_is_tried() -> None:
-    report = answered(lambda data: aborts(data) if data[0] == 0x60 else None, 0x2021)
-    # Three patterns, and the one that was there.
-    assert sum(said.startswith("object 2021h:0: abort ") for said in report.differences) == 4
-    assert report.cycles == 4  # of offsets in place of the taxels
-
-
 def test_a_check_that_has_asked_nothing_leaves_nothing_to_undo() -> None:
     contract, sent = small_contract(), list[tuple[int, bytes]]()
 
@@ -397,33 +456,6 @@ def test_a_check_that_has_asked_nothing_leaves_nothing_to_undo() -> None:
 
     NodeCheck(contract, contract.nodes[1], send, 10.0).give_up(10.0)
     assert sent == [(0, b"\x80\2")]
-
-
-def with_other_sums(alter: Callable[[np.ndarray], object]) -> Checked:
-    """Return a skin whose boards send other sums than those that they have measured."""
-    bench = board()
-    sample = bench.hardware.sample
-
-    def altered(counter: int, time_ns: int, bus: int = 0) -> np.ndarray:
-        sums = sample(counter, time_ns, bus).copy()
-        alter(sums)
-        return sums
-
-    bench.hardware.sample = altered
-    return bench
-
-
-@pytest.mark.parametrize("one", range(8))
-def test_a_sum_of_wrong_sign_is_named_whatever_its_row(one: int) -> None:
-    """The test patterns show 0 in most rows."""
-    report = with_other_sums(lambda sums: sums.__setitem__(one, -sums[one])).check()
-    assert f"{OFFSETS}, SYNC 1: TPDO {1 + one // 4} " in "\n".join(report.differences)
-
-
-@pytest.mark.parametrize(("one", "other"), [(1, 2), (3, 7), (4, 5)])
-def test_exchanged_rows_are_named(one: int, other: int) -> None:
-    report = with_other_sums(lambda sums: sums.__setitem__([one, other], sums[[other, one]])).check()
-    assert f"{OFFSETS}, SYNC 1: TPDO " in "\n".join(report.differences)
 
 
 def test_gains_and_offsets_are_as_before_and_their_signature_follows_them() -> None:
@@ -441,35 +473,3 @@ def test_gains_and_offsets_are_as_before_and_their_signature_follows_them() -> N
     assert (signed(), len(seen)) == (before, 5)  # four patterns besides
     assert struct.unpack("<f", bench.node.local.get_data(od.GAIN, 1)) == (0.75,)
     assert bench.node.local.get_data(od.OFFSET, 1) == bytes(2)
-
-
-def frozen(bench: Checked) -> None:
-    """A board that computes 2009h once."""
-    kept = bench.node.objects.readers[od.CALIBRATION_SIGNATURE](0)
-    bench.node.objects.readers[od.CALIBRATION_SIGNATURE] = lambda _: kept
-
-
-def without_offsets(bench: Checked) -> None:
-    """A board whose 2009h does not cover offsets."""
-    covered = bench.node.objects._signed[od.CALIBRATION_SIGNATURE]
-    bench.node.objects._signed[od.CALIBRATION_SIGNATURE] = [each for each in covered if each.index != od.OFFSET]
-
-
-@pytest.mark.parametrize(
-    ("spoil", "words"), [(frozen, "of its objects, with other gains and offsets"), (without_offsets, "of its objects")]
-)
-def test_a_wrong_signature_of_gains_and_offsets_is_named(spoil: Callable[[Checked], None], words: str) -> None:
-    bench = board()
-    spoil(bench)
-    said = bench.check().differences
-    assert all(each.startswith("the signature (2009h) is ") for each in said)
-    assert any(each.endswith(words) for each in said)
-
-
-def test_a_board_without_gains_is_noted() -> None:
-    report = answered(aborts, od.GAIN)
-    assert report.differences == []
-    assert report.notes == [
-        "object 2010h:1: abort 06020000h, no object: not every row is compared without gains and offsets"
-    ]
-    assert report.cycles == 12

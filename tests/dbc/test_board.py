@@ -9,9 +9,7 @@ import pytest
 
 from dbc import indices as od
 from dbc.board import Board, board, board_text
-from dbc.canopen import COB_ID_NO_RTR
 from dbc.codec import encode
-from dbc.configuration import signature
 from dbc.contract import Contract
 from skin.layout import load_layout
 
@@ -74,36 +72,3 @@ def test_the_text_is_the_table(name: str) -> None:
         text = board_text(table)
         assert msgspec.convert(json.loads(text), Board) == table
         assert text.endswith("}\n")
-
-
-@pytest.mark.parametrize("name", ["default", "one-bus-12bit"])
-def test_the_signature_follows_from_the_table_and_the_list_of_the_documents(name: str) -> None:
-    contract = contract_of(name)
-    table = board(contract, contract.nodes[-1])
-    values: dict[tuple[int, int], bytes] = {}
-
-    def put(index: int, subindex: int, value: int, size: int = 4) -> None:
-        values[index, subindex] = value.to_bytes(size, "little")
-
-    put(od.SYNC_COB_ID, 0, table.sync_cob_id)
-    put(od.CYCLE_PERIOD_US, 0, table.sync_period_us)
-    put(od.WINDOW_US, 0, table.sync_window_us)
-    put(od.EMCY_COB_ID, 0, table.emcy_cob_id)
-    put(od.HEARTBEAT_MS, 0, table.heartbeat_ms, 2)
-    put(od.IDENTITY, 1, table.vendor_id)
-    put(od.IDENTITY, 2, table.product_code)
-    put(od.SYNC_OVERFLOW, 0, table.sync_overflow, 1)
-    put(od.BLOCK, 0, table.blocks[0].block, 2)
-    put(od.ENCODING, 0, table.encoding)
-    values[od.PHI_FINGERPRINT, 0] = table.phi_fingerprint.encode()
-    for place in range(len(table.blocks)):
-        put(od.of_block(od.TEST_PATTERN, place), 0, 0, 1)
-    for tpdo in table.tpdos:
-        communication, mapping = od.TPDO_COMMUNICATION + tpdo.number - 1, od.TPDO_MAPPING + tpdo.number - 1
-        put(communication, 1, tpdo.cob_id | COB_ID_NO_RTR)
-        put(communication, 2, tpdo.transmission_type, 1)
-        put(communication, 6, tpdo.sync_start_value, 1)
-        put(mapping, 0, len(tpdo.mapping), 1)
-        for subindex, each in enumerate(tpdo.mapping, 1):
-            put(mapping, subindex, each.index << 16 | each.subindex << 8 | each.bits)
-    assert table.signature == signature((*where, data) for where, data in sorted(values.items()))

@@ -32,34 +32,6 @@ def told(found: dict[tuple[int, int | None], Object], index: int) -> list[tuple[
     return [(each.data_type, each.access, each.value) for (at, _), each in found.items() if at == index]
 
 
-def test_stepped_nodes_have_their_settings_and_no_sums() -> None:
-    """1007h is 99 % of the period; 2005h: 56 bits, form 3 (words), one block."""
-    found = objects(STEPPED_ARM)
-    values = {index: found[index, None].value for index in (0x1006, 0x1007, 0x1019, 0x2005, 0x2030, 0x2035)}
-    assert values == {
-        0x1006: 100_000, 0x1007: 99_000, 0x1019: 240, 0x2005: 0x01_03_00_38, 0x2030: 0, 0x2035: 0.0
-    }  # fmt: skip
-    kinds = {
-        index: (found[index, None].data_type, found[index, None].access) for index in (0x2007, 0x2022, 0x2030, 0x2035)
-    }
-    assert kinds == {0x2007: (REAL, "const"), 0x2022: (U8, "ro"), 0x2030: (U8, "rw"), 0x2035: (REAL, "ro")}
-    assert told(found, 0x1800) == [
-        (U8, "const", 6),
-        (U32, "rw", 0x4000_0181),
-        (U8, "const", 254),
-        (U16, "const", 0),
-        (U16, "const", 0),
-        (U8, "const", 0),
-    ]
-    assert found[0x2007, None].value == 0.64 / 8192
-    assert told(found, 0x2031) == [(U8, "const", 3), (REAL, "rw", 0.1), (U8, "rw", 25), (U32, "rw", 0)]
-    for index in (0x2032, 0x2033):
-        assert told(found, index) == [(U8, "const", 32)] + 32 * [(REAL, "rw", 0.0)]
-    assert told(found, 0x2110) == [(U8, "const", 1), (U56, "ro", 0)]
-    assert found[0x2110, 1].pdo
-    assert found[0x2022, None].pdo
-
-
 def test_a_board_with_a_thermometer_has_a_temperature() -> None:
     assert (0x2036, None) not in objects(IN_CYCLES)
     for tables in (CYCLES, STEPPED):

@@ -58,12 +58,6 @@ def test_a_bus_of_127_boards_has_an_identifier_for_every_frame(
     assert found == [(cob_id, length) for cob_id in expected]
 
 
-def test_boards_have_any_node_ids() -> None:
-    line = [{"name": "a", "node_ids": [1, 33, 65, 127]}]
-    contract = Contract.from_layout(small_layout(8, 16, **STEPPED, bus=line))
-    assert [tpdo.cob_id for node in contract.nodes for tpdo in node.tpdos] == [0x181, 0x1A1, 0x1C1, 0x1FF]
-
-
 @both
 def test_parts_are_numbered_by_node_and_make_up_its_frames(contract: Contract) -> None:
     is_fd = contract.layout.bus[0].fd

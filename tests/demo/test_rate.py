@@ -9,9 +9,9 @@ from canskin.errors import InputError
 from canskin.messages import GatewayStatus
 from canskin.peers import new_peer
 from demo.options import DemoOptions
-from demo.rate import JUDGED_S, LEAST_RUN_S, SETTLED_S, at_rate, is_kept
-from demo.run import Run
-from skin.layout import Layout, load_layout
+from demo.rate import JUDGED_S, LEAST_RUN_S, SETTLED_S, RateJudge, at_rate
+from demo.run import Run, rate_judge
+from skin.layout import load_layout
 from tests.layouts import STEPPED_SKIN
 from tests.messages import gateway_status
 
@@ -24,8 +24,13 @@ def status(cycles: int, complete: int) -> GatewayStatus:
 
 @pytest.mark.parametrize(("complete", "kept"), [(290, True), (251, True), (240, False), (100, False)])
 def test_cycles_since_the_start_has_settled_judge_the_rate(complete: int, kept: bool) -> None:
-    assert is_kept(status(100, 100), status(300, complete)) == kept
-    assert not is_kept(status(100, 100), status(100, 100))
+    judge = RateJudge()
+    assert judge.keeps(status(50, 0), SETTLED_S / 2)
+    assert judge.keeps(status(100, 100), SETTLED_S)
+    assert judge.keeps(status(300, complete), JUDGED_S) == kept
+    assert judge.keeps(status(300, 0), JUDGED_S)  # once
+    assert RateJudge(is_given=True).keeps(status(300, 0), JUDGED_S)
+    assert SETTLED_S < JUDGED_S < LEAST_RUN_S
 
 
 def test_another_rate_keeps_the_samples_of_a_cycle_where_boards_can() -> None:
@@ -44,55 +49,26 @@ def test_impossible_rates_are_refused(rate_hz: float) -> None:
         DemoOptions(sync_rate=50.0).check(STEPPED_SKIN)
 
 
-class Rates:
-    """Runs in which all cycles are complete at `most_hz` or less."""
-
-    def __init__(self, most_hz: float, options: DemoOptions, folder: Path, layout: Layout = LAYOUT) -> None:
-        self.run, self.most_hz = Run(layout, options, folder), most_hz
-        self.tried_hz: list[float] = []
-
-    def execute(self) -> None:
-        while True:
-            rate_hz = self.run._layout.sync.rate_hz
-            self.tried_hz.append(rate_hz)
-            assert load_layout(Path(self.run._path)).sync.rate_hz == rate_hz
-            if all(self._keeps(rate_hz, tenth / 10) for tenth in range(100)):
-                return
-            self.run._take_rate(rate_hz / 2)
-
-    def _keeps(self, rate_hz: float, elapsed_s: float) -> bool:
-        cycles = round(elapsed_s * rate_hz)
-        self.run.score.take_gateway(status(cycles, cycles if rate_hz <= self.most_hz else cycles // 2))
-        return self.run._keeps_rate(elapsed_s)
-
-
 @pytest.mark.parametrize(
-    ("most_hz", "options", "tried_hz"),
+    ("name", "options", "rate_hz", "is_judged"),
     [
-        (200.0, DemoOptions(view=False), [200.0]),
-        (60.0, DemoOptions(view=False), [200.0, 100.0, 50.0]),
-        (1.0, DemoOptions(view=False), [200.0, 100.0, 50.0, 25.0]),
-        (30.0, DemoOptions(view=False, sync_rate=80.0), [80.0]),
-        (30.0, DemoOptions(view=False, seconds=LEAST_RUN_S - 1), [200.0]),
+        ("default", DemoOptions(), 200.0, True),
+        ("default", DemoOptions(), 50.0, True),
+        ("default", DemoOptions(), 25.0, False),  # an eighth
+        ("default", DemoOptions(sync_rate=80.0), 80.0, False),
+        ("default", DemoOptions(seconds=LEAST_RUN_S - 1), 200.0, False),
+        ("default", DemoOptions(model=Path("mine.npz")), 200.0, True),
+        ("fd", DemoOptions(model=Path("mine.npz")), 100.0, False),  # it knows means of cycles
+        ("steps", DemoOptions(), 10.0, False),
     ],
 )
-def test_a_run_takes_the_rate_that_the_machine_keeps(
-    tmp_path: Path, most_hz: float, options: DemoOptions, tried_hz: list[float]
+def test_a_rate_that_was_given_or_cannot_be_judged_is_kept(
+    name: str, options: DemoOptions, rate_hz: float, is_judged: bool
 ) -> None:
-    rates = Rates(most_hz, options, tmp_path)
-    rates.execute()
-    assert rates.tried_hz == tried_hz
-    assert rates.run.score.gateway is not None
-    assert SETTLED_S < JUDGED_S < LEAST_RUN_S
-
-
-@pytest.mark.parametrize(("name", "tried_hz"), [("default", [200.0, 100.0, 50.0, 25.0]), ("fd", [100.0])])
-def test_a_run_keeps_the_rate_of_a_model_for_means_of_cycles(tmp_path: Path, name: str, tried_hz: list[float]) -> None:
-    rates = Rates(
-        30.0, DemoOptions(layout=Path(name), view=False, model=Path("mine.npz")), tmp_path, load_layout(Path(name))
-    )
-    rates.execute()
-    assert rates.tried_hz == tried_hz
+    layout = load_layout(Path(name))
+    judge = rate_judge(layout if name == "steps" else at_rate(layout, rate_hz), options, layout.sync.rate_hz / 8)
+    assert judge.keeps(status(100, 100), SETTLED_S)
+    assert judge.keeps(status(300, 100), JUDGED_S) == (not is_judged)
 
 
 def test_services_of_another_rate_are_not_taken_for_those_that_start(tmp_path: Path) -> None:

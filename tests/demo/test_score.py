@@ -119,23 +119,6 @@ def test_frames_balance_and_the_worst_nodes_are_named(score: Score) -> None:
     ]
 
 
-def test_the_sampling_instant_is_compared_with_that_of_the_nodes(score: Score) -> None:
-    for cycle in range(1, 101):
-        instant_ns = cycle * PERIOD_NS
-        measurement = make.measurement(
-            cycle,
-            sampled_mono_ns=instant_ns + 7_000,
-            sent_mono_ns=instant_ns - 300_000,
-            bus_sampled_ns=np.array([0, instant_ns + 1_000, instant_ns + 13_000], "<i8").tobytes(),
-        )
-        for take, message in ((score.take_measurement, measurement), (score.take_truth, truth(cycle))):
-            take(message)
-    report = score.report()
-    assert report.bus_sampling_error_us == Percentiles(p50=1.0, p99=1.0)
-    assert report.sampling_error_us == Percentiles(p50=7.0, p99=7.0)
-    assert report.sent_error_us == Percentiles(p50=300.0, p99=300.0)
-
-
 def test_nothing_measured_is_none_and_not_zero(score: Score) -> None:
     report = score.report()
     assert report.psnr_image_db is None
@@ -147,8 +130,7 @@ def test_messages_of_another_size_are_left_alone(score: Score) -> None:
     score.take_truth(msgspec.structs.replace(truth(1), true=b"1234"))
     score.take_image(msgspec.structs.replace(image(1), pixels=b""))
     score.take_truth(truth(2))
-    score.take_measurement(make.measurement(2, sampled_mono_ns=truth(2).sampled_mono_ns, bus_sampled_ns=b"123"))
-    assert (score.report().contact_cycles, score.report().sampling_error_us.p50) == (0, None)
+    assert score.report().contact_cycles == 0
 
 
 def test_what_the_newest_label_tells(score: Score) -> None:

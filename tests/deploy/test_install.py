@@ -10,9 +10,12 @@ from pathlib import Path
 import pytest
 
 from canskin.errors import InputError
-from deploy.configuration import write
+from canskin.keys import Keys
+from deploy.configuration import ROLES, write
+from hub.keys_command import new
 from skin.layout import load_layout
 from tests.deploy.conftest import ROOT, Install
+from tests.deploy.units import Unit
 from tests.layouts import layout_toml
 from tests.processes import Processes
 
@@ -85,9 +88,28 @@ def test_a_file_that_was_changed_by_hand_stays(install: Install, tmp_path: Path)
 
 
 @pytest.mark.heavy
+def test_each_service_gets_the_keys_of_its_role_and_no_other(install: Install, tmp_path: Path) -> None:
+    root, given = tmp_path / "root", tmp_path / "keys"
+    new(given, skin="skin")
+    assert " skin@hub skin@gateway " in install(root, "--keys", str(given)).stdout
+    roles = {"hub", "gateway", "reconstructor", "classifier", "operator", "recorder", "ros2"}
+    assert {path.name for path in (root / "etc/canskin/keys").iterdir()} == roles
+    for verb, role in ROLES.items():
+        (line,) = (word for word in Unit(root, verb).settings["Environment"] if word.startswith("SKIN_KEYS="))
+        keys = root / line.partition("=/")[2]
+        assert (Keys(keys).common_name, keys.stat().st_mode & 0o777) == (f"skin:{role}", 0o700)
+        assert all(path.stat().st_mode & 0o777 == 0o600 for path in keys.iterdir())
+    assert Unit(root, "hub").command()[1:] == ["hub", "--listen", "tls/0.0.0.0:7447"]
+    assert "--connect tls/127.0.0.1:7447" in " ".join(Unit(root, "gateway").command())
+    install(root, "--remove")
+    assert files(root) == set()
+
+
+@pytest.mark.heavy
 @pytest.mark.parametrize(
     ("words", "means"),
     [
+        (["--keys", "nosuchdir"], "--keys nosuchdir: expected a folder that skin keys new has made"),
         (["--bitrate", "500000"], "--help"),
         (["--layout"], "expected a value"),
         (["--layout", "absent.toml"], "absent.toml"),

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from evaluation.observations import LABELS, OBJECTS, all_rows, draw_split, phi_of, sensed, signal, true_force_n
+from evaluation.observations import LABELS, OBJECTS, all_rows, draw_split, phi_of, sensed, signal
 from touch.classification_poses import PERTURBATIONS
 from touch.coarse_arrays import averaged
 
@@ -35,15 +35,6 @@ def test_coarse_taxels_are_means_with_their_own_noise() -> None:
     fine = averaged(sensed(None, 0).reshape(-1, 64, 64)[:50], 8).reshape(50, 64)
     # The fine noise averages out to the mean of what clipping leaves of it, 0.4 mN; the coarse one stays.
     assert np.std(coarse[:50] - fine) == pytest.approx(0.6e-3, rel=0.3)
-
-
-@pytest.mark.heavy
-def test_other_cycles_have_other_noise() -> None:
-    # Where the true force keeps the noise from being clipped, the difference of two cycles has its deviation √2 times.
-    pressed = true_force_n(None).reshape(-1, 4096) > 5e-3
-    difference_n = (sensed(None, 0) - sensed(None, 0, 1))[pressed]
-    assert np.std(difference_n) == pytest.approx(2**0.5 * 1e-3, rel=0.01)
-    assert np.mean(difference_n) == pytest.approx(0, abs=1e-5)
 
 
 @pytest.mark.heavy

@@ -77,7 +77,6 @@ def test_our_solver_and_pursuit_are_judged_on_the_same_frames(data: Path) -> Non
     signed, plain = (figures[f"pursuit, codes {codes}", SIZES[-1]] for codes in ("±1", "0/1"))
     assert signed["unseen_error"] < plain["unseen_error"]
     assert "Objects: ring. Left out, without sums that can be read: comb." in found.note
-    assert [line.split(" sums: ")[0] for line in found.note.splitlines()[1:]] == [str(size) for size in SIZES]
 
 
 def test_folders_that_lack_something_are_one_clear_error(data: Path, tmp_path: Path) -> None:

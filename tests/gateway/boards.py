@@ -19,7 +19,7 @@ from dbc.canopen import (
     NmtCommand,
     NmtState,
 )
-from dbc.configuration import configuration, expected_signature
+from dbc.configuration import calibration, configuration, expected_signature
 from dbc.contract import Contract, NodeContract
 from dbc.frame import Frames, frames
 from dbc.steps import FIRST_MAX, PART_SUMS, WORD_BYTES, slot_byte, write_word
@@ -47,27 +47,64 @@ def small_stepped(**tables: Any) -> Contract:
     return Contract.from_layout(small_layout(8, 16, **STEPPED | given))
 
 
-class Board:
+class SdoServer:
+    """What a node answers to SDO: `objects` are the values by index and sub-index."""
+
+    def __init__(self, contract: Contract, node: NodeContract) -> None:
+        settings, gains = configuration(contract, node), calibration(contract, node)
+        self.objects = {(each.index, each.subindex): each.data for each in (*settings, *gains)}
+        for index in (od.SIGNATURE, od.CALIBRATION_SIGNATURE):
+            self.objects[index, 0] = expected_signature(settings).to_bytes(4, "little")
+        #: What is left of an answer in segments.
+        self.rest = b""
+
+    def written(self, place: tuple[int, int], value: bytes) -> None:
+        """Take a value that was written."""
+        self.objects[place] = value
+
+    def answer(self, data: bytes) -> bytes:
+        """Return the answer to a request."""
+        place, key = data[1:4], (int.from_bytes(data[1:3], "little"), data[3])
+        if data[0] & 0xE0 == 0x20:
+            self.written(key, data[4 : 8 - (data[0] >> 2 & 3)])
+            return b"\x60" + place + bytes(4)
+        if data[0] & 0xE0 == 0x60:
+            part, self.rest = self.rest[:7], self.rest[7:]
+            return bytes((data[0] & 0x10 | 7 - len(part) << 1 | (not self.rest),)) + part.ljust(7, b"\0")
+        value = self.objects.get(key)
+        if value is None:
+            return b"\x80" + place + NO_OBJECT.to_bytes(4, "little")
+        if len(value) > 4:
+            self.rest = value
+            return b"\x41" + place + len(value).to_bytes(4, "little")
+        return bytes((0x43 | 4 - len(value) << 2,)) + place + value.ljust(4, b"\0")
+
+
+class Board(SdoServer):
     """One node: its sums are what the test says."""
 
     def __init__(self, contract: Contract, node: NodeContract) -> None:
-        settings = configuration(contract, node)
+        super().__init__(contract, node)
         self.contract, self.skin = node, contract
         self.forms = np.array(node.forms, np.int64)
-        self.objects = {(each.index, each.subindex): each.data for each in settings}
-        self.objects[od.SIGNATURE, 0] = expected_signature(settings).to_bytes(4, "little")
         self.objects[od.NODE_NOISE, 0] = struct.pack("<f", 1e-4 * (node.block + 1))
         self.sums_n = np.zeros(32, np.float32)
         #: Times of requests to send all sums again, and what was written.
         self.asked: list[tuple[float, int]] = []
-        #: When the newest SYNC came, and its counter.
-        self.sync_s, self.counter = 0.0, 0
-        #: What is left of an answer in segments.
-        self.rest = b""
+        #: The time now, when the newest SYNC came, and its counter.
+        self.now_s = self.sync_s = 0.0
+        self.counter = 0
         #: Frames with sums so far.
         self.sent = 0
         self.answers, self.speaks, self.beats = True, True, True
         self.boot()
+
+    def written(self, place: tuple[int, int], value: bytes) -> None:
+        if place == (od.REFRESH, 0):
+            self.asked.append((self.now_s, value[0]))
+            self.again()
+        else:
+            super().written(place, value)
 
     def boot(self) -> None:
         self.sending = new_state(len(self.forms), 1, PART_SUMS)
@@ -116,7 +153,7 @@ class Board:
 
     def take(self, arrived: Frames, now_s: float) -> Frames:
         """Return what the board answers."""
-        out = []
+        out, self.now_s = [], now_s
         for each in arrived:
             can_id, data = int(each["can_id"]), each["data"][: each["length"]].tobytes()
             if can_id == NMT_COB_ID and data[1] in {0, self.contract.node_id}:
@@ -124,7 +161,7 @@ class Board:
             elif can_id == SYNC_COB_ID:
                 self.sync_s, self.counter = int(each["time_ns"]) * 1e-9, data[0]
             elif can_id == SDO_REQUEST_BASE + self.contract.node_id and data[0] != 0x80 and self.answers:
-                out.append(frame(SDO_RESPONSE_BASE + self.contract.node_id, self.answer(data, now_s)))
+                out.append(frame(SDO_RESPONSE_BASE + self.contract.node_id, self.answer(data)))
         return np.concatenate(out) if out else frames(0)
 
     def command(self, command: NmtCommand) -> None:
@@ -134,27 +171,6 @@ class Board:
         if command is NmtCommand.START and self.state is not NmtState.OPERATIONAL:
             self.again()
         self.state = STATES[command]
-
-    def answer(self, data: bytes, now_s: float) -> bytes:
-        place, key = data[1:4], (int.from_bytes(data[1:3], "little"), data[3])
-        if data[0] & 0xE0 == 0x20:
-            value = data[4 : 8 - (data[0] >> 2 & 3)]
-            if key == (od.REFRESH, 0):
-                self.asked.append((now_s, value[0]))
-                self.again()
-            else:
-                self.objects[key] = value
-            return b"\x60" + place + bytes(4)
-        if data[0] & 0xE0 == 0x60:
-            part, self.rest = self.rest[:7], self.rest[7:]
-            return bytes((data[0] & 0x10 | 7 - len(part) << 1 | (not self.rest),)) + part.ljust(7, b"\0")
-        value = self.objects.get(key)
-        if value is None:
-            return b"\x80" + place + NO_OBJECT.to_bytes(4, "little")
-        if len(value) > 4:
-            self.rest = value
-            return b"\x41" + place + len(value).to_bytes(4, "little")
-        return bytes((0x43 | 4 - len(value) << 2,)) + place + value.ljust(4, b"\0")
 
 
 class BoardsOfBus:

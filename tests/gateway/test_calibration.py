@@ -4,13 +4,13 @@ import itertools
 import struct
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any, Literal
 
 import msgspec
 import numpy as np
 import numpy.typing as npt
 import pytest
 
-import gateway.calibration
 from calibration.calibrator import Calibrator
 from canskin.calibration_messages import (
     CalibrationReply,
@@ -28,27 +28,45 @@ from dbc.contract import Contract
 from gateway.calibration import GatewayCalibration
 from gateway.node_writing import node_values
 from skin.calibration_file import StoredCalibration, encoded, new_calibration, parse_calibration
+from skin.layout import changed
 from tests.calibration.helpers import pressed
 from tests.gateway.boards import small_stepped
-from tests.layouts import STEPPED_SKIN, small_contract
+from tests.layouts import STEPPED_SKIN, buses, small_contract
 from tests.messages import stepped_measurement
 from tests.world import World, valid
 
 
 class Asked:
-    """A calibration on a world, and the answers that came."""
+    """A calibration, with a world or without nodes, and the answers that came."""
 
-    def __init__(self, world: World, stored: StoredCalibration | None = None, *, tares: bool = True) -> None:
-        self.world = world
-        self.calibration = GatewayCalibration(world.contract, stored, tares=tares)
+    def __init__(self, skin: World | Contract, stored: StoredCalibration | None = None, **options: Any) -> None:
+        self.world = skin if isinstance(skin, World) else None
+        contract = skin if isinstance(skin, Contract) else skin.contract
+        self.calibration, self.now_s = GatewayCalibration(contract, stored, **options), 0.0
         self.replies: list[CalibrationReply] = []
         self.told: list[Measurement] = []
 
+    @property
+    def answers(self) -> list[tuple[bool, str]]:
+        return [(each.is_done, each.text) for each in self.replies]
+
     def ask(self, request: CalibrationRequest | ZeroRequest) -> None:
         self.calibration.ask(request, self.replies.append)  # type: ignore[arg-type]
+        if self.world is None:
+            self.tick()
+
+    def give(self, action: Literal["load", "write"], stored: StoredCalibration) -> None:
+        """Ask for a calibration to be used."""
+        self.ask(CalibrationRequest(action=action, content=encoded(stored)))
+
+    def tick(self, seconds: float = 0.0) -> None:
+        """Let time pass without nodes."""
+        self.now_s += seconds
+        self.calibration.tick({}, self.now_s)
 
     def run(self, seconds: float, *, measured: bool = True) -> Measurement:
         last: Measurement | None = None
+        assert self.world is not None
         for _ in range(round(seconds / self.world.step_s)):
             came = self.world.step()
             self.calibration.look(self.world.gateway.masters, self.world.now_s)
@@ -61,6 +79,14 @@ class Asked:
             self.calibration.tick(self.world.gateway.masters, self.world.now_s)
         assert last is not None
         return last
+
+
+@pytest.fixture
+def guarded(small: Contract) -> World:
+    """Return a world whose calibration looks after changed gains."""
+    built = World(small, calibrates=True)
+    built.until_whole(2.0)
+    return built
 
 
 @pytest.fixture
@@ -119,24 +145,25 @@ def test_what_cannot_be_used_is_refused(
     world: World, stored: StoredCalibration, action: str, changed: dict[str, object], said: str
 ) -> None:
     asked = Asked(world)
-    content = encoded(msgspec.structs.replace(stored, **changed))
-    asked.ask(CalibrationRequest(action=action, content=content))  # type: ignore[arg-type]
+    asked.give(action, msgspec.structs.replace(stored, **changed))  # type: ignore[arg-type]
     asked.run(0.1)
-    assert not asked.replies[0].is_done
-    assert said in asked.replies[0].text
+    ((is_done, text),) = asked.answers
+    assert not is_done
+    assert said in text
 
 
 def test_nodes_that_make_sums_in_hardware_get_no_gains() -> None:
-    world = World(small_contract(taxels={"frontend": "analogue"}))
-    wanted = new_calibration(world.contract.layout, gains=np.full(world.contract.layout.taxels.count, 1.1))
-    asked = Asked(world)
-    asked.ask(CalibrationRequest(action="write", content=encoded(wanted)))
-    asked.run(1.0)
-    assert not asked.replies[0].is_done
-    assert "take off no gains: 'skin reconstruct --gains' does" in asked.replies[0].text
+    contract = small_contract(taxels={"frontend": "analogue"})
+    asked = Asked(contract)
+    asked.give("write", new_calibration(contract.layout, gains=np.full(128, 1.1)))
+    ((is_done, text),) = asked.answers
+    assert not is_done
+    assert "take off no gains: 'skin reconstruct --gains' does" in text
 
 
-def test_nodes_write_and_store_gains_and_offsets(small: Contract, tmp_path: Path) -> None:
+@pytest.mark.parametrize("blocks_per_node", [1, 2])
+def test_nodes_write_and_store_gains_and_offsets(blocks_per_node: int, tmp_path: Path) -> None:
+    small = small_contract(bus=buses(*[2 // blocks_per_node] * 2, blocks_per_node=blocks_per_node))
     world = World(small, store=tmp_path)
     world.until_whole(2.0)
     taxels = small.layout.taxels
@@ -144,11 +171,18 @@ def test_nodes_write_and_store_gains_and_offsets(small: Contract, tmp_path: Path
     offsets_n = np.linspace(0, 2e-3, taxels.count)
     wanted = msgspec.structs.replace(new_calibration(small.layout, gains=gains), taxel_offsets_n=offsets_n.tolist())
     asked = Asked(world)
-    asked.ask(CalibrationRequest(action="write", content=encoded(wanted)))
+    asked.give("write", wanted)
+    asked.give("write", wanted)
     asked.run(10.0)
-    assert [(each.is_done, each.text) for each in asked.replies] == [
-        (True, "4 nodes have written and stored it; the zero is measured anew")
+    asked.ask(ZeroRequest())
+    asked.run(0.1)
+    assert asked.answers == [
+        (False, "the nodes are being written to: wait for the end of that"),
+        (True, f"{len(small.nodes)} nodes have written and stored it; the zero is measured anew"),
+        (True, "the calibration in use"),
     ]
+    told = parse_calibration(asked.replies[-1].content, small.layout, "test")
+    assert (told.gains, told.taxel_offsets_n) == (wanted.gains, wanted.taxel_offsets_n)
     np.testing.assert_allclose(world.electronics.gain, 1 / gains, rtol=1e-6)
     np.testing.assert_allclose(world.electronics.offset, -offsets_n / taxels.newton_per_count / gains, atol=0.5)
     assert len(list(tmp_path.iterdir())) == len(small.nodes)
@@ -166,7 +200,7 @@ def test_offsets_of_sums_are_dropped_when_the_nodes_have_other_gains(
     world.until_whole(2.0)
     asked = Asked(world, stored, tares=tares)
     assert asked.run(0.1).offsets
-    asked.ask(CalibrationRequest(action="write", content=encoded(stored)))
+    asked.give("write", stored)
     last = asked.run(5.0, measured=False)
     assert asked.replies[0].is_done
     assert not last.offsets
@@ -175,13 +209,11 @@ def test_offsets_of_sums_are_dropped_when_the_nodes_have_other_gains(
 
 @pytest.mark.parametrize("tares", [True, False])
 def test_the_zero_of_a_node_is_dropped_when_another_master_has_changed_its_gains(
-    small: Contract, stored: StoredCalibration, *, tares: bool
+    small: Contract, guarded: World, stored: StoredCalibration, *, tares: bool
 ) -> None:
-    world = World(small, calibrates=True)
-    world.until_whole(2.0)
-    asked = Asked(world, stored, tares=tares)
+    asked = Asked(guarded, stored, tares=tares)
     assert asked.run(0.5).offsets
-    world.write(1, 2, od.GAIN, 3, bytes(4))
+    guarded.write(1, 2, od.GAIN, 3, bytes(4))
     last = asked.run(0.5)
     is_of_node = small.phi.block_of_sum == 3
     np.testing.assert_array_equal(np.frombuffer(last.usable, np.uint8), ~is_of_node)
@@ -202,30 +234,33 @@ def doubted(told: Measurement, contract: Contract) -> npt.NDArray[np.bool_]:
     return blocks
 
 
+def world_of(asked: Asked) -> World:
+    assert asked.world is not None
+    return asked.world
+
+
 ACCEPTING: dict[str, Callable[[Asked, StoredCalibration], None]] = {
     "nobody": lambda _, __: None,
     "tare": lambda asked, _: asked.ask(CalibrationRequest(action="tare", force=True)),
     "tare of a region with all its taxels": lambda asked, _: asked.ask(
         CalibrationRequest(action="tare", region=(0, 0, 7, 15))
     ),
-    "load": lambda asked, stored: asked.ask(CalibrationRequest(action="load", content=encoded(stored))),
-    "write": lambda asked, stored: asked.ask(CalibrationRequest(action="write", content=encoded(stored))),
-    "reset, which gives its stored gains back": lambda asked, _: asked.world.nmt(1, NmtCommand.RESET_NODE, 2),
-    "written back": lambda asked, _: asked.world.write(1, 2, od.GAIN, 3, struct.pack("<f", 1.0)),
+    "load": lambda asked, stored: asked.give("load", stored),
+    "write": lambda asked, stored: asked.give("write", stored),
+    "reset, which gives its stored gains back": lambda asked, _: world_of(asked).nmt(1, NmtCommand.RESET_NODE, 2),
+    "written back": lambda asked, _: world_of(asked).write(1, 2, od.GAIN, 3, struct.pack("<f", 1.0)),
 }
 
 
 @pytest.mark.parametrize("how", ACCEPTING)
 def test_a_block_is_doubtful_from_the_first_cycle_with_other_gains_until_somebody_accepts_them(
-    small: Contract, stored: StoredCalibration, how: str
+    small: Contract, guarded: World, stored: StoredCalibration, how: str
 ) -> None:
-    world = World(small, calibrates=True)
-    world.until_whole(2.0)
-    asked = Asked(world, stored if "region" in how else None, tares=False)
+    asked = Asked(guarded, stored if "region" in how else None, tares=False)
     asked.run(0.5)
     assert not any(doubted(each, small).any() for each in asked.told)
     asked.told.clear()
-    world.write(1, 2, od.GAIN, 3, bytes(4))
+    guarded.write(1, 2, od.GAIN, 3, bytes(4))
     asked.run(5.5)
     changed = [doubted(each, small) for each in asked.told if valid(each)[3]]
     assert len(changed) >= 100
@@ -239,11 +274,11 @@ def test_a_block_is_doubtful_from_the_first_cycle_with_other_gains_until_somebod
     assert asked.calibration.status().recalibrated == (["bus1 node 2"] if how == "nobody" else [])
 
 
-def test_who_tares_a_part_of_a_board_does_not_accept_its_gains(small: Contract, stored: StoredCalibration) -> None:
-    world = World(small, calibrates=True)
-    world.until_whole(2.0)
-    asked = Asked(world, stored, tares=False)
-    world.write(1, 2, od.GAIN, 3, bytes(4))
+def test_who_tares_a_part_of_a_board_does_not_accept_its_gains(
+    small: Contract, guarded: World, stored: StoredCalibration
+) -> None:
+    asked = Asked(guarded, stored, tares=False)
+    guarded.write(1, 2, od.GAIN, 3, bytes(4))
     asked.run(1.0)
     asked.ask(CalibrationRequest(action="tare", region=(0, 0, 7, 14)))
     last = asked.run(5.0)
@@ -251,26 +286,21 @@ def test_who_tares_a_part_of_a_board_does_not_accept_its_gains(small: Contract, 
     assert doubted(last, small).tolist() == [False, False, False, True]
 
 
-def test_a_gateway_that_starts_accepts_what_it_finds(small: Contract) -> None:
-    world = World(small, calibrates=True)
-    world.until_whole(2.0)
-    world.write(1, 2, od.GAIN, 3, bytes(4))
-    Asked(world, tares=False).run(1.0)
-    world.gateway = world.new_gateway()
-    asked = Asked(world, tares=False)
+def test_a_gateway_that_starts_accepts_what_it_finds(guarded: World) -> None:
+    guarded.write(1, 2, od.GAIN, 3, bytes(4))
+    Asked(guarded, tares=False).run(1.0)
+    guarded.gateway = guarded.new_gateway()
+    asked = Asked(guarded, tares=False)
     last = asked.run(3.0)
     assert valid(last).all()
     assert not last.doubtful
 
 
 def test_a_slow_skin_says_how_long_its_zero_takes(small: Contract) -> None:
-    layout = msgspec.structs.replace(small.layout, sync=msgspec.structs.replace(small.layout.sync, rate_hz=1.0))
-    calibration = GatewayCalibration(Contract.from_layout(layout))
-    replies: list[CalibrationReply] = []
-    calibration.ask(CalibrationRequest(action="tare"), replies.append)  # type: ignore[arg-type]
-    calibration.tick({}, 0.0)
-    calibration.tick({}, 9.0)
-    assert "which takes 64 s" in replies[0].text
+    asked = Asked(Contract.from_layout(changed(small.layout, sync={"rate_hz": 1.0})))
+    asked.ask(CalibrationRequest(action="tare"))
+    asked.tick(9.0)
+    assert "which takes 64 s" in asked.replies[0].text
 
 
 @pytest.mark.heavy
@@ -280,21 +310,21 @@ def test_a_node_that_is_not_there_is_named(small: Contract, stored: StoredCalibr
     world.wires[1].loses = lambda end, each: end is world.wires[1].gateway and each["can_id"] & 0x7F == 2
     asked = Asked(world)
     world.run(2.0)
-    asked.ask(CalibrationRequest(action="write", content=encoded(stored)))
+    asked.give("write", stored)
     asked.run(40.0)
-    assert [each.is_done for each in asked.replies] == [False]
+    asked.ask(ZeroRequest())
+    asked.run(0.1)
+    assert [each.is_done for each in asked.replies] == [False, True]
     assert asked.replies[0].text.startswith("3 nodes have written and stored it; not bus1 node 2")
+    assert parse_calibration(asked.replies[1].content, small.layout, "test").gains == []
 
 
 def test_stepped_boards_look_after_their_zero() -> None:
-    layout = small_stepped().layout
-    calibration = GatewayCalibration(small_stepped())
-    replies: list[CalibrationReply] = []
-    content = encoded(new_calibration(layout, offsets_n=np.zeros(layout.measurement.sums)))
-    calibration.ask(CalibrationRequest(action="load", content=content), replies.append)  # type: ignore[arg-type]
-    calibration.tick({}, 0.0)
-    assert not replies[0].is_done
-    assert "power-up" in replies[0].text
+    asked, layout = Asked(small_stepped()), small_stepped().layout
+    asked.give("load", new_calibration(layout, offsets_n=np.zeros(layout.measurement.sums)))
+    ((is_done, text),) = asked.answers
+    assert not is_done
+    assert "power-up" in text
 
 
 @pytest.mark.parametrize("rate_hz", [1000, 2])
@@ -326,86 +356,19 @@ def test_stepped_sums_are_looked_at_forty_times_a_second(rate_hz: int, monkeypat
     assert np.abs(sums - offsets).max() < 0.02 * np.abs(sums).max()
 
 
-# Requests that meet others, and what is told after a write
-
-
-class Writing:
-    """A writing to nodes that ends when the test says so."""
-
-    done, is_complete = False, True
-
-    def __init__(self, *_: object) -> None:
-        """Write nothing."""
-
-    def tick(self, _now_s: float) -> None:
-        """Do nothing."""
-
-    def text(self) -> str:
-        return "written"
-
-
-class Alone:
-    """A calibration without nodes, and the answers that came."""
-
-    def __init__(self, contract: Contract) -> None:
-        self.calibration, self.now_s = GatewayCalibration(contract, tares=False), 0.0
-        self.replies: list[CalibrationReply] = []
-
-    def ask(self, request: CalibrationRequest | ZeroRequest) -> None:
-        self.calibration.ask(request, self.replies.append)  # type: ignore[arg-type]
-        self.calibration.tick({}, self.now_s)
-
-
-@pytest.fixture
-def writing(monkeypatch: pytest.MonkeyPatch) -> type[Writing]:
-    class Mine(Writing):
-        pass
-
-    monkeypatch.setattr(gateway.calibration, "NodeWriting", Mine)
-    return Mine
-
-
-def test_nodes_are_written_to_once_at_a_time(small: Contract, writing: type[Writing]) -> None:
-    asked = Alone(small)
-    content = encoded(new_calibration(small.layout, gains=np.full(128, 1.1)))
-    asked.ask(CalibrationRequest(action="write", content=content))
-    assert asked.replies == []
-    asked.ask(CalibrationRequest(action="write", content=content))
-    ((is_done, text),) = [(each.is_done, each.text) for each in asked.replies]
-    assert (is_done, text) == (False, "the nodes are being written to: wait for the end of that")
-    writing.done = True
-    asked.calibration.tick({}, 0.0)
-    assert [each.is_done for each in asked.replies] == [False, True]
-    asked.ask(CalibrationRequest(action="write", content=content))
-    assert [each.is_done for each in asked.replies] == [False, True, True]
-
-
-@pytest.mark.parametrize("is_complete", [True, False])
-def test_what_the_nodes_have_is_told(small: Contract, writing: type[Writing], *, is_complete: bool) -> None:
-    """A write of offsets alone leaves the gains."""
-    writing.done, writing.is_complete = True, is_complete
-    asked, empty = Alone(small), new_calibration(small.layout)
-    for values in ({"gains": [1.25] * 128}, {"taxel_offsets_n": [0.001] * 128}):
-        wanted = msgspec.structs.replace(empty, **values)
-        asked.ask(CalibrationRequest(action="write", content=encoded(wanted)))
-    asked.ask(ZeroRequest())
-    assert [each.is_done for each in asked.replies] == [is_complete, is_complete, True]
-    told = parse_calibration(asked.replies[-1].content, small.layout, "test")
-    assert told.gains == [1.25] * 128 * is_complete
-    assert told.taxel_offsets_n == [0.001] * 128 * is_complete
+# Requests that meet others
 
 
 def test_a_zero_that_is_awaited_counts_as_a_request_that_waits(small: Contract) -> None:
-    asked = Alone(small)
+    asked = Asked(small, tares=False)
     for _ in range(8):
         asked.ask(CalibrationRequest(action="tare"))
     assert asked.replies == []
     asked.ask(ZeroRequest())
     assert [each.text for each in asked.replies] == ["8 requests wait for an answer: ask again later"]
-    asked.now_s = 7.9
-    asked.calibration.tick({}, asked.now_s)
+    asked.tick(7.9)
     assert len(asked.replies) == 1
-    asked.calibration.tick({}, 8.1)
+    asked.tick(0.2)
     assert [each.is_done for each in asked.replies] == [False] * 9
 
 
@@ -414,18 +377,16 @@ def test_show_tells_all_that_was_stored(small: Contract) -> None:
         new_calibration(small.layout, offsets_n=np.full(32, 0.0078125), gains=np.full(128, 1.25)),
         taxel_offsets_n=[0.001] * 128,
     )
-    replies: list[CalibrationReply] = []
-    calibration = GatewayCalibration(small, known, tares=False)
-    calibration.ask(ZeroRequest(), replies.append)  # type: ignore[arg-type]
-    calibration.tick({}, 0.0)
-    told = parse_calibration(replies[0].content, small.layout, "test")
+    asked = Asked(small, known, tares=False)
+    asked.ask(ZeroRequest())
+    told = parse_calibration(asked.replies[0].content, small.layout, "test")
     assert (told.gains, told.taxel_offsets_n, told.version) == ([1.25] * 128, [0.001] * 128, known.version)
     assert told.offsets_n == pytest.approx([0.0078125] * 32)
-    assert replies[0].status is not None
+    assert asked.replies[0].status is not None
 
 
 def test_a_tare_is_of_all_of_the_skin_or_of_a_region_on_it_and_one_at_a_time(small: Contract) -> None:
-    asked, taxels = Alone(small), small.layout.taxels
+    asked, taxels = Asked(small, tares=False), small.layout.taxels
     whole = (0, 0, taxels.rows - 1, taxels.columns - 1)
     asked.ask(CalibrationRequest(action="tare", region=whole))
     asked.ask(CalibrationRequest(action="tare", region=whole))
@@ -443,17 +404,13 @@ def test_a_tare_is_of_all_of_the_skin_or_of_a_region_on_it_and_one_at_a_time(sma
 
 def test_answers_are_given_in_another_thread(small: Contract) -> None:
     aside: list[Callable[[], None]] = []
-    replies: list[CalibrationReply] = []
-    calibration = GatewayCalibration(small, tares=False, submit=aside.append)
-    calibration.ask(ZeroRequest(), replies.append)  # type: ignore[arg-type]
-    content = encoded(new_calibration(small.layout, offsets_n=np.zeros(32)))
-    calibration.ask(CalibrationRequest(action="load", content=content), replies.append)  # type: ignore[arg-type]
-    for _ in range(2):
-        calibration.tick({}, 0.0)
-    assert (len(aside), replies) == (2, [])
+    asked = Asked(small, tares=False, submit=aside.append)
+    asked.ask(ZeroRequest())
+    asked.give("load", new_calibration(small.layout, offsets_n=np.zeros(32)))
+    assert (len(aside), asked.replies) == (2, [])
     for each in aside:
         each()
-    assert [each.text for each in replies] == ["the calibration in use", "in use"]
+    assert [each.text for each in asked.replies] == ["the calibration in use", "in use"]
 
 
 # What nodes are given
@@ -465,19 +422,15 @@ def test_nodes_undo_gain_and_offset_of_a_taxel() -> None:
     known = msgspec.structs.replace(
         new_calibration(skin.layout, gains=np.full(128, 0.5)), taxel_offsets_n=[0.010] * 64 + [-0.020] * 64
     )
-    gains, offsets = node_values(known, 0.001)
-    assert gains is not None
-    assert offsets is not None
-    assert set(gains.tolist()) == {2.0}
-    assert offsets.tolist() == [-20.0] * 64 + [40.0] * 64
-    gains, offsets = node_values(msgspec.structs.replace(known, gains=[]), 0.001)
-    assert gains is None
-    assert offsets is not None
-    assert offsets.tolist() == [-10.0] * 64 + [20.0] * 64
-    gains, offsets = node_values(msgspec.structs.replace(known, taxel_offsets_n=[]), 0.001)
-    assert gains is not None
-    assert (gains.tolist(), offsets) == ([2.0] * 128, None)
-    assert node_values(new_calibration(skin.layout), 0.001) == (None, None)
+    for changes, factor, whole in (
+        ({}, 2.0, [-20.0] * 64 + [40.0] * 64),
+        ({"gains": []}, None, [-10.0] * 64 + [20.0] * 64),
+        ({"taxel_offsets_n": []}, 2.0, None),
+        ({"gains": [], "taxel_offsets_n": []}, None, None),
+    ):
+        gains, offsets = node_values(msgspec.structs.replace(known, **changes), 0.001)
+        assert (None if gains is None else gains.tolist()) == (None if factor is None else [factor] * 128)
+        assert (None if offsets is None else offsets.tolist()) == whole
 
 
 def test_a_node_holds_offsets_of_sixteen_bits(small: Contract) -> None:

@@ -5,6 +5,7 @@ import pytest
 from dbc.configuration import READ_S
 from dbc.contract import Contract
 from dbc.frame import frames
+from gateway.batch import batch_of
 from gateway.cycle_gathering import CycleGathering
 from gateway.gathering import Health, Sync
 
@@ -20,7 +21,7 @@ def begun(contract: Contract, *, stamp_error_ns: int | None = 0) -> CycleGatheri
     for node in contract.nodes:
         gathering.trust(node, proven=True)
     for bus in range(len(contract.layout.bus)):
-        gathering.take(bus, frames(0), health, 0.5)
+        gathering.take(batch_of(frames(0), bus, contract.table), health, 0.5)
     gathering.begin(Sync(1, 1, 1_000_000_000, 1_000_000_000, 0))
     return gathering
 

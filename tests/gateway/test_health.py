@@ -8,6 +8,9 @@ from dbc.frame import ECHO, ERROR, Frames, frames
 from gateway.batch import batch_of
 from gateway.gathering import Health, Sync
 from tests.bus.harness import frame
+from tests.layouts import small_contract
+
+TABLE = small_contract().table
 
 #: SocketCAN's classes of error frames (linux/can/error.h).
 CONTROLLER, BUS_OFF, RESTARTED, ACKNOWLEDGE = 0x004, 0x040, 0x100, 0x020
@@ -15,7 +18,7 @@ CONTROLLER, BUS_OFF, RESTARTED, ACKNOWLEDGE = 0x004, 0x040, 0x100, 0x020
 
 def seen(health: Health, arrived: Frames, state: State = State.ACTIVE, dropped: int = 0) -> tuple[bool, bool, bool]:
     """Return whether there is a gap, the bus is down, and has returned."""
-    health.look(state, dropped, 7, tells_loss=batch_of(arrived).tells_loss)
+    health.look(state, dropped, 7, tells_loss=batch_of(arrived, 0, TABLE).tells_loss)
     return health.has_gap, health.is_down, health.has_returned
 
 

@@ -18,7 +18,7 @@ from dbc.canopen import (
     NmtCommand,
     NmtState,
 )
-from dbc.configuration import TICK_S, configuration, expected_signature
+from dbc.configuration import TICK_S
 from dbc.contract import Contract
 from dbc.frame import ECHO
 from gateway.batch import batch_of
@@ -28,6 +28,7 @@ from gateway.proof import PART
 from gateway.sdo import Read, SdoTimeoutError, Transfer
 from skin.layout import load_layout
 from tests.bus.harness import frame
+from tests.gateway.boards import SdoServer
 from tests.layouts import buses, small_contract
 
 #: The times that docs/bus.md promises.
@@ -39,7 +40,6 @@ EXPLAINS_S = 2.0
 #: After another master's SDO, before the gateway asks the same node.
 SDO_QUIET_S = 0.05
 
-NO_SUBINDEX = 0x0609_0011
 START, STOP, PRE_OPERATIONAL = NmtCommand.START, NmtCommand.STOP, NmtCommand.ENTER_PRE_OPERATIONAL
 UPLOAD, DOWNLOAD = 0x40, 0x23
 
@@ -50,30 +50,24 @@ class Boards:
     def __init__(self, contract: Contract) -> None:
         self.now_s = 100.0
         self.lines: list[str] = []
+        self.servers = {node.node_id: SdoServer(contract, node) for node in contract.on_bus(0)}
         #: Times of questions by node-ID; node-IDs whose sums are used.
         self.asked_s: dict[int, list[float]] = {}
         self.used: set[int] = set()
-        #: Boards that answer no SDO, whose configuration is wrong, that compute no signature, that boot at each start.
+        #: Boards that answer no SDO, whose configuration is wrong, that boot at each start.
         self.mute: set[int] = set()
         self.wrong: set[int] = set()
-        self.plain: set[int] = set()
         self.boots: set[int] = set()
         self.beats = True
         self.states: dict[int, NmtState] = {}
         #: NMT commands of the gateway, with their times.
         self.commands: list[tuple[int, int]] = []
         self.commanded_s: list[float] = []
-        self._rest = b""
         self._waiting: list[tuple[int, bytes]] = []
-        self._signatures = {
-            node.node_id: expected_signature(configuration(contract, node)).to_bytes(4, "little")
-            for node in contract.on_bus(0)
-        }
-        self.master = NmtMaster(contract, 0, self._send, lambda node, used: self._use(node.node_id, used), self.say)
+        self._table = contract.table
+        use = lambda node, used: self._use(node.node_id, used)  # noqa: E731
+        self.master = NmtMaster(contract, 0, self._send, use, self.lines.append)
         self._beat_s = self.now_s
-
-    def say(self, line: str) -> None:
-        self.lines.append(line)
 
     def _use(self, node_id: int, used: bool) -> None:
         assert (node_id in self.used) != used
@@ -94,33 +88,15 @@ class Boards:
         if data[0] & 0xE0 != 0x80:
             self.asked_s.setdefault(node_id, []).append(self.now_s)
             if node_id not in self.mute:
-                self._waiting.append((SDO_RESPONSE_BASE + node_id, self._answer(node_id, data)))
-
-    def _answer(self, node_id: int, asked: bytes) -> bytes:
-        if node_id in self.plain:
-            return self._plain_answer(node_id, asked)
-        if int.from_bytes(asked[1:3], "little") not in {od.SIGNATURE, od.CALIBRATION_SIGNATURE}:
-            return b"\x80" + asked[1:4] + NO_SUBINDEX.to_bytes(4, "little")
-        return b"\x43" + asked[1:4] + (b"\1\2\3\4" if node_id in self.wrong else self._signatures[node_id])
-
-    def _plain_answer(self, node_id: int, asked: bytes) -> bytes:
-        """Answer what the contract says, without signature."""
-        if asked[0] & 0xE0 == 0x60:
-            part, self._rest = self._rest[:7], self._rest[7:]
-            return bytes((asked[0] & 0x10 | 7 - len(part) << 1 | (not self._rest),)) + part.ljust(7, b"\0")
-        index, subindex = int.from_bytes(asked[1:3], "little"), asked[3]
-        if index in {od.SIGNATURE, od.CALIBRATION_SIGNATURE}:
-            return b"\x43" + asked[1:4] + bytes(4)
-        settings = [*self.node(node_id).settings, *self.node(node_id).known.settings]
-        (value,) = {each.data for each in settings if (each.index, each.subindex) == (index, subindex)}
-        if len(value) > 4:
-            self._rest = value
-            return b"\x41" + asked[1:4] + len(value).to_bytes(4, "little")
-        return bytes((0x43 | 4 - len(value) << 2,)) + asked[1:4] + value.ljust(4, b"\0")
+                answer = self.servers[node_id].answer(data)
+                is_signature = int.from_bytes(data[1:3], "little") in {od.SIGNATURE, od.CALIBRATION_SIGNATURE}
+                if node_id in self.wrong and is_signature:
+                    answer = answer[:4] + b"\1\2\3\4"
+                self._waiting.append((SDO_RESPONSE_BASE + node_id, answer))
 
     def hear(self, can_id: int, data: bytes, flags: int = 0, time_ns: int | None = None) -> None:
         time_ns = round(self.now_s * 1e9) if time_ns is None else time_ns
-        self.master.take(batch_of(frame(can_id, data, flags, time_ns=time_ns)).talk, self.now_s)
+        self.master.take(batch_of(frame(can_id, data, flags, time_ns=time_ns), 0, self._table).talk, self.now_s)
 
     def beat(self, node_id: int, state: int) -> None:
         self.hear(HEARTBEAT_BASE + node_id, bytes((state,)))
@@ -287,19 +263,16 @@ def test_node_that_proves_nothing_any_more_is_believed_for_the_stated_time(skin:
     skin.run(4 * TICK_S)
     assert skin.used == {2}
     assert skin.lines_now() == ["node 1 on bus0 not proven for 5 s"]
-
-
-def test_stated_time_is_4_9_s_for_32_nodes_at_1_mbit() -> None:
-    contract = Contract.from_layout(load_layout())
-    master = NmtMaster(contract, 0, lambda *_: None, lambda *_: None, lambda _: None)
-    assert master.proof_limit_s == pytest.approx(4.9)
+    default = NmtMaster(Contract.from_layout(load_layout()), 0, *[lambda *_: None] * 3)
+    assert default.proof_limit_s == pytest.approx(4.9)
 
 
 def test_a_proof_without_signature_costs_as_much_as_its_transfers_and_holds_from_its_oldest_read(
     small: Contract,
 ) -> None:
     skin = Boards(small)
-    skin.plain.add(2)
+    for index in (od.SIGNATURE, od.CALIBRATION_SIGNATURE):
+        skin.servers[2].objects[index, 0] = bytes(4)
     skin.run(0.5)
     assert skin.used == {1, 2}
     # Every object, the signature that it has not, and some of its gains and offsets.
@@ -437,9 +410,8 @@ def test_emergency_explains_what_follows_soon(skin: Boards, told: list[bytes], a
 
 
 def test_emergencies_are_kept_with_their_codes(skin: Boards) -> None:
-    skin.hear(EMCY_BASE + 2, bytes.fromhex("3081110000000000"))
-    skin.hear(EMCY_BASE + 1, bytes.fromhex("10ff8100000000"))  # seven bytes
-    skin.hear(EMCY_BASE + 9, bytes.fromhex("10ff810000000000"))
+    for node_id, data in ((2, "3081110000000000"), (1, "10ff8100000000"), (9, "10ff810000000000")):
+        skin.hear(EMCY_BASE + node_id, bytes.fromhex(data))  # that of node 1 is too short, node 9 is none of the skin
     assert (skin.master.emergencies, skin.master.emcy) == ([(2, 0x8130)], [0, 0x8130])
     skin.hear(EMCY_BASE + 2, bytes(8))
     assert (skin.master.emergencies, skin.master.emcy) == ([(2, 0x8130)], [0, 0])
@@ -485,14 +457,6 @@ def test_a_stopped_node_is_commanded_to_pre_operational_before_it_is_asked(skin:
     ]
 
 
-def test_stop_commands_all_nodes_to_pre_operational_and_tells_what_waits(skin: Boards) -> None:
-    skin.hear(HEARTBEAT_BASE + 1, b"\0")
-    assert skin.lines == []
-    skin.master.stop()
-    assert skin.commands[-2:] == [(PRE_OPERATIONAL, 1), (PRE_OPERATIONAL, 2)]
-    assert len(skin.lines) == 1
-
-
 # Tries
 
 
@@ -530,38 +494,33 @@ def test_pauses_begin_anew_after_ten_seconds_in_operational(stable_s: float, pau
     assert skin.used == {1}
 
 
-@pytest.mark.parametrize(("beat", "soon_s"), [(b"\0", 0.12), (b"\x7f", 0.02)])
-def test_a_silent_node_that_is_heard_again_is_tried_as_at_first(beat: bytes, soon_s: float) -> None:
-    skin = alone()
-    skin.beats, skin.mute = False, {1}
-    skin.run(8)
-    assert skin.node(1).tries > 3
-    skin.hear(HEARTBEAT_BASE + 1, beat)
-    skin.asked_s.clear()
-    skin.run(soon_s)
-    assert len(skin.asked_s[1]) == 1
-    skin.run(1.2)
-    # Three attempts of 0.3 s, and a pause of 0.2 s.
-    times_s = [time_s - skin.asked_s[1][0] for time_s in skin.asked_s[1]]
-    assert times_s == pytest.approx([0.0, 0.3, 0.6, 1.1], abs=0.05)
-
-
-def test_a_silent_node_is_told_to_answer_before_it_is_asked_again() -> None:
+def test_a_silent_node_is_told_to_answer_before_it_is_asked_again_and_tried_as_at_first_when_it_is_heard() -> None:
     """It may be STOPPED, and then answers no SDO."""
     skin = alone()
     skin.beat(1, NmtState.OPERATIONAL)
     skin.beats, skin.mute = False, {1}
     skin.run(1.55)
     assert not skin.used
-    skin.asked_s.clear()
-    skin.commands.clear()
-    skin.commanded_s.clear()
+    for each in (skin.asked_s, skin.commands, skin.commanded_s):
+        each.clear()
     began_s = skin.now_s
     skin.run(1.5)
     # One attempt of 0.3 s each, after pauses of 0.1 s, 0.2 s, 0.4 s; the node was lost 0.04 s ago.
     assert [time_s - began_s for time_s in skin.asked_s[1]] == pytest.approx([0.06, 0.56, 1.26], abs=0.045)
     assert skin.commands == [(PRE_OPERATIONAL, 1)] * 2
     assert skin.commanded_s == skin.asked_s[1][1:]
+    skin.run(5)
+    for beat, soon_s in ((b"\0", 0.12), (b"\x7f", 0.02)):
+        skin.node(1).nmt, skin.node(1).tries = SILENT, 4
+        skin.hear(HEARTBEAT_BASE + 1, beat)
+        skin.asked_s.clear()
+        skin.run(soon_s)
+        assert len(skin.asked_s[1]) == 1
+        skin.run(1.2)
+        # Three attempts of 0.3 s, and a pause of 0.2 s.
+        times_s = [time_s - skin.asked_s[1][0] for time_s in skin.asked_s[1]]
+        assert times_s == pytest.approx([0.0, 0.3, 0.6, 1.1], abs=0.05)
+        skin.run(1.5)
 
 
 @pytest.mark.parametrize(
@@ -605,14 +564,11 @@ def test_a_node_has_one_errand_at_a_time(skin: Boards) -> None:
     assert skin.node(1).errand is None
     assert isinstance(first.error, SdoTimeoutError)
     assert skin.used == {1, 2}
-
-
-def test_an_answer_ends_an_errand(skin: Boards) -> None:
     found = skin.master.ask(1, errand(), skin.now_s)
     assert found is not None
-    skin.hear(SDO_RESPONSE_BASE + 1, bytes.fromhex("43352000010203"))  # seven bytes
-    assert not found.done
-    skin.hear(SDO_RESPONSE_BASE + 1, bytes.fromhex("4335200001020304"))
+    for data in ("43352000010203", "4335200001020304"):  # of seven bytes, and of eight
+        assert not found.done
+        skin.hear(SDO_RESPONSE_BASE + 1, bytes.fromhex(data))
     assert (found.result, skin.node(1).errand) == (b"\1\2\3\4", None)
 
 

@@ -1,19 +1,16 @@
 """Gains and offsets are written to a few nodes at a time, three times at most."""
 
-import struct
 from types import SimpleNamespace
-from typing import Any, cast
+from typing import cast
 
-import numpy as np
 import pytest
 
 from dbc.contract import Contract
 from gateway.nmt_master import NmtMaster
 from gateway.node_writing import NodeWriting
 from gateway.proof import Known
-from gateway.sdo import SdoDialogue, Write
+from gateway.sdo import SdoDialogue
 from skin.layout import load_layout
-from tests.layouts import buses, small_contract
 
 
 class Master:
@@ -95,47 +92,6 @@ def test_nodes_that_cannot_be_asked_for_twenty_seconds_are_given_up(writing: Nod
     writing.tick(25.1)
     assert writing.done
     assert writing.text() == "4 nodes have written and stored it; not bus0 nodes 5-32"
-
-
-def transfers(contract: Contract, gains: np.ndarray | None, offsets: np.ndarray | None) -> list[Write]:
-    """Return what node 2 of bus 1 is written, when every transfer succeeds."""
-    asked: list[Write] = []
-
-    class Asked(Master):
-        def ask(self, node_id: int, steps: Any, now_s: float) -> SdoDialogue | None:
-            if node_id == 2:
-                asked.extend(steps)
-            return super().ask(node_id, steps, now_s)
-
-    master = cast("NmtMaster", Asked([node.node_id for node in contract.on_bus(1)]))
-    NodeWriting(contract, {1: master}, gains, offsets, 0.0).tick(0.0)
-    return asked
-
-
-def test_a_node_gets_the_values_of_its_taxels_in_the_order_of_its_chain_and_stores_them(contract: Contract) -> None:
-    count, node = contract.layout.taxels.count, contract.on_bus(1)[1]
-    chain = contract.phi.taxels_of_blocks[node.block].tolist()
-    save = Write(0x1010, 1, b"save")
-    gains = [Write(0x2010, place, struct.pack("<f", taxel / 2)) for place, taxel in enumerate(chain, 1)]
-    offsets = [Write(0x2011, place, struct.pack("<h", 5 - taxel)) for place, taxel in enumerate(chain, 1)]
-    factor, whole = np.arange(count) / 2, 5.0 - np.arange(count)
-    assert transfers(contract, factor, None) == [*gains, save]
-    assert transfers(contract, None, whole) == [*offsets, save]
-    assert transfers(contract, factor, whole) == [*gains, *offsets, save]
-
-
-def test_the_second_block_of_a_node_has_objects_of_its_own() -> None:
-    contract = small_contract(bus=buses(1, 1, blocks_per_node=2))
-    master = Master([1])
-    steps: list[Any] = []
-    master.ask = lambda _node_id, each, _now_s: steps.append(each)  # type: ignore[assignment]
-    NodeWriting(contract, {0: cast("NmtMaster", master)}, np.full(128, 2.0), None, 0.0).tick(0.0)
-    written = list(steps[0])
-    assert len(written) == 2 * 32 + 1
-    first, second = ({each.index for each in part} for part in (written[:32], written[32:64]))
-    assert (len(first), len(second)) == (1, 1)
-    assert first == {0x2010}
-    assert first != second
 
 
 def test_what_failed_is_told_by_bus(contract: Contract) -> None:

@@ -9,6 +9,9 @@ from gateway.batch import batch_of
 from gateway.outgoing import LOST_S, UNDER_WAY, UNTOLD_S, Outgoing
 from gateway.sdo import TIMEOUT_S
 from tests.bus.harness import frame
+from tests.layouts import small_contract
+
+TABLE = small_contract().table
 
 
 class Queue:
@@ -34,7 +37,7 @@ class Queue:
 
 
 def echoes(arrived: Frames) -> int:
-    return batch_of(arrived).echoes
+    return batch_of(arrived, 0, TABLE).echoes
 
 
 def put(outgoing: Outgoing, numbers: range) -> None:

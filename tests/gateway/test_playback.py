@@ -92,20 +92,6 @@ def test_a_sync_comes_again(contract: Contract, bus_frames: dict[int, Frames], l
     assert found == known
 
 
-def test_a_block_of_two_nodes_with_one_identifier_is_not_valid(
-    contract: Contract, bus_frames: dict[int, Frames]
-) -> None:
-    seen = bus_frames[0]
-    place = int(np.flatnonzero(seen["can_id"] != 0x80)[20])
-    again = seen[place : place + 1].copy()
-    again["data"][0, 1] ^= 1
-    logged = {0: np.insert(seen, place + 1, again), 1: bus_frames[1]}
-    playback = Playback(contract, logged.keys(), int(seen["time_ns"][0]))
-    for bus, each in logged.items():
-        playback.feed(bus, each)
-    assert sum(each.valid.count(b"\0") for each in playback.finish()) == 1
-
-
 def test_a_cycle_ends_when_no_sync_follows(contract: Contract, bus_frames: dict[int, Frames]) -> None:
     """A frame that is missing in it and comes two periods later is not used."""
     logged, expected = {}, whole(contract, bus_frames)
@@ -137,26 +123,6 @@ def test_syncs_of_the_gateway_are_told_by_their_form(data: bytes, flags: int, *,
     marked = with_echoes(logged)
     assert (marked["flags"] & ECHO != 0).tolist() == [is_echo, False]
     assert (logged["flags"] == flags).all()
-
-
-def test_a_few_syncs_have_no_rate(contract: Contract, bus_frames: dict[int, Frames]) -> None:
-    seen = bus_frames[0]
-    first_ns = int(seen["time_ns"][0])
-    playback = Playback(contract, [0], first_ns - 1_000_000_000, OFFSET_NS)
-    playback.feed(0, seen)
-    until_ns = first_ns + 100_000_000
-    playback.advance(until_ns)
-    status = playback.status()
-    syncs = int(np.count_nonzero((seen["can_id"] == 0x80) & (seen["time_ns"] <= until_ns)))
-    assert playback.cycles == syncs
-    assert status.sync_rate_hz == 0.0
-    assert status.time_ns == until_ns + OFFSET_NS
-
-
-def test_before_the_first_sync_there_is_no_rate(contract: Contract) -> None:
-    playback = Playback(contract, [0], 5_000)
-    assert playback.finish() == []
-    assert playback.status().sync_rate_hz == 0.0
 
 
 def test_the_last_cycle_is_measured_also_when_a_frame_is_missing(

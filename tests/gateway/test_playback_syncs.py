@@ -37,27 +37,24 @@ def playback_of(contract: Contract, *logged: list[Frames]) -> Playback:
     return playback
 
 
-def test_a_sync_of_one_bus_may_come_after_the_next_of_another_and_not_later(small: Contract) -> None:
+def cycle(small: Contract, bus: int, at_ms: float, *answer_ms: float) -> list[Frames]:
+    """Return a SYNC, and all answers to it, at some times."""
+    return [sync(at_ms), *(answers(small, bus, each, 1 + round(at_ms // 50)) for each in answer_ms)]
+
+
+def test_which_syncs_are_one_cycle(small: Contract) -> None:
     first = [sync(0, 1), sync(50, 2), sync(100, 3)]
-    playback = playback_of(small, first, [sync(60, 1), sync(70, 2), sync(110, 3)])
-    assert [each.sync_counter for each in playback.finish()] == [1, 2, 3]
-    assert playback.cycles == 3
-    playback = playback_of(small, first, [sync(110, 1), sync(120, 2), sync(130, 3)])
-    playback.finish()
-    assert playback.cycles == 6
-
-
-def test_a_sync_twice_on_a_bus_is_one_within_half_a_period(small: Contract) -> None:
-    for again_ms, cycles in ((24.9, 1), (25.0, 2)):
-        playback = playback_of(small, [sync(0, 7), sync(again_ms, 7)], [])
-        playback.finish()
-        assert playback.cycles == cycles
-
-
-def test_each_bus_has_a_sync_once_in_a_cycle(small: Contract) -> None:
-    playback = playback_of(small, [sync(0, 7)], [sync(1, 7), sync(30, 7)])
-    playback.finish()
-    assert playback.cycles == 2
+    for logged, cycles in (
+        ((first, [sync(60, 1), sync(70, 2), sync(110, 3)]), 3),  # after the next SYNC of the other bus
+        ((first, [sync(110, 1), sync(120, 2), sync(130, 3)]), 6),  # later
+        (([sync(0, 7), sync(24.9, 7)], []), 1),  # again within half a period
+        (([sync(0, 7), sync(25.0, 7)], []), 2),
+        (([sync(0, 7)], [sync(1, 7), sync(30, 7)]), 2),  # each bus has a SYNC once in a cycle
+    ):
+        playback = playback_of(small, *logged)
+        made = playback.finish()
+        assert playback.cycles == len(made) == cycles
+    assert [each.sync_counter for each in playback_of(small, first, []).finish()] == [1, 2, 3]
 
 
 @pytest.mark.parametrize("start_s", [1_000, 1_037, 4_071, 1_700_000_000, 1_700_000_111])
@@ -95,14 +92,44 @@ def test_a_cycle_ends_with_its_last_frame_or_nine_tenths_of_a_period_after_the_n
     assert playback.finish() == []
 
 
-def test_a_frame_that_comes_when_its_cycle_is_over_is_late(small: Contract) -> None:
-    """The next SYNC, three periods later, does not keep it open."""
-    late = [sync(0), answers(small, 1, 96, 1), sync(150), answers(small, 1, 151)]
-    playback = playback_of(small, [sync(0), answers(small, 0, 1), sync(150), answers(small, 0, 151)], late)
+@pytest.mark.parametrize(
+    ("extra", "valid", "late"),
+    [
+        ([], ["1111", "1111", "1111"], 0),
+        # The next SYNC, three periods later, does not keep a cycle open.
+        ([(1, "answers", 96)], ["1100", "1111", "1111"], 4),
+        ([(1, "again", 3)], ["1111", "1111", "1111"], 0),
+        ([(0, "other", 3)], ["0011", "1111", "1111"], 0),
+        ([(0, "boot", 10)], ["1111", "0111", "0111"], 0),
+        ([(0, "boot", 10), (0, "start", 160)], ["1111", "0111", "1111"], 0),
+    ],
+)
+def test_blocks_are_valid_as_live(
+    small: Contract, extra: list[tuple[int, str, int]], valid: list[str], late: int
+) -> None:
+    """Of three cycles, with frames that come besides, or in place of the answers of the first cycle."""
+    logged: list[list[Frames]] = []
+    for bus in (0, 1):
+        mine = [*cycle(small, bus, 0, 3), *cycle(small, bus, 150, 153), *cycle(small, bus, 200, 203)]
+        for at, what, at_ms in extra:
+            if at != bus:
+                continue
+            if what == "answers":
+                mine[1] = answers(small, bus, at_ms, 1)
+                continue
+            came = answers(small, bus, at_ms, 1)
+            came["data"][:, 1] ^= what == "other"
+            more = {
+                "boot": frame(0x701, b"\0", time_ns=START_NS + at_ms * MS),
+                "start": frame(0x000, b"\1\1", time_ns=START_NS + at_ms * MS),
+            }
+            mine.append(more.get(what, came))
+        whole = np.concatenate(mine)
+        logged.append([whole[np.argsort(whole["time_ns"], kind="stable")]])
+    playback = playback_of(small, *logged)
     made = playback.finish()
-    assert [each.valid[:2] for each in made] == [b"\1\1", b"\1\1"]
-    assert made[0].valid[2:] == b"\0\0"
-    assert playback.status().frames.late == 4
+    assert ["".join(map(str, each.valid)) for each in made] == valid
+    assert playback.status().frames.late == late
 
 
 def test_frames_count_from_the_newest_time_before_them_on(small: Contract) -> None:
@@ -136,18 +163,6 @@ def test_the_rate_counts_from_the_first_sync(small: Contract) -> None:
     assert playback.status().sync_rate_hz == 0.0  # one is still to come
     playback.advance(START_NS + 1100 * MS)
     assert playback.status().sync_rate_hz == pytest.approx(RATE_SYNCS)
-
-
-def test_a_node_that_boots_is_not_valid_until_it_is_started(small: Contract) -> None:
-    boot, start = (
-        frame(can_id, data, time_ns=START_NS + at_ms * MS)
-        for can_id, data, at_ms in ((0x701, b"\0", 10), (0x000, b"\1\1", 60))
-    )
-    cycles = [part for at_ms in (0, 50, 100) for part in (sync(at_ms), answers(small, 0, at_ms + 3))]
-    first = [*cycles[:2], boot, *cycles[2:4], start, *cycles[4:]]
-    second = [part for at_ms in (0, 50, 100) for part in (sync(at_ms), answers(small, 1, at_ms + 3))]
-    made = playback_of(small, first, second).finish()
-    assert [each.valid for each in made] == [b"\1\1\1\1", b"\0\1\1\1", b"\1\1\1\1"]
 
 
 # Parts

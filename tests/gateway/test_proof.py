@@ -83,11 +83,33 @@ def test_refused_node_sends_nothing_under_identifiers_of_another_node(started: b
     assert not [cob_id for cob_id, _ in world.wires[0].log if cob_id in taken]
 
 
-def test_test_pattern_is_not_touch(world: World) -> None:
-    world.write(1, 2, od.TEST_PATTERN, 0, b"\2")
-    check(world, 1.0)
+#: What somebody writes, and what the gateway says that it has set right.
+WRITTEN = {
+    "test pattern": ([(od.TEST_PATTERN, 0, b"\2")], "set right: 2021h:0 (Test pattern) was 2h, not 0h"),
+    "window": ([(od.WINDOW_US, 0, little(1000))], "set right: 1007h:0"),
+    "emergency": ([(od.EMCY_COB_ID, 0, little(0x8000_0081))], "set right: 1014h:0"),
+    "transmission type": ([(od.TPDO_COMMUNICATION, 2, b"\2")], "set right: 1800h:2"),
+    # 1019h is written while 1006h is 0; what was begun and not ended must not leave 0 there.
+    "period": ([(0x1006, 0, little(0))], "set right: 1006h:0"),
+    "counter overflow": (
+        [(0x1006, 0, little(0)), (od.SYNC_OVERFLOW, 0, b"\x14"), (0x1006, 0, little(50_000))],
+        "set right: 1019h:0",
+    ),
+}
+
+
+@pytest.mark.parametrize("what", WRITTEN)
+def test_what_another_master_writes_is_doubted_at_once_and_set_right(world: World, what: str) -> None:
+    writes, said = WRITTEN[what]
+    for each in writes:
+        world.write(0, 1, *each)
+    came = world.run(2 * PERIOD_S)
+    assert not valid(came[-1])[0]
+    check(world, 2.0)
     assert valid(world.measured[-1]).all()
-    assert any("set right: 2021h:0 (Test pattern) was 2h, not 0h" in line for line in world.lines)
+    assert any(said in line for line in world.lines)
+    local = world.segments[0].boards.nodes[0].local
+    assert (local.unsigned(od.SYNC_OVERFLOW), local.unsigned(0x1006)) == (240, 50_000)
 
 
 @pytest.mark.parametrize(
@@ -109,18 +131,6 @@ def test_a_change_that_nobody_saw_is_found_within_the_stated_time(world: World, 
     assert any(wrong)  # or there would be nothing to find
     check(world, 2.0)
     assert valid(world.measured[-1]).all()
-
-
-def test_what_another_master_writes_is_doubted_at_once(world: World) -> None:
-    for index, subindex, data in (
-        (od.WINDOW_US, 0, little(1000)),
-        (od.EMCY_COB_ID, 0, little(0x8000_0081)),
-        (od.TPDO_COMMUNICATION, 2, b"\1"),
-    ):
-        world.write(0, 1, index, subindex, data)
-        came = world.run(2 * PERIOD_S)
-        assert not valid(came[-1])[0], f"{index:04X}h"
-        world.until_whole(2.0)
 
 
 @pytest.mark.parametrize("written", GAINS, ids=["gain", "offset"])
@@ -172,16 +182,6 @@ def test_gains_of_a_board_that_does_not_sign_them_are_read_in_turn(small: Contra
     assert world.recalibrated == [(0, 1)]
     assert valid(world.measured[-1]).all()
     assert not world.wrong_blocks(world.measured[-1])
-
-
-def test_counter_overflow_is_set_right_by_way_of_1006h(world: World) -> None:
-    for index, data in ((0x1006, little(0)), (od.SYNC_OVERFLOW, b"\x14"), (0x1006, little(50_000))):
-        world.write(0, 2, index, 0, data)
-    check(world, 2.0)
-    assert valid(world.measured[-1]).all()
-    node = world.segments[0].boards.nodes[1]
-    assert node.local.unsigned(od.SYNC_OVERFLOW) == 240
-    assert node.local.unsigned(0x1006) == 50_000
 
 
 def other_answers(world: World, answers: dict[int, bytes]) -> None:
@@ -292,14 +292,6 @@ def test_wrong_signature_of_right_objects_is_refused(small: Contract) -> None:
     world.run(2.0)
     assert not valid(world.measured[-1])[0]
     assert "node 1 on bus0 refused: its objects are right, but not their signature (2006h)" in world.lines
-
-
-def test_period_is_set_right_where_writing_was_cut_off(world: World) -> None:
-    """1019h is written while 1006h is 0; what was begun and not ended must not leave 0 there."""
-    world.write(0, 1, 0x1006, 0, little(0))
-    check(world, 2.0)
-    assert valid(world.measured[-1]).all()
-    assert world.segments[0].boards.nodes[0].local.unsigned(0x1006) == 50_000
 
 
 def test_a_node_that_aborts_a_read_is_doubted_and_refused(small: Contract) -> None:

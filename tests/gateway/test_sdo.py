@@ -1,10 +1,10 @@
 """SDO transfers as a client: what goes out, what comes back, and what ends a transfer."""
 
 from collections.abc import Generator
+from itertools import cycle
 
 import pytest
 
-from dbc.canopen import Abort
 from gateway.sdo import (
     ATTEMPTS,
     MOST_LOST,
@@ -19,242 +19,202 @@ from gateway.sdo import (
 )
 
 
-class Far:
-    """What a dialogue sends, as hexadecimal."""
+def both() -> Generator[Transfer, bytes, bytes]:
+    return (yield Read(0x2000)) + (yield Read(0x2001, 2))
 
-    def __init__(self) -> None:
-        self.sent: list[str] = []
 
-    def __call__(self, cob_id: int, data: bytes) -> None:
+def either() -> Generator[Transfer, bytes, bytes]:
+    try:
+        return (yield Read(0x2006))
+    except SdoAbortedError:
+        return (yield Read(0x2000))
+
+
+ASKED, GIVEN_UP = "> 4017100000000000", "> 8017100000000405"
+#: Zeros, and segments of them with the toggle bit in turns.
+ZEROS = " 00000000000000"
+SEGMENTS = [f"< {toggle}{ZEROS}" for _, toggle in zip(range(36), cycle(("00", "10")), strict=False)]
+ASKED_SEGMENTS = [f"> {toggle}{ZEROS}" for _, toggle in zip(range(36), cycle(("70", "60")), strict=False)]
+FROM_SEGMENTS = [each for pair in zip(SEGMENTS, ASKED_SEGMENTS, strict=True) for each in pair]
+
+#: By what is told: a dialogue, its attempts, and its course: "> frame that goes out", "< answer", "@ time", "=" the
+#: value, "!" the error. Between "<" or "@" and the next line nothing else goes out.
+COURSES: dict[str, tuple[object, int, list[str]]] = {
+    **{
+        f"a value in one frame, {answer[:2]}": (Read(0x1017), ATTEMPTS, [ASKED, f"< {answer}", f"= {value}"])
+        for answer, value in (
+            ("4f17100005000000", "05"),
+            ("4b171000e8030000", "e803"),
+            ("4317100001020304", "01020304"),
+            ("4217100001020304", "01020304"),
+            ("4e17100001020304", "01020304"),  # without a size, its number of unused bytes means nothing
+        )
+    },
+    **{
+        f"a value of {len(value) // 2} bytes is written": (
+            Write(0x1017, 0, bytes.fromhex(value)),
+            ATTEMPTS,
+            [f"> {sent}", "< 6018100000000000", "< 6017100000000000", "="],
+        )
+        for value, sent in (("01", "2f17100001000000"), ("0102", "2b17100001020000"), ("01020304", "2317100001020304"))
+    },
+    "a value in segments; a segment that comes again has had its turn": (
+        Read(0x2002),
+        ATTEMPTS,
+        [
+            *("> 4002200000000000", "< 410220000a000000", "> 6000000000000000", "< 0061626364656667"),
+            *("> 7000000000000000", "< 0061626364656667", "< 1968696a00000000", f"= {b'abcdefghij'.hex()}"),
+        ],
+    ),
+    "answers to others, and of another length": (
+        Read(0x1017),
+        ATTEMPTS,
+        [
+            *(ASKED, "< 4f18100005000000", "< 4f17100105000000", "< 6017100000000000", "< 0012345678901234"),
+            *("< 8018100011000906", "< 4f1710000500000000", "< 4f171000050000", "< 4f17100005000000", "= 05"),
+        ],
+    ),
+    "an abort of the object": (
+        Read(0x1018, 4),
+        ATTEMPTS,
+        ["> 4018100400000000", "< 8018100411000906", "! object 1018h:4: abort 06090011h, no subindex"],
+    ),
+    "codes from 0600 0000h on are of the object": (
+        Read(0x1017),
+        ATTEMPTS,
+        [ASKED, "< 8017100000000006", "! object 1017h:0: abort 06000000h"],
+    ),
+    "the last code": (Read(0x1017), ATTEMPTS, [ASKED, "< 80171000ffffffff", "! object 1017h:0: abort FFFFFFFFh"]),
+    "an abort that names no object is of the open transfer": (
+        Write(0x1017, 0, b"\1"),
+        ATTEMPTS,
+        ["> 2f17100001000000", "< 8000000022000008", "! object 1017h:0: abort 08000022h, state"],
+    ),
+    "an abort of the transfer begins it again": (
+        Read(0x1017),
+        ATTEMPTS,
+        [ASKED, "< 8000000000000305", ASKED, "< 4f17100005000000", "= 05"],
+    ),
+    "silence is asked again, 0.3 s each": (
+        Read(0x1017),
+        ATTEMPTS,
+        [
+            *(ASKED, "@ 0.299", "@ 0.3", GIVEN_UP, ASKED, "@ 0.599", "@ 0.6", GIVEN_UP, ASKED, "@ 0.9", GIVEN_UP),
+            *("! no answer to object 1017h:0", "< 4f17100005000000", "@ 2.0"),
+        ],
+    ),
+    "one attempt ends at the first silence": (
+        Read(0x1017),
+        1,
+        [ASKED, "@ 0.3", GIVEN_UP, "! no answer to object 1017h:0"],
+    ),
+    "one attempt ends at the first abort of the transfer": (
+        Read(0x1017),
+        1,
+        [ASKED, "< 8017100001000405", "! no answer to object 1017h:0"],
+    ),
+    "each transfer has all its attempts": (
+        both,
+        2,
+        [
+            *("> 4000200000000000", "@ 0.3", "> 8000200000000405", "> 4000200000000000", "@ 0.4", "< 4f00200007000000"),
+            *("> 4001200200000000", "@ 0.69", "@ 0.7", "> 8001200200000405", "> 4001200200000000"),
+            *("< 4f01200208000000", "= 0708"),
+        ],
+    ),
+    "a segment that does not come begins the upload anew": (
+        Read(0x2002),
+        ATTEMPTS,
+        [
+            *("> 4002200000000000", "@ 0.1", "< 410220000a000000", "> 6000000000000000", "@ 0.2", "< 0061626364656667"),
+            # 0.3 s after the second segment was asked for; no upload has begun again when the last one comes.
+            *("> 7000000000000000", "@ 0.49", "@ 0.5", "> 8002200000000405", "> 4002200000000000"),
+            *("< 1968696a00000000", "< 4102200003000000", "> 6000000000000000", "< 0978797a00000000", "= 78797a"),
+        ],
+    ),
+    "a dialogue may live with an abort": (
+        either,
+        ATTEMPTS,
+        ["> 4006200000000000", "< 8006200000000206", "> 4000200000000000", "< 4b00200007000000", "= 0700"],
+    ),
+    "a transfer without end is left": (
+        Read(0x1008),
+        ATTEMPTS,
+        [
+            *("> 4008100000000000", "< 4108100000000000", f"> 60{ZEROS}", *FROM_SEGMENTS, f"< 00{ZEROS}"),
+            *("> 8008100005000405", "! object 1008h:0: abort 05040005h, memory"),
+        ],
+    ),
+    "a transfer of nothing without end is left": (
+        Read(0x1008),
+        ATTEMPTS,
+        [
+            *("> 4008100000000000", "< 4108100000000000", f"> 60{ZEROS}", "< 0e00000000000000", "> 8008100005000405"),
+            "! object 1008h:0: abort 05040005h, memory",
+        ],
+    ),
+    "the longest value has 256 bytes": (
+        Read(0x1008),
+        ATTEMPTS,
+        [
+            *("> 4008100000000000", "< 4108100000000000", f"> 60{ZEROS}", *FROM_SEGMENTS, "< 0600000000000000"),
+            *(f"> 70{ZEROS}", f"< 1f{ZEROS}", f"= {'00' * 256}"),
+        ],
+    ),
+    "a download in segments where the node refuses blocks; an answer that comes again means nothing": (
+        Download(0x1F50, 1, bytes(range(10))),
+        ATTEMPTS,
+        [
+            *("> c6501f010a000000", "< 80501f0101000405", "> 21501f010a000000", "< 60501f0100000000"),
+            *("> 0000010203040506", "< 2000000000000000", "> 1907080900000000", "< 2000000000000000"),
+            *("< 3000000000000000", "="),
+        ],
+    ),
+}
+
+
+@pytest.mark.parametrize("course", COURSES)
+def test_course_of_a_dialogue(course: str) -> None:
+    steps, attempts, lines = COURSES[course]
+    sent: list[str] = []
+
+    def send(cob_id: int, data: bytes) -> None:
         assert cob_id == 0x605
-        self.sent.append(data.hex())
+        sent.append(data.hex())
 
-    def take(self) -> list[str]:
-        sent, self.sent = self.sent, []
-        return sent
-
-
-def begin(transfer: Transfer) -> tuple[SdoDialogue, Far]:
-    far = Far()
-    return SdoDialogue(5, one(transfer), far, 0.0), far
-
-
-def answer(dialogue: SdoDialogue, text: str, now_s: float = 0.0) -> None:
-    dialogue.take(bytes.fromhex(text), now_s)
-
-
-@pytest.mark.parametrize(
-    ("came", "value"),
-    [
-        ("4f17100005000000", b"\5"),
-        ("4b171000e8030000", b"\xe8\3"),
-        ("4317100001020304", b"\1\2\3\4"),
-        ("4217100001020304", b"\1\2\3\4"),
-        ("4e17100001020304", b"\1\2\3\4"),  # without a size, its number of unused bytes means nothing
-    ],
-)
-def test_expedited_upload(came: str, value: bytes) -> None:
-    dialogue, far = begin(Read(0x1017))
-    assert far.take() == ["4017100000000000"]
-    answer(dialogue, came)
+    now_s, dialogue = 0.0, SdoDialogue(5, steps() if callable(steps) else one(steps), send, 0.0, attempts=attempts)  # type: ignore[arg-type]
+    end = next(place for place, line in enumerate(lines) if line[0] in "=!")
+    for place, line in enumerate(lines):
+        kind, text = line[0], line[1:].replace(" ", "")
+        assert kind == ">" or not sent, sent
+        assert not dialogue.done or not any(each[0] in "<@" for each in lines[place:end])
+        if kind == ">":
+            assert sent.pop(0) == text
+        elif kind == "<":
+            dialogue.take(bytes.fromhex(text), now_s)
+        elif kind == "@":
+            now_s = float(text)
+            dialogue.tick(now_s)
+        elif kind == "=":
+            assert dialogue.result == bytes.fromhex(text)
+        else:
+            assert str(dialogue.error) == line[2:]
+            assert isinstance(dialogue.error, SdoTimeoutError if line.startswith("! no answer") else SdoAbortedError)
+            assert dialogue.result is None
     assert dialogue.done
-    assert dialogue.result == value
+    assert not sent
 
 
 def test_a_read_whose_answer_must_not_be_used_is_asked_again_at_once() -> None:
-    dialogue, far = begin(Read(0x1017))
+    sent: list[bytes] = []
+    dialogue = SdoDialogue(5, one(Read(0x1017)), lambda _, data: sent.append(data), 0.0)
     for _ in range(ATTEMPTS + 1):
-        dialogue.ask_again(bytes.fromhex("4f17100005000000"), 0.0)
-    dialogue.ask_again(bytes.fromhex("4f16100005000000"), 0.0)  # the answer to something else
-    assert far.take() == ["4017100000000000"] * (ATTEMPTS + 2)
-    answer(dialogue, "4f17100006000000")
+        dialogue.ask_again(bytes.fromhex("4f17100005000000"), 0.1)
+    assert dialogue.asked_s == 0.1
+    dialogue.ask_again(bytes.fromhex("4f16100005000000"), 0.2)  # the answer to something else
+    assert sent == [bytes.fromhex("4017100000000000")] * (ATTEMPTS + 2)
+    dialogue.take(bytes.fromhex("4f17100006000000"), 0.2)
     assert dialogue.result == b"\6"
-
-
-def test_upload_in_segments() -> None:
-    dialogue, far = begin(Read(0x2002))
-    answer(dialogue, "410220000a000000")
-    answer(dialogue, "0061626364656667")
-    answer(dialogue, "0061626364656667")  # the same again: its toggle bit has had its turn
-    answer(dialogue, "1968696a00000000")
-    assert far.take() == ["4002200000000000", "6000000000000000", "7000000000000000"]
-    assert dialogue.result == b"abcdefghij"
-
-
-@pytest.mark.parametrize(
-    ("data", "sent"),
-    [(b"\1", "2f17100001000000"), (b"\1\2", "2b17100001020000"), (b"\1\2\3\4", "2317100001020304")],
-)
-def test_expedited_download(data: bytes, sent: str) -> None:
-    dialogue, far = begin(Write(0x1017, 0, data))
-    assert far.take() == [sent]
-    answer(dialogue, "6018100000000000")  # to somebody else's download
-    assert not dialogue.done
-    answer(dialogue, "6017100000000000")
-    assert dialogue.done
-
-
-def test_answers_to_others_are_passed_over() -> None:
-    dialogue, _ = begin(Read(0x1017))
-    for text in ("4f18100005000000", "4f17100105000000", "6017100000000000", "0012345678901234", "8018100011000906"):
-        answer(dialogue, text)
-    dialogue.take(b"\x4f\x17\x10", 0.0)
-    assert not dialogue.done
-    answer(dialogue, "4f17100005000000")
-    assert dialogue.result == b"\5"
-
-
-def test_abort_of_the_object_ends_the_dialogue() -> None:
-    dialogue, _ = begin(Read(0x1018, 4))
-    answer(dialogue, "8018100411000906")
-    assert isinstance(dialogue.error, SdoAbortedError)
-    assert dialogue.error.code == Abort.NO_SUBINDEX
-    assert str(dialogue.error) == "object 1018h:4: abort 06090011h, no subindex"
-
-
-def test_abort_of_the_transfer_begins_it_again() -> None:
-    dialogue, far = begin(Read(0x1017))
-    answer(dialogue, "8000000000000305")
-    assert far.take() == ["4017100000000000"] * 2
-    answer(dialogue, "4f17100005000000")
-    assert dialogue.result == b"\5"
-
-
-def test_silence_is_asked_again_and_then_an_error() -> None:
-    """Three attempts of 0.3 s each."""
-    dialogue, far = begin(Read(0x1017))
-    asked = ["4017100000000000"]
-    assert dialogue.asked_s == 0.0
-    for again_s in (0.3, 0.6):
-        dialogue.tick(again_s - 0.001)
-        assert far.take() == asked
-        dialogue.tick(again_s)
-        assert dialogue.asked_s == again_s
-        asked = ["8017100000000405", "4017100000000000"]
-    assert not dialogue.done
-    dialogue.tick(0.9)
-    assert far.take() == [*asked, "8017100000000405"]
-    assert dialogue.done
-    assert isinstance(dialogue.error, SdoTimeoutError)
-    assert str(dialogue.error) == "no answer to object 1017h:0"
-    answer(dialogue, "4f17100005000000")  # too late
-    dialogue.tick(2.0)
-    assert dialogue.result is None
-    assert far.take() == []
-
-
-def test_each_transfer_of_a_dialogue_has_all_its_attempts() -> None:
-    def steps() -> Generator[Transfer, bytes, bytes]:
-        return (yield Read(0x2000)) + (yield Read(0x2001, 2))
-
-    far = Far()
-    dialogue = SdoDialogue(5, steps(), far, 0.0, attempts=2)
-    dialogue.tick(0.3)
-    answer(dialogue, "4f00200007000000", 0.4)
-    assert dialogue.asked_s == 0.4
-    far.take()
-    dialogue.tick(0.69)
-    assert far.take() == []
-    dialogue.tick(0.7)
-    assert far.take() == ["8001200200000405", "4001200200000000"]
-    answer(dialogue, "4f01200208000000", 0.9)
-    assert dialogue.result == b"\7\x08"
-
-
-def test_a_segment_that_does_not_come_begins_the_upload_anew() -> None:
-    dialogue, far = begin(Read(0x2002))
-    answer(dialogue, "410220000a000000", 0.1)
-    answer(dialogue, "0061626364656667", 0.2)
-    far.take()
-    dialogue.tick(0.49)
-    assert far.take() == []
-    dialogue.tick(0.5)  # 0.3 s after the second segment was asked for
-    assert far.take() == ["8002200000000405", "4002200000000000"]
-    answer(dialogue, "1968696a00000000", 0.5)  # no upload has begun again
-    assert not dialogue.done
-    answer(dialogue, "4102200003000000", 0.5)
-    answer(dialogue, "0978797a00000000", 0.5)
-    assert far.take() == ["6000000000000000"]
-    assert dialogue.result == b"xyz"
-
-
-def test_a_dialogue_of_one_attempt_ends_at_the_first_silence_and_at_the_first_abort_of_a_transfer() -> None:
-    for end in (lambda each: each.tick(0.3), lambda each: answer(each, "8017100001000405", 0.1)):
-        dialogue = SdoDialogue(5, one(Read(0x1017)), Far(), 0.0, attempts=1)
-        end(dialogue)
-        assert isinstance(dialogue.error, SdoTimeoutError)
-
-
-def test_transfer_without_end_is_left() -> None:
-    dialogue, far = begin(Read(0x1008))
-    answer(dialogue, "4108100000000000")
-    for place in range(36):
-        answer(dialogue, f"{(place & 1) << 4:02x}" + "00" * 7)
-    assert not dialogue.done  # 252 bytes
-    answer(dialogue, "00" * 8)
-    assert dialogue.done
-    assert isinstance(dialogue.error, SdoAbortedError)
-    assert dialogue.error.code == 0x0504_0005
-    assert str(dialogue.error) == "object 1008h:0: abort 05040005h, memory"
-    assert far.take()[-1] == "8008100005000405"
-
-
-def test_the_longest_value_has_256_bytes() -> None:
-    dialogue, _ = begin(Read(0x1008))
-    answer(dialogue, "4108100000000000")
-    for place in range(36):
-        answer(dialogue, f"{(place & 1) << 4:02x}" + "61" * 7)
-    answer(dialogue, "06" + "62" * 4 + "00" * 3)  # four bytes more, and no word of the end
-    assert not dialogue.done
-    answer(dialogue, "1f" + "00" * 7)  # the end, without a byte
-    assert dialogue.result == b"a" * 252 + b"b" * 4
-
-
-@pytest.mark.parametrize("code", ["00000006", "ffffffff"])
-def test_codes_from_0600_0000h_on_are_of_the_object(code: str) -> None:
-    dialogue, far = begin(Read(0x1017))
-    answer(dialogue, "80171000" + code)
-    assert isinstance(dialogue.error, SdoAbortedError)
-    named = int.from_bytes(bytes.fromhex(code), "little")
-    assert str(dialogue.error) == f"object 1017h:0: abort {named:08X}h"
-    assert dialogue.error.code == named
-    assert far.take() == ["4017100000000000"]
-
-
-def test_an_abort_that_names_no_object_is_of_the_open_transfer() -> None:
-    dialogue, _ = begin(Write(0x1017, 0, b"\1"))
-    answer(dialogue, "8000000022000008")
-    assert isinstance(dialogue.error, SdoAbortedError)
-    assert dialogue.error.code == Abort.STATE
-
-
-def test_only_answers_of_eight_bytes_count() -> None:
-    dialogue, _ = begin(Read(0x1017))
-    answer(dialogue, "4f1710000500000000")
-    answer(dialogue, "4f171000050000")
-    assert not dialogue.done
-
-
-def test_a_dialogue_may_live_with_an_abort() -> None:
-    def steps() -> Generator[Transfer, bytes, str]:
-        try:
-            yield Read(0x2006)
-        except SdoAbortedError:
-            return (yield Read(0x2000)).hex()
-        return ""
-
-    far = Far()
-    dialogue = SdoDialogue(5, steps(), far, 0.0)
-    answer(dialogue, "8006200000000206")
-    answer(dialogue, "4b00200007000000")
-    assert dialogue.result == "0700"
-
-
-def test_transfer_of_nothing_without_end_is_left() -> None:
-    dialogue, _ = begin(Read(0x1008))
-    answer(dialogue, "4108100000000000")
-    answer(dialogue, "0e00000000000000")
-    assert isinstance(dialogue.error, SdoAbortedError)
 
 
 class Server:
@@ -300,7 +260,11 @@ for _byte in DATA:
         CRC_OF_DATA = (CRC_OF_DATA << 1 ^ (0x1021 if CRC_OF_DATA & 0x8000 else 0)) & 0xFFFF
 
 
-def run(server: Server) -> SdoDialogue:
+@pytest.mark.parametrize("room", [1, 1 << 30])
+@pytest.mark.parametrize("lost", [set(), {2}, {3}, {4}, {3, 5, 6}, {7}, set(range(2, 1000))])
+def test_download_in_blocks_sends_again_what_was_lost(lost: set[int], room: int) -> None:
+    """The transmit queue has room for one request, or for all; blocks that never come whole are given up."""
+    server = Server(lost, room)
     dialogue, now_s = SdoDialogue(5, one(Download(0x1F50, 1, DATA)), server, 0.0), 0.0
     while not dialogue.done:
         while server.answers:
@@ -308,47 +272,17 @@ def run(server: Server) -> SdoDialogue:
         now_s += 0.001
         server.room = 2 if server.room < 100 else server.room
         dialogue.tick(now_s)
-    return dialogue
-
-
-@pytest.mark.parametrize("lost", [set(), {2}, {3}, {4}, {3, 5, 6}, {7}])
-def test_download_in_blocks_sends_again_what_was_lost(lost: set[int]) -> None:
-    server = Server(lost)
-    assert run(server).error is None
-    assert server.data == DATA
-    assert server.seen >= 1 + 6 + 1
-
-
-def test_a_full_transmit_queue_slows_a_download_down() -> None:
-    server = Server(set(), room=1)
-    assert run(server).error is None
-    assert server.data == DATA
+    if len(lost) > 100:
+        assert isinstance(dialogue.error, SdoTimeoutError)
+        assert server.seen < 3 * (2 + 3 * (MOST_LOST + 2))
+    else:
+        assert (dialogue.error, server.data) == (None, DATA)
+        assert server.seen >= 1 + 6 + 1
 
 
 @pytest.mark.parametrize("size", ["80", "ff"])
 def test_a_block_has_at_most_127_segments(size: str) -> None:
-    dialogue, far = begin(Download(0x1F50, 1, bytes(2000)))
-    far.take()
-    answer(dialogue, f"a4501f01{size}000000")
-    assert [each[:2] for each in far.take()] == [f"{number:02x}" for number in range(1, 128)]
-
-
-def test_a_download_whose_blocks_never_come_is_given_up() -> None:
-    server = Server(set(range(2, 1000)))
-    assert isinstance(run(server).error, SdoTimeoutError)
-    assert server.seen < 3 * (2 + 3 * (MOST_LOST + 2))
-
-
-def test_download_in_segments_where_the_node_refuses_blocks() -> None:
-    dialogue, far = begin(Download(0x1F50, 1, bytes(range(10))))
-    assert far.take() == ["c6501f010a000000"]
-    answer(dialogue, "80501f0101000405")
-    assert far.take() == ["21501f010a000000"]
-    answer(dialogue, "60501f0100000000")
-    assert far.take() == ["0000010203040506"]
-    answer(dialogue, "2000000000000000")
-    assert far.take() == ["1907080900000000"]
-    answer(dialogue, "2000000000000000")  # the answer to the first again
-    assert not dialogue.done
-    answer(dialogue, "3000000000000000")
-    assert (dialogue.done, dialogue.error) == (True, None)
+    sent: list[bytes] = []
+    dialogue = SdoDialogue(5, one(Download(0x1F50, 1, bytes(2000))), lambda _, data: sent.append(data), 0.0)
+    dialogue.take(bytes.fromhex(f"a4501f01{size}000000"), 0.0)
+    assert [each[0] for each in sent[1:]] == list(range(1, 128))

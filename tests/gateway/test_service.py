@@ -2,16 +2,15 @@
 
 import select
 import socket
-from collections.abc import Callable
+from collections.abc import Iterator
 from types import SimpleNamespace
-from typing import Any
 
 import msgspec
 import numpy as np
 import pytest
 
 from bus.link import State
-from canskin.messages import GATEWAY, GatewayStatus, Measurement, Topic
+from canskin.messages import GatewayStatus, Measurement, Topic
 from dbc.canopen import SYNC_COB_ID
 from dbc.contract import Contract
 from dbc.frame import ECHO, Frames, frames
@@ -29,11 +28,15 @@ def _no_wait(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 class Clock:
+    """Goes on whenever somebody looks."""
+
+    step_s = 1e-5
+
     def __init__(self) -> None:
         self.now_s = 50.0
 
     def __call__(self) -> float:
-        self.now_s += 1e-5
+        self.now_s += self.step_s
         return self.now_s
 
 
@@ -49,6 +52,7 @@ class Echoing:
         self._near, self._far = socket.socketpair()
         self._waiting: list[Frames] = []
         self.syncs_s: list[float] = []
+        self.sent: list[tuple[int, bytes]] = []
         self.takes = True
         self.why = ""
 
@@ -65,6 +69,7 @@ class Echoing:
         echo["flags"] |= ECHO
         self._waiting.append(echo)
         self._far.send(b"!")
+        self.sent += [(int(each["can_id"]), each["data"][: each["length"]].tobytes()) for each in burst]
         if burst["can_id"][0] == SYNC_COB_ID:
             self.syncs_s.append(self._clock.now_s)
         return len(burst)
@@ -86,43 +91,67 @@ class Fabric:
         self._clock = clock
         self.stall_s = 0.0
         self.statuses: list[GatewayStatus] = []
+        self.measurements: list[Measurement] = []
 
     def tell_scheduling(self, _: str) -> None:
         """Nobody listens."""
 
-    def publish(self, topic: Topic, message: msgspec.Struct) -> None:
-        if topic is GATEWAY:
+    def publish(self, _topic: Topic, message: msgspec.Struct) -> None:
+        if isinstance(message, Measurement):
+            self.measurements.append(message)
+        else:
             assert isinstance(message, GatewayStatus)
             self.statuses.append(message)
             self._clock.now_s += self.stall_s
 
 
-def running(small: Contract) -> tuple[GatewayService, Clock, Fabric, list[Echoing]]:
-    clock = Clock()
-    fabric = Fabric(clock)
-    links = [Echoing(clock) for _ in small.layout.bus]
-    service = GatewayService(small, dict(enumerate(links)), fabric, clock=clock)
-    while not links[0].syncs_s:
-        service.turn()
-        clock.now_s += 0.02
-    return service, clock, fabric, links
+class Served:
+    """A service on such links, and its clock."""
+
+    def __init__(self, contract: Contract, calibration: GatewayCalibration | None = None) -> None:
+        self.clock = Clock()
+        self.fabric = Fabric(self.clock)
+        self.links = [Echoing(self.clock) for _ in contract.layout.bus]
+        links = dict(enumerate(self.links))
+        self.service = GatewayService(contract, links, self.fabric, calibration=calibration, clock=self.clock)
+        self.loop = self.service.loop
+
+    def turn(self, seconds: float) -> None:
+        """Take a turn that lasts so long."""
+        self.service.turn()
+        self.clock.now_s += seconds
+
+    def turn_until(self, end_s: float, seconds: float = 0.01) -> None:
+        while self.clock.now_s < end_s:
+            self.turn(seconds)
+
+    @property
+    def now_s(self) -> float:
+        return self.clock.now_s
 
 
-def test_syncs_do_not_bunch_after_a_stall(small: Contract) -> None:
+@pytest.fixture
+def served(small: Contract) -> Iterator[Served]:
+    """Return a service that has sent its first SYNC."""
+    built = Served(small)
+    while not built.links[0].syncs_s:
+        built.turn(0.02)
+    yield built
+    for link in built.links:
+        link.close()
+
+
+def test_syncs_do_not_bunch_after_a_stall(served: Served) -> None:
     """The loop is held up while it publishes, by more than two periods, when a SYNC is just about to be due."""
-    service, clock, fabric, links = running(small)
-    period_s = small.layout.sync.period_s
-    fabric.stall_s = 2.3 * period_s
+    period_s = served.loop.sync.period_s
+    served.fabric.stall_s = 2.3 * period_s
     for _ in range(250):
-        service.turn()
-        clock.now_s += 0.002
-    gaps_s = np.diff(links[0].syncs_s)
+        served.turn(0.002)
+    gaps_s = np.diff(served.links[0].syncs_s)
     assert gaps_s.max() > 2 * period_s
     assert gaps_s.min() >= 0.5 * period_s
-    assert service.loop.sync.skipped > 0
-    assert fabric.statuses[-1].syncs_skipped > 0
-    for link in links:
-        link.close()
+    assert served.loop.sync.skipped > 0
+    assert served.fabric.statuses[-1].syncs_skipped > 0
 
 
 @pytest.mark.parametrize(
@@ -136,7 +165,7 @@ def test_syncs_do_not_bunch_after_a_stall(small: Contract) -> None:
     ],
 )
 def test_fault_of_a_link_is_told_once_in_log_and_status_and_so_is_its_end(
-    small: Contract,
+    served: Served,
     capsys: pytest.CaptureFixture[str],
     state: State,
     takes: bool,
@@ -145,148 +174,75 @@ def test_fault_of_a_link_is_told_once_in_log_and_status_and_so_is_its_end(
     trouble: str,
 ) -> None:
     """It comes and goes some times: that is one fault."""
-    service, clock, fabric, links = running(small)
-
-    def turn_until(end_s: float) -> None:
-        while clock.now_s < end_s:
-            service.turn()
-            clock.now_s += 0.01
-
+    broken, statuses = served.links[1], served.fabric.statuses
     for _ in range(3):
-        links[1].takes, links[1].state, links[1].why = takes, state, why
-        turn_until(clock.now_s + 0.3)
-        buses = fabric.statuses[-1].buses
+        broken.takes, broken.state, broken.why = takes, state, why
+        served.turn_until(served.now_s + 0.3)
+        buses = statuses[-1].buses
         assert [bus.link for bus in buses] == ["active", link]
         assert not buses[0].trouble
         assert buses[1].trouble.startswith(trouble)
-        links[1].takes, links[1].state, links[1].why = True, State.ACTIVE, ""
-        turn_until(clock.now_s + 0.6)
-        assert [bus.link for bus in fabric.statuses[-1].buses] == ["active", "active"]
-    turn_until(clock.now_s + 1.5)
-    assert not any(bus.trouble for bus in fabric.statuses[-1].buses)
+        broken.takes, broken.state, broken.why = True, State.ACTIVE, ""
+        served.turn_until(served.now_s + 0.6)
+        assert [bus.link for bus in statuses[-1].buses] == ["active", "active"]
+    served.turn_until(served.now_s + 1.5)
+    assert not any(bus.trouble for bus in statuses[-1].buses)
     about = [line for line in capsys.readouterr().err.splitlines() if line.startswith("gateway: bus1 ")]
     assert len(about) == 2, about
     assert about[0].startswith(f"gateway: bus1 {trouble}")
     assert about[1].startswith("gateway: bus1 works again, after ")
     assert ("SYNCs were not sent" in about[1]) is not takes
-    for each in links:
-        each.close()
 
 
-def test_fault_shorter_than_a_look_is_told(small: Contract, capsys: pytest.CaptureFixture[str]) -> None:
-    service, clock, fabric, links = running(small)
-    before = len(fabric.statuses)
-    while len(fabric.statuses) == before:
-        service.turn()
-        clock.now_s += 0.01
-    links[1].state = State.BUS_OFF
-    service.turn()
-    links[1].state = State.ACTIVE
-    while clock.now_s < 60:
-        service.turn()
-        clock.now_s += 0.01
-    assert "bus_off" in {status.buses[1].link for status in fabric.statuses}
+def test_fault_shorter_than_a_look_is_told(served: Served, capsys: pytest.CaptureFixture[str]) -> None:
+    statuses = served.fabric.statuses
+    before = len(statuses)
+    while len(statuses) == before:
+        served.turn(0.01)
+    served.links[1].state = State.BUS_OFF
+    served.service.turn()
+    served.links[1].state = State.ACTIVE
+    served.turn_until(60)
+    assert "bus_off" in {status.buses[1].link for status in statuses}
     assert capsys.readouterr().err.count("gateway: bus1 dead: the gateway's controller is bus-off") == 1
-    for each in links:
-        each.close()
-
-
-class StopAfter:
-    """A signal that comes after so many turns."""
-
-    def __init__(self, turns: int) -> None:
-        self._left = turns
-
-    def is_set(self) -> bool:
-        self._left -= 1
-        return self._left < 0
-
-
-class Keeping(Fabric):
-    """A fabric that keeps measurements, too."""
-
-    def __init__(self, clock: Clock) -> None:
-        super().__init__(clock)
-        self.measurements: list[Measurement] = []
-
-    def publish(self, topic: Topic, message: msgspec.Struct) -> None:
-        super().publish(topic, message)
-        if isinstance(message, Measurement):
-            self.measurements.append(message)
-
-
-class Quick(Clock):
-    """A clock that goes on by a millisecond whenever somebody looks."""
-
-    def __call__(self) -> float:
-        self.now_s += 1e-3
-        return self.now_s
 
 
 def test_it_serves_until_the_signal_finishes_open_cycles_and_stops_the_nodes(
     small: Contract, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(Collector, "is_settled", lambda _self, _counter: False)  # as if nodes were late
-    clock = Quick()
-    fabric, links = Keeping(clock), [Echoing(clock) for _ in small.layout.bus]
-    sent: list[tuple[int, bytes]] = []
-
-    def noting(link: Echoing) -> Callable[[Frames], int]:
-        def send(burst: Frames) -> int:
-            sent.extend((int(each["can_id"]), each["data"][: each["length"]].tobytes()) for each in burst)
-            return Echoing.send(link, burst)
-
-        return send
-
-    for link in links:
-        link.send = noting(link)  # type: ignore[method-assign]
-    service = GatewayService(small, dict(enumerate(links)), fabric, clock=clock)
-    taken, take = [], service.loop.take
-
-    def counted(number: int, arrived: Frames, now_s: float, **options: Any) -> None:
-        taken.append(len(arrived))
-        take(number, arrived, now_s, **options)
-
-    monkeypatch.setattr(service.loop, "take", counted)
-    service.run(StopAfter(0))  # type: ignore[arg-type]
-    assert not links[0].syncs_s
-    assert len(fabric.statuses) == 1
+    served = Served(small)
+    monkeypatch.setattr(Clock, "step_s", 1e-3)
+    served.service.run(SimpleNamespace(is_set=lambda: True))  # type: ignore[arg-type]
+    assert not served.links[0].syncs_s
+    assert len(served.fabric.statuses) == 1
     stops = [(0, bytes((0x80, node.node_id))) for node in small.nodes]
-    assert sent == stops
-    stop = SimpleNamespace(is_set=lambda: service.loop.sync.sent > 3 and service.loop.in_flight > 0)
-    service.run(stop)  # type: ignore[arg-type]
-    assert service.loop.in_flight == 0
-    assert len(fabric.measurements) == service.loop.sync.sent > 3
-    assert fabric.statuses[-1].cycles == len(fabric.measurements)
-    assert sent[-len(stops) :] == stops
-    assert 0 < sum(taken) <= len(sent)  # echoes alone
-    for link in links:
+    assert [each for link in served.links for each in link.sent] == stops
+    loop = served.loop
+    served.service.run(SimpleNamespace(is_set=lambda: loop.sync.sent > 3 and loop.in_flight > 0))  # type: ignore[arg-type]
+    assert loop.in_flight == 0
+    assert len(served.fabric.measurements) == loop.sync.sent > 3
+    assert served.fabric.statuses[-1].cycles == len(served.fabric.measurements)
+    assert [each for link in served.links for each in link.sent[-2:]] == stops
+    for link in served.links:
         link.close()
 
 
-def test_status_is_published_five_times_a_second(small: Contract) -> None:
-    service, clock, fabric, links = running(small)
-    first, began_s = len(fabric.statuses), clock.now_s
-    while clock.now_s < began_s + 2.0:
-        service.turn()
-        clock.now_s += 0.002
-    assert len(fabric.statuses) - first in {9, 10}
-    for link in links:
-        link.close()
+def test_status_is_published_five_times_a_second(served: Served) -> None:
+    first = len(served.fabric.statuses)
+    served.turn_until(served.now_s + 2.0, 0.002)
+    assert len(served.fabric.statuses) - first in {9, 10}
 
 
 def test_the_calibration_works_when_nothing_is_due_for_four_milliseconds(
     small: Contract, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    clock, spares_s = Clock(), list[float]()
-    links = [Echoing(clock) for _ in small.layout.bus]
-    calibration = GatewayCalibration(small)
-    service = GatewayService(small, dict(enumerate(links)), Fabric(clock), calibration=calibration, clock=clock)
-    monkeypatch.setattr(calibration, "work", lambda: spares_s.append(service.loop.due_s - clock.now_s))
-    while service.loop.sync.sent < 20:
-        service.turn()
-        clock.now_s += 0.001
+    calibration, spares_s = GatewayCalibration(small), list[float]()
+    served = Served(small, calibration)
+    monkeypatch.setattr(calibration, "work", lambda: spares_s.append(served.loop.due_s - served.now_s))
+    while served.loop.sync.sent < 20:
+        served.turn(0.001)
     assert len(spares_s) > 200
     assert min(spares_s) > 0.0039
-    for link in links:
+    for link in served.links:
         link.close()

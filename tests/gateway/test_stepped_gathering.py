@@ -272,9 +272,12 @@ def test_a_node_without_words_is_stale_after_its_own_wait_and_forgotten_after_th
     boards.until_whole(1.0)
 
 
-def test_another_sync_producer_makes_its_bus_stale(boards: BoardWorld) -> None:
+@pytest.mark.parametrize("is_own", [False, True])
+def test_another_sync_producer_makes_its_bus_stale(boards: BoardWorld, *, is_own: bool) -> None:
+    """Also by a SYNC with the gateway's newest counter, which moves the slots by one."""
     boards.run(0.3)
-    boards.wires[0].put(SYNC_COB_ID, b"\x55")
+    boards.until_sync()
+    boards.wires[0].put(SYNC_COB_ID, bytes((boards.gateway.sync.counter if is_own else 0x55,)))
     came = boards.run(2 * STEP_S)
     assert states(came[-1])[:2] == [STALE, STALE]
     assert came[-1].valid[2:] == b"\1\1"

@@ -6,7 +6,7 @@ the newest word that came.
 """
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from dbc.canopen import SYNC_COB_ID
 from dbc.contract import Contract
-from dbc.frame import ECHO, FD, Frames, frame_bytes
+from dbc.frame import ECHO, FD, Frames
 from dbc.steps import (
     COUNT,
     KEEP_MIN,
@@ -31,6 +31,7 @@ from dbc.steps import (
     step_word,
     write_word,
 )
+from gateway.batch import batch_of
 from gateway.block_states import judge, new_states
 from gateway.stepped_state import (
     AFTER_GAP,
@@ -39,12 +40,11 @@ from gateway.stepped_state import (
     LATE,
     MALFORMED,
     UNPROVEN,
-    USED,
     forget,
     new_sums,
     slots_of,
+    take_all,
 )
-from gateway.stepped_state import take_all as take
 from skin.sync_counter import SYNC_OVERFLOW
 from tests.bus.harness import frame
 from tests.gateway.boards import small_stepped
@@ -174,7 +174,8 @@ class Skin:
 
     def arrive(self, came: Frames) -> None:
         came["time_ns"] = self.now_ns
-        take(frame_bytes(came), 0, self.is_proven, self.slots, self.contract.parts, self.state)
+        parts = self.contract.parts
+        take_all(batch_of(came, 0, parts), self.is_proven, self.slots, parts, self.state)
 
     def put(self, tpdo: int = 0, kind: str = "any", late: int = 0) -> bool:
         """Let a TPDO be sent in this slot, and wait for a while; tell whether it is."""
@@ -272,13 +273,6 @@ def test_a_node_is_whole_when_each_group_has_come(skin: Skin) -> None:
     assert other.shown.states[:2].tolist() == [3, 0]
 
 
-def test_a_node_is_followed_word_for_word(skin: Skin) -> None:
-    for _ in range(2 * SLOTS):
-        assert skin.turn()
-    assert skin.count(USED) == skin.state.counts.sum()
-    assert not skin.state.different.any()
-
-
 def test_groups_that_have_come_are_known_before_the_others() -> None:
     skin = Skin()
     skin.put()
@@ -292,21 +286,134 @@ def test_groups_that_have_come_are_known_before_the_others() -> None:
     assert skin.shown.states[0] == 0
 
 
-@pytest.mark.parametrize("kind", ["step", "set", "check"])
-@pytest.mark.parametrize("lost", [1, 2, 3, 4, 5, 100, 300, LONGEST - 1])
-def test_every_loss_is_seen_at_the_next_word(one: Skin, lost: int, kind: str) -> None:
-    """A step after many slots is none of a board that keeps the rule: here the sender breaks it."""
-    for _ in range(lost):
+def loses(lost: int, kind: str, silent: int = 1) -> Callable[[Skin], None]:
+    """Lose steps; then a word comes. A step after many slots is none of a board that keeps the rule."""
+
+    def disturb(one: Skin) -> None:
+        for _ in range(lost):
+            one.go()
+            one.put(kind="step")
+        one.line.clear()
+        one.go(silent)
+        one.put(kind=kind)
+        one.deliver()
+
+    return disturb
+
+
+def differs(kind: str) -> Callable[[Skin], None]:
+    """Two words of a slot differ, as of two nodes with one identifier that were started together."""
+
+    def disturb(one: Skin) -> None:
+        mine, other = one.sender, Sender(one.contract, seed=1)
+        other.count, other.last, other.wanted = list(mine.count), list(mine.last), list(mine.wanted)
         one.go()
-        one.put(kind="step")
-    one.line.clear()
+        one.put(kind=kind)
+        one.deliver()
+        assert one.look()
+        second = other.send(0, mine.slot_of(one.board_since), kind)
+        assert second is not None
+        one.arrive(second)
+
+    return disturb
+
+
+def starts_again_unheard(one: Skin) -> None:
+    one.sender.start()
     one.go()
-    one.put(kind=kind)
+    one.put()
     one.deliver()
+
+
+def checks_another_sum(one: Skin) -> None:
+    one.sender.known[0][5] += 1
+    one.go(KEEP_MIN)
+    one.put(kind="nothing")
+    one.line[0] = (*one.line[0][:2], [])
+    one.deliver()
+
+
+def loses_all_counts(one: Skin) -> None:
+    """Words were late before, so that the loss takes less time than the longest silence."""
+    late = 300
+    for _ in range(2 * late):
+        one.turn("step", late=late)
+    lost = len(one.line)
+    one.line.clear()
+    while lost < COUNT:
+        lost += one.put(kind="step")
+        one.line.clear()
+        one.go()
+    one.sender.wanted = [99]
+    one.put(kind="set")
+    one.deliver()
+    assert one.state.missing[0]
+
+
+def loses_words_after_a_late_sync(late: int, lost: int) -> Callable[[Skin], None]:
+    """Were the number of a slot used twice, three words would be lost unseen."""
+
+    def disturb(one: Skin) -> None:
+        while one.since < one.contract.slots - 1:
+            assert one.turn("step")
+        one.late_turns(late + 1)
+        one.sync()
+        left = lost
+        while left:
+            left -= one.put(kind="step")
+            one.line.clear()
+            one.go()
+        for _ in range(late + 1):
+            assert not one.turn("step")
+
+    return disturb
+
+
+def loses_words_between_foreign_syncs(one: Skin) -> None:
+    while one.since:
+        assert one.turn("step")
+    assert one.turn("step")
+    for counter, words in ((99, 1), (one.own, 2)):
+        one.sync(counter)
+        for _ in range(words):
+            assert one.put(kind="step")
+            one.go()
+    one.line.clear()
+    assert not one.turn("step")
+
+
+#: What makes a block stale at the next word that comes.
+SEEN: dict[str, Callable[[Skin], None]] = {
+    **{f"{n} lost before a {kind}": loses(n, kind) for n in (1, 2, 3, 4, 100, LONGEST - 1) for kind in ("step", "set")},
+    **{f"{n} lost before a check": loses(n, "check") for n in (1, 2, 5, 300)},
+    **{
+        f"the first byte again in a {kind}": loses(SEQUENCE - 1, kind, SYNC_OVERFLOW - SEQUENCE + 1)
+        for kind in ("set", "check")
+    },
+    **{f"two {kind}s of a slot that differ": differs(kind) for kind in ("step", "set")},
+    **{
+        f"{lost} lost {late} slots after SYNC was late": loses_words_after_a_late_sync(late, lost)
+        for late in (1, 3)
+        for lost in (1, 2, 3, 4)
+    },
+    "between foreign SYNCs": loses_words_between_foreign_syncs,
+    "all counts": loses_all_counts,
+    "another sum": checks_another_sum,
+    "starts again": starts_again_unheard,
+}
+
+
+@pytest.mark.parametrize("what", SEEN)
+def test_what_was_lost_is_seen_at_the_next_word_and_mended(one: Skin, what: str) -> None:
+    SEEN[what](one)
     assert not one.look()
-    assert one.count(AFTER_GAP) + one.count(LATE) == 1
+    if " lost before " in what:
+        assert one.count(AFTER_GAP) + one.count(LATE) == 1
+    if what.startswith("two "):
+        assert one.count(DUPLICATE) == 1
     one.go()
     one.until_whole()
+    assert one.state.different.sum() == (what == "another sum")
 
 
 @pytest.mark.parametrize("wait", [24, 48, 96, 192, 384, 480])
@@ -401,82 +508,9 @@ def test_a_repeated_frame_changes_nothing(one: Skin) -> None:
     assert one.turn("step")
 
 
-@pytest.mark.parametrize("kind", ["step", "set"])
-def test_two_words_of_a_slot_that_differ_make_their_block_stale(one: Skin, kind: str) -> None:
-    """As of two nodes with one identifier that were started together."""
-    mine, other = one.sender, Sender(one.contract, seed=1)
-    other.count, other.last, other.wanted = list(mine.count), list(mine.last), list(mine.wanted)
-    one.go()
-    one.put(kind=kind)
-    one.deliver()
-    assert one.look()
-    second = other.send(0, mine.slot_of(one.board_since), kind)
-    assert second is not None
-    one.arrive(second)
-    assert not one.look()
-    assert one.count(DUPLICATE) == 1
-    one.go()
-    one.until_whole()
-
-
-@pytest.mark.parametrize("kind", ["set", "check"])
-def test_a_loss_is_seen_though_first_byte_and_count_come_again(one: Skin, kind: str) -> None:
-    for _ in range(SEQUENCE - 1):
-        one.go()
-        one.put(kind="step")
-    one.line.clear()
-    one.go(SYNC_OVERFLOW - SEQUENCE + 1)
-    one.put(kind=kind)
-    one.deliver()
-    assert not one.look()
-    one.go()
-    one.until_whole()
-
-
 def test_counts_wrap(one: Skin) -> None:
     for number in range(2 * COUNT):
         assert one.turn("set" if number % 64 == 0 else "step")
-
-
-def test_a_loss_of_all_counts_is_seen_though_words_were_late_before(one: Skin) -> None:
-    """So that the loss takes less time than the longest silence."""
-    late = 300
-    for _ in range(2 * late):
-        one.turn("step", late=late)
-    lost = len(one.line)
-    one.line.clear()
-    while lost < COUNT:
-        lost += one.put(kind="step")
-        one.line.clear()
-        one.go()
-    one.sender.wanted = [99]
-    one.put(kind="set")
-    one.deliver()
-    assert not one.look()
-    assert one.state.missing[0]
-
-
-def test_a_check_that_differs_is_counted_and_mended(one: Skin) -> None:
-    one.sender.known[0][5] += 1
-    one.go(KEEP_MIN)
-    one.put(kind="nothing")
-    one.line[0] = (*one.line[0][:2], [])
-    one.deliver()
-    assert not one.look()
-    assert one.state.different.tolist() == [1, 0, 0, 0]
-    one.go()
-    one.until_whole()
-    assert one.state.different.sum() == 1
-
-
-def test_a_node_that_starts_again_unheard_is_seen(one: Skin) -> None:
-    one.sender.start()
-    one.go()
-    one.put()
-    one.deliver()
-    assert not one.look()
-    one.go()
-    one.until_whole()
 
 
 def test_a_sync_that_is_late_repeats_slots_and_words_go_on(one: Skin) -> None:
@@ -487,37 +521,6 @@ def test_a_sync_that_is_late_repeats_slots_and_words_go_on(one: Skin) -> None:
         one.sync()
         for _ in range(late + 2):
             assert one.turn("step")
-
-
-@pytest.mark.parametrize("lost", [1, 2, 3, 4])
-@pytest.mark.parametrize("late", [1, 2, 3])
-def test_words_that_are_lost_after_a_late_sync_are_seen(one: Skin, late: int, lost: int) -> None:
-    """Were the number of a slot used twice, three words would be lost unseen."""
-    while one.since < one.contract.slots - 1:
-        assert one.turn("step")
-    one.late_turns(late + 1)
-    one.sync()
-    while lost:
-        lost -= one.put(kind="step")
-        one.line.clear()
-        one.go()
-    for _ in range(late + 1):
-        assert not one.turn("step")
-    one.until_whole()
-
-
-def test_words_that_are_lost_between_foreign_syncs_are_seen(one: Skin) -> None:
-    while one.since:
-        assert one.turn("step")
-    assert one.turn("step")
-    for counter, words in ((99, 1), (one.own, 2)):
-        one.sync(counter)
-        for _ in range(words):
-            assert one.put(kind="step")
-            one.go()
-    one.line.clear()
-    assert not one.turn("step")
-    one.until_whole()
 
 
 def test_frames_before_the_first_sync_are_late() -> None:
@@ -551,7 +554,6 @@ def test_frames_that_are_no_words_of_proven_nodes_change_nothing(one: Skin) -> N
     ):
         one.arrive(frame(can_id, data, flags))
     assert [one.count(kind) for kind in (FOREIGN, MALFORMED, UNPROVEN)] == [3, 4, 1]
-    assert one.state.foreign_syncs.tolist() == [1]
     for mine, was in zip(one.state[:-2], before, strict=True):
         np.testing.assert_array_equal(mine, was)
 

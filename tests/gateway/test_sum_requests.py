@@ -1,5 +1,6 @@
 """Requests to stepped nodes: all sums again at growing pauses, few nodes at a time, and their noise in turn."""
 
+from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -84,6 +85,10 @@ class Skin:
             self.sum_requests.proven(node, now_s)
 
 
+def _nothing(_skin: Skin) -> None:
+    """Nothing happens."""
+
+
 def again(node_id: int) -> tuple[int, Write]:
     return node_id, Write(AGAIN, 0, b"\1")
 
@@ -121,34 +126,42 @@ def test_pauses_grow_up_to_eight_times_the_time_of_all_sums(skin: Skin) -> None:
     assert np.diff(asked_s).tolist() == pytest.approx([0.0625, 0.125, 0.25, *[0.5] * 5], abs=0.021)
 
 
-def test_a_node_that_needs_nothing_more_begins_with_the_shortest_pause(skin: Skin) -> None:
-    skin.proven(0)
-    skin.is_wanted[0] = True
-    for now_s in (0.0, 0.0625, 0.1875):  # the next pause ends at 0.4375
-        assert skin.tick(now_s) == [again(11)]
-    skin.is_wanted[0] = False
-    assert skin.tick(0.3) == []
-    skin.is_wanted[0] = True
-    assert skin.tick(0.4) == []
-    assert skin.tick(0.4375) == [again(11)]
-    skin.is_wanted[0] = False
-    assert skin.tick(1.0) == []
-    skin.is_wanted[0] = True
-    assert skin.tick(1.125) == skin.tick(1.1875) == [again(11)]
+#: By time: nodes from which sums are missing, what else happens first, and node-IDs that are asked.
+COURSES: dict[str, list[tuple[float, str, Callable[[Skin], object], list[int]]]] = {
+    "a node that needs nothing more begins with the shortest pause": [
+        *((now_s, "0", _nothing, [11]) for now_s in (0.0, 0.0625, 0.1875)),  # the next pause ends at 0.4375
+        *((0.3, "", _nothing, []), (0.4, "0", _nothing, []), (0.4375, "0", _nothing, [11]), (1.0, "", _nothing, [])),
+        *((1.125, "0", _nothing, [11]), (1.1875, "0", _nothing, [11])),
+    ],
+    "a proof and the return of the bus begin the pauses anew": [
+        *((now_s, "01", _nothing, [11, 12]) for now_s in (0.0, 0.0625, 0.1875)),
+        *((0.25, "01", lambda skin: skin.proven(0, now_s=0.2), [11]), (0.3125, "01", _nothing, [11])),
+        *((0.34375, "01", lambda skin: skin.sum_requests.again(), [11, 12]), (0.375, "01", _nothing, [])),
+        (0.40625, "01", _nothing, [11, 12]),
+    ],
+    "a quiet bus is asked for nothing and has time to start": [
+        *((0.0, "0", lambda skin: setattr(skin.master, "is_quiet", True), []), (0.25, "0", _nothing, [])),
+        (0.3125, "0", lambda skin: setattr(skin.master, "is_quiet", False), []),
+        *((0.42, "0", _nothing, []), (0.4375, "0", _nothing, [11])),
+    ],
+    "a busy node is asked as soon as it is free": [
+        *((0.0, "0", lambda skin: skin.master.busy.add(11), []), (0.0156, "0", _nothing, [])),
+        (0.03125, "0", lambda skin: skin.master.busy.clear(), [11]),
+        (0.125, "0", _nothing, [11]),  # after the first pause
+    ],
+    "ticks within ten milliseconds are one": [
+        *((0.0, "", _nothing, []), (0.0099, "0", _nothing, []), (0.0101, "0", _nothing, [11])),
+    ],
+}
 
 
-def test_a_proof_and_the_return_of_the_bus_begin_the_pauses_anew(skin: Skin) -> None:
+@pytest.mark.parametrize("course", COURSES)
+def test_course_of_the_requests(skin: Skin, course: str) -> None:
     skin.proven(0, 1)
-    skin.is_wanted[:2] = True
-    for now_s in (0.0, 0.0625, 0.1875):
-        skin.tick(now_s)
-    skin.proven(0, now_s=0.2)
-    assert skin.tick(0.25) == [again(11)]
-    assert skin.tick(0.3125) == [again(11)]
-    skin.sum_requests.again()
-    assert skin.tick(0.34375) == [again(11), again(12)]
-    assert skin.tick(0.375) == []
-    assert skin.tick(0.40625) == [again(11), again(12)]
+    for now_s, wanted, happens, asked in COURSES[course]:
+        happens(skin)
+        skin.is_wanted[:] = [str(node) in wanted for node in range(6)]
+        assert skin.tick(now_s) == [again(node_id) for node_id in asked], now_s
 
 
 def test_four_nodes_are_asked_at_a_time_and_who_has_waited_longest_is_next(skin: Skin) -> None:
@@ -172,32 +185,6 @@ def test_where_sums_of_many_nodes_are_missing_all_start_again_at_growing_pauses(
     assert pauses_s == pytest.approx([0.0625, 0.125, 0.25, *[0.5] * 5], abs=0.021)
 
 
-def test_a_quiet_bus_is_asked_for_nothing_and_has_time_to_start(skin: Skin) -> None:
-    skin.proven(0)
-    skin.is_wanted[0], skin.master.is_quiet = True, True
-    assert [skin.tick(now_s) for now_s in (0.0, 0.25)] == [[], []]
-    skin.master.is_quiet = False
-    assert [skin.tick(now_s) for now_s in (0.3125, 0.42, 0.4375)] == [[], [], [again(11)]]
-
-
-def test_a_busy_node_is_asked_as_soon_as_it_is_free(skin: Skin) -> None:
-    skin.proven(0)
-    skin.is_wanted[0] = True
-    skin.master.busy = {11}
-    assert skin.tick(0.0) == skin.tick(0.0156) == []
-    skin.master.busy.clear()
-    assert skin.tick(0.03125) == [again(11)]
-    assert skin.tick(0.125) == [again(11)]  # after the first pause
-
-
-def test_ticks_within_ten_milliseconds_are_one(skin: Skin) -> None:
-    skin.proven(0)
-    assert skin.tick(0.0) == []
-    skin.is_wanted[0] = True
-    assert skin.tick(0.0099) == []
-    assert skin.tick(0.0101) == [again(11)]
-
-
 # Noise
 
 
@@ -213,13 +200,14 @@ def test_noise_is_read_after_the_proof_and_every_ten_seconds_one_node_in_a_tick(
     assert [skin.noise_asked(now_s) for now_s in (10.0, 10.02, 10.04)] == [[noise(12)], [noise(15)], []]
 
 
-def test_noise_of_a_busy_node_is_tried_again_after_a_second(skin: Skin) -> None:
+def test_noise_of_a_busy_node_is_tried_again_after_a_second_and_of_a_lost_node_not(skin: Skin) -> None:
     skin.sum_requests.proven(1, 0.0)
     skin.master.busy = {12}
     assert skin.noise_asked(0.0) == []
     skin.master.busy.clear()
-    assert skin.noise_asked(0.99) == []
-    assert skin.noise_asked(1.0) == [noise(12)]
+    assert [skin.noise_asked(now_s) for now_s in (0.99, 1.0)] == [[], [noise(12)]]
+    skin.sum_requests.lost(1)
+    assert skin.noise_asked(50.0) == []
 
 
 @pytest.mark.parametrize(
@@ -241,12 +229,6 @@ def test_noise_is_a_number_above_zero(skin: Skin, data: str, noise_n: list[float
     skin.tick(0.0, answered=False)
     skin.master.answer(14, bytes.fromhex(data))
     assert skin.noise == [(3, each) for each in noise_n]
-
-
-def test_a_node_that_is_lost_is_not_asked_for_its_noise(skin: Skin) -> None:
-    skin.sum_requests.proven(3, 0.0)
-    skin.sum_requests.lost(3)
-    assert skin.noise_asked(50.0) == []
 
 
 # In the company of boards

@@ -9,8 +9,9 @@ import numpy as np
 from dbc.contract import Contract
 from dbc.frame import ECHO, Frames, frames
 from nodes.electronics import Electronics
-from nodes.sampler import Sampler
-from nodes.segment import Segment
+from nodes.firmware.library import Firmware
+from nodes.sampler import CountSampler, Sampler
+from nodes.segment import Boards, Segment
 from nodes.virtual_boards import VirtualBoards
 from skin.sources import Frame
 from tests.bus.harness import frame
@@ -78,10 +79,16 @@ def new_segment(
     complain: Callable[[str], None] = lambda _: None,
     store: Path | None = None,
     unnumbered: bool = False,
+    in_c: bool = False,
 ) -> Segment:
-    """Return nodes of bus0, booted."""
-    sampler = sampler or new_sampler(contract)
-    boards = VirtualBoards(contract, 0, node_ids, sampler, store=store, unnumbered=unnumbered)
+    """Return nodes of bus0, booted; in C the first four."""
+    boards: Boards
+    if in_c:
+        boards = Firmware(contract, contract.on_bus(0)[:4], store=store).boards(0)
+        sampler = CountSampler(contract.phi, Still(contract), Electronics(contract.layout.taxels, noise_n=0.0))
+    else:
+        sampler = sampler or new_sampler(contract)
+        boards = VirtualBoards(contract, 0, node_ids, sampler, store=store, unnumbered=unnumbered)
     built = Segment(contract, 0, boards, sampler, link.send, complain=complain)
     built.boot(0.0)
     return built

@@ -181,6 +181,11 @@ class Bus:
     def start(self) -> None:
         self.give(frame(0, bytes((START, 0))))
 
+    def begin(self) -> None:
+        """Start the nodes, and send the first SYNC."""
+        self.start()
+        self.sync()
+
     def sync(self, counter: int | None = None) -> None:
         self._counter, self._sync_ms = counter or self._counter % SYNC_OVERFLOW + 1, 0
         self.give(frame(0x80, bytes((self._counter,)), time_ns=round(self.now_s * 1e9)))

@@ -12,6 +12,7 @@ from dbc.canopen import SYNC_COB_ID
 from dbc.contract import Contract, NodeContract
 from dbc.dictionary import dictionary
 from dbc.frame import CLASSIC_BYTES, ECHO, FD_BYTES
+from gateway.batch import batch_of
 from gateway.collector import Collector
 from nodes.access import check_write
 from nodes.burst import Burst
@@ -71,7 +72,7 @@ def test_what_nodes_pack_the_collector_reads(name: str, encoding: dict[str, obje
             for key in ("can_id", "length", "flags"):
                 assert np.array_equal(by_id[key], planned[key])
             sync = frame(SYNC_COB_ID, bytes((counter,)), ECHO)
-            collector.take(bus, np.concatenate((sync, burst)), 0)
+            collector.take(batch_of(np.concatenate((sync, burst)), bus, contract.table), 0)
         gathered = collector.close(counter)
         assert gathered.complete
         assert np.array_equal(gathered.sums, contract.packing.counts(contract.packing.raw(sums)))
@@ -86,7 +87,7 @@ def test_lost_frame_spoils_the_blocks_in_it_and_no_other(name: str) -> None:
     collector.trust(slice(None), proven=True)
     collector.open(1)
     sync = frame(SYNC_COB_ID, b"\1", ECHO)
-    collector.take(0, np.concatenate((sync, np.delete(burst, 5))), 0)
+    collector.take(batch_of(np.concatenate((sync, np.delete(burst, 5))), 0, contract.table), 0)
     gathered = collector.close(1)
     there = contract.table.gather[contract.table.row_of[0, burst["can_id"][5]]]
     lost = np.unique(contract.phi.block_of_sum[there[there >= 0]])

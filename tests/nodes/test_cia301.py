@@ -2,8 +2,6 @@
 
 import struct
 
-import pytest
-
 from dbc.canopen import HEARTBEAT_BASE, Abort, NmtState
 from nodes.segment import Segment
 from tests.bus.harness import frame
@@ -41,12 +39,12 @@ def test_error_field_without_errors_has_no_data(segment: Segment, link: ArrayLin
     assert code(request(segment, link, "40 03 10 01")) == Abort.NO_DATA
 
 
-@pytest.mark.parametrize("index", [0x1000, 0x1001, 0x1017, 0x2000, 0x2021])
-def test_variable_has_no_subindex_but_0(segment: Segment, link: ArrayLink, index: int) -> None:
-    place = index.to_bytes(2, "little").hex()
-    assert code(request(segment, link, f"40 {place} 01")) == Abort.NO_SUBINDEX
-    assert code(request(segment, link, f"2f {place} 01 00")) == Abort.NO_SUBINDEX
+def test_variable_has_no_subindex_but_0(segment: Segment, link: ArrayLink) -> None:
     assert code(request(segment, link, "40 00 30 00")) == Abort.NO_OBJECT
+    for index in (0x1000, 0x1001, 0x1017, 0x2000, 0x2021):
+        place = index.to_bytes(2, "little").hex()
+        for text in (f"40 {place} 01", f"2f {place} 01 00"):
+            assert code(request(segment, link, text)) == Abort.NO_SUBINDEX
 
 
 def test_entry_for_a_node_id_above_127_is_not_used(segment: Segment, link: ArrayLink) -> None:
@@ -63,19 +61,11 @@ def test_expedited_download_may_leave_out_its_size(segment: Segment, link: Array
     assert read(segment, link, 1, 0x2021) == 2
 
 
-@pytest.mark.parametrize("text", ["A0 17 10 00 7F 00", "A0 08 10 00 7F 03"])
-def test_block_upload_is_refused_where_the_client_allows_no_other(segment: Segment, link: ArrayLink, text: str) -> None:
-    assert code(request(segment, link, text)) == Abort.COMMAND
-
-
-def test_block_upload_of_a_small_value_may_become_an_ordinary_one(segment: Segment, link: ArrayLink) -> None:
+def test_blocks_are_refused_but_an_upload_may_become_an_ordinary_one(segment: Segment, link: ArrayLink) -> None:
+    for text in ("A0 17 10 00 7F 00", "A0 08 10 00 7F 03", "C2 17 10 00 02 00 00 00"):
+        assert code(request(segment, link, text)) == Abort.COMMAND
     answer = request(segment, link, "A0 17 10 00 7F 04")
-    assert answer[0] & 0xE0 == 0x40
-    assert answer[4:6] == (1000).to_bytes(2, "little")
-
-
-def test_block_download_is_refused(segment: Segment, link: ArrayLink) -> None:
-    assert code(request(segment, link, "C2 17 10 00 02 00 00 00")) == Abort.COMMAND
+    assert (answer[0] & 0xE0, answer[4:6]) == (0x40, (1000).to_bytes(2, "little"))
 
 
 def test_segment_after_the_end_belongs_to_nothing(segment: Segment, link: ArrayLink) -> None:
@@ -114,18 +104,16 @@ def test_download_in_segments_ends_with_its_last(segment: Segment, link: ArrayLi
     assert code(request(segment, link, "1B F4 01")) == Abort.COMMAND
 
 
-@pytest.mark.parametrize("data", [b"\1", b"\1\1\0", bytes((1, 1, 0, 0, 0, 0, 0, 0)), b""])
-def test_nmt_command_has_two_bytes(segment: Segment, link: ArrayLink, data: bytes) -> None:
+def test_nmt_command_has_two_bytes(segment: Segment, link: ArrayLink) -> None:
     link.take_sent()
-    give(segment, link, frame(0, data))
+    give(segment, link, *(frame(0, data) for data in (b"\1", b"\1\1\0", bytes((1, 1, 0, 0, 0, 0, 0, 0)), b"")))
     segment.tick(2.0)
     states = {int(each["data"][0]) for each in link.take_sent() if each["can_id"] == HEARTBEAT_BASE + 1}
     assert states == {NmtState.PRE_OPERATIONAL}
 
 
-@pytest.mark.parametrize("counter", [0, 241, 255])
-def test_sync_counter_outside_1_to_240_calls_for_nothing(segment: Segment, link: ArrayLink, counter: int) -> None:
+def test_sync_counter_outside_1_to_240_calls_for_nothing(segment: Segment, link: ArrayLink) -> None:
     give(segment, link, frame(0, START_1))
-    assert give(segment, link, sync(counter)) == []
+    assert give(segment, link, *map(sync, (0, 241, 255))) == []
     assert segment.syncs_seen == 0
     assert len(give(segment, link, sync(240))) == 2

@@ -88,16 +88,6 @@ def test_another_master_gives_the_node_id(master: LssMaster) -> None:
     assert own.node_id == 255
 
 
-def test_a_node_id_that_was_not_stored_is_lost_at_power_up(master: LssMaster) -> None:
-    own = master.network.slaves[0]
-    master.fast_scan()
-    master.configure_node_id(5)
-    own.initialise()
-    assert own.node_id == 5
-    own.reset()
-    assert own.node_id == 255
-
-
 def test_a_memory_that_fails_is_told() -> None:
     def fail(_: int) -> None:
         raise OSError

@@ -170,6 +170,18 @@ def test_inhibit_time_between_emergencies_is_in_tenths_of_a_millisecond(segment:
     assert sent_after(segment, link, 2e3 + 0.11, EMCY_1) == [bytes.fromhex("0000004082000000")]
 
 
+def test_error_field_holds_the_newest_eight_and_can_be_cleared(segment: Segment, link: ArrayLink) -> None:
+    give(segment, link, nmt(START))
+    for length in range(2, 8):
+        give(segment, link, frame(0x80, bytes(length)), sync(1))
+        lose_heartbeat(segment, link, 1e3 * length)
+        give(segment, link, frame(0x700 + WATCHED, b"\5"), nmt(START), now_s=1e3 * length + 0.5)
+    errors = [read(segment, link, 1, 0x1003, place) for place in range(9)]
+    assert errors == [8, *(each for length in (7, 6, 5, 4) for each in (WATCHED << 16 | 0x8130, length << 16 | 0x8240))]
+    assert write(segment, link, 0x1003, 0, 0, 1) == 0
+    assert read(segment, link, 1, 0x1003, 0) == 0
+
+
 def test_reset_ends_errors_counters_and_what_was_written(segment: Segment, link: ArrayLink) -> None:
     write(segment, link, 0x1800, 1, 0xC000_0181, 4)
     give(segment, link, nmt(START), sync(1), frame(0x80, b"\1\2"))

@@ -14,7 +14,6 @@ from tests.layouts import in_turns
 from tests.nodes.helpers import (
     MILLISECOND_NS,
     PRE_OPERATIONAL,
-    RESET_COMMUNICATION,
     RESET_NODE,
     START,
     STOP,
@@ -84,15 +83,6 @@ def test_half_of_the_sums_go_in_odd_and_half_in_even_cycles(segment_in_turns: Se
         packed = int.from_bytes(payload[1:], "little")
         raw = [packed >> 14 * place & 0x3FFF for place in range(4)]
         assert [read(segment, link, 1, 0x2100, first + place) & 0x3FFF for place in range(4)] == raw
-
-
-def test_a_missed_sync_does_not_shift_the_turn(segment_in_turns: Segment, link: ArrayLink) -> None:
-    segment = segment_in_turns
-    give(segment, link, frame(0, bytes((START, 1))))
-    seen = {counter: give(segment, link, sync(counter)) for counter in (1, 2, 4, 5, 8, 239, 240)}
-    assert {counter: [can_id for can_id, _ in sent] for counter, sent in seen.items()} == {
-        1: [0x181], 2: [0x281], 4: [0x281], 5: [0x181], 8: [0x281], 239: [0x181], 240: [0x281],
-    }  # fmt: skip
 
 
 def test_frames_start_after_the_reaction_time_and_end_inside_the_window_of_their_node(
@@ -221,19 +211,6 @@ def test_segments_without_a_transfer_and_without_an_end_are_aborted(segment: Seg
     assert taken == 37  # 259 bytes
     assert answers[taken][4:] == struct.pack("<I", 0x0607_0012)
     assert {answer[4:] for answer in answers[taken + 1 :]} == {struct.pack("<I", 0x0504_0001)}
-
-
-def test_stored_parameters_survive_a_reset_and_defaults_come_back(segment: Segment, link: ArrayLink) -> None:
-    assert write(segment, link, 0x1017, 0, 250, 2) == 0
-    give(segment, link, frame(0, bytes((RESET_NODE, 1))))
-    assert read(segment, link, 1, 0x1017) == 1000
-    write(segment, link, 0x1017, 0, 250, 2)
-    write(segment, link, 0x1010, 1, 0x6576_6173, 4)
-    assert give(segment, link, frame(0, bytes((RESET_COMMUNICATION, 1)))) == [(0x701, b"\0")]
-    assert read(segment, link, 1, 0x1017) == 250
-    write(segment, link, 0x1011, 1, 0x6461_6F6C, 4)
-    give(segment, link, frame(0, bytes((RESET_NODE, 1))))
-    assert read(segment, link, 1, 0x1017) == 1000
 
 
 def test_frames_of_any_kind(segment: Segment, link: ArrayLink) -> None:

@@ -14,6 +14,7 @@ from canskin.messages import NodesStatus, Topic, Truth
 from dbc import indices as od
 from dbc.contract import Contract
 from dbc.frame import Frames
+from nodes.sampler import Sampler
 from nodes.service import STATUS_PERIOD_S, NodesService
 from nodes.steps.boards import SteppedBoards
 from skin.layout import load_layout
@@ -64,6 +65,30 @@ class Published:
             self.truths.append(message)
 
 
+class Run:
+    """A service whose nodes are operational, with the clock and the messages published."""
+
+    def __init__(
+        self, contract: Contract, links: dict[int, ReadyLink], ids: dict[int, set[int]], boards: Sampler | SteppedBoards
+    ) -> None:
+        self.now_s = 100.0
+        self.published = Published()
+        self.service = NodesService(contract, links, ids, boards, self.published, clock=lambda: self.now_s)
+        for segment in self.service.segments.values():
+            segment.boot(self.now_s)
+            segment.take(frame(0, bytes((START, 0))), self.now_s)
+        for link in links.values():
+            link.take_sent()
+
+    def turn(self, after_s: float = 0.0) -> None:
+        self.now_s += after_s
+        self.service.turn()
+
+    def newest_status(self) -> NodesStatus:
+        self.service.publish_status()
+        return self.published.statuses[-1]
+
+
 @pytest.fixture
 def links() -> Iterator[dict[int, ReadyLink]]:
     made = {bus: ReadyLink() for bus in (0, 1)}
@@ -101,40 +126,29 @@ def test_frames_of_every_bus_are_answered_and_counted(contract: Contract, links:
 
 def test_stepped_nodes_turn_once_for_each_sample(links: dict[int, ReadyLink]) -> None:
     contract = Contract.from_layout(load_layout(Path("steps")))
-    now_s = 100.0
-    published = Published()
     blocks = [contract.on_bus(bus)[0].block for bus in links]
     boards = SteppedBoards(contract, blocks, Still(contract))
-    service = NodesService(contract, links, {0: {1}, 1: {1}}, boards, published, clock=lambda: now_s)
-    for segment in service.segments.values():
-        segment.boot(now_s)
-        segment.take(frame(0, bytes((START, 0))), now_s)
-    for link in links.values():
-        link.take_sent()
-    service.turn()
+    run = Run(contract, links, {0: {1}, 1: {1}}, boards)
+    run.turn()
     assert [len(link.take_sent()) for link in links.values()] == [0, 0]  # there is no SYNC yet
     for link in links.values():
         link.put(frame(0x80, b"\1", time_ns=100_000 * MILLISECOND_NS))
     for _ in range(30):
-        now_s += 1e-3
-        service.turn()
+        run.turn(1e-3)
         for link in links.values():
             link.put()
-    assert [truth.step for truth in published.truths] == [1, 2, 3]
+    assert [truth.step for truth in run.published.truths] == [1, 2, 3]
     # Slots of 4 ms, that of the SYNC, too.
     assert [link.take_sent()["can_id"].tolist().count(0x181) for link in links.values()] == [8, 8]
-    service.publish_status()
-    newest = published.statuses[-1]
-    assert newest.frames_sent == sum(segment.frames_sent for segment in service.segments.values()) > 0
+    newest = run.newest_status()
+    assert newest.frames_sent == sum(segment.frames_sent for segment in run.service.segments.values()) > 0
     assert (newest.frames_dropped, newest.syncs_seen) == (0, 1)
     boards.adjust(blocks[0], od.REFRESH, 0, 1)
-    now_s += 5e-3
-    service.turn()
+    run.turn(5e-3)
     assert boards.is_sending
     for link in links.values():
         link.put()
-    now_s += 1e-6
-    service.turn()
+    run.turn(1e-6)
     assert not boards.is_sending
 
 
@@ -166,54 +180,40 @@ def test_last_echoes_are_read_before_the_last_status(links: dict[int, ReadyLink]
 def test_the_next_cycle_is_sampled_ahead_when_all_buses_have_had_their_answers(
     contract: Contract, links: dict[int, ReadyLink]
 ) -> None:
-    now_s, prepared = 100.0, []
+    prepared = []
     sampler = new_sampler(contract)
-    sampler.prepare = lambda: prepared.append(now_s)  # type: ignore[method-assign]
-    service = NodesService(contract, links, {0: {1}, 1: {1}}, sampler, clock=lambda: now_s)
-    for segment in service.segments.values():
-        segment.boot(now_s)
-        segment.take(frame(0, bytes((START, 0))), now_s)
+    run = Run(contract, links, {0: {1}, 1: {1}}, sampler)
+    sampler.prepare = lambda: prepared.append(run.now_s)  # type: ignore[method-assign]
     links[0].put(sync(1))
-    service.turn()
+    run.turn()
     prepared.clear()
-    now_s += 0.0029  # of 10 ms
     links[1].put(sync(1))
-    service.turn()
-    now_s += 0.0029
-    service.turn()
+    run.turn(0.0029)  # of 10 ms
+    run.turn(0.0029)
     assert not prepared
-    now_s += 0.0002
-    service.turn()
-    assert prepared == [now_s]
+    run.turn(0.0002)
+    assert prepared == [run.now_s]
 
 
 def test_on_a_single_bus_the_next_cycle_is_sampled_ahead_at_once(
     contract: Contract, links: dict[int, ReadyLink]
 ) -> None:
-    now_s, prepared = 100.0, []
+    prepared = []
     sampler = new_sampler(contract)
     sampler.prepare = lambda: prepared.append(sampler.sums)  # type: ignore[method-assign]
-    service = NodesService(contract, {0: links[0]}, {0: {1}}, sampler, clock=lambda: now_s)
-    service.segments[0].boot(now_s)
-    service.segments[0].take(frame(0, bytes((START, 0))), now_s)
+    run = Run(contract, {0: links[0]}, {0: {1}}, sampler)
     before = sampler.sums
     links[0].put(sync(1))
-    service.turn()
+    run.turn()
     assert prepared[-1] is sampler.sums is not before  # after the answer
 
 
 def test_the_status_tells_of_all_buses(contract: Contract, links: dict[int, ReadyLink]) -> None:
-    now_s, published = 100.0, Published()
-    sampler = new_sampler(contract)
-    made = NodesService(contract, links, {0: {1, 2}, 1: {2}}, sampler, published, clock=lambda: now_s)
-    for segment in made.segments.values():
-        segment.boot(now_s)
-        segment.take(frame(0, bytes((START, 0))), now_s)
+    run = Run(contract, links, {0: {1, 2}, 1: {2}}, new_sampler(contract))
     links[0].room = 3
     for each in (links[0], links[0], links[1]):
         each.put(sync(1))
-        made.turn()
-    made.publish_status()
-    newest = published.statuses[-1]
+        run.turn()
+    newest = run.newest_status()
     assert (newest.frames_sent, newest.frames_dropped, newest.syncs_seen) == (2 * 3 + 2, 2 * 1, 2)
     assert newest.process == str(os.getpid())

@@ -7,7 +7,7 @@ import numpy.typing as npt
 import pytest
 
 from dbc.contract import Contract
-from dbc.frame import Frames, frames
+from dbc.frame import Frames
 from nodes.steps.patch_boards import PatchBoards
 from skin.layout import load_layout
 from skin.sources import Frame
@@ -25,10 +25,6 @@ class Ticks(PatchBoards):
         self.samples = 0
         self.decisions: list[int] = []
 
-    @property
-    def sums(self) -> npt.NDArray[np.int32]:
-        return np.zeros(self._phi.shape[0], np.int32)
-
     def _take(self, sample_n: npt.NDArray[np.float32]) -> None:
         assert sample_n.shape == (2, 32)
         self.samples += 1
@@ -36,14 +32,8 @@ class Ticks(PatchBoards):
     def _decide(self, now_ns: int) -> None:
         self.decisions.append(now_ns)
 
-    def take_sync(self, bus: int, counter: int, time_ns: int) -> None:
-        pass
-
-    def choose(self, bus: int, now_ns: int) -> Frames:
-        return frames(0)
-
-    def take_echoes(self, bus: int, arrived: Frames) -> tuple[int, int]:
-        return 0, len(arrived)
+    def count(self, bus: int, arrived: Frames, is_pdo: npt.NDArray[np.bool_]) -> tuple[int, int, int]:
+        return 0, 0, len(arrived)
 
 
 class Source(Still):
@@ -86,8 +76,8 @@ def test_a_truth_comes_with_the_first_sample_of_each_step_of_the_touch(boards: T
     boards.advance(100.0)
     assert boards.take_truth() is None
     begin_ns = 100_005 * MS + 400_000
-    boards.touched_from(begin_ns)
-    boards.touched_from(7)  # it has begun
+    boards.at_sync(0, 1, begin_ns)
+    boards.at_sync(0, 1, 7)  # it has begun
     for tick in range(1, 27):
         boards.advance(100.0 + tick / 1000)
     truths = [boards.take_truth() for _ in range(3)]
@@ -110,7 +100,7 @@ def test_a_truth_comes_with_the_first_sample_of_each_step_of_the_touch(boards: T
 
 def test_of_the_truths_that_nobody_takes_the_newest_twenty_are_kept(boards: Ticks) -> None:
     boards.advance(100.0)
-    boards.touched_from(100_001 * MS)
+    boards.at_sync(0, 1, 100_001 * MS)
     for tick in range(1, 302):
         boards.advance(100.0 + tick / 1000)
     steps = []

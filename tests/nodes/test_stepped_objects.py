@@ -25,8 +25,7 @@ def contract() -> Contract:
 
 
 def test_a_node_that_is_asked_sets_all_its_sums(bus: Bus) -> None:
-    bus.start()
-    bus.sync()
+    bus.begin()
     bus.run(SET_MS)
     assert bus.write(0x2030, 0, b"\x01", 2) == 0
     assert bus.read(0x2030, 0, 2) == b"\1"
@@ -48,8 +47,7 @@ def test_a_temperature_is_read_where_the_layout_has_thermometers(bus: Bus, contr
     drift = ZeroDrift("cells", "ramp", 0.005, 1.0, 1.0, cells=tuple(contract.phi.taxels_of_blocks[1].tolist()))
     warm = Contract.from_layout(msgspec.structs.replace(layout, taxels=taxels))
     drifting = Bus(warm, defects=Defects(zero_drifts=(drift,)))
-    drifting.start()
-    drifting.sync()
+    drifting.begin()
     for after_ms, second_k in ((1, 298.2), (1500, 303.2), (600, 308.2)):
         drifting.run(after_ms)
         assert int.from_bytes(drifting.read(0x2036, 0, 2), "little") / 10 == pytest.approx(second_k, abs=0.11)
@@ -61,8 +59,7 @@ def test_a_tpdo_that_does_not_exist_is_not_sent_and_one_elsewhere_is(bus: Bus) -
     for node_id in (1, 2):
         assert bus.write(0x1800, 1, struct.pack("<I", 0xC000_0180 | node_id), node_id) == 0
     assert bus.write(0x1800, 1, struct.pack("<I", 0x4000_06D0), 2) == 0
-    bus.start()
-    bus.sync()
+    bus.begin()
     sent = []
     for _ in range(20):
         bus.segment.take(bus.link.receive(), bus.now_s)
@@ -87,8 +84,7 @@ def test_when_one_node_sends_is_changed_by_its_objects(bus: Bus) -> None:
     assert bus.write(0x2031, 1, struct.pack("<f", 1e6), 2) == 0  # nothing is worth its bits
     assert bus.write(0x2031, 2, b"\x0a", 3) == 0  # every 10 ms
     assert bus.write(0x2031, 3, struct.pack("<I", 2000), 4) == 0
-    bus.start()
-    bus.sync()
+    bus.begin()
     sync_ns = round(bus.now_s * 1e9)
     sent = bus.run(299)
     ports = sent["port"].tolist()
@@ -123,8 +119,7 @@ def test_noise_that_is_written_takes_the_place_of_what_was_learned(bus: Bus) -> 
 def test_slot_and_words_are_those_of_the_newest_frame(name: str) -> None:
     bus = Bus(Contract.from_layout(load_layout(Path(name))))
     assert bus.read(0x2022) == b"\0"
-    bus.start()
-    bus.sync()
+    bus.begin()
     sent = bus.run(103)
     newest = sent[sent["port"] == 1][-1]["data"]
     assert bus.read(0x2022) == bytes(newest[:1])
@@ -159,8 +154,7 @@ def test_parameters_are_stored_and_orders_are_not(tmp_path: Path, contract: Cont
 
 
 def test_gains_change_what_a_node_feels_and_not_its_noise(bus: Bus) -> None:
-    bus.start()
-    bus.sync()
+    bus.begin()
     bus.run(600)
     mine = slice(32 * bus.contract.nodes[0].block, 32 * bus.contract.nodes[0].block + 32)
     felt = bus.boards.sums[mine].copy()

@@ -50,8 +50,7 @@ def test_nodes_that_are_not_started_filter_and_send_nothing_and_so_do_nodes_with
 @both
 def test_a_node_that_is_started_sets_all_its_sums_and_then_checks_ever_more_rarely(bus: Bus) -> None:
     bus.source.force_n[:] = 0
-    bus.start()
-    bus.sync()
+    bus.begin()
     groups = bus.contract.forms_of(0)[0].groups
     first = bus.run(SET_MS)
     assert kinds(bus) == {node_id: {SET} for node_id in IDS}
@@ -67,8 +66,7 @@ def test_a_node_that_is_started_sets_all_its_sums_and_then_checks_ever_more_rare
 
 def test_each_node_sends_at_its_place_in_the_slot(bus: Bus) -> None:
     """32 boards share a slot, and a process decides once a millisecond."""
-    bus.start()
-    bus.sync()
+    bus.begin()
     sync_ns = round(bus.now_s * 1e9)
     sent = bus.run(SET_MS)
     for node_id in IDS:
@@ -92,8 +90,7 @@ def test_nodes_that_send_at_sync_send_at_once(contract: Contract) -> None:
 
 @both
 def test_what_a_receiver_shows_is_what_the_touch_is(bus: Bus) -> None:
-    bus.start()
-    bus.sync()
+    bus.begin()
     bus.run(900)
     unit_n = bus.contract.unit_n
     for block in bus.blocks:
@@ -121,8 +118,7 @@ def test_the_first_sync_tells_when_the_touch_began(bus: Bus) -> None:
 
 def test_a_late_sync_lets_no_slot_come_twice(contract: Contract) -> None:
     bus = Bus(Contract.from_layout(changed(contract.layout, steps={"quiet": 0.0})))
-    bus.start()
-    bus.sync()
+    bus.begin()
     sent = [bus.run(99)]
     for late_ms in (0, 1, 3, 7):
         for _ in range(1 + late_ms):
@@ -142,8 +138,7 @@ def test_a_late_sync_lets_no_slot_come_twice(contract: Contract) -> None:
 def test_a_node_that_misses_a_sync_counts_on_and_is_silent_after_the_next(bus: Bus) -> None:
     bus.source.force_n[:] = 0.01
     assert bus.write(0x2031, 1, bytes(4), 2) == 0  # in every slot
-    bus.start()
-    bus.sync()
+    bus.begin()
     bus._counter = 0  # none follows
     sent = bus.run(400)
     assert len(sent[sent["port"] == 2]) == 2 * PERIOD_MS / SLOT_MS
@@ -151,8 +146,7 @@ def test_a_node_that_misses_a_sync_counts_on_and_is_silent_after_the_next(bus: B
 
 
 def test_while_a_frame_is_in_the_controller_its_node_leaves_slots_out(bus: Bus) -> None:
-    bus.start()
-    bus.sync()
+    bus.begin()
     waiting = bus.tick()
     while not len(waiting):
         waiting = bus.tick()
@@ -170,8 +164,7 @@ def test_while_a_frame_is_in_the_controller_its_node_leaves_slots_out(bus: Bus) 
 @both
 @pytest.mark.parametrize("flags", [ECHO | ERROR, 0])
 def test_after_a_frame_that_was_not_sent_a_node_sets_all_its_sums(bus: Bus, flags: int) -> None:
-    bus.start()
-    bus.sync()
+    bus.begin()
     bus.run(300)
     bus.write(0x2031, 1, bytes(4))
     lost = bus.tick()
@@ -192,8 +185,7 @@ def test_after_a_frame_that_was_not_sent_a_node_sets_all_its_sums(bus: Bus, flag
 
 
 def test_frames_that_a_full_queue_refuses_are_dropped_and_their_nodes_set_all_sums(bus: Bus) -> None:
-    bus.start()
-    bus.sync()
+    bus.begin()
     bus.link.room = 0
     assert len(bus.run(4 * SLOT_MS - 1)) == 0
     dropped = bus.segment.frames_dropped
@@ -208,8 +200,7 @@ def test_frames_that_a_full_queue_refuses_are_dropped_and_their_nodes_set_all_su
 
 
 def test_stopped_nodes_send_nothing_and_begin_anew_when_they_are_started(bus: Bus) -> None:
-    bus.start()
-    bus.sync()
+    bus.begin()
     bus.run(5)
     for command in (PRE_OPERATIONAL, STOP):
         bus.give(frame(0, bytes((command, 0))))
@@ -222,8 +213,7 @@ def test_stopped_nodes_send_nothing_and_begin_anew_when_they_are_started(bus: Bu
 
 def test_a_reset_forgets_what_was_sent_and_not_the_noise(contract: Contract) -> None:
     bus = Bus(contract)
-    bus.start()
-    bus.sync()
+    bus.begin()
     bus.run(300)
     noise = bus.read_real(0x2035)
     for command in (RESET_COMMUNICATION, RESET_NODE):
@@ -241,8 +231,7 @@ def test_a_reset_forgets_what_was_sent_and_not_the_noise(contract: Contract) -> 
 
 
 def test_what_was_sent_before_a_reset_does_not_come_back_with_its_echo(bus: Bus) -> None:
-    bus.start()
-    bus.sync()
+    bus.begin()
     while not len(bus.tick()):
         pass
     late = bus.link.receive()

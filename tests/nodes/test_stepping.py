@@ -152,27 +152,6 @@ def test_every_loss_of_less_than_count_words_is_seen_at_the_next_word(
     assert board.is_same
 
 
-@given(st.integers(0, 2**32), st.integers(1, 300))
-@settings(deadline=None, max_examples=40)
-def test_slots_that_a_busy_controller_leaves_out_are_no_loss(seed: int, left_out: int) -> None:
-    board, random = started(), np.random.default_rng(seed)
-    for _ in range(20):
-        follow(board, np.rint(random.normal(0, 500, board.wanted.shape)))
-        board.pass_slots(int(random.integers(1, 6)))
-        board.slot += left_out
-    assert (board.parts[0].gaps, board.parts[0].different, board.is_same) == (1, 0, True)
-
-
-def test_a_word_of_the_cycle_before_is_late() -> None:
-    board = started()
-    board.wanted[0] = 1000
-    slot, word = board.slot, int(board.state.word[0])
-    for held, is_late in ((0, False), (4, False), (5, True), (240, True), (board.cycle, False)):
-        part = Part(board.forms[0], board.cycle)
-        part.take(slot_byte(slot), word, (slot + held) % board.cycle)
-        assert part.is_late == is_late, held
-
-
 def test_small_changes_are_steps_and_a_large_one_of_few_sums_is_a_set() -> None:
     board = started()
     board.wanted[0] += 10
@@ -249,16 +228,6 @@ def test_a_board_that_sends_in_every_slot_checks_after_64_words() -> None:
     assert np.diff([-1, *checks]).tolist() == [65] * 4
 
 
-def test_a_board_that_is_asked_sets_all_its_sums_whatever_they_are_worth() -> None:
-    board = started()
-    board.wanted[0] += 1  # worth nothing
-    assert board.pass_slots(10) == 0
-    board.ask()
-    assert board.pass_slots(12) == 11
-    assert set(board.kinds()) == {SET}
-    assert np.array_equal(board.state.known, board.wanted)
-
-
 def test_after_more_than_three_slots_a_board_sends_no_step() -> None:
     for empty, kind in ((2, STEP), (3, SET)):
         board = started()
@@ -266,14 +235,6 @@ def test_after_more_than_three_slots_a_board_sends_no_step() -> None:
         board.wanted[0] += 20
         board.pass_slot()
         assert board.kinds() == [kind]
-
-
-def test_integers_of_both_that_differ_are_found_by_a_check() -> None:
-    board = started()
-    board.parts[0].known[7] += 2
-    board.pass_slots(KEEP_MIN)
-    assert board.kinds() == [CHECK]
-    assert (board.parts[0].different, board.parts[0].gaps, len(board.parts[0].missing)) == (1, 1, 11)
 
 
 @pytest.mark.parametrize(

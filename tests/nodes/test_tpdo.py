@@ -100,20 +100,6 @@ def test_event_driven_pdo_is_sent_in_operational_only(segment: Segment, link: Ar
     assert COB_ID in link.take_sent()["can_id"]
 
 
-def test_each_object_stays_within_its_bits(in_python: Segment, link: ArrayLink, sampler: Sampler) -> None:
-    """Negative sums beside an error register: two's complement does not run into the next object."""
-    write(in_python, link, 0x1800, 1, 0xC000_0181, 4)
-    write(in_python, link, 0x1A00, 0, 0, 1)
-    for place, entry in enumerate((0x2100_010E, 0x1001_0008, 0x2100_020E), 1):
-        assert write(in_python, link, 0x1A00, place, entry, 4) == 0
-    assert write(in_python, link, 0x1A00, 0, 3, 1) == 0
-    set_up(in_python, link, every=1)
-    sampler.sums[:2] = -4, -8
-    payload = first_tpdo(in_python).payload(in_python.boards.nodes[0].local)
-    assert payload.hex() == "ff3f80ff0f"
-    assert read(in_python, link, 1, 0x2100, 2) == 0xFFFE
-
-
 def test_a_pdo_with_another_object_shows_it_as_it_is_now(segment: Segment, link: ArrayLink) -> None:
     map_sum_and_error_register(segment, link)
     set_up(segment, link, every=1)

@@ -1,6 +1,6 @@
 """Everything that cannot be computed is refused: one line that says what was expected and what came."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
 from types import SimpleNamespace
 from typing import Any
@@ -20,91 +20,73 @@ from skin.phi import sbhe
 from tests.reconstructor.helpers import INF, NAN, one_line, spoilt
 
 PHI = sbhe(256, 64, block_size=16, seed=3)
-BASES = ("haar-tensor", "haar-pyramid", "d4-tensor", "d4-pyramid")
 #: A measurement operator of another kind.
 OTHER: Any = SimpleNamespace(shape=(64, 256), dtype=np.dtype(np.int8))
-PSI = wavelet_basis("haar-tensor", 16, 16)
-SUMS = np.random.default_rng(0).normal(0, 0.02, 64)
-ONES = np.ones(64)
+PSI, WIDE = wavelet_basis("haar-tensor", 16, 16), wavelet_basis("haar-tensor", 16, 32)
+SUMS, ONES = np.random.default_rng(0).normal(0, 0.02, 64), np.ones(64)
+FISTA: dict[str, Any] = {"sums_n": SUMS, "penalty_n": 0.01, "lipschitz": 16.0, "iterations": 3}
+Case = tuple[Callable[[], Any], str]
 
 
-@pytest.mark.parametrize(
-    ("spoil", "says"),
-    [
+def settings(prior: str = "haar-tensor", **changed: Any) -> SolverSettings:
+    return SolverSettings(**{"prior": prior, "iterations": 3, "penalty_n": 0.01, **changed})
+
+
+SOLVERS: dict[str, Callable[..., Any]] = {
+    "haar": lambda **o: HaarSolver(PHI, 16, 16, settings("haar-pyramid"), **o),
+    "variation": lambda **o: VariationSolver(PHI, 16, 16, settings("variation"), **o),
+    "contourlet": lambda **o: ContourletSolver(PHI, 16, 16, settings("contourlet"), **o),
+    "wavelets": lambda **o: WaveletSolver(PHI, 16, 16, settings(), **o),
+}
+
+
+def operators() -> Iterator[Case]:
+    for spoil, says in (
         (lambda x: x[:-1], "shape"),
         (lambda x: x.reshape(-1, 1), "shape"),
         (list, "array"),
         (lambda x: x.astype(object), "object"),
         (lambda x: spoilt(x, NAN), "finite"),
         (lambda x: spoilt(x, -INF), "finite"),
-    ],
-)
-def test_measurement_operators(spoil: Callable[[np.ndarray], Any], says: str) -> None:
-    one_line(lambda: PHI.forward(spoil(np.ones(256))), says)
-    one_line(lambda: PHI.adjoint(spoil(np.ones(64))), says)
+    ):
+        yield partial(PHI.forward, spoil(np.ones(256))), says
+        yield partial(PHI.adjoint, spoil(ONES)), says
+    for valid in (np.ones(15, np.bool_), np.ones(17, np.bool_), np.ones(16), np.ones((16, 1), np.bool_)):
+        yield partial(PHI.sums_of_blocks, valid), "expected 16 booleans, one a block"
+    for sizes, options, says in (
+        ((256, 0), {}, "1 to 256 sums"),
+        ((256, 257), {}, "1 to 256 sums"),
+        ((0, 0), {}, "one taxel or more"),
+        ((256, 64), {"block_size": -32}, "power of two"),
+        ((256, 64), {"block_size": 24}, "power of two"),
+        ((256, 65), {}, "multiple of 8 blocks"),
+        ((256, 64), {"selection": "every"}, "balanced or uniform"),
+        ((256, 64), {"seed": -1}, "seed"),
+        ((256.0, 64), {}, "whole numbers"),
+    ):
+        yield partial(sbhe, *sizes, **options), says  # type: ignore[arg-type]  # wrong on purpose
 
 
-@pytest.mark.parametrize(
-    "valid", [np.ones(15, np.bool_), np.ones(17, np.bool_), np.ones(16), np.ones((16, 1), np.bool_)]
-)
-def test_validity_of_blocks(valid: np.ndarray) -> None:
-    one_line(lambda: PHI.sums_of_blocks(valid), "expected 16 booleans, one a block")
+def bases() -> Iterator[Case]:
+    names = ("haar-tensor", "haar-pyramid", "d4-tensor", "d4-pyramid")
+    for psi in (*(wavelet_basis(name, 16, 16) for name in names), CompiledContourlet(16, 16)):
+        for spoil, says in (
+            (lambda x: x[:-1], "expected an array of float32 or float64 of shape"),
+            (list, "got list"),
+            (lambda x: x.astype(np.float16), "got float16"),
+            (lambda x: spoilt(x, NAN), "finite numbers"),
+        ):
+            yield partial(psi.forward, spoil(np.ones((16, 16)))), says
+            yield partial(psi.adjoint, spoil(np.ones(psi.shape))), says
+    for make in (*(partial(wavelet_basis, name) for name in names), CompiledContourlet):
+        for grid in ((-16, -16), (12, 12), (4, 4), (512, 512), (16.0, 16.0)):
+            yield partial(make, *grid), "power(s)? of two, (8|16) to 256"  # type: ignore[arg-type]  # wrong on purpose
+    for grid in ((16, 32), (8, 8)):
+        yield partial(CompiledContourlet, *grid), "square"
 
 
-@pytest.mark.parametrize(
-    ("make", "says"),
-    [
-        (lambda: sbhe(256, 0), "1 to 256 sums"),
-        (lambda: sbhe(256, 257), "1 to 256 sums"),
-        (lambda: sbhe(0, 0), "one taxel or more"),
-        (lambda: sbhe(256, 64, block_size=-32), "power of two"),
-        (lambda: sbhe(256, 64, block_size=24), "power of two"),
-        (lambda: sbhe(256, 65), "multiple of 8 blocks"),
-        (lambda: sbhe(256, 64, selection="every"), "balanced or uniform"),  # type: ignore[arg-type]
-        (lambda: sbhe(256, 64, seed=-1), "seed"),
-        (lambda: sbhe(256.0, 64), "whole numbers"),  # type: ignore[arg-type]
-    ],
-)
-def test_sizes_of_measurement_operators(make: Callable[[], Any], says: str) -> None:
-    one_line(make, says)
-
-
-@pytest.mark.parametrize(
-    "psi",
-    [*(wavelet_basis(name, 16, 16) for name in BASES), CompiledContourlet(16, 16)],
-    ids=[*BASES, "compiled contourlet"],
-)
-@pytest.mark.parametrize(
-    ("spoil", "says"),
-    [
-        (lambda x: x[:-1], "expected an array of float32 or float64 of shape"),
-        (list, "got list"),
-        (lambda x: x.astype(np.float16), "got float16"),
-        (lambda x: spoilt(x, NAN), "finite numbers"),
-    ],
-)
-def test_bases(psi: Any, spoil: Callable[[np.ndarray], Any], says: str) -> None:
-    one_line(lambda: psi.forward(spoil(np.ones((16, 16)))), says)
-    one_line(lambda: psi.adjoint(spoil(np.ones(psi.shape))), says)
-
-
-@pytest.mark.parametrize("make", [*(partial(wavelet_basis, name) for name in BASES), CompiledContourlet])
-@pytest.mark.parametrize("grid", [(-16, -16), (12, 12), (4, 4), (512, 512), (16.0, 16.0)])
-def test_grids(make: Callable[..., Any], grid: tuple[Any, Any]) -> None:
-    one_line(lambda: make(*grid), "power(s)? of two, (8|16) to 256")
-
-
-@pytest.mark.parametrize("grid", [(16, 32), (8, 8)])
-def test_contourlet_takes_squares_from_16(grid: tuple[int, int]) -> None:
-    one_line(lambda: CompiledContourlet(*grid), "square")
-
-
-FISTA: dict[str, Any] = {"sums_n": SUMS, "penalty_n": 0.01, "lipschitz": 16.0, "iterations": 3}
-
-
-@pytest.mark.parametrize(
-    ("changed", "says"),
-    [
+def plain_solver() -> Iterator[Case]:
+    for changed, says in (
         ({"sums_n": SUMS[:-1]}, "sums: .*shape"),
         ({"sums_n": np.float64(0.1)}, "sums: .*float64"),
         ({"sums_n": np.ones(64, np.int64)}, "got int64"),
@@ -115,140 +97,56 @@ FISTA: dict[str, Any] = {"sums_n": SUMS, "penalty_n": 0.01, "lipschitz": 16.0, "
         ({"penalty_n": NAN}, "penalty"),
         ({"iterations": 0}, "at least 1 iteration"),
         ({"iterations": 2.5}, "at least 1 iteration"),
-    ],
-)
-def test_plain_solver(changed: dict[str, Any], says: str) -> None:
-    one_line(lambda: fista(PHI, PSI, **{**FISTA, **changed}), says)
-
-
-@pytest.mark.parametrize("value", [0.0, -16.0, NAN, INF])
-def test_steps(value: float) -> None:
-    one_line(lambda: fista(PHI, PSI, **{**FISTA, "lipschitz": value}), "L needs a number above 0")
-
-
-def test_other_functions_of_the_plain_solvers() -> None:
-    wide = wavelet_basis("haar-tensor", 16, 32)
-    for call in (
-        lambda: fista(PHI, wide, **FISTA),
-        lambda: largest_eigenvalue(PHI, wide),
-        lambda: objective(PHI, wide, SUMS, np.zeros((16, 32)), 0.01),
+        *(({"lipschitz": value}, "L needs a number above 0") for value in (0.0, -16.0, NAN, INF)),
     ):
-        one_line(call, "256 taxels but the image of Ψ has 512")
-    one_line(lambda: objective(PHI, PSI, SUMS, np.zeros(256), 0.01), "start: .*shape")
+        yield partial(fista, PHI, PSI, **{**FISTA, **changed}), says
+    for call in (
+        partial(fista, PHI, WIDE, **FISTA),
+        partial(largest_eigenvalue, PHI, WIDE),
+        partial(objective, PHI, WIDE, SUMS, np.zeros((16, 32)), 0.01),
+    ):
+        yield call, "256 taxels but the image of Ψ has 512"
+    yield partial(objective, PHI, PSI, SUMS, np.zeros(256), 0.01), "start: .*shape"
 
 
-def settings(prior: str = "haar-tensor", **changed: Any) -> SolverSettings:
-    return SolverSettings(**{"prior": prior, "iterations": 3, "penalty_n": 0.01, **changed})
-
-
-SOLVERS: dict[str, tuple[Callable[..., Any], tuple[int, ...]]] = {
-    "haar": (lambda **o: HaarSolver(PHI, 16, 16, settings("haar-pyramid"), **o), (64,)),
-    "variation": (lambda **o: VariationSolver(PHI, 16, 16, settings("variation"), **o), (64,)),
-    "contourlet": (lambda **o: ContourletSolver(PHI, 16, 16, settings("contourlet"), **o), (64,)),
-    "wavelets": (lambda **o: WaveletSolver(PHI, 16, 16, settings(), **o), (64,)),
-}
-
-
-@pytest.mark.parametrize(
-    ("changed", "says"),
-    [
+def of_settings() -> Iterator[Case]:
+    for changed, says in (
         ({"iterations": 0}, "at least 1 iteration"),
         ({"iterations": 1.5}, "at least 1 iteration"),
         ({"iterations": 10**9}, "at most 100000 iterations"),
-        ({"penalty_n": -1e-9}, "penalty"),
-        ({"penalty_n": NAN}, "penalty"),
-        ({"penalty_n": INF}, "penalty"),
+        *(({"penalty_n": value}, "penalty") for value in (-1e-9, NAN, INF)),
         ({"lipschitz_ratio": 0.99}, "diverges"),
         ({"lipschitz_ratio": NAN}, "diverges"),
         ({"prior": "fourier"}, "unknown basis 'fourier': expected an orthogonal wavelet"),
         ({"prior": "sym4"}, "expected the full name 'sym4-pyramid'"),
-        ({"spins": 0}, "1 to 64 spins"),
-        ({"spins": 65}, "1 to 64 spins"),
-        ({"spins": 2.0}, "1 to 64 spins"),
+        *(({"spins": value}, "1 to 64 spins") for value in (0, 65, 2.0)),
         ({"prior": "variation", "spins": 2}, "no wavelet basis to shift"),
         ({"prior": "contourlet", "spins": 2}, "no wavelet basis to shift"),
         ({"prior": "contourlet", "nonnegative": True}, "neither nonnegative nor scaled_start"),
         ({"prior": "contourlet", "scaled_start": True}, "neither nonnegative nor scaled_start"),
-    ],
-)
-def test_settings_of_solvers(changed: dict[str, Any], says: str) -> None:
-    one_line(lambda: settings(**changed), says)
-
-
-@pytest.mark.parametrize("kind", SOLVERS)
-@pytest.mark.parametrize("dtype", [np.int32, np.float16, "single precision"])
-def test_dtypes_of_solvers(kind: str, dtype: Any) -> None:
-    name = dtype if isinstance(dtype, str) else np.dtype(dtype).name
-    one_line(lambda: SOLVERS[kind][0](dtype=dtype), f"float32 or float64, got {name}")
-
-
-@pytest.mark.parametrize(
-    ("solver", "refused", "says"),
-    [
-        (HaarSolver, settings("contourlet"), "expected one of haar-pyramid, haar-tensor, got 'contourlet'"),
-        (ContourletSolver, settings("variation"), "expected the prior 'contourlet', got 'variation'"),
-    ],
-)
-def test_solvers_refuse_settings_of_others(solver: Any, refused: SolverSettings, says: str) -> None:
-    one_line(lambda: solver(PHI, 16, 16, refused), says)
-
-
-def test_compiled_solvers_take_an_sbhe_alone() -> None:
-    for make in (
+    ):
+        yield partial(settings, **changed), says
+    for make in SOLVERS.values():
+        for dtype, name in ((np.int32, "int32"), (np.float16, "float16"), ("single precision", "single precision")):
+            yield partial(make, dtype=dtype), f"float32 or float64, got {name}"
+    yield lambda: HaarSolver(PHI, 16, 16, settings("contourlet")), "expected one of haar-pyramid, haar-tensor, got 'con"
+    yield lambda: ContourletSolver(PHI, 16, 16, settings("variation")), "the prior 'contourlet', got 'variation'"
+    for call in (
         lambda: HaarSolver(OTHER, 16, 16, settings()),
         lambda: ContourletSolver(OTHER, 16, 16, settings("contourlet")),
         lambda: WaveletSolver(OTHER, 16, 16, settings()),
         lambda: Reconstructor(OTHER, 16, 16),
     ):
-        one_line(make, "needs an SBHE, got SimpleNamespace")
+        yield call, "needs an SBHE, got SimpleNamespace"
 
 
-@pytest.mark.parametrize("kind", SOLVERS)
-@pytest.mark.parametrize(
-    ("place", "spoil", "says"),
-    [
-        (0, lambda x: x[:-1], "estimate: .*shape"),
-        (0, lambda x: x.astype(np.float32), "estimate: .*float32"),
-        (0, lambda x: np.repeat(x, 2, axis=-1)[..., ::2], "estimate: expected contiguous, writeable"),
-        (0, lambda x: np.broadcast_to(x, x.shape), "estimate: expected contiguous, writeable"),
-        (1, lambda x: x[..., :-1], "sums: .*shape"),
-        (1, lambda x: x.astype(np.float32), "sums: .*float32"),
-        (1, lambda x: spoilt(x, NAN), "sums of at most 1e6 N"),
-        (1, lambda x: spoilt(x, 1e30), "sums of at most 1e6 N"),
-        (2, lambda x: x[..., :-1], "weights: .*shape"),
-        (2, lambda x: x > 0, "weights: .*bool"),
-        (2, lambda x: spoilt(x, 1.5), "weights of 0 to 1"),
-        (2, lambda x: spoilt(x, -0.1), "weights of 0 to 1"),
-    ],
-)
-def test_arrays_of_solvers(kind: str, place: int, spoil: Callable[[np.ndarray], Any], says: str) -> None:
-    make, shape = SOLVERS[kind]
-    solver = make(dtype=np.float64)
-    rng = np.random.default_rng(0)
-    given = [solver.new_estimate(), rng.normal(0, 0.02, shape), np.ones(shape)]
-    solver.solve(*given)
-    before = given[0].copy()
-    wrong = [*given]
-    wrong[place] = spoil(given[place])
-    one_line(lambda: solver.solve(*wrong), says)
-    np.testing.assert_array_equal(given[0], before)
-    one_line(lambda: solver.deliver(before[:-1]), "estimate: .*shape")
-    one_line(lambda: solver.solve(*given, relative_penalty=-1), "relative penalty")
-    one_line(lambda: solver.solve(*given, relative_penalty=NAN), "relative penalty")
-
-
-def test_images_and_coefficients_of_compiled_solvers() -> None:
-    haar = HaarSolver(PHI, 16, 16, settings())
-    contourlet = ContourletSolver(PHI, 16, 16, settings("contourlet"))
-    one_line(lambda: haar.blocks_of(np.zeros(256)), "image: .*shape")
-    one_line(lambda: haar.image_of(np.zeros(255)), "estimate: .*shape")
-    one_line(lambda: contourlet.estimate_of(np.zeros(256)), "coefficients: .*shape")
-    one_line(lambda: contourlet.coefficients_of(np.zeros(256)), "estimate: .*shape")
-
-
-@pytest.mark.parametrize(
-    ("sums", "valid", "says"),
-    [
+def images() -> Iterator[Case]:
+    haar, contourlet = HaarSolver(PHI, 16, 16, settings()), ContourletSolver(PHI, 16, 16, settings("contourlet"))
+    yield partial(haar.blocks_of, np.zeros(256)), "image: .*shape"
+    yield partial(haar.image_of, np.zeros(255)), "estimate: .*shape"
+    yield partial(contourlet.estimate_of, np.zeros(256)), "coefficients: .*shape"
+    yield partial(contourlet.coefficients_of, np.zeros(256)), "estimate: .*shape"
+    for sums, valid, says in (
         (SUMS[:-1], ONES > 0, "64 sums"),
         (SUMS, ONES[:-1] > 0, "64 sums"),
         (SUMS[None], ONES > 0, "64 sums"),
@@ -257,10 +155,43 @@ def test_images_and_coefficients_of_compiled_solvers() -> None:
         (SUMS.astype(np.complex64), ONES > 0, "got complex64"),
         (spoilt(SUMS, NAN), ONES > 0, "not finite"),
         (spoilt(SUMS, -1e300), ONES > 0, "above 1e6"),
-    ],
-)
-def test_reconstructor(sums: np.ndarray, valid: np.ndarray, says: str) -> None:
-    one_line(lambda: Reconstructor(PHI, 16, 16).solve(sums, valid), says)
+    ):
+        yield partial(Reconstructor(PHI, 16, 16).solve, sums, valid), says  # type: ignore[arg-type]  # wrong on purpose
+
+
+@pytest.mark.parametrize("cases", [operators, bases, plain_solver, of_settings, images])
+def test_what_cannot_be_computed_is_refused_in_one_line(cases: Callable[[], Iterator[Case]]) -> None:
+    for call, says in cases():
+        one_line(call, says)
+
+
+@pytest.mark.parametrize("kind", SOLVERS)
+def test_a_solver_that_refuses_arrays_leaves_the_estimate(kind: str) -> None:
+    solver = SOLVERS[kind](dtype=np.float64)
+    given = [solver.new_estimate(), SUMS, ONES]
+    solver.solve(*given)
+    before = given[0].copy()
+    for place, spoil, says in (
+        (0, lambda x: x[:-1], "estimate: .*shape"),
+        (0, lambda x: x.astype(np.float32), "estimate: .*float32"),
+        (0, lambda x: np.repeat(x, 2, axis=-1)[..., ::2], "estimate: expected contiguous, writeable"),
+        (0, lambda x: np.broadcast_to(x, x.shape), "estimate: expected contiguous, writeable"),
+        (1, lambda x: x[:-1], "sums: .*shape"),
+        (1, lambda x: x.astype(np.float32), "sums: .*float32"),
+        (1, lambda x: spoilt(x, NAN), "sums of at most 1e6 N"),
+        (1, lambda x: spoilt(x, 1e30), "sums of at most 1e6 N"),
+        (2, lambda x: x[:-1], "weights: .*shape"),
+        (2, lambda x: x > 0, "weights: .*bool"),
+        (2, lambda x: spoilt(x, 1.5), "weights of 0 to 1"),
+        (2, lambda x: spoilt(x, -0.1), "weights of 0 to 1"),
+    ):
+        wrong = [*given]
+        wrong[place] = spoil(given[place])
+        one_line(partial(solver.solve, *wrong), says)
+    for value in (-1, NAN):
+        one_line(partial(solver.solve, *given, relative_penalty=value), "relative penalty")
+    np.testing.assert_array_equal(given[0], before)
+    one_line(partial(solver.deliver, before[:-1]), "estimate: .*shape")
 
 
 def test_sums_that_did_not_come_may_hold_anything() -> None:

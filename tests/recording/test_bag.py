@@ -8,10 +8,8 @@ from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosReliability
 
-from canskin.errors import InputError, RunError
-from dbc.contract import Contract
+from canskin.errors import InputError
 from recording.export_command import export
-from recording.sinks import McapSink
 from tests.documents import block
 from tests.recording.helpers import COUNT, OFFSET_NS, SET_NS, pixels
 from tests.views.ros2 import reader
@@ -92,10 +90,3 @@ def test_other_libraries_read_the_mcap(bag: Path) -> None:
 def test_a_bag_that_is_there_already_is_not_touched(run: Path, bag: Path) -> None:
     with pytest.raises(InputError, match="is there already"):
         export(run, to="ros2", out=bag)
-
-
-def test_frames_alone_make_no_bag(tmp_path: Path, contract: Contract, out: Path) -> None:
-    McapSink(out, contract, 1, OFFSET_NS).close()
-    with pytest.raises(RunError, match="holds no messages"):
-        export(out, to="ros2", out=tmp_path / "bag")
-    assert list(tmp_path.iterdir()) == [out]

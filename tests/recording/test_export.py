@@ -1,6 +1,7 @@
 """Recordings as arrays: every format holds the same."""
 
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -111,7 +112,18 @@ def test_messages_that_no_array_of_the_layout_holds_are_refused(
         read_tables(out, contract.layout, pytest.fail)
 
 
-def test_frames_alone_are_no_arrays(contract: Contract, out: Path) -> None:
+@pytest.mark.parametrize(
+    ("to", "says"),
+    [
+        ("npz", "skin replay --out"),
+        ("ros2", "holds no messages"),
+        ("video", "holds no images"),
+        ("rerun", "holds no images"),
+        ("foxglove", "holds no images"),
+    ],
+)
+def test_frames_alone_leave_no_file(contract: Contract, out: Path, to: Any, says: str) -> None:
     McapSink(out, contract, 1, OFFSET_NS).close()
-    with pytest.raises(RunError, match="skin replay --out"):
-        export(out)
+    with pytest.raises(RunError, match=says):
+        export(out, to=to)
+    assert list(out.parent.iterdir()) == [out]

@@ -10,17 +10,15 @@ import msgspec
 import numpy as np
 import pytest
 
-from canskin.errors import InputError, LayoutError, RunError
+from canskin.errors import InputError, RunError
 from canskin.messages import IMAGE, MEASUREMENT, Image
 from dbc.contract import Contract
 from reconstructor.engine import Reconstructor
 from reconstructor.imaging import make_imager
 from reconstructor.options import SolverOptions
 from reconstructor.service import ReconstructorService
-from recording import sinks
 from recording.replay_command import replay
 from recording.sinks import McapSink
-from skin.layout import layout_text
 from tests.gateway.boards import small_stepped
 from tests.layouts import buses, layout_toml
 from tests.messages import measurement, stepped_measurement
@@ -185,19 +183,6 @@ def test_logs_of_before_the_counter_are_refused_with_one_line(
     assert str(refused.value).endswith("ogs of before the counter in each frame cannot be used any more")
     assert "\n" not in str(refused.value)
     assert not out.exists()
-
-
-def test_a_recording_of_before_the_counter_is_refused_with_one_line(
-    contract: Contract, tmp_path: Path, out: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    old = layout_text(contract.layout).replace("[sync]\n", '[sync]\nidentity = "window"\n')
-    with monkeypatch.context() as patch:
-        patch.setattr(sinks, "layout_text", lambda _: old)
-        McapSink(path := tmp_path / "run.mcap", contract, 1, OFFSET_NS).close()
-    with pytest.raises(LayoutError, match="the key `identity` went") as refused:
-        replay(path, out=out)
-    assert "logs and recordings of before cannot be used any more" in str(refused.value)
-    assert "\n" not in str(refused.value)
 
 
 def test_what_cannot_be_used_is_named(

@@ -61,19 +61,9 @@ def test_replayed_images_have_the_numbers_and_times_of_the_export(run: Path) -> 
         assert str(made["recording"]) == recording_id(run)
 
 
-def test_bag_and_views_stamp_as_the_arrays(run: Path) -> None:
+def test_views_stamp_as_the_arrays(run: Path) -> None:
     wall = recorded_wall_times(run)
     assert [wall.time_ns(10 * cycle) for cycle in range(1, COUNT + 1)] == TIMES_NS
-    from rosbags.highlevel import AnyReader
-
-    export(run, to="ros2", out=run.with_name("bag"))
-    with AnyReader([run.with_name("bag")]) as bag:
-        stamps = [
-            bag.deserialize(data, each.msgtype).header.stamp
-            for each, _, data in bag.messages()
-            if each.topic == "/small/image"
-        ]
-    assert [stamp.sec * 10**9 + stamp.nanosec for stamp in stamps] == TIMES_NS
 
 
 class Silent:
@@ -98,12 +88,9 @@ def test_two_replays_are_equal_files(run: Path, contract: Contract, tmp_path: Pa
         ([{}, {}], "equal"),
         (
             [{"forces (N)": 2e-3}, {}, {"forces (N)": 4e-3}, *[{}] * 3],
-            "equal but for the start, the first 3: forces (N) by up to 0.004",
+            "different up to number 3: forces (N) by up to 0.004",
         ),
-        ([{"label": 0.0}] * 30 + [{}] * 10, "equal but for the start, the first 30: label"),
-        ([{"label": 0.0}] * 30 + [{}] * 9, "different: label; at the end equal"),
-        ([{}] * 29 + [{"label": 0.0}] + [{}] * 10, "different: label; at the end equal"),
-        ([{}, {"forces (N)": 4e-7}, {"label": 0.0}], "different: forces (N) by up to 4e-07, label; at the end label"),
+        ([{}, {"forces (N)": 4e-7}, {"label": 0.0}], "different up to number 3: forces (N) by up to 4e-07, label"),
         ([None, None], ""),
     ],
 )

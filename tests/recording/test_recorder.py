@@ -4,7 +4,7 @@ import signal
 import threading
 from functools import partial
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import msgspec
 import numpy as np
@@ -23,7 +23,16 @@ from dbc.contract import Contract
 from dbc.frame import Frames
 from dbc.generate import contract_files
 from recording import record_command
-from recording.mcap_file import CALIBRATION_FILE, EVENTS, RECORDER, File, newest_file, read_about, read_entries
+from recording.mcap_file import (
+    CALIBRATION_FILE,
+    EVENTS,
+    LONGEST_MESSAGE,
+    RECORDER,
+    File,
+    newest_file,
+    read_about,
+    read_entries,
+)
 from recording.recorder import MOST_WAITING, Recorder
 from recording.sinks import check_format, open_sink
 from shell.service import StopSignal
@@ -244,7 +253,7 @@ def test_too_many_messages_are_counted(contract: Contract, links: dict[int, Fake
 
 
 @pytest.mark.heavy
-@pytest.mark.parametrize(("label", "marks"), [(["cup"], ["cup"]), (None, [])])
+@pytest.mark.parametrize(("label", "marks"), [("cup", ["cup"]), (None, [])])
 def test_a_label_holds_from_the_start_of_a_recording_and_is_not_what_was_recorded(
     contract: Contract,
     links: dict[int, FakeLink],
@@ -252,7 +261,7 @@ def test_a_label_holds_from_the_start_of_a_recording_and_is_not_what_was_recorde
     layout_file: Path,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
-    label: list[str] | None,
+    label: str | None,
     marks: list[str],
 ) -> None:
     monkeypatch.setattr(record_command, "open_links", lambda *_, **__: links)
@@ -268,33 +277,19 @@ def test_a_label_holds_from_the_start_of_a_recording_and_is_not_what_was_recorde
 
 
 @pytest.mark.parametrize(
-    ("name", "labels", "says"),
+    ("name", "options", "says"),
     [
-        ("run.log", ["cup"], "keeps frames alone"),
-        ("run.mcap", ["cup,ball"], "several labels are set by keys, and there is no terminal"),
-        ("run.mcap", ["a\n"], None),
-        ("run.mcap", ["a\nb"], "expected printable text"),
-        ("run.mcap", [",".join("abcdefghij")], "up to 9 labels, a key for each, got 10"),
+        ("run.log", {"label": "cup"}, "--label: expected a recording that ends in .mcap"),
+        ("run.log", {"frames": False}, "--no-frames: expected a recording that ends in .mcap"),
+        ("run.mcap", {"label": "a\nb"}, "expected printable text"),
     ],
 )
-def test_labels_that_cannot_be_recorded_are_refused(
-    layout_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, labels: list[str], says: str | None
-) -> None:
-    monkeypatch.setattr(record_command, "has_keys", lambda: False)
-    if says is None:
-        assert record_command._labels(labels, tmp_path / name) == ["a"]
-        return
-    with pytest.raises(InputError, match=says):
-        record_command._labels(labels, tmp_path / name)
-
-
-def test_messages_alone_are_no_log_of_frames(
-    layout_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_what_cannot_be_recorded_is_refused(
+    layout_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, options: dict[str, Any], says: str
 ) -> None:
     monkeypatch.setattr(StopSignal, "install", lambda self: self)
-    of = SkinOptions(layout=layout_file, connect=free_endpoint())
-    with pytest.raises(InputError, match="--no-frames: expected a recording that ends in"):
-        record_command.record(tmp_path / "run.log", of=of, frames=False)
+    with pytest.raises(InputError, match=says):
+        record_command.record(tmp_path / name, of=SkinOptions(layout=layout_file), **options)
 
 
 @pytest.mark.parametrize(
@@ -321,3 +316,15 @@ def test_no_thread_waits_for_a_hub_when_the_recorder_ends(
         for number, handler in handlers.items():
             signal.signal(number, handler)
     assert set(threading.enumerate()) <= before
+
+
+def test_a_message_that_no_reader_would_take_is_lost_and_the_file_stays_readable(
+    contract: Contract, links: dict[int, FakeLink], out: Path
+) -> None:
+    run = Run(out, contract, links)
+    run.recorder.take_message(LABEL, bytes(LONGEST_MESSAGE + 1))
+    run.recorder.take_message(LABEL, bytes(LONGEST_MESSAGE))
+    run.turn(0.6)
+    run.sink.close()
+    assert (run.recorder.lost, run.recorder.messages) == (1, 1)
+    assert [len(each.data) for each in read_entries(out, pytest.fail) if each.topic == LABEL.name] == [LONGEST_MESSAGE]

@@ -50,9 +50,7 @@ def test_same_layout_same_phi_and_another_seed_another() -> None:
 @pytest.mark.parametrize(
     ("old", "new", "path"),
     [
-        ("rows = 64", "rows = '64'", "$.taxels.rows"),
         ("rows = 64\ncolumns = 64", "rows = 1\ncolumns = 7", "$.taxels"),
-        ("rows = 64", "rowz = 64", "$.taxels"),
         ("adc_bits = 10", "adc_bits = 17", "$.taxels.adc_bits"),
         ("block_size = 32", "block_size = 33", "$.measurement.block_size"),
         ("sums = 1024", "sums = 1000", "$.measurement.sums"),
@@ -71,27 +69,18 @@ def test_same_layout_same_phi_and_another_seed_another() -> None:
         ("[taxels]", "[taxels]\nhas_thermometers = 1", "$.taxels.has_thermometers"),
         ('sums = 1024\nselection = "balanced"', 'rows = [[0, 1]]\nselection = "uniform"', "$.measurement.selection"),
         ("rate_hz = 200.0", "rate_hz = -1.0", "$.sync.rate_hz"),
-        ("rate_hz = 200.0", "rate_hz = 1e-9", "$.sync.rate_hz"),
         ("force_max_n = 0.02", "force_max_n = 1e308", "$.taxels.force_max_n"),
-        ("force_max_n = 0.02", "force_max_n = 1e-300", "$.taxels.force_max_n"),
-        ("pitch_m = 0.004", "pitch_m = inf", "$.taxels.pitch_m"),
         ("[device]", "[device]\nvendor_id = 4294967296", "$.device.vendor_id"),
-        ("[device]", "[device]\nfirst_serial = 0", "$.device.first_serial"),
         ("[device]", "[device]\nfirst_serial = 4294967295", "$.device.first_serial"),
-        ("sum_bits = 14", "sum_bits = 17", "$.encoding.sum_bits"),
-        ("sum_bits = 14", "sum_bits = 6", "$.encoding.sum_bits"),
         ("turns = 2", "turns = 3", "$.sync.turns"),
         ("jitter_s = 0.0004", "jitter_s = 1.5", "$.device.jitter_s"),
-        ("sum_bits = 14", "sum_bits = 14\noffset_binary = 1", "$.encoding.offset_binary"),
         ("block_size = 32", "block_size = 256", "$.measurement.block_size"),
         ('name = "bus1"', 'name = "bus0"', "$.bus[1].name"),
-        ('name = "bus1"', 'name = "bus1"\nblocks_per_node = 3', "$.bus[1].blocks_per_node"),
         ('name = "bus1"', 'name = "bus1"\nblocks_per_node = 2', "$.bus"),
         ('name = "bus1"', 'name = "bus1"\ndata_bitrate = 5_000_000', "$.bus[1].data_bitrate"),
         ('name = "bus1"', 'name = "bus1"\nfd = true\ndata_bitrate = 500_000', "$.bus[1].data_bitrate"),
         ('name = "bus1"', 'name = "bus1"\nfd = true\ndata_bitrate = 9_000_000', "$.bus[1].data_bitrate"),
         ('name = "bus1"\nnodes = 32', 'name = "bus1"\nnodes = 31', "$.bus"),
-        ('name = "bus1"\nnodes = 32', 'name = "bus1"\nnodes = 300', "$.bus[1].nodes"),
         (
             'name = "bus1"\nnodes = 32\nbitrate = 1_000_000',
             'name = "bus1"\nnodes = 32\nbitrate = 2',
@@ -197,22 +186,6 @@ def test_a_wrong_key_or_value_is_told_the_right_ones(old: str, new: str, says: s
     assert says in str(refused.value)
 
 
-@pytest.mark.parametrize(
-    ("text", "says"),
-    [
-        ("", "the key `bus` is missing"),
-        ("bus = 3", "expected a list, of tables or values, got 3"),
-        ("bus = []", "expected 1 table or more, got 0"),
-        ("bus = [3]", "expected a table, got 3"),
-        ("sync = 3\nbus = []", "expected a table, got 3 - at `$.sync`"),
-    ],
-)
-def test_a_wrong_file_is_told_what_to_write(text: str, says: str) -> None:
-    with pytest.raises(LayoutError) as refused:
-        parse_layout(text.encode(), "x.toml")
-    assert says in str(refused.value)
-
-
 def test_sums_and_buses_follow_the_size_of_the_skin() -> None:
     small = parse_layout(b"[taxels]\nrows = 16\ncolumns = 16\n", "small.toml")
     assert (small.measurement.sums, [(bus.name, bus.nodes) for bus in small.bus]) == (128, [("bus0", 8)])
@@ -254,11 +227,6 @@ def test_samples_between_syncs_are_averaged_and_the_table_survives_writing() -> 
     assert whole.samples_per_sync == 1
 
 
-def test_nodes_do_not_sample_less_often_than_they_send() -> None:
-    with pytest.raises(LayoutError, match=r"or more, got 50 - at `\$.sampling.rate_hz`"):
-        parse_layout(b"[taxels]\n[sampling]\nrate_hz = 50.0\n", "slow.toml")
-
-
 @given(st.integers(1, 40), st.integers(8, 40), st.sampled_from([8, 32, 64]), st.sampled_from(["scattered", "board"]))
 @settings(max_examples=40, deadline=None)
 def test_grids_of_any_size(rows: int, columns: int, block_size: int, wiring: str) -> None:
@@ -282,22 +250,6 @@ def test_a_skin_of_several_patches() -> None:
     assert phi.blocks == 5
     assert phi.empty == 5 * 32 - 132
     assert parse_layout(layout_text(layout).encode(), "again.toml") == layout
-
-
-@pytest.mark.parametrize(
-    ("lines", "says"),
-    [
-        ("shape = ['####', '####', '###']", r"expected 4 signs, got 3 - at `\$.taxels.shape\[2\]`"),
-        ("shape = ['####', '#x##', '####']", r"'#' for a taxel and '.' for a gap, got 'x' - at `\$.taxels.shape\[1\]`"),
-        ("rows = 2\nshape = ['####', '####', '####']", r"expected 2 lines \(`rows`\), got 3"),
-        ("columns = 5\nshape = ['####', '####', '####']", r"expected 5 signs, got 4"),
-        ("shape = ['#...', '####']", r"expected 8 taxels or more, got 5"),
-        ("shape = []", r"expected 64 lines \(`rows`\), got 0"),
-    ],
-)
-def test_shapes_that_cannot_be(lines: str, says: str) -> None:
-    with pytest.raises(LayoutError, match=says):
-        parse_layout(f"[taxels]\n{lines}\n".encode(), "mat.toml")
 
 
 def test_a_board_has_no_gap() -> None:
@@ -326,26 +278,43 @@ def test_the_wiring_does_not_depend_on_the_pitch(name: str) -> None:
     assert np.array_equal(orders[0], orders[2])
 
 
+def shaped(lines: str) -> str:
+    return f"[taxels]\n{lines}\n"
+
+
 @pytest.mark.parametrize(
     ("text", "says"),
     [
+        ("", "the key `bus` is missing"),
+        ("bus = 3", "expected a list, of tables or values, got 3"),
+        ("bus = []", "expected 1 table or more, got 0"),
+        ("bus = [3]", "expected a table, got 3"),
+        ("sync = 3\nbus = []", r"expected a table, got 3 - at `\$\.sync`"),
+        (shaped("[sampling]\nrate_hz = 50.0"), r"or more, got 50 - at `\$\.sampling\.rate_hz`"),
+        (shaped("shape = ['####', '####', '###']"), r"expected 4 signs, got 3 - at `\$\.taxels\.shape\[2\]`"),
         (
-            "[taxels]\npositions = [[0, 0, 0]]",
-            r"x\.toml: expected 8 taxels or more, got 1 - at `\$\.taxels`",
+            shaped("shape = ['####', '#x##', '####']"),
+            r"'#' for a taxel and '\.' for a gap, got 'x' - at `\$\.taxels\.sh",
         ),
+        (shaped("rows = 2\nshape = ['####', '####', '####']"), r"expected 2 lines \(`rows`\), got 3"),
+        (shaped("columns = 5\nshape = ['####', '####', '####']"), "expected 5 signs, got 4"),
+        (shaped("shape = ['#...', '####']"), "expected 8 taxels or more, got 5"),
+        (shaped("shape = []"), r"expected 64 lines \(`rows`\), got 0"),
+        (shaped("positions = [[0, 0, 0]]"), r"expected 8 taxels or more, got 1 - at `\$\.taxels`"),
         (
-            "[taxels]\npositions = [" + ", ".join(f"[{4 * x}, 0, 0]" for x in range(9)) + "]",
-            r"x\.toml: taxels are 4 m apart: .* millimetres.* - at `\$\.taxels\.positions`",
+            shaped(f"positions = {[[4 * x, 0, 0] for x in range(9)]}"),
+            r"4 m apart: .* millimetres.* - at `\$\.taxels\.po",
         ),
-        ("[taxels]\nshape = ['####....'" + ", '########'" * 3 + "]\nuntouchable = [4]", None),
     ],
 )
-def test_wrong_skins_name_their_file_and_key(text: str, says: str | None) -> None:
-    if says is None:
-        assert parse_layout(text.encode(), "x.toml").taxels.untouchable == (4,)
-        return
-    with pytest.raises(LayoutError, match=says):
+def test_a_wrong_text_names_its_file_and_key(text: str, says: str) -> None:
+    with pytest.raises(LayoutError, match=rf"x\.toml: .*{says}"):
         parse_layout(text.encode(), "x.toml")
+
+
+def test_a_taxel_before_a_gap_can_be_untouchable() -> None:
+    text = shaped("shape = ['####....'" + ", '########'" * 3 + "]\nuntouchable = [4]")
+    assert parse_layout(text.encode(), "x.toml").taxels.untouchable == (4,)
 
 
 def test_numbers_of_taxels_and_empty_places_fit_16_bits() -> None:

@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 from ruamel.yaml import YAML
 
+from canskin.roles import ROLES
 from canskin.session import UNIX
 from tests.layouts import slow_layout
 from tests.processes import PATIENCE_S, Processes, free_port
@@ -24,7 +25,7 @@ from tests.readonly import Confined, give_compiled, not_here
 from tests.system.helpers import first_image
 
 ROOT = Path(__file__).parents[2]
-COMPOSE = ROOT / "docker-compose.yml"
+COMPOSE, WITH_KEYS = ROOT / "docker-compose.yml", ROOT / "docker-compose.keys.yml"
 IN_ORDER_OF_THE_DATA = ["bus", "nodes", "gateway", "reconstructor", "classifier", "viewer"]
 SETTINGS = dict(line.split("=", 1) for line in (ROOT / ".env").read_text().splitlines() if not line.startswith("#"))
 Service = dict[str, Any]
@@ -46,8 +47,9 @@ def of_profile(services: dict[str, Service], profile: str) -> dict[str, Service]
 
 
 @pytest.mark.heavy
-def test_the_file_is_valid_by_the_compose_specification() -> None:
-    command = [sys.executable, "-m", "check_jsonschema", "--builtin-schema", "vendor.compose-spec", str(COMPOSE)]
+def test_the_files_are_valid_by_the_compose_specification() -> None:
+    files = [str(COMPOSE), str(WITH_KEYS)]
+    command = [sys.executable, "-m", "check_jsonschema", "--builtin-schema", "vendor.compose-spec", *files]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
 
@@ -77,6 +79,16 @@ def test_an_interface_without_a_name_is_refused_by_compose(services: dict[str, S
     assert len(uses) == 2
     assert all("-c ${SKIN_CAN:?" in each for each in uses)
     assert SETTINGS["SKIN_CAN"]
+
+
+def test_with_keys_every_service_of_a_robot_has_those_of_a_role(services: dict[str, Service]) -> None:
+    changed: dict[str, Service] = YAML(typ="safe").load(WITH_KEYS)["services"]
+    assert set(changed) == {"hub-can", *of_profile(services, "vcan")}
+    folders = {Path(service["environment"]["SKIN_KEYS"]) for service in changed.values()}
+    assert len(folders) == len(changed)
+    assert {folder.name for folder in folders} <= {"hub", *ROLES}
+    listening = services["gateway-can"]["command"].replace("--listen", "--connect")
+    assert changed["gateway-can"]["command"] == listening
 
 
 def test_every_setting_is_used(services: dict[str, Service]) -> None:

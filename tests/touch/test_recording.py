@@ -88,48 +88,6 @@ def test_every_unit_and_type_comes_back(tmp_path: Path, dtype: str, force_max_n:
             np.testing.assert_array_equal(placed(source, step), counts[step])
 
 
-def csv_text(delimiter: str = ",", header: str = "", *, times: bool = False) -> str:
-    lines = [delimiter.join(str(value) for value in frame.ravel()) for frame in COUNTS]
-    if times:
-        lines = [f"0.{step}{delimiter}{line}" for step, line in enumerate(lines)]
-    return header + "\n".join(lines) + "\n"
-
-
-NAMES = ",".join(f"taxel {number}" for number in range(24))
-CSV = {
-    "of the skin's size": (csv_text(), (6, 4)),
-    "with a shape": ("# a mat\n# shape: 6 4\n" + csv_text(), (8, 8)),
-    "with a header": (csv_text(header=NAMES + "\n"), (6, 4)),
-    "of a spreadsheet": ("\ufeff" + csv_text(";", header=NAMES.replace(",", ";") + "\n"), (6, 4)),
-    "with tabs": (csv_text("\t"), (6, 4)),
-    "with decimal commas": (csv_text(";").replace(";", ",0;"), (6, 4)),
-    "with times": (csv_text(times=True), (6, 4)),
-    "with times and a header": (csv_text(header=f"time_s,{NAMES}\n", times=True), (6, 4)),
-    "with a header, a comment and decimal commas": (
-        f"Time (s);{NAMES.replace(',', ';')}\n# shape: 6x4\n" + csv_text(";", times=True).replace("0.", "0,"),
-        (8, 8),
-    ),
-}
-
-
-@pytest.mark.parametrize("case", CSV)
-def test_csv_files_of_other_programs_are_read(tmp_path: Path, case: str) -> None:
-    text, skin_shape = CSV[case]
-    path = tmp_path / "mat.csv"
-    path.write_text(text, "utf-8")
-    source = recording(path, *skin_shape)
-    row, column = source.corner
-    for step in range(5):
-        found = placed(source, step)[row : row + 6, column : column + 4]
-        np.testing.assert_allclose(found, COUNTS[step], rtol=1e-6)
-
-
-def test_a_csv_of_another_size_is_told_how_to_say_its_shape(tmp_path: Path) -> None:
-    (tmp_path / "bare.csv").write_text(csv_text())
-    with pytest.raises(InputError, match=r"24 values per line: expected 8 x 8 = 64; write the line '# shape: ROWS COL"):
-        recording(tmp_path / "bare.csv", 8, 8)
-
-
 def test_a_recording_smaller_than_the_skin_is_said(pair: Path, capsys: pytest.CaptureFixture[str]) -> None:
     recording(pair, 9, 8, arrays="left")
     assert "6 x 4 taxels of pair.npz lie in the middle of a skin of 9 x 8" in capsys.readouterr().err
@@ -173,25 +131,6 @@ def test_arrays_that_are_no_touch_are_refused(tmp_path: Path, case: str) -> None
         with pytest.raises(InputError, match=message) as refused:
             recording(tmp_path / name, 8, 8)
         assert "\n" not in str(refused.value)
-
-
-BAD_CSV = {
-    "words": ("1,2\n3,four\n", "line 2, value 2 is 'four': expected a number"),
-    "ragged": ("1,2\n3\n", "line 2 has 1 values: expected 2"),
-    "empty": ("# shape: 1 2\n\n", "holds no frame"),
-    "nan": ("1,nan\n", "NaN or infinity"),
-    "negative": ("1,-2\n", "expected forces of 0 or more"),
-    "not text": ("1,2\n\udcff\n", "cannot be read as .csv"),
-}
-
-
-@pytest.mark.parametrize("case", BAD_CSV)
-def test_csv_files_that_are_no_touch_are_refused(tmp_path: Path, case: str) -> None:
-    text, message = BAD_CSV[case]
-    path = tmp_path / "bad.csv"
-    path.write_bytes(text.encode("utf-8", "surrogateescape"))
-    with pytest.raises(InputError, match=message):
-        recording(path, 1, 2)
 
 
 BAD_CALLS: dict[str, tuple[Callable[[Path], Any], str]] = {
@@ -267,8 +206,6 @@ def zipped() -> bytes:
         [
             (".npy", npy(COUNTS)),
             (".npz", zipped()),
-            (".csv", b"# shape: 1 2\n1,2\n3,4\n"),
-            (".csv", b"time;a;b\n# shape: 1 2\n0,1;1;2\n0,2;3;4\n"),
         ]
     ),
     st.lists(st.tuples(st.integers(0, 2000), st.integers(0, 255)), min_size=1, max_size=8),

@@ -4,18 +4,13 @@ from inspect import signature
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from canskin.errors import InputError
-from classifier.settling import Decision
-from evaluation.recognition import classification, methods_compared, sixteen
-from evaluation.recognition.accuracy import measure_accuracy, measure_stepped
+from evaluation.recognition import beyond, classification
+from evaluation.recognition.accuracy import measure_accuracy, measure_chosen, measure_stepped
 from evaluation.recognition.live import measure_live
-from evaluation.recognition.methods import METHODS, measure_method
-from evaluation.recognition.sixteen import measure_sixteen, skin_of
 from evaluation.result import Options
-from skin.phi import Sbhe
 from touch.classification_poses import CLASSIFICATION_OBJECTS
 
 SHARES = {"development": 0.4, "validation": 0.2, "meshes": None, "seed": 0}
@@ -43,16 +38,9 @@ def test_inner_products_give_what_the_signal_itself_gives(monkeypatch: pytest.Mo
 
 
 @pytest.mark.slow
-def test_chosen_rows_and_estimated_sums_beat_the_plain_ways() -> None:
-    common = {"draw": 0, "splits": [0], "meshes": None, "seed": 0}
-    chosen = measure_method(method="rows chosen", size=16, **common)  # type: ignore[arg-type]
-    assert chosen["accuracy"][0] >= 0.95 > chosen["plain"][0]
-    estimated = measure_method(method="10 % missing: estimated", size=64, **common)  # type: ignore[arg-type]
-    assert estimated["accuracy"][0] >= estimated["plain"][0] - 0.02
-    zero = measure_method(method="10 % missing: as 0", size=64, **common)  # type: ignore[arg-type]
-    assert zero["accuracy"][0] < estimated["accuracy"][0]
-    with pytest.raises(KeyError):
-        measure_method(method="guessing", size=16, **common)  # type: ignore[arg-type]
+def test_chosen_rows_beat_drawn_ones() -> None:
+    found = measure_chosen(size=16, draw=0, splits=[0], meshes=None, seed=0)
+    assert found["accuracy"][0] >= 0.95 > found["plain"][0]
 
 
 @pytest.mark.slow
@@ -65,12 +53,11 @@ def test_stepped_sums_are_no_worse_than_16_chosen_sums() -> None:
 @pytest.mark.slow
 def test_quick_subjects_have_rows_of_the_same_keys_and_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
     # What cells measure is tested above, and the live service with the classifier: here, one stands in for all of them.
-    monkeypatch.setattr(methods_compared, "measure_live", _live)
-    monkeypatch.setattr(methods_compared, "measure_sixteen", _sixteen)
-    monkeypatch.setattr(methods_compared, "measure_method", _method)
-    monkeypatch.setattr(methods_compared, "measure_stepped", _stepped)
+    monkeypatch.setattr(beyond, "measure_live", _live)
+    monkeypatch.setattr(beyond, "measure_chosen", _chosen)
+    monkeypatch.setattr(beyond, "measure_stepped", _stepped)
     monkeypatch.setattr(classification, "measure_accuracy", _accuracy)
-    both = [subject.evaluate(Options(quick=True)) for subject in (classification, methods_compared)]
+    both = [subject.evaluate(Options(quick=True)) for subject in (classification, beyond)]
     for found in both:
         assert len({tuple(row) for row in found.rows}) == 1
         for picture in found.pictures:
@@ -80,54 +67,14 @@ def test_quick_subjects_have_rows_of_the_same_keys_and_pictures(monkeypatch: pyt
     assert named["volleyball called basketball"]["ours"] == pytest.approx(100 / 16)
 
 
-def test_live_rows_of_the_sixteen_have_every_share_and_our_shapes(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name, answer in (("measure_live", _live), ("measure_sixteen", _sixteen), ("measure_stepped", _stepped)):
-        monkeypatch.setattr(methods_compared, name, answer)
-    monkeypatch.setattr(methods_compared, "measure_method", _method)
-    found = {row["what"]: row["ours"] for row in methods_compared.evaluate(Options(quick=True)).rows}
-    named = "live, our shapes of the paper's 16, press, samples a cycle 1"
-    shares = {"right, pressed in fully": 95, "right, all cycles": 90, "called unknown": 2, "called no contact": 8}
-    assert {what.removeprefix(f"{named}: "): ours for what, ours in found.items() if what.startswith(named)} == shares
-
-
-def _sixteen(**cell: object) -> dict[str, Any]:
-    signature(measure_sixteen).bind(**cell)
-    return {"right": 0.9, "held": 0.95, "unknown": 0.02, "empty": 0.08}
-
-
-@pytest.mark.slow
-def test_the_sixteen_pressed_as_in_the_paper_are_recognised_live() -> None:
-    found = measure_sixteen(stroke="press", sums=64, samples=1, draw=0, touches=16, per_object=100, seed=0)
-    assert 0.8 < found["right"] < found["held"]
-
-
-def test_blocks_without_sums_are_never_valid_live(monkeypatch: pytest.MonkeyPatch) -> None:
-    class Watching:
-        def __init__(self, _model: str, phi: Sbhe) -> None:
-            self._phi = phi
-
-        def decide(self, sums: npt.NDArray[np.int32], valid: npt.NDArray[np.bool_], _cycle: int) -> Decision:
-            assert sums.shape == (16,)
-            assert valid.tolist() == self._phi.has_sums.tolist()
-            return Decision("cup", 1.0)
-
-    monkeypatch.setattr(sixteen, "Classifier", Watching)
-    monkeypatch.setattr(sixteen, "train", lambda *_, **__: "a model")
-    monkeypatch.setattr(sixteen, "load_touches", lambda *_, **__: (None, None))
-    assert not skin_of(16, 1, 0).phi().has_sums.all()
-    found = measure_sixteen(stroke="press", sums=16, samples=1, draw=0, touches=1, per_object=1, seed=0)
-    assert found == {"right": 0.0, "held": 0.0, "unknown": 0.0, "empty": 0.0}  # a racquetball touches first
-
-
 def _accuracy(**cell: object) -> dict[str, Any]:
     signature(measure_accuracy).bind(**cell)
     objects = len(CLASSIFICATION_OBJECTS)
     return {"accuracy": [0.9], "confusion": np.full((objects, objects), 1 / objects).tolist()}
 
 
-def _method(**cell: object) -> dict[str, list[float]]:
-    signature(measure_method).bind(**cell)
-    assert cell["method"] in METHODS
+def _chosen(**cell: object) -> dict[str, list[float]]:
+    signature(measure_chosen).bind(**cell)
     return {"accuracy": [0.9], "plain": [0.8]}
 
 

@@ -5,7 +5,7 @@ import pytest
 from canskin.errors import InputError
 from evaluation.command import rivals
 from evaluation.result import Options, Result, Row
-from evaluation.schemes.comparison import DIGITS, means_of, wins_and_losses
+from evaluation.schemes.comparison import DIGITS, means_of
 from evaluation.schemes.comparison import evaluate as evaluate_schemes
 from evaluation.schemes.scenes import SLAP, SLIDES
 from evaluation.schemes.schemes import BEST_SCAN, COARSE_ARRAY, RAW_SCAN, default_kbit_per_s
@@ -62,13 +62,7 @@ def test_no_drawn_scene_is_refused() -> None:
         rivals(scenes=0, scene_seed=3)
 
 
-@pytest.mark.slow
-def test_every_touch_has_its_verdict(compared: Result) -> None:
-    assert len(compared.note.splitlines()) == 2 + 2 * len({row["touch"] for row in compared.rows})
-    assert len({tuple(row) for row in compared.rows}) == 1
-
-
-def test_slides_have_a_row_of_means_and_losses_are_named_as_plainly_as_wins() -> None:
+def test_slides_have_a_row_of_means() -> None:
     def row(touch: str, scheme: str, psnr_db: float, error_mn: float, kbit_per_s: float) -> Row:
         figures = {"psnr_mean_db": psnr_db, "touched_error_mn": error_mn, "kbit_per_s": kbit_per_s}
         return (
@@ -84,13 +78,3 @@ def test_slides_have_a_row_of_means_and_losses_are_named_as_plainly_as_wins() ->
     assert together["rate_hz"] == 40
     assert (together["psnr_spread_db"], together["receiver"]) == (1.4, "plain")
     assert not means_of(rows[:4], SLIDES, "five slides")
-    rows = [row("ball", "steps", 50, 0.3, 100), row("ball", "scan", 40, 0.8, 3000)]
-    rows += [row("ball", "events", 45, 0.9, 200)]
-    rows += [row("box", "steps", 50, 0.3, 100), row("box", "scan", 51, 0.2, 3000)]
-    rows += [row("box", "sums", 52, 0.1, 3050)]
-    rows += [row("cup", "steps", 50, 0.3, 100), row("cup", "events", 45, 0.9, 98)]
-    _, first, second, more, _, third = wins_and_losses(rows).splitlines()
-    assert first == "win: ball: +5.0 dB to events; touched 0.30 mN, 0.80 scan; 100 kbit/s, 200 events"
-    assert second.startswith("LOSS in PSNR, touched error: box: -2.0 dB to sums")
-    assert more.startswith("LOSS in bits: cup: +5.0 dB to events")  # only of schemes with a rate 98 are as many as 100
-    assert third.startswith("win: box: +1.0 dB to scan")  # 3050 kbit/s are as many as 3000

@@ -13,7 +13,7 @@ import pytest
 
 from commissioning.program_update import ProgramUpdate
 from dbc import indices as od
-from dbc.canopen import Abort, NmtCommand
+from dbc.canopen import Abort
 from dbc.dictionary import REVISION
 from dbc.eds import eds, node_types
 from dbc.frame import Frames, frames
@@ -307,14 +307,6 @@ def test_a_board_gives_up_a_block_download_that_its_master_left() -> None:
     bench.waiting = bench.boards.pass_time(bench.now_s + 2)
     aborts = [bytes(each["data"][:8]) for each in bench.waiting if each["can_id"] == 0x581]
     assert aborts == [b"\x80\x50\x1f\x01" + Abort.TIMEOUT.to_bytes(4, "little")]
-    assert bench.running == OLD
-
-
-def test_a_reset_ends_a_block_download() -> None:
-    bench = Bench()
-    bench.passes = lambda number, data: data if number <= 40 else None
-    bench.update(NEW, until=lambda: bench.requests > 40)
-    bench.boards.take(frame(0, bytes((NmtCommand.RESET_COMMUNICATION, 1))), bench.now_s)
     assert bench.running == OLD
 
 

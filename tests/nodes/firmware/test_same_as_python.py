@@ -9,6 +9,7 @@ import pytest
 
 from dbc import indices as od
 from dbc.canopen import NMT_COB_ID, SDO_REQUEST_BASE, SYNC_COB_ID, NmtCommand
+from dbc.codec import decode
 from dbc.contract import Contract, NodeContract
 from dbc.dictionary import dictionary
 from nodes.electronics import Calibration
@@ -108,10 +109,11 @@ EXTREMES = np.array([0, -0.0, 1, -1, 3e38, -3e38, 1e-45, 0.5, 1023.5, 1 / 3], np
 
 
 def test_many_random_taxels_with_gains_and_offsets() -> None:
-    contract = small_contract()
-    boards = Firmware(contract, contract.nodes).boards(0)
+    contract = small_contract(encoding={"sum_bits": 16})  # exact
+    boards, table = Firmware(contract, contract.nodes).boards(0), contract.table
     boards.power_up(0.0)
-    random = np.random.default_rng(11)
+    boards.take(frame(NMT_COB_ID, b"\x01\x00"), 0.0)
+    random, sent = np.random.default_rng(11), np.zeros(contract.phi.shape[0], np.int32)
     calibration = Calibration(contract.layout.taxels)
     sync = frame(SYNC_COB_ID, b"\x01")
     for batch in range(0, CYCLES, BATCH):
@@ -122,8 +124,9 @@ def test_many_random_taxels_with_gains_and_offsets() -> None:
             corrected = counts.astype(np.float32) * calibration.gain + calibration.offset
         corrected = np.rint(np.clip(corrected, 0, 1023)).astype(np.int32)
         for row, sums in zip(counts, contract.phi.forward(corrected)[:, :16], strict=True):
-            boards.answer(sync, 0.0, row[None])
-            assert np.array_equal(np.concatenate([boards.sums(0, 8), boards.sums(1, 8)]), sums)
+            answer = boards.answer(sync, 0.0, row[None])
+            decode(answer["data"], table.gather[table.row_of[0, answer["can_id"]]], contract.packing, sent)
+            assert np.array_equal(sent[:16], sums)
 
 
 def calibrate(

@@ -23,7 +23,6 @@ from nodes.sending import sending_of, vector_files
 from nodes.steps.vectors import SINCE_SYNC_NS
 from nodes.virtual_boards import VirtualBoards
 from skin.layout import changed, load_layout
-from skin.walsh import grouped_rows
 from tests.bus.harness import frame
 from tests.nodes.firmware.stack import compile_adapter
 from tests.nodes.firmware.stepped_twins import SKINS, contract_of
@@ -85,7 +84,6 @@ def test_gains_and_offsets_of_the_vectors_have_their_signature_in_both_languages
 def test_samples_become_the_frames_of_the_vectors(name: str) -> None:
     contract, vectors = vectors_of(name)
     size = contract.phi.block_size
-    rows = grouped_rows(size).ravel()
     boards = Firmware(contract, contract.nodes[:1]).boards(0)
     idle = vectors["power_up"]["counts"]
     ready = [boards.take_counts(np.array([counts], np.uint16)) for counts in idle]
@@ -108,8 +106,6 @@ def test_samples_become_the_frames_of_the_vectors(name: str) -> None:
             {"cob_id": int(each["can_id"]), "data": each["data"][: each["length"]].tobytes().hex()} for each in burst
         ]
         assert found == sample["frames"], number
-        counts = np.rint(np.float32(sample["sums_n"]) / np.float32(contract.layout.taxels.newton_per_count))
-        assert boards.sums(0, size)[rows].tolist() == counts.tolist()
         held = np.concatenate([held, burst])
         if sample["bus"] != "held":
             held["flags"] |= DISCARDED if sample["bus"] == "lost" else ECHO

@@ -155,16 +155,6 @@ def test_doubtful_contacts_have_another_colour_and_a_question_mark(messages: Mes
     assert len(set(row["Ellipsoids3D:colors"])) == 2
 
 
-def test_frames_alone_leave_no_file(tmp_path: Path, out: Path, contract: Any) -> None:
-    from recording.sinks import McapSink
-
-    McapSink(out, contract, 1, OFFSET_NS).close()
-    for to in ("rerun", "foxglove"):
-        with pytest.raises(RunError, match="holds no images"):
-            export(out, to=to)  # type: ignore[arg-type]
-    assert list(tmp_path.iterdir()) == [out]
-
-
 @pytest.mark.heavy
 def test_a_viewer_that_does_not_answer_is_an_error(messages: Messages) -> None:
     with pytest.raises(RunError, match="unable to connect"):

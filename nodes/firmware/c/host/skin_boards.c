@@ -235,22 +235,6 @@ size_t skin_under_way(const skin_node *nodes, uint32_t boards)
 
 #endif
 
-size_t skin_newest_sums(const skin_node *node, int32_t *sums)
-{
-    const uint16_t count = node->board->type->first_sum[node->board->type->blocks];
-#if SKIN_STEPPED
-    uint16_t sum;
-
-    for (sum = 0; sum < count; sum++) {
-        sums[sum] = skin_filter_sum(&node->steps.filter, node->board, (uint8_t)sum);
-    }
-#else
-
-    memcpy(sums, node->sums, count * sizeof sums[0]);
-#endif
-    return count;
-}
-
 size_t skin_node_bytes(void)
 {
     return sizeof(skin_node);

@@ -45,9 +45,6 @@ size_t skin_under_way(const skin_node *nodes, uint32_t boards);
 /* Do what is due by time. */
 size_t skin_pass_time(skin_node *nodes, uint32_t boards, uint32_t now_ms, skin_frame *out, size_t capacity);
 
-/* Write the newest sums of a board in ADC counts; returns their number. */
-size_t skin_newest_sums(const skin_node *node, int32_t *sums);
-
 /* Bytes of a skin_node. */
 size_t skin_node_bytes(void);
 
