@@ -160,9 +160,10 @@ def test_the_option_is_that_of_every_verb_and_of_the_processes_it_starts(
     authority: Authority, hub: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("SKIN_KEYS", "another")
-    build_app().meta(["list", "--connect", hub, "--seconds", "0.01", "--keys", str(authority.folder / "client")])
+    folder = authority.issue("palm:viewer")
+    build_app().meta(["list", "--connect", hub, "--seconds", "0.01", "--keys", str(folder)])
     assert "palm  hub " in capsys.readouterr().out
-    assert os.environ["SKIN_KEYS"] == str(authority.folder / "client")
+    assert os.environ["SKIN_KEYS"] == str(folder)
 
 
 def test_a_socket_of_the_user_needs_no_keys(authority: Authority, tmp_path: Path) -> None:
