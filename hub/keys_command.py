@@ -9,7 +9,7 @@ from cyclopts import Parameter
 
 from canskin.errors import InputError
 from canskin.keys import HUB
-from canskin.roles import ROLES
+from canskin.roles import ACTIONS, ROLES
 from hub.authority import Authority, new_authority
 from hub.holders import read_holders
 from shell.terminal import print_table
@@ -130,6 +130,29 @@ def list_(folder: Path) -> None:
         for name, until in holders.until.items()
     )
     print_table(["skin", "role", "holder", "until"], rows)
+
+
+def explain(role: str | None = None) -> None:
+    """Print who may do what on the fabric, and why: the table from which the hub's rules are made.
+
+    Parameters
+    ----------
+    role
+        Default: all roles.
+
+    Examples
+    --------
+    skin keys explain
+    skin keys explain viewer
+    """
+    if role not in {None, *ROLES}:
+        raise InputError(f"role '{role}': expected one of {', '.join(ROLES)}")
+    for name, each in ROLES.items():
+        if role in {None, name}:
+            print(f"{name}: {each.why}")
+            print_table(
+                (), [(f"  {action}", ", ".join(each.names(action))) for action in ACTIONS if each.names(action)]
+            )
 
 
 def _common_names(skin: str, names: Sequence[str]) -> list[str]:

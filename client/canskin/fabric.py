@@ -24,7 +24,8 @@ from canskin.keys import Keys, environment_keys
 from canskin.messages import Topic
 from canskin.peers import EVERY_KEY, GATEWAYS, Peer, Roll, new_peer, peer_of_key
 from canskin.question import Question
-from canskin.session import DEFAULT_ENDPOINT, LOOK_S, Stop, first_sentence, open_client, open_hub, peers_of
+from canskin.roles import Action, refusal
+from canskin.session import DEFAULT_ENDPOINT, LOOK_S, Stop, checked, first_sentence, open_client, open_hub, peers_of
 
 Message = TypeVar("Message", bound=msgspec.Struct)
 #: Sends the answer to a request, once.
@@ -172,8 +173,8 @@ class Fabric:
     Raises
     ------
     BusError
-        If the endpoint cannot be used, the hub refuses, no hub answered in time, or this is a second gateway of its
-        skin.
+        If the endpoint cannot be used, the hub refuses, no hub answered in time, this is a second gateway of its skin,
+        or the role of the keys has another service. Later actions raise it, too, where the role may not do them.
     """
 
     def __init__(
@@ -202,8 +203,12 @@ class Fabric:
         keys = keys or environment_keys()
         if keys is not None and service:
             keys.tell_end(service)
+        #: Whose actions the hub allows or not: with keys, unless this is the hub, or a socket that needs no keys.
+        self._holder = None if hub else checked(endpoint, keys)[1]
         self._session = open_hub(endpoint, keys) if hub else open_client(endpoint, service, stop, patience_s, keys=keys)
         try:
+            if service:
+                self._require_right("appear", service)
             self._require_alone(0.0)
             prepare(self)
             self._token: Any = self._session.liveliness().declare_token(self._peer.key) if service else None
@@ -229,6 +234,7 @@ class Fabric:
         """Send `message` to every subscriber of `topic`; never waits, and a slow subscriber loses messages."""
         publisher = self._publishers.get(topic.name)
         if publisher is None:
+            self._require_right("put", topic.name)
             # Never BLOCK: a subscriber that hangs would delay the gateway's SYNC for seconds.
             key, control = f"{self._prefix}/{topic.name}", zenoh.CongestionControl.DROP
             publisher = self._session.declare_publisher(key, congestion_control=control)
@@ -271,6 +277,7 @@ class Fabric:
         The handler, or another thread later, calls `reply` once with the answer. Requests that cannot be decoded are
         counted in `malformed`.
         """
+        self._require_right("answer", question.name)
         decoder = msgspec.msgpack.Decoder(question.request)
         encode = msgspec.msgpack.encode  # in any thread
 
@@ -300,6 +307,7 @@ class Fabric:
         BusError
             If no service answers in time, or the answer cannot be decoded.
         """
+        self._require_right("ask", question.name)
         key, payload = f"{self._prefix}/{question.name}", self._encoder.encode(request)
         # Without consolidation: the first answer counts, while another service may hang.
         each = zenoh.ConsolidationMode.NONE
@@ -346,6 +354,15 @@ class Fabric:
         """Close the connection after all published messages are sent."""
         self._session.close()
 
+    def _require_right(self, action: Action, name: str) -> None:
+        """Raise BusError if the hub will not let the holder of these keys do an action: zenoh drops it unsaid."""
+        holder = self._holder
+        if holder is None:
+            return
+        why = f"they are of skin '{holder.skin}', not of '{self._peer.skin}'" if holder.skin != self._peer.skin else ""
+        if why := why or refusal(holder.role, action, name):
+            raise BusError(f"keys {holder.folder}: {why}")
+
     def _require_alone(self, patience_s: float) -> None:
         """Raise BusError if this is a second gateway of its skin.
 
@@ -365,6 +382,8 @@ class Fabric:
             time.sleep(LOOK_S)
 
     def _receive(self, topic: Topic, receive: Callable[[Any], None]) -> None:
+        self._require_right("subscribe", topic.name)
+
         def note(sample: Any) -> None:
             origin = _origin_of(sample.attachment)
             if origin is not None:

@@ -8,7 +8,6 @@ from typing import Final, Literal, NamedTuple
 
 from canskin.calibration_messages import CALIBRATION, ZERO
 from canskin.description import DESCRIPTION, LAYOUT
-from canskin.errors import InputError
 from canskin.messages import CONTACTS, GATEWAY, IMAGE, LABEL, MARK, MEASUREMENT, NODES, TRUTH, Topic
 from canskin.question import Question
 
@@ -19,8 +18,6 @@ TOPICS: Final = (MEASUREMENT, IMAGE, CONTACTS, LABEL, TRUTH, MARK, GATEWAY, NODE
 QUESTIONS: Final = (LAYOUT, DESCRIPTION, CALIBRATION, ZERO)
 #: What a program needs that shows touches.
 _OUTPUTS: Final = (MEASUREMENT, IMAGE, CONTACTS, LABEL, GATEWAY)
-#: Between the parts of a common name.
-SEPARATOR: Final = ":"
 
 
 class Role(NamedTuple):
@@ -113,29 +110,6 @@ ROLES: Final = {
 }
 
 
-class Holder(NamedTuple):
-    """Whose a certificate is: common name ``SKIN:ROLE`` or ``SKIN:ROLE:NAME``."""
-
-    skin: str
-    role: str
-    name: str = ""
-
-    @property
-    def common_name(self) -> str:
-        """Of the certificate."""
-        return SEPARATOR.join(filter(None, self))
-
-
-def holder_of(common_name: str) -> Holder:
-    """Return whose a certificate is; InputError if no role of the table is named."""
-    parts = common_name.split(SEPARATOR, 2)
-    if len(parts) < 2 or parts[1] not in ROLES or not all(parts):
-        raise InputError(
-            f"common name '{common_name[:64]}': expected SKIN:ROLE or SKIN:ROLE:HOLDER, ROLE one of {', '.join(ROLES)}"
-        )
-    return Holder(*parts)
-
-
 def roles_for(action: Action, name: str) -> list[str]:
     """Return the roles that may do an action with a topic, question or service."""
     return [role for role, each in ROLES.items() if name in each.names(action)]
@@ -143,8 +117,9 @@ def roles_for(action: Action, name: str) -> list[str]:
 
 def refusal(role: str, action: Action, name: str) -> str:
     """Return why a role may not do an action, and which roles may; empty if it may."""
-    if name in ROLES[role].names(action):
+    if role in ROLES and name in ROLES[role].names(action):
         return ""
     allowed = ", ".join(f"'{each}'" for each in roles_for(action, name)) or "no role"
-    verb = action if action != "appear" else "appear as"
-    return f"the keys are of role '{role}', which may not {verb} '{name}': {allowed} may, see 'skin keys explain'"
+    return (
+        f"role '{role}' may not {action}{' as' * (action == 'appear')} '{name}', {allowed} may: see 'skin keys explain'"
+    )

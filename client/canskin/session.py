@@ -74,7 +74,7 @@ class Stop(Protocol):
         ...
 
 
-def _checked(endpoint: str, keys: Keys | None) -> tuple[str, Keys | None]:
+def checked(endpoint: str, keys: Keys | None) -> tuple[str, Keys | None]:
     """Return an endpoint and its keys: a socket needs none; raise BusError if the endpoint cannot be used."""
     if keys is not None and endpoint == DEFAULT_ENDPOINT:
         return TLS_ENDPOINT, keys
@@ -132,7 +132,7 @@ def open_hub(endpoint: str, keys: Keys | None = None, rules: dict[str, Any] | No
     BusError
         If the endpoint cannot be used.
     """
-    endpoint, keys = _checked(endpoint, keys)
+    endpoint, keys = checked(endpoint, keys)
     if keys is not None and keys.role != HUB:
         raise BusError(
             f"cannot listen on {endpoint} with keys of '{keys.common_name}': expected those of role '{HUB}', or"
@@ -151,6 +151,15 @@ def open_hub(endpoint: str, keys: Keys | None = None, rules: dict[str, Any] | No
     if keys is not None:  # whoever may connect sees the hub; whoever sees nothing is revoked
         _TOKENS.append(session.liveliness().declare_token(new_peer(keys.skin, HUB, "").key))
     return session
+
+
+def print_denials() -> None:
+    """Have zenoh print to stdout what the rules of this process deny, and more; call it before `open_hub`.
+
+    Zenoh has no other way to tell of denials.
+    """
+    os.environ["RUST_LOG"] = "zenoh::net::routing::interceptor::access_control=trace"
+    zenoh.init_log_from_env_or("off")
 
 
 class Listener(NamedTuple):
@@ -191,7 +200,7 @@ def open_client(
     BusError
         If the endpoint cannot be used, the hub refuses, or nobody answered in time.
     """
-    endpoint, keys = _checked(endpoint, keys)
+    endpoint, keys = checked(endpoint, keys)
     started_s, said, try_s = time.monotonic(), False, FIRST_TRY_S
     while True:
         left_s = patience_s - (time.monotonic() - started_s)

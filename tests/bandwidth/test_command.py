@@ -180,18 +180,6 @@ def test_a_log_of_another_layout_is_refused_or_noticed(skin: Skin, log: Path, tm
     assert "the layout has classic CAN there, but 2 of 2 frames are CAN FD" in said
 
 
-def test_channels_are_a_list(skin: Skin, log: Path) -> None:
-    loads = json.loads(skin("load", log, "--json", "-c", "vcan3", "x", "vcan1", "y")[1])["buses"]
-    assert [each["name"] for each in loads] == ["bus0", "bus2"]
-
-
-@pytest.mark.heavy
-def test_a_cut_log_is_checked_up_to_the_cut(skin: Skin, log: Path, tmp_path: Path) -> None:
-    cut = tmp_path / "cut.log"
-    cut.write_text(log.read_text()[:-20])
-    assert "is cut off: read up to line" in skin("load", cut, "--check")[2]
-
-
 @pytest.mark.heavy
 @pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_waiting_for_a_bus_ends_with_a_signal(number: int, status: int, tmp_path: Path) -> None:

@@ -5,12 +5,12 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from bandwidth.departures import counters, departures, errors, foreign, heartbeats, sync
+from bandwidth.departures import counters, departures, foreign, heartbeats, sync
 from bandwidth.measured import measure
 from bandwidth.plan import plan_bus
 from bandwidth.traffic import Disturbance
 from dbc.contract import Contract
-from dbc.frame import ERROR, EXTENDED, REMOTE, Frames, frames
+from dbc.frame import Frames, frames
 from tests.layouts import in_one_instant
 
 MS = 1_000_000
@@ -82,21 +82,6 @@ def test_a_node_is_silent_after_one_and_a_half_periods(
 ) -> None:
     line = f"node 1: no heartbeat for {said_s} s, one every 1000 ms was planned"
     assert silent(beats_ms, seconds) == ([] if said_s is None else [line])
-
-
-@pytest.mark.parametrize("flag", [EXTENDED, REMOTE, ERROR])
-def test_only_data_frames_with_an_identifier_of_11_bits_are_heartbeats(flag: int) -> None:
-    taken = made([(0.0, 0x80, 1), *((100.0, 0x700 + node, 1) for node in range(1, 33))])
-    assert list(heartbeats(SKIN, 0, taken, 1.6)) == []
-    taken["flags"][5] = flag
-    assert len(list(heartbeats(SKIN, 0, taken, 1.6))) == 1
-
-
-def test_errors_are_counted_by_their_flag() -> None:
-    seen = syncs([0, 1, 2, 3], [1, 2, 3, 4])
-    assert list(errors(seen)) == []
-    seen["flags"] = (ERROR, REMOTE, ERROR | EXTENDED, EXTENDED)
-    assert list(errors(seen)) == ["2 errors reported"]
 
 
 def cycle(*late: tuple[int, float]) -> list[str]:

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bandwidth.plan import BusTime, bus_time, plan, plan_bus, planned
+from bandwidth.plan import bus_time, plan, plan_bus, planned
 from bandwidth.search import with_buses
 from bandwidth.traffic import Disturbance, traffic
 from bandwidth.wiring import wiring
@@ -87,12 +87,6 @@ def test_a_plan_is_that_of_its_frames() -> None:
     assert planned.heartbeat_response_ms == pytest.approx(3 * 0.065 + 6 * 0.135)
     assert (planned.receive_buffer_frames, planned.receive_buffer_bytes) == (12, 12 * 896)
     assert planned.problems == []
-
-
-def test_heartbeats_that_fill_a_bus_leave_no_rate() -> None:
-    full = BusTime(cycle_s=0.001, cycle_bits=1000, beats_s=0.5)
-    assert full.load(100) == pytest.approx(0.6)
-    assert [full.rate_hz(), full.rate_hz(0.6), full.rate_hz(0.4)] == pytest.approx([500.0, 100.0, 0.0])
 
 
 def with_time(name: str, time_s: float | None) -> Contract:
@@ -205,15 +199,6 @@ def test_a_bus_whose_nodes_send_no_sums_has_heartbeats_alone_and_no_problem() ->
 def test_conversions_of_a_node_are_those_of_its_taxels_or_of_its_analogue_sums() -> None:
     assert wiring(load_layout()).conversions_per_s == 32 * 1000
     assert wiring(load_layout(Path("analogue"))).conversions_per_s == 8 * 100
-
-
-def test_a_node_converts_the_taxels_of_blocks_that_send() -> None:
-    """Nodes of two blocks of 32 taxels, and a SYNC rate of 100 Hz."""
-    rates = [
-        wiring(few(rows, blocks_per_node=2)).conversions_per_s
-        for rows in ([[0, 0]], [[0, 0], [2, 2]], [[0, 0], [1, 1]])
-    ]
-    assert rates == [32 * 100, 32 * 100, 64 * 100]
 
 
 def test_blocks_that_send_no_sum_need_no_wires() -> None:

@@ -37,18 +37,6 @@ def test_a_matrix_is_judged_as_it_is() -> None:
     assert found.psnr_image_db > found.psnr_sensor_db
 
 
-def test_the_figures_of_a_layout_are_those_of_its_number_of_sums() -> None:
-    mat = small_layout(15, 17, sampling={"rate_hz": 1000.0}, measurement={"sums": 64})
-    assert quality(mat, touches_s=3.0) in qualities(MAT, touches_s=3.0)
-
-
-def test_averages_of_ten_samples_make_better_images() -> None:
-    once = small_layout(15, 17, measurement={"sums": 64})
-    averaged = small_layout(15, 17, measurement={"sums": 64}, sampling={"rate_hz": 1000.0})
-    one, ten = (quality(each, touches_s=3.0) for each in (once, averaged))
-    assert ten.psnr_image_db > one.psnr_image_db + 4
-
-
 def test_stepped_boards_send_on_simulated_buses() -> None:
     found = quality(small_boards(16, 10, 10), touches_s=3.0)
     assert found.psnr_image_db > found.psnr_sensor_db + 10

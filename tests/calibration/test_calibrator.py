@@ -15,7 +15,6 @@ from tests.calibration.helpers import (
     COUNTS,
     LAYOUT,
     NOISE_N,
-    PHI,
     SMALL,
     SMALL_COUNT_N,
     SMALL_PHI,
@@ -40,15 +39,6 @@ ZERO = np.zeros(LAYOUT.taxels.count)
 OFFSETS = offsets_n()
 #: Noise of one sum.
 SUM_NOISE_N = NOISE_N * LAYOUT.measurement.block_size**0.5
-
-
-def test_an_untouched_skin_reads_nothing_after_its_start() -> None:
-    skin = Skin(Calibrator(LAYOUT))
-    last = skin.run(4.0, still(OFFSETS))
-    assert skin.calibrator.state is CalibrationState.FOLLOWING
-    assert error_n(last, ZERO) < 1.2 * SUM_NOISE_N
-    assert skin.calibrator.status().known_sums == PHI.shape[0]
-    assert skin.calibrator.status().noise_n == pytest.approx(SUM_NOISE_N, rel=0.1)
 
 
 def test_in_turns_it_learns_from_measurements_whose_sums_are_all_new() -> None:
@@ -81,15 +71,6 @@ def test_saturated_sums_have_no_part_in_the_zero() -> None:
     last = skin.run(5.0, still(OFFSETS))
     assert not last.usable
     assert error_n(last, ZERO) < 1.2 * SUM_NOISE_N
-
-
-def test_a_sum_that_stays_saturated_is_named() -> None:
-    skin = Skin(Calibrator(LAYOUT))
-    skin.run(4.0, still(OFFSETS))
-    skin.run(5.0, still(OFFSETS), saturated=[500])
-    (text,) = skin.calibrator.status().defects
-    assert text == f"sum 500 (block 62, row {PHI.row_of_sum[500]}) is saturated and left out"
-    assert error_n(skin.run(0.1, still(OFFSETS)), ZERO) < 1.2 * SUM_NOISE_N  # nor has the zero moved
 
 
 def test_a_zero_forced_under_a_hand_is_measured_again_when_the_hand_is_gone() -> None:

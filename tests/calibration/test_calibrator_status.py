@@ -66,15 +66,6 @@ def test_a_corrected_zero_is_measured_again_after_two_calm_seconds() -> None:
     assert supports(skin) == {ZeroSupport.MEASURED}
 
 
-def test_a_block_that_never_sent_has_no_corrected_zero() -> None:
-    skin = Cycles()
-    skin.missing = [4]
-    skin.run(10.1)
-    skin.run(2, COUNTS - PATCH_COUNTS)
-    assert ZeroSupport.CORRECTED in supports(skin)
-    assert skin.made.status().zero_support[4] == ZeroSupport.NONE
-
-
 def test_corrections_are_told_once_in_ten_seconds() -> None:
     skin = tared()
     skin.run(40)

@@ -35,33 +35,6 @@ def test_a_drift_is_followed_without_lag(begins: int) -> None:
     assert np.std(mine.slope_n - rate_n) < 0.1 * NOISE_N
 
 
-def test_under_a_touch_offsets_go_on_along_their_slopes() -> None:
-    mine, rate_n = follower(), np.random.default_rng(5).normal(0, 5 * NOISE_N, SUMS)
-    held = np.arange(SUMS // 4) < 30
-    for k in range(100):
-        touch_n = np.where(held[BLOCK_OF_SUM], 1e-2, 0) if k >= 60 else 0
-        mine.take(rate_n * k + noise(k) + touch_n, ALL, held if k >= 60 else NO_BLOCK)
-    assert np.std(mine.level_n - 99 * rate_n) < 3 * NOISE_N
-    for _ in range(2 * MEMORY):  # not for ever
-        mine.take(noise(0), ALL, ~NO_BLOCK)
-    stopped = mine.level_n.copy()
-    mine.take(noise(0), ALL, ~NO_BLOCK)
-    assert (mine.level_n == stopped).all()
-
-
-def test_a_sum_without_offset_waits_for_its_zero() -> None:
-    of_first = BLOCK_OF_SUM == 0
-    mine = follower(~of_first)
-    offset_n = np.full(SUMS, 3e-3) * of_first
-    mine.take(noise(0) + offset_n, ALL, NO_BLOCK)
-    assert not mine.known[:4].any()
-    mine.begin(of_first, offset_n, np.zeros(SUMS), 8)
-    for k in range(20):
-        mine.take(noise(k) + offset_n, ALL, NO_BLOCK)
-    assert mine.known.all()
-    assert mine.level_n[:4] == pytest.approx(np.full(4, 3e-3), abs=3 * NOISE_N)
-
-
 def test_offsets_stop_after_as_many_windows_as_their_line_has_whoever_asks() -> None:
     rate_n = np.random.default_rng(5).normal(0, 5 * NOISE_N, SUMS)
     mine = follower()

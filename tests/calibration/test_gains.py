@@ -112,26 +112,6 @@ def test_gains_of_analogue_sums_are_found_beside_those_of_taxels(gains: np.ndarr
     assert (found.sums.common_mode - made.common_mode)[rows].std() < 0.1 * made.common_mode.std()
 
 
-@pytest.mark.heavy
-def test_dead_sums_are_named(gains: np.ndarray) -> None:
-    middle = np.bincount(PHI.block_of_taxel.reshape(SIDE, SIDE)[12:20, 12:20].ravel()).argmax()
-    dead = [int(PHI.starts[middle]) + 1, int(np.flatnonzero(PHI.row_of_sum == 0)[0])]
-    sums, images = felt(gains)
-    sums[:, dead] = np.random.default_rng(3).normal(0, 2e-4, (len(sums), 2))
-    words = defects_of(find_gains(PHI, SURFACE, sums, images, WHOLE_N, is_analogue=True), PHI, SURFACE)
-    named = {f"sum {each} (block {PHI.block_of_sum[each]}, row {PHI.row_of_sum[each]}) feels " for each in dead}
-    assert {text[: text.index("feels ") + 6] for text in words} == named
-    assert all(text.endswith("% and is not used") for text in words)
-
-
-def test_too_few_cycles_or_no_force_are_refused(gains: np.ndarray) -> None:
-    sums, images = felt(gains)
-    with pytest.raises(InputError, match="in 0 cycles, expected 100 or more"):
-        find_gains(PHI, SURFACE, sums[:20], images[:20], WHOLE_N)
-    with pytest.raises(InputError, match="above 0, got -1"):
-        find_gains(PHI, SURFACE, sums, images, -1.0)
-
-
 def recording(
     path: Path,
     gains: np.ndarray,
@@ -164,13 +144,6 @@ def recording(
             writer.message(IMAGE, cycle, msgspec.msgpack.encode(shown))
     writer.close()
     return path
-
-
-def test_gains_of_a_recording(gains: np.ndarray, tmp_path: Path) -> None:
-    stored = stored_gains(LAYOUT, recording(tmp_path / "run.mcap", gains), WHOLE_N)
-    inner = np.zeros((SIDE, SIDE), np.bool_)
-    inner[6:-6, 6:-6] = True
-    assert (np.array(stored.gains) / gains - 1)[inner.ravel()].std() < 0.03
 
 
 @pytest.mark.heavy

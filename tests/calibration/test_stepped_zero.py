@@ -91,13 +91,6 @@ def test_a_still_weight_is_doubtful_until_it_is_settled_and_the_zero_returns_whe
     assert np.abs(picture_n(left)).max() < 0.15e-3
 
 
-def test_a_region_leaves_the_rest_of_the_skin() -> None:
-    skin = Skin()
-    skin.run(1.0, WEIGHT + OTHER)
-    skin.made.tare(region=(40, 36, 55, 50))
-    np.testing.assert_allclose(picture_n(skin.run(3.0, WEIGHT + OTHER)), WEIGHT, atol=0.6e-3)
-
-
 @pytest.mark.parametrize("tares", [True, False])
 def test_a_tare_by_force_settles_what_a_plain_one_refuses(*, tares: bool) -> None:
     skin = Skin(tares=tares)

@@ -15,17 +15,14 @@ from tests.calibration.helpers import (
     COUNTS,
     LAYOUT,
     NOISE_N,
-    PHI,
     SMALL_COUNT_N,
     SMALL_PHI,
     SMALL_SUMS,
     Counts,
     Cycles,
     Skin,
-    error_n,
     offsets_n,
     offsets_of,
-    pressed,
     pressed_counts,
     still,
     tared,
@@ -200,20 +197,6 @@ def test_a_zero_that_is_asked_for_anew_begins_anew() -> None:
     assert skin.made.state is FOLLOWING
     assert offsets_of(skin.run(0.1)) == COUNTS.tolist()
     assert skin.made.status().revision == 1
-
-
-def test_a_faint_hand_that_moves_at_the_start_does_not_become_the_zero() -> None:
-    skin = Skin(Calibrator(LAYOUT))
-    skin.run(6.0, lambda time_s: OFFSETS + pressed(10, 10 + int(4 * time_s), 3, 0.001))
-    assert skin.calibrator.state is CalibrationState.TOUCHED
-
-
-def test_stored_offsets_are_used_under_a_hand_and_show_a_faint_touch() -> None:
-    faint = pressed(30, 30, 3, 0.001)
-    skin = Skin(Calibrator(LAYOUT, offsets_n=PHI.forward(OFFSETS)))
-    last = skin.run(5.0, still(OFFSETS + faint))
-    assert skin.calibrator.state is CalibrationState.TOUCHED
-    assert error_n(last, faint) < 1.2 * SUM_NOISE_N
 
 
 def test_loaded_offsets_hold_at_once_and_end_a_measurement() -> None:

@@ -86,14 +86,6 @@ def test_a_board_without_temperature_stays_and_catches_up() -> None:
     assert boards.take(REST_K - 5.5, -5.5 * N_PER_K) == pytest.approx(np.where(known, 0.0, 4 * N_PER_K), abs=1e-9)
 
 
-def test_boards_that_know_no_temperature_tell_nothing() -> None:
-    boards = Boards()
-    for _ in range(5):
-        assert not boards.take(np.nan, 0.0).any()
-    boards.cool()
-    assert boards.model.newton_per_k == pytest.approx(N_PER_K)
-
-
 def test_a_new_zero_keeps_the_coefficient_and_is_compared_with_none_before() -> None:
     boards = Boards()
     boards.cool()
@@ -130,14 +122,6 @@ def test_a_skin_that_has_cooled_follows_a_fast_rise(is_tared: bool) -> None:
     run(4, 0.0)
     assert run(1, 0.0) == pytest.approx(COUNTS, abs=0.15e-3 * 32 / SMALL_COUNT_N)
     assert skin.made.status().doubtful_taxels == 0
-
-
-@pytest.mark.heavy
-def test_without_a_change_of_temperature_a_fast_rise_is_a_press() -> None:
-    skin, run = cooled()
-    before = run(1, -3e-3)
-    skin.made.take_temperatures(np.full(SMALL_PHI.blocks, np.nan))
-    assert offsets_of(skin.run(8)) == pytest.approx(before, abs=0.15e-3 * 32 / SMALL_COUNT_N)
 
 
 def test_before_the_first_zero_and_without_a_zero_that_is_followed_temperatures_tell_nothing() -> None:

@@ -45,15 +45,6 @@ def test_a_window_holds_the_cycles_of_a_quarter_of_a_second_that_have_been_valid
     assert last.difference_n.tolist() == [0.5 * (2 * 75 - 1)] * 3 + [0]
 
 
-def test_half_of_a_window_s_cycles_are_enough() -> None:
-    """Cycles 50 ms apart: eight in a window."""
-    made = Collected((0, 900, 950), period_s=0.05)
-    (found,) = [made.take(time_ms) for time_ms in range(0, 1650, 50)][32:]
-    assert found is not None
-    assert found.centre_ns == 1400 * MS
-    assert found.known.tolist() == [True, True, False]
-
-
 @pytest.mark.parametrize(("missed", "knows"), [(12, [True] * 4), (13, [False, False, False, True])])
 def test_a_sum_settles_again_when_it_was_away_for_more_than_half_a_window(missed: int, knows: list[bool]) -> None:
     """Away from 520 ms on: 12 cycles leave 13 of the third window; after 13 the sum has settled 500 ms later."""
@@ -78,15 +69,6 @@ def test_a_window_ends_with_the_first_cycle_after_it_unless_that_is_a_window_lat
     made = Collected((10,))
     assert not made.take_all(range(10, 250, 10))
     assert (made.take(time_ms) is not None) == comes
-
-
-def test_a_restart_drops_the_cycles_of_the_window() -> None:
-    made = Collected((10,))
-    made.take_all(range(10, 110, 10))
-    made.means.restart()
-    found = made.take_all(range(110, 870, 10))
-    assert [window.centre_ns for window in found] == [235 * MS, 485 * MS, 735 * MS]
-    assert found[2].mean_n == pytest.approx([0.5 * (np.arange(61, 86) ** 2).mean()])
 
 
 def test_windows_and_zeros_take_as_long_as_the_guide_says() -> None:

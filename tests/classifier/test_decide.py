@@ -14,7 +14,7 @@ from classifier.model import Model
 from classifier.modelfile import load_model, save_model
 from classifier.newest_sums import HOLD_CYCLES
 from classifier.samples import simulate_sums
-from classifier.training import TrainingOptions, train
+from classifier.training import train
 from skin.layout import Layout
 from skin.phi import Sbhe
 from tests.classifier.conftest import Touches, draw
@@ -73,12 +73,6 @@ def test_new_label_within_three_cycles(
         assert labels[2:] == [name] * 18
 
 
-def test_one_odd_cycle_is_hidden(model: Model, phi: Sbhe, pressed: dict[str, Sums], valid: np.ndarray) -> None:
-    classifier = Classifier(model, phi)
-    series = [*pressed["dome"][:10], pressed["plate"][0], *pressed["dome"][10:]]
-    assert {classifier.decide(y, valid).label for y in series} == {"dome"}
-
-
 def test_sums_of_invalid_blocks_are_ignored(
     model: Model, phi: Sbhe, pressed: dict[str, Sums], valid: np.ndarray
 ) -> None:
@@ -97,20 +91,6 @@ def test_hardly_any_block_says_nothing(model: Model, phi: Sbhe, pressed: dict[st
     assert classifier.decide(pressed["dome"][0], few) == ("", 0.0, True)
     assert classifier.decide(pressed["dome"][0], 0 * valid) == ("", 0.0, True)
     assert classifier.decide(pressed["dome"][0], valid).label == "dome"
-
-
-def test_lost_sums_are_held_for_some_cycles_only(
-    model: Model, phi: Sbhe, pressed: dict[str, Sums], valid: np.ndarray
-) -> None:
-    classifier = Classifier(model, phi)
-    for y in pressed["dome"]:
-        classifier.decide(y, valid)
-    silence = np.zeros(phi.shape[0], np.int32)
-    labels = [classifier.decide(silence, 0 * valid).label for _ in range(HOLD_CYCLES + 2)]
-    assert labels == ["dome"] * HOLD_CYCLES + ["", ""]
-    classifier.decide(pressed["dome"][0], valid, 100)
-    assert classifier.decide(silence, 0 * valid, 100 + HOLD_CYCLES).label == "dome"
-    assert classifier.decide(silence, 0 * valid, 100 + HOLD_CYCLES + 1).label == ""
 
 
 def test_blocks_that_come_by_turns_are_enough(
@@ -157,15 +137,6 @@ def test_object_never_met_is_unknown_while_known_ones_keep_their_name(
     assert [classifier.decide(y, valid).label for y in pressed["dome"]][-1] == "dome"
 
 
-def test_model_of_few_touches_calls_nothing_unknown(layout: Layout, phi: Sbhe, valid: np.ndarray) -> None:
-    model = train(*draw(32, seed=4), layout, options=TrainingOptions(no_touches=200))
-    assert model.limits.size == 0
-    classifier = Classifier(model, phi, settling=1.0)
-    flood = np.full((1, 32, 32), 0.01, np.float32)
-    sums = simulate_sums(flood, layout, phi, 0.001, np.random.default_rng(3))[0]
-    assert classifier.decide(sums, valid).label in {"dome", "plate", ""}
-
-
 @pytest.mark.heavy
 def test_missing_raw_sums_are_estimated(raw_model: Model, phi: Sbhe, pressed: dict[str, Sums]) -> None:
     most = np.ones(phi.blocks, np.uint8)
@@ -199,17 +170,6 @@ def test_deciding_allocates_nothing_worth_mentioning(
         assert peak - before < most_bytes  # but for the solve, less than any one array of the measurement
 
 
-def test_cycles_in_quick_succession_settle_over_time(
-    model: Model, phi: Sbhe, idle: Sums, pressed: dict[str, Sums], valid: np.ndarray
-) -> None:
-    classifier = Classifier(model, phi)
-    for cycle, y in enumerate(idle[:20]):
-        classifier.decide(y, valid, cycle, 2_000_000 * cycle)
-    labels = [classifier.decide(y, valid, 20 + k, 2_000_000 * (20 + k)).label for k, y in enumerate(pressed["dome"])]
-    assert labels[:5] == [""] * 5  # 10 ms
-    assert labels[9:] == ["dome"] * 11  # 20 ms
-
-
 @pytest.fixture(scope="module")
 def quick_layout(layout: Layout) -> Layout:
     """One sample a cycle, 100 times a second: the classifier averages over four cycles."""
@@ -236,16 +196,6 @@ def test_what_one_cycle_does_not_show_the_mean_of_cycles_does(
     }
     assert found[4] > 0.9
     assert found[1] < 0.3
-
-
-@pytest.mark.heavy
-def test_untouched_skin_is_silent_when_cycles_are_averaged(
-    quick_layout: Layout, averaging_model: Model, phi: Sbhe, valid: np.ndarray
-) -> None:
-    still = simulate_sums(np.zeros((2000, 32, 32), np.float32), quick_layout, phi, 0.001, np.random.default_rng(7))
-    classifier = Classifier(averaging_model, phi)
-    alarms = sum(classifier.decide(y, valid).label != "" for y in still)
-    assert alarms <= 4 * averaging_model.metadata.false_alarm_ratio * len(still)
 
 
 @pytest.mark.heavy

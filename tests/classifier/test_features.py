@@ -1,7 +1,5 @@
 """Energies and peaks of the smoothed adjoint image."""
 
-import tracemalloc
-
 import numpy as np
 import pytest
 
@@ -52,32 +50,6 @@ def test_widths_fit_the_array() -> None:
     assert widths_for(surfaces.grid(64, 64)) == WIDTHS
     assert max(widths_for(surfaces.grid(32, 64))) <= 8
     assert widths_for(surfaces.grid(8, 8))
-
-
-def test_measuring_allocates_nothing_worth_mentioning(phi: Sbhe, sums: np.ndarray) -> None:
-    smoothed = Smoothed(phi, surfaces.grid(32, 32))
-    valid = np.ones(phi.blocks, np.float32)
-    valid[0] = 0
-    narrow = sums.astype(np.int32)
-    smoothed.measure(narrow, valid, 0.9)
-    tracemalloc.start()
-    try:
-        smoothed.measure(narrow, valid, 0.9)
-        tracemalloc.reset_peak()
-        before, _ = tracemalloc.get_traced_memory()
-        smoothed.measure(narrow, valid, 0.9)
-        _, peak = tracemalloc.get_traced_memory()
-    finally:
-        tracemalloc.stop()
-    assert peak - before < sums.nbytes  # less than any one array of the measurement
-
-
-def test_no_product_of_two_weights_is_subnormal() -> None:
-    """Processors multiply subnormal numbers a hundred times slower, and a tail of that size changes no figure."""
-    smoothed = Smoothed(sbhe(4096, 1024), surfaces.grid(64, 64))
-    for stage in smoothed._stages:
-        weights = np.concatenate([stage._left.ravel(), stage._right.ravel()])
-        assert (weights[weights > 0].astype(np.float64) ** 2).min() >= np.finfo(np.float32).tiny
 
 
 def patch(rows: int, columns: int) -> np.ndarray:

@@ -1,7 +1,6 @@
 """Sums that did not come are estimated from those that did."""
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -43,18 +42,6 @@ def test_sums_that_vary_together_are_filled_in() -> None:
     Completion(model).complete(sums, valid)
     np.testing.assert_array_equal(sums[valid], one[valid])
     np.testing.assert_allclose(sums[~valid], one[~valid], atol=0.1)
-
-
-def test_without_any_sum_the_mean_is_expected() -> None:
-    model = fit_factors(drawn())
-    sums = np.zeros(12)
-    Completion(model).complete(sums, np.zeros(12, np.bool_))
-    np.testing.assert_allclose(sums, model.mean)
-
-
-def test_one_observation_does_not_vary() -> None:
-    with pytest.raises(ValueError, match="2 or more"):
-        fit_factors(drawn(1))
 
 
 def test_equal_observations_leave_a_usable_model() -> None:

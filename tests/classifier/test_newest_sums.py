@@ -35,21 +35,6 @@ def test_the_noise_of_means_is_that_of_their_cycles(phi: Sbhe, cycles: int) -> N
     assert settled.std() == pytest.approx(100 * cycles**-0.5, rel=0.05)
 
 
-def test_noise_is_told_while_means_are_of_fewer_cycles(phi: Sbhe) -> None:
-    newest, came = NewestSums(phi, 4), np.ones(phi.blocks, np.bool_)
-    high = np.full(phi.shape[0], 1000, np.int32)
-    told = [newest.take(high, came, 1) * newest.noise_ratio**2 for _ in range(3)]
-    assert told == pytest.approx([4, 4 / 2, 4 * (0.6**2 / 2 + 0.4**2)])
-    for _ in range(30):
-        newest.take(high, came, 1)
-    assert newest.noise_ratio == pytest.approx(1)
-    assert np.all(newest.sums == 1000)
-    newest.forget()
-    assert newest.take(0 * high, came, 1) == 1
-    assert newest.noise_ratio == 2
-    assert np.all(newest.sums == 0)
-
-
 @pytest.mark.parametrize("cycles", [4, 20])
 @pytest.mark.parametrize("gap", [1, 2, 3, 7, 12])
 def test_an_old_mean_fades_in_cycles_without_sums(phi: Sbhe, cycles: int, gap: int) -> None:

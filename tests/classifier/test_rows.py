@@ -35,13 +35,6 @@ def test_a_row_that_repeats_another_is_not_sent() -> None:
     assert 40 in kept
 
 
-def test_chosen_sums_are_columns_of_the_candidates() -> None:
-    taxels = np.random.default_rng(1).normal(size=(150, 64)) + np.repeat(np.eye(64)[:3] * 20, 50, axis=0)
-    sums = PHI.forward(taxels)
-    chosen = choose_rows(PHI, sums, LABELS, 5)
-    np.testing.assert_allclose(chosen.forward(taxels), sums[:, chosen.kept.ravel()])
-
-
 @pytest.mark.parametrize(
     ("sums", "labels", "count", "says"),
     [

@@ -84,15 +84,6 @@ def test_same_seed_same_model(layout: Layout, touches: Labelled) -> None:
     assert not np.array_equal(one.weights, other.weights)
 
 
-@pytest.mark.heavy
-def test_progress_tells_what_is_done(layout: Layout, touches: Labelled) -> None:
-    said: list[tuple[str, float]] = []
-    train(*touches, layout, options=TrainingOptions(no_touches=200), progress=lambda *step: said.append(step))
-    ratios = [ratio for _, ratio in said]
-    assert ratios == sorted(ratios)
-    assert "C = 0.1" in [doing for doing, _ in said]
-
-
 def test_images_that_cannot_be_used(layout: Layout, touches: Labelled) -> None:
     force_n, labels = touches
     with pytest.raises(InputError, match="expected images of shape"):

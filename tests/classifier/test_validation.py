@@ -31,11 +31,6 @@ def test_inner_products_give_the_same_machine() -> None:
     np.testing.assert_allclose(gram.machine.margins(inner), linear.machine.margins(X[TEST]), atol=1e-2)
 
 
-def test_no_C_is_no_choice() -> None:
-    with pytest.raises(ValueError, match="at least one C"):
-        choose_C(X, y, DEVELOPMENT, VALIDATION, C_grid=())
-
-
 def test_global_scale_makes_the_root_mean_square_1() -> None:
     assert np.mean((X * global_scale(X)) ** 2) == pytest.approx(1)
     assert global_scale(np.zeros((2, 2))) == 1

@@ -111,9 +111,9 @@ def test_renewed_keys_are_read_when_those_before_end(authority: Authority, hub: 
 def test_a_service_says_that_its_keys_end_soon(
     authority: Authority, hub: str, caplog: pytest.LogCaptureFixture
 ) -> None:
-    Fabric("palm", "viewer", hub, keys=Keys(authority.folder / "client")).close()
+    Fabric("palm", "client", hub, keys=Keys(authority.folder / "client")).close()
     assert not caplog.messages
-    Fabric("palm", "viewer", hub, keys=Keys(issue_for(authority, "client", 2.2 * 86400))).close()
+    Fabric("palm", "client", hub, keys=Keys(issue_for(authority, "client", 2.2 * 86400))).close()
     assert caplog.messages == [f"the keys {authority.folder / 'client'} end in 2 days: 'skin keys renew'"]
 
 

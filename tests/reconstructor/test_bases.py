@@ -32,17 +32,6 @@ def test_orthonormal_and_adjoint(name: str, rows: int, columns: int, seed: int) 
     np.testing.assert_array_equal(x, before)
 
 
-@pytest.mark.heavy
-@pytest.mark.parametrize("name", NAMES)
-@pytest.mark.parametrize("shape", [(256, 256), (8, 256)])
-def test_largest_grids_and_float32(name: str, shape: tuple[int, int]) -> None:
-    psi = wavelet_basis(name, *shape)
-    x = np.random.default_rng(0).normal(size=shape).astype(np.float32)
-    back = psi.adjoint(psi.forward(x))
-    assert back.dtype == np.float32
-    np.testing.assert_allclose(back, x, atol=1e-5)
-
-
 def test_pyramid_is_that_of_pywavelets() -> None:
     x = np.random.default_rng(0).normal(size=(32, 64))
     levels = pywt.wavedec2(x, "haar", mode="periodization", level=5)

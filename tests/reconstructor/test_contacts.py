@@ -104,12 +104,6 @@ def test_a_sliding_contact_keeps_its_identity_and_its_onset() -> None:
     assert shown[-1][0].column == pytest.approx(39.5, abs=0.1)
 
 
-def test_a_jump_farther_than_the_memory_reaches_is_another_contact() -> None:
-    run = Run()
-    run.show(bump(16, 5))
-    assert identities(run.show(bump(16, 40))) == {2}
-
-
 def meeting(gap: Callable[[int], float], steps: int) -> Iterable[Image]:
     """Two balls, one stronger, that come and go along a row."""
     for step in range(steps):
@@ -162,14 +156,6 @@ def test_the_end_comes_after_the_memory_with_the_time_of_the_last_image() -> Non
     run.show(NOTHING)
     assert run.ended == [EndedContact(identity=1, onset_mono_ns=PERIOD_NS, end_mono_ns=PERIOD_NS)]
     assert identities(run.show(bump(16, 20))) == {2}
-
-
-def test_one_bad_image_does_not_end_a_contact() -> None:
-    run = Run()
-    run.show(bump(16, 20))
-    run.show(NOTHING)
-    assert identities(run.show(bump(17, 21))) == {1}
-    assert not run.ended
 
 
 def test_after_a_pause_longer_than_the_memory_contacts_begin_anew_unless_they_are_where_they_were_remembered() -> None:

@@ -10,7 +10,6 @@ import pytest
 from reconstructor.bases import WaveletBasis, wavelet_basis
 from reconstructor.fista import fista, iterate, largest_eigenvalue, momentum, objective, soft
 from skin.phi import sbhe
-from tests.reconstructor.plain_contourlet import PlainContourlet
 from tests.reconstructor.reference import Shrinkage, Variation, fista_image
 
 PHI = sbhe(256, 64, block_size=16, seed=3)
@@ -112,7 +111,21 @@ def test_variation_is_the_proximal_step_when_it_has_time() -> None:
 def test_largest_eigenvalue() -> None:
     exact = largest_eigenvalue(PHI, wavelet_basis("haar-tensor", 16, 16))
     assert exact == pytest.approx(16, rel=2e-4)
-    psi = PlainContourlet(16, 16)
-    dense = np.stack([PHI.forward(psi.adjoint(row).ravel()) for row in np.eye(320)], axis=1)
+    first, second = wavelet_basis("haar-tensor", 16, 16), wavelet_basis("d4-tensor", 16, 16)
+
+    class Both:
+        """Two bases side by side: neither tight nor orthogonal where the second counts half."""
+
+        shape, image_shape = (512,), (16, 16)
+
+        def forward(self, image: np.ndarray) -> np.ndarray:
+            return np.concatenate((first.forward(image).ravel(), 0.5 * second.forward(image[::-1]).ravel()))
+
+        def adjoint(self, s: np.ndarray) -> np.ndarray:
+            halves = s.reshape(2, 16, 16)
+            return first.adjoint(halves[0]) + 0.5 * second.adjoint(halves[1])[::-1]
+
+    psi = Both()
+    dense = np.stack([PHI.forward(psi.adjoint(row).ravel()) for row in np.eye(512)], axis=1)
     largest = np.linalg.eigvalsh(dense @ dense.T).max()
     assert largest <= largest_eigenvalue(PHI, psi) <= largest * 1.0005

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from reconstructor.temporal_filter import FLOOR, FilterState, TemporalFilter, update
+from reconstructor.temporal_filter import TemporalFilter
 
 ALL = np.ones(1024, np.bool_)
 
@@ -139,17 +139,6 @@ def test_sum_that_comes_back_counts_by_how_long_it_was_missed(silent_cycles: int
     share = np.maximum(filtered.gain, 1 - weights)
     np.testing.assert_allclose(filtered.sums[~valid], before + share * (back[~valid] - before))
     assert (share == 1).all() == (rest == 0)
-
-
-def test_only_a_sum_measured_twice_in_a_row_has_an_innovation() -> None:
-    names = ["known", "new", "missing"]
-    sums, innovation = np.array([1.0, 0.0, 1.0]), np.array([0.1, 0.0, 0.3])
-    state = FilterState(sums, np.array([1.0, 0.0, 1.0]), innovation, np.array([0.2, 1e-6, 0.2, 1.0]))
-    assert update(state, np.array([1.5, 2.0, np.nan]), np.array([True, True, False]), True)
-    assert dict(zip(names, innovation.tolist(), strict=True)) == {"known": 0.5, "new": 0.0, "missing": 0.0}
-    assert state.weights.tolist()[:2] == [1, 1]
-    assert sums[1] == 2.0  # nothing of the past stands for a sum that was not known
-    assert state.state[FLOOR] > 0
 
 
 def test_averaged_sums_are_taken_as_they_come_and_missing_ones_kept_while_nothing_moves() -> None:

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from canskin.errors import InputError
-from touch.classification_poses import CLASSIFICATION_OBJECTS, PERTURBATIONS, observations, poses
+from touch.classification_poses import PERTURBATIONS, observations, poses
 from touch.coarse_arrays import Kind
 from touch.contact import Grid, Pose, press
 from touch.objects import spheres_of
@@ -17,11 +17,6 @@ def test_the_papers_360_offsets() -> None:
     assert every[0] == Pose(0.0, 0.0, 0.0, 0.00999)
     assert every[-1][:4] == pytest.approx((-0.01, -0.01, -math.pi / 4, 0.00999))
     assert every[1][:4] == pytest.approx((0.0, 0.0, -math.radians(5), 0.00999))
-
-
-def test_sixteen_objects_without_the_golf_ball() -> None:
-    assert len(CLASSIFICATION_OBJECTS) == 16
-    assert "golf-ball" not in CLASSIFICATION_OBJECTS
 
 
 def test_fewer_are_a_seeded_draw_without_repetition() -> None:

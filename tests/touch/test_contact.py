@@ -8,7 +8,6 @@ from hypothesis import strategies as st
 
 from canskin.errors import InputError
 from touch.contact import Grid, Pose, Spheres, press
-from touch.objects import CATALOGUE, spheres_of
 from touch.primitives import ball
 
 GRID = Grid(20, 24, 0.004)
@@ -41,38 +40,12 @@ def test_force_is_the_deepest_compression_by_any_sphere(spheres: Spheres, pose: 
     np.testing.assert_allclose(force_n, by_definition(GRID, spheres, pose), rtol=0, atol=2e-9)
 
 
-@given(bodies, poses)
-def test_force_is_never_negative_and_never_above_the_depth(spheres: Spheres, pose: Pose) -> None:
-    force_n = press(GRID, [(spheres, pose)])
-    assert force_n.min() >= 0.0
-    assert force_n.max() <= max(0.0, pose.depth_m) + 2e-9
-
-
-@given(bodies, poses, st.integers(-6, 6), st.integers(-6, 6))
-def test_moving_by_whole_pitches_moves_the_image(spheres: Spheres, pose: Pose, rows: int, columns: int) -> None:
-    moved = pose._replace(x_m=pose.x_m + columns * GRID.pitch_m, y_m=pose.y_m + rows * GRID.pitch_m)
-    here, there = press(GRID, [(spheres, pose)]), press(GRID, [(spheres, moved)])
-    overlap = np.roll(here, (rows, columns), (0, 1))
-    kept_rows = slice(max(rows, 0), GRID.rows + min(rows, 0))
-    kept_columns = slice(max(columns, 0), GRID.columns + min(columns, 0))
-    # A taxel at the very edge of a sphere rises as a square root: rounding of x shows as its root.
-    np.testing.assert_allclose(there[kept_rows, kept_columns], overlap[kept_rows, kept_columns], rtol=0, atol=1e-7)
-
-
 @given(st.lists(st.tuples(bodies, poses), max_size=4))
 @settings(max_examples=50)
 def test_several_objects_press_by_their_maximum(objects: list[tuple[Spheres, Pose]]) -> None:
     alone = [press(GRID, [item]) for item in objects]
     expected = np.max(alone, axis=0, initial=0.0) if alone else np.zeros((20, 24))
     np.testing.assert_array_equal(press(GRID, objects), expected.astype(np.float32))
-
-
-@pytest.mark.parametrize("name", CATALOGUE)
-def test_a_quarter_turn_of_the_object_turns_the_image(name: str) -> None:
-    grid = Grid(31, 31, 0.008)
-    straight = press(grid, [(spheres_of(name), Pose(0.0, 0.0, 0.3, 0.01))])
-    turned = press(grid, [(spheres_of(name), Pose(0.0, 0.0, 0.3 + math.pi / 2, 0.01))])
-    np.testing.assert_allclose(turned, np.rot90(straight, -1), rtol=0, atol=1e-7)
 
 
 def test_x_runs_along_the_columns_and_y_down_the_rows() -> None:

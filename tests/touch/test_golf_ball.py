@@ -5,9 +5,7 @@ from functools import cache
 import numpy as np
 import numpy.typing as npt
 import pytest
-from scipy import fft
 
-from tests.touch.table_one import THRESHOLD_N, haar_counts
 from touch.contact import Grid, Pose, press
 from touch.objects import spheres_of
 from touch.trajectory import PAPER_DEPTH_M, PAPER_STEPS, paper_pose
@@ -43,19 +41,6 @@ def test_contact_has_the_paper_files_size() -> None:
     assert round(contact.mean()) == 63
     assert contact.max() == 76
     assert trajectory().max() <= np.float32(PAPER_DEPTH_M)
-
-
-@pytest.mark.heavy
-def test_table_one_haar() -> None:
-    counts = haar_counts(trajectory())
-    assert (round(counts.mean(), 1), counts.max()) == (95.9, 146)
-
-
-@pytest.mark.heavy
-def test_table_one_dct() -> None:
-    coefficients = fft.dctn(trajectory().astype(np.float64), axes=(1, 2), norm="ortho")
-    counts = (np.abs(coefficients) > THRESHOLD_N).sum(axis=(1, 2))
-    assert (round(counts.mean(), 1), counts.max()) == (148.4, 203)
 
 
 def test_poses_of_the_paper() -> None:

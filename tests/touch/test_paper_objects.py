@@ -10,12 +10,13 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from evaluation.paper.runs import true_force
+from evaluation.paper.sparsity import count
 from evaluation.printed import printed_value, sensor_psnr
 from skin.taxel import sense
-from tests.touch.table_one import haar_counts
 from touch.contact import Force, Grid, Pose, press
 from touch.objects import CATALOGUE, spheres_of
-from touch.trajectory import ACQUISITION_OBJECTS, PAPER_DEPTH_M, trajectory
+from touch.trajectory import ACQUISITION_OBJECTS, PAPER_DEPTH_M
 
 WITH_MESH = [name for name, item in CATALOGUE.items() if item.mesh is not None]
 FORCE_MAX_N = 0.02
@@ -36,26 +37,20 @@ def sensor_psnr_db(true: Force) -> npt.NDArray[np.float64]:
 @pytest.mark.heavy
 @pytest.mark.parametrize("name", ACQUISITION_OBJECTS)
 def test_own_shapes_are_as_sparse_and_as_noisy_as_the_papers(name: str) -> None:
-    true = trajectory(name)
-    assert haar_counts(true).mean() == pytest.approx(papers_mean(name), rel=0.03)
-    check_psnr(name, true)
+    check(name, None)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ACQUISITION_OBJECTS)
 def test_meshes_give_the_papers_numbers(name: str) -> None:
-    true = trajectory(name, meshes=meshes())
-    assert haar_counts(true).mean() == pytest.approx(papers_mean(name), rel=0.03)
-    check_psnr(name, true)
+    check(name, str(meshes()))
 
 
-def papers_mean(name: str) -> float:
-    return printed_value("sparsity", object=name, basis="haar", quantity="mean")
-
-
-def check_psnr(name: str, true: Force) -> None:
+def check(name: str, meshes: str | None) -> None:
+    printed = printed_value("sparsity", object=name, basis="haar", quantity="mean")
+    assert count(name=name, meshes=meshes, basis="haar", stride=1)["mean"] == pytest.approx(printed, rel=0.03)
     mean, low, high = sensor_psnr(name)
-    psnr = sensor_psnr_db(true)
+    psnr = sensor_psnr_db(true_force(name, meshes, 1))
     assert psnr.mean() == pytest.approx(mean, abs=0.15)
     assert psnr.min() == pytest.approx(low, abs=0.15)
     assert psnr.max() == pytest.approx(high, abs=0.15)

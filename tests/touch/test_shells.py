@@ -120,26 +120,6 @@ def test_an_object_feels_the_same_wherever_and_however_the_skin_lies(seed: int) 
     np.testing.assert_allclose(there, here, rtol=0, atol=1e-6)
 
 
-def test_a_small_ball_has_the_same_force_wherever_it_presses() -> None:
-    for surface in (TUBE, ball_shaped()):
-        skin = Shell(surface, surface.pitch_m / 2)
-        inner = np.flatnonzero(border_m(surface) > 0.02)[::7]
-        forces = [press(skin, [(ball(0.03), upon(surface, int(taxel), 0.004))]) for taxel in inner]
-        assert [each.max() for each in forces] == pytest.approx([0.004] * len(inner), abs=1e-6)
-        totals = np.array([each.sum() for each in forces])
-        assert totals.std() < 0.03 * totals.mean()
-
-
-@pytest.mark.parametrize("radius_m", [0.01, 0.02, RADIUS_M])
-def test_the_far_side_of_a_finger_feels_nothing(radius_m: float) -> None:
-    finger = tube(radius_m, round(2 * np.pi * radius_m / PITCH_M))
-    for name in ("golf-ball", "basketball", "granola-box"):
-        for taxel in range(len(finger.positions_m) // 2, len(finger.positions_m) // 2 + 8):
-            force_n = press(Shell(finger, PITCH_M / 2), [(spheres_of(name), upon(finger, taxel, 0.01))]).ravel()
-            assert force_n.max() >= 0.0099
-            assert not force_n[finger.normals @ finger.normals[taxel] < -0.3].any()
-
-
 @given(st.integers(0, 2**32 - 1))
 @settings(max_examples=40)
 def test_forces_on_any_surface_are_finite_and_the_same_again(seed: int) -> None:

@@ -63,29 +63,10 @@ def test_every_object_reaches_its_depth_on_the_array(name: str) -> None:
     assert len({float(frame.force_n.sum()) for frame in held}) == 12
 
 
-def test_it_slides_while_pressed() -> None:
-    def centre(step: int) -> tuple[float, float]:
-        rows, columns = np.nonzero(SOURCE.frame(step).force_n)
-        return float(rows.mean()), float(columns.mean())
-
-    assert centre(65) == centre(110)
-    assert np.hypot(*np.subtract(centre(310), centre(120))) > 2.0
-
-
-def test_another_seed_is_another_series() -> None:
-    assert not np.array_equal(SOURCE.frame(100).force_n, objects(seed=8).frame(100).force_n)
-
-
 def test_a_frame_cannot_be_written_to() -> None:
     for step in (0, 100):
         with pytest.raises(ValueError, match="read-only"):
             SOURCE.frame(step).force_n[0, 0] = 1.0
-
-
-def test_small_and_oblong_skins_are_touched_too() -> None:
-    source = objects(8, 16, 0.004, 50.0, names="golf-ball")
-    assert source.frame(50).force_n.shape == (8, 16)
-    assert any(source.frame(step).label for step in range(170))
 
 
 @pytest.mark.parametrize(

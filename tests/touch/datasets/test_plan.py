@@ -1,4 +1,3 @@
-import pickle
 from pathlib import Path
 
 import numpy as np
@@ -75,13 +74,6 @@ def test_observations_of_every_array_are_of_the_same_touches() -> None:
     np.testing.assert_array_equal(
         large["large-04x04/banana-true.npy"], observations(4, "large", perturbations=4, seed=1, names=names)[1]
     )
-
-
-def test_a_task_can_be_sent_to_another_process() -> None:
-    plan = plan_classification(["drill"], sides=(4,), perturbations=2, model=PLAIN)
-    sent = pickle.loads(pickle.dumps(plan.tasks[0]))  # noqa: S301
-    for ours, theirs in zip(plan.tasks[0].make(), sent.make(), strict=True):
-        np.testing.assert_array_equal(ours, theirs)
 
 
 def test_wrong_wishes_are_refused(tmp_path: Path) -> None:

@@ -1,0 +1,124 @@
+"""What the hub denied, as lines for its log: zenoh prints that to stdout alone, among many other lines."""
+
+import os
+import re
+import threading
+from collections.abc import Callable, Collection
+from typing import Final
+
+from canskin.roles import Action, roles_for
+from canskin.text import plain
+
+#: Most lines about one holder, who may invent names without end.
+MOST_LINES: Final = 20
+#: Longest name of a key that is told.
+NAME_MAX: Final = 100
+#: Most sessions whose holders are known: those of denials, the newest.
+MOST_SESSIONS: Final = 4096
+_CHUNK: Final = 1 << 20
+#: What a line that counts has; most lines have neither.
+_PARTS: Final = (b" (ingress) ", b"): caching ", b" did not match ")
+#: A line of zenoh begins with a colour, which it escapes in the names of programs: they cannot imitate a line.
+_LINE: Final = re.compile(
+    rb"\x1b\[2m\S+ .*?(?P<thread>ThreadId\(\d+\)).*?access_control.*?\x1b\[0m (?:"
+    rb"ACL \((?P<ahead>ingress|egress)\): caching permissions"
+    rb"|(?P<stranger>\w+) did not match any configured ACL subject"
+    rb"|(?:Using cached result: )?(?P<session>\w+)(?: on .*?CertCommonName\((?P<holder>.*?)\)\+.*?)?"
+    rb" is (?P<denied>un)?authorized to (?P<what>[\w/ ]+) \(ingress\) on (?P<key>.*))"
+)
+_ACTIONS: Final[dict[str, Action]] = {
+    "Put": "put",
+    "Declare Subscriber": "subscribe",
+    "Query": "ask",
+    "Declare Queryable": "answer",
+    "Reply": "answer",
+    "Liveliness Token": "appear",
+}
+
+
+class Denials:
+    """Tells each denial once: who may not do what, and who may.
+
+    Parameters
+    ----------
+    say : callable
+        Takes a line.
+    revoked : collection of str
+        Common names of keys that are revoked.
+    """
+
+    def __init__(self, say: Callable[[str], None], revoked: Collection[str] = ()) -> None:
+        self._say, self._revoked = say, revoked
+        self._holders: dict[bytes, str] = {}
+        self._ahead: set[bytes] = set()
+        self._said: dict[str, set[str]] = {}
+
+    def take(self, content: bytes) -> None:
+        """Take whole lines of zenoh."""
+        for line in content.split(b"\n"):
+            if any(part in line for part in _PARTS):
+                self._take(line)
+
+    def _take(self, line: bytes) -> None:
+        found = _LINE.match(line)
+        if found is None:
+            return
+        if found["ahead"]:  # of a new key: first all decisions for what comes in, then those for what goes out
+            (self._ahead.add if found["ahead"] == b"ingress" else self._ahead.discard)(found["thread"])
+        elif found["stranger"]:
+            self._tell("keys that are not in the list of holders", "may do nothing: copy the hub's keys here again")
+        else:
+            self._take_decision(found)
+
+    def _take_decision(self, found: re.Match[bytes]) -> None:
+        if found["holder"] is not None:
+            if len(self._holders) >= MOST_SESSIONS:
+                self._holders.pop(next(iter(self._holders)))
+            self._holders[found["session"]] = plain(found["holder"].decode(errors="replace"))
+        holder = self._holders.get(found["session"])
+        if found["denied"] and holder is not None and found["thread"] not in self._ahead:
+            self._deny(holder, found["what"].decode(), found["key"].decode(errors="replace"))
+
+    def _deny(self, holder: str, what: str, key: str) -> None:
+        if holder in self._revoked:
+            self._tell(holder, "may do nothing: these keys are revoked")
+            return
+        action = _ACTIONS.get(what)
+        name = key.removeprefix(f"canskin/{holder.split(':', maxsplit=1)[0]}/")
+        if action == "appear":
+            name = name.removeprefix("alive/").partition("/")[0]
+        allowed = ", ".join(roles_for(action, name)) if action else ""
+        verb = "appear as" if action == "appear" else action or what.lower()
+        said = f"may not {verb} '{plain(name[:NAME_MAX])}'"
+        self._tell(holder, f"{said}: {allowed} may" if allowed else said)
+
+    def _tell(self, holder: str, text: str) -> None:
+        said = self._said.setdefault(holder, set())
+        if text in said or len(said) > MOST_LINES:
+            return
+        said.add(text)
+        self._say(f"{holder} {text}" if len(said) <= MOST_LINES else f"{holder}: no more of its denials are told")
+
+
+def read_stdout(take: Callable[[bytes], None]) -> None:
+    """Give `take` all that this process prints to stdout from now on, in whole lines, in a thread of its own."""
+    reading, writing = os.pipe()
+    os.dup2(writing, 1)
+    os.close(writing)
+
+    def read() -> None:
+        rest = b""
+        with open(reading, "rb", buffering=0) as printed:  # noqa: PTH123 - a pipe
+            while content := printed.read(_CHUNK):
+                lines, end, rest = (rest + content).rpartition(b"\n")
+                if end:
+                    take(lines)
+                rest = rest[-_CHUNK:]
+
+    threading.Thread(target=read, name="denials", daemon=True).start()
+
+
+def ignore_stdout() -> None:
+    """End `read_stdout`."""
+    with open(os.devnull, "wb") as nothing:  # noqa: PTH123
+        os.dup2(nothing.fileno(), 1)

@@ -1,0 +1,49 @@
+"""``skin hub``: the fabric's hub as a process of its own."""
+
+import math
+from contextlib import closing
+
+from canskin.keys import environment_keys
+from canskin.session import DEFAULT_ENDPOINT, checked, open_hub, print_denials
+from hub.denials import Denials, ignore_stdout, read_stdout
+from hub.holders import read_holders
+from hub.rules import access_control
+from shell.service import StopSignal, request_real_time, say
+from shell.skin_options import Insecure, check_listen
+
+
+def hub(*, listen: str = DEFAULT_ENDPOINT, insecure: Insecure = False) -> None:
+    """Pass the messages of one skin or of many, so that a gateway that stops cuts nobody else off.
+
+    With ``--keys`` of role hub every program needs keys, and does what its role may: see ``skin keys explain``. What
+    is denied is logged once. After ``skin keys renew`` or ``revoke`` start the hub again with its new folder: programs
+    come back by themselves, 0.2 s later.
+
+    Parameters
+    ----------
+    listen
+        Endpoint; default: a socket that only this user may open, with keys tls/127.0.0.1:7447.
+    insecure
+        Listen to a network without keys: everybody there can read the skin, tare it and send false images.
+
+    Examples
+    --------
+    skin hub
+    skin hub --listen tls/0.0.0.0:7447 --keys keys/hub
+    """
+    stop = StopSignal().install()
+    check_listen(listen, "hub", insecure=insecure)
+    endpoint, keys = checked(listen, environment_keys())
+    rules = None
+    if keys is not None:
+        keys.tell_end("hub")
+        rules = access_control(keys.folder)
+        revoked = read_holders(keys.folder).revoked
+        read_stdout(Denials(lambda text: say("hub", text), revoked).take)
+        print_denials()
+    with closing(open_hub(endpoint, keys, rules)):
+        say("hub", f"listens on {endpoint}: give that to 'skin gateway' and all others as --connect")
+        request_real_time("hub")
+        stop.wait(math.inf)
+        if rules is not None:
+            ignore_stdout()  # while zenoh closes, Python might read no more, and zenoh would wait

@@ -1,0 +1,140 @@
+"""Every cell of role x topic x action, with real certificates, against a hub with the rules: made from the table."""
+
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from canskin.calibration_messages import CALIBRATION, tare_request
+from canskin.errors import BusError, InputError
+from canskin.fabric import Fabric
+from canskin.keys import Keys
+from canskin.messages import MARK, TRUTH, Mark
+from canskin.peers import EVERY_KEY
+from canskin.roles import ACTIONS, QUESTIONS, ROLES, TOPICS
+from canskin.session import open_client, open_hub
+from hub.rules import access_control
+from tests.hub.keys import make_authority
+from tests.processes import PATIENCE_S, free_port
+
+SERVICES = sorted({name for role in ROLES.values() for name in role.appear})
+NAMES = {action: [each.name for each in TOPICS] for action in ("put", "subscribe")}
+NAMES |= {action: [each.name for each in QUESTIONS] for action in ("ask", "answer")}
+Cells = dict[str, set[str]]
+
+
+class Hub:
+    """A hub with rules, whose own session is the other side of every action."""
+
+    def __init__(self, folder: Path) -> None:
+        authority = make_authority(folder, *ROLES, "client:lost", "operator:anna")
+        for role in ROLES:
+            authority.issue(f"hand:{role}")
+        authority.list.revoked.append("palm:client:lost")
+        authority.write_list()
+        self.folder, self.endpoint = folder, f"tls/127.0.0.1:{free_port()}"
+        self.session = open_hub(self.endpoint, Keys(folder / "hub"), access_control(folder / "hub"))
+
+    def cells(self, keys: str, skin: str = "palm") -> Cells:
+        """Return the names with which each action passes."""
+        session = open_client(self.endpoint, "test", None, PATIENCE_S, keys=Keys(self.folder / keys))
+        try:
+            return {
+                "put": _heard(session, self.session, skin, lambda: _see(session)),
+                "subscribe": _heard(self.session, session, skin, lambda: _see(session)),
+                "answer": _answered(self.session, session, skin, lambda: _see(session)),
+                "ask": _answered(session, self.session, skin, lambda: None),
+                "appear": _seen(session, self.session, skin),
+            }
+        finally:
+            session.close()
+
+
+def _see(session: Any) -> list[str]:
+    """Return the tokens that a session sees; when they came, all that it sent before has passed the hub."""
+    return [str(each.ok.key_expr) for each in session.liveliness().get(EVERY_KEY, timeout=PATIENCE_S)]
+
+
+def _heard(sender: Any, hearer: Any, skin: str, fence: Callable[[], object]) -> set[str]:
+    heard: set[str] = set()
+    keys = [f"canskin/{skin}/{name}" for name in (*NAMES["put"], *NAMES["ask"])]
+    kept = [hearer.declare_subscriber(key, lambda sample: heard.add(str(sample.key_expr))) for key in keys]
+    fence()
+    for key in keys:
+        sender.put(key, b"")
+    for _ in range(3):
+        fence()
+    for each in kept:
+        each.undeclare()
+    return {key.rpartition("/")[2] for key in heard}
+
+
+def _answered(asker: Any, answerer: Any, skin: str, fence: Callable[[], object]) -> set[str]:
+    keys, came = [f"canskin/{skin}/{name}" for name in (*NAMES["ask"], *NAMES["put"])], set[str]()
+
+    def reply(query: Any) -> None:
+        came.add(str(query.key_expr))
+        query.reply(query.key_expr, b"")
+
+    kept = [answerer.declare_queryable(key, reply) for key in keys]
+    fence()
+    answered = {key for key in keys if any(each.ok is not None for each in asker.get(key, timeout=PATIENCE_S))}
+    for each in kept:
+        each.undeclare()
+    assert came == answered  # a question that comes, and whose answer does not, may have changed the zero
+    return {key.rpartition("/")[2] for key in answered}
+
+
+def _seen(session: Any, hub: Any, skin: str) -> set[str]:
+    kept = [session.liveliness().declare_token(f"canskin/{skin}/alive/{name}/test") for name in (*SERVICES, "hub")]
+    _see(session)
+    seen = {key.split("/")[3] for key in _see(hub) if key.endswith("/test")}
+    for each in kept:
+        each.undeclare()
+    return seen
+
+
+@pytest.fixture(scope="module")
+def hub(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Hub]:
+    made = Hub(tmp_path_factory.mktemp("rules") / "keys")
+    yield made
+    made.session.close()
+
+
+@pytest.mark.heavy
+@pytest.mark.parametrize("role", ROLES)
+def test_the_hub_lets_a_role_do_what_the_table_says_and_nothing_else(hub: Hub, role: str) -> None:
+    assert hub.cells(role) == {action: set(ROLES[role].names(action)) for action in ACTIONS}
+    assert hub.cells(f"hand.{role}") == {action: set() for action in ACTIONS}
+
+
+def test_each_holder_has_the_rights_of_its_role_until_it_is_revoked(hub: Hub) -> None:
+    assert hub.cells("operator.anna")["put"] == {"marks"}
+    with pytest.raises(BusError, match="lets 'palm:client:lost' do nothing: its keys are revoked"):
+        hub.cells("client.lost")
+
+
+def test_a_program_is_told_its_role_what_it_may_not_and_who_may(hub: Hub) -> None:
+    keys = Keys(hub.folder / "viewer")
+    with closing(Fabric("palm", "show", hub.endpoint, keys=keys)) as fabric:
+        for refused in (
+            lambda: fabric.publish(MARK, Mark(label="")),
+            lambda: fabric.ask(CALIBRATION, tare_request(1, 1), PATIENCE_S),
+            lambda: fabric.answer(CALIBRATION, lambda _request, _reply: None),
+        ):
+            with pytest.raises(BusError, match=r"role 'viewer' may not .*, .*'(operator|gateway)' may: see 'skin keys"):
+                refused()
+    with pytest.raises(BusError, match="may not subscribe 'truth', 'viewer', 'recorder', 'operator' may"):
+        Fabric("palm", "client", hub.endpoint, keys=Keys(hub.folder / "client"), prepare=lambda it: it.mailbox(TRUTH))
+    with pytest.raises(BusError, match="role 'viewer' may not appear as 'gateway', 'gateway' may"):
+        Fabric("palm", "gateway", hub.endpoint, keys=keys)
+    with pytest.raises(BusError, match=r"keys .*viewer: they are of skin 'palm', not of 'hand'"):
+        Fabric("hand", "viewer", hub.endpoint, keys=keys)
+
+
+def test_a_list_without_holders_is_refused(tmp_path: Path) -> None:
+    make_authority(tmp_path / "keys")
+    with pytest.raises(InputError, match="has no holder of keys: 'skin keys add'"):
+        access_control(tmp_path / "keys")
