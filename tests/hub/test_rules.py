@@ -140,7 +140,13 @@ def test_a_program_is_told_its_role_what_it_may_not_and_who_may(hub: Hub) -> Non
             with pytest.raises(BusError, match=r"role 'viewer' may not .*, .*'(operator|gateway)' may: see 'skin keys"):
                 refused()
     with pytest.raises(BusError, match="may not subscribe 'truth', 'viewer', 'recorder', 'operator' may"):
-        Fabric("palm", "client", hub.endpoint, keys=Keys(hub.folder / "client"), prepare=lambda it: it.mailbox(TRUTH))
+        Fabric(
+            "palm",
+            "client",
+            hub.endpoint,
+            keys=Keys(hub.folder / "client"),
+            prepare=lambda it: it.subscribe(TRUTH, print),
+        )
     with pytest.raises(BusError, match="role 'viewer' may not appear as 'gateway', 'gateway' may"):
         Fabric("palm", "gateway", hub.endpoint, keys=keys)
     with pytest.raises(BusError, match=r"keys .*viewer: they are of skin 'palm', not of 'hand'"):
