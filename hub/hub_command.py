@@ -1,10 +1,10 @@
 """``skin hub``: the fabric's hub as a process of its own."""
 
-import math
+import time
 from contextlib import closing
 
 from canskin.keys import environment_keys
-from canskin.session import DEFAULT_ENDPOINT, checked, open_hub, print_denials
+from canskin.session import DEFAULT_ENDPOINT, LOOK_S, checked, open_hub, print_denials
 from hub.denials import Denials, ignore_stdout, read_stdout
 from hub.holders import read_holders
 from hub.rules import access_control
@@ -44,6 +44,7 @@ def hub(*, listen: str = DEFAULT_ENDPOINT, insecure: Insecure = False) -> None:
     with closing(open_hub(endpoint, keys, rules)):
         say("hub", f"listens on {endpoint}: give that to 'skin gateway' and all others as --connect")
         request_real_time("hub")
-        stop.wait(math.inf)
+        while not stop.is_set():
+            time.sleep(LOOK_S)
         if rules is not None:
             ignore_stdout()  # while zenoh closes, Python might read no more, and zenoh would wait
