@@ -59,7 +59,7 @@ class Odds(NamedTuple):
 
 
 class FaultSchedule:
-    """The present faults, looked up once per controller and identifier, and their random numbers.
+    """The faults, looked up once per controller and identifier, and their random numbers.
 
     Parameters
     ----------
@@ -68,13 +68,9 @@ class FaultSchedule:
     """
 
     def __init__(self, faults: Sequence[Fault] = (), seed: int = 0) -> None:
+        self._faults = tuple(faults)
         self._random = Random(seed)
         self._duplicated: set[int] = set()
-        self.replace(faults)
-
-    def replace(self, faults: Sequence[Fault]) -> None:
-        """Replace the faults; the series of random numbers continues."""
-        self._faults = tuple(faults)
         self._known: dict[tuple[str, int], Odds] = {}
 
     def __bool__(self) -> bool:

@@ -92,15 +92,6 @@ class SimulatedBus:
         self._confinement.forget(station)
         self._refresh()
 
-    def set_faults(self, faults: Sequence[Fault]) -> None:
-        """Replace the faults; a controller that loses power loses its waiting frames."""
-        self._faults.replace(faults)
-        for controller in self._stations.controllers():
-            controller.off = self._faults.is_off(controller.name)
-            if controller.off:
-                self._queues.discard(self._queues.pending.withdraw(controller), self.now_ns)
-        self._refresh()
-
     def _controller(self, station: Station, port: int) -> Controller:
         """Return the controller at a port; the first call makes the controller."""
         controller = station.controllers.get(port)

@@ -1,6 +1,6 @@
 """Contacts: where the skin is touched, how strongly, and which touch is which from image to image.
 
-A contact is a region of neighbouring taxels with force (`reconstructor.kernels.regions`). From one image to the next:
+A contact is a region of neighbouring taxels with force (`reconstructor.kernels.touched_regions`). From image to image:
 
 * A region belongs to the contact whose taxels it covers.
 * Two objects slide into each other: each taxel of their region keeps its contact, and the border between the contacts
@@ -23,7 +23,7 @@ import numpy.typing as npt
 
 from canskin.errors import InputError
 from canskin.messages import Contact, EndedContact
-from reconstructor.kernels.regions import (
+from reconstructor.kernels.touched_regions import (
     FEATURES,
     find_regions,
     measure_parts,

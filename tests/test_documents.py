@@ -53,6 +53,9 @@ def commands_of(line: str) -> Iterator[list[str]]:
 
 
 def is_of_skin(arguments: Sequence[str]) -> bool:
+    if "--keys" in arguments:  # of every verb: the command line takes it before the verb's own options
+        place = arguments.index("--keys")
+        arguments = [*arguments[:place], *arguments[place + 2 :]]
     return not build_app(arguments).parse_args(arguments)[2]
 
 

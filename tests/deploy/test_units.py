@@ -6,11 +6,16 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
+from canskin.keys import ENVIRONMENT
 from canskin.session import UNIX
+from health.alive import trouble
+from hub.keys_command import new
+from tests.deploy.conftest import Install
 from tests.deploy.units import UNITS, Unit
 from tests.layouts import slow_layout
 from tests.processes import Processes, free_port
@@ -87,43 +92,61 @@ def test_a_confined_service_can_do_nothing_more(installed: Path, tmp_path: Path)
     )
 
 
-@pytest.fixture(scope="module")
-def running(installed: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Processes]:
+@contextmanager
+def running(root: Path, more: dict[str, str], *instances: str) -> Iterator[Processes]:
     """Run the ExecStart= of each unit, confined as the unit says, on virtual buses; skin.env is edited by hand."""
     if why := not_here():
         pytest.skip(why)
-    folder = tmp_path_factory.mktemp("confined")
-    root = folder / "root"
-    shutil.copytree(installed, root)
+    folder = root.parent
     slow_layout(root / "etc/canskin", 20).rename(root / "etc/canskin/slow.toml")
     give_compiled(folder / CACHE, but=COMPILED_THERE)
     environment = root / "etc/canskin/skin.env"
     text = environment.read_text().replace("SKIN_LAYOUT=default", "SKIN_LAYOUT=/etc/canskin/slow.toml")
     text = re.sub("-i socketcan -c .*", "-i canskin", text)
-    words = {"gateway": "--keep-zero /var/lib/canskin/zero.json", "view": f"--port {free_port()}"}
-    words |= {"record": "-i canskin"}
-    environment.write_text(text + "".join(f"SKIN_{verb}={more}\n" for verb, more in words.items()))
+    environment.write_text(text + "".join(f"SKIN_{verb}={words}\n" for verb, words in more.items()))
     with Processes(folder) as processes:
         bus = Unit(root, "bus")
         skin = bus.command()[0]
         processes.start("bus", *bus.confined(folder / "writable").words(skin, "bus"))
         processes.await_words("bus", "ready")
-        for verb in ("nodes", *VERBS):
+        for verb in ("nodes", *instances):
             unit = Unit(root, verb)
             processes.start(verb, *unit.confined(folder / "writable").words(*unit.command()))
         yield processes
 
 
 @pytest.mark.slow
-def test_units_run_confined_as_they_say(running: Processes) -> None:
-    running.await_words("gateway", "scheduling")
-    first_image(running, f"{UNIX}/{running.folder}/writable/run/canskin/hub")
-    running.await_words("view", "web page")
-    wanted = "scheduling: real time" if gives_real_time() else "scheduling: ordinary"
-    for verb in ("gateway", "reconstruct", "classify", "record"):
-        assert running.log(verb).read_text().count(wanted) == 1, verb
-    for verb in VERBS:
-        assert running.stop(verb) == 0, running.log(verb).read_text()
-    kept = running.folder / "writable/var/lib/canskin"
-    assert len(list(kept.glob("*.mcap"))) == 1
-    assert list((running.folder / CACHE).rglob(f"{COMPILED_THERE}.*.nbi"))
+def test_units_run_confined_as_they_say(installed: Path, tmp_path: Path) -> None:
+    root = Path(shutil.copytree(installed, tmp_path / "root"))
+    more = {
+        "gateway": "--keep-zero /var/lib/canskin/zero.json",
+        "view": f"--port {free_port()}",
+        "record": "-i canskin",
+    }
+    with running(root, more, *VERBS) as processes:
+        processes.await_words("gateway", "scheduling")
+        first_image(processes, f"{UNIX}/{processes.folder}/writable/run/canskin/hub")
+        processes.await_words("view", "web page")
+        wanted = "scheduling: real time" if gives_real_time() else "scheduling: ordinary"
+        for verb in ("gateway", "reconstruct", "classify", "record"):
+            assert processes.log(verb).read_text().count(wanted) == 1, verb
+        for verb in VERBS:
+            assert processes.stop(verb) == 0, processes.log(verb).read_text()
+        kept = processes.folder / "writable/var/lib/canskin"
+        assert len(list(kept.glob("*.mcap"))) == 1
+        assert list((processes.folder / CACHE).rglob(f"{COMPILED_THERE}.*.nbi"))
+
+
+@pytest.mark.slow
+def test_units_with_keys_meet_at_the_hub(install: Install, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    new(tmp_path / "keys", skin="skin")
+    assert install(tmp_path / "root", "--interface", "skin0", "--keys", str(tmp_path / "keys")).returncode == 0
+    endpoint = f"tls/127.0.0.1:{free_port()}"
+    more = dict.fromkeys(("reconstruct", "view"), f"--connect {endpoint}")
+    more |= {"hub": f"--listen {endpoint}", "gateway": f"-i canskin --connect {endpoint}", "nodes": "--no-fabric"}
+    more["view"] += f" --port {free_port()}"
+    with running(tmp_path / "root", more, "hub", "gateway", "reconstruct", "view") as processes:
+        processes.await_words("view", "web page")
+        with monkeypatch.context() as patch:
+            patch.setenv(ENVIRONMENT, str(tmp_path / "keys/reconstructor"))
+            processes.until(lambda: not trouble("reconstructor", endpoint), "images")

@@ -161,7 +161,7 @@ def test_small_skin() -> None:
         ('name = "bus1"', 'name = "bus1"\nblocks_per_node = 3', "expected 1 or 2 or 4 or 8, got 3"),
         ("rows = 64", "rowz = 64", "unknown key `rowz`: did you mean `rows`?"),
         ("[sync]", "[recognition]", "the key `recognition` went with the boards of two states"),
-        ("[sync]", "[recog]", "unknown key `recog`: expected one of name, "),
+        ("[sync]", "[recognitions]", "unknown key `recognitions`: expected one of name, "),
         ("[taxels]", "[taxel]", "unknown key `taxel`: did you mean `taxels`?"),
         (
             "rows = 64",

@@ -6,15 +6,15 @@ from typing import Any, Final
 
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
-#: Most connections, far below the 1024 files that a process may have open by default.
-CONNECTIONS_MAX: Final = 256
+#: Most connections, below the 1024 files that a process may have open by default.
+CONNECTIONS_MAX: Final = 512
 #: Most connections of one address.
-CONNECTIONS_OF_ADDRESS_MAX: Final = 64
+CONNECTIONS_OF_ADDRESS_MAX: Final = 128
 #: A request has to be whole within this time, with its body.
 REQUEST_S: Final = 5.0
 HEADERS_BYTES_MAX: Final = 16384
-#: Most connections that are accepted in one turn of the loop.
-BACKLOG: Final = 64
+#: Most connections that are accepted in one turn of the loop: a request that is there is read before it is the oldest.
+BACKLOG: Final = 32
 
 
 class Connection(H11Protocol):

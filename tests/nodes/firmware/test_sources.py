@@ -29,7 +29,6 @@ from tests.layouts import buses
 from tests.nodes.firmware.stack import HERE, OPTIMIZED, compile_adapter, compile_slave, exported
 from tests.nodes.firmware.twins import analogue, few_sums, needs_compiler, small_contract
 
-NAMES = ("default", "fd", "one-bus-12bit", "analogue", "steps", "steps-fd")
 #: Bursts of random frames, and seeds.
 BURSTS, SEEDS = 20_000, range(1, 4)
 #: Stepped boards filter a sample beside each burst.
@@ -73,7 +72,7 @@ def test_no_two_files_of_the_slave_call_each_other_in_a_circle(name: str) -> Non
 
 @pytest.mark.heavy
 @needs_compiler
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", ["fd", "one-bus-12bit", "analogue", "steps-fd"])
 def test_one_image_for_canopennode_has_the_dictionary_of_each_board(name: str, tmp_path: Path) -> None:
     contract = contract_of(name)
     program = compile_adapter(contract, tmp_path, "print_dictionary.c", contract.nodes, OPTIMIZED)

@@ -11,12 +11,22 @@ import pytest
 import uvicorn
 
 from tests.processes import PATIENCE_S
+from views.page.actions import Action, SetMark
 from views.page.app import build_app
 from views.page.command import server_config
-from views.page.connections import CONNECTIONS_MAX, CONNECTIONS_OF_ADDRESS_MAX, REQUEST_S
+from views.page.connections import REQUEST_S
 from views.page.feed import Feed
+from views.page.guard import Access
 
+ACCESS = Access()
 HALF = b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\n"
+WHOLE = b"GET /healthz HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n"
+MARK = (
+    f"POST /api/mark?token={ACCESS.token} HTTP/1.1\r\nHost: 127.0.0.1\r\nOrigin: http://127.0.0.1\r\n"
+    'Content-Type: application/json\r\nContent-Length: 13\r\n\r\n{"label":"a"}'
+).encode()
+#: Limits of the server here.
+OF_ADDRESS, ALL = 16, 24
 #: Longer than any limit of the server.
 SILENCE_S = 4 * REQUEST_S
 
@@ -27,9 +37,16 @@ class Serving:
     def __init__(self, messages: Any) -> None:
         listener = socket.create_server(("127.0.0.1", 0))
         self.port = listener.getsockname()[1]
-        self.server = uvicorn.Server(server_config(build_app(Feed(messages.layout))))
+        self.is_asked, self.may_answer = threading.Event(), threading.Event()
+        actions = {"mark": Action(SetMark, self._mark)}
+        self.server = uvicorn.Server(server_config(build_app(Feed(messages.layout), ACCESS, actions)))
         self._thread = threading.Thread(target=self.server.run, args=([listener],))
         self._thread.start()
+
+    def _mark(self, _asked: SetMark) -> str:
+        self.is_asked.set()
+        self.may_answer.wait(PATIENCE_S)
+        return "marked"
 
     def open(self, sent: bytes = HALF, source: str = "127.0.0.1") -> socket.socket:
         """Open a connection, and send the begin of a request."""
@@ -46,7 +63,9 @@ class Serving:
 
 
 @pytest.fixture
-def serving(messages: Any) -> Iterator[Serving]:
+def serving(messages: Any, monkeypatch: pytest.MonkeyPatch) -> Iterator[Serving]:
+    monkeypatch.setattr("views.page.connections.CONNECTIONS_OF_ADDRESS_MAX", OF_ADDRESS)
+    monkeypatch.setattr("views.page.connections.CONNECTIONS_MAX", ALL)
     serving = Serving(messages)
     yield serving
     serving.close()
@@ -67,33 +86,38 @@ def is_closed(opened: socket.socket) -> bool:
 @pytest.mark.heavy
 def test_half_open_requests_of_one_address_leave_places(serving: Serving) -> None:
     with ExitStack() as stack:
-        for _ in range(4 * CONNECTIONS_OF_ADDRESS_MAX):
+        asking = stack.enter_context(serving.open(MARK))
+        serving.is_asked.wait(PATIENCE_S)
+        for _ in range(3 * OF_ADDRESS):
             stack.enter_context(serving.open())
         assert serving.answers()
-        assert len(serving.server.server_state.connections) <= CONNECTIONS_OF_ADDRESS_MAX
+        assert len(serving.server.server_state.connections) <= OF_ADDRESS
+        serving.may_answer.set()
+        assert asking.recv(100).startswith(b"HTTP/1.1 200 OK")  # what is being answered keeps its place
 
 
 @pytest.mark.heavy
 def test_half_open_requests_of_many_addresses_leave_places(serving: Serving) -> None:
     with ExitStack() as stack:
-        for place in range(CONNECTIONS_MAX + CONNECTIONS_OF_ADDRESS_MAX):
+        for place in range(2 * ALL):
             stack.enter_context(serving.open(source=f"127.0.1.{1 + place % 8}"))
         assert serving.answers()
-        assert len(serving.server.server_state.connections) <= CONNECTIONS_MAX
-
-
-BODY = b"POST /api/tare HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 10\r\n\r\n{"
+        assert len(serving.server.server_state.connections) <= ALL
 
 
 @pytest.mark.heavy
 @pytest.mark.parametrize(
-    "sent", [b"", HALF, BODY, b"GET /healthz HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n" + HALF, HALF + b"X: " + b"x" * 20000]
+    "sent", [b"", HALF, MARK[:-1], HALF + b"X: " + b"x" * 20000], ids=["none", "half", "body", "long"]
 )
+@pytest.mark.parametrize("before", [b"", WHOLE], ids=["first", "second"])
 def test_a_request_that_does_not_become_whole_is_hung_up_on(
-    serving: Serving, sent: bytes, monkeypatch: pytest.MonkeyPatch
+    serving: Serving, before: bytes, sent: bytes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("views.page.connections.REQUEST_S", 0.1)
-    with serving.open(sent) as opened:
+    with serving.open(before) as opened:
+        if before:
+            assert opened.recv(100).startswith(b"HTTP/1.1 200 OK")
+        opened.sendall(sent)
         assert is_closed(opened)
     assert serving.answers()
 

@@ -53,7 +53,7 @@ def test_a_mark_lasts_until_the_next_or_the_end_of_the_recorder(state: ViewState
     recorder = new_peer("palm", RECORDER, "")
     state.take_peer(recorder, True, 1.0)
     marks = []
-    for label in ("cup", "x" * 65, "ball\n"):
+    for label in ("cup", "x" * 65, " ball"):
         assert state.take(Mark(label=label), 2.0) == (label == "cup")
         marks.append(state.moment(2.0).mark)
     state.take(Mark(label=""), 3.0)
