@@ -1,8 +1,10 @@
 """What the hub denied, as lines for its log: zenoh prints that to stdout alone, among many other lines."""
 
+import fcntl
 import os
 import re
 import threading
+import time
 from collections.abc import Callable, Collection
 from typing import Final
 
@@ -13,9 +15,14 @@ from canskin.text import plain
 MOST_LINES: Final = 20
 #: Longest name of a key that is told.
 NAME_MAX: Final = 100
-#: Most sessions whose holders are known: those of denials, the newest.
+#: Most sessions whose holders are known, the newest, and most denials that are known without another look.
 MOST_SESSIONS: Final = 4096
 _CHUNK: Final = 1 << 20
+#: A pipe that has less is read again after `PAUSE_S` only, because each turn costs as much as many lines.
+_LITTLE: Final = 1 << 16
+PAUSE_S: Final = 0.02
+#: Length of the time in a line.
+_WHEN: Final = len("\x1b[2m2026-01-01T00:00:00.000000Z")
 #: What a line that counts has; most lines have neither.
 _PARTS: Final = (b" (ingress) ", b"): caching ", b" did not match ")
 #: A line of zenoh begins with a colour, which it escapes in the names of programs: they cannot imitate a line.
@@ -51,12 +58,14 @@ class Denials:
         self._say, self._revoked = say, revoked
         self._holders: dict[bytes, str] = {}
         self._ahead: set[bytes] = set()
+        self._known: set[bytes] = set()
         self._said: dict[str, set[str]] = {}
 
     def take(self, content: bytes) -> None:
         """Take whole lines of zenoh."""
         for line in content.split(b"\n"):
-            if any(part in line for part in _PARTS):
+            # What a session is denied is printed each time: a flood must not take the processor.
+            if line[_WHEN:] not in self._known and any(part in line for part in _PARTS):
                 self._take(line)
 
     def _take(self, line: bytes) -> None:
@@ -77,6 +86,9 @@ class Denials:
             self._holders[found["session"]] = plain(found["holder"].decode(errors="replace"))
         holder = self._holders.get(found["session"])
         if found["denied"] and holder is not None and found["thread"] not in self._ahead:
+            if len(self._known) >= MOST_SESSIONS:
+                self._known.clear()
+            self._known.add(found.string[_WHEN:])
             self._deny(holder, found["what"].decode(), found["key"].decode(errors="replace"))
 
     def _deny(self, holder: str, what: str, key: str) -> None:
@@ -103,6 +115,8 @@ class Denials:
 def read_stdout(take: Callable[[bytes], None]) -> None:
     """Give `take` all that this process prints to stdout from now on, in whole lines, in a thread of its own."""
     reading, writing = os.pipe()
+    if hasattr(fcntl, "F_SETPIPE_SZ"):  # Linux: zenoh waits while the pipe is full
+        fcntl.fcntl(writing, fcntl.F_SETPIPE_SZ, _CHUNK)
     os.dup2(writing, 1)
     os.close(writing)
 
@@ -114,6 +128,8 @@ def read_stdout(take: Callable[[bytes], None]) -> None:
                 if end:
                     take(lines)
                 rest = rest[-_CHUNK:]
+                if len(content) < _LITTLE:
+                    time.sleep(PAUSE_S)
 
     threading.Thread(target=read, name="denials", daemon=True).start()
 

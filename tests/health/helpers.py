@@ -22,6 +22,11 @@ def note(state: ViewState, name: str, alive: bool, now_s: float) -> None:
     state.take_peer(Peer("palm", name, "1"), alive, now_s)
 
 
+def seen_of(state: ViewState, now_s: float, **options: int) -> Any:
+    """Return the snapshot of a time; what a test reads of it is there."""
+    return state.snapshot(now_s, **options)[0]
+
+
 def palm_layout(**tables: Any) -> Layout:
     """Return the layout of the small skin, with more tables."""
     return small_layout(16, 16, name="palm", bus=buses(4, 4, names=("left", "right")), **tables)

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from health.state import ViewState
 from health.window import Rate, Window
+from tests.health.helpers import seen_of
 
 
 @pytest.fixture
@@ -21,18 +22,18 @@ def test_rate_and_latency_of_the_last_seconds(state: ViewState, messages: Any) -
     latencies_s = np.linspace(0.004, 0.012, 300)
     for cycle, latency_s in enumerate(latencies_s, 1):
         state.take(messages.image(cycle, sync_s=cycle / 100, latency_s=latency_s), cycle / 100)
-    figures = state.snapshot(3.0)[0].figures
+    figures = seen_of(state, 3.0).figures
     assert figures.images_hz == pytest.approx(100, rel=0.02)
     assert figures.latency_p50_s == pytest.approx(np.percentile(latencies_s, 50), abs=1e-6)
     assert figures.latency_p99_s == pytest.approx(np.percentile(latencies_s, 99), abs=1e-6)
-    later = state.snapshot(9.0)[0].figures
+    later = seen_of(state, 9.0).figures
     assert (later.images_hz, later.latency_p50_s, later.latency_p99_s) == (0.0, None, None)
 
 
 def test_images_of_which_nothing_was_measured_have_no_rate(state: ViewState, messages: Any) -> None:
     for cycle in range(1, 101):
         state.take(messages.image(cycle, invalid=tuple(range(8))), cycle / 100)
-    figures = state.snapshot(1.0)[0].figures
+    figures = seen_of(state, 1.0).figures
     assert (figures.images_hz, figures.latency_p50_s, figures.valid_blocks) == (0.0, None, 0)
 
 
@@ -46,16 +47,16 @@ def test_psnr_is_that_of_the_same_cycle(state: ViewState, messages: Any, truth_f
     ]
     for take in takes if truth_first else reversed(takes):
         take()
-    figures = state.snapshot(1.1)[0].figures
+    figures = seen_of(state, 1.1).figures
     assert figures.psnr_image_db == pytest.approx(20 * np.log10(0.02 / 0.001), abs=1e-3)
     assert figures.psnr_sensor_db == pytest.approx(20 * np.log10(0.02 / 0.002), abs=1e-3)
-    assert state.snapshot(2.1)[0].figures.psnr_image_db is None
+    assert seen_of(state, 2.1).figures.psnr_image_db is None
 
 
 def test_same_counter_one_round_later_is_another_cycle(state: ViewState, messages: Any) -> None:
     state.take(messages.truth(3, sync_s=1.0), 1.0)
     state.take(messages.image(243, sync_s=3.4), 3.4)
-    snapshot, _ = state.snapshot(3.4)
+    snapshot = seen_of(state, 3.4)
     assert snapshot.figures.psnr_image_db is None
     assert snapshot.truth is None
 
@@ -63,24 +64,23 @@ def test_same_counter_one_round_later_is_another_cycle(state: ViewState, message
 def test_psnr_leaves_out_cycles_without_contact(state: ViewState, messages: Any) -> None:
     state.take(messages.truth(1, true=messages.grid(0.001)), 1.0)
     state.take(messages.image(1), 1.0)
-    assert state.snapshot(1.0)[0].figures.psnr_image_db is None
+    assert seen_of(state, 1.0).figures.psnr_image_db is None
 
 
 def test_truth_shown_is_always_that_of_the_image(state: ViewState, messages: Any) -> None:
     state.take(messages.truth(1, true=messages.grid(0.005)), 1.0)
-    assert state.snapshot(1.0)[0].truth is None  # of no image
+    assert seen_of(state, 1.0).truth is None  # of no image
     state.take(messages.image(1), 1.0)
     state.take(messages.truth(2, sync_s=1.01, true=messages.grid(0.015)), 1.01)
     for now_s, stale in ((1.1, False), (2.1, True)):
         snapshot, pictures = state.snapshot(now_s)
-        assert snapshot.truth is not None
         assert (snapshot.truth.step, snapshot.truth.stale, snapshot.truth.label) == (1, stale, "golf-ball")
         np.testing.assert_array_equal(pictures.true, messages.grid(0.005))
     state.take(messages.image(3, sync_s=1.02), 2.2)
     snapshot, pictures = state.snapshot(2.2)
     assert (snapshot.truth, pictures.true, pictures.sensor) == (None, None, None)
     state.take(messages.truth(3, sync_s=1.02), 2.3)
-    assert state.snapshot(2.3)[0].truth is not None
+    assert seen_of(state, 2.3).truth is not None
 
 
 @given(times=st.lists(st.floats(0, 100), min_size=1, max_size=60), now_s=st.floats(0, 110))
@@ -116,4 +116,4 @@ def test_sensor_that_only_rounds_adds_no_noise(state: ViewState, messages: Any) 
     for now_s, error_n, adds in ((1.0, 0.0, False), (3.0, 0.49 * step_n, False), (5.0, 2 * step_n, True)):
         state.take(messages.truth(3, sync_s=now_s, true=true, sensor=true + np.float32(error_n)), now_s)
         state.take(messages.image(3, sync_s=now_s), now_s)
-        assert state.snapshot(now_s + 0.1)[0].figures.sensor_adds_noise is adds
+        assert seen_of(state, now_s + 0.1).figures.sensor_adds_noise is adds

@@ -6,7 +6,7 @@ import pytest
 from canskin.messages import GatewayStatus
 from health.nodes_why import LOSS_S
 from health.state import ViewState
-from tests.health.helpers import Messages
+from tests.health.helpers import Messages, seen_of
 
 
 @pytest.fixture
@@ -15,8 +15,7 @@ def state(messages: Messages) -> ViewState:
 
 
 def troubles(state: ViewState, now_s: float, bus: int = 0) -> list[tuple[int, float, str]]:
-    gateway = state.snapshot(now_s)[0].gateway
-    assert gateway is not None
+    gateway = seen_of(state, now_s).gateway
     return [msgspec.structs.astuple(each) for each in gateway.buses[bus].nodes_why]
 
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from health.patches import Patches
 from health.state import ViewState
 from skin.layout import Region
-from tests.health.helpers import Messages
+from tests.health.helpers import Messages, seen_of
 from tests.layouts import tube_layout
 
 REGIONS = [Region(name="top", box=(0, 0, 7, 15), threshold_n=0.1), Region(name="bottom", box=(8, 0, 15, 15))]
@@ -46,7 +46,7 @@ def test_a_region_over_its_threshold_in_any_image_is_named_for_a_second(messages
     for at_s, force_n in ((1.0, 1e-4), (1.25, 0.02), (1.5, 0.01), (1.75, 1e-4)):  # nobody looks meanwhile
         state.take(messages.image(1, sync_s=at_s, pixels=messages.grid(force_n)), at_s)
     for now_s, is_over in ((1.75, True), (2.5, True), (2.5625, False)):
-        snapshot, _ = state.snapshot(now_s)
+        snapshot = seen_of(state, now_s)
         top, bottom = snapshot.patches[1:]
         assert (top.is_over, top.over_since_time_s) == (is_over, 1001.25 if is_over else None)
         assert not bottom.is_over
@@ -54,7 +54,7 @@ def test_a_region_over_its_threshold_in_any_image_is_named_for_a_second(messages
         text = f"up to {2 * top_n:.3g} N on top: more than its threshold of 0.1 N"
         assert told == ([(text, 1001.25)] if is_over else [])
     state.take(messages.image(1, sync_s=3.0), 3.0)
-    assert state.snapshot(3.0)[0].patches[1].over_since_time_s == 1003.0
+    assert seen_of(state, 3.0).patches[1].over_since_time_s == 1003.0
 
 
 def test_what_was_not_measured_has_no_force_and_part_of_it_is_doubtful(messages: Messages) -> None:

@@ -11,7 +11,7 @@ from canskin.peers import Peer, new_peer
 from health.services import PEERS, SERVICES
 from health.state import PROCESSES, ViewState
 from tests import messages as make
-from tests.health.helpers import note
+from tests.health.helpers import note, seen_of
 from tests.layouts import tube_layout
 
 EPOCH_S = 1000.0
@@ -23,7 +23,7 @@ def state(messages: Any) -> ViewState:
 
 
 def texts(state: ViewState, now_s: float, level: str = "error") -> list[str]:
-    return [notice.text for notice in state.snapshot(now_s)[0].notices if notice.level == level]
+    return [notice.text for notice in seen_of(state, now_s).notices if notice.level == level]
 
 
 def test_nothing_is_shown_before_anything_came(state: ViewState) -> None:
@@ -38,8 +38,7 @@ def test_reconstructor_that_leaves_makes_the_image_stale_at_once(state: ViewStat
     note(state, "reconstructor", True, 0.0)
     state.take(messages.image(), 1.0)
     note(state, "reconstructor", False, 1.1)
-    snapshot, _ = state.snapshot(1.2)
-    assert snapshot.image is not None
+    snapshot = seen_of(state, 1.2)
     assert snapshot.image.stale
     (notice,) = [notice for notice in snapshot.notices if notice.level == "error"]
     assert notice.text == "images stopped: reconstructor is gone"
@@ -73,8 +72,7 @@ def test_gateway_that_leaves_or_falls_silent_is_told(state: ViewState, messages:
     assert texts(state, 1.2) == []
     assert texts(state, 3.0) == ["the state of the buses is unknown: gateway sends no status"]
     note(state, "gateway", False, 3.5)
-    snapshot, _ = state.snapshot(4.0)
-    assert snapshot.gateway is not None
+    snapshot = seen_of(state, 4.0)
     assert snapshot.gateway.stale
     assert texts(state, 4.0) == ["measurements stopped: gateway is gone"]
 
@@ -83,8 +81,7 @@ def test_classifier_that_leaves_or_falls_silent_is_told(state: ViewState, messag
     note(state, "classifier", True, 0.0)
     state.take(messages.label(), 1.0)
     state.take(messages.gateway(), 2.0)
-    snapshot, _ = state.snapshot(2.0)
-    assert snapshot.label is not None
+    snapshot = seen_of(state, 2.0)
     assert snapshot.label.stale
     assert texts(state, 2.0) == ["labels stopped: classifier is there but sends none"]
     note(state, "classifier", False, 2.1)
@@ -116,16 +113,14 @@ def test_a_bus_without_any_operational_node_is_an_error_once_sync_runs(state: Vi
     assert sorted(texts(state, 1.1, "warning")) == sorted(found)
     state.take(messages.gateway(cycles=1, nmt=gone), 1.2)
     assert sorted(texts(state, 1.3)) == sorted(found)
-    gateway = state.snapshot(1.3)[0].gateway
-    assert gateway is not None
+    gateway = seen_of(state, 1.3).gateway
     assert [bus.level for bus in gateway.buses] == ["error", "info"]
 
 
 def test_invalid_blocks_are_listed_and_counted(state: ViewState, messages: Any) -> None:
     state.take(messages.image(1, invalid=(0, 5, 6)), 1.0)
     state.take(messages.image(2, invalid=(5,)), 1.1)
-    snapshot, _ = state.snapshot(1.2)
-    assert snapshot.image is not None
+    snapshot = seen_of(state, 1.2)
     assert snapshot.image.invalid_blocks == [5]
     figures = snapshot.figures
     assert (figures.valid_blocks, figures.valid_blocks_low, figures.blocks) == (7, 5, 8)
@@ -150,7 +145,7 @@ def test_a_message_of_another_skin_is_counted_and_not_shown(
     right = getattr(messages, kind)()
     assert state.take(right, 1.0)
     assert not state.take(msgspec.structs.replace(right, **change), 1.1)
-    snapshot, _ = state.snapshot(1.2, undecodable=2)
+    snapshot = seen_of(state, 1.2, undecodable=2)
     assert snapshot.ignored == 3
     assert texts(state, 1.2, "warning")[0].startswith("1 messages ignored")
     shown = getattr(snapshot, kind)
@@ -174,11 +169,9 @@ def test_contacts_beside_the_skin_and_without_numbers_are_not_shown(
 def test_contacts_are_those_of_the_newest_image_and_age(state: ViewState, messages: Any) -> None:
     state.take(messages.contacts(3), 1.0)
     state.take(messages.contacts(4, blind=True), 1.1)
-    shown = state.snapshot(1.2)[0].contacts
-    assert shown is not None
+    shown = seen_of(state, 1.2).contacts
     assert (shown.cycle, shown.blind, shown.stale, [each.identity for each in shown.contacts]) == (4, True, False, [7])
-    old = state.snapshot(1.8)[0].contacts
-    assert old is not None
+    old = seen_of(state, 1.8).contacts
     assert old.stale
 
 
@@ -187,7 +180,7 @@ def test_the_process_of_nodes_silent_for_longest_makes_room(state: ViewState, me
         state.take(messages.nodes(f"nodes-{number:03}"), 1.0)
     state.take(messages.nodes("nodes-000"), 2.0)
     state.take(messages.nodes("another"), 2.0)
-    shown = {each.process for each in state.snapshot(2.1)[0].nodes}
+    shown = {each.process for each in seen_of(state, 2.1).nodes}
     assert len(shown) == PROCESSES
     assert {"nodes-000", "another"} < shown
     assert "nodes-001" not in shown
@@ -199,11 +192,10 @@ def test_lost_hub_is_one_notice_and_blames_nobody_else(state: ViewState, message
     state.take(messages.image(), 1.0)
     for name in ("viewer", "gateway", "reconstructor", "nodes"):
         note(state, name, False, 2.0)
-    snapshot, _ = state.snapshot(3.0)
+    snapshot = seen_of(state, 3.0)
     assert [(notice.text, notice.since_time_s) for notice in snapshot.notices] == [
         ("nothing arrives: the fabric's hub, usually the gateway, is out of reach", EPOCH_S + 2.0)
     ]
-    assert snapshot.image is not None
     assert snapshot.image.stale
 
 
@@ -211,7 +203,7 @@ def test_lost_hub_does_not_hide_messages_that_were_ignored(state: ViewState, mes
     state.take(msgspec.structs.replace(messages.image(), valid=b""), 1.0)
     note(state, "viewer", True, 0.0)
     note(state, "viewer", False, 2.0)
-    assert [notice.level for notice in state.snapshot(3.0)[0].notices] == ["error", "warning"]
+    assert [notice.level for notice in seen_of(state, 3.0).notices] == ["error", "warning"]
 
 
 @pytest.mark.parametrize(
@@ -221,8 +213,7 @@ def test_label_of_too_few_sums_does_not_count(
     state: ViewState, messages: Any, valid_sums: int, *, blind: bool, measured: bool
 ) -> None:
     state.take(msgspec.structs.replace(messages.label("", valid_sums=valid_sums), blind=blind), 1.0)
-    shown = state.snapshot(1.1)[0].label
-    assert shown is not None
+    shown = seen_of(state, 1.1).label
     assert shown.measured is measured
 
 
@@ -235,12 +226,10 @@ def test_dead_buses_are_named_and_not_their_silent_nodes(state: ViewState, messa
     state.take(messages.gateway(nmt=(silent, silent), links=("passive", "bus_off"), troubles=(passive, off)), 1.2)
     assert texts(state, 1.3) == [f"bus left {passive}", f"bus right {off}", "left: all 4 nodes silent"]
     assert texts(state, 1.3, "warning") == []
-    gateway = state.snapshot(1.3)[0].gateway
-    assert gateway is not None
+    gateway = seen_of(state, 1.3).gateway
     assert [(bus.dead, bus.synced) for bus in gateway.buses] == [(False, False), (True, False)]
     state.take(messages.gateway(nmt=((5, 255, 255, 255), silent), links=("passive", "active")), 1.4)
-    gateway = state.snapshot(1.5)[0].gateway
-    assert gateway is not None
+    gateway = seen_of(state, 1.5).gateway
     assert [bus.synced for bus in gateway.buses] == [True, True]
 
 
@@ -266,22 +255,22 @@ def test_services_do_not_pile_up(state: ViewState) -> None:
     for number in range(3 * SERVICES):
         note(state, f"service-{number}", True, number)
         note(state, f"service-{number}", False, number)
-    services = state.snapshot(1000.0)[0].services
+    services = seen_of(state, 1000.0).services
     assert len(services) == SERVICES
     assert services["gateway"].alive
     assert f"service-{3 * SERVICES - 1}" in services
     for number in range(3 * SERVICES):
         note(state, f"lasting-{number}", True, 2000.0)
-    assert len(state.snapshot(3000.0)[0].services) == SERVICES
+    assert len(seen_of(state, 3000.0).services) == SERVICES
 
 
 def test_other_skins_do_not_pile_up(state: ViewState) -> None:
     others = [new_peer(f"skin-{number:03}", "gateway", "0123456789abcdef") for number in range(PEERS + 10)]
     for peer in others:
         state.take_peer(peer, True, 0.0)
-    assert state.snapshot(0.1)[0].other_skins == [peer.skin for peer in others[:PEERS]]
+    assert seen_of(state, 0.1).other_skins == [peer.skin for peer in others[:PEERS]]
     state.take_peer(others[0], False, 1.0)
-    assert others[0].skin not in state.snapshot(1.1)[0].other_skins
+    assert others[0].skin not in seen_of(state, 1.1).other_skins
 
 
 def test_service_of_another_phi_or_version_is_an_error_that_names_both(state: ViewState, messages: Any) -> None:
@@ -294,13 +283,13 @@ def test_service_of_another_phi_or_version_is_an_error_that_names_both(state: Vi
     (text,) = texts(state, 1.1)
     assert "reconstructor has Φ 0123456789abcdef, " in text
     assert own in text
-    assert state.snapshot(1.1)[0].services["reconstructor"].fingerprint == "0123456789abcdef"
+    assert seen_of(state, 1.1).services["reconstructor"].fingerprint == "0123456789abcdef"
     right = new_peer("palm", "reconstructor", own)
     state.take_peer(right, True, 2.0)  # a second one, while the first is still there
     assert len(texts(state, 2.1)) == 1
     state.take_peer(other, False, 3.0)
     assert texts(state, 3.1) == []
-    assert state.snapshot(3.1)[0].services["reconstructor"].alive
+    assert seen_of(state, 3.1).services["reconstructor"].alive
     state.take_peer(msgspec.structs.replace(right, version="9.9", instance="2"), True, 4.0)
     assert "reconstructor is canskin 9.9" in texts(state, 4.1)[0]
 
@@ -311,7 +300,7 @@ def test_another_skin_on_the_hub_is_named_while_there_is_no_gateway(state: ViewS
     state.take_peer(Peer("health", "health", "1"), True, 1.0)
     (text,) = texts(state, 1.1, "warning")
     assert "shows skin 'palm', and on its hub is 'hand'" in text
-    assert "gateway" not in state.snapshot(1.1)[0].services
+    assert "gateway" not in seen_of(state, 1.1).services
     state.take_peer(new_peer("palm", "gateway", messages.layout.phi().fingerprint), True, 2.0)
     assert texts(state, 2.1, "warning") == []
 
@@ -366,6 +355,6 @@ def test_the_support_of_the_zero_is_shown(state: ViewState, messages: Any) -> No
     known = CalibrationStatus(state=CalibrationState.FOLLOWING, zero_support=bytes([4, 4, 1]))
     for calibration, words in ((None, ""), (known, "2 measured, 1 stored")):
         state.take(msgspec.structs.replace(messages.gateway(), calibration=calibration), 1.0)
-        gateway = state.snapshot(1.1)[0].gateway
+        gateway = seen_of(state, 1.1).gateway
         assert gateway is not None
         assert gateway.zero == words

@@ -7,7 +7,7 @@ import pytest
 
 from canskin.peers import new_peer
 from health.state import ViewState
-from tests.health.helpers import note
+from tests.health.helpers import note, seen_of
 
 EPOCH_S = 1000.0
 
@@ -24,7 +24,7 @@ def test_everything_that_comes_tells_its_age(state: ViewState, messages: Any) ->
     state.take(messages.truth(), 3.375)
     state.take(messages.gateway(), 3.5)
     state.take(messages.nodes(), 3.625)
-    snapshot, _ = state.snapshot(4.0)
+    snapshot = seen_of(state, 4.0)
     parts = [snapshot.image, snapshot.contacts, snapshot.label, snapshot.truth, snapshot.gateway, *snapshot.nodes]
     assert [part.age_s for part in parts if part is not None] == [1.0, 0.875, 0.75, 1.0, 0.5, 0.375]
     assert snapshot.time_s == 1004.0
@@ -38,7 +38,7 @@ def test_what_is_measured_is_stale_after_half_a_second(
     state.take(messages.contacts(), 1.0)
     state.take(messages.label(), 1.0)
     state.take(messages.truth(), 1.0)
-    snapshot, _ = state.snapshot(now_s)
+    snapshot = seen_of(state, now_s)
     parts = [snapshot.image, snapshot.contacts, snapshot.label, snapshot.truth]
     assert [part.stale for part in parts if part is not None] == [stale] * 4
 
@@ -49,7 +49,7 @@ def test_counters_are_stale_after_a_second_and_a_half(
 ) -> None:
     state.take(messages.gateway(), 1.0)
     state.take(messages.nodes(), 1.0)
-    snapshot, _ = state.snapshot(now_s)
+    snapshot = seen_of(state, now_s)
     assert snapshot.gateway is not None
     assert [snapshot.gateway.stale, snapshot.nodes[0].stale] == [stale, stale]
 
@@ -61,20 +61,20 @@ def test_latency_is_that_of_five_seconds_of_images(state: ViewState, messages: A
     for cycle, (now_s, latency_s) in enumerate([(1.0, 0.5), (2.0, 0.25), (3.0, 0.125)], 1):
         state.take(messages.image(cycle, sync_s=float(cycle), latency_s=latency_s), now_s)
     for now_s, middle_s, most_s in ((4.0, 0.25, 0.495), (6.5, 0.1875, 0.24875), (7.5, 0.125, 0.125)):
-        figures = state.snapshot(now_s)[0].figures
+        figures = seen_of(state, now_s).figures
         assert figures.latency_p50_s == pytest.approx(middle_s)
         assert figures.latency_p99_s == pytest.approx(most_s)
-    figures = state.snapshot(9.0)[0].figures
+    figures = seen_of(state, 9.0).figures
     assert (figures.latency_p50_s, figures.latency_p99_s) == (None, None)
 
 
 def test_figures_of_the_newest_second(state: ViewState, messages: Any) -> None:
     state.take(messages.image(1, sync_s=1.0, invalid=(0, 1, 2)), 1.0)
     state.take(messages.image(2, sync_s=1.5, invalid=(0,)), 1.5)
-    assert state.snapshot(1.75)[0].figures.valid_blocks_low == 5
-    figures = state.snapshot(2.25)[0].figures
+    assert seen_of(state, 1.75).figures.valid_blocks_low == 5
+    figures = seen_of(state, 2.25).figures
     assert (figures.valid_blocks, figures.valid_blocks_low) == (7, 7)
-    figures = state.snapshot(2.75)[0].figures
+    figures = seen_of(state, 2.75).figures
     assert (figures.valid_blocks, figures.valid_blocks_low) == (7, None)
     assert (figures.psnr_image_db, figures.sensor_adds_noise) == (None, None)
 
@@ -83,7 +83,7 @@ def test_figures_of_the_newest_second(state: ViewState, messages: Any) -> None:
 
 
 def silent(state: ViewState, now_s: float) -> list[str]:
-    return [name for name, service in state.snapshot(now_s)[0].services.items() if service.silent]
+    return [name for name, service in seen_of(state, now_s).services.items() if service.silent]
 
 
 def started(state: ViewState, messages: Any, *names: str) -> None:
@@ -123,8 +123,7 @@ def test_a_message_is_stale_when_its_sender_left_with_it_or_after_it(
     note(state, "classifier", True, 0.5)
     state.take(messages.label(), 1.0)
     note(state, "classifier", False, gone_s)
-    label = state.snapshot(1.25)[0].label
-    assert label is not None
+    label = seen_of(state, 1.25).label
     assert label.stale is stale
 
 
@@ -140,7 +139,7 @@ def test_a_silent_gateway_is_told_once_it_had_a_status(state: ViewState, message
 def test_a_service_keeps_the_time_since_when_it_is_there(state: ViewState) -> None:
     for alive, now_s in ((True, 1.0), (True, 2.0), (False, 3.0), (False, 4.0)):
         note(state, "recorder", alive, now_s)
-        since_s = state.snapshot(5.0)[0].services["recorder"].since_time_s
+        since_s = seen_of(state, 5.0).services["recorder"].since_time_s
         assert since_s == EPOCH_S + (1.0 if alive else 3.0)
 
 
@@ -151,4 +150,4 @@ def test_the_hub_is_out_of_reach_without_a_message_after_the_own_token_went(
     note(state, "viewer", True, 1.0)
     note(state, "viewer", False, 2.0)
     state.take(messages.label(), at_s)
-    assert state.snapshot(now_s)[0].cut_off is cut_off
+    assert seen_of(state, now_s).cut_off is cut_off

@@ -8,7 +8,7 @@ import pytest
 from canskin.messages import Image, Truth
 from health.state import ViewState
 from skin.layout import Bus, Layout, PhiParameters, Sampling, Sync, Taxels
-from tests.health.helpers import note
+from tests.health.helpers import note, seen_of
 from views.page.wire import greeting
 
 LAYOUT = Layout(
@@ -41,7 +41,7 @@ def test_a_quiet_skin_is_not_stale(state: ViewState, messages: Any) -> None:
     note(state, "reconstructor", True, 0.0)
     for each in range(10, 60):
         state.take(image(messages, each / 10), each / 10)
-    snapshot, _ = state.snapshot(5.99)
+    snapshot = seen_of(state, 5.99)
     assert snapshot.image is not None
     assert not snapshot.image.stale
     assert snapshot.figures.images_hz == pytest.approx(10, abs=1)
@@ -53,7 +53,7 @@ def test_an_image_without_new_sums_has_no_latency(state: ViewState, messages: An
     for each in range(5):
         again = msgspec.structs.replace(one, published_mono_ns=one.published_mono_ns + 100_000_000 * each)
         state.take(again, 1.0 + each / 10)
-    figures = state.snapshot(1.4)[0].figures
+    figures = seen_of(state, 1.4).figures
     assert figures.latency_p99_s == pytest.approx(0.003)
     assert figures.images_hz == pytest.approx(10)
 
@@ -63,7 +63,7 @@ def test_a_thousand_images_a_second_are_counted(state: ViewState, messages: Any)
     for each in range(6000):
         times_ns = {"sampled_mono_ns": 1_000_000 * each, "published_mono_ns": 1_000_000 * (each + 3)}
         state.take(msgspec.structs.replace(one, **times_ns), each / 1e3)
-    figures = state.snapshot(6.0)[0].figures
+    figures = seen_of(state, 6.0).figures
     assert figures.images_hz == pytest.approx(1000, abs=2)
     assert figures.latency_p99_s == pytest.approx(0.003)
 
@@ -72,16 +72,16 @@ def test_psnr_is_that_of_the_image_on_show(state: ViewState, messages: Any) -> N
     state.take(image(messages, 0.98, 0.02), 0.98)
     state.take(image(messages, 0.99, 0.012), 0.99)
     state.take(truth(messages, 1.0), 1.001)
-    assert state.snapshot(1.002)[0].figures.psnr_image_db is None  # an image of that time may be on its way
+    assert seen_of(state, 1.002).figures.psnr_image_db is None  # an image of that time may be on its way
     state.take(image(messages, 1.005, 0.02), 1.005)
-    psnr_db = state.snapshot(1.01)[0].figures.psnr_image_db
+    psnr_db = seen_of(state, 1.01).figures.psnr_image_db
     assert psnr_db == pytest.approx(34, abs=8)
     assert psnr_db is not None
     other = ViewState(LAYOUT)
     other.take(image(messages, 0.99, 0.02), 0.99)
     other.take(truth(messages, 1.0), 1.0)
     other.take(image(messages, 1.005), 1.005)
-    worse_db = other.snapshot(1.01)[0].figures.psnr_image_db
+    worse_db = seen_of(other, 1.01).figures.psnr_image_db
     assert worse_db == pytest.approx(psnr_db - 14, abs=0.1)
 
 
@@ -89,8 +89,7 @@ def test_the_truth_shown_is_that_of_the_images_time(state: ViewState, messages: 
     for each in (1.0, 1.01, 1.02):
         state.take(truth(messages, each), each)
     state.take(image(messages, 1.012), 1.013)
-    shown = state.snapshot(1.03)[0].truth
-    assert shown is not None
+    shown = seen_of(state, 1.03).truth
     assert shown.step == 101
 
 

@@ -1,6 +1,7 @@
 """Keys: what is wrong with a folder of them, and why a hub refuses a program, is told at once."""
 
 import math
+import os
 import shutil
 import threading
 import time
@@ -18,6 +19,7 @@ from canskin.keys import ANSWER_S, Keys
 from canskin.peers import Peer
 from canskin.session import UNIX, open_client, open_hub, peers_at
 from hub.authority import Authority
+from shell.command import build_app
 from tests.hub.keys import issue_for, make_authority
 from tests.processes import PATIENCE_S, free_port
 
@@ -64,13 +66,39 @@ def test_a_hub_refuses_keys_of_another_authority(authority: Authority, hub: str,
     )
 
 
-def test_a_hub_refuses_keys_that_have_ended(authority: Authority, hub: str) -> None:
-    with mock.patch("canskin.keys.time.time", return_value=0.0), pytest.raises(InputError, match="is this clock right"):
-        Keys(authority.folder / "client")
-    ended = issue_for(authority, "client", -10.0)
+def ended_keys(authority: Authority) -> Keys:
+    folder = issue_for(authority, "client:ended", -10.0)
     with mock.patch("canskin.keys.time.time", return_value=time.time() - 20.0):
-        keys = Keys(ended)
-    assert "the certificate has ended" in refusal(hub, keys)
+        return Keys(folder)
+
+
+def test_a_hub_refuses_keys_that_have_ended(authority: Authority, hub: str) -> None:
+    assert "the certificate has ended" in refusal(hub, ended_keys(authority))
+
+
+def test_zenoh_refuses_what_the_program_does_not_find_out(
+    authority: Authority, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("canskin.session.reason", lambda *_: "")
+    good = Keys(authority.folder / "client")
+    foreign = Keys(make_authority(tmp_path / "foreign", "client").folder / "client")
+    no_certificate, of_foreign = Keys(good.folder), Keys(foreign.folder)
+    knows_hub = {"transport/link/tls/root_ca_certificate": str(good.folder / "ca.pem")}
+    monkeypatch.setattr(no_certificate, "settings", lambda **_: knows_hub)
+    monkeypatch.setattr(of_foreign, "settings", lambda **_: foreign.settings(is_hub=False) | knows_hub)
+    port = free_port()
+    refused = (
+        ("127.0.0.2", good),
+        ("127.0.0.1", foreign),
+        ("127.0.0.1", of_foreign),
+        ("127.0.0.1", no_certificate),
+        ("127.0.0.1", ended_keys(authority)),
+    )
+    with closing(open_hub(f"tls/0.0.0.0:{port}", Keys(authority.folder / "hub"))):
+        for host, keys in refused:
+            with pytest.raises(BusError, match="no hub at"):
+                open_client(f"tls/{host}:{port}", "client", None, 0.3, keys=keys)
+        open_client(f"tls/127.0.0.1:{port}", "client", None, 5.0, keys=good).close()
 
 
 def test_a_hub_lets_revoked_keys_do_nothing_and_they_are_told(authority: Authority) -> None:
@@ -126,6 +154,16 @@ def test_every_connection_of_a_process_has_the_keys_of_its_environment(
     assert [peer.service for peer in peers_at(hub, 5.0, bool)] == ["hub"]
     with pytest.raises(BusError, match="no skin at"):  # let in, but only the hub is there
         canskin.connect(hub, timeout_s=0.1)
+
+
+def test_the_option_is_that_of_every_verb_and_of_the_processes_it_starts(
+    authority: Authority, hub: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("SKIN_KEYS", "another")
+    folder = authority.issue("palm:viewer")
+    build_app().meta(["list", "--connect", hub, "--seconds", "0.01", "--keys", str(folder)])
+    assert "palm  hub " in capsys.readouterr().out
+    assert os.environ["SKIN_KEYS"] == str(folder)
 
 
 def test_a_socket_of_the_user_needs_no_keys(authority: Authority, tmp_path: Path) -> None:
