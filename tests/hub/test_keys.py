@@ -17,7 +17,7 @@ from canskin.errors import BusError, InputError
 from canskin.fabric import Fabric
 from canskin.keys import ANSWER_S, Keys
 from canskin.peers import Peer
-from canskin.session import UNIX, open_client, open_hub, peers_at
+from canskin.session import DEFAULT_ENDPOINT, UNIX, open_client, open_hub, peers_at
 from hub.authority import Authority
 from shell.command import build_app
 from tests.hub.keys import issue_for, make_authority
@@ -164,6 +164,11 @@ def test_the_option_is_that_of_every_verb_and_of_the_processes_it_starts(
     build_app().meta(["list", "--connect", hub, "--seconds", "0.01", "--keys", str(folder)])
     assert "palm  hub " in capsys.readouterr().out
     assert os.environ["SKIN_KEYS"] == str(folder)
+
+
+def test_with_keys_the_default_is_tls(authority: Authority, hub: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("canskin.session.TLS_ENDPOINT", hub)
+    open_client(DEFAULT_ENDPOINT, "client", None, 5.0, keys=Keys(authority.folder / "client")).close()
 
 
 def test_a_socket_of_the_user_needs_no_keys(authority: Authority, tmp_path: Path) -> None:
