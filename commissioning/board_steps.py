@@ -6,8 +6,8 @@ from typing import Final, cast
 
 from bus.link import Send
 from commissioning.lss_steps import (
-    PATIENCE_S,
     RESET_S,
+    SELECTED_S,
     TWO_SERIALS,
     Address,
     Answer,
@@ -204,7 +204,7 @@ class Commissioning(LssSteps):
         yield from self._store()
         board.done = "has stored its node-ID"
         booted = yield Ask(
-            LSS_REQUEST_COB_ID, lss_request(Lss.SWITCH_GLOBAL), b"\0", PATIENCE_S, HEARTBEAT_BASE + node_id
+            LSS_REQUEST_COB_ID, lss_request(Lss.SWITCH_GLOBAL), b"\0", SELECTED_S, HEARTBEAT_BASE + node_id
         )
         if not booted:
             raise TroubleError("sends no boot-up message")

@@ -19,7 +19,7 @@ from gateway.sdo import SdoDialogue, SdoError, Transfer, one
 from skin.sync_counter import SYNC_OVERFLOW
 
 #: Longest wait for the SYNC after the last cycle: the frames of a busy computer come late, but not late on the bus.
-PATIENCE_S: Final = 0.5
+LAST_SYNC_S: Final = 0.5
 
 
 @dataclass(frozen=True)
@@ -126,7 +126,7 @@ class CheckSteps:
             if self._wanted == self._expected.cycles + 1 and not self._node.in_steps:
                 self._counter = 1
             elif self._wanted == 0:
-                self._ends_s = now_s + PATIENCE_S
+                self._ends_s = now_s + LAST_SYNC_S
         period_s = self._period_s
         self._sync_s += period_s
         if self._sync_s <= now_s:  # no two SYNC messages at once after a pause of this computer

@@ -33,7 +33,7 @@ WINDOW_S: Final = 0.03
 #: Pause after a request that nobody answers: a small board takes one request at a time.
 GAP_S: Final = 0.002
 #: Longest wait for a board that has been selected: it may write flash memory, or boot.
-PATIENCE_S: Final = 2.0
+SELECTED_S: Final = 2.0
 #: Longest time in which a board resets its communication.
 RESET_S: Final = 0.2
 
@@ -212,7 +212,7 @@ class LssSteps:
         """Ask the selected board, and return its answer; no answer, two, or an error code is trouble."""
         came = cast(
             "list[bytes]",
-            (yield Ask(LSS_REQUEST_COB_ID, lss_request(command, *values), bytes((command,)), PATIENCE_S)),
+            (yield Ask(LSS_REQUEST_COB_ID, lss_request(command, *values), bytes((command,)), SELECTED_S)),
         )
         if not came:
             raise TroubleError(f"stopped answering at {what}")

@@ -16,8 +16,8 @@ from bus.link import Send
 from canskin.errors import LayoutError
 from commissioning.board_steps import Board, Commissioning
 from commissioning.lss_steps import (
-    PATIENCE_S,
     RESET_S,
+    SELECTED_S,
     TWO_SERIALS,
     Address,
     Answer,
@@ -140,7 +140,7 @@ class TouchCommissioning(Commissioning):
     def _has_stored(self, node_id: int) -> Generator[Step, Answer, bool]:
         """Reset a board; tell whether it comes back: a run that was killed has left numbers that are not stored."""
         reset = bytes((NmtCommand.RESET_NODE, node_id))
-        return bool((yield Ask(NMT_COB_ID, reset, b"\0", PATIENCE_S, HEARTBEAT_BASE + node_id)))
+        return bool((yield Ask(NMT_COB_ID, reset, b"\0", SELECTED_S, HEARTBEAT_BASE + node_id)))
 
     # Node-IDs for a while
 
@@ -186,7 +186,7 @@ class TouchCommissioning(Commissioning):
             self._lent[node.node_id] = address
             free.remove(node)
             waiting = lss_request(Lss.SWITCH_GLOBAL)
-            booted = yield Ask(LSS_REQUEST_COB_ID, waiting, b"\0", PATIENCE_S, HEARTBEAT_BASE + node.node_id)
+            booted = yield Ask(LSS_REQUEST_COB_ID, waiting, b"\0", SELECTED_S, HEARTBEAT_BASE + node.node_id)
             if len(booted) != 1:
                 self._lent.pop(node.node_id)
                 self._reset(node.node_id)

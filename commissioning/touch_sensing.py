@@ -10,7 +10,7 @@ from skin.surface import Floats, Indices
 #: Least change of the counts of a board that is touched, root mean square: in standard deviations of their noise, as
 #: part of the range of a taxel, and in largest rounding errors of sums. The largest of the three counts.
 LEAST_DEVIATIONS: Final = 8.0
-LEAST_PART: Final = 0.02
+LEAST_OF_RANGE: Final = 0.02
 LEAST_ROUNDINGS: Final = 4.0
 #: Of several boards that change, those are touched whose change is at least this part of the largest.
 PART_OF_LARGEST: Final = 0.5
@@ -37,7 +37,7 @@ class TouchSensing:
         boards = set.intersection(*(set(each) for each in rest))
         told = {node_id: np.array([each[node_id] for each in rest], np.float64) for node_id in boards}
         self._mean = {node_id: sums.mean(axis=0) for node_id, sums in told.items()}
-        least = max(LEAST_PART * count_max, LEAST_ROUNDINGS * rounding_counts)
+        least = max(LEAST_OF_RANGE * count_max, LEAST_ROUNDINGS * rounding_counts)
         self._least = {
             node_id: max(least, LEAST_DEVIATIONS * float(np.sqrt(sums.var(axis=0).mean())))
             for node_id, sums in told.items()

@@ -10,7 +10,7 @@ import numpy as np
 
 from canskin.errors import InputError
 from commissioning.count_reading import CountReading
-from commissioning.wiring_findings import Finding, Place, prove
+from commissioning.wiring_findings import Finding, Place, findings_of
 from skin.chains import read_lines
 from skin.layout import Layout
 from skin.phi import Sbhe
@@ -30,7 +30,7 @@ def check_counts(layout: Layout, reading: CountReading, path: Path | None) -> li
     """
     times_s, counts = reading.readings()
     path_m = None if path is None else _path(path, times_s)
-    return prove(layout.phi(), layout.taxels.surface, counts, path_m, reading.rest)
+    return findings_of(layout.phi(), layout.taxels.surface, counts, path_m, reading.rest)
 
 
 def _path(path: Path, times_s: Floats) -> Floats:

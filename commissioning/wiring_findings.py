@@ -77,7 +77,7 @@ class Finding:
     found: tuple[Place, ...] = ()
 
 
-def prove(phi: Sbhe, surface: Surface, counts: Floats, path_m: Floats | None, rest: int) -> list[Finding]:
+def findings_of(phi: Sbhe, surface: Surface, counts: Floats, path_m: Floats | None, rest: int) -> list[Finding]:
     """Find the taxels that are not wired as Φ says.
 
     Parameters

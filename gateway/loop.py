@@ -16,13 +16,13 @@ from dbc.lss import anybody_without_node_id, has_answer
 from dbc.time_of_day import time_frame
 from gateway.batch import batch_of
 from gateway.cycle_gathering import CycleGathering
-from gateway.cycles import LATEST, SyncClock
 from gateway.gathering import Health, Sync
 from gateway.link_watch import LinkWatch
 from gateway.load import LoadMeter
 from gateway.nmt_master import NmtMaster
 from gateway.outgoing import Outgoing
 from gateway.stepped_gathering import RATES_HZ, SteppedGathering
+from gateway.sync_clock import LATEST, SyncClock
 from skin.ranges import ranges_text
 
 #: Period of `_look_after_nodes`.

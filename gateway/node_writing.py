@@ -20,7 +20,7 @@ MOST_AT_ONCE: Final = 4
 #: Attempts to write to a node.
 ATTEMPTS: Final = 3
 #: Time after which a node that cannot be written to is given up: it is not there, or not proven.
-PATIENCE_S: Final = 20.0
+UNREACHED_S: Final = 20.0
 
 
 class NodeWriting:
@@ -52,7 +52,7 @@ class NodeWriting:
         self._open: dict[int, list[tuple[NodeContract, int, SdoDialogue]]] = {number: [] for number in masters}
         self._failed: dict[int, list[int]] = {number: [] for number in masters}
         self._why = ""
-        self._until_s = dict.fromkeys(masters, now_s + PATIENCE_S)
+        self._until_s = dict.fromkeys(masters, now_s + UNREACHED_S)
 
     @property
     def done(self) -> bool:
@@ -98,7 +98,7 @@ class NodeWriting:
             if not dialogue.done and self._masters[number].nodes[node.node_id].errand is dialogue:
                 still.append((node, tried, dialogue))
                 continue
-            self._until_s[number] = now_s + PATIENCE_S
+            self._until_s[number] = now_s + UNREACHED_S
             if dialogue.done and dialogue.error is None:
                 continue
             self._why = str(dialogue.error or "the node left the bus")

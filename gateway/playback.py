@@ -22,10 +22,10 @@ from dbc.canopen import SYNC_COB_ID
 from dbc.contract import Contract
 from dbc.frame import ECHO, ERROR, EXTENDED, FD, REMOTE, Frames, frames
 from gateway.cycle_gathering import GRACE
-from gateway.cycles import mean_rate_hz
 from gateway.gathering import Sync
 from gateway.inferred_proofs import Change, InferredProofs
 from gateway.loop import GatewayLoop
+from gateway.sync_clock import mean_rate_hz
 from skin.sync_counter import SYNC_OVERFLOW
 
 #: A late SYNC of one bus may come after the next SYNC of another bus, but not later.

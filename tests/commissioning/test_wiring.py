@@ -7,7 +7,7 @@ import pytest
 
 from canskin.errors import InputError
 from commissioning.wiring_check import chains_file, corrected_order
-from commissioning.wiring_findings import Finding, Place, prove
+from commissioning.wiring_findings import Finding, Place, findings_of
 from skin.chains import read_chains
 from tests.commissioning import wiring_errors
 from tests.commissioning.wiring_errors import KINDS, found_of, layout_of, wired
@@ -56,7 +56,7 @@ def test_a_stroke_that_tells_too_little(rest: int, moments: int, force_n: float,
     counts = np.random.default_rng(0).normal(size=(moments, *phi.taxels_of_blocks.shape))
     counts[rest:] += 100 * force_n
     with pytest.raises(InputError, match=said):
-        prove(phi, MAT.taxels.surface, counts, np.zeros((moments, 3)), rest)
+        findings_of(phi, MAT.taxels.surface, counts, np.zeros((moments, 3)), rest)
 
 
 def test_what_is_no_exchange_of_places_gets_no_file() -> None:

@@ -8,7 +8,7 @@ import numpy.typing as npt
 import tomli_w
 from scipy.spatial.distance import cdist
 
-from commissioning.wiring_findings import MOMENTS, Finding, prove
+from commissioning.wiring_findings import MOMENTS, Finding, findings_of
 from skin.layout import Layout, load_layout, parse_layout
 from skin.phi import Sbhe
 from skin.sources import Frame
@@ -118,5 +118,5 @@ def found_of(
     path_m, force_n = stroke(layout, phi, random, MOMENTS + 2 * (not knows_path))
     order, wrong = wired(phi, kind, random)
     counts = measured(layout, phi, order, force_n, random)
-    findings = prove(phi, layout.taxels.surface, counts, path_m if knows_path else None, REST)
+    findings = findings_of(phi, layout.taxels.surface, counts, path_m if knows_path else None, REST)
     return wrong, {told(each) for each in findings}

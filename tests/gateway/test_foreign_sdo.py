@@ -5,7 +5,13 @@ import pytest
 from gateway.foreign_sdo import CONFIGURATION, Effect, ForeignClient
 
 COMPARED, OTHER = 0x1A00, 0x2010
+#: First bytes of requests; of one whose number of a block's segment is 0x41 or 1.
 DOWNLOAD, SEGMENT, UPLOAD, UPLOAD_SEGMENT, BLOCK_UPLOAD, BLOCK_DOWNLOAD = 0x23, 0x00, 0x40, 0x60, 0xA0, 0xC2
+IN_BLOCK, ABORT = 0x41, 0x80
+DOUBT, BUSY, NONE = Effect.DOUBT, Effect.BUSY, Effect.NONE
+#: An answer that ends or refuses a block download, and one that says that a part has come.
+TAKEN, REFUSED, PART = 0xA1, 0x80, 0xA2
+READ, ANSWER = b"\x40\x09\x20\x00" + bytes(4), b"\x43\x09\x20\x00" + bytes(4)
 
 
 @pytest.fixture
@@ -19,88 +25,68 @@ def ask(client: ForeignClient, command: int, index: int = OTHER, now_s: float = 
 
 def test_the_channel_is_left_alone_for_a_twentieth_of_a_second(client: ForeignClient) -> None:
     assert client.free_s == float("-inf")
-    ask(client, UPLOAD, now_s=10.0)
-    assert client.free_s == pytest.approx(10.05)
-    ask(client, UPLOAD, now_s=11.0)
-    assert client.free_s == pytest.approx(11.05)
+    for now_s in (10.0, 11.0):
+        ask(client, UPLOAD, now_s=now_s)
+        assert client.free_s == pytest.approx(now_s + 0.05)
 
 
-@pytest.mark.parametrize("command", [DOWNLOAD, BLOCK_DOWNLOAD])
-def test_writes_of_what_is_compared_are_doubted(client: ForeignClient, command: int) -> None:
-    assert ask(client, command, COMPARED) is Effect.DOUBT
+#: Requests with their effects, and answers of the node, whose effect is None.
+COURSES = {
+    "writes of what is compared": [(DOWNLOAD, COMPARED, DOUBT)],
+    "a block of what is compared": [(BLOCK_DOWNLOAD, COMPARED, DOUBT)],
+    "reads": [(each, index, BUSY) for each in (UPLOAD, UPLOAD_SEGMENT, BLOCK_UPLOAD) for index in (COMPARED, OTHER)],
+    "segments are of the download before them; the first, whose beginning was not heard, may be of anything": [
+        *((SEGMENT, OTHER, DOUBT), (DOWNLOAD, OTHER, BUSY), (SEGMENT, OTHER, NONE), (DOWNLOAD, COMPARED, DOUBT)),
+        *((SEGMENT, OTHER, DOUBT), (UPLOAD, OTHER, BUSY), (SEGMENT, OTHER, DOUBT)),
+    ],
+    "a block download of something else": [
+        *((BLOCK_DOWNLOAD, OTHER, BUSY), (IN_BLOCK, OTHER, BUSY), (0x01, OTHER, NONE)),
+    ],
+    **{
+        f"the node ends a block download with {end:X}h": [
+            *((BLOCK_DOWNLOAD, COMPARED, DOUBT), (PART, 0, None), (IN_BLOCK, OTHER, DOUBT), (end, 0, None)),
+            (IN_BLOCK, OTHER, BUSY),
+        ]
+        for end in (TAKEN, REFUSED)
+    },
+    "the master ends a block download": [
+        *((BLOCK_DOWNLOAD, COMPARED, DOUBT), (ABORT, OTHER, BUSY), (IN_BLOCK, OTHER, BUSY)),
+    ],
+    "a download within a block download is read both ways": [
+        *((BLOCK_DOWNLOAD, OTHER, BUSY), (DOWNLOAD, COMPARED, DOUBT), (DOWNLOAD, OTHER, DOUBT), (TAKEN, 0, None)),
+        (DOWNLOAD, OTHER, BUSY),
+    ],
+}
 
 
-@pytest.mark.parametrize("command", [UPLOAD, UPLOAD_SEGMENT, BLOCK_UPLOAD])
-@pytest.mark.parametrize("index", [COMPARED, OTHER])
-def test_reads_keep_the_node_busy(client: ForeignClient, command: int, index: int) -> None:
-    assert ask(client, command, index) is Effect.BUSY
+@pytest.mark.parametrize("course", COURSES)
+def test_what_requests_mean(client: ForeignClient, course: str) -> None:
+    for command, index, effect in COURSES[course]:
+        if effect is None:
+            client.take_answer(bytes((command,)) + bytes(7))
+        else:
+            assert ask(client, command, index) is effect
 
 
-def test_segments_are_of_the_download_before_them(client: ForeignClient) -> None:
-    assert ask(client, SEGMENT) is Effect.DOUBT  # its beginning was not heard
-    assert ask(client, DOWNLOAD, OTHER) is Effect.BUSY
-    assert ask(client, SEGMENT) is Effect.NONE
-    ask(client, DOWNLOAD, COMPARED)
-    assert ask(client, SEGMENT) is Effect.DOUBT
-    ask(client, UPLOAD)
-    assert ask(client, SEGMENT) is Effect.DOUBT
-
-
-def test_a_block_download_of_something_else_is_not_doubted(client: ForeignClient) -> None:
-    assert ask(client, BLOCK_DOWNLOAD, OTHER) is Effect.BUSY
-    assert ask(client, 0x41) is Effect.BUSY
-    assert ask(client, 0x01) is Effect.NONE
-
-
-@pytest.mark.parametrize(("pause_s", "effect"), [(0.9375, Effect.DOUBT), (1.0, Effect.BUSY)])
+@pytest.mark.parametrize(("pause_s", "effect"), [(0.9375, DOUBT), (1.0, BUSY)])
 def test_a_block_download_ends_when_nothing_comes_for_a_second(
     client: ForeignClient, pause_s: float, effect: Effect
 ) -> None:
     ask(client, BLOCK_DOWNLOAD, COMPARED, now_s=10.0)
-    assert ask(client, 0x41, now_s=10.5) is Effect.DOUBT
-    assert ask(client, 0x41, now_s=10.5 + pause_s) is effect
-
-
-@pytest.mark.parametrize("command", [0x80, 0xA1])
-def test_the_node_ends_a_block_download(client: ForeignClient, command: int) -> None:
-    ask(client, BLOCK_DOWNLOAD, COMPARED)
-    client.take_answer(b"\xa2" + bytes(7))  # a part has come
-    assert ask(client, 0x41) is Effect.DOUBT
-    client.take_answer(bytes((command,)) + bytes(7))
-    assert ask(client, 0x41) is Effect.BUSY
-
-
-def test_the_master_ends_a_block_download_by_an_abort(client: ForeignClient) -> None:
-    ask(client, BLOCK_DOWNLOAD, COMPARED)
-    assert ask(client, 0x80) is Effect.BUSY
-    assert ask(client, 0x41) is Effect.BUSY
-
-
-def test_a_download_within_a_block_download_is_read_both_ways(client: ForeignClient) -> None:
-    ask(client, BLOCK_DOWNLOAD, OTHER)
-    assert ask(client, DOWNLOAD, COMPARED) is Effect.DOUBT
-    assert ask(client, DOWNLOAD, OTHER) is Effect.DOUBT  # may be data of what is written
-    client.take_answer(b"\xa1" + bytes(7))
-    assert ask(client, DOWNLOAD, OTHER) is Effect.BUSY
-
-
-READ, ANSWER = b"\x40\x09\x20\x00", b"\x43\x09\x20\x00"
+    assert ask(client, IN_BLOCK, now_s=10.5) is DOUBT
+    assert ask(client, IN_BLOCK, now_s=10.5 + pause_s) is effect
 
 
 def test_an_answer_that_was_under_way_at_a_write_is_old_and_the_next_is_not(client: ForeignClient) -> None:
-    client.ask(READ + bytes(4))
+    client.ask(READ)
     ask(client, DOWNLOAD, OTHER)
-    assert not client.take_answer(ANSWER + bytes(4))
-    client.ask(READ + bytes(4))
+    assert not client.take_answer(ANSWER)
+    client.ask(READ)
     ask(client, DOWNLOAD, COMPARED)
-    client.ask(READ + bytes(4))
-    assert client.take_answer(ANSWER + bytes(4))
-    assert not client.take_answer(ANSWER + bytes(4))
-
-
-def test_no_answer_of_before_a_boot_is_expected_after_it(client: ForeignClient) -> None:
-    client.ask(READ + bytes(4))
+    client.ask(READ)
+    assert [client.take_answer(ANSWER) for _ in range(2)] == [True, False]
+    client.ask(READ)
     ask(client, DOWNLOAD, COMPARED)
-    client.booted()
-    client.ask(READ + bytes(4))
-    assert not client.take_answer(ANSWER + bytes(4))
+    client.booted()  # no older answer comes
+    client.ask(READ)
+    assert not client.take_answer(ANSWER)

@@ -5,8 +5,8 @@ import pytest
 
 from dbc.contract import Contract
 from dbc.frame import Frames, frames
-from gateway.cycles import RATE_SYNCS
 from gateway.playback import Playback, play
+from gateway.sync_clock import RATE_SYNCS
 from tests.bus.harness import frame
 
 START_NS = 1_000_000_000_000

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.cycles import LATEST, RATE_SYNCS, SyncClock
+from gateway.sync_clock import LATEST, RATE_SYNCS, SyncClock
 
 PERIOD_S = 0.01
 
@@ -23,36 +23,24 @@ def test_nothing_is_due_before_the_start() -> None:
     assert not clock.runs
 
 
-def test_lateness_of_one_does_not_move_the_next() -> None:
+@pytest.mark.parametrize(
+    ("takes", "sent", "skipped"),
+    [
+        ([(0.9999, None), (1.004, 1.0), (1.0099, None), (1.0101, 1.01)], 2, 0),  # lateness does not move the next
+        ([(1.0, 1.0), (1.0378, None), (1.0401, 1.04)], 2, 3),  # 1.01 and 1.02 missed, 1.03 too late
+        ([(1.00499, 1.0)], 1, 0),
+        ([(1.00501, None)], 0, 1),
+        ([(1.031, 1.03), (1.04, 1.04)], 2, 3),  # missed but for the newest
+    ],
+)
+def test_what_is_due_too_late_is_skipped_and_counted(
+    takes: list[tuple[float, float | None]], sent: int, skipped: int
+) -> None:
+    """Half a period is too late."""
     clock = started()
-    assert clock.take(0.9999) is None
-    assert clock.take(1.004) == 1.0
-    assert clock.take(1.0099) is None
-    assert clock.take(1.0101) == pytest.approx(1.01)
-    assert (clock.counter, clock.sent, clock.skipped) == (2, 2, 0)
-
-
-def test_what_is_due_too_late_is_skipped_and_counted() -> None:
-    clock = started()
-    assert clock.take(1.0) == 1.0
-    assert clock.take(1.0378) is None  # 1.01 and 1.02 missed, 1.03 too late
-    assert clock.skipped == 3
-    assert clock.take(1.0401) == pytest.approx(1.04)
-    assert clock.counter == 2
-
-
-@pytest.mark.parametrize(("late_s", "is_sent"), [(0.00499, True), (0.00501, False)])
-def test_half_a_period_is_too_late(late_s: float, is_sent: bool) -> None:
-    clock = started()
-    assert (clock.take(1.0 + late_s) is not None) == is_sent
-    assert clock.skipped == 1 - is_sent
-
-
-def test_missed_periods_are_skipped_but_for_the_newest() -> None:
-    clock = started()
-    assert clock.take(1.031) == pytest.approx(1.03)
-    assert clock.skipped == 3
-    assert clock.due_s == pytest.approx(1.04)
+    for now_s, due_s in takes:
+        assert clock.take(now_s) == (None if due_s is None else pytest.approx(due_s))
+    assert (clock.counter, clock.sent, clock.skipped) == (sent, sent, skipped)
 
 
 def test_counter_comes_round_at_240() -> None:
@@ -89,19 +77,3 @@ def test_the_rate_is_that_of_the_syncs_sent_since_the_start() -> None:
     assert not clock.runs
     assert clock.take(1e9) is None
     assert clock.rate_hz(1.0 + 2 * RATE_SYNCS) == 0.5
-
-
-def test_a_period_that_changes_counts_from_the_next_sync_on() -> None:
-    """A SYNC that was followed by a long period is not followed by another soon."""
-    clock = started()
-    clock.period_s = 0.05
-    assert clock.take(1.0) == 1.0
-    assert clock.due_s == pytest.approx(1.05)
-    clock.period_s = 0.01
-    assert clock.take(1.05) == pytest.approx(1.05)
-    assert clock.due_s == pytest.approx(1.06)
-    clock.start(1.0525)
-    assert clock.take(1.0525) is None  # a quarter of a period after the last
-    assert clock.skipped == 1
-    clock.start(1.056)
-    assert clock.take(1.056) == 1.056
