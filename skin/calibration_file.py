@@ -22,7 +22,7 @@ LEAST_GAIN, MOST_GAIN = 0.01, 100.0
 #: Of files: 2 can hold gains of sums.
 VERSION: Final = 2
 #: Most bytes of a file: all lists of 2**16 taxels fit.
-BYTES_MAX: Final = 2**23
+BYTES_MAX: Final = 6 * 2**20
 
 Floats = npt.NDArray[np.float64]
 _Gain = Annotated[float, msgspec.Meta(ge=LEAST_GAIN, le=MOST_GAIN)]

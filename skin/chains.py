@@ -25,7 +25,7 @@ _NORMAL: Final = ("nx", "ny", "nz")
 #: Largest number of a taxel, board or place.
 MOST: Final = int(np.iinfo(np.uint16).max)
 #: Most columns of a file.
-_COLUMNS_MAX: Final = 24
+_COLUMNS_MAX: Final = 16
 
 
 def read_chains(path: Path, columns: int) -> list[list[int]]:

@@ -144,6 +144,6 @@ def test_of_long_names_the_first_64_and_32_characters_are_told(tmp_path: Path) -
     path = tmp_path / "it.json"
     other = {"skin": "n" * 100, "fingerprint": "f" * 50}
     path.write_bytes(msgspec.json.encode(msgspec.to_builtins(new_calibration(LAYOUT)) | other))
-    told = "'" + "n" * 64 + "' with Φ " + "f" * 32 + " and 0.02 N: expected Φ " + PHI.fingerprint
+    told = "'" + "n" * 64 + "' with Φ " + "f" * 32 + " and 0.02 N: expected 'skin' with Φ " + PHI.fingerprint
     with pytest.raises(InputError, match=told):
         load_calibration(path, LAYOUT)
