@@ -10,7 +10,7 @@ from bandwidth.measured import measure
 from bandwidth.plan import plan_bus
 from bandwidth.traffic import Disturbance
 from dbc.contract import Contract
-from dbc.frame import Frames, frames
+from dbc.frame import ERROR, EXTENDED, REMOTE, Frames, frames
 from tests.layouts import in_one_instant
 
 MS = 1_000_000
@@ -116,3 +116,11 @@ def test_what_is_not_planned_has_its_share_of_the_bus() -> None:
     load = measure(SKIN, 0, seen, planned)
     found = list(foreign(load))
     assert found == ["node 2 sent 2 emergencies", "7F2h is not planned: 10 frames, 0.01% of the bus"]
+
+
+@pytest.mark.parametrize("flag", [EXTENDED, REMOTE, ERROR])
+def test_only_data_frames_with_an_identifier_of_11_bits_are_heartbeats(flag: int) -> None:
+    taken = made([(0.0, 0x80, 1), *((100.0, 0x700 + node, 1) for node in range(1, 33))])
+    assert list(heartbeats(SKIN, 0, taken, 1.6)) == []
+    taken["flags"][5] = flag
+    assert len(list(heartbeats(SKIN, 0, taken, 1.6))) == 1

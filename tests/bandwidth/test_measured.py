@@ -309,3 +309,17 @@ def test_a_message_of_another_device_may_have_the_name_of_a_service() -> None:
     often = made(*((0x0C0, 5.0 * number) for number in range(50)))
     (line,) = foreign(measure(contract, 0, often, plan(contract)[0]))
     assert line.startswith("'EMCY' of another device comes 200.00 times a second")
+
+
+def test_an_extended_identifier_is_no_sync(contract: Contract, planned: BusPlan, healthy: Frames) -> None:
+    found = left(contract, planned, put(700, 0x80, EXTENDED)(drop(0x80)(healthy)))
+    assert "bus1: no SYNC: cycles cannot be told apart" in found
+    assert any(line.startswith("bus1: 00000080h is not planned") for line in found)
+
+
+def test_errors_of_a_log_are_counted_and_are_no_load(contract: Contract, planned: BusPlan) -> None:
+    seen = made((0x80, 0), (0x181, 1), (0x182, 2), (0x183, 3), (0x80, 10))
+    assert measure(contract, 1, seen, planned).errors == 0
+    seen["flags"][1:4] = ERROR, REMOTE, ERROR | EXTENDED
+    load = measure(contract, 1, seen, planned)
+    assert (load.errors, load.frames, [each.cob_id for each in load.identifiers]) == (2, 2, [0x80, 0x182])

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bandwidth.plan import bus_time, plan, plan_bus, planned
+from bandwidth.plan import BusTime, bus_time, plan, plan_bus, planned
 from bandwidth.search import with_buses
 from bandwidth.traffic import Disturbance, traffic
 from bandwidth.wiring import wiring
@@ -206,3 +206,18 @@ def test_blocks_that_send_no_sum_need_no_wires() -> None:
     one, two = (wiring(few(rows)) for rows in ([[0, 0], [0, 1]], [[0, 0], [1, 1]]))
     assert one.wires_m == one.longest_chain_m
     assert two.wires_m > two.longest_chain_m
+
+
+def test_heartbeats_that_fill_a_bus_leave_no_rate() -> None:
+    full = BusTime(cycle_s=0.001, cycle_bits=1000, beats_s=0.5)
+    assert full.load(100) == pytest.approx(0.6)
+    assert [full.rate_hz(), full.rate_hz(0.6), full.rate_hz(0.4)] == pytest.approx([500.0, 100.0, 0.0])
+
+
+def test_a_node_converts_the_taxels_of_blocks_that_send() -> None:
+    """Nodes of two blocks of 32 taxels, and a SYNC rate of 100 Hz."""
+    rates = [
+        wiring(few(rows, blocks_per_node=2)).conversions_per_s
+        for rows in ([[0, 0]], [[0, 0], [2, 2]], [[0, 0], [1, 1]])
+    ]
+    assert rates == [32 * 100, 32 * 100, 64 * 100]

@@ -56,10 +56,10 @@ def test_as_many_sums_are_sent_as_the_buses_carry() -> None:
 
 @pytest.mark.heavy
 def test_stepped_sums_are_chosen_where_synchronous_sums_do_not_fit_or_when_asked_for() -> None:
-    found = search(Requirement(1024, 400, buses=1, can="classic"))
+    found = search(Requirement(256, 900, buses=1, can="classic"))
     assert found.layout is not None
     assert found.chosen is not None
-    assert found.chosen.words == "1 bus of classic CAN, 32 nodes of 1 block, 1024 sums, stepped"
+    assert found.chosen.words == "1 bus of classic CAN, 8 nodes of 1 block, 256 sums, stepped"
     assert "lacks: " in (why := found.nearest_in_cycles() or "")
     assert "it fits at up to " in why
     assert not any(each.fits for each in found.candidates if each.sending == "synchronous")
@@ -68,9 +68,9 @@ def test_stepped_sums_are_chosen_where_synchronous_sums_do_not_fit_or_when_asked
     assert f"{found.chosen.load_touched:.1%} full under simulated touches" in found.chosen.load_words
     planned, *_ = plan(Contract.from_layout(validated(found.layout)), is_touched=False)
     assert (planned.problems, planned.late_random_ms) == ([], found.chosen.late_random_ms)
-    asked = search(Requirement(1024, 10, buses=1, can="classic", sending="steps"))
+    asked = search(Requirement(256, 10, buses=1, can="classic", sending="steps"))
     assert asked.layout == found.layout
-    assert search(Requirement(1024, 1001, buses=1, can="classic")).layout is None
+    assert search(Requirement(256, 1001, buses=1, can="classic")).layout is None
 
 
 def failed(required: Requirement) -> tuple[str, Search]:

@@ -122,3 +122,12 @@ def test_what_is_doubtful_becomes_part_of_a_zero_that_is_asked_for() -> None:
     assert skin.made.result is not None
     assert skin.made.result.is_done
     assert np.abs(np.array(offsets_of(last)) - COUNTS - PATCH_COUNTS).max() <= 1
+
+
+def test_a_block_that_never_sent_has_no_corrected_zero() -> None:
+    skin = Cycles()
+    skin.missing = [4]
+    skin.run(10.1)
+    skin.run(2, COUNTS - PATCH_COUNTS)
+    assert ZeroSupport.CORRECTED in supports(skin)
+    assert skin.made.status().zero_support[4] == ZeroSupport.NONE

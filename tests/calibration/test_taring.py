@@ -15,14 +15,17 @@ from tests.calibration.helpers import (
     COUNTS,
     LAYOUT,
     NOISE_N,
+    PHI,
     SMALL_COUNT_N,
     SMALL_PHI,
     SMALL_SUMS,
     Counts,
     Cycles,
     Skin,
+    error_n,
     offsets_n,
     offsets_of,
+    pressed,
     pressed_counts,
     still,
     tared,
@@ -309,3 +312,17 @@ def test_a_tube_of_positions_is_tared_and_what_stands_on_it_is_named_by_number_a
     skin.run(4.0, still(offsets + weight))
     assert said[-2].startswith("zero of 121 taxels")
     assert said[-1] == "no force is doubtful any more"
+
+
+def test_a_faint_hand_that_moves_at_the_start_does_not_become_the_zero() -> None:
+    skin = Skin(Calibrator(LAYOUT))
+    skin.run(6.0, lambda time_s: OFFSETS + pressed(10, 10 + int(4 * time_s), 3, 0.001))
+    assert skin.calibrator.state is CalibrationState.TOUCHED
+
+
+def test_stored_offsets_are_used_under_a_hand_and_show_a_faint_touch() -> None:
+    faint = pressed(30, 30, 3, 0.001)
+    skin = Skin(Calibrator(LAYOUT, offsets_n=PHI.forward(OFFSETS)))
+    last = skin.run(5.0, still(OFFSETS + faint))
+    assert skin.calibrator.state is CalibrationState.TOUCHED
+    assert error_n(last, faint) < 1.2 * SUM_NOISE_N

@@ -75,3 +75,12 @@ def test_windows_and_zeros_take_as_long_as_the_guide_says() -> None:
     """A quarter of a second, or 8 cycles; eight of them for a zero: 2 s, or 64 cycles."""
     assert [mean_window_s(period_s) for period_s in (0.001, 0.01, 0.05, 1.0)] == [0.25, 0.25, 0.4, 8.0]
     assert [tare_s(period_s) for period_s in (0.01, 0.05)] == [2.0, 3.2]
+
+
+def test_a_restart_drops_the_cycles_of_the_window() -> None:
+    made = Collected((10,))
+    made.take_all(range(10, 110, 10))
+    made.means.restart()
+    found = made.take_all(range(110, 870, 10))
+    assert [window.centre_ns for window in found] == [235 * MS, 485 * MS, 735 * MS]
+    assert found[2].mean_n == pytest.approx([0.5 * (np.arange(61, 86) ** 2).mean()])

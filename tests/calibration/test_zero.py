@@ -255,3 +255,16 @@ def test_a_thin_ring_on_most_boards_is_a_touch_and_its_end_no_drift(sign: int) -
         made.run(8, 0.0)
         assert not made.zero.touched.any()
     assert made.zero.force_n.max() < 1e-3
+
+
+def test_a_late_block_begins_to_wait_anew_after_a_gap() -> None:
+    skin = Cycles()
+    skin.missing = [4]
+    skin.run(10.1)
+    skin.missing = []
+    skin.run(7)  # five windows of eight
+    skin.cycle += 100
+    skin.run(8)  # it has settled long ago; the eighth window ends with the next cycle
+    assert skin.made.status().known_sums == SMALL_SUMS - 8
+    skin.run(0.1)
+    assert skin.made.status().known_sums == SMALL_SUMS

@@ -5,7 +5,6 @@ import pytest
 
 from classifier.cache import TOUCHES_PER_OBJECT
 from classifier.decide import Classifier
-from classifier.model import Model
 from classifier.samples import simulate_sums
 from classifier.training import train
 from skin.layout import load_layout
@@ -16,21 +15,16 @@ pytestmark = pytest.mark.slow
 STEPS = 5 * 310  # each object once
 
 
-@pytest.fixture(scope="module")
-def trained() -> Model:
-    layout = load_layout()
-    count = TOUCHES_PER_OBJECT * len(DEFAULT_OBJECTS)
-    return train(*load_touches(DEFAULT_OBJECTS, count, layout, seed=0), layout)
-
-
-@pytest.mark.parametrize(("lost_blocks", "least"), [(0, 0.98), (16, 0.97), (32, 0.95)])
-def test_labelled_frames_get_their_name(trained: Model, lost_blocks: int, least: float) -> None:
+def test_labelled_frames_get_their_name_though_a_quarter_of_the_blocks_is_dead() -> None:
+    """`skin evaluate recognition` has the figures of whole skins."""
     layout, seed = load_layout(), 11
+    count = TOUCHES_PER_OBJECT * len(DEFAULT_OBJECTS)
+    trained = train(*load_touches(DEFAULT_OBJECTS, count, layout, seed=0), layout)
     phi = layout.phi()
     source = load_source("objects", rows=64, columns=64, pitch_m=0.004, rate_hz=100.0, seed=seed)
     rng = np.random.default_rng(seed)
     valid = np.ones(phi.blocks, np.uint8)
-    valid[:lost_blocks] = 0
+    valid[:32] = 0
     classifier = Classifier(trained, phi)
     right = []
     for step in range(STEPS):
@@ -40,4 +34,4 @@ def test_labelled_frames_get_their_name(trained: Model, lost_blocks: int, least:
         if label:
             right.append(said == label)
     assert len(right) > STEPS / 2
-    assert np.mean(right) >= least
+    assert np.mean(right) >= 0.95

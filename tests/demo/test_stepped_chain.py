@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from bandwidth.quality import heard
 from canskin.errors import LayoutError
 from dbc.contract import Contract
-from dbc.frame import frame_bytes
+from gateway.batch import batch_of
 from gateway.block_states import judge, new_states
 from gateway.stepped_state import new_sums, slots_of, take_all
 from nodes.steps.simulated import touched_frames
@@ -48,7 +48,9 @@ def received(contract: Contract, source: Slide) -> tuple[SteppedSums, int]:
     sums, slots, proven, frames = new_sums(contract), slots_of(contract), np.ones(contract.phi.blocks, np.bool_), 0
     for bus in range(len(contract.layout.bus)):
         sent = touched_frames(contract, bus, source, SECONDS, seed=1)
-        take_all(frame_bytes(heard(contract.layout, sent, SECONDS)), bus, proven, slots, contract.parts, sums)
+        take_all(
+            batch_of(heard(contract.layout, sent, SECONDS), bus, contract.parts), proven, slots, contract.parts, sums
+        )
         frames += len(sent)
     assert sums.counts.tolist() == [frames, *[0] * 6], "every frame is used"
     shown = new_states(contract, 0)

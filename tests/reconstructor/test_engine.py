@@ -178,3 +178,9 @@ def test_warm_up_leaves_no_trace_and_images_are_the_callers(phi: Sbhe, golf: Sce
 def test_averaged_sums_have_no_bias_to_correct(phi: Sbhe) -> None:
     with pytest.raises(InputError, match=r"undo the bias of clipping themselves: .* got 0.001 N"):
         Reconstructor(phi, 64, 64, noise_n=0.001, samples=10)
+
+
+def test_no_noise_is_no_correction(phi: Sbhe) -> None:
+    sums, valid = np.full(1024, 0.01, np.float32), np.ones(1024, np.bool_)
+    off, plain = Reconstructor(phi, 64, 64, noise_n=0.0), Reconstructor(phi, 64, 64)
+    np.testing.assert_array_equal(off.solve(sums, valid), plain.solve(sums, valid))

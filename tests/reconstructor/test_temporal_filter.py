@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from reconstructor.temporal_filter import TemporalFilter
+from reconstructor.temporal_filter import FLOOR, FilterState, TemporalFilter, update
 
 ALL = np.ones(1024, np.bool_)
 
@@ -156,3 +156,14 @@ def test_averaged_sums_are_taken_as_they_come_and_missing_ones_kept_while_nothin
     filtered.take(sums[-1] + noise(6, 1)[0], missing)  # a touch moves
     assert not filtered.weights[:8].any()
     assert filtered.surprise > 10
+
+
+def test_only_a_sum_measured_twice_in_a_row_has_an_innovation() -> None:
+    names = ["known", "new", "missing"]
+    sums, innovation = np.array([1.0, 0.0, 1.0]), np.array([0.1, 0.0, 0.3])
+    state = FilterState(sums, np.array([1.0, 0.0, 1.0]), innovation, np.array([0.2, 1e-6, 0.2, 1.0]))
+    assert update(state, np.array([1.5, 2.0, np.nan]), np.array([True, True, False]), True)
+    assert dict(zip(names, innovation.tolist(), strict=True)) == {"known": 0.5, "new": 0.0, "missing": 0.0}
+    assert state.weights.tolist()[:2] == [1, 1]
+    assert sums[1] == 2.0  # nothing of the past stands for a sum that was not known
+    assert state.state[FLOOR] > 0

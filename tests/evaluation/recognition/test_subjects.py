@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from canskin.errors import InputError
 from evaluation.recognition import beyond, classification
 from evaluation.recognition.accuracy import measure_accuracy, measure_chosen, measure_stepped
 from evaluation.recognition.live import measure_live
@@ -86,14 +85,3 @@ def _stepped(**cell: object) -> dict[str, Any]:
 def _live(**cell: object) -> dict[str, float]:
     signature(measure_live).bind(**cell)
     return {"right": 1.0, "unknown": 0.0, "sums": 1024}
-
-
-@pytest.mark.slow
-def test_service_names_a_known_object_in_nearly_every_cycle(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("evaluation.recognition.live.TOUCHES_PER_OBJECT", 150)  # a quarter of those of the service
-    known = measure_live(names=["ring"], touches=1, lost_ratio=0.0, noise_ratio=1.0, seed=0)
-    assert known["right"] > 0.9
-    assert known["right"] + known["unknown"] <= 1
-    assert known["sums"] == 1024
-    with pytest.raises(InputError, match="1 touch or more, got 0"):
-        measure_live(names=["ring"], touches=0, lost_ratio=0.0, noise_ratio=1.0, seed=0)
