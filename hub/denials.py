@@ -58,14 +58,14 @@ class Denials:
         self._say, self._revoked = say, revoked
         self._holders: dict[bytes, str] = {}
         self._ahead: set[bytes] = set()
-        self._known: set[bytes] = set()
+        self._known: set[int] = set()  # hashes: a name may be long
         self._said: dict[str, set[str]] = {}
 
     def take(self, content: bytes) -> None:
         """Take whole lines of zenoh."""
         for line in content.split(b"\n"):
             # What a session is denied is printed each time: a flood must not take the processor.
-            if line[_WHEN:] not in self._known and any(part in line for part in _PARTS):
+            if hash(line[_WHEN:]) not in self._known and any(part in line for part in _PARTS):
                 self._take(line)
 
     def _take(self, line: bytes) -> None:
@@ -88,7 +88,7 @@ class Denials:
         if found["denied"] and holder is not None and found["thread"] not in self._ahead:
             if len(self._known) >= MOST_SESSIONS:
                 self._known.clear()
-            self._known.add(found.string[_WHEN:])
+            self._known.add(hash(found.string[_WHEN:]))
             self._deny(holder, found["what"].decode(), found["key"].decode(errors="replace"))
 
     def _deny(self, holder: str, what: str, key: str) -> None:

@@ -16,6 +16,7 @@ from canskin.messages import (
     SteppedMeasurement,
 )
 from canskin.sums import corrected_counts, doubtful_taxels
+from canskin.text import plain
 from skin.phi import Phi
 
 #: Shortest time between two log lines about refused measurements.
@@ -141,8 +142,9 @@ def check_measurement(measurement: Measurement, phi: Phi, kind: type[Kind]) -> K
 def check_fingerprint(fingerprint: str, phi: Phi) -> None:
     """Check that sums were measured with Φ."""
     if fingerprint != phi.fingerprint:
-        came = fingerprint[:32]
-        raise InputError(f"measured with Φ {came!r}, expected {phi.fingerprint}: give both ends the same --layout")
+        raise InputError(
+            f"measured with Φ '{plain(fingerprint[:32])}', expected {phi.fingerprint}: give both ends the same --layout"
+        )
 
 
 class MeasurementReader(Generic[Sums]):

@@ -70,6 +70,11 @@ class Processes:
             process.wait()
             raise
 
+    def peak_bytes(self, name: str) -> int:
+        """Return the most memory that a process had so far, as Linux counts it."""
+        about = Path("/proc", str(_inside(self._running[name].pid)), "status").read_text()
+        return 1024 * next(int(line.split()[1]) for line in about.splitlines() if line.startswith("VmHWM"))
+
     def log(self, name: str) -> Path:
         """Return where the words of `name` are."""
         return self.folder / f"{name}.log"

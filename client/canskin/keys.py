@@ -28,6 +28,9 @@ RENEWAL_DAYS: Final = 30
 HUB: Final = "hub"
 #: Longest wait for each of three answers of a hub: to a connection, to TLS, to the certificate.
 ANSWER_S: Final = 0.3
+#: Offered to a hub, which ignores them: they make the greeting longer than what zenoh without TLS takes its first bytes
+#: for, 790 bytes, so that such a hub hangs up at once, while a busy hub is silent.
+_PROTOCOLS_OFFERED: Final = ("-" * 255,) * 3
 #: OpenSSL's X509_V_FLAG_NO_CHECK_TIME, which `ssl` does not name: dates are checked here, with words of their own.
 _NO_CHECK_TIME: Final = 0x200000
 #: OpenSSL's codes for what is wrong with a hub's certificate.
@@ -149,7 +152,8 @@ def environment_keys() -> Keys | None:
 def reason(endpoint: str, keys: Keys | None) -> str:
     """Return why a hub refuses a connection, after three times `ANSWER_S` at the latest.
 
-    Empty if no hub is there, if the hub refuses nothing, and for QUIC, which `ssl` does not speak.
+    Empty if no hub is there, if the hub refuses nothing or is too busy to answer, and for QUIC, which `ssl` does not
+    speak.
     """
     protocol, _, address = endpoint.partition("/")
     if protocol not in {"tls", "tcp"}:
@@ -161,6 +165,7 @@ def reason(endpoint: str, keys: Keys | None) -> str:
     else:
         context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
         context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
+    context.set_alpn_protocols(_PROTOCOLS_OFFERED)
     try:
         plain = socket.create_connection((host, int(port)), ANSWER_S)
     except OSError:
@@ -170,7 +175,9 @@ def reason(endpoint: str, keys: Keys | None) -> str:
             link = context.wrap_socket(plain, server_hostname=host)
         except ssl.SSLCertVerificationError as error:
             return _OF_HUB.get(error.verify_code, error.verify_message)
-        except OSError:  # no answer of TLS
+        except TimeoutError:
+            return ""
+        except OSError:  # hung up, or an answer that is not of TLS
             return "" if keys is None else "it does not speak TLS: give the hub its keys, or leave the keys out here"
         with link:
             return f"it asks for keys: give --keys FOLDER and tls/{address}" if keys is None else _refusal(link)

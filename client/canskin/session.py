@@ -219,7 +219,7 @@ def open_client(
                     f"no {listener.name} at {endpoint}: start {listener.starter}, or give another {listener.option}"
                 ) from None  # that of zenoh says no more, and has paths of its build
         else:
-            if keys is not None and not _sees(session):
+            if keys is not None and _is_blind(session):
                 session.close()
                 raise BusError(
                     f"the {listener.name} at {endpoint} lets '{keys.common_name}' do nothing: its keys are revoked or"
@@ -233,12 +233,14 @@ def open_client(
             said = True
 
 
-def _sees(session: Any) -> bool:
-    """Tell whether the hub lets a session see any service, such as the hub itself."""
+def _is_blind(session: Any) -> bool:
+    """Tell whether the hub lets a session see no service, not even the hub itself; a hub that is late is no proof."""
     give_up_s = time.monotonic() + SEE_S
-    while not (sees := bool(peers_of(session))) and time.monotonic() < give_up_s:
+    while not any(session.liveliness().get(EVERY_KEY, timeout=TRY_S)):  # of a late hub zenoh gives an error
+        if time.monotonic() >= give_up_s:
+            return True
         time.sleep(LOOK_S)
-    return sees
+    return False
 
 
 def _raise_refusal(endpoint: str, listener: Listener, keys: Keys | None) -> None:

@@ -3,6 +3,7 @@
 import math
 import os
 import shutil
+import socket
 import threading
 import time
 from collections.abc import Iterator
@@ -15,7 +16,7 @@ import pytest
 import canskin
 from canskin.errors import BusError, InputError
 from canskin.fabric import Fabric
-from canskin.keys import ANSWER_S, Keys
+from canskin.keys import ANSWER_S, Keys, reason
 from canskin.peers import Peer
 from canskin.session import DEFAULT_ENDPOINT, UNIX, open_client, open_hub, peers_at
 from hub.authority import Authority
@@ -190,6 +191,12 @@ def test_a_hub_without_keys_gets_none(authority: Authority) -> None:
     assert "it does not speak TLS: give the hub its keys" in refusal(f"tls/127.0.0.1:{port}", keys)
     assert "does not use the keys" in refusal(f"tcp/127.0.0.1:{port}", keys)
     session.close()
+
+
+def test_a_hub_that_is_busy_refuses_nobody(authority: Authority, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("canskin.keys.ANSWER_S", 0.01)
+    with socket.create_server(("127.0.0.1", 0)) as busy:  # its system takes connections, and nobody answers
+        assert not reason(f"tls/127.0.0.1:{busy.getsockname()[1]}", Keys(authority.folder / "client"))
 
 
 def test_a_hub_has_keys_of_its_role(authority: Authority) -> None:

@@ -1,5 +1,6 @@
 """Every cell of role x topic x action, with real certificates, against a hub with the rules: made from the table."""
 
+import secrets
 import time
 from collections.abc import Iterator
 from contextlib import closing
@@ -100,9 +101,10 @@ def _answered(asker: Any, answerer: Any, client: Any, expected: set[str]) -> set
 
 
 def _seen(session: Any, hub: Any) -> set[str]:
-    kept = [session.liveliness().declare_token(f"canskin/palm/alive/{name}/test") for name in (*SERVICES, "hub")]
+    own = secrets.token_hex(4)  # those of the session before may be there still
+    kept = [session.liveliness().declare_token(f"canskin/palm/alive/{name}/{own}") for name in (*SERVICES, "hub")]
     _see(session)
-    seen = {key.split("/")[3] for key in _see(hub) if key.endswith("/test")}
+    seen = {key.split("/")[3] for key in _see(hub) if key.endswith(own)}
     for each in kept:
         each.undeclare()
     return seen

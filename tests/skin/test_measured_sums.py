@@ -29,7 +29,7 @@ STEPPED = SteppedMeasurement(
 )
 BAD = (
     ({"fingerprint": "0" * 16}, f"measured with Φ '0000000000000000', expected {PHI.fingerprint}"),
-    ({"fingerprint": "\x1b[2J" * 1000}, "measured with Φ '.+x1b"),
+    ({"fingerprint": "\x1b[2J" * 1000}, r"measured with Φ '\\x1b\[2J"),
     ({"sums": GOOD.sums[:-1]}, "sums of 63 bytes, expected 64"),
     ({"valid": GOOD.valid + b"\1"}, "valid of 9 bytes, expected 8"),
     ({"sums": b"", "valid": b""}, "sums of 0 bytes"),
