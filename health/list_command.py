@@ -2,13 +2,13 @@
 
 import time
 from collections import Counter
-from contextlib import ExitStack, closing
+from contextlib import ExitStack, closing, suppress
 from functools import partial
 from typing import Any, Final
 
 import msgspec
 
-from canskin.errors import BusError
+from canskin.errors import BusError, DeniedError
 from canskin.fabric import Fabric
 from canskin.messages import GATEWAY, IMAGE, LABEL, MEASUREMENT, TRUTH, GatewayStatus, NmtState, Topic
 from canskin.peers import Peer
@@ -30,7 +30,7 @@ SECONDS_MAX: Final = 60.0
 
 
 class Listed(msgspec.Struct, frozen=True, kw_only=True):
-    """A service on a hub; `rate_hz` of its messages is None for a service that publishes none."""
+    """A service on a hub; `rate_hz` is None if it publishes nothing, or these keys may not hear its messages."""
 
     skin: str
     service: str
@@ -79,7 +79,10 @@ def _cell(value: Any) -> str:
 
 
 def _heard(skins: set[str], endpoint: str, seconds: float) -> tuple[Counter[tuple[str, str]], dict[str, GatewayStatus]]:
-    """Return how many messages of each skin and topic came in a time, and the newest counters of the gateways."""
+    """Return how many messages of each skin and topic came in a time, and the newest counters of the gateways.
+
+    Topics that the role of the keys may not hear are missing, as are those of other skins.
+    """
     counts: Counter[tuple[str, str]] = Counter()
     states: dict[str, GatewayStatus] = {}
 
@@ -90,9 +93,12 @@ def _heard(skins: set[str], endpoint: str, seconds: float) -> tuple[Counter[tupl
         for skin in skins:
             # Without a name: the other services do not see this program come and go.
             fabric = stack.enter_context(closing(Fabric(skin, "", endpoint, patience_s=PATIENCE_S)))
-            fabric.subscribe(GATEWAY, partial(states.__setitem__, skin))
+            with suppress(DeniedError):
+                fabric.subscribe(GATEWAY, partial(states.__setitem__, skin))
             for topic in {each.name: each for each in SENT.values()}.values():
-                fabric.subscribe_bytes(topic, partial(count, (skin, topic.name)))
+                with suppress(DeniedError):
+                    fabric.subscribe_bytes(topic, partial(count, (skin, topic.name)))
+                    counts.setdefault((skin, topic.name), 0)
         time.sleep(seconds)
     return counts, states
 
@@ -105,7 +111,8 @@ def _listed(
     seconds: float,
 ) -> Listed:
     topic = SENT.get(peer.service)
-    rate_hz = None if topic is None else counts[peer.skin, topic.name] / seconds
+    told = None if topic is None else counts.get((peer.skin, topic.name))
+    rate_hz = None if told is None else told / seconds
     state, gateway = "runs" if rate_hz is None else "sends" if rate_hz else "silent", states.get(peer.skin)
     if peer.service == "gateway" and gateway is not None:
         nmt = [node for bus in gateway.buses for node in bus.nmt]

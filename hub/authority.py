@@ -88,6 +88,7 @@ class Authority:
         folder = self.keys_of(common_name)
         with reasoned(InputError, f"{folder}: cannot write keys there"):
             folder.mkdir(mode=0o700, exist_ok=True)
+            folder.chmod(0o700)  # others may have been let in, and would see the key while it is written
             write_file(folder / CA, self._certificate.public_bytes(_PEM))
             _write_private(folder / KEY, key)
             write_file(folder / CERTIFICATE, certificate.public_bytes(_PEM))

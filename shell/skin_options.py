@@ -12,7 +12,7 @@ import msgspec
 from cyclopts import Parameter
 
 from canskin.description import DESCRIPTION, LAYOUT, LayoutReply, LayoutRequest
-from canskin.errors import BusError, InputError, LayoutError, Stopped
+from canskin.errors import BusError, DeniedError, InputError, LayoutError, Stopped
 from canskin.fabric import Fabric
 from canskin.peers import GATEWAYS, Peer
 from canskin.session import DEFAULT_ENDPOINT, LOOK_S, Stop, Words, find_skin, is_open
@@ -206,6 +206,8 @@ def knows_layout(peer: Peer) -> bool:
 def _told(fabric: Fabric, peer: Peer, endpoint: str) -> Layout:
     try:
         reply: LayoutReply = fabric.ask(LAYOUT, LayoutRequest(), PATIENCE_S)
+    except DeniedError:
+        raise
     except BusError as error:
         raise BusError(
             f"{peer.service} of skin '{peer.skin}', canskin {peer.version}, tells no layout at {endpoint}: give"

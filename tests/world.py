@@ -384,6 +384,8 @@ class Skin:
 class World(Skin):
     """A skin, its gateway, and what they said; `link` and `dropped` are what the gateway's links say of each bus."""
 
+    #: Whether boards hear a SYNC before they look at time.
+    hears_sync_first: ClassVar[bool] = True
     rates_hz: tuple[float, float] = RATES_HZ
     #: Whether somebody else takes `NmtMaster.recalibrated`.
     calibrates: bool = False
@@ -429,6 +431,8 @@ class World(Skin):
         came: list[Measurement] = []
         self.gateway.tick(self.now_s)
         came += self._compared(self.gateway.send_sync(self.now_s))
+        if self.hears_sync_first:
+            self.carry(self.hear)
         for bus, segment in enumerate(self.segments):
             segment.tick(self.now_s)
             self.hear(bus, frames(0))

@@ -7,6 +7,7 @@ Every deliberate error derives from one class. The message is one line: what was
     ├── InputError        a file, array or option from the user cannot be used
     ├── ModelError        a trained model cannot be read or belongs to another Φ
     ├── BusError          a CAN interface or the fabric cannot be opened or reached
+    │   └── DeniedError   the role of the keys may not do that
     └── RunError          the input was right, but the run failed
 
 The `skin` command prints the message and exits with code 2, after a `RunError` with 1, without a traceback.
@@ -54,6 +55,10 @@ class RunError(SkinError):
 
 class BusError(SkinError):
     """A CAN interface or the fabric cannot be opened or reached."""
+
+
+class DeniedError(BusError):
+    """The role of the keys may not do an action on the fabric."""
 
 
 @contextmanager

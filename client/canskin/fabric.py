@@ -19,7 +19,7 @@ from typing import Any, Final, Generic, NamedTuple, Protocol, TypeVar
 import msgspec
 import zenoh
 
-from canskin.errors import UNDECODABLE, BusError, tell
+from canskin.errors import UNDECODABLE, BusError, DeniedError, tell
 from canskin.keys import Keys, environment_keys
 from canskin.messages import Topic
 from canskin.peers import EVERY_KEY, GATEWAYS, Peer, Roll, new_peer, peer_of_key
@@ -355,13 +355,13 @@ class Fabric:
         self._session.close()
 
     def _require_right(self, action: Action, name: str) -> None:
-        """Raise BusError if the hub will not let the holder of these keys do an action: zenoh drops it unsaid."""
+        """Raise DeniedError if the hub will not let the holder of these keys do an action: zenoh drops it unsaid."""
         holder = self._holder
         if holder is None:
             return
         why = f"they are of skin '{holder.skin}', not of '{self._peer.skin}'" if holder.skin != self._peer.skin else ""
         if why := why or refusal(holder.role, action, name):
-            raise BusError(f"keys {holder.folder}: {why}")
+            raise DeniedError(f"keys {holder.folder}: {why}")
 
     def _require_alone(self, patience_s: float) -> None:
         """Raise BusError if this is a second gateway of its skin.

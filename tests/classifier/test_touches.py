@@ -94,7 +94,7 @@ def test_a_mark_during_a_touch_counts_where_it_holds_for_most_of_the_touch(tmp_p
 
 
 def test_a_mark_that_no_object_can_have_is_told(tmp_path: Path, layout: Layout) -> None:
-    path = write(tmp_path / "run.mcap", layout, (0, MARK, Mark(label="\x1b[2J")), felt(10), felt(80))
+    path = write(tmp_path / "run.mcap", layout, (0, MARK, Mark(label=" cup")), felt(10), felt(80))
     told: list[str] = []
     assert read_touches(path, told.append).touches[0].label == ""
     assert len(told) == 1

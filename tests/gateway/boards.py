@@ -197,6 +197,7 @@ class BoardWorld(World):
     """A world of such boards."""
 
     step_s: ClassVar[float] = STEP_S
+    hears_sync_first: ClassVar[bool] = False
 
     def new_hardware(self) -> list[Board]:
         return [Board(self.contract, node) for node in self.contract.nodes]

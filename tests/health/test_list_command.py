@@ -3,6 +3,7 @@
 import json
 import threading
 from contextlib import closing
+from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -10,14 +11,17 @@ import pytest
 
 from canskin.errors import BusError, InputError
 from canskin.fabric import Fabric
+from canskin.keys import ENVIRONMENT, Keys
 from canskin.messages import GATEWAY, IMAGE, MEASUREMENT
+from canskin.session import open_hub
 from health.list_command import list_
 from shell.skin_options import join
 from skin.layout import parse_layout
 from tests.client.helpers import await_peers
+from tests.hub.keys import make_authority
 from tests.layouts import layout_toml
 from tests.messages import gateway_status, image, measurement
-from tests.processes import PATIENCE_S
+from tests.processes import PATIENCE_S, free_port
 
 PALM = parse_layout(layout_toml(16, 16, name="palm").encode(), "palm.toml")
 SEED = msgspec.structs.replace(PALM, measurement=msgspec.structs.replace(PALM.measurement, seed=7))
@@ -82,3 +86,25 @@ def test_a_hub_without_services_and_a_wrong_time_are_errors(
     monkeypatch.setattr("health.list_command.PATIENCE_S", PATIENCE_S)
     with closing(Fabric("palm", "", endpoint, hub=True)), pytest.raises(BusError, match="no service at"):
         list_(connect=endpoint)
+
+
+def test_what_the_keys_may_not_hear_has_no_rate_and_the_reason_is_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    authority, endpoint = (
+        make_authority(tmp_path / "keys", "gateway", "nodes", "client"),
+        f"tls/127.0.0.1:{free_port()}",
+    )
+    authority.issue("hand:gateway")
+    with (
+        closing(open_hub(endpoint, Keys(authority.keys_of("palm:hub")))),
+        closing(Fabric("palm", "gateway", endpoint, fingerprint="1", keys=Keys(authority.keys_of("palm:gateway")))),
+        closing(Fabric("palm", "nodes", endpoint, keys=Keys(authority.keys_of("palm:nodes")))),
+        closing(Fabric("hand", "gateway", endpoint, keys=Keys(authority.keys_of("hand:gateway")))),
+    ):
+        monkeypatch.setenv(ENVIRONMENT, str(authority.keys_of("palm:client")))
+        list_(connect=endpoint, seconds=0.1, json=True)
+        found = json.loads(capsys.readouterr().out)
+    rates = {(each["skin"], each["service"]): each["rate_hz"] for each in found["services"]}
+    assert rates == {("palm", "gateway"): 0, ("palm", "nodes"): None, ("hand", "gateway"): None, ("palm", "hub"): None}
+    assert "role 'client' may not ask 'layout'" in found["skins"]["palm"]["error"]

@@ -111,3 +111,9 @@ def test_what_is_not_there(folder: Path, tmp_path: Path) -> None:
     (folder / "authority" / "key.pem").write_text("secret")
     with pytest.raises(InputError, match=r"a file of the authority is damaged$"):
         add(folder, "client:laptop7")
+
+
+def test_a_folder_that_others_may_open_is_closed_before_its_key_is_written(folder: Path) -> None:
+    (folder / "client").chmod(0o755)
+    renew(folder, "client")
+    assert stat.S_IMODE((folder / "client").stat().st_mode) == 0o700

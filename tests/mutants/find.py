@@ -95,7 +95,9 @@ def tell() -> int:
     """Print the mutants that no test noticed, and the share that was."""
     with use_db(SESSION) as session:
         of_job = {item.job_id: item.mutations[0] for item in session.work_items}
-        judged = [(of_job[job], each) for job, each in session.results if each.worker_outcome is WorkerOutcome.NORMAL]
+        ended = [(of_job[job], each) for job, each in session.results if each.worker_outcome is WorkerOutcome.NORMAL]
+    # cosmic-ray calls tests that were too slow a fault that was noticed.
+    judged = [(mutation, each) for mutation, each in ended if each.output != "timeout"]
     survived = [(mutation, each) for mutation, each in judged if not each.is_killed]
     for mutation, each in survived:
         print(f"{mutation.module_path}:{mutation.start_pos[0]} {mutation.operator_name}\n{each.diff}")
