@@ -18,7 +18,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from canskin.errors import InputError, reasoned
-from canskin.keys import CA, CERTIFICATE, HUB, KEY
+from canskin.keys import CA, CERTIFICATE, HUB, KEY, parts_of
 from hub.holders import HOLDERS, Holders, read_holders
 from shell.output import write_file
 
@@ -78,7 +78,7 @@ class Authority:
             raise InputError(f"'{common_name}' is revoked for good: add the holder with another name")
         key, usage = ec.generate_private_key(ec.SECP256R1()), [ExtendedKeyUsageOID.CLIENT_AUTH]
         builder = _builder(common_name, key, self._certificate.subject, HOLDER_DAYS)
-        if common_name.split(":")[1] == HUB:
+        if parts_of(common_name)[1] == HUB:
             usage.append(ExtendedKeyUsageOID.SERVER_AUTH)
             names = [_general_name(host) for host in dict.fromkeys([*LOOPBACK, *self.list.hosts])]
             builder = builder.add_extension(x509.SubjectAlternativeName(names), critical=False)

@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Collection
 from typing import Final
 
+from canskin.keys import parts_of
 from canskin.roles import Action, roles_for
 from canskin.text import plain
 
@@ -96,7 +97,7 @@ class Denials:
             self._tell(holder, "may do nothing: these keys are revoked")
             return
         action = _ACTIONS.get(what)
-        name = key.removeprefix(f"canskin/{holder.split(':', maxsplit=1)[0]}/")
+        name = key.removeprefix(f"canskin/{parts_of(holder)[0]}/")
         if action == "appear":
             name = name.removeprefix("alive/").partition("/")[0]
         allowed = ", ".join(roles_for(action, name)) if action else ""

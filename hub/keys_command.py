@@ -8,7 +8,7 @@ from typing import Annotated, Final
 from cyclopts import Parameter
 
 from canskin.errors import InputError
-from canskin.keys import HUB
+from canskin.keys import HUB, parts_of
 from canskin.roles import ACTIONS, ROLES
 from hub.authority import Authority, new_authority
 from hub.holders import read_holders
@@ -125,10 +125,7 @@ def list_(folder: Path) -> None:
     skin keys list /etc/canskin/keys/hub
     """
     holders = read_holders(folder)
-    rows = (
-        (*f"{name}:".split(":", 3)[:3], "revoked" if name in holders.revoked else until)
-        for name, until in holders.until.items()
-    )
+    rows = ((*parts_of(name), "revoked" if name in holders.revoked else until) for name, until in holders.until.items())
     print_table(["skin", "role", "holder", "until"], rows)
 
 

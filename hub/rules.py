@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from canskin.errors import InputError
-from canskin.keys import PROTOCOLS_WITH_KEYS
+from canskin.keys import PROTOCOLS_WITH_KEYS, parts_of
 from canskin.peers import EVERY_KEY
 from canskin.roles import ROLES
 from hub.holders import read_holders
@@ -38,7 +38,7 @@ def access_control(folder: Path) -> dict[str, Any]:
     holders = read_holders(folder)
     names: defaultdict[str, list[str]] = defaultdict(list)
     for common_name in holders.until:
-        skin, role, *_ = common_name.split(":")
+        skin, role, _ = parts_of(common_name)
         if role in ROLES:
             names[_REVOKED if common_name in holders.revoked else f"{skin}:{role}"].append(common_name)
     if not names:

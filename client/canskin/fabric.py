@@ -34,8 +34,6 @@ Reply = Callable[[msgspec.Struct], None]
 Unread = Callable[[], Any]
 #: Longest wait for the other of two gateways that started at once to leave.
 SETTLED_S: Final = 1.0
-
-
 #: Most publishers and topics whose losses are counted, and most differences of other services that are logged.
 _PUBLISHERS_MAX: Final = 1000
 _DIFFERENCES_MAX: Final = 100

@@ -89,10 +89,7 @@ class Keys:
             raise InputError(f"keys {self.folder}: the files do not belong together: {why}") from error
         names = [value for part in about["subject"] for name, value in part if name == "commonName"]
         self.common_name: str = names[0] if names else ""
-        parts = [*self.common_name.split(":", 2), "", ""]
-        self.skin: str = parts[0]
-        self.role: str = parts[1]
-        self.holder: str = parts[2]
+        self.skin, self.role, self.holder = parts_of(self.common_name)
         if not self.role:
             raise InputError(f"keys {self.folder}: expected a name such as palm:client, got '{self.common_name}'")
         begins_s, self.ends_s = (ssl.cert_time_to_seconds(about[each]) for each in ("notBefore", "notAfter"))
@@ -141,6 +138,12 @@ class Keys:
             with suppress(ssl.SSLWantReadError):
                 side.do_handshake()
         return server.getpeercert() or {}
+
+
+def parts_of(common_name: str) -> tuple[str, str, str]:
+    """Return skin, role and holder of a certificate's common name, each empty where the name has none."""
+    skin, role, holder, *_ = [*common_name.split(":", 2), "", ""]
+    return skin, role, holder
 
 
 def environment_keys() -> Keys | None:
