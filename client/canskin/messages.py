@@ -427,7 +427,7 @@ class Fault(str, Enum):
     __str__ = str.__str__  # the value, as `enum.StrEnum` of Python 3.11 has it
 
 
-class NodeFault(msgspec.Struct, frozen=True):
+class NodeFault(Told, frozen=True):
     """Why a node's sums are not used: the kind, and what the gateway has seen, in words."""
 
     kind: Fault
