@@ -10,6 +10,7 @@ from cyclopts import Parameter
 from canskin.errors import InputError
 from canskin.fabric import Fabric
 from health.arrivals import Arrivals
+from shell.pulse import Beat, Pulse, unheard
 from shell.service import LOOK_S, StopSignal, say
 from shell.skin_options import Insecure, SkinOptions
 from skin.layout import Layout, require_boards
@@ -56,17 +57,18 @@ def show(
     if rerun == foxglove:
         raise InputError(f"skin show: expected --rerun or --foxglove, got {'both' if rerun else 'neither'}")
     open_canvas = _opener(target, for_rerun=rerun, insecure=insecure)
-    stop, of = StopSignal().install(), of or SkinOptions()
+    stop, pulse, of = StopSignal().install(), Pulse(), of or SkinOptions()
     skin = of.find(stop)
     require_boards(skin)
     with (
         closing(of.join(skin, SERVICE, stop)) as fabric,
         closing(open_canvas(skin)) as canvas,
     ):
-        draw_live(skin, fabric, canvas, stop)
+        pulse.fabric = fabric
+        draw_live(skin, fabric, canvas, stop, pulse.beat)
 
 
-def draw_live(layout: Layout, fabric: Fabric, canvas: Canvas, stop: StopSignal) -> Painter:
+def draw_live(layout: Layout, fabric: Fabric, canvas: Canvas, stop: StopSignal, beat: Beat = unheard) -> Painter:
     """Draw the newest messages of a running skin until `stop`."""
     painter, arrivals = Painter(layout, canvas), Arrivals(fabric, TOPICS)
     while not stop.is_set():
@@ -76,6 +78,7 @@ def draw_live(layout: Layout, fabric: Fabric, canvas: Canvas, stop: StopSignal) 
         for message in taken:
             painter.take(message, now_s, time_ns)
         painter.look(now_s, time_ns, arrivals.malformed)
+        beat(0)
     return painter
 
 
