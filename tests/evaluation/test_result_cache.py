@@ -85,6 +85,8 @@ def test_options_that_cannot_be_used(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="expected a folder of meshes"):
         Options(meshes=tmp_path / "none")
+    with pytest.raises(InputError, match=r"no mesh banana\.ply"):
+        Options(meshes=tmp_path)
     with pytest.raises(InputError, match="is a file"):
         Options(out=tmp_path / "file")
     with pytest.raises(InputError, match="draws needs a whole number of 1 or more: got 0"):
