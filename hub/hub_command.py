@@ -42,7 +42,8 @@ def hub(*, listen: str = DEFAULT_ENDPOINT, insecure: Insecure = False) -> None:
         read_stdout(Denials(lambda text: say("hub", text), revoked).take)
         print_denials()
     with closing(open_hub(endpoint, keys, rules)):
-        say("hub", f"listens on {endpoint}: give that to 'skin gateway' and all others as --connect")
+        address = endpoint.replace("/0.0.0.0:", "/HOST:").replace("/[::]:", "/HOST:")
+        say("hub", f"listens on {endpoint}: give {address} to 'skin gateway' and all others as --connect")
         request_real_time("hub")
         while not stop.is_set():
             time.sleep(LOOK_S)

@@ -202,6 +202,9 @@ def test_a_hub_that_is_busy_refuses_nobody(authority: Authority, monkeypatch: py
 def test_a_hub_has_keys_of_its_role(authority: Authority) -> None:
     with pytest.raises(BusError, match="with keys of 'palm:client': expected those of role 'hub'"):
         open_hub(f"tls/127.0.0.1:{free_port()}", Keys(authority.folder / "client"))
+    assert "they are the hub's own: expected those of a role" in refusal(
+        "tls/127.0.0.1:1", Keys(authority.folder / "hub")
+    )
 
 
 def test_quic_uses_keys(authority: Authority) -> None:
