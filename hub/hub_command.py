@@ -1,5 +1,6 @@
 """``skin hub``: the fabric's hub as a process of its own."""
 
+import threading
 import time
 from contextlib import closing
 
@@ -36,7 +37,7 @@ def hub(*, listen: str = DEFAULT_ENDPOINT, insecure: Insecure = False) -> None:
     endpoint, keys = checked(listen, environment_keys())
     rules = None
     if keys is not None:
-        keys.tell_end("hub")
+        keys.watch_end("hub", threading.Event())
         rules = access_control(keys.folder)
         revoked = read_holders(keys.folder).revoked
         read_stdout(Denials(lambda text: say("hub", text), revoked).take)

@@ -2,6 +2,7 @@
 
 import math
 import os
+import queue
 import shutil
 import socket
 import threading
@@ -144,6 +145,18 @@ def test_a_service_says_that_its_keys_end_soon(
     assert not caplog.messages
     Fabric("palm", "client", hub, keys=Keys(issue_for(authority, "client", 2.2 * 86400))).close()
     assert caplog.messages == [f"the keys {authority.folder / 'client'} end in 2 days: 'skin keys renew'"]
+
+
+@pytest.mark.heavy
+def test_a_service_that_runs_says_that_its_keys_have_ended(
+    authority: Authority, hub: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    said: queue.Queue[tuple[str, str]] = queue.Queue()
+    monkeypatch.setattr("canskin.keys.tell", lambda *words: said.put(words))
+    with closing(Fabric("palm", "client", hub, keys=Keys(issue_for(authority, "client", 2.0)))):
+        for when in ("end in 0 days", "have ended"):
+            told = ("client", f"the keys {authority.folder / 'client'} {when}: 'skin keys renew'")
+            assert said.get(timeout=PATIENCE_S) == told
 
 
 def test_every_connection_of_a_process_has_the_keys_of_its_environment(
