@@ -118,7 +118,7 @@ def test_a_search_without_a_result_says_what_is_missing(skin: Skin) -> None:
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["plan", "--taxels", "50"], "64 to 65536"),
+        (["plan", "--taxels", "-5"], "expected 64 to 65536 taxels, got -5"),
         (["plan", "--taxels", "24x300"], "256 or less"),
         (["plan", "--taxels", "many"], "a number, ROWSxCOLUMNS, or a file of taxels"),
         (["plan", "--rate", "50"], "a search needs --taxels"),
