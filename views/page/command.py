@@ -54,7 +54,7 @@ def view(
     of
         Which skin.
     host
-        Address to listen on. On another than loopback also to look needs the token of the address that is logged.
+        Address to listen on. On another than loopback, looking needs the token of the logged address, too.
     port
         Port to listen on; 0 takes a free port and prints it.
     control
