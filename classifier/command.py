@@ -55,7 +55,8 @@ def classify(
     from classifier.decide import Classifier  # compiled parts take a moment to load
     from classifier.service import make_service
 
-    stop, pulse, of = StopSignal().install(), Pulse(), of or SkinOptions()
+    stop, of = StopSignal().install(), of or SkinOptions()
+    pulse = Pulse(stop)
     if model is not None and objects:
         raise InputError("--model contains its objects: leave --objects out")
     if model is not None and stroke is not None:
@@ -69,7 +70,7 @@ def classify(
     # A first decision compiles for a while: before the service is there, and not between two measurements.
     still = np.zeros(classified.shape[0], np.int32), np.ones(classified.blocks, np.bool_)
     Classifier(trained, classified).decide(*still)
-    fabric = pulse.fabric = of.join(skin, "classifier", stop)
+    fabric = pulse.fabric = of.join(skin, "classifier", pulse)
     say("classifier", f"knows {', '.join(trained.metadata.classes)}")
     try:
         service = make_service(Classifier(trained, classified), skin, fabric)

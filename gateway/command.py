@@ -70,7 +70,8 @@ def gateway(
     skin gateway --calibration palm.json --tare never
     skin gateway --keep-zero /var/lib/canskin/palm.json
     """
-    stop, pulse = StopSignal().install(), Pulse()
+    stop = StopSignal().install()
+    pulse = Pulse(stop)
     if connect is None:
         check_listen(listen, "gateway", insecure=insecure)
     skin = load_layout(layout)
@@ -91,7 +92,7 @@ def gateway(
     links = open_links(skin, bus or BusOptions(), name="gateway", stop=stop)
     answers = ThreadPoolExecutor(1, "calibration")
     calibrates = GatewayCalibration(contract, stored, tares=tare == "at-start", submit=answers.submit, keeps=keep_zero)
-    fabric = join(skin, "gateway", connect or listen, hub=connect is None, stop=stop)
+    fabric = join(skin, "gateway", connect or listen, hub=connect is None, stop=pulse)
     pulse.fabric = fabric
     for question in (CALIBRATION, ZERO):
         fabric.answer(question, calibrates.ask)

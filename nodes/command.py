@@ -86,7 +86,8 @@ def nodes(
             store.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise InputError(f"--store {store}: expected a folder that can be written: {error.strerror}") from error
-    stop, pulse = StopSignal().install(), Pulse()
+    stop = StopSignal().install()
+    pulse = Pulse(stop)
     skin = load_layout(layout)
     analogue = {"noise_n": noise_n, "seed": touch.seed, "defects": touch.defects(skin)}
     contract = Contract.from_layout(skin)
@@ -98,7 +99,7 @@ def nodes(
     blocks = [node.block for node in mine]
     hardware = sending_of(skin).hardware(contract, blocks, touch.source(skin, rest), compiled, **analogue)
     links = open_links(skin, bus or BusOptions(), chosen, name="nodes", stop=stop)
-    joined = pulse.fabric = join(skin, "nodes", connect, stop=stop) if fabric else None
+    joined = pulse.fabric = join(skin, "nodes", connect, stop=pulse) if fabric else None
     service = NodesService(
         contract, links, chosen, hardware, joined, store=store, unnumbered=unnumbered, firmware=compiled
     )

@@ -40,7 +40,8 @@ def reconstruct(
     skin reconstruct --gains gains.json
     skin reconstruct --layout palm.toml --solver paper --iterations 5
     """
-    stop, pulse, of = StopSignal().install(), Pulse(), of or SkinOptions()
+    stop, of = StopSignal().install(), of or SkinOptions()
+    pulse = Pulse(stop)
     (solver or SolverOptions()).settings()  # its errors before any wait
     skin = of.find(stop)
     imager = make_imager(skin, solver, gains)
@@ -50,7 +51,7 @@ def reconstruct(
         warm_up(skin, imager)
     finally:
         patience.cancel()
-    with closing(of.join(skin, "reconstructor", stop)) as fabric:
+    with closing(of.join(skin, "reconstructor", pulse)) as fabric:
         pulse.fabric = fabric
         service = ReconstructorService(skin, imager, fabric)
         say("reconstructor", f"{skin.taxels.words}, {imager.about}")

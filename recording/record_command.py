@@ -79,7 +79,8 @@ def record(
     """
     if seconds is not None:
         require_above_zero("--seconds", seconds)
-    stop, pulse, of = StopSignal().install(), Pulse(), of or SkinOptions()
+    stop, of = StopSignal().install(), of or SkinOptions()
+    pulse = Pulse(stop)
     check_new_path(out, "recording")
     name = None if label is None else check_label(label.strip())
     _check_kept(out, "--label", name is not None)

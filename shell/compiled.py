@@ -17,11 +17,13 @@ from typing import Any, Final, TypeVar
 import numba
 import numpy as np
 from numba import config, types
-from numba.core import caching, cgutils
+from numba.core import caching, cgutils, event
 from numba.core.caching import InTreeCacheLocator, UserProvidedCacheLocator, UserWideCacheLocator
 from numba.core.dispatcher import Dispatcher
 from numba.extending import intrinsic, is_jitted
 from numba.np.arrayobj import make_array
+
+from shell.watchdog import WATCHDOG
 
 __all__ = ["borrowed", "njit"]
 
@@ -139,6 +141,19 @@ PLACES: Final[tuple[Any, ...]] = (FolderGiven, FolderOfSource, FolderOfUser)
 config.CACHE_LOCATOR_CLASSES = ",".join(  # type: ignore[attr-defined]  # numba makes its settings at run time
     f"{place.__module__}.{place.__qualname__}" for place in PLACES
 )
+
+
+class _Compiling(event.Listener):
+    """Tells the watchdog that kernels are compiled, one by one, as in the first turns of a loop."""
+
+    def on_start(self, event: Any) -> None:  # noqa: ARG002 - Numba gives it
+        """Note that the compiler begins or ends with a kernel."""
+        WATCHDOG.compiles()
+
+    on_end = on_start
+
+
+event.register("numba:compile", _Compiling())  # type: ignore[no-untyped-call]
 
 
 def njit(*signatures: Any, cache: bool = False, **options: Any) -> Callable[[Kernel], "Dispatcher[Kernel]"]:

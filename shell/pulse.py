@@ -1,4 +1,4 @@
-"""The signs of life of a service: what it tells the other services of itself."""
+"""The signs of life of a service: what it tells its watchdog, and the other services."""
 
 import os
 import time
@@ -9,6 +9,8 @@ from typing import Final
 
 from canskin.fabric import Fabric
 from canskin.messages import SERVICES, ServiceStatus
+from canskin.session import Stop
+from shell.watchdog import WATCHDOG
 
 #: Time between two signs.
 PERIOD_S: Final = 1.0
@@ -21,10 +23,14 @@ def unheard(_made: int) -> None:
 
 
 class Pulse:
-    """Tells the other services what this one has made and what it takes, once a second while its loop turns.
+    """Feeds the watchdog, and tells the other services what this one has made and takes, once a second.
+
+    While its loop turns, the service calls `beat`. While it waits for the hub, the wait asks `is_set`.
 
     Parameters
     ----------
+    stop : Stop
+        Of the service.
     clock : callable, optional
         Monotonic time in seconds.
 
@@ -34,17 +40,25 @@ class Pulse:
         Where it tells them.
     """
 
-    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, stop: Stop, clock: Callable[[], float] = time.monotonic) -> None:
         self.fabric: Fabric | None = None
-        self._clock = clock
+        self._stop, self._clock = stop, clock
         self._due_s = clock()
+        WATCHDOG.begin()
+        self._period_s = min(PERIOD_S, WATCHDOG.limit_s / 2 or PERIOD_S)
+
+    def is_set(self) -> bool:
+        """Tell whether the service is to stop; who asks is alive (`canskin.session.Stop`)."""
+        self.beat()
+        return self._stop.is_set()
 
     def beat(self, made: int = 0) -> None:
-        """Note that a turn of the loop has ended; cheap."""
+        """Note that the service goes on; cheap."""
         now_s = self._clock()
         if now_s < self._due_s:
             return
-        self._due_s = now_s + PERIOD_S
+        self._due_s = now_s + self._period_s
+        WATCHDOG.feed()
         if self.fabric is not None:
             self.fabric.publish(SERVICES, _status(self.fabric, made))
 

@@ -14,7 +14,7 @@ import sys
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from cosmic_ray.ast import ast_nodes, get_ast_from_path
 from cosmic_ray.config import load_config
@@ -80,20 +80,20 @@ def draw(count: int, seed: int, only: str) -> None:
 
 
 @cache
-def nodes_of(file: Path) -> list[object]:
+def nodes_of(file: Path) -> list[Any]:
     """Return the nodes of a file."""
     return list(ast_nodes(get_ast_from_path(file)))
 
 
 def places(file: Path, operator: str) -> Iterator[tuple[int, tuple[tuple[int, int], tuple[int, int]]]]:
-    """Yield the places of a file that an operator changes, with its number among them, but for those in decorators.
+    """Yield number and place of what an operator changes in a file, but for places that change no result.
 
-    Decorators tell how a function is compiled and kept, which changes no result.
+    Those are decorators, which tell how a function is compiled and kept, and the question whether types are checked.
     """
     make = get_operator(operator)()
     found = ((node, place) for node in nodes_of(file) for place in make.mutation_positions(node))
     for number, (node, place) in enumerate(found):
-        if search_ancestor(node, "decorator") is None:
+        if search_ancestor(node, "decorator") is None and not node.get_code().strip().startswith("if TYPE_CHECKING:"):
             yield number, place
 
 

@@ -19,13 +19,12 @@ def test_a_service_tells_once_a_second_what_it_made_took_and_lost(endpoint: str)
     with closing(Fabric("palm", "test", endpoint, hub=True)) as hub, closing(Fabric("palm", "solver", endpoint)) as own:
         hub.subscribe(SERVICES, lambda status: (heard.append(status), arrived.release()))
         slow, newest = own.mailbox(LABEL, 2), own.mailbox(LABEL, 1)
-        pulse = Pulse(lambda: now_s)
+        pulse = Pulse(threading.Event(), lambda: now_s)
         pulse.beat(1)  # no hub yet
         pulse.fabric = own
-        for _ in range(5):
-            hub.publish(LABEL, messages.label())
         give_up_s = time.monotonic() + PATIENCE_S
-        while (slow.overrun, newest.overrun) != (3, 4) and time.monotonic() < give_up_s:
+        while slow.overrun < 3 and time.monotonic() < give_up_s:
+            hub.publish(LABEL, messages.label())
             time.sleep(0.01)
         for made in range(10):
             now_s += 0.3 * PERIOD_S
@@ -33,7 +32,8 @@ def test_a_service_tells_once_a_second_what_it_made_took_and_lost(endpoint: str)
         assert arrived.acquire(timeout=PATIENCE_S)
         assert arrived.acquire(timeout=PATIENCE_S)
     first, second = heard
-    assert (first.service, first.instance, first.overruns, first.missed) == ("solver", own.instance, 3, 0)
+    assert (first.service, first.instance, first.missed) == ("solver", own.instance, 0)
+    assert 3 <= first.overruns <= slow.overrun < slow.overrun + newest.overrun
     assert (first.made, second.made) == (3, 7)
     assert first.memory_bytes > 1 << 20
     assert 0 < first.processor_s <= second.processor_s

@@ -54,7 +54,7 @@ def view(
     of
         Which skin.
     host
-        Address to listen on. On another than loopback also to look needs the token of the address that is logged.
+        Address to listen on. On another than loopback, looking needs the token of the logged address, too.
     port
         Port to listen on; 0 takes a free port and prints it.
     control
@@ -68,7 +68,8 @@ def view(
     skin view --connect tcp/10.0.0.5:7447 --port 0
     skin view run.mcap
     """
-    stop, pulse, of, access = StopSignal().install(), Pulse(), of or SkinOptions(), Access.to(host)
+    stop, of, access = StopSignal().install(), of or SkinOptions(), Access.to(host)
+    pulse = Pulse(stop)
     if not recordings.is_dir():
         raise InputError(f"--recordings {recordings}: expected a folder that exists")
     with listen(host, port) as listener, ExitStack() as closes:
@@ -80,7 +81,7 @@ def view(
             return
         skin = of.find(stop)
         require_boards(skin)
-        fabric = pulse.fabric = closes.enter_context(closing(of.join(skin, "viewer", stop)))
+        fabric = pulse.fabric = closes.enter_context(closing(of.join(skin, "viewer", pulse)))
         if stop.is_set():
             return
         feed = Feed(skin)

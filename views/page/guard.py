@@ -51,7 +51,7 @@ class Access:
         What a request shows that asks for an action: as ``token`` in its address, or in the cookie that the server
         sets in answer to such an address.
     is_shared
-        Other machines reach the server: to look needs the token, too.
+        Other machines reach the server: looking needs the token, too.
     """
 
     hosts: Collection[str] | None = LOOPBACK

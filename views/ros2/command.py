@@ -59,11 +59,12 @@ def ros2(
     number, of = check_domain(domain), of or SkinOptions()
     if namespace is not None:
         check_namespace(namespace)
-    stop, pulse = StopSignal().install(), Pulse()
+    stop = StopSignal().install()
+    pulse = Pulse(stop)
     skin = of.find(stop)
     require_boards(skin)
     space = check_namespace(skin.name if namespace is None else namespace)
-    with closing(of.join(skin, SERVICE, stop)) as fabric:
+    with closing(of.join(skin, SERVICE, pulse)) as fabric:
         pulse.fabric = fabric
         node = RosNode(router, domain=number, namespace=space, name="canskin", stop=stop, has_hashes=distro != "humble")
         with closing(node):

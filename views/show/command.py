@@ -57,11 +57,12 @@ def show(
     if rerun == foxglove:
         raise InputError(f"skin show: expected --rerun or --foxglove, got {'both' if rerun else 'neither'}")
     open_canvas = _opener(target, for_rerun=rerun, insecure=insecure)
-    stop, pulse, of = StopSignal().install(), Pulse(), of or SkinOptions()
+    stop, of = StopSignal().install(), of or SkinOptions()
+    pulse = Pulse(stop)
     skin = of.find(stop)
     require_boards(skin)
     with (
-        closing(of.join(skin, SERVICE, stop)) as fabric,
+        closing(of.join(skin, SERVICE, pulse)) as fabric,
         closing(open_canvas(skin)) as canvas,
     ):
         pulse.fabric = fabric
