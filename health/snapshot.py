@@ -57,6 +57,8 @@ class Service(msgspec.Struct, frozen=True, kw_only=True):
         From the token; see `canskin.peers.Peer`.
     difference : str
         Why the service cannot work with this page's skin; empty if it can.
+    drops, drops_since_time_s : int, float or None
+        Messages that it has missed since it began to, 0 if none lately; and the wall-clock time since when.
     """
 
     alive: bool
@@ -66,6 +68,8 @@ class Service(msgspec.Struct, frozen=True, kw_only=True):
     fingerprint: str = ""
     scheduling: str = ""
     difference: str = ""
+    drops: int = 0
+    drops_since_time_s: float | None = None
 
 
 class ImageState(msgspec.Struct, frozen=True, kw_only=True):

@@ -15,6 +15,7 @@ from canskin.messages import (
     LABEL,
     MARK,
     NODES,
+    SERVICES,
     TRUTH,
     Contacts,
     GatewayStatus,
@@ -22,11 +23,13 @@ from canskin.messages import (
     Label,
     Mark,
     NodesStatus,
+    ServiceStatus,
     Truth,
 )
 from canskin.peers import Peer, new_peer
 from health.checks import fits
 from health.comparison import Comparison
+from health.drops import Drops
 from health.nodes_why import Troubles
 from health.notices import display_name, notices
 from health.patches import Patches
@@ -50,7 +53,7 @@ from skin.layout import Layout
 from skin.psnr import adds_noise
 
 #: What a `ViewState` takes.
-TOPICS: Final = (IMAGE, CONTACTS, TRUTH, LABEL, MARK, GATEWAY, NODES)
+TOPICS: Final = (IMAGE, CONTACTS, TRUTH, LABEL, MARK, GATEWAY, NODES, SERVICES)
 #: Images, contacts, labels and truths older than this are stale.
 FRESH_S: Final = 0.5
 #: Counters older than this are stale; the gateway and the nodes publish theirs five times a second.
@@ -171,7 +174,7 @@ class ViewState:
         self._came_s = -inf
         self._latency_s = Window(LATENCY_SPAN_S)
         self._valid, self._rate = Window(SPAN_S), Rate(SPAN_S)
-        self._patches, self._troubles = Patches(layout), Troubles()
+        self._patches, self._troubles, self._drops = Patches(layout), Troubles(), Drops()
         self._comparison = Comparison(layout, SPAN_S)
 
     def take(self, message: msgspec.Struct, now_s: float) -> bool:
@@ -191,6 +194,8 @@ class ViewState:
                 self._mark = message
             case GatewayStatus():
                 self._troubles.take(message, now_s)
+            case ServiceStatus():
+                self._drops.take(message, now_s)
             case NodesStatus():
                 self._nodes.pop(message.process, None)
                 self._nodes[message.process] = latest = Latest[NodesStatus](self._services, "", STATUS_FRESH_S)
@@ -333,13 +338,15 @@ class ViewState:
         at_s = {"classifier": self._label.at_s, "reconstructor": self._image.at_s}
         found = self._services.states()
         for name, service in found.items():
+            drops, drops_s = self._drops.of(name, now_s)
             since_s = self._services.since_s(name, alive=True)
             if since_s is None:
                 continue
             is_silent = name == "gateway" and status is not None and is_stale
             if name in at_s and has_input and now_s - since_s >= STATUS_FRESH_S:
                 is_silent = now_s - at_s[name] > FRESH_S
-            found[name] = msgspec.structs.replace(service, silent=is_silent)
+            more = {"drops": drops, "drops_since_time_s": self._epoch_s + drops_s if drops else None}
+            found[name] = msgspec.structs.replace(service, silent=is_silent, **more)
         return found
 
     def _is_cut_off(self, now_s: float) -> bool:
