@@ -80,7 +80,7 @@ class Cause(Enum):
     NO_ZERO = (INFO, "forces are not above a zero that was measured", "leave the skin untouched, or 'skin tare'")
     GAINS_CHANGED = (WARNING, "forces of boards are doubtful", "'skin tare' accepts the new gains and offsets")
     DEFECT = (WARNING, "taxels are broken", "'skin calibration show'")
-    DOUBTFUL_FORCE = (WARNING, "a force may be an error of the zero", "tare the region that the text names, if nothing touches there")
+    DOUBTFUL_FORCE = (WARNING, "a force may be an error of the zero", "'skin tare --region' if nothing touches there")
     THRESHOLD = (WARNING, "a force is above its threshold", "take the force away")
     # Hosts
     HOST_LATE = (WARNING, "SYNCs are left out, or frames are lost at the gateway", "'skin doctor time'")
