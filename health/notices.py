@@ -69,7 +69,9 @@ def _services(state: Snapshot) -> Iterator[Notice]:
         if service.alive and service.difference:
             yield Cause.SERVICE_DIFFERS.notice(service.difference, name, service.since_time_s)
         if service.alive and service.drops:
-            yield Cause.SERVICE_DROPS.notice(f"{name} misses messages: {service.drops}", name, service.drops_since_time_s)
+            yield Cause.SERVICE_DROPS.notice(
+                f"{name} misses messages: {service.drops}", name, service.drops_since_time_s
+            )
 
 
 def _images(state: Snapshot) -> Iterator[Notice]:
@@ -84,7 +86,9 @@ def _images(state: Snapshot) -> Iterator[Notice]:
     elif image is None:
         status = state.gateway
         is_starting = status is None or status.cycles < STARTED_S * status.sync_rate_hz
-        yield Cause.NO_IMAGE.notice("waiting for the first image", "reconstructor", level="" if is_starting else WARNING)
+        yield Cause.NO_IMAGE.notice(
+            "waiting for the first image", "reconstructor", level="" if is_starting else WARNING
+        )
 
 
 def _why(state: Snapshot, token: Service | None) -> tuple[Cause, str]:

@@ -18,6 +18,7 @@ from canskin.messages import (
     Image,
     Label,
     NodesStatus,
+    ServiceStatus,
     SteppedMeasurement,
     Truth,
 )
@@ -135,3 +136,9 @@ def gateway_status(cycles: int = 1, **changed: Any) -> GatewayStatus:
 def nodes_status(process: str = "nodes", **changed: Any) -> NodesStatus:
     """Return the counters of a process that has lost no frame."""
     return replace(NodesStatus(time_ns=0, process=process, frames_sent=0, frames_dropped=0, syncs_seen=10), **changed)
+
+
+def service_status(service: str = "reconstructor", instance: str = "1", **changed: Any) -> ServiceStatus:
+    """Return what a service tells of itself."""
+    made = ServiceStatus(time_ns=0, service=service, instance=instance, memory_bytes=0, processor_s=0.0)
+    return replace(made, **changed)
