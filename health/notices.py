@@ -35,7 +35,7 @@ def notices(state: Snapshot, own: str, *, is_grid: bool) -> Snapshot:
     else:
         found = [
             *_gateway(state, own),
-            *_services(state),
+            *_misfits(state),
             *_images(state),
             *_labels(state),
             *_nodes(state),
@@ -63,15 +63,14 @@ def _gateway(state: Snapshot, own: str) -> Iterator[Notice]:
         yield Cause.STARTING.notice("gateway is booting the nodes; SYNC has not started", "gateway")
 
 
-def _services(state: Snapshot) -> Iterator[Notice]:
-    """Name services with another Φ or another version, and those that miss messages."""
+def _misfits(state: Snapshot) -> Iterator[Notice]:
+    """Name services with another Φ or another version, and those that lose messages."""
     for name, service in state.services.items():
+        if service.alive and service.loses_since_time_s is not None:
+            text = f"{name} is too slow: {service.lost} messages are lost so far"
+            yield Cause.SERVICE_DROPS.notice(text, name, service.loses_since_time_s)
         if service.alive and service.difference:
             yield Cause.SERVICE_DIFFERS.notice(service.difference, name, service.since_time_s)
-        if service.alive and service.drops:
-            yield Cause.SERVICE_DROPS.notice(
-                f"{name} misses messages: {service.drops}", name, service.drops_since_time_s
-            )
 
 
 def _images(state: Snapshot) -> Iterator[Notice]:

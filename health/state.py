@@ -29,7 +29,6 @@ from canskin.messages import (
 from canskin.peers import Peer, new_peer
 from health.checks import fits
 from health.comparison import Comparison
-from health.drops import Drops
 from health.nodes_why import Troubles
 from health.notices import display_name, notices
 from health.patches import Patches
@@ -174,7 +173,7 @@ class ViewState:
         self._came_s = -inf
         self._latency_s = Window(LATENCY_SPAN_S)
         self._valid, self._rate = Window(SPAN_S), Rate(SPAN_S)
-        self._patches, self._troubles, self._drops = Patches(layout), Troubles(), Drops()
+        self._patches, self._troubles = Patches(layout), Troubles()
         self._comparison = Comparison(layout, SPAN_S)
 
     def take(self, message: msgspec.Struct, now_s: float) -> bool:
@@ -182,6 +181,9 @@ class ViewState:
         if not fits(message, self._layout):
             self.ignored += 1
             return False
+        if isinstance(message, ServiceStatus):  # a service hears itself, also without the hub
+            self._services.take_status(message, now_s)
+            return True
         self._came_s = now_s
         match message:
             case Image():
@@ -194,8 +196,6 @@ class ViewState:
                 self._mark = message
             case GatewayStatus():
                 self._troubles.take(message, now_s)
-            case ServiceStatus():
-                self._drops.take(message, now_s)
             case NodesStatus():
                 self._nodes.pop(message.process, None)
                 self._nodes[message.process] = latest = Latest[NodesStatus](self._services, "", STATUS_FRESH_S)
@@ -336,17 +336,15 @@ class ViewState:
         status, is_stale = self._gateway.message, self._gateway.is_stale(now_s)
         has_input = status and not is_stale and 0 < STATUS_FRESH_S * status.sync_rate_hz < status.cycles
         at_s = {"classifier": self._label.at_s, "reconstructor": self._image.at_s}
-        found = self._services.states()
+        found = self._services.states(now_s)
         for name, service in found.items():
-            drops, drops_s = self._drops.of(name, now_s)
             since_s = self._services.since_s(name, alive=True)
             if since_s is None:
                 continue
             is_silent = name == "gateway" and status is not None and is_stale
             if name in at_s and has_input and now_s - since_s >= STATUS_FRESH_S:
                 is_silent = now_s - at_s[name] > FRESH_S
-            more = {"drops": drops, "drops_since_time_s": self._epoch_s + drops_s if drops else None}
-            found[name] = msgspec.structs.replace(service, silent=is_silent, **more)
+            found[name] = msgspec.structs.replace(service, silent=is_silent)
         return found
 
     def _is_cut_off(self, now_s: float) -> bool:

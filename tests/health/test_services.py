@@ -1,57 +1,78 @@
-"""What services tell of themselves: notices of those that miss messages, and of those that send nothing."""
+"""What services tell of themselves, in the snapshot, and notices of those that send nothing."""
 
 import pytest
 
-from health.drops import DROPS_S
+from canskin.peers import Peer
 from health.notices import STARTED_S
+from health.services import LOSS_S, PEERS, TOLD_S
 from health.state import ViewState
 from tests.health.helpers import Messages, note, seen_of
 from tests.messages import service_status
 
 
-@pytest.fixture
-def state(messages: Messages) -> ViewState:
-    state = ViewState(messages.layout, epoch_s=1000.0)
-    for name in ("gateway", "reconstructor", "classifier"):
+def test_figures_are_of_the_last_second_and_of_all_services_of_a_name() -> None:
+    state = ViewState(Messages().layout)
+    for instance in ("1", "2"):
+        state.take_peer(Peer("palm", "reconstructor", instance), True, 0.0)
+    state.take(service_status(1), 1.0)
+    alone = seen_of(state, 1.0).services["reconstructor"]
+    assert (alone.memory_bytes, alone.processor_ratio, alone.made_per_s) == (1 << 20, None, None)
+    state.take(service_status(1, instance="2", memory_bytes=0), 1.0)
+    state.take(service_status(3), 2.0)  # by the clock of the service, not of its messages
+    state.take(service_status(2, instance="2", memory_bytes=0), 2.0)
+    both = seen_of(state, 2.0).services["reconstructor"]
+    assert (both.memory_bytes, both.processor_ratio, both.made_per_s) == (1 << 20, 1.0, 200.0)
+    late = seen_of(state, 2.0 + TOLD_S).services["reconstructor"]
+    assert (late.memory_bytes, late.processor_ratio, late.made_per_s) == (None, None, None)
+
+
+def test_a_service_that_loses_messages_is_named_while_it_does() -> None:
+    state = ViewState(Messages().layout, epoch_s=100.0)
+    note(state, "reconstructor", True, 0.0)
+    instance = Peer("palm", "reconstructor", "1").instance
+    for second, lost in enumerate((7, 7, 8, 9, 9)):  # the first are of before
+        state.take(service_status(second, instance=instance, missed=lost - 3, overruns=3), float(second))
+        named = [each for each in seen_of(state, float(second)).notices if each.code == "service-drops"]
+        assert [(each.subject, each.since_time_s) for each in named] == [("reconstructor", 102.0)] * (second >= 2)
+    assert "9 messages" in named[0].text
+    assert "service-drops" not in {each.code for each in seen_of(state, 3.0 + LOSS_S).notices}
+
+
+def test_a_clock_that_is_set_back_and_strangers_do_no_harm() -> None:
+    state = ViewState(Messages().layout)
+    note(state, "gateway", True, 0.0)
+    for number in range(2 * PEERS):
+        state.take(service_status(1, "gateway", f"{number}"), 1.0)
+    assert seen_of(state, 1.0).services["gateway"].memory_bytes is None
+    for second in (5, 3):
+        state.take(service_status(second, "gateway"), 1.0)
+    assert seen_of(state, 1.0).services["gateway"].made_per_s is None
+
+
+def test_what_a_program_tells_itself_is_no_sign_of_the_hub() -> None:
+    state = ViewState(Messages().layout)
+    for is_there in (True, False):
+        note(state, "viewer", is_there, 1.0)
+    state.take(service_status(1, "viewer"), 1.1)
+    assert seen_of(state, 1.1).cut_off
+
+
+def told_at(state: ViewState, now_s: float) -> list[tuple[str, str]]:
+    found = seen_of(state, now_s).notices
+    return [(each.code, each.level) for each in found if each.subject == "reconstructor"]
+
+
+def test_a_reconstructor_that_has_input_and_never_sent_an_image_is_silent() -> None:
+    state = ViewState(Messages().layout)
+    for name in ("gateway", "reconstructor"):
         note(state, name, True, 0.0)
-    return state
-
-
-def notices_at(state: ViewState, now_s: float, code: str) -> list[tuple[str, str, str, float | None]]:
-    return [
-        (each.subject, each.level, each.text, each.since_time_s)
-        for each in seen_of(state, now_s).notices
-        if each.code == code
-    ]
-
-
-def test_a_service_drops_from_its_first_new_loss_until_it_has_lost_nothing_for_a_while(state: ViewState) -> None:
-    """What was lost before the first status is no news; two processes of a name count together."""
-    for now_s, missed, overruns in ((1.0, 5, 0), (2.0, 5, 0)):
-        state.take(service_status(missed=missed, overruns=overruns), now_s)
-    assert not notices_at(state, 2.0, "service-drops")
-    state.take(service_status(missed=7, overruns=1), 3.0)
-    state.take(service_status(instance="2", missed=4), 3.0)
-    state.take(service_status(instance="2", missed=5), 3.5)
-    expected = [("reconstructor", "warning", "reconstructor misses messages: 4", 1003.0)]
-    assert notices_at(state, 4.0, "service-drops") == expected
-    assert notices_at(state, 3.4 + DROPS_S, "service-drops")[0][2].endswith(": 1")
-    assert not notices_at(state, 3.5 + DROPS_S, "service-drops")
-
-
-def test_a_reconstructor_that_has_input_and_never_sent_an_image_is_silent(state: ViewState, messages: Messages) -> None:
-    state.take(messages.gateway(cycles=1000), 2.0)
-    assert notices_at(state, 1.0, "no-image")
-    ((subject, level, *_),) = notices_at(state, 2.0, "service-silent")
-    assert (subject, level) == ("reconstructor", "error")
-    assert not notices_at(state, 2.0, "no-image")
+    state.take(Messages().gateway(cycles=1000), 1.0)
+    assert told_at(state, 1.0) == [("no-image", "info")]
+    assert told_at(state, 2.0) == [("service-silent", "error")]
 
 
 @pytest.mark.parametrize(("runs_s", "level"), [(STARTED_S - 1, "info"), (STARTED_S, "warning")])
-def test_no_reconstructor_is_a_warning_when_the_gateway_has_run_for_a_while(
-    runs_s: float, level: str, messages: Messages
-) -> None:
-    state = ViewState(messages.layout, epoch_s=1000.0)
-    status = messages.gateway(cycles=1)
-    state.take(messages.gateway(cycles=round(runs_s * status.sync_rate_hz)), 2.0)
-    assert notices_at(state, 2.0, "no-image")[0][1] == level
+def test_no_reconstructor_is_a_warning_when_the_gateway_has_run_for_a_while(runs_s: float, level: str) -> None:
+    state, status = ViewState(Messages().layout), Messages().gateway(cycles=1)
+    state.take(Messages().gateway(cycles=round(runs_s * status.sync_rate_hz)), 2.0)
+    assert told_at(state, 2.0) == [("no-image", level)]
