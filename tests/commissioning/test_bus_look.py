@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, ClassVar, Final
+from typing import Any, ClassVar
 
 import msgspec
 import numpy as np
@@ -18,14 +18,10 @@ from dbc.contract import Contract
 from health.snapshot import Notice
 from nodes.hardware import Hardware
 from nodes.sending import sending_of
-from skin import layouts
 from skin.defects import Defects
 from skin.layout import Layout, load_layout
-from tests.layouts import small_contract
+from tests.layouts import SHIPPED, small_contract
 from tests.world import EndOfWire, Shaking, Skin, little
-
-#: The layouts that come with the project.
-SHIPPED: Final = sorted(path.stem for path in Path(layouts.__path__[0]).glob("*.toml"))
 
 
 class Bench(Skin):
@@ -37,7 +33,7 @@ class Bench(Skin):
 
     def new_hardware(self) -> Hardware:
         layout, blocks = self.contract.layout, [node.block for node in self.contract.nodes]
-        options = {"noise_n": 0.0, "seed": 1, "defects": Defects.of([], seed=1)}
+        options = {"noise_n": 0.0, "seed": 1, "defects": Defects.of({}, seed=1)}
         source = Shaking((layout.taxels.rows, layout.taxels.columns))
         return sending_of(layout).hardware(self.contract, blocks, source, None, **options)
 

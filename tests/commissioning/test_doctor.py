@@ -20,8 +20,7 @@ from health.alive import trouble
 from health.causes import Cause
 from skin.layout import parse_layout
 from tests.bus.harness import interface, serving
-from tests.commissioning.test_bus_look import SHIPPED
-from tests.layouts import buses, layout_toml
+from tests.layouts import SHIPPED, buses, layout_toml
 from tests.messages import bus_state, gateway_status, image
 from tests.processes import PATIENCE_S, Processes, Verb
 
