@@ -16,14 +16,17 @@ NMT_WORDS: Final[dict[int, str]] = {
     SILENT: "silent",
 }
 REFUSED: Final = "refused by the gateway: not of this skin"
+FROZEN: Final = "frozen: values stand still while frames go on"
 #: A node loses frames until none has been missing for this time.
 LOSS_S: Final = 2.0
 
 
 def word_of(bus: BusState, node: int, nmt: int) -> str:
-    """Return why a node sends no sums; empty for an operational one."""
+    """Return why a node sends no sums that are used; empty for one that measures."""
     if node in bus.refused and nmt != SILENT:
         return REFUSED
+    if node in bus.frozen and nmt == NmtState.OPERATIONAL:
+        return FROZEN
     return "" if nmt == NmtState.OPERATIONAL else NMT_WORDS.get(nmt, "")
 
 

@@ -6,7 +6,7 @@ from typing import Final
 import msgspec
 
 from canskin.calibration_messages import CalibrationState
-from health.nodes_why import NMT_WORDS, REFUSED, word_of
+from health.nodes_why import FROZEN, NMT_WORDS, REFUSED, word_of
 from health.snapshot import BusView, Notice, Service, Snapshot
 
 #: Most node-IDs named in one notice, where tiles show the others, and most defects and contacts in doubt.
@@ -180,7 +180,7 @@ def _off_duty(bus: BusView) -> Iterator[Notice]:
 
 def _nodes_of_word(bus: BusView) -> dict[str, list[int]]:
     """Sort a bus's nodes by why they do not measure."""
-    found: dict[str, list[int]] = {word: [] for word in (*NMT_WORDS.values(), REFUSED)}
+    found: dict[str, list[int]] = {word: [] for word in (*NMT_WORDS.values(), REFUSED, FROZEN)}
     for node, nmt in zip(bus.nodes, bus.nmt, strict=True):
         if word := word_of(bus, node, nmt):
             found[word].append(node)

@@ -433,6 +433,8 @@ class BusState(Told, frozen=True, kw_only=True):
         Node-IDs that answer but are not used: their configuration differs from the contract.
     overrun : int
         Number of frames that the gateway's receive buffer lost since the start.
+    frozen : list of int
+        Node-IDs of boards whose values stand still while their frames go on: their sums are not usable.
     """
 
     name: str
@@ -447,6 +449,7 @@ class BusState(Told, frozen=True, kw_only=True):
     link: str = "active"
     trouble: str = ""
     overrun: int = 0
+    frozen: list[int] = msgspec.field(default_factory=list)
 
 
 class GatewayStatus(msgspec.Struct, frozen=True, kw_only=True):

@@ -37,9 +37,13 @@ def test_a_node_tells_why_since_the_reason_began(state: ViewState, messages: Mes
 
 def test_refused_nodes_emergencies_and_dead_buses_are_told(state: ViewState, messages: Messages) -> None:
     status = messages.gateway(refused=(3,), links=("active", "lost"))
-    buses = [msgspec.structs.replace(status.buses[0], emcy=[0, 0x8130, 0, 0]), status.buses[1]]
+    buses = [msgspec.structs.replace(status.buses[0], emcy=[0, 0x8130, 0, 0], frozen=[1]), status.buses[1]]
     state.take(msgspec.structs.replace(status, buses=buses), 1.0)
-    assert [why for _, _, why in troubles(state, 1.0)] == ["EMCY 8130h", "refused by the gateway: not of this skin"]
+    assert [why for _, _, why in troubles(state, 1.0)] == [
+        "frozen: values stand still while frames go on",
+        "EMCY 8130h",
+        "refused by the gateway: not of this skin",
+    ]
     assert [why for _, _, why in troubles(state, 1.0, bus=1)] == ["its bus is down"] * 4
 
 
