@@ -8,6 +8,7 @@ from canskin.session import DEFAULT_ENDPOINT, LOOK_S, checked, open_hub, print_d
 from hub.denials import Denials, ignore_stdout, read_stdout
 from hub.holders import read_holders
 from hub.rules import access_control
+from shell.pulse import Pulse
 from shell.service import StopSignal, request_real_time, say
 from shell.skin_options import Insecure, check_listen
 
@@ -31,7 +32,7 @@ def hub(*, listen: str = DEFAULT_ENDPOINT, insecure: Insecure = False) -> None:
     skin hub
     skin hub --listen tls/0.0.0.0:7447 --keys keys/hub
     """
-    stop = StopSignal().install()
+    pulse = Pulse(StopSignal().install())
     check_listen(listen, "hub", insecure=insecure)
     endpoint, keys = checked(listen, environment_keys())
     rules = None
@@ -44,7 +45,7 @@ def hub(*, listen: str = DEFAULT_ENDPOINT, insecure: Insecure = False) -> None:
     with closing(open_hub(endpoint, keys, rules)):
         say("hub", f"listens on {endpoint}: give that to 'skin gateway' and all others as --connect")
         request_real_time("hub")
-        while not stop.is_set():
+        while not pulse.is_set():
             time.sleep(LOOK_S)
         if rules is not None:
             ignore_stdout()  # while zenoh closes, Python might read no more, and zenoh would wait

@@ -487,6 +487,35 @@ class NodesStatus(Told, frozen=True, kw_only=True):
     syncs_seen: int
 
 
+class ServiceStatus(Told, frozen=True, kw_only=True):
+    """What a service tells of itself, once a second while it works; its counters begin with its process.
+
+    Attributes
+    ----------
+    service, instance : str
+        Those of its `canskin.peers.Peer`.
+    memory_bytes : int
+        Resident memory; 0 where the system does not tell.
+    processor_s : float
+        Processor time of all its threads.
+    missed : int
+        Messages that did not come: the fabric dropped them, see `canskin.fabric.Missed`.
+    overruns : int
+        Messages that came, and were replaced by newer ones because the service was too slow for them.
+    made : int
+        What it is there for: measurements, images, labels, frames of nodes, recorded frames and messages; 0 of others.
+    """
+
+    time_ns: int
+    service: str
+    instance: str
+    memory_bytes: int
+    processor_s: float
+    missed: int = 0
+    overruns: int = 0
+    made: int = 0
+
+
 class Topic(msgspec.Struct, frozen=True):
     """A type of message and the name of its topic."""
 
@@ -521,3 +550,4 @@ TRUTH: Final = Topic("truth", Truth)
 MARK: Final = Topic("marks", Mark)
 GATEWAY: Final = Topic("gateway", GatewayStatus)
 NODES: Final = Topic("nodes", NodesStatus)
+SERVICES: Final = Topic("services", ServiceStatus)
