@@ -13,7 +13,7 @@ from calibration.windows import Floats
 from canskin.calibration_messages import CalibrationReply, CalibrationRequest, CalibrationStatus, ZeroRequest
 from canskin.errors import InputError
 from canskin.fabric import Reply
-from canskin.messages import Measurement, SteppedMeasurement
+from canskin.messages import Measurement, NodeFault, SteppedMeasurement
 from dbc.contract import Contract
 from gateway.doubted_nodes import DoubtedNodes
 from gateway.frozen_boards import FrozenBoards
@@ -80,8 +80,8 @@ class GatewayCalibration:
         """Return a measurement with the offsets of its instant."""
         return self._calibrator.apply(measurement)
 
-    def frozen_on(self, bus: int) -> list[int]:
-        """Return the node-IDs of the boards of a bus whose values stand still while their frames go on."""
+    def frozen_on(self, bus: int) -> dict[int, NodeFault]:
+        """Return the faults of the boards of a bus whose values stand still while their frames go on, by node-ID."""
         return self._frozen.on_bus(bus)
 
     def take(self, measurement: Measurement) -> None:

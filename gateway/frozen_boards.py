@@ -23,7 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from calibration.windows import Bools
-from canskin.messages import Measurement
+from canskin.messages import Fault, Measurement, NodeFault
 from dbc import indices as od
 from dbc.contract import Contract
 from gateway.nmt_master import NmtMaster
@@ -41,6 +41,7 @@ TELLING: Final = 2
 NOISY: Final = 8
 RESTS: Final = 5
 
+FROZEN: Final = NodeFault(Fault.FROZEN, "values stand still while frames go on")
 _Counts = npt.NDArray[np.int64]
 
 
@@ -70,10 +71,10 @@ class FrozenBoards:
         #: Counts and sums of the look before.
         self._before: list[tuple[_Counts, _Counts] | None] = [None] * nodes
 
-    def on_bus(self, bus: int) -> list[int]:
-        """Return the node-IDs of the frozen boards of a bus."""
-        nodes = self._contract.nodes
-        return [nodes[each].node_id for each in np.flatnonzero(self._frozen).tolist() if nodes[each].bus == bus]
+    def on_bus(self, bus: int) -> dict[int, NodeFault]:
+        """Return the faults of the frozen boards of a bus by node-ID."""
+        frozen = [self._contract.nodes[each] for each in np.flatnonzero(self._frozen).tolist()]
+        return {node.node_id: FROZEN for node in frozen if node.bus == bus}
 
     def tick(self, masters: Mapping[int, NmtMaster], newest: Measurement, stands_still: Bools, now_s: float) -> bool:
         """Look at the boards; return whether others are frozen now. Call it many times a second.
@@ -95,9 +96,8 @@ class FrozenBoards:
         for place in changed:
             node = self._contract.nodes[place]
             self.blocks[node.block : node.block + node.blocks] = frozen[place]
-            now = "is frozen: its values stand still while its frames go on; left out"
-            name = f"{self._contract.layout.bus[node.bus].name} node {node.node_id}"
-            self._say(f"{name} {now if frozen[place] else 'is not frozen any more'}")
+            now = f"frozen: {FROZEN.words} [{FROZEN.code}]" if frozen[place] else "not frozen any more"
+            self._say(f"{self._contract.layout.bus[node.bus].name} node {node.node_id} is {now}")
         return bool(changed)
 
     def _ask(self, masters: Mapping[int, NmtMaster], newest: Measurement, now_s: float) -> None:

@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from canskin.messages import NodeFault
 from dbc.canopen import (
     EMCY_BASE,
     EMCY_BYTES,
@@ -123,6 +124,11 @@ class NmtMaster:
     def refused(self) -> list[int]:
         """Node-IDs that answer, but whose sums must not be used."""
         return [node_id for node_id, node in self.nodes.items() if node.state in REFUSED]
+
+    @property
+    def faults(self) -> dict[int, NodeFault]:
+        """Why the sums of nodes are not used, by node-ID."""
+        return {node_id: fault for node_id, node in self.nodes.items() if (fault := node.fault) is not None}
 
     @property
     def awaited(self) -> list[int]:

@@ -43,6 +43,8 @@ class Proof:
     ----------
     refusal : str
         Why the node's sums must not be used; empty if they may.
+    is_other_device : bool
+        The node is refused because of its identity (1018h).
     written : str
         Objects that were written, with their old values.
     has_signature : bool
@@ -55,6 +57,7 @@ class Proof:
     """
 
     refusal: str = ""
+    is_other_device: bool = False
     written: str = ""
     has_signature: bool = False
     gains: Gains = None
@@ -185,6 +188,7 @@ def _prove_configuration(
     fixed = [(setting, data) for setting, data in wrong if not setting.is_writable]
     if wrong:
         proof.refusal = _in_words(fixed or wrong)
+        proof.is_other_device = any(setting.index == od.IDENTITY for setting, _ in fixed)
     elif proof.has_signature:
         proof.refusal = f"its objects are right, but not their signature ({od.SIGNATURE:04X}h)"
     if not proof.has_signature:

@@ -99,7 +99,10 @@ class GatewayService:
         status = self.loop.status(states, self._clock())
         if self._calibration is not None:
             frozen = map(self._calibration.frozen_on, sorted(self._links))
-            buses = [msgspec.structs.replace(bus, frozen=ids) for bus, ids in zip(status.buses, frozen, strict=True)]
+            buses = [
+                msgspec.structs.replace(bus, faults=faults | bus.faults)
+                for bus, faults in zip(status.buses, frozen, strict=True)
+            ]
             status = msgspec.structs.replace(status, calibration=self._calibration.status(), buses=buses)
         self._fabric.publish(GATEWAY, status)
 

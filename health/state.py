@@ -27,7 +27,7 @@ from canskin.messages import (
 from canskin.peers import Peer, new_peer
 from health.checks import fits
 from health.comparison import Comparison
-from health.nodes_why import NodeTroubles
+from health.nodes_why import Troubles
 from health.notices import display_name, notices
 from health.patches import Patches
 from health.services import Services
@@ -171,7 +171,7 @@ class ViewState:
         self._came_s = -inf
         self._latency_s = Window(LATENCY_SPAN_S)
         self._valid, self._rate = Window(SPAN_S), Rate(SPAN_S)
-        self._patches, self._troubles = Patches(layout), NodeTroubles()
+        self._patches, self._troubles = Patches(layout), Troubles()
         self._comparison = Comparison(layout, SPAN_S)
 
     def take(self, message: msgspec.Struct, now_s: float) -> bool:
@@ -238,6 +238,7 @@ class ViewState:
         else:
             psnr_db = None, None
         calibration = status.calibration if status else None
+        late, late_since_time_s = self._troubles.late(self._epoch_s)
         bare = Snapshot(
             time_s=self._epoch_s + now_s,
             skin=self._layout.name,
@@ -252,6 +253,8 @@ class ViewState:
                 now_s,
                 buses=bus_views(status, self._troubles.of(self._epoch_s)) if status else [],
                 zero=calibration.zero_words if calibration else "",
+                late=late,
+                late_since_time_s=late_since_time_s,
             ),
             nodes=[shown for _, each in sorted(self._nodes.items()) if (shown := each.shown(NodesState, now_s))],
             services=self._service_states(now_s),

@@ -1,5 +1,6 @@
 """``skin hub``: the fabric's hub as a process of its own."""
 
+import threading
 import time
 from contextlib import closing
 
@@ -37,13 +38,14 @@ def hub(*, listen: str = DEFAULT_ENDPOINT, insecure: Insecure = False) -> None:
     endpoint, keys = checked(listen, environment_keys())
     rules = None
     if keys is not None:
-        keys.tell_end("hub")
+        keys.watch_end("hub", threading.Event())
         rules = access_control(keys.folder)
         revoked = read_holders(keys.folder).revoked
         read_stdout(Denials(lambda text: say("hub", text), revoked).take)
         print_denials()
     with closing(open_hub(endpoint, keys, rules)):
-        say("hub", f"listens on {endpoint}: give that to 'skin gateway' and all others as --connect")
+        address = endpoint.replace("/0.0.0.0:", "/HOST:").replace("/[::]:", "/HOST:")
+        say("hub", f"listens on {endpoint}: give {address} to 'skin gateway' and all others as --connect")
         request_real_time("hub")
         while not pulse.is_set():
             time.sleep(LOOK_S)

@@ -200,8 +200,6 @@ class Fabric:
         self._kept: list[Any] = []
         self._mailboxes: list[Mailbox[Any]] = []
         keys = keys or environment_keys()
-        if keys is not None and service:
-            keys.tell_end(service)
         #: Whose actions the hub allows or not: with keys, unless this is the hub, or a socket that needs no keys.
         self._holder = None if hub else checked(endpoint, keys)[1]
         self._session = open_hub(endpoint, keys) if hub else open_client(endpoint, service, stop, patience_s, keys=keys)
@@ -215,6 +213,9 @@ class Fabric:
         except BaseException:
             self._session.close()
             raise
+        self._closed = threading.Event()
+        if keys is not None and service:
+            keys.watch_end(service, self._closed)
         if fingerprint:
             self.watch_peers(self._compare)
 
@@ -363,6 +364,7 @@ class Fabric:
 
     def close(self) -> None:
         """Close the connection after all published messages are sent."""
+        self._closed.set()
         self._session.close()
 
     def _require_right(self, action: Action, name: str) -> None:

@@ -8,7 +8,7 @@ on the bus. Messages that follow from a measurement carry its `sampled_mono_ns` 
 """
 
 from collections.abc import Callable
-from enum import IntEnum
+from enum import Enum, IntEnum
 from typing import Any, Final
 
 import msgspec
@@ -410,6 +410,36 @@ class NmtState(IntEnum):
 SILENT: Final = 255
 
 
+class Fault(str, Enum):
+    """Why the gateway does not use the sums of a node."""
+
+    ABSENT = "absent"  #: Never heard since the start of the gateway.
+    SILENT = "silent"  #: Its heartbeat is overdue.
+    OTHER_DEVICE = "other-device"  #: Its identity (1018h) or type (1000h) is another.
+    REFUSED = "refused"  #: Its configuration is another.
+    UNANSWERED = "unanswered"  #: It sends heartbeats, and answers no SDO request.
+    LEFT = "left"  #: It has left OPERATIONAL.
+    BOOTED = "booted"  #: It has booted again.
+    CHANGED = "changed"  #: Its configuration has become another, or another master writes there.
+    UNPROVEN = "unproven"  #: Its configuration was not proven for too long.
+    STARTING = "starting"  #: Its first proof is under way.
+    FROZEN = "frozen"  #: Its values stand still while its frames go on.
+
+    __str__ = str.__str__  # the value, as `enum.StrEnum` of Python 3.11 has it
+
+
+class NodeFault(Told, frozen=True):
+    """Why a node's sums are not used: the kind, and what the gateway has seen, in words."""
+
+    kind: Fault
+    words: str = ""
+
+    @property
+    def code(self) -> str:
+        """The name of the cause in notices, logs and metrics (`health.causes.Cause.code`)."""
+        return f"node-{self.kind}"
+
+
 class BusState(Told, frozen=True, kw_only=True):
     """State of one bus, from the gateway.
 
@@ -433,8 +463,13 @@ class BusState(Told, frozen=True, kw_only=True):
         Node-IDs that answer but are not used: their configuration differs from the contract.
     overrun : int
         Number of frames that the gateway's receive buffer lost since the start.
-    frozen : list of int
-        Node-IDs of boards whose values stand still while their frames go on: their sums are not usable.
+    faults : dict of int to NodeFault
+        By node-ID, of the nodes whose sums are not used.
+    answer_s, heartbeat_s : list of (float, float)
+        Least and longest time of each node's answers to SDO requests, and between its heartbeats, in the last 10 s to
+        20 s; (0, 0) without any.
+    other_sync : str
+        Who else has sent SYNC in the last 10 s, in words; empty without.
     """
 
     name: str
@@ -449,7 +484,10 @@ class BusState(Told, frozen=True, kw_only=True):
     link: str = "active"
     trouble: str = ""
     overrun: int = 0
-    frozen: list[int] = msgspec.field(default_factory=list)
+    faults: dict[int, NodeFault] = msgspec.field(default_factory=dict)
+    answer_s: list[tuple[float, float]] = msgspec.field(default_factory=list)
+    heartbeat_s: list[tuple[float, float]] = msgspec.field(default_factory=list)
+    other_sync: str = ""
 
 
 class GatewayStatus(msgspec.Struct, frozen=True, kw_only=True):
@@ -465,6 +503,8 @@ class GatewayStatus(msgspec.Struct, frozen=True, kw_only=True):
         Number of SYNCs that were not sent because they were too late.
     calibration : CalibrationStatus or None
         None from a gateway without calibration, as in a replay.
+    heartbeat_limit_s, answer_limit_s : float
+        A node is silent when no heartbeat came for the first, and has the second for an answer to an SDO request.
     """
 
     time_ns: int
@@ -475,6 +515,8 @@ class GatewayStatus(msgspec.Struct, frozen=True, kw_only=True):
     buses: list[BusState]
     syncs_skipped: int = 0
     calibration: CalibrationStatus | None = None
+    heartbeat_limit_s: float = 0.0
+    answer_limit_s: float = 0.0
 
 
 class NodesStatus(Told, frozen=True, kw_only=True):

@@ -71,7 +71,7 @@ class Asked:
             sums[2] = self.force
             newest: Any = SimpleNamespace(valid=b"\1" * 4, sums=sums.tobytes())
             self.found.tick(masters, newest, NOBODY, self.now_s)
-        return self.found.on_bus(1)
+        return list(self.found.on_bus(1))
 
     def still(self) -> Counts:
         """Let the board tell for good what it tells now: at neither end."""
@@ -85,13 +85,13 @@ def test_a_board_with_noise_that_rests_is_frozen_until_it_changes() -> None:
     assert asked.run((NOISY + 3) * PERIOD_S) == []
     asked.still()
     assert asked.run(2 * PERIOD_S + RESTS) == [1]
-    assert asked.found.on_bus(0) == []
+    assert asked.found.on_bus(0) == {}
     assert np.flatnonzero(asked.found.blocks).tolist() == [2]
     asked.counts = asked.noise
     assert asked.run(PERIOD_S) == []
     assert not asked.found.blocks.any()
     assert asked.lines == [
-        "bus1 node 1 is frozen: its values stand still while its frames go on; left out",
+        "bus1 node 1 is frozen: values stand still while frames go on [node-frozen]",
         "bus1 node 1 is not frozen any more",
     ]
 
@@ -215,8 +215,8 @@ def test_a_frozen_board_is_named_and_left_out_of_measurements(kind: str, monkeyp
             calibration.work()
         calibration.tick(world.gateway.masters, world.now_s)
     assert world.now_s > begun_s + stop_s
-    assert calibration.frozen_on(0) == [2]
-    assert calibration.frozen_on(1) == []
+    assert calibration.frozen_on(0) == {2: frozen_boards.FROZEN}
+    assert calibration.frozen_on(1) == {}
     told = calibration.apply(world.run(0.5)[-1])
     assert valid(told).all()
     used = np.frombuffer(told.usable, np.uint8) != 0

@@ -44,7 +44,7 @@ def test_a_stray_command_to_all_costs_the_nodes_of_its_bus_a_moment(world: World
     world.until_whole(SOON_S)
     world.run(0.5)
     went, back = world.lines
-    assert went == "nodes 1-2 on bus0 left OPERATIONAL: stopped, by another master's NMT command"
+    assert went == "nodes 1-2 on bus0 left OPERATIONAL: stopped, by another master's NMT command [node-left]"
     assert back.startswith("nodes 1-2 on bus0 back after 0.")
 
 
@@ -73,7 +73,7 @@ def test_silent_node_is_said_once_and_comes_back(world: World) -> None:
     assert not valid(world.measured[-1])[:2].any()
     assert valid(world.measured[-1])[2:].all()
     silent = [line for line in world.lines if "silent" in line]
-    assert silent == ["nodes 1-2 on bus0 silent: no heartbeat for 1.5 s"]
+    assert silent == ["nodes 1-2 on bus0 silent: no heartbeat for 1.5 s [node-silent]"]
     assert world.gateway.masters[0].nmt.tolist() == [SILENT, SILENT]
     world.pass_time(20)
     assert [line for line in world.lines if "silent" in line] == silent

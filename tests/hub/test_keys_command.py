@@ -58,6 +58,7 @@ def test_no_authority_is_written_over(folder: Path) -> None:
 
 def test_holders_are_added_renewed_and_revoked_alone(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     add(folder, "client:laptop7", "operator:anna")
+    (folder / "hand.gateway").mkdir()
     add(folder, "hand:gateway")
     assert Keys(folder / "client.laptop7").holder == "laptop7"
     assert Keys(folder / "hand.gateway").common_name == "hand:gateway"
@@ -104,6 +105,8 @@ def test_what_is_not_there(folder: Path, tmp_path: Path) -> None:
         revoke(folder, "client:nobody")
     with pytest.raises(InputError, match="expected ROLE or ROLE:HOLDER, got none"):
         revoke(folder)
+    with pytest.raises(InputError, match=r"^--skin pa\*\*lm: expected the name of the skin"):
+        new(tmp_path / "other", skin="pa**lm")
     with pytest.raises(InputError, match="expected the name or the address"):
         new(tmp_path / "other", skin="palm", host=("a b",))
     with pytest.raises(InputError, match="expected the list that 'skin keys new' makes"):
