@@ -1,4 +1,7 @@
-"""One builder for each message of the services. The client's tests use them on Python 3.10, without the application."""
+"""One builder for each message of the services, and a fabric that keeps messages.
+
+The client's tests use them on Python 3.10, without the application.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from msgspec.structs import replace
 
+from canskin.fabric import Mailbox
 from canskin.messages import (
     BlockState,
     BusState,
@@ -24,6 +28,28 @@ from canskin.messages import (
 
 if TYPE_CHECKING:
     from skin.layout import Layout
+
+
+class Published:
+    """A fabric without wires: what a service publishes, and the mailboxes that the service asks for."""
+
+    def __init__(self) -> None:
+        self.messages: list[Any] = []
+        self.mailboxes: list[Mailbox[Any]] = []
+
+    def tell_scheduling(self, _scheduling: str) -> None:
+        """Nobody listens."""
+
+    def publish(self, _topic: object, message: Any) -> None:
+        self.messages.append(message)
+
+    def mailbox(self, _topic: object, depth: int = 4) -> Mailbox[Any]:
+        self.mailboxes.append(Mailbox(depth))
+        return self.mailboxes[-1]
+
+    def of(self, kind: type) -> list[Any]:
+        """Return the messages of a kind."""
+        return [each for each in self.messages if isinstance(each, kind)]
 
 
 def counter_of(cycle: int) -> int:

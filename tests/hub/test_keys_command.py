@@ -1,5 +1,6 @@
 """``skin keys``: folders for each role, private files, and a list of who may connect."""
 
+import shutil
 import stat
 from pathlib import Path
 
@@ -13,10 +14,16 @@ from hub.holders import read_holders
 from hub.keys_command import add, list_, new, renew, revoke
 
 
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("made") / "keys"
+    new(folder, skin="palm", host=("robot.local", "10.0.0.5"))
+    return folder
+
+
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    new(tmp_path / "keys", skin="palm", host=("robot.local", "10.0.0.5"))
-    return tmp_path / "keys"
+def folder(made: Path, tmp_path: Path) -> Path:
+    return shutil.copytree(made, tmp_path / "keys")
 
 
 def certificate(folder: Path) -> x509.Certificate:
