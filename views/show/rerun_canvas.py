@@ -189,9 +189,10 @@ def _start_viewer() -> str:
     import rerun_bindings
     import rerun_cli
 
+    program = files(rerun_cli) / "rerun"
     rerun_bindings.spawn(
         port=PORT,
-        executable_path=str(files(rerun_cli) / "rerun"),
+        executable_path=str(program) if program.is_file() else None,  # of macOS the package has another
         extra_args=["--bind", LOOPBACK],
         extra_env=[("RERUN_APP_ONLY", "true")],
     )
