@@ -33,6 +33,7 @@ _FAULTS: Final = {
     Fault.CHANGED: "doubted",
     Fault.UNPROVEN: "not proven for too long",
     Fault.STARTING: "not proven yet",
+    Fault.FROZEN: "frozen",
 }
 #: Of these nodes the NMT state tells more.
 _BY_STATE: Final = (Fault.LEFT, Fault.BOOTED, Fault.STARTING)
