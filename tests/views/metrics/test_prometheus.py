@@ -1,4 +1,4 @@
-"""What Prometheus makes of the files here: Debian's `promtool` reads them, and each alert fires in its scene."""
+"""What Debian's Prometheus makes of the files of `deploy/`: it reads them, and each alert fires in its scene."""
 
 import json
 import re
@@ -14,12 +14,12 @@ from prometheus_client import CollectorRegistry, generate_latest
 from ruamel.yaml import YAML
 
 from health.causes import Cause
-from tests.deploy.conftest import ROOT
 from tests.layouts import slow_layout
 from tests.processes import Processes, free_endpoint, free_port
 from views.metrics.command import EXPECTED
 from views.metrics.exporter import Exporter
 
+ROOT = Path(__file__).parents[3]
 RULES, DASHBOARD = ROOT / "deploy/prometheus/canskin.rules.yml", ROOT / "deploy/grafana/canskin.json"
 TOOLS = ROOT / "build/prometheus"
 CAUSE = '{code="%s", level="%s", instance="robot:8767", skin="palm", subject="here"}'
