@@ -8,6 +8,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing
+from functools import partial
 from itertools import zip_longest
 from typing import Final
 
@@ -40,6 +41,9 @@ GATHER_S: Final = 2 * PERIOD_S + 0.5
 MOVES: Final = {b"\x1b[A": -1, b"\x1b[B": 1, b"\x1b[5~": -10, b"\x1b[6~": 10}
 #: Control-L draws all lines again.
 REDRAW: Final = b"\x0c"
+#: Of a terminal that does not know its size.
+COLUMNS: Final = 80
+LINES: Final = 24
 #: Width where standard output is no terminal: nothing is cut.
 UNLIMITED: Final = 10_000
 
@@ -67,18 +71,25 @@ class Watched:
 class Display:
     """A terminal, and what its user has chosen to see.
 
+    Parameters
+    ----------
+    console : Console
+        Draws.
+    size : callable
+        Columns and lines now; 0 where the terminal does not know them.
+
     Attributes
     ----------
     is_over : bool
         The user has left.
     """
 
-    def __init__(self, console: Console) -> None:
+    def __init__(self, console: Console, size: Callable[[], tuple[int, int]]) -> None:
         self.is_over = False
-        self._console = console
+        self._console, self._size = console, size
         self._shown, self._first = "a", 0
         self._drawn: list[Text] = []
-        self._size = console.size
+        self._drawn_size = 0, 0
 
     def press(self, keys: bytes) -> None:
         """Do what the user wants: no bytes, or several keys."""
@@ -96,9 +107,10 @@ class Display:
 
     def draw(self, state: Snapshot) -> None:
         """Draw the lines that have changed."""
-        size = self._console.size
-        if size != self._size:
-            self._size, self._drawn = size, []
+        columns, height = self._size()
+        size = columns or COLUMNS, height or LINES
+        if size != self._drawn_size:
+            self._drawn_size, self._drawn = size, []
         lines, self._first = screen(state, self._shown, size, self._first)
         with self._console:  # one write
             for place, (line, before) in enumerate(zip_longest(lines, self._drawn[: len(lines)])):
@@ -138,7 +150,8 @@ def monitor(*, of: SkinOptions | None = None) -> None:
             return
         set_talk(Talk.QUIET)  # lines of the log would stand among those drawn: the notices tell the same
         with pressed_keys() as read, console.screen():
-            display = Display(console)
+            # Not the size that rich tells: variables of the environment may hold an old one.
+            display = Display(console, partial(os.get_terminal_size, sys.stdout.fileno()))
             while not (stop.is_set() or display.is_over):
                 display.draw(watched.snapshot())
                 display.press(read(FRAME_S))
