@@ -41,11 +41,9 @@ GATHER_S: Final = 2 * PERIOD_S + 0.5
 MOVES: Final = {b"\x1b[A": -1, b"\x1b[B": 1, b"\x1b[5~": -10, b"\x1b[6~": 10}
 #: Control-L draws all lines again.
 REDRAW: Final = b"\x0c"
-#: Of a terminal that does not know its size.
+#: Of a terminal that does not know its size, and of files.
 COLUMNS: Final = 80
 LINES: Final = 24
-#: Width where standard output is no terminal: nothing is cut.
-UNLIMITED: Final = 10_000
 
 _KEY: Final = re.compile(rb"\x1b\[[\d;]*.|.", re.DOTALL)
 _KEY_BYTES: Final = 64
@@ -136,7 +134,6 @@ def monitor(*, of: SkinOptions | None = None) -> None:
     --------
     skin monitor
     skin monitor --connect tcp/10.0.0.5:7447
-    skin monitor | less
     """
     of = of or SkinOptions()
     skin = of.find()
@@ -164,8 +161,8 @@ def print_once(watched: Watched, stop: StopSignal) -> None:
     state = watched.snapshot()
     while time.monotonic() < end_s and not stop.wait(FRAME_S):
         state = watched.snapshot()
-    for line in whole(state, UNLIMITED):
-        print(line.plain.rstrip())
+    for line in whole(state, COLUMNS):
+        print(line.rstrip())
 
 
 @contextlib.contextmanager

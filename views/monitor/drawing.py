@@ -12,6 +12,8 @@ from health.causes import ERROR, INFO, WARNING, Cause
 from health.nodes_why import NMT_WORDS, link_cause
 from health.snapshot import BusView, Notice, Service, Snapshot
 
+#: A line and its style.
+Line = tuple[str, str]
 #: Keys of what is shown, and its name.
 SHOWN: Final = {"a": "all", "b": "buses", "n": "nodes", "s": "services", "w": "wrong"}
 #: What is wrong has another key, too.
@@ -44,16 +46,17 @@ def screen(state: Snapshot, shown: str, size: tuple[int, int], first: int = 0) -
     room = max(0, height - len(head) - 1)
     first = max(0, min(first, len(lines) - room))
     keys = _keys(shown, first, len(lines) - first - room)
-    content = [*lines[first : first + room], *[Text()] * (room - len(lines))]
-    return [_cut(line, width) for line in (*head, *content, keys)][:height], first
+    seen = [Text(text, style) for text, style in lines[first : first + room]]
+    blank = [Text()] * (room - len(seen))
+    return [_cut(line, width) for line in (*head, *seen, *blank, keys)][:height], first
 
 
-def whole(state: Snapshot, width: int) -> list[Text]:
-    """Return all that `screen` can show, for a file or a pipe."""
-    return [_cut(line, width) for line in (*_head(state), *body(state, "a", width))]
+def whole(state: Snapshot, width: int) -> list[str]:
+    """Return all that `screen` can show, for a file or a pipe: tables may be wider than `width`."""
+    return [line.plain for line in _head(state)] + [text for text, _ in body(state, "a", width)]
 
 
-def body(state: Snapshot, shown: str, width: int) -> list[Text]:
+def body(state: Snapshot, shown: str, width: int) -> list[Line]:
     """Return the lines between head and keys, those of nodes that are whole last."""
     is_all, is_wrong = shown == "a", shown == "w"
     lines = _notices(state, width) if is_all or is_wrong else []
@@ -65,7 +68,7 @@ def body(state: Snapshot, shown: str, width: int) -> list[Text]:
         lines += _troubled(state)
     if is_all or shown == "n":
         lines += _nodes(state, width)
-    return lines or [Text("nothing is wrong", "green")]
+    return lines or [("nothing is wrong", "green")]
 
 
 def _head(state: Snapshot) -> list[Text]:
@@ -100,11 +103,11 @@ def _keys(shown: str, above: int, below: int) -> Text:
     return line
 
 
-def _notices(state: Snapshot, width: int) -> list[Text]:
+def _notices(state: Snapshot, width: int) -> list[Line]:
     lines = []
     for each in state.notices:
-        lines += [Text(line, _STYLES[each.level]) for line in _wrapped(_words(each, state.time_s), width, 0)]
-        lines += [Text(line, _FAINT) for line in _wrapped(f"→ {each.mend}", width, 2)]
+        lines += [(line, _STYLES[each.level]) for line in _wrapped(_words(each, state.time_s), width, 0)]
+        lines += [(line, _FAINT) for line in _wrapped(f"→ {each.mend}", width, 2)]
     return lines
 
 
@@ -117,7 +120,7 @@ def _wrapped(text: str, width: int, indent: int) -> list[str]:
     return wrap(text, width, initial_indent=" " * indent, subsequent_indent=" " * (indent + 2), tabsize=1)
 
 
-def _buses(state: Snapshot, *, all_of: bool) -> list[Text]:
+def _buses(state: Snapshot, *, all_of: bool) -> list[Line]:
     gateway = state.gateway
     if gateway is None:
         return []
@@ -144,7 +147,7 @@ def _bus(bus: BusView) -> list[str]:
     ]
 
 
-def _troubled(state: Snapshot) -> list[Text]:
+def _troubled(state: Snapshot) -> list[Line]:
     """Return the nodes that are not whole."""
     rows = []
     for bus in state.gateway.buses if state.gateway else ():
@@ -157,7 +160,7 @@ def _troubled(state: Snapshot) -> list[Text]:
     return _table(["not whole", "", "state", "answers", "heartbeats", "missing", "cause", "since", "why"], rows)
 
 
-def _nodes(state: Snapshot, width: int) -> list[Text]:
+def _nodes(state: Snapshot, width: int) -> list[Line]:
     """Return the nodes that are whole, as many in a line as have room."""
     rows = []
     for bus in state.gateway.buses if state.gateway else ():
@@ -167,12 +170,12 @@ def _nodes(state: Snapshot, width: int) -> list[Text]:
                 rows.append(("", [bus.name, str(node), *_times(bus, place)]))
     if not rows:
         return []
-    heading, *lines = _table(["whole", "", "answers", "heartbeats", "missing"], rows)
-    side = max(1, (width + len(_WIDE_GAP)) // (max(map(len, (heading, *lines))) + len(_WIDE_GAP)))
+    heading, *lines = (text for text, _ in _table(["whole", "", "answers", "heartbeats", "missing"], rows))
+    side = max(1, (width + len(_WIDE_GAP)) // (len(heading) + len(_WIDE_GAP)))
     high = -(-len(lines) // side)
     columns = [lines[at : at + high] for at in range(0, len(lines), high)]
-    packed = [Text(_WIDE_GAP).join(each for each in row if each is not None) for row in zip_longest(*columns)]
-    return [Text(_WIDE_GAP).join([heading] * len(columns)), *packed]
+    packed = [(_WIDE_GAP.join(row), "") for row in zip_longest(*columns, fillvalue="")]
+    return [(_WIDE_GAP.join([heading] * len(columns)), _HEADING), *packed]
 
 
 def _times(bus: BusView, place: int) -> list[str]:
@@ -184,7 +187,7 @@ def _times(bus: BusView, place: int) -> list[str]:
     return [*found, str(bus.missing[place]) if place < len(bus.missing) else "-"]
 
 
-def _services(state: Snapshot, *, all_of: bool) -> list[Text]:
+def _services(state: Snapshot, *, all_of: bool) -> list[Line]:
     rows = []
     for name, each in state.services.items():
         level, word = _service(each, is_cut_off=state.cut_off)
@@ -211,13 +214,12 @@ def _service(service: Service, *, is_cut_off: bool) -> tuple[str, str]:
     return (INFO, "runs") if service.loses_since_time_s is None else (WARNING, "too slow")
 
 
-def _table(headings: Sequence[str], rows: Sequence[tuple[str, Sequence[str]]]) -> list[Text]:
+def _table(headings: Sequence[str], rows: Sequence[tuple[str, Sequence[str]]]) -> list[Line]:
     """Return a heading and rows of one style each, with columns of equal width; nothing without rows."""
     if not rows:
         return []
-    columns = zip(headings, *(cells for _, cells in rows), strict=True)
-    widths = [max(map(len, column)) for column in columns]
-    return [Text(_GAP.join(map(str.ljust, cells, widths)), style) for style, cells in ((_HEADING, headings), *rows)]
+    widths = [max(map(len, column)) for column in zip(headings, *(cells for _, cells in rows), strict=True)]
+    return [(_GAP.join(map(str.ljust, cells, widths)), style) for style, cells in ((_HEADING, headings), *rows)]
 
 
 def _since(time_s: float, now_s: float) -> str:

@@ -131,7 +131,7 @@ def test_before_the_first_message_and_without_the_hub_there_is_something_to_see(
 
 def test_moving_reaches_all_lines_and_ends_there() -> None:
     state = wrong("x" * 300).snapshot(2.0)[0]
-    size, content = (80, 8), [line.plain for line in body(state, "a", 80)]
+    size, content = (80, 8), [text for text, _ in body(state, "a", 80)]
     room = size[1] - HEAD - KEYS
     for first in range(len(content) + 3):
         lines, at = screen(state, "a", size, first)
