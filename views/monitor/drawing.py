@@ -88,7 +88,7 @@ def _head(state: Snapshot) -> list[Text]:
     rates.append(f"images {figures.images_hz:.1f}/s")
     if figures.latency_p50_s is not None and figures.latency_p99_s is not None:
         rates.append(f"latency {1e3 * figures.latency_p50_s:.1f} ms, p99 {1e3 * figures.latency_p99_s:.1f} ms")
-    if figures.valid_blocks is not None:
+    if figures.valid_blocks_low is not None:
         rates.append(f"blocks {figures.valid_blocks} of {figures.blocks}, least {figures.valid_blocks_low}")
     return [head, Text(f" {_GAP.join(rates)}{_GAP}{_clock(state.time_s)}")]
 
