@@ -52,6 +52,7 @@ VERBS: Final = {
     "view": "views.page.command:view",
     "ros2": "views.ros2.command:ros2",
     "show": "views.show.command:show",
+    "metrics": "views.metrics.command:metrics",
     "record": "recording.record_command:record",
     "replay": "recording.replay_command:replay",
     "label": "recording.label_command:label",
