@@ -52,8 +52,8 @@ class Chain:
                 image = self._messages.image(cycle, sync_s=sync_s, invalid=self.invalid, pixels=pixels)
                 self._hub.publish(IMAGE, image)
             if self.contacts:
-                self._hub.publish(CONTACTS, self._messages.contacts(cycle, doubtful=self.doubtful))
-            self._hub.publish(LABEL, self._messages.label(**self.label))
+                self._hub.publish(CONTACTS, self._messages.contacts(cycle, sync_s=sync_s, doubtful=self.doubtful))
+            self._hub.publish(LABEL, self._messages.label(cycle=cycle, sync_s=sync_s, **self.label))
             self._hub.publish(GATEWAY, self._messages.gateway(cycles=cycle, **self.gateway))
             if self._stop.wait(0.02):
                 return

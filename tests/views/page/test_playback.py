@@ -32,8 +32,8 @@ def recorded(messages: Any, path: Path, *, closes: bool = True) -> Path:
         at_s, pixels = cycle / 100, messages.grid(0.01 * cycle / CYCLES)
         write(TRUTH, at_s, messages.truth(cycle + 1, sync_s=at_s + 5, true=pixels))
         write(IMAGE, at_s, messages.image(cycle + 1, sync_s=at_s + 5, pixels=pixels))
-        write(CONTACTS, at_s, messages.contacts(cycle + 1))
-        write(LABEL, at_s, messages.label())
+        write(CONTACTS, at_s, messages.contacts(cycle + 1, sync_s=at_s + 5))
+        write(LABEL, at_s, messages.label(cycle=cycle + 1, sync_s=at_s + 5))
         if cycle % 20 == 0:
             write(GATEWAY, at_s, messages.gateway(cycles=cycle + 1))
         if cycle == 250:
