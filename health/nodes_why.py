@@ -16,8 +16,11 @@ NMT_WORDS: Final[dict[int, str]] = {
     SILENT: "silent",
 }
 REFUSED: Final = "refused by the gateway: not of this skin"
-#: A node loses frames until none has been missing for this time.
-LOSS_S: Final = 2.0
+#: A node loses frames until none has been missing for this time, that of `health.state.SPAN_S`.
+LOSS_S: Final = 1.0
+#: Emergencies from this code on are of the device (CiA 301, 7.2.7.1): that it missed its window once, whose end no node
+#: tells. They explain frames that are missing now, and are no trouble without.
+DEVICE_EMCY: Final = 0xFF00
 
 
 def word_of(bus: BusState, node: int, nmt: int) -> str:
@@ -48,7 +51,8 @@ class NodeTroubles:
                 why = "its bus is down" if bus.link in DEAD_LINKS else word_of(bus, node, nmt)
                 if not why and loses:
                     why = "frames with sums are missing"
-                if code := emergencies.get(node, 0):
+                code = emergencies.get(node, 0)
+                if code and (why or code < DEVICE_EMCY):
                     why = f"{why}, EMCY {code:04X}h" if why else f"EMCY {code:04X}h"
                 if why:
                     word, since_s = known.get(node, ("", now_s))

@@ -73,6 +73,7 @@ class Messages:
         sync_s: float = 1.0,
         true: npt.NDArray[np.float32] | None = None,
         sensor: npt.NDArray[np.float32] | None = None,
+        label: str = "golf-ball",
     ) -> Truth:
         real = self.grid() if true is None else true
         return make.truth(
@@ -80,7 +81,7 @@ class Messages:
             sampled_mono_ns=round(sync_s * SECOND_NS),
             true=real.tobytes(),
             sensor=(real if sensor is None else sensor).tobytes(),
-            label="golf-ball",
+            label=label,
         )
 
     def contacts(
