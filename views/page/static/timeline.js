@@ -145,8 +145,8 @@ export class Timeline {
     const { playback } = snapshot;
     if (playback) this.origin_s = snapshot.time_s - playback.position_s;
     // Until it is there, the place where the user is going is shown.
-    if (playback && this.isBringing) playback.position_s = this.playback.position_s;
-    this.playback = playback;
+    const { position_s } = (this.isBringing && this.playback) || playback || {};
+    this.playback = playback && { ...playback, position_s };
     this.drawState();
   }
 
