@@ -122,8 +122,8 @@ def test_the_past_is_shown_and_said_until_live_again(page: Browser, server: Serv
         "the frame of the instant did not come",
     )
     before = pixels(page, "image")
-    chain.force_n = 0.02
     before_n = server.feed.snapshot()[0].patches[0].force_n or 0.0
+    chain.force_n = 0.02
     page.until(lambda: (server.feed.snapshot()[0].patches[0].force_n or 0.0) > 1.5 * before_n, "the force did not come")
     said = page.text("#instant")
     page.until(lambda: page.text("#instant") != said, "the pause does not grow older")
