@@ -63,7 +63,7 @@ def messages(request: pytest.FixtureRequest) -> SurfaceMessages:
 def page(browser: Browser, server: Server, chain: Chain, messages: SurfaceMessages) -> Iterator[Browser]:
     chain.contacts = False
     browser.complaints.clear()
-    browser.open(server.address)
+    browser.open(server.address, height=900)  # a taxel seen from its side has a pixel in the small images, too
     browser.until(lambda: "golf ball" in browser.text("#object"), "no label was shown")
     browser.until(lambda: browser.ask("!document.querySelector('#map-true').hidden"), "no truth was shown")
     browser.until(lambda: bool(colours(browser, messages)[:, 3].all()), "no image was drawn")
